@@ -263,7 +263,7 @@ $(BUILD)/tests/unit/test_input: TEST_LIBS = $(UV_LIBS)
 $(OBJ)/tests/unit/test_input.o: EXTRA_CPPFLAGS = $(UV_CFLAGS)
 
 # And what Modbus is made of.
-$(BUILD)/tests/unit/test_modbus: $(call objects,$(addprefix server/modbus/,access.c codec.c diagnostics.c receiver.c))
+$(BUILD)/tests/unit/test_modbus: $(call objects,server/net/access.c $(addprefix server/modbus/,codec.c diagnostics.c receiver.c))
 $(OBJ)/tests/unit/test_modbus.o: EXTRA_CPPFLAGS = $(MODBUS_CFLAGS)
 
 -include $(shell find $(OBJ) -name '*.d' 2>/dev/null)

@@ -329,7 +329,8 @@ static void raise_descriptor_limit(void) {
 
 static int run(struct daemon *daemon) {
   struct server *server = &daemon->server;
-  if (!set_log_level(&server->options) || !choose_isa(server)) {
+  if (!set_log_level(&server->options) || !choose_isa(server) ||
+      !access_read_option("allow", &server->options.allow, &access_anyone, &server->allow)) {
     return 2;
   }
   signal(SIGPIPE, SIG_IGN);

@@ -6,6 +6,7 @@
 #include <uv.h>
 
 #include "core/core.h"
+#include "server/net/access.h"
 #include "server/observe/stats.h"
 #include "server/options.h"
 
@@ -17,6 +18,7 @@ struct worker;
 
 struct server {
   struct options options;
+  struct access allow; /* who may use the binary protocol over TCP */
   const core_isa *isa;
   struct stats stats;
   _Atomic uint64_t buffer_bytes; /* memory that the buffers of all connections hold */

@@ -179,14 +179,14 @@ static size_t answer_unit(struct modbus_unit *unit, struct client *client, const
   return unit->evaluating ? 0 : put_result(unit, request, pdu, answer);
 }
 
-static size_t answer_request(struct modbus_units *units, struct client *client, unsigned number,
-                             const uint8_t *pdu, size_t bytes, uint8_t *answer,
+static size_t answer_request(struct modbus_units *units, struct client *client, bool may_write,
+                             unsigned number, const uint8_t *pdu, size_t bytes, uint8_t *answer,
                              struct modbus_unit **waits_for) {
   struct modbus_request request;
   unsigned exception = modbus_pdu_parse(pdu, bytes, &request);
   if (number == 0) {
     exception = MODBUS_EXCEPTION_GATEWAY_TARGET;
-  } else if (units->server->options.modbus_read_only && modbus_pdu_writes(pdu[0])) {
+  } else if (!may_write && modbus_pdu_writes(pdu[0])) {
     exception = MODBUS_EXCEPTION_ILLEGAL_FUNCTION;
   }
   size_t length = 0;
@@ -206,10 +206,12 @@ static size_t answer_request(struct modbus_units *units, struct client *client, 
   return answer_unit(*waits_for, client, pdu, &request, answer);
 }
 
-size_t modbus_answer(struct modbus_units *units, struct client *client, unsigned number,
-                     const uint8_t *pdu, size_t bytes, uint8_t answer[MODBUS_PDU_MAX],
-                     struct modbus_unit **waits_for) {
-  const size_t length = answer_request(units, client, number, pdu, bytes, answer, waits_for);
+size_t modbus_answer(struct modbus_units *units, struct client *client, bool may_write,
+                     unsigned number, const uint8_t *pdu, size_t bytes,
+                     uint8_t answer[MODBUS_PDU_MAX], struct modbus_unit **waits_for) {
+  may_write = may_write && !units->server->options.modbus_read_only;
+  const size_t length =
+      answer_request(units, client, may_write, number, pdu, bytes, answer, waits_for);
   count(units, answer, length);
   return length;
 }

@@ -157,7 +157,7 @@ static void send_answer(struct modbus_connection *c, size_t pdu_bytes) {
 static void answer_frame(struct modbus_connection *c, const uint8_t *frame, size_t bytes) {
   struct modbus_unit *unit = NULL;
   const size_t answered =
-      modbus_answer(c->units, &c->client, unit_of(frame[6]), frame + HEADER_BYTES,
+      modbus_answer(c->units, &c->client, c->may_write, unit_of(frame[6]), frame + HEADER_BYTES,
                     bytes - HEADER_BYTES, c->unsent + HEADER_BYTES, &unit);
   if (answered > 0) {
     log_refusal(c, frame, bytes);
@@ -373,7 +373,8 @@ static void tick(struct client *client, uint64_t time_ms) {
   }
 }
 
-struct modbus_connection *modbus_connection_new(struct modbus_units *units, int fd) {
+struct modbus_connection *modbus_connection_new(struct modbus_units *units, int fd,
+                                                bool may_write) {
   static const struct client_kind kind = {
       .start = start,
       .run = run,
@@ -388,6 +389,7 @@ struct modbus_connection *modbus_connection_new(struct modbus_units *units, int 
     c->client.kind = &kind;
     c->units = units;
     c->fd = fd;
+    c->may_write = may_write;
   }
   return c;
 }

@@ -21,6 +21,7 @@ struct modbus_connection {
   struct client client; /* first member: see client.h */
   struct modbus_units *units;
   int fd;
+  bool may_write; /* see modbus_answer() */
   uv_poll_t poll;
   int events; /* the events that the poll waits for */
 
@@ -41,9 +42,10 @@ struct modbus_connection {
   uint8_t unsent[MODBUS_FRAME_MAX];
 };
 
-/* Makes a connection of a connected, non-blocking socket, which the connection then owns. The
- * caller gives `client` to the worker that has the units. Returns NULL if there is no memory; the
- * socket is still the caller's then. */
-struct modbus_connection *modbus_connection_new(struct modbus_units *units, int fd);
+/* Makes a connection of a connected, non-blocking socket, which the connection then owns.
+ * may_write: whether the master may use functions that write. The caller gives `client` to the
+ * worker that has the units. Returns NULL if there is no memory; the socket is still the caller's
+ * then. */
+struct modbus_connection *modbus_connection_new(struct modbus_units *units, int fd, bool may_write);
 
 #endif

@@ -4,16 +4,17 @@
 #include <stdlib.h>
 #include <unistd.h>
 
-#include "server/modbus/access.h"
 #include "server/modbus/connection.h"
 #include "server/modbus/line.h"
+#include "server/net/access.h"
 #include "server/net/tcp.h"
 #include "server/net/worker.h"
 #include "server/observe/log.h"
 
 struct modbus_service {
   struct server *server;
-  struct modbus_access access;
+  struct access connect; /* who may connect */
+  struct access write;   /* who of them may write */
   struct modbus_units *units;
   struct modbus_line lines[OPTIONS_LIST_MAX];
   size_t line_count;
@@ -36,12 +37,11 @@ struct modbus_service *modbus_service_new(struct server *server) {
   if (service->units == NULL) {
     return fail(service, "--modbus", "out of memory");
   }
-  const char *wrong = "";
-  if (!modbus_access_read(&server->options.modbus_allow, &service->access, &wrong)) {
-    fprintf(stderr,
-            "dipoled: --modbus-allow takes numeric addresses, as 192.0.2.7 or 192.0.2.0/24, "
-            "not '%s'\n",
-            wrong);
+  const struct options *options = &server->options;
+  if (!access_read_option("modbus-allow", &options->modbus_allow, &access_this_machine,
+                          &service->connect) ||
+      !access_read_option("modbus-allow-write", &options->modbus_allow_write, &access_anyone,
+                          &service->write)) {
     modbus_service_free(service);
     return NULL;
   }
@@ -72,10 +72,7 @@ void modbus_service_begin(struct modbus_service *service) {
 
 /* Returns the reason why a peer may not connect, or NULL if it may. */
 static const char *refusal(const struct modbus_service *service, int fd) {
-  struct sockaddr_storage peer = {0};
-  socklen_t length = sizeof peer;
-  if (getpeername(fd, (struct sockaddr *)&peer, &length) != 0 ||
-      !modbus_access_allows(&service->access, (const struct sockaddr *)&peer)) {
+  if (!access_allows_peer(&service->connect, fd)) {
     return "not-allowed";
   }
   const struct server *server = service->server;
@@ -89,7 +86,9 @@ void modbus_service_admit(struct server *server, int fd) {
   struct modbus_service *service = server->modbus;
   const char *why = refusal(service, fd);
   struct modbus_connection *connection =
-      why == NULL ? modbus_connection_new(service->units, fd) : NULL;
+      why == NULL
+          ? modbus_connection_new(service->units, fd, access_allows_peer(&service->write, fd))
+          : NULL;
   if (connection == NULL) {
     char peer[TCP_TEXT_BYTES];
     tcp_peer(fd, peer);

@@ -64,18 +64,26 @@ static void on_wake(void *owner) {
   worker_run_later(&c->client);
 }
 
+/* Returns whether the connection gets an error and is closed, and does not count as open. */
+static bool is_refused(const struct connection *c) {
+  return c->purpose == CONNECTION_REFUSE || c->purpose == CONNECTION_FORBID;
+}
+
 static void log_end(void *owner, const wire_error *error) {
   const struct connection *c = owner;
   char peer[TCP_TEXT_BYTES];
   tcp_peer(c->fd, peer);
   log_peer_line(LOG_LEVEL_INFO, "event=%s status=%s%s%s%s%s",
-                c->purpose == CONNECTION_REFUSE ? "connection-refused" : "connection-ended",
+                is_refused(c) ? "connection-refused" : "connection-ended",
                 wire_status_name(error->status), LOG_FIELD(" field=", error->field),
                 LOG_FIELD(" peer=", peer));
 }
 
-wire_error connection_refusal(void) {
-  return wire_error_busy("max_connections", "fewer open connections", 1000);
+wire_error connection_refusal(enum connection_purpose purpose) {
+  return purpose == CONNECTION_FORBID
+             ? wire_error_make(WIRE_STATUS_NOT_ALLOWED, "allow",
+                               "addresses in the networks of the daemon's --allow")
+             : wire_error_busy("max_connections", "fewer open connections", 1000);
 }
 
 struct client *connection_new(struct server *server, int fd, enum connection_purpose purpose) {
@@ -98,11 +106,12 @@ struct client *connection_new(struct server *server, int fd, enum connection_pur
 static void dispose(struct connection *c) {
   struct server *server = c->server;
   const enum connection_purpose purpose = c->purpose;
+  const bool was_open = !is_refused(c);
   input_free(&c->input);
   output_free(&c->output);
   worker_forget(&c->client);
   free(c);
-  if (purpose != CONNECTION_REFUSE) {
+  if (was_open) {
     stats_subtract(&server->stats, STATS_CONNECTIONS_OPEN, 1);
   }
   if (purpose == CONNECTION_INHERITED) {
@@ -435,8 +444,8 @@ static void start(struct client *client) {
     abort_connection(c);
     return;
   }
-  if (c->purpose == CONNECTION_REFUSE) {
-    requests_end(&c->requests, 0, connection_refusal());
+  if (is_refused(c)) {
+    requests_end(&c->requests, 0, connection_refusal(c->purpose));
   }
   worker_run_later(&c->client);
 }

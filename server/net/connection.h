@@ -12,6 +12,7 @@ enum connection_purpose {
   CONNECTION_SERVE,
   CONNECTION_INHERITED, /* the connection of --fd: the daemon stops when it is closed */
   CONNECTION_REFUSE,    /* a connection beyond max_connections: it gets BUSY and is closed */
+  CONNECTION_FORBID,    /* a connection from a place not in --allow: the same with NOT_ALLOWED */
 };
 
 /* Makes a connection of a connected stream socket, which the connection then owns. The caller gives
@@ -19,7 +20,7 @@ enum connection_purpose {
  * then. May be called on any thread. */
 struct client *connection_new(struct server *server, int fd, enum connection_purpose purpose);
 
-/* Makes the error BUSY, which a connection beyond max_connections gets. */
-wire_error connection_refusal(void);
+/* Makes the error that a connection gets which is refused or forbidden. */
+wire_error connection_refusal(enum connection_purpose purpose);
 
 #endif

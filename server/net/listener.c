@@ -2,6 +2,7 @@
 
 #include <errno.h>
 #include <fcntl.h>
+#include <grp.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -51,20 +52,20 @@ static uint64_t held_connections(const struct server *server) {
   return held;
 }
 
-/* Sends BUSY and closes the socket. A new socket always has room for this frame. A peer that has
+/* Sends the error and closes the socket. A new socket always has room for this frame. A peer that has
  * already sent something may not get the frame, because closing then resets the connection. */
-static void refuse_at_once(struct server *server, int fd) {
+static void refuse_at_once(struct server *server, int fd, enum connection_purpose purpose) {
   const wire_header header = {.magic = WIRE_MAGIC,
                               .version = WIRE_VERSION,
                               .type = WIRE_TYPE_ERROR,
                               .payload_bytes = WIRE_BYTES_error};
-  const wire_error error = connection_refusal();
+  const wire_error error = connection_refusal(purpose);
   health_note_refusal(server, &error);
   uint8_t frame[WIRE_BYTES_header + WIRE_BYTES_error];
   wire_put_header(frame, &header);
   wire_put_error(frame + WIRE_BYTES_header, &error);
   if (send(fd, frame, sizeof frame, MSG_NOSIGNAL | MSG_DONTWAIT) == (ssize_t)sizeof frame) {
-    stats_count_answer(&server->stats, WIRE_STATUS_BUSY);
+    stats_count_answer(&server->stats, error.status);
   }
   close(fd);
 }
@@ -72,19 +73,22 @@ static void refuse_at_once(struct server *server, int fd) {
 void listener_admit(struct server *server, int fd, bool inherited) {
   struct stats *stats = &server->stats;
   const bool full = stats_get(stats, STATS_CONNECTIONS_OPEN) >= server->options.max_connections;
-  const enum connection_purpose purpose = full        ? CONNECTION_REFUSE
+  const bool forbidden = !inherited && !access_allows_peer(&server->allow, fd);
+  const bool refused = full || forbidden;
+  const enum connection_purpose purpose = forbidden   ? CONNECTION_FORBID
+                                          : full      ? CONNECTION_REFUSE
                                           : inherited ? CONNECTION_INHERITED
                                                       : CONNECTION_SERVE;
-  stats_add(stats, full ? STATS_CONNECTIONS_REFUSED : STATS_CONNECTIONS_ACCEPTED, 1);
+  stats_add(stats, refused ? STATS_CONNECTIONS_REFUSED : STATS_CONNECTIONS_ACCEPTED, 1);
   const bool too_many_refusals =
       held_connections(server) >= server->options.max_connections + REFUSALS_AT_ONCE;
   struct client *connection =
-      full && too_many_refusals ? NULL : connection_new(server, fd, purpose);
+      refused && too_many_refusals ? NULL : connection_new(server, fd, purpose);
   if (connection == NULL) {
-    refuse_at_once(server, fd);
+    refuse_at_once(server, fd, purpose);
     return;
   }
-  if (!full) {
+  if (!refused) {
     stats_add(stats, STATS_CONNECTIONS_OPEN, 1);
   }
   worker_give(least_busy(server), connection);
@@ -180,6 +184,40 @@ static void remove_file(struct listener *listener) {
   free(listener->unix_path);
 }
 
+static bool set_group(const char *group, const char *url, const char *path) {
+  char why[128];
+  char *end;
+  const struct group *named = getgrnam(group);
+  const unsigned long number = strtoul(group, &end, 10);
+  if (named == NULL && (*group == '\0' || *end != '\0' || number > INT32_MAX)) {
+    snprintf(why, sizeof why, "--socket-group: there is no group '%s'", group);
+    return complain(url, why);
+  }
+  if (chown(path, (uid_t)-1, named != NULL ? named->gr_gid : (gid_t)number) == 0) {
+    return true;
+  }
+  snprintf(why, sizeof why, "--socket-group %s: %s", group, strerror(errno));
+  return complain(url, why);
+}
+
+static bool set_mode(const char *octal, const char *url, const char *path) {
+  char why[128];
+  char *end;
+  const unsigned long mode = strtoul(octal, &end, 8);
+  if (*octal == '\0' || *end != '\0' || mode > 0777) {
+    snprintf(why, sizeof why, "--socket-mode is an octal number up to 0777, not '%s'", octal);
+    return complain(url, why);
+  }
+  return chmod(path, (mode_t)mode) == 0 || complain(url, strerror(errno));
+}
+
+/* Gives the socket's file the group and the mode of the options. Nobody can connect before the
+ * socket listens. */
+static bool set_permissions(const struct options *options, const char *url, const char *path) {
+  return (options->socket_group == NULL || set_group(options->socket_group, url, path)) &&
+         (options->socket_mode == NULL || set_mode(options->socket_mode, url, path));
+}
+
 static bool open_unix(struct listener *listener, const char *url, const char *path) {
   struct sockaddr_un address = {.sun_family = AF_UNIX};
   if (*path == '\0' || strlen(path) >= sizeof address.sun_path) {
@@ -195,10 +233,15 @@ static bool open_unix(struct listener *listener, const char *url, const char *pa
     unlink(path);
     bound = bind(listener->fd, (struct sockaddr *)&address, sizeof address);
   }
-  if (bound != 0 || listen(listener->fd, BACKLOG) != 0) {
+  if (bound != 0) {
     return complain(url, errno == EADDRINUSE ? occupant(path) : strerror(errno));
   }
   note_file(listener, path);
+  if (!set_permissions(&listener->server->options, url, path) ||
+      (listen(listener->fd, BACKLOG) != 0 && !complain(url, strerror(errno)))) {
+    remove_file(listener);
+    return false;
+  }
   log_line(LOG_LEVEL_INFO, "event=listening url=unix:%s", path);
   return true;
 }

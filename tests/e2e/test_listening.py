@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import os
 import socket
+import stat
 import subprocess
 from pathlib import Path
 
 import dipole
 import pytest
-from daemons import END_S, PROGRAM, environment, run
+from daemons import BUILD, END_S, PROGRAM, environment, run
 from frames import EVAL, PING, ask, assert_serves, eval_payload, frame
 
 
@@ -145,6 +146,107 @@ def test_all_addresses_or_none(folder):
     ended = run("--listen", f"unix:{folder}/s", "--listen", "tcp:127.0.0.1:nonsense")
     assert ended.returncode == 1
     assert not (folder / "s").exists()
+
+
+# ---- who may connect -----------------------------------------------------------------------------
+
+
+class From(dipole.Connection):
+    """A connection from an address of this machine, which has sent a ping."""
+
+    def __init__(self, source: str, url: str):
+        self.source = source
+        super().__init__(url)
+        self.send_frame(PING, 1)
+
+    def _open(self) -> socket.socket:
+        host, port = self.address.removeprefix("tcp:").rsplit(":", 1)
+        return socket.create_connection((host, int(port)), 10, (self.source, 0))
+
+
+def test_who_is_allowed_over_tcp(daemon, folder):
+    allow = ["--allow", "10.0.0.0/8", "--allow", "127.0.0.8/31", "--allow", "::1"]
+    one = daemon(*allow, listen=[f"unix:{folder}/s", "tcp:127.0.0.1:0"])
+    for source in ("127.0.0.8", "127.0.0.9"):
+        with From(source, one.url("tcp")) as connection:
+            assert connection.receive_frame().payload == b""
+            assert_serves(connection)
+    for source in ("127.0.0.1", "127.0.0.7", "127.0.0.10"):
+        with From(source, one.url("tcp")) as connection:
+            refused = dipole.wire.ERROR.unpack(connection.receive_frame().payload)
+            assert refused.status == 14 and refused.field == "allow"
+            assert connection.receive_eof()
+        assert one.has_line(f"event=connection-refused status=not-allowed field=allow peer={source}", 5)
+    with one.connect("unix") as connection:
+        assert_serves(connection)
+    with one.client("unix") as client:
+        statistics = client.statistics()
+    assert statistics["connections_refused"] == 3
+    assert statistics["connections_open"] == 1
+
+
+def test_a_client_that_is_not_allowed_does_not_try_again(daemon):
+    one = daemon("--allow", "10.0.0.0/8", listen=["tcp:127.0.0.1:0"])
+    with pytest.raises(dipole.Refused, match="not-allowed: allow") as refused:
+        one.client("tcp")
+    assert refused.value.status == "not-allowed"
+    said = subprocess.run(
+        [BUILD / "dipole", "media", "--connect", one.url("tcp")],
+        capture_output=True, text=True, timeout=END_S, check=False,
+    )  # fmt: skip
+    assert said.returncode != 0 and "not-allowed: allow: allowed: addresses" in said.stderr
+    with one.connect("tcp"):
+        pass
+    assert sum("event=connection-refused" in line for line in one.log) <= 3
+
+
+def test_an_ended_stranger_leaves_the_number_of_open_connections(daemon):
+    one = daemon("--allow", "127.0.0.8", "--max-connections", "2", listen=["tcp:127.0.0.1:0"])
+    for _ in range(50):
+        with From("127.0.0.1", one.url("tcp")) as connection:
+            connection.receive_frame()
+    with From("127.0.0.8", one.url("tcp")) as connection:
+        connection.receive_frame()
+        assert_serves(connection)
+
+
+@pytest.mark.parametrize("network", ["localhost", "10.0.0.0/33", "10.0.0.0/", ""])
+def test_what_is_no_network(network):
+    ended = run("--listen", "tcp:127.0.0.1:0", "--allow", network)
+    assert ended.returncode == 2
+    assert f"--allow takes numeric addresses, as 192.0.2.7 or 192.0.2.0/24, not '{network}'" in (
+        ended.stderr
+    )
+
+
+@pytest.mark.parametrize("mode", [0o600, 0o660, 0o666, 0o000])
+def test_mode_of_the_socket(daemon, folder, mode):
+    one = daemon("--socket-mode", f"{mode:04o}", listen=[f"unix:{folder}/{mode:o}"])
+    assert stat.S_IMODE((folder / f"{mode:o}").stat().st_mode) == mode
+    if mode & 0o200:
+        with one.connect() as connection:
+            assert_serves(connection)
+
+
+def test_group_of_the_socket(daemon, folder):
+    group = os.getgroups()[-1] if os.getgroups() else os.getgid()
+    daemon("--socket-group", str(group), "--socket-mode", "0660", listen=[f"unix:{folder}/g"])
+    made = (folder / "g").stat()
+    assert made.st_gid == group and stat.S_IMODE(made.st_mode) == 0o660
+
+
+@pytest.mark.parametrize(
+    "options, said",
+    [
+        (["--socket-mode", "888"], "--socket-mode is an octal number up to 0777, not '888'"),
+        (["--socket-mode", "1777"], "--socket-mode is an octal number up to 0777, not '1777'"),
+        (["--socket-group", "no such group"], "there is no group 'no such group'"),
+    ],
+)
+def test_wrong_permissions(folder, options, said):
+    ended = run("--listen", f"unix:{folder}/w", *options)
+    assert ended.returncode == 1 and said in ended.stderr
+    assert not (folder / "w").exists()
 
 
 # ---- an inherited connection ---------------------------------------------------------------------

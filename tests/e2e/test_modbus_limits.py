@@ -296,6 +296,35 @@ def test_read_only(daemon):
         assert master.ask(b"\x11")[1:3] == b"\x01\xff"
 
 
+def test_who_may_write(daemon):
+    """--modbus-allow-write is a list within --modbus-allow; everyone may read."""
+    one = daemon(*TCP, "--modbus-allow-write", "127.0.0.2", "--modbus-allow-write", "127.0.0.4/30")
+    for source, may in [("127.0.0.2", True), ("127.0.0.3", False), ("127.0.0.6", True)]:
+        with Tcp(one, source=source) as master:
+            assert master.read(1200, 2) == b"DIPL"
+            if may:
+                master.write(AT["ETA"], floats(1.25), 9)
+                assert master.read(AT["ETA"], 2, 9) == floats(1.25)
+                continue
+            for pdu in (
+                struct.pack(">BHH", 5, 0, 0),
+                struct.pack(">BHH", 6, 0, 0),
+                struct.pack(">BHHBB", 15, 0, 1, 1, 0),
+                struct.pack(">BHHBH", 16, 0, 1, 2, 0),
+                struct.pack(">BHHH", 22, 0, 0, 0),
+                struct.pack(">BHHHHBH", 23, 0, 1, 0, 1, 2, 0),
+            ):
+                with exception(BAD_FUNCTION):
+                    master.ask(pdu)
+            assert one.has_line("event=modbus-request-refused function=23 exception=1", 5)
+
+
+def test_read_only_holds_for_those_who_may_write(daemon):
+    one = daemon(*TCP, "--modbus-allow-write", "127.0.0.1", "--modbus-read-only")
+    with Tcp(one) as master, exception(BAD_FUNCTION):
+        master.write_one(0, 1)
+
+
 # ---- options -------------------------------------------------------------------------------------
 
 
@@ -333,6 +362,7 @@ WRONG = {
     "rts delay": ["--modbus", "rtu:/dev/null,9600,N,1,rts=high,rts-delay-ms=1001"],
     "rts delay alone": ["--modbus", "rtu:/dev/null,9600,N,1,rts-delay-ms=1"],
     "allow": ["--modbus", "tcp:127.0.0.1:0", "--modbus-allow", "localhost"],
+    "allow write": ["--modbus", "tcp:127.0.0.1:0", "--modbus-allow-write", "localhost"],
     "bits": ["--modbus", "tcp:127.0.0.1:0", "--modbus-allow", "10.0.0.0/33"],
     "no bits": ["--modbus", "tcp:127.0.0.1:0", "--modbus-allow", "10.0.0.0/"],
 }

@@ -18,6 +18,9 @@ NUMBERS = {
 }
 OTHERS = [
     "listen",
+    "allow",
+    "socket-mode",
+    "socket-group",
     "fd",
     "isa",
     "metrics",
@@ -25,6 +28,7 @@ OTHERS = [
     "http-allow-origin",
     "modbus",
     "modbus-allow",
+    "modbus-allow-write",
     "modbus-read-only",
     "log-level",
     "help",

@@ -88,6 +88,8 @@ def test_the_service_starts_and_modules_are_compiled(packages):
     """The scripts of the packages, which debhelper writes, start the service and compile the
     module."""
     script = run("dpkg-deb", "--info", packages["dipoled"], "postinst")
+    made = re.search(r"systemd-sysusers .*dipoled\.conf", script)
+    assert made and made.start() < script.index("deb-systemd-invoke")
     assert "enable 'dipoled.service'" in script and "enable 'dipoled.socket'" in script
     assert "py3compile -p python3-dipole" in run(
         "dpkg-deb", "--info", packages["python3-dipole"], "postinst"

@@ -37,11 +37,16 @@ def test_the_service_is_confined(units):
     run("systemd-analyze", "security", "--offline=yes", limit, units / "dipoled.service")
 
 
-def test_the_sockets_are_where_a_daemon_of_root_listens(units):
-    """The units listen at the addresses of a daemon that root starts, so that clients need not know
-    who has started it."""
+def test_the_socket_is_where_a_daemon_of_root_listens(units):
+    """The unit listens at the socket of a daemon that root starts, so that clients need not know
+    who has started it. A port would be open to everybody on the machine."""
     listens = re.findall(r"^ListenStream=(.*)$", (units / "dipoled.socket").read_text(), re.M)
     main = (REPOSITORY / "server/main.c").read_text()
-    port = re.search(r'#define DEFAULT_TCP "tcp:(.*)"', main)[1]
-    name = re.search(r'#define DEFAULT_SOCKET "(.*)"', main)[1]
-    assert listens == [f"/run/{name}", port]
+    assert listens == [f"/run/{re.search(r'#define DEFAULT_SOCKET .(.*).$', main, re.M)[1]}"]
+
+
+def test_the_socket_is_for_the_members_of_a_group(units):
+    socket = (units / "dipoled.socket").read_text()
+    assert re.findall(r"^Socket(?:Mode|Group)=(.*)$", socket, re.M) == ["0660", "dipole"]
+    users = (REPOSITORY / "server/dipoled.sysusers").read_text()
+    assert re.findall(r"^[^#].*$", users, re.M) == ["g dipole -"]

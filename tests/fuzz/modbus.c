@@ -67,7 +67,7 @@ void fuzz_modbus(const uint8_t *data, size_t size) {
     return;
   }
   CHECK(socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0, fds) == 0);
-  struct modbus_connection *client = modbus_connection_new(units, fds[0]);
+  struct modbus_connection *client = modbus_connection_new(units, fds[0], true);
   stats_add(&fuzz_server.stats, STATS_MODBUS_CONNECTIONS_OPEN, 1);
   worker_give(&fuzz_worker, &client->client);
   struct fuzz_delivery delivery = fuzz_delivery_begin(data, 1);
@@ -135,7 +135,7 @@ static void answer_serial(struct serial *line, const struct modbus_burst *burst)
   if (pdu[0] == MODBUS_FC_DIAGNOSTICS) {
     answered = modbus_diagnostics_answer(&line->diagnostics, pdu, bytes, frame + 1);
   } else {
-    answered = modbus_answer(units, &line->client, 1, pdu, bytes, frame + 1, &unit);
+    answered = modbus_answer(units, &line->client, true, 1, pdu, bytes, frame + 1, &unit);
   }
   if (unit != NULL && answered == 0) {
     batch_finish(&fuzz_worker.context.batch, &fuzz_server.stats);

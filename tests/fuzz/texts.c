@@ -9,7 +9,7 @@
 #include "clients/c/address.h"
 #include "clients/cli/csv.h"
 #include "clients/cli/number.h"
-#include "server/modbus/access.h"
+#include "server/net/access.h"
 #include "server/options.h"
 #include "tests/fuzz/fuzz.h"
 
@@ -78,9 +78,9 @@ void fuzz_texts(const uint8_t *data, size_t size) {
     }
     libdipole_addresses_free(&addresses);
     const struct options_list list = {.items = {word}, .count = 1};
-    struct modbus_access access;
+    struct access access;
     const char *wrong;
-    if (modbus_access_read(&list, &access, &wrong)) {
+    if (access_read(&list, &access_this_machine, &access, &wrong)) {
       CHECK(access.count == 1 && access.networks[0].bits <= 128);
     }
     double value, again;

@@ -3,8 +3,8 @@
 #include <arpa/inet.h>
 #include <modbus.h>
 
-#include "server/modbus/access.h"
 #include "server/modbus/receiver.h"
+#include "server/net/access.h"
 #include "tests/unit/unit.h"
 
 /* ---- requests ----------------------------------------------------------------------------- */
@@ -274,16 +274,16 @@ UNIT_TEST(any_bytes_can_be_received) {
 
 static bool allows(const char *network, const char *address) {
   struct options_list list = {.items = {network}, .count = network != NULL};
-  struct modbus_access access;
+  struct access access;
   const char *wrong;
-  assert_true(modbus_access_read(&list, &access, &wrong));
+  assert_true(access_read(&list, &access_this_machine, &access, &wrong));
   struct sockaddr_in ipv4 = {.sin_family = AF_INET};
   struct sockaddr_in6 ipv6 = {.sin6_family = AF_INET6};
   if (inet_pton(AF_INET, address, &ipv4.sin_addr) == 1) {
-    return modbus_access_allows(&access, (const struct sockaddr *)&ipv4);
+    return access_allows(&access, (const struct sockaddr *)&ipv4);
   }
   assert_int_equal(inet_pton(AF_INET6, address, &ipv6.sin6_addr), 1);
-  return modbus_access_allows(&access, (const struct sockaddr *)&ipv6);
+  return access_allows(&access, (const struct sockaddr *)&ipv6);
 }
 
 UNIT_TEST(networks_allow_their_addresses) {
@@ -322,9 +322,9 @@ UNIT_TEST(what_is_no_network) {
       "10.0.0", "2001:db8::/129", "10.0.0.0/8 ", "/8",        "10.0.0.0/8/8"};
   for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++) {
     struct options_list list = {.items = {"10.0.0.0/8", wrong[i]}, .count = 2};
-    struct modbus_access access;
+    struct access access;
     const char *item;
-    assert_false(modbus_access_read(&list, &access, &item));
+    assert_false(access_read(&list, &access_this_machine, &access, &item));
     assert_string_equal(item, wrong[i]);
   }
 }

@@ -36,7 +36,7 @@ MESSAGES = {name: type for type, name in _TYPES.items()}
 # Maps the code of a status to its name.
 STATUSES = _numbered(
     "ok bad-magic bad-version bad-type bad-length bad-count bad-value too-large truncated timeout "
-    "busy shutting-down deadline bad-address",
+    "busy shutting-down deadline bad-address not-allowed",
     first=0,
 )
 STATUS_DEADLINE = 12

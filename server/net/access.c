@@ -1,6 +1,7 @@
-#include "server/modbus/access.h"
+#include "server/net/access.h"
 
 #include <arpa/inet.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -20,7 +21,7 @@ static bool read_bits(const char *text, unsigned most, unsigned *bits) {
   return *text >= '0' && *text <= '9' && *end == '\0' && number <= most;
 }
 
-static bool read_network(const char *text, struct modbus_network *network) {
+static bool read_network(const char *text, struct access_network *network) {
   char address[TEXT_BYTES];
   const char *slash = strchr(text, '/');
   const size_t length = slash != NULL ? (size_t)(slash - text) : strlen(text);
@@ -45,10 +46,12 @@ static bool read_network(const char *text, struct modbus_network *network) {
   return true;
 }
 
-bool modbus_access_read(const struct options_list *list, struct modbus_access *access,
-                        const char **wrong) {
-  static const struct options_list this_machine = {.items = {"127.0.0.0/8", "::1/128"}, .count = 2};
-  const struct options_list *from = list->count > 0 ? list : &this_machine;
+const struct options_list access_this_machine = {.items = {"127.0.0.0/8", "::1/128"}, .count = 2};
+const struct options_list access_anyone = {.items = {"0.0.0.0/0", "::/0"}, .count = 2};
+
+bool access_read(const struct options_list *list, const struct options_list *usual,
+                 struct access *access, const char **wrong) {
+  const struct options_list *from = list->count > 0 ? list : usual;
   access->count = 0;
   for (size_t i = 0; i < from->count; i++) {
     *wrong = from->items[i];
@@ -59,13 +62,24 @@ bool modbus_access_read(const struct options_list *list, struct modbus_access *a
   return true;
 }
 
+bool access_read_option(const char *name, const struct options_list *list,
+                        const struct options_list *usual, struct access *access) {
+  const char *wrong = "";
+  if (access_read(list, usual, access, &wrong)) {
+    return true;
+  }
+  fprintf(stderr, "dipoled: --%s takes numeric addresses, as 192.0.2.7 or 192.0.2.0/24, not '%s'\n",
+          name, wrong);
+  return false;
+}
+
 /* Returns whether a network is of IPv4: its first 96 bits are those of ::ffff:0:0. So ::/0 is all
  * of IPv6 and contains no address of IPv4. */
-static bool is_ipv4(const struct modbus_network *network) {
+static bool is_ipv4(const struct access_network *network) {
   return IN6_IS_ADDR_V4MAPPED(&network->address) && network->bits >= IPV6_BITS - IPV4_BITS;
 }
 
-static bool is_in(const struct in6_addr *address, const struct modbus_network *network) {
+static bool is_in(const struct in6_addr *address, const struct access_network *network) {
   if (is_ipv4(network) != !!IN6_IS_ADDR_V4MAPPED(address)) {
     return false;
   }
@@ -76,7 +90,7 @@ static bool is_in(const struct in6_addr *address, const struct modbus_network *n
   return memcmp(address, &network->address, whole) == 0 && differs == 0;
 }
 
-bool modbus_access_allows(const struct modbus_access *access, const struct sockaddr *address) {
+bool access_allows(const struct access *access, const struct sockaddr *address) {
   struct in6_addr ip;
   if (address->sa_family == AF_INET) {
     ip = mapped(((const struct sockaddr_in *)(const void *)address)->sin_addr);
@@ -91,4 +105,11 @@ bool modbus_access_allows(const struct modbus_access *access, const struct socka
     }
   }
   return false;
+}
+
+bool access_allows_peer(const struct access *access, int fd) {
+  struct sockaddr_storage peer = {0};
+  socklen_t length = sizeof peer;
+  return getpeername(fd, (struct sockaddr *)&peer, &length) == 0 &&
+         (peer.ss_family == AF_UNIX || access_allows(access, (const struct sockaddr *)&peer));
 }
