@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from daemons import BUILD, REPOSITORY, environment
 
-TIMEOUT_S = 120.0
+TIMEOUT_S = 600.0
 
 
 def run(*command: str | Path, env: dict[str, str] | None = None, cwd: Path | None = None) -> str:

@@ -414,6 +414,7 @@ def test_an_mc_ends_when_no_request_names_its_unit(daemon):
         begun = time.monotonic()
         while time.monotonic() < begun + 2.5:
             assert head(master, "MC").status == IS_BUSY
+        assert eventually(lambda: numbers(master, "MC_PROGRESS", 1)[0] > 0, 60)
         commit_slow(master, "INVERT")  # jobs that keep no place from others go on
     with one.client() as client:
         medium = (0.1, 0.9, 0.0, 1.3)
