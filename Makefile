@@ -142,9 +142,6 @@ $(OBJ)/core/radii.o: override CFLAGS := $(CFLAGS) -O3 -fopenmp-simd -falign-loop
 # The loops of fits over a grid of media and over the points of a table.
 $(OBJ)/core/fit/search.o $(OBJ)/core/fit/table.o: override CFLAGS := $(CFLAGS) -O3
 
-# Whose loops for the range of media and radii are to be vectorized.
-$(OBJ)/core/varying/varying.o: override CFLAGS := $(CFLAGS) -O3
-
 # core/models/NAME.ISA.fREAL.o
 define kernel_rule
 $(OBJ)/core/models/%.$(1).f$(2).o: core/models/%.c Makefile

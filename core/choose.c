@@ -54,11 +54,12 @@ static core_model_errors errors_of(const struct cost *cost, const core_choose_re
   if (request->gamma > 0) {
     const core_medium taken = core_transport_medium(medium, request->gamma);
     return cost->model == CORE_MODEL_TRANSPORT && core_transport_added_errors(&taken, &added)
-               ? core_gamma_errors_find(request->gamma, medium)
+               ? core_gamma_errors_find(request->gamma, medium->eta, core_ratio_of(medium))
                : core_model_errors_unknown();
   }
   return cost->model != CORE_MODEL_TRANSPORT
-             ? core_model_errors_find(cost->model, request->moments, medium)
+             ? core_model_errors_find(cost->model, request->moments, medium->g, medium->eta,
+                                      core_ratio_of(medium))
          : core_transport_added_errors(medium, &added) ? core_model_errors_exact()
                                                        : core_model_errors_unknown();
 }

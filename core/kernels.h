@@ -42,17 +42,16 @@ typedef void core_varying_kernel_f32(const float *shared, const float *words, si
 /* The argument of core_varying_check_kernel: radii up to infinity, or numbers u up to 1. */
 enum core_varying_argument { CORE_VARYING_RADII, CORE_VARYING_NUMBERS };
 
-/* Sets status[n] to the statuses (enum core_value_status) of n values, albedo[n] to sigma_s' /
- * sigma_t', and mfp[n] to in[n] sigma_t'. The last two are NaN where the status is not OK, and mfp
- * where it is infinite. */
+/* Sets status[n] to the statuses (enum core_value_status) of n values, and *range; of numbers u only
+ * the albedos in it have a meaning. */
 typedef void core_varying_check_kernel_f64(const double *shared, size_t n, const double *sigma_a,
                                            const double *sigma_s, const double *in,
                                            enum core_varying_argument argument, uint8_t *status,
-                                           double *albedo, double *mfp);
+                                           core_varying_range *range);
 typedef void core_varying_check_kernel_f32(const float *shared, size_t n, const float *sigma_a,
                                            const float *sigma_s, const float *in,
                                            enum core_varying_argument argument, uint8_t *status,
-                                           float *albedo, float *mfp);
+                                           core_varying_range *range);
 
 /* Does what core_varying_invert_f64() does; `what` is as core_colour, and albedo is not NULL. */
 typedef void core_varying_invert_kernel_f64(const double *shared, const double *words,

@@ -204,6 +204,17 @@ static inline bool enclose(const double *list, size_t count, double value, struc
   return true;
 }
 
+/* Sets *span to all places from the first neighbour of the least to the last one of the most. */
+static bool enclose_range(const double *list, size_t count, core_ratio_range range,
+                          struct span *span) {
+  struct span most;
+  if (!enclose(list, count, range.least, span) || !enclose(list, count, range.most, &most)) {
+    return false;
+  }
+  span->last = most.last;
+  return true;
+}
+
 /* Returns the cell between two of `count` + 1 edges that holds the value, or `count` if none
  * does. */
 static size_t cell_of(const double *edges, size_t count, double value) {
@@ -231,10 +242,10 @@ static void merge_node(unsigned char codes[BANDS + 1], const char *node) {
 
 /* ---- the errors of a medium ------------------------------------------------------------------ */
 
-static bool find_isotropic(unsigned char codes[BANDS + 1], const struct measured *of, double ratio,
-                           double eta) {
+static bool find_isotropic(unsigned char codes[BANDS + 1], const struct measured *of, double eta,
+                           core_ratio_range range) {
   struct span at_ratio, at_eta;
-  if (!enclose(ratios, RATIOS, ratio, &at_ratio) || !enclose(etas, ETAS, eta, &at_eta)) {
+  if (!enclose_range(ratios, RATIOS, range, &at_ratio) || !enclose(etas, ETAS, eta, &at_eta)) {
     return false;
   }
   for (size_t i = at_ratio.first; i <= at_ratio.last; i++) {
@@ -245,28 +256,31 @@ static bool find_isotropic(unsigned char codes[BANDS + 1], const struct measured
   return true;
 }
 
-static bool find_anisotropic(unsigned char codes[BANDS + 1], const struct cells *of, double ratio,
-                             const core_medium *medium) {
-  const size_t g = cell_of(cell_gs, CELL_GS, medium->g);
-  const size_t row = cell_of(cell_ratios, CELL_RATIOS, ratio);
-  const size_t column = cell_of(cell_etas, CELL_ETAS, medium->eta);
-  if (g == CELL_GS || row == CELL_RATIOS || column == CELL_ETAS) {
+static bool find_anisotropic(unsigned char codes[BANDS + 1], const struct cells *of, double g,
+                             double eta, core_ratio_range range) {
+  const size_t plane = cell_of(cell_gs, CELL_GS, g);
+  const size_t first = cell_of(cell_ratios, CELL_RATIOS, range.least);
+  const size_t last = cell_of(cell_ratios, CELL_RATIOS, range.most);
+  const size_t column = cell_of(cell_etas, CELL_ETAS, eta);
+  if (plane == CELL_GS || first == CELL_RATIOS || last == CELL_RATIOS || column == CELL_ETAS) {
     return false;
   }
-  const char *symbols = &of->symbols[g * CELL_RATIOS + row][column * (BANDS + 1)];
-  for (size_t i = 0; i <= BANDS; i++) {
-    codes[i] = (unsigned char)core_error_code_of_symbol(symbols[i]);
+  for (size_t row = first; row <= last; row++) {
+    const char *symbols = &of->symbols[plane * CELL_RATIOS + row][column * (BANDS + 1)];
+    for (size_t i = 0; i <= BANDS; i++) {
+      const unsigned code = core_error_code_of_symbol(symbols[i]);
+      codes[i] = code > codes[i] ? (unsigned char)code : codes[i];
+    }
   }
   return true;
 }
 
 /* The g between the first and the last of the list get the largest error of the list. */
-static bool find_similarity(unsigned char codes[BANDS + 1], double ratio,
-                            const core_medium *medium) {
+static bool find_similarity(unsigned char codes[BANDS + 1], double g, double eta,
+                            core_ratio_range range) {
   struct span at_ratio, at_eta;
-  if (!(medium->g >= similarities[0].g && medium->g <= similarities[SIMILARITIES - 1].g) ||
-      !enclose(g_ratios, G_RATIOS, ratio, &at_ratio) ||
-      !enclose(etas, ETAS, medium->eta, &at_eta)) {
+  if (!(g >= similarities[0].g && g <= similarities[SIMILARITIES - 1].g) ||
+      !enclose_range(g_ratios, G_RATIOS, range, &at_ratio) || !enclose(etas, ETAS, eta, &at_eta)) {
     return false;
   }
   for (size_t k = 0; k < SIMILARITIES; k++) {
@@ -304,11 +318,11 @@ core_model_errors core_model_errors_unknown(void) {
 
 /* Finds the errors of a model that sees isotropic scattering of sigma_s (1 - g), for g beyond the
  * cells. of: NULL for `transport`, which has no other error. */
-static bool find_beyond(core_model_errors *errors, const struct measured *of, double ratio,
-                        const core_medium *medium) {
+static bool find_beyond(core_model_errors *errors, const struct measured *of, double g, double eta,
+                        core_ratio_range range) {
   unsigned char codes[BANDS + 1] = {0}, similarity[BANDS + 1] = {0};
-  if (!find_similarity(similarity, ratio, medium) ||
-      (of != NULL && !(of->similarity && find_isotropic(codes, of, ratio, medium->eta)))) {
+  if (!find_similarity(similarity, g, eta, range) ||
+      (of != NULL && !(of->similarity && find_isotropic(codes, of, eta, range)))) {
     return false;
   }
   for (size_t i = 0; i <= BANDS; i++) {
@@ -318,10 +332,14 @@ static bool find_beyond(core_model_errors *errors, const struct measured *of, do
   return true;
 }
 
-core_model_errors core_model_errors_find(enum core_model model, enum core_moments moments,
-                                         const core_medium *medium) {
-  const bool isotropic = !(medium->g < 0 || medium->g > 0);
+core_ratio_range core_ratio_of(const core_medium *medium) {
   const double ratio = medium->sigma_a_per_mm / (medium->sigma_s_per_mm * (1 - medium->g));
+  return (core_ratio_range){ratio, ratio};
+}
+
+core_model_errors core_model_errors_find(enum core_model model, enum core_moments moments, double g,
+                                         double eta, core_ratio_range range) {
+  const bool isotropic = !(g < 0 || g > 0);
   const size_t at = find_model(model);
   const bool is_measured = at < MODELS && moments == CORE_MOMENTS_EXACT;
   unsigned char codes[BANDS + 1] = {0};
@@ -329,33 +347,32 @@ core_model_errors core_model_errors_find(enum core_model model, enum core_moment
   if (model == CORE_MODEL_TRANSPORT && isotropic) {
     return core_model_errors_exact();
   }
-  if (is_measured && (isotropic ? find_isotropic(codes, &measured[at], ratio, medium->eta)
-                                : find_anisotropic(codes, &cells[at], ratio, medium))) {
+  if (is_measured && (isotropic ? find_isotropic(codes, &measured[at], eta, range)
+                                : find_anisotropic(codes, &cells[at], g, eta, range))) {
     for (size_t i = 0; i <= BANDS; i++) {
       errors.error[i] = error_of(codes[i], isotropic ? BETWEEN_NODES : IN_CELL);
     }
   } else if (is_measured || model == CORE_MODEL_TRANSPORT) {
-    find_beyond(&errors, is_measured ? &measured[at] : NULL, ratio, medium);
+    find_beyond(&errors, is_measured ? &measured[at] : NULL, g, eta, range);
   }
   return errors;
 }
 
-core_model_errors core_gamma_errors_find(double gamma, const core_medium *medium) {
-  const double ratio = medium->sigma_a_per_mm / (medium->sigma_s_per_mm * (1 - medium->g));
+core_model_errors core_gamma_errors_find(double gamma, double eta, core_ratio_range range) {
   core_model_errors errors = core_model_errors_unknown();
   unsigned char codes[BANDS + 1] = {0};
   struct span at_ratio, at_eta;
-  size_t range = 0;
-  while (range < GAMMAS && gamma > gammas[range].most * (1 + SLACK)) {
-    range++;
+  size_t at = 0;
+  while (at < GAMMAS && gamma > gammas[at].most * (1 + SLACK)) {
+    at++;
   }
-  if (!(gamma >= gamma_least[0] * (1 - SLACK)) || range == GAMMAS ||
-      !enclose(gamma_ratios, GAMMA_RATIOS, ratio, &at_ratio) ||
-      !enclose(gamma_etas, sizeof gamma_etas / sizeof gamma_etas[0], medium->eta, &at_eta)) {
+  if (!(gamma >= gamma_least[0] * (1 - SLACK)) || at == GAMMAS ||
+      !enclose_range(gamma_ratios, GAMMA_RATIOS, range, &at_ratio) ||
+      !enclose(gamma_etas, sizeof gamma_etas / sizeof gamma_etas[0], eta, &at_eta)) {
     return errors;
   }
   for (size_t i = at_ratio.first; i <= at_ratio.last; i++) {
-    merge_node(codes, gammas[range].codes[i]);
+    merge_node(codes, gammas[at].codes[i]);
   }
   for (size_t i = 0; i <= BANDS; i++) {
     errors.error[i] = error_of(codes[i], BETWEEN_NODES);

@@ -20,7 +20,17 @@
 
 #include "core/core.h"
 
-/* Finds the errors of a model for a medium that has been checked. For g = 0 an error is the largest
+/* Ratios sigma_a / sigma_s', from least to most; infinite for a medium that does not scatter. */
+typedef struct core_ratio_range {
+  double least;
+  double most;
+} core_ratio_range;
+
+/* Returns the range that holds the ratio of one medium. */
+core_ratio_range core_ratio_of(const core_medium *medium);
+
+/* Finds the errors of a model for media with this g and eta and a range of ratios, which are the
+ * largest ones of its media, band by band. For g = 0 an error is the largest
  * one at the measured ratios and eta that enclose the medium, times 1.08, because it may be larger
  * between them; for other g it is that of the medium's cell, times 1.04. For g beyond the cells, up
  * to 0.98, it combines that for g = 0 and that of the similarity relation, for models that see
@@ -29,8 +39,8 @@
  * nothing was measured: outside of the measured ranges, for moments other than the exact ones, and
  * for models that need more than a medium. `transport` is exact where g is 0; for other g its
  * errors are those of the similarity relation. */
-core_model_errors core_model_errors_find(enum core_model model, enum core_moments moments,
-                                         const core_medium *medium);
+core_model_errors core_model_errors_find(enum core_model model, enum core_moments moments, double g,
+                                         double eta, core_ratio_range range);
 
 /* The edges of the bands of radii that errors are stated for, in mean free paths 1 / sigma_t'. */
 extern const double core_error_edges_mfp[CORE_MODEL_ERROR_BANDS + 1];
@@ -39,7 +49,7 @@ extern const double core_error_edges_mfp[CORE_MODEL_ERROR_BANDS + 1];
  * (core/gamma_errors.def): they are the largest among modified and two-term Henyey-Greenstein
  * functions and those of spheres, with a gamma in the same range, at the ratios that enclose that
  * of the medium, times 1.08. They are NAN where nothing was measured. */
-core_model_errors core_gamma_errors_find(double gamma, const core_medium *medium);
+core_model_errors core_gamma_errors_find(double gamma, double eta, core_ratio_range range);
 
 /* Returns the errors of a model that is transport itself. */
 core_model_errors core_model_errors_exact(void);

@@ -172,12 +172,14 @@ static void set_model_errors(core_profile *profile, const core_parameters *param
   profile->model_errors =
       exact ? core_model_errors_exact()
       : isnan(parameters->value[CORE_PARAMETER_SURFACE_ALBEDO])
-          ? core_model_errors_find(profile->model, profile->moments, &profile->medium)
+          ? core_model_errors_find(profile->model, profile->moments, profile->medium.g,
+                                   profile->medium.eta, core_ratio_of(&profile->medium))
           : core_model_errors_unknown();
   const double gamma = parameters->value[CORE_PARAMETER_GAMMA];
   if (!isnan(gamma)) {
     profile->model_errors =
-        exact ? core_gamma_errors_find(gamma, &profile->medium) : core_model_errors_unknown();
+        exact ? core_gamma_errors_find(gamma, profile->medium.eta, core_ratio_of(&profile->medium))
+              : core_model_errors_unknown();
     profile->notes |= CORE_NOTE_GAMMA;
   }
   if (profile->albedo > 1 + profile->numerical_error) {

@@ -5,58 +5,144 @@
 #include "core/models/cells.h"
 #include "core/models/lanes.h"
 
-static inline cells_integer status_of(const real *shared, real sigma_a, real sigma_s, real in,
-                                      real most, cells_integer out_of_range, real *albedo,
-                                      real *mfp) {
+/* What is checked of one value. */
+struct checked {
+  cells_integer status;
+  int ok;
+  real albedo; /* sigma_s' / sigma_t' */
+  real mfp;    /* the radius in mean free paths */
+};
+
+/* has_reach: whether errors are stated up to some radius only. */
+static inline struct checked check_value(const real *shared, real sigma_a, real sigma_s, real in,
+                                         enum core_varying_argument argument, int has_reach) {
+  const int numbers = argument == CORE_VARYING_NUMBERS;
+  const cells_integer out_of_range = numbers ? CORE_VALUE_NUMBER : CORE_VALUE_RADIUS;
   const struct lane lane = lane_of(shared, sigma_a, sigma_s);
-  const real s = real_sqrt(lane.absorbed);
-  const real far = shared[LANES_FAR] + s * (shared[LANES_FAR_S] + s * shared[LANES_FAR_S2]);
-  *albedo = lane.scattered;
-  *mfp = in * lane.sigma_t;
+  const real mfp = in * lane.sigma_t;
   const int a = (sigma_a >= 0) & (sigma_a <= shared[LANES_SIGMA_T_MOST]) &
                 ((sigma_a > 0) | !(shared[LANES_ABSORBS] > 0));
   const int range = (sigma_s >= 0) & (lane.sigma_t >= shared[LANES_SIGMA_T_LEAST]) &
                     (lane.sigma_t <= shared[LANES_SIGMA_T_MOST]);
   const int ratio = lane_good(shared, sigma_a, sigma_s);
-  const int argument = (in >= 0) & (in <= most);
-  const int near = (most <= 1) | !(*mfp * far > 1) | !(sigma_s > 0);
+  const int in_range = (in >= 0) & (in <= (numbers ? 1 : (real)INFINITY));
+  int near = 1;
+  if (has_reach) {
+    const real s = real_sqrt(lane.absorbed);
+    const real far = shared[LANES_FAR] + s * (shared[LANES_FAR_S] + s * shared[LANES_FAR_S2]);
+    near = !(mfp * far > 1) | !(sigma_s > 0);
+  }
   cells_integer status = near ? CORE_VALUE_OK : CORE_VALUE_FAR;
-  status = argument ? status : out_of_range;
+  status = in_range ? status : out_of_range;
   status = ratio ? status : CORE_VALUE_RATIO;
   status = range ? status : CORE_VALUE_SIGMA_S;
-  return a ? status : CORE_VALUE_SIGMA_A;
+  status = a ? status : CORE_VALUE_SIGMA_A;
+  /* asked of the conditions, since a question to the status becomes branches */
+  return (struct checked){status, a & range & ratio & in_range & near, lane.scattered, mfp};
 }
 
 /* Statuses are narrowed to bytes in a loop of their own, since compilers vectorize no loop with
  * both. */
 enum { BLOCK = 64 };
 
-static void narrow(size_t n, const cells_integer *restrict wide, uint8_t *restrict status) {
+static inline void narrow(size_t n, const cells_integer *restrict wide, uint8_t *restrict status) {
   for (size_t i = 0; i < n; i++) {
     status[i] = (uint8_t)wide[i];
   }
 }
 
+/* What the values have in common, in BLOCK places side by side, so that compilers vectorize. */
+struct extremes {
+  real albedo_least[BLOCK], albedo_most[BLOCK];
+  real mfp_least[BLOCK], mfp_most[BLOCK];
+  cells_integer answered[BLOCK];
+};
+
+/* Adds the numbers that are not NaN to the least and the most of each place. */
+static inline void widen(size_t n, const real *restrict x, real *restrict least,
+                         real *restrict most) {
+  for (size_t i = 0; i < n; i++) {
+    const real lower = least[i], upper = most[i];
+    least[i] = x[i] < lower ? x[i] : lower;
+    most[i] = x[i] > upper ? x[i] : upper;
+  }
+}
+
+static inline void count(size_t n, const cells_integer *restrict status,
+                         cells_integer *restrict answered) {
+  for (size_t i = 0; i < n; i++) {
+    answered[i] += status[i] <= CORE_VALUE_FAR;
+  }
+}
+
+__attribute__((always_inline)) static inline void
+check_block(const real *restrict shared, size_t n, const real *restrict sigma_a,
+            const real *restrict sigma_s, const real *restrict in,
+            enum core_varying_argument argument, int has_reach, cells_integer *restrict status,
+            struct extremes *restrict seen) {
+  real albedo[BLOCK], mfp[BLOCK];
+  for (size_t i = 0; i < n; i++) {
+    const struct checked value =
+        check_value(shared, sigma_a[i], sigma_s[i], in[i], argument, has_reach);
+    status[i] = value.status;
+    albedo[i] = value.ok ? value.albedo : (real)NAN;
+    mfp[i] = value.ok & (value.mfp < (real)INFINITY) ? value.mfp : (real)NAN;
+  }
+  widen(n, albedo, seen->albedo_least, seen->albedo_most);
+  widen(n, mfp, seen->mfp_least, seen->mfp_most);
+  count(n, status, seen->answered);
+}
+
+/* Joins the places. */
+static void sum_up(struct extremes *seen, core_varying_range *range) {
+  for (size_t half = BLOCK / 2; half > 0; half /= 2) {
+    for (size_t i = 0; i < half; i++) {
+      seen->answered[i] += seen->answered[i + half];
+      seen->albedo_least[i] = real_min(seen->albedo_least[i], seen->albedo_least[i + half]);
+      seen->albedo_most[i] = real_max(seen->albedo_most[i], seen->albedo_most[i + half]);
+      seen->mfp_least[i] = real_min(seen->mfp_least[i], seen->mfp_least[i + half]);
+      seen->mfp_most[i] = real_max(seen->mfp_most[i], seen->mfp_most[i + half]);
+    }
+  }
+  *range = (core_varying_range){(size_t)seen->answered[0], (double)seen->albedo_least[0],
+                                (double)seen->albedo_most[0], (double)seen->mfp_least[0],
+                                (double)seen->mfp_most[0]};
+}
+
+__attribute__((always_inline)) static inline void
+check_all(const real *restrict shared, size_t n, const real *restrict sigma_a,
+          const real *restrict sigma_s, const real *restrict in,
+          enum core_varying_argument argument, int has_reach, uint8_t *restrict status,
+          core_varying_range *restrict range) {
+  struct extremes seen;
+  cells_integer wide[BLOCK];
+  for (size_t i = 0; i < BLOCK; i++) {
+    seen.answered[i] = 0;
+    seen.albedo_least[i] = seen.mfp_least[i] = (real)INFINITY;
+    seen.albedo_most[i] = seen.mfp_most[i] = 0;
+  }
+  size_t done = 0;
+  for (; done + BLOCK <= n; done += BLOCK) { /* of a constant length */
+    check_block(shared, BLOCK, sigma_a + done, sigma_s + done, in + done, argument, has_reach, wide,
+                &seen);
+    narrow(BLOCK, wide, status + done);
+  }
+  check_block(shared, n - done, sigma_a + done, sigma_s + done, in + done, argument, has_reach,
+              wide, &seen);
+  narrow(n - done, wide, status + done);
+  sum_up(&seen, range);
+}
+
 static void check(const real *restrict shared, size_t n, const real *restrict sigma_a,
                   const real *restrict sigma_s, const real *restrict in,
                   enum core_varying_argument argument, uint8_t *restrict status,
-                  real *restrict albedo, real *restrict mfp) {
-  const int numbers = argument == CORE_VARYING_NUMBERS;
-  const real most = numbers ? 1 : (real)INFINITY;
-  const cells_integer out_of_range = numbers ? CORE_VALUE_NUMBER : CORE_VALUE_RADIUS;
-  for (size_t done = 0; done < n; done += BLOCK) {
-    const size_t end = n - done < BLOCK ? n : done + BLOCK;
-    cells_integer wide[BLOCK];
-    for (size_t i = done; i < end; i++) {
-      real scattered, free_paths;
-      const cells_integer found = status_of(shared, sigma_a[i], sigma_s[i], in[i], most,
-                                            out_of_range, &scattered, &free_paths);
-      const int finite = free_paths < (real)INFINITY;
-      wide[i - done] = found;
-      albedo[i] = found == CORE_VALUE_OK ? scattered : (real)NAN;
-      mfp[i] = (found == CORE_VALUE_OK) & finite ? free_paths : (real)NAN;
-    }
-    narrow(end - done, wide, status + done);
+                  core_varying_range *restrict range) {
+  if (argument == CORE_VARYING_NUMBERS) {
+    check_all(shared, n, sigma_a, sigma_s, in, CORE_VARYING_NUMBERS, 0, status, range);
+  } else if (shared[LANES_FAR] > 0) {
+    check_all(shared, n, sigma_a, sigma_s, in, CORE_VARYING_RADII, 1, status, range);
+  } else {
+    check_all(shared, n, sigma_a, sigma_s, in, CORE_VARYING_RADII, 0, status, range);
   }
 }
 

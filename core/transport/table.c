@@ -300,9 +300,14 @@ static size_t band(double x, const double *limits, size_t count) {
   return i;
 }
 
+static const double albedo_limits[TRANSPORT_TABLE_BANDS_ALBEDO - 1] = {1.0 / 11, 0.5, 0.9};
+
 size_t transport_table_albedo_band(double albedo) {
-  static const double limits[TRANSPORT_TABLE_BANDS_ALBEDO - 1] = {1.0 / 11, 0.5, 0.9};
-  return band(albedo, limits, TRANSPORT_TABLE_BANDS_ALBEDO - 1);
+  return band(albedo, albedo_limits, TRANSPORT_TABLE_BANDS_ALBEDO - 1);
+}
+
+double transport_table_albedo_end(size_t band) {
+  return band < TRANSPORT_TABLE_BANDS_ALBEDO - 1 ? albedo_limits[band] : 1;
 }
 
 size_t transport_table_region(double albedo, double g, double eta, double x) {

@@ -268,6 +268,7 @@ void transport_table_edges(const double *field, bool of_difference, double kappa
  * 0.6 and 0.85, bands of the albedo at 1 / 11, 0.5 and 0.9 (sigma_a / sigma_s' = 10, 1, 0.11), of
  * eta at 1.5, of x at 0.05, 1, 10, 20 and 100. A number at the end of a band belongs to the next one. */
 size_t transport_table_albedo_band(double albedo);
+double transport_table_albedo_end(size_t band); /* the albedo at which a band ends */
 size_t transport_table_region(double albedo, double g, double eta, double x);
 
 /* Returns the checksum of `length` bytes, which in a table are those from byte 24 to the end. */

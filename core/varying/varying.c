@@ -10,6 +10,7 @@
 
 #include "core/kernels.h"
 #include "core/model_error.h"
+#include "core/transport/table.h"
 #include "core/varying/surface.h"
 
 #define CORE_REAL 64
@@ -222,10 +223,6 @@ size_t core_varying_bytes(const core_varying *varying) {
 
 /* ---- checking -------------------------------------------------------------------------------- */
 
-static core_varying_range nothing(void) {
-  return (core_varying_range){0, (double)INFINITY, 0, (double)INFINITY, 0};
-}
-
 void core_varying_range_add(core_varying_range *range, const core_varying_range *other) {
   range->answered += other->answered;
   range->albedo_least = fmin(range->albedo_least, other->albedo_least);
@@ -234,62 +231,20 @@ void core_varying_range_add(core_varying_range *range, const core_varying_range 
   range->mfp_most = fmax(range->mfp_most, other->mfp_most);
 }
 
-/* Extremes are found in so many places side by side, so that the compiler vectorizes the loop. */
-enum { LANES = 64 };
-
 #define DEFINE_CHECK(type, bits)                                                                   \
-  /* Adds the numbers that are not NaN to the least and the most of each lane. */                  \
-  static void widen_##bits(size_t n, const type *restrict x, type *restrict least,                 \
-                           type *restrict most) {                                                  \
-    for (size_t i = 0; i < n; i++) {                                                               \
-      least[i] = x[i] < least[i] ? x[i] : least[i];                                                \
-      most[i] = x[i] > most[i] ? x[i] : most[i];                                                   \
-    }                                                                                              \
-  }                                                                                                \
-  static void check_##bits(const core_varying *varying, enum core_varying_argument argument,       \
-                           size_t n, const type *sigma_a, const type *sigma_s, const type *in,     \
-                           uint8_t *status, core_varying_range *range) {                           \
-    type albedo[CHUNK], mfp[CHUNK], albedo_least[LANES], albedo_most[LANES], mfp_least[LANES],     \
-        mfp_most[LANES];                                                                           \
-    *range = nothing();                                                                            \
-    for (size_t i = 0; i < LANES; i++) {                                                           \
-      albedo_least[i] = mfp_least[i] = (type)INFINITY;                                             \
-      albedo_most[i] = mfp_most[i] = 0;                                                            \
-    }                                                                                              \
-    for (size_t done = 0; done < n; done += CHUNK) {                                               \
-      const size_t count = n - done < CHUNK ? n - done : CHUNK;                                    \
-      varying->check_kernels->bits->varying_check(varying->shared.bits, count, sigma_a + done,     \
-                                                  sigma_s + done, in + done, argument,             \
-                                                  status + done, albedo, mfp);                     \
-      for (size_t i = 0; i < count; i++) {                                                         \
-        range->answered += status[done + i] <= CORE_VALUE_FAR;                                     \
-      }                                                                                            \
-      for (size_t i = 0; i < count; i += LANES) {                                                  \
-        const size_t lanes = count - i < LANES ? count - i : LANES;                                \
-        widen_##bits(lanes, albedo + i, albedo_least, albedo_most);                                \
-        widen_##bits(lanes, mfp + i, mfp_least, mfp_most);                                         \
-      }                                                                                            \
-    }                                                                                              \
-    for (size_t i = 0; i < LANES && i < n; i++) {                                                  \
-      range->albedo_least = fmin(range->albedo_least, (double)albedo_least[i]);                    \
-      range->albedo_most = fmax(range->albedo_most, (double)albedo_most[i]);                       \
-      range->mfp_least = fmin(range->mfp_least, (double)mfp_least[i]);                             \
-      range->mfp_most = fmax(range->mfp_most, (double)mfp_most[i]);                                \
-    }                                                                                              \
-    if (argument == CORE_VARYING_NUMBERS) {                                                        \
-      range->mfp_least = 0;                                                                        \
-      range->mfp_most = (double)INFINITY;                                                          \
-    }                                                                                              \
-  }                                                                                                \
   void core_varying_check_##bits(const core_varying *varying, size_t n, const type *sigma_a,       \
                                  const type *sigma_s, const type *r, uint8_t *status,              \
                                  core_varying_range *range) {                                      \
-    check_##bits(varying, CORE_VARYING_RADII, n, sigma_a, sigma_s, r, status, range);              \
+    varying->check_kernels->bits->varying_check(varying->shared.bits, n, sigma_a, sigma_s, r,      \
+                                                CORE_VARYING_RADII, status, range);                \
   }                                                                                                \
   void core_varying_check_u_##bits(const core_varying *varying, size_t n, const type *sigma_a,     \
                                    const type *sigma_s, const type *u, uint8_t *status,            \
                                    core_varying_range *range) {                                    \
-    check_##bits(varying, CORE_VARYING_NUMBERS, n, sigma_a, sigma_s, u, status, range);            \
+    varying->check_kernels->bits->varying_check(varying->shared.bits, n, sigma_a, sigma_s, u,      \
+                                                CORE_VARYING_NUMBERS, status, range);              \
+    range->mfp_least = 0;                                                                          \
+    range->mfp_most = (double)INFINITY;                                                            \
   }
 
 DEFINE_CHECK(double, f64)
@@ -320,69 +275,46 @@ static double rounding(const core_varying *varying, enum family family,
          (f32 && family == BURLEY ? (double)FLT_EPSILON : 0);
 }
 
-/* The albedos of a range that an error is the largest of: its ends, and others between, whose
- * absorbed share grows by at most a factor e^ALBEDO_STEP from one to the next. The factor is so
- * small that each cell of the lists of errors that the range touches is among them. */
-#define ALBEDO_STEP 0.0632
-#define ABSORBED_LEAST 1e-7
-
-struct albedos {
-  const core_varying_range *range;
-  double ratio; /* ln of the largest absorbed share over the least */
-  int count;
-};
-
-static struct albedos albedos_of(const core_varying_range *range) {
-  const double least = fmax(1 - range->albedo_most, ABSORBED_LEAST);
-  const double ratio = real_log(fmax(1 - range->albedo_least, least) / least, 0);
-  return (struct albedos){range, ratio, 2 + (int)(ratio / ALBEDO_STEP)};
+/* Returns a medium of a range, with sigma_t' = 1. */
+static core_medium medium_of(const core_varying *varying, double g, double albedo) {
+  return (core_medium){1 - albedo, albedo / (1 - g), g, varying->eta};
 }
 
-/* Returns the medium of albedo i, whose sigma_t' is 1. */
-static core_medium medium_of(const struct albedos *albedos, const core_varying *varying, double g,
-                             int i) {
-  const core_varying_range *range = albedos->range;
-  const double first = 1 - range->albedo_most, last = 1 - range->albedo_least;
-  const double share = (double)i / (albedos->count - 1);
-  const bool is_last = i == albedos->count - 1;
-  const double absorbed =
-      i == 0    ? first
-      : is_last ? last
-                : fmax(first, ABSORBED_LEAST) * real_exp_signed(albedos->ratio * share);
-  const double scattered = i == 0    ? range->albedo_most
-                           : is_last ? range->albedo_least
-                                     : fmax(1 - absorbed, range->albedo_least);
-  return (core_medium){absorbed, scattered / (1 - g), g, varying->eta};
-}
-
-/* Returns the error of the table of solutions, of the wanted quantities in a range. */
+/* Returns the error of the table of solutions, of the wanted quantities in a range. Within a band of
+ * the albedo the reach grows with the albedo, and with it the bands of radii whose errors count: the
+ * largest albedo has the largest error. */
 static double table_error(const core_varying *varying, unsigned wanted,
-                          const struct albedos *albedos) {
-  const core_varying_range *range = albedos->range;
-  const double isotropic = core_transport_table_error(varying->eta);
+                          const core_varying_range *range) {
+  const double g = varying->table_g;
+  const size_t last = transport_table_albedo_band(range->albedo_most);
   double error = 0;
-  for (int i = 0; i < albedos->count && varying->table_g != 0; i++) {
-    const core_medium medium = medium_of(albedos, varying, varying->table_g, i);
+  for (size_t band = transport_table_albedo_band(range->albedo_least); band <= last && g != 0;
+       band++) {
+    const double end = band < last ? transport_table_albedo_end(band) * (1 - 0x1p-40) : 1;
+    const core_medium medium = medium_of(varying, g, fmin(end, range->albedo_most));
     core_added_errors added;
     core_transport_added_errors(&medium, &added);
     error = fmax(error, core_banded_error(added.banded, added.all, &medium, wanted,
                                           (core_radii_range){range->mfp_least, range->mfp_most}));
   }
   /* Densities and the cdf have the error of R and that of the energy that they are divided by. */
-  return 2 * isotropic + error;
+  return 2 * core_transport_table_error(varying->eta) + error;
 }
 
-/* Returns the errors of the model for a medium, as core_profile_prepare() finds them. */
+/* Returns the errors of the model in a range, as core_profile_prepare() finds them for a medium. */
 static core_model_errors model_errors(const core_varying *varying, enum family family,
-                                      const core_medium *medium) {
+                                      const core_varying_range *range) {
   const bool exact = family == TRANSPORT && (varying->notes & CORE_NOTE_SIMILARITY) == 0;
+  const core_ratio_range ratios = {(1 - range->albedo_most) / range->albedo_most,
+                                   (1 - range->albedo_least) / range->albedo_least};
   if (!isnan(varying->gamma)) {
-    return exact ? core_gamma_errors_find(varying->gamma, medium) : core_model_errors_unknown();
+    return exact ? core_gamma_errors_find(varying->gamma, varying->eta, ratios)
+                 : core_model_errors_unknown();
   }
-  return exact ? core_model_errors_exact()
-         : isnan(varying->surface_albedo)
-             ? core_model_errors_find(varying->model, varying->moments, medium)
-             : core_model_errors_unknown();
+  return exact                            ? core_model_errors_exact()
+         : isnan(varying->surface_albedo) ? core_model_errors_find(varying->model, varying->moments,
+                                                                   varying->g, varying->eta, ratios)
+                                          : core_model_errors_unknown();
 }
 
 core_stated_errors core_varying_errors(const core_varying *varying, unsigned wanted,
@@ -393,18 +325,14 @@ core_stated_errors core_varying_errors(const core_varying *varying, unsigned wan
   if (range->albedo_least > range->albedo_most) {
     return errors;
   }
-  const struct albedos albedos = albedos_of(range);
   errors.numerical = rounding(varying, family, range) + varying->surface_error;
   if (family == TRANSPORT) {
-    errors.numerical += table_error(varying, wanted, &albedos);
+    errors.numerical += table_error(varying, wanted, range);
   }
-  for (int i = 0; i < albedos.count && !isnan(errors.model); i++) {
-    const core_medium medium = medium_of(&albedos, varying, varying->g, i);
-    const core_model_errors found = model_errors(varying, family, &medium);
-    const double model = core_model_errors_of(
-        &found, &medium, wanted, (core_radii_range){range->mfp_least, range->mfp_most});
-    errors.model = isnan(model) ? model : fmax(errors.model, model);
-  }
+  const core_medium medium = medium_of(varying, varying->g, range->albedo_most);
+  const core_model_errors found = model_errors(varying, family, range);
+  errors.model = core_model_errors_of(&found, &medium, wanted,
+                                      (core_radii_range){range->mfp_least, range->mfp_most});
   return errors;
 }
 

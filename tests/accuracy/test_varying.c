@@ -353,6 +353,46 @@ UNIT_TEST(wrong_values_have_a_status_and_the_others_are_answered) {
   core_varying_free(&varying);
 }
 
+/* Asserts that the errors of a range of albedos are the largest ones of media in it. */
+static void compare_errors_of_range(const core_varying *varying, enum core_quantity quantity,
+                                    core_varying_range range) {
+  enum { COUNT = 3000 };
+  double numerical = 0, model = 0;
+  const double least = range.albedo_least, most = range.albedo_most;
+  const core_stated_errors stated = core_varying_errors(varying, (unsigned)quantity, &range);
+  for (int i = 0; i < COUNT; i++) {
+    range.albedo_least = range.albedo_most = i == 0 ? least : most - (most - least) * i / COUNT;
+    const core_stated_errors one = core_varying_errors(varying, (unsigned)quantity, &range);
+    numerical = fmax(numerical, one.numerical);
+    model = isnan(one.model) || isnan(model) ? (double)NAN : fmax(model, one.model);
+  }
+  assert_true(numerical <= stated.numerical && numerical >= 0.99 * stated.numerical);
+  /* The model's error of a pdf is made of two errors, each the largest of the range. */
+  const double slack = quantity == CORE_QUANTITY_PDF ? 0.1 : 1e-9;
+  assert_true(isnan(model) ? isnan(stated.model)
+                           : model <= stated.model && stated.model <= model * (1 + slack));
+}
+
+UNIT_TEST(the_errors_of_a_range_are_the_largest_of_its_media) {
+  static const unsigned models[] = {CORE_MODEL_BETTER, CORE_MODEL_BURLEY, CORE_MODEL_TRANSPORT};
+  static const double gs[] = {0, 0.7, 0.97};
+  uint64_t random = unit_seed();
+  for (int i = 0; i < 9; i++) {
+    core_varying varying = prepare(models[i / 3], CORE_EVALUATOR_F64, gs[i % 3], 1.4, NULL);
+    for (int k = 0; k < 6; k++) {
+      const double most = 1 - unit_random_log(&random, 1e-3, 0.3);
+      const double reach = unit_random_log(&random, 0.1, 19);
+      compare_errors_of_range(&varying, quantities[k % QUANTITIES],
+                              (core_varying_range){.answered = 2,
+                                                   .albedo_least = most * (k < 3 ? 0.9 : 0.2),
+                                                   .albedo_most = most,
+                                                   .mfp_least = 0.011,
+                                                   .mfp_most = reach});
+    }
+    core_varying_free(&varying);
+  }
+}
+
 /* Compares the bits of all kernels of one preparation with those of another, in two pieces: for
  * each place of the cut that is a multiple of `step`. */
 static void compare_bits(const core_varying *whole, const core_varying *pieces, size_t step,
