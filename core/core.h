@@ -404,8 +404,12 @@ void core_eval_f64(const core_profile *profile, enum core_quantity quantity, siz
                    const double *r, double *out);
 
 /* Returns the cost of evaluating the wanted quantities (bits) at one radius, in evaluations of one
- * quantity of a dipole. A model without a closed form of TRANSFER takes hundreds of them. */
+ * quantity of a dipole. */
 double core_radius_cost(const core_profile *profile, unsigned wanted);
+
+/* Returns what each call costs besides its radii, in evaluations of one quantity of a dipole: 0, but
+ * for TRANSFER without a closed form hundreds of evaluations of R. */
+double core_call_cost(const core_profile *profile, unsigned wanted);
 
 /* Does the same as core_eval_f64() for profiles of the evaluators f32 and lut. */
 void core_eval_f32(const core_profile *profile, enum core_quantity quantity, size_t n,

@@ -1,122 +1,190 @@
 /* The transfer function R(f) of models without a closed form: the Hankel transform of R(r),
  *
- *   R(f) = int_0^inf 2 pi r R(r) J0(k r) dr = 2 pi / k^2 int_0^inf t R(t / k) J0(t) dt,  k = 2 pi f
+ *   R(f) = int_0^inf 2 pi r R(r) J0(k r) dr = 2 pi int r^2 R(r) J0(k r) d ln r,  k = 2 pi f
  *
- * The nodes t and their weights are the same for all frequencies. Up to t = FIRST, which is next to
- * the first zero of J0, they are Gauss points in panels of ln t, down to where less than 1e-9 of
- * the energy is left. From there on each half period is a panel, and Euler's transformation sums
- * the alternating series (Longman 1956, "Note on a method for computing infinite integrals of
- * oscillatory functions"). The error was measured against closed forms: less than 1e-9 of the
- * albedo.
+ * by the trapezoidal rule in ln r. Its nodes are powers of 2^(1 / STEPS) whatever the frequency is,
+ * so that all frequencies of a call share the values of R. The nodes resolve r^2 R, a smooth
+ * function of ln r. They do not resolve J0, which oscillates ever faster. What they do not resolve
+ * contributes nothing to the integral, and is filtered out of J0: this is a digital filter for
+ * Hankel transforms (Johansen, Sorensen 1979, "Fast Hankel transforms"); core/filter.h holds it.
+ *
+ * R(f) is summed for frequencies where k, too, is a power of 2^(1 / STEPS), because J0 is then
+ * needed at such powers only. In between it is interpolated in ln k.
+ *
+ * The error was measured against closed forms: less than 1e-9 of the albedo.
  */
+#include <assert.h>
+#include <limits.h>
 #include <math.h>
 
-#include "core/gauss.h"
+#include "core/filter.h"
 #include "core/kernels.h"
 
 #define CORE_REAL 64
 #include "core/kernel.h"
 
 #define PI 3.14159265358979323846
-#define FIRST (0.75 * PI)
-#define PANEL 1.5     /* width in ln t */
-#define NEAREST 1e-9  /* least radius that matters, in the profile's scale */
-#define SLOWEST 1e-10 /* for a smaller k, times that scale, R(f) is the albedo */
+#define LN2 0.69314718055994530942
+#define SLOWEST 1e-12 /* for a smaller k, times the profile's scale, R(f) is the albedo */
 #define FASTEST 1e100 /* for a larger one R(f) is 0 */
 
 enum {
-  POINTS = 2 * CORE_GAUSS_HALF,
-  PANELS_LEAST = 14, /* R is in proportion to 1 / r in the last of them */
-  PANELS_MOST = 32,
-  WHOLE = 6,  /* half periods with weight 1 */
-  EULER = 20, /* half periods of the transformation */
-  NODES = (PANELS_MOST + WHOLE + EULER) * POINTS,
+  STEPS = CORE_FILTER_STEPS,
+  WAVES = CORE_FILTER_WAVES,
+  NEAR = 38 * STEPS, /* steps below k r = 1, and below the profile's scale, where the sum begins */
+  ONES = 42 * STEPS, /* the scale may lie as many steps below 1 / k */
+  POINTS = 16,       /* of the interpolation in ln k */
+  LANES = 8,         /* partial sums */
+  NODES = 4096,
+  SUMS = 1024,
 };
 
-/* Returns J0(t) by the backward recurrence of J_n(t), normalized by J0 + 2 (J2 + J4 + ...) = 1
- * (Abramowitz and Stegun, 9.1.46). */
-static double bessel_j0(double t) {
-  double after = 0, now = 1e-300, sum = 0;
-  for (int n = 2 * (int)(0.5 * t + 15); n > 0; n--) {
-    sum += n % 2 == 0 ? 2 * now : 0;
-    const double before = 2 * n / t * now - after;
-    after = now;
-    now = before;
-  }
-  return now / (sum + now);
+/* Returns 2^(i / STEPS). */
+static double power(int i) {
+  static const double roots[STEPS] = {
+      1,
+      1.0594630943592952646,
+      1.1224620483093729814,
+      1.1892071150027210667,
+      1.2599210498948731648,
+      1.3348398541700343648,
+      1.4142135623730950488,
+      1.4983070768766814988,
+      1.5874010519681994748,
+      1.6817928305074290861,
+      1.7817974362806786095,
+      1.8877486253633869932,
+  };
+  const int octave = i >= 0 ? i / STEPS : -((STEPS - 1 - i) / STEPS);
+  return ldexp(roots[i - octave * STEPS], octave);
 }
 
-/* The part near t = 0 comes last, so that its length may vary. */
-struct nodes {
-  double t[NODES];
-  double weight[NODES];
+/* What the frequencies of a call share. No value depends on what is already there. */
+struct shared {
+  const core_profile *profile;
+  double wave[ONES + NEAR + WAVES]; /* the filtered J0 at 2^((i - ONES - NEAR) / STEPS) */
+  double energy[NODES];             /* 2 pi h r^2 R at r = 2^((base + i) / STEPS) */
+  int base;
+  int first, end;   /* the nodes whose energy is known */
+  int least;        /* the node from which on R matters if k is small */
+  double sum[SUMS]; /* R(f) at k = 2^(m / STEPS), each in position m modulo SUMS */
+  int sum_of[SUMS]; /* its m */
 };
 
-/* Sets POINTS nodes for the integral from `from` to `to` of t J0(t) dt times `weight`. */
-static void set_half_period(double from, double to, double weight, double *t, double *weights) {
-  for (int i = 0; i < POINTS; i++) {
-    t[i] = from + core_gauss_node(i) * (to - from);
-    weights[i] = weight * (to - from) * core_gauss_weight(i) * t[i] * bessel_j0(t[i]);
+static void begin(struct shared *shared, const core_profile *profile) {
+  shared->profile = profile;
+  for (int i = 0; i < ONES + NEAR; i++) {
+    const double t = power(i - ONES - NEAR), quarter = 0.25 * t * t;
+    double series = 1;
+    for (int n = i < ONES ? 0 : 9; n > 0; n--) {
+      series = 1 - quarter / (n * n) * series;
+    }
+    shared->wave[i] = series;
   }
+  for (int i = 0; i < WAVES; i++) {
+    shared->wave[ONES + NEAR + i] = core_filter[i];
+  }
+  for (int i = 0; i < SUMS; i++) {
+    shared->sum_of[i] = INT_MIN;
+  }
+  shared->base = shared->first = shared->end = 0;
+  shared->least = (int)floor(real_log(profile->scale_mm, 0) * (STEPS / LN2)) - NEAR;
 }
 
-/* Returns the share of half period n of the transformation, from 0: the sum of the binomial
- * coefficients beyond n, divided by 2^EULER. */
-static double euler_share(int n) {
-  double coefficient = 1, sum = 0;
-  for (int i = 0; i < EULER; i++) {
-    coefficient *= (double)(EULER - i) / (i + 1);
-    sum += i >= n ? coefficient : 0;
-  }
-  return sum / (1 << EULER);
-}
-
-static void set_nodes(struct nodes *nodes) {
-  size_t at = 0;
-  for (int n = 0; n < WHOLE + EULER; n++, at += POINTS) {
-    set_half_period(FIRST + n * PI, FIRST + (n + 1) * PI, n < WHOLE ? 1 : euler_share(n - WHOLE),
-                    &nodes->t[at], &nodes->weight[at]);
-  }
-  for (int n = 0; n < PANELS_MOST; n++, at += POINTS) {
-    for (int i = 0; i < POINTS; i++) {
-      const double t = FIRST * real_exp(-PANEL * (n + core_gauss_node(i))).exp;
-      nodes->t[at + (size_t)i] = t;
-      nodes->weight[at + (size_t)i] =
-          PANEL * core_gauss_weight(i) * t * t * (t > 1e-3 ? bessel_j0(t) : 1 - 0.25 * t * t);
+static void fill(struct shared *shared, int first, int end) {
+  enum { CHUNK = 256 };
+  double r[CHUNK], R[CHUNK];
+  for (int done = first; done < end; done += CHUNK) {
+    const int n = end - done < CHUNK ? end - done : CHUNK;
+    for (int i = 0; i < n; i++) {
+      r[i] = power(done + i);
+    }
+    core_evaluate(shared->profile, CORE_QUANTITY_R, (size_t)n, r, R);
+    for (int i = 0; i < n; i++) {
+      shared->energy[done + i - shared->base] = 2 * PI * LN2 / STEPS * r[i] * R[i] * r[i];
     }
   }
 }
 
-static double transform(const core_profile *profile, const struct nodes *nodes, double k) {
-  double r[NODES], R[NODES];
-  const double panels =
-      ceil(real_log(FIRST / (real_min(k * profile->scale_mm, 1e9) * NEAREST), 0) / PANEL);
-  const size_t near = (size_t)real_min(real_max(panels, PANELS_LEAST), PANELS_MOST);
-  const size_t count = (WHOLE + EULER + near) * POINTS;
-  for (size_t i = 0; i < count; i++) {
-    r[i] = nodes->t[i] / k;
+/* Makes the energies of nodes known, at most NODES. Forgets others if there is no room for all. */
+static void cover(struct shared *shared, int first, int end) {
+  const int low = first < shared->first ? first : shared->first;
+  const int high = end > shared->end ? end : shared->end;
+  if (shared->first == shared->end || low < shared->base || high > shared->base + NODES) {
+    shared->base = first - (NODES - (end - first)) / 2;
+    shared->first = first;
+    shared->end = end;
+    fill(shared, first, end);
+    return;
   }
-  core_evaluate(profile, CORE_QUANTITY_R, count, r, R);
+  fill(shared, low, shared->first);
+  fill(shared, shared->end, high);
+  shared->first = low;
+  shared->end = high;
+}
+
+/* Returns R(f) at k = 2^(m / STEPS). */
+static double sum_at(struct shared *shared, int m) {
+  const int at = (m % SUMS + SUMS) % SUMS;
+  if (shared->sum_of[at] == m) {
+    return shared->sum[at];
+  }
+  const int end = WAVES - m, least = shared->least < -NEAR - m ? shared->least : -NEAR - m;
+  const int first = end - (end - least + LANES - 1) / LANES * LANES;
+  assert(first + m >= -(ONES + NEAR));
+  cover(shared, first, end);
+  const double *energy = &shared->energy[first - shared->base];
+  const double *wave = &shared->wave[first + m + ONES + NEAR];
+  double lanes[LANES] = {0};
+  for (int i = 0; i < end - first; i += LANES) {
+    for (int lane = 0; lane < LANES; lane++) {
+      lanes[lane] = fma(energy[i + lane], wave[i + lane], lanes[lane]);
+    }
+  }
   double sum = 0;
-  for (size_t i = count; i-- > 0;) {
-    sum += nodes->weight[i] * R[i];
+  for (int lane = 0; lane < LANES; lane++) {
+    sum += lanes[lane];
   }
-  return 2 * PI * (sum / k) / k;
+  shared->sum[at] = sum;
+  shared->sum_of[at] = m;
+  return sum;
+}
+
+/* Returns R(f) by Lagrange's polynomial through the POINTS nearest sums. */
+static double transform(struct shared *shared, double k) {
+  const double place = real_log(k, 0) * (STEPS / LN2), start = floor(place) - (POINTS / 2 - 1);
+  double value = 0;
+  for (int i = 0; i < POINTS; i++) {
+    double weight = 1;
+    for (int j = 0; j < POINTS; j++) {
+      weight *= j == i ? 1 : (place - start - j) / (i - j);
+    }
+    value = fma(weight, sum_at(shared, (int)start + i), value);
+  }
+  return value;
 }
 
 void core_transfer(const core_profile *profile, size_t n, const double *f, double *out) {
-  struct nodes nodes;
-  set_nodes(&nodes);
+  struct shared shared;
+  begin(&shared, profile);
   for (size_t i = 0; i < n; i++) {
     const double k = 2 * PI * f[i], scaled = k * profile->scale_mm;
     out[i] = scaled <= SLOWEST                         ? profile->albedo
-             : scaled < FASTEST && profile->albedo > 0 ? real_max(transform(profile, &nodes, k), 0)
+             : scaled < FASTEST && profile->albedo > 0 ? real_max(transform(&shared, k), 0)
                                                        : 0;
   }
 }
 
+static bool transforms(const core_profile *profile, unsigned wanted) {
+  return (wanted & CORE_QUANTITY_TRANSFER) != 0 &&
+         (profile->parts != NULL || profile->lut != NULL ||
+          profile->kernels->f64->evaluate[CORE_ELEMENTWISE_TRANSFER] == NULL);
+}
+
 double core_radius_cost(const core_profile *profile, unsigned wanted) {
-  const bool transforms = profile->parts != NULL || profile->lut != NULL ||
-                          profile->kernels->f64->evaluate[CORE_ELEMENTWISE_TRANSFER] == NULL;
-  return profile->cost * ((wanted & CORE_QUANTITY_TRANSFER) != 0 && transforms ? 700 : 1);
+  return profile->cost + (transforms(profile, wanted) ? 60 : 0);
+}
+
+double core_call_cost(const core_profile *profile, unsigned wanted) {
+  return transforms(profile, wanted) ? 1000 * profile->cost : 0;
 }

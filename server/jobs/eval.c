@@ -454,9 +454,10 @@ static void channel_step(struct eval_job *eval, size_t n) {
 /* Slices of samples are multiples of this, because kernels that draw work on whole vectors. */
 enum { DRAW_VECTOR = 8 };
 
-static size_t slice_length(const struct eval_job *eval, double cost) {
+/* fixed: what a slice costs besides its radii. If that is much, the radii may cost as much again. */
+static size_t slice_length(const struct eval_job *eval, double fixed, double cost) {
   const uint64_t left = eval->count - eval->index;
-  size_t most = (size_t)fmax(JOB_SLICE_RADII / cost, 1);
+  size_t most = (size_t)fmax(fmax(JOB_SLICE_RADII - fixed, fixed) / cost, 1);
   if (is_sample(eval)) {
     most = most < DRAW_VECTOR ? DRAW_VECTOR : most / DRAW_VECTOR * DRAW_VECTOR;
   }
@@ -550,10 +551,10 @@ static enum job_outcome end_part(struct eval_job *eval) {
 enum job_outcome eval_job_step(struct job *job, uint64_t *budget) {
   struct eval_job *eval = of(job);
   size_t n;
-  double cost = 1;
+  double cost = 1, fixed = 0;
   if (!eval->radii_done) {
     cost += grid_cost(eval);
-    n = slice_length(eval, cost);
+    n = slice_length(eval, fixed, cost);
     radii_step(eval, n);
   } else {
     const enum job_outcome outcome = eval->lookup.ready ? JOB_GOES_ON : get_profile(eval);
@@ -561,10 +562,11 @@ enum job_outcome eval_job_step(struct job *job, uint64_t *budget) {
       return outcome;
     }
     cost = cost_of(eval);
-    n = slice_length(eval, cost);
+    fixed = core_call_cost(&eval->lookup.profile, eval->request.fixed.wanted);
+    n = slice_length(eval, fixed, cost);
     channel_step(eval, n);
   }
-  const uint64_t spent = (uint64_t)((double)n * cost) + JOB_STEP_RADII;
+  const uint64_t spent = (uint64_t)((double)n * cost + fixed) + JOB_STEP_RADII;
   *budget -= spent < *budget ? spent : *budget;
   return eval->channel < eval->request.fixed.medium_count ? JOB_GOES_ON : end_part(eval);
 }

@@ -460,6 +460,58 @@ form_values form_at(const form_model *form, double r, bool fast) {
       shift, (form->part[0].albedo * a.cdf + form->part[1].albedo * b.cdf) / form->albedo};
 }
 
+/* Returns the Hankel transform of R of a part. A wave of light spreads from its depth as light does
+ * that is absorbed more: mu^2 + k^2 stands for mu^2 in the energy. NAN if it is not known. */
+static quad part_transfer(const form_part *p, double f) {
+  const bool gives = p->albedo > 0;
+  if (isinf(f) || !gives) {
+    return gives || p->albedo <= 0 ? 0 : (quad)NAN;
+  }
+  const quad k = 2 * pi * (quad)f, scaled = k / p->sigma_t_prime;
+  form_part wave = {.mu = sqrtf128(p->mu * p->mu + scaled * scaled),
+                    .two_zb = p->two_zb,
+                    .c_phi = p->c_phi,
+                    .c_flux = p->c_flux,
+                    .diffusion = p->diffusion};
+  quad sum = 0;
+  switch (p->family) {
+  case FORM_DIPOLE:
+    return p->prefactor / 2 * energy_at_depth(&wave) * expf128(-wave.mu);
+  case FORM_EXTENDED:
+  case FORM_QUANTIZED:
+    return p->prefactor / 2 * energy_at_depth(&wave) / (1 + wave.mu);
+  case FORM_SINGLE: /* that of e^(-s r) / r is 2 pi / sqrt(s^2 + k^2) */
+    for (int i = 0; i < FORM_SINGLE_NODES; i++) {
+      const quad sigma_t = (quad)p->medium.sigma_a_per_mm + (quad)p->medium.sigma_s_per_mm;
+      const quad s = sigma_t * (p->least + p->further[i]);
+      sum += p->weight[i] / sqrtf128(s * s + k * k);
+    }
+    return 2 * pi * (quad)p->medium.sigma_s_per_mm * sum;
+  case FORM_BURLEY: {
+    const quad kd = k / p->per_d;
+    return p->albedo / 4 * (1 / sqrtf128(1 + kd * kd) + 3 / sqrtf128(1 + 9 * kd * kd));
+  }
+  case FORM_SKIN:
+    for (int i = 0; i < 6; i++) {
+      const quad exponent = k * k * (quad)skin_variance[i] / 2;
+      sum += (quad)skin_weight[p->variant][i] * expf128(-exponent);
+    }
+    return sum;
+  case FORM_SLAB:
+    for (size_t i = 0; i < p->slab_nodes; i++) {
+      sum += p->left[i] * expf128(-scaled * scaled / (4 * p->per_fourth[i]));
+    }
+    return p->albedo * (sum / p->leaving);
+  default:
+    return (quad)NAN;
+  }
+}
+
+static quad transfer(const form_model *form, double f) {
+  const quad first = part_transfer(&form->part[0], f);
+  return form->parts == 1 ? first : first + part_transfer(&form->part[1], f);
+}
+
 /* ---- comparing --------------------------------------------------------------------------------- */
 
 quad form_truth(const form_model *form, form_values at, enum core_elementwise quantity, double r) {
@@ -478,8 +530,8 @@ quad form_truth(const form_model *form, form_values at, enum core_elementwise qu
     return dark ? (quad)NAN : ring / form->albedo;
   case CORE_ELEMENTWISE_RING:
     return ring;
-  case CORE_ELEMENTWISE_TRANSFER: /* test_transfer.c */
-    return (quad)NAN;
+  case CORE_ELEMENTWISE_TRANSFER:
+    return form->known ? transfer(form, r) : (quad)NAN;
   default:
     return form->S_per_R > 0 ? R * form->S_per_R : 0;
   }
@@ -503,6 +555,9 @@ quad form_allowed(const core_profile *profile, int quantity, double r, quad size
   const quad epsilon = is_wide(profile, quantity) ? (quad)DBL_EPSILON : (quad)FLT_EPSILON;
   const quad per_mm = (quad)profile->numerical_error_per_mm;
   const double slope = quantity == CORE_ELEMENTWISE_SLOPE ? profile->slope_error : 0;
+  if (quantity == CORE_ELEMENTWISE_TRANSFER) {
+    return ((quad)profile->numerical_error + (quad)CORE_TRANSFER_ERROR) * (quad)profile->albedo;
+  }
   const quad relative = (quad)fmax(profile->numerical_error, slope) +
                         (quantity == CORE_ELEMENTWISE_S ? (quad)CORE_S_ERROR : 0) +
                         (quantity == FORM_ALBEDO || isinf(r) ? 0 : per_mm * (quad)r);

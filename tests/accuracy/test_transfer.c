@@ -4,6 +4,7 @@
 #include <float.h>
 #include <math.h>
 
+#include "core/filter.h"
 #include "core/kernels.h"
 #include "tests/accuracy/reference.h"
 #include "tests/unit/unit.h"
@@ -101,10 +102,77 @@ UNIT_TEST(closed_forms_and_the_transformation_agree) {
       double transformed;
       core_transfer(&profile, 1, &f, &transformed);
       worst = fmax(worst, fabs(closed - transformed) / profile.albedo);
-      assert_within(transformed, closed, CORE_TRANSFER_ERROR * profile.albedo, "the transform", f);
+      assert_within(transformed, closed, 1e-11 * profile.albedo, "the transform", f);
     }
   }
   printf("off by %.2g of the albedo at most\n", worst);
+}
+
+/* Six Gaussians w e^(-r^2 / (2 v)) / (2 pi v) have the transform w e^(-k^2 v / 2). They are as far as
+ * any R is from what the filter resolves. */
+UNIT_TEST(gaussians_have_gaussian_transforms) {
+  static const double variance[] = {0.0064, 0.0484, 0.187, 0.567, 1.99, 7.41};
+  static const double red[] = {0.233, 0.100, 0.118, 0.113, 0.358, 0.078};
+  const core_profile profile =
+      prepared(CORE_MODEL_SKIN_RED, CORE_EVALUATOR_F64, (core_medium){0.1, 1, 0, 1.3});
+  for (double f = 1e-9; f < 100; f *= 1.1) {
+    double sum = 0;
+    for (size_t i = 0; i < sizeof variance / sizeof variance[0]; i++) {
+      sum += red[i] * exp(-2 * pi * pi * f * f * variance[i]);
+    }
+    assert_within(transfer(&profile, f), sum, 1e-10, "R(f) of skin", f);
+  }
+}
+
+/* The filter is its formula: the sum of a smooth function whose ends are 0. */
+UNIT_TEST(the_filter_is_its_formula) {
+  const double h = log(2) / CORE_FILTER_STEPS, step = 1e-4, s = CORE_FILTER_SHARPNESS;
+  for (int i = 0; i < CORE_FILTER_WAVES + 12; i++) {
+    double sum = 0;
+    for (int n = -(int)(8.2 / s / step); n * step < 8.2 / s; n++) {
+      const double x = n * step;
+      const double wave = n != 0 ? sin(pi * x / h) / (pi * x) : 1 / h;
+      sum += step * j0(exp(i * h + x)) * wave * exp(-0.5 * s * s * x * x);
+    }
+    const bool inside = i < CORE_FILTER_WAVES;
+    assert_within(inside ? core_filter[i] : 0, sum, 1e-13, "the filter", i);
+  }
+}
+
+/* Where the transform begins, it is the albedo: no energy next to the source is left out. */
+UNIT_TEST(no_energy_is_lost_next_to_the_source) {
+  for (const core_choice *model = core_models; model->name != NULL; model++) {
+    core_profile profile = prepared(model->id, CORE_EVALUATOR_F64, (core_medium){0.2, 1, 0, 1.9});
+    for (double scaled = 1.1e-12; scaled < 3e-12; scaled *= 1.3) {
+      const double f = scaled / (2 * pi * profile.scale_mm);
+      assert_within(transfer(&profile, f), profile.albedo,
+                    (profile.numerical_error + 1e-10) * profile.albedo, model->name, f);
+    }
+    core_profile_free(&profile);
+  }
+}
+
+/* A value is the same alone and among others, whatever their order and range. */
+UNIT_TEST(values_do_not_depend_on_their_neighbours) {
+  enum { MANY = 600 };
+  static const unsigned models[] = {CORE_MODEL_SINGLE, CORE_MODEL_TRANSPORT, CORE_MODEL_MULTIPOLE,
+                                    CORE_MODEL_QUANTIZED_SINGLE};
+  uint64_t random = unit_seed();
+  for (size_t i = 0; i < sizeof models / sizeof models[0]; i++) {
+    core_profile profile = prepared(models[i], CORE_EVALUATOR_F64, (core_medium){0.02, 1, 0, 1.4});
+    double f[MANY], all[MANY], some[MANY];
+    for (size_t k = 0; k < MANY; k++) {
+      f[k] = k % 3 == 0 ? unit_random_log(&random, 1e-12, 1e90) : unit_random_log(&random, 0.1, 1);
+    }
+    core_eval_f64(&profile, CORE_QUANTITY_TRANSFER, MANY, f, all);
+    for (size_t k = 0, n; k < MANY; k += n) {
+      const size_t wanted = 1 + (size_t)unit_random_between(&random, 0, k < 40 ? 2 : 200);
+      n = wanted < MANY - k ? wanted : MANY - k;
+      core_eval_f64(&profile, CORE_QUANTITY_TRANSFER, n, &f[k], &some[k]);
+    }
+    assert_memory_equal(all, some, sizeof all);
+    core_profile_free(&profile);
+  }
 }
 
 /* The integral of R in rings by Gauss's rule in ln r with many points, from the energy that is

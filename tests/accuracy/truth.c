@@ -205,9 +205,14 @@ enum { EXACT_MOST = 64, DENSE = 512, RADII = EXACT_MOST + DENSE };
 
 struct values {
   size_t count;
-  double r[RADII];
+  double r[RADII], f[RADII]; /* f: frequencies, for the transfer function */
   double of[EVALUATORS][CORE_ELEMENTWISE_COUNT][RADII];
 };
+
+/* Returns the radius, or the frequency, that values of a quantity are evaluated at. */
+static double place(const struct values *values, size_t i, int q) {
+  return q == CORE_ELEMENTWISE_TRANSFER ? values->f[i] : values->r[i];
+}
 
 static bool is_narrow(double r) {
   return r == (double)(float)r;
@@ -216,9 +221,9 @@ static bool is_narrow(double r) {
 /* Compares all values at a radius with the formula, or only those of one quantity and evaluator. */
 static void compare_exactly(const struct subject *s, const struct values *values, size_t i,
                             form_values at, int only_evaluator, int only_quantity) {
-  const double r = values->r[i];
   for (int e = 0; e < EVALUATORS; e++) {
     for (int q = 0; q < CORE_ELEMENTWISE_COUNT; q++) {
+      const double r = place(values, i, q);
       const bool wanted = (only_evaluator < 0 || (e == only_evaluator && q == only_quantity)) &&
                           s->ready[e] && (e == F64 || e == FINE || is_narrow(r)) &&
                           form_promises(&s->form, q, r);
@@ -236,7 +241,8 @@ static void compare_exactly(const struct subject *s, const struct values *values
 /* Compares a value with FINE's. Returns false if that does not decide. */
 static bool is_near(const struct subject *s, const struct values *values, size_t i,
                     enum evaluator e, int q) {
-  const double r = values->r[i], value = values->of[e][q][i], fine = values->of[FINE][q][i];
+  const double r = place(values, i, q);
+  const double value = values->of[e][q][i], fine = values->of[FINE][q][i];
   if (!isfinite(value) || !isfinite(fine)) {
     return false;
   }
@@ -251,30 +257,38 @@ static bool is_near(const struct subject *s, const struct values *values, size_t
 /* Compares with FINE where a model has no formula. */
 static void compare_with_fine(const struct subject *s, const struct values *values, size_t i,
                               enum evaluator e, int q) {
-  const double r = values->r[i];
+  const double r = place(values, i, q);
   const quad fine = (quad)values->of[FINE][q][i];
   const bool is_R = q == CORE_ELEMENTWISE_R || q == CORE_ELEMENTWISE_S;
-  if ((s->family == FORM_FIT && !is_R) || !(r >= s->judged.least_mm && r <= s->judged.most_mm) ||
-      !(fabsf128(fine) > 1e-280Q) || isinf(fine)) {
+  const bool judged =
+      q == CORE_ELEMENTWISE_TRANSFER || (r >= s->judged.least_mm && r <= s->judged.most_mm &&
+                                         fabsf128(fine) > 1e-280Q && !isinf(fine));
+  if ((s->family == FORM_FIT && !is_R) || !judged) {
     return;
   }
   compare(s, e, q, r, values->of[e][q][i], fine, form_allowed(&s->profiles[FINE], q, r, fine));
 }
 
+/* Whether a transform has no form: that of `beam`, alone or in a sum. */
+static bool is_beam_transfer(const struct subject *s, int q) {
+  return q == CORE_ELEMENTWISE_TRANSFER && isnan(s->form.albedo);
+}
+
 static void compare_densely(const struct subject *s, const struct values *values, size_t from) {
   for (size_t i = from; i < values->count; i++) {
-    const double r = values->r[i];
     for (int e = F64; e <= LUT; e++) {
       /* f64 at its tightest tolerance is no judge of itself */
       const bool itself = e == F64 && s->ready[F64] &&
                           s->profiles[F64].numerical_error == s->profiles[FINE].numerical_error;
       for (int q = 0; s->ready[e] && !itself && q < CORE_ELEMENTWISE_COUNT; q++) {
+        const double r = place(values, i, q);
+        const bool by_fine = !s->form.known || is_beam_transfer(s, q);
         const bool asked = form_promises(&s->form, q, r) && (e == F64 || is_narrow(r)) &&
                            (q != CORE_ELEMENTWISE_LN_R || has_ln_R(s, e, r));
-        if (asked && !s->form.known) {
+        if (asked && by_fine) {
           compare_with_fine(s, values, i, e, q);
         } else if (asked && !is_near(s, values, i, e, q)) {
-          compare_exactly(s, values, i, form_at(&s->form, r, true), e, q);
+          compare_exactly(s, values, i, form_at(&s->form, values->r[i], true), e, q);
         }
       }
     }
@@ -487,10 +501,14 @@ static void compare_subject(struct subject *s, uint64_t *random) {
   for (size_t i = 0; i < values.count; i++) {
     const bool narrow = i >= exact || below(random, 4) > 0;
     values.r[i] = draw_radius(s, narrow, random);
+    const double f = values.r[i] / s->profiles[FINE].scale_mm / s->profiles[FINE].scale_mm;
+    values.f[i] = narrow ? (double)(float)f : f;
   }
   for (int e = 0; e < EVALUATORS; e++) {
     for (int q = 0; s->ready[e] && q < CORE_ELEMENTWISE_COUNT; q++) {
-      evaluate(&s->profiles[e], quantities[q], values.count, values.r, values.of[e][q]);
+      const bool waves = q == CORE_ELEMENTWISE_TRANSFER;
+      evaluate(&s->profiles[e], quantities[q], values.count, waves ? values.f : values.r,
+               values.of[e][q]);
     }
   }
   for (size_t i = 0; i < exact; i++) {

@@ -21,9 +21,6 @@ enum { MEDIA = 61, RADII = 257 };
  * kind of moments. */
 enum { COSTLY = 4, COSTLY_MEDIA = 8, SLOW_MEDIA = 1, TABLES = 2, COSTLY_RADII = 37 };
 
-/* A radius of a quantity that costs more than this is a transform of R at hundreds of radii. */
-enum { TRANSFORM = 100, TRANSFORM_RADII = 3 };
-
 /* Adds bytes to a checksum: FNV-1a with 64 bits. */
 static uint64_t checksum(uint64_t sum, const void *bytes, size_t n) {
   const unsigned char *at = bytes;
@@ -58,7 +55,7 @@ static core_medium random_medium(uint64_t *state) {
 /* Returns the number of radii at which a quantity of a profile is evaluated; 0: it is sampled. */
 static int radii_of(const core_profile *profile, unsigned quantity) {
   const double cost = core_radius_cost(profile, quantity);
-  return cost > TRANSFORM ? TRANSFORM_RADII : cost > COSTLY ? COSTLY_RADII : RADII;
+  return cost > COSTLY ? COSTLY_RADII : RADII;
 }
 
 static uint64_t add_quantity(uint64_t sum, const core_profile *profile, unsigned quantity,

@@ -11,7 +11,6 @@ from lists import (
 )
 
 ALL_QUANTITIES = sum(QUANTITIES.values())
-TRANSFORMED_RADII = 3  # R_f of models without a closed form takes R at hundreds of radii
 # Only the cheapest models are evaluated at this many radii: such requests do not test the models.
 MANY_RADII = 2000
 # Preparing one medium of this model takes a third of a second, so its requests have one medium
@@ -64,14 +63,11 @@ def random_payload(rng: random.Random, count: int) -> bytes:
     take the random medium or radii, the request has ordinary ones."""
     moments = rng.choice(list(MOMENTS.values()))
     model = rng.choice(list(MODELS if count < MANY_RADII else DIPOLES))
-    wanted = rng.randint(1, ALL_QUANTITIES)
-    if model not in DIPOLES and count > TRANSFORMED_RADII:
-        wanted = wanted & ~QUANTITIES["R_f"] or QUANTITIES["R"]
     fields = {
         "model": MODELS[model],
         "evaluator": rng.choice([F64, F32]),
         "moments": moments.id,
-        "wanted": wanted,
+        "wanted": rng.randint(1, ALL_QUANTITIES),
     }
     given = random_parameters(rng, model)
     parameters = [(PARAMETERS[name].id, value) for name, value in given.items()]

@@ -109,7 +109,7 @@ static bool prepare(core_profile *profile, const char *isa, unsigned model, unsi
  * once. */
 static bool is_compared(const kernel_pair *pair, unsigned quantity, pair_test *test) {
   const core_profile *profile = &pair->portable;
-  const bool transforms = core_radius_cost(profile, quantity) > profile->cost;
+  const bool transforms = core_call_cost(profile, quantity) > 0;
   const bool held =
       profile->lut == NULL || (quantity != CORE_QUANTITY_SLOPE && quantity != CORE_QUANTITY_LN_R);
   return test == compare_edges ? !transforms || pair->is_portable : held && !transforms;
