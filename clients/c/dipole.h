@@ -545,6 +545,7 @@ enum dipole_fit_status {
   DIPOLE_FIT_AMBIGUOUS = 4,    /* a second medium fits as well */
   DIPOLE_FIT_UNFINISHED = 5,   /* the search did not settle */
   DIPOLE_FIT_REFUSED = 6,      /* a reading is wrong: see `field` and `index` */
+  DIPOLE_FIT_IMPLAUSIBLE = 7,  /* chi_squared is too large for the errors as stated */
 };
 
 typedef struct dipole_fit_query {
@@ -588,7 +589,8 @@ typedef struct dipole_fitted {
    * Those with the factor are 0 unless the scale is DIPOLE_FREE. */
   double variance_a, covariance_a_s, variance_s, covariance_a_factor, covariance_s_factor,
       variance_factor;
-  /* A second medium that is a local best; all NaN if none was found. */
+  /* A second medium that is a local best, with chi-squared less than 9 above that of the best; all
+   * NaN if none was found. */
   double second_sigma_a_per_mm, second_sigma_s_prime_per_mm, second_factor, second_chi_squared;
 } dipole_fitted;
 
@@ -737,10 +739,10 @@ enum dipole_value_status {
 
 /* All arrays are [value_count] of double (F64) or float (F32). */
 typedef struct dipole_varying_query {
-  unsigned model;     /* dipole_id(client, DIPOLE_MODEL, name): transport, a dipole or burley */
-  unsigned evaluator; /* DIPOLE_F64 or DIPOLE_F32 */
-  unsigned moments;   /* enum dipole_moments */
-  unsigned wanted;    /* sum of DIPOLE_R, ALBEDO, CDF, PDF, RING, and with `numbers` RADIUS */
+  unsigned model;        /* dipole_id(client, DIPOLE_MODEL, name): transport, a dipole or burley */
+  unsigned evaluator;    /* DIPOLE_F64 or DIPOLE_F32 */
+  unsigned moments;      /* enum dipole_moments */
+  unsigned wanted;       /* sum of DIPOLE_R, ALBEDO, CDF, PDF, RING, and with `numbers` RADIUS */
   unsigned coefficients; /* sum of enum dipole_coefficient that are wanted */
   double g, eta;         /* of all media */
   /* The media: either both coefficients, or colours with lengths. The others are NULL. */
@@ -763,7 +765,7 @@ typedef struct dipole_varying_query {
 
 typedef struct dipole_varying_result {
   unsigned model, evaluator, moments, wanted, coefficients; /* as in the query */
-  unsigned notes;          /* sum of the ids of the notes (kind DIPOLE_NOTE) that hold */
+  unsigned notes; /* sum of the ids of the notes (kind DIPOLE_NOTE) that hold */
   uint64_t value_count;
   uint64_t answered_count; /* number of values that are answered; the others are NaN */
   const uint8_t *statuses; /* [value_count]: enum dipole_value_status, or the id of a fault */

@@ -416,10 +416,12 @@ const cli_command cli_command_fit = {
         "is detected on). Each sample has at least as many readings as unknowns: 2, or 3 with\n"
         "--scale free.\n"
         "\n"
-        "status is fitted, or says why a sample is no success: at-bound, undetermined, ambiguous,\n"
-        "unfinished or refused; `dipole info` describes them. The exit status is then 3, and all\n"
-        "samples are written nevertheless. sigma_s' is sigma_s (1 - g). chi2 is the sum of the\n"
-        "squares of (R - fit) / error: about readings less unknowns if the errors are right.\n",
+        "status is fitted, or says why a sample is no success: at-bound, undetermined, implausible,\n"
+        "ambiguous, unfinished or refused; `dipole info` describes them. The exit status is then 3,\n"
+        "and all samples are written nevertheless. sigma_s' is sigma_s (1 - g). chi2 is the sum of\n"
+        "the squares of (R - fit) / error: about readings less unknowns if model and errors are\n"
+        "right; a sample is implausible if noise would make it as large less than once in a million\n"
+        "times.\n",
     .formats = "table,csv,json",
     .options = {options, cli_parameter_options},
     .usual_file = PLOT_FILE,

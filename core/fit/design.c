@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "core/diffusion.h"
 #include "core/fit/discs.h"
 #include "core/fit/search.h"
 #include "core/fit/values.h"
@@ -152,6 +153,31 @@ static core_fault fill_grid(core_fit *fit) {
   return (core_fault){0};
 }
 
+/* Returns the probability that a sum of the squares of n normal numbers of variance 1 is more than x
+ * (Abramowitz and Stegun, 26.4.4 and 26.4.5). */
+static double probability(size_t n, double x) {
+  const double y = 0.5 * x, half = n % 2 == 1 ? 0.5 : 0;
+  double term = n % 2 == 1 ? sqrt(y) * 1.12837916709551257390 : 1; /* 2 / sqrt(pi) */
+  double sum = n % 2 == 1 ? core_erfcx(sqrt(y)) : 0;
+  for (size_t i = 0; i < n / 2; i++) {
+    sum += term;
+    term *= y / ((double)(i + 1) + half);
+  }
+  return sum * real_exp_signed(-y);
+}
+
+static void set_chi_squared_most(core_fit *fit) {
+  const size_t spare = fit_spare(fit) > 0 ? fit_spare(fit) : 1;
+  double least = 0, most = 30 + (double)spare + 6 * sqrt(2 * (double)spare);
+  for (int i = 0; i < 60; i++) {
+    const double middle = 0.5 * (least + most);
+    const bool plausible = probability(spare, middle) >= CORE_FIT_PROBABILITY_LEAST;
+    least = plausible ? middle : least;
+    most = plausible ? most : middle;
+  }
+  fit->chi_squared_most = most;
+}
+
 static core_fault set_notes(core_fit *fit) {
   const core_medium medium = fit_medium(&fit->model, fit_grid_place(fit, FIT_GRID / 2));
   core_profile profile;
@@ -196,6 +222,7 @@ static core_fault set_kernels(struct fit_model *model) {
 static core_fault fill(core_fit *fit, const core_fit_design *design) {
   set_places(fit, design);
   set_bounds(fit, design);
+  set_chi_squared_most(fit);
   core_fault fault = set_notes(fit);
   if (fault.field == NULL) {
     fault = set_kernels(&fit->model);
@@ -203,7 +230,16 @@ static core_fault fill(core_fit *fit, const core_fit_design *design) {
   if (fault.field == NULL) {
     fault = set_weights(fit, design);
   }
-  return fault.field == NULL ? fill_grid(fit) : fault;
+  if (fault.field == NULL) {
+    fault = fill_grid(fit);
+  }
+  const bool inverts = fit->count == 2 && !fit->free_factor && fit->model.table != NULL;
+  if (fault.field == NULL && inverts &&
+      !fit_inverse_create(&fit->inverse, &fit->model, &fit->places, fit->weight, fit->least,
+                          fit->most)) {
+    fault = CORE_OUT_OF_MEMORY;
+  }
+  return fault;
 }
 
 /* Returns the most nodes that a design may have. */
@@ -253,6 +289,7 @@ core_fault core_fit_create(core_fit **made, const core_isa *isa, const core_fit_
 
 void core_fit_free(core_fit *fit) {
   if (fit != NULL) {
+    fit_inverse_free(fit->inverse);
     fit_table_free(fit->model.table);
     if (fit->model.varies) {
       core_varying_free(&fit->model.varying);
@@ -266,6 +303,7 @@ void core_fit_free(core_fit *fit) {
 size_t core_fit_bytes(const core_fit *fit) {
   return sizeof *fit + (NUMBERS * fit->count + NODE_NUMBERS * fit->nodes_most) * sizeof(double) +
          (fit->count + 1) * sizeof(size_t) + fit_table_bytes(fit->model.table) +
+         fit_inverse_bytes(fit->inverse) +
          (fit->model.varies ? core_varying_bytes(&fit->model.varying) : 0);
 }
 

@@ -10,7 +10,8 @@
  * Marquardt's method (Marquardt 1963) in ln sigma_a and ln sigma_s'; an unknown factor is
  * eliminated, because the model is linear in it (Golub, Pereyra 1973). A grid of media, which the
  * design keeps, gives the starts: each of its local minima is one, so that a second solution is
- * found.
+ * found. Two readings of known scale under `transport` start from a table of the inverse instead,
+ * where it is shown that no second medium fits them (core/fit/inverse.h).
  */
 #ifndef DIPOLED_CORE_FIT_H
 #define DIPOLED_CORE_FIT_H
@@ -36,6 +37,11 @@
 #define CORE_FIT_CONDITION_MAX 1e6
 #define CORE_FIT_LN_ERROR_MAX 1.0
 #define CORE_FIT_AMBIGUOUS 9.0
+
+/* A fit is `implausible` if noise with the stated errors would make chi-squared as large with less
+ * than this probability, under the chi-squared distribution of readings less unknowns, or of one if
+ * there are as many. */
+#define CORE_FIT_PROBABILITY_LEAST 1e-6
 
 /* What does not change from one set of readings to the next. Arrays have `count` values. */
 typedef struct core_fit_design {
@@ -116,10 +122,12 @@ typedef struct core_fit_result {
    * factor being free if it is unknown: the square root of the condition of the information matrix.
    * INFINITY if a direction changes nothing. */
   double condition;
-  core_fit_solution second; /* all NAN if no other was found */
-  unsigned bounds;          /* bits of enum core_fit_bound */
-  unsigned evaluations;     /* of the model for all readings */
-  unsigned notes;           /* bits of enum core_note, of the model */
+  /* Another local minimum whose chi-squared is less than CORE_FIT_AMBIGUOUS above that of the best;
+   * all NAN if none was found. */
+  core_fit_solution second;
+  unsigned bounds;      /* bits of enum core_fit_bound */
+  unsigned evaluations; /* of the model for all readings */
+  unsigned notes;       /* bits of enum core_note, of the model */
 } core_fit_result;
 
 /* Sets values[count] to the readings of a medium with these coefficients, more than 0, without

@@ -33,12 +33,22 @@ static const struct choosing careful = {0.1, true, STARTS_MAX, 1e300};
 #define STEP_ROUNDED 1e-5
 #define STEP_MOST 2.0 /* longer steps are shortened to this */
 
+/* From a start by the inverse, the steps are Newton's, and the last but one is shorter than this. */
+#define STEP_NEWTON 1e-5
+
 #define DAMPING_FIRST 1e-2
 #define DAMPING_LEAST 1e-12
 #define DAMPING_MOST 1e10
 
+/* Two readings that a medium explains have less chi-squared than this. */
+#define CHI_SQUARED_NONE 1e-8
+
 /* Two solutions within this in both logarithms are one. */
 #define SAME 1e-3
+
+size_t fit_spare(const core_fit *fit) {
+  return fit->count - (fit->free_factor ? 3 : 2);
+}
 
 struct fit_place fit_grid_place(const core_fit *fit, size_t i) {
   const double ratio = (double)(i / FIT_GRID_SCATTERINGS) / (FIT_GRID_RATIOS - 1);
@@ -285,9 +295,8 @@ static double expected_fall(const struct quadratic *q, struct fit_place from, st
 }
 
 /* Descends from *q until a step is shorter than `end`. Returns whether it settled. */
-static bool descend(const core_fit *fit, struct readings readings, double end, struct quadratic *q,
-                    unsigned *evaluations) {
-  double damping = DAMPING_FIRST;
+static bool descend(const core_fit *fit, struct readings readings, double damping, double end,
+                    struct quadratic *q, unsigned *evaluations) {
   for (int i = 0; i < EVALUATIONS_MAX && damping < DAMPING_MOST; i++) {
     const struct fit_place to = moved(fit, q->place, step_from(fit, q, damping));
     const double length = distance(to, q->place);
@@ -358,19 +367,20 @@ static unsigned bounds_of(const core_fit *fit, struct fit_place place) {
          (place.ln_scattering >= fit->most.ln_scattering ? CORE_FIT_SCATTERING_MOST : 0u);
 }
 
-static enum core_fit_status status_of(const core_fit_result *result, bool settled) {
+static enum core_fit_status status_of(const core_fit *fit, const core_fit_result *result,
+                                      bool settled) {
   const core_fit_solution *best = &result->best;
   const double limit = CORE_FIT_LN_ERROR_MAX * CORE_FIT_LN_ERROR_MAX;
   const bool vague =
       !(result->condition < CORE_FIT_CONDITION_MAX) ||
       !(result->covariance.a_a < limit * best->sigma_a_per_mm * best->sigma_a_per_mm) ||
       !(result->covariance.s_s < limit * best->sigma_s_prime_per_mm * best->sigma_s_prime_per_mm);
-  return result->bounds != 0 ? CORE_FIT_STATUS_AT_BOUND
-         : vague             ? CORE_FIT_STATUS_UNDETERMINED
-         : !settled          ? CORE_FIT_STATUS_UNFINISHED
-         : result->second.chi_squared < best->chi_squared + CORE_FIT_AMBIGUOUS
-             ? CORE_FIT_STATUS_AMBIGUOUS
-             : CORE_FIT_STATUS_FITTED;
+  return result->bounds != 0                                    ? CORE_FIT_STATUS_AT_BOUND
+         : settled && best->chi_squared > fit->chi_squared_most ? CORE_FIT_STATUS_IMPLAUSIBLE
+         : vague                                                ? CORE_FIT_STATUS_UNDETERMINED
+         : !settled                                             ? CORE_FIT_STATUS_UNFINISHED
+         : result->second.chi_squared >= 0                      ? CORE_FIT_STATUS_AMBIGUOUS
+                                                                : CORE_FIT_STATUS_FITTED;
 }
 
 /* A minimum that the search has found. */
@@ -415,12 +425,12 @@ static void try_start(const core_fit *fit, struct readings readings, size_t star
   struct fit_place place = fit_grid_place(fit, start);
   ++*evaluations;
   if (expand(fit, readings, true, place, &now.at, NULL)) {
-    descend(fit, readings, STEP_LOGARITHMS, &now.at, evaluations);
+    descend(fit, readings, DAMPING_FIRST, STEP_LOGARITHMS, &now.at, evaluations);
     place = now.at.place;
   }
   ++*evaluations;
   if (!is_known(minima, place) && expand(fit, readings, false, place, &now.at, NULL)) {
-    now.settled = descend(fit, readings, STEP_END, &now.at, evaluations);
+    now.settled = descend(fit, readings, DAMPING_FIRST, STEP_END, &now.at, evaluations);
     keep(&minima->best, &minima->second, &now);
   }
 }
@@ -435,17 +445,43 @@ static void try_starts(const core_fit *fit, struct readings readings,
   }
 }
 
+/* Finds the medium of two readings by the inverse. Returns false if it is not shown to be the only
+ * one. */
+static bool invert(const core_fit *fit, struct readings readings, struct minima *minima,
+                   unsigned *evaluations) {
+  struct minimum *best = &minima->best;
+  struct fit_place start;
+  if (fit->inverse == NULL ||
+      !fit_inverse_start(fit->inverse, readings.values, readings.errors, &start)) {
+    return false;
+  }
+  ++*evaluations;
+  best->settled = expand(fit, readings, false, start, &best->at, NULL) &&
+                  descend(fit, readings, DAMPING_LEAST, STEP_NEWTON, &best->at, evaluations);
+  best->found = best->settled && best->at.chi_squared < CHI_SQUARED_NONE;
+  return best->found;
+}
+
+static void search(const core_fit *fit, struct readings readings, size_t spare,
+                   struct minima *minima, unsigned *evaluations) {
+  const struct minimum *best = &minima->best;
+  *minima = (struct minima){.best.found = false};
+  try_starts(fit, readings, &usual, minima, evaluations);
+  if (spare <= CAREFUL_SPARE || !best->found || !best->settled ||
+      best->at.chi_squared > CAREFUL_REDUCED * (double)spare) {
+    try_starts(fit, readings, &careful, minima, evaluations);
+  }
+}
+
 void fit_search(const core_fit *fit, const double *values, const double *errors,
                 core_fit_result *result, double *residuals) {
   const struct readings readings = {values, errors};
-  const size_t spare = fit->count - (fit->free_factor ? 3 : 2);
+  const size_t spare = fit_spare(fit);
   struct minima minima = {.best.found = false};
+  const struct minimum *best = &minima.best, *second = &minima.second;
   *result = (core_fit_result){.best = no_solution, .second = no_solution, .notes = fit->notes};
-  try_starts(fit, readings, &usual, &minima, &result->evaluations);
-  const struct minimum *best = &minima.best;
-  if (spare <= CAREFUL_SPARE || !best->found || !best->settled ||
-      best->at.chi_squared > CAREFUL_REDUCED * (double)spare) {
-    try_starts(fit, readings, &careful, &minima, &result->evaluations);
+  if (!invert(fit, readings, &minima, &result->evaluations)) {
+    search(fit, readings, spare, &minima, &result->evaluations);
   }
   if (!best->found) {
     result->status = CORE_FIT_STATUS_UNFINISHED;
@@ -454,11 +490,12 @@ void fit_search(const core_fit *fit, const double *values, const double *errors,
   result->best = solution_of(&fit->model, &best->at);
   result->bounds = bounds_of(fit, best->at.place);
   result->reduced_chi_squared = spare > 0 ? best->at.chi_squared / (double)spare : (double)NAN;
-  if (minima.second.found && minima.second.settled) {
-    result->second = solution_of(&fit->model, &minima.second.at);
+  if (second->found && second->settled &&
+      second->at.chi_squared < best->at.chi_squared + CORE_FIT_AMBIGUOUS) {
+    result->second = solution_of(&fit->model, &second->at);
   }
   set_errors(&best->at, result);
-  result->status = status_of(result, best->settled);
+  result->status = status_of(fit, result, best->settled);
   if (residuals != NULL) {
     struct quadratic again;
     expand(fit, readings, false, best->at.place, &again, residuals);

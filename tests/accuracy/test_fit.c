@@ -5,6 +5,7 @@
 #include <math.h>
 
 #include "core/fit/discs.h"
+#include "core/fit/search.h"
 #include "tests/unit/unit.h"
 
 enum { READINGS = 12 };
@@ -491,6 +492,129 @@ static void expect_noise(unsigned scale) {
   assert_true(told > SETS * 98 / 100); /* noise may make a second medium fit as well */
   assert_true(fabs(ratio_a - 1) < allowed && fabs(ratio_s - 1) < allowed);
   assert_true(fabs(share_1 - 0.683) < 0.04 && fabs(share_2 - 0.954) < 0.02);
+}
+
+/* Readings at steady distances. */
+static void space_out(struct subject *subject, size_t count) {
+  *subject = (struct subject){.medium = {.05, 1, 0, 1.4}};
+  subject->design = (core_fit_design){.model = CORE_MODEL_BETTER,
+                                      .moments = CORE_MOMENTS_EXACT,
+                                      .eta = 1.4,
+                                      .axis = CORE_FIT_AXIS_RADIUS,
+                                      .count = count,
+                                      .at = subject->at,
+                                      .scale = CORE_FIT_SCALE_ABSOLUTE};
+  for (size_t k = 0; k < count; k++) {
+    subject->at[k] = 0.5 * (double)(k + 1);
+  }
+  evaluate(subject);
+}
+
+/* A set is implausible from that chi-squared on whose probability is 1e-6. For 2 and 10 readings more
+ * than unknowns the limits follow from e^(-x / 2) sum (x / 2)^i / i!, for 1 from tables. */
+UNIT_TEST(wrong_errors_are_implausible) {
+  static const struct {
+    size_t readings;
+    double limit;
+  } rows[] = {{2, 23.928127}, {3, 23.928127}, {4, 27.631021}, {12, 46.863047}};
+  struct subject subject;
+  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
+    space_out(&subject, rows[i].readings);
+    core_fit *fit = created(&subject.design);
+    if (!(fabs(fit->chi_squared_most / rows[i].limit - 1) < 1e-7)) {
+      fail_msg("%zu readings: chi-squared up to %.9g", rows[i].readings, fit->chi_squared_most);
+    }
+    core_fit_free(fit);
+  }
+  /* Two readings are half a percent too large, first with errors of 1 %, then of 0.01 %. */
+  space_out(&subject, 6);
+  subject.values[0] *= 1.005;
+  subject.values[5] *= 1.005;
+  set_errors(&subject, 1e-2);
+  assert_int_equal(fitted(&subject).status, CORE_FIT_STATUS_FITTED);
+  set_errors(&subject, 1e-4);
+  const core_fit_result result = fitted(&subject);
+  assert_int_equal(result.status, CORE_FIT_STATUS_IMPLAUSIBLE);
+  assert_true(result.reduced_chi_squared > 10 && isfinite(result.best.sigma_a_per_mm));
+}
+
+/* ---- the inverse of two readings ------------------------------------------------------------- */
+
+static bool is_same(double a, double b, double within) {
+  return (isnan(a) && isnan(b)) || fabs(a - b) <= within * fabs(b);
+}
+
+/* Fits sets of two readings with the inverse and without it. They give the same status, medium and
+ * second medium, whatever the noise. */
+static void compare_inverse(const core_fit_design *design, const double places[2], size_t count,
+                            uint64_t *random) {
+  core_fit *fit = created(design);
+  assert_non_null(fit->inverse);
+  struct core_fit full = *fit; /* shares everything but the inverse */
+  full.inverse = NULL;
+  size_t inverted = 0, fitted_sets = 0;
+  double worst = 0;
+  for (size_t i = 0; i < count; i++) {
+    double values[2], errors[2];
+    const double ratio = unit_random_log(random, 1e-4, 5);
+    const double scattering = unit_random_log(random, 0.03, 30);
+    const double relative = unit_random_log(random, 1e-3, 0.2);
+    core_fit_model(fit, ratio * scattering, scattering, values);
+    for (int k = 0; k < 2; k++) {
+      errors[k] = relative * values[k];
+      values[k] = fmax(values[k] + 1.5 * errors[k] * normal(random), 0);
+    }
+    core_fit_result one, other;
+    struct fit_place start;
+    inverted += fit_inverse_start(fit->inverse, values, errors, &start);
+    core_fit_run(fit, values, errors, &one, NULL);
+    core_fit_run(&full, values, errors, &other, NULL);
+    fitted_sets += other.status == CORE_FIT_STATUS_FITTED;
+    const double within = 1e-9 * fmax(other.condition, 1);
+    worst = fmax(worst, fabs(one.best.sigma_a_per_mm / other.best.sigma_a_per_mm - 1));
+    if (one.status != other.status ||
+        !is_same(one.best.sigma_a_per_mm, other.best.sigma_a_per_mm, within) ||
+        !is_same(one.best.sigma_s_prime_per_mm, other.best.sigma_s_prime_per_mm, within) ||
+        !is_same(one.second.sigma_a_per_mm, other.second.sigma_a_per_mm, 1e-4)) {
+      fail_msg("at %g and %g, readings %.17g and %.17g, errors of %g: %d, %.12g, %.12g, second %g; "
+               "without the inverse %d, %.12g, %.12g, second %g",
+               places[0], places[1], values[0], values[1], relative, (int)one.status,
+               one.best.sigma_a_per_mm, one.best.sigma_s_prime_per_mm, one.second.chi_squared,
+               (int)other.status, other.best.sigma_a_per_mm, other.best.sigma_s_prime_per_mm,
+               other.second.chi_squared);
+    }
+  }
+  printf("at %g and %g: %zu of %zu by the inverse, %zu fitted, off by %.2g at most\n", places[0],
+         places[1], inverted, count, fitted_sets, worst);
+  core_fit_free(fit);
+}
+
+UNIT_TEST(the_inverse_gives_what_the_search_gives) {
+  static const struct {
+    unsigned axis;
+    double g, eta;
+    double at[2];
+  } rows[] = {{CORE_FIT_AXIS_FREQUENCY, 0, 1.4, {0, 0.2}},
+              {CORE_FIT_AXIS_FREQUENCY, 0.8, 1.33, {0, 0.1}},
+              {CORE_FIT_AXIS_FREQUENCY, 0.9, 1.4, {0.05, 0.4}},
+              {CORE_FIT_AXIS_FREQUENCY, -0.3, 1, {0.1, 0.12}},
+              {CORE_FIT_AXIS_RADIUS, 0, 1.4, {0.5, 3}},
+              {CORE_FIT_AXIS_RADIUS, 0.8, 1.5, {0.2, 0.6}}};
+  uint64_t random = unit_seed();
+  for (size_t i = 0; i < 2 * sizeof rows / sizeof rows[0]; i++) {
+    const bool reference = i % 2 == 1;
+    const core_fit_design design = {
+        .model = CORE_MODEL_TRANSPORT,
+        .moments = CORE_MOMENTS_EXACT,
+        .g = rows[i / 2].g,
+        .eta = rows[i / 2].eta,
+        .axis = rows[i / 2].axis,
+        .count = 2,
+        .at = rows[i / 2].at,
+        .scale = reference ? CORE_FIT_SCALE_REFERENCE : CORE_FIT_SCALE_ABSOLUTE,
+        .reference = {.05, 1 / (1 - rows[i / 2].g), rows[i / 2].g, rows[i / 2].eta}};
+    compare_inverse(&design, rows[i / 2].at, 10 * sets(), &random);
+  }
 }
 
 UNIT_TEST(noise_of_2_percent_spreads_as_the_bound) {

@@ -71,7 +71,7 @@ def test_permanent_ids(client):
         "axis": {"r": 1, "f": 2},
         "fit_status": {
             "fitted": 1, "at-bound": 2, "undetermined": 3, "ambiguous": 4, "unfinished": 5,
-            "refused": 6,
+            "refused": 6, "implausible": 7,
         },
     }
     for kind, ids in permanent.items():
