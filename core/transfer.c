@@ -31,10 +31,12 @@
 enum {
   STEPS = CORE_FILTER_STEPS,
   WAVES = CORE_FILTER_WAVES,
-  NEAR = 38 * STEPS, /* steps below k r = 1, and below the profile's scale, where the sum begins */
-  ONES = 42 * STEPS, /* the scale may lie as many steps below 1 / k */
-  POINTS = 16,       /* of the interpolation in ln k */
-  LANES = 8,         /* partial sums */
+  NEAR = 38 * STEPS,  /* steps below k r = 1, and below the profile's scale, where the sum begins */
+  NEARER = 8 * STEPS, /* it begins as many steps earlier while there is energy, */
+  NEAREST = 10,       /* up to so many times */
+  ONES = 42 * STEPS + NEAREST * NEARER, /* the first node may lie as many steps below NEAR / k */
+  POINTS = 16,                          /* of the interpolation in ln k */
+  LANES = 8,                            /* partial sums */
   NODES = 4096,
   SUMS = 1024,
 };
@@ -71,6 +73,22 @@ struct shared {
   int sum_of[SUMS]; /* its m */
 };
 
+/* Returns the node below which there is no energy that matters. Single scattering has much of it
+ * next to the source where g is nearly -1. */
+static int first_node(const core_profile *profile) {
+  int node = (int)floor(real_log(profile->scale_mm, 0) * (STEPS / LN2)) - NEAR;
+  for (int i = 0; i < NEAREST; i++) {
+    const double r = power(node);
+    double cdf;
+    core_evaluate(profile, CORE_QUANTITY_CDF, 1, &r, &cdf);
+    if (cdf <= 1e-11) {
+      break;
+    }
+    node -= NEARER;
+  }
+  return node;
+}
+
 static void begin(struct shared *shared, const core_profile *profile) {
   shared->profile = profile;
   for (int i = 0; i < ONES + NEAR; i++) {
@@ -88,7 +106,7 @@ static void begin(struct shared *shared, const core_profile *profile) {
     shared->sum_of[i] = INT_MIN;
   }
   shared->base = shared->first = shared->end = 0;
-  shared->least = (int)floor(real_log(profile->scale_mm, 0) * (STEPS / LN2)) - NEAR;
+  shared->least = first_node(profile);
 }
 
 static void fill(struct shared *shared, int first, int end) {

@@ -138,6 +138,24 @@ static const struct found {
      0,
      CORE_ELEMENTWISE_R,
      5.4575372017930732e+18},
+    /* the transfer function where much energy leaves next to the source: g is nearly -1 */
+    {12,
+     3,
+     {1.0106357881548659e-45, .00020925426848301547, -.99999999705651432, 1.36},
+     0,
+     0,
+     CORE_ELEMENTWISE_TRANSFER,
+     1.9112449384541714e-05},
+    {14,
+     2,
+     {1.8366702107793426e-41, 14220919238.275045, -.99998287672687025, 2.4791144241602359},
+     0,
+     0,
+     CORE_ELEMENTWISE_TRANSFER,
+     1053741824},
+    {12, 1, {.1, 1, -.9999999999999, 1.4}, 0, 0, CORE_ELEMENTWISE_TRANSFER, .02},
+    {12, 1, {0, 1, .9999999999, 1.4}, 0, 0, CORE_ELEMENTWISE_TRANSFER, 1e-8},
+    {12, 1, {0, 1, .9999999999, 1.4}, 0, 0, CORE_ELEMENTWISE_TRANSFER, 1},
 };
 
 static const struct found in_f32[] = {
@@ -168,9 +186,12 @@ static core_parameters parameters_of(const struct found *one) {
 static bool is_right(const struct found *one, enum core_evaluator evaluator) {
   static form_model form;
   static const unsigned bits[CORE_ELEMENTWISE_COUNT] = {
-      [CORE_ELEMENTWISE_R] = CORE_QUANTITY_R,       [CORE_ELEMENTWISE_CDF] = CORE_QUANTITY_CDF,
-      [CORE_ELEMENTWISE_LN_R] = CORE_QUANTITY_LN_R, [CORE_ELEMENTWISE_SLOPE] = CORE_QUANTITY_SLOPE,
+      [CORE_ELEMENTWISE_R] = CORE_QUANTITY_R,
+      [CORE_ELEMENTWISE_CDF] = CORE_QUANTITY_CDF,
+      [CORE_ELEMENTWISE_LN_R] = CORE_QUANTITY_LN_R,
+      [CORE_ELEMENTWISE_SLOPE] = CORE_QUANTITY_SLOPE,
       [CORE_ELEMENTWISE_S] = CORE_QUANTITY_S,
+      [CORE_ELEMENTWISE_TRANSFER] = CORE_QUANTITY_TRANSFER,
   };
   const core_parameters parameters = parameters_of(one);
   core_profile profile;
