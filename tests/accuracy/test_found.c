@@ -259,6 +259,88 @@ UNIT_TEST(S_is_right_next_to_the_critical_angle) {
   assert_true(worst <= 1 && beyond > 1000);
 }
 
+/* Returns a radius where ln R has a value, from 1e-45 to 1e6 mean free paths. */
+static double radius_of(const core_profile *profile, double ln_R) {
+  const double mfp_mm = 1 / core_sigma_t_prime(&profile->medium);
+  double least = 1e-45 * mfp_mm, most = 1e6 * mfp_mm;
+  for (int i = 0; i < 80; i++) {
+    const double r = sqrt(least) * sqrt(most);
+    *(unit_value_at(profile, CORE_QUANTITY_LN_R, r) > ln_R ? &least : &most) = r;
+  }
+  return least;
+}
+
+/* Around the largest and the smallest numbers of each precision, for media of all densities: values
+ * are infinite where they are larger than the largest number and nowhere else, and they underflow
+ * gradually. */
+UNIT_TEST(values_are_right_next_to_the_largest_and_smallest_numbers) {
+  static const double per_mm[] = {1e-3, 1, 1e8, 1e9, 1e10};
+  static const double f64[] = {709.79, 709.77, -708.3, -712, -730, -742};
+  static const double f32[] = {88.73, 88.71, -87.2, -90, -96, -102};
+  static form_model form;
+  size_t compared = 0;
+  double worst = 0;
+  for (int i = 0; i < 23 * 5 * 2; i++) {
+    const unsigned model = CORE_MODEL_CLASSICAL + (unsigned)(i / 10);
+    const bool single = i % 2 == 1;
+    const double sigma = per_mm[i / 2 % 5];
+    const core_medium medium = {0.1 * sigma, sigma, 0, 1.4};
+    const core_parameters parameters = parameters_of(&(struct found){0});
+    core_profile wide, profile;
+    unit_assert_fault(core_profile_prepare(&wide, core_isa_select(NULL), model, 1,
+                                           CORE_EVALUATOR_F64, &medium, &parameters),
+                      NULL, 0);
+    unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model, 1,
+                                           single ? CORE_EVALUATOR_F32 : CORE_EVALUATOR_F64,
+                                           &medium, &parameters),
+                      NULL, 0);
+    form_prepare(&form, model, 1, &medium, &parameters);
+    for (int k = 0; k < 6; k++) {
+      const double found = radius_of(&wide, single ? f32[k] : f64[k]);
+      const double r = single ? (double)(float)found : found;
+      const form_values at = form_at(&form, r, false);
+      for (int s = 0; s < 2 && r > 0; s++) {
+        const double value = unit_value_at(&profile, s ? CORE_QUANTITY_S : CORE_QUANTITY_R, r);
+        const enum core_elementwise quantity = s ? CORE_ELEMENTWISE_S : CORE_ELEMENTWISE_R;
+        const double share =
+            form_share(&form, &profile, quantity, r, value, form_truth(&form, at, quantity, r), 0);
+        if (!(share <= 1)) {
+          fail_msg("model %u, %s, sigma_s %g, %s at %.17g: %.17g, %.3f of what is stated", model,
+                   single ? "f32" : "f64", sigma, s ? "S" : "R", r, value, share);
+        }
+        worst = fmax(worst, share);
+        compared++;
+      }
+    }
+    core_profile_free(&wide);
+    core_profile_free(&profile);
+  }
+  printf("the largest and smallest numbers: %zu values, at most %.3f of what is stated\n", compared,
+         worst);
+  assert_true(compared > 2000);
+}
+
+/* A cdf that has reached 1 stays there. It once stepped back by an epsilon. */
+UNIT_TEST(a_cdf_never_exceeds_1_and_stays_there) {
+  for (const core_choice *model = core_models; model->name != NULL; model++) {
+    for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
+      const core_medium medium = {0.3, 1, 0, 1.4};
+      const core_parameters parameters = unit_parameters(model->id, &medium);
+      core_profile profile;
+      unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model->id, 1,
+                                             evaluator->id, &medium, &parameters),
+                        NULL, 0);
+      double before = 0;
+      for (double r = 0.5 * profile.scale_mm; r < 1e3 * profile.scale_mm; r *= 1.0003) {
+        const double cdf = unit_value_at(&profile, CORE_QUANTITY_CDF, (double)(float)r);
+        assert_true(cdf <= 1 && (before < 1 || cdf == 1));
+        before = cdf;
+      }
+      core_profile_free(&profile);
+    }
+  }
+}
+
 /* An albedo that has underflowed to 0 has no cdf: it is 0 at infinity, too (core.h). */
 UNIT_TEST(an_albedo_that_has_underflowed_has_no_cdf) {
   const core_medium medium = {1.115581921955049e-06, .0015423923707965296, -.19034407250105878,
