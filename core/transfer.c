@@ -65,7 +65,7 @@ static double power(int i) {
 struct shared {
   const core_profile *profile;
   double wave[ONES + NEAR + WAVES]; /* the filtered J0 at 2^((i - ONES - NEAR) / STEPS) */
-  double energy[NODES];             /* 2 pi h r^2 R at r = 2^((base + i) / STEPS) */
+  double energy[NODES];             /* 2 pi h r^2 R at r = 2^((base + i) / STEPS), see is_faint() */
   int base;
   int first, end;   /* the nodes whose energy is known */
   int least;        /* the node from which on R matters if k is small */
@@ -109,17 +109,27 @@ static void begin(struct shared *shared, const core_profile *profile) {
   shared->least = first_node(profile);
 }
 
+/* Whether R may have underflowed where the energy has not: it comes from ln R then, and is divided
+ * by the albedo. */
+static bool is_faint(const core_profile *profile) {
+  return profile->albedo < 1e-200;
+}
+
 static void fill(struct shared *shared, int first, int end) {
   enum { CHUNK = 256 };
+  const bool faint = is_faint(shared->profile);
+  const double ln_albedo = real_log(real_max(shared->profile->albedo, 0x1p-1074) * 0x1p200, -200);
   double r[CHUNK], R[CHUNK];
   for (int done = first; done < end; done += CHUNK) {
     const int n = end - done < CHUNK ? end - done : CHUNK;
     for (int i = 0; i < n; i++) {
       r[i] = power(done + i);
     }
-    core_evaluate(shared->profile, CORE_QUANTITY_R, (size_t)n, r, R);
+    core_evaluate(shared->profile, faint ? CORE_QUANTITY_LN_R : CORE_QUANTITY_R, (size_t)n, r, R);
     for (int i = 0; i < n; i++) {
-      shared->energy[done + i - shared->base] = 2 * PI * LN2 / STEPS * r[i] * R[i] * r[i];
+      const double squared =
+          faint ? real_exp_signed(R[i] + 2 * real_log(r[i], 0) - ln_albedo) : r[i] * R[i] * r[i];
+      shared->energy[done + i - shared->base] = 2 * PI * LN2 / STEPS * squared;
     }
   }
 }
@@ -184,11 +194,12 @@ static double transform(struct shared *shared, double k) {
 
 void core_transfer(const core_profile *profile, size_t n, const double *f, double *out) {
   struct shared shared;
+  const double unit = is_faint(profile) ? profile->albedo : 1;
   begin(&shared, profile);
   for (size_t i = 0; i < n; i++) {
     const double k = 2 * PI * f[i], scaled = k * profile->scale_mm;
     out[i] = scaled <= SLOWEST                         ? profile->albedo
-             : scaled < FASTEST && profile->albedo > 0 ? real_max(transform(&shared, k), 0)
+             : scaled < FASTEST && profile->albedo > 0 ? real_max(transform(&shared, k), 0) * unit
                                                        : 0;
   }
 }

@@ -154,6 +154,15 @@ static const struct found {
      CORE_ELEMENTWISE_TRANSFER,
      1053741824},
     {12, 1, {.1, 1, -.9999999999999, 1.4}, 0, 0, CORE_ELEMENTWISE_TRANSFER, .02},
+    /* and where R has underflowed, but its integral has not */
+    {28,
+     2,
+     {.030696089341953087, .94027136305590608, 0, 1.1},
+     0,
+     2487.5903909224426,
+     CORE_ELEMENTWISE_TRANSFER,
+     .004449791248148348},
+    {26, 1, {1, 1, 0, 1.3}, 0, 300, CORE_ELEMENTWISE_TRANSFER, .002},
     {12, 1, {0, 1, .9999999999, 1.4}, 0, 0, CORE_ELEMENTWISE_TRANSFER, 1e-8},
     {12, 1, {0, 1, .9999999999, 1.4}, 0, 0, CORE_ELEMENTWISE_TRANSFER, 1},
 };
