@@ -129,43 +129,97 @@ static struct digits shortest(uint64_t significand, int exponent, bool power_of_
 
 /* ---- text ------------------------------------------------------------------------------------ */
 
-/* Two digits at a time. */
-static size_t write_integer(uint64_t integer, char *text) {
-  static const char pairs[] = "00010203040506070809101112131415161718192021222324"
-                              "25262728293031323334353637383940414243444546474849"
-                              "50515253545556575859606162636465666768697071727374"
-                              "75767778798081828384858687888990919293949596979899";
-  char reversed[DECIMAL_BYTES], *at = reversed + sizeof reversed;
-  for (; integer >= 100; integer /= 100) {
-    at -= 2;
-    memcpy(at, pairs + 2 * (integer % 100), 2);
-  }
-  at -= 2;
-  memcpy(at, pairs + 2 * integer, 2);
-  at += integer < 10;
-  const size_t count = (size_t)(reversed + sizeof reversed - at);
-  memcpy(text, at, count);
-  return count;
+/* Returns the eight digits of a number below 10^8 as bytes, the first digit in the lowest byte. It
+ * splits the number into halves, pairs and digits, all parts of a word at the same time. A product
+ * with 10486 / 2^20 is the quotient by 100 for numbers below 10000, and one with 103 / 2^10 the
+ * quotient by 10 for numbers below 100. */
+static inline uint64_t eight_digits(uint64_t number) {
+  const uint64_t halves = number / 10000 | (number % 10000) << 32;
+  const uint64_t hundreds = (halves * 10486 >> 20) & UINT64_C(0x7f0000007f);
+  const uint64_t pairs = hundreds | (halves - 100 * hundreds) << 16;
+  const uint64_t tens = (pairs * 103 >> 10) & UINT64_C(0x000f000f000f000f);
+  return tens | (pairs - 10 * tens) << 8;
 }
 
-/* Returns the length of d.ddde-5 for digits whose first one stands for 10^exponent. */
+/* 17 digits, as many as a shortest decimal has at most, the first of which is not 0. They stay in
+ * registers until they have their places: a load that spans two stores would wait for both. */
+struct text {
+  uint64_t words[3]; /* characters, the first in the lowest byte, with zeros behind */
+  size_t count;      /* digits up to the last that is not 0 */
+  int exponent;      /* the first digit stands for 10^exponent */
+};
+
+/* decimal: of a positive integer below 10^17 */
+static struct text make_text(struct digits decimal) {
+  static const uint64_t tens[] = {1,
+                                  10,
+                                  100,
+                                  1000,
+                                  10000,
+                                  100000,
+                                  1000000,
+                                  10000000,
+                                  100000000,
+                                  1000000000,
+                                  10000000000,
+                                  100000000000,
+                                  1000000000000,
+                                  10000000000000,
+                                  100000000000000,
+                                  1000000000000000,
+                                  10000000000000000,
+                                  100000000000000000};
+  const uint64_t zeros = UINT64_C(0x3030303030303030);
+  int digits = (64 - __builtin_clzll(decimal.integer)) * 1233 >> 12; /* log10(2) = 1233 / 2^12 */
+  digits += decimal.integer >= tens[digits];
+  const uint64_t integer = decimal.integer * tens[17 - digits];
+  const uint64_t top = integer / tens[16];
+  const uint64_t middle = eight_digits(integer / tens[8] % tens[8]);
+  const uint64_t low = eight_digits(integer % tens[8]);
+  const uint64_t first = top | middle << 8, second = middle >> 56 | low << 8, third = low >> 56;
+  const size_t in_first = sizeof first - (size_t)__builtin_clzll(first) / 8;
+  const size_t in_second = 2 * sizeof first - (size_t)__builtin_clzll(second | 1) / 8;
+  return (struct text){{first | zeros, second | zeros, third | zeros},
+                       third != 0    ? 17
+                       : second != 0 ? in_second
+                                     : in_first,
+                       decimal.exponent + digits - 1};
+}
+
+/* Returns a word with a point in place of its character `at`, and the later ones one place up. */
+static uint64_t with_point(uint64_t word, unsigned at) {
+  const uint64_t point = (uint64_t)'.' << at % 8 * 8, before = (UINT64_C(1) << at % 8 * 8) - 1;
+  return (word & before) | point | (word & ~before) << 8;
+}
+
+/* Puts a point behind so many digits, 1 to 16. */
+static void add_point(struct text *text, unsigned digits) {
+  const uint64_t first = text->words[0], second = text->words[1], third = text->words[2];
+  text->words[0] = digits < 8 ? with_point(first, digits) : first;
+  text->words[1] = digits < 8    ? second << 8 | first >> 56
+                   : digits < 16 ? with_point(second, digits)
+                                 : second;
+  text->words[2] = digits < 16 ? third << 8 | second >> 56 : with_point(third, digits);
+}
+
+/* Returns the length of d.ddde-5. */
 static size_t scientific_length(size_t count, int exponent) {
   const int size = exponent < 0 ? -exponent : exponent;
   return count + (count > 1) + 1 + (exponent < 0) + (size < 10 ? 1 : size < 100 ? 2 : 3);
 }
 
-static void write_scientific(const char *digits, size_t count, int exponent, char *text) {
-  *text++ = digits[0];
-  if (count > 1) {
-    *text++ = '.';
-    memcpy(text, digits + 1, count - 1);
-    text += count - 1;
-  }
-  *text++ = 'e';
-  if (exponent < 0) {
-    *text++ = '-';
-  }
-  write_integer((uint64_t)(exponent < 0 ? -exponent : exponent), text);
+/* length: of the text */
+static void write_scientific(struct text *from, size_t length, char *text) {
+  int size = from->exponent < 0 ? -from->exponent : from->exponent;
+  char *at = text + from->count + (from->count > 1), *end = text + length;
+  add_point(from, 1);
+  memcpy(text, from->words, sizeof from->words);
+  *at++ = 'e';
+  *at = '-';
+  do {
+    *--end = (char)('0' + size % 10);
+    size /= 10;
+  } while (size > 0);
 }
 
 /* Returns the length of 0.00123, 123000 or 12.3. */
@@ -174,37 +228,30 @@ static size_t plain_length(size_t count, int exponent) {
   return whole == 0 ? count + 1 + (size_t)-exponent : count > whole ? count + 1 : whole;
 }
 
-static void write_plain(const char *digits, size_t count, int exponent, char *text) {
-  const size_t whole = exponent < 0 ? 0 : (size_t)exponent + 1;
+/* exponent: from -5 to 15 */
+static void write_plain(struct text *from, char *text) {
+  const size_t whole = from->exponent < 0 ? 0 : (size_t)from->exponent + 1;
   if (whole == 0) {
-    memset(text, '0', (size_t)-exponent + 1);
-    text[1] = '.';
-    memcpy(text + 1 - exponent, digits, count);
-  } else if (count <= whole) {
-    memcpy(text, digits, count);
-    memset(text + count, '0', whole - count);
-  } else {
-    memcpy(text, digits, whole);
-    text[whole] = '.';
-    memcpy(text + whole + 1, digits + whole, count - whole);
+    memcpy(text, "0.0000", 6);
+    text += 1 - from->exponent;
+  } else if (from->count > whole) {
+    add_point(from, (unsigned)whole);
   }
+  memcpy(text, from->words, sizeof from->words);
 }
 
-/* Writes a positive and finite decimal. The plain form is taken unless it is longer. */
+/* Writes a positive and finite decimal. The plain form is taken unless it is longer. Returns its
+ * length; behind it are characters of no meaning. */
 static size_t write_decimal(struct digits decimal, char *text) {
-  char digits[DECIMAL_BYTES];
-  size_t count = write_integer(decimal.integer, digits);
-  const int exponent = decimal.exponent + (int)count - 1;
-  while (count > 1 && digits[count - 1] == '0') {
-    count--;
-  }
-  const size_t scientific = scientific_length(count, exponent);
-  const size_t plain = exponent < -5 || exponent > 15 ? SIZE_MAX : plain_length(count, exponent);
+  struct text made = make_text(decimal);
+  const size_t scientific = scientific_length(made.count, made.exponent);
+  const size_t plain =
+      made.exponent < -5 || made.exponent > 15 ? SIZE_MAX : plain_length(made.count, made.exponent);
   if (plain > scientific) {
-    write_scientific(digits, count, exponent, text);
+    write_scientific(&made, scientific, text);
     return scientific;
   }
-  write_plain(digits, count, exponent, text);
+  write_plain(&made, text);
   return plain;
 }
 

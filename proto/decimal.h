@@ -6,7 +6,7 @@
 #include <stdbool.h>
 #include <stddef.h>
 
-enum { DECIMAL_BYTES = 32 };
+enum { DECIMAL_BYTES = 40 }; /* more than the longest text, which has 24 bytes */
 
 /* Writes the shortest decimal that reads back to the value, and of the shortest ones the nearest:
  * 0.032, 1e-9, 123000, -0. Infinities are "inf" and "-inf"; a NaN is "nan". Returns the length; a

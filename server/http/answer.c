@@ -28,15 +28,14 @@ static double get_f64(const uint8_t *at) {
 }
 
 /* Writes a choice by its name, or the names of a sum of choices. */
-static void write_choice(struct http_text *text, const char *name, const core_choice *list,
-                         bool bits, unsigned number) {
-  const core_choice *entry = bits ? NULL : core_choice_by_id(list, number);
-  if (!bits) {
-    http_text_string(text, name, entry != NULL ? entry->name : "");
+static void write_choice(struct http_text *text, const struct http_field *field, unsigned number) {
+  const core_choice *entry = field->bits ? NULL : core_choice_by_id(field->choices, number);
+  if (!field->bits) {
+    http_text_string(text, field->name, entry != NULL ? entry->name : "");
     return;
   }
-  http_text_begin(text, name, '[');
-  for (entry = list; entry->name != NULL; entry++) {
+  http_text_begin(text, field->name, '[');
+  for (entry = field->choices; entry->name != NULL; entry++) {
     if ((entry->id & number) != 0) {
       http_text_string(text, NULL, entry->name);
     }
@@ -54,11 +53,9 @@ static void write_one(struct http_text *text, const char *key, enum http_kind ki
 }
 
 static void write_field(struct http_text *text, const struct http_field *field, const uint8_t *at) {
-  bool bits;
-  const size_t bytes = http_field_bytes(field) / field->count;
-  const core_choice *list = http_choices_of(field->name, &bits);
-  if (list != NULL) {
-    write_choice(text, field->name, list, bits, (unsigned)get_le(at, bytes));
+  const size_t bytes = field->bytes / field->count;
+  if (field->choices != NULL) {
+    write_choice(text, field, (unsigned)get_le(at, bytes));
   } else if (field->kind == HTTP_text) {
     char string[129];
     assert(field->count < sizeof string);
@@ -82,10 +79,10 @@ static const uint8_t *write_fields(struct http_text *text, const struct http_fie
   for (; fields->name != NULL; fields++) {
     if (fields->kind == HTTP_f64 && fields->count == 1) { /* never internal or a choice */
       http_text_number(text, fields->name, get_f64(at));
-    } else if (!http_is_internal(fields->name)) {
+    } else if (!fields->internal) {
       write_field(text, fields, at);
     }
-    at += http_field_bytes(fields);
+    at += fields->bytes;
   }
   return at;
 }
@@ -101,9 +98,8 @@ static const uint8_t *write_object(struct http_text *text, const char *key,
 /* Writes the units of those fields that have one. */
 static void write_units(struct http_text *text, const struct http_field *fields) {
   for (; fields->name != NULL; fields++) {
-    const char *unit = http_unit_of(fields);
-    if (unit != NULL) {
-      http_text_string(text, fields->name, unit);
+    if (fields->unit != NULL) {
+      http_text_string(text, fields->name, fields->unit);
     }
   }
 }

@@ -49,6 +49,7 @@ struct http_connection {
   struct route route;
   struct http_text body;    /* of the request, as far as it has arrived */
   struct http_text payload; /* of the frame that asks the same */
+  struct http_text answer;  /* which the library sends from where it is */
 
   struct input input;
   struct output output;
@@ -95,6 +96,7 @@ static void open_connection(struct http_host *host, struct MHD_Connection *handl
   c->fd = host->library.get_connection_info(handle, MHD_CONNECTION_INFO_CONNECTION_FD)->connect_fd;
   http_text_init(&c->body, host->server);
   http_text_init(&c->payload, host->server);
+  http_text_init(&c->answer, host->server);
   input_init(&c->input, host->server);
   output_init(&c->output, host->server);
   requests_init(&c->requests, &c->input, &c->output, on_wake, c);
@@ -105,7 +107,8 @@ static void open_connection(struct http_host *host, struct MHD_Connection *handl
 
 static void forget_request(struct http_connection *c) {
   http_text_free(&c->body);
-  http_text_free(&c->payload);
+  http_text_reset(&c->payload);
+  http_text_reset(&c->answer);
   free(c->uri);
   c->uri = NULL;
 }
@@ -113,6 +116,8 @@ static void forget_request(struct http_connection *c) {
 /* The library closes no connection whose job runs, so the client is in no queue of the worker. */
 static void close_connection(struct http_connection *c) {
   forget_request(c);
+  http_text_free(&c->payload);
+  http_text_free(&c->answer);
   requests_drop(&c->requests);
   input_free(&c->input);
   output_free(&c->output);
@@ -153,12 +158,6 @@ void http_connection_complete(void *context, struct MHD_Connection *connection, 
 
 /* ---- sending --------------------------------------------------------------------------------- */
 
-static void free_text(void *context) {
-  struct http_text *text = context;
-  http_text_free(text);
-  free(text);
-}
-
 static void add_headers(const struct http_connection *c, struct MHD_Response *response,
                         unsigned status, uint32_t retry_after_ms) {
   const struct http_library *http = &c->host->library;
@@ -183,22 +182,16 @@ static void add_headers(const struct http_connection *c, struct MHD_Response *re
   }
 }
 
-/* Sends a text, which it takes over. If there is no memory, closes the connection. */
+/* Sends the answer that has been written. If there was no memory for it, closes the connection. */
 static enum MHD_Result send_text(struct http_connection *c, unsigned status,
-                                 uint32_t retry_after_ms, struct http_text *text) {
+                                 uint32_t retry_after_ms) {
   const struct http_library *http = &c->host->library;
-  struct http_text *kept = malloc(sizeof *kept);
   c->state = ANSWERED;
-  if (text->failed || kept == NULL) {
-    http_text_free(text);
-    free(kept);
-    return MHD_NO;
-  }
-  *kept = *text;
-  struct MHD_Response *response = http->create_response_from_buffer_with_free_callback_cls(
-      kept->count, kept->bytes, free_text, kept);
+  struct MHD_Response *response =
+      c->answer.failed ? NULL
+                       : http->create_response_from_buffer(c->answer.count, c->answer.bytes,
+                                                           MHD_RESPMEM_PERSISTENT);
   if (response == NULL) {
-    free_text(kept);
     return MHD_NO;
   }
   add_headers(c, response, status, retry_after_ms);
@@ -210,11 +203,10 @@ static enum MHD_Result send_text(struct http_connection *c, unsigned status,
 /* Sends an error. status: 0 for the one that proto/statuses.def gives it. */
 static enum MHD_Result send_error(struct http_connection *c, const wire_error *error,
                                   unsigned status) {
-  struct http_text text;
-  http_text_init(&text, c->host->server);
   health_note_refusal(c->host->server, error);
-  const unsigned usual = http_answer_write_error(error, &text);
-  return send_text(c, status != 0 ? status : usual, error->retry_after_ms, &text);
+  http_text_free(&c->answer); /* what was written so far */
+  const unsigned usual = http_answer_write_error(error, &c->answer);
+  return send_text(c, status != 0 ? status : usual, error->retry_after_ms);
 }
 
 static wire_error refuse(enum wire_status status, const char *field, const char *allowed) {
@@ -242,14 +234,14 @@ static void give_up(struct http_connection *c) {
   output_init(&c->output, c->host->server);
 }
 
-static void write_reply(const struct http_connection *c, const uint8_t *payload, size_t bytes,
-                        struct http_text *text) {
+static void write_reply(struct http_connection *c, const uint8_t *payload, size_t bytes) {
   if (c->route.kind == LISTS) {
-    http_answer_write_models(payload, text);
+    http_answer_write_models(payload, &c->answer);
   } else if (c->route.kind == MEDIA) {
-    http_answer_write_media(payload, text);
+    http_answer_write_media(payload, &c->answer);
   } else {
-    http_answer_write(c->route.message, (const uint8_t *)c->payload.bytes, payload, bytes, text);
+    http_answer_write(c->route.message, (const uint8_t *)c->payload.bytes, payload, bytes,
+                      &c->answer);
   }
 }
 
@@ -257,28 +249,20 @@ static void write_reply(const struct http_connection *c, const uint8_t *payload,
 static enum MHD_Result send_answer(struct http_connection *c) {
   uv_buf_t frame;
   wire_header header;
-  wire_error error;
-  struct http_text text;
+  wire_error error = wire_error_busy("max_total_bytes", "less at a time", 1000);
   if (output_buffers(&c->output, &frame, 1) == 0 || c->requests.no_room) {
-    error = wire_error_busy("max_total_bytes", "less at a time", 1000);
     return send_error(c, &error, 0);
   }
   wire_get_header((const uint8_t *)frame.base, &header);
   const uint8_t *payload = (const uint8_t *)frame.base + WIRE_BYTES_header;
-  if (header.type == WIRE_TYPE_ERROR) {
+  const bool refused = header.type == WIRE_TYPE_ERROR;
+  if (refused) {
     wire_get_error(payload, &error);
-    output_consume(&c->output, WIRE_BYTES_header + header.payload_bytes);
-    return send_error(c, &error, 0);
+  } else {
+    write_reply(c, payload, header.payload_bytes);
   }
-  http_text_init(&text, c->host->server);
-  write_reply(c, payload, header.payload_bytes, &text);
   output_consume(&c->output, WIRE_BYTES_header + header.payload_bytes);
-  if (text.failed) {
-    http_text_free(&text);
-    error = wire_error_busy("max_total_bytes", "less at a time", 1000);
-    return send_error(c, &error, 0);
-  }
-  return send_text(c, MHD_HTTP_OK, 0, &text);
+  return refused || c->answer.failed ? send_error(c, &error, 0) : send_text(c, MHD_HTTP_OK, 0);
 }
 
 /* ---- the job --------------------------------------------------------------------------------- */
@@ -389,21 +373,26 @@ static bool find_route(const char *url, struct route *route) {
   return false;
 }
 
-static enum MHD_Result answer_message(struct http_connection *c) {
-  wire_error error = wire_error_none();
-  uint32_t deadline_ms = 0;
+/* Translates a request into the payload of a frame. */
+static wire_error translate(struct http_connection *c, uint32_t *deadline_ms) {
   const char *query = c->uri != NULL ? strchr(c->uri, '?') : NULL;
-  json_t *object =
+  struct http_values values;
+  wire_error error =
       c->has_body
-          ? http_question_parse(c->body.bytes != NULL ? c->body.bytes : "", c->body.count,
-                                (size_t)options_of(c)->max_part_bytes / BRACKET_BYTES, &error)
-          : http_question_parse_query(query != NULL ? query + 1 : "", &error);
-  if (object != NULL) {
-    error =
-        http_question_translate(c->route.message, object, !c->has_body, &c->payload, &deadline_ms);
-    json_decref(object);
+          ? http_values_parse(&values, c->body.bytes != NULL ? c->body.bytes : "", c->body.count,
+                              (size_t)options_of(c)->max_part_bytes / BRACKET_BYTES)
+          : http_values_parse_query(&values, query != NULL ? query + 1 : "");
+  if (error.status == WIRE_STATUS_OK) {
+    error = http_question_translate(c->route.message, &values, &c->payload, deadline_ms);
+    http_values_free(&values);
   }
   http_text_free(&c->body);
+  return error;
+}
+
+static enum MHD_Result answer_message(struct http_connection *c) {
+  uint32_t deadline_ms = 0;
+  wire_error error = translate(c, &deadline_ms);
   if (error.status == WIRE_STATUS_OK && c->payload.count > options_of(c)->max_part_bytes) {
     error = too_large(c, "body");
   }
@@ -416,29 +405,25 @@ static enum MHD_Result answer_message(struct http_connection *c) {
 }
 
 static enum MHD_Result send_health(struct http_connection *c, enum health health) {
-  struct http_text text;
-  http_text_init(&text, c->host->server);
-  http_text_begin(&text, NULL, '{');
-  http_text_string(&text, "status", health_name(health));
+  http_text_begin(&c->answer, NULL, '{');
+  http_text_string(&c->answer, "status", health_name(health));
   if (health_reason(health)[0] != '\0') {
-    http_text_string(&text, "reason", health_reason(health));
+    http_text_string(&c->answer, "reason", health_reason(health));
   }
-  http_text_end(&text, '}');
-  return send_text(c, health == HEALTH_OK ? MHD_HTTP_OK : MHD_HTTP_SERVICE_UNAVAILABLE, 0, &text);
+  http_text_end(&c->answer, '}');
+  return send_text(c, health == HEALTH_OK ? MHD_HTTP_OK : MHD_HTTP_SERVICE_UNAVAILABLE, 0);
 }
 
 static enum MHD_Result answer(struct http_connection *c) {
   static const wire_hello_request hello = {WIRE_VERSION, WIRE_VERSION, 0};
-  struct http_text text;
-  http_text_init(&text, c->host->server);
   switch (c->route.kind) {
   case HEALTH:
     return send_health(c, health_of(c->host->server));
   case READINESS:
     return send_health(c, health_readiness(c->host->server));
   case DOCUMENT:
-    http_openapi_write(&text);
-    return send_text(c, MHD_HTTP_OK, 0, &text);
+    http_openapi_write(&c->answer);
+    return send_text(c, MHD_HTTP_OK, 0);
   case LISTS: {
     uint8_t bytes[WIRE_BYTES_hello_request];
     wire_put_hello_request(bytes, &hello);
@@ -519,15 +504,11 @@ static enum MHD_Result take_body(struct http_connection *c, const char *body, si
 
 /* Answers a request that has arrived completely. */
 static enum MHD_Result take_end(struct http_connection *c) {
-  struct http_text empty;
   if (c->refused == 0) {
     return answer(c);
   }
-  if (c->refused != MHD_HTTP_NO_CONTENT) {
-    return send_error(c, &c->refusal, c->refused);
-  }
-  http_text_init(&empty, c->host->server);
-  return send_text(c, c->refused, 0, &empty);
+  return c->refused == MHD_HTTP_NO_CONTENT ? send_text(c, c->refused, 0)
+                                           : send_error(c, &c->refusal, c->refused);
 }
 
 enum MHD_Result http_connection_take(void *context, struct MHD_Connection *connection,
@@ -616,6 +597,8 @@ static void tick(struct client *client, uint64_t at_ms) {
   } else if (at_ms - c->since_ms > REST_MS) {
     input_release(&c->input);
     output_release(&c->output);
+    http_text_free(&c->payload);
+    http_text_free(&c->answer);
   }
 }
 

@@ -3,12 +3,14 @@
 #include <limits.h>
 #include <string.h>
 
-#define ONE(kind, field, meaning) {#field, HTTP_##kind, 1, meaning},
-#define ARRAY(kind, field, count, meaning) {#field, HTTP_##kind, count, meaning},
-#define TEXT(field, bytes, meaning) {#field, HTTP_text, bytes, meaning},
-#define WIRE_STRUCTURE(name, about)                                                                \
-  const struct http_field http_fields_of_##name[] = {                                              \
-      WIRE_FIELDS_##name(ONE, ARRAY, TEXT){NULL, HTTP_u16, 0, NULL}};
+#define FIELD(field, of, values, about)                                                            \
+  {.name = field, .kind = HTTP_##of, .count = values, .meaning = about},
+#define ONE(kind, field, meaning) FIELD(#field, kind, 1, meaning)
+#define ARRAY(kind, field, count, meaning) FIELD(#field, kind, count, meaning)
+#define TEXT(field, bytes, meaning) FIELD(#field, text, bytes, meaning)
+#define WIRE_STRUCTURE(structure, about)                                                           \
+  struct http_field http_fields_of_##structure[] = {                                               \
+      WIRE_FIELDS_##structure(ONE, ARRAY, TEXT){NULL}};
 #include "proto/messages.def"
 
 const struct http_message http_messages[] = {
@@ -68,16 +70,18 @@ const struct http_message http_messages[] = {
     {0, NULL, {NULL}, NULL, 0, false, NULL, {{NULL, NULL, NULL, NULL, HTTP_GIVEN}}},
 };
 
-size_t http_field_bytes(const struct http_field *field) {
+/* ---- completing the structures ---------------------------------------------------------------- */
+
+static size_t bytes_of(enum http_kind kind) {
   static const size_t bytes[] = {[HTTP_u16] = WIRE_SIZE_u16,
                                  [HTTP_u32] = WIRE_SIZE_u32,
                                  [HTTP_u64] = WIRE_SIZE_u64,
                                  [HTTP_f64] = WIRE_SIZE_f64,
                                  [HTTP_text] = 1};
-  return bytes[field->kind] * field->count;
+  return bytes[kind];
 }
 
-const core_choice *http_choices_of(const char *field, bool *bits) {
+static void find_choices(struct http_field *field) {
   static const struct {
     const char *field;
     const core_choice *list;
@@ -91,15 +95,14 @@ const core_choice *http_choices_of(const char *field, bool *bits) {
       {"notes", core_notes, true},
   };
   for (size_t i = 0; i < sizeof lists / sizeof lists[0]; i++) {
-    if (strcmp(lists[i].field, field) == 0) {
-      *bits = lists[i].bits;
-      return lists[i].list;
+    if (strcmp(lists[i].field, field->name) == 0) {
+      field->bits = lists[i].bits;
+      field->choices = lists[i].list;
     }
   }
-  return NULL;
 }
 
-const char *http_unit_of(const struct http_field *field) {
+static const char *unit_of(const struct http_field *field) {
   static const char *const units[] = {"1/mm", "mm", "ns"};
   for (size_t i = 0; i < sizeof units / sizeof units[0]; i++) {
     const size_t length = strlen(units[i]);
@@ -111,7 +114,7 @@ const char *http_unit_of(const struct http_field *field) {
   return NULL;
 }
 
-bool http_is_internal(const char *field) {
+static bool is_internal(const char *field) {
   static const char *const names[] = {
       "zero",         "zero_too",     "medium_count", "part",         "parameter_count",
       "part_count",   "radius_first", "set_first",    "medium_first", "channel_count",
@@ -122,4 +125,18 @@ bool http_is_internal(const char *field) {
     }
   }
   return false;
+}
+
+static void complete(struct http_field *fields) {
+  for (; fields->name != NULL; fields++) {
+    fields->bytes = bytes_of(fields->kind) * fields->count;
+    fields->internal = is_internal(fields->name);
+    fields->unit = unit_of(fields);
+    find_choices(fields);
+  }
+}
+
+void http_fields_init(void) {
+#define WIRE_STRUCTURE(name, about) complete(http_fields_of_##name);
+#include "proto/messages.def"
 }

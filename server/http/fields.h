@@ -13,25 +13,22 @@ struct http_field {
   enum http_kind kind;
   unsigned count; /* how many values, or bytes of text */
   const char *meaning;
+
+  /* http_fields_init() sets these. */
+  size_t bytes;               /* on the wire, of all values */
+  const core_choice *choices; /* the list that the field chooses from; NULL if it is a number */
+  bool bits;                  /* whether its value is a sum of entries of that list */
+  bool internal;    /* whether JSON leaves the field out: it is padding, or counts what is an array
+                  * there, or numbers the parts of a reply, which has one part there */
+  const char *unit; /* with which its meaning begins; NULL: none */
 };
 
-/* Returns the bytes that a field takes on the wire. */
-size_t http_field_bytes(const struct http_field *field);
-
 /* The structures: http_fields_of_eval_request and so on. */
-#define WIRE_STRUCTURE(name, about) extern const struct http_field http_fields_of_##name[];
+#define WIRE_STRUCTURE(name, about) extern struct http_field http_fields_of_##name[];
 #include "proto/messages.def"
 
-/* Returns the list that a field of this name chooses from, or NULL if it is a number. *bits is true
- * for a sum of entries. */
-const core_choice *http_choices_of(const char *field, bool *bits);
-
-/* Returns the unit with which a field's meaning begins, or NULL. */
-const char *http_unit_of(const struct http_field *field);
-
-/* Returns whether JSON leaves out a field, because it is padding, or counts what is an array there,
- * or numbers the parts of a reply, which has one part there. */
-bool http_is_internal(const char *field);
+/* Completes the structures. Call it once, before anything else of server/http. */
+void http_fields_init(void);
 
 /* A list of numbers at the end of a request. */
 struct http_list {

@@ -18,7 +18,6 @@
   HTTP_FUNCTION(suspend_connection)                                                                \
   HTTP_FUNCTION(resume_connection)                                                                 \
   HTTP_FUNCTION(create_response_from_buffer)                                                       \
-  HTTP_FUNCTION(create_response_from_buffer_with_free_callback_cls)                                \
   HTTP_FUNCTION(add_response_header)                                                               \
   HTTP_FUNCTION(queue_response)                                                                    \
   HTTP_FUNCTION(destroy_response)

@@ -54,10 +54,8 @@ static void write_scalar(struct http_text *text, enum http_kind kind) {
 
 /* Writes the members of a field's schema. */
 static void write_members(struct http_text *text, const struct http_field *field) {
-  bool bits;
-  const core_choice *list = http_choices_of(field->name, &bits);
-  if (list != NULL) {
-    write_choice(text, list, bits);
+  if (field->choices != NULL) {
+    write_choice(text, field->choices, field->bits);
   } else if (field->kind == HTTP_text || field->count == 1) {
     write_scalar(text, field->kind);
   } else {
@@ -79,7 +77,7 @@ static void write_property(struct http_text *text, const struct http_field *fiel
 
 static void write_properties(struct http_text *text, const struct http_field *fields) {
   for (; fields->name != NULL; fields++) {
-    if (!http_is_internal(fields->name)) {
+    if (!fields->internal) {
       write_property(text, fields);
     }
   }
@@ -141,7 +139,7 @@ static size_t list_request_fields(const struct http_message *message,
   size_t count = 0;
   for (int i = 0; i < HTTP_STRUCTURES && message->request[i] != NULL; i++) {
     for (const struct http_field *field = message->request[i]; field->name != NULL; field++) {
-      if (!http_is_internal(field->name) && !follows_from_list(message, field->name)) {
+      if (!field->internal && !follows_from_list(message, field->name)) {
         fields[count++] = (struct request_field){field->name, field, NULL, NULL};
       }
     }
@@ -342,7 +340,7 @@ static void write_components(struct http_text *text) {
   for (const struct http_field *field = http_fields_of_error; field->name != NULL; field++) {
     if (strcmp(field->name, "status") == 0) {
       http_text_raw(text, "status", "{\"type\":\"string\"}");
-    } else if (!http_is_internal(field->name)) {
+    } else if (!field->internal) {
       write_property(text, field);
     }
   }

@@ -1,15 +1,11 @@
 #include "server/http/question.h"
 
-#include <ctype.h>
-#include <errno.h>
 #include <limits.h>
 #include <math.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "proto/channels.h"
-#include "proto/decimal.h"
 
 #define USUAL_ETA 1.3 /* as in all clients */
 
@@ -25,223 +21,19 @@ static bool is_good(const wire_error *error) {
   return error->status == WIRE_STATUS_OK;
 }
 
-/* ---- JSON ------------------------------------------------------------------------------------ */
-
-enum { DEPTH_MAX = 4 };
-
-/* Checks how many brackets a text has, and how deep, so that a parser takes little memory. */
-static wire_error check_brackets(const char *bytes, size_t count, size_t brackets_max) {
-  size_t brackets = 0;
-  int depth = 0;
-  bool in_string = false;
-  for (size_t i = 0; i < count; i++) {
-    if (bytes[i] == '"') {
-      in_string = !in_string;
-    } else if (in_string) {
-      i += bytes[i] == '\\';
-    } else if (bytes[i] == '[' || bytes[i] == '{') {
-      brackets++;
-      depth++;
-    } else if (bytes[i] == ']' || bytes[i] == '}') {
-      depth--;
-    }
-    if (depth > DEPTH_MAX || brackets > brackets_max) {
-      return bad("body", depth > DEPTH_MAX
-                             ? "JSON that is nested 4 deep at most"
-                             : "fewer arrays and objects: a sixteenth of max_part_bytes");
-    }
-  }
-  return wire_error_none();
-}
-
-json_t *http_question_parse(const char *bytes, size_t count, size_t brackets_max,
-                            wire_error *error) {
-  json_error_t why;
-  char allowed[80];
-  *error = check_brackets(bytes, count, brackets_max);
-  if (!is_good(error)) {
-    return NULL;
-  }
-  json_t *object = json_loadb(bytes, count, JSON_REJECT_DUPLICATES, &why);
-  if (json_is_object(object)) {
-    return object;
-  }
-  if (object != NULL) {
-    json_decref(object);
-    *error = bad("body", "a JSON object");
-    return NULL;
-  }
-  /* What jansson quotes of the text may end in the middle of a character. */
-  char *quoted = strstr(why.text, " near '");
-  snprintf(allowed, sizeof allowed, "JSON (RFC 8259), which it is not at line %d: %.*s", why.line,
-           (int)(quoted != NULL ? quoted - why.text : 0), why.text);
-  *error = bad("body", allowed);
-  return NULL;
-}
-
-/* ---- queries --------------------------------------------------------------------------------- */
-
-static int digit_of(char character) {
-  return !isxdigit((unsigned char)character) ? -1
-         : character <= '9'                  ? character - '0'
-                                             : (character | 0x20) - 'a' + 10;
-}
-
-/* Decodes %XX in place. Returns false if it finds another escape, or an escaped zero byte. */
-static bool unescape(char *text) {
-  char *to = text;
-  for (const char *at = text; *at != '\0'; at++) {
-    if (*at != '%') {
-      *to++ = *at;
-      continue;
-    }
-    const int high = digit_of(at[1]), low = high < 0 ? -1 : digit_of(at[2]);
-    if (low < 0 || high + low == 0) {
-      return false;
-    }
-    *to++ = (char)(high << 4 | low);
-    at += 2;
-  }
-  *to = '\0';
-  return true;
-}
-
-/* Makes a text, or a list of texts if there is a comma. Returns NULL if it is not UTF-8. */
-static json_t *make_value(char *text) {
-  if (strchr(text, ',') == NULL) {
-    return json_string(text);
-  }
-  json_t *list = json_array();
-  char *rest = text, *item;
-  while ((item = strsep(&rest, ",")) != NULL) {
-    if (json_array_append_new(list, json_string(item)) != 0) {
-      json_decref(list);
-      return NULL;
-    }
-  }
-  return list;
-}
-
-static wire_error add_pair(json_t *object, char *pair) {
-  char *value = strchr(pair, '=');
-  if (value == NULL) {
-    return bad("query", "NAME=VALUE, with & between them");
-  }
-  *value++ = '\0';
-  if (!unescape(pair) || !unescape(value)) {
-    return bad("query", "escapes %01 to %FF");
-  }
-  if (json_object_get(object, pair) != NULL) {
-    return bad("query", "each name at most once");
-  }
-  return json_object_set_new(object, pair, make_value(value)) == 0
-             ? wire_error_none()
-             : bad("query", "names and values in UTF-8");
-}
-
-json_t *http_question_parse_query(const char *query, wire_error *error) {
-  char *copy = strdup(query), *rest = copy, *pair;
-  json_t *object = json_object();
-  *error = copy != NULL && object != NULL ? wire_error_none() : no_memory();
-  while (is_good(error) && (pair = strsep(&rest, "&")) != NULL) {
-    if (*pair != '\0') {
-      *error = add_pair(object, pair);
-    }
-  }
-  free(copy);
-  if (!is_good(error)) {
-    json_decref(object);
-    return NULL;
-  }
-  return object;
-}
-
-/* ---- values ---------------------------------------------------------------------------------- */
+/* ---- the payload ----------------------------------------------------------------------------- */
 
 struct question {
   const struct http_message *message;
-  const json_t *object;
-  bool texts;
+  const struct http_values *values;
   struct http_text *payload;
   uint32_t medium_count;
   uint32_t parameter_count;
 };
 
-/* A value that is no array counts as an array of one. */
-static size_t length_of(const json_t *value) {
-  return json_is_array(value) ? json_array_size(value) : 1;
+static struct http_value get(const struct question *q, const char *name) {
+  return http_values_get(q->values, name);
 }
-
-static const json_t *item_of(const json_t *value, size_t index) {
-  return json_is_array(value) ? json_array_get(value, index) : value;
-}
-
-static wire_error read_number(const struct question *q, const char *field, const json_t *value,
-                              double *number) {
-  const char *text = json_string_value(value);
-  *number = (double)NAN;
-  if (json_is_number(value)) {
-    *number = json_number_value(value);
-  } else if (text != NULL && (q->texts || strcmp(text, "inf") == 0 || strcmp(text, "-inf") == 0) &&
-             !decimal_read(text, number)) {
-    *number = (double)NAN;
-  }
-  return isnan(*number) ? bad(field, "a number, or the text inf or -inf") : wire_error_none();
-}
-
-static wire_error read_count(const char *field, const json_t *value, uint64_t most,
-                             uint64_t *number) {
-  const char *text = json_string_value(value);
-  char allowed[80];
-  bool good = false;
-  if (json_is_integer(value)) {
-    good = json_integer_value(value) >= 0;
-    *number = (uint64_t)json_integer_value(value);
-  } else if (text != NULL && *text != '\0' && text[strspn(text, "0123456789")] == '\0') {
-    errno = 0;
-    *number = strtoull(text, NULL, 10);
-    good = errno == 0;
-  }
-  if (good && *number <= most) {
-    return wire_error_none();
-  }
-  snprintf(allowed, sizeof allowed, "an integer from 0 to %llu", (unsigned long long)most);
-  return bad(field, allowed);
-}
-
-/* Reads one entry of a list by its name or id. */
-static wire_error read_entry(const char *field, const core_choice *list, const json_t *value,
-                             bool bits, uint64_t *id) {
-  const char *name = json_string_value(value);
-  const core_choice *entry = name != NULL ? core_choice_by_name(list, name) : NULL;
-  if (entry == NULL) {
-    const wire_error error = read_count(field, value, UINT16_MAX, id);
-    entry = is_good(&error) ? core_choice_by_id(list, (unsigned)*id) : NULL;
-  }
-  if (entry == NULL) {
-    return wire_error_not_in_list(field, list, bits ? "a sum of" : "one of");
-  }
-  *id = entry->id;
-  return wire_error_none();
-}
-
-static wire_error read_choice(const char *field, const core_choice *list, const json_t *value,
-                              bool bits, uint64_t *number) {
-  wire_error error = wire_error_none();
-  *number = 0;
-  if (!bits && json_is_array(value)) {
-    return bad(field, "one entry of its list");
-  }
-  for (size_t i = 0; is_good(&error) && i < length_of(value); i++) {
-    uint64_t id = 0;
-    error = read_entry(field, list, item_of(value, i), bits, &id);
-    error.index = i;
-    *number |= id;
-  }
-  return error;
-}
-
-/* ---- the payload ----------------------------------------------------------------------------- */
 
 /* Writes a number of so many bytes, the lowest first. */
 static void put_le(uint8_t *at, uint64_t number, size_t bytes) {
@@ -286,17 +78,18 @@ static wire_error add_measured(struct question *q, const char *name) {
   return error;
 }
 
-/* Reads coefficients from an object whose members are numbers, or element `index` of lists. */
-static wire_error read_coefficients(const struct question *q, const json_t *object, size_t index,
+/* The coefficients of a medium, in the order of their fields. */
+enum { COEFFICIENTS = 4 };
+
+/* Reads coefficients, the next element of each. */
+static wire_error read_coefficients(struct http_elements elements[COEFFICIENTS], size_t index,
                                     wire_medium *medium) {
-  double *const to[] = {&medium->sigma_a, &medium->sigma_s, &medium->g, &medium->eta};
+  double *const to[COEFFICIENTS] = {&medium->sigma_a, &medium->sigma_s, &medium->g, &medium->eta};
   wire_error error = wire_error_none();
-  for (int i = 0; is_good(&error) && http_fields_of_medium[i].name != NULL; i++) {
+  for (int i = 0; is_good(&error) && i < COEFFICIENTS; i++) {
     const char *name = http_fields_of_medium[i].name;
-    const json_t *value = json_object_get(object, name);
-    if (value != NULL) {
-      const size_t count = length_of(value);
-      error = read_number(q, name, item_of(value, count > 1 ? index : 0), to[i]);
+    if (http_value_given(elements[i].list)) {
+      error = http_value_read_number(http_elements_next(&elements[i]), name, to[i]);
       error.index = index;
     } else if (to[i] == &medium->sigma_a || to[i] == &medium->sigma_s) {
       error = bad(name, "a number: a medium needs sigma_a and sigma_s");
@@ -305,54 +98,56 @@ static wire_error read_coefficients(const struct question *q, const json_t *obje
   return error;
 }
 
-static wire_error add_coefficients(struct question *q, const json_t *object, size_t index) {
-  wire_medium medium = {.eta = USUAL_ETA};
-  const wire_error error = read_coefficients(q, object, index, &medium);
-  return is_good(&error) ? add_medium(q, &medium) : error;
+static void find_coefficients(const struct http_values *values,
+                              struct http_elements elements[COEFFICIENTS]) {
+  for (int i = 0; i < COEFFICIENTS; i++) {
+    elements[i] = http_elements_of(http_values_get(values, http_fields_of_medium[i].name));
+  }
 }
 
-/* Checks the members of an object with coefficients. */
-static wire_error check_object(const char *field, const json_t *object) {
-  const char *key;
-  json_t *value;
-  json_object_foreach((json_t *)(uintptr_t)object, key, value) {
-    bool known = false;
-    for (int i = 0; http_fields_of_medium[i].name != NULL; i++) {
-      known = known || strcmp(key, http_fields_of_medium[i].name) == 0;
-    }
-    if (!known || json_is_array(value)) {
-      return bad(field, "objects of sigma_a, sigma_s, g and eta, each one number");
+static bool is_coefficient(const void *context, const char *name) {
+  const struct http_values *values = context;
+  for (int i = 0; i < COEFFICIENTS; i++) {
+    if (strcmp(name, http_fields_of_medium[i].name) == 0) {
+      return !json_is_array(http_values_get(values, name).json);
     }
   }
-  return wire_error_none();
+  return false;
 }
 
-static wire_error add_media_object(struct question *q, const json_t *object) {
-  const wire_error error = check_object("medium", object);
-  return is_good(&error) ? add_coefficients(q, object, 0) : error;
+/* Reads a medium from an object with its coefficients. */
+static wire_error read_medium(const char *field, struct http_value value, wire_medium *medium) {
+  struct http_values values;
+  struct http_elements elements[COEFFICIENTS];
+  if (!http_values_of_object(&values, value)) {
+    return bad(field, "names of /v1/media, or objects of coefficients");
+  }
+  if (http_values_unknown(&values, is_coefficient, &values) != NULL) {
+    return bad(field, "objects of sigma_a, sigma_s, g and eta, each one number");
+  }
+  *medium = (wire_medium){.eta = USUAL_ETA};
+  find_coefficients(&values, elements);
+  return read_coefficients(elements, 0, medium);
 }
 
 /* Writes the known medium of a fit, which has one with scale `reference` alone. */
 static wire_error add_reference(const struct question *q) {
-  const json_t *object = json_object_get(q->object, "reference");
-  const json_t *scale = json_object_get(q->object, "scale");
+  const struct http_value object = get(q, "reference"), scale = get(q, "scale");
   uint64_t id = 0;
   if (q->message->type != WIRE_TYPE_FIT) {
     return wire_error_none();
   }
-  wire_error error =
-      scale != NULL ? read_choice("scale", core_fit_scales, scale, false, &id) : wire_error_none();
-  if (is_good(&error) && (id == CORE_FIT_SCALE_REFERENCE) != json_is_object(object)) {
+  wire_error error = http_value_given(scale)
+                         ? http_value_read_choice(scale, "scale", core_fit_scales, false, &id)
+                         : wire_error_none();
+  if (is_good(&error) && (id == CORE_FIT_SCALE_REFERENCE) != json_is_object(object.json)) {
     error = bad("reference", "with scale reference an object of coefficients, else nothing");
   }
-  if (!is_good(&error) || object == NULL) {
+  if (!is_good(&error) || !http_value_given(object)) {
     return error;
   }
-  wire_medium medium = {.eta = USUAL_ETA};
-  error = check_object("reference", object);
-  if (is_good(&error)) {
-    error = read_coefficients(q, object, 0, &medium);
-  }
+  wire_medium medium;
+  error = read_medium("reference", object, &medium);
   uint8_t *at = is_good(&error) ? add(q, WIRE_BYTES_medium) : NULL;
   if (at != NULL) {
     wire_put_medium(at, &medium);
@@ -362,45 +157,58 @@ static wire_error add_reference(const struct question *q) {
 
 /* Reads lists of coefficients. A list of one holds for all media. */
 static wire_error add_lists(struct question *q) {
+  struct http_elements elements[COEFFICIENTS];
   size_t count = 1;
   wire_error error = wire_error_none();
-  for (int i = 0; http_fields_of_medium[i].name != NULL; i++) {
-    const char *name = http_fields_of_medium[i].name;
-    const json_t *value = json_object_get(q->object, name);
-    const size_t length = value != NULL ? length_of(value) : 1;
+  find_coefficients(q->values, elements);
+  for (int i = 0; i < COEFFICIENTS; i++) {
+    const size_t length = http_value_count(elements[i].list);
     if (length == 0 || (count > 1 && length > 1 && length != count)) {
-      return wire_error_make(WIRE_STATUS_BAD_COUNT, name, "one value, or as many as the others");
+      return wire_error_make(WIRE_STATUS_BAD_COUNT, http_fields_of_medium[i].name,
+                             "one value, or as many as the others");
     }
     count = length > count ? length : count;
   }
   for (size_t i = 0; is_good(&error) && i < count; i++) {
-    error = add_coefficients(q, q->object, i);
+    wire_medium medium = {.eta = USUAL_ETA};
+    error = read_coefficients(elements, i, &medium);
+    error = is_good(&error) ? add_medium(q, &medium) : error;
+  }
+  return error;
+}
+
+static wire_error add_named_media(struct question *q, struct http_value media) {
+  struct http_elements elements = http_elements_of(media);
+  const size_t count = http_value_count(media);
+  wire_error error = wire_error_none();
+  for (size_t i = 0; is_good(&error) && i < count; i++) {
+    const struct http_value item = http_elements_next(&elements);
+    const char *name = http_value_text(item);
+    wire_medium medium;
+    if (name != NULL) {
+      error = add_measured(q, name);
+      continue;
+    }
+    error = read_medium("medium", item, &medium);
+    error = is_good(&error) ? add_medium(q, &medium) : error;
   }
   return error;
 }
 
 static wire_error add_media(struct question *q) {
-  const json_t *medium = json_object_get(q->object, "medium");
-  wire_error error = wire_error_none();
+  const struct http_value media = get(q, "medium");
   if (q->message->media_most == 0) {
-    return error;
+    return wire_error_none();
   }
-  for (int i = 0; medium != NULL && http_fields_of_medium[i].name != NULL; i++) {
-    if (json_object_get(q->object, http_fields_of_medium[i].name) != NULL) {
+  if (!http_value_given(media)) {
+    return add_lists(q);
+  }
+  for (int i = 0; i < COEFFICIENTS; i++) {
+    if (http_value_given(get(q, http_fields_of_medium[i].name))) {
       return bad(http_fields_of_medium[i].name, "nothing beside medium");
     }
   }
-  if (medium == NULL) {
-    return add_lists(q);
-  }
-  for (size_t i = 0; is_good(&error) && i < length_of(medium); i++) {
-    const json_t *item = item_of(medium, i);
-    error = json_is_string(item) ? add_measured(q, json_string_value(item))
-            : json_is_object(item)
-                ? add_media_object(q, item)
-                : bad("medium", "names of /v1/media, or objects of coefficients");
-  }
-  return error;
+  return add_named_media(q, media);
 }
 
 /* The models whose names a parameter takes, besides their ids. */
@@ -412,16 +220,16 @@ static const core_choice *choices_of_parameter(unsigned id) {
 
 static wire_error add_parameters(struct question *q) {
   for (const core_choice *one = core_parameter_list; one->name != NULL; one++) {
-    const json_t *value = json_object_get(q->object, one->name);
+    const struct http_value value = get(q, one->name);
     wire_parameter parameter = {.parameter = (uint16_t)one->id};
     const core_choice *list = choices_of_parameter(one->id);
-    if (value == NULL || !q->message->parameters) {
+    if (!http_value_given(value) || !q->message->parameters) {
       continue;
     }
     uint64_t id = 0;
-    wire_error error = list != NULL && json_is_string(value)
-                           ? read_choice(one->name, list, value, false, &id)
-                           : read_number(q, one->name, value, &parameter.value);
+    wire_error error = list != NULL && http_value_text(value) != NULL
+                           ? http_value_read_choice(value, one->name, list, false, &id)
+                           : http_value_read_number(value, one->name, &parameter.value);
     if (!is_good(&error)) {
       return error;
     }
@@ -443,22 +251,28 @@ static bool put_single(uint8_t *at, double number) {
   return isfinite(single) == isfinite(number) && (single != 0) == (number != 0);
 }
 
-static wire_error add_numbers(const struct question *q, const char *name, const json_t *value,
+static wire_error add_numbers(const struct question *q, const char *name, struct http_value list,
                               bool single) {
-  const size_t count = length_of(value), bytes = single ? sizeof(float) : sizeof(double);
+  const size_t count = http_value_count(list), bytes = single ? sizeof(float) : sizeof(double);
+  struct http_elements elements = http_elements_of(list);
   uint8_t *at = add(q, (size_t)wire_padded(count * bytes));
   if (at == NULL) {
     return no_memory();
   }
   for (size_t i = 0; i < count; i++, at += bytes) {
+    const struct http_value value = http_elements_next(&elements);
     double number;
-    wire_error error = read_number(q, name, item_of(value, i), &number);
-    if (is_good(&error) && single && !put_single(at, number)) {
-      error = bad(name, "1e-45 to 3.4e38, 0 or inf: single precision; f64 has more");
-    } else if (!single) {
+    bool good = http_value_number(value, &number);
+    if (good && single) {
+      good = put_single(at, number);
+    } else if (good) {
       memcpy(at, &number, sizeof number);
     }
-    if (!is_good(&error)) {
+    if (!good) {
+      wire_error error = http_value_read_number(value, name, &number);
+      error = is_good(&error)
+                  ? bad(name, "1e-45 to 3.4e38, 0 or inf: single precision; f64 has more")
+                  : error;
       error.index = i;
       return error;
     }
@@ -466,20 +280,25 @@ static wire_error add_numbers(const struct question *q, const char *name, const 
   return wire_error_none();
 }
 
+/* Returns whether a list of readings is one of JSON, with a list for each set. */
+static bool is_nested(struct http_value list) {
+  return json_is_array(json_array_get(list.json, 0));
+}
+
 /* Returns how many sets of readings a list has. */
-static size_t sets_of(const json_t *value) {
-  return json_is_array(json_array_get(value, 0)) ? json_array_size(value) : 1;
+static size_t sets_of(struct http_value list) {
+  return is_nested(list) ? http_value_count(list) : 1;
 }
 
 /* Writes the readings of all sets, each as many as `count`. */
-static wire_error add_sets(const struct question *q, const char *name, const json_t *value,
+static wire_error add_sets(const struct question *q, const char *name, struct http_value list,
                            size_t count) {
-  const size_t sets = sets_of(value);
-  const bool is_nested = json_is_array(json_array_get(value, 0));
+  const size_t sets = sets_of(list);
   wire_error error = wire_error_none();
   for (size_t i = 0; is_good(&error) && i < sets; i++) {
-    const json_t *set = is_nested ? json_array_get(value, i) : value;
-    error = length_of(set) == count
+    const struct http_value set =
+        is_nested(list) ? (struct http_value){.json = json_array_get(list.json, i)} : list;
+    error = http_value_count(set) == count
                 ? add_numbers(q, name, set, false)
                 : wire_error_make(WIRE_STATUS_BAD_COUNT, name, "as many in each set as in `at`");
   }
@@ -503,10 +322,9 @@ static const struct http_list *list_of(const struct http_message *message, const
  * unless a model or a tolerance is given. */
 static const char *usual_choice(const struct question *q, const char *field) {
   const struct http_list *list = list_of(q->message, field);
-  const bool named = json_object_get(q->object, "model") != NULL;
+  const bool named = http_value_given(get(q, "model"));
   if (list != NULL) {
-    return json_object_get(q->object, list->name) != NULL || strcmp(field, "draw") != 0 ? "list"
-                                                                                        : "random";
+    return http_value_given(get(q, list->name)) || strcmp(field, "draw") != 0 ? "list" : "random";
   }
   return strcmp(field, "model") == 0       ? "transport"
          : strcmp(field, "evaluator") == 0 ? (named ? "f64" : "lut")
@@ -519,33 +337,32 @@ static const char *usual_choice(const struct question *q, const char *field) {
 /* Returns whether the request leaves the choice of the model to its tolerance. */
 static bool chooses_by_tolerance(const struct question *q) {
   return q->message->request[0] == http_fields_of_eval_request &&
-         (q->message->type == WIRE_TYPE_OFFERS || json_object_get(q->object, "tolerance") != NULL);
+         (q->message->type == WIRE_TYPE_OFFERS || http_value_given(get(q, "tolerance")));
 }
 
-static wire_error read_list_field(const struct question *q, const struct http_field *field,
-                                  const core_choice *list, bool bits, uint64_t *number) {
-  const json_t *value = json_object_get(q->object, field->name);
-  if (value != NULL) {
-    return read_choice(field->name, list, value, bits, number);
+static wire_error read_choice(const struct question *q, const struct http_field *field,
+                              uint64_t *number) {
+  const struct http_value value = get(q, field->name);
+  if (http_value_given(value)) {
+    return http_value_read_choice(value, field->name, field->choices, field->bits, number);
   }
   if (strcmp(field->name, "model") == 0 && chooses_by_tolerance(q)) {
     *number = 0;
     return wire_error_none();
   }
-  if (bits) {
-    wire_error error = wire_error_none();
+  if (field->bits) {
     char names[64], *rest = names, *name;
     snprintf(names, sizeof names, "%s", q->message->wanted);
     while ((name = strsep(&rest, ",")) != NULL) {
-      *number |= core_choice_by_name(list, name)->id;
+      *number |= core_choice_by_name(field->choices, name)->id;
     }
-    return error;
+    return wire_error_none();
   }
   const char *usual = usual_choice(q, field->name);
   if (usual == NULL) {
-    return wire_error_not_in_list(field->name, list, "one of");
+    return wire_error_not_in_list(field->name, field->choices, "one of");
   }
-  *number = core_choice_by_name(list, usual)->id;
+  *number = core_choice_by_name(field->choices, usual)->id;
   return wire_error_none();
 }
 
@@ -554,36 +371,34 @@ static wire_error read_plain(const struct question *q, const struct http_field *
                              uint64_t *number) {
   static const uint64_t most[] = {
       [HTTP_u16] = UINT16_MAX, [HTTP_u32] = UINT32_MAX, [HTTP_u64] = UINT64_MAX};
-  const json_t *value = json_object_get(q->object, field->name);
+  const struct http_value value = get(q, field->name);
   double real = strcmp(field->name, "eta") == 0 ? USUAL_ETA : 0;
-  if (value == NULL) {
+  if (!http_value_given(value)) {
     memcpy(number, &real, sizeof real); /* 0 has the same bits in every kind */
     return wire_error_none();
   }
   if (field->kind != HTTP_f64) {
-    return read_count(field->name, value, most[field->kind], number);
+    return http_value_read_count(value, field->name, most[field->kind], number);
   }
-  const wire_error error = read_number(q, field->name, value, &real);
+  const wire_error error = http_value_read_number(value, field->name, &real);
   memcpy(number, &real, sizeof real);
   return error;
 }
 
 static wire_error read_field(const struct question *q, const struct http_field *field,
                              uint64_t *number) {
-  bool bits = false;
-  const core_choice *choices = http_choices_of(field->name, &bits);
-  const struct http_list *list = list_of(q->message, field->name);
-  const json_t *values = list != NULL ? json_object_get(q->object, list->name) : NULL;
-  if (choices != NULL) {
-    return read_list_field(q, field, choices, bits, number);
+  if (field->choices != NULL) {
+    return read_choice(q, field, number);
   }
-  if (values != NULL) {
-    *number = list->kind == HTTP_SETS ? sets_of(values) : length_of(values);
-    return json_object_get(q->object, field->name) == NULL
+  const struct http_list *list = list_of(q->message, field->name);
+  const struct http_value values = get(q, list != NULL ? list->name : "");
+  if (list != NULL && http_value_given(values)) {
+    *number = list->kind == HTTP_SETS ? sets_of(values) : http_value_count(values);
+    return !http_value_given(get(q, field->name))
                ? wire_error_none()
                : bad(field->name, "nothing beside the list that it counts");
   }
-  if (list == NULL && http_is_internal(field->name)) {
+  if (list == NULL && field->internal) {
     *number = strcmp(field->name, "medium_count") == 0      ? q->medium_count
               : strcmp(field->name, "parameter_count") == 0 ? q->parameter_count
                                                             : 0;
@@ -596,7 +411,7 @@ static size_t bytes_of(const struct http_message *message) {
   size_t bytes = 0;
   for (int i = 0; i < HTTP_STRUCTURES && message->request[i] != NULL; i++) {
     for (const struct http_field *field = message->request[i]; field->name != NULL; field++) {
-      bytes += http_field_bytes(field);
+      bytes += field->bytes;
     }
   }
   return bytes;
@@ -613,9 +428,8 @@ static wire_error put_fixed(const struct question *q, const struct http_field *f
     if (!is_good(&error)) {
       return error;
     }
-    const size_t bytes = http_field_bytes(field);
-    put_le((uint8_t *)q->payload->bytes + *offset, number, bytes);
-    *offset += bytes;
+    put_le((uint8_t *)q->payload->bytes + *offset, number, field->bytes);
+    *offset += field->bytes;
     if (strcmp(field->name, "evaluator") == 0) {
       *single = core_evaluator_bytes((unsigned)number) == sizeof(float);
     }
@@ -625,52 +439,61 @@ static wire_error put_fixed(const struct question *q, const struct http_field *f
 
 /* ---- all of it ------------------------------------------------------------------------------- */
 
-static bool is_known(const struct http_message *message, const char *key) {
-  bool known =
-      strcmp(key, "deadline_ms") == 0 || (message->media_most > 0 && strcmp(key, "medium") == 0);
-  const struct http_list *list = list_of(message, key);
-  const bool follows = http_is_internal(key) || (list != NULL && list->rule == NULL);
+static bool is_known(const void *context, const char *key) {
+  const struct http_message *message = context;
   for (int i = 0; i < HTTP_STRUCTURES && message->request[i] != NULL; i++) {
     for (const struct http_field *field = message->request[i]; field->name != NULL; field++) {
-      known = known || (strcmp(field->name, key) == 0 && !follows);
+      if (strcmp(field->name, key) == 0 && !field->internal) {
+        const struct http_list *list = list_of(message, key);
+        return list == NULL || list->rule != NULL;
+      }
     }
-  }
-  known = known || (message->type == WIRE_TYPE_FIT && strcmp(key, "reference") == 0);
-  for (int i = 0; message->media_most > 0 && http_fields_of_medium[i].name != NULL; i++) {
-    known = known || strcmp(key, http_fields_of_medium[i].name) == 0;
   }
   for (int i = 0; i < HTTP_LISTS && message->lists[i].name != NULL; i++) {
-    known = known || strcmp(key, message->lists[i].name) == 0;
-  }
-  return known || (message->parameters && core_choice_by_name(core_parameter_list, key) != NULL);
-}
-
-static wire_error check_keys(const struct http_message *message, const json_t *object) {
-  const char *key;
-  json_t *value;
-  json_object_foreach((json_t *)(uintptr_t)object, key, value) {
-    if (!is_known(message, key)) {
-      const bool fits = key[0] != '\0' && strlen(key) < sizeof((wire_error *)NULL)->field;
-      return bad(fits ? key : "body", "only fields that /v1/openapi.json lists for this request");
+    if (strcmp(message->lists[i].name, key) == 0) {
+      return true;
     }
   }
-  return wire_error_none();
+  for (int i = 0; message->media_most > 0 && i < COEFFICIENTS; i++) {
+    if (strcmp(http_fields_of_medium[i].name, key) == 0) {
+      return true;
+    }
+  }
+  return strcmp(key, "deadline_ms") == 0 ||
+         (message->media_most > 0 && strcmp(key, "medium") == 0) ||
+         (message->type == WIRE_TYPE_FIT && strcmp(key, "reference") == 0) ||
+         (message->parameters && core_choice_by_name(core_parameter_list, key) != NULL);
+}
+
+/* Returns whether an error can name a key: a short text of printable ASCII. */
+static bool can_be_named(const char *key) {
+  size_t length = 0;
+  while (key[length] > ' ' && key[length] <= '~') {
+    length++;
+  }
+  return key[length] == '\0' && length > 0 && length < sizeof((wire_error *)NULL)->field;
+}
+
+static wire_error check_keys(const struct question *q) {
+  const char *key = http_values_unknown(q->values, is_known, q->message);
+  return key == NULL ? wire_error_none()
+                     : bad(can_be_named(key) ? key : "body",
+                           "only fields that /v1/openapi.json lists for this request");
 }
 
 static wire_error add_list(const struct question *q, const struct http_list *list, bool single) {
-  const json_t *value = json_object_get(q->object, list->name);
-  const json_t *first = json_object_get(q->object, q->message->lists[0].name);
-  const size_t count = first != NULL ? length_of(first) : 0;
-  if (value == NULL && list->kind == HTTP_ZEROS) {
+  const struct http_value value = get(q, list->name), first = get(q, q->message->lists[0].name);
+  const size_t count = http_value_given(first) ? http_value_count(first) : 0;
+  if (!http_value_given(value) && list->kind == HTTP_ZEROS) {
     return add(q, count * sizeof(double)) != NULL ? wire_error_none() : no_memory();
   }
-  if (value == NULL) {
+  if (!http_value_given(value)) {
     return list->rule != NULL ? wire_error_none() : bad(list->name, "a list: it has to be given");
   }
   if (list->kind == HTTP_SETS) {
     return add_sets(q, list->name, value, count);
   }
-  return length_of(value) == count
+  return http_value_count(value) == count
              ? add_numbers(q, list->name, value, single)
              : wire_error_make(WIRE_STATUS_BAD_COUNT, list->name, "as many as in the other list");
 }
@@ -683,18 +506,27 @@ static wire_error add_all_lists(const struct question *q, bool single) {
   return error;
 }
 
-wire_error http_question_translate(const struct http_message *message, const json_t *object,
-                                   bool texts, struct http_text *payload, uint32_t *deadline_ms) {
-  struct question q = {message, object, texts, payload, 0, 0};
-  const json_t *deadline = json_object_get(object, "deadline_ms");
+static wire_error read_deadline(const struct question *q, uint32_t *deadline_ms) {
+  const struct http_value value = get(q, "deadline_ms");
   uint64_t limit_ms = 0;
+  const wire_error error = http_value_given(value)
+                               ? http_value_read_count(value, "deadline_ms", UINT32_MAX, &limit_ms)
+                               : wire_error_none();
+  *deadline_ms = (uint32_t)limit_ms;
+  return error;
+}
+
+wire_error http_question_translate(const struct http_message *message,
+                                   const struct http_values *values, struct http_text *payload,
+                                   uint32_t *deadline_ms) {
+  struct question q = {message, values, payload, 0, 0};
   size_t offset = 0;
   bool single = false;
-  wire_error error = check_keys(message, object);
-  if (is_good(&error) && deadline != NULL) {
-    error = read_count("deadline_ms", deadline, UINT32_MAX, &limit_ms);
+  *deadline_ms = 0;
+  wire_error error = check_keys(&q);
+  if (is_good(&error)) {
+    error = read_deadline(&q, deadline_ms);
   }
-  *deadline_ms = (uint32_t)limit_ms;
   if (is_good(&error) && add(&q, bytes_of(message)) == NULL) {
     error = no_memory();
   }

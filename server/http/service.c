@@ -5,6 +5,7 @@
 #include <unistd.h>
 
 #include "server/http/connection.h"
+#include "server/http/fields.h"
 #include "server/net/tcp.h"
 #include "server/net/worker.h"
 #include "server/observe/log.h"
@@ -135,6 +136,7 @@ struct http_service *http_service_open(struct server *server, struct worker *wor
     free(service);
     return NULL;
   }
+  http_fields_init();
   tcp_bound(service->fd, bound);
   if (!http_library_load(&service->host.library, &why)) {
     return fail(service, why);

@@ -7,10 +7,18 @@
 
 #include "proto/decimal.h"
 
-enum { FIRST_BYTES = 4096 };
+enum { FIRST_BYTES = 4096, KEPT_BYTES = 16384 };
 
 void http_text_init(struct http_text *text, struct server *server) {
   *text = (struct http_text){.server = server};
+}
+
+void http_text_reset(struct http_text *text) {
+  if (text->failed || text->capacity > KEPT_BYTES) {
+    http_text_free(text);
+  }
+  text->count = 0;
+  text->filled = false;
 }
 
 void http_text_free(struct http_text *text) {
@@ -52,24 +60,32 @@ void http_text_add(struct http_text *text, const char *bytes, size_t count) {
   }
 }
 
+/* Returns how many bytes come before the first one that needs an escape. */
+static size_t plain_bytes(const char *string) {
+  size_t count = 0;
+  while ((unsigned char)string[count] >= 0x20 && string[count] != '"' && string[count] != '\\') {
+    count++;
+  }
+  return count;
+}
+
+static void add_escape(struct http_text *text, unsigned char byte) {
+  char escaped[8];
+  const int length = byte < 0x20 ? snprintf(escaped, sizeof escaped, "\\u%04x", byte)
+                                 : snprintf(escaped, sizeof escaped, "\\%c", byte);
+  http_text_add(text, escaped, (size_t)length);
+}
+
 static void add_string(struct http_text *text, const char *string) {
   http_text_add(text, "\"", 1);
-  for (; *string != '\0'; string++) {
-    const unsigned char byte = (unsigned char)*string;
-    char escaped[8];
-    const size_t plain = strcspn(string, "\"\\");
-    size_t run = 0;
-    while (run < plain && (unsigned char)string[run] >= 0x20) {
-      run++;
+  for (;;) {
+    const size_t plain = plain_bytes(string);
+    http_text_add(text, string, plain);
+    string += plain;
+    if (*string == '\0') {
+      break;
     }
-    if (run > 0) {
-      http_text_add(text, string, run);
-      string += run - 1;
-    } else {
-      const int length = byte < 0x20 ? snprintf(escaped, sizeof escaped, "\\u%04x", byte)
-                                     : snprintf(escaped, sizeof escaped, "\\%c", byte);
-      http_text_add(text, escaped, (size_t)length);
-    }
+    add_escape(text, (unsigned char)*string++);
   }
   http_text_add(text, "\"", 1);
 }

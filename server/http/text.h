@@ -15,6 +15,9 @@ struct http_text {
 
 void http_text_init(struct http_text *text, struct server *server);
 
+/* Empties the text. Keeps its memory for the next one if that is not much. */
+void http_text_reset(struct http_text *text);
+
 /* Frees the bytes and returns their memory to the budget. */
 void http_text_free(struct http_text *text);
 

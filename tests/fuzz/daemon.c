@@ -8,6 +8,7 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include "server/http/fields.h"
 #include "server/jobs/mc_pool.h"
 #include "server/observe/log.h"
 
@@ -30,6 +31,7 @@ void fuzz_daemon_start(void) {
   fuzz_server.cache = cache_new(fuzz_server.isa, fuzz_server.options.cache_bytes,
                                 fuzz_server.options.max_waiting_profiles, &fuzz_server.stats);
   fuzz_server.mc = mc_pool_new(&fuzz_server);
+  http_fields_init();
   CHECK(worker_open(&fuzz_worker, &fuzz_server) == 0);
   stats_claim(1);
 }

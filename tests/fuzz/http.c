@@ -72,12 +72,12 @@ void fuzz_http(const uint8_t *data, size_t size) {
   CHECK(text != NULL);
   memcpy(text, data + MESSAGES_AT, size - MESSAGES_AT);
   text[size - MESSAGES_AT] = '\0';
-  json_t *object = is_body ? http_question_parse(text, size - MESSAGES_AT, BRACKETS, &error)
-                           : http_question_parse_query(text, &error);
-  CHECK((object == NULL) == (error.status != WIRE_STATUS_OK));
-  if (object != NULL) {
-    error = http_question_translate(message, object, !is_body, &payload, &deadline_ms);
-    json_decref(object);
+  struct http_values values;
+  error = is_body ? http_values_parse(&values, text, size - MESSAGES_AT, BRACKETS)
+                  : http_values_parse_query(&values, text);
+  if (error.status == WIRE_STATUS_OK) {
+    error = http_question_translate(message, &values, &payload, &deadline_ms);
+    http_values_free(&values);
   }
   if (error.status == WIRE_STATUS_OK) {
     CHECK(payload.count % WIRE_ALIGNMENT == 0);
