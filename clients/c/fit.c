@@ -20,23 +20,6 @@ _Static_assert(offsetof(dipole_fitted, sigma_a_per_mm) == 16, "the structures ar
 
 /* ---- parts --------------------------------------------------------------------------------- */
 
-/* Returns whether a reply is the next part of the answer. */
-static bool is_next(const libdipole_pending *pending, const wire_fit_reply *fixed) {
-  const uint64_t left = pending->radius_count - pending->next_radius;
-  const bool is_last = fixed->part + 1 == fixed->part_count;
-  wire_fit_reply before;
-  if (fixed->part != pending->next_part || fixed->set_first != pending->next_radius ||
-      fixed->set_count == 0 || fixed->set_count > left || is_last != (fixed->set_count == left) ||
-      fixed->reading_count != pending->medium_count) {
-    return false;
-  }
-  if (pending->gathered == NULL) {
-    return true;
-  }
-  wire_get_fit_reply(pending->gathered->payload, &before);
-  return fixed->part_count == before.part_count;
-}
-
 static void copy_sets(const libdipole_pending *pending, const libdipole_frame *part,
                       const wire_fit_reply *fixed) {
   const size_t residuals_bytes = fixed->reading_count * sizeof(double);
@@ -48,25 +31,25 @@ static void copy_sets(const libdipole_pending *pending, const libdipole_frame *p
          (size_t)fixed->set_count * residuals_bytes);
 }
 
-static bool take_part(libdipole_pending *pending, libdipole_frame *frame, dipole_error *error) {
+static bool take_part(libdipole_pending *pending, const libdipole_frame *frame,
+                      dipole_error *error) {
   wire_fit_reply fixed;
   if (!fit_reply_parse(frame->payload, (size_t)frame->payload_bytes, &fixed) ||
-      !is_next(pending, &fixed)) {
+      fixed.set_count == 0 || fixed.reading_count != pending->medium_count) {
     return libdipole_fail_protocol(error, "it answered a fit request with another shape than was "
                                           "asked for");
   }
   wire_fit_reply whole = fixed;
-  if (pending->gathered == NULL) {
-    const uint64_t bytes = fit_reply_bytes(pending->radius_count, fixed.reading_count);
-    pending->gathered = libdipole_frame_new(&frame->header, bytes, bytes, 0, error);
-    if (pending->gathered == NULL) {
-      return false;
-    }
-  } else {
+  if (pending->gathered != NULL) {
     wire_fit_reply before;
     wire_get_fit_reply(pending->gathered->payload, &before);
     whole.fitted_count += before.fitted_count;
     whole.notes |= before.notes;
+  }
+  const libdipole_part part = {fixed.part, fixed.part_count, fixed.set_first, fixed.set_count};
+  if (!libdipole_gather(pending, frame, &part,
+                        fit_reply_bytes(pending->radius_count, fixed.reading_count), error)) {
+    return false;
   }
   copy_sets(pending, frame, &fixed);
   wire_put_fit_reply(pending->gathered->payload, &whole);
@@ -74,13 +57,7 @@ static bool take_part(libdipole_pending *pending, libdipole_frame *frame, dipole
   return true;
 }
 
-static bool take_frame(libdipole_pending *pending, libdipole_frame *frame, dipole_error *error) {
-  const bool good = take_part(pending, frame, error);
-  free(frame);
-  return good;
-}
-
-static const libdipole_kind kind = {.repeatable = true, .take = take_frame};
+static const libdipole_kind kind = {.repeatable = true, .part = take_part};
 
 /* ---- asking -------------------------------------------------------------------------------- */
 

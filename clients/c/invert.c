@@ -16,26 +16,12 @@ struct inversion {
 
 /* ---- parts --------------------------------------------------------------------------------- */
 
-/* Returns whether a reply is the next part of the answer. All parts must have the same model,
- * moments and range of albedos. */
-static bool is_next(const libdipole_pending *pending, const wire_invert_reply *fixed) {
-  const uint64_t left = pending->radius_count - pending->next_radius;
-  const bool is_last = fixed->part + 1 == fixed->part_count;
-  wire_invert_reply before;
-  if (fixed->part != pending->next_part || fixed->medium_first != pending->next_radius ||
-      fixed->medium_count == 0 || fixed->medium_count > left ||
-      is_last != (fixed->medium_count == left)) {
-    return false;
-  }
-  if (pending->gathered == NULL) {
-    return true;
-  }
-  wire_get_invert_reply(pending->gathered->payload, &before);
-  return fixed->model == before.model && fixed->moments == before.moments &&
-         fixed->given == before.given && fixed->part_count == before.part_count &&
-         !(fixed->albedo_least < before.albedo_least) &&
-         !(fixed->albedo_least > before.albedo_least) &&
-         !(fixed->albedo_most < before.albedo_most) && !(fixed->albedo_most > before.albedo_most);
+/* Returns whether two parts may belong together: they have the same model, moments and range of
+ * albedos. */
+static bool is_like(const wire_invert_reply *a, const wire_invert_reply *b) {
+  return a->model == b->model && a->moments == b->moments && a->given == b->given &&
+         !(a->albedo_least < b->albedo_least) && !(a->albedo_least > b->albedo_least) &&
+         !(a->albedo_most < b->albedo_most) && !(a->albedo_most > b->albedo_most);
 }
 
 static void copy_arrays(const libdipole_pending *pending, const libdipole_frame *part,
@@ -48,24 +34,25 @@ static void copy_arrays(const libdipole_pending *pending, const libdipole_frame 
   }
 }
 
-static bool take_part(libdipole_pending *pending, libdipole_frame *frame, dipole_error *error) {
-  wire_invert_reply fixed;
-  if (!invert_reply_parse(frame->payload, (size_t)frame->payload_bytes, &fixed) ||
-      !is_next(pending, &fixed)) {
+static bool take_part(libdipole_pending *pending, const libdipole_frame *frame,
+                      dipole_error *error) {
+  wire_invert_reply fixed = {0}, before;
+  bool good = invert_reply_parse(frame->payload, (size_t)frame->payload_bytes, &fixed) &&
+              fixed.medium_count > 0;
+  wire_invert_reply whole = fixed;
+  if (good && pending->gathered != NULL) {
+    wire_get_invert_reply(pending->gathered->payload, &before);
+    whole.missing_count += before.missing_count;
+    good = is_like(&fixed, &before);
+  }
+  if (!good) {
     return libdipole_fail_protocol(error, "it answered an invert request with another shape than "
                                           "was asked for");
   }
-  wire_invert_reply whole = fixed;
-  if (pending->gathered == NULL) {
-    const uint64_t bytes = invert_reply_bytes(pending->radius_count);
-    pending->gathered = libdipole_frame_new(&frame->header, bytes, bytes, 0, error);
-    if (pending->gathered == NULL) {
-      return false;
-    }
-  } else {
-    wire_invert_reply before;
-    wire_get_invert_reply(pending->gathered->payload, &before);
-    whole.missing_count += before.missing_count;
+  const libdipole_part part = {fixed.part, fixed.part_count, fixed.medium_first,
+                               fixed.medium_count};
+  if (!libdipole_gather(pending, frame, &part, invert_reply_bytes(pending->radius_count), error)) {
+    return false;
   }
   copy_arrays(pending, frame, &fixed);
   wire_put_invert_reply(pending->gathered->payload, &whole);
@@ -73,13 +60,7 @@ static bool take_part(libdipole_pending *pending, libdipole_frame *frame, dipole
   return true;
 }
 
-static bool take_frame(libdipole_pending *pending, libdipole_frame *frame, dipole_error *error) {
-  const bool good = take_part(pending, frame, error);
-  free(frame);
-  return good;
-}
-
-static const libdipole_kind kind = {.repeatable = true, .take = take_frame};
+static const libdipole_kind kind = {.repeatable = true, .part = take_part};
 
 /* ---- asking -------------------------------------------------------------------------------- */
 

@@ -188,7 +188,10 @@ static bool check_into(const dipole_query *query, dipole_error *error) {
 
 /* Checks that a query that leaves the model to the daemon says how good it has to be. */
 static bool check_choice(const dipole_query *query, dipole_error *error) {
-  for (size_t i = 0; i < query->parameter_count && query->parameters != NULL; i++) {
+  if (!libdipole_parameters_check(query->parameters, query->parameter_count, error)) {
+    return false;
+  }
+  for (size_t i = 0; i < query->parameter_count; i++) {
     if (query->parameters[i].id == CORE_PARAMETER_TOLERANCE) {
       return true;
     }

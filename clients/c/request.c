@@ -175,6 +175,22 @@ static void drop_parts(libdipole_pending *pending) {
   pending->next_radius = 0;
 }
 
+bool libdipole_gather(libdipole_pending *pending, const libdipole_frame *frame,
+                      const libdipole_part *part, uint64_t whole_bytes, dipole_error *error) {
+  const uint64_t left = pending->radius_count - pending->next_radius;
+  const bool is_last = part->part + 1 == part->part_count;
+  if (part->part != pending->next_part || part->first != pending->next_radius ||
+      part->count > left || is_last != (part->count == left) || (part->count == 0 && !is_last) ||
+      (pending->gathered != NULL && part->part_count != pending->part_count)) {
+    return libdipole_fail_protocol(error, "the parts of its answer do not belong together");
+  }
+  if (pending->gathered == NULL) {
+    pending->part_count = part->part_count;
+    pending->gathered = libdipole_frame_new(&frame->header, whole_bytes, whole_bytes, 0, error);
+  }
+  return pending->gathered != NULL;
+}
+
 void libdipole_part_end(libdipole_pending *pending, uint64_t count, bool is_last) {
   pending->next_part++;
   pending->next_radius += count;
@@ -342,8 +358,15 @@ static bool end_frame(dipole_client *client, dipole_error *error) {
   if (send_later(client, pending, frame)) {
     return true;
   }
-  if (pending->kind->take == NULL || frame->header.type == WIRE_TYPE_ERROR) {
+  if (frame->header.type == WIRE_TYPE_ERROR ||
+      (pending->kind->take == NULL && pending->kind->part == NULL)) {
     pending->frame = frame;
+  } else if (pending->kind->part != NULL) {
+    const bool good = pending->kind->part(pending, frame, error);
+    free(frame);
+    if (!good) {
+      return false;
+    }
   } else {
     const bool was_dropped = pending->dropped;
     if (!pending->kind->take(pending, frame, error)) {

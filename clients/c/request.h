@@ -53,6 +53,8 @@ typedef struct libdipole_kind {
   /* Takes the next frame of an answer, and owns it. After the last frame, the answer is in
    * pending->frame. NULL: every answer is one frame. */
   bool (*take)(libdipole_pending *pending, libdipole_frame *frame, dipole_error *error);
+  /* In place of `take`: puts a part of an answer into pending->gathered, by libdipole_gather(). */
+  bool (*part)(libdipole_pending *pending, const libdipole_frame *frame, dipole_error *error);
   /* Returns whether this frame only reports progress, so that more frames follow. */
   bool (*is_progress)(const libdipole_frame *frame);
   /* Called when the stream's target is full: sets the target for the next bytes of the frame. *more
@@ -84,6 +86,7 @@ struct libdipole_pending {
   uint64_t id;
   libdipole_frame *frame; /* the answer; NULL if it is not complete yet */
   uint32_t next_part;     /* the number of the next part of the answer */
+  uint32_t part_count;    /* the number of parts, as the first one that was gathered says */
   uint64_t next_radius;   /* the position of the first radius, medium or set of the next part */
   /* The parts so far, as one answer. If there is a reader, this frame has no arrays. */
   libdipole_frame *gathered;
@@ -195,6 +198,18 @@ bool libdipole_refusal_check(const dipole_client *client, const libdipole_pendin
 libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload_bytes,
                                      uint64_t stored_bytes, uint32_t channel_count,
                                      dipole_error *error);
+
+/* Where a part of an answer belongs: its number, and its radii, media, sets or values. */
+typedef struct libdipole_part {
+  uint32_t part, part_count;
+  uint64_t first, count;
+} libdipole_part;
+
+/* Fails with kind PROTOCOL if a part is not the next one of the answer. Otherwise
+ * pending->gathered has room for the whole answer, a payload of whole_bytes; it is allocated with
+ * the first part. The caller copies the part to it and calls libdipole_part_end(). */
+bool libdipole_gather(libdipole_pending *pending, const libdipole_frame *frame,
+                      const libdipole_part *part, uint64_t whole_bytes, dipole_error *error);
 
 /* Notes that a part of `count` radii or media has been taken. After the last part, the gathered
  * parts become the answer. */

@@ -20,15 +20,11 @@ struct varying {
 
 /* ---- parts --------------------------------------------------------------------------------- */
 
-/* Returns whether a reply is the next part of the answer, and has what was asked for. */
-static bool is_next(const libdipole_pending *pending, const wire_varying_reply *fixed) {
-  const uint64_t left = pending->radius_count - pending->next_radius;
-  const bool is_last = fixed->part + 1 == fixed->part_count;
+/* Returns whether a part has what was asked for. */
+static bool is_wanted(const libdipole_pending *pending, const wire_varying_reply *fixed) {
   return fixed->model == pending->model && fixed->moments == pending->moments &&
          fixed->evaluator == pending->evaluator && fixed->wanted == pending->wanted &&
-         fixed->coefficients == pending->medium_count && fixed->part == pending->next_part &&
-         fixed->value_first == pending->next_radius && fixed->value_count <= left &&
-         is_last == (fixed->value_count == left) && (is_last || fixed->value_count > 0);
+         fixed->coefficients == pending->medium_count;
 }
 
 static double largest(double a, double b) {
@@ -52,29 +48,28 @@ static void copy_arrays(libdipole_pending *pending, const libdipole_frame *part,
          (size_t)fixed->value_count);
 }
 
-static bool take_part(libdipole_pending *pending, libdipole_frame *frame, dipole_error *error) {
+static bool take_part(libdipole_pending *pending, const libdipole_frame *frame,
+                      dipole_error *error) {
   wire_varying_reply fixed;
   varying_layout layout;
   if (!varying_reply_parse(frame->payload, (size_t)frame->payload_bytes, &fixed, &layout) ||
-      !is_next(pending, &fixed)) {
+      !is_wanted(pending, &fixed)) {
     return libdipole_fail_protocol(error, "it answered a varying request with another shape than "
                                           "was asked for");
   }
   wire_varying_reply whole = fixed;
-  if (pending->gathered == NULL) {
-    const uint64_t bytes = varying_reply_layout(fixed.evaluator, fixed.wanted, fixed.coefficients,
-                                                pending->radius_count)
-                               .payload_bytes;
-    pending->gathered = libdipole_frame_new(&frame->header, bytes, bytes, 0, error);
-    if (pending->gathered == NULL) {
-      return false;
-    }
-  } else {
+  if (pending->gathered != NULL) {
     wire_varying_reply before;
     wire_get_varying_reply(pending->gathered->payload, &before);
     whole.answered_count += before.answered_count;
     whole.numerical_error = largest(before.numerical_error, fixed.numerical_error);
     whole.model_error = largest(before.model_error, fixed.model_error);
+  }
+  const libdipole_part part = {fixed.part, fixed.part_count, fixed.value_first, fixed.value_count};
+  const varying_layout all = varying_reply_layout(fixed.evaluator, fixed.wanted, fixed.coefficients,
+                                                  pending->radius_count);
+  if (!libdipole_gather(pending, frame, &part, all.payload_bytes, error)) {
+    return false;
   }
   copy_arrays(pending, frame, &fixed, &layout);
   whole.value_count = pending->radius_count;
@@ -83,13 +78,7 @@ static bool take_part(libdipole_pending *pending, libdipole_frame *frame, dipole
   return true;
 }
 
-static bool take_frame(libdipole_pending *pending, libdipole_frame *frame, dipole_error *error) {
-  const bool good = take_part(pending, frame, error);
-  free(frame);
-  return good;
-}
-
-static const libdipole_kind kind = {.repeatable = true, .take = take_frame};
+static const libdipole_kind kind = {.repeatable = true, .part = take_part};
 
 /* ---- asking -------------------------------------------------------------------------------- */
 
