@@ -10,7 +10,7 @@
 #define TEXT(field, bytes, meaning) FIELD(#field, text, bytes, meaning)
 #define WIRE_STRUCTURE(structure, about)                                                           \
   struct http_field http_fields_of_##structure[] = {                                               \
-      WIRE_FIELDS_##structure(ONE, ARRAY, TEXT){NULL}};
+      WIRE_FIELDS_##structure(ONE, ARRAY, TEXT){.name = NULL}};
 #include "proto/messages.def"
 
 const struct http_message http_messages[] = {
@@ -70,7 +70,7 @@ const struct http_message http_messages[] = {
     {0, NULL, {NULL}, NULL, 0, false, NULL, {{NULL, NULL, NULL, NULL, HTTP_GIVEN}}},
 };
 
-/* ---- completing the structures ---------------------------------------------------------------- */
+/* ---- completing the structures --------------------------------------------------------------- */
 
 static size_t bytes_of(enum http_kind kind) {
   static const size_t bytes[] = {[HTTP_u16] = WIRE_SIZE_u16,

@@ -65,7 +65,7 @@ static void write_value(void *context, const struct report_value *value) {
   }
 }
 
-/* ---- what every program tells Prometheus about itself, under the usual names ------------------ */
+/* ---- what every program tells Prometheus about itself, under the usual names ----------------- */
 
 static void write_gauge(FILE *file, const char *name, const char *help, double value) {
   fprintf(file, "# HELP %s %s\n# TYPE %s gauge\n%s %.17g\n", name, help, name, name, value);

@@ -1,11 +1,14 @@
 """Draws what `trade-speed costs` has measured: draw.py FOLDER reads FOLDER/tradeoff.csv. A subject
 is a model with an evaluator. Written into the folder, as .svg and .png:
 
-    front   error against cost, with a point for each subject and the Pareto front as a line. The
-            error in the left panel is the median over radii, in the right panel the largest one;
-            both are medians over the media of Figures 1 to 16 of d'Eon 2012.
-    map     the cheapest subject within 1 %, 3 % and 10 %, over ratio and eta. The upper panels are
-            for all radii, the lower ones for those from one mean free path on.
+    front   error against cost per radius, of a known medium, and of a new one that is prepared
+            for 1,000,000, 1,000 or 16 radii. Each family of models has a marker, which is open for
+            tables; a line joins the precisions of a model. The Pareto front has names; a table has
+            all numbers. The error is the median over radii, and over the media of Figures 1 to 16
+            of d'Eon 2012.
+    map     the cheapest subject within 1 %, 3 %, 10 % and 30 %, over ratio and eta, for all radii
+            and for those from one mean free path on. A sentence stands for the panels in which
+            transport by table is the cheapest everywhere.
 
 Standard output lists the subjects on the fronts, and for how many media each one is the cheapest.
 """
@@ -19,8 +22,9 @@ import re
 import statistics
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,6 +41,7 @@ class Subject(NamedTuple):
     model: str
     evaluator: str
     ns: float  # for a radius; NaN if nothing was measured
+    prepare_ns: float
     errors: dict[str, np.ndarray]  # by the names of columns
 
     def __str__(self) -> str:
@@ -61,7 +66,8 @@ def read(path: Path) -> tuple[list[Subject], list[str], list[str]]:
             name: np.array([number(row, name) for row in media]).reshape(len(ratios), len(etas))
             for name in ("worst", "median", "worst_from_1_mfp")
         }
-        subjects.append(Subject(model, evaluator, number(media[0], "cost_ns"), errors))
+        cost = number(media[0], "cost_ns"), number(media[0], "prepare_ns")
+        subjects.append(Subject(model, evaluator, *cost, errors))
     return subjects, ratios, etas
 
 
@@ -80,15 +86,44 @@ def draw(path: Path, size: tuple[int, int], script: str) -> None:
 
 # ---- the front -----------------------------------------------------------------------------------
 
-WIDTH, HEIGHT = 1640, 860
-TOP, BOTTOM, LEFT, RIGHT, GAP = 84, 64, 84, 16, 96
-PANELS = {
-    "median": "typical: median over radii",
-    "worst": "worst over radii from 0.01 to 20 mean free paths",
-}
-COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7"]  # of evaluators
-LETTER_WIDTH, NAME_HEIGHT = 6.4, 13.0
+WIDTH, HEIGHT = 1640, 1060
+TOP, BOTTOM, LEFT, GAP_X, GAP_Y = 84, 64, 84, 84, 104
+PANELS_RIGHT, TABLE_LEFT = 1060, 1090
+NEW, MANY = "a new medium, {:,} radii", math.inf
+PANELS = {"a known medium": MANY} | {NEW.format(n): n for n in (1_000_000, 1_000, 16)}
+LETTER_WIDTH, NAME_HEIGHT = 7.2, 14.0
 Box = tuple[float, float, float, float]  # left, right, bottom, top
+
+
+class Family(NamedTuple):
+    title: str
+    marker: int  # of gnuplot; the one before is the same, but open
+    colour: str
+
+
+# Of the formulas in models.def, and of sums.
+FAMILIES = {
+    "transport": Family("radiative transport", 7, "#000000"),
+    "sum": Family("diffusion and single scattering", 13, "#cc79a7"),
+    "dipole": Family("dipoles", 5, "#0072b2"),
+    "extended": Family("extended sources", 9, "#d55e00"),
+    "cloud": Family("many sources: quantized, multipoles", 11, "#009e73"),
+    "single": Family("single scattering", 15, "#56b4e9"),
+    "burley": Family("Burley's curves", 7, "#e69f00"),
+    "gaussians": Family("Gaussians, fitted to skin", 5, "#8c564b"),
+    "gaussian_fit": Family("Gaussians, fitted to a model", 9, "#9467bd"),
+}
+OTHERS = Family("others", 13, "#7f7f7f")
+
+
+def families() -> dict[str, Family]:
+    """The family of each model that models.def lists."""
+    text = (CORE / "models.def").read_text()
+    models = re.findall(r'^CORE_MODEL\(\d+, \w+, "([^"]+)",\s*(\w+)', text, re.MULTILINE)
+    sums = re.findall(r'^CORE_SUM\(\d+, \w+, "([^"]+)"', text, re.MULTILINE)
+    return {name: FAMILIES.get(formula, OTHERS) for name, formula in models} | {
+        name: FAMILIES["sum"] for name in sums
+    }
 
 
 class Point(NamedTuple):
@@ -97,14 +132,19 @@ class Point(NamedTuple):
     error: float
 
 
-def points_of(subjects: list[Subject], what: str) -> list[Point]:
-    points = []
-    for subject in subjects:
-        known = [x for x in subject.errors[what].flat if not math.isnan(x)]
-        if known and not math.isnan(subject.ns):
-            error = max(statistics.median(known), ERROR_LEAST)
-            points.append(Point(subject, subject.ns, error))
-    return points
+def typical(subject: Subject, what: str) -> float:
+    """The median over the media; NaN if there is none."""
+    known = [x for x in subject.errors[what].flat if not math.isnan(x)]
+    return statistics.median(known) if known else math.nan
+
+
+def points_of(subjects: list[Subject], radii: float) -> list[Point]:
+    """What a radius costs if the medium is prepared for so many."""
+    points = (
+        Point(one, one.ns + one.prepare_ns / radii, max(typical(one, "median"), ERROR_LEAST))
+        for one in subjects
+    )
+    return [point for point in points if not math.isnan(point.ns + point.error)]
 
 
 def beats(a: Point, b: Point) -> bool:
@@ -123,27 +163,6 @@ def front_of(points: list[Point]) -> list[Point]:
     return sorted(front, key=lambda point: point.ns)
 
 
-def named(points: list[Point], front: list[Point]) -> list[Point]:
-    """The points that get a name: those of the front first. Tables get none otherwise, as they all
-    cost the same and would crowd one column, and a model gets one name for precisions of equal
-    cost."""
-
-    def repeats(i: int) -> bool:
-        point = points[i]
-        return any(
-            other.subject.model == point.subject.model
-            and max(other.ns, point.ns) < COST_ALIKE * min(other.ns, point.ns)
-            for other in points[:i]
-        )
-
-    others = [
-        point
-        for i, point in enumerate(points)
-        if point not in front and point.subject.evaluator != "lut" and not repeats(i)
-    ]
-    return [point for point in points if point in front] + others
-
-
 def name_places(x: float, y: float, width: float) -> list[Box]:
     """Places for a name around its point, the best one first. They alternate between right and left
     and move further up and down."""
@@ -151,7 +170,7 @@ def name_places(x: float, y: float, width: float) -> list[Box]:
     for place in range(192):
         turn = place // 2 % 48
         up = (0.5 if turn % 2 == 0 else -0.5) * (turn + turn % 2) * NAME_HEIGHT
-        away = 8 + 4 * (turn // 4) + 60 * (place // 96)
+        away = 10 + 4 * (turn // 4) + 60 * (place // 96)
         left = x + away if place % 2 == 0 else x - away - width
         places.append((left, left + width, y + up - NAME_HEIGHT / 2, y + up + NAME_HEIGHT / 2))
     return places
@@ -161,36 +180,18 @@ def overlap(a: Box, b: Box) -> bool:
     return a[0] < b[1] and b[0] < a[1] and a[2] < b[3] and b[2] < a[3]
 
 
-def front_panel(points: list[Point], title: str, number: int, evaluators: list[str]) -> str:
-    front = front_of(points)
-    ns, errors = [point.ns for point in points], [point.error for point in points]
-    axes = (min(ns) / 2, max(ns) * 3), (min(errors) / 2, max(errors) * 2)  # with room for names
-    width = (WIDTH - LEFT - RIGHT - GAP) / len(PANELS)
-    left = LEFT + (width + GAP) * number
-    room: Box = (left, left + width, BOTTOM, HEIGHT - TOP)
+def screen(x: float, y: float) -> str:
+    return f"screen {x / WIDTH:.5f},{y / HEIGHT:.5f}"
 
-    def pixels(point: Point) -> tuple[float, float]:
-        shares = [
-            math.log(at / low) / math.log(high / low)
-            for at, (low, high) in zip((point.ns, point.error), axes)
-        ]
-        return left + width * shares[0], BOTTOM + (HEIGHT - TOP - BOTTOM) * shares[1]
 
-    def screen(x: float, y: float) -> str:
-        return f"screen {x / WIDTH:.5f},{y / HEIGHT:.5f}"
-
-    script = f"unset label\nunset arrow\nset title '{title}'\n"
-    for axis, (low, high) in zip("xy", axes):
-        script += f"set {axis}range [{low:g}:{high:g}]\n"
-    sides = (room[0] / WIDTH, room[1] / WIDTH, room[2] / HEIGHT, room[3] / HEIGHT)
-    for side, at in zip("lrbt", sides):
-        script += f"set {side}margin at screen {at:.5f}\n"
-    taken = [(x - 5, x + 5, y - 5, y + 5) for x, y in map(pixels, points)]
-    for point in named(points, front):
+def names_script(front: list[Point], room: Box, taken: list[Box], pixels: Any) -> str:
+    """Labels for the points of the front, of which a model's precisions of equal cost have one."""
+    script, names = "", dict[str, Point]()
+    for point in front:
+        names.setdefault(f"{point.subject.model}, {point.subject.evaluator}", point)
+    for name, point in names.items():
         x, y = pixels(point)
-        stretch, font = (1.2, 11) if point in front else (1, 9)
-        name, colour = point.subject.model, COLOURS[evaluators.index(point.subject.evaluator)]
-        places = name_places(x, y, LETTER_WIDTH * len(name) * stretch)
+        places = name_places(x, y, LETTER_WIDTH * len(name))
         free = (
             box
             for box in places
@@ -200,38 +201,144 @@ def front_panel(points: list[Point], title: str, number: int, evaluators: list[s
         box = next(free, places[0])
         taken.append(box)
         right, middle = box[0] > x, (box[2] + box[3]) / 2
-        if abs(middle - y) > 2 or min(abs(box[0] - x), abs(box[1] - x)) > 10:
+        if abs(middle - y) > 2 or min(abs(box[0] - x), abs(box[1] - x)) > 12:
             end = screen(box[0] - 1 if right else box[1] + 1, middle)
             script += f"set arrow from {screen(x, y)} to {end} nohead lw 0.5 lc rgb '#999999'\n"
         script += (
             f"set label '{name}' at {screen(box[0] if right else box[1], middle)} "
-            f"{'left' if right else 'right'} tc rgb '{colour}' font ',{font}' front\n"
+            f"{'left' if right else 'right'} font ',11' front\n"
         )
-    blocks = {"front": front} | {
-        f"points_{name}": [p for p in points if p.subject.evaluator == name] for name in evaluators
-    }
-    for name, members in blocks.items():
-        rows = "".join(f"{point.ns:.6g} {point.error:.6g}\n" for point in members)
-        script += f"${name} << END\n{rows}NaN NaN\nEND\n"
-    script += "plot $front using 1:2 with steps lw 1.5 lc rgb '#888888' title 'front'"
-    for name, colour in zip(evaluators, COLOURS):
-        style = f"points pt 7 ps 0.6 lc rgb '{colour}'"
-        script += f", $points_{name} using 1:2 with {style} title '{name}'"
-    return script + "\n"
+    return script
+
+
+def data_script(points: list[Point], front: list[Point], of: dict[str, Family]) -> str:
+    """The data and the plot command."""
+    precisions: dict[str, list[Point]] = {}
+    markers: dict[tuple[int, str], list[Point]] = {}
+    for point in points:
+        is_table = point.subject.evaluator == "lut"
+        family = of.get(point.subject.model, OTHERS)
+        markers.setdefault((family.marker - is_table, family.colour), []).append(point)
+        if not is_table:
+            precisions.setdefault(point.subject.model, []).append(point)
+    script, plots = "", []
+
+    def block(name: str, groups: Iterable[list[Point]], style: str) -> None:
+        nonlocal script
+        rows = ("".join(f"{p.ns:.6g} {p.error:.6g}\n" for p in group) for group in groups)
+        script += f"${name} << END\n" + "\n".join(rows) + "NaN NaN\nEND\n"
+        plots.append(f"${name} using 1:2 with {style} notitle")
+
+    block("front", [front], "steps lw 1.5 lc rgb '#888888'")
+    block("lines", precisions.values(), "lines lw 1 lc rgb '#aaaaaa'")
+    for i, ((marker, colour), group) in enumerate(markers.items()):
+        block(f"points{i}", [group], f"points pt {marker} ps 1 lc rgb '{colour}'")
+    return script + f"plot {', '.join(plots)}\n"
+
+
+def front_panel(points: list[Point], title: str, number: int, of: dict[str, Family]) -> str:
+    front = front_of(points)
+    ns, errors = [point.ns for point in points], [point.error for point in points]
+    axes = (min(ns) / 2, max(ns) * 3), (min(errors) / 2, max(errors) * 2)  # with room for names
+    width, height = (PANELS_RIGHT - LEFT - GAP_X) / 2, (HEIGHT - TOP - BOTTOM - GAP_Y) / 2
+    left = LEFT + (width + GAP_X) * (number % 2)
+    bottom = BOTTOM + (height + GAP_Y) * (1 - number // 2)
+    room: Box = (left, left + width, bottom, bottom + height)
+
+    def pixels(point: Point) -> tuple[float, float]:
+        shares = [
+            math.log(at / low) / math.log(high / low)
+            for at, (low, high) in zip((point.ns, point.error), axes)
+        ]
+        return left + width * shares[0], bottom + height * shares[1]
+
+    script = f"unset label\nunset arrow\nset title '{title}'\n"
+    for axis, (low, high) in zip("xy", axes):
+        script += f"set {axis}range [{low:g}:{high:g}]\n"
+    sides = (room[0] / WIDTH, room[1] / WIDTH, room[2] / HEIGHT, room[3] / HEIGHT)
+    for side, at in zip("lrbt", sides):
+        script += f"set {side}margin at screen {at:.5f}\n"
+    taken = [(x - 6, x + 6, y - 6, y + 6) for x, y in map(pixels, points)]
+    script += names_script(front, room, taken, pixels)
+    if number == 0:
+        script += table_script([point.subject for point in points], of)
+    return script + data_script(points, front, of)
+
+
+COLUMNS = {"f32": 1312, "f64": 1366, "table": 1420, "prepare": 1490, "median": 1560, "worst": 1624}
+
+
+def quantity(ns: float) -> str:
+    for unit, size in (("ms", 1e6), ("µs", 1e3)):
+        if ns >= size:
+            return f"{ns / size:.2g} {unit}"
+    return f"{ns:.2g}" if ns < 100 else f"{ns:.0f}"
+
+
+def percent(error: float) -> str:
+    return f"{100 * error:.2g} %" if error < 1 else f"{100 * error:.0f} %"
+
+
+def table_rows(subjects: list[Subject]) -> dict[str, list[str]]:
+    """The cells of each model: ns per radius by evaluator, preparing, and the errors."""
+    rows = {}
+    for model in dict.fromkeys(subject.model for subject in subjects):
+        own = {one.evaluator: one for one in subjects if one.model == model}
+        cheap = [own[name].prepare_ns for name in ("f32", "f64") if name in own]
+        best = own.get("f64", next(iter(own.values())))
+        rows[model] = [
+            *(quantity(own[name].ns) if name in own else "" for name in ("f32", "f64", "lut")),
+            quantity(min(cheap)) if cheap else "",
+            *(percent(max(typical(best, what), ERROR_LEAST)) for what in ("median", "worst")),
+        ]
+    return rows
+
+
+def table_script(subjects: list[Subject], of: dict[str, Family]) -> str:
+    """Labels with all numbers, by family."""
+    rows = table_rows(subjects)
+    script, y = "", HEIGHT - 36
+
+    def put(text: str, x: float, how: str = "left") -> None:
+        nonlocal script
+        script += f"set label '{text}' at {screen(x, y)} {how} font ',10'\n"
+
+    put("ns for a radius, by", COLUMNS["f64"], "center")
+    put("prepare", COLUMNS["prepare"], "right")
+    put("error of R", COLUMNS["worst"], "right")
+    y -= 18
+    for name, x in COLUMNS.items():
+        put({"prepare": "f32, f64"}.get(name, name), x, "right")
+    for family in [*FAMILIES.values(), OTHERS]:
+        models = [model for model in rows if of.get(model, OTHERS) == family]
+        if not models:
+            continue
+        y -= 26
+        script += (
+            f"set label '' at {screen(TABLE_LEFT + 6, y)} point pt {family.marker} ps 1.1 "
+            f"lc rgb '{family.colour}'\n"
+        )
+        put(family.title, TABLE_LEFT + 20, f"left tc rgb '{family.colour}'")
+        for model in models:
+            y -= 18
+            put(model, TABLE_LEFT + 20)
+            for cell, x in zip(rows[model], COLUMNS.values()):
+                put(cell, x, "right")
+    return script
 
 
 def draw_front(folder: Path, subjects: list[Subject]) -> None:
-    evaluators = list(dict.fromkeys(subject.evaluator for subject in subjects))
+    of = families()
     script = (
-        'set multiplot title "Error against cost: |R / R_transport - 1|, median over the media of '
-        "Figures 1 to 16; at least 1e-7, which is what transport is known to\" font ',16'\n"
+        'set multiplot title "Error against cost: |R / R_transport - 1|, median over radii and over '
+        'the media of Figures 1 to 16 (at least 1e-7)" font \',15\' offset screen -0.15,0\n'
         "set grid lt 1 lw 0.6 lc rgb '#dddddd'\nset logscale xy\nset format y '%.0e'\n"
-        "set xlabel 'ns per radius (one core, arrays of 4096)'\nset ylabel 'relative error of R'\n"
-        "set key bottom left Left reverse samplen 1.5 spacing 1.2\n"
+        "set format x '%.0s%c'\nset xlabel 'ns per radius, preparing included'\n"
+        "set ylabel 'relative error of R'\n"
     )
-    for number, (what, title) in enumerate(PANELS.items()):
-        points = points_of(subjects, what)
-        script += front_panel(points, title, number, evaluators)
+    for number, (title, radii) in enumerate(PANELS.items()):
+        points = points_of(subjects, radii)
+        script += front_panel(points, title, number, of)
         print(f"front, {title}:")
         for point in front_of(points):
             model, evaluator, *_ = point.subject
@@ -241,8 +348,9 @@ def draw_front(folder: Path, subjects: list[Subject]) -> None:
 
 # ---- the map -------------------------------------------------------------------------------------
 
-MAP_WIDTH, MAP_HEIGHT = 1500, 900
-WITHIN = (0.01, 0.03, 0.1)
+MAP_WIDTH, MAP_COLUMNS = 1500, 4
+MAP_TOP, MAP_ROW, MAP_LEGEND, LEGEND_LINE = 96, 330, 76, 24
+WITHIN = (0.01, 0.03, 0.1, 0.3)
 RANGES = {"worst": "0.01", "worst_from_1_mfp": "1"}  # and the first radius of each
 # Of subjects in the order of their list; transport has shades of grey.
 MAP_COLOURS = [
@@ -262,14 +370,65 @@ def cheapest(
     return min(alike, key=lambda i: subjects[i].errors[what][medium], default=None)
 
 
+class Panel(NamedTuple):
+    within: float
+    first_radius: str
+    found: list[int | None]  # for each medium the position in the list of subjects
+
+    def __str__(self) -> str:
+        return f"within {100 * self.within:g} %, r from {self.first_radius} to 20 mean free paths"
+
+
+def sentences(panels: list[Panel]) -> list[str]:
+    """What is said of panels that are not shown."""
+    return [f"Transport by table is the cheapest everywhere {panel}." for panel in panels]
+
+
+def legend_script(
+    subjects: list[Subject], shown: list[int], colours: dict[int | None, int], height: int
+) -> str:
+    """A square and a name for each subject, four to a line."""
+    script = ""
+    for place, i in enumerate(shown):
+        x, y = 64 + place % 4 * 350, MAP_LEGEND - 34 - place // 4 * LEGEND_LINE
+        y += (len(shown) - 1) // 4 * LEGEND_LINE
+        script += (
+            f"set object rectangle from screen {x / MAP_WIDTH:.5f},{(y - 7) / height:.5f} to "
+            f"screen {(x + 22) / MAP_WIDTH:.5f},{(y + 7) / height:.5f} fc rgb {colours[i]} "
+            f"fs solid border rgb '#666666'\nset label '{subjects[i]}' at "
+            f"screen {(x + 30) / MAP_WIDTH:.5f},{y / height:.5f} left\n"
+        )
+    return script
+
+
+def panel_script(panel: Panel, place: int, rows: int, colours: dict[int | None, int],
+                 media: list[tuple[int, int]], bottom: int, height: int) -> str:  # fmt: skip
+    left = (58 + place % MAP_COLUMNS * 362) / MAP_WIDTH
+    low = (bottom + 64 + (rows - 1 - place // MAP_COLUMNS) * MAP_ROW) / height
+    cells = "".join(f"{x} {y} {colours[i]}\n" for (x, y), i in zip(media, panel.found))
+    within, radii = str(panel).split(", ")
+    return (
+        f"$cells << END\n{cells}END\nset title \"{within},\\n{radii}\" offset 0,-0.5\n"
+        f"set lmargin at screen {left:.5f}\nset rmargin at screen {left + 300 / MAP_WIDTH:.5f}\n"
+        f"set bmargin at screen {low:.5f}\nset tmargin at screen {low + 200 / height:.5f}\n"
+        "plot $cells using 1:2:(0.5):(0.5):3 with boxxyerror fill solid 1 noborder "
+        "fillcolor rgb variable notitle\nunset label\nunset object\n"
+    )
+
+
 def draw_map(folder: Path, subjects: list[Subject], ratios: list[str], etas: list[str]) -> None:
     media = list(itertools.product(range(len(ratios)), range(len(etas))))
-    panels = {
-        (what, within): [cheapest(subjects, what, within, medium) for medium in media]
-        for what in RANGES
+    panels = [
+        Panel(within, radius, [cheapest(subjects, what, within, medium) for medium in media])
+        for what, radius in RANGES.items()
         for within in WITHIN
-    }
-    shown = sorted({i for found in panels.values() for i in found if i is not None})
+    ]
+    table = next(
+        (i for i, one in enumerate(subjects) if one[:2] == ("transport", "lut")), len(subjects)
+    )
+    drawn = [panel for panel in panels if set(panel.found) != {table}]
+    said = sentences([panel for panel in panels if panel not in drawn])
+    shown = sorted({i for panel in drawn for i in panel.found if i is not None})
     evaluators = list(dict.fromkeys(subject.evaluator for subject in subjects))
 
     def colour(i: int) -> int:
@@ -277,41 +436,33 @@ def draw_map(folder: Path, subjects: list[Subject], ratios: list[str], etas: lis
             return 0xC7C7C7 - 0x181818 * evaluators.index(subjects[i].evaluator)
         return MAP_COLOURS[shown.index(i) % len(MAP_COLOURS)]
 
+    colours: dict[int | None, int] = {i: colour(i) for i in shown} | {None: 0xFFFFFF}
+    rows = -(-len(drawn) // MAP_COLUMNS)
+    bottom = MAP_LEGEND + max(len(shown) - 1, 0) // 4 * LEGEND_LINE
+    height = bottom + rows * MAP_ROW + 22 * len(said) + MAP_TOP
     powers = [x if math.log10(float(x)).is_integer() else "" for x in ratios]
     x_tics = ", ".join(f"'{x}' {i}" for i, x in enumerate(powers))
-    y_tics = ", ".join(f"'{eta}' {i}" for i, eta in enumerate(etas))
+    y_tics = ", ".join(f"'{eta}' {i}" for i, eta in enumerate(etas) if i % 2 == 0)
     script = (
-        "set multiplot layout 2,3 margins 0.043,0.96,0.245,0.907 spacing 0.041,0.102 "
+        "set multiplot "
         "title 'The cheapest that is near enough to transport at all of these radii' font ',16'\n"
         "unset key\nset xlabel 'σa / σs′' offset 0,0.6\nset ylabel 'η' offset 1,0\n"
         f"set xtics ({x_tics}) out nomirror\nset ytics ({y_tics}) out nomirror\n"
         f"set xrange [-0.5:{len(ratios) - 1}.5]\nset yrange [-0.5:{len(etas) - 1}.5]\n"
+        + legend_script(subjects, shown, colours, height)
     )
-    for place, i in enumerate(shown):  # the legend: a square and a name, four to a line
-        x, y = 64 + place % 4 * 350, 124 - place // 4 * 24
-        script += (
-            f"set object rectangle from screen {x / MAP_WIDTH:.5f},{(y - 7) / MAP_HEIGHT:.5f} to "
-            f"screen {(x + 22) / MAP_WIDTH:.5f},{(y + 7) / MAP_HEIGHT:.5f} fc rgb {colour(i)} "
-            f"fs solid border rgb '#666666'\nset label '{subjects[i]}' at "
-            f"screen {(x + 30) / MAP_WIDTH:.5f},{y / MAP_HEIGHT:.5f} left\n"
-        )
-    for (what, within), found in panels.items():
-        title = f"within {100 * within:g} %, r from {RANGES[what]} to 20 mean free paths"
-        cells = "".join(
-            f"{x} {y} {0xFFFFFF if i is None else colour(i)}\n" for (x, y), i in zip(media, found)
-        )
-        script += (
-            f"$cells << END\n{cells}END\nset title '{title}' offset 0,-0.5\n"
-            "plot $cells using 1:2:(0.5):(0.5):3 with boxxyerror fill solid 1 noborder "
-            "fillcolor rgb variable notitle\nunset label\nunset object\n"
-        )
+    for line, sentence in enumerate(said):
+        y = (height - 64 - 22 * line) / height
+        script += f"set label '{sentence}' at screen {64 / MAP_WIDTH:.5f},{y:.5f} left\n"
+    for place, panel in enumerate(drawn):
+        script += panel_script(panel, place, rows, colours, media, bottom, height)
+    for panel in panels:
         counts = " ".join(
-            f"{subjects[i].model}/{subjects[i].evaluator} {found.count(i)}"
-            for i in shown
-            if i in found
+            f"{subjects[i].model}/{subjects[i].evaluator} {panel.found.count(i)}"
+            for i in sorted({i for i in panel.found if i is not None})
         )
-        print(f"cheapest {title}, of {len(media)} media: {counts}")
-    draw(folder / "map", (MAP_WIDTH, MAP_HEIGHT), script + "unset multiplot\n")
+        print(f"cheapest {panel}, of {len(media)} media: {counts}")
+    draw(folder / "map", (MAP_WIDTH, height), script + "unset multiplot\n")
 
 
 def main() -> None:
