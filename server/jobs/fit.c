@@ -1,9 +1,6 @@
 /* Fit: finds the coefficients of media from sets of readings, set by set. The design that they
  * share is prepared on another thread and kept in the cache. */
 #include "proto/fit.h"
-
-#include <assert.h>
-
 #include "server/jobs/job.h"
 
 /* The cost of evaluating the model for one medium that a fit tries, in radii of a dipole: of the
@@ -22,14 +19,10 @@ struct fit_job {
   uint64_t evaluation_radii;     /* the cost of an evaluation, in radii of a dipole */
   uint32_t residuals;            /* how many the reply has for each set: 0, or one for a reading */
   uint8_t *reply;                /* payload of the current part */
-  uint64_t part_sets;            /* sets in each part except the last */
-  uint64_t first;                /* position in the request of the current part's first set */
-  uint64_t count;                /* how many sets the current part has */
+  struct job_parts parts;        /* of the sets */
   uint64_t index;                /* position in the part of the next set */
   uint64_t fitted;               /* how many sets of the part before index are a success */
   uint32_t notes;
-  uint32_t part; /* number of the current part, from 0 */
-  uint32_t part_count;
 };
 
 JOB_FITS_SLOT(struct fit_job);
@@ -48,16 +41,9 @@ static uint64_t set_radii(const struct fit_job *fit) {
  * larger than its request only if a set has few readings, so that many sets fit into a part. */
 static void cut(struct fit_job *fit, const struct options *options) {
   const uint64_t count = fit->request.fixed.set_count;
-  fit->part_sets = count;
-  if (fit_reply_bytes(count, fit->residuals) > options->max_frame_bytes) {
-    fit->part_sets = fit_part_sets(fit->residuals, options->max_part_bytes);
-  }
-  assert(fit->part_sets > 0);
-  fit->first = 0;
-  fit->count = fit->part_sets;
-  fit->part = 0;
-  fit->part_count =
-      (uint32_t)((count - 1) / fit->part_sets + 1); /* a frame holds fewer than 2^32 sets */
+  const bool fits = fit_reply_bytes(count, fit->residuals) <= options->max_frame_bytes;
+  job_parts_cut(&fit->parts, count,
+                fits ? count : fit_part_sets(fit->residuals, options->max_part_bytes));
 }
 
 static wire_error check(struct fit_job *fit, const struct job_request *from) {
@@ -93,7 +79,7 @@ static enum job_outcome start(struct job *job, const struct job_request *request
   }
   fit->notes = 0;
   job_init_lookup(job, &fit->lookup, request);
-  job->part_bytes = fit_reply_bytes(fit->count, fit->residuals);
+  job->part_bytes = fit_reply_bytes(fit->parts.count, fit->residuals);
   return JOB_NEXT_PART;
 }
 
@@ -109,23 +95,19 @@ static enum job_outcome begin_part(struct job *job, uint8_t *payload) {
 
 static enum job_outcome end_part(struct fit_job *fit) {
   const wire_fit_reply start = {
-      .part = fit->part,
-      .part_count = fit->part_count,
-      .set_count = fit->count,
-      .set_first = fit->first,
+      .part = fit->parts.part,
+      .part_count = fit->parts.part_count,
+      .set_count = fit->parts.count,
+      .set_first = fit->parts.first,
       .fitted_count = fit->fitted,
       .reading_count = fit->residuals,
       .notes = fit->notes,
   };
   wire_put_fit_reply(fit->reply, &start);
-  if (fit->part + 1 == fit->part_count) {
+  if (!job_parts_next(&fit->parts)) {
     return JOB_DONE;
   }
-  fit->first += fit->count;
-  fit->part++;
-  const uint64_t left = fit->request.fixed.set_count - fit->first;
-  fit->count = left < fit->part_sets ? left : fit->part_sets;
-  fit->job.part_bytes = fit_reply_bytes(fit->count, fit->residuals);
+  fit->job.part_bytes = fit_reply_bytes(fit->parts.count, fit->residuals);
   return JOB_NEXT_PART;
 }
 
@@ -148,10 +130,10 @@ static enum job_outcome get_design(struct fit_job *fit) {
 /* Fits the next set. Returns what that cost, in radii of a dipole. */
 static uint64_t fit_next(struct fit_job *fit) {
   const size_t readings = fit->request.design.reading_count;
-  const size_t at = (size_t)(fit->first + fit->index) * readings;
+  const size_t at = (size_t)(fit->parts.first + fit->index) * readings;
   double *residuals = NULL;
   if (fit->residuals > 0) {
-    residuals = (double *)(void *)(fit->reply + fit_residuals_offset(fit->count)) +
+    residuals = (double *)(void *)(fit->reply + fit_residuals_offset(fit->parts.count)) +
                 (size_t)fit->index * readings;
   }
   core_fit_result result;
@@ -173,13 +155,13 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
   }
   uint64_t spent = JOB_STEP_RADII;
   const uint64_t begun = fit->index;
-  while (fit->index < fit->count && spent < JOB_SLICE_RADII) {
+  while (fit->index < fit->parts.count && spent < JOB_SLICE_RADII) {
     spent += fit_next(fit);
   }
   stats_add(&job->context->server->stats, STATS_SETS_FITTED, fit->index - begun);
   job_pay(job, (fit->index - begun) * set_radii(fit));
   *budget -= spent < *budget ? spent : *budget;
-  return fit->index == fit->count ? end_part(fit) : JOB_GOES_ON;
+  return fit->index == fit->parts.count ? end_part(fit) : JOB_GOES_ON;
 }
 
 static void end(struct job *job) {

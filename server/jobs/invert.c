@@ -24,13 +24,9 @@ struct invert_job {
   struct profiles_lookup lookup; /* gets the profiles of slow probes */
   uint64_t probe_radii;          /* the cost of a probe, in radii of a dipole */
   uint8_t *reply;                /* payload of the current part */
-  uint64_t part_media;           /* media in each part except the last */
-  uint64_t first;                /* position in the request of the current part's first medium */
-  uint64_t count;                /* how many media the current part has */
+  struct job_parts parts;        /* of the media */
   uint64_t index;                /* position in the part of the medium that is searched for */
   uint64_t missing;              /* how many media of the part before index do not exist */
-  uint32_t part;                 /* number of the current part, from 0 */
-  uint32_t part_count;
 };
 
 JOB_FITS_SLOT(struct invert_job);
@@ -65,15 +61,8 @@ static wire_error check_media(const invert_request *request) {
 /* Cuts the reply into parts: one if it fits into a frame, else parts of max_part_bytes. */
 static void cut(struct invert_job *invert, const struct options *options) {
   const uint64_t count = invert->request.fixed.medium_count;
-  invert->part_media = count;
-  if (invert_reply_bytes(count) > options->max_frame_bytes) {
-    invert->part_media = invert_part_media(options->max_part_bytes);
-  }
-  invert->first = 0;
-  invert->count = invert->part_media;
-  invert->part = 0;
-  invert->part_count =
-      (uint32_t)((count - 1) / invert->part_media + 1); /* a frame holds fewer than 2^32 media */
+  const bool fits = invert_reply_bytes(count) <= options->max_frame_bytes;
+  job_parts_cut(&invert->parts, count, fits ? count : invert_part_media(options->max_part_bytes));
 }
 
 static wire_error check(struct invert_job *invert, const struct job_request *from) {
@@ -122,7 +111,7 @@ static enum job_outcome start(struct job *job, const struct job_request *request
   job_init_lookup(job, &invert->lookup, request);
   profiles_start(&invert->lookup, fixed->model, fixed->moments, CORE_EVALUATOR_F64, &none);
   cut(invert, &job->context->server->options);
-  job->part_bytes = invert_reply_bytes(invert->count);
+  job->part_bytes = invert_reply_bytes(invert->parts.count);
   return JOB_NEXT_PART;
 }
 
@@ -142,30 +131,26 @@ static enum job_outcome end_part(struct invert_job *invert) {
       .model = fixed->model,
       .moments = fixed->moments,
       .given = fixed->given,
-      .part = invert->part,
-      .part_count = invert->part_count,
-      .medium_count = invert->count,
-      .medium_first = invert->first,
+      .part = invert->parts.part,
+      .part_count = invert->parts.part_count,
+      .medium_count = invert->parts.count,
+      .medium_first = invert->parts.first,
       .missing_count = invert->missing,
       .albedo_least = invert->inverter.albedo_least,
       .albedo_most = invert->inverter.albedo_most,
   };
   wire_put_invert_reply(invert->reply, &start);
-  if (invert->part + 1 == invert->part_count) {
+  if (!job_parts_next(&invert->parts)) {
     return JOB_DONE;
   }
-  invert->first += invert->count;
-  invert->part++;
-  const uint64_t left = fixed->medium_count - invert->first;
-  invert->count = left < invert->part_media ? left : invert->part_media;
-  invert->job.part_bytes = invert_reply_bytes(invert->count);
+  invert->job.part_bytes = invert_reply_bytes(invert->parts.count);
   return JOB_NEXT_PART;
 }
 
 /* ---- looking for media ----------------------------------------------------------------------- */
 
 static double *array(const struct invert_job *invert, enum invert_array which) {
-  return (double *)(void *)(invert->reply + invert_array_offset(which, invert->count));
+  return (double *)(void *)(invert->reply + invert_array_offset(which, invert->parts.count));
 }
 
 /* Writes the medium at index, for which the search has ended. */
@@ -192,7 +177,8 @@ static enum job_outcome probe(struct invert_job *invert, double *albedo) {
         core_profile_prepare(&profile, context->server->isa, fixed->model, fixed->moments,
                              CORE_EVALUATOR_F64, &invert->inverter.medium, NULL);
     if (fault.field != NULL) {
-      return job_refuse(&invert->job, job_fault(fault, (uint32_t)(invert->first + invert->index)));
+      return job_refuse(&invert->job,
+                        job_fault(fault, (uint32_t)(invert->parts.first + invert->index)));
     }
     *albedo = profile.albedo;
     core_profile_free(&profile);
@@ -202,8 +188,8 @@ static enum job_outcome probe(struct invert_job *invert, double *albedo) {
   case PROFILES_WAIT:
     return JOB_WAITS;
   case PROFILES_FAULT:
-    return job_refuse(&invert->job,
-                      job_fault(invert->lookup.fault, (uint32_t)(invert->first + invert->index)));
+    return job_refuse(&invert->job, job_fault(invert->lookup.fault,
+                                              (uint32_t)(invert->parts.first + invert->index)));
   case PROFILES_READY:
     break;
   }
@@ -230,7 +216,7 @@ static enum job_outcome take(struct invert_job *invert, double albedo) {
 /* Does one step of the search: begins with the next medium, or probes once more. An albedo that the
  * model cannot reach needs no probe. */
 static enum job_outcome seek(struct invert_job *invert) {
-  const uint64_t i = invert->first + invert->index;
+  const uint64_t i = invert->parts.first + invert->index;
   if (invert->reach_known && !invert->seeking) {
     invert->seeking = true;
     if (core_inverter_seek(&invert->inverter, invert->request.albedos[i],
@@ -253,7 +239,7 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
   uint64_t spent = JOB_STEP_RADII;
   enum job_outcome outcome = JOB_GOES_ON;
   const uint64_t begun = invert->index;
-  while (outcome == JOB_GOES_ON && invert->index < invert->count && spent < JOB_SLICE_RADII) {
+  while (outcome == JOB_GOES_ON && invert->index < invert->parts.count && spent < JOB_SLICE_RADII) {
     outcome = seek(invert);
     spent += invert->probe_radii;
   }
@@ -261,7 +247,8 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
   stats_add(&job->context->server->stats, STATS_MEDIA_INVERTED, done);
   job_pay(job, done * medium_radii(invert));
   *budget -= spent < *budget ? spent : *budget;
-  return outcome == JOB_GOES_ON && invert->index == invert->count ? end_part(invert) : outcome;
+  return outcome == JOB_GOES_ON && invert->index == invert->parts.count ? end_part(invert)
+                                                                        : outcome;
 }
 
 static void end(struct job *job) {

@@ -1,5 +1,6 @@
 #include "server/jobs/job.h"
 
+#include <assert.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -162,4 +163,26 @@ wire_error job_too_large(const char *field, uint64_t most, const char *what) {
   char allowed[80];
   snprintf(allowed, sizeof allowed, "at most %llu %s", (unsigned long long)most, what);
   return wire_error_make(WIRE_STATUS_TOO_LARGE, field, allowed);
+}
+
+void job_parts_cut(struct job_parts *parts, uint64_t total, uint64_t most) {
+  assert(most > 0 || total == 0);
+  const uint64_t count = total < most ? total : most;
+  *parts = (struct job_parts){
+      .most = most,
+      .count = count,
+      .left = total - count,
+      .part_count = total > 0 ? (uint32_t)((total - 1) / most + 1) : 1,
+  };
+}
+
+bool job_parts_next(struct job_parts *parts) {
+  if (parts->part + 1 == parts->part_count) {
+    return false;
+  }
+  parts->first += parts->count;
+  parts->count = parts->left < parts->most ? parts->left : parts->most;
+  parts->left -= parts->count;
+  parts->part++;
+  return true;
 }

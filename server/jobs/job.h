@@ -122,6 +122,23 @@ struct job {
   wire_error refusal; /* set with JOB_REFUSED */
 };
 
+/* The parts of a reply that is a list of sets, media or values. */
+struct job_parts {
+  uint64_t most;  /* entries in each part except the last */
+  uint64_t first; /* position in the list of the current part's first entry */
+  uint64_t count; /* how many entries the current part has */
+  uint64_t left;  /* how many follow it */
+  uint32_t part;  /* number of the current part, from 0 */
+  uint32_t part_count;
+};
+
+/* Cuts a list of fewer than 2^32 entries, and begins with its first part. most is 0 only if total
+ * is 0. */
+void job_parts_cut(struct job_parts *parts, uint64_t total, uint64_t most);
+
+/* Goes on to the next part. Returns false if the current part is the last one. */
+bool job_parts_next(struct job_parts *parts);
+
 /* The size of a slot, which can hold a job of any kind. Each kind asserts that it fits. */
 enum { JOB_SLOT_BYTES = 1888 };
 

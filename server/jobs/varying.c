@@ -7,11 +7,9 @@ struct varying_job {
   varying_request request;
   struct profiles_lookup lookup;
   uint64_t value_radii; /* the cost of a value, in radii of a dipole */
-  uint64_t part_values; /* values in each part except the last */
+  struct job_parts parts;
   varying_part part;
   uint64_t index; /* position in the part of the next value */
-  uint32_t number;
-  uint32_t part_count;
 };
 
 JOB_FITS_SLOT(struct varying_job);
@@ -39,20 +37,17 @@ static wire_error cut(struct varying_job *varying, const struct options *options
   const wire_varying_request *fixed = &varying->request.fixed;
   const varying_layout whole = varying_reply_layout(fixed->evaluator, fixed->wanted,
                                                     fixed->coefficients, fixed->value_count);
-  varying->part_values = fixed->value_count;
-  varying->part_count = 1;
-  varying->number = 0;
+  uint64_t most = fixed->value_count;
   if (whole.payload_bytes > options->max_frame_bytes) {
-    varying->part_values = varying_part_values(fixed->evaluator, fixed->wanted, fixed->coefficients,
-                                               options->max_part_bytes);
-    if (varying->part_values == 0) {
+    most = varying_part_values(fixed->evaluator, fixed->wanted, fixed->coefficients,
+                               options->max_part_bytes);
+    if (most == 0) {
       return wire_error_make(WIRE_STATUS_TOO_LARGE, "wanted",
                              "fewer quantities, or values: they do not fit into a part "
                              "(max_part_bytes)");
     }
-    /* A frame holds fewer than 2^32 values. */
-    varying->part_count = (uint32_t)((fixed->value_count - 1) / varying->part_values + 1);
   }
+  job_parts_cut(&varying->parts, fixed->value_count, most);
   return wire_error_none();
 }
 
@@ -68,12 +63,8 @@ static wire_error check_model(const varying_request *request) {
 
 static void set_part_bytes(struct varying_job *varying) {
   const wire_varying_request *fixed = &varying->request.fixed;
-  const uint64_t first = varying->number * varying->part_values;
-  const uint64_t left = fixed->value_count - first;
-  varying->part.first = first;
-  varying->part.count = left < varying->part_values ? left : varying->part_values;
   varying->job.part_bytes = varying_reply_layout(fixed->evaluator, fixed->wanted,
-                                                 fixed->coefficients, varying->part.count)
+                                                 fixed->coefficients, varying->parts.count)
                                 .payload_bytes;
 }
 
@@ -107,17 +98,16 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
 
 static enum job_outcome begin_part(struct job *job, uint8_t *payload) {
   struct varying_job *varying = of(job);
-  varying_part_start(&varying->part, &varying->request, payload, varying->part.first,
-                     varying->part.count);
+  varying_part_start(&varying->part, &varying->request, payload, varying->parts.first,
+                     varying->parts.count);
   varying->index = 0;
   return JOB_GOES_ON;
 }
 
 static enum job_outcome end_part(struct varying_job *varying) {
-  varying_part_end(&varying->part, &varying->request, varying->lookup.varying, varying->number,
-                   varying->part_count);
-  varying->number++;
-  if (varying->number == varying->part_count) {
+  varying_part_end(&varying->part, &varying->request, varying->lookup.varying, varying->parts.part,
+                   varying->parts.part_count);
+  if (!job_parts_next(&varying->parts)) {
     return JOB_DONE;
   }
   set_part_bytes(varying);
