@@ -11,6 +11,7 @@
 #include <complex.h>
 
 #define FN_PI 3.14159265358979323846
+#define FN_LN2 0.693147180559945309417
 
 /* Returns e^x for |x| up to 700, and 0 for x below -700. */
 double fn_exp(double x);

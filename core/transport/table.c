@@ -375,6 +375,12 @@ static void end_difference(transport_difference *difference) {
     difference->terms[i] = difference->terms[i] < 2 ? 2 : difference->terms[i];
   }
   transport_join_panels(PANELS, TERMS_MAX, difference->term[0]);
+  const double *last = difference->term[PANELS - 1], *edge = difference->edge;
+  double slope = 0; /* that of T_k at 1 is k^2 */
+  for (size_t k = 1; k < difference->terms[PANELS - 1]; k++) {
+    slope += (double)(k * k) * last[k];
+  }
+  difference->last_slope = 2 * slope / (edge[PANELS] - edge[PANELS - 1]);
 }
 
 static void read_panels(struct reader *reader, const double (*basis)[TERMS_MAX], size_t indices,
@@ -597,19 +603,34 @@ static double sum_of(const double *terms, size_t count, double s) {
   return terms[0] + s * next - after;
 }
 
-/* Returns the series of the panel that y is in. Outside all panels it is constant. */
-static double sum_at(const double edge[PANELS + 1], const size_t terms[PANELS],
-                     const double term[PANELS][TERMS_MAX], double y) {
+/* Returns the panel that y is in. */
+static int panel_of(const double edge[PANELS + 1], double y) {
   int panel = 0;
   while (panel < PANELS - 1 && y > edge[panel + 1]) {
     panel++;
   }
+  return panel;
+}
+
+/* Returns the series of the panel that y is in. Outside all panels it is constant. */
+static double sum_at(const double edge[PANELS + 1], const size_t terms[PANELS],
+                     const double term[PANELS][TERMS_MAX], double y) {
+  const int panel = panel_of(edge, y);
   return sum_of(term[panel], terms[panel], mapped(y, edge[panel], edge[panel + 1]));
+}
+
+/* Returns what D gains beyond its reach. */
+static double beyond_reach(const transport_difference *difference, double y) {
+  const double beyond = (y - difference->edge[PANELS]) / TRANSPORT_TABLE_D_FADES;
+  return beyond > 0
+             ? difference->last_slope * TRANSPORT_TABLE_D_FADES * (1 - fn_exp(-fmin(beyond, 50)))
+             : 0;
 }
 
 double transport_difference_at(const transport_difference *difference, double y) {
   const double x = fn_exp(y);
   return sum_at(difference->edge, difference->terms, difference->term, y) +
+         beyond_reach(difference, y) +
          fn_log((1 + difference->kappa * x) / (1 + difference->kappa_isotropic * x));
 }
 
@@ -621,4 +642,47 @@ double transport_series_at(const transport_series *series, double y) {
   const double kappa = isotropic ? series->kappa : series->difference.kappa_isotropic;
   const double sum = q + series->ln_albedo + fn_log(1 + kappa * fn_exp(y));
   return isotropic ? sum : sum + transport_difference_at(&series->difference, y);
+}
+
+enum { TOGETHER = 8 }; /* sums side by side, which wait for each other less */
+
+/* Adds the series at each y, in ascending order. */
+static void add_sums(const double edge[PANELS + 1], const size_t terms[PANELS],
+                     const double term[PANELS][TERMS_MAX], size_t n, const double *y, double *out) {
+  size_t i = 0;
+  while (i < n) {
+    const int panel = panel_of(edge, y[i]);
+    if (i + TOGETHER > n || panel_of(edge, y[i + TOGETHER - 1]) != panel) {
+      out[i] += sum_at(edge, terms, term, y[i]);
+      i++;
+      continue;
+    }
+    double s[TOGETHER], next[TOGETHER] = {0}, after[TOGETHER] = {0};
+    for (size_t k = 0; k < TOGETHER; k++) {
+      s[k] = mapped(y[i + k], edge[panel], edge[panel + 1]);
+    }
+    for (size_t j = terms[panel] - 1; j >= 1; j--) {
+      for (size_t k = 0; k < TOGETHER; k++) {
+        const double sum = term[panel][j] + 2 * s[k] * next[k] - after[k];
+        after[k] = next[k];
+        next[k] = sum;
+      }
+    }
+    for (size_t k = 0; k < TOGETHER; k++) {
+      out[i + k] += term[panel][0] + s[k] * next[k] - after[k];
+    }
+    i += TOGETHER;
+  }
+}
+
+void transport_series_Q(const transport_series *series, size_t n, const double *y, double *Q) {
+  const transport_difference *difference = &series->difference;
+  memset(Q, 0, n * sizeof *Q);
+  add_sums(series->edge, series->terms, series->term, n, y, Q);
+  if (series->g != 0) {
+    add_sums(difference->edge, difference->terms, difference->term, n, y, Q);
+    for (size_t i = 0; i < n; i++) {
+      Q[i] += beyond_reach(difference, y[i]);
+    }
+  }
 }

@@ -29,8 +29,8 @@
  *       x = 1 / (kappa / decays + 1 / most) with the kappa of isotropic scattering, so that panels
  *       end where R does, and Q with them is a smooth function of kappa. The panels between the last
  *       fixed edge and the reach have the same width in y. Each part has its own edges. Beyond its
- *       reach D is constant: R is diffusion there, or so small that the errors below do not
- *       hold for it.
+ *       reach D goes on with its slope there, which fades within TRANSPORT_TABLE_D_FADES of y: R is
+ *       diffusion there, or so small that the errors below do not hold for it.
  *
  * For isotropic scattering the table holds the total (the energy that leaves per power that has
  * entered) as ln(total / a). For other media it holds ln(total / a) for a beam at right angles and
@@ -78,6 +78,8 @@
 #define TRANSPORT_TABLE_MARGIN 1.5
 /* the same for regions of g other than 0, each of which has few media */
 #define TRANSPORT_TABLE_MARGIN_D 2.0
+
+#define TRANSPORT_TABLE_D_FADES 1.0
 
 enum {
   TRANSPORT_TABLE_VERSION = 2,
@@ -178,6 +180,7 @@ typedef struct transport_difference {
   double edge[TRANSPORT_TABLE_PANELS + 1]; /* edges in ln x */
   size_t terms[TRANSPORT_TABLE_PANELS];
   double term[TRANSPORT_TABLE_PANELS][TRANSPORT_TABLE_TERMS_MAX];
+  double last_slope; /* by ln x, at the last edge */
 } transport_difference;
 
 /* Sets *difference to the difference of a medium, which the table has to cover
@@ -234,6 +237,11 @@ transport_slice_sums transport_slice_total(const transport_slice *slice, double 
 /* Returns ln(x R) + kappa x at y = ln x, for y from the first edge to the last (asserted, up to
  * rounding). */
 double transport_series_at(const transport_series *series, double y);
+
+/* Sets Q[i] to Q with the medium's own kappa at y[i] = ln x, in ascending order, for any y: the part
+ * for isotropic scattering is constant outside of its panels. It is the series without its source
+ * and its decay. */
+void transport_series_Q(const transport_series *series, size_t n, const double *y, double *Q);
 
 /* Makes the series of neighbouring panels meet: adds to each one a line, such that both have the mean
  * of their values at the edge between them, and the value at the other edge stays. Jumps there would

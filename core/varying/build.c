@@ -225,26 +225,39 @@ enum {
   LEVELS = 4
 };
 
-/* The cells of an octave, as powers of two, in ranges of octaves up to `end`. Each level has one
- * cut more in all octaves, which divides errors by 16. */
-static uint8_t *cuts_of(enum core_surface_axis axis, int first, int end, int level, uint8_t *cuts) {
-  for (int octave = first; octave < end; octave++) {
-    int base = 0;
-    if (axis == CORE_SURFACE_RADIUS) { /* single scattering gives way to multiple near x = 8 */
-      base = octave < -1 ? 0 : octave == 0 ? 3 : octave > 0 && octave < 5 ? 2 : 1;
-    } else if (axis == CORE_SURFACE_W) { /* the first octave is not full: see fill_rows() */
-      base = octave == W_FIRST ? 2 : 1;
-    } else if (axis == CORE_SURFACE_S) {
-      base = octave < -4 ? 1 : 2;
-    } else {
-      base = octave >= -4 ? 2 : axis == CORE_SURFACE_REST;
+/* The cells of an octave of radii, as powers of two. Q has a kink at each fixed edge of the table's
+ * series: octaves whose cells do not meet there get narrow ones. */
+static int cuts_of_radius(const transport_table *table, int octave, int level) {
+  /* Single scattering gives way to multiple near x = 8; the series for g end near x = 100. */
+  const int base = octave < -1 ? 0 : octave == 0 ? 3 : octave > 0 && octave < 8 ? 2 : 1;
+  int cuts = base + (octave < -11 ? 0 : level) + (octave > 4 && octave < 8 && level > 0);
+  for (int i = 0; i <= TRANSPORT_TABLE_NEAR + 1 + TRANSPORT_TABLE_D_NEAR; i++) {
+    const double edge = table->field[i <= TRANSPORT_TABLE_NEAR
+                                         ? TRANSPORT_TABLE_EDGES + i
+                                         : TRANSPORT_TABLE_D_EDGES + i - TRANSPORT_TABLE_NEAR - 1];
+    const double place = ldexp(edge, -octave); /* in units of the octave's begin */
+    const double cell = ldexp(place - 1, cuts);
+    if (place > 1 && place < 2 && fabs(cell - floor(cell + 0.5)) > 1e-6) {
+      cuts = cuts > 1 + 3 * level ? cuts : 1 + 3 * level;
     }
-    cuts[octave - first] = (uint8_t)(base + level);
   }
-  return cuts;
+  return cuts < CORE_SURFACE_CUTS_MAX ? cuts : CORE_SURFACE_CUTS_MAX;
 }
 
-static void lay_axes(float *words, int level) {
+/* The same for the other axes. Each level has one cut more, which divides errors by 16. */
+static int cuts_of(enum core_surface_axis axis, int octave, int level) {
+  int base;
+  if (axis == CORE_SURFACE_W) { /* the first octave is not full: see fill_rows() */
+    base = octave == W_FIRST ? 2 : 1;
+  } else if (axis == CORE_SURFACE_S) {
+    base = octave < -4 ? 1 : 2;
+  } else {
+    base = octave >= -4 ? 2 : axis == CORE_SURFACE_REST;
+  }
+  return base + level;
+}
+
+static void lay_axes(const transport_table *table, float *words, int level) {
   static const struct {
     enum core_surface_axis axis;
     int first, end;
@@ -255,8 +268,12 @@ static void lay_axes(float *words, int level) {
   };
   for (size_t i = 0; i < sizeof ranges / sizeof ranges[0]; i++) {
     uint8_t cuts[CORE_SURFACE_AXIS];
-    lay_axis(words, ranges[i].axis, ranges[i].first, ranges[i].end,
-             cuts_of(ranges[i].axis, ranges[i].first, ranges[i].end, level, cuts));
+    for (int octave = ranges[i].first; octave < ranges[i].end; octave++) {
+      cuts[octave - ranges[i].first] =
+          (uint8_t)(ranges[i].axis == CORE_SURFACE_RADIUS ? cuts_of_radius(table, octave, level)
+                                                          : cuts_of(ranges[i].axis, octave, level));
+    }
+    lay_axis(words, ranges[i].axis, ranges[i].first, ranges[i].end, cuts);
   }
 }
 
@@ -289,19 +306,24 @@ static void put_kappa(const rows *all, float *words) {
   }
 }
 
-/* Returns Q with the k of the words in place of the exact kappa. */
-static double Q_of_words(const float *words, const rows_row *row, double x) {
+/* Sets Q[i] to Q with the k of the words in place of the exact kappa. */
+static void Q_of_words(const float *words, const rows_row *row, size_t n, const double *x,
+                       const double *ln_x, double *Q) {
   double k = 0;
   for (int i = CORE_SURFACE_KAPPA_TERMS - 1; i >= 0; i--) {
     k = (double)words[CORE_SURFACE_KAPPA + i] + row->s * k;
   }
   k *= row->s;
-  return rows_Q(row, x) + (k - row->kappa) * x + fn_log((1 + row->kappa * x) / (1 + k * x));
+  rows_Q(row, n, ln_x, Q);
+  for (size_t i = 0; i < n; i++) {
+    Q[i] += (k - row->kappa) * x[i] + fn_log((1 + row->kappa * x[i]) / (1 + k * x[i]));
+  }
 }
 
 /* The points of all axes, and the values of a function at the points of all rows. */
 struct grid {
   double *nodes[CORE_SURFACE_AXES]; /* STEPS cells + 1 for each axis */
+  double *ln_x;                     /* logarithms of those of radii */
   double *values[CORE_SURFACE_FUNCTIONS];
 };
 
@@ -312,26 +334,22 @@ static size_t nodes_of(const float *words, enum core_surface_axis axis) {
 /* Sets the values of a row, number `index` of all. */
 static void set_values(const float *words, const struct grid *grid, const rows_row *row,
                        size_t index) {
-  static const struct {
-    enum core_surface_function function;
-    enum core_surface_axis axis;
-    double (*of)(const rows_row *row, double x);
-  } functions[] = {
-      {CORE_SURFACE_CDF, CORE_SURFACE_RADIUS, rows_cdf},
-      {CORE_SURFACE_X_OF_U, CORE_SURFACE_U, rows_radius},
-      {CORE_SURFACE_X_OF_REST, CORE_SURFACE_REST, rows_radius_of_rest},
-  };
-  for (size_t f = 0; f < sizeof functions / sizeof functions[0]; f++) {
-    const size_t count = nodes_of(words, functions[f].axis);
-    double *values = &grid->values[functions[f].function][index * count];
-    for (size_t i = 0; i < count; i++) {
-      values[i] = functions[f].of(row, grid->nodes[functions[f].axis][i]);
-    }
+  const double *x = grid->nodes[CORE_SURFACE_RADIUS];
+  const size_t radii = nodes_of(words, CORE_SURFACE_RADIUS);
+  Q_of_words(words, row, radii, x, grid->ln_x, &grid->values[CORE_SURFACE_Q][index * radii]);
+  for (size_t i = 0; i < radii; i++) {
+    grid->values[CORE_SURFACE_CDF][index * radii + i] = rows_cdf(row, x[i]);
   }
-  const size_t count = nodes_of(words, CORE_SURFACE_RADIUS);
-  for (size_t i = 0; i < count; i++) {
-    grid->values[CORE_SURFACE_Q][index * count + i] =
-        Q_of_words(words, row, grid->nodes[CORE_SURFACE_RADIUS][i]);
+  const size_t us = nodes_of(words, CORE_SURFACE_U), rests = nodes_of(words, CORE_SURFACE_REST);
+  rows_found found = {0};
+  for (size_t i = 0; i < us; i++) {
+    grid->values[CORE_SURFACE_X_OF_U][index * us + i] =
+        rows_radius(row, grid->nodes[CORE_SURFACE_U][i], &found);
+  }
+  found = (rows_found){0};
+  for (size_t i = 0; i < rests; i++) {
+    grid->values[CORE_SURFACE_X_OF_REST][index * rests + i] =
+        rows_radius_of_rest(row, grid->nodes[CORE_SURFACE_REST][i], &found);
   }
   grid->values[CORE_SURFACE_TOTAL][index] = row->total;
 }
@@ -341,13 +359,21 @@ static void fit_patches(const double *values, size_t cells, size_t columns, floa
   const size_t count = STEPS * columns + 1;
   for (size_t patch = 0; patch < cells * columns; patch++) {
     const double *corner = &values[STEPS * (patch / columns) * count + STEPS * (patch % columns)];
+    double along[STEPS + 1][CORE_SURFACE_TERMS]; /* powers of t, at each position of the rows */
+    for (int i = 0; i <= STEPS; i++) {
+      for (int q = 0; q < CORE_SURFACE_TERMS; q++) {
+        double sum = 0;
+        for (int k = 0; k <= STEPS; k++) {
+          sum += lagrange[k][q] * corner[(size_t)i * count + (size_t)k];
+        }
+        along[i][q] = sum;
+      }
+    }
     for (int p = 0; p < CORE_SURFACE_TERMS; p++) {
       for (int q = 0; q < CORE_SURFACE_TERMS; q++) {
         double sum = 0;
         for (int i = 0; i <= STEPS; i++) {
-          for (int k = 0; k <= STEPS; k++) {
-            sum += lagrange[i][p] * lagrange[k][q] * corner[(size_t)i * count + (size_t)k];
-          }
+          sum += lagrange[i][p] * along[i][q];
         }
         out[16 * patch + (size_t)(4 * p + q)] = (float)sum;
       }
@@ -375,7 +401,7 @@ static void put_functions(const struct grid *grid, float *words, size_t *at) {
 
 /* ---- measuring ------------------------------------------------------------------------------- */
 
-/* The stated error is the one found in the middle of cells times this. */
+/* The stated error is the one found in the middle of cells, and of R at kinks, times this. */
 #define FOUND_MARGIN 1.2
 
 enum { MEASURED = 256 };
@@ -389,9 +415,27 @@ struct measured {
   const rows_row *row;
 };
 
-static double row_R(const rows_row *row, double x) {
-  const double kx = row->kappa * x;
-  return row->albedo * (1 + kx) / x * fn_exp(rows_Q(row, x) - kx);
+/* Sets exact[i] to the value of a function at in[i], in ascending order. */
+static void row_values(const rows_row *row, enum core_surface_function function, size_t n,
+                       const double *in, double *exact) {
+  rows_found found = {0};
+  double ln_x[MEASURED] = {0};
+  for (size_t i = 0; i < n; i++) {
+    ln_x[i] = function == CORE_SURFACE_Q ? fn_log(in[i]) : 0;
+    exact[i] = function == CORE_SURFACE_CDF      ? rows_cdf(row, in[i])
+               : function == CORE_SURFACE_X_OF_U ? rows_radius(row, in[i], &found)
+                                                 : 0;
+    if (function == CORE_SURFACE_X_OF_REST) {
+      exact[i] = rows_radius_of_rest(row, in[i], &found);
+    }
+  }
+  if (function == CORE_SURFACE_Q) {
+    rows_Q(row, n, ln_x, exact);
+    for (size_t i = 0; i < n; i++) {
+      const double kx = row->kappa * in[i];
+      exact[i] = row->albedo * (1 + kx) / in[i] * fn_exp(exact[i] - kx);
+    }
+  }
 }
 
 /* Sets x to the middle of cell number `first` of an axis and of those that follow. */
@@ -403,38 +447,45 @@ static void middles(const struct grid *grid, enum core_surface_axis axis, size_t
   }
 }
 
-/* Returns the largest relative error of a function in the middle of cells, for one row, up to the
- * reach. */
-static double measure_function(const struct measured *of, enum core_surface_function function,
-                               core_varying_kernel_f64 *kernel) {
+/* Returns the largest relative error of a function at `count` places, for one row, up to the reach.
+ */
+static double measure_at(const struct measured *of, enum core_surface_function function,
+                         core_varying_kernel_f64 *kernel, size_t count, const double *places) {
   const rows_row *row = of->row;
-  const enum core_surface_axis axis = shapes[function].columns;
   const float *far = &of->words[CORE_SURFACE_FAR];
   const double reach = 1 / ((double)far[0] + row->s * ((double)far[1] + row->s * (double)far[2]));
-  double sigma_a[MEASURED], sigma_s[MEASURED], x[MEASURED], found[MEASURED];
+  double sigma_a[MEASURED] = {0}, sigma_s[MEASURED] = {0}, in[MEASURED] = {0};
+  double found[MEASURED], exact[MEASURED];
   double worst = 0;
-  for (size_t i = 0; i < MEASURED; i++) {
+  row_values(row, function, count, places, exact);
+  for (size_t i = 0; i < count; i++) {
     sigma_a[i] = row->s * row->s;
     sigma_s[i] = row->albedo / of->shared[LANES_SCATTER];
+    in[i] = function == CORE_SURFACE_X_OF_REST ? 1 - places[i] : places[i];
   }
+  kernel(of->shared, of->wide, count, sigma_a, sigma_s, in, found);
+  for (size_t i = 0; i < count; i++) {
+    const double r = shapes[function].columns == CORE_SURFACE_RADIUS ? places[i] : exact[i];
+    worst = r <= reach ? fmax(worst, fabs(found[i] / exact[i] - 1)) : worst;
+  }
+  return worst;
+}
+
+/* Returns the largest error of a function for one row: in the middle of cells, and at kinks of Q. */
+static double measure_function(const struct measured *of, enum core_surface_function function,
+                               core_varying_kernel_f64 *kernel) {
+  const enum core_surface_axis axis = shapes[function].columns;
   const size_t cells = cells_of(of->words, axis);
+  double places[MEASURED];
+  double worst = 0;
   for (size_t begin = 0; begin < cells; begin += MEASURED) {
     const size_t count = cells - begin < MEASURED ? cells - begin : MEASURED;
-    middles(of->grid, axis, begin, count, x);
-    if (function == CORE_SURFACE_X_OF_REST) {
-      for (size_t i = 0; i < count; i++) {
-        x[i] = 1 - x[i];
-      }
-    }
-    kernel(of->shared, of->wide, count, sigma_a, sigma_s, x, found);
-    for (size_t i = 0; i < count; i++) {
-      const double exact = function == CORE_SURFACE_Q        ? row_R(row, x[i])
-                           : function == CORE_SURFACE_CDF    ? rows_cdf(row, x[i])
-                           : function == CORE_SURFACE_X_OF_U ? rows_radius(row, x[i])
-                                                             : rows_radius_of_rest(row, 1 - x[i]);
-      const double r = axis == CORE_SURFACE_RADIUS ? x[i] : exact;
-      worst = r <= reach ? fmax(worst, fabs(found[i] / exact - 1)) : worst;
-    }
+    middles(of->grid, axis, begin, count, places);
+    worst = fmax(worst, measure_at(of, function, kernel, count, places));
+  }
+  if (function == CORE_SURFACE_Q) {
+    const size_t count = rows_edges(of->row, places);
+    worst = fmax(worst, measure_at(of, function, kernel, count, places));
   }
   return worst;
 }
@@ -479,6 +530,7 @@ static size_t rows_of(const float *words) {
 }
 
 static void free_grid(struct grid *grid) {
+  free(grid->ln_x);
   for (int i = 0; i < CORE_SURFACE_AXES; i++) {
     free(grid->nodes[i]);
   }
@@ -488,8 +540,8 @@ static void free_grid(struct grid *grid) {
 }
 
 static bool make_grid(const float *words, struct grid *grid) {
-  bool good = true;
-  *grid = (struct grid){{NULL}, {NULL}};
+  *grid = (struct grid){.ln_x = malloc(nodes_of(words, CORE_SURFACE_RADIUS) * sizeof(double))};
+  bool good = grid->ln_x != NULL;
   for (int i = 0; i < CORE_SURFACE_COLOUR; i++) {
     grid->nodes[i] = malloc(nodes_of(words, i) * sizeof(double));
     good = good && grid->nodes[i] != NULL;
@@ -502,6 +554,9 @@ static bool make_grid(const float *words, struct grid *grid) {
   }
   for (int i = 0; good && i < CORE_SURFACE_COLOUR; i++) {
     axis_nodes(words, i, grid->nodes[i]);
+  }
+  for (size_t i = 0; good && i < nodes_of(words, CORE_SURFACE_RADIUS); i++) {
+    grid->ln_x[i] = fn_log(grid->nodes[CORE_SURFACE_RADIUS][i]);
   }
   return good;
 }
@@ -597,7 +652,7 @@ static core_fault build_transport(const core_surface_inputs *inputs, float *head
   int level = inputs->tolerance >= 3e-4 ? 0 : inputs->tolerance >= 2e-5 ? 1 : 2;
   bool good = false;
   while (fault.field == NULL && !good) {
-    lay_axes(header, level);
+    lay_axes(table, header, level);
     fault = build_surface(inputs, all, row, header, words, count);
     good = fault.field == NULL && (double)(*words)[CORE_SURFACE_ERROR] <= inputs->tolerance;
     level++;

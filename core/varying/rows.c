@@ -1,5 +1,5 @@
-/* Each octave of x has Chebyshev series in t = x / 2^e - 1, from 0 to 1: of Q, and of the energy
- * within. */
+/* The energy within is a Chebyshev series in t = x / 2^e - 1, from 0 to 1, for each octave of x. Q is
+ * that of the table's series, whose panels do not end where octaves do. */
 #include "core/varying/rows.h"
 
 #include <assert.h>
@@ -11,12 +11,14 @@
 #include "core/transport/functions.h"
 #include "core/transport/transport.h"
 
-enum { TERMS = ROWS_TERMS, BASES = 3, STEPS = 40, KAPPA_TERMS = 32 };
+enum { TERMS = ROWS_TERMS, BASES = ROWS_BASES, STEPS = 40, KAPPA_TERMS = 32, TOGETHER = 64 };
 
-/* The series of kappa / s has a relative error of 1e-6 (for g above 0.5 less), which puts R off by
- * 25e-6 at 25 decay lengths. */
-#define INTERPOLATES_FROM 3e-4
+/* The series of kappa / s has a relative error of 1e-6, which puts R off by 25e-6 at 25 decay lengths;
+ * for g above 0.5, and for albedos from 0.6 on, it is 5e-8. */
+#define INTERPOLATES_FROM 3e-4 /* tolerance for which the series serves all albedos */
 #define INTERPOLATES_ERROR 3e-5
+#define INTERPOLATES_ALBEDO 0.6 /* from which it serves smaller tolerances */
+#define INTERPOLATES_ALBEDO_ERROR 1.5e-6
 
 struct rows {
   const transport_table *table;
@@ -24,14 +26,18 @@ struct rows {
   double g;
   double s_least; /* of the largest albedo of the table */
   double w_least;
-  double point[TERMS];        /* Chebyshev points, from 0 to 1 */
+  double point[TERMS]; /* Chebyshev points, from 0 to 1 */
+  double ln_x[ROWS_OCTAVES][TERMS];
   double basis[TERMS][TERMS]; /* [i][k]: weight of the value at point i in term k */
   /* If g is not 0: kappa / s as a Chebyshev series in the coordinate u of the table. Solving for
    * kappa takes longer than all else. */
   double u[2];
   double kappa_per_s[KAPPA_TERMS];
-  bool interpolates;
-  rows_row *base[2][BASES]; /* from which rows are extrapolated: to small s, and to small w */
+  double interpolates_from; /* albedo */
+  double error;
+  /* from which rows are extrapolated: to small s, and to small w */
+  double base_at[2][BASES];
+  rows_source base[2][BASES];
 };
 
 /* ---- series ---------------------------------------------------------------------------------- */
@@ -41,6 +47,9 @@ static void set_points(rows *all) {
     double sine, cosine;
     fn_sincos(FN_PI * (i + 0.5) / TERMS, &sine, &cosine);
     all->point[i] = 0.5 * (1 - cosine);
+    for (int octave = 0; octave < ROWS_OCTAVES; octave++) {
+      all->ln_x[octave][i] = (ROWS_FIRST + octave) * FN_LN2 + fn_log(1 + all->point[i]);
+    }
     double before = 1, now = -cosine;
     for (int k = 0; k < TERMS; k++) {
       all->basis[i][k] = (k == 0 ? 1.0 : 2.0) / TERMS * before;
@@ -121,7 +130,7 @@ static void set_kappa(rows *all) {
 }
 
 static double kappa_of(const rows *all, double albedo) {
-  if (!all->interpolates || albedo < all->table->field[TRANSPORT_TABLE_ALBEDO_LEAST]) {
+  if (albedo < all->interpolates_from) {
     return solved_kappa(all, albedo);
   }
   const double s = 2 * (transport_table_u(albedo) - all->u[0]) / (all->u[1] - all->u[0]) - 1;
@@ -136,60 +145,79 @@ static double kappa_of(const rows *all, double albedo) {
 
 /* ---- one medium ------------------------------------------------------------------------------ */
 
-/* Q from the table, and beyond its reach as core/models/transport.c continues R. */
-struct source {
-  const transport_series *series;
-  double ln_last, Q_last;
-  double steeper, fading;
-};
-
-static double tabulated(const transport_series *series, double y) {
-  const double kept = fmin(fmax(y, series->edge[0]), series->edge[TRANSPORT_TABLE_PANELS]);
-  const double kx = series->kappa * fn_exp(kept);
-  return transport_series_at(series, kept) - series->ln_albedo - fn_log(1 + kx);
-}
-
 #define LAST 1e4 /* mean free paths, as in core/models/transport.c */
 
-static struct source source_of(const transport_series *series) {
-  const double h = 1e-3, last = series->edge[TRANSPORT_TABLE_PANELS];
-  struct source source = {series, last, tabulated(series, last), 0, 0};
-  const double slope =
-      (3 * source.Q_last - 4 * tabulated(series, last - h) + tabulated(series, last - 2 * h)) /
-      (2 * h);
-  const bool fades = fn_exp(last) > 0.5 * LAST;
-  source.steeper = fades ? 0 : -2 - slope;
-  source.fading = fades ? -2 - slope : 0;
-  return source;
+static double kappa_of_row(const rows *all, double s, double w) {
+  return s < all->s_least ? s * rows_kappa_per_s(all, s, w) : kappa_of(all, w * (1 + s));
 }
 
-static double Q_at(const struct source *source, double y) {
-  const double beyond = y - source->ln_last;
-  if (!(beyond > 0)) {
-    return tabulated(source->series, y);
-  }
-  return source->Q_last - (2 + source->steeper) * beyond -
-         0.5 * source->fading * (1 - fn_exp(-2 * beyond));
+static void set_source(const rows *all, double albedo, rows_source *source) {
+  transport_slice_look_up(all->slice, albedo, kappa_of(all, albedo), &source->series);
+  const double h = 1e-3, last = source->series.edge[TRANSPORT_TABLE_PANELS];
+  double Q[3];
+  transport_series_Q(&source->series, 3, (double[]){last - 2 * h, last - h, last}, Q);
+  const double slope = (3 * Q[2] - 4 * Q[1] + Q[0]) / (2 * h);
+  const bool fades = fn_exp(last) > 0.5 * LAST;
+  source->last_Q = Q[2];
+  source->steeper = fades ? 0 : -2 - slope;
+  source->fading = fades ? -2 - slope : 0;
 }
+
+/* Adds Q times a weight. */
+static void add_source(const rows_source *source, double weight, size_t n, const double *y,
+                       double *Q) {
+  const double last = source->series.edge[TRANSPORT_TABLE_PANELS];
+  for (size_t done = 0; done < n; done += TOGETHER) {
+    const size_t count = n - done < TOGETHER ? n - done : TOGETHER;
+    double here[TOGETHER];
+    transport_series_Q(&source->series, count, y + done, here);
+    for (size_t i = 0; i < count; i++) {
+      const double beyond = y[done + i] - last;
+      const double far = beyond > 0 ? source->last_Q - (2 + source->steeper) * beyond -
+                                          0.5 * source->fading * (1 - fn_exp(-2 * beyond))
+                                    : here[i];
+      Q[done + i] += weight * far;
+    }
+  }
+}
+
+void rows_Q(const rows_row *row, size_t n, const double *y, double *Q) {
+  for (size_t i = 0; i < n; i++) {
+    Q[i] = row->lift;
+  }
+  for (int i = 0; i < BASES; i++) {
+    if (row->base[i] != NULL) {
+      add_source(row->base[i], row->weight[i], n, y, Q);
+    }
+  }
+}
+
+/* Beyond so many decay lengths no energy is left. */
+#define DECAYS_MOST 80
 
 /* Sums the energy of a row from its Q. For g other than 0, R is scaled to the total as
  * core/models/transport.c does. */
 static void sum_energy(const rows *all, rows_row *row) {
   double part[ROWS_OCTAVES];
-  const double near = 2 * FN_PI * row->albedo * fn_exp(rows_Q(row, ldexp(1, ROWS_FIRST)));
-  double energy = near * ldexp(1, ROWS_FIRST);
+  double Q[TERMS];
+  rows_Q(row, 1, (double[]){ROWS_FIRST * FN_LN2}, Q);
+  double energy = 2 * FN_PI * row->albedo * fn_exp(Q[0]) * ldexp(1, ROWS_FIRST);
+  memset(row->within, 0, sizeof row->within);
   row->before[0] = energy;
   for (int i = 0; i < ROWS_OCTAVES; i++) {
     const double begin = ldexp(1, ROWS_FIRST + i);
-    double density[TERMS], terms[TERMS];
-    for (int k = 0; k < TERMS; k++) {
-      const double x = begin * (1 + all->point[k]), kx = row->kappa * x;
-      density[k] = 2 * FN_PI * row->albedo * begin * (1 + kx) *
-                   fn_exp(sum_of(row->Q[i], all->point[k]) - kx);
+    part[i] = 0;
+    if (row->kappa * begin < DECAYS_MOST) {
+      double density[TERMS], terms[TERMS];
+      rows_Q(row, TERMS, all->ln_x[i], Q);
+      for (int k = 0; k < TERMS; k++) {
+        const double x = begin * (1 + all->point[k]), kx = row->kappa * x;
+        density[k] = 2 * FN_PI * row->albedo * begin * (1 + kx) * fn_exp(Q[k] - kx);
+      }
+      fit(all, density, terms);
+      integrate(terms, row->within[i]);
+      part[i] = sum_of(row->within[i], 1);
     }
-    fit(all, density, terms);
-    integrate(terms, row->within[i]);
-    part[i] = sum_of(row->within[i], 1);
     energy += part[i];
     row->before[i + 1] = energy;
   }
@@ -200,42 +228,19 @@ static void sum_energy(const rows *all, rows_row *row) {
       row->within[i][k] /= energy;
     }
     row->before[i + 1] /= energy;
-    row->Q[i][0] += all->g != 0 ? fn_log(row->total / energy) : 0;
   }
   row->before[0] /= energy;
+  row->lift = all->g != 0 ? fn_log(row->total / energy) : 0;
 }
 
-/* Sets Q of a row to that of a medium of the table. */
-static void fill_tabulated(const rows *all, rows_row *row) {
-  transport_series series;
-  transport_slice_look_up(all->slice, row->albedo, kappa_of(all, row->albedo), &series);
-  const struct source source = source_of(&series);
-  row->kappa = series.kappa;
-  for (int i = 0; i < ROWS_OCTAVES; i++) {
-    double values[TERMS];
-    for (int k = 0; k < TERMS; k++) {
-      values[k] = Q_at(&source, fn_log(ldexp(1 + all->point[k], ROWS_FIRST + i)));
-    }
-    fit(all, values, row->Q[i]);
-  }
-}
-
-/* Sets Q to the parabola through three rows, as a function of s or w. */
-static void extrapolate(rows_row *const base[BASES], bool by_s, rows_row *row) {
-  double at[BASES], weight[BASES];
+/* Sets the weights of the parabola through three bases, as a function of s or w. */
+static void extrapolate(const rows *all, bool by_s, rows_row *row) {
+  const double *at = all->base_at[by_s ? 0 : 1];
   for (int i = 0; i < BASES; i++) {
-    at[i] = by_s ? base[i]->s : base[i]->w;
-  }
-  for (int i = 0; i < BASES; i++) {
-    weight[i] = 1;
+    row->base[i] = &all->base[by_s ? 0 : 1][i];
+    row->weight[i] = 1;
     for (int k = 0; k < BASES; k++) {
-      weight[i] *= k == i ? 1 : ((by_s ? row->s : row->w) - at[k]) / (at[i] - at[k]);
-    }
-  }
-  for (int i = 0; i < ROWS_OCTAVES; i++) {
-    for (int k = 0; k < TERMS; k++) {
-      row->Q[i][k] = weight[0] * base[0]->Q[i][k] + weight[1] * base[1]->Q[i][k] +
-                     weight[2] * base[2]->Q[i][k];
+      row->weight[i] *= k == i ? 1 : ((by_s ? row->s : row->w) - at[k]) / (at[i] - at[k]);
     }
   }
 }
@@ -268,11 +273,15 @@ void rows_fill(const rows *all, double s, double w, rows_row *row) {
   const transport_slice_sums totals = rows_totals(all, s, w);
   row->total = totals.beam;
   row->total_diffuse = totals.diffuse;
+  row->kappa = kappa_of_row(all, s, w);
+  row->lift = 0;
   if (s < all->s_least || w < all->w_least) {
-    row->kappa = s < all->s_least ? s * rows_kappa_per_s(all, s, w) : kappa_of(all, row->albedo);
-    extrapolate(all->base[s < all->s_least ? 0 : 1], s < all->s_least, row);
+    extrapolate(all, s < all->s_least, row);
   } else {
-    fill_tabulated(all, row);
+    set_source(all, row->albedo, &row->source);
+    row->base[0] = &row->source;
+    row->base[1] = row->base[2] = NULL;
+    row->weight[0] = 1;
   }
   sum_energy(all, row);
 }
@@ -280,7 +289,7 @@ void rows_fill(const rows *all, double s, double w, rows_row *row) {
 /* ---- all rows -------------------------------------------------------------------------------- */
 
 double rows_error(const rows *all) {
-  return all->interpolates ? INTERPOLATES_ERROR : 0;
+  return all->error;
 }
 
 double rows_w_least(const rows *all) {
@@ -289,11 +298,9 @@ double rows_w_least(const rows *all) {
 
 rows *rows_create(const transport_table *table, double g, double eta, double tolerance) {
   rows *all = calloc(1, sizeof *all);
-  rows_row *base = calloc(2 * BASES, sizeof *base);
   transport_slice *slice = transport_slice_create(table, g, eta);
-  if (all == NULL || base == NULL || slice == NULL) {
+  if (all == NULL || slice == NULL) {
     free(all);
-    free(base);
     free(slice);
     return NULL;
   }
@@ -304,38 +311,57 @@ rows *rows_create(const transport_table *table, double g, double eta, double tol
   /* a little inside, so that rounding stays in the table */
   all->s_least = sqrt(1 - table->field[TRANSPORT_TABLE_ALBEDO_MOST]) * (1 + 1e-9);
   all->w_least = least / (1 + sqrt(1 - least)) * (1 + 1e-9);
-  all->interpolates = g != 0 && tolerance >= INTERPOLATES_FROM;
-  if (all->interpolates) {
+  all->interpolates_from = (double)INFINITY;
+  if (g != 0) {
+    const bool everywhere = tolerance >= INTERPOLATES_FROM;
     set_kappa(all);
+    all->interpolates_from = everywhere ? least : INTERPOLATES_ALBEDO;
+    all->error = everywhere ? INTERPOLATES_ERROR : INTERPOLATES_ALBEDO_ERROR;
   }
   set_points(all);
   for (int i = 0; i < BASES; i++) {
-    all->base[0][i] = &base[i];
-    all->base[1][i] = &base[BASES + i];
     const double s = all->s_least * (1 + i), w = all->w_least * (1 + 0.02 * i);
-    base[i] = (rows_row){.s = s, .w = 1 - s, .albedo = (1 - s) * (1 + s)};
-    base[BASES + i] = (rows_row){.s = 1 - w, .w = w, .albedo = w * (2 - w)};
-    fill_tabulated(all, &base[i]);
-    fill_tabulated(all, &base[BASES + i]);
+    all->base_at[0][i] = s;
+    all->base_at[1][i] = w;
+    set_source(all, (1 - s) * (1 + s), &all->base[0][i]);
+    set_source(all, w * (2 - w), &all->base[1][i]);
   }
   return all;
 }
 
 void rows_free(rows *all) {
   if (all != NULL) {
-    free(all->base[0][0]);
     free(all->slice);
     free(all);
   }
 }
 
-/* ---- the functions of a row ------------------------------------------------------------------ */
-
-double rows_Q(const rows_row *row, double x) {
-  double t;
-  const int octave = octave_of(x, &t);
-  return octave < 0 ? sum_of(row->Q[0], 0) : sum_of(row->Q[octave], t);
+size_t rows_edges(const rows_row *row, double x[ROWS_EDGES_MAX]) {
+  size_t count = 0;
+  for (int i = 0; i < BASES; i++) {
+    if (row->base[i] != &row->source) {
+      continue;
+    }
+    const transport_series *series = &row->source.series;
+    for (int part = 0; part < (series->g == 0 ? 1 : 2); part++) {
+      for (int k = 0; k <= TRANSPORT_TABLE_PANELS; k++) {
+        const double edge = fn_exp(part == 0 ? series->edge[k] : series->difference.edge[k]);
+        size_t at = count;
+        const bool inside = edge > ldexp(1, ROWS_FIRST) && edge < ldexp(1, ROWS_END);
+        for (; inside && at > 0 && x[at - 1] > edge; at--) {
+          x[at] = x[at - 1];
+        }
+        if (inside) {
+          x[at] = edge;
+          count++;
+        }
+      }
+    }
+  }
+  return count;
 }
+
+/* ---- the functions of a row ------------------------------------------------------------------ */
 
 double rows_cdf(const rows_row *row, double x) {
   double t;
@@ -344,39 +370,46 @@ double rows_cdf(const rows_row *row, double x) {
                     : row->before[octave] + sum_of(row->within[octave], t);
 }
 
+/* Newton's method squares its error: the step after one of this size is within 1e-10. */
+#define SEARCHED 3e-6
+
 /* Returns x in an octave where the energy within the octave is `wanted`: Newton's method in a
  * bracket. */
-static double search(const rows_row *row, int octave, double wanted) {
+static double search(const rows_row *row, int octave, double wanted, rows_found *last) {
   const double *terms = row->within[octave];
-  double low = 0, high = 1, t = fmin(fmax(wanted / sum_of(terms, 1), 0), 1);
+  const bool follows = last->octave == octave && last->slope > 0;
+  const double guess =
+      follows ? last->t + (wanted - last->wanted) / last->slope : wanted / sum_of(terms, 1);
+  double low = 0, high = 1, t = fmin(fmax(guess, 0), 1), slope = 0;
   for (int i = 0; i < STEPS; i++) {
     const double s = 2 * t - 1;
     double next = 0, after = 0, next_slope = 0, after_slope = 0;
     for (int k = TERMS - 1; k >= 1; k--) {
-      const double slope = 2 * (next + s * next_slope) - after_slope;
+      const double sum_slope = 2 * (next + s * next_slope) - after_slope;
       const double sum = terms[k] + 2 * s * next - after;
       after = next;
       next = sum;
       after_slope = next_slope;
-      next_slope = slope;
+      next_slope = sum_slope;
     }
     const double off = terms[0] + s * next - after - wanted;
-    const double slope = 2 * (next + s * next_slope - after_slope);
+    slope = 2 * (next + s * next_slope - after_slope);
     low = off < 0 ? t : low;
     high = off < 0 ? high : t;
     const double newton = t - off / slope;
     const double middle = 0.5 * (low + high);
     const double step = newton >= low && newton <= high ? newton : middle;
-    const bool last = fabs(step - t) < 1e-9;
+    const bool ends = fabs(step - t) < SEARCHED;
     t = step;
-    if (last) {
+    if (ends) {
       break;
     }
   }
+  *last = (rows_found){octave, wanted, t, slope};
   return ldexp(1 + t, ROWS_FIRST + octave);
 }
 
-double rows_radius(const rows_row *row, double u) {
+double rows_radius(const rows_row *row, double u, rows_found *last) {
   if (u < row->before[0]) {
     return ldexp(u / row->before[0], ROWS_FIRST);
   }
@@ -384,13 +417,13 @@ double rows_radius(const rows_row *row, double u) {
   while (octave < ROWS_OCTAVES - 1 && row->before[octave + 1] < u) {
     octave++;
   }
-  return search(row, octave, u - row->before[octave]);
+  return search(row, octave, u - row->before[octave], last);
 }
 
-double rows_radius_of_rest(const rows_row *row, double rest) {
+double rows_radius_of_rest(const rows_row *row, double rest, rows_found *last) {
   int octave = ROWS_OCTAVES - 1;
   while (octave > 0 && row->beyond[octave] < rest) {
     octave--;
   }
-  return search(row, octave, fmax(row->beyond[octave] - rest, 0));
+  return search(row, octave, fmax(row->beyond[octave] - rest, 0), last);
 }

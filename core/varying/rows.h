@@ -13,16 +13,28 @@ enum {
   ROWS_TERMS = 16 /* of a series in an octave */
 };
 
+/* Q of a medium of the table, and beyond its reach as core/models/transport.c continues R. */
+typedef struct rows_source {
+  transport_series series;
+  double last_Q; /* at the reach */
+  double steeper, fading;
+} rows_source;
+
+enum { ROWS_BASES = 3 };
+
 typedef struct rows_row {
   double s, w; /* w = 1 - s */
   double albedo;
   double kappa;
   double total;
   double total_diffuse;
-  double Q[ROWS_OCTAVES][ROWS_TERMS];      /* with the exact kappa: Chebyshev series */
-  double within[ROWS_OCTAVES][ROWS_TERMS]; /* energy within, from the octave's begin: likewise */
-  double before[ROWS_OCTAVES + 1];         /* energy below the octave, per total */
-  double beyond[ROWS_OCTAVES + 1];         /* energy from the octave's begin on, per total */
+  rows_source source;
+  const rows_source *base[ROWS_BASES];     /* Q is the sum of these with weights: the row's own */
+  double weight[ROWS_BASES];               /* source, or those that it is extrapolated from */
+  double lift;                             /* of Q, so that R integrates to the total */
+  double within[ROWS_OCTAVES][ROWS_TERMS]; /* energy within, from the octave's begin, per total: */
+  double before[ROWS_OCTAVES + 1];         /* a Chebyshev series; energy below the octave */
+  double beyond[ROWS_OCTAVES + 1];         /* energy from the octave's begin on */
 } rows_row;
 
 /* What all rows of one g and eta share. */
@@ -51,10 +63,26 @@ transport_slice_sums rows_totals(const rows *all, double s, double w);
 /* Returns kappa / s. */
 double rows_kappa_per_s(const rows *all, double s, double w);
 
-/* Return Q and the cdf at x, and the radius whose cdf is u, or 1 - rest. */
-double rows_Q(const rows_row *row, double x);
+/* Sets Q[i] to Q with the exact kappa at y[i] = ln x, in ascending order. */
+void rows_Q(const rows_row *row, size_t n, const double *y, double *Q);
+
+/* Sets x to the radii, within the octaves that have rows, where the series of a row have edges and Q
+ * a kink, in ascending order. Returns their number. */
+enum { ROWS_EDGES_MAX = 2 * (TRANSPORT_TABLE_PANELS + 1) };
+size_t rows_edges(const rows_row *row, double x[ROWS_EDGES_MAX]);
+
+/* Where a radius was found, from which the next one is sought. Begins as zero. */
+typedef struct rows_found {
+  int octave;
+  double wanted; /* energy within the octave */
+  double t;      /* place in the octave, from 0 to 1 */
+  double slope;  /* of the energy by t; 0 if nothing was found in an octave yet */
+} rows_found;
+
+/* Return the cdf at x, and the radius whose cdf is u, or 1 - rest. `last` is where the radius of the
+ * number before was found, in the same row; it is set anew. */
 double rows_cdf(const rows_row *row, double x);
-double rows_radius(const rows_row *row, double u);
-double rows_radius_of_rest(const rows_row *row, double rest);
+double rows_radius(const rows_row *row, double u, rows_found *last);
+double rows_radius_of_rest(const rows_row *row, double rest, rows_found *last);
 
 #endif

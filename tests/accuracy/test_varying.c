@@ -215,6 +215,41 @@ UNIT_TEST(transport_is_within_its_tolerance) {
   }
 }
 
+/* A surface with a small tolerance stands for what it is made of. */
+UNIT_TEST(surfaces_keep_each_tolerance) {
+  static const double gs[] = {0, 0.5, 0.93, -0.4};
+  static const double tolerances[] = {1e-5, 1e-4, 1e-3};
+  uint64_t random = unit_seed();
+  for (size_t i = 0; i < sizeof gs / sizeof gs[0]; i++) {
+    core_varying varying[3];
+    const double eta = unit_random_between(&random, 0.75, 2.1);
+    for (int k = 0; k < 3; k++) {
+      core_parameters parameters = core_parameters_none();
+      parameters.value[CORE_PARAMETER_TOLERANCE] = tolerances[k];
+      varying[k] = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, gs[i], eta, &parameters);
+      assert_true(varying[k].surface_error > 0 && varying[k].surface_error <= tolerances[k]);
+    }
+    for (int n = 0; n < 5000; n++) {
+      const struct value value = random_value(&random, gs[i], 50);
+      core_varying_range range;
+      if (check(&varying[0], &value, &range) != CORE_VALUE_OK) {
+        continue;
+      }
+      for (int k = 1; k < 3; k++) {
+        const double most = varying[0].surface_error + varying[k].surface_error + 1e-12;
+        for (int q = 0; q < QUANTITIES; q++) {
+          const double one = eval(&varying[0], quantities[q], &value);
+          const double other = eval(&varying[k], quantities[q], &value);
+          assert_true(fabs(other - one) <= most * fabs(one) * (q == 0 ? 1 : 2));
+        }
+      }
+    }
+    for (int k = 0; k < 3; k++) {
+      core_varying_free(&varying[k]);
+    }
+  }
+}
+
 UNIT_TEST(transport_without_absorption_is_continued_to_the_limit) {
   core_varying varying = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, 0, 1.4, NULL);
   const struct value value = {0, 1, 3, 0.5};
