@@ -25,7 +25,9 @@ function Table(wide)
   end
   if total <= widest_columns then
     simple.widths = pandoc.List(simple.widths):map(function() return 0 end)
-    return pandoc.utils.from_simple_table(simple)
+    -- The page breaks before the table, never inside: tbl warns of a break next to a text block.
+    local lines = pandoc.RawBlock("man", ".ne " .. 2 * #simple.rows + 4)
+    return { lines, pandoc.utils.from_simple_table(simple) }
   end
   local titles = pandoc.List()
   for column, title in ipairs(simple.headers) do
