@@ -61,6 +61,14 @@ ALL_LDFLAGS = -pthread $(LDFLAGS) $(SANITIZE)
 PKG_CONFIG ?= pkg-config
 UV_CFLAGS = $(shell $(PKG_CONFIG) --cflags libuv)
 UV_LIBS = $(shell $(PKG_CONFIG) --libs libuv)
+# TLS=no builds without OpenSSL.
+TLS ?= yes
+ifeq ($(TLS),yes)
+TLS_CFLAGS = $(shell $(PKG_CONFIG) --cflags openssl)
+TLS_LIBS = $(shell $(PKG_CONFIG) --libs openssl)
+else
+CPPFLAGS += -DDIPOLED_WITHOUT_TLS
+endif
 PNG_CFLAGS = $(shell $(PKG_CONFIG) --cflags libpng)
 PNG_LIBS = $(shell $(PKG_CONFIG) --libs libpng)
 HTTP_CFLAGS = $(shell $(PKG_CONFIG) --cflags libmicrohttpd)
@@ -125,7 +133,7 @@ INSTALLED := $(BUILD)/dipoled $(BUILD)/dipole
 PROGRAMS := $(INSTALLED) $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-pipeline check-asan check-tsan check-fuzz check-truth check-fits check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables reference tradeoff figures fit-bias clean
+.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-tls-long check-pipeline check-asan check-tsan check-fuzz check-truth check-fits check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables reference tradeoff figures fit-bias clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -163,7 +171,7 @@ $(OBJ)/%.$(1).o: %.c Makefile
 endef
 $(foreach isa,$(ISAS),$(eval $(call loop_rule,$(isa))))
 
-$(SERVER) $(OBJ)/tests/e2e/count_allocations.o: EXTRA_CPPFLAGS = $(UV_CFLAGS) $(HTTP_CFLAGS) $(MODBUS_CFLAGS)
+$(SERVER) $(OBJ)/tests/e2e/count_allocations.o: EXTRA_CPPFLAGS = $(UV_CFLAGS) $(TLS_CFLAGS) $(HTTP_CFLAGS) $(MODBUS_CFLAGS)
 
 # Taken up by the assembler.
 $(OBJ)/core/transport/table_data.o: core/transport/transport.table
@@ -183,7 +191,7 @@ $(BUILD)/libdipole.a: $(LIBRARY) $(PROTO) $(CORE)
 
 $(BUILD)/libdipole.so.$(VERSION): $(LIBRARY) $(BUILD)/libproto.a $(BUILD)/libcore.a clients/c/libdipole.map
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -shared -Wl,-soname,libdipole.so.$(SOVERSION) -Wl,--version-script=clients/c/libdipole.map -Wl,--no-undefined -o $@ $(filter %.o %.a,$^) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -shared -Wl,-soname,libdipole.so.$(SOVERSION) -Wl,--version-script=clients/c/libdipole.map -Wl,--no-undefined -o $@ $(filter %.o %.a,$^) $(TLS_LIBS) -lm
 
 $(BUILD)/libdipole.so: $(BUILD)/libdipole.so.$(VERSION)
 	$(Q)ln -sf libdipole.so.$(VERSION) $(BUILD)/libdipole.so.$(SOVERSION)
@@ -191,29 +199,30 @@ $(BUILD)/libdipole.so: $(BUILD)/libdipole.so.$(VERSION)
 
 $(BUILD)/dipoled: $(SERVER) $(BUILD)/libproto.a $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(UV_LIBS) $(MODBUS_LIBS) $(JSON_LIBS) $(CORE_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(UV_LIBS) $(TLS_LIBS) $(MODBUS_LIBS) $(JSON_LIBS) $(CORE_LIBS) -lm
 
 # The same, and a test can see how often it takes memory from the heap.
 $(BUILD)/dipoled-counting: $(SERVER) $(OBJ)/tests/e2e/count_allocations.o $(BUILD)/libproto.a $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc -o $@ $^ $(UV_LIBS) $(MODBUS_LIBS) $(JSON_LIBS) $(CORE_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc -o $@ $^ $(UV_LIBS) $(TLS_LIBS) $(MODBUS_LIBS) $(JSON_LIBS) $(CORE_LIBS) -lm
 
+$(OBJ)/clients/c/tls.o $(OBJ)/tests/bench/bench_tls.o: EXTRA_CPPFLAGS = $(TLS_CFLAGS)
 $(OBJ)/clients/cli/image.o: EXTRA_CPPFLAGS = $(PNG_CFLAGS)
 $(BUILD)/dipole: $(CLI) $(BUILD)/libdipole.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(PNG_LIBS) $(CORE_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(PNG_LIBS) $(TLS_LIBS) $(CORE_LIBS) -lm
 
 $(BUILD)/bench: $(BENCH) $(BUILD)/libdipole.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(TLS_LIBS) $(CORE_LIBS) -lm
 
 $(BUILD)/soak-load: $(SOAK) $(BUILD)/libdipole.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(TLS_LIBS) $(CORE_LIBS) -lm
 
 $(BUILD)/pipeline: $(PIPELINE) $(BUILD)/libdipole.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(TLS_LIBS) $(CORE_LIBS) -lm
 
 $(BUILD)/wire-tables: $(OBJ)/proto/tools/wire_tables.o $(BUILD)/libproto.a $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
@@ -239,12 +248,12 @@ FUZZED := $(filter-out $(call objects,server/main.c clients/cli/main.c),$(SERVER
 $(FUZZ): EXTRA_CPPFLAGS = $(UV_CFLAGS) $(MODBUS_CFLAGS)
 $(BUILD)/fuzz: $(FUZZ) $(FUZZED) $(BUILD)/libdipole.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -fsanitize=fuzzer -o $@ $^ $(UV_LIBS) $(MODBUS_LIBS) $(JSON_LIBS) $(PNG_LIBS) $(CORE_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -fsanitize=fuzzer -o $@ $^ $(UV_LIBS) $(TLS_LIBS) $(MODBUS_LIBS) $(JSON_LIBS) $(PNG_LIBS) $(CORE_LIBS) -lm
 
 $(BUILD)/tests/%: $(OBJ)/tests/%.o $(TEST_SUPPORT) $(BUILD)/libdipole.a
 	@mkdir -p $(@D)
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $(filter %.o,$^) $(filter %.a,$^) -lcmocka -lmpfr -lgmp $(CORE_LIBS) $(TEST_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $(filter %.o,$^) $(filter %.a,$^) -lcmocka -lmpfr -lgmp $(TLS_LIBS) $(CORE_LIBS) $(TEST_LIBS) -lm
 
 # The daemon's cache, tested without a daemon.
 CACHE_TESTS := test_cache test_profiles
@@ -295,7 +304,7 @@ check:
 check-long:
 	@sh .ci/install-packages demo check deb ci
 	@$(MAKE) --no-print-directory -j2 all $(BUILD)/tests/bits $(BUILD)/soak-load $(BUILD)/pipeline
-	+@bash tests/run-check.sh $(BUILD)/logs-long bits-aarch64 soak-long pipeline rings fits packages deb
+	+@bash tests/run-check.sh $(BUILD)/logs-long bits-aarch64 soak-long tls-long pipeline rings fits packages deb
 
 # Fails when modules include each other in a circle.
 check-structure:
@@ -330,6 +339,10 @@ check-soak: all $(BUILD)/soak-load
 
 check-soak-long: all $(BUILD)/soak-load
 	SOAK_S=120 $(PYTEST) -s tests/soak
+
+# Ten thousand handshakes that somebody leaves half open, and five thousand with faults.
+check-tls-long: all
+	TLS_HANDSHAKES=10000 $(PYTEST) tests/e2e/test_tls.py
 
 # Eight threads, each with 256 requests under way, and each answer compared.
 PIPELINE_REQUESTS ?= 10000000

@@ -12,6 +12,7 @@
 #include "server/http/service.h"
 #include "server/jobs/mc_pool.h"
 #include "server/modbus/service.h"
+#include "server/net/handshake.h"
 #include "server/net/listener.h"
 #include "server/net/systemd.h"
 #include "server/net/worker.h"
@@ -23,7 +24,8 @@
 #define DEFAULT_TCP "tcp:127.0.0.1:4817"
 #define DEFAULT_SOCKET "dipoled.sock"
 
-/* The signals that stop the daemon. SIGHUP is left alone where it is ignored, as by nohup. */
+/* The signals that stop the daemon; with TLS, SIGHUP makes it read its certificates again instead.
+ * SIGHUP is left alone where it is ignored, as by nohup. */
 static const int stop_signals[] = {SIGTERM, SIGINT, SIGHUP};
 enum { STOP_SIGNALS = sizeof stop_signals / sizeof stop_signals[0] };
 
@@ -75,13 +77,19 @@ static void stop(struct daemon *daemon, int signal_number) {
   for (size_t i = 0; i < daemon->listener_count; i++) {
     listener_close(&daemon->listeners[i]);
   }
-  for (uint64_t i = 0; i < daemon->workers_started; i++) {
+  uint64_t running = daemon->workers_started;
+  if (daemon->server.tls != NULL && running == server_worker_count(&daemon->server)) {
+    /* The last worker hands connections to the others: it ends before they do. */
+    worker_stop(&daemon->server.workers[--running]);
+    worker_join(&daemon->server.workers[running]);
+  }
+  for (uint64_t i = 0; i < running; i++) {
     worker_stop(&daemon->server.workers[i]);
   }
   for (size_t i = 0; i < STOP_SIGNALS; i++) {
     uv_close((uv_handle_t *)&daemon->signals[i], NULL);
   }
-  for (uint64_t i = 0; i < daemon->workers_started; i++) {
+  for (uint64_t i = 0; i < running; i++) {
     worker_join(&daemon->server.workers[i]);
   }
   log_abandoned(&daemon->server, daemon->workers_started);
@@ -91,7 +99,12 @@ static void stop(struct daemon *daemon, int signal_number) {
 }
 
 static void on_signal(uv_signal_t *handle, int signal_number) {
-  stop(handle->data, signal_number);
+  struct daemon *daemon = handle->data;
+  if (signal_number == SIGHUP && daemon->server.tls != NULL) {
+    tls_reload(daemon->server.tls);
+  } else {
+    stop(daemon, signal_number);
+  }
 }
 
 static void on_inherited_closed(uv_async_t *handle) {
@@ -289,6 +302,23 @@ static bool set_up_modbus(struct server *server) {
   return server->options.modbus.count == 0 || server->modbus != NULL;
 }
 
+/* Reads the certificates, if there is an address with TLS. Called before the workers start, because
+ * one of them serves handshakes. */
+static bool set_up_tls(struct server *server) {
+  const bool wanted = tls_is_wanted(&server->options);
+  server->tls = wanted ? tls_new(&server->options) : NULL;
+  return !wanted || server->tls != NULL;
+}
+
+/* Called when the workers have started. */
+static bool set_up_handshakes(struct server *server) {
+  if (server->tls != NULL) {
+    struct worker *worker = &server->workers[server_worker_count(server) - 1];
+    server->handshakes = handshakes_new(server, server->tls, worker, listener_admit_tls);
+  }
+  return (server->tls == NULL || server->handshakes != NULL) || complain("tls", "out of memory");
+}
+
 static bool is_ignored(int signal_number) {
   struct sigaction action;
   return sigaction(signal_number, NULL, &action) == 0 && action.sa_handler == SIG_IGN;
@@ -336,8 +366,9 @@ static int run(struct daemon *daemon) {
   signal(SIGPIPE, SIG_IGN);
   raise_descriptor_limit();
   set_up_loop(daemon);
-  daemon->ready = set_up_modbus(server) && start_workers(daemon) && open_metrics(daemon) &&
-                  open_addresses(daemon) && open_modbus(daemon) && open_http(daemon);
+  daemon->ready = set_up_tls(server) && set_up_modbus(server) && start_workers(daemon) &&
+                  set_up_handshakes(server) && open_metrics(daemon) && open_addresses(daemon) &&
+                  open_modbus(daemon) && open_http(daemon);
   if (daemon->ready) {
     log_line(LOG_LEVEL_INFO, "event=ready workers=%llu isa=%s",
              (unsigned long long)server->options.workers, core_isa_name(server->isa));
@@ -349,6 +380,8 @@ static int run(struct daemon *daemon) {
   uv_loop_close(&daemon->loop);
   modbus_service_free(server->modbus);
   http_service_free(daemon->http);
+  handshakes_free(server->handshakes);
+  tls_free(server->tls);
   free(server->workers);
   free(server->latencies);
   cache_free(server->cache);

@@ -154,6 +154,9 @@ static bool check_variables(void) {
       continue;
     }
     snprintf(name, sizeof name, "%.*s", (int)strcspn(*variable, "="), *variable);
+    if (strcmp(name, VARIABLE_PREFIX "CA") == 0) { /* the clients' variable */
+      continue;
+    }
     const struct description *nearest = nearest_variable(name, &distance);
     if (distance > 0) {
       name_variable(nearest, known);
@@ -224,12 +227,13 @@ static void print_help(void) {
       "  dipoled                                   this machine only, at the default addresses\n"
       "  dipoled --listen unix:/run/dipoled.sock --workers 4\n"
       "  dipoled --listen tcp:0.0.0.0:4817         whoever reaches this machine\n"
+      "  dipoled --listen tls:0.0.0.0:4818 --certificate farm.pem --key farm.key --client-ca ca.pem\n"
       "  dipoled --metrics 127.0.0.1:9817          numbers for Prometheus, /healthz, /readyz\n"
       "  dipoled --http 127.0.0.1:8017             JSON for curl and browsers, besides\n"
       "  dipoled --modbus tcp:127.0.0.1:5020       registers for instruments, besides\n"
       "\n"
-      "Stop it with SIGTERM, SIGINT or SIGHUP: it answers what is in flight and exits with 0. Ask\n"
-      "it with `dipole`.\n"
+      "Stop it with SIGTERM, SIGINT or SIGHUP: it answers what is in flight and exits with 0. With a\n"
+      "tls: address, SIGHUP reads the certificates again instead. Ask the daemon with `dipole`.\n"
       "Each option is also read from the environment, as DIPOLED_ and its name in capitals with\n"
       "underscores (DIPOLED_MAX_MEDIA); the command line wins. Any other variable that starts "
       "with\n"

@@ -11,9 +11,11 @@
 #include "server/options.h"
 
 struct cache;
+struct handshakes;
 struct latency;
 struct mc_pool;
 struct modbus_service;
+struct tls;
 struct worker;
 
 struct server {
@@ -30,12 +32,15 @@ struct server {
   struct cache *cache;           /* prepared profiles */
   struct mc_pool *mc;            /* Monte Carlo jobs */
   struct modbus_service *modbus; /* NULL without --modbus */
+  struct tls *tls;               /* NULL without --listen tls: */
+  struct handshakes *handshakes; /* NULL without --listen tls: */
   uv_async_t inherited_closed;   /* of main's loop: sent when the connection of --fd has ended */
 };
 
-/* Returns the number of workers: the last one serves HTTP alone, if that is asked for. */
+/* Returns the number of workers. Behind those that evaluate there is one that serves HTTP alone, if
+ * that is asked for, and then one for the handshakes of TLS alone. */
 static inline uint64_t server_worker_count(const struct server *server) {
-  return server->options.workers + (server->options.http != NULL);
+  return server->options.workers + (server->options.http != NULL) + (server->tls != NULL);
 }
 
 /* Takes bytes from the budget of all buffers (--max-total-bytes). If too few bytes are left, takes

@@ -9,7 +9,10 @@
 static const struct {
   const char *scheme;
   enum libdipole_address_kind kind;
-} schemes[] = {{"unix:", LIBDIPOLE_UNIX}, {"tcp:", LIBDIPOLE_TCP}, {"private:", LIBDIPOLE_PRIVATE}};
+} schemes[] = {{"unix:", LIBDIPOLE_UNIX},
+               {"tcp:", LIBDIPOLE_TCP},
+               {"tls:", LIBDIPOLE_TLS},
+               {"private:", LIBDIPOLE_PRIVATE}};
 
 enum { SCHEMES = sizeof schemes / sizeof schemes[0] };
 
@@ -65,8 +68,8 @@ static bool parse_tcp(const char *whole, const char *text, libdipole_address *ad
       !copy_part(address->host, sizeof address->host, host, host_bytes) ||
       !copy_part(address->port, sizeof address->port, colon + 1, strlen(colon + 1))) {
     return libdipole_fail(error, DIPOLE_ERROR_ADDRESS,
-                          "address '%.80s': write tcp:HOST:PORT, with a port from 1 to 65535",
-                          whole);
+                          "address '%.80s': write %s:HOST:PORT, with a port from 1 to 65535", whole,
+                          address->kind == LIBDIPOLE_TLS ? "tls" : "tcp");
   }
   return true;
 }
@@ -75,10 +78,18 @@ bool libdipole_address_parse(const char *text, libdipole_address *address, dipol
   *address = (libdipole_address){0};
   const char *rest = skip_scheme(text, &address->kind);
   if (rest == NULL) {
-    return libdipole_fail(error, DIPOLE_ERROR_ADDRESS,
-                          "address '%.80s': write unix:PATH, tcp:HOST:PORT or private:", text);
+    return libdipole_fail(
+        error, DIPOLE_ERROR_ADDRESS,
+        "address '%.80s': write unix:PATH, tcp:HOST:PORT, tls:HOST:PORT or private:", text);
   }
-  if (address->kind == LIBDIPOLE_TCP) {
+#ifdef DIPOLED_WITHOUT_TLS
+  if (address->kind == LIBDIPOLE_TLS) {
+    return libdipole_fail(error, DIPOLE_ERROR_ADDRESS,
+                          "address '%.80s': this libdipole was built without OpenSSL (make TLS=no)",
+                          text);
+  }
+#endif
+  if (address->kind == LIBDIPOLE_TCP || address->kind == LIBDIPOLE_TLS) {
     return parse_tcp(text, rest, address, error);
   }
   const bool unix_socket = address->kind == LIBDIPOLE_UNIX;
@@ -147,7 +158,29 @@ bool libdipole_addresses_is_private(const libdipole_addresses *addresses) {
   return strncmp(addresses->texts[0], "private:", strlen("private:")) == 0;
 }
 
+/* Copies a text; NULL is the variable's value, and an empty one is none. */
+static bool copy_text(const char *text, const char *variable, const char **copy) {
+  text = text != NULL ? text : getenv(variable);
+  if (text == NULL || text[0] == '\0') {
+    return true;
+  }
+  *copy = strdup(text);
+  return *copy != NULL;
+}
+
+bool libdipole_addresses_set_tls(libdipole_addresses *addresses, const libdipole_tls_files *files,
+                                 dipole_error *error) {
+  libdipole_tls_files *to = &addresses->tls;
+  return (copy_text(files->ca, "DIPOLED_CA", &to->ca) &&
+          copy_text(files->certificate, "DIPOLED_CERTIFICATE", &to->certificate) &&
+          copy_text(files->key, "DIPOLED_KEY", &to->key)) ||
+         libdipole_fail_memory(error);
+}
+
 void libdipole_addresses_free(libdipole_addresses *addresses) {
+  free((char *)addresses->tls.ca);
+  free((char *)addresses->tls.certificate);
+  free((char *)addresses->tls.key);
   free(addresses->whole);
   *addresses = (libdipole_addresses){0};
 }

@@ -5,13 +5,14 @@
 #include <limits.h>
 
 #include "clients/c/dipole.h"
+#include "clients/c/tls.h"
 
-enum libdipole_address_kind { LIBDIPOLE_UNIX, LIBDIPOLE_TCP, LIBDIPOLE_PRIVATE };
+enum libdipole_address_kind { LIBDIPOLE_UNIX, LIBDIPOLE_TCP, LIBDIPOLE_TLS, LIBDIPOLE_PRIVATE };
 
 typedef struct libdipole_address {
   enum libdipole_address_kind kind;
-  char host[256];      /* of TCP */
-  char port[6];        /* of TCP */
+  char host[256];      /* of TCP and TLS */
+  char port[6];        /* of TCP and TLS */
   char path[PATH_MAX]; /* Unix: of the socket. Private: of the program, or "" for the default. */
 } libdipole_address;
 
@@ -24,6 +25,7 @@ typedef struct libdipole_addresses {
   size_t count;
   size_t at; /* position of the address that the client is connected to or tries first */
   const char *texts[DIPOLE_ADDRESSES_MAX];
+  libdipole_tls_files tls; /* of all tls: addresses; the texts belong to the addresses */
 } libdipole_addresses;
 
 /* Parses a list of addresses. If text is NULL, takes $DIPOLED, or else a private daemon. The
@@ -33,6 +35,11 @@ bool libdipole_addresses_parse(const char *text, libdipole_addresses *addresses,
 
 /* Returns whether the client starts a private daemon. */
 bool libdipole_addresses_is_private(const libdipole_addresses *addresses);
+
+/* Copies the names of files; those that are NULL are $DIPOLED_CA, $DIPOLED_CERTIFICATE and
+ * $DIPOLED_KEY. */
+bool libdipole_addresses_set_tls(libdipole_addresses *addresses, const libdipole_tls_files *files,
+                                 dipole_error *error);
 
 void libdipole_addresses_free(libdipole_addresses *addresses);
 

@@ -278,6 +278,7 @@ bool libdipole_connect(const libdipole_address *address, unsigned timeout_ms, in
   *daemon = 0;
   switch (address->kind) {
   case LIBDIPOLE_TCP:
+  case LIBDIPOLE_TLS:
     return connect_tcp(address, timeout_ms, fd, error);
   case LIBDIPOLE_UNIX:
     return connect_unix_address(address, timeout_ms, fd, error);

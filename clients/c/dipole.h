@@ -72,12 +72,13 @@ typedef struct dipole_error {
 /* Connects, agrees on a protocol version and reads the daemon's lists. address is one of
  *   unix:PATH          a Unix socket
  *   tcp:HOST:PORT      TCP ([::1]:PORT for IPv6)
+ *   tls:HOST:PORT      TCP with TLS 1.2 or 1.3: see ca, certificate and key of dipole_options
  *   private:           starts a dipoled that serves only this client and ends with it: the one
  *                      beside the running program, else the one in $PATH. It logs only errors.
  *   private:PROGRAM    starts this program as the private daemon
  *   NULL               $DIPOLED if that is set, else private:
- * Several unix: and tcp: addresses may be given, separated by commas without blanks: see "Several
- * daemons" below. A comma that no unix: or tcp: follows is part of a path. The caller closes
+ * Several addresses but private: may be given, separated by commas without blanks: see "Several
+ * daemons" below. A comma that no unix:, tcp: or tls: follows is part of a path. The caller closes
  * *client with dipole_close(). While no daemon answers, the call goes on trying for
  * DIPOLE_RETRY_MS. On failure *client is NULL; kind REFUSED then means that the daemon did not take
  * the connection, for example because it has too many. */
@@ -114,7 +115,16 @@ typedef struct dipole_options {
   /* Which of several addresses is tried first. false: the first one in the list; true: a random
    * one, so that many clients spread over the daemons. Default: false. */
   bool spread;
-  unsigned reserved[8]; /* must be 0 */
+  /* For tls: addresses, names of files in PEM format, which the client reads whenever it connects.
+   * ca: the certificates that sign the daemon's; NULL: $DIPOLED_CA if that is set, else those of the
+   * system. certificate, key: the client's own, for daemons that ask for one; NULL:
+   * $DIPOLED_CERTIFICATE and $DIPOLED_KEY. A missing key is in the certificate's file. The daemon's
+   * certificate has to be good for the host in the address. If a certificate is at fault, opening
+   * fails at once with kind CONNECT or CONNECTION. Default: NULL. */
+  const char *ca;
+  const char *certificate;
+  const char *key;
+  unsigned reserved[2]; /* must be 0 */
 } dipole_options;
 
 void dipole_options_init(dipole_options *options);

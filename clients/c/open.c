@@ -11,7 +11,8 @@
 /* ---- one ----------------------------------------------------------------------------------- */
 
 /* Connects and sends hello. Each of the two steps may take limit_ms. */
-static bool greet(dipole_client *client, const char *text, unsigned limit_ms, dipole_error *error) {
+static bool greet(dipole_client *client, const char *text, const libdipole_tls_files *files,
+                  unsigned limit_ms, dipole_error *error) {
   libdipole_address address;
   int fd;
   if (!libdipole_address_parse(text, &address, error) ||
@@ -19,6 +20,12 @@ static bool greet(dipole_client *client, const char *text, unsigned limit_ms, di
     return false;
   }
   libdipole_stream_init(&client->stream, fd);
+  if (address.kind == LIBDIPOLE_TLS) {
+    client->stream.tls = libdipole_tls_open(fd, address.host, files, limit_ms, error);
+    if (client->stream.tls == NULL) {
+      return false;
+    }
+  }
   snprintf(client->stream.address, sizeof client->stream.address, "%s", text);
   client->call_timeout_ms = limit_ms;
   if (libdipole_hello(client, text, error)) {
@@ -31,14 +38,15 @@ static bool greet(dipole_client *client, const char *text, unsigned limit_ms, di
              : false;
 }
 
-static dipole_client *open_one(const char *text, unsigned limit_ms, dipole_error *error) {
+static dipole_client *open_one(const char *text, const libdipole_tls_files *files,
+                               unsigned limit_ms, dipole_error *error) {
   dipole_client *client = calloc(1, sizeof *client);
   if (client == NULL) {
     libdipole_fail_memory(error);
     return NULL;
   }
   libdipole_stream_init(&client->stream, -1);
-  if (!greet(client, text, limit_ms, error)) {
+  if (!greet(client, text, files, limit_ms, error)) {
     dipole_close(client);
     return NULL;
   }
@@ -60,9 +68,9 @@ static bool has_lists_of(const dipole_client *fresh, const dipole_client *like) 
   return true;
 }
 
-static dipole_client *open_like(const char *text, unsigned limit_ms, const dipole_client *like,
-                                dipole_error *error) {
-  dipole_client *fresh = open_one(text, limit_ms, error);
+static dipole_client *open_like(const char *text, const libdipole_tls_files *files,
+                                unsigned limit_ms, const dipole_client *like, dipole_error *error) {
+  dipole_client *fresh = open_one(text, files, limit_ms, error);
   if (fresh != NULL && like != NULL && !has_lists_of(fresh, like)) {
     dipole_close(fresh);
     libdipole_fail(error, DIPOLE_ERROR_PROTOCOL,
@@ -111,7 +119,7 @@ static dipole_client *try_each(libdipole_addresses *addresses, unsigned connect_
     const size_t at = (addresses->at + tried) % addresses->count;
     const unsigned limit_ms =
         attempt_limit(connect_timeout_ms, until_ms, addresses->count - tried - 1);
-    dipole_client *client = open_like(addresses->texts[at], limit_ms, like, &one);
+    dipole_client *client = open_like(addresses->texts[at], &addresses->tls, limit_ms, like, &one);
     if (client != NULL) {
       addresses->at = at;
       return client;
@@ -184,7 +192,9 @@ bool dipole_open_with(const char *address, const dipole_options *options, dipole
   *client = NULL;
   dipole_options_init(&usual);
   options = options != NULL ? options : &usual;
-  dipole_client *opened = libdipole_addresses_parse(address, &addresses, error)
+  const libdipole_tls_files files = {options->ca, options->certificate, options->key};
+  dipole_client *opened = libdipole_addresses_parse(address, &addresses, error) &&
+                                  libdipole_addresses_set_tls(&addresses, &files, error)
                               ? open_any(&addresses, options, error)
                               : NULL;
   if (opened == NULL) {

@@ -564,7 +564,7 @@ static bool send_due(dipole_client *client, bool *moves, dipole_error *error) {
     if (!limit_to_call(client, &wait_ms, error)) {
       return false;
     }
-    *moves = libdipole_wait(stream->fd, events, wait_ms, &ready) || errno != ETIMEDOUT;
+    *moves = libdipole_stream_wait(stream, events, wait_ms, &ready) || errno != ETIMEDOUT;
   }
   return true;
 }
@@ -574,7 +574,7 @@ static bool send_due(dipole_client *client, bool *moves, dipole_error *error) {
 bool libdipole_is_temporary(const dipole_error *error) {
   switch (error->kind) {
   case DIPOLE_ERROR_CONNECT:
-    return true;
+    return error->status == WIRE_STATUS_OK;
   case DIPOLE_ERROR_CONNECTION:
   case DIPOLE_ERROR_REFUSED:
     return error->status == WIRE_STATUS_OK || error->status == WIRE_STATUS_SHUTTING_DOWN ||

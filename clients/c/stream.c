@@ -11,12 +11,14 @@
 
 #include "clients/c/clock.h"
 #include "clients/c/error.h"
+#include "proto/wire.h"
 
 /* The stream frees its output buffer when that is empty and larger than this. */
 #define OUTPUT_KEPT_BYTES ((size_t)1 << 20)
 
 void libdipole_stream_init(libdipole_stream *stream, int fd) {
   stream->fd = fd;
+  stream->tls = NULL;
   stream->address[0] = '\0';
   stream->send_errno = 0;
   stream->silent = false;
@@ -28,6 +30,7 @@ void libdipole_stream_init(libdipole_stream *stream, int fd) {
 }
 
 void libdipole_stream_close(libdipole_stream *stream) {
+  libdipole_tls_free(stream->tls);
   if (stream->fd >= 0) {
     close(stream->fd);
   }
@@ -40,6 +43,41 @@ static bool fail_lost(const libdipole_stream *stream, int number, dipole_error *
   snprintf(what, sizeof what, "the connection to the daemon%s%s was lost",
            stream->address[0] != '\0' ? " at " : "", stream->address);
   return libdipole_fail_errno(error, DIPOLE_ERROR_CONNECTION, number, what);
+}
+
+/* The only two places where bytes go through the socket. */
+static ssize_t send_some(libdipole_stream *stream, const uint8_t *from, size_t bytes) {
+  return stream->tls != NULL ? libdipole_tls_write(stream->tls, from, bytes)
+                             : send(stream->fd, from, bytes, MSG_NOSIGNAL);
+}
+
+static ssize_t receive_some(libdipole_stream *stream, uint8_t *to, size_t bytes) {
+  return stream->tls != NULL ? libdipole_tls_read(stream->tls, to, bytes)
+                             : recv(stream->fd, to, bytes, 0);
+}
+
+bool libdipole_stream_wait(const libdipole_stream *stream, short events, unsigned timeout_ms,
+                           short *ready) {
+  if (stream->tls != NULL && libdipole_tls_pending(stream->tls)) {
+    *ready = POLLIN;
+    return true;
+  }
+  return libdipole_wait(stream->fd, events, timeout_ms, ready);
+}
+
+/* Reading failed: the connection is lost, or the daemon refuses the client's certificate. */
+static bool fail_received(const libdipole_stream *stream, dipole_error *error) {
+  const int number = errno;
+  const char *refusal =
+      number == EPROTO && stream->tls != NULL ? libdipole_tls_refusal(stream->tls) : NULL;
+  if (refusal == NULL) {
+    return fail_lost(stream, number, error);
+  }
+  libdipole_fail(error, DIPOLE_ERROR_CONNECTION,
+                 "the daemon at %s refuses this client's certificate: %s", stream->address,
+                 refusal);
+  error->status = WIRE_STATUS_NOT_ALLOWED;
+  return false;
 }
 
 bool libdipole_stream_reserve(libdipole_stream *stream, size_t bytes, dipole_error *error) {
@@ -75,7 +113,7 @@ void libdipole_stream_send(libdipole_stream *stream) {
   if (unsent == 0 || stream->send_errno != 0) {
     return;
   }
-  const ssize_t sent = send(stream->fd, stream->out + stream->out_begin, unsent, MSG_NOSIGNAL);
+  const ssize_t sent = send_some(stream, stream->out + stream->out_begin, unsent);
   if (sent < 0) {
     if (errno != EAGAIN && errno != EINTR) {
       stream->send_errno = errno;
@@ -106,9 +144,9 @@ static bool receive(libdipole_stream *stream, dipole_error *error) {
     room = sizeof stream->in - unread;
   }
   assert(room > 0); /* The caller leaves at most an incomplete header in the buffer. */
-  const ssize_t got = recv(stream->fd, to, room, 0);
+  const ssize_t got = receive_some(stream, to, room);
   if (got < 0) {
-    return errno == EAGAIN || errno == EINTR || fail_lost(stream, errno, error);
+    return errno == EAGAIN || errno == EINTR || fail_received(stream, error);
   }
   if (got == 0) {
     return stream->send_errno != 0
@@ -130,7 +168,8 @@ static bool receive(libdipole_stream *stream, dipole_error *error) {
 bool libdipole_stream_step(libdipole_stream *stream, unsigned timeout_ms, dipole_error *error) {
   const bool sending = stream->out_end > stream->out_begin && stream->send_errno == 0;
   short ready;
-  if (!libdipole_wait(stream->fd, (short)(POLLIN | (sending ? POLLOUT : 0)), timeout_ms, &ready)) {
+  if (!libdipole_stream_wait(stream, (short)(POLLIN | (sending ? POLLOUT : 0)), timeout_ms,
+                             &ready)) {
     stream->silent = errno == ETIMEDOUT;
     return libdipole_fail_errno(error, DIPOLE_ERROR_CONNECTION, errno, "poll");
   }

@@ -3,6 +3,7 @@
 #define LIBDIPOLE_STREAM_H
 
 #include "clients/c/dipole.h"
+#include "clients/c/tls.h"
 
 enum { LIBDIPOLE_INPUT_BYTES = 65536 };
 
@@ -10,6 +11,7 @@ enum { LIBDIPOLE_INPUT_BYTES = 65536 };
  * in_begin to in_end - 1 are in use. The caller empties the buffer before it sets a target. */
 typedef struct libdipole_stream {
   int fd;            /* -1 if there is no connection */
+  libdipole_tls *tls; /* NULL: the bytes are plain */
   char address[128]; /* of the peer, for messages; "" if it is not known */
   int send_errno;    /* why sending failed, or 0; reported after all received bytes are read */
   bool silent;       /* whether the last step ended because timeout_ms was over */
@@ -23,7 +25,7 @@ typedef struct libdipole_stream {
 
 void libdipole_stream_init(libdipole_stream *stream, int fd);
 
-/* Closes the socket and frees the buffer. */
+/* Closes the socket, and frees the session and the buffer. */
 void libdipole_stream_close(libdipole_stream *stream);
 
 /* Makes room for this many bytes at out + out_end. The caller writes there and raises out_end. */
@@ -31,6 +33,10 @@ bool libdipole_stream_reserve(libdipole_stream *stream, size_t bytes, dipole_err
 
 /* Sends as many bytes as the socket takes without waiting. */
 void libdipole_stream_send(libdipole_stream *stream);
+
+/* Waits for events of the socket like libdipole_wait(), or finds bytes that TLS has received. */
+bool libdipole_stream_wait(const libdipole_stream *stream, short events, unsigned timeout_ms,
+                           short *ready);
 
 /* Waits until bytes can be read or sent, and then reads and sends once. If neither peer read while
  * it has bytes to send, both could wait for each other forever.

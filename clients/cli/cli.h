@@ -62,6 +62,9 @@ enum cli_form { CLI_NONE, CLI_TABLE, CLI_CSV, CLI_JSON };
 /* The settings of every command start with these. */
 typedef struct cli_common {
   const char *connect; /* one address or several; NULL for $DIPOLED or else a private daemon */
+  const char *ca;      /* files for tls: addresses; NULL if they are not given */
+  const char *certificate;
+  const char *key;
   const char *format;  /* what --format says; NULL if it is not given */
   enum cli_form form;  /* what --format means, also if it is not given */
   cli_count timeout_ms;

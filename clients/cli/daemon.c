@@ -19,6 +19,9 @@ void cli_connection_options(const cli_common *common, dipole_options *options) {
   if (common->retry_ms.given) {
     options->retry_ms = (unsigned)common->retry_ms.value;
   }
+  options->ca = common->ca;
+  options->certificate = common->certificate;
+  options->key = common->key;
 }
 
 /* Opens a client. A person at a terminal is told when no daemon has answered at once. */
@@ -54,9 +57,10 @@ dipole_client *cli_open(const cli_common *common) {
     return client;
   }
   cli_fail("%s", error.text);
-  if (error.kind == DIPOLE_ERROR_CONNECT && address != NULL &&
+  if (error.kind == DIPOLE_ERROR_CONNECT && error.status == 0 && address != NULL &&
       strncmp(address, "private:", strlen("private:")) != 0) {
-    const bool several = strstr(address, ",unix:") != NULL || strstr(address, ",tcp:") != NULL;
+    const bool several = strstr(address, ",unix:") != NULL || strstr(address, ",tcp:") != NULL ||
+                         strstr(address, ",tls:") != NULL;
     fprintf(stderr,
             "The address is from %s. If no daemon runs there, start one with `dipoled --listen "
             "%s`. Or %s: dipole then starts a daemon for itself.\n",

@@ -15,10 +15,22 @@ _Static_assert(DIPOLE_TIMEOUT_MS == 30000, "say so in the help of --timeout-ms")
 static const cli_option common_options[] = {
     {"Options of all commands", NULL, NULL, CLI_HEADING, 0, NULL},
     {"connect", "ADDRESS",
-     "unix:PATH or tcp:HOST:PORT; private: for a daemon of its own. Several,\n"
-     "separated by commas, are tried in turn (default: the environment\n"
-     "variable DIPOLED, else private:)",
+     "unix:PATH, tcp:HOST:PORT or tls:HOST:PORT; private: for a daemon of\n"
+     "its own. Several, separated by commas, are tried in turn (default:\n"
+     "the environment variable DIPOLED, else private:)",
      CLI_TEXT, offsetof(cli_common, connect), NULL},
+    {"ca", "FILE",
+     "for tls: the certificates that sign the daemon's, PEM (default: the\n"
+     "environment variable DIPOLED_CA, else those of the system)",
+     CLI_TEXT, offsetof(cli_common, ca), NULL},
+    {"certificate", "FILE",
+     "for tls: the client's certificate, PEM, if the daemon asks for one\n"
+     "(default: the environment variable DIPOLED_CERTIFICATE)",
+     CLI_TEXT, offsetof(cli_common, certificate), NULL},
+    {"key", "FILE",
+     "for tls: its key (default: the environment variable DIPOLED_KEY, else\n"
+     "in the file of the certificate)",
+     CLI_TEXT, offsetof(cli_common, key), NULL},
     {"format", NULL, NULL, CLI_TEXT, offsetof(cli_common, format), NULL},
     {"timeout-ms", "N", "give up if the daemon is silent for N ms; 0: never (default: 30000)",
      CLI_COUNT, offsetof(cli_common, timeout_ms), "30000"},

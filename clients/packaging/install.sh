@@ -11,7 +11,7 @@ fill() {
   sed -e "s|@BUILD@|$BUILD|g" -e "s|@VERSION@|$VERSION|g" -e "s|@SOVERSION@|$SOVERSION|g" \
     -e "s|@PREFIX@|$PREFIX|g" -e "s|@BINDIR@|$BINDIR|g" -e "s|@LIBDIR@|$LIBDIR|g" \
     -e "s|@INCLUDEDIR@|$INCLUDEDIR|g" -e "s|@MANDIR@|$MANDIR|g" -e "s|@DOCDIR@|$DOCDIR|g" -e "s|@UNITDIR@|$UNITDIR|g" \
-    -e "s|@BASHDIR@|$BASHDIR|g" -e "s|@ZSHDIR@|$ZSHDIR|g" -e "s|@PYTHONDIR@|$PYTHONDIR|g"
+    -e "s|@BASHDIR@|$BASHDIR|g" -e "s|@ZSHDIR@|$ZSHDIR|g" -e "s|@PYTHONDIR@|$PYTHONDIR|g" -e "s|@TLS_LIBS@|$TLS_LIBS|g"
 }
 
 put() { # mode, source, path

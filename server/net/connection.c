@@ -1,11 +1,10 @@
 #include "server/net/connection.h"
 
 #include <stdlib.h>
-#include <sys/socket.h>
-#include <unistd.h>
 
 #include "server/jobs/requests.h"
 #include "server/net/tcp.h"
+#include "server/net/transport.h"
 #include "server/net/worker.h"
 #include "server/observe/log.h"
 
@@ -23,26 +22,18 @@ struct connection {
   int fd;
   enum connection_purpose purpose;
 
-  union {
-    uv_handle_t handle;
-    uv_stream_t stream;
-    uv_tcp_t tcp;
-    uv_pipe_t pipe;
-  } uv;
-  uv_write_t write;
-  uv_shutdown_t shutdown;
-  uint64_t writing_bytes; /* number of bytes given to the loop and not yet written */
+  struct tls_session *tls; /* NULL: plain bytes */
+  struct transport transport;
 
   struct input input;
   struct output output;
   struct requests requests;
 
   bool more_to_do; /* whether work was left at the end of the last turn */
-  bool reading;
-  bool stopping;  /* whether the daemon stops: the connection then ends after its last answer */
-  bool peer_done; /* whether the peer has shut down its side, so that nothing more arrives */
-  bool lingering; /* whether this side is shut down and the peer has still to close */
-  bool closing;   /* whether uv_close() has been called */
+  bool stopping;   /* whether the daemon stops: the connection then ends after its last answer */
+  bool peer_done;  /* whether the peer has shut down its side, so that nothing more arrives */
+  bool lingering;  /* whether this side is shut down and the peer has still to close */
+  bool closing;    /* whether uv_close() has been called */
 
   uint64_t active_ms;        /* when bytes were last received or sent */
   uint64_t frame_started_ms; /* when the incomplete frame began to arrive; 0 if there is none */
@@ -86,7 +77,8 @@ wire_error connection_refusal(enum connection_purpose purpose) {
              : wire_error_busy("max_connections", "fewer open connections", 1000);
 }
 
-struct client *connection_new(struct server *server, int fd, enum connection_purpose purpose) {
+struct client *connection_new(struct server *server, int fd, struct tls_session *tls,
+                              enum connection_purpose purpose) {
   struct connection *c = calloc(1, sizeof *c);
   if (c == NULL) {
     return NULL;
@@ -94,6 +86,7 @@ struct client *connection_new(struct server *server, int fd, enum connection_pur
   c->client.kind = &kind;
   c->server = server;
   c->fd = fd;
+  c->tls = tls;
   c->purpose = purpose;
   input_init(&c->input, server);
   output_init(&c->output, server);
@@ -119,23 +112,20 @@ static void dispose(struct connection *c) {
   }
 }
 
-static void on_closed(uv_handle_t *handle) {
-  dispose(handle->data);
+static void on_closed(void *owner) {
+  dispose(owner);
+}
+
+static uint64_t now_ms(const struct connection *c) {
+  return uv_now(c->transport.uv.handle.loop);
 }
 
 /* Closes the connection at once, with all its jobs. */
 static void abort_connection(struct connection *c) {
   if (!c->closing) {
     c->closing = true;
-    uv_close(&c->uv.handle, on_closed);
+    transport_close(&c->transport);
     requests_drop(&c->requests); /* so that no job calls the connection any more */
-  }
-}
-
-static void on_shut_down(uv_shutdown_t *request, int status) {
-  struct connection *c = request->handle->data;
-  if (status != 0 && !c->closing) {
-    abort_connection(c);
   }
 }
 
@@ -143,24 +133,20 @@ static void on_shut_down(uv_shutdown_t *request, int status) {
  * would reset the connection, and the peer might lose answers. So this shuts down the sending side
  * only, and then reads and drops bytes until the peer closes. */
 static void linger(struct connection *c) {
-  if (c->peer_done || uv_shutdown(&c->shutdown, &c->uv.stream, on_shut_down) != 0) {
+  if (c->peer_done || !transport_shut_down(&c->transport)) {
     abort_connection(c);
     return;
   }
   c->lingering = true;
-  c->lingering_ms = uv_now(c->uv.handle.loop);
+  c->lingering_ms = now_ms(c);
   input_discard(&c->input);
 }
 
 /* ---- reading --------------------------------------------------------------------------------- */
 
-static void on_room_wanted(uv_handle_t *handle, size_t suggested, uv_buf_t *buffer) {
-  (void)suggested;
-  struct connection *c = handle->data;
-  uint8_t *room = NULL;
-  const size_t bytes =
-      c->requests.job != NULL ? input_room_behind(&c->input, &room) : input_room(&c->input, &room);
-  *buffer = uv_buf_init((char *)room, (unsigned)bytes);
+static size_t find_room(void *owner, uint8_t **room) {
+  struct connection *c = owner;
+  return c->requests.job != NULL ? input_room_behind(&c->input, room) : input_room(&c->input, room);
 }
 
 /* Refuses and skips an incomplete frame because there is no memory for the rest of it. */
@@ -175,17 +161,9 @@ static void refuse_for_memory(struct connection *c) {
   }
 }
 
-static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer);
-
 static void set_reading(struct connection *c, bool wanted) {
-  if (wanted && !c->reading) {
-    c->reading = uv_read_start(&c->uv.stream, on_room_wanted, on_read) == 0;
-    if (!c->reading) {
-      abort_connection(c);
-    }
-  } else if (!wanted && c->reading) {
-    uv_read_stop(&c->uv.stream);
-    c->reading = false;
+  if (!transport_set_reading(&c->transport, wanted)) {
+    abort_connection(c);
   }
 }
 
@@ -199,15 +177,14 @@ static void read_behind(struct connection *c) {
 /* Takes the bytes that have been read; the connection answers their requests in the same round of
  * the loop. It stops reading only if work is left after that, so that a client that waits for each
  * answer costs no calls to stop and start reading. */
-static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer) {
-  (void)buffer;
-  struct connection *c = stream->data;
-  if (bytes == 0 || c->closing) {
+static void on_received(void *owner, ssize_t bytes) {
+  struct connection *c = owner;
+  if (c->closing) {
     return;
   }
   if (bytes > 0) {
     stats_add(&c->server->stats, STATS_RECEIVED_BYTES, (uint64_t)bytes);
-    c->active_ms = uv_now(stream->loop);
+    c->active_ms = now_ms(c);
     input_arrived(&c->input, (size_t)bytes, worker_round_ns(c->client.worker));
     if (c->lingering) {
       input_discard(&c->input);
@@ -218,8 +195,7 @@ static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer) 
       return; /* The job will wake the connection. */
     }
   } else {
-    uv_read_stop(stream);
-    c->reading = false;
+    transport_set_reading(&c->transport, false);
     if (bytes == UV_ENOBUFS) {
       refuse_for_memory(c);
     } else if (bytes == UV_EOF && !c->lingering) {
@@ -238,13 +214,11 @@ static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer) 
 static void wrote(struct connection *c, uint64_t bytes) {
   output_consume(&c->output, bytes);
   stats_add(&c->server->stats, STATS_SENT_BYTES, bytes);
-  c->active_ms = uv_now(c->uv.handle.loop);
+  c->active_ms = now_ms(c);
 }
 
-static void on_written(uv_write_t *request, int status) {
-  struct connection *c = request->handle->data;
-  const uint64_t bytes = c->writing_bytes;
-  c->writing_bytes = 0;
+static void on_sent(void *owner, uint64_t bytes, int status) {
+  struct connection *c = owner;
   if (c->closing) {
     return;
   }
@@ -268,26 +242,21 @@ static unsigned cut_off(uv_buf_t *buffers, unsigned count, size_t bytes) {
 
 /* Writes as much as the socket takes at once, up to WRITE_BYTES: a reader on another core may empty
  * the socket as fast as it is filled, and the other clients wait meanwhile. If the socket takes
- * nothing, libuv writes when it does. */
+ * nothing, the transport tells when it does. */
 static void write_more(struct connection *c) {
   size_t left = WRITE_BYTES;
-  while (c->writing_bytes == 0 && c->output.ready_bytes > 0 && left > 0) {
+  while (!c->transport.writing && c->output.ready_bytes > 0 && left > 0) {
     uv_buf_t buffers[WRITE_BUFFERS];
     const unsigned count =
         cut_off(buffers, (unsigned)output_buffers(&c->output, buffers, WRITE_BUFFERS), left);
-    const int written = uv_try_write(&c->uv.stream, buffers, count);
-    if (written > 0) {
-      wrote(c, (uint64_t)written);
-      left -= (size_t)written;
-      continue;
-    }
-    for (unsigned i = 0; i < count; i++) {
-      c->writing_bytes += buffers[i].len;
-    }
-    if ((written != UV_EAGAIN && written != 0) ||
-        uv_write(&c->write, &c->uv.stream, buffers, count, on_written) != 0) {
+    uint64_t written;
+    if (!transport_write(&c->transport, buffers, count, &written)) {
       abort_connection(c);
       return;
+    }
+    if (written > 0) {
+      wrote(c, written);
+      left -= written;
     }
   }
 }
@@ -300,7 +269,7 @@ static void note_partial_frame(struct connection *c) {
   if (!input_partial(&c->input) || output_is_full(&c->output)) {
     c->frame_started_ms = 0;
   } else if (c->frame_started_ms == 0) {
-    c->frame_started_ms = uv_now(c->uv.handle.loop);
+    c->frame_started_ms = now_ms(c);
   }
 }
 
@@ -407,28 +376,12 @@ static void finish(struct client *client) {
   } else {
     read_on_or_end(c);
   }
-  if (!c->closing && c->writing_bytes == 0 && c->output.ready_bytes > 0) {
+  if (!c->closing && !c->transport.writing && c->output.ready_bytes > 0) {
     worker_run_later(&c->client); /* WRITE_BYTES have been written, and there is more */
   }
 }
 
 /* ---- starting, stopping, time ---------------------------------------------------------------- */
-
-static int adopt(struct connection *c, uv_loop_t *loop) {
-  struct sockaddr_storage address = {.ss_family = AF_UNIX};
-  socklen_t length = sizeof address;
-  getsockname(c->fd, (struct sockaddr *)&address, &length);
-  if (address.ss_family == AF_UNIX) {
-    uv_pipe_init(loop, &c->uv.pipe, 0);
-    return uv_pipe_open(&c->uv.pipe, c->fd);
-  }
-  uv_tcp_init(loop, &c->uv.tcp);
-  const int opened = uv_tcp_open(&c->uv.tcp, c->fd);
-  if (opened == 0) {
-    uv_tcp_nodelay(&c->uv.tcp, 1); /* no delay: small answers are already sent together */
-  }
-  return opened;
-}
 
 static void start(struct client *client) {
   struct connection *c = of(client);
@@ -436,11 +389,11 @@ static void start(struct client *client) {
   c->requests.context = worker_context(client->worker);
   c->requests.profiles = &client->profiles;
   c->active_ms = uv_now(loop);
-  const int adopted = adopt(c, loop);
-  c->uv.handle.data = c;
-  if (adopted != 0) {
-    log_line(LOG_LEVEL_ERROR, "event=connection-failed reason=%s", uv_strerror(adopted));
-    close(c->fd);
+  static const struct transport_calls calls = {
+      .room = find_room, .received = on_received, .sent = on_sent, .closed = on_closed};
+  const int opened = transport_open(&c->transport, loop, c->fd, c->tls, &calls, c);
+  if (opened != 0) {
+    log_line(LOG_LEVEL_ERROR, "event=connection-failed reason=%s", uv_strerror(opened));
     abort_connection(c);
     return;
   }

@@ -12,6 +12,7 @@
 #include <unistd.h>
 
 #include "server/net/connection.h"
+#include "server/net/handshake.h"
 #include "server/net/tcp.h"
 #include "server/net/worker.h"
 #include "server/observe/health.h"
@@ -52,9 +53,10 @@ static uint64_t held_connections(const struct server *server) {
   return held;
 }
 
-/* Sends the error and closes the socket. A new socket always has room for this frame. A peer that has
- * already sent something may not get the frame, because closing then resets the connection. */
-static void refuse_at_once(struct server *server, int fd, enum connection_purpose purpose) {
+/* Sends the error and closes the socket. A new socket always has room for this frame. A peer that
+ * has already sent something may not get the frame, because closing then resets the connection. */
+static void refuse_at_once(struct server *server, int fd, struct tls_session *session,
+                           enum connection_purpose purpose) {
   const wire_header header = {.magic = WIRE_MAGIC,
                               .version = WIRE_VERSION,
                               .type = WIRE_TYPE_ERROR,
@@ -64,13 +66,18 @@ static void refuse_at_once(struct server *server, int fd, enum connection_purpos
   uint8_t frame[WIRE_BYTES_header + WIRE_BYTES_error];
   wire_put_header(frame, &header);
   wire_put_error(frame + WIRE_BYTES_header, &error);
-  if (send(fd, frame, sizeof frame, MSG_NOSIGNAL | MSG_DONTWAIT) == (ssize_t)sizeof frame) {
+  const ssize_t sent = session != NULL ? tls_session_write(session, frame, sizeof frame)
+                                       : send(fd, frame, sizeof frame, MSG_NOSIGNAL | MSG_DONTWAIT);
+  if (sent == (ssize_t)sizeof frame) {
     stats_count_answer(&server->stats, error.status);
+  }
+  if (session != NULL) {
+    tls_session_free(session);
   }
   close(fd);
 }
 
-void listener_admit(struct server *server, int fd, bool inherited) {
+static void give(struct server *server, int fd, struct tls_session *session, bool inherited) {
   struct stats *stats = &server->stats;
   const bool full = stats_get(stats, STATS_CONNECTIONS_OPEN) >= server->options.max_connections;
   const bool forbidden = !inherited && !access_allows_peer(&server->allow, fd);
@@ -83,15 +90,23 @@ void listener_admit(struct server *server, int fd, bool inherited) {
   const bool too_many_refusals =
       held_connections(server) >= server->options.max_connections + REFUSALS_AT_ONCE;
   struct client *connection =
-      refused && too_many_refusals ? NULL : connection_new(server, fd, purpose);
+      refused && too_many_refusals ? NULL : connection_new(server, fd, session, purpose);
   if (connection == NULL) {
-    refuse_at_once(server, fd, purpose);
+    refuse_at_once(server, fd, session, purpose);
     return;
   }
   if (!refused) {
     stats_add(stats, STATS_CONNECTIONS_OPEN, 1);
   }
   worker_give(least_busy(server), connection);
+}
+
+void listener_admit(struct server *server, int fd, bool inherited) {
+  give(server, fd, NULL, inherited);
+}
+
+void listener_admit_tls(struct server *server, int fd, struct tls_session *session) {
+  give(server, fd, session, false);
 }
 
 static void admit(struct server *server, int fd) {
@@ -332,8 +347,12 @@ bool listener_open(struct listener *listener, struct server *server, uv_loop_t *
     open = open_unix(listener, url, url + 5);
   } else if (strncmp(url, "tcp:", 4) == 0) {
     open = open_tcp(listener, url, url + 4, "tcp");
+  } else if (strncmp(url, "tls:", 4) == 0) {
+    listener->admit = handshakes_admit;
+    open = open_tcp(listener, url, url + 4, "tls");
   } else {
-    open = complain(url, "write unix:PATH or tcp:HOST:PORT, as in tcp:127.0.0.1:4817");
+    open =
+        complain(url, "write unix:PATH, tcp:HOST:PORT or tls:HOST:PORT, as in tcp:127.0.0.1:4817");
   }
   return start(listener, loop, open);
 }

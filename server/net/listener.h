@@ -2,6 +2,7 @@
 #ifndef DIPOLED_LISTENER_H
 #define DIPOLED_LISTENER_H
 
+#include "server/net/tls.h"
 #include "server/server.h"
 
 struct listener {
@@ -16,8 +17,8 @@ struct listener {
   ino_t unix_inode;
 };
 
-/* Listens at unix:PATH or tcp:HOST:PORT and logs the address. If that fails, it prints a message to
- * standard error and returns false. */
+/* Listens at unix:PATH, tcp:HOST:PORT or tls:HOST:PORT and logs the address. If that fails, it
+ * prints a message to standard error and returns false. */
 bool listener_open(struct listener *listener, struct server *server, uv_loop_t *loop,
                    const char *url);
 
@@ -34,7 +35,10 @@ bool listener_open_modbus(struct listener *listener, struct server *server, uv_l
 /* Stops listening. libuv closes the handles in the loop's next round. */
 void listener_close(struct listener *listener);
 
-/* Gives a connected socket to a worker, or refuses it if there are too many connections. */
+/* Gives a connected socket to a worker, or refuses it if there are too many connections or its peer
+ * is not allowed. Any thread may call these. */
 void listener_admit(struct server *server, int fd, bool inherited);
+/* The same with a session of TLS whose handshake is done, which is then no longer the caller's. */
+void listener_admit_tls(struct server *server, int fd, struct tls_session *session);
 
 #endif

@@ -30,7 +30,7 @@ enum stats_index {
 
 /* Each worker has a shard of its own, which no other thread writes. All other threads share the
  * first shard. A counter's value is its sum over all shards. */
-enum { STATS_SHARDS = 66 };
+enum { STATS_SHARDS = 67 };
 
 struct stats_shard {
   _Alignas(64) _Atomic uint64_t values[STATS_COUNT];

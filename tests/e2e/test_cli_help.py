@@ -123,7 +123,7 @@ test_what_the_daemon_refuses_or_cannot_be_reached = says(FAILED, ["eval"], [
     ([*EVAL[1:], "--from", "0", "--log"], "bad-value: radius_start: allowed: "),
     ([*EVAL[1:], "--to", "inf"], "bad-value: radius_stop: allowed: "),
     ([*EVAL[1:], "--count", "99999999999999"], "too-large: radius_count: allowed: "),
-    ([*EVAL[1:], "--connect", "localhost"], "write unix:PATH, tcp:HOST:PORT or private:"),
+    ([*EVAL[1:], "--connect", "localhost"], "write unix:PATH, tcp:HOST:PORT, tls:HOST:PORT or private:"),
     ([*EVAL[1:], "--connect", "unix:/nonexistent", "--retry-ms", "0"],
      "cannot connect to the socket /nonexist"),
     ([*EVAL[1:], "--connect", "private:/nonexistent"], "Install dipoled, or name a running daemon"),

@@ -3,6 +3,7 @@ inherits."""
 
 from __future__ import annotations
 
+import gc
 import os
 import socket
 import stat
@@ -137,7 +138,7 @@ def test_wrong_address(url):
 def test_a_wrong_address_comes_with_an_example():
     for url, said in {
         "tcp:localhost": "write a host and a port, as in 127.0.0.1:4817",
-        "localhost:80": "write unix:PATH or tcp:HOST:PORT, as in tcp:127.0.0.1:4817",
+        "localhost:80": "write unix:PATH, tcp:HOST:PORT or tls:HOST:PORT, as in tcp:127.0.0.1:4817",
     }.items():
         assert said in run("--listen", url).stderr
 
@@ -346,6 +347,7 @@ def test_fd_of_a_datagram_socket():
 
 def test_private_daemon_of_the_python_client(monkeypatch):
     monkeypatch.setenv("DIPOLED", f"private:{PROGRAM}")
+    gc.collect()  # the pipes of earlier tests' daemons, so that they are not closed meanwhile
     before = set(os.listdir("/proc/self/fd"))
     with dipole.Client() as client:
         assert client.info.address == f"private:{PROGRAM}"

@@ -18,6 +18,9 @@ NUMBERS = {
 }
 OTHERS = [
     "listen",
+    "certificate",
+    "key",
+    "client-ca",
     "allow",
     "socket-mode",
     "socket-group",

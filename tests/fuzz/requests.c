@@ -171,7 +171,7 @@ void fuzz_connection(const uint8_t *data, size_t size) {
   }
   const uint64_t began_ns = uv_hrtime();
   CHECK(socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0, fds) == 0);
-  struct client *client = connection_new(&fuzz_server, fds[0], CONNECTION_SERVE);
+  struct client *client = connection_new(&fuzz_server, fds[0], NULL, CONNECTION_SERVE);
   stats_add(&fuzz_server.stats, STATS_CONNECTIONS_OPEN, 1);
   worker_give(&fuzz_worker, client);
   struct fuzz_delivery delivery = fuzz_delivery_begin(data, 1);

@@ -28,6 +28,9 @@ UNIT_TEST(test_lists) {
       {"unix:/a,b", 1, "unix:/a,b"},
       {"unix:/a,b,,tcp", 1, "unix:/a,b,,tcp"},
       {"unix:/a,tcp:h:1", 2, "tcp:h:1"},
+#ifndef DIPOLED_WITHOUT_TLS
+      {"tls:h:1,tcp:h:1,tls:[::1]:2", 3, "tls:[::1]:2"},
+#endif
       {"tcp:h:1,tcp:[::1]:2,unix:/x,y", 3, "unix:/x,y"},
       {"unix:/a,,unix:/b", 2, "unix:/b"},
       {"private:", 1, "private:"},
@@ -64,8 +67,10 @@ UNIT_TEST(test_what_is_said_of_a_wrong_separator) {
 
 UNIT_TEST(test_wrong_lists) {
   static const char *const cases[] = {
-      "unix:/a,tcp:",  "unix:/a,unix:", ",unix:/a",         "unix:/a,private:", "private:,unix:/a",
-      "unix:/a,tcp:h", "tcp:h:1,",      "tcp:h:1, unix:/a", "tcp:a:1,b:2",      "tcp:a:1;tcp:b:2",
+      "unix:/a,tcp:",     "unix:/a,unix:", ",unix:/a",         "unix:/a,private:",
+      "private:,unix:/a", "tls:h",         "tls:h:0",          "tls:h:1,private:",
+      "unix:/a,tcp:h",    "tcp:h:1,",      "tcp:h:1, unix:/a", "tcp:a:1,b:2",
+      "tcp:a:1;tcp:b:2",
   };
   const char *many[DIPOLE_ADDRESSES_MAX + 1];
   for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {

@@ -28,7 +28,7 @@ del numpy, sys
 from .aio import AsyncClient
 from .broadcast import Values
 from .client import Client, Parts
-from .connection import Connection, Frame
+from .connection import Connection, Frame, Tls
 from .errors import AddressError, ArgumentError, ConnectError, ConnectionLost, DipoleError
 from .errors import ProtocolError, Refused, TableError
 from .rings import RingMeans
@@ -45,5 +45,5 @@ __all__ = [
     "Inversion",
     "McEnergy", "McProgress", "McResult", "McValue", "Medium", "Offer", "Offers", "Parts",
     "ProtocolError", "Query", "Refused", "Result", "RingMeans", "Samples", "Table", "TableError",
-    "TableErrors", "Values", "Varying",
+    "TableErrors", "Tls", "Values", "Varying",
 ]

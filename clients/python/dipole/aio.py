@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import ssl
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterable
 from dataclasses import replace
@@ -17,7 +18,7 @@ from typing import Any, TypeVar
 
 from . import broadcast, calls, evaluation, fitting, inversion, mc, rings, varying, wire
 from .broadcast import Values
-from .connection import Connection, Frame
+from .connection import TLS_WAITS, Connection, Frame, Tls, shut_down
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
 from .exchange import Exchange, Request
 from .opening import Opening
@@ -46,10 +47,14 @@ class AsyncClient:
         address: str | None = None,
         timeout_s: float | None = 30.0,
         retry_s: float | None = None,
+        ca: str | None = None,
+        certificate: str | None = None,
+        key: str | None = None,
     ):
         self._address = address
         self._timeout_s = timeout_s
         self._retry_s = retry_s
+        self._tls = Tls(ca, certificate, key)
         self._info: Info | None = None
         self._measured: dict[str, tuple[Medium, Medium, Medium]] = {}
         self._exchange = Exchange(0.0)
@@ -90,7 +95,9 @@ class AsyncClient:
 
     async def open(self) -> None:
         """Connects and reads the daemon's lists."""
-        self._opening = Opening(self._address, self._timeout_s, self._retry_s, calls.hello)
+        self._opening = Opening(
+            self._address, self._timeout_s, self._retry_s, calls.hello, self._tls
+        )
         connection, self._info = await asyncio.to_thread(self._opening.open)
         self._exchange.retry_s = self._opening.retry_s
         self._stream = _Stream(connection)
@@ -427,7 +434,7 @@ class _Stream:
     def _shut_down(self) -> None:
         self._closed = True
         try:  # so that those end who wait for bytes, or for room to send
-            self.connection.socket.shutdown(socket.SHUT_RDWR)
+            shut_down(self.connection.socket, socket.SHUT_RDWR)
         except OSError:
             pass
 
@@ -444,18 +451,56 @@ class _Stream:
         async with self._sending:
             try:
                 for data in pieces:
-                    await self._loop.sock_sendall(self.connection.socket, data)
+                    await self._send_all(data)
             except OSError:
                 pass
+
+    async def _send_all(self, data: bytes) -> None:
+        """asyncio's own calls take no socket with TLS."""
+        connection = self.connection.socket
+        if not isinstance(connection, ssl.SSLSocket):
+            await self._loop.sock_sendall(connection, data)
+            return
+        view = memoryview(data)
+        while view:
+            try:
+                view = view[connection.send(view) :]
+            except TLS_WAITS:
+                await self._wait(connection, self._loop.add_writer, self._loop.remove_writer)
+
+    async def _receive_into(self, room: memoryview) -> int:
+        connection = self.connection.socket
+        if not isinstance(connection, ssl.SSLSocket):
+            return await self._loop.sock_recv_into(connection, room)
+        while True:
+            try:
+                return connection.recv_into(room)
+            except TLS_WAITS:
+                await self._wait(connection, self._loop.add_reader, self._loop.remove_reader)
+
+    async def _wait(
+        self,
+        connection: socket.socket,
+        add: Callable[[int, Callable[[], None]], None],
+        remove: Callable[[int], bool],
+    ) -> None:
+        """Waits until the socket can be read or written to."""
+        ready = asyncio.Event()
+        descriptor = connection.fileno()
+        add(descriptor, ready.set)
+        try:
+            await ready.wait()
+        finally:
+            remove(descriptor)
 
     async def receive_frame(self) -> Frame:
         """Waits for the next frame, whatever its type."""
         incoming = self.connection.incoming
         while (frame := incoming.take_frame()) is None:
             try:
-                count = await self._loop.sock_recv_into(self.connection.socket, incoming.room())
+                count = await self._receive_into(incoming.room())
             except OSError as error:
-                raise ConnectionLost(f"{self.connection.name}: {error}") from error
+                raise self.connection.lost(error) from error
             if self._given_up is not None:
                 raise self._given_up
             self.connection.received(count)

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 from . import broadcast, calls, evaluation, fitting, inversion, mc, rings, varying
 from .broadcast import Values
-from .connection import Frame
+from .connection import Frame, Tls
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
 from .exchange import Exchange, Request
 from .opening import Opening
@@ -30,8 +30,8 @@ class Client:
     """A connection to a daemon. The constructor connects, agrees on a protocol version and reads
     the daemon's lists.
 
-    address: as of a Connection. Several unix: and tcp: addresses, separated by commas without
-    blanks, are tried in turn. The attribute `address` is the one in use. A client belongs to one
+    address: as of a Connection. Several addresses but private: are tried in turn; commas without
+    blanks separate them. The attribute `address` is the one in use. A client belongs to one
     thread at a time. Close it, or use it in a with statement: a private daemon ends with the
     client.
 
@@ -44,6 +44,9 @@ class Client:
     which means never. The client connects again and sends the requests without an answer again. It
     cannot repeat mc(), eval_parts() once a part has come, and requests beyond 64 MiB of waiting
     ones: these raise ConnectionLost. dipole_set_retry_ms() in dipole.h has the details.
+
+    ca, certificate, key: files for tls: addresses, see Tls. The daemon's certificate has to be good
+    for the host in the address. If a certificate is at fault, the client does not try again.
     """
 
     def __init__(
@@ -51,9 +54,12 @@ class Client:
         address: str | None = None,
         timeout_s: float | None = 30.0,
         retry_s: float | None = None,
+        ca: str | None = None,
+        certificate: str | None = None,
+        key: str | None = None,
     ):
         self.info: Info
-        self._opening = Opening(address, timeout_s, retry_s, calls.hello)
+        self._opening = Opening(address, timeout_s, retry_s, calls.hello, Tls(ca, certificate, key))
         self._connection, self.info = self._opening.open()
         self._exchange = Exchange(self._opening.retry_s)
         self._submitted: dict[int, None] = {}

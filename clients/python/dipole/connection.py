@@ -8,6 +8,7 @@ import re
 import select
 import shutil
 import socket
+import ssl
 import subprocess
 import sys
 import time
@@ -91,18 +92,52 @@ class Incoming:
         return Frame(header.type, header.request_id, payload)
 
 
+class Tls(NamedTuple):
+    """Files in PEM format for tls: addresses.
+
+    ca: the certificates that sign the daemon's; None means $DIPOLED_CA if that is set, else those of
+        the system.
+    certificate, key: the client's own, for daemons that ask for one; None means $DIPOLED_CERTIFICATE
+        and $DIPOLED_KEY. A missing key is in the certificate's file.
+    """
+
+    ca: str | None = None
+    certificate: str | None = None
+    key: str | None = None
+
+    def context(self) -> ssl.SSLContext:
+        """Reads the files."""
+        ca = self.ca or os.environ.get("DIPOLED_CA") or None
+        certificate = self.certificate or os.environ.get("DIPOLED_CERTIFICATE") or None
+        key = self.key or os.environ.get("DIPOLED_KEY") or None
+        context = ssl.create_default_context(cafile=ca)
+        context.minimum_version = ssl.TLSVersion.TLSv1_2
+        if certificate is not None:
+            # Without this, OpenSSL would ask for a password at the terminal.
+            context.load_cert_chain(certificate, key, password="")
+        return context
+
+
 class Connection:
     """One connection. It does not know what the messages mean.
 
-    address: unix:PATH, tcp:HOST:PORT ([::1]:PORT for IPv6), private: or private:PROGRAM. None means
+    address: unix:PATH, tcp:HOST:PORT or tls:HOST:PORT ([::1]:PORT for IPv6), private: or
+        private:PROGRAM. None means
         $DIPOLED if that is set, else private:, which starts a daemon that ends with the connection.
         Unlike a Client, a Connection takes a single address.
     timeout_s: how long a call waits while no byte is sent or received, and how long connecting may
         take; None means no limit.
+    tls: files for a tls: address.
     """
 
-    def __init__(self, address: str | None = None, timeout_s: float | None = 30.0):
+    def __init__(
+        self,
+        address: str | None = None,
+        timeout_s: float | None = 30.0,
+        tls: Tls = Tls(),  # noqa: B008  (it cannot be changed)
+    ):
         self.address = address or usual_address()
+        self._tls = tls
         self.timeout_s = timeout_s
         self.is_one_of_several = False  # whether a client may leave a silent daemon for another
         self.incoming = Incoming()
@@ -145,7 +180,8 @@ class Connection:
 
     def set_timeout_s(self, timeout_s: float | None) -> None:
         self.timeout_s = timeout_s
-        self.socket.settimeout(timeout_s)
+        if not isinstance(self.socket, ssl.SSLSocket):
+            self.socket.settimeout(timeout_s)
 
     # ---- connecting ------------------------------------------------------------------------------
 
@@ -156,12 +192,17 @@ class Connection:
                 return self._open_unix(rest)
             if colon and scheme == "tcp":
                 return self._open_tcp(rest)
+            if colon and scheme == "tls":
+                return self._open_tls(rest)
             if colon and scheme == "private":
                 return self._open_private(rest or _find_daemon())
         except (OSError, subprocess.SubprocessError) as error:
-            raise ConnectError(f"{self.name}: {error}") from error
+            ended = isinstance(error, (ssl.SSLZeroReturnError, ssl.SSLEOFError))
+            final = isinstance(error, ssl.SSLError) and not ended  # certificates, or no TLS there
+            raise ConnectError(f"{self.name}: {error}", final=final) from error
         raise AddressError(
-            f"{self.name}: not one of unix:PATH, tcp:HOST:PORT, private:, private:PROGRAM"
+            f"{self.name}: not one of unix:PATH, tcp:HOST:PORT, tls:HOST:PORT, private:, "
+            "private:PROGRAM"
         )
 
     def _open_unix(self, path: str) -> socket.socket:
@@ -174,6 +215,18 @@ class Connection:
             raise
         return connection
 
+    def _open_tls(self, host_and_port: str) -> socket.socket:
+        context = self._tls.context()
+        connection = self._open_tcp(host_and_port)
+        try:
+            host = host_and_port.rpartition(":")[0].removeprefix("[").removesuffix("]")
+            wrapped = context.wrap_socket(connection, server_hostname=host)
+        except OSError:
+            connection.close()
+            raise
+        wrapped.setblocking(False)  # A record may be incomplete when the socket can be read.
+        return wrapped
+
     def _open_tcp(self, host_and_port: str) -> socket.socket:
         if re.search("[ \t,;]", host_and_port):
             raise AddressError(
@@ -184,7 +237,8 @@ class Connection:
         if host.startswith("[") and host.endswith("]"):
             host = host[1:-1]
         if not host or not port.isascii() or not port.isdigit() or not 0 < int(port) < 65536:
-            raise AddressError(f"{self.name}: not tcp:HOST:PORT")
+            scheme = self.address.partition(":")[0]
+            raise AddressError(f"{self.name}: not {scheme}:HOST:PORT")
         connection = socket.create_connection((host, int(port)), self.timeout_s)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return connection
@@ -249,15 +303,18 @@ class Connection:
         """Waits for a byte until the time time_s, as of time.monotonic(). Returns whether one
         came."""
         wait_ms = max(time_s - time.monotonic(), 0) * 1000
-        return bool(self.incoming or _poll(self.socket, select.POLLIN, wait_ms))
+        pending = isinstance(self.socket, ssl.SSLSocket) and self.socket.pending() > 0
+        return bool(self.incoming or pending or _poll(self.socket, select.POLLIN, wait_ms))
 
     def half_close(self) -> None:
         """Tells the peer that nothing more is sent. Its answers can still be read."""
-        self.socket.shutdown(socket.SHUT_WR)
+        shut_down(self.socket, socket.SHUT_WR)
 
     def _wait(self, writing: bool) -> tuple[bool, bool]:
         if self.is_closed:
             raise ConnectionLost(f"{self.name}: this client is closed", final=True)
+        if isinstance(self.socket, ssl.SSLSocket) and self.socket.pending() > 0:
+            return True, writing
         wanted = select.POLLIN | (select.POLLOUT if writing else 0)
         wait_ms = None if self.timeout_s is None else self.timeout_s * 1000
         events = _poll(self.socket, wanted, wait_ms)
@@ -269,8 +326,10 @@ class Connection:
 
     def _send_some(self, data: memoryview) -> int:
         try:
+            if isinstance(self.socket, ssl.SSLSocket):
+                return self.socket.send(data)
             return self.socket.send(data, socket.MSG_DONTWAIT)
-        except BlockingIOError:
+        except (BlockingIOError, *TLS_WAITS):
             return 0
         except OSError as error:
             raise ConnectionLost(f"{self.name}: {error}") from error
@@ -282,9 +341,17 @@ class Connection:
     def _receive_some(self) -> None:
         try:
             count = self.socket.recv_into(self.incoming.room())
+        except TLS_WAITS:
+            return
         except OSError as error:
-            raise ConnectionLost(f"{self.name}: {error}") from error
+            raise self.lost(error) from error
         self.received(count)
+
+    def lost(self, error: OSError) -> ConnectionLost:
+        """Says that receiving has failed. If the daemon refuses the certificate, that is final."""
+        refused = isinstance(error, ssl.SSLError) and "ALERT" in (error.reason or "")
+        why = "the daemon refuses this client's certificate: " if refused else ""
+        return ConnectionLost(f"{self.name}: {why}{error}", final=refused)
 
     def received(self, count: int) -> None:
         """Buffers the first count bytes of incoming.room(). Raises ConnectionLost if count is 0:
@@ -309,6 +376,9 @@ class Connection:
         return frame
 
 
+# What a socket with TLS raises when it has to wait.
+TLS_WAITS = (ssl.SSLWantReadError, ssl.SSLWantWriteError)
+
 # Environment variables that would make a private daemon serve other clients, too.
 _SERVES_OTHERS = ("DIPOLED_LISTEN", "DIPOLED_METRICS", "DIPOLED_MODBUS")
 
@@ -326,6 +396,11 @@ def frame_pieces(
         deadline_ms=deadline_ms,
     )
     return [header + payload] if len(payload) < LARGE_BYTES else [header, payload]
+
+
+def shut_down(connection: socket.socket, how: int) -> None:
+    """Shuts a socket down. The method of one with TLS would end TLS in both directions."""
+    socket.socket.shutdown(connection, how)
 
 
 def usual_address() -> str:

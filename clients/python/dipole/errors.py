@@ -12,7 +12,12 @@ class AddressError(DipoleError, ValueError):
 
 
 class ConnectError(DipoleError, ConnectionError):
-    """No daemon answers at any of the addresses, or the private daemon does not start."""
+    """No daemon answers at any of the addresses, or the private daemon does not start. final: True
+    if trying again would not help, because certificates are at fault."""
+
+    def __init__(self, text: str, final: bool = False):
+        self.final = final
+        super().__init__(text)
 
 
 class ConnectionLost(DipoleError, ConnectionError):

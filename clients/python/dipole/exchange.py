@@ -280,7 +280,7 @@ def is_temporary(error: DipoleError) -> bool:
         return error.status in _TEMPORARY
     if isinstance(error, ConnectionLost):
         return not error.final
-    return isinstance(error, ConnectError)
+    return isinstance(error, ConnectError) and not error.final
 
 
 def with_jitter(pause_s: float) -> float:

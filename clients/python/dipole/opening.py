@@ -7,7 +7,7 @@ import re
 import time
 from collections.abc import Callable
 
-from .connection import Connection, usual_address
+from .connection import Connection, Tls, usual_address
 from .errors import AddressError, ConnectError, ConnectionLost, DipoleError
 from .exchange import PAUSE_FIRST_S, Exchange, Request, is_temporary, with_jitter
 from .values import Info
@@ -20,7 +20,7 @@ _PAUSE_MOST_S = 1.0
 class Opening:
     """How a client opens its connections.
 
-    address, timeout_s, retry_s: see Client. hello: makes the first request for an address.
+    address, timeout_s, retry_s, tls: see Client. hello: makes the first request for an address.
     """
 
     def __init__(
@@ -29,11 +29,13 @@ class Opening:
         timeout_s: float | None,
         retry_s: float | None,
         hello: Callable[[str], Request[Info]],
+        tls: Tls,
     ):
         self._addresses = _several(address or usual_address())
         self._at = 0  # number of the address that is in use, or that is tried next
         self._timeout_s = timeout_s
         self._hello = hello
+        self._tls = tls
         usual_s = 0.0 if self._addresses[0].startswith("private:") else RETRY_S
         self.retry_s = usual_s if retry_s is None else retry_s
 
@@ -106,7 +108,7 @@ class Opening:
 
     def _try_one(self, limit_s: float | None, like: Info | None) -> tuple[Connection, Info]:
         address = self._addresses[self._at]
-        connection = Connection(address, limit_s)
+        connection = Connection(address, limit_s, self._tls)
         try:
             info = self._greet(connection, address)
             if like is not None and not _has_lists_of(info, like):
@@ -136,7 +138,7 @@ class Opening:
 
 def _several(text: str) -> list[str]:
     """Splits a list of addresses at each comma before a scheme. Other commas belong to a path."""
-    addresses = re.split(",(?=unix:|tcp:|private:)", text)
+    addresses = re.split(",(?=unix:|tcp:|tls:|private:)", text)
     if len(addresses) > 1 and any(address.startswith("private:") for address in addresses):
         raise AddressError(f"{text}: private: cannot be one of several addresses")
     return addresses

@@ -60,6 +60,11 @@ static struct target_address find_port(const char *log, const char *scheme) {
 }
 
 void daemon_start(struct daemon *daemon, const char *name, unsigned workers) {
+  daemon_start_tls(daemon, name, workers, NULL, NULL);
+}
+
+void daemon_start_tls(struct daemon *daemon, const char *name, unsigned workers,
+                      const char *certificate, const char *key) {
   char program[PATH_MAX], listen[PATH_MAX], log_name[64], count[16], log[LOG_BYTES];
   const char *path = child_path(name);
   find_beside(program, sizeof program, "dipoled");
@@ -78,6 +83,12 @@ void daemon_start(struct daemon *daemon, const char *name, unsigned workers) {
                        "127.0.0.1:0",
                        "--workers",
                        count,
+                       certificate != NULL ? "--listen" : NULL, /* NULL: the end */
+                       "tls:127.0.0.1:0",
+                       "--certificate",
+                       (char *)certificate,
+                       "--key",
+                       (char *)key,
                        NULL};
   daemon->child = child_run(CHILD_SERVER, arguments, log_path);
   wait_until_ready(daemon->child, log_path, log, sizeof log);
@@ -85,6 +96,9 @@ void daemon_start(struct daemon *daemon, const char *name, unsigned workers) {
   daemon->at_tcp = find_port(log, "tcp:");
   daemon->at_modbus = find_port(log, "modbus-tcp:");
   daemon->at_http = find_port(log, "http://");
+  if (certificate != NULL) {
+    daemon->at_tls = find_port(log, "tls:");
+  }
 }
 
 void daemon_end(struct daemon *daemon) {

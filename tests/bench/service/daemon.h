@@ -11,11 +11,17 @@ struct daemon {
   struct target_address at_tcp;
   struct target_address at_modbus;
   struct target_address at_http;
+  struct target_address at_tls; /* of daemon_start_tls() */
 };
 
 /* Starts the daemon and returns when it is ready. name is the file name of its Unix socket in the
  * temporary folder. */
 void daemon_start(struct daemon *daemon, const char *name, unsigned workers);
+
+/* The same, and the daemon also listens with TLS. certificate, key: the paths of its files. */
+void daemon_start_tls(struct daemon *daemon, const char *name, unsigned workers,
+                      const char *certificate, const char *key);
+
 void daemon_end(struct daemon *daemon);
 
 #endif

@@ -1,0 +1,30 @@
+/* handshake: TLS handshakes. They run on a worker of their own, at low priority, so that a flood of
+ * them costs other clients nothing but a small share of the processor. A connection whose handshake
+ * is done goes on to the workers that evaluate.
+ *
+ * A handshake may take --tls-handshake-timeout-ms and 64 KiB. While --max-tls-handshakes are under
+ * way, each new one ends the oldest: so handshakes that somebody leaves half open keep nobody out
+ * whose handshake takes milliseconds.
+ */
+#ifndef DIPOLED_HANDSHAKE_H
+#define DIPOLED_HANDSHAKE_H
+
+#include "server/net/tls.h"
+#include "server/server.h"
+
+struct handshakes;
+
+/* Makes the handshakes. done() gets, and then owns, each socket whose handshake is done, with its
+ * session; it is called on the worker's thread. Returns NULL if there is no memory. */
+struct handshakes *handshakes_new(struct server *server, struct tls *tls, struct worker *worker,
+                                  void (*done)(struct server *server, int fd,
+                                               struct tls_session *session));
+
+/* Frees it. Call this after the worker has ended. handshakes: may be NULL. */
+void handshakes_free(struct handshakes *handshakes);
+
+/* Begins the handshake of a connected socket, which it then owns. The connection of a peer that is
+ * not from --allow is closed at once. Listeners call this. */
+void handshakes_admit(struct server *server, int fd);
+
+#endif

@@ -1,0 +1,272 @@
+#include "server/net/tls.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <uv.h>
+
+#include "server/observe/log.h"
+
+bool tls_is_wanted(const struct options *options) {
+  for (size_t i = 0; i < options->listen.count; i++) {
+    if (strncmp(options->listen.items[i], "tls:", 4) == 0) {
+      return true;
+    }
+  }
+  return false;
+}
+
+#ifdef DIPOLED_WITHOUT_TLS
+
+struct tls *tls_new(const struct options *options) {
+  (void)options;
+  fprintf(stderr, "dipoled: tls: this dipoled was built without OpenSSL (make TLS=no)\n");
+  return NULL;
+}
+
+/* Nothing below is called, because nobody gets a `struct tls`. */
+void tls_free(struct tls *tls) {
+  (void)tls;
+}
+void tls_reload(struct tls *tls) {
+  (void)tls;
+}
+struct tls_session *tls_session_new(struct tls *tls, int fd) {
+  (void)tls, (void)fd;
+  return NULL;
+}
+void tls_session_free(struct tls_session *session) {
+  (void)session;
+}
+enum tls_progress tls_session_shake_hands(struct tls_session *session, char why[TLS_WHY_BYTES]) {
+  (void)session, (void)why;
+  return TLS_FAILED;
+}
+uint64_t tls_session_received_bytes(const struct tls_session *session) {
+  (void)session;
+  return 0;
+}
+ssize_t tls_session_read(struct tls_session *session, void *to, size_t bytes) {
+  (void)session, (void)to, (void)bytes;
+  return UV_EPROTO;
+}
+ssize_t tls_session_write(struct tls_session *session, const void *from, size_t bytes) {
+  (void)session, (void)from, (void)bytes;
+  return UV_EPROTO;
+}
+void tls_session_end(struct tls_session *session) {
+  (void)session;
+}
+
+#else
+
+#include <openssl/err.h>
+#include <openssl/ssl.h>
+
+enum { CERTIFICATES_BYTES = 32768, CHAIN_LENGTH = 8 }; /* of what a client may send */
+
+struct tls {
+  const struct options *options;
+  SSL_CTX *context;
+};
+
+/* ---- certificates ---------------------------------------------------------------------------- */
+
+static void describe_fault(char why[TLS_WHY_BYTES]) {
+  const unsigned long first = ERR_peek_error(); /* what the system says comes first */
+  const unsigned long error = ERR_SYSTEM_ERROR(first) ? first : ERR_peek_last_error();
+  const char *reason = ERR_reason_error_string(error);
+  snprintf(why, TLS_WHY_BYTES, "%s", reason != NULL ? reason : "no reason is known");
+  if (ERR_SYSTEM_ERROR(error)) {
+    snprintf(why, TLS_WHY_BYTES, "%s", strerror(ERR_GET_REASON(error)));
+  }
+  ERR_clear_error();
+}
+
+/* Keys with a password are refused: OpenSSL would ask at the terminal. */
+static int no_password(char *password, int bytes, int writing, void *unused) {
+  (void)password, (void)bytes, (void)writing, (void)unused;
+  return -1;
+}
+
+static void set_manners(SSL_CTX *context) {
+  SSL_CTX_set_min_proto_version(context, TLS1_2_VERSION);
+  SSL_CTX_set_options(context, SSL_OP_NO_COMPRESSION | SSL_OP_NO_RENEGOTIATION | SSL_OP_NO_TICKET |
+                                   SSL_OP_CIPHER_SERVER_PREFERENCE | SSL_OP_IGNORE_UNEXPECTED_EOF);
+  SSL_CTX_set_cipher_list(context, "ECDHE+AESGCM:ECDHE+CHACHA20");
+  SSL_CTX_set_session_cache_mode(context, SSL_SESS_CACHE_OFF);
+  SSL_CTX_set_num_tickets(context, 0);
+  SSL_CTX_set_max_cert_list(context, CERTIFICATES_BYTES);
+  SSL_CTX_set_verify_depth(context, CHAIN_LENGTH);
+  SSL_CTX_set_read_ahead(context, 1);
+  SSL_CTX_set_mode(context, SSL_MODE_ENABLE_PARTIAL_WRITE | SSL_MODE_ACCEPT_MOVING_WRITE_BUFFER |
+                                SSL_MODE_RELEASE_BUFFERS);
+  SSL_CTX_set_default_passwd_cb(context, no_password);
+}
+
+static bool load_client_ca(SSL_CTX *context, const char *path) {
+  STACK_OF(X509_NAME) *names = SSL_load_client_CA_file(path);
+  if (names == NULL || SSL_CTX_load_verify_file(context, path) != 1) {
+    sk_X509_NAME_pop_free(names, X509_NAME_free);
+    return false;
+  }
+  SSL_CTX_set_client_CA_list(context, names);
+  SSL_CTX_set_verify(context, SSL_VERIFY_PEER | SSL_VERIFY_FAIL_IF_NO_PEER_CERT, NULL);
+  return true;
+}
+
+/* Reads the files. If that fails, sets *what to the file and why to the reason. */
+static SSL_CTX *load(const struct options *options, const char **what, char why[TLS_WHY_BYTES]) {
+  ERR_clear_error();
+  *what = "TLS";
+  SSL_CTX *context = SSL_CTX_new(TLS_server_method());
+  bool good = context != NULL;
+  if (good) {
+    set_manners(context);
+    *what = options->certificate;
+    good = SSL_CTX_use_certificate_chain_file(context, options->certificate) == 1;
+  }
+  if (good) {
+    *what = options->key;
+    good = SSL_CTX_use_PrivateKey_file(context, options->key, SSL_FILETYPE_PEM) == 1 &&
+           SSL_CTX_check_private_key(context) == 1;
+  }
+  if (good && options->client_ca != NULL) {
+    *what = options->client_ca;
+    good = load_client_ca(context, options->client_ca);
+  }
+  if (!good) {
+    describe_fault(why);
+    SSL_CTX_free(context);
+    return NULL;
+  }
+  return context;
+}
+
+struct tls *tls_new(const struct options *options) {
+  const char *what;
+  char why[TLS_WHY_BYTES];
+  if (options->certificate == NULL || options->key == NULL) {
+    fprintf(stderr, "dipoled: --listen tls:HOST:PORT needs --certificate FILE and --key FILE\n");
+    return NULL;
+  }
+  struct tls *tls = calloc(1, sizeof *tls);
+  SSL_CTX *context = load(options, &what, why);
+  if (tls == NULL || context == NULL) {
+    fprintf(stderr, "dipoled: %s: %s\n", what, context == NULL ? why : "out of memory");
+    SSL_CTX_free(context);
+    free(tls);
+    return NULL;
+  }
+  tls->options = options;
+  tls->context = context;
+  return tls;
+}
+
+void tls_free(struct tls *tls) {
+  if (tls != NULL) {
+    SSL_CTX_free(tls->context);
+    free(tls);
+  }
+}
+
+void tls_reload(struct tls *tls) {
+  const char *what;
+  char why[TLS_WHY_BYTES];
+  SSL_CTX *fresh = load(tls->options, &what, why);
+  if (fresh == NULL) {
+    log_line(LOG_LEVEL_ERROR, "event=tls-not-reloaded%s%s%s%s", LOG_FIELD(" file=", what),
+             LOG_FIELD(" reason=", why));
+    return;
+  }
+  SSL_CTX_free(tls->context); /* Sessions hold it as long as they need it. */
+  tls->context = fresh;
+  log_line(LOG_LEVEL_INFO, "event=tls-reloaded%s%s",
+           LOG_FIELD(" certificate=", tls->options->certificate));
+}
+
+/* ---- sessions -------------------------------------------------------------------------------- */
+
+/* OpenSSL's structure under another name, so that others need not know OpenSSL. */
+static SSL *ssl_of(const struct tls_session *session) {
+  return (SSL *)(void *)session;
+}
+
+struct tls_session *tls_session_new(struct tls *tls, int fd) {
+  SSL *ssl = SSL_new(tls->context);
+  if (ssl != NULL && SSL_set_fd(ssl, fd) != 1) {
+    SSL_free(ssl);
+    ssl = NULL;
+  }
+  if (ssl != NULL) {
+    SSL_set_accept_state(ssl);
+  }
+  ERR_clear_error();
+  return (struct tls_session *)(void *)ssl;
+}
+
+void tls_session_free(struct tls_session *session) {
+  SSL_free(ssl_of(session));
+}
+
+enum tls_progress tls_session_shake_hands(struct tls_session *session, char why[TLS_WHY_BYTES]) {
+  SSL *ssl = ssl_of(session);
+  ERR_clear_error();
+  const int result = SSL_do_handshake(ssl);
+  if (result == 1) {
+    return TLS_DONE;
+  }
+  switch (SSL_get_error(ssl, result)) {
+  case SSL_ERROR_WANT_READ:
+    return TLS_WANTS_READ;
+  case SSL_ERROR_WANT_WRITE:
+    return TLS_WANTS_WRITE;
+  case SSL_ERROR_SSL:
+    describe_fault(why);
+    if (SSL_get_verify_result(ssl) != X509_V_OK) {
+      snprintf(why, TLS_WHY_BYTES, "%s", X509_verify_cert_error_string(SSL_get_verify_result(ssl)));
+    }
+    return TLS_FAILED;
+  default:
+    snprintf(why, TLS_WHY_BYTES, "the peer has closed the connection");
+    return TLS_FAILED;
+  }
+}
+
+uint64_t tls_session_received_bytes(const struct tls_session *session) {
+  return BIO_number_read(SSL_get_rbio(ssl_of(session)));
+}
+
+/* Returns what the failure of a read or a write means. */
+static ssize_t outcome(const SSL *ssl, int result) {
+  switch (SSL_get_error(ssl, result)) {
+  case SSL_ERROR_WANT_READ:
+  case SSL_ERROR_WANT_WRITE:
+    return UV_EAGAIN;
+  case SSL_ERROR_ZERO_RETURN:
+    return UV_EOF;
+  default:
+    ERR_clear_error();
+    return UV_EPROTO;
+  }
+}
+
+ssize_t tls_session_read(struct tls_session *session, void *to, size_t bytes) {
+  ERR_clear_error();
+  const int got = SSL_read(ssl_of(session), to, bytes < INT32_MAX ? (int)bytes : INT32_MAX);
+  return got > 0 ? got : outcome(ssl_of(session), got);
+}
+
+ssize_t tls_session_write(struct tls_session *session, const void *from, size_t bytes) {
+  ERR_clear_error();
+  const int sent = SSL_write(ssl_of(session), from, bytes < INT32_MAX ? (int)bytes : INT32_MAX);
+  return sent > 0 ? sent : outcome(ssl_of(session), sent);
+}
+
+void tls_session_end(struct tls_session *session) {
+  ERR_clear_error();
+  SSL_shutdown(ssl_of(session));
+  ERR_clear_error();
+}
+
+#endif

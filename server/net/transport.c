@@ -1,0 +1,212 @@
+#include "server/net/transport.h"
+
+#include <sys/socket.h>
+#include <unistd.h>
+
+enum { TLS_READ_BYTES = 524288 }; /* at most in one call of the poll: some 200 microseconds */
+
+static void close_and_tell(uv_handle_t *handle) {
+  struct transport *t = handle->data;
+  if (t->tls != NULL) {
+    tls_session_free(t->tls);
+    t->tls = NULL;
+    close(t->fd); /* libuv closes its own streams */
+  }
+  t->calls->closed(t->owner);
+}
+
+void transport_close(struct transport *t) {
+  uv_close(&t->uv.handle, close_and_tell);
+}
+
+/* ---- plain sockets --------------------------------------------------------------------------- */
+
+static void on_room_wanted(uv_handle_t *handle, size_t suggested, uv_buf_t *buffer) {
+  (void)suggested;
+  struct transport *t = handle->data;
+  uint8_t *room = NULL;
+  const size_t bytes = t->calls->room(t->owner, &room);
+  *buffer = uv_buf_init((char *)room, (unsigned)bytes);
+}
+
+static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer) {
+  (void)buffer;
+  struct transport *t = stream->data;
+  if (bytes != 0) {
+    t->calls->received(t->owner, bytes);
+  }
+}
+
+static void on_written(uv_write_t *request, int status) {
+  struct transport *t = request->handle->data;
+  const uint64_t bytes = t->writing_bytes;
+  t->writing_bytes = 0;
+  t->writing = false;
+  t->calls->sent(t->owner, bytes, status);
+}
+
+static bool write_plain(struct transport *t, const uv_buf_t *buffers, unsigned count,
+                        uint64_t *written) {
+  const int sent = uv_try_write(&t->uv.stream, buffers, count);
+  if (sent > 0) {
+    *written = (uint64_t)sent;
+    return true;
+  }
+  for (unsigned i = 0; i < count; i++) {
+    t->writing_bytes += buffers[i].len;
+  }
+  t->writing = true;
+  return (sent == UV_EAGAIN || sent == 0) &&
+         uv_write(&t->write, &t->uv.stream, buffers, count, on_written) == 0;
+}
+
+static void on_shut_down(uv_shutdown_t *request, int status) {
+  struct transport *t = request->handle->data;
+  if (status != 0 && !uv_is_closing(&t->uv.handle)) {
+    t->calls->received(t->owner, status);
+  }
+}
+
+static int open_plain(struct transport *t, uv_loop_t *loop) {
+  struct sockaddr_storage address = {.ss_family = AF_UNIX};
+  socklen_t length = sizeof address;
+  getsockname(t->fd, (struct sockaddr *)&address, &length);
+  if (address.ss_family == AF_UNIX) {
+    uv_pipe_init(loop, &t->uv.pipe, 0);
+    return uv_pipe_open(&t->uv.pipe, t->fd);
+  }
+  uv_tcp_init(loop, &t->uv.tcp);
+  const int opened = uv_tcp_open(&t->uv.tcp, t->fd);
+  if (opened == 0) {
+    uv_tcp_nodelay(&t->uv.tcp, 1); /* no delay: small answers are already sent together */
+  }
+  return opened;
+}
+
+/* ---- TLS ------------------------------------------------------------------------------------- */
+
+static void on_poll(uv_poll_t *poll, int status, int events);
+
+static bool poll_for(struct transport *t, int events) {
+  if (events == t->events || uv_is_closing(&t->uv.handle)) {
+    return true;
+  }
+  t->events = events;
+  return events == 0 ? uv_poll_stop(&t->uv.poll) == 0
+                     : uv_poll_start(&t->uv.poll, events, on_poll) == 0;
+}
+
+/* Returns the events that the poll has to wait for. Bytes that OpenSSL holds wake no poll: the
+ * socket can be written to as a rule, which calls on_poll() in the next round of the loop. */
+static int events_wanted(const struct transport *t) {
+  return (t->reading ? UV_READABLE : 0) |
+         (t->writing || (t->reading && t->has_more) ? UV_WRITABLE : 0);
+}
+
+/* Sets the events that the poll waits for. A change takes two system calls, and connections often
+ * cease to read for a moment: so the poll goes on to wait until bytes arrive that nobody wants. */
+static bool set_events(struct transport *t) {
+  return poll_for(t, events_wanted(t) | (t->events & UV_READABLE));
+}
+
+/* Reads what has arrived, while the owner has room and wants it. */
+static void read_tls(struct transport *t) {
+  size_t left = TLS_READ_BYTES;
+  t->has_more = true;
+  while (t->reading && left > 0 && !uv_is_closing(&t->uv.handle)) {
+    uint8_t *room = NULL;
+    const size_t bytes = t->calls->room(t->owner, &room);
+    const ssize_t got =
+        bytes > 0 ? tls_session_read(t->tls, room, bytes < left ? bytes : left) : UV_ENOBUFS;
+    if (got == UV_EAGAIN) {
+      t->has_more = false;
+      return;
+    }
+    left -= got > 0 ? (size_t)got : 0;
+    t->calls->received(t->owner, got);
+  }
+}
+
+static void on_poll(uv_poll_t *poll, int status, int events) {
+  struct transport *t = poll->data;
+  if (status < 0) {
+    t->calls->received(t->owner, status);
+    return;
+  }
+  if (t->writing && (events & UV_WRITABLE) != 0) {
+    t->writing = false;
+    t->has_more = true; /* Reading may have had to answer an update of keys first. */
+    t->calls->sent(t->owner, 0, 0);
+  }
+  if ((events & UV_READABLE) != 0 || t->has_more) {
+    read_tls(t);
+  }
+  if ((events & UV_READABLE) != 0 && !t->reading) {
+    poll_for(t, events_wanted(t));
+  } else {
+    set_events(t);
+  }
+}
+
+static bool write_tls(struct transport *t, const uv_buf_t *buffers, unsigned count,
+                      uint64_t *written) {
+  ssize_t sent = 0;
+  for (unsigned i = 0; i < count && sent >= 0; i++) {
+    for (size_t at = 0; at < buffers[i].len && sent >= 0; at += sent > 0 ? (size_t)sent : 0) {
+      sent = tls_session_write(t->tls, buffers[i].base + at, buffers[i].len - at);
+      *written += sent > 0 ? (uint64_t)sent : 0;
+    }
+  }
+  t->writing = sent == UV_EAGAIN && *written == 0;
+  return (sent >= 0 || sent == UV_EAGAIN) && set_events(t);
+}
+
+/* ---- both ------------------------------------------------------------------------------------ */
+
+int transport_open(struct transport *t, uv_loop_t *loop, int fd, struct tls_session *session,
+                   const struct transport_calls *calls, void *owner) {
+  t->calls = calls;
+  t->owner = owner;
+  t->fd = fd;
+  t->tls = session;
+  t->has_more = session != NULL; /* The handshake may have read the first request. */
+  const int opened = session != NULL ? uv_poll_init(loop, &t->uv.poll, fd) : open_plain(t, loop);
+  if (opened != 0 && session != NULL) {
+    uv_tcp_init(loop, &t->uv.tcp); /* so that there is a handle to close */
+  } else if (opened != 0) {
+    close(fd);
+  }
+  t->uv.handle.data = t;
+  return opened;
+}
+
+bool transport_set_reading(struct transport *t, bool wanted) {
+  if (t->reading == wanted) {
+    return true;
+  }
+  t->reading = wanted;
+  if (t->tls != NULL) {
+    return set_events(t);
+  }
+  if (!wanted) {
+    uv_read_stop(&t->uv.stream);
+    return true;
+  }
+  t->reading = uv_read_start(&t->uv.stream, on_room_wanted, on_read) == 0;
+  return t->reading;
+}
+
+bool transport_write(struct transport *t, const uv_buf_t *buffers, unsigned count,
+                     uint64_t *written) {
+  *written = 0;
+  return t->tls != NULL ? write_tls(t, buffers, count, written)
+                        : write_plain(t, buffers, count, written);
+}
+
+bool transport_shut_down(struct transport *t) {
+  if (t->tls != NULL) {
+    tls_session_end(t->tls);
+    return shutdown(t->fd, SHUT_WR) == 0;
+  }
+  return uv_shutdown(&t->shutdown, &t->uv.stream, on_shut_down) == 0;
+}

@@ -1,0 +1,73 @@
+/* transport: the bytes of one connection on its socket, plain or by TLS. It is the only place where
+ * the binary protocol is read from and written to a socket. A plain socket is a stream of libuv,
+ * which reads into the owner's memory and writes from it. With TLS, OpenSSL reads and writes the
+ * socket itself, and libuv only says when it can.
+ *
+ * All functions belong to the worker's thread.
+ */
+#ifndef DIPOLED_TRANSPORT_H
+#define DIPOLED_TRANSPORT_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <uv.h>
+
+#include "server/net/tls.h"
+
+/* What the transport calls. `owner` is that of transport_open(). */
+struct transport_calls {
+  /* Sets *room to memory for the next bytes and returns how many fit; 0 if there is none. */
+  size_t (*room)(void *owner, uint8_t **room);
+  /* So many bytes have arrived in that memory. Or, if negative: UV_EOF, the peer has shut down its
+   * sending side; UV_ENOBUFS, there was no room; any other error of libuv. */
+  void (*received)(void *owner, ssize_t bytes);
+  /* The write that made transport_write() return true has ended: so many more bytes are written, or
+   * status is an error of libuv. */
+  void (*sent)(void *owner, uint64_t bytes, int status);
+  void (*closed)(void *owner); /* the last call, after transport_close() */
+};
+
+struct transport {
+  union {
+    uv_handle_t handle;
+    uv_stream_t stream;
+    uv_tcp_t tcp;
+    uv_pipe_t pipe;
+    uv_poll_t poll; /* with TLS */
+  } uv;
+  const struct transport_calls *calls;
+  void *owner;
+  int fd;
+  struct tls_session *tls; /* NULL: the bytes are plain */
+  uv_write_t write;
+  uv_shutdown_t shutdown;
+  uint64_t writing_bytes; /* number of bytes given to libuv and not yet written */
+  bool writing;           /* whether sent() is still to be called */
+  bool reading;
+  bool has_more; /* with TLS: whether OpenSSL may hold bytes for which there was no time or room */
+  int events;    /* with TLS: the events that the poll waits for */
+};
+
+/* Takes over a connected stream socket, and the session, which may be NULL. The result may be an
+ * error of libuv; the caller calls transport_close() in any case. */
+int transport_open(struct transport *transport, uv_loop_t *loop, int fd,
+                   struct tls_session *session, const struct transport_calls *calls, void *owner);
+
+/* Begins or ceases to call received(). Returns false if that fails. */
+bool transport_set_reading(struct transport *transport, bool wanted);
+
+/* Writes as much of the buffers as the socket takes at once, and sets *written to the number of
+ * bytes. Returns false if that fails. If the socket takes nothing, transport->writing becomes true;
+ * the first bytes of the buffers must then stay where they are until sent() is called. */
+bool transport_write(struct transport *transport, const uv_buf_t *buffers, unsigned count,
+                     uint64_t *written);
+
+/* Tells the peer that nothing more is sent; called when nothing is being written. Returns false if
+ * that fails. */
+bool transport_shut_down(struct transport *transport);
+
+/* Closes the socket, and frees the session. */
+void transport_close(struct transport *transport);
+
+#endif

@@ -1,0 +1,523 @@
+"""The binary protocol through TLS: who gets in, whose certificates are believed, bad peers, and
+certificates that change under load."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import random
+import select
+import signal
+import socket
+import ssl
+import statistics
+import subprocess
+import sys
+import threading
+import time
+
+import dipole
+import numpy as np
+import pytest
+from certificates import Authority
+from daemons import BUILD, END_S, PROGRAM, environment, eventually, run, sanitized
+from frames import SKIN
+
+RADII = np.linspace(0.1, 5.0, 65536)
+
+# How many half-open handshakes, and fuzzed connections: 10000 in `make check-long`.
+MANY = int(os.environ.get("TLS_HANDSHAKES", "600"))
+
+
+@pytest.fixture(scope="module")
+def authority(tmp_path_factory):
+    return Authority(tmp_path_factory.mktemp("tls"))
+
+
+@pytest.fixture(scope="module")
+def server(authority):
+    return authority.sign("server")
+
+
+@pytest.fixture(scope="module")
+def ours(authority):
+    """Returns the files of a client whose certificate the daemon believes."""
+    certificate, key = authority.sign("client")
+    return {"ca": str(authority.pem), "certificate": certificate, "key": key}
+
+
+def options(server, *others: str) -> list[str]:
+    return ["--certificate", server[0], "--key", server[1], *others]
+
+
+@pytest.fixture
+def farm(daemon, authority, server):
+    """Returns a daemon that asks its clients for certificates."""
+    mutual = options(server, "--client-ca", str(authority.pem))
+    return daemon(*mutual, listen=["tls:127.0.0.1:0", "tcp:127.0.0.1:0"])
+
+
+def port_of(one) -> int:
+    return int(one.url("tls").rpartition(":")[2])
+
+
+def expected(radii=RADII):
+    with dipole.Client(f"private:{PROGRAM}") as client:
+        return client.eval("better", SKIN, radii).R
+
+
+def counters(one) -> dict[str, int]:
+    with one.client("tcp") as client:
+        return client.statistics()
+
+
+# ---- answers -------------------------------------------------------------------------------------
+
+
+def test_same_bits_through_tls(farm, ours):
+    right = expected()
+    with dipole.Client(farm.url("tls"), **ours) as client:
+        assert (client.eval("better", SKIN, RADII).R == right).all()
+        small = [client.submit("better", SKIN, RADII[:16]) for _ in range(300)]
+        large = [client.submit("better", SKIN, RADII) for _ in range(8)]
+        for one in small:
+            assert (client.collect(one)[1].R == right[..., :16]).all()
+        for one in large:
+            assert (client.collect(one)[1].R == right).all()
+        assert client.mc(dipole.Medium(0.05, 1.0), dipole.Grid(0.0, 5.0, 3), photons=2000)
+
+    async def ask():
+        async with dipole.AsyncClient(farm.url("tls"), **ours) as client:
+            return await asyncio.gather(*(client.eval("better", SKIN, RADII) for _ in range(12)))
+
+    assert all((answer.R == right).all() for answer in asyncio.run(ask()))
+
+
+@pytest.mark.parametrize("version", ["1.2", "1.3"])
+def test_versions(farm, ours, version):
+    """Both versions are spoken, without compression and with ciphers that authenticate."""
+    context = dipole.Tls(**ours).context()
+    context.maximum_version = getattr(ssl.TLSVersion, "TLSv" + version.replace(".", "_"))
+    with socket.create_connection(("127.0.0.1", port_of(farm)), 10) as plain:
+        with context.wrap_socket(plain, server_hostname="localhost") as one:
+            assert one.version() == f"TLSv{version}"
+            assert one.compression() is None
+            assert one.cipher()[0].endswith(("GCM_SHA384", "GCM-SHA384", "GCM_SHA256"))
+
+
+def test_old_versions_and_ciphers_are_refused(farm, ours):
+    def shakes_hands(*arguments: str) -> bool:
+        files = ["-CAfile", ours["ca"], "-cert", ours["certificate"], "-key", ours["key"]]
+        place = ["-connect", f"127.0.0.1:{port_of(farm)}"]
+        said = subprocess.run(
+            ["openssl", "s_client", *place, *files, "-brief", *arguments],
+            stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=20, check=False,
+        )  # fmt: skip
+        return "CONNECTION ESTABLISHED" in said.stderr + said.stdout
+
+    assert shakes_hands()
+    assert shakes_hands("-tls1_2")
+    assert not shakes_hands("-tls1_1", "-cipher", "ALL:@SECLEVEL=0")
+    assert not shakes_hands("-tls1", "-cipher", "ALL:@SECLEVEL=0")
+    assert not shakes_hands("-tls1_2", "-cipher", "ECDHE-ECDSA-AES128-SHA")
+    assert not shakes_hands("-tls1_2", "-cipher", "AES128-GCM-SHA256:@SECLEVEL=0")
+
+
+def test_renegotiation_is_refused(farm, ours):
+    files = ["-CAfile", ours["ca"], "-cert", ours["certificate"], "-key", ours["key"]]
+    said = subprocess.run(
+        ["openssl", "s_client", "-connect", f"127.0.0.1:{port_of(farm)}", "-tls1_2", *files],
+        input="R\n", capture_output=True, text=True, timeout=20, check=False,
+    )  # fmt: skip
+    assert "RENEGOTIATING" in said.stdout + said.stderr
+    assert "no renegotiation" in said.stdout + said.stderr
+
+
+def test_a_client_that_half_closes_gets_its_answers(farm, ours):
+    with dipole.Connection(farm.url("tls"), tls=dipole.Tls(**ours)) as connection:
+        for number in range(50):
+            connection.send_frame(5, number, b"12345678")
+        connection.half_close()
+        for number in range(50):
+            assert connection.receive_frame().request_id == number
+        assert connection.receive_eof()
+
+
+def test_command_line_and_its_environment(farm, ours):
+    words = ["eval", "--medium", "skin1", "--model", "better", "--r", "0.5,1", "--format", "csv"]
+
+    def ask(*arguments: str, **variables: str):
+        return subprocess.run(
+            [BUILD / "dipole", *words, *arguments], env=environment(**variables),
+            capture_output=True, text=True, timeout=END_S, check=False,
+        )  # fmt: skip
+
+    private = ask("--connect", f"private:{PROGRAM}").stdout
+    files = [text for name, value in ours.items() for text in (f"--{name}", value)]
+    assert private and ask("--connect", farm.url("tls"), *files).stdout == private
+    variables = {f"DIPOLED_{name.upper()}": value for name, value in ours.items()}
+    assert ask(DIPOLED=farm.url("tls"), **variables).stdout == private
+    # One of several addresses; the first one is nobody's.
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))
+        several = f"tls:127.0.0.1:{closed.getsockname()[1]},{farm.url('tls')},{farm.url('tcp')}"
+        assert ask(DIPOLED=several, **variables).stdout == private
+    # A private daemon is not confused by the clients' variables.
+    assert ask("--connect", f"private:{PROGRAM}", **variables).stdout == private
+
+
+def test_server_authentication_only(daemon, server, ours):
+    one = daemon(*options(server), listen=["tls:localhost:0"])
+    url = one.url("tls").replace("127.0.0.1", "localhost")
+    with dipole.Client(url, ca=ours["ca"]) as client:
+        assert client.ping() > 0
+
+
+def test_too_many_connections_are_told_so(daemon, server, ours):
+    one = daemon("--max-connections", "1", *options(server), listen=["tls:127.0.0.1:0"])
+    with dipole.Client(one.url("tls"), ca=ours["ca"]) as client:
+        with pytest.raises(dipole.Refused, match="busy: max_connections"):
+            dipole.Client(one.url("tls"), ca=ours["ca"], retry_s=0)
+        client.ping()
+
+
+def test_allow_holds_for_tls(daemon, server, ours):
+    one = daemon("--allow", "10.0.0.0/8", *options(server), listen=["tls:127.0.0.1:0"])
+    with pytest.raises(dipole.ConnectError):
+        dipole.Client(one.url("tls"), ca=ours["ca"], retry_s=0)
+    assert one.has_line("event=tls-refused peer=127.0.0.1", 5) and "not-allowed" in one.log[-1]
+
+
+# ---- certificates --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("who", ["none", "expired", "of another CA", "signed by itself"])
+def test_clients_that_are_not_believed(farm, authority, ours, tmp_path, who):
+    files = {"ca": ours["ca"]}
+    if who == "expired":
+        files["certificate"], files["key"] = authority.sign("old", days=-1)
+    elif who == "of another CA":
+        files["certificate"], files["key"] = Authority(tmp_path).sign("client")
+    elif who == "signed by itself":
+        other = Authority(tmp_path, "alone")
+        files["certificate"], files["key"] = str(other.pem), str(tmp_path / "alone.key")
+    start_s = time.monotonic()
+    with pytest.raises(dipole.ConnectionLost, match="refuses this client's certificate"):
+        dipole.Client(farm.url("tls"), **files)
+    flags = [text for name, value in files.items() for text in (f"--{name}", value)]
+    said = subprocess.run(
+        [BUILD / "dipole", "media", "--connect", farm.url("tls"), *flags],
+        capture_output=True, text=True, timeout=END_S, check=False,
+    )  # fmt: skip
+    assert said.returncode == 1 and "refuses this client's certificate" in said.stderr
+    assert time.monotonic() - start_s < 4  # neither of them has tried again
+    assert farm.has_line("event=tls-refused peer=127.0.0.1", 5)
+    with dipole.Client(farm.url("tls"), **ours) as client:
+        client.ping()
+
+
+@pytest.mark.parametrize("what", ["expired", "wrong host", "wrong CA", "system's CAs"])
+def test_daemons_that_are_not_believed(daemon, authority, server, ours, tmp_path, what):
+    ca = {"wrong CA": str(Authority(tmp_path).pem), "system's CAs": None}.get(what, ours["ca"])
+    if what == "expired":
+        server = authority.sign("late", days=-1)
+    elif what == "wrong host":
+        server = authority.sign("elsewhere", hosts="DNS:elsewhere.invalid,IP:127.0.0.2")
+    one = daemon(*options(server), listen=["tls:127.0.0.1:0"])
+    why = {"expired": "expired", "wrong host": "mismatch|not valid for"}.get(what, "certificate")
+    start_s = time.monotonic()
+    with pytest.raises(dipole.ConnectError, match=why):
+        dipole.Client(one.url("tls"), ca=ca)
+    said = subprocess.run(
+        [BUILD / "dipole", "media", "--connect", one.url("tls"), *(["--ca", ca] if ca else [])],
+        capture_output=True, text=True, timeout=END_S, check=False, env=environment(),
+    )  # fmt: skip
+    assert said.returncode == 1 and "its certificate: " in said.stderr
+    assert time.monotonic() - start_s < 4
+
+
+def test_plain_and_tls_do_not_mix(farm, ours):
+    with pytest.raises(dipole.DipoleError):
+        dipole.Client(farm.url("tcp").replace("tcp:", "tls:"), **ours, retry_s=0)
+    with pytest.raises(dipole.DipoleError):
+        dipole.Client(farm.url("tls").replace("tls:", "tcp:"), retry_s=0)
+    assert farm.has_line("event=tls-refused", 5)
+
+
+@pytest.mark.parametrize(
+    "files, said",
+    [
+        ([], "--listen tls:HOST:PORT needs --certificate FILE and --key FILE"),
+        (["--certificate", "{pem}"], "--listen tls:HOST:PORT needs --certificate FILE"),
+        (["--certificate", "/none", "--key", "{key}"], "/none: No such file or directory"),
+        (["--certificate", "{pem}", "--key", "/none"], "/none: No such file or directory"),
+        (["--certificate", "{pem}", "--key", "{other}"], "{other}: key values mismatch"),
+        (["--certificate", "{key}", "--key", "{key}"], "{key}: "),
+        (["--certificate", "{pem}", "--key", "{key}", "--client-ca", "{key}"], "{key}: "),
+    ],
+)
+def test_wrong_files(authority, server, ours, files, said):
+    names = {"pem": server[0], "key": server[1], "other": ours["key"]}
+    ended = run("--listen", "tls:127.0.0.1:0", *(text.format(**names) for text in files))
+    assert ended.returncode == 1
+    assert f"dipoled: {said.format(**names)}" in ended.stderr
+
+
+def test_a_key_with_a_password_asks_nobody(server, tmp_path):
+    locked = str(tmp_path / "locked.key")
+    subprocess.run(
+        ["openssl", "ec", "-in", server[1], "-aes128", "-passout", "pass:secret", "-out", locked],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    ended = run("--listen", "tls:127.0.0.1:0", "--certificate", server[0], "--key", locked)
+    assert ended.returncode == 1 and f"dipoled: {locked}: " in ended.stderr
+
+
+# ---- reloading -----------------------------------------------------------------------------------
+
+
+def serial_of(one, ours) -> str:
+    context = dipole.Tls(**ours).context()
+    with socket.create_connection(("127.0.0.1", port_of(one)), 10) as plain:
+        with context.wrap_socket(plain, server_hostname="localhost") as wrapped:
+            return wrapped.getpeercert()["serialNumber"]
+
+
+def test_certificates_are_reloaded_under_load(daemon, authority, ours, tmp_path):
+    """No connection ends, the new certificate is used from then on, and a file that cannot be read
+    changes nothing."""
+    pem, key = tmp_path / "farm.pem", tmp_path / "farm.key"
+
+    def renew(name: str) -> None:
+        for made, place in zip(authority.sign(name), (pem, key)):
+            place.write_bytes(open(made, "rb").read())
+
+    renew("first")
+    mutual = ["--client-ca", str(authority.pem)]
+    one = daemon(*options((str(pem), str(key)), *mutual), listen=["tls:127.0.0.1:0"])
+    ended = threading.Event()
+    faults: list[BaseException] = []
+    answers = [0] * 4
+
+    def load(number: int) -> None:
+        try:
+            with dipole.Client(one.url("tls"), **ours, retry_s=0) as client:
+                right = client.eval("better", SKIN, RADII[:2000]).R
+                while not ended.is_set():
+                    assert (client.eval("better", SKIN, RADII[:2000]).R == right).all()
+                    answers[number] += 1
+        except BaseException as fault:  # noqa: BLE001
+            faults.append(fault)
+
+    threads = [threading.Thread(target=load, args=(number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    serials = [serial_of(one, ours)]
+    for turn in range(5):
+        renew(f"renewed{turn}")
+        before = list(answers)
+        one.process.send_signal(signal.SIGHUP)
+        assert eventually(lambda: sum("event=tls-reloaded" in x for x in one.log) == turn + 1)
+        serials.append(serial_of(one, ours))
+        assert eventually(lambda: faults or all(a > b for a, b in zip(answers, before)), 20)
+    assert len(set(serials)) == 6
+    key.write_text("nonsense")
+    one.process.send_signal(signal.SIGHUP)
+    assert one.has_line(f"event=tls-not-reloaded file={key}", 5)
+    assert serial_of(one, ours) == serials[-1]
+    ended.set()
+    for thread in threads:
+        thread.join(20)
+    assert faults == []
+
+
+# ---- peers that are rude -------------------------------------------------------------------------
+
+
+def hello_bytes(ours) -> bytes:
+    """Returns the first flight of a client."""
+    arriving, leaving = ssl.MemoryBIO(), ssl.MemoryBIO()
+    session = dipole.Tls(**ours).context().wrap_bio(arriving, leaving, server_hostname="localhost")
+    with pytest.raises(ssl.SSLWantReadError):
+        session.do_handshake()
+    return leaving.read()
+
+
+def p99_s(client, seconds: float) -> float:
+    """Returns the 99th percentile of round trips of 16 radii."""
+    times = []
+    end_s = time.monotonic() + seconds
+    while time.monotonic() < end_s:
+        start_s = time.perf_counter()
+        client.eval("better", SKIN, RADII[:16])
+        times.append(time.perf_counter() - start_s)
+    return sorted(times)[int(len(times) * 0.99)]
+
+
+# Begins handshakes and leaves them, of every second one before the first byte, and keeps the last
+# 700 of them open until a line arrives. Arguments: the port, their number, the first flight.
+FLOOD = """
+import os, socket, sys
+os.nice(10)
+port, many, first = int(sys.argv[1]), int(sys.argv[2]), bytes.fromhex(sys.argv[3])
+kept = []
+for number in range(many):
+    one = socket.create_connection(("127.0.0.1", port), 60)
+    if number % 2:
+        one.send(first)
+    kept.append(one)
+    if len(kept) > 700:
+        kept.pop(0).close()
+print("done", flush=True)
+sys.stdin.readline()
+"""
+
+
+def test_half_open_handshakes_keep_nobody_out(farm, ours):
+    """MANY clients begin a handshake and leave it: half of them before the first byte. Others are
+    served meanwhile, also new ones, and the daemon's memory does not grow with their number."""
+    words = [str(port_of(farm)), str(MANY), hello_bytes(ours).hex()]
+    with dipole.Client(farm.url("tls"), **ours) as client:
+        usual_s = statistics.median(p99_s(client, 0.3) for _ in range(5))
+        before_bytes = farm.resident_bytes()
+        with subprocess.Popen(
+            [sys.executable, "-c", FLOOD, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        ) as flood:
+            beside_s = []
+            while len(beside_s) < 5 or not select.select([flood.stdout], [], [], 0)[0]:
+                beside_s.append(p99_s(client, 0.3))
+                with dipole.Client(farm.url("tls"), **ours) as newcomer:
+                    newcomer.ping()
+            assert flood.stdout.readline() == b"done\n"
+            assert farm.resident_bytes() - before_bytes < 64 << 20
+            assert statistics.median(beside_s) < 10 * usual_s
+            after = counters(farm)
+            assert after["tls_handshakes_open"] <= 256
+            assert after["tls_handshakes_failed"] >= MANY - 700
+            flood.communicate(b"\n")
+    assert eventually(lambda: counters(farm)["tls_handshakes_open"] == 0)
+
+
+def test_a_handshake_may_not_take_long(daemon, server, ours):
+    one = daemon("--tls-handshake-timeout-ms", "300", *options(server), listen=["tls:127.0.0.1:0"])
+    with socket.create_connection(("127.0.0.1", port_of(one)), 10) as slow:
+        start_s = time.monotonic()
+        assert slow.recv(1) == b""
+        assert 0.2 < time.monotonic() - start_s < 5
+    with socket.create_connection(("127.0.0.1", port_of(one)), 10) as slow:
+        with pytest.raises(OSError):  # its bytes make no difference
+            for byte in hello_bytes(ours):
+                slow.send(bytes([byte]))
+                time.sleep(0.01)
+    assert one.has_line("the handshake takes too long", 5)
+
+
+def test_a_handshake_may_not_have_many_bytes(farm, ours):
+    """The CA names of a ClientHello may fill many records; a client that goes on is ended."""
+    with socket.create_connection(("127.0.0.1", port_of(farm)), 10) as one:
+        with pytest.raises(OSError):
+            one.sendall(b"\x16\x03\x01\x40\x00\x01\x0f\xff\xff" + bytes(16379))
+            for _ in range(1000):
+                one.sendall(b"\x16\x03\x01\x40\x00" + bytes(16384))
+    assert farm.has_line("event=tls-refused", 5)
+
+
+def test_byte_by_byte(farm, ours):
+    """A client whose bytes come one by one gets its answer."""
+    arriving, leaving = ssl.MemoryBIO(), ssl.MemoryBIO()
+    session = dipole.Tls(**ours).context().wrap_bio(arriving, leaving, server_hostname="localhost")
+    frames = b"".join(dipole.connection.frame_pieces(5, 7, b"12345678"))
+    with socket.create_connection(("127.0.0.1", port_of(farm)), 10) as one:
+        one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+        def move() -> None:
+            for byte in leaving.read():
+                one.send(bytes([byte]))
+            arriving.write(one.recv(1))
+
+        def until(act):
+            while True:
+                try:
+                    return act()
+                except ssl.SSLWantReadError:
+                    move()
+
+        until(session.do_handshake)
+        session.write(frames)
+        answer = b""
+        while len(answer) < len(frames):
+            answer += until(lambda: session.read(1))
+        assert answer[-8:] == b"12345678"
+
+
+def test_records_with_faults(farm, ours):
+    """Bytes of a handshake and of requests are changed at random. The daemon ends such clients, or
+    answers what is left of their requests, and serves others."""
+    dice = random.Random(22)
+    first = hello_bytes(ours)
+    for number in range(max(MANY // 2, 200)):
+        with socket.create_connection(("127.0.0.1", port_of(farm)), 10) as one:
+            data = bytearray(first)
+            for _ in range(dice.randrange(1, 20)):
+                data[dice.randrange(len(data))] = dice.randrange(256)
+            try:
+                one.sendall(data[: dice.randrange(1, len(data) + 1)] if number % 2 else data)
+            except OSError:
+                pass
+    assert eventually(lambda: counters(farm)["tls_handshakes_open"] == 0)
+    context = dipole.Tls(**ours).context()
+    for _ in range(100):
+        plain = socket.create_connection(("127.0.0.1", port_of(farm)), 10)
+        with context.wrap_socket(plain, server_hostname="localhost") as one:
+            raw = socket.socket(fileno=os.dup(one.fileno()))
+            length = dice.randrange(1, 400)
+            with raw:
+                raw.sendall(
+                    bytes([dice.choice([20, 21, 22, 23, 24, 99]), 3, 3])
+                    + length.to_bytes(2, "big") + dice.randbytes(length)
+                )  # fmt: skip
+                one.settimeout(10)
+                with pytest.raises(OSError):
+                    while True:
+                        if one.recv(4096) == b"":
+                            raise OSError
+    with dipole.Client(farm.url("tls"), **ours) as client:
+        assert client.ping() > 0
+
+
+def test_many_updates_of_keys(farm, ours):
+    """openssl's client asks for new keys as often as it likes; the connection goes on."""
+    files = ["-CAfile", ours["ca"], "-cert", ours["certificate"], "-key", ours["key"]]
+    said = subprocess.run(
+        ["openssl", "s_client", "-connect", f"127.0.0.1:{port_of(farm)}", "-tls1_3", *files],
+        input="K\n" * 200, capture_output=True, text=True, timeout=20, check=False,
+    )  # fmt: skip
+    assert said.stdout.count("KEYUPDATE") + said.stderr.count("KEYUPDATE") >= 1
+    with dipole.Client(farm.url("tls"), **ours) as client:
+        assert client.ping() > 0
+
+
+def test_stopping_ends_handshakes_and_answers_what_is_in_flight(farm, ours):
+    half = socket.create_connection(("127.0.0.1", port_of(farm)), 10)
+    right = expected(RADII[:16])
+    with dipole.Client(farm.url("tls"), **ours, retry_s=0) as client:
+        under_way = [client.submit("better", SKIN, RADII[:16]) for _ in range(50)]
+        first = client.collect(under_way[0])[1]
+        farm.terminate()
+        assert (first.R == right).all()
+        for one in under_way[1:]:
+            assert (client.collect(one)[1].R == right).all()
+    with half:
+        assert half.recv(1) == b""
+    assert farm.wait() == 0
+
+
+@pytest.mark.skipif(sanitized(), reason="the build is sanitized")
+def test_idle_connections_hold_little_memory(farm, ours):
+    clients = [dipole.Client(farm.url("tls"), **ours) for _ in range(50)]
+    before = farm.resident_bytes()
+    clients += [dipole.Client(farm.url("tls"), **ours) for _ in range(200)]
+    time.sleep(1.5)  # the buffers of silent connections are released
+    assert (farm.resident_bytes() - before) / 200 < 128 << 10
+    for one in clients:
+        one.close()
