@@ -176,6 +176,12 @@ $(SERVER) $(OBJ)/tests/e2e/count_allocations.o: EXTRA_CPPFLAGS = $(UV_CFLAGS) $(
 # Taken up by the assembler.
 $(OBJ)/core/transport/table_data.o: core/transport/transport.table
 
+# The page of --http likewise. A Content-Security-Policy names its script and its style by the sums of
+# what stands between the tags, in base64.
+sum_of_tag = $(shell env printf "$$({ echo; sed -n '/^<$(1)>$$/,/^<\/$(1)>$$/{//!p}' server/http/page.html; } | sha256sum | cut -c 1-64 | sed 's/../\\x&/g')" | base64)
+$(OBJ)/server/http/page.o: server/http/page.html
+$(OBJ)/server/http/page.o: EXTRA_CPPFLAGS += -DPAGE_SCRIPT_SHA256='"$(call sum_of_tag,script)"' -DPAGE_STYLE_SHA256='"$(call sum_of_tag,style)"'
+
 $(BUILD)/libcore.a: $(CORE)
 $(BUILD)/libproto.a: $(PROTO)
 $(BUILD)/libcore.a $(BUILD)/libproto.a:

@@ -8,6 +8,7 @@
 
 #include "server/http/answer.h"
 #include "server/http/openapi.h"
+#include "server/http/page.h"
 #include "server/http/question.h"
 #include "server/jobs/requests.h"
 #include "server/net/worker.h"
@@ -21,7 +22,7 @@ enum {
 /* What a path asks for. */
 struct route {
   const char *path;
-  enum route_kind { HEALTH, READINESS, DOCUMENT, LISTS, MEDIA, MESSAGE } kind;
+  enum route_kind { PAGE, HEALTH, READINESS, DOCUMENT, LISTS, MEDIA, MESSAGE } kind;
   const struct http_message *message; /* MESSAGE */
 };
 
@@ -200,6 +201,21 @@ static enum MHD_Result send_text(struct http_connection *c, unsigned status,
   return sent;
 }
 
+static enum MHD_Result send_page(struct http_connection *c) {
+  const struct http_library *http = &c->host->library;
+  struct MHD_Response *response = http_page_response(http);
+  c->state = ANSWERED;
+  if (response == NULL) {
+    return MHD_NO;
+  }
+  if (c->host->stopping) {
+    http->add_response_header(response, MHD_HTTP_HEADER_CONNECTION, "close");
+  }
+  const enum MHD_Result sent = http->queue_response(c->handle, MHD_HTTP_OK, response);
+  http->destroy_response(response);
+  return sent;
+}
+
 /* Sends an error. status: 0 for the one that proto/statuses.def gives it. */
 static enum MHD_Result send_error(struct http_connection *c, const wire_error *error,
                                   unsigned status) {
@@ -353,7 +369,8 @@ static void resume(struct http_connection *c, enum state state) {
 /* ---- requests -------------------------------------------------------------------------------- */
 
 static bool find_route(const char *url, struct route *route) {
-  static const struct route routes[] = {{"/healthz", HEALTH, NULL},
+  static const struct route routes[] = {{"/", PAGE, NULL},
+                                        {"/healthz", HEALTH, NULL},
                                         {"/readyz", READINESS, NULL},
                                         {"/v1/openapi.json", DOCUMENT, NULL},
                                         {"/v1/models", LISTS, NULL},
@@ -417,6 +434,8 @@ static enum MHD_Result send_health(struct http_connection *c, enum health health
 static enum MHD_Result answer(struct http_connection *c) {
   static const wire_hello_request hello = {WIRE_VERSION, WIRE_VERSION, 0};
   switch (c->route.kind) {
+  case PAGE:
+    return send_page(c);
   case HEALTH:
     return send_health(c, health_of(c->host->server));
   case READINESS:

@@ -329,7 +329,7 @@ def test_queries_that_are_wrong(served, query):
 
 
 def test_paths_methods_and_types(served):
-    unknown = ["/", "/v1", "/v1/", "/v1/evals", "/v1/hello", "/v1/eval/", "/v1/eval%00", "/%2e%2e"]
+    unknown = ["//", "/index.html", "/v1", "/v1/", "/v1/evals", "/v1/hello", "/v1/eval/", "/v1/eval%00", "/%2e%2e"]
     for path in [*unknown, "/v1/mc", "/metrics"]:
         assert get(served, path).status == 404, path
     for method in ["PUT", "DELETE", "PATCH", "OPTIONS", "TRACE", "X"]:
