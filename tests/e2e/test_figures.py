@@ -278,14 +278,14 @@ def test_near_the_source_no_dipole_replaces_single_scattering(summary):
 # ---- `make tradeoff` -----------------------------------------------------------------------------
 
 MEASURED = """model,evaluator,ratio,eta,cost_ns,prepare_ns,worst,median,worst_from_1_mfp
-better,f32,0.1,1.0,1.1,9,0.9,0.2,0.08
-better,f32,0.1,1.4,1.1,9,0.9,0.2,0.02
+better,f32,0.1,1.0,1.1,9,0.9,0.3,0.08
+better,f32,0.1,1.4,1.1,9,0.9,0.3,0.02
 single,f64,0.1,1.0,300,9,,,
 single,f64,0.1,1.4,300,9,0.5,0.4,0.3
-slow,f64,0.1,1.0,5,9,0.9,0.3,0.5
-slow,f64,0.1,1.4,5,9,0.9,0.3,0.5
-transport,lut,0.1,1.0,1.6,9,1e-4,1e-4,1e-4
-transport,lut,0.1,1.4,1.6,9,1e-4,1e-4,1e-4
+slow,f64,0.1,1.0,5,9,0.9,0.2,0.5
+slow,f64,0.1,1.4,5,9,0.9,0.2,0.5
+transport,lut,0.1,1.0,1.6,9000,1e-4,1e-4,1e-4
+transport,lut,0.1,1.4,1.6,9000,1e-4,1e-4,1e-4
 """
 
 
@@ -295,16 +295,34 @@ def test_tradeoff(tmp_path):
     told = subprocess.run(
         [sys.executable, str(program), str(tmp_path)], capture_output=True, text=True, check=True
     ).stdout.splitlines()
-    # The program lists the models that are both cheaper and more accurate than another: for slow
-    # they are better and transport, for better only transport.
-    assert [line.split()[0] for line in told[1:3]] == ["better", "transport"]
-    assert told[-6].startswith("cheapest within 1 %, r from 0.01 to 20 mean free paths")
-    assert told[-6].endswith("of 2 media: transport/lut 2")
-    assert told[-1].endswith("of 2 media: better/f32 2")
-    assert told[-2].endswith("of 2 media: better/f32 1 transport/lut 1")
-    names = {text.strip() for text in svg_texts(tmp_path / "front.svg")}
-    assert {"better", "single", "slow", "transport"} <= names
-    assert {"better, f32", "transport, lut"} <= {t.strip() for t in svg_texts(tmp_path / "map.svg")}
+    # The program lists the models that no other is both cheaper and more accurate than: better and
+    # transport, as long as preparing counts little. For 16 radii, transport costs more than slow.
+    fronts = {}
+    for line in told[: told.index(next(line for line in told if line.startswith("cheapest")))]:
+        if line.startswith("front, "):
+            fronts[line.removeprefix("front, ").removesuffix(":")] = front = []
+        else:
+            front.append(line.split()[0])
+    assert fronts == {
+        "a known medium": ["better", "transport"],
+        "a new medium, 1,000,000 radii": ["better", "transport"],
+        "a new medium, 1,000 radii": ["better", "slow", "transport"],
+        "a new medium, 16 radii": ["better", "slow", "transport"],
+    }
+    assert told[-8].startswith("cheapest within 1 %, r from 0.01 to 20 mean free paths")
+    assert told[-8].endswith("of 2 media: transport/lut 2")
+    assert told[-2].endswith("of 2 media: better/f32 2")
+    assert told[-3].endswith("of 2 media: better/f32 1 transport/lut 1")
+    names = [text.strip() for text in svg_texts(tmp_path / "front.svg")]
+    assert {"better, f32", "transport, table", "dipoles", "single", "9.0 µs", "0.01 %"} <= {*names}
+    assert names.count("transport, table") == 4 and "single, f64" not in names
+    shown = {text.strip() for text in svg_texts(tmp_path / "map.svg")}
+    assert {"better, f32", "transport, lut"} <= shown
+    # A sentence stands for a panel where transport by table is the cheapest everywhere.
+    everywhere = "Transport by table is the cheapest everywhere within {} %, r from {} to 20"
+    said = sorted(text for text in shown if text.startswith("Transport by table"))
+    assert [everywhere.format(*x) + " mean free paths." for x in [(1, "0.01"), (1, 1), (10, "0.01"),
+            (3, "0.01"), (30, "0.01")]] == said  # fmt: skip
     assert all((tmp_path / name).stat().st_size > 1000 for name in ("front.png", "map.png"))
 
 

@@ -91,7 +91,7 @@ TOP, BOTTOM, LEFT, GAP_X, GAP_Y = 84, 64, 84, 84, 104
 PANELS_RIGHT, TABLE_LEFT = 1060, 1090
 NEW, MANY = "a new medium, {:,} radii", math.inf
 PANELS = {"a known medium": MANY} | {NEW.format(n): n for n in (1_000_000, 1_000, 16)}
-LETTER_WIDTH, NAME_HEIGHT = 7.2, 14.0
+LETTER_WIDTH, NAME_HEIGHT = 7.2, 17.0
 Box = tuple[float, float, float, float]  # left, right, bottom, top
 
 
@@ -163,17 +163,19 @@ def front_of(points: list[Point]) -> list[Point]:
     return sorted(front, key=lambda point: point.ns)
 
 
+def distance(x: float, y: float, box: Box) -> float:
+    return math.hypot(max(box[0] - x, 0, x - box[1]), max(box[2] - y, 0, y - box[3]))
+
+
 def name_places(x: float, y: float, width: float) -> list[Box]:
-    """Places for a name around its point, the best one first. They alternate between right and left
-    and move further up and down."""
-    places = []
-    for place in range(192):
-        turn = place // 2 % 48
-        up = (0.5 if turn % 2 == 0 else -0.5) * (turn + turn % 2) * NAME_HEIGHT
-        away = 10 + 4 * (turn // 4) + 60 * (place // 96)
-        left = x + away if place % 2 == 0 else x - away - width
-        places.append((left, left + width, y + up - NAME_HEIGHT / 2, y + up + NAME_HEIGHT / 2))
-    return places
+    """Places for a name around its point, the nearest ones first."""
+    places = [
+        (left, left + width, middle - NAME_HEIGHT / 2, middle + NAME_HEIGHT / 2)
+        for left in np.arange(x - width - 90, x + 90, 6)
+        for middle in np.arange(y - 200, y + 200, 5)
+    ]
+    far = [(distance(x, y, box), box) for box in places]
+    return [box for away, box in sorted(far) if away >= 9]
 
 
 def overlap(a: Box, b: Box) -> bool:
@@ -184,43 +186,84 @@ def screen(x: float, y: float) -> str:
     return f"screen {x / WIDTH:.5f},{y / HEIGHT:.5f}"
 
 
-def names_script(front: list[Point], room: Box, taken: list[Box], pixels: Any) -> str:
-    """Labels for the points of the front, of which a model's precisions of equal cost have one."""
-    script, names = "", dict[str, Point]()
-    for point in front:
-        names.setdefault(f"{point.subject.model}, {point.subject.evaluator}", point)
-    for name, point in names.items():
-        x, y = pixels(point)
-        places = name_places(x, y, LETTER_WIDTH * len(name))
-        free = (
-            box
-            for box in places
+def steps(front: list[Point], pixels: Any) -> list[Box]:
+    """Where the line of the front is: from each point to the right, and then to the next one."""
+    boxes = []
+    for (x, y), (next_x, next_y) in itertools.pairwise(map(pixels, front)):
+        boxes += [(x, next_x, y - 1, y + 1), (next_x - 1, next_x + 1, next_y, y)]
+    return boxes
+
+
+def joins(points: list[Point], pixels: Any) -> list[Box]:
+    """Where the lines between the precisions of a model are."""
+    boxes = []
+    for group in precisions_of(points):
+        places = [pixels(point) for point in group]
+        x, y = zip(*places)
+        boxes.append((min(x), max(x), min(y) - 1, max(y) + 1))
+    return boxes
+
+
+def precisions_of(points: list[Point]) -> list[list[Point]]:
+    """The points of each model but those of its table."""
+    models: dict[str, list[Point]] = {}
+    for point in points:
+        if point.subject.evaluator != "lut":
+            models.setdefault(point.subject.model, []).append(point)
+    return list(models.values())
+
+
+def leader(x: float, y: float, box: Box) -> list[Box]:
+    """Where the line from a point to its name is, from the edge of the marker on."""
+    end = min(max(x, box[0]), box[1]), min(max(y, box[2] + 1), box[3] - 1)
+    away = math.hypot(end[0] - x, end[1] - y)
+    along = [min(7 + 4 * i, away) / away for i in range(int(away / 4) + 1)]
+    places = [(x + share * (end[0] - x), y + share * (end[1] - y)) for share in along]
+    return [(a - 2, a + 2, b - 2, b + 2) for a, b in places]
+
+
+def names_script(front: list[Point], room: Box, markers: list[Box], lines: list[Box],
+                 pixels: Any) -> str:  # fmt: skip
+    """Labels for the points of the front. Precisions of a model next to each other share one."""
+    script, taken, names = "", markers + lines, list[Box]()
+    for _, group in itertools.groupby(
+        front, lambda point: (point.subject.model, point.subject.evaluator == "lut")
+    ):
+        points = list(group)
+        evaluators = " and ".join(sorted(point.subject.evaluator for point in points))
+        x, y = pixels(points[0])
+        name = f"{points[0].subject.model}, {evaluators.replace('lut', 'table')}"
+        places = [
+            (box, leader(x, y, box))
+            for box in name_places(x, y, LETTER_WIDTH * len(name))
             if room[0] < box[0] and box[1] < room[1] and room[2] < box[2] and box[3] < room[3]
             if not any(overlap(box, other) for other in taken)
+        ]
+        box, line = next(
+            (
+                place
+                for place in places
+                if not any(overlap(a, b) for a in place[1] for b in names + markers)
+            ),
+            places[0],
         )
-        box = next(free, places[0])
-        taken.append(box)
-        right, middle = box[0] > x, (box[2] + box[3]) / 2
-        if abs(middle - y) > 2 or min(abs(box[0] - x), abs(box[1] - x)) > 12:
-            end = screen(box[0] - 1 if right else box[1] + 1, middle)
-            script += f"set arrow from {screen(x, y)} to {end} nohead lw 0.5 lc rgb '#999999'\n"
-        script += (
-            f"set label '{name}' at {screen(box[0] if right else box[1], middle)} "
-            f"{'left' if right else 'right'} font ',11' front\n"
-        )
+        names.append(box)
+        taken += [box, *line]
+        if distance(x, y, box) > 12:
+            end = screen((line[-1][0] + line[-1][1]) / 2, (line[-1][2] + line[-1][3]) / 2)
+            script += f"set arrow from {screen(x, y)} to {end} nohead lw 0.8 lc rgb '#888888'\n"
+        at = screen(box[0], (box[2] + box[3]) / 2)
+        script += f"set label '{name}' at {at} left font ',11' front\n"
     return script
 
 
 def data_script(points: list[Point], front: list[Point], of: dict[str, Family]) -> str:
     """The data and the plot command."""
-    precisions: dict[str, list[Point]] = {}
     markers: dict[tuple[int, str], list[Point]] = {}
     for point in points:
         is_table = point.subject.evaluator == "lut"
         family = of.get(point.subject.model, OTHERS)
         markers.setdefault((family.marker - is_table, family.colour), []).append(point)
-        if not is_table:
-            precisions.setdefault(point.subject.model, []).append(point)
     script, plots = "", []
 
     def block(name: str, groups: Iterable[list[Point]], style: str) -> None:
@@ -230,7 +273,7 @@ def data_script(points: list[Point], front: list[Point], of: dict[str, Family]) 
         plots.append(f"${name} using 1:2 with {style} notitle")
 
     block("front", [front], "steps lw 1.5 lc rgb '#888888'")
-    block("lines", precisions.values(), "lines lw 1 lc rgb '#aaaaaa'")
+    block("lines", precisions_of(points), "lines lw 1 lc rgb '#aaaaaa'")
     for i, ((marker, colour), group) in enumerate(markers.items()):
         block(f"points{i}", [group], f"points pt {marker} ps 1 lc rgb '{colour}'")
     return script + f"plot {', '.join(plots)}\n"
@@ -239,7 +282,7 @@ def data_script(points: list[Point], front: list[Point], of: dict[str, Family]) 
 def front_panel(points: list[Point], title: str, number: int, of: dict[str, Family]) -> str:
     front = front_of(points)
     ns, errors = [point.ns for point in points], [point.error for point in points]
-    axes = (min(ns) / 2, max(ns) * 3), (min(errors) / 2, max(errors) * 2)  # with room for names
+    axes = (min(ns) / 9, max(ns) * 3), (min(errors) / 4, max(errors) * 6)  # with room for names
     width, height = (PANELS_RIGHT - LEFT - GAP_X) / 2, (HEIGHT - TOP - BOTTOM - GAP_Y) / 2
     left = LEFT + (width + GAP_X) * (number % 2)
     bottom = BOTTOM + (height + GAP_Y) * (1 - number // 2)
@@ -258,25 +301,36 @@ def front_panel(points: list[Point], title: str, number: int, of: dict[str, Fami
     sides = (room[0] / WIDTH, room[1] / WIDTH, room[2] / HEIGHT, room[3] / HEIGHT)
     for side, at in zip("lrbt", sides):
         script += f"set {side}margin at screen {at:.5f}\n"
-    taken = [(x - 6, x + 6, y - 6, y + 6) for x, y in map(pixels, points)]
-    script += names_script(front, room, taken, pixels)
+    markers = [(x - 6, x + 6, y - 6, y + 6) for x, y in map(pixels, points)]
+    lines = steps(front, pixels) + joins(points, pixels)
+    script += names_script(front, room, markers, lines, pixels)
     if number == 0:
         script += table_script([point.subject for point in points], of)
     return script + data_script(points, front, of)
 
 
-COLUMNS = {"f32": 1312, "f64": 1366, "table": 1420, "prepare": 1490, "median": 1560, "worst": 1624}
+NOTES = [
+    "Markers of tables are open. A line joins the precisions of a model. What has a",
+    "name is on the front: nothing else costs less and is nearer to transport.",
+    "Times are of one core, for arrays of 4096 radii, without units in ns.",
+    "A table is prepared to a tolerance of 1e-4; its error is that of the model.",
+]
+
+# The right ends of the table's columns, with their titles.
+HEADS = {"ns for a radius": 1366, "prepare": 1510, "error, f64": 1630}
+COLUMNS = [
+    ("f32", 1270), ("f64", 1318), ("table", 1366), ("f32, f64", 1442), ("table", 1510),
+    ("median", 1572), ("worst", 1630),
+]  # fmt: skip
 
 
 def quantity(ns: float) -> str:
-    for unit, size in (("ms", 1e6), ("µs", 1e3)):
-        if ns >= size:
-            return f"{ns / size:.2g} {unit}"
-    return f"{ns:.2g}" if ns < 100 else f"{ns:.0f}"
+    unit, size = (" ms", 1e6) if ns >= 1e6 else (" µs", 1e3) if ns >= 1e3 else ("", 1)
+    return f"{ns / size:.{0 if ns / size >= 9.95 else 1}f}{unit}"
 
 
 def percent(error: float) -> str:
-    return f"{100 * error:.2g} %" if error < 1 else f"{100 * error:.0f} %"
+    return f"{100 * error:.2g} %" if error < 0.0995 else f"{100 * error:.0f} %"
 
 
 def table_rows(subjects: list[Subject]) -> dict[str, list[str]]:
@@ -289,6 +343,7 @@ def table_rows(subjects: list[Subject]) -> dict[str, list[str]]:
         rows[model] = [
             *(quantity(own[name].ns) if name in own else "" for name in ("f32", "f64", "lut")),
             quantity(min(cheap)) if cheap else "",
+            quantity(own["lut"].prepare_ns) if "lut" in own else "",
             *(percent(max(typical(best, what), ERROR_LEAST)) for what in ("median", "worst")),
         ]
     return rows
@@ -301,14 +356,14 @@ def table_script(subjects: list[Subject], of: dict[str, Family]) -> str:
 
     def put(text: str, x: float, how: str = "left") -> None:
         nonlocal script
-        script += f"set label '{text}' at {screen(x, y)} {how} font ',10'\n"
+        shown = text.replace("'", "''")
+        script += f"set label '{shown}' at {screen(x, y)} {how} font ',10'\n"
 
-    put("ns for a radius, by", COLUMNS["f64"], "center")
-    put("prepare", COLUMNS["prepare"], "right")
-    put("error of R", COLUMNS["worst"], "right")
+    for name, x in HEADS.items():
+        put(name, x, "right")
     y -= 18
-    for name, x in COLUMNS.items():
-        put({"prepare": "f32, f64"}.get(name, name), x, "right")
+    for name, x in COLUMNS:
+        put(name, x, "right")
     for family in [*FAMILIES.values(), OTHERS]:
         models = [model for model in rows if of.get(model, OTHERS) == family]
         if not models:
@@ -322,8 +377,12 @@ def table_script(subjects: list[Subject], of: dict[str, Family]) -> str:
         for model in models:
             y -= 18
             put(model, TABLE_LEFT + 20)
-            for cell, x in zip(rows[model], COLUMNS.values()):
+            for cell, (_, x) in zip(rows[model], COLUMNS):
                 put(cell, x, "right")
+    y -= 36
+    for line in NOTES:
+        put(line, TABLE_LEFT)
+        y -= 18
     return script
 
 
