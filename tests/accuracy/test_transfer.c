@@ -113,7 +113,7 @@ UNIT_TEST(closed_forms_and_the_transformation_agree) {
 UNIT_TEST(gaussians_have_gaussian_transforms) {
   static const double variance[] = {0.0064, 0.0484, 0.187, 0.567, 1.99, 7.41};
   static const double red[] = {0.233, 0.100, 0.118, 0.113, 0.358, 0.078};
-  const core_profile profile =
+  core_profile profile =
       prepared(CORE_MODEL_SKIN_RED, CORE_EVALUATOR_F64, (core_medium){0.1, 1, 0, 1.3});
   for (double f = 1e-9; f < 100; f *= 1.1) {
     double sum = 0;
@@ -122,6 +122,7 @@ UNIT_TEST(gaussians_have_gaussian_transforms) {
     }
     assert_within(transfer(&profile, f), sum, 1e-10, "R(f) of skin", f);
   }
+  core_profile_free(&profile);
 }
 
 /* The filter is its formula: the sum of a smooth function whose ends are 0. */
