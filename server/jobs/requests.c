@@ -1,10 +1,13 @@
 #include "server/jobs/requests.h"
 
+#include <stdio.h>
+
 #include "server/observe/health.h"
 
 void requests_init(struct requests *requests, struct input *input, struct output *output,
                    void (*wake)(void *owner), void *owner) {
-  *requests = (struct requests){.input = input, .output = output, .wake = wake, .owner = owner};
+  *requests = (struct requests){
+      .input = input, .output = output, .wake = wake, .owner = owner, .roles = ROLE_ALL};
 }
 
 static struct stats *stats_of(const struct requests *r) {
@@ -256,11 +259,23 @@ static void refuse(struct requests *r, const wire_header *header, const wire_err
   }
 }
 
+/* Returns whether the client has the role that a message needs. If not, sets *error. */
+static bool is_allowed(const struct requests *r, unsigned type, wire_error *error) {
+  const unsigned needed = roles_needed(type);
+  if ((r->roles & needed) == needed) {
+    return true;
+  }
+  char allowed[sizeof error->allowed];
+  snprintf(allowed, sizeof allowed, "certificates with the role %s", roles_name(needed));
+  *error = wire_error_make(WIRE_STATUS_NOT_ALLOWED, "role", allowed);
+  return false;
+}
+
 static void start(struct requests *r, const wire_header *header, const uint8_t *payload) {
   stats_count_request(stats_of(r), header->type);
   r->deadline_ms = header->deadline_ms > 0 ? r->arrived_ns / 1000000 + header->deadline_ms : 0;
-  if (is_late(r)) {
-    const wire_error error = late();
+  wire_error error = late();
+  if (is_late(r) || !is_allowed(r, header->type, &error)) {
     refuse(r, header, &error);
     return;
   }

@@ -10,6 +10,7 @@
 
 #include "server/jobs/job.h"
 #include "server/net/buffers.h"
+#include "server/net/roles.h"
 
 /* The requests of one connection. The owner sets all members to 0 and calls requests_init(). Before
  * the first step, it sets `context` and `profiles`. */
@@ -23,6 +24,8 @@ struct requests {
   /* Set by the owner after requests_init(), or NULL. Is called when requests_end() ends the
    * connection with an error. */
   void (*tell_end)(void *owner, const wire_error *error);
+
+  unsigned roles; /* of the client (server/net/roles.h): all of them, unless the owner says less */
 
   struct job *job; /* the job whose request holds the input; NULL if there is none */
   struct job_slot slot;

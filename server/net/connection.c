@@ -92,6 +92,7 @@ struct client *connection_new(struct server *server, int fd, struct tls_session 
   output_init(&c->output, server);
   requests_init(&c->requests, &c->input, &c->output, on_wake, c);
   c->requests.tell_end = log_end;
+  c->requests.roles = tls != NULL ? tls_session_roles(tls) : ROLE_ALL;
   return &c->client;
 }
 

@@ -5,6 +5,7 @@
 #include <string.h>
 #include <uv.h>
 
+#include "server/net/roles.h"
 #include "server/observe/log.h"
 
 bool tls_is_wanted(const struct options *options) {
@@ -42,6 +43,10 @@ enum tls_progress tls_session_shake_hands(struct tls_session *session, char why[
   (void)session, (void)why;
   return TLS_FAILED;
 }
+unsigned tls_session_roles(const struct tls_session *session) {
+  (void)session;
+  return 0;
+}
 uint64_t tls_session_received_bytes(const struct tls_session *session) {
   (void)session;
   return 0;
@@ -62,8 +67,14 @@ void tls_session_end(struct tls_session *session) {
 
 #include <openssl/err.h>
 #include <openssl/ssl.h>
+#include <openssl/x509v3.h>
+
+#define ROLE_OID "1.3.6.1.4.1.50316.802.1"
 
 enum { CERTIFICATES_BYTES = 32768, CHAIN_LENGTH = 8 }; /* of what a client may send */
+enum { SUBJECT_BYTES = 1024, ROLE_BYTES = 128 };
+
+static int roles_index; /* of the context's roles, which are freed with it */
 
 struct tls {
   const struct options *options;
@@ -115,6 +126,23 @@ static bool load_client_ca(SSL_CTX *context, const char *path) {
   return true;
 }
 
+static void free_roles(void *context, void *roles, CRYPTO_EX_DATA *data, int index, long number,
+                       void *pointer) {
+  (void)context, (void)data, (void)index, (void)number, (void)pointer;
+  roles_free(roles);
+}
+
+/* Reads the file of roles. If that fails, writes the reason. */
+static bool load_roles(SSL_CTX *context, const char *path, char why[TLS_WHY_BYTES]) {
+  struct roles *roles = roles_read(path, why, TLS_WHY_BYTES);
+  if (roles != NULL && SSL_CTX_set_ex_data(context, roles_index, roles) != 1) {
+    roles_free(roles);
+    snprintf(why, TLS_WHY_BYTES, "out of memory");
+    return false;
+  }
+  return roles != NULL;
+}
+
 /* Reads the files. If that fails, sets *what to the file and why to the reason. */
 static SSL_CTX *load(const struct options *options, const char **what, char why[TLS_WHY_BYTES]) {
   ERR_clear_error();
@@ -137,6 +165,11 @@ static SSL_CTX *load(const struct options *options, const char **what, char why[
   }
   if (!good) {
     describe_fault(why);
+  } else if (options->roles != NULL) {
+    *what = options->roles;
+    good = load_roles(context, options->roles, why);
+  }
+  if (!good) {
     SSL_CTX_free(context);
     return NULL;
   }
@@ -151,6 +184,7 @@ struct tls *tls_new(const struct options *options) {
     return NULL;
   }
   struct tls *tls = calloc(1, sizeof *tls);
+  roles_index = SSL_CTX_get_ex_new_index(0, NULL, NULL, NULL, free_roles);
   SSL_CTX *context = load(options, &what, why);
   if (tls == NULL || context == NULL) {
     fprintf(stderr, "dipoled: %s: %s\n", what, context == NULL ? why : "out of memory");
@@ -231,6 +265,61 @@ enum tls_progress tls_session_shake_hands(struct tls_session *session, char why[
     snprintf(why, TLS_WHY_BYTES, "the peer has closed the connection");
     return TLS_FAILED;
   }
+}
+
+/* Copies a UTF8String of a certificate's role; "" if there is none, or if it is too long. */
+static void copy_role(X509 *certificate, char role[ROLE_BYTES]) {
+  ASN1_OBJECT *oid = OBJ_txt2obj(ROLE_OID, 1);
+  const int at = oid != NULL ? X509_get_ext_by_OBJ(certificate, oid, -1) : -1;
+  ASN1_OBJECT_free(oid);
+  role[0] = '\0';
+  if (at < 0) {
+    return;
+  }
+  const ASN1_OCTET_STRING *value = X509_EXTENSION_get_data(X509_get_ext(certificate, at));
+  const unsigned char *bytes = ASN1_STRING_get0_data(value);
+  ASN1_UTF8STRING *text = d2i_ASN1_UTF8STRING(NULL, &bytes, ASN1_STRING_length(value));
+  const int length = text != NULL ? ASN1_STRING_length(text) : 0;
+  if (length < ROLE_BYTES && text != NULL &&
+      memchr(ASN1_STRING_get0_data(text), 0, (size_t)length) == NULL) {
+    memcpy(role, ASN1_STRING_get0_data(text), (size_t)length);
+    role[length] = '\0';
+  }
+  ASN1_UTF8STRING_free(text);
+}
+
+/* Writes the subject of a certificate (RFC 2253); "" if it is too long. */
+static void copy_subject(const X509 *certificate, char subject[SUBJECT_BYTES]) {
+  BIO *bio = BIO_new(BIO_s_mem());
+  subject[0] = '\0';
+  if (bio == NULL) {
+    return;
+  }
+  const int length =
+      X509_NAME_print_ex(bio, X509_get_subject_name(certificate), 0, XN_FLAG_RFC2253);
+  if (length > 0 && length < SUBJECT_BYTES && BIO_read(bio, subject, length) == length) {
+    subject[length] = '\0';
+  } else {
+    subject[0] = '\0';
+  }
+  BIO_free(bio);
+}
+
+unsigned tls_session_roles(const struct tls_session *session) {
+  const SSL *ssl = ssl_of(session);
+  const struct roles *roles = SSL_CTX_get_ex_data(SSL_get_SSL_CTX(ssl), roles_index);
+  char subject[SUBJECT_BYTES] = "", role[ROLE_BYTES] = "";
+  X509 *certificate = SSL_get0_peer_certificate(ssl);
+  if (roles == NULL) {
+    return ROLE_ALL;
+  }
+  ERR_clear_error();
+  if (certificate != NULL) {
+    copy_subject(certificate, subject);
+    copy_role(certificate, role);
+  }
+  ERR_clear_error();
+  return roles_of(roles, subject, role);
 }
 
 uint64_t tls_session_received_bytes(const struct tls_session *session) {

@@ -23,8 +23,8 @@ struct tls_session;
 /* Returns whether an option asks for TLS. */
 bool tls_is_wanted(const struct options *options);
 
-/* Reads the files of --certificate, --key and --client-ca. If that fails, prints a message to
- * standard error and returns NULL. The caller calls tls_free(). */
+/* Reads the files of --certificate, --key, --client-ca and --roles. If that fails, prints a message
+ * to standard error and returns NULL. The caller calls tls_free(). */
 struct tls *tls_new(const struct options *options);
 void tls_free(struct tls *tls); /* may be NULL */
 
@@ -46,6 +46,9 @@ enum tls_progress { TLS_DONE, TLS_WANTS_READ, TLS_WANTS_WRITE, TLS_FAILED };
  * reason. */
 enum { TLS_WHY_BYTES = 160 };
 enum tls_progress tls_session_shake_hands(struct tls_session *session, char why[TLS_WHY_BYTES]);
+
+/* Returns the sum of the client's roles (server/net/roles.h), after the handshake. */
+unsigned tls_session_roles(const struct tls_session *session);
 
 /* Returns how many bytes the peer has sent. */
 uint64_t tls_session_received_bytes(const struct tls_session *session);

@@ -21,6 +21,7 @@ OTHERS = [
     "certificate",
     "key",
     "client-ca",
+    "roles",
     "allow",
     "socket-mode",
     "socket-group",

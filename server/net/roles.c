@@ -1,0 +1,179 @@
+#include "server/net/roles.h"
+
+#include <errno.h>
+#include <stdbool.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "proto/wire.h"
+
+enum { LINE_BYTES = 1024, ENTRIES_MAX = 1000 };
+
+enum kind { EVERYBODY, SUBJECT, ROLE };
+
+struct entry {
+  unsigned roles;
+  enum kind kind;
+  char *name; /* NULL for everybody */
+};
+
+struct roles {
+  size_t count;
+  struct entry entries[ENTRIES_MAX];
+};
+
+static const struct {
+  enum role role;
+  const char *name;
+} names[] = {{ROLE_EVALUATE, "evaluate"}, {ROLE_COMPUTE, "compute"}, {ROLE_OBSERVE, "observe"}};
+
+enum { NAMES = sizeof names / sizeof names[0] };
+
+const char *roles_name(unsigned role) {
+  size_t i = 0;
+  while (i + 1 < NAMES && names[i].role != role) {
+    i++;
+  }
+  return names[i].name;
+}
+
+unsigned roles_needed(unsigned type) {
+  switch (type) {
+  case WIRE_TYPE_EVAL:
+  case WIRE_TYPE_OFFERS:
+  case WIRE_TYPE_SAMPLE:
+  case WIRE_TYPE_INVERT:
+  case WIRE_TYPE_VARYING:
+    return ROLE_EVALUATE;
+  case WIRE_TYPE_MC:
+  case WIRE_TYPE_TABLE:
+  case WIRE_TYPE_FIT:
+    return ROLE_COMPUTE;
+  case WIRE_TYPE_STATS:
+    return ROLE_OBSERVE;
+  default:
+    return 0;
+  }
+}
+
+/* ---- the file -------------------------------------------------------------------------------- */
+
+/* Reads a list of roles, as "evaluate,observe". Returns 0 if one of them is unknown. */
+static unsigned read_roles(char *text) {
+  unsigned sum = 0;
+  char *rest = text;
+  for (char *one = strtok_r(text, ",", &rest); one != NULL; one = strtok_r(NULL, ",", &rest)) {
+    size_t i = 0;
+    while (i < NAMES && strcmp(one, names[i].name) != 0) {
+      i++;
+    }
+    if (i == NAMES) {
+      return 0;
+    }
+    sum |= names[i].role;
+  }
+  return sum;
+}
+
+/* Reads who is meant. Returns what is wrong, or NULL. */
+static const char *read_who(const char *who, struct entry *entry) {
+  static const char subject[] = "subject:", role[] = "role:";
+  const char *name = NULL;
+  if (strcmp(who, "*") == 0) {
+    entry->kind = EVERYBODY;
+    return NULL;
+  }
+  if (strncmp(who, subject, strlen(subject)) == 0) {
+    entry->kind = SUBJECT;
+    name = who + strlen(subject);
+  } else if (strncmp(who, role, strlen(role)) == 0) {
+    entry->kind = ROLE;
+    name = who + strlen(role);
+  }
+  if (name == NULL || *name == '\0') {
+    return "write subject:TEXT, role:NAME or * behind the roles";
+  }
+  entry->name = strdup(name);
+  return entry->name != NULL ? NULL : "out of memory";
+}
+
+/* Reads one line. Returns what is wrong, or NULL. */
+static const char *read_line(struct roles *roles, char *line) {
+  static const char blanks[] = " \t\r\n";
+  line += strspn(line, blanks);
+  for (size_t end = strlen(line); end > 0 && strchr(blanks, line[end - 1]) != NULL;) {
+    line[--end] = '\0';
+  }
+  if (*line == '\0' || *line == '#') {
+    return NULL;
+  }
+  if (roles->count == ENTRIES_MAX) {
+    return "the file has too many lines";
+  }
+  char *who = line + strcspn(line, blanks);
+  if (*who != '\0') {
+    *who++ = '\0';
+    who += strspn(who, blanks);
+  }
+  struct entry *entry = &roles->entries[roles->count];
+  entry->roles = read_roles(line);
+  if (entry->roles == 0) {
+    return "write roles first: evaluate, compute or observe, with commas between them";
+  }
+  const char *wrong = read_who(who, entry);
+  roles->count += wrong == NULL;
+  return wrong;
+}
+
+static const char *read_lines(struct roles *roles, FILE *file, unsigned *number) {
+  char line[LINE_BYTES];
+  const char *wrong = NULL;
+  while (wrong == NULL && fgets(line, sizeof line, file) != NULL) {
+    ++*number;
+    const bool whole = strchr(line, '\n') != NULL || strlen(line) < sizeof line - 1;
+    wrong = whole ? read_line(roles, line) : "the line is too long";
+  }
+  return wrong;
+}
+
+struct roles *roles_read(const char *path, char *why, size_t why_bytes) {
+  struct roles *roles = calloc(1, sizeof *roles);
+  FILE *file = fopen(path, "re");
+  if (roles == NULL || file == NULL) {
+    snprintf(why, why_bytes, "%s", roles == NULL ? "out of memory" : strerror(errno));
+    roles_free(roles);
+    if (file != NULL) {
+      fclose(file);
+    }
+    return NULL;
+  }
+  unsigned number = 0;
+  const char *wrong = read_lines(roles, file, &number);
+  fclose(file);
+  if (wrong != NULL) {
+    snprintf(why, why_bytes, "line %u: %s", number, wrong);
+    roles_free(roles);
+    return NULL;
+  }
+  return roles;
+}
+
+void roles_free(struct roles *roles) {
+  for (size_t i = 0; roles != NULL && i < roles->count; i++) {
+    free(roles->entries[i].name);
+  }
+  free(roles);
+}
+
+unsigned roles_of(const struct roles *roles, const char *subject, const char *role) {
+  unsigned sum = 0;
+  for (size_t i = 0; i < roles->count; i++) {
+    const struct entry *entry = &roles->entries[i];
+    const char *own = entry->kind == SUBJECT ? subject : role;
+    if (entry->kind == EVERYBODY || strcmp(own, entry->name) == 0) {
+      sum |= entry->roles;
+    }
+  }
+  return sum;
+}
