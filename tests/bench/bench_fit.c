@@ -1,14 +1,26 @@
 /* Measures fits of sigma_a and sigma_s' on one core, from noisy readings (2 %) at ten distances, or at
- * two spatial frequencies as of a camera's pixel.
+ * two spatial frequencies as of a camera's pixel; and a whole image through a daemon with one worker.
  *
  *   fit.<model>.<axis>.sets      sets of readings                       1/s
  *   fit.<model>.<axis>.prepare   a design: its tables and grid          ms
+ *   fit.image                    1,048,576 pixels of two frequencies through libdipole, a Unix socket
+ *                                and one worker, in requests of 65,536 that wait for one another   s
+ *   ratio.fit.image              the time of a request over that of the same fits in this process;
+ *                                the worker has a core of its own
  */
 #include "core/fit/fit.h"
 
+#include <stdio.h>
+
+#include "clients/c/dipole.h"
 #include "tests/bench/bench.h"
+#include "tests/bench/service/child.h"
+#include "tests/bench/service/daemon.h"
 
 enum { RUNS = 7, SETS = 4096, READINGS = 10 };
+enum { PIXELS = 65536, REQUESTS = 16, FREQUENCIES = 2, LIMIT_S = 120 };
+
+#define NOISE 0.02
 
 static const double distances[READINGS] = {.3, .42, .6, .85, 1.2, 1.7, 2.4, 3.4, 4.8, 6.8};
 static const double frequencies[] = {0, 0.2};
@@ -28,7 +40,7 @@ static void draw(const core_fit *fit, size_t count) {
     core_fit_model(fit, 0.02 * (1 + 0.5 * noise(&state)), 1.1 * (1 + 0.3 * noise(&state)),
                    values[i]);
     for (size_t k = 0; k < count; k++) {
-      errors[i][k] = 0.02 * values[i][k];
+      errors[i][k] = NOISE * values[i][k];
       values[i][k] += 1.7 * errors[i][k] * noise(&state);
     }
   }
@@ -71,9 +83,101 @@ static void measure(const char *name, unsigned model, unsigned axis, double g, c
   bench_figure(bench_median(preparing, RUNS), "ms", "fit.%s.prepare", name);
 }
 
+/* ---- an image through a daemon ----------------------------------------------------------------- */
+
+static double image[PIXELS][FREQUENCIES], image_errors[PIXELS][FREQUENCIES];
+
+/* Fills in the pixels of the sets that draw() has drawn, each with noise of its own. */
+static void draw_image(void) {
+  uint64_t state = 2;
+  for (size_t i = 0; i < PIXELS; i++) {
+    for (size_t k = 0; k < FREQUENCIES; k++) {
+      image[i][k] = values[i % SETS][k] * (1 + NOISE * noise(&state));
+      image_errors[i][k] = NOISE * image[i][k];
+    }
+  }
+}
+
+/* Fits the pixels here. Returns how many seconds that took. */
+static double fit_here(const core_fit *fit) {
+  const uint64_t begin = bench_now_ns();
+  core_fit_result result;
+  for (size_t i = 0; i < PIXELS; i++) {
+    core_fit_run(fit, image[i], image_errors[i], &result, NULL);
+  }
+  return (double)(bench_now_ns() - begin) * 1e-9;
+}
+
+static double fit_there(dipole_client *client) {
+  const dipole_fit_query query = {.model = CORE_MODEL_TRANSPORT,
+                                  .moments = DIPOLE_EXACT,
+                                  .eta = 1.4,
+                                  .axis = CORE_FIT_AXIS_FREQUENCY,
+                                  .scale = DIPOLE_ABSOLUTE,
+                                  .reading_count = FREQUENCIES,
+                                  .at = frequencies,
+                                  .set_count = PIXELS,
+                                  .values = image[0],
+                                  .errors = image_errors[0]};
+  dipole_fits *fits;
+  dipole_error error;
+  const uint64_t begin = bench_now_ns();
+  if (!dipole_fit(client, &query, &fits, &error)) {
+    bench_fail(error.text);
+  }
+  const double seconds = (double)(bench_now_ns() - begin) * 1e-9;
+  if (fits->set_count != PIXELS || fits->fitted_count < PIXELS * UINT64_C(98) / 100) {
+    bench_fail("pixels were no success");
+  }
+  dipole_fits_free(fits);
+  return seconds;
+}
+
+static void measure_image(void) {
+  const core_fit_design design = {.model = CORE_MODEL_TRANSPORT,
+                                  .moments = CORE_MOMENTS_EXACT,
+                                  .eta = 1.4,
+                                  .axis = CORE_FIT_AXIS_FREQUENCY,
+                                  .count = FREQUENCIES,
+                                  .at = frequencies,
+                                  .scale = CORE_FIT_SCALE_ABSOLUTE};
+  struct daemon daemon;
+  dipole_client *client;
+  dipole_error error;
+  core_fit *fit;
+  char address[4096];
+  bench_progress("fit: an image");
+  child_begin(LIMIT_S);
+  daemon_start(&daemon, "fit", 1);
+  child_pin(CHILD_CLIENT);
+  snprintf(address, sizeof address, "unix:%s", child_path("fit"));
+  if (core_fit_create(&fit, core_isa_select(NULL), &design).field != NULL) {
+    bench_fail("a design was refused");
+  }
+  draw(fit, FREQUENCIES);
+  draw_image();
+  if (!dipole_open(address, &client, &error)) {
+    bench_fail(error.text);
+  }
+  double seconds[REQUESTS], ratios[REQUESTS], sum = 0;
+  fit_there(client); /* prepares the design */
+  for (size_t i = 0; i < REQUESTS; i++) {
+    seconds[i] = fit_there(client);
+    ratios[i] = seconds[i] / fit_here(fit);
+    sum += seconds[i];
+  }
+  bench_figure(sum, "s", "fit.image");
+  bench_figure(bench_median(ratios, REQUESTS), "times", "ratio.fit.image");
+  dipole_close(client);
+  core_fit_free(fit);
+  daemon_end(&daemon);
+  child_end_all();
+}
+
 void bench_fit(void) {
   measure("transport.r", CORE_MODEL_TRANSPORT, CORE_FIT_AXIS_RADIUS, 0, distances, READINGS);
   measure("transport-g.r", CORE_MODEL_TRANSPORT, CORE_FIT_AXIS_RADIUS, 0.8, distances, READINGS);
   measure("transport.f", CORE_MODEL_TRANSPORT, CORE_FIT_AXIS_FREQUENCY, 0, frequencies, 2);
   measure("better.r", CORE_MODEL_BETTER, CORE_FIT_AXIS_RADIUS, 0, distances, READINGS);
+  measure_image();
 }
