@@ -119,8 +119,9 @@ static wire_error add_pair(struct http_values *values, char *pair) {
   if (!unescape(pair) || !unescape(text)) {
     return bad("query", "escapes %01 to %FF");
   }
+  _Static_assert(HTTP_QUERY_NAMES == 64, "the error says so");
   if (values->name_count == HTTP_QUERY_NAMES || http_value_given(http_values_get(values, pair))) {
-    return bad("query", "each name at most once");
+    return bad("query", "at most 64 names, each once");
   }
   values->names[values->name_count].name = pair;
   values->names[values->name_count++].value = (struct http_value){NULL, text, separate(text)};

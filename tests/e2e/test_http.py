@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import http.client
+import itertools
 import json
 import os
 import random
 import re
 import socket
 import subprocess
+import threading
 import time
 from urllib.parse import quote
 
@@ -321,7 +323,8 @@ def test_bodies_that_are_wrong(served, body):
 
 @pytest.mark.parametrize(
     "query", ["r", "r=%", "r=%g0", "r=%00", "r=1&r=2", "r=%ff", "r=1,,2", "=", "model=%C3%28",
-              "r=0x1", "r=1e999", "r=1 2", "medium=" + "%41" * 5000, "x" * 3000 + "=1"]
+              "r=0x1", "r=1e999", "r=1 2", "medium=" + "%41" * 5000, "x" * 3000 + "=1",
+              "&".join(f"x{i}=1" for i in range(200)), "r=" + "1," * 10000 + "x", "%ff=1"]
 )
 def test_queries_that_are_wrong(served, query):
     answer = get(served, "/v1/eval?model=better&" + query.replace(" ", "%20"))
@@ -481,19 +484,54 @@ def test_slow_and_idle_clients_are_closed(daemon, beginning):
     assert _serves(one)
 
 
-def test_idle_and_slow_clients_leave_the_binary_protocol_alone(daemon):
-    one = daemon("--http", "127.0.0.1:0", "--max-http-connections", "2000")
-    held = [socket.create_connection(address(one), TIMEOUT_S) for _ in range(1000)]
-    try:
-        for sock in held[:100]:
+class Nothing:
+    """1,000 connections of HTTP that are idle, 100 of which send a byte of a header by turns."""
+
+    def __init__(self, daemon):
+        self._held = [socket.create_connection(address(daemon), TIMEOUT_S) for _ in range(1000)]
+        self._ended = threading.Event()
+        self._slow = threading.Thread(target=self._send)
+
+    def _send(self) -> None:
+        for sock in self._held[:100]:
             sock.sendall(b"GET /healthz HTTP/1.1\r\nX: ")
-        with one.client() as client:
-            for _ in range(200):
-                client.eval("better", "skin1", [1.0])
-        assert _serves(one)
-    finally:
-        for sock in held:
+        for sock in itertools.cycle(self._held[:100]):
+            if self._ended.wait(0.005):
+                break
+            sock.sendall(b"x")
+
+    def __enter__(self) -> None:
+        self._slow.start()
+
+    def __exit__(self, *_) -> None:
+        self._ended.set()
+        self._slow.join()
+        for sock in self._held:
             sock.close()
+
+
+def p99_s(client) -> float:
+    """Returns the 99th percentile of the round trips of evals."""
+    times = []
+    for _ in range(400):
+        start = time.perf_counter()
+        client.eval("better", "skin1", [1.0])
+        times.append(time.perf_counter() - start)
+    return sorted(times)[395]
+
+
+def test_idle_and_slow_clients_leave_the_binary_protocol_alone(daemon):
+    """Its 99th percentile is at most doubled. Other programs on this machine can only make rounds
+    slower, so the best round of each side counts, and there are more rounds until that holds."""
+    one = daemon("--http", "127.0.0.1:0", "--max-http-connections", "2000")
+    alone, beside = [], []
+    with one.client() as client:
+        while len(alone) < 3 or (min(beside) > 2 * min(alone) and len(alone) < 15):
+            alone.append(p99_s(client))
+            with Nothing(one):
+                beside.append(p99_s(client))
+                assert _serves(one)
+    assert min(beside) <= 2 * min(alone), (alone, beside)
 
 
 def test_an_abandoned_job_ends(daemon):
