@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import queue
+import shutil
 import signal
 import subprocess
 import threading
@@ -28,10 +29,10 @@ import puppeteer from "puppeteer-core";
 import { readFileSync } from "node:fs";
 import { createInterface } from "node:readline";
 
-const [profile, limit_ms] = process.argv.slice(2);
+const [chromium, profile, limit_ms] = process.argv.slice(2);
 const axe = readFileSync(new URL("node_modules/axe-core/axe.min.js", import.meta.url), "utf8");
 const browser = await puppeteer.launch({
-  executablePath: "/usr/bin/chromium", userDataDir: profile, pipe: true, timeout: Number(limit_ms),
+  executablePath: chromium, userDataDir: profile, pipe: true, timeout: Number(limit_ms),
   protocolTimeout: Number(limit_ms),
   args: ["--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
          "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage",
@@ -78,7 +79,7 @@ class Browser:
         (modules / "driver.mjs").write_text(DRIVER)
         self._lines: queue.Queue[str] = queue.Queue()
         self.process = subprocess.Popen(
-            ["node", "driver.mjs", str(folder), str(STEP_S * 1000)],
+            ["node", "driver.mjs", shutil.which("chromium"), str(folder), str(STEP_S * 1000)],
             cwd=modules,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
