@@ -160,7 +160,7 @@ endef
 $(foreach isa,$(ISAS),$(foreach real,32 64,$(eval $(call kernel_rule,$(isa),$(real)))))
 
 # Tables' lookups gather: 16 at a time take longer than twice 8.
-$(addprefix $(OBJ)/core/models/,lut.avx512.f32.o surface.avx512.f32.o varying.avx512.f32.o): ISA_FLAGS_avx512 += -mprefer-vector-width=256
+$(addprefix $(OBJ)/core/models/,surface.avx512.f32.o varying.avx512.f32.o): ISA_FLAGS_avx512 += -mprefer-vector-width=256
 
 # NAME.ISA.o
 define loop_rule

@@ -94,8 +94,8 @@ static void stop_at(float *piece, bool from_right, double far_end) {
   if (!(limit > near_end || limit < near_end)) {
     piece[1] = piece[2] = piece[3] = 0;
   }
-  for (float end = core_lut_piece(piece, 0, t); limit > near_end ? end > limit : end < limit;
-       end = core_lut_piece(piece, 0, t)) {
+  for (float end = core_lut_piece(piece, t); limit > near_end ? end > limit : end < limit;
+       end = core_lut_piece(piece, t)) {
     float *largest = &piece[1];
     for (int k = 2; k < CORE_LUT_TERMS; k++) {
       largest = fabsf(piece[k]) > fabsf(*largest) ? &piece[k] : largest;
@@ -117,7 +117,7 @@ static double error_of(const struct lut_subject *subject, float value, double tr
 static double worst_of(const struct lut_subject *subject, const float *piece, const double *y) {
   double worst = 0;
   for (int i = 0; i < PLACES; i++) {
-    const double error = error_of(subject, core_lut_piece(piece, 0, (float)places[i] / STEP), y[i]);
+    const double error = error_of(subject, core_lut_piece(piece, (float)places[i] / STEP), y[i]);
     worst = error > worst || isnan(error) ? error : worst;
   }
   return worst;
@@ -234,7 +234,7 @@ static double error_at(const struct lut_subject *subject, int exponent, unsigned
   }
   subject->function(subject->context, n, x, y);
   for (size_t k = 0; k < n; k++) {
-    const double error = error_of(subject, core_lut_piece(piece, 0, (float)shares[k]), y[k]);
+    const double error = error_of(subject, core_lut_piece(piece, (float)shares[k]), y[k]);
     worst = error > worst || isnan(error) ? error : worst;
   }
   return worst;

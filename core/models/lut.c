@@ -16,7 +16,7 @@
 
 #include "core/lut/piece.h"
 
-enum { CHUNK = 1024 };
+enum { CHUNK = 1024, BLOCK = 64 };
 
 /* Returns log2(x) for a normal x, to 1e-8. With the mantissa (1 + s) / (1 - s), s from 0 to 1/3,
  * the logarithm of the mantissa is 2 artanh(s) / ln 2. No products are fused, as everywhere in the
@@ -93,22 +93,75 @@ static inline float far_ring(const float *c, float r) {
   return c[CORE_LUT_FAR] * c[CORE_LUT_LAST_MM] * ratio * ratio;
 }
 
-/* ---- the functions, inside and outside ------------------------------------------------------ */
+/* ---- looking up ------------------------------------------------------------------------------ */
 
-static inline float look_R(const float *c, float r) {
-  return core_lut_look(c, CORE_LUT_R_OCTAVES, r);
+/* Which pieces an argument is looked up in: those whose entries begin at word `octaves`. */
+struct lut_key {
+  int32_t octaves;
+  float x;
+};
+
+static inline struct lut_key key_R(float r) {
+  return (struct lut_key){CORE_LUT_R_OCTAVES, r};
 }
 
-static inline float inside_R(const float *c, float r) {
-  return look_R(c, r) * c[CORE_LUT_SCALE];
+static inline struct lut_key key_cdf(float r) {
+  return (struct lut_key){CORE_LUT_CDF_OCTAVES, r};
+}
+
+/* The radius for the cdf u is looked up by u up to 1/2, and by 1 - u, which is exact, beyond. A u
+ * outside of 0 to 1 or NaN is looked up as 0 or 1, so that no index leaves the table. */
+static inline struct lut_key key_radius(float u) {
+  const float near = u <= 0.5f ? u : 1 - u;
+  const int32_t octaves = u <= 0.5f ? CORE_LUT_RADIUS_OCTAVES : CORE_LUT_COMPLEMENT_OCTAVES;
+  return (struct lut_key){octaves, near > 0 ? near : 0};
+}
+
+/* Sets values to the pieces at up to BLOCK arguments. Entries and pieces are copied in loops of
+ * their own, one after the other: gathering them into vectors takes twice as long. */
+static inline __attribute__((always_inline)) void look_up(const float *restrict c,
+                                                          struct lut_key (*key_of)(float), size_t n,
+                                                          const float *restrict in,
+                                                          float *restrict values) {
+  _Alignas(64) int32_t entry[BLOCK], at[BLOCK];
+  _Alignas(64) float t[BLOCK], piece[BLOCK][CORE_LUT_TERMS];
+  for (size_t i = 0; i < n; i++) {
+    const struct lut_key key = key_of(in[i] + 0);
+    const int32_t octave = (int32_t)core_lut_bits(key.x) >> CORE_LUT_MANTISSA_BITS & 0xff;
+    entry[i] = (int32_t)core_lut_bits(c[key.octaves + octave]);
+  }
+  for (size_t i = 0; i < n; i++) {
+    const int32_t bits = (int32_t)core_lut_bits(key_of(in[i] + 0).x);
+    const int32_t shift = entry[i] & 31;
+    const int32_t mantissa = bits & ((1 << CORE_LUT_MANTISSA_BITS) - 1);
+    const int32_t index = mantissa >> shift;
+    const int32_t rest = mantissa - (index << shift);
+    const float unit = core_lut_float((uint32_t)((127 - shift) << CORE_LUT_MANTISSA_BITS));
+    at[i] = CORE_LUT_PIECES + CORE_LUT_TERMS * ((entry[i] >> 5) + index);
+    t[i] = (float)rest * unit;
+  }
+  for (size_t i = 0; i < n; i++) {
+    memcpy(piece[i], c + at[i], sizeof piece[i]);
+  }
+  for (size_t i = 0; i < n; i++) {
+    values[i] = core_lut_piece(piece[i], t[i]);
+  }
+}
+
+/* ---- the functions, inside and outside ------------------------------------------------------ */
+
+/* inside_<function>() makes a value from that of the piece. */
+static inline float inside_R(const float *c, float r, float piece) {
+  (void)r;
+  return piece * c[CORE_LUT_SCALE];
 }
 
 static inline float outside_R(const float *c, float r) {
   return r < c[CORE_LUT_FIRST_MM] ? near_R(c, r) : far_R(c, r) * c[CORE_LUT_SCALE];
 }
 
-static inline float inside_ring(const float *c, float r) {
-  return times_radius(look_R(c, r), r, c[CORE_LUT_RING_SCALE]);
+static inline float inside_ring(const float *c, float r, float piece) {
+  return times_radius(piece, r, c[CORE_LUT_RING_SCALE]);
 }
 
 static inline float outside_ring(const float *c, float r) {
@@ -116,8 +169,8 @@ static inline float outside_ring(const float *c, float r) {
                                   : far_ring(c, r) * c[CORE_LUT_RING_SCALE];
 }
 
-static inline float inside_pdf(const float *c, float r) {
-  return times_radius(look_R(c, r), r, c[CORE_LUT_PDF_SCALE]);
+static inline float inside_pdf(const float *c, float r, float piece) {
+  return times_radius(piece, r, c[CORE_LUT_PDF_SCALE]);
 }
 
 static inline float outside_pdf(const float *c, float r) {
@@ -125,20 +178,20 @@ static inline float outside_pdf(const float *c, float r) {
                                   : far_ring(c, r) * c[CORE_LUT_PDF_SCALE];
 }
 
-static inline float inside_cdf(const float *c, float r) {
-  return real_min(core_lut_look(c, CORE_LUT_CDF_OCTAVES, r), 1);
+static inline float inside_cdf(const float *c, float r, float piece) {
+  (void)c;
+  (void)r;
+  return real_min(piece, 1);
 }
 
 static inline float outside_cdf(const float *c, float r) {
   return r < c[CORE_LUT_FIRST_MM] ? near_cdf(c, r) : c[CORE_LUT_LIMIT];
 }
 
-/* Looks up the radius for the cdf u: by u up to 1/2, and by 1 - u, which is exact, beyond. A u
- * outside of 0 to 1 or NaN is looked up as 0 or 1, so that no index leaves the table. */
-static inline float inside_radius(const float *c, float u) {
-  const float near = u <= 0.5f ? u : 1 - u;
-  const int32_t octaves = u <= 0.5f ? CORE_LUT_RADIUS_OCTAVES : CORE_LUT_COMPLEMENT_OCTAVES;
-  return core_lut_look(c, octaves, near > 0 ? near : 0);
+static inline float inside_radius(const float *c, float u, float piece) {
+  (void)c;
+  (void)u;
+  return piece;
 }
 
 /* Solves cdf = u for the radius where cdf = factor r^2. The factor depends on ln r and varies
@@ -157,20 +210,29 @@ static inline float outside_radius(const float *c, float u) {
   return u < 1 ? near : c[CORE_LUT_LIMIT] > 0 ? (float)INFINITY : 0;
 }
 
-/* LUT_KERNEL(name, function, least, most) defines a kernel as in core/kernels.h. It uses
- * inside_<function>(c, x) for x from least to below most, and outside_<function>(c, x) for other x.
- * Adding 0 turns -0 into 0. */
-#define LUT_KERNEL(name, function, least, most)                                                    \
+/* LUT_KERNEL(name, function, key, least, most) defines a kernel as in core/kernels.h. It looks
+ * key_<key>(x) up and uses inside_<function>() for x from least to below most, and
+ * outside_<function>(c, x) for other x. Adding 0 turns -0 into 0. */
+#define LUT_KERNEL(name, function, key, least, most)                                               \
   static unsigned name##_inside(const float *restrict c, size_t n, const float *restrict in,       \
                                 float *restrict out) {                                             \
     const float from = (least);                                                                    \
     const float to = (most);                                                                       \
     unsigned outside = 0;                                                                          \
-    for (size_t i = 0; i < n; i++) {                                                               \
-      const float x = in[i] + 0;                                                                   \
-      out[i] = inside_##function(c, x);                                                            \
-      outside |= x < from ? 1 : 0;                                                                 \
-      outside |= x >= to ? 1 : 0;                                                                  \
+    _Alignas(64) float piece[BLOCK];                                                               \
+    for (size_t done = 0; done < n; done += BLOCK) {                                               \
+      const size_t count = n - done < BLOCK ? n - done : BLOCK;                                    \
+      if (count == BLOCK) {                                                                        \
+        look_up(c, key_##key, BLOCK, in + done, piece);                                            \
+      } else {                                                                                     \
+        look_up(c, key_##key, count, in + done, piece);                                            \
+      }                                                                                            \
+      for (size_t i = 0; i < count; i++) {                                                         \
+        const float x = in[done + i] + 0;                                                          \
+        out[done + i] = inside_##function(c, x, piece[i]);                                         \
+        outside |= x < from ? 1 : 0;                                                               \
+        outside |= x >= to ? 1 : 0;                                                                \
+      }                                                                                            \
     }                                                                                              \
     return outside;                                                                                \
   }                                                                                                \
@@ -186,11 +248,11 @@ static inline float outside_radius(const float *c, float u) {
     }                                                                                              \
   }
 
-LUT_KERNEL(lut_R, R, c[CORE_LUT_FIRST_MM], c[CORE_LUT_LAST_MM])
-LUT_KERNEL(lut_ring, ring, c[CORE_LUT_FIRST_MM], c[CORE_LUT_LAST_MM])
-LUT_KERNEL(lut_pdf, pdf, c[CORE_LUT_FIRST_MM], c[CORE_LUT_LAST_MM])
-LUT_KERNEL(lut_cdf, cdf, c[CORE_LUT_FIRST_MM], c[CORE_LUT_LAST_MM])
-LUT_KERNEL(lut_radius, radius, c[CORE_LUT_FIRST_U], 1)
+LUT_KERNEL(lut_R, R, R, c[CORE_LUT_FIRST_MM], c[CORE_LUT_LAST_MM])
+LUT_KERNEL(lut_ring, ring, R, c[CORE_LUT_FIRST_MM], c[CORE_LUT_LAST_MM])
+LUT_KERNEL(lut_pdf, pdf, R, c[CORE_LUT_FIRST_MM], c[CORE_LUT_LAST_MM])
+LUT_KERNEL(lut_cdf, cdf, cdf, c[CORE_LUT_FIRST_MM], c[CORE_LUT_LAST_MM])
+LUT_KERNEL(lut_radius, radius, radius, c[CORE_LUT_FIRST_U], 1)
 
 CORE_KERNEL_TABLE(lut,
                   .evaluate =
