@@ -283,9 +283,12 @@ UNIT_TEST(the_table_says_what_it_covers) {
   const double far = transport_table_error(table, 0.9, 0.9, 1.4, 2, 3);
   assert_true(near > 0 && far > 0);
   assert_true(transport_table_error(table, 0.9, 0.9, 1.4, 0, 3) >= fmax(near, far));
-  assert_true(transport_table_error(table, 0.95, 0.8, 1.4, 0.05, 20) <= 1e-3);
-  assert_true(transport_table_total_error(table, 0.8) <= 1e-5);
-  assert_true(transport_table_diffuse_error(table, 0.95) <= 1e-5);
+  assert_true(transport_table_error(table, 0.95, 0.8, 1.4, 0.05, 20) <= 6e-4);
+  assert_true(transport_table_error(table, 0.6, 0.95, 2.2, 0.01, 20) <= 4e-3);
+  assert_true(transport_table_error(table, 0.01, -0.5, 2.2, 0, (double)INFINITY) <= 0.01);
+  assert_true(transport_table_total_error(table, 0.8) <= 2e-6);
+  assert_true(transport_table_diffuse_error(table, 0.95) <= 1e-6);
+  assert_true(transport_table_diffuse_error(table, 0.6) <= 1.2e-5);
 }
 
 /* ---- what it is used for ------------------------------------------------------------------ */

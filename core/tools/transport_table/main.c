@@ -27,7 +27,7 @@ static const double fields[TRANSPORT_TABLE_FIELDS] = {
     [TRANSPORT_TABLE_ETA_MOST] = 2.202,         [TRANSPORT_TABLE_REACH_DECAYS] = 30,
     [TRANSPORT_TABLE_REACH_MOST] = 1e4,         [TRANSPORT_TABLE_EDGES] = 1e-10,
     [TRANSPORT_TABLE_EDGES + 1] = 1e-3,         [TRANSPORT_TABLE_EDGES + 2] = 1,
-    [TRANSPORT_TABLE_D_QUANTUM] = 0x1p-18,      [TRANSPORT_TABLE_G_LEAST] = G_LEAST,
+    [TRANSPORT_TABLE_D_QUANTUM] = 0x1p-20,      [TRANSPORT_TABLE_G_LEAST] = G_LEAST,
     [TRANSPORT_TABLE_G_MOST] = G_MOST,          [TRANSPORT_TABLE_D_REACH_DECAYS] = 25,
     [TRANSPORT_TABLE_D_REACH_MOST] = 200,       [TRANSPORT_TABLE_D_EDGES] = 1e-10,
     [TRANSPORT_TABLE_D_EDGES + 1] = 1e-3,       [TRANSPORT_TABLE_D_EDGES + 2] = 1,
@@ -105,40 +105,67 @@ static void checks_make(const double *field, table_sample samples[CHECKS]) {
   }
 }
 
-/* Media whose values are computed with the finest grids. Their distance from the table includes the
- * error of the solutions that the table is made from. */
-static const struct {
-  double g, ratio; /* ratio: sigma_a / (sigma_s (1 - g)) */
-} finest[] = {{0.9, 0.05}, {0.95, 0.7}, {0.8, 0.3},  {0.95, 0.003},
-              {0.9, 5},    {0.5, 0.02}, {-0.5, 0.2}, {0.95, 30}};
+#define OF_RATIO(ratio) (1.0 / (1 + (ratio))) /* the albedo; ratio: sigma_a / (sigma_s (1 - g)) */
 
-/* Where the media of the checks are drawn from: from each band of g and of the albedo
- * (transport_table_region()), then, because bands are wide, from g below 0 and from the smallest
- * albedos of the second band. */
+/* The media of the checks: drawn from a range of g and of the albedo, or, where both ends of g are
+ * equal, this one. Its values are computed with the finest grids, so that their distance from the
+ * table includes the error of the solutions that the table is made from. The first ranges are the
+ * bands of transport_table_region(). Then, because bands are wide, g below 0, the smallest albedos
+ * of the second band, and places where the series converge slowly. */
 static const struct {
   double g[2];
   double albedo[2];
-} drawn[] = {{{-0.5, 0.6}, {0.0099, 1.0 / 11}}, {{0.6, 0.85}, {0.0099, 1.0 / 11}},
-             {{0.85, 0.95}, {0.0099, 1.0 / 11}}, {{-0.5, 0.6}, {1.0 / 11, 0.5}},
-             {{0.6, 0.85}, {1.0 / 11, 0.5}},     {{0.85, 0.95}, {1.0 / 11, 0.5}},
-             {{-0.5, 0.6}, {0.5, 0.9}},          {{0.6, 0.85}, {0.5, 0.9}},
-             {{0.85, 0.95}, {0.5, 0.9}},         {{-0.5, 0.6}, {0.9, 1}},
-             {{0.6, 0.85}, {0.9, 1}},            {{0.85, 0.95}, {0.9, 1}},
-             {{-0.5, 0}, {0.0099, 1.0 / 11}},    {{-0.5, 0}, {1.0 / 11, 0.5}},
-             {{-0.5, 0}, {0.5, 0.9}},            {{-0.5, 0}, {0.9, 1}},
-             {{-0.5, 0}, {1.0 / 11, 0.2}},       {{0.3, 0.6}, {1.0 / 11, 0.2}},
-             {{0.6, 0.85}, {1.0 / 11, 0.2}},     {{0.85, 0.95}, {1.0 / 11, 0.2}}};
+} check_media[] = {{{-0.5, 0.6}, {0.0099, 1.0 / 11}},
+                   {{0.6, 0.85}, {0.0099, 1.0 / 11}},
+                   {{0.85, 0.95}, {0.0099, 1.0 / 11}},
+                   {{-0.5, 0.6}, {1.0 / 11, 0.5}},
+                   {{0.6, 0.85}, {1.0 / 11, 0.5}},
+                   {{0.85, 0.95}, {1.0 / 11, 0.5}},
+                   {{-0.5, 0.6}, {0.5, 0.9}},
+                   {{0.6, 0.85}, {0.5, 0.9}},
+                   {{0.85, 0.95}, {0.5, 0.9}},
+                   {{-0.5, 0.6}, {0.9, 1}},
+                   {{0.6, 0.85}, {0.9, 1}},
+                   {{0.85, 0.95}, {0.9, 1}},
+                   {{0.9, 0.9}, {OF_RATIO(0.05)}},
+                   {{0.95, 0.95}, {OF_RATIO(0.7)}},
+                   {{0.8, 0.8}, {OF_RATIO(0.3)}},
+                   {{0.95, 0.95}, {OF_RATIO(0.003)}},
+                   {{0.9, 0.9}, {OF_RATIO(5)}},
+                   {{0.5, 0.5}, {OF_RATIO(0.02)}},
+                   {{-0.5, -0.5}, {OF_RATIO(0.2)}},
+                   {{0.95, 0.95}, {OF_RATIO(30)}},
+                   {{-0.5, 0}, {0.0099, 1.0 / 11}},
+                   {{-0.5, 0}, {1.0 / 11, 0.5}},
+                   {{-0.5, 0}, {0.5, 0.9}},
+                   {{-0.5, 0}, {0.9, 1}},
+                   {{-0.5, 0}, {1.0 / 11, 0.2}},
+                   {{0.3, 0.6}, {1.0 / 11, 0.2}},
+                   {{0.6, 0.85}, {1.0 / 11, 0.2}},
+                   {{0.85, 0.95}, {1.0 / 11, 0.2}},
+                   {{0.9, 0.93}, {1.0 / 11, 0.5}},
+                   {{0.9, 0.93}, {0.9, 0.99999}},
+                   {{-0.47, -0.42}, {0.0099, 1.0 / 11}},
+                   {{-0.47, -0.42}, {1.0 / 11, 0.5}},
+                   {{-0.47, -0.42}, {0.5, 0.9}},
+                   {{-0.47, -0.42}, {0.9, 0.99999}},
+                   {{0.1, 0.4}, {1.0 / 11, 0.5}},
+                   {{0.1, 0.4}, {0.5, 0.9}},
+                   {{0.1, 0.4}, {0.9, 0.99999}},
+                   {{0.82, 0.85}, {1.0 / 11, 0.5}},
+                   {{0.82, 0.85}, {0.9, 0.99999}}};
 
-/* Besides, media halfway between the points of u, where the series are furthest off, with the g at
- * which they converge most slowly. */
-#define BETWEEN_G (-0.42)
+/* Besides, media halfway between the points of u, where the series are furthest off, with a g that
+ * is far from the table's. */
+#define BETWEEN_G 0.6
+
+/* Below this g, the normal grids are up to 5e-3 off where sigma_a is larger than sigma_s'. */
+#define BACKWARD (-0.4)
 
 enum {
-  FINEST = sizeof finest / sizeof finest[0],
-  DRAWN = sizeof drawn / sizeof drawn[0],
+  CHECK_MEDIA = sizeof check_media / sizeof check_media[0],
   BETWEEN = NODES_D_U - 1,
-  CHECKS_D = DRAWN + FINEST + BETWEEN,
-  FINEST_FIRST = 12 /* number of the first of `finest` among the checks */
+  CHECKS_D = CHECK_MEDIA + BETWEEN
 };
 
 /* Returns eta i of a medium: some fixed ones, then random ones below 1, from 1 on, and large
@@ -169,19 +196,21 @@ static void checks_make_difference(const double *field, table_sample samples[CHE
   uint64_t random = 1941;
   for (size_t n = 0; n < CHECKS_D; n++) {
     double albedo;
-    if (n >= FINEST_FIRST && n < FINEST_FIRST + FINEST) {
-      sample_make(&samples[n], finest[n - FINEST_FIRST].g, ETAS_D, RADII_D);
-      samples[n].effort = TRANSPORT_EFFORT_FINEST;
-      albedo = 1 / (1 + finest[n - FINEST_FIRST].ratio);
-    } else if (n >= DRAWN + FINEST) {
+    if (n >= CHECK_MEDIA) {
       sample_make(&samples[n], BETWEEN_G, ETAS_D, RADII_D);
-      albedo = nodes_albedo_between(field, n - DRAWN - FINEST);
+      albedo = nodes_albedo_between(field, n - CHECK_MEDIA);
+    } else if (check_media[n].g[0] == check_media[n].g[1]) {
+      sample_make(&samples[n], check_media[n].g[0], ETAS_D, RADII_D);
+      samples[n].effort = TRANSPORT_EFFORT_FINEST;
+      albedo = check_media[n].albedo[0];
     } else {
-      const size_t i = n < FINEST_FIRST ? n : n - FINEST;
-      const double *g = drawn[i].g, *from = drawn[i].albedo;
+      const double *g = check_media[n].g, *from = check_media[n].albedo;
       sample_make(&samples[n], between(&random, g[0], g[1]), ETAS_D, RADII_D);
       albedo = transport_table_albedo_of_u(
           between(&random, transport_table_u(from[0]), transport_table_u(from[1])));
+      if (samples[n].g < BACKWARD && albedo < 0.5) {
+        samples[n].effort = TRANSPORT_EFFORT_FINEST;
+      }
     }
     make_places(field, &random, albedo, &samples[n]);
   }

@@ -25,17 +25,14 @@ enum {
   DIFFERENCE_U = NODES_D_U_BELOW_0, /* points of u of the series */
   TOTALS_G = 18,
   TOTALS_U = 31,
-  TOTALS_BELOW_1 = 12,
-  TOTALS_FROM_1 = 20,
+  TOTALS_V = 32, /* on each side */
   DIMENSIONS_MAX = 4,
   BYTES_MAX = 1 << 22
 };
 
-/* From g = 0 to this g, the quick grids are as accurate as the normal ones are for any other g. */
-#define QUICK_MOST 0.6
-
-/* The solver's errors are as large as R where R is smaller, per squared reduced mean free path. */
-#define R_NOISE 1e-14
+/* Where R is smaller, per squared reduced mean free path, rounding errors of the solver are as
+ * large as R. */
+#define R_NOISE 1e-18
 
 static void *allocate(size_t count, size_t size) {
   void *memory = calloc(count, size);
@@ -52,9 +49,16 @@ static double wave(size_t k, size_t i, size_t n) {
   return cosine;
 }
 
+/* Returns the point at an angle of k pi / (2 n): from `to` at k = 0 to `from` at k = 2 n. */
+static double point_at(size_t k, size_t n, double from, double to) {
+  double sine, cosine;
+  fn_sincos(FN_PI * (double)k / (double)(2 * n), &sine, &cosine);
+  return from + (to - from) * 0.5 * (1 + cosine);
+}
+
 /* Returns Chebyshev's point i of n between two ends. */
 static double point(size_t i, size_t n, double from, double to) {
-  return from + (to - from) * 0.5 * (1 + wave(1, i, n));
+  return point_at(2 * i + 1, n, from, to);
 }
 
 /* ---- points ---------------------------------------------------------------------------------- */
@@ -96,9 +100,9 @@ void nodes_make(const double *field, table_sample samples[NODES]) {
   }
 }
 
-static double g_point(const double *field, size_t l, size_t n) {
-  return transport_table_g(point(l, n, transport_table_w(field[TRANSPORT_TABLE_G_LEAST]),
-                                 transport_table_w(field[TRANSPORT_TABLE_G_MOST])));
+static double w_point(const double *field, size_t l, size_t n) {
+  return point(l, n, transport_table_w(field[TRANSPORT_TABLE_G_LEAST]),
+               transport_table_w(field[TRANSPORT_TABLE_G_MOST]));
 }
 
 static double u_point(const double *field, size_t i, size_t n) {
@@ -107,16 +111,22 @@ static double u_point(const double *field, size_t i, size_t n) {
 
 /* Point k of u, in angles of pi / (2 NODES_D_U): those of odd k are Chebyshev's points. */
 static double u_at_angle(const double *field, size_t k) {
-  double sine, cosine;
-  fn_sincos(FN_PI * (double)k / (double)(2 * NODES_D_U), &sine, &cosine);
-  const double from = transport_table_u(1);
-  const double to = transport_table_u(field[TRANSPORT_TABLE_ALBEDO_LEAST]);
-  return from + (to - from) * 0.5 * (1 + cosine);
+  return point_at(k, NODES_D_U, transport_table_u(1),
+                  transport_table_u(field[TRANSPORT_TABLE_ALBEDO_LEAST]));
 }
 
 double nodes_albedo_between(const double *field, size_t i) {
   const double u = u_point(field, i, NODES_D_U), next = u_point(field, i + 1, NODES_D_U);
   return transport_table_albedo_of_u(u + 0.5 * (next - u));
+}
+
+/* Point l of w for the samples, in descending order: Chebyshev's points, and two that lie at
+ * extrema 2 and 7 of the polynomial T_9 whose zeros those are. There the terms T_9 and T_10 are largest,
+ * which the other points cannot tell from lower ones. */
+static double sample_w(const double *field, size_t l) {
+  static const size_t angle[NODES_D_G] = {1, 3, 4, 5, 7, 9, 11, 13, 14, 15, 17};
+  return point_at(angle[l], NODES_D_G_CHEBYSHEV, transport_table_w(field[TRANSPORT_TABLE_G_LEAST]),
+                  transport_table_w(field[TRANSPORT_TABLE_G_MOST]));
 }
 
 /* Below g = 0 the series in u converge more slowly. */
@@ -136,8 +146,6 @@ static size_t sample_of(size_t l, size_t i) {
 
 static void make_node(const double *field, double g, double albedo, table_sample *sample) {
   sample_make(sample, g, NODES_D_V, PANELS * NODES_D_X);
-  const bool quick = g > 0 && g <= QUICK_MOST;
-  sample->effort = quick ? TRANSPORT_EFFORT_QUICK : TRANSPORT_EFFORT_NORMAL;
   make_etas(field, TRANSPORT_TABLE_BELOW_1, NODES_D_BELOW_1, sample->eta);
   make_etas(field, TRANSPORT_TABLE_FROM_1, NODES_D_FROM_1, sample->eta + NODES_D_BELOW_1);
   for (size_t j = 0; j < NODES_D_V; j++) {
@@ -149,7 +157,7 @@ static void make_node(const double *field, double g, double albedo, table_sample
 void nodes_make_difference(const double *field, table_sample samples[NODES_D]) {
   for (size_t l = 0; l < NODES_D_G; l++) {
     for (size_t i = 0; i < u_count(l) && l != NODES_D_G_ZERO; i++) {
-      make_node(field, g_point(field, l, NODES_D_G),
+      make_node(field, transport_table_g(sample_w(field, l)),
                 transport_table_albedo_of_u(sample_u(field, l, i)), &samples[sample_of(l, i)]);
     }
   }
@@ -321,41 +329,38 @@ table_bytes nodes_encode(const double *field, const table_sample samples[NODES])
 
 /* ---- the difference --------------------------------------------------------------------------- */
 
-/* The totals at the points of g and u, for the boundaries of both sides: [g][u][eta]. */
+/* The totals at the points of g and u, for the boundaries of one side: [g][u][eta]. */
 struct totals {
   const double *field;
-  transport_totals (*at)[TOTALS_BELOW_1 + TOTALS_FROM_1];
+  enum transport_table_side side;
+  transport_totals (*at)[TOTALS_V];
 };
 
 static void solve_totals(void *context, size_t li) {
   const struct totals *totals = context;
   const double *field = totals->field;
-  double etas[TOTALS_BELOW_1 + TOTALS_FROM_1];
-  make_etas(field, TRANSPORT_TABLE_BELOW_1, TOTALS_BELOW_1, etas);
-  make_etas(field, TRANSPORT_TABLE_FROM_1, TOTALS_FROM_1, etas + TOTALS_BELOW_1);
-  const transport_phase phase = {g_point(field, li / TOTALS_U, TOTALS_G), 0, NULL};
+  double etas[TOTALS_V];
+  make_etas(field, totals->side, TOTALS_V, etas);
+  const transport_phase phase = {transport_table_g(w_point(field, li / TOTALS_U, TOTALS_G)), 0,
+                                 NULL};
   const double albedo = transport_table_albedo_of_u(u_point(field, li % TOTALS_U, TOTALS_U));
   tools_check(transport_anisotropic_totals(totals->at[li], core_isa_select(NULL),
-                                           (1 - albedo) / albedo, &phase, etas,
-                                           TOTALS_BELOW_1 + TOTALS_FROM_1),
+                                           (1 - albedo) / albedo, &phase, etas, TOTALS_V),
               "transport");
 }
 
-static void put_totals(table_bytes *writer, const struct totals *totals,
-                       enum transport_table_side side, bool diffuse) {
-  const size_t first = side == TRANSPORT_TABLE_BELOW_1 ? 0 : TOTALS_BELOW_1;
-  const size_t nv = side == TRANSPORT_TABLE_BELOW_1 ? TOTALS_BELOW_1 : TOTALS_FROM_1;
-  double *values = allocate(TOTALS_G * TOTALS_U * nv, sizeof *values);
+static void put_totals(table_bytes *writer, const struct totals *totals, bool diffuse) {
+  double *values = allocate(TOTALS_G * TOTALS_U * TOTALS_V, sizeof *values);
   for (size_t li = 0; li < TOTALS_G * TOTALS_U; li++) {
     const double albedo =
         transport_table_albedo_of_u(u_point(totals->field, li % TOTALS_U, TOTALS_U));
-    for (size_t j = 0; j < nv; j++) {
-      const transport_totals *at = &totals->at[li][first + j];
-      values[li * nv + j] = fn_log((diffuse ? at->diffuse : at->normal).value / albedo);
+    for (size_t j = 0; j < TOTALS_V; j++) {
+      const transport_totals *at = &totals->at[li][j];
+      values[li * TOTALS_V + j] = fn_log((diffuse ? at->diffuse : at->normal).value / albedo);
     }
   }
   put_series(writer, totals->field[TRANSPORT_TABLE_QUANTUM], values,
-             &(struct shape){4, {1, TOTALS_G, TOTALS_U, nv}}, 1);
+             &(struct shape){4, {1, TOTALS_G, TOTALS_U, TOTALS_V}}, 1);
   free(values);
 }
 
@@ -422,10 +427,34 @@ static void add_differences(const transport_table *isotropic, const table_sample
   }
 }
 
+/* Replaces D at the samples' points of g by D at Chebyshev's points. stride: how far apart the
+ * values of two g are in the array; lines: its length in all other directions. */
+static void move_to_chebyshev(const double *field, size_t lines, size_t stride, double *values) {
+  double w[NODES_D_G], weight[NODES_D_G][NODES_D_G], at[NODES_D_G];
+  for (size_t l = 0; l < NODES_D_G; l++) {
+    w[l] = sample_w(field, l);
+  }
+  for (size_t to = 0; to < NODES_D_G; to++) {
+    interpolate(NODES_D_G, w, w_point(field, to, NODES_D_G), weight[to]);
+  }
+  for (size_t line = 0; line < lines; line++) {
+    double *first = values + line / stride * NODES_D_G * stride + line % stride;
+    for (size_t l = 0; l < NODES_D_G; l++) {
+      at[l] = first[l * stride];
+    }
+    for (size_t to = 0; to < NODES_D_G; to++) {
+      first[to * stride] = 0;
+      for (size_t l = 0; l < NODES_D_G; l++) {
+        first[to * stride] += weight[to][l] * at[l];
+      }
+    }
+  }
+}
+
 static void put_differences(table_bytes *writer, const transport_table *isotropic,
                             const table_sample samples[NODES_D], enum transport_table_side side) {
   /* further terms are nothing but the solver's noise, which would put kinks into profiles */
-  static const size_t keep[PANELS] = {10, 16, 10, 8};
+  static const size_t keep[PANELS] = {10, 16, 14, 10};
   const size_t first = side == TRANSPORT_TABLE_BELOW_1 ? 0 : NODES_D_BELOW_1;
   const size_t nv = side == TRANSPORT_TABLE_BELOW_1 ? NODES_D_BELOW_1 : NODES_D_FROM_1;
   const size_t size = NODES_D_X * NODES_D_G * DIFFERENCE_U * nv;
@@ -435,6 +464,8 @@ static void put_differences(table_bytes *writer, const transport_table *isotropi
       add_differences(isotropic, samples, l, first, nv, values);
     }
   }
+  move_to_chebyshev(isotropic->field, PANELS * NODES_D_X * DIFFERENCE_U * nv, DIFFERENCE_U * nv,
+                    values);
   for (size_t p = 0; p < PANELS; p++) {
     put_series(writer, isotropic->field[TRANSPORT_TABLE_D_QUANTUM], values + p * size,
                &(struct shape){4, {NODES_D_X, NODES_D_G, DIFFERENCE_U, nv}}, keep[p]);
@@ -447,13 +478,14 @@ void nodes_encode_difference(table_bytes *table, const table_sample samples[NODE
   if (!transport_table_open(&isotropic, table->bytes, table->length)) {
     tools_fail("the table cannot be read back");
   }
-  struct totals totals = {isotropic.field, allocate(TOTALS_G * TOTALS_U, sizeof *totals.at)};
-  tools_each(tools_processors(), TOTALS_G * TOTALS_U, solve_totals, &totals);
+  struct totals totals = {isotropic.field, 0, allocate(TOTALS_G * TOTALS_U, sizeof *totals.at)};
   table_bytes writer = {allocate(BYTES_MAX, 1), (size_t)(isotropic.side[SIDES] - table->bytes)};
   memcpy(writer.bytes, table->bytes, writer.length);
   for (enum transport_table_side side = 0; side < TRANSPORT_TABLE_SIDES; side++) {
-    put_totals(&writer, &totals, side, false);
-    put_totals(&writer, &totals, side, true);
+    totals.side = side;
+    tools_each(tools_processors(), TOTALS_G * TOTALS_U, solve_totals, &totals);
+    put_totals(&writer, &totals, false);
+    put_totals(&writer, &totals, true);
     put_differences(&writer, &isotropic, samples, side);
   }
   nodes_seal(writer, isotropic.field);

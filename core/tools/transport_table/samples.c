@@ -16,15 +16,21 @@ enum { PATH_MAX_BYTES = 1024 };
 /* estimated work, for the progress bar only: of a medium that scatters isotropically, and of a
  * sample of others */
 #define MEDIUM_COST_US 150e3
-#define SAMPLE_COST_US 16e6
-#define FINEST_COST_US 80e6
+#define SAMPLE_COST_US 6e6
+#define FINEST_COST_US 25e6
+
+/* From this g on, the normal grids are up to 3e-3 off near the source. */
+#define FINEST_FROM 0.85
 
 /* ---- samples --------------------------------------------------------------------------------- */
 
 void sample_make(table_sample *sample, double g, size_t media, size_t radii) {
   const size_t numbers = media * (3 + 2 * radii);
-  *sample = (struct table_sample){
-      .g = g, .effort = TRANSPORT_EFFORT_NORMAL, .media = media, .radii = radii};
+  *sample = (struct table_sample){.g = g,
+                                  .effort = g < FINEST_FROM ? TRANSPORT_EFFORT_NORMAL
+                                                            : TRANSPORT_EFFORT_FINEST,
+                                  .media = media,
+                                  .radii = radii};
   sample->bytes = numbers * sizeof(double);
   sample->numbers = calloc(numbers, sizeof(double));
   if (sample->numbers == NULL) {
@@ -97,20 +103,26 @@ struct key {
   uint64_t inputs;
 };
 
-/* Solves one medium with each solver, for the keys of its samples: probe[0] if g is 0, else
- * probe[1]. */
-static void probe_solvers(double probe[2][4]) {
-  for (size_t i = 0; i < 2; i++) {
-    table_sample sample;
-    sample_make(&sample, i == 0 ? 0 : 0.1, 1, 3);
-    sample.albedo[0] = 0.9;
-    sample.eta[0] = 1.3;
-    memcpy(sample.x, (double[]){1e-3, 1, 20}, 3 * sizeof(double));
-    solve(&sample);
-    probe[i][0] = sample.total[0];
-    memcpy(probe[i] + 1, sample.R, 3 * sizeof(double));
-    sample_free(&sample);
-  }
+/* Solvers that a sample may need: that for isotropic scattering, then one for each effort. */
+enum { SOLVERS = 1 + TRANSPORT_EFFORT_FINEST + 1 };
+
+static size_t solver_of(const table_sample *sample) {
+  return sample->g == 0 ? 0 : 1 + (size_t)sample->effort;
+}
+
+/* Solves one medium with a solver, for the keys of its samples. */
+static void probe_solver(void *context, size_t solver) {
+  double(*probe)[4] = context;
+  table_sample sample;
+  sample_make(&sample, solver == 0 ? 0 : 0.1, 1, 3);
+  sample.effort = solver == 0 ? sample.effort : (transport_effort)(solver - 1);
+  sample.albedo[0] = 0.9;
+  sample.eta[0] = 1.3;
+  memcpy(sample.x, (double[]){1e-3, 1, 20}, 3 * sizeof(double));
+  solve(&sample);
+  probe[solver][0] = sample.total[0];
+  memcpy(probe[solver] + 1, sample.R, 3 * sizeof(double));
+  sample_free(&sample);
 }
 
 static size_t input_bytes(const table_sample *sample) {
@@ -160,7 +172,7 @@ static void write_sample(const char *path, const table_sample *sample) {
 
 struct run {
   const char *folder;
-  double probe[2][4];
+  double probe[SOLVERS][4];
   table_sample *samples;
   tools_progress progress;
 };
@@ -169,7 +181,7 @@ static void solve_or_read(void *context, size_t i) {
   struct run *run = context;
   table_sample *sample = &run->samples[i];
   struct key key = {.g = sample->g, .effort = sample->effort};
-  memcpy(key.probe, run->probe[sample->g != 0], sizeof key.probe);
+  memcpy(key.probe, run->probe[solver_of(sample)], sizeof key.probe);
   key.inputs = transport_table_checksum((const uint8_t *)sample->numbers, input_bytes(sample));
   char path[PATH_MAX_BYTES];
   path_of(path, run->folder, &key);
@@ -187,7 +199,7 @@ void samples_solve(const char *folder, table_sample *samples, size_t count) {
     work_us += cost_us(&samples[i]);
   }
   tools_make_folder(folder);
-  probe_solvers(run.probe);
+  tools_each(tools_processors(), SOLVERS, probe_solver, run.probe);
   tools_progress_start(&run.progress, work_us);
   tools_each(tools_processors(), count, solve_or_read, &run);
   tools_progress_end(&run.progress);

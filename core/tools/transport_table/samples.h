@@ -23,8 +23,8 @@ typedef struct table_sample {
   double *numbers; /* memory that holds the five arrays */
 } table_sample;
 
-/* Allocates the arrays. The effort is TRANSPORT_EFFORT_NORMAL. If no memory is left, the program
- * ends with a message. */
+/* Allocates the arrays. The effort is TRANSPORT_EFFORT_NORMAL, for g from 0.85 on
+ * TRANSPORT_EFFORT_FINEST. If no memory is left, the program ends with a message. */
 void sample_make(table_sample *sample, double g, size_t media, size_t radii);
 void sample_free(table_sample *sample);
 
