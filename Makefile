@@ -97,10 +97,13 @@ ARCH := $(firstword $(subst -, ,$(shell $(CC) -dumpmachine)))
 ISAS := portable
 ifeq ($(ARCH),x86_64)
 ISAS += sse2 avx2 avx512
+else ifeq ($(ARCH),aarch64)
+ISAS += neon
 endif
 ISA_FLAGS_portable := -O2 -fno-tree-vectorize
 ISA_FLAGS_sse2 := -O3 -msse2
 ISA_FLAGS_avx2 := -O3 -mavx2 -mfma
+ISA_FLAGS_neon := -O3
 ISA_FLAGS_avx512 := -O3 -mavx512f -mavx512dq -mavx512vl -mfma -mprefer-vector-width=512
 # Files of core/models that hold kernels; the others prepare for the kernels of one that does.
 MODELS := $(patsubst core/models/%.c,%,$(shell grep -l CORE_KERNEL_TABLE core/models/*.c))

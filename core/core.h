@@ -241,8 +241,8 @@ double core_fresnel_transmittance(double eta, double cos_outside);
 
 typedef struct core_isa core_isa;
 
-/* Returns the kernels for an instruction set: "portable", "sse2", "avx2" or "avx512" (the last
- * three on x86-64). NULL as the name asks for the best set that this machine has. Returns NULL if
+/* Returns the kernels for an instruction set: "portable"; "sse2", "avx2" or "avx512" on x86-64;
+ * "neon" on aarch64. NULL as the name asks for the best set that this machine has. Returns NULL if
  * the name is unknown or this machine cannot run the set. */
 const core_isa *core_isa_select(const char *name);
 

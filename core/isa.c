@@ -24,6 +24,10 @@ static bool avx512_supported(void) {
   return avx2_supported() && __builtin_cpu_supports("avx512f") &&
          __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl");
 }
+#elif defined(__aarch64__)
+static bool neon_supported(void) {
+  return true; /* each processor of this architecture has it */
+}
 #endif
 
 #define LEVEL(level, unused) {#level, level##_supported, INDEX_##level},

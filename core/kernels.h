@@ -10,6 +10,8 @@
 #if defined(__x86_64__)
 #define CORE_ISA_LEVELS(X, ...)                                                                    \
   X(portable, __VA_ARGS__) X(sse2, __VA_ARGS__) X(avx2, __VA_ARGS__) X(avx512, __VA_ARGS__)
+#elif defined(__aarch64__)
+#define CORE_ISA_LEVELS(X, ...) X(portable, __VA_ARGS__) X(neon, __VA_ARGS__)
 #else
 #define CORE_ISA_LEVELS(X, ...) X(portable, __VA_ARGS__)
 #endif

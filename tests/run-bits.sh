@@ -39,9 +39,14 @@ if command -v $cross >/dev/null 2>&1 && command -v qemu-aarch64 >/dev/null 2>&1;
     CMINPACK=no LDFLAGS=-static "$build/aarch64/tests/bits"
   "$build/tests/bits" portable >"$build/bits/portable"
   # The cross-build has no cminpack and therefore lacks the model gaussians.
-  qemu-aarch64 "$build/aarch64/tests/bits" portable | grep -v '^gaussians ' >"$build/bits/aarch64"
   grep -v '^gaussians ' "$build/bits/portable" >"$build/bits/common"
-  same aarch64 "$build/bits/common" "$build/bits/aarch64"
+  for isa in portable neon; do
+    qemu-aarch64 "$build/aarch64/tests/bits" $isa | grep -v '^gaussians ' >"$build/bits/aarch64-$isa" &
+  done
+  wait
+  for isa in portable neon; do
+    same "aarch64 $isa" "$build/bits/common" "$build/bits/aarch64-$isa"
+  done
 else
   echo "bits: aarch64 skipped: the packages gcc-aarch64-linux-gnu and qemu-user are not installed"
 fi

@@ -162,7 +162,7 @@ static inline double burley_sample(const double *c, double u) {
   const double far = -real_log(real_max(q, 1e-300), 0);
   const double x = 3 * (u < 0.5 ? near : far);
   const double r = u < 1 ? x * c[D] : (double)INFINITY;
-  return c[LIMIT] > 0 && u > 0 ? r : 0;
+  return (c[LIMIT] > 0) & (u > 0) ? r : 0;
 }
 
 /* Adding 0 turns the radius -0 into 0. */
@@ -189,30 +189,46 @@ CORE_KERNEL(sample, burley_sample)
 
 /* ---- a medium for each value ----------------------------------------------------------------- */
 
+/* What is chosen for all media is a factor of 1 or 0 in place of a condition, which keeps compilers
+ * from vectorizing; so products with it are exact. */
+struct lane_choice {
+  double cubic, square, fourth; /* the fit */
+  double given;                 /* the parameter, or 0 */
+  double own;                   /* 1 if the medium's own albedo is taken */
+};
+
+static inline struct lane_choice lane_choice_of(const double *shared) {
+  const double fit = shared[LANES_FIT], given = shared[LANES_SURFACE_ALBEDO];
+  const double fourth = fit > CORE_BURLEY_DIFFUSE ? 1 : 0;
+  const double square = fit > CORE_BURLEY_SEARCHLIGHT ? 1 - fourth : 0;
+  return (struct lane_choice){1 - square - fourth, square, fourth, given >= 0 ? given : 0,
+                              given >= 0 ? 0 : 1};
+}
+
 /* Returns s = l / d. */
-static inline double lane_divisor(const double *shared, double albedo) {
+static inline double lane_divisor(struct lane_choice choice, double albedo) {
   const double away = albedo - 0.8;
   const double cubic = 1.85 - albedo + 7 * fabs(away) * (away * away);
   const double square = 1.9 - albedo + 3.5 * (away * away);
   const double off = (albedo - 0.33) * (albedo - 0.33);
   const double fourth = 3.5 + 100 * (off * off);
-  const double fit = shared[LANES_FIT];
-  return fit > CORE_BURLEY_DIFFUSE ? fourth : fit > CORE_BURLEY_SEARCHLIGHT ? square : cubic;
+  return choice.cubic * cubic + choice.square * square + choice.fourth * fourth;
 }
 
 /* Sets the coefficients of a medium in the same way as core_burley_prepare(). */
 static inline void lane_fill(const double *shared, struct lane lane, double *c) {
+  const struct lane_choice choice = lane_choice_of(shared);
   const struct lane_dipole better = lane_dipole_of(shared, lane);
-  const double given = shared[LANES_SURFACE_ALBEDO];
-  const double asked = given >= 0 ? given : real_min(0.5 * better.power * better.sum, 1);
+  const double own = real_min(0.5 * better.power * better.sum, 1);
+  const double asked = choice.given + choice.own * own;
   const double albedo = asked >= ALBEDO_LEAST ? asked : 0;
-  const double mu = shared[LANES_FIT] > CORE_BURLEY_DIFFUSE ? better.mu : 1;
-  c[PER_D] = lane.sigma_t * mu * lane_divisor(shared, albedo);
+  const double mu = choice.fourth * better.mu + (1 - choice.fourth);
+  c[PER_D] = lane.sigma_t * mu * lane_divisor(choice, albedo);
   c[D] = 1 / c[PER_D];
   c[PDF_SCALE] = albedo > 0 ? 0.25 * c[PER_D] : 0;
   c[RING_SCALE] = albedo * 0.25 * c[PER_D];
   c[R_SCALE] = albedo * c[PER_D] * (1 / 25.1327412287183459077);
-  c[LIMIT] = albedo > 0 ? 1 : 0;
+  c[LIMIT] = albedo; /* only its sign matters */
 }
 
 LANES_KERNEL(varying_R, COEFFICIENTS, lane_fill, zero_R, INFINITY)
@@ -223,8 +239,7 @@ LANES_KERNEL(varying_ln_R, COEFFICIENTS, lane_fill, burley_ln_R, INFINITY)
 LANES_KERNEL(varying_sample, COEFFICIENTS, lane_fill, burley_sample, 1)
 
 CORE_KERNEL_TABLE(burley, .sample = sample, CORE_KERNELS_OF_ALL,
-                  .evaluate[CORE_ELEMENTWISE_TRANSFER] = eval_transfer,
-                  LANES_KERNELS_OF_ALL);
+                  .evaluate[CORE_ELEMENTWISE_TRANSFER] = eval_transfer, LANES_KERNELS_OF_ALL);
 
 #else
 CORE_KERNEL_TABLE_NONE(burley);

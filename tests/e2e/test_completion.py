@@ -128,7 +128,7 @@ def test_names_are_those_of_the_daemon(complete, known, option, kind):
 def test_names_that_help_enumerates(complete):
     assert complete("dipole info --format ") == ["table", "csv", "json"]
     assert complete("dipole mc --channel ") == ["red", "green", "blue"]
-    assert complete("dipoled --isa ") == ["portable", "sse2", "avx2", "avx512"]
+    assert complete("dipoled --isa ") == ["portable", "sse2", "avx2", "avx512", "neon"]
     assert complete("dipoled --log-level ") == ["error", "info"]
 
 
@@ -243,7 +243,7 @@ def test_zsh_offers_the_names_of_the_daemon(offer, known, option, kind):
 def test_zsh_offers_values(offer):
     assert offer("dipole", "info", "", option="format") == ["table", "csv", "json"]
     assert offer("dipole", "mc", "", option="channel") == ["red", "green", "blue"]
-    assert offer("dipoled", "", option="isa") == ["portable", "sse2", "avx2", "avx512"]
+    assert offer("dipoled", "", option="isa") == ["portable", "sse2", "avx2", "avx512", "neon"]
     assert offer("dipole", "info", "", option="connect") == ["unix:", "tcp:", "private:"]
     assert offer("dipole", "table", "", option="output") == ["files"]
     assert offer("dipole", "points", "")[-1] == "*:file:_files"
