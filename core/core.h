@@ -203,6 +203,10 @@ const core_measured_medium *core_measured_medium_by_name(const char *name);
 
 /* ---- parameters ------------------------------------------------------------------------------ */
 
+/* Not of the wire: if it is given, core_profile_prepare() also prepares what the derivatives of ln
+ * R need, unless the model does not have them. */
+enum { CORE_PARAMETER_DERIVATIVES = 0 };
+
 /* Optional numbers of a request: value[CORE_PARAMETER_...], or NaN if it is not given. */
 typedef struct core_parameters {
   double value[CORE_PARAMETERS_END];
@@ -254,7 +258,7 @@ const char *core_isa_listed(size_t index);
 
 /* ---- profiles -------------------------------------------------------------------------------- */
 
-enum { CORE_COEFFICIENTS_MAX = 38 };
+enum { CORE_COEFFICIENTS_MAX = 45 };
 
 /* Radii in mm from least to most, both included. */
 typedef struct core_radii_range {
@@ -306,6 +310,9 @@ typedef struct core_profile {
    * `transport` and g is not 0. Below the first band and above the last one, their errors hold. */
   double numerical_errors[CORE_MODEL_ERROR_BANDS + 1];
   double slope_error; /* the relative error of dR/dr, if it is larger than these; else 0 */
+  /* The error of BY_SIGMA_A and BY_SIGMA_S: absolute, at radii within 0.9 of `reach`. */
+  double derivative_error;
+  double derivative_error_per_mm;
   core_reach reach;
   core_model_errors model_errors;
   unsigned notes;         /* bits of enum core_note */
@@ -316,8 +323,13 @@ typedef struct core_profile {
   struct core_profile *parts;         /* [2], owned; NULL unless the profile is a sum */
   double *table;                      /* holds the coefficients if they need more room; owned */
   size_t table_bytes;
-  float *lut;                  /* table of the evaluator lut (core/lut/lut.h); owned */
-  size_t lut_count;            /* number of words of lut */
+  float *lut;       /* table of the evaluator lut (core/lut/lut.h); owned */
+  size_t lut_count; /* number of words of lut */
+  /* Neighbours of the medium in sigma_a, then in sigma_s (core/kernels.h); NULL if the kernels need
+   * none or the derivatives were not asked for; owned */
+  struct core_profile *near;
+  size_t near_count;
+  int near_first[2];           /* position of the first one of each coefficient */
   struct core_profile *source; /* from which lut was made, NULL if downloaded; owned */
   double scale_mm;             /* order of magnitude of the radii that matter */
   double cos_in;               /* cosines of the angles of S */
@@ -358,6 +370,11 @@ core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsi
 /* What the transformation of R to TRANSFER adds to the numerical error. */
 #define CORE_TRANSFER_ERROR 1e-9
 
+/* True if any of the quantities (bits) is a derivative of ln R. Their errors are absolute. */
+static inline bool core_wants_derivatives(unsigned wanted) {
+  return (wanted & (CORE_QUANTITY_BY_SIGMA_A | CORE_QUANTITY_BY_SIGMA_S)) != 0;
+}
+
 /* The errors of a profile's values that a reply states. */
 typedef struct core_stated_errors {
   double numerical;        /* as core_profile.numerical_error, for all of the radii */
@@ -367,7 +384,7 @@ typedef struct core_stated_errors {
 
 /* The errors of the wanted quantities (bits) at radii from least to most; there are no radii if
  * least is above most. The model's error is relative, but absolute for ln R. It does not cover the
- * cdf, dR/dr and TRANSFER, which were not measured. */
+ * cdf, dR/dr, TRANSFER, BY_SIGMA_A and BY_SIGMA_S, which were not measured. */
 core_stated_errors core_profile_errors(const core_profile *profile, unsigned wanted,
                                        core_radii_range radii);
 
@@ -398,6 +415,11 @@ size_t core_profile_bytes(const core_profile *profile);
  *   TRANSFER the reflectance for striped light, the Hankel transform of R(r): the numbers r[n] are
  *          spatial frequencies f in 1/mm, and R(f) is int 2 pi r R(r) J0(2 pi f r) dr. R(0) is the
  *          albedo, R(infinity) 0. Its error is absolute: the numerical error times the albedo
+ *   BY_SIGMA_A  d ln R / d ln sigma_a at fixed r, sigma_s, g and eta; 1
+ *   BY_SIGMA_S  d ln R / d ln sigma_s at fixed r, sigma_a, g and eta, which is also that by ln
+ *          sigma_s'; 1. Both are 0 where ln R is -infinity, and at r = 0 they are the limit. Their
+ *          error is absolute: derivative_error + derivative_error_per_mm r. The profile has to be
+ *          prepared with CORE_PARAMETER_DERIVATIVES
  * The arrays need only their type's alignment and must not overlap. Values for radii that
  * core_radii_check_f64() faults are unspecified. */
 void core_eval_f64(const core_profile *profile, enum core_quantity quantity, size_t n,

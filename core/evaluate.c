@@ -1,5 +1,5 @@
 /* Evaluates prepared profiles. It calls the model's kernels where they exist, and otherwise uses
- * methods for all models: S from R, sums of two models, and single precision rounded from double.
+ * methods for all models: S from R, sums of two models and their derivatives, and single precision rounded from double.
  *
  * Arrays are processed in chunks that fit into the first-level cache; no value depends on where the
  * chunks are cut.
@@ -65,22 +65,46 @@ static void add_chunk(const core_profile *profile, enum core_quantity quantity, 
   }
 }
 
+/* Sets out[n], n <= CHUNK, to the mean of the parts' derivatives of ln R, weighted with R. */
+static void average_chunk(const core_profile *profile, enum core_quantity quantity, size_t n,
+                          const double *r, double *out) {
+  double kept[CHUNK] = {0}, ln_R[2][CHUNK], second[CHUNK];
+  for (size_t i = 0; i < n; i++) {
+    kept[i] = real_max(r[i], 1e-280); /* at 0 both may be infinite */
+  }
+  core_evaluate(&profile->parts[0], CORE_QUANTITY_LN_R, n, kept, ln_R[0]);
+  core_evaluate(&profile->parts[1], CORE_QUANTITY_LN_R, n, kept, ln_R[1]);
+  core_evaluate(&profile->parts[0], quantity, n, kept, out);
+  core_evaluate(&profile->parts[1], quantity, n, kept, second);
+  for (size_t i = 0; i < n; i++) {
+    const double more = real_max(ln_R[0][i], ln_R[1][i]), less = real_min(ln_R[0][i], ln_R[1][i]);
+    const bool both = less > -(double)INFINITY;
+    const double lesser = both ? real_exp(less - more).exp : 0; /* R of the darker one in others' */
+    const bool first_more = ln_R[0][i] >= ln_R[1][i];
+    const double brighter = first_more ? out[i] : second[i],
+                 darker = first_more ? second[i] : out[i];
+    out[i] = fma(lesser / (1 + lesser), darker - brighter, brighter);
+  }
+}
+
 void core_evaluate(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const double *r, double *out) {
   if (profile->parts == NULL) {
     const double *coefficients =
         profile->table != NULL ? profile->table : profile->coefficients.f64;
     core_kernel_f64 *kernel = profile->kernels->f64->evaluate[position(quantity)];
-    if (kernel == NULL) {
-      assert(quantity == CORE_QUANTITY_TRANSFER);
+    if (kernel == NULL && quantity == CORE_QUANTITY_TRANSFER) {
       core_transfer(profile, n, r, out);
+    } else if (kernel == NULL) {
+      core_derivative(profile, quantity, n, r, out);
     } else {
       kernel(coefficients, n, r, out);
     }
     return;
   }
   for (size_t done = 0; done < n; done += CHUNK) {
-    add_chunk(profile, quantity, smaller(n - done, CHUNK), r + done, out + done);
+    (core_wants_derivatives(quantity) ? average_chunk : add_chunk)(
+        profile, quantity, smaller(n - done, CHUNK), r + done, out + done);
   }
 }
 

@@ -72,7 +72,8 @@ typedef void core_varying_gradient_kernel_f64(const double *shared, const double
                                               double *by_ln_sigma_s);
 
 /* An entry is NULL where core has one method for all models: core/evaluate.c makes S from R,
- * core/transfer.c transforms R, and core/sample.c inverts the cdf. If all entries of an f32 table
+ * core/transfer.c transforms R, core/derivative.c takes differences of ln R, and core/sample.c
+ * inverts the cdf. If all entries of an f32 table
  * are NULL, core evaluates in double precision and rounds. The entries for media that vary are NULL
  * too if a model has none. */
 typedef struct core_kernels_f64 {
@@ -80,7 +81,7 @@ typedef struct core_kernels_f64 {
   core_kernel_f64 *sample;                           /* in: cdf values; out: radii in mm */
   core_varying_kernel_f64 *varying[CORE_ELEMENTWISE_COUNT];
   core_varying_kernel_f64 *varying_sample;
-  core_varying_gradient_kernel_f64 *varying_gradient; /* NULL: core takes differences of ln R */
+  core_varying_gradient_kernel_f64 *varying_gradient;
   core_varying_check_kernel_f64 *varying_check; /* in core/models/varying.c alone, for all models */
   core_varying_invert_kernel_f64 *varying_invert;
 } core_kernels_f64;
@@ -225,6 +226,24 @@ void core_evaluate(const core_profile *profile, enum core_quantity quantity, siz
 /* Does what core_evaluate() does for the quantity TRANSFER of models without a kernel for it. The
  * profile is not a sum. */
 void core_transfer(const core_profile *profile, size_t n, const double *f, double *out);
+
+/* The neighbours of a profile in one coefficient: the coefficient times e^(j STEP), where j counts
+ * from the position of the first one, which is -3, or 0 or -6 where the model is another one on one
+ * side. */
+enum { CORE_NEIGHBOURS = 7 };
+#define CORE_NEIGHBOUR_STEP 0x1p-6
+
+/* Returns e^(position STEP). */
+double core_neighbour_factor(int position);
+
+/* Does what core_evaluate() does for BY_SIGMA_A and BY_SIGMA_S of models without kernels for them.
+ * The profile is not a sum, and has neighbours or does not depend on the medium. */
+void core_derivative(const core_profile *profile, enum core_quantity quantity, size_t n,
+                     const double *r, double *out);
+
+/* Returns a number that is the same for two media if `transport` takes both in the same way, so
+ * that one turns into the other smoothly. */
+unsigned core_transport_way(const core_inputs *inputs);
 
 /* Whether a profile has kernels and coefficients in single precision. */
 static inline bool core_is_narrow(const core_profile *profile) {

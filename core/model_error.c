@@ -482,17 +482,32 @@ double core_banded_error(const double errors[CORE_MODEL_ERROR_BANDS + 1], double
  * them, because almost no energy is left there. */
 enum { FOLLOWS_R = MEASURED_AT_RADII | CORE_QUANTITY_SLOPE };
 
+/* The reach of neighbours, over that of the profile. */
+#define NEAR_REACH 0.9
+
+/* Returns the error of the derivatives of ln R, absolute. Beyond the reach it is not known. */
+static double derivative_error(const core_profile *profile, core_radii_range radii) {
+  const bool known =
+      radii.least_mm > radii.most_mm || radii.most_mm <= NEAR_REACH * profile->reach.most_mm;
+  return known ? profile->derivative_error : (double)INFINITY;
+}
+
 core_stated_errors core_profile_errors(const core_profile *profile, unsigned wanted,
                                        core_radii_range radii) {
+  const bool derivatives = core_wants_derivatives(wanted);
+  const bool others =
+      (wanted & ~(unsigned)(CORE_QUANTITY_BY_SIGMA_A | CORE_QUANTITY_BY_SIGMA_S)) != 0;
   const double most_mm = (wanted & FOLLOWS_R) != 0 ? radii.most_mm : 0;
   const double numerical = core_banded_error(profile->numerical_errors, profile->numerical_error,
                                              &profile->medium, wanted, radii);
   const double slope = (wanted & CORE_QUANTITY_SLOPE) != 0 ? profile->slope_error : 0;
+  const double of_others = fmax(numerical, slope) + core_error_beyond(profile->reach, most_mm) +
+                           ((wanted & CORE_QUANTITY_S) != 0 ? CORE_S_ERROR : 0) +
+                           ((wanted & CORE_QUANTITY_TRANSFER) != 0 ? CORE_TRANSFER_ERROR : 0);
   return (core_stated_errors){
-      .numerical = fmax(numerical, slope) + core_error_beyond(profile->reach, most_mm) +
-                   ((wanted & CORE_QUANTITY_S) != 0 ? CORE_S_ERROR : 0) +
-                   ((wanted & CORE_QUANTITY_TRANSFER) != 0 ? CORE_TRANSFER_ERROR : 0),
-      .numerical_per_mm = profile->numerical_error_per_mm,
+      .numerical = fmax(others ? of_others : 0, derivatives ? derivative_error(profile, radii) : 0),
+      .numerical_per_mm = fmax(others ? profile->numerical_error_per_mm : 0,
+                               derivatives ? profile->derivative_error_per_mm : 0),
       .model = core_model_errors_of(&profile->model_errors, &profile->medium, wanted, radii),
   };
 }

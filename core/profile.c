@@ -122,6 +122,10 @@ static core_fault check_domain(const struct model *model, core_inputs inputs,
   return fault;
 }
 
+static bool wants_derivatives(const core_inputs *inputs) {
+  return !isnan(inputs->parameters->value[CORE_PARAMETER_DERIVATIVES]);
+}
+
 static core_fault check(const struct model *model, unsigned moments, unsigned evaluator,
                         const core_inputs *inputs, core_radii_range *radii) {
   if (model == NULL) {
@@ -143,6 +147,9 @@ static core_fault check(const struct model *model, unsigned moments, unsigned ev
   if (fault.field == NULL && evaluator == CORE_EVALUATOR_LUT &&
       inputs->parameters->value[CORE_PARAMETER_TOLERANCE] < CORE_LUT_TOLERANCE_MIN) {
     fault = (core_fault){"tolerance", CORE_TEXT(CORE_LUT_TOLERANCE_MIN) " to 1 with lut", 0};
+  }
+  if (fault.field == NULL && model->id == CORE_MODEL_GAUSSIANS && wants_derivatives(inputs)) {
+    fault = (core_fault){"wanted", "no derivatives: each medium has a fit of its own", 0};
   }
   *radii = (core_radii_range){0, (double)INFINITY};
   return fault.field == NULL ? check_domain(model, *inputs, radii) : fault;
@@ -196,6 +203,165 @@ static void set_numerical_errors(core_profile *profile, double error,
   }
 }
 
+/* ---- neighbours ------------------------------------------------------------------------------ */
+
+#define NEAR_TOLERANCE 1e-11
+#define TRANSPORT_NEAR_TOLERANCE 1e-3 /* by which neighbours come from the table of solutions */
+#define TRANSPORT_NEAR_SOLVED 1e-5
+
+/* Differences add up the errors of ln R with these weights, in the middle or at an end, and are
+ * truncated by less than TRUNCATION (1 + rate r), where ln R changes by `rate` per mm. */
+#define NEAR_WEIGHTS (1.9 / CORE_NEIGHBOUR_STEP)
+#define NEAR_WEIGHTS_AT_END (28 / CORE_NEIGHBOUR_STEP)
+#define TRUNCATION 1e-10
+/* The errors of transport are smooth functions of the medium, so that differences of solutions are
+ * off by less than this, and those of the table by less than the errors that it states for dR/dr,
+ * or with g other than 0 for the pdf (measured: tests/accuracy/test_derivative.c). */
+#define NEAR_OF_SOLVED 1e-6
+
+static core_fault prepare(core_profile *profile, const struct model *model, core_inputs inputs,
+                          core_radii_range radii);
+
+/* The error of derivatives that have kernels, in errors of R. */
+#define OWN_DERIVATIVE 4.0
+
+/* Adds the rounding to single precision of derivatives that are computed in double precision. rate:
+ * by how much ln R changes per mm at most, of radius or thickness. */
+static void round_derivatives(core_profile *profile, double rate, double thickness_mm) {
+  profile->derivative_error += (8 + rate * thickness_mm) * (double)FLT_EPSILON;
+  profile->derivative_error_per_mm += (double)FLT_EPSILON * rate;
+}
+
+static bool rounds_derivatives(const core_profile *profile) {
+  return profile->evaluator != CORE_EVALUATOR_F64 && !core_is_narrow(profile);
+}
+
+/* The medium at a position among the neighbours in sigma_a or sigma_s. */
+static core_medium neighbour_of(const core_medium *medium, bool in_s, int position) {
+  core_medium other = *medium;
+  *(in_s ? &other.sigma_s_per_mm : &other.sigma_a_per_mm) *= core_neighbour_factor(position);
+  return other;
+}
+
+/* Whether the model takes a neighbour, and in the same way as the medium itself. */
+static bool is_smooth(const struct model *model, const core_inputs *inputs, bool in_s,
+                      int position) {
+  const core_medium medium = neighbour_of(inputs->medium, in_s, position);
+  core_radii_range radii;
+  core_inputs other = *inputs;
+  other.medium = &medium;
+  return check(model, other.moments, CORE_EVALUATOR_F64, &other, &radii).field == NULL &&
+         (model->id != CORE_MODEL_TRANSPORT ||
+          core_transport_way(&other) == core_transport_way(inputs));
+}
+
+/* Sets *first to the position of the first neighbour. Returns whether all are smooth. */
+static bool find_first(const struct model *model, const core_inputs *inputs, bool in_s,
+                       const int firsts[], size_t count, int *first) {
+  for (size_t i = 0; i < count; i++) {
+    *first = firsts[i];
+    if (is_smooth(model, inputs, in_s, *first) &&
+        is_smooth(model, inputs, in_s, *first + CORE_NEIGHBOURS - 1)) {
+      return true;
+    }
+  }
+  return false;
+}
+
+/* Chooses the tolerance of the neighbours and the position of the first. */
+static core_fault choose_near(const struct model *model, core_inputs *inputs,
+                              core_parameters *parameters, bool in_s, int *first) {
+  static const int firsts[] = {-3, 0, 1 - CORE_NEIGHBOURS};
+  double *tolerance = &parameters->value[CORE_PARAMETER_TOLERANCE];
+  inputs->parameters = parameters;
+  inputs->tabulated = 0;
+  *tolerance = NEAR_TOLERANCE;
+  bool found = false;
+  if (model->id == CORE_MODEL_TRANSPORT) {
+    *tolerance = TRANSPORT_NEAR_SOLVED;
+    const unsigned solved = core_transport_way(inputs);
+    *tolerance = TRANSPORT_NEAR_TOLERANCE;
+    found =
+        core_transport_way(inputs) != solved && find_first(model, inputs, in_s, firsts, 1, first);
+    *tolerance = found ? TRANSPORT_NEAR_TOLERANCE : TRANSPORT_NEAR_SOLVED;
+  }
+  found = found || find_first(model, inputs, in_s, firsts, 1, first);
+  return found || find_first(model, inputs, in_s, firsts + 1, 2, first)
+             ? (core_fault){0}
+             : (core_fault){"wanted", "no derivatives: the model ends next to this medium", 0};
+}
+
+/* Prepares the neighbours in one coefficient. */
+static core_fault prepare_row(core_profile *profile, const struct model *model, core_inputs inputs,
+                              bool in_s) {
+  core_parameters parameters = *inputs.parameters;
+  parameters.value[CORE_PARAMETER_DERIVATIVES] = (double)NAN;
+  core_fault fault = choose_near(model, &inputs, &parameters, in_s, &profile->near_first[in_s]);
+  const core_medium medium = *inputs.medium;
+  for (int i = 0; i < CORE_NEIGHBOURS && fault.field == NULL; i++) {
+    const core_medium other = neighbour_of(&medium, in_s, profile->near_first[in_s] + i);
+    core_profile *neighbour = &profile->near[profile->near_count];
+    inputs.medium = &other;
+    neighbour->evaluator = CORE_EVALUATOR_F64;
+    fault = prepare(neighbour, model, inputs, profile->radii);
+    profile->near_count += fault.field == NULL;
+  }
+  return fault;
+}
+
+/* Sets the error of differences. rate: by how much ln R changes per mm, at most. */
+static void set_near_error(core_profile *profile, double rate, double thickness_mm) {
+  const core_profile *middle = &profile->near[-profile->near_first[0]];
+  const bool centred = profile->near_first[0] == -3 && profile->near_first[1] % 6 != 0;
+  const double weights = centred ? NEAR_WEIGHTS : NEAR_WEIGHTS_AT_END;
+  const double truncation = centred ? TRUNCATION : 20 * TRUNCATION;
+  const double error = middle->numerical_error;
+  const double through = rate * thickness_mm; /* the change of ln R through a slab */
+  profile->derivative_error =
+      weights * (error + (512 + 8 * through) * DBL_EPSILON) + truncation * (1 + through);
+  if (profile->model == CORE_MODEL_TRANSPORT) {
+    const bool solved = error <= TRANSPORT_NEAR_SOLVED;
+    profile->derivative_error = solved ? NEAR_OF_SOLVED : error;
+  }
+  profile->derivative_error_per_mm =
+      weights * (middle->numerical_error_per_mm + 8 * DBL_EPSILON * rate) + truncation * rate;
+}
+
+/* Prepares the neighbours of a profile. */
+static core_fault prepare_near(core_profile *profile, const struct model *model,
+                               const core_inputs *inputs) {
+  const bool slab = !isnan(inputs->parameters->value[CORE_PARAMETER_THICKNESS]);
+  profile->near_first[0] = profile->near_first[1] = -3;
+  profile->near = calloc(2 * CORE_NEIGHBOURS, sizeof *profile->near);
+  if (profile->near == NULL) {
+    return CORE_OUT_OF_MEMORY;
+  }
+  const core_fault fault = prepare_row(profile, model, *inputs, false);
+  return fault.field == NULL && slab ? prepare_row(profile, model, *inputs, true) : fault;
+}
+
+/* Prepares the derivatives of a model with these errors in rounding, and sets their error. */
+static core_fault prepare_derivatives(core_profile *profile, const struct model *model,
+                                      const core_inputs *inputs, double epsilons_per_mm) {
+  const double rate = fmax(epsilons_per_mm, 2 * core_sigma_t_prime(&profile->medium));
+  const double thickness_mm = core_parameter_or(inputs, CORE_PARAMETER_THICKNESS, 0);
+  if (profile->kernels->f64->evaluate[CORE_ELEMENTWISE_BY_SIGMA_A] != NULL) {
+    profile->derivative_error = OWN_DERIVATIVE * profile->numerical_error;
+    profile->derivative_error_per_mm = OWN_DERIVATIVE * profile->numerical_error_per_mm;
+  } else if ((profile->notes & CORE_NOTE_MEDIUM_UNUSED) == 0) {
+    const core_fault fault = prepare_near(profile, model, inputs);
+    if (fault.field != NULL) {
+      core_profile_free(profile);
+      return fault;
+    }
+    set_near_error(profile, rate, thickness_mm);
+  }
+  if (rounds_derivatives(profile)) {
+    round_derivatives(profile, rate, thickness_mm);
+  }
+  return (core_fault){0};
+}
+
 static core_fault prepare_model(core_profile *profile, const struct model *model,
                                 const core_inputs *inputs) {
   core_preparation preparation = {.cost = 1,
@@ -229,11 +395,27 @@ static core_fault prepare_model(core_profile *profile, const struct model *model
       profile->coefficients.f64[i] = preparation.coefficients[i];
     }
   }
-  return (core_fault){0};
+  return wants_derivatives(inputs)
+             ? prepare_derivatives(profile, model, inputs, preparation.error_epsilons_per_mm)
+             : fault;
 }
 
-static core_fault prepare(core_profile *profile, const struct model *model, core_inputs inputs,
-                          core_radii_range radii);
+/* The mean of both parts' derivatives is weighted with R, whose errors count by how far the parts'
+ * derivatives are apart. */
+static void set_sum_derivative_error(core_profile *profile) {
+  const core_profile *parts = profile->parts;
+  const core_medium *medium = &profile->medium;
+  const double rate = 4 * fmax(medium->eta, 1) * (medium->sigma_a_per_mm + medium->sigma_s_per_mm);
+  const double numerical = fmax(parts[0].numerical_error, parts[1].numerical_error);
+  profile->derivative_error =
+      fmax(parts[0].derivative_error, parts[1].derivative_error) + 16 * numerical;
+  profile->derivative_error_per_mm =
+      fmax(parts[0].derivative_error_per_mm, parts[1].derivative_error_per_mm) +
+      4 * numerical * rate;
+  if (rounds_derivatives(profile)) {
+    round_derivatives(profile, rate, 0);
+  }
+}
 
 /* Prepares both parts in double precision. Their sum is rounded once. */
 static core_fault prepare_sum(core_profile *profile, const struct model *model,
@@ -271,6 +453,7 @@ static core_fault prepare_sum(core_profile *profile, const struct model *model,
   profile->notes = (parts[0].notes | parts[1].notes) & ~(unsigned)CORE_NOTE_ALBEDO_ABOVE_1;
   profile->cost = parts[0].cost + parts[1].cost;
   profile->scale_mm = fmin(parts[0].scale_mm, parts[1].scale_mm);
+  set_sum_derivative_error(profile);
   return (core_fault){0};
 }
 
@@ -360,7 +543,14 @@ static core_fault prepare_table(core_profile *profile, const struct model *model
   }
   if (fault.field != NULL) {
     core_profile_free(profile);
+    return fault;
   }
+  const core_medium *medium = inputs.medium;
+  profile->derivative_error = source->derivative_error;
+  profile->derivative_error_per_mm = source->derivative_error_per_mm;
+  round_derivatives(profile,
+                    2 * fmax(medium->eta, 1) * (medium->sigma_a_per_mm + medium->sigma_s_per_mm),
+                    core_parameter_or(&inputs, CORE_PARAMETER_THICKNESS, 0));
   return fault;
 }
 

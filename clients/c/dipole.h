@@ -270,7 +270,11 @@ enum dipole_quantity {
   /* The reflectance for striped light: the radii are spatial frequencies f in 1/mm. It is the
    * Hankel transform of R(r), and the albedo at f = 0. Its error is the numerical error times the
    * albedo. */
-  DIPOLE_TRANSFER = 512
+  DIPOLE_TRANSFER = 512,
+  /* The derivatives of ln R by ln sigma_a and by ln sigma_s (or sigma_s') at fixed r, g and eta, for
+   * fits. Both are 0 where R is 0. Their errors are absolute. */
+  DIPOLE_BY_SIGMA_A = 1024,
+  DIPOLE_BY_SIGMA_S = 2048
 };
 enum dipole_spacing { DIPOLE_LIST = 1, DIPOLE_LINEAR = 2, DIPOLE_LOGARITHMIC = 3 };
 

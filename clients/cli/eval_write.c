@@ -244,7 +244,8 @@ static void put_radius(cli_rows *rows, const void *context, size_t index) {
   for (size_t q = 0; q < report->quantities.count; q++) {
     const dipole_choice *quantity = report->quantities.items[q];
     /* A share of 1 and a logarithm are read best plainly; all else spans many magnitudes. */
-    const bool plain = quantity->id == DIPOLE_CDF || quantity->id == DIPOLE_LN_R;
+    const unsigned plain_ones = DIPOLE_CDF | DIPOLE_LN_R | DIPOLE_BY_SIGMA_A | DIPOLE_BY_SIGMA_S;
+    const bool plain = (quantity->id & plain_ones) != 0;
     for (size_t p = 0; p < of->count * channels; p++) {
       const size_t model = of->first + p / channels, channel = p % channels;
       char head[128];

@@ -29,6 +29,11 @@ static const cli_option options[] = {
      "the quantities to write; `dipole info` lists all (default: R,albedo,cdf;\n"
      "with --tolerance in place of --model R,albedo, which keep more tolerances)",
      CLI_NAMES, offsetof(points_settings, want), NULL},
+    {"errors", NULL,
+     "write numerical_error and model_error, too: how far the values may be from\n"
+     "the model's formula, and the model from radiative transport (empty: not\n"
+     "measured). Rows that are answered together have the largest error of all",
+     CLI_SWITCH, offsetof(points_settings, errors), NULL},
     {0},
 };
 
@@ -67,6 +72,9 @@ static double *make_good(const points_usual *usual, points_row *row) {
 static void take_answer(const points_usual *usual, points_row *row, const dipole_result *result) {
   const size_t count = usual->quantities.count;
   double *values = make_good(usual, row);
+  row->numerical_error = result->channels[0].numerical_error;
+  row->numerical_error_per_mm = result->channels[0].numerical_error_per_mm;
+  row->model_error = result->channels[0].model_error;
   for (size_t q = 0; q < count; q++) {
     const unsigned id = usual->quantities.items[q]->id;
     const double *f64 = dipole_values_f64(result, 0, id);
@@ -282,6 +290,9 @@ static bool take_values(const points_usual *usual, points_row *row, size_t index
     }
   }
   double *values = make_good(usual, row);
+  row->numerical_error = result->numerical_error + (single ? 0x1p-24 : 0);
+  row->numerical_error_per_mm = 0;
+  row->model_error = result->model_error;
   for (size_t q = 0; q < count; q++) {
     const unsigned id = usual->quantities.items[q]->id;
     const double *from = dipole_varying_f64(result, id) + index * radii;
@@ -597,6 +608,7 @@ const cli_command cli_command_points = {
     .options = {options, cli_parameter_options},
     .examples = "  dipole points media.csv > profiles.csv\n"
                 "  dipole media --format csv | dipole points --r 0.5,1,2 --want R,cdf\n"
+                "  dipole points media.csv --want R --errors\n"
                 "  dipole invert --albedo 0.4,0.2 --mean-free-path 1 --format csv |\n"
                 "    dipole points --r 1 --model better\n"
                 "  printf 'sigma_a,sigma_s,g,eta,r\\n0.01,1,0,1.4,2\\n' | dipole points\n",

@@ -137,6 +137,10 @@ static void list_outputs(const points_usual *usual, points_columns *columns) {
   for (size_t i = 0; i < usual->quantities.count; i++) {
     columns->outputs[columns->output_count++].name = usual->quantities.items[i]->name;
   }
+  if (usual->settings->errors) {
+    columns->outputs[columns->output_count++].name = "numerical_error";
+    columns->outputs[columns->output_count++].name = "model_error";
+  }
   columns->outputs[columns->output_count++].name = "status";
 }
 
@@ -207,14 +211,26 @@ void points_write_header(const points_columns *columns, const cli_csv_record *he
   write_ending(header, file);
 }
 
+/* Returns the error of the row's values at radius number `radius`. It does not grow with r at an
+ * infinite r. */
+static double numerical_error(const points_usual *usual, const points_row *row, size_t radius) {
+  const double r_mm = points_has_radii(usual) ? usual->settings->r.items[radius] : row->r_mm;
+  const bool grows = row->numerical_error_per_mm > 0 && r_mm < (double)INFINITY;
+  return row->numerical_error + (grows ? row->numerical_error_per_mm * r_mm : 0);
+}
+
 /* A cell of the row's line for radius number `radius`. */
 static void write_output(const points_usual *usual, const points_row *row, size_t radius,
                          size_t output, FILE *file) {
   char text[CLI_NUMBER_BYTES];
   const bool good = row->state == POINTS_GOOD;
   const size_t first = points_has_radii(usual) ? 1 : 0, count = usual->quantities.count;
-  if (output == first + count) {
+  if (output == first + count + (usual->settings->errors ? 2 : 0)) {
     cli_csv_write_cell(good ? "ok" : row->status, file);
+  } else if (good && output >= first + count) {
+    const double error =
+        output == first + count ? numerical_error(usual, row, radius) : row->model_error;
+    fputs(isnan(error) ? "" : cli_number_format(error, text), file);
   } else if (good && output < first) {
     fputs(cli_number_format(usual->settings->r.items[radius], text), file);
   } else if (good) {

@@ -10,9 +10,10 @@ typedef struct points_settings {
   cli_profile_settings profile;
   cli_texts want;
   cli_numbers r;
+  bool errors;
 } points_settings;
 
-enum { POINTS_INPUTS = 9, POINTS_OUTPUTS_MAX = CLI_QUANTITIES_MAX + 2 };
+enum { POINTS_INPUTS = 9, POINTS_OUTPUTS_MAX = CLI_QUANTITIES_MAX + 4 };
 
 /* The position of a column that the header does not have. */
 #define POINTS_ABSENT SIZE_MAX
@@ -30,7 +31,7 @@ typedef struct points_columns {
   size_t parameter_count; /* number of columns that are named after a parameter */
   const dipole_choice *parameters[CLI_PARAMETERS_MAX];
   size_t parameter_at[CLI_PARAMETERS_MAX];
-  size_t output_count; /* with --r the radius, then the quantities, then the status */
+  size_t output_count; /* with --r the radius, the quantities, with --errors two, the status */
   points_output outputs[POINTS_OUTPUTS_MAX];
   size_t first_output; /* position of the first column that is replaced; count if none is */
 } points_columns;
@@ -53,7 +54,8 @@ typedef struct points_row {
   double r_mm; /* of its cell */
   cli_parameters parameters;
   uint64_t id;
-  double *values;                   /* [radii][quantities], set if the row is good */
+  double *values; /* [radii][quantities], set if the row is good */
+  double numerical_error, numerical_error_per_mm, model_error; /* the same */
   char status[POINTS_STATUS_BYTES]; /* says what is wrong if the row is bad */
 } points_row;
 

@@ -218,7 +218,8 @@ static void put_number(cli_rows *rows, const void *context, size_t index) {
   cli_put_number(rows, CLI_COLUMN("u"), of->u[index]);
   for (size_t q = 0; q < of->quantities.count; q++) {
     const dipole_choice *quantity = of->quantities.items[q];
-    const unsigned plain = DIPOLE_RADIUS | DIPOLE_CDF | DIPOLE_LN_R;
+    const unsigned plain =
+        DIPOLE_RADIUS | DIPOLE_CDF | DIPOLE_LN_R | DIPOLE_BY_SIGMA_A | DIPOLE_BY_SIGMA_S;
     for (size_t i = 0; i < of->profile.channel_count; i++) {
       char head[128];
       snprintf(head, sizeof head, "%s %s", quantity->name, of->profile.channels[i].name);

@@ -31,8 +31,30 @@ enum coefficient {
   PDF_SCALE,  /* 1 / (4 d) */
   R_SCALE,    /* A / (8 pi d), in 1/mm; R is this times the exponentials, divided by r */
   LIMIT,      /* limit of the cdf at infinity: 1, or 0 if A is 0 */
+  /* derivatives by ln sigma_a and by ln sigma_s' */
+  A_BY_A, /* of ln A */
+  A_BY_S,
+  PER_D_BY_A, /* of ln(1 / d) */
+  PER_D_BY_S,
   COEFFICIENTS
 };
+
+/* Sets the last four, from the derivative of ln A by ln sigma_a: that by ln sigma_s' is the
+ * opposite. divisor: s. */
+static inline void set_derivatives(double *c, double fit, double absorbed, double scattered,
+                                   double albedo, double divisor, double by_a) {
+  const double away = albedo - 0.8, off = albedo - 0.33;
+  const double cubic = 21 * (away < 0 ? -away : away) * away - 1, square = 7 * away - 1;
+  const double fourth = 400 * (off * off) * off;
+  const bool diffuse = fit > CORE_BURLEY_DIFFUSE; /* 1 / l is mu_tr */
+  const double slope = diffuse ? fourth : fit > CORE_BURLEY_SEARCHLIGHT ? square : cubic;
+  const double by_albedo = albedo * slope / divisor * by_a;
+  const double by_mu = diffuse ? 0.5 * scattered / (1 + absorbed) : 0;
+  c[A_BY_A] = by_a;
+  c[A_BY_S] = -by_a;
+  c[PER_D_BY_A] = absorbed + (by_mu + by_albedo);
+  c[PER_D_BY_S] = scattered - (by_mu + by_albedo);
+}
 
 /* A surface albedo below this is taken as 0. */
 #define ALBEDO_LEAST 1e-250
@@ -114,6 +136,33 @@ static inline double burley_ln_R(const double *c, double r) {
   return c[LIMIT] > 0 ? (r > 0 ? bounded : (double)INFINITY) : -(double)INFINITY;
 }
 
+/* The derivatives of ln R by ln sigma_a and ln sigma_s': R depends on A and d, and d ln R / d
+ * ln(1 / d) is 1 - x (1/3 + q^2) / (1 + q^2). */
+struct derivatives {
+  double by_a;
+  double by_s;
+};
+
+static inline struct derivatives burley_derivatives(const double *c, double r) {
+  const double x = burley_x(c, r + 0);
+  const double q2 = real_exp(-x * (2.0 / 3)).exp;
+  const double by_per_d = 1 - x * (q2 + 1.0 / 3) / (1 + q2);
+  /* where R is 0 it does not change */
+  const bool shines = c[LIMIT] > 0 && x < FAR;
+  return (struct derivatives){
+      .by_a = shines ? real_fma(c[PER_D_BY_A], by_per_d, c[A_BY_A]) : 0,
+      .by_s = shines ? real_fma(c[PER_D_BY_S], by_per_d, c[A_BY_S]) : 0,
+  };
+}
+
+static inline double burley_by_a(const double *c, double r) {
+  return burley_derivatives(c, r).by_a;
+}
+
+static inline double burley_by_s(const double *c, double r) {
+  return burley_derivatives(c, r).by_s;
+}
+
 /* Returns the cdf, 1/4 (1 - e^(-x)) + 3/4 (1 - e^(-x/3)), at x = r / d. It uses 1 - q^3 = (1 - q)
  * (1 + q + q^2) with q = e^(-x/3). */
 static inline double share(double x) {
@@ -185,6 +234,8 @@ CORE_KERNEL(eval_ln_R, burley_ln_R)
 CORE_KERNEL(eval_pdf, burley_pdf)
 CORE_KERNEL(eval_ring, burley_ring)
 CORE_KERNEL(eval_transfer, burley_transfer)
+CORE_KERNEL(eval_by_a, burley_by_a)
+CORE_KERNEL(eval_by_s, burley_by_s)
 CORE_KERNEL(sample, burley_sample)
 
 /* ---- a medium for each value ----------------------------------------------------------------- */
@@ -223,12 +274,17 @@ static inline void lane_fill(const double *shared, struct lane lane, double *c) 
   const double asked = choice.given + choice.own * own;
   const double albedo = asked >= ALBEDO_LEAST ? asked : 0;
   const double mu = choice.fourth * better.mu + (1 - choice.fourth);
-  c[PER_D] = lane.sigma_t * mu * lane_divisor(choice, albedo);
+  const double divisor = lane_divisor(choice, albedo);
+  c[PER_D] = lane.sigma_t * mu * divisor;
   c[D] = 1 / c[PER_D];
   c[PDF_SCALE] = albedo > 0 ? 0.25 * c[PER_D] : 0;
   c[RING_SCALE] = albedo * 0.25 * c[PER_D];
   c[R_SCALE] = albedo * c[PER_D] * (1 / 25.1327412287183459077);
   c[LIMIT] = albedo; /* only its sign matters */
+  const double by_a = lane_albedo_slope(shared, lane, better);
+  const bool constant = (choice.own == 0) | !(albedo < 1) | !(albedo > 0);
+  set_derivatives(c, shared[LANES_FIT], lane.absorbed, lane.scattered, albedo, divisor,
+                  constant ? 0 : by_a);
 }
 
 LANES_KERNEL(varying_R, COEFFICIENTS, lane_fill, zero_R, INFINITY)
@@ -236,10 +292,14 @@ LANES_KERNEL(varying_cdf, COEFFICIENTS, lane_fill, zero_cdf, INFINITY)
 LANES_KERNEL(varying_pdf, COEFFICIENTS, lane_fill, burley_pdf, INFINITY)
 LANES_KERNEL(varying_ring, COEFFICIENTS, lane_fill, burley_ring, INFINITY)
 LANES_KERNEL(varying_ln_R, COEFFICIENTS, lane_fill, burley_ln_R, INFINITY)
+LANES_GRADIENT(varying_gradient, COEFFICIENTS, lane_fill, burley_ln_R, burley_derivatives)
 LANES_KERNEL(varying_sample, COEFFICIENTS, lane_fill, burley_sample, 1)
 
 CORE_KERNEL_TABLE(burley, .sample = sample, CORE_KERNELS_OF_ALL,
-                  .evaluate[CORE_ELEMENTWISE_TRANSFER] = eval_transfer, LANES_KERNELS_OF_ALL);
+                  .evaluate[CORE_ELEMENTWISE_TRANSFER] = eval_transfer,
+                  .evaluate[CORE_ELEMENTWISE_BY_SIGMA_A] = eval_by_a,
+                  .evaluate[CORE_ELEMENTWISE_BY_SIGMA_S] = eval_by_s,
+                  .varying_gradient = varying_gradient, LANES_KERNELS_OF_ALL);
 
 #else
 CORE_KERNEL_TABLE_NONE(burley);
@@ -248,6 +308,9 @@ CORE_KERNEL_TABLE_NONE(burley);
 #else /* what follows prepares a profile, and is compiled once for all instruction sets */
 
 #include <math.h>
+
+#define CORE_REAL 64
+#include "core/models/lanes.h"
 
 core_check_function core_burley_check;
 core_prepare_function core_burley_prepare;
@@ -285,6 +348,16 @@ static double width_ratio(int variant, double albedo) {
   }
 }
 
+/* Returns the derivative of the better dipole's ln albedo by ln sigma_a. */
+static double better_albedo_slope(const core_inputs *inputs) {
+  const core_medium *medium = inputs->medium;
+  double shared[CORE_VARYING_SHARED_MAX] = {[LANES_SCATTER] = 1 - medium->g};
+  lanes_share_dipole(shared, CORE_DIPOLE_GROSJEAN | CORE_DIPOLE_BOUNDARY | CORE_DIPOLE_EXITANCE,
+                     core_fresnel_moments(inputs->moments, medium->eta));
+  const struct lane lane = lane_of(shared, medium->sigma_a_per_mm, medium->sigma_s_per_mm);
+  return lane_albedo_slope(shared, lane, lane_dipole_of(shared, lane));
+}
+
 core_fault core_burley_prepare(const core_inputs *inputs, core_preparation *preparation) {
   preparation->notes = core_similarity_note(inputs);
   const core_medium *medium = inputs->medium;
@@ -297,12 +370,17 @@ core_fault core_burley_prepare(const core_inputs *inputs, core_preparation *prep
   const double mu_tr = sigma_t_prime * sqrt(3 * absorbed / (1 + absorbed));
   const double per_length = inputs->variant == CORE_BURLEY_DMFP ? mu_tr : sigma_t_prime;
   double *c = preparation->coefficients;
-  c[PER_D] = per_length * width_ratio(inputs->variant, albedo);
+  const double divisor = width_ratio(inputs->variant, albedo);
+  c[PER_D] = per_length * divisor;
   c[D] = 1 / c[PER_D];
   c[PDF_SCALE] = albedo > 0 ? 0.25 * c[PER_D] : 0;
   c[RING_SCALE] = albedo * 0.25 * c[PER_D];
   c[R_SCALE] = albedo * c[PER_D] / 25.1327412287183459077;
   c[LIMIT] = albedo > 0;
+  const bool constant = !isnan(given) || !(albedo < 1) || !(albedo > 0);
+  const double scattered = medium->sigma_s_per_mm * (1 - medium->g) / sigma_t_prime;
+  set_derivatives(c, inputs->variant, absorbed, scattered, albedo, divisor,
+                  constant ? 0 : better_albedo_slope(inputs));
   preparation->albedo = albedo;
   preparation->error_epsilons = 8;
   preparation->error_epsilons_per_mm = 8 * c[PER_D];

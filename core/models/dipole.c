@@ -85,6 +85,15 @@ enum coefficient {
   MU_SQUARED_LO,
   TRANSFER_FLUX, /* p C_E / 2 */
   TRANSFER_PHI,  /* p C_phi / (2 D) (z2 - z1) */
+  /* the derivatives of ln R, in units of z1; BY_... are derivatives by ln a, times 1 - a, where a =
+   * sigma_a / sigma_t' */
+  ABSORBED,  /* a */
+  SCATTERED, /* 1 - a */
+  PHI,       /* C_phi / D */
+  FLUX,      /* C_E */
+  BY_MU,     /* of ln mu */
+  BY_PHI,    /* of ln(C_phi / D); those of ln D and of ln(z2 - z1) are the opposite */
+  BY_POWER,  /* of ln p */
   COEFFICIENTS
 };
 _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room for them");
@@ -218,6 +227,59 @@ static inline real dipole_ln_R(const real *c, real r) {
   const real ln_R = real_fma(-c[MU], v.d1, real_log(sum, c[R_EXPONENT]));
   const real near_ln_R = v.x < LN_R_FAR ? ln_R : -(real)INFINITY;
   return c[CDF_LIMIT] > 0 ? near_ln_R : -(real)INFINITY;
+}
+
+/* The derivatives of ln R by ln sigma_a and ln sigma_s'. */
+struct derivatives {
+  real by_a;
+  real by_s;
+};
+
+/* In units of z1, R / sigma_t'^2 depends on x = r sigma_t' and on a = sigma_a / sigma_t' alone. So
+ * with X = d ln R / d ln x and Q = a (1 - a) d ln R / da the derivatives are a (2 + X) + Q and (1 -
+ * a) (2 + X) - Q. All sums are those of R, times 4 pi / p d1^2 e^(mu d1), and are written as
+ * bracket() and dipole_slope() write theirs. */
+static inline struct derivatives dipole_derivatives(const real *c, real r) {
+  const struct view v = look_from(c, r);
+  const real mu = c[MU] * REAL_Z1, z2 = c[Z2] * (1 / REAL_Z1);
+  const real d1 = v.d1 * (1 / REAL_Z1), d2 = v.d2 * (1 / REAL_Z1);
+  const real i1 = 1 / d1, i2 = 1 / d2, t = d1 / d2, t2 = t * t;
+  const real sine = v.x / v.d1, sine2 = sine * sine, high = z2 * i2;
+  const real apart = v.apart * (1 / REAL_Z1), gone = v.mirror.one_minus_exp;
+  const real squares =
+      c[Z2_SQUARED_LESS_Z1_SQUARED] * (1 / REAL_Z1) * (1 / REAL_Z1); /* z2^2 - z1^2 */
+  const real flux = c[FLUX], mirror = flux * v.mirror.exp;
+  const real near1 = i1 + mu, near2 = t2 * (i2 + mu); /* (1 + mu d) / d^3 */
+  const real bend1 = real_fma(mu, real_fma(mu, d1, 3), 3 * i1);
+  const real bend2 = real_fma(mu, real_fma(mu, d2, 3), 3 * i2);
+  const real fluence = c[PHI] * t * real_fma(d1, gone, apart);
+  const real sum = real_fma(flux, near1, real_fma(mirror * z2, near2, fluence));
+  /* -X times the sum */
+  const real steeper = real_fma(mu * squares, t, t * d1 * real_fma(mu, d1, t) * gone);
+  const real falls_phi = c[PHI] * t * real_fma(apart, 1 + t + t2, steeper);
+  const real falls = sine2 * (falls_phi + real_fma(flux, bend1, mirror * z2 * t2 * t2 * bend2));
+  /* Q times the sum, less that of ln p: as mu, phi and z2 depend on a */
+  const real by_mu = mu * d1 * c[BY_MU];
+  const real of_mu = -by_mu * real_fma(c[PHI] * d1, gone, mu * real_fma(mirror * z2, t, flux));
+  const real by_z2 = -c[BY_PHI] * c[Z2_LESS_Z1] * (1 / REAL_Z1);
+  const real of_z2 = by_z2 * real_fma(c[PHI] * z2 * v.mirror.exp, near2,
+                                      mirror * (near2 - t2 * (high * high) * bend2));
+  const real of_a = real_fma(c[BY_PHI], fluence, of_mu + of_z2) / sum + c[BY_POWER];
+  const real scaled = 2 - falls / sum;
+  /* where R is 0 it does not change */
+  const int shines = (c[CDF_LIMIT] > 0) & (v.x < LN_R_FAR);
+  return (struct derivatives){
+      .by_a = shines ? real_fma(c[ABSORBED], scaled, of_a) : 0,
+      .by_s = shines ? real_fma(c[SCATTERED], scaled, -of_a) : 0,
+  };
+}
+
+static inline real dipole_by_a(const real *c, real r) {
+  return dipole_derivatives(c, r).by_a;
+}
+
+static inline real dipole_by_s(const real *c, real r) {
+  return dipole_derivatives(c, r).by_s;
 }
 
 /* dR/dr in 1/mm^3, from R differentiated term by term, in units of z1. With f(d) = (1 + mu d)
@@ -408,6 +470,8 @@ CORE_KERNEL(eval_ln_R, dipole_ln_R)
 CORE_KERNEL(eval_pdf, dipole_pdf)
 CORE_KERNEL(eval_ring, dipole_ring)
 CORE_KERNEL(eval_transfer, dipole_transfer)
+CORE_KERNEL(eval_by_a, dipole_by_a)
+CORE_KERNEL(eval_by_s, dipole_by_s)
 
 static void eval_R(const real *restrict c, size_t n, const real *restrict r, real *restrict R) {
   const int dense = CORE_REAL == 32 && c[UNITS_PER_MM] > DENSE;
@@ -482,6 +546,16 @@ static inline void lane_fill(const real *shared, struct lane lane, real *c) {
   c[CORE] = d.power > 0 ? REAL_Z1 * real_sqrt(2 / (fluence + fluxes)) : 0;
   c[TAIL] = REAL_Z1 * (c[CDF_FLUX_1] * (1 + z2) + REAL(0.5) * phi_near * (d.z2_less_1 * (1 + z2)));
   c[CDF_WHOLE] = lane_whole(c[TAIL], c[MU]);
+
+  const struct lane_slopes by =
+      lane_slopes_of(shared[LANES_GROSJEAN] > 0, lane.absorbed, lane.scattered);
+  c[ABSORBED] = lane.absorbed;
+  c[SCATTERED] = lane.scattered;
+  c[PHI] = d.phi;
+  c[FLUX] = flux;
+  c[BY_MU] = by.mu;
+  c[BY_PHI] = by.phi;
+  c[BY_POWER] = by.power;
 }
 
 LANES_KERNEL(varying_R, COEFFICIENTS, lane_fill, dipole_R, INFINITY)
@@ -489,6 +563,9 @@ LANES_KERNEL(varying_cdf, COEFFICIENTS, lane_fill, dipole_cdf, INFINITY)
 LANES_KERNEL(varying_pdf, COEFFICIENTS, lane_fill, dipole_pdf, INFINITY)
 LANES_KERNEL(varying_ring, COEFFICIENTS, lane_fill, dipole_ring, INFINITY)
 LANES_KERNEL(varying_ln_R, COEFFICIENTS, lane_fill, dipole_ln_R, INFINITY)
+#if CORE_REAL == 64
+LANES_GRADIENT(varying_gradient, COEFFICIENTS, lane_fill, dipole_ln_R, dipole_derivatives)
+#endif
 
 static void varying_sample(const real *restrict shared, const real *restrict words, size_t n,
                            const real *restrict sigma_a, const real *restrict sigma_s,
@@ -507,13 +584,18 @@ static void varying_sample(const real *restrict shared, const real *restrict wor
 
 CORE_KERNEL_TABLE(dipole, .sample = sample, CORE_KERNELS_OF_ALL,
                   .evaluate[CORE_ELEMENTWISE_TRANSFER] = eval_transfer,
+                  .evaluate[CORE_ELEMENTWISE_BY_SIGMA_A] = eval_by_a,
+                  .evaluate[CORE_ELEMENTWISE_BY_SIGMA_S] = eval_by_s,
+#if CORE_REAL == 64
+                  .varying_gradient = varying_gradient,
+#endif
                   LANES_KERNELS_OF_ALL);
 
 #else /* what follows prepares a profile, and is compiled once for all instruction sets */
 
 #define CORE_REAL 64
 #include "core/dd.h"
-#include "core/kernel.h"
+#include "core/models/lanes.h"
 
 static const dd ONE = {1, 0};
 static const dd TWO = {2, 0};
@@ -524,6 +606,8 @@ static const dd FOUR_PI = {0x1.921fb54442d18p+3, 0x1.1a62633145c07p-51};
  */
 struct dipole {
   dd sigma_t_prime;
+  dd absorbed;           /* sigma_a / sigma_t' */
+  dd scattered;          /* alpha' */
   dd albedo_prime_power; /* p = alpha' or alpha'^2 */
   dd diffusion;          /* D */
   dd mu_squared;
@@ -540,6 +624,8 @@ static struct dipole table_2(int variant, enum core_moments moments, const core_
   dipole.sigma_t_prime = dd_add(sigma_a, sigma_s_prime);
   const dd absorbed = dd_div(sigma_a, dipole.sigma_t_prime);
   const dd scattered = dd_div(sigma_s_prime, dipole.sigma_t_prime);
+  dipole.absorbed = absorbed;
+  dipole.scattered = scattered;
   const core_fresnel fresnel = core_fresnel_moments(moments, medium->eta);
   const dd one_minus_2c1 = dd_from(fresnel.one_minus_2c1);
   const dd one_minus_3c2 = dd_from(fresnel.one_minus_3c2);
@@ -643,6 +729,17 @@ static void set_transfer(const struct dipole *dipole, double *c) {
       dd_round(dd_mul(dd_mul(half_p, dd_div(dipole->c_phi, dipole->diffusion)), dipole->z2_less_1));
 }
 
+static void set_derivatives(const struct dipole *dipole, bool grosjean, double *c) {
+  c[ABSORBED] = dd_round(dipole->absorbed);
+  c[SCATTERED] = dd_round(dipole->scattered);
+  const struct lane_slopes by = lane_slopes_of(grosjean, c[ABSORBED], c[SCATTERED]);
+  c[PHI] = dd_round(dd_div(dipole->c_phi, dipole->diffusion));
+  c[FLUX] = dd_round(dipole->c_flux);
+  c[BY_MU] = by.mu;
+  c[BY_PHI] = by.phi;
+  c[BY_POWER] = by.power;
+}
+
 /* Sets the bounds that bracket the inverse of the cdf: CORE, TAIL, INVERSE_MU, CDF_WHOLE. Plain
  * double is exact enough for bounds. */
 static void set_bracket(double *c) {
@@ -693,6 +790,7 @@ core_fault core_dipole_prepare(const core_inputs *inputs, core_preparation *prep
   preparation->albedo = set_energy(&dipole, c);
   set_bracket(c);
   set_transfer(&dipole, c);
+  set_derivatives(&dipole, (inputs->variant & CORE_DIPOLE_GROSJEAN) != 0, c);
   /* the error bound contains 1 + mu_tr d1, which is at most 1 + mu_tr (z1 + r) */
   preparation->error_epsilons = DIPOLE_ERROR_EPSILONS * (1 + dd_round(dipole.mu)) +
                                 3 * fmax(mirrored_condition(&dipole) - 4, 0);

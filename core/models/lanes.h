@@ -92,13 +92,52 @@ static inline struct lane_dipole lane_dipole_of(const real *shared, struct lane 
   return dipole;
 }
 
+/* Derivatives by ln a, times 1 - a, with a = sigma_a / sigma_t': of ln mu, of ln phi (those of ln
+ * z2_less_1 are the opposite) and of ln power. */
+struct lane_slopes {
+  real mu;
+  real phi;
+  real power;
+};
+
+static inline struct lane_slopes lane_slopes_of(int grosjean, real absorbed, real scattered) {
+  const real falls = scattered / (1 + absorbed);
+  return (struct lane_slopes){
+      .mu = REAL(0.5) * (grosjean ? falls : scattered),
+      .phi = grosjean ? -absorbed * falls : 0,
+      .power = grosjean ? -2 * absorbed : -absorbed,
+  };
+}
+
+/* Returns the derivative of ln albedo by ln sigma_a; that by ln sigma_s' is the opposite. */
+static inline real lane_albedo_slope(const real *shared, struct lane lane, struct lane_dipole d) {
+  const struct lane_slopes by =
+      lane_slopes_of(shared[LANES_GROSJEAN] > 0, lane.absorbed, lane.scattered);
+  const real flux = shared[LANES_C_FLUX], z2 = 1 + d.z2_less_1;
+  const real fluxes = flux * d.mu * real_fma(z2, d.mirror_share, d.real_share);
+  const real by_mu = d.phi * real_fma(z2, d.mirror_share, -d.real_share) - d.between - fluxes;
+  const real by_z2 = real_fma(-flux, d.mu, d.phi) * d.mirror_share * d.z2_less_1;
+  return by.power + real_fma(by.mu, by_mu, by.phi * (d.between - by_z2)) / d.sum;
+}
+
+/* Sets the numbers of a dipole that all lanes share, from its switches. */
+static inline void lanes_share_dipole(double *shared, int variant, core_fresnel fresnel) {
+  const int exitance = (variant & CORE_DIPOLE_EXITANCE) != 0;
+  const double lost =
+      (variant & CORE_DIPOLE_BOUNDARY) ? fresnel.one_minus_3c2 : fresnel.one_minus_2c1;
+  shared[LANES_GROSJEAN] = (variant & CORE_DIPOLE_GROSJEAN) != 0;
+  shared[LANES_Z2_PER_D] = 4 * (2 - lost) / fresnel.one_minus_2c1;
+  shared[LANES_C_PHI] = exitance ? 0.25 * fresnel.one_minus_2c1 : 0;
+  shared[LANES_C_FLUX] = exitance ? 0.5 * fresnel.one_minus_3c2 : 1;
+}
+
 #ifdef CORE_ISA
 
 /* LANES_KERNEL(name, coefficients, fill, element, most) defines a kernel as in core/kernels.h. For
  * each value, fill(shared, lane, c) sets the coefficients c[coefficients] of its medium, and
  * element(c, x) is the result, for x from 0 to most. The compiler keeps c in registers. */
 #define LANES_KERNEL(name, coefficients, fill, element, most)                                      \
-  static void name(const real *restrict shared, const real *restrict words, size_t n,             \
+  static void name(const real *restrict shared, const real *restrict words, size_t n,              \
                    const real *restrict sigma_a, const real *restrict sigma_s,                     \
                    const real *restrict in, real *restrict out) {                                  \
     (void)words;                                                                                   \
@@ -112,13 +151,32 @@ static inline struct lane_dipole lane_dipole_of(const real *shared, struct lane 
     }                                                                                              \
   }
 
+/* LANES_GRADIENT(name, coefficients, fill, ln_R, both) defines a kernel of ln R and its
+ * derivatives: both(c, r) returns a structure with the members by_a and by_s. */
+#define LANES_GRADIENT(name, coefficients, fill, ln_R, both)                                       \
+  static void name(const real *restrict shared, const real *restrict words, size_t n,              \
+                   const real *restrict sigma_a, const real *restrict sigma_s,                     \
+                   const real *restrict r, real *restrict out, real *restrict by_a,                \
+                   real *restrict by_s) {                                                          \
+    (void)words;                                                                                   \
+    for (size_t i = 0; i < n; i++) {                                                               \
+      real c[coefficients];                                                                        \
+      fill(shared, lane_of(shared, sigma_a[i], sigma_s[i]), c);                                    \
+      const int good = lane_good(shared, sigma_a[i], sigma_s[i]) & (r[i] >= 0);                    \
+      const struct derivatives found = both(c, r[i]);                                              \
+      const real value = ln_R(c, r[i]);                                                            \
+      out[i] = good ? value : (real)NAN;                                                           \
+      by_a[i] = good ? found.by_a : (real)NAN;                                                     \
+      by_s[i] = good ? found.by_s : (real)NAN;                                                     \
+    }                                                                                              \
+  }
+
 /* The members of a kernel table for the kernels varying_sample, varying_R and so on. */
 #define LANES_KERNELS_OF_ALL                                                                       \
-  .varying_sample = varying_sample, .varying = {                                                   \
-      [CORE_ELEMENTWISE_R] = varying_R,                                                            \
-      [CORE_ELEMENTWISE_CDF] = varying_cdf,                                                        \
-      [CORE_ELEMENTWISE_PDF] = varying_pdf,                                                        \
-      [CORE_ELEMENTWISE_RING] = varying_ring,                                                      \
+  .varying_sample = varying_sample,                                                                \
+  .varying = {                                                                                     \
+      [CORE_ELEMENTWISE_R] = varying_R,       [CORE_ELEMENTWISE_CDF] = varying_cdf,                \
+      [CORE_ELEMENTWISE_PDF] = varying_pdf,   [CORE_ELEMENTWISE_RING] = varying_ring,              \
       [CORE_ELEMENTWISE_LN_R] = varying_ln_R,                                                      \
   }
 

@@ -41,6 +41,8 @@
 enum coefficient {
   SIGMA_T,    /* 1/mm */
   EXPONENT,   /* e^(u_c) */
+  ABSORBED,   /* sigma_a / sigma_t */
+  SCATTERED,  /* sigma_s / sigma_t */
   R_SCALE,    /* sigma_s; R is this times the sum over the nodes, divided by r */
   RING_SCALE, /* 2 pi sigma_s */
   PDF_SCALE,  /* 2 pi sigma_s / albedo */
@@ -103,6 +105,12 @@ static inline double slope_term(const double *c, size_t k, double tau) {
   return node(c, k, NODE_WEIGHT) * (falls * real_exp(-tau * further).exp);
 }
 
+/* Returns a term of -d / d ln tau, times e^(tau e^(u_c)), without that of this factor. */
+static inline double fall_term(const double *c, size_t k, double tau) {
+  const double further = tau * node(c, k, NODE_FURTHER);
+  return node(c, k, NODE_WEIGHT) * (further * real_exp(-further).exp);
+}
+
 static inline double energy_term(const double *c, size_t k, double tau) {
   const double further = node(c, k, NODE_FURTHER);
   return node(c, k, NODE_ENERGY) * real_exp(-tau * (further + c[EXPONENT])).one_minus_exp;
@@ -110,6 +118,7 @@ static inline double energy_term(const double *c, size_t k, double tau) {
 
 BLOCK_SUM(sum_R, node_count, R_term)
 BLOCK_SUM(sum_slope, node_count, slope_term)
+BLOCK_SUM(sum_fall, node_count, fall_term)
 BLOCK_SUM(sum_energy, node_count, energy_term)
 
 /* Returns tau = sigma_t r, at most 1e100: there every term has underflowed and no product
@@ -180,7 +189,39 @@ BLOCK_KERNEL(eval_pdf, begin, sum_R, finish_pdf)
 BLOCK_KERNEL(eval_ln_R, begin_ln_R, sum_R, finish_ln_R)
 BLOCK_KERNEL(eval_cdf, begin, sum_energy, finish_cdf)
 
-CORE_KERNEL_TABLE(single, CORE_KERNELS_OF_ALL);
+/* R is sigma_s times a function of sigma_t and r, and that is 1 / r times a function of tau. Sets
+ * out[n] to the derivative d of the latter's logarithm by ln tau, and then to offset + share d. */
+static void eval_derivative(const double *c, size_t n, const double *r, double offset, double share,
+                            double *out) {
+  for (size_t done = 0; done < n; done += BLOCK_LANES) {
+    const size_t count = n - done < BLOCK_LANES ? n - done : BLOCK_LANES;
+    double near[BLOCK_LANES], sum[BLOCK_LANES], fall[BLOCK_LANES];
+    for (size_t i = 0; i < count; i++) {
+      near[i] = begin_ln_R(c, r[done + i] + 0);
+    }
+    sum_R(c, count, near, sum);
+    sum_fall(c, count, near, fall);
+    for (size_t i = 0; i < count; i++) {
+      const double tau = begin(c, r[done + i] + 0);
+      const double falls = real_fma(c[EXPONENT], tau, fall[i] / sum[i]);
+      /* where R is 0 it does not change */
+      out[done + i] = (c[CDF_LIMIT] > 0) & (tau < 1e100) ? real_fma(-share, falls, offset) : 0;
+    }
+  }
+}
+
+static void eval_by_a(const double *restrict c, size_t n, const double *restrict r,
+                      double *restrict out) {
+  eval_derivative(c, n, r, 0, c[ABSORBED], out);
+}
+
+static void eval_by_s(const double *restrict c, size_t n, const double *restrict r,
+                      double *restrict out) {
+  eval_derivative(c, n, r, 1, c[SCATTERED], out);
+}
+
+CORE_KERNEL_TABLE(single, CORE_KERNELS_OF_ALL, .evaluate[CORE_ELEMENTWISE_BY_SIGMA_A] = eval_by_a,
+                  .evaluate[CORE_ELEMENTWISE_BY_SIGMA_S] = eval_by_s);
 
 #else
 CORE_KERNEL_TABLE_NONE(single);
@@ -384,6 +425,8 @@ core_fault core_single_prepare(const core_inputs *inputs, core_preparation *prep
   const bool scatters = albedo >= ALBEDO_LEAST;
   preparation->albedo = scatters ? albedo : 0;
   c[SIGMA_T] = sigma_t;
+  c[ABSORBED] = medium->sigma_a_per_mm / sigma_t;
+  c[SCATTERED] = sigma_s / sigma_t;
   c[EXPONENT] = rule.least;
   c[R_SCALE] = scatters ? sigma_s : 0;
   c[RING_SCALE] = two_pi * c[R_SCALE];

@@ -637,6 +637,20 @@ static core_fault prepare(const core_inputs *inputs, core_preparation *preparati
                          : solve_and_fill(inputs, albedo, asked, NULL, preparation);
 }
 
+unsigned core_transport_way(const core_inputs *inputs) {
+  enum { NOTHING, SOLVED, LOOKED_UP, DIFFERENCE, LOOKED_UP_G, SIMILAR = 8 };
+  const core_medium medium =
+      core_transport_medium(inputs->medium, inputs->parameters->value[CORE_PARAMETER_GAMMA]);
+  const double albedo = albedo_of(&medium);
+  const transport_table *for_g = table_for_g(&medium);
+  const bool anisotropic = medium.g < 0 || medium.g > 0;
+  return !(albedo > 0)   ? NOTHING
+         : for_g == NULL ? (table_for(inputs, albedo) != NULL ? LOOKED_UP : SOLVED) +
+                               (anisotropic ? SIMILAR : 0)
+         : transport_table_covers(for_g, albedo, medium.g, medium.eta) ? LOOKED_UP_G
+                                                                       : DIFFERENCE;
+}
+
 core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *preparation) {
   const core_medium medium =
       core_transport_medium(inputs->medium, inputs->parameters->value[CORE_PARAMETER_GAMMA]);

@@ -58,16 +58,6 @@ static core_medium example(double g, double eta) {
   return (core_medium){1, g > -1 && g < 1 ? 1 / (1 - g) : 1, g, eta};
 }
 
-static void share_dipole(double *shared, int variant, core_fresnel fresnel) {
-  const bool exitance = (variant & CORE_DIPOLE_EXITANCE) != 0;
-  const double lost =
-      (variant & CORE_DIPOLE_BOUNDARY) ? fresnel.one_minus_3c2 : fresnel.one_minus_2c1;
-  shared[LANES_GROSJEAN] = (variant & CORE_DIPOLE_GROSJEAN) != 0;
-  shared[LANES_Z2_PER_D] = 4 * (2 - lost) / fresnel.one_minus_2c1;
-  shared[LANES_C_PHI] = exitance ? 0.25 * fresnel.one_minus_2c1 : 0;
-  shared[LANES_C_FLUX] = exitance ? 0.5 * fresnel.one_minus_3c2 : 1;
-}
-
 /* Sets the numbers that follow from the model, g and eta alone. */
 static void share(core_varying *varying, enum family family, int variant,
                   const core_parameters *parameters) {
@@ -84,7 +74,7 @@ static void share(core_varying *varying, enum family family, int variant,
     const int switches = family == DIPOLE
                              ? variant
                              : CORE_DIPOLE_GROSJEAN | CORE_DIPOLE_BOUNDARY | CORE_DIPOLE_EXITANCE;
-    share_dipole(shared, switches, core_fresnel_moments(varying->moments, varying->eta));
+    lanes_share_dipole(shared, switches, core_fresnel_moments(varying->moments, varying->eta));
   }
 }
 
@@ -362,39 +352,6 @@ void core_varying_eval_f64(const core_varying *varying, enum core_quantity quant
                                                      sigma_a, sigma_s, r, out);
 }
 
-/* Steps of differences of ln R, in ln sigma. */
-#define DIFFERENCE 1e-5
-
-/* Sets ln_R[n] with one coefficient of the media multiplied. */
-static void shifted(const core_varying *varying, size_t n, const double *sigma_a,
-                    const double *sigma_s, const double *r, double a_factor, double s_factor,
-                    double *ln_R) {
-  double a[CHUNK], s[CHUNK];
-  for (size_t i = 0; i < n; i++) {
-    a[i] = sigma_a[i] * a_factor;
-    s[i] = sigma_s[i] * s_factor;
-  }
-  varying->kernels->f64->varying[CORE_ELEMENTWISE_LN_R](varying->shared.f64, varying->wide_words, n,
-                                                        a, s, r, ln_R);
-}
-
-/* Does what core_varying_gradient_f64() does for at most CHUNK values, by central differences. */
-static void differences(const core_varying *varying, size_t n, const double *sigma_a,
-                        const double *sigma_s, const double *r, double *ln_R, double *by_a,
-                        double *by_s) {
-  double low[CHUNK];
-  shifted(varying, n, sigma_a, sigma_s, r, 1, 1, ln_R);
-  for (int of_s = 0; of_s < 2; of_s++) {
-    double *out = of_s ? by_s : by_a;
-    const double a = of_s ? 0 : DIFFERENCE, s = of_s ? DIFFERENCE : 0;
-    shifted(varying, n, sigma_a, sigma_s, r, 1 + a, 1 + s, out);
-    shifted(varying, n, sigma_a, sigma_s, r, 1 - a, 1 - s, low);
-    for (size_t i = 0; i < n; i++) {
-      out[i] = (out[i] - low[i]) / (2 * DIFFERENCE);
-    }
-  }
-}
-
 void core_varying_gradient_f64(const core_varying *varying, size_t n, const double *sigma_a,
                                const double *sigma_s, const double *r, const core_gradient *out) {
   assert(varying->evaluator == CORE_EVALUATOR_F64);
@@ -404,12 +361,8 @@ void core_varying_gradient_f64(const core_varying *varying, size_t n, const doub
   for (size_t done = 0; done < n; done += CHUNK) {
     const size_t count = n - done < CHUNK ? n - done : CHUNK;
     const double *a = sigma_a + done, *s = sigma_s + done, *radii = r + done;
-    if (kernel != NULL) {
-      kernel(varying->shared.f64, varying->wide_words, count, a, s, radii, found[0], found[1],
-             found[2]);
-    } else {
-      differences(varying, count, a, s, radii, found[0], found[1], found[2]);
-    }
+    kernel(varying->shared.f64, varying->wide_words, count, a, s, radii, found[0], found[1],
+           found[2]);
     for (int i = 0; i < 3; i++) {
       if (wanted[i] != NULL) {
         memcpy(wanted[i] + done, found[i], count * sizeof **found);

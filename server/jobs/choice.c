@@ -39,6 +39,10 @@ wire_error choice_check(const eval_request *request) {
     return wire_error_make(WIRE_STATUS_BAD_VALUE, "model",
                            "a model of the list; 0 with the parameter tolerance alone");
   }
+  if (core_wants_derivatives(request->fixed.wanted)) {
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, "wanted",
+                           "no derivatives with a tolerance in place of a model");
+  }
   const core_fault fault = core_parameter_check(CORE_PARAMETER_TOLERANCE, tolerance);
   return fault.field == NULL ? check_media(media_of(request), request->fixed.medium_count)
                              : wire_error_make(WIRE_STATUS_BAD_VALUE, fault.field, fault.allowed);

@@ -33,6 +33,9 @@ wire_error eval_job_check_media(struct eval_job *eval, core_radii_range *radii) 
   if (fixed->medium_count > most) {
     return job_too_large("medium_count", most, "media");
   }
+  if (core_wants_derivatives(fixed->wanted)) {
+    eval->request.parameters.value[CORE_PARAMETER_DERIVATIVES] = 1;
+  }
   *radii = (core_radii_range){0, (double)INFINITY};
   for (uint32_t channel = 0; channel < fixed->medium_count; channel++) {
     const core_medium medium = medium_of(eval, channel);
@@ -490,7 +493,7 @@ enum job_outcome eval_job_start(struct eval_job *eval, wire_error error,
     error = cut(eval, &eval->job.context->server->options);
   }
   if (error.status == WIRE_STATUS_OK) {
-    /* The product is exact: at most 2^40 radii (max_radii), 2^25 media and eight arrays. */
+    /* The product is exact: at most 2^40 radii (max_radii), 2^25 media and ten arrays. */
     const double radii = (double)fixed->radius_count * fixed->medium_count;
     error = job_admit(&eval->job, radii * (double)least_cost(eval), count_field(eval));
   }

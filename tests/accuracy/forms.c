@@ -532,6 +532,9 @@ quad form_truth(const form_model *form, form_values at, enum core_elementwise qu
     return ring;
   case CORE_ELEMENTWISE_TRANSFER:
     return form->known ? transfer(form, r) : (quad)NAN;
+  case CORE_ELEMENTWISE_BY_SIGMA_A: /* form_derivative() */
+  case CORE_ELEMENTWISE_BY_SIGMA_S:
+    return (quad)NAN;
   default:
     return form->S_per_R > 0 ? R * form->S_per_R : 0;
   }
@@ -549,6 +552,32 @@ bool form_promises(const form_model *form, int quantity, double r) {
 
 static bool is_wide(const core_profile *profile, int quantity) {
   return profile->evaluator == CORE_EVALUATOR_F64 || quantity == FORM_ALBEDO;
+}
+
+void form_neighbours_prepare(form_neighbours *near, unsigned model, enum core_moments moments,
+                             const core_medium *medium, const core_parameters *parameters) {
+  static const int steps[] = {-2, -1, 1, 2};
+  const enum form_family family = form_family_of(model);
+  const bool exact = family == FORM_DIPOLE || family == FORM_BURLEY;
+  const double h = exact ? 0x1p-20 : 0x1p-12;
+  near->h = (quad)h;
+  for (int i = 0; i < FORM_NEIGHBOURS; i++) {
+    core_medium other = *medium;
+    double *sigma = i < 4 ? &other.sigma_a_per_mm : &other.sigma_s_per_mm;
+    const double before = *sigma;
+    *sigma *= 1 + steps[i % 4] * h;
+    assert((quad)*sigma == (quad)before * (1 + steps[i % 4] * (quad)h));
+    form_prepare(&near->at[i], model, moments, &other, parameters);
+  }
+}
+
+quad form_derivative(const form_neighbours *near, bool of_s, double r) {
+  quad ln_R[4];
+  for (int i = 0; i < 4; i++) {
+    const form_model *form = &near->at[i + (of_s ? 4 : 0)];
+    ln_R[i] = form_truth(form, form_at(form, r, true), CORE_ELEMENTWISE_LN_R, r);
+  }
+  return (8 * (ln_R[2] - ln_R[1]) - (ln_R[3] - ln_R[0])) / (12 * near->h);
 }
 
 quad form_allowed(const core_profile *profile, int quantity, double r, quad size) {

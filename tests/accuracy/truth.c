@@ -134,6 +134,7 @@ struct subject {
   core_profile profiles[EVALUATORS];
   core_radii_range judged; /* where FINE may judge a model without a formula */
   form_model form;
+  bool derivatives; /* whether the profiles have them */
 };
 
 static void print_subject(const struct subject *s) {
@@ -214,6 +215,10 @@ static double place(const struct values *values, size_t i, int q) {
   return q == CORE_ELEMENTWISE_TRANSFER ? values->f[i] : values->r[i];
 }
 
+static bool is_derivative(int q) {
+  return q == CORE_ELEMENTWISE_BY_SIGMA_A || q == CORE_ELEMENTWISE_BY_SIGMA_S;
+}
+
 static bool is_narrow(double r) {
   return r == (double)(float)r;
 }
@@ -284,12 +289,37 @@ static void compare_densely(const struct subject *s, const struct values *values
         const double r = place(values, i, q);
         const bool by_fine = !s->form.known || is_beam_transfer(s, q);
         const bool asked = form_promises(&s->form, q, r) && (e == F64 || is_narrow(r)) &&
-                           (q != CORE_ELEMENTWISE_LN_R || has_ln_R(s, e, r));
+                           (q != CORE_ELEMENTWISE_LN_R || has_ln_R(s, e, r)) && !is_derivative(q);
         if (asked && by_fine) {
           compare_with_fine(s, values, i, e, q);
         } else if (asked && !is_near(s, values, i, e, q)) {
           compare_exactly(s, values, i, form_at(&s->form, values->r[i], true), e, q);
         }
+      }
+    }
+  }
+}
+
+/* Compares derivatives with differences of the formula, where R has not underflowed. */
+static void compare_derivatives(const struct subject *s, const struct values *values,
+                                size_t radii) {
+  static form_neighbours near;
+  form_neighbours_prepare(&near, models[s->model], s->moments, &s->medium, &s->parameters);
+  for (size_t i = 0; i < 2 * radii; i++) {
+    const double r = values->r[i / 2];
+    const int q = i % 2 ? CORE_ELEMENTWISE_BY_SIGMA_S : CORE_ELEMENTWISE_BY_SIGMA_A;
+    const quad truth = r > 0 && form_promises(&s->form, CORE_ELEMENTWISE_SLOPE, r)
+                           ? form_derivative(&near, i % 2, r)
+                           : (quad)NAN;
+    for (int e = 0; e < EVALUATORS && !isnan(truth) && !isinf(truth); e++) {
+      if (s->ready[e] && (e == F64 || e == FINE || is_narrow(r))) {
+        const core_profile *profile = &s->profiles[e];
+        const double value = values->of[e][q][i / 2];
+        const double stated = profile->derivative_error + profile->derivative_error_per_mm * r;
+        const double off = (double)fabsf128((quad)value - truth);
+        const double share = off > 0 ? off / stated : 0;
+        count(s, e, q, share <= 1, share, r, value, (double)truth);
+        worker->classes[s->model][e][q].by_form++;
       }
     }
   }
@@ -424,6 +454,13 @@ static core_medium draw_medium(uint64_t *random) {
   return medium;
 }
 
+/* Returns a number rounded to 24 bits. */
+static double shortened(double x) {
+  int exponent;
+  const double mantissa = frexp(x, &exponent);
+  return ldexp((double)(float)mantissa, exponent);
+}
+
 static core_parameters draw_parameters(const struct subject *s, uint64_t *random) {
   core_parameters parameters = core_parameters_none();
   double *value = parameters.value;
@@ -506,6 +543,9 @@ static void compare_subject(struct subject *s, uint64_t *random) {
   }
   for (int e = 0; e < EVALUATORS; e++) {
     for (int q = 0; s->ready[e] && q < CORE_ELEMENTWISE_COUNT; q++) {
+      if (is_derivative(q) && !s->derivatives) {
+        continue;
+      }
       const bool waves = q == CORE_ELEMENTWISE_TRANSFER;
       evaluate(&s->profiles[e], quantities[q], values.count, waves ? values.f : values.r,
                values.of[e][q]);
@@ -523,6 +563,9 @@ static void compare_subject(struct subject *s, uint64_t *random) {
     for (size_t i = 0; i < exact; i += 8) {
       compare_exactly(s, &values, i, form_by_mpfr(&dipole, values.r[i]), -1, 0);
     }
+  }
+  if (s->derivatives && s->form.known) {
+    compare_derivatives(s, &values, exact < 8 ? exact : 8);
   }
   compare_densely(s, &values, exact);
   for (int e = 0; e < EVALUATORS; e++) {
@@ -547,7 +590,13 @@ static void draw_subject(size_t model, bool slow, bool table, uint64_t *random) 
   s.moments = 1 + (unsigned)below(random, 4);
   s.moments =
       core_fresnel_check(s.moments, s.medium.eta).field == NULL ? s.moments : CORE_MOMENTS_EXACT;
+  s.derivatives = s.family != FORM_FIT && below(random, 8) == 0;
+  if (s.derivatives) { /* form_neighbours_prepare() needs few bits */
+    s.medium.sigma_a_per_mm = shortened(s.medium.sigma_a_per_mm);
+    s.medium.sigma_s_per_mm = shortened(s.medium.sigma_s_per_mm);
+  }
   s.parameters = draw_parameters(&s, random);
+  s.parameters.value[CORE_PARAMETER_DERIVATIVES] = s.derivatives ? 1 : (double)NAN;
   memset(s.ready, 0, sizeof s.ready);
   const bool fit = s.family == FORM_FIT, transport = s.family == FORM_TRANSPORT;
   const bool given = !fit && below(random, 2);

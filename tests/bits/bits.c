@@ -106,7 +106,7 @@ static int media_of(const core_choice *model, const core_choice *evaluator) {
  * the domain of the model. */
 static core_fault prepare(core_profile *profile, const core_isa *isa, const core_choice *model,
                           const core_choice *evaluator, const core_choice *moments,
-                          const core_medium *medium) {
+                          const core_medium *medium, bool derivatives) {
   core_parameters parameters = core_parameters_none();
   const double sigma_t_prime = medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g);
   const core_fault needs =
@@ -114,6 +114,7 @@ static core_fault prepare(core_profile *profile, const core_isa *isa, const core
   if (needs.field != NULL && strcmp(needs.field, "thickness") == 0) {
     parameters.value[CORE_PARAMETER_THICKNESS] = 3 / sigma_t_prime;
   }
+  parameters.value[CORE_PARAMETER_DERIVATIVES] = derivatives ? 1 : (double)NAN;
   return core_profile_prepare(profile, isa, model->id, moments->id, evaluator->id, medium,
                               &parameters);
 }
@@ -128,7 +129,9 @@ static void print_group(const core_isa *isa, const core_choice *model, const cor
   for (int i = 0; i < media; i++) {
     const core_medium medium = random_medium(&state);
     core_profile profile;
-    const core_fault fault = prepare(&profile, isa, model, evaluator, moments, &medium);
+    const bool derivatives = quantity != NULL && core_wants_derivatives(quantity->id);
+    const core_fault fault =
+        prepare(&profile, isa, model, evaluator, moments, &medium, derivatives);
     if (fault.field != NULL) {
       sum = checksum(sum, fault.field, strlen(fault.field));
       continue;
@@ -196,10 +199,12 @@ static void print_transport_with_g(const core_isa *isa) {
   static const core_medium media[] = {{0.05, 9.5, 0.9, 1.4}, {2, 1.25, -0.3, 0.8}};
   for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
     uint64_t sum = CHECKSUM_START, state = 1941;
+    core_parameters parameters = core_parameters_none();
+    parameters.value[CORE_PARAMETER_DERIVATIVES] = 1;
     for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
       core_profile profile;
       if (core_profile_prepare(&profile, isa, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
-                               evaluator->id, &media[i], NULL)
+                               evaluator->id, &media[i], &parameters)
               .field != NULL) {
         continue;
       }

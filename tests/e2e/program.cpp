@@ -153,7 +153,7 @@ bool is_same(const dipole_varying_result *a, const dipole_varying_result *b) {
               same(a->model_error, b->model_error) && same(a->colour_least, b->colour_least) &&
               same(a->colour_most, b->colour_most) && same(a->specular, b->specular) &&
               std::memcmp(a->statuses, b->statuses, count) == 0;
-  for (unsigned bit = 1; bit <= DIPOLE_TRANSFER; bit *= 2) {
+  for (unsigned bit = 1; bit <= DIPOLE_BY_SIGMA_S; bit *= 2) {
     for (const bool coefficient : {false, true}) {
       const void *x = array_of(a, coefficient, bit), *y = array_of(b, coefficient, bit);
       const bool wanted = ((coefficient ? a->coefficients : a->wanted) & bit) != 0;

@@ -48,6 +48,38 @@ def test_columns_are_appended():
     assert_near(read_csv(text)[0], expected, "R", "albedo", "cdf")
 
 
+def test_errors_stand_in_each_row():
+    """A row that is asked for by itself has the errors of an eval, and those of a group share the
+    largest. What was not measured is empty, and a column that exists is replaced."""
+    medium = ["--sigma-a", "0.01", "--sigma-s", "1", "--eta", "1.4", "--r", "2"]
+    text = points(f"{HEADER},model_error\n{ROW},9\n", "--errors", "--want", "R,dR_dr")
+    assert text.splitlines()[0] == f"{HEADER},model_error,R,dR_dr,numerical_error,status"
+    for model in ("transport", "better+single"):
+        row = read_csv(
+            points(f"{HEADER}\n{ROW}\n", "--errors", "--want", "R,ln_R", "--model", model)
+        )[0]
+        expected = eval_rows(*medium, "--want", "R,ln_R", "--model", model)[0]
+        assert columns(row, "numerical_error", "model_error") == columns(
+            expected, "numerical_error", "model_error"
+        )
+        assert float(row["model_error"]) == 0 or model == "better+single"
+    rows = read_csv(
+        points(f"{HEADER}\n{ROW}\n1,1,0,1.4,2\n0,-1,0,1.4,2\n", "--errors", "--model", "better",
+               status=BAD_ROWS)
+    )
+    alone = [
+        eval_rows("--sigma-a", sigma_a, *medium[2:], "--want", "R", "--model", "better")[0]
+        for sigma_a in ("0.01", "1")
+    ]
+    worst = max(float(row["model_error"]) for row in alone)
+    assert rows[0]["model_error"] == rows[1]["model_error"]
+    assert worst <= float(rows[0]["model_error"]) < 1.1 * worst
+    assert 0 < float(rows[0]["numerical_error"]) == float(rows[1]["numerical_error"]) < 1e-12
+    assert columns(rows[2], "numerical_error", "model_error") == ["", ""]
+    skin = read_csv(points(f"{HEADER}\n{ROW}\n", "--errors", "--model", "skin-red"))[0]
+    assert skin["model_error"] == "" and skin["status"] == "ok"
+
+
 def test_columns_in_any_order_with_others_between():
     text = points('note,r,eta,"sigma_s",x,g,sigma_a\n"a, ""b""",2,1.4,"1",,0,0.01\n')
     assert text.splitlines()[0] == 'note,r,eta,"sigma_s",x,g,sigma_a,R,albedo,cdf,status'

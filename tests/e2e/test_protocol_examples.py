@@ -12,9 +12,14 @@ from frames import SKIN, assert_serves, frame
 from lists import QUANTITIES
 
 # The requests whose documented replies are compared byte by byte.
-DETERMINISTIC = {"eval", "parameter", "ping", "mc", "cancel", "sample", "invert", "varying", "error"}
-# The types of requests by the names of examples, which are the names of messages and two more.
-TYPES = {**wire.MESSAGES, "parameter": wire.MESSAGES["eval"], "error": wire.MESSAGES["eval"]}
+DETERMINISTIC = {
+    "eval", "parameter", "derivative", "ping", "mc", "cancel", "sample", "invert", "varying", "error"
+}
+# The types of requests by the names of examples, which are the names of messages and three more.
+TYPES = {
+    **wire.MESSAGES,
+    **dict.fromkeys(("parameter", "derivative", "error"), wire.MESSAGES["eval"]),
+}
 
 
 def read_examples() -> dict[str, bytes]:

@@ -8,8 +8,8 @@ import io
 
 import numpy as np
 import pytest
-from command_line import Proxy, dipole, eval_json, eval_rows
-from dipole import Medium, wire
+from command_line import Proxy, dipole, eval_json, eval_rows, points, read_csv
+from dipole import Medium, Refused, wire
 from frames import changed_choices
 
 WANTED = ("R", "albedo", "cdf", "dR_dr", "ln_R", "pdf")
@@ -57,6 +57,64 @@ def test_every_format_of_the_command_line_has_them(client, evaluator):
         assert np.array(channel[name], expected.dtype).tolist() == expected.tolist()
         assert np.array([row[name] for row in rows], expected.dtype).tolist() == expected.tolist()
         assert table[:, column] == pytest.approx(expected, rel=1e-4)
+
+
+# ---- derivatives of ln R -------------------------------------------------------------------------
+
+BY = ("dlnR_dln_sigma_a", "dlnR_dln_sigma_s")
+
+
+@pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
+@pytest.mark.parametrize(
+    "model", ["better", "burley", "better+single", "extended", "multipole", "transport"]
+)
+def test_derivatives_are_slopes_of_ln_R(client, model, evaluator):
+    """They are those of differences of ln R, and of the same numbers alone as in company."""
+    given = {"thickness": 5} if model == "multipole" else {}
+    medium, r = Medium(0.1, 1.0, 0.0, 1.4), np.array([0.25, 1.0, 4.0], np.float32)
+    answer = client.eval(model, medium, r, wanted=BY, evaluator=evaluator, parameters=given)
+    fine = {**given, "tolerance": 1e-7} if model == "transport" else given
+    for i, name in enumerate(BY):
+        steps = np.exp(0.02 * np.array([1, -1]))
+        media = [Medium(0.1 * f if i == 0 else 0.1, f if i else 1.0, 0.0, 1.4) for f in steps]
+        ln_R = client.eval(model, media, r, wanted="ln_R", parameters=fine).ln_R
+        slope = (ln_R[0] - ln_R[1]) / 0.04
+        assert getattr(answer, name)[0] == pytest.approx(slope, abs=2e-4)
+    both = client.eval(
+        model, medium, r, wanted=(*BY, "R", "albedo"), evaluator=evaluator, parameters=given
+    )
+    if model != "transport":
+        for name in BY:
+            np.testing.assert_array_equal(getattr(both, name), getattr(answer, name))
+    assert 0 < answer.numerical_error_constant[0] < 2e-4
+    assert np.isnan(answer.model_error[0]) == (model != "transport")
+
+
+def test_media_without_derivatives_are_refused(client):
+    with pytest.raises(Refused) as caught:
+        client.eval("gaussians", Medium(0.1, 1.0), [1.0], wanted=BY)
+    assert caught.value.field == "wanted" and "fit" in caught.value.allowed
+    with pytest.raises(Refused) as caught:
+        client.eval(None, Medium(0.1, 1.0), [1.0], wanted=BY, tolerance=0.1)
+    assert caught.value.field == "wanted" and "tolerance" in caught.value.allowed
+
+
+def test_derivatives_on_the_command_line(client):
+    arguments = ["--sigma-a", "0.1", "--sigma-s", "1", "--r", "0.5,2", "--model", "better"]
+    answer = client.eval("better", Medium(0.1, 1.0), [0.5, 2.0], wanted=BY)
+    rows = eval_rows(*arguments, "--want", ",".join(BY))
+    report = eval_json(*arguments, "--want", ",".join(BY))["models"][0]["channels"][0]
+    for name in BY:
+        assert [float(row[name]) for row in rows] == list(getattr(answer, name)[0])
+        assert report[name] == list(getattr(answer, name)[0])
+    row = "sigma_a,sigma_s,g,eta,r\n0.1,1,0,1.4,2\n"
+    table = read_csv(points(row, "--want", BY[0], "--model", "better", "--errors"))[0]
+    assert float(table[BY[0]]) == client.eval(
+        "better", Medium(0.1, 1.0, 0, 1.4), [2.0], wanted=BY
+    ).dlnR_dln_sigma_a[0, 0]
+
+
+# ---- a daemon of another kind --------------------------------------------------------------------
 
 
 def sums_for_quantities(type: int, payload: bytes) -> bytes:

@@ -48,6 +48,7 @@ def test_transport(client):
 @pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
 def test_quantities_are_those_of_an_eval_at_these_radii(client, evaluator):
     names = ["R", "cdf", "r", "dR_dr", "ln_R", "pdf", "2_pi_r_R", "S", "albedo"]
+    names += ["dlnR_dln_sigma_a", "dlnR_dln_sigma_s"]
     given = {"parameters": {"cos_in": 0.7, "cos_out": 0.4}, "evaluator": evaluator}
     sampled = client.sample("better", [SKIN, OTHER], U, wanted=names, **given)
     assert set(sampled.values) == set(names) - {"albedo"}

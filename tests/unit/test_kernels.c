@@ -89,6 +89,9 @@ static pair_test compare_edges;
 static bool prepare(core_profile *profile, const char *isa, unsigned model, unsigned evaluator,
                     const core_medium *medium) {
   core_parameters parameters = unit_parameters(model, medium);
+  if (model != CORE_MODEL_GAUSSIANS) {
+    parameters.value[CORE_PARAMETER_DERIVATIVES] = 1;
+  }
   if (evaluator == CORE_EVALUATOR_LUT) { /* A coarse table tests the kernels as well. */
     parameters.value[CORE_PARAMETER_TOLERANCE] = 0.01;
   }
@@ -103,15 +106,17 @@ static bool prepare(core_profile *profile, const char *isa, unsigned model, unsi
   return false;
 }
 
-/* Returns whether a test compares a quantity. A quantity that a table does not hold is evaluated by
+/* Returns whether a test compares a quantity. Fits have no derivatives. A quantity that a table does not hold is evaluated by
  * the kernels of double precision, which are compared without a table: only its edges are tested. A
  * Hankel transform of R is the same code for all instruction sets: only its edges are tested,
  * once. */
 static bool is_compared(const kernel_pair *pair, unsigned quantity, pair_test *test) {
   const core_profile *profile = &pair->portable;
+  if (profile->model == CORE_MODEL_GAUSSIANS && core_wants_derivatives(quantity)) {
+    return false;
+  }
   const bool transforms = core_call_cost(profile, quantity) > 0;
-  const bool held =
-      profile->lut == NULL || (quantity != CORE_QUANTITY_SLOPE && quantity != CORE_QUANTITY_LN_R);
+  const bool held = profile->lut == NULL || core_table_has(quantity);
   return test == compare_edges ? !transforms || pair->is_portable : held && !transforms;
 }
 
@@ -503,6 +508,10 @@ static bool good_transfer(double f, double value, bool scatters) {
   return value >= 0 && value < 1.2 && ((!isinf(f) && scatters) || value == 0);
 }
 
+static bool good_derivative(double r, double value, bool scatters) {
+  return (isfinite(value) || r > 1e30) && !isnan(value) && ((!isinf(r) && scatters) || value == 0);
+}
+
 static bool good_sample(double u, double value, bool scatters) {
   return value >= 0 && !signbit(value) && ((u > 0 && scatters) || value == 0) &&
          (u < 1 || !scatters || isinf(value));
@@ -524,6 +533,8 @@ static void check_edge(const kernel_pair *pair, double input, double value, bool
       {CORE_QUANTITY_RING, good_pdf},
       {CORE_QUANTITY_S, good_R},
       {CORE_QUANTITY_TRANSFER, good_transfer},
+      {CORE_QUANTITY_BY_SIGMA_A, good_derivative},
+      {CORE_QUANTITY_BY_SIGMA_S, good_derivative},
   };
   for (size_t i = 0; i < sizeof checks / sizeof checks[0]; i++) {
     if (checks[i].quantity == pair->todo.quantity) {

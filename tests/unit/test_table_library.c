@@ -291,7 +291,7 @@ UNIT_TEST(what_a_table_does_not_hold_is_refused) {
   static const float bad[] = {-1, (float)NAN, -0x1p-149f};
   static const float bad_shares[] = {-0x1p-149f, (float)NAN, 0x1.000002p0f};
   static const unsigned others[] = {
-      0, DIPOLE_ALBEDO, DIPOLE_RADIUS, DIPOLE_SLOPE, DIPOLE_LN_R, DIPOLE_R | DIPOLE_CDF, 512};
+      0, DIPOLE_ALBEDO, DIPOLE_RADIUS, DIPOLE_SLOPE, DIPOLE_LN_R, DIPOLE_R | DIPOLE_CDF, 1u << 15};
   made_table made = make("better", skin);
   dipole_table *table = load(&made);
   float in[2] = {1, 1}, out[2] = {77, 77};

@@ -205,7 +205,7 @@ static bool same(double a, double b) {
 
 static void assert_same_arrays(const dipole_varying_result *a, const dipole_varying_result *b) {
   const size_t count = (size_t)a->value_count;
-  for (unsigned bit = 1; bit <= 512; bit <<= 1) {
+  for (unsigned bit = 1; bit <= DIPOLE_BY_SIGMA_S; bit <<= 1) {
     const double *x = dipole_varying_f64(a, bit), *y = dipole_varying_f64(b, bit);
     const float *p = dipole_varying_f32(a, bit), *q = dipole_varying_f32(b, bit);
     const double *c = dipole_coefficients_f64(a, bit), *d = dipole_coefficients_f64(b, bit);

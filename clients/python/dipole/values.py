@@ -278,6 +278,16 @@ class Result(_Evaluated):
         """[C, N]: the reflectance for striped light; r holds spatial frequencies f in 1/mm."""
         return self._quantity("R_f")
 
+    @property
+    def dlnR_dln_sigma_a(self) -> Array:
+        """[C, N]: d ln R / d ln sigma_a, for fits. Its error is absolute."""
+        return self._quantity("dlnR_dln_sigma_a")
+
+    @property
+    def dlnR_dln_sigma_s(self) -> Array:
+        """[C, N]: d ln R / d ln sigma_s, which is also that by ln sigma_s'."""
+        return self._quantity("dlnR_dln_sigma_s")
+
     def numerical_error(self, r: Array | float | None = None) -> Array:
         """Returns how far a value at radius r may be from the model's exact formula: [C, N],
         relative. r: [N] mm; the default is the result's own radii."""

@@ -59,8 +59,10 @@ QUANTITY_PDF = 64
 QUANTITY_RING = 128
 QUANTITY_S = 256
 QUANTITY_TRANSFER = 512
+QUANTITY_BY_SIGMA_A = 1024
+QUANTITY_BY_SIGMA_S = 2048
 # Quantities that have a value for each radius and channel, in the order of a reply's arrays.
-ELEMENTWISE = (1, 4, 16, 32, 64, 128, 256, 512)
+ELEMENTWISE = (1, 4, 16, 32, 64, 128, 256, 512, 1024, 2048)
 # Quantities that a sample has for each radius and channel: the radii are among them.
 DRAWN = tuple(sorted((*ELEMENTWISE, QUANTITY_RADIUS)))
 SPACING_LIST = 1

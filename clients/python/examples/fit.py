@@ -4,45 +4,47 @@
 
 The program asks the dipoled that $DIPOLED names, or a private one. Lengths are in mm.
 
-A fit needs values in double precision (evaluator "f64", the default if a model is named). In single
-precision a value changes in steps of 6e-8 of itself, and those of a table in steps of its tolerance.
-The step of the differences has to be far above that: STEP suits double precision. A routine such as
-scipy.optimize.least_squares, whose own step is 1.5e-8, would see no slope in single precision, stop
-at its first guess and report success; diff_step=1e-3 gives it the step that is taken here.
+The slopes are quantities of their own: d ln R / d ln sigma_a and d ln R / d ln sigma_s come with ln R
+in one request. A loop that takes differences of values instead needs a step. In single precision
+(evaluators "f32" and "lut") a value changes in steps of 6e-8 of itself: a routine such as
+scipy.optimize.least_squares, whose own step is 1.5e-8, would see no slope there, stop at its first
+guess and report success. Give it these slopes by its argument jac, or take double precision.
 """
 
 import dipole
 import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 G, ETA = 0.9, 1.4  # known beforehand
-STEP = 1e-3  # of the logarithms of sigma_a and sigma_s
+WANTED = ("ln_R", "dlnR_dln_sigma_a", "dlnR_dln_sigma_s")
 NOISE = 0.02  # relative standard error of a reading
 
 r = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 4.0])
 readings = np.array([0.0427, 0.0210, 0.0117, 0.00672, 0.00276, 0.00119])  # 1/mm^2
 
 
-def ln_R(client: dipole.Client, logarithms: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
-    """Returns ln R [medium, radius] for rows of ln sigma_a, ln sigma_s, in a single request."""
-    sigma = np.exp(np.atleast_2d(logarithms))
-    known = np.broadcast_to([G, ETA], sigma.shape)
-    media = np.hstack([sigma, known])
-    # With this tolerance the daemon looks transport up; else it would solve it anew for each medium.
-    return client.eval("transport", media, r, wanted="ln_R", tolerance=1e-3).ln_R
+def misfit_of(client: dipole.Client, x: Array) -> tuple[Array, Array]:
+    """Returns the misfit [radius] at ln sigma_a, ln sigma_s and its slopes [radius, coefficient]."""
+    sigma_a, sigma_s = np.exp(x)
+    medium = dipole.Medium(sigma_a, sigma_s, G, ETA)
+    # With this tolerance the daemon looks transport up; else it would solve it for each medium.
+    found = client.eval("transport", medium, r, wanted=WANTED, tolerance=1e-3)
+    slopes = np.stack([found.dlnR_dln_sigma_a[0], found.dlnR_dln_sigma_s[0]], axis=1)
+    return (found.ln_R[0] - np.log(readings)) / NOISE, slopes / NOISE
 
 
 with dipole.Client() as client:
-    x = np.log([0.1, 10.0])  # the first guess
+    x: Array = np.log(np.array([0.1, 10.0]))  # the first guess
     damping = 1e-2
-    misfit = (ln_R(client, x)[0] - np.log(readings)) / NOISE
+    misfit, slopes = misfit_of(client, x)
     for _ in range(50):  # Levenberg 1944, Marquardt 1963
-        ends = ln_R(client, x + STEP * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))
-        slopes = (ends[0::2] - ends[1::2]).T / (2 * STEP * NOISE)  # [radius, coefficient]
         square = slopes.T @ slopes
         step = np.linalg.solve(square + damping * np.diag(np.diag(square)), -slopes.T @ misfit)
-        tried = (ln_R(client, x + step)[0] - np.log(readings)) / NOISE
+        tried, slopes_there = misfit_of(client, x + step)
         if tried @ tried < misfit @ misfit:
-            x, misfit, damping = x + step, tried, damping / 10
+            x, misfit, slopes, damping = x + step, tried, slopes_there, damping / 10
         else:
             damping *= 10
         if np.abs(step).max() < 1e-6:

@@ -1,0 +1,199 @@
+/* The derivatives of ln R by ln sigma_a and ln sigma_s: against differences of the formulas in 113
+ * bits, of solutions of transport at its tightest tolerance, and at the ends of the domain. */
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+#include "core/kernels.h"
+#include "tests/accuracy/forms.h"
+#include "tests/unit/unit.h"
+
+static const enum core_quantity both[] = {CORE_QUANTITY_BY_SIGMA_A, CORE_QUANTITY_BY_SIGMA_S};
+
+static const unsigned models[] = {
+#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source) id,
+#define CORE_SUM(id, IDENT, name, FIRST, SECOND, source) id,
+#include "core/models.def"
+};
+
+static core_fault prepare(core_profile *profile, unsigned model, unsigned evaluator,
+                          const core_medium *medium, const core_parameters *parameters) {
+  core_parameters taken = *parameters;
+  taken.value[CORE_PARAMETER_DERIVATIVES] = 1;
+  return core_profile_prepare(profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT, evaluator,
+                              medium, &taken);
+}
+
+static double value_of(const core_profile *profile, enum core_quantity quantity, double r) {
+  double value;
+  float narrow_r = (float)r, narrow;
+  if (profile->evaluator == CORE_EVALUATOR_F64) {
+    core_eval_f64(profile, quantity, 1, &r, &value);
+    return value;
+  }
+  core_eval_f32(profile, quantity, 1, &narrow_r, &narrow);
+  return (double)narrow;
+}
+
+/* Returns the error that a reply states for a derivative at r. */
+static double stated(const core_profile *profile, double r) {
+  const core_stated_errors errors =
+      core_profile_errors(profile, CORE_QUANTITY_BY_SIGMA_A, (core_radii_range){r, r});
+  return errors.numerical + errors.numerical_per_mm * r;
+}
+
+static core_medium random_medium(uint64_t *random) {
+  const double sigma_t = unit_random_log(random, 1e-2, 1e2);
+  const double ratio = unit_random_log(random, 1e-5, 50);
+  const double g = unit_random_below(random, 2) ? 0 : unit_random_between(random, -0.4, 0.9);
+  const bool clear = unit_random_below(random, 12) == 0;
+  return (core_medium){clear ? 0 : (double)(float)(sigma_t * ratio / (1 + ratio)),
+                       (double)(float)(sigma_t / (1 + ratio) / (1 - g)), (double)(float)g,
+                       unit_random_below(random, 4) ? unit_random_between(random, 0.75, 2) : 1};
+}
+
+/* Compares all evaluators of a model with its formula at radii of a medium. Returns the largest
+ * error over the stated one. */
+static double compare_with_formula(unsigned model, const core_medium *medium, int radii,
+                                   uint64_t *random) {
+  static form_neighbours near;
+  core_parameters parameters = unit_parameters(model, medium);
+  double worst = 0;
+  parameters.value[CORE_PARAMETER_COS_IN] = parameters.value[CORE_PARAMETER_COS_OUT] = 1;
+  form_neighbours_prepare(&near, model, CORE_MOMENTS_EXACT, medium, &parameters);
+  for (unsigned evaluator = CORE_EVALUATOR_F64; evaluator <= CORE_EVALUATOR_LUT; evaluator++) {
+    core_profile profile;
+    if (prepare(&profile, model, evaluator, medium, &parameters).field != NULL) {
+      continue;
+    }
+    for (int i = 0; i < radii; i++) {
+      const double r =
+          (double)(float)(profile.scale_mm * unit_random_log(random, 1e-4, i % 4 ? 40 : 400));
+      for (int of_s = 0; of_s < 2; of_s++) {
+        const quad truth = form_derivative(&near, of_s, r);
+        const double value = value_of(&profile, both[of_s], r);
+        const double off = fabs((double)((quad)value - truth)), allowed = stated(&profile, r);
+        worst = fmax(worst, off / allowed);
+        if (!(off <= allowed)) {
+          fail_msg("model %u, evaluator %u, sigma_a %.9g, sigma_s %.9g, g %g, eta %.17g, %s at "
+                   "%.17g mm: %.17g, not %.17g, off by %.3g, stated %.3g",
+                   model, evaluator, medium->sigma_a_per_mm, medium->sigma_s_per_mm, medium->g,
+                   medium->eta, of_s ? "sigma_s" : "sigma_a", r, value, (double)truth, off,
+                   allowed);
+        }
+      }
+    }
+    core_profile_free(&profile);
+  }
+  return worst;
+}
+
+UNIT_TEST(derivatives_are_those_of_the_formulas) {
+  uint64_t random = unit_seed();
+  for (size_t m = 0; m < sizeof models / sizeof models[0]; m++) {
+    const enum form_family family = form_family_of(models[m]);
+    const bool quick = family == FORM_DIPOLE || family == FORM_BURLEY;
+    double worst = 0;
+    for (int i = 0; i < (quick ? 300 : 3) && family != FORM_FIT && family != FORM_TRANSPORT; i++) {
+      core_medium medium = random_medium(&random);
+      if (models[m] == CORE_MODEL_BURLEY_DMFP && !(medium.sigma_a_per_mm > 0)) {
+        medium.sigma_a_per_mm = 0.125;
+      }
+      worst = fmax(worst, compare_with_formula(models[m], &medium, quick ? 20 : 6, &random));
+    }
+    printf("%s: %.3f of what is stated\n", core_choice_by_id(core_models, models[m])->name, worst);
+  }
+}
+
+/* Sets the derivatives by ln sigma_a of solutions at n radii, by differences of order 6, and X, d
+ * ln R / d ln r. */
+static void solved(const core_medium *medium, size_t n, const double *r, double *by_a, double *X) {
+  static const double weights[] = {-1.0 / 60, 0.15, -0.75, 0, 0.75, -0.15, 1.0 / 60};
+  const double h = 0.03;
+  double ln_R[UNIT_ROWS_MAX], R[UNIT_ROWS_MAX];
+  core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_TOLERANCE] = 1e-8;
+  memset(by_a, 0, n * sizeof *by_a);
+  for (int k = -3; k <= 3; k++) {
+    core_medium other = *medium;
+    core_profile profile;
+    other.sigma_a_per_mm *= exp(k * h);
+    unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
+                                           CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &other,
+                                           &parameters),
+                      NULL, 0);
+    core_eval_f64(&profile, CORE_QUANTITY_LN_R, n, r, ln_R);
+    for (size_t i = 0; i < n; i++) {
+      by_a[i] += weights[k + 3] / h * ln_R[i];
+    }
+    if (k == 0) {
+      core_eval_f64(&profile, CORE_QUANTITY_R, n, r, R);
+      core_eval_f64(&profile, CORE_QUANTITY_SLOPE, n, r, X);
+      for (size_t i = 0; i < n; i++) {
+        X[i] *= r[i] / R[i];
+      }
+    }
+    core_profile_free(&profile);
+  }
+}
+
+UNIT_TEST(derivatives_of_transport_are_those_of_its_solutions) {
+  /* The last two lie outside of the table of solutions. */
+  static const core_medium media[] = {
+      {0.02, 1, 0, 1}, {1, 0.5, 0, 1.33}, {0.2, 1, 0, 2.9}, {0.12, 1e-3, 0, 1}};
+  enum { RADII = 40 };
+  core_parameters parameters = core_parameters_none();
+  for (size_t m = 0; m < sizeof media / sizeof media[0]; m++) {
+    core_profile profile;
+    double r[RADII], by_a[RADII], X[RADII], worst = 0;
+    unit_assert_fault(
+        prepare(&profile, CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, &media[m], &parameters), NULL,
+        0);
+    const double most = fmin(0.89 * profile.reach.most_mm, 1e3);
+    for (size_t i = 0; i < RADII; i++) {
+      r[i] = 1e-3 * pow(most / 1e-3, (double)i / (RADII - 1));
+    }
+    solved(&media[m], RADII, r, by_a, X);
+    for (size_t i = 0; i < RADII; i++) {
+      const double off_a = fabs(value_of(&profile, CORE_QUANTITY_BY_SIGMA_A, r[i]) - by_a[i]);
+      const double by_s = value_of(&profile, CORE_QUANTITY_BY_SIGMA_S, r[i]);
+      const double off = fmax(off_a, fabs(by_s - (2 + X[i] - by_a[i])));
+      worst = fmax(worst, off / stated(&profile, r[i]));
+      if (!(off <= stated(&profile, r[i]))) {
+        fail_msg("medium %zu at %g: off by %.3g, stated %.3g", m, r[i], off,
+                 stated(&profile, r[i]));
+      }
+    }
+    assert_true(isinf(stated(&profile, 1.01 * profile.reach.most_mm)));
+    printf("sigma_a %g, eta %g: stated %.2g, %.3f of it\n", media[m].sigma_a_per_mm, media[m].eta,
+           profile.derivative_error, worst);
+    core_profile_free(&profile);
+  }
+}
+
+UNIT_TEST(ends_have_their_limits) {
+  static const core_medium media[] = {
+      {0.03, 0.7, 0, 1.3}, {0, 1, 0, 1.4}, {0.5, 0, 0, 1.4}, {1e-9, 1e9, 0.9, 1}};
+  for (size_t m = 0; m < sizeof models / sizeof models[0]; m++) {
+    for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
+      for (unsigned evaluator = CORE_EVALUATOR_F64; evaluator <= CORE_EVALUATOR_F32; evaluator++) {
+        core_profile profile;
+        const core_parameters parameters = unit_parameters(models[m], &media[i]);
+        const core_fault fault = prepare(&profile, models[m], evaluator, &media[i], &parameters);
+        if (models[m] == CORE_MODEL_GAUSSIANS) {
+          unit_assert_fault(fault, "wanted", 0);
+        }
+        if (fault.field != NULL) {
+          continue;
+        }
+        for (int k = 0; k < 2; k++) {
+          const double near = value_of(&profile, both[k], 0);
+          assert_true(isfinite(near) && value_of(&profile, both[k], (double)INFINITY) == 0);
+          assert_true(profile.albedo > 0 || near == 0);
+          assert_true(media[i].sigma_a_per_mm > 0 || k > 0 || near == 0);
+        }
+        core_profile_free(&profile);
+      }
+    }
+  }
+}
