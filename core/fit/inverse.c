@@ -23,7 +23,8 @@ enum {
 
 /* The square root of CORE_FIT_AMBIGUOUS: so far from a reading, in errors, another medium may be. */
 #define ERRORS 3.0
-_Static_assert(ERRORS *ERRORS >= CORE_FIT_AMBIGUOUS, "the rectangle holds all second media");
+_Static_assert((int)ERRORS * (int)ERRORS >= (int)CORE_FIT_AMBIGUOUS,
+               "the rectangle holds all second media");
 
 struct fit_inverse {
   double first[2];              /* ln of the readings where the raster begins */

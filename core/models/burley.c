@@ -39,6 +39,7 @@ enum coefficient {
   COEFFICIENTS
 };
 
+#if !defined CORE_ISA || CORE_REAL == 64
 /* Sets the last four, from the derivative of ln A by ln sigma_a: that by ln sigma_s' is the
  * opposite. divisor: s. */
 static inline void set_derivatives(double *c, double fit, double absorbed, double scattered,
@@ -55,6 +56,7 @@ static inline void set_derivatives(double *c, double fit, double absorbed, doubl
   c[PER_D_BY_A] = absorbed + (by_mu + by_albedo);
   c[PER_D_BY_S] = scattered - (by_mu + by_albedo);
 }
+#endif
 
 /* A surface albedo below this is taken as 0. */
 #define ALBEDO_LEAST 1e-250
@@ -211,7 +213,7 @@ static inline double burley_sample(const double *c, double u) {
   const double far = -real_log(real_max(q, 1e-300), 0);
   const double x = 3 * (u < 0.5 ? near : far);
   const double r = u < 1 ? x * c[D] : (double)INFINITY;
-  return (c[LIMIT] > 0) & (u > 0) ? r : 0;
+  return ((c[LIMIT] > 0) & (u > 0)) ? r : 0;
 }
 
 /* Adding 0 turns the radius -0 into 0. */

@@ -205,7 +205,7 @@ static void eval_derivative(const double *c, size_t n, const double *r, double o
       const double tau = begin(c, r[done + i] + 0);
       const double falls = real_fma(c[EXPONENT], tau, fall[i] / sum[i]);
       /* where R is 0 it does not change */
-      out[done + i] = (c[CDF_LIMIT] > 0) & (tau < 1e100) ? real_fma(-share, falls, offset) : 0;
+      out[done + i] = ((c[CDF_LIMIT] > 0) & (tau < 1e100)) ? real_fma(-share, falls, offset) : 0;
     }
   }
 }

@@ -86,7 +86,7 @@ check_block(const real *restrict shared, size_t n, const real *restrict sigma_a,
         check_value(shared, sigma_a[i], sigma_s[i], in[i], argument, has_reach);
     status[i] = value.status;
     albedo[i] = value.ok ? value.albedo : (real)NAN;
-    mfp[i] = value.ok & (value.mfp < (real)INFINITY) ? value.mfp : (real)NAN;
+    mfp[i] = (value.ok & (value.mfp < (real)INFINITY)) ? value.mfp : (real)NAN;
   }
   widen(n, albedo, seen->albedo_least, seen->albedo_most);
   widen(n, mfp, seen->mfp_least, seen->mfp_most);
