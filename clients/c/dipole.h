@@ -156,13 +156,14 @@ void dipole_set_call_timeout_ms(dipole_client *client, unsigned call_timeout_ms)
  * left. A request that has no answer
  * retry_ms after its first failure fails with the kind of that failure: CONNECTION or REFUSED.
  *
- * The client repeats a request only if every daemon gives the same answer to it, so a repeated
- * request never yields a wrong answer or two answers. All requests are of this kind except those of
- * dipole_mc(): a repeated job would lose the photons walked so far.
+ * Every daemon gives the same answer to a request, so a repeated request never yields a wrong answer
+ * or two answers. A Monte Carlo job whose daemon is lost or stops begins anew with the next daemon,
+ * without the photons walked so far. A report of progress ends its failure: if the job fails again,
+ * the client retries for retry_ms again.
  *
  * When the connection is lost, all outstanding requests fail if the client cannot repeat one of
- * them: a request of dipole_mc(); one of dipole_eval_parts() that has handed on a part; or one for
- * which DIPOLE_RETRY_KEPT_BYTES had no room. They also fail if the new daemon has other lists than
+ * them: a job that the caller has cancelled; a request of dipole_eval_parts() that has handed on a
+ * part; or one for which DIPOLE_RETRY_KEPT_BYTES had no room. They also fail if the new daemon has other lists than
  * the first one, which dipole_get_info() goes on to describe. If the list has a single address,
  * requests fail when its daemon stays connected and silent for timeout_ms.
  *
@@ -832,7 +833,7 @@ void dipole_varying_result_free(dipole_varying_result *result); /* result may be
 
 /* A Monte Carlo job: the daemon walks photons through a medium until it has walked enough of them
  * or the errors are small enough. The same query gives the same bits unless the job is cancelled or
- * the daemon stops. */
+ * cut off. */
 typedef struct dipole_mc_query {
   dipole_medium medium;
   const double *albedos;  /* [albedo_count] albedos of single scattering, 0 to 1, in place of the
@@ -891,7 +892,8 @@ enum dipole_mc_end {
   DIPOLE_MC_PHOTONS = 1, /* All photons have been walked. */
   DIPOLE_MC_ERRORS,      /* The errors are small enough. */
   DIPOLE_MC_CANCELLED,   /* The caller cancelled the job. The result holds the photons so far. */
-  DIPOLE_MC_STOPPED,     /* The daemon stopped. The result holds the photons so far. */
+  DIPOLE_MC_STOPPED,     /* The daemon stopped, and the client does not retry, or the caller had
+                            cancelled the job. The result holds the photons so far. */
 };
 
 typedef struct dipole_mc_result {
@@ -905,8 +907,9 @@ typedef struct dipole_mc_result {
 } dipole_mc_result;
 
 /* Starts a job and waits for its result. progress(), unless NULL, is called a few times a second;
- * it must not use the client. If it returns false, the job is cancelled, and the result is of the
- * photons walked by then. The caller frees *result with dipole_mc_result_free(). */
+ * it must not use the client. The count of photons begins anew if the client has to ask for the job
+ * again: see dipole_set_retry_ms(). If progress() returns false, the job is cancelled, and the
+ * result is of the photons walked by then. The caller frees *result with dipole_mc_result_free(). */
 bool dipole_mc(dipole_client *client, const dipole_mc_query *query,
                bool (*progress)(void *context, const dipole_mc_progress *now), void *context,
                dipole_mc_result **result, dipole_error *error);

@@ -74,9 +74,15 @@ static bool is_progress(const libdipole_frame *frame) {
   return reply.state == MC_UNDER_WAY;
 }
 
-/* The client never repeats a job: the photons walked so far would be lost, and a second job would
- * delay the jobs of other clients. */
-static const libdipole_kind job_kind = {.endless = true, .is_progress = is_progress};
+static bool is_cut_off(const libdipole_frame *frame) {
+  wire_mc_reply reply;
+  wire_get_mc_reply(frame->payload, &reply);
+  return reply.state == MC_STOPPED;
+}
+
+/* A job that is asked for again begins anew, and ends with the same bits. */
+static const libdipole_kind job_kind = {
+    .repeatable = true, .endless = true, .is_progress = is_progress, .is_cut_off = is_cut_off};
 static const libdipole_kind cancel_kind = {.endless = true};
 
 static bool start(dipole_client *client, const dipole_mc_query *query, libdipole_pending *pending,
@@ -108,6 +114,7 @@ static bool cancel(dipole_client *client, uint64_t job_id, uint64_t *cancel_id,
                                .reply_bytes_min = WIRE_BYTES_cancel_reply,
                                .reply_bytes_max = WIRE_BYTES_cancel_reply};
   uint8_t *payload;
+  libdipole_request_once(client, job_id);
   if (!libdipole_request_begin(client, &pending, WIRE_BYTES_cancel_request, &payload, error)) {
     return false;
   }

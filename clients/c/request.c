@@ -1,5 +1,6 @@
 #include "clients/c/request.h"
 
+#include <assert.h>
 #include <errno.h>
 #include <poll.h>
 #include <stdio.h>
@@ -108,6 +109,21 @@ static void hand_out(dipole_client *client, libdipole_pending *entry, libdipole_
   } else {
     remove_entry(client, entry);
   }
+}
+
+void libdipole_request_once(dipole_client *client, uint64_t id) {
+  libdipole_pending *entry = find(client, id);
+  if (entry != NULL) {
+    assert(entry->again_ms == 0);
+    forget_copy(client, entry);
+  }
+}
+
+/* Throws away a report of progress that no call has taken. */
+static void drop_report(dipole_client *client, libdipole_pending *entry) {
+  free(entry->frame);
+  entry->frame = NULL;
+  client->arrived_count--;
 }
 
 void libdipole_request_drop(dipole_client *client, uint64_t id) {
@@ -316,20 +332,30 @@ static int64_t failed_since_ms(libdipole_pending *pending, int64_t now_ms) {
   return pending->failed_ms;
 }
 
-/* If the answer is a temporary refusal, plans to send the request again, frees the frame and
- * returns true. */
-static bool send_later(dipole_client *client, libdipole_pending *pending, libdipole_frame *frame) {
+/* Returns whether a frame ends its request for a reason that passes: a temporary refusal, or an
+ * answer that a daemon cut off when it stopped. *least_ms: the pause that the daemon asks for. */
+static bool is_passing(const libdipole_pending *pending, const libdipole_frame *frame,
+                       uint32_t *least_ms) {
   wire_error why;
-  if (frame->header.type != WIRE_TYPE_ERROR || !can_repeat(pending)) {
-    return false;
+  *least_ms = 0;
+  if (frame->header.type != WIRE_TYPE_ERROR) {
+    return pending->kind->is_cut_off != NULL && pending->kind->is_cut_off(frame);
   }
   wire_get_error(frame->payload, &why);
-  if (why.status != WIRE_STATUS_BUSY && why.status != WIRE_STATUS_SHUTTING_DOWN) {
+  *least_ms = why.retry_after_ms;
+  return why.status == WIRE_STATUS_BUSY || why.status == WIRE_STATUS_SHUTTING_DOWN;
+}
+
+/* If the frame ends the request for a reason that passes, plans to send the request again, frees
+ * the frame and returns true. */
+static bool send_later(dipole_client *client, libdipole_pending *pending, libdipole_frame *frame) {
+  uint32_t asked_ms;
+  if (!can_repeat(pending) || !is_passing(pending, frame, &asked_ms)) {
     return false;
   }
   const int64_t now_ms = libdipole_now_ms();
   const unsigned least_ms =
-      why.retry_after_ms > LIBDIPOLE_PAUSE_FIRST_MS ? why.retry_after_ms : LIBDIPOLE_PAUSE_FIRST_MS;
+      asked_ms > LIBDIPOLE_PAUSE_FIRST_MS ? asked_ms : LIBDIPOLE_PAUSE_FIRST_MS;
   const int64_t again_ms =
       now_ms + least_ms + libdipole_jitter(&client->retry.random, LIBDIPOLE_PAUSE_FIRST_MS);
   if (again_ms > failed_since_ms(pending, now_ms) + client->retry.for_ms) {
@@ -351,9 +377,7 @@ static bool end_frame(dipole_client *client, dipole_error *error) {
     return fail_connection(client, frame, error);
   }
   if (pending->frame != NULL) {
-    free(pending->frame);
-    pending->frame = frame;
-    return true;
+    drop_report(client, pending);
   }
   if (send_later(client, pending, frame)) {
     return true;
@@ -373,6 +397,9 @@ static bool end_frame(dipole_client *client, dipole_error *error) {
       return false;
     }
     client->dropped_count += pending->dropped && !was_dropped;
+  }
+  if (pending->frame != NULL && is_progress(pending)) {
+    pending->failed_ms = 0; /* The request goes on, so another failure is a new one. */
   }
   if (pending->frame != NULL) {
     end_answer(client, pending);
@@ -597,7 +624,7 @@ static bool can_restore(dipole_client *client, int64_t *until_ms) {
       remove_entry(client, entry); /* The next entry is at position i now. */
       continue;
     }
-    const bool answered = entry->frame != NULL && entry->kind->repeatable;
+    const bool answered = entry->frame != NULL && !is_progress(entry);
     if (!answered) {
       if (!can_repeat(entry)) {
         return false;
@@ -628,6 +655,9 @@ static void take_over(dipole_client *client, dipole_client *fresh) {
 static bool send_all_again(dipole_client *client, dipole_error *error) {
   libdipole_pending *first = client->pending + client->pending_begin;
   for (size_t i = 0; i < client->pending_count; i++) {
+    if (first[i].frame != NULL && is_progress(&first[i])) {
+      drop_report(client, &first[i]);
+    }
     if (first[i].frame == NULL && first[i].again_ms == 0) {
       drop_parts(&first[i]);
       if (!send_again(client, &first[i], error)) {

@@ -57,6 +57,8 @@ typedef struct libdipole_kind {
   bool (*part)(libdipole_pending *pending, const libdipole_frame *frame, dipole_error *error);
   /* Returns whether this frame only reports progress, so that more frames follow. */
   bool (*is_progress)(const libdipole_frame *frame);
+  /* Returns whether a daemon that stopped has cut this answer off, so that the client asks again. */
+  bool (*is_cut_off)(const libdipole_frame *frame);
   /* Called when the stream's target is full: sets the target for the next bytes of the frame. *more
    * is false if the frame is complete. NULL: the whole payload is stored in the frame. */
   bool (*place)(dipole_client *client, libdipole_pending *pending, bool *more, dipole_error *error);
@@ -182,6 +184,9 @@ libdipole_frame *libdipole_reply(dipole_client *client, libdipole_pending *pendi
 /* Sends a request with this payload and waits for its answer like libdipole_reply(). */
 libdipole_frame *libdipole_ask(dipole_client *client, libdipole_pending *pending,
                                const uint8_t *payload, size_t payload_bytes, dipole_error *error);
+
+/* Lets a request that has been sent never be sent again. */
+void libdipole_request_once(dipole_client *client, uint64_t id);
 
 /* Gives up a request. If its answer is still to come, the client throws it away on arrival. */
 void libdipole_request_drop(dipole_client *client, uint64_t id);

@@ -11,7 +11,7 @@ import time
 
 import pytest
 from command_line import FAILED, PROGRAM, TIMEOUT_S, Proxy, Terminal, busy, dipole, eval_rows
-from daemons import NOWHERE, Daemon, environment, nowhere
+from daemons import NOWHERE, Daemon, environment, eventually, nowhere
 
 ARGUMENTS = ("--sigma-a", "0.03", "--sigma-s", "1", "--r", "0.5,1,2")
 LONG = ("--retry-ms", "60000")
@@ -134,6 +134,28 @@ def test_a_daemon_that_hangs_later(daemon, known):
         rows = eval_rows("--connect", f"{hung.url},{url}", "--timeout-ms", "300", *ARGUMENTS)
         ends.set()
     assert rows == known
+
+
+@pytest.mark.parametrize("how", ["kill", "terminate"])
+def test_a_job_goes_on_elsewhere(daemon, how):
+    """libdipole asks another daemon for a job whose daemon ends, and gets the same bits."""
+    one, other = daemon(), daemon()
+    job = ("mc", "--sigma-a", "0.03", "--sigma-s", "1", "--photons", "1e6", "--format", "json")
+    known = dipole(*job, "--connect", other.url()).stdout
+    with subprocess.Popen(
+        [str(PROGRAM), *job, "--connect", f"{one.url()},{other.url()}"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=environment(),
+        text=True,
+    ) as running:
+        with one.client() as watcher:
+            assert eventually(lambda: watcher.statistics()["mc_jobs_open"] == 1)
+        getattr(one, how)()
+        output, errors = running.communicate(timeout=TIMEOUT_S)
+    assert (running.returncode, errors) == (0, "")
+    assert output == known
+    assert other.client().statistics()["requests_mc"] == 2
 
 
 @pytest.mark.parametrize("command", ["eval", "points"])

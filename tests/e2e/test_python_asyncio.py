@@ -302,13 +302,6 @@ def test_what_cannot_be_asked_again_is_lost(restarted):  # noqa: F811
             with pytest.raises(dipole.ConnectionLost):
                 async for _ in parts:
                     pass
-        async with AsyncClient(restarted.url, retry_s=RETRY_S) as client:
-            job = asyncio.create_task(client.mc(SKIN, Grid(0.0, 4.0, 5), photons=1_000_000_000))
-            while (await client.statistics())["mc_jobs_open"] == 0:
-                await asyncio.sleep(0.005)
-            await asyncio.to_thread(restarted.kill)
-            with pytest.raises(dipole.ConnectionLost):
-                await job
 
     run(ask())
 

@@ -257,6 +257,7 @@ class AsyncClient:
 
     async def _cancel(self, job_id: int) -> None:
         """Cancels a Monte Carlo job. Does nothing without a connection: the job ended with it."""
+        self._exchange.ask_once(job_id)
         if self._stream is not None:
             request_id = self._exchange.begin(mc.cancellation(job_id))
             pieces = self._exchange.frame(request_id)
@@ -346,7 +347,7 @@ class AsyncClient:
         if moved is not None and self._exchange.is_ready(request_id):
             moved.set()
             self._waiting.discard(request_id)  # The call no longer waits, even if it runs later.
-        elif frame.type == wire.TYPE_ERROR and moved is not None:
+        elif self._exchange.is_planned(request_id) and moved is not None:
             self._start(self._send_later())
 
     async def _watch(self, timeout_s: float) -> None:

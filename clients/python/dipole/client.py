@@ -41,9 +41,10 @@ class Client:
 
     retry_s: for how long the client goes on trying when no daemon is there, when the connection is
     lost, or when the daemon is busy or stops. The default is 5 s; for a private daemon it is 0,
-    which means never. The client connects again and sends the requests without an answer again. It
-    cannot repeat mc(), eval_parts() once a part has come, and requests beyond 64 MiB of waiting
-    ones: these raise ConnectionLost. dipole_set_retry_ms() in dipole.h has the details.
+    which means never. The client connects again and sends the requests without an answer again. A
+    Monte Carlo job then begins anew. The client cannot repeat eval_parts() once a part has come,
+    mc() once it is cancelled, and requests beyond 64 MiB of waiting ones: these raise
+    ConnectionLost. dipole_set_retry_ms() in dipole.h has the details.
 
     ca, certificate, key: files for tls: addresses, see Tls. The daemon's certificate has to be good
     for the host in the address. If a certificate is at fault, the client does not try again.
@@ -310,6 +311,7 @@ class Client:
             self._exchange.drop(request_id)
 
     def _cancel(self, job_id: int) -> None:
+        self._exchange.ask_once(job_id)
         self._exchange.drop(self._send(mc.cancellation(job_id)))
 
     def ring_means(

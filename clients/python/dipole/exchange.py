@@ -23,10 +23,10 @@ T = TypeVar("T")
 KEPT_BYTES = 64 << 20  # the most payload bytes that a client keeps to send them again
 
 PAUSE_FIRST_S = 0.010
-# Requests that may be sent again. An mc request may not: the photons that its job has walked would
-# be lost, and a second job would delay the jobs of other clients.
+# Requests that may be sent again: all but a cancel, which concerns one connection.
 _REPEATABLE = (
-    "eval", "sample", "invert", "fit", "varying", "offers", "table", "media", "statistics", "ping"
+    "eval", "sample", "invert", "fit", "varying", "offers", "table", "media", "statistics", "ping",
+    "mc",
 )  # fmt: skip
 _TEMPORARY = ("busy", "shutting-down", "timeout")
 
@@ -39,6 +39,7 @@ class Answer(Generic[T]):
     def __init__(self) -> None:
         self.ended = False  # whether the last reply has come
         self.begun = False  # whether the first reply has come
+        self.cut_off = False  # whether a daemon that stopped has ended it too early
         self.ready: deque[T | DipoleError] = deque()  # what next() gives to the caller
 
     def add(self, payload: bytes) -> None:
@@ -52,6 +53,10 @@ class Answer(Generic[T]):
         """Ends the answer with an error in place of the next reply."""
         self.ended = True
         self.ready.append(error)
+
+    def can_begin_again(self) -> bool:
+        """Returns whether all replies may come again: not if the caller has a part."""
+        return not (self.is_streamed and self.begun)
 
     def _add(self, payload: bytes) -> None:
         raise NotImplementedError
@@ -100,9 +105,7 @@ class _Pending:
         return self.failed_s
 
     def can_repeat(self) -> bool:
-        """Returns whether the request can be sent again: not if the caller has a part of its
-        answer."""
-        return self.kept and not (self.answer.is_streamed and self.answer.begun)
+        return self.kept and self.answer.can_begin_again()
 
     def begin_again(self) -> None:
         self.answer = self.request.answer()
@@ -159,6 +162,11 @@ class Exchange:
             self._pending[request_id].again_s = None
         return ids
 
+    def is_planned(self, request_id: int) -> bool:
+        """Returns whether a request waits to be sent again."""
+        entry = self._pending.get(request_id)
+        return entry is not None and entry.again_s is not None
+
     def next_due_s(self) -> float | None:
         """Returns when the next refused request may be sent again; None if there is none."""
         times = (entry.again_s for entry in self._pending.values() if entry.again_s is not None)
@@ -181,10 +189,15 @@ class Exchange:
             error = refused(frame)
             if isinstance(error, ProtocolError):
                 raise error
-            if not self._retry_later(entry, error):
+            passes = error.status in ("busy", "shutting-down")
+            if not passes or not self._retry_later(entry, error.retry_after_ms):
                 entry.answer.refuse(error)
         elif frame.type == wire.MESSAGES[entry.request.message] | wire.REPLY:
             entry.answer.add(frame.payload)
+            if entry.answer.cut_off:
+                self._retry_later(entry, 0)
+            elif entry.answer.is_streamed and entry.answer.can_begin_again():
+                entry.failed_s = None  # The request goes on, so another failure is a new one.
         else:
             raise ProtocolError(
                 f"a reply of type {frame.type} to a request for {entry.request.message}"
@@ -213,6 +226,13 @@ class Exchange:
         """Returns how many parts of answers have arrived that next() has not given out yet."""
         return sum(len(entry.answer.ready) for entry in self._pending.values())
 
+    def ask_once(self, request_id: int) -> None:
+        """Lets a request that has been sent never be sent again."""
+        entry = self._pending.get(request_id)
+        if entry is not None and entry.kept:
+            entry.kept = False
+            self._kept_bytes -= len(entry.request.payload)
+
     def drop(self, request_id: int) -> None:
         """Forgets a request that is answered, or whose answer the caller no longer wants."""
         entry = self._pending.pop(request_id, None)
@@ -221,11 +241,11 @@ class Exchange:
 
     # ---- failures --------------------------------------------------------------------------------
 
-    def _retry_later(self, entry: _Pending, error: Refused) -> bool:
-        """Plans to send a refused request again. Returns False if the refusal is final."""
-        if not entry.can_repeat() or error.status not in ("busy", "shutting-down"):
+    def _retry_later(self, entry: _Pending, retry_after_ms: int) -> bool:
+        """Plans to send a request again. Returns False if it cannot be."""
+        if not entry.can_repeat():
             return False
-        pause_s = max(error.retry_after_ms / 1000, PAUSE_FIRST_S) + with_jitter(PAUSE_FIRST_S)
+        pause_s = max(retry_after_ms / 1000, PAUSE_FIRST_S) + with_jitter(PAUSE_FIRST_S)
         again_s = time.monotonic() + pause_s
         if again_s > entry.failed_since_s() + self.retry_s:
             return False

@@ -20,9 +20,14 @@ class _Answer(Answer[McProgress | McResult]):
 
     is_streamed = True
 
+    def can_begin_again(self) -> bool:
+        """A job that is asked for again begins anew, and ends with the same bits."""
+        return True
+
     def _add(self, payload: bytes) -> None:
         fixed = unpack_fixed(payload)
         self.ended = fixed.state != wire.MC_UNDER_WAY
+        self.cut_off = wire.MC_STATES.get(fixed.state) == "stopped"
         self.ready.append(unpack_result(payload) if self.ended else progress_of(fixed))
 
 
