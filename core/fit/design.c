@@ -78,6 +78,38 @@ core_fault core_fit_check(const core_fit_design *design) {
   return fault.field == NULL ? check_readings(design) : fault;
 }
 
+/* ---- costs ----------------------------------------------------------------------------------- */
+
+/* Measured with 2 to 300 readings and with fibres: an evaluation takes 0.2 us and 0.08 us for each
+ * place, of a table as well as of a dipole's five media, and 0.36 us with Burley's models. A slab's
+ * profiles take some 20 us each. */
+#define EVALUATION_COST 128
+#define PLACE_COST 42
+#define BURLEY_PLACE_COST 180
+#define SLAB_COST 65536
+
+/* Evaluations for a set: by the inverse, with few readings more than unknowns, and with many. */
+enum { BY_INVERSE = 4, SPARSE = 160, PLENTY = 12 };
+
+core_fit_cost core_fit_cost_of(const core_fit_design *design) {
+  const bool points = design->source_mm == NULL && design->detector_mm == NULL;
+  const bool burley = design->model == CORE_MODEL_BURLEY ||
+                      design->model == CORE_MODEL_BURLEY_DIFFUSE ||
+                      design->model == CORE_MODEL_BURLEY_DMFP;
+  const bool slab =
+      design->parameters != NULL && !isnan(design->parameters->value[CORE_PARAMETER_THICKNESS]);
+  const double places = (double)design->count * (points ? 1 : FIT_DISC_NODES);
+  const bool free_factor = design->scale == CORE_FIT_SCALE_FREE;
+  const size_t spare = design->count - (free_factor ? 3 : 2);
+  const bool inverts = design->count == 2 && design->model == CORE_MODEL_TRANSPORT;
+  return (core_fit_cost){.evaluations = inverts               ? BY_INVERSE
+                                        : spare <= FIT_SPARSE ? SPARSE
+                                                              : PLENTY,
+                         .evaluation = EVALUATION_COST +
+                                       places * (burley ? BURLEY_PLACE_COST : PLACE_COST) +
+                                       (slab ? SLAB_COST : 0)};
+}
+
 /* ---- preparing ------------------------------------------------------------------------------- */
 
 static struct fit_model model_of(const core_isa *isa, const core_fit_design *design) {
@@ -179,7 +211,8 @@ static void set_chi_squared_most(core_fit *fit) {
 }
 
 static core_fault set_notes(core_fit *fit) {
-  const core_medium medium = fit_medium(&fit->model, fit_grid_place(fit, FIT_GRID / 2));
+  const core_medium medium =
+      fit_medium(&fit->model, fit_grid_place(fit, FIT_GRID / 2 + FIT_GRID_SCATTERINGS / 2));
   core_profile profile;
   const core_fault fault =
       core_profile_prepare(&profile, fit->model.isa, fit->model.model, fit->model.moments,
@@ -208,15 +241,21 @@ static void set_places(core_fit *fit, const core_fit_design *design) {
 
 /* Prepares what evaluates the model fast, if there is such a thing. */
 static core_fault set_kernels(struct fit_model *model) {
-  if (model->model == CORE_MODEL_TRANSPORT) {
-    return fit_table_create(&model->table, model->isa, model->quantity, model->g, model->eta,
-                            &model->parameters);
-  }
-  model->varies = model->quantity == CORE_QUANTITY_R &&
+  model->varies = model->model != CORE_MODEL_TRANSPORT && model->quantity == CORE_QUANTITY_R &&
                   core_varying_prepare(&model->varying, model->isa, model->model, model->moments,
                                        CORE_EVALUATOR_F64, model->g, model->eta, &model->parameters)
                           .field == NULL;
-  return (core_fault){0};
+  if (model->varies || !isnan(model->parameters.value[CORE_PARAMETER_THICKNESS])) {
+    return (core_fault){0};
+  }
+  const struct fit_table_source source = {.isa = model->isa,
+                                          .model = model->model,
+                                          .moments = model->moments,
+                                          .quantity = model->quantity,
+                                          .g = model->g,
+                                          .eta = model->eta,
+                                          .parameters = &model->parameters};
+  return fit_table_create(&model->table, &source);
 }
 
 static core_fault fill(core_fit *fit, const core_fit_design *design) {
@@ -319,20 +358,21 @@ void core_fit_model(const core_fit *fit, double sigma_a_per_mm, double sigma_s_p
 
 /* ---- a set of readings ----------------------------------------------------------------------- */
 
-void core_fit_run(const core_fit *fit, const double *values, const double *errors,
-                  core_fit_result *result, double *residuals) {
-  core_fault fault = {0};
-  for (size_t i = 0; i < fit->count && fault.field == NULL; i++) {
+/* Returns the fault of the first reading that is wrong. */
+static core_fault check_set(const core_fit *fit, const double *values, const double *errors) {
+  for (size_t i = 0; i < fit->count; i++) {
     if (!(values[i] >= 0 && values[i] < (double)INFINITY)) {
-      fault = (core_fault){"value", "at least 0, and finite", i};
-    } else if (!(errors[i] > 0 && errors[i] < (double)INFINITY)) {
-      fault = (core_fault){"error", "above 0, and finite", i};
+      return (core_fault){"value", "at least 0, and finite", i};
+    }
+    if (!(errors[i] > 0 && errors[i] < (double)INFINITY)) {
+      return (core_fault){"error", "above 0, and finite", i};
     }
   }
-  if (fault.field == NULL) {
-    fit_search(fit, values, errors, result, residuals);
-    return;
-  }
+  return (core_fault){0};
+}
+
+static void refuse(const core_fit *fit, core_fault fault, core_fit_result *result,
+                   double *residuals) {
   const core_fit_solution none = {(double)NAN, (double)NAN, (double)NAN, (double)NAN};
   *result = (core_fit_result){
       .status = CORE_FIT_STATUS_REFUSED,
@@ -344,5 +384,41 @@ void core_fit_run(const core_fit *fit, const double *values, const double *error
   };
   for (size_t i = 0; residuals != NULL && i < fit->count; i++) {
     residuals[i] = (double)NAN;
+  }
+}
+
+core_fit_search *core_fit_search_new(void) {
+  return malloc(sizeof(core_fit_search));
+}
+
+void core_fit_search_free(core_fit_search *search) {
+  free(search);
+}
+
+bool core_fit_begin(core_fit_search *search, const core_fit *fit, const double *values,
+                    const double *errors, core_fit_result *result, double *residuals) {
+  const core_fault fault = check_set(fit, values, errors);
+  if (fault.field != NULL) {
+    refuse(fit, fault, result, residuals);
+    return false;
+  }
+  fit_search_begin(search, fit, values, errors);
+  return true;
+}
+
+bool core_fit_step(core_fit_search *search, core_fit_result *result, double *residuals) {
+  const bool done = fit_search_step(search);
+  if (done) {
+    fit_search_result(search, result, residuals);
+  }
+  return !done;
+}
+
+void core_fit_run(const core_fit *fit, const double *values, const double *errors,
+                  core_fit_result *result, double *residuals) {
+  core_fit_search search;
+  bool goes_on = core_fit_begin(&search, fit, values, errors, result, residuals);
+  while (goes_on) {
+    goes_on = core_fit_step(&search, result, residuals);
   }
 }

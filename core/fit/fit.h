@@ -43,6 +43,14 @@
  * there are as many. */
 #define CORE_FIT_PROBABILITY_LEAST 1e-6
 
+/* Models that take more than some microseconds for a medium are fitted by a table, which is up to some
+ * 1e-5 off. If all errors of a set are below this share of its readings, the table is refined with
+ * profiles of the model. */
+#define CORE_FIT_EXACT_BELOW 3e-4
+
+/* Steps of refining that a caller should do at most. */
+#define CORE_FIT_REFINE_MOST 6
+
 /* What does not change from one set of readings to the next. Arrays have `count` values. */
 typedef struct core_fit_design {
   unsigned model;
@@ -71,12 +79,22 @@ typedef struct core_fit core_fit;
  * reading; and `reference` if the model gives no light for it at the reading of that index. */
 core_fault core_fit_check(const core_fit_design *design);
 
-/* Prepares a design; the arrays are copied. With `transport` this takes 30 to 600 ms, for a table
- * of its ratios and distances, and a dipole takes a millisecond. Each fibre's disc takes about a
- * millisecond more. Other models are prepared some hundred times. On a fault *fit is NULL, else the
- * caller owns it and frees it with core_fit_free(), which accepts NULL. */
+/* Prepares a design; the arrays are copied. For most models this makes a table of ratios and
+ * distances: `transport` takes 30 to 200 ms, others 2 to 50 ms, and seconds where the shipped table of
+ * transport does not reach. A dipole at distances needs no table. Each fibre's disc takes about a
+ * millisecond more. On a fault *fit is NULL, else the caller owns it and frees it with
+ * core_fit_free(), which accepts NULL. */
 core_fault core_fit_create(core_fit **fit, const core_isa *isa, const core_fit_design *design);
 void core_fit_free(core_fit *fit);
+
+/* What sets of a design cost, before it is prepared: evaluations of the model for a set, on average,
+ * and the time of one in kernel evaluations of a dipole (as core_profile's `cost`). core_fit_check()
+ * must have accepted the design. */
+typedef struct core_fit_cost {
+  unsigned evaluations;
+  double evaluation;
+} core_fit_cost;
+core_fit_cost core_fit_cost_of(const core_fit_design *design);
 
 /* Returns the size in bytes of a prepared design. */
 size_t core_fit_bytes(const core_fit *fit);
@@ -141,5 +159,30 @@ void core_fit_model(const core_fit *fit, double sigma_a_per_mm, double sigma_s_p
  * count numbers (value - factor model) / error at the best medium. */
 void core_fit_run(const core_fit *fit, const double *values, const double *errors,
                   core_fit_result *result, double *residuals);
+
+/* The same in steps, for a caller that has other work beside: a set of 1024 readings takes up to 20
+ * ms. core_fit_begin() returns whether the search goes on; if not, it has set the result of readings
+ * that are refused. core_fit_step() does at most one evaluation of the model; it sets the result and
+ * returns false when the search is done. Until then values and errors have to stay valid.
+ * core_fit_search_new() returns NULL if memory runs out; a search serves one set after the other. */
+typedef struct core_fit_search core_fit_search;
+core_fit_search *core_fit_search_new(void);
+void core_fit_search_free(core_fit_search *search); /* accepts NULL */
+bool core_fit_begin(core_fit_search *search, const core_fit *fit, const double *values,
+                    const double *errors, core_fit_result *result, double *residuals);
+bool core_fit_step(core_fit_search *search, core_fit_result *result, double *residuals);
+
+/* Refining is for readings whose errors are so small that the table's count. The caller prepares
+ * the profile of a medium by the design's model, moments and parameters and EVALUATOR_F64, and passes
+ * it on, step by step. That is left to the caller because a profile may take long.
+ *
+ * core_fit_wants_exact() returns whether a set that was fitted should be refined, and sets the first
+ * medium. core_fit_refine() does one step: it sets the result by the profile of the last medium. It
+ * returns true if the result should be refined further, with the medium that it sets then. */
+bool core_fit_wants_exact(const core_fit *fit, const double *values, const double *errors,
+                          const core_fit_result *result, core_medium *medium);
+bool core_fit_refine(const core_fit *fit, const core_profile *profile, const double *values,
+                     const double *errors, core_fit_result *result, double *residuals,
+                     core_medium *medium);
 
 #endif

@@ -3,7 +3,7 @@
 #define CORE_REAL 64
 #include "core/kernel.h"
 
-enum { EVALUATIONS_MAX = 40, STARTS_MAX = 16 };
+enum { EVALUATIONS_MAX = 40 };
 
 /* How starts are chosen. In the grid each reading has the relative error `error` besides its own,
  * so that the valley of media that fit is wider than the grid's steps. The starts are the best
@@ -17,10 +17,9 @@ struct choosing {
 };
 static const struct choosing usual = {0.3, false, 4, 3};
 
-/* A second solution is looked for with more care if the readings are at most CAREFUL_SPARE more
+/* A second solution is looked for with more care if the readings are at most FIT_SPARSE more
  * than the unknowns, or if the best one is not a good fit. */
-static const struct choosing careful = {0.1, true, STARTS_MAX, 1e300};
-#define CAREFUL_SPARE 3
+static const struct choosing careful = {0.1, true, FIT_STARTS_MAX, 1e300};
 #define CAREFUL_REDUCED 3.0
 
 /* First the residuals are those of logarithms, which are less curved, until steps are shorter than
@@ -35,6 +34,11 @@ static const struct choosing careful = {0.1, true, STARTS_MAX, 1e300};
 
 /* From a start by the inverse, the steps are Newton's, and the last but one is shorter than this. */
 #define STEP_NEWTON 1e-5
+
+/* Refining ends with a step that is shorter than the first, or one that is longer than the second,
+ * as the table is not that far off. */
+#define STEP_EXACT 1e-8
+#define STEP_FAR 0.1
 
 #define DAMPING_FIRST 1e-2
 #define DAMPING_LEAST 1e-12
@@ -61,24 +65,6 @@ struct fit_place fit_grid_place(const core_fit *fit, size_t i) {
 
 /* ---- chi-squared ----------------------------------------------------------------------------- */
 
-/* The readings of a set. */
-struct readings {
-  const double *values;
-  const double *errors;
-};
-
-/* Chi-squared at a medium as far as it is quadratic: information and gradient by (ln_ratio,
- * ln_scattering), with the factor eliminated. */
-struct quadratic {
-  struct fit_place place;
-  bool logarithms; /* whether the residuals are those of logarithms */
-  double factor;
-  double chi_squared;
-  double rr, rs, ss; /* information */
-  double to_r, to_s; /* half of the descent of chi-squared by each logarithm */
-  double fr, fs, ff; /* information of ln factor with the two and by itself; 0 if it is known */
-};
-
 /* What a residual is made of: (value - factor model) / error, or that of logarithms, with the
  * model's derivatives. */
 struct residual {
@@ -91,7 +77,7 @@ struct residual {
 
 /* Sets out[count] to the parts of the residuals. `scale` is what the derivatives are multiplied by
  * together with the factor. */
-static void take_apart(const core_fit *fit, struct readings readings, bool logarithms,
+static void take_apart(const core_fit *fit, struct fit_readings readings, bool logarithms,
                        const double *model, struct residual *out) {
   for (size_t i = 0; i < fit->count; i++) {
     const double m = fit->weight[i] * model[i], value = readings.values[i];
@@ -118,7 +104,7 @@ static double best_factor(const core_fit *fit, bool logarithms, const struct res
   return fit->free_factor ? (square > 0 ? both / square : 0) : logarithms ? 0 : 1;
 }
 
-static void eliminate_factor(struct quadratic *q) {
+static void eliminate_factor(struct fit_quadratic *q) {
   if (q->ff > 0) {
     q->rr -= q->fr * q->fr / q->ff;
     q->rs -= q->fr * q->fs / q->ff;
@@ -127,7 +113,8 @@ static void eliminate_factor(struct quadratic *q) {
 }
 
 /* Adds one residual's square and the products of its derivatives. */
-static void add(struct quadratic *q, bool free_factor, const struct residual *part, double off) {
+static void add(struct fit_quadratic *q, bool free_factor, const struct residual *part,
+                double off) {
   const double scale = part->weight * (q->logarithms ? 1 : q->factor);
   const double r = scale * part->by_r, s = scale * part->by_s;
   const double f = free_factor ? scale * (q->logarithms ? 1 : part->model) : 0;
@@ -143,20 +130,22 @@ static void add(struct quadratic *q, bool free_factor, const struct residual *pa
 }
 
 /* Evaluates the model with its derivatives. Returns false if there is no such medium or no finite
- * chi-squared. residuals may be NULL. */
-static bool expand(const core_fit *fit, struct readings readings, bool logarithms,
-                   struct fit_place place, struct quadratic *q, double *residuals) {
-  double model[CORE_FIT_READINGS_MAX], by_r[CORE_FIT_READINGS_MAX], by_s[CORE_FIT_READINGS_MAX];
+ * chi-squared. exact: the values of the model to take, or NULL. residuals may be NULL. */
+static bool expand_around(const core_fit *fit, struct fit_readings readings, bool logarithms,
+                          struct fit_place place, const double *exact, struct fit_quadratic *q,
+                          double *residuals) {
+  double own[CORE_FIT_READINGS_MAX], by_r[CORE_FIT_READINGS_MAX], by_s[CORE_FIT_READINGS_MAX];
   struct residual parts[CORE_FIT_READINGS_MAX];
-  if (fit_values(&fit->model, place, &fit->places, model, by_r, by_s).field != NULL) {
+  if (fit_values(&fit->model, place, &fit->places, own, by_r, by_s).field != NULL) {
     return false;
   }
+  const double *model = exact != NULL ? exact : own;
   for (size_t i = 0; i < fit->count; i++) {
     parts[i].by_r = by_r[i];
     parts[i].by_s = by_s[i];
   }
   take_apart(fit, readings, logarithms, model, parts);
-  *q = (struct quadratic){
+  *q = (struct fit_quadratic){
       .place = place, .logarithms = logarithms, .factor = best_factor(fit, logarithms, parts)};
   for (size_t i = 0; i < fit->count; i++) {
     const double scaled = logarithms ? q->factor + parts[i].model : q->factor * parts[i].model;
@@ -170,10 +159,16 @@ static bool expand(const core_fit *fit, struct readings readings, bool logarithm
   return q->chi_squared < (double)INFINITY;
 }
 
+static bool expand(const core_fit *fit, struct fit_readings readings, bool logarithms,
+                   struct fit_place place, struct fit_quadratic *q, double *residuals) {
+  return expand_around(fit, readings, logarithms, place, NULL, q, residuals);
+}
+
 /* ---- the starts ------------------------------------------------------------------------------ */
 
 /* Sets chi[FIT_GRID] to chi-squared of the logarithms for each medium of the grid. */
-static void measure_grid(const core_fit *fit, struct readings readings, double error, double *chi) {
+static void measure_grid(const core_fit *fit, struct fit_readings readings, double error,
+                         double *chi) {
   double mean[FIT_GRID];
   double weights = 0;
   for (size_t i = 0; i < FIT_GRID; i++) {
@@ -212,8 +207,8 @@ static bool is_minimum(const double *chi, size_t i, bool rows) {
   return least;
 }
 
-/* Sets starts[STARTS_MAX] to positions in the grid, the best first, and returns their number. */
-static size_t find_starts(const core_fit *fit, struct readings readings,
+/* Sets starts[FIT_STARTS_MAX] to positions in the grid, the best first, and returns their number. */
+static size_t find_starts(const core_fit *fit, struct fit_readings readings,
                           const struct choosing *choosing, size_t *starts) {
   double chi[FIT_GRID];
   size_t count = 0;
@@ -254,7 +249,8 @@ static bool blocked(double at, double least, double most, double step) {
 
 /* Returns the damped step from a medium. A logarithm that stands on its bound stays there if the
  * step would cross it. */
-static struct fit_place step_from(const core_fit *fit, const struct quadratic *q, double damping) {
+static struct fit_place step_from(const core_fit *fit, const struct fit_quadratic *q,
+                                  double damping) {
   const double rr = q->rr * (1 + damping), ss = q->ss * (1 + damping);
   const double determinant = fma(rr, ss, -q->rs * q->rs);
   struct fit_place step = {0, 0};
@@ -289,41 +285,46 @@ static double distance(struct fit_place a, struct fit_place b) {
 }
 
 /* Returns by how much chi-squared falls with a step if it is quadratic. */
-static double expected_fall(const struct quadratic *q, struct fit_place from, struct fit_place to) {
+static double expected_fall(const struct fit_quadratic *q, struct fit_place from,
+                            struct fit_place to) {
   const double r = to.ln_ratio - from.ln_ratio, s = to.ln_scattering - from.ln_scattering;
   return r * (2 * q->to_r - q->rr * r - 2 * q->rs * s) + s * (2 * q->to_s - q->ss * s);
 }
 
-/* Descends from *q until a step is shorter than `end`. Returns whether it settled. */
-static bool descend(const core_fit *fit, struct readings readings, double damping, double end,
-                    struct quadratic *q, unsigned *evaluations) {
-  for (int i = 0; i < EVALUATIONS_MAX && damping < DAMPING_MOST; i++) {
-    const struct fit_place to = moved(fit, q->place, step_from(fit, q, damping));
-    const double length = distance(to, q->place);
-    struct quadratic next;
-    const bool valid = length > 0 && expand(fit, readings, q->logarithms, to, &next, NULL);
-    *evaluations += length > 0;
-    if (valid && next.chi_squared <= q->chi_squared) {
-      const double fell = q->chi_squared - next.chi_squared;
-      const double expected = expected_fall(q, q->place, to);
-      damping *= fell > 0.7 * expected ? 0.1 : fell < 0.2 * expected ? 3 : 1;
-      damping = real_max(damping, DAMPING_LEAST);
-      *q = next;
-      if (length < end) {
-        return true;
-      }
-    } else if (length < STEP_ROUNDED) {
-      return true;
-    } else {
-      damping *= 5;
-    }
+enum descended { DESCENDS, SETTLED, GAVE_UP };
+
+/* A descent from *q, until a step is shorter than `end`. */
+static struct fit_descent descent_from(double damping, double end) {
+  return (struct fit_descent){.damping = damping, .end = end, .left = EVALUATIONS_MAX};
+}
+
+/* Tries one step of a descent. */
+static enum descended descend(const core_fit *fit, struct fit_readings readings,
+                              struct fit_descent *descent, struct fit_quadratic *q,
+                              unsigned *evaluations) {
+  if (descent->left-- == 0 || descent->damping >= DAMPING_MOST) {
+    return GAVE_UP;
   }
-  return false;
+  const struct fit_place to = moved(fit, q->place, step_from(fit, q, descent->damping));
+  const double length = distance(to, q->place);
+  struct fit_quadratic next;
+  const bool valid = length > 0 && expand(fit, readings, q->logarithms, to, &next, NULL);
+  *evaluations += length > 0;
+  if (valid && next.chi_squared <= q->chi_squared) {
+    const double fell = q->chi_squared - next.chi_squared;
+    const double expected = expected_fall(q, q->place, to);
+    const double factor = fell > 0.7 * expected ? 0.1 : fell < 0.2 * expected ? 3 : 1;
+    descent->damping = real_max(descent->damping * factor, DAMPING_LEAST);
+    *q = next;
+    return length < descent->end ? SETTLED : DESCENDS;
+  }
+  descent->damping *= 5;
+  return length < STEP_ROUNDED ? SETTLED : DESCENDS;
 }
 
 /* ---- the result ------------------------------------------------------------------------------ */
 
-static core_fit_solution solution_of(const struct fit_model *model, const struct quadratic *q) {
+static core_fit_solution solution_of(const struct fit_model *model, const struct fit_quadratic *q) {
   const core_medium medium = fit_medium(model, q->place);
   return (core_fit_solution){medium.sigma_a_per_mm, medium.sigma_s_per_mm * (1 - model->g),
                              q->factor, q->chi_squared};
@@ -331,7 +332,7 @@ static core_fit_solution solution_of(const struct fit_model *model, const struct
 
 /* Sets the condition number and the covariance, from the information by the logarithms of sigma_a
  * and sigma_s': ln(ratio) = ln sigma_a - ln sigma_s'. */
-static void set_errors(const struct quadratic *q, core_fit_result *result) {
+static void set_errors(const struct fit_quadratic *q, core_fit_result *result) {
   const double aa = q->rr, as = q->rs - q->rr, ss = q->rr - 2 * q->rs + q->ss;
   const double half = 0.5 * (aa + ss), apart = 0.5 * (aa - ss);
   const double larger = half + sqrt(fma(apart, apart, as * as));
@@ -383,15 +384,9 @@ static enum core_fit_status status_of(const core_fit *fit, const core_fit_result
                                                                 : CORE_FIT_STATUS_FITTED;
 }
 
-/* A minimum that the search has found. */
-struct minimum {
-  struct quadratic at;
-  bool settled;
-  bool found;
-};
-
 /* Keeps the best two minima that are not the same. */
-static void keep(struct minimum *best, struct minimum *second, const struct minimum *now) {
+static void keep(struct fit_minimum *best, struct fit_minimum *second,
+                 const struct fit_minimum *now) {
   if (best->found && distance(best->at.place, now->at.place) < SAME) {
     if (now->settled && (!best->settled || now->at.chi_squared < best->at.chi_squared)) {
       *best = *now;
@@ -406,98 +401,205 @@ static void keep(struct minimum *best, struct minimum *second, const struct mini
 
 static const core_fit_solution no_solution = {(double)NAN, (double)NAN, (double)NAN, (double)NAN};
 
-/* The minima that were found, the best two of which count. */
-struct minima {
-  struct minimum best;
-  struct minimum second;
-};
-
-static bool is_known(const struct minima *minima, struct fit_place place) {
-  const struct minimum *best = &minima->best, *second = &minima->second;
+static bool is_known(const core_fit_search *s, struct fit_place place) {
+  const struct fit_minimum *best = &s->best, *second = &s->second;
   return (best->settled && distance(best->at.place, place) < SAME) ||
          (second->settled && distance(second->at.place, place) < SAME);
 }
 
-/* Descends from a medium of the grid: first with logarithms, if that can be done. */
-static void try_start(const core_fit *fit, struct readings readings, size_t start,
-                      struct minima *minima, unsigned *evaluations) {
-  struct minimum now = {.found = true};
-  struct fit_place place = fit_grid_place(fit, start);
-  ++*evaluations;
-  if (expand(fit, readings, true, place, &now.at, NULL)) {
-    descend(fit, readings, DAMPING_FIRST, STEP_LOGARITHMS, &now.at, evaluations);
-    place = now.at.place;
-  }
-  ++*evaluations;
-  if (!is_known(minima, place) && expand(fit, readings, false, place, &now.at, NULL)) {
-    now.settled = descend(fit, readings, DAMPING_FIRST, STEP_END, &now.at, evaluations);
-    keep(&minima->best, &minima->second, &now);
-  }
-}
+/* ---- the search ------------------------------------------------------------------------------ */
 
-static void try_starts(const core_fit *fit, struct readings readings,
-                       const struct choosing *choosing, struct minima *minima,
-                       unsigned *evaluations) {
-  size_t starts[STARTS_MAX];
-  const size_t count = find_starts(fit, readings, choosing, starts);
-  for (size_t i = 0; i < count; i++) {
-    try_start(fit, readings, starts[i], minima, evaluations);
-  }
-}
-
-/* Finds the medium of two readings by the inverse. Returns false if it is not shown to be the only
- * one. */
-static bool invert(const core_fit *fit, struct readings readings, struct minima *minima,
-                   unsigned *evaluations) {
-  struct minimum *best = &minima->best;
+/* Begins with the inverse, if it is shown that the readings come from one medium alone. */
+static void begin_inverse(core_fit_search *s) {
   struct fit_place start;
-  if (fit->inverse == NULL ||
-      !fit_inverse_start(fit->inverse, readings.values, readings.errors, &start)) {
-    return false;
-  }
-  ++*evaluations;
-  best->settled = expand(fit, readings, false, start, &best->at, NULL) &&
-                  descend(fit, readings, DAMPING_LEAST, STEP_NEWTON, &best->at, evaluations);
-  best->found = best->settled && best->at.chi_squared < CHI_SQUARED_NONE;
-  return best->found;
-}
-
-static void search(const core_fit *fit, struct readings readings, size_t spare,
-                   struct minima *minima, unsigned *evaluations) {
-  const struct minimum *best = &minima->best;
-  *minima = (struct minima){.best.found = false};
-  try_starts(fit, readings, &usual, minima, evaluations);
-  if (spare <= CAREFUL_SPARE || !best->found || !best->settled ||
-      best->at.chi_squared > CAREFUL_REDUCED * (double)spare) {
-    try_starts(fit, readings, &careful, minima, evaluations);
+  s->stage = FIT_BEGINS_ROUND;
+  if (s->fit->inverse != NULL &&
+      fit_inverse_start(s->fit->inverse, s->readings.values, s->readings.errors, &start)) {
+    s->evaluations++;
+    if (expand(s->fit, s->readings, false, start, &s->now.at, NULL)) {
+      s->descent = descent_from(DAMPING_LEAST, STEP_NEWTON);
+      s->stage = FIT_INVERTS;
+    }
   }
 }
 
-void fit_search(const core_fit *fit, const double *values, const double *errors,
-                core_fit_result *result, double *residuals) {
-  const struct readings readings = {values, errors};
-  const size_t spare = fit_spare(fit);
-  struct minima minima = {.best.found = false};
-  const struct minimum *best = &minima.best, *second = &minima.second;
-  *result = (core_fit_result){.best = no_solution, .second = no_solution, .notes = fit->notes};
-  if (!invert(fit, readings, &minima, &result->evaluations)) {
-    search(fit, readings, spare, &minima, &result->evaluations);
+static void end_inverse(core_fit_search *s) {
+  const bool found = s->now.settled && s->now.at.chi_squared < CHI_SQUARED_NONE;
+  s->stage = found ? FIT_IS_DONE : FIT_BEGINS_ROUND;
+  if (found) {
+    s->best = s->now;
   }
-  if (!best->found) {
-    result->status = CORE_FIT_STATUS_UNFINISHED;
+}
+
+/* Whether a second solution has to be looked for with more care. */
+static bool wants_care(const core_fit_search *s) {
+  const size_t spare = fit_spare(s->fit);
+  return spare <= FIT_SPARSE || !s->best.found || !s->best.settled ||
+         s->best.at.chi_squared > CAREFUL_REDUCED * (double)spare;
+}
+
+static void begin_round(core_fit_search *s) {
+  s->start_count = find_starts(s->fit, s->readings, s->is_careful ? &careful : &usual, s->starts);
+  s->next_start = 0;
+  s->stage = FIT_BEGINS_START;
+}
+
+/* Begins to descend from a medium of the grid: first with logarithms, if that can be done. */
+static void begin_start(core_fit_search *s) {
+  if (s->next_start == s->start_count) {
+    const bool again = !s->is_careful && wants_care(s);
+    s->is_careful = true;
+    s->stage = again ? FIT_BEGINS_ROUND : FIT_IS_DONE;
     return;
   }
-  result->best = solution_of(&fit->model, &best->at);
-  result->bounds = bounds_of(fit, best->at.place);
-  result->reduced_chi_squared = spare > 0 ? best->at.chi_squared / (double)spare : (double)NAN;
+  s->now = (struct fit_minimum){.found = true};
+  s->place = fit_grid_place(s->fit, s->starts[s->next_start++]);
+  s->descent = descent_from(DAMPING_FIRST, STEP_LOGARITHMS);
+  s->evaluations++;
+  s->stage = expand(s->fit, s->readings, true, s->place, &s->now.at, NULL) ? FIT_COMES_NEAR
+                                                                           : FIT_BEGINS_MINIMUM;
+}
+
+static void begin_minimum(core_fit_search *s) {
+  s->descent = descent_from(DAMPING_FIRST, STEP_END);
+  s->evaluations++;
+  s->stage =
+      !is_known(s, s->place) && expand(s->fit, s->readings, false, s->place, &s->now.at, NULL)
+          ? FIT_SETTLES
+          : FIT_BEGINS_START;
+}
+
+/* Tries a step of the descent of this stage. */
+static void go_down(core_fit_search *s) {
+  const enum descended descended =
+      descend(s->fit, s->readings, &s->descent, &s->now.at, &s->evaluations);
+  if (descended == DESCENDS) {
+    return;
+  }
+  s->now.settled = descended == SETTLED;
+  s->now.found = true;
+  if (s->stage == FIT_INVERTS) {
+    end_inverse(s);
+  } else if (s->stage == FIT_COMES_NEAR) {
+    s->place = s->now.at.place;
+    s->now.settled = false;
+    s->stage = FIT_BEGINS_MINIMUM;
+  } else {
+    keep(&s->best, &s->second, &s->now);
+    s->stage = FIT_BEGINS_START;
+  }
+}
+
+void fit_search_begin(core_fit_search *s, const core_fit *fit, const double *values,
+                      const double *errors) {
+  s->fit = fit;
+  s->readings = (struct fit_readings){values, errors};
+  s->evaluations = 0;
+  s->best.found = s->best.settled = s->second.found = s->second.settled = false;
+  s->is_careful = false;
+  s->stage = FIT_BEGINS;
+}
+
+bool fit_search_step(core_fit_search *s) {
+  switch (s->stage) {
+  case FIT_BEGINS:
+    begin_inverse(s);
+    break;
+  case FIT_BEGINS_ROUND:
+    begin_round(s);
+    break;
+  case FIT_BEGINS_START:
+    begin_start(s);
+    break;
+  case FIT_BEGINS_MINIMUM:
+    begin_minimum(s);
+    break;
+  case FIT_INVERTS:
+  case FIT_COMES_NEAR:
+  case FIT_SETTLES:
+    go_down(s);
+    break;
+  case FIT_IS_DONE:
+    break;
+  }
+  return s->stage == FIT_IS_DONE;
+}
+
+/* Sets what follows from the best medium: the coefficients, their errors and the status. */
+static void set_best(const core_fit *fit, const struct fit_quadratic *q, bool settled,
+                     core_fit_result *result) {
+  const size_t spare = fit_spare(fit);
+  result->best = solution_of(&fit->model, q);
+  result->bounds = bounds_of(fit, q->place);
+  result->reduced_chi_squared = spare > 0 ? q->chi_squared / (double)spare : (double)NAN;
+  set_errors(q, result);
+  result->status = status_of(fit, result, settled);
+}
+
+void fit_search_result(const core_fit_search *s, core_fit_result *result, double *residuals) {
+  const core_fit *fit = s->fit;
+  const struct fit_minimum *best = &s->best, *second = &s->second;
+  *result = (core_fit_result){.status = CORE_FIT_STATUS_UNFINISHED,
+                              .best = no_solution,
+                              .second = no_solution,
+                              .evaluations = s->evaluations,
+                              .notes = fit->notes};
+  if (!best->found) {
+    return;
+  }
   if (second->found && second->settled &&
       second->at.chi_squared < best->at.chi_squared + CORE_FIT_AMBIGUOUS) {
     result->second = solution_of(&fit->model, &second->at);
   }
-  set_errors(&best->at, result);
-  result->status = status_of(fit, result, best->settled);
+  set_best(fit, &best->at, best->settled, result);
   if (residuals != NULL) {
-    struct quadratic again;
-    expand(fit, readings, false, best->at.place, &again, residuals);
+    struct fit_quadratic again;
+    expand(fit, s->readings, false, best->at.place, &again, residuals);
   }
+}
+
+/* ---- refining -------------------------------------------------------------------------------- */
+
+static struct fit_place place_of(const core_fit_solution *solution) {
+  return (struct fit_place){fit_ln(solution->sigma_a_per_mm / solution->sigma_s_prime_per_mm),
+                            fit_ln(solution->sigma_s_prime_per_mm)};
+}
+
+bool core_fit_wants_exact(const core_fit *fit, const double *values, const double *errors,
+                          const core_fit_result *result, core_medium *medium) {
+  bool precise = fit->model.table != NULL && result->status != CORE_FIT_STATUS_REFUSED &&
+                 result->bounds == 0 && result->best.sigma_a_per_mm > 0;
+  for (size_t i = 0; i < fit->count; i++) {
+    precise &= errors[i] < CORE_FIT_EXACT_BELOW * values[i];
+  }
+  if (precise) {
+    *medium = fit_medium(&fit->model, place_of(&result->best));
+  }
+  return precise;
+}
+
+/* The derivatives of the table are off by about as much as its values, so that each step leaves a
+ * small share of the last one. */
+bool core_fit_refine(const core_fit *fit, const core_profile *profile, const double *values,
+                     const double *errors, core_fit_result *result, double *residuals,
+                     core_medium *medium) {
+  const struct fit_readings readings = {values, errors};
+  const struct fit_place place = place_of(&result->best);
+  double exact[CORE_FIT_READINGS_MAX];
+  struct fit_quadratic q;
+  fit_values_of_profile(&fit->model, profile, &fit->places, exact);
+  result->evaluations++;
+  if (!expand_around(fit, readings, false, place, exact, &q, residuals)) {
+    return false;
+  }
+  const struct fit_place to = moved(fit, place, step_from(fit, &q, 0));
+  const double length = distance(to, place);
+  set_best(fit, &q, true, result);
+  if (!(length > STEP_EXACT && length < STEP_FAR)) {
+    return false;
+  }
+  *medium = fit_medium(&fit->model, to);
+  result->best.sigma_a_per_mm = medium->sigma_a_per_mm;
+  result->best.sigma_s_prime_per_mm = medium->sigma_s_per_mm * (1 - fit->model.g);
+  return true;
 }

@@ -35,8 +35,77 @@ size_t fit_spare(const core_fit *fit);
 /* Returns medium i of the grid. */
 struct fit_place fit_grid_place(const core_fit *fit, size_t i);
 
-/* Does what core_fit_run() does for readings that have been checked. */
-void fit_search(const core_fit *fit, const double *values, const double *errors,
-                core_fit_result *result, double *residuals);
+/* The readings of a set. */
+struct fit_readings {
+  const double *values;
+  const double *errors;
+};
+
+/* Chi-squared at a medium as far as it is quadratic: information and gradient by (ln_ratio,
+ * ln_scattering), with the factor eliminated. */
+struct fit_quadratic {
+  struct fit_place place;
+  bool logarithms; /* whether the residuals are those of logarithms */
+  double factor;
+  double chi_squared;
+  double rr, rs, ss; /* information */
+  double to_r, to_s; /* half of the descent of chi-squared by each logarithm */
+  double fr, fs, ff; /* information of ln factor with the two and by itself; 0 if it is known */
+};
+
+/* A minimum that the search has found, or descends to. */
+struct fit_minimum {
+  struct fit_quadratic at;
+  bool settled;
+  bool found;
+};
+
+struct fit_descent {
+  double damping;
+  double end; /* a step that is shorter than this is the last */
+  int left;   /* steps that may still be tried */
+};
+
+/* What a search does next. */
+enum fit_stage {
+  FIT_BEGINS,
+  FIT_INVERTS,        /* descends from the inverse's medium */
+  FIT_BEGINS_ROUND,   /* chooses starts of the grid */
+  FIT_BEGINS_START,   /* begins with the next of them */
+  FIT_COMES_NEAR,     /* descends with logarithms */
+  FIT_BEGINS_MINIMUM, /* begins without logarithms */
+  FIT_SETTLES,        /* descends to a minimum */
+  FIT_IS_DONE,
+};
+
+enum { FIT_STARTS_MAX = 16 };
+
+/* With at most this many readings more than unknowns, a second solution is looked for with care. */
+enum { FIT_SPARSE = 3 };
+
+struct core_fit_search {
+  const core_fit *fit;
+  struct fit_readings readings;
+  enum fit_stage stage;
+  unsigned evaluations;
+  struct fit_minimum best, second; /* of those that were found */
+  bool is_careful;                 /* of the two rounds of starts it is the second */
+  size_t starts[FIT_STARTS_MAX];   /* positions in the grid */
+  size_t start_count;
+  size_t next_start;
+  struct fit_place place; /* where the descent without logarithms begins */
+  struct fit_minimum now;
+  struct fit_descent descent;
+};
+
+/* Begins a search for readings that have been checked. */
+void fit_search_begin(core_fit_search *search, const core_fit *fit, const double *values,
+                      const double *errors);
+
+/* Goes on by at most one evaluation of the model. Returns whether the search is done. */
+bool fit_search_step(core_fit_search *search);
+
+/* Sets the result of a search that is done. */
+void fit_search_result(const core_fit_search *search, core_fit_result *result, double *residuals);
 
 #endif

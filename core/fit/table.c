@@ -24,8 +24,10 @@ enum {
 #define WAVE_LEAST 1e-7
 #define WAVE_MOST 1e3
 
-/* The tolerance by which a profile comes from the table of solutions, wherever it can. */
-#define PROFILE_TOLERANCE 1e-3
+/* The tolerance by which a profile of transport comes from the table of solutions, wherever it can;
+ * and that of other models. */
+#define TRANSPORT_TOLERANCE 1e-3
+#define OTHER_TOLERANCE 1e-8
 
 #define LN_2_PI 1.83787706640934548356
 
@@ -42,14 +44,14 @@ struct fit_table {
 /* ---- making ---------------------------------------------------------------------------------- */
 
 /* Sets row i from the profile of its medium with sigma_t' = 1 per mm. */
-static core_fault fill_row(fit_table *table, size_t i, const core_isa *isa, double g, double eta,
+static core_fault fill_row(fit_table *table, size_t i, const struct fit_table_source *source,
                            const core_parameters *parameters) {
   const double ratio = real_exp_signed(table->ratio_least + table->ratio_step * (double)i);
   const double albedo = 1 / (1 + ratio);
-  const core_medium medium = {ratio * albedo, albedo / (1 - g), g, eta};
+  const core_medium medium = {ratio * albedo, albedo / (1 - source->g), source->g, source->eta};
   core_profile profile;
   const core_fault fault =
-      core_profile_prepare(&profile, isa, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
+      core_profile_prepare(&profile, source->isa, source->model, source->moments,
                            CORE_EVALUATOR_F64, &medium, parameters);
   if (fault.field != NULL) {
     return fault;
@@ -72,16 +74,16 @@ static core_fault fill_row(fit_table *table, size_t i, const core_isa *isa, doub
   return (core_fault){0};
 }
 
-core_fault fit_table_create(fit_table **made, const core_isa *isa, enum core_quantity quantity,
-                            double g, double eta, const core_parameters *parameters) {
+core_fault fit_table_create(fit_table **made, const struct fit_table_source *source) {
   *made = NULL;
   fit_table *table = malloc(sizeof *table);
   if (table == NULL) {
     return CORE_OUT_OF_MEMORY;
   }
-  core_parameters taken = *parameters;
-  taken.value[CORE_PARAMETER_TOLERANCE] = PROFILE_TOLERANCE;
-  table->waves = quantity == CORE_QUANTITY_TRANSFER;
+  core_parameters taken = *source->parameters;
+  taken.value[CORE_PARAMETER_TOLERANCE] =
+      source->model == CORE_MODEL_TRANSPORT ? TRANSPORT_TOLERANCE : OTHER_TOLERANCE;
+  table->waves = source->quantity == CORE_QUANTITY_TRANSFER;
   table->ratio_least = real_log(CORE_FIT_RATIO_MIN, 0);
   table->ratio_step = (real_log(CORE_FIT_RATIO_MAX, 0) - table->ratio_least) / (RATIOS - 1);
   table->ln_least = real_log(table->waves ? WAVE_LEAST : RADIUS_LEAST, 0);
@@ -89,7 +91,7 @@ core_fault fit_table_create(fit_table **made, const core_isa *isa, enum core_qua
       (real_log(table->waves ? WAVE_MOST : RADIUS_MOST, 0) - table->ln_least) / (PLACES - 1);
   core_fault fault = {0};
   for (size_t i = 0; i < RATIOS && fault.field == NULL; i++) {
-    fault = fill_row(table, i, isa, g, eta, &taken);
+    fault = fill_row(table, i, source, &taken);
   }
   if (fault.field != NULL) {
     free(table);

@@ -1,12 +1,12 @@
-/* table: `transport` for media that a fit tries, of one g and eta. Internal to core/fit.
+/* table: a model for media that a fit tries, of one g and eta. Internal to core/fit.
  *
  * In mean free paths 1 / sigma_t' the profile depends on the ratio sigma_a / sigma_s' and on x = r
- * sigma_t', or on q = 2 pi f / sigma_t', alone. The table holds
+ * sigma_t', or on q = 2 pi f / sigma_t', alone, unless a parameter is a length. The table holds
  *
  *   L = ln(x R) + kappa x - ln(1 + kappa x) - ln(sigma_s' / sigma_t')   or   ln R(f)
  *
- * at equal steps of ln(sigma_a / sigma_s') and of ln x or ln q. L is smooth: six points along the
- * one and four along the other are interpolated by polynomials. Preparing takes half a second. */
+ * at equal steps of ln(sigma_a / sigma_s') and of ln x or ln q. kappa is that of transport.
+ * L is smooth: six points along the one and four along the other are interpolated by polynomials. */
 #ifndef DIPOLED_CORE_FIT_TABLE_H
 #define DIPOLED_CORE_FIT_TABLE_H
 
@@ -14,11 +14,21 @@
 
 typedef struct fit_table fit_table;
 
-/* Makes a table from the model `transport` with these parameters (`tolerance` is not used).
- * quantity: R or TRANSFER. Faults are those of core_profile_prepare(). On a fault *table is NULL,
- * else the caller frees it with fit_table_free(), which accepts NULL. */
-core_fault fit_table_create(fit_table **table, const core_isa *isa, enum core_quantity quantity,
-                            double g, double eta, const core_parameters *parameters);
+/* What a table is made from: a model whose parameters have no length (`tolerance` is not used), and
+ * R or TRANSFER. */
+struct fit_table_source {
+  const core_isa *isa;
+  unsigned model;
+  unsigned moments;
+  enum core_quantity quantity;
+  double g;
+  double eta;
+  const core_parameters *parameters;
+};
+
+/* Makes a table. Faults are those of core_profile_prepare(). On a fault *table is NULL, else the
+ * caller frees it with fit_table_free(), which accepts NULL. */
+core_fault fit_table_create(fit_table **table, const struct fit_table_source *source);
 void fit_table_free(fit_table *table);
 size_t fit_table_bytes(const fit_table *table);
 

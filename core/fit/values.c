@@ -39,6 +39,19 @@ static void add_up(const struct fit_places *places, size_t start, size_t n, cons
   }
 }
 
+void fit_values_of_profile(const struct fit_model *model, const core_profile *profile,
+                           const struct fit_places *places, double *value) {
+  const size_t nodes = places->first[places->count];
+  size_t reading = 0;
+  value[0] = 0;
+  for (size_t start = 0; start < nodes; start += CHUNK) {
+    const size_t n = nodes - start < CHUNK ? nodes - start : CHUNK;
+    double values[CHUNK];
+    core_eval_f64(profile, model->quantity, n, places->at + start, values);
+    add_up(places, start, n, values, &reading, value);
+  }
+}
+
 /* error: NULL, or receives the model's numerical error. */
 static core_fault evaluate(const struct fit_model *model, const core_medium *medium,
                            const struct fit_places *places, double *value, double *error) {
@@ -48,15 +61,7 @@ static core_fault evaluate(const struct fit_model *model, const core_medium *med
   if (fault.field != NULL) {
     return fault;
   }
-  const size_t nodes = places->first[places->count];
-  size_t reading = 0;
-  value[0] = 0;
-  for (size_t start = 0; start < nodes; start += CHUNK) {
-    const size_t n = nodes - start < CHUNK ? nodes - start : CHUNK;
-    double values[CHUNK];
-    core_eval_f64(&profile, model->quantity, n, places->at + start, values);
-    add_up(places, start, n, values, &reading, value);
-  }
+  fit_values_of_profile(model, &profile, places, value);
   if (error != NULL) {
     *error = profile.numerical_error;
   }

@@ -15,7 +15,7 @@ struct fit_model {
   double g;
   double eta;
   core_parameters parameters;
-  fit_table *table;     /* of transport, else NULL */
+  fit_table *table;     /* NULL if the model varies, or if a parameter is a length */
   bool varies;          /* whether `varying` evaluates the quantity for any medium */
   core_varying varying; /* owned */
 };
@@ -44,6 +44,10 @@ double fit_ln(double x);
 /* Evaluates the readings for a medium, whose g and eta need not be those of the model. */
 core_fault fit_values_of_medium(const struct fit_model *model, const core_medium *medium,
                                 const struct fit_places *places, double *value);
+
+/* Evaluates the readings of a medium whose profile has been prepared. */
+void fit_values_of_profile(const struct fit_model *model, const core_profile *profile,
+                           const struct fit_places *places, double *value);
 
 /* Evaluates the readings. Sets value[count] and, unless they are NULL, its derivatives by ln_ratio
  * and by ln_scattering. Returns the fault of a medium that the model does not take. */

@@ -1,22 +1,32 @@
 /* Fit: finds the coefficients of media from sets of readings, set by set. The design that they
  * share is prepared on another thread and kept in the cache. */
 #include "proto/fit.h"
+
+#include <stdlib.h>
+
 #include "server/jobs/job.h"
 
-/* The cost of evaluating the model for one medium that a fit tries, in radii of a dipole: of the
- * medium, and besides of each reading. Evaluations for a set of readings, on average. */
-enum {
-  MEDIUM_RADII = 256,
-  COSTLY_MEDIUM_RADII = JOB_SLICE_RADII,
-  READING_RADII = 8,
-  EVALUATIONS = 16,
+/* The cost of a profile that is prepared on this thread, in radii of a dipole. */
+enum { PROFILE_RADII = JOB_SLICE_RADII };
+
+/* A set whose errors are so small that its fit is refined with profiles of the model. */
+struct refining {
+  struct profiles_lookup lookup; /* gets the profiles */
+  core_fit_result result;
+  core_medium medium; /* of the next profile */
+  unsigned steps;
+  bool goes_on;
 };
 
 struct fit_job {
   struct job job;
   fit_request request;
   struct profiles_lookup lookup; /* gets the prepared design */
+  struct refining *refining;     /* NULL as long as no set was refined */
+  core_fit_search *search;       /* of the next set; NULL before the first */
+  bool searches;                 /* whether that has begun */
   uint64_t evaluation_radii;     /* the cost of an evaluation, in radii of a dipole */
+  uint64_t set_radii;            /* that of a set, on average */
   uint32_t residuals;            /* how many the reply has for each set: 0, or one for a reading */
   uint8_t *reply;                /* payload of the current part */
   struct job_parts parts;        /* of the sets */
@@ -29,10 +39,6 @@ JOB_FITS_SLOT(struct fit_job);
 
 static struct fit_job *of(struct job *job) {
   return (struct fit_job *)(void *)job;
-}
-
-static uint64_t set_radii(const struct fit_job *fit) {
-  return EVALUATIONS * fit->evaluation_radii;
 }
 
 /* ---- starting -------------------------------------------------------------------------------- */
@@ -58,10 +64,9 @@ static wire_error check(struct fit_job *fit, const struct job_request *from) {
   if (fault.field != NULL) {
     return job_error(fault);
   }
-  const bool costly = read.design.model != CORE_MODEL_TRANSPORT &&
-                      core_worth_keeping(read.design.model, CORE_EVALUATOR_F64);
-  fit->evaluation_radii =
-      (costly ? COSTLY_MEDIUM_RADII : MEDIUM_RADII) + READING_RADII * (uint64_t)read.design.count;
+  const core_fit_cost cost = core_fit_cost_of(&read.design);
+  fit->evaluation_radii = (uint64_t)cost.evaluation;
+  fit->set_radii = cost.evaluations * fit->evaluation_radii;
   fit->residuals = fit->request.fixed.residuals != 0 ? fit->request.design.reading_count : 0;
   cut(fit, &fit->job.context->server->options);
   return wire_error_none();
@@ -71,13 +76,16 @@ static enum job_outcome start(struct job *job, const struct job_request *request
   struct fit_job *fit = of(job);
   wire_error error = check(fit, request);
   if (error.status == WIRE_STATUS_OK) {
-    const double radii = (double)fit->request.fixed.set_count * (double)set_radii(fit);
+    const double radii = (double)fit->request.fixed.set_count * (double)fit->set_radii;
     error = job_admit(job, radii, "set_count");
   }
   if (error.status != WIRE_STATUS_OK) {
     return job_refuse(job, error);
   }
   fit->notes = 0;
+  fit->refining = NULL;
+  fit->search = NULL;
+  fit->searches = false;
   job_init_lookup(job, &fit->lookup, request);
   job->part_bytes = fit_reply_bytes(fit->parts.count, fit->residuals);
   return JOB_NEXT_PART;
@@ -113,6 +121,10 @@ static enum job_outcome end_part(struct fit_job *fit) {
 
 /* ---- fitting --------------------------------------------------------------------------------- */
 
+static wire_error out_of_memory(void) {
+  return job_fault((core_fault){CORE_FIELD_MEMORY, "less than what is left: try again", 0}, 0);
+}
+
 static enum job_outcome get_design(struct fit_job *fit) {
   struct job_context *context = fit->job.context;
   switch (profiles_get_fit(&context->profiles, &fit->lookup, fit->request.design_bytes,
@@ -124,48 +136,139 @@ static enum job_outcome get_design(struct fit_job *fit) {
   case PROFILES_READY:
     break;
   }
+  fit->search = core_fit_search_new();
+  return fit->search != NULL ? JOB_GOES_ON : job_refuse(&fit->job, out_of_memory());
+}
+
+/* The next set: its readings, and room for its residuals or NULL. */
+struct set {
+  const double *values;
+  const double *errors;
+  double *residuals;
+};
+
+static struct set next_set(const struct fit_job *fit) {
+  const size_t readings = fit->request.design.reading_count;
+  const size_t at = (size_t)(fit->parts.first + fit->index) * readings;
+  struct set set = {fit->request.values + at, fit->request.errors + at, NULL};
+  if (fit->residuals > 0) {
+    set.residuals = (double *)(void *)(fit->reply + fit_residuals_offset(fit->parts.count)) +
+                    (size_t)fit->index * readings;
+  }
+  return set;
+}
+
+static void put(struct fit_job *fit, const core_fit_result *result) {
+  const wire_fitted fitted = fit_result_encode(result);
+  wire_put_fitted(fit->reply + WIRE_BYTES_fit_reply + fit->index * WIRE_BYTES_fitted, &fitted);
+  fit->fitted += result->status == CORE_FIT_STATUS_FITTED;
+  fit->notes |= result->notes;
+  fit->index++;
+}
+
+/* Begins to refine the next set from a result. */
+static enum job_outcome begin_refining(struct fit_job *fit, const core_fit_result *result,
+                                       const core_medium *medium) {
+  if (fit->refining == NULL) {
+    fit_design read;
+    fit_design_read(fit->request.design_bytes, &read);
+    fit->refining = malloc(sizeof *fit->refining);
+    if (fit->refining == NULL) {
+      return job_refuse(&fit->job, out_of_memory());
+    }
+    struct profiles_lookup *lookup = &fit->refining->lookup;
+    *lookup = (struct profiles_lookup){.on_ready = fit->lookup.on_ready,
+                                       .context = fit->lookup.context,
+                                       .owner = fit->lookup.owner};
+    profiles_start(lookup, read.design.model, read.design.moments, CORE_EVALUATOR_F64,
+                   &read.parameters);
+  }
+  fit->refining->result = *result;
+  fit->refining->medium = *medium;
+  fit->refining->steps = 0;
+  fit->refining->goes_on = true;
   return JOB_GOES_ON;
 }
 
-/* Fits the next set. Returns what that cost, in radii of a dipole. */
-static uint64_t fit_next(struct fit_job *fit) {
-  const size_t readings = fit->request.design.reading_count;
-  const size_t at = (size_t)(fit->parts.first + fit->index) * readings;
-  double *residuals = NULL;
-  if (fit->residuals > 0) {
-    residuals = (double *)(void *)(fit->reply + fit_residuals_offset(fit->parts.count)) +
-                (size_t)fit->index * readings;
+/* Does one step of refining the next set. */
+static enum job_outcome refine(struct fit_job *fit) {
+  struct refining *refining = fit->refining;
+  switch (profiles_get(&fit->job.context->profiles, &refining->lookup, &refining->medium)) {
+  case PROFILES_WAIT:
+    return JOB_WAITS;
+  case PROFILES_FAULT:
+    if (profiles_is_busy(refining->lookup.fault)) {
+      return job_refuse(&fit->job, job_fault(refining->lookup.fault, 0));
+    }
+    refining->goes_on = false; /* the model takes the medium of the table, but not this one */
+    put(fit, &refining->result);
+    return JOB_GOES_ON;
+  case PROFILES_READY:
+    break;
   }
+  const struct set set = next_set(fit);
+  const bool more =
+      core_fit_refine(fit->lookup.fit, &refining->lookup.profile, set.values, set.errors,
+                      &refining->result, set.residuals, &refining->medium);
+  profiles_return(&refining->lookup);
+  refining->goes_on = more && ++refining->steps < CORE_FIT_REFINE_MOST;
+  if (!refining->goes_on) {
+    put(fit, &refining->result);
+  }
+  return JOB_GOES_ON;
+}
+
+/* Begins with the next set, or does a step of fitting or refining it. Adds what that cost to *spent,
+ * in radii of a dipole. */
+static enum job_outcome fit_next(struct fit_job *fit, uint64_t *spent) {
+  if (fit->refining != NULL && fit->refining->goes_on) {
+    *spent += PROFILE_RADII;
+    return refine(fit);
+  }
+  const struct set set = next_set(fit);
   core_fit_result result;
-  core_fit_run(fit->lookup.fit, fit->request.values + at, fit->request.errors + at, &result,
-               residuals);
-  const wire_fitted fitted = fit_result_encode(&result);
-  wire_put_fitted(fit->reply + WIRE_BYTES_fit_reply + fit->index * WIRE_BYTES_fitted, &fitted);
-  fit->fitted += result.status == CORE_FIT_STATUS_FITTED;
-  fit->notes |= result.notes;
-  fit->index++;
-  return (result.evaluations + 1) * fit->evaluation_radii;
+  core_medium medium;
+  *spent += fit->evaluation_radii;
+  fit->searches = fit->searches ? core_fit_step(fit->search, &result, set.residuals)
+                                : core_fit_begin(fit->search, fit->lookup.fit, set.values,
+                                                 set.errors, &result, set.residuals);
+  if (fit->searches) {
+    return JOB_GOES_ON;
+  }
+  if (core_fit_wants_exact(fit->lookup.fit, set.values, set.errors, &result, &medium)) {
+    return begin_refining(fit, &result, &medium);
+  }
+  put(fit, &result);
+  return JOB_GOES_ON;
 }
 
 static enum job_outcome step(struct job *job, uint64_t *budget) {
   struct fit_job *fit = of(job);
-  const enum job_outcome outcome = fit->lookup.ready ? JOB_GOES_ON : get_design(fit);
+  enum job_outcome outcome = fit->lookup.ready ? JOB_GOES_ON : get_design(fit);
   if (outcome != JOB_GOES_ON) {
     return outcome;
   }
   uint64_t spent = JOB_STEP_RADII;
   const uint64_t begun = fit->index;
-  while (fit->index < fit->parts.count && spent < JOB_SLICE_RADII) {
-    spent += fit_next(fit);
+  while (outcome == JOB_GOES_ON && fit->index < fit->parts.count && spent < JOB_SLICE_RADII) {
+    outcome = fit_next(fit, &spent);
   }
   stats_add(&job->context->server->stats, STATS_SETS_FITTED, fit->index - begun);
-  job_pay(job, (fit->index - begun) * set_radii(fit));
+  job_pay(job, (fit->index - begun) * fit->set_radii);
   *budget -= spent < *budget ? spent : *budget;
-  return fit->index == fit->parts.count ? end_part(fit) : JOB_GOES_ON;
+  return outcome != JOB_GOES_ON           ? outcome
+         : fit->index == fit->parts.count ? end_part(fit)
+                                          : JOB_GOES_ON;
 }
 
 static void end(struct job *job) {
-  profiles_return(&of(job)->lookup);
+  struct fit_job *fit = of(job);
+  profiles_return(&fit->lookup);
+  core_fit_search_free(fit->search);
+  if (fit->refining != NULL) {
+    profiles_return(&fit->refining->lookup);
+    free(fit->refining);
+  }
 }
 
 const struct job_kind job_kind_FIT = {

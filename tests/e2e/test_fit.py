@@ -76,6 +76,23 @@ def test_stated_errors_are_those_of_noise(client, readings):
     assert found.reduced_chi_squared.mean() == pytest.approx(1, abs=0.1)
 
 
+@pytest.mark.parametrize(
+    "model, g", [("transport", 0.0), ("transport", 0.9), ("quantized", 0.0), ("beam", 0.0)]
+)
+def test_what_eval_gives_comes_back(client, model, g):
+    """Readings of eval with errors of 1e-4: the last steps are done with profiles of the model,
+    some of which another thread prepares."""
+    R = client.eval(model, Medium(0.02, 1.1 / (1 - g), g, 1.4), AT_MM).R[0]
+    sets = np.stack([R, R * (1 + 1e-4), np.full(6, np.nan), R])
+    found = client.fit(model, AT_MM, sets, 1e-4 * R, g=g, eta=1.4, residuals=True)
+    assert list(found.status) == ["fitted", "fitted", "refused", "fitted"]
+    assert np.abs(found.residuals[0]).max() < 1e-3
+    for i in (0, 3):
+        np.testing.assert_allclose(found.sigma_a[i], 0.02, rtol=1e-6)
+        np.testing.assert_allclose(found.sigma_s_prime[i], 1.1, rtol=1e-6)
+    assert found.sets[0].tobytes() == found.sets[3].tobytes()
+
+
 def test_shapes(client, readings):
     image = noisy(readings, (3, 4))
     found = client.fit("better", AT_MM, image, 0.02 * image, eta=1.4, residuals=True)
