@@ -82,11 +82,11 @@ core_fault core_fit_check(const core_fit_design *design) {
 
 /* Measured with 2 to 300 readings and with fibres: an evaluation takes 0.2 us and 0.08 us for each
  * place, of a table as well as of a dipole's five media, and 0.36 us with Burley's models. A slab's
- * profiles take some 20 us each. */
+ * profiles take some 100 us each, five for an evaluation. */
 #define EVALUATION_COST 128
 #define PLACE_COST 42
 #define BURLEY_PLACE_COST 180
-#define SLAB_COST 65536
+#define SLAB_COST 262144
 
 /* Evaluations for a set: by the inverse, with few readings more than unknowns, and with many. */
 enum { BY_INVERSE = 4, SPARSE = 160, PLENTY = 12 };

@@ -516,12 +516,10 @@ UNIT_TEST(monte_carlo_gives_back_its_coefficients) {
 
 /* The bound of Cramer and Rao is the covariance of the noiseless readings. The spread of SETS fits
  * has a standard error of 1 / sqrt(2 SETS) itself, three of which are allowed besides the 5 %. */
-static void expect_noise(unsigned scale) {
+static void expect_noise(unsigned scale, int count, double noise) {
   enum { SETS = 1000, MOST = 40 };
   double at[MOST], clean[MOST], errors[MOST], values[MOST];
   uint64_t random = unit_seed();
-  /* With an unknown factor ten readings leave sigma_a uncertain by more than is linear. */
-  const int count = scale == CORE_FIT_SCALE_FREE ? MOST : 10;
   for (int i = 0; i < count; i++) {
     at[i] = 0.3 * pow(20, i / (count - 1.0));
   }
@@ -536,7 +534,7 @@ static void expect_noise(unsigned scale) {
   core_fit *fit = created(&design);
   core_fit_model(fit, 0.02, 1.1, clean);
   for (int i = 0; i < count; i++) {
-    errors[i] = 0.02 * clean[i];
+    errors[i] = noise * clean[i];
   }
   core_fit_result ideal, result;
   core_fit_run(fit, clean, errors, &ideal, NULL);
@@ -563,9 +561,10 @@ static void expect_noise(unsigned scale) {
   const double ratio_a = spread_a / sqrt(ideal.covariance.a_a);
   const double ratio_s = spread_s / sqrt(ideal.covariance.s_s);
   const double share_1 = one / (2.0 * SETS), share_2 = two / (2.0 * SETS);
-  printf("scale %u: spread %.3f and %.3f of the bound; %.1f %% within one error, %.1f %% within "
+  printf("scale %u, %d readings, noise %g: spread %.3f and %.3f of the bound; %.1f %% within one "
+         "error, %.1f %% within "
          "two\n",
-         scale, ratio_a, ratio_s, 100 * share_1, 100 * share_2);
+         scale, count, noise, ratio_a, ratio_s, 100 * share_1, 100 * share_2);
   const double allowed = 0.05 + 3 / sqrt(2.0 * SETS);
   assert_true(told > SETS * 98 / 100); /* noise may make a second medium fit as well */
   assert_true(fabs(ratio_a - 1) < allowed && fabs(ratio_s - 1) < allowed);
@@ -696,6 +695,67 @@ UNIT_TEST(the_inverse_gives_what_the_search_gives) {
 }
 
 UNIT_TEST(noise_of_2_percent_spreads_as_the_bound) {
-  expect_noise(CORE_FIT_SCALE_ABSOLUTE);
-  expect_noise(CORE_FIT_SCALE_FREE);
+  expect_noise(CORE_FIT_SCALE_ABSOLUTE, 10, 0.02);
+  expect_noise(CORE_FIT_SCALE_FREE, 40, 0.02);
+}
+
+/* With an unknown factor, ten readings with 2 % noise leave sigma_a uncertain by 24 %, where the
+ * problem is not linear: 4,000 fits spread 1.17 and 1.07 times the bound. That is not the search's
+ * fault: the medium of least chi-squared on nested grids was the fit's in 200 of 200 sets, with the
+ * same chi-squared within 2e-13. The spread comes to the bound with less noise: 1.03 and 1.01 times
+ * with 1 %, 1.01 with 0.5 %. */
+UNIT_TEST(ten_readings_with_a_free_factor_have_the_greatest_likelihood) {
+  enum { COUNT = 10, STEPS = 20, LEVELS = 7, TRIES = 10 };
+  expect_noise(CORE_FIT_SCALE_FREE, COUNT, 0.01);
+  double at[COUNT], clean[COUNT], errors[COUNT], values[COUNT], model[COUNT];
+  uint64_t random = unit_seed();
+  for (int i = 0; i < COUNT; i++) {
+    at[i] = 0.3 * pow(20, i / (COUNT - 1.0));
+  }
+  const core_fit_design design = {.model = CORE_MODEL_TRANSPORT,
+                                  .moments = CORE_MOMENTS_EXACT,
+                                  .g = 0.8,
+                                  .eta = 1.4,
+                                  .axis = CORE_FIT_AXIS_RADIUS,
+                                  .count = COUNT,
+                                  .at = at,
+                                  .scale = CORE_FIT_SCALE_FREE};
+  core_fit *fit = created(&design);
+  core_fit_model(fit, 0.02, 1.1, clean);
+  for (int n = 0; n < TRIES; n++) {
+    core_fit_result result;
+    for (int i = 0; i < COUNT; i++) {
+      errors[i] = 0.02 * clean[i];
+      values[i] = clean[i] + errors[i] * normal(&random);
+    }
+    core_fit_run(fit, values, errors, &result, NULL);
+    double best = INFINITY, best_a = log(0.02), best_s = log(1.1), width_a = 3, width_s = 1.5;
+    for (int level = 0; level < LEVELS; level++) {
+      const double middle_a = best_a, middle_s = best_s;
+      for (int i = 0; i < (2 * STEPS + 1) * (2 * STEPS + 1); i++) {
+        const double a = middle_a + width_a * (i / (2 * STEPS + 1) - STEPS) / STEPS;
+        const double s = middle_s + width_s * (i % (2 * STEPS + 1) - STEPS) / STEPS;
+        double both = 0, square = 0, chi_squared = 0;
+        core_fit_model(fit, exp(a), exp(s), model);
+        for (int k = 0; k < COUNT; k++) {
+          both += model[k] * values[k] / (errors[k] * errors[k]);
+          square += model[k] * model[k] / (errors[k] * errors[k]);
+        }
+        for (int k = 0; k < COUNT; k++) {
+          chi_squared += pow((values[k] - both / square * model[k]) / errors[k], 2);
+        }
+        if (chi_squared < best) {
+          best = chi_squared;
+          best_a = a;
+          best_s = s;
+        }
+      }
+      width_a /= level < 2 ? 2 : 5;
+      width_s /= level < 2 ? 2 : 5;
+    }
+    assert_true(result.best.chi_squared < best + 1e-9);
+    assert_true(fabs(log(result.best.sigma_a_per_mm) - best_a) < 0.01);
+    assert_true(fabs(log(result.best.sigma_s_prime_per_mm) - best_s) < 0.01);
+  }
+  core_fit_free(fit);
 }
