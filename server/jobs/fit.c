@@ -2,12 +2,17 @@
  * share is prepared on another thread and kept in the cache. */
 #include "proto/fit.h"
 
+#include <math.h>
 #include <stdlib.h>
 
 #include "server/jobs/job.h"
 
 /* The cost of a profile that is prepared on this thread, in radii of a dipole. */
 enum { PROFILE_RADII = JOB_SLICE_RADII };
+
+/* The work of the step that begins a request, as long as it fits the first set: a request of one set is
+ * answered at once, with few readings, too, for which 160 evaluations look for a second solution. */
+enum { FIRST_SET_RADII = 4 * JOB_SLICE_RADII };
 
 /* A set whose errors are so small that its fit is refined with profiles of the model. */
 struct refining {
@@ -72,12 +77,19 @@ static wire_error check(struct fit_job *fit, const struct job_request *from) {
   return wire_error_none();
 }
 
+/* Returns the work that admission control counts. One set that a step fits is a small request. */
+static double radii_of(const struct fit_job *fit) {
+  const uint64_t sets = fit->request.fixed.set_count;
+  return sets == 1 && fit->set_radii <= FIRST_SET_RADII
+             ? fmin((double)fit->set_radii, JOB_SLICE_RADII)
+             : (double)sets * (double)fit->set_radii;
+}
+
 static enum job_outcome start(struct job *job, const struct job_request *request) {
   struct fit_job *fit = of(job);
   wire_error error = check(fit, request);
   if (error.status == WIRE_STATUS_OK) {
-    const double radii = (double)fit->request.fixed.set_count * (double)fit->set_radii;
-    error = job_admit(job, radii, "set_count");
+    error = job_admit(job, radii_of(fit), "set_count");
   }
   if (error.status != WIRE_STATUS_OK) {
     return job_refuse(job, error);
@@ -242,6 +254,11 @@ static enum job_outcome fit_next(struct fit_job *fit, uint64_t *spent) {
   return JOB_GOES_ON;
 }
 
+/* Returns the most work of this step, which has begun, up to its next set. */
+static uint64_t most_radii(const struct fit_job *fit) {
+  return fit->parts.first + fit->index == 0 ? FIRST_SET_RADII : JOB_SLICE_RADII;
+}
+
 static enum job_outcome step(struct job *job, uint64_t *budget) {
   struct fit_job *fit = of(job);
   enum job_outcome outcome = fit->lookup.ready ? JOB_GOES_ON : get_design(fit);
@@ -250,7 +267,7 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
   }
   uint64_t spent = JOB_STEP_RADII;
   const uint64_t begun = fit->index;
-  while (outcome == JOB_GOES_ON && fit->index < fit->parts.count && spent < JOB_SLICE_RADII) {
+  while (outcome == JOB_GOES_ON && fit->index < fit->parts.count && spent < most_radii(fit)) {
     outcome = fit_next(fit, &spent);
   }
   stats_add(&job->context->server->stats, STATS_SETS_FITTED, fit->index - begun);
