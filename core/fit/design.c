@@ -81,32 +81,35 @@ core_fault core_fit_check(const core_fit_design *design) {
 /* ---- costs ----------------------------------------------------------------------------------- */
 
 /* Measured with 2 to 300 readings and with fibres: an evaluation takes 0.2 us and 0.08 us for each
- * place, of a table as well as of a dipole's five media, and 0.36 us with Burley's models. A slab's
- * profiles take some 100 us each, five for an evaluation. */
+ * place, of a table as well as of a dipole's or a Burley profile's five media. A slab's profiles take
+ * some 100 us each, five for an evaluation. */
 #define EVALUATION_COST 128
 #define PLACE_COST 42
-#define BURLEY_PLACE_COST 180
 #define SLAB_COST 262144
+
+/* Returns how many nodes a design has. */
+static size_t nodes_of(const core_fit_design *design) {
+  size_t nodes = 0;
+  for (size_t i = 0; i < design->count; i++) {
+    nodes += fit_disc_count(design->at[i], diameter(design->source_mm, i),
+                            diameter(design->detector_mm, i));
+  }
+  return nodes;
+}
 
 /* Evaluations for a set: by the inverse, with few readings more than unknowns, and with many. */
 enum { BY_INVERSE = 4, SPARSE = 160, PLENTY = 12 };
 
 core_fit_cost core_fit_cost_of(const core_fit_design *design) {
-  const bool points = design->source_mm == NULL && design->detector_mm == NULL;
-  const bool burley = design->model == CORE_MODEL_BURLEY ||
-                      design->model == CORE_MODEL_BURLEY_DIFFUSE ||
-                      design->model == CORE_MODEL_BURLEY_DMFP;
   const bool slab =
       design->parameters != NULL && !isnan(design->parameters->value[CORE_PARAMETER_THICKNESS]);
-  const double places = (double)design->count * (points ? 1 : FIT_DISC_NODES);
   const bool free_factor = design->scale == CORE_FIT_SCALE_FREE;
   const size_t spare = design->count - (free_factor ? 3 : 2);
   const bool inverts = design->count == 2 && design->model == CORE_MODEL_TRANSPORT;
   return (core_fit_cost){.evaluations = inverts               ? BY_INVERSE
                                         : spare <= FIT_SPARSE ? SPARSE
                                                               : PLENTY,
-                         .evaluation = EVALUATION_COST +
-                                       places * (burley ? BURLEY_PLACE_COST : PLACE_COST) +
+                         .evaluation = EVALUATION_COST + (double)nodes_of(design) * PLACE_COST +
                                        (slab ? SLAB_COST : 0)};
 }
 
@@ -281,12 +284,6 @@ static core_fault fill(core_fit *fit, const core_fit_design *design) {
   return fault;
 }
 
-/* Returns the most nodes that a design may have. */
-static size_t nodes_of(const core_fit_design *design) {
-  const bool points = design->source_mm == NULL && design->detector_mm == NULL;
-  return design->count * (points ? 1 : FIT_DISC_NODES);
-}
-
 /* The numbers that a design holds for each reading: its weight, the grid, and where it begins; for
  * each node: where it is, the logarithm of that, and its weight. */
 enum { NUMBERS = 1 + FIT_GRID, NODE_NUMBERS = 3 };
@@ -311,7 +308,7 @@ core_fault core_fit_create(core_fit **made, const core_isa *isa, const core_fit_
       .model = model_of(isa, design),
       .free_factor = design->scale == CORE_FIT_SCALE_FREE,
       .count = count,
-      .nodes_most = nodes,
+      .nodes = nodes,
       .weight = numbers,
       .grid = numbers + count,
       .places = {count, first, numbers + NUMBERS * count, numbers + NUMBERS * count + nodes,
@@ -340,7 +337,7 @@ void core_fit_free(core_fit *fit) {
 }
 
 size_t core_fit_bytes(const core_fit *fit) {
-  return sizeof *fit + (NUMBERS * fit->count + NODE_NUMBERS * fit->nodes_most) * sizeof(double) +
+  return sizeof *fit + (NUMBERS * fit->count + NODE_NUMBERS * fit->nodes) * sizeof(double) +
          (fit->count + 1) * sizeof(size_t) + fit_table_bytes(fit->model.table) +
          fit_inverse_bytes(fit->inverse) +
          (fit->model.varies ? core_varying_bytes(&fit->model.varying) : 0);

@@ -155,30 +155,56 @@ static void set_panel(const struct discs *discs, double from, double to, bool fi
   }
 }
 
-size_t fit_disc_nodes(double distance_mm, double source_mm, double detector_mm, double *at,
-                      double *weight) {
-  const struct discs discs = {0.5 * real_max(source_mm, detector_mm),
-                              0.5 * real_min(source_mm, detector_mm), distance_mm};
-  const double reach = discs.large + discs.small;
-  if (!(reach > 0)) {
-    at[0] = distance_mm;
-    weight[0] = 1;
-    return 1;
-  }
-  const double most = distance_mm + reach, least = distance_mm - reach;
+/* The panels of two discs: `count` with equal steps of ln s from `from` to `most`, and one before
+ * them, in s, if the discs overlap. */
+struct panels {
+  double from;
+  double most;
+  double step;
+  int count;
+  bool overlap;
+};
+
+static struct discs discs_of(double distance_mm, double source_mm, double detector_mm) {
+  return (struct discs){0.5 * real_max(source_mm, detector_mm),
+                        0.5 * real_min(source_mm, detector_mm), distance_mm};
+}
+
+static struct panels panels_of(const struct discs *discs) {
+  const double reach = discs->large + discs->small;
+  const double most = discs->apart + reach, least = discs->apart - reach;
   const bool overlap = !(least > NEAREST * most);
   const double from = overlap ? NEAREST * most : least;
   const double panels = ceil(real_log(most / from, 0) / real_log(PANEL_RATIO, 0));
   const int count = (int)real_min(real_max(panels, 1), PANELS_MOST - 1);
-  const double step = real_log(most / from, 0) / count;
+  return (struct panels){from, most, real_log(most / from, 0) / count, count, overlap};
+}
+
+size_t fit_disc_count(double distance_mm, double source_mm, double detector_mm) {
+  const struct discs discs = discs_of(distance_mm, source_mm, detector_mm);
+  const struct panels panels = panels_of(&discs);
+  return discs.large > 0 ? PER_PANEL * (size_t)(panels.count + panels.overlap) : 1;
+}
+
+size_t fit_disc_nodes(double distance_mm, double source_mm, double detector_mm, double *at,
+                      double *weight) {
+  const struct discs discs = discs_of(distance_mm, source_mm, detector_mm);
+  if (!(discs.large > 0)) {
+    at[0] = distance_mm;
+    weight[0] = 1;
+    return 1;
+  }
+  const struct panels panels = panels_of(&discs);
   size_t n = 0;
-  if (overlap) {
-    set_panel(&discs, real_max(least, 0), from, true, at, weight);
+  if (panels.overlap) {
+    const double least = discs.apart - discs.large - discs.small;
+    set_panel(&discs, real_max(least, 0), panels.from, true, at, weight);
     n = PER_PANEL;
   }
-  double start = from;
-  for (int i = 0; i < count; i++, n += PER_PANEL) {
-    const double end = i + 1 < count ? from * real_exp_signed(step * (i + 1)) : most;
+  double start = panels.from;
+  for (int i = 0; i < panels.count; i++, n += PER_PANEL) {
+    const double end =
+        i + 1 < panels.count ? panels.from * real_exp_signed(panels.step * (i + 1)) : panels.most;
     set_panel(&discs, start, end, false, at + n, weight + n);
     start = end;
   }

@@ -5,7 +5,11 @@
 
 #include <stddef.h>
 
+/* The most nodes of two discs. */
 enum { FIT_DISC_NODES = 50 };
+
+/* Returns the number of nodes that fit_disc_nodes() sets. */
+size_t fit_disc_count(double distance_mm, double source_mm, double detector_mm);
 
 /* Sets at[] and weight[] such that sum weight R(at) is the mean of R(|p - q|) over the points p of
  * a disc of diameter source_mm and the points q of one of diameter detector_mm, whose centres are

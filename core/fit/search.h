@@ -22,7 +22,7 @@ struct core_fit {
   size_t count;
   struct fit_place least; /* bounds of the search */
   struct fit_place most;
-  size_t nodes_most; /* nodes that the places have room for */
+  size_t nodes; /* of all places */
   struct fit_places places;
   double *weight;       /* [count]: what the model of each reading is multiplied by */
   double *grid;         /* [count][FIT_GRID]: ln of the model of each medium; NAN if it has none */

@@ -10,9 +10,9 @@
 /* The cost of a profile that is prepared on this thread, in radii of a dipole. */
 enum { PROFILE_RADII = JOB_SLICE_RADII };
 
-/* The work of the step that begins a request, as long as it fits the first set: a request of one set is
- * answered at once, with few readings, too, for which 160 evaluations look for a second solution. */
-enum { FIRST_SET_RADII = 4 * JOB_SLICE_RADII };
+/* The most work of a step on the first set of a request. So a unit's fit of few readings is done when
+ * Modbus answers, although some 200 evaluations look for a second solution. */
+enum { FIRST_SET_RADII = 8 * JOB_SLICE_RADII };
 
 /* A set whose errors are so small that its fit is refined with profiles of the model. */
 struct refining {

@@ -534,6 +534,22 @@ def test_a_fit_has_the_values_of_the_wire(master, client):
     assert abs(found.sigma_a - 0.03) < 3 * found.sigma_a_error
 
 
+@pytest.mark.parametrize("count, fibre_mm", [(3, 0), (4, 0), (25, 0), (25, 0.2)])
+def test_one_request_fits_once_the_design_is_prepared(master, client, count, fibre_mm):
+    unit, at = 92, np.float32(np.geomspace(0.5, 6, count)).tolist()
+    R = client.eval("better", single((0.03, 1.2, 0.0, 1.3)), at).R[0]
+    master.write(AT["FIT_READING_COUNT"], words(count) + floats(*at), unit)
+    master.write(AT["FIT_SOURCE"], floats(fibre_mm, fibre_mm), unit)
+    readings = np.random.default_rng(count).normal(R, 0.02 * R, (20, count))
+    for token, values in enumerate(readings, 1):
+        written = words(token, 0) + floats(0.0) + pairs(values, 0.02 * R)
+        answer = master.write_read(AT["FIT_COMMIT"], written, AT["FIT_STATUS"], 8, unit)
+        if token == 1:
+            assert eventually(lambda: as_words(master.read(AT["FIT_DONE"], 1, unit)) == [1])
+        else:
+            assert as_words(answer)[:3] == [DONE, token, 0]
+
+
 def test_a_fit_that_is_no_success_is_not_done(master):
     unit = 91
     master.write(AT["FIT_READING_COUNT"], words(4) + floats(*FIT_AT_MM), unit)
