@@ -43,7 +43,8 @@ typedef struct varying_layout {
 
 /* The arrays of a reply are a sum of bits: those of enum core_coefficient, and those of enum
  * core_quantity moved left. They come in the order of their bits. */
-#define VARYING_QUANTITY(bit) ((uint32_t)(bit) << 8)
+#define VARYING_QUANTITY_SHIFT 8
+#define VARYING_QUANTITY(bit) ((uint32_t)(bit) << VARYING_QUANTITY_SHIFT)
 
 /* Computes the layout of a reply to fixed->wanted and fixed->coefficients for `count` values, at
  * most 2^58. */

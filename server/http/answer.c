@@ -9,6 +9,7 @@
 #include "proto/invert.h"
 #include "proto/sample.h"
 #include "proto/table.h"
+#include "proto/varying.h"
 
 /* ---- fields ---------------------------------------------------------------------------------- */
 
@@ -233,6 +234,46 @@ static void write_fit(struct http_text *text, const uint8_t *payload) {
   http_text_end(text, ']');
 }
 
+/* Writes those arrays of a varying reply that are in a list, whose bits are moved left. */
+static void write_arrays(struct http_text *text, const core_choice *list, unsigned left,
+                         const uint8_t *payload, const wire_varying_reply *fixed,
+                         const varying_layout *layout) {
+  for (const core_choice *one = list; one->name != NULL; one++) {
+    const uint32_t array = (uint32_t)one->id << left;
+    if ((layout->arrays & array) != 0) {
+      http_text_numbers(text, one->name, payload + varying_array_offset(layout, array),
+                        fixed->value_count,
+                        core_evaluator_bytes(fixed->evaluator) == sizeof(float));
+    }
+  }
+}
+
+static void write_varying(struct http_text *text, const uint8_t *payload, size_t payload_bytes) {
+  wire_varying_reply fixed;
+  varying_layout layout;
+  const bool parsed = varying_reply_parse(payload, payload_bytes, &fixed, &layout);
+  assert(parsed);
+  (void)parsed;
+  write_fields(text, http_fields_of_varying_reply, payload);
+  http_text_begin(text, "units", '{');
+  for (const core_choice *one = core_coefficients; one->name != NULL; one++) {
+    if ((one->id & fixed.coefficients) != 0) {
+      http_text_string(text, one->name, one->id == CORE_COEFFICIENT_SCATTERED ? "1" : "1/mm");
+    }
+  }
+  write_quantity_units(text, fixed.wanted);
+  http_text_end(text, '}');
+  write_arrays(text, core_coefficients, 0, payload, &fixed, &layout);
+  write_arrays(text, core_quantities, VARYING_QUANTITY_SHIFT, payload, &fixed, &layout);
+  http_text_begin(text, "statuses", '[');
+  for (uint64_t i = 0; i < fixed.value_count; i++) {
+    http_text_string(
+        text, NULL,
+        core_choice_by_id(core_value_statuses, payload[layout.status_offset + i])->name);
+  }
+  http_text_end(text, ']');
+}
+
 void http_answer_write(const struct http_message *message, const uint8_t *question,
                        const uint8_t *payload, size_t payload_bytes, struct http_text *text) {
   http_text_begin(text, NULL, '{');
@@ -254,6 +295,9 @@ void http_answer_write(const struct http_message *message, const uint8_t *questi
     break;
   case WIRE_TYPE_TABLE:
     write_table(text, payload);
+    break;
+  case WIRE_TYPE_VARYING:
+    write_varying(text, payload, payload_bytes);
     break;
   default:
     assert(!"a message of http_messages");

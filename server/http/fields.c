@@ -67,6 +67,21 @@ const struct http_message http_messages[] = {
       {"detector", "reading_count", NULL, "mm; diameters of the detector; else 0", HTTP_ZEROS},
       {"values", "set_count", NULL, "the readings, or a list of them for each set", HTTP_SETS},
       {"errors", "set_count", NULL, "their standard errors, in the same form", HTTP_SETS}}},
+    {WIRE_TYPE_VARYING,
+     "Evaluates values each of which has a medium of its own",
+     {http_fields_of_varying_request},
+     http_fields_of_varying_reply,
+     0,
+     true,
+     NULL,
+     {{"sigma_a", "value_count", NULL, "1/mm; or one for all values", HTTP_EACH},
+      {"sigma_s", "value_count", NULL, "1/mm; or one for all values", HTTP_EACH},
+      {"colour", "value_count", NULL, "in place of sigma_a: diffuse albedos, 0 to 1", HTTP_EACH},
+      {"length", "value_count", NULL, "mm; in place of sigma_s: lengths, as `given` says",
+       HTTP_EACH},
+      {"r", "value_count", NULL, "mm; the radii", HTTP_EACH},
+      {"u", "value_count", NULL, "in place of r: numbers from 0 to 1, for which radii are drawn",
+       HTTP_EACH}}},
     {0, NULL, {NULL}, NULL, 0, false, NULL, {{NULL, NULL, NULL, NULL, HTTP_GIVEN}}},
 };
 
@@ -87,12 +102,19 @@ static void find_choices(struct http_field *field) {
     const core_choice *list;
     bool bits;
   } lists[] = {
-      {"model", core_models, false},         {"evaluator", core_evaluators, false},
-      {"moments", core_moments_list, false}, {"spacing", core_spacings, false},
-      {"draw", core_draws, false},           {"given", core_lengths, false},
-      {"axis", core_fit_axes, false},        {"scale", core_fit_scales, false},
-      {"status", core_fit_statuses, false},  {"wanted", core_quantities, true},
+      {"model", core_models, false},
+      {"evaluator", core_evaluators, false},
+      {"moments", core_moments_list, false},
+      {"spacing", core_spacings, false},
+      {"draw", core_draws, false},
+      {"given", core_lengths, false},
+      {"axis", core_fit_axes, false},
+      {"scale", core_fit_scales, false},
+      {"status", core_fit_statuses, false},
+      {"wanted", core_quantities, true},
       {"notes", core_notes, true},
+      {"light", core_lights, false},
+      {"coefficients", core_coefficients, true},
   };
   for (size_t i = 0; i < sizeof lists / sizeof lists[0]; i++) {
     if (strcmp(lists[i].field, field->name) == 0) {
@@ -118,7 +140,7 @@ static bool is_internal(const char *field) {
   static const char *const names[] = {
       "zero",         "zero_too",     "medium_count", "part",         "parameter_count",
       "part_count",   "radius_first", "set_first",    "medium_first", "channel_count",
-      "choice_count", "limit_count",  "count"};
+      "choice_count", "limit_count",  "count",        "value_first",  "numbers"};
   for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
     if (strcmp(names[i], field) == 0) {
       return true;

@@ -40,10 +40,11 @@ struct http_list {
     HTTP_GIVEN, /* the list has to be given, unless it has a rule */
     HTTP_ZEROS, /* without it, all its numbers are 0 */
     HTTP_SETS,  /* a list, or a list of lists: one for each set of readings */
+    HTTP_EACH,  /* a list, or one number for all; which lists are given is checked elsewhere */
   } kind;
 };
 
-enum { HTTP_LISTS = 5, HTTP_STRUCTURES = 2 };
+enum { HTTP_LISTS = 6, HTTP_STRUCTURES = 2 };
 
 /* A request that HTTP offers: POST and GET /v1/NAME. */
 struct http_message {

@@ -3,6 +3,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "core/varying.h"
 #include "server/http/fields.h"
 
 #define REFERENCE(name) "{\"$ref\":\"#/components/schemas/" name "\"}"
@@ -287,6 +288,13 @@ static void write_request_schema(struct http_text *text, const struct http_messa
   http_text_end(text, '}');
 }
 
+/* Writes the schemas of arrays of numbers, with the names of a list. */
+static void write_choice_lists(struct http_text *text, const core_choice *list) {
+  for (; list->name != NULL; list++) {
+    write_list(text, list->name, NUMBER, list->about);
+  }
+}
+
 static void write_reply_schema(struct http_text *text, const struct http_message *message) {
   char name[32];
   snprintf(name, sizeof name, "%s_reply", wire_type_name(message->type));
@@ -304,6 +312,15 @@ static void write_reply_schema(struct http_text *text, const struct http_message
     write_list(text, "albedo", NUMBER, "of the medium that was found");
   } else if (message->reply == http_fields_of_fit_reply) {
     write_list(text, "sets", REFERENCE("Fitted"), NULL);
+  } else if (message->reply == http_fields_of_varying_reply) {
+    write_choice_lists(text, core_coefficients);
+    write_choice_lists(text, core_quantities);
+    http_text_begin(text, "statuses", '{');
+    http_text_string(text, "type", "array");
+    http_text_begin(text, "items", '{');
+    write_choice(text, core_value_statuses, false);
+    http_text_end(text, '}');
+    http_text_end(text, '}');
   } else {
     http_text_raw(text, "parameters", "{\"type\":\"object\"}");
     write_list(text, "words", "{\"type\":\"integer\"}", "32 bits each");

@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "proto/channels.h"
+#include "proto/varying.h"
 
 #define USUAL_ETA 1.3 /* as in all clients */
 
@@ -251,9 +252,10 @@ static bool put_single(uint8_t *at, double number) {
   return isfinite(single) == isfinite(number) && (single != 0) == (number != 0);
 }
 
+/* Writes `count` numbers: those of a list, or its only one again and again. */
 static wire_error add_numbers(const struct question *q, const char *name, struct http_value list,
-                              bool single) {
-  const size_t count = http_value_count(list), bytes = single ? sizeof(float) : sizeof(double);
+                              size_t count, bool single) {
+  const size_t bytes = single ? sizeof(float) : sizeof(double);
   struct http_elements elements = http_elements_of(list);
   uint8_t *at = add(q, (size_t)wire_padded(count * bytes));
   if (at == NULL) {
@@ -299,7 +301,7 @@ static wire_error add_sets(const struct question *q, const char *name, struct ht
     const struct http_value set =
         is_nested(list) ? (struct http_value){.json = json_array_get(list.json, i)} : list;
     error = http_value_count(set) == count
-                ? add_numbers(q, name, set, false)
+                ? add_numbers(q, name, set, count, false)
                 : wire_error_make(WIRE_STATUS_BAD_COUNT, name, "as many in each set as in `at`");
   }
   return error;
@@ -318,13 +320,34 @@ static const struct http_list *list_of(const struct http_message *message, const
   return NULL;
 }
 
+/* Returns whether the media of a varying request are given by colours. */
+static bool is_coloured(const struct question *q) {
+  return http_value_given(get(q, "colour"));
+}
+
+/* Returns what the third array of a varying request holds. */
+static enum varying_numbers numbers_of(const struct question *q) {
+  return http_value_given(get(q, "r"))   ? VARYING_RADII
+         : http_value_given(get(q, "u")) ? VARYING_DRAWN
+                                         : VARYING_NONE;
+}
+
 /* What holds for a choice that the request leaves out, as of the command line: transport by table
- * unless a model or a tolerance is given. */
+ * unless a model or a tolerance is given. "": none, and the field is 0. */
 static const char *usual_choice(const struct question *q, const char *field) {
   const struct http_list *list = list_of(q->message, field);
   const bool named = http_value_given(get(q, "model"));
   if (list != NULL) {
     return http_value_given(get(q, list->name)) || strcmp(field, "draw") != 0 ? "list" : "random";
+  }
+  if (q->message->type == WIRE_TYPE_VARYING) { /* as in Python */
+    const char *usual = strcmp(field, "evaluator") == 0 ? "f32"
+                        : strcmp(field, "given") == 0   ? "mean-free-path"
+                        : strcmp(field, "light") == 0   ? "beam"
+                                                        : NULL;
+    if (usual != NULL) {
+      return strcmp(field, "evaluator") == 0 || is_coloured(q) ? usual : "";
+    }
   }
   return strcmp(field, "model") == 0       ? "transport"
          : strcmp(field, "evaluator") == 0 ? (named ? "f64" : "lut")
@@ -332,6 +355,19 @@ static const char *usual_choice(const struct question *q, const char *field) {
          : strcmp(field, "axis") == 0      ? "r"
          : strcmp(field, "scale") == 0     ? "absolute"
                                            : NULL;
+}
+
+/* What holds for a sum of choices that the request leaves out: names with commas between them. */
+static const char *usual_choices(const struct question *q, const char *field) {
+  static const char *const quantities[VARYING_NUMBERS] = {
+      [VARYING_NONE] = "", [VARYING_RADII] = "R", [VARYING_DRAWN] = "r"};
+  if (q->message->type != WIRE_TYPE_VARYING) {
+    return q->message->wanted;
+  }
+  const enum varying_numbers numbers = numbers_of(q);
+  return strcmp(field, "wanted") == 0                ? quantities[numbers]
+         : is_coloured(q) && numbers == VARYING_NONE ? "sigma_a,sigma_s"
+                                                     : "";
 }
 
 /* Returns whether the request leaves the choice of the model to its tolerance. */
@@ -352,8 +388,8 @@ static wire_error read_choice(const struct question *q, const struct http_field 
   }
   if (field->bits) {
     char names[64], *rest = names, *name;
-    snprintf(names, sizeof names, "%s", q->message->wanted);
-    while ((name = strsep(&rest, ",")) != NULL) {
+    snprintf(names, sizeof names, "%s", usual_choices(q, field->name));
+    while ((name = strsep(&rest, ",")) != NULL && name[0] != '\0') {
       *number |= core_choice_by_name(field->choices, name)->id;
     }
     return wire_error_none();
@@ -362,7 +398,7 @@ static wire_error read_choice(const struct question *q, const struct http_field 
   if (usual == NULL) {
     return wire_error_not_in_list(field->name, field->choices, "one of");
   }
-  *number = core_choice_by_name(field->choices, usual)->id;
+  *number = usual[0] != '\0' ? core_choice_by_name(field->choices, usual)->id : 0;
   return wire_error_none();
 }
 
@@ -385,6 +421,17 @@ static wire_error read_plain(const struct question *q, const struct http_field *
   return error;
 }
 
+/* Returns the length of the longest list that is given. */
+static size_t longest(const struct question *q) {
+  size_t count = 0;
+  for (int i = 0; i < HTTP_LISTS && q->message->lists[i].name != NULL; i++) {
+    const struct http_value value = get(q, q->message->lists[i].name);
+    const size_t length = http_value_given(value) ? http_value_count(value) : 0;
+    count = length > count ? length : count;
+  }
+  return count;
+}
+
 static wire_error read_field(const struct question *q, const struct http_field *field,
                              uint64_t *number) {
   if (field->choices != NULL) {
@@ -392,6 +439,10 @@ static wire_error read_field(const struct question *q, const struct http_field *
   }
   const struct http_list *list = list_of(q->message, field->name);
   const struct http_value values = get(q, list != NULL ? list->name : "");
+  if (list != NULL && list->kind == HTTP_EACH) {
+    *number = longest(q);
+    return wire_error_none();
+  }
   if (list != NULL && http_value_given(values)) {
     *number = list->kind == HTTP_SETS ? sets_of(values) : http_value_count(values);
     return !http_value_given(get(q, field->name))
@@ -401,6 +452,7 @@ static wire_error read_field(const struct question *q, const struct http_field *
   if (list == NULL && field->internal) {
     *number = strcmp(field->name, "medium_count") == 0      ? q->medium_count
               : strcmp(field->name, "parameter_count") == 0 ? q->parameter_count
+              : strcmp(field->name, "numbers") == 0         ? numbers_of(q)
                                                             : 0;
     return wire_error_none();
   }
@@ -481,11 +533,45 @@ static wire_error check_keys(const struct question *q) {
                            "only fields that /v1/openapi.json lists for this request");
 }
 
+/* Checks that a varying request has one pair of lists for its media, and at most one list of
+ * numbers. */
+static wire_error check_pairs(const struct question *q) {
+  const bool coloured = is_coloured(q) || http_value_given(get(q, "length"));
+  const char *const wanted[] = {coloured ? "colour" : "sigma_a", coloured ? "length" : "sigma_s"};
+  const char *const others[] = {coloured ? "sigma_a" : "given", coloured ? "sigma_s" : "light"};
+  for (int i = 0; i < 2; i++) {
+    if (http_value_given(get(q, others[i]))) {
+      return bad(others[i], coloured ? "nothing beside colour and length"
+                                     : "nothing beside sigma_a and sigma_s");
+    }
+    if (!http_value_given(get(q, wanted[i]))) {
+      return bad(wanted[i], "numbers: give sigma_a and sigma_s, or colour and length");
+    }
+  }
+  return http_value_given(get(q, "r")) && http_value_given(get(q, "u"))
+             ? bad("u", "nothing beside r")
+             : wire_error_none();
+}
+
+static wire_error add_each(const struct question *q, const char *name, struct http_value value,
+                           bool single) {
+  const size_t count = longest(q);
+  if (!http_value_given(value)) {
+    return wire_error_none();
+  }
+  return http_value_count(value) == count || http_value_count(value) == 1
+             ? add_numbers(q, name, value, count, single)
+             : wire_error_make(WIRE_STATUS_BAD_COUNT, name, "one value, or as many as the others");
+}
+
 static wire_error add_list(const struct question *q, const struct http_list *list, bool single) {
   const struct http_value value = get(q, list->name), first = get(q, q->message->lists[0].name);
   const size_t count = http_value_given(first) ? http_value_count(first) : 0;
   if (!http_value_given(value) && list->kind == HTTP_ZEROS) {
     return add(q, count * sizeof(double)) != NULL ? wire_error_none() : no_memory();
+  }
+  if (list->kind == HTTP_EACH) {
+    return add_each(q, list->name, value, single);
   }
   if (!http_value_given(value)) {
     return list->rule != NULL ? wire_error_none() : bad(list->name, "a list: it has to be given");
@@ -494,7 +580,7 @@ static wire_error add_list(const struct question *q, const struct http_list *lis
     return add_sets(q, list->name, value, count);
   }
   return http_value_count(value) == count
-             ? add_numbers(q, list->name, value, single)
+             ? add_numbers(q, list->name, value, count, single)
              : wire_error_make(WIRE_STATUS_BAD_COUNT, list->name, "as many as in the other list");
 }
 
@@ -526,6 +612,9 @@ wire_error http_question_translate(const struct http_message *message,
   wire_error error = check_keys(&q);
   if (is_good(&error)) {
     error = read_deadline(&q, deadline_ms);
+  }
+  if (is_good(&error) && message->type == WIRE_TYPE_VARYING) {
+    error = check_pairs(&q);
   }
   if (is_good(&error) && add(&q, bytes_of(message)) == NULL) {
     error = no_memory();

@@ -238,6 +238,88 @@ def test_faults_of_fits(served, change, field):
     assert answer.status == 400 and answer.json["field"] == field, answer.text
 
 
+@pytest.mark.parametrize("how", ["GET", "POST"])
+@pytest.mark.parametrize("evaluator", ["f32", "f64"])
+def test_varying(served, how, evaluator):
+    """Radii of media, numbers u, and colours; a single number holds for all values."""
+    media = {"sigma_a": [0.1, 0.2, 0.0], "sigma_s": 1.5}
+    cases = [
+        {**media, "r": [0.5, 1.0, 2.0], "wanted": ["R", "cdf", "albedo"]},
+        {**media, "u": [0.1, 0.5, 0.9], "wanted": ["r", "pdf"], "g": 0.3},
+        {"colour": [0.1, 0.4, 0.6], "length": 0.7, "r": 0.5, "coefficients": ["scattered"]},
+        {"colour": [0.1, 0.4], "length": [1.0, 2.0], "given": "diffuse-mean-free-path",
+         "specular": 1, "eta": 1.4},
+    ]
+    with served.client() as client:
+        for model in ("better", "transport"):
+            for case in cases:
+                expected = client.varying(model, **case, evaluator=evaluator)
+                fields = {"model": model, "evaluator": evaluator, **case}
+                if how == "GET":
+                    texts = {name: value if isinstance(value, str) else
+                             ",".join(map(str, np.ravel(value))) for name, value in fields.items()}
+                    query = "&".join(f"{name}={text}" for name, text in texts.items())
+                    answer = good(get(served, "/v1/varying?" + query))
+                else:
+                    answer = good(post(served, "/v1/varying", **fields))
+                arrays = {**expected.quantities, **expected.coefficients}
+                for name, values in arrays.items():
+                    assert bits(answer[name], values) == values.tobytes(), (case, name)
+                    assert name in answer["units"]
+                count = expected.statuses.size
+                assert answer["statuses"] == ["ok"] * count
+                assert answer["value_count"] == answer["answered_count"] == count
+                error = np.float64(expected.numerical_error)
+                assert bits(answer["numerical_error"], error) == error.tobytes()
+                assert bits(answer["specular"], error) == np.float64(expected.specular).tobytes()
+
+
+def test_what_a_varying_request_leaves_out(served):
+    answer = good(get(served, "/v1/varying?colour=0.1,0.5&length=1"))
+    assert (answer["model"], answer["evaluator"], answer["wanted"]) == ("transport", "f32", [])
+    assert answer["coefficients"] == ["sigma_a", "sigma_s"]
+    assert good(get(served, "/v1/varying?sigma_a=1&sigma_s=1&r=1"))["wanted"] == ["R"]
+    assert good(get(served, "/v1/varying?sigma_a=1&sigma_s=1&u=0.5"))["wanted"] == ["r"]
+
+
+def test_a_value_that_is_wrong_has_a_status(served):
+    answer = good(post(served, "/v1/varying", model="better", sigma_a=[0.1, -1, 0.1],
+                       sigma_s=[1, 1, 1], r=[1, 1, -1]))
+    assert answer["statuses"] == ["ok", "sigma_a", "radius"] and answer["answered_count"] == 1
+    assert [value is None for value in answer["R"]] == [False, True, True]
+
+
+@pytest.mark.parametrize(
+    "change, field",
+    [
+        ({"sigma_a": None}, "sigma_a"),
+        ({"sigma_s": []}, "sigma_s"),
+        ({"sigma_s": [1, 2]}, "sigma_s"),
+        ({"sigma_a": [1, "x", 1]}, "sigma_a"),
+        ({"colour": 0.5}, "sigma_a"),
+        ({"length": 1}, "sigma_a"),
+        ({"u": 0.5}, "u"),
+        ({"r": [1, 2]}, "r"),
+        ({"light": "beam"}, "light"),
+        ({"given": "mean-free-path"}, "given"),
+        ({"wanted": ["r"]}, "wanted"),
+        ({"wanted": []}, "wanted"),
+        ({"coefficients": ["x"]}, "coefficients"),
+        ({"evaluator": "lut"}, "evaluator"),
+        ({"model": "single"}, "model"),
+        ({"value_count": 3}, "value_count"),
+        ({"numbers": 1}, "numbers"),
+        ({"tolerance": 1e-6}, "tolerance"),
+    ],
+)
+def test_faults_of_varying_requests(served, change, field):
+    fields = {"model": "transport", "sigma_a": [1, 1, 1], "sigma_s": [1, 1, 1], "r": [1, 1, 1]}
+    answer = post(served, "/v1/varying", **{**fields, **change})
+    assert answer.status == 400 and answer.json["field"] == field, answer.text
+    coloured = post(served, "/v1/varying", colour=0.5)
+    assert coloured.status == 400 and coloured.json["field"] == "length"
+
+
 def test_table(served):
     answer = good(post(served, "/v1/table", model="better", tolerance=1e-3, **SKIN))
     with served.client() as client:
@@ -567,7 +649,8 @@ def test_a_running_request_is_answered_when_the_daemon_stops(daemon):
 
 NAMES = ["model", "medium", "r", "u", "wanted", "sigma_a", "eta", "deadline_ms", "zero", "x"]
 VALUES = ["better", "skin1", "1e999", "-0", "inf", "nan", "1,2,3", "%41", "%", "é", "9" * 400]
-PATHS = ["/v1/eval", "/v1/sample", "/v1/invert", "/v1/table", "/v1/fit", "/%2f", "*", "//"]
+PATHS = ["/v1/eval", "/v1/sample", "/v1/invert", "/v1/table", "/v1/fit", "/v1/varying", "/%2f", "*",
+         "//"]
 HEADERS = [
     "",
     "Host: x\r\n",
@@ -633,7 +716,7 @@ def test_noise_is_answered_and_takes_no_memory(daemon):
         for answer in exchange(one, [noise(dice) for _ in range(100)]):
             assert answer == b"" or re.match(rb"HTTP/1\.[01] ([124]\d\d|505)", answer), answer
     for _ in range(500):
-        path = "/v1/" + dice.choice(["eval", "sample", "invert", "table", "offers", "fit"])
+        path = "/v1/" + dice.choice(["eval", "sample", "invert", "table", "offers", "fit", "varying"])
         answer = ask(one, "POST", path, any_object(dice))
         assert 200 <= answer.status < 500, answer.text
         assert answer.json

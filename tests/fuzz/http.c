@@ -6,6 +6,7 @@
 #include "proto/invert.h"
 #include "proto/sample.h"
 #include "proto/table.h"
+#include "proto/varying.h"
 #include "server/http/answer.h"
 #include "server/http/question.h"
 #include "tests/fuzz/daemon.h"
@@ -27,6 +28,7 @@ static wire_error parse(const struct http_message *message, const uint8_t *paylo
   invert_request invert;
   fit_request fit;
   table_request table;
+  varying_request varying;
   switch (message->type) {
   case WIRE_TYPE_EVAL:
   case WIRE_TYPE_OFFERS:
@@ -39,6 +41,8 @@ static wire_error parse(const struct http_message *message, const uint8_t *paylo
     return fit_request_parse(payload, bytes, &fit);
   case WIRE_TYPE_TABLE:
     return table_request_parse(payload, bytes, &table);
+  case WIRE_TYPE_VARYING:
+    return varying_request_parse(payload, bytes, &varying);
   default:
     fuzz_fail("http: a message without a parser\n");
   }
