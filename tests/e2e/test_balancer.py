@@ -1,67 +1,114 @@
 """Three daemons behind HAProxy, with the configuration of clients/deploy: clients notice nothing
-when a daemon is killed, drained or stopped."""
+when a daemon is killed, drained or stopped.
+
+BALANCER_S is for how long test_clients_of_all_kinds() kills and drains: 600 in `make check-long`."""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
-import re
+import os
+import random
 import shutil
 import signal
 import socket
 import subprocess
 import threading
 import time
+from typing import NamedTuple
 
 import dipole
 import numpy as np
 import pytest
-from daemons import REPOSITORY, eventually
+from daemons import BUILD, REPOSITORY, Daemon, environment, eventually
 from frames import SKIN
+from modbus_master import Lost, Tcp, input_block, write_read_pdu
+from test_retry import QUESTIONS, job_bytes, result_bytes
 
 CONFIGURATION = REPOSITORY / "clients/deploy/haproxy.cfg"
-METRICS = ("--metrics", "127.0.0.1:0")
+BALANCER_S = float(os.environ.get("BALANCER_S", "15"))
 MOST = 24
 
 pytestmark = pytest.mark.skipif(shutil.which("haproxy") is None, reason="haproxy is not installed")
 
 
-def metrics_port(daemon) -> str:
-    return re.search(r"url=http://127\.0\.0\.1:(\d+)/", "\n".join(daemon.log))[1]
-
-
 def free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
+    """Returns a port that nobody uses, and that the kernel gives to no client."""
+    while True:
+        with socket.socket() as one, contextlib.suppress(OSError):
+            one.bind(("127.0.0.1", random.randrange(20000, 32000)))
+            return one.getsockname()[1]
+
+
+class Place(NamedTuple):
+    """The ports of a daemon or of the balancer."""
+
+    binary: int
+    modbus: int
+    metrics: int
+
+
+class Farm:
+    """Three daemons, each at its place, and the balancer's addresses."""
+
+    def __init__(self) -> None:
+        self.front, *self.places = (
+            Place(free_port(), free_port(), free_port()) for _ in range(4)
+        )
+        self.address = f"tcp:127.0.0.1:{self.front.binary}"
+        self.modbus = f"127.0.0.1:{self.front.modbus}"
+        self.daemons = [self.begin(place) for place in self.places]
+
+    @staticmethod
+    def begin(place: Place) -> Daemon:
+        """Starts a daemon at a place."""
+        ports = ("--metrics", f"127.0.0.1:{place.metrics}")
+        modbus = ("--modbus", f"tcp:127.0.0.1:{place.modbus}")
+        return Daemon(
+            *ports, *modbus, "--max-connections", str(MOST),
+            listen=[f"tcp:127.0.0.1:{place.binary}"],
+        )  # fmt: skip
+
+    def configuration(self) -> str:
+        """Returns the balancer's configuration with these ports."""
+        text = CONFIGURATION.read_text()
+        text = text.replace("bind :4817", f"bind 127.0.0.1:{self.front.binary}")
+        text = text.replace("bind :502", f"bind 127.0.0.1:{self.front.modbus}")
+        for number, place in enumerate(self.places, 1):
+            for port, own in (4817, place.binary), (502, place.modbus):
+                text = text.replace(
+                    f"farm{number}:{port} port 9817", f"127.0.0.1:{own} port {place.metrics}"
+                )
+        assert text.count("127.0.0.1:") == 8
+        return text
+
+    def answers(self) -> bool:
+        """Returns whether the balancer lets clients of both protocols in."""
+        try:
+            with dipole.Client(self.address, retry_s=0), Tcp(self.modbus) as master:
+                master.job()
+                return True
+        except (dipole.DipoleError, OSError, Lost):
+            return False
+
+    def close(self) -> None:
+        for one in self.daemons:
+            one.close()
 
 
 @pytest.fixture
-def balancer(daemon, tmp_path):
-    """Yields the address of a balancer, and its three daemons."""
-    farm = [daemon(*METRICS, "--max-connections", str(MOST)) for _ in range(3)]
-    port = free_port()
-    text = CONFIGURATION.read_text().replace("bind :4817", f"bind 127.0.0.1:{port}")
-    for number, one in enumerate(farm, 1):
-        place = f"{one.url('tcp').removeprefix('tcp:')} port {metrics_port(one)}"
-        text = text.replace(f"farm{number}:4817 port 9817", place)
-    assert text.count("127.0.0.1:") == 4
-    (tmp_path / "haproxy.cfg").write_text(text)
+def farm(tmp_path):
+    """Yields three daemons behind a balancer."""
+    one = Farm()
+    (tmp_path / "haproxy.cfg").write_text(one.configuration())
     command = ["haproxy", "-db", "-f", str(tmp_path / "haproxy.cfg")]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as proxy:
-        address = f"tcp:127.0.0.1:{port}"
-
-        def answers() -> bool:
-            try:
-                with dipole.Client(address, retry_s=0):
-                    return True
-            except dipole.DipoleError:
-                return False
-
         try:
-            assert eventually(answers, 10)
-            yield address, farm
+            assert eventually(one.answers, 10)
+            yield one
         finally:
             proxy.terminate()
+            one.close()
 
 
 class Load(threading.Thread):
@@ -100,9 +147,9 @@ def open_three(address: str) -> bool:
     return True
 
 
-def test_an_overloaded_daemon_keeps_its_connections_and_gets_no_new_ones(balancer):
-    address, farm = balancer
-    watcher = farm[0].client()
+def test_an_overloaded_daemon_keeps_its_connections_and_gets_no_new_ones(farm):
+    address, first = farm.address, farm.daemons[0]
+    watcher = first.client("tcp")
 
     def accepted() -> int:
         return watcher.statistics()["connections_accepted"]
@@ -111,12 +158,12 @@ def test_an_overloaded_daemon_keeps_its_connections_and_gets_no_new_ones(balance
         earlier = [held.enter_context(dipole.Client(address, retry_s=0)) for _ in range(3)]
         with contextlib.ExitStack() as full:
             while watcher.statistics()["connections_open"] < MOST:
-                full.enter_context(farm[0].connect())
+                full.enter_context(first.connect("tcp"))
             before = accepted()
             assert eventually(lambda: not open_three(address), 10)
             assert eventually(lambda: open_three(address), 10)
             for _ in range(20):  # More connections are refused meanwhile, but not these.
-                with farm[0].connect() as one, contextlib.suppress(OSError, EOFError):
+                with first.connect("tcp") as one, contextlib.suppress(OSError, EOFError):
                     one.receive_frame()
                 assert open_three(address)
                 for client in earlier:
@@ -127,20 +174,20 @@ def test_an_overloaded_daemon_keeps_its_connections_and_gets_no_new_ones(balance
 
 
 @pytest.mark.parametrize("what", ["killed", "drained", "stopped"])
-def test_clients_do_not_notice_that_a_daemon_is(balancer, what):
-    address, farm = balancer
-    loads = [Load(address, number) for number in range(6)]
+def test_clients_do_not_notice_that_a_daemon_is(farm, what):
+    first = farm.daemons[0]
+    loads = [Load(farm.address, number) for number in range(6)]
     for one in loads:
         one.start()
     try:
         assert eventually(lambda: all(one.answers > 10 for one in loads), 10)
-        assert all(one.client().statistics()["connections_accepted"] > 1 for one in farm)
+        assert all(one.client("tcp").statistics()["connections_accepted"] > 1 for one in farm.daemons)
         if what == "killed":
-            farm[0].kill()
+            first.kill()
         elif what == "drained":
-            farm[0].terminate()
+            first.terminate()
         else:
-            farm[0].process.send_signal(signal.SIGSTOP)
+            first.process.send_signal(signal.SIGSTOP)
         before = [one.answers for one in loads]
         assert eventually(
             lambda: all(one.error or one.answers > n + 20 for one, n in zip(loads, before)), 15
@@ -151,6 +198,187 @@ def test_clients_do_not_notice_that_a_daemon_is(balancer, what):
         for one in loads:
             one.join(15)
         if what == "stopped":
-            farm[0].process.send_signal(signal.SIGCONT)
+            first.process.send_signal(signal.SIGCONT)
     assert [one.error for one in loads] == [None] * 6
     assert max(one.worst_s for one in loads) < 8
+
+
+# ---- clients of all kinds ------------------------------------------------------------------------
+
+JOB = {"medium": SKIN, "edges": dipole.Grid(0.0, 4.0, 5), "photons": 50_000}
+COMMANDS = [
+    ["eval", "--medium", "skin1", "--model", "better", "--r", "0.5,1,2", "--format", "csv"],
+    ["eval", "--medium", "marble", "--tolerance", "0.01", "--count", "200", "--format", "csv"],
+    ["invert", "--albedo", "0.44,0.22", "--mean-free-path", "1.3,0.95", "--format", "csv"],
+    ["mc", "--medium", "skin1", "--channel", "red", "--photons", "50000", "--format", "json"],
+]
+
+
+class User(threading.Thread):
+    """A client that asks until it is told to end. Each kind has its own ask()."""
+
+    def __init__(self, farm: Farm):
+        super().__init__(name=type(self).__name__)
+        self.address = farm.address
+        self.modbus = farm.modbus
+        self.known: dict[object, object] = {}  # the first answer to each question
+        self.answers = self.retries = 0
+        self.ended = threading.Event()
+        self.error: BaseException | None = None
+
+    def run(self) -> None:
+        try:
+            self.ask()
+        except BaseException as error:  # The test's own thread raises it.
+            self.error = error
+
+    def ask(self) -> None:
+        raise NotImplementedError
+
+    def check(self, which: object, answer: object) -> None:
+        """Compares an answer with the first one to the same question."""
+        assert answer == self.known.setdefault(which, answer), f"{self.name}: {which}"
+        self.answers += 1
+
+
+class Python(User):
+    """Queries, several of them under way, tables, fits and Monte Carlo."""
+
+    def ask(self) -> None:
+        with dipole.Client(self.address) as client:
+            restore = client._restore
+
+            def counted(lost):
+                self.retries += 1
+                restore(lost)
+
+            client._restore = counted
+            while not self.ended.is_set():
+                under_way = [client.submit(**question) for question in QUESTIONS[:-1]]
+                for number, one in enumerate(under_way):
+                    self.check(number, result_bytes(client.collect(one)[1]))
+                table = client.table("better", dipole.Medium(0.05, 1.0))
+                self.check("table", table.R(np.linspace(0.1, 5.0, 100)).tobytes())
+                fit = client.fit("better", [0.5, 1.0, 2.0], [0.1, 0.05, 0.01], [0.01] * 3)
+                self.check("fit", fit.sets.tobytes())
+                self.check("mc", job_bytes(client.mc(**JOB)))
+
+
+class Asyncio(User):
+    """The same, all at once."""
+
+    def ask(self) -> None:
+        asyncio.run(self.ask_async())
+
+    async def ask_async(self) -> None:
+        async with dipole.AsyncClient(self.address) as client:
+            restore = client._restore
+
+            async def counted(lost):
+                self.retries += 1
+                await restore(lost)
+
+            async def eval(number: int) -> None:
+                self.check(number, result_bytes(await client.eval(**QUESTIONS[number])))
+
+            async def mc() -> None:
+                self.check("mc", job_bytes(await client.mc(**JOB)))
+
+            client._restore = counted
+            while not self.ended.is_set():
+                await asyncio.gather(mc(), *map(eval, range(len(QUESTIONS))))
+
+
+class CommandLine(User):
+    """`dipole`, one command after the other."""
+
+    def ask(self) -> None:
+        while not self.ended.is_set():
+            for words in COMMANDS:
+                said = subprocess.run(
+                    [str(BUILD / "dipole"), *words, "--connect", self.address],
+                    capture_output=True, text=True, timeout=120, env=environment(), check=False,
+                )  # fmt: skip
+                assert (said.returncode, said.stderr) == (0, ""), said
+                self.check(" ".join(words), said.stdout)
+
+
+class Libdipole(User):
+    """soak-load, which compares each answer of libdipole with the first."""
+
+    def ask(self) -> None:
+        seed = str(random.randrange(1000))
+        with subprocess.Popen(
+            [str(BUILD / "soak-load"), self.address, seed, "evals"],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        ) as load:  # fmt: skip
+            try:
+                for line in load.stdout:
+                    if line.startswith("answered="):
+                        self.answers = int(line.split()[0].removeprefix("answered="))
+                    if self.ended.is_set() and not load.stdin.closed:
+                        load.stdin.close()
+                assert load.wait(60) == 0, load.stderr.read()
+            finally:
+                load.kill()
+
+
+class Master(User):
+    """A Modbus master that writes a medium and reads R with one request, some hundred times a
+    second. Modbus has no retries of its own: when the connection ends, the master connects and asks
+    again."""
+
+    def ask(self) -> None:
+        while not self.ended.is_set():
+            try:
+                with Tcp(self.modbus) as master:
+                    while not self.ended.is_set():
+                        number = self.answers % 7
+                        radii = [0.1 * (number + k + 1) for k in range(20)]
+                        block = input_block(1 + number, radii=radii)
+                        pdu = write_read_pdu(100, block, 312, 2 * len(radii))
+                        answer = master.ask(pdu)
+                        assert len(answer) == 1 + 4 * len(radii)
+                        self.check(number, answer)
+                        time.sleep(0.005)
+            except (Lost, OSError):
+                self.retries += 1
+                time.sleep(0.02)
+
+
+def test_clients_of_all_kinds_while_daemons_end(farm, capfd):
+    """Every two seconds or so a daemon is killed or drained, and started again a moment later. No
+    answer is lost or wrong, and no client that retries says anything of it."""
+    users = [kind(farm) for kind in (Python, Asyncio, CommandLine, Libdipole, Master)]
+    for one in users:
+        one.start()
+    dice, killed, drained = random.Random(22), 0, 0
+    try:
+        assert eventually(lambda: all(one.error or one.answers > 20 for one in users), 120)
+        end_s = time.monotonic() + BALANCER_S
+        while time.monotonic() < end_s and not any(one.error for one in users):
+            before = [one.answers for one in users]
+            which = dice.randrange(3)
+            if killed == drained:
+                farm.daemons[which].kill()
+                killed += 1
+            else:
+                farm.daemons[which].close()
+                drained += 1
+            time.sleep(dice.uniform(0, 1))
+            farm.daemons[which] = Farm.begin(farm.places[which])
+            time.sleep(1.5)  # HAProxy looks once a second which daemons are there.
+            assert eventually(
+                lambda: all(one.error or one.answers > n for one, n in zip(users, before)), 120
+            )
+    finally:
+        for one in users:
+            one.ended.set()
+        for one in users:
+            one.join(180)
+    with capfd.disabled():
+        print(f"\nbalancer: {killed} daemons killed, {drained} drained", end="")
+        for one in users:
+            print(f"; {one.name}: {one.answers} answers, {one.retries} retries", end="")
+    assert [one.error for one in users] == [None] * len(users)
+    assert killed + drained >= BALANCER_S / 60
