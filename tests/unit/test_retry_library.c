@@ -4,6 +4,7 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "proto/mc.h"
 #include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
 
@@ -155,20 +156,100 @@ UNIT_TEST(test_a_daemon_with_other_lists_is_another) {
   peer_finish(&peer, client);
 }
 
-UNIT_TEST(test_a_job_is_not_begun_again) {
-  peer_script *const scripts[] = {peer_hang_up_after_request, peer_must_not_come, NULL};
-  const dipole_mc_query query = {.medium = peer_media[0],
-                                 .thickness_mm = INFINITY,
-                                 .spacing = DIPOLE_LINEAR,
-                                 .ring_count = 4,
-                                 .radius_stop_mm = 4,
-                                 .photons = 1000};
+static const dipole_mc_query job = {.medium = {.1, 1, 0, 1.3},
+                                    .thickness_mm = (double)INFINITY,
+                                    .spacing = DIPOLE_LINEAR,
+                                    .ring_count = 4,
+                                    .radius_stop_mm = 4,
+                                    .photons = 1000};
+
+/* Answers an mc request with a report of progress and then, unless the state is MC_UNDER_WAY, with
+ * a table. */
+static void walk_until(int fd, enum mc_state state) {
+  mc_layout layout;
+  peer_frame request;
+  wire_mc_reply reply = {.photons = 10};
+  peer_say_hello_or_abort(fd);
+  peer_receive_or_abort(fd, &request);
+  const uint64_t id = request.header.request_id;
+  free(request.payload);
+  assert_true(mc_reply_layout(1, 1, job.ring_count, &layout));
+  uint8_t *payload = calloc(1, layout.payload_bytes);
+  assert_non_null(payload);
+  wire_put_mc_reply(payload, &reply);
+  peer_send(fd, WIRE_TYPE_MC | WIRE_REPLY, id, payload, WIRE_BYTES_mc_reply);
+  if (state != MC_UNDER_WAY) {
+    reply = (wire_mc_reply){.state = (uint16_t)state,
+                            .side_count = 1,
+                            .albedo_count = 1,
+                            .ring_count = job.ring_count,
+                            .photons = state == MC_PHOTONS_WALKED ? job.photons : 20};
+    wire_put_mc_reply(payload, &reply);
+    peer_send(fd, WIRE_TYPE_MC | WIRE_REPLY, id, payload, layout.payload_bytes);
+  }
+  free(payload);
+}
+
+static void hang_up_in_the_middle(int fd, void *context) {
+  (void)context;
+  walk_until(fd, MC_UNDER_WAY);
+}
+
+static void stop_in_the_middle(int fd, void *context) {
+  (void)context;
+  walk_until(fd, MC_STOPPED);
+}
+
+static void walk_to_the_end(int fd, void *context) {
+  peer_frame request;
+  (void)context;
+  walk_until(fd, MC_PHOTONS_WALKED);
+  while (peer_receive(fd, &request)) { /* until the client is gone */
+    free(request.payload);
+  }
+}
+
+UNIT_TEST(test_a_job_is_begun_again) {
+  peer_script *const scripts[] = {peer_hang_up_after_request, hang_up_in_the_middle,
+                                  stop_in_the_middle, walk_to_the_end, NULL};
   scripted_peer peer;
   dipole_mc_result *result;
   dipole_error error;
   dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
-  assert_false(dipole_mc(client, &query, NULL, NULL, &result, &error));
+  assert_true(dipole_mc(client, &job, NULL, NULL, &result, &error));
+  assert_int_equal(result->end, DIPOLE_MC_PHOTONS);
+  assert_int_equal(result->last.photons, job.photons);
+  dipole_mc_result_free(result);
+  peer_finish(&peer, client);
+}
+
+static bool cancel_at_once(void *context, const dipole_mc_progress *now) {
+  (void)context, (void)now;
+  return false;
+}
+
+UNIT_TEST(test_a_cancelled_job_is_not_begun_again) {
+  peer_script *const scripts[] = {hang_up_in_the_middle, peer_must_not_come, NULL};
+  scripted_peer peer;
+  dipole_mc_result *result;
+  dipole_error error;
+  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
+  assert_false(dipole_mc(client, &job, cancel_at_once, NULL, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
+  peer_finish(&peer, client);
+}
+
+UNIT_TEST(test_a_job_that_is_cut_off_where_no_retries_are_wanted) {
+  peer_script *const scripts[] = {stop_in_the_middle, peer_must_not_come, NULL};
+  scripted_peer peer;
+  dipole_mc_result *result;
+  dipole_error error;
+  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
+  dipole_set_retry_ms(client, 0);
+  assert_true(dipole_mc(client, &job, NULL, NULL, &result, &error));
+  assert_int_equal(result->end, DIPOLE_MC_STOPPED);
+  assert_int_equal(result->last.photons, 20);
+  dipole_mc_result_free(result);
   peer_finish(&peer, client);
 }
 
