@@ -110,7 +110,7 @@ MODELS := $(patsubst core/models/%.c,%,$(shell grep -l CORE_KERNEL_TABLE core/mo
 KERNELS := $(foreach isa,$(ISAS),$(foreach real,32 64,$(MODELS:%=$(OBJ)/core/models/%.$(isa).f$(real).o)))
 
 # Other inner loops that are compiled once for each instruction set.
-LOOPS := core/montecarlo/walk core/transport/dense_product
+LOOPS := core/fit/loops core/montecarlo/walk core/transport/dense_product
 KERNELS += $(foreach isa,$(ISAS),$(LOOPS:%=$(OBJ)/%.$(isa).o))
 
 CORE := $(call objects,$(filter-out $(LOOPS:%=%.c),$(wildcard core/*.c core/models/*.c core/montecarlo/*.c core/transport/*.c core/lut/*.c core/fit/*.c core/gather/*.c core/varying/*.c))) $(KERNELS)
@@ -149,9 +149,6 @@ $(OBJ)/%.o: %.c Makefile
 
 # Whose loop over listed radii is to be vectorized, and as fast wherever the linker puts it.
 $(OBJ)/core/radii.o: override CFLAGS := $(CFLAGS) -O3 -fopenmp-simd -falign-loops=64 -falign-functions=64
-
-# The loops of fits over a grid of media and over the points of a table.
-$(OBJ)/core/fit/search.o $(OBJ)/core/fit/table.o: override CFLAGS := $(CFLAGS) -O3
 
 # core/models/NAME.ISA.fREAL.o
 define kernel_rule

@@ -115,9 +115,19 @@ core_fit_cost core_fit_cost_of(const core_fit_design *design) {
 
 /* ---- preparing ------------------------------------------------------------------------------- */
 
+#define INDEX(level, unused) INDEX_##level,
+enum { CORE_ISA_LEVELS(INDEX, ) LEVELS };
+
+#define DECLARE(level, unused) extern const fit_loops fit_loops_##level;
+CORE_ISA_LEVELS(DECLARE, )
+
+#define LOOPS_OF(level, unused) [INDEX_##level] = &fit_loops_##level,
+static const fit_loops *const loops[LEVELS] = {CORE_ISA_LEVELS(LOOPS_OF, )};
+
 static struct fit_model model_of(const core_isa *isa, const core_fit_design *design) {
   return (struct fit_model){
       .isa = isa,
+      .loops = loops[isa->index],
       .model = design->model,
       .moments = design->moments,
       .quantity =

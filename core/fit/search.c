@@ -75,20 +75,26 @@ struct residual {
   double by_s;
 };
 
-/* Sets out[count] to the parts of the residuals. `scale` is what the derivatives are multiplied by
- * together with the factor. */
+/* Sets out[count] to the parts of the residuals, by the model's values and derivatives. */
 static void take_apart(const core_fit *fit, struct fit_readings readings, bool logarithms,
-                       const double *model, struct residual *out) {
+                       const double *model, const double *by_r, const double *by_s,
+                       struct residual *out) {
+  double scaled[CORE_FIT_READINGS_MAX], ln[CORE_FIT_READINGS_MAX];
   for (size_t i = 0; i < fit->count; i++) {
-    const double m = fit->weight[i] * model[i], value = readings.values[i];
-    const double weight = 1 / readings.errors[i];
-    struct residual *r = &out[i];
+    scaled[i] = fit->weight[i] * model[i];
+  }
+  if (logarithms) {
+    fit->model.loops->logarithms(fit->count, scaled, ln);
+  }
+  for (size_t i = 0; i < fit->count; i++) {
+    const double m = scaled[i], value = readings.values[i], weight = 1 / readings.errors[i];
     if (logarithms) {
       const double slope = fit->weight[i] / real_max(m, 0x1p-1022);
-      *r = (struct residual){fit_ln(value), fit_ln(m), value * weight, r->by_r * slope,
-                             r->by_s * slope};
+      out[i] = (struct residual){readings.logarithms[i], ln[i], value * weight, by_r[i] * slope,
+                                 by_s[i] * slope};
     } else {
-      *r = (struct residual){value, m, weight, r->by_r * fit->weight[i], r->by_s * fit->weight[i]};
+      out[i] =
+          (struct residual){value, m, weight, by_r[i] * fit->weight[i], by_s[i] * fit->weight[i]};
     }
   }
 }
@@ -140,11 +146,7 @@ static bool expand_around(const core_fit *fit, struct fit_readings readings, boo
     return false;
   }
   const double *model = exact != NULL ? exact : own;
-  for (size_t i = 0; i < fit->count; i++) {
-    parts[i].by_r = by_r[i];
-    parts[i].by_s = by_s[i];
-  }
-  take_apart(fit, readings, logarithms, model, parts);
+  take_apart(fit, readings, logarithms, model, by_r, by_s, parts);
   *q = (struct fit_quadratic){
       .place = place, .logarithms = logarithms, .factor = best_factor(fit, logarithms, parts)};
   for (size_t i = 0; i < fit->count; i++) {
@@ -166,29 +168,17 @@ static bool expand(const core_fit *fit, struct fit_readings readings, bool logar
 
 /* ---- the starts ------------------------------------------------------------------------------ */
 
-/* Sets chi[FIT_GRID] to chi-squared of the logarithms for each medium of the grid. */
-static void measure_grid(const core_fit *fit, struct fit_readings readings, double error,
-                         double *chi) {
-  double mean[FIT_GRID];
-  double weights = 0;
-  for (size_t i = 0; i < FIT_GRID; i++) {
-    chi[i] = mean[i] = 0;
-  }
+/* Sets chi[FIT_GRID] to chi-squared of the logarithms for each medium of the grid, and returns the
+ * least. */
+static double measure_grid(const core_fit *fit, struct fit_readings readings, double error,
+                           double *chi) {
+  double weights[CORE_FIT_READINGS_MAX];
   for (size_t k = 0; k < fit->count; k++) {
-    const double *model = &fit->grid[k * FIT_GRID];
     const double value = readings.values[k], own = readings.errors[k];
-    const double logarithm = fit_ln(value);
-    const double weight = value * value / (own * own + error * error * value * value);
-    weights += weight;
-    for (size_t i = 0; i < FIT_GRID; i++) {
-      const double off = logarithm - model[i];
-      mean[i] += weight * off;
-      chi[i] += weight * off * off;
-    }
+    weights[k] = value * value / (own * own + error * error * value * value);
   }
-  for (size_t i = 0; i < FIT_GRID && fit->free_factor && weights > 0; i++) {
-    chi[i] -= mean[i] * mean[i] / weights;
-  }
+  return fit->model.loops->measure(FIT_GRID, fit->grid, fit->count, readings.logarithms, weights,
+                                   fit->free_factor, chi);
 }
 
 /* Whether no neighbour of medium i has a smaller chi-squared, or an equal one and comes first. */
@@ -212,9 +202,10 @@ static size_t find_starts(const core_fit *fit, struct fit_readings readings,
                           const struct choosing *choosing, size_t *starts) {
   double chi[FIT_GRID];
   size_t count = 0;
-  measure_grid(fit, readings, choosing->error, chi);
+  const double least = measure_grid(fit, readings, choosing->error, chi);
+  const double most = least + choosing->worse * (double)fit->count;
   for (size_t i = 0; i < FIT_GRID; i++) {
-    if (!is_minimum(chi, i, choosing->rows)) {
+    if (!(chi[i] <= most) || !is_minimum(chi, i, choosing->rows)) {
       continue;
     }
     const size_t last = choosing->most;
@@ -228,10 +219,6 @@ static size_t find_starts(const core_fit *fit, struct fit_readings readings,
     if (at < last) {
       starts[at] = i;
     }
-  }
-  const double most = count > 0 ? chi[starts[0]] + choosing->worse * (double)fit->count : 0;
-  while (count > 1 && chi[starts[count - 1]] > most) {
-    count--;
   }
   return count;
 }
@@ -493,7 +480,8 @@ static void go_down(core_fit_search *s) {
 void fit_search_begin(core_fit_search *s, const core_fit *fit, const double *values,
                       const double *errors) {
   s->fit = fit;
-  s->readings = (struct fit_readings){values, errors};
+  s->readings = (struct fit_readings){values, errors, s->logarithms};
+  fit->model.loops->logarithms(fit->count, values, s->logarithms);
   s->evaluations = 0;
   s->best.found = s->best.settled = s->second.found = s->second.settled = false;
   s->is_careful = false;
@@ -583,7 +571,7 @@ bool core_fit_wants_exact(const core_fit *fit, const double *values, const doubl
 bool core_fit_refine(const core_fit *fit, const core_profile *profile, const double *values,
                      const double *errors, core_fit_result *result, double *residuals,
                      core_medium *medium) {
-  const struct fit_readings readings = {values, errors};
+  const struct fit_readings readings = {values, errors, NULL};
   const struct fit_place place = place_of(&result->best);
   double exact[CORE_FIT_READINGS_MAX];
   struct fit_quadratic q;

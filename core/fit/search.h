@@ -35,10 +35,13 @@ size_t fit_spare(const core_fit *fit);
 /* Returns medium i of the grid. */
 struct fit_place fit_grid_place(const core_fit *fit, size_t i);
 
+_Static_assert(FIT_GRID % FIT_LOOPS_MEDIA == 0, "the loops take all media of the grid");
+
 /* The readings of a set. */
 struct fit_readings {
   const double *values;
   const double *errors;
+  const double *logarithms; /* of the values; NULL if none are needed */
 };
 
 /* Chi-squared at a medium as far as it is quadratic: information and gradient by (ln_ratio,
@@ -96,6 +99,7 @@ struct core_fit_search {
   struct fit_place place; /* where the descent without logarithms begins */
   struct fit_minimum now;
   struct fit_descent descent;
+  double logarithms[CORE_FIT_READINGS_MAX]; /* of the readings */
 };
 
 /* Begins a search for readings that have been checked. */

@@ -12,7 +12,18 @@
 
 #include "core/core.h"
 
-typedef struct fit_table fit_table;
+/* Steps in ln_ratio and in ln x or ln q, and one. */
+enum { FIT_TABLE_RATIOS = 46, FIT_TABLE_PLACES = 220 };
+
+typedef struct fit_table {
+  bool waves;         /* whether the quantity is TRANSFER */
+  double ratio_least; /* ln */
+  double ratio_step;
+  double ln_least;
+  double ln_step;
+  double kappa[FIT_TABLE_RATIOS];
+  double L[FIT_TABLE_RATIOS * FIT_TABLE_PLACES]; /* [FIT_TABLE_RATIOS][FIT_TABLE_PLACES] */
+} fit_table;
 
 /* What a table is made from: a model whose parameters have no length (`tolerance` is not used), and
  * R or TRANSFER. */
@@ -31,12 +42,5 @@ struct fit_table_source {
 core_fault fit_table_create(fit_table **table, const struct fit_table_source *source);
 void fit_table_free(fit_table *table);
 size_t fit_table_bytes(const fit_table *table);
-
-/* Evaluates the quantity at[n], in mm above 0 or in 1/mm, for a medium by ln(sigma_a / sigma_s')
- * and ln(sigma_s'). ln_at[n] holds the logarithms of at[n], of any very small number for 0. Sets
- * value[n] and, unless they are NULL, its derivatives by both. */
-void fit_table_values(const fit_table *table, double ln_ratio, double ln_scattering, size_t n,
-                      const double *at, const double *ln_at, double *value, double *by_ratio,
-                      double *by_scattering);
 
 #endif

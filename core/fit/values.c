@@ -75,6 +75,12 @@ static void look_up(const struct fit_model *model, struct fit_place place,
                     double *by_scattering) {
   const size_t nodes = places->first[places->count];
   const bool slopes = by_ratio != NULL;
+  if (slopes && nodes == places->count) { /* each reading has one node, whose weight is 1 */
+    model->loops->look_up(model->table, place.ln_ratio, place.ln_scattering, nodes, places->at,
+                          places->ln_at, value, by_ratio, by_scattering);
+    return;
+  }
+  double R[CHUNK], r[CHUNK], s[CHUNK];
   size_t reading[3] = {0, 0, 0};
   value[0] = 0;
   if (slopes) {
@@ -82,9 +88,8 @@ static void look_up(const struct fit_model *model, struct fit_place place,
   }
   for (size_t start = 0; start < nodes; start += CHUNK) {
     const size_t n = nodes - start < CHUNK ? nodes - start : CHUNK;
-    double R[CHUNK], r[CHUNK], s[CHUNK];
-    fit_table_values(model->table, place.ln_ratio, place.ln_scattering, n, places->at + start,
-                     places->ln_at + start, R, slopes ? r : NULL, slopes ? s : NULL);
+    model->loops->look_up(model->table, place.ln_ratio, place.ln_scattering, n, places->at + start,
+                          places->ln_at + start, R, r, s);
     add_up(places, start, n, R, &reading[0], value);
     if (slopes) {
       add_up(places, start, n, r, &reading[1], by_ratio);

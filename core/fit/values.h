@@ -4,11 +4,12 @@
 #define DIPOLED_CORE_FIT_VALUES_H
 
 #include "core/core.h"
-#include "core/fit/table.h"
+#include "core/fit/loops.h"
 #include "core/varying.h"
 
 struct fit_model {
   const core_isa *isa;
+  const fit_loops *loops; /* of the instruction set */
   unsigned model;
   unsigned moments;
   enum core_quantity quantity; /* what a reading is made of: R or TRANSFER */

@@ -136,6 +136,7 @@ static void expect_recovery(unsigned model, unsigned scale) {
   }
   printf("%s, scale %u: off by %.2g at most; %zu of %zu fitted\n",
          core_choice_by_id(core_models, model)->name, scale, worst, told, count);
+  assert_true(worst < 1e-6);
 }
 
 UNIT_TEST(dipoles_come_back) {
