@@ -5,6 +5,7 @@
 #   make check      all tests that take minutes; check-asan and check-tsan: under sanitizers
 #   make check-long the tests that take longer: packages in a new system, aarch64, long loads
 #   make soak       ten minutes at full load, SOAK_S seconds if given: answers and memory
+#   make check-balancer-long  ten minutes behind HAProxy, BALANCER_S seconds if given
 #   make check-pipeline  10 million requests from eight threads, each answer compared
 #   make truth      stated errors against exact values, SECONDS=60 of them, SEED=N or a new one
 #   make rings      Monte Carlo against the solver, 100 million photons for each g (minutes)
@@ -136,7 +137,7 @@ INSTALLED := $(BUILD)/dipoled $(BUILD)/dipole
 PROGRAMS := $(INSTALLED) $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-tls-long check-pipeline check-asan check-tsan check-fuzz check-truth check-fits check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables reference tradeoff figures fit-bias clean
+.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-tls-long check-balancer-long check-pipeline check-asan check-tsan check-fuzz check-truth check-fits check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables reference tradeoff figures fit-bias clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -310,7 +311,7 @@ check:
 check-long:
 	@sh .ci/install-packages demo check deb ci
 	@$(MAKE) --no-print-directory -j2 all $(BUILD)/tests/bits $(BUILD)/soak-load $(BUILD)/pipeline
-	+@bash tests/run-check.sh $(BUILD)/logs-long bits-aarch64 soak-long tls-long pipeline rings fits packages deb
+	+@bash tests/run-check.sh $(BUILD)/logs-long bits-aarch64 soak-long tls-long balancer-long pipeline rings fits packages deb
 
 # Fails when modules include each other in a circle.
 check-structure:
@@ -349,6 +350,11 @@ check-soak-long: all $(BUILD)/soak-load
 # Ten thousand handshakes that somebody leaves half open, and five thousand with faults.
 check-tls-long: all
 	TLS_HANDSHAKES=10000 $(PYTEST) tests/e2e/test_tls.py
+
+# Clients of all kinds behind HAProxy, while three daemons are killed and drained.
+BALANCER_S ?= 600
+check-balancer-long: all $(BUILD)/soak-load
+	BALANCER_S=$(BALANCER_S) $(PYTEST) -k all_kinds tests/e2e/test_balancer.py
 
 # Eight threads, each with 256 requests under way, and each answer compared.
 PIPELINE_REQUESTS ?= 10000000

@@ -170,8 +170,10 @@ static bool serve_modbus_at(struct daemon *daemon, const char *url) {
   if (strncmp(url, "rtu:", 4) == 0) {
     return modbus_service_open_line(daemon->server.modbus, url);
   }
+  const bool secure = strncmp(url, "tls:", 4) == 0;
   if (!listener_open_modbus(&daemon->listeners[daemon->listener_count], &daemon->server,
-                            &daemon->loop, url, modbus_service_admit)) {
+                            &daemon->loop, url,
+                            secure ? modbus_service_admit_tls : modbus_service_admit)) {
     return false;
   }
   daemon->listener_count++;

@@ -179,14 +179,34 @@ static size_t answer_unit(struct modbus_unit *unit, struct client *client, const
   return unit->evaluating ? 0 : put_result(unit, request, pdu, answer);
 }
 
-static size_t answer_request(struct modbus_units *units, struct client *client, bool may_write,
-                             unsigned number, const uint8_t *pdu, size_t bytes, uint8_t *answer,
+/* Returns whether the rights of a master's certificate allow a request. Functions 17 and 43 name no
+ * registers. */
+static bool is_authorized(const struct roles_rights *rights, const struct modbus_request *request) {
+  const unsigned function = request->function;
+  if (rights == NULL) {
+    return true;
+  }
+  if (function == MODBUS_FC_WRITE_SINGLE_COIL || function == MODBUS_FC_WRITE_MULTIPLE_COILS) {
+    return roles_allow(rights, function, true, request->address, request->count);
+  }
+  const bool writes = modbus_pdu_writes(function);
+  return (!writes ||
+          roles_allow(rights, function, true, request->write_address, request->write_count)) &&
+         ((writes && function != MODBUS_FC_WRITE_AND_READ_REGISTERS) ||
+          roles_allow(rights, function, false, request->address, request->count));
+}
+
+static size_t answer_request(struct modbus_units *units, struct client *client,
+                             const struct modbus_permissions *may, unsigned number,
+                             const uint8_t *pdu, size_t bytes, uint8_t *answer,
                              struct modbus_unit **waits_for) {
   struct modbus_request request;
   unsigned exception = modbus_pdu_parse(pdu, bytes, &request);
+  const bool may_write = may->write && !units->server->options.modbus_read_only;
   if (number == 0) {
     exception = MODBUS_EXCEPTION_GATEWAY_TARGET;
-  } else if (!may_write && modbus_pdu_writes(pdu[0])) {
+  } else if ((!may_write && modbus_pdu_writes(pdu[0])) ||
+             (exception == 0 && !is_authorized(may->rights, &request))) {
     exception = MODBUS_EXCEPTION_ILLEGAL_FUNCTION;
   }
   size_t length = 0;
@@ -206,12 +226,10 @@ static size_t answer_request(struct modbus_units *units, struct client *client, 
   return answer_unit(*waits_for, client, pdu, &request, answer);
 }
 
-size_t modbus_answer(struct modbus_units *units, struct client *client, bool may_write,
-                     unsigned number, const uint8_t *pdu, size_t bytes,
-                     uint8_t answer[MODBUS_PDU_MAX], struct modbus_unit **waits_for) {
-  may_write = may_write && !units->server->options.modbus_read_only;
-  const size_t length =
-      answer_request(units, client, may_write, number, pdu, bytes, answer, waits_for);
+size_t modbus_answer(struct modbus_units *units, struct client *client,
+                     const struct modbus_permissions *may, unsigned number, const uint8_t *pdu,
+                     size_t bytes, uint8_t answer[MODBUS_PDU_MAX], struct modbus_unit **waits_for) {
+  const size_t length = answer_request(units, client, may, number, pdu, bytes, answer, waits_for);
   count(units, answer, length);
   return length;
 }

@@ -58,6 +58,10 @@ static void log_refusal(const struct modbus_connection *c, const uint8_t *frame,
 static void on_closed(uv_handle_t *handle) {
   struct modbus_connection *c = handle->data;
   stats_subtract(stats_of(c), STATS_MODBUS_CONNECTIONS_OPEN, 1);
+  if (c->tls != NULL) {
+    tls_session_free(c->tls);
+  }
+  free(c->may.rights);
   close(c->fd);
   worker_forget(&c->client);
   modbus_units_leave(c->units, &c->client);
@@ -92,6 +96,9 @@ static void set_events(struct modbus_connection *c, int events) {
  * would reset the connection, and the peer might lose that answer. So the connection reads and
  * drops bytes until the peer closes. */
 static void linger(struct modbus_connection *c) {
+  if (c->tls != NULL) {
+    tls_session_end(c->tls);
+  }
   if (shutdown(c->fd, SHUT_WR) != 0) {
     abort_connection(c);
     return;
@@ -99,6 +106,26 @@ static void linger(struct modbus_connection *c) {
   c->lingering = true;
   c->active_ms = now_ms(c);
   set_events(c, UV_READABLE);
+}
+
+/* ---- the socket: results are those of send() and recv(), and errors negative ------------------ */
+
+static ssize_t send_some(const struct modbus_connection *c, const uint8_t *from, size_t bytes) {
+  if (c->tls != NULL) {
+    return tls_session_write(c->tls, from, bytes);
+  }
+  const ssize_t sent = send(c->fd, from, bytes, MSG_NOSIGNAL);
+  return sent < 0 ? uv_translate_sys_error(errno) : sent;
+}
+
+static ssize_t receive_some(struct modbus_connection *c, uint8_t *to, size_t bytes) {
+  if (c->tls == NULL) {
+    const ssize_t got = recv(c->fd, to, bytes, 0);
+    return got < 0 ? uv_translate_sys_error(errno) : got;
+  }
+  const ssize_t got = tls_session_read(c->tls, to, bytes);
+  c->has_more = got > 0;
+  return got == UV_EOF ? 0 : got;
 }
 
 /* ---- writing --------------------------------------------------------------------------------- */
@@ -111,14 +138,14 @@ static bool has_unsent(const struct modbus_connection *c) {
 static void write_unsent(struct modbus_connection *c) {
   while (has_unsent(c)) {
     const ssize_t sent =
-        send(c->fd, c->unsent + c->unsent_begin, c->unsent_end - c->unsent_begin, MSG_NOSIGNAL);
+        send_some(c, c->unsent + c->unsent_begin, c->unsent_end - c->unsent_begin);
     if (sent > 0) {
       c->unsent_begin += (unsigned)sent;
       c->active_ms = now_ms(c);
       stats_add(stats_of(c), STATS_SENT_BYTES, (uint64_t)sent);
-    } else if (sent < 0 && errno == EAGAIN) {
+    } else if (sent == UV_EAGAIN) {
       return;
-    } else if (sent < 0 && errno != EINTR) {
+    } else if (sent < 0 && sent != UV_EINTR) {
       abort_connection(c);
       return;
     }
@@ -157,7 +184,7 @@ static void send_answer(struct modbus_connection *c, size_t pdu_bytes) {
 static void answer_frame(struct modbus_connection *c, const uint8_t *frame, size_t bytes) {
   struct modbus_unit *unit = NULL;
   const size_t answered =
-      modbus_answer(c->units, &c->client, c->may_write, unit_of(frame[6]), frame + HEADER_BYTES,
+      modbus_answer(c->units, &c->client, &c->may, unit_of(frame[6]), frame + HEADER_BYTES,
                     bytes - HEADER_BYTES, c->unsent + HEADER_BYTES, &unit);
   if (answered > 0) {
     log_refusal(c, frame, bytes);
@@ -248,7 +275,7 @@ static void read_more(struct modbus_connection *c) {
   }
   const size_t room = sizeof c->input - c->end;
   const size_t wanted = c->unread > 0 && c->unread < room ? c->unread : room;
-  const ssize_t got = recv(c->fd, c->input + c->end, wanted, 0);
+  const ssize_t got = receive_some(c, c->input + c->end, wanted);
   c->unread -= got > 0 && (size_t)got < c->unread ? (unsigned)got : c->unread;
   if (got > 0) {
     c->end += (unsigned)got;
@@ -256,7 +283,7 @@ static void read_more(struct modbus_connection *c) {
     stats_add(stats_of(c), STATS_RECEIVED_BYTES, (uint64_t)got);
   } else if (got == 0) {
     c->stopping = true;
-  } else if (errno != EAGAIN && errno != EINTR) {
+  } else if (got != UV_EAGAIN && got != UV_EINTR) {
     abort_connection(c);
   }
 }
@@ -265,7 +292,7 @@ static void read_more(struct modbus_connection *c) {
 static void await_events(struct modbus_connection *c) {
   if (has_unsent(c)) {
     set_events(c, UV_WRITABLE);
-  } else if (c->unread > 0 && !c->ending) {
+  } else if ((c->unread > 0 || c->has_more) && !c->ending) {
     read_more(c);
     worker_run_later(&c->client);
   } else if (c->ending || c->stopping) {
@@ -333,12 +360,18 @@ static void start(struct client *client) {
     return;
   }
   set_events(c, UV_READABLE);
+  if (c->tls != NULL) { /* The handshake may have read the first request. */
+    c->has_more = true;
+    worker_run_later(client);
+  }
 }
 
 static void stop(struct client *client) {
   struct modbus_connection *c = connection_of(client);
   int unread = 0;
-  if (!c->lingering && ioctl(c->fd, FIONREAD, &unread) == 0) {
+  if (c->tls != NULL) {
+    c->has_more = true;
+  } else if (!c->lingering && ioctl(c->fd, FIONREAD, &unread) == 0) {
     c->unread = (unsigned)unread;
   }
   c->stopping = true;
@@ -374,7 +407,8 @@ static void tick(struct client *client, uint64_t time_ms) {
 }
 
 struct modbus_connection *modbus_connection_new(struct modbus_units *units, int fd,
-                                                bool may_write) {
+                                                struct tls_session *session,
+                                                const struct modbus_permissions *may) {
   static const struct client_kind kind = {
       .start = start,
       .run = run,
@@ -389,7 +423,8 @@ struct modbus_connection *modbus_connection_new(struct modbus_units *units, int 
     c->client.kind = &kind;
     c->units = units;
     c->fd = fd;
-    c->may_write = may_write;
+    c->tls = session;
+    c->may = *may;
   }
   return c;
 }

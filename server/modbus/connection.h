@@ -1,4 +1,4 @@
-/* connection: one Modbus master over TCP, as a client of the worker. It cuts the stream into
+/* connection: one Modbus master over TCP or TLS, as a client of the worker. It cuts the stream into
  * frames, answers them in their order, and writes the answers without ever waiting for the peer.
  *
  * While an answer has not been written whole, the connection neither answers further requests nor
@@ -11,6 +11,7 @@
 #include <uv.h>
 
 #include "server/modbus/answer.h"
+#include "server/net/tls.h"
 
 enum {
   MODBUS_FRAME_MAX = 260,    /* bytes of a frame over TCP */
@@ -21,7 +22,9 @@ struct modbus_connection {
   struct client client; /* first member: see client.h */
   struct modbus_units *units;
   int fd;
-  bool may_write; /* see modbus_answer() */
+  struct tls_session *tls; /* NULL: the bytes are plain */
+  bool has_more;           /* with TLS: whether OpenSSL may hold bytes that have not been read */
+  struct modbus_permissions may;
   uv_poll_t poll;
   int events; /* the events that the poll waits for */
 
@@ -42,10 +45,11 @@ struct modbus_connection {
   uint8_t unsent[MODBUS_FRAME_MAX];
 };
 
-/* Makes a connection of a connected, non-blocking socket, which the connection then owns.
- * may_write: whether the master may use functions that write. The caller gives `client` to the
- * worker that has the units. Returns NULL if there is no memory; the socket is still the caller's
- * then. */
-struct modbus_connection *modbus_connection_new(struct modbus_units *units, int fd, bool may_write);
+/* Makes a connection of a connected, non-blocking socket, which the connection then owns, like the
+ * session, which may be NULL, and the rights. The caller gives `client` to the worker that has the
+ * units. Returns NULL if there is no memory; all that is still the caller's then. */
+struct modbus_connection *modbus_connection_new(struct modbus_units *units, int fd,
+                                                struct tls_session *session,
+                                                const struct modbus_permissions *may);
 
 #endif

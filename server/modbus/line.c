@@ -207,7 +207,8 @@ static void answer(struct modbus_line *line) {
     answer_diagnostics(line);
     return;
   }
-  const size_t answered = modbus_answer(line->units, &line->client, true, line->device.number, pdu,
+  const struct modbus_permissions may = {.write = true};
+  const size_t answered = modbus_answer(line->units, &line->client, &may, line->device.number, pdu,
                                         request_pdu_bytes(line), line->output + 1, &unit);
   if (answered > 0) {
     modbus_answer_log(pdu, request_pdu_bytes(line), line->output + 1, line->burst.request[0],

@@ -7,6 +7,7 @@
 #include "server/modbus/connection.h"
 #include "server/modbus/line.h"
 #include "server/net/access.h"
+#include "server/net/handshake.h"
 #include "server/net/tcp.h"
 #include "server/net/worker.h"
 #include "server/observe/log.h"
@@ -82,23 +83,46 @@ static const char *refusal(const struct modbus_service *service, int fd) {
              : NULL;
 }
 
-void modbus_service_admit(struct server *server, int fd) {
+static void refuse(struct server *server, int fd, const char *why) {
+  char peer[TCP_TEXT_BYTES];
+  tcp_peer(fd, peer);
+  log_peer_line(LOG_LEVEL_INFO, "event=modbus-refused reason=%s%s%s", why,
+                LOG_FIELD(" peer=", peer));
+  stats_add(&server->stats, STATS_MODBUS_CONNECTIONS_REFUSED, 1);
+  close(fd);
+}
+
+/* Gives a connection to the worker. session: NULL if its bytes are plain. */
+static void give(struct server *server, int fd, struct tls_session *session) {
   struct modbus_service *service = server->modbus;
+  struct modbus_permissions may = {.write = access_allows_peer(&service->write, fd)};
   const char *why = refusal(service, fd);
   struct modbus_connection *connection =
-      why == NULL
-          ? modbus_connection_new(service->units, fd, access_allows_peer(&service->write, fd))
+      why == NULL && (session == NULL || tls_session_rights(session, &may.rights))
+          ? modbus_connection_new(service->units, fd, session, &may)
           : NULL;
   if (connection == NULL) {
-    char peer[TCP_TEXT_BYTES];
-    tcp_peer(fd, peer);
-    log_peer_line(LOG_LEVEL_INFO, "event=modbus-refused reason=%s%s%s",
-                  why != NULL ? why : "out-of-memory", LOG_FIELD(" peer=", peer));
-    stats_add(&server->stats, STATS_MODBUS_CONNECTIONS_REFUSED, 1);
-    close(fd);
+    free(may.rights);
+    if (session != NULL) {
+      tls_session_free(session);
+    }
+    refuse(server, fd, why != NULL ? why : "out-of-memory");
     return;
   }
   stats_add(&server->stats, STATS_MODBUS_CONNECTIONS_ACCEPTED, 1);
   stats_add(&server->stats, STATS_MODBUS_CONNECTIONS_OPEN, 1);
   worker_give(&server->workers[0], &connection->client);
+}
+
+void modbus_service_admit(struct server *server, int fd) {
+  give(server, fd, NULL);
+}
+
+void modbus_service_admit_tls(struct server *server, int fd) {
+  const char *why = refusal(server->modbus, fd);
+  if (why != NULL) {
+    refuse(server, fd, why);
+  } else {
+    handshakes_begin(server, fd, give);
+  }
 }

@@ -24,4 +24,7 @@ void modbus_service_begin(struct modbus_service *service);
  * this. */
 void modbus_service_admit(struct server *server, int fd);
 
+/* The same for MODBUS/TCP Security: a TLS handshake comes first. */
+void modbus_service_admit_tls(struct server *server, int fd);
+
 #endif

@@ -22,7 +22,7 @@ struct handshakes {
   struct server *server;
   struct tls *tls;
   struct worker *worker;
-  void (*done)(struct server *server, int fd, struct tls_session *session);
+  handshakes_done *done;
   struct queue queue;       /* the oldest one first */
   _Atomic unsigned waiting; /* those that the worker has not taken up */
   unsigned count;           /* of the queue */
@@ -35,6 +35,7 @@ struct handshake {
   TAILQ_ENTRY(handshake) in_queue;
   int fd;
   struct tls_session *session;
+  handshakes_done *done;
   uv_poll_t poll;
   uint64_t began_ms;
   bool closing;
@@ -52,7 +53,7 @@ static void on_closed(uv_handle_t *handle) {
   struct server *server = h->all->server;
   worker_forget(&h->client);
   if (h->is_done && !atomic_load(&server->draining)) {
-    h->all->done(server, h->fd, h->session);
+    h->done(server, h->fd, h->session);
   } else {
     tls_session_free(h->session);
     close(h->fd);
@@ -171,20 +172,29 @@ static const struct client_kind kind = {
     .abort = stop,
 };
 
+static void refuse(struct server *server, int fd, const char *why, enum stats_index counter) {
+  log_refusal(fd, why);
+  stats_add(&server->stats, counter, 1);
+  close(fd);
+}
+
 void handshakes_admit(struct server *server, int fd) {
+  if (access_allows_peer(&server->allow, fd)) {
+    handshakes_begin(server, fd, server->handshakes->done);
+  } else {
+    refuse(server, fd, "not-allowed", STATS_CONNECTIONS_REFUSED);
+  }
+}
+
+void handshakes_begin(struct server *server, int fd, handshakes_done *done) {
   struct handshakes *all = server->handshakes;
-  const bool allowed = access_allows_peer(&server->allow, fd);
-  const char *why = !allowed ? "not-allowed"
-                    : atomic_load(&all->waiting) >= server->options.max_tls_handshakes
-                        ? "max_tls_handshakes have begun at once"
-                        : NULL;
-  struct handshake *h = why == NULL ? calloc(1, sizeof *h) : NULL;
+  const bool full = atomic_load(&all->waiting) >= server->options.max_tls_handshakes;
+  struct handshake *h = full ? NULL : calloc(1, sizeof *h);
   struct tls_session *session = h != NULL ? tls_session_new(all->tls, fd) : NULL;
   if (session == NULL) {
-    log_refusal(fd, why != NULL ? why : "out of memory");
-    stats_add(&server->stats, allowed ? STATS_TLS_HANDSHAKES_FAILED : STATS_CONNECTIONS_REFUSED, 1);
     free(h);
-    close(fd);
+    refuse(server, fd, full ? "max_tls_handshakes have begun at once" : "out of memory",
+           STATS_TLS_HANDSHAKES_FAILED);
     return;
   }
   const int on = 1;
@@ -193,13 +203,13 @@ void handshakes_admit(struct server *server, int fd) {
   h->all = all;
   h->fd = fd;
   h->session = session;
+  h->done = done;
   atomic_fetch_add(&all->waiting, 1);
   worker_give(all->worker, &h->client);
 }
 
 struct handshakes *handshakes_new(struct server *server, struct tls *tls, struct worker *worker,
-                                  void (*done)(struct server *server, int fd,
-                                               struct tls_session *session)) {
+                                  handshakes_done *done) {
   struct handshakes *all = calloc(1, sizeof *all);
   if (all != NULL) {
     all->server = server;

@@ -14,11 +14,13 @@
 
 struct handshakes;
 
-/* Makes the handshakes. done() gets, and then owns, each socket whose handshake is done, with its
- * session; it is called on the worker's thread. Returns NULL if there is no memory. */
+/* Gets, and then owns, a socket whose handshake is done, and its session. It is called on the
+ * worker's thread. */
+typedef void handshakes_done(struct server *server, int fd, struct tls_session *session);
+
+/* Makes the handshakes. done: for the binary protocol. Returns NULL if there is no memory. */
 struct handshakes *handshakes_new(struct server *server, struct tls *tls, struct worker *worker,
-                                  void (*done)(struct server *server, int fd,
-                                               struct tls_session *session));
+                                  handshakes_done *done);
 
 /* Frees it. Call this after the worker has ended. handshakes: may be NULL. */
 void handshakes_free(struct handshakes *handshakes);
@@ -26,5 +28,8 @@ void handshakes_free(struct handshakes *handshakes);
 /* Begins the handshake of a connected socket, which it then owns. The connection of a peer that is
  * not from --allow is closed at once. Listeners call this. */
 void handshakes_admit(struct server *server, int fd);
+
+/* The same for a socket of any protocol, whose peer may connect. */
+void handshakes_begin(struct server *server, int fd, handshakes_done *done);
 
 #endif

@@ -361,9 +361,11 @@ bool listener_open_modbus(struct listener *listener, struct server *server, uv_l
                           const char *url, void (*take)(struct server *server, int fd)) {
   *listener = (struct listener){.server = server, .admit = take, .fd = -1};
   const bool open =
-      strncmp(url, "tcp:", 4) == 0
-          ? open_tcp(listener, url, url + 4, "modbus-tcp")
-          : complain(url, "Modbus is served at tcp:HOST:PORT or rtu:DEVICE[,BAUD[,PARITY[,UNIT]]]");
+      strncmp(url, "tcp:", 4) == 0   ? open_tcp(listener, url, url + 4, "modbus-tcp")
+      : strncmp(url, "tls:", 4) == 0 ? open_tcp(listener, url, url + 4, "modbus-tls")
+                                     : complain(url, "Modbus is served at tcp:HOST:PORT, "
+                                                     "tls:HOST:PORT or "
+                                                     "rtu:DEVICE[,BAUD[,PARITY[,UNIT]]]");
   return start(listener, loop, open);
 }
 

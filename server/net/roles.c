@@ -1,14 +1,13 @@
 #include "server/net/roles.h"
 
 #include <errno.h>
-#include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "proto/wire.h"
 
-enum { LINE_BYTES = 1024, ENTRIES_MAX = 1000 };
+enum { LINE_BYTES = 1024, ENTRIES_MAX = 1000, RIGHTS_MAX = 16, ADDRESS_MAX = 65535 };
 
 enum kind { EVERYBODY, SUBJECT, ROLE };
 
@@ -16,6 +15,8 @@ struct entry {
   unsigned roles;
   enum kind kind;
   char *name; /* NULL for everybody */
+  size_t right_count;
+  struct roles_right rights[RIGHTS_MAX]; /* of Modbus masters */
 };
 
 struct roles {
@@ -59,21 +60,64 @@ unsigned roles_needed(unsigned type) {
 
 /* ---- the file -------------------------------------------------------------------------------- */
 
-/* Reads a list of roles, as "evaluate,observe". Returns 0 if one of them is unknown. */
-static unsigned read_roles(char *text) {
-  unsigned sum = 0;
+/* Reads a whole number of at most `most` at *text, and moves *text behind it. */
+static bool read_number(char **text, unsigned most, unsigned *number) {
+  char *end = *text;
+  *number = 0;
+  while (*end >= '0' && *end <= '9' && *number <= most) {
+    *number = 10 * *number + (unsigned)(*end++ - '0');
+  }
+  const bool good = end > *text && *number <= most;
+  *text = end;
+  return good;
+}
+
+/* Reads a right of Modbus masters: read, write or fcN, and behind a colon the addresses. */
+static bool read_right(char *text, struct roles_right *right) {
+  char *colon = strchr(text, ':');
+  *right = (struct roles_right){.last = ADDRESS_MAX};
+  if (colon != NULL) {
+    char *at = colon + 1;
+    *colon = '\0';
+    bool good = read_number(&at, ADDRESS_MAX, &right->first);
+    right->last = right->first;
+    if (good && *at == '-') {
+      at++;
+      good = read_number(&at, ADDRESS_MAX, &right->last);
+    }
+    if (!good || *at != '\0' || right->last < right->first) {
+      return false;
+    }
+  }
+  right->reads = strcmp(text, "read") == 0;
+  right->writes = strcmp(text, "write") == 0;
+  if (strncmp(text, "fc", 2) == 0) {
+    text += 2;
+    return read_number(&text, 127, &right->function) && *text == '\0' && right->function > 0;
+  }
+  return right->reads || right->writes;
+}
+
+/* Reads a list of roles and rights, as "evaluate,observe,read". Returns what is wrong, or NULL. */
+static const char *read_roles(char *text, struct entry *entry) {
+  static const char what[] =
+      "write roles first: evaluate, compute, observe, read, write or fcN, with commas between them, "
+      "and addresses behind the last three as in read:300-420";
   char *rest = text;
   for (char *one = strtok_r(text, ",", &rest); one != NULL; one = strtok_r(NULL, ",", &rest)) {
     size_t i = 0;
     while (i < NAMES && strcmp(one, names[i].name) != 0) {
       i++;
     }
-    if (i == NAMES) {
-      return 0;
+    if (i < NAMES) {
+      entry->roles |= names[i].role;
+    } else if (entry->right_count == RIGHTS_MAX) {
+      return "the line has more than 16 rights of Modbus masters";
+    } else if (!read_right(one, &entry->rights[entry->right_count++])) {
+      return what;
     }
-    sum |= names[i].role;
   }
-  return sum;
+  return entry->roles == 0 && entry->right_count == 0 ? what : NULL;
 }
 
 /* Reads who is meant. Returns what is wrong, or NULL. */
@@ -117,11 +161,9 @@ static const char *read_line(struct roles *roles, char *line) {
     who += strspn(who, blanks);
   }
   struct entry *entry = &roles->entries[roles->count];
-  entry->roles = read_roles(line);
-  if (entry->roles == 0) {
-    return "write roles first: evaluate, compute or observe, with commas between them";
-  }
-  const char *wrong = read_who(who, entry);
+  *entry = (struct entry){0};
+  const char *wrong = read_roles(line, entry);
+  wrong = wrong != NULL ? wrong : read_who(who, entry);
   roles->count += wrong == NULL;
   return wrong;
 }
@@ -166,14 +208,61 @@ void roles_free(struct roles *roles) {
   free(roles);
 }
 
+static bool names_client(const struct entry *entry, const char *subject, const char *role) {
+  return entry->kind == EVERYBODY ||
+         strcmp(entry->kind == SUBJECT ? subject : role, entry->name) == 0;
+}
+
 unsigned roles_of(const struct roles *roles, const char *subject, const char *role) {
   unsigned sum = 0;
   for (size_t i = 0; i < roles->count; i++) {
-    const struct entry *entry = &roles->entries[i];
-    const char *own = entry->kind == SUBJECT ? subject : role;
-    if (entry->kind == EVERYBODY || strcmp(own, entry->name) == 0) {
-      sum |= entry->roles;
+    if (names_client(&roles->entries[i], subject, role)) {
+      sum |= roles->entries[i].roles;
     }
   }
   return sum;
+}
+
+/* ---- rights of Modbus masters ---------------------------------------------------------------- */
+
+struct roles_rights *roles_rights_of(const struct roles *roles, const char *subject,
+                                     const char *role) {
+  size_t count = 0;
+  for (size_t i = 0; i < roles->count; i++) {
+    count += names_client(&roles->entries[i], subject, role) ? roles->entries[i].right_count : 0;
+  }
+  struct roles_rights *rights = malloc(sizeof *rights + count * sizeof rights->items[0]);
+  if (rights == NULL) {
+    return NULL;
+  }
+  rights->count = 0;
+  for (size_t i = 0; i < roles->count; i++) {
+    const struct entry *entry = &roles->entries[i];
+    if (names_client(entry, subject, role)) {
+      memcpy(rights->items + rights->count, entry->rights,
+             entry->right_count * sizeof entry->rights[0]);
+      rights->count += entry->right_count;
+    }
+  }
+  return rights;
+}
+
+bool roles_allow(const struct roles_rights *rights, unsigned function, bool writes, unsigned first,
+                 unsigned count) {
+  const unsigned end = first + count;
+  /* Each round finds a right that goes beyond the addresses that are known to be allowed. */
+  for (unsigned at = first, reached = first;; at = reached) {
+    bool any = false;
+    for (size_t i = 0; i < rights->count; i++) {
+      const struct roles_right *one = &rights->items[i];
+      const bool fits = one->function == function || (writes ? one->writes : one->reads);
+      any = any || fits;
+      if (fits && one->first <= at && one->last + 1 > reached) {
+        reached = one->last + 1;
+      }
+    }
+    if (count == 0 || reached >= end || reached == at) {
+      return count == 0 ? any : reached >= end;
+    }
+  }
 }

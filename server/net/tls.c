@@ -5,16 +5,23 @@
 #include <string.h>
 #include <uv.h>
 
-#include "server/net/roles.h"
 #include "server/observe/log.h"
 
-bool tls_is_wanted(const struct options *options) {
-  for (size_t i = 0; i < options->listen.count; i++) {
-    if (strncmp(options->listen.items[i], "tls:", 4) == 0) {
+static bool has_tls(const struct options_list *urls) {
+  for (size_t i = 0; i < urls->count; i++) {
+    if (strncmp(urls->items[i], "tls:", 4) == 0) {
       return true;
     }
   }
   return false;
+}
+
+bool tls_is_wanted_for_modbus(const struct options *options) {
+  return has_tls(&options->modbus);
+}
+
+bool tls_is_wanted(const struct options *options) {
+  return has_tls(&options->listen) || has_tls(&options->modbus);
 }
 
 #ifdef DIPOLED_WITHOUT_TLS
@@ -46,6 +53,10 @@ enum tls_progress tls_session_shake_hands(struct tls_session *session, char why[
 unsigned tls_session_roles(const struct tls_session *session) {
   (void)session;
   return 0;
+}
+bool tls_session_rights(const struct tls_session *session, struct roles_rights **rights) {
+  (void)session, (void)rights;
+  return false;
 }
 uint64_t tls_session_received_bytes(const struct tls_session *session) {
   (void)session;
@@ -180,7 +191,13 @@ struct tls *tls_new(const struct options *options) {
   const char *what;
   char why[TLS_WHY_BYTES];
   if (options->certificate == NULL || options->key == NULL) {
-    fprintf(stderr, "dipoled: --listen tls:HOST:PORT needs --certificate FILE and --key FILE\n");
+    fprintf(stderr, "dipoled: %s tls:HOST:PORT needs --certificate FILE and --key FILE\n",
+            has_tls(&options->listen) ? "--listen" : "--modbus");
+    return NULL;
+  }
+  if (options->client_ca == NULL && tls_is_wanted_for_modbus(options)) {
+    fprintf(stderr, "dipoled: --modbus tls:HOST:PORT needs --client-ca FILE: masters have to have "
+                    "certificates\n");
     return NULL;
   }
   struct tls *tls = calloc(1, sizeof *tls);
@@ -305,21 +322,36 @@ static void copy_subject(const X509 *certificate, char subject[SUBJECT_BYTES]) {
   BIO_free(bio);
 }
 
-unsigned tls_session_roles(const struct tls_session *session) {
-  const SSL *ssl = ssl_of(session);
+/* Who a client is, by its certificate: both texts are "" if it has none. */
+struct who {
+  char subject[SUBJECT_BYTES], role[ROLE_BYTES];
+};
+
+/* Returns the roles of the session's context; if there are any, also finds who the client is. */
+static const struct roles *find_roles(const SSL *ssl, struct who *who) {
   const struct roles *roles = SSL_CTX_get_ex_data(SSL_get_SSL_CTX(ssl), roles_index);
-  char subject[SUBJECT_BYTES] = "", role[ROLE_BYTES] = "";
   X509 *certificate = SSL_get0_peer_certificate(ssl);
-  if (roles == NULL) {
-    return ROLE_ALL;
+  who->subject[0] = who->role[0] = '\0';
+  ERR_clear_error();
+  if (roles != NULL && certificate != NULL) {
+    copy_subject(certificate, who->subject);
+    copy_role(certificate, who->role);
   }
   ERR_clear_error();
-  if (certificate != NULL) {
-    copy_subject(certificate, subject);
-    copy_role(certificate, role);
-  }
-  ERR_clear_error();
-  return roles_of(roles, subject, role);
+  return roles;
+}
+
+unsigned tls_session_roles(const struct tls_session *session) {
+  struct who who;
+  const struct roles *roles = find_roles(ssl_of(session), &who);
+  return roles != NULL ? roles_of(roles, who.subject, who.role) : ROLE_ALL;
+}
+
+bool tls_session_rights(const struct tls_session *session, struct roles_rights **rights) {
+  struct who who;
+  const struct roles *roles = find_roles(ssl_of(session), &who);
+  *rights = roles != NULL ? roles_rights_of(roles, who.subject, who.role) : NULL;
+  return roles == NULL || *rights != NULL;
 }
 
 uint64_t tls_session_received_bytes(const struct tls_session *session) {

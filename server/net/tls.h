@@ -12,6 +12,7 @@
 #include <stdint.h>
 #include <sys/types.h>
 
+#include "server/net/roles.h"
 #include "server/options.h"
 
 /* The daemon's certificate and key, and the certificates that sign those of clients. */
@@ -20,8 +21,9 @@ struct tls;
 /* One connection. Its socket must not block. */
 struct tls_session;
 
-/* Returns whether an option asks for TLS. */
+/* Return whether an option asks for TLS, and for MODBUS/TCP Security. */
 bool tls_is_wanted(const struct options *options);
+bool tls_is_wanted_for_modbus(const struct options *options);
 
 /* Reads the files of --certificate, --key, --client-ca and --roles. If that fails, prints a message
  * to standard error and returns NULL. The caller calls tls_free(). */
@@ -49,6 +51,10 @@ enum tls_progress tls_session_shake_hands(struct tls_session *session, char why[
 
 /* Returns the sum of the client's roles (server/net/roles.h), after the handshake. */
 unsigned tls_session_roles(const struct tls_session *session);
+
+/* Sets *rights to a Modbus master's rights, which the caller frees, or to NULL if no file of roles
+ * limits them. Returns false if there is no memory. */
+bool tls_session_rights(const struct tls_session *session, struct roles_rights **rights);
 
 /* Returns how many bytes the peer has sent. */
 uint64_t tls_session_received_bytes(const struct tls_session *session);

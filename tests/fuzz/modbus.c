@@ -67,7 +67,8 @@ void fuzz_modbus(const uint8_t *data, size_t size) {
     return;
   }
   CHECK(socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0, fds) == 0);
-  struct modbus_connection *client = modbus_connection_new(units, fds[0], true);
+  const struct modbus_permissions may = {.write = true};
+  struct modbus_connection *client = modbus_connection_new(units, fds[0], NULL, &may);
   stats_add(&fuzz_server.stats, STATS_MODBUS_CONNECTIONS_OPEN, 1);
   worker_give(&fuzz_worker, &client->client);
   struct fuzz_delivery delivery = fuzz_delivery_begin(data, 1);
@@ -123,6 +124,7 @@ static void send_serial(struct serial *line, uint8_t *frame, size_t pdu_bytes) {
 static void answer_serial(struct serial *line, const struct modbus_burst *burst) {
   uint8_t frame[MODBUS_RTU_MAX];
   const size_t bytes = burst->bytes - 3;
+  const struct modbus_permissions may = {.write = true};
   struct modbus_unit *unit = NULL;
   size_t answered;
   CHECK(modbus_rtu_is_frame(burst->request, burst->bytes) && burst->request[0] <= 1);
@@ -135,7 +137,7 @@ static void answer_serial(struct serial *line, const struct modbus_burst *burst)
   if (pdu[0] == MODBUS_FC_DIAGNOSTICS) {
     answered = modbus_diagnostics_answer(&line->diagnostics, pdu, bytes, frame + 1);
   } else {
-    answered = modbus_answer(units, &line->client, true, 1, pdu, bytes, frame + 1, &unit);
+    answered = modbus_answer(units, &line->client, &may, 1, pdu, bytes, frame + 1, &unit);
   }
   if (unit != NULL && answered == 0) {
     batch_finish(&fuzz_worker.context.batch, &fuzz_server.stats);
