@@ -18,8 +18,9 @@
 static const struct pair {
   double ratio, g;
 } pairs[] = {
-    {0.01, -0.5}, {0.3, -0.5}, {0.001, 0},   {0.1, 0},   {0.03, 0.3},  {1, 0.3},    {0.1, 0.5},
-    {0.01, 0.7},  {0.3, 0.7},  {0.001, 0.8}, {0.1, 0.8}, {0.001, 0.9}, {0.03, 0.9}, {1, 0.9},
+    {0.01, -0.5}, {0.3, -0.5}, {0.001, 0},   {0.1, 0},     {0.03, 0.3}, {1, 0.3},
+    {0.1, 0.5},   {0.01, 0.7}, {0.3, 0.7},   {0.001, 0.8}, {0.1, 0.8},  {0.001, 0.9},
+    {0.03, 0.9},  {1, 0.9},    {0.01, 0.95}, {0.3, 0.95},
 };
 static const double etas[] = {1, 1.33, 1.4, 2};
 static const double radii[] = {0.01, 0.02, 0.03, 0.05, 0.07, 0.1, 0.2, 0.3, 0.5,
@@ -49,7 +50,7 @@ struct number {
 
 /* What a step has found. The mean of R over a ring, by the solver, goes with each radius. */
 struct solved {
-  struct number normal[ETAS], diffuse[ETAS], R[ETAS][RADII];
+  struct number R[ETAS][RADII];
   double mean[ETAS][RADII];
 };
 
@@ -94,6 +95,7 @@ struct run {
   const char *folder;
   transport_effort effort;
   struct solved solved[PAIRS];
+  transport_totals totals[PAIRS][ETAS]; /* which take milliseconds and are in no file */
   struct walked walked[PAIRS * ETAS];
   tools_progress progress;
 };
@@ -106,16 +108,13 @@ static struct number number_of(transport_number from) {
   return (struct number){from.value, from.error};
 }
 
-static void solve(struct solved *to, const struct pair *pair, const transport_totals *totals,
-                  transport_effort effort) {
+static void solve(struct solved *to, const struct pair *pair, transport_effort effort) {
   const transport_phase phase = {pair->g, 0, NULL};
   transport_anisotropic *solution;
   tools_check(transport_anisotropic_solve(&solution, core_isa_select(NULL), pair->ratio, &phase,
                                           etas, ETAS, effort),
               "the solver");
   for (size_t eta = 0; eta < ETAS; eta++) {
-    to->normal[eta] = number_of(totals[eta].normal);
-    to->diffuse[eta] = number_of(totals[eta].diffuse);
     for (size_t i = 0; i < RADII; i++) {
       to->R[eta][i] = number_of(transport_anisotropic_at(solution, eta, radii[i]));
       to->mean[eta][i] =
@@ -125,12 +124,12 @@ static void solve(struct solved *to, const struct pair *pair, const transport_to
   transport_anisotropic_free(solution);
 }
 
-/* The key has the totals, which change when the solver does. */
+/* The key has totals of the beam, which change when the solver does. */
 static void solve_or_read(struct run *run, size_t i) {
   static const char *const efforts[] = {"quick", "normal", "finest"};
   const struct pair *pair = &pairs[i];
   const transport_phase phase = {pair->g, 0, NULL};
-  transport_totals totals[ETAS];
+  transport_totals *totals = run->totals[i];
   char path[PATH_BYTES], key[KEY_BYTES];
   double *numbers = (double *)&run->solved[i];
   const size_t count = sizeof run->solved[i] / sizeof *numbers;
@@ -139,13 +138,13 @@ static void solve_or_read(struct run *run, size_t i) {
       transport_anisotropic_totals(totals, core_isa_select(NULL), pair->ratio, &phase, etas, ETAS),
       "the solver");
   snprintf(key, sizeof key, "solved %d eta from %g to %g: %a %a\n", ETAS, etas[0], etas[ETAS - 1],
-           totals[0].normal.value, totals[ETAS - 1].diffuse.value);
+           totals[0].normal.value, totals[ETAS - 1].normal.value);
   for (int effort = TRANSPORT_EFFORT_FINEST; effort >= (int)run->effort && !found; effort--) {
     snprintf(path, sizeof path, "%s/%s-%g-%g", run->folder, efforts[effort], pair->ratio, pair->g);
     found = read_numbers(path, key, numbers, count);
   }
   if (!found) {
-    solve(&run->solved[i], pair, totals, run->effort);
+    solve(&run->solved[i], pair, run->effort);
     write_numbers(path, key, numbers, count);
   }
   tools_progress_add(&run->progress, SOLVING_US);
@@ -219,10 +218,11 @@ static void write_row(FILE *file, const struct pair *pair, double eta, const cha
 static void write_medium(FILE *file, const struct run *run, size_t pair, size_t eta) {
   const struct solved *solved = &run->solved[pair];
   const struct walked *walked = &run->walked[pair * ETAS + eta];
+  const transport_totals *totals = &run->totals[pair][eta];
   const struct number none = {(double)NAN, (double)NAN};
-  write_row(file, &pairs[pair], etas[eta], "total", (double)NAN, solved->normal[eta],
+  write_row(file, &pairs[pair], etas[eta], "total", (double)NAN, number_of(totals->normal),
             walked->total);
-  write_row(file, &pairs[pair], etas[eta], "total_diffuse", (double)NAN, solved->diffuse[eta],
+  write_row(file, &pairs[pair], etas[eta], "total_diffuse", (double)NAN, number_of(totals->diffuse),
             none);
   for (size_t i = 0; i < RADII; i++) {
     /* from the mean over the ring to the radius */

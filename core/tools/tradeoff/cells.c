@@ -3,8 +3,10 @@
 #include <math.h>
 #include <stdlib.h>
 
-/* Each side of a cell has this many steps, and a medium at each end of a step. */
-enum { STEPS = 2, POINTS = STEPS + 1 };
+/* Each side of a cell has this many steps, and a medium at each end of a step. The ratios of the
+ * first cells have more: they begin at 0, and between 0 and 1e-4 the error of Burley's profile for
+ * the diffuse mean free path rises and falls again. */
+enum { STEPS = 2, POINTS = STEPS + 1, STEPS_FROM_0 = 8 };
 
 /* `transport` looks a medium up in its table of solutions if this much is accepted. */
 #define LOOK_UP_TOLERANCE 1e-4
@@ -16,7 +18,10 @@ const double cells_ratios[CELLS_RATIOS + 1] = {0,    1e-4, 1e-3, 3e-3, 0.01, 0.0
                                                1.6,  2.5,  4,    6.3,  10};
 const double cells_etas[CELLS_ETAS + 1] = {1, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.8, 2};
 
-enum { MEDIA = CELLS_RATIOS * CELLS_ETAS * CELLS_GS * POINTS * POINTS * POINTS };
+/* Only the first cells begin at 0. */
+enum {
+  MEDIA = (CELLS_RATIOS * POINTS + STEPS_FROM_0 - STEPS) * CELLS_ETAS * CELLS_GS * POINTS * POINTS
+};
 
 double cells_cost_us(void) {
   return MEDIA * MEDIUM_COST_US;
@@ -34,15 +39,20 @@ static double point_of(const double *edges, size_t cell, size_t i) {
   return i == STEPS ? edges[cell + 1] : edges[cell] + share * (edges[cell + 1] - edges[cell]);
 }
 
-/* The same for ratios, which have equal steps of the logarithm. R depends on the square root of the
- * ratio where it is small. */
+static size_t ratio_steps(size_t cell) {
+  return cells_ratios[cell] > 0 ? STEPS : STEPS_FROM_0;
+}
+
+/* The same for ratios, which have equal steps of the logarithm, or, from 0 on, of the fourth root.
+ */
 static double ratio_of(size_t cell, size_t i) {
   const double first = cells_ratios[cell], last = cells_ratios[cell + 1];
-  const double share = (double)i / STEPS;
+  const size_t steps = ratio_steps(cell);
+  const double share = (double)i / (double)steps;
   return i == 0       ? first
-         : i == STEPS ? last
+         : i == steps ? last
          : first > 0  ? first * pow(last / first, share)
-                      : last * share * share;
+                      : last * (share * share) * (share * share);
 }
 
 static core_medium medium_of(double g, double ratio, double eta) {
@@ -172,7 +182,7 @@ static void measure_column(const struct campaign *all, size_t ratio, size_t eta,
 static void measure(void *context, size_t index) {
   const struct campaign *all = context;
   const size_t ratio = index / CELLS_ETAS, eta = index % CELLS_ETAS;
-  for (size_t i = 0; i < POINTS; i++) {
+  for (size_t i = 0; i <= ratio_steps(ratio); i++) {
     for (size_t k = 0; k < POINTS; k++) {
       measure_column(all, ratio, eta, ratio_of(ratio, i), point_of(cells_etas, eta, k));
       tools_progress_add(all->progress, CELLS_GS * POINTS * MEDIUM_COST_US);

@@ -5,6 +5,9 @@
 
 enum { CHUNK = 256, RADII = 8 };
 
+/* sigma_a over sigma_s where the limit of no absorption is meant */
+#define ABSORPTION_LEAST 1e-20
+
 /* ---- one subject ----------------------------------------------------------------------------- */
 
 static core_fault prepare(core_profile *profile, unsigned model, unsigned evaluator,
@@ -17,7 +20,14 @@ static core_fault prepare(core_profile *profile, unsigned model, unsigned evalua
 
 core_fault subjects_prepare(core_profile *profile, const subjects *all, const subject *of,
                             const core_medium *medium, double tolerance) {
-  return prepare(profile, all->models[of->model].model->id, of->evaluator->id, medium, tolerance);
+  const unsigned model = all->models[of->model].model->id;
+  core_medium limit = *medium;
+  const core_fault fault = prepare(profile, model, of->evaluator->id, medium, tolerance);
+  if (fault.field == NULL || medium->sigma_a_per_mm > 0) {
+    return fault;
+  }
+  limit.sigma_a_per_mm = ABSORPTION_LEAST * medium->sigma_s_per_mm;
+  return prepare(profile, model, of->evaluator->id, &limit, tolerance);
 }
 
 void subjects_evaluate(const core_profile *profile, size_t n, const double *r, double *R) {

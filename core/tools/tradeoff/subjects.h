@@ -36,7 +36,8 @@ typedef struct subjects {
 void subjects_find(subjects *all);
 
 /* Prepares a subject's profile for a medium with exact moments; NaN asks for the default tolerance.
- */
+ * A model that refuses a medium without absorption, as burley-dmfp does, is prepared with so little
+ * of it that R is what it tends to. */
 core_fault subjects_prepare(core_profile *profile, const subjects *all, const subject *of,
                             const core_medium *medium, double tolerance);
 
