@@ -637,11 +637,29 @@ transport_number transport_anisotropic_at(const transport_anisotropic *solution,
 
 /* ---- totals --------------------------------------------------------------------------------- */
 
+/* Moments of light that is scattered once are left out below this. */
+#define MOMENT_LEAST 1e-13
+
 /* Enters a value of grid i: the first grid's is the value, and the next one's difference from it is
  * the error. */
 static void enter(transport_number *to, size_t i, double value) {
   *to = i == 0 ? (transport_number){value, 0}
                : (transport_number){to->value, fabs(to->value - value)};
+}
+
+/* Sets moment[] to the moments of the true phase function, except those that are negligible, and
+ * returns their number. */
+static size_t find_moments(const transport_phase *phase,
+                           double moment[TRANSPORT_PHASE_MOMENTS_MAX]) {
+  size_t count = 0;
+  double power = 1;
+  while (count < TRANSPORT_PHASE_MOMENTS_MAX &&
+         (phase->moments > 0 ? count < phase->moments : fabs(power) > MOMENT_LEAST)) {
+    moment[count] = phase->moments > 0 ? phase->moment[count] : power;
+    power *= phase->g;
+    count++;
+  }
+  return count;
 }
 
 core_fault transport_anisotropic_totals(transport_totals *totals, const core_isa *isa,
@@ -656,13 +674,20 @@ core_fault transport_anisotropic_totals(transport_totals *totals, const core_isa
     double moment_least;
     size_t moments_most;
   } by[GRIDS] = {{{0, 48, 3}, 1e-6, 200}, {{0, 36, 3}, 1e-5, 140}};
+  double moment[TRANSPORT_PHASE_MOMENTS_MAX], once[TRANSPORT_ANISOTROPIC_ETAS_MAX];
+  const size_t moments = find_moments(phase, moment);
+  for (size_t eta = 0; eta < count; eta++) {
+    once[eta] = transport_single_diffuse(etas[eta], moments, moment);
+  }
   for (size_t i = 0; i < GRIDS; i++) {
     struct scaled scaled;
     truncate_phase(&scaled, sigma_a_ratio, phase, by[i].moment_least, by[i].moments_most);
     halfspace *expansion = transport_halfspace_new(isa, &by[i].rules, &scaled.medium, etas, count);
     halfspace_exitance exitance[TRANSPORT_ANISOTROPIC_ETAS_MAX];
-    const bool ok =
-        expansion != NULL && transport_halfspace_solve(expansion, 0, scaled.kappa, exitance);
+    double single[TRANSPORT_ANISOTROPIC_ETAS_MAX];
+    const bool ok = expansion != NULL &&
+                    transport_halfspace_solve(expansion, 0, scaled.kappa, exitance) &&
+                    transport_halfspace_diffuse_single(expansion, single);
     transport_halfspace_free(expansion);
     if (!ok) {
       return memory_fault;
@@ -674,7 +699,8 @@ core_fault transport_anisotropic_totals(transport_totals *totals, const core_isa
       enter(&totals[eta].normal, i,
             creal(exitance[eta].all - exitance[eta].single) +
                 scaled.single * transport_single_at(&rule, INFINITY).within);
-      enter(&totals[eta].diffuse, i, creal(exitance[eta].diffuse));
+      enter(&totals[eta].diffuse, i,
+            creal(exitance[eta].diffuse) - single[eta] + scaled.single * once[eta]);
     }
   }
   return no_fault;

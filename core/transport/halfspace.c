@@ -29,6 +29,11 @@
  * (1 - rho F) I- = rho <mu T psi> / <mu T>.
  *
  * rho and r_b do not depend on eta.
+ *
+ * Of diffuse light that was scattered once, only m = 0 leaves at k = 0. In place of rho it has the
+ * integral X of e^(-Uz) V e^(-Uz) over the depth z, U = <psi psi>. It solves U X + X U = V, and with
+ * A = 2 (1 + beta U)^-1 - 1 also X = A X A + beta / 2 (A + 1) V (A + 1) (Smith 1968), which doubling
+ * solves: X += A X A, A = A A.
  */
 #include "core/transport/halfspace.h"
 
@@ -603,6 +608,51 @@ bool transport_halfspace_solve(halfspace *of, double complex k, double kappa,
       exitance[boundary].single += of->exit[boundary][i] * number_at(&once, i, 0);
       exitance[boundary].diffuse += of->exit[boundary][i] * number_at(&lit, i, 1);
     }
+  }
+  return true;
+}
+
+bool transport_halfspace_diffuse_single(halfspace *of, double *single) {
+  const size_t n = of->degrees[0];
+  double *memory = of->memory;
+  dense matrix[5];
+  for (size_t i = 0; i < 5; i++) {
+    matrix[i] = transport_dense_at(of->isa, &memory, n, n, false);
+  }
+  const dense *a = &matrix[0], *x = &matrix[1], *v = &matrix[2], *spare = &matrix[3];
+  fill(v, 0);
+  fill(x, 0);
+  for (size_t i = 0; i < n; i++) {
+    for (size_t j = 0; j < n; j++) {
+      const size_t at = i * n + j;
+      put(x, i, j, of->unit.order[0][at]);
+      put(v, i, j, 0.5 * of->medium.albedo * (of->even.order[0][at] - of->odd.order[0][at]));
+    }
+  }
+  const double beta = 1 / (double)n; /* the decay rates are from 1 to some n^2 */
+  if (!transform(a, &spare[0], x, beta)) {
+    return false;
+  }
+  combine(&spare[0], 1, a, 0, a, 1);
+  transport_dense_multiply(&spare[1], v, &spare[0]);
+  transport_dense_multiply(x, &spare[0], &spare[1]);
+  combine(x, 0.5 * beta, x, 0, x, 0);
+  for (int i = 0; i < DOUBLINGS_MAX && !(largest(a) < TRANSMISSION_LEAST); i++) {
+    transport_dense_multiply(&spare[0], x, a);
+    transport_dense_multiply(&spare[1], a, &spare[0]);
+    combine(x, 1, x, 1, &spare[1], 0);
+    transport_dense_multiply(&spare[0], a, a);
+    combine(a, 1, &spare[0], 0, a, 0);
+  }
+  for (size_t boundary = 0; boundary < of->boundaries; boundary++) {
+    const double *exit = of->exit[boundary];
+    double sum = 0;
+    for (size_t i = 0; i < n; i++) {
+      for (size_t j = 0; j < n; j++) {
+        sum += exit[i] * x->re[i * x->stride + j] * exit[j];
+      }
+    }
+    single[boundary] = sum / of->entering[boundary];
   }
   return true;
 }

@@ -60,4 +60,8 @@ typedef struct halfspace_exitance {
 bool transport_halfspace_solve(halfspace *of, double complex k, double kappa,
                                halfspace_exitance *exitance);
 
+/* Sets single[i] to the part of the exitance `diffuse` at k = 0 that was scattered once, for
+ * boundary i. Returns false if the equation is singular. */
+bool transport_halfspace_diffuse_single(halfspace *of, double *single);
+
 #endif

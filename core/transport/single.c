@@ -11,12 +11,19 @@
  * with E0 = eta + sqrt(eta^2 - 1), or 1 if eta < 1. In y = ln(E - E0) the trapezoidal rule
  * converges exponentially for every r, because both the root of T at E0 and the scale 1 / r are
  * smooth in y.
+ *
+ * Diffuse light has the radiance T(mu) / <mu T> behind the boundary, with <f> = int_0^1 f dmu. It is
+ * scattered from the cosine mu' to mu with p, the mean of the phase function over the azimuth:
+ *
+ *   energy = a / (2 <mu T>) <<T(mu) T(mu') mu mu' / (mu + mu') p(mu, -mu')>>,
+ *   p(mu, -mu') = sum over l of (-1)^l (2 l + 1) g_l P_l(mu) P_l(mu').
  */
 #include "core/transport/single.h"
 
 #include <math.h>
 
 #include "core/transport/functions.h"
+#include "core/transport/gauss.h"
 
 /* The rule covers y from Y_MIN to Y_MAX. The rest is below 1e-13 for r up to 1e8, and for r = 0. */
 #define Y_MIN (-40.0)
@@ -72,4 +79,67 @@ single_values transport_single_at(const single_rule *rule, double r) {
   sum.within *= 0.5;
   sum.r = sum.r / (4 * FN_PI * r);
   return sum;
+}
+
+/* ---- diffuse light --------------------------------------------------------------------------- */
+
+enum { ANGLE_PANELS = 10, ANGLE_NODES = 8, ANGLES = ANGLE_PANELS * ANGLE_NODES };
+
+/* Cosines inside, with weights for integrals of mu T f(mu). */
+struct angles {
+  double mu[ANGLES], weight[ANGLES];
+};
+
+/* The rule is in the cosine outside for eta > 1, and in that inside otherwise. Its panels halve
+ * towards the grazing angle, around which light is scattered forward from its way down to its way
+ * up. */
+static void find_angles(struct angles *to, double eta) {
+  gauss_rule rule;
+  transport_gauss(&rule, ANGLE_NODES);
+  double upper = 1;
+  for (size_t panel = 0; panel < ANGLE_PANELS; panel++) {
+    const double lower = panel + 1 < ANGLE_PANELS ? upper / 2 : 0;
+    for (size_t i = 0; i < rule.n; i++) {
+      const size_t at = panel * ANGLE_NODES + i;
+      const double x = lower + (upper - lower) * rule.x[i];
+      const double mu = eta > 1 ? sqrt((eta - 1) * (eta + 1) + x * x) / eta : x;
+      const double outside = eta < 1 ? sqrt((1 - eta) * (1 + eta) + eta * eta * x * x) : x;
+      const double t = eta == 1 ? 1 : transport_transmittance(eta, mu, outside);
+      to->mu[at] = mu;
+      to->weight[at] = (upper - lower) * rule.weight[i] * t * (eta > 1 ? x / (eta * eta) : x);
+    }
+    upper = lower;
+  }
+}
+
+double transport_single_diffuse(double eta, size_t moments, const double *moment) {
+  struct angles angles;
+  double before[ANGLES] = {0}, here[ANGLES], scattered[ANGLES][ANGLES] = {{0}};
+  double entering = 0, sum = 0;
+  find_angles(&angles, eta);
+  for (size_t i = 0; i < ANGLES; i++) {
+    here[i] = 1;
+    entering += angles.weight[i];
+  }
+  for (size_t l = 0; l < moments; l++) {
+    const double odd = (double)(2 * l + 1), factor = (l % 2 == 0 ? odd : -odd) * moment[l];
+    for (size_t i = 0; i < ANGLES; i++) {
+      const double left = factor * here[i];
+      for (size_t j = 0; j <= i; j++) {
+        scattered[i][j] += left * here[j];
+      }
+    }
+    for (size_t i = 0; i < ANGLES; i++) {
+      const double next = (odd * angles.mu[i] * here[i] - (double)l * before[i]) / (double)(l + 1);
+      before[i] = here[i];
+      here[i] = next;
+    }
+  }
+  for (size_t i = 0; i < ANGLES; i++) {
+    for (size_t j = 0; j <= i; j++) {
+      sum += (j < i ? 2 : 1) * angles.weight[i] * angles.weight[j] * scattered[i][j] /
+             (angles.mu[i] + angles.mu[j]);
+    }
+  }
+  return 0.5 * sum / entering;
 }

@@ -9,6 +9,7 @@
 #include <string.h>
 
 #include "core/transport/anisotropic.h"
+#include "core/transport/single.h"
 #include "tests/accuracy/vectors.h"
 #include "tests/unit/unit.h"
 
@@ -111,6 +112,64 @@ UNIT_TEST(diffuse_light_is_reflected_as_h_functions_say) {
                                                    1 / known[i][0] - 1, &phase, &eta, 1),
                       NULL, 0);
     hold("diffuse total", known[i][0], total.diffuse, known[i][1], 1e-8, 1e-6);
+  }
+}
+
+/* Diffuse light that is scattered once, by the midpoint rule over the cosines outside and over the
+ * azimuth, with Henyey and Greenstein's function itself in place of its moments. */
+static double single_by_midpoints(double eta, double g) {
+  enum { COSINES = 80, AZIMUTHS = 60 };
+  double mu[COSINES], weight[COSINES], entering = 0, sum = 0;
+  for (size_t i = 0; i < COSINES; i++) {
+    const double x = (i + 0.5) / COSINES;
+    mu[i] = sqrt(1 - (1 - x * x) / (eta * eta));
+    weight[i] = transport_transmittance(eta, mu[i], x) * x / (eta * eta) / COSINES;
+    entering += weight[i];
+  }
+  for (size_t i = 0; i < COSINES; i++) {
+    for (size_t j = 0; j < COSINES; j++) {
+      const double sines = sqrt((1 - mu[i] * mu[i]) * (1 - mu[j] * mu[j]));
+      double p = 0;
+      for (size_t k = 0; k < AZIMUTHS; k++) {
+        const double cosine = sines * cos(3.14159265358979324 * (k + 0.5) / AZIMUTHS);
+        p += (1 - g * g) / pow(1 + g * g - 2 * g * (cosine - mu[i] * mu[j]), 1.5) / AZIMUTHS;
+      }
+      sum += weight[i] * weight[j] * p / (mu[i] + mu[j]);
+    }
+  }
+  return 0.5 * sum / entering;
+}
+
+UNIT_TEST(diffuse_light_scattered_once_is_what_integrals_say) {
+  enum { MOMENTS = 200 };
+  static const double media[][2] = {{1.4, 0.7}, {1.1, 0.5}, {2, -0.4}, {1.5, 0.85}};
+  double moment[MOMENTS] = {1};
+  /* isotropic scattering without a boundary: the integral of mu mu' / (mu + mu') */
+  assert_true(fabs(transport_single_diffuse(1, 1, moment) / (2.0 / 3 * (1 - log(2))) - 1) < 1e-8);
+  for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
+    for (size_t l = 1; l < MOMENTS; l++) {
+      moment[l] = media[i][1] * moment[l - 1];
+    }
+    const double integral = single_by_midpoints(media[i][0], media[i][1]);
+    const double off = transport_single_diffuse(media[i][0], MOMENTS, moment) / integral - 1;
+    printf("diffuse light scattered once, eta %g, g %g: %.2g\n", media[i][0], media[i][1], off);
+    assert_true(fabs(off) < 3e-4);
+  }
+}
+
+/* Where light is scattered forward and absorbed, most of what leaves was scattered once. */
+UNIT_TEST(diffuse_totals_are_known_to_1e5) {
+  static const double media[][2] = {{0.1, 0.9}, {1, 0.9}, {8, 0.9}, {15, 0.945}, {30, -0.4}};
+  static const double etas[] = {0.7, 1, 1.05, 1.4, 2.2};
+  for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
+    const transport_phase phase = {media[i][1], 0, NULL};
+    transport_totals totals[5];
+    unit_assert_fault(
+        transport_anisotropic_totals(totals, core_isa_select(NULL), media[i][0], &phase, etas, 5),
+        NULL, 0);
+    for (size_t eta = 0; eta < 5; eta++) {
+      assert_true(totals[eta].diffuse.error < 5e-6 * totals[eta].diffuse.value);
+    }
   }
 }
 
