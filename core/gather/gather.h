@@ -98,7 +98,7 @@ typedef struct core_gather_visits {
   uint64_t tested; /* nodes whose bound was computed */
 } core_gather_visits;
 
-/* Working memory of one thread. Some 5 bytes for each ten points and a megabyte. */
+/* Working memory of one thread, some five megabytes. */
 typedef struct core_gather_scratch core_gather_scratch;
 
 /* For points that are built. Returns NULL if memory runs out. The scratch may be used with any sum

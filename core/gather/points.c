@@ -1,7 +1,11 @@
-/* Checks points and queries, and builds sets of points. */
+/* Checks points and queries, and builds sets of points: sorts the points by Morton codes (Morton
+ * 1966), makes the nodes from the root down, and their moments from the leaves up.
+ */
 #include <assert.h>
+#include <float.h>
 #include <math.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "core/gather/points.h"
 
@@ -31,58 +35,68 @@ core_fault core_gather_check_queries(size_t n, const double *xyz) {
   return check_coordinates("queries", n, xyz);
 }
 
-/* ---- building -------------------------------------------------------------------------------- */
+/* ---- the state of building ------------------------------------------------------------------- */
+
+enum {
+  KEY_BITS = 21, /* of each coordinate */
+  DIGIT_BITS = 11,
+  DIGITS = (3 * KEY_BITS + DIGIT_BITS - 1) / DIGIT_BITS,
+  BINS = 1 << DIGIT_BITS
+};
+
+/* What is done one after the other. A part of the points (all of them at first) is boxed, gets keys
+ * and is sorted; then its nodes are made. Where many points share a key, they become a part of their
+ * own, and the nodes above them wait. */
+enum phase { BOX, KEYS, COUNT, MOVE, NODES, COLLECT, GROUPS, MOMENTS, PHASES };
+
+/* About how long an item of each phase takes: a point, a node or a pair of channels. */
+static const double phase_ns[PHASES] = {
+    [BOX] = 6,     [KEYS] = 12,    [COUNT] = 2,    [MOVE] = 8,
+    [NODES] = 100, [COLLECT] = 20, [GROUPS] = 1e6, [MOMENTS] = 500};
+
+struct gather_build {
+  const double *xyz; /* the caller's */
+  const float *power;
+  uint64_t *keys[2];
+  uint32_t *index[2];
+  enum phase phase;
+  size_t at;         /* the next item of the phase */
+  size_t begin, end; /* the part that is being sorted */
+  double least[3], most[3];
+  double corner[3]; /* the part's cube */
+  double edge_mm;
+  size_t node; /* the next node whose children are made */
+  size_t head; /* the node that holds the part */
+  size_t tail; /* the first node below it */
+  int digit;
+  uint32_t bins[BINS];
+  size_t pair[2];       /* of channels */
+  size_t node_capacity; /* nodes that fit */
+};
+
+/* A node needs two children or more, so there are fewer nodes than twice the leaves. Beyond this
+ * number leaves stay larger. */
+static size_t node_capacity(size_t n) {
+  return n / 3 + 64;
+}
+
+static size_t node_bytes(size_t channels, size_t groups) {
+  return sizeof(gather_node) + groups * sizeof(gather_moments) + channels * sizeof(double);
+}
+
+static size_t point_bytes(size_t channels) {
+  return 3 * sizeof(double) + channels * sizeof(float);
+}
 
 size_t core_gather_points_bytes_most(size_t n, size_t channels) {
-  return sizeof(core_gather_points) + n * (3 * sizeof(double) + channels * sizeof(float));
+  const size_t sorting = 2 * (sizeof(uint64_t) + sizeof(uint32_t));
+  return sizeof(core_gather_points) + sizeof(gather_build) + n * (point_bytes(channels) + sorting) +
+         node_capacity(n) * node_bytes(channels, channels);
 }
 
-core_gather_points *core_gather_points_create(size_t n, const double *xyz, size_t channels,
-                                              const float *power) {
-  assert(n >= 1 && n <= CORE_GATHER_POINTS_MAX);
-  assert(channels >= 1 && channels <= CORE_GATHER_CHANNELS_MAX);
-  core_gather_points *points = calloc(1, sizeof *points);
-  double *at = malloc(3 * n * sizeof *at);
-  float *powers = malloc(channels * n * sizeof *powers);
-  if (points == NULL || at == NULL || powers == NULL) {
-    free(points);
-    free(at);
-    free(powers);
-    return NULL;
-  }
-  *points = (core_gather_points){
-      .n = n, .channels = channels, .given_xyz = xyz, .given_power = power};
-  for (size_t k = 0; k < 3; k++) {
-    points->at[k] = at + k * n;
-  }
-  for (size_t c = 0; c < channels; c++) {
-    points->power[c] = powers + c * n;
-  }
-  return points;
-}
-
-void core_gather_points_free(core_gather_points *points) {
-  if (points != NULL) {
-    free(points->at[0]);
-    free(points->power[0]);
-    free(points);
-  }
-}
-
-bool core_gather_points_build(core_gather_points *points, uint64_t work_ns) {
-  (void)work_ns;
-  for (size_t i = 0; i < points->n && !points->built; i++) {
-    for (size_t k = 0; k < 3; k++) {
-      points->at[k][i] = points->given_xyz[3 * i + k];
-    }
-    for (size_t c = 0; c < points->channels; c++) {
-      points->power[c][i] = points->given_power[points->channels * i + c];
-    }
-  }
-  points->built = true;
-  points->given_xyz = NULL;
-  points->given_power = NULL;
-  return true;
+size_t core_gather_points_bytes(const core_gather_points *points) {
+  return sizeof *points + points->n * point_bytes(points->channels) +
+         points->node_count * node_bytes(points->channels, points->groups);
 }
 
 size_t core_gather_points_count(const core_gather_points *points) {
@@ -93,6 +107,734 @@ size_t core_gather_points_channels(const core_gather_points *points) {
   return points->channels;
 }
 
-size_t core_gather_points_bytes(const core_gather_points *points) {
-  return core_gather_points_bytes_most(points->n, points->channels);
+static void free_build(gather_build *build) {
+  if (build != NULL) {
+    free(build->keys[0]);
+    free(build->index[0]);
+    free(build);
+  }
+}
+
+void core_gather_points_free(core_gather_points *points) {
+  if (points != NULL) {
+    free_build(points->build);
+    free(points->at[0]);
+    free(points->power[0]);
+    free(points->nodes);
+    free(points->moments);
+    free(points->node_power);
+    free(points);
+  }
+}
+
+core_gather_points *core_gather_points_create(size_t n, const double *xyz, size_t channels,
+                                              const float *power) {
+  assert(n >= 1 && n <= CORE_GATHER_POINTS_MAX);
+  assert(channels >= 1 && channels <= CORE_GATHER_CHANNELS_MAX);
+  core_gather_points *points = calloc(1, sizeof *points);
+  if (points == NULL) {
+    return NULL;
+  }
+  const size_t nodes = node_capacity(n);
+  points->n = n;
+  points->channels = channels;
+  points->at[0] = malloc(3 * n * sizeof(double));
+  points->power[0] = malloc(channels * n * sizeof(float));
+  points->nodes = malloc(nodes * sizeof *points->nodes);
+  points->node_count = 1;
+  points->moments = malloc(nodes * channels * sizeof *points->moments);
+  points->node_power = malloc(nodes * channels * sizeof *points->node_power);
+  gather_build *build = points->build = calloc(1, sizeof *points->build);
+  if (build != NULL) {
+    build->keys[0] = malloc(2 * n * sizeof *build->keys[0]);
+    build->index[0] = malloc(2 * n * sizeof *build->index[0]);
+  }
+  if (points->at[0] == NULL || points->power[0] == NULL || points->nodes == NULL ||
+      points->moments == NULL || points->node_power == NULL || build == NULL ||
+      build->keys[0] == NULL || build->index[0] == NULL) {
+    core_gather_points_free(points);
+    return NULL;
+  }
+  for (size_t k = 1; k < 3; k++) {
+    points->at[k] = points->at[0] + k * n;
+  }
+  for (size_t c = 1; c < channels; c++) {
+    points->power[c] = points->power[0] + c * n;
+  }
+  build->xyz = xyz;
+  build->power = power;
+  build->keys[1] = build->keys[0] + n;
+  build->index[1] = build->index[0] + n;
+  build->end = n;
+  build->tail = 1;
+  points->nodes[0] = (gather_node){.count = (uint32_t)n};
+  build->node_capacity = nodes;
+  for (size_t i = 0; i < n; i++) {
+    build->index[0][i] = (uint32_t)i;
+  }
+  return points;
+}
+
+/* ---- sorting --------------------------------------------------------------------------------- */
+
+static const double *coordinates(const gather_build *b, size_t i) {
+  return b->xyz + 3 * (size_t)b->index[0][i];
+}
+
+/* Widens the box of the part by some of its points. */
+static void box(gather_build *b, size_t count) {
+  if (b->at == 0) {
+    memcpy(b->least, coordinates(b, b->begin), sizeof b->least);
+    memcpy(b->most, coordinates(b, b->begin), sizeof b->most);
+  }
+  for (size_t i = b->begin + b->at; i < b->begin + b->at + count; i++) {
+    const double *x = coordinates(b, i);
+    for (size_t k = 0; k < 3; k++) {
+      b->least[k] = fmin(b->least[k], x[k]);
+      b->most[k] = fmax(b->most[k], x[k]);
+    }
+  }
+}
+
+/* Points that are closer together are one leaf. */
+#define EXTENT_MIN_MM 1e-280
+
+/* Sets the cube of the part to one that holds its box, whose edge is a power of two. */
+static void set_cube(gather_build *b) {
+  double extent = 0;
+  for (size_t k = 0; k < 3; k++) {
+    extent = fmax(extent, b->most[k] - b->least[k]);
+  }
+  int exponent;
+  frexp(extent, &exponent);
+  b->edge_mm = extent > EXTENT_MIN_MM ? ldexp(1, exponent) : 0;
+  for (size_t k = 0; k < 3; k++) {
+    const double middle = 0.5 * (b->least[k] + b->most[k]);
+    b->corner[k] = fmin(middle - 0.5 * b->edge_mm, b->least[k]);
+  }
+}
+
+/* Spreads the 21 low bits so that two zeros follow each. */
+static uint64_t spread_bits(uint64_t x) {
+  x = (x | x << 32) & UINT64_C(0x1f00000000ffff);
+  x = (x | x << 16) & UINT64_C(0x1f0000ff0000ff);
+  x = (x | x << 8) & UINT64_C(0x100f00f00f00f00f);
+  x = (x | x << 4) & UINT64_C(0x10c30c30c30c30c3);
+  return (x | x << 2) & UINT64_C(0x1249249249249249);
+}
+
+static uint64_t compact_bits(uint64_t x) {
+  x &= UINT64_C(0x1249249249249249);
+  x = (x | x >> 2) & UINT64_C(0x10c30c30c30c30c3);
+  x = (x | x >> 4) & UINT64_C(0x100f00f00f00f00f);
+  x = (x | x >> 8) & UINT64_C(0x1f0000ff0000ff);
+  x = (x | x >> 16) & UINT64_C(0x1f00000000ffff);
+  return (x | x >> 32) & 0x1fffff;
+}
+
+static uint64_t morton(const double x[3], const double corner[3], double per_mm) {
+  uint64_t key = 0;
+  for (size_t k = 0; k < 3; k++) {
+    const double at = (x[k] - corner[k]) * per_mm;
+    const double most = (1 << KEY_BITS) - 1;
+    key |= spread_bits((uint64_t)(at < 0 ? 0 : at > most ? most : at)) << k;
+  }
+  return key;
+}
+
+static double keys_per_mm(double edge_mm) {
+  return edge_mm > 0 ? (1 << KEY_BITS) / edge_mm : 0;
+}
+
+static void make_keys(gather_build *b, size_t count) {
+  const double per_mm = keys_per_mm(b->edge_mm);
+  for (size_t i = b->begin + b->at; i < b->begin + b->at + count; i++) {
+    b->keys[0][i] = morton(coordinates(b, i), b->corner, per_mm);
+  }
+}
+
+static size_t digit_of(const gather_build *b, uint64_t key) {
+  return key >> (b->digit * DIGIT_BITS) & (BINS - 1);
+}
+
+static void count_digits(gather_build *b, size_t count) {
+  if (b->at == 0) {
+    memset(b->bins, 0, sizeof b->bins);
+  }
+  for (size_t i = b->begin + b->at; i < b->begin + b->at + count; i++) {
+    b->bins[digit_of(b, b->keys[0][i])]++;
+  }
+}
+
+/* Turns counts into the positions where the numbers with each digit begin. */
+static void start_moving(gather_build *b) {
+  uint32_t at = (uint32_t)b->begin;
+  for (size_t i = 0; i < BINS; i++) {
+    const uint32_t count = b->bins[i];
+    b->bins[i] = at;
+    at += count;
+  }
+}
+
+static void move_digits(gather_build *b, size_t count) {
+  for (size_t i = b->begin + b->at; i < b->begin + b->at + count; i++) {
+    const uint64_t key = b->keys[0][i];
+    const uint32_t to = b->bins[digit_of(b, key)]++;
+    b->keys[1][to] = key;
+    b->index[1][to] = b->index[0][i];
+  }
+}
+
+static void end_moving(gather_build *b) {
+  const size_t count = b->end - b->begin;
+  memcpy(b->keys[0] + b->begin, b->keys[1] + b->begin, count * sizeof *b->keys[0]);
+  memcpy(b->index[0] + b->begin, b->index[1] + b->begin, count * sizeof *b->index[0]);
+}
+
+/* ---- nodes ----------------------------------------------------------------------------------- */
+
+/* Returns the first point from `from` to `to` whose key is at least `key`, or `to`. */
+static size_t first_with(const gather_build *b, size_t from, size_t to, uint64_t key) {
+  while (from < to) {
+    const size_t middle = from + (to - from) / 2;
+    if (b->keys[0][middle] < key) {
+      from = middle + 1;
+    } else {
+      to = middle;
+    }
+  }
+  return from;
+}
+
+/* The corner of a cube of 2^-level of the part's edge, with the bits of a key. */
+static void set_corner(const gather_build *b, gather_node *node, uint64_t key, int level) {
+  node->edge_mm = ldexp(b->edge_mm, -level);
+  for (size_t k = 0; k < 3; k++) {
+    const uint64_t at = compact_bits(key >> k) >> (KEY_BITS - level);
+    node->corner[k] = b->corner[k] + (double)at * node->edge_mm;
+  }
+}
+
+/* Marks a leaf whose points share a key, until they are sorted as a part of their own. */
+#define UNSORTED UINT32_MAX
+
+/* Makes the children of the next node. */
+static void make_children(core_gather_points *points) {
+  gather_build *b = points->build;
+  gather_node *node = &points->nodes[b->node];
+  const size_t first = node->first, end = first + node->count;
+  const uint64_t differ = b->keys[0][first] ^ b->keys[0][end - 1];
+  node->child = 0;
+  if (node->count <= GATHER_LEAF || points->node_count + 8 > b->node_capacity) {
+    return;
+  }
+  if (differ == 0) {
+    node->child = b->edge_mm > 0 ? UNSORTED : 0;
+    return;
+  }
+  int bits = 3;
+  while (differ >> bits != 0) {
+    bits += 3;
+  }
+  const int level = KEY_BITS - bits / 3; /* where the keys are in one cube for the last time */
+  set_corner(b, node, b->keys[0][first], level);
+  node->child = (uint32_t)points->node_count;
+  const int shift = bits - 3;
+  for (size_t from = first; from < end;) {
+    const size_t to = first_with(b, from, end, ((b->keys[0][from] >> shift) + 1) << shift);
+    gather_node *child = &points->nodes[points->node_count++];
+    *child = (gather_node){.first = (uint32_t)from, .count = (uint32_t)(to - from)};
+    set_corner(b, child, b->keys[0][from], level + 1);
+    node->children++;
+    from = to;
+  }
+}
+
+/* Takes the next part. Returns false if all points are sorted. */
+static bool next_part(core_gather_points *points) {
+  gather_build *b = points->build;
+  while (b->head < points->node_count && points->nodes[b->head].child != UNSORTED) {
+    b->head++;
+  }
+  if (b->head == points->node_count) {
+    return false;
+  }
+  b->begin = points->nodes[b->head].first;
+  b->end = b->begin + points->nodes[b->head].count;
+  b->node = b->head;
+  b->tail = points->node_count;
+  return true;
+}
+
+/* Sorts the points in the order of the tree. */
+static void collect(core_gather_points *points, size_t count) {
+  const gather_build *b = points->build;
+  for (size_t i = b->at; i < b->at + count; i++) {
+    const size_t from = b->index[0][i];
+    for (size_t k = 0; k < 3; k++) {
+      points->at[k][i] = b->xyz[3 * from + k];
+    }
+    for (size_t c = 0; c < points->channels; c++) {
+      points->power[c][i] = b->power[points->channels * from + c];
+    }
+  }
+}
+
+/* ---- groups of channels ---------------------------------------------------------------------- */
+
+/* Products of the same numbers in single precision are proportional within this. */
+#define UNEVEN_MOST 0x1p-22
+
+/* Returns the largest relative deviation of one channel's powers from a multiple of another's, or
+ * INFINITY if it is above UNEVEN_MOST. */
+static double deviation(const core_gather_points *points, const float *one, const float *other) {
+  size_t brightest = 0;
+  for (size_t i = 1; i < points->n; i++) {
+    brightest = one[i] > one[brightest] ? i : brightest;
+  }
+  const double ratio = one[brightest] > 0 ? (double)other[brightest] / (double)one[brightest] : 0;
+  double most = 0;
+  for (size_t i = 0; i < points->n; i++) {
+    const double expected = ratio * (double)one[i];
+    const double off = fabs((double)other[i] - expected);
+    if (!(off <= UNEVEN_MOST * expected)) {
+      return (double)INFINITY;
+    }
+    most = expected > 0 ? fmax(most, off / expected) : most;
+  }
+  return most;
+}
+
+/* Finds the group of the channel pair[0], or takes another group to compare with. */
+static void find_group(core_gather_points *points) {
+  gather_build *b = points->build;
+  const size_t channel = b->pair[0], other = b->pair[1];
+  const bool leads = other < channel && points->uneven[other] <= 0 &&
+                     (other == 0 || points->group[other] > points->group[other - 1]);
+  if (other == channel) {
+    points->group[channel] = points->groups++;
+  } else {
+    const double off =
+        leads ? deviation(points, points->power[other], points->power[channel]) : (double)INFINITY;
+    if (off > UNEVEN_MOST) {
+      b->pair[1]++;
+      return;
+    }
+    points->group[channel] = points->group[other];
+    points->uneven[channel] = 2 * off;
+  }
+  b->pair[0]++;
+  b->pair[1] = 0;
+}
+
+/* ---- moments --------------------------------------------------------------------------------- */
+
+enum { XX, YY, ZZ, XY, XZ, YZ };
+
+/* The places of d_a d_b in `second`, and of d_a d_b d_c in `third`. */
+static const int second_of[3][3] = {{XX, XY, XZ}, {XY, YY, YZ}, {XZ, YZ, ZZ}};
+static const int third_of[10][3] = {{0, 0, 0}, {1, 1, 1}, {2, 2, 2}, {0, 0, 1}, {0, 0, 2},
+                                    {0, 1, 1}, {1, 1, 2}, {0, 2, 2}, {1, 2, 2}, {0, 1, 2}};
+
+/* Returns E |d|^2 d. */
+static void trace_third(const gather_moments *m, double trace[3]) {
+  trace[0] = m->third[0] + m->third[5] + m->third[7];
+  trace[1] = m->third[3] + m->third[1] + m->third[8];
+  trace[2] = m->third[4] + m->third[6] + m->third[2];
+}
+
+/* Adds points of the weight `weight` with moments *part about their own centroid, which is d from
+ * the centroid of the sum. */
+static void add_moments(gather_moments *sum, double weight, const gather_moments *part,
+                        const double d[3]) {
+  const double *c = part->second;
+  double trace[3];
+  trace_third(part, trace);
+  const double d2 = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
+  double dcd = 0, dt = 0;
+  for (int a = 0; a < 3; a++) {
+    dt += d[a] * trace[a];
+    for (int b = 0; b < 3; b++) {
+      dcd += d[a] * d[b] * c[second_of[a][b]];
+    }
+  }
+  sum->fourth +=
+      weight * (part->fourth + 4 * dcd + d2 * d2 + 4 * dt + 2 * (c[XX] + c[YY] + c[ZZ]) * d2);
+  for (int i = 0; i < 10; i++) {
+    const int x = third_of[i][0], y = third_of[i][1], z = third_of[i][2];
+    sum->third[i] +=
+        weight * (part->third[i] + d[x] * c[second_of[y][z]] + d[y] * c[second_of[x][z]] +
+                  d[z] * c[second_of[x][y]] + d[x] * d[y] * d[z]);
+  }
+  for (int a = 0; a < 3; a++) {
+    for (int b = a; b < 3; b++) {
+      sum->second[second_of[a][b]] += weight * (c[second_of[a][b]] + d[a] * d[b]);
+    }
+  }
+}
+
+static void divide_moments(gather_moments *sum, double weight) {
+  const double by = weight > 0 ? 1 / weight : 0;
+  for (int i = 0; i < 6; i++) {
+    sum->second[i] *= by;
+  }
+  for (int i = 0; i < 10; i++) {
+    sum->third[i] *= by;
+  }
+  sum->fourth *= by * (1 + 0x1p-40);
+}
+
+static double distance(const double a[3], const double b[3]) {
+  const double x = a[0] - b[0], y = a[1] - b[1], z = a[2] - b[2];
+  return sqrt(x * x + y * y + z * z);
+}
+
+static void leaf_moments(const core_gather_points *points, const gather_node *node,
+                         const float *power, gather_moments *m) {
+  static const gather_moments none = {.radius_mm = 0};
+  double weight = 0, from[3] = {0};
+  const size_t first = node->first, end = first + node->count;
+  const double start[3] = {points->at[0][first], points->at[1][first], points->at[2][first]};
+  *m = none;
+  for (size_t i = first; i < end; i++) {
+    weight += (double)power[i];
+    for (int k = 0; k < 3; k++) {
+      from[k] += (double)power[i] * (points->at[k][i] - start[k]);
+    }
+  }
+  for (int k = 0; k < 3; k++) {
+    m->at[k] = weight > 0 ? start[k] + from[k] / weight : start[k];
+  }
+  for (size_t i = first; i < end; i++) {
+    const double d[3] = {points->at[0][i] - m->at[0], points->at[1][i] - m->at[1],
+                         points->at[2][i] - m->at[2]};
+    add_moments(m, (double)power[i], &none, d);
+  }
+  divide_moments(m, weight);
+}
+
+static void inner_moments(const core_gather_points *points, const gather_node *node, size_t group,
+                          size_t channel, gather_moments *m) {
+  double weight = 0, from[3] = {0};
+  const gather_moments *part = &points->moments[node->child * points->groups + group];
+  const double *power = &points->node_power[node->child * points->channels + channel];
+  *m = (gather_moments){.radius_mm = 0};
+  for (size_t i = 0; i < node->children; i++) {
+    const double share = power[i * points->channels];
+    weight += share;
+    for (int k = 0; k < 3; k++) {
+      from[k] += share * (part[i * points->groups].at[k] - part[0].at[k]);
+    }
+  }
+  for (int k = 0; k < 3; k++) {
+    m->at[k] = part[0].at[k] + (weight > 0 ? from[k] / weight : 0);
+  }
+  for (size_t i = 0; i < node->children; i++) {
+    const gather_moments *one = &part[i * points->groups];
+    const double d[3] = {one->at[0] - m->at[0], one->at[1] - m->at[1], one->at[2] - m->at[2]};
+    add_moments(m, power[i * points->channels], one, d);
+    m->radius_mm = fmax(m->radius_mm, distance(one->at, m->at) + one->radius_mm);
+  }
+  divide_moments(m, weight);
+}
+
+/* Up to this number of points the radius of a node is found from its points, beyond from its
+ * children. */
+enum { RADIUS_POINTS = 1 << 16 };
+
+static void set_radius(const core_gather_points *points, const gather_node *node,
+                       gather_moments *m) {
+  if (node->count <= RADIUS_POINTS || node->children == 0) {
+    double most = 0;
+    for (size_t i = node->first; i < (size_t)node->first + node->count; i++) {
+      const double x = points->at[0][i] - m->at[0], y = points->at[1][i] - m->at[1],
+                   z = points->at[2][i] - m->at[2];
+      const double square = x * x + y * y + z * z;
+      most = square > most ? square : most;
+    }
+    m->radius_mm = sqrt(most);
+  }
+  m->radius_mm *= 1 + 0x1p-40;
+}
+
+/* Sets the power and moments of a node whose children have theirs. */
+static void set_moments(core_gather_points *points, size_t at) {
+  const gather_node *node = &points->nodes[at];
+  double *power = &points->node_power[at * points->channels];
+  for (size_t c = 0; c < points->channels; c++) {
+    power[c] = 0;
+    for (size_t i = node->first; node->children == 0 && i < (size_t)node->first + node->count;
+         i++) {
+      power[c] += (double)points->power[c][i];
+    }
+    for (size_t i = 0; i < node->children; i++) {
+      power[c] += points->node_power[(node->child + i) * points->channels + c];
+    }
+  }
+  for (size_t c = 0, group = 0; c < points->channels; c++) {
+    if (points->group[c] == group) {
+      gather_moments *m = &points->moments[at * points->groups + group];
+      if (node->children == 0) {
+        leaf_moments(points, node, points->power[c], m);
+      } else {
+        inner_moments(points, node, group, c, m);
+      }
+      set_radius(points, node, m);
+      group++;
+    }
+  }
+}
+
+/* ---- building -------------------------------------------------------------------------------- */
+
+/* Sets leaf_mm. All edges are powers of two. */
+static void find_leaf_size(core_gather_points *points) {
+  enum { EXPONENTS = 2200, MIDDLE = 1100 };
+  uint32_t count[EXPONENTS] = {0};
+  for (size_t i = 0; i < points->node_count; i++) {
+    const gather_node *node = &points->nodes[i];
+    int exponent = -MIDDLE;
+    if (node->edge_mm > 0) {
+      frexp(node->edge_mm, &exponent);
+    }
+    count[exponent + MIDDLE] += node->children == 0 ? node->count : 0;
+  }
+  size_t below = 0;
+  for (int i = 0; i < EXPONENTS && 2 * below < points->n; i++) {
+    below += count[i];
+    points->leaf_mm = ldexp(1, i - MIDDLE - 1);
+  }
+}
+
+static void *shrunk(void *memory, size_t bytes) {
+  void *moved = realloc(memory, bytes);
+  return moved != NULL ? moved : memory;
+}
+
+static void finish(core_gather_points *points) {
+  find_leaf_size(points);
+  free_build(points->build);
+  points->build = NULL;
+}
+
+/* The number of items of a phase. */
+static size_t items(const core_gather_points *points) {
+  const gather_build *b = points->build;
+  switch (b->phase) {
+  case NODES:
+    return SIZE_MAX;
+  case COLLECT:
+    return points->n;
+  case GROUPS:
+    return SIZE_MAX;
+  case MOMENTS:
+    return points->node_count;
+  default:
+    return b->end - b->begin;
+  }
+}
+
+static void keep_box(core_gather_points *points) {
+  for (size_t k = 0; k < 3; k++) {
+    points->least[k] = points->build->least[k];
+    points->most[k] = points->build->most[k];
+    points->reach_mm = fmax(points->reach_mm, fmax(fabs(points->least[k]), fabs(points->most[k])));
+  }
+}
+
+static void keep_memory(core_gather_points *points) {
+  const size_t nodes = points->node_count;
+  points->nodes = shrunk(points->nodes, nodes * sizeof *points->nodes);
+  points->moments = shrunk(points->moments, nodes * points->groups * sizeof *points->moments);
+  points->node_power =
+      shrunk(points->node_power, nodes * points->channels * sizeof *points->node_power);
+}
+
+/* Begins what follows the phase that has ended. Returns true if none does. */
+static bool next_phase(core_gather_points *points) {
+  gather_build *b = points->build;
+  b->at = 0;
+  switch (b->phase) {
+  case BOX:
+    set_cube(b);
+    if (b->head == 0 && b->tail == 1) {
+      keep_box(points);
+      memcpy(points->nodes[0].corner, b->corner, sizeof b->corner);
+      points->nodes[0].edge_mm = b->edge_mm;
+    }
+    b->phase = KEYS;
+    break;
+  case KEYS:
+    b->phase = COUNT;
+    b->digit = 0;
+    break;
+  case COUNT:
+    b->phase = MOVE;
+    start_moving(b);
+    break;
+  case MOVE:
+    end_moving(b);
+    b->digit++;
+    b->phase = b->digit < DIGITS ? COUNT : NODES;
+    break;
+  case NODES:
+    b->phase = next_part(points) ? BOX : COLLECT;
+    break;
+  case COLLECT:
+    b->phase = GROUPS;
+    break;
+  case GROUPS:
+    keep_memory(points);
+    b->phase = MOMENTS;
+    break;
+  default:
+    return true;
+  }
+  return false;
+}
+
+/* Does `count` items of a phase. Returns whether the phase has ended. */
+static bool work(core_gather_points *points, size_t count) {
+  gather_build *b = points->build;
+  switch (b->phase) {
+  case BOX:
+    box(b, count);
+    break;
+  case KEYS:
+    make_keys(b, count);
+    break;
+  case COUNT:
+    count_digits(b, count);
+    break;
+  case MOVE:
+    move_digits(b, count);
+    break;
+  case NODES:
+    for (size_t i = 0; i < count && b->node < points->node_count; i++) {
+      make_children(points);
+      b->node = b->node == b->head ? b->tail : b->node + 1;
+    }
+    return b->node >= points->node_count;
+  case COLLECT:
+    collect(points, count);
+    break;
+  case GROUPS:
+    find_group(points);
+    return b->pair[0] == points->channels;
+  default:
+    for (size_t i = 0; i < count; i++) {
+      set_moments(points, points->node_count - 1 - b->at - i);
+    }
+    break;
+  }
+  b->at += count;
+  return b->at == items(points);
+}
+
+bool core_gather_points_build(core_gather_points *points, uint64_t work_ns) {
+  double left_ns = (double)work_ns;
+  while (points->build != NULL && left_ns > 0) {
+    const gather_build *b = points->build;
+    const size_t rest = items(points) - b->at;
+    const double cost = b->phase == GROUPS ? 3 * (double)points->n : phase_ns[b->phase];
+    const double fit = fmin(left_ns / cost + 1, 0x1p30);
+    const size_t count = fit < (double)rest ? (size_t)fit : rest;
+    left_ns -= (double)count * cost;
+    if (work(points, count) && next_phase(points)) {
+      finish(points);
+    }
+  }
+  return points->build == NULL;
+}
+
+/* ---- cells ----------------------------------------------------------------------------------- */
+
+static bool holds(const double corner[3], double edge_mm, const double x[3]) {
+  bool held = true;
+  for (int k = 0; k < 3; k++) {
+    held = held && x[k] >= corner[k] && x[k] <= corner[k] + edge_mm;
+  }
+  return held;
+}
+
+/* The cube of an edge up to leaf_mm in the octant of a node's cube that x is in. */
+static gather_cell cell_between(const core_gather_points *points, const gather_node *node,
+                                const double x[3]) {
+  double corner[3], edge_mm = node->edge_mm;
+  memcpy(corner, node->corner, sizeof corner);
+  bool halved = false;
+  while (!halved || edge_mm > points->leaf_mm) {
+    edge_mm *= 0.5;
+    halved = true;
+    for (int k = 0; k < 3; k++) {
+      corner[k] = x[k] >= corner[k] + edge_mm ? corner[k] + edge_mm : corner[k];
+    }
+  }
+  gather_cell cell = {.radius_mm = edge_mm};
+  memcpy(cell.at, corner, sizeof corner);
+  return cell;
+}
+
+gather_cell gather_cell_of(const core_gather_points *points, const double x[3]) {
+  const gather_node *node = points->nodes;
+  gather_cell cell = {.at = {x[0], x[1], x[2]}, .radius_mm = 0};
+  if (!holds(node->corner, node->edge_mm, x)) {
+    return cell;
+  }
+  for (;;) {
+    const gather_node *child = points->nodes + node->child;
+    size_t i = 0;
+    while (i < node->children && !holds(child[i].corner, child[i].edge_mm, x)) {
+      i++;
+    }
+    if (i == node->children) {
+      break;
+    }
+    node = &child[i];
+  }
+  cell.radius_mm = node->edge_mm;
+  memcpy(cell.at, node->corner, sizeof cell.at);
+  if (node->children > 0) {
+    cell = cell_between(points, node, x);
+  }
+  /* From the corner and the edge to the centre and half the diagonal */
+  const double edge_mm = cell.radius_mm;
+  for (int k = 0; k < 3; k++) {
+    cell.at[k] += 0.5 * edge_mm;
+  }
+  cell.radius_mm = edge_mm > 0 ? fmax(distance(cell.at, x), 0.8660254037844387 * edge_mm) : 0;
+  if (!(edge_mm > 0)) {
+    memcpy(cell.at, x, sizeof cell.at);
+  }
+  return cell;
+}
+
+/* ---- order ----------------------------------------------------------------------------------- */
+
+typedef struct keyed {
+  uint64_t key;
+  uint32_t index;
+} keyed;
+
+static int compare_keyed(const void *a, const void *b) {
+  const keyed *one = a, *other = b;
+  return one->key != other->key ? (one->key < other->key ? -1 : 1)
+                                : (one->index > other->index) - (one->index < other->index);
+}
+
+void core_gather_order(const core_gather_points *points, size_t n, const double *xyz,
+                       uint32_t *order) {
+  const gather_node *root = points->nodes;
+  const double per_mm = keys_per_mm(root->edge_mm);
+  keyed *sorted = malloc(n * sizeof *sorted);
+  for (size_t i = 0; i < n && sorted != NULL; i++) {
+    sorted[i] = (keyed){morton(xyz + 3 * i, root->corner, per_mm), (uint32_t)i};
+  }
+  if (sorted != NULL) {
+    qsort(sorted, n, sizeof *sorted, compare_keyed);
+  }
+  for (size_t i = 0; i < n; i++) {
+    order[i] = sorted != NULL ? sorted[i].index : (uint32_t)i;
+  }
+  free(sorted);
 }
