@@ -38,6 +38,20 @@ static const double *weights_from(int first) {
   return weights[-first / 3];
 }
 
+double core_slab_truncation(const core_medium *medium, double thickness_mm, bool in_s, int first) {
+  const double changed =
+      in_s ? medium->sigma_s_per_mm * (1 - medium->g) : medium->sigma_a_per_mm;
+  const double rest = core_sigma_t_prime(medium) - changed;
+  const double behind = fma(thickness_mm, rest + changed, -1);
+  double sum = 0;
+  for (int j = 0; j < CORE_NEIGHBOURS; j++) {
+    const double other = rest + changed * core_neighbour_factor(first + j);
+    const double ln = real_log(fma(thickness_mm, other, -1), 0);
+    sum = fma(weights_from(first)[j] / CORE_NEIGHBOUR_STEP, ln, sum);
+  }
+  return fabs(sum - thickness_mm * changed / behind);
+}
+
 /* Adds what ln_R is more than the first neighbour's, times weight / STEP. The weights add up to 0,
  * so that the first one's need not be added. */
 static void add(size_t n, double weight, const double *ln_R, const double *of_first, double *sum) {

@@ -236,6 +236,11 @@ enum { CORE_NEIGHBOURS = 7 };
 /* Returns e^(position STEP). */
 double core_neighbour_factor(int position);
 
+/* Returns by how much these differences are off for ln y, where y is the distance in mean free paths
+ * 1 / sigma_t' from the source, which is one deep, to the far side of a slab. in_s: whether sigma_s
+ * changes. first: the position of the first neighbour. y is positive in all of them. */
+double core_slab_truncation(const core_medium *medium, double thickness_mm, bool in_s, int first);
+
 /* Does what core_evaluate() does for BY_SIGMA_A and BY_SIGMA_S of models without kernels for them.
  * The profile is not a sum, and has neighbours or does not depend on the medium. */
 void core_derivative(const core_profile *profile, enum core_quantity quantity, size_t n,

@@ -25,7 +25,9 @@
 
 #define PI 3.14159265358979323846
 #define LN2 0.69314718055994530942
-#define SLOWEST 1e-12 /* for a smaller k, times the profile's scale, R(f) is the albedo */
+/* For a smaller k, times the profile's scale, R(f) is the albedo. With the largest eta R(r) reaches
+ * 1e13 mean free paths. */
+#define SLOWEST 1e-30
 #define FASTEST 1e100 /* for a larger one R(f) is 0 */
 
 enum {
@@ -34,7 +36,7 @@ enum {
   NEAR = 38 * STEPS,  /* steps below k r = 1, and below the profile's scale, where the sum begins */
   NEARER = 8 * STEPS, /* it begins as many steps earlier while there is energy, */
   NEAREST = 10,       /* up to so many times */
-  ONES = 42 * STEPS + NEAREST * NEARER, /* the first node may lie as many steps below NEAR / k */
+  ONES = 102 * STEPS + NEAREST * NEARER, /* the first node may lie as many steps below NEAR / k */
   POINTS = 16,                          /* of the interpolation in ln k */
   LANES = 8,                            /* partial sums */
   NODES = 4096,

@@ -54,10 +54,9 @@ static core_medium random_medium(uint64_t *random) {
 
 /* Compares all evaluators of a model with its formula at radii of a medium. Returns the largest
  * error over the stated one. */
-static double compare_with_formula(unsigned model, const core_medium *medium, int radii,
-                                   uint64_t *random) {
+static double compare_with_formula(unsigned model, const core_medium *medium,
+                                   core_parameters parameters, int radii, uint64_t *random) {
   static form_neighbours near;
-  core_parameters parameters = unit_parameters(model, medium);
   double worst = 0;
   parameters.value[CORE_PARAMETER_COS_IN] = parameters.value[CORE_PARAMETER_COS_OUT] = 1;
   form_neighbours_prepare(&near, model, CORE_MOMENTS_EXACT, medium, &parameters);
@@ -99,10 +98,29 @@ UNIT_TEST(derivatives_are_those_of_the_formulas) {
       if (models[m] == CORE_MODEL_BURLEY_DMFP && !(medium.sigma_a_per_mm > 0)) {
         medium.sigma_a_per_mm = 0.125;
       }
-      worst = fmax(worst, compare_with_formula(models[m], &medium, quick ? 20 : 6, &random));
+      worst = fmax(worst, compare_with_formula(models[m], &medium, unit_parameters(models[m], &medium),
+                                                quick ? 20 : 6, &random));
     }
     printf("%s: %.3f of what is stated\n", core_choice_by_id(core_models, models[m])->name, worst);
   }
+}
+
+/* Behind a thin slab light comes from a source that is near: from 1.1 mean free paths on, the least
+ * thickness, R changes steeply with the medium. */
+UNIT_TEST(derivatives_of_thin_slabs_are_those_of_the_formulas) {
+  static const unsigned slabs[] = {CORE_MODEL_MULTIPOLE, CORE_MODEL_MULTIPOLE_TRANSMITTED,
+                                   CORE_MODEL_BETTER_MULTIPOLE,
+                                   CORE_MODEL_BETTER_MULTIPOLE_TRANSMITTED};
+  uint64_t random = unit_seed();
+  double worst = 0;
+  for (int i = 0; i < 40; i++) {
+    const core_medium medium = random_medium(&random);
+    const double thickness = i < 8 ? 1.1001 + 0.02 * (i / 4) : unit_random_between(&random, 1.11, 2);
+    core_parameters parameters = core_parameters_none();
+    parameters.value[CORE_PARAMETER_THICKNESS] = thickness / core_sigma_t_prime(&medium);
+    worst = fmax(worst, compare_with_formula(slabs[i % 4], &medium, parameters, 6, &random));
+  }
+  printf("thin slabs: %.3f of what is stated\n", worst);
 }
 
 /* Sets the derivatives by ln sigma_a of solutions at n radii, by differences of order 6, and X, d

@@ -6,6 +6,7 @@
 
 #include "core/filter.h"
 #include "core/kernels.h"
+#include "tests/accuracy/forms.h"
 #include "tests/accuracy/reference.h"
 #include "tests/unit/unit.h"
 
@@ -140,11 +141,59 @@ UNIT_TEST(the_filter_is_its_formula) {
   }
 }
 
+/* With a large eta light leaves so seldom that it spreads over many mean free paths. */
+UNIT_TEST(light_that_spreads_far_has_its_transform) {
+  static form_model form;
+  static const unsigned models[] = {CORE_MODEL_EXTENDED, CORE_MODEL_QUANTIZED};
+  uint64_t random = unit_seed();
+  double worst = 0;
+  for (size_t i = 0; i < 24; i++) {
+    const double ratio = i % 3 == 0 ? 0 : unit_random_log(&random, 1e-30, 1e-6);
+    const double eta = i < 2 ? 1e3 : unit_random_log(&random, 5, 1e3);
+    const core_medium medium = {ratio, 1, 0, eta};
+    core_parameters parameters = core_parameters_none();
+    core_profile profile = prepared(models[i % 2], CORE_EVALUATOR_F64, medium);
+    parameters.value[CORE_PARAMETER_COS_IN] = parameters.value[CORE_PARAMETER_COS_OUT] = 1;
+    form_prepare(&form, models[i % 2], CORE_MOMENTS_EXACT, &medium, &parameters);
+    for (int k = 0; k < 40; k++) {
+      const double f = unit_random_log(&random, 1e-22, 1);
+      const double value = transfer(&profile, f);
+      const quad truth = form_truth(&form, (form_values){0}, CORE_ELEMENTWISE_TRANSFER, f);
+      const double share =
+          form_share(&form, &profile, CORE_ELEMENTWISE_TRANSFER, f, value, truth, 0);
+      worst = fmax(worst, share);
+      if (!(share <= 1)) {
+        fail_msg("model %u, sigma_a %g, eta %.17g: R(f) at %g is %.12g, not %.12g: %.3g of what is "
+                 "stated",
+                 models[i % 2], ratio, eta, f, value, (double)truth, share);
+      }
+    }
+    core_profile_free(&profile);
+  }
+  printf("at most %.2g of what is stated\n", worst);
+}
+
+/* The beam has no closed form, but a transform without steps: what it lacks to the albedo grows no
+ * faster than k^2. */
+UNIT_TEST(the_transform_of_a_beam_has_no_step) {
+  for (double eta = 5; eta <= 1e3; eta *= 1.7) {
+    core_profile profile = prepared(CORE_MODEL_BEAM, CORE_EVALUATOR_F64, (core_medium){0, 1, 0, eta});
+    double before = profile.albedo;
+    for (double k = 1e-24; k < 1e-6; k *= 1.01) {
+      const double value = transfer(&profile, k / (2 * pi));
+      const double allowed = 0.0202 * (profile.albedo - value) + 2e-9 * profile.albedo;
+      assert_within(value, before, allowed, "R(f) of a beam", k / (2 * pi));
+      before = value;
+    }
+    core_profile_free(&profile);
+  }
+}
+
 /* Where the transform begins, it is the albedo: no energy next to the source is left out. */
 UNIT_TEST(no_energy_is_lost_next_to_the_source) {
   for (const core_choice *model = core_models; model->name != NULL; model++) {
     core_profile profile = prepared(model->id, CORE_EVALUATOR_F64, (core_medium){0.2, 1, 0, 1.9});
-    for (double scaled = 1.1e-12; scaled < 3e-12; scaled *= 1.3) {
+    for (double scaled = 1.1e-30; scaled < 3e-12; scaled *= 37) {
       const double f = scaled / (2 * pi * profile.scale_mm);
       assert_within(transfer(&profile, f), profile.albedo,
                     (profile.numerical_error + 1e-10) * profile.albedo, model->name, f);
