@@ -39,8 +39,7 @@ static const double *weights_from(int first) {
 }
 
 double core_slab_truncation(const core_medium *medium, double thickness_mm, bool in_s, int first) {
-  const double changed =
-      in_s ? medium->sigma_s_per_mm * (1 - medium->g) : medium->sigma_a_per_mm;
+  const double changed = in_s ? medium->sigma_s_per_mm * (1 - medium->g) : medium->sigma_a_per_mm;
   const double rest = core_sigma_t_prime(medium) - changed;
   const double behind = fma(thickness_mm, rest + changed, -1);
   double sum = 0;

@@ -219,9 +219,13 @@ static void set_numerical_errors(core_profile *profile, double error,
  * no more than those of ln y. They make up for each other in part: 2.6 of them are left at most. */
 #define TRUNCATION_BEHIND_SLAB 3.0
 /* The errors of transport are smooth functions of the medium, so that differences of solutions are
- * off by less than this, and those of the table by less than the errors that it states for dR/dr,
- * or with g other than 0 for the pdf (measured: tests/accuracy/test_derivative.c). */
+ * off by less than this, and those of the table by less than the errors that it states for dR/dr
+ * (measured: tests/accuracy/test_derivative.c). */
 #define NEAR_OF_SOLVED 1e-6
+/* With g other than 0 the derivative by ln sigma_a is off by less than the error stated for dR/dr,
+ * and d ln R / d ln r by that error times its own size: up to this near the source, and more by the
+ * rate of decay far away. */
+#define NEAR_STEEPNESS 3.0
 
 static core_fault prepare(core_profile *profile, const struct model *model, core_inputs inputs,
                           core_radii_range radii);
@@ -313,6 +317,26 @@ static core_fault prepare_row(core_profile *profile, const struct model *model, 
   return fault;
 }
 
+/* Whether the profile comes from the table of anisotropic scattering, whose error does not depend
+ * on a tolerance. */
+static bool is_anisotropic(const core_profile *profile) {
+  return profile->numerical_errors[CORE_MODEL_ERROR_BANDS] < profile->numerical_error;
+}
+
+/* Sets the error of differences of `transport`. middle: the profile of the medium itself. */
+static void set_transport_error(core_profile *profile, const core_profile *middle) {
+  const double error = middle->numerical_error;
+  profile->derivative_error = error <= TRANSPORT_NEAR_SOLVED ? NEAR_OF_SOLVED : error;
+  if (is_anisotropic(middle)) {
+    const double r = middle->reach.most_mm;
+    double R, slope;
+    core_evaluate(middle, CORE_QUANTITY_R, 1, &r, &R);
+    core_evaluate(middle, CORE_QUANTITY_SLOPE, 1, &r, &slope);
+    profile->derivative_error += NEAR_STEEPNESS * error;
+    profile->derivative_error_per_mm += error * (R > 0 ? fabs(slope) / R : 0);
+  }
+}
+
 /* Sets the error of differences. rate: by how much ln R changes per mm, at most. */
 static void set_near_error(core_profile *profile, const core_inputs *inputs, double rate) {
   const double thickness_mm = core_parameter_or(inputs, CORE_PARAMETER_THICKNESS, 0);
@@ -331,12 +355,11 @@ static void set_near_error(core_profile *profile, const core_inputs *inputs, dou
         fmax(core_slab_truncation(&profile->medium, thickness_mm, false, first[0]),
              core_slab_truncation(&profile->medium, thickness_mm, true, first[1]));
   }
-  if (profile->model == CORE_MODEL_TRANSPORT) {
-    const bool solved = error <= TRANSPORT_NEAR_SOLVED;
-    profile->derivative_error = solved ? NEAR_OF_SOLVED : error;
-  }
   profile->derivative_error_per_mm =
       weights * (middle->numerical_error_per_mm + 8 * DBL_EPSILON * rate) + truncation * rate;
+  if (profile->model == CORE_MODEL_TRANSPORT) {
+    set_transport_error(profile, middle);
+  }
 }
 
 /* Prepares the neighbours of a profile. */
@@ -482,12 +505,6 @@ static core_fault prepare_sum(core_profile *profile, const struct model *model,
 /* Whether the model is a fit to another model, whose tolerance is not derived from the table's. */
 static bool fits(const struct model *model) {
   return (model->parameters & BIT(GAUSSIANS)) != 0;
-}
-
-/* Whether the profile comes from the table of anisotropic scattering, whose error does not depend
- * on a tolerance. */
-static bool is_anisotropic(const core_profile *profile) {
-  return profile->numerical_errors[CORE_MODEL_ERROR_BANDS] < profile->numerical_error;
 }
 
 static core_fault build_table(core_profile *profile, const struct model *model, double asked) {

@@ -37,8 +37,8 @@ enum {
   NEARER = 8 * STEPS, /* it begins as many steps earlier while there is energy, */
   NEAREST = 10,       /* up to so many times */
   ONES = 102 * STEPS + NEAREST * NEARER, /* the first node may lie as many steps below NEAR / k */
-  POINTS = 16,                          /* of the interpolation in ln k */
-  LANES = 8,                            /* partial sums */
+  POINTS = 16,                           /* of the interpolation in ln k */
+  LANES = 8,                             /* partial sums */
   NODES = 4096,
   SUMS = 1024,
 };

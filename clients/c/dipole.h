@@ -337,7 +337,8 @@ void dipole_query_init(dipole_query *query);
 typedef struct dipole_channel {
   double albedo; /* NaN if it was not wanted */
   /* A value at radius r is off from the model's formula by at most
-   * numerical_error + numerical_error_per_mm * r, relative. */
+   * numerical_error + numerical_error_per_mm * r, relative; for ln R and its derivatives this error
+   * is absolute. */
   double numerical_error;
   double numerical_error_per_mm;
   double model_error;    /* Error of the model against radiative transport, relative, for the radii

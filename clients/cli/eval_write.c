@@ -27,7 +27,17 @@ static const double *array_of(const cli_eval_report *report, const cli_eval_valu
   return NULL;
 }
 
-/* Returns the relative numerical error of the values at a radius. */
+/* Returns what the numerical error of the wanted quantities is: that of ln R and its derivatives is
+ * absolute. */
+static const char *kind_of_error(const cli_eval_report *report) {
+  const unsigned absolute = DIPOLE_LN_R | DIPOLE_BY_SIGMA_A | DIPOLE_BY_SIGMA_S;
+  const unsigned wanted = report->quantities.wanted;
+  return (wanted & absolute) == 0    ? "relative, at most"
+         : (wanted & ~absolute) == 0 ? "absolute, at most"
+                                     : "relative, of logarithms absolute, at most";
+}
+
+/* Returns the numerical error of the values at a radius. */
 static double numerical_error(const cli_eval_values *values, double r_mm) {
   /* 0 times infinity is not a number, but a rate of 0 adds nothing at any radius. */
   return values->numerical_error +
@@ -275,7 +285,8 @@ static void put_channel(cli_rows *rows, const void *context, size_t index) {
     cli_put_number(rows, CLI_COLUMN("albedo"), values->albedo);
   }
   cli_put_number(
-      rows, CLI_COLUMN("numerical error", NULL, "relative, at most", "%.1e", .forms = CLI_IN_TABLE),
+      rows,
+      CLI_COLUMN("numerical error", NULL, kind_of_error(report), "%.1e", .forms = CLI_IN_TABLE),
       numerical_error(values, radius_max(report)));
   cli_put_number(rows, CLI_COLUMN("numerical_error", .forms = CLI_IN_JSON),
                  values->numerical_error);

@@ -38,6 +38,10 @@
  */
 #include "core/kernels.h"
 
+/* Panels have the same width within a segment. Segments begin where the table of solutions has an
+ * edge, as the slope of its R jumps there. */
+enum { SEGMENTS = 5 };
+
 /* Positions in the table that preparation makes; lengths are in mean free paths. */
 enum coefficient {
   MFP_PER_MM,
@@ -50,11 +54,14 @@ enum coefficient {
   LIMIT, /* limit of the cdf at infinity: 1, or 0 if nothing scatters */
   FIRST_X,
   LAST_X,
-  LN_FIRST,
-  PER_PANEL, /* ln x in units of a panel's width: 1 / width */
+  /* for each segment of ln x: where it begins (INFINITY if there is none), its first panel, and ln x
+   * in units of a panel's width there: 1 / width */
+  BEGINS,
+  FIRST_PANEL = BEGINS + SEGMENTS,
+  PER_PANEL = FIRST_PANEL + SEGMENTS,
   /* STEEPER and FADING describe R beyond LAST_X relative to a dipole's diffusion, and one of them
    * is 0. STEEPER: R falls by this power of 1 / x more. */
-  STEEPER,
+  STEEPER = PER_PANEL + SEGMENTS,
   /* FADING: ln R falls by FADING (1 - (LAST_X / x)^2) / 2 more than a dipole's diffusion */
   FADING,
   SERIES, /* TERMS coefficients for each panel; the table of the energy follows them */
@@ -104,7 +111,15 @@ static inline struct profile look(const double *c, double r) {
   const double true_x = r * c[MFP_PER_MM] + 0; /* adding 0 turns -0 into 0 */
   const double x = real_min(true_x, 1e100);
   const double kept = real_min(real_max(x, c[FIRST_X]), c[LAST_X]);
-  const double y = (real_log(kept, 0) - c[LN_FIRST]) * c[PER_PANEL];
+  const double ln_x = real_log(kept, 0);
+  double begin = c[BEGINS], first = c[FIRST_PANEL], per_panel = c[PER_PANEL];
+  for (int i = 1; i < SEGMENTS; i++) {
+    const bool behind = ln_x >= c[BEGINS + i];
+    begin = behind ? c[BEGINS + i] : begin;
+    first = behind ? c[FIRST_PANEL + i] : first;
+    per_panel = behind ? c[PER_PANEL + i] : per_panel;
+  }
+  const double y = real_fma(ln_x - begin, per_panel, first);
   const double panel = real_max(real_min((double)(int64_t)y, c[PANELS] - 1), 0);
   const double s = real_max(real_min(2 * (y - panel) - 1, 1), -1);
   const struct series sum = sum_series(&c[SERIES + (size_t)panel * TERMS], s);
@@ -121,7 +136,7 @@ static inline struct profile look(const double *c, double r) {
       .x = x,
       .far = x < true_x ? x / true_x : 1,
       .value = x > c[LAST_X] ? sum.value + beyond : sum.value,
-      .slope = inside          ? sum.slope * (2 * c[PER_PANEL])
+      .slope = inside          ? sum.slope * (2 * per_panel)
                : x > c[LAST_X] ? kx / (1 + kx) - power - c[FADING] * faded
                                : 0,
   };
@@ -202,6 +217,7 @@ CORE_KERNEL_TABLE_NONE(transport);
 #define LAST 1e4
 #define LAST_EXPONENT 30.0
 #define PANEL_WIDTH 0.75 /* largest width of a panel in ln x */
+#define LEAST_WIDTH 1e-3 /* least width of a segment in ln x */
 /* cost of one value in kernel evaluations of a dipole, measured with `build/bench kernel` */
 #define COST 8
 
@@ -264,8 +280,11 @@ struct source {
   double extra_kappa; /* kappa of the solution if the solver was given a smaller albedo, else 0 */
   double share; /* albedo of the medium over that of the solution, if that is larger, else 1 */
   bool bends;   /* whether ln R may bend within a panel, and the error is measured */
-  double ln_first;
-  double width; /* width of a panel in ln x */
+  struct segment {
+    double begin; /* in ln x */
+    double width; /* of a panel */
+    size_t panels;
+  } segment[SEGMENTS]; /* those that are not used have no panels */
   size_t panels;
   double error;     /* largest relative error that the solver has estimated so far */
   double fit_error; /* the same of the series between its nodes, if it is measured */
@@ -311,21 +330,20 @@ static double series_at(const double *series, double s) {
 
 /* Adds the error of a panel's series to the source's: twice the largest that is seen at its ends,
  * where such errors are largest, and in its middle. */
-static void measure_panel(struct source *source, double y, const double *series) {
+static void measure_panel(struct source *source, double y, double width, const double *series) {
   for (int i = 0; i <= 2; i++) {
-    const double off =
-        series_at(series, i - 1) - logarithm_at(source, fma(0.5 * i, source->width, y));
+    const double off = series_at(series, i - 1) - logarithm_at(source, fma(0.5 * i, width, y));
     source->fit_error = fmax(source->fit_error, 2 * fabs(off));
   }
 }
 
 /* Sets `series` to the Legendre series through the Gauss points of the panel that begins at ln x =
  * y. */
-static void fit_panel(struct source *source, double y, double *series) {
+static void fit_panel(struct source *source, double y, double width, double *series) {
   memset(series, 0, TERMS * sizeof *series);
   for (int i = 0; i < 2 * CORE_GAUSS_HALF; i++) {
     const double s = 2 * core_gauss_node(i) - 1;
-    const double value = logarithm_at(source, fma(source->width, core_gauss_node(i), y));
+    const double value = logarithm_at(source, fma(width, core_gauss_node(i), y));
     double p = 1, before = 0;
     for (int k = 0; k < TERMS; k++) {
       series[k] += (2 * k + 1) * core_gauss_weight(i) * value * p;
@@ -355,42 +373,67 @@ static double steeper(const double *series, double width, double kappa_last) {
   return kappa_last / (1 + kappa_last) - 2 - slope * (2 / width);
 }
 
+/* Returns the last segment that has panels. */
+static const struct segment *last_segment(const struct source *source) {
+  int i = SEGMENTS - 1;
+  while (source->segment[i].panels == 0) {
+    i--;
+  }
+  return &source->segment[i];
+}
+
 static double last_of(const struct source *source) {
-  return real_exp_signed(fma((double)source->panels, source->width, source->ln_first));
+  const struct segment *segment = last_segment(source);
+  return real_exp_signed(fma((double)segment->panels, segment->width, segment->begin));
 }
 
 static void set_series(struct source *source, double *c) {
   const double last = last_of(source);
   c[KAPPA] = source->kappa;
   c[PANELS] = (double)source->panels;
-  c[FIRST_X] = real_exp_signed(source->ln_first);
+  c[FIRST_X] = real_exp_signed(source->segment[0].begin);
   c[LAST_X] = last;
-  c[LN_FIRST] = source->ln_first;
-  c[PER_PANEL] = 1 / source->width;
-  for (size_t i = 0; i < source->panels; i++) {
-    const double y = fma((double)i, source->width, source->ln_first);
-    fit_panel(source, y, &c[SERIES + i * TERMS]);
-    if (source->bends) {
-      measure_panel(source, y, &c[SERIES + i * TERMS]);
+  size_t panel = 0;
+  for (int k = 0; k < SEGMENTS; k++) {
+    const struct segment *segment = &source->segment[k];
+    c[BEGINS + k] = segment->panels > 0 ? segment->begin : (double)INFINITY;
+    c[FIRST_PANEL + k] = (double)panel;
+    c[PER_PANEL + k] = segment->panels > 0 ? 1 / segment->width : 0;
+    for (size_t i = 0; i < segment->panels; i++, panel++) {
+      const double y = fma((double)i, segment->width, segment->begin);
+      fit_panel(source, y, segment->width, &c[SERIES + panel * TERMS]);
+      if (source->bends) {
+        measure_panel(source, y, segment->width, &c[SERIES + panel * TERMS]);
+      }
     }
   }
   if (source->joined) {
     transport_join_panels(source->panels, TERMS, &c[SERIES]);
   }
-  const double more =
-      steeper(&c[SERIES + (source->panels - 1) * TERMS], source->width, source->kappa * last);
+  const double more = steeper(&c[SERIES + (source->panels - 1) * TERMS],
+                              last_segment(source)->width, source->kappa * last);
   const bool fades = last > 0.5 * LAST;
   c[STEEPER] = fades ? 0 : more;
   c[FADING] = fades ? more : 0;
 }
 
-/* Divides the range from ln_first to ln_last into equal panels. */
-static void lay_panels(struct source *source, double ln_first, double ln_last) {
+/* Divides the range from ln_first to ln_last into panels. edges: those of the table of solutions, in
+ * ascending order, where segments begin, or NULL. */
+static void lay_panels(struct source *source, double ln_first, double ln_last,
+                       const double edges[TRANSPORT_TABLE_PANELS + 1]) {
   const double most = source->bends ? PANEL_WIDTH_BENDS : PANEL_WIDTH;
-  const double panels = ceil((ln_last - ln_first) / most);
-  source->ln_first = ln_first;
-  source->width = (ln_last - ln_first) / panels;
-  source->panels = (size_t)panels;
+  double begin = ln_first;
+  int used = 0;
+  for (int i = edges != NULL ? 1 : TRANSPORT_TABLE_PANELS + 1; i <= TRANSPORT_TABLE_PANELS + 1;
+       i++) {
+    const double end = i <= TRANSPORT_TABLE_PANELS ? edges[i] : ln_last;
+    if (end > begin + LEAST_WIDTH && (end < ln_last - LEAST_WIDTH || end == ln_last)) {
+      const double panels = ceil((end - begin) / most);
+      source->segment[used++] = (struct segment){begin, (end - begin) / panels, (size_t)panels};
+      source->panels += (size_t)panels;
+      begin = end;
+    }
+  }
 }
 
 /* Makes the table of a profile that scatters, `share` times the source, and adds it to the
@@ -399,7 +442,7 @@ static core_fault fill(const core_inputs *inputs, struct source *source, double 
                        core_preparation *preparation) {
   const double sigma_t_prime = core_sigma_t_prime(inputs->medium);
   const double mfp_mm = 1 / sigma_t_prime;
-  const double first = real_exp_signed(source->ln_first);
+  const double first = real_exp_signed(source->segment[0].begin);
   /* Less than 1e-12 of the energy lies beyond 40 decay lengths 1 / kappa, or beyond 1e12 mean free
    * paths. */
   const double energy_last =
@@ -437,7 +480,6 @@ static core_fault fill_nothing(double sigma_t_prime, core_preparation *preparati
   c[PANELS] = 1;
   c[FIRST_X] = FIRST;
   c[LAST_X] = LAST;
-  c[PER_PANEL] = 1 / PANEL_WIDTH;
   double *energy = &c[SERIES + TERMS];
   energy[CORE_ENERGY_PANELS] = 1;
   energy[CORE_ENERGY_FIRST_MM] = 1;
@@ -472,7 +514,8 @@ static core_fault solve_and_fill(const core_inputs *inputs, double albedo, doubl
                             .extra_kappa = shows ? 0 : transport_kappa(solvable),
                             .share = share,
                             .bends = difference == NULL && albedo < ALBEDO_BENDS};
-    lay_panels(&source, real_log(FIRST, 0), real_log(reach, 0));
+    lay_panels(&source, real_log(FIRST, 0), real_log(reach, 0),
+               difference != NULL ? difference->edge : NULL);
     preparation->albedo =
         difference != NULL ? difference->total : transport_total(solution).value * share;
     fault = fill(inputs, &source, share, preparation);
@@ -575,7 +618,8 @@ static core_fault look_up(const core_inputs *inputs, double albedo, double g,
   transport_series series;
   transport_table_look_up(table, albedo, g, inputs->medium->eta, &series);
   struct source source = {.series = &series, .kappa = series.kappa, .joined = g < 0 || g > 0};
-  lay_panels(&source, series.edge[0], series.edge[TRANSPORT_TABLE_PANELS]);
+  lay_panels(&source, series.edge[0], series.edge[TRANSPORT_TABLE_PANELS],
+             source.joined ? series.difference.edge : NULL);
   preparation->albedo = series.total;
   const bool as_R = source.joined || inputs->tabulated > 0;
   preparation->error = as_R ? error_of_R(table, inputs->medium->eta) : error_of_slope(table);

@@ -490,7 +490,17 @@ static double measure_function(const struct measured *of, enum core_surface_func
   return worst;
 }
 
-/* Returns the largest error of all functions for one row. */
+/* Returns the error of the total that the pdf is divided by. */
+static double measure_total(const struct measured *of, const core_kernels_f64 *kernels) {
+  const double sigma_a = of->row->s * of->row->s, x = 1;
+  const double sigma_s = of->row->albedo / of->shared[LANES_SCATTER];
+  double ring, pdf;
+  kernels->varying[CORE_ELEMENTWISE_RING](of->shared, of->wide, 1, &sigma_a, &sigma_s, &x, &ring);
+  kernels->varying[CORE_ELEMENTWISE_PDF](of->shared, of->wide, 1, &sigma_a, &sigma_s, &x, &pdf);
+  return fabs(ring / pdf / of->row->total - 1);
+}
+
+/* Returns the largest error of all functions for one row; the pdf has that of R and of the total. */
 static double measure_row(const struct measured *of, const core_kernels_f64 *kernels) {
   double worst = 0;
   for (int i = 0; i <= CORE_SURFACE_X_OF_REST; i++) {
@@ -500,7 +510,7 @@ static double measure_row(const struct measured *of, const core_kernels_f64 *ker
                                           : kernels->varying_sample;
     worst = fmax(worst, measure_function(of, i, kernel));
   }
-  return worst;
+  return worst + measure_total(of, kernels);
 }
 
 /* ---- all words ------------------------------------------------------------------------------- */

@@ -234,14 +234,20 @@ static void sum_energy(const rows *all, rows_row *row) {
 }
 
 /* Sets the weights of the parabola through three bases, as a function of s or w. */
-static void extrapolate(const rows *all, bool by_s, rows_row *row) {
+static void set_weights(const rows *all, bool by_s, double place, double weight[BASES]) {
   const double *at = all->base_at[by_s ? 0 : 1];
   for (int i = 0; i < BASES; i++) {
-    row->base[i] = &all->base[by_s ? 0 : 1][i];
-    row->weight[i] = 1;
+    weight[i] = 1;
     for (int k = 0; k < BASES; k++) {
-      row->weight[i] *= k == i ? 1 : ((by_s ? row->s : row->w) - at[k]) / (at[i] - at[k]);
+      weight[i] *= k == i ? 1 : (place - at[k]) / (at[i] - at[k]);
     }
+  }
+}
+
+static void extrapolate(const rows *all, bool by_s, rows_row *row) {
+  set_weights(all, by_s, by_s ? row->s : row->w, row->weight);
+  for (int i = 0; i < BASES; i++) {
+    row->base[i] = &all->base[by_s ? 0 : 1][i];
   }
 }
 
@@ -250,8 +256,27 @@ double rows_kappa_per_s(const rows *all, double s, double w) {
   return kappa_of(all, s > all->s_least ? w * (1 + s) : (1 - least) * (1 + least)) / least;
 }
 
+/* Below the least albedo of the table a total is nearly in proportion to the albedo: their quotient
+ * is the parabola through the bases. */
+static transport_slice_sums totals_below(const rows *all, double w) {
+  double weight[BASES];
+  transport_slice_sums sums = {0, 0};
+  set_weights(all, false, w, weight);
+  for (int i = 0; i < BASES; i++) {
+    const double base = all->base_at[1][i];
+    const double per_albedo = weight[i] * (w * (2 - w)) / (base * (2 - base));
+    const transport_slice_sums totals = transport_slice_total(all->slice, base * (2 - base));
+    sums.beam += per_albedo * totals.beam;
+    sums.diffuse += per_albedo * totals.diffuse;
+  }
+  return sums;
+}
+
 /* Near s = 0 a total is 1 less a multiple of s; the multiple is extrapolated in a straight line. */
 transport_slice_sums rows_totals(const rows *all, double s, double w) {
+  if (w < all->w_least) {
+    return totals_below(all, w);
+  }
   if (s >= all->s_least) {
     return transport_slice_total(all->slice, w * (1 + s));
   }

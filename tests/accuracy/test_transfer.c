@@ -177,7 +177,8 @@ UNIT_TEST(light_that_spreads_far_has_its_transform) {
  * faster than k^2. */
 UNIT_TEST(the_transform_of_a_beam_has_no_step) {
   for (double eta = 5; eta <= 1e3; eta *= 1.7) {
-    core_profile profile = prepared(CORE_MODEL_BEAM, CORE_EVALUATOR_F64, (core_medium){0, 1, 0, eta});
+    core_profile profile =
+        prepared(CORE_MODEL_BEAM, CORE_EVALUATOR_F64, (core_medium){0, 1, 0, eta});
     double before = profile.albedo;
     for (double k = 1e-24; k < 1e-6; k *= 1.01) {
       const double value = transfer(&profile, k / (2 * pi));

@@ -6,6 +6,7 @@
 #include "core/inverter.h"
 #include "core/kernels.h"
 #include "core/transport/anisotropic.h"
+#include "core/transport/table.h"
 #include "tests/accuracy/vectors.h"
 #include "tests/unit/unit.h"
 
@@ -296,6 +297,41 @@ UNIT_TEST(quantities_and_evaluators_agree) {
     core_profile_free(&f32);
     core_profile_free(&lut);
   }
+}
+
+/* The slope of the table's R jumps at its edges, 1 and 14 mean free paths among them. The profile
+ * has the same R there. */
+UNIT_TEST(profiles_follow_the_table_at_its_edges) {
+  uint64_t random = unit_seed();
+  double worst = 0;
+  for (int m = 0; m < 100; m++) {
+    core_medium medium = random_medium(&random);
+    medium = m == 0   ? medium_of(1 / 0.023 - 1, -0.4, 1.65)
+             : m == 1 ? medium_of(1 / 0.1635 - 1, -0.4843, 2.0812)
+                      : medium;
+    const double sigma_t = core_sigma_t_prime(&medium);
+    const double albedo = medium.sigma_s_per_mm * (1 - medium.g) / sigma_t;
+    if (!transport_table_covers(transport_table_shipped(), albedo, medium.g, medium.eta)) {
+      continue;
+    }
+    core_profile profile = prepare(&medium, CORE_EVALUATOR_F64, (double)NAN);
+    transport_series series;
+    transport_table_look_up(transport_table_shipped(), albedo, medium.g, medium.eta, &series);
+    double first = (double)NAN;
+    for (double y = -9; y < series.edge[TRANSPORT_TABLE_PANELS]; y += 0.01) {
+      const double x = exp(y);
+      const double ln_R = unit_value_at(&profile, CORE_QUANTITY_LN_R, x / sigma_t);
+      const double more = ln_R - (transport_series_at(&series, y) - series.kappa * x - y);
+      first = isnan(first) ? more : first; /* the scale, which the albedo sets */
+      worst = fmax(worst, fabs(more - first));
+      if (!(fabs(more - first) < 3e-6)) {
+        fail_msg("g %g, albedo %g, eta %g at %g mean free paths: ln R is off by %.3g", medium.g,
+                 albedo, medium.eta, x, more - first);
+      }
+    }
+    core_profile_free(&profile);
+  }
+  printf("ln R is off by %.2g at most\n", worst);
 }
 
 /* A tolerance below the table's error changes neither the values nor what is stated, and no fault

@@ -250,6 +250,45 @@ UNIT_TEST(surfaces_keep_each_tolerance) {
   }
 }
 
+/* The surface ends at its least albedo, within a cell. With a small tolerance it is what the profile
+ * of a medium is, which comes from the same table. */
+UNIT_TEST(surfaces_are_right_at_the_least_albedo) {
+  static const double gs[] = {0, 0.5, 0.93, -0.4};
+  static const enum core_quantity of[] = {CORE_QUANTITY_R, CORE_QUANTITY_PDF, CORE_QUANTITY_CDF};
+  uint64_t random = unit_seed();
+  for (size_t i = 0; i < sizeof gs / sizeof gs[0]; i++) {
+    core_parameters parameters = core_parameters_none();
+    parameters.value[CORE_PARAMETER_TOLERANCE] = 1e-5;
+    const double g = gs[i], eta = unit_random_between(&random, 0.75, 2.1);
+    core_varying varying = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, g, eta, &parameters);
+    double worst = 0;
+    for (int m = 0; m < 24; m++) {
+      const double albedo = varying.albedo_least * (1 + unit_random_log(&random, 1e-9, 0.05));
+      const core_medium medium = {1 - albedo, albedo / (1 - g), g, eta};
+      core_profile profile = tabulated(&medium);
+      for (int k = 0; k < 30; k++) {
+        const double r = unit_random_log(&random, 1e-4, 15);
+        for (int q = 0; q < 3; q++) {
+          double exact, found;
+          core_eval_f64(&profile, of[q], 1, &r, &exact);
+          core_varying_eval_f64(&varying, of[q], 1, &medium.sigma_a_per_mm, &medium.sigma_s_per_mm,
+                                &r, &found);
+          const double off = fabs(found / exact - 1);
+          worst = fmax(worst, off);
+          /* the profile is within 3e-6 of the table (tests/accuracy/test_transport_g.c) */
+          if (!(off <= varying.surface_error + 3e-6)) {
+            fail_msg("g %g, eta %g, albedo %.9g, r %g, quantity %d: off by %.3g, stated %.3g", g,
+                     eta, albedo, r, (int)of[q], off, varying.surface_error);
+          }
+        }
+      }
+      core_profile_free(&profile);
+    }
+    print_message("g %g: off by %.2g, stated %.2g\n", g, worst, varying.surface_error);
+    core_varying_free(&varying);
+  }
+}
+
 UNIT_TEST(transport_without_absorption_is_continued_to_the_limit) {
   core_varying varying = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, 0, 1.4, NULL);
   const struct value value = {0, 1, 3, 0.5};

@@ -14,7 +14,8 @@
  *   by more than 0.9 of its stated error is compared with the formula itself.
  *
  * Two models have no formula: `transport` is compared with itself at its tightest tolerance, and
- * the stated errors of both are added, and in one of 48 rounds with a solution for g other than 0;
+ * the stated errors of both are added, and in two of 48 rounds, once with g other than 0, its R and
+ * the derivatives of ln R with solutions of neighbouring media;
  * `gaussians` is compared with the model that it was fitted to. Besides values the rounds check
  * samples (core_sample), inversions (core_invert_albedo), that a cdf never falls once it is 1, and
  * the stated errors of models against solutions of transport.
@@ -424,7 +425,8 @@ static void draw_etas(uint64_t *random) {
   for (int i = 0; i < ETAS; i++) {
     etas[i] = i == 0          ? 1
               : i < ETAS / 2  ? 1 + 0.02 * (double)below(random, 60)
-              : i < ETAS - 12 ? log_between(random, CORE_ETA_MIN, CORE_ETA_MAX)
+              : i < ETAS - 24 ? log_between(random, CORE_ETA_MIN, CORE_ETA_MAX)
+              : i < ETAS - 12 ? log_between(random, 5, CORE_ETA_MAX)
               : i % 2 == 0    ? 1 + log_between(random, 1e-15, 0.01)
                               : 1 - log_between(random, 1e-15, 0.01);
     for (unsigned moments = 1; moments <= 4; moments++) {
@@ -446,7 +448,7 @@ static core_medium draw_medium(uint64_t *random) {
                                       : log_between(random, 1e-30, 1e12);
   const size_t kind = below(random, 8);
   const double g = between(random, -1, 1);
-  core_medium medium = {.eta = etas[below(random, usual ? ETAS / 2 : ETAS)]};
+  core_medium medium = {.eta = etas[below(random, usual && below(random, 4) ? ETAS / 2 : ETAS)]};
   const double nearly_1 = 1 - log_between(random, 1e-12, 1);
   medium.g = kind < 4 ? 0 : usual ? 0.95 * g : kind < 6 ? g : kind < 7 ? nearly_1 : -nearly_1;
   medium.sigma_s_per_mm = fmin(sigma_t / (1 - medium.g) / (1 + ratio), CORE_SIGMA_MAX_PER_MM);
@@ -467,9 +469,10 @@ static core_parameters draw_parameters(const struct subject *s, uint64_t *random
   value[CORE_PARAMETER_COS_IN] = between(random, 0, 1);
   value[CORE_PARAMETER_COS_OUT] = between(random, 0, 1);
   if (s->family == FORM_SLAB) {
-    const double most = below(random, 2) ? 100 : 0.99e6;
+    const size_t kind = below(random, 3);
+    const double least = kind == 0 ? 1.1001 : 1.11, most = kind == 0 ? 2 : kind == 1 ? 100 : 0.99e6;
     value[CORE_PARAMETER_THICKNESS] =
-        log_between(random, 1.11, most) / core_sigma_t_prime(&s->medium);
+        log_between(random, least, most) / core_sigma_t_prime(&s->medium);
   }
   if (s->family == FORM_BURLEY && below(random, 2)) {
     value[CORE_PARAMETER_SURFACE_ALBEDO] = between(random, 0, 1);
@@ -538,7 +541,9 @@ static void compare_subject(struct subject *s, uint64_t *random) {
   for (size_t i = 0; i < values.count; i++) {
     const bool narrow = i >= exact || below(random, 4) > 0;
     values.r[i] = draw_radius(s, narrow, random);
-    const double f = values.r[i] / s->profiles[FINE].scale_mm / s->profiles[FINE].scale_mm;
+    const double scale_mm = s->profiles[FINE].scale_mm;
+    const double f = below(random, 8) ? values.r[i] / scale_mm / scale_mm
+                                      : log_between(random, 1e-20, 1e-2) / scale_mm;
     values.f[i] = narrow ? (double)(float)f : f;
   }
   for (int e = 0; e < EVALUATORS; e++) {
@@ -590,7 +595,7 @@ static void draw_subject(size_t model, bool slow, bool table, uint64_t *random) 
   s.moments = 1 + (unsigned)below(random, 4);
   s.moments =
       core_fresnel_check(s.moments, s.medium.eta).field == NULL ? s.moments : CORE_MOMENTS_EXACT;
-  s.derivatives = s.family != FORM_FIT && below(random, 8) == 0;
+  s.derivatives = s.family != FORM_FIT && below(random, 4) == 0;
   if (s.derivatives) { /* form_neighbours_prepare() needs few bits */
     s.medium.sigma_a_per_mm = shortened(s.medium.sigma_a_per_mm);
     s.medium.sigma_s_per_mm = shortened(s.medium.sigma_s_per_mm);
@@ -734,27 +739,149 @@ static void check_model_errors(uint64_t *random) {
   }
 }
 
+/* Compares a profile's derivatives at r mm with those by ln sigma_a and ln sigma_s, which may
+ * themselves be off by `unsure`. */
+static void compare_both(const struct subject *s, enum evaluator e, double r, const double truth[2],
+                         double unsure) {
+  const core_profile *profile = &s->profiles[e];
+  const core_stated_errors errors =
+      core_profile_errors(profile, CORE_QUANTITY_BY_SIGMA_A, (core_radii_range){r, r});
+  const double allowed = errors.numerical + errors.numerical_per_mm * r + unsure;
+  for (int i = 0; i < 2; i++) {
+    const int q = i == 0 ? CORE_ELEMENTWISE_BY_SIGMA_A : CORE_ELEMENTWISE_BY_SIGMA_S;
+    double value;
+    evaluate(profile, quantities[q], 1, &r, &value);
+    const double off = fabs(value - truth[i]);
+    if (allowed < 1) {
+      count(s, e, q, off <= allowed, off / allowed, r, value, truth[i]);
+    }
+  }
+}
+
+/* Sets by[2] to the derivatives by ln sigma_a and ln sigma_s, from ln R of five media whose sigma_a is
+ * e^h times the last one's, and ln R of the middle one at five radii, each e^h times the last one. */
+static void differences(const double by_a[5], const double by_r[5], double h, double by[2]) {
+  by[0] = (8 * (by_a[3] - by_a[1]) - (by_a[4] - by_a[0])) / (12 * h);
+  by[1] = 2 + (8 * (by_r[3] - by_r[1]) - (by_r[4] - by_r[0])) / (12 * h) - by[0];
+}
+
+/* The same profiles with derivatives. Returns false if there is none. */
+static bool prepare_with_derivatives(struct subject *s, enum evaluator e) {
+  core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_DERIVATIVES] = 1;
+  return core_profile_prepare(&s->profiles[e], core_isa_select(NULL), CORE_MODEL_TRANSPORT,
+                              s->moments, evaluator_ids[e], &s->medium, &parameters)
+             .field == NULL;
+}
+
+static void begin_transport(struct subject *s) {
+  s->model = 0;
+  while (models[s->model] != CORE_MODEL_TRANSPORT) {
+    s->model++;
+  }
+  s->moments = CORE_MOMENTS_EXACT;
+  s->parameters = core_parameters_none();
+}
+
+/* Compares derivatives of transport for g = 0 with differences of its profiles at the tightest
+ * tolerance. */
+static void check_isotropic_derivatives(uint64_t *random) {
+  enum { MEDIA = 5 };
+  static struct subject s;
+  const double h = 0.02, ratio = log_between(random, 1e-5, 50);
+  const double eta = below(random, 4) ? between(random, 0.7, 2.2) : between(random, 0.3, 3.9);
+  core_profile fine[MEDIA];
+  core_parameters tightest = core_parameters_none();
+  tightest.value[CORE_PARAMETER_TOLERANCE] = 1e-8;
+  begin_transport(&s);
+  s.medium = (core_medium){ratio / (1 + ratio), 1 / (1 + ratio), 0, eta};
+  int ready = 0;
+  for (core_medium other = s.medium; ready < MEDIA; ready++) {
+    other.sigma_a_per_mm = s.medium.sigma_a_per_mm * exp((ready - 2) * h);
+    if (core_profile_prepare(&fine[ready], core_isa_select(NULL), CORE_MODEL_TRANSPORT, s.moments,
+                             CORE_EVALUATOR_F64, &other, &tightest)
+            .field != NULL) {
+      break;
+    }
+  }
+  for (int e = F64; e <= LUT && ready == MEDIA; e++) {
+    if (!prepare_with_derivatives(&s, e)) {
+      continue;
+    }
+    for (size_t i = 0; i < 4 * SOLVED; i++) {
+      const double r = (double)(float)log_between(random, 1e-4, 0.85 * fine[2].reach.most_mm);
+      double by_a[MEDIA], by_r[MEDIA], by[2];
+      for (int k = 0; k < MEDIA; k++) {
+        const double near = r * exp((k - 2) * h);
+        core_eval_f64(&fine[k], CORE_QUANTITY_LN_R, 1, &r, &by_a[k]);
+        core_eval_f64(&fine[2], CORE_QUANTITY_LN_R, 1, &near, &by_r[k]);
+      }
+      differences(by_a, by_r, h, by);
+      /* what differences of order 4 leave out, and the tolerance of ln R */
+      compare_both(&s, e, r, by, 1e-6 * (1 + fabs(by[0]) + fabs(by[1])));
+    }
+    core_profile_free(&s.profiles[e]);
+  }
+  while (ready > 0) {
+    core_profile_free(&fine[--ready]);
+  }
+}
+
+/* Compares derivatives with differences of solutions for media whose sigma_a is e^h times the last
+ * one's. */
+static void compare_derivatives_with(struct subject *s, transport_anisotropic *const solutions[5],
+                                     size_t boundary, double h, uint64_t *random) {
+  const double sigma_t = core_sigma_t_prime(&s->medium), sigma_a = s->medium.sigma_a_per_mm;
+  for (int e = F64; e <= LUT; e++) {
+    if (!prepare_with_derivatives(s, e)) {
+      continue;
+    }
+    for (size_t i = 0; i < SOLVED; i++) {
+      const double r = (double)(float)log_between(random, 0.005, 25);
+      double by_a[5], by_r[5], by[2], unsure = 0;
+      for (int k = 0; k < 5; k++) {
+        const double other = sigma_t + sigma_a * (exp((k - 2) * h) - 1);
+        const transport_number R = transport_anisotropic_at(solutions[k], boundary, r * other);
+        by_a[k] = log(R.value * other * other);
+        by_r[k] = log(transport_anisotropic_at(solutions[2], boundary, r * exp((k - 2) * h)).value);
+        unsure = fmax(unsure, R.value > 1e-12 ? R.error / R.value : 1);
+      }
+      differences(by_a, by_r, h, by);
+      if (unsure < 3e-3) {
+        compare_both(s, e, r, by, unsure);
+      }
+    }
+    core_profile_free(&s->profiles[e]);
+  }
+}
+
 /* Compares the evaluators of transport with solutions for one g other than 0, of some
  * boundaries. */
 static void check_scattering(uint64_t *random) {
-  enum { BOUNDARIES = 3 };
+  enum { BOUNDARIES = 3, MEDIA = 5 };
   static struct subject s;
-  const double g = between(random, -0.5, 0.95), ratio = log_between(random, 1e-5, 100);
+  const double h = 0.08;
+  const double g = between(random, -0.5, 0.95), ratio = log_between(random, 1e-5, 80);
   const double boundaries[BOUNDARIES] = {between(random, 0.7, 1), 1, between(random, 1, 2.2)};
   const transport_phase phase = {g, 0, NULL};
-  transport_anisotropic *solution;
+  transport_anisotropic *solutions[MEDIA];
   transport_totals totals[BOUNDARIES];
-  s.model = 0;
-  while (models[s.model] != CORE_MODEL_TRANSPORT) {
-    s.model++;
+  begin_transport(&s);
+  int ready = 0;
+  while (ready < MEDIA &&
+         transport_anisotropic_solve(&solutions[ready], core_isa_select(NULL),
+                                     ratio * exp((ready - 2) * h), &phase, boundaries, BOUNDARIES,
+                                     TRANSPORT_EFFORT_QUICK)
+                 .field == NULL) {
+    ready++;
   }
-  s.moments = CORE_MOMENTS_EXACT;
-  s.parameters = core_parameters_none();
-  if (transport_anisotropic_solve(&solution, core_isa_select(NULL), ratio, &phase, boundaries,
-                                  BOUNDARIES, TRANSPORT_EFFORT_QUICK)
-          .field != NULL) {
+  if (ready < MEDIA) {
+    while (ready > 0) {
+      transport_anisotropic_free(solutions[--ready]);
+    }
     return;
   }
+  const transport_anisotropic *solution = solutions[2];
   transport_anisotropic_totals(totals, core_isa_select(NULL), ratio, &phase, boundaries,
                                BOUNDARIES);
   for (size_t b = 0; b < BOUNDARIES; b++) {
@@ -788,8 +915,11 @@ static void check_scattering(uint64_t *random) {
       }
       core_profile_free(profile);
     }
+    compare_derivatives_with(&s, solutions, b, h, random);
   }
-  transport_anisotropic_free(solution);
+  while (ready > 0) {
+    transport_anisotropic_free(solutions[--ready]);
+  }
 }
 
 static void run_round(uint64_t seed, unsigned only) {
@@ -809,6 +939,9 @@ static void run_round(uint64_t seed, unsigned only) {
   }
   if (round_now % 48 == 7 && (only == 0 || only == CORE_MODEL_TRANSPORT)) {
     check_scattering(&random);
+  }
+  if (round_now % 48 == 15 && (only == 0 || only == CORE_MODEL_TRANSPORT)) {
+    check_isotropic_derivatives(&random);
   }
 }
 

@@ -290,7 +290,8 @@ class Result(_Evaluated):
 
     def numerical_error(self, r: Array | float | None = None) -> Array:
         """Returns how far a value at radius r may be from the model's exact formula: [C, N],
-        relative. r: [N] mm; the default is the result's own radii."""
+        relative, for ln R and its derivatives absolute. r: [N] mm; the default is the result's own
+        radii."""
         radii = np.asarray(self.r if r is None else r, dtype=np.float64)
         # At r = infinity, an error that does not grow with r gives 0 * inf, which is NaN: it is 0.
         with np.errstate(invalid="ignore"):
