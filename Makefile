@@ -400,7 +400,7 @@ SECONDS ?=
 SEED ?=
 # A fixed seed, and as many rounds as each class needs.
 check-truth: $(BUILD)/tests/accuracy/truth
-	@$(BUILD)/tests/accuracy/truth --rounds 24 --seed 1
+	@$(BUILD)/tests/accuracy/truth --rounds 20 --seed 1
 
 truth: $(BUILD)/tests/accuracy/truth
 	$(BUILD)/tests/accuracy/truth --seconds $(or $(SECONDS),60) $(SEED:%=--seed %)

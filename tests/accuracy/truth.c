@@ -203,7 +203,7 @@ static bool has_ln_R(const struct subject *s, enum evaluator e, double r) {
   return r * (double)s->form.part[0].sigma_t_prime < far;
 }
 
-enum { EXACT_MOST = 64, DENSE = 512, RADII = EXACT_MOST + DENSE };
+enum { EXACT_MOST = 64, DENSE = 1472, RADII = EXACT_MOST + DENSE };
 
 struct values {
   size_t count;
