@@ -10,6 +10,7 @@
 #   make truth      stated errors against exact values, SECONDS=60 of them, SEED=N or a new one
 #   make rings      Monte Carlo against the solver, 100 million photons for each g (minutes)
 #   make fuzz       coverage-guided fuzzing of all that reads foreign bytes, SECONDS=300 of it
+#   make plan       how many daemons and how much network a farm needs (server/SCALING.md)
 #   make bench      every benchmark; build/bench GROUP runs one
 #   make docs       the tables in proto/*.md, from proto/*.def, and the manual pages
 #   make model-errors  core/model_errors.def, measured anew against transport (minutes)
@@ -137,7 +138,7 @@ INSTALLED := $(BUILD)/dipoled $(BUILD)/dipole
 PROGRAMS := $(INSTALLED) $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-tls-long check-balancer-long check-pipeline check-asan check-tsan check-fuzz check-truth check-fits check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables reference tradeoff figures fit-bias clean
+.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-tls-long check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz check-truth check-fits check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables reference tradeoff figures fit-bias clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -311,7 +312,7 @@ check:
 check-long:
 	@sh .ci/install-packages demo check deb ci
 	@$(MAKE) --no-print-directory -j2 all $(BUILD)/tests/bits $(BUILD)/soak-load $(BUILD)/pipeline
-	+@bash tests/run-check.sh $(BUILD)/logs-long bits-aarch64 soak-long tls-long balancer-long pipeline rings fits packages deb
+	+@bash tests/run-check.sh $(BUILD)/logs-long bits-aarch64 soak-long tls-long balancer-long plan pipeline rings fits packages deb
 
 # Fails when modules include each other in a circle.
 check-structure:
@@ -347,14 +348,27 @@ check-soak: all $(BUILD)/soak-load
 check-soak-long: all $(BUILD)/soak-load
 	SOAK_S=120 $(PYTEST) -s tests/soak
 
-# Ten thousand handshakes that somebody leaves half open, and five thousand with faults.
+# Ten thousand handshakes that somebody leaves half open, five thousand with faults, and a million
+# records with faults.
 check-tls-long: all
-	TLS_HANDSHAKES=10000 $(PYTEST) tests/e2e/test_tls.py
+	TLS_HANDSHAKES=10000 TLS_RECORDS=1000000 $(PYTEST) --durations=5 tests/e2e/test_tls.py
 
 # Clients of all kinds behind HAProxy, while three daemons are killed and drained.
 BALANCER_S ?= 600
 check-balancer-long: all $(BUILD)/soak-load
 	BALANCER_S=$(BALANCER_S) $(PYTEST) -k all_kinds tests/e2e/test_balancer.py
+
+# How many daemons a farm needs; PLAN='--nodes 2e3 --rate 50' for another one. `make scaling` puts the
+# tables into server/SCALING.md. check-plan compares the simulation with three daemons.
+PLAN_COMMAND = env TESTED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python PYTHONDONTWRITEBYTECODE=1 $(PYTHON) tests/plan.py
+plan: all
+	@$(PLAN_COMMAND) $(PLAN)
+
+scaling: all
+	@$(PLAN_COMMAND) $(PLAN) --write server/SCALING.md
+
+check-plan: all
+	@$(PLAN_COMMAND) --check
 
 # Eight threads, each with 256 requests under way, and each answer compared.
 PIPELINE_REQUESTS ?= 10000000

@@ -19,7 +19,11 @@ put() { # mode, source, path
   case $1 in
   link) ln -sfn "$2" "$3" ;;
   fill)
-    fill <"$2" >"$3"
+    fill <"$2" | sed -e '/^#@/d' -e 's/ *#!$//' >"$3"
+    chmod 644 "$3"
+    ;;
+  each)
+    fill <"$2" | sed -e '/#!$/d' -e 's/^#@ *//' >"$3"
     chmod 644 "$3"
     ;;
   *) install -m "$1" "$2" "$3" ;;

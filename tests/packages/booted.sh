@@ -23,12 +23,28 @@ grep -q '^Seccomp:.2$' "/proc/$process/status"
 grep -q '^NoNewPrivs:.1$' "/proc/$process/status"
 grep -q '^CapEff:.0000000000000000$' "/proc/$process/status"
 [ "$(stat -c %u "/proc/$process")" != 0 ]
+# Two more of them, beside the first.
+echo DIPOLED_METRICS=127.0.0.1:9821 >/etc/default/dipoled-1
+systemctl enable --now dipoled@1 dipoled@2 || journalctl --no-pager -u 'dipoled@*'
+for one in 1 2; do
+  own=unix:/run/dipoled-$one/dipoled.sock
+  setpriv --reuid=65534 --regid=65534 --groups="$member" \
+    dipole eval --connect "$own" --medium skin1 --count 3 --format csv | cmp - /opt/private.csv
+  ! setpriv --reuid=65534 --regid=65534 --clear-groups \
+    dipole media --connect "$own" --retry-ms 0 >/dev/null 2>&1
+  grep -q '^Seccomp:.2$' "/proc/$(systemctl show -p MainPID --value dipoled@$one)/status"
+done
+python3 -c '
+from urllib.request import urlopen
+assert urlopen("http://127.0.0.1:9821/readyz", timeout=10).status == 200'
+systemctl disable --now dipoled@1 dipoled@2
+[ ! -e /run/dipoled-1 ]
 # Stopped, it comes back for the next who asks.
 systemctl stop dipoled.service
 [ "$(systemctl is-active dipoled.service)" = inactive ]
 dipole eval --connect "$socket" --medium skin1 --count 3 --format csv | cmp - /opt/private.csv
 systemctl is-active dipoled.service
 [ "$(systemctl show -p NRestarts --value dipoled.service)" = 0 ]
-journalctl --no-pager -u dipoled.service -u dipoled.socket >/opt/journal
+journalctl --no-pager -u dipoled.service -u dipoled.socket -u 'dipoled@*' >/opt/journal
 grep -q event=ready /opt/journal
 [ -z "$(grep -E 'level=error|[Ff]ailed' /opt/journal)" ]
