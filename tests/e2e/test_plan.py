@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from daemons import BUILD, REPOSITORY, environment
 
-COUNT, RUNS = 400_000, 3
+COUNT, RUNS = 400_000, 8
 
 
 @pytest.fixture(scope="module")
