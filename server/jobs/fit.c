@@ -10,9 +10,9 @@
 /* The cost of a profile that is prepared on this thread, in radii of a dipole. */
 enum { PROFILE_RADII = JOB_SLICE_RADII };
 
-/* The most work of a step on the first set of a request. So a unit's fit of few readings is done when
- * Modbus answers, although some 200 evaluations look for a second solution. */
-enum { FIRST_SET_RADII = 8 * JOB_SLICE_RADII };
+/* A request of one set is small if that costs at most this: with few readings some 200 evaluations look
+ * for a second solution. */
+enum { SMALL_SET_RADII = 8 * JOB_SLICE_RADII };
 
 /* A set whose errors are so small that its fit is refined with profiles of the model. */
 struct refining {
@@ -77,10 +77,10 @@ static wire_error check(struct fit_job *fit, const struct job_request *from) {
   return wire_error_none();
 }
 
-/* Returns the work that admission control counts. One set that a step fits is a small request. */
+/* Returns the work that admission control counts. */
 static double radii_of(const struct fit_job *fit) {
   const uint64_t sets = fit->request.fixed.set_count;
-  return sets == 1 && fit->set_radii <= FIRST_SET_RADII
+  return sets == 1 && fit->set_radii <= SMALL_SET_RADII
              ? fmin((double)fit->set_radii, JOB_SLICE_RADII)
              : (double)sets * (double)fit->set_radii;
 }
@@ -254,11 +254,6 @@ static enum job_outcome fit_next(struct fit_job *fit, uint64_t *spent) {
   return JOB_GOES_ON;
 }
 
-/* Returns the most work of this step, which has begun, up to its next set. */
-static uint64_t most_radii(const struct fit_job *fit) {
-  return fit->parts.first + fit->index == 0 ? FIRST_SET_RADII : JOB_SLICE_RADII;
-}
-
 static enum job_outcome step(struct job *job, uint64_t *budget) {
   struct fit_job *fit = of(job);
   enum job_outcome outcome = fit->lookup.ready ? JOB_GOES_ON : get_design(fit);
@@ -267,7 +262,7 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
   }
   uint64_t spent = JOB_STEP_RADII;
   const uint64_t begun = fit->index;
-  while (outcome == JOB_GOES_ON && fit->index < fit->parts.count && spent < most_radii(fit)) {
+  while (outcome == JOB_GOES_ON && fit->index < fit->parts.count && spent < JOB_SLICE_RADII) {
     outcome = fit_next(fit, &spent);
   }
   stats_add(&job->context->server->stats, STATS_SETS_FITTED, fit->index - begun);

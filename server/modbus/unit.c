@@ -76,7 +76,14 @@ static unsigned commit(struct modbus_unit *unit, struct modbus_task *task, unsig
     return refuse(unit, task, &error,
                   registers_of_field(&registers_jobs[task->kind], error.field, error.index));
   }
-  unit->evaluating = task->state == MODBUS_TASK_EVALUATED;
+  unit->fits = task->kind == REGISTERS_JOB_FIT && task->state == MODBUS_TASK_RUNS;
+  if (unit->fits) {
+    struct worker *worker = client->worker;
+    unit->answer_ms = uv_now(worker_loop(worker)) + MODBUS_FIT_MS;
+    worker_wake_at(worker, unit->answer_ms);
+    LIST_INSERT_HEAD(&unit->units->fitting, unit, in_fitting);
+  }
+  unit->evaluating = unit->fits || task->state == MODBUS_TASK_EVALUATED;
   unit->awaited = unit->evaluating ? task : NULL;
   unit->client = unit->evaluating ? client : NULL;
   return 0;
@@ -143,14 +150,34 @@ static void run(struct client *client) {
   modbus_queue_run(&units_of(client)->queue);
 }
 
-/* Notes that the unit's last commit has been evaluated, and lets its client answer. */
+/* Notes that the answer to the unit's last commit waits no longer, and lets its client answer. */
 static void finish_unit(struct modbus_unit *unit) {
   struct client *waits = unit->client;
+  if (unit->fits) {
+    LIST_REMOVE(unit, in_fitting);
+    unit->fits = false;
+  }
   unit->evaluating = false;
   unit->awaited = NULL;
   unit->client = NULL;
   if (waits != NULL) {
     waits->kind->finish(waits);
+  }
+}
+
+/* Lets clients answer whose fit has ended without results, waits for a profile, or takes too long. */
+static void finish_late_fits(struct modbus_units *units) {
+  struct worker *worker = units->client.worker;
+  struct modbus_unit *next;
+  for (struct modbus_unit *unit = LIST_FIRST(&units->fitting); unit != NULL; unit = next) {
+    const enum modbus_task_state state = unit->awaited->state;
+    const bool late = uv_now(worker_loop(worker)) >= unit->answer_ms;
+    next = LIST_NEXT(unit, in_fitting);
+    if (state != MODBUS_TASK_EVALUATED && (state != MODBUS_TASK_RUNS || late)) {
+      finish_unit(unit);
+    } else {
+      worker_wake_at(worker, unit->answer_ms);
+    }
   }
 }
 
@@ -163,10 +190,12 @@ static void finish(struct client *client) {
       finish_unit(unit);
     }
   }
+  finish_late_fits(units_of(client));
 }
 
 static void deadline(struct client *client) {
   modbus_queue_expire(&units_of(client)->queue);
+  finish_late_fits(units_of(client));
 }
 
 static void end_after_last_user(struct modbus_units *units) {
@@ -200,6 +229,7 @@ struct modbus_units *modbus_units_new(struct server *server) {
   if (units != NULL) {
     units->client.kind = &kind;
     units->server = server;
+    LIST_INIT(&units->fitting);
     modbus_queue_init(&units->queue, server, &units->client);
   }
   return units;
@@ -230,6 +260,9 @@ struct modbus_unit *modbus_units_get(struct modbus_units *units, unsigned number
   } else if (unit->evaluating) {
     batch_finish(&worker_context(units->client.worker)->batch, &units->server->stats);
     finish(&units->client);
+    if (unit->evaluating) {
+      finish_unit(unit);
+    }
   }
   for (unsigned kind = 0; kind < REGISTERS_JOBS; kind++) {
     modbus_task_name(&unit->tasks[kind]);

@@ -534,7 +534,7 @@ def test_a_fit_has_the_values_of_the_wire(master, client):
     assert abs(found.sigma_a - 0.03) < 3 * found.sigma_a_error
 
 
-@pytest.mark.parametrize("count, fibre_mm", [(3, 0), (4, 0), (25, 0), (25, 0.2)])
+@pytest.mark.parametrize("count, fibre_mm", [(3, 0), (4, 0), (25, 0), (3, 0.2), (6, 0.2), (25, 0.2)])
 def test_one_request_fits_once_the_design_is_prepared(master, client, count, fibre_mm):
     unit, at = 92, np.float32(np.geomspace(0.5, 6, count)).tolist()
     R = client.eval("better", single((0.03, 1.2, 0.0, 1.3)), at).R[0]
