@@ -22,6 +22,7 @@
 #                   resumes), with build/figures/index.html, and core/tools/tissue.svg
 #   make fit-bias   coefficients that diffusion models give, beside those by transport
 #   make install    to $(DESTDIR)$(PREFIX); make uninstall takes it away again
+#   make container  an image of the daemon, by podman or docker (clients/deploy/Containerfile)
 #   make deb        Debian packages, in build/deb; make check-deb installs them in a new system
 #   make setup      installs the packages of .ci/packages, nothing else
 #   make clean     (V=1 shows the commands of any of these)

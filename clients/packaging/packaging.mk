@@ -17,7 +17,7 @@ INSTALL_FILES = BUILD='$(BUILD)' DESTDIR='$(DESTDIR)' VERSION=$(VERSION) SOVERSI
 	DOCDIR=$(DOCDIR) UNITDIR=$(UNITDIR) BASHDIR=$(BASHDIR) ZSHDIR=$(ZSHDIR) PYTHONDIR=$(PYTHONDIR) TLS_LIBS='$(TLS_LIBS)' \
 	sh clients/packaging/install.sh
 
-.PHONY: manuals install uninstall deb check-deb
+.PHONY: manuals install uninstall deb check-deb container
 
 # The manual pages stand among the sources, so that installing runs none of the built programs.
 # `make docs` makes them.
@@ -50,6 +50,14 @@ deb:
 		dpkg-buildpackage -us -uc $(if $(REUSE),-nc -d) >../log 2>&1 || { tail -n 40 ../log >&2; exit 1; }
 	@rm -rf $(DEB_TREE)
 	@ls $(DEB)/*.deb
+
+# An image with the programs and their libraries alone, by podman or docker.
+CONTAINER ?= podman
+CONTAINER_NAME ?= dipoled
+CONTAINER_FOLDER ?= $(BUILD)/container
+container: $(INSTALLED)
+	$(Q)sh clients/packaging/container.sh $(BUILD) $(CONTAINER_FOLDER)
+	$(Q)$(CONTAINER) build $(if $(findstring podman,$(CONTAINER)),--format docker) -t $(CONTAINER_NAME) -f $(CONTAINER_FOLDER)/Containerfile $(CONTAINER_FOLDER)
 
 # In a new system: installs them, asks the daemon, and takes them away again.
 check-deb: deb
