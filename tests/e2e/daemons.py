@@ -181,6 +181,18 @@ class Daemon:
             if self.process.poll() is None:
                 self.process.send_signal(how)
 
+    def pause(self) -> None:
+        """Stops the daemon by SIGSTOP, and waits until none of its threads runs. SIGCONT lets it go
+        on."""
+        self.process.send_signal(signal.SIGSTOP)
+        tasks = Path(f"/proc/{self.process.pid}/task")
+
+        def stands() -> bool:
+            states = [(one / "stat").read_text().rpartition(")")[2].split()[0] for one in tasks.iterdir()]
+            return set(states) == {"T"}
+
+        assert eventually(stands, END_S)
+
     def kill(self) -> None:
         """Kills the daemon. close() then does not check its end."""
         self._killed = True

@@ -187,7 +187,7 @@ def test_clients_do_not_notice_that_a_daemon_is(farm, what):
         elif what == "drained":
             first.terminate()
         else:
-            first.process.send_signal(signal.SIGSTOP)
+            first.pause()
         before = [one.answers for one in loads]
         assert eventually(
             lambda: all(one.error or one.answers > n + 20 for one, n in zip(loads, before)), 15

@@ -114,7 +114,7 @@ def test_the_usual_time_is_enough_for_a_restart(tmp_path, known):
 
 def test_a_daemon_that_hangs_before_hello(daemon, known):
     hung, good = daemon(), daemon()
-    hung.process.send_signal(signal.SIGSTOP)
+    hung.pause()
     began_s = time.monotonic()
     try:
         rows = eval_rows("--connect", f"{hung.url()},{good.url()}", "--retry-ms", "600", *ARGUMENTS)

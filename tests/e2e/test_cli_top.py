@@ -234,7 +234,7 @@ def test_a_daemon_that_hangs(daemon):
     one = daemon()
     screen = Terminal("top", "--connect", one.url(), "--interval", "0.1")
     screen.read_until(lambda seen: "queued" in seen)
-    one.process.send_signal(signal.SIGSTOP)
+    one.pause()
     screen.read_until(lambda seen: "No answer from " in (shown(seen) or [""])[0])
     one.process.send_signal(signal.SIGCONT)
     screen.read_until(lambda seen: any("queued" in row for row in shown(seen)))
