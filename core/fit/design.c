@@ -80,9 +80,9 @@ core_fault core_fit_check(const core_fit_design *design) {
 
 /* ---- costs ----------------------------------------------------------------------------------- */
 
-/* Measured with 2 to 300 readings and with fibres: an evaluation takes 0.2 us and 0.08 us for each
- * place, of a table as well as of a dipole's or a Burley profile's five media. A slab's profiles take
- * some 100 us each, five for an evaluation. */
+/* Measured with 3 to 300 readings and with fibres: with a dipole's or a Burley profile's five media an
+ * evaluation takes 0.4 us and 0.07 us for each place, and with a table half of that or less. A slab's
+ * profiles take some 100 us each, five for an evaluation. */
 #define EVALUATION_COST 128
 #define PLACE_COST 42
 #define SLAB_COST 262144

@@ -13,7 +13,7 @@ from lists import EVALUATORS, MODELS, choices
 from modbus_master import (
     AT, BAD_ADDRESS, BAD_VALUE, BAD_VALUE_STATUS, BLOCKS, BUSY, BUSY_STATUS, DEADLINE_STATUS, DONE, ERROR, IS_BUSY,
     MIRROR, SKIN, SLOW, TCP, Exception_, Tcp, as_floats, as_words, exception, floats, input_block,
-    run_job, single, slow_medium, swapped, words,
+    run_job, single, slow_medium, swapped, words, write_read_pdu,
 )
 
 CANCELLED = 4
@@ -548,6 +548,30 @@ def test_one_request_fits_once_the_design_is_prepared(master, client, count, fib
             assert eventually(lambda: as_words(master.read(AT["FIT_DONE"], 1, unit)) == [1])
         else:
             assert as_words(answer)[:3] == [DONE, token, 0]
+
+
+def test_an_answer_that_waits_for_a_fit_ends_with_another_request(slave, client):
+    """A slab's fit takes so long that a second master asks meanwhile. The masters before it get
+    their answers, whether they have the results or not, and one may leave without its own."""
+    unit, at = 93, np.float32([0.5, 1.0, 2.0, 4.0]).tolist()
+    R = client.eval("multipole", single((0.03, 1.2, 0.0, 1.3)), at, parameters={"thickness": 5.0}).R[0]
+    readings = floats(0.0) + pairs(R, 0.02 * R)
+    with Tcp(slave) as first, Tcp(slave) as second, Tcp(slave) as leaves:
+        setting(first, unit, MODEL=25, PARAMETER_THICKNESS=floats(5.0))
+        first.write(AT["FIT_READING_COUNT"], words(4) + floats(*at), unit)
+        for token in range(1, 7):
+            master = leaves if token == 6 else first
+            written = words(token, 0) + readings
+            pdu = write_read_pdu(AT["FIT_COMMIT"], written, AT["FIT_STATUS"], 2)
+            master.socket.sendall(master.frame(unit, pdu))
+            if token == 6:
+                leaves.socket.close()
+            else:
+                assert as_words(second.read(AT["FIT_STATUS"], 1, unit))[0] in (IS_BUSY, DONE)
+                assert as_words(first.receive()[2][2:])[0] in (IS_BUSY, DONE)
+            assert eventually(lambda: as_words(second.read(AT["FIT_DONE"], 1, unit)) == [token])
+            found = as_floats(second.read(AT["FIT_SIGMA_A"], 4, unit))
+            np.testing.assert_allclose(found, [0.03, 1.2], rtol=1e-3)
 
 
 def test_a_fit_that_is_no_success_is_not_done(master):
