@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/socket.h>
+#include <sys/uio.h>
 
 #include "server/http/answer.h"
 #include "server/http/openapi.h"
@@ -15,6 +16,7 @@
 #include "server/observe/health.h"
 
 enum {
+  HEADER_BYTES = 1024, /* of the library's memory for one connection, beside the URI */
   REST_MS = 1000,     /* the silence after which the connection releases its buffers */
   BRACKET_BYTES = 16, /* a body has at most one array or object for so many bytes it may have */
 };
@@ -136,12 +138,53 @@ void http_connection_notify(void *context, struct MHD_Connection *connection, vo
   }
 }
 
+/* Returns how much of the library's memory a URI takes: half of it at least is for the text, and each
+ * name of a query takes a structure. */
+static size_t library_bytes(const char *uri) {
+  enum { NAME_BYTES = 56 };
+  const size_t half = HTTP_CONNECTION_BYTES / 2;
+  size_t bytes = 0, names = 0;
+  for (; uri[bytes] != '\0'; bytes++) {
+    names += uri[bytes] == '&' || uri[bytes] == '?';
+  }
+  return (bytes > half ? bytes : half) + names * NAME_BYTES;
+}
+
+/* Answers a request whose URI the library has too little memory for: it would close the connection
+ * without a word. The rest of the request is thrown away, since the kernel resets a connection that
+ * is closed with bytes to read, and the client might lose the answer. */
+static void refuse_uri(struct http_connection *c) {
+  const wire_error error = wire_error_make(WIRE_STATUS_TOO_LARGE, "query",
+                                           "32 KiB with its names; the body of a POST may be larger");
+  char head[160], rest[4096];
+  health_note_refusal(c->host->server, &error);
+  http_text_reset(&c->answer);
+  http_answer_write_error(&error, &c->answer);
+  const int length = snprintf(head, sizeof head,
+                              "HTTP/1.1 414 URI Too Long\r\nConnection: close\r\n"
+                              "Content-Type: application/json\r\nContent-Length: %zu\r\n\r\n",
+                              c->answer.count);
+  struct iovec parts[] = {{head, (size_t)length}, {c->answer.bytes, c->answer.count}};
+  const struct msghdr answer = {.msg_iov = parts, .msg_iovlen = 2};
+  if (!c->answer.failed && sendmsg(c->fd, &answer, MSG_NOSIGNAL | MSG_DONTWAIT) > 0) {
+    shutdown(c->fd, SHUT_WR);
+  }
+  for (int i = 0; i < HTTP_CONNECTION_BYTES / (int)sizeof rest &&
+                  recv(c->fd, rest, sizeof rest, MSG_DONTWAIT) == (ssize_t)sizeof rest;
+       i++) {
+  }
+  c->state = ANSWERED;
+}
+
 void *http_connection_begin(void *context, const char *uri, struct MHD_Connection *connection) {
   struct http_connection *c = of_handle(context, connection);
   if (c != NULL) {
     free(c->uri);
     c->uri = strdup(uri);
     c->state = AWAITS;
+    if (library_bytes(uri) > HTTP_CONNECTION_BYTES - HEADER_BYTES) {
+      refuse_uri(c);
+    }
   }
   return c;
 }

@@ -12,6 +12,9 @@
 #include "server/net/client.h"
 #include "server/server.h"
 
+/* The library's memory for the request line and the header of one connection. */
+enum { HTTP_CONNECTION_BYTES = 32768 };
+
 /* What all connections share. */
 struct http_host {
   struct server *server;

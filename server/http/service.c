@@ -10,10 +10,7 @@
 #include "server/net/worker.h"
 #include "server/observe/log.h"
 
-enum {
-  CONNECTION_BYTES = 32768, /* room for the request line and the header */
-  REFUSALS_AT_ONCE = 64,
-};
+enum { REFUSALS_AT_ONCE = 64 };
 
 /* The service is a client of its worker: each turn lets the library read, answer and write. */
 struct http_service {
@@ -109,7 +106,7 @@ static struct MHD_Daemon *start_daemon(struct http_service *service) {
       MHD_OPTION_LISTEN_SOCKET, service->fd, MHD_OPTION_CONNECTION_LIMIT,
       (unsigned)options->max_http_connections + REFUSALS_AT_ONCE, MHD_OPTION_CONNECTION_TIMEOUT,
       (unsigned)(options->idle_timeout_ms + 999) / 1000, MHD_OPTION_CONNECTION_MEMORY_LIMIT,
-      (size_t)CONNECTION_BYTES, MHD_OPTION_UNESCAPE_CALLBACK, http_library_leave_escaped, NULL,
+      (size_t)HTTP_CONNECTION_BYTES, MHD_OPTION_UNESCAPE_CALLBACK, http_library_leave_escaped, NULL,
       MHD_OPTION_URI_LOG_CALLBACK, http_connection_begin, host, MHD_OPTION_NOTIFY_COMPLETED,
       http_connection_complete, host, MHD_OPTION_NOTIFY_CONNECTION, http_connection_notify, host,
       MHD_OPTION_END);

@@ -407,11 +407,21 @@ def test_bodies_that_are_wrong(served, body):
 @pytest.mark.parametrize(
     "query", ["r", "r=%", "r=%g0", "r=%00", "r=1&r=2", "r=%ff", "r=1,,2", "=", "model=%C3%28",
               "r=0x1", "r=1e999", "r=1 2", "medium=" + "%41" * 5000, "x" * 3000 + "=1",
-              "&".join(f"x{i}=1" for i in range(200)), "r=" + "1," * 10000 + "x", "%ff=1"]
+              "&".join(f"x{i}=1" for i in range(200)), "r=" + "1," * 10000 + "x", "%ff=1",
+              "r%2Cx=1", "r,x=1"]
 )
 def test_queries_that_are_wrong(served, query):
     answer = get(served, "/v1/eval?model=better&" + query.replace(" ", "%20"))
     assert 400 <= answer.status < 500, answer.text
+
+
+@pytest.mark.parametrize("length", [1, 8, 100])
+def test_long_queries_get_an_answer(served, length):
+    """libmicrohttpd takes memory for each name, and closes a connection that has too little."""
+    for count in (65, 300, 400, 500, 1000, 3000, 30000 // length):
+        answer = get(served, "/v1/eval?" + "&".join(length * "a" for _ in range(count)))
+        assert answer.status in (400, 414), (count, answer.text)
+    assert good(get(served, "/healthz")) == {"status": "ok"}
 
 
 def test_paths_methods_and_types(served):
