@@ -142,7 +142,7 @@ const core_choice *core_choice_by_id(const core_choice *list, unsigned id) {
 
 const core_choice *core_choice_by_name(const core_choice *list, const char *name) {
   for (; list->name != NULL; list++) {
-    if (strcmp(list->name, name) == 0) {
+    if (list->name[0] == name[0] && strcmp(list->name, name) == 0) {
       return list;
     }
   }

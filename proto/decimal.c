@@ -3,6 +3,7 @@
 #include <float.h>
 #include <math.h>
 #include <pthread.h>
+#include <stdatomic.h>
 #include <stdbool.h>
 #include <stdint.h>
 #include <stdlib.h>
@@ -24,6 +25,7 @@ static struct power {
   uint64_t high;
   uint64_t low;
 } powers[POWER_MAX - POWER_MIN + 1];
+static atomic_bool powers_are_made;
 
 /* Returns the 128 leading bits of a number, plus 1 if other bits are set or `inexact`. */
 static struct power leading_bits(const uint64_t number[LIMBS], bool inexact) {
@@ -69,6 +71,7 @@ static void make_powers(void) {
     }
     powers[k - POWER_MIN] = leading_bits(number, true);
   }
+  atomic_store_explicit(&powers_are_made, true, memory_order_release);
 }
 
 /* These return the floor of log10(2^e), log10(3/4 2^e) and log2(10^e), for exponents of doubles. */
@@ -202,79 +205,87 @@ static void add_point(struct text *text, unsigned digits) {
   text->words[2] = digits < 16 ? third << 8 | second >> 56 : with_point(third, digits);
 }
 
-/* Returns the length of d.ddde-5. */
-static size_t scientific_length(size_t count, int exponent) {
-  const int size = exponent < 0 ? -exponent : exponent;
-  return count + (count > 1) + 1 + (exponent < 0) + (size < 10 ? 1 : size < 100 ? 2 : 3);
+/* Writes d.ddde-5. Returns its length. */
+static size_t write_scientific(struct text *from, char *text) {
+  const int exponent = from->exponent;
+  unsigned size = (unsigned)(exponent < 0 ? -exponent : exponent);
+  size_t length = from->count + (from->count > 1);
+  memcpy(text + 1, from->words, sizeof from->words); /* the first digit's place is the point's */
+  text[0] = (char)from->words[0];
+  text[1] = '.';
+  text[length++] = 'e';
+  text[length] = '-';
+  length += exponent < 0;
+  if (size >= 100) {
+    text[length++] = (char)('0' + size / 100);
+    size %= 100;
+    text[length++] = (char)('0' + size / 10);
+    size %= 10;
+  } else if (size >= 10) {
+    text[length++] = (char)('0' + size / 10);
+    size %= 10;
+  }
+  text[length++] = (char)('0' + size);
+  return length;
 }
 
-/* length: of the text */
-static void write_scientific(struct text *from, size_t length, char *text) {
-  int size = from->exponent < 0 ? -from->exponent : from->exponent;
-  char *at = text + from->count + (from->count > 1), *end = text + length;
-  add_point(from, 1);
-  memcpy(text, from->words, sizeof from->words);
-  *at++ = 'e';
-  *at = '-';
-  do {
-    *--end = (char)('0' + size % 10);
-    size /= 10;
-  } while (size > 0);
+/* Writes 0.00123 of an exponent from -5 to -1. Returns its length. */
+static size_t write_small(const struct text *from, char *text) {
+  memcpy(text, "0.0000", 6);
+  memcpy(text + 1 - from->exponent, from->words, sizeof from->words);
+  return from->count + 1 + (size_t)-from->exponent;
 }
 
-/* Returns the length of 0.00123, 123000 or 12.3. */
-static size_t plain_length(size_t count, int exponent) {
-  const size_t whole = exponent < 0 ? 0 : (size_t)exponent + 1; /* digits before the point */
-  return whole == 0 ? count + 1 + (size_t)-exponent : count > whole ? count + 1 : whole;
-}
-
-/* exponent: from -5 to 15 */
-static void write_plain(struct text *from, char *text) {
-  const size_t whole = from->exponent < 0 ? 0 : (size_t)from->exponent + 1;
-  if (whole == 0) {
-    memcpy(text, "0.0000", 6);
-    text += 1 - from->exponent;
-  } else if (from->count > whole) {
+/* Writes 123000 or 12.3 of an exponent from 0 to 15. Returns its length. */
+static size_t write_plain(struct text *from, char *text) {
+  const size_t whole = (size_t)from->exponent + 1; /* digits before the point */
+  const bool has_point = from->count > whole;
+  if (has_point) {
     add_point(from, (unsigned)whole);
   }
   memcpy(text, from->words, sizeof from->words);
+  return has_point ? from->count + 1 : whole;
 }
 
 /* Writes a positive and finite decimal. The plain form is taken unless it is longer. Returns its
  * length; behind it are characters of no meaning. */
-static size_t write_decimal(struct digits decimal, char *text) {
+static inline size_t write_decimal(struct digits decimal, char *text) {
   struct text made = make_text(decimal);
-  const size_t scientific = scientific_length(made.count, made.exponent);
-  const size_t plain =
-      made.exponent < -5 || made.exponent > 15 ? SIZE_MAX : plain_length(made.count, made.exponent);
-  if (plain > scientific) {
-    write_scientific(&made, scientific, text);
-    return scientific;
+  const int exponent = made.exponent, several = made.count > 1;
+  if (exponent < 0) { /* 0.00d and d.e-3 have the same length, as have 0.000dd and d.de-4 */
+    return exponent >= -2 - several ? write_small(&made, text) : write_scientific(&made, text);
   }
-  write_plain(&made, text);
-  return plain;
+  /* A point among the digits takes less than an exponent. Zeros behind them may take more. */
+  const int scientific = (int)made.count + several + (exponent < 10 ? 2 : 3);
+  return exponent < (int)made.count - 1 || (exponent <= 15 && exponent + 1 <= scientific)
+             ? write_plain(&made, text)
+             : write_scientific(&made, text);
 }
 
-/* Writes a value. magnitude: its bits in IEEE 754 without the sign, for significands of `precision`
- * bits. least: the binary exponent of the smallest subnormal number. */
-static size_t write_bits(double value, uint64_t magnitude, int precision, int least,
-                         char text[DECIMAL_BYTES]) {
-  static pthread_once_t once = PTHREAD_ONCE_INIT;
-  const char *name = isnan(value) ? "nan" : isinf(value) ? "inf" : value == 0 ? "0" : NULL;
-  size_t length = signbit(value) && !isnan(value);
+/* Writes a value that is no number, infinite or 0. */
+static size_t write_name(double value, char text[DECIMAL_BYTES]) {
+  const char *name = isnan(value) ? "nan" : isinf(value) ? "inf" : "0";
+  const size_t sign = signbit(value) && !isnan(value), length = strlen(name);
   text[0] = '-';
-  if (name != NULL) {
-    memcpy(text + length, name, strlen(name));
-    length += strlen(name);
-  } else {
+  memcpy(text + sign, name, length + 1);
+  return sign + length;
+}
+
+/* Writes a value that is finite and not 0. magnitude: its bits in IEEE 754 without the sign, for
+ * significands of `precision` bits. least: the binary exponent of the smallest subnormal number. */
+static inline size_t write_bits(bool negative, uint64_t magnitude, int precision, int least,
+                                char text[DECIMAL_BYTES]) {
+  static pthread_once_t once = PTHREAD_ONCE_INIT;
+  if (!atomic_load_explicit(&powers_are_made, memory_order_acquire)) {
     pthread_once(&once, make_powers);
-    const uint64_t hidden = UINT64_C(1) << (precision - 1), fraction = magnitude & (hidden - 1);
-    const int biased = (int)(magnitude >> (precision - 1));
-    const struct digits decimal =
-        shortest(biased > 0 ? fraction | hidden : fraction, (biased > 0 ? biased - 1 : 0) + least,
-                 fraction == 0 && biased > 1);
-    length += write_decimal(decimal, text + length);
   }
+  const uint64_t hidden = UINT64_C(1) << (precision - 1), fraction = magnitude & (hidden - 1);
+  const int biased = (int)(magnitude >> (precision - 1));
+  const struct digits decimal =
+      shortest(biased > 0 ? fraction | hidden : fraction, (biased > 0 ? biased - 1 : 0) + least,
+               fraction == 0 && biased > 1);
+  text[0] = '-';
+  const size_t length = negative + write_decimal(decimal, text + negative);
   text[length] = '\0';
   return length;
 }
@@ -282,15 +293,19 @@ static size_t write_bits(double value, uint64_t magnitude, int precision, int le
 size_t decimal_write(double value, char text[DECIMAL_BYTES]) {
   uint64_t bits;
   memcpy(&bits, &value, sizeof bits);
-  return write_bits(value, bits & (UINT64_MAX >> 1), DBL_MANT_DIG, DBL_MIN_EXP - DBL_MANT_DIG,
-                    text);
+  return isfinite(value) && value != 0
+             ? write_bits(bits >> 63, bits & (UINT64_MAX >> 1), DBL_MANT_DIG,
+                          DBL_MIN_EXP - DBL_MANT_DIG, text)
+             : write_name(value, text);
 }
 
 size_t decimal_write_single(float value, char text[DECIMAL_BYTES]) {
   uint32_t bits;
   memcpy(&bits, &value, sizeof bits);
-  return write_bits((double)value, bits & (UINT32_MAX >> 1), FLT_MANT_DIG,
-                    FLT_MIN_EXP - FLT_MANT_DIG, text);
+  return isfinite(value) && value != 0
+             ? write_bits(bits >> 31, bits & (UINT32_MAX >> 1), FLT_MANT_DIG,
+                          FLT_MIN_EXP - FLT_MANT_DIG, text)
+             : write_name((double)value, text);
 }
 
 /* ---- reading --------------------------------------------------------------------------------- */

@@ -105,7 +105,8 @@ void wire_set_text(char *field, size_t bytes, const char *text) {
 /* ---- frames ---------------------------------------------------------------------------------- */
 
 wire_error wire_error_none(void) {
-  return (wire_error){.status = WIRE_STATUS_OK};
+  static const wire_error none = {.status = WIRE_STATUS_OK}; /* copying it is faster than zeroing */
+  return none;
 }
 
 wire_error wire_error_make(enum wire_status status, const char *field, const char *allowed) {

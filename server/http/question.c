@@ -109,7 +109,7 @@ static void find_coefficients(const struct http_values *values,
 static bool is_coefficient(const void *context, const char *name) {
   const struct http_values *values = context;
   for (int i = 0; i < COEFFICIENTS; i++) {
-    if (strcmp(name, http_fields_of_medium[i].name) == 0) {
+    if (http_values_same(name, http_fields_of_medium[i].name)) {
       return !json_is_array(http_values_get(values, name).json);
     }
   }
@@ -313,7 +313,7 @@ static wire_error add_sets(const struct question *q, const char *name, struct ht
 static const struct http_list *list_of(const struct http_message *message, const char *field) {
   for (int i = 0; i < HTTP_LISTS && message->lists[i].name != NULL; i++) {
     const struct http_list *list = &message->lists[i];
-    if (strcmp(list->count, field) == 0 || (list->rule != NULL && strcmp(list->rule, field) == 0)) {
+    if (http_values_same(list->count, field) || (list->rule != NULL && http_values_same(list->rule, field))) {
       return list;
     }
   }
@@ -495,19 +495,19 @@ static bool is_known(const void *context, const char *key) {
   const struct http_message *message = context;
   for (int i = 0; i < HTTP_STRUCTURES && message->request[i] != NULL; i++) {
     for (const struct http_field *field = message->request[i]; field->name != NULL; field++) {
-      if (strcmp(field->name, key) == 0 && !field->internal) {
+      if (http_values_same(field->name, key) && !field->internal) {
         const struct http_list *list = list_of(message, key);
         return list == NULL || list->rule != NULL;
       }
     }
   }
   for (int i = 0; i < HTTP_LISTS && message->lists[i].name != NULL; i++) {
-    if (strcmp(message->lists[i].name, key) == 0) {
+    if (http_values_same(message->lists[i].name, key)) {
       return true;
     }
   }
   for (int i = 0; message->media_most > 0 && i < COEFFICIENTS; i++) {
-    if (strcmp(http_fields_of_medium[i].name, key) == 0) {
+    if (http_values_same(http_fields_of_medium[i].name, key)) {
       return true;
     }
   }

@@ -45,86 +45,106 @@ static bool grow(struct http_text *text, size_t wanted) {
   return true;
 }
 
-char *http_text_room(struct http_text *text, size_t bytes) {
-  if (!text->failed && bytes > text->capacity - text->count) {
+/* As http_text_room(), which is called from other files. */
+static inline char *room(struct http_text *text, size_t bytes) {
+  if (bytes > text->capacity - text->count && !text->failed) {
     text->failed = !grow(text, text->count + bytes);
   }
   return text->failed ? NULL : text->bytes + text->count;
 }
 
+char *http_text_room(struct http_text *text, size_t bytes) {
+  return room(text, bytes);
+}
+
 void http_text_add(struct http_text *text, const char *bytes, size_t count) {
-  char *at = http_text_room(text, count);
+  char *at = room(text, count);
   if (at != NULL && count > 0) {
     memcpy(at, bytes, count);
     text->count += count;
   }
 }
 
-/* Returns how many bytes come before the first one that needs an escape. */
-static size_t plain_bytes(const char *string) {
-  size_t count = 0;
-  while ((unsigned char)string[count] >= 0x20 && string[count] != '"' && string[count] != '\\') {
-    count++;
+enum { ESCAPE_BYTES = 6 };
+
+/* Writes a character that needs an escape. */
+static char *put_escape(char *at, unsigned char byte) {
+  static const char hex[] = "0123456789abcdef";
+  *at++ = '\\';
+  if (byte >= 0x20) {
+    *at++ = (char)byte;
+    return at;
   }
-  return count;
+  memcpy(at, "u00", 3);
+  at[3] = hex[byte >> 4];
+  at[4] = hex[byte & 15];
+  return at + 5;
 }
 
-static void add_escape(struct http_text *text, unsigned char byte) {
-  char escaped[8];
-  const int length = byte < 0x20 ? snprintf(escaped, sizeof escaped, "\\u%04x", byte)
-                                 : snprintf(escaped, sizeof escaped, "\\%c", byte);
-  http_text_add(text, escaped, (size_t)length);
-}
-
-static void add_string(struct http_text *text, const char *string) {
-  http_text_add(text, "\"", 1);
-  for (;;) {
-    const size_t plain = plain_bytes(string);
-    http_text_add(text, string, plain);
-    string += plain;
-    if (*string == '\0') {
-      break;
+static char *put_string(char *at, const char *string) {
+  *at++ = '"';
+  for (; *string != '\0'; string++) {
+    const unsigned char byte = (unsigned char)*string;
+    if (byte < 0x20 || byte == '"' || byte == '\\') {
+      at = put_escape(at, byte);
+    } else {
+      *at++ = (char)byte;
     }
-    add_escape(text, (unsigned char)*string++);
   }
-  http_text_add(text, "\"", 1);
+  *at++ = '"';
+  return at;
 }
 
-/* Starts a value. Keys are names from lists of the protocol, which need no escapes. */
-static void start_value(struct http_text *text, const char *key) {
+/* Starts a value, for which it makes room. Returns where it begins, or NULL if there is no memory.
+ * Keys are names from lists of the protocol, which need no escapes. */
+static char *start_value(struct http_text *text, const char *key, size_t bytes) {
   const size_t length = key != NULL ? strlen(key) : 0;
-  char *at = http_text_room(text, length + 4);
-  if (at != NULL) {
-    char *const begin = at;
-    if (text->filled) {
-      *at++ = ',';
-    }
-    if (key != NULL) {
-      *at++ = '"';
-      memcpy(at, key, length);
-      at += length;
-      *at++ = '"';
-      *at++ = ':';
-    }
-    text->count += (size_t)(at - begin);
+  char *at = room(text, length + 4 + bytes);
+  if (at == NULL) {
+    return NULL;
+  }
+  if (text->filled) {
+    *at++ = ',';
+  }
+  if (key != NULL) {
+    *at++ = '"';
+    memcpy(at, key, length);
+    at += length;
+    *at++ = '"';
+    *at++ = ':';
   }
   text->filled = true;
+  return at;
+}
+
+/* Ends a value: `at` is where the next one begins. */
+static void end_value(struct http_text *text, const char *at) {
+  text->count = (size_t)(at - text->bytes);
 }
 
 void http_text_begin(struct http_text *text, const char *key, char bracket) {
-  start_value(text, key);
-  http_text_add(text, &bracket, 1);
+  char *at = start_value(text, key, 1);
+  if (at != NULL) {
+    *at++ = bracket;
+    end_value(text, at);
+  }
   text->filled = false;
 }
 
 void http_text_end(struct http_text *text, char bracket) {
-  http_text_add(text, &bracket, 1);
+  char *at = room(text, 1);
+  if (at != NULL) {
+    *at++ = bracket;
+    end_value(text, at);
+  }
   text->filled = true;
 }
 
 void http_text_string(struct http_text *text, const char *key, const char *string) {
-  start_value(text, key);
-  add_string(text, string);
+  char *at = start_value(text, key, ESCAPE_BYTES * strlen(string) + 2);
+  if (at != NULL) {
+    end_value(text, put_string(at, string));
+  }
 }
 
 static size_t write_number(double value, char *at) {
@@ -141,10 +161,9 @@ static size_t write_number(double value, char *at) {
 }
 
 void http_text_number(struct http_text *text, const char *key, double value) {
-  start_value(text, key);
-  char *at = http_text_room(text, DECIMAL_BYTES);
+  char *at = start_value(text, key, DECIMAL_BYTES);
   if (at != NULL) {
-    text->count += write_number(value, at);
+    end_value(text, at + write_number(value, at));
   }
 }
 
@@ -158,19 +177,18 @@ void http_text_numbers(struct http_text *text, const char *key, const void *valu
   for (uint64_t i = 0; i < count; i++) {
     if (i % NUMBERS_AT_ONCE == 0) {
       const uint64_t left = count - i;
-      at = http_text_room(text, (DECIMAL_BYTES + 1) *
-                                    (size_t)(left < NUMBERS_AT_ONCE ? left : NUMBERS_AT_ONCE));
+      at = room(text, (DECIMAL_BYTES + 1) *
+                          (size_t)(left < NUMBERS_AT_ONCE ? left : NUMBERS_AT_ONCE));
       if (at == NULL) {
         return;
       }
     }
-    char *const begin = at;
     if (i > 0) {
       *at++ = ',';
     }
     at +=
         write_number(single ? (double)((const float *)values)[i] : ((const double *)values)[i], at);
-    text->count += (size_t)(at - begin);
+    end_value(text, at);
   }
   http_text_end(text, ']');
 }
@@ -186,6 +204,10 @@ void http_text_bool(struct http_text *text, const char *key, bool value) {
 }
 
 void http_text_raw(struct http_text *text, const char *key, const char *json) {
-  start_value(text, key);
-  http_text_add(text, json, strlen(json));
+  const size_t length = strlen(json);
+  char *at = start_value(text, key, length);
+  if (at != NULL) {
+    memcpy(at, json, length);
+    end_value(text, at + length);
+  }
 }

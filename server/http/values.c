@@ -81,32 +81,25 @@ static int digit_of(char character) {
                                              : (character | 0x20) - 'a' + 10;
 }
 
-/* Decodes %XX in place. Returns false if it finds another escape, or an escaped zero byte. */
-static bool unescape(char *text) {
+/* Decodes %XX in place, and ends each element of a list with a zero byte. Returns how many elements
+ * there are, or 0 if it finds another escape, or an escaped zero byte. */
+static size_t unescape(char *text) {
   char *to = text;
+  size_t count = 1;
   for (const char *at = text; *at != '\0'; at++) {
-    if (*at != '%') {
-      *to++ = *at;
-      continue;
+    char byte = *at;
+    if (byte == '%') {
+      const int high = digit_of(at[1]), low = high < 0 ? -1 : digit_of(at[2]);
+      if (low < 0 || high + low == 0) {
+        return 0;
+      }
+      byte = (char)(high << 4 | low);
+      at += 2;
     }
-    const int high = digit_of(at[1]), low = high < 0 ? -1 : digit_of(at[2]);
-    if (low < 0 || high + low == 0) {
-      return false;
-    }
-    *to++ = (char)(high << 4 | low);
-    at += 2;
+    count += byte == ',';
+    *to++ = byte == ',' ? '\0' : byte;
   }
   *to = '\0';
-  return true;
-}
-
-/* Ends each element of a list with a zero byte. Returns how many there are. */
-static size_t separate(char *list) {
-  size_t count = 1;
-  for (char *comma = list; (comma = strchr(comma, ',')) != NULL; comma++) {
-    *comma = '\0';
-    count++;
-  }
   return count;
 }
 
@@ -116,15 +109,19 @@ static wire_error add_pair(struct http_values *values, char *pair) {
     return bad("query", "NAME=VALUE, with & between them");
   }
   *text++ = '\0';
-  if (!unescape(pair) || !unescape(text)) {
+  const size_t name_count = unescape(pair), count = unescape(text);
+  if (name_count == 0 || count == 0) {
     return bad("query", "escapes %01 to %FF");
+  }
+  if (name_count > 1) {
+    return bad("query", "names without commas");
   }
   _Static_assert(HTTP_QUERY_NAMES == 64, "the error says so");
   if (values->name_count == HTTP_QUERY_NAMES || http_value_given(http_values_get(values, pair))) {
     return bad("query", "at most 64 names, each once");
   }
   values->names[values->name_count].name = pair;
-  values->names[values->name_count++].value = (struct http_value){NULL, text, separate(text)};
+  values->names[values->name_count++].value = (struct http_value){NULL, text, count};
   return wire_error_none();
 }
 
@@ -158,7 +155,7 @@ struct http_value http_values_get(const struct http_values *values, const char *
     return (struct http_value){.json = json_object_get(values->object, name)};
   }
   for (size_t i = 0; i < values->name_count; i++) {
-    if (strcmp(values->names[i].name, name) == 0) {
+    if (http_values_same(values->names[i].name, name)) {
       return values->names[i].value;
     }
   }

@@ -4,6 +4,7 @@
 #define DIPOLED_HTTP_VALUES_H
 
 #include <jansson.h>
+#include <string.h>
 
 #include "core/core.h"
 #include "proto/wire.h"
@@ -49,6 +50,11 @@ struct http_value http_values_get(const struct http_values *values, const char *
 const char *http_values_unknown(const struct http_values *values,
                                 bool (*is_known)(const void *context, const char *name),
                                 const void *context);
+
+/* Compares two names. Few of those that are looked for begin alike. */
+static inline bool http_values_same(const char *one, const char *other) {
+  return one[0] == other[0] && strcmp(one, other) == 0;
+}
 
 static inline bool http_value_given(struct http_value value) {
   return value.json != NULL || value.text != NULL;
