@@ -4,9 +4,9 @@ user presses Ctrl-C:
     jobs.py HOST:PORT sample    ten radii, distributed as the light that leaves skin
     jobs.py HOST:PORT invert    the coefficients of three media of known albedo and mean free path
     jobs.py HOST:PORT mc        R of skin by Monte Carlo in five rings, with standard errors
-    jobs.py HOST:PORT fit [MM,READING,ERROR]...
-                                the coefficients of a medium of eta 1.4 from readings of R at some
-                                distances, with their standard errors
+    jobs.py HOST:PORT fit [g=0] [eta=1.4] [MM,READING,ERROR]...
+                                the coefficients of a medium from readings of R at some distances,
+                                with their standard errors
 
 DEVICE,BAUD in place of HOST:PORT names a serial line."""
 
@@ -68,12 +68,15 @@ def mc(unit: Unit) -> None:
 
 def fit(unit: Unit, *given: str) -> None:
     """An instrument writes its places once, and then its readings each time."""
-    at, values, errors = zip(*(map(float, one.split(",")) for one in given or READINGS))
+    known = {"g": 0.0, "eta": 1.4}
+    known |= {name: float(value) for name, _, value in (one.partition("=") for one in given) if value}
+    readings = [one for one in given if "=" not in one] or READINGS
+    at, values, errors = zip(*(map(float, one.split(",")) for one in readings))
     unit.write(101, "H", TRANSPORT)
-    unit.write(112, "f", 1.4)  # eta
+    unit.write(110, "2f", known["g"], known["eta"])
     unit.write(8015, f"H{len(at)}f", len(at), *at)  # reading_count, at
-    readings = [number for pair in zip(values, errors) for number in pair]
-    unit.write(8204, f"{len(readings)}f", *readings)
+    pairs = [number for pair in zip(values, errors) for number in pair]
+    unit.write(8204, f"{len(pairs)}f", *pairs)
     run(unit, 8200, 8320, 0, 8420)
     a, s, a_error, s_error, _, chi_squared = unit.floats(8328, 6)
     print(f"sigma_a {a:.6g} +- {a_error:.2g}, sigma_s' {s:.6g} +- {s_error:.2g} 1/mm")

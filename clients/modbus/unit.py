@@ -100,7 +100,8 @@ class Unit:
             show()
             time.sleep(0.02)
         if state == UNFITTED:
-            sys.exit(f"the fit is no success: fit_status {self.read(FIT_STATUS, 1)[1]}")
+            number = self.read(FIT_STATUS, 1)[1]
+            sys.exit(f"the fit is no success: fit_status {number}, see the list in REGISTERS.md")
         if state != DONE:
             self.fail(status + 2, error_text)
         if done != token:

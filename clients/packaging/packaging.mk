@@ -27,7 +27,7 @@ manuals: $(BUILD)/dipoled $(BUILD)/dipole
 install: $(INSTALLED) $(LIBRARIES)
 	$(Q)$(INSTALL_FILES) install
 	$(Q)[ -n "$(DESTDIR)" ] || [ "$$(id -u)" != 0 ] || ldconfig
-	$(Q)[ -n "$(DESTDIR)" ] || [ "$$(id -u)" != 0 ] || ! command -v systemd-sysusers >/dev/null || systemd-sysusers dipoled.conf
+	$(Q)[ -n "$(DESTDIR)" ] || [ "$$(id -u)" != 0 ] || ! command -v systemd-sysusers >/dev/null || systemd-sysusers '$(PREFIX)/lib/sysusers.d/dipoled.conf'
 	@printf 'Installed in %s%s: programs in %s, library in %s, Python module in %s\n' \
 		'$(DESTDIR)' '$(PREFIX)' '$(BINDIR)' '$(LIBDIR)' '$(PYTHONDIR)'
 
