@@ -20,6 +20,7 @@
 #   make reference  core/transport/reference.csv, R(r) for many g, solved anew (an hour; resumes)
 #   make figures    Figures 1 to 17 of d'Eon 2012 and one of tissue, in build/figures (ten minutes;
 #                   resumes), with build/figures/index.html, and core/tools/tissue.svg
+#   make picture    a mesh in marble, milk and skin by three models, clients/c/examples/picture.png
 #   make fit-bias   coefficients that diffusion models give, beside those by transport
 #   make install    to $(DESTDIR)$(PREFIX); make uninstall takes it away again
 #   make container  an image of the daemon, by podman or docker (clients/deploy/Containerfile)
@@ -139,7 +140,7 @@ INSTALLED := $(BUILD)/dipoled $(BUILD)/dipole
 PROGRAMS := $(INSTALLED) $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-tls-long check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz check-truth check-fits check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables reference tradeoff figures fit-bias clean
+.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-tls-long check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz check-truth check-fits check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables reference tradeoff figures picture fit-bias clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -152,6 +153,9 @@ $(OBJ)/%.o: %.c Makefile
 
 # Whose loop over listed radii is to be vectorized, and as fast wherever the linker puts it.
 $(OBJ)/core/radii.o: override CFLAGS := $(CFLAGS) -O3 -fopenmp-simd -falign-loops=64 -falign-functions=64
+
+# The hash of large sets of points, at the speed of libraries.
+$(OBJ)/proto/digest.o: override CFLAGS := $(CFLAGS) -O3 -funroll-loops
 
 # core/models/NAME.ISA.fREAL.o
 define kernel_rule
@@ -266,7 +270,7 @@ $(BUILD)/tests/%: $(OBJ)/tests/%.o $(TEST_SUPPORT) $(BUILD)/libdipole.a
 
 # The daemon's cache, tested without a daemon.
 CACHE_TESTS := test_cache test_profiles
-$(CACHE_TESTS:%=$(BUILD)/tests/unit/%): $(call objects,server/store/cache.c server/store/profiles.c server/observe/stats.c)
+$(CACHE_TESTS:%=$(BUILD)/tests/unit/%): $(call objects,server/store/cache.c server/store/points.c server/store/profiles.c server/observe/stats.c)
 $(CACHE_TESTS:%=$(BUILD)/tests/unit/%): TEST_LIBS = $(UV_LIBS)
 $(CACHE_TESTS:%=$(OBJ)/tests/unit/%.o): EXTRA_CPPFLAGS = $(UV_CFLAGS)
 
@@ -484,6 +488,17 @@ figures:
 	DIPOLED=private:$(BUILD)/dipoled $(PYTHON) core/tools/figures.py --output $(BUILD)/figures $(FIGURES_OPTIONS)
 	cp $(BUILD)/figures/tissue.svg core/tools/
 	$(BUILD)/dipole plot --medium skin1 --model classical,better,transport --error --plot clients/cli/skin1.svg
+
+# A mesh in marble, milk and skin by three models, with light gathered from points.
+$(OBJ)/clients/c/examples/picture.o: EXTRA_CPPFLAGS = $(PNG_CFLAGS)
+$(BUILD)/picture: $(OBJ)/clients/c/examples/picture.o $(BUILD)/libdipole.a
+	$(call SAY,LD,$@)
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(PNG_LIBS) $(TLS_LIBS) -lm
+
+picture:
+	@sh .ci/install-packages demo
+	@$(MAKE) --no-print-directory -j2 $(BUILD)/dipoled $(BUILD)/picture
+	DIPOLED=private:$(BUILD)/dipoled $(BUILD)/picture clients/c/examples/picture.png
 
 # What diffusion models make of readings, beside transport: a table and build/figures/fit_bias.svg.
 fit-bias:

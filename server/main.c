@@ -141,7 +141,7 @@ static bool start_workers(struct daemon *daemon) {
   const uint64_t count = server_worker_count(server);
   server->workers = calloc(count, sizeof *server->workers);
   server->latencies = calloc(count, sizeof *server->latencies);
-  server->cache = cache_new(server->isa, server->options.cache_bytes,
+  server->cache = cache_new(server->isa, server->options.cache_bytes, server->options.points_bytes,
                             server->options.max_waiting_profiles, &server->stats);
   server->mc = mc_pool_new(server);
   if (server->workers == NULL || server->latencies == NULL || server->cache == NULL ||

@@ -24,6 +24,7 @@ struct server {
   const core_isa *isa;
   struct stats stats;
   _Atomic uint64_t buffer_bytes; /* memory that the buffers of all connections hold */
+  _Atomic uint64_t points_sent_bytes; /* memory of sets of points that are still being sent */
   uint64_t started_ns;
   _Atomic bool draining;         /* whether the daemon stops and takes no new clients */
   _Atomic uint64_t refused_ms;   /* when capacity last lacked, by uv_hrtime(); 0: never */

@@ -830,6 +830,75 @@ const float *dipole_coefficients_f32(const dipole_varying_result *result, unsign
 
 void dipole_varying_result_free(dipole_varying_result *result); /* result may be NULL */
 
+/* ---- light gathered from points ------------------------------------------------------------ */
+
+/* Sums the light that points leave at other positions x of a surface: M(x) is the sum of R(|x - xi|)
+ * times the power of point i, over all points, for each channel (Jensen and Buhler 2002). The daemon
+ * lets groups of points stand for their points where that is known to keep the tolerance. */
+
+/* A set of points that hold power, named by its content. */
+typedef struct dipole_points dipole_points;
+
+typedef struct dipole_points_info {
+  uint64_t point_count;
+  uint32_t channel_count;
+  const double *xyz_mm; /* the arrays of dipole_points_make() */
+  const float *power_W;
+  uint8_t name[16]; /* the hash of the content, the same everywhere */
+} dipole_points_info;
+
+/* Makes a set of points and computes its name, in about a second for 1 GB. xyz_mm:
+ * [point_count][3], from -1e9 to 1e9. power_W: [point_count][channel_count], from 0 to 1e30:
+ * irradiance times area. Both arrays stay the caller's, and must stay as they are until the caller
+ * frees *points with dipole_points_free(). A set may have 1 to 16777216 points with 1 to 8
+ * channels. */
+bool dipole_points_make(uint64_t point_count, uint32_t channel_count, const double *xyz_mm,
+                        const float *power_W, dipole_points **points, dipole_error *error);
+
+const dipole_points_info *dipole_points_get_info(const dipole_points *points);
+
+void dipole_points_free(dipole_points *points); /* points may be NULL */
+
+typedef struct dipole_gather_query {
+  unsigned model;     /* dipole_id(client, DIPOLE_MODEL, name) */
+  unsigned evaluator; /* enum dipole_evaluator */
+  unsigned moments;   /* enum dipole_moments */
+  const dipole_points *points;
+  const dipole_medium *media; /* one for each channel of the points */
+  const double *queries_mm;   /* [query_count][3], from -1e9 to 1e9 */
+  uint64_t query_count;
+  /* The largest error that groups of points may cause, relative to M, at each query and in each
+   * channel: 1e-9 to 0.5; or 0, so that each point is summed by itself. */
+  double tolerance;
+  const dipole_parameter *parameters; /* [parameter_count], as in dipole_query */
+  size_t parameter_count;
+  unsigned deadline_ms; /* of the whole call, the sending of points included; 0 is no limit */
+} dipole_gather_query;
+
+typedef struct dipole_gather_result {
+  uint64_t answered_count; /* fewer than query_count only if progress() returned false */
+  double bound;            /* the largest error that groups of points have caused, at most */
+  double numerical_error[8]; /* of each channel: by the evaluator and by rounding, relative */
+  double model_error[8];     /* of each channel: of R against radiative transport at 0.01 to 20 mean
+                                free paths, relative; NaN if it was not measured */
+  uint64_t points_visited;   /* points that were summed one by one */
+  uint64_t nodes_visited;    /* groups that stood for their points */
+  unsigned notes; /* sum of the ids of the notes (kind DIPOLE_NOTE) that hold for any channel */
+} dipole_gather_result;
+
+/* Gathers light at all queries and waits for it. M_W_per_mm2: [query_count][channels]. progress(),
+ * unless NULL, is called whenever some thousand more queries are answered; it must not use the
+ * client. If it returns false, the call ends, and the sums that are missing are NaN. result may be
+ * NULL.
+ *
+ * The points are sent to a daemon that does not have them, and again to one that has lost them, or
+ * that takes over from a daemon that has ended: neither is an error of the call. The number of
+ * queries is not limited; that of points is the daemon's limit max_points. */
+bool dipole_gather(dipole_client *client, const dipole_gather_query *query,
+                   bool (*progress)(void *context, uint64_t answered, uint64_t count),
+                   void *context, double *M_W_per_mm2, dipole_gather_result *result,
+                   dipole_error *error);
+
 /* ---- Monte Carlo --------------------------------------------------------------------------- */
 
 /* A Monte Carlo job: the daemon walks photons through a medium until it has walked enough of them

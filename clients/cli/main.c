@@ -7,14 +7,14 @@
 #include "clients/cli/options.h"
 
 extern const cli_command cli_command_eval, cli_command_plot, cli_command_points, cli_command_sample,
-    cli_command_invert, cli_command_fit, cli_command_texture, cli_command_table, cli_command_mc,
-    cli_command_media, cli_command_info, cli_command_top, cli_command_bench;
+    cli_command_invert, cli_command_fit, cli_command_texture, cli_command_gather, cli_command_table,
+    cli_command_mc, cli_command_media, cli_command_info, cli_command_top, cli_command_bench;
 
 static const cli_command *const commands[] = {
     &cli_command_eval,   &cli_command_plot,  &cli_command_points,  &cli_command_sample,
-    &cli_command_invert, &cli_command_fit,   &cli_command_texture, &cli_command_table,
-    &cli_command_mc,     &cli_command_media, &cli_command_info,    &cli_command_top,
-    &cli_command_bench,
+    &cli_command_invert, &cli_command_fit,   &cli_command_texture, &cli_command_gather,
+    &cli_command_table,  &cli_command_mc,    &cli_command_media,   &cli_command_info,
+    &cli_command_top,    &cli_command_bench,
 };
 
 enum { COMMANDS = sizeof commands / sizeof commands[0] };

@@ -55,6 +55,7 @@ void job_init_lookup(struct job *job, struct profiles_lookup *lookup,
   lookup->entry = NULL;
   lookup->fit = NULL;
   lookup->varying = NULL;
+  lookup->gather = NULL;
   lookup->waiter.entry = NULL;
   lookup->waiter.admitted = false;
   lookup->woken = false;
@@ -145,6 +146,8 @@ wire_error job_fault(core_fault fault, uint32_t channel) {
   if (profiles_is_busy(fault)) {
     error.status = WIRE_STATUS_BUSY;
     error.retry_after_ms = JOB_RETRY_AFTER_MS;
+  } else if (profiles_is_unknown(fault)) {
+    error.status = WIRE_STATUS_UNKNOWN_POINTS;
   }
   return error;
 }

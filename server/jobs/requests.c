@@ -3,6 +3,7 @@
 #include <stdio.h>
 
 #include "server/observe/health.h"
+#include "server/store/points.h"
 
 void requests_init(struct requests *requests, struct input *input, struct output *output,
                    void (*wake)(void *owner), void *owner) {
@@ -225,6 +226,15 @@ void requests_drop(struct requests *r) {
     job_end(r->job);
     r->job = NULL;
   }
+  points_release(r->points);
+  r->points = NULL;
+}
+
+void requests_trim(struct requests *r, uint64_t now_ms) {
+  if (r->points != NULL && r->job == NULL && points_is_late(r->points, now_ms)) {
+    points_release(r->points);
+    r->points = NULL;
+  }
 }
 
 void requests_end(struct requests *r, uint64_t request_id, wire_error error) {
@@ -286,7 +296,8 @@ static void start(struct requests *r, const wire_header *header, const uint8_t *
                                       .on_news = on_news,
                                       .owner = r,
                                       .profiles = r->profiles,
-                                      .detached = &r->detached};
+                                      .detached = &r->detached,
+                                      .points = &r->points};
   struct job *job;
   const enum job_outcome outcome = job_start(&r->slot, &request, &job);
   if (outcome == JOB_REFUSED) {

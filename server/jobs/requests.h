@@ -30,6 +30,7 @@ struct requests {
   struct job *job; /* the job whose request holds the input; NULL if there is none */
   struct job_slot slot;
   struct job *detached; /* the list of detached jobs */
+  struct points *points; /* the set of points that the client is sending; NULL if there is none */
   bool waiting;         /* whether the job waits for a profile */
   bool part_open;       /* whether the output has a reservation that the job is filling in */
   bool between_parts;   /* whether the next part waits until the reader has made room */
@@ -49,6 +50,9 @@ unsigned requests_count(const struct requests *requests);
 
 /* Gives up all jobs at once, without answers. */
 void requests_drop(struct requests *requests);
+
+/* Gives up the set of points that the client is sending, if it takes too long. */
+void requests_trim(struct requests *requests, uint64_t now_ms);
 
 /* Does one step: takes the next frame, or goes on with the current job. Subtracts the cost of the
  * step from *budget, down to 0. Returns false if there is nothing to do. */

@@ -424,6 +424,7 @@ static void tick(struct client *client, uint64_t now_ms) {
     }
     return;
   }
+  requests_trim(&c->requests, now_ms);
   if (c->requests.job == NULL) {
     input_trim(&c->input, now_ms);
   }

@@ -50,6 +50,8 @@ unsigned roles_needed(unsigned type) {
   case WIRE_TYPE_MC:
   case WIRE_TYPE_TABLE:
   case WIRE_TYPE_FIT:
+  case WIRE_TYPE_POINTS:
+  case WIRE_TYPE_GATHER:
     return ROLE_COMPUTE;
   case WIRE_TYPE_STATS:
     return ROLE_OBSERVE;

@@ -20,7 +20,7 @@
 
 enum role {
   ROLE_EVALUATE = 1, /* eval, offers, sample, invert and varying */
-  ROLE_COMPUTE = 2,  /* mc, table and fit: what may take seconds */
+  ROLE_COMPUTE = 2,  /* mc, table, fit, points and gather: what may take seconds */
   ROLE_OBSERVE = 4,  /* statistics */
   ROLE_ALL = 7,      /* what a client has where no file gives roles */
 };

@@ -39,6 +39,10 @@ static uint64_t computed_UPTIME_MS(const struct reporter *to) {
   return (uv_hrtime() - to->server->started_ns) / 1000000;
 }
 
+static uint64_t computed_POINTS_SENT_BYTES(const struct reporter *to) {
+  return atomic_load(&to->server->points_sent_bytes);
+}
+
 static uint64_t computed_BUFFER_BYTES(const struct reporter *to) {
   return atomic_load(&to->server->buffer_bytes);
 }

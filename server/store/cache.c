@@ -7,11 +7,14 @@
 #include <uv.h>
 
 #include "proto/fit.h"
+#include "server/store/points.h"
 
 enum {
   BUCKETS_MIN = 256, /* Each number of buckets is a power of two. */
   FAST_SHARE = 4,    /* Fast profiles may hold a quarter of all bytes. */
-  KINDS = 2,         /* fast, slow */
+  BUILD_NS = 1000000000, /* how long one call builds the tree of a set */
+  KINDS = 3,         /* fast, slow, and sets of points */
+  POINTS = 2,        /* the list of the latter */
 };
 
 struct cache_entry {
@@ -37,7 +40,8 @@ struct cache_entry {
     core_profile profile;
     core_varying varying; /* if key.varying is 1 */
   };
-  core_fit *fit;   /* NULL unless the key has a design */
+  core_fit *fit;       /* NULL unless the key has a design */
+  core_gather_points *gather; /* NULL unless the key has a set */
   double design[]; /* that of the key */
 };
 
@@ -55,6 +59,7 @@ struct cache {
   const core_isa *isa;
   struct stats *stats;
   uint64_t limit_bytes;
+  uint64_t points_bytes;
   uv_mutex_t mutex; /* guards the members that follow */
   struct bucket *buckets;
   uint64_t bucket_count;
@@ -71,7 +76,7 @@ struct cache {
 
 enum { PLAIN_BYTES = offsetof(struct cache_key, design) }; /* of a key, compared as they are */
 
-static_assert(PLAIN_BYTES == 16 + 8 * CORE_PARAMETERS_END + 32 + 16, "no padding");
+static_assert(PLAIN_BYTES == 16 + 8 * CORE_PARAMETERS_END + 32 + 16 + 16, "no padding");
 
 static double normalized(double value) {
   if (isnan(value)) {
@@ -120,6 +125,14 @@ void cache_key_set_design(struct cache_key *key, const uint8_t *design, size_t d
   }
 }
 
+void cache_key_set_points(struct cache_key *key, const uint64_t set[2], struct points *points) {
+  *key = (struct cache_key){.set = {set[0], set[1]}, .hash = set[0], .points = points};
+}
+
+static bool is_set(const struct cache_key *key) {
+  return (key->set[0] | key->set[1]) != 0;
+}
+
 bool cache_key_equal(const struct cache_key *a, const struct cache_key *b) {
   return a->hash == b->hash && memcmp(a, b, PLAIN_BYTES) == 0 &&
          a->design_bytes == b->design_bytes &&
@@ -149,6 +162,10 @@ void cache_hold(struct cache_entry *entry) {
   atomic_fetch_add_explicit(&entry->references, 1, memory_order_relaxed);
 }
 
+static void free_gather(void *gather) {
+  core_gather_points_free(gather);
+}
+
 void cache_release(struct cache_entry *entry) {
   /* This order makes all that other threads did with the entry come before it is freed. */
   if (atomic_fetch_sub_explicit(&entry->references, 1, memory_order_acq_rel) > 1) {
@@ -156,10 +173,13 @@ void cache_release(struct cache_entry *entry) {
   }
   if (entry->bytes > 0 && entry->key.varying != 0) {
     core_varying_free(&entry->varying);
+  } else if (entry->gather != NULL) {
+    points_free_aside(free_gather, entry->gather, entry->bytes);
   } else if (entry->bytes > 0) {
     core_profile_free(&entry->profile);
     core_fit_free(entry->fit);
   }
+  points_release(entry->key.points);
   free(entry);
 }
 
@@ -181,6 +201,10 @@ const core_fit *cache_fit(const struct cache_entry *entry) {
 
 const core_varying *cache_varying(const struct cache_entry *entry) {
   return &entry->varying;
+}
+
+const core_gather_points *cache_gather(const struct cache_entry *entry) {
+  return entry->gather;
 }
 
 core_fault cache_fault(const struct cache_entry *entry) {
@@ -250,7 +274,7 @@ static void take_out(struct cache *cache, struct cache_entry *entry) {
 /* ---- eviction -------------------------------------------------------------------------------- */
 
 static struct list *list_of(struct cache *cache, const struct cache_entry *entry) {
-  return &cache->lists[entry->slow];
+  return &cache->lists[is_set(&entry->key) ? POINTS : entry->slow];
 }
 
 static void move_to_head(struct list *list, struct cache_entry *entry) {
@@ -284,13 +308,17 @@ static void evict(struct cache *cache, struct list *list, struct entries *evicte
   take_out(cache, entry);
   atomic_store_explicit(&entry->kept, false, memory_order_relaxed);
   TAILQ_INSERT_HEAD(evicted, entry, in_list);
-  stats_add(cache->stats, STATS_CACHE_EVICTIONS, 1);
-  stats_subtract(cache->stats, STATS_CACHE_ENTRIES, 1);
-  stats_subtract(cache->stats, STATS_CACHE_BYTES, entry->bytes);
+  const bool set = is_set(&entry->key);
+  stats_add(cache->stats, set ? STATS_POINTS_EVICTIONS : STATS_CACHE_EVICTIONS, 1);
+  stats_subtract(cache->stats, set ? STATS_POINTS_SETS : STATS_CACHE_ENTRIES, 1);
+  stats_subtract(cache->stats, set ? STATS_POINTS_BYTES : STATS_CACHE_BYTES, entry->bytes);
 }
 
-static uint64_t limit_of(const struct cache *cache, bool slow) {
-  return slow ? cache->limit_bytes : cache->limit_bytes / FAST_SHARE;
+/* Returns the limit of the entries of one kind. */
+static uint64_t limit_of(const struct cache *cache, const struct cache_entry *entry) {
+  return is_set(&entry->key) ? cache->points_bytes
+         : entry->slow       ? cache->limit_bytes
+                             : cache->limit_bytes / FAST_SHARE;
 }
 
 /* Makes room for an entry that is not larger than the limit of its kind. For a fast entry, first
@@ -300,7 +328,14 @@ static void make_room(struct cache *cache, const struct cache_entry *entry,
                       struct entries *evicted) {
   struct list *fast = &cache->lists[false];
   struct list *slow = &cache->lists[true];
-  while (!entry->slow && entry->bytes > limit_of(cache, false) - fast->bytes) {
+  struct list *points = &cache->lists[POINTS];
+  if (is_set(&entry->key)) {
+    while (entry->bytes > cache->points_bytes - points->bytes) {
+      evict(cache, points, evicted);
+    }
+    return;
+  }
+  while (!entry->slow && entry->bytes > limit_of(cache, entry) - fast->bytes) {
     evict(cache, fast, evicted);
   }
   while (entry->bytes > cache->limit_bytes - kept_bytes(cache)) {
@@ -311,7 +346,7 @@ static void make_room(struct cache *cache, const struct cache_entry *entry,
 /* Keeps an entry of the table that has just been prepared. If the entry has a fault, or is larger
  * than the limit, removes it and adds it to the evicted entries. */
 static void keep(struct cache *cache, struct cache_entry *entry, struct entries *evicted) {
-  if (entry->fault.field != NULL || entry->bytes > limit_of(cache, entry->slow)) {
+  if (entry->fault.field != NULL || entry->bytes > limit_of(cache, entry)) {
     take_out(cache, entry);
     TAILQ_INSERT_HEAD(evicted, entry, in_list);
     return;
@@ -322,8 +357,9 @@ static void keep(struct cache *cache, struct cache_entry *entry, struct entries 
   list->bytes += entry->bytes;
   list->count++;
   atomic_store_explicit(&entry->kept, true, memory_order_relaxed);
-  stats_add(cache->stats, STATS_CACHE_ENTRIES, 1);
-  stats_add(cache->stats, STATS_CACHE_BYTES, entry->bytes);
+  const bool set = is_set(&entry->key);
+  stats_add(cache->stats, set ? STATS_POINTS_SETS : STATS_CACHE_ENTRIES, 1);
+  stats_add(cache->stats, set ? STATS_POINTS_BYTES : STATS_CACHE_BYTES, entry->bytes);
 }
 
 /* ---- waiting --------------------------------------------------------------------------------- */
@@ -427,6 +463,9 @@ static struct cache_entry *new_entry(struct cache *cache, const struct cache_key
     if (key->design != NULL) {
       entry->key.design = memcpy(entry->design, key->design, key->design_bytes);
     }
+    if (key->points != NULL) {
+      points_hold(key->points);
+    }
     entry->slow = slow;
     entry->under_way = true;
     entry->begun = !slow;
@@ -441,6 +480,9 @@ static enum cache_answer look(struct cache *cache, const struct cache_key *key, 
                               struct cache_waiter *waiter, struct cache_entry **found) {
   struct cache_entry *entry = find(cache, key);
   const bool new = entry == NULL;
+  if (new && is_set(key) && key->points == NULL) {
+    return CACHE_UNKNOWN;
+  }
   if ((new ? slow : !entry->begun) && !waiter->admitted && owner->count >= cache->max_waiting) {
     return CACHE_BUSY;
   }
@@ -486,21 +528,23 @@ static uint64_t place_of(const struct cache *cache, const struct cache_waiter *w
 
 /* ---- public: takes the mutex ----------------------------------------------------------------- */
 
-struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t max_waiting,
-                        struct stats *stats) {
+struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t points_bytes,
+                        uint64_t max_waiting, struct stats *stats) {
   struct cache *cache = calloc(1, sizeof *cache);
   if (cache == NULL) {
     return NULL;
   }
   cache->isa = isa;
   cache->limit_bytes = limit_bytes;
+  cache->points_bytes = points_bytes;
   cache->max_waiting = max_waiting;
   cache->turns_most = uv_available_parallelism() < 4 ? 1 : 2; /* leaves cores for the workers */
   cache->stats = stats;
   cache->bucket_count = BUCKETS_MIN;
   cache->buckets = calloc(BUCKETS_MIN, sizeof *cache->buckets);
-  TAILQ_INIT(&cache->lists[false].entries);
-  TAILQ_INIT(&cache->lists[true].entries);
+  for (int kind = 0; kind < KINDS; kind++) {
+    TAILQ_INIT(&cache->lists[kind].entries);
+  }
   TAILQ_INIT(&cache->turns);
   if (cache->buckets == NULL || uv_mutex_init(&cache->mutex) != 0) {
     free(cache->buckets);
@@ -570,11 +614,29 @@ void cache_move_waiters(struct cache *cache, struct cache_owner *from, struct ca
   uv_mutex_unlock(&cache->mutex);
 }
 
+/* Builds the tree of a set of points, and then no longer holds the points as they were sent. */
+static uint64_t build(struct cache_entry *entry) {
+  struct points *points = entry->key.points;
+  entry->gather = core_gather_points_create((size_t)points->count, points->xyz,
+                                            points->channel_count, points->power);
+  while (entry->gather != NULL && !core_gather_points_build(entry->gather, BUILD_NS)) {
+  }
+  if (entry->gather == NULL) {
+    entry->fault = (core_fault){CORE_FIELD_MEMORY, "less than what is left: try again", 0};
+  }
+  entry->key.points = NULL;
+  points_release(points);
+  return entry->fault.field == NULL ? sizeof *entry + core_gather_points_bytes(entry->gather) : 0;
+}
+
 /* Prepares the profile or the fit, or sets the fault. Returns the bytes of the entry; 0 with a
  * fault. */
 static uint64_t prepare_entry(struct cache_entry *entry) {
   const struct cache_key *key = &entry->key;
   const core_isa *isa = entry->cache->isa;
+  if (is_set(key)) {
+    return build(entry);
+  }
   if (key->varying != 0) {
     entry->fault = cache_key_prepare_varying(key, isa, &entry->varying);
     return entry->fault.field == NULL ? sizeof *entry + core_varying_bytes(&entry->varying) : 0;

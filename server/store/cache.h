@@ -20,8 +20,9 @@
  * profile is prepared or freed while the mutex is held. Profiles are evaluated without it, and a
  * worker finds the entries in its local store (server/store/profiles.h) without it.
  *
- * Eviction: least recently used first, in two lists. Profiles that are fast to prepare may take at
- * most a quarter of all bytes, so that a stream of them leaves three quarters to the slow ones. The
+ * Eviction: least recently used first, in lists. Profiles that are fast to prepare may take at
+ * most a quarter of all bytes, so that a stream of them leaves three quarters to the slow ones. Sets
+ * of points have a third list with a limit of their own, so that they evict nothing else. The
  * cache does not see when a worker finds an entry in its local store. The worker then sets a mark
  * in the entry. When a marked entry is the next to be evicted, it moves to the head of its list
  * instead.
@@ -33,8 +34,11 @@
 #include <uv.h>
 
 #include "core/fit/fit.h"
+#include "core/gather/gather.h"
 #include "core/varying.h"
 #include "server/observe/stats.h"
+
+struct points;
 
 /* The key of a profile: everything from which it is prepared. Two profiles are the same if their
  * keys have the same bytes: there is no padding, 0 has no sign, and all parameters that are not
@@ -51,10 +55,12 @@ struct cache_key {
   uint32_t varying; /* 1: the preparation of media that vary (core/varying.h), 0: a profile */
   double parameters[CORE_PARAMETERS_END];
   double medium[4]; /* sigma_a, sigma_s (1/mm), g, eta; the first two are 0 if media vary */
+  uint64_t set[2];  /* name of a set of points (server/store/points.h); 0 for all other keys */
   uint64_t hash_before_medium;
   uint64_t hash;
   const uint8_t *design; /* NULL for a profile */
   uint64_t design_bytes; /* a multiple of 8 */
+  struct points *points; /* the points of a set, from which its tree is built; else NULL */
 };
 
 /* Sets the members of the key that all channels of a request share. */
@@ -66,6 +72,10 @@ void cache_key_set_medium(struct cache_key *key, const core_medium *medium);
 
 /* Makes the key of a prepared fit. */
 void cache_key_set_design(struct cache_key *key, const uint8_t *design, size_t design_bytes);
+
+/* Makes the key of a set of points. points: what a new entry is built from, of which it takes a
+ * reference; NULL: cache_look() makes no new entry. */
+void cache_key_set_points(struct cache_key *key, const uint64_t set[2], struct points *points);
 
 bool cache_key_equal(const struct cache_key *a, const struct cache_key *b);
 
@@ -109,11 +119,11 @@ struct cache_waiter {
   LIST_ENTRY(cache_waiter) in_list;
 };
 
-/* Makes a cache that keeps at most limit_bytes of prepared profiles. A waiter that is
- * not admitted yet is refused if its owner has max_waiting waiters for preparations that have not
- * begun. Returns NULL if there is no memory. */
-struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t max_waiting,
-                        struct stats *stats);
+/* Makes a cache that keeps at most limit_bytes of prepared profiles, and points_bytes of sets of
+ * points. A waiter that is not admitted yet is refused if its owner has max_waiting waiters for
+ * preparations that have not begun. Returns NULL if there is no memory. */
+struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t points_bytes,
+                        uint64_t max_waiting, struct stats *stats);
 
 /* Frees the cache. Asserts that no profile is being prepared and all references are released. */
 void cache_free(struct cache *cache);
@@ -123,6 +133,7 @@ enum cache_answer {
   CACHE_NEW,  /* the profile is fast to prepare: the caller calls cache_prepare(*entry) at once */
   CACHE_AWAITED, /* the waiter waits; the caller calls cache_prepare_in_pool() */
   CACHE_NO_MEMORY,
+  CACHE_UNKNOWN, /* there is no such set of points, and the key has no points */
   CACHE_BUSY, /* the owner has max_waiting waiters already, and this one is not admitted */
 };
 
@@ -160,12 +171,13 @@ uint64_t cache_place(const struct cache_waiter *waiter);
 /* Ends the waiting of a waiter, woken or not. Does nothing if it does not wait. */
 void cache_leave(struct cache_waiter *waiter);
 
-/* These return the profile, the fit or what media that vary share, and the fault, of a prepared
- * entry: one that was KEPT, that the caller has prepared, or whose waiter was woken. What its key
+/* These return the profile, the fit, what media that vary share or a set of points, and the fault,
+ * of a prepared entry: one that was KEPT, that the caller has prepared, or whose waiter was woken. What its key
  * asked for is valid if the fault's field is NULL, and as long as the caller holds a reference. */
 const core_profile *cache_profile(const struct cache_entry *entry);
 const core_fit *cache_fit(const struct cache_entry *entry);
 const core_varying *cache_varying(const struct cache_entry *entry);
+const core_gather_points *cache_gather(const struct cache_entry *entry);
 core_fault cache_fault(const struct cache_entry *entry);
 
 /* Returns whether the entry is in the cache. A local store releases entries that are not. */

@@ -146,7 +146,8 @@ static enum profiles_answer take(struct profiles *profiles, struct profiles_look
   lookup->entry = entry;
   lookup->fit = cache_fit(entry);
   lookup->varying = lookup->key.varying != 0 ? cache_varying(entry) : NULL;
-  if (lookup->fit != NULL || lookup->varying != NULL) {
+  lookup->gather = cache_gather(entry);
+  if (lookup->fit != NULL || lookup->varying != NULL || lookup->gather != NULL) {
     return PROFILES_READY;
   }
   lookup->profile = *cache_profile(entry);
@@ -154,15 +155,16 @@ static enum profiles_answer take(struct profiles *profiles, struct profiles_look
   return PROFILES_READY;
 }
 
-static enum profiles_answer get_from_cache(struct profiles *profiles,
-                                           struct profiles_lookup *lookup) {
-  const bool slow =
-      lookup->key.design != NULL || core_prepares_slowly(lookup->key.model, lookup->key.evaluator);
+/* Looks the key up in the cache. counted: whether the statistics of the cache count that. */
+static enum profiles_answer look(struct profiles *profiles, struct profiles_lookup *lookup,
+                                 bool slow, bool counted) {
   struct cache_entry *entry;
   const enum cache_answer answer =
       cache_look(profiles->server->cache, &lookup->key, slow, lookup->owner, &profiles->queue,
                  &lookup->waiter, &entry);
-  count(profiles, answer == CACHE_KEPT);
+  if (counted) {
+    count(profiles, answer == CACHE_KEPT);
+  }
   switch (answer) {
   case CACHE_KEPT:
     return take(profiles, lookup, entry);
@@ -172,6 +174,10 @@ static enum profiles_answer get_from_cache(struct profiles *profiles,
   case CACHE_AWAITED:
     cache_prepare_in_pool(profiles->server->cache, profiles->loop);
     return PROFILES_WAIT;
+  case CACHE_UNKNOWN:
+    lookup->fault = (core_fault){PROFILES_FIELD_SET,
+                                 "sets of points that were sent to this daemon and are kept", 0};
+    return PROFILES_FAULT;
   case CACHE_BUSY:
     lookup->fault = (core_fault){PROFILES_FIELD_BUSY, "fewer profiles that wait at a time", 0};
     return PROFILES_FAULT;
@@ -180,6 +186,13 @@ static enum profiles_answer get_from_cache(struct profiles *profiles,
   }
   lookup->fault = (core_fault){CORE_FIELD_MEMORY, "less than what is left: try again", 0};
   return PROFILES_FAULT;
+}
+
+static enum profiles_answer get_from_cache(struct profiles *profiles,
+                                           struct profiles_lookup *lookup) {
+  const bool slow =
+      lookup->key.design != NULL || core_prepares_slowly(lookup->key.model, lookup->key.evaluator);
+  return look(profiles, lookup, slow, true);
 }
 
 /* Takes the entry for which the job waited. The entry is valid even if it has been evicted since.
@@ -251,6 +264,17 @@ enum profiles_answer profiles_get_varying(struct profiles *profiles, struct prof
   return answer;
 }
 
+enum profiles_answer profiles_get_points(struct profiles *profiles, struct profiles_lookup *lookup,
+                                         const uint64_t set[2], struct points *points) {
+  assert(!lookup->ready && lookup->gather == NULL);
+  cache_key_set_points(&lookup->key, set, points);
+  const enum profiles_answer answer = lookup->waiter.entry != NULL
+                                          ? get_awaited(profiles, lookup)
+                                          : look(profiles, lookup, true, false);
+  lookup->waiter.admitted |= answer != PROFILES_FAULT;
+  return answer;
+}
+
 void profiles_return(struct profiles_lookup *lookup) {
   if (lookup->entry != NULL) {
     cache_release(lookup->entry);
@@ -259,6 +283,7 @@ void profiles_return(struct profiles_lookup *lookup) {
     core_profile_free(&lookup->profile);
   }
   lookup->varying = NULL;
+  lookup->gather = NULL;
   lookup->ready = false;
   cache_leave(&lookup->waiter);
   lookup->woken = false;
@@ -267,6 +292,10 @@ void profiles_return(struct profiles_lookup *lookup) {
 bool profiles_is_busy(core_fault fault) {
   return strcmp(fault.field, CORE_FIELD_MEMORY) == 0 ||
          strcmp(fault.field, PROFILES_FIELD_BUSY) == 0;
+}
+
+bool profiles_is_unknown(core_fault fault) {
+  return strcmp(fault.field, PROFILES_FIELD_SET) == 0;
 }
 
 void profiles_wake(struct profiles *profiles) {

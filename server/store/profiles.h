@@ -87,6 +87,7 @@ struct profiles_lookup {
   struct cache_entry *entry;   /* reference to the entry that was copied; NULL: none */
   const core_fit *fit;         /* in place of `profile`, after profiles_get_fit() */
   const core_varying *varying; /* after profiles_get_varying(): what was prepared */
+  const core_gather_points *gather;   /* after profiles_get_points(): the set of points */
   core_fault fault;            /* after PROFILES_FAULT: why there is no profile */
   struct cache_waiter waiter;
   bool woken;
@@ -112,8 +113,15 @@ enum profiles_answer { PROFILES_READY, PROFILES_FAULT, PROFILES_WAIT };
 /* The field of the fault of an owner that has max_waiting_profiles waiters already. */
 #define PROFILES_FIELD_BUSY "max_waiting_profiles"
 
+/* The field of the fault of profiles_get_points() for a set that nobody has sent, or that was evicted
+ * since. */
+#define PROFILES_FIELD_SET "set"
+
 /* Returns whether a fault is temporary: memory is lacking, or too many profiles wait. */
 bool profiles_is_busy(core_fault fault);
+
+/* Returns whether a fault is that of a set of points that is not there. */
+bool profiles_is_unknown(core_fault fault);
 
 /* Sets the arguments that the next profiles share. core_profile_check() must have accepted them. */
 void profiles_start(struct profiles_lookup *lookup, unsigned model, unsigned moments,
@@ -134,6 +142,13 @@ enum profiles_answer profiles_get_fit(struct profiles *profiles, struct profiles
  * After PROFILES_WAIT and on_ready(), call it again. */
 enum profiles_answer profiles_get_varying(struct profiles *profiles, struct profiles_lookup *lookup,
                                           double g, double eta);
+
+/* Gets a set of points from the cache, in place of profiles_start() and profiles_get(). points: what
+ * its tree is built from if the cache does not have it; NULL: it is then at fault. Sets
+ * lookup->gather, which is valid until profiles_return(). After PROFILES_WAIT and on_ready(), call
+ * it again. */
+enum profiles_answer profiles_get_points(struct profiles *profiles, struct profiles_lookup *lookup,
+                                         const uint64_t set[2], struct points *points);
 
 /* Returns the profile to the store, or gives up waiting for it. Does nothing if there is neither.
  */

@@ -246,6 +246,24 @@ static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error
     }
     return good;
   }
+  case WIRE_TYPE_GATHER: {
+    static const double places[6] = {0, 0, 0, 1, 0, 0};
+    static const float powers[2] = {1, 2};
+    dipole_points *points;
+    double M[2];
+    CHECK(dipole_points_make(2, 1, places, powers, &points, error));
+    const dipole_gather_query gather = {.model = CORE_MODEL_BETTER,
+                                        .evaluator = DIPOLE_F64,
+                                        .moments = DIPOLE_EXACT,
+                                        .points = points,
+                                        .media = media,
+                                        .queries_mm = places,
+                                        .query_count = 2,
+                                        .tolerance = 0.1};
+    good = dipole_gather(client, &gather, NULL, NULL, M, NULL, error);
+    dipole_points_free(points);
+    return good;
+  }
   case WIRE_TYPE_MC: {
     dipole_mc_result *result;
     const dipole_mc_query mc = {.medium = media[0],

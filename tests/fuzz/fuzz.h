@@ -68,6 +68,8 @@ uint8_t *fuzz_gather(struct fuzz_bytes *gathered, size_t bytes);
 bool fuzz_decode_eval_reply(const uint8_t *payload, size_t size, bool drawn, bool honest);
 bool fuzz_decode_invert_reply(const uint8_t *payload, size_t size);
 bool fuzz_decode_fit_reply(const uint8_t *payload, size_t size);
+bool fuzz_decode_points_reply(const uint8_t *payload, size_t size);
+bool fuzz_decode_gather_reply(const uint8_t *payload, size_t size);
 bool fuzz_decode_varying_reply(const uint8_t *payload, size_t size);
 bool fuzz_decode_mc_reply(const uint8_t *payload, size_t size, bool *under_way);
 

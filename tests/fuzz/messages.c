@@ -5,6 +5,7 @@
 
 #include "proto/channels.h"
 #include "proto/fit.h"
+#include "proto/gather.h"
 #include "proto/invert.h"
 #include "proto/mc.h"
 #include "proto/sample.h"
@@ -234,6 +235,52 @@ bool fuzz_decode_fit_reply(const uint8_t *payload, size_t size) {
   return good;
 }
 
+static void decode_points(const uint8_t *payload, size_t size) {
+  points_request request;
+  const wire_error error = points_request_parse(payload, size, &request);
+  if (error.status == WIRE_STATUS_TOO_LARGE || !is_good(&error)) {
+    return;
+  }
+  const wire_points_request *fixed = &request.fixed;
+  CHECK(fixed->part_points <= fixed->point_count - fixed->point_first);
+  read_array(payload, size, (uint64_t)((const uint8_t *)request.xyz - payload),
+             fixed->part_points * GATHER_AXES * sizeof(double));
+  read_array(payload, size, (uint64_t)((const uint8_t *)request.power - payload),
+             fixed->part_points * fixed->channel_count * sizeof(float));
+  CHECK(points_request_bytes(fixed->channel_count, fixed->part_points) == size);
+}
+
+static void decode_gather(const uint8_t *payload, size_t size) {
+  gather_request request;
+  const wire_error error = gather_request_parse(payload, size, &request);
+  if (error.status == WIRE_STATUS_TOO_LARGE || !is_good(&error)) {
+    return;
+  }
+  const wire_gather_request *fixed = &request.fixed;
+  read_array(payload, size, (uint64_t)((const uint8_t *)request.media - payload),
+             fixed->medium_count * (uint64_t)WIRE_BYTES_medium);
+  read_array(payload, size, (uint64_t)((const uint8_t *)request.queries - payload),
+             fixed->query_count * GATHER_AXES * sizeof(double));
+  check_parameters(&request.parameters, fixed->parameter_count);
+  CHECK(gather_request_bytes(fixed->medium_count, fixed->parameter_count, fixed->query_count) ==
+        size);
+}
+
+bool fuzz_decode_points_reply(const uint8_t *payload, size_t size) {
+  wire_points_reply fixed;
+  return points_reply_parse(payload, size, &fixed);
+}
+
+bool fuzz_decode_gather_reply(const uint8_t *payload, size_t size) {
+  wire_gather_reply fixed;
+  if (!gather_reply_parse(payload, size, &fixed)) {
+    return false;
+  }
+  read_array(payload, size, gather_sums_offset(fixed.channel_count),
+             fixed.query_count * fixed.channel_count * sizeof(double));
+  return true;
+}
+
 static void decode_varying(const uint8_t *payload, size_t size) {
   varying_request request;
   if (varying_request_parse(payload, size, &request).status != WIRE_STATUS_OK) {
@@ -322,6 +369,12 @@ void fuzz_messages(const uint8_t *data, size_t size) {
   case WIRE_TYPE_FIT:
     decode_fit(payload, size);
     break;
+  case WIRE_TYPE_POINTS:
+    decode_points(payload, size);
+    break;
+  case WIRE_TYPE_GATHER:
+    decode_gather(payload, size);
+    break;
   case WIRE_TYPE_VARYING:
     decode_varying(payload, size);
     break;
@@ -342,6 +395,12 @@ void fuzz_messages(const uint8_t *data, size_t size) {
     break;
   case WIRE_TYPE_FIT | WIRE_REPLY:
     fuzz_decode_fit_reply(payload, size);
+    break;
+  case WIRE_TYPE_POINTS | WIRE_REPLY:
+    fuzz_decode_points_reply(payload, size);
+    break;
+  case WIRE_TYPE_GATHER | WIRE_REPLY:
+    fuzz_decode_gather_reply(payload, size);
     break;
   case WIRE_TYPE_VARYING | WIRE_REPLY:
     fuzz_decode_varying_reply(payload, size);

@@ -4,6 +4,7 @@
 #include <sys/socket.h>
 
 #include "proto/fit.h"
+#include "proto/gather.h"
 #include "proto/invert.h"
 #include "proto/varying.h"
 #include "proto/mc.h"
@@ -33,6 +34,11 @@ static bool names_slow_profile(unsigned type, const uint8_t *payload, size_t siz
     wire_varying_request varying;
     wire_get_varying_request(payload, &varying);
     eval.fixed.model = varying.model;
+  } else if (type == WIRE_TYPE_GATHER && size >= WIRE_BYTES_gather_request) {
+    wire_gather_request gather;
+    wire_get_gather_request(payload, &gather);
+    eval.fixed.model = gather.model;
+    eval.fixed.evaluator = gather.evaluator;
   }
   return type == WIRE_TYPE_TABLE || type == WIRE_TYPE_FIT || eval.fixed.model == EVAL_ANY_MODEL ||
          core_prepares_slowly(eval.fixed.model, eval.fixed.evaluator);
@@ -117,6 +123,15 @@ static bool check_answer(const wire_header *header, const uint8_t *payload, size
     wire_varying_reply fixed;
     CHECK(fuzz_decode_varying_reply(payload, size));
     wire_get_varying_reply(payload, &fixed);
+    return check_part(fixed.part, fixed.part_count, next_part);
+  }
+  case WIRE_TYPE_POINTS | WIRE_REPLY:
+    CHECK(fuzz_decode_points_reply(payload, size));
+    return true;
+  case WIRE_TYPE_GATHER | WIRE_REPLY: {
+    wire_gather_reply fixed;
+    CHECK(fuzz_decode_gather_reply(payload, size));
+    wire_get_gather_reply(payload, &fixed);
     return check_part(fixed.part, fixed.part_count, next_part);
   }
   case WIRE_TYPE_MC | WIRE_REPLY:

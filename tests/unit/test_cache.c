@@ -36,7 +36,7 @@ struct fixture {
 
 static void open_cache(struct fixture *f, uint64_t limit_bytes) {
   *f = (struct fixture){.queue = {.wake = not_woken}};
-  f->cache = cache_new(core_isa_select(NULL), limit_bytes, MAX_WAITING, &f->stats);
+  f->cache = cache_new(core_isa_select(NULL), limit_bytes, 0, MAX_WAITING, &f->stats);
   assert_non_null(f->cache);
 }
 

@@ -19,7 +19,7 @@ static void open_fixture(struct fixture *f, uint64_t cache_bytes) {
   memset(f, 0, sizeof *f);
   f->server.isa = core_isa_select(NULL);
   f->server.options.cache_bytes = cache_bytes;
-  f->server.cache = cache_new(f->server.isa, cache_bytes, 1, &f->server.stats);
+  f->server.cache = cache_new(f->server.isa, cache_bytes, 0, 1, &f->server.stats);
   assert_non_null(f->server.cache);
   assert_int_equal(uv_loop_init(&f->loop), 0);
   profiles_init(&f->profiles, &f->server, &f->loop, not_woken, NULL);

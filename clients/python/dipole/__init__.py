@@ -31,9 +31,10 @@ from .client import Client, Parts
 from .connection import Connection, Frame, Tls
 from .errors import AddressError, ArgumentError, ConnectError, ConnectionLost, DipoleError
 from .errors import ProtocolError, Refused, TableError
+from .gathering import Points
 from .rings import RingMeans
 from .table import Table, TableErrors
-from .values import Choice, Draw, Fits, Grid, Info, Inversion, McEnergy, McProgress, McResult
+from .values import Choice, Draw, Fits, Gathered, Grid, Info, Inversion, McEnergy, McProgress, McResult
 from .values import McValue, Medium, Offer, Offers, Query, Result, Samples, Varying
 
 __version__ = "0.1.0"  # the version of the whole project, as in the Makefile
@@ -41,9 +42,10 @@ __version__ = "0.1.0"  # the version of the whole project, as in the Makefile
 # fmt: off
 __all__ = [
     "AddressError", "ArgumentError", "AsyncClient", "Choice", "Client", "ConnectError",
-    "Connection", "ConnectionLost", "DipoleError", "Draw", "Fits", "Frame", "Grid", "Info",
+    "Connection", "ConnectionLost", "DipoleError", "Draw", "Fits", "Frame", "Gathered", "Grid",
+    "Info",
     "Inversion",
-    "McEnergy", "McProgress", "McResult", "McValue", "Medium", "Offer", "Offers", "Parts",
+    "McEnergy", "McProgress", "McResult", "McValue", "Medium", "Offer", "Offers", "Parts", "Points",
     "ProtocolError", "Query", "Refused", "Result", "RingMeans", "Samples", "Table", "TableError",
     "TableErrors", "Tls", "Values", "Varying",
 ]

@@ -16,16 +16,17 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Iterable
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from . import broadcast, calls, evaluation, fitting, inversion, mc, rings, varying, wire
+from . import broadcast, calls, evaluation, fitting, gathering, inversion, mc, rings, varying, wire
 from .broadcast import Values
 from .connection import TLS_WAITS, Connection, Frame, Tls, shut_down
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
 from .exchange import Exchange, Request
+from .gathering import Points
 from .opening import Opening
 from .rings import RingMeans
 from .table import Table
-from .values import Draw, Fits, Grid, Info, Inversion, McProgress, McResult, Media, Medium
-from .values import Offers, Query, Result, Samples, Varying
+from .values import Draw, Fits, Gathered, Grid, Info, Inversion, McProgress, McResult, Media
+from .values import Medium, Offers, Query, Result, Samples, Varying
 
 T = TypeVar("T")
 
@@ -208,6 +209,42 @@ class AsyncClient:
         """See Client.varying()."""
         plan = varying.plan(self.info, model, **options)
         return plan.join([await self._ask(request) for request in plan.requests()])
+
+    async def gather(
+        self,
+        model: str | int,
+        media: Media,
+        points: Points,
+        queries: Any,
+        *,
+        progress: Callable[[int, int], bool | None] | None = None,
+        **options: Any,
+    ) -> Gathered:
+        """See Client.gather()."""
+        listed = await self._media_of(media)
+        run = gathering.Run(gathering.plan(self.info, model, listed, points, queries, **options))
+        under_way: list[int] = []
+        try:
+            while True:
+                while len(under_way) < gathering.OUTSTANDING and (request := run.next()):
+                    under_way.append(await self._send(request))
+                if not under_way:
+                    return run.result()
+                before = run.answered
+                try:
+                    run.add(await self._next(under_way[0]))
+                except Refused as error:
+                    if not run.refused(error):
+                        raise
+                    while len(under_way) > 1:  # Their answers are no longer wanted.
+                        self._drop(under_way.pop())
+                finally:
+                    self._drop(under_way.pop(0))
+                if run.answered > before and progress is not None:
+                    run.stopped |= progress(run.answered, run.count) is False
+        finally:
+            for request_id in under_way:
+                self._drop(request_id)
 
     async def media(self) -> dict[str, tuple[Medium, Medium, Medium]]:
         """See Client.media()."""

@@ -12,15 +12,16 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from . import broadcast, calls, evaluation, fitting, inversion, mc, rings, varying
+from . import broadcast, calls, evaluation, fitting, gathering, inversion, mc, rings, varying
 from .broadcast import Values
 from .connection import Frame, Tls
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
 from .exchange import Exchange, Request
+from .gathering import Points
 from .opening import Opening
 from .rings import RingMeans
 from .table import Table
-from .values import Draw, Fits, Grid, Info, Inversion, McProgress, McResult, Media, Medium
+from .values import Draw, Fits, Gathered, Grid, Info, Inversion, McProgress, McResult, Media, Medium
 from .values import Offers, Query, Result, Samples, Varying
 
 T = TypeVar("T")
@@ -266,6 +267,55 @@ class Client:
         """
         plan = varying.plan(self.info, model, **options)
         return plan.join([self._ask(request) for request in plan.requests()])
+
+    def gather(
+        self,
+        model: str | int,
+        media: Media,
+        points: Points,
+        queries: Any,
+        *,
+        progress: Callable[[int, int], bool | None] | None = None,
+        **options: Any,
+    ) -> Gathered:
+        """Sums, at each query position x, the light of all points: R(|x - x_i|) times the power of
+        point i, for each channel.
+
+        media: one for each power of a point. points: Points(xyz, power). queries: [..., 3] mm.
+        progress: is called with the numbers of queries that are answered and that there are. If it
+        returns False, the call ends, and the sums that are missing are NaN. options: tolerance, 1e-2
+        by default: the largest relative error, at each query, that grouping points may cause; 0
+        sums each point by itself. evaluator, "lut" by default, moments, parameters and deadline_ms:
+        as of a Query; the deadline holds for each request.
+
+        The points are sent to a daemon that does not have them, and again when it has lost them.
+        The numbers of points and queries of one daemon are its limits; queries are sent in several
+        requests, whose number is not limited.
+        """
+        plan = gathering.plan(self.info, model, self._media_of(media), points, queries, **options)
+        run = gathering.Run(plan)
+        under_way: list[int] = []
+        try:
+            while True:
+                while len(under_way) < gathering.OUTSTANDING and (request := run.next()):
+                    under_way.append(self._send(request))
+                if not under_way:
+                    return run.result()
+                before = run.answered
+                try:
+                    run.add(self._next(under_way[0]))
+                except Refused as error:
+                    if not run.refused(error):
+                        raise
+                    while len(under_way) > 1:  # Their answers are no longer wanted.
+                        self._exchange.drop(under_way.pop())
+                finally:
+                    self._exchange.drop(under_way.pop(0))
+                if run.answered > before and progress is not None:
+                    run.stopped |= progress(run.answered, run.count) is False
+        finally:
+            for request_id in under_way:
+                self._exchange.drop(request_id)
 
     # ---- Monte Carlo -----------------------------------------------------------------------------
 

@@ -25,7 +25,7 @@ KEPT_BYTES = 64 << 20  # the most payload bytes that a client keeps to send them
 PAUSE_FIRST_S = 0.010
 # Requests that may be sent again: all but a cancel, which concerns one connection.
 _REPEATABLE = (
-    "eval", "sample", "invert", "fit", "varying", "offers", "table", "media", "statistics", "ping",
+    "eval", "sample", "invert", "fit", "varying", "points", "gather", "offers", "table", "media", "statistics", "ping",
     "mc",
 )  # fmt: skip
 _TEMPORARY = ("busy", "shutting-down", "timeout")

@@ -508,6 +508,31 @@ class Varying:
         )
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class Gathered:
+    """Sums of the light of points, for C channels."""
+
+    model: str
+    moments: str
+    evaluator: str
+    tolerance: float
+    M: Array  # [..., C] W/mm^2, in the shape of the queries; nan where the caller ended the call
+    bound: float  # relative error that grouping points has caused at most; within the tolerance
+    numerical_error: Array  # [C] relative error of the evaluator and of rounding
+    model_error: Array  # [C] of R against radiative transport, relative, from 0.01 to 20 mean free
+    # paths; nan if it was not measured
+    points_visited: int  # points that were summed one by one
+    nodes_visited: int  # groups that stood for their points
+    notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return in_short(
+            f"<Gathered: {self.model}, {self.evaluator}; {self.M.shape[-1]} channels, queries of "
+            f"shape {self.M.shape[:-1]}, tolerance {self.tolerance:.3g}",
+            f"M {span(self.M)} W/mm^2>",
+        )
+
+
 class McProgress(NamedTuple):
     """A report on the progress of a Monte Carlo job."""
 

@@ -29,14 +29,15 @@ def _numbered(names: str, first: int = 1) -> dict[int, str]:
 
 # Types of requests by name.
 _TYPES = _numbered(
-    "hello eval media statistics ping mc cancel table offers sample invert fit varying"
+    "hello eval media statistics ping mc cancel table offers sample invert fit varying "
+    "points gather"
 )
 MESSAGES = {name: type for type, name in _TYPES.items()}
 
 # Maps the code of a status to its name.
 STATUSES = _numbered(
     "ok bad-magic bad-version bad-type bad-length bad-count bad-value too-large truncated timeout "
-    "busy shutting-down deadline bad-address not-allowed",
+    "busy shutting-down deadline bad-address not-allowed unknown-points",
     first=0,
 )
 STATUS_DEADLINE = 12
@@ -281,6 +282,24 @@ VARYING_REPLY = Structure(
     "u16 model, u16 evaluator, u16 moments, u16 wanted, u16 coefficients, u16 zero, u32 notes, "
     "u64 value_count, u64 value_first, u32 part, u32 part_count, u64 answered_count, "
     "f64 numerical_error, f64 model_error, f64 colour_least, f64 colour_most, f64 specular",
+)
+POINTS_REQUEST = Structure(
+    "points_request",
+    "u64 set[2], u32 channel_count, u32 zero, u64 point_count, u64 point_first, u64 part_points",
+)
+POINTS_REPLY = Structure(
+    "points_reply", "u64 set[2], u32 known, u32 zero, u64 point_next"
+)
+GATHER_REQUEST = Structure(
+    "gather_request",
+    "u16 model, u16 evaluator, u16 moments, u16 parameter_count, u32 medium_count, u32 zero, "
+    "u64 set[2], u64 query_count, f64 tolerance",
+)
+GATHER_REPLY = Structure(
+    "gather_reply",
+    "u16 model, u16 evaluator, u16 moments, u16 zero, u32 channel_count, u32 notes, "
+    "u64 query_count, u64 query_first, u32 part, u32 part_count, f64 bound, "
+    "u64 points_visited, u64 nodes_visited",
 )
 ERROR = Structure(
     "error",

@@ -1,0 +1,406 @@
+/* Gathers the light of points: asks a daemon for sums, in requests of some thousand queries, and
+ * sends it the points when it says that it does not have them. */
+#include "proto/gather.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "clients/c/clock.h"
+#include "clients/c/error.h"
+#include "clients/c/query.h"
+#include "clients/c/request.h"
+
+enum {
+  OUTSTANDING = 4, /* requests under way at a time */
+  PART_POINTS = 65536,
+  PART_QUERIES = GATHER_PART_QUERIES,
+  SENT_MOST = 4, /* how often the points are sent, at most, when daemons lose them meanwhile */
+};
+
+/* Of a request with tolerance 0: the points that are summed one by one, about two seconds' worth. */
+#define PART_PAIRS ((uint64_t)1 << 30)
+
+struct dipole_points {
+  dipole_points_info public;
+  uint64_t set[2];
+};
+
+/* ---- points -------------------------------------------------------------------------------- */
+
+static bool fail_argument(dipole_error *error, const char *text) {
+  return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s", text);
+}
+
+bool dipole_points_make(uint64_t point_count, uint32_t channel_count, const double *xyz_mm,
+                        const float *power_W, dipole_points **points, dipole_error *error) {
+  error = error != NULL ? error : &(dipole_error){0};
+  *points = NULL;
+  if (point_count < 1 || point_count > CORE_GATHER_POINTS_MAX) {
+    return fail_argument(error, "point_count is not from 1 to 16777216");
+  }
+  if (channel_count < 1 || channel_count > CORE_GATHER_CHANNELS_MAX) {
+    return fail_argument(error, "channel_count is not from 1 to 8");
+  }
+  if (xyz_mm == NULL || power_W == NULL) {
+    return fail_argument(error, "xyz_mm or power_W is NULL");
+  }
+  dipole_points *made = calloc(1, sizeof *made);
+  if (made == NULL) {
+    return libdipole_fail_memory(error);
+  }
+  gather_name name;
+  gather_name_start(&name, channel_count, point_count);
+  gather_name_add(&name, point_count, xyz_mm, power_W);
+  gather_name_end(&name, made->set);
+  made->public = (dipole_points_info){.point_count = point_count,
+                                      .channel_count = channel_count,
+                                      .xyz_mm = xyz_mm,
+                                      .power_W = power_W};
+  memcpy(made->public.name, made->set, sizeof made->public.name);
+  *points = made;
+  return true;
+}
+
+const dipole_points_info *dipole_points_get_info(const dipole_points *points) {
+  return &points->public;
+}
+
+void dipole_points_free(dipole_points *points) {
+  free(points);
+}
+
+/* ---- a gather under way -------------------------------------------------------------------- */
+
+struct run {
+  dipole_client *client;
+  const dipole_gather_query *query;
+  double *M;
+  dipole_gather_result *result;
+  uint64_t asked;    /* queries of the requests that have been sent */
+  uint64_t answered; /* queries of the requests that are answered */
+  bool known;        /* whether the daemon has shown that it has the points */
+  bool sending;      /* whether the points are being sent */
+  uint64_t next_point;
+  unsigned sent_times;
+  int64_t until_ms; /* the deadline; 0: none */
+  uint64_t ids[OUTSTANDING];
+  uint64_t counts[OUTSTANDING]; /* queries of these requests; 0 for parts of points */
+  unsigned under_way;
+};
+
+static const libdipole_kind points_kind = {.repeatable = true};
+
+static bool take_part(libdipole_pending *pending, const libdipole_frame *frame,
+                      dipole_error *error) {
+  wire_gather_reply fixed;
+  if (!gather_reply_parse(frame->payload, (size_t)frame->payload_bytes, &fixed) ||
+      fixed.channel_count != pending->medium_count || fixed.model != pending->model) {
+    return libdipole_fail_protocol(error, "it answered a gather request with another shape than "
+                                          "was asked for");
+  }
+  const libdipole_part part = {fixed.part, fixed.part_count, fixed.query_first, fixed.query_count};
+  const size_t head_bytes = gather_sums_offset(fixed.channel_count);
+  const size_t row_bytes = fixed.channel_count * sizeof(double);
+  wire_gather_reply whole = fixed;
+  if (pending->gathered != NULL) {
+    wire_gather_reply before;
+    wire_get_gather_reply(pending->gathered->payload, &before);
+    whole.bound = fmax(whole.bound, before.bound);
+    whole.points_visited += before.points_visited;
+    whole.nodes_visited += before.nodes_visited;
+    whole.notes |= before.notes;
+  }
+  if (!libdipole_gather(pending, frame, &part,
+                        gather_reply_bytes(fixed.channel_count, pending->radius_count), error)) {
+    return false;
+  }
+  uint8_t *payload = pending->gathered->payload;
+  memcpy(payload + WIRE_BYTES_gather_reply, frame->payload + WIRE_BYTES_gather_reply,
+         head_bytes - WIRE_BYTES_gather_reply);
+  memcpy(payload + head_bytes + fixed.query_first * row_bytes, frame->payload + head_bytes,
+         (size_t)fixed.query_count * row_bytes);
+  wire_put_gather_reply(payload, &whole);
+  libdipole_part_end(pending, fixed.query_count, fixed.part + 1 == fixed.part_count);
+  return true;
+}
+
+static const libdipole_kind gather_kind = {.repeatable = true, .part = take_part};
+
+/* Sets the rest of the deadline. Returns false if it has passed. */
+static bool set_deadline(const struct run *run, libdipole_pending *pending, dipole_error *error) {
+  if (run->until_ms == 0) {
+    return true;
+  }
+  const int64_t left_ms = run->until_ms - libdipole_now_ms();
+  pending->deadline_ms = left_ms > 0 ? (uint32_t)left_ms : 0;
+  if (left_ms > 0) {
+    return true;
+  }
+  libdipole_fail(error, DIPOLE_ERROR_REFUSED, "the sums take longer than deadline_ms");
+  error->status = WIRE_STATUS_DEADLINE;
+  strcpy(error->field, "deadline_ms");
+  return false;
+}
+
+static bool send_points(struct run *run, dipole_error *error) {
+  const dipole_points *points = run->query->points;
+  const dipole_points_info *info = &points->public;
+  const uint64_t left = info->point_count - run->next_point;
+  const uint64_t n = left < PART_POINTS ? left : PART_POINTS;
+  libdipole_pending pending = {.kind = &points_kind,
+                               .type = WIRE_TYPE_POINTS,
+                               .reply_bytes_min = WIRE_BYTES_points_reply,
+                               .reply_bytes_max = WIRE_BYTES_points_reply};
+  const uint64_t bytes = points_request_bytes(info->channel_count, n);
+  uint8_t *at;
+  if (!set_deadline(run, &pending, error) ||
+      !libdipole_request_begin(run->client, &pending, bytes, &at, error)) {
+    return false;
+  }
+  const wire_points_request fixed = {.set = {points->set[0], points->set[1]},
+                                     .channel_count = info->channel_count,
+                                     .point_count = info->point_count,
+                                     .point_first = run->next_point,
+                                     .part_points = n};
+  const size_t xyz_bytes = (size_t)n * GATHER_AXES * sizeof(double);
+  const size_t power_bytes = (size_t)(n * info->channel_count) * sizeof(float);
+  memset(at + bytes - WIRE_ALIGNMENT, 0, WIRE_ALIGNMENT);
+  wire_put_points_request(at, &fixed);
+  at += WIRE_BYTES_points_request;
+  memcpy(at, info->xyz_mm + run->next_point * GATHER_AXES, xyz_bytes);
+  memcpy(at + xyz_bytes, info->power_W + run->next_point * info->channel_count, power_bytes);
+  run->next_point += n;
+  run->ids[run->under_way] = pending.id;
+  run->counts[run->under_way++] = 0;
+  return libdipole_request_send(run->client, error);
+}
+
+/* Returns how many queries the next request has. */
+static uint64_t next_queries(const struct run *run) {
+  const dipole_gather_query *query = run->query;
+  const dipole_points_info *info = &query->points->public;
+  const uint64_t left = query->query_count - run->asked;
+  uint64_t most = PART_QUERIES;
+  if (query->tolerance <= 0) {
+    const uint64_t fits = PART_PAIRS / (info->point_count * info->channel_count);
+    most = fits < 1 ? 1 : fits < most ? fits : most;
+  }
+  return left < most ? left : most;
+}
+
+static bool ask(struct run *run, dipole_error *error) {
+  const dipole_gather_query *query = run->query;
+  const dipole_points *points = query->points;
+  const uint32_t channels = points->public.channel_count;
+  const uint64_t n = next_queries(run);
+  libdipole_pending pending = {.kind = &gather_kind,
+                               .type = WIRE_TYPE_GATHER,
+                               .reply_bytes_min = WIRE_BYTES_gather_reply,
+                               .reply_bytes_max = gather_reply_bytes(channels, n),
+                               .model = query->model,
+                               .medium_count = channels,
+                               .radius_count = n};
+  uint8_t *at;
+  if (!set_deadline(run, &pending, error) ||
+      !libdipole_request_begin(run->client, &pending,
+                               gather_request_bytes(channels, (uint32_t)query->parameter_count, n),
+                               &at, error)) {
+    return false;
+  }
+  const wire_gather_request fixed = {.model = (uint16_t)query->model,
+                                     .evaluator = (uint16_t)query->evaluator,
+                                     .moments = (uint16_t)query->moments,
+                                     .parameter_count = (uint16_t)query->parameter_count,
+                                     .medium_count = channels,
+                                     .set = {points->set[0], points->set[1]},
+                                     .query_count = n,
+                                     .tolerance = query->tolerance};
+  wire_put_gather_request(at, &fixed);
+  at += WIRE_BYTES_gather_request;
+  for (uint32_t i = 0; i < channels; i++) {
+    at = libdipole_medium_put(at, &query->media[i]);
+  }
+  at = libdipole_parameters_put(at, query->parameters, query->parameter_count);
+  if (n > 0) {
+    memcpy(at, query->queries_mm + run->asked * GATHER_AXES, (size_t)n * GATHER_AXES * 8);
+  }
+  run->asked += n;
+  run->ids[run->under_way] = pending.id;
+  run->counts[run->under_way++] = n;
+  return libdipole_request_send(run->client, error);
+}
+
+/* Sends the next request, if there is one now. *sent: whether there was. */
+static bool send_next(struct run *run, bool *sent, dipole_error *error) {
+  *sent = false;
+  if (run->under_way == OUTSTANDING) {
+    return true;
+  }
+  if (run->sending) {
+    *sent = run->next_point < run->query->points->public.point_count;
+    return !*sent || send_points(run, error);
+  }
+  const bool first = run->under_way == 0 && run->answered == 0 && run->asked == 0;
+  *sent = first || (run->known && run->asked < run->query->query_count);
+  return !*sent || ask(run, error);
+}
+
+static void drop_all(struct run *run) {
+  for (unsigned i = 0; i < run->under_way; i++) {
+    libdipole_request_drop(run->client, run->ids[i]);
+  }
+  run->under_way = 0;
+}
+
+static void take_sums(struct run *run, const libdipole_frame *frame, uint64_t n) {
+  const uint32_t channels = run->query->points->public.channel_count;
+  dipole_gather_result *result = run->result;
+  wire_gather_reply fixed;
+  wire_get_gather_reply(frame->payload, &fixed);
+  if (n > 0) {
+    memcpy(run->M + run->answered * channels, frame->payload + gather_sums_offset(channels),
+           (size_t)(n * channels) * sizeof(double));
+  }
+  for (uint32_t i = 0; i < channels; i++) {
+    wire_channel channel;
+    wire_get_channel(frame->payload + WIRE_BYTES_gather_reply + i * (size_t)WIRE_BYTES_channel,
+                     &channel);
+    result->numerical_error[i] = fmax(result->numerical_error[i], channel.numerical_error);
+    result->model_error[i] = channel.model_error;
+  }
+  result->bound = fmax(result->bound, fixed.bound);
+  result->points_visited += fixed.points_visited;
+  result->nodes_visited += fixed.nodes_visited;
+  result->notes |= fixed.notes;
+  run->answered += n;
+  result->answered_count = run->answered;
+  run->known = true;
+}
+
+static bool take_points(struct run *run, const libdipole_frame *frame, dipole_error *error) {
+  wire_points_reply fixed;
+  if (!points_reply_parse(frame->payload, (size_t)frame->payload_bytes, &fixed) ||
+      (fixed.known == 0 && fixed.point_next >= run->query->points->public.point_count)) {
+    return libdipole_bad_answer(run->client, "it does not know a set with all its points", error);
+  }
+  if (fixed.known != 0) {
+    run->sending = false;
+    run->known = true;
+  }
+  return true;
+}
+
+/* Waits for the answer to the oldest request. */
+static bool take_next(struct run *run, dipole_error *error) {
+  libdipole_pending pending = {.id = run->ids[0]};
+  const uint64_t n = run->counts[0];
+  const bool is_points = run->sending || (n == 0 && run->query->query_count > 0);
+  libdipole_frame *frame = libdipole_reply(run->client, &pending, error);
+  run->under_way--;
+  memmove(run->ids, run->ids + 1, run->under_way * sizeof run->ids[0]);
+  memmove(run->counts, run->counts + 1, run->under_way * sizeof run->counts[0]);
+  if (frame == NULL) {
+    if (error->kind != DIPOLE_ERROR_REFUSED || error->status != WIRE_STATUS_UNKNOWN_POINTS ||
+        run->sent_times == SENT_MOST) {
+      return false;
+    }
+    drop_all(run);
+    run->sent_times++;
+    run->sending = true;
+    run->known = false;
+    run->next_point = 0;
+    run->asked = run->answered;
+    return true;
+  }
+  bool good = true;
+  if (is_points) {
+    good = take_points(run, frame, error);
+  } else {
+    take_sums(run, frame, n);
+  }
+  free(frame);
+  return good;
+}
+
+/* Returns whether the caller wants more. */
+static bool go_on(const struct run *run, uint64_t before,
+                  bool (*progress)(void *context, uint64_t answered, uint64_t count),
+                  void *context) {
+  return progress == NULL || run->answered == before ||
+         progress(context, run->answered, run->query->query_count);
+}
+
+static bool is_done(const struct run *run) {
+  return run->known && !run->sending && run->answered == run->query->query_count;
+}
+
+static bool gather(struct run *run,
+                   bool (*progress)(void *context, uint64_t answered, uint64_t count),
+                   void *context, dipole_error *error) {
+  while (!is_done(run)) {
+    bool sent = true;
+    while (sent) {
+      if (!send_next(run, &sent, error)) {
+        return false;
+      }
+    }
+    if (run->under_way == 0) { /* The points were sent again, and there is nothing to ask. */
+      return true;
+    }
+    const uint64_t before = run->answered;
+    if (!take_next(run, error)) {
+      return false;
+    }
+    if (!go_on(run, before, progress, context)) {
+      return true;
+    }
+  }
+  return true;
+}
+
+/* ---- the public calls ---------------------------------------------------------------------- */
+
+static bool check(const dipole_gather_query *query, dipole_error *error) {
+  if (query->points == NULL || query->media == NULL) {
+    return fail_argument(error, "points or media is NULL");
+  }
+  if (query->queries_mm == NULL && query->query_count > 0) {
+    return fail_argument(error, "queries_mm is NULL, query_count is not 0");
+  }
+  if (query->query_count > SIZE_MAX / (sizeof(double) * CORE_GATHER_CHANNELS_MAX)) {
+    return fail_argument(error, "query_count is more than memory holds");
+  }
+  return libdipole_model_check(query->model, error) &&
+         libdipole_check_u16(query->model | query->evaluator | query->moments,
+                             "model, evaluator and moments", error) &&
+         libdipole_parameters_check(query->parameters, query->parameter_count, error);
+}
+
+bool dipole_gather(dipole_client *client, const dipole_gather_query *query,
+                   bool (*progress)(void *context, uint64_t answered, uint64_t count),
+                   void *context, double *M_W_per_mm2, dipole_gather_result *result,
+                   dipole_error *error) {
+  dipole_gather_result unwanted;
+  error = error != NULL ? error : &(dipole_error){0};
+  result = result != NULL ? result : &unwanted;
+  *result = (dipole_gather_result){0};
+  if (!check(query, error)) {
+    return false;
+  }
+  struct run run = {
+      .client = client,
+      .query = query,
+      .M = M_W_per_mm2,
+      .result = result,
+      .until_ms = query->deadline_ms > 0 ? libdipole_now_ms() + query->deadline_ms : 0,
+  };
+  const bool good = gather(&run, progress, context, error);
+  drop_all(&run);
+  const uint32_t channels = query->points->public.channel_count;
+  for (uint64_t i = good ? run.answered * channels : UINT64_MAX; i < query->query_count * channels;
+       i++) {
+    M_W_per_mm2[i] = (double)NAN;
+  }
+  return good;
+}

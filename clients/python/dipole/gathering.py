@@ -1,0 +1,287 @@
+"""Client.gather(): sums of the light that points leave at other positions.
+
+The points are sent at most once to each daemon, which knows them by the hash of their content. A
+daemon that does not have them says so, and is then sent them; so it does not matter which daemon
+answers, or whether it has been started anew since.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from . import wire
+from .errors import ArgumentError, ProtocolError, Refused
+from .evaluation import id_of, media_array, name_of, notes_of, parameters_list
+from .exchange import Answer as _Answer
+from .exchange import Once, Request
+from .values import Array, Gathered, Info, Media
+
+OUTSTANDING = 4  # requests under way at a time
+_PART_POINTS = 65536
+_PART_QUERIES = 16384
+_PART_PAIRS = 1 << 30  # of a request with tolerance 0: the points that are summed one by one
+_SENT_MOST = 4  # how often the points are sent, at most, when daemons lose them meanwhile
+
+
+class Points:
+    """A set of points that hold power.
+
+    xyz: [N, 3] mm. power: [N] or [N, C] W, one for each channel: irradiance times area. The powers
+    are rounded to single precision. A Points object may be used for any number of calls and clients;
+    it computes the name of its content once.
+    """
+
+    def __init__(self, xyz: Any, power: Any):
+        try:
+            self.xyz: Array = np.ascontiguousarray(xyz, "<f8")
+            self.power: Array = np.ascontiguousarray(power, "<f4")
+        except (TypeError, ValueError) as error:
+            raise ArgumentError(f"points: {error}") from error
+        if self.power.ndim == 1:
+            self.power = self.power[:, np.newaxis]
+        if self.xyz.ndim != 2 or self.xyz.shape[1] != 3:
+            raise ArgumentError("xyz: an array [N, 3]")
+        if self.power.ndim != 2 or len(self.power) != len(self.xyz):
+            raise ArgumentError("power: an array [N] or [N, C], for as many points as xyz")
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    def __repr__(self) -> str:
+        return f"<Points: {len(self)}, {self.channels} channels, {self.name.hex()}>"
+
+    @property
+    def channels(self) -> int:
+        """The number of powers of each point."""
+        return int(self.power.shape[1])
+
+    @cached_property
+    def name(self) -> bytes:
+        """The hash of the content: 16 bytes (rule G2 of the protocol)."""
+        counts = np.array([self.channels, len(self)], "<u8").tobytes()
+        return _hash(counts + _hash(self.xyz.data) + _hash(self.power.data))
+
+
+def _hash(content: Any) -> bytes:
+    return hashlib.blake2b(content, digest_size=16).digest()
+
+
+class Plan(NamedTuple):
+    """What gather() asks for."""
+
+    info: Info
+    points: Points
+    shape: tuple[int, ...]  # of the queries
+    queries: Array  # [Q, 3]
+    fixed: dict[str, Any]  # the fields of the request but query_count
+    head: bytes  # the media and parameters
+    deadline_ms: int
+
+
+class Piece(NamedTuple):
+    """The answer to one gather request."""
+
+    replies: list[Any]  # the fixed parts of its parts
+    channels: list[list[Any]]  # the channel structures of its parts
+    sums: Array  # [Q, C]
+
+
+class _Sums(_Answer[Piece]):
+    """The answer to a gather request: puts its parts together."""
+
+    def __init__(self, plan: Plan, count: int):
+        super().__init__()
+        self._plan = plan
+        self._piece = Piece([], [], np.empty((count, plan.points.channels)))
+        self._next = 0
+
+    def _add(self, payload: bytes) -> None:
+        replies, channels, sums = self._piece
+        if len(payload) < wire.GATHER_REPLY.bytes:
+            raise ProtocolError("a gather reply that is too short")
+        fixed = wire.GATHER_REPLY.unpack(payload)
+        at = wire.GATHER_REPLY.bytes + fixed.channel_count * wire.CHANNEL.bytes
+        count, width = fixed.query_count, sums.shape[1]
+        if fixed.channel_count != width or len(payload) != at + 8 * count * width:
+            raise ProtocolError("a gather reply whose size does not fit its counts")
+        is_last = fixed.part + 1 == fixed.part_count
+        left = len(sums) - self._next
+        if (fixed.part, fixed.query_first) != (len(replies), self._next):
+            raise ProtocolError("a gather reply that is not the next part")
+        if count > left or is_last != (count == left):
+            raise ProtocolError("a gather reply with another number of sums than the request")
+        listed = np.frombuffer(payload, "<f8", count * width, at)
+        sums[self._next : self._next + count] = listed.reshape(count, width)
+        begin = wire.GATHER_REPLY.bytes
+        channels.append(
+            [wire.CHANNEL.unpack(payload, i) for i in range(begin, at, wire.CHANNEL.bytes)]
+        )
+        replies.append(fixed)
+        self._next += count
+        self.ended = is_last
+        if is_last:
+            self.ready.append(self._piece)
+
+
+def _read_sent(payload: bytes) -> Any:
+    if len(payload) != wire.POINTS_REPLY.bytes:
+        raise ProtocolError("a points reply of an unexpected size")
+    return wire.POINTS_REPLY.unpack(payload)
+
+
+class Run:
+    """A gather under way. The client sends what next() gives, gives the answers to add() in order,
+    and refusals to refused()."""
+
+    def __init__(self, plan: Plan):
+        self._plan = plan
+        self._pieces: list[Piece] = []
+        self._asked = 0  # queries of the requests that next() has given
+        self._answered = 0  # queries of the requests that are answered
+        self._sending: int | None = None  # the next point to send; None: the points are not sent
+        self._sent_times = 0
+        self._known = False  # whether the daemon has shown that it has the points
+        self.count = len(plan.queries)
+        self.stopped = False  # whether the caller has ended it
+
+    @property
+    def answered(self) -> int:
+        """How many queries are answered."""
+        return self._answered
+
+    def next(self) -> Request[Any] | None:
+        """Returns the next request; None if there is none now."""
+        if self._sending is not None:
+            return self._next_points()
+        if not self._known and self._asked > self._answered:
+            return None  # Others would be refused, too.
+        if self.stopped or (self._asked == self.count and (self.count > 0 or self._pieces)):
+            return None
+        return self._next_sums()
+
+    def add(self, answer: Any) -> None:
+        if isinstance(answer, Piece):
+            self._pieces.append(answer)
+            self._known = True
+            self._answered += len(answer.sums)
+        elif answer.known:
+            self._sending = None
+            self._known = True
+        elif answer.point_next == len(self._plan.points):
+            raise ProtocolError("a points reply that does not know the set, with all its points")
+
+    def refused(self, error: Refused) -> bool:
+        """Returns whether the points are sent now, for a daemon that does not have them. The
+        requests under way are then given up."""
+        if error.status != "unknown-points" or self._sent_times == _SENT_MOST:
+            return False
+        self._sent_times += 1
+        self._sending = 0
+        self._known = False
+        self._asked = self._answered
+        return True
+
+    def _next_points(self) -> Request[Any] | None:
+        points, first = self._plan.points, self._sending or 0
+        xyz = points.xyz[first : first + _PART_POINTS]
+        if len(xyz) == 0 and len(points) > 0:
+            return None
+        power = points.power[first : first + _PART_POINTS].tobytes()
+        fixed = wire.POINTS_REQUEST.pack(
+            set=_words(points.name),
+            channel_count=points.channels,
+            point_count=len(points),
+            point_first=first,
+            part_points=len(xyz),
+        )
+        padding = bytes(wire.padded(len(power)) - len(power))
+        self._sending = first + len(xyz)
+        payload = b"".join([fixed, xyz.tobytes(), power, padding])
+        return Request("points", payload, lambda: Once(_read_sent), self._plan.deadline_ms)
+
+    def _next_sums(self) -> Request[Piece]:
+        plan, first = self._plan, self._asked
+        most = _PART_QUERIES
+        if plan.fixed["tolerance"] == 0:
+            pairs = max(1, len(plan.points) * plan.points.channels)
+            most = max(1, min(most, _PART_PAIRS // pairs))
+        queries = plan.queries[first : first + most]
+        fixed = wire.GATHER_REQUEST.pack(query_count=len(queries), **plan.fixed)
+        self._asked = first + len(queries)
+        payload = b"".join([fixed, plan.head, queries.tobytes()])
+        return Request("gather", payload, lambda: _Sums(plan, len(queries)), plan.deadline_ms)
+
+    def result(self) -> Gathered:
+        """Makes the result. Sums that were not asked for are NaN."""
+        plan, info = self._plan, self._plan.info
+        missing = np.full((self.count - self._answered, plan.points.channels), np.nan)
+        sums = np.concatenate([*(piece.sums for piece in self._pieces), missing])
+        sums = sums.reshape(*plan.shape, plan.points.channels)
+        sums.setflags(write=False)
+        replies = [reply for piece in self._pieces for reply in piece.replies]
+        channels = [part for piece in self._pieces for part in piece.channels]
+        fields = [[(c.numerical_error, c.model_error) for c in part] for part in channels]
+        errors = np.max(fields, axis=0) if fields else np.full((plan.points.channels, 2), np.nan)
+        return Gathered(
+            model=name_of(info, "model", plan.fixed["model"]),
+            moments=name_of(info, "moments", plan.fixed["moments"]),
+            evaluator=name_of(info, "evaluator", plan.fixed["evaluator"]),
+            tolerance=plan.fixed["tolerance"],
+            M=sums,
+            bound=max((reply.bound for reply in replies), default=0.0),
+            numerical_error=errors[:, 0],
+            model_error=errors[:, 1],
+            points_visited=sum(reply.points_visited for reply in replies),
+            nodes_visited=sum(reply.nodes_visited for reply in replies),
+            notes=notes_of(info, replies[-1].notes if replies else 0),
+        )
+
+
+def _words(name: bytes) -> tuple[int, int]:
+    return int.from_bytes(name[:8], "little"), int.from_bytes(name[8:], "little")
+
+
+def plan(
+    info: Info,
+    model: str | int,
+    media: Media,
+    points: Points,
+    queries: Any,
+    *,
+    tolerance: float = 1e-2,
+    evaluator: str | int = "lut",
+    moments: str | int = "exact",
+    parameters: Mapping[str, float | str] | None = None,
+    deadline_ms: int = 0,
+) -> Plan:
+    """See Client.gather()."""
+    try:
+        listed = np.asarray(queries, "<f8")
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"queries: {error}") from error
+    if listed.ndim < 1 or listed.shape[-1] != 3:
+        raise ArgumentError("queries: an array [..., 3]")
+    media_bytes = media_array(media)
+    structures = parameters_list(info, parameters)
+    return Plan(
+        info=info,
+        points=points,
+        shape=listed.shape[:-1],
+        queries=np.ascontiguousarray(listed.reshape(-1, 3)),
+        fixed={
+            "model": id_of(info, "model", model),
+            "evaluator": id_of(info, "evaluator", evaluator),
+            "moments": id_of(info, "moments", moments),
+            "parameter_count": len(structures),
+            "medium_count": len(media_bytes),
+            "set": _words(points.name),
+            "tolerance": float(tolerance),
+        },
+        head=media_bytes.tobytes() + b"".join(structures),
+        deadline_ms=deadline_ms,
+    )

@@ -1,0 +1,379 @@
+/* Gather: sums the light of a set of points at many positions, slice by slice. */
+#include "core/gather/gather.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+#include "proto/gather.h"
+#include "server/jobs/job.h"
+
+/* What a job needs besides its slot, in one block. */
+struct gather_work {
+  struct profiles_lookup set;
+  struct profiles_lookup channels[CORE_GATHER_CHANNELS_MAX];
+  uint32_t ready; /* number of channels whose profiles are prepared */
+  core_gather_sum *sum;
+  core_gather_scratch *scratch;
+  core_gather_visits visits; /* of the current part */
+  float worst;               /* the largest bound of the current part */
+  uint32_t order[GATHER_PART_QUERIES];
+  float bounds[GATHER_PART_QUERIES * CORE_GATHER_CHANNELS_MAX];
+};
+
+struct gather_job {
+  struct job job;
+  gather_request request;
+  struct gather_work *work;
+  uint64_t bytes;        /* of work and its scratch, as counted in the server's budget */
+  uint64_t checked;      /* number of queries whose values have been checked */
+  uint64_t query_radii;  /* the estimated cost of a query, in radii of a dipole */
+  struct job_parts parts;
+  uint8_t *payload;
+  uint64_t index;  /* position in the part's order of the next query */
+  uint64_t slice;  /* number of queries of the next slice */
+};
+
+JOB_FITS_SLOT(struct gather_job);
+
+/* What a slice is to take of a core. A slice of few queries costs more for each, because neighbours
+ * share what is found for them; a slice of one query may take longer. */
+enum { SLICE_NS = 1000000, SLICE_QUERIES_FIRST = 16 };
+
+/* The most evaluations of one query, which is not cut: a few milliseconds' worth. */
+#define QUERY_RADII_MAX ((double)(1 << 22))
+
+/* What a part takes at most, unless it has one query: some tenths of a second, as far as the cost of
+ * a query is known before. */
+#define PART_RADII (UINT64_C(1) << 24)
+
+static struct gather_job *of(struct job *job) {
+  return (struct gather_job *)(void *)job;
+}
+
+static struct gather_work *new_work(struct gather_job *gather, const struct job_request *from) {
+  struct gather_work *work = malloc(sizeof *work);
+  if (work == NULL) {
+    return NULL;
+  }
+  work->ready = 0;
+  work->sum = NULL;
+  work->scratch = NULL;
+  job_init_lookup(&gather->job, &work->set, from);
+  for (uint32_t i = 0; i < CORE_GATHER_CHANNELS_MAX; i++) {
+    job_init_lookup(&gather->job, &work->channels[i], from);
+  }
+  gather->job.lookup = NULL;
+  return work;
+}
+
+/* ---- checking -------------------------------------------------------------------------------- */
+
+static wire_error check_media(const struct gather_job *gather) {
+  const gather_request *request = &gather->request;
+  const wire_gather_request *fixed = &request->fixed;
+  const uint64_t most = gather->job.context->server->options.max_media;
+  if (fixed->medium_count > most) {
+    return job_too_large("medium_count", most, "media");
+  }
+  for (uint32_t channel = 0; channel < fixed->medium_count; channel++) {
+    core_fault fault =
+        core_profile_check(fixed->model, fixed->moments, fixed->evaluator, &request->media[channel],
+                           &request->parameters, NULL);
+    if (fault.field != NULL) {
+      fault.index = channel;
+      return job_error(fault);
+    }
+  }
+  return wire_error_none();
+}
+
+static enum job_outcome start(struct job *job, const struct job_request *from) {
+  struct gather_job *gather = of(job);
+  wire_error error =
+      gather_request_parse(from->payload, from->header->payload_bytes, &gather->request);
+  if (error.status == WIRE_STATUS_OK) {
+    error = check_media(gather);
+  }
+  if (error.status != WIRE_STATUS_OK) {
+    return job_refuse(job, error);
+  }
+  if (!server_take_bytes(job->context->server, sizeof *gather->work)) {
+    return job_refuse(job, job_busy());
+  }
+  gather->bytes = sizeof *gather->work;
+  gather->work = new_work(gather, from);
+  if (gather->work == NULL) {
+    server_return_bytes(job->context->server, gather->bytes);
+    return job_refuse(job, job_busy());
+  }
+  gather->checked = 0;
+  gather->slice = SLICE_QUERIES_FIRST;
+  return JOB_GOES_ON;
+}
+
+/* Checks the next queries. */
+static enum job_outcome check_queries(struct gather_job *gather) {
+  const gather_request *request = &gather->request;
+  const uint64_t left = request->fixed.query_count - gather->checked;
+  const size_t n = (size_t)(left < GATHER_PART_QUERIES ? left : GATHER_PART_QUERIES);
+  core_fault fault =
+      core_gather_check_queries(n, request->queries + gather->checked * GATHER_AXES);
+  if (fault.field != NULL) {
+    fault.index += (size_t)gather->checked;
+    return job_refuse(&gather->job, job_error(fault));
+  }
+  gather->checked += n;
+  return JOB_GOES_ON;
+}
+
+/* ---- preparing ------------------------------------------------------------------------------- */
+
+static enum job_outcome find_set(struct gather_job *gather) {
+  struct profiles_lookup *lookup = &gather->work->set;
+  const wire_gather_request *fixed = &gather->request.fixed;
+  switch (profiles_get_points(&gather->job.context->profiles, lookup, fixed->set, NULL)) {
+  case PROFILES_WAIT:
+    return JOB_WAITS;
+  case PROFILES_FAULT:
+    return job_refuse(&gather->job, job_fault(lookup->fault, 0));
+  case PROFILES_READY:
+    break;
+  }
+  return core_gather_points_channels(lookup->gather) == fixed->medium_count
+             ? JOB_GOES_ON
+             : job_refuse(&gather->job,
+                          wire_error_make(WIRE_STATUS_BAD_COUNT, "medium_count",
+                                          "as many as the points of the set have powers"));
+}
+
+static enum job_outcome prepare_channel(struct gather_job *gather) {
+  struct gather_work *work = gather->work;
+  const wire_gather_request *fixed = &gather->request.fixed;
+  struct profiles_lookup *lookup = &work->channels[work->ready];
+  profiles_start(lookup, fixed->model, fixed->moments, fixed->evaluator,
+                 &gather->request.parameters);
+  switch (profiles_get(&gather->job.context->profiles, lookup,
+                       &gather->request.media[work->ready])) {
+  case PROFILES_WAIT:
+    return JOB_WAITS;
+  case PROFILES_READY:
+    work->ready++;
+    return JOB_GOES_ON;
+  case PROFILES_FAULT:
+    break;
+  }
+  return job_refuse(&gather->job, job_fault(lookup->fault, work->ready));
+}
+
+/* Takes memory for the scratch, which points of this number need. */
+static wire_error open_scratch(struct gather_job *gather) {
+  struct server *server = gather->job.context->server;
+  struct gather_work *work = gather->work;
+  const uint64_t bytes = core_gather_scratch_bytes(work->set.gather);
+  if (!server_take_bytes(server, bytes)) {
+    return job_busy();
+  }
+  gather->bytes += bytes;
+  work->scratch = core_gather_scratch_create(work->set.gather);
+  return work->scratch != NULL ? wire_error_none() : job_busy();
+}
+
+static wire_error admit(struct gather_job *gather) {
+  const struct gather_work *work = gather->work;
+  const double cost = core_gather_query_cost(work->sum, work->set.gather);
+  if (cost > QUERY_RADII_MAX) {
+    return wire_error_make(WIRE_STATUS_TOO_LARGE, "tolerance",
+                           "more, or fewer points: one sum would take too long");
+  }
+  gather->query_radii = (uint64_t)fmax(cost, 1);
+  return job_admit(&gather->job, (double)gather->request.fixed.query_count * cost, "query_count");
+}
+
+/* Cuts the reply into parts, which also tell the client how far the sums have come: none takes much
+ * longer than a second of a core, so that no client thinks that the daemon hangs. */
+static wire_error cut(struct gather_job *gather) {
+  const wire_gather_request *fixed = &gather->request.fixed;
+  const uint64_t head_bytes = gather_sums_offset(fixed->medium_count);
+  const uint64_t part_bytes = gather->job.context->server->options.max_part_bytes;
+  uint64_t most = part_bytes > head_bytes
+                      ? (part_bytes - head_bytes) / (fixed->medium_count * sizeof(double))
+                      : 0;
+  const uint64_t in_time = PART_RADII / gather->query_radii;
+  most = most < GATHER_PART_QUERIES ? most : GATHER_PART_QUERIES;
+  most = most <= in_time ? most : in_time > 0 ? in_time : 1;
+  if (part_bytes < head_bytes + fixed->medium_count * sizeof(double)) {
+    return wire_error_make(WIRE_STATUS_TOO_LARGE, "medium_count",
+                           "fewer media: they do not fit into a part (max_part_bytes)");
+  }
+  job_parts_cut(&gather->parts, fixed->query_count, most);
+  return wire_error_none();
+}
+
+/* Prepares the sum, when all profiles are there. */
+static enum job_outcome prepare_sum(struct gather_job *gather) {
+  struct gather_work *work = gather->work;
+  const core_profile *profiles[CORE_GATHER_CHANNELS_MAX];
+  for (uint32_t i = 0; i < work->ready; i++) {
+    profiles[i] = &work->channels[i].profile;
+  }
+  const core_fault fault =
+      core_gather_sum_prepare(&work->sum, gather->job.context->server->isa, work->ready, profiles,
+                              gather->request.fixed.tolerance);
+  wire_error error = fault.field == NULL ? open_scratch(gather) : job_fault(fault, 0);
+  if (error.status == WIRE_STATUS_OK) {
+    error = admit(gather);
+  }
+  if (error.status == WIRE_STATUS_OK) {
+    error = cut(gather);
+  }
+  if (error.status != WIRE_STATUS_OK) {
+    return job_refuse(&gather->job, error);
+  }
+  gather->job.part_bytes =
+      gather_reply_bytes(gather->request.fixed.medium_count, gather->parts.count);
+  return JOB_NEXT_PART;
+}
+
+/* Does the next thing that the sums need. */
+static enum job_outcome prepare(struct gather_job *gather) {
+  const struct gather_work *work = gather->work;
+  const wire_gather_request *fixed = &gather->request.fixed;
+  return gather->checked < fixed->query_count ? check_queries(gather)
+         : work->set.gather == NULL           ? find_set(gather)
+         : work->ready < fixed->medium_count  ? prepare_channel(gather)
+                                              : prepare_sum(gather);
+}
+
+/* ---- parts ----------------------------------------------------------------------------------- */
+
+static const double *queries_of(const struct gather_job *gather) {
+  return gather->request.queries + gather->parts.first * GATHER_AXES;
+}
+
+static enum job_outcome begin_part(struct job *job, uint8_t *payload) {
+  struct gather_job *gather = of(job);
+  struct gather_work *work = gather->work;
+  gather->payload = payload;
+  gather->index = 0;
+  work->visits = (core_gather_visits){0};
+  work->worst = 0;
+  core_gather_order(work->set.gather, (size_t)gather->parts.count, queries_of(gather), work->order);
+  return JOB_GOES_ON;
+}
+
+/* Returns the distances for which the model's error is stated: 0.01 to 20 mean free paths. */
+static core_radii_range usual_radii(const core_profile *profile) {
+  const core_medium *medium = &profile->medium;
+  const double mfp_mm = 1 / (medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g));
+  return (core_radii_range){0.01 * mfp_mm, 20 * mfp_mm};
+}
+
+static void put_head(const struct gather_job *gather) {
+  const struct gather_work *work = gather->work;
+  const wire_gather_request *asked = &gather->request.fixed;
+  const struct job_parts *parts = &gather->parts;
+  wire_gather_reply fixed = {.model = asked->model,
+                             .evaluator = asked->evaluator,
+                             .moments = asked->moments,
+                             .channel_count = asked->medium_count,
+                             .query_count = parts->count,
+                             .query_first = parts->first,
+                             .part = parts->part,
+                             .part_count = parts->part_count,
+                             .bound = (double)work->worst,
+                             .points_visited = work->visits.points,
+                             .nodes_visited = work->visits.nodes};
+  for (uint32_t i = 0; i < asked->medium_count; i++) {
+    const core_profile *profile = &work->channels[i].profile;
+    const wire_channel channel = {
+        .albedo = (double)NAN,
+        .numerical_error = core_gather_error(work->sum, work->set.gather, i, (size_t)parts->count,
+                                             queries_of(gather)),
+        .model_error = core_profile_errors(profile, CORE_QUANTITY_R, usual_radii(profile)).model};
+    fixed.notes |= profile->notes;
+    wire_put_channel(gather->payload + WIRE_BYTES_gather_reply + i * (size_t)WIRE_BYTES_channel,
+                     &channel);
+  }
+  wire_put_gather_reply(gather->payload, &fixed);
+}
+
+static enum job_outcome end_part(struct gather_job *gather) {
+  put_head(gather);
+  if (!job_parts_next(&gather->parts)) {
+    return JOB_DONE;
+  }
+  gather->job.part_bytes =
+      gather_reply_bytes(gather->request.fixed.medium_count, gather->parts.count);
+  return JOB_NEXT_PART;
+}
+
+/* Notes the largest bound of a slice. */
+static void note_bounds(struct gather_work *work, const uint32_t *order, size_t n,
+                        uint32_t channels) {
+  for (size_t i = 0; i < n * channels; i++) {
+    const float bound = work->bounds[order[i / channels] * (size_t)channels + i % channels];
+    work->worst = bound > work->worst ? bound : work->worst;
+  }
+}
+
+/* Sets the length of the next slice by how long this one took. It changes no value. */
+static void set_slice(struct gather_job *gather, uint64_t n, uint64_t took_ns) {
+  const uint64_t fits = n * SLICE_NS / (took_ns > 0 ? took_ns : 1);
+  const uint64_t most = 2 * gather->slice;
+  gather->slice = fits < 1 ? 1 : fits > most ? most : fits;
+}
+
+/* Returns the time that this thread has run: the time while others run does not count. */
+static uint64_t thread_ns(void) {
+  struct timespec now;
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+  return (uint64_t)now.tv_sec * 1000000000 + (uint64_t)now.tv_nsec;
+}
+
+static enum job_outcome gather_slice(struct gather_job *gather, uint64_t *spent) {
+  struct gather_work *work = gather->work;
+  const uint32_t channels = gather->request.fixed.medium_count;
+  const uint64_t left = gather->parts.count - gather->index;
+  const size_t n = (size_t)(left < gather->slice ? left : gather->slice);
+  const uint32_t *order = work->order + gather->index;
+  const uint64_t began_ns = thread_ns();
+  core_gather(work->sum, work->set.gather, work->scratch, n, order, queries_of(gather),
+              (double *)(void *)(gather->payload + gather_sums_offset(channels)), work->bounds,
+              &work->visits);
+  set_slice(gather, n, thread_ns() - began_ns);
+  note_bounds(work, order, n, channels);
+  gather->index += n;
+  *spent += JOB_SLICE_RADII;
+  job_pay(&gather->job, n * gather->query_radii);
+  struct stats *stats = &gather->job.context->server->stats;
+  stats_add(stats, STATS_QUERIES_GATHERED, n * channels);
+  stats_add(stats, STATS_SLICES_EVALUATED, 1);
+  return gather->index < gather->parts.count ? JOB_GOES_ON : end_part(gather);
+}
+
+static enum job_outcome step(struct job *job, uint64_t *budget) {
+  struct gather_job *gather = of(job);
+  uint64_t spent = JOB_STEP_RADII;
+  const enum job_outcome outcome =
+      gather->work->sum == NULL ? prepare(gather) : gather_slice(gather, &spent);
+  *budget -= spent < *budget ? spent : *budget;
+  return outcome;
+}
+
+static void end(struct job *job) {
+  struct gather_job *gather = of(job);
+  struct gather_work *work = gather->work;
+  core_gather_sum_free(work->sum);
+  core_gather_scratch_free(work->scratch);
+  for (uint32_t i = 0; i < CORE_GATHER_CHANNELS_MAX; i++) {
+    profiles_return(&work->channels[i]);
+  }
+  profiles_return(&work->set);
+  free(work);
+  server_return_bytes(job->context->server, gather->bytes);
+}
+
+const struct job_kind job_kind_GATHER = {
+    .start = start, .begin_part = begin_part, .step = step, .end = end};

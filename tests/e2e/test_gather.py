@@ -1,0 +1,588 @@
+"""Sums of the light of points: values, bits, points that are sent, lost and sent again, faults, and
+what a daemon bears."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import threading
+import time
+
+import dipole
+import numpy as np
+import pytest
+from daemons import Daemon, eventually, sanitized
+from dipole import Points, gathering, wire
+from frames import (
+    F64, SKIN, SPECTRALON, ask, assert_daemon_serves, assert_error, assert_serves, frame,
+    media_bytes, statistics,
+)
+from lists import MODELS
+from test_same_bits import HAS
+
+POINTS = wire.MESSAGES["points"]
+GATHER = wire.MESSAGES["gather"]
+BETTER = MODELS["better"]
+
+
+def scene(count: int, channels: int = 1, seed: int = 1) -> Points:
+    """Points in a box, half of them in a cluster, some without power."""
+    rng = np.random.default_rng(seed)
+    xyz = rng.uniform(-10, 10, (count, 3))
+    xyz[: count // 2] = xyz[: count // 2] / 50 + [3, 4, 0]
+    power = rng.uniform(0, 1, (count, channels))
+    power[::7] = 0
+    return Points(xyz, power)
+
+
+def positions(count: int, seed: int = 2) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-12, 12, (count, 3))
+
+
+def sums(client, model: str, media, points: Points, queries: np.ndarray, **options) -> np.ndarray:
+    """Sums R at all distances, in double precision."""
+    distances = np.linalg.norm(points.xyz[:, None] - queries[None], axis=2)
+    R = client.eval(model, media, distances.ravel(), evaluator="f64", **options).R
+    return np.einsum("cpq,pc->qc", R.reshape(len(R), *distances.shape), points.power.astype(float))
+
+
+# ---- the payloads of frames ----------------------------------------------------------------------
+
+
+def words(name: bytes) -> tuple[int, ...]:
+    return tuple(np.frombuffer(name, "<u8").tolist())
+
+
+def points_payload(points: Points, first: int = 0, count: int | None = None, **fixed) -> bytes:
+    """Makes the payload of a part of a set. Its fields fit unless `fixed` has others."""
+    count = len(points) - first if count is None else count
+    power = points.power[first : first + count].tobytes()
+    fields = {
+        "set": words(points.name),
+        "channel_count": points.channels,
+        "point_count": len(points),
+        "point_first": first,
+        "part_points": count,
+        **fixed,
+    }
+    zeros = bytes(wire.padded(len(power)) - len(power))
+    listed = points.xyz[first : first + count].tobytes()
+    return wire.POINTS_REQUEST.pack(**fields) + listed + power + zeros
+
+
+def gather_payload(points: Points, media=(SKIN,), queries=((0.0, 0.0, 1.0),), **fixed) -> bytes:
+    listed = np.asarray(queries, "<f8")
+    fields = {
+        "model": BETTER,
+        "evaluator": F64,
+        "moments": 1,
+        "parameter_count": 0,
+        "medium_count": len(media),
+        "set": words(points.name),
+        "query_count": len(listed),
+        "tolerance": 1e-3,
+        **fixed,
+    }
+    return wire.GATHER_REQUEST.pack(**fields) + media_bytes(media) + listed.tobytes()
+
+
+def send(connection, points: Points) -> wire.Any:
+    """Sends a whole set in one part; returns the reply."""
+    reply = ask(connection, POINTS, points_payload(points))
+    assert reply.type == POINTS | wire.REPLY, reply
+    return wire.POINTS_REPLY.unpack(reply.payload)
+
+
+# ---- values --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
+@pytest.mark.parametrize("model", ["classical", "better", "transport", "burley"])
+def test_sums_are_those_of_eval(client, model, evaluator):
+    if model == "transport" and evaluator == "f32":
+        pytest.skip("a radius of transport takes as long in f32 as in f64")
+    points, queries = scene(1500 if model == "transport" else 6000), positions(40)
+    exact = sums(client, model, [SKIN], points, queries)
+    for tolerance in (0.0, 1e-1, 1e-2, 1e-4, 1e-6):
+        if model == "transport" and evaluator == "f64" and tolerance not in (0.0, 1e-2):
+            continue
+        found = client.gather(
+            model, [SKIN], points, queries, tolerance=tolerance, evaluator=evaluator
+        )
+        error = np.abs(found.M / exact - 1)
+        assert found.M.shape == exact.shape == (40, 1)
+        assert found.bound <= tolerance * (1 + 1e-6)
+        assert np.all(error <= found.bound + found.numerical_error + 1e-12), (tolerance, error.max())
+
+
+def test_channels_have_their_own_media_and_powers(client):
+    media = [SKIN, SPECTRALON, SKIN, (0.1, 2.0, 0.2, 1.4)] * 2
+    points, queries = scene(3000, 8), positions(25).reshape(5, 5, 3)
+    found = client.gather("better", media, points, queries, tolerance=1e-3, evaluator="f64")
+    exact = sums(client, "better", media, points, queries.reshape(-1, 3)).reshape(5, 5, 8)
+    assert found.M.shape == (5, 5, 8)
+    assert np.all(np.abs(found.M / exact - 1) <= 1e-3 + found.numerical_error)
+    assert found.numerical_error.shape == found.model_error.shape == (8,)
+    assert np.all(client.gather("transport", "skin1", scene(100, 3), queries).model_error == 0)
+
+
+def test_a_query_has_its_value_whatever_is_asked_beside_it(client):
+    points, queries = scene(5000), positions(300)
+    together = client.gather("better", [SKIN], points, queries).M
+    for i in (0, 17, 299):
+        assert client.gather("better", [SKIN], points, queries[i : i + 1]).M == together[i]
+    assert np.array_equal(client.gather("better", [SKIN], points, queries[::-1]).M[::-1], together)
+
+
+def test_no_queries_and_many(client):
+    points = scene(50)
+    assert client.gather("better", [SKIN], points, np.zeros((0, 3))).M.shape == (0, 1)
+    queries = positions(40_000)
+    reports = []
+    found = client.gather(
+        "better", [SKIN], points, queries, tolerance=0, progress=lambda *now: reports.append(now)
+    )
+    assert reports == [(16384, 40_000), (32768, 40_000), (40_000, 40_000)]
+    assert np.allclose(found.M[-5:], sums(client, "better", [SKIN], points, queries[-5:]), rtol=1e-3)
+    assert np.all(found.M > 0)
+
+
+def test_asyncio(shared):
+    points, queries = scene(2000), positions(30)
+
+    async def gather() -> dipole.values.Gathered:
+        async with dipole.AsyncClient(shared.url()) as client:
+            return await client.gather("better", [SKIN], points, queries)
+
+    with shared.client() as client:
+        expected = client.gather("better", [SKIN], points, queries)
+    assert np.array_equal(asyncio.run(gather()).M, expected.M)
+
+
+# ---- the same bits -------------------------------------------------------------------------------
+
+
+@functools.cache
+def asked_for_bits() -> tuple[Points, np.ndarray]:
+    return scene(10_000, 3), positions(2000)
+
+
+def bits(daemon: Daemon) -> bytes:
+    points, queries = asked_for_bits()
+    with daemon.client() as client:
+        return b"".join(
+            client.gather("better", "skin1", points, few, evaluator=evaluator).M.tobytes()
+            for evaluator, few in (("lut", queries), ("f32", queries[:100]), ("f64", queries[:100]))
+        )
+
+
+@pytest.fixture(scope="module")
+def expected(shared) -> bytes:
+    return bits(shared)
+
+
+@pytest.mark.parametrize("isa", HAS)
+def test_instruction_set(daemon, expected, isa):
+    assert bits(daemon("--isa", isa)) == expected
+
+
+@pytest.mark.parametrize("workers", ["1", "4"])
+def test_workers_parts_and_other_load(daemon, expected, workers):
+    one = daemon("--workers", workers, "--max-part-bytes", "16384")
+    ended = threading.Event()
+
+    def load() -> None:
+        with one.client() as client:
+            while not ended.is_set():
+                client.gather("classical", "skin1", asked_for_bits()[0], positions(100, 5))
+
+    threads = [threading.Thread(target=load) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    try:
+        assert bits(one) == expected
+    finally:
+        ended.set()
+        for thread in threads:
+            thread.join()
+
+
+# ---- points --------------------------------------------------------------------------------------
+
+
+def test_points_are_sent_once(daemon):
+    points = scene(1000)
+    one = daemon()
+    with one.client() as first, one.client("tcp") as second:
+        values = [client.gather("better", [SKIN], points, positions(9)).M for client in (first, second)]
+        assert np.array_equal(*values)
+        assert first.statistics()["requests_points"] == 1
+        same = Points(points.xyz.copy(), points.power.copy())
+        assert same.name == points.name
+        second.gather("better", [SKIN], same, positions(9))
+        assert first.statistics()["requests_points"] == 1
+        assert first.statistics()["points_sets"] == 1
+        assert first.statistics()["points_sent_sets"] == 0
+        assert first.statistics()["points_sent_bytes"] == 0
+
+
+def test_parts_and_their_replies(shared):
+    points = scene(1000, 3, seed=11)
+    with shared.connect() as connection:
+        question = points_payload(points, 0, 0)
+        for first, count in ((0, 400), (400, 1), (401, 598)):
+            assert ask(connection, GATHER, gather_payload(points, [SKIN] * 3)).type == wire.TYPE_ERROR
+            for payload in (points_payload(points, first, count), question):
+                reply = ask(connection, POINTS, payload)
+                fixed = wire.POINTS_REPLY.unpack(reply.payload)
+                assert fixed.set == words(points.name)
+                assert (fixed.known, fixed.point_next) == (0, first + count)
+        reply = ask(connection, POINTS, points_payload(points, 999, 1))
+        assert wire.POINTS_REPLY.unpack(reply.payload)[1:] == (1, 0, 1000)
+        assert ask(connection, GATHER, gather_payload(points, [SKIN] * 3)).type == GATHER | wire.REPLY
+        reply = ask(connection, POINTS, points_payload(points, 0, 10))
+        assert wire.POINTS_REPLY.unpack(reply.payload).known == 1
+        with shared.connect() as other:
+            assert wire.POINTS_REPLY.unpack(ask(other, POINTS, question).payload).known == 1
+    assert_daemon_serves(shared)
+
+
+def test_sent_through_several_connections_at_a_time(daemon):
+    one = daemon()
+    points, queries = scene(200_000, 2), positions(50)
+
+    async def gather() -> list[np.ndarray]:
+        clients = [dipole.AsyncClient(one.url()) for _ in range(4)]
+        for client in clients:
+            await client.open()
+        try:
+            found = await asyncio.gather(
+                *(client.gather("better", [SKIN] * 2, points, queries) for client in clients)
+            )
+            return [each.M for each in found]
+        finally:
+            for client in clients:
+                await client.close()
+
+    values = asyncio.run(gather())
+    assert all(np.array_equal(value, values[0]) for value in values)
+    with one.client() as client:
+        assert client.statistics()["points_sets"] == 1
+        assert client.statistics()["points_sent_sets"] == 0
+
+
+def test_a_daemon_dies_between_sending_and_asking():
+    """The client goes on with the second daemon of its list, which has never seen the points."""
+    points, queries = scene(3000, seed=3), positions(20)
+    first, second = Daemon(), Daemon()
+    try:
+        with second.client() as client:
+            expected = client.gather("better", [SKIN], points, queries).M
+        other = scene(2000, seed=4)
+        with dipole.Client(f"{first.url()},{second.url()}") as client:
+            client.gather("better", [SKIN], other, queries)
+            first.kill()
+            assert np.array_equal(client.gather("better", [SKIN], points, queries).M, expected)
+            assert client.gather("better", [SKIN], other, queries).M.shape == (20, 1)
+            assert client.address == second.url()
+    finally:
+        first.close()
+        second.close()
+
+
+def test_a_daemon_dies_while_it_sums():
+    points, queries = scene(500), positions(100_000)
+    first, second = Daemon(), Daemon()
+    try:
+        with second.client() as client:
+            expected = client.gather("better", [SKIN], points, queries[-100:]).M
+        killed = []
+
+        def kill(answered: int, count: int) -> None:
+            if not killed:
+                killed.append(first.kill())
+
+        with dipole.Client(f"{first.url()},{second.url()}") as client:
+            found = client.gather("better", [SKIN], points, queries, progress=kill)
+            assert client.address == second.url()
+        assert killed and np.array_equal(found.M[-100:], expected) and np.all(found.M > 0)
+    finally:
+        first.close()
+        second.close()
+
+
+def test_the_oldest_sets_are_evicted_and_sent_again(daemon):
+    one = daemon("--points-bytes", "4000000")
+    sets = [scene(20_000, seed=seed) for seed in range(8)]
+    queries = positions(5)
+    with one.client() as client:
+        before = [client.gather("better", [SKIN], points, queries).M for points in sets]
+        numbers = client.statistics()
+        assert numbers["points_evictions"] > 0
+        assert 0 < numbers["points_sets"] < 8
+        assert numbers["points_bytes"] <= 4_000_000
+        assert numbers["requests_points"] == 8
+        after = [client.gather("better", [SKIN], points, queries).M for points in sets]
+        assert client.statistics()["requests_points"] == 16
+    assert np.array_equal(before, after)
+
+
+def test_a_set_that_no_room_is_enough_for(daemon):
+    one = daemon("--points-bytes", "100000", "--max-points", "10000")
+    with one.client() as client:
+        client._exchange.retry_s = 0.0
+        with pytest.raises(dipole.Refused) as refused:
+            client.gather("better", [SKIN], scene(10_000), positions(1))
+        assert (refused.value.status, refused.value.field) == ("busy", "points_bytes")
+        with pytest.raises(dipole.Refused) as refused:
+            client.gather("better", [SKIN], scene(10_001), positions(1))
+        assert (refused.value.status, refused.value.field) == ("too-large", "point_count")
+        assert "10000 points" in refused.value.allowed
+        assert client.info.limits["max_points"] == 10_000
+        assert client.statistics()["points_sent_bytes"] == 0
+        assert_daemon_serves(one)
+
+
+# ---- ending early --------------------------------------------------------------------------------
+
+
+def test_cancel(shared):
+    points, queries = scene(500), positions(1_000_000)
+    with shared.client() as client:
+        found = client.gather("better", [SKIN], points, queries, progress=lambda done, of: False)
+        answered = np.count_nonzero(~np.isnan(found.M))
+        assert 0 < answered <= gathering.OUTSTANDING * 16384
+        assert not np.any(np.isnan(found.M[:answered]))
+        client.ping()
+
+
+def test_deadline(shared):
+    points = scene(100_000, seed=9)
+    with shared.connect() as connection:
+        send(connection, points)
+        payload = gather_payload(points, queries=positions(500_000), tolerance=1e-6)
+        start = time.monotonic()
+        connection.send_bytes(frame(GATHER, 77, payload, 300))
+        while (reply := connection.receive_frame()).type == GATHER | wire.REPLY:
+            pass
+        assert_error(reply, "deadline", "deadline_ms", "more", request_id=77)
+        assert time.monotonic() - start >= 0.29
+        assert_serves(connection)
+    with shared.client() as client, pytest.raises(dipole.Refused) as refused:
+        client.gather("better", [SKIN], points, positions(500_000), tolerance=1e-6, deadline_ms=1)
+    assert refused.value.status == "deadline"
+
+
+def test_a_client_leaves_in_the_midst(daemon):
+    one = daemon()
+    points = scene(50_000)
+    with one.connect() as connection:
+        send(connection, points)
+        connection.send_bytes(frame(GATHER, 1, gather_payload(points, queries=positions(100_000))))
+        connection.receive_frame()
+    with one.connect() as connection:
+        connection.send_bytes(frame(POINTS, 1, points_payload(scene(9999, seed=5), 0, 100)))
+        connection.receive_frame()
+    with one.connect() as watcher:
+        assert eventually(lambda: statistics(watcher)["points_sent_bytes"] == 0)
+        assert eventually(lambda: statistics(watcher)["owed_radii"] == 0)
+    assert_daemon_serves(one)
+
+
+def test_small_requests_are_answered_beside_a_large_sum(daemon):
+    """One worker does both. While it sums for one client, another gets hundreds of answers."""
+    one = daemon("--workers", "1")
+    points = scene(20_000)
+    with one.connect() as large, one.client() as small:
+        send(large, points)
+        payload = gather_payload(points, queries=positions(40_000), tolerance=1e-2)
+        large.send_bytes(frame(GATHER, 7, payload))
+        assert eventually(lambda: small.statistics()["queries_gathered"] > 0)
+        answered = 0
+        while answered < 100:
+            small.eval("better", SKIN, np.linspace(0.1, 5, 16))
+            answered += 1
+        assert small.statistics()["answers_ok"] < 1 << 30
+        parts = [large.receive_frame()]
+        fixed = wire.GATHER_REPLY.unpack(parts[0].payload)
+        while fixed.part + 1 < fixed.part_count:
+            parts.append(large.receive_frame())
+            fixed = wire.GATHER_REPLY.unpack(parts[-1].payload)
+        assert len(parts) >= 3 and answered == 100
+
+
+# ---- faults --------------------------------------------------------------------------------------
+
+NAN, INF = float("nan"), float("inf")
+
+
+@pytest.mark.parametrize(
+    "index, xyz, power, field",
+    [
+        (0, (NAN, 0, 0), 1, "points"),
+        (3, (0, INF, 0), 1, "points"),
+        (9, (0, 0, 1e30), 1, "points"),
+        (2, (0, -1.1e9, 0), 1, "points"),
+        (4, (0, 0, 0), -1, "power"),
+        (5, (0, 0, 0), NAN, "power"),
+        (9, (0, 0, 0), INF, "power"),
+    ],
+)
+def test_wrong_points(shared, index, xyz, power, field):
+    """The index counts all points of the set, wherever its parts are cut."""
+    points = scene(10)
+    points.xyz[index], points.power[index] = xyz, power
+    for cut in (0, 5):
+        with shared.connect() as connection:
+            if 0 < cut <= index:
+                assert ask(connection, POINTS, points_payload(points, 0, cut)).type != wire.TYPE_ERROR
+            first = cut if cut <= index else 0
+            reply = ask(connection, POINTS, points_payload(points, first))
+            assert_error(reply, "bad-value", field, "to", index=index)
+            reply = ask(connection, POINTS, points_payload(points, 5, 1))
+            assert_error(reply, "unknown-points", "point_first", "0")
+            assert_serves(connection)
+
+
+@pytest.mark.parametrize(
+    "status, field, changes",
+    [
+        ("bad-count", "channel_count", {"channel_count": 0}),
+        ("bad-count", "channel_count", {"channel_count": 9}),
+        ("bad-count", "channel_count", {"channel_count": 2**32 - 1}),
+        ("bad-value", "zero", {"zero": 1}),
+        ("bad-count", "point_count", {"point_count": 0}),
+        ("too-large", "point_count", {"point_count": 16777217}),
+        ("too-large", "point_count", {"point_count": 2**64 - 1}),
+        ("bad-count", "point_first", {"point_first": 11}),
+        ("bad-count", "part_points", {"part_points": 9}),
+        ("bad-count", "part_points", {"part_points": 11}),
+        ("bad-count", "part_points", {"part_points": 2**64 - 1}),
+        ("bad-count", "part_points", {"point_first": 1}),
+        ("bad-value", "set", {"set": (1, 2)}),
+    ],
+)
+def test_wrong_sets(shared, status, field, changes):
+    with shared.connect() as connection:
+        payload = points_payload(scene(10), **changes)
+        assert_error(ask(connection, POINTS, payload), status, field, "")
+        assert_error(ask(connection, POINTS, payload[:40]), "bad-length", "payload_bytes", "48")
+        assert_serves(connection)
+
+
+def test_parts_that_do_not_follow(shared):
+    points = scene(100, seed=21)
+    with shared.connect() as connection:
+        assert_error(
+            ask(connection, POINTS, points_payload(points, 50)), "unknown-points", "point_first", "0"
+        )
+        ask(connection, POINTS, points_payload(points, 0, 40))
+        reply = ask(connection, POINTS, points_payload(points, 50))
+        assert_error(reply, "bad-value", "point_first", "behind")
+        reply = ask(connection, POINTS, points_payload(points, 40))
+        assert_error(reply, "unknown-points", "point_first", "0")
+        ask(connection, POINTS, points_payload(points, 0, 40))
+        ask(connection, POINTS, points_payload(points, 0, 60))  # It begins anew.
+        reply = ask(connection, POINTS, points_payload(points, 60))
+        assert wire.POINTS_REPLY.unpack(reply.payload).known == 1
+
+
+@pytest.mark.parametrize(
+    "status, field, changes",
+    [
+        ("bad-value", "model", {"model": 999}),
+        ("bad-value", "model", {"model": 0}),
+        ("bad-value", "evaluator", {"evaluator": 0}),
+        ("bad-value", "moments", {"moments": 9}),
+        ("bad-value", "zero", {"zero": 1}),
+        ("bad-count", "medium_count", {"medium_count": 0}),
+        ("bad-count", "medium_count", {"medium_count": 9}),
+        ("bad-count", "parameter_count", {"parameter_count": 9}),
+        ("bad-count", "query_count", {"query_count": 2}),
+        ("too-large", "query_count", {"query_count": 2**64 - 1}),
+        ("bad-value", "tolerance", {"tolerance": NAN}),
+        ("bad-value", "tolerance", {"tolerance": -1.0}),
+        ("bad-value", "tolerance", {"tolerance": 0.6}),
+        ("bad-value", "tolerance", {"tolerance": 1e-10}),
+        ("unknown-points", "set", {"set": (1, 2)}),
+    ],
+)
+def test_wrong_gathers(shared, status, field, changes):
+    points = scene(10)
+    with shared.connect() as connection:
+        send(connection, points)
+        assert_error(ask(connection, GATHER, gather_payload(points, **changes)), status, field, "")
+        assert_serves(connection)
+
+
+def test_faults_of_media_and_queries_have_an_index(shared):
+    points = scene(10, 2)
+    with shared.connect() as connection:
+        send(connection, points)
+        bad = gather_payload(points, [SKIN, (-1.0, 1.0, 0.0, 1.3)])
+        assert_error(ask(connection, GATHER, bad), "bad-value", "sigma_a", "", index=1)
+        bad = gather_payload(points, [SKIN])
+        assert_error(ask(connection, GATHER, bad), "bad-count", "medium_count", "")
+        queries = positions(40_000)
+        queries[33_333, 1] = NAN
+        bad = gather_payload(points, [SKIN] * 2, queries)
+        assert_error(ask(connection, GATHER, bad), "bad-value", "queries", "", index=33_333)
+        good = gather_payload(points, [SKIN] * 2)
+        assert ask(connection, GATHER, good).type == GATHER | wire.REPLY
+
+
+def test_a_sum_that_takes_too_long_at_once_is_refused(shared):
+    points = scene(1_000_000, 8)
+    with shared.client() as client, pytest.raises(dipole.Refused) as refused:
+        client.gather("better", [SKIN] * 8, points, positions(1), tolerance=0)
+    assert (refused.value.status, refused.value.field) == ("too-large", "tolerance")
+
+
+# ---- memory --------------------------------------------------------------------------------------
+
+
+def test_a_hundred_clients_that_send_and_never_ask(daemon):
+    """Unfinished sets share a budget, and finished ones another. What was sent and not finished is
+    freed after a time."""
+    budget = 8_000_000
+    one = daemon("--points-bytes", str(budget), "--frame-timeout-ms", "1500")
+    # Each client sends the half of another set, about 0.6 MB.
+    payload_of = lambda seed: points_payload(scene(40_000, seed=seed), 0, 20_000)  # noqa: E731
+    first = payload_of(0)
+    connections = [one.connect() for _ in range(100)]
+    try:
+        with one.connect() as watcher:
+            refused = 0
+            for seed, connection in enumerate(connections):
+                other = wire.POINTS_REQUEST.unpack(first)._asdict() | {"set": (seed, 1)}
+                connection.send_bytes(
+                    frame(POINTS, 1, wire.POINTS_REQUEST.pack(**other) + first[48:])
+                )
+                reply = connection.receive_frame()
+                refused += reply.type == wire.TYPE_ERROR
+                if reply.type == wire.TYPE_ERROR:
+                    assert_error(reply, "busy", "points_bytes", "fewer", request_id=1)
+                assert statistics(watcher)["points_sent_bytes"] <= budget
+            assert refused > 50
+            assert statistics(watcher)["points_sent_sets"] >= 8
+            if not sanitized():
+                assert one.resident_bytes() < 10 * budget
+            assert eventually(lambda: statistics(watcher)["points_sent_bytes"] == 0)
+            assert statistics(watcher)["points_sent_sets"] == 0
+            with one.client() as client:  # There is room again.
+                assert client.gather("better", [SKIN], scene(20_000), positions(1)).M > 0
+    finally:
+        for connection in connections:
+            connection.close()
+
+
+def test_finished_sets_of_a_hundred_clients(daemon):
+    one = daemon("--points-bytes", "3000000")
+    for seed in range(100):
+        with one.connect() as connection:
+            assert send(connection, scene(8000, seed=seed)).known == 1
+    with one.connect() as watcher:
+        numbers = statistics(watcher)
+        assert numbers["points_bytes"] <= 3_000_000
+        assert numbers["points_evictions"] >= 80
+        assert numbers["points_sent_bytes"] == 0
