@@ -10,6 +10,7 @@
 #include "clients/c/error.h"
 #include "clients/c/query.h"
 #include "clients/c/request.h"
+#include "clients/c/table.h"
 
 enum {
   OUTSTANDING = 4, /* requests under way at a time */
@@ -402,5 +403,94 @@ bool dipole_gather(dipole_client *client, const dipole_gather_query *query,
        i++) {
     M_W_per_mm2[i] = (double)NAN;
   }
+  return good;
+}
+
+/* ---- at home ------------------------------------------------------------------------------- */
+
+/* What sums at home need. */
+struct home {
+  core_gather_points *points;
+  core_gather_sum *sum;
+  core_gather_scratch *scratch;
+};
+
+/* How many points are summed between two calls of progress(), about: a second's worth. */
+#define HOME_PAIRS ((uint64_t)1 << 29)
+
+static bool fail_fault(const core_fault *fault, dipole_error *error) {
+  libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s: allowed: %s", fault->field, fault->allowed);
+  error->index = fault->index;
+  return false;
+}
+
+static bool check_home(const dipole_points_info *info, uint64_t query_count,
+                       const double *queries_mm, dipole_error *error) {
+  if (queries_mm == NULL && query_count > 0) {
+    return fail_argument(error, "queries_mm is NULL, query_count is not 0");
+  }
+  core_fault fault = core_gather_check_points((size_t)info->point_count, info->xyz_mm,
+                                              info->channel_count, info->power_W);
+  if (fault.field == NULL) {
+    fault = core_gather_check_queries((size_t)query_count, queries_mm);
+  }
+  return fault.field == NULL || fail_fault(&fault, error);
+}
+
+static bool open_home(struct home *home, const dipole_table *const *tables,
+                      const dipole_points_info *info, dipole_error *error) {
+  const core_profile *profiles[CORE_GATHER_CHANNELS_MAX];
+  for (uint32_t i = 0; i < info->channel_count; i++) {
+    profiles[i] = libdipole_table_profile(tables[i]);
+  }
+  const core_fault fault = core_gather_sum_prepare(&home->sum, core_isa_select(NULL),
+                                                   info->channel_count, profiles, 0);
+  if (fault.field != NULL) {
+    return fail_fault(&fault, error);
+  }
+  home->points = core_gather_points_create((size_t)info->point_count, info->xyz_mm,
+                                           info->channel_count, info->power_W);
+  while (home->points != NULL && !core_gather_points_build(home->points, UINT64_MAX)) {
+  }
+  home->scratch = home->points != NULL ? core_gather_scratch_create(home->points) : NULL;
+  return home->scratch != NULL || libdipole_fail_memory(error);
+}
+
+static void close_home(struct home *home) {
+  core_gather_scratch_free(home->scratch);
+  core_gather_points_free(home->points);
+  core_gather_sum_free(home->sum);
+}
+
+bool dipole_gather_at_home(const dipole_table *const *tables, const dipole_points *points,
+                           uint64_t query_count, const double *queries_mm,
+                           bool (*progress)(void *context, uint64_t answered, uint64_t count),
+                           void *context, double *M_W_per_mm2, uint64_t *answered_count,
+                           dipole_error *error) {
+  const dipole_points_info *info = &points->public;
+  struct home home = {0};
+  uint64_t done = 0;
+  bool wanted = true;
+  error = error != NULL ? error : &(dipole_error){0};
+  const bool good =
+      check_home(info, query_count, queries_mm, error) && open_home(&home, tables, info, error);
+  const uint64_t most = 1 + HOME_PAIRS / (info->point_count * info->channel_count);
+  while (good && wanted && done < query_count) {
+    const uint64_t n = query_count - done < most ? query_count - done : most;
+    core_gather_visits visits = {0};
+    core_gather(home.sum, home.points, home.scratch, (size_t)n, NULL,
+                queries_mm + done * GATHER_AXES, M_W_per_mm2 + done * info->channel_count, NULL,
+                &visits);
+    done += n;
+    wanted = progress == NULL || progress(context, done, query_count);
+  }
+  for (uint64_t i = done * info->channel_count; good && i < query_count * info->channel_count;
+       i++) {
+    M_W_per_mm2[i] = (double)NAN;
+  }
+  if (answered_count != NULL) {
+    *answered_count = done;
+  }
+  close_home(&home);
   return good;
 }

@@ -286,6 +286,10 @@ const void *dipole_table_bytes(const dipole_table *table, size_t *count) {
   return table->frame;
 }
 
+const core_profile *libdipole_table_profile(const dipole_table *table) {
+  return &table->profile;
+}
+
 const dipole_table_info *dipole_table_get_info(const dipole_table *table) {
   return &table->info;
 }

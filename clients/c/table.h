@@ -15,6 +15,9 @@ bool libdipole_table_check(const uint8_t *bytes, size_t count, size_t *frame_byt
 libdipole_frame *libdipole_table_ask(dipole_client *client, const dipole_table_query *query,
                                      size_t words_max, dipole_error *error);
 
+/* Returns the profile that a table evaluates, of evaluator lut. The table owns it. */
+const core_profile *libdipole_table_profile(const dipole_table *table);
+
 /* Returns the preparation for the request's evaluator if the surface is that of its model, moments,
  * g, eta and parameters, else NULL. The surface owns it. */
 const core_varying *libdipole_surface_varying(const dipole_surface *surface,

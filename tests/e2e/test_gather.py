@@ -4,6 +4,7 @@ what a daemon bears."""
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import functools
 import threading
 import time
@@ -11,7 +12,7 @@ import time
 import dipole
 import numpy as np
 import pytest
-from daemons import Daemon, eventually, sanitized
+from daemons import BUILD, Daemon, eventually, sanitized
 from dipole import Points, gathering, wire
 from frames import (
     F64, SKIN, SPECTRALON, ask, assert_daemon_serves, assert_error, assert_serves, frame,
@@ -205,6 +206,38 @@ def test_workers_parts_and_other_load(daemon, expected, workers):
         ended.set()
         for thread in threads:
             thread.join()
+
+
+@pytest.mark.skipif(sanitized(), reason="Python loads no library that needs a sanitizer")
+@pytest.mark.parametrize("model", ["better", "transport"])
+def test_at_home(client, model):
+    """libdipole sums with tables that it has loaded, without a daemon and with its bits."""
+    library = ctypes.CDLL(str(BUILD / "libdipole.so"))
+    points, queries = scene(3000, 3), positions(50)
+    media = client.media()["skin1"]
+    expected = client.gather(model, media, points, queries, tolerance=0).M
+    found, answered = np.zeros((50, 3)), ctypes.c_uint64()
+    tables = (ctypes.c_void_p * 3)()
+    for i, medium in enumerate(media):
+        data, table = client.table(model, medium).data, ctypes.c_void_p()
+        assert library.dipole_table_load(data, ctypes.c_size_t(len(data)), ctypes.byref(table), None)
+        tables[i] = table
+
+    def pointer(array: np.ndarray) -> ctypes.c_void_p:
+        return ctypes.c_void_p(array.ctypes.data)
+
+    handle = ctypes.c_void_p()
+    arrays = (pointer(points.xyz), pointer(points.power))
+    assert library.dipole_points_make(ctypes.c_uint64(3000), 3, *arrays, ctypes.byref(handle), None)
+    call = (tables, handle, ctypes.c_uint64(50), pointer(queries), None, None, pointer(found))
+    library.dipole_gather_at_home.restype = ctypes.c_bool
+    assert library.dipole_gather_at_home(*call, ctypes.byref(answered), None)
+    assert answered.value == 50 and np.array_equal(found, expected)
+    queries[7, 2] = NAN
+    assert not library.dipole_gather_at_home(*call, ctypes.byref(answered), None)
+    library.dipole_points_free(handle)
+    for table in tables:
+        library.dipole_table_free(ctypes.c_void_p(table))
 
 
 # ---- points --------------------------------------------------------------------------------------
