@@ -20,6 +20,17 @@ static const struct cost {
 } costs[] = {
 #define CORE_COST(model, evaluator, numerical, numerical_least, least, ...)                        \
   {model, evaluator, numerical, numerical_least, least, {__VA_ARGS__}},
+#define CORE_COST_WITH_G(model, evaluator, prepare_ns)
+#include "core/costs.def"
+};
+
+static const struct cost_with_g {
+  unsigned model;
+  unsigned evaluator;
+  double prepare_ns;
+} costs_with_g[] = {
+#define CORE_COST(model, evaluator, numerical, numerical_least, least, ...)
+#define CORE_COST_WITH_G(model, evaluator, prepare_ns) {model, evaluator, prepare_ns},
 #include "core/costs.def"
 };
 
@@ -161,6 +172,31 @@ static void set_numerical_error(core_candidate *candidate, const struct cost *co
   candidate->numerical_error += besides;
 }
 
+/* Without absorption a medium with g is solved as one without g is. */
+#define LOOKED_UP_FROM 1e-6 /* sigma_a / sigma_s' */
+
+/* Returns whether all media scatter with a g other than 0 that comes from transport's table. */
+static bool has_g(const core_choose_request *request) {
+  bool has = request->media_count > 0;
+  for (size_t i = 0; i < request->media_count && has; i++) {
+    const core_medium taken = core_transport_medium(
+        &request->media[i], request->gamma > 0 ? request->gamma : (double)NAN);
+    has = (taken.g < 0 || taken.g > 0) &&
+          taken.sigma_a_per_mm > LOOKED_UP_FROM * taken.sigma_s_per_mm * (1 - taken.g);
+  }
+  return has;
+}
+
+/* Sets the cost of preparing media with g, if the model has one. */
+static void set_cost_with_g(core_candidate *candidate, const core_choose_request *request) {
+  for (size_t i = 0; i < sizeof costs_with_g / sizeof costs_with_g[0]; i++) {
+    if (costs_with_g[i].model == (unsigned)candidate->model &&
+        costs_with_g[i].evaluator == (unsigned)candidate->evaluator && has_g(request)) {
+      candidate->prepare_ns = costs_with_g[i].prepare_ns;
+    }
+  }
+}
+
 /* ---- choosing -------------------------------------------------------------------------------- */
 
 /* Returns how many values a medium has: one for each radius and elementwise quantity. */
@@ -185,6 +221,7 @@ static core_candidate make_candidate(const struct cost *cost, const core_choose_
   };
   if (candidate.model_error < (double)INFINITY) {
     set_numerical_error(&candidate, cost, request);
+    set_cost_with_g(&candidate, request);
     candidate.error =
         candidate.model_error + (1 + candidate.model_error) * candidate.numerical_error;
   }

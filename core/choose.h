@@ -57,6 +57,7 @@ enum {
   CORE_CHOOSE_TOLERANCE_COUNT = 3,
   CORE_CANDIDATES_MAX = 0
 #define CORE_COST(model, evaluator, numerical, numerical_least, least, ...) +1
+#define CORE_COST_WITH_G(model, evaluator, prepare_ns)
 #include "core/costs.def"
 };
 

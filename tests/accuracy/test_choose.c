@@ -424,6 +424,26 @@ UNIT_TEST(the_choice_counts_preparing) {
   assert_true(choose_for(request, 1000000000).prepare_ns < 1e6);
 }
 
+/* With g, transport comes from its table whatever the tolerance is, in some milliseconds; its
+ * difference from isotropic scattering is looked up besides. */
+UNIT_TEST(preparing_with_g_costs_a_look_up) {
+  const core_medium medium = {0.05, 10, 0.9, 1.4};
+  size_t found = 0;
+  for (int i = 0; i < 4; i++) {
+    core_candidate candidates[CORE_CANDIDATES_MAX];
+    core_choose_request request = easy(&medium, 1);
+    request.single = i % 2 == 1;
+    request.tolerance = i < 2 ? 0.02 : 1e-7;
+    const size_t n = core_choose(&request, candidates);
+    for (size_t k = 0; k < n; k++) {
+      const bool transport = candidates[k].model == CORE_MODEL_TRANSPORT;
+      assert_true(!transport || (candidates[k].prepare_ns > 5e5 && candidates[k].prepare_ns < 2e7));
+      found += transport;
+    }
+  }
+  assert_int_equal(found, 6);
+}
+
 /* Every candidate's total follows from its costs. */
 UNIT_TEST(the_total_is_that_of_a_medium) {
   core_choose_request request = easy(&ordinary, 1);

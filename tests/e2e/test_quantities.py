@@ -107,6 +107,9 @@ def test_derivatives_on_the_command_line(client):
     for name in BY:
         assert [float(row[name]) for row in rows] == list(getattr(answer, name)[0])
         assert report[name] == list(getattr(answer, name)[0])
+    for wanted, kind in (("R", "relative"), (BY[0], "absolute"), ("R," + BY[1], "relative, of log")):
+        shown = dipole("eval", *arguments, "--want", wanted).stdout
+        assert f" {kind}" in shown and ("absolute" in shown) == (wanted != "R")
     row = "sigma_a,sigma_s,g,eta,r\n0.1,1,0,1.4,2\n"
     table = read_csv(points(row, "--want", BY[0], "--model", "better", "--errors"))[0]
     assert float(table[BY[0]]) == client.eval(

@@ -143,10 +143,10 @@ static double prepare_ns(const subjects *of, size_t s, const core_medium *medium
 }
 
 /* Returns medium i of the twelve pairs of four ratios and three eta. */
-static core_medium preparation_medium(size_t i) {
+static core_medium preparation_medium(size_t i, double g) {
   static const double ratios[] = {1e-3, 1e-2, 0.1, 1}, etas[] = {1.1, 1.4, 1.8};
   const double ratio = ratios[i % 4];
-  return (core_medium){ratio / (1 + ratio), 1 / (1 + ratio), 0, etas[i / 4]};
+  return (core_medium){ratio / (1 + ratio), 1 / (1 + ratio) / (1 - g), g, etas[i / 4]};
 }
 
 /* Returns the largest numerical error that profiles with this tolerance state, or NaN if refused.
@@ -193,7 +193,7 @@ static void measure(costs_of *costs, const subjects *of, size_t k, tools_progres
     }
     costs[s].evaluate_ns[k] = median_of_numbers(over_media, EVALUATION_MEDIA);
     for (size_t m = 0; m < PREPARATION_MEDIA; m++) {
-      const core_medium medium = preparation_medium(m);
+      const core_medium medium = preparation_medium(m, 0);
       over_media[m] = prepare_ns(of, s, &medium, tolerances[k]);
     }
     costs[s].prepare_ns[k] = median_of_numbers(over_media, PREPARATION_MEDIA);
@@ -207,6 +207,13 @@ void costs_measure(costs_of *costs, const subjects *of, tools_progress *progress
     measure(costs, of, k, progress);
   }
   for (size_t s = 0; s < of->count; s++) {
+    double over_media[PREPARATION_MEDIA];
+    const bool transport = of->models[of->all[s].model].model->id == CORE_MODEL_TRANSPORT;
+    for (size_t m = 0; m < PREPARATION_MEDIA; m++) {
+      const core_medium medium = preparation_medium(m, m % 2 ? 0.9 : 0.5);
+      over_media[m] = transport ? prepare_ns(of, s, &medium, (double)NAN) : (double)NAN;
+    }
+    costs[s].prepare_with_g_ns = median_of_numbers(over_media, PREPARATION_MEDIA);
     find_least(&costs[s], of, s);
   }
 }

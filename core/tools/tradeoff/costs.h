@@ -13,6 +13,7 @@ typedef struct costs_of {
   /* With each of CORE_CHOOSE_TOLERANCES. */
   double evaluate_ns[CORE_CHOOSE_TOLERANCE_COUNT]; /* for R at one radius of COSTS_LENGTH */
   double prepare_ns[CORE_CHOOSE_TOLERANCE_COUNT];  /* for one medium */
+  double prepare_with_g_ns; /* of `transport` with a g other than 0, NAN for other models */
   /* The numerical error that profiles state if the request's tolerance is tolerance_least, which is
    * the least power of ten that they accept. */
   double numerical_least;

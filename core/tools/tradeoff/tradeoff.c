@@ -208,6 +208,10 @@ static void put_cost(FILE *file, const errors_table *errors, const costs_of *cos
     fprintf(file, ", {%.3g, %.3g}", costs[s].evaluate_ns[k], costs[s].prepare_ns[k]);
   }
   fputs(")\n", file);
+  if (!isnan(costs[s].prepare_with_g_ns)) {
+    fprintf(file, "CORE_COST_WITH_G(%u, %u, %.3g)\n", model->id, of->all[s].evaluator->id,
+            costs[s].prepare_with_g_ns);
+  }
 }
 
 static const char errors_head[] =
@@ -292,6 +296,10 @@ static const char costs_head[] =
     " * CORE_COST(model id, evaluator id, numerical error by default, numerical error with the\n"
     " *           least tolerance, the least tolerance, and for each of CORE_CHOOSE_TOLERANCES:\n"
     " *           {ns for a radius, ns to prepare})\n"
+    " * CORE_COST_WITH_G(model id, evaluator id, ns to prepare): of `transport` where g is not 0, "
+    "so "
+    "that\n"
+    " *           it comes from its table whatever the tolerance is\n"
     " */\n"
     "/* clang-format off */\n";
 
@@ -304,7 +312,7 @@ static void write_costs(const char *path, const errors_table *errors, const cost
       put_cost(file, errors, costs, s);
     }
   }
-  fputs("\n#undef CORE_COST\n", file);
+  fputs("\n#undef CORE_COST\n#undef CORE_COST_WITH_G\n", file);
   tools_close(file, path);
 }
 
