@@ -286,6 +286,16 @@ UNIT_TEST(the_table_says_what_it_covers) {
   assert_true(transport_table_error(table, 0.95, 0.8, 1.4, 0.05, 20) <= 6e-4);
   assert_true(transport_table_error(table, 0.6, 0.95, 2.2, 0.01, 20) <= 4e-3);
   assert_true(transport_table_error(table, 0.01, -0.5, 2.2, 0, (double)INFINITY) <= 0.01);
+  for (double albedo = 0.01; albedo < 1; albedo += 0.01) {
+    for (double g = -0.5; g < 0.95; g += 0.29) {
+      for (double eta = 0.7; eta < 2.2; eta += 0.4) { /* as README.md and PROTOCOL.md have it */
+        const double all = transport_table_error(table, albedo, g, eta, 0, (double)INFINITY);
+        assert_true(all <= 7.9001e-3);
+        assert_true(albedo < 0.5 ||
+                    transport_table_error(table, albedo, g, eta, 0.05, 20) <= 2.0001e-3);
+      }
+    }
+  }
   assert_true(transport_table_total_error(table, 0.8) <= 2e-6);
   assert_true(transport_table_diffuse_error(table, 0.95) <= 2e-6);
   assert_true(transport_table_diffuse_error(table, 0.6) <= 3e-6);
