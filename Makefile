@@ -21,6 +21,7 @@
 #   make figures    Figures 1 to 17 of d'Eon 2012 and one of tissue, in build/figures (ten minutes;
 #                   resumes), with build/figures/index.html, and core/tools/tissue.svg
 #   make picture    a mesh in marble, milk and skin by three models, clients/c/examples/picture.png
+#   make gather-figure  build/figures/gather.svg: light gathered from points, error against time
 #   make fit-bias   coefficients that diffusion models give, beside those by transport
 #   make install    to $(DESTDIR)$(PREFIX); make uninstall takes it away again
 #   make container  an image of the daemon, by podman or docker (clients/deploy/Containerfile)
@@ -140,7 +141,7 @@ INSTALLED := $(BUILD)/dipoled $(BUILD)/dipole
 PROGRAMS := $(INSTALLED) $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-tls-long check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz check-truth check-fits check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables reference tradeoff figures picture fit-bias clean
+.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-tls-long check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz check-truth check-fits check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables reference tradeoff figures picture gather-figure fit-bias clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -499,6 +500,13 @@ picture:
 	@sh .ci/install-packages demo
 	@$(MAKE) --no-print-directory -j2 $(BUILD)/dipoled $(BUILD)/picture
 	DIPOLED=private:$(BUILD)/dipoled $(BUILD)/picture clients/c/examples/picture.png
+
+# Light gathered from points: error against time, time against points, and sheets of light.
+gather-figure: $(BUILD)/bench $(BUILD)/tests/accuracy/test_gather
+	@mkdir -p $(BUILD)/figures
+	$(BUILD)/bench --long gather > $(BUILD)/figures/gather.tsv
+	$(BUILD)/tests/accuracy/test_gather > $(BUILD)/figures/gather.txt
+	$(PYTHON) core/tools/gather.py $(BUILD)/figures/gather.tsv $(BUILD)/figures/gather.txt $(BUILD)/figures/gather.svg
 
 # What diffusion models make of readings, beside transport: a table and build/figures/fit_bias.svg.
 fit-bias:

@@ -1,7 +1,8 @@
 /* Finds bounds from a profile's values. core/MODELS.md says what they bound.
  *
- * For an interval of squared distances, the cubic polynomial that interpolates R at Chebyshev's
- * points is compared with R at further points.
+ * For an interval of distances, the cubic polynomial of the squared distance that interpolates R at
+ * Chebyshev's points of the distance is compared with R at further points. Chebyshev's points of the
+ * squared distance would be nearly twice as far off where the interval is wide.
  */
 #include "core/gather/bounds.h"
 
@@ -37,24 +38,28 @@ static void evaluate(const core_profile *profile, size_t n, const double *r, dou
 
 /* The bounds for one distance and ratio. R: at the nodes and checks. */
 static gather_bound bound_of(double d, double ratio, const double *R) {
-  double a[NODES]; /* Chebyshev coefficients of the cubic polynomial */
-  for (int j = 0; j < NODES; j++) {
-    a[j] = 0;
-    for (int i = 0; i < NODES; i++) {
-      const double x = nodes[i];
-      const double value = j == 0 ? 1 : j == 1 ? x : j == 2 ? 2 * x * x - 1 : x * (4 * x * x - 3);
-      a[j] += (j == 0 ? 0.25 : 0.5) * value * R[i];
+  /* Newton's form, in squared distances over d^2 */
+  double s[SAMPLES], a[NODES];
+  for (int i = 0; i < SAMPLES; i++) {
+    const double relative = 1 + ratio * (i < NODES ? nodes[i] : checks[i - NODES]);
+    s[i] = relative * relative;
+  }
+  for (int i = 0; i < NODES; i++) {
+    a[i] = R[i];
+  }
+  for (int order = 1; order < NODES; order++) {
+    for (int i = NODES - 1; i >= order; i--) {
+      a[i] = (a[i] - a[i - 1]) / (s[i] - s[i - order]);
     }
   }
   double off = 0;
-  for (int i = 0; i < CHECKS; i++) {
-    const double x = checks[i];
-    const double cubic = a[0] + a[1] * x + a[2] * (2 * x * x - 1) + a[3] * x * (4 * x * x - 3);
-    off = fmax(off, fabs(cubic - R[NODES + i]));
+  for (int i = NODES; i < SAMPLES; i++) {
+    const double cubic =
+        a[0] + (s[i] - s[0]) * (a[1] + (s[i] - s[1]) * (a[2] + (s[i] - s[2]) * a[3]));
+    off = fmax(off, fabs(cubic - R[i]));
   }
-  const double half = 2 * d * d * ratio; /* of the interval of squared distances */
   return (gather_bound){.quartic = 2 * off / (ratio * ratio * ratio * ratio),
-                        .cubic = fabs(4 * a[3]) / (half * half * half)};
+                        .cubic = fabs(a[3]) / (d * d * d) / (d * d * d)};
 }
 
 static double edge(const gather_bounds *bounds, size_t i) {
@@ -100,9 +105,8 @@ bool gather_bounds_prepare(gather_bounds *bounds, const core_profile *profile) {
     const double d = edge(bounds, i);
     double r[(GATHER_SPREADS + 1) * SAMPLES], R[(GATHER_SPREADS + 1) * SAMPLES];
     for (size_t k = 0; k <= GATHER_SPREADS; k++) {
-      const double middle = 1 + ratios[k] * ratios[k], half = 2 * ratios[k];
       for (size_t j = 0; j < SAMPLES; j++) {
-        r[k * SAMPLES + j] = d * sqrt(middle + half * (j < NODES ? nodes[j] : checks[j - NODES]));
+        r[k * SAMPLES + j] = d * (1 + ratios[k] * (j < NODES ? nodes[j] : checks[j - NODES]));
       }
     }
     evaluate(profile, (GATHER_SPREADS + 1) * SAMPLES, r, R);

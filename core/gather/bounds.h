@@ -12,6 +12,7 @@
 
 #include "core/core.h"
 
+/* Spread i holds ratios of a node's radius to its distance from i / 8 to (i + 1) / 8. */
 enum { GATHER_BANDS = 16 * 26, GATHER_SPREADS = 6 };
 
 /* The largest ratio of a node's radius to its distance for which `near` holds. */

@@ -75,8 +75,9 @@ typedef struct core_gather_sum core_gather_sum;
 /* Prepares a sum. profiles[channels] have one evaluator (asserted); they stay the caller's and must
  * live as long as the sum. tolerance: the largest error of M through nodes that stand for points,
  * relative to M, for each query and channel; CORE_GATHER_TOLERANCE_MIN to _MAX, or 0 for the sum of
- * all points, in the order of the tree and in double precision. Takes up to a millisecond for each
- * channel, more for models that are slow to evaluate, and next to nothing if the tolerance is 0.
+ * all points, in the order of the tree and in double precision. Evaluates R at some 38,000 distances
+ * for each channel (a millisecond for dipoles, some for transport, more for models that are slow to
+ * evaluate), and at none if the tolerance is 0.
  * On a fault *sum is NULL; otherwise the caller frees it with core_gather_sum_free(), which accepts
  * NULL. Faults: `tolerance`; `model` if a profile is not known at all radii, or if a tolerance is
  * given with a table that was downloaded, which tells nothing about derivatives; `memory`. */

@@ -15,24 +15,32 @@ static inline double smaller(double a, double b) {
  * |D - d|^2. Its mean is |D|^2 + E |d|^2, and its difference from it is y = -2 D.d + |d|^2 - E |d|^2.
  * The pair has the mean, E y^2 and nearly E y^3, and lies between the squares of the least and the
  * largest distance that a point may have. */
+enum { AT, RADIUS = 3, FOURTH, SECOND, THIRD = 11 };
+
 static void pair(size_t n, const gather_rows *restrict rows, const double x[3],
                  gather_pairs *restrict pairs) {
   const double qx = x[0], qy = x[1], qz = x[2];
+  const double(*restrict at)[GATHER_ROW] = rows->field + AT;
+  const double(*restrict second)[GATHER_ROW] = rows->field + SECOND;
+  const double(*restrict t)[GATHER_ROW] = rows->field + THIRD;
+  const double third = 1.0 / 3;
   for (size_t i = 0; i < n; i++) {
-    const double X = qx - rows->at[0][i], Y = qy - rows->at[1][i], Z = qz - rows->at[2][i];
+    const double X = qx - at[0][i], Y = qy - at[1][i], Z = qz - at[2][i];
     const double xx = X * X, yy = Y * Y, zz = Z * Z;
     const double square = xx + yy + zz;
-    const double cxx = rows->second[0][i], cyy = rows->second[1][i], czz = rows->second[2][i];
+    const double cxx = second[0][i], cyy = second[1][i], czz = second[2][i];
     const double spread = cxx + cyy + czz;
-    const double along = cxx * xx + cyy * yy + czz * zz + rows->second[3][i] * (X * Y) +
-                         rows->second[4][i] * (X * Z) + rows->second[5][i] * (Y * Z);
-    const double cubic =
-        X * (rows->third[0][i] * xx + rows->third[3][i] * (X * Y) + rows->third[4][i] * (X * Z) +
-             rows->third[5][i] * yy + rows->third[9][i] * (Y * Z)) +
-        Y * (rows->third[1][i] * yy + rows->third[6][i] * (Y * Z)) +
-        Z * (rows->third[2][i] * zz + rows->third[7][i] * (X * Z) + rows->third[8][i] * (Y * Z));
-    const double trace = X * rows->trace[0][i] + Y * rows->trace[1][i] + Z * rows->trace[2][i];
-    const double fourth = rows->fourth[i], radius = rows->radius_mm[i];
+    const double along = cxx * xx + cyy * yy + czz * zz + second[3][i] * (X * Y) +
+                         second[4][i] * (X * Z) + second[5][i] * (Y * Z);
+    const double cubic = X * (t[0][i] * xx + t[3][i] * (X * Y) + t[4][i] * (X * Z) + t[5][i] * yy +
+                              t[9][i] * (Y * Z)) +
+                         Y * (t[1][i] * yy + t[6][i] * (Y * Z)) +
+                         Z * (t[2][i] * zz + t[7][i] * (X * Z) + t[8][i] * (Y * Z));
+    /* D . E |d|^2 d; what occurs three times is in the rows times 3 */
+    const double trace = X * (t[0][i] + (t[5][i] + t[7][i]) * third) +
+                         Y * (t[1][i] + (t[3][i] + t[8][i]) * third) +
+                         Z * (t[2][i] + (t[4][i] + t[6][i]) * third);
+    const double fourth = rows->field[FOURTH][i], radius = rows->field[RADIUS][i];
     const double distance = sqrt(square);
     const double mean = square + spread;
     const double least = larger(distance - radius, 0);
@@ -43,8 +51,8 @@ static void pair(size_t n, const gather_rows *restrict rows, const double x[3],
     const double variance =
         smaller(larger(4 * along - 4 * trace + (fourth - spread * spread), 0), below * above);
     const double ratio = spread > 0 ? fourth / spread - spread : 0;
-    const double third = 12 * along * ratio - 8 * cubic;
-    const double raw = variance > 0 ? third / variance : 0;
+    const double raised = 12 * along * ratio - 8 * cubic;
+    const double raw = variance > 0 ? raised / variance : 0;
     const double skew = smaller(larger(raw, variance / below - below), above - variance / above);
     const double apart = sqrt(skew * skew + 4 * variance);
     const double up = 0.5 * (skew + apart);

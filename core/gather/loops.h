@@ -11,20 +11,18 @@
 
 enum { GATHER_LANES = 8, GATHER_NODES = 256, GATHER_POINTS = 512 };
 
-/* Nodes side by side: gather_moments without third moments that are summed up. */
+/* Nodes side by side: the numbers of gather_moments, each times the number of times that it occurs in
+ * a product with a symmetric tensor. The rows are not a power of two apart, so that they do not
+ * compete for the same lines of the cache. */
+enum { GATHER_FIELDS = 21, GATHER_ROW = GATHER_NODES + GATHER_LANES };
 typedef struct gather_rows {
-  _Alignas(64) double at[3][GATHER_NODES];
-  double radius_mm[GATHER_NODES];
-  double fourth[GATHER_NODES];
-  double second[6][GATHER_NODES]; /* those that occur twice are doubled */
-  double third[10][GATHER_NODES]; /* those that occur n times are times n */
-  double trace[3][GATHER_NODES];  /* E |d|^2 d */
+  _Alignas(64) double field[GATHER_FIELDS][GATHER_ROW];
 } gather_rows;
 
 /* The two radii that stand for a node, and the share of its power at the first one. */
 typedef struct gather_pairs {
-  _Alignas(64) double r[2][GATHER_NODES];
-  double share[GATHER_NODES];
+  _Alignas(64) double r[2][GATHER_ROW];
+  double share[GATHER_ROW];
 } gather_pairs;
 
 typedef struct gather_loops {

@@ -757,6 +757,10 @@ static bool holds(const double corner[3], double edge_mm, const double x[3]) {
   return held;
 }
 
+/* A cell holds so many points or fewer, so that finding its list is shared by many queries; smaller
+ * cells have shorter lists. */
+enum { CELL_POINTS = 64 };
+
 /* The cube of an edge up to leaf_mm in the octant of a node's cube that x is in. */
 static gather_cell cell_between(const core_gather_points *points, const gather_node *node,
                                 const double x[3]) {
@@ -791,10 +795,13 @@ gather_cell gather_cell_of(const core_gather_points *points, const double x[3]) 
       break;
     }
     node = &child[i];
+    if (node->count <= CELL_POINTS) {
+      break;
+    }
   }
   cell.radius_mm = node->edge_mm;
   memcpy(cell.at, node->corner, sizeof cell.at);
-  if (node->children > 0) {
+  if (node->count > CELL_POINTS && node->children > 0) {
     cell = cell_between(points, node, x);
   }
   /* From the corner and the edge to the centre and half the diagonal */

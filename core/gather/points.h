@@ -21,7 +21,7 @@ typedef struct gather_node {
 } gather_node;
 
 /* The moments of a node's points about their centroid, weighted with their power: with d the vector
- * from the centroid, and E the mean */
+ * from the centroid, and E the mean. All are doubles, in the order of gather_rows. */
 typedef struct gather_moments {
   double at[3];     /* the centroid */
   double radius_mm; /* the largest |d| */
@@ -60,9 +60,9 @@ typedef struct gather_cell {
   double radius_mm;
 } gather_cell;
 
-/* Returns the cell of a query, which depends on the points and the query alone: the cube of the leaf
- * that it is in, or a cube of about that size between leaves. Outside of the root's cube the cell is
- * the query itself. */
+/* Returns the cell of a query, which depends on the points and the query alone: the cube of the
+ * largest node with few points that it is in, or a cube of about a leaf's size between nodes. Outside
+ * of the root's cube the cell is the query itself. */
 gather_cell gather_cell_of(const core_gather_points *points, const double x[3]);
 
 #endif

@@ -95,6 +95,9 @@ double core_gather_query_cost(const core_gather_sum *sum, const core_gather_poin
 /* A list that would be longer is replaced by all points. */
 enum { LIST_MAX = 1 << 16, QUERIES = 64 };
 
+/* The largest ratio of radius and distance of nodes that the estimate of M takes. */
+#define ESTIMATE_ANGLE 0.5
+
 /* The lists of a cell get finer; from ALL_POINTS on, all points are summed. */
 enum { ALL_POINTS = 8 };
 
@@ -111,10 +114,10 @@ struct core_gather_scratch {
   /* What is evaluated together */
   gather_rows rows;
   gather_pairs pairs;
-  _Alignas(64) double at[3][GATHER_POINTS];
-  double power[CORE_GATHER_CHANNELS_MAX][GATHER_POINTS];
+  _Alignas(64) double at[3][GATHER_POINTS + GATHER_LANES];
+  double power[CORE_GATHER_CHANNELS_MAX][GATHER_POINTS + GATHER_LANES];
   double r[GATHER_POINTS];
-  double R[2][GATHER_POINTS];
+  double R[2][GATHER_POINTS + GATHER_LANES];
   float narrow_r[GATHER_POINTS];
   float narrow_R[GATHER_POINTS];
   double added[QUERIES][CORE_GATHER_CHANNELS_MAX];
@@ -165,7 +168,7 @@ static void find_error(const walk *w, uint32_t node, double *error) {
     const double quartic = ratio * ratio * ratio * ratio;
     const double cubic =
         m->fourth * (12 * most * most + 6 * most * m->radius_mm + m->radius_mm * m->radius_mm);
-    const size_t spread = ratio > 0.125 ? (size_t)(ratio * 8 * (1 - 0x1p-40)) : 1;
+    const size_t spread = apart ? (size_t)(ratio * 8 * (1 - 0x1p-40)) : 0;
     for (size_t c = 0; c < points->channels; c++) {
       if (points->group[c] != group) {
         continue;
@@ -176,7 +179,7 @@ static void find_error(const walk *w, uint32_t node, double *error) {
         const size_t last = gather_band(bounds, most);
         double by_quartic = 0, by_cubic = 0;
         for (size_t band = gather_band(bounds, least); band <= last; band++) {
-          const gather_bound *near = &bounds->near[band][spread - 1];
+          const gather_bound *near = &bounds->near[band][spread];
           by_quartic = near->quartic > by_quartic ? near->quartic : by_quartic;
           by_cubic = near->cubic > by_cubic ? near->cubic : by_cubic;
         }
@@ -216,34 +219,40 @@ static bool open_node(const walk *w, size_t place) {
   return true;
 }
 
-/* Starts the list: nodes that look smaller than an angle, and the estimate of M. */
+/* Starts the list with the root, and estimates M by nodes that look smaller than an angle. Returns
+ * false if there are too many of these. */
 static bool start_list(const walk *w) {
   core_gather_scratch *s = w->s;
   const core_gather_points *points = w->points;
-  s->leaf_count = 0;
+  memset(s->estimate, 0, sizeof s->estimate);
   s->node_count = 1;
   s->node[0] = 0;
-  find_error(w, 0, s->node_error[0]);
-  memset(s->estimate, 0, sizeof s->estimate);
-  for (size_t i = 0; i < s->node_count;) {
-    const gather_moments *m = &points->moments[s->node[i] * points->groups];
+  while (s->node_count > 0) {
+    const uint32_t at = s->node[--s->node_count];
+    const gather_node *node = &points->nodes[at];
+    const gather_moments *m = &points->moments[at * points->groups];
     const double x = s->cell.at[0] - m->at[0], y = s->cell.at[1] - m->at[1],
                  z = s->cell.at[2] - m->at[2];
     const double distance = sqrt(x * x + y * y + z * z);
-    if (points->nodes[s->node[i]].children > 0 &&
-        m->radius_mm > 0.5 * (distance - s->cell.radius_mm)) {
-      if (!open_node(w, i)) {
+    if (node->children > 0 && m->radius_mm > ESTIMATE_ANGLE * distance) {
+      for (uint32_t i = 0; i < node->children; i++) {
+        s->node[s->node_count++] = node->child + i;
+      }
+      if (s->node_count + 8 > LIST_MAX) {
         return false;
       }
       continue;
     }
+    const double r = fmax(distance, 0.5 * fmax(m->radius_mm, s->cell.radius_mm));
     for (size_t c = 0; c < points->channels; c++) {
-      const double r = fmax(distance, 0.5 * fmax(m->radius_mm, s->cell.radius_mm));
-      s->estimate[c] += points->node_power[s->node[i] * points->channels + c] *
-                        gather_about(&w->sum->bounds[c], r);
+      s->estimate[c] +=
+          points->node_power[at * points->channels + c] * gather_about(&w->sum->bounds[c], r);
     }
-    i++;
   }
+  s->leaf_count = 0;
+  s->node_count = 1;
+  s->node[0] = 0;
+  find_error(w, 0, s->node_error[0]);
   return true;
 }
 
@@ -338,30 +347,31 @@ static size_t padded(size_t n) {
   return (n + GATHER_LANES - 1) / GATHER_LANES * GATHER_LANES;
 }
 
-/* Copies the moments of some nodes of the list to the rows, and their powers. Returns the number of
- * rows. The last rows are further ones without power. */
+/* How often each number of gather_moments occurs. */
+static const double times[GATHER_FIELDS] = {1, 1, 1, 1, 1, 1, 1, 1, 2, 2, 2,
+                                            1, 1, 1, 3, 3, 3, 3, 3, 3, 6};
+_Static_assert(sizeof(gather_moments) == GATHER_FIELDS * sizeof(double), "all of them");
+
+/* Copies the moments of some nodes of the list to the rows, and the powers of the group's channels.
+ * Returns the number of rows. The last rows are further ones without power. */
 static size_t fill_rows(const walk *w, size_t group, size_t first, size_t count) {
   const core_gather_points *points = w->points;
-  gather_rows *rows = &w->s->rows;
   const size_t n = padded(count);
-  for (size_t i = 0; i < n; i++) {
-    const uint32_t node = w->s->node[first + (i < count ? i : count - 1)];
-    const gather_moments *m = &points->moments[node * points->groups + group];
-    for (int k = 0; k < 3; k++) {
-      rows->at[k][i] = m->at[k];
-      rows->second[k][i] = m->second[k];
-      rows->second[3 + k][i] = 2 * m->second[3 + k];
+  for (size_t i = 0; i < n; i += GATHER_LANES) {
+    double moments[GATHER_LANES][GATHER_FIELDS];
+    for (size_t k = 0; k < GATHER_LANES; k++) {
+      const size_t place = i + k < count ? i + k : count - 1;
+      const size_t node = w->s->node[first + place];
+      memcpy(moments[k], &points->moments[node * points->groups + group], sizeof moments[k]);
+      for (size_t c = 0; c < points->channels; c++) {
+        const bool counts = i + k < count && points->group[c] == group;
+        w->s->power[c][i + k] = counts ? points->node_power[node * points->channels + c] : 0;
+      }
     }
-    rows->radius_mm[i] = m->radius_mm;
-    rows->fourth[i] = m->fourth;
-    for (int k = 0; k < 10; k++) {
-      rows->third[k][i] = (k < 3 ? 1 : k < 9 ? 3 : 6) * m->third[k];
-    }
-    rows->trace[0][i] = m->third[0] + m->third[5] + m->third[7];
-    rows->trace[1][i] = m->third[3] + m->third[1] + m->third[8];
-    rows->trace[2][i] = m->third[4] + m->third[6] + m->third[2];
-    for (size_t c = 0; c < points->channels; c++) {
-      w->s->power[c][i] = i < count ? points->node_power[node * points->channels + c] : 0;
+    for (size_t field = 0; field < GATHER_FIELDS; field++) {
+      for (size_t k = 0; k < GATHER_LANES; k++) {
+        w->s->rows.field[field][i + k] = times[field] * moments[k][field];
+      }
     }
   }
   return n;
@@ -457,7 +467,7 @@ static bool finish_query(const walk *w, size_t q, double *M, float *bound) {
     within = within && value >= s->error[c] && error + spare <= w->sum->tolerance;
     M[c] = value;
     if (bound != NULL) {
-      bound[c] = (float)(error + spare);
+      bound[c] = (float)((error + spare) * (1 - 0x1p-22)); /* `spare` is more than this */
     }
   }
   return within || s->fineness == ALL_POINTS;
@@ -532,16 +542,14 @@ void core_gather(const core_gather_sum *sum, const core_gather_points *points,
 /* Rounding a distance to single precision changes R by this much, relative, at distances up to
  * most_mm where R has not underflowed. */
 static double rounding_error(const core_profile *profile, double most_mm) {
-  enum { PLACES = 256 };
-  const double least_mm = 1e-4 * profile->scale_mm;
   double steepest = 1;
-  for (int i = 0; i < PLACES && most_mm > least_mm; i++) {
-    const double r = least_mm * pow(most_mm / least_mm, (i + 1.0) / PLACES);
-    const float radii[2] = {(float)(0.99 * r), (float)r};
+  for (double r = 1e-4 * profile->scale_mm; r < 1.05 * most_mm; r *= 1.05) {
+    const double far = r < most_mm ? r : most_mm;
+    const float radii[2] = {(float)(0.99 * far), (float)far};
     float R[2];
     core_eval_f32(profile, CORE_QUANTITY_R, 2, radii, R);
     if (R[1] > FLT_MIN && R[0] <= FLT_MAX) {
-      steepest = fmax(steepest, log((double)R[0] / (double)R[1]) / -log(0.99));
+      steepest = fmax(steepest, 100 * ((double)R[0] / (double)R[1] - 1)); /* at least the slope */
     }
   }
   return 1.1 * steepest * 0x1p-24;

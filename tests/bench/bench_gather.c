@@ -14,6 +14,7 @@
  *   gather.plain.million              s, extrapolated from the plain sum at some queries
  *   gather.points.1e<n>.query         us at 1e-2, by the number of points
  *   gather.angle.<tolerance>.query    us, by the criterion of solid angle at equal measured error
+ *   gather.angle.<tolerance>.worst    that error
  *   ratio.gather.<tolerance>          that over gathering by tolerance
  */
 #include <math.h>
@@ -404,12 +405,13 @@ static double angle_error(const angle_node *root, const scene *of, const query_s
 /* Returns the microseconds of a query by solid angle, with the limit at which its worst error is the
  * given one. */
 static double angle_us(const angle_node *root, const scene *of, const query_set *queries,
-                       double error, const double *exact) {
+                       double error, const double *exact, double *found) {
   double least = 1e-4, most = 1;
   for (int i = 0; i < 7; i++) {
     const double middle = sqrt(least * most);
     *(angle_error(root, of, queries, middle, exact) > error ? &most : &least) = middle;
   }
+  *found = angle_error(root, of, queries, least, exact);
   const size_t stride = 1000;
   size_t count = 0;
   const uint64_t start = own_ns();
@@ -441,12 +443,14 @@ static void measure_tolerance(const scene *of, const query_set *queries, const a
   bench_figure((double)visits.tested / (double)visits.queries, "1", "gather.%.0e.tested",
                tolerance);
   bench_figure(error, "1", "gather.%.0e.worst", tolerance);
-  if (tolerance > 5e-3) {
+  if (tolerance > 5e-3 && tolerance < 5e-2) {
     bench_figure(alone, "us", "gather.alone.query");
   }
   if (root != NULL) {
-    const double angle = angle_us(root, of, queries, error, exact);
+    double found;
+    const double angle = angle_us(root, of, queries, error, exact, &found);
     bench_figure(angle, "us", "gather.angle.%.0e.query", tolerance);
+    bench_figure(found, "1", "gather.angle.%.0e.worst", tolerance);
     bench_figure(angle / us, "1", "ratio.gather.%.0e", tolerance);
   }
   core_gather_sum_free(sum);
@@ -486,7 +490,7 @@ void bench_gather(void) {
   bench_figure(plain_us * MILLION * 1e-6 / THREADS, "s", "gather.plain.million");
   core_gather_sum_free(plain);
   angle_node *root = make_angle_tree(&made);
-  for (double tolerance = 1e-2; tolerance > 5e-4; tolerance /= 10) {
+  for (double tolerance = 1e-1; tolerance > (bench_is_long ? 5e-5 : 5e-4); tolerance /= 10) {
     bench_progress("gather: by tolerance and by solid angle");
     measure_tolerance(&made, &queries, root, exact, tolerance, bench_is_long ? 1 : 50);
   }

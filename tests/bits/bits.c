@@ -9,6 +9,7 @@
 #include <string.h>
 
 #include "core/core.h"
+#include "core/gather/gather.h"
 #include "core/montecarlo/montecarlo.h"
 #include "core/splitmix.h"
 #include "core/transport/anisotropic.h"
@@ -343,6 +344,57 @@ static void print_walks(const core_isa *isa) {
   }
 }
 
+/* Light gathered from points of different sizes of clusters, with each evaluator. */
+static void print_gathered(const core_isa *isa) {
+  enum { POINTS = 3000, QUERIES = 100, CHANNELS = 2 };
+  static double xyz[3 * POINTS], M[CHANNELS * QUERIES];
+  static float power[CHANNELS * POINTS], bound[CHANNELS * QUERIES];
+  uint64_t state = 23;
+  for (size_t i = 0; i < POINTS; i++) {
+    const double size = spread(&state, -8, 4);
+    for (size_t k = 0; k < 3; k++) {
+      xyz[3 * i + k] = (double)(i % 5) + size * core_splitmix_f64(&state);
+    }
+    for (size_t c = 0; c < CHANNELS; c++) {
+      power[CHANNELS * i + c] = (float)core_splitmix_f64(&state);
+    }
+  }
+  core_gather_points *points = core_gather_points_create(POINTS, xyz, CHANNELS, power);
+  while (!core_gather_points_build(points, 1000000)) {
+  }
+  core_gather_scratch *scratch = core_gather_scratch_create(points);
+  for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
+    const core_medium media[CHANNELS] = {{0.17, 0.88, 0, 1.3}, {0.03, 7.4, 0.9, 1.4}};
+    core_profile profiles[CHANNELS];
+    const core_profile *list[CHANNELS];
+    for (size_t c = 0; c < CHANNELS; c++) {
+      core_profile_prepare(&profiles[c], isa, CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, evaluator->id,
+                           &media[c], NULL);
+      list[c] = &profiles[c];
+    }
+    uint64_t sum = CHECKSUM_START;
+    for (double tolerance = 1e-2; tolerance > 1e-6; tolerance *= 0.1) {
+      core_gather_sum *gather;
+      core_gather_visits visits = {0};
+      core_gather_sum_prepare(&gather, isa, CHANNELS, list, tolerance < 1e-5 ? 0 : tolerance);
+      core_gather(gather, points, scratch, QUERIES, NULL, xyz, M, bound, &visits);
+      sum = checksum(sum, M, sizeof M);
+      sum = checksum(sum, bound, sizeof bound);
+      for (size_t c = 0; c < CHANNELS; c++) {
+        const double error = core_gather_error(gather, points, c, QUERIES, xyz);
+        sum = checksum(sum, &error, sizeof error);
+      }
+      core_gather_sum_free(gather);
+    }
+    for (size_t c = 0; c < CHANNELS; c++) {
+      core_profile_free(&profiles[c]);
+    }
+    printf("gathered %s %016" PRIx64 "\n", evaluator->name, sum);
+  }
+  core_gather_scratch_free(scratch);
+  core_gather_points_free(points);
+}
+
 int main(int argc, char **argv) {
   const core_isa *isa = core_isa_select(argc > 1 ? argv[1] : "portable");
   if (isa == NULL) {
@@ -380,5 +432,6 @@ int main(int argc, char **argv) {
   print_grids();
   print_anisotropic(isa);
   print_walks(isa);
+  print_gathered(isa);
   return EXIT_SUCCESS;
 }
