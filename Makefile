@@ -141,7 +141,7 @@ INSTALLED := $(BUILD)/dipoled $(BUILD)/dipole
 PROGRAMS := $(INSTALLED) $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-tls-long check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz check-truth check-fits check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables reference tradeoff figures picture gather-figure fit-bias clean
+.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-tls-long check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz check-truth check-fits check-varying check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables reference tradeoff figures picture gather-figure fit-bias clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -318,7 +318,7 @@ check:
 check-long:
 	@sh .ci/install-packages demo check deb ci
 	@$(MAKE) --no-print-directory -j2 all $(BUILD)/tests/bits $(BUILD)/soak-load $(BUILD)/pipeline
-	+@bash tests/run-check.sh $(BUILD)/logs-long bits-aarch64 soak-long tls-long balancer-long+rings plan pipeline fits packages deb
+	+@bash tests/run-check.sh $(BUILD)/logs-long bits-aarch64 soak-long tls-long balancer-long+rings plan pipeline fits varying packages deb
 
 # Fails when modules include each other in a circle.
 check-structure:
@@ -424,6 +424,11 @@ check-truth: $(BUILD)/tests/accuracy/truth
 
 truth: $(BUILD)/tests/accuracy/truth
 	$(BUILD)/tests/accuracy/truth --seconds $(or $(SECONDS),60) $(SEED:%=--seed %)
+
+# Media that vary: 100,000 random media and radii for each model, surfaces with tolerance 1e-5 for a
+# grid of 192 pairs of g and eta, and 800 media that are solved.
+check-varying: $(BUILD)/tests/accuracy/test_varying
+	VARYING_MEDIA=100000 VARYING_SURFACES=192 VARYING_SOLVED=800 $(BUILD)/tests/accuracy/test_varying
 
 # Coefficients from 10,000 random sets of readings for each model and scale.
 check-fits: $(BUILD)/tests/accuracy/test_fit

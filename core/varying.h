@@ -94,7 +94,7 @@ typedef struct core_varying {
  * core_profile_check() for a medium with this g and eta; `model` or `evaluator` if media cannot
  * vary with it; `eta` if the table of solutions does not cover it; `tolerance` if no surface keeps
  * it; and `memory`. On a fault *varying is unspecified. Otherwise the caller frees it. For
- * `transport` this takes some 25 ms with the default tolerance, 0.1 s with 1e-4 and 0.3 s with 1e-5
+ * `transport` this takes some 35 ms with the default tolerance, 0.1 s with 1e-4 and 0.5 s with 1e-5
  * (1.5 s at the ends of g); else some ten microseconds. */
 core_fault core_varying_prepare(core_varying *varying, const core_isa *isa, unsigned model,
                                 unsigned moments, unsigned evaluator, double g, double eta,
@@ -187,7 +187,7 @@ void core_varying_gradient_f64(const core_varying *varying, size_t n, const doub
 /* ---- from colours to media ------------------------------------------------------------------- */
 
 /* The albedo of a medium from core_varying_invert_f64() or _f32() is off from the colour, per power
- * that entered, by less than this, absolute. */
+ * that entered, by less than this, absolute, for eta up to 3. (For eta of 10 it is 1e-3.) */
 #define CORE_COLOUR_ERROR 1e-5
 
 /* What a colour means. */

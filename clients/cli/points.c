@@ -149,8 +149,16 @@ static points_row *find_row(points_run *points, uint64_t id) {
   return NULL;
 }
 
+static bool collect(points_run *points);
+
+/* Asks for the row by itself. Takes answers first if as many queries are outstanding as may be. */
 static bool submit(points_run *points, points_row *row) {
   dipole_error error;
+  while (dipole_outstanding(points->client) >= DIPOLE_IN_FLIGHT_MAX) {
+    if (!collect(points)) {
+      return false;
+    }
+  }
   return submit_row(&points->usual, points->client, row, &error) || fail(points, "%s", error.text);
 }
 

@@ -129,8 +129,11 @@ enum {
   COLOUR_REST_FIRST = -24,
   COLOUR_END = -1,
   COLOUR_CUTS = 2,
-  COLOUR_CELLS = (COLOUR_END - COLOUR_FIRST) << COLOUR_CUTS,
-  COLOUR_REST_CELLS = (COLOUR_END - COLOUR_REST_FIRST) << COLOUR_CUTS,
+  COLOUR_FINE = 2, /* octaves at the end, with more cuts: dark media of a large eta bend there */
+  COLOUR_FINE_CUTS = 4,
+  COLOUR_FINE_MORE = (COLOUR_FINE << COLOUR_FINE_CUTS) - (COLOUR_FINE << COLOUR_CUTS),
+  COLOUR_CELLS = ((COLOUR_END - COLOUR_FIRST) << COLOUR_CUTS) + COLOUR_FINE_MORE,
+  COLOUR_REST_CELLS = ((COLOUR_END - COLOUR_REST_FIRST) << COLOUR_CUTS) + COLOUR_FINE_MORE,
   COLOUR_WORDS = CORE_LIGHTS * CORE_SURFACE_TERMS * (COLOUR_CELLS + COLOUR_REST_CELLS),
   SECANTS = 40
 };
@@ -163,20 +166,26 @@ static double ln_albedo(const struct albedos *albedos, double most, bool rest, d
   return fn_log(fmax(rest ? most - albedo : albedo, 1e-300));
 }
 
-/* Returns the y at which ln_albedo() is `wanted`, by the secant method from y on: the function is
- * nearly a straight line of slope 1 or 2. */
+/* Returns the y at which ln_albedo() is `wanted`, by the secant method from y on: the function rises,
+ * and is nearly a straight line of slope 1 or 2. What the albedo lacks hardly changes where the
+ * albedo is small, as in dark media with a large eta: a step that leads out of the bracket halves
+ * it. */
 static double find_medium(const struct albedos *albedos, double most, bool rest, double wanted,
                           double y) {
   double before = y - 0.01, off_before = ln_albedo(albedos, most, rest, before) - wanted;
+  double low = -40, high = 0;
   for (int i = 0; i < SECANTS; i++) {
     const double off = ln_albedo(albedos, most, rest, y) - wanted;
     const double slope = (off - off_before) / (y - before);
-    if (fabs(off) < 1e-13 || !(slope > 0.1)) {
+    if (fabs(off) < 1e-13 || (!rest && !(slope > 0.1))) { /* or below the least albedo */
       break;
     }
+    low = off < 0 ? y : low;
+    high = off > 0 ? y : high;
     before = y;
     off_before = off;
-    y = fmin(y - off / slope, 0);
+    const double next = y - off / slope;
+    y = next > low && next < high ? next : 0.5 * (low + high);
   }
   return y;
 }
@@ -207,16 +216,19 @@ static void put_colours(const struct albedos *albedos, double most, float *words
 }
 
 static void lay_colour_axes(float *words) {
-  uint8_t cuts[CORE_SURFACE_AXIS];
-  memset(cuts, COLOUR_CUTS, sizeof cuts);
-  lay_axis(words, CORE_SURFACE_COLOUR, COLOUR_FIRST, COLOUR_END, cuts);
-  lay_axis(words, CORE_SURFACE_COLOUR_REST, COLOUR_REST_FIRST, COLOUR_END, cuts);
+  for (int rest = 0; rest < 2; rest++) {
+    const int first = rest ? COLOUR_REST_FIRST : COLOUR_FIRST;
+    uint8_t cuts[CORE_SURFACE_AXIS];
+    memset(cuts, COLOUR_CUTS, sizeof cuts);
+    memset(&cuts[COLOUR_END - first - COLOUR_FINE], COLOUR_FINE_CUTS, COLOUR_FINE);
+    lay_axis(words, rest ? CORE_SURFACE_COLOUR_REST : CORE_SURFACE_COLOUR, first, COLOUR_END, cuts);
+  }
 }
 
 /* ---- the surface ----------------------------------------------------------------------------- */
 
 enum {
-  S_FIRST = -17, /* octaves of each axis */
+  S_FIRST = -17, /* octaves of each axis; that of s begins here or below: see first_of_s() */
   W_FIRST = -8,
   ALBEDO_END = -1,
   U_FIRST = -20,
@@ -250,20 +262,31 @@ static int cuts_of(enum core_surface_axis axis, int octave, int level) {
   if (axis == CORE_SURFACE_W) { /* the first octave is not full: see fill_rows() */
     base = octave == W_FIRST ? 2 : 1;
   } else if (axis == CORE_SURFACE_S) {
-    base = octave < -4 ? 1 : 2;
+    base = octave < S_FIRST ? 0 : octave < -4 ? 1 : 2;
   } else {
     base = octave >= -4 ? 2 : axis == CORE_SURFACE_REST;
   }
   return base + level;
 }
 
-static void lay_axes(const transport_table *table, float *words, int level) {
-  static const struct {
+/* Returns the first octave of s. Media that do not absorb, too, get the functions of the least s:
+ * what they are off by is some 2 s x, at the reach x a small share of the tolerance. */
+static int first_of_s(const core_surface_inputs *inputs) {
+  const core_medium white = {0, 1 / (1 - inputs->g), inputs->g, inputs->eta};
+  int end;
+  frexp(0.03 * inputs->tolerance / core_transport_reach(&white).most_mm, &end);
+  end = end < S_FIRST + 1 ? end : S_FIRST + 1;
+  return end - 1 > CORE_SURFACE_EXPONENT ? end - 1 : CORE_SURFACE_EXPONENT;
+}
+
+static void lay_axes(const core_surface_inputs *inputs, const transport_table *table, float *words,
+                     int level) {
+  const struct {
     enum core_surface_axis axis;
     int first, end;
   } ranges[] = {
-      {CORE_SURFACE_S, S_FIRST, ALBEDO_END},       {CORE_SURFACE_W, W_FIRST, ALBEDO_END},
-      {CORE_SURFACE_RADIUS, ROWS_FIRST, ROWS_END}, {CORE_SURFACE_U, U_FIRST, U_END},
+      {CORE_SURFACE_S, first_of_s(inputs), ALBEDO_END}, {CORE_SURFACE_W, W_FIRST, ALBEDO_END},
+      {CORE_SURFACE_RADIUS, ROWS_FIRST, ROWS_END},      {CORE_SURFACE_U, U_FIRST, U_END},
       {CORE_SURFACE_REST, REST_FIRST, U_END},
   };
   for (size_t i = 0; i < sizeof ranges / sizeof ranges[0]; i++) {
@@ -584,13 +607,18 @@ static void fill_rows(const rows *all, const float *words, const struct grid *gr
   }
 }
 
-/* Returns the largest error in the middle of cells of both axes of albedos. */
+/* Returns the largest error in the middle of cells of both axes of albedos, and without absorption.
+ */
 static double measure(const core_surface_inputs *inputs, const rows *all, const float *words,
                       size_t count, const struct grid *grid, rows_row *row) {
   double *wide = core_surface_widen(words, count);
   const struct measured of = {inputs->shared, words, wide, grid, row};
   const core_kernels_f64 *kernels = core_isa_surface_kernels(inputs->isa)->f64;
-  double worst = wide != NULL ? 0 : (double)INFINITY;
+  double worst = (double)INFINITY;
+  if (wide != NULL) {
+    rows_fill(all, 0, 1, row);
+    worst = measure_row(&of, kernels);
+  }
   for (int axis = CORE_SURFACE_S; wide != NULL && axis <= CORE_SURFACE_W; axis++) {
     for (size_t i = 0; i < cells_of(words, axis); i++) {
       const double middle =
@@ -662,7 +690,7 @@ static core_fault build_transport(const core_surface_inputs *inputs, float *head
   int level = inputs->tolerance >= 3e-4 ? 0 : inputs->tolerance >= 2e-5 ? 1 : 2;
   bool good = false;
   while (fault.field == NULL && !good) {
-    lay_axes(table, header, level);
+    lay_axes(inputs, table, header, level);
     fault = build_surface(inputs, all, row, header, words, count);
     good = fault.field == NULL && (double)(*words)[CORE_SURFACE_ERROR] <= inputs->tolerance;
     level++;

@@ -1,12 +1,18 @@
-/* Media that vary: every value against the evaluator f64 of the same model and medium, within what
- * core_varying_errors() states for it. VARYING_MEDIA=N in the environment takes N media for each
- * model and g (the default takes seconds; 100000 take an hour). */
+/* Media that vary: every value against the evaluator f64 of the same model and medium, and against
+ * the solvers of transport, within what core_varying_errors() states for it. In the environment,
+ * VARYING_MEDIA=N takes N media for each model and g, VARYING_SURFACES=N takes surfaces for N pairs
+ * of g and eta with the least tolerance, and VARYING_SOLVED=N solves N media; the defaults take
+ * seconds. `make check-varying` sets them. */
 #include <float.h>
 #include <math.h>
 
+#include "core/transport/anisotropic.h"
 #include "core/transport/table.h"
 #include "core/varying.h"
+#include "core/varying/rows.h"
 #include "tests/unit/unit.h"
+
+#define PI 3.14159265358979323846
 
 enum { QUANTITIES = 4, RADII = 4, LENGTH_MAX = 67 };
 
@@ -26,8 +32,9 @@ static const unsigned dipoles[] = {CORE_MODEL_CLASSICAL,
                                    CORE_MODEL_BURLEY_DMFP};
 enum { DIPOLES = sizeof dipoles / sizeof dipoles[0] };
 
-static size_t media_count(size_t otherwise) {
-  const char *given = getenv("VARYING_MEDIA");
+/* Returns the number that the environment gives, or another one. */
+static size_t count_of(const char *name, size_t otherwise) {
+  const char *given = getenv(name);
   return given != NULL ? (size_t)strtoull(given, NULL, 10) : otherwise;
 }
 
@@ -136,7 +143,7 @@ static double compare(const core_varying *f64, const core_varying *f32, const st
 
 UNIT_TEST(dipoles_and_burley_are_within_the_stated_error) {
   uint64_t random = unit_seed();
-  const size_t media = media_count(150);
+  const size_t media = count_of("VARYING_MEDIA", 150);
   double worst = 0;
   for (size_t m = 0; m < DIPOLES; m++) {
     const double g = unit_random_between(&random, -0.9, 0.95);
@@ -182,7 +189,7 @@ static core_profile tabulated(const core_medium *medium) {
 UNIT_TEST(transport_is_within_its_tolerance) {
   static const double gs[] = {0, 0.3, 0.8, 0.93, -0.4};
   uint64_t random = unit_seed();
-  const size_t media = media_count(40);
+  const size_t media = count_of("VARYING_MEDIA", 40 * RADII) / RADII;
   for (size_t k = 0; k < sizeof gs / sizeof gs[0]; k++) {
     const double g = gs[k], eta = unit_random_between(&random, 0.75, 2.1);
     core_varying f64 = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, g, eta, NULL);
@@ -289,6 +296,158 @@ UNIT_TEST(surfaces_are_right_at_the_least_albedo) {
   }
 }
 
+/* Compares a surface with the series of the table of solutions for one medium: R, the pdf, the cdf
+ * and the sampled radius at random places. Returns the largest error over what is stated. */
+static double compare_medium(const core_varying *varying, const rows *all, struct value value,
+                             uint64_t *random) {
+  static rows_row row;
+  const double sigma_t = value.sigma_a + value.sigma_s * (1 - varying->g);
+  const double s = sqrt(value.sigma_a / sigma_t);
+  rows_fill(all, s, value.sigma_s * (1 - varying->g) / sigma_t / (1 + s), &row);
+  double share = 0;
+  for (int j = 0; j < 4 * RADII; j++) {
+    core_varying_range range;
+    double Q, x = unit_random_log(random, 1e-5, 60);
+    const double ln_x = log(x), u = unit_random_between(random, 0, 1);
+    value.r = x / sigma_t;
+    value.u = u;
+    if (check(varying, &value, &range) == CORE_VALUE_OK) {
+      rows_Q(&row, 1, &ln_x, &Q);
+      const double kx = row.kappa * x;
+      const double R = sigma_t * sigma_t * row.albedo * (1 + kx) / x * exp(Q - kx);
+      const double pdf = 2 * PI * value.r * R / row.total;
+      const double off[] = {eval(varying, CORE_QUANTITY_R, &value) / R - 1,
+                            eval(varying, CORE_QUANTITY_CDF, &value) / rows_cdf(&row, x) - 1,
+                            0.5 * (eval(varying, CORE_QUANTITY_PDF, &value) / pdf - 1)};
+      for (int i = 0; i < 3; i++) { /* half of a pdf's, which has the total's error besides */
+        share = fmax(share, fabs(off[i]) / varying->surface_error);
+      }
+    }
+    rows_found found = {0};
+    x = u <= 0.5 ? rows_radius(&row, u, &found) : rows_radius_of_rest(&row, 1 - u, &found);
+    value.r = x / sigma_t;
+    if (check(varying, &value, &range) == CORE_VALUE_OK) {
+      share = fmax(share, fabs(sample(varying, &value) / value.r - 1) / varying->surface_error);
+    }
+  }
+  return share;
+}
+
+/* A grid of 24 g and 8 eta, between the ends of the table. */
+UNIT_TEST(surfaces_of_each_g_and_eta_keep_the_least_tolerance) {
+  enum { GS = 24, ETAS = 8, MEDIA = 40 };
+  uint64_t random = unit_seed();
+  const size_t count = count_of("VARYING_SURFACES", 2);
+  double worst = 0, most = 0;
+  core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_TOLERANCE] = CORE_VARYING_TOLERANCE_MIN;
+  for (size_t k = 0; k < count; k++) {
+    const size_t at = count < GS * ETAS ? unit_random_below(&random, GS * ETAS) : k;
+    const double g = -0.5 + 1.45 * (double)(at % GS) / (GS - 1);
+    const double eta = 0.7 + 1.5 * (double)(at / GS % ETAS) / (ETAS - 1);
+    core_varying varying = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, g, eta, &parameters);
+    assert_true(varying.table_g >= g && varying.table_g <= g);
+    assert_true(varying.surface_error > 0 && varying.surface_error <= CORE_VARYING_TOLERANCE_MIN);
+    rows *all = rows_create(transport_table_shipped(), g, eta, CORE_VARYING_TOLERANCE_MIN);
+    assert_non_null(all);
+    double share = 0;
+    for (int i = 0; i < MEDIA; i++) {
+      share = fmax(share, compare_medium(&varying, all, random_value(&random, g, 99), &random));
+    }
+    rows_free(all);
+    if (!(share <= 1)) {
+      fail_msg("g %g eta %g: %.2f of what is stated, %g", g, eta, share, varying.surface_error);
+    }
+    worst = fmax(worst, share);
+    most = fmax(most, varying.surface_error);
+    core_varying_free(&varying);
+  }
+  print_message("%zu surfaces: at most %.2f of what is stated, at most %.2g\n", count, worst, most);
+}
+
+/* ---- the solvers ----------------------------------------------------------------------------- */
+
+/* A medium that is solved: by the solver for g = 0, or by that for any g for one boundary. */
+struct solved {
+  core_medium medium; /* sigma_t' = 1 */
+  core_profile profile;
+  transport_anisotropic *solution; /* NULL if g is 0 */
+};
+
+static struct solved solve(uint64_t *random, bool isotropic) {
+  const double ratio = unit_random_log(random, 1e-4, isotropic ? 99 : 10);
+  const double g = isotropic ? 0 : unit_random_between(random, -0.5, 0.95);
+  const double eta = unit_random_between(random, 0.7, 2.2);
+  struct solved solved = {.medium = {ratio / (1 + ratio), 1 / (1 + ratio) / (1 - g), g, eta}};
+  if (isotropic) {
+    unit_assert_fault(core_profile_prepare(&solved.profile, core_isa_select(NULL),
+                                           CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
+                                           CORE_EVALUATOR_F64, &solved.medium, NULL),
+                      NULL, 0);
+  } else {
+    const transport_phase phase = {g, 0, NULL};
+    unit_assert_fault(transport_anisotropic_solve(&solved.solution, core_isa_select(NULL), ratio,
+                                                  &phase, &eta, 1, TRANSPORT_EFFORT_QUICK),
+                      NULL, 0);
+  }
+  return solved;
+}
+
+/* Returns R at r with its relative error. */
+static transport_number solved_R(const struct solved *solved, double r) {
+  if (solved->solution != NULL) {
+    transport_number R = transport_anisotropic_at(solved->solution, 0, r);
+    R.error /= R.value;
+    return R;
+  }
+  transport_number R = {.error = solved->profile.numerical_error};
+  core_eval_f64(&solved->profile, CORE_QUANTITY_R, 1, &r, &R.value);
+  return R;
+}
+
+/* Compares surfaces of solved media with the solutions at random radii. */
+UNIT_TEST(values_are_within_the_stated_error_of_the_solvers) {
+  enum { RADII_SOLVED = 24 };
+  uint64_t random = unit_seed();
+  const size_t media = count_of("VARYING_SOLVED", 4);
+  double worst[2] = {0};
+  size_t compared[2] = {0};
+  for (size_t i = 0; i < media; i++) {
+    const bool isotropic = i % 2 == 0;
+    struct solved solved = solve(&random, isotropic);
+    const core_medium *m = &solved.medium;
+    core_varying varying = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, m->g, m->eta, NULL);
+    for (int j = 0; j < RADII_SOLVED; j++) {
+      const struct value value = {m->sigma_a_per_mm, m->sigma_s_per_mm,
+                                  unit_random_log(&random, 0.01, 20), 0.5};
+      core_varying_range range;
+      const uint8_t status = check(&varying, &value, &range);
+      const transport_number R = solved_R(&solved, value.r);
+      if (status == CORE_VALUE_FAR || R.value < 1e-12 || R.error > 2e-3) {
+        continue;
+      }
+      assert_int_equal(status, CORE_VALUE_OK);
+      const double stated = core_varying_errors(&varying, CORE_QUANTITY_R, &range).numerical;
+      const double off = fabs(eval(&varying, CORE_QUANTITY_R, &value) / R.value - 1);
+      if (!(off <= stated + R.error)) {
+        fail_msg("g %g eta %g sigma_a %g sigma_s %g r %g: off by %g, stated %g, the solver's %g",
+                 m->g, m->eta, value.sigma_a, value.sigma_s, value.r, off, stated, R.error);
+      }
+      worst[isotropic] = fmax(worst[isotropic], off / (stated + R.error));
+      compared[isotropic]++;
+    }
+    core_varying_free(&varying);
+    if (isotropic) {
+      core_profile_free(&solved.profile);
+    }
+    transport_anisotropic_free(solved.solution);
+  }
+  assert_true(media < 4 || (compared[0] > 0 && compared[1] > 0));
+  print_message(
+      "%zu media, %zu values: at most %.2f of what is stated for g = 0, %.2f for others\n", media,
+      compared[0] + compared[1], worst[1], worst[0]);
+}
+
 UNIT_TEST(transport_without_absorption_is_continued_to_the_limit) {
   core_varying varying = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, 0, 1.4, NULL);
   const struct value value = {0, 1, 3, 0.5};
@@ -321,7 +480,8 @@ static void round_trips(unsigned model, double g, double eta, size_t count, uint
   const double rho = varying.specular[CORE_LIGHT_BEAM];
   double worst = 0;
   for (size_t i = 0; i < count; i++) {
-    const double entered = unit_random_between(state, 0.01, 0.999), length = 0.7;
+    const double most = fmin(0.999 * varying.colour_most[CORE_LIGHT_BEAM], 0.999);
+    const double entered = unit_random_between(state, 0.01, most), length = 0.7;
     const double colour = rho + (1 - rho) * entered;
     double a, s, albedo;
     uint8_t status;
@@ -333,8 +493,8 @@ static void round_trips(unsigned model, double g, double eta, size_t count, uint
     const double sigma_t = a + s * (1 - g), absorbed = a / sigma_t;
     assert_true(fabs(length * sigma_t * sqrt(3 * absorbed / (1 + absorbed)) - 1) < 1e-6);
   }
-  print_message("model %u, g %g: %zu colours, albedo off by %.2g at most\n", model, g, count,
-                worst);
+  print_message("model %u, g %g, eta %.3f: %zu colours, albedo off by %.2g at most\n", model, g,
+                eta, count, worst);
   assert_true(worst < CORE_COLOUR_ERROR);
   core_varying_free(&varying);
 }
@@ -342,11 +502,42 @@ static void round_trips(unsigned model, double g, double eta, size_t count, uint
 UNIT_TEST(colours_lead_to_media_that_have_them) {
   uint64_t random = unit_seed();
   for (size_t m = 0; m < DIPOLES; m++) {
-    round_trips(dipoles[m], 0.5, 1.3, 200, &random);
+    round_trips(dipoles[m], 0.5, unit_random_between(&random, 0.6, 3), 200, &random);
   }
-  round_trips(CORE_MODEL_TRANSPORT, 0, 1.4, getenv("VARYING_MEDIA") != NULL ? 1000 : 10, &random);
-  round_trips(CORE_MODEL_TRANSPORT, 0.8, 1.4, 200, &random);
+  round_trips(CORE_MODEL_TRANSPORT, 0, 1.4, count_of("VARYING_SOLVED", 10), &random);
+  round_trips(CORE_MODEL_TRANSPORT, 0.8, 2.1, 200, &random);
   round_trips(CORE_MODEL_TRANSPORT, -0.3, 1.1, 200, &random);
+}
+
+/* The same by the solver, for any g and both lights. */
+UNIT_TEST(colours_lead_to_media_that_have_them_by_the_solver) {
+  uint64_t random = unit_seed();
+  const size_t count = count_of("VARYING_SOLVED", 4);
+  double worst = 0;
+  for (size_t i = 0; i < count; i++) {
+    const double g = i % 2 == 0 ? 0.8 : unit_random_between(&random, -0.5, 0.95);
+    const double eta = unit_random_between(&random, 0.7, 2.2), length = 0.3;
+    const double colour = unit_random_between(&random, 0.01, 0.97);
+    const core_colour what = {i % 4 < 2 ? CORE_LIGHT_BEAM : CORE_LIGHT_DIFFUSE, false,
+                              CORE_LENGTH_FREE_PATH};
+    const transport_phase phase = {g, 0, NULL};
+    core_varying varying = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, g, eta, NULL);
+    transport_totals totals;
+    double a, s, albedo;
+    uint8_t status;
+    core_varying_invert_f64(&varying, &what, 1, &colour, &length, &a, &s, &albedo, &status);
+    assert_int_equal(status, CORE_VALUE_OK);
+    unit_assert_fault(transport_anisotropic_totals(&totals, core_isa_select(NULL),
+                                                   a / (s * (1 - g)), &phase, &eta, 1),
+                      NULL, 0);
+    const double found = what.light == CORE_LIGHT_BEAM ? totals.normal.value : totals.diffuse.value;
+    if (!(fabs(found - colour) < CORE_COLOUR_ERROR)) {
+      fail_msg("g %g eta %g light %d: %g for %g", g, eta, (int)what.light, found, colour);
+    }
+    worst = fmax(worst, fabs(found - colour));
+    core_varying_free(&varying);
+  }
+  print_message("%zu colours, albedo by the solver off by %.2g at most\n", count, worst);
 }
 
 UNIT_TEST(colours_of_diffuse_light_lead_to_media_that_have_them) {

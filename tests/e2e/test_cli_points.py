@@ -330,6 +330,18 @@ def test_many_rows_keep_their_order():
         assert seen.setdefault(key, (row["R"], row["cdf"])) == (row["R"], row["cdf"])
 
 
+@pytest.mark.parametrize("row", ["0.01,1,0,1.4,{}", "-1,1,0,1.4,{}"])
+def test_more_rows_by_themselves_than_may_be_outstanding(row):
+    """Rows in single precision, and those of a group that are wrong, are each asked for alone."""
+    evaluator = "f32" if row[0] == "0" else "f64"
+    lines = [row.format(i + 1) for i in range(9000)]
+    text = points("\n".join([HEADER, *lines, ""]), "--model", "better", "--evaluator", evaluator,
+                  status=0 if row[0] == "0" else BAD_ROWS)
+    answered = text.splitlines()[1:]
+    assert [one.split(",")[4] for one in answered] == [str(i + 1) for i in range(9000)]
+    assert all(one.endswith(",ok") for one in answered) == (row[0] == "0")
+
+
 def test_memory_is_bounded(tmp_path):
     """Memory stays bounded for rows of 100 kB each, far more than the command holds at a time."""
     path = tmp_path / "wide.csv"

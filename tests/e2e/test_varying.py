@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import zlib
+
 import dipole
 import numpy as np
 import pytest
@@ -350,3 +352,135 @@ def test_the_asyncio_client(daemon):
     one = daemon()
     with one.client() as client:
         assert bits(asyncio.run(run(one.url()))) == bits(client.varying("better", **texture(100)))
+
+
+# ---- at home -------------------------------------------------------------------------------------
+
+
+def awkward(count: int = 3000, g: float = 0.0) -> tuple[np.ndarray, ...]:
+    """Returns sigma_a, sigma_s, r and u of all magnitudes, with some that have no answer."""
+    dice = np.random.default_rng(20120101)
+    sigma_t, ratio = 10 ** dice.uniform(-3, 3, count), 10 ** dice.uniform(-6, 2.2, count)
+    ratio[::16] = 0
+    sigma_s = sigma_t / (1 + ratio) / (1 - g)
+    sigma_a = sigma_t - sigma_s * (1 - g)
+    sigma_a[:3] = [-1, np.nan, np.inf]
+    sigma_s[3:6] = [-1, 0, np.nan]
+    r = 10 ** dice.uniform(-4, 2, count) / sigma_t
+    r[6:12] = [0, -0.0, -1, np.nan, np.inf, 1e-30]
+    u = dice.uniform(0, 1, count)
+    u[6:12] = [0, 1, -0.1, 1.1, 1e-12, 1 - 1e-7]
+    return sigma_a, sigma_s, r, u
+
+
+@pytest.mark.parametrize("evaluator", ["f32", "f64"])
+@pytest.mark.parametrize("g, eta", [(0.0, 1.4), (0.8, 1.3)])
+def test_a_surface_evaluates_at_home_with_the_same_bits(client, evaluator, g, eta):
+    surface = client.surface("transport", g, eta, evaluator=evaluator)
+    sigma_a, sigma_s, r, u = awkward(g=g)
+    media = {"sigma_a": sigma_a, "sigma_s": sigma_s, "g": g, "eta": eta, "evaluator": evaluator}
+    found = client.varying("transport", **media, r=r, wanted=["R", "cdf", "pdf", "2_pi_r_R"])
+    for name, values in (("R", surface.R), ("cdf", surface.cdf), ("pdf", surface.pdf),
+                         ("2_pi_r_R", surface.ring)):
+        assert values(sigma_a, sigma_s, r).tobytes() == found[name].tobytes(), name
+    np.testing.assert_array_equal(surface.is_within_error(sigma_a, sigma_s, r),
+                                  found.statuses == 0)
+    assert 0 < np.count_nonzero(found.statuses == 1) < 1500
+    drawn = client.varying("transport", **media, u=u)
+    assert surface.radius(sigma_a, sigma_s, u).tobytes() == drawn["r"].tobytes()
+    assert found.numerical_error <= surface.numerical_error
+
+
+@pytest.mark.parametrize("evaluator", ["f32", "f64"])
+@pytest.mark.parametrize("model", ["transport", "better", "burley-dmfp"])
+def test_a_surface_finds_media_at_home_with_the_same_bits(client, model, evaluator):
+    dice = np.random.default_rng(20120101)
+    colours = dice.uniform(-0.05, 1.05, 1000)
+    colours[:9] = [0, 1, np.nan, np.inf, -np.inf, 1e-9, 1 - 1e-7, -0.0, 0.04]
+    lengths = 10 ** dice.uniform(-4, 4, 1000)
+    lengths[10:16] = [0, -1, np.nan, np.inf, 1e-9, 1e9]
+    surface = client.surface(model, 0.5, 1.5, evaluator=evaluator)
+    for light in ["beam", "diffuse"] if model == "transport" else ["beam"]:
+        for given in client.info.choices["length"]:
+            for specular in (False, True):
+                found = client.varying(
+                    model, colour=colours, length=lengths, light=light, given=given, g=0.5,
+                    eta=1.5, specular=specular, evaluator=evaluator,
+                    coefficients=["sigma_a", "sigma_s", "scattered"],
+                )
+                share = found.specular if specular and light == "diffuse" else specular
+                media = surface.media(colours, lengths, given=given, light=light, specular=share)
+                for name, values in media._asdict().items():
+                    assert values.tobytes() == found[name].tobytes(), (light, given, name)
+
+
+def test_a_surface_keeps_shapes_and_its_frame(client, tmp_path):
+    surface = client.surface("transport", tolerance=1e-2)
+    assert surface.parameters == {"tolerance": 1e-2} and "transport" in repr(surface)
+    media = surface.media(np.full((2, 3), 0.5), [1.0, 0.5, 0.25])
+    R = surface.R(media.sigma_a, media.sigma_s, 0.5)
+    assert R.shape == media.sigma_a.shape == (2, 3) and R.dtype == np.float32
+    assert surface.R(0.1, 1.0, 0.5).shape == ()
+    surface.save(tmp_path / "surface")
+    again = dipole.Surface.load(tmp_path / "surface", client.info, "f64")
+    assert again.R(0.1, 1.0, 0.5) == pytest.approx(float(surface.R(0.1, 1.0, 0.5)), rel=1e-5)
+    assert dipole.Surface.load(surface.data).model == surface.model_id
+    for light, specular in (("diffuse", True), ("moon", False), ("beam", 1.0)):
+        with pytest.raises(dipole.ArgumentError):
+            surface.media(0.5, 1.0, light=light, specular=specular)
+    with pytest.raises(dipole.ArgumentError):
+        surface.media(0.5, 1.0, given="miles")
+    with pytest.raises(dipole.ArgumentError):
+        surface.R([0.1, 0.2], [1.0, 1.0, 1.0], 1.0)
+    with pytest.raises(dipole.ArgumentError):
+        client.surface("better").R(0.1, 1.0, 1.0)
+    with pytest.raises(dipole.ArgumentError):
+        client.surface("better", evaluator="lut")
+    with pytest.raises(dipole.TableError):
+        dipole.Table(surface.data)
+    with pytest.raises(dipole.TableError):
+        dipole.Surface(client.table("better", Medium(0.1, 1.0)).data)
+    with pytest.raises(dipole.Refused, match="tolerance"):
+        client.surface("transport", tolerance=1e-6)
+
+
+def test_damaged_surfaces_are_refused_or_evaluated(client):
+    """Whatever their words say, a surface is refused, or evaluated without an error."""
+    dice = np.random.default_rng(20120101)
+    data = client.surface("transport", tolerance=1e-2).data
+    start = len(data) - 4 * wire.TABLE_REPLY.unpack(data[wire.HEADER.bytes :]).word_count
+    sigma_a, sigma_s, r, u = awkward(200)
+    refused = 0
+    for i in range(300):
+        words = np.frombuffer(data, "<u4", offset=start).copy()
+        words[dice.integers(512 if i % 2 else len(words))] = dice.integers(2**32)
+        payload = data[wire.HEADER.bytes : start]
+        fixed = wire.TABLE_REPLY.unpack(payload)._replace(checksum=zlib.crc32(words.tobytes()))
+        head = wire.TABLE_REPLY.pack(**fixed._asdict()) + payload[wire.TABLE_REPLY.bytes :]
+        try:
+            surface = dipole.Surface(data[: wire.HEADER.bytes] + head + words.tobytes())
+        except dipole.TableError:
+            refused += 1
+            continue
+        assert surface.R(sigma_a, sigma_s, r).shape == (200,)
+        assert surface.radius(sigma_a, sigma_s, u).shape == (200,)
+        try:
+            assert surface.media(u, r).sigma_a.shape == (200,)
+        except dipole.ArgumentError:
+            pass  # Its colours have no range.
+    assert 20 < refused < 290
+    for damaged in (data[:-1], data + b"\0", data[:100], b"", data[:-1] + b"\xff"):
+        with pytest.raises(dipole.TableError):
+            dipole.Surface(damaged)
+
+
+def test_the_asyncio_client_fetches_surfaces(daemon):
+    import asyncio
+
+    async def run(url: str) -> dipole.Surface:
+        async with dipole.AsyncClient(url) as client:
+            return await client.surface("transport", 0.3, 1.4)
+
+    one = daemon()
+    with one.client() as client:
+        assert asyncio.run(run(one.url())).data == client.surface("transport", 0.3, 1.4).data

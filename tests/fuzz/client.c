@@ -9,6 +9,7 @@
 #include "clients/c/request.h"
 #include "core/lut/lut.h"
 #include "proto/table.h"
+#include "proto/varying.h"
 #include "tests/fuzz/fuzz.h"
 
 /* ---- tables from elsewhere ----------------------------------------------------------------------- */
@@ -132,6 +133,186 @@ void fuzz_table(const uint8_t *data, size_t size) {
     const uint8_t *kept = dipole_table_bytes(loaded, &bytes);
     check_table(loaded, kept + WIRE_BYTES_header, bytes - WIRE_BYTES_header);
     dipole_table_free(loaded);
+  } else {
+    CHECK(error.kind == DIPOLE_ERROR_TABLE && error.text[0] != '\0');
+  }
+  free(exact);
+  free(frame);
+}
+
+/* ---- surfaces from elsewhere -------------------------------------------------------------------- */
+
+/* Valid surfaces: the frames of table replies, of a dipole, which is small, and of transport. */
+enum { SURFACES = 2 };
+static struct fuzz_bytes surfaces[SURFACES];
+
+void fuzz_surface_start(void) {
+  static const unsigned models[SURFACES] = {CORE_MODEL_BETTER, CORE_MODEL_TRANSPORT};
+  core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_TOLERANCE] = 1;
+  for (int i = 0; i < SURFACES; i++) {
+    core_varying varying;
+    CHECK(core_varying_prepare(&varying, core_isa_select(NULL), models[i], CORE_MOMENTS_EXACT,
+                               CORE_EVALUATOR_F32, 0.3, 1.4, &parameters)
+              .field == NULL);
+    const size_t payload_bytes = table_reply_bytes(1, table_surface_words(&varying));
+    const wire_header header = {.magic = WIRE_MAGIC,
+                                .version = WIRE_VERSION,
+                                .type = WIRE_TYPE_TABLE | WIRE_REPLY,
+                                .payload_bytes = (uint32_t)payload_bytes};
+    surfaces[i].count = WIRE_BYTES_header + payload_bytes;
+    surfaces[i].bytes = malloc(surfaces[i].count);
+    CHECK(surfaces[i].bytes != NULL);
+    wire_put_header(surfaces[i].bytes, &header);
+    table_reply_put_surface(surfaces[i].bytes + WIRE_BYTES_header, &varying, &parameters);
+    core_varying_free(&varying);
+  }
+}
+
+/* Media of all kinds beside the radii of check_table(). */
+struct surface_values {
+  float sigma_a[RADII], sigma_s[RADII], r[RADII], u[RADII];
+};
+
+static void fill_values(struct surface_values *values) {
+  static const float ratios[] = {0, 1e-30f, 1e-6f, 0.01f, 0.3f, 1, 30, 1e3f, 1e30f};
+  enum { RATIOS = sizeof ratios / sizeof ratios[0] };
+  for (int i = 0; i < RADII; i++) {
+    const int octave = OCTAVE_FIRST + i / 2;
+    const bool last = i >= RADII - 2;
+    values->r[i] = last ? (float)(i & 1) / 0.0f : ldexpf(i & 1 ? 1.999f : 1, octave);
+    values->r[i] = i == RADII - 2 ? 0 : values->r[i];
+    values->u[i] = octave < 0 ? ldexpf(1, octave) : 1 - ldexpf(1, -octave);
+    values->sigma_s[i] = i % 11 == 0 ? 0 : i % 13 == 0 ? 1e6f : 1;
+    values->sigma_a[i] = ratios[i % RATIOS];
+  }
+}
+
+/* Asks for values at home, and compares them with those of the portable instruction set. */
+static void check_values(const dipole_surface *surface, const core_varying *portable,
+                         const dipole_varying_query *query) {
+  dipole_varying_result *result;
+  dipole_error error;
+  float expected[RADII];
+  CHECK(dipole_varying_at_home(surface, query, &result, &error));
+  CHECK(result->value_count == RADII && result->answered_count <= RADII);
+  for (unsigned bit = 1; bit <= query->wanted; bit <<= 1) {
+    const float *found = dipole_varying_f32(result, bit);
+    if (found == NULL || bit == CORE_QUANTITY_ALBEDO) {
+      continue;
+    }
+    if (bit == CORE_QUANTITY_RADIUS) {
+      core_varying_sample_f32(portable, RADII, query->sigma_a_per_mm, query->sigma_s_per_mm,
+                              query->numbers, expected);
+    } else {
+      core_varying_eval_f32(portable, bit, RADII, query->sigma_a_per_mm, query->sigma_s_per_mm,
+                            query->radii, expected);
+    }
+    for (int i = 0; i < RADII; i++) { /* beyond the domain of the media both have no value */
+      CHECK(found[i] == expected[i] || found[i] != found[i]);
+    }
+  }
+  dipole_varying_result_free(result);
+}
+
+static void check_colours(const dipole_surface *surface, dipole_varying_query query,
+                          const struct surface_values *values) {
+  dipole_varying_result *result;
+  dipole_error error;
+  query.sigma_a_per_mm = query.sigma_s_per_mm = query.radii = query.numbers = NULL;
+  query.colours = values->u;
+  query.lengths_mm = values->r;
+  query.wanted = 0;
+  query.coefficients = CORE_COEFFICIENT_SIGMA_A | CORE_COEFFICIENT_SIGMA_S;
+  for (query.given = 1; query.given <= 3; query.given++) {
+    for (query.light = 1; query.light <= 2; query.light++) {
+      if (dipole_varying_at_home(surface, &query, &result, &error)) {
+        dipole_varying_result_free(result);
+      } else { /* the surface knows no colours of this light */
+        CHECK(error.kind == DIPOLE_ERROR_ARGUMENT && error.text[0] != '\0');
+      }
+    }
+  }
+}
+
+static void check_surface(const dipole_surface *surface, const uint8_t *payload,
+                          size_t payload_bytes) {
+  struct surface_values values;
+  core_parameters parameters;
+  wire_table_reply fixed;
+  core_varying portable;
+  const float *words;
+  fill_values(&values);
+  CHECK(table_reply_parse(payload, payload_bytes, &fixed, &parameters, &words));
+  CHECK(core_varying_open(&portable, core_isa_select("portable"), fixed.model, fixed.moments,
+                          CORE_EVALUATOR_F32, fixed.g, fixed.eta, &parameters, words,
+                          fixed.word_count)
+            .field == NULL);
+  dipole_parameter only = {0, 0};
+  for (unsigned id = 1; id < CORE_PARAMETERS_END; id++) {
+    const double value = parameters.value[id];
+    only = value != value ? only : (dipole_parameter){id, value};
+  }
+  dipole_varying_query query = {.model = fixed.model,
+                                .evaluator = DIPOLE_F32,
+                                .moments = fixed.moments,
+                                .g = fixed.g,
+                                .eta = fixed.eta,
+                                .parameters = &only,
+                                .parameter_count = only.id > 0,
+                                .value_count = RADII,
+                                .sigma_a_per_mm = values.sigma_a,
+                                .sigma_s_per_mm = values.sigma_s};
+  query.radii = values.r;
+  query.wanted = CORE_QUANTITY_R | CORE_QUANTITY_CDF | CORE_QUANTITY_PDF | CORE_QUANTITY_RING;
+  check_values(surface, &portable, &query);
+  query.radii = NULL;
+  query.numbers = values.u;
+  query.wanted = CORE_QUANTITY_RADIUS | CORE_QUANTITY_ALBEDO;
+  check_values(surface, &portable, &query);
+  check_colours(surface, query, &values);
+  core_varying_free(&portable);
+}
+
+/* The target for surfaces. The first byte of an input chooses one. Then it is a row of changes: the
+ * number of a word, three bytes, and its new value, four bytes. A number beyond the words cuts the
+ * surface short. Afterwards its length and checksum are corrected, unless the first byte is 128 or
+ * more. */
+void fuzz_surface(const uint8_t *data, size_t size) {
+  enum { CHANGE = 7 };
+  if (size == 0) {
+    return;
+  }
+  const struct fuzz_bytes *whole = &surfaces[data[0] % 16 == 1]; /* the large one seldom */
+  const bool put_right = data[0] < 128;
+  size_t bytes = whole->count;
+  uint8_t *frame = fuzz_copy(whole->bytes, bytes);
+  for (data++, size--; size >= CHANGE; size -= CHANGE, data += CHANGE) {
+    const size_t at = 4 * (data[0] | (size_t)data[1] << 8 | (size_t)data[2] << 16);
+    if (at + 4 <= bytes) {
+      memcpy(frame + at, data + 3, 4);
+    } else if (data[3] * (size_t)16 < bytes) {
+      bytes -= data[3] * (size_t)16;
+    }
+  }
+  const size_t words_at = WIRE_BYTES_header + table_reply_bytes(1, 0);
+  if (put_right && bytes >= words_at) {
+    wire_table_reply fixed;
+    const uint32_t payload_bytes = (uint32_t)(bytes - WIRE_BYTES_header);
+    wire_get_table_reply(frame + WIRE_BYTES_header, &fixed);
+    memcpy(frame + 16, &payload_bytes, sizeof payload_bytes);
+    fixed.parameter_count = 1;
+    fixed.word_count = (uint32_t)((bytes - words_at) / sizeof(float));
+    fixed.checksum = table_checksum(frame + words_at, fixed.word_count * sizeof(float));
+    wire_put_table_reply(frame + WIRE_BYTES_header, &fixed);
+  }
+  dipole_surface *loaded;
+  dipole_error error;
+  uint8_t *exact = fuzz_copy(frame, bytes);
+  if (dipole_surface_load(exact, bytes, &loaded, &error)) {
+    const uint8_t *kept = dipole_surface_bytes(loaded, &bytes);
+    check_surface(loaded, kept + WIRE_BYTES_header, bytes - WIRE_BYTES_header);
+    dipole_surface_free(loaded);
   } else {
     CHECK(error.kind == DIPOLE_ERROR_TABLE && error.text[0] != '\0');
   }

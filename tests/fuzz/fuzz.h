@@ -17,6 +17,7 @@
   X(rtu, fuzz_modbus_start)                                                                        \
   X(http, fuzz_daemon_start)                                                                       \
   X(table, fuzz_table_start)                                                                       \
+  X(surface, fuzz_surface_start)                                                                   \
   X(replies, fuzz_start_nothing)                                                                   \
   X(csv, fuzz_csv_start)                                                                           \
   X(texts, fuzz_texts_start)

@@ -33,6 +33,7 @@ from .errors import AddressError, ArgumentError, ConnectError, ConnectionLost, D
 from .errors import ProtocolError, Refused, TableError
 from .gathering import Points
 from .rings import RingMeans
+from .surface import Coefficients, Surface
 from .table import Table, TableErrors
 from .values import Choice, Draw, Fits, Gathered, Grid, Info, Inversion, McEnergy, McProgress, McResult
 from .values import McValue, Medium, Offer, Offers, Query, Result, Samples, Varying
@@ -41,11 +42,13 @@ __version__ = "0.1.0"  # the version of the whole project, as in the Makefile
 
 # fmt: off
 __all__ = [
-    "AddressError", "ArgumentError", "AsyncClient", "Choice", "Client", "ConnectError",
+    "AddressError", "ArgumentError", "AsyncClient", "Choice", "Client", "Coefficients",
+    "ConnectError",
     "Connection", "ConnectionLost", "DipoleError", "Draw", "Fits", "Frame", "Gathered", "Grid",
     "Info",
     "Inversion",
     "McEnergy", "McProgress", "McResult", "McValue", "Medium", "Offer", "Offers", "Parts", "Points",
-    "ProtocolError", "Query", "Refused", "Result", "RingMeans", "Samples", "Table", "TableError",
+    "ProtocolError", "Query", "Refused", "Result", "RingMeans", "Samples", "Surface", "Table",
+    "TableError",
     "TableErrors", "Tls", "Values", "Varying",
 ]

@@ -24,6 +24,7 @@ from .exchange import Exchange, Request
 from .gathering import Points
 from .opening import Opening
 from .rings import RingMeans
+from .surface import Surface
 from .table import Table
 from .values import Draw, Fits, Gathered, Grid, Info, Inversion, McProgress, McResult, Media
 from .values import Medium, Offers, Query, Result, Samples, Varying
@@ -176,6 +177,13 @@ class AsyncClient:
         """See Client.table()."""
         query = await self._query(model, medium, **options)
         return await self._ask(evaluation.table(self.info, query))
+
+    async def surface(
+        self, model: str | int, g: float = 0.0, eta: float = 1.3, **options: Any
+    ) -> Surface:
+        """See Client.surface()."""
+        query = await self._query(model, Medium(0.0, 0.0, g, eta), **options)
+        return await self._ask(evaluation.surface(self.info, query))
 
     async def sample(
         self,

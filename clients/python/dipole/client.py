@@ -20,6 +20,7 @@ from .exchange import Exchange, Request
 from .gathering import Points
 from .opening import Opening
 from .rings import RingMeans
+from .surface import Surface
 from .table import Table
 from .values import Draw, Fits, Gathered, Grid, Info, Inversion, McProgress, McResult, Media, Medium
 from .values import Offers, Query, Result, Samples, Varying
@@ -179,6 +180,17 @@ class Client:
         this process, with the daemon's bits. options: moments, parameters, deadline_ms and
         tolerance (relative, at least 1e-6, by default 1e-4), as of a Query."""
         return self._ask(evaluation.table(self.info, self._query(model, medium, **options)))
+
+    def surface(
+        self, model: str | int, g: float = 0.0, eta: float = 1.3, **options: Any
+    ) -> Surface:
+        """Fetches what all media with this g and eta share. The Surface evaluates transport with a
+        medium for each value, and finds the media of colours, in this process and with the bits of
+        varying(). options: evaluator, "f32" by default, or "f64"; moments, parameters, tolerance
+        and deadline_ms, as of varying()."""
+        return self._ask(evaluation.surface(
+            self.info, self._query(model, Medium(0.0, 0.0, g, eta), **options)
+        ))
 
     def sample(
         self,

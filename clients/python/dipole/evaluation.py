@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -12,6 +12,7 @@ from . import wire
 from .connection import frame_pieces
 from .errors import ArgumentError, ProtocolError, TableError
 from .exchange import Answer, Once, Request
+from .surface import Surface
 from .table import Table
 from .values import Array, Draw, Grid, Info, Media, Medium, Offer, Offers, Query, Result, Samples
 
@@ -264,6 +265,15 @@ def offers(info: Info, query: Query) -> Request[Offers]:
 
 def table(info: Info, query: Query) -> Request[Table]:
     """See Client.table()."""
+    return _table(info, query, lambda data: Table(data, info))
+
+
+def surface(info: Info, query: Query) -> Request[Surface]:
+    """See Client.surface(). query: its medium has the g and eta; sigma_a and sigma_s are 0."""
+    return _table(info, query, lambda data: Surface(data, info, str(query.evaluator or "f32")))
+
+
+def _table(info: Info, query: Query, make: Callable[[bytes], Any]) -> Request[Any]:
     medium = one_medium(query.media)
     parameters = parameters_list(info, query.parameters, query.tolerance)
     fixed = wire.TABLE_REQUEST.pack(
@@ -272,10 +282,9 @@ def table(info: Info, query: Query) -> Request[Table]:
         parameter_count=len(parameters),
     )
 
-    def read(reply: bytes) -> Table:
+    def read(reply: bytes) -> Any:
         try:
-            pieces = frame_pieces(wire.MESSAGES["table"] | wire.REPLY, 0, reply)
-            return Table(b"".join(pieces), info)
+            return make(b"".join(frame_pieces(wire.MESSAGES["table"] | wire.REPLY, 0, reply)))
         except TableError as error:
             raise ProtocolError(f"a table reply that is not a table: {error}") from error
 

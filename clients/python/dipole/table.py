@@ -85,32 +85,18 @@ class Table:
 
     def __init__(self, data: bytes, info: Info | None = None):
         """data: exactly one frame, as a daemon sent it or save() wrote it."""
-        payload = _payload_of(data)
-        fixed = wire.TABLE_REPLY.unpack(payload)
-        if fixed.layout != LAYOUT:
-            raise TableError(
-                f"a table of layout {fixed.layout}, but this module reads layout {LAYOUT}: fetch "
-                "it again, from a daemon of this module's version"
-            )
-        parameters_bytes = fixed.parameter_count * wire.PARAMETER.bytes
-        words_at = wire.TABLE_REPLY.bytes + parameters_bytes
-        if len(payload) != words_at + 4 * fixed.word_count:
-            raise TableError("a table whose size does not fit its counts")
-        if zlib.crc32(memoryview(payload)[words_at:]) != fixed.checksum:
-            raise TableError("a table whose checksum is wrong: it is damaged")
+        fixed, self.parameters, self.words = frame_of(data, info)
+        if (fixed.sigma_a, fixed.sigma_s) == (0, 0):
+            raise TableError("a surface, not the table of one medium: use Surface")
         self.data: bytes = data  # the frame
         self.layout: int = fixed.layout
         self.model_id: int = fixed.model
         self.moments_id: int = fixed.moments
-        self.model: str | int = _name(info, "model", fixed.model)
-        self.moments: str | int = _name(info, "moments", fixed.moments)
+        self.model: str | int = name_in(info, "model", fixed.model)
+        self.moments: str | int = name_in(info, "moments", fixed.moments)
         self.notes: tuple[str | int, ...] = _notes(info, fixed.notes)
         self.medium = Medium(fixed.sigma_a, fixed.sigma_s, fixed.g, fixed.eta)
         self._sigma_t_prime = fixed.sigma_a + fixed.sigma_s * (1 - fixed.g)
-        self.parameters: dict[str | int, float] = {}  # the parameters of the table request
-        for at in range(wire.TABLE_REPLY.bytes, words_at, wire.PARAMETER.bytes):
-            one = wire.PARAMETER.unpack(payload, at)
-            self.parameters[_name(info, "parameter", one.parameter)] = one.value
         self.albedo: float = fixed.albedo  # integral of 2 pi r R(r) over all radii
         # numerical_error() and errors() have the errors at given radii.
         self.numerical_error_constant: float = fixed.numerical_error
@@ -128,7 +114,6 @@ class Table:
         self.pieces_to_mm: float = fixed.pieces_to  # from this radius on: an asymptotic formula
         self.radius_least_mm: float = fixed.radius_least  # the least radius that the model covers
         self.radius_most_mm: float = fixed.radius_most  # the largest radius that it covers
-        self.words = np.frombuffer(payload, "<u4", fixed.word_count, words_at)  # read-only
         _check(self.words)
         # Copies in the machine's byte order, for arithmetic.
         self._entries = self.words.astype(np.int32)
@@ -469,6 +454,28 @@ def _payload_of(data: bytes) -> bytes:
     return payload
 
 
+def frame_of(data: bytes, info: Info | None) -> tuple[Any, dict[str | int, float], Array]:
+    """Reads exactly one frame with a table or a surface: returns the fixed part, the parameters of
+    the request by name, or by id without info, and the words, which are read-only."""
+    payload = _payload_of(data)
+    fixed = wire.TABLE_REPLY.unpack(payload)
+    if fixed.layout != LAYOUT:
+        raise TableError(
+            f"a table of layout {fixed.layout}, but this module reads layout {LAYOUT}: fetch "
+            "it again, from a daemon of this module's version"
+        )
+    words_at = wire.TABLE_REPLY.bytes + fixed.parameter_count * wire.PARAMETER.bytes
+    if len(payload) != words_at + 4 * fixed.word_count:
+        raise TableError("a table whose size does not fit its counts")
+    if zlib.crc32(memoryview(payload)[words_at:]) != fixed.checksum:
+        raise TableError("a table whose checksum is wrong: it is damaged")
+    parameters = {}
+    for at in range(wire.TABLE_REPLY.bytes, words_at, wire.PARAMETER.bytes):
+        one = wire.PARAMETER.unpack(payload, at)
+        parameters[name_in(info, "parameter", one.parameter)] = one.value
+    return fixed, parameters, np.frombuffer(payload, "<u4", fixed.word_count, words_at)
+
+
 def _check(words: Array) -> None:
     """Checks that the pieces of every entry lie within the words."""
     pieces = (len(words) - _PIECES) // _TERMS
@@ -481,7 +488,8 @@ def _check(words: Array) -> None:
         raise TableError("a damaged table: an entry points outside of it")
 
 
-def _name(info: Info | None, kind: str, number: int) -> str | int:
+def name_in(info: Info | None, kind: str, number: int) -> str | int:
+    """Returns the name of an entry of a daemon's list, or without info its id."""
     if info is not None:
         for choice in info.choices[kind].values():
             if choice.id == number:
@@ -491,4 +499,4 @@ def _name(info: Info | None, kind: str, number: int) -> str | int:
 
 def _notes(info: Info | None, notes: int) -> tuple[str | int, ...]:
     bits = [1 << i for i in range(32) if notes >> i & 1]
-    return tuple(_name(info, "note", bit) for bit in bits)
+    return tuple(name_in(info, "note", bit) for bit in bits)
