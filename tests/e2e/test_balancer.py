@@ -23,6 +23,7 @@ import pytest
 from daemons import BUILD, REPOSITORY, Daemon, environment, eventually
 from frames import SKIN
 from modbus_master import Lost, Tcp, input_block, write_read_pdu
+from test_gather import positions, scene
 from test_retry import QUESTIONS, job_bytes, result_bytes
 
 CONFIGURATION = REPOSITORY / "clients/deploy/haproxy.cfg"
@@ -206,6 +207,7 @@ def test_clients_do_not_notice_that_a_daemon_is(farm, what):
 # ---- clients of all kinds ------------------------------------------------------------------------
 
 JOB = {"medium": SKIN, "edges": dipole.Grid(0.0, 4.0, 5), "photons": 50_000}
+POINTS, POSITIONS = scene(20_000), positions(200)
 COMMANDS = [
     ["eval", "--medium", "skin1", "--model", "better", "--r", "0.5,1,2", "--format", "csv"],
     ["eval", "--medium", "marble", "--tolerance", "0.01", "--count", "200", "--format", "csv"],
@@ -242,7 +244,8 @@ class User(threading.Thread):
 
 
 class Python(User):
-    """Queries, several of them under way, tables, fits and Monte Carlo."""
+    """Queries, several of them under way, tables, fits, Monte Carlo and sums over points, which a
+    daemon that comes in another's place does not have."""
 
     def ask(self) -> None:
         with dipole.Client(self.address) as client:
@@ -262,6 +265,7 @@ class Python(User):
                 fit = client.fit("better", [0.5, 1.0, 2.0], [0.1, 0.05, 0.01], [0.01] * 3)
                 self.check("fit", fit.sets.tobytes())
                 self.check("mc", job_bytes(client.mc(**JOB)))
+                self.check("gather", client.gather("better", [SKIN], POINTS, POSITIONS).M.tobytes())
 
 
 class Asyncio(User):
@@ -284,9 +288,13 @@ class Asyncio(User):
             async def mc() -> None:
                 self.check("mc", job_bytes(await client.mc(**JOB)))
 
+            async def gather() -> None:
+                found = await client.gather("better", [SKIN], POINTS, POSITIONS)
+                self.check("gather", found.M.tobytes())
+
             client._restore = counted
             while not self.ended.is_set():
-                await asyncio.gather(mc(), *map(eval, range(len(QUESTIONS))))
+                await asyncio.gather(mc(), gather(), *map(eval, range(len(QUESTIONS))))
 
 
 class CommandLine(User):
@@ -363,7 +371,9 @@ def test_clients_of_all_kinds_while_daemons_end(farm, capfd):
                 farm.daemons[which].kill()
                 killed += 1
             else:
-                farm.daemons[which].close()
+                # It gives slow clients up after --drain-timeout-ms; they ask another daemon.
+                farm.daemons[which].terminate()
+                assert farm.daemons[which].wait(60) == 0
                 drained += 1
             time.sleep(dice.uniform(0, 1))
             farm.daemons[which] = Farm.begin(farm.places[which])
