@@ -29,6 +29,7 @@ void fuzz_daemon_start(void) {
   fuzz_server.workers = &fuzz_worker;
   fuzz_server.latencies = calloc(1, sizeof *fuzz_server.latencies);
   fuzz_server.cache = cache_new(fuzz_server.isa, fuzz_server.options.cache_bytes,
+                                fuzz_server.options.points_bytes,
                                 fuzz_server.options.max_waiting_profiles, &fuzz_server.stats);
   fuzz_server.mc = mc_pool_new(&fuzz_server);
   http_fields_init();
