@@ -155,11 +155,15 @@ static void decode_table(const uint8_t *payload, size_t size) {
   }
 }
 
-/* Checks that values are what their quantity can be: not NaN, not negative unless they are ln R or
- * dR/dr, and a cdf is at most 1. */
+/* Checks that values are what their quantity can be: not NaN, not negative unless they are ln R or a
+ * derivative, and a cdf is at most 1. */
 static void check_values(const uint8_t *values, uint64_t count, unsigned evaluator,
                          unsigned quantity) {
-  const bool any_sign = quantity == CORE_QUANTITY_LN_R || quantity == CORE_QUANTITY_SLOPE;
+  enum {
+    ANY_SIGN = CORE_QUANTITY_LN_R | CORE_QUANTITY_SLOPE | CORE_QUANTITY_BY_SIGMA_A |
+               CORE_QUANTITY_BY_SIGMA_S
+  };
+  const bool any_sign = (quantity & ANY_SIGN) != 0;
   for (uint64_t i = 0; i < count; i++) {
     double value;
     if (evaluator == CORE_EVALUATOR_F64) {
