@@ -147,6 +147,7 @@ typedef struct core_preparation {
   double error;            /* numerical error of all values, relative */
   core_added_errors added; /* further error by band of radii, 0 for every model but transport */
   double slope_error;      /* numerical error of dR/dr if it is larger than error, else 0 */
+  double slope_epsilons;   /* what rounding adds to error_epsilons for dR/dr */
   double error_epsilons;   /* further error, in epsilons of the evaluator */
   double error_epsilons_per_mm; /* further error for each mm of r, in epsilons */
   double cost;                  /* see core_profile */

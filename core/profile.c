@@ -415,7 +415,11 @@ static core_fault prepare_model(core_profile *profile, const struct model *model
                        preparation.error + preparation.error_epsilons * epsilon +
                            (single && wide ? (double)FLT_EPSILON : 0),
                        &preparation.added);
-  profile->slope_error = preparation.slope_error > 0 ? preparation.slope_error + epsilon : 0;
+  if (preparation.slope_epsilons > 0) {
+    profile->slope_error = profile->numerical_error + preparation.slope_epsilons * epsilon;
+  } else {
+    profile->slope_error = preparation.slope_error > 0 ? preparation.slope_error + epsilon : 0;
+  }
   profile->numerical_error_per_mm = preparation.error_epsilons_per_mm * epsilon;
   profile->reach = preparation.reach;
   profile->notes = preparation.notes;
@@ -477,10 +481,11 @@ static core_fault prepare_sum(core_profile *profile, const struct model *model,
   profile->part_shares[1] = scatters ? parts[1].albedo / profile->albedo : 0;
   const bool single = profile->evaluator == CORE_EVALUATOR_F32;
   const core_added_errors none = {{0}, 0};
-  set_numerical_errors(profile,
-                       fmax(parts[0].numerical_error, parts[1].numerical_error) + 2 * DBL_EPSILON +
-                           (single ? (double)FLT_EPSILON : 0),
+  const double rounding = 2 * DBL_EPSILON + (single ? (double)FLT_EPSILON : 0);
+  set_numerical_errors(profile, fmax(parts[0].numerical_error, parts[1].numerical_error) + rounding,
                        &none);
+  const double slope = fmax(parts[0].slope_error, parts[1].slope_error);
+  profile->slope_error = slope > 0 ? slope + rounding : 0;
   profile->numerical_error_per_mm =
       fmax(parts[0].numerical_error_per_mm, parts[1].numerical_error_per_mm);
   profile->reach =

@@ -99,6 +99,8 @@ enum coefficient {
 _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room for them");
 
 #define DIPOLE_ERROR_EPSILONS 8.0
+/* dR/dr has more operations than R: up to 8.3 (1 + mu_tr d1) were seen. */
+#define DIPOLE_SLOPE_EPSILONS 10.0
 
 #ifdef CORE_ISA /* the kernels, compiled for each instruction set and precision */
 
@@ -794,6 +796,8 @@ core_fault core_dipole_prepare(const core_inputs *inputs, core_preparation *prep
   /* the error bound contains 1 + mu_tr d1, which is at most 1 + mu_tr (z1 + r) */
   preparation->error_epsilons = DIPOLE_ERROR_EPSILONS * (1 + dd_round(dipole.mu)) +
                                 3 * fmax(mirrored_condition(&dipole) - 4, 0);
+  preparation->slope_epsilons =
+      (DIPOLE_SLOPE_EPSILONS - DIPOLE_ERROR_EPSILONS) * (1 + dd_round(dipole.mu));
   preparation->error_epsilons_per_mm = DIPOLE_ERROR_EPSILONS * c[MU] * c[UNITS_PER_MM];
   return (core_fault){0};
 }
