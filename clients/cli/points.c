@@ -207,13 +207,12 @@ static bool collect(points_run *points) {
 #define TABLE_TOLERANCE 1e-4
 
 /* Returns whether the row may be asked for in a group. It depends on nothing but the row, so that
- * its values do not depend on others. Transport in double precision is solved for each medium. */
+ * its values do not depend on others. Transport without a table is solved for each medium. */
 static bool is_for_group(const points_run *points, const points_row *row) {
   const points_usual *usual = &points->usual;
   return (usual->quantities.wanted & ~(unsigned)GROUP_QUANTITIES) == 0 && row->model < MODELS &&
          !points->refused[row->model] &&
-         (row->evaluator == DIPOLE_LUT ||
-          (row->evaluator == DIPOLE_F64 && row->model != usual->transport));
+         (row->evaluator == DIPOLE_LUT || row->model != usual->transport);
 }
 
 /* Orders rows by what the rows of a group share. */
@@ -254,12 +253,14 @@ static size_t list_read(points_run *points) {
   return count;
 }
 
-/* Asks for the values of `count` rows that share what compare() compares. */
+/* Asks for the values of `count` rows that share what compare() compares. Evaluators in single
+ * precision get radii in single precision, and their values are those of double precision, rounded:
+ * coefficients in single precision would put them off by more. */
 static bool ask(points_run *points, points_row *const *rows, size_t count,
                 dipole_varying_result **result, dipole_error *error) {
   const points_usual *usual = &points->usual;
   const size_t radii = usual->radius_count;
-  const bool single = rows[0]->evaluator == DIPOLE_LUT;
+  const bool single = rows[0]->evaluator != DIPOLE_F64;
   for (size_t i = 0; i < count * radii; i++) {
     const points_row *row = rows[i / radii];
     const double r_mm = points_has_radii(usual) ? usual->settings->r.items[i % radii] : row->r_mm;
@@ -287,18 +288,22 @@ static bool ask(points_run *points, points_row *const *rows, size_t count,
                  dipole_varying(points->client, &query, result, error));
 }
 
+/* Numbers are rounded to single precision, and then to the fewest digits that are read as the same
+ * number of single precision. Each is off by at most 2^-24. */
+#define SINGLE_ERROR 0x1p-23
+
 /* Takes the values of row `index` of a group. Returns false if one of them was not answered. */
 static bool take_values(const points_usual *usual, points_row *row, size_t index,
                         const dipole_varying_result *result) {
   const size_t radii = usual->radius_count, count = usual->quantities.count;
-  const bool single = row->evaluator == DIPOLE_LUT;
+  const bool single = row->evaluator != DIPOLE_F64;
   for (size_t i = 0; i < radii; i++) {
     if (result->statuses[index * radii + i] != DIPOLE_VALUE_OK) {
       return false;
     }
   }
   double *values = make_good(usual, row);
-  row->numerical_error = result->numerical_error + (single ? 0x1p-24 : 0);
+  row->numerical_error = result->numerical_error + (single ? SINGLE_ERROR : 0);
   row->numerical_error_per_mm = 0;
   row->model_error = result->model_error;
   for (size_t q = 0; q < count; q++) {

@@ -124,6 +124,20 @@ def test_extremes():
     assert columns(rows[3], "R", "cdf") == ["0", "1"]
 
 
+def test_single_precision_is_double_precision_rounded():
+    """Rows in single precision, too, are asked for in groups, each with a medium of its own."""
+    lines = [f"{0.001 * (i % 97)},1,{i % 5 / 10},1.4,{(1 + i % 613) / 64}" for i in range(20000)]
+    text = "\n".join([HEADER, *lines, ""])
+    single, double = (
+        read_csv(points(text, "--model", "better", "--want", "R", "--evaluator", one, "--errors"))
+        for one in ("f32", "f64")
+    )
+    for one, other in zip(single, double, strict=True):
+        error = float(one["numerical_error"])
+        assert 2.0**-23 <= error < 1.2e-7
+        assert abs(float(one["R"]) / float(other["R"]) - 1) <= error
+
+
 @pytest.mark.parametrize("evaluator, within", [("f32", 1e-5), ("lut", 1e-4)])
 def test_single_precision(evaluator, within):
     text = f"{HEADER}\n{ROW}\n0.01,1,0,1.4,0.1\n"
@@ -332,10 +346,10 @@ def test_many_rows_keep_their_order():
 
 @pytest.mark.parametrize("row", ["0.01,1,0,1.4,{}", "-1,1,0,1.4,{}"])
 def test_more_rows_by_themselves_than_may_be_outstanding(row):
-    """Rows in single precision, and those of a group that are wrong, are each asked for alone."""
-    evaluator = "f32" if row[0] == "0" else "f64"
+    """Rows with derivatives, and those of a group that are wrong, are each asked for alone."""
+    want = "dR_dr" if row[0] == "0" else "R"
     lines = [row.format(i + 1) for i in range(9000)]
-    text = points("\n".join([HEADER, *lines, ""]), "--model", "better", "--evaluator", evaluator,
+    text = points("\n".join([HEADER, *lines, ""]), "--model", "better", "--want", want,
                   status=0 if row[0] == "0" else BAD_ROWS)
     answered = text.splitlines()[1:]
     assert [one.split(",")[4] for one in answered] == [str(i + 1) for i in range(9000)]
