@@ -177,6 +177,14 @@ static const struct found in_f32[] = {
      CORE_ELEMENTWISE_R,
      233095008},
     {7, 1, {8.8995801120268256e-36, 17099814532338.553, 0, 1}, 0, 0, CORE_ELEMENTWISE_S, 66938120},
+    /* dR/dr has more operations than R */
+    {6,
+     2,
+     {.0013344157343949349, 550653.76899100537, 0, 2.1},
+     0,
+     0,
+     CORE_ELEMENTWISE_SLOPE,
+     .00019060341583099216},
 };
 
 static core_parameters parameters_of(const struct found *one) {
