@@ -1,6 +1,5 @@
 /* dipole gather: the light that points leave at other positions. */
 #include <math.h>
-#include <signal.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -49,23 +48,9 @@ static int check(void *given) {
 
 /* ---- asking ---------------------------------------------------------------------------------- */
 
-static volatile sig_atomic_t interrupted;
-
-static void on_interrupt(int signal_number) {
-  (void)signal_number;
-  interrupted = 1;
-}
-
-/* The first Ctrl-C ends the sums, a second one ends the program. */
-static void catch_interrupt(void) {
-  struct sigaction action = {.sa_handler = on_interrupt, .sa_flags = SA_RESETHAND | SA_RESTART};
-  sigemptyset(&action.sa_mask);
-  sigaction(SIGINT, &action, NULL);
-}
-
 static bool follow(void *context, uint64_t answered, uint64_t count) {
   cli_progress_show(context, (double)answered / (double)count, (double)answered);
-  return interrupted == 0;
+  return !cli_interrupted();
 }
 
 /* Says what was refused, and where the point or query at fault stands. */
@@ -95,7 +80,7 @@ static int ask(const gather_settings *settings, dipole_client *client, dipole_ga
     return cli_fail("%s: %s", points->file, error.text);
   }
   query->points = set;
-  catch_interrupt();
+  cli_catch_interrupt();
   cli_progress_start(&progress, "queries");
   const bool good =
       CLI_ASK(&settings->profile.common, &error,
@@ -105,7 +90,7 @@ static int ask(const gather_settings *settings, dipole_client *client, dipole_ga
   if (!good) {
     return fail_at(&error, points, queries);
   }
-  return interrupted != 0 && result.answered_count < queries->count
+  return cli_interrupted() && result.answered_count < queries->count
              ? cli_fail("interrupted after %llu of %llu queries; nothing was written",
                         (unsigned long long)result.answered_count,
                         (unsigned long long)queries->count)

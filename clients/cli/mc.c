@@ -1,6 +1,5 @@
 /* dipole mc: a Monte Carlo job on the daemon, followed until its table is there. */
 #include <math.h>
-#include <signal.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -259,20 +258,6 @@ static int make_query(const mc_settings *settings, dipole_client *client, size_t
 
 /* ---- following the job ----------------------------------------------------------------------- */
 
-static volatile sig_atomic_t interrupted;
-
-static void on_interrupt(int signal_number) {
-  (void)signal_number;
-  interrupted = 1;
-}
-
-/* The first Ctrl-C cancels the job, a second one ends the program. */
-static void catch_interrupt(void) {
-  struct sigaction action = {.sa_handler = on_interrupt, .sa_flags = SA_RESETHAND | SA_RESTART};
-  sigemptyset(&action.sa_mask);
-  sigaction(SIGINT, &action, NULL);
-}
-
 static bool follow(void *context, const dipole_mc_progress *now) {
   cli_progress *progress = context;
   const double share = now->photons_expected > 0
@@ -285,7 +270,7 @@ static bool follow(void *context, const dipole_mc_progress *now) {
              100 * now->error_rings);
   }
   cli_progress_show(progress, share, (double)now->photons);
-  return interrupted == 0;
+  return !cli_interrupted();
 }
 
 static bool run_job(dipole_client *client, const cli_common *common, report *of,
@@ -293,11 +278,11 @@ static bool run_job(dipole_client *client, const cli_common *common, report *of,
   const int64_t start_ms = cli_now_ms();
   cli_progress progress;
   bool good;
-  catch_interrupt();
+  cli_catch_interrupt();
   cli_progress_start(&progress, "photons");
   do {
     good = dipole_mc(client, &of->query, follow, &progress, &of->result, error);
-  } while (!good && interrupted == 0 && cli_try_again(common, start_ms, error));
+  } while (!good && !cli_interrupted() && cli_try_again(common, start_ms, error));
   cli_progress_wipe(&progress);
   return good;
 }
@@ -604,7 +589,7 @@ static void put_all(cli_json *json, const void *context) {
 static int run_jobs(const mc_settings *settings, dipole_client *client, size_t count,
                     reports *all) {
   dipole_error error;
-  while (all->count < count && interrupted == 0) {
+  while (all->count < count && !cli_interrupted()) {
     report *of = &all->items[all->count];
     const int status = make_query(settings, client, all->count, count, of);
     if (status != CLI_OK) {

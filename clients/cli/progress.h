@@ -1,5 +1,5 @@
-/* progress: a bar on standard error for work that takes long. It depends on no other file of this
- * folder, so that core's tools show it too. */
+/* progress: a bar on standard error for work that takes long, and Ctrl-C, which ends such work. It
+ * depends on no other file of this folder, so that core's tools show the bar, too. */
 #ifndef DIPOLE_CLI_PROGRESS_H
 #define DIPOLE_CLI_PROGRESS_H
 
@@ -24,5 +24,11 @@ void cli_progress_show(cli_progress *progress, double share, double count);
 
 /* Removes the bar, so that the next line starts in the first column. */
 void cli_progress_wipe(cli_progress *progress);
+
+/* Makes the first Ctrl-C set what cli_interrupted() returns, and a second one end the program. */
+void cli_catch_interrupt(void);
+
+/* Returns whether Ctrl-C was pressed since cli_catch_interrupt(): the work should end. */
+bool cli_interrupted(void);
 
 #endif

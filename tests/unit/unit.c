@@ -1,6 +1,7 @@
 #include "tests/unit/unit.h"
 
 #include <math.h>
+#include <time.h>
 
 #include "core/splitmix.h"
 
@@ -15,6 +16,31 @@ static size_t test_count;
 void (*unit_setup)(void), (*unit_teardown)(void);
 char **unit_arguments;
 
+/* A test that takes longer says so: in seconds of a processor, which depend little on what else the
+ * machine does. */
+#define LONG_S 0.5
+
+static double processor_s(void) {
+  return (double)clock() / CLOCKS_PER_SEC;
+}
+
+static double began_s;
+
+static int begin(void **state) {
+  (void)state;
+  began_s = processor_s();
+  return 0;
+}
+
+static int finish(void **state) {
+  (void)state;
+  const double took_s = processor_s() - began_s;
+  if (took_s >= LONG_S) {
+    printf("%.1f s of a processor\n", took_s);
+  }
+  return 0;
+}
+
 void unit_register(const char *name, CMUnitTestFunction test, int line) {
   if (test_count == TESTS_MAX) {
     abort();
@@ -24,7 +50,8 @@ void unit_register(const char *name, CMUnitTestFunction test, int line) {
     tests[at] = tests[at - 1];
     lines[at] = lines[at - 1];
   }
-  tests[at] = (struct CMUnitTest){.name = name, .test_func = test};
+  tests[at] = (struct CMUnitTest){
+      .name = name, .test_func = test, .setup_func = begin, .teardown_func = finish};
   lines[at] = line;
 }
 

@@ -21,7 +21,6 @@ from .broadcast import Values
 from .connection import TLS_WAITS, Connection, Frame, Tls, shut_down
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
 from .exchange import Exchange, Request
-from .gathering import Points
 from .opening import Opening
 from .rings import RingMeans
 from .surface import Surface
@@ -222,15 +221,13 @@ class AsyncClient:
         self,
         model: str | int,
         media: Media,
-        points: Points,
-        queries: Any,
-        *,
-        progress: Callable[[int, int], bool | None] | None = None,
+        *light: Any,
+        progress: gathering.Progress = None,
         **options: Any,
     ) -> Gathered:
         """See Client.gather()."""
         listed = await self._media_of(media)
-        run = gathering.Run(gathering.plan(self.info, model, listed, points, queries, **options))
+        run = gathering.Run(gathering.plan(self.info, model, listed, *light, **options))
         under_way: list[int] = []
         try:
             while True:

@@ -287,7 +287,7 @@ class Client:
         points: Points,
         queries: Any,
         *,
-        progress: Callable[[int, int], bool | None] | None = None,
+        progress: gathering.Progress = None,
         **options: Any,
     ) -> Gathered:
         """Sums, at each query position x, the light of all points: R(|x - x_i|) times the power of

@@ -8,7 +8,7 @@ answers, or whether it has been started anew since.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -26,6 +26,9 @@ _PART_POINTS = 65536
 _PART_QUERIES = 16384
 _PART_PAIRS = 1 << 30  # of a request with tolerance 0: the points that are summed one by one
 _SENT_MOST = 4  # how often the points are sent, at most, when daemons lose them meanwhile
+
+# Called with the numbers of queries that are answered and that there are; False ends the call.
+Progress = Callable[[int, int], bool | None] | None
 
 
 class Points:
