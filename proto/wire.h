@@ -109,17 +109,21 @@ static inline uint64_t wire_padded(uint64_t bytes) {
 }
 
 /* Errors are values. Status WIRE_STATUS_OK stands for no error. wire_error_make() copies its texts.
- */
+ *
+ * Functions that make an error are cold: compilers then keep the branches to them away from the
+ * code of requests that are right. */
+#define WIRE_COLD __attribute__((cold))
 wire_error wire_error_none(void);
-wire_error wire_error_make(enum wire_status status, const char *field, const char *allowed);
+WIRE_COLD wire_error wire_error_make(enum wire_status status, const char *field,
+                                     const char *allowed);
 
 /* Returns BUSY. The field is that of the request which asks for too much, or the name of the limit
  * that is reached. */
-wire_error wire_error_busy(const char *field, const char *allowed, uint32_t retry_after_ms);
+WIRE_COLD wire_error wire_error_busy(const char *field, const char *allowed, uint32_t retry_after_ms);
 
 /* Returns BAD_VALUE with the entries of one of core's lists as what is allowed, for example "one of
  * 1 (f64), 2 (f32)". A long list is cut. `how` is "one of" or "a sum of". */
-wire_error wire_error_not_in_list(const char *field, const struct core_choice *list,
+WIRE_COLD wire_error wire_error_not_in_list(const char *field, const struct core_choice *list,
                                   const char *how);
 
 /* Returns true if wire_header_check() would return OK. */

@@ -79,7 +79,7 @@ static const uint8_t *write_fields(struct http_text *text, const struct http_fie
                                    const uint8_t *at) {
   for (; fields->name != NULL; fields++) {
     if (fields->kind == HTTP_f64 && fields->count == 1) { /* never internal or a choice */
-      http_text_number(text, fields->name, get_f64(at));
+      http_text_number_at(text, &fields->key, get_f64(at));
     } else if (!fields->internal) {
       write_field(text, fields, at);
     }

@@ -17,8 +17,8 @@
 
 enum {
   HEADER_BYTES = 1024, /* of the library's memory for one connection, beside the URI */
-  REST_MS = 1000,     /* the silence after which the connection releases its buffers */
-  BRACKET_BYTES = 16, /* a body has at most one array or object for so many bytes it may have */
+  REST_MS = 1000,      /* the silence after which the connection releases its buffers */
+  BRACKET_BYTES = 16,  /* a body has at most one array or object for so many bytes it may have */
 };
 
 /* What a path asks for. */
@@ -48,8 +48,8 @@ struct http_connection {
   bool has_body;     /* whether the request is a POST */
   unsigned refused;  /* the status of HTTP by which the header or the body is refused; 0: none */
   wire_error refusal;
-  char *uri; /* of the request */
   struct route route;
+  struct http_text query;   /* of the URI, with a zero byte behind it; empty if there is none */
   struct http_text body;    /* of the request, as far as it has arrived */
   struct http_text payload; /* of the frame that asks the same */
   struct http_text answer;  /* which the library sends from where it is */
@@ -97,6 +97,7 @@ static void open_connection(struct http_host *host, struct MHD_Connection *handl
   c->host = host;
   c->handle = handle;
   c->fd = host->library.get_connection_info(handle, MHD_CONNECTION_INFO_CONNECTION_FD)->connect_fd;
+  http_text_init(&c->query, host->server);
   http_text_init(&c->body, host->server);
   http_text_init(&c->payload, host->server);
   http_text_init(&c->answer, host->server);
@@ -110,15 +111,15 @@ static void open_connection(struct http_host *host, struct MHD_Connection *handl
 
 static void forget_request(struct http_connection *c) {
   http_text_free(&c->body);
+  http_text_reset(&c->query);
   http_text_reset(&c->payload);
   http_text_reset(&c->answer);
-  free(c->uri);
-  c->uri = NULL;
 }
 
 /* The library closes no connection whose job runs, so the client is in no queue of the worker. */
 static void close_connection(struct http_connection *c) {
   forget_request(c);
+  http_text_free(&c->query);
   http_text_free(&c->payload);
   http_text_free(&c->answer);
   requests_drop(&c->requests);
@@ -142,10 +143,10 @@ void http_connection_notify(void *context, struct MHD_Connection *connection, vo
  * name of a query takes a structure. */
 static size_t library_bytes(const char *uri) {
   enum { NAME_BYTES = 56 };
-  const size_t half = HTTP_CONNECTION_BYTES / 2;
-  size_t bytes = 0, names = 0;
-  for (; uri[bytes] != '\0'; bytes++) {
-    names += uri[bytes] == '&' || uri[bytes] == '?';
+  const size_t half = HTTP_CONNECTION_BYTES / 2, bytes = strlen(uri);
+  size_t names = 0;
+  for (const char *at = strpbrk(uri, "&?"); at != NULL; at = strpbrk(at + 1, "&?")) {
+    names++;
   }
   return (bytes > half ? bytes : half) + names * NAME_BYTES;
 }
@@ -154,8 +155,8 @@ static size_t library_bytes(const char *uri) {
  * without a word. The rest of the request is thrown away, since the kernel resets a connection that
  * is closed with bytes to read, and the client might lose the answer. */
 static void refuse_uri(struct http_connection *c) {
-  const wire_error error = wire_error_make(WIRE_STATUS_TOO_LARGE, "query",
-                                           "32 KiB with its names; the body of a POST may be larger");
+  const wire_error error = wire_error_make(
+      WIRE_STATUS_TOO_LARGE, "query", "32 KiB with its names; the body of a POST may be larger");
   char head[160], rest[4096];
   health_note_refusal(c->host->server, &error);
   http_text_reset(&c->answer);
@@ -179,8 +180,11 @@ static void refuse_uri(struct http_connection *c) {
 void *http_connection_begin(void *context, const char *uri, struct MHD_Connection *connection) {
   struct http_connection *c = of_handle(context, connection);
   if (c != NULL) {
-    free(c->uri);
-    c->uri = strdup(uri);
+    const char *query = strchr(uri, '?');
+    http_text_reset(&c->query);
+    if (query != NULL) {
+      http_text_add(&c->query, query + 1, strlen(query));
+    }
     c->state = AWAITS;
     if (library_bytes(uri) > HTTP_CONNECTION_BYTES - HEADER_BYTES) {
       refuse_uri(c);
@@ -435,13 +439,16 @@ static bool find_route(const char *url, struct route *route) {
 
 /* Translates a request into the payload of a frame. */
 static wire_error translate(struct http_connection *c, uint32_t *deadline_ms) {
-  const char *query = c->uri != NULL ? strchr(c->uri, '?') : NULL;
+  static char none[1];
   struct http_values values;
+  if (c->query.failed) {
+    return wire_error_busy("max_total_bytes", "less at a time", 1000);
+  }
   wire_error error =
       c->has_body
           ? http_values_parse(&values, c->body.bytes != NULL ? c->body.bytes : "", c->body.count,
                               (size_t)options_of(c)->max_part_bytes / BRACKET_BYTES)
-          : http_values_parse_query(&values, query != NULL ? query + 1 : "");
+          : http_values_parse_query(&values, c->query.count > 0 ? c->query.bytes : none);
   if (error.status == WIRE_STATUS_OK) {
     error = http_question_translate(c->route.message, &values, &c->payload, deadline_ms);
     http_values_free(&values);
@@ -659,6 +666,7 @@ static void tick(struct client *client, uint64_t at_ms) {
   } else if (at_ms - c->since_ms > REST_MS) {
     input_release(&c->input);
     output_release(&c->output);
+    http_text_free(&c->query);
     http_text_free(&c->payload);
     http_text_free(&c->answer);
   }

@@ -20,7 +20,7 @@ const struct http_message http_messages[] = {
      http_fields_of_eval_reply,
      UINT_MAX,
      true,
-     "r,R,albedo",
+     CORE_QUANTITY_RADIUS | CORE_QUANTITY_R | CORE_QUANTITY_ALBEDO,
      {{"r", "radius_count", "spacing", "mm; the radii, with spacing list", HTTP_GIVEN}}},
     {WIRE_TYPE_OFFERS,
      "Lists the models that could answer an eval with a tolerance",
@@ -28,7 +28,7 @@ const struct http_message http_messages[] = {
      http_fields_of_offers_reply,
      UINT_MAX,
      true,
-     "R",
+     CORE_QUANTITY_R,
      {{"r", "radius_count", "spacing", "mm; the radii, with spacing list", HTTP_GIVEN}}},
     {WIRE_TYPE_SAMPLE,
      "Draws radii in proportion to the light that leaves there",
@@ -36,7 +36,7 @@ const struct http_message http_messages[] = {
      http_fields_of_eval_reply,
      UINT_MAX,
      true,
-     "r",
+     CORE_QUANTITY_RADIUS,
      {{"u", "sample_count", "draw", "the numbers from 0 to 1, with draw list", HTTP_GIVEN}}},
     {WIRE_TYPE_INVERT,
      "Finds the media that have given albedos and lengths",
@@ -44,7 +44,7 @@ const struct http_message http_messages[] = {
      http_fields_of_invert_reply,
      0,
      false,
-     NULL,
+     0,
      {{"albedo", "medium_count", NULL, "diffuse albedos, 0 to 1", HTTP_GIVEN},
       {"length", "medium_count", NULL, "mm; lengths, as `given` says, 1e-14 to 1e14", HTTP_GIVEN}}},
     {WIRE_TYPE_TABLE,
@@ -53,7 +53,7 @@ const struct http_message http_messages[] = {
      http_fields_of_table_reply,
      1,
      true,
-     NULL,
+     0,
      {{0}}},
     {WIRE_TYPE_FIT,
      "Finds the coefficients of media from readings",
@@ -61,7 +61,7 @@ const struct http_message http_messages[] = {
      http_fields_of_fit_reply,
      0,
      true,
-     NULL,
+     0,
      {{"at", "reading_count", NULL, "mm, or 1/mm; where the readings were taken", HTTP_GIVEN},
       {"source", "reading_count", NULL, "mm; diameters of the light; else 0", HTTP_ZEROS},
       {"detector", "reading_count", NULL, "mm; diameters of the detector; else 0", HTTP_ZEROS},
@@ -73,7 +73,7 @@ const struct http_message http_messages[] = {
      http_fields_of_varying_reply,
      0,
      true,
-     NULL,
+     0,
      {{"sigma_a", "value_count", NULL, "1/mm; or one for all values", HTTP_EACH},
       {"sigma_s", "value_count", NULL, "1/mm; or one for all values", HTTP_EACH},
       {"colour", "value_count", NULL, "in place of sigma_a: diffuse albedos, 0 to 1", HTTP_EACH},
@@ -82,7 +82,7 @@ const struct http_message http_messages[] = {
       {"r", "value_count", NULL, "mm; the radii", HTTP_EACH},
       {"u", "value_count", NULL, "in place of r: numbers from 0 to 1, for which radii are drawn",
        HTTP_EACH}}},
-    {0, NULL, {NULL}, NULL, 0, false, NULL, {{NULL, NULL, NULL, NULL, HTTP_GIVEN}}},
+    {0, NULL, {NULL}, NULL, 0, false, 0, {{NULL, NULL, NULL, NULL, HTTP_GIVEN}}},
 };
 
 /* ---- completing the structures --------------------------------------------------------------- */
@@ -151,6 +151,7 @@ static bool is_internal(const char *field) {
 
 static void complete(struct http_field *fields) {
   for (; fields->name != NULL; fields++) {
+    fields->key = http_key_of(fields->name);
     fields->bytes = bytes_of(fields->kind) * fields->count;
     fields->internal = is_internal(fields->name);
     fields->unit = unit_of(fields);

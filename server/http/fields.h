@@ -5,6 +5,7 @@
 
 #include "core/core.h"
 #include "proto/wire.h"
+#include "server/http/text.h"
 
 enum http_kind { HTTP_u16, HTTP_u32, HTTP_u64, HTTP_f64, HTTP_text };
 
@@ -15,6 +16,7 @@ struct http_field {
   const char *meaning;
 
   /* http_fields_init() sets these. */
+  struct http_key key;
   size_t bytes;               /* on the wire, of all values */
   const core_choice *choices; /* the list that the field chooses from; NULL if it is a number */
   bool bits;                  /* whether its value is a sum of entries of that list */
@@ -54,7 +56,7 @@ struct http_message {
   const struct http_field *reply;
   unsigned media_most; /* 0: it has no media; 1: it has one; UINT_MAX: any number */
   bool parameters;     /* whether it has parameters */
-  const char *wanted;  /* the quantities that are wanted if the request does not say */
+  unsigned wanted;     /* the quantities that are wanted if the request does not say */
   struct http_list lists[HTTP_LISTS];
 };
 

@@ -10,16 +10,12 @@
 
 #define USUAL_ETA 1.3 /* as in all clients */
 
-static wire_error bad(const char *field, const char *allowed) {
+WIRE_COLD static wire_error bad(const char *field, const char *allowed) {
   return wire_error_make(WIRE_STATUS_BAD_VALUE, field, allowed);
 }
 
-static wire_error no_memory(void) {
+WIRE_COLD static wire_error no_memory(void) {
   return wire_error_busy("max_total_bytes", "less at a time: max_total_bytes are in use", 1000);
-}
-
-static bool is_good(const wire_error *error) {
-  return error->status == WIRE_STATUS_OK;
 }
 
 /* ---- the payload ----------------------------------------------------------------------------- */
@@ -30,7 +26,28 @@ struct question {
   struct http_text *payload;
   uint32_t medium_count;
   uint32_t parameter_count;
+  wire_error error; /* what is wrong, after a function has returned false */
 };
+
+WIRE_COLD static bool fail(struct question *q, wire_error error) {
+  q->error = error;
+  return false;
+}
+
+/* The fault is that of an element of a list. */
+WIRE_COLD static bool fail_at(struct question *q, wire_error error, size_t index) {
+  error.index = index;
+  return fail(q, error);
+}
+
+/* Returns whether a value could be read. */
+static bool was_read(struct question *q, wire_error error) {
+  return error.status == WIRE_STATUS_OK || fail(q, error);
+}
+
+static wire_error not_a_number(const char *field) {
+  return bad(field, "a number, or the text inf or -inf");
+}
 
 static struct http_value get(const struct question *q, const char *name) {
   return http_values_get(q->values, name);
@@ -53,50 +70,49 @@ static uint8_t *add(const struct question *q, size_t bytes) {
   return (uint8_t *)at;
 }
 
-static wire_error add_medium(struct question *q, const wire_medium *medium) {
+static bool add_medium(struct question *q, const wire_medium *medium) {
   if (q->medium_count == q->message->media_most) {
-    return wire_error_make(WIRE_STATUS_BAD_COUNT, "medium",
-                           "one medium: a measured one has three, so give coefficients");
+    return fail(q, wire_error_make(WIRE_STATUS_BAD_COUNT, "medium",
+                                   "one medium: a measured one has three, so give coefficients"));
   }
   uint8_t *at = add(q, WIRE_BYTES_medium);
   if (at == NULL) {
-    return no_memory();
+    return fail(q, no_memory());
   }
   wire_put_medium(at, medium);
   q->medium_count++;
-  return wire_error_none();
+  return true;
 }
 
-static wire_error add_measured(struct question *q, const char *name) {
+static bool add_measured(struct question *q, const char *name) {
   const core_measured_medium *measured = core_measured_medium_by_name(name);
-  wire_error error =
-      measured != NULL ? wire_error_none() : bad("medium", "a name of /v1/media, or coefficients");
-  for (int i = 0; is_good(&error) && i < 3; i++) {
+  bool good = measured != NULL || fail(q, bad("medium", "a name of /v1/media, or coefficients"));
+  for (int i = 0; good && i < 3; i++) {
     const core_medium *from = &measured->channel[i];
     const wire_medium medium = {from->sigma_a_per_mm, from->sigma_s_per_mm, from->g, from->eta};
-    error = add_medium(q, &medium);
+    good = add_medium(q, &medium);
   }
-  return error;
+  return good;
 }
 
 /* The coefficients of a medium, in the order of their fields. */
 enum { COEFFICIENTS = 4 };
 
 /* Reads coefficients, the next element of each. */
-static wire_error read_coefficients(struct http_elements elements[COEFFICIENTS], size_t index,
-                                    wire_medium *medium) {
+static bool read_coefficients(struct question *q, struct http_elements elements[COEFFICIENTS],
+                              size_t index, wire_medium *medium) {
   double *const to[COEFFICIENTS] = {&medium->sigma_a, &medium->sigma_s, &medium->g, &medium->eta};
-  wire_error error = wire_error_none();
-  for (int i = 0; is_good(&error) && i < COEFFICIENTS; i++) {
+  for (int i = 0; i < COEFFICIENTS; i++) {
     const char *name = http_fields_of_medium[i].name;
-    if (http_value_given(elements[i].list)) {
-      error = http_value_read_number(http_elements_next(&elements[i]), name, to[i]);
-      error.index = index;
-    } else if (to[i] == &medium->sigma_a || to[i] == &medium->sigma_s) {
-      error = bad(name, "a number: a medium needs sigma_a and sigma_s");
+    if (!http_value_given(elements[i].list)) {
+      if (to[i] == &medium->sigma_a || to[i] == &medium->sigma_s) {
+        return fail(q, bad(name, "a number: a medium needs sigma_a and sigma_s"));
+      }
+    } else if (!http_elements_number(&elements[i], to[i])) {
+      return fail_at(q, not_a_number(name), index);
     }
   }
-  return error;
+  return true;
 }
 
 static void find_coefficients(const struct http_values *values,
@@ -117,96 +133,97 @@ static bool is_coefficient(const void *context, const char *name) {
 }
 
 /* Reads a medium from an object with its coefficients. */
-static wire_error read_medium(const char *field, struct http_value value, wire_medium *medium) {
+static bool read_medium(struct question *q, const char *field, struct http_value value,
+                        wire_medium *medium) {
   struct http_values values;
   struct http_elements elements[COEFFICIENTS];
   if (!http_values_of_object(&values, value)) {
-    return bad(field, "names of /v1/media, or objects of coefficients");
+    return fail(q, bad(field, "names of /v1/media, or objects of coefficients"));
   }
   if (http_values_unknown(&values, is_coefficient, &values) != NULL) {
-    return bad(field, "objects of sigma_a, sigma_s, g and eta, each one number");
+    return fail(q, bad(field, "objects of sigma_a, sigma_s, g and eta, each one number"));
   }
   *medium = (wire_medium){.eta = USUAL_ETA};
   find_coefficients(&values, elements);
-  return read_coefficients(elements, 0, medium);
+  return read_coefficients(q, elements, 0, medium);
 }
 
 /* Writes the known medium of a fit, which has one with scale `reference` alone. */
-static wire_error add_reference(const struct question *q) {
+static bool add_reference(struct question *q) {
   const struct http_value object = get(q, "reference"), scale = get(q, "scale");
   uint64_t id = 0;
   if (q->message->type != WIRE_TYPE_FIT) {
-    return wire_error_none();
+    return true;
   }
-  wire_error error = http_value_given(scale)
-                         ? http_value_read_choice(scale, "scale", core_fit_scales, false, &id)
-                         : wire_error_none();
-  if (is_good(&error) && (id == CORE_FIT_SCALE_REFERENCE) != json_is_object(object.json)) {
-    error = bad("reference", "with scale reference an object of coefficients, else nothing");
+  if (http_value_given(scale) &&
+      !was_read(q, http_value_read_choice(scale, "scale", core_fit_scales, false, &id))) {
+    return false;
   }
-  if (!is_good(&error) || !http_value_given(object)) {
-    return error;
+  if ((id == CORE_FIT_SCALE_REFERENCE) != json_is_object(object.json)) {
+    return fail(q,
+                bad("reference", "with scale reference an object of coefficients, else nothing"));
+  }
+  if (!http_value_given(object)) {
+    return true;
   }
   wire_medium medium;
-  error = read_medium("reference", object, &medium);
-  uint8_t *at = is_good(&error) ? add(q, WIRE_BYTES_medium) : NULL;
-  if (at != NULL) {
-    wire_put_medium(at, &medium);
+  if (!read_medium(q, "reference", object, &medium)) {
+    return false;
   }
-  return at == NULL && is_good(&error) ? no_memory() : error;
+  uint8_t *at = add(q, WIRE_BYTES_medium);
+  if (at == NULL) {
+    return fail(q, no_memory());
+  }
+  wire_put_medium(at, &medium);
+  return true;
 }
 
 /* Reads lists of coefficients. A list of one holds for all media. */
-static wire_error add_lists(struct question *q) {
+static bool add_lists(struct question *q) {
   struct http_elements elements[COEFFICIENTS];
   size_t count = 1;
-  wire_error error = wire_error_none();
+  bool good = true;
   find_coefficients(q->values, elements);
   for (int i = 0; i < COEFFICIENTS; i++) {
     const size_t length = http_value_count(elements[i].list);
     if (length == 0 || (count > 1 && length > 1 && length != count)) {
-      return wire_error_make(WIRE_STATUS_BAD_COUNT, http_fields_of_medium[i].name,
-                             "one value, or as many as the others");
+      return fail(q, wire_error_make(WIRE_STATUS_BAD_COUNT, http_fields_of_medium[i].name,
+                                     "one value, or as many as the others"));
     }
     count = length > count ? length : count;
   }
-  for (size_t i = 0; is_good(&error) && i < count; i++) {
+  for (size_t i = 0; good && i < count; i++) {
     wire_medium medium = {.eta = USUAL_ETA};
-    error = read_coefficients(elements, i, &medium);
-    error = is_good(&error) ? add_medium(q, &medium) : error;
+    good = read_coefficients(q, elements, i, &medium) && add_medium(q, &medium);
   }
-  return error;
+  return good;
 }
 
-static wire_error add_named_media(struct question *q, struct http_value media) {
+static bool add_named_media(struct question *q, struct http_value media) {
   struct http_elements elements = http_elements_of(media);
   const size_t count = http_value_count(media);
-  wire_error error = wire_error_none();
-  for (size_t i = 0; is_good(&error) && i < count; i++) {
+  bool good = true;
+  for (size_t i = 0; good && i < count; i++) {
     const struct http_value item = http_elements_next(&elements);
     const char *name = http_value_text(item);
     wire_medium medium;
-    if (name != NULL) {
-      error = add_measured(q, name);
-      continue;
-    }
-    error = read_medium("medium", item, &medium);
-    error = is_good(&error) ? add_medium(q, &medium) : error;
+    good = name != NULL ? add_measured(q, name)
+                        : read_medium(q, "medium", item, &medium) && add_medium(q, &medium);
   }
-  return error;
+  return good;
 }
 
-static wire_error add_media(struct question *q) {
+static bool add_media(struct question *q) {
   const struct http_value media = get(q, "medium");
   if (q->message->media_most == 0) {
-    return wire_error_none();
+    return true;
   }
   if (!http_value_given(media)) {
     return add_lists(q);
   }
   for (int i = 0; i < COEFFICIENTS; i++) {
     if (http_value_given(get(q, http_fields_of_medium[i].name))) {
-      return bad(http_fields_of_medium[i].name, "nothing beside medium");
+      return fail(q, bad(http_fields_of_medium[i].name, "nothing beside medium"));
     }
   }
   return add_named_media(q, media);
@@ -219,7 +236,7 @@ static const core_choice *choices_of_parameter(unsigned id) {
                                         : NULL;
 }
 
-static wire_error add_parameters(struct question *q) {
+static bool add_parameters(struct question *q) {
   for (const core_choice *one = core_parameter_list; one->name != NULL; one++) {
     const struct http_value value = get(q, one->name);
     wire_parameter parameter = {.parameter = (uint16_t)one->id};
@@ -228,21 +245,22 @@ static wire_error add_parameters(struct question *q) {
       continue;
     }
     uint64_t id = 0;
-    wire_error error = list != NULL && http_value_text(value) != NULL
-                           ? http_value_read_choice(value, one->name, list, false, &id)
-                           : http_value_read_number(value, one->name, &parameter.value);
-    if (!is_good(&error)) {
-      return error;
+    const bool named = list != NULL && http_value_text(value) != NULL;
+    if (named && !was_read(q, http_value_read_choice(value, one->name, list, false, &id))) {
+      return false;
+    }
+    if (!named && !http_value_number(value, &parameter.value)) {
+      return fail(q, not_a_number(one->name));
     }
     parameter.value = list != NULL && id > 0 ? (double)id : parameter.value;
     uint8_t *at = add(q, WIRE_BYTES_parameter);
     if (at == NULL) {
-      return no_memory();
+      return fail(q, no_memory());
     }
     wire_put_parameter(at, &parameter);
     q->parameter_count++;
   }
-  return wire_error_none();
+  return true;
 }
 
 /* Writes a number in single precision. Returns false if it is too large or too small for it. */
@@ -253,33 +271,31 @@ static bool put_single(uint8_t *at, double number) {
 }
 
 /* Writes `count` numbers: those of a list, or its only one again and again. */
-static wire_error add_numbers(const struct question *q, const char *name, struct http_value list,
-                              size_t count, bool single) {
+static bool add_numbers(struct question *q, const char *name, struct http_value list, size_t count,
+                        bool single) {
   const size_t bytes = single ? sizeof(float) : sizeof(double);
   struct http_elements elements = http_elements_of(list);
   uint8_t *at = add(q, (size_t)wire_padded(count * bytes));
   if (at == NULL) {
-    return no_memory();
+    return fail(q, no_memory());
   }
   for (size_t i = 0; i < count; i++, at += bytes) {
-    const struct http_value value = http_elements_next(&elements);
     double number;
-    bool good = http_value_number(value, &number);
+    bool good = http_elements_number(&elements, &number);
     if (good && single) {
       good = put_single(at, number);
     } else if (good) {
       memcpy(at, &number, sizeof number);
     }
     if (!good) {
-      wire_error error = http_value_read_number(value, name, &number);
-      error = is_good(&error)
-                  ? bad(name, "1e-45 to 3.4e38, 0 or inf: single precision; f64 has more")
-                  : error;
-      error.index = i;
-      return error;
+      return fail_at(q,
+                     isnan(number) ? not_a_number(name)
+                                   : bad(name, "1e-45 to 3.4e38, 0 or inf: single precision; "
+                                               "f64 has more"),
+                     i);
     }
   }
-  return wire_error_none();
+  return true;
 }
 
 /* Returns whether a list of readings is one of JSON, with a list for each set. */
@@ -293,18 +309,18 @@ static size_t sets_of(struct http_value list) {
 }
 
 /* Writes the readings of all sets, each as many as `count`. */
-static wire_error add_sets(const struct question *q, const char *name, struct http_value list,
-                           size_t count) {
+static bool add_sets(struct question *q, const char *name, struct http_value list, size_t count) {
   const size_t sets = sets_of(list);
-  wire_error error = wire_error_none();
-  for (size_t i = 0; is_good(&error) && i < sets; i++) {
+  bool good = true;
+  for (size_t i = 0; good && i < sets; i++) {
     const struct http_value set =
         is_nested(list) ? (struct http_value){.json = json_array_get(list.json, i)} : list;
-    error = http_value_count(set) == count
-                ? add_numbers(q, name, set, count, false)
-                : wire_error_make(WIRE_STATUS_BAD_COUNT, name, "as many in each set as in `at`");
+    good = http_value_count(set) == count
+               ? add_numbers(q, name, set, count, false)
+               : fail(q, wire_error_make(WIRE_STATUS_BAD_COUNT, name,
+                                         "as many in each set as in `at`"));
   }
-  return error;
+  return good;
 }
 
 /* ---- the fixed part -------------------------------------------------------------------------- */
@@ -313,7 +329,8 @@ static wire_error add_sets(const struct question *q, const char *name, struct ht
 static const struct http_list *list_of(const struct http_message *message, const char *field) {
   for (int i = 0; i < HTTP_LISTS && message->lists[i].name != NULL; i++) {
     const struct http_list *list = &message->lists[i];
-    if (http_values_same(list->count, field) || (list->rule != NULL && http_values_same(list->rule, field))) {
+    if (http_values_same(list->count, field) ||
+        (list->rule != NULL && http_values_same(list->rule, field))) {
       return list;
     }
   }
@@ -341,33 +358,34 @@ static const char *usual_choice(const struct question *q, const char *field) {
     return http_value_given(get(q, list->name)) || strcmp(field, "draw") != 0 ? "list" : "random";
   }
   if (q->message->type == WIRE_TYPE_VARYING) { /* as in Python */
-    const char *usual = strcmp(field, "evaluator") == 0 ? "f32"
-                        : strcmp(field, "given") == 0   ? "mean-free-path"
-                        : strcmp(field, "light") == 0   ? "beam"
-                                                        : NULL;
+    const char *usual = http_values_same(field, "evaluator") ? "f32"
+                        : http_values_same(field, "given")   ? "mean-free-path"
+                        : http_values_same(field, "light")   ? "beam"
+                                                             : NULL;
     if (usual != NULL) {
-      return strcmp(field, "evaluator") == 0 || is_coloured(q) ? usual : "";
+      return http_values_same(field, "evaluator") || is_coloured(q) ? usual : "";
     }
   }
-  return strcmp(field, "model") == 0       ? "transport"
-         : strcmp(field, "evaluator") == 0 ? (named ? "f64" : "lut")
-         : strcmp(field, "moments") == 0   ? "exact"
-         : strcmp(field, "axis") == 0      ? "r"
-         : strcmp(field, "scale") == 0     ? "absolute"
-                                           : NULL;
+  return http_values_same(field, "model")       ? "transport"
+         : http_values_same(field, "evaluator") ? (named ? "f64" : "lut")
+         : http_values_same(field, "moments")   ? "exact"
+         : http_values_same(field, "axis")      ? "r"
+         : http_values_same(field, "scale")     ? "absolute"
+                                                : NULL;
 }
 
-/* What holds for a sum of choices that the request leaves out: names with commas between them. */
-static const char *usual_choices(const struct question *q, const char *field) {
-  static const char *const quantities[VARYING_NUMBERS] = {
-      [VARYING_NONE] = "", [VARYING_RADII] = "R", [VARYING_DRAWN] = "r"};
+/* What holds for a sum of choices that the request leaves out. */
+static unsigned usual_choices(const struct question *q, const char *field) {
+  static const unsigned quantities[VARYING_NUMBERS] = {
+      [VARYING_RADII] = CORE_QUANTITY_R, [VARYING_DRAWN] = CORE_QUANTITY_RADIUS};
   if (q->message->type != WIRE_TYPE_VARYING) {
     return q->message->wanted;
   }
   const enum varying_numbers numbers = numbers_of(q);
-  return strcmp(field, "wanted") == 0                ? quantities[numbers]
-         : is_coloured(q) && numbers == VARYING_NONE ? "sigma_a,sigma_s"
-                                                     : "";
+  return http_values_same(field, "wanted") ? quantities[numbers]
+         : is_coloured(q) && numbers == VARYING_NONE
+             ? (unsigned)CORE_COEFFICIENT_SIGMA_A | (unsigned)CORE_COEFFICIENT_SIGMA_S
+             : 0;
 }
 
 /* Returns whether the request leaves the choice of the model to its tolerance. */
@@ -376,49 +394,44 @@ static bool chooses_by_tolerance(const struct question *q) {
          (q->message->type == WIRE_TYPE_OFFERS || http_value_given(get(q, "tolerance")));
 }
 
-static wire_error read_choice(const struct question *q, const struct http_field *field,
-                              uint64_t *number) {
+static bool read_choice(struct question *q, const struct http_field *field, uint64_t *number) {
   const struct http_value value = get(q, field->name);
   if (http_value_given(value)) {
-    return http_value_read_choice(value, field->name, field->choices, field->bits, number);
+    return was_read(
+        q, http_value_read_choice(value, field->name, field->choices, field->bits, number));
   }
-  if (strcmp(field->name, "model") == 0 && chooses_by_tolerance(q)) {
+  if (http_values_same(field->name, "model") && chooses_by_tolerance(q)) {
     *number = 0;
-    return wire_error_none();
+    return true;
   }
   if (field->bits) {
-    char names[64], *rest = names, *name;
-    snprintf(names, sizeof names, "%s", usual_choices(q, field->name));
-    while ((name = strsep(&rest, ",")) != NULL && name[0] != '\0') {
-      *number |= core_choice_by_name(field->choices, name)->id;
-    }
-    return wire_error_none();
+    *number = usual_choices(q, field->name);
+    return true;
   }
   const char *usual = usual_choice(q, field->name);
   if (usual == NULL) {
-    return wire_error_not_in_list(field->name, field->choices, "one of");
+    return fail(q, wire_error_not_in_list(field->name, field->choices, "one of"));
   }
   *number = usual[0] != '\0' ? core_choice_by_name(field->choices, usual)->id : 0;
-  return wire_error_none();
+  return true;
 }
 
 /* Reads a number that is no choice and no count of an array. One that is not given is 0. */
-static wire_error read_plain(const struct question *q, const struct http_field *field,
-                             uint64_t *number) {
+static bool read_plain(struct question *q, const struct http_field *field, uint64_t *number) {
   static const uint64_t most[] = {
       [HTTP_u16] = UINT16_MAX, [HTTP_u32] = UINT32_MAX, [HTTP_u64] = UINT64_MAX};
   const struct http_value value = get(q, field->name);
-  double real = strcmp(field->name, "eta") == 0 ? USUAL_ETA : 0;
+  double real = http_values_same(field->name, "eta") ? USUAL_ETA : 0;
   if (!http_value_given(value)) {
     memcpy(number, &real, sizeof real); /* 0 has the same bits in every kind */
-    return wire_error_none();
+    return true;
   }
   if (field->kind != HTTP_f64) {
-    return http_value_read_count(value, field->name, most[field->kind], number);
+    return was_read(q, http_value_read_count(value, field->name, most[field->kind], number));
   }
-  const wire_error error = http_value_read_number(value, field->name, &real);
+  const bool good = http_value_number(value, &real) || fail(q, not_a_number(field->name));
   memcpy(number, &real, sizeof real);
-  return error;
+  return good;
 }
 
 /* Returns the length of the longest list that is given. */
@@ -432,8 +445,7 @@ static size_t longest(const struct question *q) {
   return count;
 }
 
-static wire_error read_field(const struct question *q, const struct http_field *field,
-                             uint64_t *number) {
+static bool read_field(struct question *q, const struct http_field *field, uint64_t *number) {
   if (field->choices != NULL) {
     return read_choice(q, field, number);
   }
@@ -441,20 +453,19 @@ static wire_error read_field(const struct question *q, const struct http_field *
   const struct http_value values = get(q, list != NULL ? list->name : "");
   if (list != NULL && list->kind == HTTP_EACH) {
     *number = longest(q);
-    return wire_error_none();
+    return true;
   }
   if (list != NULL && http_value_given(values)) {
     *number = list->kind == HTTP_SETS ? sets_of(values) : http_value_count(values);
-    return !http_value_given(get(q, field->name))
-               ? wire_error_none()
-               : bad(field->name, "nothing beside the list that it counts");
+    return !http_value_given(get(q, field->name)) ||
+           fail(q, bad(field->name, "nothing beside the list that it counts"));
   }
   if (list == NULL && field->internal) {
-    *number = strcmp(field->name, "medium_count") == 0      ? q->medium_count
-              : strcmp(field->name, "parameter_count") == 0 ? q->parameter_count
-              : strcmp(field->name, "numbers") == 0         ? numbers_of(q)
-                                                            : 0;
-    return wire_error_none();
+    *number = http_values_same(field->name, "medium_count")      ? q->medium_count
+              : http_values_same(field->name, "parameter_count") ? q->parameter_count
+              : http_values_same(field->name, "numbers")         ? numbers_of(q)
+                                                                 : 0;
+    return true;
   }
   return read_plain(q, field, number);
 }
@@ -471,22 +482,20 @@ static size_t bytes_of(const struct http_message *message) {
 
 /* Writes a structure of the fixed part at *offset, which it moves. Sets *single to whether the
  * evaluator has single precision. */
-static wire_error put_fixed(const struct question *q, const struct http_field *fields,
-                            size_t *offset, bool *single) {
-  wire_error error = wire_error_none();
+static bool put_fixed(struct question *q, const struct http_field *fields, size_t *offset,
+                      bool *single) {
   for (const struct http_field *field = fields; field->name != NULL; field++) {
     uint64_t number = 0;
-    error = read_field(q, field, &number);
-    if (!is_good(&error)) {
-      return error;
+    if (!read_field(q, field, &number)) {
+      return false;
     }
     put_le((uint8_t *)q->payload->bytes + *offset, number, field->bytes);
     *offset += field->bytes;
-    if (strcmp(field->name, "evaluator") == 0) {
+    if (http_values_same(field->name, "evaluator")) {
       *single = core_evaluator_bytes((unsigned)number) == sizeof(float);
     }
   }
-  return error;
+  return true;
 }
 
 /* ---- all of it ------------------------------------------------------------------------------- */
@@ -526,110 +535,99 @@ static bool can_be_named(const char *key) {
   return key[length] == '\0' && length > 0 && length < sizeof((wire_error *)NULL)->field;
 }
 
-static wire_error check_keys(const struct question *q) {
+static bool check_keys(struct question *q) {
   const char *key = http_values_unknown(q->values, is_known, q->message);
-  return key == NULL ? wire_error_none()
-                     : bad(can_be_named(key) ? key : "body",
-                           "only fields that /v1/openapi.json lists for this request");
+  return key == NULL || fail(q, bad(can_be_named(key) ? key : "body",
+                                    "only fields that /v1/openapi.json lists for this request"));
 }
 
 /* Checks that a varying request has one pair of lists for its media, and at most one list of
  * numbers. */
-static wire_error check_pairs(const struct question *q) {
+static bool check_pairs(struct question *q) {
   const bool coloured = is_coloured(q) || http_value_given(get(q, "length"));
   const char *const wanted[] = {coloured ? "colour" : "sigma_a", coloured ? "length" : "sigma_s"};
   const char *const others[] = {coloured ? "sigma_a" : "given", coloured ? "sigma_s" : "light"};
   for (int i = 0; i < 2; i++) {
     if (http_value_given(get(q, others[i]))) {
-      return bad(others[i], coloured ? "nothing beside colour and length"
-                                     : "nothing beside sigma_a and sigma_s");
+      return fail(q, bad(others[i], coloured ? "nothing beside colour and length"
+                                             : "nothing beside sigma_a and sigma_s"));
     }
     if (!http_value_given(get(q, wanted[i]))) {
-      return bad(wanted[i], "numbers: give sigma_a and sigma_s, or colour and length");
+      return fail(q, bad(wanted[i], "numbers: give sigma_a and sigma_s, or colour and length"));
     }
   }
-  return http_value_given(get(q, "r")) && http_value_given(get(q, "u"))
-             ? bad("u", "nothing beside r")
-             : wire_error_none();
+  return !http_value_given(get(q, "r")) || !http_value_given(get(q, "u")) ||
+         fail(q, bad("u", "nothing beside r"));
 }
 
-static wire_error add_each(const struct question *q, const char *name, struct http_value value,
-                           bool single) {
+static bool add_each(struct question *q, const char *name, struct http_value value, bool single) {
   const size_t count = longest(q);
   if (!http_value_given(value)) {
-    return wire_error_none();
+    return true;
   }
   return http_value_count(value) == count || http_value_count(value) == 1
              ? add_numbers(q, name, value, count, single)
-             : wire_error_make(WIRE_STATUS_BAD_COUNT, name, "one value, or as many as the others");
+             : fail(q, wire_error_make(WIRE_STATUS_BAD_COUNT, name,
+                                       "one value, or as many as the others"));
 }
 
-static wire_error add_list(const struct question *q, const struct http_list *list, bool single) {
+static bool add_list(struct question *q, const struct http_list *list, bool single) {
   const struct http_value value = get(q, list->name), first = get(q, q->message->lists[0].name);
   const size_t count = http_value_given(first) ? http_value_count(first) : 0;
   if (!http_value_given(value) && list->kind == HTTP_ZEROS) {
-    return add(q, count * sizeof(double)) != NULL ? wire_error_none() : no_memory();
+    return add(q, count * sizeof(double)) != NULL || fail(q, no_memory());
   }
   if (list->kind == HTTP_EACH) {
     return add_each(q, list->name, value, single);
   }
   if (!http_value_given(value)) {
-    return list->rule != NULL ? wire_error_none() : bad(list->name, "a list: it has to be given");
+    return list->rule != NULL || fail(q, bad(list->name, "a list: it has to be given"));
   }
   if (list->kind == HTTP_SETS) {
     return add_sets(q, list->name, value, count);
   }
   return http_value_count(value) == count
              ? add_numbers(q, list->name, value, count, single)
-             : wire_error_make(WIRE_STATUS_BAD_COUNT, list->name, "as many as in the other list");
+             : fail(q, wire_error_make(WIRE_STATUS_BAD_COUNT, list->name,
+                                       "as many as in the other list"));
 }
 
-static wire_error add_all_lists(const struct question *q, bool single) {
-  wire_error error = wire_error_none();
-  for (int i = 0; is_good(&error) && i < HTTP_LISTS && q->message->lists[i].name != NULL; i++) {
-    error = add_list(q, &q->message->lists[i], single);
+static bool add_all_lists(struct question *q, bool single) {
+  bool good = true;
+  for (int i = 0; good && i < HTTP_LISTS && q->message->lists[i].name != NULL; i++) {
+    good = add_list(q, &q->message->lists[i], single);
   }
-  return error;
+  return good;
 }
 
-static wire_error read_deadline(const struct question *q, uint32_t *deadline_ms) {
+static bool read_deadline(struct question *q, uint32_t *deadline_ms) {
   const struct http_value value = get(q, "deadline_ms");
   uint64_t limit_ms = 0;
-  const wire_error error = http_value_given(value)
-                               ? http_value_read_count(value, "deadline_ms", UINT32_MAX, &limit_ms)
-                               : wire_error_none();
+  const bool good = !http_value_given(value) ||
+                    was_read(q, http_value_read_count(value, "deadline_ms", UINT32_MAX, &limit_ms));
   *deadline_ms = (uint32_t)limit_ms;
-  return error;
+  return good;
+}
+
+/* Writes the whole payload. */
+static bool put_all(struct question *q, uint32_t *deadline_ms) {
+  const struct http_message *message = q->message;
+  size_t offset = 0;
+  bool single = false;
+  bool good = check_keys(q) && read_deadline(q, deadline_ms) &&
+              (message->type != WIRE_TYPE_VARYING || check_pairs(q)) &&
+              (add(q, bytes_of(message)) != NULL || fail(q, no_memory())) && add_media(q) &&
+              add_parameters(q) && add_reference(q);
+  for (int i = 0; good && i < HTTP_STRUCTURES && message->request[i] != NULL; i++) {
+    good = put_fixed(q, message->request[i], &offset, &single);
+  }
+  return good && add_all_lists(q, single);
 }
 
 wire_error http_question_translate(const struct http_message *message,
                                    const struct http_values *values, struct http_text *payload,
                                    uint32_t *deadline_ms) {
-  struct question q = {message, values, payload, 0, 0};
-  size_t offset = 0;
-  bool single = false;
+  struct question q = {.message = message, .values = values, .payload = payload};
   *deadline_ms = 0;
-  wire_error error = check_keys(&q);
-  if (is_good(&error)) {
-    error = read_deadline(&q, deadline_ms);
-  }
-  if (is_good(&error) && message->type == WIRE_TYPE_VARYING) {
-    error = check_pairs(&q);
-  }
-  if (is_good(&error) && add(&q, bytes_of(message)) == NULL) {
-    error = no_memory();
-  }
-  if (is_good(&error)) {
-    error = add_media(&q);
-  }
-  if (is_good(&error)) {
-    error = add_parameters(&q);
-  }
-  if (is_good(&error)) {
-    error = add_reference(&q);
-  }
-  for (int i = 0; is_good(&error) && i < HTTP_STRUCTURES && message->request[i] != NULL; i++) {
-    error = put_fixed(&q, message->request[i], &offset, &single);
-  }
-  return is_good(&error) ? add_all_lists(&q, single) : error;
+  return put_all(&q, deadline_ms) ? wire_error_none() : q.error;
 }

@@ -1,5 +1,6 @@
 #include "server/http/text.h"
 
+#include <assert.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -167,6 +168,24 @@ void http_text_number(struct http_text *text, const char *key, double value) {
   }
 }
 
+struct http_key http_key_of(const char *name) {
+  struct http_key key = {.text = ""};
+  const int length = snprintf(key.text, sizeof key.text, ",\"%s\":", name);
+  assert(length > 0 && (size_t)length < sizeof key.text);
+  key.count = (size_t)length;
+  return key;
+}
+
+void http_text_number_at(struct http_text *text, const struct http_key *key, double value) {
+  char *at = room(text, HTTP_KEY_BYTES + DECIMAL_BYTES);
+  if (at != NULL) {
+    memcpy(at, key->text + !text->filled, HTTP_KEY_BYTES - 1);
+    at += key->count - !text->filled;
+    text->filled = true;
+    end_value(text, at + write_number(value, at));
+  }
+}
+
 /* Room for so many numbers is made at a time. */
 enum { NUMBERS_AT_ONCE = 256 };
 
@@ -177,8 +196,8 @@ void http_text_numbers(struct http_text *text, const char *key, const void *valu
   for (uint64_t i = 0; i < count; i++) {
     if (i % NUMBERS_AT_ONCE == 0) {
       const uint64_t left = count - i;
-      at = room(text, (DECIMAL_BYTES + 1) *
-                          (size_t)(left < NUMBERS_AT_ONCE ? left : NUMBERS_AT_ONCE));
+      at = room(text,
+                (DECIMAL_BYTES + 1) * (size_t)(left < NUMBERS_AT_ONCE ? left : NUMBERS_AT_ONCE));
       if (at == NULL) {
         return;
       }
@@ -194,9 +213,13 @@ void http_text_numbers(struct http_text *text, const char *key, const void *valu
 }
 
 void http_text_count(struct http_text *text, const char *key, uint64_t value) {
-  char digits[24];
-  snprintf(digits, sizeof digits, "%llu", (unsigned long long)value);
-  http_text_raw(text, key, digits);
+  char digits[24], *at = digits + sizeof digits - 1;
+  *at = '\0';
+  do {
+    *--at = (char)('0' + value % 10);
+    value /= 10;
+  } while (value > 0);
+  http_text_raw(text, key, at);
 }
 
 void http_text_bool(struct http_text *text, const char *key, bool value) {

@@ -53,7 +53,6 @@ wire_error http_values_parse(struct http_values *values, const char *bytes, size
   json_t *object = json_loadb(bytes, count, JSON_REJECT_DUPLICATES, &why);
   if (json_is_object(object)) {
     values->object = object;
-    values->query = NULL;
     return error;
   }
   if (object != NULL) {
@@ -69,7 +68,6 @@ wire_error http_values_parse(struct http_values *values, const char *bytes, size
 
 bool http_values_of_object(struct http_values *values, struct http_value value) {
   values->object = value.json;
-  values->query = NULL;
   return json_is_object(value.json);
 }
 
@@ -120,37 +118,38 @@ static wire_error add_pair(struct http_values *values, char *pair) {
   if (values->name_count == HTTP_QUERY_NAMES || http_value_given(http_values_get(values, pair))) {
     return bad("query", "at most 64 names, each once");
   }
+  values->initials |= UINT64_C(1) << (pair[0] & 63);
   values->names[values->name_count].name = pair;
   values->names[values->name_count++].value = (struct http_value){NULL, text, count};
   return wire_error_none();
 }
 
-wire_error http_values_parse_query(struct http_values *values, const char *query) {
-  char *rest = strdup(query), *pair;
+wire_error http_values_parse_query(struct http_values *values, char *query) {
   values->object = NULL;
-  values->query = rest;
+  values->initials = 0;
   values->name_count = 0;
-  wire_error error =
-      rest != NULL ? wire_error_none() : wire_error_busy("max_total_bytes", "less at a time", 1000);
-  while (error.status == WIRE_STATUS_OK && (pair = strsep(&rest, "&")) != NULL) {
+  for (char *pair = query, *next; pair != NULL; pair = next) {
+    next = strchr(pair, '&');
+    if (next != NULL) {
+      *next++ = '\0';
+    }
     if (*pair != '\0') {
-      error = add_pair(values, pair);
+      const wire_error error = add_pair(values, pair);
+      if (error.status != WIRE_STATUS_OK) {
+        return error;
+      }
     }
   }
-  if (error.status != WIRE_STATUS_OK) {
-    free(values->query);
-  }
-  return error;
+  return wire_error_none();
 }
 
 /* ---- names ----------------------------------------------------------------------------------- */
 
 void http_values_free(struct http_values *values) {
   json_decref((json_t *)(uintptr_t)values->object);
-  free(values->query);
 }
 
-struct http_value http_values_get(const struct http_values *values, const char *name) {
+struct http_value http_values_find(const struct http_values *values, const char *name) {
   if (values->object != NULL) {
     return (struct http_value){.json = json_object_get(values->object, name)};
   }
@@ -230,9 +229,18 @@ bool http_value_number(struct http_value value, double *number) {
   return !isnan(*number);
 }
 
-wire_error http_value_read_number(struct http_value value, const char *field, double *number) {
-  return http_value_number(value, number) ? wire_error_none()
-                                          : bad(field, "a number, or the text inf or -inf");
+bool http_elements_number(struct http_elements *elements, double *number) {
+  const struct http_value list = elements->list;
+  if (list.text == NULL || list.count == 1 || elements->next == list.count) {
+    return http_value_number(http_elements_next(elements), number);
+  }
+  const char *text = elements->text;
+  elements->next++;
+  elements->text += strlen(text) + 1;
+  if (!decimal_read(text, number)) {
+    *number = (double)NAN;
+  }
+  return !isnan(*number);
 }
 
 wire_error http_value_read_count(struct http_value value, const char *field, uint64_t most,

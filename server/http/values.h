@@ -21,8 +21,8 @@ struct http_value {
 
 struct http_values {
   const json_t *object; /* NULL for a query */
-  char *query;          /* its names and texts; NULL for an object */
-  size_t name_count;    /* in the query */
+  uint64_t initials; /* of the names in the query: bit i is set if the first byte modulo 64 is i */
+  size_t name_count; /* in the query */
   struct {
     const char *name;
     struct http_value value;
@@ -35,8 +35,9 @@ wire_error http_values_parse(struct http_values *values, const char *bytes, size
                              size_t brackets_max);
 
 /* Reads what follows the question mark of a URI: NAME=VALUE with & between them, where commas
- * separate the elements of a list. On success the caller frees the values. */
-wire_error http_values_parse_query(struct http_values *values, const char *query);
+ * separate the elements of a list. The values lie in the query, which this changes. On success the
+ * caller frees the values. */
+wire_error http_values_parse_query(struct http_values *values, char *query);
 
 void http_values_free(struct http_values *values);
 
@@ -44,7 +45,16 @@ void http_values_free(struct http_values *values);
  * is no object. */
 bool http_values_of_object(struct http_values *values, struct http_value value);
 
-struct http_value http_values_get(const struct http_values *values, const char *name);
+struct http_value http_values_find(const struct http_values *values, const char *name);
+
+/* Returns the value of a name, which is not given if there is none. Most names that are looked for
+ * are not in a query. */
+static inline struct http_value http_values_get(const struct http_values *values,
+                                                const char *name) {
+  return values->object == NULL && (values->initials >> (name[0] & 63) & 1) == 0
+             ? (struct http_value){0}
+             : http_values_find(values, name);
+}
 
 /* Returns the first name that `is_known` does not know, or NULL. */
 const char *http_values_unknown(const struct http_values *values,
@@ -75,6 +85,10 @@ struct http_elements {
 
 struct http_elements http_elements_of(struct http_value value);
 
+/* Reads the next element as http_value_number() does. A list of one has it again and again. Returns
+ * false, and sets *number to NaN, if it is no number or if there is none. */
+bool http_elements_number(struct http_elements *elements, double *number);
+
 /* Returns the next element. A list of one has it again and again; other lists end with values that
  * are not given. */
 struct http_value http_elements_next(struct http_elements *elements);
@@ -85,7 +99,6 @@ bool http_value_number(struct http_value value, double *number);
 
 /* These read one value and name the field at fault. most: the largest integer allowed.
  * bits: the value is a list of entries, whose sum is wanted; else it is one entry. */
-wire_error http_value_read_number(struct http_value value, const char *field, double *number);
 wire_error http_value_read_count(struct http_value value, const char *field, uint64_t most,
                                  uint64_t *number);
 wire_error http_value_read_choice(struct http_value value, const char *field,
