@@ -17,6 +17,7 @@
 #   make gamma-errors  core/gamma_errors.def, transport with gamma for other phase functions
 #   make tradeoff   speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
 #   make tables     core/transport/transport.table, solved anew (half an hour; resumes)
+#   make totals     the totals in that table alone, for g other than 0 (a minute)
 #   make reference  core/transport/reference.csv, R(r) for many g, solved anew (an hour; resumes)
 #   make figures    Figures 1 to 17 of d'Eon 2012 and one of tissue, in build/figures (ten minutes;
 #                   resumes), with build/figures/index.html, and core/tools/tissue.svg
@@ -141,7 +142,7 @@ INSTALLED := $(BUILD)/dipoled $(BUILD)/dipole
 PROGRAMS := $(INSTALLED) $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-tls-long check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz check-truth check-fits check-varying check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables reference tradeoff figures picture gather-figure fit-bias clean
+.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-tls-long check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz check-truth check-fits check-varying check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables totals reference tradeoff figures picture gather-figure fit-bias clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -470,6 +471,10 @@ $(BUILD)/transport-table: $(TABLES) $(BUILD)/libcore.a
 # Half an hour on two cores; after an interruption it goes on where it was.
 tables: $(BUILD)/transport-table
 	$(BUILD)/transport-table $(BUILD)/tables core/transport/transport.table
+
+# The totals for g other than 0 alone, where the solver of totals has changed.
+totals: $(BUILD)/transport-table
+	$(BUILD)/transport-table core/transport/transport.table
 
 $(BUILD)/reference: $(REFERENCE) $(BUILD)/libcore.a
 	$(call SAY,LD,$@)

@@ -673,7 +673,7 @@ core_fault transport_anisotropic_totals(transport_totals *totals, const core_isa
     halfspace_rules rules;
     double moment_least;
     size_t moments_most;
-  } by[GRIDS] = {{{0, 48, 3}, 1e-6, 200}, {{0, 36, 3}, 1e-5, 140}};
+  } by[GRIDS] = {{{0, 72, 3}, 1e-8, 250}, {{0, 56, 3}, 1e-7, 220}};
   double moment[TRANSPORT_PHASE_MOMENTS_MAX], once[TRANSPORT_ANISOTROPIC_ETAS_MAX];
   const size_t moments = find_moments(phase, moment);
   for (size_t eta = 0; eta < count; eta++) {

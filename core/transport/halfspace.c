@@ -47,7 +47,7 @@
 #include "core/transport/gauss.h"
 #include "core/transport/single.h"
 
-enum { ORDERS_MAX = 40, DEGREES_MAX = 64, DOUBLINGS_MAX = 60, ALIGNMENT_BYTES = 64 };
+enum { ORDERS_MAX = 40, DEGREES_MAX = 72, DOUBLINGS_MAX = 60, ALIGNMENT_BYTES = 64 };
 
 /* Doubling ends when no number of the layer's transmission is larger than this. */
 #define TRANSMISSION_LEAST 1e-11

@@ -195,11 +195,14 @@ static size_t read_series(struct reader *reader, const double (*basis)[TERMS_MAX
   return count;
 }
 
-/* Reads one side of one part completely, as a check. Returns whether it is well formed. */
-static bool pass_over_side(struct reader *reader, size_t totals, size_t indices) {
+/* Reads one side of one part completely, as a check. Sets *panels to the end of the totals. Returns
+ * whether it is well formed. */
+static bool pass_over_side(struct reader *reader, size_t totals, size_t indices,
+                           const uint8_t **panels) {
   static const double zeros[DIMENSIONS][TERMS_MAX];
   double terms[TERMS_MAX];
   for (size_t i = 0; i < totals + PANELS; i++) {
+    *panels = i == totals ? reader->at : *panels;
     const size_t count = read_series(reader, zeros, indices, terms);
     if (i < totals && count != 1) {
       reader->good = false;
@@ -234,8 +237,8 @@ static bool sane(const double *field) {
               field[TRANSPORT_TABLE_ETA_MOST] <= TRANSPORT_ETA_MAX &&
               field[TRANSPORT_TABLE_D_QUANTUM] > 0 && field[TRANSPORT_TABLE_G_LEAST] > -1 &&
               field[TRANSPORT_TABLE_G_LEAST] < 0 && field[TRANSPORT_TABLE_G_MOST] > 0 &&
-              field[TRANSPORT_TABLE_G_MOST] < 1 && field[TRANSPORT_TABLE_TOTALS_ERROR] >= 0;
-  for (int i = TRANSPORT_TABLE_DIFFUSE_ERRORS; i < TRANSPORT_TABLE_FIELDS; i++) {
+              field[TRANSPORT_TABLE_G_MOST] < 1 && field[TRANSPORT_TABLE_TOTALS_QUANTUM] > 0;
+  for (int i = TRANSPORT_TABLE_TOTALS_ERROR; i < TRANSPORT_TABLE_FIELDS; i++) {
     good &= field[i] >= 0; /* errors */
   }
   return good && edges_ascend(field, false) && edges_ascend(field, true);
@@ -254,7 +257,8 @@ bool transport_table_open(transport_table *table, const uint8_t *bytes, size_t l
   struct reader reader = {bytes + TRANSPORT_TABLE_HEADER_BYTES, bytes + length, true};
   for (int side = 0; side < 2 * SIDES; side++) {
     table->side[side] = reader.at;
-    if (!pass_over_side(&reader, side < SIDES ? 1 : 2, side < SIDES ? 2 : 3)) {
+    if (!pass_over_side(&reader, side < SIDES ? 1 : 2, side < SIDES ? 2 : 3,
+                        &table->panels[side])) {
       return false;
     }
   }
@@ -411,7 +415,7 @@ void transport_table_difference(const transport_table *table, double albedo, dou
   polynomials_of_u(field, albedo, basis[1]);
   polynomials_of_v(field, eta, basis[2]);
   struct reader reader = {table->side[side], table->side[side + 1], true};
-  const double quantum = field[TRANSPORT_TABLE_QUANTUM];
+  const double quantum = field[TRANSPORT_TABLE_TOTALS_QUANTUM];
   difference->total = read_total(&reader, basis, 3, quantum, albedo);
   difference->total_diffuse = read_total(&reader, basis, 3, quantum, albedo);
   difference->kappa = transport_anisotropic_kappa(albedo, g);
@@ -503,8 +507,8 @@ transport_slice *transport_slice_create(const transport_table *table, double g, 
     read_slice(&reader, NULL, of_v, field[TRANSPORT_TABLE_QUANTUM], &slice->panel[i]);
   }
   reader = (struct reader){table->side[SIDES + side], table->side[SIDES + side + 1], true};
-  read_slice(&reader, of_g, of_v, field[TRANSPORT_TABLE_QUANTUM], &slice->beam);
-  read_slice(&reader, of_g, of_v, field[TRANSPORT_TABLE_QUANTUM], &slice->diffuse);
+  read_slice(&reader, of_g, of_v, field[TRANSPORT_TABLE_TOTALS_QUANTUM], &slice->beam);
+  read_slice(&reader, of_g, of_v, field[TRANSPORT_TABLE_TOTALS_QUANTUM], &slice->diffuse);
   for (int i = 0; i < PANELS; i++) {
     read_slice(&reader, of_g, of_v, field[TRANSPORT_TABLE_D_QUANTUM], &slice->difference[i]);
   }

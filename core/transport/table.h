@@ -36,7 +36,7 @@
  * entered) as ln(total / a). For other media it holds ln(total / a) for a beam at right angles and
  * for diffuse light, which strikes the surface with the same radiance from all directions.
  *
- * FORMAT, version 2. Numbers are little-endian.
+ * FORMAT, version 3. Numbers are little-endian.
  *
  *   bytes    what
  *   0-7      "dipoletr"
@@ -64,7 +64,7 @@
  * With sigma_a up to sigma_s' and x from 0.05 to 20, nineteen of twenty errors that were found are
  * below 1.1e-4, and the largest is 8.8e-4. The largest are 1.5e-3 for smaller x, 2.6e-3 for larger
  * x, 2.1e-3 with sigma_a up to ten times sigma_s', and 3.8e-3 with more. Totals for g other than 0
- * are within 8.6e-7 for the beam and 4.5e-6 for diffuse light.
+ * are within 7.4e-7 for the beam and 2.1e-6 for diffuse light.
  */
 #ifndef DIPOLED_CORE_TRANSPORT_TABLE_H
 #define DIPOLED_CORE_TRANSPORT_TABLE_H
@@ -83,7 +83,7 @@
 #define TRANSPORT_TABLE_D_FADES 1.0
 
 enum {
-  TRANSPORT_TABLE_VERSION = 2,
+  TRANSPORT_TABLE_VERSION = 3,
   TRANSPORT_TABLE_PANELS = 4,
   /* number of panels between fixed edges, for isotropic scattering and for D */
   TRANSPORT_TABLE_NEAR = 2,
@@ -100,7 +100,7 @@ enum {
 
 enum transport_table_field {
   TRANSPORT_TABLE_ERROR,        /* of isotropic scattering, largest relative error, see above */
-  TRANSPORT_TABLE_QUANTUM,      /* unit of the coefficients, of isotropic scattering and totals */
+  TRANSPORT_TABLE_QUANTUM,      /* unit of the coefficients, of isotropic scattering */
   TRANSPORT_TABLE_ALBEDO_LEAST, /* smallest albedo that the table covers */
   TRANSPORT_TABLE_ALBEDO_MOST,
   TRANSPORT_TABLE_ETA_LEAST,
@@ -117,8 +117,10 @@ enum transport_table_field {
   TRANSPORT_TABLE_D_REACH_MOST,
   /* first of TRANSPORT_TABLE_D_NEAR + 1 fixed edges */
   TRANSPORT_TABLE_D_EDGES,
+  /* unit of the coefficients of totals for g other than 0 */
+  TRANSPORT_TABLE_TOTALS_QUANTUM = TRANSPORT_TABLE_D_EDGES + TRANSPORT_TABLE_D_NEAR + 1,
   /* largest relative error of the total for g other than 0 */
-  TRANSPORT_TABLE_TOTALS_ERROR = TRANSPORT_TABLE_D_EDGES + TRANSPORT_TABLE_D_NEAR + 1,
+  TRANSPORT_TABLE_TOTALS_ERROR,
   /* the same for diffuse light, in each band of the albedo */
   TRANSPORT_TABLE_DIFFUSE_ERRORS,
   /* first of TRANSPORT_TABLE_REGIONS largest relative errors of R for g other than 0 */
@@ -140,6 +142,7 @@ typedef struct transport_table {
   /* position where each side begins, first those of isotropic scattering, then those of D; and the
    * end of the last */
   const uint8_t *side[2 * TRANSPORT_TABLE_SIDES + 1];
+  const uint8_t *panels[2 * TRANSPORT_TABLE_SIDES]; /* position where the totals of a side end */
 } transport_table;
 
 /* Opens a table after checking all of its bytes. Returns false if the bytes are damaged or of

@@ -297,10 +297,10 @@ UNIT_TEST(the_table_says_what_it_covers) {
     }
   }
   assert_true(transport_table_total_error(table, 0.8) <= 2e-6);
-  assert_true(transport_table_diffuse_error(table, 0.95) <= 2e-6);
+  assert_true(transport_table_diffuse_error(table, 0.95) <= 1e-6);
   assert_true(transport_table_diffuse_error(table, 0.6) <= 3e-6);
-  assert_true(transport_table_diffuse_error(table, 0.2) <= 3e-6);
-  assert_true(transport_table_diffuse_error(table, 0.05) <= 7e-6);
+  assert_true(transport_table_diffuse_error(table, 0.2) <= 1e-6);
+  assert_true(transport_table_diffuse_error(table, 0.05) <= 4e-6);
 }
 
 /* ---- what it is used for ------------------------------------------------------------------ */

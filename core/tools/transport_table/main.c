@@ -1,6 +1,9 @@
 /* transport-table FOLDER FILE: solves for the media of the table of core/transport/table.h, makes
  * the table, measures its error and writes it to FILE. It keeps solutions in FOLDER, so that an
- * interrupted run continues where it stopped. Every machine writes the same file. */
+ * interrupted run continues where it stopped. Every machine writes the same file.
+ *
+ * transport-table FILE: makes the totals for g other than 0 and their errors in FILE anew, which
+ * takes a minute. The rest of FILE stays. The result is what a complete run would write. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -31,7 +34,7 @@ static const double fields[TRANSPORT_TABLE_FIELDS] = {
     [TRANSPORT_TABLE_G_MOST] = G_MOST,          [TRANSPORT_TABLE_D_REACH_DECAYS] = 25,
     [TRANSPORT_TABLE_D_REACH_MOST] = 200,       [TRANSPORT_TABLE_D_EDGES] = 1e-10,
     [TRANSPORT_TABLE_D_EDGES + 1] = 1e-3,       [TRANSPORT_TABLE_D_EDGES + 2] = 1,
-    [TRANSPORT_TABLE_D_EDGES + 3] = 14,
+    [TRANSPORT_TABLE_D_EDGES + 3] = 14,         [TRANSPORT_TABLE_TOTALS_QUANTUM] = 0x1p-30,
 };
 
 enum { CHECKS = 72, ALBEDOS = 8, RADII = 96, RADII_FAR = 32 };
@@ -364,15 +367,19 @@ static double error_of(const checks_result *result, size_t region) {
 }
 
 static void set_errors(double *field, const checks_result *result) {
-  const double margin = TRANSPORT_TABLE_MARGIN;
-  field[TRANSPORT_TABLE_ERROR] = quoted(margin, fmax(result->R.error, result->total.error), 0);
-  field[TRANSPORT_TABLE_TOTALS_ERROR] = quoted(margin, result->D_total.error, 0);
-  for (size_t i = 0; i < TRANSPORT_TABLE_BANDS_ALBEDO; i++) {
-    field[TRANSPORT_TABLE_DIFFUSE_ERRORS + i] = quoted(margin, result->D_diffuse[i].error, 0);
-  }
+  field[TRANSPORT_TABLE_ERROR] =
+      quoted(TRANSPORT_TABLE_MARGIN, fmax(result->R.error, result->total.error), 0);
   for (size_t i = 0; i < TRANSPORT_TABLE_REGIONS; i++) {
     field[TRANSPORT_TABLE_D_ERRORS + i] =
         quoted(TRANSPORT_TABLE_MARGIN_D, error_of(result, i), D_SOLVER_ERROR);
+  }
+}
+
+static void set_errors_of_totals(double *field, const checks_result *result) {
+  const double margin = TRANSPORT_TABLE_MARGIN;
+  field[TRANSPORT_TABLE_TOTALS_ERROR] = quoted(margin, result->D_total.error, 0);
+  for (size_t i = 0; i < TRANSPORT_TABLE_BANDS_ALBEDO; i++) {
+    field[TRANSPORT_TABLE_DIFFUSE_ERRORS + i] = quoted(margin, result->D_diffuse[i].error, 0);
   }
 }
 
@@ -383,14 +390,9 @@ static void report_one(const char *what, const worst_error *worst, double writte
          written);
 }
 
-static void report(const checks_result *result, size_t length, const double *field) {
-  printf("transport.table: %zu bytes\n", length);
+static void report(const checks_result *result, const double *field) {
   report_one("R", &result->R, field[TRANSPORT_TABLE_ERROR]);
   report_one("total", &result->total, field[TRANSPORT_TABLE_ERROR]);
-  report_one("g: total", &result->D_total, field[TRANSPORT_TABLE_TOTALS_ERROR]);
-  for (size_t i = 0; i < TRANSPORT_TABLE_BANDS_ALBEDO; i++) {
-    report_one("g: diffuse", &result->D_diffuse[i], field[TRANSPORT_TABLE_DIFFUSE_ERRORS + i]);
-  }
   for (size_t i = 0; i < TRANSPORT_TABLE_REGIONS; i++) {
     char what[32];
     snprintf(what, sizeof what, "g: region %zu", i);
@@ -398,11 +400,24 @@ static void report(const checks_result *result, size_t length, const double *fie
   }
 }
 
-int main(int argc, char **argv) {
-  enum { ALL = NODES + CHECKS + NODES_D + CHECKS_D };
-  if (argc != 3) {
-    tools_fail("usage: transport-table FOLDER FILE");
+static void report_totals(const checks_result *result, const double *field) {
+  report_one("g: total", &result->D_total, field[TRANSPORT_TABLE_TOTALS_ERROR]);
+  for (size_t i = 0; i < TRANSPORT_TABLE_BANDS_ALBEDO; i++) {
+    report_one("g: diffuse", &result->D_diffuse[i], field[TRANSPORT_TABLE_DIFFUSE_ERRORS + i]);
   }
+}
+
+/* ---- the two ways to make it ------------------------------------------------------------------- */
+
+static void open_bytes(transport_table *table, table_bytes bytes) {
+  if (!transport_table_open(table, bytes.bytes, bytes.length)) {
+    tools_fail("the table cannot be read");
+  }
+}
+
+/* Makes a table from solutions, but for the errors of its totals. */
+static table_bytes make_all(const char *folder) {
+  enum { ALL = NODES + CHECKS + NODES_D + CHECKS_D };
   static table_sample samples[ALL];
   double field[TRANSPORT_TABLE_FIELDS];
   memcpy(field, fields, sizeof field);
@@ -411,25 +426,57 @@ int main(int argc, char **argv) {
   nodes_make_difference(field, nodes_d);
   checks_make(field, checks);
   checks_make_difference(field, checks + CHECKS);
-  samples_solve(argv[1], samples, ALL);
+  samples_solve(folder, samples, ALL);
   table_bytes bytes = nodes_encode(field, samples);
   nodes_seal(bytes, field);
   nodes_encode_difference(&bytes, nodes_d);
   transport_table table;
-  if (!transport_table_open(&table, bytes.bytes, bytes.length)) {
-    tools_fail("the table cannot be read back");
-  }
-  checks_result result = checks_compare(&table, checks, CHECKS + CHECKS_D);
-  totals_compare(&table, &result);
+  open_bytes(&table, bytes);
+  const checks_result result = checks_compare(&table, checks, CHECKS + CHECKS_D);
   set_errors(field, &result);
   nodes_seal(bytes, field);
-  FILE *file = tools_open(argv[2]);
-  fwrite(bytes.bytes, bytes.length, 1, file);
-  tools_close(file, argv[2]);
-  report(&result, bytes.length, field);
-  free(bytes.bytes);
+  report(&result, field);
   for (size_t i = 0; i < ALL; i++) {
     sample_free(&samples[i]);
   }
+  return bytes;
+}
+
+/* Reads a table and replaces its totals for g other than 0, but for their errors. */
+static table_bytes make_totals(const char *path) {
+  enum { BYTES_MAX = 1 << 22 };
+  table_bytes bytes = {malloc(BYTES_MAX), 0};
+  FILE *file = fopen(path, "rbe");
+  if (bytes.bytes == NULL || file == NULL) {
+    tools_fail("cannot read %s", path);
+  }
+  bytes.length = fread(bytes.bytes, 1, BYTES_MAX, file);
+  fclose(file);
+  transport_table table;
+  open_bytes(&table, bytes);
+  table.field[TRANSPORT_TABLE_TOTALS_QUANTUM] = fields[TRANSPORT_TABLE_TOTALS_QUANTUM];
+  nodes_seal(bytes, table.field);
+  nodes_encode_difference(&bytes, NULL);
+  return bytes;
+}
+
+int main(int argc, char **argv) {
+  if (argc != 2 && argc != 3) {
+    tools_fail("usage: transport-table [FOLDER] FILE");
+  }
+  const char *path = argv[argc - 1];
+  table_bytes bytes = argc == 3 ? make_all(argv[1]) : make_totals(path);
+  transport_table table;
+  checks_result result = {0};
+  open_bytes(&table, bytes);
+  totals_compare(&table, &result);
+  set_errors_of_totals(table.field, &result);
+  nodes_seal(bytes, table.field);
+  FILE *file = tools_open(path);
+  fwrite(bytes.bytes, bytes.length, 1, file);
+  tools_close(file, path);
+  report_totals(&result, table.field);
+  printf("transport.table: %zu bytes\n", bytes.length);
+  free(bytes.bytes);
   return EXIT_SUCCESS;
 }

@@ -359,7 +359,7 @@ static void put_totals(table_bytes *writer, const struct totals *totals, bool di
       values[li * TOTALS_V + j] = fn_log((diffuse ? at->diffuse : at->normal).value / albedo);
     }
   }
-  put_series(writer, totals->field[TRANSPORT_TABLE_QUANTUM], values,
+  put_series(writer, totals->field[TRANSPORT_TABLE_TOTALS_QUANTUM], values,
              &(struct shape){4, {1, TOTALS_G, TOTALS_U, TOTALS_V}}, 1);
   free(values);
 }
@@ -473,10 +473,16 @@ static void put_differences(table_bytes *writer, const transport_table *isotropi
   free(values);
 }
 
-void nodes_encode_difference(table_bytes *table, const table_sample samples[NODES_D]) {
+static void put_bytes(table_bytes *writer, const uint8_t *begin, const uint8_t *end) {
+  for (; begin < end; begin++) {
+    put_byte(writer, *begin);
+  }
+}
+
+void nodes_encode_difference(table_bytes *table, const table_sample *samples) {
   transport_table isotropic;
   if (!transport_table_open(&isotropic, table->bytes, table->length)) {
-    tools_fail("the table cannot be read back");
+    tools_fail("the table cannot be read");
   }
   struct totals totals = {isotropic.field, 0, allocate(TOTALS_G * TOTALS_U, sizeof *totals.at)};
   table_bytes writer = {allocate(BYTES_MAX, 1), (size_t)(isotropic.side[SIDES] - table->bytes)};
@@ -486,7 +492,11 @@ void nodes_encode_difference(table_bytes *table, const table_sample samples[NODE
     tools_each(tools_processors(), TOTALS_G * TOTALS_U, solve_totals, &totals);
     put_totals(&writer, &totals, false);
     put_totals(&writer, &totals, true);
-    put_differences(&writer, &isotropic, samples, side);
+    if (samples != NULL) {
+      put_differences(&writer, &isotropic, samples, side);
+    } else {
+      put_bytes(&writer, isotropic.panels[SIDES + side], isotropic.side[SIDES + side + 1]);
+    }
   }
   nodes_seal(writer, isotropic.field);
   free(totals.at);

@@ -38,8 +38,9 @@ typedef struct table_bytes {
 /* Makes a table with the part for isotropic scattering. In it, D is 0. */
 table_bytes nodes_encode(const double *field, const table_sample samples[NODES]);
 
-/* Replaces D. Solves for the totals. */
-void nodes_encode_difference(table_bytes *table, const table_sample samples[NODES_D]);
+/* Replaces D. Solves for the totals. samples: [NODES_D], or NULL, then D stays and only the totals are
+ * replaced. */
+void nodes_encode_difference(table_bytes *table, const table_sample *samples);
 
 /* Writes the fields and the checksum into a table's bytes. */
 void nodes_seal(table_bytes table, const double *field);
