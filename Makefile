@@ -142,7 +142,7 @@ INSTALLED := $(BUILD)/dipoled $(BUILD)/dipole
 PROGRAMS := $(INSTALLED) $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-tls-long check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz check-truth check-fits check-varying check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables totals reference tradeoff figures picture gather-figure fit-bias clean
+.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-tls-long check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz check-fuzz-long check-truth check-truth-long check-fits check-varying check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables totals reference tradeoff figures picture gather-figure fit-bias clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -313,13 +313,13 @@ check:
 	@sh .ci/install-packages
 	@$(MAKE) --no-print-directory $(BUILD)/prometheus
 	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/tests/bits $(BUILD)/tests/accuracy/truth $(BUILD)/dipoled-counting $(BUILD)/wire-tables $(BUILD)/trade-speed $(BUILD)/soak-load $(BUILD)/pipeline
-	+@bash tests/run-check.sh $(BUILD)/logs structure types bits unit truth fuzz e2e+soak
+	+@bash tests/run-check.sh $(BUILD)/logs structure+types bits e2e+soak,fuzz,truth,unit
 
 # What takes minutes by itself. .ci/run runs it as well.
 check-long:
 	@sh .ci/install-packages demo check deb ci
 	@$(MAKE) --no-print-directory -j2 all $(BUILD)/tests/bits $(BUILD)/soak-load $(BUILD)/pipeline
-	+@bash tests/run-check.sh $(BUILD)/logs-long bits-aarch64 soak-long tls-long balancer-long+rings plan pipeline fits packages deb
+	+@bash tests/run-check.sh $(BUILD)/logs-long bits-aarch64 soak-long tls-long balancer-long+rings,truth-long,fuzz-long plan pipeline fits packages deb
 
 # Fails when modules include each other in a circle.
 check-structure:
@@ -348,9 +348,8 @@ check-e2e: all $(BUILD)/dipoled-counting $(BUILD)/soak-load $(BUILD)/pipeline
 check-packages: all
 	$(PYTEST) tests/e2e/test_packages.py
 
-# Runs beside the other tests, with the processor time that they leave.
 check-soak: all $(BUILD)/soak-load
-	SOAK_S=15 nice -n 15 env $(PYTEST) -s tests/soak
+	SOAK_S=15 $(PYTEST) -s tests/soak
 
 check-soak-long: all $(BUILD)/soak-load
 	SOAK_S=120 $(PYTEST) -s tests/soak
@@ -403,9 +402,12 @@ check-tsan:
 # has found, `fuzz-merge` puts into tests/fuzz/corpus as far as it reaches new code.
 # With sanitizers, clang cannot vectorize each loop that is marked for it.
 BUILD_FUZZ = $(MAKE) --no-print-directory -j2 BUILD=build-fuzz CC=clang CFLAGS='-O1 -g -Wno-pass-failed' SANITIZE='-fsanitize=fuzzer-no-link -fsanitize=address,undefined -fno-sanitize-recover=all' build-fuzz/fuzz
-check-fuzz:
+# The corpus, and so many seconds of other inputs for each target, at most.
+check-fuzz: FUZZ_S = 2
+check-fuzz-long: FUZZ_S = 5
+check-fuzz check-fuzz-long:
 	@if ! command -v clang >/dev/null; then echo "fuzz: everything was skipped: there is no clang"; exit 0; fi; \
-	  $(BUILD_FUZZ) && $(PYTHON) tests/fuzz/fuzz.py build-fuzz/fuzz check
+	  $(BUILD_FUZZ) && $(PYTHON) tests/fuzz/fuzz.py build-fuzz/fuzz check $(FUZZ_S)
 
 fuzz:
 	@sh .ci/install-packages
@@ -419,9 +421,11 @@ fuzz-merge:
 # Random values of all models against their formulas in more digits, and the error that each states.
 SECONDS ?=
 SEED ?=
-# A fixed seed, and as many rounds as each class needs.
-check-truth: $(BUILD)/tests/accuracy/truth
-	@$(BUILD)/tests/accuracy/truth --rounds 20 --seed 1
+# A fixed seed. The long form has as many rounds as each class needs.
+check-truth: ROUNDS = 8
+check-truth-long: ROUNDS = 20
+check-truth check-truth-long: $(BUILD)/tests/accuracy/truth
+	@$(BUILD)/tests/accuracy/truth --rounds $(ROUNDS) --seed 1
 
 truth: $(BUILD)/tests/accuracy/truth
 	$(BUILD)/tests/accuracy/truth --seconds $(or $(SECONDS),60) $(SEED:%=--seed %)

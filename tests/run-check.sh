@@ -1,30 +1,36 @@
 #!/bin/bash
-# run-check.sh LOGS PART...: runs `make check-PART` for each part, one after the other. PART+PART
-# runs two of them at the same time. Keeps what a part prints in LOGS/PART.log and shows it. At the
-# end it prints how long each part took, every test that was skipped, and how many tests passed,
-# failed and were skipped. Exits 1 when a part has failed. With FORBID_SKIPS=yes it also exits 1
-# when a test was skipped for another reason than that ../shared is missing.
+# run-check.sh LOGS PART...: runs `make check-PART` for each part, one after the other. PART+PART,PART
+# runs those behind + beside the first one, themselves one after the other, with the processor time
+# that it leaves: tests that wait for daemons leave much. Keeps what a part prints in LOGS/PART.log
+# and shows it. At the end it prints how long each part took, every test that was skipped, and how
+# many tests passed, failed and were skipped. Exits 1 when a part has failed. With FORBID_SKIPS=yes
+# it also exits 1 when a test was skipped for another reason than that ../shared is missing.
 set -u
 logs=$1
 shift
 mkdir -p "$logs"
 rm -f "$logs"/unit-*.log "$logs"/accuracy-*.log
 
-run_part() { # PART: its log, its exit status and its time in seconds
-  local start_ns
-  start_ns=$(date +%s%N)
-  make --no-print-directory "check-$1" >"$logs/$1.log" 2>&1
-  echo "$? $((($(date +%s%N) - start_ns) / 1000000000))" >"$logs/$1.status"
+run_parts() { # NICENESS PART...: of each its log, its exit status and its time in seconds
+  local start_ns niceness=$1 part
+  shift
+  for part in "$@"; do
+    start_ns=$(date +%s%N)
+    nice -n "$niceness" make --no-print-directory "check-$part" >"$logs/$part.log" 2>&1
+    echo "$? $((($(date +%s%N) - start_ns) / 1000000000))" >"$logs/$part.status"
+  done
 }
 
 parts=
 for group in "$@"; do
-  for part in ${group//+/ }; do
-    run_part "$part" &
-    parts="$parts $part"
+  niceness=0
+  for beside in ${group//+/ }; do
+    run_parts $niceness ${beside//,/ } &
+    niceness=15
   done
   wait
-  for part in ${group//+/ }; do
+  for part in ${group//[+,]/ }; do
+    parts="$parts $part"
     echo "---- check-$part"
     cat "$logs/$part.log"
   done

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import shutil
 import signal
@@ -27,6 +28,7 @@ PROGRAM = BUILD / "dipoled"
 COUNTING_PROGRAM = BUILD / "dipoled-counting"
 
 
+@functools.cache
 def sanitized(*kinds: str) -> bool:
     """Returns whether the build has one of these sanitizers, or any if none is named. A sanitizer
     makes the daemon slower and its memory larger."""

@@ -1,7 +1,8 @@
 """Runs each target of tests/fuzz/fuzz.h with libFuzzer, on all processors, and prints the outcome
 of each.
 
-  fuzz.py PROGRAM check          runs a fixed number of inputs from a fixed seed, for `make check`
+  fuzz.py PROGRAM check SECONDS  runs the corpus and CHECK_RUNS more inputs of each target from a
+                                 fixed seed, or fewer if that would take longer than SECONDS
   fuzz.py PROGRAM SECONDS        runs for SECONDS in all, and goes on from what earlier runs found
   fuzz.py PROGRAM merge          adds the found inputs that reach new code to the corpus
 
@@ -26,10 +27,7 @@ from pathlib import Path
 FUZZ = Path(__file__).parent
 CORPUS = FUZZ / "corpus"
 PROTO = FUZZ.parent.parent / "proto"
-# `make check` runs the corpus and this many more inputs of each target, or fewer if that would take
-# longer than CHECK_S seconds.
 CHECK_RUNS = 20000
-CHECK_S = 5
 MEMORY_MB = 3000
 JOBS = int(os.environ.get("FUZZ_JOBS", os.cpu_count() or 1))
 
@@ -149,7 +147,7 @@ def main() -> None:
         merge(program, folder)
         return
     if what == "check":
-        arguments = ["-seed=1", f"-runs={CHECK_RUNS}", f"-max_total_time={CHECK_S}"]
+        arguments = ["-seed=1", f"-runs={CHECK_RUNS}", f"-max_total_time={sys.argv[3]}"]
     else:
         arguments = [f"-max_total_time={max(1, int(what) * JOBS // len(targets()))}"]
     if not run_all(program, folder, arguments):
