@@ -380,12 +380,23 @@ void http_answer_write_media(const uint8_t *payload, struct http_text *text) {
 
 /* ---- errors ---------------------------------------------------------------------------------- */
 
+/* Writes what is allowed. Where the protocol's message hello lists it, HTTP has a path. */
+static void write_allowed(struct http_text *text, const char *allowed) {
+  static const char in_hello[] = "the list in hello";
+  char here[sizeof((wire_error *)NULL)->allowed];
+  const size_t length = strlen(allowed), end = strlen(in_hello);
+  const bool listed = length >= end && strcmp(allowed + length - end, in_hello) == 0;
+  snprintf(here, sizeof here, "%.*s%s", (int)(listed ? length - end : length), allowed,
+           listed ? "/v1/models" : "");
+  http_text_string(text, "allowed", here);
+}
+
 unsigned http_answer_write_error(const wire_error *error, struct http_text *text) {
   http_text_begin(text, NULL, '{');
   http_text_string(text, "status", wire_status_name(error->status));
   http_text_string(text, "text", wire_status_text(error->status));
   http_text_string(text, "field", error->field);
-  http_text_string(text, "allowed", error->allowed);
+  write_allowed(text, error->allowed);
   http_text_count(text, "index", error->index);
   http_text_count(text, "retry_after_ms", error->retry_after_ms);
   http_text_end(text, '}');

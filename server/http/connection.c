@@ -46,6 +46,7 @@ struct http_connection {
   enum state state;
   uint64_t since_ms; /* when the connection began to wait for a request */
   bool has_body;     /* whether the request is a POST */
+  bool unclear;      /* whether it is unclear where the request ends, so that it is the last one */
   unsigned refused;  /* the status of HTTP by which the header or the body is refused; 0: none */
   wire_error refusal;
   struct route route;
@@ -214,13 +215,14 @@ static void add_headers(const struct http_connection *c, struct MHD_Response *re
   http->add_response_header(response, MHD_HTTP_HEADER_CONTENT_TYPE, "application/json");
   http->add_response_header(response, "X-Content-Type-Options", "nosniff");
   if (status == MHD_HTTP_METHOD_NOT_ALLOWED || status == MHD_HTTP_NO_CONTENT) {
-    http->add_response_header(response, MHD_HTTP_HEADER_ALLOW, "GET, HEAD, POST");
+    http->add_response_header(response, MHD_HTTP_HEADER_ALLOW,
+                              c->route.kind == MESSAGE ? "GET, HEAD, POST" : "GET, HEAD");
   }
   if (status == MHD_HTTP_TOO_MANY_REQUESTS) {
     snprintf(seconds, sizeof seconds, "%u", (unsigned)(retry_after_ms + 999) / 1000);
     http->add_response_header(response, MHD_HTTP_HEADER_RETRY_AFTER, seconds);
   }
-  if (c->host->stopping) {
+  if (c->host->stopping || c->unclear) {
     http->add_response_header(response, MHD_HTTP_HEADER_CONNECTION, "close");
   }
   if (origin != NULL) {
@@ -415,6 +417,15 @@ static void resume(struct http_connection *c, enum state state) {
 
 /* ---- requests -------------------------------------------------------------------------------- */
 
+/* Returns the path of a request's target. What is sent through a proxy may name the host, too. */
+static const char *path_of(const char *target) {
+  if (strncasecmp(target, "http://", 7) != 0) {
+    return target;
+  }
+  const char *path = strchr(target + 7, '/');
+  return path != NULL ? path : "/";
+}
+
 static bool find_route(const char *url, struct route *route) {
   static const struct route routes[] = {{"/", PAGE, NULL},
                                         {"/healthz", HEALTH, NULL},
@@ -507,13 +518,69 @@ static enum MHD_Result answer(struct http_connection *c) {
   return MHD_NO;
 }
 
+static const char *header_of(const struct http_connection *c, const char *name) {
+  return c->host->library.lookup_connection_value(c->handle, MHD_HEADER_KIND, name);
+}
+
+static enum MHD_Result count_length(void *context, enum MHD_ValueKind kind_of, const char *name,
+                                    const char *value) {
+  unsigned *count = context;
+  (void)kind_of, (void)value;
+  *count += strcasecmp(name, MHD_HTTP_HEADER_CONTENT_LENGTH) == 0;
+  return MHD_YES;
+}
+
+/* Checks what the header says of the body. A body of two lengths has one for a proxy and another
+ * for the library, and what stands between them would be a request of somebody else. */
+static unsigned check_body(struct http_connection *c, wire_error *error) {
+  const char *length = header_of(c, MHD_HTTP_HEADER_CONTENT_LENGTH);
+  const char *chunks = header_of(c, MHD_HTTP_HEADER_TRANSFER_ENCODING);
+  const char *coding = header_of(c, MHD_HTTP_HEADER_CONTENT_ENCODING);
+  unsigned lengths = 0;
+  if (length != NULL) {
+    c->host->library.get_connection_values(c->handle, MHD_HEADER_KIND, count_length, &lengths);
+  }
+  c->unclear = lengths + (chunks != NULL) > 1;
+  if (c->unclear) {
+    *error = refuse(WIRE_STATUS_BAD_VALUE, "Content-Length", "once, and no Transfer-Encoding");
+    return wire_status_http(error->status);
+  }
+  if (!c->has_body) {
+    const bool has_bytes = chunks != NULL || (length != NULL && strtoull(length, NULL, 10) > 0);
+    if (has_bytes && c->route.kind == MESSAGE) {
+      *error = refuse(WIRE_STATUS_BAD_VALUE, "body", "nothing: POST takes fields as JSON");
+      return wire_status_http(error->status);
+    }
+    return 0;
+  }
+  const char *type = header_of(c, MHD_HTTP_HEADER_CONTENT_TYPE);
+  if (type == NULL || strncasecmp(type, "application/json", 16) != 0 ||
+      strchr("; \t", type[16]) == NULL) {
+    *error = refuse(WIRE_STATUS_BAD_VALUE, "Content-Type", "application/json");
+    return MHD_HTTP_UNSUPPORTED_MEDIA_TYPE;
+  }
+  if (coding != NULL && strcasecmp(coding, "identity") != 0) {
+    *error = refuse(WIRE_STATUS_BAD_VALUE, "Content-Encoding", "none: a body as it is");
+    return MHD_HTTP_UNSUPPORTED_MEDIA_TYPE;
+  }
+  if (length != NULL && strtoull(length, NULL, 10) > options_of(c)->max_part_bytes) {
+    *error = too_large(c, "body");
+    return wire_status_http(error->status);
+  }
+  if (c->query.count > 1) {
+    *error = refuse(WIRE_STATUS_BAD_VALUE, "query", "nothing beside a body");
+    return wire_status_http(error->status);
+  }
+  return 0;
+}
+
 /* Checks a request as far as its header says. Returns the status of HTTP that refuses it, or 0. */
 static unsigned check_header(struct http_connection *c, const char *url, const char *method,
                              wire_error *error) {
-  const struct http_library *http = &c->host->library;
   const bool reads = strcmp(method, "GET") == 0 || strcmp(method, "HEAD") == 0;
   c->has_body = strcmp(method, "POST") == 0;
-  if (!find_route(url, &c->route)) {
+  c->unclear = false;
+  if (!find_route(path_of(url), &c->route)) {
     *error = refuse(WIRE_STATUS_BAD_TYPE, "path", "what /v1/openapi.json lists");
     return MHD_HTTP_NOT_FOUND;
   }
@@ -524,17 +591,9 @@ static unsigned check_header(struct http_connection *c, const char *url, const c
     *error = refuse(WIRE_STATUS_BAD_TYPE, "method", "GET and HEAD, and POST for requests");
     return MHD_HTTP_METHOD_NOT_ALLOWED;
   }
-  const char *type =
-      http->lookup_connection_value(c->handle, MHD_HEADER_KIND, MHD_HTTP_HEADER_CONTENT_TYPE);
-  if (c->has_body && (type == NULL || strncasecmp(type, "application/json", 16) != 0)) {
-    *error = refuse(WIRE_STATUS_BAD_VALUE, "Content-Type", "application/json");
-    return MHD_HTTP_UNSUPPORTED_MEDIA_TYPE;
-  }
-  const char *length =
-      http->lookup_connection_value(c->handle, MHD_HEADER_KIND, MHD_HTTP_HEADER_CONTENT_LENGTH);
-  if (length != NULL && strtoull(length, NULL, 10) > options_of(c)->max_part_bytes) {
-    *error = too_large(c, "body");
-    return wire_status_http(error->status);
+  const unsigned refused = check_body(c, error);
+  if (refused != 0) {
+    return refused;
   }
   if (c->host->stopping && c->route.kind != HEALTH && c->route.kind != READINESS) {
     *error = refuse(WIRE_STATUS_SHUTTING_DOWN, "daemon", "another one, or this one started again");
@@ -543,13 +602,17 @@ static unsigned check_header(struct http_connection *c, const char *url, const c
   return 0;
 }
 
+static enum MHD_Result take_end(struct http_connection *c);
+
 /* Notes whether the header refuses the request. The answer has to wait for the end of the request:
- * if it came before, the library would close the connection, and the client might not see it. */
+ * if it came before, the library would close the connection, and the client might not see it. But a
+ * client that asks whether to send the body waits, and is told at once. */
 static enum MHD_Result take_header(struct http_connection *c, const char *url, const char *method) {
   c->refusal = wire_error_none();
   c->refused = check_header(c, url, method, &c->refusal);
   c->state = RECEIVES;
-  return MHD_YES;
+  const char *expects = c->refused != 0 ? header_of(c, MHD_HTTP_HEADER_EXPECT) : NULL;
+  return expects != NULL && strcasecmp(expects, "100-continue") == 0 ? take_end(c) : MHD_YES;
 }
 
 /* Takes a part of the body, or drops it if the request is refused anyway. */

@@ -14,6 +14,7 @@
   HTTP_FUNCTION(get_timeout)                                                                       \
   HTTP_FUNCTION(get_daemon_info)                                                                   \
   HTTP_FUNCTION(get_connection_info)                                                               \
+  HTTP_FUNCTION(get_connection_values)                                                             \
   HTTP_FUNCTION(lookup_connection_value)                                                           \
   HTTP_FUNCTION(suspend_connection)                                                                \
   HTTP_FUNCTION(resume_connection)                                                                 \

@@ -84,9 +84,10 @@ static bool add_medium(struct question *q, const wire_medium *medium) {
   return true;
 }
 
-static bool add_measured(struct question *q, const char *name) {
+static bool add_measured(struct question *q, const char *name, size_t index) {
   const core_measured_medium *measured = core_measured_medium_by_name(name);
-  bool good = measured != NULL || fail(q, bad("medium", "a name of /v1/media, or coefficients"));
+  bool good =
+      measured != NULL || fail_at(q, bad("medium", "a name of /v1/media, or coefficients"), index);
   for (int i = 0; good && i < 3; i++) {
     const core_medium *from = &measured->channel[i];
     const wire_medium medium = {from->sigma_a_per_mm, from->sigma_s_per_mm, from->g, from->eta};
@@ -106,7 +107,9 @@ static bool read_coefficients(struct question *q, struct http_elements elements[
     const char *name = http_fields_of_medium[i].name;
     if (!http_value_given(elements[i].list)) {
       if (to[i] == &medium->sigma_a || to[i] == &medium->sigma_s) {
-        return fail(q, bad(name, "a number: a medium needs sigma_a and sigma_s"));
+        return fail_at(
+            q, bad(name, "a number: a medium needs sigma_a and sigma_s, or a name as medium"),
+            index);
       }
     } else if (!http_elements_number(&elements[i], to[i])) {
       return fail_at(q, not_a_number(name), index);
@@ -134,18 +137,18 @@ static bool is_coefficient(const void *context, const char *name) {
 
 /* Reads a medium from an object with its coefficients. */
 static bool read_medium(struct question *q, const char *field, struct http_value value,
-                        wire_medium *medium) {
+                        size_t index, wire_medium *medium) {
   struct http_values values;
   struct http_elements elements[COEFFICIENTS];
   if (!http_values_of_object(&values, value)) {
-    return fail(q, bad(field, "names of /v1/media, or objects of coefficients"));
+    return fail_at(q, bad(field, "names of /v1/media, or objects of coefficients"), index);
   }
   if (http_values_unknown(&values, is_coefficient, &values) != NULL) {
-    return fail(q, bad(field, "objects of sigma_a, sigma_s, g and eta, each one number"));
+    return fail_at(q, bad(field, "objects of sigma_a, sigma_s, g and eta, each one number"), index);
   }
   *medium = (wire_medium){.eta = USUAL_ETA};
   find_coefficients(&values, elements);
-  return read_coefficients(q, elements, 0, medium);
+  return read_coefficients(q, elements, index, medium);
 }
 
 /* Writes the known medium of a fit, which has one with scale `reference` alone. */
@@ -167,7 +170,7 @@ static bool add_reference(struct question *q) {
     return true;
   }
   wire_medium medium;
-  if (!read_medium(q, "reference", object, &medium)) {
+  if (!read_medium(q, "reference", object, 0, &medium)) {
     return false;
   }
   uint8_t *at = add(q, WIRE_BYTES_medium);
@@ -207,8 +210,8 @@ static bool add_named_media(struct question *q, struct http_value media) {
     const struct http_value item = http_elements_next(&elements);
     const char *name = http_value_text(item);
     wire_medium medium;
-    good = name != NULL ? add_measured(q, name)
-                        : read_medium(q, "medium", item, &medium) && add_medium(q, &medium);
+    good = name != NULL ? add_measured(q, name, i)
+                        : read_medium(q, "medium", item, i, &medium) && add_medium(q, &medium);
   }
   return good;
 }
@@ -397,8 +400,12 @@ static bool chooses_by_tolerance(const struct question *q) {
 static bool read_choice(struct question *q, const struct http_field *field, uint64_t *number) {
   const struct http_value value = get(q, field->name);
   if (http_value_given(value)) {
-    return was_read(
-        q, http_value_read_choice(value, field->name, field->choices, field->bits, number));
+    const struct http_list *list = list_of(q->message, field->name);
+    return was_read(q, http_value_read_choice(value, field->name, field->choices, field->bits,
+                                              number)) &&
+           (list == NULL || !http_value_given(get(q, list->name)) ||
+            *number == core_choice_by_name(field->choices, "list")->id ||
+            fail(q, bad(field->name, "list, beside a list of numbers")));
   }
   if (http_values_same(field->name, "model") && chooses_by_tolerance(q)) {
     *number = 0;

@@ -60,9 +60,9 @@ wire_error http_values_parse(struct http_values *values, const char *bytes, size
     return bad("body", "a JSON object");
   }
   /* What jansson quotes of the text may end in the middle of a character. */
-  char *quoted = strstr(why.text, " near '");
+  const char *quoted = strstr(why.text, " near ");
   snprintf(allowed, sizeof allowed, "JSON (RFC 8259), which it is not at line %d: %.*s", why.line,
-           (int)(quoted != NULL ? quoted - why.text : 0), why.text);
+           (int)(quoted != NULL ? quoted - why.text : (ptrdiff_t)strlen(why.text)), why.text);
   return bad("body", allowed);
 }
 
@@ -116,7 +116,7 @@ static wire_error add_pair(struct http_values *values, char *pair) {
   }
   _Static_assert(HTTP_QUERY_NAMES == 64, "the error says so");
   if (values->name_count == HTTP_QUERY_NAMES || http_value_given(http_values_get(values, pair))) {
-    return bad("query", "at most 64 names, each once");
+    return bad("query", "at most 64 names, each once: a list has commas, as in r=0.5,1,2");
   }
   values->initials |= UINT64_C(1) << (pair[0] & 63);
   values->names[values->name_count].name = pair;

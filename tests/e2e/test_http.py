@@ -370,7 +370,7 @@ GOOD = {"model": "better", "medium": SKIN, "r": [1]}
         ({"medium": [SKIN] * 65}, "medium_count"),
         ({"sigma_a": 1}, "sigma_a"),
         ({"radius_count": 5}, "radius_count"),
-        ({"spacing": "linear"}, "payload_bytes"),
+        ({"spacing": "linear"}, "spacing"),
         ({"radius_start": 1}, "radius_start"),
         ({"tolerance": 2}, "tolerance"),
         ({"thickness": 1}, "thickness"),
@@ -424,6 +424,94 @@ def test_long_queries_get_an_answer(served, length):
     assert good(get(served, "/healthz")) == {"status": "ok"}
 
 
+def test_faults_say_what_to_do(served):
+    """A reader of the answer alone can mend the request."""
+    def refusal(answer: Answer) -> dict:
+        assert answer.status == 400, answer.text
+        return answer.json
+
+    assert "or a name as medium" in refusal(get(served, "/v1/eval?r=1"))["allowed"]
+    unknown = refusal(get(served, "/v1/eval?model=best&medium=skin1&r=1"))["allowed"]
+    assert "(better)" in unknown and unknown.endswith("/v1/models")
+    twice = refusal(get(served, "/v1/eval?model=better&medium=skin1&r=1&r=2"))["allowed"]
+    assert "r=0.5,1,2" in twice
+    media = [SKIN, SKIN, {"sigma_a": 1}]
+    for last in ({"sigma_a": 1}, {"sigma_a": 1, "sigma_s": "x"}, {"x": 1}, "skin9", None):
+        media[2] = last
+        assert refusal(post(served, "/v1/eval", model="better", medium=media, r=[1]))["index"] == 2
+    for body in BAD_BODIES:
+        allowed = refusal(ask(served, "POST", "/v1/eval", body))["allowed"]
+        assert allowed and not allowed.endswith(": "), body
+
+
+def test_no_field_is_left_out_without_a_word(served):
+    """Fields count in the query of a GET and in the body of a POST, and nowhere else."""
+    body = {"model": "better", "medium": "skin1", "r": [1]}
+    for method, path in [("GET", "/v1/eval"), ("HEAD", "/v1/eval"), ("GET", "/v1/eval?medium=skin1&r=1")]:
+        assert ask(served, method, path, body).status == 400, (method, path)
+    answer = ask(served, "GET", "/v1/eval?medium=skin1&r=1", body)
+    assert answer.json["field"] == "body" and "POST" in answer.json["allowed"]
+    answer = ask(served, "POST", "/v1/eval?model=classical", body)
+    assert answer.status == 400 and answer.json["field"] == "query"
+    assert good(ask(served, "POST", "/v1/eval?", body))
+
+
+def test_types_and_codings_of_bodies(served):
+    body = json.dumps(GOOD).encode()
+    for kind in ("application/json", "application/json; charset=utf-8", "Application/JSON"):
+        assert good(ask(served, "POST", "/v1/eval", body, {"Content-Type": kind}))
+    for kind in ("application/jsonx", "application/json-seq", "application/x-www-form-urlencoded"):
+        answer = ask(served, "POST", "/v1/eval", body, {"Content-Type": kind})
+        assert answer.status == 415 and answer.json["field"] == "Content-Type"
+    assert good(ask(served, "POST", "/v1/eval", body, {**JSON, "Content-Encoding": "identity"}))
+    answer = ask(served, "POST", "/v1/eval", body, {**JSON, "Content-Encoding": "gzip"})
+    assert answer.status == 415 and answer.json["field"] == "Content-Encoding"
+
+
+HEALTH = b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n"
+
+
+@pytest.mark.parametrize(
+    "lengths",
+    [b"Content-Length: 2\r\nContent-Length: %d\r\n", b"Content-Length: %d\r\nContent-Length: 2\r\n",
+     b"Transfer-Encoding: chunked\r\nContent-Length: %d\r\n"],
+)
+def test_a_body_of_two_lengths_is_the_last_request(served, lengths):
+    """A proxy may go by the other length. What it takes for the body must not be answered."""
+    for body in (b"{}" + HEALTH, b"2\r\n{}\r\n0\r\n\r\n" + HEALTH):
+        header = b"POST /v1/eval HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n"
+        [answer] = exchange(served, [header + lengths % len(body) + b"\r\n" + body])
+        assert answer.count(b"HTTP/1.1 ") == 1 and answer.startswith(b"HTTP/1.1 400 "), answer
+        assert b"Connection: close" in answer
+        assert b'"field":"Content-Length"' in answer or b"chunked encoding" in answer
+
+
+@pytest.mark.parametrize(
+    "change, status",
+    [((b"Length: 9", b"Length: 99999999999"), 413), ((b"/json", b"/xml"), 415), ((b"eval", b"x"), 404)],
+)
+def test_who_asks_before_the_body_is_refused_at_once(served, change, status):
+    """A client that sends `Expect: 100-continue` need not send a large body in vain."""
+    header = (b"POST /v1/eval HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n"
+              b"Expect: 100-continue\r\nContent-Length: 9\r\n\r\n")
+    with socket.create_connection(address(served), TIMEOUT_S) as sock:
+        sock.sendall(header)
+        assert sock.recv(65536) == b"HTTP/1.1 100 Continue\r\n\r\n"
+        sock.sendall(b'{"r":[1]}')
+        assert sock.recv(65536).startswith(b"HTTP/1.1 400 ")
+    with socket.create_connection(address(served), TIMEOUT_S) as sock:
+        sock.sendall(header.replace(*change))
+        assert sock.recv(65536).startswith(b"HTTP/1.1 %d " % status)
+
+
+def test_requests_for_a_proxy_name_the_host(served):
+    for target, status in [("http://x/healthz", 200), ("HTTP://x:1/healthz?y", 200), ("http://x", 200),
+                           ("http://x/v1/eval?model=better&medium=skin1&r=1", 200),
+                           ("http://x/http://x/healthz", 404), ("ftp://x/healthz", 404)]:
+        [answer] = exchange(served, [f"GET {target} HTTP/1.1\r\nHost: x\r\n\r\n".encode()])
+        assert answer.startswith(b"HTTP/1.1 %d " % status), (target, answer[:200])
+
+
 def test_paths_methods_and_types(served):
     unknown = ["//", "/index.html", "/v1", "/v1/", "/v1/evals", "/v1/hello", "/v1/eval/", "/v1/eval%00", "/%2e%2e"]
     for path in [*unknown, "/v1/mc", "/metrics"]:
@@ -431,7 +519,9 @@ def test_paths_methods_and_types(served):
     for method in ["PUT", "DELETE", "PATCH", "OPTIONS", "TRACE", "X"]:
         answer = ask(served, method, "/v1/eval", headers={})
         assert answer.status == 405 and "POST" in answer.headers["Allow"]
-    assert ask(served, "POST", "/v1/media", {}).status == 405
+    for path in ("/", "/healthz", "/v1/media", "/v1/openapi.json"):
+        answer = ask(served, "POST", path, {})
+        assert answer.status == 405 and answer.headers["Allow"] == "GET, HEAD", path
     assert ask(served, "POST", "/v1/eval", b"{}", {"Content-Type": "text/plain"}).status == 415
     answer = ask(served, "HEAD", "/healthz")
     assert answer.status == 200 and answer.text == b""
