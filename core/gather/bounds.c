@@ -1,27 +1,27 @@
 /* Finds bounds from a profile's values. core/MODELS.md says what they bound.
  *
- * For an interval of distances, the cubic polynomial of the squared distance that interpolates R at
- * Chebyshev's points of the distance is compared with R at further points. Chebyshev's points of the
- * squared distance would be nearly twice as far off where the interval is wide.
+ * At each edge of a band, a polynomial of the squared distance interpolates R close by. Its first
+ * four terms are the cubic polynomial, from which R is off by g (s - r^2)^4 at further distances.
  */
 #include "core/gather/bounds.h"
 
 #include <float.h>
 #include <math.h>
 
-enum { NODES = 4, CHECKS = 9, SAMPLES = NODES + CHECKS, EDGES = GATHER_BANDS + 1 };
-
-/* The interval about a distance d is (1 - ratio) d to (1 + ratio) d. */
-static const double ratios[GATHER_SPREADS + 1] = {0.0625, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75};
+enum {
+  NODES = 6,
+  SIDE = 2 * GATHER_SPREADS - 1, /* distances on either side */
+  SAMPLES = NODES + 2 * SIDE,
+  EDGES = GATHER_BANDS + 1
+};
 
 /* What the values between the samples may add, relative. */
-#define MARGIN 1.3
+#define MARGIN 1.05
 
-/* cos((2 i + 1) pi / 8), and the places between and beside them. */
-static const double nodes[NODES] = {0.92387953251128674, 0.38268343236508977, -0.38268343236508977,
-                                    -0.92387953251128674};
-static const double checks[CHECKS] = {
-    1, 0.97, 0.70710678118654752, 0.55, 0, -0.55, -0.70710678118654752, -0.97, -1};
+/* cos((2 i + 1) pi / 12) */
+static const double nodes[NODES] = {0.96592582628906829,  0.70710678118654752,
+                                    0.25881904510252076,  -0.25881904510252076,
+                                    -0.70710678118654752, -0.96592582628906829};
 
 static void evaluate(const core_profile *profile, size_t n, const double *r, double *R) {
   if (profile->evaluator == CORE_EVALUATOR_F64) {
@@ -36,37 +36,64 @@ static void evaluate(const core_profile *profile, size_t n, const double *r, dou
   }
 }
 
-/* The bounds for one distance and ratio. R: at the nodes and checks. */
-static gather_bound bound_of(double d, double ratio, const double *R) {
-  /* Newton's form, in squared distances over d^2 */
-  double s[SAMPLES], a[NODES];
-  for (int i = 0; i < SAMPLES; i++) {
-    const double relative = 1 + ratio * (i < NODES ? nodes[i] : checks[i - NODES]);
-    s[i] = relative * relative;
-  }
-  for (int i = 0; i < NODES; i++) {
-    a[i] = R[i];
-  }
-  for (int order = 1; order < NODES; order++) {
-    for (int i = NODES - 1; i >= order; i--) {
-      a[i] = (a[i] - a[i - 1]) / (s[i] - s[i - order]);
-    }
-  }
-  double off = 0;
-  for (int i = NODES; i < SAMPLES; i++) {
-    const double cubic =
-        a[0] + (s[i] - s[0]) * (a[1] + (s[i] - s[1]) * (a[2] + (s[i] - s[2]) * a[3]));
-    off = fmax(off, fabs(cubic - R[i]));
-  }
-  return (gather_bound){.quartic = 2 * off / (ratio * ratio * ratio * ratio),
-                        .cubic = fabs(a[3]) / (d * d * d) / (d * d * d)};
-}
-
 static double edge(const gather_bounds *bounds, size_t i) {
   const uint64_t bits = (uint64_t)(bounds->first + (int64_t)i) << 48;
   double value;
   memcpy(&value, &bits, sizeof value);
   return value;
+}
+
+static double finite_or_infinite(double value) {
+  return value <= DBL_MAX ? value : (double)INFINITY;
+}
+
+/* The relative differences of the samples from the distance of an edge. */
+static double difference(size_t sample) {
+  if (sample < NODES) {
+    return nodes[sample] / GATHER_SPREADS_PER_ONE;
+  }
+  const size_t i = (sample - NODES) / 2 + 2;
+  return ((sample - NODES) % 2 == 0 ? 0.5 : -0.5) * (double)i / GATHER_SPREADS_PER_ONE;
+}
+
+/* Sets the bounds at the edge i. */
+static void set_near(gather_bounds *bounds, const core_profile *profile, size_t edge_index) {
+  const double d = edge(bounds, edge_index);
+  double r[SAMPLES], R[SAMPLES], s[SAMPLES], a[NODES];
+  for (size_t i = 0; i < SAMPLES; i++) {
+    const double off = difference(i);
+    r[i] = d * (1 + off);
+    s[i] = off * (2 + off); /* over d^2, less 1 */
+  }
+  evaluate(profile, SAMPLES, r, R);
+  memcpy(a, R, sizeof a);
+  for (size_t order = 1; order < NODES; order++) { /* Newton's form */
+    for (size_t i = NODES - 1; i >= order; i--) {
+      a[i] = (a[i] - a[i - 1]) / (s[i] - s[i - order]);
+    }
+  }
+  for (size_t first = NODES - 1; first-- > 0;) { /* powers of s */
+    for (size_t i = first; i < NODES - 1; i++) {
+      a[i] -= a[i + 1] * s[first];
+    }
+  }
+  /* From d^8 to d^4, and from d^6 to d, rounded up */
+  const double to_quartic = (1 + 0x1p-20) / (d * d) / (d * d);
+  double least = a[4], most = a[4];
+  for (size_t i = NODES; i < SAMPLES; i++) {
+    const double cubic = a[0] + s[i] * (a[1] + s[i] * (a[2] + s[i] * a[3]));
+    const double g = (R[i] - cubic) / (s[i] * s[i] * s[i] * s[i]);
+    least = fmin(least, g);
+    most = fmax(most, g);
+    const size_t spread = ((i - NODES) / 2 + 1) / 2;
+    const double largest = fmax(fabs(least), fabs(most));
+    const double same = least > 0 ? least : most < 0 ? -most : 0;
+    gather_near *near = &bounds->near[spread];
+    near->cubic[edge_index] = finite_or_infinite(MARGIN * fabs(a[3]) * to_quartic / d);
+    near->same[edge_index] = same / MARGIN * to_quartic;
+    near->range[edge_index] = finite_or_infinite(
+        (MARGIN * (same > 0 ? largest : most - least) - same / MARGIN) * to_quartic);
+  }
 }
 
 static void set_tops(gather_bounds *bounds, const core_profile *profile, double floor) {
@@ -100,27 +127,9 @@ bool gather_bounds_prepare(gather_bounds *bounds, const core_profile *profile) {
   bounds->most_mm = edge(bounds, GATHER_BANDS);
   /* R that single precision loses by underflow */
   set_tops(bounds, profile, narrow ? 16 * 0x1p-149 : 0);
-  gather_bound before[GATHER_SPREADS + 1], after[GATHER_SPREADS + 1];
+  memset(bounds->near, 0, sizeof bounds->near);
   for (size_t i = 0; i < EDGES; i++) {
-    const double d = edge(bounds, i);
-    double r[(GATHER_SPREADS + 1) * SAMPLES], R[(GATHER_SPREADS + 1) * SAMPLES];
-    for (size_t k = 0; k <= GATHER_SPREADS; k++) {
-      for (size_t j = 0; j < SAMPLES; j++) {
-        r[k * SAMPLES + j] = d * (1 + ratios[k] * (j < NODES ? nodes[j] : checks[j - NODES]));
-      }
-    }
-    evaluate(profile, (GATHER_SPREADS + 1) * SAMPLES, r, R);
-    for (size_t k = 0; k <= GATHER_SPREADS; k++) {
-      after[k] = bound_of(d, ratios[k], R + k * SAMPLES);
-    }
-    for (size_t k = 0; k < GATHER_SPREADS && i > 0; k++) {
-      gather_bound *near = &bounds->near[i - 1][k];
-      near->quartic = MARGIN * fmax(fmax(before[k].quartic, before[k + 1].quartic),
-                                    fmax(after[k].quartic, after[k + 1].quartic));
-      near->cubic = MARGIN * fmax(fmax(before[k].cubic, before[k + 1].cubic),
-                                  fmax(after[k].cubic, after[k + 1].cubic));
-    }
-    memcpy(before, after, sizeof before);
+    set_near(bounds, profile, i);
   }
   return true;
 }

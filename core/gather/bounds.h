@@ -12,25 +12,28 @@
 
 #include "core/core.h"
 
-/* Spread i holds ratios of a node's radius to its distance from i / 8 to (i + 1) / 8. */
-enum { GATHER_BANDS = 16 * 26, GATHER_SPREADS = 6 };
+/* Spread i holds relative differences of distance up to (i + 1) / GATHER_SPREADS_PER_ONE. */
+enum { GATHER_BANDS = 16 * 26, GATHER_SPREADS = 12, GATHER_SPREADS_PER_ONE = 16 };
 
-/* The largest ratio of a node's radius to its distance for which `near` holds. */
-#define GATHER_SPREAD_MAX 0.75
+/* Some more than there are, so that they can be read in blocks. */
+enum { GATHER_EDGES = GATHER_BANDS + 1 + 8 };
 
-typedef struct gather_bound {
-  double quartic; /* of R, divided by the ratio of radius and distance, to the fourth power */
-  double cubic;   /* for each unit of a third moment of squared distances, 1/mm^8 */
-} gather_bound;
+/* About a distance r, R is a cubic polynomial of the squared distance s, plus g (s - r^2)^4, at all
+ * distances that differ from r by up to so much. */
+typedef struct gather_near {
+  double range[GATHER_EDGES]; /* the largest g r^4 less the smallest, 1/mm^6 */
+  double same[GATHER_EDGES];  /* the smallest |g| r^4, or 0 if the sign of g varies */
+  double cubic[GATHER_EDGES]; /* |coefficient of s^3| r, 1/mm^7 */
+} gather_near;
 
 typedef struct gather_bounds {
   int64_t first;   /* the first bits of the first edge */
   double least_mm; /* the first edge, and the last one */
   double most_mm;
-  double zero;                  /* the largest R at any distance */
-  double R[GATHER_BANDS + 1];   /* at each edge */
-  double top[GATHER_BANDS + 1]; /* the largest R from each edge on */
-  gather_bound near[GATHER_BANDS][GATHER_SPREADS];
+  double zero;                      /* the largest R at any distance */
+  double R[GATHER_BANDS + 1];       /* at each edge */
+  double top[GATHER_BANDS + 1];     /* the largest R from each edge on */
+  gather_near near[GATHER_SPREADS]; /* at each edge, and 0 behind the last one */
 } gather_bounds;
 
 /* Fills in the bounds of a profile. Returns false if it tells nothing about derivatives. */

@@ -75,7 +75,7 @@ typedef struct core_gather_sum core_gather_sum;
 /* Prepares a sum. profiles[channels] have one evaluator (asserted); they stay the caller's and must
  * live as long as the sum. tolerance: the largest error of M through nodes that stand for points,
  * relative to M, for each query and channel; CORE_GATHER_TOLERANCE_MIN to _MAX, or 0 for the sum of
- * all points, in the order of the tree and in double precision. Evaluates R at some 38,000 distances
+ * all points, in the order of the tree and in double precision. Evaluates R at some 22,000 distances
  * for each channel (a millisecond for dipoles, some for transport, more for models that are slow to
  * evaluate), and at none if the tolerance is 0.
  * On a fault *sum is NULL; otherwise the caller frees it with core_gather_sum_free(), which accepts
@@ -99,7 +99,7 @@ typedef struct core_gather_visits {
   uint64_t tested; /* nodes whose bound was computed */
 } core_gather_visits;
 
-/* Working memory of one thread, some five megabytes. */
+/* Working memory of one thread, some ten megabytes. */
 typedef struct core_gather_scratch core_gather_scratch;
 
 /* For points that are built. Returns NULL if memory runs out. The scratch may be used with any sum

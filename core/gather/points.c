@@ -450,16 +450,25 @@ static void add_moments(gather_moments *sum, double weight, const gather_moments
   const double *c = part->second;
   double trace[3];
   trace_third(part, trace);
-  const double d2 = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
-  double dcd = 0, dt = 0;
+  const double d2 = d[0] * d[0] + d[1] * d[1] + d[2] * d[2], spread = c[XX] + c[YY] + c[ZZ];
+  double cd[3], td[6] = {0};
   for (int a = 0; a < 3; a++) {
-    dt += d[a] * trace[a];
-    for (int b = 0; b < 3; b++) {
-      dcd += d[a] * d[b] * c[second_of[a][b]];
+    cd[a] = c[second_of[a][0]] * d[0] + c[second_of[a][1]] * d[1] + c[second_of[a][2]] * d[2];
+  }
+  for (int i = 0; i < 10; i++) {
+    const int x = third_of[i][0], y = third_of[i][1], z = third_of[i][2];
+    td[second_of[y][z]] += d[x] * part->third[i];
+    td[second_of[x][z]] += x != y ? d[y] * part->third[i] : 0;
+    td[second_of[x][y]] += z != y ? d[z] * part->third[i] : 0;
+  }
+  for (int a = 0; a < 3; a++) {
+    for (int b = a; b < 3; b++) {
+      const int ab = second_of[a][b];
+      sum->fourth[ab] +=
+          weight * (part->fourth[ab] + 2 * td[ab] + d2 * c[ab] + d[a] * trace[b] + d[b] * trace[a] +
+                    2 * (d[a] * cd[b] + d[b] * cd[a]) + d[a] * d[b] * (spread + d2));
     }
   }
-  sum->fourth +=
-      weight * (part->fourth + 4 * dcd + d2 * d2 + 4 * dt + 2 * (c[XX] + c[YY] + c[ZZ]) * d2);
   for (int i = 0; i < 10; i++) {
     const int x = third_of[i][0], y = third_of[i][1], z = third_of[i][2];
     sum->third[i] +=
@@ -477,11 +486,11 @@ static void divide_moments(gather_moments *sum, double weight) {
   const double by = weight > 0 ? 1 / weight : 0;
   for (int i = 0; i < 6; i++) {
     sum->second[i] *= by;
+    sum->fourth[i] *= by;
   }
   for (int i = 0; i < 10; i++) {
     sum->third[i] *= by;
   }
-  sum->fourth *= by * (1 + 0x1p-40);
 }
 
 static double distance(const double a[3], const double b[3]) {
@@ -757,9 +766,9 @@ static bool holds(const double corner[3], double edge_mm, const double x[3]) {
   return held;
 }
 
-/* A cell holds so many points or fewer, so that finding its list is shared by many queries; smaller
- * cells have shorter lists. */
-enum { CELL_POINTS = 64 };
+/* Cells and districts hold so many points or fewer. Smaller cells have shorter lists, which fewer
+ * queries share. */
+enum { CELL_POINTS = 32, DISTRICT_POINTS = 256 };
 
 /* The cube of an edge up to leaf_mm in the octant of a node's cube that x is in. */
 static gather_cell cell_between(const core_gather_points *points, const gather_node *node,
@@ -779,39 +788,52 @@ static gather_cell cell_between(const core_gather_points *points, const gather_n
   return cell;
 }
 
-gather_cell gather_cell_of(const core_gather_points *points, const double x[3]) {
-  const gather_node *node = points->nodes;
+/* Turns a cube with its corner and edge into a cell with its centre and half the diagonal. */
+static gather_cell cell_of_cube(gather_cell cube, const double x[3]) {
+  const double edge_mm = cube.radius_mm;
+  if (!(edge_mm > 0)) {
+    return (gather_cell){.at = {x[0], x[1], x[2]}, .radius_mm = 0};
+  }
+  for (int k = 0; k < 3; k++) {
+    cube.at[k] += 0.5 * edge_mm;
+  }
+  cube.radius_mm = fmax(distance(cube.at, x), 0.8660254037844387 * edge_mm);
+  return cube;
+}
+
+gather_cell gather_cell_of(const core_gather_points *points, const double x[3],
+                           gather_cell *district) {
+  const gather_node *node = points->nodes, *around = NULL;
   gather_cell cell = {.at = {x[0], x[1], x[2]}, .radius_mm = 0};
+  *district = cell;
   if (!holds(node->corner, node->edge_mm, x)) {
     return cell;
   }
-  for (;;) {
+  bool between = false;
+  while (node->count > CELL_POINTS && node->children > 0) {
     const gather_node *child = points->nodes + node->child;
     size_t i = 0;
     while (i < node->children && !holds(child[i].corner, child[i].edge_mm, x)) {
       i++;
     }
-    if (i == node->children) {
+    between = i == node->children;
+    if (between) {
       break;
     }
     node = &child[i];
-    if (node->count <= CELL_POINTS) {
-      break;
-    }
+    around = around == NULL && node->count <= DISTRICT_POINTS ? node : around;
   }
   cell.radius_mm = node->edge_mm;
   memcpy(cell.at, node->corner, sizeof cell.at);
-  if (node->count > CELL_POINTS && node->children > 0) {
+  if (between) {
     cell = cell_between(points, node, x);
   }
-  /* From the corner and the edge to the centre and half the diagonal */
-  const double edge_mm = cell.radius_mm;
-  for (int k = 0; k < 3; k++) {
-    cell.at[k] += 0.5 * edge_mm;
-  }
-  cell.radius_mm = edge_mm > 0 ? fmax(distance(cell.at, x), 0.8660254037844387 * edge_mm) : 0;
-  if (!(edge_mm > 0)) {
-    memcpy(cell.at, x, sizeof cell.at);
+  cell = cell_of_cube(cell, x);
+  *district = cell;
+  if (around != NULL) {
+    district->radius_mm = around->edge_mm;
+    memcpy(district->at, around->corner, sizeof district->at);
+    *district = cell_of_cube(*district, x);
   }
   return cell;
 }

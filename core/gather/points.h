@@ -25,8 +25,8 @@ typedef struct gather_node {
 typedef struct gather_moments {
   double at[3];     /* the centroid */
   double radius_mm; /* the largest |d| */
-  double fourth;    /* E |d|^4, rounded up */
   double second[6]; /* E d_a d_b, for xx, yy, zz, xy, xz, yz */
+  double fourth[6]; /* E |d|^2 d_a d_b */
   double third[10]; /* E d_a d_b d_c, for xxx, yyy, zzz, xxy, xxz, xyy, yyz, xzz, yzz, xyz */
 } gather_moments;
 
@@ -62,7 +62,9 @@ typedef struct gather_cell {
 
 /* Returns the cell of a query, which depends on the points and the query alone: the cube of the
  * largest node with few points that it is in, or a cube of about a leaf's size between nodes. Outside
- * of the root's cube the cell is the query itself. */
-gather_cell gather_cell_of(const core_gather_points *points, const double x[3]);
+ * of the root's cube the cell is the query itself. *district is a larger cell that holds the cell and
+ * many others, or the cell itself if it is in no such one. */
+gather_cell gather_cell_of(const core_gather_points *points, const double x[3],
+                           gather_cell *district);
 
 #endif

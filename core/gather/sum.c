@@ -98,26 +98,33 @@ enum { LIST_MAX = 1 << 16, QUERIES = 64 };
 /* The largest ratio of radius and distance of nodes that the estimate of M takes. */
 #define ESTIMATE_ANGLE 0.5
 
+/* The share of the tolerance that a list may take: M may be less than its estimate. */
+#define LIST_SHARE 0.9
+
 /* The lists of a cell get finer; from ALL_POINTS on, all points are summed. */
 enum { ALL_POINTS = 8 };
 
-struct core_gather_scratch {
-  /* The list of a cell */
+/* Nodes that stand for their points in a cell, and leaves whose points are summed one by one. */
+typedef struct list {
   gather_cell cell;
-  int fineness;
   double estimate[CORE_GATHER_CHANNELS_MAX]; /* about M in the cell */
   double error[CORE_GATHER_CHANNELS_MAX];    /* of the whole list */
   size_t node_count, leaf_count;
   uint32_t node[LIST_MAX];
   uint32_t leaf[LIST_MAX];
   double node_error[LIST_MAX][CORE_GATHER_CHANNELS_MAX];
+} list;
+
+struct core_gather_scratch {
+  list district, list; /* the list of a cell begins as that of its district */
+  int fineness;
   /* What is evaluated together */
   gather_rows rows;
-  gather_pairs pairs;
-  _Alignas(64) double at[3][GATHER_POINTS + GATHER_LANES];
+  _Alignas(64) double share[GATHER_NODES];
+  double at[3][GATHER_POINTS + GATHER_LANES];
   double power[CORE_GATHER_CHANNELS_MAX][GATHER_POINTS + GATHER_LANES];
-  double r[GATHER_POINTS];
-  double R[2][GATHER_POINTS + GATHER_LANES];
+  double r[GATHER_POINTS]; /* of points, or of the pairs of half as many nodes */
+  double R[GATHER_POINTS];
   float narrow_r[GATHER_POINTS];
   float narrow_R[GATHER_POINTS];
   double added[QUERIES][CORE_GATHER_CHANNELS_MAX];
@@ -147,175 +154,236 @@ typedef struct walk {
   core_gather_visits *visits;
 } walk;
 
-/* Sets the errors of a node, by channel, for all queries of the cell. */
-static void find_error(const walk *w, uint32_t node, double *error) {
+/* Sets the errors of up to GATHER_LANES nodes of a list, by channel, for all queries of its cell. */
+static void find_errors(const walk *w, list *l, size_t count, const uint32_t *places) {
   const core_gather_points *points = w->points;
-  const gather_cell *cell = &w->s->cell;
-  const double *power = &points->node_power[node * points->channels];
   /* Rounding of centroids */
   const double least_distance = points->reach_mm * 0x1p-41 / w->sum->tolerance;
-  w->visits->tested++;
+  w->visits->tested += count;
   for (size_t group = 0; group < points->groups; group++) {
-    const gather_moments *m = &points->moments[node * points->groups + group];
-    const double x = cell->at[0] - m->at[0], y = cell->at[1] - m->at[1], z = cell->at[2] - m->at[2];
-    const double distance = sqrt(x * x + y * y + z * z);
-    const double least = (distance - cell->radius_mm) * (1 - 0x1p-40);
-    const double most = (distance + cell->radius_mm) * (1 + 0x1p-40);
-    const double nearest = least - m->radius_mm;
-    const double ratio = m->radius_mm / least;
-    const bool apart = least > 0 && ratio <= GATHER_SPREAD_MAX;
-    const bool rounded = m->radius_mm > 0 && nearest < least_distance;
-    const double quartic = ratio * ratio * ratio * ratio;
-    const double cubic =
-        m->fourth * (12 * most * most + 6 * most * m->radius_mm + m->radius_mm * m->radius_mm);
-    const size_t spread = apart ? (size_t)(ratio * 8 * (1 - 0x1p-40)) : 0;
-    for (size_t c = 0; c < points->channels; c++) {
-      if (points->group[c] != group) {
-        continue;
+    gather_seen seen;
+    gather_views views;
+    for (size_t k = 0; k < GATHER_LANES; k++) {
+      const size_t node = l->node[places[k < count ? k : 0]];
+      const double *moments = points->moments[node * points->groups + group].at;
+      for (size_t field = 0; field < GATHER_SEEN_FIELDS; field++) {
+        seen.field[field][k] = moments[field];
       }
-      const gather_bounds *bounds = &w->sum->bounds[c];
-      double each = gather_top(bounds, nearest > 0 ? nearest : 0);
-      if (apart && least >= bounds->least_mm && most < bounds->most_mm) {
-        const size_t last = gather_band(bounds, most);
-        double by_quartic = 0, by_cubic = 0;
-        for (size_t band = gather_band(bounds, least); band <= last; band++) {
-          const gather_bound *near = &bounds->near[band][spread];
-          by_quartic = near->quartic > by_quartic ? near->quartic : by_quartic;
-          by_cubic = near->cubic > by_cubic ? near->cubic : by_cubic;
+    }
+    w->sum->loops->view(&seen, l->cell.at, l->cell.radius_mm, &views);
+    for (size_t k = 0; k < count; k++) {
+      const double *power = &points->node_power[l->node[places[k]] * points->channels];
+      const bool rounded = seen.field[3][k] > 0 && views.nearest[k] < least_distance;
+      double *error = l->node_error[places[k]];
+      for (size_t c = 0; c < points->channels; c++) {
+        if (points->group[c] == group) {
+          const double each = w->sum->loops->error(&w->sum->bounds[c], &views, k);
+          error[c] = !(power[c] > 0 && each > 0) ? 0 : rounded ? (double)INFINITY : power[c] * each;
         }
-        const double smooth = by_quartic * quartic + by_cubic * cubic;
-        each = smooth < each ? smooth : each;
       }
-      each = rounded && each > 0 ? (double)INFINITY : each;
-      error[c] = power[c] > 0 && each > 0 ? power[c] * each : 0;
     }
   }
 }
 
 /* Replaces the node at a place of the list by its children, or moves it to the leaves. Returns false
  * if the list is full. */
-static bool open_node(const walk *w, size_t place) {
-  core_gather_scratch *s = w->s;
-  const uint32_t at = s->node[place];
+static bool open_node(const walk *w, list *l, size_t place) {
+  const uint32_t at = l->node[place];
   const gather_node *node = &w->points->nodes[at];
   if (node->children == 0) {
-    if (s->leaf_count == LIST_MAX) {
+    if (l->leaf_count == LIST_MAX) {
       return false;
     }
-    s->leaf[s->leaf_count++] = at;
-    s->node_count--;
-    s->node[place] = s->node[s->node_count];
-    memcpy(s->node_error[place], s->node_error[s->node_count], sizeof s->node_error[place]);
+    l->leaf[l->leaf_count++] = at;
+    l->node_count--;
+    l->node[place] = l->node[l->node_count];
+    memcpy(l->node_error[place], l->node_error[l->node_count], sizeof l->node_error[place]);
     return true;
   }
-  if (s->node_count + node->children > LIST_MAX) {
+  if (l->node_count + node->children > LIST_MAX) {
     return false;
   }
+  uint32_t places[GATHER_LANES];
   for (uint32_t i = 0; i < node->children; i++) {
-    const size_t to = i == 0 ? place : s->node_count++;
-    s->node[to] = node->child + i;
-    find_error(w, node->child + i, s->node_error[to]);
+    places[i] = (uint32_t)(i == 0 ? place : l->node_count++);
+    l->node[places[i]] = node->child + i;
   }
+  find_errors(w, l, node->children, places);
   return true;
 }
 
-/* Starts the list with the root, and estimates M by nodes that look smaller than an angle. Returns
- * false if there are too many of these. */
-static bool start_list(const walk *w) {
-  core_gather_scratch *s = w->s;
+static void start_list(const walk *w, list *l) {
+  l->leaf_count = 0;
+  l->node_count = 1;
+  l->node[0] = 0;
+  find_errors(w, l, 1, (const uint32_t[1]){0});
+}
+
+/* Adds about what a node contributes to M in the cell. */
+static void add_estimate(const walk *w, list *l, uint32_t node) {
   const core_gather_points *points = w->points;
-  memset(s->estimate, 0, sizeof s->estimate);
-  s->node_count = 1;
-  s->node[0] = 0;
-  while (s->node_count > 0) {
-    const uint32_t at = s->node[--s->node_count];
+  const gather_moments *m = &points->moments[node * points->groups];
+  const double x = l->cell.at[0] - m->at[0], y = l->cell.at[1] - m->at[1],
+               z = l->cell.at[2] - m->at[2];
+  const double distance = sqrt(x * x + y * y + z * z);
+  const double r = fmax(distance, 0.5 * fmax(m->radius_mm, l->cell.radius_mm));
+  for (size_t c = 0; c < points->channels; c++) {
+    l->estimate[c] +=
+        points->node_power[node * points->channels + c] * gather_about(&w->sum->bounds[c], r);
+  }
+}
+
+/* Estimates M by nodes that look smaller than an angle. Returns false if there are too many. */
+static bool estimate_by_angle(const walk *w, list *l) {
+  const core_gather_points *points = w->points;
+  memset(l->estimate, 0, sizeof l->estimate);
+  l->node_count = 1;
+  l->node[0] = 0;
+  while (l->node_count > 0) {
+    const uint32_t at = l->node[--l->node_count];
     const gather_node *node = &points->nodes[at];
     const gather_moments *m = &points->moments[at * points->groups];
-    const double x = s->cell.at[0] - m->at[0], y = s->cell.at[1] - m->at[1],
-                 z = s->cell.at[2] - m->at[2];
-    const double distance = sqrt(x * x + y * y + z * z);
-    if (node->children > 0 && m->radius_mm > ESTIMATE_ANGLE * distance) {
-      for (uint32_t i = 0; i < node->children; i++) {
-        s->node[s->node_count++] = node->child + i;
-      }
-      if (s->node_count + 8 > LIST_MAX) {
-        return false;
-      }
+    const double x = l->cell.at[0] - m->at[0], y = l->cell.at[1] - m->at[1],
+                 z = l->cell.at[2] - m->at[2];
+    if (node->children == 0 || m->radius_mm <= ESTIMATE_ANGLE * sqrt(x * x + y * y + z * z)) {
+      add_estimate(w, l, at);
       continue;
     }
-    const double r = fmax(distance, 0.5 * fmax(m->radius_mm, s->cell.radius_mm));
-    for (size_t c = 0; c < points->channels; c++) {
-      s->estimate[c] +=
-          points->node_power[at * points->channels + c] * gather_about(&w->sum->bounds[c], r);
+    for (uint32_t i = 0; i < node->children; i++) {
+      l->node[l->node_count++] = node->child + i;
+    }
+    if (l->node_count + 8 > LIST_MAX) {
+      return false;
     }
   }
-  s->leaf_count = 0;
-  s->node_count = 1;
-  s->node[0] = 0;
-  find_error(w, 0, s->node_error[0]);
   return true;
 }
 
-static void add_errors(const walk *w) {
-  core_gather_scratch *s = w->s;
-  memset(s->error, 0, sizeof s->error);
-  for (size_t i = 0; i < s->node_count; i++) {
+/* Estimates M by the nodes and leaves of the list. */
+static void estimate_by_list(const walk *w, list *l) {
+  memset(l->estimate, 0, sizeof l->estimate);
+  for (size_t i = 0; i < l->node_count; i++) {
+    add_estimate(w, l, l->node[i]);
+  }
+  for (size_t i = 0; i < l->leaf_count; i++) {
+    add_estimate(w, l, l->leaf[i]);
+  }
+}
+
+static void add_errors(const walk *w, list *l) {
+  memset(l->error, 0, sizeof l->error);
+  for (size_t i = 0; i < l->node_count; i++) {
     for (size_t c = 0; c < w->points->channels; c++) {
-      s->error[c] += s->node_error[i][c];
+      l->error[c] += l->node_error[i][c];
     }
   }
 }
 
-/* Opens nodes of the list until its errors are within a share of what the tolerance allows. */
-static bool refine(const walk *w, double share) {
-  core_gather_scratch *s = w->s;
-  const size_t channels = w->points->channels;
-  double limit[CORE_GATHER_CHANNELS_MAX], budget[CORE_GATHER_CHANNELS_MAX];
-  for (size_t c = 0; c < channels; c++) {
-    budget[c] = share * w->sum->tolerance * s->estimate[c];
-    limit[c] = budget[c] / 16;
+/* Sets budget[channels] to a share of the error that the tolerance allows the list. */
+static void set_budget(const walk *w, const list *l, double share, double *budget) {
+  for (size_t c = 0; c < w->points->channels; c++) {
+    budget[c] = share * w->sum->tolerance * l->estimate[c];
   }
+}
+
+static bool exceeds(const walk *w, const double *error, const double *limit) {
+  bool more = false;
+  for (size_t c = 0; c < w->points->channels; c++) {
+    more = more || error[c] > limit[c];
+  }
+  return more;
+}
+
+/* Opens nodes of the list until its errors are within a share of what the tolerance allows. Returns
+ * false if the list gets too long. */
+static bool refine(const walk *w, list *l, double share) {
+  double limit[CORE_GATHER_CHANNELS_MAX], budget[CORE_GATHER_CHANNELS_MAX];
+  set_budget(w, l, share, budget);
+  set_budget(w, l, share / 16, limit);
   for (int round = 0; round < 200; round++) {
-    for (size_t i = 0; i < s->node_count;) {
-      bool fails = false;
-      for (size_t c = 0; c < channels; c++) {
-        fails = fails || s->node_error[i][c] > limit[c];
-      }
-      if (!fails) {
+    for (size_t i = 0; i < l->node_count;) {
+      if (!exceeds(w, l->node_error[i], limit)) {
         i++;
-      } else if (!open_node(w, i)) {
+      } else if (!open_node(w, l, i)) {
         return false;
       }
     }
-    add_errors(w);
-    bool within = true;
-    for (size_t c = 0; c < channels; c++) {
-      if (s->error[c] > budget[c]) {
-        const double by = 0.7 * budget[c] / s->error[c];
-        limit[c] *= by < 0.125 ? 0.125 : by;
-        within = false;
-      }
-    }
-    if (within) {
+    add_errors(w, l);
+    if (!exceeds(w, l->error, budget)) {
       return true;
+    }
+    for (size_t c = 0; c < w->points->channels; c++) {
+      if (l->error[c] > budget[c]) {
+        const double by = 0.85 * budget[c] / l->error[c];
+        limit[c] *= by < 0.125 ? 0.125 : by;
+      }
     }
   }
   return false;
 }
 
+/* Sets the errors of all nodes, or of those whose errors in the list are above the limit. */
+static void find_larger_errors(const walk *w, list *l, const double *limit) {
+  uint32_t places[GATHER_LANES];
+  size_t filled = 0;
+  for (size_t i = 0; i < l->node_count; i++) {
+    if (limit == NULL || exceeds(w, l->node_error[i], limit)) {
+      places[filled++] = (uint32_t)i;
+    }
+    if (filled > 0 && (filled == GATHER_LANES || i + 1 == l->node_count)) {
+      find_errors(w, l, filled, places);
+      filled = 0;
+    }
+  }
+}
+
+/* Makes the list that lists of the cells in a district begin with: one for the district's centre,
+ * which has about as fine nodes as they need. Its errors are those for the whole district. */
+static void make_district(const walk *w, const gather_cell *district) {
+  list *l = &w->s->district;
+  l->cell = *district;
+  l->cell.radius_mm = 0;
+  if (!estimate_by_angle(w, l)) {
+    memset(l->estimate, 0, sizeof l->estimate);
+  }
+  start_list(w, l);
+  const bool made = refine(w, l, LIST_SHARE);
+  l->cell = *district;
+  if (!made) {
+    start_list(w, l);
+  }
+  find_larger_errors(w, l, NULL);
+}
+
+/* Starts the list of the cell with that of its district. Errors that are small for the whole district
+ * are not computed again. */
+static void start_cell(const walk *w) {
+  const list *from = &w->s->district;
+  list *l = &w->s->list;
+  l->node_count = from->node_count;
+  l->leaf_count = from->leaf_count;
+  memcpy(l->node, from->node, l->node_count * sizeof *l->node);
+  memcpy(l->leaf, from->leaf, l->leaf_count * sizeof *l->leaf);
+  estimate_by_list(w, l);
+  double small[CORE_GATHER_CHANNELS_MAX];
+  set_budget(w, l, LIST_SHARE / (8 * (double)l->node_count), small);
+  memcpy(l->node_error, from->node_error, l->node_count * sizeof *l->node_error);
+  find_larger_errors(w, l, small);
+}
+
 /* Makes the next list of the cell. */
 static void make_finer(const walk *w) {
   core_gather_scratch *s = w->s;
+  list *l = &s->list;
   s->fineness++;
-  bool made = s->fineness < ALL_POINTS;
-  if (made && s->fineness == 0) {
-    made = start_list(w);
+  if (s->fineness == 0) {
+    start_cell(w);
   }
-  if (!made || !refine(w, 0.7 * ldexp(1, -2 * s->fineness))) {
+  if (s->fineness >= ALL_POINTS || !refine(w, l, LIST_SHARE * ldexp(1, -2 * s->fineness))) {
     s->fineness = ALL_POINTS;
-    s->node_count = 0;
-    s->leaf_count = 1;
-    memset(s->error, 0, sizeof s->error);
+    l->node_count = 0;
+    l->leaf_count = 1;
+    memset(l->error, 0, sizeof l->error);
   }
 }
 
@@ -330,17 +398,15 @@ static void add(double *sum, double *lost, double value) {
   *sum = more;
 }
 
-/* Sets out to R at n radii, a multiple of GATHER_LANES. */
-static void evaluate(const core_gather_sum *sum, size_t channel, core_gather_scratch *s, size_t n,
-                     const double *r, double *out) {
+/* Sets R[n] to R at s->r[n], a multiple of GATHER_LANES; `narrow_r` holds the radii, too. */
+static void evaluate(const core_gather_sum *sum, size_t channel, core_gather_scratch *s, size_t n) {
   const core_profile *profile = &sum->profile[channel];
   if (profile->evaluator == CORE_EVALUATOR_F64) {
-    core_eval_f64(profile, CORE_QUANTITY_R, n, r, out);
+    core_eval_f64(profile, CORE_QUANTITY_R, n, s->r, s->R);
     return;
   }
-  sum->loops->narrow(n, r, s->narrow_r);
   core_eval_f32(profile, CORE_QUANTITY_R, n, s->narrow_r, s->narrow_R);
-  sum->loops->widen(n, s->narrow_R, out);
+  sum->loops->widen(n, s->narrow_R, s->R);
 }
 
 static size_t padded(size_t n) {
@@ -348,8 +414,8 @@ static size_t padded(size_t n) {
 }
 
 /* How often each number of gather_moments occurs. */
-static const double times[GATHER_FIELDS] = {1, 1, 1, 1, 1, 1, 1, 1, 2, 2, 2,
-                                            1, 1, 1, 3, 3, 3, 3, 3, 3, 6};
+static const double times[GATHER_FIELDS] = {1, 1, 1, 1, 1, 1, 1, 2, 2, 2, 1, 1, 1,
+                                            2, 2, 2, 1, 1, 1, 3, 3, 3, 3, 3, 3, 6};
 _Static_assert(sizeof(gather_moments) == GATHER_FIELDS * sizeof(double), "all of them");
 
 /* Copies the moments of some nodes of the list to the rows, and the powers of the group's channels.
@@ -361,7 +427,7 @@ static size_t fill_rows(const walk *w, size_t group, size_t first, size_t count)
     double moments[GATHER_LANES][GATHER_FIELDS];
     for (size_t k = 0; k < GATHER_LANES; k++) {
       const size_t place = i + k < count ? i + k : count - 1;
-      const size_t node = w->s->node[first + place];
+      const size_t node = w->s->list.node[first + place];
       memcpy(moments[k], &points->moments[node * points->groups + group], sizeof moments[k]);
       for (size_t c = 0; c < points->channels; c++) {
         const bool counts = i + k < count && points->group[c] == group;
@@ -381,25 +447,24 @@ static size_t fill_rows(const walk *w, size_t group, size_t first, size_t count)
 static void add_nodes(const walk *w, size_t queries, const uint32_t *order, const double *xyz) {
   core_gather_scratch *s = w->s;
   const gather_loops *loops = w->sum->loops;
-  for (size_t first = 0; first < s->node_count; first += GATHER_NODES) {
-    const size_t rest = s->node_count - first;
+  for (size_t first = 0; first < s->list.node_count; first += GATHER_NODES) {
+    const size_t rest = s->list.node_count - first;
     const size_t count = rest < GATHER_NODES ? rest : GATHER_NODES;
     for (size_t group = 0; group < w->points->groups; group++) {
       const size_t n = fill_rows(w, group, first, count);
       for (size_t q = 0; q < queries; q++) {
-        loops->pair(n, &s->rows, &xyz[3 * (size_t)order[q]], &s->pairs);
+        loops->pair(n, &s->rows, &xyz[3 * (size_t)order[q]], s->r, s->share);
+        loops->narrow(2 * n, s->r, s->narrow_r);
         for (size_t c = 0; c < w->points->channels; c++) {
           if (w->points->group[c] == group) {
-            evaluate(w->sum, c, s, n, s->pairs.r[0], s->R[0]);
-            evaluate(w->sum, c, s, n, s->pairs.r[1], s->R[1]);
-            add(&s->added[q][c], &s->lost[q][c],
-                loops->sum_pairs(n, s->power[c], s->pairs.share, s->R[0], s->R[1]));
+            evaluate(w->sum, c, s, 2 * n);
+            add(&s->added[q][c], &s->lost[q][c], loops->sum_pairs(n, s->power[c], s->share, s->R));
           }
         }
       }
     }
   }
-  w->visits->nodes += (uint64_t)queries * s->node_count;
+  w->visits->nodes += (uint64_t)queries * s->list.node_count;
 }
 
 /* Adds `count` points that were copied. */
@@ -418,9 +483,10 @@ static void add_copied(const walk *w, size_t count, size_t queries, const uint32
   }
   for (size_t q = 0; q < queries; q++) {
     loops->distances(n, s->at[0], s->at[1], s->at[2], &xyz[3 * (size_t)order[q]], s->r);
+    loops->narrow(n, s->r, s->narrow_r);
     for (size_t c = 0; c < w->points->channels; c++) {
-      evaluate(w->sum, c, s, n, s->r, s->R[0]);
-      add(&s->added[q][c], &s->lost[q][c], loops->sum(n, s->power[c], s->R[0]));
+      evaluate(w->sum, c, s, n);
+      add(&s->added[q][c], &s->lost[q][c], loops->sum(n, s->power[c], s->R));
     }
   }
   w->visits->points += (uint64_t)queries * count;
@@ -432,8 +498,8 @@ static void add_points(const walk *w, size_t queries, const uint32_t *order, con
   const core_gather_points *points = w->points;
   const gather_node all = {.first = 0, .count = (uint32_t)points->n};
   size_t filled = 0;
-  for (size_t i = 0; i < s->leaf_count; i++) {
-    const gather_node *leaf = s->fineness == ALL_POINTS ? &all : &points->nodes[s->leaf[i]];
+  for (size_t i = 0; i < s->list.leaf_count; i++) {
+    const gather_node *leaf = s->fineness == ALL_POINTS ? &all : &points->nodes[s->list.leaf[i]];
     for (size_t done = 0; done < leaf->count;) {
       const size_t rest = leaf->count - done, room = GATHER_POINTS - filled;
       const size_t count = rest < room ? rest : room;
@@ -462,9 +528,10 @@ static bool finish_query(const walk *w, size_t q, double *M, float *bound) {
   bool within = true;
   for (size_t c = 0; c < w->points->channels; c++) {
     const double value = s->added[q][c] + s->lost[q][c];
-    const double spare = s->node_count > 0 ? w->sum->tolerance * 0x1p-8 + w->points->uneven[c] : 0;
-    const double error = s->error[c] > 0 ? s->error[c] / (value - s->error[c]) : 0;
-    within = within && value >= s->error[c] && error + spare <= w->sum->tolerance;
+    const double spare =
+        s->list.node_count > 0 ? w->sum->tolerance * 0x1p-8 + w->points->uneven[c] : 0;
+    const double error = s->list.error[c] > 0 ? s->list.error[c] / (value - s->list.error[c]) : 0;
+    within = within && value >= s->list.error[c] && error + spare <= w->sum->tolerance;
     M[c] = value;
     if (bound != NULL) {
       bound[c] = (float)((error + spare) * (1 - 0x1p-22)); /* `spare` is more than this */
@@ -511,22 +578,28 @@ void core_gather(const core_gather_sum *sum, const core_gather_points *points,
   bool known = false;
   for (size_t done = 0; done < n;) {
     uint32_t batch[QUERIES];
-    gather_cell cell = {{0, 0, 0}, 0};
+    gather_cell cell = {{0, 0, 0}, 0}, district = cell;
     size_t count = 0;
     for (; count < QUERIES && done + count < n; count++) {
       const uint32_t q = order != NULL ? order[done + count] : (uint32_t)(done + count);
-      const gather_cell own = plain ? cell : gather_cell_of(points, &xyz[3 * (size_t)q]);
+      gather_cell own_district;
+      const gather_cell own =
+          plain ? cell : gather_cell_of(points, &xyz[3 * (size_t)q], &own_district);
       if (count > 0 && !same_cell(&own, &cell)) {
         break;
       }
       cell = own;
+      district = plain ? cell : own_district;
       batch[count] = q;
     }
     if (plain) {
       scratch->fineness = ALL_POINTS - 1;
       make_finer(&w);
-    } else if (!known || !same_cell(&cell, &scratch->cell) || scratch->fineness > 0) {
-      scratch->cell = cell;
+    } else if (!known || !same_cell(&cell, &scratch->list.cell) || scratch->fineness > 0) {
+      if (!known || !same_cell(&district, &scratch->district.cell)) {
+        make_district(&w, &district);
+      }
+      scratch->list.cell = cell;
       scratch->fineness = -1;
       make_finer(&w);
     }
