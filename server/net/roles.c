@@ -102,9 +102,9 @@ static bool read_right(char *text, struct roles_right *right) {
 
 /* Reads a list of roles and rights, as "evaluate,observe,read". Returns what is wrong, or NULL. */
 static const char *read_roles(char *text, struct entry *entry) {
-  static const char what[] =
-      "write roles first: evaluate, compute, observe, read, write or fcN, with commas between them, "
-      "and addresses behind the last three as in read:300-420";
+  static const char what[] = "write roles first: evaluate, compute, observe, read, write or fcN, "
+                             "with commas between them, "
+                             "and addresses behind the last three as in read:300-420";
   char *rest = text;
   for (char *one = strtok_r(text, ",", &rest); one != NULL; one = strtok_r(NULL, ",", &rest)) {
     size_t i = 0;
@@ -120,6 +120,20 @@ static const char *read_roles(char *text, struct entry *entry) {
     }
   }
   return entry->roles == 0 && entry->right_count == 0 ? what : NULL;
+}
+
+/* Returns a copy of a subject as RFC 2253 lets tls.c write it: \C3\A9 in place of the two bytes of
+ * an e with an accent. NULL: out of memory. */
+static char *copy_subject(const char *from) {
+  char *copy = malloc(3 * strlen(from) + 1), *to = copy;
+  for (; copy != NULL && *from != '\0'; from++) {
+    const unsigned char byte = (unsigned char)*from;
+    to += byte < 0x80 ? snprintf(to, 2, "%c", byte) : snprintf(to, 4, "\\%02X", byte);
+  }
+  if (copy != NULL) {
+    *to = '\0';
+  }
+  return copy;
 }
 
 /* Reads who is meant. Returns what is wrong, or NULL. */
@@ -140,7 +154,7 @@ static const char *read_who(const char *who, struct entry *entry) {
   if (name == NULL || *name == '\0') {
     return "write subject:TEXT, role:NAME or * behind the roles";
   }
-  entry->name = strdup(name);
+  entry->name = entry->kind == SUBJECT ? copy_subject(name) : strdup(name);
   return entry->name != NULL ? NULL : "out of memory";
 }
 

@@ -77,6 +77,7 @@ void tls_session_end(struct tls_session *session) {
 #else
 
 #include <openssl/err.h>
+#include <openssl/pem.h>
 #include <openssl/ssl.h>
 #include <openssl/x509v3.h>
 
@@ -95,13 +96,15 @@ struct tls {
 /* ---- certificates ---------------------------------------------------------------------------- */
 
 static void describe_fault(char why[TLS_WHY_BYTES]) {
-  const unsigned long first = ERR_peek_error(); /* what the system says comes first */
-  const unsigned long error = ERR_SYSTEM_ERROR(first) ? first : ERR_peek_last_error();
+  const unsigned long error = ERR_peek_error(); /* later ones say where it was noticed */
   const char *reason = ERR_reason_error_string(error);
-  snprintf(why, TLS_WHY_BYTES, "%s", reason != NULL ? reason : "no reason is known");
   if (ERR_SYSTEM_ERROR(error)) {
-    snprintf(why, TLS_WHY_BYTES, "%s", strerror(ERR_GET_REASON(error)));
+    reason = strerror(ERR_GET_REASON(error));
+  } else if (ERR_GET_REASON(error) == ERR_R_UNSUPPORTED ||
+             (ERR_GET_LIB(error) == ERR_LIB_PEM && ERR_GET_REASON(error) == PEM_R_NO_START_LINE)) {
+    reason = "what it should hold is not there in PEM, which begins with -----BEGIN";
   }
+  snprintf(why, TLS_WHY_BYTES, "%s", reason != NULL ? reason : "no reason is known");
   ERR_clear_error();
 }
 
@@ -284,7 +287,8 @@ enum tls_progress tls_session_shake_hands(struct tls_session *session, char why[
   }
 }
 
-/* Copies a UTF8String of a certificate's role; "" if there is none, or if it is too long. */
+/* Copies the role of a certificate: "" if there is none, or if it is too long or anything else than
+ * one UTF8String in DER. */
 static void copy_role(X509 *certificate, char role[ROLE_BYTES]) {
   ASN1_OBJECT *oid = OBJ_txt2obj(ROLE_OID, 1);
   const int at = oid != NULL ? X509_get_ext_by_OBJ(certificate, oid, -1) : -1;
@@ -294,10 +298,13 @@ static void copy_role(X509 *certificate, char role[ROLE_BYTES]) {
     return;
   }
   const ASN1_OCTET_STRING *value = X509_EXTENSION_get_data(X509_get_ext(certificate, at));
-  const unsigned char *bytes = ASN1_STRING_get0_data(value);
-  ASN1_UTF8STRING *text = d2i_ASN1_UTF8STRING(NULL, &bytes, ASN1_STRING_length(value));
+  const unsigned char *const bytes = ASN1_STRING_get0_data(value), *end = bytes;
+  ASN1_UTF8STRING *text = d2i_ASN1_UTF8STRING(NULL, &end, ASN1_STRING_length(value));
   const int length = text != NULL ? ASN1_STRING_length(text) : 0;
-  if (length < ROLE_BYTES && text != NULL &&
+  /* Below 128 bytes, DER has one byte for the kind and one for the length. */
+  _Static_assert(ROLE_BYTES <= 128, "longer ones have a longer length");
+  if (length < ROLE_BYTES && text != NULL && bytes[0] == V_ASN1_UTF8STRING &&
+      ASN1_STRING_length(value) == length + 2 &&
       memchr(ASN1_STRING_get0_data(text), 0, (size_t)length) == NULL) {
     memcpy(role, ASN1_STRING_get0_data(text), (size_t)length);
     role[length] = '\0';

@@ -11,7 +11,7 @@ import subprocess
 import threading
 
 import pytest
-from certificates import Authority, openssl
+from certificates import EC, Authority, openssl
 from daemons import REPOSITORY, eventually, run
 from modbus_master import (
     AT, BAD_ADDRESS, BAD_FUNCTION, Exception_, Lost, Tcp, as_floats, exception, input_block,
@@ -261,12 +261,41 @@ def test_a_subject_has_rights_too(slave, authority):
         assert asked(master) == [1, 1, 1, 0, 1, 1, 1]
 
 
+@pytest.mark.parametrize("written", ["René,Söhne", r"Ren\C3\A9,Söhne"])
+def test_subjects_beyond_ascii(slave, authority, tmp_path, written):
+    """The file may have such characters as they are, or as openssl prints them."""
+    comma = written.replace(",", r"\,")
+    one = slave(rules=f"fc3:1200-1209 subject:CN={comma}\n")
+    certificate, key, asked_for = (tmp_path / f"own.{end}" for end in ("pem", "key", "csr"))
+    subject = ["-utf8", "-subj", "/CN=René,Söhne"]
+    openssl("req", *EC, "-keyout", key, "-out", asked_for, *subject)
+    signed = ["-CA", authority.pem, "-CAkey", authority.pem.with_suffix(".key"), "-days", 30]
+    openssl("x509", "-req", "-in", asked_for, *signed, "-CAcreateserial", "-out", certificate)
+    with Secure(one, authority, (str(certificate), str(key))) as master:
+        assert asked(master) == [1, 1, 1, 0, 1, 1, 1]
+
+
 @pytest.mark.parametrize("value", ["INTEGER:1", "IA5String:Engineer", "OCTETSTRING:Engineer"])
 def test_a_role_is_a_utf8_string(slave, authority, value):
     """A role of another type is no role."""
     one = slave()
     with Secure(one, authority, authority.sign("odd", lines=ROLE + value)) as master:
         assert asked(master) == OF_ROLE[None]
+
+
+@pytest.mark.parametrize(
+    "value, good",
+    [("0C:06:57:72:69:74:65:72", True), ("0C:81:06:57:72:69:74:65:72", False),
+     ("0C:06:57:72:69:74:65:72:05:00", False), ("2C:80:0C:06:57:72:69:74:65:72:00:00", False),
+     ("0C:07:57:72:69:74:65:72:00", False), ("0C:07:57:72:69:74:65:72", False)],
+    ids=["DER", "long length", "more behind it", "in parts", "with a zero", "cut"],
+)
+def test_a_role_is_one_string_in_der(slave, authority, value, good):
+    """Writer in another encoding, which another reader may take for another role, is no role."""
+    one = slave()
+    lines = ROLE.removesuffix("ASN1:") + f"DER:{value}"
+    with Secure(one, authority, authority.sign("odd", lines=lines)) as master:
+        assert outcome(master, struct.pack(">BHH", 6, 101, 2)) == (0 if good else BAD_FUNCTION)
 
 
 def test_the_role_of_another_extension_is_none(slave, authority):

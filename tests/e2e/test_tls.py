@@ -255,6 +255,8 @@ def test_plain_and_tls_do_not_mix(farm, ours):
         (["--certificate", "{pem}", "--key", "{other}"], "{other}: key values mismatch"),
         (["--certificate", "{key}", "--key", "{key}"], "{key}: "),
         (["--certificate", "{pem}", "--key", "{key}", "--client-ca", "{key}"], "{key}: "),
+        (["--certificate", "/dev/null", "--key", "{key}"], "/dev/null: what it should hold is not there in PEM"),
+        (["--certificate", "{pem}", "--key", "{pem}"], "{pem}: what it should hold is not there in PEM"),
     ],
 )
 def test_wrong_files(authority, server, ours, files, said):
