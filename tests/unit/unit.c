@@ -83,6 +83,10 @@ uint64_t unit_seed(void) {
   return seed;
 }
 
+bool unit_is_long(void) {
+  return getenv("UNIT_LONG") != NULL;
+}
+
 uint64_t unit_random(uint64_t *state) {
   return core_splitmix(state);
 }

@@ -48,6 +48,9 @@ enum { UNIT_ROWS_MAX = 100 }; /* a bound for loops over lists that end with an e
  * seed a failure can be repeated. */
 uint64_t unit_seed(void);
 
+/* Returns whether the tests have their long form, with more media: $UNIT_LONG is set. */
+bool unit_is_long(void);
+
 /* Returns the next 64 random bits (core/splitmix.h). */
 uint64_t unit_random(uint64_t *state);
 double unit_random_between(uint64_t *state, double low, double high);
