@@ -142,7 +142,7 @@ INSTALLED := $(BUILD)/dipoled $(BUILD)/dipole
 PROGRAMS := $(INSTALLED) $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-types check-unit check-unit-long check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-tls-long check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz check-fuzz-long check-truth check-truth-long check-fits check-varying check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables totals reference tradeoff figures picture gather-figure fit-bias clean
+.PHONY: all setup demo check check-long check-structure check-types check-unit check-units-long check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-tls-long check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz check-fuzz-long check-truth check-truth-long check-fits check-varying check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables totals reference tradeoff figures picture gather-figure fit-bias clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -319,7 +319,7 @@ check:
 check-long:
 	@sh .ci/install-packages demo check deb ci
 	@$(MAKE) --no-print-directory -j2 all $(BUILD)/tests/bits $(BUILD)/soak-load $(BUILD)/pipeline
-	+@bash tests/run-check.sh $(BUILD)/logs-long bits-aarch64 soak-long tls-long balancer-long+rings,truth-long,fuzz-long plan pipeline fits unit-long packages deb
+	+@bash tests/run-check.sh $(BUILD)/logs-long bits-aarch64 soak-long tls-long balancer-long+rings,truth-long plan pipeline fits units-long fuzz-long packages deb
 
 # Fails when modules include each other in a circle.
 check-structure:
@@ -334,8 +334,8 @@ check-unit: $(TESTS)
 	@UNIT_LIMIT_S=$(UNIT_LIMIT_S) bash tests/run-units.sh $(BUILD)/logs $(TESTS)
 
 # Those that have a long form.
-LONG_TESTS := $(addprefix $(BUILD)/tests/,unit/test_kernels accuracy/test_choose accuracy/test_derivative accuracy/test_transport_g)
-check-unit-long: $(LONG_TESTS)
+LONG_TESTS := $(addprefix $(BUILD)/tests/,unit/test_kernels accuracy/test_choose accuracy/test_derivative accuracy/test_transport_g accuracy/test_transport_table)
+check-units-long: $(LONG_TESTS)
 	@UNIT_LONG=yes bash tests/run-units.sh $(BUILD)/logs-long $(LONG_TESTS)
 
 check-bits: $(BUILD)/tests/bits

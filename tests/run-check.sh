@@ -1,10 +1,10 @@
 #!/bin/bash
-# run-check.sh LOGS PART...: runs `make check-PART` for each part, one after the other. A+B,C runs those
-# behind + beside the first one, themselves one after the other, with the processor time that it
-# leaves: tests that wait for daemons leave much. Keeps what a part prints in LOGS/PART.log and
-# shows it. At the end it prints how long each part took, every test that was skipped, and how many
-# tests passed, failed and were skipped. Exits 1 when a part has failed. With FORBID_SKIPS=yes it
-# also exits 1 when a test was skipped for another reason than that ../shared is missing.
+# run-check.sh LOGS PART...: runs `make check-PART` for each part, one after the other. A+B,C runs B
+# and then C beside A, with the processor time that it leaves: tests that wait for daemons leave
+# much. Keeps what a part prints in LOGS/PART.log and shows it. At the end it prints how long each
+# part took, every test that was skipped, and how many tests passed, failed and were skipped. Exits
+# 1 when a part has failed. With FORBID_SKIPS=yes it also exits 1 when a test was skipped for
+# another reason than that ../shared is missing.
 set -u
 logs=$1
 shift
@@ -49,7 +49,7 @@ for part in $parts; do
   printf '%-12s %4d s%s\n' "$part" "$seconds" "$([ "$status" -eq 0 ] || echo '  FAILED')"
   [ "$status" -eq 0 ] || bad="$bad $part"
   case $part in
-  unit | unit-long)
+  unit | units-long)
     one=$(cat "$logs"/unit-*.log "$logs"/accuracy-*.log |
       awk '$2 == "PASSED" { n += $4 } END { print n + 0 }')
     passed=$((passed + one))

@@ -209,9 +209,8 @@ static void with_every_medium(size_t isa, size_t model, unsigned evaluator, pair
   const bool slow = core_prepares_slowly(id, evaluator) && id != CORE_MODEL_BURLEY;
   const bool is_best = strcmp(core_isa_listed(isa), core_isa_name(core_isa_select(NULL))) == 0;
   /* Transport without absorption takes seconds to prepare. */
-  const size_t count = !slow                                                ? MEDIA
-                       : is_best || isa == portable_isa() || unit_is_long() ? COSTLY_MEDIA
-                                                                            : 1;
+  const bool few = id == CORE_MODEL_TRANSPORT && isa != portable_isa() && !is_best;
+  const size_t count = !slow ? MEDIA : few && !unit_is_long() ? 1 : COSTLY_MEDIA;
   for (size_t i = 0; i < count; i++) {
     const core_profile *portable = prepared(portable_isa(), model, evaluator, i);
     const core_profile *other = prepared(isa, model, evaluator, i);
