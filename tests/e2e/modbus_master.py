@@ -182,6 +182,7 @@ class Master:
         deadline = time.monotonic() + timeout_s
         while (job := self.job(unit)).status == IS_BUSY:
             assert time.monotonic() < deadline
+            time.sleep(0.001)  # The daemon has the processor meanwhile.
         return job
 
     def statistic(self, name: str) -> int:
