@@ -443,8 +443,8 @@ static bool open_home(struct home *home, const dipole_table *const *tables,
   for (uint32_t i = 0; i < info->channel_count; i++) {
     profiles[i] = libdipole_table_profile(tables[i]);
   }
-  const core_fault fault = core_gather_sum_prepare(&home->sum, core_isa_select(NULL),
-                                                   info->channel_count, profiles, 0);
+  const core_fault fault =
+      core_gather_sum_prepare(&home->sum, core_isa_select(NULL), info->channel_count, profiles, 0);
   if (fault.field != NULL) {
     return fail_fault(&fault, error);
   }
@@ -452,7 +452,7 @@ static bool open_home(struct home *home, const dipole_table *const *tables,
                                            info->channel_count, info->power_W);
   while (home->points != NULL && !core_gather_points_build(home->points, UINT64_MAX)) {
   }
-  home->scratch = home->points != NULL ? core_gather_scratch_create(home->points) : NULL;
+  home->scratch = home->points != NULL ? core_gather_scratch_create(home->sum, home->points) : NULL;
   return home->scratch != NULL || libdipole_fail_memory(error);
 }
 

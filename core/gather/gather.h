@@ -86,8 +86,12 @@ core_fault core_gather_sum_prepare(core_gather_sum **sum, const core_isa *isa, s
 void core_gather_sum_free(core_gather_sum *sum);
 size_t core_gather_sum_bytes(const core_gather_sum *sum);
 
-/* Returns about how long one query takes, in evaluations of one quantity of a dipole. */
+/* Return about how long gathering takes, in evaluations of one quantity of a dipole: one query by
+ * itself; and n queries, 1 or more, in an order as of core_gather(), of which those in one cell share
+ * the work of finding its nodes. The costs are those measured for points on a surface. */
 double core_gather_query_cost(const core_gather_sum *sum, const core_gather_points *points);
+double core_gather_cost(const core_gather_sum *sum, const core_gather_points *points, size_t n,
+                        const uint32_t *order, const double *xyz);
 
 /* ---- gathering ------------------------------------------------------------------------------- */
 
@@ -102,12 +106,13 @@ typedef struct core_gather_visits {
 /* Working memory of one thread, some ten megabytes. */
 typedef struct core_gather_scratch core_gather_scratch;
 
-/* For points that are built. Returns NULL if memory runs out. The scratch may be used with any sum
- * of these points, and keeps no pointer to it between calls. The caller frees it with
- * core_gather_scratch_free(), which accepts NULL. */
-core_gather_scratch *core_gather_scratch_create(const core_gather_points *points);
+/* For points that are built. Returns NULL if memory runs out. The scratch may be used with this sum
+ * and these points alone, and they must live as long as it is used: a call goes on in the cell where
+ * the one before ended. The caller frees it with core_gather_scratch_free(), which accepts NULL. */
+core_gather_scratch *core_gather_scratch_create(const core_gather_sum *sum,
+                                                const core_gather_points *points);
 void core_gather_scratch_free(core_gather_scratch *scratch);
-size_t core_gather_scratch_bytes(const core_gather_points *points);
+size_t core_gather_scratch_bytes(void);
 
 /* Sets order[n] to an order of queries that core_gather_check_queries() accepts in which neighbours
  * follow each other. Queries that are gathered in this order take a fraction of the time, because
@@ -122,8 +127,8 @@ void core_gather_order(const core_gather_points *points, size_t n, const double 
  * profile's own error comes on top (core_gather_error()). Where R is infinite, as models that rise
  * like 1 / r are at the point itself, M is infinite and its bound is 0. Points without power do not
  * count. With the evaluators f32 and lut, what a profile loses by underflow (16 of the smallest
- * subnormal numbers for each W) is lost here. The sum and the points have the same number of
- * channels (asserted). */
+ * subnormal numbers for each W) is lost here. The sum and the points are those of the scratch, and
+ * have the same number of channels (asserted). */
 void core_gather(const core_gather_sum *sum, const core_gather_points *points,
                  core_gather_scratch *scratch, size_t n, const uint32_t *order, const double *xyz,
                  double *M, float *bound, core_gather_visits *visits);

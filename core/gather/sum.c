@@ -76,18 +76,52 @@ size_t core_gather_sum_bytes(const core_gather_sum *sum) {
   return sizeof *sum + (sum->bounds != NULL ? sum->channels * sizeof *sum->bounds : 0);
 }
 
-double core_gather_query_cost(const core_gather_sum *sum, const core_gather_points *points) {
-  double evaluations = (double)points->n;
-  if (sum->tolerance > 0) {
-    /* Measured: some hundreds of nodes and points for each tenfold of points at 1e-2 */
-    const double finer = sqrt(0.01 / sum->tolerance);
-    evaluations = fmin(evaluations, 200 * log2((double)points->n + 2) * fmax(finer, 0.5));
-  }
-  double cost = 2;
+/* Returns about how many nodes and points a query takes. Measured with points on a sphere: from 600 to
+ * 1,000 at 1e-2 for 1e4 to 1e6 points, and some twice as many for each tenth of the tolerance. */
+static double visits_of(const core_gather_sum *sum, const core_gather_points *points) {
+  const double n = (double)points->n;
+  return sum->tolerance > 0 ? fmin(n, 50 * log2(n + 2) * pow(0.01 / sum->tolerance, 1.0 / 3)) : n;
+}
+
+/* Returns the cost of making lists: about 0.7 nodes are tested for each visit of a cell's list, and
+ * 0.9 for that of its district. */
+static double lists_cost(const core_gather_sum *sum, const core_gather_points *points, double cells,
+                         double districts) {
+  const double test = 20 + 20 * (double)sum->channels;
+  return sum->tolerance > 0 ? visits_of(sum, points) * test * (0.7 * cells + 0.9 * districts) : 0;
+}
+
+/* Returns the cost of a query's own sums. */
+static double sums_cost(const core_gather_sum *sum, const core_gather_points *points) {
+  double each = 0;
   for (size_t c = 0; c < sum->channels; c++) {
-    cost += core_radius_cost(&sum->profile[c], CORE_QUANTITY_R);
+    each += core_radius_cost(&sum->profile[c], CORE_QUANTITY_R);
   }
-  return cost * evaluations;
+  return visits_of(sum, points) * (sum->tolerance > 0 ? 1 + 2 * each : 2 + each);
+}
+
+double core_gather_query_cost(const core_gather_sum *sum, const core_gather_points *points) {
+  return sums_cost(sum, points) + lists_cost(sum, points, 1, 1);
+}
+
+static bool same_cell(const gather_cell *a, const gather_cell *b) {
+  return memcmp(a, b, sizeof *a) == 0;
+}
+
+double core_gather_cost(const core_gather_sum *sum, const core_gather_points *points, size_t n,
+                        const uint32_t *order, const double *xyz) {
+  gather_cell cell = {{0, 0, 0}, 0}, district = cell;
+  double cells = 0, districts = 0;
+  for (size_t i = 0; i < n && sum->tolerance > 0; i++) {
+    const size_t q = order != NULL ? order[i] : i;
+    gather_cell own_district;
+    const gather_cell own = gather_cell_of(points, &xyz[3 * q], &own_district);
+    cells += i > 0 && same_cell(&own, &cell) ? 0 : 1;
+    districts += i > 0 && same_cell(&own_district, &district) ? 0 : 1;
+    cell = own;
+    district = own_district;
+  }
+  return (double)n * sums_cost(sum, points) + lists_cost(sum, points, cells, districts);
 }
 
 /* ---- scratch --------------------------------------------------------------------------------- */
@@ -116,6 +150,9 @@ typedef struct list {
 } list;
 
 struct core_gather_scratch {
+  const core_gather_sum *sum;
+  const core_gather_points *points;
+  bool known;          /* whether the lists are those of a cell and its district */
   list district, list; /* the list of a cell begins as that of its district */
   int fineness;
   /* What is evaluated together */
@@ -131,17 +168,23 @@ struct core_gather_scratch {
   double lost[QUERIES][CORE_GATHER_CHANNELS_MAX]; /* by rounding, for each sum */
 };
 
-core_gather_scratch *core_gather_scratch_create(const core_gather_points *points) {
-  assert(points->build == NULL);
-  return aligned_alloc(64, sizeof(core_gather_scratch));
+core_gather_scratch *core_gather_scratch_create(const core_gather_sum *sum,
+                                                const core_gather_points *points) {
+  assert(points->build == NULL && points->channels == sum->channels);
+  core_gather_scratch *scratch = aligned_alloc(64, sizeof(core_gather_scratch));
+  if (scratch != NULL) {
+    scratch->sum = sum;
+    scratch->points = points;
+    scratch->known = false;
+  }
+  return scratch;
 }
 
 void core_gather_scratch_free(core_gather_scratch *scratch) {
   free(scratch);
 }
 
-size_t core_gather_scratch_bytes(const core_gather_points *points) {
-  (void)points;
+size_t core_gather_scratch_bytes(void) {
   return sizeof(core_gather_scratch);
 }
 
@@ -565,17 +608,12 @@ static void gather_cell_queries(const walk *w, size_t queries, uint32_t *order, 
   }
 }
 
-static bool same_cell(const gather_cell *a, const gather_cell *b) {
-  return memcmp(a, b, sizeof *a) == 0;
-}
-
 void core_gather(const core_gather_sum *sum, const core_gather_points *points,
                  core_gather_scratch *scratch, size_t n, const uint32_t *order, const double *xyz,
                  double *M, float *bound, core_gather_visits *visits) {
-  assert(points->build == NULL && points->channels == sum->channels);
+  assert(scratch->sum == sum && scratch->points == points);
   const walk w = {sum, points, scratch, visits};
   const bool plain = !(sum->tolerance > 0);
-  bool known = false;
   for (size_t done = 0; done < n;) {
     uint32_t batch[QUERIES];
     gather_cell cell = {{0, 0, 0}, 0}, district = cell;
@@ -595,15 +633,15 @@ void core_gather(const core_gather_sum *sum, const core_gather_points *points,
     if (plain) {
       scratch->fineness = ALL_POINTS - 1;
       make_finer(&w);
-    } else if (!known || !same_cell(&cell, &scratch->list.cell) || scratch->fineness > 0) {
-      if (!known || !same_cell(&district, &scratch->district.cell)) {
+    } else if (!scratch->known || !same_cell(&cell, &scratch->list.cell) || scratch->fineness > 0) {
+      if (!scratch->known || !same_cell(&district, &scratch->district.cell)) {
         make_district(&w, &district);
       }
       scratch->list.cell = cell;
       scratch->fineness = -1;
       make_finer(&w);
     }
-    known = true;
+    scratch->known = true;
     gather_cell_queries(&w, count, batch, xyz, M, bound);
     done += count;
   }

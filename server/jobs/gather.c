@@ -16,9 +16,10 @@ struct gather_work {
   uint32_t ready; /* number of channels whose profiles are prepared */
   core_gather_sum *sum;
   core_gather_scratch *scratch;
-  core_gather_visits visits; /* of the current part */
-  float worst;               /* the largest bound of the current part */
-  uint32_t order[GATHER_PART_QUERIES];
+  core_gather_visits visits;           /* of the current part */
+  float worst;                         /* the largest bound of the current part */
+  double cost;                         /* of the queries that have been counted */
+  uint32_t order[GATHER_PART_QUERIES]; /* of the current part, or of those that are being counted */
   float bounds[GATHER_PART_QUERIES * CORE_GATHER_CHANNELS_MAX];
 };
 
@@ -26,13 +27,14 @@ struct gather_job {
   struct job job;
   gather_request request;
   struct gather_work *work;
-  uint64_t bytes;        /* of work and its scratch, as counted in the server's budget */
-  uint64_t checked;      /* number of queries whose values have been checked */
-  uint64_t query_radii;  /* the estimated cost of a query, in radii of a dipole */
+  uint64_t bytes;       /* of work and its scratch, as counted in the server's budget */
+  uint64_t checked;     /* number of queries whose values have been checked */
+  uint64_t counted;     /* number of queries whose cost has been counted */
+  uint64_t query_radii; /* the mean cost of a query, in radii of a dipole; 0 until it is known */
   struct job_parts parts;
   uint8_t *payload;
-  uint64_t index;  /* position in the part's order of the next query */
-  uint64_t slice;  /* number of queries of the next slice */
+  uint64_t index; /* position in the part's order of the next query */
+  uint64_t slice; /* number of queries of the next slice */
 };
 
 JOB_FITS_SLOT(struct gather_job);
@@ -44,9 +46,12 @@ enum { SLICE_NS = 1000000, SLICE_QUERIES_FIRST = 16 };
 /* The most evaluations of one query, which is not cut: a few milliseconds' worth. */
 #define QUERY_RADII_MAX ((double)(1 << 22))
 
-/* What a part takes at most, unless it has one query: some tenths of a second, as far as the cost of
- * a query is known before. */
-#define PART_RADII (UINT64_C(1) << 24)
+/* What a part takes at most, unless it has one query: a quarter of a second, as far as the cost of a query is
+ * known before. */
+#define PART_RADII (UINT64_C(1) << 27)
+
+/* The cost of so many queries is counted, at most; that of others is taken to be the same. */
+enum { COUNTED_MOST = 4 * GATHER_PART_QUERIES, COUNTED_AT_ONCE = 1024 };
 
 static struct gather_job *of(struct job *job) {
   return (struct gather_job *)(void *)job;
@@ -58,6 +63,7 @@ static struct gather_work *new_work(struct gather_job *gather, const struct job_
     return NULL;
   }
   work->ready = 0;
+  work->cost = 0;
   work->sum = NULL;
   work->scratch = NULL;
   job_init_lookup(&gather->job, &work->set, from);
@@ -78,9 +84,8 @@ static wire_error check_media(const struct gather_job *gather) {
     return job_too_large("medium_count", most, "media");
   }
   for (uint32_t channel = 0; channel < fixed->medium_count; channel++) {
-    core_fault fault =
-        core_profile_check(fixed->model, fixed->moments, fixed->evaluator, &request->media[channel],
-                           &request->parameters, NULL);
+    core_fault fault = core_profile_check(fixed->model, fixed->moments, fixed->evaluator,
+                                          &request->media[channel], &request->parameters, NULL);
     if (fault.field != NULL) {
       fault.index = channel;
       return job_error(fault);
@@ -109,6 +114,8 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
     return job_refuse(job, job_busy());
   }
   gather->checked = 0;
+  gather->counted = 0;
+  gather->query_radii = 0;
   gather->slice = SLICE_QUERIES_FIRST;
   return JOB_GOES_ON;
 }
@@ -118,8 +125,7 @@ static enum job_outcome check_queries(struct gather_job *gather) {
   const gather_request *request = &gather->request;
   const uint64_t left = request->fixed.query_count - gather->checked;
   const size_t n = (size_t)(left < GATHER_PART_QUERIES ? left : GATHER_PART_QUERIES);
-  core_fault fault =
-      core_gather_check_queries(n, request->queries + gather->checked * GATHER_AXES);
+  core_fault fault = core_gather_check_queries(n, request->queries + gather->checked * GATHER_AXES);
   if (fault.field != NULL) {
     fault.index += (size_t)gather->checked;
     return job_refuse(&gather->job, job_error(fault));
@@ -154,8 +160,8 @@ static enum job_outcome prepare_channel(struct gather_job *gather) {
   struct profiles_lookup *lookup = &work->channels[work->ready];
   profiles_start(lookup, fixed->model, fixed->moments, fixed->evaluator,
                  &gather->request.parameters);
-  switch (profiles_get(&gather->job.context->profiles, lookup,
-                       &gather->request.media[work->ready])) {
+  switch (
+      profiles_get(&gather->job.context->profiles, lookup, &gather->request.media[work->ready])) {
   case PROFILES_WAIT:
     return JOB_WAITS;
   case PROFILES_READY:
@@ -171,19 +177,20 @@ static enum job_outcome prepare_channel(struct gather_job *gather) {
 static wire_error open_scratch(struct gather_job *gather) {
   struct server *server = gather->job.context->server;
   struct gather_work *work = gather->work;
-  const uint64_t bytes = core_gather_scratch_bytes(work->set.gather);
+  const uint64_t bytes = core_gather_scratch_bytes();
   if (!server_take_bytes(server, bytes)) {
     return job_busy();
   }
   gather->bytes += bytes;
-  work->scratch = core_gather_scratch_create(work->set.gather);
+  work->scratch = core_gather_scratch_create(work->sum, work->set.gather);
   return work->scratch != NULL ? wire_error_none() : job_busy();
 }
 
 static wire_error admit(struct gather_job *gather) {
   const struct gather_work *work = gather->work;
-  const double cost = core_gather_query_cost(work->sum, work->set.gather);
-  if (cost > QUERY_RADII_MAX) {
+  const double counted = (double)gather->counted;
+  const double cost = counted > 0 ? work->cost / counted : 1;
+  if (core_gather_query_cost(work->sum, work->set.gather) > QUERY_RADII_MAX) {
     return wire_error_make(WIRE_STATUS_TOO_LARGE, "tolerance",
                            "more, or fewer points: one sum would take too long");
   }
@@ -222,9 +229,29 @@ static enum job_outcome prepare_sum(struct gather_job *gather) {
       core_gather_sum_prepare(&work->sum, gather->job.context->server->isa, work->ready, profiles,
                               gather->request.fixed.tolerance);
   wire_error error = fault.field == NULL ? open_scratch(gather) : job_fault(fault, 0);
-  if (error.status == WIRE_STATUS_OK) {
-    error = admit(gather);
+  return error.status == WIRE_STATUS_OK ? JOB_GOES_ON : job_refuse(&gather->job, error);
+}
+
+/* Counts what the next queries cost in the order in which a part takes them. */
+static void count_cost(struct gather_job *gather) {
+  struct gather_work *work = gather->work;
+  const uint64_t into = gather->counted % GATHER_PART_QUERIES;
+  const uint64_t block = gather->counted - into;
+  const uint64_t rest = gather->request.fixed.query_count - block;
+  const uint64_t n = rest < GATHER_PART_QUERIES ? rest : GATHER_PART_QUERIES;
+  const double *queries = gather->request.queries + block * GATHER_AXES;
+  if (into == 0) {
+    core_gather_order(work->set.gather, (size_t)n, queries, work->order);
   }
+  const uint64_t count = n - into < COUNTED_AT_ONCE ? n - into : COUNTED_AT_ONCE;
+  work->cost +=
+      core_gather_cost(work->sum, work->set.gather, (size_t)count, work->order + into, queries);
+  gather->counted += count;
+}
+
+/* Begins the first part, when the cost is known. */
+static enum job_outcome begin_sums(struct gather_job *gather) {
+  wire_error error = admit(gather);
   if (error.status == WIRE_STATUS_OK) {
     error = cut(gather);
   }
@@ -236,6 +263,16 @@ static enum job_outcome prepare_sum(struct gather_job *gather) {
   return JOB_NEXT_PART;
 }
 
+/* Counts on, or begins the first part. */
+static enum job_outcome count_or_begin(struct gather_job *gather) {
+  const uint64_t n = gather->request.fixed.query_count;
+  if (gather->counted == (n < COUNTED_MOST ? n : COUNTED_MOST)) {
+    return begin_sums(gather);
+  }
+  count_cost(gather);
+  return JOB_GOES_ON;
+}
+
 /* Does the next thing that the sums need. */
 static enum job_outcome prepare(struct gather_job *gather) {
   const struct gather_work *work = gather->work;
@@ -243,7 +280,8 @@ static enum job_outcome prepare(struct gather_job *gather) {
   return gather->checked < fixed->query_count ? check_queries(gather)
          : work->set.gather == NULL           ? find_set(gather)
          : work->ready < fixed->medium_count  ? prepare_channel(gather)
-                                              : prepare_sum(gather);
+         : work->sum == NULL                  ? prepare_sum(gather)
+                                              : count_or_begin(gather);
 }
 
 /* ---- parts ----------------------------------------------------------------------------------- */
@@ -345,7 +383,7 @@ static enum job_outcome gather_slice(struct gather_job *gather, uint64_t *spent)
   set_slice(gather, n, thread_ns() - began_ns);
   note_bounds(work, order, n, channels);
   gather->index += n;
-  *spent += JOB_SLICE_RADII;
+  *spent = JOB_SLICE_RADII;
   job_pay(&gather->job, n * gather->query_radii);
   struct stats *stats = &gather->job.context->server->stats;
   stats_add(stats, STATS_QUERIES_GATHERED, n * channels);
@@ -355,9 +393,9 @@ static enum job_outcome gather_slice(struct gather_job *gather, uint64_t *spent)
 
 static enum job_outcome step(struct job *job, uint64_t *budget) {
   struct gather_job *gather = of(job);
-  uint64_t spent = JOB_STEP_RADII;
+  uint64_t spent = gather->work->sum == NULL ? JOB_STEP_RADII : JOB_SLICE_RADII;
   const enum job_outcome outcome =
-      gather->work->sum == NULL ? prepare(gather) : gather_slice(gather, &spent);
+      gather->query_radii == 0 ? prepare(gather) : gather_slice(gather, &spent);
   *budget -= spent < *budget ? spent : *budget;
   return outcome;
 }

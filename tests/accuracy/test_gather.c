@@ -189,7 +189,7 @@ static worst gather_and_compare(const core_gather_points *points, const profiles
                                 const core_isa *isa, double tolerance, core_gather_visits *visits) {
   core_gather_sum *sum;
   unit_assert_fault(core_gather_sum_prepare(&sum, isa, CHANNELS, made->list, tolerance), NULL, 0);
-  core_gather_scratch *scratch = core_gather_scratch_create(points);
+  core_gather_scratch *scratch = core_gather_scratch_create(sum, points);
   assert_non_null(scratch);
   core_gather(sum, points, scratch, queries_in_use, NULL, queries, M, bound, visits);
   worst most = {0, 0};
@@ -286,7 +286,7 @@ UNIT_TEST(the_bits_do_not_depend_on_instruction_set_order_or_slices) {
       prepare(&made, isa, CORE_MODEL_BETTER, CORE_EVALUATOR_LUT);
       core_gather_sum *sum;
       unit_assert_fault(core_gather_sum_prepare(&sum, isa, CHANNELS, made.list, 1e-3), NULL, 0);
-      core_gather_scratch *scratch = core_gather_scratch_create(points);
+      core_gather_scratch *scratch = core_gather_scratch_create(sum, points);
       core_gather_visits visits = {0};
       core_gather_order(points, queries_in_use, queries, order);
       if (k == 0) {
@@ -319,9 +319,11 @@ UNIT_TEST(points_have_the_same_bits_however_their_building_is_cut) {
   core_gather_sum *sum;
   unit_assert_fault(core_gather_sum_prepare(&sum, core_isa_select(NULL), CHANNELS, made.list, 1e-2),
                     NULL, 0);
-  core_gather_scratch *scratch = core_gather_scratch_create(points);
+  core_gather_scratch *scratch = core_gather_scratch_create(sum, points);
   core_gather_visits visits[2] = {{0}, {0}};
   core_gather(sum, points, scratch, queries_in_use, NULL, queries, M, bound, &visits[0]);
+  core_gather_scratch_free(scratch);
+  scratch = core_gather_scratch_create(sum, other);
   core_gather(sum, other, scratch, queries_in_use, NULL, queries, reference, NULL, &visits[1]);
   assert_memory_equal(M, reference, CHANNELS * queries_in_use * sizeof *M);
   assert_memory_equal(&visits[0], &visits[1], sizeof visits[0]);
@@ -399,7 +401,7 @@ static double lattice(const core_profile *profile, size_t per_side, bool half, d
   core_gather_sum *sum;
   const core_profile *const list[1] = {profile};
   unit_assert_fault(core_gather_sum_prepare(&sum, core_isa_select(NULL), 1, list, 1e-6), NULL, 0);
-  core_gather_scratch *scratch = core_gather_scratch_create(points);
+  core_gather_scratch *scratch = core_gather_scratch_create(sum, points);
   core_gather_visits visits = {0};
   const double at[3] = {x_mm, 0, 0};
   double value;

@@ -150,7 +150,7 @@ typedef struct share {
 static void *gather_share(void *context) {
   share *own = context;
   const uint64_t start = own_ns();
-  core_gather_scratch *scratch = core_gather_scratch_create(own->of->points);
+  core_gather_scratch *scratch = core_gather_scratch_create(own->sum, own->of->points);
   for (size_t run = own->first; run < MILLION / RUN; run += own->stride) {
     core_gather(own->sum, own->of->points, scratch, RUN, own->queries->order + run * RUN,
                 own->queries->xyz, own->queries->M, NULL, &own->visits);
@@ -192,7 +192,7 @@ static double gather_some(const scene *of, const core_gather_sum *sum, const que
                           size_t count, double *M) {
   uint32_t some[COMPARED];
   core_gather_visits visits = {0, 0, 0, 0};
-  core_gather_scratch *scratch = core_gather_scratch_create(of->points);
+  core_gather_scratch *scratch = core_gather_scratch_create(sum, of->points);
   for (size_t i = 0; i < count; i++) {
     some[i] = (uint32_t)(i * (MILLION / COMPARED));
   }

@@ -362,7 +362,6 @@ static void print_gathered(const core_isa *isa) {
   core_gather_points *points = core_gather_points_create(POINTS, xyz, CHANNELS, power);
   while (!core_gather_points_build(points, 1000000)) {
   }
-  core_gather_scratch *scratch = core_gather_scratch_create(points);
   for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
     const core_medium media[CHANNELS] = {{0.17, 0.88, 0, 1.3}, {0.03, 7.4, 0.9, 1.4}};
     core_profile profiles[CHANNELS];
@@ -377,7 +376,9 @@ static void print_gathered(const core_isa *isa) {
       core_gather_sum *gather;
       core_gather_visits visits = {0};
       core_gather_sum_prepare(&gather, isa, CHANNELS, list, tolerance < 1e-5 ? 0 : tolerance);
+      core_gather_scratch *scratch = core_gather_scratch_create(gather, points);
       core_gather(gather, points, scratch, QUERIES, NULL, xyz, M, bound, &visits);
+      core_gather_scratch_free(scratch);
       sum = checksum(sum, M, sizeof M);
       sum = checksum(sum, bound, sizeof bound);
       for (size_t c = 0; c < CHANNELS; c++) {
@@ -391,7 +392,6 @@ static void print_gathered(const core_isa *isa) {
     }
     printf("gathered %s %016" PRIx64 "\n", evaluator->name, sum);
   }
-  core_gather_scratch_free(scratch);
   core_gather_points_free(points);
 }
 
