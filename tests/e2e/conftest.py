@@ -19,7 +19,10 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # The files that take longest. They begin first, so that parallel processes end at about the same
 # time.
-SLOWEST = ["same_bits", "retry", "robustness", "overload", "cli_plot_command", "mc", "parts", "balancer", "tls", "gather"]
+SLOWEST = [
+    *("balancer", "same_bits", "page", "retry", "cli_plot_command", "modbus_jobs", "tls", "robustness"),
+    *("figures", "gather", "mc", "fair_preparation", "overload"),
+]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
