@@ -276,7 +276,7 @@ static double isotropic_value(const struct row *row, const transport_solution *s
 /* The rows for g = 0 are within their bounds of the solver for isotropic scattering, Monte Carlo is
  * within its standard errors of all rows, and each medium has all of its rows. */
 UNIT_TEST(the_reference_table_holds) {
-  enum { MEDIUM_ROWS = 20, MEDIA_LEAST = 56 };
+  enum { MEDIUM_ROWS = 20, MEDIA_LEAST = 64 };
   char *text = unit_read_file("core/transport/reference.csv");
   assert_non_null(text);
   transport_boundary *boundary = NULL;
@@ -287,7 +287,7 @@ UNIT_TEST(the_reference_table_holds) {
   for (char *line; (line = strtok(NULL, "\n")) != NULL; rows++) {
     struct row row;
     assert_true(read_row(line, &row));
-    assert_true(row.value > 0 && row.bound > 0 && row.bound < 2e-3);
+    assert_true(row.value > 0 && row.bound > 0 && row.bound < (row.g < 0.95 ? 2e-3 : 6e-3));
     const double medium[] = {row.ratio, row.g, row.eta};
     assert_int_equal(memcmp(medium, before, sizeof medium) != 0, rows % MEDIUM_ROWS == 0);
     if (rows % MEDIUM_ROWS == 0 && row.g == 0) {
