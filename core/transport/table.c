@@ -304,7 +304,7 @@ static size_t band(double x, const double *limits, size_t count) {
   return i;
 }
 
-static const double albedo_limits[TRANSPORT_TABLE_BANDS_ALBEDO - 1] = {1.0 / 11, 0.5, 0.9};
+static const double albedo_limits[TRANSPORT_TABLE_BANDS_ALBEDO - 1] = {1.0 / 11, 0.5, 0.9, 0.999};
 
 size_t transport_table_albedo_band(double albedo) {
   return band(albedo, albedo_limits, TRANSPORT_TABLE_BANDS_ALBEDO - 1);
@@ -315,7 +315,7 @@ double transport_table_albedo_end(size_t band) {
 }
 
 size_t transport_table_region(double albedo, double g, double eta, double x) {
-  static const double g_limits[TRANSPORT_TABLE_BANDS_G - 1] = {0.6, 0.85};
+  static const double g_limits[TRANSPORT_TABLE_BANDS_G - 1] = {-0.25, 0.6, 0.85};
   static const double eta_limits[TRANSPORT_TABLE_BANDS_ETA - 1] = {1.5};
   static const double x_limits[TRANSPORT_TABLE_BANDS_X - 1] = {0.05, 1, 10, 20, 100};
   size_t region = band(g, g_limits, TRANSPORT_TABLE_BANDS_G - 1);

@@ -63,7 +63,9 @@
  * Their margin is TRANSPORT_TABLE_MARGIN_D.
  * With sigma_a up to sigma_s' and x from 0.05 to 20, nineteen of twenty errors that were found are
  * below 1.1e-4, and the largest is 8.8e-4. The largest are 1.5e-3 for smaller x, 2.6e-3 for larger
- * x, 2.1e-3 with sigma_a up to ten times sigma_s', and 3.8e-3 with more. Totals for g other than 0
+ * x, 2.1e-3 with sigma_a up to ten times sigma_s', and 3.8e-3 with more. Solutions for albedos near
+ * 1 and g below -0.25 are less exact far from the source: with sigma_a below 1e-3 sigma_s' errors of
+ * 6e-3 were found for x up to 20, and 1.4e-2 for larger x, both at eta 2.2. Totals for g other than 0
  * are within 7.4e-7 for the beam and 2.1e-6 for diffuse light.
  */
 #ifndef DIPOLED_CORE_TRANSPORT_TABLE_H
@@ -90,8 +92,8 @@ enum {
   TRANSPORT_TABLE_D_NEAR = 3,
   TRANSPORT_TABLE_TERMS_MAX = 96, /* largest number of terms in each direction */
   /* numbers of bands whose errors are stated, for g other than 0: see transport_table_region() */
-  TRANSPORT_TABLE_BANDS_G = 3,
-  TRANSPORT_TABLE_BANDS_ALBEDO = 4,
+  TRANSPORT_TABLE_BANDS_G = 4,
+  TRANSPORT_TABLE_BANDS_ALBEDO = 5,
   TRANSPORT_TABLE_BANDS_ETA = 2,
   TRANSPORT_TABLE_BANDS_X = 6,
   TRANSPORT_TABLE_REGIONS = TRANSPORT_TABLE_BANDS_G * TRANSPORT_TABLE_BANDS_ALBEDO *
@@ -277,8 +279,9 @@ void transport_table_edges(const double *field, bool of_difference, double kappa
                            double edge[TRANSPORT_TABLE_PANELS + 1]);
 
 /* Returns the region of the table's errors that a medium and a radius belong to: bands of g end at
- * 0.6 and 0.85, bands of the albedo at 1 / 11, 0.5 and 0.9 (sigma_a / sigma_s' = 10, 1, 0.11), of
- * eta at 1.5, of x at 0.05, 1, 10, 20 and 100. A number at the end of a band belongs to the next one. */
+ * -0.25, 0.6 and 0.85, bands of the albedo at 1 / 11, 0.5, 0.9 and 0.999 (sigma_a / sigma_s' = 10, 1,
+ * 0.11, 0.001), of eta at 1.5, of x at 0.05, 1, 10, 20 and 100. A number at the end of a band belongs
+ * to the next one. */
 size_t transport_table_albedo_band(double albedo);
 double transport_table_albedo_end(size_t band); /* the albedo at which a band ends */
 size_t transport_table_region(double albedo, double g, double eta, double x);

@@ -217,6 +217,192 @@ UNIT_TEST(smaller_values_are_within_what_is_stated_beyond_the_reach) {
   assert_true(excess.R > 0);
 }
 
+/* Where nearly nothing is absorbed, light leaves far away, and what is known of R there sets its scale
+ * everywhere. The table is least exact for g near -0.5 and a large eta. */
+UNIT_TEST(media_without_absorption_are_within_what_is_stated) {
+  static const double media[][2] = {{1.5e-6, -0.498}, {1e-4, -0.498}, {4.7e-6, -0.2866}};
+  const double etas[] = {1.45, 1.9, 2.195};
+  uint64_t random = unit_seed();
+  for (size_t m = 0; m < sizeof media / sizeof media[0]; m++) {
+    const struct excess excess =
+        compare_with_solver(media[m][0], media[m][1], etas, TRANSPORT_EFFORT_QUICK,
+                            (core_radii_range){0.02, 400}, 1e-12, &random);
+    assert_true(excess.R > 0);
+  }
+}
+
+/* ---- quantities against integrals of the solver's R --------------------------------------------- */
+
+/* The energy that leaves within some radii, per power that has entered, and its error: 2 pi r R of
+ * the solver by Gauss's rule with three nodes between them. */
+enum { WITHIN = 64 };
+struct within {
+  double r[WITHIN], energy[WITHIN], error[WITHIN];
+};
+
+/* Returns the integral of 2 pi r R J0(2 pi f r) from one radius to another, and adds the solver's
+ * error to *error. */
+static double between_radii(const transport_anisotropic *solution, double from, double to, double f,
+                            double *error) {
+  static const double node[] = {-0.77459666924148338, 0, 0.77459666924148338};
+  static const double weight[] = {5.0 / 18, 8.0 / 18, 5.0 / 18};
+  double sum = 0;
+  for (size_t i = 0; i < 3; i++) {
+    const double r = 0.5 * (from + to + (to - from) * node[i]);
+    const transport_number R = transport_anisotropic_at(solution, 0, r);
+    sum += weight[i] * (to - from) * 2 * PI * r * R.value * j0(2 * PI * f * r);
+    *error += weight[i] * (to - from) * 2 * PI * r * R.error;
+  }
+  return sum;
+}
+
+static void integrate(const transport_anisotropic *solution, struct within *within) {
+  *within = (struct within){.r = {0}};
+  for (size_t i = 1; i < WITHIN; i++) {
+    within->r[i] = 1e-3 * pow(1.2, (double)i);
+    within->error[i] = within->error[i - 1];
+    within->energy[i] = within->energy[i - 1] + between_radii(solution, within->r[i - 1],
+                                                              within->r[i], 0, &within->error[i]);
+  }
+}
+
+static void hold(const char *what, const core_profile *profile, double at, double value,
+                 double truth, double allowed, double *worst) {
+  if (!(fabs(value - truth) <= allowed)) {
+    fail_msg("%s at %g, evaluator %u: %.9g, not %.9g: off by %.2g, allowed %.2g", what, at,
+             profile->evaluator, value, truth, fabs(value - truth), allowed);
+  }
+  *worst = fmax(*worst, fabs(value - truth) / allowed);
+}
+
+/* The cdf, means over rings and radii for a given cdf. The quadrature is within 1e-5. */
+static void check_energies(const core_profile *profile, const struct within *within, double total,
+                           double *worst) {
+  const double precision = 1e-5;
+  for (size_t i = 1; i < WITHIN; i++) {
+    const double r = within->r[i], cdf = within->energy[i] / total;
+    const double unsure = within->error[i] / total + precision;
+    const double error = stated(profile, CORE_QUANTITY_CDF, r, r);
+    const double value = unit_value_at(profile, CORE_QUANTITY_CDF, r);
+    hold("the cdf", profile, r, value, cdf, error * cdf + unsure, worst);
+    const double ring = within->energy[i] - within->energy[i - 1];
+    const double before = unit_value_at(profile, CORE_QUANTITY_CDF, within->r[i - 1]);
+    const double rounding = profile->evaluator == CORE_EVALUATOR_F64 ? 1e-15 : 1e-6;
+    /* the error of a table's cdf is no smaller between near radii */
+    const double of = profile->evaluator == CORE_EVALUATOR_LUT ? within->energy[i] : ring;
+    hold("a ring's energy", profile, r, (value - before) * profile->albedo, ring,
+         (error + precision) * of + within->error[i] - within->error[i - 1] + rounding, worst);
+    if (cdf < 0.99) {
+      double u = cdf, back;
+      if (profile->evaluator == CORE_EVALUATOR_F64) {
+        core_sample_f64(profile, 1, &u, &back);
+      } else {
+        const float narrow_u = (float)u;
+        float narrow;
+        core_sample_f32(profile, 1, &narrow_u, &narrow);
+        back = (double)narrow;
+      }
+      /* in units of the cdf, whose slope is 2 pi r R / total */
+      const double slope = ring / total / (r - within->r[i - 1]);
+      hold("a sample's cdf", profile, r, cdf + slope * (back - r), cdf,
+           (error + rounding) * (cdf + slope * r) + unsure, worst);
+    }
+  }
+}
+
+/* The unpolarized transmittance for the cosine x outside. */
+static double entering(double eta, double x) {
+  const double square = 1 - (1 - x * x) / (eta * eta);
+  const double mu = sqrt(fmax(0, square)); /* 0: all light is reflected */
+  const double s = (x - eta * mu) / (x + eta * mu), p = (eta * x - mu) / (eta * x + mu);
+  return 1 - 0.5 * (s * s + p * p);
+}
+
+/* R, 2 pi r R, the pdf, ln R and S of light that enters and leaves at given angles. */
+static void check_densities(const core_profile *profile, const transport_anisotropic *solution,
+                            double eta, double total, double *worst) {
+  enum { COSINES = 20000 };
+  double norm = 0;
+  for (int i = 0; i < COSINES; i++) {
+    const double x = (i + 0.5) / COSINES;
+    norm += 2 * x * entering(eta, x) / COSINES;
+  }
+  const double factor = entering(eta, 0.8) * entering(eta, 0.9) / (PI * norm);
+  for (double r = 0.011; r < 20; r *= 1.6) {
+    const transport_number R = transport_anisotropic_at(solution, 0, r);
+    const double ring = 2 * PI * r * R.value, unsure = R.error / R.value + 1e-6;
+    const struct { const char *name; enum core_quantity quantity; double truth, scale; } of[] = {
+        {"R", CORE_QUANTITY_R, R.value, R.value},
+        {"2 pi r R", CORE_QUANTITY_RING, ring, ring},
+        {"the pdf", CORE_QUANTITY_PDF, ring / total, ring / total},
+        {"ln R", CORE_QUANTITY_LN_R, log(R.value), 1},
+        {"S", CORE_QUANTITY_S, factor * R.value, factor * R.value},
+    };
+    for (size_t i = 0; i < sizeof of / sizeof of[0] && R.value > 1e-10; i++) {
+      const double error = stated(profile, of[i].quantity, r, r);
+      hold(of[i].name, profile, r, unit_value_at(profile, of[i].quantity, r), of[i].truth,
+           (error + unsure) * of[i].scale, worst);
+    }
+  }
+}
+
+/* The reflectance for stripes: the integral of 2 pi r R J0(2 pi f r). */
+static void check_transform(const core_profile *profile, const transport_anisotropic *solution,
+                            double total, double *worst) {
+  static const double frequencies[] = {0.003, 0.03, 0.1, 0.4};
+  for (size_t i = 0; i < sizeof frequencies / sizeof frequencies[0]; i++) {
+    const double f = frequencies[i];
+    double unsure = 2e-5 * total, sum = 0, from = 0;
+    for (double to = 1e-3; from < 60; to = fmin(1.2 * to, to + 0.3 / f)) {
+      sum += between_radii(solution, from, to, f, &unsure);
+      from = to;
+    }
+    const double error = stated(profile, CORE_QUANTITY_TRANSFER, f, f);
+    hold("R(f)", profile, f, unit_value_at(profile, CORE_QUANTITY_TRANSFER, f), sum,
+         error * total + unsure, worst);
+  }
+}
+
+UNIT_TEST(quantities_are_integrals_of_the_solvers_R) {
+  static const double media[][3] = {{0.1, 0.9, 1.4}, {2, -0.4, 0.8}};
+  for (size_t m = 0; m < sizeof media / sizeof media[0]; m++) {
+    const double ratio = media[m][0], g = media[m][1], eta = media[m][2];
+    const transport_phase phase = {g, 0, NULL};
+    const core_medium medium = medium_of(ratio, g, eta);
+    core_parameters parameters = core_parameters_none();
+    transport_anisotropic *solution;
+    transport_totals totals;
+    struct within within;
+    double worst = 0;
+    unit_assert_fault(transport_anisotropic_solve(&solution, core_isa_select(NULL), ratio, &phase,
+                                                  &eta, 1, TRANSPORT_EFFORT_NORMAL),
+                      NULL, 0);
+    unit_assert_fault(
+        transport_anisotropic_totals(&totals, core_isa_select(NULL), ratio, &phase, &eta, 1), NULL,
+        0);
+    const double total = totals.normal.value;
+    integrate(solution, &within);
+    assert_true(within.r[WITHIN - 1] > 90);
+    hold("all energy", &(core_profile){.evaluator = 0}, within.r[WITHIN - 1],
+         within.energy[WITHIN - 1], total, within.error[WITHIN - 1] + 1e-5 * total, &worst);
+    parameters.value[CORE_PARAMETER_COS_IN] = 0.8;
+    parameters.value[CORE_PARAMETER_COS_OUT] = 0.9;
+    for (size_t i = 0; i < sizeof evaluators / sizeof evaluators[0]; i++) {
+      core_profile profile;
+      unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
+                                             CORE_MOMENTS_EXACT, evaluators[i], &medium,
+                                             &parameters),
+                        NULL, 0);
+      check_energies(&profile, &within, total, &worst);
+      check_densities(&profile, solution, eta, total, &worst);
+      check_transform(&profile, solution, total, &worst);
+      core_profile_free(&profile);
+    }
+    printf("sigma_a / sigma_s' %g, g %g, eta %g: %.2f of what is allowed\n", ratio, g, eta, worst);
+    transport_anisotropic_free(solution);
+  }
+}
+
 /* ---- quantities and evaluators ----------------------------------------------------------------- */
 
 static core_medium random_medium(uint64_t *random) {

@@ -294,6 +294,10 @@ UNIT_TEST(the_table_says_what_it_covers) {
         assert_true(all <= 7.9001e-3);
         assert_true(albedo < 0.5 ||
                     transport_table_error(table, albedo, g, eta, 0.05, 20) <= 2.0001e-3);
+        const double bright = transport_table_error(table, 1 - 1e-6, g, eta, 0, (double)INFINITY);
+        assert_true(bright <= (g < -0.25 ? 3.0001e-2 : 7.9001e-3));
+        assert_true(transport_table_error(table, 1 - 1e-6, g, eta, 0.05, 20) <=
+                    (g < -0.25 ? 1.3001e-2 : 2.0001e-3));
       }
     }
   }

@@ -114,7 +114,8 @@ static void checks_make(const double *field, table_sample samples[CHECKS]) {
  * equal, this one. Its values are computed with the finest grids, so that their distance from the
  * table includes the error of the solutions that the table is made from. The first ranges are the
  * bands of transport_table_region(). Then, because bands are wide, g below 0, the smallest albedos
- * of the second band, and places where the series converge slowly. */
+ * of the second band, places where the series converge slowly, and the largest albedos, where solutions
+ * are least exact. */
 static const struct {
   double g[2];
   double albedo[2];
@@ -156,7 +157,12 @@ static const struct {
                    {{0.1, 0.4}, {0.5, 0.9}},
                    {{0.1, 0.4}, {0.9, 0.99999}},
                    {{0.82, 0.85}, {1.0 / 11, 0.5}},
-                   {{0.82, 0.85}, {0.9, 0.99999}}};
+                   {{0.82, 0.85}, {0.9, 0.99999}},
+                   {{-0.5, -0.45}, {0.999998, 0.999999}},
+                   {{-0.5, -0.25}, {0.999, 0.9999}},
+                   {{-0.25, 0.6}, {0.999, 0.999998}},
+                   {{0.6, 0.85}, {0.999, 0.999998}},
+                   {{0.85, 0.95}, {0.999, 0.999998}}};
 
 /* Besides, media halfway between the points of u, where the series are furthest off, with a g that
  * is far from the table's. */

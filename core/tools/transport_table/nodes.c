@@ -454,7 +454,7 @@ static void move_to_chebyshev(const double *field, size_t lines, size_t stride, 
 static void put_differences(table_bytes *writer, const transport_table *isotropic,
                             const table_sample samples[NODES_D], enum transport_table_side side) {
   /* further terms are nothing but the solver's noise, which would put kinks into profiles */
-  static const size_t keep[PANELS] = {10, 16, 14, 10};
+  static const size_t keep[PANELS] = {10, 16, 14, 6};
   const size_t first = side == TRANSPORT_TABLE_BELOW_1 ? 0 : NODES_D_BELOW_1;
   const size_t nv = side == TRANSPORT_TABLE_BELOW_1 ? NODES_D_BELOW_1 : NODES_D_FROM_1;
   const size_t size = NODES_D_X * NODES_D_G * DIFFERENCE_U * nv;
