@@ -159,6 +159,9 @@ $(OBJ)/core/radii.o: override CFLAGS := $(CFLAGS) -O3 -fopenmp-simd -falign-loop
 # The hash of large sets of points, at the speed of libraries.
 $(OBJ)/proto/digest.o: override CFLAGS := $(CFLAGS) -O3 -funroll-loops
 
+# What writes and reads the numbers of JSON and CSV.
+$(addprefix $(OBJ)/,proto/decimal.o $(addprefix server/http/,answer.o connection.o question.o text.o values.o)): override CFLAGS := $(CFLAGS) -O3
+
 # core/models/NAME.ISA.fREAL.o
 define kernel_rule
 $(OBJ)/core/models/%.$(1).f$(2).o: core/models/%.c Makefile
