@@ -77,6 +77,7 @@ struct run {
   dipole_client *client;
   const dipole_gather_query *query;
   double *M;
+  uint32_t *order; /* in which queries are asked for; NULL: as they come */
   dipole_gather_result *result;
   uint64_t asked;    /* queries of the requests that have been sent */
   uint64_t answered; /* queries of the requests that are answered */
@@ -190,6 +191,11 @@ static uint64_t next_queries(const struct run *run) {
   return left < most ? left : most;
 }
 
+/* Returns which query is asked for at a position. */
+static uint64_t place(const struct run *run, uint64_t position) {
+  return run->order != NULL ? run->order[position] : position;
+}
+
 static bool ask(struct run *run, dipole_error *error) {
   const dipole_gather_query *query = run->query;
   const dipole_points *points = query->points;
@@ -223,8 +229,10 @@ static bool ask(struct run *run, dipole_error *error) {
     at = libdipole_medium_put(at, &query->media[i]);
   }
   at = libdipole_parameters_put(at, query->parameters, query->parameter_count);
-  if (n > 0) {
-    memcpy(at, query->queries_mm + run->asked * GATHER_AXES, (size_t)n * GATHER_AXES * 8);
+  enum { QUERY_BYTES = GATHER_AXES * sizeof(double) };
+  for (uint64_t i = 0; i < n; i++) {
+    memcpy(at + i * QUERY_BYTES, query->queries_mm + place(run, run->asked + i) * GATHER_AXES,
+           QUERY_BYTES);
   }
   run->asked += n;
   run->ids[run->under_way] = pending.id;
@@ -259,9 +267,10 @@ static void take_sums(struct run *run, const libdipole_frame *frame, uint64_t n)
   dipole_gather_result *result = run->result;
   wire_gather_reply fixed;
   wire_get_gather_reply(frame->payload, &fixed);
-  if (n > 0) {
-    memcpy(run->M + run->answered * channels, frame->payload + gather_sums_offset(channels),
-           (size_t)(n * channels) * sizeof(double));
+  const size_t row_bytes = channels * sizeof(double);
+  for (uint64_t i = 0; i < n; i++) {
+    memcpy(run->M + place(run, run->answered + i) * channels,
+           frame->payload + gather_sums_offset(channels) + i * row_bytes, row_bytes);
   }
   for (uint32_t i = 0; i < channels; i++) {
     wire_channel channel;
@@ -378,6 +387,21 @@ static bool check(const dipole_gather_query *query, dipole_error *error) {
          libdipole_parameters_check(query->parameters, query->parameter_count, error);
 }
 
+/* Where there are several requests, neighbours are put into one, because the daemon shares between
+ * them what it finds. Bad queries, which the daemon names by their index, stay where they are. */
+static void set_order(struct run *run) {
+  const dipole_gather_query *query = run->query;
+  const uint64_t n = query->query_count;
+  if (n <= PART_QUERIES || n > UINT32_MAX || query->tolerance <= 0 ||
+      core_gather_check_queries((size_t)n, query->queries_mm).field != NULL) {
+    return;
+  }
+  run->order = malloc((size_t)n * sizeof *run->order);
+  if (run->order != NULL) {
+    core_gather_order(NULL, (size_t)n, query->queries_mm, run->order);
+  }
+}
+
 bool dipole_gather(dipole_client *client, const dipole_gather_query *query,
                    bool (*progress)(void *context, uint64_t answered, uint64_t count),
                    void *context, double *M_W_per_mm2, dipole_gather_result *result,
@@ -396,13 +420,16 @@ bool dipole_gather(dipole_client *client, const dipole_gather_query *query,
       .result = result,
       .until_ms = query->deadline_ms > 0 ? libdipole_now_ms() + query->deadline_ms : 0,
   };
+  set_order(&run);
   const bool good = gather(&run, progress, context, error);
   drop_all(&run);
   const uint32_t channels = query->points->public.channel_count;
-  for (uint64_t i = good ? run.answered * channels : UINT64_MAX; i < query->query_count * channels;
-       i++) {
-    M_W_per_mm2[i] = (double)NAN;
+  for (uint64_t i = good ? run.answered : UINT64_MAX; i < query->query_count; i++) {
+    for (uint32_t c = 0; c < channels; c++) {
+      M_W_per_mm2[place(&run, i) * channels + c] = (double)NAN;
+    }
   }
+  free(run.order);
   return good;
 }
 

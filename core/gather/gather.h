@@ -115,7 +115,7 @@ void core_gather_scratch_free(core_gather_scratch *scratch);
 size_t core_gather_scratch_bytes(void);
 
 /* Sets order[n] to an order of queries that core_gather_check_queries() accepts in which neighbours
- * follow each other. Queries that are gathered in this order take a fraction of the time, because
+ * follow each other: that of the points' tree, or of the cube around the queries if points is NULL. Queries that are gathered in this order take a fraction of the time, because
  * those in one cell share a list of nodes; their values are the same in any order. */
 void core_gather_order(const core_gather_points *points, size_t n, const double *xyz,
                        uint32_t *order);

@@ -851,13 +851,30 @@ static int compare_keyed(const void *a, const void *b) {
                                 : (one->index > other->index) - (one->index < other->index);
 }
 
+static void cube_around(size_t n, const double *xyz, double corner[3], double *edge_mm) {
+  double most[3];
+  memcpy(corner, xyz, sizeof most);
+  memcpy(most, xyz, sizeof most);
+  for (size_t i = 0; i < 3 * n; i++) {
+    corner[i % 3] = fmin(corner[i % 3], xyz[i]);
+    most[i % 3] = fmax(most[i % 3], xyz[i]);
+  }
+  *edge_mm = fmax(fmax(most[0] - corner[0], most[1] - corner[1]), most[2] - corner[2]);
+}
+
 void core_gather_order(const core_gather_points *points, size_t n, const double *xyz,
                        uint32_t *order) {
-  const gather_node *root = points->nodes;
-  const double per_mm = keys_per_mm(root->edge_mm);
+  double corner[3] = {0}, edge_mm = 0;
+  if (points != NULL) {
+    memcpy(corner, points->nodes->corner, sizeof corner);
+    edge_mm = points->nodes->edge_mm;
+  } else if (n > 0) {
+    cube_around(n, xyz, corner, &edge_mm);
+  }
+  const double per_mm = keys_per_mm(edge_mm);
   keyed *sorted = malloc(n * sizeof *sorted);
   for (size_t i = 0; i < n && sorted != NULL; i++) {
-    sorted[i] = (keyed){morton(xyz + 3 * i, root->corner, per_mm), (uint32_t)i};
+    sorted[i] = (keyed){morton(xyz + 3 * i, corner, per_mm), (uint32_t)i};
   }
   if (sorted != NULL) {
     qsort(sorted, n, sizeof *sorted, compare_keyed);

@@ -9,7 +9,7 @@
 #include "core/gather/gather.h"
 
 /* Nodes of so many points or fewer have no children. */
-enum { GATHER_LEAF = 16 };
+enum { GATHER_LEAF = 24 };
 
 typedef struct gather_node {
   double corner[3]; /* the least corner of the cube whose octants its children are in */

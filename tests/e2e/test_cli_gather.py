@@ -103,6 +103,22 @@ def test_files_of_points(shared, tmp_path, queries, expected, kind):
         assert np.array_equal(found, expected)
 
 
+def test_queries_of_several_requests_keep_their_places(shared, tmp_path):
+    """Both libraries ask for neighbours together; each value is that of its query asked alone."""
+    places = RNG.uniform(-5, 5, (40_000, 3))
+    points = write_csv(tmp_path / "points.csv", names(1), [XYZ, POWER[:, :1]])
+    asked = write_csv(tmp_path / "queries.csv", ["x", "y", "z"], [places])
+    ended = gather(shared, points, asked, *MEDIUM, *BETTER, "--tolerance", "1e-3")
+    assert ended.returncode == 0, ended.stderr
+    with shared.client() as client:
+        call = ["better", [SKIN], Points(XYZ, POWER[:, :1])]
+        settings = {"evaluator": "f64", "tolerance": 1e-3}
+        whole = client.gather(*call, places, **settings).M
+        part = client.gather(*call, places[30_000:30_500], **settings).M
+    assert np.array_equal(whole[30_000:30_500], part)
+    assert np.array_equal(columns_of(ended.stdout, 1), whole)
+
+
 def test_ply_with_colours(shared, tmp_path, queries, expected):
     points = write_csv(tmp_path / "p.csv", names(3), [XYZ, POWER])
     out = tmp_path / "M.ply"

@@ -382,7 +382,6 @@ def test_cancel(shared):
         found = client.gather("better", [SKIN], points, queries, progress=lambda done, of: False)
         answered = np.count_nonzero(~np.isnan(found.M))
         assert 0 < answered <= gathering.OUTSTANDING * 16384
-        assert not np.any(np.isnan(found.M[:answered]))
         client.ping()
 
 
