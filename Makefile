@@ -411,7 +411,7 @@ check-tsan:
 # With sanitizers, clang cannot vectorize each loop that is marked for it.
 BUILD_FUZZ = $(MAKE) --no-print-directory -j2 BUILD=build-fuzz CC=clang CFLAGS='-O1 -g -Wno-pass-failed' SANITIZE='-fsanitize=fuzzer-no-link -fsanitize=address,undefined -fno-sanitize-recover=all' build-fuzz/fuzz
 # The corpus, and so many seconds of other inputs for each target, at most.
-check-fuzz: FUZZ_S = 2
+check-fuzz: FUZZ_S = 4
 check-fuzz-long: FUZZ_S = 5
 check-fuzz check-fuzz-long:
 	@if ! command -v clang >/dev/null; then echo "fuzz: everything was skipped: there is no clang"; exit 0; fi; \
@@ -430,7 +430,7 @@ fuzz-merge:
 SECONDS ?=
 SEED ?=
 # A fixed seed. The long form has as many rounds as each class needs.
-check-truth: ROUNDS = 8
+check-truth: ROUNDS = 14
 check-truth-long: ROUNDS = 20
 check-truth check-truth-long: $(BUILD)/tests/accuracy/truth
 	@$(BUILD)/tests/accuracy/truth --rounds $(ROUNDS) --seed 1
