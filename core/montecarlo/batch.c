@@ -76,11 +76,22 @@ static double exit_r_squared(const walk_lanes *lanes, size_t lane) {
   return x * x + y * y;
 }
 
+/* Whether rings count the light of this photon. */
+static bool is_seen(const core_mc_batch *batch, size_t lane) {
+  const core_mc_request *request = &batch->plan->request;
+  const double ux = batch->lanes.ux[lane], uy = batch->lanes.uy[lane];
+  const double sine2 = request->eta * request->eta * (ux * ux + uy * uy);
+  return request->aperture == 0 || sine2 <= request->aperture * request->aperture;
+}
+
 static void score_exit(core_mc_batch *batch, size_t lane, size_t side) {
   const core_mc_plan *plan = batch->plan;
   const uint32_t collisions = batch->lanes.collisions[lane];
   const struct ended ended = end_of(batch, collisions, mc_stage_of(plan, collisions));
   put_down(&ended, (enum mc_row)side, 1);
+  if (!is_seen(batch, lane)) {
+    return;
+  }
   const size_t slot = mc_slot_of(plan, exit_r_squared(&batch->lanes, lane));
   double *row = batch->tally + mc_slot_row(plan, side, slot) * plan->albedos;
   for (size_t k = 0; k < plan->albedos; k++) {

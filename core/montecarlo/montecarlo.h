@@ -93,6 +93,9 @@ typedef struct core_mc_request {
   unsigned phase;
   double phase_share; /* CORE_MC_SHARE_MIN to 1; 0 for Henyey and Greenstein's function */
   double phase_g;     /* of two terms: -CORE_MC_G_MAX to CORE_MC_G_MAX; 0 for the others */
+  /* Rings count the light alone that leaves at an angle to the normal outside whose sine is at most
+   * this: 0 to 1, 0 for light of all angles. Energies count all light. */
+  double aperture;
 } core_mc_request;
 
 /* Sets sigma_t, g, eta and one albedo of the request from a medium that core_medium_check() accepts
@@ -110,7 +113,7 @@ double core_mc_first_g(const core_mc_request *request);
 
 /* Returns the first fault of the request. Its field is one of sigma_t, g, phase, phase_share,
  * phase_g, eta, thickness, albedo_count, albedo (with its index), radius_spacing, radius_count,
- * radius_start, radius_stop, roulette_weight, scatterings_max. */
+ * radius_start, radius_stop, roulette_weight, scatterings_max, aperture. */
 core_fault core_mc_check(const core_mc_request *request);
 
 /* The data that all batches of a request share. */

@@ -176,6 +176,9 @@ core_fault core_mc_check(const core_mc_request *request) {
       !in_range(request->roulette_weight, CORE_MC_ROULETTE_WEIGHT_MIN, 1)) {
     return (core_fault){"roulette_weight", "1e-6 to 1, or 0 for the default", 0};
   }
+  if (!in_range(request->aperture, 0, 1)) {
+    return (core_fault){"aperture", "0 to 1", 0};
+  }
   if (request->scatterings_max != 0 &&
       (request->scatterings_max < 2 || request->scatterings_max > CORE_MC_SCATTERINGS_MAX)) {
     return (core_fault){"scatterings_max", "2 to 2^30, or 0 for the default", 0};

@@ -17,7 +17,8 @@
  *   far = (2 pi a)^2 int_0^pi/2 T(mu) mu dtheta int_theta^pi p(cos t) p(-cos(t - theta)) dt,
  *
  * mu = cos(theta), theta the angle at which the light leaves, t the angle by which it is deflected
- * first.
+ * first. The light that leaves within a cone of angles has an X of its own, whose integral over theta
+ * ends at the cone's edge.
  */
 #include "core/transport/anisotropic.h"
 
@@ -45,7 +46,8 @@ enum {
   NODES_MAX = 16,
   PANELS_MAX = 40,
   GRIDS = 2,
-  FIT_POINTS_MAX = 3 * NODES_MAX
+  FIT_POINTS_MAX = 3 * NODES_MAX,
+  PARTS_MAX = TRANSPORT_ANISOTROPIC_ETAS_MAX * (1 + TRANSPORT_ANISOTROPIC_CONES_MAX),
 };
 
 /* Up to the wavenumber k_most, two expansions are averaged: with `orders` and with `orders` + 1,
@@ -221,12 +223,14 @@ static double second_deflections(const transport_phase *phase, const gauss_rule 
   return sum;
 }
 
-static double far_of(const struct scaled *scaled, const transport_phase *phase, double eta) {
+/* edge: the sine of the cone's edge outside, 1 for light of all angles. */
+static double far_of(const struct scaled *scaled, const transport_phase *phase, double eta,
+                     double edge) {
   enum { ANGLES = 40, DEFLECTIONS = 12 };
   gauss_rule angles, deflections;
   transport_gauss(&angles, ANGLES);
   transport_gauss(&deflections, DEFLECTIONS);
-  const double most = eta > 1 ? arcsine(1 / eta) : 0.5 * FN_PI;
+  const double most = edge < eta ? arcsine(edge / eta) : 0.5 * FN_PI;
   double sum = 0;
   for (size_t i = 0; i < angles.n; i++) {
     const double v = angles.x[i];
@@ -246,7 +250,7 @@ struct panel {
   double begin, end;
 };
 
-/* What is known of X for one boundary: a Chebyshev series in s on each panel, and the tail beyond
+/* What is known of X for one boundary and the light of all angles or of one cone: a Chebyshev series in s on each panel, and the tail beyond
  * K. */
 struct exitance {
   double complex term[PANELS_MAX][NODES_MAX];
@@ -260,13 +264,34 @@ struct grid {
   double shift; /* c */
   size_t panels;
   struct panel panel[PANELS_MAX];
-  struct exitance *exitance; /* one for each boundary */
+  struct exitance *exitance; /* one for each boundary, then one for each boundary and cone */
 };
+
+/* The boundaries and cones of a solution. */
+struct boundaries {
+  size_t count;
+  const double *etas;
+  size_t cones;
+  const double *sines;
+};
+
+/* Returns how many X there are. X number i is of the boundary i % count, and of light of all angles
+ * for i < count, else of the cone i / count - 1. */
+static size_t parts_of(const struct boundaries *of) {
+  return of->count * (1 + of->cones);
+}
+
+/* Returns the sine of the largest angle outside. */
+static double sine_of(const struct boundaries *of, size_t part) {
+  return part < of->count ? 1
+                          : of->sines[part / of->count - 1] * fmin(of->etas[part % of->count], 1);
+}
 
 struct transport_anisotropic {
   size_t count;
+  size_t parts;
   size_t grids;        /* number of grids that were solved, 1 or GRIDS */
-  single_rule *single; /* one for each boundary, with the phase function in its weights */
+  single_rule *single; /* one for each part, with the phase function in its weights */
   struct grid grid[GRIDS];
 };
 
@@ -373,8 +398,8 @@ static double complex tail_at(const struct exitance *at, double complex k) {
 }
 
 /* Solves the wavenumbers of the nodes from *next on that belong to one tier. values:
- * [boundary][node of all panels]. Returns false if memory runs out or an equation is singular. */
-static bool solve_tier(struct grid *of, const struct tier *tier, const double *etas, size_t count,
+ * [part][node of all panels]. Returns false if memory runs out or an equation is singular. */
+static bool solve_tier(struct grid *of, const struct tier *tier, const struct boundaries *by,
                        double complex **values, size_t *next) {
   const size_t nodes = of->rules->nodes;
   const double last = of->rules->tier[TIERS - 1].k_most;
@@ -383,7 +408,8 @@ static bool solve_tier(struct grid *of, const struct tier *tier, const double *e
   for (size_t i = 0; i < 2 && ok; i++) {
     halfspace_rules at = tier->rules;
     at.orders += i;
-    expansion[i] = transport_halfspace_new(of->isa, &at, &of->scaled.medium, etas, count);
+    expansion[i] = transport_halfspace_new(of->isa, &at, &of->scaled.medium, by->etas, by->count,
+                                           by->sines, by->cones);
     ok = expansion[i] != NULL;
   }
   for (; *next < of->panels * nodes && ok; ++*next) {
@@ -394,8 +420,11 @@ static bool solve_tier(struct grid *of, const struct tier *tier, const double *e
     for (size_t i = 0; i < 2 && ok; i++) {
       halfspace_exitance exitance[TRANSPORT_ANISOTROPIC_ETAS_MAX];
       ok = transport_halfspace_solve(expansion[i], CMPLX(s, of->shift), of->scaled.kappa, exitance);
-      for (size_t eta = 0; eta < count && ok; eta++) {
+      for (size_t eta = 0; eta < by->count && ok; eta++) {
         values[eta][*next] += 0.5 * (exitance[eta].all - exitance[eta].single);
+        for (size_t cone = 0; cone < by->cones; cone++) {
+          values[(cone + 1) * by->count + eta][*next] += 0.5 * exitance[eta].cone[cone];
+        }
       }
     }
   }
@@ -405,31 +434,33 @@ static bool solve_tier(struct grid *of, const struct tier *tier, const double *e
 }
 
 static bool solve_grid(struct grid *to, const core_isa *isa, const struct grid_rules *by,
-                       double ratio, const transport_phase *phase, const double *etas,
-                       size_t count) {
+                       double ratio, const transport_phase *phase,
+                       const struct boundaries *boundaries) {
+  const size_t parts = parts_of(boundaries);
   to->isa = isa;
   to->rules = by;
   truncate_phase(&to->scaled, ratio, phase, by->moment_least, by->moments_most);
   to->shift = by->shift * to->scaled.kappa;
   place_panels(to);
-  to->exitance = calloc(count, sizeof *to->exitance);
-  double complex *values[TRANSPORT_ANISOTROPIC_ETAS_MAX];
+  to->exitance = calloc(parts, sizeof *to->exitance);
+  double complex *values[PARTS_MAX];
   const size_t nodes = to->panels * by->nodes;
-  values[0] = calloc(nodes * count, sizeof **values);
+  values[0] = calloc(nodes * parts, sizeof **values);
   bool ok = to->exitance != NULL && values[0] != NULL;
-  for (size_t eta = 1; eta < count; eta++) {
-    values[eta] = values[0] + eta * nodes;
+  for (size_t part = 1; part < parts; part++) {
+    values[part] = values[0] + part * nodes;
   }
   size_t next = 0;
   for (size_t tier = 0; tier < TIERS && ok; tier++) {
-    ok = solve_tier(to, &by->tier[tier], etas, count, values, &next);
+    ok = solve_tier(to, &by->tier[tier], boundaries, values, &next);
   }
-  for (size_t eta = 0; eta < count && ok; eta++) {
-    struct exitance *at = &to->exitance[eta];
-    at->far = far_of(&to->scaled, phase, etas[eta]);
-    ok = fit_tail(to, at, values[eta]);
+  for (size_t part = 0; part < parts && ok; part++) {
+    struct exitance *at = &to->exitance[part];
+    at->far = far_of(&to->scaled, phase, boundaries->etas[part % boundaries->count],
+                     sine_of(boundaries, part));
+    ok = fit_tail(to, at, values[part]);
     for (size_t panel = 0; panel < to->panels; panel++) {
-      memcpy(at->term[panel], values[eta] + panel * by->nodes, by->nodes * sizeof **values);
+      memcpy(at->term[panel], values[part] + panel * by->nodes, by->nodes * sizeof **values);
       find_terms(to, at->term[panel]);
     }
   }
@@ -474,10 +505,10 @@ static core_fault check(double ratio, const transport_phase *phase, const double
 }
 
 static core_fault solve(transport_anisotropic **solution, const core_isa *isa, double sigma_a_ratio,
-                        const transport_phase *phase, const double *etas, size_t count,
+                        const transport_phase *phase, const struct boundaries *boundaries,
                         transport_effort effort, size_t grids) {
   *solution = NULL;
-  const core_fault fault = check(sigma_a_ratio, phase, etas, count);
+  const core_fault fault = check(sigma_a_ratio, phase, boundaries->etas, boundaries->count);
   if (fault.field != NULL) {
     return fault;
   }
@@ -485,16 +516,18 @@ static core_fault solve(transport_anisotropic **solution, const core_isa *isa, d
   if (made == NULL) {
     return memory_fault;
   }
-  made->count = count;
+  made->count = boundaries->count;
+  made->parts = parts_of(boundaries);
   made->grids = grids;
-  made->single = malloc(count * sizeof *made->single);
+  made->single = malloc(made->parts * sizeof *made->single);
   bool ok = made->single != NULL;
-  for (size_t i = 0; i < count && ok; i++) {
-    transport_single_rule(&made->single[i], etas[i], SINGLE_STEP);
+  for (size_t i = 0; i < made->parts && ok; i++) {
+    transport_single_rule(&made->single[i], boundaries->etas[i % made->count],
+                          sine_of(boundaries, i), SINGLE_STEP);
     weigh_single(&made->single[i], phase);
   }
   for (size_t i = 0; i < grids && ok; i++) {
-    ok = solve_grid(&made->grid[i], isa, &rules[effort + 1 - i], sigma_a_ratio, phase, etas, count);
+    ok = solve_grid(&made->grid[i], isa, &rules[effort + 1 - i], sigma_a_ratio, phase, boundaries);
   }
   if (!ok) {
     transport_anisotropic_free(made);
@@ -507,14 +540,33 @@ static core_fault solve(transport_anisotropic **solution, const core_isa *isa, d
 core_fault transport_anisotropic_solve(transport_anisotropic **solution, const core_isa *isa,
                                        double sigma_a_ratio, const transport_phase *phase,
                                        const double *etas, size_t count, transport_effort effort) {
-  return solve(solution, isa, sigma_a_ratio, phase, etas, count, effort, GRIDS);
+  const struct boundaries boundaries = {.count = count, .etas = etas};
+  return solve(solution, isa, sigma_a_ratio, phase, &boundaries, effort, GRIDS);
 }
 
 core_fault transport_anisotropic_solve_once(transport_anisotropic **solution, const core_isa *isa,
                                             double sigma_a_ratio, const transport_phase *phase,
                                             const double *etas, size_t count,
                                             transport_effort effort) {
-  return solve(solution, isa, sigma_a_ratio, phase, etas, count, effort, 1);
+  const struct boundaries boundaries = {.count = count, .etas = etas};
+  return solve(solution, isa, sigma_a_ratio, phase, &boundaries, effort, 1);
+}
+
+core_fault transport_anisotropic_solve_cones(transport_anisotropic **solution, const core_isa *isa,
+                                             double sigma_a_ratio, const transport_phase *phase,
+                                             const double *etas, size_t count, const double *sines,
+                                             size_t cones, transport_effort effort, bool once) {
+  *solution = NULL;
+  if (cones > TRANSPORT_ANISOTROPIC_CONES_MAX) {
+    return (core_fault){"sine", "0 to 8 of them", 0};
+  }
+  for (size_t i = 0; i < cones; i++) {
+    if (!(sines[i] > 0 && sines[i] <= 1)) {
+      return (core_fault){"sine", "above 0, up to 1", i};
+    }
+  }
+  const struct boundaries boundaries = {count, etas, cones, sines};
+  return solve(solution, isa, sigma_a_ratio, phase, &boundaries, effort, once ? 1 : GRIDS);
 }
 
 void transport_anisotropic_free(transport_anisotropic *solution) {
@@ -635,6 +687,18 @@ transport_number transport_anisotropic_at(const transport_anisotropic *solution,
   return (transport_number){value, error * value};
 }
 
+transport_number transport_anisotropic_share_at(const transport_anisotropic *solution, size_t eta,
+                                                size_t cone, double r) {
+  const size_t part = solution->count * (1 + cone) + eta;
+  assert(eta < solution->count && part < solution->parts && r > 0 && r < (double)INFINITY);
+  double share[GRIDS] = {(double)NAN, (double)NAN};
+  for (size_t i = 0; i < solution->grids; i++) {
+    const struct grid *grid = &solution->grid[i];
+    share[i] = value_at(solution, grid, part, r) / value_at(solution, grid, eta, r);
+  }
+  return (transport_number){share[0], fabs(share[0] - share[1])};
+}
+
 /* ---- totals --------------------------------------------------------------------------------- */
 
 /* Moments of light that is scattered once are left out below this. */
@@ -682,7 +746,8 @@ core_fault transport_anisotropic_totals(transport_totals *totals, const core_isa
   for (size_t i = 0; i < GRIDS; i++) {
     struct scaled scaled;
     truncate_phase(&scaled, sigma_a_ratio, phase, by[i].moment_least, by[i].moments_most);
-    halfspace *expansion = transport_halfspace_new(isa, &by[i].rules, &scaled.medium, etas, count);
+    halfspace *expansion =
+        transport_halfspace_new(isa, &by[i].rules, &scaled.medium, etas, count, NULL, 0);
     halfspace_exitance exitance[TRANSPORT_ANISOTROPIC_ETAS_MAX];
     double single[TRANSPORT_ANISOTROPIC_ETAS_MAX];
     const bool ok = expansion != NULL &&
@@ -694,7 +759,7 @@ core_fault transport_anisotropic_totals(transport_totals *totals, const core_isa
     }
     for (size_t eta = 0; eta < count; eta++) {
       single_rule rule;
-      transport_single_rule(&rule, etas[eta], SINGLE_STEP);
+      transport_single_rule(&rule, etas[eta], 1, SINGLE_STEP);
       weigh_single(&rule, phase);
       enter(&totals[eta].normal, i,
             creal(exitance[eta].all - exitance[eta].single) +

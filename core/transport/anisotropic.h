@@ -28,7 +28,11 @@ typedef struct transport_phase {
   const double *moment;
 } transport_phase;
 
-enum { TRANSPORT_PHASE_MOMENTS_MAX = 4096, TRANSPORT_ANISOTROPIC_ETAS_MAX = 32 };
+enum {
+  TRANSPORT_PHASE_MOMENTS_MAX = 4096,
+  TRANSPORT_ANISOTROPIC_ETAS_MAX = 32,
+  TRANSPORT_ANISOTROPIC_CONES_MAX = 8
+};
 
 /* How finely a solution is computed, with the relative error of R that was found from 0.01 to 20
  * reduced mean free paths, for sigma_a up to sigma_s (1 - g) and eta up to 2.2. The larger numbers
@@ -57,6 +61,16 @@ core_fault transport_anisotropic_solve_once(transport_anisotropic **solution, co
                                             double sigma_a_ratio, const transport_phase *phase,
                                             const double *etas, size_t count,
                                             transport_effort effort);
+
+/* The same as transport_anisotropic_solve(), or as transport_anisotropic_solve_once() with the errors
+ * NAN if `once`, with the light that leaves within cones of angles, too.
+ * sines: that of the largest angle to the normal outside that a cone has, over min(1, eta), which is
+ * that of all light; each above 0 and up to 1, 0 to TRANSPORT_ANISOTROPIC_CONES_MAX of them. Fault:
+ * `sine`. */
+core_fault transport_anisotropic_solve_cones(transport_anisotropic **solution, const core_isa *isa,
+                                             double sigma_a_ratio, const transport_phase *phase,
+                                             const double *etas, size_t count, const double *sines,
+                                             size_t cones, transport_effort effort, bool once);
 void transport_anisotropic_free(transport_anisotropic *solution);
 
 /* Returns R at the radius r for the boundary etas[eta], with an estimate of its absolute error. r:
@@ -64,6 +78,11 @@ void transport_anisotropic_free(transport_anisotropic *solution);
  * R. */
 transport_number transport_anisotropic_at(const transport_anisotropic *solution, size_t eta,
                                           double r);
+
+/* Returns the share of R that leaves within the cone sines[cone], with an estimate of its absolute
+ * error. r: above 0 and finite. */
+transport_number transport_anisotropic_share_at(const transport_anisotropic *solution, size_t eta,
+                                                size_t cone, double r);
 
 /* Returns the part of R that was scattered once. It has no error of the grids. */
 double transport_anisotropic_single_at(const transport_anisotropic *solution, size_t eta, double r);

@@ -79,7 +79,10 @@ struct halfspace {
   blocks reflection[HALFSPACE_ETAS_MAX];        /* <psi mu F psi> */
   double exit[HALFSPACE_ETAS_MAX][DEGREES_MAX]; /* <mu T psi>, m = 0 */
   double entering[HALFSPACE_ETAS_MAX];          /* <mu T> */
-  double *memory;                               /* for the matrices of one solution */
+  size_t cones;
+  /* <mu T psi> over the angles of a cone */
+  double cone[HALFSPACE_ETAS_MAX][HALFSPACE_CONES_MAX][DEGREES_MAX];
+  double *memory; /* for the matrices of one solution */
 };
 
 /* ---- functions of angle --------------------------------------------------------------------- */
@@ -231,9 +234,30 @@ static void integrate_slant(halfspace *to, size_t m) {
   }
 }
 
-/* Fills reflection[boundary] and exit[boundary]. F = 1 - T, and <psi mu psi> = 1. T is integrated
- * over the cosine outside for eta > 1, so that its root at the critical angle does no harm, and
- * over the cosine inside for eta < 1. */
+/* A direction in which light meets the boundary: its cosine and sine inside, and the weight of an
+ * integral of mu T over it. */
+struct crossing {
+  double mu;
+  double sine;
+  double weight;
+};
+
+/* Returns the direction of the variable x that T is integrated over: the cosine outside for eta > 1,
+ * so that its root at the critical angle does no harm, and the cosine inside for eta < 1. */
+static struct crossing crossing_at(double eta, double x, double weight) {
+  double mu = x, mu_outside = x, sine = sqrt((1 - x) * (1 + x));
+  if (eta > 1) {
+    sine /= eta;
+    mu = sqrt((1 - sine) * (1 + sine));
+    weight *= x / (eta * eta * mu);
+  } else if (eta < 1) {
+    mu_outside = sqrt((1 - eta * sine) * (1 + eta * sine));
+  }
+  weight *= mu * (eta == 1 ? 1 : transport_transmittance(eta, mu, mu_outside));
+  return (struct crossing){mu, sine, weight};
+}
+
+/* Fills reflection[boundary] and exit[boundary]. F = 1 - T, and <psi mu psi> = 1. */
 static void integrate_boundary(halfspace *to, size_t boundary, double eta, const recurrence *of) {
   for (size_t m = 0; m <= to->orders; m++) {
     for (size_t i = 0; i < to->degrees[m]; i++) {
@@ -247,24 +271,39 @@ static void integrate_boundary(halfspace *to, size_t boundary, double eta, const
   for (size_t panel = 0; panel < FRESNEL_PANELS; panel++) {
     const double lower = panel + 1 < FRESNEL_PANELS ? upper / 2 : 0;
     for (size_t i = 0; i < rule.n; i++) {
-      const double x = lower + (upper - lower) * rule.x[i];
-      double mu = x, mu_outside = x, sine = sqrt((1 - x) * (1 + x));
-      double weight = (upper - lower) * rule.weight[i];
-      if (eta > 1) {
-        sine /= eta;
-        mu = sqrt((1 - sine) * (1 + sine));
-        weight *= x / (eta * eta * mu);
-      } else if (eta < 1) {
-        mu_outside = sqrt((1 - eta * sine) * (1 + eta * sine));
-      }
-      weight *= mu * (eta == 1 ? 1 : transport_transmittance(eta, mu, mu_outside));
-      to->entering[boundary] += weight;
+      const struct crossing at =
+          crossing_at(eta, lower + (upper - lower) * rule.x[i], (upper - lower) * rule.weight[i]);
+      to->entering[boundary] += at.weight;
       for (size_t m = 0; m <= to->orders; m++) {
-        functions_at(&of[m], m, to->degrees[m], mu, sine, values);
-        add_outer(to->reflection[boundary].order[m], to->degrees[m], -weight, values);
+        functions_at(&of[m], m, to->degrees[m], at.mu, at.sine, values);
+        add_outer(to->reflection[boundary].order[m], to->degrees[m], -at.weight, values);
         for (size_t j = 0; m == 0 && j < to->degrees[0]; j++) {
-          to->exit[boundary][j] += weight * values[j];
+          to->exit[boundary][j] += at.weight * values[j];
         }
+      }
+    }
+    upper = lower;
+  }
+}
+
+/* Fills cone[boundary][i]. */
+static void integrate_cone(halfspace *to, size_t boundary, size_t i, double eta, double sine,
+                           const recurrence *of) {
+  /* For eta < 1 it is the sine inside that is at most 1: either way that where x is a cosine. */
+  const double least = sqrt((1 - sine) * (1 + sine));
+  gauss_rule rule;
+  transport_gauss(&rule, FRESNEL_NODES);
+  double values[DEGREES_MAX];
+  double upper = 1;
+  for (size_t panel = 0; panel < FRESNEL_PANELS && upper > least; panel++) {
+    const double half = panel + 1 < FRESNEL_PANELS ? upper / 2 : 0;
+    const double lower = half > least ? half : least;
+    for (size_t k = 0; k < rule.n; k++) {
+      const struct crossing at =
+          crossing_at(eta, lower + (upper - lower) * rule.x[k], (upper - lower) * rule.weight[k]);
+      functions_at(of, 0, to->degrees[0], at.mu, 0, values);
+      for (size_t j = 0; j < to->degrees[0]; j++) {
+        to->cone[boundary][i][j] += at.weight * values[j];
       }
     }
     upper = lower;
@@ -310,12 +349,12 @@ static bool reserve(halfspace *to) {
 }
 
 halfspace *transport_halfspace_new(const core_isa *isa, const halfspace_rules *rules,
-                                   const halfspace_medium *medium, const double *etas,
-                                   size_t count) {
+                                   const halfspace_medium *medium, const double *etas, size_t count,
+                                   const double *sines, size_t cones) {
   assert(rules->orders <= ORDERS_MAX && rules->degrees <= DEGREES_MAX && rules->degrees >= 2);
   assert(rules->degrees_least >= 2 && rules->degrees_least <= DEGREES_MAX);
   assert(medium->moments >= 1 && medium->moments <= HALFSPACE_MOMENTS_MAX);
-  assert(count >= 1 && count <= HALFSPACE_ETAS_MAX);
+  assert(count >= 1 && count <= HALFSPACE_ETAS_MAX && cones <= HALFSPACE_CONES_MAX);
   halfspace *made = calloc(1, sizeof *made);
   recurrence *of = calloc(rules->orders + 1, sizeof *of);
   if (made == NULL || of == NULL) {
@@ -327,6 +366,7 @@ halfspace *transport_halfspace_new(const core_isa *isa, const halfspace_rules *r
   made->medium = *medium;
   made->orders = rules->orders;
   made->boundaries = count;
+  made->cones = cones;
   for (size_t m = 0; m <= rules->orders; m++) {
     const bool many = rules->degrees >= m + rules->degrees_least;
     made->degrees[m] = many ? rules->degrees - m : rules->degrees_least;
@@ -348,6 +388,9 @@ halfspace *transport_halfspace_new(const core_isa *isa, const halfspace_rules *r
   }
   for (size_t i = 0; i < count && made->n > 0; i++) {
     integrate_boundary(made, i, etas[i], of);
+    for (size_t k = 0; k < cones; k++) {
+      integrate_cone(made, i, k, etas[i], sines[k], &of[0]);
+    }
   }
   free(of);
   if (made->n == 0) {
@@ -602,11 +645,15 @@ bool transport_halfspace_solve(halfspace *of, double complex k, double kappa,
     if (!transport_dense_solve(&spare[0], &lit)) {
       return false;
     }
-    exitance[boundary] = (halfspace_exitance){0, 0, 0};
+    exitance[boundary] = (halfspace_exitance){0};
     for (size_t i = 0; i < of->degrees[0]; i++) {
       exitance[boundary].all += of->exit[boundary][i] * number_at(&lit, i, 0);
       exitance[boundary].single += of->exit[boundary][i] * number_at(&once, i, 0);
       exitance[boundary].diffuse += of->exit[boundary][i] * number_at(&lit, i, 1);
+      for (size_t cone = 0; cone < of->cones; cone++) {
+        exitance[boundary].cone[cone] +=
+            of->cone[boundary][cone][i] * (number_at(&lit, i, 0) - number_at(&once, i, 0));
+      }
     }
   }
   return true;

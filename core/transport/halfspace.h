@@ -17,6 +17,7 @@
 enum {
   HALFSPACE_MOMENTS_MAX = 256, /* largest number of moments of a truncated phase function */
   HALFSPACE_ETAS_MAX = 32,     /* largest number of boundaries that are solved together */
+  HALFSPACE_CONES_MAX = 8,     /* largest number of cones of angles for each boundary */
 };
 
 /* A medium whose phase function has been truncated. */
@@ -40,10 +41,12 @@ typedef struct halfspace halfspace;
 /* Returns the angular integrals for one medium and some boundaries, and memory for solving with
  * them on an instruction set; or NULL if memory runs out. Each thread needs its own. The caller
  * frees it with transport_halfspace_free(), which accepts NULL. medium: it has to outlive the
- * result. etas: index inside over index outside, 1 to HALFSPACE_ETAS_MAX of them, each 0.2 to 5. */
+ * result. etas: index inside over index outside, 1 to HALFSPACE_ETAS_MAX of them, each 0.2 to 5.
+ * sines: that of the largest angle to the normal outside that a cone has, over min(1, eta), which is
+ * that of all light; 0 to HALFSPACE_CONES_MAX of them, each above 0 and up to 1. */
 halfspace *transport_halfspace_new(const core_isa *isa, const halfspace_rules *rules,
-                                   const halfspace_medium *medium, const double *etas,
-                                   size_t count);
+                                   const halfspace_medium *medium, const double *etas, size_t count,
+                                   const double *sines, size_t cones);
 void transport_halfspace_free(halfspace *of);
 
 /* The exitance at one wavenumber, per power that has entered, for one boundary. */
@@ -51,6 +54,8 @@ typedef struct halfspace_exitance {
   double complex all;
   double complex single;  /* the part of `all` that was scattered once */
   double complex diffuse; /* if diffuse light (of the same radiance from all directions) enters */
+  /* the part of `all` that leaves within each cone, less what was scattered once */
+  double complex cone[HALFSPACE_CONES_MAX];
 } halfspace_exitance;
 
 /* Sets exitance[i] for boundary i. k: Re k >= 0, 0 <= Im k < kappa, in reciprocal scaled mean free

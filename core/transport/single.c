@@ -12,6 +12,9 @@
  * converges exponentially for every r, because both the root of T at E0 and the scale 1 / r are
  * smooth in y.
  *
+ * Light of a cone of angles has a larger E0, that of the cosine at the cone's edge inside: E0^2 =
+ * (1 + mu) / (1 - mu). Its E0 is where w begins, and y = ln(E - E0).
+ *
  * Diffuse light has the radiance T(mu) / <mu T> behind the boundary, with <f> = int_0^1 f dmu. It is
  * scattered from the cosine mu' to mu with p, the mean of the phase function over the azimuth:
  *
@@ -21,6 +24,7 @@
 #include "core/transport/single.h"
 
 #include <math.h>
+#include <stdbool.h>
 
 #include "core/transport/functions.h"
 #include "core/transport/gauss.h"
@@ -50,19 +54,23 @@ static double transmittance(double eta, double e0, double distance, double mu) {
   return transport_transmittance(eta, mu, mu_t);
 }
 
-void transport_single_rule(single_rule *rule, double eta, double step) {
+void transport_single_rule(single_rule *rule, double eta, double sine, double step) {
   const double root = eta > 1 ? sqrt((eta - 1) * (eta + 1)) : 0;
   const double e0 = eta > 1 ? eta + root : 1;
+  const double inside = sine / eta; /* sine of the cone's edge */
+  const bool all = sine >= 1 || inside >= 1;
+  /* (1 + mu) / sqrt(1 - mu^2), less E0 */
+  const double cone = all ? 0 : (1 + sqrt((1 - inside) * (1 + inside))) / inside - e0;
   rule->n = 0;
   for (double y = Y_MIN; y <= Y_MAX && rule->n < SINGLE_MAX; y += step) {
-    const double distance = fn_exp(y);
+    const double beyond = fn_exp(y), distance = cone + beyond;
     const double e = e0 + distance;
     /* above_one = E^2 - 1 = (E0^2 - 1) + (E^2 - E0^2), and E0^2 - 1 = 2 root E0 */
     const double above_one = 2 * root * e0 + distance * (e + e0);
     const double sum = e * e + 1;
     const double t = eta == 1 ? 1 : transmittance(eta, e0, distance, above_one / sum);
     rule->rate[rule->n] = e;
-    rule->weight[rule->n] = 2 * above_one / (sum * sum) * t * distance * step;
+    rule->weight[rule->n] = 2 * above_one / (sum * sum) * t * beyond * step;
     rule->n++;
   }
 }

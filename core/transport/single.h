@@ -18,9 +18,10 @@ typedef struct single_rule {
   double weight[SINGLE_MAX];
 } single_rule;
 
-/* Sets *rule up. eta: 0.05 to 20; step: the step of the trapezoidal rule, 0.25 to 0.6. The relative
+/* Sets *rule up for the light that leaves at angles to the normal outside whose sine is at most
+ * `sine`, above 0; that of all angles if it is at least 1. eta: 0.05 to 20; step: the step of the trapezoidal rule, 0.25 to 0.6. The relative
  * error of values is below e^(-7 / step). */
-void transport_single_rule(single_rule *rule, double eta, double step);
+void transport_single_rule(single_rule *rule, double eta, double sine, double step);
 
 /* R(r) of light scattered once, per squared mean free path, and the energy of this light within r,
  * per power entered, both for albedo 1. Both are proportional to the albedo. r: 0 (where R is

@@ -75,7 +75,7 @@ static core_fault create(transport_boundary **boundary, double eta, double toler
   for (size_t i = 0; i < BOTH; i++) {
     transport_spectrum_rules(&made->rules[i], eta, tolerance / finer[i], reach_decays);
     transport_nodes_rules(&made->total_rules[i], eta, total_accuracy[i]);
-    transport_single_rule(&made->single[i], eta, single_step[i]);
+    transport_single_rule(&made->single[i], eta, 1, single_step[i]);
     if (!transport_equation_make(&made->total[i], &made->total_rules[i], K_TOTAL)) {
       transport_boundary_free(made);
       return memory_fault;

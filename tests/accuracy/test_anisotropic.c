@@ -10,6 +10,7 @@
 
 #include "core/transport/anisotropic.h"
 #include "core/transport/single.h"
+#include "tests/accuracy/montecarlo_run.h"
 #include "tests/accuracy/vectors.h"
 #include "tests/unit/unit.h"
 
@@ -237,6 +238,49 @@ UNIT_TEST(rings_are_those_of_monte_carlo) {
   free(text);
 }
 
+/* ---- cones of angles ------------------------------------------------------------------------- */
+
+/* R of a walk that counts the light within a cone alone. It uses single precision and no Fourier
+ * transform. The rings are so narrow that R in their middle is the mean. */
+UNIT_TEST(light_within_cones_is_that_of_walks) {
+  enum { RINGS = 24, CASES = 4, BATCHES = 60 };
+  static const double etas[] = {0.8, 1.4}, sines[] = {0.25, 0.6};
+  const double ratio = 0.1, g = 0.5, albedo = 1 / (1 + ratio * (1 - g));
+  const double unit = 1 / (1 - albedo + albedo * (1 - g)); /* reduced mean free path, in paths */
+  const transport_phase phase = {.g = g};
+  transport_anisotropic *solution;
+  unit_assert_fault(transport_anisotropic_solve_cones(&solution, core_isa_select(NULL), ratio,
+                                                      &phase, etas, 2, sines, 2,
+                                                      TRANSPORT_EFFORT_QUICK, true),
+                    NULL, 0);
+  for (size_t k = 0; k < CASES; k++) {
+    const size_t eta = k / 2, cone = k % 2;
+    core_mc_request request = montecarlo_request(albedo, g, etas[eta]);
+    montecarlo_rings(&request, RINGS, 0.05 * unit, 5 * unit);
+    request.aperture = sines[cone] * fmin(etas[eta], 1);
+    montecarlo_run run = montecarlo_run_batches(&request, BATCHES);
+    core_mc_ring rings[RINGS];
+    core_mc_total_rings(run.total, 0, CORE_MC_REFLECTED, rings);
+    double squares = 0, shares[RINGS];
+    for (size_t i = 0; i < RINGS; i++) {
+      const double r = sqrt(rings[i].from_mm * rings[i].to_mm) / unit;
+      shares[i] = transport_anisotropic_share_at(solution, eta, cone, r).value;
+      const double R = shares[i] * transport_anisotropic_at(solution, eta, r).value / (unit * unit);
+      const double off = (rings[i].R_per_mm2 - R) / hypot(rings[i].error_per_mm2, 0.005 * R);
+      squares += off * off;
+      if (!(fabs(off) < 4.5)) {
+        fail_msg("eta %g, sine %g, r %g: %g +- %g, not %g", etas[eta], request.aperture, r,
+                 rings[i].R_per_mm2, rings[i].error_per_mm2, R);
+      }
+    }
+    printf("eta %g, sine %.2f: share %.4f to %.4f, chi-squared %.2f\n", etas[eta], request.aperture,
+           shares[0], shares[RINGS - 1], squares / RINGS);
+    assert_true(squares / RINGS < 1 + 4 * sqrt(2.0 / RINGS));
+    montecarlo_run_free(&run);
+  }
+  transport_anisotropic_free(solution);
+}
+
 /* ---- the reference table -------------------------------------------------------------------- */
 
 /* A row of core/transport/reference.csv; r is 0 in those of totals, and mc NaN where it is
@@ -372,5 +416,11 @@ UNIT_TEST(faults_name_their_field) {
                       faults[i].field, faults[i].index);
     assert_null(solution);
   }
+  const double sines[] = {0.5, 0};
+  unit_assert_fault(transport_anisotropic_solve_cones(&solution, core_isa_select(NULL), 1, &good,
+                                                      &eta, 1, sines, 2, TRANSPORT_EFFORT_QUICK,
+                                                      true),
+                    "sine", 1);
+  assert_null(solution);
   transport_anisotropic_free(NULL);
 }

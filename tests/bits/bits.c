@@ -294,7 +294,7 @@ static void print_anisotropic(const core_isa *isa) {
   }
   const halfspace_rules rules = {4, 9, 3};
   const halfspace_medium medium = {0.9, MOMENTS, moment};
-  halfspace *expansion = transport_halfspace_new(isa, &rules, &medium, etas, ETAS);
+  halfspace *expansion = transport_halfspace_new(isa, &rules, &medium, etas, ETAS, NULL, 0);
   halfspace_exitance exitance[ETAS];
   for (int imaginary = 0; imaginary < 2; imaginary++) {
     const double complex k = 1.25 + 0.125 * imaginary * (double complex)I;
