@@ -18,6 +18,7 @@
 #   make tradeoff   speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
 #   make tables     core/transport/transport.table, solved anew (half an hour; resumes)
 #   make totals     the totals in that table alone, for g other than 0 (a minute)
+#   make apertures  core/fit/aperture.table, solved anew and compared (minutes; resumes)
 #   make reference  core/transport/reference.csv, R(r) for many g, solved anew (an hour; resumes)
 #   make figures    Figures 1 to 17 of d'Eon 2012 and one of tissue, in build/figures (ten minutes;
 #                   resumes), with build/figures/index.html, and core/tools/tissue.svg
@@ -130,6 +131,7 @@ TOOLS := $(call objects,core/tools/tools.c clients/cli/progress.c)
 TRADEOFF := $(call objects,$(wildcard core/tools/tradeoff/*.c)) $(TOOLS)
 TABLES := $(call objects,$(wildcard core/tools/transport_table/*.c)) $(TOOLS)
 REFERENCE := $(call objects,$(wildcard core/tools/reference/*.c)) $(TOOLS)
+APERTURES := $(call objects,core/tools/apertures/main.c) $(TOOLS)
 PHASES := $(call objects,$(wildcard core/tools/phases/*.c) core/tools/reference/walks.c) $(TOOLS)
 SOAK := $(call objects,$(wildcard tests/soak/*.c))
 PIPELINE := $(call objects,$(wildcard tests/pipeline/*.c))
@@ -142,7 +144,7 @@ INSTALLED := $(BUILD)/dipoled $(BUILD)/dipole
 PROGRAMS := $(INSTALLED) $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-types check-unit check-units-long check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-tls-long check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz check-fuzz-long check-truth check-truth-long check-fits check-varying check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables totals reference tradeoff figures picture gather-figure fit-bias clean
+.PHONY: all setup demo check check-long check-structure check-types check-unit check-units-long check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-tls-long check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz check-fuzz-long check-truth check-truth-long check-fits check-varying check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables totals reference tradeoff apertures figures picture gather-figure fit-bias clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -187,6 +189,7 @@ $(SERVER) $(OBJ)/tests/e2e/count_allocations.o: EXTRA_CPPFLAGS = $(UV_CFLAGS) $(
 
 # Taken up by the assembler.
 $(OBJ)/core/transport/table_data.o: core/transport/transport.table
+$(OBJ)/core/fit/aperture.o: core/fit/aperture.table
 
 # The page of --http likewise. A Content-Security-Policy names its script and its style by the sums of
 # what stands between the tags, in base64.
@@ -487,6 +490,18 @@ tables: $(BUILD)/transport-table
 # The totals for g other than 0 alone, where the solver of totals has changed.
 totals: $(BUILD)/transport-table
 	$(BUILD)/transport-table core/transport/transport.table
+
+$(BUILD)/apertures: $(APERTURES) $(BUILD)/libcore.a
+	$(call SAY,LD,$@)
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
+
+# Minutes on two cores; after an interruption it goes on where it was. Then the program is made anew, and
+# its table compared with other media. GRIDS=normal takes three times as long.
+GRIDS ?= quick
+apertures: $(BUILD)/apertures
+	$(BUILD)/apertures $(BUILD)/apertures-parts core/fit/aperture.table $(GRIDS)
+	@$(MAKE) --no-print-directory $(BUILD)/apertures
+	$(BUILD)/apertures $(BUILD)/apertures-parts
 
 $(BUILD)/reference: $(REFERENCE) $(BUILD)/libcore.a
 	$(call SAY,LD,$@)

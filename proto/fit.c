@@ -130,6 +130,12 @@ void fit_design_read(const uint8_t *bytes, fit_design *read) {
       .detector_mm = places + 2 * (size_t)fixed.reading_count,
       .scale = fixed.scale,
   };
+  double *aperture = &read->parameters.value[CORE_PARAMETER_DETECTOR_NA];
+  if (!isnan(*aperture)) { /* it is of the design, and not of the model */
+    /* 0 is out of its range, but would mean that there is none. */
+    read->design.detector_na = *aperture == 0 ? (double)NAN : *aperture;
+    *aperture = (double)NAN;
+  }
   if (has_reference(&fixed)) {
     wire_medium medium;
     wire_get_medium(bytes + places_offset(&fixed) - WIRE_BYTES_medium, &medium);

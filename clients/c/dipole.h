@@ -565,10 +565,12 @@ enum dipole_fit_status {
 };
 
 typedef struct dipole_fit_query {
-  unsigned model;                     /* the model of the readings */
-  unsigned moments;                   /* enum dipole_moments */
-  double g, eta;                      /* of all media */
-  const dipole_parameter *parameters; /* [parameter_count], as of an eval */
+  unsigned model;   /* the model of the readings */
+  unsigned moments; /* enum dipole_moments */
+  double g, eta;    /* of all media */
+  /* [parameter_count], as of an eval, and detector_na: the sine of the largest angle to the normal,
+   * outside, at which light is detected. Without it, that of all angles is. */
+  const dipole_parameter *parameters;
   size_t parameter_count;
   unsigned axis;           /* enum dipole_axis */
   unsigned scale;          /* enum dipole_scale */
@@ -876,8 +878,8 @@ typedef struct dipole_gather_query {
 } dipole_gather_query;
 
 typedef struct dipole_gather_result {
-  uint64_t answered_count; /* fewer than query_count only if progress() returned false */
-  double bound;            /* the largest error that groups of points have caused, at most */
+  uint64_t answered_count;   /* fewer than query_count only if progress() returned false */
+  double bound;              /* the largest error that groups of points have caused, at most */
   double numerical_error[8]; /* of each channel: by the evaluator and by rounding, relative */
   double model_error[8];     /* of each channel: of R against radiative transport at 0.01 to 20 mean
                                 free paths, relative; NaN if it was not measured */

@@ -15,7 +15,7 @@
 
 typedef struct fit_settings {
   cli_profile_settings profile;
-  cli_number g, eta;
+  cli_number g, eta, detector_na;
   const char *scale;
   cli_numbers reference;
   cli_texts plot;
@@ -32,6 +32,11 @@ static const cli_option options[] = {
      CLI_NUMBER, FIELD(eta), "1.3"},
     {"g", "X", "mean cosine of the scattering angle, where the file does not say\n(default: 0)",
      CLI_NUMBER, FIELD(g), NULL},
+    {"detector-na", "X",
+     "sine of the largest angle to the normal, outside, at which light is\ndetected, where the "
+     "file "
+     "does not say: the numerical aperture over the\nindex outside (default: all light)",
+     CLI_NUMBER, FIELD(detector_na), NULL},
     {"scale", "NAME",
      "absolute: R is as the model has it; free: R of each sample is that times\na factor, which is "
      "fitted, too (default: absolute)",
@@ -86,6 +91,19 @@ static int check(void *given) {
 
 /* ---- asking ---------------------------------------------------------------------------------- */
 
+/* Whether the daemon knows the parameter detector_na, or nothing asks for it. */
+static bool knows_aperture(const report *of) {
+  bool given = of->settings->detector_na.given;
+  for (size_t i = 0; i < of->readings.sample_count; i++) {
+    given = given || !isnan(of->readings.samples[i].detector_na);
+  }
+  if (given && cli_choice(of->info, DIPOLE_PARAMETER, "detector_na") == NULL) {
+    cli_fail_usage("detector_na: this daemon does not know it");
+    return false;
+  }
+  return true;
+}
+
 static int choose(const fit_settings *settings, report *of) {
   const char *scale = settings->reference.count > 0 ? "reference"
                       : settings->scale != NULL     ? settings->scale
@@ -98,7 +116,8 @@ static int choose(const fit_settings *settings, report *of) {
   of->axis = of->scale == NULL
                  ? NULL
                  : cli_named(of->info, DIPOLE_AXIS, "axis", of->readings.frequency ? "f" : "r");
-  return of->axis != NULL && cli_parameters_take(of->info, &settings->profile, &of->parameters)
+  return of->axis != NULL && cli_parameters_take(of->info, &settings->profile, &of->parameters) &&
+                 knows_aperture(of)
              ? CLI_OK
              : CLI_USAGE;
 }
@@ -109,7 +128,20 @@ typedef struct batch {
   size_t *samples;
 } batch;
 
-static dipole_fit_query query_of(const report *of, const cli_sample *sample) {
+/* Sets *parameters to those of a sample. */
+static void parameters_of(const report *of, const cli_sample *sample, cli_parameters *parameters) {
+  const cli_number *given = &of->settings->detector_na;
+  const dipole_choice *aperture = cli_choice(of->info, DIPOLE_PARAMETER, "detector_na");
+  *parameters = of->parameters;
+  if (aperture != NULL && !isnan(sample->detector_na)) {
+    cli_parameters_set(parameters, aperture->id, sample->detector_na);
+  } else if (aperture != NULL && given->given) {
+    cli_parameters_set(parameters, aperture->id, given->value);
+  }
+}
+
+static dipole_fit_query query_of(const report *of, const cli_sample *sample,
+                                 const cli_parameters *parameters) {
   const fit_settings *settings = of->settings;
   const double *known = settings->reference.items;
   dipole_fit_query query = {
@@ -117,8 +149,8 @@ static dipole_fit_query query_of(const report *of, const cli_sample *sample) {
       .moments = of->moments->id,
       .g = isnan(sample->g) ? settings->g.value : sample->g,
       .eta = isnan(sample->eta) ? settings->eta.value : sample->eta,
-      .parameters = of->parameters.items,
-      .parameter_count = of->parameters.count,
+      .parameters = parameters->items,
+      .parameter_count = parameters->count,
       .axis = of->axis->id,
       .scale = of->scale->id,
       .reading_count = sample->count,
@@ -144,12 +176,18 @@ static void take(report *of, const batch *some, const dipole_fits *fits) {
   of->notes |= fits->notes;
 }
 
+/* Returns whether a refusal is about one reading. */
+static bool is_of_reading(const dipole_error *error) {
+  return strcmp(error->field, "at") == 0 || strcmp(error->field, "source") == 0 ||
+         strcmp(error->field, "detector") == 0;
+}
+
 /* Returns whether a refusal is about what the file says of a sample, and not about an option. */
 static bool is_of_file(const cli_sample *sample, const dipole_error *error) {
   return error->kind == DIPOLE_ERROR_REFUSED &&
-         (strcmp(error->field, "at") == 0 || strcmp(error->field, "source") == 0 ||
-          strcmp(error->field, "detector") == 0 || strcmp(error->field, "reading_count") == 0 ||
+         (is_of_reading(error) || strcmp(error->field, "reading_count") == 0 ||
           (strcmp(error->field, "g") == 0 && !isnan(sample->g)) ||
+          (strcmp(error->field, "detector_na") == 0 && !isnan(sample->detector_na)) ||
           (strcmp(error->field, "eta") == 0 && !isnan(sample->eta)));
 }
 
@@ -157,7 +195,7 @@ static bool is_of_file(const cli_sample *sample, const dipole_error *error) {
 static void tell_refused(const report *of, const cli_sample *first, size_t count,
                          const dipole_error *error) {
   char line[64] = "";
-  if (error->index < first->count && strcmp(error->field, "reading_count") != 0) {
+  if (error->index < first->count && is_of_reading(error)) {
     snprintf(line, sizeof line, ": reading %zu (line %llu)", (size_t)error->index + 1,
              (unsigned long long)of->readings.lines[first->first + error->index]);
   }
@@ -169,7 +207,9 @@ static void tell_refused(const report *of, const cli_sample *first, size_t count
 static bool ask_some(dipole_client *client, report *of, const batch *some, dipole_error *error) {
   const cli_sample *first = &of->readings.samples[some->samples[0]];
   const size_t bytes = first->count * sizeof(double);
-  dipole_fit_query query = query_of(of, first);
+  cli_parameters parameters;
+  parameters_of(of, first, &parameters);
+  dipole_fit_query query = query_of(of, first, &parameters);
   double *values = cli_allocate(some->count, bytes), *errors = cli_allocate(some->count, bytes);
   for (size_t i = 0; i < some->count; i++) {
     const size_t from = of->readings.samples[some->samples[i]].first;
@@ -413,14 +453,18 @@ const cli_command cli_command_fit = {
         "reading, 1/mm^2 per unit of power that entered; at f its share) and error (its standard\n"
         "error). These may be absent: sample (a name; lines of the same name belong together),\n"
         "eta, g, source_mm and detector_mm (diameters of the discs that light enters through and\n"
-        "is detected on). Each sample has at least as many readings as unknowns: 2, or 3 with\n"
-        "--scale free.\n"
+        "is detected on), and detector_na (see --detector-na). Each sample has at least as many\n"
+        "readings as unknowns: 2, or 3 with --scale free.\n"
         "\n"
-        "status is fitted, or says why a sample is no success: at-bound, undetermined, implausible,\n"
-        "ambiguous, unfinished or refused; `dipole info` describes them. The exit status is then 3,\n"
-        "and all samples are written nevertheless. sigma_s' is sigma_s (1 - g). chi2 is the sum of\n"
+        "status is fitted, or says why a sample is no success: at-bound, undetermined, "
+        "implausible,\n"
+        "ambiguous, unfinished or refused; `dipole info` describes them. The exit status is then "
+        "3,\n"
+        "and all samples are written nevertheless. sigma_s' is sigma_s (1 - g). chi2 is the sum "
+        "of\n"
         "the squares of (R - fit) / error: about readings less unknowns if model and errors are\n"
-        "right; a sample is implausible if noise would make it as large less than once in a million\n"
+        "right; a sample is implausible if noise would make it as large less than once in a "
+        "million\n"
         "times.\n",
     .formats = "table,csv,json",
     .options = {options, cli_parameter_options},

@@ -76,10 +76,10 @@ static void free_numbering(numbering *of) {
 
 /* ---- columns --------------------------------------------------------------------------------- */
 
-enum { SAMPLE, RADIUS, FREQUENCY, VALUE, ERROR, G, ETA, SOURCE, DETECTOR, COLUMNS };
+enum { SAMPLE, RADIUS, FREQUENCY, VALUE, ERROR, G, ETA, APERTURE, SOURCE, DETECTOR, COLUMNS };
 
-static const char *const columns[COLUMNS] = {"sample", "r",   "f",         "R",          "error",
-                                             "g",      "eta", "source_mm", "detector_mm"};
+static const char *const columns[COLUMNS] = {
+    "sample", "r", "f", "R", "error", "g", "eta", "detector_na", "source_mm", "detector_mm"};
 
 #define ABSENT SIZE_MAX
 
@@ -156,7 +156,7 @@ static int take_header(reading *of, const cli_csv_record *header) {
   for (size_t i = VALUE; i <= ERROR; i++) {
     if (of->at[i] == ABSENT) {
       return cli_fail("%s: the column %s is missing; the header needs r or f, R and error, and may "
-                      "have sample, g, eta, source_mm and detector_mm",
+                      "have sample, g, eta, detector_na, source_mm and detector_mm",
                       of->source, columns[i]);
     }
   }
@@ -196,8 +196,8 @@ static size_t sample_of(reading *of, const cli_csv_record *record) {
     }
     char *copy = cli_allocate(length + 1, 1);
     memcpy(copy, name, length);
-    readings->samples[readings->sample_count++] =
-        (cli_sample){.name = copy, .g = (double)NAN, .eta = (double)NAN};
+    readings->samples[readings->sample_count++] = (cli_sample){
+        .name = copy, .g = (double)NAN, .eta = (double)NAN, .detector_na = (double)NAN};
   }
   return number;
 }
@@ -227,6 +227,9 @@ static int take_row(reading *of, const cli_csv_record *record) {
   status = set_of_sample(of, &sample->g, taken.numbers[G], columns[G]);
   status =
       status == CLI_OK ? set_of_sample(of, &sample->eta, taken.numbers[ETA], columns[ETA]) : status;
+  status = status == CLI_OK
+               ? set_of_sample(of, &sample->detector_na, taken.numbers[APERTURE], columns[APERTURE])
+               : status;
   sample->count++;
   if (of->row_count == of->row_capacity) {
     of->row_capacity = of->row_capacity > 0 ? 2 * of->row_capacity : 256;
@@ -268,20 +271,23 @@ static void arrange(const reading *of, cli_readings *readings) {
   }
 }
 
-/* Numbers the designs of samples: g, eta, and where the readings were taken. */
+/* Numbers the designs of samples: g, eta, the aperture, and where the readings were taken. */
 static void number_designs(cli_readings *readings) {
+  enum { OF_SAMPLE = 3 };
   numbering designs = {0};
   double *key = NULL;
   for (size_t i = 0; i < readings->sample_count; i++) {
     cli_sample *sample = &readings->samples[i];
     const size_t n = sample->count, bytes = n * sizeof *key;
-    key = cli_resize(key, 2 + 3 * n, sizeof *key);
+    key = cli_resize(key, OF_SAMPLE + 3 * n, sizeof *key);
     key[0] = sample->g;
     key[1] = sample->eta;
-    memcpy(key + 2, readings->at + sample->first, bytes);
-    memcpy(key + 2 + n, readings->source_mm + sample->first, bytes);
-    memcpy(key + 2 + 2 * n, readings->detector_mm + sample->first, bytes);
-    sample->design = number_of(&designs, (const char *)key, (2 + 3 * n) * sizeof *key);
+    key[2] = sample->detector_na;
+    double *places = key + OF_SAMPLE;
+    memcpy(places, readings->at + sample->first, bytes);
+    memcpy(places + n, readings->source_mm + sample->first, bytes);
+    memcpy(places + 2 * n, readings->detector_mm + sample->first, bytes);
+    sample->design = number_of(&designs, (const char *)key, (OF_SAMPLE + 3 * n) * sizeof *key);
   }
   readings->design_count = designs.count;
   free(key);

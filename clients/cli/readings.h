@@ -7,9 +7,10 @@
 /* The readings of one medium: `count` of them from `first` on. */
 typedef struct cli_sample {
   char *name;
-  double g, eta; /* NAN if the file does not say */
+  double g, eta, detector_na; /* NAN if the file does not say */
   size_t first, count;
-  size_t design; /* samples with the same number are taken at the same places, of equal g and eta */
+  /* samples with the same number are taken at the same places, of equal g, eta and detector_na */
+  size_t design;
 } cli_sample;
 
 typedef struct cli_readings {

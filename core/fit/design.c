@@ -45,6 +45,38 @@ static core_fault check_readings(const core_fit_design *design) {
   return (core_fault){0};
 }
 
+/* Returns g of the function of Henyey and Greenstein that transport takes for a medium. */
+static double taken_g(const core_fit_design *design, double g) {
+  const double gamma =
+      design->parameters != NULL ? design->parameters->value[CORE_PARAMETER_GAMMA] : (double)NAN;
+  return isnan(gamma) ? g : gamma - 1;
+}
+
+static bool has_shares(const core_fit_design *design, double g, double eta) {
+  const double taken = taken_g(design, g);
+  return taken >= 0 && taken <= FIT_APERTURE_G_MOST && eta >= FIT_APERTURE_ETA_LEAST &&
+         eta <= FIT_APERTURE_ETA_MOST;
+}
+
+static core_fault check_aperture(const core_fit_design *design) {
+  if (design->detector_na == 0) {
+    return (core_fault){0};
+  }
+  const core_fault fault = core_parameter_check(CORE_PARAMETER_DETECTOR_NA, design->detector_na);
+  if (fault.field != NULL) {
+    return fault;
+  }
+  if (design->model != CORE_MODEL_TRANSPORT || design->axis != CORE_FIT_AXIS_RADIUS) {
+    return (core_fault){"detector_na", "nothing but with transport and distances", 0};
+  }
+  const core_medium *reference = &design->reference;
+  return has_shares(design, design->g, design->eta) &&
+                 (design->scale != CORE_FIT_SCALE_REFERENCE ||
+                  has_shares(design, reference->g, reference->eta))
+             ? (core_fault){0}
+             : (core_fault){"detector_na", "g from 0 to 0.95 and eta from 0.7 to 2.2 with it", 0};
+}
+
 /* Whether R depends on the medium by its coefficients alone. */
 static bool fits_model(unsigned model) {
   return model != CORE_MODEL_GAUSSIANS && model != CORE_MODEL_SKIN_RED &&
@@ -74,6 +106,9 @@ core_fault core_fit_check(const core_fit_design *design) {
   if (fault.field == NULL && design->scale == CORE_FIT_SCALE_REFERENCE) {
     fault = core_profile_check(design->model, design->moments, CORE_EVALUATOR_F64,
                                &design->reference, design->parameters, NULL);
+  }
+  if (fault.field == NULL) {
+    fault = check_aperture(design);
   }
   return fault.field == NULL ? check_readings(design) : fault;
 }
@@ -124,8 +159,18 @@ CORE_ISA_LEVELS(DECLARE, )
 #define LOOPS_OF(level, unused) [INDEX_##level] = &fit_loops_##level,
 static const fit_loops *const loops[LEVELS] = {CORE_ISA_LEVELS(LOOPS_OF, )};
 
+/* Makes the model detect the light within the design's aperture alone, of media with this g and
+ * eta. */
+static void set_aperture(struct fit_model *model, const core_fit_design *design, double g,
+                         double eta) {
+  model->narrow = design->detector_na > 0 && design->detector_na < real_min(eta, 1);
+  if (model->narrow) {
+    fit_aperture_prepare(&model->aperture, taken_g(design, g), eta, design->detector_na);
+  }
+}
+
 static struct fit_model model_of(const core_isa *isa, const core_fit_design *design) {
-  return (struct fit_model){
+  struct fit_model model = {
       .isa = isa,
       .loops = loops[isa->index],
       .model = design->model,
@@ -136,6 +181,8 @@ static struct fit_model model_of(const core_isa *isa, const core_fit_design *des
       .eta = design->eta,
       .parameters = design->parameters != NULL ? *design->parameters : core_parameters_none(),
   };
+  set_aperture(&model, design, design->g, design->eta);
+  return model;
 }
 
 /* Sets the bounds of the search from the distances. */
@@ -169,6 +216,7 @@ static core_fault set_weights(core_fit *fit, const core_fit_design *design) {
   struct fit_model reference = fit->model;
   reference.g = design->reference.g;
   reference.eta = design->reference.eta;
+  set_aperture(&reference, design, reference.g, reference.eta);
   const core_fault fault =
       fit_values_of_medium(&reference, &design->reference, &fit->places, fit->weight);
   for (size_t i = 0; fault.field == NULL && i < fit->count; i++) {
@@ -267,7 +315,8 @@ static core_fault set_kernels(struct fit_model *model) {
                                           .quantity = model->quantity,
                                           .g = model->g,
                                           .eta = model->eta,
-                                          .parameters = &model->parameters};
+                                          .parameters = &model->parameters,
+                                          .aperture = model->narrow ? &model->aperture : NULL};
   return fit_table_create(&model->table, &source);
 }
 

@@ -67,6 +67,13 @@ typedef struct core_fit_design {
    * disc is uniform. */
   const double *source_mm;
   const double *detector_mm;
+  /* 0, or the sine of the largest angle to the normal outside at which light is detected, 0.01 to 1:
+   * the detector's numerical aperture over the refractive index outside. Readings are then of this
+   * light alone, and each is a share of R that depends on the distance and the medium. 0 and
+   * min(1, eta) and more: light of all angles. For axis RADIUS, model TRANSPORT, g (or gamma - 1)
+   * from 0 to 0.95 and eta from 0.7 to 2.2. How large the share's errors are says
+   * core/MODELS.md. */
+  double detector_na;
   unsigned scale;        /* of enum core_fit_scale */
   core_medium reference; /* the known medium, for scale REFERENCE alone */
 } core_fit_design;
@@ -75,8 +82,8 @@ typedef struct core_fit_design {
 typedef struct core_fit core_fit;
 
 /* Returns the fault that core_fit_create() would return, but for memory. Fields: those of
- * core_profile_check(); `axis`, `scale`, `count`; `at`, `source`, `detector` with the index of the
- * reading; and `reference` if the model gives no light for it at the reading of that index. */
+ * core_profile_check(); `axis`, `scale`, `count`; `detector_na`; `at`, `source`, `detector` with the
+ * index of the reading; and `reference` if the model gives no light for it at the reading of that index. */
 core_fault core_fit_check(const core_fit_design *design);
 
 /* Prepares a design; the arrays are copied. For most models this makes a table of ratios and

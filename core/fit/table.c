@@ -44,6 +44,10 @@ static core_fault fill_row(fit_table *table, size_t i, const struct fit_table_so
     at[k] = table->waves ? place / 6.28318530717958647693 : place;
   }
   const double kappa = transport_kappa(albedo);
+  fit_aperture_row row;
+  if (source->aperture != NULL) {
+    fit_aperture_medium(source->aperture, ratio, &row);
+  }
   table->kappa[i] = kappa;
   core_eval_f64(&profile, table->waves ? CORE_QUANTITY_TRANSFER : CORE_QUANTITY_LN_R, PLACES, at,
                 L);
@@ -51,6 +55,9 @@ static core_fault fill_row(fit_table *table, size_t i, const struct fit_table_so
     L[k] = table->waves ? real_log(real_max(L[k], 1e-300), 0)
                         : L[k] + real_log(at[k], 0) + kappa * at[k] -
                               real_log(1 + kappa * at[k], 0) - real_log(albedo, 0);
+    if (source->aperture != NULL) {
+      L[k] += real_log(fit_aperture_share(&row, real_log(at[k], 0)), 0);
+    }
   }
   core_profile_free(&profile);
   return (core_fault){0};

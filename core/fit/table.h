@@ -11,6 +11,7 @@
 #define DIPOLED_CORE_FIT_TABLE_H
 
 #include "core/core.h"
+#include "core/fit/aperture.h"
 
 /* Steps in ln_ratio and in ln x or ln q, and one. */
 enum { FIT_TABLE_RATIOS = 46, FIT_TABLE_PLACES = 220 };
@@ -35,6 +36,7 @@ struct fit_table_source {
   double g;
   double eta;
   const core_parameters *parameters;
+  const fit_aperture *aperture; /* NULL, or of `g` and `eta`: R has the share of this light alone */
 };
 
 /* Makes a table. Faults are those of core_profile_prepare(). On a fault *table is NULL, else the

@@ -39,6 +39,18 @@ static void add_up(const struct fit_places *places, size_t start, size_t n, cons
   }
 }
 
+/* Multiplies R by the shares that are detected. */
+static void take_shares(const struct fit_model *model, const core_medium *medium, size_t n,
+                        const double *ln_at, double *R) {
+  const double scattering = medium->sigma_s_per_mm * (1 - medium->g);
+  const double ln_sigma_t_prime = fit_ln(medium->sigma_a_per_mm + scattering);
+  fit_aperture_row row;
+  fit_aperture_medium(&model->aperture, medium->sigma_a_per_mm / scattering, &row);
+  for (size_t i = 0; i < n; i++) {
+    R[i] *= fit_aperture_share(&row, ln_at[i] + ln_sigma_t_prime);
+  }
+}
+
 void fit_values_of_profile(const struct fit_model *model, const core_profile *profile,
                            const struct fit_places *places, double *value) {
   const size_t nodes = places->first[places->count];
@@ -48,6 +60,9 @@ void fit_values_of_profile(const struct fit_model *model, const core_profile *pr
     const size_t n = nodes - start < CHUNK ? nodes - start : CHUNK;
     double values[CHUNK];
     core_eval_f64(profile, model->quantity, n, places->at + start, values);
+    if (model->narrow) {
+      take_shares(model, &profile->medium, n, places->ln_at + start, values);
+    }
     add_up(places, start, n, values, &reading, value);
   }
 }

@@ -4,6 +4,7 @@
 #define DIPOLED_CORE_FIT_VALUES_H
 
 #include "core/core.h"
+#include "core/fit/aperture.h"
 #include "core/fit/loops.h"
 #include "core/varying.h"
 
@@ -16,9 +17,11 @@ struct fit_model {
   double g;
   double eta;
   core_parameters parameters;
-  fit_table *table;     /* NULL if the model varies, or if a parameter is a length */
-  bool varies;          /* whether `varying` evaluates the quantity for any medium */
-  core_varying varying; /* owned */
+  bool narrow;           /* whether only light within the aperture is detected */
+  fit_aperture aperture; /* of `g` and `eta`, if so */
+  fit_table *table;      /* NULL if the model varies, or if a parameter is a length */
+  bool varies;           /* whether `varying` evaluates the quantity for any medium */
+  core_varying varying;  /* owned */
 };
 
 /* Where readings are taken: reading i is the sum of weight R(at) over the nodes from first[i] to

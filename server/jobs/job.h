@@ -79,7 +79,8 @@ struct job_request {
   void *owner;
   struct cache_owner *profiles; /* the client, whose turns are used to prepare slow profiles */
   struct job **detached; /* the connection's list of detached jobs; NULL: jobs cannot be detached */
-  struct points **points; /* the set that the connection is sending, *points NULL if there is none */
+  struct points *
+      *points; /* the set that the connection is sending, *points NULL if there is none */
 };
 
 /* The functions of the jobs of one message. A function may be NULL where its comment says so. */
@@ -141,7 +142,7 @@ void job_parts_cut(struct job_parts *parts, uint64_t total, uint64_t most);
 bool job_parts_next(struct job_parts *parts);
 
 /* The size of a slot, which can hold a job of any kind. Each kind asserts that it fits. */
-enum { JOB_SLOT_BYTES = 1984 };
+enum { JOB_SLOT_BYTES = 2048 };
 
 struct job_slot {
   _Alignas(16) uint8_t bytes[JOB_SLOT_BYTES];

@@ -6,6 +6,7 @@
 
 #include "core/fit/discs.h"
 #include "core/fit/search.h"
+#include "tests/accuracy/montecarlo_run.h"
 #include "tests/unit/unit.h"
 
 enum {
@@ -213,6 +214,25 @@ UNIT_TEST(wrong_designs_are_refused) {
   design = subject.design;
   design.g = 1;
   unit_assert_fault(core_fit_check(&design), "g", 0);
+  design = subject.design;
+  design.detector_na = 0.22;
+  unit_assert_fault(core_fit_check(&design), "detector_na", 0);
+  design.model = CORE_MODEL_TRANSPORT;
+  unit_assert_fault(core_fit_check(&design), NULL, 0);
+  static const struct {
+    double na, g, eta;
+    unsigned axis;
+  } wrong[] = {{-0.1, 0, 1.4, CORE_FIT_AXIS_RADIUS},        {1.1, 0, 1.4, CORE_FIT_AXIS_RADIUS},
+               {(double)NAN, 0, 1.4, CORE_FIT_AXIS_RADIUS}, {0.2, -0.1, 1.4, CORE_FIT_AXIS_RADIUS},
+               {0.2, 0.96, 1.4, CORE_FIT_AXIS_RADIUS},      {0.2, 0, 0.69, CORE_FIT_AXIS_RADIUS},
+               {0.2, 0, 2.3, CORE_FIT_AXIS_RADIUS},         {0.2, 0, 1.4, CORE_FIT_AXIS_FREQUENCY}};
+  for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++) {
+    design.detector_na = wrong[i].na;
+    design.g = wrong[i].g;
+    design.eta = wrong[i].eta;
+    design.axis = wrong[i].axis;
+    unit_assert_fault(core_fit_check(&design), "detector_na", 0);
+  }
   design = subject.design;
   subject.at[3] = 0;
   unit_assert_fault(core_fit_check(&design), "at", 3);
@@ -625,6 +645,108 @@ static void space_out(struct subject *subject, size_t count) {
 
 /* A set is implausible from that chi-squared on whose probability is 1e-6. For 2 and 10 readings more
  * than unknowns the limits follow from e^(-x / 2) sum (x / 2)^i / i!, for 1 from tables. */
+/* A walk that counts the light within an aperture alone gives back its coefficients within three of
+ * their standard errors, with the scale absolute, so that the share counts, too. */
+static void expect_aperture(double ratio, double g, double eta, double NA, uint64_t batches) {
+  enum { RINGS = 24 };
+  const double sigma_s = 1 / (1 + ratio * (1 - g)), sigma_a = 1 - sigma_s;
+  const double unit = 1 / (sigma_a + sigma_s * (1 - g));
+  core_mc_request request = montecarlo_request(sigma_s, g, eta);
+  montecarlo_rings(&request, RINGS, 0.2 * unit, 8 * unit);
+  request.aperture = NA;
+  montecarlo_run run = montecarlo_run_batches(&request, batches);
+  core_mc_ring rings[RINGS];
+  core_mc_total_rings(run.total, 0, CORE_MC_REFLECTED, rings);
+  montecarlo_run_free(&run);
+  double at[RINGS], values[RINGS], errors[RINGS];
+  for (size_t i = 0; i < RINGS; i++) {
+    at[i] = sqrt(rings[i].from_mm * rings[i].to_mm);
+    values[i] = rings[i].R_per_mm2;
+    errors[i] = rings[i].error_per_mm2;
+  }
+  core_fit_design design = {.model = CORE_MODEL_TRANSPORT,
+                            .moments = CORE_MOMENTS_EXACT,
+                            .g = g,
+                            .eta = eta,
+                            .axis = CORE_FIT_AXIS_RADIUS,
+                            .count = RINGS,
+                            .at = at,
+                            .scale = CORE_FIT_SCALE_ABSOLUTE,
+                            .detector_na = NA};
+  core_fit_result result[2];
+  for (size_t k = 0; k < 2; k++) { /* with the aperture, and without it, but with a free factor */
+    core_fit *fit = created(&design);
+    core_fit_run(fit, values, errors, &result[k], NULL);
+    core_fit_free(fit);
+    design.detector_na = 0;
+    design.scale = CORE_FIT_SCALE_FREE;
+  }
+  const double a = result[0].best.sigma_a_per_mm, s = result[0].best.sigma_s_prime_per_mm;
+  const double off_a = (a - sigma_a) / sqrt(result[0].covariance.a_a);
+  const double off_s = (s - sigma_s * (1 - g)) / sqrt(result[0].covariance.s_s);
+  printf("aperture %.2f, eta %g, g %g, ratio %g: sigma_a %.2f %% (%.1f errors), sigma_s' %.2f %% "
+         "(%.1f errors) off, chi-squared %.2f; all angles and a free factor: %.2f %%, %.2f %% off, "
+         "chi-squared %.2f\n",
+         NA, eta, g, ratio, 100 * (a / sigma_a - 1), off_a, 100 * (s / (sigma_s * (1 - g)) - 1),
+         off_s, result[0].reduced_chi_squared, 100 * (result[1].best.sigma_a_per_mm / sigma_a - 1),
+         100 * (result[1].best.sigma_s_prime_per_mm / (sigma_s * (1 - g)) - 1),
+         result[1].reduced_chi_squared);
+  assert_int_equal(result[0].status, CORE_FIT_STATUS_FITTED);
+  assert_true(fabs(off_a) < 3 && fabs(off_s) < 3);
+}
+
+UNIT_TEST(light_within_an_aperture_gives_back_its_coefficients) {
+  expect_aperture(0.01, 0, 1.4, 0.22, 400);
+  expect_aperture(0.2, 0, 1.33, 0.39, 400);
+  expect_aperture(0.1, 0.5, 0.95, 0.15, 200);
+  expect_aperture(0.05, 0.8, 1.4, 0.5, 100);
+}
+
+/* The aperture of a known medium is that of its own g and eta, and what is detected of both at all
+ * angles is R. */
+UNIT_TEST(apertures_of_designs) {
+  static const double at[] = {0.3, 1, 3};
+  core_fit_design design = {.model = CORE_MODEL_TRANSPORT,
+                            .moments = CORE_MOMENTS_EXACT,
+                            .g = 0.5,
+                            .eta = 1.4,
+                            .axis = CORE_FIT_AXIS_RADIUS,
+                            .count = 3,
+                            .at = at,
+                            .scale = CORE_FIT_SCALE_ABSOLUTE};
+  double all[3], narrow[3], known[3], ratio[3];
+  core_fit *fit = created(&design);
+  core_fit_model(fit, 0.1, 1, all);
+  core_fit_free(fit);
+  design.detector_na = 1;
+  fit = created(&design);
+  core_fit_model(fit, 0.1, 1, narrow);
+  core_fit_free(fit);
+  assert_memory_equal(all, narrow, sizeof all);
+  design.detector_na = 0.3;
+  fit = created(&design);
+  core_fit_model(fit, 0.1, 1, narrow);
+  core_fit_free(fit);
+  for (size_t i = 0; i < 3; i++) {
+    assert_true(narrow[i] > 0.09 * 0.5 * all[i] && narrow[i] < 0.09 * 1.5 * all[i]);
+  }
+  design.g = 0;
+  design.eta = 1.2;
+  fit = created(&design);
+  core_fit_model(fit, 0.02, 2, known);
+  core_fit_free(fit);
+  design.g = 0.5;
+  design.eta = 1.4;
+  design.scale = CORE_FIT_SCALE_REFERENCE;
+  design.reference = (core_medium){0.02, 2, 0, 1.2};
+  fit = created(&design);
+  core_fit_model(fit, 0.1, 1, ratio);
+  core_fit_free(fit);
+  for (size_t i = 0; i < 3; i++) {
+    assert_true(fabs(ratio[i] * known[i] / narrow[i] - 1) < 3e-4);
+  }
+}
+
 UNIT_TEST(wrong_errors_are_implausible) {
   static const struct {
     size_t readings;

@@ -68,11 +68,13 @@ _PARAMETERS = {
         re.M,
     )
 }
-# The parameters of profiles, and those that only mc takes.
-MC_PARAMETERS = {
-    name: one for name, (one, about) in _PARAMETERS.items() if about.startswith("of mc:")
-}
-PARAMETERS = {name: one for name, (one, _) in _PARAMETERS.items() if name not in MC_PARAMETERS}
+# The parameters of profiles, and those that only mc or fit takes.
+MC_PARAMETERS, FIT_PARAMETERS = (
+    {name: one for name, (one, about) in _PARAMETERS.items() if about.startswith(f"of {kind}:")}
+    for kind in ("mc", "fit")
+)
+OTHER_PARAMETERS = {**MC_PARAMETERS, **FIT_PARAMETERS}
+PARAMETERS = {name: one for name, (one, _) in _PARAMETERS.items() if name not in OTHER_PARAMETERS}
 NOTES = choices("CORE_NOTE")
 QUANTITIES = choices("CORE_QUANTITY")
 

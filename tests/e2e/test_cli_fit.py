@@ -103,6 +103,22 @@ def test_no_sample_column_and_g_and_eta_of_the_file(readings):
     assert "note: similarity: " in text
 
 
+def test_an_aperture_of_the_file_and_of_an_option(readings):
+    R = (0.05 * readings["milk"]).tolist()
+    places = list(zip(AT_MM.tolist(), R, strict=True))
+    plain = "".join(f"{name},{r},{v!r},{0.02 * v!r},\n" for name in "ab" for r, v in places)
+    wide = "".join(f"b,{r},{v!r},{0.02 * v!r},0.3\n" for r, v in places)
+    head = "sample,r,R,error,detector_na\n"
+    arguments = ["--model", "transport", "--eta", "1.4", "--format", "csv", "--detector-na", "0.22"]
+    a, b = rows(dipole("fit", *arguments, stdin=head + plain).stdout)
+    assert {**a, "sample": ""} == {**b, "sample": ""}
+    mixed = head + plain[: len(plain) // 2] + wide
+    first, second = rows(dipole("fit", *arguments, stdin=mixed).stdout)
+    assert first == a and second["sigma_a"] != b["sigma_a"]
+    run = dipole("fit", "--model", "better", "--eta", "1.4", stdin=head + wide, status=BAD_ROWS)
+    assert "sample b: bad-value: detector_na: allowed: nothing but with transport" in run.stderr
+
+
 def test_a_free_scale_and_a_reference(readings, slave):
     R = 5 * readings["skin"]
     text = "sample,r,R,error\n" + lines("skin", R)

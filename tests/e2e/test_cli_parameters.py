@@ -11,7 +11,7 @@ from command_line import BAD_ROWS, FAILED, USAGE, Proxy, dipole, eval_json, eval
 from command_line import read_csv
 from dipole import Medium, wire
 from frames import changed_choices
-from lists import MC_PARAMETERS, MODELS, NOTES, PARAMETERS, covers, needs, some_value, takes
+from lists import MODELS, NOTES, OTHER_PARAMETERS, PARAMETERS, covers, needs, some_value, takes
 
 MEDIUM = ["--sigma-a", "0.032", "--sigma-s", "0.74"]  # SKIN
 HEADER = "sigma_a,sigma_s,g,eta,r"
@@ -355,7 +355,7 @@ def info() -> dict:
 def test_info_lists_parameters_and_notes():
     report = info()
     listed = {one["name"]: one["id"] for one in report["parameters"]}
-    assert listed == {name: one.id for name, one in {**PARAMETERS, **MC_PARAMETERS}.items()}
+    assert listed == {name: one.id for name, one in {**PARAMETERS, **OTHER_PARAMETERS}.items()}
     assert {one["name"]: one["id"] for one in report["notes"]} == NOTES
     table = dipole("info").stdout
     assert "\nparameters\n" in table and "\nnotes\n" in table

@@ -12,7 +12,7 @@ from dipole import Medium, fitting, wire
 from frames import FIT_REQUEST, READINGS, ask, assert_refused, assert_serves, fit_payload
 from frames import frame, refused
 from known import receive_answer
-from lists import MODELS, PARAMETERS
+from lists import FIT_PARAMETERS, MODELS, PARAMETERS
 
 FITTED = FIT_REQUEST | wire.REPLY
 AT_MM = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 4.0])
@@ -59,6 +59,20 @@ def test_a_free_factor_and_a_reference(client, readings):
     np.testing.assert_allclose([found.sigma_a, found.sigma_s_prime], [0.03, 1.2], rtol=1e-6)
     with pytest.raises(dipole.ArgumentError, match="reference"):
         client.fit("better", AT_MM, ratio, ratio, scale="reference")
+
+
+def test_a_detector_of_small_aperture(client):
+    """Far from the source a detector gets a little more than of a Lambertian surface."""
+    at = np.array([2.0, 4.0, 8.0, 12.0])
+    R = client.eval("transport", Medium(0.01, 1.0, 0.0, 1.4), at).R[0]
+    found, fainter = (
+        client.fit("transport", at, R, 0.01 * R, eta=1.4, scale="free",
+                   parameters={"detector_na": aperture})
+        for aperture in (0.44, 0.22)
+    )
+    assert 0.85 < found.factor * 0.44**2 < 1 and 0.85 < fainter.factor * 0.22**2 < 1
+    np.testing.assert_allclose(found.sigma_s_prime, 1, rtol=0.2)
+    assert found.sigma_s_prime != fainter.sigma_s_prime
 
 
 def test_stated_errors_are_those_of_noise(client, readings):
@@ -197,6 +211,14 @@ WRONG = {
     }),
     **refused("bad-value", "thickness", "nothing", {
         "none": fit_payload(parameters=[(PARAMETERS["thickness"].id, 1.0)]),
+    }),
+    **refused("bad-value", "detector_na", "nothing but with transport", {
+        "better": fit_payload(parameters=[(FIT_PARAMETERS["detector_na"].id, 0.22)]),
+    }),
+    **refused("bad-value", "detector_na", "0.01 to 1", {
+        f"{number}": fit_payload(model=MODELS["transport"],
+                                 parameters=[(FIT_PARAMETERS["detector_na"].id, number)])
+        for number in (2.0, 0.0)
     }),
     **refused("bad-count", "parameter_count", "as many", {
         "65535": fit_payload(parameter_count=65535),

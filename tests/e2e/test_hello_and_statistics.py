@@ -9,7 +9,7 @@ from frames import (
     BETTER, EVAL, HELLO, MEDIA, PING, SKIN, STATISTICS, ask, assert_serves, eval_payload, frame,
     read_statistics,
 )
-from lists import MC_PARAMETERS, MODELS, NOTES, PARAMETERS, choices
+from lists import MODELS, NOTES, OTHER_PARAMETERS, PARAMETERS, choices
 
 
 def versions(low: int, high: int) -> bytes:
@@ -41,7 +41,7 @@ def test_the_lists(client):
     assert ids["quantity"] == choices("CORE_QUANTITY")
     assert ids["spacing"] == choices("CORE_SPACING")
     assert ids["parameter"] == choices("CORE_PARAMETER")
-    assert set(ids["parameter"]) == {*PARAMETERS, *MC_PARAMETERS}
+    assert set(ids["parameter"]) == {*PARAMETERS, *OTHER_PARAMETERS}
     assert ids["note"] == NOTES
     assert ids["draw"] == choices("CORE_DRAW")
     assert ids["length"] == choices("CORE_LENGTH")

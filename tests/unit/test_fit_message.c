@@ -2,6 +2,8 @@
  * tests/fuzz and tests/e2e/test_fit.py. */
 #include "proto/fit.h"
 
+#include <math.h>
+
 #include "proto/channels.h"
 #include "tests/unit/unit.h"
 
@@ -15,11 +17,12 @@ static size_t build(uint8_t *payload, const core_fit_design *design, uint64_t se
                                  .axis = CORE_FIT_AXIS_RADIUS,
                                  .scale = (uint16_t)design->scale,
                                  .reading_count = (uint32_t)design->count,
-                                 .parameter_count = 1,
+                                 .parameter_count = 2,
                                  .g = 0.5,
                                  .eta = 1.4};
   core_parameters parameters = core_parameters_none();
   parameters.value[CORE_PARAMETER_TOLERANCE] = 0.25;
+  parameters.value[CORE_PARAMETER_DETECTOR_NA] = 0.22;
   uint8_t *at = fit_request_put(payload, &request, &fixed);
   at += channels_put_parameters(at, &parameters);
   at = fit_places_put(at, design);
@@ -54,6 +57,9 @@ UNIT_TEST(requests_are_taken_apart) {
       assert_memory_equal(read.design.at, at, sizeof at);
       assert_memory_equal(read.design.source_mm, source, sizeof source);
       assert_true(read.design.detector_mm[3] == 0);
+      /* The aperture is a parameter on the wire, and no parameter of the model. */
+      assert_true(read.design.detector_na == 0.22);
+      assert_true(isnan(read.parameters.value[CORE_PARAMETER_DETECTOR_NA]));
       assert_true(scale != CORE_FIT_SCALE_REFERENCE || read.design.reference.eta == 0.4);
       for (size_t wrong = 0; wrong < bytes; wrong += 8) {
         assert_int_not_equal(fit_request_parse(payload, wrong, &request).status, WIRE_STATUS_OK);

@@ -1,0 +1,167 @@
+/* FORMAT of aperture.table: for each side of eta = 1, below first, each term of v, of g and of ln u, and
+ * each term of s: the number of terms of y in a byte, and each of them as an integer, the coefficient
+ * over FIT_APERTURE_QUANTUM, in zigzag order (0, -1, 1, -2, ... become 0, 1, 2, 3, ...), seven bits to
+ * a byte, the lowest first; the eighth bit of a byte is set if another byte follows. */
+#include "core/fit/aperture.h"
+
+#include <assert.h>
+#include <stdint.h>
+
+#include "core/transport/functions.h"
+#include "core/transport/transport.h"
+
+#define CORE_REAL 64
+#include "core/kernel.h"
+
+__asm__(".pushsection .rodata\n"
+        ".globl fit_aperture_data\n"
+        ".hidden fit_aperture_data\n"
+        ".type fit_aperture_data, %object\n"
+        "fit_aperture_data:\n"
+        ".incbin \"core/fit/aperture.table\"\n"
+        ".size fit_aperture_data, . - fit_aperture_data\n"
+        ".popsection\n");
+#pragma GCC visibility push(hidden)
+extern const uint8_t fit_aperture_data[];
+#pragma GCC visibility pop
+
+enum {
+  PLACES = FIT_APERTURE_PLACES,
+  RATIOS = FIT_APERTURE_RATIOS,
+  ETAS = FIT_APERTURE_ETAS_BELOW + FIT_APERTURE_ETAS_FROM,
+  GS = FIT_APERTURE_GS,
+  CONES = FIT_APERTURE_CONES,
+};
+
+/* ---- coordinates ----------------------------------------------------------------------------- */
+
+static double ln(double x) {
+  return real_log(x, 0);
+}
+
+/* Returns x of [least, most] mapped to [-1, 1], and kept there. */
+static double mapped(double x, double least, double most) {
+  return real_min(real_max((2 * x - least - most) / (most - least), -1), 1);
+}
+
+/* Returns node i of `count`, from `least` for i = 0 to `most`. */
+static double node(size_t i, size_t count, double least, double most) {
+  double sine, cosine;
+  fn_sincos(FN_PI * (double)i / (double)(count - 1), &sine, &cosine);
+  return i + 1 == count ? most : least + 0.5 * (1 - cosine) * (most - least);
+}
+
+static double s_of(double ratio) {
+  return sqrt(ratio / (1 + ratio));
+}
+
+static double v_of(double eta) {
+  const double least = eta < 1 ? eta : 1 / eta;
+  return sqrt((1 - least) * (1 + least));
+}
+
+static double ln_reach(double ratio) {
+  return -ln(transport_kappa(1 / (1 + ratio)) / 20 + 0.01);
+}
+
+static const double ratio_least = 1e-6;
+
+double fit_aperture_ratio(size_t i) {
+  const double s = node(i, RATIOS, s_of(ratio_least), s_of(FIT_APERTURE_RATIO_MOST));
+  return s * s / ((1 - s) * (1 + s));
+}
+
+double fit_aperture_eta(size_t i) {
+  const bool below = i < FIT_APERTURE_ETAS_BELOW;
+  const double v = below ? node(FIT_APERTURE_ETAS_BELOW - 1 - i, FIT_APERTURE_ETAS_BELOW, 0,
+                                v_of(FIT_APERTURE_ETA_LEAST))
+                         : node(i - FIT_APERTURE_ETAS_BELOW, FIT_APERTURE_ETAS_FROM, 0,
+                                v_of(FIT_APERTURE_ETA_MOST));
+  const double least = sqrt((1 - v) * (1 + v));
+  return below ? least : 1 / least;
+}
+
+double fit_aperture_g(size_t i) {
+  return node(i, GS, 0, FIT_APERTURE_G_MOST);
+}
+
+double fit_aperture_u(size_t i) {
+  return real_exp_signed(node(i, CONES, ln(FIT_APERTURE_U_LEAST), 0));
+}
+
+double fit_aperture_x(size_t i, double ratio) {
+  return real_exp_signed(node(i, PLACES, ln(FIT_APERTURE_X_LEAST), ln_reach(ratio)));
+}
+
+/* ---- the series ------------------------------------------------------------------------------ */
+
+/* Sets to[count] to Chebyshev's polynomials at x. */
+static void polynomials(size_t count, double x, double *to) {
+  to[0] = 1;
+  to[1] = x;
+  for (size_t i = 2; i < count; i++) {
+    to[i] = 2 * x * to[i - 1] - to[i - 2];
+  }
+}
+
+static int64_t read_integer(const uint8_t **next) {
+  uint64_t zigzag = 0;
+  for (int shift = 0;; shift += 7) {
+    const uint8_t byte = *(*next)++;
+    zigzag |= (uint64_t)(byte & 0x7f) << shift;
+    if (byte < 0x80) {
+      return (int64_t)(zigzag >> 1) ^ -(int64_t)(zigzag & 1);
+    }
+  }
+}
+
+void fit_aperture_prepare(fit_aperture *aperture, double g, double eta, double NA) {
+  assert(g >= 0 && g <= FIT_APERTURE_G_MOST && NA > 0 && NA <= 1);
+  assert(eta >= FIT_APERTURE_ETA_LEAST && eta <= FIT_APERTURE_ETA_MOST);
+  const double u = real_min(NA / real_min(eta, 1), 1);
+  const double v_most = v_of(eta < 1 ? FIT_APERTURE_ETA_LEAST : FIT_APERTURE_ETA_MOST);
+  double by_eta[ETAS] = {0}, by_g[GS], by_u[CONES];
+  if (eta < 1) {
+    polynomials(FIT_APERTURE_ETAS_BELOW, mapped(v_of(eta), 0, v_most), by_eta);
+  } else {
+    polynomials(FIT_APERTURE_ETAS_FROM, mapped(v_of(eta), 0, v_most),
+                by_eta + FIT_APERTURE_ETAS_BELOW);
+  }
+  polynomials(GS, mapped(g, 0, FIT_APERTURE_G_MOST), by_g);
+  polynomials(CONES, mapped(ln(u), ln(FIT_APERTURE_U_LEAST), 0), by_u);
+  *aperture = (fit_aperture){.u2 = u * u};
+  const uint8_t *next = fit_aperture_data;
+  for (size_t row = 0; row < (size_t)ETAS * GS * CONES * RATIOS; row++) {
+    const size_t s = row % RATIOS, cone = row / RATIOS % CONES, k = row / RATIOS / CONES % GS;
+    const double factor =
+        FIT_APERTURE_QUANTUM * by_eta[row / RATIOS / CONES / GS] * by_g[k] * by_u[cone];
+    const size_t terms = *next++;
+    for (size_t i = 0; i < terms; i++) {
+      aperture->term[s][i] += factor * (double)read_integer(&next);
+    }
+  }
+}
+
+void fit_aperture_medium(const fit_aperture *aperture, double ratio, fit_aperture_row *row) {
+  double by_s[RATIOS];
+  const double least = s_of(ratio_least), most = s_of(FIT_APERTURE_RATIO_MOST);
+  const double kept = real_min(real_max(ratio, ratio_least), FIT_APERTURE_RATIO_MOST);
+  polynomials(RATIOS, mapped(s_of(kept), least, most), by_s);
+  *row = (fit_aperture_row){.u2 = aperture->u2, .ln_reach = ln_reach(kept)};
+  for (size_t s = 0; s < RATIOS; s++) {
+    for (size_t i = 0; i < PLACES; i++) {
+      row->term[i] += by_s[s] * aperture->term[s][i];
+    }
+  }
+}
+
+double fit_aperture_share(const fit_aperture_row *row, double ln_x) {
+  const double p = mapped(ln_x, ln(FIT_APERTURE_X_LEAST), row->ln_reach);
+  double one = 0, two = 0;
+  for (size_t i = PLACES - 1; i > 0; i--) { /* Clenshaw 1955 */
+    const double next = row->term[i] + 2 * p * one - two;
+    two = one;
+    one = next;
+  }
+  return row->u2 * real_exp_signed(row->term[0] + p * one - two);
+}

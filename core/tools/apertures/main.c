@@ -1,0 +1,321 @@
+/* apertures FOLDER FILE quick|normal: solves the media of the table of core/fit/aperture.h, on quick or
+ * normal grids, and writes it. It keeps what it has solved in FOLDER, so that an interrupted run
+ * continues where it stopped.
+ *
+ * apertures FOLDER: compares the table that the program has with media that it was not made from, on
+ * normal grids, and prints relative errors of the share. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/fit/aperture.h"
+#include "core/tools/tools.h"
+#include "core/transport/anisotropic.h"
+#include "core/transport/functions.h"
+
+enum {
+  PLACES = FIT_APERTURE_PLACES,
+  RATIOS = FIT_APERTURE_RATIOS,
+  BELOW = FIT_APERTURE_ETAS_BELOW,
+  FROM = FIT_APERTURE_ETAS_FROM,
+  ETAS = BELOW + FROM,
+  GS = FIT_APERTURE_GS,
+  CONES = FIT_APERTURE_CONES,
+  PATH_BYTES = 1024,
+  MEDIUM_US = 20000000,
+};
+
+/* ---- solving --------------------------------------------------------------------------------- */
+
+/* F of a medium, and the difference of the solver's two grids, which is found for media that the table
+ * is compared with. */
+struct solved {
+  double ratio, g;
+  double F[ETAS][CONES][PLACES];
+  double error[ETAS][CONES][PLACES];
+};
+
+/* effort: TRANSPORT_EFFORT_NORMAL with the error, or another one without. */
+static void solve(struct solved *to, const double etas[ETAS], const double u[CONES],
+                  transport_effort effort, bool once) {
+  const transport_phase phase = {.g = to->g};
+  transport_anisotropic *solution;
+  tools_check(transport_anisotropic_solve_cones(&solution, core_isa_select(NULL), to->ratio, &phase,
+                                                etas, ETAS, u, CONES, effort, once),
+              "the solver");
+  for (size_t e = 0; e < ETAS; e++) {
+    for (size_t c = 0; c < CONES; c++) {
+      for (size_t i = 0; i < PLACES; i++) {
+        const transport_number share =
+            transport_anisotropic_share_at(solution, e, c, fit_aperture_x(i, to->ratio));
+        to->F[e][c][i] = log(share.value / (u[c] * u[c]));
+        to->error[e][c][i] = share.error / share.value;
+      }
+    }
+    /* Where nearly all light is absorbed, narrow cones may come out without any. */
+    for (size_t i = 0; i < PLACES * (CONES - 1); i++) {
+      const size_t c = CONES - 2 - i / PLACES, at = i % PLACES;
+      to->F[e][c][at] = isfinite(to->F[e][c][at]) ? to->F[e][c][at] : to->F[e][c + 1][at];
+    }
+  }
+  transport_anisotropic_free(solution);
+}
+
+/* Media of the table come first, then those that it is compared at, which are spread by the golden
+ * ratio and its square, as are their eta and u. */
+enum { MADE = RATIOS * GS, COMPARED = 7, MEDIA = MADE + COMPARED };
+
+/* From both of these on, quick grids are up to a few percent off, and normal ones are used. */
+#define NORMAL_FROM_RATIO 3
+#define NORMAL_FROM_G 0.6
+
+static double spread(size_t i, double step) {
+  const double x = 0.5 + step * (double)i;
+  return x - floor(x);
+}
+
+/* Returns a number between two nodes of an axis. */
+static double between(double (*node)(size_t), size_t count, double place) {
+  const double at = place * (double)(count - 1);
+  const size_t i = (size_t)at;
+  return node(i) + (at - (double)i) * (node(i + 1) - node(i));
+}
+
+static void set_medium(size_t i, struct solved *to, double etas[ETAS], double u[CONES]) {
+  const size_t k = i < MADE ? 0 : i - MADE;
+  to->ratio = i < MADE ? fit_aperture_ratio(i % RATIOS)
+                       : between(fit_aperture_ratio, RATIOS, spread(k, 0.6180339887));
+  to->g = i < MADE ? fit_aperture_g(i / RATIOS) : FIT_APERTURE_G_MOST * spread(k, 0.7548776662);
+  for (size_t e = 0; e < ETAS; e++) {
+    const double x = ((double)e + spread(k, 0.3819660113)) / ETAS;
+    etas[e] = i < MADE
+                  ? fit_aperture_eta(e)
+                  : FIT_APERTURE_ETA_LEAST + x * (FIT_APERTURE_ETA_MOST - FIT_APERTURE_ETA_LEAST);
+  }
+  for (size_t c = 0; c < CONES; c++) {
+    const double x = ((double)c + spread(k, 0.5698402910)) / CONES;
+    u[c] = i < MADE ? fit_aperture_u(c) : pow(FIT_APERTURE_U_LEAST, 1 - x);
+  }
+}
+
+struct run {
+  const char *folder;
+  transport_effort effort; /* of the media that make the table */
+  size_t first;            /* of the media that are solved */
+  struct solved *media;
+  tools_progress progress;
+};
+
+static void solve_or_read(void *context, size_t item) {
+  struct run *run = context;
+  struct solved wanted, *to = &run->media[run->first + item];
+  double etas[ETAS], u[CONES];
+  set_medium(run->first + item, &wanted, etas, u);
+  char path[PATH_BYTES];
+  const bool made = run->first + item < MADE;
+  const bool dark = wanted.ratio > NORMAL_FROM_RATIO && wanted.g > NORMAL_FROM_G;
+  const transport_effort effort = made && !dark ? run->effort : TRANSPORT_EFFORT_NORMAL;
+  if (snprintf(path, sizeof path, "%s/%d-%.9g-%.9g-%.9g-%.9g", run->folder, 2 * (int)effort + made,
+               wanted.ratio, wanted.g, etas[0], u[0]) >= PATH_BYTES) {
+    tools_fail("the folder's name is too long");
+  }
+  FILE *file = fopen(path, "rb");
+  const bool read = file != NULL && fread(to, sizeof *to, 1, file) == 1;
+  if (file != NULL) {
+    fclose(file);
+  }
+  if (!read) {
+    to->ratio = wanted.ratio;
+    to->g = wanted.g;
+    solve(to, etas, u, effort, made);
+    file = tools_open(path);
+    fwrite(to, sizeof *to, 1, file);
+    tools_close(file, path);
+  }
+  tools_progress_add(&run->progress, MEDIUM_US);
+}
+
+static void solve_media(struct run *run, size_t first, size_t count) {
+  run->first = first;
+  tools_make_folder(run->folder);
+  tools_progress_start(&run->progress, (double)count * MEDIUM_US);
+  tools_each(tools_processors(), count, solve_or_read, run);
+  tools_progress_end(&run->progress);
+}
+
+/* ---- the table ------------------------------------------------------------------------------- */
+
+/* Replaces `count` values at nodes, `stride` apart, by the terms of their series. */
+static void find_terms(double *values, size_t count, size_t stride) {
+  double term[PLACES];
+  const double last = (double)(count - 1);
+  for (size_t j = 0; j < count; j++) {
+    term[j] = 0;
+    for (size_t i = 0; i < count; i++) {
+      const double at = cos(FN_PI * (double)j * ((double)(count - 1 - i)) / last);
+      term[j] += (i == 0 || i + 1 == count ? 0.5 : 1) * values[i * stride] * at;
+    }
+    term[j] *= (j == 0 || j + 1 == count ? 1 : 2) / last;
+  }
+  for (size_t j = 0; j < count; j++) {
+    values[j * stride] = term[j];
+  }
+}
+
+typedef double terms[ETAS][GS][CONES][RATIOS][PLACES];
+
+/* Makes terms of the values along one index, whose neighbours are `stride` apart. The values are
+ * `size`, from `from` on. */
+static void transform(double *from, size_t size, size_t count, size_t stride) {
+  for (size_t i = 0; i < size; i++) {
+    if (i / stride % count == 0) {
+      find_terms(from + i, count, stride);
+    }
+  }
+}
+
+static void write_table(const struct solved *media, const char *path) {
+  terms *all = malloc(sizeof *all);
+  if (all == NULL) {
+    tools_fail("out of memory");
+  }
+  for (size_t e = 0; e < ETAS; e++) {
+    for (size_t k = 0; k < GS; k++) {
+      for (size_t c = 0; c < CONES; c++) {
+        for (size_t s = 0; s < RATIOS; s++) {
+          memcpy((*all)[e][k][c][s], media[k * RATIOS + s].F[e][c], sizeof(double[PLACES]));
+        }
+      }
+    }
+  }
+  double *first = &(*all)[0][0][0][0][0];
+  const size_t of_eta = (size_t)GS * CONES * RATIOS * PLACES;
+  transform(first, ETAS * of_eta, PLACES, 1);
+  transform(first, ETAS * of_eta, RATIOS, PLACES);
+  transform(first, ETAS * of_eta, CONES, (size_t)RATIOS * PLACES);
+  transform(first, ETAS * of_eta, GS, (size_t)CONES * RATIOS * PLACES);
+  /* The node of eta = 1 is the last below 1, where v is 0. */
+  for (size_t i = 0; i < of_eta; i++) {
+    double below[BELOW];
+    for (size_t e = 0; e < BELOW; e++) {
+      below[e] = first[(BELOW - 1 - e) * of_eta + i];
+    }
+    find_terms(below, BELOW, 1);
+    for (size_t e = 0; e < BELOW; e++) {
+      first[e * of_eta + i] = below[e];
+    }
+  }
+  transform(first + BELOW * of_eta, FROM * of_eta, FROM, of_eta);
+  FILE *file = tools_open(path);
+  for (size_t row = 0; row < ETAS * of_eta; row += PLACES) {
+    long integer[PLACES];
+    size_t count = 0;
+    for (size_t i = 0; i < PLACES; i++) {
+      integer[i] = lround(first[row + i] / FIT_APERTURE_QUANTUM);
+      count = integer[i] != 0 ? i + 1 : count;
+    }
+    fputc((int)count, file);
+    for (size_t i = 0; i < count; i++) {
+      unsigned long zigzag =
+          integer[i] < 0 ? -2UL * (unsigned long)integer[i] - 1 : 2UL * (unsigned long)integer[i];
+      for (; zigzag >= 0x80; zigzag >>= 7) {
+        fputc((int)((zigzag & 0x7f) | 0x80), file);
+      }
+      fputc((int)zigzag, file);
+    }
+  }
+  tools_close(file, path);
+  free(all);
+}
+
+/* ---- comparing ------------------------------------------------------------------------------- */
+
+/* Edges of ranges of x and of the ratio, in which the largest errors are printed. */
+static const double x_edges[] = {0, 0.05, 0.1, 0.2, 0.5, 1, 1e9};
+static const double ratio_edges[] = {0, 0.1, 1, 100};
+enum { XS = 6, BANDS = 3 };
+
+static int by_size(const void *a, const void *b) {
+  const double x = *(const double *)a, y = *(const double *)b;
+  return (x > y) - (x < y);
+}
+
+struct compared {
+  size_t count;
+  double *off;   /* of the table's shares, relative */
+  double *apart; /* the solver's two grids */
+};
+
+/* Adds the shares of a medium with x between two numbers. */
+static void add_medium(struct compared *to, const struct solved *medium, const double etas[ETAS],
+                       const double u[CONES], double least, double most) {
+  for (size_t at = 0; at < (size_t)ETAS * CONES; at++) {
+    const size_t e = at / CONES, c = at % CONES;
+    fit_aperture aperture;
+    fit_aperture_row row;
+    fit_aperture_prepare(&aperture, medium->g, etas[e], u[c] * fmin(etas[e], 1));
+    fit_aperture_medium(&aperture, medium->ratio, &row);
+    for (size_t i = 0; i < PLACES; i++) {
+      const double x = fit_aperture_x(i, medium->ratio);
+      const double truth = u[c] * u[c] * exp(medium->F[e][c][i]);
+      if (x >= least && x < most) {
+        to->off[to->count] = fabs(fit_aperture_share(&row, log(x)) / truth - 1);
+        to->apart[to->count++] = medium->error[e][c][i];
+      }
+    }
+  }
+}
+
+static void compare(const struct solved *media) {
+  const size_t room = (size_t)COMPARED * ETAS * CONES * PLACES;
+  struct compared all = {.off = malloc(room * sizeof(double)),
+                         .apart = malloc(room * sizeof(double))};
+  if (all.off == NULL || all.apart == NULL) {
+    tools_fail("out of memory");
+  }
+  puts("sigma_a/sigma_s' from, x from, values, off: median, 95 %, most; grids apart: 95 %, most");
+  for (size_t at = 0; at < (size_t)BANDS * XS; at++) {
+    const double *ratio = &ratio_edges[at / XS], *x = &x_edges[at % XS];
+    all.count = 0;
+    for (size_t m = MADE; m < MEDIA; m++) {
+      struct solved copy;
+      double etas[ETAS], u[CONES];
+      set_medium(m, &copy, etas, u);
+      if (copy.ratio >= ratio[0] && copy.ratio < ratio[1]) {
+        add_medium(&all, &media[m], etas, u, x[0], x[1]);
+      }
+    }
+    const size_t n = all.count;
+    if (n > 0) {
+      qsort(all.off, n, sizeof *all.off, by_size);
+      qsort(all.apart, n, sizeof *all.apart, by_size);
+      printf("%g,%g,%zu,%.1e,%.1e,%.1e,%.1e,%.1e\n", ratio[0], x[0], n, all.off[n / 2],
+             all.off[n * 95 / 100], all.off[n - 1], all.apart[n * 95 / 100], all.apart[n - 1]);
+    }
+  }
+  free(all.off);
+  free(all.apart);
+}
+
+int main(int count, char **arguments) {
+  const bool compares = count == 2;
+  if (!compares && count != 4) {
+    tools_fail("usage: apertures FOLDER [FILE quick|normal]");
+  }
+  struct run run = {.folder = arguments[1],
+                    .effort = !compares && strcmp(arguments[3], "normal") == 0
+                                  ? TRANSPORT_EFFORT_NORMAL
+                                  : TRANSPORT_EFFORT_QUICK,
+                    .media = calloc(MEDIA, sizeof *run.media)};
+  if (run.media == NULL) {
+    tools_fail("out of memory");
+  }
+  solve_media(&run, compares ? MADE : 0, compares ? COMPARED : MADE);
+  if (compares) {
+    compare(run.media);
+  } else {
+    write_table(run.media, arguments[2]);
+  }
+  free(run.media);
+  return 0;
+}
