@@ -247,14 +247,28 @@ static void take(worst_error *worst, worst_error found) {
   worst->values = found.values;
 }
 
+/* Returns what profiles multiply R by, such that its integral is the total: the model transport does
+ * so where g is not 0 (core/models/transport.c). An error far away, where most light leaves if little
+ * is absorbed, is then one everywhere. By the midpoint rule in ln x. */
+static double scale_of(const transport_series *series) {
+  const double step = 0.02, last = series->edge[TRANSPORT_TABLE_PANELS];
+  double energy = 0;
+  for (double y = series->edge[0] + 0.5 * step; y < last && series->g != 0; y += step) {
+    const double x = fn_exp(y);
+    energy += 2 * FN_PI * step * x * fn_exp(transport_series_at(series, y) - series->kappa * x);
+  }
+  return series->g != 0 ? series->total / energy : 1;
+}
+
 static void compare_radii(const table_sample *sample, size_t i, const transport_series *series,
                           checks_result *result) {
+  const double scale = scale_of(series);
   for (size_t j = i * sample->radii; j < (i + 1) * sample->radii; j++) {
     const double x = sample->x[j];
     const double R = sample->R[j];
     if (R > TRANSPORT_TABLE_R_LEAST) {
       const double ln_xR = transport_series_at(series, fn_log(x)) - series->kappa * x;
-      const double error = fabs(fn_exp(ln_xR - fn_log(x * R)) - 1);
+      const double error = fabs(scale * fn_exp(ln_xR - fn_log(x * R)) - 1);
       const double albedo = sample->albedo[i];
       take(sample->g == 0
                ? &result->R
