@@ -234,6 +234,7 @@ enum {
   U_FIRST = -20,
   REST_FIRST = -24,
   U_END = -1,
+  FINE_LEVEL = 2, /* the first one for tolerances below 2e-5 */
   LEVELS = 4
 };
 
@@ -242,7 +243,8 @@ enum {
 static int cuts_of_radius(const transport_table *table, int octave, int level) {
   /* Single scattering gives way to multiple near x = 8; the series for g end near x = 100. */
   const int base = octave < -1 ? 0 : octave == 0 ? 3 : octave > 0 && octave < 8 ? 2 : 1;
-  int cuts = base + (octave < -11 ? 0 : level) + (octave > 4 && octave < 8 && level > 0);
+  const bool bends = octave > 4 ? octave < 8 && level > 0 : octave == 3 && level >= FINE_LEVEL;
+  int cuts = base + (octave < -11 ? 0 : level) + bends;
   for (int i = 0; i <= TRANSPORT_TABLE_NEAR + 1 + TRANSPORT_TABLE_D_NEAR; i++) {
     const double edge = table->field[i <= TRANSPORT_TABLE_NEAR
                                          ? TRANSPORT_TABLE_EDGES + i
@@ -252,6 +254,11 @@ static int cuts_of_radius(const transport_table *table, int octave, int level) {
     if (place > 1 && place < 2 && fabs(cell - floor(cell + 0.5)) > 1e-6) {
       cuts = cuts > 1 + 3 * level ? cuts : 1 + 3 * level;
     }
+  }
+  /* The reach of the difference moves with the albedo, from here on inwards, and has a kink, too. */
+  const double reach = table->field[TRANSPORT_TABLE_D_REACH_MOST];
+  if (level >= FINE_LEVEL && ldexp(1, octave) < reach && reach <= ldexp(1, octave + 1)) {
+    cuts = CORE_SURFACE_CUTS_MAX;
   }
   return cuts < CORE_SURFACE_CUTS_MAX ? cuts : CORE_SURFACE_CUTS_MAX;
 }
@@ -687,7 +694,7 @@ static core_fault build_transport(const core_surface_inputs *inputs, float *head
   rows *all = rows_create(table, inputs->g, inputs->eta, inputs->tolerance);
   rows_row *row = malloc(sizeof *row);
   core_fault fault = all == NULL || row == NULL ? CORE_OUT_OF_MEMORY : (core_fault){0};
-  int level = inputs->tolerance >= 3e-4 ? 0 : inputs->tolerance >= 2e-5 ? 1 : 2;
+  int level = inputs->tolerance >= 3e-4 ? 0 : inputs->tolerance >= 2e-5 ? 1 : FINE_LEVEL;
   bool good = false;
   while (fault.field == NULL && !good) {
     lay_axes(inputs, table, header, level);

@@ -1,5 +1,5 @@
-/* The energy within is a Chebyshev series in t = x / 2^e - 1, from 0 to 1, for each octave of x. Q is
- * that of the table's series, whose panels do not end where octaves do. */
+/* The energy within is a Chebyshev series in x for each panel. Q is that of the table's series, some
+ * of whose edges move with the albedo: panels do not end there. */
 #include "core/varying/rows.h"
 
 #include <assert.h>
@@ -27,7 +27,10 @@ struct rows {
   double s_least; /* of the largest albedo of the table */
   double w_least;
   double point[TERMS]; /* Chebyshev points, from 0 to 1 */
-  double ln_x[ROWS_OCTAVES][TERMS];
+  int panels;
+  double edge[ROWS_PANELS_MAX + 1];
+  int panel_of_octave[ROWS_OCTAVES]; /* the first one */
+  double x[ROWS_PANELS_MAX][TERMS], ln_x[ROWS_PANELS_MAX][TERMS];
   double basis[TERMS][TERMS]; /* [i][k]: weight of the value at point i in term k */
   /* If g is not 0: kappa / s as a Chebyshev series in the coordinate u of the table. Solving for
    * kappa takes longer than all else. */
@@ -47,15 +50,43 @@ static void set_points(rows *all) {
     double sine, cosine;
     fn_sincos(FN_PI * (i + 0.5) / TERMS, &sine, &cosine);
     all->point[i] = 0.5 * (1 - cosine);
-    for (int octave = 0; octave < ROWS_OCTAVES; octave++) {
-      all->ln_x[octave][i] = (ROWS_FIRST + octave) * FN_LN2 + fn_log(1 + all->point[i]);
-    }
     double before = 1, now = -cosine;
     for (int k = 0; k < TERMS; k++) {
       all->basis[i][k] = (k == 0 ? 1.0 : 2.0) / TERMS * before;
       const double next = -2 * cosine * now - before;
       before = now;
       now = next;
+    }
+  }
+}
+
+/* Returns the table's fixed edge number i, in mean free paths. */
+static double fixed_edge(const transport_table *table, int i) {
+  const int near = TRANSPORT_TABLE_NEAR + 1;
+  return table->field[i < near ? TRANSPORT_TABLE_EDGES + i : TRANSPORT_TABLE_D_EDGES + i - near];
+}
+
+static void set_panels(rows *all) {
+  for (int octave = 0; octave < ROWS_OCTAVES; octave++) {
+    const double begin = ldexp(1, ROWS_FIRST + octave);
+    all->panel_of_octave[octave] = all->panels;
+    double x = begin;
+    while (x < 2 * begin) {
+      double next = 2 * begin;
+      for (int i = 0; i < ROWS_CUTS_MAX; i++) {
+        const double edge = fixed_edge(all->table, i);
+        next = edge > x && edge < next ? edge : next;
+      }
+      all->edge[all->panels++] = x;
+      x = next;
+    }
+    all->edge[all->panels] = x;
+  }
+  for (int panel = 0; panel < all->panels; panel++) {
+    for (int i = 0; i < TERMS; i++) {
+      all->x[panel][i] =
+          all->edge[panel] + all->point[i] * (all->edge[panel + 1] - all->edge[panel]);
+      all->ln_x[panel][i] = fn_log(all->x[panel][i]);
     }
   }
 }
@@ -95,11 +126,16 @@ static void integrate(const double *terms, double *out) {
   out[0] = -begin;
 }
 
-/* Returns the octave of x, and sets *t. */
-static int octave_of(double x, double *t) {
+/* Returns the panel of x, which is in an octave with rows, and sets *t. */
+static int panel_of(const rows *all, double x, double *t) {
   int exponent;
-  *t = 2 * frexp(x, &exponent) - 1;
-  return exponent - 1 - ROWS_FIRST;
+  frexp(x, &exponent);
+  int panel = all->panel_of_octave[exponent - 1 - ROWS_FIRST];
+  while (x >= all->edge[panel + 1]) {
+    panel++;
+  }
+  *t = (x - all->edge[panel]) / (all->edge[panel + 1] - all->edge[panel]);
+  return panel;
 }
 
 /* ---- kappa -------------------------------------------------------------------------------- */
@@ -198,21 +234,21 @@ void rows_Q(const rows_row *row, size_t n, const double *y, double *Q) {
 /* Sums the energy of a row from its Q. For g other than 0, R is scaled to the total as
  * core/models/transport.c does. */
 static void sum_energy(const rows *all, rows_row *row) {
-  double part[ROWS_OCTAVES];
+  double part[ROWS_PANELS_MAX];
   double Q[TERMS];
   rows_Q(row, 1, (double[]){ROWS_FIRST * FN_LN2}, Q);
-  double energy = 2 * FN_PI * row->albedo * fn_exp(Q[0]) * ldexp(1, ROWS_FIRST);
+  double energy = 2 * FN_PI * row->albedo * fn_exp(Q[0]) * all->edge[0];
   memset(row->within, 0, sizeof row->within);
   row->before[0] = energy;
-  for (int i = 0; i < ROWS_OCTAVES; i++) {
-    const double begin = ldexp(1, ROWS_FIRST + i);
+  for (int i = 0; i < all->panels; i++) {
+    const double width = all->edge[i + 1] - all->edge[i];
     part[i] = 0;
-    if (row->kappa * begin < DECAYS_MOST) {
+    if (row->kappa * all->edge[i] < DECAYS_MOST) {
       double density[TERMS], terms[TERMS];
       rows_Q(row, TERMS, all->ln_x[i], Q);
       for (int k = 0; k < TERMS; k++) {
-        const double x = begin * (1 + all->point[k]), kx = row->kappa * x;
-        density[k] = 2 * FN_PI * row->albedo * begin * (1 + kx) * fn_exp(Q[k] - kx);
+        const double kx = row->kappa * all->x[i][k];
+        density[k] = 2 * FN_PI * row->albedo * width * (1 + kx) * fn_exp(Q[k] - kx);
       }
       fit(all, density, terms);
       integrate(terms, row->within[i]);
@@ -221,8 +257,8 @@ static void sum_energy(const rows *all, rows_row *row) {
     energy += part[i];
     row->before[i + 1] = energy;
   }
-  row->beyond[ROWS_OCTAVES] = 0;
-  for (int i = ROWS_OCTAVES; i-- > 0;) {
+  row->beyond[all->panels] = 0;
+  for (int i = all->panels; i-- > 0;) {
     row->beyond[i] = row->beyond[i + 1] + part[i] / energy;
     for (int k = 0; k < TERMS; k++) {
       row->within[i][k] /= energy;
@@ -292,6 +328,7 @@ transport_slice_sums rows_totals(const rows *all, double s, double w) {
 }
 
 void rows_fill(const rows *all, double s, double w, rows_row *row) {
+  row->all = all;
   row->s = s;
   row->w = w;
   row->albedo = w * (1 + s);
@@ -344,6 +381,7 @@ rows *rows_create(const transport_table *table, double g, double eta, double tol
     all->error = everywhere ? INTERPOLATES_ERROR : INTERPOLATES_ALBEDO_ERROR;
   }
   set_points(all);
+  set_panels(all);
   for (int i = 0; i < BASES; i++) {
     const double s = all->s_least * (1 + i), w = all->w_least * (1 + 0.02 * i);
     all->base_at[0][i] = s;
@@ -389,20 +427,22 @@ size_t rows_edges(const rows_row *row, double x[ROWS_EDGES_MAX]) {
 /* ---- the functions of a row ------------------------------------------------------------------ */
 
 double rows_cdf(const rows_row *row, double x) {
+  if (x < row->all->edge[0]) {
+    return row->before[0] * ldexp(x, -ROWS_FIRST);
+  }
   double t;
-  const int octave = octave_of(x, &t);
-  return octave < 0 ? row->before[0] * ldexp(x, -ROWS_FIRST)
-                    : row->before[octave] + sum_of(row->within[octave], t);
+  const int panel = panel_of(row->all, x, &t);
+  return row->before[panel] + sum_of(row->within[panel], t);
 }
 
 /* Newton's method squares its error: the step after one of this size is within 1e-10. */
 #define SEARCHED 3e-6
 
-/* Returns x in an octave where the energy within the octave is `wanted`: Newton's method in a
+/* Returns x in a panel where the energy within the panel is `wanted`: Newton's method in a
  * bracket. */
-static double search(const rows_row *row, int octave, double wanted, rows_found *last) {
-  const double *terms = row->within[octave];
-  const bool follows = last->octave == octave && last->slope > 0;
+static double search(const rows_row *row, int panel, double wanted, rows_found *last) {
+  const double *terms = row->within[panel];
+  const bool follows = last->panel == panel && last->slope > 0;
   const double guess =
       follows ? last->t + (wanted - last->wanted) / last->slope : wanted / sum_of(terms, 1);
   double low = 0, high = 1, t = fmin(fmax(guess, 0), 1), slope = 0;
@@ -430,25 +470,26 @@ static double search(const rows_row *row, int octave, double wanted, rows_found 
       break;
     }
   }
-  *last = (rows_found){octave, wanted, t, slope};
-  return ldexp(1 + t, ROWS_FIRST + octave);
+  *last = (rows_found){panel, wanted, t, slope};
+  const double *edge = &row->all->edge[panel];
+  return edge[0] + t * (edge[1] - edge[0]);
 }
 
 double rows_radius(const rows_row *row, double u, rows_found *last) {
   if (u < row->before[0]) {
     return ldexp(u / row->before[0], ROWS_FIRST);
   }
-  int octave = 0;
-  while (octave < ROWS_OCTAVES - 1 && row->before[octave + 1] < u) {
-    octave++;
+  int panel = 0;
+  while (panel < row->all->panels - 1 && row->before[panel + 1] < u) {
+    panel++;
   }
-  return search(row, octave, u - row->before[octave], last);
+  return search(row, panel, u - row->before[panel], last);
 }
 
 double rows_radius_of_rest(const rows_row *row, double rest, rows_found *last) {
-  int octave = ROWS_OCTAVES - 1;
-  while (octave > 0 && row->beyond[octave] < rest) {
-    octave--;
+  int panel = row->all->panels - 1;
+  while (panel > 0 && row->beyond[panel] < rest) {
+    panel--;
   }
-  return search(row, octave, fmax(row->beyond[octave] - rest, 0), last);
+  return search(row, panel, fmax(row->beyond[panel] - rest, 0), last);
 }

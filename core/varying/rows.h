@@ -6,11 +6,14 @@
 #include "core/transport/table.h"
 
 enum {
-  ROWS_FIRST = -20, /* octaves of x with a series each; below, x R is constant */
+  ROWS_FIRST = -20, /* octaves of x with rows; below, x R is constant */
   ROWS_END = 14,
   ROWS_FAR_END = 40, /* the energy is summed to here */
   ROWS_OCTAVES = ROWS_FAR_END - ROWS_FIRST,
-  ROWS_TERMS = 16 /* of a series in an octave */
+  /* Panels are octaves, which the fixed edges of the table cut, as Q has kinks there. */
+  ROWS_CUTS_MAX = TRANSPORT_TABLE_NEAR + 1 + TRANSPORT_TABLE_D_NEAR + 1,
+  ROWS_PANELS_MAX = ROWS_OCTAVES + ROWS_CUTS_MAX,
+  ROWS_TERMS = 16 /* of a series in a panel */
 };
 
 /* Q of a medium of the table, and beyond its reach as core/models/transport.c continues R. */
@@ -22,7 +25,11 @@ typedef struct rows_source {
 
 enum { ROWS_BASES = 3 };
 
+/* What all rows of one g and eta share. */
+typedef struct rows rows;
+
 typedef struct rows_row {
+  const rows *all;
   double s, w; /* w = 1 - s */
   double albedo;
   double kappa;
@@ -32,13 +39,12 @@ typedef struct rows_row {
   const rows_source *base[ROWS_BASES];     /* Q is the sum of these with weights: the row's own */
   double weight[ROWS_BASES];               /* source, or those that it is extrapolated from */
   double lift;                             /* of Q, so that R integrates to the total */
-  double within[ROWS_OCTAVES][ROWS_TERMS]; /* energy within, from the octave's begin, per total: */
-  double before[ROWS_OCTAVES + 1];         /* a Chebyshev series; energy below the octave */
-  double beyond[ROWS_OCTAVES + 1];         /* energy from the octave's begin on */
+  /* For each panel the energy within, from its begin on, per total, as a Chebyshev series; the energy
+   * below its begin; and that from its begin on. */
+  double within[ROWS_PANELS_MAX][ROWS_TERMS];
+  double before[ROWS_PANELS_MAX + 1];
+  double beyond[ROWS_PANELS_MAX + 1];
 } rows_row;
-
-/* What all rows of one g and eta share. */
-typedef struct rows rows;
 
 /* Creates rows whose R has a relative error against the table that is far below the tolerance.
  * Returns NULL if memory runs out. The table has to cover g and eta (asserted). The caller frees
@@ -53,7 +59,7 @@ double rows_error(const rows *all);
  * extrapolated, as are those of s below that of the table's largest albedo. */
 double rows_w_least(const rows *all);
 
-/* Sets *row to that of s = sqrt(sigma_a / sigma_t') and w = 1 - s, which both are given since one
+/* Sets *row, which `all` has to outlive, to that of s = sqrt(sigma_a / sigma_t') and w = 1 - s, which both are given since one
  * of them may be small. s: 0 to 1. */
 void rows_fill(const rows *all, double s, double w, rows_row *row);
 
@@ -73,10 +79,10 @@ size_t rows_edges(const rows_row *row, double x[ROWS_EDGES_MAX]);
 
 /* Where a radius was found, from which the next one is sought. Begins as zero. */
 typedef struct rows_found {
-  int octave;
-  double wanted; /* energy within the octave */
-  double t;      /* place in the octave, from 0 to 1 */
-  double slope;  /* of the energy by t; 0 if nothing was found in an octave yet */
+  int panel;
+  double wanted; /* energy within the panel */
+  double t;      /* place in the panel, from 0 to 1 */
+  double slope;  /* of the energy by t; 0 if nothing was found in a panel yet */
 } rows_found;
 
 /* Return the cdf at x, and the radius whose cdf is u, or 1 - rest. `last` is where the radius of the
