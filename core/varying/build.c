@@ -243,7 +243,7 @@ enum {
 static int cuts_of_radius(const transport_table *table, int octave, int level) {
   /* Single scattering gives way to multiple near x = 8; the series for g end near x = 100. */
   const int base = octave < -1 ? 0 : octave == 0 ? 3 : octave > 0 && octave < 8 ? 2 : 1;
-  const bool bends = octave > 4 ? octave < 8 && level > 0 : octave == 3 && level >= FINE_LEVEL;
+  const bool bends = octave == 3 || (octave > 4 && octave < 8 && level > 0);
   int cuts = base + (octave < -11 ? 0 : level) + bends;
   for (int i = 0; i <= TRANSPORT_TABLE_NEAR + 1 + TRANSPORT_TABLE_D_NEAR; i++) {
     const double edge = table->field[i <= TRANSPORT_TABLE_NEAR
@@ -267,11 +267,11 @@ static int cuts_of_radius(const transport_table *table, int octave, int level) {
 static int cuts_of(enum core_surface_axis axis, int octave, int level) {
   int base;
   if (axis == CORE_SURFACE_W) { /* the first octave is not full: see fill_rows() */
-    base = octave == W_FIRST ? 2 : 1;
+    base = octave == W_FIRST || octave == ALBEDO_END - 1 ? 2 : 1;
   } else if (axis == CORE_SURFACE_S) {
     base = octave < S_FIRST ? 0 : octave < -4 ? 1 : 2;
   } else {
-    base = octave >= -4 ? 2 : axis == CORE_SURFACE_REST;
+    base = octave >= -4 ? 2 : octave == -5 || axis == CORE_SURFACE_REST;
   }
   return base + level;
 }
