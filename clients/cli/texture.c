@@ -292,7 +292,10 @@ const cli_command cli_command_texture = {
         "with\n"
         "several coefficients their names stand before the ending, as in skin.sigma_a.pfm. The\n"
         "media have the colours under the model, to 1e-5 with transport. A colour that no medium\n"
-        "has becomes NaN; then the exit status is 3.\n",
+        "has becomes NaN; then the exit status is 3. An EXR goes through `ffmpeg -i skin.exr\n"
+        "skin.pfm` before, and what is written through `ffmpeg -i skin.sigma_a.pfm sigma_a.exr`.\n"
+        "Both keep the numbers. FFmpeg 5.1 turns a PFM upside down when it writes and reads one:\n"
+        "add `-vf vflip` if the image that went in was no EXR.\n",
     .formats = "none",
     .options = {options, cli_parameter_options},
     .examples =

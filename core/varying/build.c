@@ -263,13 +263,15 @@ static int cuts_of_radius(const transport_table *table, int octave, int level) {
   return cuts < CORE_SURFACE_CUTS_MAX ? cuts : CORE_SURFACE_CUTS_MAX;
 }
 
-/* The same for the other axes. Each level has one cut more, which divides errors by 16. */
-static int cuts_of(enum core_surface_axis axis, int octave, int level) {
+/* The same for the other axes. Each level has one cut more, which divides errors by 16. All that
+ * media have up to 2^reach is nearly a straight line of s below 2^-reach. */
+static int cuts_of(enum core_surface_axis axis, int octave, int reach, int level) {
   int base;
   if (axis == CORE_SURFACE_W) { /* the first octave is not full: see fill_rows() */
     base = octave == W_FIRST || octave == ALBEDO_END - 1 ? 2 : 1;
   } else if (axis == CORE_SURFACE_S) {
-    base = octave < S_FIRST ? 0 : octave < -4 ? 1 : 2;
+    base = octave + reach < -2 ? 0 : octave < -4 ? 1 : 2;
+    level = octave + reach < -4 ? 0 : level;
   } else {
     base = octave >= -4 ? 2 : octave == -5 || axis == CORE_SURFACE_REST;
   }
@@ -278,30 +280,36 @@ static int cuts_of(enum core_surface_axis axis, int octave, int level) {
 
 /* Returns the first octave of s. Media that do not absorb, too, get the functions of the least s:
  * what they are off by is some 2 s x, at the reach x a small share of the tolerance. */
-static int first_of_s(const core_surface_inputs *inputs) {
-  const core_medium white = {0, 1 / (1 - inputs->g), inputs->g, inputs->eta};
+static int first_of_s(double reach, double tolerance) {
   int end;
-  frexp(0.03 * inputs->tolerance / core_transport_reach(&white).most_mm, &end);
+  frexp(0.03 * tolerance / reach, &end);
   end = end < S_FIRST + 1 ? end : S_FIRST + 1;
   return end - 1 > CORE_SURFACE_EXPONENT ? end - 1 : CORE_SURFACE_EXPONENT;
 }
 
 static void lay_axes(const core_surface_inputs *inputs, const transport_table *table, float *words,
                      int level) {
+  const core_medium white = {0, 1 / (1 - inputs->g), inputs->g, inputs->eta};
+  const double reach = core_transport_reach(&white).most_mm;
+  int reach_end;
+  frexp(reach, &reach_end);
   const struct {
     enum core_surface_axis axis;
     int first, end;
   } ranges[] = {
-      {CORE_SURFACE_S, first_of_s(inputs), ALBEDO_END}, {CORE_SURFACE_W, W_FIRST, ALBEDO_END},
-      {CORE_SURFACE_RADIUS, ROWS_FIRST, ROWS_END},      {CORE_SURFACE_U, U_FIRST, U_END},
+      {CORE_SURFACE_S, first_of_s(reach, inputs->tolerance), ALBEDO_END},
+      {CORE_SURFACE_W, W_FIRST, ALBEDO_END},
+      {CORE_SURFACE_RADIUS, ROWS_FIRST, ROWS_END},
+      {CORE_SURFACE_U, U_FIRST, U_END},
       {CORE_SURFACE_REST, REST_FIRST, U_END},
   };
   for (size_t i = 0; i < sizeof ranges / sizeof ranges[0]; i++) {
     uint8_t cuts[CORE_SURFACE_AXIS];
     for (int octave = ranges[i].first; octave < ranges[i].end; octave++) {
       cuts[octave - ranges[i].first] =
-          (uint8_t)(ranges[i].axis == CORE_SURFACE_RADIUS ? cuts_of_radius(table, octave, level)
-                                                          : cuts_of(ranges[i].axis, octave, level));
+          (uint8_t)(ranges[i].axis == CORE_SURFACE_RADIUS
+                        ? cuts_of_radius(table, octave, level)
+                        : cuts_of(ranges[i].axis, octave, reach_end, level));
     }
     lay_axis(words, ranges[i].axis, ranges[i].first, ranges[i].end, cuts);
   }
