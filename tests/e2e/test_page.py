@@ -331,6 +331,19 @@ def test_pasted_readings_are_fitted(page, served, tmp_path):
     assert float(page.evaluate("document.getElementById('sigma_a').value")) == fits.sigma_a
 
 
+def paste(page, text: str) -> None:
+    page.evaluate(f"""(() => {{ const field = document.getElementById('readings');
+      field.value = {text!r}; field.dispatchEvent(new Event('input')); }})()""")
+
+
+def paste_narrow(page) -> None:
+    """Pastes readings of a detector that sees a twentieth of the light."""
+    table = np.loadtxt(io.StringIO(READINGS), delimiter=",", skiprows=1)
+    lines = [f"{r},{0.05 * R},{0.005 * R},0.22" for r, R, _ in table]
+    paste(page, "\n".join(["r,R,error,detector_na", *lines]))
+    page.settle()
+
+
 def full(value) -> str:
     return repr(float(value))
 
@@ -339,8 +352,7 @@ def test_readings_that_are_wrong_are_told(page):
     page.open()
     for text, said in [("r,R\n1,2\n", "no column error"), ("r,R,error\n1,x,2\n", "Line 2"),
                        ("r,R,error,z\n1,1,1,1\n", "Column z")]:
-        page.evaluate(f"""(() => {{ const field = document.getElementById('readings');
-          field.value = {text!r}; field.dispatchEvent(new Event('input')); }})()""")
+        paste(page, text)
         page.run("await page.waitForFunction(said => document.getElementById('fit-problem')"
                  ".textContent.includes(said), {}, given)", said)
 
@@ -552,8 +564,7 @@ def test_python(page, served, tmp_path):
 
 def test_c(page, served, tmp_path):
     page.open(ELSEWHERE)
-    page.evaluate("document.getElementById('example').click()")
-    page.settle()
+    paste_narrow(page)
     (tmp_path / "program.c").write_text(page.code("c"))
     sanitize = ["-fsanitize=address,undefined"] if sanitized("asan") else []
     sanitize += ["-fsanitize=thread"] if sanitized("tsan") else []
@@ -590,8 +601,7 @@ def test_http(page, tmp_path):
 
 def test_modbus_fits(page, served):
     page.open()
-    page.evaluate("document.getElementById('example').click()")
-    page.settle()
+    paste_narrow(page)
     text = page.code("modbus").partition("# the fit: ")[2]
     model, moments = re.search(r"# (\w{4}) model: transport; (\w{4}) moments", text).groups()
     with Tcp(served) as master:
