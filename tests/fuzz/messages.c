@@ -1,5 +1,6 @@
 /* The target for messages: payloads are decoded, and what was decoded is encoded. The replies' part
  * serves the other targets, too. */
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -127,6 +128,10 @@ static void decode_fit(const uint8_t *payload, size_t size) {
   CHECK(fit_request_bytes(&request.design, request.fixed.set_count) == size);
   fit_design read;
   fit_design_read(request.design_bytes, &read);
+  if (read.design.detector_na != 0) { /* a parameter on the wire, where 0 is one, too */
+    const double aperture = read.design.detector_na;
+    read.parameters.value[CORE_PARAMETER_DETECTOR_NA] = isnan(aperture) ? 0 : aperture;
+  }
   uint8_t *again = malloc(size);
   CHECK(again != NULL);
   uint8_t *at = fit_request_put(again, &request.fixed, &request.design);
