@@ -96,7 +96,9 @@ typedef struct transport_totals {
 } transport_totals;
 
 /* Sets totals[i] for the boundary etas[i]. Arguments and faults are those of
- * transport_anisotropic_solve(). It takes milliseconds. */
+ * transport_anisotropic_solve(). It takes some 10 ms for one boundary and 40 ms for 16. With sigma_a =
+ * 0.1 sigma_s (1 - g) and eta 1.4 the stated errors are 1.5e-8 to 6.5e-8 for g up to 0.9, and 1.3e-7
+ * for g = 0.95; those of diffuse light are twice as large. */
 core_fault transport_anisotropic_totals(transport_totals *totals, const core_isa *isa,
                                         double sigma_a_ratio, const transport_phase *phase,
                                         const double *etas, size_t count);
