@@ -353,6 +353,15 @@ core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluat
  * thread. */
 bool core_prepares_slowly(unsigned model, unsigned evaluator);
 
+/* Whether core_albedo() may take as long as preparing does, and that is long. */
+bool core_finds_albedo_slowly(unsigned model);
+
+/* Sets *albedo to what core_profile_prepare() would set core_profile.albedo to, for
+ * CORE_EVALUATOR_F64 without parameters; NaN on a fault. Arguments and faults are those of
+ * core_profile_prepare(). For `transport` it takes about a millisecond. */
+core_fault core_albedo(const core_isa *isa, unsigned model, unsigned moments,
+                       const core_medium *medium, double *albedo);
+
 /* Whether preparing takes longer than some ten microseconds, so that caching the profile pays. It
  * is true wherever core_prepares_slowly() is. */
 bool core_worth_keeping(unsigned model, unsigned evaluator);

@@ -250,13 +250,7 @@ static void run(core_inverter *inverter) {
   const core_isa *isa = core_isa_select("portable");
   double albedo;
   do {
-    core_profile profile;
-    const core_fault fault = core_profile_prepare(&profile, isa, inverter->model, inverter->moments,
-                                                  CORE_EVALUATOR_F64, &inverter->medium, NULL);
-    albedo = fault.field == NULL ? profile.albedo : (double)NAN;
-    if (fault.field == NULL) {
-      core_profile_free(&profile);
-    }
+    core_albedo(isa, inverter->model, inverter->moments, &inverter->medium, &albedo);
   } while (!core_inverter_take(inverter, albedo));
 }
 

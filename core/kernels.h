@@ -189,6 +189,10 @@ double core_transport_table_error(double eta);
  * g and eta as it is, or INFINITY if there is none or the model uses the similarity relation. */
 double core_transport_ratio_most(double g, double eta);
 
+/* Sets *total to the albedo of a profile of `transport`, with its bits, without preparing the
+ * profile. medium: one that the model takes. The only fault is `memory`. */
+core_fault core_transport_albedo(const core_medium *medium, double *total);
+
 /* Returns the numerical error of the wanted quantities at radii from least to most; there are no
  * radii if least is above most. errors: as core_profile.numerical_errors, or as
  * core_added_errors.banded; all: the error of any quantity at any radius. */

@@ -60,6 +60,10 @@ bool core_prepares_slowly(unsigned model, unsigned evaluator) {
   return found != NULL && (evaluator == CORE_EVALUATOR_LUT || (parameters_of(found) & SLOW) != 0);
 }
 
+bool core_finds_albedo_slowly(unsigned model) {
+  return model != CORE_MODEL_TRANSPORT && core_prepares_slowly(model, CORE_EVALUATOR_F64);
+}
+
 bool core_worth_keeping(unsigned model, unsigned evaluator) {
   const struct model *found = find(model);
   return found != NULL &&
@@ -637,4 +641,23 @@ core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsi
   }
   profile->evaluator = evaluator;
   return prepare(profile, found, inputs, radii);
+}
+
+core_fault core_albedo(const core_isa *isa, unsigned model, unsigned moments,
+                       const core_medium *medium, double *albedo) {
+  *albedo = (double)NAN;
+  if (model == CORE_MODEL_TRANSPORT) {
+    core_radii_range radii;
+    const core_fault fault =
+        core_profile_check(model, moments, CORE_EVALUATOR_F64, medium, NULL, &radii);
+    return fault.field == NULL ? core_transport_albedo(medium, albedo) : fault;
+  }
+  core_profile profile;
+  const core_fault fault =
+      core_profile_prepare(&profile, isa, model, moments, CORE_EVALUATOR_F64, medium, NULL);
+  if (fault.field == NULL) {
+    *albedo = profile.albedo;
+    core_profile_free(&profile);
+  }
+  return fault;
 }

@@ -29,7 +29,7 @@ static const cli_option options[] = {
     {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
     {"model", "NAME",
      "the model that gives the albedo; see `dipole info` (default:\n"
-     "transport, which takes a second for each medium; better takes\nmicroseconds)",
+     "transport, which takes some 5 ms for each medium; better takes\nmicroseconds)",
      CLI_TEXT, FIELD(profile.model), CLI_MODEL_DEFAULT},
     {CLI_MOMENTS_OPTION, "exact"},
     {CLI_DEADLINE_OPTION, NULL},
@@ -132,16 +132,19 @@ static bool ask_some(dipole_client *client, const invert_settings *settings, rep
   return good;
 }
 
-/* Transport takes a second for each medium, so it is asked for one at a time: the daemon is then
- * not silent for long, and there is no limit of media. */
+enum { SLOW_MEDIA = 64 };
+
+/* Transport takes milliseconds for each medium, so it is asked for few at a time: the daemon is then
+ * not silent for long, however many media there are. */
 static bool ask(dipole_client *client, const invert_settings *settings, report *of,
                 dipole_error *error) {
   const bool slow = strcmp(of->model->name, CLI_MODEL_DEFAULT) == 0;
-  const size_t each = slow ? 1 : of->count;
+  const size_t each = slow ? SLOW_MEDIA : of->count;
   bool good = true;
   of->missing = 0;
   for (size_t first = 0; good && first < of->count; first += each) {
-    good = ask_some(client, settings, of, first, each, error);
+    const size_t left = of->count - first;
+    good = ask_some(client, settings, of, first, left < each ? left : each, error);
   }
   return good;
 }

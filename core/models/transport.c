@@ -299,6 +299,11 @@ static double solvable_albedo(double albedo) {
   return fmin(fmax(albedo, ALBEDO_LEAST), 1 - 0x1p-53);
 }
 
+/* Returns by how much the solution for that albedo is to be multiplied. */
+static double share_of(double albedo) {
+  return albedo < ALBEDO_LEAST ? albedo / ALBEDO_LEAST : 1;
+}
+
 /* Returns L = ln(x R) + kappa x at y = ln x, from the source. */
 static double logarithm_at(struct source *source, double y) {
   if (source->series != NULL) {
@@ -496,7 +501,7 @@ static core_fault solve_and_fill(const core_inputs *inputs, double albedo, doubl
   const core_medium *medium = inputs->medium;
   const double tolerance = fmin(0.5 * asked, TRANSPORT_TOLERANCE_MAX);
   const double solvable = solvable_albedo(albedo);
-  const double share = albedo < ALBEDO_LEAST ? albedo / ALBEDO_LEAST : 1;
+  const double share = share_of(albedo);
   transport_solution *solution = NULL;
   core_fault fault = solve(inputs, solvable, tolerance, &solution);
   if (fault.field == NULL) {
@@ -679,6 +684,28 @@ static core_fault prepare(const core_inputs *inputs, core_preparation *preparati
   return for_g != NULL   ? prepare_anisotropic(inputs, albedo, asked, for_g, preparation)
          : table != NULL ? look_up(inputs, albedo, 0, table, preparation)
                          : solve_and_fill(inputs, albedo, asked, NULL, preparation);
+}
+
+core_fault core_transport_albedo(const core_medium *medium, double *total) {
+  const double albedo = albedo_of(medium);
+  const transport_table *table = table_for_g(medium);
+  if (!(albedo > 0)) {
+    *total = 0;
+  } else if (table == NULL) {
+    transport_number solved;
+    const core_fault fault = transport_solve_total(&solved, medium->eta, solvable_albedo(albedo));
+    *total = solved.value * share_of(albedo);
+    return fault;
+  } else if (transport_table_covers(table, albedo, medium->g, medium->eta)) {
+    transport_series series;
+    transport_table_look_up(table, albedo, medium->g, medium->eta, &series);
+    *total = series.total;
+  } else {
+    transport_difference difference;
+    transport_table_difference(table, albedo, medium->g, medium->eta, &difference);
+    *total = difference.total;
+  }
+  return (core_fault){0};
 }
 
 unsigned core_transport_way(const core_inputs *inputs) {

@@ -36,18 +36,39 @@ static const double total_accuracy[BOTH] = {1e-14, 1e-12};
 
 /* ---- boundaries ----------------------------------------------------------------------------- */
 
+/* What totals need of a boundary. */
+struct totals {
+  nodes_rules rules[BOTH];
+  equation equation[BOTH];
+  single_rule single[BOTH];
+};
+
 struct transport_boundary {
   double reach_decays;
   spectrum_rules rules[BOTH];
-  nodes_rules total_rules[BOTH];
-  equation total[BOTH];
-  single_rule single[BOTH];
+  struct totals totals;
   pthread_mutex_t lock; /* protects `grids` */
   spectrum_grid *grids[SPECTRUM_LEVEL_MAX + 1][BOTH];
 };
 
 static const core_fault no_fault = {NULL, NULL, 0};
 static const core_fault memory_fault = {"memory", MEMORY_ALLOWED, 0};
+
+static bool make_totals(struct totals *totals, double eta) {
+  bool made = true;
+  for (size_t i = 0; i < BOTH; i++) {
+    transport_nodes_rules(&totals->rules[i], eta, total_accuracy[i]);
+    transport_single_rule(&totals->single[i], eta, 1, single_step[i]);
+    made &= transport_equation_make(&totals->equation[i], &totals->rules[i], K_TOTAL);
+  }
+  return made;
+}
+
+static void free_totals(struct totals *totals) {
+  for (size_t i = 0; i < BOTH; i++) {
+    transport_equation_free(&totals->equation[i]);
+  }
+}
 
 static core_fault check_boundary(double eta, double tolerance) {
   if (!(eta >= TRANSPORT_ETA_MIN && eta <= TRANSPORT_ETA_MAX)) {
@@ -74,12 +95,10 @@ static core_fault create(transport_boundary **boundary, double eta, double toler
   pthread_mutex_init(&made->lock, NULL);
   for (size_t i = 0; i < BOTH; i++) {
     transport_spectrum_rules(&made->rules[i], eta, tolerance / finer[i], reach_decays);
-    transport_nodes_rules(&made->total_rules[i], eta, total_accuracy[i]);
-    transport_single_rule(&made->single[i], eta, 1, single_step[i]);
-    if (!transport_equation_make(&made->total[i], &made->total_rules[i], K_TOTAL)) {
-      transport_boundary_free(made);
-      return memory_fault;
-    }
+  }
+  if (!make_totals(&made->totals, eta)) {
+    transport_boundary_free(made);
+    return memory_fault;
   }
   *boundary = made;
   return no_fault;
@@ -98,8 +117,8 @@ void transport_boundary_free(transport_boundary *boundary) {
   if (boundary == NULL) {
     return;
   }
+  free_totals(&boundary->totals);
   for (size_t i = 0; i < BOTH; i++) {
-    transport_equation_free(&boundary->total[i]);
     for (size_t level = 0; level <= SPECTRUM_LEVEL_MAX; level++) {
       transport_grid_free(boundary->grids[level][i]);
     }
@@ -205,25 +224,47 @@ static void fill_table(transport_solution *solution, double reach_decays) {
   }
 }
 
-static bool solve_total(transport_solution *solution, const transport_boundary *boundary,
-                        transport_work *work) {
-  double multiple[BOTH];
+/* Sets *multiple and *total to the energy that leaves after it was scattered more than once, and to
+ * all that leaves. */
+static bool solve_total(const struct totals *totals, transport_work *work, double albedo,
+                        double kappa, double *multiple, transport_number *total) {
+  double twice[BOTH];
   for (size_t i = 0; i < BOTH; i++) {
     double complex exitance;
-    if (!transport_equation_solve(&boundary->total[i], work, solution->albedo, solution->kappa,
-                                  &exitance)) {
+    if (!transport_equation_solve(&totals->equation[i], work, albedo, kappa, &exitance)) {
       return false;
     }
-    multiple[i] = creal(exitance);
+    twice[i] = creal(exitance);
   }
-  const double single = transport_single_at(&solution->single[FINE], INFINITY).within;
-  const double single_coarse = transport_single_at(&solution->single[COARSE], INFINITY).within;
-  solution->multiple_total = multiple[FINE];
-  solution->total.value = multiple[FINE] + solution->albedo * single;
-  solution->total.error = fabs(multiple[FINE] - multiple[COARSE]) +
-                          solution->albedo * fabs(single - single_coarse) +
-                          TOTAL_ROUNDING * solution->total.value;
+  const double single = transport_single_at(&totals->single[FINE], INFINITY).within;
+  const double single_coarse = transport_single_at(&totals->single[COARSE], INFINITY).within;
+  *multiple = twice[FINE];
+  total->value = twice[FINE] + albedo * single;
+  total->error = fabs(twice[FINE] - twice[COARSE]) + albedo * fabs(single - single_coarse) +
+                 TOTAL_ROUNDING * total->value;
   return true;
+}
+
+core_fault transport_solve_total(transport_number *total, double eta, double albedo) {
+  *total = (transport_number){0, 0};
+  const core_fault fault = check_boundary(eta, TRANSPORT_TOLERANCE_MAX);
+  if (fault.field != NULL) {
+    return fault;
+  }
+  if (!(albedo >= 0 && albedo <= 1)) {
+    return (core_fault){"albedo", ALBEDO_ALLOWED, 0};
+  }
+  if (!(albedo > 0)) {
+    return no_fault;
+  }
+  struct totals totals = {0};
+  transport_work *work = transport_work_new();
+  double multiple;
+  const bool solved = work != NULL && make_totals(&totals, eta) &&
+                      solve_total(&totals, work, albedo, transport_kappa(albedo), &multiple, total);
+  transport_work_free(work);
+  free_totals(&totals);
+  return solved ? no_fault : memory_fault;
 }
 
 static bool solve(transport_solution *solution, transport_boundary *boundary,
@@ -241,7 +282,8 @@ static bool solve(transport_solution *solution, transport_boundary *boundary,
       return false;
     }
   }
-  if (!solve_total(solution, boundary, work)) {
+  if (!solve_total(&boundary->totals, work, solution->albedo, solution->kappa,
+                   &solution->multiple_total, &solution->total)) {
     return false;
   }
   fill_table(solution, boundary->reach_decays);
@@ -261,8 +303,8 @@ core_fault transport_solve(transport_solution **solution, transport_boundary *bo
     made->albedo = albedo;
     made->kappa = transport_kappa(albedo);
     made->least_error = boundary->rules[FINE].accuracy;
-    made->single[FINE] = boundary->single[FINE];
-    made->single[COARSE] = boundary->single[COARSE];
+    made->single[FINE] = boundary->totals.single[FINE];
+    made->single[COARSE] = boundary->totals.single[COARSE];
     solved = solve(made, boundary, work);
   }
   transport_work_free(work);

@@ -5,11 +5,13 @@
 #include "proto/invert.h"
 #include "server/jobs/job.h"
 
-/* The cost of a probe, which prepares a profile to learn its albedo, in radii of a dipole. A slow
- * profile is prepared on another thread and costs the worker only the request for it. */
+/* The cost of a probe, which finds the albedo of a medium, in radii of a dipole. A slow profile is
+ * prepared on another thread and costs the worker only the request for it. `transport` solves for
+ * the albedo alone, in about half a millisecond. */
 enum {
   PROBE_RADII = 1024,
   COSTLY_PROBE_RADII = JOB_SLICE_RADII,
+  SOLVED_PROBE_RADII = 32 * JOB_SLICE_RADII,
   SLOW_PROBE_RADII = JOB_STEP_RADII,
   PROBES = 8, /* probes for a medium, on average */
 };
@@ -78,7 +80,7 @@ static wire_error check(struct invert_job *invert, const struct job_request *fro
   if (fault.field != NULL) {
     return job_error(fault);
   }
-  invert->slow = core_prepares_slowly(fixed->model, CORE_EVALUATOR_F64);
+  invert->slow = core_finds_albedo_slowly(fixed->model);
   if (invert->slow && fixed->medium_count > options->max_media) {
     return job_too_large("medium_count", options->max_media,
                          "media of a model that takes long to prepare");
@@ -95,8 +97,10 @@ static enum job_outcome start(struct job *job, const struct job_request *request
   const wire_invert_request *fixed = &invert->request.fixed;
   wire_error error = check(invert, request);
   if (error.status == WIRE_STATUS_OK) {
+    const bool solved = core_prepares_slowly(fixed->model, CORE_EVALUATOR_F64);
     const bool costly = core_worth_keeping(fixed->model, CORE_EVALUATOR_F64);
     invert->probe_radii = invert->slow ? SLOW_PROBE_RADII
+                          : solved     ? SOLVED_PROBE_RADII
                           : costly     ? COSTLY_PROBE_RADII
                                        : PROBE_RADII;
     const double radii = (double)fixed->medium_count * (double)medium_radii(invert);
@@ -169,19 +173,15 @@ static void put_medium(struct invert_job *invert) {
 
 /* Sets *albedo to the albedo of the medium that the inverter tries next. */
 static enum job_outcome probe(struct invert_job *invert, double *albedo) {
-  core_profile profile;
   struct job_context *context = invert->job.context;
   const wire_invert_request *fixed = &invert->request.fixed;
   if (!invert->slow) {
-    const core_fault fault =
-        core_profile_prepare(&profile, context->server->isa, fixed->model, fixed->moments,
-                             CORE_EVALUATOR_F64, &invert->inverter.medium, NULL);
+    const core_fault fault = core_albedo(context->server->isa, fixed->model, fixed->moments,
+                                         &invert->inverter.medium, albedo);
     if (fault.field != NULL) {
       return job_refuse(&invert->job,
                         job_fault(fault, (uint32_t)(invert->parts.first + invert->index)));
     }
-    *albedo = profile.albedo;
-    core_profile_free(&profile);
     return JOB_GOES_ON;
   }
   switch (profiles_get(&context->profiles, &invert->lookup, &invert->inverter.medium)) {

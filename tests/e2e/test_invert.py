@@ -68,11 +68,21 @@ def test_slow_models(client, model):
     np.testing.assert_allclose(found.albedo, [0.1, 0.5, 0.8], rtol=1e-12)
 
 
-def test_transport(client):
-    found = client.invert("transport", [0.3], [1.0], eta=1.4)
+@pytest.mark.parametrize("g", [0.0, 0.8, 0.97])
+def test_transport(client, g):
+    """The albedo alone, which is all that the search asks for, has the bits of a profile's."""
+    wanted = [0.9999, 0.7, 0.3, 1e-3]
+    found = client.invert("transport", wanted, 1.0, eta=1.4, g=g)
     judged = client.eval("transport", found.media, wanted=["albedo"])
     np.testing.assert_array_equal(judged.albedo, found.albedo)
-    np.testing.assert_allclose(found.albedo, [0.3], rtol=1e-7)
+    np.testing.assert_allclose(found.albedo, wanted, rtol=1e-11)
+
+
+def test_a_palette_by_transport(client):
+    """Media of 100 colours take half a second of a processor, not half a minute."""
+    wanted = np.linspace(0.05, 0.95, 100)
+    found = client.invert("transport", wanted, 1.0, eta=1.3)
+    np.testing.assert_allclose(found.albedo, wanted, rtol=1e-12)
 
 
 def test_skin_comes_back(client):
@@ -211,7 +221,7 @@ WRONG = {
         "a slab": invert_payload(model=MODELS["multipole"]),
     }),
     **refused("too-large", "medium_count", "at most 64 media of a model that takes long", {
-        "slow": invert_payload([0.5] * 65, [1.0] * 65, model=MODELS["transport"]),
+        "slow": invert_payload([0.5] * 65, [1.0] * 65, model=MODELS["beam"]),
     }),
 }
 

@@ -73,7 +73,7 @@ def commit_slow(master: Tcp, kind: str, unit: int = 1, number: int = 1) -> None:
     if kind == "SAMPLE":
         set_medium(master, unit, slow_medium(100 + number), "transport", "f64")
     elif kind == "INVERT":
-        set_medium(master, unit, slow_medium(number), "transport", "f64")
+        set_medium(master, unit, slow_medium(number), "beam", "f64")
         setting(master, unit, INVERT_MEDIUM_COUNT=50)
         setting(master, unit, INVERT_ALBEDO=floats(*np.linspace(0.1, 0.6 + number / 1e4, 50)))
     else:
@@ -293,7 +293,8 @@ def test_a_deadline_counts_while_a_job_waits(daemon, kind):
             master.write(AT["DEADLINE_MS"], floats(30.0))
             master.write(100, input_block(7, slow_medium(99), [1.0], **SLOW))
         else:
-            set_medium(master, 1, slow_medium(99), "transport", "f64")
+            model = "beam" if kind == "INVERT" else "transport"
+            set_medium(master, 1, slow_medium(99), model, "f64")
             master.write(AT[f"{kind}_DEADLINE_MS"], floats(30.0))
             master.write_one(AT[f"{kind}_COMMIT"], 7)
         status = AT[f"{prefix}STATUS"]
