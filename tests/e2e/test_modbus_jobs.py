@@ -424,7 +424,7 @@ def test_an_mc_ends_when_no_request_names_its_unit(daemon):
     with Tcp(one) as master:
         assert ended(master, "MC").status == CANCELLED
         assert numbers(master, "MC_PHOTONS_WALKED", 1)[0] > 0
-        assert head(master, "INVERT").status == IS_BUSY
+        assert head(master, "INVERT").status in (IS_BUSY, DONE)
 
 
 def test_a_job_is_not_refused_halfway(daemon):
