@@ -174,7 +174,7 @@ KINDS = {
 @pytest.mark.parametrize(
     "kind, count, large",
     [("sample", 50_000, sample(50_000)), ("invert", 20_000, invert(20_000)), ("fit", 2000, fit(2000)),
-     ("varying", 800_000, varying(800_000))],
+     ("varying", 1_500_000, varying(1_500_000))],
     ids=KINDS,
 )
 def test_small_requests_do_not_wait_for_large_ones(daemon, kind, count, large):
