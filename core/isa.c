@@ -10,7 +10,7 @@ static bool portable_supported(void) {
   return true;
 }
 
-#if defined(__x86_64__)
+#if defined(__x86_64__) && !defined(CORE_PORTABLE_ALONE)
 /* __builtin_cpu_supports() asks CPUID and, for the wide registers, XGETBV. */
 static bool sse2_supported(void) {
   return true;
@@ -24,7 +24,7 @@ static bool avx512_supported(void) {
   return avx2_supported() && __builtin_cpu_supports("avx512f") &&
          __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl");
 }
-#elif defined(__aarch64__)
+#elif defined(__aarch64__) && !defined(CORE_PORTABLE_ALONE)
 static bool neon_supported(void) {
   return true; /* each processor of this architecture has it */
 }

@@ -6,11 +6,12 @@
 #include "core/varying.h"
 
 /* The instruction sets that kernels are compiled for, slowest first, each as X(level, ...). The
- * Makefile holds the compiler flags of each under the same name. */
-#if defined(__x86_64__)
+ * Makefile holds the compiler flags of each under the same name. With ISAS=portable it defines
+ * CORE_PORTABLE_ALONE. */
+#if defined(__x86_64__) && !defined(CORE_PORTABLE_ALONE)
 #define CORE_ISA_LEVELS(X, ...)                                                                    \
   X(portable, __VA_ARGS__) X(sse2, __VA_ARGS__) X(avx2, __VA_ARGS__) X(avx512, __VA_ARGS__)
-#elif defined(__aarch64__)
+#elif defined(__aarch64__) && !defined(CORE_PORTABLE_ALONE)
 #define CORE_ISA_LEVELS(X, ...) X(portable, __VA_ARGS__) X(neon, __VA_ARGS__)
 #else
 #define CORE_ISA_LEVELS(X, ...) X(portable, __VA_ARGS__)
