@@ -508,7 +508,7 @@ def test_requests_for_a_proxy_name_the_host(served):
     for target, status in [("http://x/healthz", 200), ("HTTP://x:1/healthz?y", 200), ("http://x", 200),
                            ("http://x/v1/eval?model=better&medium=skin1&r=1", 200),
                            ("http://x/http://x/healthz", 404), ("ftp://x/healthz", 404)]:
-        [answer] = exchange(served, [f"GET {target} HTTP/1.1\r\nHost: x\r\n\r\n".encode()])
+        [answer] = exchange(served, [f"GET {target} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n".encode()])
         assert answer.startswith(b"HTTP/1.1 %d " % status), (target, answer[:200])
 
 
