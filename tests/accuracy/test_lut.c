@@ -1,7 +1,8 @@
 /* Tables keep what they were asked for: every function that they hold, for every model, at media
  * all over the domain, against the model in double precision. Where a table cannot, it is refused.
  *
- * The default run tries a few media for each model, at half as many radii, costly models at fewer;
+ * The default run tries a few media for each model, at half as many radii (in its long form at all),
+ * costly models at fewer;
  * `test_lut all` tries every medium at all RADII (an hour), `test_lut all MODEL` those of one model.
  */
 #include <float.h>
@@ -112,7 +113,8 @@ static bool make_subject(unsigned model, const struct table_place *place, uint64
   if (table_truth(&subject.truth, model, place).field != NULL) {
     return false;
   }
-  subject.count = all_of_them ? RADII : subject.truth.cost > 20 ? RADII_COSTLY : RADII / 2;
+  const bool costly = !all_of_them && subject.truth.cost > 20;
+  subject.count = costly ? RADII_COSTLY : all_of_them || unit_is_long() ? RADII : RADII / 2;
   subject.radius_most = range_of(model, &place->medium);
   const double mfp_mm = table_mfp_mm(&place->medium);
   for (size_t i = 0; i < subject.count; i++) {

@@ -36,7 +36,7 @@ LACKS = [name for name in LEVELS if name not in HAS]
 
 @functools.cache
 def mix() -> list[bytes]:
-    return broad_mix(seed=1, sizes={400: 20, 5003: 5, 70_001: 4})
+    return broad_mix(seed=1, sizes={1000: 20, 5003: 5, 70_001: 4})
 
 
 def answers(daemon: Daemon, payloads: list[bytes]) -> list[bytes]:
