@@ -21,7 +21,9 @@ static const cli_option options[] = {
      "the model of the rows whose cell is empty or absent (default: transport;\n"
      "with a tolerance, the cheapest that is so near to radiative transport)",
      CLI_TEXT, offsetof(cli_profile_settings, model), NULL},
-    {CLI_EVALUATOR_OPTION, NULL},
+    {"evaluator", "NAME",
+     CLI_EVALUATOR_TEXT "(default: f64; lut for transport, which f64 solves in .1 s a row)",
+     CLI_TEXT, offsetof(points_settings, profile.evaluator), NULL},
     {"r", "X[,X...]",
      "for files without a column r: each row is written once for each of these\nradii, mm",
      CLI_NUMBERS, offsetof(points_settings, r), NULL},
@@ -507,12 +509,10 @@ static bool open_input(points_run *points, const char *operand) {
 static void take_usual(points_usual *usual) {
   const cli_profile_settings *profile = &usual->settings->profile;
   const dipole_info *info = usual->info;
-  const char *named = profile->evaluator, *model = profile->model;
-  named = named != NULL ? named : cli_usual_evaluator(CLI_MODEL_DEFAULT);
-  const char *unnamed =
-      profile->evaluator != NULL ? profile->evaluator : cli_usual_evaluator(model);
-  usual->evaluator_named = cli_choice(info, DIPOLE_EVALUATOR, named)->id;
-  usual->evaluator = cli_choice(info, DIPOLE_EVALUATOR, unnamed)->id;
+  const char *given = profile->evaluator, *model = profile->model;
+  const char *formula = given != NULL ? given : "f64", *table = given != NULL ? given : "lut";
+  usual->evaluator = cli_choice(info, DIPOLE_EVALUATOR, formula)->id;
+  usual->evaluator_of_transport = cli_choice(info, DIPOLE_EVALUATOR, table)->id;
   usual->transport = cli_choice(info, DIPOLE_MODEL, CLI_MODEL_DEFAULT)->id;
   usual->model = model != NULL ? cli_choice(info, DIPOLE_MODEL, model)->id : usual->transport;
   usual->moments = cli_choice(info, DIPOLE_MOMENTS, "exact")->id;

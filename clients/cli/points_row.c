@@ -319,13 +319,18 @@ bool points_has_tolerance(const points_usual *usual, const points_row *row) {
   return i < row->parameters.count;
 }
 
-/* Chooses the model and the evaluator, as `dipole eval` does. The parameters are known already. */
+/* Chooses the model and the evaluator. The parameters are known already. Transport is solved for
+ * each row unless a table is taken. */
 static bool read_model(const points_usual *usual, const points_columns *columns, points_row *row) {
   const char *name = text_of(columns, row, MODEL);
   const bool named = name != NULL || usual->settings->profile.model != NULL;
-  row->evaluator = named ? usual->evaluator_named : usual->evaluator;
   row->model = named || !points_has_tolerance(usual, row) ? usual->model : DIPOLE_ANY_MODEL;
-  return name == NULL || find_id(usual, row, MODEL, DIPOLE_MODEL, name, &row->model);
+  if (name != NULL && !find_id(usual, row, MODEL, DIPOLE_MODEL, name, &row->model)) {
+    return false;
+  }
+  const bool by_table = row->model == usual->transport || row->model == DIPOLE_ANY_MODEL;
+  row->evaluator = by_table ? usual->evaluator_of_transport : usual->evaluator;
+  return true;
 }
 
 static bool read_moments(const points_usual *usual, const points_columns *columns,

@@ -66,11 +66,12 @@ typedef struct points_usual {
   const dipole_info *info;
   cli_parameters parameters; /* for rows whose cells are empty or absent */
   cli_quantities quantities;
-  unsigned model, moments;             /* of rows whose cells are empty or absent */
-  unsigned evaluator_named, evaluator; /* of rows that name a model, and of others */
-  unsigned transport, tolerance;       /* ids of this model and of this parameter */
-  size_t radius_count;                 /* of each row: those of --r, or 1 */
-  float *r_f32;                        /* [radius_count]; NULL without --r */
+  unsigned model, moments; /* of rows whose cells are empty or absent */
+  unsigned evaluator;
+  unsigned evaluator_of_transport; /* and of rows whose model a tolerance chooses */
+  unsigned transport, tolerance;   /* ids of this model and of this parameter */
+  size_t radius_count;             /* of each row: those of --r, or 1 */
+  float *r_f32;                    /* [radius_count]; NULL without --r */
   dipole_measured_medium *media;
   size_t medium_count;
 } points_usual;

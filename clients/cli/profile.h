@@ -37,11 +37,10 @@ extern const cli_option cli_medium_options[];
       "ask the daemon to answer within N ms or to refuse; 0: no limit\n(default: 0)", CLI_COUNT,   \
       offsetof(cli_profile_settings, deadline_ms)
 
+#define CLI_EVALUATOR_TEXT "f64 or f32: double or single precision; lut: single, by a table\n"
 #define CLI_EVALUATOR_OPTION                                                                       \
-  "evaluator", "NAME",                                                                             \
-      "f64 or f32: double or single precision; lut: single, by a table\n"                          \
-      "(default: f64; lut if no model is named)",                                                  \
-      CLI_TEXT, offsetof(cli_profile_settings, evaluator)
+  "evaluator", "NAME", CLI_EVALUATOR_TEXT "(default: f64; lut if no model is named)", CLI_TEXT,    \
+      offsetof(cli_profile_settings, evaluator)
 
 /* The model if none is given, and the reason, for --help. */
 #define CLI_MODEL_DEFAULT "transport"

@@ -56,8 +56,9 @@ def test_errors_stand_in_each_row():
     assert text.splitlines()[0] == f"{HEADER},model_error,R,dR_dr,numerical_error,status"
     for model in ("transport", "better+single"):
         row = read_csv(
-            points(f"{HEADER}\n{ROW}\n", "--errors", "--want", "R,ln_R", "--model", model)
-        )[0]
+            points(f"{HEADER}\n{ROW}\n", "--errors", "--want", "R,ln_R", "--model", model,
+                   "--evaluator", "f64")
+        )[0]  # fmt: skip
         expected = eval_rows(*medium, "--want", "R,ln_R", "--model", model)[0]
         assert columns(row, "numerical_error", "model_error") == columns(
             expected, "numerical_error", "model_error"
@@ -469,6 +470,23 @@ def test_the_usual_model_is_transport_by_table(client):
     (named,) = read_csv(dipole("points", "--model", "classical", stdin=text).stdout)
     double = client.eval("classical", (0.01, 1, 0, 1.4), [2.0]).R[0, 0]
     assert float(named["R"]) == pytest.approx(double, rel=ROUNDING)
+
+
+def test_rows_of_transport_are_not_solved_one_by_one():
+    """A table answers thousands of rows in the time in which f64 solves one: it is the default of
+    every row of transport, whether its model is named or not, and of no other row."""
+    text = f"{HEADER},model\n{ROW},\n{ROW},transport\n{ROW},better\n"
+
+    def read(*arguments):
+        return read_csv(dipole("points", "--errors", *arguments, stdin=text, usual=True).stdout)
+
+    unnamed, named, better = read()
+    option = read("--model", "transport")[0]
+    wanted = ("R", "cdf", "numerical_error")
+    assert columns(unnamed, *wanted) == columns(named, *wanted) == columns(option, *wanted)
+    assert 5e-5 < float(named["numerical_error"]) <= 2e-4
+    assert float(better["numerical_error"]) < 1e-12
+    assert all(float(row["numerical_error"]) < 2e-5 for row in read("--evaluator", "f64"))
 
 
 def test_a_tolerance_in_place_of_a_model(client):
