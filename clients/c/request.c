@@ -196,7 +196,8 @@ bool libdipole_gather(libdipole_pending *pending, const libdipole_frame *frame,
   const uint64_t left = pending->radius_count - pending->next_radius;
   const bool is_last = part->part + 1 == part->part_count;
   if (part->part != pending->next_part || part->first != pending->next_radius ||
-      part->count > left || is_last != (part->count == left) || (part->count == 0 && !is_last) ||
+      part->count > left || is_last != (part->count == left) ||
+      (part->count == 0 && !is_last && pending->type != WIRE_TYPE_GATHER) ||
       (pending->gathered != NULL && part->part_count != pending->part_count)) {
     return libdipole_fail_protocol(error, "the parts of its answer do not belong together");
   }

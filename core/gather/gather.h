@@ -86,10 +86,9 @@ core_fault core_gather_sum_prepare(core_gather_sum **sum, const core_isa *isa, s
 void core_gather_sum_free(core_gather_sum *sum);
 size_t core_gather_sum_bytes(const core_gather_sum *sum);
 
-/* Return about how long gathering takes, in evaluations of one quantity of a dipole: one query by
- * itself; and n queries, 1 or more, in an order as of core_gather(), of which those in one cell share
- * the work of finding its nodes. The costs are those measured for points on a surface. */
-double core_gather_query_cost(const core_gather_sum *sum, const core_gather_points *points);
+/* Returns about how long gathering takes, in evaluations of one quantity of a dipole: at n queries, 1
+ * or more, in an order as of core_gather(), of which those in one cell share the work of finding its
+ * nodes. The costs are those measured for points on a surface. */
 double core_gather_cost(const core_gather_sum *sum, const core_gather_points *points, size_t n,
                         const uint32_t *order, const double *xyz);
 
@@ -132,6 +131,17 @@ void core_gather_order(const core_gather_points *points, size_t n, const double 
 void core_gather(const core_gather_sum *sum, const core_gather_points *points,
                  core_gather_scratch *scratch, size_t n, const uint32_t *order, const double *xyz,
                  double *M, float *bound, core_gather_visits *visits);
+
+/* Does a part of core_gather(): goes on where the call before stopped, and stops when *work, in
+ * evaluations of one quantity of a dipole, is used up. Returns how many of the n queries are done,
+ * the first ones; the next call gets the queries behind them, with the same M and bound. It reduces
+ * *work by what was done, which ends below 0 by at most one block of 512 points, or by the making of
+ * one list: for eight channels and the smallest tolerances some ten milliseconds' worth. The values
+ * have the same bits wherever calls stop. A query that is under way is not in visits->queries. */
+size_t core_gather_on(const core_gather_sum *sum, const core_gather_points *points,
+                      core_gather_scratch *scratch, size_t n, const uint32_t *order,
+                      const double *xyz, double *M, float *bound, core_gather_visits *visits,
+                      double *work);
 
 /* The relative error of M that comes from the profile of a channel itself and from rounding: M is
  * within bound + core_gather_error() of the sum over the model's exact formula. queries[3 n]: the

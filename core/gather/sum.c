@@ -83,25 +83,30 @@ static double visits_of(const core_gather_sum *sum, const core_gather_points *po
   return sum->tolerance > 0 ? fmin(n, 50 * log2(n + 2) * pow(0.01 / sum->tolerance, 1.0 / 3)) : n;
 }
 
+static double test_cost(const core_gather_sum *sum) {
+  return 20 + 20 * (double)sum->channels;
+}
+
 /* Returns the cost of making lists: about 0.7 nodes are tested for each visit of a cell's list, and
  * 0.9 for that of its district. */
 static double lists_cost(const core_gather_sum *sum, const core_gather_points *points, double cells,
                          double districts) {
-  const double test = 20 + 20 * (double)sum->channels;
-  return sum->tolerance > 0 ? visits_of(sum, points) * test * (0.7 * cells + 0.9 * districts) : 0;
+  return sum->tolerance > 0
+             ? visits_of(sum, points) * test_cost(sum) * (0.7 * cells + 0.9 * districts)
+             : 0;
+}
+
+static double channel_cost(const core_gather_sum *sum, size_t channel) {
+  return core_radius_cost(&sum->profile[channel], CORE_QUANTITY_R);
 }
 
 /* Returns the cost of a query's own sums. */
 static double sums_cost(const core_gather_sum *sum, const core_gather_points *points) {
   double each = 0;
   for (size_t c = 0; c < sum->channels; c++) {
-    each += core_radius_cost(&sum->profile[c], CORE_QUANTITY_R);
+    each += channel_cost(sum, c);
   }
   return visits_of(sum, points) * (sum->tolerance > 0 ? 1 + 2 * each : 2 + each);
-}
-
-double core_gather_query_cost(const core_gather_sum *sum, const core_gather_points *points) {
-  return sums_cost(sum, points) + lists_cost(sum, points, 1, 1);
 }
 
 static bool same_cell(const gather_cell *a, const gather_cell *b) {
@@ -155,6 +160,15 @@ struct core_gather_scratch {
   bool known;          /* whether the lists are those of a cell and its district */
   list district, list; /* the list of a cell begins as that of its district */
   int fineness;
+  /* Queries of one cell whose sums are under way, and where these stand: core_gather_on() stops
+   * between two blocks of any query. */
+  uint32_t batch[QUERIES];
+  size_t batch_count; /* 0: none is under way */
+  size_t left;        /* how many of them the present list has to sum; they come first */
+  size_t query;       /* the next of them for which the present block is summed */
+  size_t node, group; /* the first node and the group of the present block */
+  size_t leaf, point; /* the leaf and its point behind the present block */
+  size_t filled;      /* points of the present block */
   /* What is evaluated together */
   gather_rows rows;
   _Alignas(64) double share[GATHER_NODES];
@@ -176,6 +190,7 @@ core_gather_scratch *core_gather_scratch_create(const core_gather_sum *sum,
     scratch->sum = sum;
     scratch->points = points;
     scratch->known = false;
+    scratch->batch_count = 0;
   }
   return scratch;
 }
@@ -195,6 +210,7 @@ typedef struct walk {
   const core_gather_points *points;
   core_gather_scratch *s;
   core_gather_visits *visits;
+  double *work; /* what may still be done, in radii of a dipole */
 } walk;
 
 /* Sets the errors of up to GATHER_LANES nodes of a list, by channel, for all queries of its cell. */
@@ -203,6 +219,7 @@ static void find_errors(const walk *w, list *l, size_t count, const uint32_t *pl
   /* Rounding of centroids */
   const double least_distance = points->reach_mm * 0x1p-41 / w->sum->tolerance;
   w->visits->tested += count;
+  *w->work -= (double)count * test_cost(w->sum);
   for (size_t group = 0; group < points->groups; group++) {
     gather_seen seen;
     gather_views views;
@@ -486,82 +503,103 @@ static size_t fill_rows(const walk *w, size_t group, size_t first, size_t count)
   return n;
 }
 
-/* Adds the nodes of the list to the sums of the queries at xyz[order[0]], ... */
-static void add_nodes(const walk *w, size_t queries, const uint32_t *order, const double *xyz) {
+/* Adds the nodes of the present block to the sums of the query at x. */
+static void add_rows(const walk *w, size_t n, size_t q, const double *x) {
   core_gather_scratch *s = w->s;
   const gather_loops *loops = w->sum->loops;
-  for (size_t first = 0; first < s->list.node_count; first += GATHER_NODES) {
-    const size_t rest = s->list.node_count - first;
+  loops->pair(n, &s->rows, x, s->r, s->share);
+  loops->narrow(2 * n, s->r, s->narrow_r);
+  *w->work -= (double)n;
+  for (size_t c = 0; c < w->points->channels; c++) {
+    if (w->points->group[c] == s->group) {
+      evaluate(w->sum, c, s, 2 * n);
+      add(&s->added[q][c], &s->lost[q][c], loops->sum_pairs(n, s->power[c], s->share, s->R));
+      *w->work -= 2 * (double)n * channel_cost(w->sum, c);
+    }
+  }
+}
+
+/* Adds the nodes of the list to the sums of the batch. Returns false if the work is used up before. */
+static bool add_nodes(const walk *w, const double *xyz) {
+  core_gather_scratch *s = w->s;
+  for (; s->node < s->list.node_count; s->node += GATHER_NODES) {
+    const size_t rest = s->list.node_count - s->node;
     const size_t count = rest < GATHER_NODES ? rest : GATHER_NODES;
-    for (size_t group = 0; group < w->points->groups; group++) {
-      const size_t n = fill_rows(w, group, first, count);
-      for (size_t q = 0; q < queries; q++) {
-        loops->pair(n, &s->rows, &xyz[3 * (size_t)order[q]], s->r, s->share);
-        loops->narrow(2 * n, s->r, s->narrow_r);
-        for (size_t c = 0; c < w->points->channels; c++) {
-          if (w->points->group[c] == group) {
-            evaluate(w->sum, c, s, 2 * n);
-            add(&s->added[q][c], &s->lost[q][c], loops->sum_pairs(n, s->power[c], s->share, s->R));
-          }
+    for (; s->group < w->points->groups; s->group++) {
+      const size_t n = s->query == 0 ? fill_rows(w, s->group, s->node, count) : padded(count);
+      for (; s->query < s->left; s->query++) {
+        if (!(*w->work > 0)) {
+          return false;
         }
+        add_rows(w, n, s->query, &xyz[3 * (size_t)s->batch[s->query]]);
       }
+      s->query = 0;
     }
+    s->group = 0;
+    w->visits->nodes += (uint64_t)s->left * count;
   }
-  w->visits->nodes += (uint64_t)queries * s->list.node_count;
+  return true;
 }
 
-/* Adds `count` points that were copied. */
-static void add_copied(const walk *w, size_t count, size_t queries, const uint32_t *order,
-                       const double *xyz) {
-  core_gather_scratch *s = w->s;
-  const gather_loops *loops = w->sum->loops;
-  const size_t n = padded(count);
-  for (size_t i = count; i < n; i++) {
-    for (int k = 0; k < 3; k++) {
-      s->at[k][i] = s->at[k][count - 1];
-    }
-    for (size_t c = 0; c < w->points->channels; c++) {
-      s->power[c][i] = 0;
-    }
-  }
-  for (size_t q = 0; q < queries; q++) {
-    loops->distances(n, s->at[0], s->at[1], s->at[2], &xyz[3 * (size_t)order[q]], s->r);
-    loops->narrow(n, s->r, s->narrow_r);
-    for (size_t c = 0; c < w->points->channels; c++) {
-      evaluate(w->sum, c, s, n);
-      add(&s->added[q][c], &s->lost[q][c], loops->sum(n, s->power[c], s->R));
-    }
-  }
-  w->visits->points += (uint64_t)queries * count;
-}
-
-/* Adds the points of the leaves, or all points. */
-static void add_points(const walk *w, size_t queries, const uint32_t *order, const double *xyz) {
+/* Fills the block with the next points of the leaves, or of all points. The last ones are further
+ * ones without power. */
+static void fill_points(const walk *w) {
   core_gather_scratch *s = w->s;
   const core_gather_points *points = w->points;
   const gather_node all = {.first = 0, .count = (uint32_t)points->n};
-  size_t filled = 0;
-  for (size_t i = 0; i < s->list.leaf_count; i++) {
-    const gather_node *leaf = s->fineness == ALL_POINTS ? &all : &points->nodes[s->list.leaf[i]];
-    for (size_t done = 0; done < leaf->count;) {
-      const size_t rest = leaf->count - done, room = GATHER_POINTS - filled;
-      const size_t count = rest < room ? rest : room;
-      for (int k = 0; k < 3; k++) {
-        memcpy(&s->at[k][filled], &points->at[k][leaf->first + done], count * sizeof s->at[0][0]);
-      }
-      for (size_t c = 0; c < points->channels; c++) {
-        w->sum->loops->widen(count, &points->power[c][leaf->first + done], &s->power[c][filled]);
-      }
-      done += count;
-      filled += count;
-      if (filled == GATHER_POINTS) {
-        add_copied(w, filled, queries, order, xyz);
-        filled = 0;
-      }
+  while (s->filled < GATHER_POINTS && s->leaf < s->list.leaf_count) {
+    const gather_node *leaf = s->fineness == ALL_POINTS ? &all : &points->nodes[s->list.leaf[s->leaf]];
+    const size_t rest = leaf->count - s->point, room = GATHER_POINTS - s->filled;
+    const size_t count = rest < room ? rest : room, first = leaf->first + s->point;
+    for (int k = 0; k < 3; k++) {
+      memcpy(&s->at[k][s->filled], &points->at[k][first], count * sizeof s->at[0][0]);
+    }
+    for (size_t c = 0; c < points->channels; c++) {
+      w->sum->loops->widen(count, &points->power[c][first], &s->power[c][s->filled]);
+    }
+    s->filled += count;
+    s->point += count;
+    if (s->point == leaf->count) {
+      s->leaf++;
+      s->point = 0;
     }
   }
-  if (filled > 0) {
-    add_copied(w, filled, queries, order, xyz);
+  for (size_t i = s->filled; i < padded(s->filled); i++) {
+    for (int k = 0; k < 3; k++) {
+      s->at[k][i] = s->at[k][s->filled - 1];
+    }
+    for (size_t c = 0; c < points->channels; c++) {
+      s->power[c][i] = 0;
+    }
+  }
+}
+
+/* Adds the points of the leaves, or all points, as add_nodes() does. */
+static bool add_points(const walk *w, const double *xyz) {
+  core_gather_scratch *s = w->s;
+  const gather_loops *loops = w->sum->loops;
+  for (;;) {
+    fill_points(w);
+    const size_t n = padded(s->filled);
+    if (n == 0) {
+      return true;
+    }
+    for (; s->query < s->left; s->query++) {
+      if (!(*w->work > 0)) {
+        return false;
+      }
+      loops->distances(n, s->at[0], s->at[1], s->at[2], &xyz[3 * (size_t)s->batch[s->query]], s->r);
+      loops->narrow(n, s->r, s->narrow_r);
+      *w->work -= 2 * (double)n;
+      for (size_t c = 0; c < w->points->channels; c++) {
+        evaluate(w->sum, c, s, n);
+        add(&s->added[s->query][c], &s->lost[s->query][c], loops->sum(n, s->power[c], s->R));
+        *w->work -= (double)n * channel_cost(w->sum, c);
+      }
+    }
+    w->visits->points += (uint64_t)s->left * s->filled;
+    s->query = 0;
+    s->filled = 0;
   }
 }
 
@@ -583,69 +621,96 @@ static bool finish_query(const walk *w, size_t q, double *M, float *bound) {
   return within || s->fineness == ALL_POINTS;
 }
 
-/* Gathers at queries of one cell. */
-static void gather_cell_queries(const walk *w, size_t queries, uint32_t *order, const double *xyz,
-                                double *M, float *bound) {
+/* Begins the sums of those queries of the batch that are left. */
+static void begin_batch(core_gather_scratch *s) {
+  memset(s->added, 0, sizeof s->added);
+  memset(s->lost, 0, sizeof s->lost);
+  s->query = s->node = s->group = s->leaf = s->point = s->filled = 0;
+}
+
+/* Gathers at the queries of the batch. Returns false if the work is used up before. */
+static bool gather_batch(const walk *w, const double *xyz, double *M, float *bound) {
   core_gather_scratch *s = w->s;
   const size_t channels = w->points->channels;
-  for (;;) {
-    memset(s->added, 0, sizeof s->added);
-    memset(s->lost, 0, sizeof s->lost);
-    add_nodes(w, queries, order, xyz);
-    add_points(w, queries, order, xyz);
+  while (add_nodes(w, xyz) && add_points(w, xyz)) {
     size_t left = 0;
-    for (size_t q = 0; q < queries; q++) {
-      const size_t at = order[q] * channels;
+    for (size_t q = 0; q < s->left; q++) {
+      const size_t at = s->batch[q] * channels;
       if (!finish_query(w, q, M + at, bound != NULL ? bound + at : NULL)) {
-        order[left++] = order[q];
+        s->batch[left++] = s->batch[q];
       }
     }
+    s->left = left;
     if (left == 0) {
-      return;
+      return true;
     }
-    queries = left;
+    make_finer(w);
+    begin_batch(s);
+  }
+  return false;
+}
+
+/* Makes a batch of the first queries that are in one cell, and the cell's list. */
+static void take_batch(const walk *w, size_t n, const uint32_t *order, size_t from,
+                       const double *xyz) {
+  core_gather_scratch *s = w->s;
+  const bool plain = !(w->sum->tolerance > 0);
+  gather_cell cell = {{0, 0, 0}, 0}, district = cell;
+  size_t count = 0;
+  for (; count < QUERIES && from + count < n; count++) {
+    const uint32_t q = order != NULL ? order[from + count] : (uint32_t)(from + count);
+    gather_cell own_district;
+    const gather_cell own =
+        plain ? cell : gather_cell_of(w->points, &xyz[3 * (size_t)q], &own_district);
+    if (count > 0 && !same_cell(&own, &cell)) {
+      break;
+    }
+    cell = own;
+    district = plain ? cell : own_district;
+    s->batch[count] = q;
+  }
+  if (plain) {
+    s->fineness = ALL_POINTS - 1;
+    make_finer(w);
+  } else if (!s->known || !same_cell(&cell, &s->list.cell) || s->fineness > 0) {
+    if (!s->known || !same_cell(&district, &s->district.cell)) {
+      make_district(w, &district);
+    }
+    s->list.cell = cell;
+    s->fineness = -1;
     make_finer(w);
   }
+  s->known = true;
+  s->batch_count = s->left = count;
+  begin_batch(s);
+}
+
+size_t core_gather_on(const core_gather_sum *sum, const core_gather_points *points,
+                      core_gather_scratch *scratch, size_t n, const uint32_t *order,
+                      const double *xyz, double *M, float *bound, core_gather_visits *visits,
+                      double *work) {
+  assert(scratch->sum == sum && scratch->points == points);
+  const walk w = {sum, points, scratch, visits, work};
+  size_t done = 0;
+  while (done < n && *work > 0) {
+    if (scratch->batch_count == 0) {
+      take_batch(&w, n, order, done, xyz);
+    }
+    if (gather_batch(&w, xyz, M, bound)) {
+      done += scratch->batch_count;
+      scratch->batch_count = 0;
+    }
+  }
+  visits->queries += done;
+  return done;
 }
 
 void core_gather(const core_gather_sum *sum, const core_gather_points *points,
                  core_gather_scratch *scratch, size_t n, const uint32_t *order, const double *xyz,
                  double *M, float *bound, core_gather_visits *visits) {
-  assert(scratch->sum == sum && scratch->points == points);
-  const walk w = {sum, points, scratch, visits};
-  const bool plain = !(sum->tolerance > 0);
-  for (size_t done = 0; done < n;) {
-    uint32_t batch[QUERIES];
-    gather_cell cell = {{0, 0, 0}, 0}, district = cell;
-    size_t count = 0;
-    for (; count < QUERIES && done + count < n; count++) {
-      const uint32_t q = order != NULL ? order[done + count] : (uint32_t)(done + count);
-      gather_cell own_district;
-      const gather_cell own =
-          plain ? cell : gather_cell_of(points, &xyz[3 * (size_t)q], &own_district);
-      if (count > 0 && !same_cell(&own, &cell)) {
-        break;
-      }
-      cell = own;
-      district = plain ? cell : own_district;
-      batch[count] = q;
-    }
-    if (plain) {
-      scratch->fineness = ALL_POINTS - 1;
-      make_finer(&w);
-    } else if (!scratch->known || !same_cell(&cell, &scratch->list.cell) || scratch->fineness > 0) {
-      if (!scratch->known || !same_cell(&district, &scratch->district.cell)) {
-        make_district(&w, &district);
-      }
-      scratch->list.cell = cell;
-      scratch->fineness = -1;
-      make_finer(&w);
-    }
-    scratch->known = true;
-    gather_cell_queries(&w, count, batch, xyz, M, bound);
-    done += count;
-  }
-  visits->queries += n;
+  assert(scratch->batch_count == 0);
+  double work = (double)INFINITY;
+  core_gather_on(sum, points, scratch, n, order, xyz, M, bound, visits, &work);
 }
 
 /* ---- errors ---------------------------------------------------------------------------------- */

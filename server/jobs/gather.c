@@ -4,7 +4,6 @@
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
 
 #include "proto/gather.h"
 #include "server/jobs/job.h"
@@ -19,6 +18,8 @@ struct gather_work {
   core_gather_visits visits;           /* of the current part */
   float worst;                         /* the largest bound of the current part */
   double cost;                         /* of the queries that have been counted */
+  double done_radii;                   /* of the part's query, if it takes several parts */
+  double M[CORE_GATHER_CHANNELS_MAX];  /* of this query */
   uint32_t order[GATHER_PART_QUERIES]; /* of the current part, or of those that are being counted */
   float bounds[GATHER_PART_QUERIES * CORE_GATHER_CHANNELS_MAX];
 };
@@ -32,22 +33,15 @@ struct gather_job {
   uint64_t counted;     /* number of queries whose cost has been counted */
   uint64_t query_radii; /* the mean cost of a query, in radii of a dipole; 0 until it is known */
   struct job_parts parts;
+  uint32_t piece;       /* of the part, if it is one query that takes long, from 0 */
+  uint32_t piece_count; /* each a part of the reply, of which the last has the sum; else 1 */
   uint8_t *payload;
   uint64_t index; /* position in the part's order of the next query */
-  uint64_t slice; /* number of queries of the next slice */
 };
 
 JOB_FITS_SLOT(struct gather_job);
 
-/* What a slice is to take of a core. A slice of few queries costs more for each, because neighbours
- * share what is found for them; a slice of one query may take longer. */
-enum { SLICE_NS = 1000000, SLICE_QUERIES_FIRST = 16 };
-
-/* The most evaluations of one query, which is not cut: a few milliseconds' worth. */
-#define QUERY_RADII_MAX ((double)(1 << 22))
-
-/* What a part takes at most, unless it has one query: a quarter of a second, as far as the cost of a query is
- * known before. */
+/* What a part takes at most: a quarter of a second, as far as the cost of a query is known before. */
 #define PART_RADII (UINT64_C(1) << 27)
 
 /* The cost of so many queries is counted, at most; that of others is taken to be the same. */
@@ -116,7 +110,6 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
   gather->checked = 0;
   gather->counted = 0;
   gather->query_radii = 0;
-  gather->slice = SLICE_QUERIES_FIRST;
   return JOB_GOES_ON;
 }
 
@@ -190,16 +183,13 @@ static wire_error admit(struct gather_job *gather) {
   const struct gather_work *work = gather->work;
   const double counted = (double)gather->counted;
   const double cost = counted > 0 ? work->cost / counted : 1;
-  if (core_gather_query_cost(work->sum, work->set.gather) > QUERY_RADII_MAX) {
-    return wire_error_make(WIRE_STATUS_TOO_LARGE, "tolerance",
-                           "more, or fewer points: one sum would take too long");
-  }
   gather->query_radii = (uint64_t)fmax(cost, 1);
   return job_admit(&gather->job, (double)gather->request.fixed.query_count * cost, "query_count");
 }
 
 /* Cuts the reply into parts, which also tell the client how far the sums have come: none takes much
- * longer than a second of a core, so that no client thinks that the daemon hangs. */
+ * longer than a second of a core, so that no client thinks that the daemon hangs. A query that takes
+ * longer by itself has parts without a sum before its own. */
 static wire_error cut(struct gather_job *gather) {
   const wire_gather_request *fixed = &gather->request.fixed;
   const uint64_t head_bytes = gather_sums_offset(fixed->medium_count);
@@ -215,6 +205,10 @@ static wire_error cut(struct gather_job *gather) {
                            "fewer media: they do not fit into a part (max_part_bytes)");
   }
   job_parts_cut(&gather->parts, fixed->query_count, most);
+  const uint64_t pieces = 1 + gather->query_radii / PART_RADII;
+  const uint64_t pieces_most = UINT32_MAX / gather->parts.part_count;
+  gather->piece = 0;
+  gather->piece_count = (uint32_t)(most > 1 ? 1 : pieces < pieces_most ? pieces : pieces_most);
   return wire_error_none();
 }
 
@@ -249,18 +243,24 @@ static void count_cost(struct gather_job *gather) {
   gather->counted += count;
 }
 
+/* Returns how many queries the present part answers. */
+static uint64_t answered_count(const struct gather_job *gather) {
+  return gather->piece + 1 == gather->piece_count ? gather->parts.count : 0;
+}
+
+static enum job_outcome next_part(struct gather_job *gather) {
+  gather->job.part_bytes =
+      gather_reply_bytes(gather->request.fixed.medium_count, answered_count(gather));
+  return JOB_NEXT_PART;
+}
+
 /* Begins the first part, when the cost is known. */
 static enum job_outcome begin_sums(struct gather_job *gather) {
   wire_error error = admit(gather);
   if (error.status == WIRE_STATUS_OK) {
     error = cut(gather);
   }
-  if (error.status != WIRE_STATUS_OK) {
-    return job_refuse(&gather->job, error);
-  }
-  gather->job.part_bytes =
-      gather_reply_bytes(gather->request.fixed.medium_count, gather->parts.count);
-  return JOB_NEXT_PART;
+  return error.status == WIRE_STATUS_OK ? next_part(gather) : job_refuse(&gather->job, error);
 }
 
 /* Counts on, or begins the first part. */
@@ -294,9 +294,13 @@ static enum job_outcome begin_part(struct job *job, uint8_t *payload) {
   struct gather_job *gather = of(job);
   struct gather_work *work = gather->work;
   gather->payload = payload;
-  gather->index = 0;
   work->visits = (core_gather_visits){0};
   work->worst = 0;
+  if (gather->piece > 0) {
+    return JOB_GOES_ON;
+  }
+  gather->index = 0;
+  work->done_radii = 0;
   core_gather_order(work->set.gather, (size_t)gather->parts.count, queries_of(gather), work->order);
   return JOB_GOES_ON;
 }
@@ -316,10 +320,10 @@ static void put_head(const struct gather_job *gather) {
                              .evaluator = asked->evaluator,
                              .moments = asked->moments,
                              .channel_count = asked->medium_count,
-                             .query_count = parts->count,
+                             .query_count = answered_count(gather),
                              .query_first = parts->first,
-                             .part = parts->part,
-                             .part_count = parts->part_count,
+                             .part = parts->part * gather->piece_count + gather->piece,
+                             .part_count = parts->part_count * gather->piece_count,
                              .bound = (double)work->worst,
                              .points_visited = work->visits.points,
                              .nodes_visited = work->visits.nodes};
@@ -339,12 +343,14 @@ static void put_head(const struct gather_job *gather) {
 
 static enum job_outcome end_part(struct gather_job *gather) {
   put_head(gather);
-  if (!job_parts_next(&gather->parts)) {
-    return JOB_DONE;
+  gather->piece++;
+  if (gather->piece == gather->piece_count) {
+    gather->piece = 0;
+    if (!job_parts_next(&gather->parts)) {
+      return JOB_DONE;
+    }
   }
-  gather->job.part_bytes =
-      gather_reply_bytes(gather->request.fixed.medium_count, gather->parts.count);
-  return JOB_NEXT_PART;
+  return next_part(gather);
 }
 
 /* Notes the largest bound of a slice. */
@@ -356,39 +362,41 @@ static void note_bounds(struct gather_work *work, const uint32_t *order, size_t 
   }
 }
 
-/* Sets the length of the next slice by how long this one took. It changes no value. */
-static void set_slice(struct gather_job *gather, uint64_t n, uint64_t took_ns) {
-  const uint64_t fits = n * SLICE_NS / (took_ns > 0 ? took_ns : 1);
-  const uint64_t most = 2 * gather->slice;
-  gather->slice = fits < 1 ? 1 : fits > most ? most : fits;
-}
-
-/* Returns the time that this thread has run: the time while others run does not count. */
-static uint64_t thread_ns(void) {
-  struct timespec now;
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
-  return (uint64_t)now.tv_sec * 1000000000 + (uint64_t)now.tv_nsec;
+/* Returns whether the present part is complete: the last one of a query when its sum is known, the
+ * ones before it when as much has been done as they stand for. */
+static bool part_is_done(const struct gather_job *gather) {
+  const bool known = gather->index == gather->parts.count;
+  const double until = ((double)gather->piece + 1) * (double)PART_RADII;
+  return known || (gather->piece + 1 < gather->piece_count && gather->work->done_radii >= until);
 }
 
 static enum job_outcome gather_slice(struct gather_job *gather, uint64_t *spent) {
   struct gather_work *work = gather->work;
   const uint32_t channels = gather->request.fixed.medium_count;
-  const uint64_t left = gather->parts.count - gather->index;
-  const size_t n = (size_t)(left < gather->slice ? left : gather->slice);
   const uint32_t *order = work->order + gather->index;
-  const uint64_t began_ns = thread_ns();
-  core_gather(work->sum, work->set.gather, work->scratch, n, order, queries_of(gather),
-              (double *)(void *)(gather->payload + gather_sums_offset(channels)), work->bounds,
-              &work->visits);
-  set_slice(gather, n, thread_ns() - began_ns);
+  uint8_t *sums = gather->payload + gather_sums_offset(channels);
+  const bool pieces = gather->piece_count > 1;
+  double left = JOB_SLICE_RADII;
+  const size_t n = core_gather_on(work->sum, work->set.gather, work->scratch,
+                                  (size_t)(gather->parts.count - gather->index), order,
+                                  queries_of(gather), pieces ? work->M : (double *)(void *)sums,
+                                  work->bounds, &work->visits, &left);
   note_bounds(work, order, n, channels);
   gather->index += n;
-  *spent = JOB_SLICE_RADII;
-  job_pay(&gather->job, n * gather->query_radii);
+  const double radii = JOB_SLICE_RADII - left;
+  work->done_radii += radii;
+  *spent = (uint64_t)fmax(radii, 1);
+  job_pay(&gather->job, *spent);
   struct stats *stats = &gather->job.context->server->stats;
   stats_add(stats, STATS_QUERIES_GATHERED, n * channels);
   stats_add(stats, STATS_SLICES_EVALUATED, 1);
-  return gather->index < gather->parts.count ? JOB_GOES_ON : end_part(gather);
+  if (!part_is_done(gather)) {
+    return JOB_GOES_ON;
+  }
+  if (pieces && answered_count(gather) > 0) {
+    memcpy(sums, work->M, channels * sizeof work->M[0]);
+  }
+  return end_part(gather);
 }
 
 static enum job_outcome step(struct job *job, uint64_t *budget) {

@@ -295,8 +295,9 @@ UNIT_TEST(the_bits_do_not_depend_on_instruction_set_order_or_slices) {
       for (size_t done = 0; done < queries_in_use;) {
         const size_t left = queries_in_use - done;
         const size_t count = 1 + unit_random_below(&random, left);
-        core_gather(sum, points, scratch, count, order + done, queries, again, NULL, &visits);
-        done += count;
+        double work = 1 + (double)unit_random_below(&random, 200000);
+        done += core_gather_on(sum, points, scratch, count, order + done, queries, again, NULL,
+                               &visits, &work);
       }
       assert_memory_equal(M, again, CHANNELS * queries_in_use * sizeof *M);
       core_gather_scratch_free(scratch);

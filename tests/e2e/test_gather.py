@@ -560,11 +560,39 @@ def test_faults_of_media_and_queries_have_an_index(shared):
         assert ask(connection, GATHER, good).type == GATHER | wire.REPLY
 
 
-def test_a_sum_that_takes_too_long_at_once_is_refused(shared):
-    points = scene(1_000_000, 8)
-    with shared.client() as client, pytest.raises(dipole.Refused) as refused:
-        client.gather("better", [SKIN] * 8, points, positions(1), tolerance=0)
-    assert (refused.value.status, refused.value.field) == ("too-large", "tolerance")
+def test_a_sum_that_takes_seconds_by_itself(daemon):
+    """It is cut like any other: others are served meanwhile, and parts without a sum say that it goes
+    on."""
+    one = daemon("--workers", "1")
+    points = scene(150_000 if sanitized() else 1_500_000, 2)
+    with one.connect() as large, one.client() as small:
+        for first in range(0, len(points), 50_000):
+            ask(large, POINTS, points_payload(points, first, 50_000))
+        start = time.monotonic()
+        payload = gather_payload(points, [SKIN] * 2, model=MODELS["extended"], tolerance=0.0)
+        large.send_bytes(frame(GATHER, 7, payload))
+        longest = 0.0
+        for _ in range(40):
+            before = time.monotonic()
+            small.eval("better", SKIN, np.linspace(0.1, 5, 16))
+            longest = max(longest, time.monotonic() - before)
+        beside = time.monotonic() - start
+        parts = [wire.GATHER_REPLY.unpack(large.receive_frame().payload)]
+        while parts[-1].part + 1 < parts[-1].part_count:
+            reply = large.receive_frame()
+            parts.append(wire.GATHER_REPLY.unpack(reply.payload))
+        took = time.monotonic() - start
+        assert [part.query_count for part in parts] == [0] * (len(parts) - 1) + [1]
+        assert [part.part for part in parts] == list(range(len(parts))) and len(parts) >= 3
+        assert beside < took and longest < 0.5 * took
+        assert sum(part.points_visited for part in parts) == len(points)
+        found = np.frombuffer(reply.payload[-16:])
+        exact = sums(small, "extended", [SKIN] * 2, points, np.array([[0.0, 0.0, 1.0]]))
+        assert np.allclose(found, exact[0], rtol=1e-10)
+        again = small.gather(
+            "extended", [SKIN] * 2, points, [0.0, 0.0, 1.0], tolerance=0, evaluator="f64"
+        )
+        assert np.array_equal(again.M, found)
 
 
 # ---- memory --------------------------------------------------------------------------------------
