@@ -358,7 +358,8 @@ bool core_finds_albedo_slowly(unsigned model);
 
 /* Sets *albedo to what core_profile_prepare() would set core_profile.albedo to, for
  * CORE_EVALUATOR_F64 without parameters; NaN on a fault. Arguments and faults are those of
- * core_profile_prepare(). For `transport` it takes about a millisecond. */
+ * core_profile_prepare(). It takes as long as preparing, or about a millisecond where
+ * core_finds_albedo_slowly() is false. */
 core_fault core_albedo(const core_isa *isa, unsigned model, unsigned moments,
                        const core_medium *medium, double *albedo);
 

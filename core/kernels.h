@@ -128,6 +128,8 @@ typedef struct core_inputs {
   const core_isa *isa;
   /* Accepted error of a table of solutions that may stand in for solving; 0 if none may. */
   double tabulated;
+  /* Whether the albedo is all that is asked for. A formula may then leave out the rest. */
+  bool only_albedo;
 } core_inputs;
 
 /* What the table of anisotropic scattering adds to the numerical error of `transport`, relative: to
@@ -189,10 +191,6 @@ double core_transport_table_error(double eta);
 /* Returns the largest ratio sigma_a / sigma_s' at which `transport` evaluates scattering with this
  * g and eta as it is, or INFINITY if there is none or the model uses the similarity relation. */
 double core_transport_ratio_most(double g, double eta);
-
-/* Sets *total to the albedo of a profile of `transport`, with its bits, without preparing the
- * profile. medium: one that the model takes. The only fault is `memory`. */
-core_fault core_transport_albedo(const core_medium *medium, double *total);
 
 /* Returns the numerical error of the wanted quantities at radii from least to most; there are no
  * radii if least is above most. errors: as core_profile.numerical_errors, or as

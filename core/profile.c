@@ -27,6 +27,7 @@ struct model {
 
 #define SLOW 1u           /* the bit of id 0, which no parameter has */
 #define COSTLY (1u << 31) /* the bit of id 31, which no parameter has */
+#define QUICK_ALBEDO (1u << 30)
 #define BIT(IDENT) (1u << CORE_PARAMETER_##IDENT)
 #define TAKEN_BY_ALL (BIT(TOLERANCE) | BIT(COS_IN) | BIT(COS_OUT))
 
@@ -61,7 +62,8 @@ bool core_prepares_slowly(unsigned model, unsigned evaluator) {
 }
 
 bool core_finds_albedo_slowly(unsigned model) {
-  return model != CORE_MODEL_TRANSPORT && core_prepares_slowly(model, CORE_EVALUATOR_F64);
+  const struct model *found = find(model);
+  return found != NULL && (parameters_of(found) & (SLOW | QUICK_ALBEDO)) == SLOW;
 }
 
 bool core_worth_keeping(unsigned model, unsigned evaluator) {
@@ -623,6 +625,18 @@ static core_fault prepare(core_profile *profile, const struct model *model, core
   return fault;
 }
 
+static core_fault check_and_prepare(core_profile *profile, unsigned model, unsigned evaluator,
+                                    const core_inputs *inputs) {
+  const struct model *found = find(model);
+  core_radii_range radii;
+  const core_fault fault = check(found, inputs->moments, evaluator, inputs, &radii);
+  if (fault.field != NULL) {
+    return fault;
+  }
+  profile->evaluator = evaluator;
+  return prepare(profile, found, *inputs, radii);
+}
+
 core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsigned model,
                                 unsigned moments, unsigned evaluator, const core_medium *medium,
                                 const core_parameters *parameters) {
@@ -633,28 +647,17 @@ core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsi
       .parameters = parameters != NULL ? parameters : &none,
       .isa = isa,
   };
-  const struct model *found = find(model);
-  core_radii_range radii;
-  const core_fault fault = check(found, moments, evaluator, &inputs, &radii);
-  if (fault.field != NULL) {
-    return fault;
-  }
-  profile->evaluator = evaluator;
-  return prepare(profile, found, inputs, radii);
+  return check_and_prepare(profile, model, evaluator, &inputs);
 }
 
 core_fault core_albedo(const core_isa *isa, unsigned model, unsigned moments,
                        const core_medium *medium, double *albedo) {
-  *albedo = (double)NAN;
-  if (model == CORE_MODEL_TRANSPORT) {
-    core_radii_range radii;
-    const core_fault fault =
-        core_profile_check(model, moments, CORE_EVALUATOR_F64, medium, NULL, &radii);
-    return fault.field == NULL ? core_transport_albedo(medium, albedo) : fault;
-  }
+  const core_parameters none = core_parameters_none();
+  const core_inputs inputs = {
+      .moments = moments, .medium = medium, .parameters = &none, .isa = isa, .only_albedo = true};
   core_profile profile;
-  const core_fault fault =
-      core_profile_prepare(&profile, isa, model, moments, CORE_EVALUATOR_F64, medium, NULL);
+  const core_fault fault = check_and_prepare(&profile, model, CORE_EVALUATOR_F64, &inputs);
+  *albedo = (double)NAN;
   if (fault.field == NULL) {
     *albedo = profile.albedo;
     core_profile_free(&profile);

@@ -445,6 +445,9 @@ static void lay_panels(struct source *source, double ln_first, double ln_last,
  * preparation, whose albedo has been set. */
 static core_fault fill(const core_inputs *inputs, struct source *source, double share,
                        core_preparation *preparation) {
+  if (inputs->only_albedo) {
+    return (core_fault){0};
+  }
   const double sigma_t_prime = core_sigma_t_prime(inputs->medium);
   const double mfp_mm = 1 / sigma_t_prime;
   const double first = real_exp_signed(source->segment[0].begin);
@@ -502,6 +505,13 @@ static core_fault solve_and_fill(const core_inputs *inputs, double albedo, doubl
   const double tolerance = fmin(0.5 * asked, TRANSPORT_TOLERANCE_MAX);
   const double solvable = solvable_albedo(albedo);
   const double share = share_of(albedo);
+  if (inputs->only_albedo) {
+    transport_number total = {.value = 0};
+    const core_fault fault =
+        difference != NULL ? (core_fault){0} : transport_solve_total(&total, medium->eta, solvable);
+    preparation->albedo = difference != NULL ? difference->total : total.value * share;
+    return fault;
+  }
   transport_solution *solution = NULL;
   core_fault fault = solve(inputs, solvable, tolerance, &solution);
   if (fault.field == NULL) {
@@ -684,28 +694,6 @@ static core_fault prepare(const core_inputs *inputs, core_preparation *preparati
   return for_g != NULL   ? prepare_anisotropic(inputs, albedo, asked, for_g, preparation)
          : table != NULL ? look_up(inputs, albedo, 0, table, preparation)
                          : solve_and_fill(inputs, albedo, asked, NULL, preparation);
-}
-
-core_fault core_transport_albedo(const core_medium *medium, double *total) {
-  const double albedo = albedo_of(medium);
-  const transport_table *table = table_for_g(medium);
-  if (!(albedo > 0)) {
-    *total = 0;
-  } else if (table == NULL) {
-    transport_number solved;
-    const core_fault fault = transport_solve_total(&solved, medium->eta, solvable_albedo(albedo));
-    *total = solved.value * share_of(albedo);
-    return fault;
-  } else if (transport_table_covers(table, albedo, medium->g, medium->eta)) {
-    transport_series series;
-    transport_table_look_up(table, albedo, medium->g, medium->eta, &series);
-    *total = series.total;
-  } else {
-    transport_difference difference;
-    transport_table_difference(table, albedo, medium->g, medium->eta, &difference);
-    *total = difference.total;
-  }
-  return (core_fault){0};
 }
 
 unsigned core_transport_way(const core_inputs *inputs) {

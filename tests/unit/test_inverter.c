@@ -331,3 +331,28 @@ UNIT_TEST(what_there_is_not_is_not_found) {
   probe_to_the_end(&inverter);
   assert_true(inverter.found && inverter.medium.sigma_a_per_mm == 0 && inverter.albedo == 1);
 }
+
+/* Every way in which a model may leave out what is not the albedo. */
+UNIT_TEST(an_albedo_by_itself_has_the_bits_of_a_profile) {
+  static const core_medium media[] = {{.05, 9.5, .9, 1.4}, {.3, 1, 0, 1.3},   {1e-13, 1, .3, 1.5},
+                                      {2, 1, -.7, 1.4},    {1, 0, .2, 1.4},   {300, 1, .5, 1.2},
+                                      {1, 1e-14, 0, 1},    {.01, 2, .98, .5}, {-1, 1, 0, 1}};
+  for (const core_choice *model = core_models; model->name != NULL; model++) {
+    for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
+      double albedo = 0;
+      core_profile profile;
+      const core_fault fault =
+          core_albedo(core_isa_select(NULL), model->id, CORE_MOMENTS_EXACT, &media[i], &albedo);
+      const core_fault whole =
+          core_profile_prepare(&profile, core_isa_select(NULL), model->id, CORE_MOMENTS_EXACT,
+                               CORE_EVALUATOR_F64, &media[i], NULL);
+      unit_assert_fault(fault, whole.field, whole.index);
+      if (whole.field == NULL) {
+        assert_memory_equal(&albedo, &profile.albedo, sizeof albedo);
+        core_profile_free(&profile);
+      } else {
+        assert_true(isnan(albedo));
+      }
+    }
+  }
+}
