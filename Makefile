@@ -18,7 +18,7 @@
 #   make tradeoff   speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
 #   make tables     core/transport/transport.table, solved anew (half an hour; resumes)
 #   make totals     the totals in that table alone, for g other than 0 (a minute)
-#   make apertures  core/fit/aperture.table, solved anew and compared (minutes; resumes)
+#   make apertures  core/fit/aperture.table and its errors, solved anew (minutes; resumes)
 #   make reference  core/transport/reference.csv, R(r) for many g, solved anew (an hour; resumes)
 #   make figures    Figures 1 to 17 of d'Eon 2012 and one of tissue, in build/figures (ten minutes;
 #                   resumes), with build/figures/index.html, and core/tools/tissue.svg
@@ -510,7 +510,7 @@ GRIDS ?= quick
 apertures: $(BUILD)/apertures
 	$(BUILD)/apertures $(BUILD)/apertures-parts core/fit/aperture.table $(GRIDS)
 	@$(MAKE) --no-print-directory $(BUILD)/apertures
-	$(BUILD)/apertures $(BUILD)/apertures-parts
+	$(BUILD)/apertures $(BUILD)/apertures-parts core/fit/aperture_errors.def
 
 $(BUILD)/reference: $(REFERENCE) $(BUILD)/libcore.a
 	$(call SAY,LD,$@)

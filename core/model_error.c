@@ -380,6 +380,20 @@ core_model_errors core_gamma_errors_find(double gamma, double eta, core_ratio_ra
   return errors;
 }
 
+core_model_errors core_model_errors_stated(enum core_model model, enum core_moments moments,
+                                           unsigned notes, const core_parameters *parameters,
+                                           double g, double eta, core_ratio_range range) {
+  const bool exact = model == CORE_MODEL_TRANSPORT && (notes & CORE_NOTE_SIMILARITY) == 0;
+  const double gamma = parameters->value[CORE_PARAMETER_GAMMA];
+  if (!isnan(gamma)) {
+    return exact ? core_gamma_errors_find(gamma, eta, range) : core_model_errors_unknown();
+  }
+  return exact ? core_model_errors_exact()
+         : isnan(parameters->value[CORE_PARAMETER_SURFACE_ALBEDO])
+             ? core_model_errors_find(model, moments, g, eta, range)
+             : core_model_errors_unknown();
+}
+
 /* ---- the error of what is wanted ------------------------------------------------------------- */
 
 enum {

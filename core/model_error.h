@@ -51,6 +51,15 @@ extern const double core_error_edges_mfp[CORE_MODEL_ERROR_BANDS + 1];
  * of the medium, times 1.08. They are NAN where nothing was measured. */
 core_model_errors core_gamma_errors_find(double gamma, double eta, core_ratio_range range);
 
+/* Returns the errors that are stated of a model with these parameters (which are not NULL), for media
+ * as in core_model_errors_find(). notes: those of the model for them (bits of enum core_note), of which
+ * only SIMILARITY counts. `transport` without it is exact, but for the parameter gamma. Otherwise the
+ * errors are those of core_model_errors_find(); they were measured with the default of the surface
+ * albedo alone. */
+core_model_errors core_model_errors_stated(enum core_model model, enum core_moments moments,
+                                           unsigned notes, const core_parameters *parameters,
+                                           double g, double eta, core_ratio_range range);
+
 /* Returns the errors of a model that is transport itself. */
 core_model_errors core_model_errors_exact(void);
 

@@ -177,24 +177,12 @@ core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluat
 
 /* ---- preparing ------------------------------------------------------------------------------- */
 
-/* Errors were measured with the default of the surface albedo only; for others they are not known.
- */
 static void set_model_errors(core_profile *profile, const core_parameters *parameters) {
-  const bool exact =
-      profile->model == CORE_MODEL_TRANSPORT && (profile->notes & CORE_NOTE_SIMILARITY) == 0;
+  const core_medium *medium = &profile->medium;
   profile->model_errors =
-      exact ? core_model_errors_exact()
-      : isnan(parameters->value[CORE_PARAMETER_SURFACE_ALBEDO])
-          ? core_model_errors_find(profile->model, profile->moments, profile->medium.g,
-                                   profile->medium.eta, core_ratio_of(&profile->medium))
-          : core_model_errors_unknown();
-  const double gamma = parameters->value[CORE_PARAMETER_GAMMA];
-  if (!isnan(gamma)) {
-    profile->model_errors =
-        exact ? core_gamma_errors_find(gamma, profile->medium.eta, core_ratio_of(&profile->medium))
-              : core_model_errors_unknown();
-    profile->notes |= CORE_NOTE_GAMMA;
-  }
+      core_model_errors_stated(profile->model, profile->moments, profile->notes, parameters,
+                               medium->g, medium->eta, core_ratio_of(medium));
+  profile->notes |= isnan(parameters->value[CORE_PARAMETER_GAMMA]) ? 0u : CORE_NOTE_GAMMA;
   if (profile->albedo > 1 + profile->numerical_error) {
     profile->notes |= CORE_NOTE_ALBEDO_ABOVE_1;
   }

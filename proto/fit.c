@@ -209,6 +209,7 @@ wire_fitted fit_result_encode(const core_fit_result *result) {
       .second_sigma_s_prime = result->second.sigma_s_prime_per_mm,
       .second_factor = result->second.factor,
       .second_chi_squared = result->second.chi_squared,
+      .model_error = result->model_error,
   };
 }
 

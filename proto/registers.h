@@ -23,6 +23,7 @@ enum {
   REGISTERS_END = 10500, /* registers in an image */
   REGISTERS_COILS = 100, /* coils, from address 0 on */
   REGISTERS_ERROR_TEXT_BYTES = 80,
+  REGISTERS_FIT_STATUS_NAME_BYTES = 16,
 };
 
 /* The quantities that can be wanted: those that have output registers. */

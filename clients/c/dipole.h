@@ -610,6 +610,11 @@ typedef struct dipole_fitted {
   /* A second medium that is a local best, with chi-squared less than 9 above that of the best; all
    * NaN if none was found. */
   double second_sigma_a_per_mm, second_sigma_s_prime_per_mm, second_factor, second_chi_squared;
+  /* The relative error of R of the best medium against radiative transport, at the distances of the
+   * readings and between them: that of the model, and with detector_na that of the share that is
+   * detected. With DIPOLE_REFERENCE it is that of the ratio. It is not part of the variances. NaN: it
+   * was not measured, as for frequencies unless the model is transport. */
+  double model_error;
 } dipole_fitted;
 
 typedef struct dipole_fits {

@@ -33,17 +33,17 @@ static const cli_option options[] = {
     {"g", "X", "mean cosine of the scattering angle, where the file does not say\n(default: 0)",
      CLI_NUMBER, FIELD(g), NULL},
     {"detector-na", "X",
-     "sine of the largest angle to the normal, outside, at which light is\ndetected, where the "
-     "file "
-     "does not say: the numerical aperture over the\nindex outside (default: all light)",
+     "sine of the largest angle to the normal, outside, at which light is\n"
+     "detected, where the file does not say: the numerical aperture over the\n"
+     "index outside (default: all light)",
      CLI_NUMBER, FIELD(detector_na), NULL},
     {"scale", "NAME",
-     "absolute: R is as the model has it; free: R of each sample is that times\na factor, which is "
-     "fitted, too (default: absolute)",
+     "absolute: R is as the model has it; free: R of each sample is that times\n"
+     "a factor, which is fitted, too (default: absolute)",
      CLI_TEXT, FIELD(scale), NULL},
     {"reference", "A,S,G,ETA",
-     "R is divided by the reading of a known medium at the same place:\nsigma_a, sigma_s (1/mm), g "
-     "and eta of that medium",
+     "R is divided by the reading of a known medium at the same place:\n"
+     "sigma_a, sigma_s (1/mm), g and eta of that medium",
      CLI_NUMBERS, FIELD(reference), NULL},
     {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
     {"model", "NAME", "the model that is fitted; see `dipole info` (default: transport)", CLI_TEXT,
@@ -52,8 +52,8 @@ static const cli_option options[] = {
     {CLI_DEADLINE_OPTION, NULL},
     {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
     {"plot", "[FILE]",
-     "also draw readings, fit and residuals of the first samples into FILE.svg\nor FILE.png "
-     "(default: " PLOT_FILE "); -: as text. May be repeated",
+     "also draw readings, fit and residuals of the first samples into FILE.svg\n"
+     "or FILE.png (default: " PLOT_FILE "); -: as text. May be repeated",
      CLI_FILES, FIELD(plot), NULL},
     {0},
 };
@@ -309,6 +309,10 @@ static void put_sample(cli_rows *rows, const void *context, size_t index) {
                  scale_error);
   cli_put_number(rows, CLI_COLUMN("chi2", NULL, " ", "%.4g", "-"), one->chi_squared);
   cli_put_count(rows, CLI_COLUMN("readings", .unit = " "), sample->count);
+  cli_put_number(rows,
+                 CLI_COLUMN("model_error", "model error", "relative", "%.1e", "not measured", NULL,
+                            CLI_IN_TABLE | CLI_IN_JSON),
+                 one->model_error);
   cli_put_text(rows, CLI_COLUMN("status", .unit = " "), status_of(of, one));
   if (rows->json != NULL) {
     cli_json_number(rows->json, "reduced_chi2", one->reduced_chi_squared);
@@ -326,6 +330,7 @@ static void write_table(const void *context) {
          of->moments->name, of->scale->name);
   cli_rows_print(stdout, 1, of->readings.sample_count, put_sample, of);
   puts("\nerrors are standard errors; chi2 is the sum of the squares of (reading - fit) / error");
+  puts("model error: of R against radiative transport, which is not in the standard errors");
   cli_write_notes(of->info, of->notes, stdout);
 }
 
@@ -405,7 +410,8 @@ static void refuse_all(report *of) {
                                     .second_sigma_a_per_mm = nan,
                                     .second_sigma_s_prime_per_mm = nan,
                                     .second_factor = nan,
-                                    .second_chi_squared = nan};
+                                    .second_chi_squared = nan,
+                                    .model_error = nan};
   }
   for (size_t i = 0; i < of->readings.count; i++) {
     of->residuals[i] = nan;
@@ -456,16 +462,14 @@ const cli_command cli_command_fit = {
         "is detected on), and detector_na (see --detector-na). Each sample has at least as many\n"
         "readings as unknowns: 2, or 3 with --scale free.\n"
         "\n"
-        "status is fitted, or says why a sample is no success: at-bound, undetermined, "
-        "implausible,\n"
-        "ambiguous, unfinished or refused; `dipole info` describes them. The exit status is then "
-        "3,\n"
-        "and all samples are written nevertheless. sigma_s' is sigma_s (1 - g). chi2 is the sum "
-        "of\n"
-        "the squares of (R - fit) / error: about readings less unknowns if model and errors are\n"
-        "right; a sample is implausible if noise would make it as large less than once in a "
-        "million\n"
-        "times.\n",
+        "status is fitted, or says why a sample is no success: at-bound, undetermined,\n"
+        "implausible, ambiguous, unfinished or refused; `dipole info` describes them. The exit\n"
+        "status is then 3, and all samples are written nevertheless. sigma_s' is sigma_s (1 - g).\n"
+        "chi2 is the sum of the squares of (R - fit) / error: about readings less unknowns if\n"
+        "model and errors are right; a sample is implausible if noise would make it as large less\n"
+        "than once in a million times. The model error (in tables and JSON) is that of R against\n"
+        "radiative transport, at the distances of a sample and between them. With --detector-na\n"
+        "it contains that of the share that is detected. It is not part of the standard errors.\n",
     .formats = "table,csv,json",
     .options = {options, cli_parameter_options},
     .usual_file = PLOT_FILE,

@@ -80,7 +80,8 @@ def fit(unit: Unit, *given: str) -> None:
     run(unit, 8200, 8320, 0, 8420)
     a, s, a_error, s_error, _, chi_squared = unit.floats(8328, 6)
     print(f"sigma_a {a:.6g} +- {a_error:.2g}, sigma_s' {s:.6g} +- {s_error:.2g} 1/mm")
-    print(f"chi-squared {chi_squared:.4g} of {len(at)} readings")
+    (model_error,) = unit.floats(8356, 1)
+    print(f"chi-squared {chi_squared:.4g} of {len(at)} readings, model error {model_error:.2g}")
 
 
 def main(where: str, job: str, *more: str) -> None:

@@ -22,11 +22,15 @@ function floats(values) {
   return Array.from({ length: 2 * values.length }, (_, i) => bytes.readUInt16BE(2 * i));
 }
 
+async function text(unit, address, count) {
+  return (await unit.read(address, count)).toString("ascii").replace(/\0+$/, "");
+}
+
 // Throws what the daemon says of the last error.
 async function fail(unit, errorAt = 302, textAt = 620) {
   const error = await unit.read(errorAt, 2);
-  const text = (await unit.read(textAt, 40)).toString("ascii").replace(/\0+$/, "");
-  throw new Error(`error ${error.readUInt16BE(0)} at register ${error.readUInt16BE(2)}: ${text}`);
+  const allowed = await text(unit, textAt, 40);
+  throw new Error(`error ${error.readUInt16BE(0)} at register ${error.readUInt16BE(2)}: ${allowed}`);
 }
 
 // Writes registers. While another master's job runs, a commit is refused as busy: writes it again
@@ -92,7 +96,7 @@ async function printFit(unit, given) {
     await pause(20);
   }
   if (head.readUInt16BE(0) === UNFITTED) {
-    throw new Error(`the fit is no success: fit_status ${head.readUInt16BE(14)}`);
+    throw new Error(`the fit is no success: ${await text(unit, 8460, 8)}`);
   }
   if (head.readUInt16BE(0) !== DONE) {
     await fail(unit, 8322, 8420);

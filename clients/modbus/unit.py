@@ -22,7 +22,7 @@ except ImportError:
 
 ERROR, ERROR_TEXT, TEXT_REGISTERS, DEFAULTS = 302, 620, 40, 251
 BUSY, IS_BUSY, DONE, UNFITTED = 6, 1, 2, 5  # an exception, and values of the register `status`
-FIT_STATUS = 8327  # why a fit is no success
+FIT_STATUS_NAME, NAME_REGISTERS = 8460, 8  # why a fit is no success
 PATIENCE_S = 60
 
 
@@ -59,11 +59,14 @@ class Unit:
         """Reads floats, whose most significant word comes first."""
         return struct.unpack(f">{count}f", self.read(address, 2 * count))
 
+    def text(self, address: int, count: int) -> str:
+        """Reads the text of registers."""
+        return self.read(address, count).rstrip(b"\0").decode("ascii")
+
     def fail(self, error: int = ERROR, text: int = ERROR_TEXT) -> None:
         """Ends the program with what the daemon says of the last error."""
         status, address = struct.unpack(">2H", self.read(error, 2))
-        allowed = self.read(text, TEXT_REGISTERS).rstrip(b"\0").decode("ascii")
-        sys.exit(f"error {status} at register {address}: {allowed}")
+        sys.exit(f"error {status} at register {address}: {self.text(text, TEXT_REGISTERS)}")
 
     def write(self, address: int, form: str, *values: float) -> None:
         """Writes values as registers. form: their types, as in the module struct, such as "2H4f".
@@ -100,8 +103,7 @@ class Unit:
             show()
             time.sleep(0.02)
         if state == UNFITTED:
-            number = self.read(FIT_STATUS, 1)[1]
-            sys.exit(f"the fit is no success: fit_status {number}, see the list in REGISTERS.md")
+            sys.exit(f"the fit is no success: {self.text(FIT_STATUS_NAME, NAME_REGISTERS)}")
         if state != DONE:
             self.fail(status + 2, error_text)
         if done != token:

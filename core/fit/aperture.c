@@ -165,3 +165,35 @@ double fit_aperture_share(const fit_aperture_row *row, double ln_x) {
   }
   return row->u2 * real_exp_signed(row->term[0] + p * one - two);
 }
+
+/* ---- errors ---------------------------------------------------------------------------------- */
+
+/* A range of media, places and apertures, and the largest error in it. */
+static const struct region {
+  double ratio_from, ratio_to, x_from, x_to, u_from, u_to;
+  double error;
+} regions[] = {
+#define FIT_APERTURE_ERROR(...) {__VA_ARGS__},
+#include "core/fit/aperture_errors.def"
+};
+
+/* Ends of ranges count as within them, also if they come rounded. */
+#define SLACK 1e-7
+
+double fit_aperture_error(const fit_aperture *aperture, double ratio, double x_least,
+                          double x_most) {
+  const double u = sqrt(aperture->u2);
+  double error = -1;
+  if (!(x_least >= FIT_APERTURE_X_LEAST * (1 - SLACK) &&
+        x_most <= real_exp_signed(ln_reach(ratio)) * (1 + SLACK))) {
+    return (double)NAN;
+  }
+  for (size_t i = 0; i < sizeof regions / sizeof regions[0]; i++) {
+    const struct region *at = &regions[i];
+    if (ratio >= at->ratio_from && ratio <= at->ratio_to * (1 + SLACK) && x_most >= at->x_from &&
+        x_least <= at->x_to && u >= at->u_from * (1 - SLACK) && u <= at->u_to) {
+      error = real_max(error, at->error);
+    }
+  }
+  return error < 0 ? (double)NAN : error;
+}

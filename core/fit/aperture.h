@@ -17,7 +17,7 @@
  *   g
  *   ln u
  *
- * Beyond the ends of y, s and ln u, F is that of the end. core/MODELS.md has the errors that `make
+ * Beyond the ends of y, s and ln u, F is that of the end. aperture_errors.def has the errors that `make
  * apertures` has found.
  */
 #ifndef DIPOLED_CORE_FIT_APERTURE_H
@@ -65,6 +65,10 @@ void fit_aperture_medium(const fit_aperture *aperture, double ratio, fit_apertur
 
 /* Returns the share at ln x. */
 double fit_aperture_share(const fit_aperture_row *row, double ln_x);
+
+/* Returns the relative error of shares from x_least to x_most, as `make apertures` has measured it. It
+ * is NAN beyond the ends of y and where ln u and s are beyond theirs, u below and s above. */
+double fit_aperture_error(const fit_aperture *aperture, double ratio, double x_least, double x_most);
 
 /* ---- for what makes the table ------------------------------------------------------------------ */
 

@@ -218,7 +218,8 @@ static core_fault set_weights(core_fit *fit, const core_fit_design *design) {
   reference.eta = design->reference.eta;
   set_aperture(&reference, design, reference.g, reference.eta);
   const core_fault fault =
-      fit_values_of_medium(&reference, &design->reference, &fit->places, fit->weight);
+      fit_values_of_medium(&reference, &design->reference, &fit->places, fit->weight,
+                           &fit->reference_error);
   for (size_t i = 0; fault.field == NULL && i < fit->count; i++) {
     if (!(fit->weight[i] > 1e-300)) {
       return (core_fault){"reference", "a medium with light at each reading", i};
@@ -289,6 +290,7 @@ static core_fault set_notes(core_fit *fit) {
 static void set_places(core_fit *fit, const core_fit_design *design) {
   struct fit_places *places = &fit->places;
   places->first[0] = 0;
+  places->radii = (core_radii_range){(double)INFINITY, 0};
   for (size_t i = 0; i < places->count; i++) {
     const size_t first = places->first[i];
     places->first[i + 1] = first + fit_disc_nodes(design->at[i], diameter(design->source_mm, i),
@@ -296,6 +298,10 @@ static void set_places(core_fit *fit, const core_fit_design *design) {
                                                   places->at + first, places->weight + first);
     for (size_t k = first; k < places->first[i + 1]; k++) {
       places->ln_at[k] = fit_ln(places->at[k]);
+      if (design->axis == CORE_FIT_AXIS_RADIUS) {
+        places->radii.least_mm = real_min(places->radii.least_mm, places->at[k]);
+        places->radii.most_mm = real_max(places->radii.most_mm, places->at[k]);
+      }
     }
   }
 }
@@ -370,8 +376,11 @@ core_fault core_fit_create(core_fit **made, const core_isa *isa, const core_fit_
       .nodes = nodes,
       .weight = numbers,
       .grid = numbers + count,
-      .places = {count, first, numbers + NUMBERS * count, numbers + NUMBERS * count + nodes,
-                 numbers + NUMBERS * count + 2 * nodes},
+      .places = {.count = count,
+                 .first = first,
+                 .at = numbers + NUMBERS * count,
+                 .ln_at = numbers + NUMBERS * count + nodes,
+                 .weight = numbers + NUMBERS * count + 2 * nodes},
   };
   fault = fill(fit, design);
   if (fault.field != NULL) {
@@ -437,6 +446,7 @@ static void refuse(const core_fit *fit, core_fault fault, core_fit_result *resul
       .second = none,
       .reduced_chi_squared = (double)NAN,
       .condition = (double)NAN,
+      .model_error = (double)NAN,
   };
   for (size_t i = 0; residuals != NULL && i < fit->count; i++) {
     residuals[i] = (double)NAN;

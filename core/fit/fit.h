@@ -71,8 +71,8 @@ typedef struct core_fit_design {
    * the detector's numerical aperture over the refractive index outside. Readings are then of this
    * light alone, and each is a share of R that depends on the distance and the medium. 0 and
    * min(1, eta) and more: light of all angles. For axis RADIUS, model TRANSPORT, g (or gamma - 1)
-   * from 0 to 0.95 and eta from 0.7 to 2.2. How large the share's errors are says
-   * core/MODELS.md. */
+   * from 0 to 0.95 and eta from 0.7 to 2.2. The share's error is
+   * part of the result's model_error. */
   double detector_na;
   unsigned scale;        /* of enum core_fit_scale */
   core_medium reference; /* the known medium, for scale REFERENCE alone */
@@ -147,6 +147,11 @@ typedef struct core_fit_result {
    * factor being free if it is unknown: the square root of the condition of the information matrix.
    * INFINITY if a direction changes nothing. */
   double condition;
+  /* The relative error of R of the best medium against radiative transport, at the distances of the
+   * readings and between them: that of the model (core/model_error.h), and with an aperture that of the
+   * shares. With scale REFERENCE it is that of the ratio. It is not part of the covariance. NAN: it was
+   * not measured, as for frequencies unless the model is exact. */
+  double model_error;
   /* Another local minimum whose chi-squared is less than CORE_FIT_AMBIGUOUS above that of the best;
    * all NAN if none was found. */
   core_fit_solution second;

@@ -513,11 +513,22 @@ bool fit_search_step(core_fit_search *s) {
   return s->stage == FIT_IS_DONE;
 }
 
+/* Returns the error of readings, or that of ratios to those of the reference medium. */
+static double model_error_of(const core_fit *fit, const core_fit_solution *best) {
+  const struct fit_model *model = &fit->model;
+  const core_medium medium = {best->sigma_a_per_mm, best->sigma_s_prime_per_mm / (1 - model->g),
+                              model->g, model->eta};
+  const double error = fit_model_error(model, &medium, &fit->places, fit->notes);
+  return fit->reference_error < 1 ? (error + fit->reference_error) / (1 - fit->reference_error)
+                                  : (double)NAN;
+}
+
 /* Sets what follows from the best medium: the coefficients, their errors and the status. */
 static void set_best(const core_fit *fit, const struct fit_quadratic *q, bool settled,
                      core_fit_result *result) {
   const size_t spare = fit_spare(fit);
   result->best = solution_of(&fit->model, q);
+  result->model_error = model_error_of(fit, &result->best);
   result->bounds = bounds_of(fit, q->place);
   result->reduced_chi_squared = spare > 0 ? q->chi_squared / (double)spare : (double)NAN;
   set_errors(q, result);
@@ -530,6 +541,7 @@ void fit_search_result(const core_fit_search *s, core_fit_result *result, double
   *result = (core_fit_result){.status = CORE_FIT_STATUS_UNFINISHED,
                               .best = no_solution,
                               .second = no_solution,
+                              .model_error = (double)NAN,
                               .evaluations = s->evaluations,
                               .notes = fit->notes};
   if (!best->found) {

@@ -19,6 +19,7 @@ struct core_fit {
   bool free_factor;
   double chi_squared_most; /* the largest that is plausible */
   unsigned notes;
+  double reference_error; /* model error of the reference medium's readings; 0 without one */
   size_t count;
   struct fit_place least; /* bounds of the search */
   struct fit_place most;

@@ -1,6 +1,8 @@
 #include "core/fit/values.h"
 
 #include "core/fit/fit.h"
+#include "core/kernels.h"
+#include "core/model_error.h"
 
 #define CORE_REAL 64
 #include "core/kernel.h"
@@ -67,9 +69,32 @@ void fit_values_of_profile(const struct fit_model *model, const core_profile *pr
   }
 }
 
-/* error: NULL, or receives the model's numerical error. */
+/* Returns an error of R, with that of the shares that are detected. */
+static double with_shares(const struct fit_model *model, const core_medium *medium,
+                          const struct fit_places *places, double error) {
+  if (!model->narrow) {
+    return error;
+  }
+  const double sigma_t_prime = core_sigma_t_prime(medium);
+  return (1 + error) * (1 + fit_aperture_error(&model->aperture, core_ratio_of(medium).least,
+                                               places->radii.least_mm * sigma_t_prime,
+                                               places->radii.most_mm * sigma_t_prime)) -
+         1;
+}
+
+double fit_model_error(const struct fit_model *model, const core_medium *medium,
+                       const struct fit_places *places, unsigned notes) {
+  const core_model_errors errors =
+      core_model_errors_stated(model->model, model->moments, notes, &model->parameters, medium->g,
+                               medium->eta, core_ratio_of(medium));
+  return with_shares(model, medium, places,
+                     core_model_errors_of(&errors, medium, model->quantity, places->radii));
+}
+
+/* errors: NULL, or receives the numerical error at all radii and the readings' model error. */
 static core_fault evaluate(const struct fit_model *model, const core_medium *medium,
-                           const struct fit_places *places, double *value, double *error) {
+                           const struct fit_places *places, double *value,
+                           core_stated_errors *errors) {
   core_profile profile;
   const core_fault fault = core_profile_prepare(&profile, model->isa, model->model, model->moments,
                                                 CORE_EVALUATOR_F64, medium, &model->parameters);
@@ -77,8 +102,11 @@ static core_fault evaluate(const struct fit_model *model, const core_medium *med
     return fault;
   }
   fit_values_of_profile(model, &profile, places, value);
-  if (error != NULL) {
-    *error = profile.numerical_error;
+  if (errors != NULL) {
+    errors->numerical = profile.numerical_error;
+    errors->model =
+        with_shares(model, medium, places,
+                    core_profile_errors(&profile, model->quantity, places->radii).model);
   }
   core_profile_free(&profile);
   return fault;
@@ -155,8 +183,12 @@ static void vary(const struct fit_model *model, struct fit_place place,
 }
 
 core_fault fit_values_of_medium(const struct fit_model *model, const core_medium *medium,
-                                const struct fit_places *places, double *value) {
-  return evaluate(model, medium, places, value, NULL);
+                                const struct fit_places *places, double *value,
+                                double *model_error) {
+  core_stated_errors errors;
+  const core_fault fault = evaluate(model, medium, places, value, &errors);
+  *model_error = fault.field == NULL ? errors.model : (double)NAN;
+  return fault;
 }
 
 static double step_for(double error) {
@@ -199,10 +231,10 @@ core_fault fit_values(const struct fit_model *model, struct fit_place place,
     return (core_fault){0};
   }
   const core_medium medium = fit_medium(model, place);
-  double error;
-  core_fault fault = evaluate(model, &medium, places, value, &error);
+  core_stated_errors errors;
+  core_fault fault = evaluate(model, &medium, places, value, &errors);
   if (fault.field == NULL && by_ratio != NULL) {
-    const double step = step_for(error);
+    const double step = step_for(errors.numerical);
     const struct fit_place along = {step, 0}, across = {0, step};
     fault = differentiate(model, place, along, step, places, by_ratio);
     if (fault.field == NULL) {

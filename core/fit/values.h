@@ -32,6 +32,7 @@ struct fit_places {
   double *at;
   double *ln_at; /* of the least normal number for 0 */
   double *weight;
+  core_radii_range radii; /* of all distances; least above most for frequencies */
 };
 
 /* A medium by ln(sigma_a / sigma_s') and ln(sigma_s'), sigma_s' in 1/mm. */
@@ -42,12 +43,19 @@ struct fit_place {
 
 core_medium fit_medium(const struct fit_model *model, struct fit_place place);
 
+/* Returns the relative error of readings against radiative transport; NAN if it is not known. notes:
+ * bits of the model's. */
+double fit_model_error(const struct fit_model *model, const core_medium *medium,
+                       const struct fit_places *places, unsigned notes);
+
 /* Returns ln x, or that of the least normal number if x is less. */
 double fit_ln(double x);
 
-/* Evaluates the readings for a medium, whose g and eta need not be those of the model. */
+/* Evaluates the readings for a medium, whose g and eta need not be those of the model. model_error:
+ * receives what fit_model_error() returns. */
 core_fault fit_values_of_medium(const struct fit_model *model, const core_medium *medium,
-                                const struct fit_places *places, double *value);
+                                const struct fit_places *places, double *value,
+                                double *model_error);
 
 /* Evaluates the readings of a medium whose profile has been prepared. */
 void fit_values_of_profile(const struct fit_model *model, const core_profile *profile,

@@ -292,19 +292,15 @@ static double table_error(const core_varying *varying, unsigned wanted,
 }
 
 /* Returns the errors of the model in a range, as core_profile_prepare() finds them for a medium. */
-static core_model_errors model_errors(const core_varying *varying, enum family family,
+static core_model_errors model_errors(const core_varying *varying,
                                       const core_varying_range *range) {
-  const bool exact = family == TRANSPORT && (varying->notes & CORE_NOTE_SIMILARITY) == 0;
   const core_ratio_range ratios = {(1 - range->albedo_most) / range->albedo_most,
                                    (1 - range->albedo_least) / range->albedo_least};
-  if (!isnan(varying->gamma)) {
-    return exact ? core_gamma_errors_find(varying->gamma, varying->eta, ratios)
-                 : core_model_errors_unknown();
-  }
-  return exact                            ? core_model_errors_exact()
-         : isnan(varying->surface_albedo) ? core_model_errors_find(varying->model, varying->moments,
-                                                                   varying->g, varying->eta, ratios)
-                                          : core_model_errors_unknown();
+  core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_GAMMA] = varying->gamma;
+  parameters.value[CORE_PARAMETER_SURFACE_ALBEDO] = varying->surface_albedo;
+  return core_model_errors_stated(varying->model, varying->moments, varying->notes, &parameters,
+                                  varying->g, varying->eta, ratios);
 }
 
 core_stated_errors core_varying_errors(const core_varying *varying, unsigned wanted,
@@ -320,7 +316,7 @@ core_stated_errors core_varying_errors(const core_varying *varying, unsigned wan
     errors.numerical += table_error(varying, wanted, range);
   }
   const core_medium medium = medium_of(varying, varying->g, range->albedo_most);
-  const core_model_errors found = model_errors(varying, family, range);
+  const core_model_errors found = model_errors(varying, range);
   errors.model = core_model_errors_of(&found, &medium, wanted,
                                       (core_radii_range){range->mfp_least, range->mfp_most});
   return errors;

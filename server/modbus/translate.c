@@ -536,7 +536,10 @@ static void set_fitted(uint16_t image[REGISTERS_END], const wire_fitted *fitted)
   registers_set_f32(image, REGISTERS_AT_FIT_SIGMA_A_ERROR, root(fitted->variance_a));
   registers_set_f32(image, REGISTERS_AT_FIT_SIGMA_S_PRIME_ERROR, root(fitted->variance_s));
   registers_set_f32(image, REGISTERS_AT_FIT_FACTOR_ERROR, root(fitted->variance_factor));
+  registers_set_f32(image, REGISTERS_AT_FIT_MODEL_ERROR, rounded_up(fitted->model_error));
   registers_set_u16(image, REGISTERS_AT_FIT_FIT_STATUS, fitted->status);
+  registers_set_text(image, REGISTERS_AT_FIT_FIT_STATUS_NAME, REGISTERS_FIT_STATUS_NAME_BYTES / 2,
+                     core_choice_by_id(core_fit_statuses, fitted->status)->name);
   registers_set_u16(image, REGISTERS_AT_FIT_BOUNDS, fitted->bounds);
 }
 

@@ -115,6 +115,11 @@ def test_an_aperture_of_the_file_and_of_an_option(readings):
     mixed = head + plain[: len(plain) // 2] + wide
     first, second = rows(dipole("fit", *arguments, stdin=mixed).stdout)
     assert first == a and second["sigma_a"] != b["sigma_a"]
+    arguments[arguments.index("csv")] = "json"
+    told = json.loads(dipole("fit", *arguments, stdin=mixed).stdout)["samples"]
+    assert all(0.005 < sample["model_error"] < 0.04 for sample in told)
+    table = dipole("fit", "--model", "transport", "--eta", "1.4", "--detector-na", "0.22", stdin=mixed)
+    assert f" {told[0]['model_error']:.1e} " in table.stdout
     run = dipole("fit", "--model", "better", "--eta", "1.4", stdin=head + wide, status=BAD_ROWS)
     assert "sample b: bad-value: detector_na: allowed: nothing but with transport" in run.stderr
 

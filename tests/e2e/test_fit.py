@@ -42,6 +42,33 @@ def test_the_medium_comes_back(client, readings):
     assert -1 < found.correlation < 1 and found.condition < 100
 
 
+def test_the_model_error_is_that_of_the_best_medium(client, readings):
+    """It is what eval states at the distances of the readings. Discs widen the range of radii, and a
+    reference medium adds its own error."""
+    def stated(sigma_a, sigma_s, least=AT_MM[0], most=AT_MM[-1]):
+        medium = Medium(float(sigma_a), float(sigma_s), 0.0, 1.4)
+        return client.eval("better", medium, [least, most]).model_error[0]
+
+    found = client.fit("better", AT_MM, readings, 0.01 * readings, eta=1.4)
+    error = stated(found.sigma_a, found.sigma_s_prime)
+    assert found.model_error == error > 0.01
+    wide = client.fit("better", AT_MM, readings, 0.01 * readings, eta=1.4, source=0.9)
+    assert stated(wide.sigma_a, wide.sigma_s_prime, 0.05, 4.45) >= wide.model_error > error
+    known = Medium(0.01, 1.0, 0.0, 1.4)
+    ratio = readings / client.eval("better", known, AT_MM).R[0]
+    off = stated(0.01, 1.0)
+    of_ratio = client.fit("better", AT_MM, ratio, 0.01 * ratio, eta=1.4, reference=known)
+    np.testing.assert_allclose(of_ratio.model_error, (error + off) / (1 - off), rtol=1e-12)
+
+    exact = client.fit("transport", AT_MM, readings, 0.01 * readings, eta=1.4)
+    assert exact.model_error == 0
+    values, errors = [readings, -readings], 0.01 * readings
+    narrow = client.fit("transport", AT_MM, values, errors, eta=1.4, parameters={"detector_na": 0.3})
+    assert 0.005 < narrow.model_error[0] < 0.04 and np.isnan(narrow.model_error[1])
+    thin = client.fit("transport", AT_MM, readings, errors, eta=1.4, parameters={"detector_na": 0.05})
+    assert np.isnan(thin.model_error)
+
+
 def test_g_scales_sigma_s(client):
     """With similarity, only sigma_s (1 - g) matters to a diffusion model."""
     R = client.eval("better", Medium(0.03, 6.0, 0.8, 1.4), AT_MM).R[0]

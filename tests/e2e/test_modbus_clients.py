@@ -393,7 +393,7 @@ def test_instruments_are_told_what_is_no_success(address):
     """An error of 0 is named by its register; no medium has readings that rise with
     the distance."""
     wrong = {"1,.02,.001 2,.01,0": "error 6 at register 8210: a standard error above 0"}
-    wrong["1,.001,.0001 2,.01,.001 4,.1,.01"] = "the fit is no success: fit_status "
+    wrong["1,.001,.0001 2,.01,.001 4,.1,.01"] = "the fit is no success: undetermined"
     for readings, said in wrong.items():
         script = str(EXAMPLES / "jobs.py")
         result = run(sys.executable, script, address, "fit", *readings.split())

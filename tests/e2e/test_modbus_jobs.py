@@ -518,6 +518,9 @@ def test_a_fit_has_the_values_of_the_wire(master, client):
     np.testing.assert_allclose(fit_results(master, unit), expected_results(found), rtol=3e-7)
     residuals = as_floats(master.read(AT["FIT_RESIDUAL"], 50, unit))
     np.testing.assert_allclose(residuals[:4], found.residuals, rtol=1e-6)
+    (model_error,) = as_floats(master.read(AT["FIT_MODEL_ERROR"], 2, unit))
+    assert found.model_error <= model_error < found.model_error * (1 + 3e-7)
+    assert master.read(AT["FIT_FIT_STATUS_NAME"], 8, unit).rstrip(b"\0") == b"fitted"
     assert np.isnan(residuals[4:]).all()
 
     reference = np.float32(3 * client.eval("better", single_known, FIT_AT_MM).R[0])

@@ -394,7 +394,8 @@ class Fits:
         return in_short(
             f"<Fits: {counted(self.sets.size, 'set', 'sets')} of shape {self.sets.shape}: {counts}",
             f"sigma_a {span(self.sigma_a)} 1/mm, sigma_s' {span(self.sigma_s_prime)} 1/mm, "
-            f"reduced chi-squared {span(self.sets['reduced_chi_squared'])}>",
+            f"reduced chi-squared {span(self.sets['reduced_chi_squared'])}, "
+            f"model_error {span(self.model_error)}>",
         )
 
     def _field(self, name: str) -> Array:
@@ -440,6 +441,14 @@ class Fits:
             product = self.sigma_a_error * self.sigma_s_prime_error
             correlation: Array = self.sets["covariance_a_s"] / product
         return correlation
+
+    @property
+    def model_error(self) -> Array:
+        """The relative error of R against radiative transport, at the distances of the readings and
+        between them: of the model, and with detector_na of the share that is detected. It is not
+        part of the standard errors. NaN: not measured, as for frequencies unless the model is
+        transport."""
+        return self._field("model_error")
 
     @property
     def factor(self) -> Array:

@@ -270,7 +270,8 @@ FITTED = Structure(
     "f64 sigma_s_prime, f64 factor, f64 chi_squared, f64 reduced_chi_squared, f64 condition, "
     "f64 variance_a, f64 covariance_a_s, f64 variance_s, f64 covariance_a_factor, "
     "f64 covariance_s_factor, f64 variance_factor, f64 second_sigma_a, "
-    "f64 second_sigma_s_prime, f64 second_factor, f64 second_chi_squared",
+    "f64 second_sigma_s_prime, f64 second_factor, f64 second_chi_squared, "
+    "f64 model_error",
 )
 VARYING_REQUEST = Structure(
     "varying_request",

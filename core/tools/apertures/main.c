@@ -2,8 +2,9 @@
  * normal grids, and writes it. It keeps what it has solved in FOLDER, so that an interrupted run
  * continues where it stopped.
  *
- * apertures FOLDER: compares the table that the program has with media that it was not made from, on
- * normal grids, and prints relative errors of the share. */
+ * apertures FOLDER ERRORS: compares the table that the program has with media that it was not made
+ * from, on normal grids, and writes the relative errors of the share, as core/fit/aperture_errors.def
+ * has them. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -230,77 +231,116 @@ static void write_table(const struct solved *media, const char *path) {
 
 /* ---- comparing ------------------------------------------------------------------------------- */
 
-/* Edges of ranges of x and of the ratio, in which the largest errors are printed. */
-static const double x_edges[] = {0, 0.05, 0.1, 0.2, 0.5, 1, 1e9};
-static const double ratio_edges[] = {0, 0.1, 1, 100};
-enum { XS = 6, BANDS = 3 };
+/* Edges of the ranges of sigma_a / sigma_s', x and u, for each of which the largest error is found. */
+static const double ratio_edges[] = {0, 0.1, 1, FIT_APERTURE_RATIO_MOST};
+static const double x_edges[] = {FIT_APERTURE_X_LEAST, 0.05, 0.1, 0.2, 0.5, 1, 1e9};
+static const double u_edges[] = {FIT_APERTURE_U_LEAST, 0.2, 1};
+
+#define RANGES(edges) (sizeof(edges) / sizeof(edges)[0] - 1)
+
+static bool is_within(const double *edges, double value) {
+  return value >= edges[0] && value < edges[1];
+}
 
 static int by_size(const void *a, const void *b) {
   const double x = *(const double *)a, y = *(const double *)b;
   return (x > y) - (x < y);
 }
 
-struct compared {
+/* The shares of a region. */
+struct region {
+  const double *ratio, *x, *u; /* where each of its ranges begins; the next edge ends it */
   size_t count;
-  double *off;   /* of the table's shares, relative */
+  double *off;   /* relative errors of the table's shares */
   double *apart; /* the solver's two grids */
+  double most;   /* the largest sum of both */
 };
 
-/* Adds the shares of a medium with x between two numbers. */
-static void add_medium(struct compared *to, const struct solved *medium, const double etas[ETAS],
-                       const double u[CONES], double least, double most) {
+/* Adds the shares of a medium that belong to the region. */
+static void add_medium(struct region *to, const struct solved *medium, const double etas[ETAS],
+                       const double u[CONES]) {
   for (size_t at = 0; at < (size_t)ETAS * CONES; at++) {
     const size_t e = at / CONES, c = at % CONES;
     fit_aperture aperture;
     fit_aperture_row row;
     fit_aperture_prepare(&aperture, medium->g, etas[e], u[c] * fmin(etas[e], 1));
     fit_aperture_medium(&aperture, medium->ratio, &row);
-    for (size_t i = 0; i < PLACES; i++) {
+    for (size_t i = 0; i < PLACES && is_within(to->u, u[c]); i++) {
       const double x = fit_aperture_x(i, medium->ratio);
       const double truth = u[c] * u[c] * exp(medium->F[e][c][i]);
-      if (x >= least && x < most) {
-        to->off[to->count] = fabs(fit_aperture_share(&row, log(x)) / truth - 1);
-        to->apart[to->count++] = medium->error[e][c][i];
+      const double off = fabs(fit_aperture_share(&row, log(x)) / truth - 1);
+      const double apart = medium->error[e][c][i];
+      if (is_within(to->x, x)) {
+        to->off[to->count] = off;
+        to->apart[to->count++] = apart;
+        to->most = fmax(to->most, off + apart);
       }
     }
   }
 }
 
-static void compare(const struct solved *media) {
+static void write_region(FILE *file, struct region *region) {
+  const size_t n = region->count;
+  if (n == 0) {
+    tools_fail("no shares from sigma_a / sigma_s' %g, x %g, u %g", region->ratio[0], region->x[0],
+               region->u[0]);
+  }
+  qsort(region->off, n, sizeof *region->off, by_size);
+  qsort(region->apart, n, sizeof *region->apart, by_size);
+  const double unit = pow(10, floor(log10(region->most)) - 1);
+  fprintf(file, "FIT_APERTURE_ERROR(%g, %g, %g, %g, %g, %g, %.1e)", region->ratio[0],
+          region->ratio[1], region->x[0], region->x[1], region->u[0], region->u[1],
+          ceil(region->most / unit) * unit);
+  fprintf(file, " /* %zu: %.1e, %.1e, %.1e; %.1e */\n", n, region->off[n / 2],
+          region->off[n * 95 / 100], region->off[n - 1], region->apart[n - 1]);
+}
+
+static const char head[] =
+    "/* Errors of the shares of core/fit/aperture.h, which `make apertures` has found.\n"
+    " *\n"
+    " * FIT_APERTURE_ERROR(sigma_a / sigma_s' from, to, x from, to, u from, to, error)\n"
+    " *   error: the largest relative error of a share at %d media that the table was not made from,\n"
+    " *   with %d eta and %d apertures each, and by how much the solver's own two grids differ there\n"
+    " *   values: the median of the relative errors, 95 %% of them, the largest; the largest difference\n"
+    " *   of the grids */\n"
+    "/* clang-format off */\n";
+
+static void compare(const struct solved *media, const char *path) {
   const size_t room = (size_t)COMPARED * ETAS * CONES * PLACES;
-  struct compared all = {.off = malloc(room * sizeof(double)),
-                         .apart = malloc(room * sizeof(double))};
-  if (all.off == NULL || all.apart == NULL) {
+  struct region region = {.off = malloc(room * sizeof(double)),
+                          .apart = malloc(room * sizeof(double))};
+  if (region.off == NULL || region.apart == NULL) {
     tools_fail("out of memory");
   }
-  puts("sigma_a/sigma_s' from, x from, values, off: median, 95 %, most; grids apart: 95 %, most");
-  for (size_t at = 0; at < (size_t)BANDS * XS; at++) {
-    const double *ratio = &ratio_edges[at / XS], *x = &x_edges[at % XS];
-    all.count = 0;
+  FILE *file = tools_open(path);
+  fprintf(file, head, COMPARED, ETAS, CONES);
+  const size_t xs = RANGES(x_edges), us = RANGES(u_edges);
+  for (size_t at = 0; at < RANGES(ratio_edges) * xs * us; at++) {
+    region.ratio = &ratio_edges[at / us / xs];
+    region.x = &x_edges[at / us % xs];
+    region.u = &u_edges[at % us];
+    region.count = 0;
+    region.most = 0;
     for (size_t m = MADE; m < MEDIA; m++) {
       struct solved copy;
       double etas[ETAS], u[CONES];
       set_medium(m, &copy, etas, u);
-      if (copy.ratio >= ratio[0] && copy.ratio < ratio[1]) {
-        add_medium(&all, &media[m], etas, u, x[0], x[1]);
+      if (is_within(region.ratio, copy.ratio)) {
+        add_medium(&region, &media[m], etas, u);
       }
     }
-    const size_t n = all.count;
-    if (n > 0) {
-      qsort(all.off, n, sizeof *all.off, by_size);
-      qsort(all.apart, n, sizeof *all.apart, by_size);
-      printf("%g,%g,%zu,%.1e,%.1e,%.1e,%.1e,%.1e\n", ratio[0], x[0], n, all.off[n / 2],
-             all.off[n * 95 / 100], all.off[n - 1], all.apart[n * 95 / 100], all.apart[n - 1]);
-    }
+    write_region(file, &region);
   }
-  free(all.off);
-  free(all.apart);
+  fputs("#undef FIT_APERTURE_ERROR\n", file);
+  tools_close(file, path);
+  free(region.off);
+  free(region.apart);
 }
 
 int main(int count, char **arguments) {
-  const bool compares = count == 2;
+  const bool compares = count == 3;
   if (!compares && count != 4) {
-    tools_fail("usage: apertures FOLDER [FILE quick|normal]");
+    tools_fail("usage: apertures FOLDER FILE quick|normal, or apertures FOLDER ERRORS");
   }
   struct run run = {.folder = arguments[1],
                     .effort = !compares && strcmp(arguments[3], "normal") == 0
@@ -312,7 +352,7 @@ int main(int count, char **arguments) {
   }
   solve_media(&run, compares ? MADE : 0, compares ? COMPARED : MADE);
   if (compares) {
-    compare(run.media);
+    compare(run.media, arguments[2]);
   } else {
     write_table(run.media, arguments[2]);
   }
