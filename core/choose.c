@@ -98,6 +98,12 @@ static double sigma_t_prime(const core_medium *medium) {
   return medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g);
 }
 
+/* Returns what `transport` makes of a medium. */
+static core_medium taken_of(const core_choose_request *request, size_t i) {
+  return core_transport_medium(&request->media[i],
+                               request->gamma > 0 ? request->gamma : (double)NAN);
+}
+
 /* Returns the error that is added to transport's numerical error at radii beyond its reach and for
  * anisotropic scattering. */
 static double added_error(const struct cost *cost, const core_choose_request *request) {
@@ -105,8 +111,7 @@ static double added_error(const struct cost *cost, const core_choose_request *re
   for (size_t i = 0; i < request->media_count && cost->model == CORE_MODEL_TRANSPORT; i++) {
     const core_medium *medium = &request->media[i];
     const double most_mm = (request->wanted & FOLLOWS_R) != 0 ? request->radii.most_mm : 0;
-    const core_medium taken =
-        core_transport_medium(medium, request->gamma > 0 ? request->gamma : (double)NAN);
+    const core_medium taken = taken_of(request, i);
     core_added_errors added;
     core_transport_added_errors(&taken, &added);
     error = fmax(error, core_error_beyond(core_transport_reach(medium), most_mm) +
@@ -172,28 +177,34 @@ static void set_numerical_error(core_candidate *candidate, const struct cost *co
   candidate->numerical_error += besides;
 }
 
-/* Without absorption a medium with g is solved as one without g is. */
-#define LOOKED_UP_FROM 1e-6 /* sigma_a / sigma_s' */
-
-/* Returns whether all media scatter with a g other than 0 that comes from transport's table. */
-static bool has_g(const core_choose_request *request) {
-  bool has = request->media_count > 0;
-  for (size_t i = 0; i < request->media_count && has; i++) {
-    const core_medium taken = core_transport_medium(
-        &request->media[i], request->gamma > 0 ? request->gamma : (double)NAN);
-    has = (taken.g < 0 || taken.g > 0) &&
-          taken.sigma_a_per_mm > LOOKED_UP_FROM * taken.sigma_s_per_mm * (1 - taken.g);
+/* Returns the time that the solver takes for a medium: the evaluator f64 solves each one if no
+ * tolerance is given. */
+static double solving_ns(void) {
+  const struct cost *cost = costs;
+  while (cost->model != CORE_MODEL_TRANSPORT || cost->evaluator != CORE_EVALUATOR_F64) {
+    cost++;
   }
-  return has;
+  return cost->with[0].prepare_ns;
 }
 
-/* Sets the cost of preparing media with g, if the model has one. */
-static void set_cost_with_g(core_candidate *candidate, const core_choose_request *request) {
-  for (size_t i = 0; i < sizeof costs_with_g / sizeof costs_with_g[0]; i++) {
+/* Sets the cost of preparing `transport` for media that are not as those that were timed: their g is
+ * other than 0, or its table does not hold one of them, which is then solved whatever the tolerance
+ * is. */
+static void set_cost_of_media(core_candidate *candidate, const core_choose_request *request) {
+  bool stored = true, with_g = candidate->model == CORE_MODEL_TRANSPORT;
+  for (size_t i = 0; i < request->media_count; i++) {
+    const core_medium taken = taken_of(request, i);
+    stored = stored && core_transport_is_stored(&taken);
+    with_g = with_g && (taken.g < 0 || taken.g > 0);
+  }
+  for (size_t i = 0; i < sizeof costs_with_g / sizeof costs_with_g[0] && with_g; i++) {
     if (costs_with_g[i].model == (unsigned)candidate->model &&
-        costs_with_g[i].evaluator == (unsigned)candidate->evaluator && has_g(request)) {
+        costs_with_g[i].evaluator == (unsigned)candidate->evaluator) {
       candidate->prepare_ns = costs_with_g[i].prepare_ns;
     }
+  }
+  if (!stored && candidate->model == CORE_MODEL_TRANSPORT) {
+    candidate->prepare_ns = fmax(candidate->prepare_ns, solving_ns());
   }
 }
 
@@ -221,7 +232,7 @@ static core_candidate make_candidate(const struct cost *cost, const core_choose_
   };
   if (candidate.model_error < (double)INFINITY) {
     set_numerical_error(&candidate, cost, request);
-    set_cost_with_g(&candidate, request);
+    set_cost_of_media(&candidate, request);
     candidate.error =
         candidate.model_error + (1 + candidate.model_error) * candidate.numerical_error;
   }

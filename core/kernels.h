@@ -184,6 +184,10 @@ core_medium core_transport_medium(const core_medium *medium, double gamma);
  * Sets *added, to zeros if g is 0 or the result is false. */
 bool core_transport_added_errors(const core_medium *medium, core_added_errors *added);
 
+/* Returns whether the model `transport` has the medium in its table of solutions, or nothing scatters
+ * in it. Otherwise preparation solves it, whatever the tolerance is. */
+bool core_transport_is_stored(const core_medium *medium);
+
 /* Returns the error of `transport` with isotropic scattering where the table of solutions covers
  * the medium, relative. */
 double core_transport_table_error(double eta);
