@@ -6,7 +6,7 @@
 #include "core/varying.h"
 #include "proto/wire.h"
 
-#define TABLE_LAYOUT 3 /* version of the layout of table_reply and the words (core/lut/lut.h) */
+#define TABLE_LAYOUT 4 /* version of the layout of table_reply and the words (core/lut/lut.h) */
 
 /* A parsed table request. */
 typedef struct table_request {

@@ -906,16 +906,15 @@ bool dipole_gather(dipole_client *client, const dipole_gather_query *query,
                    void *context, double *M_W_per_mm2, dipole_gather_result *result,
                    dipole_error *error);
 
-/* Gathers in this process, without a daemon: with the bits that one gives with DIPOLE_LUT and the
- * tolerance 0, for the models, moments, media and parameters of the tables. tables: one for each
- * channel of the points; their models have to cover all radii. Sums every point, which takes about a
- * nanosecond for each and each channel: a tolerance needs a daemon, because a table does not tell
- * how R varies between its values. queries_mm, M_W_per_mm2 and progress() are as of dipole_gather();
- * *answered_count, which may be NULL, is less than query_count only if progress() returned false. */
+/* Gathers in this process, without a daemon, on one thread: with the bits that a daemon gives with
+ * DIPOLE_LUT, for the models, moments, media and parameters of the tables. tables: one for each
+ * channel of the points; their models have to cover all radii. The other arguments are as of
+ * dipole_gather(); there are fewer than 2^32 queries. Each call builds the points anew, in about a
+ * second for a million, and takes some 250 bytes for each point meanwhile. */
 bool dipole_gather_at_home(const dipole_table *const *tables, const dipole_points *points,
-                           uint64_t query_count, const double *queries_mm,
+                           double tolerance, uint64_t query_count, const double *queries_mm,
                            bool (*progress)(void *context, uint64_t answered, uint64_t count),
-                           void *context, double *M_W_per_mm2, uint64_t *answered_count,
+                           void *context, double *M_W_per_mm2, dipole_gather_result *result,
                            dipole_error *error);
 
 /* ---- Monte Carlo --------------------------------------------------------------------------- */

@@ -435,15 +435,23 @@ bool dipole_gather(dipole_client *client, const dipole_gather_query *query,
 
 /* ---- at home ------------------------------------------------------------------------------- */
 
+/* Queries are gathered so many at a time, at most. */
+enum { HOME_QUERIES = 4096 };
+
+/* How many evaluations of a dipole lie between two calls of progress(), about: half a second's worth. */
+#define HOME_COST 1e8
+
 /* What sums at home need. */
 struct home {
+  const dipole_points_info *info;
   core_gather_points *points;
   core_gather_sum *sum;
   core_gather_scratch *scratch;
+  uint32_t *order;
+  double queries[HOME_QUERIES][GATHER_AXES]; /* the next ones */
+  double M[HOME_QUERIES * CORE_GATHER_CHANNELS_MAX];
+  float bound[HOME_QUERIES * CORE_GATHER_CHANNELS_MAX];
 };
-
-/* How many points are summed between two calls of progress(), about: a second's worth. */
-#define HOME_PAIRS ((uint64_t)1 << 29)
 
 static bool fail_fault(const core_fault *fault, dipole_error *error) {
   libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s: allowed: %s", fault->field, fault->allowed);
@@ -456,6 +464,9 @@ static bool check_home(const dipole_points_info *info, uint64_t query_count,
   if (queries_mm == NULL && query_count > 0) {
     return fail_argument(error, "queries_mm is NULL, query_count is not 0");
   }
+  if (query_count > UINT32_MAX) {
+    return fail_argument(error, "query_count is not below 2^32");
+  }
   core_fault fault = core_gather_check_points((size_t)info->point_count, info->xyz_mm,
                                               info->channel_count, info->power_W);
   if (fault.field == NULL) {
@@ -464,14 +475,11 @@ static bool check_home(const dipole_points_info *info, uint64_t query_count,
   return fault.field == NULL || fail_fault(&fault, error);
 }
 
-static bool open_home(struct home *home, const dipole_table *const *tables,
-                      const dipole_points_info *info, dipole_error *error) {
-  const core_profile *profiles[CORE_GATHER_CHANNELS_MAX];
-  for (uint32_t i = 0; i < info->channel_count; i++) {
-    profiles[i] = libdipole_table_profile(tables[i]);
-  }
-  const core_fault fault =
-      core_gather_sum_prepare(&home->sum, core_isa_select(NULL), info->channel_count, profiles, 0);
+static bool open_home(struct home *home, const core_profile *const *profiles, double tolerance,
+                      uint64_t query_count, const double *queries_mm, dipole_error *error) {
+  const dipole_points_info *info = home->info;
+  const core_fault fault = core_gather_sum_prepare(&home->sum, core_isa_select(NULL),
+                                                   info->channel_count, profiles, tolerance);
   if (fault.field != NULL) {
     return fail_fault(&fault, error);
   }
@@ -480,44 +488,88 @@ static bool open_home(struct home *home, const dipole_table *const *tables,
   while (home->points != NULL && !core_gather_points_build(home->points, UINT64_MAX)) {
   }
   home->scratch = home->points != NULL ? core_gather_scratch_create(home->sum, home->points) : NULL;
-  return home->scratch != NULL || libdipole_fail_memory(error);
+  home->order = malloc(((size_t)query_count + 1) * sizeof *home->order);
+  if (home->scratch == NULL || home->order == NULL) {
+    return libdipole_fail_memory(error);
+  }
+  core_gather_order(home->points, (size_t)query_count, queries_mm, home->order);
+  return true;
 }
 
 static void close_home(struct home *home) {
-  core_gather_scratch_free(home->scratch);
-  core_gather_points_free(home->points);
-  core_gather_sum_free(home->sum);
+  if (home != NULL) {
+    free(home->order);
+    core_gather_scratch_free(home->scratch);
+    core_gather_points_free(home->points);
+    core_gather_sum_free(home->sum);
+    free(home);
+  }
+}
+
+/* Gathers at queries [done, done + n) of the order. */
+static void gather_home(struct home *home, uint64_t done, size_t n, const double *queries_mm,
+                        double *M, dipole_gather_result *result) {
+  const uint32_t channels = home->info->channel_count;
+  core_gather_visits visits = {0};
+  for (size_t i = 0; i < n; i++) {
+    memcpy(home->queries[i], queries_mm + home->order[done + i] * (size_t)GATHER_AXES,
+           sizeof home->queries[i]);
+  }
+  core_gather(home->sum, home->points, home->scratch, n, NULL, home->queries[0], home->M,
+              home->bound, &visits);
+  for (size_t i = 0; i < n; i++) {
+    memcpy(M + home->order[done + i] * (size_t)channels, home->M + i * channels,
+           channels * sizeof *M);
+  }
+  for (size_t i = 0; i < n * channels; i++) {
+    result->bound = fmax(result->bound, (double)home->bound[i]);
+  }
+  for (uint32_t c = 0; c < channels; c++) {
+    const double own = core_gather_error(home->sum, home->points, c, n, home->queries[0]);
+    result->numerical_error[c] = fmax(result->numerical_error[c], own);
+  }
+  result->answered_count += n;
+  result->points_visited += visits.points;
+  result->nodes_visited += visits.nodes;
 }
 
 bool dipole_gather_at_home(const dipole_table *const *tables, const dipole_points *points,
-                           uint64_t query_count, const double *queries_mm,
+                           double tolerance, uint64_t query_count, const double *queries_mm,
                            bool (*progress)(void *context, uint64_t answered, uint64_t count),
-                           void *context, double *M_W_per_mm2, uint64_t *answered_count,
+                           void *context, double *M_W_per_mm2, dipole_gather_result *result,
                            dipole_error *error) {
   const dipole_points_info *info = &points->public;
-  struct home home = {0};
-  uint64_t done = 0;
+  const core_profile *profiles[CORE_GATHER_CHANNELS_MAX];
+  dipole_gather_result unwanted;
+  struct home *home = calloc(1, sizeof *home);
   bool wanted = true;
   error = error != NULL ? error : &(dipole_error){0};
-  const bool good =
-      check_home(info, query_count, queries_mm, error) && open_home(&home, tables, info, error);
-  const uint64_t most = 1 + HOME_PAIRS / (info->point_count * info->channel_count);
-  while (good && wanted && done < query_count) {
-    const uint64_t n = query_count - done < most ? query_count - done : most;
-    core_gather_visits visits = {0};
-    core_gather(home.sum, home.points, home.scratch, (size_t)n, NULL,
-                queries_mm + done * GATHER_AXES, M_W_per_mm2 + done * info->channel_count, NULL,
-                &visits);
-    done += n;
-    wanted = progress == NULL || progress(context, done, query_count);
+  result = result != NULL ? result : &unwanted;
+  *result = (dipole_gather_result){0};
+  if (home == NULL) {
+    return libdipole_fail_memory(error);
   }
-  for (uint64_t i = done * info->channel_count; good && i < query_count * info->channel_count;
-       i++) {
-    M_W_per_mm2[i] = (double)NAN;
+  home->info = info;
+  for (uint32_t c = 0; c < info->channel_count; c++) {
+    profiles[c] = libdipole_table_profile(tables[c]);
+    result->model_error[c] = core_gather_model_error(profiles[c]);
+    result->notes |= profiles[c]->notes;
   }
-  if (answered_count != NULL) {
-    *answered_count = done;
+  const bool good = check_home(info, query_count, queries_mm, error) &&
+                    open_home(home, profiles, tolerance, query_count, queries_mm, error);
+  const double fits = good ? HOME_COST / core_gather_query_cost(home->sum, home->points) : 1;
+  const uint64_t most = fits < HOME_QUERIES ? 1 + (uint64_t)fits : HOME_QUERIES;
+  while (good && wanted && result->answered_count < query_count) {
+    const uint64_t left = query_count - result->answered_count;
+    gather_home(home, result->answered_count, (size_t)(left < most ? left : most), queries_mm,
+                M_W_per_mm2, result);
+    wanted = progress == NULL || progress(context, result->answered_count, query_count);
   }
-  close_home(&home);
+  for (uint64_t i = result->answered_count; good && i < query_count; i++) {
+    for (uint32_t c = 0; c < info->channel_count; c++) {
+      M_W_per_mm2[home->order[i] * (size_t)info->channel_count + c] = (double)NAN;
+    }
+  }
+  close_home(home);
   return good;
 }

@@ -258,8 +258,7 @@ bool dipole_table_fetch(dipole_client *client, const dipole_table_query *query,
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
                           "sigma_a and sigma_s are 0: dipole_surface_fetch() is for all media");
   }
-  const size_t words_max = CORE_LUT_PIECES + CORE_LUT_TERMS * (size_t)CORE_LUT_PIECES_MAX;
-  libdipole_frame *frame = libdipole_table_ask(client, query, words_max, error);
+  libdipole_frame *frame = libdipole_table_ask(client, query, CORE_LUT_WORDS_MAX, error);
   if (frame == NULL) {
     return false;
   }

@@ -1,4 +1,4 @@
-/* Finds bounds from a profile's values. core/MODELS.md says what they bound.
+/* Finds bounds from samples of R. core/MODELS.md says what they bound.
  *
  * At each edge of a band, a polynomial of the squared distance interpolates R close by. Its first
  * four terms are the cubic polynomial, from which R is off by g (s - r^2)^4 at further distances.
@@ -8,65 +8,59 @@
 #include <float.h>
 #include <math.h>
 
+#include "core/lut/lut.h"
+
+enum { NODES = 6, EDGES = GATHER_BANDS + 1 };
+
+/* Which sample is at the first edge, and how many samples further the next edge is. */
 enum {
-  NODES = 6,
-  SIDE = 2 * GATHER_SPREADS - 1, /* distances on either side */
-  SAMPLES = NODES + 2 * SIDE,
-  EDGES = GATHER_BANDS + 1
+  FIRST_SAMPLE = 2 << CORE_LUT_OCTAVE_SAMPLES_LOG2,
+  SAMPLE_STRIDE = (1 << CORE_LUT_OCTAVE_SAMPLES_LOG2) / 16
 };
+_Static_assert(FIRST_SAMPLE + SAMPLE_STRIDE * (EDGES - 1) +
+                       (1 << CORE_LUT_OCTAVE_SAMPLES_LOG2) * 7 / 8 < CORE_LUT_SAMPLES, "7/4 of it");
 
 /* What the values between the samples may add, relative. */
 #define MARGIN 1.05
 
-/* cos((2 i + 1) pi / 12) */
+/* cos((2 i + 1) pi / 12), and the relative difference of distances that 1 stands for */
 static const double nodes[NODES] = {0.96592582628906829,  0.70710678118654752,
                                     0.25881904510252076,  -0.25881904510252076,
                                     -0.70710678118654752, -0.96592582628906829};
+#define NODES_REACH 0.125
 
-static void evaluate(const core_profile *profile, size_t n, const double *r, double *R) {
-  if (profile->evaluator == CORE_EVALUATOR_F64) {
-    core_eval_f64(profile, CORE_QUANTITY_R, n, r, R);
-    return;
-  }
-  for (size_t i = 0; i < n; i++) {
-    const float narrow = (float)r[i];
-    float value;
-    core_eval_f32(profile, CORE_QUANTITY_R, 1, &narrow, &value);
-    R[i] = (double)value;
-  }
-}
-
-static double edge(const gather_bounds *bounds, size_t i) {
-  const uint64_t bits = (uint64_t)(bounds->first + (int64_t)i) << 48;
-  double value;
-  memcpy(&value, &bits, sizeof value);
-  return value;
-}
+typedef struct samples {
+  double r[CORE_LUT_SAMPLES];
+  double R[CORE_LUT_SAMPLES];
+} samples;
 
 static double finite_or_infinite(double value) {
   return value <= DBL_MAX ? value : (double)INFINITY;
 }
 
-/* The relative differences of the samples from the distance of an edge. */
-static double difference(size_t sample) {
-  if (sample < NODES) {
-    return nodes[sample] / GATHER_SPREADS_PER_ONE;
-  }
-  const size_t i = (sample - NODES) / 2 + 2;
-  return ((sample - NODES) % 2 == 0 ? 0.5 : -0.5) * (double)i / GATHER_SPREADS_PER_ONE;
+/* Returns the squared distance of a sample over that of the edge at d, less 1. */
+static double squared(const samples *of, size_t sample, double d) {
+  const double off = (of->r[sample] - d) / d;
+  return off * (2 + off);
 }
 
-/* Sets the bounds at the edge i. */
-static void set_near(gather_bounds *bounds, const core_profile *profile, size_t edge_index) {
-  const double d = edge(bounds, edge_index);
-  double r[SAMPLES], R[SAMPLES], s[SAMPLES], a[NODES];
-  for (size_t i = 0; i < SAMPLES; i++) {
-    const double off = difference(i);
-    r[i] = d * (1 + off);
-    s[i] = off * (2 + off); /* over d^2, less 1 */
+/* Sets a[NODES] to the coefficients, by powers of s, of the polynomial through samples that are close
+ * to those of Chebyshev. `at` is the sample at d. */
+static void interpolate(const samples *of, size_t at, double *a) {
+  const double d = of->r[at];
+  double s[NODES];
+  for (size_t i = 0; i < NODES; i++) {
+    const double r = d * (1 + nodes[i] * NODES_REACH);
+    size_t sample = at;
+    while (of->r[sample] < r) {
+      sample++;
+    }
+    while (of->r[sample] > r) {
+      sample--;
+    }
+    s[i] = squared(of, sample, d);
+    a[i] = of->R[sample];
   }
-  evaluate(profile, SAMPLES, r, R);
-  memcpy(a, R, sizeof a);
   for (size_t order = 1; order < NODES; order++) { /* Newton's form */
     for (size_t i = NODES - 1; i >= order; i--) {
       a[i] = (a[i] - a[i - 1]) / (s[i] - s[i - order]);
@@ -77,59 +71,70 @@ static void set_near(gather_bounds *bounds, const core_profile *profile, size_t 
       a[i] -= a[i + 1] * s[first];
     }
   }
+}
+
+/* Raises the range of g from *least to *most by that at a sample, unless it is too close. */
+static void widen(const samples *of, size_t sample, double d, const double *a, double *least,
+                  double *most) {
+  const double s = squared(of, sample, d);
+  if (fabs(of->r[sample] - d) * GATHER_SPREADS_PER_ONE >= d) {
+    const double cubic = a[0] + s * (a[1] + s * (a[2] + s * a[3]));
+    const double g = (of->R[sample] - cubic) / (s * s * s * s);
+    *least = fmin(*least, g);
+    *most = fmax(*most, g);
+  }
+}
+
+/* Sets the bounds at an edge. */
+static void set_near(gather_bounds *bounds, const samples *of, size_t edge) {
+  const size_t at = FIRST_SAMPLE + SAMPLE_STRIDE * edge;
+  const double d = of->r[at];
+  double a[NODES];
+  interpolate(of, at, a);
   /* From d^8 to d^4, and from d^6 to d, rounded up */
   const double to_quartic = (1 + 0x1p-20) / (d * d) / (d * d);
   double least = a[4], most = a[4];
-  for (size_t i = NODES; i < SAMPLES; i++) {
-    const double cubic = a[0] + s[i] * (a[1] + s[i] * (a[2] + s[i] * a[3]));
-    const double g = (R[i] - cubic) / (s[i] * s[i] * s[i] * s[i]);
-    least = fmin(least, g);
-    most = fmax(most, g);
-    const size_t spread = ((i - NODES) / 2 + 1) / 2;
+  size_t low = at, high = at;
+  for (size_t spread = 0; spread < GATHER_SPREADS; spread++) {
+    const double off = (double)(spread + 1) / GATHER_SPREADS_PER_ONE;
+    while (of->r[low] > d * (1 - off)) {
+      widen(of, --low, d, a, &least, &most);
+    }
+    while (of->r[high] < d * (1 + off)) {
+      widen(of, ++high, d, a, &least, &most);
+    }
     const double largest = fmax(fabs(least), fabs(most));
     const double same = least > 0 ? least : most < 0 ? -most : 0;
     gather_near *near = &bounds->near[spread];
-    near->cubic[edge_index] = finite_or_infinite(MARGIN * fabs(a[3]) * to_quartic / d);
-    near->same[edge_index] = same / MARGIN * to_quartic;
-    near->range[edge_index] = finite_or_infinite(
+    near->cubic[edge] = finite_or_infinite(MARGIN * fabs(a[3]) * to_quartic / d);
+    near->same[edge] = same / MARGIN * to_quartic;
+    near->range[edge] = finite_or_infinite(
         (MARGIN * (same > 0 ? largest : most - least) - same / MARGIN) * to_quartic);
   }
 }
 
-static void set_tops(gather_bounds *bounds, const core_profile *profile, double floor) {
-  for (size_t i = 0; i < EDGES; i++) {
-    const double d = edge(bounds, i);
-    evaluate(profile, 1, &d, &bounds->R[i]);
-  }
+static void set_tops(gather_bounds *bounds, const samples *of, double floor) {
   double most = 0;
   for (size_t i = EDGES; i-- > 0;) {
+    bounds->R[i] = of->R[FIRST_SAMPLE + SAMPLE_STRIDE * i];
     most = fmax(most, bounds->R[i] * (1 + 0x1p-10));
     bounds->top[i] = most > floor ? most : 0;
   }
-  const double none = 0;
-  double zero;
-  evaluate(profile, 1, &none, &zero);
-  bounds->zero = fmax(most, zero * (1 + 0x1p-10));
+  bounds->zero = fmax(most, of->R[CORE_LUT_SAMPLES - 1] * (1 + 0x1p-10));
 }
 
-bool gather_bounds_prepare(gather_bounds *bounds, const core_profile *profile) {
-  const bool narrow = profile->evaluator != CORE_EVALUATOR_F64;
-  if (profile->evaluator == CORE_EVALUATOR_LUT) {
-    profile = profile->source;
-    if (profile == NULL) {
-      return false;
-    }
-  }
-  int exponent;
-  frexp(profile->scale_mm, &exponent);
-  bounds->first = (int64_t)(1023 + exponent - 13) << 4;
-  bounds->least_mm = edge(bounds, 0);
-  bounds->most_mm = edge(bounds, GATHER_BANDS);
+void gather_bounds_prepare(gather_bounds *bounds, const core_profile *profile) {
+  samples of;
+  core_lut_samples(profile, of.r, of.R);
+  bounds->least_mm = of.r[FIRST_SAMPLE];
+  bounds->most_mm = of.r[FIRST_SAMPLE + SAMPLE_STRIDE * GATHER_BANDS];
+  uint64_t bits;
+  memcpy(&bits, &bounds->least_mm, sizeof bits);
+  bounds->first = (int64_t)(bits >> 48);
   /* R that single precision loses by underflow */
-  set_tops(bounds, profile, narrow ? 16 * 0x1p-149 : 0);
+  set_tops(bounds, &of, profile->evaluator != CORE_EVALUATOR_F64 ? 16 * 0x1p-149 : 0);
   memset(bounds->near, 0, sizeof bounds->near);
   for (size_t i = 0; i < EDGES; i++) {
-    set_near(bounds, profile, i);
+    set_near(bounds, &of, i);
   }
-  return true;
 }

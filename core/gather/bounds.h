@@ -36,8 +36,8 @@ typedef struct gather_bounds {
   gather_near near[GATHER_SPREADS]; /* at each edge, and 0 behind the last one */
 } gather_bounds;
 
-/* Fills in the bounds of a profile. Returns false if it tells nothing about derivatives. */
-bool gather_bounds_prepare(gather_bounds *bounds, const core_profile *profile);
+/* Fills in the bounds of a profile. */
+void gather_bounds_prepare(gather_bounds *bounds, const core_profile *profile);
 
 /* Returns the band of a distance from least_mm to below most_mm. */
 static inline size_t gather_band(const gather_bounds *bounds, double r) {

@@ -75,12 +75,11 @@ typedef struct core_gather_sum core_gather_sum;
 /* Prepares a sum. profiles[channels] have one evaluator (asserted); they stay the caller's and must
  * live as long as the sum. tolerance: the largest error of M through nodes that stand for points,
  * relative to M, for each query and channel; CORE_GATHER_TOLERANCE_MIN to _MAX, or 0 for the sum of
- * all points, in the order of the tree and in double precision. Evaluates R at some 22,000 distances
- * for each channel (a millisecond for dipoles, some for transport, more for models that are slow to
- * evaluate), and at none if the tolerance is 0.
+ * all points, in the order of the tree and in double precision. Takes half a millisecond for each
+ * channel, and evaluates R at 928 distances unless the evaluator is lut, whose tables hold these
+ * values; if the tolerance is 0, it does neither.
  * On a fault *sum is NULL; otherwise the caller frees it with core_gather_sum_free(), which accepts
- * NULL. Faults: `tolerance`; `model` if a profile is not known at all radii, or if a tolerance is
- * given with a table that was downloaded, which tells nothing about derivatives; `memory`. */
+ * NULL. Faults: `tolerance`, and `memory`. */
 core_fault core_gather_sum_prepare(core_gather_sum **sum, const core_isa *isa, size_t channels,
                                    const core_profile *const *profiles, double tolerance);
 void core_gather_sum_free(core_gather_sum *sum);
@@ -148,5 +147,9 @@ size_t core_gather_on(const core_gather_sum *sum, const core_gather_points *poin
  * queries, of which only the farthest counts. */
 double core_gather_error(const core_gather_sum *sum, const core_gather_points *points,
                          size_t channel, size_t n, const double *xyz);
+
+/* The model's error that is stated for a channel with this profile: that of R at 0.01 to 20 mean free
+ * paths. NaN: it was not measured. */
+double core_gather_model_error(const core_profile *profile);
 
 #endif

@@ -56,9 +56,8 @@ core_fault core_gather_sum_prepare(core_gather_sum **sum, const core_isa *isa, s
   for (size_t c = 0; c < channels; c++) {
     assert(profiles[c]->evaluator == profiles[0]->evaluator);
     made->profile[c] = *profiles[c];
-    if (!plain && !gather_bounds_prepare(&bounds[c], profiles[c])) {
-      core_gather_sum_free(made);
-      return (core_fault){"model", "a tolerance of 0 with a table that was downloaded", c};
+    if (!plain) {
+      gather_bounds_prepare(&bounds[c], profiles[c]);
     }
   }
   *sum = made;
@@ -719,7 +718,8 @@ void core_gather(const core_gather_sum *sum, const core_gather_points *points,
  * most_mm where R has not underflowed. */
 static double rounding_error(const core_profile *profile, double most_mm) {
   double steepest = 1;
-  for (double r = 1e-4 * profile->scale_mm; r < 1.05 * most_mm; r *= 1.05) {
+  /* A table that was downloaded knows the power of two alone. */
+  for (double r = 1e-4 * ldexp(1, ilogb(profile->scale_mm)); r < 1.05 * most_mm; r *= 1.05) {
     const double far = r < most_mm ? r : most_mm;
     const float radii[2] = {(float)(0.99 * far), (float)far};
     float R[2];
@@ -749,4 +749,10 @@ double core_gather_error(const core_gather_sum *sum, const core_gather_points *p
   const bool narrow = profile->evaluator != CORE_EVALUATOR_F64;
   return errors.numerical + errors.numerical_per_mm * radii.most_mm +
          (narrow ? rounding_error(profile, radii.most_mm) : 0) + 0x1p-44;
+}
+
+double core_gather_model_error(const core_profile *profile) {
+  const double mfp_mm = 1 / core_sigma_t_prime(&profile->medium);
+  const core_radii_range usual = {0.01 * mfp_mm, 20 * mfp_mm};
+  return core_profile_errors(profile, CORE_QUANTITY_R, usual).model;
 }

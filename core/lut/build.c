@@ -341,7 +341,8 @@ static core_fault gather_nothing(struct build *b) {
 }
 
 static core_fault assemble(const struct build *b, core_lut *lut) {
-  lut->count = CORE_LUT_PIECES + b->pieces.count * CORE_LUT_TERMS;
+  const size_t samples_at = CORE_LUT_PIECES + b->pieces.count * CORE_LUT_TERMS;
+  lut->count = samples_at + CORE_LUT_SAMPLE_WORDS;
   lut->words = malloc(lut->count * sizeof *lut->words);
   if (lut->words == NULL) {
     return CORE_OUT_OF_MEMORY;
@@ -356,6 +357,10 @@ static core_fault assemble(const struct build *b, core_lut *lut) {
   memcpy(&lut->words[CORE_LUT_R_OCTAVES], b->entries, sizeof b->entries);
   memcpy(&lut->words[CORE_LUT_PIECES], b->pieces.c,
          b->pieces.count * CORE_LUT_TERMS * sizeof *lut->words);
+  double r[CORE_LUT_SAMPLES], R[CORE_LUT_SAMPLES];
+  core_lut_samples(b->source, r, R);
+  lut->words[CORE_LUT_SAMPLES_MM] = (float)r[0];
+  memcpy(&lut->words[samples_at], R, sizeof R);
   lut->error = b->error;
   return (core_fault){0};
 }

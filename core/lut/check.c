@@ -5,11 +5,12 @@
 
 core_fault core_lut_check(const float *words, size_t count) {
   const core_fault fault = {"table", "an intact table", 0};
-  if (count < CORE_LUT_PIECES + CORE_LUT_TERMS || count % CORE_LUT_TERMS != 0 ||
-      count > CORE_LUT_PIECES + CORE_LUT_TERMS * (size_t)CORE_LUT_PIECES_MAX) {
+  const size_t others = CORE_LUT_PIECES + CORE_LUT_SAMPLE_WORDS;
+  if (count < others + CORE_LUT_TERMS || count % CORE_LUT_TERMS != 0 ||
+      count > CORE_LUT_WORDS_MAX) {
     return fault;
   }
-  const size_t pieces = (count - CORE_LUT_PIECES) / CORE_LUT_TERMS;
+  const size_t pieces = (count - others) / CORE_LUT_TERMS;
   for (size_t i = CORE_LUT_R_OCTAVES; i < CORE_LUT_PIECES; i++) {
     const uint32_t entry = core_lut_bits(words[i]);
     const uint32_t shift = CORE_LUT_ENTRY_SHIFT(entry);

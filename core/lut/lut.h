@@ -50,7 +50,8 @@ enum core_lut_word {
   /* Below FIRST_U the radius in mm is NEAR_RADIUS u if NEAR_POWER is 1. Otherwise the formula of
  * NEAR_CDF is solved for it, starting from NEAR_RADIUS sqrt(u). */
   CORE_LUT_NEAR_RADIUS,
-  CORE_LUT_SPARE,                                  /* this word and those up to R_OCTAVES are 0 */
+  CORE_LUT_SAMPLES_MM,                             /* the least radius of the samples, a power of two */
+  CORE_LUT_SPARE,                                  /* this word is 0 */
   CORE_LUT_R_OCTAVES = 16,                         /* an entry of R for each exponent of r */
   CORE_LUT_CDF_OCTAVES = CORE_LUT_R_OCTAVES + 256, /* of cdf, also by exponent of r */
   CORE_LUT_RADIUS_OCTAVES = CORE_LUT_CDF_OCTAVES + 256,        /* of the radius, by exponent of u */
@@ -60,6 +61,25 @@ enum core_lut_word {
 };
 
 #define CORE_LUT_PIECES_MAX 65536
+
+/* Behind the pieces are samples: R of the profile that the table was made from, in double precision.
+ * They tell how R varies with the radius, which a sum over points within a tolerance needs
+ * (core/gather). Each takes two words. */
+enum {
+  CORE_LUT_OCTAVE_SAMPLES_LOG2 = 5,
+  CORE_LUT_SAMPLES = 29 << CORE_LUT_OCTAVE_SAMPLES_LOG2,
+  CORE_LUT_SAMPLE_WORDS = 2 * CORE_LUT_SAMPLES,
+  CORE_LUT_WORDS_MAX =
+      CORE_LUT_PIECES + CORE_LUT_TERMS * CORE_LUT_PIECES_MAX + CORE_LUT_SAMPLE_WORDS
+};
+
+/* The octave of scale_mm is number CORE_LUT_SCALE_OCTAVE of the samples' octaves. */
+enum { CORE_LUT_SCALE_OCTAVE = 14 };
+
+/* Sets r[CORE_LUT_SAMPLES] to the radii of a profile's samples, and R[] to the samples: those of its
+ * table, or R of any other profile. With n samples in an octave, radius i = k n + j is the least radius
+ * times 2^k (1 + j / n), but the last radius is 0. */
+void core_lut_samples(const core_profile *profile, double *r, double *R);
 
 /* An entry holds the number of its octave's first piece and a shift. The mantissa shifted right by
  * that many bits gives the position of a piece, counted from the first one. */

@@ -4,7 +4,7 @@
 #include <string.h>
 
 #include "core/kernels.h"
-#include "core/lut/lut.h"
+#include "core/lut/piece.h"
 
 core_radii_range core_table_pieces(const core_profile *profile) {
   return (core_radii_range){(double)profile->lut[CORE_LUT_FIRST_MM],
@@ -15,6 +15,42 @@ bool core_table_has(enum core_quantity quantity) {
   return quantity == CORE_QUANTITY_R || quantity == CORE_QUANTITY_CDF ||
          quantity == CORE_QUANTITY_PDF || quantity == CORE_QUANTITY_RING ||
          quantity == CORE_QUANTITY_S;
+}
+
+/* Sets R[n] in double precision. */
+static void evaluate(const core_profile *profile, size_t n, const double *r, double *R) {
+  if (profile->evaluator == CORE_EVALUATOR_F64) {
+    core_eval_f64(profile, CORE_QUANTITY_R, n, r, R);
+    return;
+  }
+  for (size_t i = 0; i < n; i++) {
+    const float narrow = (float)r[i];
+    float value;
+    core_eval_f32(profile, CORE_QUANTITY_R, 1, &narrow, &value);
+    R[i] = (double)value;
+  }
+}
+
+/* Returns the exponent of the least radius of the samples. It follows from any bits that a peer may
+ * have sent. */
+static int samples_exponent(const core_profile *profile) {
+  return profile->evaluator != CORE_EVALUATOR_LUT
+             ? ilogb(profile->scale_mm) - CORE_LUT_SCALE_OCTAVE
+             : (int)(core_lut_bits(profile->lut[CORE_LUT_SAMPLES_MM]) >> 23 & 0xff) - 127;
+}
+
+void core_lut_samples(const core_profile *profile, double *r, double *R) {
+  for (size_t i = 0; i < CORE_LUT_SAMPLES; i++) {
+    const size_t n = (size_t)1 << CORE_LUT_OCTAVE_SAMPLES_LOG2;
+    r[i] = ldexp(1 + (double)(i % n) / (double)n, samples_exponent(profile) + (int)(i / n));
+  }
+  r[CORE_LUT_SAMPLES - 1] = 0;
+  if (profile->evaluator == CORE_EVALUATOR_LUT) {
+    memcpy(R, profile->lut + profile->lut_count - CORE_LUT_SAMPLE_WORDS,
+           CORE_LUT_SAMPLES * sizeof *R);
+  } else {
+    evaluate(profile, CORE_LUT_SAMPLES, r, R);
+  }
 }
 
 core_fault core_profile_from_table(core_profile *profile, const core_isa *isa, const float *words,
@@ -45,10 +81,10 @@ core_fault core_profile_from_table(core_profile *profile, const core_isa *isa, c
       .kernels = core_isa_lut_kernels(isa),
       .lut = copy,
       .lut_count = count,
-      .scale_mm = 1,
       .cos_in = 1,
       .cos_out = 1,
   };
   memcpy(profile->numerical_errors, facts.numerical_errors, sizeof facts.numerical_errors);
+  profile->scale_mm = ldexp(1, samples_exponent(profile) + CORE_LUT_SCALE_OCTAVE);
   return (core_fault){0};
 }

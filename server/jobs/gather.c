@@ -305,13 +305,6 @@ static enum job_outcome begin_part(struct job *job, uint8_t *payload) {
   return JOB_GOES_ON;
 }
 
-/* Returns the distances for which the model's error is stated: 0.01 to 20 mean free paths. */
-static core_radii_range usual_radii(const core_profile *profile) {
-  const core_medium *medium = &profile->medium;
-  const double mfp_mm = 1 / (medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g));
-  return (core_radii_range){0.01 * mfp_mm, 20 * mfp_mm};
-}
-
 static void put_head(const struct gather_job *gather) {
   const struct gather_work *work = gather->work;
   const wire_gather_request *asked = &gather->request.fixed;
@@ -333,7 +326,7 @@ static void put_head(const struct gather_job *gather) {
         .albedo = (double)NAN,
         .numerical_error = core_gather_error(work->sum, work->set.gather, i, (size_t)parts->count,
                                              queries_of(gather)),
-        .model_error = core_profile_errors(profile, CORE_QUANTITY_R, usual_radii(profile)).model};
+        .model_error = core_gather_model_error(profile)};
     fixed.notes |= profile->notes;
     wire_put_channel(gather->payload + WIRE_BYTES_gather_reply + i * (size_t)WIRE_BYTES_channel,
                      &channel);

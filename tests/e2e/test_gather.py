@@ -4,7 +4,7 @@ what a daemon bears."""
 from __future__ import annotations
 
 import asyncio
-import ctypes
+import dataclasses
 import functools
 import threading
 import time
@@ -206,35 +206,58 @@ def test_workers_parts_and_other_load(daemon, expected, workers):
 
 
 @pytest.mark.skipif(sanitized(), reason="Python loads no library that needs a sanitizer")
-@pytest.mark.parametrize("model", ["better", "transport"])
-def test_at_home(client, model):
-    """libdipole sums with tables that it has loaded, without a daemon and with its bits."""
-    library = ctypes.CDLL(str(BUILD / "libdipole.so"))
-    points, queries = scene(3000, 3), positions(50)
+@pytest.mark.parametrize(
+    "model, tolerance", [("better", 0), ("better", 1e-5), ("transport", 1e-2), ("transport", 1e-4)]
+)
+def test_at_home(client, model, tolerance):
+    """libdipole, and Python through it, sum with tables that they have loaded, without a daemon and
+    with its bits. They state the same errors."""
+    points, queries = scene(5000, 3), positions(6000).reshape(60, 100, 3)
     media = client.media()["skin1"]
-    expected = client.gather(model, media, points, queries, tolerance=0).M
-    found, answered = np.zeros((50, 3)), ctypes.c_uint64()
-    tables = (ctypes.c_void_p * 3)()
-    for i, medium in enumerate(media):
-        data, table = client.table(model, medium).data, ctypes.c_void_p()
-        assert library.dipole_table_load(data, ctypes.c_size_t(len(data)), ctypes.byref(table), None)
-        tables[i] = table
+    tables = [client.table(model, medium) for medium in media]
+    library = str(BUILD / "libdipole.so")
+    asked = client.gather(model, media, points, queries, tolerance=tolerance)
+    home = dipole.gather_at_home(tables, points, queries, tolerance=tolerance, library=library)
+    assert home.M.shape == (60, 100, 3) and np.array_equal(home.M, asked.M)
+    assert (home.nodes_visited > 0) == (tolerance > 0)
+    np.testing.assert_equal(dataclasses.asdict(home), dataclasses.asdict(asked))
 
-    def pointer(array: np.ndarray) -> ctypes.c_void_p:
-        return ctypes.c_void_p(array.ctypes.data)
 
-    handle = ctypes.c_void_p()
-    arrays = (pointer(points.xyz), pointer(points.power))
-    assert library.dipole_points_make(ctypes.c_uint64(3000), 3, *arrays, ctypes.byref(handle), None)
-    call = (tables, handle, ctypes.c_uint64(50), pointer(queries), None, None, pointer(found))
-    library.dipole_gather_at_home.restype = ctypes.c_bool
-    assert library.dipole_gather_at_home(*call, ctypes.byref(answered), None)
-    assert answered.value == 50 and np.array_equal(found, expected)
-    queries[7, 2] = NAN
-    assert not library.dipole_gather_at_home(*call, ctypes.byref(answered), None)
-    library.dipole_points_free(handle)
-    for table in tables:
-        library.dipole_table_free(ctypes.c_void_p(table))
+@pytest.mark.skipif(sanitized(), reason="Python loads no library that needs a sanitizer")
+def test_at_home_faults_and_progress(client):
+    points, queries = scene(3000, 1), positions(9000)
+    table = client.table("better", SKIN)
+
+    def home(tables, at, **options):
+        return dipole.gather_at_home(
+            tables, points, at, library=str(BUILD / "libdipole.so"), **options
+        )
+
+    expected = home([table], queries).M
+    told = []
+    part = home([table], queries, progress=lambda *numbers: told.append(numbers))
+    assert np.array_equal(part.M, expected)
+    assert told[-1] == (9000, 9000) and len(told) > 1
+    part = home([table], queries, progress=lambda answered, count: False)
+    assert np.isnan(part.M).sum() == 9000 - told[0][0]
+    assert np.array_equal(part.M[~np.isnan(part.M)], expected[~np.isnan(part.M)])
+    assert home([table], queries[:0]).M.shape == (0, 1)
+
+    def fail(answered, count):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        home([table], queries, progress=fail)
+    for tables, at, options, said in (
+        ([table, table], queries, {}, "tables"),
+        ([table], queries[:, :2], {}, "queries"),
+        ([table], np.where(queries == queries[7], NAN, queries), {}, "queries"),
+        ([table], queries, {"tolerance": 0.6}, "tolerance"),
+        ([table], queries, {"tolerance": NAN}, "tolerance"),
+    ):
+        with pytest.raises(dipole.ArgumentError) as caught:
+            home(tables, at, **options)
+        assert said in str(caught.value)
 
 
 # ---- points --------------------------------------------------------------------------------------

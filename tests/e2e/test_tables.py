@@ -276,7 +276,7 @@ def test_errors_far_away(client):
 def test_facts(client):
     medium = Medium(0.1, 2.0, 0.5, 1.4)
     table = client.table("better", medium, moments="fit", parameters={"cos_in": 0.5})
-    assert (table.layout, table.model, table.moments) == (3, "better", "fit")
+    assert (table.layout, table.model, table.moments) == (4, "better", "fit")
     assert (table.model_id, table.moments_id) == (MODELS["better"], 2)
     assert table.medium == medium and table.parameters == {"cos_in": 0.5}
     assert table.notes == ("similarity",) and NOTES["similarity"] == 1

@@ -148,19 +148,22 @@ static void assert_count_refused(size_t count) {
 }
 
 UNIT_TEST(wrong_counts_are_refused) {
-  const size_t most = CORE_LUT_PIECES + (size_t)CORE_LUT_TERMS * CORE_LUT_PIECES_MAX;
+  const size_t none = CORE_LUT_PIECES + CORE_LUT_SAMPLE_WORDS;
   const size_t counts[] = {0,
                            1,
                            4,
                            CORE_LUT_R_OCTAVES,
                            CORE_LUT_PIECES - 4,
                            CORE_LUT_PIECES,
-                           CORE_LUT_PIECES + 1,
-                           CORE_LUT_PIECES + 5,
-                           CORE_LUT_PIECES + 6,
-                           CORE_LUT_PIECES + 7,
-                           most + 1,
-                           most + 4};
+                           CORE_LUT_PIECES + 4,
+                           none - 4,
+                           none,
+                           none + 1,
+                           none + 5,
+                           none + 6,
+                           none + 7,
+                           CORE_LUT_WORDS_MAX + 1,
+                           CORE_LUT_WORDS_MAX + 4};
   for (size_t i = 0; i < sizeof counts / sizeof counts[0]; i++) {
     assert_count_refused(counts[i]);
   }
@@ -180,7 +183,7 @@ UNIT_TEST(whole_tables_are_not_refused) {
 UNIT_TEST(entries_that_point_outside_are_refused) {
   core_profile profile = prepared(&subjects[0], NULL, 1e-3);
   const size_t count = profile.lut_count;
-  const uint32_t pieces = (uint32_t)((count - CORE_LUT_PIECES) / CORE_LUT_TERMS);
+  const uint32_t pieces = (uint32_t)((count - CORE_LUT_PIECES - CORE_LUT_SAMPLE_WORDS) / CORE_LUT_TERMS);
   float *words = copy_of(profile.lut, count);
   for (size_t at = CORE_LUT_R_OCTAVES; at < CORE_LUT_PIECES; at++) {
     for (uint32_t shift = 0; shift < 32; shift++) {
@@ -204,7 +207,7 @@ UNIT_TEST(entries_that_point_outside_are_refused) {
 
 /* Makes a table as a malicious peer would send it: random numbers, with entries that are valid. */
 static float *random_table(uint64_t *random, size_t pieces, size_t *count) {
-  *count = CORE_LUT_PIECES + pieces * CORE_LUT_TERMS;
+  *count = CORE_LUT_PIECES + pieces * CORE_LUT_TERMS + CORE_LUT_SAMPLE_WORDS;
   float *words = malloc(*count * sizeof *words);
   assert_non_null(words);
   unit_random_bytes(random, words, *count * sizeof *words);

@@ -445,7 +445,7 @@ UNIT_TEST(entries_outside_are_found) {
   uint64_t random = unit_seed();
   uint32_t *words = (uint32_t *)(void *)(made.bytes + WIRE_BYTES_header + WIRE_BYTES_table_reply);
   const size_t count = made.profile.lut_count;
-  const uint32_t pieces = (uint32_t)(count - CORE_LUT_PIECES) / CORE_LUT_TERMS;
+  const uint32_t pieces = (uint32_t)(count - CORE_LUT_PIECES - CORE_LUT_SAMPLE_WORDS) / CORE_LUT_TERMS;
   const uint32_t outside[] = {CORE_LUT_ENTRY(pieces, 23),
                               CORE_LUT_ENTRY(pieces - 1, 22),
                               CORE_LUT_ENTRY(pieces - 8191, 10) + 32,

@@ -31,7 +31,7 @@ from .client import Client, Parts
 from .connection import Connection, Frame, Tls
 from .errors import AddressError, ArgumentError, ConnectError, ConnectionLost, DipoleError
 from .errors import ProtocolError, Refused, TableError
-from .gathering import Points
+from .gathering import Points, gather_at_home
 from .rings import RingMeans
 from .surface import Coefficients, Surface
 from .table import Table, TableErrors
@@ -50,5 +50,5 @@ __all__ = [
     "McEnergy", "McProgress", "McResult", "McValue", "Medium", "Offer", "Offers", "Parts", "Points",
     "ProtocolError", "Query", "Refused", "Result", "RingMeans", "Samples", "Surface", "Table",
     "TableError",
-    "TableErrors", "Tls", "Values", "Varying",
+    "TableErrors", "Tls", "Values", "Varying", "gather_at_home",
 ]

@@ -1,4 +1,5 @@
-"""Client.gather(): sums of the light that points leave at other positions.
+"""Client.gather(): sums of the light that points leave at other positions; and gather_at_home(), which
+needs no daemon.
 
 The points are sent at most once to each daemon, which knows them by the hash of their content. A
 daemon that does not have them says so, and is then sent them; so it does not matter which daemon
@@ -7,9 +8,11 @@ answers, or whether it has been started anew since.
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +22,7 @@ from .errors import ArgumentError, ProtocolError, Refused
 from .evaluation import id_of, media_array, name_of, notes_of, parameters_list
 from .exchange import Answer as _Answer
 from .exchange import Once, Request
+from .table import Table
 from .values import Array, Gathered, Info, Media
 
 OUTSTANDING = 4  # requests under way at a time
@@ -311,4 +315,139 @@ def plan(
         },
         head=media_bytes.tobytes() + b"".join(structures),
         deadline_ms=deadline_ms,
+    )
+
+
+# ---- at home -------------------------------------------------------------------------------------
+
+
+class _Error(ctypes.Structure):
+    """struct dipole_error of clients/c/dipole.h."""
+
+    _fields_ = (
+        ("kind", ctypes.c_int),
+        ("status", ctypes.c_uint),
+        ("index", ctypes.c_uint64),
+        ("field", ctypes.c_char * 33),
+        ("allowed", ctypes.c_char * 81),
+        ("retry_after_ms", ctypes.c_uint32),
+        ("text", ctypes.c_char * 256),
+    )
+
+
+class _Result(ctypes.Structure):
+    """struct dipole_gather_result of clients/c/dipole.h."""
+
+    _fields_ = (
+        ("answered_count", ctypes.c_uint64),
+        ("bound", ctypes.c_double),
+        ("numerical_error", ctypes.c_double * 8),
+        ("model_error", ctypes.c_double * 8),
+        ("points_visited", ctypes.c_uint64),
+        ("nodes_visited", ctypes.c_uint64),
+        ("notes", ctypes.c_uint),
+    )
+
+
+_FOLLOW = ctypes.CFUNCTYPE(ctypes.c_bool, ctypes.c_void_p, ctypes.c_uint64, ctypes.c_uint64)
+
+
+def _library(path: str | None) -> ctypes.CDLL:
+    folder = Path(__file__).resolve().parent
+    name = "libdipole.so.0"
+    if path is None and folder.parts[-3:] == ("clients", "python", "dipole"):
+        built = folder.parents[2] / "build" / name
+        path = str(built) if built.exists() else None
+    return ctypes.CDLL(path or name)
+
+
+def _address(array: Array) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def gather_at_home(
+    tables: Sequence[Table],
+    points: Points,
+    queries: Any,
+    *,
+    tolerance: float = 1e-2,
+    progress: Progress = None,
+    library: str | None = None,
+) -> Gathered:
+    """Sums as Client.gather() does, with the same bits, but in this process and on one thread. It needs
+    the C library, not a daemon.
+
+    tables: those of Client.table() or Table.load(), one for each power of a point. library: the path
+    of the C library; else that of the clone that holds this module, or the installed one. Raises
+    OSError if there is none.
+    """
+    listed = np.asarray(queries, np.float64)
+    if listed.ndim < 1 or listed.shape[-1] != 3:
+        raise ArgumentError("queries: an array [..., 3]")
+    if len(tables) != points.channels:
+        raise ArgumentError(f"tables: {points.channels}, one for each power of a point")
+    places = np.ascontiguousarray(listed)
+    sums = np.empty((*listed.shape[:-1], points.channels))
+    calls, error, result = _library(library), _Error(), _Result()
+    handles = (ctypes.c_void_p * len(tables))()
+    handle = ctypes.c_void_p()
+    raised: list[BaseException] = []
+
+    def follow(_context: Any, answered: int, count: int) -> bool:
+        try:
+            return progress is None or progress(answered, count) is not False
+        except BaseException as caught:  # It passes through C code, which knows no exceptions.
+            raised.append(caught)
+            return False
+
+    def call(function: Any, *arguments: Any) -> None:
+        function.restype = ctypes.c_bool
+        if not function(*arguments, ctypes.byref(error)):
+            raise ArgumentError(error.text.decode())
+
+    try:
+        for i, table in enumerate(tables):
+            made = ctypes.c_void_p()
+            size = ctypes.c_size_t(len(table.data))
+            call(calls.dipole_table_load, table.data, size, ctypes.byref(made))
+            handles[i] = made.value
+        call(
+            calls.dipole_points_make,
+            ctypes.c_uint64(len(points)),
+            ctypes.c_uint32(points.channels),
+            _address(points.xyz),
+            _address(points.power),
+            ctypes.byref(handle),
+        )
+        call(
+            calls.dipole_gather_at_home,
+            handles,
+            handle,
+            ctypes.c_double(tolerance),
+            ctypes.c_uint64(places.size // 3),
+            _address(places),
+            _FOLLOW(follow),
+            None,
+            _address(sums),
+            ctypes.byref(result),
+        )
+    finally:
+        calls.dipole_points_free(handle)
+        for one in handles:
+            calls.dipole_table_free(ctypes.c_void_p(one))
+    if raised:
+        raise raised[0]
+    sums.setflags(write=False)
+    return Gathered(
+        model=tables[0].model,
+        moments=tables[0].moments,
+        evaluator="lut",
+        tolerance=tolerance,
+        M=sums,
+        bound=result.bound,
+        numerical_error=np.array(result.numerical_error[: points.channels]),
+        model_error=np.array(result.model_error[: points.channels]),
+        points_visited=result.points_visited,
+        nodes_visited=result.nodes_visited,
+        notes=tuple(dict.fromkeys(note for table in tables for note in table.notes)),
     )

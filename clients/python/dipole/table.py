@@ -19,7 +19,7 @@ from . import wire
 from .errors import ArgumentError, TableError
 from .values import Array, Info, Medium, in_short, span
 
-LAYOUT = 3  # proto/PROTOCOL.md, "table"
+LAYOUT = 4  # proto/PROTOCOL.md, "table"
 
 # Positions of a table's words: first 16 numbers, then one entry for each octave of the argument of
 # R, of the cdf, and of the radius (by u and by 1 - u), then the pieces.
@@ -29,6 +29,7 @@ _RADIUS_OCTAVES = _CDF_OCTAVES + 256
 _COMPLEMENT_OCTAVES = _RADIUS_OCTAVES + 128
 _PIECES = _COMPLEMENT_OCTAVES + 128
 _TERMS = 4
+_SAMPLE_WORDS = 1856  # behind the pieces; gather_at_home() needs them
 _PIECES_MAX = 65536
 
 _MANTISSA_BITS = 23
@@ -478,7 +479,7 @@ def frame_of(data: bytes, info: Info | None) -> tuple[Any, dict[str | int, float
 
 def _check(words: Array) -> None:
     """Checks that the pieces of every entry lie within the words."""
-    pieces = (len(words) - _PIECES) // _TERMS
+    pieces = (len(words) - _PIECES - _SAMPLE_WORDS) // _TERMS
     if len(words) % _TERMS or not 1 <= pieces <= _PIECES_MAX:
         raise TableError("a damaged table: it has too few or too many words")
     entries = words[_R_OCTAVES:_PIECES].astype(np.int64)

@@ -521,8 +521,8 @@ class Varying:
 class Gathered:
     """Sums of the light of points, for C channels."""
 
-    model: str
-    moments: str
+    model: str | int  # a table that was loaded without a daemon's lists knows ids
+    moments: str | int
     evaluator: str
     tolerance: float
     M: Array  # [..., C] W/mm^2, in the shape of the queries; nan where the caller ended the call
@@ -532,7 +532,7 @@ class Gathered:
     # paths; nan if it was not measured
     points_visited: int  # points that were summed one by one
     nodes_visited: int  # groups that stood for their points
-    notes: tuple[str, ...]
+    notes: tuple[str | int, ...]
 
     def __repr__(self) -> str:
         return in_short(
