@@ -435,11 +435,11 @@ bool dipole_gather(dipole_client *client, const dipole_gather_query *query,
 
 /* ---- at home ------------------------------------------------------------------------------- */
 
-/* Queries are gathered so many at a time, at most. */
+/* Queries are copied so many at a time, at most. */
 enum { HOME_QUERIES = 4096 };
 
-/* How many evaluations of a dipole lie between two calls of progress(), about: half a second's worth. */
-#define HOME_COST 1e8
+/* What is done between two calls of progress(), in evaluations of a dipole: half a second's worth. */
+#define HOME_WORK 1e8
 
 /* What sums at home need. */
 struct home {
@@ -506,31 +506,41 @@ static void close_home(struct home *home) {
   }
 }
 
-/* Gathers at queries [done, done + n) of the order. */
-static void gather_home(struct home *home, uint64_t done, size_t n, const double *queries_mm,
-                        double *M, dipole_gather_result *result) {
+/* Gathers at the next queries of the order. Returns false if the caller wants no more. */
+static bool gather_home(struct home *home, uint64_t query_count, const double *queries_mm,
+                        bool (*progress)(void *context, uint64_t answered, uint64_t count),
+                        void *context, double *M, dipole_gather_result *result) {
   const uint32_t channels = home->info->channel_count;
+  const uint32_t *order = home->order + result->answered_count;
+  const uint64_t left = query_count - result->answered_count;
+  const size_t n = left < HOME_QUERIES ? (size_t)left : HOME_QUERIES;
   core_gather_visits visits = {0};
+  bool wanted = true;
   for (size_t i = 0; i < n; i++) {
-    memcpy(home->queries[i], queries_mm + home->order[done + i] * (size_t)GATHER_AXES,
-           sizeof home->queries[i]);
+    memcpy(home->queries[i], queries_mm + order[i] * (size_t)GATHER_AXES, sizeof home->queries[i]);
   }
-  core_gather(home->sum, home->points, home->scratch, n, NULL, home->queries[0], home->M,
-              home->bound, &visits);
-  for (size_t i = 0; i < n; i++) {
-    memcpy(M + home->order[done + i] * (size_t)channels, home->M + i * channels,
-           channels * sizeof *M);
+  size_t done = 0;
+  while (wanted && done < n) {
+    double work = HOME_WORK;
+    done +=
+        core_gather_on(home->sum, home->points, home->scratch, n - done, NULL, home->queries[done],
+                       home->M + done * channels, home->bound + done * channels, &visits, &work);
+    wanted = progress == NULL || progress(context, result->answered_count + done, query_count);
   }
-  for (size_t i = 0; i < n * channels; i++) {
+  for (size_t i = 0; i < done; i++) {
+    memcpy(M + order[i] * (size_t)channels, home->M + i * channels, channels * sizeof *M);
+  }
+  for (size_t i = 0; i < done * channels; i++) {
     result->bound = fmax(result->bound, (double)home->bound[i]);
   }
   for (uint32_t c = 0; c < channels; c++) {
-    const double own = core_gather_error(home->sum, home->points, c, n, home->queries[0]);
+    const double own = core_gather_error(home->sum, home->points, c, done, home->queries[0]);
     result->numerical_error[c] = fmax(result->numerical_error[c], own);
   }
-  result->answered_count += n;
+  result->answered_count += done;
   result->points_visited += visits.points;
   result->nodes_visited += visits.nodes;
+  return wanted;
 }
 
 bool dipole_gather_at_home(const dipole_table *const *tables, const dipole_points *points,
@@ -557,13 +567,8 @@ bool dipole_gather_at_home(const dipole_table *const *tables, const dipole_point
   }
   const bool good = check_home(info, query_count, queries_mm, error) &&
                     open_home(home, profiles, tolerance, query_count, queries_mm, error);
-  const double fits = good ? HOME_COST / core_gather_query_cost(home->sum, home->points) : 1;
-  const uint64_t most = fits < HOME_QUERIES ? 1 + (uint64_t)fits : HOME_QUERIES;
   while (good && wanted && result->answered_count < query_count) {
-    const uint64_t left = query_count - result->answered_count;
-    gather_home(home, result->answered_count, (size_t)(left < most ? left : most), queries_mm,
-                M_W_per_mm2, result);
-    wanted = progress == NULL || progress(context, result->answered_count, query_count);
+    wanted = gather_home(home, query_count, queries_mm, progress, context, M_W_per_mm2, result);
   }
   for (uint64_t i = result->answered_count; good && i < query_count; i++) {
     for (uint32_t c = 0; c < info->channel_count; c++) {
