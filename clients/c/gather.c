@@ -449,6 +449,7 @@ struct home {
   core_gather_scratch *scratch;
   uint32_t *order;
   double queries[HOME_QUERIES][GATHER_AXES]; /* the next ones */
+  uint32_t places[HOME_QUERIES];             /* 0, 1, ... */
   double M[HOME_QUERIES * CORE_GATHER_CHANNELS_MAX];
   float bound[HOME_QUERIES * CORE_GATHER_CHANNELS_MAX];
 };
@@ -517,14 +518,14 @@ static bool gather_home(struct home *home, uint64_t query_count, const double *q
   core_gather_visits visits = {0};
   bool wanted = true;
   for (size_t i = 0; i < n; i++) {
+    home->places[i] = (uint32_t)i;
     memcpy(home->queries[i], queries_mm + order[i] * (size_t)GATHER_AXES, sizeof home->queries[i]);
   }
   size_t done = 0;
   while (wanted && done < n) {
     double work = HOME_WORK;
-    done +=
-        core_gather_on(home->sum, home->points, home->scratch, n - done, NULL, home->queries[done],
-                       home->M + done * channels, home->bound + done * channels, &visits, &work);
+    done += core_gather_on(home->sum, home->points, home->scratch, n - done, home->places + done,
+                           home->queries[0], home->M, home->bound, &visits, &work);
     wanted = progress == NULL || progress(context, result->answered_count + done, query_count);
   }
   for (size_t i = 0; i < done; i++) {
