@@ -262,6 +262,19 @@ static void drop_all(struct run *run) {
   run->under_way = 0;
 }
 
+/* Ends what the daemon still does for the caller. If the connection is lost, it has ended with it. */
+static void cancel_all(const struct run *run) {
+  for (unsigned i = 0; i < run->under_way; i++) {
+    uint64_t cancel_id;
+    dipole_error unwanted;
+    if (run->counts[i] > 0 &&
+        libdipole_cancel(run->client, run->ids[i], &cancel_id, &unwanted)) {
+      libdipole_request_drop(run->client, cancel_id);
+    }
+  }
+  dipole_flush(run->client);
+}
+
 static void take_sums(struct run *run, const libdipole_frame *frame, uint64_t n) {
   const uint32_t channels = run->query->points->public.channel_count;
   dipole_gather_result *result = run->result;
@@ -363,6 +376,7 @@ static bool gather(struct run *run,
       return false;
     }
     if (!go_on(run, before, progress, context)) {
+      cancel_all(run);
       return true;
     }
   }

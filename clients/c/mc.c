@@ -83,7 +83,6 @@ static bool is_cut_off(const libdipole_frame *frame) {
 /* A job that is asked for again begins anew, and ends with the same bits. */
 static const libdipole_kind job_kind = {
     .repeatable = true, .endless = true, .is_progress = is_progress, .is_cut_off = is_cut_off};
-static const libdipole_kind cancel_kind = {.endless = true};
 
 static bool start(dipole_client *client, const dipole_mc_query *query, libdipole_pending *pending,
                   dipole_error *error) {
@@ -103,23 +102,6 @@ static bool start(dipole_client *client, const dipole_mc_query *query, libdipole
     return false;
   }
   put_query(payload, query);
-  return libdipole_request_send(client, error);
-}
-
-static bool cancel(dipole_client *client, uint64_t job_id, uint64_t *cancel_id,
-                   dipole_error *error) {
-  const wire_cancel_request request = {.job_id = job_id};
-  libdipole_pending pending = {.kind = &cancel_kind,
-                               .type = WIRE_TYPE_CANCEL,
-                               .reply_bytes_min = WIRE_BYTES_cancel_reply,
-                               .reply_bytes_max = WIRE_BYTES_cancel_reply};
-  uint8_t *payload;
-  libdipole_request_once(client, job_id);
-  if (!libdipole_request_begin(client, &pending, WIRE_BYTES_cancel_request, &payload, error)) {
-    return false;
-  }
-  wire_put_cancel_request(payload, &request);
-  *cancel_id = pending.id;
   return libdipole_request_send(client, error);
 }
 
@@ -245,7 +227,7 @@ bool dipole_mc(dipole_client *client, const dipole_mc_query *query,
       return true;
     }
     const bool goes_on = progress == NULL || progress(context, &now);
-    if (!goes_on && cancel_id == 0 && !cancel(client, job.id, &cancel_id, error)) {
+    if (!goes_on && cancel_id == 0 && !libdipole_cancel(client, job.id, &cancel_id, error)) {
       return false;
     }
   }

@@ -147,6 +147,24 @@ void libdipole_request_drop(dipole_client *client, uint64_t id) {
   remove_entry(client, entry);
 }
 
+bool libdipole_cancel(dipole_client *client, uint64_t job_id, uint64_t *cancel_id,
+                      dipole_error *error) {
+  static const libdipole_kind cancel_kind = {.endless = true};
+  const wire_cancel_request request = {.job_id = job_id};
+  libdipole_pending pending = {.kind = &cancel_kind,
+                               .type = WIRE_TYPE_CANCEL,
+                               .reply_bytes_min = WIRE_BYTES_cancel_reply,
+                               .reply_bytes_max = WIRE_BYTES_cancel_reply};
+  uint8_t *payload;
+  libdipole_request_once(client, job_id);
+  if (!libdipole_request_begin(client, &pending, WIRE_BYTES_cancel_request, &payload, error)) {
+    return false;
+  }
+  wire_put_cancel_request(payload, &request);
+  *cancel_id = pending.id;
+  return libdipole_request_send(client, error);
+}
+
 size_t dipole_outstanding(const dipole_client *client) {
   return client->pending_count - client->dropped_count;
 }

@@ -188,6 +188,11 @@ libdipole_frame *libdipole_ask(dipole_client *client, libdipole_pending *pending
 /* Lets a request that has been sent never be sent again. */
 void libdipole_request_once(dipole_client *client, uint64_t id);
 
+/* Sends a cancel request for a Monte Carlo job or a gather, which is never sent again. Sets *cancel_id
+ * to the id of the cancel request, whose answer is to be taken or dropped. */
+bool libdipole_cancel(dipole_client *client, uint64_t job_id, uint64_t *cancel_id,
+                      dipole_error *error);
+
 /* Gives up a request. If its answer is still to come, the client throws it away on arrival. */
 void libdipole_request_drop(dipole_client *client, uint64_t id);
 

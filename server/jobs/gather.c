@@ -415,4 +415,4 @@ static void end(struct job *job) {
 }
 
 const struct job_kind job_kind_GATHER = {
-    .start = start, .begin_part = begin_part, .step = step, .end = end};
+    .start = start, .begin_part = begin_part, .step = step, .end = end, .aside = true};

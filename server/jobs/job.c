@@ -34,6 +34,11 @@ enum job_outcome job_start(struct job_slot *slot, const struct job_request *requ
                                                              "a message of the protocol"));
 }
 
+bool job_is_aside(unsigned type) {
+  const struct job_kind *kind = kind_of(type);
+  return kind != NULL && kind->aside;
+}
+
 void job_end(struct job *job) {
   job_pay(job, job->owed_radii);
   if (job->large) {

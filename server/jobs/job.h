@@ -81,6 +81,9 @@ struct job_request {
   struct job **detached; /* the connection's list of detached jobs; NULL: jobs cannot be detached */
   struct points *
       *points; /* the set that the connection is sending, *points NULL if there is none */
+  /* Ends requests of the connection that are `aside`, with CANCELLED. Returns whether there were any
+   * with this id. NULL: there are none. */
+  bool (*cancel)(void *owner, uint64_t request_id);
 };
 
 /* The functions of the jobs of one message. A function may be NULL where its comment says so. */
@@ -105,6 +108,10 @@ struct job_kind {
 
   /* Makes a detached job end soon with its results so far. NULL if such jobs are never detached. */
   void (*stop)(struct job *job, enum job_stop why);
+
+  /* Whether requests of this kind take long, and are kept beside the input while they wait and run,
+   * so that a cancel request behind them is found. */
+  bool aside;
 };
 
 /* The first member of each kind's own job structure. */
@@ -154,6 +161,9 @@ struct job_slot {
  * for an unknown message. */
 enum job_outcome job_start(struct job_slot *slot, const struct job_request *request,
                            struct job **job);
+
+/* Returns whether requests of a type are kept beside the input. */
+bool job_is_aside(unsigned type);
 
 /* Ends a job that start() has neither refused nor detached: removes its work from the worker's
  * owed_radii and calls the kind's end(). */

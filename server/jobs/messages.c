@@ -180,8 +180,7 @@ const struct job_kind job_kind_PING = {.start = start_ping, .begin_part = put_pi
 
 struct cancel {
   struct job job;
-  uint64_t job_id;
-  struct job *detached; /* the connection's list of detached jobs */
+  bool found;
 };
 
 JOB_FITS_SLOT(struct cancel);
@@ -193,20 +192,19 @@ static enum job_outcome start_cancel(struct job *job, const struct job_request *
   }
   wire_cancel_request request;
   wire_get_cancel_request(from->payload, &request);
-  cancel->job_id = request.job_id;
-  cancel->detached = from->detached != NULL ? *from->detached : NULL;
+  cancel->found = from->cancel != NULL && from->cancel(from->owner, request.job_id);
+  for (struct job *other = from->detached != NULL ? *from->detached : NULL; other != NULL;
+       other = other->next) {
+    if (other->header.request_id == request.job_id) {
+      other->kind->stop(other, JOB_CANCELLED);
+      cancel->found = true;
+    }
+  }
   return reply_with(job, WIRE_BYTES_cancel_reply);
 }
 
 static enum job_outcome put_cancel(struct job *job, uint8_t *at) {
-  const struct cancel *cancel = (const struct cancel *)(const void *)job;
-  wire_cancel_reply reply = {.found = 0};
-  for (struct job *other = cancel->detached; other != NULL; other = other->next) {
-    if (other->header.request_id == cancel->job_id) {
-      other->kind->stop(other, JOB_CANCELLED);
-      reply.found = 1;
-    }
-  }
+  const wire_cancel_reply reply = {.found = ((const struct cancel *)(const void *)job)->found};
   wire_put_cancel_reply(at, &reply);
   return JOB_DONE;
 }

@@ -1,6 +1,7 @@
 #include "server/jobs/requests.h"
 
 #include <stdio.h>
+#include <stdlib.h>
 
 #include "server/observe/health.h"
 #include "server/store/points.h"
@@ -9,6 +10,7 @@ void requests_init(struct requests *requests, struct input *input, struct output
                    void (*wake)(void *owner), void *owner) {
   *requests = (struct requests){
       .input = input, .output = output, .wake = wake, .owner = owner, .roles = ROLE_ALL};
+  requests->aside_end = &requests->waiting_aside;
 }
 
 static struct stats *stats_of(const struct requests *r) {
@@ -114,12 +116,65 @@ void requests_step_detached(struct requests *r) {
   }
 }
 
-/* ---- the job that holds the input ------------------------------------------------------------ */
+/* ---- requests beside the input --------------------------------------------------------------- */
+
+/* What may wait beside the input. More stays in the input, and in the socket. */
+#define ASIDE_BYTES ((uint64_t)4 << 20)
+
+/* Moves the first frame out of the input. Returns NULL if there is no memory. */
+static struct aside *put_aside(struct requests *r, const wire_header *header) {
+  struct aside *aside = malloc(sizeof *aside);
+  if (aside != NULL) {
+    *aside = (struct aside){.header = *header,
+                            .arrived_ns = input_arrival_ns(r->input, header)};
+  }
+  if (aside != NULL && !input_take(r->input, header, &aside->block)) {
+    free(aside);
+    aside = NULL;
+  }
+  return aside;
+}
+
+static void free_aside(struct requests *r, struct aside *aside) {
+  if (aside != NULL) {
+    input_free_block(r->input, &aside->block);
+    free(aside);
+  }
+}
+
+static void add_aside(struct requests *r, struct aside *aside) {
+  *r->aside_end = aside;
+  r->aside_end = &aside->next;
+  r->aside_count++;
+  r->aside_bytes += aside->block.capacity;
+}
+
+/* Removes the one that *link points to from the list. */
+static struct aside *remove_aside(struct requests *r, struct aside **link) {
+  struct aside *aside = *link;
+  *link = aside->next;
+  r->aside_end = *link == NULL ? link : r->aside_end;
+  r->aside_count--;
+  r->aside_bytes -= aside->block.capacity;
+  return aside;
+}
+
+/* Ends the request that has been dealt with: removes it from where it is. */
+static void end_request(struct requests *r, const wire_header *header) {
+  if (r->own == NULL) {
+    input_next(r->input, header);
+  } else {
+    free_aside(r, r->own);
+    r->own = NULL;
+  }
+}
+
+/* ---- the job that answers in turn ------------------------------------------------------------ */
 
 /* Ends the job that holds the input. Its reply is in the output; a refusal is written now. */
 static void finish(struct requests *r, const wire_error *refusal) {
   struct job *job = r->job;
-  const wire_header *header = &job->header;
+  const wire_header header = job->header;
   note_latency(r, refusal != NULL ? LATENCY_REFUSED : job->latency);
   job_end(job);
   r->job = NULL;
@@ -128,11 +183,11 @@ static void finish(struct requests *r, const wire_error *refusal) {
   r->between_parts = false;
   if (refusal == NULL) {
     stats_count_answer(stats_of(r), WIRE_STATUS_OK);
-  } else if (!requests_refuse(r, header->request_id, refusal)) {
+  } else if (!requests_refuse(r, header.request_id, refusal)) {
     r->no_room = true;
     return;
   }
-  input_next(r->input, header);
+  end_request(r, &header);
 }
 
 /* Ends the job with a refusal. If a part is open, first empties the batch, which may still hold
@@ -217,7 +272,7 @@ unsigned requests_count(const struct requests *r) {
   for (const struct job *job = r->detached; job != NULL; job = job->next) {
     count++;
   }
-  return count;
+  return count + r->aside_count + (r->own != NULL);
 }
 
 void requests_drop(struct requests *r) {
@@ -225,6 +280,11 @@ void requests_drop(struct requests *r) {
   if (r->job != NULL) {
     job_end(r->job);
     r->job = NULL;
+  }
+  free_aside(r, r->own);
+  r->own = NULL;
+  while (r->waiting_aside != NULL) {
+    free_aside(r, remove_aside(r, &r->waiting_aside));
   }
   points_release(r->points);
   r->points = NULL;
@@ -263,7 +323,7 @@ static void on_news(void *owner) {
 static void refuse(struct requests *r, const wire_header *header, const wire_error *error) {
   note_latency(r, LATENCY_REFUSED);
   if (requests_refuse(r, header->request_id, error)) {
-    input_next(r->input, header);
+    end_request(r, header);
   } else {
     r->no_room = true;
   }
@@ -279,6 +339,30 @@ static bool is_allowed(const struct requests *r, unsigned type, wire_error *erro
   snprintf(allowed, sizeof allowed, "certificates with the role %s", roles_name(needed));
   *error = wire_error_make(WIRE_STATUS_NOT_ALLOWED, "role", allowed);
   return false;
+}
+
+/* Ends those requests beside the input that have this id. */
+static bool cancel(void *owner, uint64_t request_id) {
+  struct requests *r = owner;
+  const wire_error error =
+      wire_error_make(WIRE_STATUS_CANCELLED, "job_id", "no cancel request that names it");
+  bool found = false;
+  if (r->job != NULL && r->own != NULL && r->job->header.request_id == request_id) {
+    give_up(r, &error);
+    found = true;
+  }
+  for (struct aside **link = &r->waiting_aside; *link != NULL && !r->no_room;) {
+    if ((*link)->header.request_id != request_id) {
+      link = &(*link)->next;
+      continue;
+    }
+    struct aside *aside = remove_aside(r, link);
+    stats_count_request(stats_of(r), aside->header.type);
+    r->no_room = !requests_refuse(r, request_id, &error);
+    free_aside(r, aside);
+    found = true;
+  }
+  return found;
 }
 
 static void start(struct requests *r, const wire_header *header, const uint8_t *payload) {
@@ -297,13 +381,14 @@ static void start(struct requests *r, const wire_header *header, const uint8_t *
                                       .owner = r,
                                       .profiles = r->profiles,
                                       .detached = &r->detached,
-                                      .points = &r->points};
+                                      .points = &r->points,
+                                      .cancel = cancel};
   struct job *job;
   const enum job_outcome outcome = job_start(&r->slot, &request, &job);
   if (outcome == JOB_REFUSED) {
     refuse(r, header, &job->refusal);
   } else if (outcome == JOB_DETACHED) {
-    input_next(r->input, header);
+    end_request(r, header);
   } else {
     r->job = job;
     follow(r, outcome);
@@ -326,11 +411,93 @@ static bool take_frame(struct requests *r) {
   r->arrived_ns = input_arrival_ns(r->input, &header);
   r->taken++;
   if (outcome == INPUT_FRAME) {
-    start(r, &header, payload);
+    r->own = job_is_aside(header.type) ? put_aside(r, &header) : NULL;
+    start(r, &header, r->own != NULL ? r->own->block.payload : payload);
   } else {
     refuse(r, &header, &error);
   }
   return true;
+}
+
+static void start_aside(struct requests *r) {
+  r->own = remove_aside(r, &r->waiting_aside);
+  const wire_header header = r->own->header;
+  r->arrived_ns = r->own->arrived_ns;
+  start(r, &header, r->own->block.payload);
+}
+
+/* Answers a cancel request while a job runs, which may be the one that it ends. Returns false if it
+ * has to wait, because the answer of another job is being written. */
+static bool take_cancel(struct requests *r, const wire_header *header, const uint8_t *payload) {
+  wire_cancel_request fixed = {0};
+  if (header->payload_bytes == WIRE_BYTES_cancel_request) {
+    wire_get_cancel_request(payload, &fixed);
+  }
+  if (r->part_open && fixed.job_id != r->job->header.request_id) {
+    return false;
+  }
+  struct job_slot slot;
+  struct job *job;
+  const struct job_request request = {.header = header,
+                                      .payload = payload,
+                                      .context = r->context,
+                                      .owner = r,
+                                      .detached = &r->detached,
+                                      .cancel = cancel};
+  stats_count_request(stats_of(r), header->type);
+  const enum job_outcome outcome = job_start(&slot, &request, &job);
+  uint8_t *at = NULL;
+  if (r->no_room) {
+    return true;
+  }
+  if (outcome == JOB_REFUSED) {
+    r->no_room = !requests_refuse(r, header->request_id, &job->refusal);
+  } else {
+    at = begin_reply(r, job);
+    r->no_room = at == NULL;
+  }
+  if (at != NULL) {
+    job->kind->begin_part(job, at);
+    output_commit(r->output);
+    stats_count_answer(stats_of(r), WIRE_STATUS_OK);
+  }
+  input_next(r->input, header);
+  r->taken++;
+  return true;
+}
+
+/* While a job runs whose request is beside the input: answers the cancel request that comes next, or
+ * puts the next request of such a kind beside it. Returns whether it took a frame. */
+static bool look_ahead(struct requests *r) {
+  wire_header header;
+  const uint8_t *payload = NULL;
+  wire_error error;
+  if (input_frame(r->input, &header, &payload, &error) != INPUT_FRAME) {
+    return false;
+  }
+  if (header.type == WIRE_TYPE_CANCEL) {
+    return take_cancel(r, &header, payload);
+  }
+  const uint64_t frame_bytes = WIRE_BYTES_header + (uint64_t)header.payload_bytes;
+  if (!job_is_aside(header.type) || r->aside_bytes + frame_bytes > ASIDE_BYTES ||
+      r->aside_count >= r->context->server->options.max_in_flight) {
+    return false;
+  }
+  struct aside *aside = put_aside(r, &header);
+  if (aside == NULL) {
+    return false;
+  }
+  add_aside(r, aside);
+  r->taken++;
+  return true;
+}
+
+bool requests_take_on(struct requests *r) {
+  wire_header header;
+  const uint8_t *payload;
+  wire_error error;
+  return r->job == NULL ||
+         (r->own != NULL && input_frame(r->input, &header, &payload, &error) == INPUT_INCOMPLETE);
 }
 
 /* Begins the next part, or waits if the reader does not keep up. Returns false if it waits. */
@@ -359,11 +526,19 @@ static bool step_job(struct requests *r, uint64_t *budget) {
 
 bool requests_step(struct requests *r, uint64_t *budget) {
   bool more = false;
-  if (r->job != NULL) {
+  if (r->own != NULL && look_ahead(r)) {
+    *budget -= *budget < JOB_STEP_RADII ? *budget : JOB_STEP_RADII;
+    more = true;
+  } else if (r->job != NULL) {
     more = !r->waiting && step_job(r, budget);
   } else if (!r->ended && !output_is_full(r->output)) {
     *budget -= *budget < JOB_STEP_RADII ? *budget : JOB_STEP_RADII;
-    more = take_frame(r);
+    if (r->waiting_aside != NULL) {
+      start_aside(r);
+      more = true;
+    } else {
+      more = take_frame(r);
+    }
   }
   return more && !r->no_room;
 }

@@ -1,6 +1,8 @@
 /* requests: answers the requests of one connection, each from its frame in the input to its reply
  * or refusal in the output. One request at a time holds the input, because its job uses the payload
- * in place. A detached job does not hold the input and answers when it can.
+ * in place. A detached job does not hold the input and answers when it can. A request that takes long
+ * is kept beside the input, and so are those of its kind behind it, so that a cancel request is found
+ * that names one of them.
  *
  * This module frames all replies and refusals. It knows neither the connection, which moves the
  * bytes, nor any kind of job (server/jobs/job.h). Call it on the worker's thread only.
@@ -11,6 +13,14 @@
 #include "server/jobs/job.h"
 #include "server/net/buffers.h"
 #include "server/net/roles.h"
+
+/* A request that is kept beside the input. */
+struct aside {
+  struct aside *next;
+  wire_header header;
+  uint64_t arrived_ns;
+  struct input_block block;
+};
 
 /* The requests of one connection. The owner sets all members to 0 and calls requests_init(). Before
  * the first step, it sets `context` and `profiles`. */
@@ -27,7 +37,12 @@ struct requests {
 
   unsigned roles; /* of the client (server/net/roles.h): all of them, unless the owner says less */
 
-  struct job *job; /* the job whose request holds the input; NULL if there is none */
+  struct job *job; /* the job that answers in turn; NULL if there is none */
+  struct aside *own;     /* its request, if that is beside the input; NULL: it holds the input */
+  struct aside *waiting_aside; /* the list of further ones, which come before those in the input */
+  struct aside **aside_end;    /* where the next one is linked to */
+  unsigned aside_count;        /* of the list */
+  uint64_t aside_bytes;
   struct job_slot slot;
   struct job *detached; /* the list of detached jobs */
   struct points *points; /* the set of points that the client is sending; NULL if there is none */
@@ -47,6 +62,10 @@ void requests_init(struct requests *requests, struct input *input, struct output
 /* Returns how many requests have arrived completely and are not answered, or whose answers are not
  * written completely. */
 unsigned requests_count(const struct requests *requests);
+
+/* Returns whether the next frame may be taken as soon as it has arrived, so that nothing in the input
+ * is in use. */
+bool requests_take_on(struct requests *requests);
 
 /* Gives up all jobs at once, without answers. */
 void requests_drop(struct requests *requests);

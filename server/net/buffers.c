@@ -181,6 +181,44 @@ void input_next(struct input *input, const wire_header *header) {
   take_skipped(input);
 }
 
+bool input_take(struct input *input, const wire_header *header, struct input_block *block) {
+  const size_t frame_bytes = WIRE_BYTES_header + (size_t)header->payload_bytes;
+  const uint8_t *frame = input->bytes + input->begin;
+  if (frame_bytes <= BASE_BYTES) {
+    if (!server_take_bytes(input->server, frame_bytes)) {
+      return false;
+    }
+    uint8_t *bytes = malloc(frame_bytes);
+    if (bytes == NULL) {
+      server_return_bytes(input->server, frame_bytes);
+      return false;
+    }
+    memcpy(bytes, frame, frame_bytes);
+    *block = (struct input_block){bytes, frame_bytes, bytes + WIRE_BYTES_header};
+    input_next(input, header);
+    return true;
+  }
+  const size_t rest = held(input) - frame_bytes;
+  struct input whole = *input;
+  input->bytes = NULL;
+  input->capacity = 0;
+  if (!resize(input, rest > BASE_BYTES ? rest : BASE_BYTES)) {
+    *input = whole;
+    return false;
+  }
+  memcpy(input->bytes, frame + frame_bytes, rest);
+  input->begin = 0;
+  input->end = rest;
+  *block = (struct input_block){whole.bytes, whole.capacity, frame + WIRE_BYTES_header};
+  return true;
+}
+
+void input_free_block(struct input *input, struct input_block *block) {
+  server_return_bytes(input->server, block->capacity);
+  free(block->bytes);
+  *block = (struct input_block){0};
+}
+
 bool input_refuse(struct input *input, wire_header *header) {
   if (input->skip_bytes > 0 || held(input) < WIRE_BYTES_header) {
     return false;

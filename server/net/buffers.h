@@ -74,6 +74,19 @@ enum input_outcome input_frame(struct input *input, wire_header *header, const u
 /* Removes the first frame, for which input_frame() returned INPUT_FRAME or INPUT_REFUSED. */
 void input_next(struct input *input, const wire_header *header);
 
+/* The memory of a frame that has been taken out of the input. */
+struct input_block {
+  uint8_t *bytes; /* NULL: none */
+  size_t capacity;
+  const uint8_t *payload; /* aligned to 8 */
+};
+
+/* Removes the first frame, for which input_frame() returned INPUT_FRAME, but keeps its payload in a
+ * block, which the caller frees with input_free_block(). A large frame takes the buffer with it and
+ * is not copied. Returns false, and changes nothing, if there is no memory. */
+bool input_take(struct input *input, const wire_header *header, struct input_block *block);
+void input_free_block(struct input *input, struct input_block *block);
+
 /* Skips an incomplete frame for which there is no memory. Returns false if not even its header has
  * arrived. */
 bool input_refuse(struct input *input, wire_header *header);

@@ -147,7 +147,8 @@ static void linger(struct connection *c) {
 
 static size_t find_room(void *owner, uint8_t **room) {
   struct connection *c = owner;
-  return c->requests.job != NULL ? input_room_behind(&c->input, room) : input_room(&c->input, room);
+  return requests_take_on(&c->requests) ? input_room(&c->input, room)
+                                        : input_room_behind(&c->input, room);
 }
 
 /* Refuses and skips an incomplete frame because there is no memory for the rest of it. */
@@ -168,11 +169,13 @@ static void set_reading(struct connection *c, bool wanted) {
   }
 }
 
-/* Reads while a job uses its request in place: only into the free memory behind that request. So
- * the arrival times of the next requests are known, and their deadlines count from then. */
+/* Reads while a job runs. If it uses its request in place, reads only into the free memory behind that
+ * request. So the arrival times of the next requests are known, and their deadlines count from then.
+ */
 static void read_behind(struct connection *c) {
   uint8_t *room = NULL;
-  set_reading(c, !c->peer_done && input_room_behind(&c->input, &room) > 0);
+  set_reading(c, !c->peer_done && (requests_take_on(&c->requests) ||
+                                   input_room_behind(&c->input, &room) > 0));
 }
 
 /* Takes the bytes that have been read; the connection answers their requests in the same round of
@@ -191,12 +194,15 @@ static void on_received(void *owner, ssize_t bytes) {
       input_discard(&c->input);
       return;
     }
-    if (c->requests.job != NULL) {
+    if (c->requests.job != NULL && c->requests.own == NULL) {
       read_behind(c);
       return; /* The job will wake the connection. */
     }
   } else {
     transport_set_reading(&c->transport, false);
+    if (bytes == UV_ENOBUFS && c->requests.job != NULL) {
+      return; /* The next turn of the job reads on. */
+    }
     if (bytes == UV_ENOBUFS) {
       refuse_for_memory(c);
     } else if (bytes == UV_EOF && !c->lingering) {

@@ -229,6 +229,7 @@ class AsyncClient:
         listed = await self._media_of(media)
         run = gathering.Run(gathering.plan(self.info, model, listed, *light, **options))
         under_way: list[int] = []
+        ended = False  # whether the daemon has ended it
         try:
             while True:
                 while len(under_way) < gathering.OUTSTANDING and (request := run.next()):
@@ -247,9 +248,16 @@ class AsyncClient:
                     self._drop(under_way.pop(0))
                 if run.answered > before and progress is not None:
                     run.stopped |= progress(run.answered, run.count) is False
+                if run.stopped:
+                    return run.result()
+        except (DipoleError, OSError):
+            ended = True
+            raise
         finally:
             for request_id in under_way:
                 self._drop(request_id)
+                if not ended:
+                    await self._cancel(request_id)
 
     async def media(self) -> dict[str, tuple[Medium, Medium, Medium]]:
         """See Client.media()."""
@@ -298,7 +306,7 @@ class AsyncClient:
         return over.means(await self.eval(over.query(model, media, options)))
 
     async def _cancel(self, job_id: int) -> None:
-        """Cancels a Monte Carlo job. Does nothing without a connection: the job ended with it."""
+        """Cancels a Monte Carlo job or a gather. Does nothing without a connection: it ended with it."""
         self._exchange.ask_once(job_id)
         if self._stream is not None:
             request_id = self._exchange.begin(mc.cancellation(job_id))

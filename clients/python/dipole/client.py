@@ -326,6 +326,14 @@ class Client:
                     self._exchange.drop(under_way.pop(0))
                 if run.answered > before and progress is not None:
                     run.stopped |= progress(run.answered, run.count) is False
+                if run.stopped:
+                    self._cancel_all(under_way)
+                    return run.result()
+        except (DipoleError, OSError):
+            raise
+        except BaseException:
+            self._cancel_all(under_way)
+            raise
         finally:
             for request_id in under_way:
                 self._exchange.drop(request_id)
@@ -372,6 +380,10 @@ class Client:
             raise
         finally:
             self._exchange.drop(request_id)
+
+    def _cancel_all(self, request_ids: list[int]) -> None:
+        for request_id in request_ids:
+            self._cancel(request_id)
 
     def _cancel(self, job_id: int) -> None:
         self._exchange.ask_once(job_id)

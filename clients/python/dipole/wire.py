@@ -37,7 +37,7 @@ MESSAGES = {name: type for type, name in _TYPES.items()}
 # Maps the code of a status to its name.
 STATUSES = _numbered(
     "ok bad-magic bad-version bad-type bad-length bad-count bad-value too-large truncated timeout "
-    "busy shutting-down deadline bad-address not-allowed unknown-points",
+    "busy shutting-down deadline bad-address not-allowed unknown-points cancelled",
     first=0,
 )
 STATUS_DEADLINE = 12
