@@ -895,8 +895,8 @@ typedef struct dipole_gather_result {
 
 /* Gathers light at all queries and waits for it. M_W_per_mm2: [query_count][channels]. progress(),
  * unless NULL, is called whenever some thousand more queries are answered; it must not use the
- * client. If it returns false, the call ends, and the sums that are missing are NaN. result may be
- * NULL.
+ * client. If it returns false, the call ends, with what the daemon still does for it, and the sums
+ * that are missing are NaN. result may be NULL.
  *
  * The points are sent to a daemon that does not have them, and again to one that has lost them, or
  * that takes over from a daemon that has ended: neither is an error of the call. The number of

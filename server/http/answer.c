@@ -6,6 +6,7 @@
 
 #include "proto/eval.h"
 #include "proto/fit.h"
+#include "proto/gather.h"
 #include "proto/invert.h"
 #include "proto/sample.h"
 #include "proto/table.h"
@@ -63,6 +64,12 @@ static void write_field(struct http_text *text, const struct http_field *field, 
     memcpy(string, at, field->count);
     string[field->count] = '\0';
     http_text_string(text, field->name, string);
+  } else if (http_field_is_name(field)) {
+    char digits[HTTP_NAME_DIGITS + 1];
+    for (size_t i = 0; i < field->bytes; i++) {
+      snprintf(digits + 2 * i, 3, "%02x", at[i]);
+    }
+    http_text_string(text, field->name, digits);
   } else if (field->count == 1) {
     write_one(text, field->name, field->kind, at, bytes);
   } else {
@@ -274,6 +281,33 @@ static void write_varying(struct http_text *text, const uint8_t *payload, size_t
   http_text_end(text, ']');
 }
 
+/* media: the structures in the request. */
+static void write_gather(struct http_text *text, const uint8_t *media, const uint8_t *payload) {
+  wire_gather_reply fixed;
+  wire_get_gather_reply(payload, &fixed);
+  const uint8_t *sums = payload + gather_sums_offset(fixed.channel_count);
+  write_fields(text, http_fields_of_gather_reply, payload);
+  http_text_begin(text, "units", '{');
+  write_units(text, http_fields_of_medium);
+  http_text_string(text, "M", "W/mm^2");
+  http_text_end(text, '}');
+  http_text_begin(text, "channels", '[');
+  for (uint32_t channel = 0; channel < fixed.channel_count; channel++) {
+    http_text_begin(text, NULL, '{');
+    write_fields(text, http_fields_of_medium, media + channel * (size_t)WIRE_BYTES_medium);
+    write_fields(text, http_fields_of_channel,
+                 payload + WIRE_BYTES_gather_reply + channel * (size_t)WIRE_BYTES_channel);
+    http_text_begin(text, "M", '[');
+    for (uint64_t i = 0; i < fixed.query_count; i++) {
+      http_text_number(text, NULL,
+                       get_f64(sums + (i * fixed.channel_count + channel) * sizeof(double)));
+    }
+    http_text_end(text, ']');
+    http_text_end(text, '}');
+  }
+  http_text_end(text, ']');
+}
+
 void http_answer_write(const struct http_message *message, const uint8_t *question,
                        const uint8_t *payload, size_t payload_bytes, struct http_text *text) {
   http_text_begin(text, NULL, '{');
@@ -298,6 +332,12 @@ void http_answer_write(const struct http_message *message, const uint8_t *questi
     break;
   case WIRE_TYPE_VARYING:
     write_varying(text, payload, payload_bytes);
+    break;
+  case WIRE_TYPE_POINTS:
+    write_fields(text, http_fields_of_points_reply, payload);
+    break;
+  case WIRE_TYPE_GATHER:
+    write_gather(text, question + WIRE_BYTES_gather_request, payload);
     break;
   default:
     assert(!"a message of http_messages");

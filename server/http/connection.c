@@ -88,6 +88,11 @@ static void on_wake(void *owner) {
   worker_run_later(&c->client);
 }
 
+static void init_requests(struct http_connection *c) {
+  requests_init(&c->requests, &c->input, &c->output, on_wake, c);
+  c->requests.whole = true;
+}
+
 static void open_connection(struct http_host *host, struct MHD_Connection *handle, void **to) {
   struct http_connection *c = calloc(1, sizeof *c);
   *to = c;
@@ -104,7 +109,7 @@ static void open_connection(struct http_host *host, struct MHD_Connection *handl
   http_text_init(&c->answer, host->server);
   input_init(&c->input, host->server);
   output_init(&c->output, host->server);
-  requests_init(&c->requests, &c->input, &c->output, on_wake, c);
+  init_requests(c);
   host->connection_count++;
   worker_adopt(host->worker, &c->client);
   c->since_ms = now_ms(c);
@@ -291,7 +296,7 @@ static wire_error too_large(const struct http_connection *c, const char *field) 
 static void give_up(struct http_connection *c) {
   batch_finish(&worker_context(c->host->worker)->batch, &c->host->server->stats);
   requests_drop(&c->requests);
-  requests_init(&c->requests, &c->input, &c->output, on_wake, c);
+  init_requests(c);
   c->requests.context = worker_context(c->host->worker);
   c->requests.profiles = &c->client.profiles;
   input_discard(&c->input);

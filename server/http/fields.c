@@ -82,6 +82,28 @@ const struct http_message http_messages[] = {
       {"r", "value_count", NULL, "mm; the radii", HTTP_EACH},
       {"u", "value_count", NULL, "in place of r: numbers from 0 to 1, for which radii are drawn",
        HTTP_EACH}}},
+    {WIRE_TYPE_POINTS,
+     "Sends a set of points that hold power, which gathers name",
+     {http_fields_of_points_request},
+     http_fields_of_points_reply,
+     0,
+     false,
+     0,
+     {{"x", "point_count", NULL, "mm; or one for all points", HTTP_AXIS},
+      {"y", "point_count", NULL, "mm; or one for all points", HTTP_AXIS},
+      {"z", "point_count", NULL, "mm; or one for all points", HTTP_AXIS},
+      {"power", "channel_count", NULL, "W; the powers, or a list of them for each channel",
+       HTTP_SETS}}},
+    {WIRE_TYPE_GATHER,
+     "Sums the light of a set of points at positions",
+     {http_fields_of_gather_request},
+     http_fields_of_gather_reply,
+     UINT_MAX,
+     true,
+     0,
+     {{"x", "query_count", NULL, "mm; or one for all positions", HTTP_AXIS},
+      {"y", "query_count", NULL, "mm; or one for all positions", HTTP_AXIS},
+      {"z", "query_count", NULL, "mm; or one for all positions", HTTP_AXIS}}},
     {0, NULL, {NULL}, NULL, 0, false, 0, {{NULL, NULL, NULL, NULL, HTTP_GIVEN}}},
 };
 
@@ -140,7 +162,8 @@ static bool is_internal(const char *field) {
   static const char *const names[] = {
       "zero",         "zero_too",     "medium_count", "part",         "parameter_count",
       "part_count",   "radius_first", "set_first",    "medium_first", "channel_count",
-      "choice_count", "limit_count",  "count",        "value_first",  "numbers"};
+      "choice_count", "limit_count",  "count",        "value_first",  "numbers",
+      "point_first",  "part_points",  "point_next",   "query_first"};
   for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
     if (strcmp(names[i], field) == 0) {
       return true;
@@ -162,4 +185,15 @@ static void complete(struct http_field *fields) {
 void http_fields_init(void) {
 #define WIRE_STRUCTURE(name, about) complete(http_fields_of_##name);
 #include "proto/messages.def"
+}
+
+const struct http_field *http_field_of(const struct http_message *message, const char *name) {
+  for (int i = 0; i < HTTP_STRUCTURES && message->request[i] != NULL; i++) {
+    for (const struct http_field *field = message->request[i]; field->name != NULL; field++) {
+      if (!field->internal && strcmp(field->name, name) == 0) {
+        return field;
+      }
+    }
+  }
+  return NULL;
 }

@@ -32,6 +32,13 @@ struct http_field {
 /* Completes the structures. Call it once, before anything else of server/http. */
 void http_fields_init(void);
 
+/* Returns whether a field is the name of a set of points: in JSON, its bytes as a text of so many
+ * hexadecimal digits. */
+enum { HTTP_NAME_DIGITS = 32 };
+static inline bool http_field_is_name(const struct http_field *field) {
+  return field->kind == HTTP_u64 && field->count == 2;
+}
+
 /* A list of numbers at the end of a request. */
 struct http_list {
   const char *name;  /* NULL: there is none */
@@ -42,6 +49,7 @@ struct http_list {
     HTTP_GIVEN, /* the list has to be given, unless it has a rule */
     HTTP_ZEROS, /* without it, all its numbers are 0 */
     HTTP_SETS,  /* a list, or a list of lists: one for each set of readings */
+    HTTP_AXIS,  /* a list, or one number for all: coordinates of positions, x, y and z in turn */
     HTTP_EACH,  /* a list, or one number for all; which lists are given is checked elsewhere */
   } kind;
 };
@@ -59,6 +67,9 @@ struct http_message {
   unsigned wanted;     /* the quantities that are wanted if the request does not say */
   struct http_list lists[HTTP_LISTS];
 };
+
+/* Returns a request's field, which is not internal, or NULL. */
+const struct http_field *http_field_of(const struct http_message *message, const char *name);
 
 /* The list of these requests, which ends with type 0. */
 extern const struct http_message http_messages[];

@@ -57,6 +57,9 @@ static void write_scalar(struct http_text *text, enum http_kind kind) {
 static void write_members(struct http_text *text, const struct http_field *field) {
   if (field->choices != NULL) {
     write_choice(text, field->choices, field->bits);
+  } else if (http_field_is_name(field)) {
+    http_text_string(text, "type", "string");
+    http_text_string(text, "pattern", "^[0-9a-f]{32}$");
   } else if (field->kind == HTTP_text || field->count == 1) {
     write_scalar(text, field->kind);
   } else {
@@ -162,7 +165,9 @@ static size_t list_request_fields(const struct http_message *message,
   }
   for (const core_choice *one = core_parameter_list; message->parameters && one->name != NULL;
        one++) {
-    fields[count++] = (struct request_field){one->name, NULL, one, NULL};
+    if (http_field_of(message, one->name) == NULL) {
+      fields[count++] = (struct request_field){one->name, NULL, one, NULL};
+    }
   }
   fields[count++] = (struct request_field){"deadline_ms", &http_fields_of_header[5], NULL, NULL};
   return count;
@@ -188,6 +193,7 @@ static void write_responses(struct http_text *text, const char *schema) {
     const char *status;
     const char *meaning;
   } faults[] = {{"400", "a field is wrong"},
+                {"404", "the daemon does not have the set of points: send it to /v1/points"},
                 {"413", "the request or the reply is too large for HTTP"},
                 {"429", "the daemon is at a limit; Retry-After says when to try again"},
                 {"503", "the daemon stops, or the deadline has passed"}};
@@ -300,10 +306,16 @@ static void write_reply_schema(struct http_text *text, const struct http_message
   snprintf(name, sizeof name, "%s_reply", wire_type_name(message->type));
   begin_object(text, name);
   write_properties(text, message->reply);
+  if (message->reply == http_fields_of_points_reply) {
+    end_object(text);
+    return;
+  }
   write_units(text);
   if (message->reply == http_fields_of_eval_reply) {
     write_list(text, "r", NUMBER, "mm; the radii of an eval, if they are wanted");
     write_list(text, "channels", REFERENCE("Channel"), NULL);
+  } else if (message->reply == http_fields_of_gather_reply) {
+    write_list(text, "channels", REFERENCE("Gathered"), NULL);
   } else if (message->reply == http_fields_of_offers_reply) {
     write_list(text, "offers", REFERENCE("Offer"), NULL);
   } else if (message->reply == http_fields_of_invert_reply) {
@@ -367,6 +379,11 @@ static void write_components(struct http_text *text) {
   begin_object(text, "Fitted");
   write_properties(text, http_fields_of_fitted);
   write_list(text, "residuals", NUMBER, "of the readings, if they are wanted");
+  end_object(text);
+  begin_object(text, "Gathered");
+  write_properties(text, http_fields_of_medium);
+  write_properties(text, http_fields_of_channel);
+  write_list(text, "M", NUMBER, "W/mm^2; the sums, in the order of the positions");
   end_object(text);
   begin_object(text, "Offer");
   write_properties(text, http_fields_of_offer);

@@ -3,12 +3,16 @@
 #include <limits.h>
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "proto/channels.h"
+#include "proto/gather.h"
 #include "proto/varying.h"
 
-#define USUAL_ETA 1.3 /* as in all clients */
+/* As in all clients. */
+#define USUAL_ETA 1.3
+#define USUAL_GATHER_TOLERANCE 0.01
 
 WIRE_COLD static wire_error bad(const char *field, const char *allowed) {
   return wire_error_make(WIRE_STATUS_BAD_VALUE, field, allowed);
@@ -244,7 +248,8 @@ static bool add_parameters(struct question *q) {
     const struct http_value value = get(q, one->name);
     wire_parameter parameter = {.parameter = (uint16_t)one->id};
     const core_choice *list = choices_of_parameter(one->id);
-    if (!http_value_given(value) || !q->message->parameters) {
+    if (!http_value_given(value) || !q->message->parameters ||
+        http_field_of(q->message, one->name) != NULL) {
       continue;
     }
     uint64_t id = 0;
@@ -352,6 +357,10 @@ static enum varying_numbers numbers_of(const struct question *q) {
                                          : VARYING_NONE;
 }
 
+static bool is_gather(const struct question *q) {
+  return q->message->type == WIRE_TYPE_GATHER;
+}
+
 /* What holds for a choice that the request leaves out, as of the command line: transport by table
  * unless a model or a tolerance is given. "": none, and the field is 0. */
 static const char *usual_choice(const struct question *q, const char *field) {
@@ -370,7 +379,7 @@ static const char *usual_choice(const struct question *q, const char *field) {
     }
   }
   return http_values_same(field, "model")       ? "transport"
-         : http_values_same(field, "evaluator") ? (named ? "f64" : "lut")
+         : http_values_same(field, "evaluator") ? (named && !is_gather(q) ? "f64" : "lut")
          : http_values_same(field, "moments")   ? "exact"
          : http_values_same(field, "axis")      ? "r"
          : http_values_same(field, "scale")     ? "absolute"
@@ -428,7 +437,9 @@ static bool read_plain(struct question *q, const struct http_field *field, uint6
   static const uint64_t most[] = {
       [HTTP_u16] = UINT16_MAX, [HTTP_u32] = UINT32_MAX, [HTTP_u64] = UINT64_MAX};
   const struct http_value value = get(q, field->name);
-  double real = http_values_same(field->name, "eta") ? USUAL_ETA : 0;
+  double real = http_values_same(field->name, "eta")                         ? USUAL_ETA
+                : is_gather(q) && http_values_same(field->name, "tolerance") ? USUAL_GATHER_TOLERANCE
+                                                                             : 0;
   if (!http_value_given(value)) {
     memcpy(number, &real, sizeof real); /* 0 has the same bits in every kind */
     return true;
@@ -441,12 +452,14 @@ static bool read_plain(struct question *q, const struct http_field *field, uint6
   return good;
 }
 
-/* Returns the length of the longest list that is given. */
+/* Returns the length of the longest list that is given, of those that may be one number for all. */
 static size_t longest(const struct question *q) {
   size_t count = 0;
   for (int i = 0; i < HTTP_LISTS && q->message->lists[i].name != NULL; i++) {
-    const struct http_value value = get(q, q->message->lists[i].name);
-    const size_t length = http_value_given(value) ? http_value_count(value) : 0;
+    const struct http_list *list = &q->message->lists[i];
+    const bool counts = list->kind == HTTP_EACH || list->kind == HTTP_AXIS;
+    const struct http_value value = get(q, list->name);
+    const size_t length = counts && http_value_given(value) ? http_value_count(value) : 0;
     count = length > count ? length : count;
   }
   return count;
@@ -458,7 +471,7 @@ static bool read_field(struct question *q, const struct http_field *field, uint6
   }
   const struct http_list *list = list_of(q->message, field->name);
   const struct http_value values = get(q, list != NULL ? list->name : "");
-  if (list != NULL && list->kind == HTTP_EACH) {
+  if (list != NULL && (list->kind == HTTP_EACH || list->kind == HTTP_AXIS)) {
     *number = longest(q);
     return true;
   }
@@ -471,6 +484,7 @@ static bool read_field(struct question *q, const struct http_field *field, uint6
     *number = http_values_same(field->name, "medium_count")      ? q->medium_count
               : http_values_same(field->name, "parameter_count") ? q->parameter_count
               : http_values_same(field->name, "numbers")         ? numbers_of(q)
+              : http_values_same(field->name, "part_points")     ? longest(q)
                                                                  : 0;
     return true;
   }
@@ -487,16 +501,37 @@ static size_t bytes_of(const struct http_message *message) {
   return bytes;
 }
 
+/* Reads the name of a set, which a request that sends the points may leave out. */
+static bool put_name(struct question *q, const struct http_field *field, uint8_t *at) {
+  const struct http_value value = get(q, field->name);
+  const char *digits = http_value_given(value) ? http_value_text(value) : "";
+  const size_t count = digits != NULL ? strlen(digits) : 0;
+  if (!http_value_given(value) && !is_gather(q)) {
+    return true;
+  }
+  if (count != HTTP_NAME_DIGITS || strspn(digits, "0123456789abcdef") != count) {
+    return fail(q, bad(field->name, "32 hexadecimal digits: the `set` of /v1/points"));
+  }
+  for (size_t i = 0; i < field->bytes; i++) {
+    const char pair[3] = {digits[2 * i], digits[2 * i + 1], '\0'};
+    at[i] = (uint8_t)strtoul(pair, NULL, 16);
+  }
+  return true;
+}
+
 /* Writes a structure of the fixed part at *offset, which it moves. Sets *single to whether the
  * evaluator has single precision. */
 static bool put_fixed(struct question *q, const struct http_field *fields, size_t *offset,
                       bool *single) {
   for (const struct http_field *field = fields; field->name != NULL; field++) {
     uint64_t number = 0;
-    if (!read_field(q, field, &number)) {
+    uint8_t *at = (uint8_t *)q->payload->bytes + *offset;
+    if (!(http_field_is_name(field) ? put_name(q, field, at) : read_field(q, field, &number))) {
       return false;
     }
-    put_le((uint8_t *)q->payload->bytes + *offset, number, field->bytes);
+    if (!http_field_is_name(field)) {
+      put_le(at, number, field->bytes);
+    }
     *offset += field->bytes;
     if (http_values_same(field->name, "evaluator")) {
       *single = core_evaluator_bytes((unsigned)number) == sizeof(float);
@@ -509,13 +544,9 @@ static bool put_fixed(struct question *q, const struct http_field *fields, size_
 
 static bool is_known(const void *context, const char *key) {
   const struct http_message *message = context;
-  for (int i = 0; i < HTTP_STRUCTURES && message->request[i] != NULL; i++) {
-    for (const struct http_field *field = message->request[i]; field->name != NULL; field++) {
-      if (http_values_same(field->name, key) && !field->internal) {
-        const struct http_list *list = list_of(message, key);
-        return list == NULL || list->rule != NULL;
-      }
-    }
+  if (http_field_of(message, key) != NULL) {
+    const struct http_list *list = list_of(message, key);
+    return list == NULL || list->rule != NULL;
   }
   for (int i = 0; i < HTTP_LISTS && message->lists[i].name != NULL; i++) {
     if (http_values_same(message->lists[i].name, key)) {
@@ -599,7 +630,91 @@ static bool add_list(struct question *q, const struct http_list *list, bool sing
                                        "as many as in the other list"));
 }
 
+/* Writes the coordinates of positions. */
+static bool add_positions(struct question *q) {
+  const size_t count = longest(q);
+  uint8_t *all = add(q, count * GATHER_AXES * sizeof(double));
+  if (all == NULL) {
+    return fail(q, no_memory());
+  }
+  for (size_t axis = 0; axis < GATHER_AXES; axis++) {
+    const char *name = q->message->lists[axis].name;
+    const struct http_value value = get(q, name);
+    struct http_elements elements = http_elements_of(value);
+    if (!http_value_given(value)) {
+      return fail(q, bad(name, "numbers, or one for all: it has to be given"));
+    }
+    if (http_value_count(value) != count && http_value_count(value) != 1) {
+      return fail(q, wire_error_make(WIRE_STATUS_BAD_COUNT, name,
+                                     "one value, or as many as the others"));
+    }
+    for (size_t i = 0; i < count; i++) {
+      double number;
+      if (!http_elements_number(&elements, &number)) {
+        return fail_at(q, not_a_number(name), i);
+      }
+      memcpy(all + (i * GATHER_AXES + axis) * sizeof number, &number, sizeof number);
+    }
+  }
+  return true;
+}
+
+/* Writes the powers of points: those of all channels of the first point, and so on. */
+static bool add_powers(struct question *q, const char *name, struct http_value list) {
+  const size_t count = longest(q), channels = sets_of(list);
+  uint8_t *all = add(q, (size_t)wire_padded(count * channels * sizeof(float)));
+  if (all == NULL) {
+    return fail(q, no_memory());
+  }
+  for (size_t c = 0; c < channels; c++) {
+    const struct http_value set =
+        is_nested(list) ? (struct http_value){.json = json_array_get(list.json, c)} : list;
+    struct http_elements elements = http_elements_of(set);
+    if (http_value_count(set) != count && http_value_count(set) != 1) {
+      return fail(q, wire_error_make(WIRE_STATUS_BAD_COUNT, name,
+                                     "one value in each channel, or as many as points"));
+    }
+    for (size_t i = 0; i < count; i++) {
+      double number;
+      if (!http_elements_number(&elements, &number)) {
+        return fail_at(q, not_a_number(name), i);
+      }
+      const float single = (float)number;
+      memcpy(all + (i * channels + c) * sizeof single, &single, sizeof single);
+    }
+  }
+  return true;
+}
+
+/* Names the set that is written, unless the request does. */
+static bool name_points(struct question *q) {
+  wire_points_request fixed;
+  uint8_t *at = (uint8_t *)q->payload->bytes;
+  wire_get_points_request(at, &fixed);
+  if (!http_value_given(get(q, "set"))) {
+    const uint8_t *xyz = at + WIRE_BYTES_points_request;
+    const uint8_t *power = xyz + fixed.point_count * GATHER_AXES * sizeof(double);
+    gather_name name;
+    gather_name_start(&name, fixed.channel_count, fixed.point_count);
+    gather_name_add(&name, fixed.point_count, (const double *)(const void *)xyz,
+                    (const float *)(const void *)power);
+    gather_name_end(&name, fixed.set);
+    wire_put_points_request(at, &fixed);
+  }
+  return true;
+}
+
+static bool add_points(struct question *q) {
+  const struct http_value power = get(q, "power");
+  return add_positions(q) &&
+         (http_value_given(power) || fail(q, bad("power", "numbers: it has to be given"))) &&
+         add_powers(q, "power", power) && name_points(q);
+}
+
 static bool add_all_lists(struct question *q, bool single) {
+  if (q->message->lists[0].kind == HTTP_AXIS) {
+    return q->message->type == WIRE_TYPE_POINTS ? add_points(q) : add_positions(q);
+  }
   bool good = true;
   for (int i = 0; good && i < HTTP_LISTS && q->message->lists[i].name != NULL; i++) {
     good = add_list(q, &q->message->lists[i], single);

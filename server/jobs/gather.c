@@ -32,6 +32,7 @@ struct gather_job {
   uint64_t checked;     /* number of queries whose values have been checked */
   uint64_t counted;     /* number of queries whose cost has been counted */
   uint64_t query_radii; /* the mean cost of a query, in radii of a dipole; 0 until it is known */
+  bool whole; /* whether parts are not cut by the time that they take */
   struct job_parts parts;
   uint32_t piece;       /* of the part, if it is one query that takes long, from 0 */
   uint32_t piece_count; /* each a part of the reply, of which the last has the sum; else 1 */
@@ -110,6 +111,7 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
   gather->checked = 0;
   gather->counted = 0;
   gather->query_radii = 0;
+  gather->whole = from->whole;
   return JOB_GOES_ON;
 }
 
@@ -197,7 +199,7 @@ static wire_error cut(struct gather_job *gather) {
   uint64_t most = part_bytes > head_bytes
                       ? (part_bytes - head_bytes) / (fixed->medium_count * sizeof(double))
                       : 0;
-  const uint64_t in_time = PART_RADII / gather->query_radii;
+  const uint64_t in_time = gather->whole ? UINT64_MAX : PART_RADII / gather->query_radii;
   most = most < GATHER_PART_QUERIES ? most : GATHER_PART_QUERIES;
   most = most <= in_time ? most : in_time > 0 ? in_time : 1;
   if (part_bytes < head_bytes + fixed->medium_count * sizeof(double)) {
@@ -208,7 +210,7 @@ static wire_error cut(struct gather_job *gather) {
   const uint64_t pieces = 1 + gather->query_radii / PART_RADII;
   const uint64_t pieces_most = UINT32_MAX / gather->parts.part_count;
   gather->piece = 0;
-  gather->piece_count = (uint32_t)(most > 1 ? 1 : pieces < pieces_most ? pieces : pieces_most);
+  gather->piece_count = (uint32_t)(most > 1 || gather->whole ? 1 : pieces < pieces_most ? pieces : pieces_most);
   return wire_error_none();
 }
 

@@ -380,6 +380,7 @@ static void start(struct requests *r, const wire_header *header, const uint8_t *
                                       .on_news = on_news,
                                       .owner = r,
                                       .profiles = r->profiles,
+                                      .whole = r->whole,
                                       .detached = &r->detached,
                                       .points = &r->points,
                                       .cancel = cancel};

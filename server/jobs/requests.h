@@ -35,6 +35,8 @@ struct requests {
    * connection with an error. */
   void (*tell_end)(void *owner, const wire_error *error);
 
+  bool whole; /* whether each answer has to be one part, as far as its size allows */
+
   unsigned roles; /* of the client (server/net/roles.h): all of them, unless the owner says less */
 
   struct job *job; /* the job that answers in turn; NULL if there is none */

@@ -155,6 +155,9 @@ static enum profiles_answer take(struct profiles *profiles, struct profiles_look
   return PROFILES_READY;
 }
 
+static const core_fault unknown_set = {
+    PROFILES_FIELD_SET, "sets of points that were sent to this daemon and are kept", 0};
+
 /* Looks the key up in the cache. counted: whether the statistics of the cache count that. */
 static enum profiles_answer look(struct profiles *profiles, struct profiles_lookup *lookup,
                                  bool slow, bool counted) {
@@ -175,8 +178,7 @@ static enum profiles_answer look(struct profiles *profiles, struct profiles_look
     cache_prepare_in_pool(profiles->server->cache, profiles->loop);
     return PROFILES_WAIT;
   case CACHE_UNKNOWN:
-    lookup->fault = (core_fault){PROFILES_FIELD_SET,
-                                 "sets of points that were sent to this daemon and are kept", 0};
+    lookup->fault = unknown_set;
     return PROFILES_FAULT;
   case CACHE_BUSY:
     lookup->fault = (core_fault){PROFILES_FIELD_BUSY, "fewer profiles that wait at a time", 0};
@@ -267,6 +269,10 @@ enum profiles_answer profiles_get_varying(struct profiles *profiles, struct prof
 enum profiles_answer profiles_get_points(struct profiles *profiles, struct profiles_lookup *lookup,
                                          const uint64_t set[2], struct points *points) {
   assert(!lookup->ready && lookup->gather == NULL);
+  if ((set[0] | set[1]) == 0) { /* no set's name: in a key, it stands for anything but a set */
+    lookup->fault = unknown_set;
+    return PROFILES_FAULT;
+  }
   cache_key_set_points(&lookup->key, set, points);
   const enum profiles_answer answer = lookup->waiter.entry != NULL
                                           ? get_awaited(profiles, lookup)

@@ -562,6 +562,7 @@ def test_wrong_points(shared, index, xyz, power, field):
         ("bad-count", "part_points", {"part_points": 2**64 - 1}),
         ("bad-count", "part_points", {"point_first": 1}),
         ("bad-value", "set", {"set": (1, 2)}),
+        ("bad-value", "set", {"set": (0, 0)}),
     ],
 )
 def test_wrong_sets(shared, status, field, changes):
@@ -607,6 +608,7 @@ def test_parts_that_do_not_follow(shared):
         ("bad-value", "tolerance", {"tolerance": 0.6}),
         ("bad-value", "tolerance", {"tolerance": 1e-10}),
         ("unknown-points", "set", {"set": (1, 2)}),
+        ("unknown-points", "set", {"set": (0, 0)}),
     ],
 )
 def test_wrong_gathers(shared, status, field, changes):

@@ -12,6 +12,7 @@ import socket
 import subprocess
 import threading
 import time
+from pathlib import Path
 from urllib.parse import quote
 
 import dipole
@@ -318,6 +319,149 @@ def test_faults_of_varying_requests(served, change, field):
     assert answer.status == 400 and answer.json["field"] == field, answer.text
     coloured = post(served, "/v1/varying", colour=0.5)
     assert coloured.status == 400 and coloured.json["field"] == "length"
+
+
+# Points in a plane, with two channels, and where their light is asked for.
+POINTS = {"x": [0, 1.5, -2, 4], "y": [0.25, 0, 1, -3], "z": 0,
+          "power": [[1, 0.5, 0.125, 2], [0, 1, 3, 0.1]]}
+PLACES = {"x": [0.5, -1, 3], "y": 0.5, "z": [0, 0.1, 0]}
+TWO = {"sigma_a": [0.032, 0.17], "sigma_s": [0.74, 0.88]}
+
+
+def scene() -> tuple[dipole.Points, np.ndarray]:
+    """The same for a client of the binary protocol."""
+    xyz = np.array([POINTS["x"], POINTS["y"], [0] * 4], float).T
+    queries = np.array([PLACES["x"], [0.5] * 3, PLACES["z"]]).T
+    return dipole.Points(xyz, np.array(POINTS["power"]).T), queries
+
+
+@pytest.mark.parametrize("how", ["GET", "POST"])
+@pytest.mark.parametrize("model, evaluator", [("better", "f64"), ("transport", "lut")])
+def test_gather(served, how, model, evaluator):
+    points, queries = scene()
+    sent = good(post(served, "/v1/points", **POINTS))
+    assert sent == {"set": points.name.hex(), "known": 1}
+    assert good(post(served, "/v1/points", set=sent["set"], **POINTS)) == sent
+    media = [dipole.Medium(*pair) for pair in zip(*TWO.values(), strict=True)]
+    for tolerance in (0, 1e-3):
+        fields = {"set": sent["set"], "model": model, "evaluator": evaluator,
+                  "tolerance": tolerance, **TWO, **PLACES}
+        if how == "GET":
+            answer = good(get(served, "/v1/gather?" + "&".join(
+                f"{name}={value if isinstance(value, str) else ','.join(map(str, np.ravel(value)))}"
+                for name, value in fields.items())))
+        else:
+            answer = good(post(served, "/v1/gather", **fields))
+        with served.client() as client:
+            expected = client.gather(
+                model, media, points, queries, tolerance=tolerance, evaluator=evaluator
+            )
+        for channel, one in enumerate(answer["channels"]):
+            assert bits(one["M"], expected.M) == expected.M[:, channel].tobytes()
+            assert one["sigma_s"] == TWO["sigma_s"][channel]
+            error = expected.numerical_error[channel]
+            assert bits(one["numerical_error"], error) == error.tobytes()
+        assert answer["units"]["M"] == "W/mm^2" and answer["query_count"] == 3
+        assert (answer["model"], answer["evaluator"]) == (model, evaluator)
+        assert answer["points_visited"] == expected.points_visited
+
+
+def test_the_gather_of_the_protocol(served):
+    """Its example in JSON asks for what its example in bytes does."""
+    text = (Path(__file__).parents[2] / "proto/PROTOCOL.md").read_text()
+    posts = re.findall(r"    POST (/v1/\w+)\n((?:    .+\n)+)", text)
+    answers = [good(post(served, path, **json.loads(fields))) for path, fields in posts]
+    reply = text.split("```hex gather-reply")[1].split("```")[0].strip().split("\n")
+    sum_bytes = bytes.fromhex(reply[-1].split("#")[0])
+    assert [path for path, _ in posts] == ["/v1/points", "/v1/gather"]
+    assert np.float64(answers[1]["channels"][0]["M"][0]).tobytes() == sum_bytes
+
+
+def test_what_a_gather_leaves_out(served):
+    """One channel is a list, one power is that of all points, and the evaluator is a table."""
+    sent = good(post(served, "/v1/points", x=[0, 1, 2], y=0, z=0, power=0.5))
+    answer = good(post(served, "/v1/gather", set=sent["set"], x=1, y=1, z=0, **SKIN))
+    assert (answer["model"], answer["evaluator"]) == ("transport", "lut")
+    points = dipole.Points([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [0.5] * 3)
+    assert sent["set"] == points.name.hex()
+    with served.client() as client:
+        expected = client.gather("transport", [dipole.Medium(**SKIN)], points, [1.0, 1.0, 0.0])
+    assert answer["channels"][0]["M"] == expected.M.tolist()
+
+
+def test_a_sum_of_seconds_is_one_answer(served):
+    """Parts that tell the progress of long sums are those of the binary protocol alone."""
+    rng = np.random.default_rng(5)
+    x, y = rng.uniform(-20, 20, (2, 20_000)).round(3).tolist()
+    sent = good(post(served, "/v1/points", x=x, y=y, z=0, power=1))
+    fields = {"set": sent["set"], "tolerance": 0, "model": "better", "evaluator": "f64", **SKIN}
+    answer = good(post(served, "/v1/gather", x=x[:7000], y=y[:7000], z=1, **fields))
+    points = dipole.Points(np.stack([x, y, np.zeros(len(x))], axis=1), np.ones(len(x)))
+    queries = np.stack([x[:7000], y[:7000], np.ones(7000)], axis=1)
+    with served.client() as client:
+        expected = client.gather(
+            "better", [dipole.Medium(**SKIN)], points, queries[-50:], tolerance=0, evaluator="f64"
+        )
+    assert answer["channels"][0]["M"][-50:] == expected.M[:, 0].tolist()
+    many = post(served, "/v1/gather", x=[1] * 16_385, y=0, z=0, **fields)
+    assert (many.status, many.json["status"], many.json["field"]) == (
+        413, "too-large", "query_count"
+    )
+
+
+@pytest.mark.parametrize(
+    "change, status, field, index",
+    [
+        ({"x": None}, 400, "x", 0),
+        ({"x": [1, 2]}, 400, "x", 0),
+        ({"y": [1, 2, "a", 4]}, 400, "y", 2),
+        ({"z": 1e30}, 400, "points", 0),
+        ({"y": [1, 2, 3, "inf"]}, 400, "points", 3),
+        ({"power": [1, 2, -1, 4]}, 400, "power", 2),
+        ({"power": [1, 2, 1e300, 4]}, 400, "power", 2),
+        ({"power": [[1] * 4] * 9}, 400, "channel_count", 0),
+        ({"power": [[1] * 4, [1] * 3]}, 400, "power", 0),
+        ({"power": []}, 400, "power", 0),
+        ({"x": [], "y": [], "z": [], "power": []}, 400, "point_count", 0),
+        ({"set": "00" * 16}, 400, "set", 0),
+        ({"set": "0x12"}, 400, "set", 0),
+        ({"set": [1, 2]}, 400, "set", 0),
+        ({"point_count": 4}, 400, "point_count", 0),
+        ({"model": "better"}, 400, "model", 0),
+    ],
+)
+def test_faults_of_points(served, change, status, field, index):
+    """They are those of the binary protocol, with the position of the point."""
+    answer = post(served, "/v1/points", **{**POINTS, **change})
+    assert (answer.status, answer.json["field"], answer.json["index"]) == (status, field, index)
+
+
+@pytest.mark.parametrize(
+    "change, status, field, index",
+    [
+        ({"set": "00" * 16}, 404, "set", 0),
+        ({"set": None}, 400, "set", 0),
+        ({"set": 5}, 400, "set", 0),
+        ({"x": [1, "nan", 3]}, 400, "x", 1),
+        ({"x": [1, 2, 1e10]}, 400, "queries", 2),
+        ({"z": [1]}, 200, None, None),
+        ({"z": [1, 2]}, 400, "z", 0),
+        ({"y": None}, 400, "y", 0),
+        ({"tolerance": 0.7}, 400, "tolerance", 0),
+        ({"sigma_s": [1, -1]}, 400, "sigma_s", 1),
+        ({"sigma_a": 1, "sigma_s": 1}, 400, "medium_count", 0),
+        ({"model": "lambert"}, 400, "model", 0),
+        ({"power": 1}, 400, "power", 0),
+    ],
+)
+def test_faults_of_gathers(served, change, status, field, index):
+    name = good(post(served, "/v1/points", **POINTS))["set"]
+    answer = post(served, "/v1/gather", **{"set": name, **TWO, **PLACES, **change})
+    assert answer.status == status, answer.text
+    if field is not None:
+        assert (answer.json["field"], answer.json["index"]) == (field, index)
+    if status == 404:
+        assert answer.json["status"] == "unknown-points"
 
 
 def test_table(served):

@@ -296,8 +296,8 @@ class Client:
 
         media: one for each power of a point. points: Points(xyz, power). queries: [..., 3] mm.
         progress: is called with the numbers of queries that are answered and that there are. If it
-        returns False, the call ends, and the sums that are missing are NaN. options: tolerance, 1e-2
-        by default: the largest relative error, at each query, that grouping points may cause; 0
+        returns False, the call ends, and the sums that are missing are NaN; what the daemon still does
+        for it ends, too, as if it raises an exception. options: tolerance, 1e-2 by default: the largest relative error, at each query, that grouping points may cause; 0
         sums each point by itself. evaluator, "lut" by default, moments, parameters and deadline_ms:
         as of a Query; the deadline holds for each request.
 
