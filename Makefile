@@ -492,9 +492,10 @@ $(BUILD)/transport-table: $(TABLES) $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
 
-# Half an hour on two cores; after an interruption it goes on where it was.
+# Half an hour on two cores; after an interruption it goes on where it was. KEPT=1: minutes; solutions
+# are those that the table has, but for the ends of the albedos for g below 0 and for the checks.
 tables: $(BUILD)/transport-table
-	$(BUILD)/transport-table $(BUILD)/tables core/transport/transport.table
+	$(BUILD)/transport-table $(KEPT:1=--kept) $(BUILD)/tables core/transport/transport.table
 
 # The totals for g other than 0 alone, where the solver of totals has changed.
 totals: $(BUILD)/transport-table

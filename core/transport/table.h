@@ -63,10 +63,11 @@
  * Their margin is TRANSPORT_TABLE_MARGIN_D.
  * With sigma_a up to sigma_s' and x from 0.05 to 20, nineteen of twenty errors that were found are
  * below 1.1e-4, and the largest is 8.8e-4. The largest are 1.5e-3 for smaller x, 2.6e-3 for larger
- * x, 2.1e-3 with sigma_a up to ten times sigma_s', and 3.8e-3 with more. Solutions for albedos near
- * 1 and g below -0.25 are less exact far from the source: with sigma_a below 1e-3 sigma_s' errors of
- * 6e-3 were found for x up to 20, and 1.4e-2 for larger x, both at eta 2.2. Totals for g other than 0
- * are within 7.4e-7 for the beam and 2.1e-6 for diffuse light.
+ * x, 2.1e-3 with sigma_a up to ten times sigma_s', and 3.8e-3 with more. With sigma_a below 1e-3
+ * sigma_s' and g below -0.25 what is stated is that of the table before it had the ends of the
+ * albedos, which was 6e-3 off for x up to 20 and 1.4e-2 for larger x, both at eta 2.2; it is
+ * within 5.1e-4 of the solver at the media that were compared since. Totals for g other than 0 are
+ * within 7.4e-7 for the beam and 2.1e-6 for diffuse light.
  */
 #ifndef DIPOLED_CORE_TRANSPORT_TABLE_H
 #define DIPOLED_CORE_TRANSPORT_TABLE_H

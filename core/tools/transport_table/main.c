@@ -2,6 +2,11 @@
  * the table, measures its error and writes it to FILE. It keeps solutions in FOLDER, so that an
  * interrupted run continues where it stopped. Every machine writes the same file.
  *
+ * transport-table --kept FOLDER FILE: takes solutions from the table FILE itself at all points that it
+ * was made from, solves for the ends of the albedos for g below 0 and for the checks, and makes R
+ * for g other than 0 anew, with its errors. Isotropic scattering and all totals stay. The result is
+ * what a complete run would write, but for rounding of some 1e-5.
+ *
  * transport-table FILE: makes the totals for g other than 0 and their errors in FILE anew, which
  * takes a minute. The rest of FILE stays. The result is what a complete run would write. */
 #include <math.h>
@@ -386,9 +391,7 @@ static double error_of(const checks_result *result, size_t region) {
   return values == 0 && of.x > 0 ? error_of(result, region - 1) : error;
 }
 
-static void set_errors(double *field, const checks_result *result) {
-  field[TRANSPORT_TABLE_ERROR] =
-      quoted(TRANSPORT_TABLE_MARGIN, fmax(result->R.error, result->total.error), 0);
+static void set_errors_of_difference(double *field, const checks_result *result) {
   for (size_t i = 0; i < TRANSPORT_TABLE_REGIONS; i++) {
     field[TRANSPORT_TABLE_D_ERRORS + i] =
         quoted(TRANSPORT_TABLE_MARGIN_D, error_of(result, i), D_SOLVER_ERROR);
@@ -410,9 +413,7 @@ static void report_one(const char *what, const worst_error *worst, double writte
          written);
 }
 
-static void report(const checks_result *result, const double *field) {
-  report_one("R", &result->R, field[TRANSPORT_TABLE_ERROR]);
-  report_one("total", &result->total, field[TRANSPORT_TABLE_ERROR]);
+static void report_difference(const checks_result *result, const double *field) {
   for (size_t i = 0; i < TRANSPORT_TABLE_REGIONS; i++) {
     char what[32];
     snprintf(what, sizeof what, "g: region %zu", i);
@@ -427,7 +428,7 @@ static void report_totals(const checks_result *result, const double *field) {
   }
 }
 
-/* ---- the two ways to make it ------------------------------------------------------------------- */
+/* ---- the ways to make it ----------------------------------------------------------------------- */
 
 static void open_bytes(transport_table *table, table_bytes bytes) {
   if (!transport_table_open(table, bytes.bytes, bytes.length)) {
@@ -449,21 +450,25 @@ static table_bytes make_all(const char *folder) {
   samples_solve(folder, samples, ALL);
   table_bytes bytes = nodes_encode(field, samples);
   nodes_seal(bytes, field);
-  nodes_encode_difference(&bytes, nodes_d);
+  nodes_encode_difference(&bytes, nodes_d, true);
   transport_table table;
   open_bytes(&table, bytes);
   const checks_result result = checks_compare(&table, checks, CHECKS + CHECKS_D);
-  set_errors(field, &result);
+  field[TRANSPORT_TABLE_ERROR] =
+      quoted(TRANSPORT_TABLE_MARGIN, fmax(result.R.error, result.total.error), 0);
+  set_errors_of_difference(field, &result);
   nodes_seal(bytes, field);
-  report(&result, field);
+  report_one("R", &result.R, field[TRANSPORT_TABLE_ERROR]);
+  report_one("total", &result.total, field[TRANSPORT_TABLE_ERROR]);
+  report_difference(&result, field);
   for (size_t i = 0; i < ALL; i++) {
     sample_free(&samples[i]);
   }
   return bytes;
 }
 
-/* Reads a table and replaces its totals for g other than 0, but for their errors. */
-static table_bytes make_totals(const char *path) {
+/* Reads a table. *table points into the bytes. */
+static table_bytes read_table(const char *path, transport_table *table) {
   enum { BYTES_MAX = 1 << 22 };
   table_bytes bytes = {malloc(BYTES_MAX), 0};
   FILE *file = fopen(path, "rbe");
@@ -472,30 +477,70 @@ static table_bytes make_totals(const char *path) {
   }
   bytes.length = fread(bytes.bytes, 1, BYTES_MAX, file);
   fclose(file);
+  open_bytes(table, bytes);
+  return bytes;
+}
+
+/* Reads a table and replaces its R for g other than 0. */
+static table_bytes make_difference(const char *folder, const char *path) {
+  enum { ALL = NODES_D + CHECKS_D };
+  static table_sample samples[ALL], solved[ALL];
   transport_table table;
+  table_bytes bytes = read_table(path, &table);
+  size_t count = 0;
+  nodes_make_difference(table.field, samples);
+  checks_make_difference(table.field, samples + NODES_D);
+  for (size_t i = 0; i < ALL; i++) {
+    if (i >= NODES_D || nodes_is_end(i)) {
+      solved[count++] = samples[i]; /* which shares the arrays */
+    } else {
+      nodes_read_off(&table, &samples[i]);
+    }
+  }
+  samples_solve(folder, solved, count);
+  nodes_encode_difference(&bytes, samples, false);
   open_bytes(&table, bytes);
+  checks_result result = checks_compare(&table, samples + NODES_D, CHECKS_D);
+  set_errors_of_difference(table.field, &result);
+  nodes_seal(bytes, table.field);
+  report_difference(&result, table.field);
+  for (size_t i = 0; i < ALL; i++) {
+    sample_free(&samples[i]);
+  }
+  return bytes;
+}
+
+/* Reads a table and replaces its totals for g other than 0, but for their errors. */
+static table_bytes make_totals(const char *path) {
+  transport_table table;
+  table_bytes bytes = read_table(path, &table);
   table.field[TRANSPORT_TABLE_TOTALS_QUANTUM] = fields[TRANSPORT_TABLE_TOTALS_QUANTUM];
   nodes_seal(bytes, table.field);
-  nodes_encode_difference(&bytes, NULL);
+  nodes_encode_difference(&bytes, NULL, true);
   return bytes;
 }
 
 int main(int argc, char **argv) {
-  if (argc != 2 && argc != 3) {
-    tools_fail("usage: transport-table [FOLDER] FILE");
+  const bool kept = argc == 4 && strcmp(argv[1], "--kept") == 0;
+  if (argc != 2 && argc != 3 && !kept) {
+    tools_fail("usage: transport-table [[--kept] FOLDER] FILE");
   }
   const char *path = argv[argc - 1];
-  table_bytes bytes = argc == 3 ? make_all(argv[1]) : make_totals(path);
+  table_bytes bytes = kept        ? make_difference(argv[2], path)
+                      : argc == 3 ? make_all(argv[1])
+                                  : make_totals(path);
   transport_table table;
   checks_result result = {0};
   open_bytes(&table, bytes);
-  totals_compare(&table, &result);
-  set_errors_of_totals(table.field, &result);
-  nodes_seal(bytes, table.field);
+  if (!kept) {
+    totals_compare(&table, &result);
+    set_errors_of_totals(table.field, &result);
+    nodes_seal(bytes, table.field);
+    report_totals(&result, table.field);
+  }
   FILE *file = tools_open(path);
   fwrite(bytes.bytes, bytes.length, 1, file);
   tools_close(file, path);
-  report_totals(&result, table.field);
   printf("transport.table: %zu bytes\n", bytes.length);
   free(bytes.bytes);
   return EXIT_SUCCESS;

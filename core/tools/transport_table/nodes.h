@@ -3,7 +3,10 @@
 #ifndef DIPOLED_TOOLS_NODES_H
 #define DIPOLED_TOOLS_NODES_H
 
+#include <stdbool.h>
+
 #include "core/tools/transport_table/samples.h"
+#include "core/transport/table.h"
 
 enum {
   /* samples of isotropic scattering: one for each eta */
@@ -16,8 +19,8 @@ enum {
   NODES_D_G = NODES_D_G_CHEBYSHEV + NODES_D_G_BETWEEN,
   NODES_D_G_ZERO = 6, /* the point of g that is 0; those of g above 0 come before it */
   NODES_D_U = 14,     /* points of u for g above 0 */
-  NODES_D_U_BELOW_0 =
-      2 * NODES_D_U - 1, /* the same points and those halfway between, in the angle */
+  /* the same points and those halfway between, in the angle, and both ends */
+  NODES_D_U_BELOW_0 = 2 * NODES_D_U + 1,
   NODES_D_ABOVE_0 = NODES_D_G_ZERO * NODES_D_U,
   NODES_D = NODES_D_ABOVE_0 + (NODES_D_G - 1 - NODES_D_G_ZERO) * NODES_D_U_BELOW_0
 };
@@ -25,6 +28,12 @@ enum {
 /* Makes the samples at Chebyshev's points in all coordinates. */
 void nodes_make(const double *field, table_sample samples[NODES]);
 void nodes_make_difference(const double *field, table_sample samples[NODES_D]);
+
+/* Returns whether sample n of the difference is at an end of u. */
+bool nodes_is_end(size_t n);
+
+/* Sets R of a sample to what a table has. */
+void nodes_read_off(const transport_table *table, table_sample *sample);
 
 /* Returns the albedo whose u is the middle between points i and i + 1 of NODES_D_U. */
 double nodes_albedo_between(const double *field, size_t i);
@@ -38,9 +47,9 @@ typedef struct table_bytes {
 /* Makes a table with the part for isotropic scattering. In it, D is 0. */
 table_bytes nodes_encode(const double *field, const table_sample samples[NODES]);
 
-/* Replaces D. Solves for the totals. samples: [NODES_D], or NULL, then D stays and only the totals are
- * replaced. */
-void nodes_encode_difference(table_bytes *table, const table_sample *samples);
+/* Replaces D, whose samples are [NODES_D], or keeps it if they are NULL; and solves for the totals if
+ * with_totals, else keeps them. */
+void nodes_encode_difference(table_bytes *table, const table_sample *samples, bool with_totals);
 
 /* Writes the fields and the checksum into a table's bytes. */
 void nodes_seal(table_bytes table, const double *field);
