@@ -938,7 +938,9 @@ typedef struct dipole_mc_query {
                          this; 0 means no such end. If both errors are given, both must hold. */
   double error_rings; /* The job ends when that of every ring with light is at most this. */
   /* [parameter_count]: phase, whose values are the ids of the choices of kind DIPOLE_PHASE,
-   * phase_share and phase_g; NULL for none, which means Henyey and Greenstein's phase function */
+   * phase_share and phase_g, without which the phase function is Henyey and Greenstein's; and
+   * detector_na, as of a fit: rings then count the light alone that is detected, and the totals all
+   * light. NULL for none. */
   const dipole_parameter *parameters;
   size_t parameter_count;
 } dipole_mc_query;

@@ -16,7 +16,7 @@ typedef struct mc_settings {
   cli_numbers sigma_a, sigma_s, g, eta;
   cli_number thickness;
   const char *phase;
-  cli_number phase_share, phase_g;
+  cli_number phase_share, phase_g, detector_na;
   cli_numbers albedo;
   cli_number from, to;
   cli_count rings;
@@ -64,6 +64,10 @@ static const cli_option options[] = {
     {"rings", "N", "how many rings there are (default: 20)", CLI_COUNT, FIELD(rings), "20"},
     {"log", NULL, "make the ratios between edges equal instead of the steps; needs --from",
      CLI_SWITCH, FIELD(logarithmic), NULL},
+    {"detector-na", "X",
+     "rings count only light whose angle to the normal outside has at most\n"
+     "this sine, as `dipole fit` takes it; totals count all (default: all light)",
+     CLI_NUMBER, FIELD(detector_na), NULL},
     {"Effort", NULL, NULL, CLI_HEADING, 0, NULL},
     {"photons", "N",
      "how many photons walk, such as 2e6 (default: 1e6; with --error or\n--total-error, as many as "
@@ -207,7 +211,12 @@ static void set_parameter(report *of, const char *name, double value) {
   }
 }
 
-static int take_phase(const mc_settings *settings, report *of) {
+/* Returns the name of a parameter of the query. */
+static const char *parameter_name(const report *of, size_t i) {
+  return cli_choice_of_id(of->info, DIPOLE_PARAMETER, of->parameters.items[i].id)->name;
+}
+
+static int take_parameters(const mc_settings *settings, report *of) {
   if (settings->phase != NULL) {
     of->phase = cli_named(of->info, DIPOLE_PHASE, "phase", settings->phase);
     if (of->phase == NULL) {
@@ -220,6 +229,12 @@ static int take_phase(const mc_settings *settings, report *of) {
   }
   if (settings->phase_g.given) {
     set_parameter(of, "phase_g", settings->phase_g.value);
+  }
+  if (settings->detector_na.given) {
+    if (cli_choice(of->info, DIPOLE_PARAMETER, "detector_na") == NULL) {
+      return cli_fail_usage("--detector-na: this daemon does not know it");
+    }
+    set_parameter(of, "detector_na", settings->detector_na.value);
   }
   of->query.parameters = of->parameters.items;
   of->query.parameter_count = of->parameters.count;
@@ -251,7 +266,7 @@ static int make_query(const mc_settings *settings, dipole_client *client, size_t
       .error_total = settings->total_error.value,
       .error_rings = settings->error.value,
   };
-  const int status = take_phase(settings, of);
+  const int status = take_parameters(settings, of);
   return status != CLI_OK || settings->medium == NULL ? status
                                                       : take_measured(settings, client, index, of);
 }
@@ -390,10 +405,18 @@ static void write_title(const report *of) {
   }
   if (of->phase != NULL) {
     printf("phase function %s: %s", of->phase->name, of->phase->about);
-    for (size_t i = 1; i < of->parameters.count; i++) {
-      printf(", %s %.6g", i == 1 ? "phase_share" : "phase_g", of->parameters.items[i].value);
+    for (size_t i = 0; i < of->parameters.count; i++) {
+      if (strncmp(parameter_name(of, i), "phase_", 6) == 0) {
+        printf(", %s %.6g", parameter_name(of, i), of->parameters.items[i].value);
+      }
     }
     putchar('\n');
+  }
+  for (size_t i = 0; i < of->parameters.count; i++) {
+    if (strcmp(parameter_name(of, i), "detector_na") == 0) {
+      printf("rings have the light at angles whose sine is at most %.6g outside\n",
+             of->parameters.items[i].value);
+    }
   }
   printf("%llu photons, seed %llu", (unsigned long long)result->last.photons,
          (unsigned long long)query->seed);
@@ -506,8 +529,10 @@ static void put_members(cli_json *json, const void *context) {
   }
   cli_rows_members(json, put_query, &of->query, 0);
   cli_json_text(json, "phase", of->phase != NULL ? of->phase->name : "henyey-greenstein");
-  for (size_t i = 1; i < of->parameters.count; i++) {
-    cli_json_number(json, i == 1 ? "phase_share" : "phase_g", of->parameters.items[i].value);
+  for (size_t i = 0; i < of->parameters.count; i++) {
+    if (strcmp(parameter_name(of, i), "phase") != 0) {
+      cli_json_number(json, parameter_name(of, i), of->parameters.items[i].value);
+    }
   }
   cli_json_texts(json, "units", "sigma_a", "1/mm", "sigma_s", "1/mm", "thickness", "mm", "edges",
                  "mm", "R", of->info->R_unit, "T", of->info->R_unit, "shares",

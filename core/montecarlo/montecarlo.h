@@ -102,10 +102,10 @@ typedef struct core_mc_request {
  * (asserted). The other fields of the request do not change. */
 void core_mc_request_medium(core_mc_request *request, const core_medium *medium);
 
-/* Sets the phase function from the parameters phase, phase_share and phase_g. Returns a fault,
- * whose field is a parameter's name, if one is out of its range, is not taken by the phase function
- * or is missing, or if any other parameter is given. */
-core_fault core_mc_request_phase(core_mc_request *request, const core_parameters *parameters);
+/* Sets the phase function from the parameters phase, phase_share and phase_g, and the aperture from
+ * detector_na. Returns a fault, whose field is a parameter's name, if one is out of its range, is not
+ * taken by the phase function or is missing, or if any other parameter is given. */
+core_fault core_mc_request_parameters(core_mc_request *request, const core_parameters *parameters);
 
 /* Returns the mean cosine of the first of Henyey and Greenstein's functions that the phase function
  * consists of. */

@@ -34,11 +34,11 @@ double core_mc_first_g(const core_mc_request *request) {
   }
 }
 
-core_fault core_mc_request_phase(core_mc_request *request, const core_parameters *parameters) {
+core_fault core_mc_request_parameters(core_mc_request *request, const core_parameters *parameters) {
   for (unsigned id = 1; id < CORE_PARAMETERS_END; id++) {
     const double value = parameters->value[id];
     const bool taken = id == CORE_PARAMETER_PHASE || id == CORE_PARAMETER_PHASE_SHARE ||
-                       id == CORE_PARAMETER_PHASE_G;
+                       id == CORE_PARAMETER_PHASE_G || id == CORE_PARAMETER_DETECTOR_NA;
     if (!isnan(value) && !taken) {
       return (core_fault){core_choice_by_id(core_parameter_list, id)->name,
                           "nothing: Monte Carlo does not take it", 0};
@@ -68,6 +68,8 @@ core_fault core_mc_request_phase(core_mc_request *request, const core_parameters
   }
   request->phase_share = isnan(share) ? 0 : share;
   request->phase_g = isnan(g) ? 0 : g;
+  const double aperture = parameters->value[CORE_PARAMETER_DETECTOR_NA];
+  request->aperture = isnan(aperture) ? 0 : aperture;
   return (core_fault){0};
 }
 

@@ -91,7 +91,7 @@ wire_error mc_task_check(struct mc_task *task, const struct server *server, cons
     return from_fault(fault);
   }
   set_request(task, &wire, &medium);
-  fault = core_mc_request_phase(&task->request, &wire.parameters);
+  fault = core_mc_request_parameters(&task->request, &wire.parameters);
   if (fault.field == NULL) {
     fault = core_mc_check(&task->request);
   }

@@ -163,10 +163,10 @@ static size_t put_mc(const uint16_t image[REGISTERS_END], uint8_t *question) {
   const size_t bytes = WIRE_BYTES_mc_request + put_medium(question + WIRE_BYTES_mc_request, image);
   const core_parameters given = parameters_of(image);
   core_parameters taken = core_parameters_none();
-  static const unsigned phase[] = {CORE_PARAMETER_PHASE, CORE_PARAMETER_PHASE_SHARE,
-                                   CORE_PARAMETER_PHASE_G};
-  for (size_t i = 0; i < sizeof phase / sizeof phase[0]; i++) {
-    taken.value[phase[i]] = given.value[phase[i]];
+  static const unsigned walks[] = {CORE_PARAMETER_PHASE, CORE_PARAMETER_PHASE_SHARE,
+                                   CORE_PARAMETER_PHASE_G, CORE_PARAMETER_DETECTOR_NA};
+  for (size_t i = 0; i < sizeof walks / sizeof walks[0]; i++) {
+    taken.value[walks[i]] = given.value[walks[i]];
   }
   return bytes + channels_put_parameters(question + bytes, &taken);
 }

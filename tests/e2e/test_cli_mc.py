@@ -160,6 +160,31 @@ def test_phase_functions():
     assert "henyey-greenstein, modified, two-term" in unknown.stderr
 
 
+def test_a_walk_within_an_aperture_is_what_a_fit_takes():
+    """Rings within an aperture give the medium back with it. The totals count all light."""
+    given = ["--sigma-a", "0.1", "--sigma-s", "5", "--g", "0.8", "--eta", "1.4", "--photons", "4e5",
+             "--from", "0.5", "--to", "6", "--rings", "16", "--log"]  # fmt: skip
+    every, some = mc_json(*given), mc_json(*given, "--detector-na", "0.5")
+    assert some["detector_na"] == 0.5 and "detector_na" not in every
+    (all_light,), (seen,) = every["albedos"], some["albedos"]
+    assert seen["shares"]["R_total"] == all_light["shares"]["R_total"]
+    assert all(0 < few < 0.5 * many for few, many in zip(seen["R"], all_light["R"]))
+    text = dipole("mc", *SHORT, "--detector-na", "0.5").stdout
+    assert "rings have the light at angles whose sine is at most 0.5 outside\n" in text
+    lines = ["r,R,error"]
+    edges = zip(some["edges"], some["edges"][1:])
+    for (inner, outer), R, error in zip(edges, seen["R"], seen["R_error"]):
+        lines.append(f"{math.sqrt(inner * outer)},{R},{error}")
+    fitted = ["--model", "transport", "--format", "json", "--g", "0.8", "--eta", "1.4"]
+    run = dipole("fit", *fitted, "--detector-na", "0.5", stdin="\n".join(lines))
+    (found,) = json.loads(run.stdout)["samples"]
+    assert abs(found["sigma_a"] - 0.1) < 3 * found["sigma_a_error"]
+    assert abs(found["sigma_s_prime"] - 1) < 3 * found["sigma_s_prime_error"]
+    assert 0.005 < found["model_error"] < 0.04
+    refusal = dipole("mc", *SHORT, "--detector-na", "1.1", status=FAILED)
+    assert "detector_na: allowed: 0.01 to 1" in refusal.stderr
+
+
 def test_several_channels_are_as_many_jobs():
     options = ["--photons", "2000", "--rings", "3"]
     both = mc_json("--medium", "skin1", "--channel", "blue,red", "--g", "0.5", *options)

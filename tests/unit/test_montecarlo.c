@@ -242,15 +242,21 @@ UNIT_TEST(phase_functions_are_taken_from_parameters) {
     parameters.value[CORE_PARAMETER_PHASE] = rows[i].phase;
     parameters.value[CORE_PARAMETER_PHASE_SHARE] = rows[i].share;
     parameters.value[CORE_PARAMETER_PHASE_G] = rows[i].g;
-    unit_assert_fault(core_mc_request_phase(&request, &parameters), rows[i].field, 0);
+    unit_assert_fault(core_mc_request_parameters(&request, &parameters), rows[i].field, 0);
     if (rows[i].field == NULL) {
       unit_assert_fault(core_mc_check(&request), NULL, 0);
     }
   }
   core_mc_request request = montecarlo_request(0.9, 0.5, 1);
   core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_DETECTOR_NA] = 0.3;
+  unit_assert_fault(core_mc_request_parameters(&request, &parameters), NULL, 0);
+  assert_true(request.aperture == 0.3);
+  parameters.value[CORE_PARAMETER_DETECTOR_NA] = 1.1;
+  unit_assert_fault(core_mc_request_parameters(&request, &parameters), "detector_na", 0);
+  parameters.value[CORE_PARAMETER_DETECTOR_NA] = (double)NAN;
   parameters.value[CORE_PARAMETER_THICKNESS] = 1;
-  unit_assert_fault(core_mc_request_phase(&request, &parameters), "thickness", 0);
+  unit_assert_fault(core_mc_request_parameters(&request, &parameters), "thickness", 0);
 }
 
 /* Combinations that no Henyey-Greenstein function completes to the mean cosine g. */
