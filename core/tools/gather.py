@@ -37,9 +37,8 @@ def script(found: dict[str, float], sheets: list[tuple[float, ...]], output: Pat
         if f"gather.angle.{one}.query" in found
     ]
     sizes = [
-        (10 ** float(key[16:-6]), value)
-        for key, value in found.items()
-        if key.startswith("gather.points.")
+        (10.0**power, found[f"gather.points.1e{power}.query"], found[f"gather.million.1e{power}.query"])
+        for power in range(4, 8)
     ]
     return (
         block("by", by)
@@ -63,7 +62,8 @@ set format x "10^{{%L}}"
 set yrange [0:*]
 set xlabel "points"
 set ylabel "time of a query at 1e-2, us"
-plot $sizes using 1:2 with linespoints notitle
+plot $sizes using 1:2 with linespoints title "as many queries as points", \\
+     $sizes using 1:3 with linespoints title "a million queries"
 set logscale y
 set yrange [*:*]
 set format y "10^{{%L}}"

@@ -1,7 +1,7 @@
 /* Measures light gathered from points: a sphere of 40 mm lit by a lamp, skin1 in three channels,
  * transport by table. The queries lie on the sphere too, between the points, and are taken in the
- * order that core_gather_order() gives them. In the short form a sample of them is taken in runs of
- * neighbours from all over that order, and times are extrapolated; --long takes all of them.
+ * order that core_gather_order() gives them. A sample of them is taken in runs of neighbours from all
+ * over that order, and times are extrapolated; --long takes all of them at the tolerance 1e-2.
  *
  *   gather.prepare                    s, to prepare the sum
  *   gather.build                      s, a million points, one thread
@@ -12,7 +12,9 @@
  *   gather.<tolerance>.worst          largest error found, relative
  *   gather.alone.query                us at 1e-2, if queries come in random order
  *   gather.plain.million              s, extrapolated from the plain sum at some queries
- *   gather.points.1e<n>.query         us at 1e-2, by the number of points
+ *   gather.points.1e<n>.query         us at 1e-2, by the number of points, with as many queries
+ *   gather.million.1e<n>.query        the same with a million queries: where points are denser than
+ *                                     queries, fewer share a list
  *   gather.angle.<tolerance>.query    us, by the criterion of solid angle at equal measured error
  *   gather.angle.<tolerance>.worst    that error
  *   ratio.gather.<tolerance>          that over gathering by tolerance
@@ -121,20 +123,27 @@ static core_gather_sum *make_sum(double tolerance) {
 /* ---- queries --------------------------------------------------------------------------------- */
 
 typedef struct query_set {
+  size_t n;
   double *xyz;
   uint32_t *order;
   double *M;
 } query_set;
 
-static query_set make_queries(const scene *of) {
-  query_set made = {allocate(3 * MILLION * sizeof(double)), allocate(MILLION * sizeof(uint32_t)),
-                    allocate(CHANNELS * MILLION * sizeof(double))};
+static query_set make_queries(const scene *of, size_t n) {
+  query_set made = {n, allocate(3 * n * sizeof(double)), allocate(n * sizeof(uint32_t)),
+                    allocate(CHANNELS * n * sizeof(double))};
   uint64_t random = 2;
-  for (size_t i = 0; i < MILLION; i++) {
+  for (size_t i = 0; i < n; i++) {
     place(&random, made.xyz + 3 * i);
   }
-  core_gather_order(of->points, MILLION, made.xyz, made.order);
+  core_gather_order(of->points, n, made.xyz, made.order);
   return made;
+}
+
+static void free_queries(query_set *made) {
+  free(made->xyz);
+  free(made->order);
+  free(made->M);
 }
 
 /* What one thread does: every `stride`th run of queries, from the run `first` on. */
@@ -151,7 +160,7 @@ static void *gather_share(void *context) {
   share *own = context;
   const uint64_t start = own_ns();
   core_gather_scratch *scratch = core_gather_scratch_create(own->sum, own->of->points);
-  for (size_t run = own->first; run < MILLION / RUN; run += own->stride) {
+  for (size_t run = own->first; run < own->queries->n / RUN; run += own->stride) {
     core_gather(own->sum, own->of->points, scratch, RUN, own->queries->order + run * RUN,
                 own->queries->xyz, own->queries->M, NULL, &own->visits);
   }
@@ -456,19 +465,28 @@ static void measure_tolerance(const scene *of, const query_set *queries, const a
   core_gather_sum_free(sum);
 }
 
+/* Measures one number of points with so many queries. `name`: what the figures begin with. */
+static void measure_size(const scene *of, size_t query_count, const char *name, size_t power) {
+  query_set queries = make_queries(of, query_count);
+  core_gather_sum *sum = make_sum(1e-2);
+  core_gather_visits visits;
+  double us;
+  gather_runs(of, sum, &queries, 1, query_count / RUN < 20 ? 1 : query_count / RUN / 20, &visits,
+              &us);
+  const double n = (double)visits.queries;
+  bench_figure(us, "us", "gather.%s.1e%zu.query", name, power);
+  bench_figure((double)visits.nodes / n, "1", "gather.%s.1e%zu.nodes", name, power);
+  bench_figure((double)visits.points / n, "1", "gather.%s.1e%zu.points", name, power);
+  bench_figure((double)visits.tested / n, "1", "gather.%s.1e%zu.tested", name, power);
+  core_gather_sum_free(sum);
+  free_queries(&queries);
+}
+
 static void measure_sizes(void) {
   for (size_t n = 10000, power = 4; n <= (bench_is_long ? 10000000 : 1000000); n *= 10, power++) {
     scene made = make_scene(n);
-    query_set queries = make_queries(&made);
-    core_gather_sum *sum = make_sum(1e-2);
-    core_gather_visits visits;
-    double us;
-    gather_runs(&made, sum, &queries, 1, 100, &visits, &us);
-    bench_figure(us, "us", "gather.points.1e%zu.query", power);
-    core_gather_sum_free(sum);
-    free(queries.xyz);
-    free(queries.order);
-    free(queries.M);
+    measure_size(&made, n, "points", power);
+    measure_size(&made, MILLION, "million", power);
     free_scene(&made);
   }
 }
@@ -478,7 +496,7 @@ void bench_gather(void) {
   bench_progress("gather: building");
   prepare_profiles();
   scene made = make_scene(MILLION);
-  query_set queries = make_queries(&made);
+  query_set queries = make_queries(&made, MILLION);
   bench_figure(made.build_s, "s", "gather.build");
   bench_figure((double)core_gather_points_bytes(made.points) / MILLION, "bytes", "gather.bytes");
   uint64_t start = bench_now_ns();
@@ -491,14 +509,16 @@ void bench_gather(void) {
   core_gather_sum_free(plain);
   angle_node *root = make_angle_tree(&made);
   for (double tolerance = 1e-1; tolerance > (bench_is_long ? 5e-5 : 5e-4); tolerance /= 10) {
+    const bool is_usual = bench_is_long && tolerance > 5e-3 && tolerance < 5e-2;
     bench_progress("gather: by tolerance and by solid angle");
-    measure_tolerance(&made, &queries, root, exact, tolerance, bench_is_long ? 1 : 50);
+    measure_tolerance(&made, &queries, root, exact, tolerance,
+                      is_usual        ? 1
+                      : bench_is_long ? 10
+                                      : 50);
   }
   free_angle_node(root);
   free_scene(&made);
-  free(queries.xyz);
-  free(queries.order);
-  free(queries.M);
+  free_queries(&queries);
   bench_progress("gather: numbers of points");
   measure_sizes();
   for (size_t c = 0; c < CHANNELS; c++) {
