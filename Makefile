@@ -548,12 +548,14 @@ picture:
 	@$(MAKE) --no-print-directory -j2 $(BUILD)/dipoled $(BUILD)/picture
 	DIPOLED=private:$(BUILD)/dipoled $(BUILD)/picture clients/c/examples/picture.png
 
-# Light gathered from points: error against time, time against points, and sheets of light.
+# Light gathered from points: error against time, time against points, and sheets of light. It takes
+# some three minutes.
 gather-figure: $(BUILD)/bench $(BUILD)/tests/accuracy/test_gather
+	@sh .ci/install-packages figures
 	@mkdir -p $(BUILD)/figures
 	$(BUILD)/bench --long gather > $(BUILD)/figures/gather.tsv
 	$(BUILD)/tests/accuracy/test_gather > $(BUILD)/figures/gather.txt
-	$(PYTHON) core/tools/gather.py $(BUILD)/figures/gather.tsv $(BUILD)/figures/gather.txt $(BUILD)/figures/gather.svg
+	$(PYTHON) core/tools/gather.py $(BUILD)/figures/gather.tsv $(BUILD)/figures/gather.txt core/tools/gather.svg
 
 # What diffusion models make of readings, beside transport: a table and build/figures/fit_bias.svg.
 fit-bias:

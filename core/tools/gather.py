@@ -45,10 +45,11 @@ def script(found: dict[str, float], sheets: list[tuple[float, ...]], output: Pat
         + block("angle", angle)
         + block("sizes", sizes)
         + block("sheets", sheets)
-        + f"""set terminal svg size 1200,380 font "sans,12" background "white"
+        + f"""set terminal svg size 1200,440 font "sans,12" background "white"
 set output "{output}"
 set multiplot layout 1,3
 set grid
+set key below vertical
 set logscale xy
 set format y "10^{{%L}}"
 set xlabel "time of a query, us"
@@ -69,6 +70,8 @@ set yrange [*:*]
 set format y "10^{{%L}}"
 set format x "%g"
 set xlabel "points on a side of 60 mm"
+set xrange [50:600]
+set xtics (60, 120, 240, 480)
 set ylabel "relative error"
 plot $sheets using 1:2 with linespoints title "sheet, of the albedo", \\
      $sheets using 1:3 with linespoints title "half plane, of a quadrature"
