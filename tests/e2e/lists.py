@@ -70,7 +70,7 @@ _PARAMETERS = {
 }
 # The parameters of profiles, and those that only mc or fit takes.
 MC_PARAMETERS, FIT_PARAMETERS = (
-    {name: one for name, (one, about) in _PARAMETERS.items() if about.startswith(f"of {kind}:")}
+    {name: one for name, (one, about) in _PARAMETERS.items() if re.match(rf"of {kind}\b", about)}
     for kind in ("mc", "fit")
 )
 OTHER_PARAMETERS = {**MC_PARAMETERS, **FIT_PARAMETERS}
