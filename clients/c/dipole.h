@@ -910,7 +910,7 @@ bool dipole_gather(dipole_client *client, const dipole_gather_query *query,
  * DIPOLE_LUT, for the models, moments, media and parameters of the tables. tables: one for each
  * channel of the points; their models have to cover all radii. The other arguments are as of
  * dipole_gather(); there are fewer than 2^32 queries. Each call builds the points anew, in about a
- * second for a million, and takes some 250 bytes for each point meanwhile. */
+ * second for a million, and takes up to 300 bytes for each point of three channels meanwhile. */
 bool dipole_gather_at_home(const dipole_table *const *tables, const dipole_points *points,
                            double tolerance, uint64_t query_count, const double *queries_mm,
                            bool (*progress)(void *context, uint64_t answered, uint64_t count),
