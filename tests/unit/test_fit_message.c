@@ -77,7 +77,7 @@ UNIT_TEST(replies_have_a_structure_and_residuals_for_each_set) {
       const size_t whole = (size_t)fit_reply_bytes(count, residuals);
       wire_fit_reply got;
       wire_put_fit_reply(payload, &fixed);
-      assert_int_equal(fit_residuals_offset(count), WIRE_BYTES_fit_reply + 144 * count);
+      assert_int_equal(fit_residuals_offset(count), WIRE_BYTES_fit_reply + 152 * count);
       assert_int_equal(whole, fit_residuals_offset(count) + 8 * residuals * count);
       for (size_t bytes = 0; bytes < whole + 200; bytes += 8) {
         assert_int_equal(fit_reply_parse(payload, bytes, &got), bytes == whole);
