@@ -267,8 +267,7 @@ static void cancel_all(const struct run *run) {
   for (unsigned i = 0; i < run->under_way; i++) {
     uint64_t cancel_id;
     dipole_error unwanted;
-    if (run->counts[i] > 0 &&
-        libdipole_cancel(run->client, run->ids[i], &cancel_id, &unwanted)) {
+    if (run->counts[i] > 0 && libdipole_cancel(run->client, run->ids[i], &cancel_id, &unwanted)) {
       libdipole_request_drop(run->client, cancel_id);
     }
   }

@@ -68,7 +68,8 @@ double fit_aperture_share(const fit_aperture_row *row, double ln_x);
 
 /* Returns the relative error of shares from x_least to x_most, as `make apertures` has measured it. It
  * is NAN beyond the ends of y and where ln u and s are beyond theirs, u below and s above. */
-double fit_aperture_error(const fit_aperture *aperture, double ratio, double x_least, double x_most);
+double fit_aperture_error(const fit_aperture *aperture, double ratio, double x_least,
+                          double x_most);
 
 /* ---- for what makes the table ------------------------------------------------------------------ */
 

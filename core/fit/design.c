@@ -217,9 +217,8 @@ static core_fault set_weights(core_fit *fit, const core_fit_design *design) {
   reference.g = design->reference.g;
   reference.eta = design->reference.eta;
   set_aperture(&reference, design, reference.g, reference.eta);
-  const core_fault fault =
-      fit_values_of_medium(&reference, &design->reference, &fit->places, fit->weight,
-                           &fit->reference_error);
+  const core_fault fault = fit_values_of_medium(&reference, &design->reference, &fit->places,
+                                                fit->weight, &fit->reference_error);
   for (size_t i = 0; fault.field == NULL && i < fit->count; i++) {
     if (!(fit->weight[i] > 1e-300)) {
       return (core_fault){"reference", "a medium with light at each reading", i};

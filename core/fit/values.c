@@ -104,9 +104,8 @@ static core_fault evaluate(const struct fit_model *model, const core_medium *med
   fit_values_of_profile(model, &profile, places, value);
   if (errors != NULL) {
     errors->numerical = profile.numerical_error;
-    errors->model =
-        with_shares(model, medium, places,
-                    core_profile_errors(&profile, model->quantity, places->radii).model);
+    errors->model = with_shares(
+        model, medium, places, core_profile_errors(&profile, model->quantity, places->radii).model);
   }
   core_profile_free(&profile);
   return fault;

@@ -18,7 +18,9 @@ enum {
   SAMPLE_STRIDE = (1 << CORE_LUT_OCTAVE_SAMPLES_LOG2) / 16
 };
 _Static_assert(FIRST_SAMPLE + SAMPLE_STRIDE * (EDGES - 1) +
-                       (1 << CORE_LUT_OCTAVE_SAMPLES_LOG2) * 7 / 8 < CORE_LUT_SAMPLES, "7/4 of it");
+                       (1 << CORE_LUT_OCTAVE_SAMPLES_LOG2) * 7 / 8 <
+                   CORE_LUT_SAMPLES,
+               "7/4 of it");
 
 /* What the values between the samples may add, relative. */
 #define MARGIN 1.05

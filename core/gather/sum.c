@@ -547,7 +547,8 @@ static void fill_points(const walk *w) {
   const core_gather_points *points = w->points;
   const gather_node all = {.first = 0, .count = (uint32_t)points->n};
   while (s->filled < GATHER_POINTS && s->leaf < s->list.leaf_count) {
-    const gather_node *leaf = s->fineness == ALL_POINTS ? &all : &points->nodes[s->list.leaf[s->leaf]];
+    const gather_node *leaf =
+        s->fineness == ALL_POINTS ? &all : &points->nodes[s->list.leaf[s->leaf]];
     const size_t rest = leaf->count - s->point, room = GATHER_POINTS - s->filled;
     const size_t count = rest < room ? rest : room, first = leaf->first + s->point;
     for (int k = 0; k < 3; k++) {
@@ -691,7 +692,7 @@ size_t core_gather_on(const core_gather_sum *sum, const core_gather_points *poin
   assert(scratch->sum == sum && scratch->points == points);
   const walk w = {sum, points, scratch, visits, work};
   size_t done = 0;
-  while (done < n && *work > 0) {
+  while (done<n && * work> 0) {
     if (scratch->batch_count == 0) {
       take_batch(&w, n, order, done, xyz);
     }

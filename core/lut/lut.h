@@ -50,10 +50,10 @@ enum core_lut_word {
   /* Below FIRST_U the radius in mm is NEAR_RADIUS u if NEAR_POWER is 1. Otherwise the formula of
  * NEAR_CDF is solved for it, starting from NEAR_RADIUS sqrt(u). */
   CORE_LUT_NEAR_RADIUS,
-  CORE_LUT_SAMPLES_MM,                             /* the least radius of the samples, a power of two */
-  CORE_LUT_SPARE,                                  /* this word is 0 */
-  CORE_LUT_R_OCTAVES = 16,                         /* an entry of R for each exponent of r */
-  CORE_LUT_CDF_OCTAVES = CORE_LUT_R_OCTAVES + 256, /* of cdf, also by exponent of r */
+  CORE_LUT_SAMPLES_MM,     /* the least radius of the samples, a power of two */
+  CORE_LUT_SPARE,          /* this word is 0 */
+  CORE_LUT_R_OCTAVES = 16, /* an entry of R for each exponent of r */
+  CORE_LUT_CDF_OCTAVES = CORE_LUT_R_OCTAVES + 256,             /* of cdf, also by exponent of r */
   CORE_LUT_RADIUS_OCTAVES = CORE_LUT_CDF_OCTAVES + 256,        /* of the radius, by exponent of u */
   CORE_LUT_COMPLEMENT_OCTAVES = CORE_LUT_RADIUS_OCTAVES + 128, /* the same by exponent of 1 - u */
   CORE_LUT_PIECES = CORE_LUT_COMPLEMENT_OCTAVES + 128,         /* CORE_LUT_TERMS words each */

@@ -699,8 +699,7 @@ static core_fault prepare(const core_inputs *inputs, core_preparation *preparati
 bool core_transport_is_stored(const core_medium *medium) {
   const double albedo = albedo_of(medium), g = table_for_g(medium) != NULL ? medium->g : 0;
   const transport_table *table = transport_table_shipped();
-  return !(albedo > 0) ||
-         (table != NULL && transport_table_covers(table, albedo, g, medium->eta));
+  return !(albedo > 0) || (table != NULL && transport_table_covers(table, albedo, g, medium->eta));
 }
 
 unsigned core_transport_way(const core_inputs *inputs) {

@@ -437,9 +437,10 @@ static bool read_plain(struct question *q, const struct http_field *field, uint6
   static const uint64_t most[] = {
       [HTTP_u16] = UINT16_MAX, [HTTP_u32] = UINT32_MAX, [HTTP_u64] = UINT64_MAX};
   const struct http_value value = get(q, field->name);
-  double real = http_values_same(field->name, "eta")                         ? USUAL_ETA
-                : is_gather(q) && http_values_same(field->name, "tolerance") ? USUAL_GATHER_TOLERANCE
-                                                                             : 0;
+  double real = http_values_same(field->name, "eta") ? USUAL_ETA
+                : is_gather(q) && http_values_same(field->name, "tolerance")
+                    ? USUAL_GATHER_TOLERANCE
+                    : 0;
   if (!http_value_given(value)) {
     memcpy(number, &real, sizeof real); /* 0 has the same bits in every kind */
     return true;
@@ -645,8 +646,8 @@ static bool add_positions(struct question *q) {
       return fail(q, bad(name, "numbers, or one for all: it has to be given"));
     }
     if (http_value_count(value) != count && http_value_count(value) != 1) {
-      return fail(q, wire_error_make(WIRE_STATUS_BAD_COUNT, name,
-                                     "one value, or as many as the others"));
+      return fail(
+          q, wire_error_make(WIRE_STATUS_BAD_COUNT, name, "one value, or as many as the others"));
     }
     for (size_t i = 0; i < count; i++) {
       double number;

@@ -32,7 +32,7 @@ struct gather_job {
   uint64_t checked;     /* number of queries whose values have been checked */
   uint64_t counted;     /* number of queries whose cost has been counted */
   uint64_t query_radii; /* the mean cost of a query, in radii of a dipole; 0 until it is known */
-  bool whole; /* whether parts are not cut by the time that they take */
+  bool whole;           /* whether parts are not cut by the time that they take */
   struct job_parts parts;
   uint32_t piece;       /* of the part, if it is one query that takes long, from 0 */
   uint32_t piece_count; /* each a part of the reply, of which the last has the sum; else 1 */
@@ -210,7 +210,9 @@ static wire_error cut(struct gather_job *gather) {
   const uint64_t pieces = 1 + gather->query_radii / PART_RADII;
   const uint64_t pieces_most = UINT32_MAX / gather->parts.part_count;
   gather->piece = 0;
-  gather->piece_count = (uint32_t)(most > 1 || gather->whole ? 1 : pieces < pieces_most ? pieces : pieces_most);
+  gather->piece_count = (uint32_t)(most > 1 || gather->whole ? 1
+                                   : pieces < pieces_most    ? pieces
+                                                             : pieces_most);
   return wire_error_none();
 }
 
@@ -324,11 +326,11 @@ static void put_head(const struct gather_job *gather) {
                              .nodes_visited = work->visits.nodes};
   for (uint32_t i = 0; i < asked->medium_count; i++) {
     const core_profile *profile = &work->channels[i].profile;
-    const wire_channel channel = {
-        .albedo = (double)NAN,
-        .numerical_error = core_gather_error(work->sum, work->set.gather, i, (size_t)parts->count,
-                                             queries_of(gather)),
-        .model_error = core_gather_model_error(profile)};
+    const wire_channel channel = {.albedo = (double)NAN,
+                                  .numerical_error =
+                                      core_gather_error(work->sum, work->set.gather, i,
+                                                        (size_t)parts->count, queries_of(gather)),
+                                  .model_error = core_gather_model_error(profile)};
     fixed.notes |= profile->notes;
     wire_put_channel(gather->payload + WIRE_BYTES_gather_reply + i * (size_t)WIRE_BYTES_channel,
                      &channel);
@@ -372,10 +374,10 @@ static enum job_outcome gather_slice(struct gather_job *gather, uint64_t *spent)
   uint8_t *sums = gather->payload + gather_sums_offset(channels);
   const bool pieces = gather->piece_count > 1;
   double left = JOB_SLICE_RADII;
-  const size_t n = core_gather_on(work->sum, work->set.gather, work->scratch,
-                                  (size_t)(gather->parts.count - gather->index), order,
-                                  queries_of(gather), pieces ? work->M : (double *)(void *)sums,
-                                  work->bounds, &work->visits, &left);
+  const size_t n =
+      core_gather_on(work->sum, work->set.gather, work->scratch,
+                     (size_t)(gather->parts.count - gather->index), order, queries_of(gather),
+                     pieces ? work->M : (double *)(void *)sums, work->bounds, &work->visits, &left);
   note_bounds(work, order, n, channels);
   gather->index += n;
   const double radii = JOB_SLICE_RADII - left;

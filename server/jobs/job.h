@@ -78,7 +78,7 @@ struct job_request {
   void (*on_news)(void *owner);
   void *owner;
   struct cache_owner *profiles; /* the client, whose turns are used to prepare slow profiles */
-  bool whole; /* whether the reply has to be one part, as far as its size allows */
+  bool whole;            /* whether the reply has to be one part, as far as its size allows */
   struct job **detached; /* the connection's list of detached jobs; NULL: jobs cannot be detached */
   struct points *
       *points; /* the set that the connection is sending, *points NULL if there is none */

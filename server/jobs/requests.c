@@ -125,8 +125,7 @@ void requests_step_detached(struct requests *r) {
 static struct aside *put_aside(struct requests *r, const wire_header *header) {
   struct aside *aside = malloc(sizeof *aside);
   if (aside != NULL) {
-    *aside = (struct aside){.header = *header,
-                            .arrived_ns = input_arrival_ns(r->input, header)};
+    *aside = (struct aside){.header = *header, .arrived_ns = input_arrival_ns(r->input, header)};
   }
   if (aside != NULL && !input_take(r->input, header, &aside->block)) {
     free(aside);

@@ -39,19 +39,19 @@ struct requests {
 
   unsigned roles; /* of the client (server/net/roles.h): all of them, unless the owner says less */
 
-  struct job *job; /* the job that answers in turn; NULL if there is none */
-  struct aside *own;     /* its request, if that is beside the input; NULL: it holds the input */
+  struct job *job;   /* the job that answers in turn; NULL if there is none */
+  struct aside *own; /* its request, if that is beside the input; NULL: it holds the input */
   struct aside *waiting_aside; /* the list of further ones, which come before those in the input */
   struct aside **aside_end;    /* where the next one is linked to */
   unsigned aside_count;        /* of the list */
   uint64_t aside_bytes;
   struct job_slot slot;
-  struct job *detached; /* the list of detached jobs */
+  struct job *detached;  /* the list of detached jobs */
   struct points *points; /* the set of points that the client is sending; NULL if there is none */
-  bool waiting;         /* whether the job waits for a profile */
-  bool part_open;       /* whether the output has a reservation that the job is filling in */
-  bool between_parts;   /* whether the next part waits until the reader has made room */
-  bool ended;           /* whether no more frames are taken */
+  bool waiting;          /* whether the job waits for a profile */
+  bool part_open;        /* whether the output has a reservation that the job is filling in */
+  bool between_parts;    /* whether the next part waits until the reader has made room */
+  bool ended;            /* whether no more frames are taken */
   bool no_room;         /* whether not even an error fitted into the output: abort the connection */
   uint64_t taken;       /* number of frames taken so far */
   uint64_t arrived_ns;  /* when the request of the job had arrived */

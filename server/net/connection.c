@@ -174,8 +174,8 @@ static void set_reading(struct connection *c, bool wanted) {
  */
 static void read_behind(struct connection *c) {
   uint8_t *room = NULL;
-  set_reading(c, !c->peer_done && (requests_take_on(&c->requests) ||
-                                   input_room_behind(&c->input, &room) > 0));
+  set_reading(c, !c->peer_done &&
+                     (requests_take_on(&c->requests) || input_room_behind(&c->input, &room) > 0));
 }
 
 /* Takes the bytes that have been read; the connection answers their requests in the same round of

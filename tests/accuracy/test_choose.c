@@ -468,9 +468,10 @@ static double preparing_ns(const core_candidate *of, const core_medium *medium) 
  * preparing is that of the solver there. The costs are those of another machine, so that they are
  * compared with the first medium's. A medium that hardly scatters takes five times as long as most. */
 UNIT_TEST(preparing_what_the_table_does_not_hold_costs_a_solution) {
-  static const core_medium media[] = {{0.05, 1, 0, 1.4},  {0.05, 10, 0.9, 1.4}, {1e-7, 1, 0, 1.4},
-                                      {0, 10, 0.9, 1.4},  {1e-7, 2, 0.5, 2},    {0.1, 1, 0, 0.6},
-                                      {0.1, 1, 0, 2.5},   {200, 1, 0, 1.4},     {0.001, 1, -0.3, 1.1}};
+  static const core_medium media[] = {
+      {0.05, 1, 0, 1.4}, {0.05, 10, 0.9, 1.4}, {1e-7, 1, 0, 1.4},
+      {0, 10, 0.9, 1.4}, {1e-7, 2, 0.5, 2},    {0.1, 1, 0, 0.6},
+      {0.1, 1, 0, 2.5},  {200, 1, 0, 1.4},     {0.001, 1, -0.3, 1.1}};
   double stated = 0, measured = 0;
   for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
     core_candidate candidates[CORE_CANDIDATES_MAX], *transport = candidates;

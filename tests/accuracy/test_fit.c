@@ -622,10 +622,11 @@ static struct spread spread_of(unsigned scale, int count, double noise, int sets
   const struct spread spread = {sqrt((squares_a - sum_a * sum_a / sets) / (sets - 1)) / bound_a,
                                 sqrt((squares_s - sum_s * sum_s / sets) / (sets - 1)) / bound_s};
   const double share_1 = (double)one / (2 * sets), share_2 = (double)two / (2 * sets);
-  printf("scale %u, %d readings, noise %g: spread %.3f and %.3f of the bound, bias %.2f and %.2f of "
-         "it; %.1f %% within one error, %.1f %% within two\n",
-         scale, count, noise, spread.a, spread.s, sum_a / sets / bound_a, sum_s / sets / bound_s,
-         100 * share_1, 100 * share_2);
+  printf(
+      "scale %u, %d readings, noise %g: spread %.3f and %.3f of the bound, bias %.2f and %.2f of "
+      "it; %.1f %% within one error, %.1f %% within two\n",
+      scale, count, noise, spread.a, spread.s, sum_a / sets / bound_a, sum_s / sets / bound_s,
+      100 * share_1, 100 * share_2);
   assert_true(told > (size_t)sets * 98 / 100); /* noise may make a second medium fit as well */
   assert_true(fabs(share_1 - 0.683) < 0.04 && fabs(share_2 - 0.954) < 0.02);
   return spread;

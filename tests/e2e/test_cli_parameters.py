@@ -292,7 +292,7 @@ def test_columns_of_parameters(client):
         cells = [repr(given[name]) if name in given else "" for name in names]
         lines.append(",".join([model, ROW, *cells]))
     text = "\n".join([",".join(["model", HEADER, *names]), *lines])
-    rows = read_csv(points(text))
+    rows = read_csv(points(text, "--evaluator", "f64"))
     assert [row["status"] for row in rows] == ["ok"] * len(MODELS)
     for row in rows:
         given = {name: float(row[name]) for name in names if row[name]}

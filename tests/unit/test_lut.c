@@ -183,7 +183,8 @@ UNIT_TEST(whole_tables_are_not_refused) {
 UNIT_TEST(entries_that_point_outside_are_refused) {
   core_profile profile = prepared(&subjects[0], NULL, 1e-3);
   const size_t count = profile.lut_count;
-  const uint32_t pieces = (uint32_t)((count - CORE_LUT_PIECES - CORE_LUT_SAMPLE_WORDS) / CORE_LUT_TERMS);
+  const uint32_t pieces =
+      (uint32_t)((count - CORE_LUT_PIECES - CORE_LUT_SAMPLE_WORDS) / CORE_LUT_TERMS);
   float *words = copy_of(profile.lut, count);
   for (size_t at = CORE_LUT_R_OCTAVES; at < CORE_LUT_PIECES; at++) {
     for (uint32_t shift = 0; shift < 32; shift++) {

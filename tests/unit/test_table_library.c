@@ -290,8 +290,8 @@ UNIT_TEST(saved_tables_are_loaded_one_behind_the_other) {
 UNIT_TEST(what_a_table_does_not_hold_is_refused) {
   static const float bad[] = {-1, (float)NAN, -0x1p-149f};
   static const float bad_shares[] = {-0x1p-149f, (float)NAN, 0x1.000002p0f};
-  static const unsigned others[] = {
-      0, DIPOLE_ALBEDO, DIPOLE_RADIUS, DIPOLE_SLOPE, DIPOLE_LN_R, DIPOLE_R | DIPOLE_CDF, 1u << 15};
+  static const unsigned others[] = {0,           DIPOLE_ALBEDO,         DIPOLE_RADIUS, DIPOLE_SLOPE,
+                                    DIPOLE_LN_R, DIPOLE_R | DIPOLE_CDF, 1u << 15};
   made_table made = make("better", skin);
   dipole_table *table = load(&made);
   float in[2] = {1, 1}, out[2] = {77, 77};
@@ -445,7 +445,8 @@ UNIT_TEST(entries_outside_are_found) {
   uint64_t random = unit_seed();
   uint32_t *words = (uint32_t *)(void *)(made.bytes + WIRE_BYTES_header + WIRE_BYTES_table_reply);
   const size_t count = made.profile.lut_count;
-  const uint32_t pieces = (uint32_t)(count - CORE_LUT_PIECES - CORE_LUT_SAMPLE_WORDS) / CORE_LUT_TERMS;
+  const uint32_t pieces =
+      (uint32_t)(count - CORE_LUT_PIECES - CORE_LUT_SAMPLE_WORDS) / CORE_LUT_TERMS;
   const uint32_t outside[] = {CORE_LUT_ENTRY(pieces, 23),
                               CORE_LUT_ENTRY(pieces - 1, 22),
                               CORE_LUT_ENTRY(pieces - 8191, 10) + 32,

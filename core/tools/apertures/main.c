@@ -303,10 +303,13 @@ static const char head[] =
     "/* Errors of the shares of core/fit/aperture.h, which `make apertures` has found.\n"
     " *\n"
     " * FIT_APERTURE_ERROR(sigma_a / sigma_s' from, to, x from, to, u from, to, error)\n"
-    " *   error: %g times the largest relative error of a share at %d media that the table was not made\n"
-    " *   from, with %d eta and %d apertures each, to which is added by how much the solver's own two\n"
+    " *   error: %g times the largest relative error of a share at %d media that the table was not "
+    "made\n"
+    " *   from, with %d eta and %d apertures each, to which is added by how much the solver's own "
+    "two\n"
     " *   grids differ there\n"
-    " *   values: the median of the relative errors, 95 %% of them, the largest; the largest difference\n"
+    " *   values: the median of the relative errors, 95 %% of them, the largest; the largest "
+    "difference\n"
     " *   of the grids */\n"
     "/* clang-format off */\n";
 
