@@ -61,13 +61,11 @@
  * R where R is above TRANSPORT_TABLE_R_LEAST and of the totals, plus the error of the solver itself.
  * For g other than 0 there is an error for each region: a band of g, of the albedo, of eta and of x.
  * Their margin is TRANSPORT_TABLE_MARGIN_D.
- * With sigma_a up to sigma_s' and x from 0.05 to 20, nineteen of twenty errors that were found are
- * below 1.1e-4, and the largest is 8.8e-4. The largest are 1.5e-3 for smaller x, 2.6e-3 for larger
- * x, 2.1e-3 with sigma_a up to ten times sigma_s', and 3.8e-3 with more. With sigma_a below 1e-3
- * sigma_s' and g below -0.25 what is stated is that of the table before it had the ends of the
- * albedos, which was 6e-3 off for x up to 20 and 1.4e-2 for larger x, both at eta 2.2; it is
- * within 5.1e-4 of the solver at the media that were compared since. Totals for g other than 0 are
- * within 7.4e-7 for the beam and 2.1e-6 for diffuse light.
+ * With sigma_a up to sigma_s' the largest error that was found is 1.1e-3 for x from 0.05 to 20, and
+ * 1.5e-3 for smaller x and for x from 20 to 100; it is 1.9e-3 with sigma_a up to ten times sigma_s',
+ * and 4e-3 with more. For x above 100, which only sigma_a below 1e-3 sigma_s' reaches, it is 2.1e-2
+ * for g below -0.25, 6.6e-3 for g above 0.85, and 1.2e-3 for all others. Totals for g other than 0
+ * are within 7.4e-7 for the beam and 2.1e-6 for diffuse light.
  */
 #ifndef DIPOLED_CORE_TRANSPORT_TABLE_H
 #define DIPOLED_CORE_TRANSPORT_TABLE_H

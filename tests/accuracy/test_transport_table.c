@@ -320,14 +320,16 @@ UNIT_TEST(the_table_says_what_it_covers) {
   for (double albedo = 0.01; albedo < 1; albedo += 0.01) {
     for (double g = -0.5; g < 0.95; g += 0.29) {
       for (double eta = 0.7; eta < 2.2; eta += 0.4) { /* as README.md and PROTOCOL.md have it */
-        const double all = transport_table_error(table, albedo, g, eta, 0, (double)INFINITY);
-        assert_true(all <= 7.9001e-3);
-        assert_true(albedo < 0.5 ||
-                    transport_table_error(table, albedo, g, eta, 0.05, 20) <= 2.0001e-3);
-        const double bright = transport_table_error(table, 1 - 1e-6, g, eta, 0, (double)INFINITY);
-        assert_true(bright <= (g < -0.25 ? 3.0001e-2 : 7.9001e-3));
-        assert_true(transport_table_error(table, 1 - 1e-6, g, eta, 0.05, 20) <=
-                    (g < -0.25 ? 1.3001e-2 : 2.0001e-3));
+        const double bright = 1 - 1e-6;
+        const double beyond = g < -0.25 ? 4.3001e-2 : g > 0.85 ? 1.4001e-2 : 2.7001e-3;
+        assert_true(transport_table_error(table, albedo, g, eta, 0, 99) <= 8.3001e-3);
+        assert_true(transport_table_error(table, bright, g, eta, 0, 99) <= 8.3001e-3);
+        assert_true(transport_table_error(table, albedo, g, eta, 100, (double)INFINITY) <= beyond ||
+                    albedo < 0.9);
+        assert_true(transport_table_error(table, bright, g, eta, 100, (double)INFINITY) <= beyond);
+        assert_true(transport_table_error(table, bright, g, eta, 0.05, 20) <= 2.5001e-3);
+        assert_true(transport_table_error(table, albedo, g, eta, 0.05, 20) <= 2.5001e-3 ||
+                    albedo < 0.5);
       }
     }
   }
