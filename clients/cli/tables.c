@@ -70,7 +70,7 @@ static int fetch(const table_settings *settings, dipole_client *client, report *
 
 /* ---- the words of a table, as proto/PROTOCOL.md has them ------------------------------------- */
 
-enum { WORDS_BEFORE_PIECES = 784, PIECE_WORDS = 4, MANTISSA_BITS = 23 };
+enum { WORDS_BEFORE_PIECES = 784, PIECE_WORDS = 4, SAMPLE_WORDS = 1856, MANTISSA_BITS = 23 };
 
 /* The entry of an octave that has no pieces. */
 enum { ENTRY_OUTSIDE = MANTISSA_BITS };
@@ -92,7 +92,7 @@ static const struct {
                  {"radius_of_1_minus_u", 656, 128}};
 
 static size_t count_pieces(const dipole_table_info *info) {
-  return (info->word_count - WORDS_BEFORE_PIECES) / PIECE_WORDS;
+  return (info->word_count - WORDS_BEFORE_PIECES - SAMPLE_WORDS) / PIECE_WORDS;
 }
 
 static double number_of(uint32_t word) {

@@ -554,6 +554,11 @@ static const transport_table *table_for_g(const core_medium *medium) {
   return serves ? table : NULL;
 }
 
+/* Where the table states more than FAR_ERROR for radii beyond FAR mean free paths, the reach ends
+ * there, so that the profile's last band of radii does not state it from 10 mean free paths on. */
+#define FAR 100.0
+#define FAR_ERROR 4e-3
+
 /* The reach that the profile reports is that of the table of solutions, which is shorter than the
  * solver's: so it does not depend on which of the two was used. For g other than 0 it ends where
  * the difference from isotropic scattering ends, or some 2 decay lengths after R has fallen below
@@ -566,10 +571,13 @@ core_reach core_transport_reach(const core_medium *medium) {
   if (table != NULL) {
     double edge[TRANSPORT_TABLE_PANELS + 1];
     transport_table_edges(table->field, true, kappa, edge);
-    const double decays = fmax(19.5 + 3.5 * real_log(2 * albedo_of(medium), 0), 11);
+    const double albedo = albedo_of(medium), g = medium->g, eta = medium->eta;
+    const double decays = fmax(19.5 + 3.5 * real_log(2 * albedo, 0), 11);
     const double end = real_exp_signed(edge[TRANSPORT_TABLE_PANELS]);
+    const double far = transport_table_error(table, albedo, g, eta, FAR, (double)INFINITY);
+    const double most = fmin(end, decays / kappa);
     return (core_reach){
-        .most_mm = fmin(end, decays / kappa) / sigma_t_prime,
+        .most_mm = (far > FAR_ERROR ? fmin(most, FAR) : most) / sigma_t_prime,
         .growth = 0.05 + 8 * fmin(kappa, 0.5),
     };
   }

@@ -55,8 +55,7 @@ static void compare_row(const anisotropic_vector *row, struct worst *worst) {
       fail_msg("ratio %g, g %g, eta %g, r %g, evaluator %u: off by %g, stated %g, the vector's %g",
                row->ratio, row->g, row->eta, row->x, evaluators[i], off, allowed, row->error);
     }
-    assert_true(allowed <=
-                0.0085); /* as README.md has it, with the error of a table for the medium */
+    assert_true(allowed <= 0.008);
     worst->off = fmax(worst->off, off);
     worst->share = fmax(worst->share, off / (allowed + row->error));
     worst->stated = fmax(worst->stated, allowed);
@@ -332,11 +331,7 @@ static void check_densities(const core_profile *profile, const transport_anisotr
   for (double r = 0.011; r < 20; r *= 1.6) {
     const transport_number R = transport_anisotropic_at(solution, 0, r);
     const double ring = 2 * PI * r * R.value, unsure = R.error / R.value + 1e-6;
-    const struct {
-      const char *name;
-      enum core_quantity quantity;
-      double truth, scale;
-    } of[] = {
+    const struct { const char *name; enum core_quantity quantity; double truth, scale; } of[] = {
         {"R", CORE_QUANTITY_R, R.value, R.value},
         {"2 pi r R", CORE_QUANTITY_RING, ring, ring},
         {"the pdf", CORE_QUANTITY_PDF, ring / total, ring / total},

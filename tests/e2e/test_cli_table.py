@@ -18,6 +18,7 @@ MEDIUM = ["--sigma-a", "0.032", "--sigma-s", "0.74"]  # SKIN
 MEDIA = ["--sigma-a", "0.032,0.17,0.48", "--sigma-s", "0.74,0.88,1.01"]
 RADII = ["--r", "0,1e-40,1e-12,0.001,0.1,1,2.5,30,1e4,1e30,inf"]
 PIECES = 784
+SAMPLES = 2 * 928
 
 # The names of the first words, in their order.
 CONSTANTS = ["pieces_from", "pieces_to", "scale", "ring_scale", "pdf_scale", "near_power", "near_R"]
@@ -81,7 +82,8 @@ def test_json_says_what_the_daemon_says(client):
         assert (one["pieces_from"], one["pieces_to"]) == (table.pieces_from_mm, table.pieces_to_mm)
         assert (one["radius_least"], one["radius_most"]) == (0, "inf")
         assert one["reach"] == "inf" and math.isinf(table.reach_mm)
-        assert one["layout"] == 3 and one["pieces"] == (len(table.words) - PIECES) // 4
+        assert one["layout"] == table.layout == 4
+        assert one["pieces"] == (len(table.words) - PIECES - SAMPLES) // 4
     assert report["units"]["pieces_from"] == "mm"
 
 
@@ -281,7 +283,7 @@ def test_files_that_are_none(tmp_path):
         (damaged, "table 1: this is not an intact table: its counts or its checksum are wrong"),
         (data + damaged, "table 2: this is not an intact table"),
         (data + b"\n", "table 2: this is not an intact table: it is too short"),
-        (data[:24] + b"\1" + data[25:], "this table has layout 1, but this library reads layout 3"),
+        (data[:24] + b"\1" + data[25:], "this table has layout 1, but this library reads layout 4"),
     ]:
         bad = scratch(tmp_path, "bad", content)
         run = dipole("eval", "--table", bad, "--r", "1", status=FAILED)
