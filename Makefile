@@ -353,7 +353,7 @@ check-bits: $(BUILD)/tests/bits
 check-bits-aarch64: $(BUILD)/tests/bits
 	@sh tests/run-bits.sh $(BUILD) aarch64
 
-PYTEST = env TESTED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python:tests/e2e PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -rs -p no:cacheprovider
+PYTEST = env TESTED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python:tests/e2e PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -rfEs -p no:cacheprovider
 
 check-e2e: all $(BUILD)/dipoled-counting $(BUILD)/soak-load $(BUILD)/pipeline
 	$(PYTEST) -n 2 --dist loadfile --durations=20 --ignore=tests/e2e/test_packages.py tests/e2e

@@ -2,8 +2,9 @@
 # run-check.sh LOGS PART...: runs `make check-PART` for each part, one after the other. A+B,C runs B
 # and then C beside A, with the processor time that it leaves: tests that wait for daemons leave
 # much. Keeps what a part prints in LOGS/PART.log and shows it. At the end it prints how long each
-# part took, every test that was skipped, and how many tests passed, failed and were skipped. Exits
-# 1 when a part has failed. With FORBID_SKIPS=yes it also exits 1 when a test was skipped for
+# part took, every test that was skipped or has failed, and how many tests passed, failed and were
+# skipped; LOGS/failed keeps the names of those that failed, and LOGS/total the numbers. Exits 1 when
+# a part has failed. With FORBID_SKIPS=yes it also exits 1 when a test was skipped for
 # another reason than that ../shared is missing.
 set -u
 logs=$1
@@ -43,6 +44,7 @@ pytest_count() { # PART WORD
 
 passed=0 failed=0 skipped=0 bad=
 : >"$logs/skipped"
+: >"$logs/failed"
 echo "---- time of each part"
 for part in $parts; do
   read -r status seconds <"$logs/$part.status"
@@ -70,9 +72,14 @@ for part in $parts; do
     failed=$((failed + (status != 0)))
     ;;
   esac
+  if [ "$status" -ne 0 ]; then
+    # What names its failures does so by lines such as `FAILED NAME - reason`; of others, the end.
+    grep -E '^(FAILED|ERROR) ' "$logs/$part.log" >>"$logs/failed" ||
+      tail -n 5 "$logs/$part.log" | sed "s/^/$part: /" >>"$logs/failed"
+  fi
 done
 
-cat "$logs/skipped"
+cat "$logs/skipped" "$logs/failed"
 if [ "${FORBID_SKIPS-}" = yes ] && grep -v '\.\./shared' "$logs/skipped" >/dev/null; then
   echo "run-check.sh: tests were skipped for other reasons than that ../shared is missing"
   bad="$bad skipped-tests"
