@@ -3,6 +3,12 @@
 
 #include <math.h>
 
+#include "core/lut/piece.h"
+
+#ifdef __AVX512F__
+#include <immintrin.h>
+#endif
+
 static inline double larger(double a, double b) {
   return a > b ? a : b;
 }
@@ -17,51 +23,97 @@ static inline double smaller(double a, double b) {
  * largest distance that a point may have. */
 enum { AT, RADIUS = 3, SECOND, FOURTH = 10, THIRD = 16 };
 
+typedef struct squares {
+  double square; /* |D|^2 */
+  double radius; /* the largest |d| */
+  double mean;   /* E s */
+  double second; /* E y^2 up to rounding, 0 or more */
+  double third;  /* nearly E y^3 */
+} squares;
+
+/* Returns how s is spread. `row` is where the numbers of the node begin. */
+static inline __attribute__((always_inline)) squares squares_at(const double *row, double qx,
+                                                                double qy, double qz) {
+#define OF(field, i) row[((field) + (i)) * GATHER_ROW]
+  const double third = 1.0 / 3;
+  const double X = qx - OF(AT, 0), Y = qy - OF(AT, 1), Z = qz - OF(AT, 2);
+  const double xx = X * X, yy = Y * Y, zz = Z * Z;
+  const double cxx = OF(SECOND, 0), cyy = OF(SECOND, 1), czz = OF(SECOND, 2);
+  const double trace_C = cxx + cyy + czz;
+  const double along = cxx * xx + cyy * yy + czz * zz + OF(SECOND, 3) * (X * Y) +
+                       OF(SECOND, 4) * (X * Z) + OF(SECOND, 5) * (Y * Z);
+  const double cubic = X * (OF(THIRD, 0) * xx + OF(THIRD, 3) * (X * Y) + OF(THIRD, 4) * (X * Z) +
+                            OF(THIRD, 5) * yy + OF(THIRD, 9) * (Y * Z)) +
+                       Y * (OF(THIRD, 1) * yy + OF(THIRD, 6) * (Y * Z)) +
+                       Z * (OF(THIRD, 2) * zz + OF(THIRD, 7) * (X * Z) + OF(THIRD, 8) * (Y * Z));
+  /* D . E |d|^2 d; what occurs three times is in the rows times 3 */
+  const double trace = X * (OF(THIRD, 0) + (OF(THIRD, 5) + OF(THIRD, 7)) * third) +
+                       Y * (OF(THIRD, 1) + (OF(THIRD, 3) + OF(THIRD, 8)) * third) +
+                       Z * (OF(THIRD, 2) + (OF(THIRD, 4) + OF(THIRD, 6)) * third);
+  const double fxx = OF(FOURTH, 0), fyy = OF(FOURTH, 1), fzz = OF(FOURTH, 2);
+  const double raised_along = fxx * xx + fyy * yy + fzz * zz + OF(FOURTH, 3) * (X * Y) +
+                              OF(FOURTH, 4) * (X * Z) + OF(FOURTH, 5) * (Y * Z);
+  const double square = xx + yy + zz;
+  return (squares){
+      .square = square,
+      .radius = OF(RADIUS, 0),
+      .mean = square + trace_C,
+      .second = larger(4 * along - 4 * trace + (fxx + fyy + fzz - trace_C * trace_C), 0),
+      .third = 12 * (raised_along - trace_C * along) - 8 * cubic,
+  };
+#undef OF
+}
+
+static inline __attribute__((always_inline)) void pair_at(const double *row, double qx, double qy,
+                                                          double qz, double *first, double *last,
+                                                          double *share) {
+  const squares s = squares_at(row, qx, qy, qz);
+  const double distance = sqrt(s.square);
+  const double least = larger(distance - s.radius, 0);
+  const double most = distance + s.radius;
+  const double least_square = least * least;
+  const double below = larger(s.mean - least_square, 1e-300);
+  const double above = larger(most * most - s.mean, 1e-300);
+  const double variance = smaller(s.second, below * above);
+  const double raw = variance > 0 ? s.third / variance : 0;
+  const double skew = smaller(larger(raw, variance / below - below), above - variance / above);
+  const double apart = sqrt(skew * skew + 4 * variance);
+  const double up = 0.5 * (skew + apart);
+  *first = sqrt(larger(s.mean + 0.5 * (skew - apart), least_square));
+  *last = sqrt(s.mean + up);
+  *share = apart > 0 ? up / apart : 0.5;
+}
+
+/* Does what pair_at() does where the limits there change nothing, and returns whether they surely do
+ * not. Roots and quotients take most of the time: this needs two fewer, and a rough one. */
+static inline __attribute__((always_inline)) bool free_pair_at(const double *row, double qx,
+                                                               double qy, double qz, double *first,
+                                                               double *last, double *share) {
+  const squares s = squares_at(row, qx, qy, qz);
+  const double variance = s.second;
+  const double skew = variance > 0 ? s.third / variance : 0;
+  const double apart = sqrt(skew * skew + 4 * variance);
+  const double up = 0.5 * (skew + apart);
+  const double first_square = s.mean + 0.5 * (skew - apart);
+  *first = sqrt(first_square);
+  *last = sqrt(s.mean + up);
+  *share = apart > 0 ? up / apart : 0.5;
+  /* The limits, a millionth closer */
+  const double rough = (double)sqrtf((float)s.square);
+  const double least = larger(rough * (1 + 0x1p-20) - s.radius, 0);
+  const double most = rough * (1 - 0x1p-20) + s.radius;
+  const double below = (s.mean - least * least) * (1 - 0x1p-20);
+  const double above = (most * most - s.mean) * (1 - 0x1p-20);
+  return (s.square > 1e-30) & (below >= 0) & (above >= 0) & (variance <= below * above) &
+         ((skew + below) * below >= variance) & ((above - skew) * above >= variance) &
+         (first_square >= least * least);
+}
+
 static void pair(size_t n, const gather_rows *restrict rows, const double x[3], double *restrict r,
                  double *restrict share) {
   const double qx = x[0], qy = x[1], qz = x[2];
-  const double(*restrict at)[GATHER_ROW] = rows->field + AT;
-  const double(*restrict second)[GATHER_ROW] = rows->field + SECOND;
-  const double(*restrict fourth)[GATHER_ROW] = rows->field + FOURTH;
-  const double(*restrict t)[GATHER_ROW] = rows->field + THIRD;
-  const double third = 1.0 / 3;
   for (size_t i = 0; i < n; i++) {
-    const double X = qx - at[0][i], Y = qy - at[1][i], Z = qz - at[2][i];
-    const double xx = X * X, yy = Y * Y, zz = Z * Z;
-    const double square = xx + yy + zz;
-    const double cxx = second[0][i], cyy = second[1][i], czz = second[2][i];
-    const double spread = cxx + cyy + czz;
-    const double along = cxx * xx + cyy * yy + czz * zz + second[3][i] * (X * Y) +
-                         second[4][i] * (X * Z) + second[5][i] * (Y * Z);
-    const double cubic = X * (t[0][i] * xx + t[3][i] * (X * Y) + t[4][i] * (X * Z) + t[5][i] * yy +
-                              t[9][i] * (Y * Z)) +
-                         Y * (t[1][i] * yy + t[6][i] * (Y * Z)) +
-                         Z * (t[2][i] * zz + t[7][i] * (X * Z) + t[8][i] * (Y * Z));
-    /* D . E |d|^2 d; what occurs three times is in the rows times 3 */
-    const double trace = X * (t[0][i] + (t[5][i] + t[7][i]) * third) +
-                         Y * (t[1][i] + (t[3][i] + t[8][i]) * third) +
-                         Z * (t[2][i] + (t[4][i] + t[6][i]) * third);
-    const double fxx = fourth[0][i], fyy = fourth[1][i], fzz = fourth[2][i];
-    const double raised_along = fxx * xx + fyy * yy + fzz * zz + fourth[3][i] * (X * Y) +
-                                fourth[4][i] * (X * Z) + fourth[5][i] * (Y * Z);
-    const double radius = rows->field[RADIUS][i];
-    const double distance = sqrt(square);
-    const double mean = square + spread;
-    const double least = larger(distance - radius, 0);
-    const double most = distance + radius;
-    const double least_square = least * least;
-    const double below = larger(mean - least_square, 1e-300);
-    const double above = larger(most * most - mean, 1e-300);
-    const double variance = smaller(
-        larger(4 * along - 4 * trace + (fxx + fyy + fzz - spread * spread), 0), below * above);
-    const double raised = 12 * (raised_along - spread * along) - 8 * cubic;
-    const double raw = variance > 0 ? raised / variance : 0;
-    const double skew = smaller(larger(raw, variance / below - below), above - variance / above);
-    const double apart = sqrt(skew * skew + 4 * variance);
-    const double up = 0.5 * (skew + apart);
-    r[i] = sqrt(larger(mean + 0.5 * (skew - apart), least_square));
-    r[n + i] = sqrt(mean + up);
-    share[i] = apart > 0 ? up / apart : 0.5;
+    pair_at(&rows->field[0][i], qx, qy, qz, &r[i], &r[n + i], &share[i]);
   }
 }
 
@@ -144,10 +196,10 @@ typedef long long lane_bits __attribute__((vector_size(GATHER_LANES * sizeof(dou
 typedef double loose_lanes
     __attribute__((vector_size(GATHER_LANES * sizeof(double)), may_alias, aligned(sizeof(double))));
 
-/* Sets a to the larger of both, in each lane. */
+/* Raises a to b in each lane, unless b is NaN. */
 static inline __attribute__((always_inline)) void raise_to(lanes *a, const lanes *b) {
-  const lane_bits which = *a > *b;
-  *a = (lanes)(((lane_bits)*a & which) | ((lane_bits)*b & ~which));
+  const lane_bits which = *b > *a;
+  *a = (lanes)(((lane_bits)*b & which) | ((lane_bits)*a & ~which));
 }
 
 static double error(const gather_bounds *bounds, const gather_views *views, size_t node) {
@@ -175,10 +227,9 @@ static double error(const gather_bounds *bounds, const gather_views *views, size
     const lanes sum = range * fourth + cubic * rest + other;
     raise_to(&most_of, &sum);
   }
-  double each = 0;
-  for (size_t k = 0; k < GATHER_LANES; k++) {
-    each = larger(most_of[k], each);
-  }
+  const double even = larger(larger(most_of[0], most_of[4]), larger(most_of[2], most_of[6]));
+  const double odd = larger(larger(most_of[1], most_of[5]), larger(most_of[3], most_of[7]));
+  const double each = larger(even, odd);
   return each < top ? each : top;
 }
 
@@ -210,10 +261,122 @@ static double sum_pairs(size_t n, const double *power, const double *share, cons
   return total(added);
 }
 
+/* ---- all queries of a cell ------------------------------------------------------------------- */
+
+static void close_pairs(size_t count, const gather_rows *restrict rows, size_t from, size_t queries,
+                        const double x[3][GATHER_QUERIES], float *restrict r,
+                        double *restrict share) {
+  for (size_t k = 0; k < count; k++) {
+    const double *row = &rows->field[0][from + k];
+    float *restrict firsts = &r[queries * 2 * k], *restrict lasts = firsts + queries;
+    double *restrict shares = &share[queries * k];
+    double first, last;
+    int limited = 0;
+    for (size_t q = 0; q < queries; q++) {
+      limited |= free_pair_at(row, x[0][q], x[1][q], x[2][q], &first, &last, &shares[q]) ? 0 : 1;
+      firsts[q] = (float)first;
+      lasts[q] = (float)last;
+    }
+    for (size_t q = 0; limited && q < queries; q++) {
+      pair_at(row, x[0][q], x[1][q], x[2][q], &first, &last, &shares[q]);
+      firsts[q] = (float)first;
+      lasts[q] = (float)last;
+    }
+  }
+}
+
+static void close_distances(size_t count, const double *restrict px, const double *restrict py,
+                            const double *restrict pz, size_t queries,
+                            const double x[3][GATHER_QUERIES], float *restrict r) {
+  for (size_t k = 0; k < count; k++) {
+    for (size_t q = 0; q < queries; q++) {
+      const double X = x[0][q] - px[k], Y = x[1][q] - py[k], Z = x[2][q] - pz[k];
+      r[queries * k + q] = (float)sqrt(X * X + Y * Y + Z * Z);
+    }
+  }
+}
+
+static void add_close(size_t count, const double *restrict power, size_t queries,
+                      const float *restrict R, double part[restrict][GATHER_QUERIES]) {
+  for (size_t k = 0; k < count; k++) {
+    const double P = power[k];
+    for (size_t q = 0; P > 0 && q < queries; q++) {
+      part[k][q] += P * (double)R[queries * k + q];
+    }
+  }
+}
+
+static void add_close_pairs(size_t count, const double *restrict power, size_t queries,
+                            const double *restrict share, const float *restrict R,
+                            double part[restrict][GATHER_QUERIES]) {
+  for (size_t k = 0; k < count; k++) {
+    const double P = power[k];
+    for (size_t q = 0; P > 0 && q < queries; q++) {
+      const double own = share[queries * k + q];
+      part[k][q] += P * (own * (double)R[queries * 2 * k + q] +
+                         (1 - own) * (double)R[queries * (2 * k + 1) + q]);
+    }
+  }
+}
+
+#ifdef __AVX512F__
+typedef float reals __attribute__((vector_size(4 * GATHER_CLOSE), may_alias));
+typedef int32_t ints __attribute__((vector_size(4 * GATHER_CLOSE), may_alias));
+typedef uint32_t naturals __attribute__((vector_size(4 * GATHER_CLOSE), may_alias));
+
+/* The entries of octaves and the pieces about those of the first radius are held in registers, from
+ * where each radius takes its own. */
+static uint64_t look_up_close(const float *restrict table, const gather_pieces *pieces, size_t n,
+                              const float *restrict in, float *restrict out) {
+  uint64_t missed = 0;
+  const float from = table[CORE_LUT_FIRST_MM], to = table[CORE_LUT_LAST_MM];
+  const float scale = table[CORE_LUT_SCALE];
+  for (size_t i = 0; i < n; i += GATHER_CLOSE) {
+    const reals r = *(const reals *)(in + i);
+    const ints bits = (ints)r;
+    const int32_t octave =
+        ((int32_t)core_lut_bits(in[i]) >> CORE_LUT_MANTISSA_BITS & 0xff) - GATHER_CLOSE / 2;
+    const ints place = (bits >> CORE_LUT_MANTISSA_BITS) - octave;
+    const ints entry = (ints)_mm512_permutexvar_epi32(
+        (__m512i)place, _mm512_loadu_si512(table + CORE_LUT_R_OCTAVES + octave));
+    const ints shift = entry & 31;
+    const ints mantissa = bits & ((1 << CORE_LUT_MANTISSA_BITS) - 1);
+    const ints index = mantissa >> shift;
+    const ints rest = mantissa - (index << shift);
+    const reals unit = (reals)((127 - shift) << CORE_LUT_MANTISSA_BITS);
+    const reals t = __builtin_convertvector(rest, reals) * unit;
+    const ints piece = (ints)((naturals)entry >> 5) + index;
+    const int32_t first = piece[0] - GATHER_CLOSE;
+    const ints own = piece - first;
+    /* Numbers below 0 are large without their sign. */
+    const ints off = ((naturals)place >= GATHER_CLOSE) | ((naturals)own >= 2 * GATHER_CLOSE) |
+                     (r < from) | (r >= to);
+    if (_mm512_movepi32_mask((__m512i)off) != 0) {
+      missed |= (uint64_t)1 << i / GATHER_CLOSE;
+      continue;
+    }
+    reals c[CORE_LUT_TERMS];
+    for (size_t k = 0; k < CORE_LUT_TERMS; k++) {
+      const float *row = pieces->first + k * pieces->stride + first;
+      c[k] = (reals)_mm512_permutex2var_ps(_mm512_loadu_ps(row), (__m512i)own,
+                                           _mm512_loadu_ps(row + GATHER_CLOSE));
+    }
+    const ints back = (ints)c[0] < 0;
+    const reals w = (reals)((back & (ints)(1 - t)) | (~back & (ints)t));
+    const reals start = (reals)((ints)c[0] & 0x7fffffff);
+    *(reals *)(out + i) = (start + w * (c[1] + w * (c[2] + w * c[3]))) * scale;
+  }
+  return missed;
+}
+#else
+#define look_up_close NULL
+#endif
+
 #define PASTE_(a, b) a##b
 #define PASTE(a, b) PASTE_(a, b)
 
 /* The one symbol that this object exports. */
 extern const gather_loops PASTE(gather_loops_, CORE_ISA);
-const gather_loops PASTE(gather_loops_, CORE_ISA) = {view,   error, pair, distances,
-                                                     narrow, widen, sum,  sum_pairs};
+const gather_loops PASTE(gather_loops_, CORE_ISA) = {
+    view,      error, pair,        distances,       narrow,    widen,           sum,
+    sum_pairs, total, close_pairs, close_distances, add_close, add_close_pairs, look_up_close};

@@ -37,6 +37,18 @@ typedef struct gather_views {
   double twice[GATHER_LANES];  /* 2 h |e| / D^4, at most */
 } gather_views;
 
+/* Queries of one cell whose sums are under way, and at most so many radii for all of them at once. */
+enum { GATHER_QUERIES = 64, GATHER_RADII = 512 };
+
+/* The coefficients of a table of R side by side: those of piece i of the table are [i], [stride + i]
+ * and so on. GATHER_CLOSE numbers before the first piece and behind the last one may be read. */
+enum { GATHER_CLOSE = 16 };
+typedef struct gather_pieces {
+  float *memory; /* owned */
+  const float *first;
+  size_t stride;
+} gather_pieces;
+
 typedef struct gather_loops {
   /* Sets the views of nodes from the cell about x. */
   void (*view)(const gather_seen *seen, const double x[3], double radius_mm, gather_views *views);
@@ -54,6 +66,28 @@ typedef struct gather_loops {
    * over all powers above 0. */
   double (*sum)(size_t n, const double *power, const double *R);
   double (*sum_pairs)(size_t n, const double *power, const double *share, const double *R);
+
+  /* Returns the sum of a sum's lanes. */
+  double (*total)(const double lanes[GATHER_LANES]);
+
+  /* The same for a few nodes or points and all queries of a cell, whose radii are close to each other.
+   * queries is a multiple of GATHER_CLOSE, and arrays have queries, or GATHER_QUERIES in x and part,
+   * numbers for each node or point. Each adds its products to its own row of part, in which a query
+   * has the numbers that the loops above have in their lanes.
+   * close_pairs: r has the first radii of a node and then its second ones. */
+  void (*close_pairs)(size_t count, const gather_rows *rows, size_t from, size_t queries,
+                      const double x[3][GATHER_QUERIES], float *r, double *share);
+  void (*close_distances)(size_t count, const double *px, const double *py, const double *pz,
+                          size_t queries, const double x[3][GATHER_QUERIES], float *r);
+  void (*add_close)(size_t count, const double *power, size_t queries, const float *R,
+                    double part[][GATHER_QUERIES]);
+  void (*add_close_pairs)(size_t count, const double *power, size_t queries, const double *share,
+                          const float *R, double part[][GATHER_QUERIES]);
+  /* Sets R[n] to what the kernel of tables finds, with the same bits, for n up to GATHER_RADII.
+   * Returns bit i for each GATHER_CLOSE radii, from GATHER_CLOSE i on, that are not close enough to
+   * each other, whose R it does not set. NULL where an instruction set would not be faster. */
+  uint64_t (*look_up_close)(const float *table, const gather_pieces *pieces, size_t n,
+                            const float *r, float *R);
 } gather_loops;
 
 #endif

@@ -768,7 +768,7 @@ static bool holds(const double corner[3], double edge_mm, const double x[3]) {
 
 /* Cells and districts hold so many points or fewer. Smaller cells have shorter lists, which fewer
  * queries share. */
-enum { CELL_POINTS = 64, DISTRICT_POINTS = 512 };
+enum { CELL_POINTS = 80, DISTRICT_POINTS = 1024 };
 
 /* The cube of an edge up to leaf_mm in the octant of a node's cube that x is in. */
 static gather_cell cell_between(const core_gather_points *points, const gather_node *node,

@@ -15,6 +15,7 @@
 #include "core/gather/loops.h"
 #include "core/gather/points.h"
 #include "core/kernels.h"
+#include "core/lut/lut.h"
 
 /* ---- sums ------------------------------------------------------------------------------------ */
 
@@ -31,7 +32,31 @@ struct core_gather_sum {
   double tolerance;
   core_profile profile[CORE_GATHER_CHANNELS_MAX]; /* copies that share the caller's memory */
   gather_bounds *bounds;                          /* [channels], NULL if the tolerance is 0 */
+  /* Of the tables of lut, or all NULL: all queries of a cell are summed together if they are there. */
+  gather_pieces pieces[CORE_GATHER_CHANNELS_MAX];
 };
+
+static size_t pieces_of(const core_profile *profile) {
+  return (profile->lut_count - CORE_LUT_PIECES - CORE_LUT_SAMPLE_WORDS) / CORE_LUT_TERMS;
+}
+
+/* Sets the pieces of a profile's table. Returns false if memory runs out. */
+static bool set_pieces(gather_pieces *pieces, const core_profile *profile) {
+  const size_t count = pieces_of(profile);
+  pieces->stride = count + 2 * GATHER_CLOSE;
+  pieces->memory = calloc(CORE_LUT_TERMS * pieces->stride, sizeof *pieces->memory);
+  if (pieces->memory == NULL) {
+    return false;
+  }
+  pieces->first = pieces->memory + GATHER_CLOSE;
+  for (size_t i = 0; i < count; i++) {
+    for (size_t k = 0; k < CORE_LUT_TERMS; k++) {
+      pieces->memory[k * pieces->stride + GATHER_CLOSE + i] =
+          profile->lut[CORE_LUT_PIECES + CORE_LUT_TERMS * i + k];
+    }
+  }
+  return true;
+}
 
 core_fault core_gather_sum_prepare(core_gather_sum **sum, const core_isa *isa, size_t channels,
                                    const core_profile *const *profiles, double tolerance) {
@@ -59,6 +84,11 @@ core_fault core_gather_sum_prepare(core_gather_sum **sum, const core_isa *isa, s
     if (!plain) {
       gather_bounds_prepare(&bounds[c], profiles[c]);
     }
+    if (!plain && profiles[c]->evaluator == CORE_EVALUATOR_LUT &&
+        made->loops->look_up_close != NULL && !set_pieces(&made->pieces[c], profiles[c])) {
+      core_gather_sum_free(made);
+      return CORE_OUT_OF_MEMORY;
+    }
   }
   *sum = made;
   return (core_fault){0};
@@ -66,13 +96,20 @@ core_fault core_gather_sum_prepare(core_gather_sum **sum, const core_isa *isa, s
 
 void core_gather_sum_free(core_gather_sum *sum) {
   if (sum != NULL) {
+    for (size_t c = 0; c < sum->channels; c++) {
+      free(sum->pieces[c].memory);
+    }
     free(sum->bounds);
     free(sum);
   }
 }
 
 size_t core_gather_sum_bytes(const core_gather_sum *sum) {
-  return sizeof *sum + (sum->bounds != NULL ? sum->channels * sizeof *sum->bounds : 0);
+  size_t bytes = sizeof *sum + (sum->bounds != NULL ? sum->channels * sizeof *sum->bounds : 0);
+  for (size_t c = 0; c < sum->channels; c++) {
+    bytes += CORE_LUT_TERMS * sum->pieces[c].stride * sizeof *sum->pieces[c].memory;
+  }
+  return bytes;
 }
 
 /* Returns about how many nodes and points a query takes. Measured with points on a sphere: from 600 to
@@ -131,7 +168,7 @@ double core_gather_cost(const core_gather_sum *sum, const core_gather_points *po
 /* ---- scratch --------------------------------------------------------------------------------- */
 
 /* A list that would be longer is replaced by all points. */
-enum { LIST_MAX = 1 << 16, QUERIES = 64 };
+enum { LIST_MAX = 1 << 16 };
 
 /* The largest ratio of radius and distance of nodes that the estimate of M takes. */
 #define ESTIMATE_ANGLE 0.5
@@ -150,7 +187,7 @@ typedef struct list {
   size_t node_count, leaf_count;
   uint32_t node[LIST_MAX];
   uint32_t leaf[LIST_MAX];
-  double node_error[LIST_MAX][CORE_GATHER_CHANNELS_MAX];
+  double node_error[LIST_MAX * CORE_GATHER_CHANNELS_MAX]; /* [place * channels + channel] */
 } list;
 
 struct core_gather_scratch {
@@ -161,10 +198,13 @@ struct core_gather_scratch {
   int fineness;
   /* Queries of one cell whose sums are under way, and where these stand: core_gather_on() stops
    * between two blocks of any query. */
-  uint32_t batch[QUERIES];
+  uint32_t batch[GATHER_QUERIES];
   size_t batch_count; /* 0: none is under way */
   size_t left;        /* how many of them the present list has to sum; they come first */
-  size_t query;       /* the next of them for which the present block is summed */
+  size_t tried,
+      missed;         /* registers of radii in the district that were, and were not, close enough */
+  size_t together;    /* 0, or their number up to a multiple of GATHER_CLOSE: all take each step */
+  size_t step;        /* the next step of the present block: a query, or some of the block */
   size_t node, group; /* the first node and the group of the present block */
   size_t leaf, point; /* the leaf and its point behind the present block */
   size_t filled;      /* points of the present block */
@@ -173,12 +213,14 @@ struct core_gather_scratch {
   _Alignas(64) double share[GATHER_NODES];
   double at[3][GATHER_POINTS + GATHER_LANES];
   double power[CORE_GATHER_CHANNELS_MAX][GATHER_POINTS + GATHER_LANES];
-  double r[GATHER_POINTS]; /* of points, or of the pairs of half as many nodes */
-  double R[GATHER_POINTS];
-  float narrow_r[GATHER_POINTS];
-  float narrow_R[GATHER_POINTS];
-  double added[QUERIES][CORE_GATHER_CHANNELS_MAX];
-  double lost[QUERIES][CORE_GATHER_CHANNELS_MAX]; /* by rounding, for each sum */
+  double r[GATHER_RADII]; /* of points, or of the pairs of half as many nodes */
+  double R[GATHER_RADII];
+  _Alignas(64) float narrow_r[GATHER_RADII];
+  _Alignas(64) float narrow_R[GATHER_RADII];
+  _Alignas(64) double x[3][GATHER_QUERIES]; /* of queries that are summed together */
+  double part[CORE_GATHER_CHANNELS_MAX][GATHER_LANES][GATHER_QUERIES]; /* of the present block */
+  double added[GATHER_QUERIES][CORE_GATHER_CHANNELS_MAX];
+  double lost[GATHER_QUERIES][CORE_GATHER_CHANNELS_MAX]; /* by rounding, for each sum */
 };
 
 core_gather_scratch *core_gather_scratch_create(const core_gather_sum *sum,
@@ -190,6 +232,7 @@ core_gather_scratch *core_gather_scratch_create(const core_gather_sum *sum,
     scratch->points = points;
     scratch->known = false;
     scratch->batch_count = 0;
+    scratch->tried = scratch->missed = 0;
   }
   return scratch;
 }
@@ -233,7 +276,7 @@ static void find_errors(const walk *w, list *l, size_t count, const uint32_t *pl
     for (size_t k = 0; k < count; k++) {
       const double *power = &points->node_power[l->node[places[k]] * points->channels];
       const bool rounded = seen.field[3][k] > 0 && views.nearest[k] < least_distance;
-      double *error = l->node_error[places[k]];
+      double *error = &l->node_error[places[k] * points->channels];
       for (size_t c = 0; c < points->channels; c++) {
         if (points->group[c] == group) {
           const double each = w->sum->loops->error(&w->sum->bounds[c], &views, k);
@@ -256,7 +299,9 @@ static bool open_node(const walk *w, list *l, size_t place) {
     l->leaf[l->leaf_count++] = at;
     l->node_count--;
     l->node[place] = l->node[l->node_count];
-    memcpy(l->node_error[place], l->node_error[l->node_count], sizeof l->node_error[place]);
+    const size_t channels = w->points->channels;
+    memcpy(&l->node_error[place * channels], &l->node_error[l->node_count * channels],
+           channels * sizeof l->node_error[0]);
     return true;
   }
   if (l->node_count + node->children > LIST_MAX) {
@@ -330,12 +375,14 @@ static void estimate_by_list(const walk *w, list *l) {
 }
 
 static void add_errors(const walk *w, list *l) {
-  memset(l->error, 0, sizeof l->error);
-  for (size_t i = 0; i < l->node_count; i++) {
-    for (size_t c = 0; c < w->points->channels; c++) {
-      l->error[c] += l->node_error[i][c];
+  const size_t channels = w->points->channels;
+  double sum[CORE_GATHER_CHANNELS_MAX] = {0};
+  for (size_t i = 0; i < l->node_count * channels; i += channels) {
+    for (size_t c = 0; c < channels; c++) {
+      sum[c] += l->node_error[i + c];
     }
   }
+  memcpy(l->error, sum, sizeof sum);
 }
 
 /* Sets budget[channels] to a share of the error that the tolerance allows the list. */
@@ -361,7 +408,7 @@ static bool refine(const walk *w, list *l, double share) {
   set_budget(w, l, share / 16, limit);
   for (int round = 0; round < 200; round++) {
     for (size_t i = 0; i < l->node_count;) {
-      if (!exceeds(w, l->node_error[i], limit)) {
+      if (!exceeds(w, &l->node_error[i * w->points->channels], limit)) {
         i++;
       } else if (!open_node(w, l, i)) {
         return false;
@@ -386,7 +433,7 @@ static void find_larger_errors(const walk *w, list *l, const double *limit) {
   uint32_t places[GATHER_LANES];
   size_t filled = 0;
   for (size_t i = 0; i < l->node_count; i++) {
-    if (limit == NULL || exceeds(w, l->node_error[i], limit)) {
+    if (limit == NULL || exceeds(w, &l->node_error[i * w->points->channels], limit)) {
       places[filled++] = (uint32_t)i;
     }
     if (filled > 0 && (filled == GATHER_LANES || i + 1 == l->node_count)) {
@@ -426,7 +473,8 @@ static void start_cell(const walk *w) {
   estimate_by_list(w, l);
   double small[CORE_GATHER_CHANNELS_MAX];
   set_budget(w, l, LIST_SHARE / (8 * (double)l->node_count), small);
-  memcpy(l->node_error, from->node_error, l->node_count * sizeof *l->node_error);
+  memcpy(l->node_error, from->node_error,
+         l->node_count * w->points->channels * sizeof *l->node_error);
   find_larger_errors(w, l, small);
 }
 
@@ -518,6 +566,85 @@ static void add_rows(const walk *w, size_t n, size_t q, const double *x) {
   }
 }
 
+/* In a step all queries of the batch together take so many nodes or points of the block. */
+enum { STEP_NODES = 4, STEP_POINTS = GATHER_LANES }; /* rows of part */
+_Static_assert(2 * STEP_NODES * GATHER_QUERIES <= GATHER_RADII, "two radii of each");
+
+/* Returns the number of steps of a block of n nodes or points. */
+static size_t steps_of(const core_gather_scratch *s, size_t n, size_t each) {
+  return s->together > 0 ? n / each : s->left;
+}
+
+/* Sets narrow_R[n] of the first radii, those of all queries of a cell. */
+static void look_up(const walk *w, size_t channel, size_t n) {
+  core_gather_scratch *s = w->s;
+  const core_profile *profile = &w->sum->profile[channel];
+  uint64_t missed = w->sum->loops->look_up_close(profile->lut, &w->sum->pieces[channel], n,
+                                                 s->narrow_r, s->narrow_R);
+  s->tried += n / GATHER_CLOSE;
+  for (size_t end = 0; missed != 0;) { /* runs of registers */
+    size_t from = end;
+    for (; (missed & 1) == 0; missed >>= 1) {
+      from++;
+    }
+    for (end = from; (missed & 1) != 0; missed >>= 1) {
+      end++;
+    }
+    s->missed += end - from;
+    core_eval_f32(profile, CORE_QUANTITY_R, GATHER_CLOSE * (end - from),
+                  s->narrow_r + GATHER_CLOSE * from, s->narrow_R + GATHER_CLOSE * from);
+  }
+}
+
+/* Does a step of the present block of nodes. */
+static void add_rows_together(const walk *w) {
+  core_gather_scratch *s = w->s;
+  const gather_loops *loops = w->sum->loops;
+  const size_t first = STEP_NODES * s->step;
+  loops->close_pairs(STEP_NODES, &s->rows, first, s->together, s->x, s->narrow_r, s->share);
+  *w->work -= (double)(STEP_NODES * s->left);
+  for (size_t c = 0; c < w->points->channels; c++) {
+    if (w->points->group[c] == s->group) {
+      look_up(w, c, 2 * STEP_NODES * s->together);
+      loops->add_close_pairs(STEP_NODES, &s->power[c][first], s->together, s->share, s->narrow_R,
+                             &s->part[c][first % GATHER_LANES]);
+      *w->work -= (double)(2 * STEP_NODES * s->left) * channel_cost(w->sum, c);
+    }
+  }
+}
+
+/* Does a step of the present block of points. */
+static void add_points_together(const walk *w) {
+  core_gather_scratch *s = w->s;
+  const gather_loops *loops = w->sum->loops;
+  const size_t first = STEP_POINTS * s->step;
+  loops->close_distances(STEP_POINTS, &s->at[0][first], &s->at[1][first], &s->at[2][first],
+                         s->together, s->x, s->narrow_r);
+  *w->work -= (double)(2 * STEP_POINTS * s->left);
+  for (size_t c = 0; c < w->points->channels; c++) {
+    look_up(w, c, STEP_POINTS * s->together);
+    loops->add_close(STEP_POINTS, &s->power[c][first], s->together, s->narrow_R, s->part[c]);
+    *w->work -= (double)(STEP_POINTS * s->left) * channel_cost(w->sum, c);
+  }
+}
+
+/* Adds what the present block of a group, or of points, came to where all queries took it together. */
+static void add_parts(const walk *w, bool all_groups) {
+  core_gather_scratch *s = w->s;
+  for (size_t c = 0; c < w->points->channels && s->together > 0; c++) {
+    if (all_groups || w->points->group[c] == s->group) {
+      for (size_t q = 0; q < s->left; q++) {
+        double lanes[GATHER_LANES];
+        for (size_t k = 0; k < GATHER_LANES; k++) {
+          lanes[k] = s->part[c][k][q];
+        }
+        add(&s->added[q][c], &s->lost[q][c], w->sum->loops->total(lanes));
+      }
+      memset(s->part[c], 0, sizeof s->part[c]);
+    }
+  }
+}
+
 /* Adds the nodes of the list to the sums of the batch. Returns false if the work is used up before. */
 static bool add_nodes(const walk *w, const double *xyz) {
   core_gather_scratch *s = w->s;
@@ -525,14 +652,19 @@ static bool add_nodes(const walk *w, const double *xyz) {
     const size_t rest = s->list.node_count - s->node;
     const size_t count = rest < GATHER_NODES ? rest : GATHER_NODES;
     for (; s->group < w->points->groups; s->group++) {
-      const size_t n = s->query == 0 ? fill_rows(w, s->group, s->node, count) : padded(count);
-      for (; s->query < s->left; s->query++) {
+      const size_t n = s->step == 0 ? fill_rows(w, s->group, s->node, count) : padded(count);
+      for (; s->step < steps_of(s, n, STEP_NODES); s->step++) {
         if (!(*w->work > 0)) {
           return false;
         }
-        add_rows(w, n, s->query, &xyz[3 * (size_t)s->batch[s->query]]);
+        if (s->together > 0) {
+          add_rows_together(w);
+        } else {
+          add_rows(w, n, s->step, &xyz[3 * (size_t)s->batch[s->step]]);
+        }
       }
-      s->query = 0;
+      add_parts(w, false);
+      s->step = 0;
     }
     s->group = 0;
     w->visits->nodes += (uint64_t)s->left * count;
@@ -574,31 +706,42 @@ static void fill_points(const walk *w) {
   }
 }
 
+/* Adds the n points of the present block to the sums of the query at x. */
+static void add_block(const walk *w, size_t n, size_t q, const double *x) {
+  core_gather_scratch *s = w->s;
+  const gather_loops *loops = w->sum->loops;
+  loops->distances(n, s->at[0], s->at[1], s->at[2], x, s->r);
+  loops->narrow(n, s->r, s->narrow_r);
+  *w->work -= 2 * (double)n;
+  for (size_t c = 0; c < w->points->channels; c++) {
+    evaluate(w->sum, c, s, n);
+    add(&s->added[q][c], &s->lost[q][c], loops->sum(n, s->power[c], s->R));
+    *w->work -= (double)n * channel_cost(w->sum, c);
+  }
+}
+
 /* Adds the points of the leaves, or all points, as add_nodes() does. */
 static bool add_points(const walk *w, const double *xyz) {
   core_gather_scratch *s = w->s;
-  const gather_loops *loops = w->sum->loops;
   for (;;) {
     fill_points(w);
     const size_t n = padded(s->filled);
     if (n == 0) {
       return true;
     }
-    for (; s->query < s->left; s->query++) {
+    for (; s->step < steps_of(s, n, STEP_POINTS); s->step++) {
       if (!(*w->work > 0)) {
         return false;
       }
-      loops->distances(n, s->at[0], s->at[1], s->at[2], &xyz[3 * (size_t)s->batch[s->query]], s->r);
-      loops->narrow(n, s->r, s->narrow_r);
-      *w->work -= 2 * (double)n;
-      for (size_t c = 0; c < w->points->channels; c++) {
-        evaluate(w->sum, c, s, n);
-        add(&s->added[s->query][c], &s->lost[s->query][c], loops->sum(n, s->power[c], s->R));
-        *w->work -= (double)n * channel_cost(w->sum, c);
+      if (s->together > 0) {
+        add_points_together(w);
+      } else {
+        add_block(w, n, s->step, &xyz[3 * (size_t)s->batch[s->step]]);
       }
     }
+    add_parts(w, true);
     w->visits->points += (uint64_t)s->left * s->filled;
-    s->query = 0;
+    s->step = 0;
     s->filled = 0;
   }
 }
@@ -622,10 +765,22 @@ static bool finish_query(const walk *w, size_t q, double *M, float *bound) {
 }
 
 /* Begins the sums of those queries of the batch that are left. */
-static void begin_batch(core_gather_scratch *s) {
+static void begin_batch(const walk *w, const double *xyz) {
+  core_gather_scratch *s = w->s;
   memset(s->added, 0, sizeof s->added);
   memset(s->lost, 0, sizeof s->lost);
-  s->query = s->node = s->group = s->leaf = s->point = s->filled = 0;
+  s->step = s->node = s->group = s->leaf = s->point = s->filled = 0;
+  /* The rest of a register works for nothing, and radii that are not close enough take longer. */
+  const size_t lanes = (s->left + GATHER_CLOSE - 1) / GATHER_CLOSE * GATHER_CLOSE;
+  const bool faster = 5 * s->left >= 3 * lanes && 5 * s->missed <= s->tried;
+  s->together = w->sum->pieces[0].memory != NULL && faster ? lanes : 0;
+  for (size_t q = 0; q < s->together; q++) {
+    const double *x = &xyz[3 * (size_t)s->batch[q < s->left ? q : s->left - 1]];
+    for (size_t k = 0; k < 3; k++) {
+      s->x[k][q] = x[k];
+    }
+  }
+  memset(s->part, 0, sizeof s->part);
 }
 
 /* Gathers at the queries of the batch. Returns false if the work is used up before. */
@@ -645,7 +800,7 @@ static bool gather_batch(const walk *w, const double *xyz, double *M, float *bou
       return true;
     }
     make_finer(w);
-    begin_batch(s);
+    begin_batch(w, xyz);
   }
   return false;
 }
@@ -657,7 +812,7 @@ static void take_batch(const walk *w, size_t n, const uint32_t *order, size_t fr
   const bool plain = !(w->sum->tolerance > 0);
   gather_cell cell = {{0, 0, 0}, 0}, district = cell;
   size_t count = 0;
-  for (; count < QUERIES && from + count < n; count++) {
+  for (; count < GATHER_QUERIES && from + count < n; count++) {
     const uint32_t q = order != NULL ? order[from + count] : (uint32_t)(from + count);
     gather_cell own_district;
     const gather_cell own =
@@ -675,6 +830,7 @@ static void take_batch(const walk *w, size_t n, const uint32_t *order, size_t fr
   } else if (!s->known || !same_cell(&cell, &s->list.cell) || s->fineness > 0) {
     if (!s->known || !same_cell(&district, &s->district.cell)) {
       make_district(w, &district);
+      s->tried = s->missed = 0;
     }
     s->list.cell = cell;
     s->fineness = -1;
@@ -682,7 +838,7 @@ static void take_batch(const walk *w, size_t n, const uint32_t *order, size_t fr
   }
   s->known = true;
   s->batch_count = s->left = count;
-  begin_batch(s);
+  begin_batch(w, xyz);
 }
 
 size_t core_gather_on(const core_gather_sum *sum, const core_gather_points *points,
