@@ -454,7 +454,9 @@ static void gather_slots(const montecarlo_run *run, size_t side, core_mc_value s
 }
 
 static void compare_with_plain(const plain_medium *medium, int plain_photons) {
-  enum { PHOTONS_MIN = 50 };
+  enum { PHOTONS_MIN = 50, BATCHES_MAX = 60 };
+  /* Half as many photons again as the plain walk has: more would not show more. */
+  const uint64_t enough = 1 + (uint64_t)plain_photons * 3 / 2 / CORE_MC_BATCH_PHOTONS;
   struct plain_sums theirs[CORE_MC_SIDES][PLAIN_SLOTS];
   core_mc_request request = montecarlo_request(medium->albedo, medium->g, medium->eta);
   request.thickness_mm = medium->thickness;
@@ -462,7 +464,7 @@ static void compare_with_plain(const plain_medium *medium, int plain_photons) {
   montecarlo_rings(&request, PLAIN_RINGS, 0.01, 30);
   core_grid_radii_f64(&request.edges, 0, PLAIN_RINGS + 1, edges);
   walk_plainly(medium, plain_photons, edges, theirs);
-  montecarlo_run run = montecarlo_run_batches(&request, 60);
+  montecarlo_run run = montecarlo_run_batches(&request, enough < BATCHES_MAX ? enough : BATCHES_MAX);
   size_t compared = 0;
   double squares = 0;
   for (size_t side = 0; side < CORE_MC_SIDES; side++) {

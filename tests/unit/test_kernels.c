@@ -9,6 +9,7 @@ enum {
   LENGTH_MAX = 67, /* four of the widest vectors and a remainder */
   OFFSETS = 16,    /* offsets of the first element: all misalignments of the widest vector */
   GUARD = 0xa5,
+  KEPT_MAX = 1000, /* values of the portable kernels that are kept */
 };
 
 /* ---- values of either precision ----------------------------------------------------------- */
@@ -57,6 +58,29 @@ static void apply(const core_profile *profile, operation todo, size_t n, const v
   } else {
     core_eval_f32(profile, todo.quantity, n, in, out);
   }
+}
+
+/* Sets out[n] to what the portable kernels give, which is kept for the next instruction set: with
+ * transcendental functions in software they take longer than others. */
+static void apply_portable(const core_profile *profile, operation todo, size_t n, const void *in,
+                           void *out) {
+  static struct {
+    core_profile profile;
+    operation todo;
+    size_t n;
+    double in[KEPT_MAX], out[KEPT_MAX];
+  } kept;
+  const size_t bytes = n * value_bytes(profile->evaluator);
+  assert_true(n <= KEPT_MAX);
+  if (kept.n != n || kept.todo.quantity != todo.quantity ||
+      memcmp(&kept.profile, profile, sizeof *profile) != 0 || memcmp(kept.in, in, bytes) != 0) {
+    apply(profile, todo, n, in, kept.out);
+    memcpy(kept.in, in, bytes);
+    memcpy(&kept.profile, profile, sizeof *profile);
+    kept.todo = todo;
+    kept.n = n;
+  }
+  memcpy(out, kept.out, bytes);
 }
 
 /* ---- every pair of kernels that should agree ---------------------------------------------- */
@@ -118,17 +142,6 @@ static bool is_compared(const kernel_pair *pair, unsigned quantity, pair_test *t
   const bool transforms = core_call_cost(profile, quantity) > 0;
   const bool held = profile->lut == NULL || core_table_has(quantity);
   return test == compare_edges ? !transforms || pair->is_portable : held && !transforms;
-}
-
-static void with_every_operation(kernel_pair *pair, pair_test *test, uint64_t *random) {
-  for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-    if (core_quantity_elementwise(quantity->id) && is_compared(pair, quantity->id, test)) {
-      pair->todo = (operation){quantity->id, quantity->name};
-      test(pair, random);
-    }
-  }
-  pair->todo = (operation){0, "sample"};
-  test(pair, random);
 }
 
 enum { COSTLY_MEDIA = 2 };
@@ -203,22 +216,49 @@ static size_t portable_isa(void) {
   return isa;
 }
 
-static void with_every_medium(size_t isa, size_t model, unsigned evaluator, pair_test *test,
-                              uint64_t *random) {
-  const enum core_model id = kernels_of[model].model;
-  const bool slow = core_prepares_slowly(id, evaluator) && id != CORE_MODEL_BURLEY;
+/* Returns for how many media a model is tested on an instruction set. */
+static size_t medium_count(size_t isa, unsigned model, unsigned evaluator) {
+  const bool slow = core_prepares_slowly(model, evaluator) && model != CORE_MODEL_BURLEY;
   const bool is_best = strcmp(core_isa_listed(isa), core_isa_name(core_isa_select(NULL))) == 0;
-  /* Transport without absorption takes seconds to prepare. */
-  const bool few = id == CORE_MODEL_TRANSPORT && isa != portable_isa() && !is_best;
-  const size_t count = !slow ? MEDIA : few && !unit_is_long() ? 1 : COSTLY_MEDIA;
-  for (size_t i = 0; i < count; i++) {
-    const core_profile *portable = prepared(portable_isa(), model, evaluator, i);
-    const core_profile *other = prepared(isa, model, evaluator, i);
-    assert_true((portable == NULL) == (other == NULL));
-    if (portable != NULL && (!is_costly(portable) || i < COSTLY_MEDIA || test == compare_edges)) {
-      kernel_pair pair = {*portable, *other, i, isa == portable_isa(), {0, NULL}};
-      with_every_operation(&pair, test, random);
+  /* Transport without absorption takes seconds to prepare, in either precision by the same solver. */
+  const bool few = model == CORE_MODEL_TRANSPORT &&
+                   ((isa != portable_isa() && !is_best) || evaluator != CORE_EVALUATOR_F64);
+  return !slow ? MEDIA : few && !unit_is_long() ? 1 : COSTLY_MEDIA;
+}
+
+/* Runs a test of one operation for every instruction set, with the same random numbers for all, so
+ * that the portable kernels' values serve all of them. */
+static void with_every_isa(size_t model, unsigned evaluator, size_t medium, operation todo,
+                           pair_test *test, uint64_t *random) {
+  const uint64_t seed = unit_random(random);
+  for (size_t isa = 0; core_isa_listed(isa) != NULL; isa++) {
+    if (core_isa_select(core_isa_listed(isa)) == NULL ||
+        medium >= medium_count(isa, kernels_of[model].model, evaluator)) {
+      continue;
     }
+    const core_profile *portable = prepared(portable_isa(), model, evaluator, medium);
+    const core_profile *other = prepared(isa, model, evaluator, medium);
+    assert_true((portable == NULL) == (other == NULL));
+    if (portable != NULL &&
+        (!is_costly(portable) || medium < COSTLY_MEDIA || test == compare_edges)) {
+      const kernel_pair pair = {*portable, *other, medium, isa == portable_isa(), todo};
+      uint64_t own = seed;
+      if (todo.quantity == 0 || is_compared(&pair, todo.quantity, test)) {
+        test(&pair, &own);
+      }
+    }
+  }
+}
+
+static void with_every_medium(size_t model, unsigned evaluator, pair_test *test, uint64_t *random) {
+  for (size_t medium = 0; medium < MEDIA; medium++) {
+    for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
+      if (core_quantity_elementwise(quantity->id)) {
+        const operation todo = {quantity->id, quantity->name};
+        with_every_isa(model, evaluator, medium, todo, test, random);
+      }
+    }
+    with_every_isa(model, evaluator, medium, (operation){0, "sample"}, test, random);
   }
 }
 
@@ -261,11 +301,9 @@ static void with_every_pair(pair_test *test) {
     if (is_like_an_earlier_one(model)) {
       continue;
     }
-    for (size_t i = 0; core_isa_listed(i) != NULL; i++) {
-      for (const core_choice *e = core_evaluators; e->name != NULL; e++) {
-        if (core_isa_select(core_isa_listed(i)) != NULL && is_due(model, e->id)) {
-          with_every_medium(i, model, e->id, test, &random);
-        }
+    for (const core_choice *e = core_evaluators; e->name != NULL; e++) {
+      if (is_due(model, e->id)) {
+        with_every_medium(model, e->id, test, &random);
       }
     }
   }
@@ -384,7 +422,7 @@ static void compare_lengths_and_offsets(const kernel_pair *pair, uint64_t *rando
   unit_random_bytes(random, &noise, sizeof noise);
   const size_t most = is_slow(pair) ? LENGTH_MAX / 2 : LENGTH_MAX;
   fill_inputs(inputs.storage, pair, most, random);
-  apply(&pair->portable, pair->todo, most, inputs.storage, expected.storage);
+  apply_portable(&pair->portable, pair->todo, most, inputs.storage, expected.storage);
   for (size_t n = 0; n <= most; n += stride(pair, n)) {
     for (size_t offset = 0; offset < OFFSETS; offset++) {
       const size_t out_offset = (offset * 7 + n + 3) % OFFSETS;
@@ -424,7 +462,7 @@ static void compare_lanes(const kernel_pair *pair, uint64_t *random) {
     put(alone.storage, evaluator, i,
         i < edge_count(pair) ? edge(pair, i) : random_input(random, pair));
   }
-  apply(&pair->portable, pair->todo, count, alone.storage, expected.storage);
+  apply_portable(&pair->portable, pair->todo, count, alone.storage, expected.storage);
   for (size_t i = 0; i < 2 * count; i += step) {
     for (size_t lane = 0; lane < LANES; lane++) {
       const bool tested = (lane + i) % 2 == 0;
@@ -459,7 +497,7 @@ static void compare_slicing(const kernel_pair *pair, uint64_t *random) {
   char *out = malloc(COUNT * bytes);
   assert_true(in != NULL && expected != NULL && out != NULL);
   fill_inputs(in, pair, used, random);
-  apply(&pair->portable, pair->todo, used, in, expected);
+  apply_portable(&pair->portable, pair->todo, used, in, expected);
   for (int repeat = 0; repeat < repeats; repeat++) {
     memset(out, GUARD, COUNT * bytes);
     for (size_t first = 0, n = 0; first < used; first += n) {
@@ -561,7 +599,7 @@ static void compare_edges(const kernel_pair *pair, uint64_t *random) {
   for (size_t i = 0; i < edge_count(pair); i++) {
     put(in.storage, evaluator, i, edge(pair, i));
   }
-  apply(&pair->portable, pair->todo, edge_count(pair), in.storage, expected.storage);
+  apply_portable(&pair->portable, pair->todo, edge_count(pair), in.storage, expected.storage);
   if (pair->is_portable) {
     out = expected;
   } else {
