@@ -262,7 +262,8 @@ struct derivatives {
  * with X = d ln R / d ln x and Q = a (1 - a) d ln R / da the derivatives are a (2 + X) + Q and (1 -
  * a) (2 + X) - Q. All sums are those of R, times 4 pi / p d1^2 e^(mu d1), and are written as
  * bracket() and dipole_slope() write theirs. */
-static inline struct derivatives dipole_derivatives(const real *c, real r) {
+static inline __attribute__((always_inline)) struct derivatives dipole_derivatives(const real *c,
+                                                                                  real r) {
   const struct view v = look_from(c, r);
   const real mu = c[MU] * REAL_Z1, z2 = c[Z2] * (1 / REAL_Z1);
   const real d1 = v.d1 * (1 / REAL_Z1), d2 = v.d2 * (1 / REAL_Z1);
@@ -291,9 +292,11 @@ static inline struct derivatives dipole_derivatives(const real *c, real r) {
   const real scaled = 2 - falls / sum;
   /* where R is 0 it does not change */
   const int shines = (c[CDF_LIMIT] > 0) & (v.x < LN_R_FAR);
+  /* No compiler vectorizes a loop that reads under a condition. */
+  const real absorbed = c[ABSORBED], scattered = c[SCATTERED];
   return (struct derivatives){
-      .by_a = shines ? real_fma(c[ABSORBED], scaled, of_a) : 0,
-      .by_s = shines ? real_fma(c[SCATTERED], scaled, -of_a) : 0,
+      .by_a = shines ? real_fma(absorbed, scaled, of_a) : 0,
+      .by_s = shines ? real_fma(scattered, scaled, -of_a) : 0,
   };
 }
 
