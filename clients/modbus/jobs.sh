@@ -35,6 +35,11 @@ run() { # run COMMIT STATUS: `cancel` follows `commit`, and `done` follows `stat
   trap 'register 4 $cancel 1; echo cancelled >&2; exit 1' INT
   register 4 "$1" "$token"
   while state=$(number "$2") && [ "$state" = 1 ]; do sleep 0.1; done
+  if [ "$state" = 5 ]; then # fit_status_name: two characters in each register
+    name=$(show 4 8460 8 | awk '{ printf "%c%c", $2 / 256, $2 % 256 }' | tr -d '\0')
+    echo "the fit is no success: $name" >&2
+    exit 1
+  fi
   if [ "$state" != 2 ] || [ "$(number $(($2 + 1)))" != "$token" ]; then
     echo "status $state, error $(number $(($2 + 2))) at register $(number $(($2 + 3)))" >&2
     exit 1

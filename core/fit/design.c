@@ -305,6 +305,34 @@ static void set_places(core_fit *fit, const core_fit_design *design) {
   }
 }
 
+/* Whether the discs of all readings have the same diameters; these may be NULL. */
+static bool are_alike(const double *diameters, size_t count) {
+  for (size_t i = 1; i < count; i++) {
+    if (diameter(diameters, i) != diameter(diameters, 0)) {
+      return false;
+    }
+  }
+  return true;
+}
+
+/* R of all models falls with the distance, and so does its mean over equal discs; ratios to a
+ * reference need not, and of a share of R it is not known. */
+static void set_falling(core_fit *fit, const core_fit_design *design) {
+  size_t *order = fit->places.first + fit->count + 1;
+  const bool falls = design->axis == CORE_FIT_AXIS_RADIUS && !fit->model.narrow &&
+                     design->scale != CORE_FIT_SCALE_REFERENCE &&
+                     are_alike(design->source_mm, fit->count) &&
+                     are_alike(design->detector_mm, fit->count);
+  for (size_t i = 0; falls && i < fit->count; i++) {
+    size_t at = i;
+    for (; at > 0 && design->at[order[at - 1]] > design->at[i]; at--) {
+      order[at] = order[at - 1];
+    }
+    order[at] = i;
+  }
+  fit->falling = falls ? order : NULL;
+}
+
 /* Prepares what evaluates the model fast, if there is such a thing. */
 static core_fault set_kernels(struct fit_model *model) {
   model->varies = model->model != CORE_MODEL_TRANSPORT && model->quantity == CORE_QUANTITY_R &&
@@ -327,6 +355,7 @@ static core_fault set_kernels(struct fit_model *model) {
 
 static core_fault fill(core_fit *fit, const core_fit_design *design) {
   set_places(fit, design);
+  set_falling(fit, design);
   set_bounds(fit, design);
   set_chi_squared_most(fit);
   core_fault fault = set_notes(fit);
@@ -348,8 +377,9 @@ static core_fault fill(core_fit *fit, const core_fit_design *design) {
   return fault;
 }
 
-/* The numbers that a design holds for each reading: its weight, the grid, and where it begins; for
- * each node: where it is, the logarithm of that, and its weight. */
+/* The numbers that a design holds for each reading: its weight and the grid; for each node: where it
+ * is, the logarithm of that, and its weight. Of each reading it holds besides where its nodes begin
+ * and, in the order of distances, its position. */
 enum { NUMBERS = 1 + FIT_GRID, NODE_NUMBERS = 3 };
 
 core_fault core_fit_create(core_fit **made, const core_isa *isa, const core_fit_design *design) {
@@ -361,7 +391,7 @@ core_fault core_fit_create(core_fit **made, const core_isa *isa, const core_fit_
   const size_t count = design->count, nodes = nodes_of(design);
   core_fit *fit = malloc(sizeof *fit);
   double *numbers = malloc((NUMBERS * count + NODE_NUMBERS * nodes) * sizeof *numbers);
-  size_t *first = malloc((count + 1) * sizeof *first);
+  size_t *first = malloc((2 * count + 1) * sizeof *first);
   if (fit == NULL || numbers == NULL || first == NULL) {
     free(fit);
     free(numbers);
@@ -405,7 +435,7 @@ void core_fit_free(core_fit *fit) {
 
 size_t core_fit_bytes(const core_fit *fit) {
   return sizeof *fit + (NUMBERS * fit->count + NODE_NUMBERS * fit->nodes) * sizeof(double) +
-         (fit->count + 1) * sizeof(size_t) + fit_table_bytes(fit->model.table) +
+         (2 * fit->count + 1) * sizeof(size_t) + fit_table_bytes(fit->model.table) +
          fit_inverse_bytes(fit->inverse) +
          (fit->model.varies ? core_varying_bytes(&fit->model.varying) : 0);
 }

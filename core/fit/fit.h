@@ -40,7 +40,8 @@
 
 /* A fit is `implausible` if noise with the stated errors would make chi-squared as large with less
  * than this probability, under the chi-squared distribution of readings less unknowns, or of one if
- * there are as many. */
+ * there are as many. So it is, even if the search does not settle or ends at a bound, if the readings
+ * rise with the distance by so much that the chi-squared of any values that do not is as large. */
 #define CORE_FIT_PROBABILITY_LEAST 1e-6
 
 /* Models that take more than some microseconds for a medium are fitted by a table, which is up to some

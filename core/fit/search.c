@@ -371,6 +371,27 @@ static enum core_fit_status status_of(const core_fit *fit, const core_fit_result
                                                                 : CORE_FIT_STATUS_FITTED;
 }
 
+/* Returns a chi-squared that no medium's is below: that of the readings against the values nearest
+ * to them that never rise with the distance, where the model's cannot. They are found by pooling
+ * neighbours that rise (Ayer, Brunk, Ewing, Reid, Silverman 1955). */
+static double least_chi_squared(const core_fit *fit, struct fit_readings readings) {
+  double mean[CORE_FIT_READINGS_MAX], weight[CORE_FIT_READINGS_MAX], sum = 0;
+  size_t pools = 0;
+  for (size_t i = 0; fit->falling != NULL && i < fit->count; i++) {
+    const size_t k = fit->falling[i];
+    double m = readings.values[k], w = 1 / (readings.errors[k] * readings.errors[k]);
+    for (; pools > 0 && mean[pools - 1] < m; pools--) {
+      const double before = weight[pools - 1], both = before + w, rise = m - mean[pools - 1];
+      sum += before * w / both * rise * rise;
+      m -= before / both * rise;
+      w = both;
+    }
+    mean[pools] = m;
+    weight[pools++] = w;
+  }
+  return sum;
+}
+
 /* Keeps the best two minima that are not the same. */
 static void keep(struct fit_minimum *best, struct fit_minimum *second,
                  const struct fit_minimum *now) {
@@ -524,15 +545,17 @@ static double model_error_of(const core_fit *fit, const core_fit_solution *best)
 }
 
 /* Sets what follows from the best medium: the coefficients, their errors and the status. */
-static void set_best(const core_fit *fit, const struct fit_quadratic *q, bool settled,
-                     core_fit_result *result) {
+static void set_best(const core_fit *fit, struct fit_readings readings,
+                     const struct fit_quadratic *q, bool settled, core_fit_result *result) {
   const size_t spare = fit_spare(fit);
   result->best = solution_of(&fit->model, q);
   result->model_error = model_error_of(fit, &result->best);
   result->bounds = bounds_of(fit, q->place);
   result->reduced_chi_squared = spare > 0 ? q->chi_squared / (double)spare : (double)NAN;
   set_errors(q, result);
-  result->status = status_of(fit, result, settled);
+  const bool impossible = q->chi_squared > fit->chi_squared_most &&
+                          least_chi_squared(fit, readings) > fit->chi_squared_most;
+  result->status = impossible ? CORE_FIT_STATUS_IMPLAUSIBLE : status_of(fit, result, settled);
 }
 
 void fit_search_result(const core_fit_search *s, core_fit_result *result, double *residuals) {
@@ -551,7 +574,7 @@ void fit_search_result(const core_fit_search *s, core_fit_result *result, double
       second->at.chi_squared < best->at.chi_squared + CORE_FIT_AMBIGUOUS) {
     result->second = solution_of(&fit->model, &second->at);
   }
-  set_best(fit, &best->at, best->settled, result);
+  set_best(fit, s->readings, &best->at, best->settled, result);
   if (residuals != NULL) {
     struct fit_quadratic again;
     expand(fit, s->readings, false, best->at.place, &again, residuals);
@@ -594,7 +617,7 @@ bool core_fit_refine(const core_fit *fit, const core_profile *profile, const dou
   }
   const struct fit_place to = moved(fit, place, step_from(fit, &q, 0));
   const double length = distance(to, place);
-  set_best(fit, &q, true, result);
+  set_best(fit, readings, &q, true, result);
   if (!(length > STEP_EXACT && length < STEP_FAR)) {
     return false;
   }

@@ -28,6 +28,9 @@ struct core_fit {
   double *weight;       /* [count]: what the model of each reading is multiplied by */
   double *grid;         /* [count][FIT_GRID]: ln of the model of each medium; NAN if it has none */
   fit_inverse *inverse; /* NULL unless there are two readings, a known factor, and a table */
+  /* [count]: the readings' positions in the order of their distances, if those of any medium fall
+   * with the distance; else NULL. It points into places.first. */
+  const size_t *falling;
 };
 
 /* Returns the number of readings less that of unknowns. */

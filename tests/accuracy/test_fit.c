@@ -786,6 +786,46 @@ UNIT_TEST(wrong_errors_are_implausible) {
   assert_true(result.reduced_chi_squared > 10 && isfinite(result.best.sigma_a_per_mm));
 }
 
+/* R of every medium falls with the distance. Readings that rise say nothing of a medium, whatever
+ * the search comes to; but ratios to a medium that absorbs more rise, and large errors allow it. */
+UNIT_TEST(readings_that_rise_with_the_distance_are_implausible) {
+  static const unsigned models[] = {CORE_MODEL_TRANSPORT, CORE_MODEL_BETTER, CORE_MODEL_BURLEY};
+  static const double at[] = {2, 1, 4, 8}, discs[] = {0.4, 0.4, 0.4, 0.4};
+  static const double rising[] = {0.01, 0.001, 0.1, 1}, falling[] = {0.01, 0.03, 0.002, 0.0002};
+  struct subject subject = {.design = {.moments = CORE_MOMENTS_EXACT,
+                                       .eta = 1.4,
+                                       .axis = CORE_FIT_AXIS_RADIUS,
+                                       .count = 4}};
+  core_fit_design *design = &subject.design;
+  design->at = at;
+  for (size_t i = 0; i < sizeof models / sizeof models[0]; i++) {
+    design->model = models[i];
+    for (int k = 0; k < 4; k++) {
+      design->scale = k % 2 == 0 ? CORE_FIT_SCALE_ABSOLUTE : CORE_FIT_SCALE_FREE;
+      design->source_mm = k < 2 ? NULL : discs;
+      memcpy(subject.values, rising, sizeof rising);
+      set_errors(&subject, 0.1);
+      const core_fit_result result = fitted(&subject);
+      assert_int_equal(result.status, CORE_FIT_STATUS_IMPLAUSIBLE);
+      assert_true(result.best.chi_squared > 24);
+      set_errors(&subject, 1);
+      assert_int_not_equal(fitted(&subject).status, CORE_FIT_STATUS_IMPLAUSIBLE);
+      memcpy(subject.values, falling, sizeof falling);
+      set_errors(&subject, 1);
+      assert_int_not_equal(fitted(&subject).status, CORE_FIT_STATUS_IMPLAUSIBLE);
+    }
+    design->source_mm = NULL;
+    design->scale = CORE_FIT_SCALE_REFERENCE;
+    design->reference = (core_medium){0.1, 1, 0, 1.4};
+    core_fit *fit = created(design);
+    core_fit_model(fit, 0.01, 1, subject.values);
+    assert_true(subject.values[3] > 2 * subject.values[2] && subject.values[2] > subject.values[0]);
+    set_errors(&subject, 0.01);
+    assert_int_equal(refined(fit, &subject).status, CORE_FIT_STATUS_FITTED);
+    core_fit_free(fit);
+  }
+}
+
 /* ---- the inverse of two readings ------------------------------------------------------------- */
 
 static bool is_same(double a, double b, double within) {

@@ -183,7 +183,7 @@ def test_statuses_and_the_exit_status(readings):
     run = dipole("fit", *OPTIONS, "--format", "csv", stdin=text, status=BAD_ROWS)
     statuses = {row["sample"]: row["status"] for row in rows(run.stdout)}
     assert statuses == {
-        "good": "fitted", "rising": "at-bound", "negative": "refused", "few": "refused",
+        "good": "fitted", "rising": "implausible", "negative": "refused", "few": "refused",
         "zero": "refused", "blank": "refused", "origin": "refused",
     }  # fmt: skip
     for said in (

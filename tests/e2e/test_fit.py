@@ -188,9 +188,20 @@ def test_wrong_readings_are_named_and_others_are_fitted(client, readings):
 
 
 def test_a_bound_is_no_success(client):
+    """No medium that is tried absorbs as little."""
+    R = client.eval("better", Medium(0.0, 1.0, 0.0, 1.4), AT_MM).R[0]
+    found = client.fit("better", AT_MM, R, 0.01 * R, eta=1.4)
+    assert found.status == "at-bound" and found.sets["bounds"] == 1 and not found.fitted
+
+
+def test_readings_that_rise_are_implausible(client):
     """No medium gives more light far away than near."""
-    found = client.fit("better", [1.0, 2.0, 4.0], [1e-3, 1e-2, 1e-1], [1e-5, 1e-4, 1e-3])
-    assert found.status == "at-bound" and found.sets["bounds"] != 0 and not found.fitted
+    at, rising = [1.0, 2.0, 4.0], np.array([1e-3, 1e-2, 1e-1])
+    for model in "better", "transport":
+        for scale in "absolute", "free":
+            found = client.fit(model, at, rising, 0.01 * rising, scale=scale)
+            assert found.status == "implausible" and found.chi_squared > 1e3 and not found.fitted
+    assert client.fit("better", at, rising, rising).status != "implausible"
 
 
 def test_readings_that_say_too_little(client, readings):

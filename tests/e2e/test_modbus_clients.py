@@ -393,11 +393,14 @@ def test_instruments_are_told_what_is_no_success(address):
     """An error of 0 is named by its register; no medium has readings that rise with
     the distance."""
     wrong = {"1,.02,.001 2,.01,0": "error 6 at register 8210: a standard error above 0"}
-    wrong["1,.001,.0001 2,.01,.001 4,.1,.01"] = "the fit is no success: undetermined"
+    wrong["1,.001,.0001 2,.01,.001 4,.1,.01"] = "the fit is no success: implausible"
     for readings, said in wrong.items():
         script = str(EXAMPLES / "jobs.py")
         result = run(sys.executable, script, address, "fit", *readings.split())
         assert result.returncode == 1 and said in result.stderr, result.stderr
+    if shutil.which("mbpoll") is not None:
+        result = run("sh", str(EXAMPLES / "jobs.sh"), address, "fit", *readings.split())
+        assert result.returncode == 1 and result.stderr == f"{said}\n", result.stderr
 
 
 def test_a_job_that_is_refused_says_why(daemon):
