@@ -783,28 +783,37 @@ static gather_cell cell_between(const core_gather_points *points, const gather_n
       corner[k] = x[k] >= corner[k] + edge_mm ? corner[k] + edge_mm : corner[k];
     }
   }
-  gather_cell cell = {.radius_mm = edge_mm};
+  gather_cell cell = {.edge_mm = edge_mm};
   memcpy(cell.at, corner, sizeof corner);
   return cell;
 }
 
 /* Turns a cube with its corner and edge into a cell with its centre and half the diagonal. */
+#define HALF_DIAGONAL 0.8660254037844387
 static gather_cell cell_of_cube(gather_cell cube, const double x[3]) {
-  const double edge_mm = cube.radius_mm;
-  if (!(edge_mm > 0)) {
-    return (gather_cell){.at = {x[0], x[1], x[2]}, .radius_mm = 0};
+  if (!(cube.edge_mm > 0)) {
+    return (gather_cell){.at = {x[0], x[1], x[2]}};
   }
   for (int k = 0; k < 3; k++) {
-    cube.at[k] += 0.5 * edge_mm;
+    cube.at[k] += 0.5 * cube.edge_mm;
   }
-  cube.radius_mm = fmax(distance(cube.at, x), 0.8660254037844387 * edge_mm);
+  cube.radius_mm = fmax(distance(cube.at, x), HALF_DIAGONAL * cube.edge_mm);
   return cube;
+}
+
+bool gather_cell_holds(const gather_cell *cell, const double x[3]) {
+  bool held = cell->edge_mm > 0 && cell->radius_mm <= HALF_DIAGONAL * cell->edge_mm;
+  for (int k = 0; k < 3; k++) {
+    /* Sides are off by rounding. */
+    held = held && fabs(x[k] - cell->at[k]) + 0x1p-48 * fabs(x[k]) < 0.499 * cell->edge_mm;
+  }
+  return held;
 }
 
 gather_cell gather_cell_of(const core_gather_points *points, const double x[3],
                            gather_cell *district) {
   const gather_node *node = points->nodes, *around = NULL;
-  gather_cell cell = {.at = {x[0], x[1], x[2]}, .radius_mm = 0};
+  gather_cell cell = {.at = {x[0], x[1], x[2]}};
   *district = cell;
   if (!holds(node->corner, node->edge_mm, x)) {
     return cell;
@@ -823,7 +832,7 @@ gather_cell gather_cell_of(const core_gather_points *points, const double x[3],
     node = &child[i];
     around = around == NULL && node->count <= DISTRICT_POINTS ? node : around;
   }
-  cell.radius_mm = node->edge_mm;
+  cell.edge_mm = node->edge_mm;
   memcpy(cell.at, node->corner, sizeof cell.at);
   if (between) {
     cell = cell_between(points, node, x);
@@ -831,7 +840,7 @@ gather_cell gather_cell_of(const core_gather_points *points, const double x[3],
   cell = cell_of_cube(cell, x);
   *district = cell;
   if (around != NULL) {
-    district->radius_mm = around->edge_mm;
+    district->edge_mm = around->edge_mm;
     memcpy(district->at, around->corner, sizeof district->at);
     *district = cell_of_cube(*district, x);
   }

@@ -54,10 +54,12 @@ struct core_gather_points {
   gather_build *build; /* NULL once the points are built */
 };
 
-/* A cube that holds a query: its centre, and an upper bound of how far a point of it is from there. */
+/* A cube that holds a query: its centre, an upper bound of how far a point of it is from there, and its
+ * edge, or 0 if it is the query alone. */
 typedef struct gather_cell {
   double at[3];
   double radius_mm;
+  double edge_mm;
 } gather_cell;
 
 /* Returns the cell of a query, which depends on the points and the query alone: the cube of the
@@ -66,5 +68,9 @@ typedef struct gather_cell {
  * many others, or the cell itself if it is in no such one. */
 gather_cell gather_cell_of(const core_gather_points *points, const double x[3],
                            gather_cell *district);
+
+/* Returns true only if gather_cell_of() returns this cell, and the same district as for the query that
+ * the cell was returned for: it does not for a query near its sides. */
+bool gather_cell_holds(const gather_cell *cell, const double x[3]);
 
 #endif

@@ -151,10 +151,13 @@ static bool same_cell(const gather_cell *a, const gather_cell *b) {
 
 double core_gather_cost(const core_gather_sum *sum, const core_gather_points *points, size_t n,
                         const uint32_t *order, const double *xyz) {
-  gather_cell cell = {{0, 0, 0}, 0}, district = cell;
+  gather_cell cell = {.edge_mm = 0}, district = cell;
   double cells = 0, districts = 0;
   for (size_t i = 0; i < n && sum->tolerance > 0; i++) {
     const size_t q = order != NULL ? order[i] : i;
+    if (gather_cell_holds(&cell, &xyz[3 * q])) {
+      continue;
+    }
     gather_cell own_district;
     const gather_cell own = gather_cell_of(points, &xyz[3 * q], &own_district);
     cells += i > 0 && same_cell(&own, &cell) ? 0 : 1;
@@ -525,6 +528,14 @@ static const double times[GATHER_FIELDS] = {1, 1, 1, 1, 1, 1, 1, 2, 2, 2, 1, 1, 
                                             2, 2, 2, 1, 1, 1, 3, 3, 3, 3, 3, 3, 6};
 _Static_assert(sizeof(gather_moments) == GATHER_FIELDS * sizeof(double), "all of them");
 
+/* Fetches the moments of a node, which are far apart from those of the next one of a list. */
+static void fetch_moments(const core_gather_points *points, size_t node) {
+  const char *moments = (const char *)&points->moments[node * points->groups];
+  for (size_t i = 0; i < sizeof(gather_moments); i += 64) {
+    __builtin_prefetch(moments + i);
+  }
+}
+
 /* Copies the moments of some nodes of the list to the rows, and the powers of the group's channels.
  * Returns the number of rows. The last rows are further ones without power. */
 static size_t fill_rows(const walk *w, size_t group, size_t first, size_t count) {
@@ -536,6 +547,9 @@ static size_t fill_rows(const walk *w, size_t group, size_t first, size_t count)
       const size_t place = i + k < count ? i + k : count - 1;
       const size_t node = w->s->list.node[first + place];
       memcpy(moments[k], &points->moments[node * points->groups + group], sizeof moments[k]);
+      if (i + k + 2 * GATHER_LANES < count) {
+        fetch_moments(points, w->s->list.node[first + i + k + 2 * GATHER_LANES]);
+      }
       for (size_t c = 0; c < points->channels; c++) {
         const bool counts = i + k < count && points->group[c] == group;
         w->s->power[c][i + k] = counts ? points->node_power[node * points->channels + c] : 0;
@@ -810,18 +824,20 @@ static void take_batch(const walk *w, size_t n, const uint32_t *order, size_t fr
                        const double *xyz) {
   core_gather_scratch *s = w->s;
   const bool plain = !(w->sum->tolerance > 0);
-  gather_cell cell = {{0, 0, 0}, 0}, district = cell;
+  gather_cell cell = {.edge_mm = 0}, district = cell;
   size_t count = 0;
   for (; count < GATHER_QUERIES && from + count < n; count++) {
     const uint32_t q = order != NULL ? order[from + count] : (uint32_t)(from + count);
-    gather_cell own_district;
-    const gather_cell own =
-        plain ? cell : gather_cell_of(w->points, &xyz[3 * (size_t)q], &own_district);
-    if (count > 0 && !same_cell(&own, &cell)) {
-      break;
+    const double *x = &xyz[3 * (size_t)q];
+    if (!plain && !gather_cell_holds(&cell, x)) {
+      gather_cell own_district;
+      const gather_cell own = gather_cell_of(w->points, x, &own_district);
+      if (count > 0 && !same_cell(&own, &cell)) {
+        break;
+      }
+      cell = own;
+      district = own_district;
     }
-    cell = own;
-    district = plain ? cell : own_district;
     s->batch[count] = q;
   }
   if (plain) {
