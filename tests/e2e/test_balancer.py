@@ -27,7 +27,7 @@ from test_gather import positions, scene
 from test_retry import QUESTIONS, job_bytes, result_bytes
 
 CONFIGURATION = REPOSITORY / "clients/deploy/haproxy.cfg"
-BALANCER_S = float(os.environ.get("BALANCER_S", "15"))
+BALANCER_S = float(os.environ.get("BALANCER_S", "10"))
 MOST = 24
 # Half of what close() waits. A daemon that has just started takes 3 s of a processor for the first
 # inversion, which others share: clients that it gives up ask another one.
