@@ -165,7 +165,8 @@ def test_libdipole_outlives_its_daemon(restarted, how):
             load.wait()
 
 
-JOB = {"medium": SKIN, "edges": dipole.Grid(0.0, 4.0, 5), "photons": 1_500_000, "seed": 7}
+# It has to last for some reports: a daemon sends five in a second, and this machine may be a fast one.
+JOB = {"medium": SKIN, "edges": dipole.Grid(0.0, 4.0, 5), "photons": 6_000_000, "seed": 7}
 
 
 def job_bytes(result: dipole.McResult) -> tuple:
