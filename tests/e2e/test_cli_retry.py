@@ -140,7 +140,7 @@ def test_a_daemon_that_hangs_later(daemon, known):
 def test_a_job_goes_on_elsewhere(daemon, how):
     """libdipole asks another daemon for a job whose daemon ends, and gets the same bits."""
     one, other = daemon(), daemon()
-    job = ("mc", "--sigma-a", "0.03", "--sigma-s", "1", "--photons", "1e6", "--format", "json")
+    job = ("mc", "--sigma-a", "0.03", "--sigma-s", "1", "--photons", "4e6", "--format", "json")
     known = dipole(*job, "--connect", other.url()).stdout
     with subprocess.Popen(
         [str(PROGRAM), *job, "--connect", f"{one.url()},{other.url()}"],
