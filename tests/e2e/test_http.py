@@ -9,7 +9,6 @@ import os
 import random
 import re
 import socket
-import statistics
 import subprocess
 import threading
 import time
@@ -838,27 +837,26 @@ class Nothing:
             sock.close()
 
 
-def round_trip_s(client) -> float:
-    """Returns the median round trip of an eval: other work on the machine changes it least."""
+def p99_s(client) -> float:
+    """Returns the 99th percentile of the round trips of evals."""
     times = []
     for _ in range(400):
         start = time.perf_counter()
         client.eval("better", "skin1", [1.0])
         times.append(time.perf_counter() - start)
-    return statistics.median(times)
+    return sorted(times)[395]
 
 
 def test_idle_and_slow_clients_leave_the_binary_protocol_alone(daemon):
-    """Its round trip is at most doubled (build/bench http has percentiles). Other programs on this
-    machine can only make rounds slower, so the best round of each side counts, and there are more
-    rounds until that holds."""
+    """Its 99th percentile is at most doubled. Other programs on this machine can only make rounds
+    slower, so the best round of each side counts, and there are more rounds until that holds."""
     one = daemon("--http", "127.0.0.1:0", "--max-http-connections", "2000")
     alone, beside = [], []
     with one.client() as client:
         while len(alone) < 3 or (min(beside) > 2 * min(alone) and len(alone) < 15):
-            alone.append(round_trip_s(client))
+            alone.append(p99_s(client))
             with Nothing(one):
-                beside.append(round_trip_s(client))
+                beside.append(p99_s(client))
                 assert _serves(one)
     assert min(beside) <= 2 * min(alone), (alone, beside)
 

@@ -461,15 +461,15 @@ def hello_bytes(ours) -> bytes:
     return leaving.read()
 
 
-def round_trip_s(client, seconds: float) -> float:
-    """Returns the median round trip of 16 radii: other work on the machine changes it least."""
+def p99_s(client, seconds: float) -> float:
+    """Returns the 99th percentile of round trips of 16 radii."""
     times = []
     end_s = time.monotonic() + seconds
     while time.monotonic() < end_s:
         start_s = time.perf_counter()
         client.eval("better", SKIN, RADII[:16])
         times.append(time.perf_counter() - start_s)
-    return statistics.median(times)
+    return sorted(times)[int(len(times) * 0.99)]
 
 
 # Begins handshakes and leaves them, of every second one before the first byte, and keeps the last
@@ -497,15 +497,15 @@ def test_half_open_handshakes_keep_nobody_out(farm, ours):
     words = [str(port_of(farm)), str(MANY), hello_bytes(ours).hex()]
 
     def ratio_beside_a_flood(client) -> float:
-        """Returns the round trip beside a flood over that before it."""
-        usual_s = statistics.median(round_trip_s(client, 0.3) for _ in range(5))
+        """Returns the 99th percentile beside a flood over that before it."""
+        usual_s = statistics.median(p99_s(client, 0.3) for _ in range(5))
         before_bytes = farm.resident_bytes()
         with subprocess.Popen(
             [sys.executable, "-c", FLOOD, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE
         ) as flood:
             beside_s = []
             while len(beside_s) < 5 or not select.select([flood.stdout], [], [], 0)[0]:
-                beside_s.append(round_trip_s(client, 0.3))
+                beside_s.append(p99_s(client, 0.3))
                 with dipole.Client(farm.url("tls"), **ours) as newcomer:
                     newcomer.ping()
             assert flood.stdout.readline() == b"done\n"
@@ -730,8 +730,8 @@ def test_a_flood_of_records_with_faults(farm, ours):
     words = [ours["ca"], ours["certificate"], ours["key"]]
 
     def ratio_beside_faults(client, many: int, seed: int) -> float:
-        """Returns the round trip beside the faults over that before them."""
-        usual_s = statistics.median(round_trip_s(client, 0.3) for _ in range(5))
+        """Returns the 99th percentile beside the faults over that before them."""
+        usual_s = statistics.median(p99_s(client, 0.3) for _ in range(5))
         failed = counters(farm)["tls_handshakes_failed"]
         running = [
             subprocess.Popen(
@@ -743,7 +743,7 @@ def test_a_flood_of_records_with_faults(farm, ours):
         beside_s, settled_bytes = [], 0
         try:
             while any(process.poll() is None for process in running):
-                beside_s.append(round_trip_s(client, 0.3))
+                beside_s.append(p99_s(client, 0.3))
                 settled_bytes = settled_bytes or farm.resident_bytes()
             assert [process.wait() for process in running] == [0, 0], running[0].stderr.read()
         finally:
