@@ -57,9 +57,9 @@ def prepared_meanwhile(daemon, wait, times: int = 7) -> float:
     return statistics.median(counts)
 
 
-# Turns that a client waits for at most, of either worker: those that have begun, those of the other
-# client, and its own.
-TURNS = 8
+# What a client waits for at most: a profile that each worker has begun, one of the other client, and
+# its own.
+TURNS = 4
 
 
 def client_waits(client) -> None:

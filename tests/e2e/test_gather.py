@@ -458,7 +458,7 @@ def test_a_client_that_cancels_ends_the_daemons_work(daemon):
         assert eventually(lambda: watcher.statistics()["owed_radii"] == 0)
         done = watcher.statistics()["queries_gathered"]
         client.ping()
-        assert watcher.statistics()["queries_gathered"] == done < 100_000
+        assert watcher.statistics()["queries_gathered"] == done < 3 * 16_384
 
 
 def test_deadline(shared):
@@ -659,7 +659,7 @@ def test_a_sum_that_takes_seconds_by_itself(daemon):
         print(f"{len(parts)} parts, {beside} evals meanwhile")
         assert [part.query_count for part in parts] == [0] * (len(parts) - 1) + [1]
         assert [part.part for part in parts] == list(range(len(parts))) and len(parts) >= 2
-        assert beside >= len(parts)
+        assert beside >= 40
         assert sum(part.points_visited for part in parts) == len(points)
         found = np.frombuffer(reply.payload[-16:])
         R = small.eval("extended", SKIN, np.linalg.norm(points.xyz - [0, 0, 1], axis=1)).R[0]
