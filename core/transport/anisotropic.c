@@ -50,8 +50,8 @@ enum {
   PARTS_MAX = TRANSPORT_ANISOTROPIC_ETAS_MAX * (1 + TRANSPORT_ANISOTROPIC_CONES_MAX),
 };
 
-/* Up to the wavenumber k_most, two expansions are averaged: with `orders` and with `orders` + 1,
- * whose errors have opposite signs. */
+/* Up to the wavenumber k_most, two expansions are averaged: the rules' own, and the one with an order
+ * and a degree more. Their errors have opposite signs. */
 struct tier {
   double k_most;
   halfspace_rules rules;
@@ -90,7 +90,7 @@ static const struct grid_rules rules[] = {
      1e-5,
      0.86,
      12,
-     {{0.3, {7, 22, 8}}, {1, {10, 22, 8}}, {4, {13, 22, 8}}, {16, {15, 28, 9}}}},
+     {{0.3, {6, 26, 8}}, {1, {8, 26, 8}}, {4, {10, 26, 8}}, {16, {12, 30, 8}}}},
 };
 
 /* ---- the medium ----------------------------------------------------------------------------- */
@@ -408,6 +408,7 @@ static bool solve_tier(struct grid *of, const struct tier *tier, const struct bo
   for (size_t i = 0; i < 2 && ok; i++) {
     halfspace_rules at = tier->rules;
     at.orders += i;
+    at.degrees += i;
     expansion[i] = transport_halfspace_new(of->isa, &at, &of->scaled.medium, by->etas, by->count,
                                            by->sines, by->cones);
     ok = expansion[i] != NULL;

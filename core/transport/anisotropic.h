@@ -36,12 +36,13 @@ enum {
 
 /* How finely a solution is computed, with the relative error of R that was found from 0.01 to 20
  * reduced mean free paths, for sigma_a up to sigma_s (1 - g) and eta up to 2.2. The larger numbers
- * are for g = 0.95 and radii below 0.2. For g above 0.8 and sigma_a of 30 times sigma_s (1 - g),
- * the error is 9e-2, 4e-2 and 6e-3. What holds is the error that is stated beside each value. */
+ * are for g = 0.95 and radii below 0.2. For g = 0.95, eta = 2.2 and sigma_a of 30 times
+ * sigma_s (1 - g), the error is 1e-1, 1e-2 and 6e-4. What holds is the error that is stated beside
+ * each value. */
 typedef enum transport_effort {
-  TRANSPORT_EFFORT_QUICK,  /* 1e-3 to 2e-3 */
-  TRANSPORT_EFFORT_NORMAL, /* 3e-5 to 3e-3 */
-  TRANSPORT_EFFORT_FINEST  /* 1e-5 to 2e-4 */
+  TRANSPORT_EFFORT_QUICK,  /* 2e-4 to 2e-3 */
+  TRANSPORT_EFFORT_NORMAL, /* 1e-4 to 3e-3 */
+  TRANSPORT_EFFORT_FINEST  /* 3e-5 to 2e-4 */
 } transport_effort;
 
 typedef struct transport_anisotropic transport_anisotropic;

@@ -173,9 +173,6 @@ static const struct {
  * is far from the table's. */
 #define BETWEEN_G 0.6
 
-/* Below this g, the normal grids are up to 5e-3 off where sigma_a is larger than sigma_s'. */
-#define BACKWARD (-0.4)
-
 enum {
   CHECK_MEDIA = sizeof check_media / sizeof check_media[0],
   BETWEEN = NODES_D_U - 1,
@@ -222,9 +219,7 @@ static void checks_make_difference(const double *field, table_sample samples[CHE
       sample_make(&samples[n], between(&random, g[0], g[1]), ETAS_D, RADII_D);
       albedo = transport_table_albedo_of_u(
           between(&random, transport_table_u(from[0]), transport_table_u(from[1])));
-      if (samples[n].g < BACKWARD && albedo < 0.5) {
-        samples[n].effort = TRANSPORT_EFFORT_FINEST;
-      }
+      samples[n].effort = sample_effort(samples[n].g, albedo);
     }
     make_places(field, &random, albedo, &samples[n]);
   }

@@ -120,12 +120,10 @@ double nodes_albedo_between(const double *field, size_t i) {
   return transport_table_albedo_of_u(u + 0.5 * (next - u));
 }
 
-/* Point l of w for the samples, in descending order: Chebyshev's points, and two that lie at
- * extrema 2 and 7 of the polynomial T_9 whose zeros those are. There the terms T_9 and T_10 are largest,
- * which the other points cannot tell from lower ones. */
+/* Point l of w for the samples, in descending order: the extrema of T_(NODES_D_G - 1). They include
+ * both ends, next to which zeros of a polynomial leave the largest errors. */
 static double sample_w(const double *field, size_t l) {
-  static const size_t angle[NODES_D_G] = {1, 3, 4, 5, 7, 9, 11, 13, 14, 15, 17};
-  return point_at(angle[l], NODES_D_G_CHEBYSHEV, transport_table_w(field[TRANSPORT_TABLE_G_LEAST]),
+  return point_at(2 * l, NODES_D_G - 1, transport_table_w(field[TRANSPORT_TABLE_G_LEAST]),
                   transport_table_w(field[TRANSPORT_TABLE_G_MOST]));
 }
 
@@ -168,6 +166,7 @@ void nodes_read_off(const transport_table *table, table_sample *sample) {
 
 static void make_node(const double *field, double g, double albedo, table_sample *sample) {
   sample_make(sample, g, NODES_D_V, PANELS * NODES_D_X);
+  sample->effort = sample_effort(g, albedo);
   make_etas(field, TRANSPORT_TABLE_BELOW_1, NODES_D_BELOW_1, sample->eta);
   make_etas(field, TRANSPORT_TABLE_FROM_1, NODES_D_FROM_1, sample->eta + NODES_D_BELOW_1);
   for (size_t j = 0; j < NODES_D_V; j++) {

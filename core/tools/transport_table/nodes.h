@@ -14,10 +14,8 @@ enum {
   NODES_FROM_1 = 32,
   NODES = NODES_BELOW_1 + NODES_FROM_1,
   /* samples of the difference D: one for each g, of which 0 needs none, and each albedo */
-  NODES_D_G_CHEBYSHEV = 9,
-  NODES_D_G_BETWEEN = 2, /* further points of g, see sample_w() in nodes.c */
-  NODES_D_G = NODES_D_G_CHEBYSHEV + NODES_D_G_BETWEEN,
-  NODES_D_G_ZERO = 6, /* the point of g that is 0; those of g above 0 come before it */
+  NODES_D_G = 19,
+  NODES_D_G_ZERO = 11, /* the point of g that is 0; those of g above 0 come before it */
   NODES_D_U = 14,     /* points of u for g above 0 */
   /* the same points and those halfway between, in the angle, and both ends */
   NODES_D_U_BELOW_0 = 2 * NODES_D_U + 1,

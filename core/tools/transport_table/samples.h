@@ -23,8 +23,12 @@ typedef struct table_sample {
   double *numbers; /* memory that holds the five arrays */
 } table_sample;
 
-/* Allocates the arrays. The effort is TRANSPORT_EFFORT_NORMAL, for g from 0.85 on
- * TRANSPORT_EFFORT_FINEST. If no memory is left, the program ends with a message. */
+/* Returns the effort that a medium with g other than 0 needs: TRANSPORT_EFFORT_FINEST for g from 0.85
+ * on, and for g below -0.4 with sigma_a above sigma_s'; else TRANSPORT_EFFORT_NORMAL. */
+transport_effort sample_effort(double g, double albedo);
+
+/* Allocates the arrays. The effort is TRANSPORT_EFFORT_NORMAL. If no memory is left, the program ends
+ * with a message. */
 void sample_make(table_sample *sample, double g, size_t media, size_t radii);
 void sample_free(table_sample *sample);
 
