@@ -220,3 +220,72 @@ bool transport_dense_solve(const dense *a, const dense *b) {
   }
   return true;
 }
+
+/* ---- symmetric matrices ----------------------------------------------------------------------- */
+
+/* Rows of a triangle that are computed together, as rectangles that reach to the last column. A
+ * multiple of PANEL. */
+enum { STRIP = 64 };
+
+/* Adds sign times a b to the upper triangle of `to` from the row `first` on, which is symmetric. */
+static void add_triangle(const dense *to, size_t first, const dense *a, const dense *b,
+                         double sign) {
+  for (size_t row = first; row < to->rows; row += STRIP) {
+    const size_t rows = row + STRIP < to->rows ? STRIP : to->rows - row;
+    const dense part = within(to, row, row, rows, to->columns - row);
+    const dense left = within(a, row, 0, rows, a->columns);
+    const dense right = within(b, 0, row, b->rows, b->columns - row);
+    add(&part, &left, &right, sign);
+  }
+}
+
+/* Factors the rows first to before end of a symmetric matrix, without exchanging any, and subtracts
+ * them from the triangle below. The factors of elimination are left below the diagonal. Returns false
+ * if a pivot is 0. */
+static bool factor_symmetric(const dense *a, size_t first, size_t end) {
+  for (size_t row = first; row < end; row++) {
+    const number at = get(a, row, row);
+    const double size = at.re * at.re + at.im * at.im;
+    if (!(size > 0) || !isfinite(size)) {
+      return false;
+    }
+    const number inverse = {at.re / size, -at.im / size};
+    set(a, row, row, inverse);
+    for (size_t below = row + 1; below < a->rows; below++) {
+      const number factor = product(get(a, row, below), inverse);
+      set(a, below, row, factor);
+      if (below < end) {
+        subtract_row(a, below, row, factor, below, a->columns);
+      }
+    }
+  }
+  const dense factors = within(a, 0, first, a->rows, end - first);
+  const dense rows = within(a, first, 0, end - first, a->columns);
+  add_triangle(a, end, &factors, &rows, -1);
+  return true;
+}
+
+bool transport_dense_congruence(const dense *to, const dense *a, const dense *b,
+                                const dense *spare) {
+  const size_t n = a->rows;
+  for (size_t first = 0; first < n; first += PANEL) {
+    const size_t end = first + PANEL < n ? first + PANEL : n;
+    if (!factor_symmetric(a, first, end)) {
+      return false;
+    }
+    apply_panel(a, b, first, end, 0);
+  }
+  for (size_t row = 0; row < n; row++) {
+    for (size_t column = 0; column < n; column++) {
+      set(spare, column, row, product(get(b, row, column), get(a, row, row)));
+    }
+  }
+  clear(to);
+  add_triangle(to, 0, spare, b, 1);
+  for (size_t row = 0; row < n; row++) {
+    for (size_t column = 0; column < row; column++) {
+      set(to, row, column, get(to, column, row));
+    }
+  }
+  return true;
+}

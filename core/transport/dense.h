@@ -41,6 +41,13 @@ void transport_dense_multiply_blocks(const dense *to, const dense *a, const dens
  * content of a, which is square, is lost. Returns false if a is singular; then b has no meaning. */
 bool transport_dense_solve(const dense *a, const dense *b);
 
+/* Sets to = b^T a^-1 b for symmetric matrices a and b of the same size, by elimination without pivoting:
+ * with some rows exchanged, a has to be [g h; h^T -k] with g and k whose real parts are positive
+ * definite (Vanderbei 1995, "Symmetric quasidefinite matrices"). The contents of a, b and of
+ * *spare, which has their shape, are lost. Returns false if a pivot is 0; then `to` has no meaning. */
+bool transport_dense_congruence(const dense *to, const dense *a, const dense *b,
+                                const dense *spare);
+
 /* ---- dense_product.c, for dense.c alone ----------------------------------------------------- */
 
 /* A rectangle of the real or the imaginary part of a matrix. */

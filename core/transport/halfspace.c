@@ -49,8 +49,9 @@
 
 enum { ORDERS_MAX = 40, DEGREES_MAX = 72, DOUBLINGS_MAX = 60, ALIGNMENT_BYTES = 64 };
 
-/* Doubling ends when no number of the layer's transmission is larger than this. */
-#define TRANSMISSION_LEAST 1e-11
+/* Doubling ends when no number of the layer's transmission is larger than this: the next doubling
+ * would change the reflection by its square. */
+#define TRANSMISSION_LEAST 1e-8
 /* Fresnel's transmittance is integrated over panels that halve towards the grazing angle. */
 enum { FRESNEL_PANELS = 14, FRESNEL_NODES = 16 };
 
@@ -312,7 +313,7 @@ static void integrate_cone(halfspace *to, size_t boundary, size_t i, double eta,
 
 /* ---- making --------------------------------------------------------------------------------- */
 
-enum { MATRICES = 7 };
+enum { MATRICES = 10 };
 
 static bool reserve(halfspace *to) {
   size_t size = 0;
@@ -322,9 +323,9 @@ static bool reserve(halfspace *to) {
     size += m < to->orders ? n * to->degrees[m + 1] : 0;
   }
   to->tables = calloc(size, sizeof *to->tables);
-  const size_t bytes = ((MATRICES + 2) * 2 * transport_dense_size(to->n, to->n) +
-                        4 * transport_dense_size(to->n, 1)) *
-                       sizeof(double);
+  const size_t bytes =
+      (MATRICES * 2 * transport_dense_size(to->n, to->n) + 4 * transport_dense_size(to->n, 1)) *
+      sizeof(double);
   to->memory = aligned_alloc(ALIGNMENT_BYTES, bytes);
   if (to->tables == NULL || to->memory == NULL) {
     return false;
@@ -530,41 +531,52 @@ static bool transform(const dense *to, const dense *spare, const dense *minus, d
   return true;
 }
 
-/* Makes *r the reflection of the half space. At first *r and *t are the reflection and the
- * transmission of a layer; afterwards *t and the spare ones have no meaning. */
-static bool double_layers(const dense *r, const dense *t, const dense spare[2], const dense *both) {
-  for (int i = 0; i < DOUBLINGS_MAX; i++) {
-    if (largest(t) < TRANSMISSION_LEAST) {
-      return true;
-    }
-    /* (1 - R R) [Y Z] = [R T  T]: R += T Y, T = T Z */
-    transport_dense_multiply(&spare[0], r, r);
-    combine(&spare[0], -1, &spare[0], 0, r, 1);
-    transport_dense_multiply(&spare[1], r, t);
-    const size_t n = r->rows;
-    for (size_t row = 0; row < n; row++) {
-      memcpy(both->re + row * both->stride, spare[1].re + row * r->stride,
-             r->stride * sizeof *r->re);
-      memcpy(both->re + row * both->stride + r->stride, t->re + row * r->stride,
-             r->stride * sizeof *r->re);
-      if (r->im != NULL) {
-        memcpy(both->im + row * both->stride, spare[1].im + row * r->stride,
-               r->stride * sizeof *r->im);
-        memcpy(both->im + row * both->stride + r->stride, t->im + row * r->stride,
-               r->stride * sizeof *r->im);
+/* Changes the signs of the rows of odd orders. What they are changed of, a reflection or a transmission,
+ * then is symmetric, which is reciprocity: of E alone the blocks between orders are antisymmetric. */
+static void change_signs(const halfspace *of, const dense *to) {
+  for (size_t m = 1; m <= of->orders; m += 2) {
+    for (size_t row = of->first[m]; row < of->first[m + 1]; row++) {
+      for (size_t i = 0; i < to->columns; i++) {
+        put(to, row, i, -number_at(to, row, i));
       }
     }
-    if (!transport_dense_solve(&spare[0], both)) {
+  }
+}
+
+/* Sets *to to T (1 - sign R)^-1 T. All have the signs of change_signs(). */
+static bool reflect(const halfspace *of, const dense *to, double sign, const dense *r,
+                    const dense *t, const dense spare[3]) {
+  combine(&spare[0], -sign, r, 0, r, 1);
+  for (size_t m = 1; m <= of->orders; m += 2) {
+    for (size_t row = of->first[m]; row < of->first[m + 1]; row++) {
+      spare[0].re[row * spare[0].stride + row] -= 2;
+    }
+  }
+  combine(&spare[1], 1, t, 0, t, 0);
+  return transport_dense_congruence(to, &spare[0], &spare[1], &spare[2]);
+}
+
+/* Makes *r the reflection of the half space. At first *r and *t are the reflection and the
+ * transmission of a layer; afterwards *t and the spare ones have no meaning.
+ *
+ * Two layers that are lit alike from both sides, or with opposite signs, have a mirror between them:
+ * R + T (1 - R)^-1 T is the sum of their R and T, R - T (1 + R)^-1 T the difference. */
+static bool double_layers(const halfspace *of, const dense *r, const dense *t,
+                          const dense spare[5]) {
+  const dense *alike = &spare[3], *opposite = &spare[4];
+  change_signs(of, r);
+  change_signs(of, t);
+  for (int i = 0; i < DOUBLINGS_MAX; i++) {
+    if (largest(t) < TRANSMISSION_LEAST) {
+      change_signs(of, r);
+      return true;
+    }
+    if (!reflect(of, alike, 1, r, t, spare) || !reflect(of, opposite, -1, r, t, spare)) {
       return false;
     }
-    dense left = *both, right = *both;
-    left.columns = right.columns = n;
-    right.re += r->stride;
-    right.im = right.im == NULL ? NULL : right.im + r->stride;
-    transport_dense_multiply(&spare[1], t, &left);
-    combine(r, 1, r, 1, &spare[1], 0);
-    transport_dense_multiply(&spare[1], t, &right);
-    combine(t, 1, &spare[1], 0, r, 0);
+    combine(t, 0.5, alike, 0.5, opposite, 0);
+    combine(alike, 0.5, alike, -0.5, opposite, 0);
+    combine(r, 1, r, 1, alike, 0);
   }
   return false;
 }
@@ -579,7 +591,6 @@ bool transport_halfspace_solve(halfspace *of, double complex k, double kappa,
   for (size_t i = 0; i < MATRICES; i++) {
     matrix[i] = transport_dense_at(of->isa, &memory, n, n, is_complex);
   }
-  const dense both = transport_dense_at(of->isa, &memory, n, 2 * matrix[0].stride, is_complex);
   const dense up = transport_dense_at(of->isa, &memory, n, 1, is_complex);
   const dense once = transport_dense_at(of->isa, &memory, n, 1, is_complex);
   const dense *e = &matrix[0], *minus = &matrix[1], *plus = &matrix[2], *r = &matrix[3],
@@ -602,7 +613,7 @@ bool transport_halfspace_solve(halfspace *of, double complex k, double kappa,
   combine(&spare[0], 0.5, r, -0.5, t, 0);
   combine(t, 0.5, r, 0.5, t, 0);
   combine(r, 1, &spare[0], 0, t, 0);
-  if (!double_layers(r, t, spare, &both)) {
+  if (!double_layers(of, r, t, spare)) {
     return false;
   }
 

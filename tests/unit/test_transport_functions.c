@@ -1,10 +1,11 @@
 /* The functions that the transport solver uses: elementary functions, Bessel functions, Gauss's
- * rules. */
+ * rules, dense systems. */
 #include <complex.h>
 #include <float.h>
 #include <math.h>
 
 #include "core/transport/bessel.h"
+#include "core/transport/dense.h"
 #include "core/transport/functions.h"
 #include "core/transport/gauss.h"
 #include "tests/unit/unit.h"
@@ -146,4 +147,92 @@ UNIT_TEST(rules_are_exact_for_polynomials) {
     assert_true(fabs(highest * 2 * (double)n - 1) < 1e-12);
     assert_true(n < 8 || fabs(cosine - sin(1)) < 4e-15);
   }
+}
+
+/* ---- dense systems ------------------------------------------------------------------------------ */
+
+enum { ROWS_MAX = 150, MATRICES = 7, SYSTEM = MATRICES * 2 * ROWS_MAX * (ROWS_MAX + 8) };
+
+/* A symmetric matrix with random numbers. On the diagonal, `size` is added to the real part in some
+ * rows and subtracted in the others, as in Vanderbei's quasidefinite matrices. */
+static void fill_symmetric(const dense *to, double size, uint64_t *random) {
+  for (size_t row = 0; row < to->rows; row++) {
+    const double diagonal = row / 5 % 2 == 0 ? size : -size;
+    for (size_t i = 0; i <= row; i++) {
+      const size_t at = row * to->stride + i, mirror = i * to->stride + row;
+      to->re[at] = to->re[mirror] = unit_random_between(random, -1, 1) + (i == row ? diagonal : 0);
+      if (to->im != NULL) {
+        to->im[at] = to->im[mirror] = unit_random_between(random, -1, 1);
+      }
+    }
+  }
+}
+
+static void copy_matrix(const dense *to, const dense *from) {
+  memcpy(to->re, from->re, from->rows * from->stride * sizeof *to->re);
+  if (to->im != NULL) {
+    memcpy(to->im, from->im, from->rows * from->stride * sizeof *to->im);
+  }
+}
+
+static double difference(const dense *one, const dense *other) {
+  double most = 0;
+  for (size_t row = 0; row < one->rows; row++) {
+    for (size_t i = 0; i < one->columns; i++) {
+      const size_t at = row * one->stride + i;
+      most = fmax(most, fabs(one->re[at] - other->re[at]));
+      most = one->im == NULL ? most : fmax(most, fabs(one->im[at] - other->im[at]));
+    }
+  }
+  return most;
+}
+
+/* b^T a^-1 b by elimination without pivoting, against a solution with it, on every instruction set. */
+static void compare_congruence(size_t rows, bool is_complex, double *memory, uint64_t *random) {
+  const uint64_t seed = *random;
+  dense of[MATRICES];
+  for (size_t level = 0; core_isa_listed(level) != NULL; level++) {
+    const core_isa *isa = core_isa_select(core_isa_listed(level));
+    if (isa == NULL) {
+      continue; /* this machine does not have it */
+    }
+    *random = seed;
+    double *next = memory;
+    for (size_t k = 0; k < MATRICES; k++) {
+      of[k] = transport_dense_at(isa, &next, rows, rows, is_complex);
+    }
+    const dense *a = &of[0], *b = &of[1], *x = &of[2], *result = &of[3], *truth = &of[4];
+    fill_symmetric(a, 3 * (double)rows, random);
+    fill_symmetric(b, 0, random);
+    copy_matrix(x, b);
+    copy_matrix(truth, a);
+    assert_true(transport_dense_solve(truth, x));
+    transport_dense_multiply(truth, b, x);
+    assert_true(transport_dense_congruence(result, a, b, &of[5]));
+    assert_true(difference(result, truth) < 1e-13 * (double)rows);
+    if (level == 0) {
+      copy_matrix(&of[6], result);
+    }
+    assert_true(difference(result, &of[6]) == 0);
+  }
+}
+
+UNIT_TEST(symmetric_systems_are_solved_without_pivots) {
+  static const size_t sizes[] = {1, 2, 7, 8, 15, 16, 17, 33, 63, 64, 65, 81, 127, 129, ROWS_MAX};
+  uint64_t random = unit_seed();
+  double *memory = aligned_alloc(64, SYSTEM * sizeof *memory);
+  assert_non_null(memory);
+  memset(memory, 0, SYSTEM * sizeof *memory);
+  for (size_t i = 0; i < sizeof sizes / sizeof sizes[0]; i++) {
+    compare_congruence(sizes[i], false, memory, &random);
+    compare_congruence(sizes[i], true, memory, &random);
+  }
+  memset(memory, 0, SYSTEM * sizeof *memory);
+  double *next = memory;
+  dense of[4];
+  for (size_t k = 0; k < 4; k++) {
+    of[k] = transport_dense_at(core_isa_select(NULL), &next, 9, 9, true);
+  }
+  assert_false(transport_dense_congruence(&of[0], &of[1], &of[2], &of[3])); /* a is 0 */
+  free(memory);
 }
