@@ -297,7 +297,7 @@ struct transport_anisotropic {
 
 static void place_panels(struct grid *to) {
   const double last = to->rules->tier[TIERS - 1].k_most;
-  double begin = 0, end = fmin(last / 4, fmax((1 - to->rules->shift) * to->scaled.kappa, 1e-3));
+  double begin = 0, end = fmin(last / 4, (1 - to->rules->shift) * to->scaled.kappa);
   to->panels = 0;
   while (begin < last) {
     assert(to->panels < PANELS_MAX);
