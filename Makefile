@@ -16,7 +16,7 @@
 #   make model-errors  core/model_errors.def, measured anew against transport (minutes)
 #   make gamma-errors  core/gamma_errors.def, transport with gamma for other phase functions
 #   make tradeoff   speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
-#   make tables     core/transport/transport.table, solved anew (half an hour; resumes)
+#   make tables     core/transport/transport.table, solved anew (an hour; resumes)
 #   make totals     the totals in that table alone, for g other than 0 (a minute)
 #   make apertures  core/fit/aperture.table and its errors, solved anew (minutes; resumes)
 #   make reference  core/transport/reference.csv, R(r) for many g, solved anew (an hour; resumes)
@@ -492,7 +492,7 @@ $(BUILD)/transport-table: $(TABLES) $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
 
-# Half an hour on two cores; after an interruption it goes on where it was. KEPT=1: minutes; solutions
+# An hour on two cores; after an interruption it goes on where it was. KEPT=1: minutes; solutions
 # are those that the table has, but for the ends of the albedos for g below 0 and for the checks.
 tables: $(BUILD)/transport-table
 	$(BUILD)/transport-table $(KEPT:1=--kept) $(BUILD)/tables core/transport/transport.table

@@ -29,8 +29,8 @@
  *       x = 1 / (kappa / decays + 1 / most) with the kappa of isotropic scattering, so that panels
  *       end where R does, and Q with them is a smooth function of kappa. The panels between the last
  *       fixed edge and the reach have the same width in y. Each part has its own edges. Beyond its
- *       reach D goes on with its slope there, which fades within TRANSPORT_TABLE_D_FADES of y: R is
- *       diffusion there, or so small that the errors below do not hold for it.
+ *       reach D goes on with its slope there, which fades within TRANSPORT_TABLE_D_FADES of y, like
+ *       1 / x: R is diffusion there, or so small that the errors below do not hold for it.
  *
  * For isotropic scattering the table holds the total (the energy that leaves per power that has
  * entered) as ln(total / a). For other media it holds ln(total / a) for a beam at right angles and
@@ -61,10 +61,10 @@
  * R where R is above TRANSPORT_TABLE_R_LEAST and of the totals, plus the error of the solver itself.
  * For g other than 0 there is an error for each region: a band of g, of the albedo, of eta and of x.
  * Their margin is TRANSPORT_TABLE_MARGIN_D.
- * With sigma_a up to sigma_s' the largest error that was found is 1.1e-3 for x from 0.05 to 20, and
- * 1.5e-3 for smaller x and for x from 20 to 100; it is 1.9e-3 with sigma_a up to ten times sigma_s',
- * and 4e-3 with more. For x above 100, which only sigma_a below 1e-3 sigma_s' reaches, it is 2.1e-2
- * for g below -0.25, 6.6e-3 for g above 0.85, and 1.2e-3 for all others. Totals for g other than 0
+ * With sigma_a up to sigma_s' the largest error that was found is 3.2e-4 for x up to 10, and 1.7e-3 for x
+ * from 10 to 100 (4.5e-4 for g up to 0.85); it is 1.6e-3 with sigma_a up to ten times sigma_s', and 3e-3
+ * with more. For x above 100, which only sigma_a below 1e-3 sigma_s' reaches, it is 1.1e-2 for g below -0.25, most of which is
+ * the solver's, and 1.7e-3 for all others. Totals for g other than 0
  * are within 7.4e-7 for the beam and 2.1e-6 for diffuse light.
  */
 #ifndef DIPOLED_CORE_TRANSPORT_TABLE_H

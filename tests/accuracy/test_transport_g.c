@@ -290,8 +290,11 @@ static void check_energies(const core_profile *profile, const struct within *wit
     const double rounding = profile->evaluator == CORE_EVALUATOR_F64 ? 1e-15 : 1e-6;
     /* the error of a table's cdf is no smaller between near radii */
     const double of = profile->evaluator == CORE_EVALUATOR_LUT ? within->energy[i] : ring;
+    /* beyond the reach, where R is below 1e-12, the error of R is larger than that of the cdf */
+    const double of_R = fmin(stated(profile, CORE_QUANTITY_R, within->r[i - 1], r), 1);
     hold("a ring's energy", profile, r, (value - before) * profile->albedo, ring,
-         (error + precision) * of + within->error[i] - within->error[i - 1] + rounding, worst);
+         (fmax(error, of_R) + precision) * of + within->error[i] - within->error[i - 1] + rounding,
+         worst);
     if (cdf < 0.99) {
       double u = cdf, back;
       if (profile->evaluator == CORE_EVALUATOR_F64) {
@@ -331,7 +334,11 @@ static void check_densities(const core_profile *profile, const transport_anisotr
   for (double r = 0.011; r < 20; r *= 1.6) {
     const transport_number R = transport_anisotropic_at(solution, 0, r);
     const double ring = 2 * PI * r * R.value, unsure = R.error / R.value + 1e-6;
-    const struct { const char *name; enum core_quantity quantity; double truth, scale; } of[] = {
+    const struct {
+      const char *name;
+      enum core_quantity quantity;
+      double truth, scale;
+    } of[] = {
         {"R", CORE_QUANTITY_R, R.value, R.value},
         {"2 pi r R", CORE_QUANTITY_RING, ring, ring},
         {"the pdf", CORE_QUANTITY_PDF, ring / total, ring / total},

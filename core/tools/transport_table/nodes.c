@@ -22,7 +22,7 @@ enum {
   NODES_D_BELOW_1 = 10,
   NODES_D_FROM_1 = 16,
   NODES_D_V = NODES_D_BELOW_1 + NODES_D_FROM_1,
-  DIFFERENCE_U = NODES_D_U_BELOW_0, /* points of u of the series */
+  DIFFERENCE_U = NODES_D_U_MORE, /* points of u of the series */
   TOTALS_G = 18,
   TOTALS_U = 31,
   TOTALS_V = 32, /* on each side */
@@ -31,8 +31,9 @@ enum {
 };
 
 /* Where R is smaller, per squared reduced mean free path, rounding errors of the solver are as
- * large as R. */
+ * large as R; from R_DOUBTFUL on they do not count. */
 #define R_NOISE 1e-18
+#define R_DOUBTFUL 1e-17
 
 static void *allocate(size_t count, size_t size) {
   void *memory = calloc(count, size);
@@ -127,30 +128,33 @@ static double sample_w(const double *field, size_t l) {
                   transport_table_w(field[TRANSPORT_TABLE_G_MOST]));
 }
 
-/* Below g = 0 the series in u converge more slowly. Without the ends of u their errors would be up to
- * 27 times as large there: R was 1.4e-2 off at sigma_a = 1.5e-6 sigma_s'. */
+/* With NODES_D_U points R is up to 1.5e-3 off between them, beyond 10 mean free paths for eta from 1 to
+ * 1.1. Below g = 0 the series in u converge more slowly: without the ends of u their errors would be
+ * up to 27 times as large there, and R was 1.4e-2 off at sigma_a = 1.5e-6 sigma_s'. */
 static size_t u_count(size_t l) {
-  return l < NODES_D_G_ZERO ? NODES_D_U : NODES_D_U_BELOW_0;
+  return l < NODES_D_G_FORWARD ? NODES_D_U : NODES_D_U_MORE;
 }
 
 /* Returns point i of u of a g, in the order of ascending albedos. The solver's range of sigma_a ends
  * next to both ends. */
 static double sample_u(const double *field, size_t l, size_t i) {
   static const double ends[] = {99.99, 1.0001e-6}; /* sigma_a / sigma_s' */
-  const size_t angle = l < NODES_D_G_ZERO ? 2 * i + 1 : i;
+  const size_t angle = l < NODES_D_G_FORWARD ? 2 * i + 1 : i;
   return angle == 0 || angle == 2 * NODES_D_U ? transport_table_u(1 / (1 + ends[angle > 0]))
                                               : u_at_angle(field, angle);
 }
 
 /* The sample of point l of g and point i of u, where g is not 0. */
 static size_t sample_of(size_t l, size_t i) {
-  return l < NODES_D_G_ZERO ? l * NODES_D_U + i
-                            : NODES_D_ABOVE_0 + (l - 1 - NODES_D_G_ZERO) * NODES_D_U_BELOW_0 + i;
+  const size_t before = l > NODES_D_G_ZERO ? 1 : 0; /* g = 0, which has no samples */
+  return l < NODES_D_G_FORWARD
+             ? l * NODES_D_U + i
+             : NODES_D_FORWARD + (l - before - NODES_D_G_FORWARD) * NODES_D_U_MORE + i;
 }
 
 bool nodes_is_end(size_t n) {
-  const size_t i = n < NODES_D_ABOVE_0 ? 1 : (n - NODES_D_ABOVE_0) % NODES_D_U_BELOW_0;
-  return i == 0 || i == NODES_D_U_BELOW_0 - 1;
+  const size_t i = n < NODES_D_FORWARD ? 1 : (n - NODES_D_FORWARD) % NODES_D_U_MORE;
+  return i == 0 || i == NODES_D_U_MORE - 1;
 }
 
 void nodes_read_off(const transport_table *table, table_sample *sample) {
@@ -393,6 +397,57 @@ static double difference(double x, double R, double kappa, const transport_serie
          fn_log((1 + kx) / (1 + kx_isotropic));
 }
 
+static double weighted_sum(const double *weight, const double *a, const double *b) {
+  double sum = 0;
+  for (size_t k = 0; k < NODES_D_X; k++) {
+    sum += weight[k] * a[k] * b[k];
+  }
+  return sum;
+}
+
+static void add_multiple(double *to, double factor, const double *from) {
+  for (size_t k = 0; k < NODES_D_X; k++) {
+    to[k] += factor * from[k];
+  }
+}
+
+/* Replaces D at the radii of the last panel by a polynomial in 1 / x through it, by least squares:
+ * there R is diffusion, whose terms these are, and the slope at the reach, with which D goes on, has
+ * hardly any of the solver's noise. That noise grows with x. The polynomials are made orthogonal; one
+ * that the radii hardly tell from those before it is left out, with all that follow. */
+static void smooth_far(const double *x, const double *R, double *values) {
+  enum { TERMS = 4 };
+  const double told_apart = 0.04;
+  double weight[NODES_D_X], polynomial[TERMS][NODES_D_X], smooth[NODES_D_X] = {0};
+  bool found = false;
+  for (size_t k = 0; k < NODES_D_X; k++) {
+    const double trusted = R[k] > R_NOISE ? R[k] / (R[k] + R_DOUBTFUL) : 0;
+    weight[k] = trusted * trusted / (x[k] * x[k]);
+  }
+  for (size_t j = 0; j < TERMS; j++) {
+    double *of = polynomial[j];
+    for (size_t k = 0; k < NODES_D_X; k++) {
+      of[k] = j == 0 ? 1 : polynomial[j - 1][k] * x[NODES_D_X - 1] / x[k];
+    }
+    const double before = weighted_sum(weight, of, of);
+    for (size_t i = 0; i < j; i++) {
+      add_multiple(of, -weighted_sum(weight, of, polynomial[i]), polynomial[i]);
+    }
+    const double square = weighted_sum(weight, of, of);
+    if (!(square > told_apart * told_apart * before)) {
+      break;
+    }
+    for (size_t k = 0; k < NODES_D_X; k++) {
+      of[k] /= sqrt(square);
+    }
+    found = true;
+    add_multiple(smooth, weighted_sum(weight, of, values), of);
+  }
+  if (found) {
+    memcpy(values, smooth, sizeof smooth);
+  }
+}
+
 /* Sets values to D at the radii of medium j of a sample. Where R is below R_NOISE, D keeps the
  * value that it has at the last radius before. */
 static void find_differences(const transport_table *isotropic, const table_sample *sample, size_t j,
@@ -409,6 +464,8 @@ static void find_differences(const transport_table *isotropic, const table_sampl
       values[at] = last;
     }
   }
+  const size_t far = (PANELS - 1) * NODES_D_X;
+  smooth_far(x + far, R + far, values + far);
 }
 
 /* Sets weight[i] such that the sum of weight[i] f(x[i]) is, at the point `at`, the polynomial of
@@ -474,8 +531,9 @@ static void move_to_chebyshev(const double *field, size_t lines, size_t stride, 
 
 static void put_differences(table_bytes *writer, const transport_table *isotropic,
                             const table_sample samples[NODES_D], enum transport_table_side side) {
-  /* further terms are nothing but the solver's noise, which would put kinks into profiles */
-  static const size_t keep[PANELS] = {10, 16, 14, 6};
+  /* further terms are nothing but the solver's noise, which would put kinks into profiles; the last
+   * panel is smooth (smooth_far()) */
+  static const size_t keep[PANELS] = {10, 16, 14, 12};
   const size_t first = side == TRANSPORT_TABLE_BELOW_1 ? 0 : NODES_D_BELOW_1;
   const size_t nv = side == TRANSPORT_TABLE_BELOW_1 ? NODES_D_BELOW_1 : NODES_D_FROM_1;
   const size_t size = NODES_D_X * NODES_D_G * DIFFERENCE_U * nv;

@@ -15,12 +15,13 @@ enum {
   NODES = NODES_BELOW_1 + NODES_FROM_1,
   /* samples of the difference D: one for each g, of which 0 needs none, and each albedo */
   NODES_D_G = 19,
-  NODES_D_G_ZERO = 11, /* the point of g that is 0; those of g above 0 come before it */
-  NODES_D_U = 14,     /* points of u for g above 0 */
-  /* the same points and those halfway between, in the angle, and both ends */
-  NODES_D_U_BELOW_0 = 2 * NODES_D_U + 1,
-  NODES_D_ABOVE_0 = NODES_D_G_ZERO * NODES_D_U,
-  NODES_D = NODES_D_ABOVE_0 + (NODES_D_G - 1 - NODES_D_G_ZERO) * NODES_D_U_BELOW_0
+  NODES_D_G_ZERO = 11,   /* the point of g that is 0; those of g above 0 come before it */
+  NODES_D_G_FORWARD = 4, /* points of g from 0.85 on, whose solutions take longest */
+  NODES_D_U = 14,        /* points of u for these */
+  /* the same points and those halfway between, in the angle, and both ends, for all others */
+  NODES_D_U_MORE = 2 * NODES_D_U + 1,
+  NODES_D_FORWARD = NODES_D_G_FORWARD * NODES_D_U,
+  NODES_D = NODES_D_FORWARD + (NODES_D_G - 1 - NODES_D_G_FORWARD) * NODES_D_U_MORE
 };
 
 /* Makes the samples at Chebyshev's points in all coordinates. */
