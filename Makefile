@@ -16,10 +16,10 @@
 #   make model-errors  core/model_errors.def, measured anew against transport (minutes)
 #   make gamma-errors  core/gamma_errors.def, transport with gamma for other phase functions
 #   make tradeoff   speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
-#   make tables     core/transport/transport.table, solved anew (an hour; resumes)
+#   make tables     core/transport/transport.table, solved anew (90 minutes; resumes)
 #   make totals     the totals in that table alone, for g other than 0 (a minute)
 #   make apertures  core/fit/aperture.table and its errors, solved anew (minutes; resumes)
-#   make reference  core/transport/reference.csv, R(r) for many g, solved anew (an hour; resumes)
+#   make reference  core/transport/reference.csv, R(r) for many g, solved anew (90 minutes; resumes)
 #   make figures    Figures 1 to 17 of d'Eon 2012 and one of tissue, in build/figures (ten minutes;
 #                   resumes), with build/figures/index.html, and core/tools/tissue.svg
 #   make picture    a mesh in marble, milk and skin by three models, clients/c/examples/picture.png
@@ -492,7 +492,7 @@ $(BUILD)/transport-table: $(TABLES) $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
 
-# An hour on two cores; after an interruption it goes on where it was. KEPT=1: minutes; solutions
+# Some 90 minutes on two cores; after an interruption it goes on where it was. KEPT=1: minutes; solutions
 # are those that the table has, but for the ends of the albedos for g below 0 and for the checks.
 tables: $(BUILD)/transport-table
 	$(BUILD)/transport-table $(KEPT:1=--kept) $(BUILD)/tables core/transport/transport.table
