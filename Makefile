@@ -19,7 +19,7 @@
 #   make tables     core/transport/transport.table, solved anew (90 minutes; resumes)
 #   make totals     the totals in that table alone, for g other than 0 (a minute)
 #   make apertures  core/fit/aperture.table and its errors, solved anew (minutes; resumes)
-#   make reference  core/transport/reference.csv, R(r) for many g, solved anew (90 minutes; resumes)
+#   make reference  core/transport/reference.csv, R(r) for many g, solved anew (an hour; resumes)
 #   make figures    Figures 1 to 17 of d'Eon 2012 and one of tissue, in build/figures (ten minutes;
 #                   resumes), with build/figures/index.html, and core/tools/tissue.svg
 #   make picture    a mesh in marble, milk and skin by three models, clients/c/examples/picture.png
@@ -493,7 +493,7 @@ $(BUILD)/transport-table: $(TABLES) $(BUILD)/libcore.a
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
 
 # Some 90 minutes on two cores; after an interruption it goes on where it was. KEPT=1: minutes; solutions
-# are those that the table has, but for the ends of the albedos for g below 0 and for the checks.
+# are those that the table has, but for the ends of the albedos for g below 0.85 and for the checks.
 tables: $(BUILD)/transport-table
 	$(BUILD)/transport-table $(KEPT:1=--kept) $(BUILD)/tables core/transport/transport.table
 

@@ -3,8 +3,8 @@
  * interrupted run continues where it stopped. Every machine writes the same file.
  *
  * transport-table --kept FOLDER FILE: takes solutions from the table FILE itself at all points that it
- * was made from, solves for the ends of the albedos for g below 0 and for the checks, and makes R
- * for g other than 0 anew, with its errors. Isotropic scattering and all totals stay. The result is
+ * was made from, solves for the ends of the albedos for g below 0.85 and for the checks, and makes
+ * R for g other than 0 anew, with its errors. Isotropic scattering and all totals stay. The result is
  * what a complete run would write, but for rounding of some 1e-5.
  *
  * transport-table FILE: makes the totals for g other than 0 and their errors in FILE anew, which
