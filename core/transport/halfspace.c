@@ -531,8 +531,8 @@ static bool transform(const dense *to, const dense *spare, const dense *minus, d
   return true;
 }
 
-/* Changes the signs of the rows of odd orders. What they are changed of, a reflection or a transmission,
- * then is symmetric, which is reciprocity: of E alone the blocks between orders are antisymmetric. */
+/* Changes the signs of the rows of odd orders. This makes a reflection or a transmission symmetric, by
+ * reciprocity: the blocks of E between orders are antisymmetric, all others symmetric. */
 static void change_signs(const halfspace *of, const dense *to) {
   for (size_t m = 1; m <= of->orders; m += 2) {
     for (size_t row = of->first[m]; row < of->first[m + 1]; row++) {
