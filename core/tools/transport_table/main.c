@@ -371,7 +371,8 @@ static struct bands bands_of(size_t region) {
  * at most 2.1e-5 off for eta = 1.4, and 2.8e-4 for eta = 2.2. */
 static double solver_error(size_t region) {
   const struct bands at = bands_of(region);
-  const bool near = at.x == 0, dark = at.albedo<2 /* below 0.5 */, bright = at.albedo> 2;
+  const bool near = at.x == 0;
+  const bool dark = at.albedo<2, bright = at.albedo> 2; /* below 0.5, from 0.9 on */
   const double forward = near || dark ? 7e-4 : bright ? 2e-4 : 5e-4;
   return at.g + 1 == TRANSPORT_TABLE_BANDS_G ? forward : at.g > 0 && at.eta > 0 ? 3e-4 : 1e-4;
 }
@@ -379,8 +380,8 @@ static double solver_error(size_t region) {
 /* Returns the largest error of a region and of those that are like it. Not every region has a
  * medium with the finest grids. Near the source the error hardly depends on the albedo, unless that
  * is very small. If it is, and if the region has few values, the error for all g counts. Far from the
- * source the series in u set the error, which all g but the last band have in common. Where R is negligible in all of them, the error
- * is that of the band of smaller x. */
+ * source the series in u set the error, which all g but the last band have in common. Where R is
+ * negligible in all of them, the error is that of the band of smaller x. */
 static double error_of(const checks_result *result, size_t region) {
   enum { FEW = 20, NEAR = 2, FAR = 3 /* bands of x */, GS = TRANSPORT_TABLE_BANDS_G };
   const struct bands of = bands_of(region);
