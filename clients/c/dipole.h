@@ -614,7 +614,8 @@ typedef struct dipole_fitted {
    * readings and between them: that of the model, and with detector_na that of the share that is
    * detected. With DIPOLE_REFERENCE it is that of the ratio. It is not part of the variances. NaN: it
    * was not measured, as for frequencies unless the model is transport. The numerical error of R, which
-   * dipole_eval() states, is in neither: for transport with g other than 0 it may be 4e-3. */
+   * dipole_eval() states, is in neither: for transport with g other than 0 it may be 1e-3, and
+   * more with sigma_a above sigma_s'. */
   double model_error;
 } dipole_fitted;
 

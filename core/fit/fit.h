@@ -152,7 +152,8 @@ typedef struct core_fit_result {
    * readings and between them: that of the model (core/model_error.h), and with an aperture that of the
    * shares. With scale REFERENCE it is that of the ratio. It is not part of the covariance. NAN: it was
    * not measured, as for frequencies unless the model is exact. The numerical error of R
-   * (core_profile_errors()) is in neither: for TRANSPORT with g other than 0 it may be 4e-3. */
+   * (core_profile_errors()) is in neither: for TRANSPORT with g other than 0 it may be 1e-3,
+   * and more with sigma_a above sigma_s'. */
   double model_error;
   /* Another local minimum whose chi-squared is less than CORE_FIT_AMBIGUOUS above that of the best;
    * all NAN if none was found. */

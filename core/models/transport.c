@@ -554,31 +554,36 @@ static const transport_table *table_for_g(const core_medium *medium) {
   return serves ? table : NULL;
 }
 
-/* Where the table states more than FAR_ERROR for radii beyond FAR mean free paths, the reach ends
- * there, so that the profile's last band of radii does not state it from 10 mean free paths on. */
-#define FAR 100.0
-#define FAR_ERROR 4e-3
+/* Returns the radius, in mean free paths, where R of a medium that the table covers has fallen below
+ * TRANSPORT_TABLE_R_LEAST, by a factor of up to 30, or FARTHEST if that is nearer. R is at most e^c (1 +
+ * kappa x) e^(-kappa x) / x^3, as in diffusion; c was taken from the table. Newton's steps come from
+ * below. */
+#define FARTHEST 100.0
+static double radius_of_R_least(double albedo, double eta, double kappa) {
+  const double dark = -real_log(albedo, 0);
+  const double c =
+      fmin(0.25, 2 - 6 * dark / (1 + 0.3 * dark) - 0.9 * dark * sqrt(fmax(eta - 1, 0)));
+  const double fallen = c - real_log(TRANSPORT_TABLE_R_LEAST, 0);
+  double x = 1;
+  for (int step = 0; step < 12 && x < FARTHEST; step++) {
+    const double kx = kappa * x;
+    x += x * (fallen - kx - 3 * real_log(x, 0) + real_log(1 + kx, 0)) / (kx + 3 - kx / (1 + kx));
+  }
+  return fmin(x, FARTHEST);
+}
 
 /* The reach that the profile reports is that of the table of solutions, which is shorter than the
- * solver's: so it does not depend on which of the two was used. For g other than 0 it ends where
- * the difference from isotropic scattering ends, or some 2 decay lengths after R has fallen below
- * TRANSPORT_TABLE_R_LEAST, if that is nearer; and the growth is an upper bound of what was measured
- * against the solver up to 30 decay lengths. */
+ * solver's: so it does not depend on which of the two was used. For g other than 0 it ends about where
+ * R falls below TRANSPORT_TABLE_R_LEAST, or at FARTHEST, so that the profile's last band of radii, from
+ * 10 mean free paths on, does not state the error of still larger radii. The growth is an upper bound
+ * of what was measured against the solver up to 30 decay lengths, where R is above 1e-17. */
 core_reach core_transport_reach(const core_medium *medium) {
   const double sigma_t_prime = core_sigma_t_prime(medium);
-  const double kappa = transport_kappa(albedo_of(medium));
-  const transport_table *table = table_for_g(medium);
-  if (table != NULL) {
-    double edge[TRANSPORT_TABLE_PANELS + 1];
-    transport_table_edges(table->field, true, kappa, edge);
-    const double albedo = albedo_of(medium), g = medium->g, eta = medium->eta;
-    const double decays = fmax(19.5 + 3.5 * real_log(2 * albedo, 0), 11);
-    const double end = real_exp_signed(edge[TRANSPORT_TABLE_PANELS]);
-    const double far = transport_table_error(table, albedo, g, eta, FAR, (double)INFINITY);
-    const double most = fmin(end, decays / kappa);
+  const double albedo = albedo_of(medium), kappa = transport_kappa(albedo);
+  if (table_for_g(medium) != NULL) {
     return (core_reach){
-        .most_mm = (far > FAR_ERROR ? fmin(most, FAR) : most) / sigma_t_prime,
-        .growth = 0.05 + 8 * fmin(kappa, 0.5),
+        .most_mm = radius_of_R_least(albedo, medium->eta, kappa) / sigma_t_prime,
+        .growth = 0.015 + 4 * kappa * kappa,
     };
   }
   return (core_reach){.most_mm = 1 / (kappa / LAST_EXPONENT + 1 / LAST) / sigma_t_prime,

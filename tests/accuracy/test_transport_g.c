@@ -218,6 +218,26 @@ UNIT_TEST(smaller_values_are_within_what_is_stated_beyond_the_reach) {
   assert_true(excess.R > 0);
 }
 
+/* What is stated holds where R is above 1e-12, up to 100 mean free paths. */
+UNIT_TEST(the_reach_ends_where_R_is_negligible) {
+  enum { MEDIA = 400 };
+  uint64_t random = unit_seed();
+  for (size_t i = 0; i < MEDIA; i++) {
+    const double eta =
+        i % 2 == 0 ? unit_random_between(&random, 0.7, 2.2) : 1 + unit_random_log(&random, 1e-4, 1);
+    const core_medium medium = medium_of(unit_random_log(&random, 1.01e-6, 100),
+                                         unit_random_between(&random, -0.5, 0.95), eta);
+    core_profile profile = prepare(&medium, CORE_EVALUATOR_F64, (double)NAN);
+    const double reach = profile.reach.most_mm;
+    const double R = unit_value_at(&profile, CORE_QUANTITY_R, reach);
+    if (!(reach < 100.0001 && (reach > 99.9999 || R <= 1e-12) && R > 3e-14)) {
+      fail_msg("sigma_a %g, g %g, eta %g: at the reach, %g, R is %g", medium.sigma_a_per_mm,
+               medium.g, eta, reach, R);
+    }
+    core_profile_free(&profile);
+  }
+}
+
 /* Where nearly nothing is absorbed, light leaves far away, and what is known of R there sets its scale
  * everywhere. The table is least exact for g near -0.5 and a large eta. */
 UNIT_TEST(media_without_absorption_are_within_what_is_stated) {

@@ -498,7 +498,7 @@ def test_a_tolerance_in_place_of_a_model(client):
     (dark,) = read_csv(points(absorbing, "--tolerance", "0.01"))
     assert dark["status"] == "ok"
     (refused,) = read_csv(
-        dipole("points", "--tolerance", "0.005", "--want", "R,cdf", stdin=absorbing,
+        dipole("points", "--tolerance", "0.001", "--want", "R,cdf", stdin=absorbing,
                status=BAD_ROWS).stdout
     )  # fmt: skip
     assert refused["status"].endswith(" without cdf")

@@ -73,7 +73,7 @@ def test_offers_where_nothing_keeps_the_tolerance(client):
 
 DENSE = (0.4, 11.0, 0.85, 1.4)  # beyond 10 mean free paths at 4.88 mm
 THREE = [(0.05, 7.0, 0.85, 1.4), DENSE, (0.15, 9.0, 0.85, 1.4)]
-REFUSAL = r"at least (\S+) for medium 2 \(best: transport, (?:lut|f32|f64)\)"
+REFUSAL = r"at least (\S+) for medium [12] \(best: transport, (?:lut|f32|f64)\)"
 
 
 def refusal(client, media, radii, **how) -> python_client.Refused:
@@ -84,7 +84,7 @@ def refusal(client, media, radii, **how) -> python_client.Refused:
 
 
 @pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
-@pytest.mark.parametrize("tolerance", [1e-8, 1e-4, 1e-3])
+@pytest.mark.parametrize("tolerance", [1e-8, 1e-4, 5e-4])
 def test_the_least_that_a_refusal_quotes_is_accepted(client, evaluator, tolerance):
     how = {"evaluator": evaluator, "wanted": ["R", "albedo"]}
     error = refusal(client, THREE, [0.05, 5.0], tolerance=tolerance, **how)
@@ -98,7 +98,7 @@ def test_the_least_that_a_refusal_quotes_is_accepted(client, evaluator, toleranc
 
 def test_a_refusal_says_up_to_which_radius_the_tolerance_is_kept(client):
     how = {"wanted": ["R", "albedo"], "tolerance": 0.002}
-    error = refusal(client, THREE, [0.05, 5.0], **how)
+    error = refusal(client, THREE, [0.05, 20.0], **how)
     nearer = re.fullmatch(REFUSAL + r"; (\S+) up to (\S+) mm", error.allowed)
     assert nearer is not None and float(nearer[2]) <= 0.002
     most_mm = float(nearer[3])
@@ -109,7 +109,7 @@ def test_a_refusal_says_up_to_which_radius_the_tolerance_is_kept(client):
 
 
 def test_a_refusal_names_the_quantity_that_is_the_cause(client):
-    how = {"tolerance": 0.005, "wanted": ["R", "cdf"]}
+    how = {"tolerance": 0.001, "wanted": ["R", "cdf"]}
     error = refusal(client, THREE, [0.05, 5.0], **how)
     without = re.fullmatch(REFUSAL + r"; (\S+) without cdf", error.allowed)
     assert without is not None

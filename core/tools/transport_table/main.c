@@ -3,9 +3,9 @@
  * interrupted run continues where it stopped. Every machine writes the same file.
  *
  * transport-table --kept FOLDER FILE: takes solutions from the table FILE itself at all points that it
- * was made from, solves for the ends of the albedos for g below 0.85 and for the checks, and makes
- * R for g other than 0 anew, with its errors. Isotropic scattering and all totals stay. The result is
- * what a complete run would write, but for rounding of some 1e-5.
+ * was made from, solves for the checks, and makes R for g other than 0 anew, with its errors. Isotropic
+ * scattering and all totals stay. The result is what a complete run would write, but for rounding of
+ * some 1e-5.
  *
  * transport-table FILE: makes the totals for g other than 0 and their errors in FILE anew, which
  * takes a minute. The rest of FILE stays. The result is what a complete run would write. */
@@ -166,14 +166,14 @@ static const struct {
                    {{0.6, 0.85}, {0.999, 0.999998}},
                    {{0.85, 0.95}, {0.999, 0.999998}}};
 
-/* Besides, media halfway between the points of u, where the series are furthest off, with a g that
- * has few of these points and lies between the table's. */
-#define BETWEEN_G 0.88
+/* Besides, media halfway between the points of u, where the series are furthest off, with two g that lie
+ * between the table's. */
+static const double between_g[] = {0.31, 0.88};
 
 enum {
   CHECK_MEDIA = sizeof check_media / sizeof check_media[0],
   BETWEEN = NODES_D_U - 1,
-  CHECKS_D = CHECK_MEDIA + BETWEEN
+  CHECKS_D = CHECK_MEDIA + 2 * BETWEEN
 };
 
 /* Returns eta i of a medium: some fixed ones, then random ones below 1, from 1 on, and large
@@ -210,8 +210,9 @@ static void checks_make_difference(const double *field, table_sample samples[CHE
   for (size_t n = 0; n < CHECKS_D; n++) {
     double albedo;
     if (n >= CHECK_MEDIA) {
-      sample_make(&samples[n], BETWEEN_G, ETAS_D, RADII_D);
-      albedo = nodes_albedo_between(field, n - CHECK_MEDIA);
+      const size_t i = n - CHECK_MEDIA;
+      sample_make(&samples[n], between_g[i / BETWEEN], ETAS_D, RADII_D);
+      albedo = nodes_albedo_between(field, i % BETWEEN);
     } else if (check_media[n].g[0] == check_media[n].g[1]) {
       sample_make(&samples[n], check_media[n].g[0], ETAS_D, RADII_D);
       albedo = check_media[n].albedo[0];
@@ -377,30 +378,35 @@ static double solver_error(size_t region) {
   return at.g + 1 == TRANSPORT_TABLE_BANDS_G ? forward : at.g > 0 && at.eta > 0 ? 3e-4 : 1e-4;
 }
 
-/* Returns the largest error of a region and of those that are like it. Not every region has a
- * medium with the finest grids. Near the source the error hardly depends on the albedo, unless that
- * is very small. If it is, and if the region has few values, the error for all g counts. Far from the
- * source the series in u set the error, which all g but the last band have in common. Where R is
- * negligible in all of them, the error is that of the band of smaller x. */
-static double error_of(const checks_result *result, size_t region) {
-  enum { FEW = 20, NEAR = 2, FAR = 3 /* bands of x */, GS = TRANSPORT_TABLE_BANDS_G };
-  const struct bands of = bands_of(region);
+/* Returns whether what is found in region i counts for a region, too, which has `values` of its own.
+ * Not every region has a medium with the finest grids. Near the source the error hardly depends on the
+ * albedo, unless that is very small. If it is, and if the region has few values, the error for all g
+ * counts. Far from the source the series in u set the error, which all g have in common. Only for the
+ * lowest g D has a step in x, between 1 and 3 for a large eta, which 20 radii do not resolve. */
+static bool is_like(size_t i, size_t region, size_t values) {
+  enum { FEW = 20, NEAR = 2, FAR = 3 /* bands of x */ };
+  const struct bands at = bands_of(i), of = bands_of(region);
   const bool far = of.x >= FAR && of.x + 1 < TRANSPORT_TABLE_BANDS_X;
+  const bool all_g = (far || of.albedo == 0 || values < FEW) && (at.g > 0 || of.g == 0);
+  const bool all_albedos = of.x < NEAR && at.albedo > 0 && of.albedo > 0;
+  return at.eta == of.eta && at.x == of.x &&
+         ((at.g == of.g && (at.albedo == of.albedo || all_albedos)) ||
+          (all_g && at.albedo == of.albedo));
+}
+
+/* Returns the largest error of a region and of those that are like it. Where R is negligible in all of
+ * them, the error is that of the band of smaller x. */
+static double error_of(const checks_result *result, size_t region) {
   double error = 0;
   size_t values = 0;
   for (size_t i = 0; i < TRANSPORT_TABLE_REGIONS; i++) {
-    const struct bands at = bands_of(i);
-    const bool all_g = of.albedo == 0 || result->D[region].values < FEW;
-    const bool like =
-        (at.g == of.g && at.albedo == of.albedo) ||
-        (at.g == of.g && of.x < NEAR && at.albedo > 0 && of.albedo > 0) ||
-        (at.albedo == of.albedo && (all_g || (far && at.g + 1 < GS && of.g + 1 < GS)));
-    if (like && at.eta == of.eta && at.x == of.x) {
+    if (is_like(i, region, result->D[region].values)) {
       error = fmax(error, result->D[i].error);
       values += result->D[i].values;
     }
   }
-  return values == 0 && of.x > 0 ? error_of(result, region - 1) : error;
+  const bool first = region % TRANSPORT_TABLE_BANDS_X == 0;
+  return values == 0 && !first ? error_of(result, region - 1) : error;
 }
 
 static void set_errors_of_difference(double *field, const checks_result *result) {
@@ -496,20 +502,15 @@ static table_bytes read_table(const char *path, transport_table *table) {
 /* Reads a table and replaces its R for g other than 0. */
 static table_bytes make_difference(const char *folder, const char *path) {
   enum { ALL = NODES_D + CHECKS_D };
-  static table_sample samples[ALL], solved[ALL];
+  static table_sample samples[ALL];
   transport_table table;
   table_bytes bytes = read_table(path, &table);
-  size_t count = 0;
   nodes_make_difference(table.field, samples);
   checks_make_difference(table.field, samples + NODES_D);
-  for (size_t i = 0; i < ALL; i++) {
-    if (i >= NODES_D || nodes_is_end(i)) {
-      solved[count++] = samples[i]; /* which shares the arrays */
-    } else {
-      nodes_read_off(&table, &samples[i]);
-    }
+  for (size_t i = 0; i < NODES_D; i++) {
+    nodes_read_off(&table, &samples[i]);
   }
-  samples_solve(folder, solved, count);
+  samples_solve(folder, samples + NODES_D, CHECKS_D);
   nodes_encode_difference(&bytes, samples, false);
   open_bytes(&table, bytes);
   checks_result result = checks_compare(&table, samples + NODES_D, CHECKS_D);

@@ -22,7 +22,6 @@ enum {
   NODES_D_BELOW_1 = 10,
   NODES_D_FROM_1 = 16,
   NODES_D_V = NODES_D_BELOW_1 + NODES_D_FROM_1,
-  DIFFERENCE_U = NODES_D_U_MORE, /* points of u of the series */
   TOTALS_G = 18,
   TOTALS_U = 31,
   TOTALS_V = 32, /* on each side */
@@ -110,51 +109,33 @@ static double u_point(const double *field, size_t i, size_t n) {
   return point(i, n, transport_table_u(1), transport_table_u(field[TRANSPORT_TABLE_ALBEDO_LEAST]));
 }
 
-/* Point k of u, in angles of pi / (2 NODES_D_U): those of odd k are Chebyshev's points. */
-static double u_at_angle(const double *field, size_t k) {
-  return point_at(k, NODES_D_U, transport_table_u(1),
-                  transport_table_u(field[TRANSPORT_TABLE_ALBEDO_LEAST]));
-}
-
-double nodes_albedo_between(const double *field, size_t i) {
-  const double u = u_point(field, i, NODES_D_U), next = u_point(field, i + 1, NODES_D_U);
-  return transport_table_albedo_of_u(u + 0.5 * (next - u));
-}
-
-/* Point l of w for the samples, in descending order: the extrema of T_(NODES_D_G - 1). They include
- * both ends, next to which zeros of a polynomial leave the largest errors. */
+/* Samples of the difference lie at the extrema of T_(n - 1) in w and in u, in descending order of g and
+ * ascending order of the albedo. They include both ends, next to which zeros of a polynomial leave the
+ * largest errors: below g = 0 up to 27 times as large. */
 static double sample_w(const double *field, size_t l) {
   return point_at(2 * l, NODES_D_G - 1, transport_table_w(field[TRANSPORT_TABLE_G_LEAST]),
                   transport_table_w(field[TRANSPORT_TABLE_G_MOST]));
 }
 
-/* With NODES_D_U points R is up to 1.5e-3 off between them, beyond 10 mean free paths for eta from 1 to
- * 1.1. Below g = 0 the series in u converge more slowly: without the ends of u their errors would be
- * up to 27 times as large there, and R was 1.4e-2 off at sigma_a = 1.5e-6 sigma_s'. */
-static size_t u_count(size_t l) {
-  return l < NODES_D_G_FORWARD ? NODES_D_U : NODES_D_U_MORE;
+/* With 14 points in place of 29, R is up to 1.7e-3 off between them, beyond 10 mean free paths for eta
+ * from 1 to 1.1. */
+static double sample_u(const double *field, size_t i) {
+  /* sigma_a / sigma_s' next to both ends, where the solver's range of sigma_a ends */
+  static const double ends[] = {99.99, 1.0001e-6};
+  return i == 0 || i == NODES_D_U - 1
+             ? transport_table_u(1 / (1 + ends[i > 0]))
+             : point_at(2 * i, NODES_D_U - 1, transport_table_u(1),
+                        transport_table_u(field[TRANSPORT_TABLE_ALBEDO_LEAST]));
 }
 
-/* Returns point i of u of a g, in the order of ascending albedos. The solver's range of sigma_a ends
- * next to both ends. */
-static double sample_u(const double *field, size_t l, size_t i) {
-  static const double ends[] = {99.99, 1.0001e-6}; /* sigma_a / sigma_s' */
-  const size_t angle = l < NODES_D_G_FORWARD ? 2 * i + 1 : i;
-  return angle == 0 || angle == 2 * NODES_D_U ? transport_table_u(1 / (1 + ends[angle > 0]))
-                                              : u_at_angle(field, angle);
+double nodes_albedo_between(const double *field, size_t i) {
+  const double u = sample_u(field, i), next = sample_u(field, i + 1);
+  return transport_table_albedo_of_u(u + 0.5 * (next - u));
 }
 
 /* The sample of point l of g and point i of u, where g is not 0. */
 static size_t sample_of(size_t l, size_t i) {
-  const size_t before = l > NODES_D_G_ZERO ? 1 : 0; /* g = 0, which has no samples */
-  return l < NODES_D_G_FORWARD
-             ? l * NODES_D_U + i
-             : NODES_D_FORWARD + (l - before - NODES_D_G_FORWARD) * NODES_D_U_MORE + i;
-}
-
-bool nodes_is_end(size_t n) {
-  const size_t i = n < NODES_D_FORWARD ? 1 : (n - NODES_D_FORWARD) % NODES_D_U_MORE;
-  return i == 0 || i == NODES_D_U_MORE - 1;
+  return (l > NODES_D_G_ZERO ? l - 1 : l) * NODES_D_U + i;
 }
 
 void nodes_read_off(const transport_table *table, table_sample *sample) {
@@ -181,9 +162,9 @@ static void make_node(const double *field, double g, double albedo, table_sample
 
 void nodes_make_difference(const double *field, table_sample samples[NODES_D]) {
   for (size_t l = 0; l < NODES_D_G; l++) {
-    for (size_t i = 0; i < u_count(l) && l != NODES_D_G_ZERO; i++) {
+    for (size_t i = 0; i < NODES_D_U && l != NODES_D_G_ZERO; i++) {
       make_node(field, transport_table_g(sample_w(field, l)),
-                transport_table_albedo_of_u(sample_u(field, l, i)), &samples[sample_of(l, i)]);
+                transport_table_albedo_of_u(sample_u(field, i)), &samples[sample_of(l, i)]);
     }
   }
 }
@@ -411,23 +392,43 @@ static void add_multiple(double *to, double factor, const double *from) {
   }
 }
 
+/* The number of terms in y that the table keeps of each panel's NODES_D_X. Further terms are nothing but
+ * the solver's noise, which would put kinks into profiles. Media that absorb most need 16 terms beyond
+ * x = 1: with 14, R is up to 1.3e-3 off. The last panel is smooth (smooth_far()). */
+static const size_t kept_terms[PANELS] = {10, 16, 16, 12};
+
+/* Returns D at the outer end of a panel, where all Chebyshev polynomials are 1, from D at its radii. */
+static double at_outer_end(const double values[NODES_D_X], size_t terms) {
+  double term[NODES_D_X], sum = 0;
+  memcpy(term, values, sizeof term);
+  transform(term, NODES_D_X, 1);
+  for (size_t k = 0; k < terms; k++) {
+    sum += term[k];
+  }
+  return sum;
+}
+
 /* Replaces D at the radii of the last panel by a polynomial in 1 / x through it, by least squares:
  * there R is diffusion, whose terms these are, and the slope at the reach, with which D goes on, has
- * hardly any of the solver's noise. That noise grows with x. The polynomials are made orthogonal; one
- * that the radii hardly tell from those before it is left out, with all that follow. */
-static void smooth_far(const double *x, const double *R, double *values) {
-  enum { TERMS = 4 };
+ * hardly any of the solver's noise. That noise grows with x. At x_begin, where the panel begins, D is
+ * `begin`: if the two panels did not meet there, joining them (transport_join_panels()) would move both,
+ * by up to 3e-3 where R is noise beyond x_begin. The polynomials are made orthogonal; one that the
+ * radii hardly tell from those before it is left out, with all that follow. */
+static void smooth_far(double x_begin, double begin, const double *x, const double *R,
+                       double *values) {
+  enum { TERMS = 3 };
   const double told_apart = 0.04;
-  double weight[NODES_D_X], polynomial[TERMS][NODES_D_X], smooth[NODES_D_X] = {0};
-  bool found = false;
+  double weight[NODES_D_X], polynomial[TERMS][NODES_D_X], rest[NODES_D_X];
   for (size_t k = 0; k < NODES_D_X; k++) {
     const double trusted = R[k] > R_NOISE ? R[k] / (R[k] + R_DOUBTFUL) : 0;
     weight[k] = trusted * trusted / (x[k] * x[k]);
+    rest[k] = values[k] - begin;
+    values[k] = begin;
   }
   for (size_t j = 0; j < TERMS; j++) {
     double *of = polynomial[j];
     for (size_t k = 0; k < NODES_D_X; k++) {
-      of[k] = j == 0 ? 1 : polynomial[j - 1][k] * x[NODES_D_X - 1] / x[k];
+      of[k] = (j == 0 ? 1 : polynomial[j - 1][k]) * (1 - x_begin / x[k]);
     }
     const double before = weighted_sum(weight, of, of);
     for (size_t i = 0; i < j; i++) {
@@ -440,11 +441,7 @@ static void smooth_far(const double *x, const double *R, double *values) {
     for (size_t k = 0; k < NODES_D_X; k++) {
       of[k] /= sqrt(square);
     }
-    found = true;
-    add_multiple(smooth, weighted_sum(weight, of, values), of);
-  }
-  if (found) {
-    memcpy(values, smooth, sizeof smooth);
+    add_multiple(values, weighted_sum(weight, of, rest), of);
   }
 }
 
@@ -465,7 +462,9 @@ static void find_differences(const transport_table *isotropic, const table_sampl
     }
   }
   const size_t far = (PANELS - 1) * NODES_D_X;
-  smooth_far(x + far, R + far, values + far);
+  smooth_far(isotropic->field[TRANSPORT_TABLE_D_EDGES + PANELS - 1],
+             at_outer_end(values + far - NODES_D_X, kept_terms[PANELS - 2]), x + far, R + far,
+             values + far);
 }
 
 /* Sets weight[i] such that the sum of weight[i] f(x[i]) is, at the point `at`, the polynomial of
@@ -484,21 +483,19 @@ static void interpolate(size_t n, const double *x, double at, double *weight) {
 static void add_differences(const transport_table *isotropic, const table_sample samples[NODES_D],
                             size_t l, size_t first, size_t nv, double *values) {
   const double *field = isotropic->field;
-  const size_t nu = u_count(l);
-  double u[DIFFERENCE_U], weight[DIFFERENCE_U][DIFFERENCE_U], of_medium[PANELS * NODES_D_X];
-  for (size_t i = 0; i < nu; i++) {
-    u[i] = sample_u(field, l, i);
+  double u[NODES_D_U], weight[NODES_D_U][NODES_D_U], of_medium[PANELS * NODES_D_X];
+  for (size_t i = 0; i < NODES_D_U; i++) {
+    u[i] = sample_u(field, i);
   }
-  for (size_t to = 0; to < DIFFERENCE_U; to++) {
-    interpolate(nu, u, u_point(field, to, DIFFERENCE_U), weight[to]);
+  for (size_t to = 0; to < NODES_D_U; to++) {
+    interpolate(NODES_D_U, u, u_point(field, to, NODES_D_U), weight[to]);
   }
-  for (size_t i = 0; i < nu; i++) {
+  for (size_t i = 0; i < NODES_D_U; i++) {
     for (size_t j = 0; j < nv; j++) {
       find_differences(isotropic, &samples[sample_of(l, i)], first + j, of_medium);
       for (size_t k = 0; k < PANELS * NODES_D_X; k++) {
-        for (size_t to = 0; to < DIFFERENCE_U; to++) {
-          values[((k * NODES_D_G + l) * DIFFERENCE_U + to) * nv + j] +=
-              weight[to][i] * of_medium[k];
+        for (size_t to = 0; to < NODES_D_U; to++) {
+          values[((k * NODES_D_G + l) * NODES_D_U + to) * nv + j] += weight[to][i] * of_medium[k];
         }
       }
     }
@@ -531,23 +528,19 @@ static void move_to_chebyshev(const double *field, size_t lines, size_t stride, 
 
 static void put_differences(table_bytes *writer, const transport_table *isotropic,
                             const table_sample samples[NODES_D], enum transport_table_side side) {
-  /* further terms are nothing but the solver's noise, which would put kinks into profiles; the last
-   * panel is smooth (smooth_far()) */
-  static const size_t keep[PANELS] = {10, 16, 14, 12};
   const size_t first = side == TRANSPORT_TABLE_BELOW_1 ? 0 : NODES_D_BELOW_1;
   const size_t nv = side == TRANSPORT_TABLE_BELOW_1 ? NODES_D_BELOW_1 : NODES_D_FROM_1;
-  const size_t size = NODES_D_X * NODES_D_G * DIFFERENCE_U * nv;
+  const size_t size = NODES_D_X * NODES_D_G * NODES_D_U * nv;
   double *values = allocate(PANELS * size, sizeof *values);
   for (size_t l = 0; l < NODES_D_G; l++) {
     if (l != NODES_D_G_ZERO) { /* D is 0 for g = 0 */
       add_differences(isotropic, samples, l, first, nv, values);
     }
   }
-  move_to_chebyshev(isotropic->field, PANELS * NODES_D_X * DIFFERENCE_U * nv, DIFFERENCE_U * nv,
-                    values);
+  move_to_chebyshev(isotropic->field, PANELS * NODES_D_X * NODES_D_U * nv, NODES_D_U * nv, values);
   for (size_t p = 0; p < PANELS; p++) {
     put_series(writer, isotropic->field[TRANSPORT_TABLE_D_QUANTUM], values + p * size,
-               &(struct shape){4, {NODES_D_X, NODES_D_G, DIFFERENCE_U, nv}}, keep[p]);
+               &(struct shape){4, {NODES_D_X, NODES_D_G, NODES_D_U, nv}}, kept_terms[p]);
   }
   free(values);
 }

@@ -15,21 +15,14 @@ enum {
   NODES = NODES_BELOW_1 + NODES_FROM_1,
   /* samples of the difference D: one for each g, of which 0 needs none, and each albedo */
   NODES_D_G = 19,
-  NODES_D_G_ZERO = 11,   /* the point of g that is 0; those of g above 0 come before it */
-  NODES_D_G_FORWARD = 4, /* points of g from 0.85 on, whose solutions take longest */
-  NODES_D_U = 14,        /* points of u for these */
-  /* the same points and those halfway between, in the angle, and both ends, for all others */
-  NODES_D_U_MORE = 2 * NODES_D_U + 1,
-  NODES_D_FORWARD = NODES_D_G_FORWARD * NODES_D_U,
-  NODES_D = NODES_D_FORWARD + (NODES_D_G - 1 - NODES_D_G_FORWARD) * NODES_D_U_MORE
+  NODES_D_G_ZERO = 11, /* the point of g that is 0; those of g above 0 come before it */
+  NODES_D_U = 29,
+  NODES_D = (NODES_D_G - 1) * NODES_D_U
 };
 
 /* Makes the samples at Chebyshev's points in all coordinates. */
 void nodes_make(const double *field, table_sample samples[NODES]);
 void nodes_make_difference(const double *field, table_sample samples[NODES_D]);
-
-/* Returns whether sample n of the difference is at an end of u. */
-bool nodes_is_end(size_t n);
 
 /* Sets R of a sample to what a table has. */
 void nodes_read_off(const transport_table *table, table_sample *sample);

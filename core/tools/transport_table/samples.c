@@ -21,22 +21,21 @@ enum { PATH_MAX_BYTES = 1024 };
 
 /* From this g on, the normal grids are up to 3e-3 off near the source. */
 #define FINEST_FROM 0.85
-/* Below this g, they are up to 5e-3 off where sigma_a is larger than sigma_s'. */
-#define BACKWARD (-0.4)
+/* Below this g, they are up to 4e-3 off where sigma_a is above 0.33 sigma_s'. */
+#define BACKWARD (-0.2)
+#define BACKWARD_ALBEDO 0.75
 
 /* ---- samples --------------------------------------------------------------------------------- */
 
 transport_effort sample_effort(double g, double albedo) {
-  return g >= FINEST_FROM || (g < BACKWARD && albedo < 0.5) ? TRANSPORT_EFFORT_FINEST
-                                                            : TRANSPORT_EFFORT_NORMAL;
+  return g >= FINEST_FROM || (g < BACKWARD && albedo < BACKWARD_ALBEDO) ? TRANSPORT_EFFORT_FINEST
+                                                                        : TRANSPORT_EFFORT_NORMAL;
 }
 
 void sample_make(table_sample *sample, double g, size_t media, size_t radii) {
   const size_t numbers = media * (3 + 2 * radii);
-  *sample = (struct table_sample){.g = g,
-                                  .effort = TRANSPORT_EFFORT_NORMAL,
-                                  .media = media,
-                                  .radii = radii};
+  *sample = (struct table_sample){
+      .g = g, .effort = TRANSPORT_EFFORT_NORMAL, .media = media, .radii = radii};
   sample->bytes = numbers * sizeof(double);
   sample->numbers = calloc(numbers, sizeof(double));
   if (sample->numbers == NULL) {
