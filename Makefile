@@ -16,7 +16,7 @@
 #   make model-errors  core/model_errors.def, measured anew against transport (minutes)
 #   make gamma-errors  core/gamma_errors.def, transport with gamma for other phase functions
 #   make tradeoff   speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
-#   make tables     core/transport/transport.table, solved anew (90 minutes; resumes)
+#   make tables     core/transport/transport.table, solved anew (2 hours; resumes)
 #   make totals     the totals in that table alone, for g other than 0 (a minute)
 #   make apertures  core/fit/aperture.table and its errors, solved anew (minutes; resumes)
 #   make reference  core/transport/reference.csv, R(r) for many g, solved anew (an hour; resumes)
@@ -492,8 +492,8 @@ $(BUILD)/transport-table: $(TABLES) $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
 
-# Some 90 minutes on two cores; after an interruption it goes on where it was. KEPT=1: minutes; solutions
-# are those that the table has, but for the ends of the albedos for g below 0.85 and for the checks.
+# Some two hours on two cores; after an interruption it goes on where it was. KEPT=1: minutes; solutions
+# are those that the table has, but for the checks.
 tables: $(BUILD)/transport-table
 	$(BUILD)/transport-table $(KEPT:1=--kept) $(BUILD)/tables core/transport/transport.table
 
