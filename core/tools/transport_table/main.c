@@ -5,7 +5,7 @@
  * transport-table --kept FOLDER FILE: takes solutions from the table FILE itself at all points that it
  * was made from, solves for the checks, and makes R for g other than 0 anew, with its errors. Isotropic
  * scattering and all totals stay. The result is what a complete run would write, but for rounding of
- * some 1e-5.
+ * some 1e-4.
  *
  * transport-table FILE: makes the totals for g other than 0 and their errors in FILE anew, which
  * takes a minute. The rest of FILE stays. The result is what a complete run would write. */
