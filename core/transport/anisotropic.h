@@ -4,7 +4,7 @@
  * Method: Fourier transform over the plane, half-range expansion in angle, the half space's
  * reflection by doubling (halfspace.c), wavenumbers on a line in the complex plane. Light scattered
  * once is computed in real space with the true phase function. Every solution is computed on two
- * grids, and their difference is the error estimate.
+ * grids, and the error estimate is a multiple of their difference.
  *
  * Units: lengths are in reduced mean free paths, 1 / (sigma_a + sigma_s (1 - g)) with g the mean
  * cosine of scattering. R is per squared reduced mean free path. All energies are per power that
