@@ -18,7 +18,9 @@ struct choosing {
 static const struct choosing usual = {0.3, false, 4, 3};
 
 /* A second solution is looked for with more care if the readings are at most FIT_SPARSE more
- * than the unknowns, or if the best one is not a good fit. */
+ * than the unknowns, or if the best one is not a good fit or stands on a bound: where a model hardly
+ * depends on sigma_a, a valley that ends at the bound is so flat that rounding of the model's table may
+ * leave a minimum there. */
 static const struct choosing careful = {0.1, true, FIT_STARTS_MAX, 1e300};
 #define CAREFUL_REDUCED 3.0
 
@@ -443,7 +445,8 @@ static void end_inverse(core_fit_search *s) {
 static bool wants_care(const core_fit_search *s) {
   const size_t spare = fit_spare(s->fit);
   return spare <= FIT_SPARSE || !s->best.found || !s->best.settled ||
-         s->best.at.chi_squared > CAREFUL_REDUCED * (double)spare;
+         s->best.at.chi_squared > CAREFUL_REDUCED * (double)spare ||
+         bounds_of(s->fit, s->best.at.place) != 0;
 }
 
 static void begin_round(core_fit_search *s) {

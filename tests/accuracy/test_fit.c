@@ -297,6 +297,32 @@ UNIT_TEST(transport_and_frequencies_come_back) {
   expect_own_recovery(CORE_MODEL_TRANSPORT, CORE_FIT_AXIS_FREQUENCY, 0.9, sets() / 3);
 }
 
+/* A medium that absorbs hardly anything, seen close by: along the valley of media that fit, chi-squared
+ * goes from 0 at the medium to 0.158 at the least sigma_a. */
+UNIT_TEST(flat_valleys_are_not_left_at_their_end) {
+  struct subject subject = {
+      .medium = {0.00018047113022462311, 0.34200634425599358, 0, 1.065859681605833},
+      .design = {.model = CORE_MODEL_TRANSPORT,
+                 .moments = CORE_MOMENTS_EXACT,
+                 .eta = 1.065859681605833,
+                 .axis = CORE_FIT_AXIS_RADIUS,
+                 .count = 6,
+                 .scale = CORE_FIT_SCALE_ABSOLUTE,
+                 .g = 0.8},
+      .at = {0.35648855019753578, 1.9043188863509601, 1.7838892316056296, 1.7853767432776231,
+             4.3845154913532802, 0.62602462038294182}};
+  subject.design.at = subject.at;
+  core_fit *fit = created(&subject.design);
+  core_fit_model(fit, subject.medium.sigma_a_per_mm, subject.medium.sigma_s_per_mm,
+                 subject.values);
+  set_errors(&subject, 0.01);
+  core_fit_result result;
+  core_fit_run(fit, subject.values, subject.errors, &result, NULL);
+  core_fit_free(fit);
+  assert_true(off(&subject, &result.best) < 1e-6);
+  assert_true(result.best.chi_squared < 1e-12);
+}
+
 /* Readings of profiles, as `eval` gives them, come back, if their errors are so small that a table
  * would count. */
 static void expect_exact_recovery(unsigned model, unsigned axis, double g, size_t count) {
