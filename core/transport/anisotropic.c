@@ -8,7 +8,9 @@
  *   X = (far + (b1 ln k + c1) / k + (b2 ln k + c2) / k^2) / k^2,
  *
  * where `far` is known from light that is scattered twice close to the source, and b and c are
- * fitted. There the path turns upwards, where H0 decays.
+ * fitted. There the path turns upwards, where H0 decays. What is left at K, where both meet, goes on as
+ * k^-5 and k^-6, the next powers: a step there would be a wave in r of the wavenumber K, which counts
+ * where R is small (on the finest grids it was 3e-3 of an R of 1e-12).
  *
  * `far`: light that is scattered twice and comes back to where it entered runs along a triangle.
  * The number of triangles of size l is in proportion to dl / l, so that R2(r) = far / (2 pi) ln(1 /
@@ -44,7 +46,7 @@ enum {
   TAIL_TERMS = 4,
   TIERS = 4,
   NODES_MAX = 16,
-  PANELS_MAX = 40,
+  PANELS_MAX = TRANSPORT_ANISOTROPIC_WAVENUMBERS_MAX / NODES_MAX,
   GRIDS = 2,
   FIT_POINTS_MAX = 3 * NODES_MAX,
   PARTS_MAX = TRANSPORT_ANISOTROPIC_ETAS_MAX * (1 + TRANSPORT_ANISOTROPIC_CONES_MAX),
@@ -255,11 +257,13 @@ struct panel {
   double begin, end;
 };
 
-/* What is known of X for one boundary and the light of all angles or of one cone: a Chebyshev series in s on each panel, and the tail beyond
- * K. */
+/* What is known of X for one boundary and the light of all angles or of one cone: a Chebyshev series in s
+ * on each panel, and the tail beyond K. */
 struct exitance {
   double complex term[PANELS_MAX][NODES_MAX];
   double far, tail[TAIL_TERMS];
+  /* of X less the tail at K: its value, and its derivative by ln k plus five times the value */
+  double complex step, bend;
 };
 
 struct grid {
@@ -402,6 +406,34 @@ static double complex tail_at(const struct exitance *at, double complex k) {
   return sum;
 }
 
+/* Returns the derivative of the tail by k. */
+static double complex tail_slope(const struct exitance *at, double complex k) {
+  const double complex inverse = fn_inverse(k), logarithm = fn_clog(k);
+  const double complex inverse3 = inverse * inverse * inverse;
+  return inverse3 * (-2 * at->far +
+                     inverse * (at->tail[0] * (1 - 3 * logarithm) - 3 * at->tail[1] +
+                                inverse * (at->tail[2] * (1 - 4 * logarithm) - 4 * at->tail[3])));
+}
+
+/* Sets what is left at K, the end of the last panel, from the series there. */
+static void join_tail(const struct grid *of, struct exitance *at) {
+  const struct panel *last = &of->panel[of->panels - 1];
+  const double complex k = CMPLX(last->end, of->shift), *term = at->term[of->panels - 1];
+  double complex value = 0, slope = 0;
+  for (size_t j = 0; j < of->rules->nodes; j++) {
+    value += term[j];
+    slope += (double)(j * j) * term[j];
+  }
+  at->step = value - tail_at(at, k);
+  at->bend = k * (slope * 2 / (last->end - last->begin) - tail_slope(at, k)) + 5 * at->step;
+}
+
+/* Returns X on the way upwards from K. */
+static double complex beyond(const struct exitance *at, double complex k_last, double complex k) {
+  const double complex q = k_last * fn_inverse(k), q2 = q * q;
+  return tail_at(at, k) + q2 * q2 * q * (at->step + at->bend * (1 - q));
+}
+
 /* Solves the wavenumbers of the nodes from *next on that belong to one tier. values:
  * [part][node of all panels]. Returns false if memory runs out or an equation is singular. */
 static bool solve_tier(struct grid *of, const struct tier *tier, const struct boundaries *by,
@@ -439,9 +471,16 @@ static bool solve_tier(struct grid *of, const struct tier *tier, const struct bo
   return ok;
 }
 
+/* X at all nodes that a caller keeps: [part][TRANSPORT_ANISOTROPIC_WAVENUMBERS_MAX]. */
+struct kept {
+  double complex *exitances;
+  bool known; /* whether they are given, else they are set */
+};
+
+/* kept: NULL, or where X is kept. */
 static bool solve_grid(struct grid *to, const core_isa *isa, const struct grid_rules *by,
                        double ratio, const transport_phase *phase,
-                       const struct boundaries *boundaries) {
+                       const struct boundaries *boundaries, const struct kept *kept) {
   const size_t parts = parts_of(boundaries);
   to->isa = isa;
   to->rules = by;
@@ -456,9 +495,14 @@ static bool solve_grid(struct grid *to, const core_isa *isa, const struct grid_r
   for (size_t part = 1; part < parts; part++) {
     values[part] = values[0] + part * nodes;
   }
+  const bool known = kept != NULL && kept->known;
   size_t next = 0;
-  for (size_t tier = 0; tier < TIERS && ok; tier++) {
+  for (size_t tier = 0; tier < TIERS && ok && !known; tier++) {
     ok = solve_tier(to, &by->tier[tier], boundaries, values, &next);
+  }
+  for (size_t part = 0; part < parts && ok && kept != NULL; part++) {
+    double complex *at = kept->exitances + part * TRANSPORT_ANISOTROPIC_WAVENUMBERS_MAX;
+    memcpy(known ? values[part] : at, known ? at : values[part], nodes * sizeof *at);
   }
   for (size_t part = 0; part < parts && ok; part++) {
     struct exitance *at = &to->exitance[part];
@@ -469,6 +513,7 @@ static bool solve_grid(struct grid *to, const core_isa *isa, const struct grid_r
       memcpy(at->term[panel], values[part] + panel * by->nodes, by->nodes * sizeof **values);
       find_terms(to, at->term[panel]);
     }
+    join_tail(to, at);
   }
   free(values[0]);
   return ok;
@@ -512,7 +557,7 @@ static core_fault check(double ratio, const transport_phase *phase, const double
 
 static core_fault solve(transport_anisotropic **solution, const core_isa *isa, double sigma_a_ratio,
                         const transport_phase *phase, const struct boundaries *boundaries,
-                        transport_effort effort, size_t grids) {
+                        transport_effort effort, size_t grids, const struct kept *kept) {
   *solution = NULL;
   const core_fault fault = check(sigma_a_ratio, phase, boundaries->etas, boundaries->count);
   if (fault.field != NULL) {
@@ -533,7 +578,8 @@ static core_fault solve(transport_anisotropic **solution, const core_isa *isa, d
     weigh_single(&made->single[i], phase);
   }
   for (size_t i = 0; i < grids && ok; i++) {
-    ok = solve_grid(&made->grid[i], isa, &rules[effort + 1 - i], sigma_a_ratio, phase, boundaries);
+    ok = solve_grid(&made->grid[i], isa, &rules[effort + 1 - i], sigma_a_ratio, phase, boundaries,
+                    kept);
   }
   if (!ok) {
     transport_anisotropic_free(made);
@@ -547,7 +593,7 @@ core_fault transport_anisotropic_solve(transport_anisotropic **solution, const c
                                        double sigma_a_ratio, const transport_phase *phase,
                                        const double *etas, size_t count, transport_effort effort) {
   const struct boundaries boundaries = {.count = count, .etas = etas};
-  return solve(solution, isa, sigma_a_ratio, phase, &boundaries, effort, GRIDS);
+  return solve(solution, isa, sigma_a_ratio, phase, &boundaries, effort, GRIDS, NULL);
 }
 
 core_fault transport_anisotropic_solve_once(transport_anisotropic **solution, const core_isa *isa,
@@ -555,7 +601,17 @@ core_fault transport_anisotropic_solve_once(transport_anisotropic **solution, co
                                             const double *etas, size_t count,
                                             transport_effort effort) {
   const struct boundaries boundaries = {.count = count, .etas = etas};
-  return solve(solution, isa, sigma_a_ratio, phase, &boundaries, effort, 1);
+  return solve(solution, isa, sigma_a_ratio, phase, &boundaries, effort, 1, NULL);
+}
+
+core_fault transport_anisotropic_solve_kept(transport_anisotropic **solution, const core_isa *isa,
+                                            double sigma_a_ratio, const transport_phase *phase,
+                                            const double *etas, size_t count,
+                                            transport_effort effort, double complex *exitances,
+                                            bool known) {
+  const struct boundaries boundaries = {.count = count, .etas = etas};
+  const struct kept kept = {exitances, known};
+  return solve(solution, isa, sigma_a_ratio, phase, &boundaries, effort, 1, &kept);
 }
 
 core_fault transport_anisotropic_solve_cones(transport_anisotropic **solution, const core_isa *isa,
@@ -572,7 +628,7 @@ core_fault transport_anisotropic_solve_cones(transport_anisotropic **solution, c
     }
   }
   const struct boundaries boundaries = {count, etas, cones, sines};
-  return solve(solution, isa, sigma_a_ratio, phase, &boundaries, effort, once ? 1 : GRIDS);
+  return solve(solution, isa, sigma_a_ratio, phase, &boundaries, effort, once ? 1 : GRIDS, NULL);
 }
 
 void transport_anisotropic_free(transport_anisotropic *solution) {
@@ -639,8 +695,8 @@ static double multiple_at(const struct grid *of, size_t eta, double r) {
     for (size_t node = 0; node < rule.n; node++) {
       const double t = begin + (end - begin) * rule.x[node];
       const double complex k = CMPLX(last, of->shift + t);
-      sum +=
-          (end - begin) * rule.weight[node] * creal(CMPLX(0, 1) * weighted(tail_at(at, k), k, r));
+      sum += (end - begin) * rule.weight[node] *
+             creal(CMPLX(0, 1) * weighted(beyond(at, CMPLX(last, of->shift), k), k, r));
     }
     begin = end;
     end *= 2;

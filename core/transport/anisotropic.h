@@ -16,6 +16,9 @@
 #ifndef DIPOLED_CORE_TRANSPORT_ANISOTROPIC_H
 #define DIPOLED_CORE_TRANSPORT_ANISOTROPIC_H
 
+#include <complex.h>
+#include <stdbool.h>
+
 #include "core/core.h"
 #include "core/transport/transport.h"
 
@@ -31,7 +34,8 @@ typedef struct transport_phase {
 enum {
   TRANSPORT_PHASE_MOMENTS_MAX = 4096,
   TRANSPORT_ANISOTROPIC_ETAS_MAX = 32,
-  TRANSPORT_ANISOTROPIC_CONES_MAX = 8
+  TRANSPORT_ANISOTROPIC_CONES_MAX = 8,
+  TRANSPORT_ANISOTROPIC_WAVENUMBERS_MAX = 640
 };
 
 /* How finely a solution is computed, with the relative error of R that was found from 0.01 to 20
@@ -62,6 +66,16 @@ core_fault transport_anisotropic_solve_once(transport_anisotropic **solution, co
                                             double sigma_a_ratio, const transport_phase *phase,
                                             const double *etas, size_t count,
                                             transport_effort effort);
+
+/* The same as transport_anisotropic_solve_once(), with the exitance at each wavenumber, which takes
+ * nearly all of its time, in memory that the caller owns: [count][TRANSPORT_ANISOTROPIC_WAVENUMBERS_MAX].
+ * If not `known`, it is set; the rest of it stays. If `known`, it must be what a call with the same other
+ * arguments has set, and the solution is made from it in milliseconds, with the same bits. */
+core_fault transport_anisotropic_solve_kept(transport_anisotropic **solution, const core_isa *isa,
+                                            double sigma_a_ratio, const transport_phase *phase,
+                                            const double *etas, size_t count,
+                                            transport_effort effort, double complex *exitances,
+                                            bool known);
 
 /* The same as transport_anisotropic_solve(), or as transport_anisotropic_solve_once() with the errors
  * NAN if `once`, with the light that leaves within cones of angles, too.

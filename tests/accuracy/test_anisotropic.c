@@ -15,6 +15,8 @@
 #include "tests/accuracy/vectors.h"
 #include "tests/unit/unit.h"
 
+#define PI 3.14159265358979323846
+
 static transport_anisotropic *solve(double ratio, const transport_phase *phase, const double *etas,
                                     size_t count) {
   transport_anisotropic *solution;
@@ -382,6 +384,57 @@ UNIT_TEST(the_reference_table_holds) {
 }
 
 /* ---- the interface -------------------------------------------------------------------------- */
+
+/* Where R is small, a step of X(k) at the last wavenumber would be a wave in r: by the sixth difference
+ * of ln R, whose radii are half a wavelength apart, of up to 1e-2 for this medium. */
+UNIT_TEST(there_is_no_wave_of_the_last_wavenumber) {
+  const double eta = 2.18, last = 8, half_wave = PI / last;
+  static const double binomial[] = {1, -6, 15, -20, 15, -6, 1};
+  const transport_phase phase = {-0.5, 0, NULL};
+  transport_anisotropic *solution = solve(70, &phase, &eta, 1);
+  double worst = 0;
+  for (double r = 4; r < 6; r += 0.1) {
+    double difference = 0;
+    for (int i = 0; i < 7; i++) {
+      difference +=
+          binomial[i] * log(transport_anisotropic_at(solution, 0, r + (i - 3) * half_wave).value);
+    }
+    worst = fmax(worst, fabs(difference) / 64);
+  }
+  printf("waves of %.1e at most\n", worst);
+  assert_true(worst < 8e-4);
+  transport_anisotropic_free(solution);
+}
+
+UNIT_TEST(kept_exitances_give_the_same_bits) {
+  static const double etas[] = {0.8, 1.4};
+  enum { ETAS = 2, NUMBERS = ETAS * TRANSPORT_ANISOTROPIC_WAVENUMBERS_MAX };
+  static double complex exitances[NUMBERS];
+  const transport_phase phase = {0.7, 0, NULL};
+  const core_isa *isa = core_isa_select(NULL);
+  transport_anisotropic *solutions[3];
+  unit_assert_fault(transport_anisotropic_solve_once(&solutions[0], isa, 0.1, &phase, etas, ETAS,
+                                                     TRANSPORT_EFFORT_QUICK),
+                    NULL, 0);
+  for (int known = 0; known < 2; known++) {
+    unit_assert_fault(transport_anisotropic_solve_kept(&solutions[1 + known], isa, 0.1, &phase,
+                                                       etas, ETAS, TRANSPORT_EFFORT_QUICK,
+                                                       exitances, known),
+                      NULL, 0);
+  }
+  for (size_t eta = 0; eta < ETAS; eta++) {
+    for (double r = 1e-3; r < 30; r *= 3) {
+      const double R = transport_anisotropic_at(solutions[0], eta, r).value;
+      assert_true(R > 0);
+      assert_true(transport_anisotropic_at(solutions[1], eta, r).value == R);
+      assert_true(transport_anisotropic_at(solutions[2], eta, r).value == R);
+    }
+  }
+  for (int i = 0; i < 3; i++) {
+    transport_anisotropic_free(solutions[i]);
+  }
+}
+
 
 UNIT_TEST(totals_by_moments_are_those_by_g) {
   enum { MOMENTS = 60 };
