@@ -18,7 +18,7 @@ enum {
    * coefficients to be below the quantum. */
   NODES_T = 72,
   NODES_X = 32,
-  NODES_D_X = 20,
+  NODES_D_X_MAX = 28,
   NODES_D_BELOW_1 = 10,
   NODES_D_FROM_1 = 16,
   NODES_D_V = NODES_D_BELOW_1 + NODES_D_FROM_1,
@@ -63,14 +63,31 @@ static double point(size_t i, size_t n, double from, double to) {
 
 /* ---- points ---------------------------------------------------------------------------------- */
 
-/* Sets x to the points of all panels: [PANELS][n]. */
-static void make_radii(const double *field, bool of_difference, double albedo, size_t n,
-                       double *x) {
+/* The panels of D: how many radii each has, and how many terms in y the table keeps. Further terms are
+ * nothing but the solver's noise, which would put kinks into profiles. Beyond x = 1, media with g below 0
+ * that absorb most have a step for a large eta: with 20 radii and 16 terms, R is up to 1.8e-3 off there,
+ * with 28 and 24 1.2e-4. The last panel is smooth (smooth_far()). */
+static const struct {
+  size_t radii, kept;
+} panel_d[PANELS] = {{20, 10}, {20, 16}, {NODES_D_X_MAX, 24}, {20, 12}};
+
+/* Returns the number of radii of D in all panels before p. */
+static size_t first_radius(size_t p) {
+  size_t first = 0;
+  for (size_t i = 0; i < p; i++) {
+    first += panel_d[i].radii;
+  }
+  return first;
+}
+
+/* Sets x to the points of all panels. */
+static void make_radii(const double *field, bool of_difference, double albedo, double *x) {
   double edge[PANELS + 1];
   transport_table_edges(field, of_difference, transport_kappa(albedo), edge);
   for (size_t p = 0; p < PANELS; p++) {
+    const size_t n = of_difference ? panel_d[p].radii : NODES_X;
     for (size_t k = 0; k < n; k++) {
-      x[p * n + k] = fn_exp(point(k, n, edge[p], edge[p + 1]));
+      *x++ = fn_exp(point(k, n, edge[p], edge[p + 1]));
     }
   }
 }
@@ -95,7 +112,7 @@ void nodes_make(const double *field, table_sample samples[NODES]) {
     for (size_t i = 0; i < NODES_T; i++) {
       samples[j].eta[i] = etas[j];
       samples[j].albedo[i] = transport_table_albedo(point(i, NODES_T, t_first, t_last));
-      make_radii(field, false, samples[j].albedo[i], NODES_X, samples[j].x + i * PANELS * NODES_X);
+      make_radii(field, false, samples[j].albedo[i], samples[j].x + i * samples[j].radii);
     }
   }
 }
@@ -150,13 +167,13 @@ void nodes_read_off(const transport_table *table, table_sample *sample) {
 }
 
 static void make_node(const double *field, double g, double albedo, table_sample *sample) {
-  sample_make(sample, g, NODES_D_V, PANELS * NODES_D_X);
-  sample->effort = sample_effort(g, albedo);
+  sample_make(sample, g, NODES_D_V, first_radius(PANELS));
+  sample->effort = sample_effort(g);
   make_etas(field, TRANSPORT_TABLE_BELOW_1, NODES_D_BELOW_1, sample->eta);
   make_etas(field, TRANSPORT_TABLE_FROM_1, NODES_D_FROM_1, sample->eta + NODES_D_BELOW_1);
   for (size_t j = 0; j < NODES_D_V; j++) {
     sample->albedo[j] = albedo;
-    make_radii(field, true, albedo, NODES_D_X, sample->x + j * PANELS * NODES_D_X);
+    make_radii(field, true, albedo, sample->x + j * sample->radii);
   }
 }
 
@@ -378,48 +395,43 @@ static double difference(double x, double R, double kappa, const transport_serie
          fn_log((1 + kx) / (1 + kx_isotropic));
 }
 
-static double weighted_sum(const double *weight, const double *a, const double *b) {
+static double weighted_sum(size_t n, const double *weight, const double *a, const double *b) {
   double sum = 0;
-  for (size_t k = 0; k < NODES_D_X; k++) {
+  for (size_t k = 0; k < n; k++) {
     sum += weight[k] * a[k] * b[k];
   }
   return sum;
 }
 
-static void add_multiple(double *to, double factor, const double *from) {
-  for (size_t k = 0; k < NODES_D_X; k++) {
+static void add_multiple(size_t n, double *to, double factor, const double *from) {
+  for (size_t k = 0; k < n; k++) {
     to[k] += factor * from[k];
   }
 }
 
-/* The number of terms in y that the table keeps of each panel's NODES_D_X. Further terms are nothing but
- * the solver's noise, which would put kinks into profiles. Media that absorb most need 16 terms beyond
- * x = 1: with 14, R is up to 1.3e-3 off. The last panel is smooth (smooth_far()). */
-static const size_t kept_terms[PANELS] = {10, 16, 16, 12};
-
-/* Returns D at the outer end of a panel, where all Chebyshev polynomials are 1, from D at its radii. */
-static double at_outer_end(const double values[NODES_D_X], size_t terms) {
-  double term[NODES_D_X], sum = 0;
-  memcpy(term, values, sizeof term);
-  transform(term, NODES_D_X, 1);
-  for (size_t k = 0; k < terms; k++) {
+/* Returns D at the outer end of panel p, where all Chebyshev polynomials are 1, from D at its radii. */
+static double at_outer_end(const double *values, size_t p) {
+  double term[NODES_D_X_MAX], sum = 0;
+  memcpy(term, values, panel_d[p].radii * sizeof *term);
+  transform(term, panel_d[p].radii, 1);
+  for (size_t k = 0; k < panel_d[p].kept; k++) {
     sum += term[k];
   }
   return sum;
 }
 
-/* Replaces D at the radii of the last panel by a polynomial in 1 / x through it, by least squares:
+/* Replaces D at the n radii of the last panel by a polynomial in 1 / x through it, by least squares:
  * there R is diffusion, whose terms these are, and the slope at the reach, with which D goes on, has
  * hardly any of the solver's noise. That noise grows with x. At x_begin, where the panel begins, D is
  * `begin`: if the two panels did not meet there, joining them (transport_join_panels()) would move both,
  * by up to 3e-3 where R is noise beyond x_begin. The polynomials are made orthogonal; one that the
  * radii hardly tell from those before it is left out, with all that follow. */
-static void smooth_far(double x_begin, double begin, const double *x, const double *R,
+static void smooth_far(size_t n, double x_begin, double begin, const double *x, const double *R,
                        double *values) {
   enum { TERMS = 3 };
   const double told_apart = 0.04;
-  double weight[NODES_D_X], polynomial[TERMS][NODES_D_X], rest[NODES_D_X];
-  for (size_t k = 0; k < NODES_D_X; k++) {
+  double weight[NODES_D_X_MAX], polynomial[TERMS][NODES_D_X_MAX], rest[NODES_D_X_MAX];
+  for (size_t k = 0; k < n; k++) {
     const double trusted = R[k] > R_NOISE ? R[k] / (R[k] + R_DOUBTFUL) : 0;
     weight[k] = trusted * trusted / (x[k] * x[k]);
     rest[k] = values[k] - begin;
@@ -427,44 +439,43 @@ static void smooth_far(double x_begin, double begin, const double *x, const doub
   }
   for (size_t j = 0; j < TERMS; j++) {
     double *of = polynomial[j];
-    for (size_t k = 0; k < NODES_D_X; k++) {
+    for (size_t k = 0; k < n; k++) {
       of[k] = (j == 0 ? 1 : polynomial[j - 1][k]) * (1 - x_begin / x[k]);
     }
-    const double before = weighted_sum(weight, of, of);
+    const double before = weighted_sum(n, weight, of, of);
     for (size_t i = 0; i < j; i++) {
-      add_multiple(of, -weighted_sum(weight, of, polynomial[i]), polynomial[i]);
+      add_multiple(n, of, -weighted_sum(n, weight, of, polynomial[i]), polynomial[i]);
     }
-    const double square = weighted_sum(weight, of, of);
+    const double square = weighted_sum(n, weight, of, of);
     if (!(square > told_apart * told_apart * before)) {
       break;
     }
-    for (size_t k = 0; k < NODES_D_X; k++) {
+    for (size_t k = 0; k < n; k++) {
       of[k] /= sqrt(square);
     }
-    add_multiple(values, weighted_sum(weight, of, rest), of);
+    add_multiple(n, values, weighted_sum(n, weight, of, rest), of);
   }
 }
 
 /* Sets values to D at the radii of medium j of a sample. Where R is below R_NOISE, D keeps the
  * value that it has at the last radius before. */
 static void find_differences(const transport_table *isotropic, const table_sample *sample, size_t j,
-                             double values[PANELS * NODES_D_X]) {
+                             double *values) {
   const double kappa = transport_anisotropic_kappa(sample->albedo[j], sample->g);
   const double *x = sample->x + j * sample->radii, *R = sample->R + j * sample->radii;
   transport_series series;
   transport_table_look_up(isotropic, sample->albedo[j], 0, sample->eta[j], &series);
   double last = 0;
   for (size_t p = 0; p < PANELS; p++) {
-    for (size_t k = NODES_D_X; k-- > 0;) { /* the radii of a panel descend */
-      const size_t at = p * NODES_D_X + k;
+    for (size_t k = panel_d[p].radii; k-- > 0;) { /* the radii of a panel descend */
+      const size_t at = first_radius(p) + k;
       last = R[at] > R_NOISE ? difference(x[at], R[at], kappa, &series) : last;
       values[at] = last;
     }
   }
-  const size_t far = (PANELS - 1) * NODES_D_X;
-  smooth_far(isotropic->field[TRANSPORT_TABLE_D_EDGES + PANELS - 1],
-             at_outer_end(values + far - NODES_D_X, kept_terms[PANELS - 2]), x + far, R + far,
-             values + far);
+  const size_t before = PANELS - 2, far = first_radius(PANELS - 1);
+  smooth_far(panel_d[PANELS - 1].radii, isotropic->field[TRANSPORT_TABLE_D_EDGES + PANELS - 1],
+             at_outer_end(values + first_radius(before), before), x + far, R + far, values + far);
 }
 
 /* Sets weight[i] such that the sum of weight[i] f(x[i]) is, at the point `at`, the polynomial of
@@ -479,11 +490,11 @@ static void interpolate(size_t n, const double *x, double at, double *weight) {
 }
 
 /* Adds D of one g, at all radii and boundaries of a side, to values at Chebyshev's points of u:
- * [panel][x][g][u][eta]. */
+ * [x of all panels][g][u][eta]. */
 static void add_differences(const transport_table *isotropic, const table_sample samples[NODES_D],
                             size_t l, size_t first, size_t nv, double *values) {
   const double *field = isotropic->field;
-  double u[NODES_D_U], weight[NODES_D_U][NODES_D_U], of_medium[PANELS * NODES_D_X];
+  double u[NODES_D_U], weight[NODES_D_U][NODES_D_U], of_medium[PANELS * NODES_D_X_MAX];
   for (size_t i = 0; i < NODES_D_U; i++) {
     u[i] = sample_u(field, i);
   }
@@ -493,7 +504,7 @@ static void add_differences(const transport_table *isotropic, const table_sample
   for (size_t i = 0; i < NODES_D_U; i++) {
     for (size_t j = 0; j < nv; j++) {
       find_differences(isotropic, &samples[sample_of(l, i)], first + j, of_medium);
-      for (size_t k = 0; k < PANELS * NODES_D_X; k++) {
+      for (size_t k = 0; k < first_radius(PANELS); k++) {
         for (size_t to = 0; to < NODES_D_U; to++) {
           values[((k * NODES_D_G + l) * NODES_D_U + to) * nv + j] += weight[to][i] * of_medium[k];
         }
@@ -530,17 +541,18 @@ static void put_differences(table_bytes *writer, const transport_table *isotropi
                             const table_sample samples[NODES_D], enum transport_table_side side) {
   const size_t first = side == TRANSPORT_TABLE_BELOW_1 ? 0 : NODES_D_BELOW_1;
   const size_t nv = side == TRANSPORT_TABLE_BELOW_1 ? NODES_D_BELOW_1 : NODES_D_FROM_1;
-  const size_t size = NODES_D_X * NODES_D_G * NODES_D_U * nv;
-  double *values = allocate(PANELS * size, sizeof *values);
+  const size_t radii = first_radius(PANELS), media = NODES_D_G * NODES_D_U * nv;
+  double *values = allocate(radii * media, sizeof *values);
   for (size_t l = 0; l < NODES_D_G; l++) {
     if (l != NODES_D_G_ZERO) { /* D is 0 for g = 0 */
       add_differences(isotropic, samples, l, first, nv, values);
     }
   }
-  move_to_chebyshev(isotropic->field, PANELS * NODES_D_X * NODES_D_U * nv, NODES_D_U * nv, values);
+  move_to_chebyshev(isotropic->field, radii * NODES_D_U * nv, NODES_D_U * nv, values);
   for (size_t p = 0; p < PANELS; p++) {
-    put_series(writer, isotropic->field[TRANSPORT_TABLE_D_QUANTUM], values + p * size,
-               &(struct shape){4, {NODES_D_X, NODES_D_G, NODES_D_U, nv}}, kept_terms[p]);
+    put_series(writer, isotropic->field[TRANSPORT_TABLE_D_QUANTUM],
+               values + first_radius(p) * media,
+               &(struct shape){4, {panel_d[p].radii, NODES_D_G, NODES_D_U, nv}}, panel_d[p].kept);
   }
   free(values);
 }

@@ -21,15 +21,11 @@ enum { PATH_MAX_BYTES = 1024 };
 
 /* From this g on, the normal grids are up to 3e-3 off near the source. */
 #define FINEST_FROM 0.85
-/* Below this g, they are up to 4e-3 off where sigma_a is above 0.33 sigma_s'. */
-#define BACKWARD (-0.2)
-#define BACKWARD_ALBEDO 0.75
 
 /* ---- samples --------------------------------------------------------------------------------- */
 
-transport_effort sample_effort(double g, double albedo) {
-  return g >= FINEST_FROM || (g < BACKWARD && albedo < BACKWARD_ALBEDO) ? TRANSPORT_EFFORT_FINEST
-                                                                        : TRANSPORT_EFFORT_NORMAL;
+transport_effort sample_effort(double g) {
+  return g >= FINEST_FROM ? TRANSPORT_EFFORT_FINEST : TRANSPORT_EFFORT_NORMAL;
 }
 
 void sample_make(table_sample *sample, double g, size_t media, size_t radii) {
@@ -67,13 +63,14 @@ static void solve_isotropic(table_sample *sample) {
   transport_boundary_free(boundary);
 }
 
-static void solve_anisotropic(table_sample *sample) {
+/* Sets the exitances, see transport_anisotropic_solve_kept(), or makes R from them if they are known. */
+static void solve_anisotropic(table_sample *sample, double complex *exitances, bool known) {
   const transport_phase phase = {sample->g, 0, NULL};
   const core_isa *isa = core_isa_select(NULL);
   const double ratio = (1 - sample->albedo[0]) / sample->albedo[0];
   transport_anisotropic *solution;
-  tools_check(transport_anisotropic_solve_once(&solution, isa, ratio, &phase, sample->eta,
-                                               sample->media, sample->effort),
+  tools_check(transport_anisotropic_solve_kept(&solution, isa, ratio, &phase, sample->eta,
+                                               sample->media, sample->effort, exitances, known),
               "transport");
   for (size_t i = 0; i < sample->media; i++) {
     for (size_t j = i * sample->radii; j < (i + 1) * sample->radii; j++) {
@@ -83,14 +80,6 @@ static void solve_anisotropic(table_sample *sample) {
   transport_anisotropic_free(solution);
 }
 
-static void solve(table_sample *sample) {
-  if (sample->g == 0) {
-    solve_isotropic(sample);
-  } else {
-    solve_anisotropic(sample);
-  }
-}
-
 static double cost_us(const table_sample *sample) {
   const bool finest = sample->effort == TRANSPORT_EFFORT_FINEST;
   return sample->g == 0 ? (double)sample->media * MEDIUM_COST_US
@@ -98,14 +87,55 @@ static double cost_us(const table_sample *sample) {
                         : SAMPLE_COST_US;
 }
 
-/* ---- files ----------------------------------------------------------------------------------- */
+/* ---- what a file keeps ------------------------------------------------------------------------ */
 
-/* Identifies the inputs and the solver that a file's results depend on. `probe` has the solver's
- * own results for one fixed medium, which change when the solver changes. */
+/* Numbers that a file keeps: the inputs that a sample was solved for, then what was solved. Of
+ * isotropic scattering these are all numbers of the sample. Of others they are the albedos, the etas
+ * and the exitances, so that R at other radii needs no new solution. */
+struct kept {
+  size_t inputs, count;
+  double *numbers;
+};
+
+static struct kept kept_of(const table_sample *sample) {
+  if (sample->g == 0) {
+    return (struct kept){(size_t)(sample->total - sample->numbers), sample->bytes / sizeof(double),
+                         sample->numbers};
+  }
+  const size_t inputs = 2 * sample->media;
+  const size_t count = inputs + 2 * sample->media * TRANSPORT_ANISOTROPIC_WAVENUMBERS_MAX;
+  const struct kept kept = {inputs, count, calloc(count, sizeof(double))};
+  if (kept.numbers == NULL) {
+    tools_fail("out of memory");
+  }
+  memcpy(kept.numbers, sample->albedo, inputs * sizeof(double));
+  return kept;
+}
+
+static void free_kept(struct kept kept, const table_sample *sample) {
+  if (kept.numbers != sample->numbers) {
+    free(kept.numbers);
+  }
+}
+
+/* Solves, unless what the file keeps is known. */
+static void solve(table_sample *sample, struct kept kept, bool known) {
+  if (sample->g != 0) {
+    solve_anisotropic(sample, (double complex *)(kept.numbers + kept.inputs), known);
+  } else if (!known) {
+    solve_isotropic(sample);
+  }
+}
+
+static uint64_t checksum_of(const double *numbers, size_t count) {
+  return transport_table_checksum((const uint8_t *)numbers, count * sizeof *numbers);
+}
+
+/* Identifies the inputs and the solver that a file's results depend on. `probe` is a checksum of what
+ * is kept of one fixed medium, which changes when the solver changes. */
 struct key {
   double g, effort;
-  double probe[4];
-  uint64_t inputs;
+  uint64_t probe, inputs;
 };
 
 /* Solvers that a sample may need: that for isotropic scattering, then one for each effort. */
@@ -117,22 +147,21 @@ static size_t solver_of(const table_sample *sample) {
 
 /* Solves one medium with a solver, for the keys of its samples. */
 static void probe_solver(void *context, size_t solver) {
-  double(*probe)[4] = context;
+  uint64_t *probe = context;
   table_sample sample;
   sample_make(&sample, solver == 0 ? 0 : 0.1, 1, 3);
   sample.effort = solver == 0 ? sample.effort : (transport_effort)(solver - 1);
   sample.albedo[0] = 0.9;
   sample.eta[0] = 1.3;
   memcpy(sample.x, (double[]){1e-3, 1, 20}, 3 * sizeof(double));
-  solve(&sample);
-  probe[solver][0] = sample.total[0];
-  memcpy(probe[solver] + 1, sample.R, 3 * sizeof(double));
+  const struct kept kept = kept_of(&sample);
+  solve(&sample, kept, false);
+  probe[solver] = checksum_of(kept.numbers, kept.count);
+  free_kept(kept, &sample);
   sample_free(&sample);
 }
 
-static size_t input_bytes(const table_sample *sample) {
-  return (size_t)((const char *)sample->total - (const char *)sample->numbers);
-}
+/* ---- files ----------------------------------------------------------------------------------- */
 
 static void path_of(char path[PATH_MAX_BYTES], const char *folder, const struct key *key) {
   const uint64_t name = transport_table_checksum((const uint8_t *)key, sizeof *key);
@@ -142,33 +171,32 @@ static void path_of(char path[PATH_MAX_BYTES], const char *folder, const struct 
   }
 }
 
-/* A file holds the sample's numbers and their checksum. */
-static bool read_sample(const char *path, table_sample *sample) {
+/* A file holds the numbers and their checksum. Returns whether there is one for these inputs. */
+static bool read_kept(const char *path, struct kept kept) {
   FILE *file = fopen(path, "rb");
-  if (file == NULL) {
-    return false;
+  double *copy = malloc(kept.count * sizeof *copy);
+  if (copy == NULL) {
+    tools_fail("out of memory");
   }
-  struct table_sample copy;
   uint64_t checksum;
-  sample_make(&copy, sample->g, sample->media, sample->radii);
-  const bool good =
-      fread(copy.numbers, copy.bytes, 1, file) == 1 &&
-      fread(&checksum, sizeof checksum, 1, file) == 1 &&
-      checksum == transport_table_checksum((const uint8_t *)copy.numbers, copy.bytes) &&
-      memcmp(copy.numbers, sample->numbers, input_bytes(sample)) == 0;
+  const bool good = file != NULL && fread(copy, sizeof *copy, kept.count, file) == kept.count &&
+                    fread(&checksum, sizeof checksum, 1, file) == 1 &&
+                    checksum == checksum_of(copy, kept.count) &&
+                    memcmp(copy, kept.numbers, kept.inputs * sizeof *copy) == 0;
   if (good) {
-    memcpy(sample->numbers, copy.numbers, copy.bytes);
+    memcpy(kept.numbers, copy, kept.count * sizeof *copy);
   }
-  sample_free(&copy);
-  fclose(file);
+  free(copy);
+  if (file != NULL) {
+    fclose(file);
+  }
   return good;
 }
 
-static void write_sample(const char *path, const table_sample *sample) {
-  const uint64_t checksum =
-      transport_table_checksum((const uint8_t *)sample->numbers, sample->bytes);
+static void write_kept(const char *path, struct kept kept) {
+  const uint64_t checksum = checksum_of(kept.numbers, kept.count);
   FILE *file = tools_open(path);
-  fwrite(sample->numbers, sample->bytes, 1, file);
+  fwrite(kept.numbers, sizeof *kept.numbers, kept.count, file);
   fwrite(&checksum, sizeof checksum, 1, file);
   tools_close(file, path);
 }
@@ -177,7 +205,7 @@ static void write_sample(const char *path, const table_sample *sample) {
 
 struct run {
   const char *folder;
-  double probe[SOLVERS][4];
+  uint64_t probe[SOLVERS];
   table_sample *samples;
   tools_progress progress;
 };
@@ -185,15 +213,17 @@ struct run {
 static void solve_or_read(void *context, size_t i) {
   struct run *run = context;
   table_sample *sample = &run->samples[i];
-  struct key key = {.g = sample->g, .effort = sample->effort};
-  memcpy(key.probe, run->probe[solver_of(sample)], sizeof key.probe);
-  key.inputs = transport_table_checksum((const uint8_t *)sample->numbers, input_bytes(sample));
+  const struct kept kept = kept_of(sample);
+  const struct key key = {sample->g, sample->effort, run->probe[solver_of(sample)],
+                          checksum_of(kept.numbers, kept.inputs)};
   char path[PATH_MAX_BYTES];
   path_of(path, run->folder, &key);
-  if (!read_sample(path, sample)) {
-    solve(sample);
-    write_sample(path, sample);
+  const bool known = read_kept(path, kept);
+  solve(sample, kept, known);
+  if (!known) {
+    write_kept(path, kept);
   }
+  free_kept(kept, sample);
   tools_progress_add(&run->progress, cost_us(sample));
 }
 

@@ -24,8 +24,8 @@ typedef struct table_sample {
 } table_sample;
 
 /* Returns the effort that a medium with g other than 0 needs: TRANSPORT_EFFORT_FINEST for g from 0.85
- * on, and for g below -0.4 with sigma_a above sigma_s'; else TRANSPORT_EFFORT_NORMAL. */
-transport_effort sample_effort(double g, double albedo);
+ * on, else TRANSPORT_EFFORT_NORMAL. */
+transport_effort sample_effort(double g);
 
 /* Allocates the arrays. The effort is TRANSPORT_EFFORT_NORMAL. If no memory is left, the program ends
  * with a message. */
