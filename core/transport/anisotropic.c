@@ -364,14 +364,46 @@ static void tail_terms(double complex k, double complex *terms) {
   terms[3] = inverse3 * inverse;
 }
 
+/* Normal equations of least squares, with one right side or two. */
+enum { UNKNOWNS_MAX = 16, RIGHT_SIDES = 2 };
+struct equations {
+  dense normal, right;
+  double memory[UNKNOWNS_MAX * (UNKNOWNS_MAX + 8)] __attribute__((aligned(64)));
+};
+
+static void begin_equations(struct equations *to, const core_isa *isa, size_t unknowns) {
+  double *next = to->memory;
+  memset(to->memory, 0, sizeof to->memory);
+  to->normal = transport_dense_at(isa, &next, unknowns, unknowns, false);
+  to->right = transport_dense_at(isa, &next, unknowns, RIGHT_SIDES, false);
+}
+
+/* Adds an equation whose unknowns are multiplied by terms[]. */
+static void add_equation(struct equations *to, double weight, const double *terms,
+                         const double right[RIGHT_SIDES]) {
+  for (size_t row = 0; row < to->normal.rows; row++) {
+    const double factor = weight * terms[row];
+    for (size_t column = 0; column < to->normal.columns; column++) {
+      to->normal.re[row * to->normal.stride + column] += factor * terms[column];
+    }
+    for (size_t side = 0; side < RIGHT_SIDES; side++) {
+      to->right.re[row * to->right.stride + side] += factor * right[side];
+    }
+  }
+}
+
+/* Returns unknown i for each right side, after the equations have been solved. */
+static const double *unknown(const struct equations *of, size_t i) {
+  return of->right.re + i * of->right.stride;
+}
+
 /* Fits the tail to X at the nodes with s above a part of K, by least squares. Returns false if the
  * normal equations are singular. */
 static bool fit_tail(const struct grid *of, struct exitance *at, const double complex *values) {
   const size_t nodes = of->rules->nodes;
   const double last = of->rules->tier[TIERS - 1].k_most;
-  double memory[TAIL_TERMS * 16] __attribute__((aligned(64))) = {0}, *next = memory;
-  const dense normal = transport_dense_at(of->isa, &next, TAIL_TERMS, TAIL_TERMS, false);
-  const dense right = transport_dense_at(of->isa, &next, TAIL_TERMS, 1, false);
+  struct equations equations;
+  begin_equations(&equations, of->isa, TAIL_TERMS);
   for (size_t i = 0; i < of->panels * nodes; i++) {
     const double s = node_of(of, i / nodes, i % nodes);
     if (s < TAIL_FROM * last) {
@@ -382,16 +414,17 @@ static bool fit_tail(const struct grid *of, struct exitance *at, const double co
     tail_terms(k, terms);
     const double complex rest = values[i] - at->far * inverse * inverse;
     const double weight = s * s * s * s * s * s;
-    for (size_t row = 0; row < TAIL_TERMS; row++) {
-      for (size_t column = 0; column < TAIL_TERMS; column++) {
-        normal.re[row * normal.stride + column] += weight * creal(conj(terms[row]) * terms[column]);
-      }
-      right.re[row * right.stride] += weight * creal(conj(terms[row]) * rest);
+    double re[TAIL_TERMS], im[TAIL_TERMS];
+    for (size_t j = 0; j < TAIL_TERMS; j++) {
+      re[j] = creal(terms[j]);
+      im[j] = cimag(terms[j]);
     }
+    add_equation(&equations, weight, re, (double[]){creal(rest), 0});
+    add_equation(&equations, weight, im, (double[]){cimag(rest), 0});
   }
-  const bool ok = transport_dense_solve(&normal, &right);
+  const bool ok = transport_dense_solve(&equations.normal, &equations.right);
   for (size_t i = 0; i < TAIL_TERMS && ok; i++) {
-    at->tail[i] = right.re[i * right.stride];
+    at->tail[i] = unknown(&equations, i)[0];
   }
   return ok;
 }
@@ -471,6 +504,63 @@ static bool solve_tier(struct grid *of, const struct tier *tier, const struct bo
   return ok;
 }
 
+/* Returns k of a node by its position in all panels. */
+static double complex wavenumber_of(const struct grid *of, size_t node) {
+  return CMPLX(node_of(of, node / of->rules->nodes, node % of->rules->nodes), of->shift);
+}
+
+static double square_of(double complex k) {
+  return creal(k) * creal(k) + cimag(k) * cimag(k);
+}
+
+/* Returns the first node that does not belong to this tier or to one below. */
+static size_t end_of_tier(const struct grid *of, size_t tier) {
+  const size_t nodes = of->panels * of->rules->nodes;
+  size_t node = 0;
+  while (node < nodes && !(fn_abs(wavenumber_of(of, node)) > of->rules->tier[tier].k_most)) {
+    node++;
+  }
+  return node;
+}
+
+/* Errors of two tiers differ, so that X would have a small step where a tier ends, and R a wave of that
+ * wavenumber: for g = 0.95, sigma_a 50 sigma_s' and eta 2.2 it is 1e-3 of R = 1e-10 on the finest grids.
+ * The step is fitted together with a polynomial in ln s through k^2 X at the nodes on both sides, and
+ * added to the values of the lower tiers in proportion to k^4, as their errors grow with k. Returns false
+ * if the equations are singular. */
+static bool join_tier(const struct grid *of, size_t tier, double complex *values) {
+  enum { SIDE = 8, POLYNOMIALS = 9, UNKNOWNS = POLYNOMIALS + 1 };
+  const size_t end = end_of_tier(of, tier);
+  if (end < SIDE || end + SIDE > of->panels * of->rules->nodes) {
+    return true;
+  }
+  const double first = fn_log(creal(wavenumber_of(of, end - SIDE)));
+  const double last = fn_log(creal(wavenumber_of(of, end + SIDE - 1)));
+  const double end2 = square_of(wavenumber_of(of, end));
+  struct equations equations;
+  begin_equations(&equations, of->isa, UNKNOWNS);
+  for (size_t node = end - SIDE; node < end + SIDE; node++) {
+    const double complex k = wavenumber_of(of, node);
+    const double k2 = square_of(k), z = 2 * (fn_log(creal(k)) - first) / (last - first) - 1;
+    double terms[UNKNOWNS] = {1, z};
+    for (size_t j = 2; j < POLYNOMIALS; j++) {
+      terms[j] = 2 * z * terms[j - 1] - terms[j - 2];
+    }
+    terms[POLYNOMIALS] = node < end ? -k2 * (k2 / end2) * (k2 / end2) : 0;
+    add_equation(&equations, 1, terms,
+                 (double[]){k2 * creal(values[node]), k2 * cimag(values[node])});
+  }
+  if (!transport_dense_solve(&equations.normal, &equations.right)) {
+    return false;
+  }
+  const double *step = unknown(&equations, POLYNOMIALS);
+  for (size_t node = 0; node < end; node++) {
+    const double share = square_of(wavenumber_of(of, node)) / end2;
+    values[node] += share * share * CMPLX(step[0], step[1]);
+  }
+  return true;
+}
+
 /* X at all nodes that a caller keeps: [part][TRANSPORT_ANISOTROPIC_WAVENUMBERS_MAX]. */
 struct kept {
   double complex *exitances;
@@ -508,7 +598,10 @@ static bool solve_grid(struct grid *to, const core_isa *isa, const struct grid_r
     struct exitance *at = &to->exitance[part];
     at->far = far_of(&to->scaled, phase, boundaries->etas[part % boundaries->count],
                      sine_of(boundaries, part));
-    ok = fit_tail(to, at, values[part]);
+    for (size_t tier = TIERS - 1; tier-- > 0 && ok;) {
+      ok = join_tier(to, tier, values[part]);
+    }
+    ok = ok && fit_tail(to, at, values[part]);
     for (size_t panel = 0; panel < to->panels; panel++) {
       memcpy(at->term[panel], values[part] + panel * by->nodes, by->nodes * sizeof **values);
       find_terms(to, at->term[panel]);
