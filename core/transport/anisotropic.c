@@ -2,15 +2,8 @@
  *
  *   R(r) = 1 / (2 pi) Re int X(k) H0(kr) k dk,   k = s + i c, s from 0 to infinity,
  *
- * where 0 <= c < kappa, so that R keeps its digits where it decays as e^(-kappa r). X is
- * interpolated by Chebyshev polynomials on panels in s, which double in width up to K. Beyond,
- *
- *   X = (far + (b1 ln k + c1) / k + (b2 ln k + c2) / k^2) / k^2,
- *
- * where `far` is known from light that is scattered twice close to the source, and b and c are
- * fitted. There the path turns upwards, where H0 decays. What is left at K, where both meet, goes on as
- * k^-5 and k^-6, the next powers: a step there would be a wave in r of the wavenumber K, which counts
- * where R is small (on the finest grids it was 3e-3 of an R of 1e-12).
+ * where 0 <= c < kappa, so that R keeps its digits where it decays as e^(-kappa r). exitance.c has the way
+ * from X to R. For wavenumbers above all that are solved it has to know `far`, the limit of k^2 X.
  *
  * `far`: light that is scattered twice and comes back to where it entered runs along a triangle.
  * The number of triangles of size l is in proportion to dl / l, so that R2(r) = far / (2 pi) ln(1 /
@@ -29,26 +22,19 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "core/transport/bessel.h"
-#include "core/transport/dense.h"
+#include "core/transport/exitance.h"
 #include "core/transport/functions.h"
 #include "core/transport/gauss.h"
 #include "core/transport/halfspace.h"
 #include "core/transport/single.h"
 
 #define SINGLE_STEP 0.3
-/* The tail is fitted to wavenumbers above this part of K. */
-#define TAIL_FROM 0.3
 
 /* ---- how finely ----------------------------------------------------------------------------- */
 
 enum {
-  TAIL_TERMS = 4,
-  TIERS = 4,
-  NODES_MAX = 16,
-  PANELS_MAX = TRANSPORT_ANISOTROPIC_WAVENUMBERS_MAX / NODES_MAX,
+  TIERS = EXITANCE_TIERS,
   GRIDS = 2,
-  FIT_POINTS_MAX = 3 * NODES_MAX,
   PARTS_MAX = TRANSPORT_ANISOTROPIC_ETAS_MAX * (1 + TRANSPORT_ANISOTROPIC_CONES_MAX),
 };
 
@@ -253,27 +239,11 @@ static double far_of(const struct scaled *scaled, const transport_phase *phase, 
 
 /* ---- one grid ------------------------------------------------------------------------------- */
 
-struct panel {
-  double begin, end;
-};
-
-/* What is known of X for one boundary and the light of all angles or of one cone: a Chebyshev series in s
- * on each panel, and the tail beyond K. */
-struct exitance {
-  double complex term[PANELS_MAX][NODES_MAX];
-  double far, tail[TAIL_TERMS];
-  /* of X less the tail at K: its value, and its derivative by ln k plus five times the value */
-  double complex step, bend;
-};
-
 struct grid {
-  const core_isa *isa;
   const struct grid_rules *rules;
   struct scaled scaled;
-  double shift; /* c */
-  size_t panels;
-  struct panel panel[PANELS_MAX];
-  struct exitance *exitance; /* one for each boundary, then one for each boundary and cone */
+  exitance_grid wavenumbers;
+  exitance_series *exitance; /* one for each boundary, then one for each boundary and cone */
 };
 
 /* The boundaries and cones of a solution. */
@@ -296,6 +266,10 @@ static double sine_of(const struct boundaries *of, size_t part) {
                           : of->sines[part / of->count - 1] * fmin(of->etas[part % of->count], 1);
 }
 
+_Static_assert((int)EXITANCE_PANELS_MAX *EXITANCE_NODES_MAX ==
+                   (int)TRANSPORT_ANISOTROPIC_WAVENUMBERS_MAX,
+               "a caller keeps all wavenumbers");
+
 struct transport_anisotropic {
   size_t count;
   size_t parts;
@@ -304,197 +278,31 @@ struct transport_anisotropic {
   struct grid grid[GRIDS];
 };
 
-static void place_panels(struct grid *to) {
-  const double last = to->rules->tier[TIERS - 1].k_most;
-  double begin = 0, end = fmin(last / 4, (1 - to->rules->shift) * to->scaled.kappa);
-  to->panels = 0;
-  while (begin < last) {
-    assert(to->panels < PANELS_MAX);
-    to->panel[to->panels++] = (struct panel){begin, end};
-    begin = end;
-    end = 2 * end > 0.7 * last ? last : 2 * end;
-  }
-}
-
-/* Returns s of a Chebyshev node. */
-static double node_of(const struct grid *of, size_t panel, size_t i) {
-  double sine, cosine;
-  fn_sincos(FN_PI * ((double)i + 0.5) / (double)of->rules->nodes, &sine, &cosine);
-  const struct panel *at = &of->panel[panel];
-  return 0.5 * (at->begin + at->end) - 0.5 * (at->end - at->begin) * cosine;
-}
-
-/* Replaces values at the nodes by the terms of a Chebyshev series. */
-static void find_terms(const struct grid *of, double complex *values) {
-  const size_t n = of->rules->nodes;
-  double complex term[NODES_MAX];
-  for (size_t j = 0; j < n; j++) {
-    term[j] = 0;
-    for (size_t i = 0; i < n; i++) {
-      double sine, cosine;
-      fn_sincos(FN_PI * (double)j * ((double)i + 0.5) / (double)n, &sine, &cosine);
-      /* the nodes are in ascending order: x_i = -cos */
-      term[j] += values[i] * (j % 2 == 0 ? cosine : -cosine);
-    }
-    term[j] *= (j == 0 ? 1.0 : 2.0) / (double)n;
-  }
-  memcpy(values, term, n * sizeof *values);
-}
-
-static double complex series_at(const struct grid *of, const struct exitance *at, size_t panel,
-                                double s) {
-  const struct panel *p = &of->panel[panel];
-  const double x = (2 * s - p->begin - p->end) / (p->end - p->begin);
-  double complex one = 0, two = 0;
-  for (size_t j = of->rules->nodes; j-- > 1;) {
-    const double complex next = at->term[panel][j] + 2 * x * one - two;
-    two = one;
-    one = next;
-  }
-  return at->term[panel][0] + x * one - two;
-}
-
-/* Sets terms to what the coefficients of the tail are multiplied by at k. */
-static void tail_terms(double complex k, double complex *terms) {
-  const double complex inverse = fn_inverse(k), logarithm = fn_clog(k);
-  const double complex inverse3 = inverse * inverse * inverse;
-  terms[0] = logarithm * inverse3;
-  terms[1] = inverse3;
-  terms[2] = logarithm * inverse3 * inverse;
-  terms[3] = inverse3 * inverse;
-}
-
-/* Normal equations of least squares, with one right side or two. */
-enum { UNKNOWNS_MAX = 16, RIGHT_SIDES = 2 };
-struct equations {
-  dense normal, right;
-  double memory[UNKNOWNS_MAX * (UNKNOWNS_MAX + 8)] __attribute__((aligned(64)));
-};
-
-static void begin_equations(struct equations *to, const core_isa *isa, size_t unknowns) {
-  double *next = to->memory;
-  memset(to->memory, 0, sizeof to->memory);
-  to->normal = transport_dense_at(isa, &next, unknowns, unknowns, false);
-  to->right = transport_dense_at(isa, &next, unknowns, RIGHT_SIDES, false);
-}
-
-/* Adds an equation whose unknowns are multiplied by terms[]. */
-static void add_equation(struct equations *to, double weight, const double *terms,
-                         const double right[RIGHT_SIDES]) {
-  for (size_t row = 0; row < to->normal.rows; row++) {
-    const double factor = weight * terms[row];
-    for (size_t column = 0; column < to->normal.columns; column++) {
-      to->normal.re[row * to->normal.stride + column] += factor * terms[column];
-    }
-    for (size_t side = 0; side < RIGHT_SIDES; side++) {
-      to->right.re[row * to->right.stride + side] += factor * right[side];
-    }
-  }
-}
-
-/* Returns unknown i for each right side, after the equations have been solved. */
-static const double *unknown(const struct equations *of, size_t i) {
-  return of->right.re + i * of->right.stride;
-}
-
-/* Fits the tail to X at the nodes with s above a part of K, by least squares. Returns false if the
- * normal equations are singular. */
-static bool fit_tail(const struct grid *of, struct exitance *at, const double complex *values) {
-  const size_t nodes = of->rules->nodes;
-  const double last = of->rules->tier[TIERS - 1].k_most;
-  struct equations equations;
-  begin_equations(&equations, of->isa, TAIL_TERMS);
-  for (size_t i = 0; i < of->panels * nodes; i++) {
-    const double s = node_of(of, i / nodes, i % nodes);
-    if (s < TAIL_FROM * last) {
-      continue;
-    }
-    const double complex k = CMPLX(s, of->shift), inverse = fn_inverse(k);
-    double complex terms[TAIL_TERMS];
-    tail_terms(k, terms);
-    const double complex rest = values[i] - at->far * inverse * inverse;
-    const double weight = s * s * s * s * s * s;
-    double re[TAIL_TERMS], im[TAIL_TERMS];
-    for (size_t j = 0; j < TAIL_TERMS; j++) {
-      re[j] = creal(terms[j]);
-      im[j] = cimag(terms[j]);
-    }
-    add_equation(&equations, weight, re, (double[]){creal(rest), 0});
-    add_equation(&equations, weight, im, (double[]){cimag(rest), 0});
-  }
-  const bool ok = transport_dense_solve(&equations.normal, &equations.right);
-  for (size_t i = 0; i < TAIL_TERMS && ok; i++) {
-    at->tail[i] = unknown(&equations, i)[0];
-  }
-  return ok;
-}
-
-static double complex tail_at(const struct exitance *at, double complex k) {
-  const double complex inverse = fn_inverse(k);
-  double complex terms[TAIL_TERMS], sum = at->far * inverse * inverse;
-  tail_terms(k, terms);
-  for (size_t i = 0; i < TAIL_TERMS; i++) {
-    sum += at->tail[i] * terms[i];
-  }
-  return sum;
-}
-
-/* Returns the derivative of the tail by k. */
-static double complex tail_slope(const struct exitance *at, double complex k) {
-  const double complex inverse = fn_inverse(k), logarithm = fn_clog(k);
-  const double complex inverse3 = inverse * inverse * inverse;
-  return inverse3 * (-2 * at->far +
-                     inverse * (at->tail[0] * (1 - 3 * logarithm) - 3 * at->tail[1] +
-                                inverse * (at->tail[2] * (1 - 4 * logarithm) - 4 * at->tail[3])));
-}
-
-/* Sets what is left at K, the end of the last panel, from the series there. */
-static void join_tail(const struct grid *of, struct exitance *at) {
-  const struct panel *last = &of->panel[of->panels - 1];
-  const double complex k = CMPLX(last->end, of->shift), *term = at->term[of->panels - 1];
-  double complex value = 0, slope = 0;
-  for (size_t j = 0; j < of->rules->nodes; j++) {
-    value += term[j];
-    slope += (double)(j * j) * term[j];
-  }
-  at->step = value - tail_at(at, k);
-  at->bend = k * (slope * 2 / (last->end - last->begin) - tail_slope(at, k)) + 5 * at->step;
-}
-
-/* Returns X on the way upwards from K. */
-static double complex beyond(const struct exitance *at, double complex k_last, double complex k) {
-  const double complex q = k_last * fn_inverse(k), q2 = q * q;
-  return tail_at(at, k) + q2 * q2 * q * (at->step + at->bend * (1 - q));
-}
-
-/* Solves the wavenumbers of the nodes from *next on that belong to one tier. values:
- * [part][node of all panels]. Returns false if memory runs out or an equation is singular. */
-static bool solve_tier(struct grid *of, const struct tier *tier, const struct boundaries *by,
-                       double complex **values, size_t *next) {
-  const size_t nodes = of->rules->nodes;
-  const double last = of->rules->tier[TIERS - 1].k_most;
+/* Solves the wavenumbers that belong to one tier. values: [part][node of all panels]. Returns false if
+ * memory runs out or an equation is singular. */
+static bool solve_tier(struct grid *of, const core_isa *isa, size_t tier,
+                       const struct boundaries *by, double complex **values) {
   halfspace *expansion[2] = {NULL, NULL};
   bool ok = true;
   for (size_t i = 0; i < 2 && ok; i++) {
-    halfspace_rules at = tier->rules;
+    halfspace_rules at = of->rules->tier[tier].rules;
     at.orders += i;
     at.degrees += i;
-    expansion[i] = transport_halfspace_new(of->isa, &at, &of->scaled.medium, by->etas, by->count,
+    expansion[i] = transport_halfspace_new(isa, &at, &of->scaled.medium, by->etas, by->count,
                                            by->sines, by->cones);
     ok = expansion[i] != NULL;
   }
-  for (; *next < of->panels * nodes && ok; ++*next) {
-    const double s = node_of(of, *next / nodes, *next % nodes);
-    if (fn_abs(CMPLX(s, of->shift)) > tier->k_most && tier->k_most < last) {
-      break;
-    }
+  const size_t end = transport_exitance_end(&of->wavenumbers, tier);
+  for (size_t node = tier > 0 ? transport_exitance_end(&of->wavenumbers, tier - 1) : 0;
+       node < end && ok; node++) {
+    const double complex k = transport_exitance_wavenumber(&of->wavenumbers, node);
     for (size_t i = 0; i < 2 && ok; i++) {
-      halfspace_exitance exitance[TRANSPORT_ANISOTROPIC_ETAS_MAX];
-      ok = transport_halfspace_solve(expansion[i], CMPLX(s, of->shift), of->scaled.kappa, exitance);
+      halfspace_exitance at[TRANSPORT_ANISOTROPIC_ETAS_MAX];
+      ok = transport_halfspace_solve(expansion[i], k, of->scaled.kappa, at);
       for (size_t eta = 0; eta < by->count && ok; eta++) {
-        values[eta][*next] += 0.5 * (exitance[eta].all - exitance[eta].single);
+        values[eta][node] += 0.5 * (at[eta].all - at[eta].single);
         for (size_t cone = 0; cone < by->cones; cone++) {
-          values[(cone + 1) * by->count + eta][*next] += 0.5 * exitance[eta].cone[cone];
+          values[(cone + 1) * by->count + eta][node] += 0.5 * at[eta].cone[cone];
         }
       }
     }
@@ -502,63 +310,6 @@ static bool solve_tier(struct grid *of, const struct tier *tier, const struct bo
   transport_halfspace_free(expansion[0]);
   transport_halfspace_free(expansion[1]);
   return ok;
-}
-
-/* Returns k of a node by its position in all panels. */
-static double complex wavenumber_of(const struct grid *of, size_t node) {
-  return CMPLX(node_of(of, node / of->rules->nodes, node % of->rules->nodes), of->shift);
-}
-
-static double square_of(double complex k) {
-  return creal(k) * creal(k) + cimag(k) * cimag(k);
-}
-
-/* Returns the first node that does not belong to this tier or to one below. */
-static size_t end_of_tier(const struct grid *of, size_t tier) {
-  const size_t nodes = of->panels * of->rules->nodes;
-  size_t node = 0;
-  while (node < nodes && !(fn_abs(wavenumber_of(of, node)) > of->rules->tier[tier].k_most)) {
-    node++;
-  }
-  return node;
-}
-
-/* Errors of two tiers differ, so that X would have a small step where a tier ends, and R a wave of that
- * wavenumber: for g = 0.95, sigma_a 50 sigma_s' and eta 2.2 it is 1e-3 of R = 1e-10 on the finest grids.
- * The step is fitted together with a polynomial in ln s through k^2 X at the nodes on both sides, and
- * added to the values of the lower tiers in proportion to k^4, as their errors grow with k. Returns false
- * if the equations are singular. */
-static bool join_tier(const struct grid *of, size_t tier, double complex *values) {
-  enum { SIDE = 8, POLYNOMIALS = 9, UNKNOWNS = POLYNOMIALS + 1 };
-  const size_t end = end_of_tier(of, tier);
-  if (end < SIDE || end + SIDE > of->panels * of->rules->nodes) {
-    return true;
-  }
-  const double first = fn_log(creal(wavenumber_of(of, end - SIDE)));
-  const double last = fn_log(creal(wavenumber_of(of, end + SIDE - 1)));
-  const double end2 = square_of(wavenumber_of(of, end));
-  struct equations equations;
-  begin_equations(&equations, of->isa, UNKNOWNS);
-  for (size_t node = end - SIDE; node < end + SIDE; node++) {
-    const double complex k = wavenumber_of(of, node);
-    const double k2 = square_of(k), z = 2 * (fn_log(creal(k)) - first) / (last - first) - 1;
-    double terms[UNKNOWNS] = {1, z};
-    for (size_t j = 2; j < POLYNOMIALS; j++) {
-      terms[j] = 2 * z * terms[j - 1] - terms[j - 2];
-    }
-    terms[POLYNOMIALS] = node < end ? -k2 * (k2 / end2) * (k2 / end2) : 0;
-    add_equation(&equations, 1, terms,
-                 (double[]){k2 * creal(values[node]), k2 * cimag(values[node])});
-  }
-  if (!transport_dense_solve(&equations.normal, &equations.right)) {
-    return false;
-  }
-  const double *step = unknown(&equations, POLYNOMIALS);
-  for (size_t node = 0; node < end; node++) {
-    const double share = square_of(wavenumber_of(of, node)) / end2;
-    values[node] += share * share * CMPLX(step[0], step[1]);
-  }
-  return true;
 }
 
 /* X at all nodes that a caller keeps: [part][TRANSPORT_ANISOTROPIC_WAVENUMBERS_MAX]. */
@@ -572,41 +323,33 @@ static bool solve_grid(struct grid *to, const core_isa *isa, const struct grid_r
                        double ratio, const transport_phase *phase,
                        const struct boundaries *boundaries, const struct kept *kept) {
   const size_t parts = parts_of(boundaries);
-  to->isa = isa;
+  double tier_end[TIERS];
+  for (size_t tier = 0; tier < TIERS; tier++) {
+    tier_end[tier] = by->tier[tier].k_most;
+  }
   to->rules = by;
   truncate_phase(&to->scaled, ratio, phase, by->moment_least, by->moments_most);
-  to->shift = by->shift * to->scaled.kappa;
-  place_panels(to);
+  transport_exitance_place(&to->wavenumbers, isa, to->scaled.kappa, by->shift, by->nodes, tier_end);
   to->exitance = calloc(parts, sizeof *to->exitance);
   double complex *values[PARTS_MAX];
-  const size_t nodes = to->panels * by->nodes;
+  const size_t nodes = transport_exitance_end(&to->wavenumbers, TIERS - 1);
   values[0] = calloc(nodes * parts, sizeof **values);
   bool ok = to->exitance != NULL && values[0] != NULL;
   for (size_t part = 1; part < parts; part++) {
     values[part] = values[0] + part * nodes;
   }
   const bool known = kept != NULL && kept->known;
-  size_t next = 0;
   for (size_t tier = 0; tier < TIERS && ok && !known; tier++) {
-    ok = solve_tier(to, &by->tier[tier], boundaries, values, &next);
+    ok = solve_tier(to, isa, tier, boundaries, values);
   }
   for (size_t part = 0; part < parts && ok && kept != NULL; part++) {
     double complex *at = kept->exitances + part * TRANSPORT_ANISOTROPIC_WAVENUMBERS_MAX;
     memcpy(known ? values[part] : at, known ? at : values[part], nodes * sizeof *at);
   }
   for (size_t part = 0; part < parts && ok; part++) {
-    struct exitance *at = &to->exitance[part];
-    at->far = far_of(&to->scaled, phase, boundaries->etas[part % boundaries->count],
-                     sine_of(boundaries, part));
-    for (size_t tier = TIERS - 1; tier-- > 0 && ok;) {
-      ok = join_tier(to, tier, values[part]);
-    }
-    ok = ok && fit_tail(to, at, values[part]);
-    for (size_t panel = 0; panel < to->panels; panel++) {
-      memcpy(at->term[panel], values[part] + panel * by->nodes, by->nodes * sizeof **values);
-      find_terms(to, at->term[panel]);
-    }
-    join_tail(to, at);
+    const double far = far_of(&to->scaled, phase, boundaries->etas[part % boundaries->count],
+                              sine_of(boundaries, part));
+    ok = transport_exitance_make(&to->exitance[part], &to->wavenumbers, far, values[part]);
   }
   free(values[0]);
   return ok;
@@ -734,68 +477,7 @@ void transport_anisotropic_free(transport_anisotropic *solution) {
   }
 }
 
-/* ---- the way back --------------------------------------------------------------------------- */
-
-enum { RULE_NODES = 12 };
-
-/* Returns X H0(kr) k, with H0(kr) = -2 i / pi K0(-i k r). */
-static double complex weighted(double complex exitance, double complex k, double r) {
-  return exitance * k * CMPLX(0, -2 / FN_PI) * transport_bessel_k(CMPLX(0, -r) * k).k0;
-}
-
-/* Returns the integral over s of one interval of a panel. */
-static double interval(const struct grid *of, const struct exitance *at, const gauss_rule *rule,
-                       size_t panel, double begin, double end, double r) {
-  double sum = 0;
-  for (size_t i = 0; i < rule->n; i++) {
-    const double s = begin + (end - begin) * rule->x[i];
-    sum += rule->weight[i] * creal(weighted(series_at(of, at, panel, s), CMPLX(s, of->shift), r));
-  }
-  return sum * (end - begin);
-}
-
-/* Returns R of light scattered more than once, per squared scaled mean free path. */
-static double multiple_at(const struct grid *of, size_t eta, double r) {
-  enum { HALVINGS = 12, DOUBLINGS = 200 };
-  const struct exitance *at = &of->exitance[eta];
-  gauss_rule rule;
-  transport_gauss(&rule, RULE_NODES);
-  double sum = 0;
-  for (size_t panel = 0; panel < of->panels; panel++) {
-    const struct panel *p = &of->panel[panel];
-    const double width = p->end - p->begin;
-    const double periods = ceil(width * r / (2 * FN_PI));
-    const size_t parts = periods < 1 ? 1 : (size_t)periods;
-    for (size_t i = 0; i < parts; i++) {
-      double begin = p->begin + width * (double)i / (double)parts;
-      const double end = p->begin + width * (double)(i + 1) / (double)parts;
-      /* The Hankel function H0(kr) is not smooth at k = 0, so the interval that begins there is cut
-       * in halves, the lower one again and again. */
-      for (size_t halving = HALVINGS; begin == 0 && halving > 0; halving--) {
-        const double next = end * fn_exp(-0.69314718055994531 * (double)(halving - 1));
-        const double from = halving == HALVINGS ? 0 : next / 2;
-        sum += interval(of, at, &rule, panel, from, next, r);
-      }
-      if (begin > 0) {
-        sum += interval(of, at, &rule, panel, begin, end, r);
-      }
-    }
-  }
-  /* From K the path runs upwards: k = K + i (c + t). */
-  const double last = of->panel[of->panels - 1].end;
-  double begin = 0, end = 0.5 * fmin(last, 1 / r);
-  for (size_t i = 0; i < DOUBLINGS && begin * r < 45; i++) {
-    for (size_t node = 0; node < rule.n; node++) {
-      const double t = begin + (end - begin) * rule.x[node];
-      const double complex k = CMPLX(last, of->shift + t);
-      sum += (end - begin) * rule.weight[node] *
-             creal(CMPLX(0, 1) * weighted(beyond(at, CMPLX(last, of->shift), k), k, r));
-    }
-    begin = end;
-    end *= 2;
-  }
-  return sum / (2 * FN_PI);
-}
+/* ---- values --------------------------------------------------------------------------------- */
 
 static double reduced_single(const transport_anisotropic *of, const struct grid *grid, size_t eta,
                              double r) {
@@ -811,7 +493,8 @@ double transport_anisotropic_single_at(const transport_anisotropic *solution, si
 static double value_at(const transport_anisotropic *of, const struct grid *grid, size_t eta,
                        double r) {
   const double unit = grid->scaled.unit;
-  return reduced_single(of, grid, eta, r) + multiple_at(grid, eta, r / unit) / (unit * unit);
+  return reduced_single(of, grid, eta, r) +
+         transport_exitance_at(&grid->exitance[eta], &grid->wavenumbers, r / unit) / (unit * unit);
 }
 
 /* Near the source two grids share more of their errors: at 1152 values of 64 media (reference.csv, by the

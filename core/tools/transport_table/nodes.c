@@ -64,12 +64,13 @@ static double point(size_t i, size_t n, double from, double to) {
 /* ---- points ---------------------------------------------------------------------------------- */
 
 /* The panels of D: how many radii each has, and how many terms in y the table keeps. Further terms are
- * nothing but the solver's noise, which would put kinks into profiles. Beyond x = 1, media with g below 0
- * that absorb most have a step for a large eta: with 20 radii and 16 terms, R is up to 1.8e-3 off there,
- * with 28 and 24 1.2e-4. The last panel is smooth (smooth_far()). */
+ * nothing but the solver's noise, which would put kinks into profiles. With 20 radii and 16 terms, R is up
+ * to 1.8e-3 off beyond x = 1, where D of media with g below 0 that absorb most falls by 1.5 within a mean
+ * free path for a large eta (1.2e-4 with 28 and 24), and up to 6.8e-4 off before, for g = 0.95 (4.5e-4
+ * with 24 and 20). The last panel is smooth (smooth_far()). */
 static const struct {
   size_t radii, kept;
-} panel_d[PANELS] = {{20, 10}, {20, 16}, {NODES_D_X_MAX, 24}, {20, 12}};
+} panel_d[PANELS] = {{20, 10}, {24, 20}, {NODES_D_X_MAX, 24}, {20, 12}};
 
 /* Returns the number of radii of D in all panels before p. */
 static size_t first_radius(size_t p) {
