@@ -492,7 +492,7 @@ $(BUILD)/transport-table: $(TABLES) $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
 
-# Some two hours on two cores; after an interruption it goes on where it was. KEPT=1: minutes; solutions
+# Some 100 minutes on two cores; after an interruption it goes on where it was. KEPT=1: minutes; solutions
 # are those that the table has, but for the checks.
 tables: $(BUILD)/transport-table
 	$(BUILD)/transport-table $(KEPT:1=--kept) $(BUILD)/tables core/transport/transport.table

@@ -381,8 +381,8 @@ static double solver_error(size_t region) {
 /* Returns whether what is found in region i counts for a region, too, which has `values` of its own.
  * Not every region has a medium with the finest grids. Near the source the error hardly depends on the
  * albedo, unless that is very small. If it is, and if the region has few values, the error for all g
- * counts. Far from the source the series in u set the error, which all g have in common. Only for the
- * lowest g D has a step in x, between 1 and 3 for a large eta, which 20 radii do not resolve. */
+ * counts. Far from the source the series in u set the error, which all g have in common; only for the
+ * lowest g it is twice as large. */
 static bool is_like(size_t i, size_t region, size_t values) {
   enum { FEW = 20, NEAR = 2, FAR = 3 /* bands of x */ };
   const struct bands at = bands_of(i), of = bands_of(region);
