@@ -61,9 +61,10 @@
  * R where R is above TRANSPORT_TABLE_R_LEAST and of the totals, plus the error of the solver itself.
  * For g other than 0 there is an error for each region: a band of g, of the albedo, of eta and of x.
  * Their margin is TRANSPORT_TABLE_MARGIN_D.
- * The largest error that was found is 2.9e-4 for x up to 20, and 5.1e-4 for x up to 100. For x above
- * 100, which profiles leave to their reach, the largest difference from the solver is 1.7e-3. Totals for g other than 0 are within 7.4e-7 for the beam and 2.1e-6 for diffuse
- * light.
+ * The largest error that was found is 5.1e-4 for x up to 100: for g below -0.25, with sigma_a above 10
+ * sigma_s' from x = 1 to 10, and with less beyond 20. Elsewhere it is 2.9e-4. For x above 100, which
+ * profiles leave to their reach, the largest difference from the solver is 1.7e-3. Totals for g other
+ * than 0 are within 7.4e-7 for the beam and 2.1e-6 for diffuse light.
  */
 #ifndef DIPOLED_CORE_TRANSPORT_TABLE_H
 #define DIPOLED_CORE_TRANSPORT_TABLE_H
