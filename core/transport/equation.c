@@ -41,10 +41,6 @@
 
 /* ---- what does not depend on the albedo ----------------------------------------------------- */
 
-static double norm2(double complex z) {
-  return creal(z) * creal(z) + cimag(z) * cimag(z);
-}
-
 /* Chooses the pivots: each is the node where the rest of the kernel, |kernel g^2 / p|, is largest.
  * Returns false if memory runs out. */
 static bool choose_pivots(equation *to) {
@@ -57,7 +53,7 @@ static bool choose_pivots(equation *to) {
   double all = 0;
   for (size_t i = 0; i < at->n; i++) {
     g[i] = 1;
-    share[i] = sqrt(norm2(at->kernel[i]) / norm2(at->p[i]));
+    share[i] = sqrt(fn_norm2(at->kernel[i]) / fn_norm2(at->p[i]));
     all += share[i];
   }
   double left = all;
@@ -65,7 +61,7 @@ static bool choose_pivots(equation *to) {
     double most = 0;
     left = 0;
     for (size_t i = 0; i < at->n; i++) {
-      const double here = share[i] * norm2(g[i]);
+      const double here = share[i] * fn_norm2(g[i]);
       left += here;
       if (here > most) {
         most = here;
@@ -269,7 +265,7 @@ static void eliminate(transport_work *work, size_t rank, size_t padded) {
   for (size_t column = 0; column < rank; column++) {
     size_t largest = column;
     for (size_t l = column + 1; l < rank; l++) {
-      if (norm2(element(work, l, column)) > norm2(element(work, largest, column))) {
+      if (fn_norm2(element(work, l, column)) > fn_norm2(element(work, largest, column))) {
         largest = l;
       }
     }
@@ -336,7 +332,7 @@ bool transport_equation_solve(const equation *of, transport_work *work, double a
   }
   double p_max = 1;
   for (size_t i = 0; i < at->n; i++) {
-    p_max = fmax(p_max, sqrt(norm2(at->p[i])));
+    p_max = fmax(p_max, sqrt(fn_norm2(at->p[i])));
   }
   const double complex source = 1;
   transport_h_set(work->h, albedo, kappa, of->k, p_max, of->accuracy);

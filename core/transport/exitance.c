@@ -199,10 +199,6 @@ double complex transport_exitance_wavenumber(const exitance_grid *of, size_t nod
   return CMPLX(node_of(of, node / of->nodes, node % of->nodes), of->shift);
 }
 
-static double square_of(double complex k) {
-  return creal(k) * creal(k) + cimag(k) * cimag(k);
-}
-
 size_t transport_exitance_end(const exitance_grid *of, size_t tier) {
   const size_t nodes = of->panels * of->nodes;
   size_t node = tier + 1 < EXITANCE_TIERS ? 0 : nodes;
@@ -225,12 +221,12 @@ static bool join_tier(const exitance_grid *of, size_t tier, double complex *valu
   }
   const double first = fn_log(creal(transport_exitance_wavenumber(of, end - SIDE)));
   const double last = fn_log(creal(transport_exitance_wavenumber(of, end + SIDE - 1)));
-  const double end2 = square_of(transport_exitance_wavenumber(of, end));
+  const double end2 = fn_norm2(transport_exitance_wavenumber(of, end));
   struct equations equations;
   begin_equations(&equations, of->isa, UNKNOWNS);
   for (size_t node = end - SIDE; node < end + SIDE; node++) {
     const double complex k = transport_exitance_wavenumber(of, node);
-    const double k2 = square_of(k), z = 2 * (fn_log(creal(k)) - first) / (last - first) - 1;
+    const double k2 = fn_norm2(k), z = 2 * (fn_log(creal(k)) - first) / (last - first) - 1;
     double terms[UNKNOWNS] = {1, z};
     for (size_t j = 2; j < POLYNOMIALS; j++) {
       terms[j] = 2 * z * terms[j - 1] - terms[j - 2];
@@ -244,7 +240,7 @@ static bool join_tier(const exitance_grid *of, size_t tier, double complex *valu
   }
   const double *step = unknown(&equations, POLYNOMIALS);
   for (size_t node = 0; node < end; node++) {
-    const double share = square_of(transport_exitance_wavenumber(of, node)) / end2;
+    const double share = fn_norm2(transport_exitance_wavenumber(of, node)) / end2;
     values[node] += share * share * CMPLX(step[0], step[1]);
   }
   return true;
@@ -257,13 +253,15 @@ bool transport_exitance_make(exitance_series *to, const exitance_grid *of, doubl
     ok = join_tier(of, tier, values);
   }
   to->far = far;
-  ok = ok && fit_tail(of, to, values);
+  if (!ok || !fit_tail(of, to, values)) {
+    return false;
+  }
   for (size_t panel = 0; panel < of->panels; panel++) {
     memcpy(to->term[panel], values + panel * of->nodes, of->nodes * sizeof *values);
     find_terms(of, to->term[panel]);
   }
   join_tail(of, to);
-  return ok;
+  return true;
 }
 
 /* ---- the way back --------------------------------------------------------------------------- */

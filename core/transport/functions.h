@@ -33,6 +33,11 @@ static inline double complex fn_inverse(double complex z) {
   return CMPLX(creal(z) * scale, -cimag(z) * scale);
 }
 
+/* Returns the square of |z|. */
+static inline double fn_norm2(double complex z) {
+  return creal(z) * creal(z) + cimag(z) * cimag(z);
+}
+
 /* Returns |z|. The square of |z| must not overflow. */
 double fn_abs(double complex z);
 

@@ -383,7 +383,7 @@ UNIT_TEST(the_reference_table_holds) {
   free(text);
 }
 
-/* ---- the interface -------------------------------------------------------------------------- */
+/* ---- between and beyond the wavenumbers ------------------------------------------------------ */
 
 /* Where R is small, a step of X(k) at the last wavenumber would be a wave in r: by the sixth difference
  * of ln R, whose radii are half a wavelength apart, of up to 1e-2 for this medium. */
@@ -405,6 +405,8 @@ UNIT_TEST(there_is_no_wave_of_the_last_wavenumber) {
   assert_true(worst < 8e-4);
   transport_anisotropic_free(solution);
 }
+
+/* ---- the interface -------------------------------------------------------------------------- */
 
 UNIT_TEST(kept_exitances_give_the_same_bits) {
   static const double etas[] = {0.8, 1.4};
@@ -434,7 +436,6 @@ UNIT_TEST(kept_exitances_give_the_same_bits) {
     transport_anisotropic_free(solutions[i]);
   }
 }
-
 
 UNIT_TEST(totals_by_moments_are_those_by_g) {
   enum { MOMENTS = 60 };

@@ -1,5 +1,6 @@
-/* samples: solves media at many radii on all cores and keeps the results in files. A later run
- * reads those files, so that an interrupted run continues where it stopped. */
+/* samples: solves media at many radii on all cores and keeps the solutions in files. A later run
+ * reads those files, so that an interrupted run continues where it stopped. For g other than 0 they hold
+ * the exitances (anisotropic.h), so that other radii need no new solutions. */
 #ifndef DIPOLED_TOOLS_SAMPLES_H
 #define DIPOLED_TOOLS_SAMPLES_H
 
