@@ -292,6 +292,11 @@ $(BUILD)/tests/unit/test_input: $(call objects,server/net/buffers.c)
 $(BUILD)/tests/unit/test_input: TEST_LIBS = $(UV_LIBS)
 $(OBJ)/tests/unit/test_input.o: EXTRA_CPPFLAGS = $(UV_CFLAGS)
 
+# A worker with clients of the test's own.
+$(BUILD)/tests/unit/test_worker: $(filter-out $(call objects,server/main.c),$(SERVER))
+$(BUILD)/tests/unit/test_worker: TEST_LIBS = $(UV_LIBS) $(MODBUS_LIBS) $(JSON_LIBS)
+$(OBJ)/tests/unit/test_worker.o: EXTRA_CPPFLAGS = $(UV_CFLAGS)
+
 # And what Modbus is made of.
 $(BUILD)/tests/unit/test_modbus: $(call objects,server/net/access.c $(addprefix server/modbus/,codec.c diagnostics.c receiver.c))
 $(OBJ)/tests/unit/test_modbus.o: EXTRA_CPPFLAGS = $(MODBUS_CFLAGS)

@@ -93,6 +93,10 @@ static void stop(struct daemon *daemon, int signal_number) {
     worker_join(&daemon->server.workers[i]);
   }
   log_abandoned(&daemon->server, daemon->workers_started);
+  const uint64_t lost = stats_get(&daemon->server.stats, STATS_LOST_WAKEUPS);
+  if (lost > 0) {
+    log_line(LOG_LEVEL_ERROR, "event=fault lost_wakeups=%llu", (unsigned long long)lost);
+  }
   metrics_close(daemon->metrics); /* It has answered until now, so that a drain can be watched. */
   daemon->metrics = NULL;
   uv_close((uv_handle_t *)&daemon->server.inherited_closed, NULL);

@@ -316,7 +316,7 @@ static void finish(struct client *client) {
       worker_run_later(client);
     }
   }
-  if (!c->closing && !c->lingering && !client->to_run) {
+  if (!c->closing && !c->lingering && client->run_queue == NULL) {
     await_events(c);
   }
 }
@@ -327,7 +327,7 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
     abort_connection(c);
   } else if (c->lingering) {
     discard(c);
-  } else if (!c->client.to_run) {
+  } else if (c->client.run_queue == NULL) {
     if (events & UV_WRITABLE) {
       write_unsent(c);
     }

@@ -37,12 +37,6 @@ static bool is_open(const struct modbus_line *line) {
   return line->device.context != NULL;
 }
 
-/* Gives the line a turn. Timers call this; the turn comes after the next poll. */
-static void run_soon(struct modbus_line *line) {
-  worker_run_later(&line->client);
-  worker_stay_awake(line->client.worker);
-}
-
 /* ---- sending --------------------------------------------------------------------------------- */
 
 /* Writes the output. Bytes that the device does not take are lost, as they could be on the line. */
@@ -102,7 +96,8 @@ static void on_sent_timer(uv_timer_t *timer) {
     set_rts(line, false);
     line->sending = NOT_SENDING;
     if (line->stopping || !uv_is_active((uv_handle_t *)&line->timer)) {
-      run_soon(line); /* for what has arrived meanwhile, if no timer waits for a silence */
+      worker_run_later(
+          &line->client); /* for what has arrived meanwhile, if no timer waits for a silence */
     }
   }
 }
@@ -303,7 +298,7 @@ static bool read_unseen(struct modbus_line *line) {
 static void on_silence(uv_timer_t *timer) {
   struct modbus_line *line = timer->data;
   if (line->stopping || !read_unseen(line)) {
-    run_soon(line);
+    worker_run_later(&line->client);
   }
 }
 
@@ -313,7 +308,7 @@ static void on_probe_over(uv_timer_t *timer) {
     uv_timer_start(&line->timer, on_probe_over, PROBE_MS, 0);
   } else if (!read_unseen(line)) {
     end_probe(line);
-    run_soon(line); /* If the daemon stops, this line has waited for the probe. */
+    worker_run_later(&line->client); /* If the daemon stops, this line has waited for the probe. */
   }
 }
 
@@ -322,8 +317,7 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
   struct modbus_line *line = poll->data;
   if (status < 0) {
     lose_device(line, uv_strerror(status));
-  } else if (!line->client
-                  .to_run) { /* Otherwise the bytes are read in the next round, after the answer. */
+  } else if (line->client.run_queue == NULL) { /* Otherwise the turn of that queue reads them. */
     read_more(line);
   }
 }

@@ -54,10 +54,9 @@ struct client {
   struct client *next_in_inbox; /* before start(): in the worker's inbox */
   struct cache_owner profiles;  /* its slow profiles that wait to be prepared */
   LIST_ENTRY(client) in_clients;
+  struct client_queue *run_queue; /* that the client waits in for a turn; NULL: in none */
   TAILQ_ENTRY(client) in_run_queue;
   TAILQ_ENTRY(client) in_finish_queue;
-  bool to_run;    /* whether the client is in a queue of clients to run */
-  bool goes_on;   /* to_run: whether it is in worker.going_on, and not in worker.arrived */
   bool to_finish; /* whether the client is in the finish queue */
 };
 

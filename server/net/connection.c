@@ -441,7 +441,7 @@ static void tick(struct client *client, uint64_t now_ms) {
     }
     return;
   }
-  if (c->requests.job != NULL || c->client.to_run) {
+  if (c->requests.job != NULL || c->client.run_queue != NULL) {
     return;
   }
   if (c->frame_started_ms != 0 && now_ms - c->frame_started_ms > options->frame_timeout_ms) {

@@ -6,20 +6,13 @@
 
 /* ---- the run queue --------------------------------------------------------------------------- */
 
-static void on_awake(uv_idle_t *handle) {
-  (void)handle;
-}
-
-static struct client_queue *queue_of(struct client *client) {
-  return client->goes_on ? &client->worker->going_on : &client->worker->arrived;
-}
-
 void worker_run_later(struct client *client) {
-  if (!client->to_run) {
-    client->to_run = true;
-    client->goes_on = client->worker->in_round;
-    TAILQ_INSERT_TAIL(queue_of(client), client, in_run_queue);
-    client->worker->run_count++;
+  struct worker *worker = client->worker;
+  if (client->run_queue == NULL) {
+    client->run_queue =
+        worker->in_round ? &worker->going_on[worker->next_going_on] : &worker->arrived;
+    TAILQ_INSERT_TAIL(client->run_queue, client, in_run_queue);
+    worker->run_count++;
   }
 }
 
@@ -30,10 +23,15 @@ void worker_finish_later(struct client *client) {
   }
 }
 
-static void remove_from(struct client_queue *queue, struct client *client) {
-  TAILQ_REMOVE(queue, client, in_run_queue);
+static void leave_run_queue(struct client *client) {
+  TAILQ_REMOVE(client->run_queue, client, in_run_queue);
   client->worker->run_count--;
-  client->to_run = false;
+  client->run_queue = NULL;
+}
+
+static void leave_finish_queue(struct client *client) {
+  TAILQ_REMOVE(&client->worker->finish_queue, client, in_finish_queue);
+  client->to_finish = false;
 }
 
 /* Publishes the length of the run queue and the owed work in the statistics. */
@@ -48,14 +46,16 @@ static void publish_queue(struct worker *worker) {
 static void serve(struct worker *worker, struct client_queue *queue) {
   struct client *client;
   while ((client = TAILQ_FIRST(queue)) != NULL) {
-    remove_from(queue, client);
+    leave_run_queue(client);
+    worker->running = client;
     client->kind->run(client);
-    worker_finish_later(client);
+    if (worker->running != NULL) { /* The client was not forgotten in its turn. */
+      worker_finish_later(client);
+    }
   }
   batch_finish(&worker->context.batch, &worker->server->stats);
   while ((client = TAILQ_FIRST(&worker->finish_queue)) != NULL) {
-    TAILQ_REMOVE(&worker->finish_queue, client, in_finish_queue);
-    client->to_finish = false;
+    leave_finish_queue(client);
     if (client->kind->finish != NULL) {
       client->kind->finish(client);
     }
@@ -65,16 +65,16 @@ static void serve(struct worker *worker, struct client_queue *queue) {
 
 /* Serves the clients that something has arrived for, and then those that go on with earlier work:
  * so a short request waits for a turn of each large one at most once. A client that comes back to
- * the queue has its next turn in a later round. No client is freed meanwhile, because that takes
- * another round of the loop. */
+ * the queue has its next turn in a later round. A turn may end other clients, which leave whatever
+ * queue they are in. */
 static void run_round(struct worker *worker) {
-  struct client_queue earlier = TAILQ_HEAD_INITIALIZER(earlier);
+  struct client_queue *earlier = &worker->going_on[worker->next_going_on];
   publish_queue(worker);
-  TAILQ_CONCAT(&earlier, &worker->going_on, in_run_queue);
+  worker->next_going_on = !worker->next_going_on;
   worker->in_round = true;
   serve(worker, &worker->arrived);
-  if (!TAILQ_EMPTY(&earlier)) {
-    serve(worker, &earlier);
+  if (!TAILQ_EMPTY(earlier)) {
+    serve(worker, earlier);
   }
   worker->in_round = false;
   publish_queue(worker);
@@ -91,9 +91,15 @@ void worker_adopt(struct worker *worker, struct client *client) {
 
 void worker_forget(struct client *client) {
   struct worker *worker = client->worker;
-  assert(!client->to_finish);
-  if (client->to_run) {
-    remove_from(queue_of(client), client);
+  if (client->to_finish) {
+    leave_finish_queue(client);
+  }
+  if (client->run_queue != NULL) {
+    leave_run_queue(client);
+  }
+  worker->running = worker->running == client ? NULL : worker->running;
+  if (worker->next_client == client) {
+    worker->next_client = LIST_NEXT(client, in_clients);
   }
   LIST_REMOVE(client, in_clients);
   atomic_fetch_sub_explicit(&worker->client_count, client->kind->counts, memory_order_relaxed);
@@ -124,9 +130,9 @@ static void tick_client(struct client *client) {
 }
 
 static void for_each(struct worker *worker, void (*act)(struct client *client)) {
-  struct client *next;
-  for (struct client *client = LIST_FIRST(&worker->clients); client != NULL; client = next) {
-    next = LIST_NEXT(client, in_clients);
+  worker->next_client = LIST_FIRST(&worker->clients);
+  for (struct client *client; (client = worker->next_client) != NULL;) {
+    worker->next_client = LIST_NEXT(client, in_clients); /* worker_forget() moves it on */
     act(client);
   }
 }
@@ -182,16 +188,29 @@ static void wake(void *context) {
   uv_async_send(&worker->wake);
 }
 
-/* Starts the idle handle, which keeps libuv from sleeping in its next poll. */
-void worker_stay_awake(struct worker *worker) {
-  uv_idle_start(&worker->stay_awake, on_awake);
+static void on_awake(uv_idle_t *handle) {
+  (void)handle;
 }
 
-/* Keeps the loop awake while clients are in the run queue. libuv runs timers before it polls, so a
- * client that a timer puts into the queue would wait until bytes arrive for another client. */
-static void stay_awake_for_queue(struct worker *worker) {
-  if (worker->run_count > 0) {
-    worker_stay_awake(worker);
+/* Returns whether the round after the next poll has work that no event announces. */
+static bool has_work(const struct worker *worker) {
+  const bool stops =
+      worker->stop_rounds > 0 && (worker->stop_rounds < 4 || LIST_EMPTY(&worker->clients));
+  return worker->run_count > 0 || !TAILQ_EMPTY(&worker->finish_queue) || stops;
+}
+
+/* Keeps libuv from sleeping in the poll that follows, if there is work. libuv calls timers, pending
+ * writes and closed handles outside of the poll, and any of them may have put a client into a queue,
+ * which would otherwise wait there until bytes arrive for another client or the clock ticks. */
+static void before_poll(uv_prepare_t *handle) {
+  struct worker *worker = handle->data;
+  if (has_work(worker)) {
+    uv_idle_start(&worker->stay_awake, on_awake);
+  } else {
+    uv_idle_stop(&worker->stay_awake);
+  }
+  if (worker->run_count > 0 && uv_backend_timeout(&worker->loop) != 0) {
+    stats_add(&worker->server->stats, STATS_LOST_WAKEUPS, worker->run_count);
   }
 }
 
@@ -216,25 +235,18 @@ static void after_poll(uv_check_t *handle) {
   note_round(worker);
   run_round(worker);
   stop_round(worker);
-  if (worker->run_count > 0 || (worker->stop_rounds > 0 && worker->stop_rounds < 4)) {
-    worker_stay_awake(worker);
-  } else {
-    uv_idle_stop(&worker->stay_awake);
-  }
 }
 
 static void on_clock(uv_timer_t *timer) {
   struct worker *worker = timer->data;
   for_each(worker, tick_client);
   profiles_sweep(&worker->context.profiles);
-  stay_awake_for_queue(worker);
 }
 
 static void on_deadline(uv_timer_t *timer) {
   struct worker *worker = timer->data;
   worker->wake_ms = 0;
   for_each(worker, tell_deadline);
-  stay_awake_for_queue(worker);
 }
 
 void worker_wake_at(struct worker *worker, uint64_t at_ms) {
@@ -283,12 +295,14 @@ static void thread_main(void *argument) {
 
 static int set_up_handles(struct worker *worker) {
   const uint64_t period_ms = clock_period_ms(&worker->server->options);
+  uv_prepare_init(&worker->loop, &worker->before_poll);
   uv_check_init(&worker->loop, &worker->after_poll);
   uv_idle_init(&worker->loop, &worker->stay_awake);
   uv_timer_init(&worker->loop, &worker->clock);
   uv_timer_init(&worker->loop, &worker->deadline);
   worker->wake.data = worker->after_poll.data = worker->clock.data = worker;
-  worker->deadline.data = worker;
+  worker->deadline.data = worker->before_poll.data = worker;
+  uv_prepare_start(&worker->before_poll, before_poll);
   uv_check_start(&worker->after_poll, after_poll);
   return uv_timer_start(&worker->clock, on_clock, period_ms, period_ms);
 }
@@ -297,7 +311,8 @@ int worker_open(struct worker *worker, struct server *server) {
   memset(worker, 0, sizeof *worker);
   worker->server = server;
   TAILQ_INIT(&worker->arrived);
-  TAILQ_INIT(&worker->going_on);
+  TAILQ_INIT(&worker->going_on[0]);
+  TAILQ_INIT(&worker->going_on[1]);
   TAILQ_INIT(&worker->finish_queue);
   worker->context.server = server;
   worker->context.loop = &worker->loop;

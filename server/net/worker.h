@@ -63,8 +63,9 @@ struct worker {
   uv_thread_t thread;
   uv_loop_t loop;
   uv_async_t wake;
+  uv_prepare_t before_poll;
   uv_check_t after_poll;
-  uv_idle_t stay_awake; /* active while clients are to run */
+  uv_idle_t stay_awake; /* active in a poll that must not sleep */
   uv_timer_t clock;
   uv_timer_t deadline; /* fires at wake_ms */
   uint64_t wake_ms;    /* the next deadline of a client that waits; 0 if there is none */
@@ -73,12 +74,15 @@ struct worker {
   struct client *inbox;
   bool stop_wanted;
 
-  LIST_HEAD(, client) clients;       /* all clients of this worker */
-  struct client_queue arrived;       /* clients to run that something has arrived for */
-  struct client_queue going_on;      /* clients to run that came back in a round: work is left */
-  TAILQ_HEAD(, client) finish_queue; /* clients whose finish() is called in this round */
-  uint64_t run_count;                /* clients in both queues of clients to run */
-  bool in_round;                     /* clients are having their turns */
+  LIST_HEAD(, client) clients;      /* all clients of this worker */
+  struct client *next_client;       /* the next one that for_each() visits */
+  struct client *running;           /* whose turn it is; NULL if it was forgotten in its turn */
+  struct client_queue arrived;      /* clients to run that something has arrived for */
+  struct client_queue going_on[2];  /* clients to run that came back in a round: work is left */
+  unsigned next_going_on;           /* which of these the next round serves */
+  struct client_queue finish_queue; /* clients whose finish() is called in this round */
+  uint64_t run_count;               /* clients in the queues of clients to run */
+  bool in_round;                    /* clients are having their turns */
   uint64_t round_ns; /* when this round of the loop began to read; 0 if it has not read anything */
   unsigned stop_rounds; /* rounds of the loop since worker_stop(); 0 before */
   uint64_t stop_began_ms;
@@ -113,18 +117,16 @@ struct job_context *worker_context(struct worker *worker);
 /* Returns when this round of the loop began to read: the arrival time of all bytes of the round. */
 uint64_t worker_round_ns(struct worker *worker);
 /* Gives the client a turn: in this round of the loop, or if clients are having their turns now, in
- * the next one. Does nothing if it is to have a turn anyway. */
+ * the next one, before which the loop does not sleep. Does nothing if it is to have a turn anyway. */
 void worker_run_later(struct client *client);
 /* Makes the worker call finish() in this round of the loop, after it has evaluated the batch. */
 void worker_finish_later(struct client *client);
 /* Makes the worker serve a client at once, as worker_give() does from other threads. */
 void worker_adopt(struct worker *worker, struct client *client);
-/* Removes a client that has ended; the worker does not touch it again. */
+/* Removes a client that has ended, from all queues; the worker does not touch it again. The client
+ * may be forgotten at any time, also in its own turn or in that of another. */
 void worker_forget(struct client *client);
 /* Makes the worker call deadline() of all clients at the time at_ms of the loop, or a little later.
  */
 void worker_wake_at(struct worker *worker, uint64_t at_ms);
-/* Keeps the loop from sleeping in its next poll, because there is work for the round after it. */
-void worker_stay_awake(struct worker *worker);
-
 #endif

@@ -210,7 +210,7 @@ class Daemon:
 
     def close(self) -> None:
         """Stops the daemon. Checks that it was still running, ends in time and with status 0, and
-        that no sanitizer has reported anything."""
+        that neither a sanitizer nor the daemon itself has reported a fault."""
         if self._killed:
             return
         if not self._stopping:
@@ -226,7 +226,8 @@ class Daemon:
         log = "\n".join(self.log)
         shutil.rmtree(self.folder, ignore_errors=True)
         assert status == 0, f"dipoled ended with {status}:\n{log}"
-        assert "Sanitizer" not in log and "runtime error:" not in log, log
+        faults = ("Sanitizer", "runtime error:", "event=fault")
+        assert not any(fault in log for fault in faults), log
 
 
 def run(*options: str, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:

@@ -10,6 +10,7 @@ import resource
 import select
 import signal
 import socket
+import ssl
 import struct
 import subprocess
 import sys
@@ -18,12 +19,14 @@ import time
 from pathlib import Path
 
 import pytest
+from certificates import Authority
 from daemons import Daemon, eventually, sanitized
-from dipole import Connection, ConnectionLost
+from dipole import Connection, ConnectionLost, wire
 from frames import EVAL, F32, R, assert_daemon_serves, eval_payload, frame, serves, statistics
 from known import (
     PARTS, Known, assert_answer, every_kind, known_answers, receive_answer, refusal, short_requests,
 )
+from modbus_master import AT, floats, words, write_read_pdu
 
 
 def assert_all_right(connection: Connection, known: list[Known], order: list[int]) -> None:
@@ -441,3 +444,109 @@ def wait_for_answers(
             assert_answer(known[first.request_id % 40], first, parts)
             answered.append(first.request_id)
     return answered
+
+
+# ---- wake-ups, and leaving -----------------------------------------------------------------------
+
+ANSWERS = 20000
+LEAVES = int(os.environ.get("LEAVES", "3000"))
+GRID = "model=better&wanted=R&evaluator=f32&medium=skin1&spacing=linear&radius_start=.1&radius_stop=9"
+KINDS = ["tcp", "tls", "http", "modbus"]
+
+
+def http_request(radii: int) -> bytes:
+    return f"GET /v1/eval?{GRID}&radius_count={radii} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()
+
+
+def grid_request(radii: int, model: int = 2, sigma_a: float = 0.03) -> bytes:
+    media = [(sigma_a, 0.74, 0.0, 1.3)]
+    fields = {"model": model, "radius_count": radii, "evaluator": F32, "wanted": R}
+    return frame(EVAL, 1, eval_payload(media, radii=None, **fields))
+
+
+@pytest.fixture
+def join(daemon, tmp_path):
+    """Returns a function that connects to a daemon with one port of each of KINDS."""
+    certificate, key = Authority(tmp_path).sign("server")
+    one = daemon(
+        # The worker's clock ticks every few milliseconds, and each tick may end connections.
+        *("--http", "127.0.0.1:0", "--modbus", "tcp:127.0.0.1:0", "--frame-timeout-ms", "30"),
+        *("--certificate", certificate, "--key", key, "--workers", "1"),
+        listen=["tcp:127.0.0.1:0", "tls:127.0.0.1:0"],
+    )
+    urls = [url.replace("modbus-tcp:", "modbus:") for url in one.urls]
+    ports = {url.partition(":")[0]: int(url.rpartition(":")[2]) for url in urls}
+    trusting = ssl.create_default_context(cafile=str(tmp_path / "ca.pem"))
+
+    def connect(kind: str, receive_bytes: int = 1 << 16) -> socket.socket:
+        new = socket.create_connection(("127.0.0.1", ports[kind]), 60)
+        new.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_bytes)
+        return trusting.wrap_socket(new, server_hostname="localhost") if kind == "tls" else new
+
+    return connect
+
+
+def receive_whole(stream, kind: str) -> None:
+    """Reads one answer, which is not refused."""
+    if kind == "http":
+        assert b" 200 " in stream.readline()
+        headers = dict(line.split(b": ") for line in iter(stream.readline, b"\r\n"))
+        left = int(headers[b"Content-Length"])
+    else:
+        header = wire.HEADER.unpack(stream.read(wire.HEADER.bytes))
+        assert header.type == EVAL | wire.REPLY
+        left = header.payload_bytes
+    assert len(stream.read(left)) == left
+
+
+@pytest.mark.parametrize("kind", ["tcp", "tls", "http"])
+def test_no_large_answer_waits_for_the_clock(join, kind):
+    """A connection is alone on its worker, and its socket is emptied while the daemon fills it.
+    The daemon counts clients that wait while it sleeps, and Daemon.close() checks that count."""
+    request = http_request(2000) if kind == "http" else grid_request(16384)
+    with join(kind) as asking, asking.makefile("rb") as stream:
+        asking.sendall(request * 8)
+        for i in range(ANSWERS):
+            receive_whole(stream, kind)
+            if i < ANSWERS - 8:
+                asking.sendall(request)
+
+
+def requests_of_several_turns(dice: random.Random, kind: str) -> bytes:
+    """Makes a request of several slices, or one whose profile has to be prepared."""
+    if kind == "http":
+        return http_request(dice.choice([10, 20_000, 85_000]))
+    if kind == "modbus":
+        medium = floats(dice.uniform(0.01, 0.05), 0.74, 0.0, 1.3)
+        pdus = (write_read_pdu(AT["SIGMA_A"], medium, AT["STATUS"], 8),
+                write_read_pdu(AT["COMMIT"], words(dice.randrange(1, 65536)), AT["R"], 100))
+        return b"".join(words(i, 0, len(pdu) + 1) + b"\x01" + pdu for i, pdu in enumerate(pdus))
+    radii, model = dice.choice([10, 20_000, 200_000]), dice.choice([2, 5])
+    return grid_request(radii, model, dice.uniform(0.01, 0.05)) * dice.randrange(1, 4)
+
+
+def test_clients_of_every_kind_leave_at_any_moment(join):
+    """They leave while their requests wait, run, are prepared or are answered."""
+    dice = random.Random(4711)
+    here: list[socket.socket] = []
+    for _ in range(LEAVES):
+        if len(here) < dice.randrange(1, 24):
+            kind = dice.choice(KINDS)
+            with contextlib.suppress(OSError):  # The daemon may have closed it meanwhile.
+                here.append(join(kind, dice.choice([4096, 1 << 20])))
+                here[-1].sendall(requests_of_several_turns(dice, kind))
+        elif here:
+            leaving = here.pop(dice.randrange(len(here)))
+            select.select([leaving], [], [], dice.choice([0, 0, 0.001, 0.02]))
+            if dice.random() < 0.5:
+                leaving.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            leaving.close()
+    for other in here:
+        other.close()
+    for kind in ("tcp", "tls", "http", "http", "http"):
+        with join(kind) as asking, asking.makefile("rb") as stream:
+            asking.sendall(http_request(85_000) if kind == "http" else grid_request(85_000))
+            receive_whole(stream, kind)
+    with join("modbus") as asking:
+        asking.sendall(requests_of_several_turns(dice, "modbus"))
+        assert asking.recv(8)[7] == 23
