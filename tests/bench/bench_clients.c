@@ -149,7 +149,7 @@ void bench_clients(void) {
   char address[128];
   child_begin(LIMIT_S);
   bench_progress("clients: C and Python");
-  daemon_start(&daemon, "clients", 1);
+  daemon_start(&daemon, CHILD_SERVER, "clients", 1);
   snprintf(address, sizeof address, "unix:%s", child_path("clients"));
   child_pin(CHILD_CLIENT);
   dipole_client *client = open_client(address);

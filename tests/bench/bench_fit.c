@@ -148,7 +148,7 @@ static void measure_image(void) {
   char address[4096];
   bench_progress("fit: an image");
   child_begin(LIMIT_S);
-  daemon_start(&daemon, "fit", 1);
+  daemon_start(&daemon, CHILD_SERVER, "fit", 1);
   child_pin(CHILD_CLIENT);
   snprintf(address, sizeof address, "unix:%s", child_path("fit"));
   if (core_fit_create(&fit, core_isa_select(NULL), &design).field != NULL) {

@@ -223,7 +223,7 @@ static void measure_beside(const struct daemon *daemon) {
 void bench_http(void) {
   struct daemon daemon;
   child_begin(LIMIT_S);
-  daemon_start(&daemon, "dipoled", 1);
+  daemon_start(&daemon, CHILD_SERVER, "dipoled", 1);
   child_pin(CHILD_CLIENT);
   measure_rates(&daemon);
   measure_beside(&daemon);

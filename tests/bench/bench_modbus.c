@@ -140,7 +140,7 @@ void bench_modbus(void) {
   struct target jobs, echo;
   child_begin(LIMIT_S);
   modbus_make_jobs(&jobs);
-  daemon_start(&daemon, "dipoled", 1);
+  daemon_start(&daemon, CHILD_SERVER, "dipoled", 1);
   jobs.address = daemon.at_modbus;
   jobs.server = daemon.child;
   target_make_echo(&echo, &jobs);

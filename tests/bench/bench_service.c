@@ -8,6 +8,7 @@
  *
  *   service.bulk[.tcp].<side>          round trip of 65,536 radii, one at a time; the side kernel
  *                                      is the evaluation alone, in this process               us
+ *   service.bulk[.tcp].<side>.max      the largest of these times                               us
  *   service.bulk[.tcp].<side>.rate     bytes both ways over this time                       MB/s
  *   ratio.service.bulk[.tcp]           dipoled over the sum of echo and kernel
  *   service.rtt.<side>.p50 ...         round trip of 16 radii, one at a time                  us
@@ -34,6 +35,12 @@
  *   service.varying.<model>.<side>     round trip of 65,536 values, each with a medium of its own
  *   ratio.service.varying.<model>      dipoled over the sum of echo and kernel
  *
+ *   service.scale.workers              half of the cores, from 1 to 16
+ *   service.scale.<one or all>         round trips of 65,536 radii a second over Unix sockets, with
+ *                                      one worker and client, or as many of both as service.scale
+ *                                      says, all of them on any core                  requests/s
+ *   ratio.service.scale                all over one; the number of workers would be perfect
+ *
  * bulk and rtt are also measured with clients on the servers' core: names with .onecore. No two
  * processes then run at the same time, and no core has to be woken. These figures show the work,
  * that of the client included, and hardly depend on what else the machine does.
@@ -42,6 +49,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "core/core.h"
 #include "tests/bench/bench.h"
@@ -62,6 +70,7 @@ enum {
   OPEN_IN_FLIGHT = 256,
   STREAMERS = 2,
   FAIR_ROUNDS_MIN = 3,
+  SCALE_MOST = 16,
   LIMIT_S = 300, /* five times as long as the group takes on a machine that does nothing else */
 };
 #define MS UINT64_C(1000000)
@@ -97,6 +106,7 @@ struct side {
   double p50_us[ROUNDS];
   double p99_us[ROUNDS];
   double p999_us[ROUNDS];
+  double max_us; /* of all rounds */
   double rate_per_s[ROUNDS];
   double cpu_us[ROUNDS];
 };
@@ -110,6 +120,7 @@ static void note_percentiles(struct side *side) {
   side->p50_us[round] = samples_us(&samples, 0.5);
   side->p99_us[round] = samples_us(&samples, 0.99);
   side->p999_us[round] = samples_us(&samples, 0.999);
+  side->max_us = fmax(side->max_us, samples_us(&samples, 1));
 }
 
 static double median(const double *figures, size_t rounds) {
@@ -208,6 +219,7 @@ static void report_bulk(const struct side *side, const char *name) {
   const double us = median(side->p50_us, side->rounds);
   const double bytes = (double)(side->target->request_bytes + side->target->reply_bytes);
   bench_figure(us, "us", "service.%s.%s", name, side->name);
+  bench_figure(side->max_us, "us", "service.%s.%s.max", name, side->name);
   bench_figure(bytes / us, "MB/s", "service.%s.%s.rate", name, side->name);
 }
 
@@ -412,6 +424,66 @@ static void measure_fairness(const struct setting *setting) {
                "ratio.service.fair.echo");
 }
 
+/* ---- scaling ------------------------------------------------------------------------------ */
+
+/* Returns how many requests a second the clients get answered, each in a process of its own. */
+static double rate_of_clients(const struct target *target, unsigned clients) {
+  double sum = 0, rate;
+  pid_t children[SCALE_MOST];
+  int ends[2];
+  if (pipe(ends) != 0) {
+    bench_fail("there is no pipe");
+  }
+  for (unsigned i = 0; i < clients; i++) {
+    children[i] = child_fork(CHILD_ANYWHERE);
+    if (children[i] == 0) {
+      struct ping ping;
+      ping_open(&ping, target);
+      ping_run(&ping, WARM_UP_NS, &samples);
+      const uint64_t start_ns = bench_now_ns();
+      ping_run(&ping, ROUND_NS, &samples);
+      rate = (double)samples.count * 1e9 / (double)(bench_now_ns() - start_ns);
+      _exit(write(ends[1], &rate, sizeof rate) != sizeof rate);
+    }
+  }
+  close(ends[1]);
+  while (read(ends[0], &rate, sizeof rate) == sizeof rate) {
+    sum += rate;
+  }
+  close(ends[0]);
+  for (unsigned i = 0; i < clients; i++) {
+    child_end(children[i]);
+  }
+  return sum;
+}
+
+static void measure_scale(const struct setting *setting) {
+  const long cores = sysconf(_SC_NPROCESSORS_ONLN);
+  const unsigned half = cores < 4 ? 1 : (unsigned)cores / 2;
+  const unsigned counts[] = {1, half < SCALE_MOST ? half : SCALE_MOST};
+  static const char *const names[] = {"one", "all"};
+  struct daemon daemons[2];
+  struct target targets[] = {setting->bulk, setting->bulk};
+  double rates[2][ROUNDS];
+  bench_progress("service: scaling");
+  child_pin(CHILD_ANYWHERE);
+  for (size_t i = 0; i < 2; i++) {
+    daemon_start(&daemons[i], CHILD_ANYWHERE, names[i], counts[i]);
+    targets[i].address = daemons[i].at_unix;
+  }
+  for (size_t round = 0; round < ROUNDS; round++) {
+    for (size_t i = 0; i < 2; i++) {
+      rates[i][round] = rate_of_clients(&targets[i], counts[i]);
+    }
+  }
+  for (size_t i = 0; i < 2; i++) {
+    daemon_end(&daemons[i]);
+    bench_figure(median(rates[i], ROUNDS), "requests/s", "service.scale.%s", names[i]);
+  }
+  bench_figure(counts[1], "workers", "service.scale.workers");
+  bench_figure(median_ratio(rates[1], rates[0], ROUNDS), "times", "ratio.service.scale");
+}
+
 /* ---- all of them -------------------------------------------------------------------------- */
 
 static void start_servers(struct setting *setting) {
@@ -419,7 +491,7 @@ static void start_servers(struct setting *setting) {
   target_make_eval(&setting->bulk, BULK_RADII);
   target_make_echo(&setting->echo, &setting->eval);
   target_make_echo(&setting->bulk_echo, &setting->bulk);
-  daemon_start(&setting->daemon, "dipoled", 1);
+  daemon_start(&setting->daemon, CHILD_SERVER, "dipoled", 1);
   setting->eval.address = setting->bulk.address = setting->daemon.at_unix;
   setting->eval.server = setting->bulk.server = setting->daemon.child;
   setting->echo.address = target_unix(child_path("echo"));
@@ -445,6 +517,7 @@ void bench_service(void) {
   measure_bulk(&setting.bulk, &setting.bulk_echo, NULL, "bulk.onecore");
   measure_rtt(&setting, ".onecore");
   daemon_end(&setting.daemon);
+  measure_scale(&setting);
   child_end_all();
   target_free(&setting.eval);
   target_free(&setting.echo);

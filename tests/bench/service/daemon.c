@@ -8,7 +8,6 @@
 #include <unistd.h>
 
 #include "tests/bench/bench.h"
-#include "tests/bench/service/child.h"
 
 enum { READY_MS = 10000, LOG_BYTES = 8192 };
 
@@ -59,12 +58,8 @@ static struct target_address find_port(const char *log, const char *scheme) {
   return target_tcp((unsigned)strtoul(port + strlen(text), NULL, 10));
 }
 
-void daemon_start(struct daemon *daemon, const char *name, unsigned workers) {
-  daemon_start_tls(daemon, name, workers, NULL, NULL);
-}
-
-void daemon_start_tls(struct daemon *daemon, const char *name, unsigned workers,
-                      const char *certificate, const char *key) {
+static void start_daemon(struct daemon *daemon, enum child_side side, const char *name,
+                         unsigned workers, const char *certificate, const char *key) {
   char program[PATH_MAX], listen[PATH_MAX], log_name[64], count[16], log[LOG_BYTES];
   const char *path = child_path(name);
   find_beside(program, sizeof program, "dipoled");
@@ -90,7 +85,7 @@ void daemon_start_tls(struct daemon *daemon, const char *name, unsigned workers,
                        "--key",
                        (char *)key,
                        NULL};
-  daemon->child = child_run(CHILD_SERVER, arguments, log_path);
+  daemon->child = child_run(side, arguments, log_path);
   wait_until_ready(daemon->child, log_path, log, sizeof log);
   daemon->at_unix = target_unix(path);
   daemon->at_tcp = find_port(log, "tcp:");
@@ -99,6 +94,15 @@ void daemon_start_tls(struct daemon *daemon, const char *name, unsigned workers,
   if (certificate != NULL) {
     daemon->at_tls = find_port(log, "tls:");
   }
+}
+
+void daemon_start(struct daemon *daemon, enum child_side side, const char *name, unsigned workers) {
+  start_daemon(daemon, side, name, workers, NULL, NULL);
+}
+
+void daemon_start_tls(struct daemon *daemon, const char *name, unsigned workers,
+                      const char *certificate, const char *key) {
+  start_daemon(daemon, CHILD_SERVER, name, workers, certificate, key);
 }
 
 void daemon_end(struct daemon *daemon) {

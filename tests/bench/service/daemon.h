@@ -1,8 +1,9 @@
-/* daemon: starts the dipoled that lies beside this program, on the servers' core. All its options
- * except the number of workers have their defaults. */
+/* daemon: starts the dipoled that lies beside this program. All its options except the number of
+ * workers have their defaults. */
 #ifndef DIPOLED_BENCH_SERVICE_DAEMON_H
 #define DIPOLED_BENCH_SERVICE_DAEMON_H
 
+#include "tests/bench/service/child.h"
 #include "tests/bench/service/target.h"
 
 struct daemon {
@@ -16,9 +17,9 @@ struct daemon {
 
 /* Starts the daemon and returns when it is ready. name is the file name of its Unix socket in the
  * temporary folder. */
-void daemon_start(struct daemon *daemon, const char *name, unsigned workers);
+void daemon_start(struct daemon *daemon, enum child_side side, const char *name, unsigned workers);
 
-/* The same, and the daemon also listens with TLS. certificate, key: the paths of its files. */
+/* The same on the servers' core, and the daemon also listens with TLS. certificate, key: the paths of its files. */
 void daemon_start_tls(struct daemon *daemon, const char *name, unsigned workers,
                       const char *certificate, const char *key);
 
