@@ -6,6 +6,8 @@
 #include <sys/ioctl.h>
 #include <unistd.h>
 
+#include "clients/c/error.h"
+
 static const cli_command *running;
 
 void cli_start(const cli_command *command) {
@@ -16,13 +18,26 @@ const cli_command *cli_running(void) {
   return running;
 }
 
+static void *checked(void *block) {
+  if (block == NULL) {
+    fputs("dipole: out of memory\n", stderr);
+    exit(CLI_FAILED);
+  }
+  return block;
+}
+
 int cli_say(enum cli_status status, const char *format, ...) {
   va_list arguments;
+  char *text = NULL;
   va_start(arguments, format);
-  fprintf(stderr, "dipole %s: ", running->name);
-  vfprintf(stderr, format, arguments);
-  fputc('\n', stderr);
+  checked(vasprintf(&text, format, arguments) < 0 ? NULL : text);
   va_end(arguments);
+  fprintf(stderr, "dipole %s: ", running->name);
+  for (char *rest = text, *line; (line = strsep(&rest, "\n")) != NULL;) {
+    libdipole_clean_text(line); /* it may quote a file */
+    fprintf(stderr, "%s\n", line);
+  }
+  free(text);
   if (status == CLI_USAGE) {
     fprintf(stderr, "`dipole %s --help` tells more.\n", running->name);
   }
@@ -47,14 +62,6 @@ cli_terminal cli_terminal_look(void) {
     terminal.rows = size.ws_row > 0 ? size.ws_row : ROWS_USUAL;
   }
   return terminal;
-}
-
-static void *checked(void *block) {
-  if (block == NULL) {
-    fputs("dipole: out of memory\n", stderr);
-    exit(CLI_FAILED);
-  }
-  return block;
 }
 
 void *cli_allocate(size_t count, size_t size_bytes) {

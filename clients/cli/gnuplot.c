@@ -2,12 +2,17 @@
  * error messages into a third. So no shell sees a file name, and no picture is half written. */
 #include "clients/cli/gnuplot.h"
 
+#include <ctype.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <spawn.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/wait.h>
 #include <unistd.h>
+
+#include "clients/c/error.h"
+#include "clients/cli/cli.h"
 
 #define PROGRAM "gnuplot"
 #define PACKAGE "gnuplot-nox"
@@ -40,11 +45,16 @@ bool cli_gnuplot_draws(const char *path) {
 }
 
 void cli_gnuplot_quote(FILE *script, const char *text) {
-  fputc('\'', script);
-  for (; *text != '\0'; text++) {
-    fputs(*text == '\'' ? "''" : (char[]){*text, '\0'}, script);
+  char *clean = cli_allocate(strlen(text) + 1, 1);
+  memcpy(clean, text, strlen(text));
+  libdipole_clean_text(clean);
+  fputc('"', script);
+  for (const char *at = clean; *at != '\0'; at++) {
+    const bool bare = *at == ' ' || isalnum((unsigned char)*at) || (unsigned char)*at >= 0x80;
+    fprintf(script, bare ? "%c" : "\\0%03o", (unsigned char)*at);
   }
-  fputc('\'', script);
+  fputc('"', script);
+  free(clean);
 }
 
 /* ---- running --------------------------------------------------------------------------------- */
@@ -59,7 +69,7 @@ static bool fail(char error[CLI_GNUPLOT_ERROR_BYTES], const char *what, const ch
 
 /* Returns 0, an errno, or -1 when gnuplot failed. */
 static int spawn(FILE *const files[FILES]) {
-  char *arguments[] = {PROGRAM, "-", NULL};
+  char *arguments[] = {PROGRAM, "-d", "-", NULL}; /* -d: the user's own settings are not read */
   posix_spawn_file_actions_t actions;
   pid_t pid;
   int outcome;

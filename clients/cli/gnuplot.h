@@ -25,7 +25,9 @@ bool cli_gnuplot_text(FILE *to, bool coloured, size_t width, size_t height,
                       cli_gnuplot_script *write, const void *context,
                       char error[CLI_GNUPLOT_ERROR_BYTES]);
 
-/* Writes a text into a script as a quoted string. */
+/* Writes a text into a script as a string. No text can end it: all ASCII characters but letters,
+ * digits and blanks are written as octal numbers, and control characters become question marks.
+ * Every text that a file or a daemon says goes into a script through this. */
 void cli_gnuplot_quote(FILE *script, const char *text);
 
 #endif

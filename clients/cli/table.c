@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "clients/c/error.h"
 #include "clients/cli/cli.h"
 
 void cli_table_add(cli_table *table, const char *format, ...) {
@@ -15,6 +16,7 @@ void cli_table_add(cli_table *table, const char *format, ...) {
   va_start(arguments, format);
   vsnprintf(cell, (size_t)length + 1, format, arguments);
   va_end(arguments);
+  libdipole_clean_text(cell); /* names come from files */
   if (table->cell_count == table->cell_capacity) {
     table->cell_capacity = table->cell_capacity == 0 ? 64 : 2 * table->cell_capacity;
     table->cells = cli_resize(table->cells, table->cell_capacity, sizeof *table->cells);

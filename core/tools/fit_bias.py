@@ -41,11 +41,11 @@ def rows(client: dipole.Client) -> list[tuple[float, str, str, float, float, flo
     return found
 
 
-def script(found: list[tuple[float, str, str, float, float, float]], to: Path) -> str:
+def script(found: list[tuple[float, str, str, float, float, float]]) -> str:
     """Two panels: sigma_a and sigma_s' over the true ones."""
     text = (
         "set terminal svg size 900,700 dynamic background rgb 'white' font 'sans,14' noenhanced\n"
-        f"set encoding utf8\nset output '{to}'\nset logscale xy\nset grid\n"
+        "set encoding utf8\nset logscale xy\nset grid\n"
     )
     for model in MODELS:
         text += f"${model} << END\n"
@@ -72,7 +72,8 @@ def main() -> None:
         writer.writerow("ratio model status sigma_a sigma_s_prime reduced_chi_squared".split())
         for row in found:
             writer.writerow([f"{row[0]:.6g}", *row[1:3], *(f"{x:.6g}" for x in row[3:])])
-    subprocess.run(["gnuplot"], input=script(found, folder / "fit_bias.svg"), text=True, check=True)
+    with open(folder / "fit_bias.svg", "w") as picture:
+        subprocess.run(["gnuplot"], input=script(found), stdout=picture, text=True, check=True)
     for ratio, model, status, a, s, chi in found:
         print(
             f"{ratio:8.4f} {model:10} {status:13} sigma_a {a:8.4f} sigma_s' {s:8.4f} of the truth, "

@@ -25,7 +25,7 @@ def block(name: str, rows: list[tuple[float, ...]]) -> str:
     return f"${name} << EOD\n{lines}\nEOD\n"
 
 
-def script(found: dict[str, float], sheets: list[tuple[float, ...]], output: Path) -> str:
+def script(found: dict[str, float], sheets: list[tuple[float, ...]]) -> str:
     tolerances = [key[7:-6] for key in found if re.fullmatch(r"gather\.\de-\d\d\.query", key)]
     by = [
         (found[f"gather.{one}.query"], found[f"gather.{one}.worst"], float(one))
@@ -46,7 +46,6 @@ def script(found: dict[str, float], sheets: list[tuple[float, ...]], output: Pat
         + block("sizes", sizes)
         + block("sheets", sheets)
         + f"""set terminal svg size 1200,440 font "sans,12" background "white"
-set output "{output}"
 set multiplot layout 1,3
 set grid
 set key below vertical
@@ -86,8 +85,9 @@ def main() -> int:
         tuple(float(number) for number in found.groups())
         for found in SHEETS.finditer(test.read_text())
     ]
-    text = script(figures(bench), sheets, output)
-    subprocess.run(["gnuplot"], input=text, text=True, check=True)
+    text = script(figures(bench), sheets)
+    with output.open("w") as picture:
+        subprocess.run(["gnuplot"], input=text, stdout=picture, text=True, check=True)
     return 0
 
 

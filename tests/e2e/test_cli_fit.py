@@ -6,11 +6,13 @@ from __future__ import annotations
 import csv
 import io
 import json
+import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
 from command_line import BAD_ROWS, FAILED, USAGE, dipole, says
 from dipole import Medium
+from pictures import svg_texts
 
 COLUMNS = (
     "sample,sigma_a,sigma_s_prime,sigma_a_error,sigma_s_prime_error,correlation,scale,scale_error,"
@@ -169,6 +171,21 @@ def test_plot(readings, tmp_path):
     many = {f"s{i}": readings["milk"] for i in range(9)}
     told = dipole("fit", *OPTIONS, "--plot", "-", stdin=table_of(many), quiet=False).stderr
     assert "first 8 of 9 samples" in told
+
+
+@pytest.mark.parametrize("end", ["\n", "\r", "\r\n", "\x85", "\x1b", "\\\n", "'", "''", '"'])
+def test_a_name_is_no_command(readings, tmp_path, end):
+    """gnuplot runs the next line of a text that is not closed, and what ` and @ hold; four quotes
+    end a text in quotes, though two do not."""
+    name = f'a{end} . system("touch hit") . {end}; `touch hit` @hit #{end}'
+    cell = '"' + name.replace('"', '""') + '"'
+    files = ["--plot", "a.svg", "--plot", "a.png", "--plot", "-"]
+    text = "sample,r,R,error\n" + lines(cell, readings["milk"])
+    shown = dipole("fit", *OPTIONS, *files, stdin=text, cwd=tmp_path).stdout
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "a.svg"]
+    clean = "".join(one if one.isprintable() else "?" * len(one.encode()) for one in name)
+    assert clean in svg_texts(ElementTree.parse(tmp_path / "a.svg").getroot())
+    assert clean in shown
 
 
 # ---- what is never a success ---------------------------------------------------------------------

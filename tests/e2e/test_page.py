@@ -10,6 +10,7 @@ import subprocess
 import sys
 import urllib.request
 from pathlib import Path
+from urllib.parse import urlencode
 
 import dipole
 import numpy as np
@@ -400,6 +401,22 @@ def test_a_link_that_is_wrong_does_no_harm(page):
     page.open("medium=nothing&sigma_a=1&g=a+b+c&models=&channel=9&r=x&from=-1&tab=?&constructor=1")
     assert page.evaluate("document.getElementById('channel-2').checked")
     assert all("400 (Bad Request)" in fault for fault in page.run("return page.faults.splice(0)"))
+
+
+def test_what_a_link_says_is_no_command(page, served, tmp_path):
+    """A link holds the readings, and what else may go into the shell's tab."""
+    hit = f"$(touch {tmp_path}/hit)"
+    names = [f"a\x1bEND\x1b{hit}", f"b'`{hit}`", f'c";{hit}', f"#d,{hit}"]
+    lines = READINGS.split("\n")[1:4]
+    rows = [f'"{name}"\t1.4\t0\t{line.replace(",", chr(9))}' for name in names for line in lines]
+    readings = "\n".join(["sample\teta\tg\tr\tR\terror", *rows])
+    sly = dict.fromkeys(["fit_eta", "fit_g", "given", "inverter"], f"1;{hit}")
+    page.open(urlencode({**sly, "by": "colour", "readings": readings}))
+    code = page.code("shell")
+    assert not re.search(r"[\0-\x09\x0b-\x1f]", code)
+    printed = dipole_shell(served, code, tmp_path)
+    assert [name for name in names if name.replace("\x1b", " ") not in printed] == []
+    assert not (tmp_path / "hit").exists()
 
 
 def reachable(page) -> list[str]:

@@ -52,6 +52,8 @@ def read(path: Path) -> tuple[list[Subject], list[str], list[str]]:
     """The subjects in the file's order, the ratios and the eta."""
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
+    if strange := [cell for row in rows for cell in row.values() if re.search(r"[^\w.+-]", cell)]:
+        sys.exit(f"{path}: {strange[0]!r} is neither a name nor a number: gnuplot might run it")
     ratios, etas = (list(dict.fromkeys(row[name] for row in rows)) for name in ("ratio", "eta"))
 
     def number(row: dict[str, str], name: str) -> float:
