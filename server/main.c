@@ -370,6 +370,11 @@ static int run(struct daemon *daemon) {
     return 2;
   }
   signal(SIGPIPE, SIG_IGN);
+  const int error = log_start();
+  if (error != 0) {
+    complain("log", strerror(error));
+    return EXIT_FAILURE;
+  }
   raise_descriptor_limit();
   set_up_loop(daemon);
   daemon->ready = set_up_tls(server) && set_up_modbus(server) && start_workers(daemon) &&
@@ -395,6 +400,7 @@ static int run(struct daemon *daemon) {
   if (daemon->ready) {
     log_line(LOG_LEVEL_INFO, "event=stopped");
   }
+  log_finish();
   return daemon->ready ? EXIT_SUCCESS : EXIT_FAILURE;
 }
 

@@ -1,13 +1,25 @@
-/* log: one line per event on standard error, `ts=... level=... event=... key=value ...`. */
+/* log: one line per event on standard error, `ts=... level=... event=... key=value ...`. No caller
+ * waits for standard error: lines wait in a queue, and those that find it full are dropped. The key
+ * `dropped` of the next line says how many. */
 #ifndef DIPOLED_LOG_H
 #define DIPOLED_LOG_H
 
 #include <stdbool.h>
+#include <stdint.h>
 
 enum log_level { LOG_LEVEL_ERROR, LOG_LEVEL_INFO };
 
 /* Sets the level above which lines are dropped. Call this before the first thread is started. */
 void log_set_level(enum log_level level);
+
+/* Starts the thread that writes the lines. Returns 0 or an errno. */
+int log_start(void);
+
+/* Waits until all lines are written, for a second at most. */
+void log_finish(void);
+
+/* Returns how many lines could not wait or be written so far. */
+uint64_t log_dropped_lines(void);
 
 /* Finds the level that is called "error" or "info". Returns false for any other name. */
 bool log_level_by_name(const char *name, enum log_level *level);

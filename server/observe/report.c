@@ -3,6 +3,7 @@
 #include <stdio.h>
 
 #include "server/observe/latency.h"
+#include "server/observe/log.h"
 #include "server/server.h"
 
 /* The function that gets the values, and their source. */
@@ -37,6 +38,11 @@ static void report(const struct reporter *to, const char *name, const struct rep
 
 static uint64_t computed_UPTIME_MS(const struct reporter *to) {
   return (uv_hrtime() - to->server->started_ns) / 1000000;
+}
+
+static uint64_t computed_LOG_LINES_DROPPED(const struct reporter *to) {
+  (void)to;
+  return log_dropped_lines();
 }
 
 static uint64_t computed_POINTS_SENT_BYTES(const struct reporter *to) {

@@ -3,12 +3,17 @@ status 0."""
 
 from __future__ import annotations
 
+import os
+import pty
 import signal
+import socket
+import subprocess
 import time
 
 import pytest
-from daemons import eventually, read_log_line
-from dipole import ConnectError, Connection, ConnectionLost, wire
+from certificates import Authority
+from daemons import END_S, PROGRAM, environment, eventually, read_log_line
+from dipole import Client, ConnectError, Connection, ConnectionLost, wire
 from frames import EVAL, PING, ask, assert_closed, assert_error, assert_serves, eval_payload, frame
 from test_metrics import fetch
 
@@ -144,3 +149,62 @@ def test_health_and_metrics_until_the_end(daemon):
         for _ in range(9):
             slow.receive_frame()
     assert one.wait() == 0
+
+
+ENDS = {
+    "pipe": os.pipe,
+    "terminal": pty.openpty,
+    "socket": lambda: tuple(end.detach() for end in socket.socketpair()),
+}
+
+
+@pytest.mark.parametrize("kind", ENDS)
+def test_a_log_that_nobody_reads_holds_nobody_up(tmp_path, kind):
+    """Standard error is full from the beginning. The lines that are dropped are counted, in the
+    statistics and in the next lines that get through."""
+    ours, theirs = ENDS[kind]()
+
+    def fill() -> None:
+        os.set_blocking(theirs, False)
+        with pytest.raises(BlockingIOError):
+            while True:
+                os.write(theirs, b"filling\n" * 64)
+        os.set_blocking(theirs, True)
+
+    fill()
+    pem, key = Authority(tmp_path).sign("farm")
+    options = [f"--listen=unix:{tmp_path}/s", "--listen=tls:127.0.0.1:0"]
+    options += [f"--certificate={pem}", f"--key={key}"]
+    process = subprocess.Popen([PROGRAM, *options], stderr=theirs, env=environment())
+    try:
+        assert eventually(lambda: not refused(f"unix:{tmp_path}/s"), END_S)
+        with Client(f"unix:{tmp_path}/s") as client:
+
+            def dropped() -> int:
+                process.send_signal(signal.SIGHUP)  # which reads the certificates, and logs that
+                return client.statistics()["log_lines_dropped"]
+
+            assert eventually(lambda: dropped() >= 5, END_S)
+            told, text = 0, ""
+            os.set_blocking(ours, False)
+
+            def all_told() -> bool:
+                nonlocal told, text
+                count = dropped()
+                try:
+                    text += os.read(ours, 65536).decode()
+                except BlockingIOError:
+                    pass
+                told = sum(int(read_log_line(line).get("dropped", 0)) for line in text.split("\n"))
+                return count == told
+
+            assert eventually(all_told, END_S)
+            assert "event=ready" in text and told >= 5
+        fill()
+        process.terminate()
+        assert process.wait(END_S) == 0
+    finally:
+        process.kill()
+        process.wait()
+        os.close(ours)
+        os.close(theirs)
