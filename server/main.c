@@ -9,6 +9,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "proto/standard.h"
 #include "server/http/service.h"
 #include "server/jobs/mc_pool.h"
 #include "server/modbus/service.h"
@@ -407,12 +408,17 @@ static int run(struct daemon *daemon) {
 int main(int argc, char **argv) {
   static struct daemon daemon;
   daemon.server.started_ns = uv_hrtime();
+  if (!standard_open()) {
+    complain("/dev/null", strerror(errno));
+    return EXIT_FAILURE;
+  }
   int status = EXIT_SUCCESS;
   switch (options_read(argc, argv, &daemon.server.options)) {
   case OPTIONS_RUN:
     status = run(&daemon);
     break;
   case OPTIONS_EXIT_OK:
+    status = standard_flush("dipoled") ? EXIT_SUCCESS : EXIT_FAILURE;
     break;
   case OPTIONS_EXIT_USAGE:
     status = 2;

@@ -23,6 +23,18 @@
 
 extern char **environ;
 
+/* Returns a socket under a number that is none of a standard stream, which the program may have
+ * closed: what it writes there must not get into the socket. Keeps -1, and sets errno. */
+static int above_standard(int fd) {
+  if (fd < 0 || fd > STDERR_FILENO) {
+    return fd;
+  }
+  const int moved = fcntl(fd, F_DUPFD_CLOEXEC, STDERR_FILENO + 1), number = errno;
+  close(fd);
+  errno = number;
+  return moved;
+}
+
 /* ---- running daemons ----------------------------------------------------------------------- */
 
 /* Connects to a Unix socket. Returns 0 or an errno. connect() on a non-blocking Unix socket fails
@@ -31,7 +43,7 @@ static int connect_unix(const char *path, unsigned timeout_ms, int *connected) {
   struct sockaddr_un name = {.sun_family = AF_UNIX};
   const struct timeval timeout = {.tv_sec = timeout_ms / 1000,
                                   .tv_usec = (suseconds_t)(timeout_ms % 1000) * 1000};
-  const int fd = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  const int fd = above_standard(socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
   if (fd < 0) {
     return errno;
   }
@@ -53,7 +65,8 @@ static int connect_unix(const char *path, unsigned timeout_ms, int *connected) {
 /* Connects to one of a host's addresses. Returns 0 or an errno. */
 static int connect_tcp_address(const struct addrinfo *to, unsigned timeout_ms, int *connected) {
   const int one = 1;
-  const int fd = socket(to->ai_family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, to->ai_protocol);
+  const int fd = above_standard(
+      socket(to->ai_family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, to->ai_protocol));
   if (fd < 0) {
     return errno;
   }
@@ -224,7 +237,8 @@ static bool start_daemon(const char *program, int *fd, pid_t *pid, dipole_error 
   if (socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, pair) != 0) {
     return libdipole_fail_errno(error, DIPOLE_ERROR_CONNECT, errno, "socketpair");
   }
-  const int fault = spawn(program, pair[1], pid);
+  pair[0] = above_standard(pair[0]);
+  const int fault = pair[0] >= 0 ? spawn(program, pair[1], pid) : errno;
   close(pair[1]);
   if (fault == 0 && fcntl(pair[0], F_SETFL, O_NONBLOCK) == 0) {
     *fd = pair[0];

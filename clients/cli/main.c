@@ -1,10 +1,10 @@
 /* dipole: the command line of dipoled. Each command is a file of its own. */
-#include <errno.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "clients/cli/daemon.h"
 #include "clients/cli/options.h"
+#include "proto/standard.h"
 
 extern const cli_command cli_command_eval, cli_command_plot, cli_command_points, cli_command_sample,
     cli_command_invert, cli_command_fit, cli_command_texture, cli_command_gather, cli_command_table,
@@ -107,12 +107,10 @@ static int run(int argc, char **argv) {
 }
 
 int main(int argc, char **argv) {
-  int status = run(argc, argv);
-  errno = 0;
-  if (fflush(stdout) != 0 || ferror(stdout)) {
-    fprintf(stderr, "dipole: cannot write the output: %s\n",
-            errno != 0 ? strerror(errno) : "it failed");
-    status = CLI_FAILED;
+  if (!standard_open()) {
+    perror("dipole: /dev/null");
+    return CLI_FAILED;
   }
-  return status;
+  const int status = run(argc, argv);
+  return standard_flush("dipole") ? status : CLI_FAILED;
 }

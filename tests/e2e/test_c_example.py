@@ -62,9 +62,15 @@ class Installed:
 
     def run(self, program: Path, *arguments: str) -> str:
         """Runs a program with the installed library and dipoled. Returns its output."""
-        done = subprocess.run(
-            [str(program), *arguments],
-            cwd=program.parent,
+        done = self.start(str(program), *arguments, folder=program.parent)
+        assert done.returncode == 0 and done.stderr == "", done.stdout + done.stderr
+        return done.stdout
+
+    def start(self, *command: str, folder: Path) -> subprocess.CompletedProcess[str]:
+        """Runs a command in a folder with the installed library and dipoled."""
+        return subprocess.run(
+            command,
+            cwd=folder,
             env={
                 **environment(),
                 "LD_LIBRARY_PATH": str(self._lib),
@@ -75,8 +81,6 @@ class Installed:
             timeout=TIMEOUT_S,
             check=False,
         )
-        assert done.returncode == 0 and done.stderr == "", done.stdout + done.stderr
-        return done.stdout
 
 
 @pytest.fixture(scope="module")
@@ -139,6 +143,15 @@ def test_the_example_gathers_irradiance(installed, irradiance, shared):
 
 def test_the_example_finds_a_daemon_by_itself(installed, irradiance):
     assert "3 channels" in installed.run(irradiance, "", "4", "4")
+
+
+@pytest.mark.parametrize("closing", [">&-", "<&- >&-", ">/dev/full", ">&- 2>&-"])
+@pytest.mark.parametrize("scheme", ["private", "tcp"])
+def test_the_example_without_an_output(installed, irradiance, shared, closing, scheme):
+    address = "" if scheme == "private" else shared.url(scheme)
+    words = [f'exec "$@" {closing}', "sh", str(irradiance), address, "4", "4"]
+    done = installed.start("sh", "-c", *words, folder=irradiance.parent)
+    assert done.returncode == 1 and ("standard output" in done.stderr or "2>" in closing)
 
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed")

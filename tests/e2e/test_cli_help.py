@@ -7,7 +7,7 @@ import subprocess
 
 import pytest
 from command_line import FAILED, PROGRAM, TIMEOUT_S, USAGE, dipole, says
-from daemons import environment
+from daemons import BUILD, environment
 
 COMMANDS = [
     "eval", "plot", "points", "sample", "invert", "fit", "texture", "table", "mc", "media", "info",
@@ -151,15 +151,29 @@ def test_a_refused_field_is_named_by_its_option_too():
     assert run.stderr.rstrip().endswith("(--from)")
 
 
-def test_output_that_cannot_be_written_is_a_failure():
-    with open("/dev/full", "w") as full:
-        run = subprocess.run(
-            [str(PROGRAM), "media"],
-            stdout=full,
-            stderr=subprocess.PIPE,
-            env=environment(),
-            timeout=TIMEOUT_S,
-            check=False,
-        )
-    assert run.returncode == FAILED
-    assert b"cannot write the output" in run.stderr
+OUTPUTS = {
+    "version": [PROGRAM, "--version"],
+    "help": [PROGRAM, "eval", "--help"],
+    "values": [PROGRAM, *EVAL, "--r", "1", "--connect"],
+    "table": [PROGRAM, "table", *EVAL[1:], "--output", "-"],
+    "top": [PROGRAM, "top", "--count", "1"],
+    "daemon's help": [BUILD / "dipoled", "--help"],
+    "daemon's version": [BUILD / "dipoled", "--version"],
+}
+
+
+@pytest.mark.parametrize("name", OUTPUTS)
+@pytest.mark.parametrize("closing", [">/dev/full", ">&-", ">&- <&-", ">&- 2>&-", "<&- 2>&-"])
+def test_output_that_cannot_be_written_is_a_failure(shared, name, closing):
+    command = [str(word) for word in OUTPUTS[name]]
+    command += [shared.url("tcp")] if command[-1] == "--connect" else []
+    run = subprocess.run(
+        ["sh", "-c", f'exec "$@" {closing}', "sh", *command],
+        capture_output=True,
+        env=environment(),
+        timeout=TIMEOUT_S,
+        check=False,
+    )
+    failed = closing[0] == ">"
+    assert run.returncode == (FAILED if failed else 0) and bool(run.stdout) == (not failed)
+    assert (b"cannot write" in run.stderr) == (failed and "2>" not in closing)

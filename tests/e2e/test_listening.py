@@ -383,3 +383,24 @@ def test_the_usual_addresses(folder, besides):
     assert f"url=unix:{folder}/dipoled.sock" in log
     assert "url=tcp:127.0.0.1:4817" in log or "tcp:127.0.0.1:4817: " in log
     assert process.returncode == (0 if "event=ready" in log else 1)
+
+
+@pytest.mark.parametrize("closing", ["<&-", ">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-"])
+def test_closed_standard_streams_are_nobody_elses(folder, closing):
+    """Nothing that the daemon opens gets their numbers, which log lines would go into."""
+    command = [str(PROGRAM), "--listen", f"unix:{folder}/s", "--listen", "tcp:127.0.0.1:0"]
+    process = subprocess.Popen(
+        ["sh", "-c", f'exec "$@" {closing}', "sh", *command],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment(),
+    )  # fmt: skip
+    try:
+        assert eventually((folder / "s").exists, END_S)
+        links = [os.readlink(f"/proc/{process.pid}/fd/{fd}") for fd in range(3)]
+        assert links.count("/dev/null") == len(closing.split()) + ("2>" not in closing), links
+        assert all(link == "/dev/null" or link.startswith("pipe:") for link in links), links
+        with dipole.Connection(f"unix:{folder}/s") as connection:
+            assert_serves(connection)
+    finally:
+        process.terminate()
+    process.communicate(timeout=END_S)
+    assert process.returncode == 0

@@ -4,6 +4,7 @@ errors."""
 from __future__ import annotations
 
 import math
+import os
 import re
 import shutil
 import socket
@@ -540,6 +541,31 @@ def test_pip_installs_it(tmp_path):
 def test_errors_of_a_private_daemon_appear(tmp_path):
     run = run_in_clone(tmp_path, True, DIPOLED_WORKERS="many")
     assert run.returncode != 0 and "many" in run.stderr.splitlines()[0]
+
+
+@pytest.mark.parametrize("closing", ["<&-", ">&- 2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize("address", ["private:", "unix", "tcp"])
+def test_no_socket_gets_the_number_of_a_closed_standard_stream(shared, tmp_path, closing, address):
+    """What a program in C, or a child, writes to its standard output must not reach the daemon."""
+    address = f"private:{PROGRAM}" if address == "private:" else shared.url(address)
+    done = tmp_path / "done"
+    program = f"""import os, dipole
+with dipole.Client({address!r}) as client:
+    for fd in range(3):
+        try:
+            os.write(fd, b"text")
+        except OSError:
+            pass
+    client.eval("better", "skin1", [1.0])
+    open({str(done)!r}, "x")
+"""
+    python = [sys.executable, "-c", program]
+    shell = ["sh", "-c", f'exec "$@" {closing}', "sh", *python]
+    path = os.pathsep.join(sys.path)
+    run = subprocess.run(
+        shell, env=environment(PYTHONPATH=path), capture_output=True, timeout=60, check=False
+    )
+    assert run.returncode == 0 and done.exists(), run.stderr
 
 
 def test_no_daemon_to_start(tmp_path):

@@ -300,5 +300,8 @@ int main(int argc, char **argv) {
   free(exitance[1]);
   free(skin.x);
   free(skin.y);
+  if (fflush(stdout) != 0 || ferror(stdout)) {
+    fail("writing standard output", NULL);
+  }
   return 0;
 }

@@ -3,6 +3,7 @@ frames."""
 
 from __future__ import annotations
 
+import fcntl
 import os
 import re
 import select
@@ -206,7 +207,7 @@ class Connection:
         )
 
     def _open_unix(self, path: str) -> socket.socket:
-        connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        connection = _above_standard(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
         try:
             connection.settimeout(self.timeout_s)
             connection.connect(path)
@@ -239,13 +240,14 @@ class Connection:
         if not host or not port.isascii() or not port.isdigit() or not 0 < int(port) < 65536:
             scheme = self.address.partition(":")[0]
             raise AddressError(f"{self.name}: not {scheme}:HOST:PORT")
-        connection = socket.create_connection((host, int(port)), self.timeout_s)
+        connection = _above_standard(socket.create_connection((host, int(port)), self.timeout_s))
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return connection
 
     def _open_private(self, program: str) -> socket.socket:
         """Starts a daemon. It logs only errors, to the standard error of this program."""
-        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+        pair = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+        ours, theirs = map(_above_standard, pair)
         kept = {k: v for k, v in os.environ.items() if k not in _SERVES_OTHERS}
         try:
             with theirs:
@@ -396,6 +398,18 @@ def frame_pieces(
         deadline_ms=deadline_ms,
     )
     return [header + payload] if len(payload) < LARGE_BYTES else [header, payload]
+
+
+def _above_standard(connection: socket.socket) -> socket.socket:
+    """Returns the socket under a number that is none of a standard stream, which the program may
+    have closed: what it writes there must not get into the socket."""
+    if connection.fileno() > 2:
+        return connection
+    with connection:
+        number = fcntl.fcntl(connection, fcntl.F_DUPFD_CLOEXEC, 3)
+        moved = socket.socket(fileno=number)
+        moved.settimeout(connection.gettimeout())
+    return moved
 
 
 def shut_down(connection: socket.socket, how: int) -> None:
