@@ -19,7 +19,9 @@
  * medium.
  *
  * A client is one connection and belongs to one thread at a time. Use one client for each thread.
- * The library has no global state and never ends the program. A function that returns bool returns
+ * After fork(), only the process that opened a client can use it: in the other one its calls fail
+ * with kind CONNECTION, and dipole_close() frees the copy and disturbs neither the connection nor a
+ * private daemon. The library has no global state and never ends the program. A function that returns bool returns
  * false on failure and then fills *error; error may be NULL.
  */
 #ifndef DIPOLE_H

@@ -2,6 +2,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "clients/c/clock.h"
 #include "clients/c/connect.h"
@@ -45,6 +46,7 @@ static dipole_client *open_one(const char *text, const libdipole_tls_files *file
     libdipole_fail_memory(error);
     return NULL;
   }
+  client->process = getpid();
   libdipole_stream_init(&client->stream, -1);
   if (!greet(client, text, files, limit_ms, error)) {
     dipole_close(client);
@@ -237,8 +239,9 @@ void dipole_close(dipole_client *client) {
   if (client == NULL) {
     return;
   }
-  libdipole_stream_close(&client->stream);
-  if (client->daemon > 0) {
+  const bool is_ours = client->process == getpid();
+  libdipole_stream_close(&client->stream, is_ours);
+  if (is_ours && client->daemon > 0) {
     libdipole_daemon_end(client->daemon);
   }
   libdipole_requests_free(client);

@@ -6,6 +6,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "clients/c/clock.h"
 #include "clients/c/error.h"
@@ -662,7 +663,7 @@ static void take_over(dipole_client *client, dipole_client *fresh) {
   const pid_t former = client->daemon;
   free(client->frame);
   client->frame = NULL;
-  libdipole_stream_close(&client->stream);
+  libdipole_stream_close(&client->stream, true);
   client->stream = fresh->stream;
   client->daemon = fresh->daemon;
   client->waited_ms = 0;
@@ -747,7 +748,7 @@ static bool restore(dipole_client *client, dipole_error *error) {
     client->retry.pause_ms = LIBDIPOLE_PAUSE_FIRST_MS;
     client->addresses.at = (client->addresses.at + 1) % client->addresses.count;
     /* Close at once, because a daemon that stops waits for its clients to close. */
-    libdipole_stream_close(&client->stream);
+    libdipole_stream_close(&client->stream, true);
   }
   dipole_client *fresh = connect_again(client, until_ms, error);
   if (fresh == NULL) {
@@ -766,11 +767,24 @@ static bool advance(dipole_client *client, dipole_error *error) {
   return !moves || (wait_and_move(client, error) && receive(client, error));
 }
 
+/* Returns false and sets *error if the client can only be closed. A forked process would take
+ * answers of the one that opened the client, so its copy of the client is broken. */
+static bool check_usable(dipole_client *client, dipole_error *error) {
+  if (client->broken.kind == DIPOLE_ERROR_NONE && client->process != getpid()) {
+    libdipole_fail(&client->broken, DIPOLE_ERROR_CONNECTION,
+                   "process %ld opened this client: after fork(), open a client in each process",
+                   (long)client->process);
+  }
+  if (client->broken.kind != DIPOLE_ERROR_NONE) {
+    *error = client->broken;
+  }
+  return client->broken.kind == DIPOLE_ERROR_NONE;
+}
+
 /* Waits until bytes are received or sent, and reads the received frames. After a failure that
  * another connection cannot repair, every later call fails in the same way. */
 static bool step(dipole_client *client, dipole_error *error) {
-  if (client->broken.kind != DIPOLE_ERROR_NONE) {
-    *error = client->broken;
+  if (!check_usable(client, error)) {
     return false;
   }
   if (client->lost.kind == DIPOLE_ERROR_NONE) {
@@ -798,8 +812,7 @@ static bool step(dipole_client *client, dipole_error *error) {
 bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
                              uint64_t payload_bytes, uint8_t **payload, dipole_error *error) {
   libdipole_call_begin(client, pending->kind);
-  if (client->broken.kind != DIPOLE_ERROR_NONE) {
-    *error = client->broken;
+  if (!check_usable(client, error)) {
     return false;
   }
   while (client->lost.kind != DIPOLE_ERROR_NONE || client->dropped_count >= DIPOLE_IN_FLIGHT_MAX) {
@@ -833,9 +846,15 @@ bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
   return true;
 }
 
-void dipole_flush(dipole_client *client) {
+static void send_held(dipole_client *client) {
   libdipole_stream_send(&client->stream);
   client->held_count = 0;
+}
+
+void dipole_flush(dipole_client *client) {
+  if (check_usable(client, &(dipole_error){0})) {
+    send_held(client);
+  }
 }
 
 bool libdipole_request_send(dipole_client *client, dipole_error *error) {
@@ -845,7 +864,7 @@ bool libdipole_request_send(dipole_client *client, dipole_error *error) {
   client->held_count++;
   if (client->held_count * HELD_SHARE >= dipole_outstanding(client) ||
       stream->out_end - stream->out_begin >= HELD_MAX_BYTES) {
-    dipole_flush(client);
+    send_held(client);
   }
   while (stream->out_end - stream->out_begin > BACKLOG_MAX_BYTES) {
     if (!step(client, error)) {

@@ -123,7 +123,8 @@ typedef struct libdipole_retry {
 
 struct dipole_client {
   libdipole_stream stream;
-  pid_t daemon; /* a private daemon, or 0 */
+  pid_t process; /* the one that opened the client; a forked one may only close it */
+  pid_t daemon;  /* a private daemon, or 0 */
   unsigned connect_timeout_ms, timeout_ms, call_timeout_ms, in_flight_max;
   int64_t until_ms;    /* when the running call has to end; 0 means never */
   unsigned waited_ms;  /* how long earlier calls, whose time ended, saw no byte of the daemon */

@@ -29,9 +29,12 @@ void libdipole_stream_init(libdipole_stream *stream, int fd) {
   stream->in_begin = stream->in_end = 0;
 }
 
-void libdipole_stream_close(libdipole_stream *stream) {
-  libdipole_tls_free(stream->tls);
+void libdipole_stream_close(libdipole_stream *stream, bool is_ours) {
+  libdipole_tls_free(stream->tls, is_ours);
   if (stream->fd >= 0) {
+    if (is_ours) {
+      shutdown(stream->fd, SHUT_RDWR);
+    }
     close(stream->fd);
   }
   free(stream->out);

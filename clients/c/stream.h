@@ -25,8 +25,9 @@ typedef struct libdipole_stream {
 
 void libdipole_stream_init(libdipole_stream *stream, int fd);
 
-/* Closes the socket, and frees the session and the buffer. */
-void libdipole_stream_close(libdipole_stream *stream);
+/* Closes the socket, and frees the session and the buffer. is_ours: whether the connection ends,
+ * even where a forked process holds the socket, too; false in such a process. */
+void libdipole_stream_close(libdipole_stream *stream, bool is_ours);
 
 /* Makes room for this many bytes at out + out_end. The caller writes there and raises out_end. */
 bool libdipole_stream_reserve(libdipole_stream *stream, size_t bytes, dipole_error *error);

@@ -17,8 +17,8 @@ libdipole_tls *libdipole_tls_open(int fd, const char *host, const libdipole_tls_
   return NULL;
 }
 
-void libdipole_tls_free(libdipole_tls *tls) {
-  (void)tls;
+void libdipole_tls_free(libdipole_tls *tls, bool tells) {
+  (void)tls, (void)tells;
 }
 ssize_t libdipole_tls_read(libdipole_tls *tls, void *to, size_t bytes) {
   (void)tls, (void)to, (void)bytes;
@@ -243,17 +243,17 @@ libdipole_tls *libdipole_tls_open(int fd, const char *host, const libdipole_tls_
     return NULL;
   }
   if (!set_up(tls, fd, host, files, error) || !shake_hands(tls, fd, host, timeout_ms, error)) {
-    libdipole_tls_free(tls);
+    libdipole_tls_free(tls, true);
     tls = NULL;
   }
   ERR_clear_error();
   return tls;
 }
 
-void libdipole_tls_free(libdipole_tls *tls) {
+void libdipole_tls_free(libdipole_tls *tls, bool tells) {
   if (tls != NULL) {
     ERR_clear_error();
-    if (tls->ssl != NULL && SSL_is_init_finished(tls->ssl) && tls->reason == 0) {
+    if (tells && tls->ssl != NULL && SSL_is_init_finished(tls->ssl) && tls->reason == 0) {
       SSL_shutdown(tls->ssl); /* tells the peer, if the socket takes it */
     }
     SSL_free(tls->ssl);

@@ -216,6 +216,30 @@ def test_a_closed_client(shared):
     run(ask())
 
 
+@pytest.mark.parametrize("timeout_s", [30.0, None])
+def test_a_second_event_loop(shared, timeout_s):
+    async def use() -> float:
+        return float((await client.eval("better", SKIN, [1.0])).R[0, 0])
+
+    async def open_and_use() -> float:
+        async with client:
+            return await use()
+
+    client = AsyncClient(shared.url(), timeout_s)
+    run(client.open())
+    for call in (use, client.ping, client.statistics):
+        with pytest.raises(dipole.ConnectionLost, match="another event loop opened this client"):
+            run(call())
+    assert run(open_and_use()) == run(open_and_use())  # it may be opened again
+    loop = asyncio.new_event_loop()  # which stands still, and keeps its tasks
+    loop.run_until_complete(client.open())
+    with pytest.raises(dipole.ConnectionLost, match="another event loop opened this client"):
+        run(use())
+    loop.run_until_complete(client.close())
+    loop.close()
+    assert run(open_and_use()) > 0
+
+
 def test_a_silent_daemon(shared):
     """A client whose daemon is silent for too long fails. A proxy passes everything on until the
     test makes it hold back."""

@@ -4,6 +4,7 @@ certificates that change under load."""
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import os
 import random
 import select
@@ -800,3 +801,58 @@ def test_idle_connections_hold_little_memory(farm, ours):
     assert (farm.resident_bytes() - before) / 200 < 128 << 10
     for one in clients:
         one.close()
+
+
+def opened(client: str, address: str):
+    """Opens a client of Python or of libdipole; returns its calls ping and close."""
+    if client == "python":
+        one = dipole.Client(address)
+        return one.ping, one.close
+    library = ctypes.CDLL(str(BUILD / "libdipole.so"))
+    library.dipole_open.restype = library.dipole_ping.restype = ctypes.c_bool
+    handle, error = ctypes.c_void_p(), ctypes.create_string_buffer(1024)
+    assert library.dipole_open(address.encode(), ctypes.byref(handle), error), error.raw
+
+    def ping() -> None:
+        if not library.dipole_ping(handle, error):
+            raise dipole.ConnectionLost(error.raw.replace(b"\0", b"").decode("latin-1"))
+
+    return ping, lambda: library.dipole_close(handle)
+
+
+@pytest.mark.parametrize("client", ["python", "c"])
+@pytest.mark.parametrize("scheme", ["tcp", "tls", "private"])
+def test_a_forked_process_disturbs_nobody(monkeypatch, farm, ours, client, scheme):
+    """It gets no answer of its parent, it may close its copy, and the parent's close() is not held
+    up by copies that are still open."""
+    if client == "c" and sanitized():
+        pytest.skip("a sanitized library cannot be loaded here")
+    for name, path in ours.items():
+        monkeypatch.setenv(f"DIPOLED_{name.upper()}", path)
+    ping, close = opened(client, farm.url(scheme) if scheme != "private" else f"private:{PROGRAM}")
+    child = os.fork()
+    if child == 0:
+        try:
+            for _ in range(2):
+                with pytest.raises(dipole.ConnectionLost, match=f"{os.getppid()} opened this client"):
+                    ping()
+            close()
+            os._exit(0)
+        finally:
+            os._exit(1)
+    assert os.waitpid(child, 0)[1] == 0
+    for _ in range(3):
+        ping()
+    ended, ends = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(ends)
+        os.read(ended, 1)
+        os._exit(0)
+    private = ping.__self__._connection._process if client == "python" else None
+    close()
+    assert private is None or private.returncode == 0
+    assert eventually(lambda: counters(farm)["connections_open"] == 1)
+    os.close(ends)
+    os.close(ended)
+    assert os.waitpid(child, 0)[1] == 0

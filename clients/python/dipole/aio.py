@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 
 from . import broadcast, calls, evaluation, fitting, gathering, inversion, mc, rings, varying, wire
 from .broadcast import Values
-from .connection import TLS_WAITS, Connection, Frame, Tls, shut_down
+from .connection import TLS_WAITS, Connection, Frame, Tls
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
 from .exchange import Exchange, Request
 from .opening import Opening
@@ -35,8 +35,9 @@ _PIECES_AHEAD = 16
 
 
 class AsyncClient:
-    """A client for asyncio, which belongs to one event loop. Entering it in an async with
-    statement, or awaiting open(), connects.
+    """A client for asyncio. Entering it in an async with statement, or awaiting open(), connects.
+    It then belongs to this event loop: in another one, such as that of a second asyncio.run(), and
+    in a forked process, its calls raise ConnectionLost until open() has connected again.
 
     It has the arguments of Client, and like Client it retries when the connection is lost or the
     daemon is busy. Cancelling a call does not disturb other calls; cancelling mc() also cancels
@@ -58,8 +59,11 @@ class AsyncClient:
         self._tls = Tls(ca, certificate, key)
         self._info: Info | None = None
         self._measured: dict[str, tuple[Medium, Medium, Medium]] = {}
-        self._exchange = Exchange(0.0)
         self._stream: _Stream | None = None
+        self._begin()
+
+    def _begin(self) -> None:
+        self._exchange = Exchange(0.0)
         self._moved: dict[int, asyncio.Event] = {}  # by request: a part has come, or it has ended
         self._tasks: set[asyncio.Task[None]] = set()
         self._connected = asyncio.Event()  # clear only before open() and while reconnecting
@@ -95,7 +99,9 @@ class AsyncClient:
         await self.close()
 
     async def open(self) -> None:
-        """Connects and reads the daemon's lists."""
+        """Connects and reads the daemon's lists. An earlier connection is closed."""
+        await self.close()
+        self._begin()
         self._opening = Opening(
             self._address, self._timeout_s, self._retry_s, calls.hello, self._tls
         )
@@ -110,17 +116,20 @@ class AsyncClient:
     async def close(self) -> None:
         """Closes the connection and ends a private daemon. Running calls fail. A second close()
         does nothing."""
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
-        self._fail(ConnectionLost(f"{self._name().removesuffix(':')}: this client is closed", final=True))
-        if self._stream is not None:
-            stream, self._stream = self._stream, None
+        name = self._name().removesuffix(":")
+        stream, self._stream = self._stream, None
+        tasks, self._tasks = self._tasks, set()
+        if stream is None or stream.is_ours():
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            self._fail(ConnectionLost(f"{name}: this client is closed", final=True))
+        if stream is not None:
             await stream.close()
 
     def _opened(self) -> _Stream:
         if self._stream is None:
-            raise ArgumentError("this client is not open")
+            raise self._failed or ArgumentError("this client is not open")
         return self._stream
 
     def _name(self) -> str:
@@ -337,8 +346,7 @@ class AsyncClient:
 
     async def _send(self, request: Request[Any]) -> int:
         """Sends a request; returns its id."""
-        if self._failed is None and self._stream is None:
-            raise ArgumentError("this client is not open")
+        self._opened().check_usable()
         await self._connected.wait()
         if self._failed is not None:
             raise self._failed
@@ -363,6 +371,7 @@ class AsyncClient:
         while not self._exchange.is_ready(request_id):
             if self._failed is not None:
                 raise self._failed
+            self._opened().check_usable()
             if not self._waiting:
                 self._waiting_since_s = time.monotonic()
             self._waiting.add(request_id)
@@ -473,21 +482,28 @@ class _Stream:
 
     async def close(self) -> None:
         """Closes the connection; a private daemon ends with it. No task may be receiving."""
-        self._shut_down()
-        await asyncio.gather(*self._sends)
+        self._closed = True
+        self.connection.hang_up()  # so that those end who wait for bytes, or for room to send
+        if self.is_ours():
+            await asyncio.gather(*self._sends)
         await asyncio.to_thread(self.connection.close)
 
     def give_up(self, error: ConnectionLost) -> None:
         """Makes the task that receives raise this error."""
         self._given_up = error
-        self._shut_down()
-
-    def _shut_down(self) -> None:
         self._closed = True
-        try:  # so that those end who wait for bytes, or for room to send
-            shut_down(self.connection.socket, socket.SHUT_RDWR)
-        except OSError:
-            pass
+        self.connection.hang_up()
+
+    def is_ours(self) -> bool:
+        """Whether the running event loop is the one in which the stream was made."""
+        return asyncio.get_running_loop() is self._loop
+
+    def check_usable(self) -> None:
+        """Raises ConnectionLost if this process or this event loop has not opened the connection."""
+        self.connection.check_owner()
+        if not self.is_ours():
+            text = "another event loop opened this client: open one in each asyncio.run()"
+            raise ConnectionLost(f"{self.connection.name}: {text}", final=True)
 
     async def send(self, pieces: list[bytes]) -> None:
         """Sends a frame, completely even if the caller is cancelled. A lost connection raises

@@ -34,7 +34,8 @@ class Client:
 
     address: as of a Connection. Several addresses but private: are tried in turn; commas without
     blanks separate them. The attribute `address` is the one in use. A client belongs to one
-    thread at a time. Close it, or use it in a with statement: a private daemon ends with the
+    thread at a time, and after a fork to the process that opened it: in the other one, its calls
+    raise ConnectionLost. Close it, or use it in a with statement: a private daemon ends with the
     client.
 
     timeout_s: how long a call waits while no byte is sent or received, and how long an address may

@@ -3,6 +3,7 @@ frames."""
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import re
@@ -142,6 +143,7 @@ class Connection:
         self.timeout_s = timeout_s
         self.is_one_of_several = False  # whether a client may leave a silent daemon for another
         self.incoming = Incoming()
+        self._owner = os.getpid()
         self._process: subprocess.Popen[bytes] | None = None
         self.socket = self._open()
 
@@ -173,11 +175,26 @@ class Connection:
         return self.socket.fileno() < 0
 
     def close(self) -> None:
-        """Closes the connection and waits until a private daemon has ended."""
+        """Closes the connection and waits until a private daemon has ended. A forked process only
+        closes its copy of the socket."""
+        self.hang_up()
         self.socket.close()
-        if self._process is not None:
+        if self._process is not None and self._owner == os.getpid():
             _end(self._process)
-            self._process = None
+        self._process = None
+
+    def hang_up(self) -> None:
+        """Ends the connection, even where a forked process holds the socket, too; but not in such a
+        process."""
+        if self._owner == os.getpid():
+            with contextlib.suppress(OSError):
+                shut_down(self.socket, socket.SHUT_RDWR)
+
+    def check_owner(self) -> None:
+        """Raises ConnectionLost in a forked process, which would take answers of its parent."""
+        if self._owner != os.getpid():
+            text = f"process {self._owner} opened this client: after a fork, open one in each process"
+            raise ConnectionLost(f"{self.name}: {text}", final=True)
 
     def set_timeout_s(self, timeout_s: float | None) -> None:
         self.timeout_s = timeout_s
@@ -270,6 +287,7 @@ class Connection:
     def send_bytes(self, data: bytes) -> None:
         """Sends all the bytes, and meanwhile buffers what arrives. If neither end read while it
         sends, both could wait for each other forever."""
+        self.check_owner()
         view = memoryview(data)
         try:
             while view:
@@ -304,6 +322,7 @@ class Connection:
     def arrives_by(self, time_s: float) -> bool:
         """Waits for a byte until the time time_s, as of time.monotonic(). Returns whether one
         came."""
+        self.check_owner()
         wait_ms = max(time_s - time.monotonic(), 0) * 1000
         pending = isinstance(self.socket, ssl.SSLSocket) and self.socket.pending() > 0
         return bool(self.incoming or pending or _poll(self.socket, select.POLLIN, wait_ms))
@@ -313,6 +332,7 @@ class Connection:
         shut_down(self.socket, socket.SHUT_WR)
 
     def _wait(self, writing: bool) -> tuple[bool, bool]:
+        self.check_owner()
         if self.is_closed:
             raise ConnectionLost(f"{self.name}: this client is closed", final=True)
         if isinstance(self.socket, ssl.SSLSocket) and self.socket.pending() > 0:
