@@ -569,7 +569,7 @@ enum dipole_fit_status {
 typedef struct dipole_fit_query {
   unsigned model;   /* the model of the readings */
   unsigned moments; /* enum dipole_moments */
-  double g, eta;    /* of all media */
+  double g, eta;    /* of all media; an eta of 0 is refused, as there is no default */
   /* [parameter_count], as of an eval, and detector_na: the sine of the largest angle to the normal,
    * outside, at which light is detected. Without it, that of all angles is. */
   const dipole_parameter *parameters;

@@ -28,8 +28,9 @@ enum { REFERENCE_NUMBERS = 4 };
 static const cli_option options[] = {
     {"Samples", NULL, NULL, CLI_HEADING, 0, NULL},
     {"eta", "X",
-     "refractive index inside over outside, where the file does not say\n(default: 1.3)",
-     CLI_NUMBER, FIELD(eta), "1.3"},
+     "refractive index inside over outside, where the file does not say: it has\n"
+     "no default (tissue in air has about 1.4)",
+     CLI_NUMBER, FIELD(eta), NULL},
     {"g", "X", "mean cosine of the scattering angle, where the file does not say\n(default: 0)",
      CLI_NUMBER, FIELD(g), NULL},
     {"detector-na", "X",
@@ -140,6 +141,32 @@ static void parameters_of(const report *of, const cli_sample *sample, cli_parame
   }
 }
 
+static double g_of(const report *of, const cli_sample *sample) {
+  return isnan(sample->g) ? of->settings->g.value : sample->g;
+}
+
+static double eta_of(const report *of, const cli_sample *sample) {
+  return isnan(sample->eta) ? of->settings->eta.value : sample->eta;
+}
+
+/* Returns where a sample's g comes from. */
+static const char *source_of_g(const report *of, const cli_sample *sample) {
+  return !isnan(sample->g) ? "file" : of->settings->g.given ? "option" : "default";
+}
+
+/* A wrong eta gives wrong coefficients that fit as well, so none is assumed. */
+static int check_eta(const report *of) {
+  for (size_t i = 0; i < of->readings.sample_count && !of->settings->eta.given; i++) {
+    const cli_sample *sample = &of->readings.samples[i];
+    if (isnan(sample->eta)) {
+      return cli_fail_usage("sample %s: its eta is not known: give --eta X (the refractive index "
+                            "inside over outside), or a column eta",
+                            sample->name);
+    }
+  }
+  return CLI_OK;
+}
+
 static dipole_fit_query query_of(const report *of, const cli_sample *sample,
                                  const cli_parameters *parameters) {
   const fit_settings *settings = of->settings;
@@ -147,8 +174,8 @@ static dipole_fit_query query_of(const report *of, const cli_sample *sample,
   dipole_fit_query query = {
       .model = of->model->id,
       .moments = of->moments->id,
-      .g = isnan(sample->g) ? settings->g.value : sample->g,
-      .eta = isnan(sample->eta) ? settings->eta.value : sample->eta,
+      .g = g_of(of, sample),
+      .eta = eta_of(of, sample),
       .parameters = parameters->items,
       .parameter_count = parameters->count,
       .axis = of->axis->id,
@@ -313,6 +340,9 @@ static void put_sample(cli_rows *rows, const void *context, size_t index) {
                  CLI_COLUMN("model_error", "model error", "relative", "%.1e", "not measured", NULL,
                             CLI_IN_TABLE | CLI_IN_JSON),
                  one->model_error);
+  cli_put_number(rows, CLI_COLUMN("g", .unit = " "), g_of(of, sample));
+  cli_put_text(rows, CLI_COLUMN("g_from", "g from", " "), source_of_g(of, sample));
+  cli_put_number(rows, CLI_COLUMN("eta", .unit = " "), eta_of(of, sample));
   cli_put_text(rows, CLI_COLUMN("status", .unit = " "), status_of(of, one));
   if (rows->json != NULL) {
     cli_json_number(rows->json, "reduced_chi2", one->reduced_chi_squared);
@@ -422,6 +452,7 @@ static int fit_and_write(dipole_client *client, report *of) {
   dipole_error error;
   int status = cli_readings_read(of->settings->profile.common.operand, &of->readings);
   status = status == CLI_OK ? choose(of->settings, of) : status;
+  status = status == CLI_OK ? check_eta(of) : status;
   if (status != CLI_OK) {
     return status;
   }
@@ -460,7 +491,9 @@ const cli_command cli_command_fit = {
         "error). These may be absent: sample (a name; lines of the same name belong together),\n"
         "eta, g, source_mm and detector_mm (diameters of the discs that light enters through and\n"
         "is detected on), and detector_na (see --detector-na). Each sample has at least as many\n"
-        "readings as unknowns: 2, or 3 with --scale free.\n"
+        "readings as unknowns: 2, or 3 with --scale free. Without a column eta, --eta has to be\n"
+        "given. The output has the g and eta that were taken, and g_from, where g comes from: file,\n"
+        "option or default.\n"
         "\n"
         "status is fitted, or says why a sample is no success: at-bound, undetermined,\n"
         "implausible, ambiguous, unfinished or refused; `dipole info` describes them. The exit\n"
@@ -478,7 +511,7 @@ const cli_command cli_command_fit = {
     .run = run,
     .examples =
         "  dipole fit readings.csv --eta 1.4\n"
-        "  dipole fit readings.csv --model better --scale free --format csv > coefficients.csv\n"
+        "  dipole fit readings.csv --model better --eta 1.4 --scale free --format csv > found.csv\n"
         "  dipole fit readings.csv --g 0.8 --eta 1.4 --plot fit.svg\n"
         "  printf 'r,R,error\\n1,.0234,.0005\\n2,.00787,.0002\\n4,.00159,.00003\\n' |\n"
         "    dipole fit --model better --eta 1.4\n",

@@ -4,9 +4,10 @@ user presses Ctrl-C:
     jobs.py HOST:PORT sample    ten radii, distributed as the light that leaves skin
     jobs.py HOST:PORT invert    the coefficients of three media of known albedo and mean free path
     jobs.py HOST:PORT mc        R of skin by Monte Carlo in five rings, with standard errors
-    jobs.py HOST:PORT fit [g=0] [eta=1.4] [MM,READING,ERROR]...
+    jobs.py HOST:PORT fit [[g=0] eta=X MM,READING,ERROR...]
                                 the coefficients of a medium from readings of R at some distances,
-                                with their standard errors
+                                with their standard errors; eta is the medium's refractive index
+                                inside over outside
 
 DEVICE,BAUD in place of HOST:PORT names a serial line."""
 
@@ -68,19 +69,23 @@ def mc(unit: Unit) -> None:
 
 def fit(unit: Unit, *given: str) -> None:
     """An instrument writes its places once, and then its readings each time."""
-    known = {"g": 0.0, "eta": 1.4}
-    known |= {name: float(value) for name, _, value in (one.partition("=") for one in given) if value}
-    readings = [one for one in given if "=" not in one] or READINGS
+    given = given or ("eta=1.4", *READINGS)
+    known = {name: float(value) for name, _, value in (one.partition("=") for one in given) if value}
+    readings = [one for one in given if "=" not in one]
+    if "eta" not in known:
+        sys.exit("give eta=X: a wrong eta gives wrong coefficients that fit as well")
+    g_from = "" if "g" in known else " (default)"
     at, values, errors = zip(*(map(float, one.split(",")) for one in readings))
     unit.write(101, "H", TRANSPORT)
-    unit.write(110, "2f", known["g"], known["eta"])
+    unit.write(110, "2f", known.get("g", 0), known["eta"])
     unit.write(8015, f"H{len(at)}f", len(at), *at)  # reading_count, at
     pairs = [number for pair in zip(values, errors) for number in pair]
     unit.write(8204, f"{len(pairs)}f", *pairs)
     run(unit, 8200, 8320, 0, 8420)
     a, s, a_error, s_error, _, chi_squared = unit.floats(8328, 6)
     print(f"sigma_a {a:.6g} +- {a_error:.2g}, sigma_s' {s:.6g} +- {s_error:.2g} 1/mm")
-    (model_error,) = unit.floats(8356, 1)
+    (model_error,), (g, eta) = unit.floats(8356, 1), unit.floats(8410, 2)
+    print(f"with g {g:.6g}{g_from}, eta {eta:.6g}")
     print(f"chi-squared {chi_squared:.4g} of {len(at)} readings, model error {model_error:.2g}")
 
 

@@ -1,9 +1,10 @@
 #!/bin/sh
 # One of the longer jobs of a unit, with mbpoll, as jobs.py does it with pymodbus: jobs.sh HOST:PORT
 # JOB, or jobs.sh DEVICE,BAUD JOB for a serial line. JOB is sample, invert, mc or fit. Ctrl-C cancels it.
-# After fit may follow readings: MM,READING,ERROR for each distance.
+# After fit may follow eta=X (the refractive index inside over outside) and readings: MM,READING,ERROR
+# for each distance.
 set -eu
-usage="jobs.sh HOST:PORT sample|invert|mc|fit, or jobs.sh DEVICE,BAUD sample|invert|mc|fit"
+usage="jobs.sh HOST:PORT|DEVICE,BAUD sample|invert|mc|fit [eta=X MM,READING,ERROR...]"
 case ${1?$usage} in
 /*) line="-m rtu -b ${1##*,} -P none -a 1 -0 -1 -q -B" where=${1%,*} ;;
 *) line="-m tcp -p ${1##*:} -a 1 -0 -1 -q -B" where=${1%:*} ;;
@@ -74,17 +75,24 @@ mc)
   ;;
 fit)
   shift 2
-  [ $# -gt 0 ] || set -- 1,.02292,.00046 2,.00781,.00016 3,.00343,.00007 5,.000775,.000016
+  [ $# -gt 0 ] || set -- eta=1.4 1,.02292,.00046 2,.00781,.00016 3,.00343,.00007 5,.000775,.000016
+  case $1 in
+  eta=*) eta=${1#eta=} ;;
+  *) echo "give eta=X: a wrong eta gives wrong coefficients that fit as well" >&2 && exit 1 ;;
+  esac
+  shift
   at=$(for one; do echo "${one%%,*}"; done)
   readings=$(for one; do echo "${one#*,}" | tr , ' '; done)
   register 4 101 29          # the model transport
-  register 4:float 112 1.4   # eta
+  register 4:float 112 "$eta"
   # Places are written once, and readings each time. The shell splits the lists into numbers.
   # shellcheck disable=SC2086
   register 4 8015 $# && register 4:float 8016 $at && register 4:float 8204 $readings
   run 8200 8320
   show 4:float 8328 4 # sigma_a, sigma_s' and their standard errors, 1/mm
   show 4:float 8338 1 # chi-squared
+  echo "with g and eta (g is a default):"
+  show 4:float 8410 2
   ;;
 *)
   echo "$usage" >&2

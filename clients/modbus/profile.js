@@ -1,5 +1,5 @@
 // R of skin at ten distances, with modbus-serial (npm): node profile.js HOST:PORT [MODEL].
-// MODEL is an id of the list of models in REGISTERS.md. With fit [MM,READING,ERROR]... in its place,
+// MODEL is an id of the list of models in REGISTERS.md. With fit [eta=X MM,READING,ERROR...] in its place,
 // coefficients are fitted to readings.
 "use strict";
 const ModbusRTU = require("modbus-serial");

@@ -79,13 +79,18 @@ async function printProfile(unit, model) {
   });
 }
 
-// Finds the coefficients of a medium of eta 1.4 from readings, texts such as "1,.0229,.0005": mm,
-// reading and standard error. An instrument writes its places once, and its readings each time.
+// Finds the coefficients of a medium from readings, texts such as "1,.0229,.0005": mm, reading and
+// standard error. The first text is the medium's eta, such as "eta=1.4". An instrument writes its
+// places once, and its readings each time.
 async function printFit(unit, given) {
-  const readings = (given.length ? given : READINGS).map((one) => one.split(",").map(Number));
+  const [first, ...texts] = given.length ? given : ["eta=1.4", ...READINGS];
+  if (!first.startsWith("eta=")) {
+    throw new Error("give eta=X: a wrong eta gives wrong coefficients that fit as well");
+  }
+  const readings = texts.map((one) => one.split(",").map(Number));
   await write(unit, 251, [1]); // defaults
   await write(unit, 101, [TRANSPORT]);
-  await write(unit, 112, floats([1.4])); // eta
+  await write(unit, 112, floats([Number(first.slice(4))])); // eta
   await write(unit, 8015, [readings.length, ...floats(readings.map(([mm]) => mm))]);
   await write(unit, 8204, floats(readings.flatMap(([, value, error]) => [value, error])));
   const before = await unit.read(8321, 1);
@@ -105,6 +110,8 @@ async function printFit(unit, given) {
   const [a, s, aError, sError, chiSquared] = [0, 1, 2, 3, 5].map(float);
   const told = (value, error) => `${value.toPrecision(6)} +- ${error.toPrecision(2)}`;
   console.log(`sigma_a ${told(a, aError)}, sigma_s' ${told(s, sError)} 1/mm`);
+  const assumed = await unit.read(8410, 4);
+  console.log(`with g ${assumed.readFloatBE(0)} (default), eta ${assumed.readFloatBE(4).toPrecision(6)}`);
   console.log(`chi-squared ${chiSquared.toPrecision(4)} of ${readings.length} readings`);
 }
 

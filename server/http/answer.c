@@ -220,8 +220,15 @@ static void write_table(struct http_text *text, const uint8_t *payload) {
   http_text_end(text, ']');
 }
 
-static void write_fit(struct http_text *text, const uint8_t *payload) {
+/* The design says what was assumed of the media. */
+static void write_fit(struct http_text *text, const uint8_t *design, bool g_is_default,
+                      const uint8_t *payload) {
   wire_fit_reply fixed;
+  wire_fit_design asked;
+  wire_get_fit_design(design, &asked);
+  http_text_number(text, "g", asked.g);
+  http_text_bool(text, "g_is_default", g_is_default);
+  http_text_number(text, "eta", asked.eta);
   wire_get_fit_reply(payload, &fixed);
   const uint8_t *at = write_fields(text, http_fields_of_fit_reply, payload);
   const uint8_t *residuals = payload + fit_residuals_offset(fixed.set_count);
@@ -309,7 +316,8 @@ static void write_gather(struct http_text *text, const uint8_t *media, const uin
 }
 
 void http_answer_write(const struct http_message *message, const uint8_t *question,
-                       const uint8_t *payload, size_t payload_bytes, struct http_text *text) {
+                       bool g_is_default, const uint8_t *payload, size_t payload_bytes,
+                       struct http_text *text) {
   http_text_begin(text, NULL, '{');
   switch (message->type) {
   case WIRE_TYPE_EVAL:
@@ -325,7 +333,7 @@ void http_answer_write(const struct http_message *message, const uint8_t *questi
     write_invert(text, payload);
     break;
   case WIRE_TYPE_FIT:
-    write_fit(text, payload);
+    write_fit(text, question + WIRE_BYTES_fit_request, g_is_default, payload);
     break;
   case WIRE_TYPE_TABLE:
     write_table(text, payload);

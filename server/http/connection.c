@@ -53,6 +53,7 @@ struct http_connection {
   struct http_text query;   /* of the URI, with a zero byte behind it; empty if there is none */
   struct http_text body;    /* of the request, as far as it has arrived */
   struct http_text payload; /* of the frame that asks the same */
+  bool g_is_default;        /* whether the request left g out */
   struct http_text answer;  /* which the library sends from where it is */
 
   struct input input;
@@ -310,8 +311,8 @@ static void write_reply(struct http_connection *c, const uint8_t *payload, size_
   } else if (c->route.kind == MEDIA) {
     http_answer_write_media(payload, &c->answer);
   } else {
-    http_answer_write(c->route.message, (const uint8_t *)c->payload.bytes, payload, bytes,
-                      &c->answer);
+    http_answer_write(c->route.message, (const uint8_t *)c->payload.bytes, c->g_is_default, payload,
+                      bytes, &c->answer);
   }
 }
 
@@ -466,7 +467,8 @@ static wire_error translate(struct http_connection *c, uint32_t *deadline_ms) {
                               (size_t)options_of(c)->max_part_bytes / BRACKET_BYTES)
           : http_values_parse_query(&values, c->query.count > 0 ? c->query.bytes : none);
   if (error.status == WIRE_STATUS_OK) {
-    error = http_question_translate(c->route.message, &values, &c->payload, deadline_ms);
+    error = http_question_translate(c->route.message, &values, &c->payload, deadline_ms,
+                                    &c->g_is_default);
     http_values_free(&values);
   }
   http_text_free(&c->body);

@@ -323,6 +323,9 @@ static void write_reply_schema(struct http_text *text, const struct http_message
     write_list(text, "sigma_s", NUMBER, "1/mm");
     write_list(text, "albedo", NUMBER, "of the medium that was found");
   } else if (message->reply == http_fields_of_fit_reply) {
+    http_text_raw(text, "g", NUMBER);
+    http_text_raw(text, "g_is_default", "{\"type\":\"boolean\"}");
+    http_text_raw(text, "eta", NUMBER);
     write_list(text, "sets", REFERENCE("Fitted"), NULL);
   } else if (message->reply == http_fields_of_varying_reply) {
     write_choice_lists(text, core_coefficients);

@@ -30,6 +30,7 @@ struct question {
   struct http_text *payload;
   uint32_t medium_count;
   uint32_t parameter_count;
+  bool g_is_default;
   wire_error error; /* what is wrong, after a function has returned false */
 };
 
@@ -103,6 +104,10 @@ static bool add_measured(struct question *q, const char *name, size_t index) {
 /* The coefficients of a medium, in the order of their fields. */
 enum { COEFFICIENTS = 4 };
 
+static wire_error eta_of_fit(void) {
+  return bad("eta", "a number: the index inside over outside, which has no default in a fit");
+}
+
 /* Reads coefficients, the next element of each. */
 static bool read_coefficients(struct question *q, struct http_elements elements[COEFFICIENTS],
                               size_t index, wire_medium *medium) {
@@ -114,6 +119,9 @@ static bool read_coefficients(struct question *q, struct http_elements elements[
         return fail_at(
             q, bad(name, "a number: a medium needs sigma_a and sigma_s, or a name as medium"),
             index);
+      }
+      if (to[i] == &medium->eta && isnan(medium->eta)) {
+        return fail_at(q, eta_of_fit(), index);
       }
     } else if (!http_elements_number(&elements[i], to[i])) {
       return fail_at(q, not_a_number(name), index);
@@ -139,9 +147,9 @@ static bool is_coefficient(const void *context, const char *name) {
   return false;
 }
 
-/* Reads a medium from an object with its coefficients. */
+/* Reads a medium from an object with its coefficients. usual_eta: NAN if there is none. */
 static bool read_medium(struct question *q, const char *field, struct http_value value,
-                        size_t index, wire_medium *medium) {
+                        size_t index, double usual_eta, wire_medium *medium) {
   struct http_values values;
   struct http_elements elements[COEFFICIENTS];
   if (!http_values_of_object(&values, value)) {
@@ -150,7 +158,7 @@ static bool read_medium(struct question *q, const char *field, struct http_value
   if (http_values_unknown(&values, is_coefficient, &values) != NULL) {
     return fail_at(q, bad(field, "objects of sigma_a, sigma_s, g and eta, each one number"), index);
   }
-  *medium = (wire_medium){.eta = USUAL_ETA};
+  *medium = (wire_medium){.eta = usual_eta};
   find_coefficients(&values, elements);
   return read_coefficients(q, elements, index, medium);
 }
@@ -174,7 +182,7 @@ static bool add_reference(struct question *q) {
     return true;
   }
   wire_medium medium;
-  if (!read_medium(q, "reference", object, 0, &medium)) {
+  if (!read_medium(q, "reference", object, 0, (double)NAN, &medium)) {
     return false;
   }
   uint8_t *at = add(q, WIRE_BYTES_medium);
@@ -214,8 +222,9 @@ static bool add_named_media(struct question *q, struct http_value media) {
     const struct http_value item = http_elements_next(&elements);
     const char *name = http_value_text(item);
     wire_medium medium;
-    good = name != NULL ? add_measured(q, name, i)
-                        : read_medium(q, "medium", item, i, &medium) && add_medium(q, &medium);
+    good = name != NULL
+               ? add_measured(q, name, i)
+               : read_medium(q, "medium", item, i, USUAL_ETA, &medium) && add_medium(q, &medium);
   }
   return good;
 }
@@ -442,6 +451,10 @@ static bool read_plain(struct question *q, const struct http_field *field, uint6
                     ? USUAL_GATHER_TOLERANCE
                     : 0;
   if (!http_value_given(value)) {
+    if (q->message->type == WIRE_TYPE_FIT && http_values_same(field->name, "eta")) {
+      return fail(q, eta_of_fit());
+    }
+    q->g_is_default |= http_values_same(field->name, "g");
     memcpy(number, &real, sizeof real); /* 0 has the same bits in every kind */
     return true;
   }
@@ -749,8 +762,10 @@ static bool put_all(struct question *q, uint32_t *deadline_ms) {
 
 wire_error http_question_translate(const struct http_message *message,
                                    const struct http_values *values, struct http_text *payload,
-                                   uint32_t *deadline_ms) {
+                                   uint32_t *deadline_ms, bool *g_is_default) {
   struct question q = {.message = message, .values = values, .payload = payload};
   *deadline_ms = 0;
-  return put_all(&q, deadline_ms) ? wire_error_none() : q.error;
+  const bool good = put_all(&q, deadline_ms);
+  *g_is_default = q.g_is_default;
+  return good ? wire_error_none() : q.error;
 }

@@ -513,7 +513,10 @@ static float root(double variance) {
   return rounded_up(sqrt(variance));
 }
 
-static void set_fitted(uint16_t image[REGISTERS_END], const wire_fitted *fitted) {
+static void set_fitted(uint16_t image[REGISTERS_END], const uint8_t *question,
+                       const wire_fitted *fitted) {
+  wire_fit_design design;
+  wire_get_fit_design(question + WIRE_BYTES_fit_request, &design);
   const struct {
     unsigned at;
     double value;
@@ -529,6 +532,8 @@ static void set_fitted(uint16_t image[REGISTERS_END], const wire_fitted *fitted)
       {REGISTERS_AT_FIT_SECOND, fitted->second_sigma_a},
       {REGISTERS_AT_FIT_SECOND + 2, fitted->second_sigma_s_prime},
       {REGISTERS_AT_FIT_SECOND + 4, fitted->second_chi_squared},
+      {REGISTERS_AT_FIT_G, design.g},
+      {REGISTERS_AT_FIT_ETA, design.eta},
   };
   for (size_t i = 0; i < sizeof numbers / sizeof numbers[0]; i++) {
     registers_set_f32(image, numbers[i].at, (float)numbers[i].value);
@@ -555,7 +560,7 @@ static enum registers_status take_fit(const uint8_t *question, const uint8_t *re
     *error = wrong_reading(question, &fitted);
     return REGISTERS_STATUS_ERROR;
   }
-  set_fitted(image, &fitted);
+  set_fitted(image, question, &fitted);
   const struct values residuals = {reply + fit_residuals_offset(1), sizeof(double)};
   set_values(image, REGISTERS_AT_FIT_RESIDUAL, 0, &residuals, start.reading_count,
              registers_u16(image, REGISTERS_AT_FIT_COUNT));

@@ -61,6 +61,35 @@ static struct modbus_task *committed_by(struct modbus_unit *unit, unsigned addre
   return NULL;
 }
 
+/* The eta of a fit's media, which has no default there: a wrong one fits as well. */
+enum { ETA_OF_MEDIA, ETA_OF_REFERENCE, ETAS };
+static const unsigned eta_at[ETAS] = {REGISTERS_AT_ETA, REGISTERS_AT_FIT_REFERENCE_ETA};
+
+/* Returns which of them have been written, by this write or before. */
+static unsigned etas_after(const struct modbus_unit *unit, unsigned address, unsigned count,
+                           const uint8_t *values) {
+  unsigned etas = written(address, count, values, REGISTERS_AT_DEFAULTS) != 0 ? 0 : unit->etas;
+  for (unsigned i = 0; i < ETAS; i++) {
+    etas |= registers_include(address, count, eta_at[i]) ? 1u << i : 0;
+  }
+  return etas;
+}
+
+/* Starts the job of registers that have been written. */
+static wire_error start_task(struct modbus_unit *unit, struct modbus_task *task, unsigned etas,
+                             struct client *client) {
+  const bool ratios =
+      registers_u16(unit->registers, REGISTERS_AT_FIT_SCALE) == CORE_FIT_SCALE_REFERENCE;
+  for (unsigned i = 0;
+       task->kind == REGISTERS_JOB_FIT && i <= (ratios ? ETA_OF_REFERENCE : ETA_OF_MEDIA); i++) {
+    if ((etas & 1u << i) == 0) {
+      return wire_error_make(WIRE_STATUS_BAD_VALUE, i == ETA_OF_MEDIA ? "eta" : "reference_eta",
+                             "what is written: a fit has no default for it");
+    }
+  }
+  return modbus_task_commit(task, client);
+}
+
 /* Writes the registers and starts the job. If the job cannot be started, restores the registers. */
 static unsigned commit(struct modbus_unit *unit, struct modbus_task *task, unsigned address,
                        unsigned count, const uint8_t *values, struct client *client) {
@@ -70,7 +99,8 @@ static unsigned commit(struct modbus_unit *unit, struct modbus_task *task, unsig
     before[2 * i + 1] = (uint8_t)unit->registers[address + i];
   }
   registers_write(unit->registers, address, count, values);
-  const wire_error error = modbus_task_commit(task, client);
+  const unsigned etas = etas_after(unit, address, count, values);
+  const wire_error error = start_task(unit, task, etas, client);
   if (error.status != WIRE_STATUS_OK) {
     registers_write(unit->registers, address, count, before);
     return refuse(unit, task, &error,
@@ -120,6 +150,7 @@ unsigned modbus_unit_write(struct modbus_unit *unit, unsigned address, unsigned 
     registers_write(unit->registers, address, count, values);
   }
   if (exception == 0) {
+    unit->etas = etas_after(unit, address, count, values);
     cancel(unit, address, count, values);
   }
   return exception;

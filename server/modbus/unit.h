@@ -29,6 +29,7 @@ struct modbus_unit {
   bool fits;                   /* evaluating: whether the unit is in units->fitting */
   uint64_t answer_ms;          /* fits: when the answer waits no longer, on the loop's clock */
   LIST_ENTRY(modbus_unit) in_fitting;
+  unsigned etas; /* bits: which eta was written since the registers had their defaults */
   struct modbus_task tasks[REGISTERS_JOBS];
   uint16_t registers[REGISTERS_END];
   uint8_t coils[REGISTERS_COILS]; /* each is 0 or 1 */

@@ -265,7 +265,8 @@ class Python(User):
                     self.check(number, result_bytes(client.collect(one)[1]))
                 table = client.table("better", dipole.Medium(0.05, 1.0))
                 self.check("table", table.R(np.linspace(0.1, 5.0, 100)).tobytes())
-                fit = client.fit("better", [0.5, 1.0, 2.0], [0.1, 0.05, 0.01], [0.01] * 3)
+                fit = client.fit("better", [0.5, 1.0, 2.0], [0.1, 0.05, 0.01], [0.01] * 3,
+                                 eta=1.3)
                 self.check("fit", fit.sets.tobytes())
                 self.check("mc", job_bytes(client.mc(**JOB)))
                 self.check("gather", client.gather("better", [SKIN], POINTS, POSITIONS).M.tobytes())

@@ -16,7 +16,7 @@ from pictures import svg_texts
 
 COLUMNS = (
     "sample,sigma_a,sigma_s_prime,sigma_a_error,sigma_s_prime_error,correlation,scale,scale_error,"
-    "chi2,readings,status"
+    "chi2,readings,g,g_from,eta,status"
 )
 AT_MM = np.array([0.5, 1.0, 2.0, 4.0])
 MEDIA = {"milk": Medium(0.01, 1.5, 0.0, 1.4), "skin": Medium(0.05, 1.0, 0.0, 1.4)}
@@ -103,6 +103,25 @@ def test_no_sample_column_and_g_and_eta_of_the_file(readings):
     assert float(found[0]["sigma_s_prime"]) == pytest.approx(1.5, rel=1e-6)
     text = dipole("fit", "--model", "better", stdin=head + data).stdout
     assert "note: similarity: " in text
+
+
+def test_an_eta_has_to_be_given_and_what_was_taken_is_shown(readings):
+    """A wrong eta or g gives wrong coefficients that fit as well."""
+    text = table_of(readings)
+    refused = dipole("fit", "--model", "better", stdin=text, status=USAGE)
+    assert refused.stdout == "" and "sample milk: its eta is not known: give --eta X" in refused.stderr
+    some = "sample,r,R,error,g,eta\n" + text.partition("\n")[2].replace("\n", ",0.8,1.4\n", 4)
+    refused = dipole("fit", "--model", "better", stdin=some, status=USAGE)
+    assert "sample skin: its eta is not known" in refused.stderr
+    for options, taken in (([], ["0.8 file", "0 default"]), (["--g", "0.5"], ["0.8 file", "0.5 option"])):
+        found = rows(dipole("fit", *OPTIONS, *options, "--format", "csv", stdin=some).stdout)
+        assert [f"{row['g']} {row['g_from']}" for row in found] == taken
+        assert {row["eta"] for row in found} == {"1.4"}
+        table = dipole("fit", *OPTIONS, *options, stdin=some).stdout
+        assert all(" ".join([*one.split(), "1.4"]) in " ".join(table.split()) for one in taken)
+        told = json.loads(dipole("fit", *OPTIONS, *options, "--format", "json", stdin=some).stdout)
+        assert [f"{one['g']:g} {one['g_from']} {one['eta']}" for one in told["samples"]] == [
+            f"{one} 1.4" for one in taken]
 
 
 def test_an_aperture_of_the_file_and_of_an_option(readings):
@@ -251,7 +270,7 @@ def test_options_that_the_daemon_refuses(readings):
     text = table_of(readings)
     run = dipole("fit", "--model", "better", "--eta", "0", stdin=text, status=FAILED)
     assert "eta" in run.stderr and "--eta" in run.stderr
-    run = dipole("fit", "--model", "skin-red", stdin=text, status=FAILED)
+    run = dipole("fit", "--model", "skin-red", "--eta", "1.4", stdin=text, status=FAILED)
     assert "coefficients alone" in run.stderr
     run = dipole("fit", "--model", "bettr", stdin=text, status=USAGE)
     assert "better" in run.stderr

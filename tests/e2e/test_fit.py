@@ -76,6 +76,16 @@ def test_g_scales_sigma_s(client):
     np.testing.assert_allclose(found.sigma_s_prime, 1.2, rtol=1e-6)
 
 
+def test_eta_has_to_be_given_and_g_is_shown(client, readings):
+    with pytest.raises(dipole.ArgumentError, match="eta: give the refractive index"):
+        client.fit("better", AT_MM, readings, 0.01 * readings)
+    found = client.fit("better", AT_MM, readings, 0.01 * readings, eta=1.4)
+    assert (found.g, found.eta, found.g_is_default) == (0, 1.4, True)
+    assert "g 0 (default), eta 1.4" in repr(found)
+    found = client.fit("better", AT_MM, readings, 0.01 * readings, eta=1.4, g=0.5)
+    assert "g 0.5, eta 1.4" in repr(found) and not found.g_is_default
+
+
 def test_a_free_factor_and_a_reference(client, readings):
     free = client.fit("better", AT_MM, 7 * readings, 0.07 * readings, eta=1.4, scale="free")
     np.testing.assert_allclose([free.factor, free.sigma_a], [7, 0.03], rtol=1e-5)
@@ -85,7 +95,7 @@ def test_a_free_factor_and_a_reference(client, readings):
     found = client.fit("better", AT_MM, ratio, 0.01 * ratio, eta=1.4, reference=known)
     np.testing.assert_allclose([found.sigma_a, found.sigma_s_prime], [0.03, 1.2], rtol=1e-6)
     with pytest.raises(dipole.ArgumentError, match="reference"):
-        client.fit("better", AT_MM, ratio, ratio, scale="reference")
+        client.fit("better", AT_MM, ratio, ratio, scale="reference", eta=1.3)
 
 
 def test_a_detector_of_small_aperture(client):
@@ -147,7 +157,7 @@ def test_shapes(client, readings):
     assert empty.sets.shape == (2, 1)
     for values, at, errors in ((1.0, [1.0], 1.0), (image, [1, 2], 1), (image, AT_MM, [1.0, 2.0])):
         with pytest.raises(dipole.ArgumentError):
-            client.fit("better", at, values, errors)
+            client.fit("better", at, values, errors, eta=1.4)
 
 
 def test_many_requests_for_an_image(client, readings, monkeypatch):
@@ -199,9 +209,9 @@ def test_readings_that_rise_are_implausible(client):
     at, rising = [1.0, 2.0, 4.0], np.array([1e-3, 1e-2, 1e-1])
     for model in "better", "transport":
         for scale in "absolute", "free":
-            found = client.fit(model, at, rising, 0.01 * rising, scale=scale)
+            found = client.fit(model, at, rising, 0.01 * rising, scale=scale, eta=1.3)
             assert found.status == "implausible" and found.chi_squared > 1e3 and not found.fitted
-    assert client.fit("better", at, rising, rising).status != "implausible"
+    assert client.fit("better", at, rising, rising, eta=1.3).status != "implausible"
 
 
 def test_readings_that_say_too_little(client, readings):
@@ -387,7 +397,7 @@ def test_answers_that_do_not_fit_are_not_taken():
 def test_a_client_asks_again_when_the_daemon_is_gone(daemon, readings):
     one = daemon()
     with dipole.Client(one.url("unix"), retry_s=20.0) as client:
-        before = client.fit("better", AT_MM, readings, 0.01 * readings)
+        before = client.fit("better", AT_MM, readings, 0.01 * readings, eta=1.4)
         client._connection.socket.shutdown(2)
-        after = client.fit("better", AT_MM, readings, 0.01 * readings)
+        after = client.fit("better", AT_MM, readings, 0.01 * readings, eta=1.4)
         assert before.sets.tobytes() == after.sets.tobytes()

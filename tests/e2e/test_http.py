@@ -196,13 +196,15 @@ def test_fit(served, scale):
         values = client.eval("better", media, at).R
         if scale == "reference":
             values = values / client.eval("better", known, at).R
-        options = {"reference": known} if scale == "reference" else {"scale": scale}
+        options = {"eta": 1.3, "reference": known} if scale == "reference" else {
+            "eta": 1.3, "scale": scale}
         expected = client.fit("better", at, values, values * 0.01, residuals=True, **options)
     fields = {"model": "better", "at": at, "values": values.tolist(), "scale": scale}
-    fields["residuals"] = 1
+    fields |= {"residuals": 1, "eta": 1.3}
     if scale == "reference":
-        fields["reference"] = {"sigma_a": 0.1, "sigma_s": 1.2}
+        fields["reference"] = {"sigma_a": 0.1, "sigma_s": 1.2, "eta": 1.3}
     answer = good(post(served, "/v1/fit", errors=(values * 0.01).tolist(), **fields))
+    assert (answer["g"], answer["g_is_default"], answer["eta"]) == (0, True, 1.3)
     assert answer["fitted_count"] == 2 and answer["units"]["sigma_a"] == "1/mm"
     for i, one in enumerate(answer["sets"]):
         assert one["status"] == "fitted"
@@ -210,8 +212,9 @@ def test_fit(served, scale):
         assert one["residuals"] == expected.residuals[i].tolist()
     one_set = good(
         post(served, "/v1/fit", model="better", at=at, values=[0.1, 0.05, 0.01, 1e-3, 1e-4],
-             errors=[0.01] * 5)
+             errors=[0.01] * 5, g=0.5, eta=1.4)
     )
+    assert (one_set["g"], one_set["g_is_default"], one_set["eta"]) == (0.5, False, 1.4)
     assert len(one_set["sets"]) == 1 and "residuals" not in one_set["sets"][0]
 
 
@@ -230,11 +233,14 @@ def test_fit(served, scale):
         ({"axis": "x"}, "axis"),
         ({"residuals": 2}, "residuals"),
         ({"source": [1]}, "source"),
+        ({"eta": None}, "eta"),
+        ({"scale": "reference", "reference": {"sigma_a": 0.1, "sigma_s": 1.0}}, "eta"),
     ],
 )
 def test_faults_of_fits(served, change, field):
     two = [[1, 0.5, 0.2], [1, 0.4, 0.1]]
-    fields = {"model": "better", "at": [1, 2, 3], "values": two, "errors": two, **change}
+    fields = {"model": "better", "at": [1, 2, 3], "values": two, "errors": two, "eta": 1.4,
+              **change}
     answer = post(served, "/v1/fit", **fields)
     assert answer.status == 400 and answer.json["field"] == field, answer.text
 

@@ -376,15 +376,18 @@ def test_instruments_fit_noisy_monte_carlo(request, address, noisy_readings, nam
         pytest.importorskip("pymodbus")
     elif shutil.which("mbpoll") is None:
         pytest.skip("mbpoll is not installed")
-    command = [FITTERS[name], str(EXAMPLES / name), address, "fit", *noisy_readings]
+    command = [FITTERS[name], str(EXAMPLES / name), address, "fit", "eta=1.4", *noisy_readings]
     result = run(*command, env=environment)
     assert result.returncode == 0, result.stdout + result.stderr
     if name == "jobs.sh":
-        a, s, a_error, s_error, chi = map(float, re.findall(r"\]: *\t *(\S+)", result.stdout))
+        numbers = map(float, re.findall(r"\]: *\t *(\S+)", result.stdout))
+        a, s, a_error, s_error, chi, g, eta = numbers
+        assert (g, eta) == (0, 1.4)
     else:
         found = re.findall(r"(\S+) \+- ([^\s,]+)", result.stdout)
         (a, a_error), (s, s_error) = (map(float, pair) for pair in found)
         chi = float(re.search(r"chi-squared (\S+)", result.stdout)[1])
+        assert "with g 0 (default), eta 1.4" in result.stdout
     assert abs(a - 0.03) < 3 * a_error < 0.03 and abs(s - 1.2) < 3 * s_error < 0.6
     assert 0 < chi < 12
 
@@ -396,11 +399,17 @@ def test_instruments_are_told_what_is_no_success(address):
     wrong["1,.001,.0001 2,.01,.001 4,.1,.01"] = "the fit is no success: implausible"
     for readings, said in wrong.items():
         script = str(EXAMPLES / "jobs.py")
-        result = run(sys.executable, script, address, "fit", *readings.split())
+        result = run(sys.executable, script, address, "fit", "eta=1.4", *readings.split())
         assert result.returncode == 1 and said in result.stderr, result.stderr
     if shutil.which("mbpoll") is not None:
-        result = run("sh", str(EXAMPLES / "jobs.sh"), address, "fit", *readings.split())
+        result = run("sh", str(EXAMPLES / "jobs.sh"), address, "fit", "eta=1.4", *readings.split())
         assert result.returncode == 1 and result.stderr == f"{said}\n", result.stderr
+
+
+def test_a_fit_of_readings_needs_their_eta(address):
+    for command in ([sys.executable, "jobs.py"], ["sh", "jobs.sh"]):
+        result = run(command[0], str(EXAMPLES / command[1]), address, "fit", "1,.02,.001", "2,.01,.001")
+        assert result.returncode == 1 and "give eta=X" in result.stderr, result.stderr
 
 
 def test_a_job_that_is_refused_says_why(daemon):

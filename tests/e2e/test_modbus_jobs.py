@@ -531,7 +531,21 @@ def test_a_fit_has_the_values_of_the_wire(master, client):
     values = np.float32(R * [1.01, 0.99, 1.02, 0.98])
     errors = np.float32(0.02 * R)
     master.write(AT["FIT_READING_COUNT"], words(4) + floats(*FIT_AT_MM), unit)
-    assert commit_fit(master, unit, 7, values, errors) == [DONE, 7, 0, 0, 1, 4, 0, 1]
+
+    def refused(register: str) -> None:
+        with exception(BAD_VALUE):
+            commit_fit(master, unit, 7, values, errors)
+        assert as_words(master.read(AT["FIT_ERROR"], 2, unit)) == [BAD_VALUE_STATUS, AT[register]]
+
+    refused("ETA")  # a fit has no default for it
+    master.write(AT["ETA"], floats(1.3), unit)
+    assert commit_fit(master, unit, 7, values, errors)[:4] == [DONE, 7, 0, 0]
+    assert tuple(as_floats(master.read(AT["FIT_G"], 4, unit))) == single([0, 1.3])
+    master.write(AT["DEFAULTS"], words(1), unit)
+    master.write(AT["FIT_READING_COUNT"], words(4) + floats(*FIT_AT_MM), unit)
+    refused("ETA")
+    master.write(AT["ETA"] + MIRROR, floats(1.3)[2:] + floats(1.3)[:2], unit)
+    assert commit_fit(master, unit, 7, values, errors) == [DONE, 7, 0, 0, 2, 4, 0, 1]
     eta = single([1.3])[0]
     found = client.fit("better", FIT_AT_MM, values, errors, eta=eta, residuals=True)
     np.testing.assert_allclose(fit_results(master, unit), expected_results(found), rtol=3e-7)
@@ -545,7 +559,9 @@ def test_a_fit_has_the_values_of_the_wire(master, client):
     reference = np.float32(3 * client.eval("better", single_known, FIT_AT_MM).R[0])
     reference_errors = np.float32(0.01 * reference)
     master.write(AT["FIT_SCALE"], words(3), unit)
-    master.write(AT["FIT_REFERENCE_SIGMA_A"], floats(*known), unit)
+    master.write(AT["FIT_REFERENCE_SIGMA_A"], floats(*known[:3]), unit)
+    refused("FIT_REFERENCE_ETA")
+    master.write(AT["FIT_REFERENCE_ETA"], floats(known[3]), unit)
     master.write(AT["FIT_REFERENCE_READING"], pairs(reference, reference_errors), unit)
     raw, raw_errors = 3 * values, 3 * errors
     assert commit_fit(master, unit, 8, raw, raw_errors)[:2] == [DONE, 8]
@@ -563,6 +579,7 @@ def test_one_request_fits_once_the_design_is_prepared(master, client, count, fib
     R = client.eval("better", single((0.03, 1.2, 0.0, 1.3)), at).R[0]
     master.write(AT["FIT_READING_COUNT"], words(count) + floats(*at), unit)
     master.write(AT["FIT_SOURCE"], floats(fibre_mm, fibre_mm), unit)
+    master.write(AT["ETA"], floats(1.3), unit)
     readings = np.random.default_rng(count).normal(R, 0.02 * R, (20, count))
     for token, values in enumerate(readings, 1):
         written = words(token, 0) + floats(0.0) + pairs(values, 0.02 * R)
@@ -580,7 +597,7 @@ def test_an_answer_that_waits_for_a_fit_ends_with_another_request(slave, client)
     R = client.eval("multipole", single((0.03, 1.2, 0.0, 1.3)), at, parameters={"thickness": 5.0}).R[0]
     readings = floats(0.0) + pairs(R, 0.02 * R)
     with Tcp(slave) as first, Tcp(slave) as second, Tcp(slave) as leaves:
-        setting(first, unit, MODEL=25, PARAMETER_THICKNESS=floats(5.0))
+        setting(first, unit, MODEL=25, ETA=floats(1.3), PARAMETER_THICKNESS=floats(5.0))
         first.write(AT["FIT_READING_COUNT"], words(4) + floats(*at), unit)
         for token in range(1, 7):
             master = leaves if token == 6 else first
@@ -599,6 +616,7 @@ def test_an_answer_that_waits_for_a_fit_ends_with_another_request(slave, client)
 
 def test_a_fit_that_is_no_success_is_not_done(master):
     unit = 91
+    master.write(AT["ETA"], floats(1.3), unit)
     master.write(AT["FIT_READING_COUNT"], words(4) + floats(*FIT_AT_MM), unit)
     rising = np.array([1e-4, 1e-3, 1e-2, 1e-1])
     head = commit_fit(master, unit, 7, rising, 0.01 * rising)

@@ -231,7 +231,7 @@ EXAMPLES = examples()
 def before(name: str) -> list[str]:
     """Returns the examples that come before an example of the same unit."""
     if name.startswith("fit"):
-        order = ["fit-setup", "fit", "fit-again"]
+        order = ["fit-eta", "fit-setup", "fit", "fit-again"]
         return order[: order.index(name)]
     return [name.split("-")[0]] if name.endswith("-read") else []
 

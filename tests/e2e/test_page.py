@@ -318,6 +318,7 @@ def test_pasted_readings_are_fitted(page, served, tmp_path):
     shown = {row[0]: row[1:] for row in page.rows("fitted")}
     assert shown["status"][0] == expected["status"] == "fitted"
     assert float(shown["sigma_a, 1/mm"][0]) == float(expected["sigma_a"])
+    assert shown["g, eta"][0] == "0 (default), 1.4"
     with served.client() as client:
         table = np.loadtxt(io.StringIO(READINGS), delimiter=",", skiprows=1).T
         fits = client.fit("transport", *table, eta=1.4, residuals=True)
@@ -340,6 +341,7 @@ def paste(page, text: str) -> None:
 def paste_narrow(page) -> None:
     """Pastes readings of a detector that sees a twentieth of the light."""
     table = np.loadtxt(io.StringIO(READINGS), delimiter=",", skiprows=1)
+    page.write("fit_eta", "1.3")
     lines = [f"{r},{0.05 * R},{0.005 * R},0.22" for r, R, _ in table]
     paste(page, "\n".join(["r,R,error,detector_na", *lines]))
     page.settle()
@@ -352,7 +354,7 @@ def full(value) -> str:
 def test_readings_that_are_wrong_are_told(page):
     page.open()
     for text, said in [("r,R\n1,2\n", "no column error"), ("r,R,error\n1,x,2\n", "Line 2"),
-                       ("r,R,error,z\n1,1,1,1\n", "Column z")]:
+                       ("r,R,error,z\n1,1,1,1\n", "Column z"), (READINGS, "Give eta")]:
         paste(page, text)
         page.run("await page.waitForFunction(said => document.getElementById('fit-problem')"
                  ".textContent.includes(said), {}, given)", said)

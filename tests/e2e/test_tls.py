@@ -291,7 +291,7 @@ ASKED = {
     "compute": [
         lambda one: one.table("better", dipole.Medium(0.05, 1.0)),
         lambda one: one.mc(dipole.Medium(0.05, 1.0), dipole.Grid(0.0, 5.0, 3), photons=1000),
-        lambda one: one.fit("better", [0.5, 1.0, 2.0], [0.1, 0.05, 0.01], [0.01] * 3),
+        lambda one: one.fit("better", [0.5, 1.0, 2.0], [0.1, 0.05, 0.01], [0.01] * 3, eta=1.3),
         lambda one: one.gather("better", [SKIN], dipole.Points([[0, 0, 0]], [[1]]), [[1, 0, 0]]),
     ],
     "observe": [lambda one: one.statistics()],

@@ -237,8 +237,8 @@ class Client:
         place, reference names the Medium whose readings, by the same instrument, the values were
         divided by. source, detector: diameters of the discs that emit and detect the light, mm, one
         for all readings or [N]; the detector sees light of all angles, unless parameters has
-        {"detector_na": NA / the index outside}. residuals: whether they are wanted. g=0.0 and eta=1.3 hold for all
-        sets. moments, parameters, deadline_ms: as of a Query; large images are sent in several
+        {"detector_na": NA / the index outside}. residuals: whether they are wanted. eta, which has to be
+        given, and g=0.0 hold for all sets. moments, parameters, deadline_ms: as of a Query; large images are sent in several
         requests, and the deadline holds for each.
         """
         deadline_ms = options.pop("deadline_ms", 0)

@@ -25,6 +25,8 @@ class Design(NamedTuple):
     values: Array  # [sets, readings]
     errors: Array
     wants_residuals: bool
+    g: float | None  # None: not given, so that it is 0
+    eta: float
 
 
 class Part(NamedTuple):
@@ -102,13 +104,15 @@ def design(
     reference: Media | None = None,
     source: Any = 0.0,
     detector: Any = 0.0,
-    g: float = 0.0,
-    eta: float = 1.3,
+    g: float | None = None,
+    eta: float | None = None,
     moments: str | int = "exact",
     parameters: Mapping[str, float | str] | None = None,
     residuals: bool = False,
 ) -> Design:
     """See Client.fit()."""
+    if eta is None:
+        raise ArgumentError("eta: give the refractive index inside over outside: it has no default")
     readings, spread = _arrays(values, errors)
     count = readings.shape[-1]
     scale_id = id_of(info, "scale", "reference" if reference is not None else scale)
@@ -120,7 +124,7 @@ def design(
         scale=scale_id,
         reading_count=count,
         parameter_count=len(listed),
-        g=float(g),
+        g=float(g or 0.0),
         eta=float(eta),
     )
     medium = b""
@@ -139,6 +143,8 @@ def design(
         values=readings.reshape(-1, count),
         errors=spread.reshape(-1, count),
         wants_residuals=residuals,
+        g=None if g is None else float(g),
+        eta=float(eta),
     )
 
 
@@ -165,7 +171,7 @@ class Collected:
 
     def __init__(self, info: Info, made: Design):
         self._info = info
-        self._shape = made.shape
+        self._made = made
         self._sets = np.empty(len(made.values), _SETS)
         self._residuals = np.empty_like(made.values) if made.wants_residuals else None
 
@@ -179,6 +185,8 @@ class Collected:
         self._sets.setflags(write=False)
         residuals = self._residuals
         if residuals is not None:
-            residuals = residuals.reshape(*self._shape, residuals.shape[-1])
+            residuals = residuals.reshape(*self._made.shape, residuals.shape[-1])
         names = {choice.id: name for name, choice in self._info.choices["fit_status"].items()}
-        return Fits(self._sets.reshape(self._shape), residuals, names)
+        made = self._made
+        return Fits(self._sets.reshape(made.shape), residuals, names, made.g or 0.0, made.eta,
+                    made.g is None)

@@ -384,6 +384,9 @@ class Fits:
     sets: Array  # a structured array with the fields of `fitted` in PROTOCOL.md
     residuals: Array | None  # [..., N]: (value - factor model) / error; None if not wanted
     status_names: dict[int, str]  # the name of each number of `sets["status"]`
+    g: float  # of all media
+    eta: float
+    g_is_default: bool  # whether g was not given
 
     def __repr__(self) -> str:
         counts = ", ".join(
@@ -394,7 +397,8 @@ class Fits:
         return in_short(
             f"<Fits: {counted(self.sets.size, 'set', 'sets')} of shape {self.sets.shape}: {counts}",
             f"sigma_a {span(self.sigma_a)} 1/mm, sigma_s' {span(self.sigma_s_prime)} 1/mm, "
-            f"reduced chi-squared {span(self.sets['reduced_chi_squared'])}, "
+            f"reduced chi-squared {span(self.sets['reduced_chi_squared'])}",
+            f"g {self.g:g}{' (default)' if self.g_is_default else ''}, eta {self.eta:g}, "
             f"model_error {span(self.model_error)}>",
         )
 
