@@ -370,6 +370,7 @@ static int run(struct daemon *daemon) {
       !access_read_option("allow", &server->options.allow, &access_anyone, &server->allow)) {
     return 2;
   }
+  server->buffers.most = server->options.max_total_bytes;
   signal(SIGPIPE, SIG_IGN);
   const int error = log_start();
   if (error != 0) {

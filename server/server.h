@@ -18,12 +18,19 @@ struct modbus_service;
 struct tls;
 struct worker;
 
+/* Memory for buffers: of all connections, or a share of it for some of them. */
+struct budget {
+  _Atomic uint64_t bytes; /* in use */
+  uint64_t most;
+  struct budget *whole; /* where the bytes count too; NULL: this is no share */
+};
+
 struct server {
   struct options options;
   struct access allow; /* who may use the binary protocol over TCP */
   const core_isa *isa;
   struct stats stats;
-  _Atomic uint64_t buffer_bytes; /* memory that the buffers of all connections hold */
+  struct budget buffers;   /* of all connections (--max-total-bytes) */
   _Atomic uint64_t points_sent_bytes; /* memory of sets of points that are still being sent */
   uint64_t started_ns;
   _Atomic bool draining;         /* whether the daemon stops and takes no new clients */
@@ -44,25 +51,29 @@ static inline uint64_t server_worker_count(const struct server *server) {
   return server->options.workers + (server->options.http != NULL) + (server->tls != NULL);
 }
 
-/* Takes bytes from the budget of all buffers (--max-total-bytes). If too few bytes are left, takes
- * none and returns false. */
-static inline bool server_take_bytes(struct server *server, uint64_t bytes) {
-  if (atomic_fetch_add(&server->buffer_bytes, bytes) + bytes <= server->options.max_total_bytes) {
+/* Takes bytes. If too few are left, takes none and returns false. */
+static inline bool budget_take(struct budget *budget, uint64_t bytes) {
+  if (atomic_fetch_add(&budget->bytes, bytes) + bytes <= budget->most &&
+      (budget->whole == NULL || budget_take(budget->whole, bytes))) {
     return true;
   }
-  atomic_fetch_sub(&server->buffer_bytes, bytes);
+  atomic_fetch_sub(&budget->bytes, bytes);
   return false;
 }
 
 /* Counts the first buffers of a connection, even beyond the budget, so that small requests and
- * errors are answered however much memory large requests hold. max_connections bounds these
- * buffers. */
-static inline void server_take_base_bytes(struct server *server, uint64_t bytes) {
-  atomic_fetch_add(&server->buffer_bytes, bytes);
+ * errors are answered however much memory large requests hold. The limits of connections bound
+ * these buffers. */
+static inline void budget_take_base(struct budget *budget, uint64_t bytes) {
+  for (; budget != NULL; budget = budget->whole) {
+    atomic_fetch_add(&budget->bytes, bytes);
+  }
 }
 
-static inline void server_return_bytes(struct server *server, uint64_t bytes) {
-  atomic_fetch_sub(&server->buffer_bytes, bytes);
+static inline void budget_return(struct budget *budget, uint64_t bytes) {
+  for (; budget != NULL; budget = budget->whole) {
+    atomic_fetch_sub(&budget->bytes, bytes);
+  }
 }
 
 #endif

@@ -90,6 +90,8 @@ static void on_wake(void *owner) {
 }
 
 static void init_requests(struct http_connection *c) {
+  output_init(&c->output, c->host->server);
+  c->output.budget = &c->host->buffers;
   requests_init(&c->requests, &c->input, &c->output, on_wake, c);
   c->requests.whole = true;
 }
@@ -104,12 +106,12 @@ static void open_connection(struct http_host *host, struct MHD_Connection *handl
   c->host = host;
   c->handle = handle;
   c->fd = host->library.get_connection_info(handle, MHD_CONNECTION_INFO_CONNECTION_FD)->connect_fd;
-  http_text_init(&c->query, host->server);
-  http_text_init(&c->body, host->server);
-  http_text_init(&c->payload, host->server);
-  http_text_init(&c->answer, host->server);
+  http_text_init(&c->query, &host->buffers);
+  http_text_init(&c->body, &host->buffers);
+  http_text_init(&c->payload, &host->buffers);
+  http_text_init(&c->answer, &host->buffers);
   input_init(&c->input, host->server);
-  output_init(&c->output, host->server);
+  c->input.budget = &host->buffers;
   init_requests(c);
   host->connection_count++;
   worker_adopt(host->worker, &c->client);
@@ -297,12 +299,22 @@ static wire_error too_large(const struct http_connection *c, const char *field) 
 static void give_up(struct http_connection *c) {
   batch_finish(&worker_context(c->host->worker)->batch, &c->host->server->stats);
   requests_drop(&c->requests);
+  output_free(&c->output);
   init_requests(c);
   c->requests.context = worker_context(c->host->worker);
   c->requests.profiles = &c->client.profiles;
   input_discard(&c->input);
-  output_free(&c->output);
-  output_init(&c->output, c->host->server);
+}
+
+/* Frees what has become the text of an answer, if it is much, so that a slow reader holds the text
+ * alone. */
+static void free_frames(struct http_connection *c) {
+  http_text_reset(&c->payload);
+  http_text_trim(&c->answer);
+  if (c->input.large || c->output.spare_bytes > 0) {
+    input_release(&c->input);
+    output_release(&c->output);
+  }
 }
 
 static void write_reply(struct http_connection *c, const uint8_t *payload, size_t bytes) {
@@ -333,6 +345,7 @@ static enum MHD_Result send_answer(struct http_connection *c) {
     write_reply(c, payload, header.payload_bytes);
   }
   output_consume(&c->output, WIRE_BYTES_header + header.payload_bytes);
+  free_frames(c);
   return refused || c->answer.failed ? send_error(c, &error, 0) : send_text(c, MHD_HTTP_OK, 0);
 }
 
@@ -467,7 +480,8 @@ static wire_error translate(struct http_connection *c, uint32_t *deadline_ms) {
                               (size_t)options_of(c)->max_part_bytes / BRACKET_BYTES)
           : http_values_parse_query(&values, c->query.count > 0 ? c->query.bytes : none);
   if (error.status == WIRE_STATUS_OK) {
-    error = http_question_translate(c->route.message, &values, &c->payload, deadline_ms,
+    error = http_question_translate(c->route.message, &values, &c->payload,
+                                    (size_t)options_of(c)->max_part_bytes, deadline_ms,
                                     &c->g_is_default);
     http_values_free(&values);
   }
@@ -477,10 +491,7 @@ static wire_error translate(struct http_connection *c, uint32_t *deadline_ms) {
 
 static enum MHD_Result answer_message(struct http_connection *c) {
   uint32_t deadline_ms = 0;
-  wire_error error = translate(c, &deadline_ms);
-  if (error.status == WIRE_STATUS_OK && c->payload.count > options_of(c)->max_part_bytes) {
-    error = too_large(c, "body");
-  }
+  const wire_error error = translate(c, &deadline_ms);
   if (error.status != WIRE_STATUS_OK) {
     stats_count_request(&c->host->server->stats, c->route.message->type);
     stats_count_answer(&c->host->server->stats, error.status);
@@ -727,6 +738,10 @@ static void tick(struct client *client, uint64_t at_ms) {
   if (c->state == RUNS && is_abandoned(c)) {
     give_up(c);
     resume(c, GIVEN_UP);
+  }
+  if (c->state == ANSWERED) { /* A slow reader has no use for them. */
+    input_release(&c->input);
+    output_release(&c->output);
   }
   if (c->state != AWAITS && c->state != RECEIVES) {
     return;

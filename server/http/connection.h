@@ -20,6 +20,7 @@ struct http_host {
   struct server *server;
   struct worker *worker;
   struct http_library library;
+  struct budget buffers; /* half of the server's */
   uint64_t connection_count;
   bool stopping; /* whether the daemon stops */
   /* Called after a suspended connection has been resumed. */

@@ -18,16 +18,13 @@ WIRE_COLD static wire_error bad(const char *field, const char *allowed) {
   return wire_error_make(WIRE_STATUS_BAD_VALUE, field, allowed);
 }
 
-WIRE_COLD static wire_error no_memory(void) {
-  return wire_error_busy("max_total_bytes", "less at a time: max_total_bytes are in use", 1000);
-}
-
 /* ---- the payload ----------------------------------------------------------------------------- */
 
 struct question {
   const struct http_message *message;
   const struct http_values *values;
   struct http_text *payload;
+  size_t bytes_max; /* of the payload */
   uint32_t medium_count;
   uint32_t parameter_count;
   bool g_is_default;
@@ -65,13 +62,20 @@ static void put_le(uint8_t *at, uint64_t number, size_t bytes) {
   }
 }
 
-/* Adds bytes, which start as 0, to the payload. Returns NULL if there is no memory. */
-static uint8_t *add(const struct question *q, size_t bytes) {
-  char *at = http_text_room(q->payload, bytes);
-  if (at != NULL) {
-    memset(at, 0, bytes);
-    q->payload->count += bytes;
+/* Adds bytes, which start as 0, to the payload. On failure returns NULL. */
+static uint8_t *add(struct question *q, size_t bytes) {
+  if (bytes > q->bytes_max - q->payload->count) {
+    fail(q, wire_error_make(WIRE_STATUS_TOO_LARGE, "body",
+                            "over HTTP as many values as a frame of max_part_bytes holds"));
+    return NULL;
   }
+  char *at = http_text_room(q->payload, bytes);
+  if (at == NULL) {
+    fail(q, wire_error_busy("max_total_bytes", "less at a time: max_total_bytes are in use", 1000));
+    return NULL;
+  }
+  memset(at, 0, bytes);
+  q->payload->count += bytes;
   return (uint8_t *)at;
 }
 
@@ -82,7 +86,7 @@ static bool add_medium(struct question *q, const wire_medium *medium) {
   }
   uint8_t *at = add(q, WIRE_BYTES_medium);
   if (at == NULL) {
-    return fail(q, no_memory());
+    return false;
   }
   wire_put_medium(at, medium);
   q->medium_count++;
@@ -187,7 +191,7 @@ static bool add_reference(struct question *q) {
   }
   uint8_t *at = add(q, WIRE_BYTES_medium);
   if (at == NULL) {
-    return fail(q, no_memory());
+    return false;
   }
   wire_put_medium(at, &medium);
   return true;
@@ -272,7 +276,7 @@ static bool add_parameters(struct question *q) {
     parameter.value = list != NULL && id > 0 ? (double)id : parameter.value;
     uint8_t *at = add(q, WIRE_BYTES_parameter);
     if (at == NULL) {
-      return fail(q, no_memory());
+      return false;
     }
     wire_put_parameter(at, &parameter);
     q->parameter_count++;
@@ -294,7 +298,7 @@ static bool add_numbers(struct question *q, const char *name, struct http_value 
   struct http_elements elements = http_elements_of(list);
   uint8_t *at = add(q, (size_t)wire_padded(count * bytes));
   if (at == NULL) {
-    return fail(q, no_memory());
+    return false;
   }
   for (size_t i = 0; i < count; i++, at += bytes) {
     double number;
@@ -627,7 +631,7 @@ static bool add_list(struct question *q, const struct http_list *list, bool sing
   const struct http_value value = get(q, list->name), first = get(q, q->message->lists[0].name);
   const size_t count = http_value_given(first) ? http_value_count(first) : 0;
   if (!http_value_given(value) && list->kind == HTTP_ZEROS) {
-    return add(q, count * sizeof(double)) != NULL || fail(q, no_memory());
+    return add(q, count * sizeof(double)) != NULL;
   }
   if (list->kind == HTTP_EACH) {
     return add_each(q, list->name, value, single);
@@ -649,7 +653,7 @@ static bool add_positions(struct question *q) {
   const size_t count = longest(q);
   uint8_t *all = add(q, count * GATHER_AXES * sizeof(double));
   if (all == NULL) {
-    return fail(q, no_memory());
+    return false;
   }
   for (size_t axis = 0; axis < GATHER_AXES; axis++) {
     const char *name = q->message->lists[axis].name;
@@ -678,7 +682,7 @@ static bool add_powers(struct question *q, const char *name, struct http_value l
   const size_t count = longest(q), channels = sets_of(list);
   uint8_t *all = add(q, (size_t)wire_padded(count * channels * sizeof(float)));
   if (all == NULL) {
-    return fail(q, no_memory());
+    return false;
   }
   for (size_t c = 0; c < channels; c++) {
     const struct http_value set =
@@ -720,9 +724,13 @@ static bool name_points(struct question *q) {
 
 static bool add_points(struct question *q) {
   const struct http_value power = get(q, "power");
-  return add_positions(q) &&
-         (http_value_given(power) || fail(q, bad("power", "numbers: it has to be given"))) &&
-         add_powers(q, "power", power) && name_points(q);
+  if (!http_value_given(power)) {
+    return fail(q, bad("power", "numbers: it has to be given"));
+  }
+  _Static_assert(CORE_GATHER_CHANNELS_MAX == 8, "the error says so");
+  return (sets_of(power) <= CORE_GATHER_CHANNELS_MAX ||
+          fail(q, wire_error_make(WIRE_STATUS_BAD_COUNT, "channel_count", "1 to 8"))) &&
+         add_positions(q) && add_powers(q, "power", power) && name_points(q);
 }
 
 static bool add_all_lists(struct question *q, bool single) {
@@ -752,8 +760,8 @@ static bool put_all(struct question *q, uint32_t *deadline_ms) {
   bool single = false;
   bool good = check_keys(q) && read_deadline(q, deadline_ms) &&
               (message->type != WIRE_TYPE_VARYING || check_pairs(q)) &&
-              (add(q, bytes_of(message)) != NULL || fail(q, no_memory())) && add_media(q) &&
-              add_parameters(q) && add_reference(q);
+              add(q, bytes_of(message)) != NULL && add_media(q) && add_parameters(q) &&
+              add_reference(q);
   for (int i = 0; good && i < HTTP_STRUCTURES && message->request[i] != NULL; i++) {
     good = put_fixed(q, message->request[i], &offset, &single);
   }
@@ -762,8 +770,9 @@ static bool put_all(struct question *q, uint32_t *deadline_ms) {
 
 wire_error http_question_translate(const struct http_message *message,
                                    const struct http_values *values, struct http_text *payload,
-                                   uint32_t *deadline_ms, bool *g_is_default) {
-  struct question q = {.message = message, .values = values, .payload = payload};
+                                    size_t bytes_max, uint32_t *deadline_ms, bool *g_is_default) {
+  struct question q = {
+      .message = message, .values = values, .payload = payload, .bytes_max = bytes_max};
   *deadline_ms = 0;
   const bool good = put_all(&q, deadline_ms);
   *g_is_default = q.g_is_default;

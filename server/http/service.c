@@ -53,6 +53,7 @@ static void start(struct client *client) {
   uv_poll_init(worker_loop(client->worker), &service->poll, fd);
   service->poll.data = service;
   uv_poll_start(&service->poll, UV_READABLE, on_event);
+  worker_context(client->worker)->buffers = &service->host.buffers;
 }
 
 static void run(struct client *client) {
@@ -105,7 +106,7 @@ static struct MHD_Daemon *start_daemon(struct http_service *service) {
       MHD_USE_EPOLL | MHD_ALLOW_SUSPEND_RESUME, 0, admit, host, http_connection_take, host,
       MHD_OPTION_LISTEN_SOCKET, service->fd, MHD_OPTION_CONNECTION_LIMIT,
       (unsigned)options->max_http_connections + REFUSALS_AT_ONCE, MHD_OPTION_CONNECTION_TIMEOUT,
-      (unsigned)(options->idle_timeout_ms + 999) / 1000, MHD_OPTION_CONNECTION_MEMORY_LIMIT,
+      (unsigned)(options->frame_timeout_ms + 999) / 1000, MHD_OPTION_CONNECTION_MEMORY_LIMIT,
       (size_t)HTTP_CONNECTION_BYTES, MHD_OPTION_UNESCAPE_CALLBACK, http_library_leave_escaped, NULL,
       MHD_OPTION_URI_LOG_CALLBACK, http_connection_begin, host, MHD_OPTION_NOTIFY_COMPLETED,
       http_connection_complete, host, MHD_OPTION_NOTIFY_CONNECTION, http_connection_notify, host,
@@ -127,7 +128,11 @@ struct http_service *http_service_open(struct server *server, struct worker *wor
     return NULL;
   }
   service->client.kind = &kind;
-  service->host = (struct http_host){.server = server, .worker = worker, .on_resumed = on_resumed};
+  service->host = (struct http_host){
+      .server = server,
+      .worker = worker,
+      .buffers = {.most = server->options.max_total_bytes / 2, .whole = &server->buffers},
+      .on_resumed = on_resumed};
   service->fd = http_library_listen("http", server->options.http);
   if (service->fd < 0) {
     free(service);

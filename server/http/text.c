@@ -10,8 +10,8 @@
 
 enum { FIRST_BYTES = 4096, KEPT_BYTES = 16384 };
 
-void http_text_init(struct http_text *text, struct server *server) {
-  *text = (struct http_text){.server = server};
+void http_text_init(struct http_text *text, struct budget *budget) {
+  *text = (struct http_text){.budget = budget};
 }
 
 void http_text_reset(struct http_text *text) {
@@ -24,8 +24,18 @@ void http_text_reset(struct http_text *text) {
 
 void http_text_free(struct http_text *text) {
   free(text->bytes);
-  server_return_bytes(text->server, text->capacity);
-  *text = (struct http_text){.server = text->server};
+  budget_return(text->budget, text->capacity);
+  *text = (struct http_text){.budget = text->budget};
+}
+
+void http_text_trim(struct http_text *text) {
+  char *bytes =
+      text->capacity > KEPT_BYTES && text->count > 0 ? realloc(text->bytes, text->count) : NULL;
+  if (bytes != NULL) {
+    budget_return(text->budget, text->capacity - text->count);
+    text->bytes = bytes;
+    text->capacity = text->count;
+  }
 }
 
 static bool grow(struct http_text *text, size_t wanted) {
@@ -33,12 +43,14 @@ static bool grow(struct http_text *text, size_t wanted) {
   while (capacity < wanted) {
     capacity *= 2;
   }
-  if (!server_take_bytes(text->server, capacity - text->capacity)) {
+  if (capacity <= KEPT_BYTES) {
+    budget_take_base(text->budget, capacity - text->capacity);
+  } else if (!budget_take(text->budget, capacity - text->capacity)) {
     return false;
   }
   char *bytes = realloc(text->bytes, capacity);
   if (bytes == NULL) {
-    server_return_bytes(text->server, capacity - text->capacity);
+    budget_return(text->budget, capacity - text->capacity);
     return false;
   }
   text->bytes = bytes;

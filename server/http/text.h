@@ -5,7 +5,7 @@
 #include "server/server.h"
 
 struct http_text {
-  struct server *server;
+  struct budget *budget;
   char *bytes; /* without a zero byte at the end; NULL before the first one */
   size_t count;
   size_t capacity;
@@ -20,10 +20,13 @@ struct http_key {
   size_t count;
 };
 
-void http_text_init(struct http_text *text, struct server *server);
+void http_text_init(struct http_text *text, struct budget *budget);
 
 /* Empties the text. Keeps its memory for the next one if that is not much. */
 void http_text_reset(struct http_text *text);
+
+/* Frees the memory behind the text, if that is much. */
+void http_text_trim(struct http_text *text);
 
 /* Frees the bytes and returns their memory to the budget. */
 void http_text_free(struct http_text *text);

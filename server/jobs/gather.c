@@ -99,13 +99,13 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
   if (error.status != WIRE_STATUS_OK) {
     return job_refuse(job, error);
   }
-  if (!server_take_bytes(job->context->server, sizeof *gather->work)) {
+  if (!budget_take(job->context->buffers, sizeof *gather->work)) {
     return job_refuse(job, job_busy());
   }
   gather->bytes = sizeof *gather->work;
   gather->work = new_work(gather, from);
   if (gather->work == NULL) {
-    server_return_bytes(job->context->server, gather->bytes);
+    budget_return(job->context->buffers, gather->bytes);
     return job_refuse(job, job_busy());
   }
   gather->checked = 0;
@@ -170,10 +170,9 @@ static enum job_outcome prepare_channel(struct gather_job *gather) {
 
 /* Takes memory for the scratch, which points of this number need. */
 static wire_error open_scratch(struct gather_job *gather) {
-  struct server *server = gather->job.context->server;
   struct gather_work *work = gather->work;
   const uint64_t bytes = core_gather_scratch_bytes();
-  if (!server_take_bytes(server, bytes)) {
+  if (!budget_take(gather->job.context->buffers, bytes)) {
     return job_busy();
   }
   gather->bytes += bytes;
@@ -415,7 +414,7 @@ static void end(struct job *job) {
   }
   profiles_return(&work->set);
   free(work);
-  server_return_bytes(job->context->server, gather->bytes);
+  budget_return(job->context->buffers, gather->bytes);
 }
 
 const struct job_kind job_kind_GATHER = {

@@ -51,6 +51,7 @@ enum { JOB_DRAW_RADII = JOB_SLICE_RADII / 4 };
 /* The state that all jobs of one worker share. Only the thread of that worker uses it. */
 struct job_context {
   struct server *server;
+  struct budget *buffers; /* what jobs take memory from, beside their answers */
   uv_loop_t *loop;
   struct latency *latency;
   struct profiles profiles;

@@ -262,7 +262,7 @@ static void free_job(struct mc_job *job) {
     core_mc_batch_free(job->batches[i].walk);
   }
   mc_task_close(&job->task);
-  server_return_bytes(job->pool->server, job->bytes);
+  budget_return(&job->pool->server->buffers, job->bytes);
   free(job);
 }
 
@@ -378,12 +378,12 @@ void mc_pool_free(struct mc_pool *pool) {
 static struct mc_job *new_job(struct mc_pool *pool, const struct mc_task *task, uv_async_t *to) {
   const size_t batches = BATCHES_PER_THREAD * (size_t)pool->server->options.mc_threads;
   const uint64_t bytes = mc_task_bytes(task, batches);
-  if (!server_take_bytes(pool->server, bytes)) {
+  if (!budget_take(&pool->server->buffers, bytes)) {
     return NULL;
   }
   struct mc_job *job = calloc(1, sizeof *job + batches * sizeof job->batches[0]);
   if (job == NULL) {
-    server_return_bytes(pool->server, bytes);
+    budget_return(&pool->server->buffers, bytes);
     return NULL;
   }
   job->pool = pool;

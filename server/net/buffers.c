@@ -14,32 +14,33 @@ enum { BASE_BYTES = 65536, GROWTH = 8 };
 enum { TRIM_MS = 1000 };
 
 void input_init(struct input *input, struct server *server) {
-  *input = (struct input){.server = server};
+  *input = (struct input){.server = server, .budget = &server->buffers};
 }
 
 void input_free(struct input *input) {
-  server_return_bytes(input->server, input->capacity);
+  budget_return(input->budget, input->capacity);
   free(input->bytes);
   input->bytes = NULL;
   input->capacity = input->begin = input->end = 0;
+  input->large = false;
 }
 
 static bool resize(struct input *input, size_t capacity) {
   if (capacity == BASE_BYTES && input->capacity == 0) {
-    server_take_base_bytes(input->server, capacity);
+    budget_take_base(input->budget, capacity);
   } else if (capacity > input->capacity &&
-             !server_take_bytes(input->server, capacity - input->capacity)) {
+             !budget_take(input->budget, capacity - input->capacity)) {
     return false;
   }
   uint8_t *bytes = realloc(input->bytes, capacity);
   if (bytes == NULL) {
     if (capacity > input->capacity) {
-      server_return_bytes(input->server, capacity - input->capacity);
+      budget_return(input->budget, capacity - input->capacity);
     }
     return false;
   }
   if (capacity < input->capacity) {
-    server_return_bytes(input->server, input->capacity - capacity);
+    budget_return(input->budget, input->capacity - capacity);
   }
   input->bytes = bytes;
   input->capacity = capacity;
@@ -185,12 +186,12 @@ bool input_take(struct input *input, const wire_header *header, struct input_blo
   const size_t frame_bytes = WIRE_BYTES_header + (size_t)header->payload_bytes;
   const uint8_t *frame = input->bytes + input->begin;
   if (frame_bytes <= BASE_BYTES) {
-    if (!server_take_bytes(input->server, frame_bytes)) {
+    if (!budget_take(input->budget, frame_bytes)) {
       return false;
     }
     uint8_t *bytes = malloc(frame_bytes);
     if (bytes == NULL) {
-      server_return_bytes(input->server, frame_bytes);
+      budget_return(input->budget, frame_bytes);
       return false;
     }
     memcpy(bytes, frame, frame_bytes);
@@ -214,7 +215,7 @@ bool input_take(struct input *input, const wire_header *header, struct input_blo
 }
 
 void input_free_block(struct input *input, struct input_block *block) {
-  server_return_bytes(input->server, block->capacity);
+  budget_return(input->budget, block->capacity);
   free(block->bytes);
   *block = (struct input_block){0};
 }
@@ -294,11 +295,11 @@ struct output_chunk {
 };
 
 void output_init(struct output *output, struct server *server) {
-  *output = (struct output){.server = server};
+  *output = (struct output){.server = server, .budget = &server->buffers};
 }
 
 static void free_chunk(struct output *output, struct output_chunk *chunk) {
-  server_return_bytes(output->server, chunk->capacity);
+  budget_return(output->budget, chunk->capacity);
   free(chunk);
 }
 
@@ -370,13 +371,13 @@ static struct output_chunk *take_spare(struct output *output, size_t bytes) {
 static struct output_chunk *new_chunk(struct output *output, size_t bytes) {
   const size_t capacity = bytes > CHUNK_BYTES ? bytes : CHUNK_BYTES;
   if (output->first == NULL && capacity == CHUNK_BYTES) {
-    server_take_base_bytes(output->server, capacity);
-  } else if (!server_take_bytes(output->server, capacity)) {
+    budget_take_base(output->budget, capacity);
+  } else if (!budget_take(output->budget, capacity)) {
     return NULL;
   }
   struct output_chunk *chunk = malloc(sizeof *chunk + capacity);
   if (chunk == NULL) {
-    server_return_bytes(output->server, capacity);
+    budget_return(output->budget, capacity);
     return NULL;
   }
   *chunk = (struct output_chunk){.capacity = capacity};

@@ -3,8 +3,8 @@
  * The input holds bytes that have arrived and have not been dealt with, as frames. Payloads are
  * used in place. The output holds answers that wait to be written, in chunks. Kernels write their
  * results into a chunk and the socket reads them from there, so nothing is copied. Small answers
- * share a chunk; a large one has its own. The input and the output count against the server's
- * budget of bytes.
+ * share a chunk; a large one has its own. The input and the output count against a budget of
+ * bytes: the server's, unless the owner sets another one before it uses them.
  */
 #ifndef DIPOLED_BUFFERS_H
 #define DIPOLED_BUFFERS_H
@@ -28,6 +28,7 @@ enum { INPUT_MARKS = 16 };
 
 struct input {
   struct server *server;
+  struct budget *budget;
   uint8_t *bytes;
   size_t capacity;
   size_t begin;         /* where the first frame begins that has not been dealt with */
@@ -117,6 +118,7 @@ struct output_chunk;
 
 struct output {
   struct server *server;
+  struct budget *budget;
   struct output_chunk *first;
   struct output_chunk *last;
   struct output_chunk *spares; /* chunks that have been written, kept for the next answers */

@@ -315,6 +315,7 @@ int worker_open(struct worker *worker, struct server *server) {
   TAILQ_INIT(&worker->going_on[1]);
   TAILQ_INIT(&worker->finish_queue);
   worker->context.server = server;
+  worker->context.buffers = &server->buffers;
   worker->context.loop = &worker->loop;
   worker->context.latency = &server->latencies[worker - server->workers];
   profiles_init(&worker->context.profiles, server, &worker->loop, wake, worker);

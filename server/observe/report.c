@@ -50,7 +50,7 @@ static uint64_t computed_POINTS_SENT_BYTES(const struct reporter *to) {
 }
 
 static uint64_t computed_BUFFER_BYTES(const struct reporter *to) {
-  return atomic_load(&to->server->buffer_bytes);
+  return atomic_load(&to->server->buffers.bytes);
 }
 
 static uint64_t computed_RADII_EVALUATED(const struct reporter *to) {

@@ -159,10 +159,10 @@ class Daemon:
 
     # ---- looking at it ---------------------------------------------------------------------------
 
-    def resident_bytes(self) -> int:
-        """Returns the resident memory of the daemon."""
+    def resident_bytes(self, name: str = "VmRSS") -> int:
+        """Returns the resident memory of the daemon; VmHWM: the most that it has been."""
         status = Path(f"/proc/{self.process.pid}/status").read_text()
-        line = next(line for line in status.splitlines() if line.startswith("VmRSS:"))
+        line = next(line for line in status.splitlines() if line.startswith(f"{name}:"))
         return int(line.split()[1]) * 1024
 
     def allocations(self) -> int:

@@ -710,6 +710,83 @@ def test_a_chunked_body_is_bounded(daemon):
     assert good(get(one, "/healthz")) == {"status": "ok"}
 
 
+def test_a_payload_is_refused_before_it_is_made(daemon):
+    """The numbers of a body may make a payload that is many times as large."""
+    one = daemon("--http", "127.0.0.1:0")
+    zeros, before = [0] * 200_000, one.resident_bytes("VmHWM")
+    medium = {"sigma_a": 1, "sigma_s": 1}
+    for name, fields, field in [
+        ("points", {"x": zeros, "y": 0, "z": 0, "power": [[1]] * 600}, "channel_count"),
+        ("points", {"x": zeros, "y": 0, "z": 0, "power": [[1]] * 8}, "body"),
+        ("points", {"x": zeros[:40_000], "y": 0, "z": 0, "power": [[1]] * 8}, "body"),
+        ("gather", {"x": zeros, "y": 0, "z": 0, "set": "0" * 32, **medium}, "body"),
+        ("eval", {"sigma_a": zeros, "sigma_s": 1, "r": 1}, "body"),
+        ("eval", {"medium": ["skin1"] * 100_000, "r": 1}, "body"),
+        ("sample", {**medium, "u": zeros, "model": "better"}, "body"),
+        ("invert", {"albedo": zeros[:90_000], "length": zeros[:90_000], "given": "mean-free-path"},
+         "body"),
+        ("fit", {"at": zeros[:90_000], "values": zeros[:90_000], "errors": zeros[:90_000]}, "body"),
+        ("varying", {"colour": zeros, "length": 1, "u": 1, "evaluator": "f64"}, "body"),
+    ]:
+        answer = post(one, f"/v1/{name}", **fields)
+        assert (answer.status, answer.json["field"]) == (413 if field == "body" else 400, field)
+    assert sanitized() or one.resident_bytes("VmHWM") < before + 64 * 2**20
+
+
+LARGE = ("/v1/eval?model=better&medium=skin1&spacing=linear&radius_count=40000&radius_stop=9"
+         "&wanted=R")
+
+
+class SlowReaders:
+    """Clients that ask for more large answers than the kernel holds, and read nothing."""
+
+    def __init__(self, daemon, count: int):
+        self.socks = []
+        for _ in range(count):
+            sock = socket.socket()
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            sock.connect(address(daemon))
+            sock.sendall(f"GET {LARGE} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode() * 9)
+            self.socks.append(sock)
+
+    def close(self) -> None:
+        for sock in self.socks:
+            sock.close()
+
+
+def test_a_slow_reader_holds_the_text_of_its_answer_alone(daemon):
+    one = daemon("--http", "127.0.0.1:0")
+    text_bytes = len(get(one, LARGE).text)
+    with one.client() as client:
+        reader, seen = SlowReaders(one, 1), []
+
+        def stands() -> bool:
+            seen.append(client.statistics())
+            return len(seen) > 9 and all(
+                seen[-1][name] == seen[-9][name] for name in ("buffer_bytes", "requests_eval")
+            )
+
+        assert eventually(stands, interval_s=0.1)
+        assert text_bytes < seen[-1]["buffer_bytes"] < text_bytes + 300_000, text_bytes
+        reader.close()
+
+
+def test_slow_readers_have_half_of_the_memory_for_a_time(daemon):
+    most = 64 * 2**20
+    one = daemon("--http", "127.0.0.1:0", "--max-total-bytes", str(most))
+    with one.client() as client:
+        readers = SlowReaders(one, 100)
+        assert eventually(lambda: get(one, LARGE).status == 429)  # after them, if any fit
+        assert most / 4 < client.statistics()["buffer_bytes"] < 0.75 * most
+        assert good(get(one, "/v1/eval?model=better&medium=skin1&r=1"))  # small ones are answered
+        many = client.eval("better", [dipole.Medium(**SKIN)] * 60, np.linspace(0, 9, 40_000))
+        assert many.R.shape == (60, 40_000)
+        # They read nothing for frame_timeout_ms, and are closed.
+        assert eventually(lambda: client.statistics()["buffer_bytes"] < most / 16, 30)
+        readers.close()
+        assert good(get(one, LARGE))
+
+
 def test_a_deadline_is_503(served):
     answer = post(served, "/v1/eval", model="transport", evaluator="f64", deadline_ms=1,
                   r=[1], sigma_a=[0.011, 0.012, 0.013], sigma_s=1, g=0, eta=1.31)

@@ -23,6 +23,7 @@ void fuzz_daemon_start(void) {
                        "1",       "--cache-bytes",     "1000000"};
   CHECK(options_read((int)(sizeof arguments / sizeof *arguments), arguments,
                      &fuzz_server.options) == OPTIONS_RUN);
+  fuzz_server.buffers.most = fuzz_server.options.max_total_bytes;
   signal(SIGPIPE, SIG_IGN); /* as the daemon does */
   log_set_level(LOG_LEVEL_ERROR);
   fuzz_server.isa = core_isa_select(NULL);
@@ -73,10 +74,10 @@ static bool send_pieces(int fd, struct fuzz_delivery *delivery, struct fuzz_byte
 }
 
 void fuzz_daemon_check_freed(void) {
-  for (int ms = 0; ms < 10000 && atomic_load(&fuzz_server.buffer_bytes) > 0; ms++) {
+  for (int ms = 0; ms < 10000 && atomic_load(&fuzz_server.buffers.bytes) > 0; ms++) {
     usleep(1000);
   }
-  CHECK(atomic_load(&fuzz_server.buffer_bytes) == 0 && fuzz_worker.context.owed_radii == 0);
+  CHECK(atomic_load(&fuzz_server.buffers.bytes) == 0 && fuzz_worker.context.owed_radii == 0);
 }
 
 void fuzz_daemon_talk(int fd, struct fuzz_delivery *delivery, unsigned manners,

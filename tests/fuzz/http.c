@@ -11,7 +11,7 @@
 #include "server/http/question.h"
 #include "tests/fuzz/daemon.h"
 
-enum { BRACKETS = 1000, BODY = 1, MESSAGES_AT = 2 };
+enum { BRACKETS = 1000, PAYLOAD = 65536, BODY = 1, MESSAGES_AT = 2 };
 
 static const struct http_message *choose(unsigned number) {
   size_t count = 0;
@@ -51,7 +51,7 @@ static wire_error parse(const struct http_message *message, const uint8_t *paylo
 /* Writes an error, and checks that it is JSON and names what is allowed. */
 static void check_error(const wire_error *error) {
   struct http_text text;
-  http_text_init(&text, &fuzz_server);
+  http_text_init(&text, &fuzz_server.buffers);
   CHECK(error->allowed[0] != '\0' && error->field[0] != '\0');
   CHECK(http_answer_write_error(error, &text) >= 400);
   json_t *object = json_loadb(text.bytes, text.count, JSON_REJECT_DUPLICATES, NULL);
@@ -67,11 +67,11 @@ void fuzz_http(const uint8_t *data, size_t size) {
   }
   const bool is_body = (data[0] & BODY) != 0;
   const struct http_message *message = choose(data[1]);
-  const uint64_t before = atomic_load(&fuzz_server.buffer_bytes);
+  const uint64_t before = atomic_load(&fuzz_server.buffers.bytes);
   wire_error error = wire_error_none();
   struct http_text payload;
   uint32_t deadline_ms;
-  http_text_init(&payload, &fuzz_server);
+  http_text_init(&payload, &fuzz_server.buffers);
   char *text = malloc(size);
   CHECK(text != NULL);
   memcpy(text, data + MESSAGES_AT, size - MESSAGES_AT);
@@ -80,11 +80,11 @@ void fuzz_http(const uint8_t *data, size_t size) {
   error = is_body ? http_values_parse(&values, text, size - MESSAGES_AT, BRACKETS)
                   : http_values_parse_query(&values, text);
   if (error.status == WIRE_STATUS_OK) {
-    error = http_question_translate(message, &values, &payload, &deadline_ms);
+    error = http_question_translate(message, &values, &payload, PAYLOAD, &deadline_ms);
     http_values_free(&values);
   }
   if (error.status == WIRE_STATUS_OK) {
-    CHECK(payload.count % WIRE_ALIGNMENT == 0);
+    CHECK(payload.count % WIRE_ALIGNMENT == 0 && payload.count <= PAYLOAD);
     uint8_t *copy = fuzz_copy((const uint8_t *)payload.bytes, payload.count);
     error = parse(message, copy, payload.count);
     free(copy);
@@ -94,5 +94,5 @@ void fuzz_http(const uint8_t *data, size_t size) {
   }
   http_text_free(&payload);
   free(text);
-  CHECK(atomic_load(&fuzz_server.buffer_bytes) == before);
+  CHECK(atomic_load(&fuzz_server.buffers.bytes) == before);
 }

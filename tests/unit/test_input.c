@@ -2,7 +2,8 @@
 #include "server/net/buffers.h"
 #include "tests/unit/unit.h"
 
-static struct server server = {.options = {.max_frame_bytes = 1 << 20, .max_total_bytes = 1 << 24}};
+static struct server server = {.options = {.max_frame_bytes = 1 << 20},
+                               .buffers = {.most = 1 << 24}};
 
 static void put(struct input *input, const uint8_t *bytes, size_t count, uint64_t now_ns) {
   uint8_t *room;
