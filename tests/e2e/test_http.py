@@ -725,7 +725,7 @@ def test_a_payload_is_refused_before_it_is_made(daemon):
         ("sample", {**medium, "u": zeros, "model": "better"}, "body"),
         ("invert", {"albedo": zeros[:90_000], "length": zeros[:90_000], "given": "mean-free-path"},
          "body"),
-        ("fit", {"at": zeros[:90_000], "values": zeros[:90_000], "errors": zeros[:90_000]}, "body"),
+        ("fit", {"eta": 1.4, **dict.fromkeys(["at", "values", "errors"], zeros[:90_000])}, "body"),
         ("varying", {"colour": zeros, "length": 1, "u": 1, "evaluator": "f64"}, "body"),
     ]:
         answer = post(one, f"/v1/{name}", **fields)
