@@ -540,29 +540,11 @@ static const char *header_of(const struct http_connection *c, const char *name) 
   return c->host->library.lookup_connection_value(c->handle, MHD_HEADER_KIND, name);
 }
 
-static enum MHD_Result count_length(void *context, enum MHD_ValueKind kind_of, const char *name,
-                                    const char *value) {
-  unsigned *count = context;
-  (void)kind_of, (void)value;
-  *count += strcasecmp(name, MHD_HTTP_HEADER_CONTENT_LENGTH) == 0;
-  return MHD_YES;
-}
-
-/* Checks what the header says of the body. A body of two lengths has one for a proxy and another
- * for the library, and what stands between them would be a request of somebody else. */
+/* Checks what the header says of the body. */
 static unsigned check_body(struct http_connection *c, wire_error *error) {
   const char *length = header_of(c, MHD_HTTP_HEADER_CONTENT_LENGTH);
   const char *chunks = header_of(c, MHD_HTTP_HEADER_TRANSFER_ENCODING);
   const char *coding = header_of(c, MHD_HTTP_HEADER_CONTENT_ENCODING);
-  unsigned lengths = 0;
-  if (length != NULL) {
-    c->host->library.get_connection_values(c->handle, MHD_HEADER_KIND, count_length, &lengths);
-  }
-  c->unclear = lengths + (chunks != NULL) > 1;
-  if (c->unclear) {
-    *error = refuse(WIRE_STATUS_BAD_VALUE, "Content-Length", "once, and no Transfer-Encoding");
-    return wire_status_http(error->status);
-  }
   if (!c->has_body) {
     const bool has_bytes = chunks != NULL || (length != NULL && strtoull(length, NULL, 10) > 0);
     if (has_bytes && c->route.kind == MESSAGE) {
@@ -594,10 +576,15 @@ static unsigned check_body(struct http_connection *c, wire_error *error) {
 
 /* Checks a request as far as its header says. Returns the status of HTTP that refuses it, or 0. */
 static unsigned check_header(struct http_connection *c, const char *url, const char *method,
-                             wire_error *error) {
+                             const char *version, wire_error *error) {
   const bool reads = strcmp(method, "GET") == 0 || strcmp(method, "HEAD") == 0;
   c->has_body = strcmp(method, "POST") == 0;
-  c->unclear = false;
+  const unsigned misfit =
+      http_library_check(&c->host->library, c->handle, options_of(c), url, version, "/", error);
+  c->unclear = misfit == MHD_HTTP_BAD_REQUEST;
+  if (misfit != 0) {
+    return misfit;
+  }
   if (!find_route(path_of(url), &c->route)) {
     *error = refuse(WIRE_STATUS_BAD_TYPE, "path", "what /v1/openapi.json lists");
     return MHD_HTTP_NOT_FOUND;
@@ -623,14 +610,17 @@ static unsigned check_header(struct http_connection *c, const char *url, const c
 static enum MHD_Result take_end(struct http_connection *c);
 
 /* Notes whether the header refuses the request. The answer has to wait for the end of the request:
- * if it came before, the library would close the connection, and the client might not see it. But a
- * client that asks whether to send the body waits, and is told at once. */
-static enum MHD_Result take_header(struct http_connection *c, const char *url, const char *method) {
+ * if it came before, the library would close the connection, and the client might not see it. But if
+ * that end is unclear, the connection is to be closed; and a client that asks whether to send the
+ * body waits, and is told at once. */
+static enum MHD_Result take_header(struct http_connection *c, const char *url, const char *method,
+                                   const char *version) {
   c->refusal = wire_error_none();
-  c->refused = check_header(c, url, method, &c->refusal);
+  c->refused = check_header(c, url, method, version, &c->refusal);
   c->state = RECEIVES;
   const char *expects = c->refused != 0 ? header_of(c, MHD_HTTP_HEADER_EXPECT) : NULL;
-  return expects != NULL && strcasecmp(expects, "100-continue") == 0 ? take_end(c) : MHD_YES;
+  return c->unclear || (expects != NULL && strcasecmp(expects, "100-continue") == 0) ? take_end(c)
+                                                                                     : MHD_YES;
 }
 
 /* Takes a part of the body, or drops it if the request is refused anyway. */
@@ -665,13 +655,13 @@ enum MHD_Result http_connection_take(void *context, struct MHD_Connection *conne
                                      const char *url, const char *method, const char *version,
                                      const char *body, size_t *body_bytes, void **state) {
   struct http_connection *c = of_handle(context, connection);
-  (void)version, (void)state;
+  (void)state;
   if (c == NULL) {
     return MHD_NO;
   }
   switch (c->state) {
   case AWAITS:
-    return take_header(c, url, method);
+    return take_header(c, url, method, version);
   case RECEIVES:
     return *body_bytes > 0 ? take_body(c, body, body_bytes) : take_end(c);
   case READY:

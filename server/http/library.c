@@ -1,9 +1,11 @@
 #include "server/http/library.h"
 
+#include <arpa/inet.h>
 #include <dlfcn.h>
 #include <errno.h>
 #include <stdio.h>
 #include <string.h>
+#include <strings.h>
 
 #include "server/net/tcp.h"
 
@@ -30,6 +32,108 @@ size_t http_library_leave_escaped(void *context, struct MHD_Connection *connecti
   (void)context, (void)connection;
   return strlen(text);
 }
+
+/* ---- headers --------------------------------------------------------------------------------- */
+
+struct header {
+  const char *host, *coding, *site, *mode, *origin;
+  unsigned hosts, codings, lengths;
+  bool broken;
+};
+
+static enum MHD_Result note_field(void *context, enum MHD_ValueKind kind, const char *name,
+                                  const char *value) {
+  static const char token[] = "!#$%&'*+-.^_`|~0123456789"
+                              "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz";
+  struct header *header = context;
+  const size_t length = strspn(name, token);
+  (void)kind;
+  /* To a line that is folded, the library adds its rest as a part of the name, which it moves behind
+   * the value. */
+  header->broken |= length == 0 || name[length] != '\0' || strchr(value, '\r') != NULL ||
+                    (uintptr_t)value < (uintptr_t)name;
+  if (strcasecmp(name, MHD_HTTP_HEADER_HOST) == 0) {
+    header->host = value;
+    header->hosts++;
+  } else if (strcasecmp(name, MHD_HTTP_HEADER_TRANSFER_ENCODING) == 0) {
+    header->coding = value;
+    header->codings++;
+  } else if (strcasecmp(name, MHD_HTTP_HEADER_CONTENT_LENGTH) == 0) {
+    header->lengths++;
+  } else if (strcasecmp(name, "Sec-Fetch-Site") == 0) {
+    header->site = value;
+  } else if (strcasecmp(name, "Sec-Fetch-Mode") == 0) {
+    header->mode = value;
+  } else if (strcasecmp(name, MHD_HTTP_HEADER_ORIGIN) == 0) {
+    header->origin = value;
+  }
+  return MHD_YES;
+}
+
+/* Returns whether HOST[:PORT] is an address, localhost, or a name that the options list. */
+static bool is_our_host(const struct options *options, const char *host) {
+  char name[256];
+  uint8_t address[16];
+  const bool brackets = host[0] == '[';
+  host += brackets;
+  const size_t length = strcspn(host, brackets ? "]" : ":/?");
+  const char *end = host + length + (brackets && host[length] != '\0');
+  if (length >= sizeof name || strchr(":/?", *end) == NULL) {
+    return false;
+  }
+  memcpy(name, host, length);
+  name[length] = '\0';
+  if (brackets) {
+    return inet_pton(AF_INET6, name, address) == 1;
+  }
+  bool ours = strcasecmp(name, "localhost") == 0 || inet_pton(AF_INET, name, address) == 1;
+  for (size_t i = 0; i < options->http_name.count; i++) {
+    ours |= strcasecmp(name, options->http_name.items[i]) == 0;
+  }
+  return ours;
+}
+
+static bool may_ask(const struct options *options, const struct header *header, bool is_open) {
+  const char *allowed = options->http_allow_origin;
+  return header->site == NULL || strcasecmp(header->site, "cross-site") != 0 ||
+         (is_open && header->mode != NULL && strcasecmp(header->mode, "navigate") == 0) ||
+         (allowed != NULL && (strcmp(allowed, "*") == 0 ||
+                              (header->origin != NULL && strcmp(allowed, header->origin) == 0)));
+}
+
+unsigned http_library_check(const struct http_library *library, struct MHD_Connection *connection,
+                            const struct options *options, const char *target, const char *version,
+                            const char *open_path, wire_error *error) {
+  struct header header = {0};
+  const bool is_old = strcmp(version, MHD_HTTP_VERSION_1_0) == 0;
+  library->get_connection_values(connection, MHD_HEADER_KIND, note_field, &header);
+  const char *host = strncasecmp(target, "http://", 7) == 0 ? target + 7 : header.host;
+  const char *field =
+      header.broken                                     ? "header"
+      : header.hosts != 1 && !(is_old && !header.hosts) ? MHD_HTTP_HEADER_HOST
+      : header.codings + header.lengths > 1             ? MHD_HTTP_HEADER_CONTENT_LENGTH
+      : header.coding != NULL && (is_old || strcasecmp(header.coding, "chunked") != 0)
+          ? MHD_HTTP_HEADER_TRANSFER_ENCODING
+          : NULL;
+  if (field != NULL) {
+    *error = wire_error_make(WIRE_STATUS_BAD_VALUE, field,
+                             "unfolded lines NAME: VALUE, one Host, one Content-Length or chunked");
+    return MHD_HTTP_BAD_REQUEST;
+  }
+  if (host != NULL && !is_our_host(options, host)) {
+    *error = wire_error_make(WIRE_STATUS_NOT_ALLOWED, MHD_HTTP_HEADER_HOST,
+                             "an address, localhost, or a name that --http-name gives");
+    return MHD_HTTP_MISDIRECTED_REQUEST;
+  }
+  if (!may_ask(options, &header, open_path != NULL && strcmp(target, open_path) == 0)) {
+    *error = wire_error_make(WIRE_STATUS_NOT_ALLOWED, "Sec-Fetch-Site",
+                             "same-origin; other pages by --http-allow-origin");
+    return MHD_HTTP_FORBIDDEN;
+  }
+  return 0;
+}
+
+/* ---- listening ------------------------------------------------------------------------------- */
 
 int http_library_listen(const char *option, const char *address) {
   char local[64];

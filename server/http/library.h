@@ -5,6 +5,9 @@
 #include <microhttpd.h>
 #include <stdbool.h>
 
+#include "proto/wire.h"
+#include "server/options.h"
+
 /* HTTP_FUNCTION(name) for each function of the library that the daemon uses. */
 #define HTTP_FUNCTIONS                                                                             \
   HTTP_FUNCTION(start_daemon)                                                                      \
@@ -38,6 +41,15 @@ bool http_library_load(struct http_library *library, const char **why);
 /* Keeps the library from decoding escapes, for MHD_OPTION_UNESCAPE_CALLBACK. If it did, it would
  * take /metrics%00x for /metrics. */
 size_t http_library_leave_escaped(void *context, struct MHD_Connection *connection, char *text);
+
+/* Checks the header of a request. Returns 0, or the status of HTTP that refuses it, and sets *error.
+ *
+ *   400: it is unclear where the request ends (RFC 9112), so no other may be read behind it.
+ *   421: it is for another name than this daemon has, as when DNS has been made to lead here.
+ *   403: a page of another site asks, which may not, unless it only leads a reader to `open_path`. */
+unsigned http_library_check(const struct http_library *library, struct MHD_Connection *connection,
+                            const struct options *options, const char *target, const char *version,
+                            const char *open_path, wire_error *error);
 
 /* Listens at [HOST]:PORT, where no HOST means the loopback interface. On failure, prints a message
  * with the option's name to standard error and returns -1. */

@@ -161,6 +161,9 @@ static enum MHD_Result send_response(const struct http_library *http,
     return MHD_NO;
   }
   http->add_response_header(response, MHD_HTTP_HEADER_CONTENT_TYPE, type);
+  if (status == MHD_HTTP_BAD_REQUEST) {
+    http->add_response_header(response, MHD_HTTP_HEADER_CONNECTION, "close");
+  }
   if (status == MHD_HTTP_METHOD_NOT_ALLOWED) {
     http->add_response_header(response, MHD_HTTP_HEADER_ALLOW, "GET, HEAD");
   }
@@ -215,7 +218,15 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *connecti
   static const char not_allowed[] = "It is only for reading: GET or HEAD.\n";
   const struct metrics *metrics = context;
   const struct http_library *http = &metrics->library;
-  (void)version, (void)body, (void)body_bytes, (void)state;
+  wire_error error;
+  (void)body, (void)body_bytes, (void)state;
+  const unsigned refused =
+      http_library_check(http, connection, &metrics->server->options, url, version, NULL, &error);
+  if (refused != 0) {
+    char text[160];
+    snprintf(text, sizeof text, "%s: %s\n", error.field, error.allowed);
+    return send_text(http, connection, refused, text);
+  }
   const bool is_metrics = strcmp(url, "/metrics") == 0, is_ready = strcmp(url, "/readyz") == 0;
   if (!is_metrics && !is_ready && strcmp(url, "/healthz") != 0) {
     return send_text(http, connection, MHD_HTTP_NOT_FOUND, not_found);

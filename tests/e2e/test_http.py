@@ -33,7 +33,7 @@ NODE_MODULES = {
 
 
 def address(daemon) -> tuple[str, int]:
-    line = next(line for line in daemon.log if "url=http://" in line)
+    line = next(line for line in daemon.log if "url=http://" in line and "/metrics" not in line)
     host, _, port = line.split("url=http://")[1].split()[0].rpartition(":")
     return host, int(port)
 
@@ -41,7 +41,7 @@ def address(daemon) -> tuple[str, int]:
 @pytest.fixture(scope="module")
 def served():
     """Returns a daemon that serves HTTP at a free port, for tests that change nothing in it."""
-    one = Daemon("--http", "127.0.0.1:0")
+    one = Daemon("--http", "127.0.0.1:0", "--metrics", "127.0.0.1:0")
     yield one
     one.close()
 
@@ -618,7 +618,7 @@ def test_types_and_codings_of_bodies(served):
     assert answer.status == 415 and answer.json["field"] == "Content-Encoding"
 
 
-HEALTH = b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n"
+HEALTH = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n"
 
 
 @pytest.mark.parametrize(
@@ -629,11 +629,94 @@ HEALTH = b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n"
 def test_a_body_of_two_lengths_is_the_last_request(served, lengths):
     """A proxy may go by the other length. What it takes for the body must not be answered."""
     for body in (b"{}" + HEALTH, b"2\r\n{}\r\n0\r\n\r\n" + HEALTH):
-        header = b"POST /v1/eval HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n"
+        header = b"POST /v1/eval HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
         [answer] = exchange(served, [header + lengths % len(body) + b"\r\n" + body])
         assert answer.count(b"HTTP/1.1 ") == 1 and answer.startswith(b"HTTP/1.1 400 "), answer
         assert b"Connection: close" in answer
         assert b'"field":"Content-Length"' in answer or b"chunked encoding" in answer
+
+
+HOST = b"Host: localhost\r\n"
+
+
+@pytest.mark.parametrize(
+    "header, field",
+    [(HOST + broken, "header") for broken in (
+        b"Content-Length : 5\r\n", b"Content-Length\t: 5\r\n", b"X: a\r\n b\r\n", b"Y[: a\r\n",
+        b"X:\r\n Content-Length: 5\r\n", b"X: a\r\n \r\n", b"X:   a\r\n\tb\r\n c\r\n", b"X Y: a\r\n",
+        b"X: a\rContent-Length: 5\r\n")]
+    + [(b" Content-Length: 5\r\n" + HOST, "header"), (b"", "Host"), (2 * HOST, "Host")]
+    + [(HOST + b"Transfer-Encoding: " + coding + b"\r\n", "Transfer-Encoding") for coding in (
+        b"gzip", b"gzip, chunked", b"chunked, chunked", b"xchunked", b"identity", b"", b"\x0bchunked")]
+    + [(HOST + b"Transfer-Encoding: chunked\r\nTransfer-Encoding: gzip\r\n", "Content-Length")],
+)
+@pytest.mark.parametrize("port", ["http", "metrics"])
+def test_a_request_whose_end_is_unclear_is_the_last(served, header, field, port):
+    """RFC 9112: a proxy may read the same bytes otherwise. The client need not close its side."""
+    line = next(line for line in served.log if "url=http" in line and ("/metrics" in line) == (port == "metrics"))
+    where = ("127.0.0.1", int(re.search(r"http://.*?:(\d+)", line)[1]))
+    body = b"5\r\n{   }\r\n0\r\n\r\n" + HEALTH
+    for first in (b"", HEALTH)[: 1 + (port == "http")]:  # each is the last at the other port
+        with socket.create_connection(where, TIMEOUT_S) as sock:
+            sock.sendall(first + b"POST /v1/eval HTTP/1.1\r\n" + header +
+                         b"Content-Type: application/json\r\n\r\n" + body)
+            answer = b"".join(iter(lambda: sock.recv(65536), b""))
+        statuses = re.findall(rb"HTTP/1\.1 (\d+)", answer)
+        assert statuses == [b"200"] * bool(first) + [b"400"] and b"Connection: close" in answer
+        assert field.encode() in answer.rpartition(b"\r\n\r\n")[2]
+
+
+def test_without_a_host_or_in_chunks(served):
+    [answer] = exchange(served, [b"GET /healthz HTTP/1.0\r\n\r\n"])
+    assert answer.startswith(b"HTTP/1.1 200 ") or answer.startswith(b"HTTP/1.0 200 ")
+    head = b"POST /v1/eval HTTP/1.%d\r\n" + HOST + b"Content-Type: application/json\r\n"
+    body = b"Connection: close\r\nTransfer-Encoding: Chunked\r\n\r\n2\r\n{}\r\n0\r\n\r\n"
+    answers = exchange(served, [head % 1 + body, head % 0 + body])
+    assert b"or a name as medium" in answers[0] and b'"Transfer-Encoding"' in answers[1]
+
+
+# ---- other names and other sites -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("port", ["http", "metrics"])
+def test_a_name_that_is_not_the_daemons_is_421(served, daemon, port):
+    """Else a page could have DNS lead its own name here, and would count as the same origin."""
+    def status(one, host: str, line: str = "GET /healthz") -> int:
+        where = next(re.search(r"http://(127.0.0.1):(\d+)", x) for x in one.log
+                     if "url=http" in x and ("/metrics" in x) == (port == "metrics"))
+        with socket.create_connection((where[1], int(where[2])), TIMEOUT_S) as sock:
+            sock.sendall(f"{line} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n".encode())
+            return int(sock.recv(65536).split()[1])
+
+    named = daemon("--http", "127.0.0.1:0", "--metrics", "127.0.0.1:0", "--http-name", "render.example")
+    for host in ("localhost", "LocalHost:80", "127.0.0.1:80", "192.0.2.1", "[::1]", "[2001:db8::1]:80"):
+        assert status(served, host) == status(named, host) == 200, host
+    for host in ("evil.example", "localhost.evil.example", "", "127.0.0.1.evil.example", "::1", "[::1].evil",
+                 "a" * 300, "127.0.0.1@evil", "[localhost]x"):
+        assert status(served, host) == status(named, host) == 421, host
+    for host in ("render.example", "Render.Example:8017"):
+        assert (status(served, host), status(named, host)) == (421, 200)
+    assert status(served, "localhost", "GET http://evil.example/healthz") == 421
+
+
+def test_other_sites_ask_nothing(served, daemon):
+    """A browser says which site a page is of. A query would store points without a word."""
+    path = "/v1/points?x=1&y=1&z=1&power=1"
+    cross = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors"}
+    origin = {"Origin": "http://example.org"}
+    for headers, there, anyone in [
+        ({}, 200, 200), ({"Sec-Fetch-Site": "same-origin"}, 200, 200), ({"Sec-Fetch-Site": "none"}, 200, 200),
+        (cross, 403, 200), ({**cross, "Origin": "http://example.net"}, 403, 200), ({**cross, **origin}, 200, 200),
+    ]:
+        one = daemon("--http", "127.0.0.1:0", "--http-allow-origin", "http://example.org")
+        two = daemon("--http", "127.0.0.1:0", "--http-allow-origin", "*")
+        assert ask(served, "GET", path, headers=headers).status == (403 if "cross-site" in headers.values() else 200)
+        assert ask(one, "GET", path, headers=headers).status == there
+        assert ask(two, "GET", path, headers=headers).status == anyone
+    link = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"}
+    assert [ask(served, "GET", at, headers=link).status for at in ("/", path)] == [200, 403]
+    answer = ask(served, "POST", "/v1/eval", GOOD, {**JSON, **cross})
+    assert answer.status == 403 and answer.json["field"] == "Sec-Fetch-Site"
 
 
 @pytest.mark.parametrize(
@@ -642,7 +725,7 @@ def test_a_body_of_two_lengths_is_the_last_request(served, lengths):
 )
 def test_who_asks_before_the_body_is_refused_at_once(served, change, status):
     """A client that sends `Expect: 100-continue` need not send a large body in vain."""
-    header = (b"POST /v1/eval HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n"
+    header = (b"POST /v1/eval HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
               b"Expect: 100-continue\r\nContent-Length: 9\r\n\r\n")
     with socket.create_connection(address(served), TIMEOUT_S) as sock:
         sock.sendall(header)
@@ -655,10 +738,10 @@ def test_who_asks_before_the_body_is_refused_at_once(served, change, status):
 
 
 def test_requests_for_a_proxy_name_the_host(served):
-    for target, status in [("http://x/healthz", 200), ("HTTP://x:1/healthz?y", 200), ("http://x", 200),
-                           ("http://x/v1/eval?model=better&medium=skin1&r=1", 200),
-                           ("http://x/http://x/healthz", 404), ("ftp://x/healthz", 404)]:
-        [answer] = exchange(served, [f"GET {target} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n".encode()])
+    for target, status in [("http://[::1]/healthz", 200), ("HTTP://[::1]:1/healthz?y", 200), ("http://[::1]", 200),
+                           ("http://[::1]/v1/eval?model=better&medium=skin1&r=1", 200),
+                           ("http://[::1]/http://[::1]/healthz", 404), ("ftp://[::1]/healthz", 404)]:
+        [answer] = exchange(served, [f"GET {target} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n".encode()])
         assert answer.startswith(b"HTTP/1.1 %d " % status), (target, answer[:200])
 
 
@@ -695,7 +778,7 @@ def test_a_chunked_body_is_bounded(daemon):
     one = daemon("--http", "127.0.0.1:0", "--frame-timeout-ms", "2000")
     before = one.resident_bytes()
     head = (
-        b"POST /v1/eval HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n"
+        b"POST /v1/eval HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
         b"Transfer-Encoding: chunked\r\n\r\n"
     )
     chunk = b"10000\r\n" + b" " * 65536 + b"\r\n"
@@ -797,7 +880,7 @@ def test_busy_is_429_with_retry_after(daemon):
     one = daemon("--http", "127.0.0.1:0", "--max-total-bytes", "1048576")
     with socket.create_connection(address(one), TIMEOUT_S) as hog:
         # Another client's body takes most of the memory.
-        hog.sendall(b"POST /v1/eval HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n"
+        hog.sendall(b"POST /v1/eval HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
                     b"Content-Length: 1000000\r\n\r\n" + b" " * 600000)
 
         def is_busy() -> bool:
@@ -845,11 +928,11 @@ def test_one_more_connection_is_closed(daemon):
     one = daemon("--http", "127.0.0.1:0", "--max-http-connections", "3")
     held = [socket.create_connection(address(one), TIMEOUT_S) for _ in range(3)]
     for sock in held:
-        sock.sendall(b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n")
+        sock.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
         assert sock.recv(100).startswith(b"HTTP/1.1 200")
     with socket.create_connection(address(one), TIMEOUT_S) as sock:
         try:
-            sock.sendall(b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n")
+            sock.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
             assert sock.recv(100) == b""
         except ConnectionError:
             pass
@@ -871,7 +954,7 @@ def _serves(daemon) -> bool:
     [
         b"",
         b"GET /healthz HTTP/1.1\r\nX: ",
-        b"POST /v1/eval HTTP/1.1\r\nContent-Type: application/json\r\nContent-Length: 100\r\n\r\n{",
+        b"POST /v1/eval HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 100\r\n\r\n{",
     ],
 )
 def test_slow_and_idle_clients_are_closed(daemon, beginning):
@@ -949,7 +1032,7 @@ def test_an_abandoned_job_ends(daemon):
     body = json.dumps({"model": "transport", "given": "mean-free-path", "g": 0, "eta": 1.37,
                        "albedo": [0.1 + 0.01 * i for i in range(40)], "length": [1] * 40}).encode()
     with socket.create_connection(address(one), TIMEOUT_S) as sock:
-        sock.sendall(b"POST /v1/invert HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n"
+        sock.sendall(b"POST /v1/invert HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
                      b"Content-Length: %d\r\n\r\n" % len(body) + body)
         time.sleep(0.3)
     assert _serves(one)  # The daemon stops at once at the end of the test, or close() says so.
@@ -980,7 +1063,7 @@ PATHS = ["/v1/eval", "/v1/sample", "/v1/invert", "/v1/table", "/v1/fit", "/v1/va
          "//"]
 HEADERS = [
     "",
-    "Host: x\r\n",
+    "Host: localhost\r\n",
     "Content-Length: 5\r\n",
     "Content-Length: -1\r\n",
     "Transfer-Encoding: chunked\r\n",
