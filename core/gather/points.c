@@ -75,9 +75,10 @@ struct gather_build {
 };
 
 /* A node needs two children or more, so there are fewer nodes than twice the leaves. Beyond this
- * number leaves stay larger. */
+ * number leaves stay larger, but for few points: of n < 32, at most n - GATHER_LEAF nodes, with 8
+ * children each, are divided. */
 static size_t node_capacity(size_t n) {
-  return n / 3 + 64;
+  return n < 32 ? 2 * n : n / 3 + 64;
 }
 
 static size_t node_bytes(size_t channels, size_t groups) {

@@ -718,3 +718,15 @@ def test_finished_sets_of_a_hundred_clients(daemon):
         assert numbers["points_bytes"] <= 3_000_000
         assert numbers["points_evictions"] >= 80
         assert numbers["points_sent_bytes"] == 0
+
+
+@pytest.mark.skipif(sanitized(), reason="a sanitizer's memory is another")
+def test_small_sets_take_what_they_count(daemon):
+    one = daemon()
+    with one.connect() as connection:
+        held = []
+        for seed in range(6000):
+            send(connection, Points([[seed, 0, 0]], [1]))
+            if seed in (1000, 5999):
+                held.append((one.resident_bytes(), statistics(connection)["points_bytes"]))
+    assert held[1][0] - held[0][0] < 1.5 * (held[1][1] - held[0][1])
