@@ -42,6 +42,15 @@ static wire_error check_brackets(const char *bytes, size_t count, size_t bracket
   return wire_error_none();
 }
 
+/* Whether there was no memory: jansson tells some of those faults as wrong JSON. */
+static _Thread_local bool lacks_memory;
+
+static void *allocate(size_t bytes) {
+  void *memory = malloc(bytes);
+  lacks_memory |= memory == NULL;
+  return memory;
+}
+
 wire_error http_values_parse(struct http_values *values, const char *bytes, size_t count,
                              size_t brackets_max) {
   json_error_t why;
@@ -50,10 +59,16 @@ wire_error http_values_parse(struct http_values *values, const char *bytes, size
   if (error.status != WIRE_STATUS_OK) {
     return error;
   }
+  lacks_memory = false;
+  json_set_alloc_funcs(allocate, free);
   json_t *object = json_loadb(bytes, count, JSON_REJECT_DUPLICATES, &why);
   if (json_is_object(object)) {
     values->object = object;
     return error;
+  }
+  if (lacks_memory) {
+    json_decref(object);
+    return wire_error_busy("max_total_bytes", "less at a time: there is no memory", 1000);
   }
   if (object != NULL) {
     json_decref(object);

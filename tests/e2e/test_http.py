@@ -8,6 +8,7 @@ import json
 import os
 import random
 import re
+import resource
 import socket
 import subprocess
 import threading
@@ -893,6 +894,19 @@ def test_busy_is_429_with_retry_after(daemon):
 
         assert eventually(is_busy, 10)
     assert eventually(lambda: get(one, "/v1/eval?model=better&medium=skin1&r=1").status == 200, 10)
+
+
+@pytest.mark.skipif(sanitized(), reason="a sanitizer's memory is another")
+@pytest.mark.parametrize("r", [[1] * 300_000, ["x" * 800_000]])
+def test_json_without_memory_is_busy(daemon, r):
+    one = daemon("--http", "127.0.0.1:0")
+    old = resource.prlimit(one.process.pid, resource.RLIMIT_DATA)
+    room = one.resident_bytes("VmData") + 2 * 2**20
+    resource.prlimit(one.process.pid, resource.RLIMIT_DATA, (room, old[1]))
+    answer = post(one, "/v1/eval", model="better", medium=SKIN, r=r)
+    assert (answer.status, answer.json["status"]) == (429, "busy"), answer.text
+    resource.prlimit(one.process.pid, resource.RLIMIT_DATA, old)
+    assert post(one, "/v1/eval", model="better", medium=SKIN, r=r).status in (400, 413)
 
 
 # ---- CORS --------------------------------------------------------------------------------------
