@@ -48,7 +48,7 @@ static bool was_read(struct question *q, wire_error error) {
 }
 
 static wire_error not_a_number(const char *field) {
-  return bad(field, "a number, or the text inf or -inf");
+  return bad(field, "a number, with a point as in 0.05 (0,05 is two), or inf or -inf");
 }
 
 static struct http_value get(const struct question *q, const char *name) {
@@ -395,6 +395,7 @@ static const char *usual_choice(const struct question *q, const char *field) {
          : http_values_same(field, "evaluator") ? (named && !is_gather(q) ? "f64" : "lut")
          : http_values_same(field, "moments")   ? "exact"
          : http_values_same(field, "axis")      ? "r"
+         : http_values_same(field, "given")     ? "mean-free-path"
          : http_values_same(field, "scale")     ? "absolute"
                                                 : NULL;
 }

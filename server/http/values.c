@@ -231,6 +231,12 @@ struct http_value http_elements_next(struct http_elements *elements) {
 
 /* ---- reading --------------------------------------------------------------------------------- */
 
+/* Reads a number from a text. One with a leading zero is none: a list 0,05 is meant as 0.05. */
+static bool read_text(const char *text, double *number) {
+  const char *digits = text + (text[0] == '-' || text[0] == '+');
+  return !(digits[0] == '0' && isdigit((unsigned char)digits[1])) && decimal_read(text, number);
+}
+
 bool http_value_number(struct http_value value, double *number) {
   const char *text = http_value_text(value);
   *number = (double)NAN;
@@ -238,7 +244,7 @@ bool http_value_number(struct http_value value, double *number) {
     *number = json_number_value(value.json);
   } else if (text != NULL &&
              (value.text != NULL || strcmp(text, "inf") == 0 || strcmp(text, "-inf") == 0) &&
-             !decimal_read(text, number)) {
+             !read_text(text, number)) {
     *number = (double)NAN;
   }
   return !isnan(*number);
@@ -252,7 +258,7 @@ bool http_elements_number(struct http_elements *elements, double *number) {
   const char *text = elements->text;
   elements->next++;
   elements->text += strlen(text) + 1;
-  if (!decimal_read(text, number)) {
+  if (!read_text(text, number)) {
     *number = (double)NAN;
   }
   return !isnan(*number);
@@ -266,7 +272,8 @@ wire_error http_value_read_count(struct http_value value, const char *field, uin
   if (json_is_integer(value.json)) {
     good = json_integer_value(value.json) >= 0;
     *number = (uint64_t)json_integer_value(value.json);
-  } else if (text != NULL && *text != '\0' && text[strspn(text, "0123456789")] == '\0') {
+  } else if (text != NULL && *text != '\0' && text[strspn(text, "0123456789")] == '\0' &&
+             (text[0] != '0' || text[1] == '\0')) {
     errno = 0;
     *number = strtoull(text, NULL, 10);
     good = errno == 0;

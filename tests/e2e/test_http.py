@@ -186,6 +186,7 @@ def test_invert(served):
     assert answer["sigma_a"] == [0.09130701779526738, 0.006862514332128416]
     assert answer["sigma_s"] == [3.648510779643631, 12.14326159713412]
     assert answer["units"]["sigma_a"] == "1/mm" and answer["missing_count"] == 0
+    assert good(get(served, "/v1/invert?albedo=0.5&length=1"))["given"] == "mean-free-path"
 
 
 @pytest.mark.parametrize("scale", ["absolute", "free", "reference"])
@@ -593,6 +594,15 @@ def test_faults_say_what_to_do(served):
     for body in BAD_BODIES:
         allowed = refusal(ask(served, "POST", "/v1/eval", body))["allowed"]
         assert allowed and not allowed.endswith(": "), body
+
+
+@pytest.mark.parametrize("number", ["0,05", "05", "-00.5", "+01", "1,0005", "00", "r=1&radius_count=05"])
+def test_a_decimal_comma_is_no_list(served, number):
+    for name in ("sigma_a", "r", "tolerance"):
+        fields = {"sigma_a": "1", "r": "1", name: number}
+        answer = get(served, "/v1/eval?sigma_s=1&" + "&".join(f"{n}={t}" for n, t in fields.items()))
+        assert answer.status == 400 and ("radius_count" in number or "0.05" in answer.json["allowed"])
+    assert good(get(served, "/v1/eval?sigma_a=0&sigma_s=1e05&r=0.05,0,0.0,1e-02,10"))
 
 
 def test_no_field_is_left_out_without_a_word(served):
