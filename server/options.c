@@ -4,6 +4,7 @@
 #include <errno.h>
 #include <getopt.h>
 #include <limits.h>
+#include <regex.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -144,13 +145,29 @@ static const struct description *nearest_variable(const char *name, unsigned *di
   return nearest;
 }
 
+/* Returns whether Kubernetes or Docker has set a variable for a service that is called dipoled, or
+ * dipoled-NAME. */
+static bool is_of_a_service(const char *variable) {
+  regex_t form;
+  if (regcomp(&form,
+              "^" VARIABLE_PREFIX "([A-Z0-9_]+_)?(SERVICE_HOST=|SERVICE_PORT(_[A-Z0-9_]+)?=[0-9]+$|"
+              "PORT=[a-z]+://|PORT_[0-9]+_(TCP|UDP|SCTP)(_(PROTO|PORT|ADDR))?=)",
+              REG_EXTENDED | REG_NOSUB) != 0) {
+    return false;
+  }
+  const bool matches = regexec(&form, variable, 0, NULL, 0) == 0;
+  regfree(&form);
+  return matches;
+}
+
 /* Refuses variables that look like an option but are none, so that none is ignored in silence. */
 static bool check_variables(void) {
   bool good = true;
   for (char **variable = environ; *variable != NULL; variable++) {
     char name[2 * VARIABLE_BYTES], known[VARIABLE_BYTES];
     unsigned distance;
-    if (strncmp(*variable, VARIABLE_PREFIX, strlen(VARIABLE_PREFIX)) != 0) {
+    if (strncmp(*variable, VARIABLE_PREFIX, strlen(VARIABLE_PREFIX)) != 0 ||
+        is_of_a_service(*variable)) {
       continue;
     }
     snprintf(name, sizeof name, "%.*s", (int)strcspn(*variable, "="), *variable);
@@ -227,17 +244,19 @@ static void print_help(void) {
       "  dipoled                                   this machine only, at the default addresses\n"
       "  dipoled --listen unix:/run/dipoled.sock --workers 4\n"
       "  dipoled --listen tcp:0.0.0.0:4817         whoever reaches this machine\n"
-      "  dipoled --listen tls:0.0.0.0:4818 --certificate farm.pem --key farm.key --client-ca ca.pem\n"
+      "  dipoled --listen tls:0.0.0.0:4818 --certificate farm.pem --key farm.key --client-ca "
+      "ca.pem\n"
       "  dipoled --metrics 127.0.0.1:9817          numbers for Prometheus, /healthz, /readyz\n"
       "  dipoled --http 127.0.0.1:8017             JSON for curl and browsers, besides\n"
       "  dipoled --modbus tcp:127.0.0.1:5020       registers for instruments, besides\n"
       "\n"
-      "Stop it with SIGTERM, SIGINT or SIGHUP: it answers what is in flight and exits with 0. With a\n"
+      "Stop it with SIGTERM, SIGINT or SIGHUP: it answers what is in flight and exits with 0. With "
+      "a\n"
       "tls: address, SIGHUP reads the certificates again instead. Ask the daemon with `dipole`.\n"
       "Each option is also read from the environment, as DIPOLED_ and its name in capitals with\n"
       "underscores (DIPOLED_MAX_MEDIA); the command line wins. Any other variable that starts "
       "with\n"
-      "DIPOLED_ is an error.\n"
+      "DIPOLED_ is an error, but for those that Kubernetes sets for a Service of this name.\n"
       "\n"
       "options (default; range):\n");
   for (int i = 0; i < OPTIONS; i++) {

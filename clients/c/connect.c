@@ -175,7 +175,8 @@ static int set_attributes(posix_spawnattr_t *attributes) {
 
 /* Returns whether an environment variable would make the daemon serve other clients, too. */
 static bool serves_others(const char *variable) {
-  static const char *const names[] = {"DIPOLED_LISTEN=", "DIPOLED_METRICS=", "DIPOLED_MODBUS="};
+  static const char *const names[] = {
+      "DIPOLED_LISTEN=", "DIPOLED_METRICS=", "DIPOLED_MODBUS=", "DIPOLED_HTTP="};
   for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
     if (strncmp(variable, names[i], strlen(names[i])) == 0) {
       return true;

@@ -258,7 +258,7 @@ def test_a_private_daemon_serves_nothing_else(daemon):
     line = next(line for line in map(read_log_line, one.log) if line.get("event") == "metrics")
     metrics = line["url"].removeprefix("http://").split("/")[0]
     dipole("media", env={"DIPOLED_MODBUS": modbus})
-    dipole("media", env={"DIPOLED_METRICS": metrics})
+    dipole("media", env={"DIPOLED_METRICS": metrics, "DIPOLED_HTTP": metrics})
 
 
 def test_a_busy_daemon_is_asked_again(daemon):

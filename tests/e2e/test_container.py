@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -12,13 +13,20 @@ from pathlib import Path
 
 import dipole
 import pytest
+import yaml
 from daemons import BUILD, END_S, PROGRAM, REPOSITORY, eventually, sanitized
 from frames import SKIN
-from installing import make, needs, run
+from installing import make, needs, npm_install, run
 from test_balancer import free_port
+from test_metrics import fetch, scrape
 
 NOBODY = 65534
 CONTAINERFILE = (REPOSITORY / "clients/deploy/Containerfile").read_text()
+
+MANIFESTS = list(yaml.safe_load_all((REPOSITORY / "clients/deploy/kubernetes.yml").read_text()))
+# The packages that npm fetches, if npm is installed: versions that are known to work. The first is
+# made from the published schema of Kubernetes.
+NODE_MODULES = {"kubernetes-models": "4.4.2", "typescript": "5.4.5"}
 
 pytestmark = pytest.mark.skipif(sanitized(), reason="the build is sanitized")
 
@@ -89,3 +97,59 @@ def test_podman_builds_it():
     finally:
         run("podman", "rmi", name)
         run("rm", "-rf", folder)
+
+
+# ---- Kubernetes ----------------------------------------------------------------------------------
+
+
+def test_the_manifests_follow_the_schema_of_kubernetes():
+    """The compiler finds fields that are missing, unknown or of a wrong type, and the validator what
+    no type says, as that a quantity is one."""
+    folder = npm_install(BUILD / "node-kubernetes", NODE_MODULES)
+    script = "".join(
+        f"import {{ {one['kind']} }} from 'kubernetes-models/{one['apiVersion']}';\n"
+        f"new {one['kind']}({json.dumps({key: one[key] for key in ('metadata', 'spec')})}).validate();\n"
+        for one in MANIFESTS
+    )
+    (folder / "manifests.mts").write_text(script)
+    options = ["--strict", "--skipLibCheck", "--module", "nodenext", "--target", "es2022"]
+    run("node_modules/.bin/tsc", *options, "manifests.mts", cwd=folder)
+    run("node", "manifests.mjs", cwd=folder)
+
+
+def test_the_manifests_belong_together(daemon):
+    kinds = {one["kind"]: one["spec"] for one in MANIFESTS}
+    assert sorted(kinds) == [
+        "Deployment", "HorizontalPodAutoscaler", "PodDisruptionBudget", "Service",
+    ]  # fmt: skip
+    pods = kinds["Deployment"]["template"]
+    labels = pods["metadata"]["labels"]
+    assert kinds["Service"]["selector"] == labels
+    assert kinds["Deployment"]["selector"] == kinds["PodDisruptionBudget"]["selector"]
+    assert kinds["Deployment"]["selector"] == {"matchLabels": labels}
+    scaled = kinds["HorizontalPodAutoscaler"]["scaleTargetRef"]
+    assert scaled == {key: MANIFESTS[0][key] for key in ("apiVersion", "kind")} | {"name": "dipoled"}
+
+    (container,) = pods["spec"]["containers"]
+    ports = {port["name"]: port["containerPort"] for port in container["ports"]}
+    assert [port["targetPort"] in ports for port in kinds["Service"]["ports"]] == [True]
+    env = {one["name"]: one["value"] for one in container["env"]}
+    places = {"DIPOLED_LISTEN": "tcp:0.0.0.0:{dipole}", "DIPOLED_METRICS": "0.0.0.0:{metrics}"}
+    assert env | {key: text.format(**ports) for key, text in places.items()} == env
+    env |= {key: re.sub(r"0\.0\.0\.0:\d+", "127.0.0.1:0", env[key]) for key in places}
+    one = daemon(env=env, listen=[])
+    for probe in ("livenessProbe", "readinessProbe"):
+        asked = container[probe]["httpGet"]
+        assert asked["port"] == "metrics" and fetch(one, asked["path"])[0] == 200
+    metrics = kinds["HorizontalPodAutoscaler"]["metrics"]
+    rules = (REPOSITORY / "clients/deploy/kubernetes.yml").read_text().partition("apiVersion")[0]
+    assert all(metric["pods"]["metric"]["name"] in rules for metric in metrics)
+    names = {name.partition("{")[0] for name in scrape(one)}
+    assert names.issuperset(re.findall(r"seriesQuery: '(\w+)", rules))
+    grace_s = pods["spec"]["terminationGracePeriodSeconds"]
+    with one.client("tcp") as client:
+        limits = client.info.limits
+    assert grace_s * 1000 > limits["drain_timeout_ms"]
+    held = limits["max_total_bytes"] + limits["cache_bytes"] + 2 * limits["points_bytes"]
+    memory = container["resources"]["limits"]["memory"]
+    assert memory == container["resources"]["requests"]["memory"] == "2Gi" and held < 1.7 * 2**30

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 
+import command_line
+import dipole
 import pytest
-from daemons import REPOSITORY, run
+from daemons import PROGRAM, REPOSITORY, run
 
 # Maps each name to (default, least, most), as server/options.def has them.
 NUMBERS = {
@@ -92,12 +94,38 @@ def test_addresses_from_the_environment(daemon, tmp_path_factory):
         ("DIPOLED_LOGLEVEL", "DIPOLED_LOG_LEVEL"),
         ("DIPOLED_max_media", "DIPOLED_MAX_MEDIA"),
         ("DIPOLED_", "DIPOLED_FD"),
+        ("DIPOLED_PORT", "DIPOLED_KEY"),
+        ("DIPOLED_SERVICE_HOSTS", "DIPOLED_CERTIFICATE"),
     ],
 )
 def test_an_unknown_variable_is_refused_with_the_nearest_name(name, nearest):
     ended = run(*NOWHERE, env={name: "3", "DIPOLED_WORKERS": "2"})
     assert ended.returncode == 2 and ended.stdout == ""
     assert f"environment variable {name} is no option; the nearest is {nearest}." in ended.stderr
+
+
+SERVICE = {
+    "SERVICE_HOST": "10.96.0.7",
+    "SERVICE_PORT": "4817",
+    "SERVICE_PORT_DIPOLE_TLS": "4818",
+    "PORT": "tcp://10.96.0.7:4817",
+    **{f"PORT_4817_{protocol}": "tcp://10.96.0.7:4817" for protocol in ("TCP", "UDP", "SCTP")},
+    "PORT_4817_TCP_PROTO": "tcp",
+    "PORT_4817_TCP_PORT": "4817",
+    "PORT_4817_TCP_ADDR": "10.96.0.7",
+}
+
+
+@pytest.mark.parametrize("name", ["DIPOLED", "DIPOLED_METRICS", "DIPOLED_2"])
+def test_what_kubernetes_sets_for_a_service_is_ignored(daemon, monkeypatch, name):
+    env = {f"{name}_{key}": value for key, value in SERVICE.items()}
+    with daemon(env=env).client() as client:
+        assert client.info.limits["workers"] == NUMBERS["workers"][0]
+    command_line.dipole("media", env=env)
+    for key, value in env.items():
+        monkeypatch.setenv(key, value)
+    with dipole.Client(f"private:{PROGRAM}") as client:
+        assert client.ping() > 0
 
 
 def test_an_empty_variable_is_none(daemon):

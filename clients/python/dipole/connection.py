@@ -402,7 +402,7 @@ class Connection:
 TLS_WAITS = (ssl.SSLWantReadError, ssl.SSLWantWriteError)
 
 # Environment variables that would make a private daemon serve other clients, too.
-_SERVES_OTHERS = ("DIPOLED_LISTEN", "DIPOLED_METRICS", "DIPOLED_MODBUS")
+_SERVES_OTHERS = ("DIPOLED_LISTEN", "DIPOLED_METRICS", "DIPOLED_MODBUS", "DIPOLED_HTTP")
 
 
 def frame_pieces(
