@@ -96,7 +96,9 @@ static const struct client_kind kind = {
 static enum MHD_Result admit(void *context, const struct sockaddr *peer, socklen_t peer_bytes) {
   const struct http_host *host = context;
   (void)peer, (void)peer_bytes;
-  return host->connection_count < host->server->options.max_http_connections ? MHD_YES : MHD_NO;
+  return host->connection_count < host->server->options.max_http_connections && tcp_has_descriptor()
+             ? MHD_YES
+             : MHD_NO;
 }
 
 static struct MHD_Daemon *start_daemon(struct http_service *service) {

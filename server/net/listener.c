@@ -132,7 +132,8 @@ static void on_connections(uv_poll_t *poll, int status, int events) {
   (void)events;
   struct listener *listener = poll->data;
   for (int i = 0; i < ACCEPTS_PER_ROUND; i++) {
-    const int fd = accept4(listener->fd, NULL, NULL, SOCK_NONBLOCK | SOCK_CLOEXEC);
+    const int fd =
+        tcp_has_descriptor() ? accept4(listener->fd, NULL, NULL, SOCK_NONBLOCK | SOCK_CLOEXEC) : -1;
     if (fd >= 0) {
       listener->admit(listener->server, fd);
     } else if (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM) {
@@ -360,12 +361,12 @@ bool listener_open(struct listener *listener, struct server *server, uv_loop_t *
 bool listener_open_modbus(struct listener *listener, struct server *server, uv_loop_t *loop,
                           const char *url, void (*take)(struct server *server, int fd)) {
   *listener = (struct listener){.server = server, .admit = take, .fd = -1};
-  const bool open =
-      strncmp(url, "tcp:", 4) == 0   ? open_tcp(listener, url, url + 4, "modbus-tcp")
-      : strncmp(url, "tls:", 4) == 0 ? open_tcp(listener, url, url + 4, "modbus-tls")
-                                     : complain(url, "Modbus is served at tcp:HOST:PORT, "
-                                                     "tls:HOST:PORT or "
-                                                     "rtu:DEVICE[,BAUD[,PARITY[,UNIT]]]");
+  const bool open = strncmp(url, "tcp:", 4) == 0 ? open_tcp(listener, url, url + 4, "modbus-tcp")
+                    : strncmp(url, "tls:", 4) == 0
+                        ? open_tcp(listener, url, url + 4, "modbus-tls")
+                        : complain(url, "Modbus is served at tcp:HOST:PORT, "
+                                        "tls:HOST:PORT or "
+                                        "rtu:DEVICE[,BAUD[,PARITY[,UNIT]]]");
   return start(listener, loop, open);
 }
 

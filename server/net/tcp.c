@@ -1,15 +1,20 @@
 #include "server/net/tcp.h"
 
 #include <errno.h>
+#include <fcntl.h>
 #include <netdb.h>
-#include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/resource.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
-enum { BACKLOG = 1024 };
+enum {
+  BACKLOG = 1024,
+  KEPT_MOST = 24,  /* descriptors that no client gets: */
+  KEPT_SHARE = 16, /* at most one in so many */
+};
 
 static void describe(int fd, int (*name)(int fd, struct sockaddr *address, socklen_t *length),
                      char text[TCP_TEXT_BYTES]) {
@@ -111,4 +116,16 @@ int tcp_listen(const char *host_port, const char **why) {
   *why = strerror(error);
   errno = error;
   return fd;
+}
+
+bool tcp_has_descriptor(void) {
+  struct rlimit limit;
+  const int lowest = fcntl(STDERR_FILENO, F_DUPFD_CLOEXEC, 0); /* of those that are free */
+  if (lowest < 0 || getrlimit(RLIMIT_NOFILE, &limit) != 0) {
+    return false;
+  }
+  close(lowest);
+  const rlim_t share = limit.rlim_cur / KEPT_SHARE;
+  errno = EMFILE;
+  return (rlim_t)lowest < limit.rlim_cur - (share < KEPT_MOST ? share : KEPT_MOST);
 }

@@ -27,6 +27,7 @@ from known import (
     PARTS, Known, assert_answer, every_kind, known_answers, receive_answer, refusal, short_requests,
 )
 from modbus_master import AT, floats, words, write_read_pdu
+from test_metrics import fetch
 
 
 def assert_all_right(connection: Connection, known: list[Known], order: list[int]) -> None:
@@ -425,6 +426,28 @@ def test_out_of_file_descriptors(daemon):
     assert eventually(lambda: serves(one))
     paused = [line for line in one.log if "event=accept-paused" in line]
     assert 1 <= len(paused) <= 2 + (time.monotonic() - began_s) / 5  # once in 10 s, by 2 listeners
+
+
+@pytest.mark.parametrize("scheme", ["unix", "tcp", "http", "modbus-tcp", "tls"])
+def test_probes_are_answered_when_no_descriptor_is_left(daemon, tmp_path, scheme):
+    pem, key = Authority(tmp_path).sign("farm")
+    options = ["--http", "127.0.0.1:0", "--metrics", "127.0.0.1:0", "--modbus", "tcp:127.0.0.1:0"]
+    options += ["--listen", "tls:127.0.0.1:0", "--certificate", pem, "--key", key]
+    one = daemon(*options, prefix=["prlimit", "--nofile=96:96"])
+    url = one.url(scheme)
+    host, _, port = url.removeprefix(f"{scheme}:").removeprefix("//").rpartition(":")
+    with contextlib.ExitStack() as clients:
+        for _ in range(120):
+            client = clients.enter_context(
+                socket.socket(socket.AF_UNIX if scheme == "unix" else socket.AF_INET)
+            )
+            client.connect(url.removeprefix("unix:") if scheme == "unix" else (host, int(port)))
+        opened = Path(f"/proc/{one.process.pid}/fd")
+        assert eventually(lambda: len(list(opened.iterdir())) >= 85)
+        for path in ("/healthz", "/readyz", "/metrics") * 3:
+            assert fetch(one, path)[0] == 200
+            assert len(list(opened.iterdir())) <= 92  # clients have 90 at most
+    assert eventually(lambda: serves(one))
 
 
 def wait_for_answers(
