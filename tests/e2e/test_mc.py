@@ -17,7 +17,7 @@ from frames import (
     EVAL, LINEAR, LOGARITHMIC, PING, R, SKIN, ask, assert_closed, assert_error, assert_refused,
     assert_serves, eval_payload, frame, parameters_bytes, refused,
 )
-from lists import MC_PARAMETERS, choices
+from lists import MC_PARAMETERS, choices, everywhere
 
 MC, CANCEL = wire.MESSAGES["mc"], wire.MESSAGES["cancel"]
 BATCH = 4096
@@ -608,6 +608,35 @@ def test_ring_means_are_differences_of_the_cdf(client, model, edges):
     error = np.abs(means.R * np.pi * np.diff(means.edges**2) / powers - 1)
     assert (error <= 1e-8 + 10 * lost).all()
     assert (means.numerical_error > 0).all() and means.model_error.shape == (3,)
+
+
+def mean_of_ring(client, model: str, medium: Medium, a: float, b: float) -> float:
+    """Integrates in steps that double with the distance from the inner edge, eight to an octave."""
+    x, weights = np.polynomial.legendre.leggauss(40)
+    cuts = a + (b - a) * np.append(0, 2.0 ** (np.arange(-511, 1) / 8))
+    widths = np.diff(cuts)[:, None]
+    values = client.eval(model, medium, (cuts[:-1, None] + widths * (1 + x) / 2).ravel(), wanted="2_pi_r_R")
+    power = (values.two_pi_r_R.reshape(-1, 40) * widths * weights / 2).sum()
+    return power / (np.pi * (b - a) * (b + a))
+
+
+@pytest.mark.parametrize("evaluator, most", [("f64", 2e-4), ("f32", 1e99), ("lut", 1e99)])
+def test_ring_means_are_within_their_errors(client, evaluator, most):
+    """Also in wide rings and in dark media, where R falls by many orders of magnitude in a ring."""
+    known = [(Medium(1, 1, 0, 1.4), 100, 200), (Medium(1, 1, 0, 1.4), 20, 40), (Medium(0.1, 10, 0.9, 1.4), 2, 4)]
+    random = np.random.default_rng(20)
+    for model in sorted({*everywhere()} - {"transport"}):
+        cases = list(known)
+        for _ in range(3):
+            medium = Medium(*10 ** random.uniform(-3, 3, 2), random.uniform(-0.9, 0.95), random.uniform(0.8, 2))
+            a = random.choice([0, 10 ** random.uniform(-4, 2)]) / (medium.sigma_a + medium.sigma_s)
+            cases.append((medium, a, (a or 0.1) * (1 + 10 ** random.uniform(-6, 4))))
+        for medium, a, b in cases:
+            right = mean_of_ring(client, model, medium, a, b)
+            means = client.ring_means(model, medium, [a, b], evaluator=evaluator)
+            R, error = means.R[0, 0], min(means.numerical_error[0, 0], 1e300)
+            assert abs(R - right) <= error * R or R == 0 and error > most and right < 1e-35, (model, medium, a, b)
+            assert error < most or R == 0
 
 
 def test_the_rings_of_a_job_beside_means_of_transport(client):

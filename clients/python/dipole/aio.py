@@ -311,8 +311,15 @@ class AsyncClient:
         self, model: str | int | None, media: Media, edges: Any, **options: Any
     ) -> RingMeans:
         """See Client.ring_means()."""
-        over = rings.Rings(edges)
-        return over.means(await self.eval(over.query(model, media, options)))
+        listed = evaluation.media_array(await self._media_of(media))
+        means = rings.means(model, listed, edges, **options)
+        try:
+            query = next(means)
+            while True:
+                query = means.send(await self.eval(query))
+        except StopIteration as end:
+            done: RingMeans = end.value
+            return done
 
     async def _cancel(self, job_id: int) -> None:
         """Cancels a Monte Carlo job or a gather. Does nothing without a connection: it ended with it."""

@@ -395,12 +395,21 @@ class Client:
     ) -> RingMeans:
         """Returns a model's means of R over rings, to compare with those of mc().
 
-        edges: mm, a Grid as for mc(), or the edges [N + 1] of its result. options: as of a Query.
-        The means are integrals of 2 pi r R over the ring, over the ring's area. The model error is
-        NaN for rings that start at 0: it is measured from 0.01 mean free paths on.
+        edges: mm, a Grid as for mc(), or the edges [N + 1] of its result. The means are integrals
+        of 2 pi r R over the ring, over the ring's area; the numerical error holds that of the
+        integration, for which several queries are sent. The model error is NaN for rings that start
+        at 0: it is measured from 0.01 mean free paths on. options: evaluator, moments, parameters,
+        tolerance and deadline_ms, as of a Query.
         """
-        over = rings.Rings(edges)
-        return over.means(self.eval(over.query(model, media, options)))
+        listed = evaluation.media_array(self._media_of(media))
+        means = rings.means(model, listed, edges, **options)
+        try:
+            query = next(means)
+            while True:
+                query = means.send(self.eval(query))
+        except StopIteration as end:
+            done: RingMeans = end.value
+            return done
 
     # ---- the rest --------------------------------------------------------------------------------
 

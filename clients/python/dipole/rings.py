@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .errors import ArgumentError
-from .values import Array, Grid, Media, Query, Result, counted, in_short, span
+from .values import Array, Grid, Query, Result, counted, in_short, span
 
-_OCTAVES_OF_DISC = 16  # into which a disc, a ring that starts at 0, is cut; and the rest of it
 _NODES = 16  # of Gauss and Legendre in each part of a ring
+_PARTS_MOST = 1 << 18  # of all media: the parts are cut no more when there are more of them
+_EPSILON = np.finfo(np.float64).eps
 
 
 class RingMeans(NamedTuple):
@@ -18,7 +21,8 @@ class RingMeans(NamedTuple):
 
     R: Array  # [C, N] 1/mm^2 per unit of power that entered: a ring's power over its area
     edges: Array  # [N + 1] mm
-    numerical_error: Array  # [C, N] of the mean against the model's exact formula, relative
+    numerical_error: Array  # [C, N] of the mean against the model's exact formula, relative; inf where
+    # the mean is 0 because R underflows
     model_error: Array  # [C] of the model against transport, relative; NaN: not measured
     model: str
 
@@ -31,38 +35,105 @@ class RingMeans(NamedTuple):
         )
 
 
-class Rings:
-    """Rings, and the radii at which 2 pi r R is needed for the means over them.
+# What one query gives for N parts of rings: their powers [C, N], how far these may be off because
+# the values and the radii are rounded [C, N], and the error of the model [C].
+_Powers = tuple[Array, Array, Array]
 
-    A ring is cut into parts whose outer edge is at most twice the inner one, since R may fall by
-    orders of magnitude within a ring.
+
+def means(
+    model: str | int | None,
+    media: Array,
+    edges: Any,
+    *,
+    evaluator: str | int | None = None,
+    moments: str | int = "exact",
+    parameters: Mapping[str, float | str] | None = None,
+    tolerance: float | None = None,
+    deadline_ms: int = 0,
+) -> Generator[Query, Result, RingMeans]:
+    """Yields queries, takes their results, and returns the means. media: [C, 4].
+
+    A ring is cut into parts whose outer edge is at most twice the inner one, and each part is cut
+    into halves until that changes its power by less than the values' errors do. The sum of the last
+    changes is part of the error: it is far above that of the sum of the halves.
     """
+    query = Query(
+        model, media, None, wanted="2_pi_r_R", evaluator=evaluator, moments=moments,
+        parameters=parameters, tolerance=tolerance, deadline_ms=deadline_ms,
+    )  # fmt: skip
+    edges = _edges(edges)
+    low, high, ring = _cut(edges, media)
+    if model is None:  # The first answer names the model for all others.
+        first = yield replace(query, r=np.append(low[low > 0], high))
+        query = replace(query, model=first.model, evaluator=evaluator or "f64")
+    power, error = np.zeros((2, len(media), len(edges) - 1))
+    whole, rounding, model_error = yield from _powers(query, low, high)
+    small = np.zeros(len(low), bool)
+    while len(low):
+        middle = (low + high) / 2
+        ends = np.stack([low, middle, high])
+        low, high = ends[:2].T.reshape(-1), ends[1:].T.reshape(-1)
+        halves, rounding, worst = yield from _powers(query, low, high)
+        model_error = np.maximum(model_error, worst)
+        sums, rounded = (x[:, 0::2] + x[:, 1::2] for x in (halves, rounding))
+        change = np.abs(sums - whole)
+        so_far = power + _by_ring(sums, ring, power.shape)
+        least = _EPSILON / 8 * so_far[:, ring]
+        was_small, small = small, (change <= np.maximum(rounded, least)).all(axis=0)
+        good = (change <= np.maximum(rounded / 16, least)).all(axis=0) | (small & was_small)
+        good |= (ends[1] <= ends[0]) | (ends[2] <= ends[1]) | (halves.size > _PARTS_MOST)
+        power += _by_ring(sums[:, good], ring[good], power.shape)
+        error += _by_ring((change + rounded)[:, good], ring[good], power.shape)
+        again = np.repeat(~good, 2)
+        low, high, whole = low[again], high[again], halves[:, again]
+        ring, small = ring[~good].repeat(2), small[~good].repeat(2)
+    dark = (media[:, 1] == 0)[:, None]  # R is 0. Elsewhere a power of 0 has underflowed.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative: Array = np.where(power > 0, error / power, np.where(dark, 0, np.inf))
+    areas = np.pi * np.diff(edges) * (edges[1:] + edges[:-1])
+    return RingMeans(power / areas, edges, relative, model_error, str(query.model))
 
-    def __init__(self, edges: Any):
-        self.edges = _edges(edges)
-        begin, end, ring = [], [], []
-        for i, (a, b) in enumerate(zip(self.edges, self.edges[1:])):
-            octaves = _OCTAVES_OF_DISC if a == 0 else max(int(np.ceil(np.log2(b / a))), 1)
-            cuts = np.geomspace(a or b * 2.0**-octaves, b, octaves + 1)
-            cuts = np.concatenate([[0.0], cuts] if a == 0 else [cuts])
-            begin.append(cuts[:-1])
-            end.append(cuts[1:])
-            ring.append(np.full(len(cuts) - 1, i))
-        low, high = np.concatenate(begin)[:, None], np.concatenate(end)[:, None]
-        nodes, weights = np.polynomial.legendre.leggauss(_NODES)  # type: ignore[no-untyped-call]
-        self.r: Array = ((low + high) / 2 + (high - low) / 2 * nodes).reshape(-1)
-        self._weights: Array = ((high - low) / 2 * weights).reshape(-1)
-        self._first: Array = np.searchsorted(np.concatenate(ring), np.arange(len(begin))) * _NODES
 
-    def query(self, model: Any, media: Media, options: dict[str, Any]) -> Query:
-        return Query(model, media, self.r, wanted="2_pi_r_R", **options)
+def _cut(edges: Array, media: Array) -> tuple[Array, Array, Array]:
+    """Cuts rings into parts. Returns their inner edges, their outer edges and their rings. That of
+    a disc at the centre is at most a thousandth of a mean free path wide."""
+    sigma_t = max(float(media[:, :2].sum(axis=1).max(initial=0)), 1e-300)
+    low, high, ring = [], [], []
+    for i, (a, b) in enumerate(zip(edges, edges[1:])):
+        least = a or min(b * 2.0**-16, 1e-3 / sigma_t)
+        cuts = np.geomspace(least, b, max(int(np.ceil(np.log2(b / least))), 1) + 1)
+        cuts = np.concatenate([[a], cuts[1:-1] if a else cuts[:-1], [b]])
+        low.append(cuts[:-1])
+        high.append(cuts[1:])
+        ring.append(np.full(len(cuts) - 1, i))
+    return np.concatenate(low), np.concatenate(high), np.concatenate(ring)
 
-    def means(self, result: Result) -> RingMeans:
-        """Makes the means of the result of query()."""
-        areas = np.pi * np.diff(self.edges**2)
-        error: Array = np.maximum.reduceat(result.numerical_error(self.r), self._first, axis=1)
-        powers: Array = np.add.reduceat(result.two_pi_r_R * self._weights, self._first, axis=1)
-        return RingMeans(powers / areas, self.edges, error, result.model_error, result.model)
+
+def _powers(query: Query, low: Array, high: Array) -> Generator[Query, Result, _Powers]:
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)  # type: ignore[no-untyped-call]
+    width = (high - low)[:, None]
+    r = low[:, None] + width * ((1 + nodes) / 2)
+    result = yield replace(query, r=r.reshape(-1))
+    values = result.two_pi_r_R
+    evaluated = r.astype(values.dtype)
+    ring: Array = values.astype(np.float64).reshape(-1, *r.shape)
+    slope = np.gradient(ring, nodes / 2, axis=2) / width
+    moved = np.abs(evaluated - r) + _EPSILON * r
+    with np.errstate(invalid="ignore"):  # Far out, R is 0 and its relative error may be infinite.
+        error = ring * (result.numerical_error(r) + 8 * _EPSILON)
+    error = np.where(ring > 0, error, 0) + 2 * np.abs(slope) * moved + np.finfo(values.dtype).tiny
+    return (
+        (ring * width * (weights / 2)).sum(axis=2),
+        (error * width * (weights / 2)).sum(axis=2),
+        result.model_error,
+    )
+
+
+def _by_ring(parts: Array, ring: Array, shape: tuple[int, ...]) -> Array:
+    """Adds up the parts [C, N] of each ring."""
+    sums = np.zeros(shape[::-1])
+    np.add.at(sums, ring, parts.T)
+    return sums.T
 
 
 def _edges(edges: Any) -> Array:
