@@ -17,6 +17,7 @@ enum { AXES = 3, COLUMNS_MAX = AXES + CLI_CLOUD_CHANNELS_MAX, LINE_BYTES = 1024,
 typedef struct cloud_columns {
   size_t count;
   size_t at[COLUMNS_MAX];
+  size_t cell_count; /* of the header */
 } cloud_columns;
 
 /* ---- columns --------------------------------------------------------------------------------- */
@@ -34,6 +35,7 @@ static bool find(const char *const *names, size_t count, const char *name, size_
 /* Finds the columns among the names. Says which one is missing. */
 static bool find_columns(const char *file, const char *const *names, size_t count, bool with_power,
                          cloud_columns *found) {
+  found->cell_count = count;
   static const char *const axes[AXES] = {"x", "y", "z"};
   for (size_t i = 0; i < AXES; i++) {
     if (!find(names, count, axes[i], &found->at[i])) {
@@ -92,21 +94,27 @@ static bool read_header(const cli_csv_record *record, bool with_power, cli_cloud
   return good;
 }
 
-static bool read_row(const cli_csv_record *record, const cloud_columns *columns, uint64_t line,
-                     cli_cloud *cloud, uint64_t *capacity) {
+static bool read_row(cli_csv_record *record, const cloud_columns *columns, cli_cloud *cloud,
+                     uint64_t *capacity) {
   double numbers[COLUMNS_MAX];
+  const unsigned long long line = record->line;
+  if (record->malformed || cli_csv_has_more(record, columns->cell_count)) {
+    cli_fail("%s:%llu: %s", cloud->file, line,
+             record->malformed ? "text stands after a closing quote"
+                               : "more cells than in the header: numbers have a decimal point");
+    return false;
+  }
   for (size_t i = 0; i < columns->count; i++) {
     size_t length = 0;
-    const char *text = columns->at[i] < record->cell_count
-                           ? cli_csv_cell_text(record, columns->at[i], &length)
-                           : "";
-    if (strlen(text) != length || !cli_number_parse(text, &numbers[i])) {
-      cli_fail("%s:%llu: column %zu: '%.40s' is no number", cloud->file, (unsigned long long)line,
-               columns->at[i] + 1, text);
+    const bool given = columns->at[i] < record->cell_count;
+    if (!given || !cli_csv_number(record, columns->at[i], &numbers[i])) {
+      const char *text = given ? cli_csv_cell_text(record, columns->at[i], &length) : "";
+      cli_fail("%s:%llu: column %zu: '%.40s' is no number%s", cloud->file, line,
+               columns->at[i] + 1, text, cli_csv_number_hint(text));
       return false;
     }
   }
-  add(cloud, capacity, numbers, line);
+  add(cloud, capacity, numbers, record->line);
   return true;
 }
 
@@ -114,33 +122,19 @@ static bool read_records(cli_csv_reader *reader, cli_csv_record *record, bool wi
                          cli_cloud *cloud) {
   cloud_columns columns = {0};
   uint64_t capacity = 0;
-  for (;;) {
-    const uint64_t line = reader->lines + 1;
-    switch (cli_csv_read(reader, record)) {
-    case CLI_CSV_COMMENT:
-      continue;
-    case CLI_CSV_RECORD:
-      if (columns.count == 0 ? !read_header(record, with_power, cloud, &columns)
-                             : !read_row(record, &columns, line, cloud, &capacity)) {
-        return false;
-      }
-      continue;
-    case CLI_CSV_END:
-      if (columns.count == 0) {
-        cli_fail("%s: it has no header", cloud->file);
-      }
-      return columns.count > 0;
-    case CLI_CSV_TOO_LONG:
-      cli_fail("%s:%llu: the line is too long", cloud->file, (unsigned long long)line);
-      return false;
-    case CLI_CSV_UNCLOSED:
-      cli_fail("%s:%llu: a quote is not closed", cloud->file, (unsigned long long)line);
-      return false;
-    case CLI_CSV_FAILED:
-      cli_fail("%s: %s", cloud->file, strerror(reader->read_errno));
+  enum cli_csv_kind kind;
+  while ((kind = cli_csv_read(reader, record)) == CLI_CSV_RECORD || kind == CLI_CSV_COMMENT) {
+    if (kind == CLI_CSV_RECORD &&
+        (columns.count == 0 ? !read_header(record, with_power, cloud, &columns)
+                            : !read_row(record, &columns, cloud, &capacity))) {
       return false;
     }
   }
+  if (kind == CLI_CSV_FAILED || columns.count == 0) {
+    cli_fail("%s: %s", cloud->file, kind == CLI_CSV_FAILED ? reader->problem : "it has no header");
+    return false;
+  }
+  return true;
 }
 
 static bool read_csv(int fd, bool with_power, cli_cloud *cloud) {
@@ -149,6 +143,7 @@ static bool read_csv(int fd, bool with_power, cli_cloud *cloud) {
   reader->fd = fd;
   const bool good = read_records(reader, &record, with_power, cloud);
   cli_csv_record_free(&record);
+  cli_csv_record_free(&reader->held);
   free(reader);
   return good;
 }

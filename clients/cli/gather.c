@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "clients/cli/cloud.h"
+#include "clients/cli/csv.h"
 #include "clients/cli/daemon.h"
 #include "clients/cli/options.h"
 #include "clients/cli/profile.h"
@@ -57,8 +58,7 @@ static bool follow(void *context, uint64_t answered, uint64_t count) {
 static int fail_at(const dipole_error *error, const cli_cloud *points, const cli_cloud *queries) {
   char place[512];
   const bool of_queries = strcmp(error->field, "queries") == 0;
-  const bool of_points =
-      strcmp(error->field, "points") == 0 || strcmp(error->field, "power") == 0;
+  const bool of_points = strcmp(error->field, "points") == 0 || strcmp(error->field, "power") == 0;
   if (error->kind != DIPOLE_ERROR_REFUSED || (!of_queries && !of_points)) {
     return cli_fail_error(error);
   }
@@ -82,9 +82,8 @@ static int ask(const gather_settings *settings, dipole_client *client, dipole_ga
   query->points = set;
   cli_catch_interrupt();
   cli_progress_start(&progress, "queries");
-  const bool good =
-      CLI_ASK(&settings->profile.common, &error,
-              dipole_gather(client, query, follow, &progress, M, &result, &error));
+  const bool good = CLI_ASK(&settings->profile.common, &error,
+                            dipole_gather(client, query, follow, &progress, M, &result, &error));
   cli_progress_wipe(&progress);
   dipole_points_free(set);
   if (!good) {
@@ -164,9 +163,10 @@ const cli_command cli_command_gather = {
         "\n"
         "Each point holds power that entered the medium there: irradiance times area. Each query\n"
         "gets the sum of R(distance) times power over all points, in W/mm^2, for each channel\n"
-        "(Jensen and Buhler 2002). POINTS and QUERIES are CSV with a header, or binary PLY if they\n"
+        "(Jensen and Buhler 2002). POINTS and QUERIES are CSV with a header, or binary PLY if "
+        "they\n"
         "end with .ply: columns x, y, z in mm, and power_1, power_2 and so on in W; - is standard\n"
-        "input. What is written has the columns M_1, M_2 and so on.\n",
+        "input. What is written has the columns M_1, M_2 and so on.\n" CLI_CSV_TEXT,
     .formats = "none",
     .options = {cli_medium_options, options},
     .examples =

@@ -412,28 +412,11 @@ static void write_before_wait(void *context) {
 /* Returns whether a record or a comment was read. If not, this is the end of the input, or the work
  * has failed. */
 static bool read_record(points_run *points, cli_csv_record *record, enum cli_csv_kind *kind) {
-  const char *what = "";
   *kind = cli_csv_read(&points->reader, record);
-  switch (*kind) {
-  case CLI_CSV_RECORD:
-  case CLI_CSV_COMMENT:
-    return !points->failed;
-  case CLI_CSV_END:
-    return false;
-  case CLI_CSV_TOO_LONG:
-    what = "the row is longer than 1 MiB";
-    break;
-  case CLI_CSV_UNCLOSED:
-    what = "a quote is not closed";
-    break;
-  case CLI_CSV_FAILED:
-    what = strerror(points->reader.read_errno);
-    break;
+  if (*kind == CLI_CSV_FAILED && !points->failed && write_down(points, 0)) { /* the rows before */
+    return fail(points, "%s", points->reader.problem);
   }
-  if (points->failed || !write_down(points, 0)) { /* answer the rows before this one */
-    return false;
-  }
-  return fail(points, "line %llu: %s", (unsigned long long)points->reader.lines + 1, what);
+  return !points->failed && (*kind == CLI_CSV_RECORD || *kind == CLI_CSV_COMMENT);
 }
 
 static bool read_header(points_run *points) {
@@ -590,6 +573,7 @@ static int run(void *settings, dipole_client *client) {
     cli_csv_record_free(&points->rows[i].record);
     free(points->rows[i].values);
   }
+  cli_csv_record_free(&points->reader.held);
   for (size_t i = 0; i < 3; i++) {
     free(points->arrays[i]);
   }
@@ -616,7 +600,7 @@ const cli_command cli_command_points = {
         "(1/mm^2 per unit of power that entered; it may be inf), albedo, cdf (the share of the\n"
         "albedo within r) and status. status is ok or says what is wrong with the row; then the\n"
         "exit status is 3, but the other rows are evaluated. Lines that start with # are "
-        "copied.\n" CLI_DEFAULT_TEXT,
+        "copied.\n" CLI_CSV_TEXT CLI_DEFAULT_TEXT,
     .formats = "csv",
     .options = {options, cli_parameter_options},
     .examples = "  dipole points media.csv > profiles.csv\n"

@@ -109,18 +109,10 @@ static bool fail_missing(const char *source, const char *missing, const cli_csv_
   if (found != NULL) {
     fclose(found);
   }
-  const char *separator = header->cell_count > 1 || text == NULL ? NULL : strpbrk(text, ";\t");
-  if (separator != NULL) {
-    cli_fail("%s: the cells of the header are separated by %s; this command reads commas, and "
-             "points in numbers: convert the file, for example with tr '%s' '%s'",
-             source, *separator == ';' ? "semicolons" : "tabs", *separator == ';' ? ",;" : ",\\t",
-             ".,");
-  } else {
-    cli_fail("%s: the column %s is missing; the header has %s; it needs sigma_a, sigma_s, g and "
-             "eta, or medium and channel; and r unless --r is given; and may have model, moments "
-             "and parameters",
-             source, missing, text != NULL ? text : "others");
-  }
+  cli_fail("%s: the column %s is missing; the header has %s; it needs sigma_a, sigma_s, g and "
+           "eta, or medium and channel; and r unless --r is given; and may have model, moments "
+           "and parameters",
+           source, missing, text != NULL ? text : "others");
   free(text);
   return false;
 }
@@ -205,7 +197,7 @@ void points_write_header(const points_columns *columns, const cli_csv_record *he
   fwrite(header->bytes, 1, header->length - header->ending_bytes, file);
   for (size_t i = 0; i < columns->output_count; i++) {
     if (columns->outputs[i].at == POINTS_ABSENT) {
-      fprintf(file, ",%s", columns->outputs[i].name);
+      fprintf(file, "%c%s", header->separator, columns->outputs[i].name);
     }
   }
   write_ending(header, file);
@@ -219,23 +211,31 @@ static double numerical_error(const points_usual *usual, const points_row *row, 
   return row->numerical_error + (grows ? row->numerical_error_per_mm * r_mm : 0);
 }
 
+/* Writes a number with the decimal mark of the row. */
+static void write_number(const points_row *row, double value, FILE *file) {
+  char text[CLI_NUMBER_BYTES];
+  char *point = strchr(cli_number_format(value, text), '.');
+  if (point != NULL && row->record.decimal_comma) {
+    *point = ',';
+  }
+  fputs_unlocked(isnan(value) ? "" : text, file);
+}
+
 /* A cell of the row's line for radius number `radius`. */
 static void write_output(const points_usual *usual, const points_row *row, size_t radius,
                          size_t output, FILE *file) {
-  char text[CLI_NUMBER_BYTES];
   const bool good = row->state == POINTS_GOOD;
   const size_t first = points_has_radii(usual) ? 1 : 0, count = usual->quantities.count;
   if (output == first + count + (usual->settings->errors ? 2 : 0)) {
     cli_csv_write_cell(good ? "ok" : row->status, file);
   } else if (good && output >= first + count) {
-    const double error =
-        output == first + count ? numerical_error(usual, row, radius) : row->model_error;
-    fputs(isnan(error) ? "" : cli_number_format(error, text), file);
+    write_number(row,
+                 output == first + count ? numerical_error(usual, row, radius) : row->model_error,
+                 file);
   } else if (good && output < first) {
-    fputs(cli_number_format(usual->settings->r.items[radius], text), file);
+    write_number(row, usual->settings->r.items[radius], file);
   } else if (good) {
-    const double value = row->values[radius * count + output - first];
-    fputs_unlocked(isnan(value) ? "" : cli_number_format(value, text), file);
+    write_number(row, row->values[radius * count + output - first], file);
   }
 }
 
@@ -253,7 +253,9 @@ void points_write_line(const points_usual *usual, const points_columns *columns,
     while (output < columns->output_count && columns->outputs[output].at != i) {
       output++;
     }
-    fputs(i > 0 ? "," : "", file);
+    if (i > 0) {
+      putc_unlocked(record->separator, file);
+    }
     if (output < columns->output_count) {
       write_output(usual, row, radius, output, file);
     } else if (i < record->cell_count) {
@@ -262,13 +264,13 @@ void points_write_line(const points_usual *usual, const points_columns *columns,
   }
   for (size_t output = 0; output < columns->output_count; output++) {
     if (columns->outputs[output].at == POINTS_ABSENT) {
-      putc_unlocked(',', file);
+      putc_unlocked(record->separator, file);
       write_output(usual, row, radius, output, file);
     }
   }
   for (size_t i = columns->count; i < record->cell_count;
        i++) { /* cells beyond those of the header */
-    putc_unlocked(',', file);
+    putc_unlocked(record->separator, file);
     cli_csv_copy_cell(record, i, file);
   }
   write_ending(record, file);
@@ -341,12 +343,15 @@ static bool read_moments(const points_usual *usual, const points_columns *column
 }
 
 /* Reads a cell with a number into the row. */
-static bool read_number(points_row *row, size_t input, const char *text, size_t length) {
-  return (strlen(text) == length && cli_number_parse(text, AT(row, inputs[input].offset))) ||
+static bool read_number(points_row *row, size_t input, size_t at) {
+  size_t length;
+  const bool given = at != POINTS_ABSENT;
+  return (given && cli_csv_number(&row->record, at, AT(row, inputs[input].offset))) ||
          make_bad(row,
                   "%s: '%.*s' is no number: allowed: decimal numbers within the range of "
                   "doubles",
-                  inputs[input].name, SHOWN_BYTES, text);
+                  inputs[input].name, SHOWN_BYTES,
+                  given ? cli_csv_cell_text(&row->record, at, &length) : "");
 }
 
 /* measured: whether the row has the coefficients of a measured medium, which its cells override. */
@@ -354,12 +359,10 @@ static bool read_numbers(const points_usual *usual, const points_columns *column
                          points_row *row) {
   bool good = true;
   for (size_t i = FIRST_NUMBER; good && i < POINTS_INPUTS; i++) {
-    size_t length = 0;
     const bool needed = i == R ? !points_has_radii(usual) : !measured;
     const size_t at = columns->input_at[i];
-    const char *text = at != POINTS_ABSENT ? cli_csv_cell_text(&row->record, at, &length) : "";
-    if (needed || length > 0) {
-      good = read_number(row, i, text, length);
+    if (needed || (at != POINTS_ABSENT && row->record.cells[at].text_length > 0)) {
+      good = read_number(row, i, at);
     }
   }
   return good;
@@ -406,9 +409,12 @@ static bool read_parameters(const points_usual *usual, const points_columns *col
     const dipole_choice *parameter = columns->parameters[i];
     size_t length;
     double value;
-    const char *text = cli_csv_cell_text(&row->record, columns->parameter_at[i], &length);
-    good = length == 0 ||
-           (strlen(text) == length && cli_parameter_parse(usual->info, parameter, text, &value));
+    const size_t at = columns->parameter_at[i];
+    const char *text = cli_csv_cell_text(&row->record, at, &length);
+    good = length == 0 || (strlen(text) == length &&
+                           (strchr(text, ',') != NULL
+                                ? cli_csv_number(&row->record, at, &value)
+                                : cli_parameter_parse(usual->info, parameter, text, &value)));
     if (!good) {
       make_bad(row, "%s: '%.*s' is no value: allowed: %s", parameter->name, SHOWN_BYTES, text,
                parameter->about);

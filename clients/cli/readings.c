@@ -3,12 +3,12 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <math.h>
+#include <stdarg.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
 #include "clients/cli/csv.h"
-#include "clients/cli/number.h"
 #include "core/core.h"
 
 /* ---- finding equal things -------------------------------------------------------------------- */
@@ -94,14 +94,21 @@ typedef struct reading {
   const char *source;
   cli_csv_reader reader;
   size_t at[COLUMNS]; /* positions in the header */
+  size_t column_count;
   numbering names;
   cli_readings *readings;
   size_t row_count, row_capacity;
   row *rows;
 } reading;
 
-static int fail_line(const reading *of, const char *what) {
-  return cli_fail("%s: line %llu: %s", of->source, (unsigned long long)of->reader.lines, what);
+__attribute__((format(printf, 3, 4))) static int fail_line(const reading *of, uint64_t line,
+                                                           const char *format, ...) {
+  char what[160];
+  va_list arguments;
+  va_start(arguments, format);
+  vsnprintf(what, sizeof what, format, arguments);
+  va_end(arguments);
+  return cli_fail("%s: line %llu: %s", of->source, (unsigned long long)line, what);
 }
 
 /* Finds the nearest column to a name that is not known; NULL if none is near. */
@@ -139,6 +146,7 @@ static int take_column(reading *of, const char *name, size_t at) {
 static int take_header(reading *of, const cli_csv_record *header) {
   int status = CLI_OK;
   size_t length;
+  of->column_count = header->cell_count;
   for (size_t i = 0; i < COLUMNS; i++) {
     of->at[i] = ABSENT;
   }
@@ -167,20 +175,18 @@ static int take_header(reading *of, const cli_csv_record *header) {
 /* ---- rows ------------------------------------------------------------------------------------ */
 
 /* Reads the number of a cell: NAN if it is empty or absent. */
-static int take_number(const reading *of, const cli_csv_record *record, size_t column,
-                       double *number) {
+static int take_number(const reading *of, cli_csv_record *record, size_t column, double *number) {
   size_t length;
   *number = (double)NAN;
   if (of->at[column] >= record->cell_count) {
     return CLI_OK;
   }
   const char *text = cli_csv_cell_text(record, of->at[column], &length);
-  if (length == 0 || cli_number_parse(text, number)) {
+  if (length == 0 || cli_csv_number(record, of->at[column], number)) {
     return CLI_OK;
   }
-  char what[160];
-  snprintf(what, sizeof what, "%s: '%.40s' is no number", columns[column], text);
-  return fail_line(of, what);
+  return fail_line(of, record->line, "%s: '%.40s' is no number%s", columns[column], text,
+                   cli_csv_number_hint(text));
 }
 
 static size_t sample_of(reading *of, const cli_csv_record *record) {
@@ -203,19 +209,24 @@ static size_t sample_of(reading *of, const cli_csv_record *record) {
 }
 
 /* Sets what all lines of a sample must agree about. */
-static int set_of_sample(const reading *of, double *kept, double given, const char *column) {
-  char what[120];
+static int set_of_sample(const reading *of, const row *from, size_t column, double *kept) {
+  const double given = from->numbers[column];
   if (isnan(given) || !(*kept < given || *kept > given)) {
     *kept = isnan(given) ? *kept : given;
     return CLI_OK;
   }
-  snprintf(what, sizeof what, "%s differs from that of the sample's other lines", column);
-  return fail_line(of, what);
+  return fail_line(of, from->line, "%s differs from that of the sample's other lines",
+                   columns[column]);
 }
 
-static int take_row(reading *of, const cli_csv_record *record) {
-  row taken = {.line = of->reader.lines};
-  int status = record->malformed ? fail_line(of, "text stands after a closing quote") : CLI_OK;
+static int take_row(reading *of, cli_csv_record *record) {
+  row taken = {.line = record->line};
+  int status = record->malformed ? fail_line(of, record->line, "text stands after a closing quote")
+               : cli_csv_has_more(record, of->column_count)
+                   ? fail_line(of, record->line,
+                               "%zu cells, where the header has %zu: numbers have a decimal point",
+                               record->cell_count, of->column_count)
+                   : CLI_OK;
   for (size_t i = RADIUS; status == CLI_OK && i < COLUMNS; i++) {
     status = take_number(of, record, i, &taken.numbers[i]);
   }
@@ -224,12 +235,9 @@ static int take_row(reading *of, const cli_csv_record *record) {
   }
   taken.sample = sample_of(of, record);
   cli_sample *sample = &of->readings->samples[taken.sample];
-  status = set_of_sample(of, &sample->g, taken.numbers[G], columns[G]);
-  status =
-      status == CLI_OK ? set_of_sample(of, &sample->eta, taken.numbers[ETA], columns[ETA]) : status;
-  status = status == CLI_OK
-               ? set_of_sample(of, &sample->detector_na, taken.numbers[APERTURE], columns[APERTURE])
-               : status;
+  status = set_of_sample(of, &taken, G, &sample->g);
+  status = status == CLI_OK ? set_of_sample(of, &taken, ETA, &sample->eta) : status;
+  status = status == CLI_OK ? set_of_sample(of, &taken, APERTURE, &sample->detector_na) : status;
   sample->count++;
   if (of->row_count == of->row_capacity) {
     of->row_capacity = of->row_capacity > 0 ? 2 * of->row_capacity : 256;
@@ -317,24 +325,15 @@ static int read_all(reading *of) {
     }
   }
   cli_csv_record_free(&record);
-  if (status != CLI_OK) {
-    return status;
+  cli_csv_record_free(&of->reader.held);
+  if (status == CLI_OK && kind == CLI_CSV_FAILED) {
+    return cli_fail("%s: %s", of->source, of->reader.problem);
   }
-  switch (kind) {
-  case CLI_CSV_TOO_LONG:
-    return fail_line(of, "the next row is longer than 1 MiB");
-  case CLI_CSV_UNCLOSED:
-    return fail_line(of, "a quote is not closed");
-  case CLI_CSV_FAILED:
-    return cli_fail("%s: %s", of->source, strerror(of->reader.read_errno));
-  default:
-    return of->row_count > 0
-               ? CLI_OK
-               : cli_fail(
-                     "%s: there are no readings; a header line names the columns: sample, r or "
-                     "f, R and error",
-                     of->source);
-  }
+  return status != CLI_OK || of->row_count > 0
+             ? status
+             : cli_fail("%s: there are no readings; a header line names the columns: sample, r or "
+                        "f, R and error",
+                        of->source);
 }
 
 int cli_readings_read(const char *path, cli_readings *readings) {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import select
 import subprocess
 import time
@@ -235,7 +236,7 @@ def test_file_standard_input_and_dash(tmp_path):
         (",,0.01,1,0,1.4,-2", "bad-value: r: allowed: "),
         (",,0.01,1,0,1.4,nan", "bad-value: r: allowed: "),
         (",,0.01,1,0,1.4,", "r: '' is no number: allowed: "),
-        (",,0.01,1,0,1.4, 2", "r: ' 2' is no number: allowed: "),
+        (",,0.01,1,0,1.4,1 2", "r: '1 2' is no number: allowed: "),
         (",,0.01,1,0,1.4,2mm", "r: '2mm' is no number: allowed: "),
         (",,0x1,1,0,1.4,2", "sigma_a: '0x1' is no number: allowed: "),
         (",,1e999,1,0,1.4,2", "sigma_a: '1e999' is no number: allowed: "),
@@ -308,7 +309,7 @@ def test_a_folder_instead_of_a_file(tmp_path):
 
 def test_an_open_quote_is_an_error_after_the_rows_before_it():
     run = dipole("points", stdin=f"{HEADER}\n{ROW}\n\"{ROW}\n", status=FAILED)
-    assert "line 4: a quote is not closed" in run.stderr
+    assert "line 3: a quote is not closed" in run.stderr
     assert run.stdout.splitlines()[1].endswith(",ok")
 
 
@@ -559,8 +560,71 @@ def test_a_column_that_is_nearly_one_that_is_read(column, said):
     assert f"the column {column} is not read; {said}" in run.stderr and run.stdout == ""
 
 
-def test_semicolons_are_named():
-    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
-        text = f"{HEADER}\n{ROW}\n".replace(",", separator)
-        run = dipole("points", stdin=text, status=FAILED)
-        assert f"are separated by {name}; this command reads commas" in run.stderr
+# ---- other forms of CSV, which all commands read -------------------------------------------------
+
+# What cannot be misunderstood, made of text with commas, points and line feeds.
+FORMS = {
+    "blanks": lambda text: text.replace(",", " ,\t "),
+    "quotes behind blanks": lambda text: re.sub("([^,\n]+)", ' "\\1" ', text),
+    "semicolons": lambda text: text.replace(",", ";"),
+    "decimal commas": lambda text: text.replace(",", ";").replace(".", ","),
+    "decimal commas and tabs": lambda text: text.replace(",", "\t").replace(".", ","),
+    "tabs": lambda text: text.replace(",", " \t"),
+    "returns": lambda text: text.replace("\n", "\r"),
+    "returns and feeds": lambda text: "\r\n" + text.replace("\n", "\r\n"),
+    "a header that starts with #": lambda text: "# by hand, twice\n# " + text,
+    "a header that starts with #, tabs": lambda text: "#" + text.replace(",", "\t"),
+    "UTF-16": lambda text: ("#\n" + text).encode("utf-16"),
+    "UTF-16, big-endian": lambda text: ("\ufeff" + text).encode("utf-16-be"),
+    "all": lambda text: ("\ufeff#" + text.replace(",", "; ").replace(".", ",").replace("\n", "\r"))
+    .encode("utf-16-be"),
+}  # fmt: skip
+READINGS = "sample,r,R,error\na,1,.0234,.0005\na,2,.00787,.0002\na,4,.00159,.00003\n"
+CLOUD = "x,y,z,power\n0,0,0,1.5\n0,2.5,0,0.5\n"
+
+
+def read_by_all(tmp_path, form) -> list[list[float]]:
+    """Returns the numbers that three commands make of files in a form."""
+    table = points(form(f"{HEADER}\n{ROW}\n0.5,1.25,0,1.4,2\n"))
+    mark = next(one for one in ",;\t" if f"r{one}" in re.sub('[ "]', "", table))
+    rows = [[float(cell.strip(' "').replace(",", ".")) for cell in line.split(mark)[:-1]]
+            for line in re.split("[\r\n]+", table.strip("\ufeff\r\n"))[-2:]]  # fmt: skip
+    fits = read_csv(dipole("fit", "--eta", "1.4", "--format", "csv", stdin=form(READINGS)).stdout)
+    paths = [scratch(tmp_path, name, form(CLOUD.replace("2.5", y))) for name, y in zip("pq", "23")]
+    medium = ["--sigma-a", "0.01", "--sigma-s", "1", "--model", "better"]
+    sums = read_csv(dipole("gather", *paths, *medium).stdout)
+    assert [fit.pop("sample") for fit in fits] == ["a"]
+    assert [fit.pop("status") for fit in fits] == ["fitted"]
+    return [*rows, *([float(x) for x in row.values()] for row in fits + sums)]
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_forms_of_csv(tmp_path, form):
+    assert read_by_all(tmp_path, FORMS[form]) == read_by_all(tmp_path, str)
+
+
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        ("x,y,z;power\n0,0,0;1\n", "line 1: the header has commas and semicolons"),
+        ("# made\nx y z power\n0 0 0 1\n", "line 2: the header is one cell: separate its columns"),
+        ("x y z power\n".encode("utf-16-le"), "line 1: the header has zero bytes: save the file as"),
+        ('x,y,z,power\n0,0,0,1\n0,"0,0,2\n0,0,1,1\n', "line 3: a quote is not closed"),
+        ('x,y,z,power\n0,0,"0,1{long}', "line 2: a quote is not closed within 1 MiB"),
+        ("x,y,z,power\n0,0,0,{long}", "line 2: the row is longer than 1 MiB"),
+        ("x,y,z,power\r0,0,0,1\r0,zero,0,1\r", ":3: column 2: 'zero' is no number"),
+        ("x\ty\tz\tpower\n0\t0\t0\t1,234\n", "'1,234' is no number: write a decimal point"),
+        ("x,y,z,power\n0,0,0,1,5\n", ":2: more cells than in the header: numbers have a decimal"),
+        ('x,y,z,power\n0,"0"1,0,1\n', ":2: text stands after a closing quote"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_a_csv_is_named(tmp_path, text, said):
+    path = scratch(tmp_path, "p.csv", text if text[-1:] != "}" else text.format(long="1" * 2**20))
+    run = dipole("gather", path, path, "--sigma-a", "1", "--sigma-s", "1", status=FAILED)
+    assert said in run.stderr and run.stdout == ""
+
+
+def test_cells_beyond_the_header_that_are_empty_do_no_harm():
+    dipole("fit", "--eta", "1.4", stdin=READINGS.replace("\n", ",,\n", 2), usual=False)
+    run = dipole("fit", stdin=READINGS.replace(".0234", "0,0234"), status=FAILED)
+    assert "line 2: 5 cells, where the header has 4: numbers have a decimal point" in run.stderr
