@@ -108,19 +108,22 @@ bool libdipole_fail_refused(dipole_error *error, const dipole_info *info, uint32
 
 /* ---- a peer's text ------------------------------------------------------------------------- */
 
-/* Returns the number of bytes of the UTF-8 character at text, or 1 if it is not well-formed. Does
- * not reject overlong forms and surrogates, which are harmless on a terminal. */
-static size_t character_bytes(const unsigned char *text) {
-  const size_t bytes = text[0] >= 0xf0 ? 4 : text[0] >= 0xe0 ? 3 : text[0] >= 0xc2 ? 2 : 1;
-  if (text[0] > 0xf4) {
-    return 1;
-  }
+size_t libdipole_character_bytes(const char *text) {
+  static const uint32_t least[] = {0, 0, 0x80, 0x800, 0x10000}; /* no overlong forms */
+  const unsigned char *at = (const unsigned char *)text;
+  const size_t bytes = at[0] >= 0xf0 ? 4 : at[0] >= 0xe0 ? 3 : at[0] >= 0xc0 ? 2 : 1;
+  uint32_t code = bytes == 1 ? at[0] : at[0] & (0x7fU >> bytes);
   for (size_t i = 1; i < bytes; i++) {
-    if ((text[i] & 0xc0) != 0x80) { /* This is also true for the terminating zero. */
-      return 1;
+    if ((at[i] & 0xc0) != 0x80) { /* This is also true for the terminating zero. */
+      return 0;
     }
+    code = code << 6 | (at[i] & 0x3fU);
   }
-  return bytes;
+  const bool is_surrogate = code >> 11 == 0xd800 >> 11;
+  return (bytes == 1 && code >= 0x80) || at[0] >= 0xf8 || code < least[bytes] || code > 0x10ffff ||
+                 is_surrogate
+             ? 0
+             : bytes;
 }
 
 /* Returns whether a character is a control character: below U+0020, or U+007F to U+009F. */
@@ -132,10 +135,9 @@ static bool is_control(const unsigned char *text, size_t bytes) {
 void libdipole_clean_text(char *text) {
   unsigned char *at = (unsigned char *)text;
   while (*at != '\0') {
-    const size_t bytes = character_bytes(at);
-    if (is_control(at, bytes) || (bytes == 1 && *at >= 0x80)) {
-      memset(at, '?', bytes);
-    }
-    at += bytes;
+    const size_t bytes = libdipole_character_bytes((const char *)at);
+    const size_t replaced = bytes == 0 ? 1 : is_control(at, bytes) ? bytes : 0;
+    memset(at, '?', replaced);
+    at += bytes > 0 ? bytes : 1;
   }
 }

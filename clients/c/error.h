@@ -25,6 +25,9 @@ bool libdipole_fail_protocol(dipole_error *error, const char *what);
 bool libdipole_fail_refused(dipole_error *error, const dipole_info *info, uint32_t medium_count,
                             uint64_t value_count, const uint8_t *payload);
 
+/* Returns how many bytes the UTF-8 character at text has; 0 if it is not well-formed. */
+size_t libdipole_character_bytes(const char *text);
+
 /* Replaces control characters, and bytes that are not UTF-8, by question marks, so that a peer's
  * text is harmless on a terminal. */
 void libdipole_clean_text(char *text);

@@ -15,10 +15,10 @@ typedef struct cli_image {
   float *values; /* [height][width][channels], the first row at the top */
 } cli_image;
 
-/* Reads a file: PNG or PFM, as its first bytes say. An opacity is left out. The values of a PNG are
- * shares of the largest one; unless `linear`, they are decoded to linear light (sRGB, IEC
- * 61966-2-1). Says what is wrong and returns false if it cannot be read. The caller frees
- * image->values with free(). */
+/* Reads a file: PNG or PFM, as its first bytes say. Says on standard error if an opacity is left
+ * out. The values of a PNG are shares of the largest one; unless `linear`, they are decoded to
+ * linear light as the file says by cICP, iCCP or gAMA, else as sRGB. Says what is wrong and returns
+ * false if it cannot be read. The caller frees image->values with free(). */
 bool cli_image_read(const char *file, bool linear, cli_image *image);
 
 /* Returns whether the name of a file ends as that of a format that can be written. shares: whether

@@ -3,18 +3,20 @@
 #include <math.h>
 #include <stdarg.h>
 
+#include "clients/c/error.h"
 #include "clients/cli/number.h"
 
 static void write_text(FILE *file, const char *text) {
   fputc('"', file);
-  for (; *text != '\0'; text++) {
+  for (size_t bytes; *text != '\0'; text += bytes > 0 ? bytes : 1) {
     const unsigned char byte = (unsigned char)*text;
+    bytes = libdipole_character_bytes(text);
     if (byte == '"' || byte == '\\') {
       fprintf(file, "\\%c", byte);
-    } else if (byte < 0x20) {
-      fprintf(file, "\\u%04x", byte);
+    } else if (byte < 0x20 || bytes == 0) {
+      fprintf(file, "\\u%04x", bytes == 0 ? 0xfffdU : byte);
     } else {
-      fputc(byte, file);
+      fwrite(text, 1, bytes, file);
     }
   }
   fputc('"', file);

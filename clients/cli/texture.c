@@ -33,8 +33,10 @@ static const cli_option options[] = {
      CLI_TEXT, FIELD(light), "beam"},
     {"specular", NULL, "the colours contain what the surface itself reflects (Fresnel)", CLI_SWITCH,
      FIELD(specular), NULL},
-    {"linear", NULL, "the values of a PNG are linear (default: they are sRGB)", CLI_SWITCH,
-     FIELD(linear), NULL},
+    {"linear", NULL,
+     "the values of a PNG are linear, whatever it says (default: what it says,\n"
+     "by cICP, iCCP or gAMA, else sRGB)",
+     CLI_SWITCH, FIELD(linear), NULL},
     {"coefficients", "NAME[,NAME...]",
      "what to write: sigma_a, sigma_s (1/mm), and scattered, the single-scattering\n"
      "albedo for random walks (default: sigma_a,sigma_s)",

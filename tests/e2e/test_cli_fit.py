@@ -207,6 +207,13 @@ def test_a_name_is_no_command(readings, tmp_path, end):
     assert clean in shown
 
 
+def test_json_is_utf_8(readings):
+    name = b'"a\xff\xc0\xaf\xed\xa0\x80\xf5 b\xc3\xa4\xf0\x9f\x98\x80"'
+    text = table_of({"milk": readings["milk"]}).encode().replace(b"milk", name)
+    report = json.loads(dipole("fit", *OPTIONS, "--format", "json", stdin=text).stdout)
+    assert report["samples"][0]["sample"] == "a" + 7 * "\ufffd" + " b\u00e4\U0001f600"
+
+
 # ---- what is never a success ---------------------------------------------------------------------
 
 

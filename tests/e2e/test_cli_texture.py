@@ -10,8 +10,8 @@ import pytest
 from command_line import BAD_ROWS, FAILED, USAGE, dipole
 
 
-def write_png(path, values: np.ndarray) -> None:
-    """Writes integers [height, width, channels] of 8 or 16 bits."""
+def write_png(path, values: np.ndarray, *more: tuple[bytes, bytes]) -> None:
+    """Writes integers [height, width, channels] of 8 or 16 bits. more: names and bodies of chunks."""
     height, width, channels = values.shape
     bits = 8 * values.dtype.itemsize
     rows = values.astype(values.dtype.newbyteorder(">"))
@@ -24,8 +24,8 @@ def write_png(path, values: np.ndarray) -> None:
     kind = {1: 0, 2: 4, 3: 2, 4: 6}[channels]
     header = struct.pack(">IIBBBBB", width, height, bits, kind, 0, 0, 0)
     path.write_bytes(
-        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(data))
-        + chunk(b"IEND", b"")
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + b"".join(chunk(*one) for one in more)
+        + chunk(b"IDAT", zlib.compress(data)) + chunk(b"IEND", b"")
     )
 
 
@@ -61,14 +61,78 @@ def test_media_have_the_colours_of_a_png(tmp_path, client, channels, type):
     values = source.integers(most // 8, most, (5, 7, channels), dtype=type)
     write_png(tmp_path / "in.png", values)
     path = "1" if channels < 3 else "1,.5,.3"
-    texture(tmp_path / "in.png", tmp_path / "out.pfm", "--model", "better",
-            "--mean-free-path", path, "--g", ".2", "--eta", "1.4")
+    run = texture(tmp_path / "in.png", tmp_path / "out.pfm", "--model", "better",
+                  "--mean-free-path", path, "--g", ".2", "--eta", "1.4", quiet=False)
+    told = "in.png: 35 of 35 pixels are not opaque; their opacity (alpha) is left out"
+    assert (told in run.stderr) == (channels in (2, 4)) == (run.stderr != "")
     colours = decoded(values[..., : 1 if channels < 3 else 3] / most)  # without the opacity
     lengths = 1.0 if channels < 3 else [1.0, 0.5, 0.3]
     found = client.varying("better", colour=colours, length=lengths, g=0.2, eta=1.4)
     for name in ("sigma_a", "sigma_s"):
         written = read_pfm(tmp_path / f"out.{name}.pfm")
         np.testing.assert_allclose(written, found[name], rtol=1e-5)
+
+
+def profile(*curves: bytes) -> bytes:
+    """An ICC profile of a display, whose colours have these curves. Text that cannot be compressed is
+    at its end, since libpng passes over profiles that are too small to be one."""
+    tags = body = b""
+    start = 132 + 12 * len(curves)
+    for name, one in zip((b"rTRC", b"gTRC", b"bTRC"), curves):
+        tags += name + struct.pack(">II", start + len(body), len(one))
+        body += one + bytes(-len(one) % 4)
+    body += bytes(range(64))
+    head = struct.pack(">I4sI4s4s4s", start + len(body), b"test", 0x04000000, b"mntr", b"RGB ", b"XYZ ")
+    head += bytes(12) + b"acsp" + bytes(28) + struct.pack(">III", 0xF6D6, 0x10000, 0xD32D)
+    return head.ljust(128, b"\0") + struct.pack(">I", len(curves)) + tags + body
+
+
+def parametric(kind: int, *numbers: float) -> bytes:
+    return b"para" + struct.pack(">IHH", 0, kind, 0) + b"".join(
+        struct.pack(">i", round(one * 65536)) for one in numbers
+    )
+
+
+def sampled(*entries: int) -> bytes:
+    return b"curv" + struct.pack(f">II{len(entries)}H", 0, len(entries), *entries)
+
+
+OF_SRGB = (2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045)
+COLOURS = {  # what a file says, and what its values then are
+    "nothing": (None, None, decoded),
+    "linear gAMA": (b"gAMA", struct.pack(">I", 100000), lambda x: x),
+    "gAMA of sRGB": (b"gAMA", struct.pack(">I", 45455), decoded),
+    "gAMA 1 / 1.8": (b"gAMA", struct.pack(">I", 55556), lambda x: x**1.8),
+    "linear cICP": (b"cICP", bytes([1, 8, 0, 1]), lambda x: x),
+    "cICP of sRGB": (b"cICP", bytes([1, 13, 0, 1]), decoded),
+    "cICP 2.2": (b"cICP", bytes([1, 4, 0, 1]), lambda x: x**2.2),
+    "linear curve": (b"iCCP", profile(*3 * [sampled()]), lambda x: x),
+    "curve of one number": (b"iCCP", profile(*3 * [sampled(0x100)]), lambda x: x),
+    "linear points": (b"iCCP", profile(*3 * [sampled(0, 32768, 65535)]), lambda x: x),
+    "points": (b"iCCP", profile(*3 * [sampled(0, 0, 65535)]), lambda x: np.maximum(2 * x - 1, 0)),
+    "linear formula": (b"iCCP", profile(*3 * [parametric(0, 1)]), lambda x: x),
+    "formula with an offset": (b"iCCP", profile(*3 * [parametric(2, 1, 0.5, 0, 0.25)]),
+                               lambda x: x / 2 + 0.25),
+    "formula of sRGB": (b"iCCP", profile(*3 * [parametric(3, *OF_SRGB)]), decoded),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("type", [np.uint8, np.uint16])
+@pytest.mark.parametrize("said", COLOURS)
+def test_a_png_says_what_its_values_are(tmp_path, said, type):
+    name, body, decode = COLOURS[said]
+    most = np.iinfo(type).max
+    values = np.random.default_rng(3).integers(most * 5 // 8, most, (3, 4, 3), dtype=type)
+    body = b"p\0\0" + zlib.compress(body) if name == b"iCCP" else body
+    write_png(tmp_path / "in.png", values, *([(name, body)] if name else []))
+    write_pfm(tmp_path / "in.pfm", decode(values / most))
+    write_pfm(tmp_path / "linear.pfm", values / most)
+    options = ["--mean-free-path", "1", "--model", "better", "--coefficients", "sigma_a"]
+    for png, pfm, more in (("in.png", "in.pfm", []), ("in.png", "linear.pfm", ["--linear"])):
+        for file in (png, pfm):
+            texture(tmp_path / file, tmp_path / f"{file}.out.pfm", *options, *more)
+        found, expected = (read_pfm(tmp_path / f"{file}.out.pfm") for file in (png, pfm))
+        np.testing.assert_allclose(found, expected, rtol=2e-4)
 
 
 def test_float_images_and_random_walks(tmp_path, client):
@@ -80,8 +144,18 @@ def test_float_images_and_random_walks(tmp_path, client):
     found = client.varying("better", colour=colours.astype("<f4"), length=2.0,
                            given="diffuse-mean-free-path", coefficients="scattered")
     np.testing.assert_array_equal(read_pfm(tmp_path / "out.pfm"), found["scattered"])
-    texture(tmp_path / "out.png", tmp_path / "again.pfm", "--linear", *arguments)
-    assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
+    for more in ["--linear"], []:  # the PNG says that it is linear
+        texture(tmp_path / "out.png", tmp_path / f"again{len(more)}.pfm", *more, *arguments)
+    assert (tmp_path / "again0.pfm").read_bytes() == (tmp_path / "again1.pfm").read_bytes()
+    whole = (tmp_path / "in.pfm").read_bytes()
+    for end in b"\r\n", b"\r":  # other ends of lines, and the least byte that may be one
+        body = b"\n\0\0\x3f" + whole.split(b"\n", 3)[3][4:]
+        (tmp_path / "other.pfm").write_bytes(b"PF\n4 6\n-1.0".replace(b"\n", end) + end + body)
+        (tmp_path / "usual.pfm").write_bytes(b"PF\n4 6\n-1.0\n" + body)
+        for name in "other", "usual":
+            texture(tmp_path / f"{name}.pfm", tmp_path / f"{name}.out.pfm", *arguments)
+        found, expected = ((tmp_path / f"{name}.out.pfm").read_bytes() for name in ("other", "usual"))
+        assert found == expected
 
 
 def test_transport(tmp_path, client):
@@ -110,6 +184,16 @@ def test_colours_without_a_medium(tmp_path):
 def test_what_is_wrong_is_said(tmp_path):
     write_pfm(tmp_path / "in.pfm", np.full((2, 2, 3), 0.5))
     good = (tmp_path / "in.pfm").read_bytes()
+    vast, pq, three, none = (tmp_path / f"{name}.png" for name in "vptn")
+    grey = np.zeros((1, 1, 3), np.uint8)
+    write_png(pq, grey, (b"cICP", bytes([9, 16, 0, 1])))
+    curves = zlib.compress(profile(sampled(), sampled(0x180), sampled()))
+    write_png(three, grey, (b"iCCP", b"p\0\0" + curves))
+    write_png(none, grey + 255, (b"iCCP", b"p\0\0" + zlib.compress(b"profile")))
+    write_png(vast, grey)
+    size = struct.pack(">4sIIBBBBB", b"IHDR", 65536, 65536, 8, 2, 0, 0, 0)
+    head = size + struct.pack(">I", zlib.crc32(size))
+    vast.write_bytes(vast.read_bytes()[:12] + head + vast.read_bytes()[12 + len(head) :])
     path, out = ["--mean-free-path", "1"], tmp_path / "out.pfm"
     for arguments, said in {
         ("in.pfm",): "two files",
@@ -130,9 +214,15 @@ def test_what_is_wrong_is_said(tmp_path):
         ("none.pfm", good.replace(b"2 2", b"0 2"), "width and height"),
         ("large.pfm", good.replace(b"2 2", b"99999 2"), "width and height"),
         ("cut.png", b"\x89PNG\r\n\x1a\n" + bytes(8), "cut.png"),
+        ("vast.pfm", good.replace(b"2 2", b"65536 65536"), "ends too early"),
+        ("vast.png", vast.read_bytes(), "ends too early"),
+        ("pq.png", pq.read_bytes(), "not known here: convert it to sRGB, or add --linear"),
+        ("three.png", three.read_bytes(), "no curve for all channels: convert it to sRGB"),
     ):
         if data is not None:
             (tmp_path / name).write_bytes(data)
         assert said in texture(tmp_path / name, out, *path, status=FAILED).stderr, name
+    run = texture(none, out, *path, "--model", "better", quiet=False)
+    assert "n.png: its colour profile is not used: iCCP" in run.stderr
     run = texture(tmp_path / "in.pfm", tmp_path / "no" / "out.pfm", *path, status=FAILED)
     assert "No such file" in run.stderr
