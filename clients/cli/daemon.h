@@ -3,6 +3,7 @@
 #define DIPOLE_CLI_DAEMON_H
 
 #include "clients/cli/cli.h"
+#include "clients/cli/progress.h"
 
 /* Sets what --timeout-ms and --retry-ms say. */
 void cli_connection_options(const cli_common *common, dipole_options *options);
@@ -26,9 +27,11 @@ bool cli_try_again(const cli_common *common, int64_t start_ms, const dipole_erro
   __extension__({                                                                                  \
     const int64_t ask_start_ms = cli_now_ms();                                                     \
     bool ask_good;                                                                                 \
+    cli_progress_wait(true);                                                                       \
     do {                                                                                           \
       ask_good = (call);                                                                           \
     } while (!ask_good && cli_try_again((common), ask_start_ms, (error)));                         \
+    cli_progress_wait(false);                                                                      \
     ask_good;                                                                                      \
   })
 

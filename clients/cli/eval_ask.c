@@ -137,7 +137,7 @@ static dipole_query make_query(const asking *ask, size_t place, const cli_parame
   const cli_eval_report *report = ask->report;
   const dipole_choice *model = report->models[place].choice;
   dipole_query query = {.model = model != NULL ? model->id : DIPOLE_ANY_MODEL,
-                        .evaluator = report->profile.evaluator->id,
+                        .evaluator = report->models[place].evaluator->id,
                         .moments = report->profile.moments->id,
                         .wanted = report->quantities.wanted | DIPOLE_RADIUS,
                         .media = report->profile.media,
@@ -171,7 +171,7 @@ static bool take_choice(cli_eval_report *report, const dipole_result *result, di
                             .text = "the daemon chose a model or evaluator that it does not list"};
     return false;
   }
-  report->profile.evaluator = evaluator;
+  model->evaluator = evaluator;
   return true;
 }
 
@@ -347,7 +347,7 @@ static int choose_precision(const asking *ask) {
     const dipole_choice *evaluator =
         cli_choice_of_id(report->profile.info, DIPOLE_EVALUATOR, either[i]);
     if (ask->settings->profile.evaluator == NULL && evaluator != NULL) {
-      report->profile.evaluator = evaluator;
+      report->models[0].evaluator = evaluator;
     }
     if (!ask_offers(ask, &taken, &error)) {
       return cli_fail_error(&error);
@@ -382,10 +382,6 @@ int cli_eval_ask(const cli_eval_settings *settings, dipole_client *client,
                  cli_eval_report *report) {
   cli_profile_settings profile = settings->profile;
   profile.moments = profile.moments != NULL ? profile.moments : "exact";
-  if (profile.evaluator == NULL) {
-    profile.evaluator =
-        cli_usual_evaluator(settings->model.count > 0 ? settings->model.items[0] : NULL);
-  }
   const int status = cli_profile_take(&profile, client, &report->profile);
   if (status != CLI_OK) {
     return status;
@@ -395,6 +391,14 @@ int cli_eval_ask(const cli_eval_settings *settings, dipole_client *client,
       !cli_quantities_take(report->profile.info, &settings->want, DIPOLE_R | DIPOLE_ALBEDO,
                            DIPOLE_ALBEDO | DIPOLE_RADIUS, &report->quantities)) {
     return CLI_USAGE;
+  }
+  for (size_t i = 0; i < report->model_count; i++) {
+    cli_eval_model *model = &report->models[i];
+    const char *name = model->choice != NULL ? model->choice->name : NULL;
+    model->evaluator = report->profile.evaluator != NULL
+                           ? report->profile.evaluator
+                           : cli_choice(report->profile.info, DIPOLE_EVALUATOR,
+                                        cli_usual_evaluator(&profile, name));
   }
   cli_eval_make_values(report);
   return ask_with(settings, client, report);

@@ -14,7 +14,8 @@ typedef struct cli_eval_values {
 } cli_eval_values;
 
 typedef struct cli_eval_model {
-  const dipole_choice *choice; /* NULL until the daemon has chosen it; or cli_monte_carlo */
+  const dipole_choice *choice;    /* NULL until the daemon has chosen it; or cli_monte_carlo */
+  const dipole_choice *evaluator; /* NULL for cli_monte_carlo */
   bool named;     /* on the command line, and not only as one of all: its refusal is a failure */
   bool unlisted;  /* asked for as the reference only; it is then the last model */
   unsigned notes; /* ids of the daemon's notes */
@@ -28,7 +29,8 @@ typedef struct cli_eval_offers {
 } cli_eval_offers;
 
 typedef struct cli_eval_report {
-  cli_profile profile; /* `model` is not used; each model takes what it can of the parameters */
+  cli_profile
+      profile; /* `model` and `evaluator` are not used; each model takes what it can of the parameters */
   cli_quantities quantities;
   size_t model_count; /* how many models answered */
   cli_eval_model *models;

@@ -55,13 +55,14 @@ static int describe(const char *path, const cli_tables *tables, cli_eval_report 
   const dipole_table_info *first = dipole_table_get_info(tables->items[0]);
   const dipole_choice *model = cli_choice_of_id(report->profile.info, DIPOLE_MODEL, first->model);
   report->profile.moments = cli_choice_of_id(report->profile.info, DIPOLE_MOMENTS, first->moments);
-  report->profile.evaluator = cli_choice_of_id(report->profile.info, DIPOLE_EVALUATOR, DIPOLE_LUT);
   if (model == NULL || report->profile.moments == NULL) {
     return cli_fail(
         "%s: model %u or moments %u are not known to this program: use the version that wrote it",
         path, first->model, first->moments);
   }
   cli_eval_add_model(report, model, true);
+  report->models[0].evaluator =
+      cli_choice_of_id(report->profile.info, DIPOLE_EVALUATOR, DIPOLE_LUT);
   for (size_t i = 0; i < first->parameter_count; i++) {
     cli_parameters_set(&report->profile.parameters, first->parameters[i].id,
                        first->parameters[i].value);

@@ -75,7 +75,7 @@ static const dipole_offer *find_taken(const cli_eval_report *report) {
   const cli_eval_offers *from = &report->chosen_from;
   for (size_t i = 0; i < from->count; i++) {
     if (from->offers[i].model == report->models[0].choice->id &&
-        from->offers[i].evaluator == report->profile.evaluator->id) {
+        from->offers[i].evaluator == report->models[0].evaluator->id) {
       return &from->offers[i];
     }
   }
@@ -167,8 +167,8 @@ static void write_chosen(const cli_eval_report *report, FILE *file) {
   }
   const dipole_offer *taken = find_taken(report);
   fprintf(file, "took %s%s (%s)", report->models[0].choice->name,
-          report->profile.evaluator->id == DIPOLE_LUT ? " by table" : "",
-          report->profile.evaluator->name);
+          report->models[0].evaluator->id == DIPOLE_LUT ? " by table" : "",
+          report->models[0].evaluator->name);
   if (taken != NULL) {
     char text[RANGE_BYTES];
     const char *range = range_of(report, text);
@@ -345,12 +345,34 @@ static void write_notes(const cli_eval_report *report) {
   }
 }
 
+/* Returns the evaluator of most models: that of the first without a table, if there is one. */
+static const dipole_choice *usual_evaluator(const cli_eval_report *report) {
+  const dipole_choice *usual = report->models[0].evaluator;
+  for (size_t i = 1; i < report->model_count && (usual == NULL || usual->id == DIPOLE_LUT); i++) {
+    usual = report->models[i].evaluator != NULL ? report->models[i].evaluator : usual;
+  }
+  return usual;
+}
+
+/* Writes, for example, "f64, lut for transport". */
+static void write_evaluators(const cli_eval_report *report) {
+  const dipole_choice *usual = usual_evaluator(report);
+  printf("; evaluator %s", usual->name);
+  for (size_t i = 0; i < report->model_count; i++) {
+    const cli_eval_model *model = &report->models[i];
+    if (model->evaluator != NULL && model->evaluator != usual) {
+      printf(", %s for %s", model->evaluator->name, model->choice->name);
+    }
+  }
+}
+
 static void write_table(const void *context) {
   const cli_eval_report *report = context;
   const cli_profile *profile = &report->profile;
   cli_write_medium(profile, stdout);
-  printf("R in %s; evaluator %s, moments %s", profile->info->R_unit, profile->evaluator->name,
-         profile->moments->name);
+  printf("R in %s", profile->info->R_unit);
+  write_evaluators(report);
+  printf(", moments %s", profile->moments->name);
   cli_write_parameters(profile, stdout);
   fputs("\n\n", stdout);
   for (size_t first = 0; report->quantities.count > 0 && first < report->model_count;) {
@@ -424,7 +446,7 @@ static void put_value(cli_rows *rows, const void *context, size_t index) {
     }
   }
   if (is_chosen(report)) { /* the user does not know it beforehand */
-    cli_put_text(rows, CLI_COLUMN("evaluator"), report->profile.evaluator->name);
+    cli_put_text(rows, CLI_COLUMN("evaluator"), report->models[0].evaluator->name);
   }
 }
 
@@ -436,6 +458,9 @@ static void put_model(cli_rows *rows, const void *context, size_t index) {
   const size_t channels = report->profile.channel_count;
   cli_put_text(rows, CLI_COLUMN("model"), model->choice->name);
   cli_put_text(rows, CLI_COLUMN("source"), model->choice->about);
+  if (model->evaluator != NULL) {
+    cli_put_text(rows, CLI_COLUMN("evaluator"), model->evaluator->name);
+  }
   cli_json_notes(rows->json, report->profile.info, model->notes);
   cli_json_begin(rows->json, "channels", '[');
   for (size_t channel = 0; channel < channels; channel++) {
@@ -450,7 +475,7 @@ static void put_members(cli_json *json, const void *context) {
   const cli_eval_report *report = context;
   const cli_profile *profile = &report->profile;
   cli_json_head(json, profile);
-  cli_json_text(json, "evaluator", profile->evaluator->name);
+  cli_json_text(json, "evaluator", usual_evaluator(report)->name);
   cli_json_text(json, "moments", profile->moments->name);
   cli_json_parameters(json, profile);
   write_chosen_json(report, json);

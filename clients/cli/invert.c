@@ -6,6 +6,7 @@
 #include "clients/cli/daemon.h"
 #include "clients/cli/options.h"
 #include "clients/cli/profile.h"
+#include "clients/cli/progress.h"
 #include "clients/cli/rows.h"
 
 typedef struct invert_settings {
@@ -50,6 +51,7 @@ typedef struct report {
   double albedo_least, albedo_most;
   size_t count, missing;
   wanted *items;
+  cli_progress progress;
 } report;
 
 /* ---- the command line ------------------------------------------------------------------------ */
@@ -134,6 +136,11 @@ static bool ask_some(dipole_client *client, const invert_settings *settings, rep
 
 enum { SLOW_MEDIA = 64 };
 
+/* steps: of two for each medium, which is found and then evaluated. */
+static void show_progress(report *of, double steps) {
+  cli_progress_show(&of->progress, steps / (2 * (double)of->count), steps / 2);
+}
+
 /* Transport takes milliseconds for each medium, so it is asked for few at a time: the daemon is then
  * not silent for long, however many media there are. */
 static bool ask(dipole_client *client, const invert_settings *settings, report *of,
@@ -142,9 +149,11 @@ static bool ask(dipole_client *client, const invert_settings *settings, report *
   const size_t each = slow ? SLOW_MEDIA : of->count;
   bool good = true;
   of->missing = 0;
+  cli_progress_start(&of->progress, "media");
   for (size_t first = 0; good && first < of->count; first += each) {
     const size_t left = of->count - first;
     good = ask_some(client, settings, of, first, left < each ? left : each, error);
+    show_progress(of, fmin((double)(first + each), (double)of->count));
   }
   return good;
 }
@@ -170,6 +179,7 @@ static bool verify(dipole_client *client, const invert_settings *settings, repor
     }
     of->items[i].albedo = result->channels[0].albedo;
     dipole_result_free(result);
+    show_progress(of, (double)of->count + (double)(i + 1));
   }
   return true;
 }
@@ -264,7 +274,9 @@ static int ask_and_write(const invert_settings *settings, dipole_client *client,
   if (status != CLI_OK) {
     return status;
   }
-  if (ask(client, settings, of, &error) && verify(client, settings, of, &error)) {
+  const bool good = ask(client, settings, of, &error) && verify(client, settings, of, &error);
+  cli_progress_wipe(&of->progress);
+  if (good) {
     return write_and_judge(settings, of);
   }
   if (strcmp(error.field, "length") == 0) {

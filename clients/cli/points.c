@@ -101,6 +101,18 @@ enum { MODELS = 256, GROUP_VALUES = 65536 };
 /* How many bytes of text the rows of the window may hold together. */
 #define WINDOW_BYTES ((size_t)4 << 20)
 
+/* Media that share a model, g and eta. A surface for all of them takes the daemon as long as tables
+ * for the first SURFACE_MEDIA, which are asked for one by one. So neither a file of few media nor
+ * one of many takes more than twice the time of the better way, and a row's values depend on
+ * nothing but the rows above it. */
+enum { SURFACE_MEDIA = 16, FAMILIES = 4096 };
+
+typedef struct points_family {
+  uint64_t hash; /* of what the media share; 0 if there are none */
+  size_t count;
+  uint64_t media[SURFACE_MEDIA]; /* hashes of the first ones */
+} points_family;
+
 typedef struct points_run {
   points_usual usual;
   const char *source; /* name of the input, for messages */
@@ -110,7 +122,8 @@ typedef struct points_run {
   cli_progress progress;
   uint64_t input_bytes; /* size of the input; 0 if it is unknown */
   uint64_t rows_written, rows_bad;
-  int64_t answer_ms; /* when the last answer came */
+  uint64_t rows_done, bytes_done; /* of the rows that have been answered, and of the comments */
+  int64_t answer_ms;              /* when the last answer came */
   bool failed;
   size_t first, count; /* row i of the window is rows[(first + i) % WINDOW_ROWS] */
   size_t window_bytes;
@@ -118,6 +131,7 @@ typedef struct points_run {
   bool refused[MODELS]; /* models, by id, whose media cannot vary */
   double *arrays[3];    /* sigma_a, sigma_s and radii of a group */
   points_row *group[WINDOW_ROWS];
+  points_family families[FAMILIES]; /* by their hash; one takes the place of another */
   points_row rows[WINDOW_ROWS];
 } points_run;
 
@@ -137,6 +151,16 @@ __attribute__((format(printf, 2, 3))) static bool fail(points_run *points, const
   cli_fail("%s: %s", points->source, text);
   points->failed = true;
   return false;
+}
+
+/* Counts a row that has been answered, refused or copied. */
+static void count_done(points_run *points, const points_row *row) {
+  const double input_bytes = (double)points->input_bytes; /* 0 if it is unknown */
+  points->rows_done += row->state != POINTS_COPIED;
+  points->bytes_done += row->record.length;
+  cli_progress_show(&points->progress,
+                    input_bytes > 0 ? (double)points->bytes_done / input_bytes : (double)NAN,
+                    (double)points->rows_done);
 }
 
 /* ---- answers --------------------------------------------------------------------------------- */
@@ -174,6 +198,7 @@ static bool take_refusal(points_run *points, uint64_t id, const dipole_error *er
   if (error->retry_after_ms == 0) {
     row->state = POINTS_BAD;
     memcpy(row->status, error->text, sizeof row->status);
+    count_done(points, row);
     return true;
   }
   return cli_try_again(&points->usual.settings->profile.common, points->answer_ms, error)
@@ -195,6 +220,7 @@ static bool collect(points_run *points) {
   points_row *row = find_row(points, id);
   if (row != NULL) {
     take_answer(&points->usual, row, result);
+    count_done(points, row);
   }
   dipole_result_free(result);
   return row != NULL || fail(points, "an answer came to a query that was not sent");
@@ -208,13 +234,44 @@ static bool collect(points_run *points) {
 /* The error of a table if none is given, as that of the evaluator lut. */
 #define TABLE_TOLERANCE 1e-4
 
-/* Returns whether the row may be asked for in a group. It depends on nothing but the row, so that
- * its values do not depend on others. Transport without a table is solved for each medium. */
-static bool is_for_group(const points_run *points, const points_row *row) {
+static uint64_t hash_more(uint64_t hash, const void *bytes, size_t count) {
+  for (size_t i = 0; i < count; i++) { /* FNV-1a (Fowler, Noll, Vo 1991) */
+    hash = (hash ^ ((const unsigned char *)bytes)[i]) * UINT64_C(0x100000001b3);
+  }
+  return hash;
+}
+
+/* Returns whether the row's medium is none of the first of its family. */
+static bool is_worth_a_surface(points_run *points, const points_row *row) {
+  uint64_t hash = hash_more(UINT64_C(0xcbf29ce484222325), &row->moments, sizeof row->moments);
+  hash = hash_more(hash, &row->medium.g, 2 * sizeof(double));
+  for (size_t i = 0; i < row->parameters.count; i++) {
+    hash = hash_more(hash, &row->parameters.items[i].id, sizeof(unsigned));
+    hash = hash_more(hash, &row->parameters.items[i].value, sizeof(double));
+  }
+  points_family *family = &points->families[(hash ^ hash >> 32) % FAMILIES];
+  if (family->hash != hash) {
+    *family = (points_family){.hash = hash};
+  }
+  const uint64_t medium = hash_more(hash, &row->medium, 2 * sizeof(double));
+  size_t i = 0;
+  while (i < family->count && family->media[i] != medium) {
+    i++;
+  }
+  if (i == family->count && i < SURFACE_MEDIA) {
+    family->media[family->count++] = medium;
+  }
+  return i == SURFACE_MEDIA;
+}
+
+/* Returns whether the row may be asked for in a group. Transport without a table is solved for each
+ * medium, and with one needs a surface for the group. */
+static bool is_for_group(points_run *points, const points_row *row) {
   const points_usual *usual = &points->usual;
   return (usual->quantities.wanted & ~(unsigned)GROUP_QUANTITIES) == 0 && row->model < MODELS &&
          !points->refused[row->model] &&
-         (row->evaluator == DIPOLE_LUT || row->model != usual->transport);
+         (row->model != usual->transport ||
+          (row->evaluator == DIPOLE_LUT && is_worth_a_surface(points, row)));
 }
 
 /* Orders rows by what the rows of a group share. */
@@ -271,7 +328,7 @@ static bool ask(points_run *points, points_row *const *rows, size_t count,
     points->arrays[2][i] = single ? (double)(float)r_mm : r_mm;
   }
   cli_parameters parameters = rows[0]->parameters;
-  if (rows[0]->model == usual->transport && !points_has_tolerance(usual, rows[0])) {
+  if (rows[0]->model == usual->transport && isnan(points_tolerance(usual, rows[0]))) {
     cli_parameters_set(&parameters, usual->tolerance, TABLE_TOLERANCE);
   }
   const dipole_varying_query query = {.model = rows[0]->model,
@@ -332,8 +389,11 @@ static bool ask_group(points_run *points, points_row *const *rows, size_t count)
   }
   bool good = true;
   for (size_t i = 0; good && i < count; i++) {
-    good = (result != NULL && take_values(&points->usual, rows[i], i, result)) ||
-           submit(points, rows[i]);
+    if (result != NULL && take_values(&points->usual, rows[i], i, result)) {
+      count_done(points, rows[i]);
+    } else {
+      good = submit(points, rows[i]);
+    }
   }
   dipole_varying_result_free(result);
   return good;
@@ -376,10 +436,6 @@ static void write_first(points_run *points) {
   cli_csv_record_trim(&row->record);
   points->first = (points->first + 1) % WINDOW_ROWS;
   points->count--;
-  const double input_bytes = (double)points->input_bytes; /* 0 if it is unknown */
-  cli_progress_show(&points->progress,
-                    input_bytes > 0 ? (double)points->reader.bytes_read / input_bytes : NAN,
-                    (double)points->rows_written);
 }
 
 /* Writes the oldest rows, and waits for their answers, until at most `left` rows are in the window.
@@ -457,6 +513,7 @@ static bool read_rows(points_run *points) {
     points->window_bytes += row->record.length;
     if (kind == CLI_CSV_COMMENT) {
       row->state = POINTS_COPIED;
+      count_done(points, row);
     } else if (points_read_row(&points->usual, &points->columns, row)) {
       row->state = POINTS_READ;
       if (is_for_group(points, row)) {
@@ -464,6 +521,8 @@ static bool read_rows(points_run *points) {
       } else if (!submit(points, row)) {
         return false;
       }
+    } else {
+      count_done(points, row);
     }
   }
 }

@@ -8,6 +8,7 @@
 #include "clients/cli/daemon.h"
 #include "clients/cli/number.h"
 #include "clients/cli/options.h"
+#include "core/core.h"
 
 #define AT(row, offset) ((double *)(void *)((char *)(row) + (offset)))
 
@@ -313,12 +314,13 @@ static bool find_id(const points_usual *usual, points_row *row, size_t input, en
   return true;
 }
 
-bool points_has_tolerance(const points_usual *usual, const points_row *row) {
-  size_t i = 0;
-  while (i < row->parameters.count && row->parameters.items[i].id != usual->tolerance) {
-    i++;
+double points_tolerance(const points_usual *usual, const points_row *row) {
+  for (size_t i = 0; i < row->parameters.count; i++) {
+    if (row->parameters.items[i].id == usual->tolerance) {
+      return row->parameters.items[i].value;
+    }
   }
-  return i < row->parameters.count;
+  return (double)NAN;
 }
 
 /* Chooses the model and the evaluator. The parameters are known already. Transport is solved for
@@ -326,12 +328,14 @@ bool points_has_tolerance(const points_usual *usual, const points_row *row) {
 static bool read_model(const points_usual *usual, const points_columns *columns, points_row *row) {
   const char *name = text_of(columns, row, MODEL);
   const bool named = name != NULL || usual->settings->profile.model != NULL;
-  row->model = named || !points_has_tolerance(usual, row) ? usual->model : DIPOLE_ANY_MODEL;
+  row->model = named || isnan(points_tolerance(usual, row)) ? usual->model : DIPOLE_ANY_MODEL;
   if (name != NULL && !find_id(usual, row, MODEL, DIPOLE_MODEL, name, &row->model)) {
     return false;
   }
   const bool by_table = row->model == usual->transport || row->model == DIPOLE_ANY_MODEL;
-  row->evaluator = by_table ? usual->evaluator_of_transport : usual->evaluator;
+  row->evaluator = by_table && !(points_tolerance(usual, row) < CORE_LUT_TOLERANCE_MIN)
+                       ? usual->evaluator_of_transport
+                       : usual->evaluator;
   return true;
 }
 

@@ -88,8 +88,8 @@ bool points_find_columns(const points_usual *usual, const char *source,
 /* Reads the row's cells. Returns false if the row is bad; its status then says why. */
 bool points_read_row(const points_usual *usual, const points_columns *columns, points_row *row);
 
-/* Returns whether the row has the parameter `tolerance`. */
-bool points_has_tolerance(const points_usual *usual, const points_row *row);
+/* Returns the row's parameter `tolerance`; NaN if it has none. */
+double points_tolerance(const points_usual *usual, const points_row *row);
 
 /* Writes the header and appends the output columns that it lacks. */
 void points_write_header(const points_columns *columns, const cli_csv_record *header, FILE *file);

@@ -6,6 +6,7 @@
 #include "clients/cli/daemon.h"
 #include "clients/cli/number.h"
 #include "clients/cli/options.h"
+#include "core/core.h"
 
 #define G_DEFAULT 0.0
 #define ETA_DEFAULT 1.3
@@ -59,8 +60,10 @@ const cli_option cli_parameter_options[] = {
     {0},
 };
 
-const char *cli_usual_evaluator(const char *model) {
-  return model == NULL ? "lut" : "f64";
+const char *cli_usual_evaluator(const cli_profile_settings *settings, const char *model) {
+  const bool tabled =
+      !settings->tolerance.given || settings->tolerance.value >= CORE_LUT_TOLERANCE_MIN;
+  return tabled && (model == NULL || strcmp(model, CLI_MODEL_DEFAULT) == 0) ? "lut" : "f64";
 }
 
 /* ---- lengths --------------------------------------------------------------------------------- */

@@ -39,7 +39,7 @@ extern const cli_option cli_medium_options[];
 
 #define CLI_EVALUATOR_TEXT "f64 or f32: double or single precision; lut: single, by a table\n"
 #define CLI_EVALUATOR_OPTION                                                                       \
-  "evaluator", "NAME", CLI_EVALUATOR_TEXT "(default: f64; lut if no model is named)", CLI_TEXT,    \
+  "evaluator", "NAME", CLI_EVALUATOR_TEXT "(default: f64; lut for transport)", CLI_TEXT,           \
       offsetof(cli_profile_settings, evaluator)
 
 /* The model if none is given, and the reason, for --help. */
@@ -79,8 +79,9 @@ typedef struct cli_lengths {
  * daemon's choice. If none or several are given, says so and returns NULL. */
 const cli_numbers *cli_lengths_find(const cli_lengths *lengths, const char **name);
 
-/* Returns the evaluator that is taken if none is given. model: NULL if none is named. */
-const char *cli_usual_evaluator(const char *model);
+/* Returns the evaluator that is taken if none is given: the table for transport, where it can be as
+ * exact as the tolerance. model: NULL if none is named. */
+const char *cli_usual_evaluator(const cli_profile_settings *settings, const char *model);
 
 /* Check the options above without a daemon, and return an exit status. */
 int cli_medium_check(const cli_profile_settings *settings);

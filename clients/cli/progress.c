@@ -1,8 +1,11 @@
 #include "clients/cli/progress.h"
 
+#include <errno.h>
 #include <math.h>
 #include <signal.h>
 #include <stdio.h>
+#include <string.h>
+#include <sys/time.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -36,6 +39,46 @@ static void write_time(double seconds) {
   }
 }
 
+/* ---- calls without a bar --------------------------------------------------------------------- */
+
+/* A bar was shown since the last second; seconds that are told; both are set in a signal handler. */
+static volatile sig_atomic_t bar_moves, told_s;
+
+static void on_second(int signal_number) {
+  (void)signal_number;
+  const int kept = errno;
+  char text[] = "\rwaiting for the daemon:       s\033[K";
+  if (bar_moves == 0) {
+    told_s = told_s == 0 ? SHOW_AFTER_MS / 1000 : told_s + 1;
+    char *digit = strrchr(text, 's') - 2;
+    for (int left = told_s; left > 0 && *digit == ' '; left /= 10) {
+      *digit-- = (char)('0' + left % 10);
+    }
+    if (write(STDERR_FILENO, text, sizeof text - 1) < 0) {
+      told_s = 0;
+    }
+  }
+  bar_moves = 0;
+  errno = kept;
+}
+
+void cli_progress_wait(bool waits) {
+  struct sigaction action = {.sa_handler = on_second, .sa_flags = SA_RESTART};
+  if (isatty(STDERR_FILENO) != 1) {
+    return;
+  }
+  const struct itimerval timer = {{waits, 0}, {waits ? SHOW_AFTER_MS / 1000 : 0, 0}};
+  sigemptyset(&action.sa_mask);
+  sigaction(SIGALRM, &action, NULL);
+  setitimer(ITIMER_REAL, &timer, NULL);
+  if (!waits && told_s > 0) {
+    fputs("\r\033[K", stderr);
+  }
+  told_s = 0;
+}
+
+/* ---- the bar --------------------------------------------------------------------------------- */
+
 void cli_progress_show(cli_progress *progress, double share, double count) {
   static const char full[] = "########################################";
   const int64_t now = now_ms();
@@ -44,6 +87,7 @@ void cli_progress_show(cli_progress *progress, double share, double count) {
     return;
   }
   progress->last_ms = now;
+  bar_moves = 1;
   progress->shown = true;
   const double seconds = (double)(now - progress->start_ms) / 1000;
   fputc('\r', stderr);

@@ -22,6 +22,10 @@ void cli_progress_start(cli_progress *progress, const char *unit);
  * how many units are done. Several threads must take turns. */
 void cli_progress_show(cli_progress *progress, double share, double count);
 
+/* Is called with true before a call that may wait, and with false after it. If it lasts two seconds
+ * and no bar moves, the seconds are shown in place of one. Sets the handler of SIGALRM. */
+void cli_progress_wait(bool waits);
+
 /* Removes the bar, so that the next line starts in the first column. */
 void cli_progress_wipe(cli_progress *progress);
 

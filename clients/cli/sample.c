@@ -8,6 +8,7 @@
 #include "clients/cli/number.h"
 #include "clients/cli/picture.h"
 #include "clients/cli/profile.h"
+#include "clients/cli/progress.h"
 #include "clients/cli/rows.h"
 
 #define PLOT_FILE "dipole.svg"
@@ -62,8 +63,9 @@ typedef struct report {
   cli_quantities quantities;
   dipole_sample_query query;
   size_t count;
-  double *u; /* [count] */
-  dipole_result *result;
+  double *u;               /* [count] */
+  dipole_result **results; /* [result_count]: PIECE_SAMPLES each, or one of all */
+  size_t result_count;
   double *values; /* [count], for the values of one quantity and channel while they are written */
 } report;
 
@@ -125,7 +127,6 @@ static bool keep_numbers(report *of, void *numbers, bool listed, bool single, di
   if (!listed && !dipole_sample_numbers(&of->query, 0, of->count, numbers, error)) {
     return false;
   }
-  of->u = cli_allocate(of->count, sizeof *of->u);
   for (size_t i = 0; i < of->count; i++) {
     of->u[i] =
         single ? cli_number_of_single(((const float *)numbers)[i]) : ((const double *)numbers)[i];
@@ -156,16 +157,42 @@ static dipole_sample_query make_query(const sample_settings *settings, const rep
   };
 }
 
+/* Random numbers are asked for in pieces, which shows how far the work is. */
+enum { PIECE_SAMPLES = 1 << 16 };
+
+static bool ask_pieces(const sample_settings *settings, dipole_client *client, report *of,
+                       dipole_error *error) {
+  const uint64_t count = of->query.sample_count;
+  const bool cut = of->query.draw == DIPOLE_DRAW_RANDOM && count > PIECE_SAMPLES;
+  cli_progress progress;
+  uint64_t first = 0;
+  bool good;
+  of->results = cli_allocate(cut ? count / PIECE_SAMPLES + 1 : 1, sizeof(dipole_result *));
+  cli_progress_start(&progress, "radii");
+  do {
+    dipole_sample_query piece = of->query;
+    piece.sample_first += first;
+    piece.sample_count = cut && count - first > PIECE_SAMPLES ? PIECE_SAMPLES : count - first;
+    good = CLI_ASK(&settings->profile.common, error,
+                   dipole_sample(client, &piece, &of->results[of->result_count], error));
+    of->result_count += good;
+    first += piece.sample_count;
+    cli_progress_show(&progress, (double)first / (double)count, (double)first);
+  } while (good && first < count);
+  cli_progress_wipe(&progress);
+  return good;
+}
+
 static int ask(const sample_settings *settings, dipole_client *client, report *of) {
   const bool listed = settings->u.count > 0, single = of->profile.evaluator->id != DIPOLE_F64;
   void *numbers = listed ? list_numbers(&settings->u, single) : NULL;
   dipole_error error;
   of->query = make_query(settings, of);
   of->query.numbers = numbers;
-  bool good = CLI_ASK(&settings->profile.common, &error,
-                      dipole_sample(client, &of->query, &of->result, &error));
+  of->count = (size_t)of->query.sample_count;
+  of->u = cli_allocate(of->count, sizeof *of->u);
+  bool good = ask_pieces(settings, client, of, &error);
   if (good) {
-    of->count = (size_t)of->query.sample_count;
     numbers = listed ? numbers : cli_allocate(of->count, sizeof(double));
     good = keep_numbers(of, numbers, listed, single, &error);
   }
@@ -174,12 +201,14 @@ static int ask(const sample_settings *settings, dipole_client *client, report *o
   return good ? CLI_OK : cli_fail_error(&error);
 }
 
-/* Returns a value of the result. */
+/* Returns a value of the results. */
 static double value_of(const report *of, size_t channel, unsigned quantity, size_t index) {
-  const double *f64 = dipole_values_f64(of->result, (uint32_t)channel, quantity);
-  return f64 != NULL ? f64[index]
-                     : cli_number_of_single(
-                           dipole_values_f32(of->result, (uint32_t)channel, quantity)[index]);
+  const dipole_result *result = of->results[of->result_count > 1 ? index / PIECE_SAMPLES : 0];
+  const size_t at = of->result_count > 1 ? index % PIECE_SAMPLES : index;
+  const double *f64 = dipole_values_f64(result, (uint32_t)channel, quantity);
+  return f64 != NULL
+             ? f64[at]
+             : cli_number_of_single(dipole_values_f32(result, (uint32_t)channel, quantity)[at]);
 }
 
 /* ---- writing --------------------------------------------------------------------------------- */
@@ -191,7 +220,7 @@ static bool has_albedo(const report *of) {
 /* Writes a channel, and in JSON its samples. */
 static void put_channel(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
-  const dipole_channel *channel = &of->result->channels[index];
+  const dipole_channel *channel = &of->results[0]->channels[index];
   cli_put_text(rows, CLI_COLUMN("channel"), of->profile.channels[index].name);
   cli_put_medium(rows, &of->profile.media[index]);
   cli_put_number(rows, CLI_COLUMN("numerical_error", .forms = CLI_IN_JSON),
@@ -244,7 +273,7 @@ static void put_sample(cli_rows *rows, const void *context, size_t index) {
     cli_put_number(rows, CLI_COLUMN(quantity->name), value_of(of, channel, quantity->id, i));
   }
   if (has_albedo(of)) {
-    cli_put_number(rows, CLI_COLUMN("albedo"), of->result->channels[channel].albedo);
+    cli_put_number(rows, CLI_COLUMN("albedo"), of->results[0]->channels[channel].albedo);
   }
 }
 
@@ -269,7 +298,7 @@ static void write_table(const void *context) {
   }
   cli_rows_print(stdout, 1, profile->channel_count, put_channel, of);
   cli_write_launched(profile->media, profile->channel_count, stdout);
-  cli_write_notes(profile->info, of->result->notes, stdout);
+  cli_write_notes(profile->info, of->results[0]->notes, stdout);
 }
 
 static void put_members(cli_json *json, const void *context) {
@@ -290,7 +319,7 @@ static void put_members(cli_json *json, const void *context) {
     cli_json_text(json, of->quantities.items[q]->name, of->quantities.items[q]->about);
   }
   cli_json_end(json, '}');
-  cli_json_notes(json, profile->info, of->result->notes);
+  cli_json_notes(json, profile->info, of->results[0]->notes);
   cli_json_numbers(json, "u", of->u, of->count);
   cli_rows_json(json, "channels", profile->channel_count, put_channel, of);
 }
@@ -398,7 +427,7 @@ static int draw(const report *of, const char *path) {
 static int ask_and_write(const sample_settings *settings, dipole_client *client, report *of) {
   cli_profile_settings profile = settings->profile;
   if (profile.evaluator == NULL) {
-    profile.evaluator = cli_usual_evaluator(profile.model);
+    profile.evaluator = cli_usual_evaluator(&profile, profile.model);
   }
   int status = cli_profile_take(&profile, client, &of->profile);
   status = status == CLI_OK ? choose(settings, of) : status;
@@ -427,7 +456,10 @@ static int run(void *settings, dipole_client *client) {
   cli_profile_free(&of.profile);
   free(of.u);
   free(of.values);
-  dipole_result_free(of.result);
+  for (size_t i = 0; i < of.result_count; i++) {
+    dipole_result_free(of.results[i]);
+  }
+  free(of.results);
   return status;
 }
 

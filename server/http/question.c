@@ -374,11 +374,23 @@ static bool is_gather(const struct question *q) {
   return q->message->type == WIRE_TYPE_GATHER;
 }
 
-/* What holds for a choice that the request leaves out, as of the command line: transport by table
- * unless a model or a tolerance is given. "": none, and the field is 0. */
+/* Returns whether the usual evaluator is the table: for transport, named or not, where the table can
+ * be as exact as the tolerance. */
+static bool is_tabled(const struct question *q) {
+  const struct http_value model = get(q, "model");
+  uint64_t id = CORE_MODEL_TRANSPORT;
+  double tolerance;
+  http_value_number(get(q, "tolerance"), &tolerance); /* NaN if it is not given */
+  if (http_value_given(model)) {
+    http_value_read_choice(model, "model", core_models, false, &id); /* one at fault is refused */
+  }
+  return id == CORE_MODEL_TRANSPORT && !(tolerance < CORE_LUT_TOLERANCE_MIN);
+}
+
+/* What holds for a choice that the request leaves out, as of the command line. "": none, and the
+ * field is 0. */
 static const char *usual_choice(const struct question *q, const char *field) {
   const struct http_list *list = list_of(q->message, field);
-  const bool named = http_value_given(get(q, "model"));
   if (list != NULL) {
     return http_value_given(get(q, list->name)) || strcmp(field, "draw") != 0 ? "list" : "random";
   }
@@ -392,7 +404,7 @@ static const char *usual_choice(const struct question *q, const char *field) {
     }
   }
   return http_values_same(field, "model")       ? "transport"
-         : http_values_same(field, "evaluator") ? (named && !is_gather(q) ? "f64" : "lut")
+         : http_values_same(field, "evaluator") ? (is_gather(q) || is_tabled(q) ? "lut" : "f64")
          : http_values_same(field, "moments")   ? "exact"
          : http_values_same(field, "axis")      ? "r"
          : http_values_same(field, "given")     ? "mean-free-path"

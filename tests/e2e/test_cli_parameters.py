@@ -47,7 +47,7 @@ def test_parameters_reach_the_model(client, model):
     given = some_parameters(model)
     rows = eval_rows(
         *[*MEDIUM, "--model", model, "--r", "0.5,2", "--want", "R,S,2_pi_r_R,albedo"],
-        *options(given),
+        *[*options(given), "--evaluator", "f64"],
     )
     answer = client.eval(
         model,

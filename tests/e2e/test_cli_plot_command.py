@@ -490,7 +490,8 @@ def test_a_bar_with_rate_and_time_left(daemon):
     with Proxy(daemon().url(), on_eval) as proxy:
         arguments = [*SKIN, "--model", "classical,better", "--connect", proxy.url]
         text = shown(*arguments, on=2)
-    assert re.match(r"\r\[#{20} {20}\]  50 %  [\d.e+]+ values, [\d.e+]+/s  0:0[23] left\033\[K", text)
+    bar = r"\r\[#{20} {20}\]  50 %  [\d.e+]+ values, [\d.e+]+/s  0:0[23] left\033\[K"
+    assert re.match(r"(\rwaiting for the daemon: +\d+ s\033\[K)*" + bar, text)
     assert text.endswith("\r\033[K")
 
 
@@ -503,7 +504,7 @@ RINGS = ["--from", "0.05", "--to", "8", "--count", "12"]
 def test_monte_carlo_beside_means_of_models(client, scale):
     """The numbers are those of the Python client's ring_means() and mc()."""
     arguments = [*SKIN, "--model", "better,transport", "--axes", scale, *RINGS, "--mc", "50000"]
-    rows = numbers(*arguments, "--error")
+    rows = numbers(*arguments, "--error", "--evaluator", "f64")
     edges = dipole_module.Grid(0.05, 8.0, 13, scale)
     skin = client.media()["skin1"]
     reference = client.ring_means("transport", "skin1", edges)

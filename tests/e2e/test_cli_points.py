@@ -60,7 +60,7 @@ def test_errors_stand_in_each_row():
             points(f"{HEADER}\n{ROW}\n", "--errors", "--want", "R,ln_R", "--model", model,
                    "--evaluator", "f64")
         )[0]  # fmt: skip
-        expected = eval_rows(*medium, "--want", "R,ln_R", "--model", model)[0]
+        expected = eval_rows(*medium, "--want", "R,ln_R", "--model", model, "--evaluator", "f64")[0]
         assert columns(row, "numerical_error", "model_error") == columns(
             expected, "numerical_error", "model_error"
         )
@@ -488,6 +488,50 @@ def test_rows_of_transport_are_not_solved_one_by_one():
     assert 5e-5 < float(named["numerical_error"]) <= 2e-4
     assert float(better["numerical_error"]) < 1e-12
     assert all(float(row["numerical_error"]) < 2e-5 for row in read("--evaluator", "f64"))
+
+
+def test_few_media_of_transport_are_evaluated_one_by_one(client):
+    """A surface is made for a g and eta from their 17th medium on. Before that, each row has the
+    bits of its medium's table, in any order of rows."""
+    own = [(0.01 * (i + 1), 10.0, 0.04 * i, 1.3 + 0.01 * i) for i in range(20)]
+    one = [(0.01 * (i + 1), 10.0, 0.5, 1.4) for i in range(20)]
+    lines = [",".join(map(str, [*medium, r])) for r in (0.25, 1) for medium in own + one]
+    text = "\n".join([HEADER, *lines, ""])
+    rows = read_csv(dipole("points", "--errors", stdin=text, usual=True).stdout)
+    exact = client.eval("transport", own + one, [0.25, 1], evaluator="lut", wanted=["R", "cdf"])
+    for i, row in enumerate(rows):
+        medium, r = i % 40, i // 40
+        alone = (float(row["R"]), float(row["cdf"])) == (
+            pytest.approx(exact.R[medium, r], rel=1e-7),
+            pytest.approx(exact.cdf[medium, r], rel=1e-7),
+        )
+        assert alone or medium >= 36
+        assert float(row["R"]) == pytest.approx(exact.R[medium, r], rel=3e-4)
+    errors = [float(row["numerical_error"]) for row in rows[:40]]
+    assert len(set(errors[:36])) > 30 and len(set(errors[36:])) == 1
+
+
+def test_transport_is_solved_for_tolerances_below_those_of_tables():
+    text = f"{HEADER},tolerance\n{ROW},1e-7\n{ROW},1e-6\n"
+    solved, tabled = read_csv(points(text, "--errors", "--model", "transport", "--want", "R,ln_R"))
+    assert solved["status"] == tabled["status"] == "ok"
+    assert 1e-8 < float(solved["numerical_error"]) <= 1e-7 < float(tabled["numerical_error"])
+
+
+def test_a_bar_counts_the_rows_that_are_answered(daemon, tmp_path):
+    start = time.monotonic()
+    lines = [f"0.01,1,{i / 1000},1.4,2" for i in range(100)]
+    path = scratch(tmp_path, "rows.csv", "\n".join([HEADER, *lines, ""]))
+
+    def on_eval(number: int, request_id: int):
+        return busy(request_id, 50) if number > 40 and time.monotonic() - start < 2.1 else None
+
+    with Proxy(daemon().url(), on_eval) as proxy:
+        run = Terminal("points", path, "--model", "transport", "--connect", proxy.url, on=[2])
+        status, output = run.end()
+    assert status == 0 and output.count(",ok\n") == 100
+    shares = re.findall(r"\] +(\d+) %  \S+ rows", run.seen)
+    assert shares and 30 < int(shares[0]) < 100
 
 
 def test_a_tolerance_in_place_of_a_model(client):

@@ -40,6 +40,33 @@ def test_the_daemons_radii(client, rule, evaluator):
     assert set(column(table, "albedo")) == {expected.albedo[0]}
 
 
+def test_many_random_numbers_come_in_pieces(client):
+    table = rows(*MEDIUM, "--count", "131073", "--seed", "3", "--first", "5", "--want", "r")
+    expected = client.sample("better", SKIN, draw=Draw(131073, "random", seed=3, first=5))
+    np.testing.assert_array_equal(column(table, "u"), expected.u)
+    np.testing.assert_array_equal(column(table, "r"), expected.r[0])
+
+
+@pytest.mark.parametrize("command", ["sample", "eval"])
+def test_transport_by_table_whether_it_is_named_or_not(command):
+    """No help text says one thing while the command does another."""
+
+    def ask(*options):
+        run = dipole(command, *MEDIUM, "--format", "json", *options, usual=True)
+        return json.loads(run.stdout)
+
+    named = ask("--model", "transport")
+    assert ask() == named and named["evaluator"] == "lut"
+    assert ask("--model", "transport", "--tolerance", "1e-7")["evaluator"] == "f64"
+    assert ask("--model", "better")["evaluator"] == "f64"
+    assert "(default: f64; lut for transport)" in dipole(command, "--help").stdout
+    if command == "eval":
+        both = ask("--model", "transport,better")
+        assert [model["evaluator"] for model in both["models"]] == ["lut", "f64"]
+        text = dipole("eval", *MEDIUM, "--model", "transport,better").stdout
+        assert "; evaluator f64, lut for transport, moments exact" in text
+
+
 def test_listed_numbers(client):
     table = rows("--medium", "skin1", "--u", "0,0.25,0.5,1")
     expected = client.sample("better", client.media()["skin1"], [0, 0.25, 0.5, 1])

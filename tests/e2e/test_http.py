@@ -157,6 +157,14 @@ def test_defaults_are_those_of_the_command_line(served):
     answer = good(get(served, "/v1/eval?medium=skin1&r=1"))
     assert (answer["model"], answer["evaluator"]) == ("transport", "lut")
     assert good(get(served, "/v1/eval?model=better&medium=skin1&r=1"))["evaluator"] == "f64"
+    for request, model, evaluator in (
+        ("eval?r=1", "transport", "lut"),
+        ("sample?u=.5", "transport", "lut"),
+        ("eval?r=1&tolerance=1e-7", "transport", "f64"),
+        ("eval?r=1&tolerance=1e-6", "29", "lut"),
+    ):
+        answer = good(get(served, f"/v1/{request}&model={model}&medium=skin1"))
+        assert (answer["model"], answer["evaluator"]) == ("transport", evaluator)
 
 
 def test_infinite_radius_and_unknown_numbers(served):
