@@ -18,6 +18,7 @@ static const cli_option radii_options[] = {
      CLI_TEXT, FIELD(table), NULL},
     {"Radii", NULL, NULL, CLI_HEADING, 0, NULL},
     {"r", "X[,X...]", "these radii, mm; one may be inf", CLI_NUMBERS, FIELD(r), NULL},
+    CLI_EVAL_F_OPTION(FIELD(f)),
     {"from", "X", "the first radius of a grid, mm (default: 0)", CLI_NUMBER, FIELD(from), "0"},
     {"to", "X", "the last radius of the grid, mm (default: 10)", CLI_NUMBER, FIELD(to), "10"},
     {"count", "N", "how many radii the grid has (default: 21)", CLI_COUNT, FIELD(count), "21"},
@@ -44,8 +45,9 @@ const cli_option cli_eval_options[] = {
 static const cli_option output_options[] = {
     {"want", "NAME[,NAME...]",
      "what to evaluate. R: 1/mm^2 per unit of power that entered; albedo; cdf:\n"
-     "the share of the albedo within r; S: 1/(mm^2 sr); `dipole info` lists\n"
-     "all (default: R,albedo)",
+     "the share of the albedo within r; S: 1/(mm^2 sr); R_f: for striped light,\n"
+     "at spatial frequencies in 1/mm; `dipole info` lists all (default:\n"
+     "R,albedo; with --f R_f,albedo)",
      CLI_NAMES, FIELD(want), NULL},
     {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
     {"plot", "[FILE]",
@@ -61,24 +63,29 @@ static int check_table(const cli_eval_settings *settings) {
   const cli_profile_settings *profile = &settings->profile;
   if (cli_medium_given(profile) || settings->model.count > 0 || profile->moments != NULL ||
       profile->evaluator != NULL || cli_parameters_given(profile) || profile->deadline_ms.given ||
-      profile->common.connect != NULL) {
+      profile->common.connect != NULL || settings->at_f) {
     return cli_fail_usage("--table FILE says what is evaluated, and needs no daemon: of "
                           "the options leave all out but radii, --want and output");
   }
   return CLI_OK;
 }
 
-int cli_eval_check(const cli_eval_settings *settings) {
+int cli_eval_check(cli_eval_settings *settings) {
   const cli_common *common = &settings->profile.common;
+  if (settings->f.count > 0 && settings->r.count > 0) {
+    return cli_fail_usage("--f is for R_f, and --r for all else: leave one out");
+  }
+  settings->at_f = settings->f.count > 0;
+  const cli_numbers *list = settings->at_f ? &settings->f : &settings->r;
   const int status =
       settings->table != NULL ? check_table(settings) : cli_medium_check(&settings->profile);
   if (status != CLI_OK) {
     return status;
   }
-  if (settings->r.count > 0 && (settings->from.given || settings->to.given ||
-                                settings->count.given || settings->logarithmic)) {
-    return cli_fail_usage("--r gives the radii one by one: leave --from, --to, --count "
-                          "and --log out");
+  if (list->count > 0 && (settings->from.given || settings->to.given || settings->count.given ||
+                          settings->logarithmic)) {
+    return cli_fail_usage("--%s gives the %s one by one: leave --from, --to, --count and --log out",
+                          settings->at_f ? "f" : "r", settings->at_f ? "frequencies" : "radii");
   }
   if (settings->logarithmic && !settings->from.given) {
     return cli_fail_usage("--log needs --from, above 0");

@@ -9,7 +9,8 @@ typedef struct cli_eval_settings {
   const char *table;            /* the file of tables to evaluate; NULL to ask a daemon */
   cli_texts model;
   const char *reference; /* a model that is asked too, with what it takes of the parameters */
-  cli_numbers r;
+  cli_numbers r, f;
+  bool at_f; /* f is given, and r is not */
   cli_number from, to;
   cli_count count;
   bool logarithmic;
@@ -20,8 +21,16 @@ typedef struct cli_eval_settings {
 /* The options of an evaluation, for settings that start with a cli_eval_settings. */
 extern const cli_option cli_eval_options[];
 
-/* Checks everything that can be checked without a daemon. Returns an exit status. */
-int cli_eval_check(const cli_eval_settings *settings);
+/* The option --f. at: where the numbers lie. */
+#define CLI_EVAL_F_OPTION(at)                                                                      \
+  {                                                                                                \
+    "f", "X[,X...]",                                                                               \
+        "in place of radii: these spatial frequencies of striped light, 1/mm, for R_f",            \
+        CLI_NUMBERS, at, NULL                                                                      \
+  }
+
+/* Checks everything that can be checked without a daemon, and sets at_f. Returns an exit status. */
+int cli_eval_check(cli_eval_settings *settings);
 
 /* Fills a zeroed report by asking a daemon. Of all models, those are left out that refuse the
  * query, with a line each on standard error. Says what is wrong and returns an exit status; free

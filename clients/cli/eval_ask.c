@@ -62,18 +62,19 @@ cli_eval_radii cli_eval_make_radii(const cli_eval_settings *settings,
   if (report->quantities.count == 0) {
     return radii;
   }
-  if (settings->r.count == 0) {
+  const cli_numbers *list = settings->at_f ? &settings->f : &settings->r;
+  if (list->count == 0) {
     radii.spacing = settings->logarithmic ? DIPOLE_LOGARITHMIC : DIPOLE_LINEAR;
     radii.count = settings->count.value;
     radii.start_mm = settings->from.value;
     radii.stop_mm = settings->to.value;
     return radii;
   }
-  radii.count = settings->r.count;
-  radii.f64 = settings->r.items;
-  radii.f32 = cli_allocate(settings->r.count, sizeof *radii.f32);
-  for (size_t i = 0; i < settings->r.count; i++) {
-    radii.f32[i] = (float)settings->r.items[i];
+  radii.count = list->count;
+  radii.f64 = list->items;
+  radii.f32 = cli_allocate(list->count, sizeof *radii.f32);
+  for (size_t i = 0; i < list->count; i++) {
+    radii.f32[i] = (float)list->items[i];
   }
   return radii;
 }
@@ -388,9 +389,13 @@ int cli_eval_ask(const cli_eval_settings *settings, dipole_client *client,
   }
   if (!choose_models(settings, report) ||
       (settings->reference != NULL && !choose_reference(settings->reference, report)) ||
-      !cli_quantities_take(report->profile.info, &settings->want, DIPOLE_R | DIPOLE_ALBEDO,
+      !cli_quantities_take(report->profile.info, &settings->want,
+                           DIPOLE_ALBEDO | (settings->at_f ? DIPOLE_TRANSFER : DIPOLE_R),
                            DIPOLE_ALBEDO | DIPOLE_RADIUS, &report->quantities)) {
     return CLI_USAGE;
+  }
+  if (settings->at_f && !cli_eval_is_by_f(report)) {
+    return cli_fail_usage("--f gives spatial frequencies, which only R_f has: ask for R_f alone");
   }
   for (size_t i = 0; i < report->model_count; i++) {
     cli_eval_model *model = &report->models[i];

@@ -8,6 +8,11 @@ bool cli_is_walked(const cli_eval_model *model) {
   return model->choice == &cli_monte_carlo;
 }
 
+bool cli_eval_is_by_f(const cli_eval_report *report) {
+  return (report->quantities.wanted & ~(unsigned)(DIPOLE_ALBEDO | DIPOLE_RADIUS)) ==
+         DIPOLE_TRANSFER;
+}
+
 void cli_eval_add_model(cli_eval_report *report, const dipole_choice *model, bool named) {
   for (size_t i = 0; i < report->model_count; i++) {
     if (report->models[i].choice == model) {

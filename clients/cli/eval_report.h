@@ -47,6 +47,10 @@ extern const dipole_choice cli_monte_carlo;
 /* Adds a model, or notes that it is named if it is there already. */
 void cli_eval_add_model(cli_eval_report *report, const dipole_choice *model, bool named);
 
+/* Returns whether R_f is the only quantity at the report's radii, which are then spatial frequencies
+ * f in 1/mm. */
+bool cli_eval_is_by_f(const cli_eval_report *report);
+
 /* Returns whether the values of a model are those of Monte Carlo, which have standard errors. */
 bool cli_is_walked(const cli_eval_model *model);
 

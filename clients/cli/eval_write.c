@@ -32,7 +32,8 @@ static const double *array_of(const cli_eval_report *report, const cli_eval_valu
 static const char *kind_of_error(const cli_eval_report *report) {
   const unsigned absolute = DIPOLE_LN_R | DIPOLE_BY_SIGMA_A | DIPOLE_BY_SIGMA_S;
   const unsigned wanted = report->quantities.wanted;
-  return (wanted & absolute) == 0    ? "relative, at most"
+  return cli_eval_is_by_f(report)    ? "of the albedo, at most"
+         : (wanted & absolute) == 0  ? "relative, at most"
          : (wanted & ~absolute) == 0 ? "absolute, at most"
                                      : "relative, of logarithms absolute, at most";
 }
@@ -89,6 +90,13 @@ static bool is_cheaper_and_off(const dipole_offer *offer, const dipole_offer *ta
 
 enum { RANGE_BYTES = 64 };
 
+#define F_UNIT "1/mm"
+
+/* Returns the unit of the report's radii or frequencies. */
+static const char *unit_of_radii(const cli_eval_report *report) {
+  return cli_eval_is_by_f(report) ? F_UNIT : unit_of(report, DIPOLE_RADIUS);
+}
+
 /* Writes the range of the radii, such as "from 1 to 2 mm"; nothing if there are none. */
 static const char *range_of(const cli_eval_report *report, char text[RANGE_BYTES]) {
   double least = (double)INFINITY, most = 0;
@@ -98,9 +106,9 @@ static const char *range_of(const cli_eval_report *report, char text[RANGE_BYTES
   }
   text[0] = '\0';
   if (report->radius_count > 0 && least < most) {
-    snprintf(text, RANGE_BYTES, "from %.6g to %.6g mm", least, most);
+    snprintf(text, RANGE_BYTES, "from %.6g to %.6g %s", least, most, unit_of_radii(report));
   } else if (report->radius_count > 0) {
-    snprintf(text, RANGE_BYTES, "at %.6g mm", least);
+    snprintf(text, RANGE_BYTES, "at %.6g %s", least, unit_of_radii(report));
   }
   return text;
 }
@@ -244,13 +252,22 @@ static block block_from(const cli_eval_report *report, size_t first) {
   return (block){report, first, left < count ? left : count};
 }
 
+/* Puts a radius and, of R_f, the spatial frequency, which is the same number. */
+static void put_place(cli_rows *rows, const cli_eval_report *report, double place) {
+  if (!cli_eval_is_by_f(report)) {
+    cli_put_number(rows, CLI_COLUMN("r", .unit = unit_of(report, DIPOLE_RADIUS)), place);
+  }
+  if ((report->quantities.wanted & DIPOLE_TRANSFER) != 0) {
+    cli_put_number(rows, CLI_COLUMN("f", .unit = F_UNIT), place);
+  }
+}
+
 /* Puts a radius, and the values of all quantities, models and channels there. */
 static void put_radius(cli_rows *rows, const void *context, size_t index) {
   const block *of = context;
   const cli_eval_report *report = of->report;
   const size_t channels = report->profile.channel_count;
-  cli_put_number(rows, CLI_COLUMN("r", .unit = unit_of(report, DIPOLE_RADIUS)),
-                 rows->pass == CLI_ROWS_VALUES ? report->radii[index] : 0);
+  put_place(rows, report, rows->pass == CLI_ROWS_VALUES ? report->radii[index] : 0);
   for (size_t q = 0; q < report->quantities.count; q++) {
     const dipole_choice *quantity = report->quantities.items[q];
     /* A share of 1 and a logarithm are read best plainly; all else spans many magnitudes. */
@@ -293,7 +310,7 @@ static void put_channel(cli_rows *rows, const void *context, size_t index) {
   cli_put_number(rows, CLI_COLUMN("numerical_error_per_mm", .forms = CLI_IN_JSON),
                  values->numerical_error_per_mm);
   char range[RANGE_BYTES];
-  const bool ranged = range_of(report, range)[0] != '\0';
+  const bool ranged = range_of(report, range)[0] != '\0' && !cli_eval_is_by_f(report);
   cli_put_number(
       rows,
       CLI_COLUMN("model_error", "model error", ranged ? range : "relative", "%.1e", "not measured"),
@@ -370,7 +387,11 @@ static void write_table(const void *context) {
   const cli_eval_report *report = context;
   const cli_profile *profile = &report->profile;
   cli_write_medium(profile, stdout);
-  printf("R in %s", profile->info->R_unit);
+  if (cli_eval_is_by_f(report)) {
+    fputs("R_f, the reflectance of striped light", stdout);
+  } else {
+    printf("R in %s", profile->info->R_unit);
+  }
   write_evaluators(report);
   printf(", moments %s", profile->moments->name);
   cli_write_parameters(profile, stdout);
@@ -383,7 +404,8 @@ static void write_table(const void *context) {
   }
   cli_rows_print(stdout, 2, report->model_count * profile->channel_count, put_channel, report);
   if (radius_max(report) > 0) {
-    printf("numerical error: against the model's formula, up to r = %.6g mm\n", radius_max(report));
+    printf("numerical error: against the model's formula, up to %s = %.6g %s\n",
+           cli_eval_is_by_f(report) ? "f" : "r", radius_max(report), unit_of_radii(report));
   }
   puts("model error: of the model against radiative transport, relative");
   cli_write_launched(profile->media, profile->channel_count, stdout);
@@ -431,7 +453,7 @@ static void put_value(cli_rows *rows, const void *context, size_t index) {
   cli_put_text(rows, CLI_COLUMN("model"), model->choice->name);
   cli_put_text(rows, CLI_COLUMN("channel"), channel->name);
   cli_put_medium(rows, &channel->medium);
-  cli_put_number(rows, CLI_COLUMN("r"), r_mm);
+  put_place(rows, report, r_mm);
   cli_put_number(rows, CLI_COLUMN("R"), R != NULL ? R[radius] : (double)NAN);
   cli_put_number(rows, CLI_COLUMN("albedo"), values->albedo);
   cli_put_number(rows, CLI_COLUMN("cdf"), cdf != NULL ? cdf[radius] : (double)NAN);
@@ -474,6 +496,8 @@ static void put_model(cli_rows *rows, const void *context, size_t index) {
 static void put_members(cli_json *json, const void *context) {
   const cli_eval_report *report = context;
   const cli_profile *profile = &report->profile;
+  const char *const places[] = {cli_eval_is_by_f(report) ? NULL : "r",
+                                (report->quantities.wanted & DIPOLE_TRANSFER) != 0 ? "f" : NULL};
   cli_json_head(json, profile);
   cli_json_text(json, "evaluator", usual_evaluator(report)->name);
   cli_json_text(json, "moments", profile->moments->name);
@@ -482,7 +506,11 @@ static void put_members(cli_json *json, const void *context) {
   cli_json_begin(json, "units", '{');
   cli_json_text(json, "sigma_a", "1/mm");
   cli_json_text(json, "sigma_s", "1/mm");
-  cli_json_text(json, "r", unit_of(report, DIPOLE_RADIUS));
+  for (size_t i = 0; i < 2; i++) {
+    if (places[i] != NULL) {
+      cli_json_text(json, places[i], i == 0 ? unit_of(report, DIPOLE_RADIUS) : F_UNIT);
+    }
+  }
   cli_json_text(json, "R", profile->info->R_unit);
   cli_json_text(json, "albedo", unit_of(report, DIPOLE_ALBEDO));
   cli_json_text(json, "cdf", unit_of(report, DIPOLE_CDF));
@@ -492,7 +520,11 @@ static void put_members(cli_json *json, const void *context) {
     }
   }
   cli_json_end(json, '}');
-  cli_json_numbers(json, "r", report->radii, report->radius_count);
+  for (size_t i = 0; i < 2; i++) {
+    if (places[i] != NULL) {
+      cli_json_numbers(json, places[i], report->radii, report->radius_count);
+    }
+  }
   cli_rows_json(json, "models", report->model_count, put_model, report);
 }
 

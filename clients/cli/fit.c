@@ -492,13 +492,9 @@ const cli_command cli_command_fit = {
         "error). These may be absent: sample (a name; lines of the same name belong together),\n"
         "eta, g, source_mm and detector_mm (diameters of the discs that light enters through and\n"
         "is detected on), and detector_na (see --detector-na). Each sample has at least as many\n"
-        "readings as unknowns: 2, or 3 with --scale free. Without a column eta, --eta has to be
-"
-        "given. The output has the g and eta that were taken, and g_from, where g comes from: file,
-"
-        "option or default.
-" CLI_CSV_TEXT "
-"
+        "readings as unknowns: 2, or 3 with --scale free. Without a column eta, --eta has to be\n"
+        "given. The output has the g and eta that were taken, and g_from, where g comes from: file,\n"
+        "option or default.\n" CLI_CSV_TEXT "\n"
         "status is fitted, or says why a sample is no success: at-bound, undetermined,\n"
         "implausible, ambiguous, unfinished or refused; `dipole info` describes them. The exit\n"
         "status is then 3, and all samples are written nevertheless. sigma_s' is sigma_s (1 - g).\n"

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "clients/cli/daemon.h"
+#include "clients/cli/number.h"
 #include "clients/cli/options.h"
 #include "clients/cli/profile.h"
 #include "clients/cli/progress.h"
@@ -18,6 +19,7 @@ typedef struct mc_settings {
   const char *phase;
   cli_number phase_share, phase_g, detector_na;
   cli_numbers albedo;
+  cli_numbers r;
   cli_number from, to;
   cli_count rings;
   bool logarithmic;
@@ -59,6 +61,10 @@ static const cli_option options[] = {
      "up to 16 single-scattering albedos in place of the medium's own; the\nsame walks serve all",
      CLI_NUMBERS, FIELD(albedo), NULL},
     {"Rings", NULL, NULL, CLI_HEADING, 0, NULL},
+    {"r", "X[,X...]",
+     "in place of rings: R at these radii above 0, mm, from rings 3 % wide.\n"
+     "--format csv is then a file that `dipole fit` reads",
+     CLI_NUMBERS, FIELD(r), NULL},
     {"from", "X", "inner edge of the first ring, mm (default: 0)", CLI_NUMBER, FIELD(from), NULL},
     {"to", "X", "outer edge of the last ring, mm (default: 10)", CLI_NUMBER, FIELD(to), "10"},
     {"rings", "N", "how many rings there are (default: 20)", CLI_COUNT, FIELD(rings), "20"},
@@ -87,6 +93,7 @@ typedef struct report {
   const char *medium; /* a measured medium; NULL if it is given by numbers */
   char channel[24]; /* its colour or, if there are several channels, their numbers from 1; or "" */
   const dipole_choice *phase;
+  const cli_numbers *r; /* none: rings are written */
   cli_parameters parameters;
   dipole_mc_query query;
   dipole_mc_result *result;
@@ -149,6 +156,16 @@ static int check(void *given) {
   const int status = check_medium(settings);
   if (status != CLI_OK) {
     return status;
+  }
+  if (settings->r.count > 0 && (settings->from.given || settings->to.given ||
+                                settings->rings.given || settings->logarithmic)) {
+    return cli_fail_usage("--r gives the radii one by one: leave --from, --to, --rings and --log "
+                          "out");
+  }
+  for (size_t i = 0; i < settings->r.count; i++) {
+    if (!(settings->r.items[i] > 0 && isfinite(settings->r.items[i]))) {
+      return cli_fail_usage("--r: give radii above 0");
+    }
   }
   if (settings->logarithmic && !settings->from.given) {
     return cli_fail_usage("--log needs --from, above 0");
@@ -241,6 +258,26 @@ static int take_parameters(const mc_settings *settings, report *of) {
   return CLI_OK;
 }
 
+/* The rings that --r is read from are so wide. Their bias is some 2e-3 of R where R falls by e within
+ * a tenth of the radius, and less elsewhere. */
+#define RING_WIDTH 0.03
+
+/* Sets the rings: logarithmic ones, of which the first and the last lie around the smallest and the
+ * largest radius. */
+static void set_rings(const cli_numbers *r, dipole_mc_query *query) {
+  double least_mm = r->items[0], most_mm = r->items[0];
+  for (size_t i = 1; i < r->count; i++) {
+    least_mm = fmin(least_mm, r->items[i]);
+    most_mm = fmax(most_mm, r->items[i]);
+  }
+  const double steps = ceil(log(most_mm / least_mm) / RING_WIDTH);
+  const double half = (steps > 0 ? log(most_mm / least_mm) / steps : RING_WIDTH) / 2;
+  query->spacing = DIPOLE_LOGARITHMIC;
+  query->ring_count = (uint32_t)steps + 1;
+  query->radius_start_mm = least_mm * exp(-half);
+  query->radius_stop_mm = most_mm * exp(half);
+}
+
 /* Makes the query of channel number `index` of `count`. */
 static int make_query(const mc_settings *settings, dipole_client *client, size_t index,
                       size_t count, report *of) {
@@ -266,6 +303,10 @@ static int make_query(const mc_settings *settings, dipole_client *client, size_t
       .error_total = settings->total_error.value,
       .error_rings = settings->error.value,
   };
+  of->r = &settings->r;
+  if (of->r->count > 0) {
+    set_rings(of->r, &of->query);
+  }
   const int status = take_parameters(settings, of);
   return status != CLI_OK || settings->medium == NULL ? status
                                                       : take_measured(settings, client, index, of);
@@ -346,12 +387,74 @@ static size_t list_parts(const dipole_mc_result *result, size_t albedo, bool all
 
 /* A result, and which of its albedos is written. */
 typedef struct one_albedo {
+  const report *report;
   const dipole_mc_result *result;
   uint32_t albedo;
   const char *channel; /* for CSV of several channels; else NULL */
 } one_albedo;
 
-/* Puts a ring, for people. A ring without light has an error, but no relative error. */
+/* Returns R at a radius, between the middles of the two rings beside it: in proportion to a power of
+ * r where both have light. *error: its standard error. */
+static double R_at(const one_albedo *of, uint32_t side, double r_mm, double *error) {
+  const dipole_mc_result *result = of->result;
+  const double *edges = result->edges_mm, *R = dipole_mc_values(result, of->albedo, side),
+               *errors = dipole_mc_errors(result, of->albedo, side);
+  const double width = log(edges[1] / edges[0]);
+  const double place = fmin(fmax(log(r_mm / edges[0]) / width - 0.5, 0), result->ring_count - 1);
+  const uint32_t low = (uint32_t)place;
+  const uint32_t high = low + 1 < result->ring_count ? low + 1 : low;
+  const double share = place - low;
+  *error = hypot((1 - share) * errors[low], share * errors[high]);
+  return R[low] > 0 && R[high] > 0 ? pow(R[low], 1 - share) * pow(R[high], share)
+                                   : (1 - share) * R[low] + share * R[high];
+}
+
+/* "2.1 %"; "-" for no light, which has an error, but no relative error. */
+static const char *relative_error(double value, double error, char text[32]) {
+  snprintf(text, 32, value > 0 && isfinite(error) ? "%.2g %%" : "-", 100 * error / value);
+  return text;
+}
+
+static void put_radius(cli_rows *rows, const void *context, size_t index) {
+  const one_albedo *of = context;
+  const double r_mm = of->report->r->items[index];
+  cli_put_number(rows, CLI_COLUMN("r", .unit = "mm"), r_mm);
+  for (uint32_t side = 0; side < of->result->side_count; side++) {
+    double error;
+    char text[32];
+    const double value = R_at(of, side, r_mm, &error);
+    cli_put_number(rows, CLI_COLUMN(sides[side].name, NULL, "1/mm^2", "%.5e"), value);
+    cli_put_number(rows, CLI_COLUMN("standard error", NULL, "1/mm^2", "%.1e"), error);
+    cli_put_text(rows, CLI_COLUMN("relative", .unit = " "), relative_error(value, error, text));
+  }
+}
+
+/* Puts a row of CSV that `dipole fit` reads. */
+static void put_reading(cli_rows *rows, const void *context, size_t index) {
+  const one_albedo *of = context;
+  const report *from = of->report;
+  const double r_mm = from->r->items[index];
+  char albedo[CLI_NUMBER_BYTES], sample[80];
+  double error;
+  const double value = R_at(of, 0, r_mm, &error);
+  cli_number_format(of->result->energies[of->albedo].albedo, albedo);
+  snprintf(sample, sizeof sample, "%s%s%s", from->channel[0] != '\0' ? from->channel : "1",
+           of->result->albedo_count > 1 ? ", albedo " : "",
+           of->result->albedo_count > 1 ? albedo : "");
+  cli_put_text(rows, CLI_COLUMN("sample"), sample);
+  cli_put_number(rows, CLI_COLUMN("g"), from->query.medium.g);
+  cli_put_number(rows, CLI_COLUMN("eta"), from->query.medium.eta);
+  for (size_t i = 0; i < from->parameters.count; i++) {
+    if (strcmp(parameter_name(from, i), "detector_na") == 0) {
+      cli_put_number(rows, CLI_COLUMN("detector_na"), from->parameters.items[i].value);
+    }
+  }
+  cli_put_number(rows, CLI_COLUMN("r"), r_mm);
+  cli_put_number(rows, CLI_COLUMN("R"), value);
+  cli_put_number(rows, CLI_COLUMN("error"), error);
+}
+
+/* Puts a ring, for people. */
 static void put_ring(cli_rows *rows, const void *context, size_t index) {
   const one_albedo *of = context;
   const dipole_mc_result *result = of->result;
@@ -360,13 +463,10 @@ static void put_ring(cli_rows *rows, const void *context, size_t index) {
   for (uint32_t side = 0; side < result->side_count; side++) {
     const double value = dipole_mc_values(result, of->albedo, side)[index];
     const double error = dipole_mc_errors(result, of->albedo, side)[index];
-    char relative[32] = "-";
-    if (value > 0 && isfinite(error)) {
-      snprintf(relative, sizeof relative, "%.2g %%", 100 * error / value);
-    }
+    char relative[32];
     cli_put_number(rows, CLI_COLUMN(sides[side].name, NULL, "1/mm^2", "%.5e"), value);
     cli_put_number(rows, CLI_COLUMN("standard error", NULL, "1/mm^2", "%.1e"), error);
-    cli_put_text(rows, CLI_COLUMN("relative", .unit = " "), relative);
+    cli_put_text(rows, CLI_COLUMN("relative", .unit = " "), relative_error(value, error, relative));
     cli_put_count(rows, CLI_COLUMN("photons", .unit = " "), dipole_mc_photons(result, side)[index]);
   }
 }
@@ -430,9 +530,13 @@ static void write_table(const void *context) {
   part parts[PARTS_MAX];
   write_title(of);
   for (uint32_t albedo = 0; albedo < of->result->albedo_count; albedo++) {
-    const one_albedo one = {of->result, albedo, NULL};
+    const one_albedo one = {of, of->result, albedo, NULL};
     printf("\nsingle-scattering albedo %.6g\n\n", of->result->energies[albedo].albedo);
-    cli_rows_print(stdout, 0, of->result->ring_count, put_ring, &one);
+    if (of->r->count > 0) {
+      cli_rows_print(stdout, 0, of->r->count, put_radius, &one);
+    } else {
+      cli_rows_print(stdout, 0, of->result->ring_count, put_ring, &one);
+    }
     putchar('\n');
     cli_rows_print(stdout, 1, list_parts(of->result, albedo, false, parts), put_part, &one);
   }
@@ -476,7 +580,11 @@ static void write_channel_csv(const report *of, bool names, bool several) {
   const dipole_mc_result *result = of->result;
   part parts[PARTS_MAX];
   for (uint32_t albedo = 0; albedo < result->albedo_count; albedo++) {
-    const one_albedo one = {result, albedo, several ? of->channel : NULL};
+    const one_albedo one = {of, result, albedo, several ? of->channel : NULL};
+    if (of->r->count > 0) {
+      cli_rows_csv(stdout, names && albedo == 0, of->r->count, put_reading, &one);
+      continue;
+    }
     const size_t rows =
         (size_t)result->side_count * result->ring_count + list_parts(result, albedo, false, parts);
     cli_rows_csv(stdout, names && albedo == 0, rows, put_value, &one);
@@ -484,8 +592,10 @@ static void write_channel_csv(const report *of, bool names, bool several) {
 }
 
 static void put_albedo(cli_rows *rows, const void *context, size_t index) {
-  const dipole_mc_result *result = context;
+  const report *of = context;
+  const dipole_mc_result *result = of->result;
   const uint32_t albedo = (uint32_t)index;
+  const one_albedo one = {of, result, albedo, NULL};
   part parts[PARTS_MAX];
   cli_put_number(rows, CLI_COLUMN("albedo"), result->energies[albedo].albedo);
   for (uint32_t side = 0; side < result->side_count; side++) {
@@ -493,6 +603,15 @@ static void put_albedo(cli_rows *rows, const void *context, size_t index) {
                      result->ring_count);
     cli_json_numbers(rows->json, sides[side].error, dipole_mc_errors(result, albedo, side),
                      result->ring_count);
+  }
+  if (of->r->count > 0) {
+    cli_json_begin(rows->json, "at_r", '[');
+    for (size_t i = 0; i < of->r->count; i++) {
+      cli_json_begin(rows->json, NULL, '{');
+      cli_rows_members(rows->json, put_reading, &one, i);
+      cli_json_end(rows->json, '}');
+    }
+    cli_json_end(rows->json, ']');
   }
   const size_t count = list_parts(result, albedo, true, parts);
   cli_json_begin(rows->json, "shares", '{');
@@ -549,7 +668,7 @@ static void put_members(cli_json *json, const void *context) {
     }
     cli_json_end(json, ']');
   }
-  cli_rows_json(json, "albedos", result->albedo_count, put_albedo, result);
+  cli_rows_json(json, "albedos", result->albedo_count, put_albedo, of);
 }
 
 /* ---- the command ----------------------------------------------------------------------------- */
@@ -663,7 +782,8 @@ const cli_command cli_command_mc = {
                 "  dipole mc --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --thickness 2\n"
                 "  dipole mc --sigma-a 0.1 --sigma-s 50 --g 0.8 --eta 1.4 --phase modified \\\n"
                 "    --phase-share 0.889\n"
-                "  dipole mc --sigma-a 0.1 --sigma-s 1 --albedo 0.5,0.9,0.99 --from 0.01 --log\n",
+                "  dipole mc --sigma-a 0.1 --sigma-s 1 --albedo 0.5,0.9,0.99 --from 0.01 --log\n"
+                "  dipole mc --medium skin1 --r 0.5,1,2,4 --format csv | dipole fit\n",
     .settings_bytes = sizeof(mc_settings),
     .check = check,
     .run = run,

@@ -481,14 +481,20 @@ static void write_panel(FILE *script, const cli_picture *picture, const grid *g,
   fputc('\n', script);
 }
 
+static const char *radius_label(const cli_picture *picture) {
+  return cli_eval_is_by_f(picture->report) ? "f (1/mm)" : "r (mm)";
+}
+
 static void write_file_script(FILE *script, const void *context) {
   const cli_picture *picture = context;
   const char *medium = picture->report->profile.medium;
   const grid g = make_grid(picture);
   char text[TEXT_BYTES];
   snprintf(text, sizeof text, "%s%s", medium != NULL ? medium : quantity_of(picture, 0)->name,
-           medium != NULL ? "" : "(r)");
-  fputs("set grid\nset xlabel 'r (mm)' offset 0,0.5\n", script);
+           medium != NULL                      ? ""
+           : cli_eval_is_by_f(picture->report) ? "(f)"
+                                               : "(r)");
+  fprintf(script, "set grid\nset xlabel '%s' offset 0,0.5\n", radius_label(picture));
   write_data(script, picture);
   fprintf(script,
           "set multiplot layout %zu,%zu margins %.5f,%.5f,%.5f,%.5f spacing %.5f,%.5f title ",
@@ -553,7 +559,8 @@ static void write_text_panel(FILE *script, const cli_picture *picture, size_t pa
 
 static void write_text_script(FILE *script, const void *context) {
   const cli_picture *picture = context;
-  fputs("set xlabel 'r (mm)'\nset tmargin 1\nset key below Left reverse\n", script);
+  fprintf(script, "set xlabel '%s'\nset tmargin 1\nset key below Left reverse\n",
+          radius_label(picture));
   write_data(script, picture);
   for (size_t panel = 0; panel < layout_of(picture->report).panels; panel++) {
     for (size_t row = 0; row < picture->row_count; row++) {

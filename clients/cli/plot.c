@@ -34,6 +34,7 @@ typedef struct plot_settings {
 static const cli_option options[] = {
     {"Radii", NULL, NULL, CLI_HEADING, 0, NULL},
     {"r", "X[,X...]", "these radii, mm", CLI_NUMBERS, FIELD(eval.r), NULL},
+    CLI_EVAL_F_OPTION(FIELD(eval.f)),
     {"from", "X", "the first radius, mm (default: 0; on a logarithmic axis --to / 1000)",
      CLI_NUMBER, FIELD(eval.from), "0"},
     {"to", "X", "the last radius, mm (default: 10)", CLI_NUMBER, FIELD(eval.to), "10"},
@@ -45,8 +46,8 @@ static const cli_option options[] = {
      CLI_SWITCH, FIELD(eval.logarithmic), NULL},
     {"Picture", NULL, NULL, CLI_HEADING, 0, NULL},
     {"quantity", "NAME",
-     "what to draw: R, cdf, pdf, dR_dr, ln_R, 2_pi_r_R or S; see `dipole info`\n"
-     "(default: R)",
+     "what to draw: R, cdf, pdf, dR_dr, ln_R, 2_pi_r_R, S or, over spatial\n"
+     "frequencies, R_f; see `dipole info` (default: R)",
      CLI_TEXT, FIELD(quantity), "R"},
     {"axes", "NAME[,NAME...]",
      "linear, semilog, logarithmic or gamma. Each has a panel. semilog: values\n"
@@ -123,7 +124,7 @@ static void set_defaults(plot_settings *settings) {
   if (settings->photons.given && !eval->count.given) {
     eval->count.value = RINGS_DEFAULT;
   }
-  if (eval->r.count == 0 && has_logarithmic_r(settings)) {
+  if (eval->r.count == 0 && eval->f.count == 0 && has_logarithmic_r(settings)) {
     if (!eval->from.given && eval->to.value > 0 && isfinite(eval->to.value)) {
       eval->from = (cli_number){true, FROM_SHARE * eval->to.value};
     }
@@ -136,7 +137,7 @@ static int check_walk(const plot_settings *settings) {
   if (!(photons >= 1 && photons <= 0x1p53 && photons == floor(photons))) {
     return cli_fail_usage("--mc: give a whole number of photons from 1 to 9e15, such as 1e6");
   }
-  if (settings->eval.r.count > 0) {
+  if (settings->eval.r.count > 0 || settings->eval.f.count > 0) {
     return cli_fail_usage("--mc needs rings, not single radii: give --from, --to and --count in "
                           "place of --r");
   }

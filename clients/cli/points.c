@@ -27,6 +27,10 @@ static const cli_option options[] = {
     {"r", "X[,X...]",
      "for files without a column r: each row is written once for each of these\nradii, mm",
      CLI_NUMBERS, offsetof(points_settings, r), NULL},
+    {"f", "X[,X...]",
+     "in place of radii: these spatial frequencies, 1/mm, for R_f, whose column\n"
+     "is f in place of r",
+     CLI_NUMBERS, offsetof(points_settings, f), NULL},
     {"want", "NAME[,NAME...]",
      "the quantities to write; `dipole info` lists all (default: R,albedo,cdf;\n"
      "with --tolerance in place of --model R,albedo, which keep more tolerances)",
@@ -45,7 +49,7 @@ static const cli_option options[] = {
 static bool submit_row(const points_usual *usual, dipole_client *client, points_row *row,
                        dipole_error *error) {
   const float r_f32_mm = (float)row->r_mm;
-  const void *f64 = points_has_radii(usual) ? usual->settings->r.items : &row->r_mm;
+  const void *f64 = points_has_radii(usual) ? usual->radii->items : &row->r_mm;
   const void *f32 = points_has_radii(usual) ? usual->r_f32 : &r_f32_mm;
   const dipole_query query = {.model = row->model,
                               .evaluator = row->evaluator,
@@ -322,7 +326,7 @@ static bool ask(points_run *points, points_row *const *rows, size_t count,
   const bool single = rows[0]->evaluator != DIPOLE_F64;
   for (size_t i = 0; i < count * radii; i++) {
     const points_row *row = rows[i / radii];
-    const double r_mm = points_has_radii(usual) ? usual->settings->r.items[i % radii] : row->r_mm;
+    const double r_mm = points_has_radii(usual) ? usual->radii->items[i % radii] : row->r_mm;
     points->arrays[0][i] = row->medium.sigma_a_per_mm;
     points->arrays[1][i] = row->medium.sigma_s_per_mm;
     points->arrays[2][i] = single ? (double)(float)r_mm : r_mm;
@@ -568,7 +572,9 @@ static int prepare(points_run *points) {
   const cli_profile_settings *profile = &settings->profile;
   dipole_error error;
   const bool any_model = profile->tolerance.given && profile->model == NULL;
-  const unsigned wanted = DIPOLE_R | DIPOLE_ALBEDO | (any_model ? 0 : DIPOLE_CDF);
+  const unsigned wanted = settings->f.count > 0
+                              ? DIPOLE_TRANSFER | DIPOLE_ALBEDO
+                              : DIPOLE_R | DIPOLE_ALBEDO | (any_model ? 0 : DIPOLE_CDF);
   usual->info = dipole_get_info(points->client);
   if ((profile->evaluator != NULL &&
        cli_named(usual->info, DIPOLE_EVALUATOR, "evaluator", profile->evaluator) == NULL) ||
@@ -581,15 +587,21 @@ static int prepare(points_run *points) {
   if ((usual->quantities.wanted & DIPOLE_RADIUS) != 0) {
     return cli_fail_usage("--want r: r is a column of the input, or of --r: leave it out");
   }
+  usual->by_f = (usual->quantities.wanted & ~(unsigned)DIPOLE_ALBEDO) == DIPOLE_TRANSFER;
+  if (settings->f.count > 0 && (settings->r.count > 0 || !usual->by_f)) {
+    return cli_fail_usage("--f gives spatial frequencies, which only R_f has: ask for R_f alone, "
+                          "without --r");
+  }
+  usual->radii = settings->f.count > 0 ? &settings->f : &settings->r;
   take_usual(usual);
-  usual->radius_count = points_has_radii(usual) ? settings->r.count : 1;
+  usual->radius_count = points_has_radii(usual) ? usual->radii->count : 1;
   for (size_t i = 0; i < 3; i++) {
     const size_t values = usual->radius_count + GROUP_VALUES;
     points->arrays[i] = cli_allocate(values, sizeof *points->arrays[i]);
   }
   usual->r_f32 = cli_allocate(usual->radius_count, sizeof *usual->r_f32);
-  for (size_t i = 0; i < settings->r.count; i++) {
-    usual->r_f32[i] = (float)settings->r.items[i];
+  for (size_t i = 0; i < usual->radii->count; i++) {
+    usual->r_f32[i] = (float)usual->radii->items[i];
   }
   return dipole_media(points->client, &usual->media, &usual->medium_count, &error)
              ? CLI_OK

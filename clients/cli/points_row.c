@@ -123,9 +123,14 @@ static bool is_required(const points_usual *usual, const points_columns *columns
                     : input >= FIRST_NUMBER && columns->input_at[MEDIUM] == POINTS_ABSENT;
 }
 
+/* Returns the name of the column of radii, which are spatial frequencies if only R_f is wanted. */
+static const char *name_of_radii(const points_usual *usual) {
+  return usual->by_f ? "f" : inputs[R].name;
+}
+
 static void list_outputs(const points_usual *usual, points_columns *columns) {
   if (points_has_radii(usual)) {
-    columns->outputs[columns->output_count++].name = inputs[R].name;
+    columns->outputs[columns->output_count++].name = name_of_radii(usual);
   }
   for (size_t i = 0; i < usual->quantities.count; i++) {
     columns->outputs[columns->output_count++].name = usual->quantities.items[i]->name;
@@ -140,7 +145,8 @@ static void list_outputs(const points_usual *usual, points_columns *columns) {
 /* Takes one column of the header. */
 static bool take_column(const points_usual *usual, const char *source, const char *name, size_t at,
                         points_columns *columns) {
-  size_t *place = place_of(columns, usual->info, name);
+  const bool f = usual->by_f && strcmp(name, name_of_radii(usual)) == 0;
+  size_t *place = place_of(columns, usual->info, f ? inputs[R].name : name);
   if (place == NULL) {
     return check_unread(usual, source, name);
   }
@@ -164,7 +170,8 @@ bool points_find_columns(const points_usual *usual, const char *source,
     good = take_column(usual, source, cli_csv_cell_text(header, i, &length), i, columns);
   }
   if (good && points_has_radii(usual) && columns->input_at[R] != POINTS_ABSENT) {
-    cli_fail("%s: the header has the column r: leave --r out, or rename the column", source);
+    cli_fail("%s: the header has the column %s: leave --%s out, or rename the column", source,
+             name_of_radii(usual), name_of_radii(usual));
     return false;
   }
   columns->first_output = columns->count;
@@ -175,7 +182,7 @@ bool points_find_columns(const points_usual *usual, const char *source,
   }
   for (size_t i = 0; good && i < POINTS_INPUTS; i++) {
     if (is_required(usual, columns, i) && columns->input_at[i] == POINTS_ABSENT) {
-      return fail_missing(source, inputs[i].name, header);
+      return fail_missing(source, i == R ? name_of_radii(usual) : inputs[i].name, header);
     }
   }
   return good;
@@ -207,7 +214,7 @@ void points_write_header(const points_columns *columns, const cli_csv_record *he
 /* Returns the error of the row's values at radius number `radius`. It does not grow with r at an
  * infinite r. */
 static double numerical_error(const points_usual *usual, const points_row *row, size_t radius) {
-  const double r_mm = points_has_radii(usual) ? usual->settings->r.items[radius] : row->r_mm;
+  const double r_mm = points_has_radii(usual) ? usual->radii->items[radius] : row->r_mm;
   const bool grows = row->numerical_error_per_mm > 0 && r_mm < (double)INFINITY;
   return row->numerical_error + (grows ? row->numerical_error_per_mm * r_mm : 0);
 }
@@ -234,7 +241,7 @@ static void write_output(const points_usual *usual, const points_row *row, size_
                  output == first + count ? numerical_error(usual, row, radius) : row->model_error,
                  file);
   } else if (good && output < first) {
-    write_number(row, usual->settings->r.items[radius], file);
+    write_number(row, usual->radii->items[radius], file);
   } else if (good) {
     write_number(row, row->values[radius * count + output - first], file);
   }

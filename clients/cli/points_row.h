@@ -9,7 +9,7 @@
 typedef struct points_settings {
   cli_profile_settings profile;
   cli_texts want;
-  cli_numbers r;
+  cli_numbers r, f;
   bool errors;
 } points_settings;
 
@@ -70,6 +70,8 @@ typedef struct points_usual {
   unsigned evaluator;
   unsigned evaluator_of_transport; /* and of rows whose model a tolerance chooses */
   unsigned transport, tolerance;   /* ids of this model and of this parameter */
+  bool by_f;                       /* R_f alone is wanted: radii are spatial frequencies, 1/mm */
+  const cli_numbers *radii;        /* those of --r or --f */
   size_t radius_count;             /* of each row: those of --r, or 1 */
   float *r_f32;                    /* [radius_count]; NULL without --r */
   dipole_measured_medium *media;
@@ -77,7 +79,7 @@ typedef struct points_usual {
 } points_usual;
 
 static inline bool points_has_radii(const points_usual *usual) {
-  return usual->settings->r.count > 0;
+  return usual->radii->count > 0;
 }
 
 /* Finds the columns in the header of `source`. Says what is wrong and returns false if one is

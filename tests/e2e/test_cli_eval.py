@@ -7,7 +7,9 @@ import re
 
 import numpy as np
 import pytest
-from command_line import FAILED, Proxy, busy, dipole, eval_json, eval_rows, points, read_csv
+from command_line import (
+    FAILED, USAGE, Proxy, busy, dipole, eval_json, eval_rows, points, read_csv, says,
+)
 from daemons import read_log_line
 from lists import everywhere
 from test_cli_numbers import many_numbers
@@ -294,6 +296,50 @@ def test_radii_are_the_ones_that_the_evaluator_took():
     for row, r in zip(rows, radii, strict=True):
         assert np.float32(row["r"]) == np.float32(r) and len(row["r"]) <= 13
         assert math.isfinite(float(row["cdf"]))
+
+
+def test_spatial_frequencies_are_no_radii(client, tmp_path):
+    """R_f has frequencies f in 1/mm, in each form, whether --f gives them or --r."""
+    exact = client.eval("better", (0.01, 10, 0.9, 1.4), [0.1, 1], wanted=["R_f"]).R_f[0].tolist()
+    medium = ["--sigma-a", "0.01", "--sigma-s", "10", "--g", "0.9", "--eta", "1.4"]
+    for options in (["--f", "0.1,1"], ["--want", "R_f,albedo", "--r", "0.1,1"]):
+        rows = eval_rows(*medium, *options)
+        assert [(row["f"], float(row["R_f"])) for row in rows] == list(zip(["0.1", "1"], exact))
+        assert "r" not in rows[0] and rows[0]["albedo"]
+        report = eval_json(*medium, *options)
+        assert (report["f"], report["units"]["f"]) == ([0.1, 1], "1/mm") and "r" not in report
+        lines = dipole("eval", *medium, *options).stdout.splitlines()
+        assert lines[0].startswith("R_f, the reflectance of striped light; evaluator f64")
+        assert lines[3].split() == ["f", "R_f", "1"] and lines[4].split() == ["1/mm", "1"]
+        assert not any(" mm" in line or "r = " in line for line in lines)
+        assert any("up to f = 1 1/mm" in line for line in lines)
+    both = eval_json(*medium, "--want", "R,R_f", "--r", "0.1,1")
+    assert both["r"] == both["f"] == [0.1, 1] and both["units"]["r"] == "mm"
+    picture = tmp_path / "f.svg"
+    dipole("plot", *medium, "--quantity", "R_f", "--f", "0.1,1", "--plot", str(picture), quiet=False)
+    assert "f (1/mm)" in picture.read_text() and "r (mm)" not in picture.read_text()
+
+
+def test_rows_of_spatial_frequencies(client):
+    exact = client.eval("better", (0.01, 10, 0.9, 1.4), [0.1, 1], wanted=["R_f"]).R_f[0].tolist()
+    media = "sigma_a,sigma_s,g,eta{}\n0.01,10,0.9,1.4{}\n"
+    rows = read_csv(points(media.format("", ""), "--f", "0.1,1"))
+    assert [(row["f"], float(row["R_f"])) for row in rows] == list(zip(["0.1", "1"], exact))
+    (row,) = read_csv(points(media.format(",f", ",1"), "--want", "R_f"))
+    assert (row["status"], float(row["R_f"])) == ("ok", exact[1])
+    run = dipole("points", "--want", "R_f", stdin=media.format("", ""), status=FAILED)
+    assert "the column f is missing" in run.stderr
+    run = dipole("points", "--f", "1", stdin=media.format(",f", ",1"), status=FAILED)
+    assert "has the column f: leave --f out" in run.stderr
+
+
+test_frequencies_are_for_R_f = says(USAGE, [], [
+    (["eval", *MEDIUM, "--f", "1", "--r", "1"], "--f is for R_f, and --r for all else"),
+    (["eval", *MEDIUM, "--f", "1", "--want", "R"], "which only R_f has: ask for R_f alone"),
+    (["eval", *MEDIUM, "--f", "1", "--to", "2"], "--f gives the frequencies one by one"),
+    (["plot", *MEDIUM, "--f", "1"], "which only R_f has"),
+    (["points", "--f", "1", "--want", "R"], "which only R_f has"),
+])  # fmt: skip
 
 
 def test_the_usual_model_is_transport_by_table(client):

@@ -95,6 +95,8 @@ def test_error_targets():
 
 
 test_wrong_command_lines_say_what_to_do = says(USAGE, ["mc"], [
+    ([*MEDIUM, "--r", "1", "--to", "2"], "leave --from, --to, --rings and --log out"),
+    ([*MEDIUM, "--r", "0,1"], "--r: give radii above 0"),
     ([], "give --medium NAME, or --sigma-a and --sigma-s"),
     (["--sigma-a", "1"], "give --medium NAME, or --sigma-a and --sigma-s"),
     (["--medium", "skin1", "--channel", "pink"], "--channel: 'pink' is unknown; it is red, green"),
@@ -183,6 +185,31 @@ def test_a_walk_within_an_aperture_is_what_a_fit_takes():
     assert 0.005 < found["model_error"] < 0.04
     refusal = dipole("mc", *SHORT, "--detector-na", "1.1", status=FAILED)
     assert "detector_na: allowed: 0.01 to 1" in refusal.stderr
+
+
+def test_radii_give_readings_that_fit_reads_as_they_are():
+    """Values at --r are within a few standard errors of transport, and CSV needs no change."""
+    medium = ["--sigma-a", "0.02,0.1", "--sigma-s", "10", "--g", "0.9", "--eta", "1.4"]
+    run = dipole("mc", *medium, "--r", "3,0.5,1,2", "--photons", "4e6", "--format", "csv")
+    rows = read_csv(run.stdout)
+    known = read_csv(
+        dipole("eval", *medium, "--model", "transport", "--r", "3,0.5,1,2", "--format", "csv").stdout
+    )
+    assert [row["r"] for row in rows] == ["3", "0.5", "1", "2"] * 2
+    for row, one in zip(rows, known, strict=True):
+        R, error = float(row["R"]), float(row["error"])
+        assert (row["sample"], row["r"]) == (one["channel"], one["r"])
+        assert abs(R - float(one["R"])) < 4 * error + 2e-3 * R and error < 0.03 * R
+    report = json.loads(dipole("fit", "--format", "json", "--model", "transport",
+                               stdin=run.stdout).stdout)  # fmt: skip
+    for sample, sigma_a in zip(report["samples"], (0.02, 0.1), strict=True):
+        assert sample["status"] == "fitted"
+        assert abs(sample["sigma_a"] - sigma_a) < 4 * sample["sigma_a_error"]
+    (albedo,) = mc_json(*MEDIUM, "--r", "1", "--photons", "2e4", "--detector-na", "0.5")["albedos"]
+    text = dipole("mc", *MEDIUM, "--r", "1", "--photons", "2e4", "--detector-na", "0.5").stdout
+    (at_r,) = albedo["at_r"]
+    assert at_r["R"] == albedo["R"][0] and at_r["detector_na"] == 0.5
+    assert f"{at_r['R']:.5e}" in text
 
 
 def test_several_channels_are_as_many_jobs():
