@@ -124,8 +124,8 @@ static ssize_t receive_some(struct modbus_connection *c, uint8_t *to, size_t byt
     return got < 0 ? uv_translate_sys_error(errno) : got;
   }
   const ssize_t got = tls_session_read(c->tls, to, bytes);
-  c->has_more = got > 0;
-  return got == UV_EOF ? 0 : got;
+  c->has_more = got >= 0;
+  return got == UV_EOF ? 0 : got == 0 ? UV_EAGAIN : got;
 }
 
 /* ---- writing --------------------------------------------------------------------------------- */
@@ -299,7 +299,7 @@ static void await_events(struct modbus_connection *c) {
     linger(c);
   } else {
     note_partial_frame(c);
-    set_events(c, UV_READABLE);
+    set_events(c, c->tls != NULL && tls_session_is_blocked(c->tls) ? UV_WRITABLE : UV_READABLE);
   }
 }
 
@@ -329,6 +329,7 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
     discard(c);
   } else if (c->client.run_queue == NULL) {
     if (events & UV_WRITABLE) {
+      c->has_more = c->tls != NULL; /* Reading may have had to answer an update of keys first. */
       write_unsent(c);
     }
     if (!c->closing && (events & UV_READABLE)) {

@@ -58,6 +58,10 @@ bool tls_session_rights(const struct tls_session *session, struct roles_rights *
   (void)session, (void)rights;
   return false;
 }
+bool tls_session_is_blocked(const struct tls_session *session) {
+  (void)session;
+  return false;
+}
 uint64_t tls_session_received_bytes(const struct tls_session *session) {
   (void)session;
   return 0;
@@ -76,14 +80,17 @@ void tls_session_end(struct tls_session *session) {
 
 #else
 
+#include <errno.h>
 #include <openssl/err.h>
 #include <openssl/pem.h>
 #include <openssl/ssl.h>
 #include <openssl/x509v3.h>
+#include <sys/socket.h>
 
 #define ROLE_OID "1.3.6.1.4.1.50316.802.1"
 
 enum { CERTIFICATES_BYTES = 32768, CHAIN_LENGTH = 8 }; /* of what a client may send */
+enum { FEED_BYTES = 16384 }; /* at most that one call decrypts: about a whole record */
 enum { SUBJECT_BYTES = 1024, ROLE_BYTES = 128 };
 
 static int roles_index; /* of the context's roles, which are freed with it */
@@ -123,7 +130,7 @@ static void set_manners(SSL_CTX *context) {
   SSL_CTX_set_num_tickets(context, 0);
   SSL_CTX_set_max_cert_list(context, CERTIFICATES_BYTES);
   SSL_CTX_set_verify_depth(context, CHAIN_LENGTH);
-  SSL_CTX_set_read_ahead(context, 1);
+  SSL_CTX_clear_mode(context, SSL_MODE_AUTO_RETRY); /* A read ends at a record without content. */
   SSL_CTX_set_mode(context, SSL_MODE_ENABLE_PARTIAL_WRITE | SSL_MODE_ACCEPT_MOVING_WRITE_BUFFER |
                                 SSL_MODE_RELEASE_BUFFERS);
   SSL_CTX_set_default_passwd_cb(context, no_password);
@@ -248,11 +255,13 @@ static SSL *ssl_of(const struct tls_session *session) {
 
 struct tls_session *tls_session_new(struct tls *tls, int fd) {
   SSL *ssl = SSL_new(tls->context);
-  if (ssl != NULL && SSL_set_fd(ssl, fd) != 1) {
+  BIO *arrived = BIO_new(BIO_s_mem());
+  if (ssl == NULL || arrived == NULL || SSL_set_wfd(ssl, fd) != 1) {
+    BIO_free(arrived);
     SSL_free(ssl);
     ssl = NULL;
-  }
-  if (ssl != NULL) {
+  } else {
+    SSL_set0_rbio(ssl, arrived);
     SSL_set_accept_state(ssl);
   }
   ERR_clear_error();
@@ -263,14 +272,31 @@ void tls_session_free(struct tls_session *session) {
   SSL_free(ssl_of(session));
 }
 
+/* Receives more for OpenSSL, unless it holds something yet. So no call of OpenSSL goes on for as
+ * long as the peer sends. Returns false if the socket fails. */
+static bool feed(SSL *ssl) {
+  char bytes[FEED_BYTES];
+  BIO *arrived = SSL_get_rbio(ssl);
+  if (BIO_pending(arrived) > 0 || SSL_pending(ssl) > 0) {
+    return true;
+  }
+  const ssize_t got = recv(SSL_get_wfd(ssl), bytes, sizeof bytes, 0);
+  if (got == 0) {
+    BIO_set_mem_eof_return(arrived, 0); /* the end, and no longer "try again" */
+  }
+  return got > 0 ? BIO_write(arrived, bytes, (int)got) == got
+                 : got == 0 || errno == EAGAIN || errno == EINTR;
+}
+
 enum tls_progress tls_session_shake_hands(struct tls_session *session, char why[TLS_WHY_BYTES]) {
   SSL *ssl = ssl_of(session);
   ERR_clear_error();
-  const int result = SSL_do_handshake(ssl);
+  const bool fed = feed(ssl);
+  const int result = fed ? SSL_do_handshake(ssl) : 0;
   if (result == 1) {
     return TLS_DONE;
   }
-  switch (SSL_get_error(ssl, result)) {
+  switch (fed ? SSL_get_error(ssl, result) : SSL_ERROR_SYSCALL) {
   case SSL_ERROR_WANT_READ:
     return TLS_WANTS_READ;
   case SSL_ERROR_WANT_WRITE:
@@ -362,13 +388,30 @@ bool tls_session_rights(const struct tls_session *session, struct roles_rights *
 }
 
 uint64_t tls_session_received_bytes(const struct tls_session *session) {
-  return BIO_number_read(SSL_get_rbio(ssl_of(session)));
+  return BIO_number_written(SSL_get_rbio(ssl_of(session)));
+}
+
+bool tls_session_is_blocked(const struct tls_session *session) {
+  return SSL_want_write(ssl_of(session));
+}
+
+/* Frees the memory of bytes that OpenSSL has taken: a silent connection holds little. */
+static void release_memory(const SSL *ssl) {
+  BUF_MEM *fresh = BUF_MEM_new();
+  if (fresh != NULL) {
+    BIO_set_mem_buf(SSL_get_rbio(ssl), fresh, BIO_CLOSE);
+  }
 }
 
 /* Returns what the failure of a read or a write means. */
 static ssize_t outcome(const SSL *ssl, int result) {
   switch (SSL_get_error(ssl, result)) {
   case SSL_ERROR_WANT_READ:
+    if (BIO_pending(SSL_get_rbio(ssl)) > 0) {
+      return 0;
+    }
+    release_memory(ssl);
+    return UV_EAGAIN;
   case SSL_ERROR_WANT_WRITE:
     return UV_EAGAIN;
   case SSL_ERROR_ZERO_RETURN:
@@ -380,15 +423,22 @@ static ssize_t outcome(const SSL *ssl, int result) {
 }
 
 ssize_t tls_session_read(struct tls_session *session, void *to, size_t bytes) {
+  SSL *ssl = ssl_of(session);
   ERR_clear_error();
-  const int got = SSL_read(ssl_of(session), to, bytes < INT32_MAX ? (int)bytes : INT32_MAX);
-  return got > 0 ? got : outcome(ssl_of(session), got);
+  if (!feed(ssl)) {
+    return UV_EPROTO;
+  }
+  const int got = SSL_read(ssl, to, bytes < INT32_MAX ? (int)bytes : INT32_MAX);
+  return got > 0 ? got : outcome(ssl, got);
 }
 
 ssize_t tls_session_write(struct tls_session *session, const void *from, size_t bytes) {
   ERR_clear_error();
   const int sent = SSL_write(ssl_of(session), from, bytes < INT32_MAX ? (int)bytes : INT32_MAX);
-  return sent > 0 ? sent : outcome(ssl_of(session), sent);
+  return sent > 0 ? sent
+         : SSL_want_read(ssl_of(session))
+             ? UV_EPROTO /* half a message of a handshake came before */
+             : outcome(ssl_of(session), sent);
 }
 
 void tls_session_end(struct tls_session *session) {

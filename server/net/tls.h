@@ -60,10 +60,16 @@ bool tls_session_rights(const struct tls_session *session, struct roles_rights *
 uint64_t tls_session_received_bytes(const struct tls_session *session);
 
 /* These return a number of bytes above 0, or UV_EAGAIN, or UV_EOF (reading) when the peer has ended
- * its sending side, or UV_EPROTO. A write that has returned UV_EAGAIN is to be repeated with the
- * same first bytes, which may have moved. */
+ * its sending side, or UV_EPROTO. A read also returns 0 when it has met a record without content,
+ * as an update of keys, which takes tens of microseconds: the next read goes on, and others ought to
+ * be served before it. A write that has returned UV_EAGAIN is to be repeated with the same first
+ * bytes, which may have moved. */
 ssize_t tls_session_read(struct tls_session *session, void *to, size_t bytes);
 ssize_t tls_session_write(struct tls_session *session, const void *from, size_t bytes);
+
+/* Returns whether the last call waits until the socket can be written to; also a read does, which
+ * has to answer an update of keys first. */
+bool tls_session_is_blocked(const struct tls_session *session);
 
 /* Tells the peer that nothing more is sent. */
 void tls_session_end(struct tls_session *session);

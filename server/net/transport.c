@@ -3,7 +3,10 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
-enum { TLS_READ_BYTES = 524288 }; /* at most in one call of the poll: some 200 microseconds */
+enum {
+  TLS_READ_BYTES = 524288, /* at most in one call of the poll: some 200 microseconds */
+  TLS_RECORD_BYTES = 2048, /* what a read takes beside its bytes, as small as a record may be */
+};
 
 static void close_and_tell(uv_handle_t *handle) {
   struct transport *t = handle->data;
@@ -99,8 +102,8 @@ static bool poll_for(struct transport *t, int events) {
 /* Returns the events that the poll has to wait for. Bytes that OpenSSL holds wake no poll: the
  * socket can be written to as a rule, which calls on_poll() in the next round of the loop. */
 static int events_wanted(const struct transport *t) {
-  return (t->reading ? UV_READABLE : 0) |
-         (t->writing || (t->reading && t->has_more) ? UV_WRITABLE : 0);
+  return (t->reading && !t->blocked ? UV_READABLE : 0) |
+         (t->writing || t->blocked || (t->reading && t->has_more) ? UV_WRITABLE : 0);
 }
 
 /* Sets the events that the poll waits for. A change takes two system calls, and connections often
@@ -109,17 +112,20 @@ static bool set_events(struct transport *t) {
   return poll_for(t, events_wanted(t) | (t->events & UV_READABLE));
 }
 
-/* Reads what has arrived, while the owner has room and wants it. */
+/* Reads what has arrived, while the owner has room and wants it, up to the first record without
+ * content. */
 static void read_tls(struct transport *t) {
   size_t left = TLS_READ_BYTES;
   t->has_more = true;
-  while (t->reading && left > 0 && !uv_is_closing(&t->uv.handle)) {
+  while (t->reading && left > TLS_RECORD_BYTES && !uv_is_closing(&t->uv.handle)) {
+    left -= TLS_RECORD_BYTES;
     uint8_t *room = NULL;
     const size_t bytes = t->calls->room(t->owner, &room);
     const ssize_t got =
         bytes > 0 ? tls_session_read(t->tls, room, bytes < left ? bytes : left) : UV_ENOBUFS;
-    if (got == UV_EAGAIN) {
-      t->has_more = false;
+    if (got == 0 || got == UV_EAGAIN) {
+      t->has_more = got == 0;
+      t->blocked = tls_session_is_blocked(t->tls);
       return;
     }
     left -= got > 0 ? (size_t)got : 0;
@@ -133,15 +139,18 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
     t->calls->received(t->owner, status);
     return;
   }
+  if ((events & UV_WRITABLE) != 0) {
+    t->has_more |= t->blocked;
+    t->blocked = false;
+  }
   if (t->writing && (events & UV_WRITABLE) != 0) {
     t->writing = false;
-    t->has_more = true; /* Reading may have had to answer an update of keys first. */
     t->calls->sent(t->owner, 0, 0);
   }
   if ((events & UV_READABLE) != 0 || t->has_more) {
     read_tls(t);
   }
-  if ((events & UV_READABLE) != 0 && !t->reading) {
+  if ((events & UV_READABLE) != 0 && (!t->reading || t->blocked)) {
     poll_for(t, events_wanted(t));
   } else {
     set_events(t);

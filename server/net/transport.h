@@ -46,6 +46,7 @@ struct transport {
   bool writing;           /* whether sent() is still to be called */
   bool reading;
   bool has_more; /* with TLS: whether OpenSSL may hold bytes for which there was no time or room */
+  bool blocked;  /* with TLS: whether reading waits until the socket can be written to */
   int events;    /* with TLS: the events that the poll waits for */
 };
 

@@ -11,7 +11,7 @@ import subprocess
 import threading
 
 import pytest
-from certificates import EC, Authority, openssl
+from certificates import EC, FLOODS, Authority, Recorder, openssl
 from daemons import REPOSITORY, eventually, run
 from modbus_master import (
     AT, BAD_ADDRESS, BAD_FUNCTION, Exception_, Lost, Tcp, as_floats, exception, input_block,
@@ -374,6 +374,15 @@ def test_draining_answers_what_has_arrived(slave, authority):
             assert len(master.receive()[2]) == 82
         assert master.is_closed()
     assert one.wait() == 0
+
+
+@pytest.mark.parametrize("how", FLOODS)
+def test_a_flood_of_records_holds_nobody(slave, authority, tmp_path, how):
+    one = slave("--workers", "1", "--max-in-flight", "1", rules="")
+    context = context_of(authority, person(authority, "m"))
+    rude = Recorder(port_of(one), context, FLOODS[how], tmp_path)
+    request = b"\0\1\0\0\0\6\1" + READ_NAME
+    rude.assert_others_are_served(one, how, request, "modbus_transactions")
 
 
 # ---- what TLS has to be like ---------------------------------------------------------------------

@@ -20,9 +20,9 @@ import time
 import dipole
 import numpy as np
 import pytest
-from certificates import Authority
+from certificates import FLOODS, Authority, Recorder
 from daemons import BUILD, END_S, PROGRAM, environment, eventually, run, sanitized
-from frames import SKIN
+from frames import PING, SKIN, frame
 
 RADII = np.linspace(0.1, 5.0, 65536)
 
@@ -775,6 +775,16 @@ def test_many_updates_of_keys(farm, ours):
     assert said.stdout.count("KEYUPDATE") + said.stderr.count("KEYUPDATE") >= 1
     with dipole.Client(farm.url("tls"), **ours) as client:
         assert client.ping() > 0
+
+
+@pytest.mark.parametrize("how", FLOODS)
+def test_a_flood_of_records_holds_nobody(daemon, authority, server, ours, tmp_path, how):
+    """Records without content, or with a byte each, are read in turns."""
+    mutual = options(server, "--client-ca", str(authority.pem), "--listen", "tls:127.0.0.1:0")
+    one = daemon(*mutual, "--workers", "1", "--max-in-flight", "1")
+    rude = Recorder(port_of(one), dipole.Tls(**ours).context(), FLOODS[how], tmp_path)
+    ping = frame(PING, 7, bytes(2400 if how == "bytes" else 8))
+    rude.assert_others_are_served(one, how, ping, "requests_ping")
 
 
 def test_stopping_ends_handshakes_and_answers_what_is_in_flight(farm, ours):
