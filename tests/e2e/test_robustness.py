@@ -487,30 +487,36 @@ def grid_request(radii: int, model: int = 2, sigma_a: float = 0.03) -> bytes:
     return frame(EVAL, 1, eval_payload(media, radii=None, **fields))
 
 
-@pytest.fixture
-def join(daemon, tmp_path):
-    """Returns a function that connects to a daemon with one port of each of KINDS."""
-    certificate, key = Authority(tmp_path).sign("server")
-    one = daemon(
-        # The worker's clock ticks every few milliseconds, and each tick may end connections.
-        *("--http", "127.0.0.1:0", "--modbus", "tcp:127.0.0.1:0", "--frame-timeout-ms", "30"),
-        *("--certificate", certificate, "--key", key, "--workers", "1"),
-        listen=["tcp:127.0.0.1:0", "tls:127.0.0.1:0"],
-    )
-    urls = [url.replace("modbus-tcp:", "modbus:") for url in one.urls]
-    ports = {url.partition(":")[0]: int(url.rpartition(":")[2]) for url in urls}
-    trusting = ssl.create_default_context(cafile=str(tmp_path / "ca.pem"))
+class Ports:
+    """A daemon with one port of each of KINDS, and connections to them."""
 
-    def connect(kind: str, receive_bytes: int = 1 << 16) -> socket.socket:
-        new = socket.create_connection(("127.0.0.1", ports[kind]), 60)
+    def __init__(self, folder: Path, *options: str):
+        certificate, key = Authority(folder).sign("server")
+        self.daemon = Daemon(
+            *("--http", "127.0.0.1:0", "--modbus", "tcp:127.0.0.1:0"),
+            *("--certificate", certificate, "--key", key, *options),
+            listen=["tcp:127.0.0.1:0", "tls:127.0.0.1:0"],
+        )
+        urls = [url.replace("modbus-tcp:", "modbus:") for url in self.daemon.urls]
+        self.numbers = {url.partition(":")[0]: int(url.rpartition(":")[2]) for url in urls}
+        self.trusting = ssl.create_default_context(cafile=str(folder / "ca.pem"))
+
+    def join(self, kind: str, receive_bytes: int = 1 << 16) -> socket.socket:
+        new = socket.create_connection(("127.0.0.1", self.numbers[kind]), 60)
         new.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_bytes)
-        return trusting.wrap_socket(new, server_hostname="localhost") if kind == "tls" else new
-
-    return connect
+        return self.trusting.wrap_socket(new, server_hostname="localhost") if kind == "tls" else new
 
 
-def receive_whole(stream, kind: str) -> None:
-    """Reads one answer, which is not refused."""
+@pytest.fixture
+def ports(tmp_path):
+    # With so short a timeout the worker's clock ticks every few milliseconds.
+    one = Ports(tmp_path, "--drain-timeout-ms", "30", "--workers", "1")
+    yield one
+    one.daemon.close()
+
+
+def receive_whole(stream, kind: str) -> bytes:
+    """Reads one answer, which is not refused, and returns its body."""
     if kind == "http":
         assert b" 200 " in stream.readline()
         headers = dict(line.split(b": ") for line in iter(stream.readline, b"\r\n"))
@@ -519,15 +525,17 @@ def receive_whole(stream, kind: str) -> None:
         header = wire.HEADER.unpack(stream.read(wire.HEADER.bytes))
         assert header.type == EVAL | wire.REPLY
         left = header.payload_bytes
-    assert len(stream.read(left)) == left
+    body = stream.read(left)
+    assert len(body) == left
+    return body
 
 
 @pytest.mark.parametrize("kind", ["tcp", "tls", "http"])
-def test_no_large_answer_waits_for_the_clock(join, kind):
+def test_no_large_answer_waits_for_the_clock(ports, kind):
     """A connection is alone on its worker, and its socket is emptied while the daemon fills it.
     The daemon counts clients that wait while it sleeps, and Daemon.close() checks that count."""
     request = http_request(2000) if kind == "http" else grid_request(16384)
-    with join(kind) as asking, asking.makefile("rb") as stream:
+    with ports.join(kind) as asking, asking.makefile("rb") as stream:
         asking.sendall(request * 8)
         for i in range(ANSWERS):
             receive_whole(stream, kind)
@@ -548,28 +556,45 @@ def requests_of_several_turns(dice: random.Random, kind: str) -> bytes:
     return grid_request(radii, model, dice.uniform(0.01, 0.05)) * dice.randrange(1, 4)
 
 
-def test_clients_of_every_kind_leave_at_any_moment(join):
-    """They leave while their requests wait, run, are prepared or are answered."""
-    dice = random.Random(4711)
-    here: list[socket.socket] = []
-    for _ in range(LEAVES):
-        if len(here) < dice.randrange(1, 24):
+class Leavers:
+    """Clients that come, and leave while their requests wait, run, are prepared or are answered."""
+
+    def __init__(self, ports: Ports, seed: int):
+        self._ports, self._dice = ports, random.Random(seed)
+        self._here: list[socket.socket] = []
+
+    def step(self) -> None:
+        dice = self._dice
+        if len(self._here) < dice.randrange(1, 24):
             kind = dice.choice(KINDS)
             with contextlib.suppress(OSError):  # The daemon may have closed it meanwhile.
-                here.append(join(kind, dice.choice([4096, 1 << 20])))
-                here[-1].sendall(requests_of_several_turns(dice, kind))
-        elif here:
-            leaving = here.pop(dice.randrange(len(here)))
+                self._here.append(self._ports.join(kind, dice.choice([4096, 1 << 20])))
+                self._here[-1].sendall(requests_of_several_turns(dice, kind))
+        elif self._here:
+            leaving = self._here.pop(dice.randrange(len(self._here)))
             select.select([leaving], [], [], dice.choice([0, 0, 0.001, 0.02]))
             if dice.random() < 0.5:
                 leaving.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             leaving.close()
-    for other in here:
-        other.close()
+
+    def end(self) -> None:
+        for other in self._here:
+            other.close()
+
+
+def test_clients_of_every_kind_leave_at_any_moment(ports):
+    leavers = Leavers(ports, 4711)
+    for _ in range(LEAVES):
+        leavers.step()
+    leavers.end()
+    assert_every_port_answers(ports)
+
+
+def assert_every_port_answers(ports: Ports) -> None:
     for kind in ("tcp", "tls", "http", "http", "http"):
-        with join(kind) as asking, asking.makefile("rb") as stream:
+        with ports.join(kind) as asking, asking.makefile("rb") as stream:
             asking.sendall(http_request(85_000) if kind == "http" else grid_request(85_000))
             receive_whole(stream, kind)
-    with join("modbus") as asking:
-        asking.sendall(requests_of_several_turns(dice, "modbus"))
+    with ports.join("modbus") as asking:
+        asking.sendall(requests_of_several_turns(random.Random(1), "modbus"))
         assert asking.recv(8)[7] == 23

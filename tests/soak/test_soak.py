@@ -1,20 +1,28 @@
 """Full load for SOAK_S seconds: requests of every kind, and beside them clients that are killed, do
-not read, or send garbage. Every answer is correct, and memory does not grow."""
+not read, or send garbage. Every answer is correct, and memory does not grow. And a mixed load for
+MIXED_S seconds: clients of every kind of port that leave, do not read, or flood it."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import random
+import socket
+import ssl
 import subprocess
 import threading
 import time
 
+from certificates import Recorder
 from daemons import BUILD, Daemon, sanitized
 from dipole import DipoleError, wire
 from frames import EVAL, F32, STATISTICS, R, ask, eval_payload, frame
+from test_robustness import (
+    Leavers, Ports, assert_every_port_answers, grid_request, http_request, receive_whole,
+)
 
 SOAK_S = float(os.environ.get("SOAK_S") or 40)
+MIXED_S = float(os.environ.get("MIXED_S") or 10)
 CACHE_BYTES = 1 << 20  # This is less than all profiles take.
 TOTAL_BYTES = 256 << 20
 OPTIONS = (
@@ -179,3 +187,101 @@ def test_soak():
     assert all(count > 0 for name, count in total.items() if name != "late"), total
     first_third = resident_bytes[: max(len(resident_bytes) // 3, 1)]
     assert max(resident_bytes) <= max(first_third) + GROWTH_BYTES
+
+
+# ---- a mixed load --------------------------------------------------------------------------------
+
+
+class Mixed:
+    """Threads that each do one thing again and again, until they are told to stop."""
+
+    def __init__(self, ports: Ports, folder):
+        self.ports, self._folder = ports, folder
+        self._dice = random.Random(4711)
+        self._stop = threading.Event()
+        self._known: dict[str, bytes] = {}
+        self._leavers = [Leavers(ports, seed) for seed in range(2)]
+        self.counts = dict.fromkeys(("compared", "updates", "handshakes", "slow"), 0)
+        self.counts["handshakes_lost"] = 0
+        acts = [self._compare, self._update_keys, self._shake_half_a_hand, self._read_slowly]
+        acts += [leavers.step for leavers in self._leavers]
+        self._threads = [threading.Thread(target=self._repeat, args=(act,)) for act in acts]
+        self._failures: list[BaseException] = []
+
+    def _repeat(self, act) -> None:
+        try:
+            while not self._stop.is_set():
+                act()
+        except BaseException as failure:  # The test's own thread raises it.
+            self._failures.append(failure)
+            self._stop.set()
+
+    def _compare(self) -> None:
+        """A canary: each port gives the same bytes all the time. A good handshake may fall to the
+        flood of them, and is tried again."""
+        for kind in ("tcp", "tls", "http"):
+            try:
+                with self.ports.join(kind) as asking, asking.makefile("rb") as stream:
+                    asking.sendall(http_request(300) if kind == "http" else grid_request(3000))
+                    body = stream.peek(1) and receive_whole(stream, kind)
+            except OSError:
+                body = b""
+            if body == b"" and kind == "tls":
+                self.counts["handshakes_lost"] += 1
+            else:
+                assert self._known.setdefault(kind, body) == body != b""
+                self.counts["compared"] += 1
+
+    def _update_keys(self) -> None:
+        context = ssl.create_default_context(cafile=str(self._folder / "ca.pem"))
+        (self._folder / "keys").unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            recorder = Recorder(self.ports.numbers["tls"], context, "1.3", self._folder)
+            recorder.socket.sendall(recorder.flood("answered updates", grid_request(10)))
+            recorder.socket.close()
+            self.counts["updates"] += 1
+
+    def _shake_half_a_hand(self) -> None:
+        """As long as some of these are open, they take the places of others that shake hands."""
+        half = []
+        for _ in range(16):
+            half.append(socket.create_connection(("127.0.0.1", self.ports.numbers["tls"]), 60))
+            half[-1].sendall(b"\x16\x03\x01\x02\0\x01\0\x01\xfc\x03\x03"[: self._dice.randrange(11)])
+        for one in half:
+            one.close()
+            self.counts["handshakes"] += 1
+
+    def _read_slowly(self) -> None:
+        slow = []
+        for kind in ("tcp", "tls", "http", "http") * 4:
+            with contextlib.suppress(OSError):
+                slow.append(self.ports.join(kind, 4096))
+                slow[-1].sendall((http_request(85_000) if kind == "http" else grid_request(200_000)) * 3)
+        self._stop.wait(0.5)
+        for one in slow:
+            one.close()
+            self.counts["slow"] += 1
+
+    def run(self) -> None:
+        for thread in self._threads:
+            thread.start()
+        self._stop.wait(MIXED_S)
+        self._stop.set()
+        for thread in self._threads:
+            thread.join()
+        for leavers in self._leavers:
+            leavers.end()
+        if self._failures:
+            raise self._failures[0]
+
+
+def test_mixed_load(tmp_path):
+    ports = Ports(tmp_path)
+    try:
+        mixed = Mixed(ports, tmp_path)
+        mixed.run()
+        print(f"\nmixed: {MIXED_S:.0f} s, {mixed.counts}")
+        assert all(count > 0 for name, count in mixed.counts.items() if name != "handshakes_lost")
+        assert_every_port_answers(ports)
+    finally:
+        ports.daemon.close()
