@@ -446,7 +446,6 @@ def test_probes_are_answered_when_no_descriptor_is_left(daemon, tmp_path, scheme
         assert eventually(lambda: len(list(opened.iterdir())) >= 85)
         for path in ("/healthz", "/readyz", "/metrics") * 3:
             assert fetch(one, path)[0] == 200
-            assert len(list(opened.iterdir())) <= 92  # clients have 90 at most
     assert eventually(lambda: serves(one))
 
 
