@@ -2,9 +2,9 @@
 
 #include <assert.h>
 #include <errno.h>
+#include <stdio.h>
 #include <string.h>
 #include <sys/ioctl.h>
-#include <time.h>
 #include <unistd.h>
 
 #include "server/net/worker.h"
@@ -54,23 +54,6 @@ static void write_output(struct modbus_line *line) {
   }
 }
 
-static void on_sent_timer(uv_timer_t *timer);
-
-/* Calls on_sent_timer() at a time. Timers count milliseconds and may be early, so the function
- * sleeps for the rest of the last millisecond: RTS has to change soon after the last character,
- * because the master may begin 3.5 characters later. */
-static void wait_until(struct modbus_line *line, uint64_t at_ns) {
-  const uint64_t now_ns = uv_hrtime();
-  const uint64_t left_ns = at_ns > now_ns ? at_ns - now_ns : 0;
-  if (left_ns >= NS_PER_MS) {
-    uv_timer_start(&line->sent_timer, on_sent_timer, left_ns / NS_PER_MS, 0);
-    return;
-  }
-  const struct timespec rest = {.tv_nsec = (long)left_ns};
-  nanosleep(&rest, NULL);
-  on_sent_timer(&line->sent_timer);
-}
-
 static void set_rts(struct modbus_line *line, bool sending) {
   const int error = modbus_device_set_rts(&line->device, sending);
   if (error != 0) {
@@ -79,33 +62,57 @@ static void set_rts(struct modbus_line *line, bool sending) {
   }
 }
 
-/* Takes the next step of sending with RTS by hand. */
-static void on_sent_timer(uv_timer_t *timer) {
-  struct modbus_line *line = timer->data;
-  const bool writes = line->sending == BEFORE_WRITING;
-  const uint64_t due_ns = writes ? line->write_ns : line->sent_ns;
-  if (!is_open(line) || line->sending == NOT_SENDING) {
-    line->sending = NOT_SENDING;
-  } else if (uv_hrtime() < due_ns) {
-    wait_until(line, due_ns);
-  } else if (writes) {
-    write_output(line);
-    line->sending = AFTER_WRITING;
-    wait_until(line, line->sent_ns);
-  } else {
-    set_rts(line, false);
-    line->sending = NOT_SENDING;
-    if (line->stopping || !uv_is_active((uv_handle_t *)&line->timer)) {
-      worker_run_later(
-          &line->client); /* for what has arrived meanwhile, if no timer waits for a silence */
+/* The thread that sends with RTS by hand: RTS has to change soon after the last character, because
+ * the master may begin 3.5 characters later, and the worker may be at other work for longer. */
+static void send_by_hand(void *context) {
+  struct modbus_line *line = context;
+  uv_mutex_lock(&line->mutex);
+  while (!line->ending) {
+    const bool writes = line->sending == BEFORE_WRITING;
+    const uint64_t now_ns = uv_hrtime(), due_ns = writes ? line->write_ns : line->sent_ns;
+    if (line->sending == NOT_SENDING) {
+      uv_cond_wait(&line->changed, &line->mutex);
+    } else if (now_ns < due_ns) {
+      uv_cond_timedwait(&line->changed, &line->mutex, due_ns - now_ns);
+    } else if (writes) {
+      write_output(line);
+      line->sending = AFTER_WRITING;
+    } else {
+      set_rts(line, false);
+      line->sending = NOT_SENDING;
+      uv_async_send(&line->sent);
     }
   }
+  uv_mutex_unlock(&line->mutex);
+}
+
+/* Called when the thread has sent the output. */
+static void on_sent(uv_async_t *sent) {
+  struct modbus_line *line = sent->data;
+  if (line->stopping || !uv_is_active((uv_handle_t *)&line->timer)) {
+    worker_run_later(&line->client); /* for what has arrived meanwhile, if no timer waits for a silence */
+  }
+}
+
+static enum modbus_sending sending_of(struct modbus_line *line) {
+  uv_mutex_lock(&line->mutex);
+  const enum modbus_sending sending = line->sending;
+  uv_mutex_unlock(&line->mutex);
+  return sending;
+}
+
+static void end_sending(struct modbus_line *line) {
+  uv_mutex_lock(&line->mutex);
+  line->sending = NOT_SENDING;
+  line->sent_ns = 0;
+  uv_mutex_unlock(&line->mutex);
 }
 
 /* Sends the output up to `end`. RTS may still be set for the bytes before it. */
 static void transmit(struct modbus_line *line, size_t end) {
   const struct modbus_device *device = &line->device;
   const uint64_t delay_ns = device->rts_by_hand ? device->rts_delay_ms * UINT64_C(1000000) : 0;
+  uv_mutex_lock(&line->mutex);
   const bool rts_is_set = line->sending == AFTER_WRITING;
   assert(line->sending != BEFORE_WRITING && line->output_begin < end);
   line->output_end = end;
@@ -115,10 +122,11 @@ static void transmit(struct modbus_line *line, size_t end) {
   if (device->rts_by_hand && !rts_is_set) {
     set_rts(line, true);
     line->sending = BEFORE_WRITING;
-    wait_until(line, line->write_ns);
+    uv_cond_signal(&line->changed);
   } else {
     write_output(line);
   }
+  uv_mutex_unlock(&line->mutex);
 }
 
 /* Returns for how long the line still sends the last answer, by its speed. */
@@ -242,7 +250,8 @@ static void note_burst(struct modbus_line *line) {
 /* Called after a silence: answers a request in the bytes that have arrived. */
 static void run(struct client *client) {
   struct modbus_line *line = line_of(client);
-  if (!is_open(line) || line->waits_for != NULL || line->sending != NOT_SENDING || line->probing) {
+  if (!is_open(line) || line->waits_for != NULL || line->probing ||
+      sending_of(line) != NOT_SENDING) {
     return;
   }
   modbus_receiver_end(&line->receiver, &line->burst);
@@ -261,7 +270,7 @@ static void arrived(struct modbus_line *line, size_t bytes) {
   stats_add(stats_of(line), STATS_RECEIVED_BYTES, bytes);
   modbus_receiver_arrived(&line->receiver, bytes, uv_hrtime());
   line->retry_ms = RETRY_FIRST_MS;
-  if (line->probing && line->sending != BEFORE_WRITING) {
+  if (line->probing && sending_of(line) != BEFORE_WRITING) {
     end_probe(line);
   }
   const uint64_t wait_ms = modbus_receiver_is_whole(&line->receiver)
@@ -304,7 +313,7 @@ static void on_silence(uv_timer_t *timer) {
 
 static void on_probe_over(uv_timer_t *timer) {
   struct modbus_line *line = timer->data;
-  if (line->sending == BEFORE_WRITING) {
+  if (sending_of(line) == BEFORE_WRITING) {
     uv_timer_start(&line->timer, on_probe_over, PROBE_MS, 0);
   } else if (!read_unseen(line)) {
     end_probe(line);
@@ -354,7 +363,6 @@ static bool open_device(struct modbus_line *line) {
 /* Starts anew with a device that has been opened. */
 static void reset(struct modbus_line *line) {
   modbus_receiver_reset(&line->receiver);
-  line->sending = NOT_SENDING;
   line->probing = false;
   line->echo_is_logged = false;
   line->overruns = modbus_device_overruns(&line->device);
@@ -369,7 +377,7 @@ static void note_closed(struct modbus_line *line) {
   }
 }
 
-static void on_timer_closed(uv_handle_t *handle) {
+static void on_handle_closed(uv_handle_t *handle) {
   note_closed(handle->data);
 }
 
@@ -411,7 +419,7 @@ static void on_retry(uv_timer_t *timer) {
 static void lose_device(struct modbus_line *line, const char *why) {
   log_peer_line(LOG_LEVEL_ERROR, "event=modbus-device-lost device=%s reason=%s", line->device.path,
                 why);
-  line->sending = NOT_SENDING;
+  end_sending(line);
   line->probing = false;
   close_poll(line);
   if (line->stopping) {
@@ -422,17 +430,13 @@ static void lose_device(struct modbus_line *line, const char *why) {
   line->retry_ms = line->retry_ms * 2 < RETRY_MOST_MS ? line->retry_ms * 2 : RETRY_MOST_MS;
 }
 
-static void start_timer(struct modbus_line *line, uv_timer_t *timer) {
-  uv_timer_init(worker_loop(line->client.worker), timer);
-  timer->data = line;
-  line->open_handles++;
-}
-
 static void start(struct client *client) {
   struct modbus_line *line = line_of(client);
   modbus_units_join(line->units);
-  start_timer(line, &line->timer);
-  start_timer(line, &line->sent_timer);
+  uv_timer_init(worker_loop(client->worker), &line->timer);
+  uv_async_init(worker_loop(client->worker), &line->sent, on_sent);
+  line->timer.data = line->sent.data = line;
+  line->open_handles = 2;
   if (!is_open(line)) {
     uv_timer_start(&line->timer, on_retry, RETRY_MS, 0);
   } else if (!start_polling(line)) {
@@ -441,8 +445,8 @@ static void start(struct client *client) {
 }
 
 static void close_all(struct modbus_line *line) {
-  uv_close((uv_handle_t *)&line->timer, on_timer_closed);
-  uv_close((uv_handle_t *)&line->sent_timer, on_timer_closed);
+  uv_close((uv_handle_t *)&line->timer, on_handle_closed);
+  uv_close((uv_handle_t *)&line->sent, on_handle_closed);
   close_poll(line);
 }
 
@@ -459,7 +463,7 @@ static void finish(struct client *client) {
     return;
   }
   const uint64_t left_ns = sending_ns(line);
-  if (left_ns > 0 || line->sending != NOT_SENDING) { /* Closing now would cut the answer off. */
+  if (left_ns > 0 || sending_of(line) != NOT_SENDING) { /* Closing now would cut the answer off. */
     uv_timer_start(&line->timer, on_silence, to_ms_up(left_ns), 0);
   } else {
     close_all(line);
@@ -481,8 +485,7 @@ static void stop(struct client *client) {
 static void abort_line(struct client *client) {
   struct modbus_line *line = line_of(client);
   line->stopping = true;
-  line->sent_ns = 0;
-  line->sending = NOT_SENDING;
+  end_sending(line);
   line->probing = false;
   worker_run_later(client);
 }
@@ -506,10 +509,27 @@ bool modbus_line_open(struct modbus_line *line, struct modbus_units *units, cons
   const uint64_t silence_ns = modbus_device_duration_ns(&line->device, 7) / 2;
   line->receiver.number = line->device.number;
   line->receiver.silence_ns = silence_ns > SILENCE_LEAST_NS ? silence_ns : SILENCE_LEAST_NS;
+  uv_mutex_init(&line->mutex);
+  uv_cond_init(&line->changed);
+  line->has_thread = line->device.rts != MODBUS_RTS_UNUSED;
+  const int error = line->has_thread ? uv_thread_create(&line->thread, send_by_hand, line) : 0;
+  if (error != 0) {
+    line->has_thread = false;
+    fprintf(stderr, "dipoled: --modbus %s: no thread can be started: %s\n", url,
+            uv_strerror(error));
+    return false;
+  }
   open_device(line);
   return true;
 }
 
 void modbus_line_close(struct modbus_line *line) {
+  if (line->has_thread) {
+    uv_mutex_lock(&line->mutex);
+    line->ending = true;
+    uv_cond_signal(&line->changed);
+    uv_mutex_unlock(&line->mutex);
+    uv_thread_join(&line->thread);
+  }
   modbus_device_close(&line->device);
 }

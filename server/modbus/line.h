@@ -28,7 +28,7 @@ struct modbus_line {
 
   uv_poll_t poll;
   uv_timer_t timer; /* for the silence, for the end of a probe, or for the next attempt to open */
-  uv_timer_t sent_timer; /* for the next step of sending with RTS by hand */
+  uv_async_t sent;  /* sent by the thread when it has sent the output */
   unsigned open_handles;
   bool polling; /* whether the poll is in use or is being closed */
   bool stopping;
@@ -42,9 +42,13 @@ struct modbus_line {
   struct modbus_unit *waits_for; /* the unit that evaluates the request; NULL: there is none */
   struct modbus_burst burst;     /* the last burst, with its request */
 
-  /* The answer that is being sent. */
-  /* The current step of sending, if RTS is set by hand. */
-  enum { NOT_SENDING, BEFORE_WRITING, AFTER_WRITING } sending;
+  /* The answer that is being sent. If RTS is set by hand, a thread sends it, and what it uses is
+   * changed under the mutex: `sending`, the two times and the output. */
+  uv_thread_t thread;
+  uv_mutex_t mutex;
+  uv_cond_t changed;
+  bool has_thread, ending;
+  enum modbus_sending { NOT_SENDING, BEFORE_WRITING, AFTER_WRITING } sending;
   bool probing; /* whether the line probes for echo: only the first byte of the answer is sent */
   uint64_t write_ns; /* when the bytes of the answer are written, after the delay of RTS */
   uint64_t sent_ns;  /* when the last character of the answer, and the delay of RTS, will be over */
