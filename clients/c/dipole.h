@@ -21,7 +21,8 @@
  * A client is one connection and belongs to one thread at a time. Use one client for each thread.
  * After fork(), only the process that opened a client can use it: in the other one its calls fail
  * with kind CONNECTION, and dipole_close() frees the copy and disturbs neither the connection nor a
- * private daemon. The library has no global state and never ends the program. A function that returns bool returns
+ * private daemon. A client that a call left before its end, by an exception of a caller's function
+ * or by longjmp(), can only be closed: its calls fail with kind CONNECTION. The library has no global state and never ends the program. A function that returns bool returns
  * false on failure and then fills *error; error may be NULL.
  */
 #ifndef DIPOLE_H

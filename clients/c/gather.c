@@ -349,8 +349,13 @@ static bool take_next(struct run *run, dipole_error *error) {
 static bool go_on(const struct run *run, uint64_t before,
                   bool (*progress)(void *context, uint64_t answered, uint64_t count),
                   void *context) {
-  return progress == NULL || run->answered == before ||
-         progress(context, run->answered, run->query->query_count);
+  if (progress == NULL || run->answered == before) {
+    return true;
+  }
+  run->client->torn = true;
+  const bool goes_on = progress(context, run->answered, run->query->query_count);
+  run->client->torn = false;
+  return goes_on;
 }
 
 static bool is_done(const struct run *run) {

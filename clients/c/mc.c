@@ -226,7 +226,9 @@ bool dipole_mc(dipole_client *client, const dipole_mc_query *query,
       finish(client, cancel_id);
       return true;
     }
+    client->torn = true;
     const bool goes_on = progress == NULL || progress(context, &now);
+    client->torn = false;
     if (!goes_on && cancel_id == 0 && !libdipole_cancel(client, job.id, &cancel_id, error)) {
       return false;
     }

@@ -413,7 +413,10 @@ static bool end_frame(dipole_client *client, dipole_error *error) {
     }
   } else {
     const bool was_dropped = pending->dropped;
-    if (!pending->kind->take(pending, frame, error)) {
+    client->frame = frame; /* dipole_close() frees it if a reader does not return. */
+    const bool good = pending->kind->take(pending, frame, error);
+    client->frame = NULL;
+    if (!good) {
       return false;
     }
     client->dropped_count += pending->dropped && !was_dropped;
@@ -768,12 +771,17 @@ static bool advance(dipole_client *client, dipole_error *error) {
 }
 
 /* Returns false and sets *error if the client can only be closed. A forked process would take
- * answers of the one that opened the client, so its copy of the client is broken. */
+ * answers of the one that opened the client, so its copy of the client is broken. An exception or a
+ * jump may have left an earlier call in the middle of a frame. */
 static bool check_usable(dipole_client *client, dipole_error *error) {
   if (client->broken.kind == DIPOLE_ERROR_NONE && client->process != getpid()) {
     libdipole_fail(&client->broken, DIPOLE_ERROR_CONNECTION,
                    "process %ld opened this client: after fork(), open a client in each process",
                    (long)client->process);
+  } else if (client->broken.kind == DIPOLE_ERROR_NONE && client->torn) {
+    libdipole_fail(&client->broken, DIPOLE_ERROR_CONNECTION,
+                   "an exception or a jump left an earlier call of this client before its end, or a "
+                   "function that a call runs uses the client: open another one");
   }
   if (client->broken.kind != DIPOLE_ERROR_NONE) {
     *error = client->broken;
@@ -781,12 +789,7 @@ static bool check_usable(dipole_client *client, dipole_error *error) {
   return client->broken.kind == DIPOLE_ERROR_NONE;
 }
 
-/* Waits until bytes are received or sent, and reads the received frames. After a failure that
- * another connection cannot repair, every later call fails in the same way. */
-static bool step(dipole_client *client, dipole_error *error) {
-  if (!check_usable(client, error)) {
-    return false;
-  }
+static bool advance_or_restore(dipole_client *client, dipole_error *error) {
   if (client->lost.kind == DIPOLE_ERROR_NONE) {
     if (advance(client, error)) {
       return true;
@@ -805,6 +808,18 @@ static bool step(dipole_client *client, dipole_error *error) {
     client->broken = *error;
   }
   return false;
+}
+
+/* Waits until bytes are received or sent, and reads the received frames. After a failure that
+ * another connection cannot repair, every later call fails in the same way. */
+static bool step(dipole_client *client, dipole_error *error) {
+  if (!check_usable(client, error)) {
+    return false;
+  }
+  client->torn = true;
+  const bool good = advance_or_restore(client, error);
+  client->torn = false;
+  return good;
 }
 
 /* ---- asking -------------------------------------------------------------------------------- */
@@ -841,14 +856,17 @@ bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
   uint8_t *at = client->stream.out + client->stream.out_end;
   wire_put_header(at, &header);
   *payload = at + WIRE_BYTES_header;
+  client->torn = true; /* until the caller has filled the payload */
   client->stream.out_end += bytes;
   client->pending[client->pending_begin + client->pending_count++] = *pending;
   return true;
 }
 
 static void send_held(dipole_client *client) {
+  client->torn = true;
   libdipole_stream_send(&client->stream);
   client->held_count = 0;
+  client->torn = false;
 }
 
 void dipole_flush(dipole_client *client) {
@@ -861,6 +879,7 @@ bool libdipole_request_send(dipole_client *client, dipole_error *error) {
   const libdipole_stream *stream = &client->stream;
   const uint64_t id = client->last_id;
   keep_copy(client);
+  client->torn = false;
   client->held_count++;
   if (client->held_count * HELD_SHARE >= dipole_outstanding(client) ||
       stream->out_end - stream->out_begin >= HELD_MAX_BYTES) {

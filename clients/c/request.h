@@ -130,6 +130,7 @@ struct dipole_client {
   unsigned waited_ms;  /* how long earlier calls, whose time ended, saw no byte of the daemon */
   dipole_error lost;   /* why there is no connection; kind NONE if there is one */
   dipole_error broken; /* why the client can never connect again; kind NONE if it can */
+  bool torn;           /* true while bytes move, a request is made, or a caller's function runs */
   libdipole_addresses addresses;
   libdipole_retry retry;
 

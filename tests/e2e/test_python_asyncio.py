@@ -240,6 +240,35 @@ def test_a_second_event_loop(shared, timeout_s):
     assert run(open_and_use()) > 0
 
 
+@pytest.mark.parametrize("where", ["sending", "receiving"])
+def test_an_exception_in_the_middle_of_a_frame(shared, monkeypatch, where):
+    """The connection is given up. No call waits for what has been lost."""
+
+    async def ask() -> None:
+        async with AsyncClient(shared.url(), timeout_s=None) as client:
+            stream, real = client._stream, client._stream._send_all
+
+            async def send(data) -> None:
+                await real(data[: len(data) // 2])
+                raise MemoryError
+
+            def take(frame) -> None:
+                raise MemoryError
+
+            if where == "sending":
+                monkeypatch.setattr(stream, "_send_all", send)
+                with pytest.raises(MemoryError):
+                    await client.eval("better", SKIN, [1.0])
+                assert (await client.eval("better", SKIN, [1.0])).R > 0 and client._stream is not stream
+            else:
+                monkeypatch.setattr(client._exchange, "take", take)
+                for _ in range(2):
+                    with pytest.raises(dipole.ConnectionLost, match="MemoryError"):
+                        await client.eval("better", SKIN, [1.0])
+
+    run(ask())
+
+
 def test_a_silent_daemon(shared):
     """A client whose daemon is silent for too long fails. A proxy passes everything on until the
     test makes it hold back."""

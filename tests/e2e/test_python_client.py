@@ -3,10 +3,13 @@ errors."""
 
 from __future__ import annotations
 
+import copy
 import math
 import os
+import pickle
 import re
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -18,6 +21,7 @@ import numpy as np
 import pytest
 from daemons import PROGRAM, REPOSITORY, environment
 from dipole import Grid, Medium, wire
+from dipole import connection as connections
 from dipole.connection import Incoming
 from frames import PING, SKIN, frame
 from lists import MODELS, takes
@@ -453,7 +457,7 @@ def test_parts_that_do_not_belong_together(shared, name):
             theirs.sendall(b"".join(frame(EVAL_REPLY, number, payload) for payload in LIES[name]))
             with pytest.raises(dipole.ProtocolError):
                 how("better", SKIN, np.arange(10.0))
-            connection.incoming = Incoming()
+            connection.incoming, connection.torn = Incoming(), False
 
 
 def test_much_may_be_submitted_before_anything_is_collected(client):
@@ -656,3 +660,83 @@ def test_closing_twice_is_fine(shared):
     client.close()
     with pytest.raises(dipole.ConnectionLost):
         client.ping()
+
+
+def error_classes(base: type = dipole.DipoleError) -> list[type]:
+    return [base, *(one for sub in base.__subclasses__() for one in error_classes(sub))]
+
+
+@pytest.mark.parametrize("kind", error_classes())
+@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
+def test_errors_can_be_pickled_and_copied(kind, again):
+    if kind is dipole.Refused:
+        error = kind("busy", 5, "r", "less", 3, 10, 77)
+    elif kind in (dipole.ConnectError, dipole.ConnectionLost):
+        error = kind("text", final=True)
+    else:
+        error = kind("text")
+    error.add_note("a note")
+    other = again(error)
+    assert type(other) is kind and (str(other), vars(other)) == (str(error), vars(error))
+
+
+class Interrupts(socket.socket):
+    """Takes a socket over. Call number `number` of a method is interrupted, before or after it."""
+
+    def prepare(self, method: str, number: int, after: bool):
+        self._left = {method: number}
+        self._after = after
+        return self
+
+    def _interrupted(self, method: str, *arguments):
+        self._left[method] = self._left.get(method, 0) - 1
+        if self._left[method] == 0 and not self._after:
+            raise KeyboardInterrupt
+        done = getattr(super(), method)(*arguments)
+        if self._left[method] == 0:
+            raise KeyboardInterrupt
+        return done
+
+    def send(self, *arguments):
+        return self._interrupted("send", *arguments)
+
+    def recv_into(self, *arguments):
+        return self._interrupted("recv_into", *arguments)
+
+
+@pytest.mark.parametrize("after", [False, True])
+@pytest.mark.parametrize("number", [1, 2])
+@pytest.mark.parametrize("method", ["send", "recv_into"])
+@pytest.mark.parametrize("retry_s", [0, 5])
+def test_an_interrupt_in_the_middle_of_a_frame(shared, method, number, after, retry_s):
+    """The client goes on over another connection, or says that this one is given up."""
+    r = np.linspace(0, 9, 400_000)  # header and payload go apart
+    with dipole.Client(shared.url(), retry_s=retry_s) as client:
+        expected = client.eval("better", SKIN, r).R
+        waiting = client.submit("better", SKIN, r[:3])
+        connection = client._connection
+        taken = Interrupts(fileno=connection.socket.detach())
+        connection.socket = taken.prepare(method, number, after)
+        with pytest.raises(KeyboardInterrupt):
+            client.eval("better", SKIN, r)
+        for _ in range(2):
+            if retry_s == 0:
+                with pytest.raises(dipole.ConnectionLost, match="in the middle of a frame"):
+                    client.eval("better", SKIN, r[:5])
+            else:
+                np.testing.assert_array_equal(client.eval("better", SKIN, r[:5]).R, expected[:, :5])
+        if retry_s > 0:
+            np.testing.assert_array_equal(client.collect(waiting)[1].R, expected[:, :3])
+            assert not client._exchange._pending
+
+
+def test_an_interrupt_while_the_client_waits(shared, monkeypatch):
+    """Nothing is lost then: the connection stays."""
+    with shared.client() as client:
+        waiting = client.submit("better", SKIN, [1.0])
+        with monkeypatch.context() as patch:
+            patch.setattr(connections, "_poll", lambda *_: signal.raise_signal(signal.SIGINT))
+            with pytest.raises(KeyboardInterrupt):
+                client.collect(waiting)
+        before = client._connection
+        assert client.collect(waiting)[1].R > 0 and client._connection is before

@@ -1,6 +1,7 @@
 /* libdipole and answers in parts: the parts are put together or passed to the caller one by one;
  * answers that end early or whose parts do not belong together are refused. */
 #include <math.h>
+#include <setjmp.h>
 
 #include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
@@ -276,6 +277,38 @@ UNIT_TEST(test_a_reader_may_stop) {
   reading so_far = {.stop_after = 1};
   assert_false(dipole_eval_parts(client, &query, read_part, &so_far, &error));
   peer_finish(&peer, client);
+}
+
+static jmp_buf left;
+
+static bool jump(void *context, const dipole_result *part, uint64_t radius_first) {
+  (void)context, (void)part, (void)radius_first;
+  longjmp(left, 1);
+}
+
+static bool use_client(void *context, const dipole_result *part, uint64_t radius_first) {
+  dipole_error error;
+  (void)part, (void)radius_first;
+  assert_false(dipole_ping(context, &error));
+  assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
+  return true;
+}
+
+/* A reader that jumps out of its call, or uses the client: nothing is taken for an answer then. */
+UNIT_TEST(test_a_reader_that_breaks_the_rules) {
+  static const uint64_t each = EACH;
+  for (unsigned jumps = 0; jumps < 2; jumps++) {
+    const dipole_query query = query_of(DIPOLE_F64, wanted_f64, PEER_RADII);
+    scripted_peer peer;
+    dipole_error error;
+    dipole_client *client = peer_begin(&peer, serve_parts, (void *)&each);
+    if (setjmp(left) == 0) {
+      dipole_eval_parts(client, &query, jumps != 0 ? jump : use_client, client, &error);
+    }
+    assert_false(dipole_ping(client, &error));
+    assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
+    peer_finish(&peer, client);
+  }
 }
 
 /* A script that sends two parts and closes the connection. */

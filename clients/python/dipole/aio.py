@@ -120,10 +120,10 @@ class AsyncClient:
         stream, self._stream = self._stream, None
         tasks, self._tasks = self._tasks, set()
         if stream is None or stream.is_ours():
+            self._fail(ConnectionLost(f"{name}: this client is closed", final=True))
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
-            self._fail(ConnectionLost(f"{name}: this client is closed", final=True))
         if stream is not None:
             await stream.close()
 
@@ -406,6 +406,10 @@ class AsyncClient:
                     await self._read_on.wait()
         except DipoleError as error:
             self._fail(error)
+        except BaseException as error:
+            text = f"{self._name()}: receiving has ended: {error!r}"
+            self._fail(ConnectionLost(text, final=True))
+            raise
 
     def _take(self, frame: Frame) -> None:
         request_id = self._exchange.take(frame)
@@ -528,6 +532,10 @@ class _Stream:
                     await self._send_all(data)
             except OSError:
                 pass
+            except BaseException:
+                name = self.connection.name
+                self.give_up(ConnectionLost(f"{name}: an exception has ended the sending of a frame"))
+                raise
 
     async def _send_all(self, data: bytes) -> None:
         """asyncio's own calls take no socket with TLS."""

@@ -465,19 +465,21 @@ class Client:
         """Sends a request; returns its id."""
         request_id = self._exchange.begin(request)
         try:
-            self._send_again([request_id])
-        except ConnectionLost as lost:
             try:
+                self._send_again([request_id])
+            except ConnectionLost as lost:
                 self._restore(lost)
-            except BaseException:
-                self._exchange.drop(request_id)
-                raise
+        except BaseException:
+            self._exchange.drop(request_id)
+            raise
         return request_id
 
     def _send_again(self, request_ids: Sequence[int]) -> None:
-        for request_id in request_ids:
-            for data in self._exchange.frame(request_id):
-                self._connection.send_bytes(data)
+        self._connection.check_usable()
+        with self._connection.whole():
+            for request_id in request_ids:
+                for data in self._exchange.frame(request_id):
+                    self._connection.send_bytes(data)
 
     def _next(self, request_id: int) -> Any:
         """Waits for the next part of an answer. Returns None after the last one."""
@@ -493,21 +495,21 @@ class Client:
             next_s = self._exchange.next_due_s()
             if due or (next_s is not None and not self._connection.arrives_by(next_s)):
                 return
-            frame = self._connection.receive_frame()
-        except ConnectionLost as lost:
+            self._connection.receive_frame(self._exchange.take)
+        except (ConnectionLost, Refused) as lost:  # Refused is the connection, not a request.
             self._restore(lost)
-            return
-        try:
-            self._exchange.take(frame)
-        except Refused as refusal:  # The daemon refuses the connection, not a request.
-            self._restore(refusal)
 
     def _restore(self, lost: DipoleError) -> None:
         """Connects again and sends the requests without an answer again. Raises `lost` if that
         fails."""
         until_s = self._exchange.lost(lost)
         self._connection.close()
-        self._connection = self._opening.open_again(self.info, until_s, lost)
+        self._connection.torn = True  # so that the next call goes on if this one is interrupted
+        try:
+            self._connection = self._opening.open_again(self.info, until_s, lost)
+        except DipoleError:
+            self._connection.torn = False
+            raise
         try:
             self._send_again(self._exchange.restored())
         except ConnectionLost as again:

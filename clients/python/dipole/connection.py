@@ -14,6 +14,7 @@ import ssl
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -143,6 +144,7 @@ class Connection:
         self.timeout_s = timeout_s
         self.is_one_of_several = False  # whether a client may leave a silent daemon for another
         self.incoming = Incoming()
+        self.torn = False  # whether an exception may have ended a call in the middle of a frame
         self._owner = os.getpid()
         self._process: subprocess.Popen[bytes] | None = None
         self.socket = self._open()
@@ -195,6 +197,20 @@ class Connection:
         if self._owner != os.getpid():
             text = f"process {self._owner} opened this client: after a fork, open one in each process"
             raise ConnectionLost(f"{self.name}: {text}", final=True)
+
+    def check_usable(self) -> None:
+        """Raises ConnectionLost in a forked process, and after a call that was torn."""
+        self.check_owner()
+        if self.torn:
+            text = "an exception, such as an interrupt, has ended a call in the middle of a frame"
+            raise ConnectionLost(f"{self.name}: {text}")
+
+    @contextlib.contextmanager
+    def whole(self) -> Iterator[None]:
+        """Gives the connection up unless the body ends."""
+        was_torn, self.torn = self.torn, True
+        yield
+        self.torn = was_torn
 
     def set_timeout_s(self, timeout_s: float | None) -> None:
         self.timeout_s = timeout_s
@@ -322,7 +338,7 @@ class Connection:
     def arrives_by(self, time_s: float) -> bool:
         """Waits for a byte until the time time_s, as of time.monotonic(). Returns whether one
         came."""
-        self.check_owner()
+        self.check_usable()
         wait_ms = max(time_s - time.monotonic(), 0) * 1000
         pending = isinstance(self.socket, ssl.SSLSocket) and self.socket.pending() > 0
         return bool(self.incoming or pending or _poll(self.socket, select.POLLIN, wait_ms))
@@ -361,13 +377,14 @@ class Connection:
         self._receive_some()
 
     def _receive_some(self) -> None:
-        try:
-            count = self.socket.recv_into(self.incoming.room())
-        except TLS_WAITS:
-            return
-        except OSError as error:
-            raise self.lost(error) from error
-        self.received(count)
+        with self.whole():
+            try:
+                count = self.socket.recv_into(self.incoming.room())
+            except TLS_WAITS:
+                return
+            except OSError as error:
+                raise self.lost(error) from error
+            self.received(count)
 
     def lost(self, error: OSError) -> ConnectionLost:
         """Says that receiving has failed. If the daemon refuses the certificate, that is final."""
@@ -388,14 +405,23 @@ class Connection:
         self, type: int, request_id: int, payload: bytes = b"", deadline_ms: int = 0
     ) -> None:
         """Sends a header and a payload, whose length must be a multiple of 8."""
-        for data in frame_pieces(type, request_id, payload, deadline_ms):
-            self.send_bytes(data)
+        self.check_usable()
+        with self.whole():
+            for data in frame_pieces(type, request_id, payload, deadline_ms):
+                self.send_bytes(data)
 
-    def receive_frame(self) -> Frame:
-        """Waits for the next frame, whatever its type."""
-        while (frame := self.incoming.take_frame()) is None:
+    def receive_frame(self, give: Callable[[Frame], object] | None = None) -> Frame:
+        """Waits for the next frame, whatever its type. give: is called with it; if that raises an
+        exception, the connection is given up."""
+        self.check_usable()
+        while True:
+            with self.whole():
+                frame = self.incoming.take_frame()
+                if frame is not None and give is not None:
+                    give(frame)
+            if frame is not None:
+                return frame
             self._receive()
-        return frame
 
 
 # What a socket with TLS raises when it has to wait.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 
 class DipoleError(Exception):
     """The base of all exceptions of this module."""
@@ -30,7 +32,7 @@ class ConnectionLost(DipoleError, ConnectionError):
 
 
 class ProtocolError(DipoleError):
-    """The peer does not follow the protocol. The client can only be closed."""
+    """The peer does not follow the protocol. The connection is given up."""
 
 
 class ArgumentError(DipoleError, ValueError):
@@ -69,3 +71,7 @@ class Refused(DipoleError):
         if retry_after_ms:
             text += f"; try again in {retry_after_ms} ms"
         super().__init__(text)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        facts = (self.status, self.code, self.field, self.allowed, self.index)
+        return type(self), (*facts, self.retry_after_ms, self.request_id), self.__dict__
