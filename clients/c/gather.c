@@ -16,7 +16,7 @@ enum {
   OUTSTANDING = 4, /* requests under way at a time */
   PART_POINTS = 65536,
   PART_QUERIES = GATHER_PART_QUERIES,
-  SENT_MOST = 4, /* how often the points are sent, at most, when daemons lose them meanwhile */
+  SENT_MOST = 4, /* how often the points are sent, at most, until sums come: daemons may lose them */
 };
 
 /* Of a request with tolerance 0: the points that are summed one by one, about two seconds' worth. */
@@ -298,6 +298,7 @@ static void take_sums(struct run *run, const libdipole_frame *frame, uint64_t n)
   run->answered += n;
   result->answered_count = run->answered;
   run->known = true;
+  run->sent_times = 0;
 }
 
 static bool take_points(struct run *run, const libdipole_frame *frame, dipole_error *error) {

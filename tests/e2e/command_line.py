@@ -158,12 +158,13 @@ class Terminal:
 
 
 class Proxy:
-    """A proxy between a client and a daemon. It can change the client's eval requests and, if
-    on_reply is given, the daemon's replies. on_eval(number, request_id) returns None to pass a
+    """A proxy between a client and a daemon. It can change the client's eval requests, or those of
+    another type, and, if on_reply is given, the daemon's replies. on_eval(number, request_id) returns None to pass a
     request on, bytes to answer it in the daemon's place, or False to close the connection.
     on_reply(type, payload) returns the payload that the client gets, of the same length."""
 
-    def __init__(self, url: str, on_eval, on_reply=lambda type, payload: payload):
+    def __init__(self, url: str, on_eval, on_reply=lambda type, payload: payload, type: int = EVAL):
+        self._type = type
         self._daemon_path = url.removeprefix("unix:")
         self._on_eval = on_eval
         self._on_reply = on_reply
@@ -210,7 +211,7 @@ class Proxy:
             header = wire.HEADER.unpack(head)
             payload = stream.read(header.payload_bytes)
             answer = None
-            if header.type == EVAL:
+            if header.type == self._type:
                 answer = self._on_eval(evals, header.request_id)
                 evals += 1
             if answer is None:
@@ -233,9 +234,9 @@ class Proxy:
             pass  # the client is gone
 
 
-def busy(request_id: int, retry_after_ms: int = 1) -> bytes:
-    """Makes the error frame of a daemon at its limit."""
-    code = next(code for code, name in wire.STATUSES.items() if name == "busy")
+def busy(request_id: int, retry_after_ms: int = 1, status: str = "busy") -> bytes:
+    """Makes the error frame of a daemon at its limit, or with another status."""
+    code = next(code for code, name in wire.STATUSES.items() if name == status)
     error = wire.ERROR.pack(
         status=code, zero=0, retry_after_ms=retry_after_ms, index=0, field="", allowed=""
     )

@@ -8,9 +8,9 @@ import subprocess
 
 import numpy as np
 import pytest
-from command_line import PROGRAM
+from command_line import PROGRAM, Proxy, busy
 from daemons import Daemon, environment
-from dipole import Points
+from dipole import Client, Points, wire
 from frames import SKIN
 
 MEDIUM = ["--sigma-a", "0.032", "--sigma-s", "0.74"]
@@ -230,3 +230,24 @@ def test_a_daemon_that_dies_before_it_is_asked(tmp_path, queries, expected):
     finally:
         first.close()
         second.close()
+
+
+@pytest.mark.parametrize("client", ["python", "c"])
+def test_points_that_are_lost_again_and_again(shared, tmp_path, client):
+    """Every fifth request finds no points. A call that gets on is not limited in their number."""
+    places = RNG.uniform(-5, 5, (200_000, 3))
+
+    def on_gather(number: int, request_id: int) -> bytes | None:
+        return busy(request_id, 0, "unknown-points") if number % 5 == 0 else None
+
+    with Proxy(shared.url(), on_gather, type=wire.MESSAGES["gather"]) as proxy:
+        if client == "python":
+            with Client(proxy.url) as one:
+                found = one.gather("better", [SKIN], Points(XYZ, POWER[:, :1]), places, evaluator="f64").M
+        else:
+            points = write_csv(tmp_path / "points.csv", names(1), [XYZ, POWER[:, :1]])
+            asked = write_csv(tmp_path / "queries.csv", ["x", "y", "z"], [places])
+            ended = run("gather", points, asked, *MEDIUM, *BETTER, "--connect", proxy.url)
+            assert ended.returncode == 0, ended.stderr
+            found = columns_of(ended.stdout, 1)
+    assert np.isfinite(found).all() and len(found) == len(places)

@@ -29,7 +29,7 @@ OUTSTANDING = 4  # requests under way at a time
 _PART_POINTS = 65536
 _PART_QUERIES = 16384
 _PART_PAIRS = 1 << 30  # of a request with tolerance 0: the points that are summed one by one
-_SENT_MOST = 4  # how often the points are sent, at most, when daemons lose them meanwhile
+_SENT_MOST = 4  # how often the points are sent, at most, until sums come: daemons may lose them
 
 # Called with the numbers of queries that are answered and that there are; False ends the call.
 Progress = Callable[[int, int], bool | None] | None
@@ -195,6 +195,7 @@ class Run:
         if isinstance(answer, Piece):
             self._pieces.append(answer)
             self._known = True
+            self._sent_times = 0
             self._answered += len(answer.sums)
         elif answer.known:
             self._sending = None
