@@ -652,3 +652,14 @@ def test_the_rings_of_a_job_beside_means_of_transport(client):
 def test_edges_that_are_none(client, edges):
     with pytest.raises(dipole.ArgumentError, match="edges: "):
         client.ring_means("better", SKIN, edges)
+
+
+def test_whole_numbers_may_be_floats(client):
+    one = client.mc(SKIN, Grid(0.0, 4.0, 5.0), photons=2e4, seed=np.float32(3))
+    assert one.payload == client.mc(SKIN, Grid(0.0, 4.0, 5), photons=20_000, seed=3).payload
+    assert client.eval("better", SKIN, grid=Grid(0.0, 4.0, 5e0)).R.shape == (1, 5)
+    assert client.sample("better", SKIN, draw=dipole.Draw(1e2, seed=2.0)).r.shape == (1, 100)
+    assert client.ring_means("better", SKIN, Grid(0.0, 4.0, 5.0)).R.shape == (1, 4)
+    for wrong in ({"photons": 2.5}, {"photons": np.nan}, {"photons": "2e5"}, {"seed": 0.1}):
+        with pytest.raises(dipole.ArgumentError, match=next(iter(wrong))):
+            client.mc(SKIN, Grid(0.0, 4.0, 5), **wrong)

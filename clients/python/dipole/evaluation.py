@@ -14,7 +14,7 @@ from .errors import ArgumentError, ProtocolError, TableError
 from .exchange import Answer, Once, Request
 from .surface import Surface
 from .table import Table
-from .values import Array, Draw, Grid, Info, Media, Medium, Offer, Offers, Query, Result, Samples
+from .values import Array, Draw, Grid, Info, Media, Medium, Offer, Offers, Query, Result, Samples, whole
 
 T = TypeVar("T")
 
@@ -195,6 +195,7 @@ def _eval_payload(info: Info, query: Query) -> tuple[bytes, Shape]:
     wanted = _names(query.wanted, ("R", "albedo", *cdf, *(() if grid is None else ("r",))))
     if grid is not None and not isinstance(grid, Grid):
         raise ArgumentError("grid: a Grid, such as Grid(0.1, 10, 100)")
+    grid = grid and grid._replace(count=whole(grid.count))
     if evaluator is None:
         evaluator = "f64" if query.model is not None else "lut"
     if grid is not None and query.r is not None:
@@ -299,6 +300,7 @@ def sample(info: Info, query: Query, u: Any, draw: Draw | None) -> Request[Sampl
         raise ArgumentError("u, draw: give exactly one of them")
     if query.r is not None or query.grid is not None:
         raise ArgumentError("r, grid: a sample draws its radii")
+    draw = draw and draw._replace(count=whole(draw.count), seed=whole(draw.seed))
     evaluator_id = id_of(info, "evaluator", query.evaluator or "f64")
     listed = _in_precision(u, "u", "number", evaluator_id)
     media = media_array(query.media)

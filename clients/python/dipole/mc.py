@@ -12,7 +12,7 @@ from . import wire
 from .errors import ArgumentError, ProtocolError
 from .evaluation import id_of, one_medium, parameters_list
 from .exchange import Answer, Once, Request
-from .values import Grid, Info, McEnergy, McProgress, McResult, McValue, Media
+from .values import Grid, Info, McEnergy, McProgress, McResult, McValue, Media, whole
 
 
 class _Answer(Answer[McProgress | McResult]):
@@ -36,7 +36,7 @@ def request(
     medium: Media,
     edges: Grid,
     *,
-    photons: int | None = None,
+    photons: float | None = None,
     error_total: float = 0.0,
     error_rings: float = 0.0,
     thickness: float | None = None,
@@ -66,7 +66,7 @@ def pack_request(
     medium: Media,
     edges: Grid,
     spacing: int,
-    photons: int,
+    photons: float,
     error_total: float,
     error_rings: float,
     thickness: float | None,
@@ -78,12 +78,12 @@ def pack_request(
     fixed = wire.MC_REQUEST.pack(
         spacing=spacing,
         albedo_count=len(listed),
-        ring_count=edges.count - 1,
+        ring_count=whole(edges.count) - 1,
         radius_start=edges.start_mm,
         radius_stop=edges.stop_mm,
         thickness=math.inf if thickness is None else thickness,
-        seed=seed,
-        photons=photons,
+        seed=whole(seed),
+        photons=whole(photons),
         error_total=error_total,
         error_rings=error_rings,
     )

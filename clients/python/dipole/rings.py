@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .errors import ArgumentError
-from .values import Array, Grid, Query, Result, counted, in_short, span
+from .values import Array, Grid, Query, Result, counted, in_short, span, whole
 
 _NODES = 16  # of Gauss and Legendre in each part of a ring
 _PARTS_MOST = 1 << 18  # of all media: the parts are cut no more when there are more of them
@@ -139,6 +139,7 @@ def _by_ring(parts: Array, ring: Array, shape: tuple[int, ...]) -> Array:
 def _edges(edges: Any) -> Array:
     """Makes the edges [N + 1] of rings, which rise, from those of a job or from a Grid."""
     if isinstance(edges, Grid):
+        edges = edges._replace(count=whole(edges.count))
         if edges.spacing == "logarithmic":
             edges = np.geomspace(edges.start_mm, edges.stop_mm, edges.count)
         else:

@@ -41,6 +41,12 @@ def counted(count: int, one: str, several: str) -> str:
     return f"{count} {one if count == 1 else several}"
 
 
+def whole(number: Any) -> Any:
+    """Returns 200000 for 2e5, and everything that is no whole number unchanged."""
+    is_whole = isinstance(number, (float, np.floating)) and number.is_integer()
+    return int(number) if is_whole else number
+
+
 class Medium(NamedTuple):
     """A homogeneous, semi-infinite medium. Its fields are numbers; for Client.values(), they may be
     arrays that broadcast against each other."""
