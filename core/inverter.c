@@ -28,11 +28,16 @@ enum {
   STEPS_MAX = 400,  /* halving the range in ln(rho) takes fewer steps */
 };
 
+/* Returns sigma_a / sigma_t'. */
+static double absorbed_share(double ratio) {
+  return ratio < (double)INFINITY ? ratio / (1 + ratio) : 1;
+}
+
 /* Returns the medium whose sigma_a and sigma_s' have this sum and ratio. */
 static core_medium medium_of_ratio(const core_inverter *inverter, double ratio,
                                    double sigma_t_prime) {
   return (core_medium){
-      .sigma_a_per_mm = sigma_t_prime * (ratio / (1 + ratio)),
+      .sigma_a_per_mm = sigma_t_prime * absorbed_share(ratio),
       .sigma_s_per_mm = sigma_t_prime / (1 + ratio) / (1 - inverter->g),
       .g = inverter->g,
       .eta = inverter->eta,
@@ -122,7 +127,7 @@ static double distance(const core_inverter *inverter, double albedo) {
 /* Returns sigma_t' of a medium with this ratio and the wanted length; infinite or NaN if no such
  * medium exists. */
 static double scale(const core_inverter *inverter, double ratio) {
-  const double absorbed = ratio / (1 + ratio); /* sigma_a / sigma_t' */
+  const double absorbed = absorbed_share(ratio);
   switch (inverter->length) {
   case CORE_LENGTH_DIFFUSE:
     return 1 / (inverter->length_mm * sqrt(3 * absorbed / (1 + absorbed)));
@@ -156,6 +161,9 @@ bool core_inverter_seek(core_inverter *inverter, double albedo, enum core_length
   inverter->wanted = albedo;
   inverter->length = length;
   inverter->length_mm = length_mm;
+  if (!(albedo > 0)) {
+    return settle(inverter, (double)INFINITY); /* a medium that does not scatter */
+  }
   if (!(albedo >= inverter->albedo_least && albedo <= inverter->albedo_most)) {
     return true;
   }
@@ -239,6 +247,7 @@ bool core_inverter_take(core_inverter *inverter, double albedo) {
     return search(inverter, albedo);
   default:
     inverter->albedo = albedo;
+    inverter->found = inverter->wanted > 0 || !(fabs(albedo) > 0 || isnan(albedo));
     return true;
   }
 }

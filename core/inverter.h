@@ -32,7 +32,7 @@ typedef struct core_inverter {
   core_medium medium;  /* the medium to probe next, or at the end of a search the one found */
   bool found;          /* true if a medium has the wanted albedo and length */
   double albedo;       /* albedo of the medium that was found */
-  double albedo_least; /* range of reachable albedos, known before the first search */
+  double albedo_least; /* range of reachable albedos but 0, known before the first search */
   double albedo_most;
 
   unsigned model;

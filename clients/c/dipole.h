@@ -530,7 +530,7 @@ typedef struct dipole_inversion {
   const double *sigma_s_per_mm;
   const double *albedos; /* of these media under the model. They differ from the wanted ones by at
                             most 1e-12, relative, or a few units in the last place of the model. */
-  double albedo_least;   /* the least albedo that the model reaches with this g and eta */
+  double albedo_least;   /* the least above 0 that the model reaches with this g and eta */
   double albedo_most;    /* the largest albedo that the model reaches with this g and eta */
 } dipole_inversion;
 

@@ -252,8 +252,8 @@ static int write_and_judge(const invert_settings *settings, const report *of) {
     return CLI_OK;
   }
   cli_fail(
-      "%zu of %zu: there is no such medium: with this model, g and eta albedos go from %.3g to "
-      "%.17g, and without absorption there is no diffuse path",
+      "%zu of %zu: there is no such medium: with this model, g and eta albedos above 0 go from "
+      "%.3g to %.17g, and without absorption there is no diffuse path",
       of->missing, of->count, of->albedo_least, of->albedo_most);
   return CLI_BAD_ROWS;
 }

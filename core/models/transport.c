@@ -496,6 +496,22 @@ static core_fault fill_nothing(double sigma_t_prime, core_preparation *preparati
   return (core_fault){0};
 }
 
+/* Where less than this share is absorbed, 1 less the albedo is in proportion to the root of it. An
+ * albedo of scattering next to 1 has too few digits to say how much is absorbed. */
+#define ABSORBED_FEW 0x1p-20
+
+/* Returns the albedo of a medium, for which a solution at a clamped and rounded albedo of scattering
+ * has `total`. All light leaves a medium that absorbs none. */
+static double albedo_of_total(const core_medium *medium, double solvable, double total) {
+  const double absorbed = medium->sigma_a_per_mm / core_sigma_t_prime(medium);
+  return absorbed < ABSORBED_FEW ? 1 - (1 - total) * sqrt(absorbed / (1 - solvable)) : total;
+}
+
+/* The same where the total is looked up, with an absolute error of 1e-8. */
+static double albedo_looked_up(const core_medium *medium, double total) {
+  return medium->sigma_a_per_mm > 0 ? fmin(total, 1) : 1;
+}
+
 /* Solves the medium with isotropic scattering. difference: what the medium's g adds to the
  * solution, or NULL if there is none. */
 static core_fault solve_and_fill(const core_inputs *inputs, double albedo, double asked,
@@ -509,7 +525,9 @@ static core_fault solve_and_fill(const core_inputs *inputs, double albedo, doubl
     transport_number total = {.value = 0};
     const core_fault fault =
         difference != NULL ? (core_fault){0} : transport_solve_total(&total, medium->eta, solvable);
-    preparation->albedo = difference != NULL ? difference->total : total.value * share;
+    preparation->albedo = difference != NULL
+                              ? albedo_looked_up(medium, difference->total)
+                              : albedo_of_total(medium, solvable, total.value) * share;
     return fault;
   }
   transport_solution *solution = NULL;
@@ -532,7 +550,9 @@ static core_fault solve_and_fill(const core_inputs *inputs, double albedo, doubl
     lay_panels(&source, real_log(FIRST, 0), real_log(reach, 0),
                difference != NULL ? difference->edge : NULL);
     preparation->albedo =
-        difference != NULL ? difference->total : transport_total(solution).value * share;
+        difference != NULL
+            ? albedo_looked_up(medium, difference->total)
+            : albedo_of_total(medium, solvable, transport_total(solution).value) * share;
     fault = fill(inputs, &source, share, preparation);
     preparation->error = fmax(asked, source.error + source.fit_error);
   }

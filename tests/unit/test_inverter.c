@@ -321,8 +321,9 @@ UNIT_TEST(what_there_is_not_is_not_found) {
   assert_false(inverter.found);
   core_inverter_start(&inverter, CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, 0, 1.3, 1);
   probe_to_the_end(&inverter);
-  assert_true(core_inverter_seek(&inverter, 0, CORE_LENGTH_FREE_PATH, 1));
-  assert_false(inverter.found);
+  assert_false(core_inverter_seek(&inverter, 0, CORE_LENGTH_FREE_PATH, 1));
+  probe_to_the_end(&inverter);
+  assert_true(inverter.found && inverter.medium.sigma_s_per_mm == 0 && inverter.albedo == 0);
   /* Without absorption, both diffuse lengths are infinite. */
   assert_true(core_inverter_seek(&inverter, 1, CORE_LENGTH_DIFFUSE, 1));
   assert_true(core_inverter_seek(&inverter, 1, CORE_LENGTH_CLASSICAL_DIFFUSE, 1));
