@@ -373,3 +373,8 @@ bool decimal_read(const char *text, double *value) {
   *value = strtod(text, &end);
   return end > text && *end == '\0' && (named || isfinite(*value));
 }
+
+bool decimal_starts_with_zero(const char *text) {
+  text += *text == '-' || *text == '+';
+  return text[0] == '0' && text[1] >= '0' && text[1] <= '9';
+}

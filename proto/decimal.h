@@ -23,4 +23,8 @@ size_t decimal_write_single(float value, char text[DECIMAL_BYTES]);
  * doubles. */
 bool decimal_read(const char *text, double *value);
 
+/* Returns whether a digit follows a 0 at the start. In a list this is half of a number with a decimal
+ * comma: 0,05 is not meant as 0 and 5. */
+bool decimal_starts_with_zero(const char *text);
+
 #endif

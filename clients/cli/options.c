@@ -136,17 +136,22 @@ static void split(const char *text, cli_texts *parts) {
   add_text(parts, text, strlen(text));
 }
 
-static bool read_numbers(const char *text, cli_numbers *numbers) {
+/* Returns NULL, or what is expected if it is wrong. */
+static const char *read_numbers(const char *text, cli_numbers *numbers) {
   cli_texts parts = {0};
-  bool good = true;
+  const char *expected = NULL;
   split(text, &parts);
   numbers->items = cli_resize(numbers->items, parts.count, sizeof *numbers->items);
   numbers->count = parts.count;
   for (size_t i = 0; i < parts.count; i++) {
-    good = cli_number_parse(parts.items[i], &numbers->items[i]) && good;
+    if (!cli_number_parse(parts.items[i], &numbers->items[i])) {
+      expected = "number (or several, separated by commas)";
+    } else if (decimal_starts_with_zero(parts.items[i])) {
+      expected = "list of numbers: one of them starts with a 0; write a decimal point, as in 0.05";
+    }
   }
   free_texts(&parts);
-  return good;
+  return expected;
 }
 
 /* Stores the value of an option. Returns NULL, or what kind of value is expected if it is wrong. */
@@ -164,11 +169,11 @@ static const char *take_value(const cli_option *option, const char *text, bool g
     return cli_count_parse(text, &AT(settings, option, cli_count)->value) ? NULL : "whole number";
   case CLI_NUMBER:
     AT(settings, option, cli_number)->given = given;
-    return cli_number_parse(text, &AT(settings, option, cli_number)->value) ? NULL : "number";
+    return cli_number_parse(text, &AT(settings, option, cli_number)->value) ? NULL
+           : strchr(text, ',') != NULL ? "number: write a decimal point, as in 0.05"
+                                       : "number";
   case CLI_NUMBERS:
-    return read_numbers(text, AT(settings, option, cli_numbers))
-               ? NULL
-               : "number (or several, separated by commas)";
+    return read_numbers(text, AT(settings, option, cli_numbers));
   case CLI_NAMES:
     split(text, AT(settings, option, cli_texts));
     return NULL;

@@ -1,6 +1,5 @@
 #include "server/http/values.h"
 
-#include <ctype.h>
 #include <errno.h>
 #include <math.h>
 #include <stdio.h>
@@ -233,8 +232,7 @@ struct http_value http_elements_next(struct http_elements *elements) {
 
 /* Reads a number from a text. One with a leading zero is none: a list 0,05 is meant as 0.05. */
 static bool read_text(const char *text, double *number) {
-  const char *digits = text + (text[0] == '-' || text[0] == '+');
-  return !(digits[0] == '0' && isdigit((unsigned char)digits[1])) && decimal_read(text, number);
+  return !decimal_starts_with_zero(text) && decimal_read(text, number);
 }
 
 bool http_value_number(struct http_value value, double *number) {
