@@ -1,5 +1,6 @@
 #include "server/http/values.h"
 
+#include <ctype.h>
 #include <errno.h>
 #include <math.h>
 #include <stdio.h>
