@@ -74,7 +74,8 @@ static size_t read_answer(int fd, char *bytes, size_t *body) {
 static void make_target(struct target *target, const struct daemon *daemon, const char *name,
                         const char *path) {
   char request[512];
-  const int length = snprintf(request, sizeof request, "GET %s HTTP/1.1\r\nHost: localhost\r\n\r\n", path);
+  const int length =
+      snprintf(request, sizeof request, "GET %s HTTP/1.1\r\nHost: localhost\r\n\r\n", path);
   *target = (struct target){.name = name,
                             .server = daemon->child,
                             .address = daemon->at_http,
