@@ -35,7 +35,7 @@ struct daemon {
   uv_loop_t loop;
   uv_signal_t signals[STOP_SIGNALS];
   struct systemd systemd;
-  struct listener listeners[SYSTEMD_SOCKETS_MAX + 2 * OPTIONS_LIST_MAX + 2];
+  struct listener listeners[SYSTEMD_SOCKETS_MAX + (2 * OPTIONS_LIST_MAX + 2) * TCP_ADDRESSES_MAX];
   size_t listener_count;
   struct metrics *metrics;   /* NULL without --metrics */
   struct http_service *http; /* NULL without --http */
@@ -163,11 +163,21 @@ static bool start_workers(struct daemon *daemon) {
 }
 
 static bool listen_at(struct daemon *daemon, const char *url) {
-  if (!listener_open(&daemon->listeners[daemon->listener_count], &daemon->server, &daemon->loop,
-                     url)) {
-    return false;
+  const size_t opened = listener_open(&daemon->listeners[daemon->listener_count], &daemon->server,
+                                      &daemon->loop, url);
+  daemon->listener_count += opened;
+  return opened > 0;
+}
+
+/* Opens the addresses of an option; [::] last, so that it leaves IPv4 to 0.0.0.0. */
+static bool open_each(struct daemon *daemon, const struct options_list *urls,
+                      bool (*open)(struct daemon *daemon, const char *url)) {
+  for (size_t i = 0; i < 2 * urls->count; i++) {
+    const char *url = urls->items[i % urls->count];
+    if ((strstr(url, ":[::]:") != NULL) == (i >= urls->count) && !open(daemon, url)) {
+      return false;
+    }
   }
-  daemon->listener_count++;
   return true;
 }
 
@@ -176,21 +186,17 @@ static bool serve_modbus_at(struct daemon *daemon, const char *url) {
     return modbus_service_open_line(daemon->server.modbus, url);
   }
   const bool secure = strncmp(url, "tls:", 4) == 0;
-  if (!listener_open_modbus(&daemon->listeners[daemon->listener_count], &daemon->server,
-                            &daemon->loop, url,
-                            secure ? modbus_service_admit_tls : modbus_service_admit)) {
-    return false;
-  }
-  daemon->listener_count++;
-  return true;
+  const size_t opened = listener_open_modbus(
+      &daemon->listeners[daemon->listener_count], &daemon->server, &daemon->loop, url,
+      secure ? modbus_service_admit_tls : modbus_service_admit);
+  daemon->listener_count += opened;
+  return opened > 0;
 }
 
 static bool open_modbus(struct daemon *daemon) {
   const struct options_list *urls = &daemon->server.options.modbus;
-  for (size_t i = 0; i < urls->count; i++) {
-    if (!serve_modbus_at(daemon, urls->items[i])) {
-      return false;
-    }
+  if (!open_each(daemon, urls, serve_modbus_at)) {
+    return false;
   }
   if (urls->count > 0) {
     modbus_service_begin(daemon->server.modbus);
@@ -270,10 +276,8 @@ static bool open_addresses(struct daemon *daemon) {
   if (options->fd == NULL && !adopt_passed(daemon)) {
     return false;
   }
-  for (size_t i = 0; i < options->listen.count; i++) {
-    if (!listen_at(daemon, options->listen.items[i])) {
-      return false;
-    }
+  if (!open_each(daemon, &options->listen, listen_at)) {
+    return false;
   }
   if (options->fd != NULL) {
     return admit_inherited(&daemon->server);
@@ -312,7 +316,12 @@ static bool set_up_modbus(struct server *server) {
 /* Reads the certificates, if there is an address with TLS. Called before the workers start, because
  * one of them serves handshakes. */
 static bool set_up_tls(struct server *server) {
-  const bool wanted = tls_is_wanted(&server->options);
+  const struct options *options = &server->options;
+  const bool wanted = tls_is_wanted(options);
+  if (options->roles != NULL && options->client_ca == NULL && (wanted || options->fd == NULL)) {
+    return complain("--roles",
+                    "it needs --client-ca FILE: roles are those of clients' certificates");
+  }
   server->tls = wanted ? tls_new(&server->options) : NULL;
   return !wanted || server->tls != NULL;
 }

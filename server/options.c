@@ -288,7 +288,7 @@ static void name_nearest(const char *given) {
 
 static enum options_outcome read_command_line(int argc, char **argv, struct options *options) {
   struct option longs[OPTIONS + 3] = {{0}};
-  bool list_begun[OPTIONS] = {false};
+  bool begun[OPTIONS] = {false};
   for (int i = 0; i < OPTIONS; i++) {
     const int argument = descriptions[i].kind == FLAG ? no_argument : required_argument;
     longs[i] = (struct option){descriptions[i].name, argument, NULL, i};
@@ -310,10 +310,14 @@ static enum options_outcome read_command_line(int argc, char **argv, struct opti
       return OPTIONS_EXIT_USAGE;
     }
     const struct description *option = &descriptions[which];
-    if (option->kind == LIST && !list_begun[which]) {
-      list_begun[which] = true;
+    if (option->kind == LIST && !begun[which]) {
       ((struct options_list *)place(options, option))->count = 0;
+    } else if (option->kind == TEXT && begun[which]) {
+      fprintf(stderr, "dipoled: --%s is given twice, and takes one %s\n", option->name,
+              option->value);
+      return OPTIONS_EXIT_USAGE;
     }
+    begun[which] = true;
     if (!set(options, option, optarg)) {
       return OPTIONS_EXIT_USAGE;
     }

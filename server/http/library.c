@@ -144,10 +144,11 @@ int http_library_listen(const char *option, const char *address) {
   if (port != NULL) {
     snprintf(local, sizeof local, "127.0.0.1:%s", port);
   }
-  const int fd = tcp_listen(port != NULL ? local : address, &why);
-  if (fd < 0) {
+  int fd = -1;
+  if (tcp_listen(port != NULL ? local : address, 1, &fd, &why) == 0) {
+    fd = -1;
     fprintf(stderr, "dipoled: --%s %s: %s. Write HOST:PORT, or a PORT of this machine\n", option,
-            address, errno == EADDRINUSE ? "another process listens there" : why);
+            address, why);
   }
   return fd;
 }

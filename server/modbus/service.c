@@ -2,6 +2,7 @@
 
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 #include <unistd.h>
 
 #include "server/modbus/connection.h"
@@ -60,7 +61,15 @@ void modbus_service_free(struct modbus_service *service) {
 }
 
 bool modbus_service_open_line(struct modbus_service *service, const char *url) {
-  return modbus_line_open(&service->lines[service->line_count++], service->units, url);
+  const struct modbus_line *line = &service->lines[service->line_count];
+  bool good = modbus_line_open(&service->lines[service->line_count++], service->units, url);
+  for (size_t i = 0; good && &service->lines[i] < line; i++) {
+    good = strcmp(service->lines[i].device.path, line->device.path) != 0;
+    if (!good) {
+      fprintf(stderr, "dipoled: --modbus %s: name each device once\n", url);
+    }
+  }
+  return good;
 }
 
 void modbus_service_begin(struct modbus_service *service) {

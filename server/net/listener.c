@@ -170,12 +170,12 @@ static bool is_stale(const struct sockaddr_un *address) {
 }
 
 /* Returns the reason why a path that exists cannot be bound. */
-static const char *occupant(const char *path) {
+static const char *occupant(const struct sockaddr_un *address) {
   struct stat status;
-  if (lstat(path, &status) != 0) {
+  if (lstat(address->sun_path, &status) != 0) {
     return "another process uses the path";
   }
-  return S_ISSOCK(status.st_mode)  ? "another process listens there"
+  return S_ISSOCK(status.st_mode)  ? tcp_occupant((const struct sockaddr *)address, sizeof *address)
          : S_ISDIR(status.st_mode) ? "the path is a folder"
          : S_ISLNK(status.st_mode) ? "the path is a symbolic link"
                                    : "the path is a file that is no socket";
@@ -250,7 +250,7 @@ static bool open_unix(struct listener *listener, const char *url, const char *pa
     bound = bind(listener->fd, (struct sockaddr *)&address, sizeof address);
   }
   if (bound != 0) {
-    return complain(url, errno == EADDRINUSE ? occupant(path) : strerror(errno));
+    return complain(url, errno == EADDRINUSE ? occupant(&address) : strerror(errno));
   }
   note_file(listener, path);
   if (!set_permissions(&listener->server->options, url, path) ||
@@ -264,19 +264,20 @@ static bool open_unix(struct listener *listener, const char *url, const char *pa
 
 /* ---- TCP ------------------------------------------------------------------------------------- */
 
-static bool open_tcp(struct listener *listener, const char *url, const char *host_port,
-                     const char *scheme) {
+/* Opens a listener for each address of a name. Returns how many. */
+static size_t open_tcp(struct listener *listeners, const char *url, const char *host_port,
+                       const char *scheme) {
   const char *why;
-  listener->fd = tcp_listen(host_port, &why);
-  if (listener->fd < 0) {
-    return complain(url, errno == EADDRINUSE
-                             ? "another process listens there; --listen names another address"
-                             : why);
+  int fds[TCP_ADDRESSES_MAX];
+  const size_t count = tcp_listen(host_port, TCP_ADDRESSES_MAX, fds, &why);
+  for (size_t i = 0; i < count; i++) {
+    char bound[TCP_TEXT_BYTES];
+    listeners[i] = listeners[0];
+    listeners[i].fd = fds[i];
+    tcp_bound(fds[i], bound);
+    log_line(LOG_LEVEL_INFO, "event=listening url=%s:%s", scheme, bound);
   }
-  char bound[TCP_TEXT_BYTES];
-  tcp_bound(listener->fd, bound);
-  log_line(LOG_LEVEL_INFO, "event=listening url=%s:%s", scheme, bound);
-  return true;
+  return count > 0 ? count : complain(url, why);
 }
 
 /* ---- passed sockets -------------------------------------------------------------------------- */
@@ -288,16 +289,10 @@ static int socket_option(int fd, int name) {
 }
 
 static void log_adopted(int fd) {
-  struct sockaddr_un address = {0};
-  socklen_t length = sizeof address;
   char bound[TCP_TEXT_BYTES];
-  if (socket_option(fd, SO_DOMAIN) != AF_UNIX) {
-    tcp_bound(fd, bound);
-    log_line(LOG_LEVEL_INFO, "event=listening url=tcp:%s", bound);
-  } else if (getsockname(fd, (struct sockaddr *)&address, &length) == 0) {
-    log_line(LOG_LEVEL_INFO, "event=listening url=unix:%.*s", (int)sizeof address.sun_path,
-             address.sun_path);
-  }
+  tcp_bound(fd, bound);
+  log_line(LOG_LEVEL_INFO, "event=listening url=%s%s",
+           socket_option(fd, SO_DOMAIN) != AF_UNIX ? "tcp:" : "", bound);
 }
 
 static bool adopt(int fd) {
@@ -330,44 +325,46 @@ bool listener_adopt(struct listener *listener, struct server *server, uv_loop_t 
   return watch(listener, loop);
 }
 
-static bool start(struct listener *listener, uv_loop_t *loop, bool open) {
-  if (!open) {
-    if (listener->fd >= 0) {
-      close(listener->fd);
-    }
-    return false;
+/* Watches so many listeners that have been opened. */
+static size_t start(struct listener *listeners, uv_loop_t *loop, size_t count) {
+  for (size_t i = 0; i < count; i++) {
+    watch(&listeners[i], loop);
   }
-  return watch(listener, loop);
+  if (count == 0 && listeners[0].fd >= 0) {
+    close(listeners[0].fd);
+  }
+  return count;
 }
 
-bool listener_open(struct listener *listener, struct server *server, uv_loop_t *loop,
-                   const char *url) {
-  *listener = (struct listener){.server = server, .admit = admit, .fd = -1};
-  bool open;
+size_t listener_open(struct listener listeners[TCP_ADDRESSES_MAX], struct server *server,
+                     uv_loop_t *loop, const char *url) {
+  listeners[0] = (struct listener){.server = server, .admit = admit, .fd = -1};
+  size_t count;
   if (strncmp(url, "unix:", 5) == 0) {
-    open = open_unix(listener, url, url + 5);
+    count = open_unix(&listeners[0], url, url + 5);
   } else if (strncmp(url, "tcp:", 4) == 0) {
-    open = open_tcp(listener, url, url + 4, "tcp");
+    count = open_tcp(listeners, url, url + 4, "tcp");
   } else if (strncmp(url, "tls:", 4) == 0) {
-    listener->admit = handshakes_admit;
-    open = open_tcp(listener, url, url + 4, "tls");
+    listeners[0].admit = handshakes_admit;
+    count = open_tcp(listeners, url, url + 4, "tls");
   } else {
-    open =
+    count =
         complain(url, "write unix:PATH, tcp:HOST:PORT or tls:HOST:PORT, as in tcp:127.0.0.1:4817");
   }
-  return start(listener, loop, open);
+  return start(listeners, loop, count);
 }
 
-bool listener_open_modbus(struct listener *listener, struct server *server, uv_loop_t *loop,
-                          const char *url, void (*take)(struct server *server, int fd)) {
-  *listener = (struct listener){.server = server, .admit = take, .fd = -1};
-  const bool open = strncmp(url, "tcp:", 4) == 0 ? open_tcp(listener, url, url + 4, "modbus-tcp")
-                    : strncmp(url, "tls:", 4) == 0
-                        ? open_tcp(listener, url, url + 4, "modbus-tls")
-                        : complain(url, "Modbus is served at tcp:HOST:PORT, "
-                                        "tls:HOST:PORT or "
-                                        "rtu:DEVICE[,BAUD[,PARITY[,UNIT]]]");
-  return start(listener, loop, open);
+size_t listener_open_modbus(struct listener listeners[TCP_ADDRESSES_MAX], struct server *server,
+                            uv_loop_t *loop, const char *url,
+                            void (*take)(struct server *server, int fd)) {
+  listeners[0] = (struct listener){.server = server, .admit = take, .fd = -1};
+  const size_t count =
+      strncmp(url, "tcp:", 4) == 0   ? open_tcp(listeners, url, url + 4, "modbus-tcp")
+      : strncmp(url, "tls:", 4) == 0 ? open_tcp(listeners, url, url + 4, "modbus-tls")
+                                     : complain(url, "Modbus is served at tcp:HOST:PORT, "
+                                                     "tls:HOST:PORT or "
+                                                     "rtu:DEVICE[,BAUD[,PARITY[,UNIT]]]");
+  return start(listeners, loop, count);
 }
 
 void listener_close(struct listener *listener) {

@@ -2,6 +2,7 @@
 #ifndef DIPOLED_LISTENER_H
 #define DIPOLED_LISTENER_H
 
+#include "server/net/tcp.h"
 #include "server/net/tls.h"
 #include "server/server.h"
 
@@ -17,20 +18,22 @@ struct listener {
   ino_t unix_inode;
 };
 
-/* Listens at unix:PATH, tcp:HOST:PORT or tls:HOST:PORT and logs the address. If that fails, it
- * prints a message to standard error and returns false. */
-bool listener_open(struct listener *listener, struct server *server, uv_loop_t *loop,
-                   const char *url);
+/* Listens at unix:PATH, tcp:HOST:PORT or tls:HOST:PORT, a name's addresses each, and logs them.
+ * Returns how many listeners it has opened. If it fails, prints a message to standard error and
+ * returns 0. */
+size_t listener_open(struct listener listeners[TCP_ADDRESSES_MAX], struct server *server,
+                     uv_loop_t *loop, const char *url);
 
 /* Makes a listener of a stream socket (Unix or TCP) that already listens, and logs its address. The
  * socket's file, if any, stays when the listener is closed. If fd is no such socket, closes fd,
  * prints a message to standard error and returns false. */
 bool listener_adopt(struct listener *listener, struct server *server, uv_loop_t *loop, int fd);
 
-/* Listens for Modbus at tcp:HOST:PORT and logs the address. take() gets, and then owns, each
- * connected socket. If it fails, prints a message to standard error and returns false. */
-bool listener_open_modbus(struct listener *listener, struct server *server, uv_loop_t *loop,
-                          const char *url, void (*take)(struct server *server, int fd));
+/* The same for Modbus, at tcp:HOST:PORT or tls:HOST:PORT. take() gets, and then owns, each connected
+ * socket. */
+size_t listener_open_modbus(struct listener listeners[TCP_ADDRESSES_MAX], struct server *server,
+                            uv_loop_t *loop, const char *url,
+                            void (*take)(struct server *server, int fd));
 
 /* Stops listening. libuv closes the handles in the loop's next round. */
 void listener_close(struct listener *listener);

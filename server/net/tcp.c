@@ -3,6 +3,8 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <netdb.h>
+#include <netinet/in.h>
+#include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -12,22 +14,33 @@
 
 enum {
   BACKLOG = 1024,
-  KEPT_MOST = 24,  /* descriptors that no client gets: */
-  KEPT_SHARE = 16, /* at most one in so many */
+  KEPT_MOST = 24,         /* descriptors that no client gets: */
+  KEPT_SHARE = 16,        /* at most one in so many */
+  OWN_DESCRIPTORS = 1024, /* more than a daemon has that begins to listen */
 };
+
+static void write_address(const struct sockaddr *address, socklen_t length,
+                          char text[TCP_TEXT_BYTES]) {
+  char host[128];
+  char port[16];
+  text[0] = '\0';
+  if (address->sa_family == AF_UNIX) {
+    snprintf(text, TCP_TEXT_BYTES, "unix:%.*s", (int)(length - sizeof address->sa_family),
+             address->sa_data);
+  } else if (getnameinfo(address, length, host, sizeof host, port, sizeof port,
+                         NI_NUMERICHOST | NI_NUMERICSERV) == 0) {
+    const bool bracket = address->sa_family == AF_INET6;
+    snprintf(text, TCP_TEXT_BYTES, "%s%s%s:%s", bracket ? "[" : "", host, bracket ? "]" : "", port);
+  }
+}
 
 static void describe(int fd, int (*name)(int fd, struct sockaddr *address, socklen_t *length),
                      char text[TCP_TEXT_BYTES]) {
   struct sockaddr_storage address;
   socklen_t length = sizeof address;
-  char host[128];
-  char port[16];
   text[0] = '\0';
-  if (name(fd, (struct sockaddr *)&address, &length) == 0 &&
-      getnameinfo((struct sockaddr *)&address, length, host, sizeof host, port, sizeof port,
-                  NI_NUMERICHOST | NI_NUMERICSERV) == 0) {
-    const bool bracket = address.ss_family == AF_INET6;
-    snprintf(text, TCP_TEXT_BYTES, "%s%s%s:%s", bracket ? "[" : "", host, bracket ? "]" : "", port);
+  if (name(fd, (struct sockaddr *)&address, &length) == 0) {
+    write_address((struct sockaddr *)&address, length, text);
   }
 }
 
@@ -51,12 +64,53 @@ void tcp_peer(int fd, char text[TCP_TEXT_BYTES]) {
   describe(fd, getpeername, text);
 }
 
+static bool is_any(const char *address) {
+  return strncmp(address, "0.0.0.0:", 8) == 0 || strncmp(address, "[::]:", 5) == 0;
+}
+
+/* Returns whether an address takes in another, which may be a path. */
+static bool takes_in(const char *a, const char *b) {
+  return is_any(a) && strncmp(b, "unix:", 5) != 0 && strrchr(b, ':') != NULL &&
+         strcmp(strrchr(a, ':'), strrchr(b, ':')) == 0;
+}
+
+/* Returns whether this process listens at an address; unless that is to be exact, an address that
+ * takes in the other counts, too. */
+static bool listens_at(const char *address, bool exact) {
+  bool found = false;
+  for (int fd = 0; fd < OWN_DESCRIPTORS && !found; fd++) {
+    char bound[TCP_TEXT_BYTES];
+    int listens = 0;
+    socklen_t length = sizeof listens;
+    if (getsockopt(fd, SOL_SOCKET, SO_ACCEPTCONN, &listens, &length) == 0 && listens != 0) {
+      tcp_bound(fd, bound);
+      found = strcmp(bound, address) == 0 ||
+              (!exact && (takes_in(bound, address) || takes_in(address, bound)));
+    }
+  }
+  return found;
+}
+
+const char *tcp_occupant(const struct sockaddr *address, socklen_t length) {
+  char text[TCP_TEXT_BYTES];
+  write_address(address, length, text);
+  return listens_at(text, false)
+             ? "this daemon listens there already, as [::] does for IPv4: name each address once"
+             : "another process listens there: name another address";
+}
+
 static int bind_to(const struct addrinfo *address) {
   const int fd =
       socket(address->ai_family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, IPPROTO_TCP);
+  char text[TCP_TEXT_BYTES], every_ipv4[TCP_TEXT_BYTES + 8];
   const int on = 1;
   if (fd >= 0) {
     setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
+    write_address(address->ai_addr, address->ai_addrlen, text);
+    snprintf(every_ipv4, sizeof every_ipv4, "0.0.0.0:%s", text + strlen("[::]:"));
+    if (strncmp(text, "[::]:", 5) == 0 && listens_at(every_ipv4, true)) {
+      setsockopt(fd, IPPROTO_IPV6, IPV6_V6ONLY, &on, sizeof on); /* else it takes IPv4, too */
+    }
     if (bind(fd, address->ai_addr, address->ai_addrlen) == 0 && listen(fd, BACKLOG) == 0) {
       return fd;
     }
@@ -88,34 +142,59 @@ static bool split(const char *text, char *host, size_t room, const char **port) 
   return true;
 }
 
-static int refuse(const char *reason, const char **why) {
-  *why = reason;
-  errno = EINVAL;
-  return -1;
+/* Returns whether an address stands before another in a list. */
+static bool is_repeated(const struct addrinfo *list, const struct addrinfo *address) {
+  while (list != address && (list->ai_addrlen != address->ai_addrlen ||
+                             memcmp(list->ai_addr, address->ai_addr, list->ai_addrlen) != 0)) {
+    list = list->ai_next;
+  }
+  return list != address;
 }
 
-int tcp_listen(const char *host_port, const char **why) {
+/* Listens at the addresses of a list, up to `most`. One that the machine does not have is left out
+ * if another is there. Returns how many; if one fails, closes all, returns 0 and sets *why. */
+static size_t listen_at_all(const struct addrinfo *list, size_t most, int *fds, const char **why) {
+  size_t count = 0;
+  for (const struct addrinfo *one = list; one != NULL && count < most; one = one->ai_next) {
+    fds[count] = is_repeated(list, one) ? -1 : bind_to(one);
+    if (fds[count] >= 0) {
+      count++;
+    } else if (!is_repeated(list, one)) {
+      const int error = errno;
+      *why = error == EADDRINUSE ? tcp_occupant(one->ai_addr, one->ai_addrlen) : strerror(error);
+      if (error != EADDRNOTAVAIL && error != EAFNOSUPPORT) {
+        while (count > 0) {
+          close(fds[--count]);
+        }
+        return 0;
+      }
+    }
+  }
+  return count;
+}
+
+size_t tcp_listen(const char *host_port, size_t most, int *fds, const char **why) {
   char host[256];
   const char *port;
   if (!split(host_port, host, sizeof host, &port)) {
-    return refuse("write a host and a port, as in 127.0.0.1:4817 or [::1]:4817", why);
+    *why = "write a host and a port, as in 127.0.0.1:4817 or [::1]:4817";
+    return 0;
   }
   char *port_end;
   if (strtoul(port, &port_end, 10) > 65535 || *port_end != '\0') {
-    return refuse("the port, behind the last colon, has to be a number from 0 to 65535", why);
+    *why = "the port, behind the last colon, has to be a number from 0 to 65535";
+    return 0;
   }
   const struct addrinfo hints = {.ai_socktype = SOCK_STREAM, .ai_flags = AI_PASSIVE};
   struct addrinfo *found = NULL;
   const int looked_up = getaddrinfo(host, port, &hints, &found);
   if (looked_up != 0) {
-    return refuse(looked_up == EAI_NONAME ? "no host has this name" : gai_strerror(looked_up), why);
+    *why = looked_up == EAI_NONAME ? "no host has this name" : gai_strerror(looked_up);
+    return 0;
   }
-  const int fd = bind_to(found);
-  const int error = errno;
+  const size_t count = listen_at_all(found, most, fds, why);
   freeaddrinfo(found);
-  *why = strerror(error);
-  errno = error;
-  return fd;
+  return count;
 }
 
 bool tcp_has_descriptor(void) {

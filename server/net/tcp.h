@@ -4,11 +4,16 @@
 
 #include <stdbool.h>
 #include <stddef.h>
+#include <sys/socket.h>
 
-/* Listens at HOST:PORT, or [HOST]:PORT for a host with colons; port 0 means any free port. Returns
- * a non-blocking socket. On failure, returns -1 and sets *why to the reason; errno is EADDRINUSE if
- * another process listens there. */
-int tcp_listen(const char *host_port, const char **why);
+/* Listens at HOST:PORT, or [HOST]:PORT for a host with colons; port 0 means any free port. A name may
+ * have several addresses: sets fds to non-blocking sockets at the first `most` of them, and returns
+ * how many there are. On failure, returns 0 and sets *why to the reason. */
+size_t tcp_listen(const char *host_port, size_t most, int *fds, const char **why);
+enum { TCP_ADDRESSES_MAX = 8 }; /* of one name */
+
+/* Says who listens at an address that is in use. */
+const char *tcp_occupant(const struct sockaddr *address, socklen_t length);
 
 /* Returns whether a client may have one more descriptor: some are kept for /healthz and metrics, and
  * for files that are read again. If not, errno is EMFILE. */
@@ -16,7 +21,7 @@ bool tcp_has_descriptor(void);
 
 enum { TCP_TEXT_BYTES = 160 };
 
-/* Writes the address of a listening socket as numeric HOST:PORT, or "" if it is unknown. */
+/* Writes the address of a listening socket: numeric HOST:PORT or unix:PATH, or "" if it is unknown. */
 void tcp_bound(int fd, char text[TCP_TEXT_BYTES]);
 
 /* Writes the address of the peer of a connected socket: numeric HOST:PORT, or unix:pid=PID,uid=UID,

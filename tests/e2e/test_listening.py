@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import socket
 import stat
 import subprocess
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import dipole
 import pytest
-from daemons import BUILD, END_S, PROGRAM, environment, eventually, run
+from daemons import BUILD, END_S, PROGRAM, environment, eventually, run, sanitized
 from frames import EVAL, PING, ask, assert_serves, eval_payload, frame
 
 
@@ -36,8 +37,8 @@ def test_several_addresses(daemon, folder):
     listen = [f"unix:{folder}/a", "tcp:127.0.0.1:0", f"unix:{folder}/b", "tcp:localhost:0"]
     listen += ["tcp:[::1]:0"] if has_ipv6() else []
     one = daemon(listen=listen)
-    assert len(set(one.urls)) == len(listen)
-    assert [url.split(":")[0] for url in one.urls] == [url.split(":")[0] for url in listen]
+    assert len(set(one.urls)) == len(one.urls) >= len(listen)
+    assert {url.split(":")[0] for url in one.urls} == {"unix", "tcp"}
     for url in one.urls:
         with dipole.Connection(url) as connection:
             assert_serves(connection)
@@ -107,6 +108,84 @@ def test_port_in_use(daemon):
     assert second.returncode == 1 and one.url("tcp") in second.stderr
     with one.connect("tcp") as connection:
         assert_serves(connection)
+
+
+# Makes two.invalid a name of two addresses, one of them twice, and of one that no machine has.
+TWO = r"""
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <netdb.h>
+#include <string.h>
+int getaddrinfo(const char *host, const char *port, const struct addrinfo *hints, struct addrinfo **found) {
+  int (*next)(const char *, const char *, const struct addrinfo *, struct addrinfo **) = dlsym(RTLD_NEXT, "getaddrinfo");
+  if (host == NULL || strcmp(host, "two.invalid") != 0) return next(host, port, hints, found);
+  const char *hosts[] = {"192.0.2.1", "127.0.0.1", "127.0.0.2", "127.0.0.1"};
+  for (int i = 3; i >= 0; i--) {
+    struct addrinfo *one;
+    next(hosts[i], port, hints, &one);
+    if (i < 3) one->ai_next = *found;
+    *found = one;
+  }
+  return 0;
+}
+void freeaddrinfo(struct addrinfo *found) { (void)found; }
+"""
+
+
+@pytest.mark.skipif(sanitized(), reason="a sanitizer has to be loaded before TWO")
+def test_all_addresses_of_a_name(daemon, folder):
+    (folder / "two.c").write_text(TWO)
+    subprocess.run(["cc", "-shared", "-fPIC", "-o", "two.so", "two.c", "-ldl"], cwd=folder, check=True)
+    env = {"LD_PRELOAD": str(folder / "two.so")}
+    one = daemon("--modbus", "tcp:two.invalid:0", listen=["tcp:two.invalid:0"], env=env)
+    hosts = [url.rpartition(":")[0] for url in one.urls]
+    assert hosts == [f"{way}:127.0.0.{n}" for way in ("tcp", "modbus-tcp") for n in (1, 2)]
+    for url in one.urls[:2]:
+        with dipole.Connection(url) as connection:
+            assert_serves(connection)
+    with socket.socket() as taken:  # all or none
+        taken.bind(("127.0.0.2", 0))
+        taken.listen()
+        ended = run("--listen", f"tcp:two.invalid:{taken.getsockname()[1]}", env=env)
+        assert ended.returncode == 1 and "another process listens there" in ended.stderr
+
+
+@pytest.mark.skipif(not has_ipv6(), reason="this machine has no IPv6")
+@pytest.mark.parametrize("turned", [False, True])
+def test_all_addresses_of_both_kinds(daemon, turned):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    listen = [f"tcp:[::]:{port}", f"tcp:0.0.0.0:{port}"]
+    one = daemon(listen=listen[::-1] if turned else listen)
+    assert sorted(one.urls) == sorted(listen)
+    for host in ("[::1]", "127.0.0.1"):
+        with dipole.Connection(f"tcp:{host}:{port}") as connection:
+            assert_serves(connection)
+
+
+@pytest.mark.parametrize(
+    "first, second",
+    [("--listen unix:{0}/s", "--listen unix:{0}/s"),
+     ("--listen tcp:127.0.0.1:{1}", "--listen tcp:127.0.0.1:{1}"),
+     ("--listen tcp:localhost:{1}", "--modbus tcp:0.0.0.0:{1}"),
+     ("--listen tcp:127.0.0.1:{1}", "--http {1}"),
+     ("--metrics {1}", "--listen tcp:0.0.0.0:{1}"),
+     ("--modbus rtu:/none", "--modbus rtu:/none,9600")],
+)  # fmt: skip
+def test_the_same_address_twice(folder, first, second):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    ended = run(*f"{first} {second}".format(folder, port).split())
+    assert ended.returncode == 1 and re.search("daemon listens there already|name each device once", ended.stderr)
+    assert not (folder / "s").exists()
+
+
+@pytest.mark.parametrize("name", ["http", "metrics"])
+def test_one_address_where_one_is_taken(name):
+    ended = run(f"--{name}", "127.0.0.1:0", f"--{name}", "127.0.0.1:0")
+    assert ended.returncode == 2 and f"--{name} is given twice, and takes one HOST:PORT" in ended.stderr
 
 
 WRONG = [

@@ -25,6 +25,7 @@ from daemons import BUILD, END_S, PROGRAM, environment, eventually, run, sanitiz
 from frames import PING, SKIN, frame
 
 RADII = np.linspace(0.1, 5.0, 65536)
+TLS = "tls:127.0.0.1:0"
 
 # How many half-open handshakes, and fuzzed connections: 10000 in `make check-long`.
 MANY = int(os.environ.get("TLS_HANDSHAKES", "600"))
@@ -383,13 +384,19 @@ def test_roles_by_subject_and_by_extension(daemon, authority, server, ours, tmp_
 def test_wrong_files_of_roles(server, tmp_path, text, said):
     file = tmp_path / "roles"
     file.write_text(text)
-    ended = run("--listen", "tls:127.0.0.1:0", *options(server, "--roles", str(file)))
+    ended = run("--listen", TLS, *options(server, "--client-ca", server[0], "--roles", str(file)))
     assert ended.returncode == 1 and f"dipoled: {file}: {said}" in ended.stderr
 
 
 def test_a_file_of_roles_that_is_missing(server):
-    ended = run("--listen", "tls:127.0.0.1:0", *options(server, "--roles", "/none"))
+    ended = run("--listen", TLS, *options(server, "--client-ca", server[0], "--roles", "/none"))
     assert ended.returncode == 1 and "/none: No such file or directory" in ended.stderr
+
+
+@pytest.mark.parametrize("listen", ["tls:127.0.0.1:0", "tcp:127.0.0.1:0"])
+def test_roles_need_certificates_of_clients(server, listen):
+    ended = run("--listen", listen, *options(server, "--roles", "/dev/null"))
+    assert ended.returncode == 1 and "dipoled: --roles: it needs --client-ca FILE" in ended.stderr
 
 
 # ---- reloading -----------------------------------------------------------------------------------
