@@ -1,28 +1,32 @@
-"""Full load for SOAK_S seconds: requests of every kind, and beside them clients that are killed, do
-not read, or send garbage. Every answer is correct, and memory does not grow. And a mixed load for
-MIXED_S seconds: clients of every kind of port that leave, do not read, or flood it."""
+"""Full load for SOAK_S seconds: requests of every kind, and beside them clients of every port that
+are killed, leave at any time, do not read, or send garbage, floods of KeyUpdates and half-open
+handshakes. Every answer is correct, canaries get the same bits all the time, memory does not grow,
+and every port answers at the end."""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import http.client
 import os
 import random
 import socket
 import ssl
+import struct
 import subprocess
 import threading
 import time
+from collections.abc import Callable
 
-from certificates import Recorder
+import dipole
+from certificates import Authority
 from daemons import BUILD, Daemon, sanitized
 from dipole import DipoleError, wire
-from frames import EVAL, F32, STATISTICS, R, ask, eval_payload, frame
-from test_robustness import (
-    Leavers, Ports, assert_every_port_answers, grid_request, http_request, receive_whole,
-)
+from frames import EVAL, F32, SKIN, STATISTICS, R, ask, eval_payload, frame
+from modbus_master import AT, Lost, Tcp, input_block
+from test_http import address
 
 SOAK_S = float(os.environ.get("SOAK_S") or 40)
-MIXED_S = float(os.environ.get("MIXED_S") or 10)
 CACHE_BYTES = 1 << 20  # This is less than all profiles take.
 TOTAL_BYTES = 256 << 20
 OPTIONS = (
@@ -40,12 +44,13 @@ ENDLESS = eval_payload(radii=None, radius_count=64_000_000, evaluator=F32, wante
 class Load:
     """A running soak-load, see load.c."""
 
-    def __init__(self, url: str, seed: int):
+    def __init__(self, url: str, seed: int, ca: str = ""):
         self.process = subprocess.Popen(
             [str(BUILD / "soak-load"), url, str(seed), "all"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
+            env=os.environ | {"DIPOLED_CA": ca},
             text=True,
         )
         self.last_line = ""
@@ -79,58 +84,206 @@ class Load:
         self.process.wait()
 
 
-class Rude:
-    """A thread of bad clients of a daemon, until it is told to stop."""
+# ---- clients beside the load ---------------------------------------------------------------------
 
-    def __init__(self, daemon: Daemon):
+
+class Beside:
+    """A thread that plays rounds of something beside the load, until it is told to stop. A round
+    gets this object."""
+
+    def __init__(self, daemon: Daemon, ca: str, play: Callable[[Beside], None]):
         self.done = 0
-        self._daemon = daemon
-        self._stop = threading.Event()
-        self._rng = random.Random(17)
-        self._thread = threading.Thread(target=self._run)
+        self.refused = 0  # rounds of a canary that the daemon was too busy for
+        self.daemon, self.ca, self.play = daemon, ca, play
+        self.stop = threading.Event()
+        self.rng = random.Random(play.__name__)
+        self.known: dict[str, bytes] = {}
         self.failure: BaseException | None = None
+        self._thread = threading.Thread(target=self._run)
 
-    def __enter__(self) -> Rude:
+    def __enter__(self) -> Beside:
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._stop.set()
+        self.stop.set()
         self._thread.join()
         if self.failure is not None:
             raise self.failure
 
     def _run(self) -> None:
         try:
-            while not self._stop.is_set():
-                self._round()
+            while not self.stop.is_set():
+                self.play(self)
                 self.done += 1
         except BaseException as failure:  # The test's own thread raises it.
             self.failure = failure
 
-    def _round(self) -> None:
-        """Opens two clients that do not read for a second. Meanwhile, others die or send
-        garbage."""
-        with self._daemon.connect("unix") as one, self._daemon.connect("tcp") as other:
-            for stuck in (one, other):
-                stuck.send_bytes(frame(EVAL, 1, ENDLESS) * 8)
-            victim = Load(self._daemon.url(), 99)
-            while not self._stop.wait(0.05) and self._rng.random() < 0.95:
-                self._die_or_babble()
-            victim.kill()
+    def port(self, scheme: str) -> tuple[str, int]:
+        if scheme == "http":
+            return address(self.daemon)
+        host, _, port = self.daemon.url(scheme).removeprefix(scheme + ":").rpartition(":")
+        return host, int(port)
 
-    def _die_or_babble(self) -> None:
-        request = frame(EVAL, 1, eval_payload(radii=None, radius_count=50_000))
-        with self._daemon.connect(self._rng.choice(["unix", "tcp"])) as rude:
-            with contextlib.suppress(DipoleError):
-                if self._rng.random() < 0.3:
-                    rude.send_bytes(self._rng.randbytes(self._rng.randrange(1, 5000)))
-                    rude.receive_frame()
-                else:
-                    rude.send_bytes(request[: self._rng.randrange(1, len(request) + 1)])
-                    if self._rng.random() < 0.5:
-                        rude.half_close()
-                        rude.receive_bytes(self._rng.randrange(1, 1000))
+    def same(self, port: str, answer: bytes) -> None:
+        """Checks that a port gives the same bits as at first."""
+        assert answer == self.known.setdefault(port, answer), f"{port}: other bits than at first"
+
+
+def babble(beside: Beside) -> None:
+    """Opens two clients that do not read for a second. Meanwhile, others die or send garbage."""
+    with beside.daemon.connect("unix") as one, beside.daemon.connect("tcp") as other:
+        for stuck in (one, other):
+            stuck.send_bytes(frame(EVAL, 1, ENDLESS) * 8)
+        victim = Load(beside.daemon.url(), 99)
+        while not beside.stop.wait(0.05) and beside.rng.random() < 0.95:
+            die_or_babble(beside)
+        victim.kill()
+
+
+def die_or_babble(beside: Beside) -> None:
+    rng, request = beside.rng, frame(EVAL, 1, eval_payload(radii=None, radius_count=50_000))
+    with beside.daemon.connect(rng.choice(["unix", "tcp"])) as rude:
+        with contextlib.suppress(DipoleError):
+            if rng.random() < 0.3:
+                rude.send_bytes(rng.randbytes(rng.randrange(1, 5000)))
+                rude.receive_frame()
+            else:
+                rude.send_bytes(request[: rng.randrange(1, len(request) + 1)])
+                if rng.random() < 0.5:
+                    rude.half_close()
+                    rude.receive_bytes(rng.randrange(1, 1000))
+
+
+# What a client of a port sends for much work, in one piece.
+LARGE_GET = (
+    "GET /v1/eval?model=better&evaluator=f32&medium=skin1&spacing=linear&radius_count={}"
+    "&radius_start=0&radius_stop=10&wanted=R HTTP/1.1\r\nHost: localhost\r\n\r\n"
+)
+
+
+def opened(beside: Beside, scheme: str) -> socket.socket:
+    """Connects to a port; through TLS after a handshake."""
+    plain = socket.create_connection(beside.port(scheme), 20)
+    if scheme != "tls":
+        return plain
+    try:
+        context = ssl.create_default_context(cafile=beside.ca)
+        return context.wrap_socket(plain, server_hostname="localhost")
+    except OSError:
+        plain.close()
+        raise
+
+
+def large(beside: Beside, scheme: str) -> bytes:
+    count = beside.rng.randrange(1, 100_000)
+    if scheme == "http":
+        return LARGE_GET.format(min(count, 5000)).encode()
+    if scheme == "modbus-tcp":
+        medium = 0.001 * (count % 100 + 1), 1.0, 0.0, 1.3
+        block = input_block(count % 65535 + 1, medium, radii=[1.0] * 40, model=29)
+        pdu = struct.pack(">BHHB", 16, AT["COMMIT"], len(block) // 2, len(block)) + block
+        return struct.pack(">HHHB", 1, 0, 1 + len(pdu), 2 + count % 3) + pdu
+    return frame(EVAL, 1, eval_payload(radii=None, radius_count=count))
+
+
+def leave(beside: Beside) -> None:
+    """Clients of one port ask for much, and leave at any time, with a reset or without."""
+    rng, scheme = beside.rng, beside.rng.choice(["tcp", "tls", "http", "modbus-tcp"])
+    with contextlib.ExitStack() as stack, contextlib.suppress(OSError):
+        clients = [stack.enter_context(opened(beside, scheme)) for _ in range(6)]
+        for client in clients:
+            client.sendall(large(beside, scheme) * rng.randrange(1, 4))
+        for client in clients:
+            beside.stop.wait(rng.random() * 0.02)
+            if rng.random() < 0.5:
+                client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            client.close()
+
+
+def read_slowly(beside: Beside) -> None:
+    """Clients that read a few bytes of a large answer at a time, and then nothing more."""
+    with contextlib.ExitStack() as stack, contextlib.suppress(OSError):
+        clients = []
+        for scheme in ("http", "http", "tls", "tcp"):
+            clients.append(stack.enter_context(opened(beside, scheme)))
+            clients[-1].sendall(large(beside, scheme) * 8)
+        for _ in range(40):
+            if beside.stop.wait(0.05):
+                return
+            for client in clients:
+                client.recv(512)
+
+
+def hang_halfway(beside: Beside) -> None:
+    """A flood of handshakes that stop after nothing, or after a part of a ClientHello."""
+    hello = bytes.fromhex("16030100f8010000f40303") + beside.rng.randbytes(240)
+    with contextlib.ExitStack() as stack, contextlib.suppress(OSError):
+        for _ in range(100):
+            one = stack.enter_context(socket.create_connection(beside.port("tls"), 20))
+            one.sendall(hello[: beside.rng.randrange(len(hello))])
+        beside.stop.wait(beside.rng.random())
+
+
+def libssl() -> ctypes.CDLL:
+    """Returns OpenSSL's library, since Python's module ssl sends no KeyUpdates."""
+    library = ctypes.CDLL("libssl.so.3")
+    for name in ("TLS_client_method", "SSL_CTX_new", "SSL_new"):
+        getattr(library, name).restype = ctypes.c_void_p
+    return library
+
+
+def update_keys(beside: Beside) -> None:
+    """A flood of KeyUpdates on one connection, some of which ask for one in return."""
+    library = libssl()
+    context = ctypes.c_void_p(library.SSL_CTX_new(ctypes.c_void_p(library.TLS_client_method())))
+    state = ctypes.c_void_p(library.SSL_new(context))
+    with contextlib.suppress(OSError), socket.create_connection(beside.port("tls"), 20) as plain:
+        plain.settimeout(None)
+        for option in (socket.SO_SNDTIMEO, socket.SO_RCVTIMEO):  # for a daemon that does not read
+            plain.setsockopt(socket.SOL_SOCKET, option, struct.pack("ll", 5, 0))
+        library.SSL_set_fd(state, plain.fileno())
+        good = library.SSL_connect(state) == 1
+        for i in range(beside.rng.randrange(1, 30_000)):
+            asks = int(i % 1000 == 999)
+            good = good and not beside.stop.is_set() and library.SSL_key_update(state, asks) == 1
+            if not good or library.SSL_do_handshake(state) != 1:
+                break
+    library.SSL_free(state)
+    library.SSL_CTX_free(context)
+
+
+def ask_every_port(beside: Beside) -> None:
+    """Asks each port once, on a new connection, and compares the bits."""
+    for scheme in ("unix", "tcp", "tls"):
+        ca = {"ca": beside.ca} if scheme == "tls" else {}
+        with dipole.Client(beside.daemon.url(scheme), timeout_s=PATIENCE_S, **ca) as client:
+            beside.same(scheme, client.eval("better", SKIN, [0.5, 1, 2], evaluator="f64").R.tobytes())
+    connection = http.client.HTTPConnection(*beside.port("http"), timeout=PATIENCE_S)
+    with contextlib.closing(connection):
+        connection.request("GET", "/v1/eval?model=better&medium=skin1&r=0.5,1,2&wanted=R")
+        answer = connection.getresponse()
+        text = answer.read()
+        if answer.status in (429, 503):
+            raise ConnectionError
+        assert answer.status == 200, text
+        beside.same("http", text)
+    with Tcp(beside.daemon, PATIENCE_S) as master:
+        token = master.job().done % 65535 + 1
+        master.write(AT["COMMIT"], input_block(token, radii=[0.5, 1, 2]))
+        master.wait()
+        beside.same("modbus-tcp", master.read(AT["R"], 6))
+
+
+def watch_canaries(beside: Beside) -> None:
+    """An overloaded daemon may refuse, but no answer may have other bits."""
+    try:
+        ask_every_port(beside)
+    except (OSError, DipoleError, Lost, http.client.HTTPException):
+        beside.refused += 1
+
+
+PLAYS = (babble, leave, leave, read_slowly, hang_halfway, update_keys, watch_canaries)
 
 
 def statistics(connection) -> dict[str, int]:
@@ -157,17 +310,29 @@ def watch(daemon: Daemon) -> list[int]:
     return resident_bytes
 
 
-def test_soak():
+def test_soak(tmp_path):
     # This setting keeps the address sanitizer from holding on to freed memory.
     asan = os.environ.get("ASAN_OPTIONS", "") + ":quarantine_size_mb=8"
-    daemon = Daemon(*OPTIONS, env={"ASAN_OPTIONS": asan})
+    authority = Authority(tmp_path)
+    certificate, key = authority.sign("server")
+    ports = ["--certificate", certificate, "--key", key, "--http", "127.0.0.1:0"]
+    ports += ["--modbus", "tcp:127.0.0.1:0"]
+    folder = str(tmp_path / "s")
+    listen = [f"unix:{folder}", "tcp:127.0.0.1:0", "tls:127.0.0.1:0"]
+    daemon = Daemon(*OPTIONS, *ports, listen=listen, env={"ASAN_OPTIONS": asan})
     try:
-        loads = [Load(daemon.url(("unix", "tcp")[i % 2]), i) for i in range(3)]
+        schemes = ("unix", "tcp", "tls")
+        loads = [Load(daemon.url(one), i, str(authority.pem)) for i, one in enumerate(schemes)]
         try:
             for load in loads:
                 load.wait_until_begun()
-            with Rude(daemon) as rude:
+            with contextlib.ExitStack() as stack:
+                beside = [
+                    stack.enter_context(Beside(daemon, str(authority.pem), play)) for play in PLAYS
+                ]
                 resident_bytes = watch(daemon)
+            canary = beside[-1]
+            ask_every_port(canary)
             counts = [load.end() for load in loads]
         finally:
             for load in loads:
@@ -179,109 +344,13 @@ def test_soak():
     tenths = [resident_bytes[len(resident_bytes) * i // 10 :] for i in range(10)]
     curve = " ".join(f"{tenth[0] / 2**20:.0f}" for tenth in tenths)
     total = {name: sum(count[name] for count in counts) for name in counts[0]}
-    print(f"\nsoak: {SOAK_S:.0f} s, {total}, {rude.done} rounds of rudeness")
+    print(f"\nsoak: {SOAK_S:.0f} s, {total}, "
+          + ", ".join(f"{one.play.__name__} {one.done}" for one in beside)
+          + f", {canary.refused} of the last refused")
     print(f"soak: resident MiB: {curve} {resident_bytes[-1] / 2**20:.0f}")
     print(f"soak: cache_bytes {now['cache_bytes']}, evictions {now['cache_evictions']}")
-    assert rude.done > 0
+    assert all(one.done > 0 for one in beside) and canary.done > canary.refused
     # Whether an answer is late depends on the machine.
     assert all(count > 0 for name, count in total.items() if name != "late"), total
     first_third = resident_bytes[: max(len(resident_bytes) // 3, 1)]
     assert max(resident_bytes) <= max(first_third) + GROWTH_BYTES
-
-
-# ---- a mixed load --------------------------------------------------------------------------------
-
-
-class Mixed:
-    """Threads that each do one thing again and again, until they are told to stop."""
-
-    def __init__(self, ports: Ports, folder):
-        self.ports, self._folder = ports, folder
-        self._dice = random.Random(4711)
-        self._stop = threading.Event()
-        self._known: dict[str, bytes] = {}
-        self._leavers = [Leavers(ports, seed) for seed in range(2)]
-        self.counts = dict.fromkeys(("compared", "updates", "handshakes", "slow"), 0)
-        self.counts["handshakes_lost"] = 0
-        acts = [self._compare, self._update_keys, self._shake_half_a_hand, self._read_slowly]
-        acts += [leavers.step for leavers in self._leavers]
-        self._threads = [threading.Thread(target=self._repeat, args=(act,)) for act in acts]
-        self._failures: list[BaseException] = []
-
-    def _repeat(self, act) -> None:
-        try:
-            while not self._stop.is_set():
-                act()
-        except BaseException as failure:  # The test's own thread raises it.
-            self._failures.append(failure)
-            self._stop.set()
-
-    def _compare(self) -> None:
-        """A canary: each port gives the same bytes all the time. A good handshake may fall to the
-        flood of them, and is tried again."""
-        for kind in ("tcp", "tls", "http"):
-            try:
-                with self.ports.join(kind) as asking, asking.makefile("rb") as stream:
-                    asking.sendall(http_request(300) if kind == "http" else grid_request(3000))
-                    body = stream.peek(1) and receive_whole(stream, kind)
-            except OSError:
-                body = b""
-            if body == b"" and kind == "tls":
-                self.counts["handshakes_lost"] += 1
-            else:
-                assert self._known.setdefault(kind, body) == body != b""
-                self.counts["compared"] += 1
-
-    def _update_keys(self) -> None:
-        context = ssl.create_default_context(cafile=str(self._folder / "ca.pem"))
-        (self._folder / "keys").unlink(missing_ok=True)
-        with contextlib.suppress(OSError):
-            recorder = Recorder(self.ports.numbers["tls"], context, "1.3", self._folder)
-            recorder.socket.sendall(recorder.flood("answered updates", grid_request(10)))
-            recorder.socket.close()
-            self.counts["updates"] += 1
-
-    def _shake_half_a_hand(self) -> None:
-        """As long as some of these are open, they take the places of others that shake hands."""
-        half = []
-        for _ in range(16):
-            half.append(socket.create_connection(("127.0.0.1", self.ports.numbers["tls"]), 60))
-            half[-1].sendall(b"\x16\x03\x01\x02\0\x01\0\x01\xfc\x03\x03"[: self._dice.randrange(11)])
-        for one in half:
-            one.close()
-            self.counts["handshakes"] += 1
-
-    def _read_slowly(self) -> None:
-        slow = []
-        for kind in ("tcp", "tls", "http", "http") * 4:
-            with contextlib.suppress(OSError):
-                slow.append(self.ports.join(kind, 4096))
-                slow[-1].sendall((http_request(85_000) if kind == "http" else grid_request(200_000)) * 3)
-        self._stop.wait(0.5)
-        for one in slow:
-            one.close()
-            self.counts["slow"] += 1
-
-    def run(self) -> None:
-        for thread in self._threads:
-            thread.start()
-        self._stop.wait(MIXED_S)
-        self._stop.set()
-        for thread in self._threads:
-            thread.join()
-        for leavers in self._leavers:
-            leavers.end()
-        if self._failures:
-            raise self._failures[0]
-
-
-def test_mixed_load(tmp_path):
-    ports = Ports(tmp_path)
-    try:
-        mixed = Mixed(ports, tmp_path)
-        mixed.run()
-        print(f"\nmixed: {MIXED_S:.0f} s, {mixed.counts}")
-        assert all(count > 0 for name, count in mixed.counts.items() if name != "handshakes_lost")
-        assert_every_port_answers(ports)
-    finally:
-        ports.daemon.close()
