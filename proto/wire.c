@@ -122,10 +122,25 @@ wire_error wire_error_busy(const char *field, const char *allowed, uint32_t retr
   return error;
 }
 
+/* Says what a frame begins with, and what seems to have come in its place. */
+static const char *expected_magic(uint32_t magic) {
+  if (magic == UINT32_C(0x584f5250) || magic == UINT32_C(0x0a0d0a0d)) { /* versions 1 and 2 */
+    return "0x4c504944, the bytes D I P L, and before them no PROXY header of a balancer";
+  }
+  if ((magic & 0xffff) == 0x0316 || (magic & 0xffff) == 0x0315) { /* a handshake, an alert */
+    return "0x4c504944, the bytes D I P L; this is TLS, which needs a tls: address";
+  }
+  if (magic == UINT32_C(0x20544547) || magic == UINT32_C(0x54534f50) ||
+      magic == UINT32_C(0x50545448)) { /* GET, POST, the answer */
+    return "0x4c504944, the bytes D I P L; this is HTTP, which has an address of its own";
+  }
+  return "0x4c504944, the bytes D I P L";
+}
+
 wire_error wire_header_check(const wire_header *header, uint64_t max_payload_bytes) {
   char allowed[64];
   if (header->magic != WIRE_MAGIC) {
-    return wire_error_make(WIRE_STATUS_BAD_MAGIC, "magic", "0x4c504944, the bytes D I P L");
+    return wire_error_make(WIRE_STATUS_BAD_MAGIC, "magic", expected_magic(header->magic));
   }
   if (header->version != WIRE_VERSION) {
     snprintf(allowed, sizeof allowed, "%d", WIRE_VERSION);

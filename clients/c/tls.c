@@ -128,13 +128,16 @@ static bool fail_file(dipole_error *error, const char *what, const char *path) {
   return fail_for_good(error);
 }
 
-static int no_password(char *password, int bytes, int writing, void *unused) {
-  (void)password, (void)bytes, (void)writing, (void)unused;
+static int no_password(char *password, int bytes, int writing, void *wanted) {
+  (void)password, (void)bytes, (void)writing;
+  *(bool *)wanted = true;
   return -1;
 }
 
 static bool load(SSL_CTX *context, const libdipole_tls_files *files, dipole_error *error) {
+  bool password_wanted = false;
   SSL_CTX_set_default_passwd_cb(context, no_password);
+  SSL_CTX_set_default_passwd_cb_userdata(context, &password_wanted);
   if (files->ca != NULL ? SSL_CTX_load_verify_file(context, files->ca) != 1
                         : SSL_CTX_set_default_verify_paths(context) != 1) {
     return fail_file(error, "CA file", files->ca != NULL ? files->ca : "of the system");
@@ -146,9 +149,17 @@ static bool load(SSL_CTX *context, const libdipole_tls_files *files, dipole_erro
     return fail_file(error, "certificate", files->certificate);
   }
   const char *key = files->key != NULL ? files->key : files->certificate;
-  return (SSL_CTX_use_PrivateKey_file(context, key, SSL_FILETYPE_PEM) == 1 &&
-          SSL_CTX_check_private_key(context) == 1) ||
-         fail_file(error, "key", key);
+  if (SSL_CTX_use_PrivateKey_file(context, key, SSL_FILETYPE_PEM) == 1 &&
+      SSL_CTX_check_private_key(context) == 1) {
+    return true;
+  }
+  if (password_wanted) {
+    libdipole_fail(
+        error, DIPOLE_ERROR_CONNECT,
+        "the key %.100s has a password: give a key without one, as openssl pkey writes it", key);
+    return fail_for_good(error);
+  }
+  return fail_file(error, "key", key);
 }
 
 /* Sets whose certificate the peer has to have. */
@@ -199,6 +210,11 @@ static bool fail_handshake(const SSL *ssl, int result, const char *host, dipole_
     return libdipole_fail(error, DIPOLE_ERROR_CONNECT,
                           "%.120s ended the TLS handshake%s%s: is it a tls: address?", host,
                           number != 0 ? ": " : "", number != 0 ? strerror(number) : "");
+  }
+  if (ERR_GET_REASON(ERR_peek_last_error()) == SSL_R_WRONG_VERSION_NUMBER) {
+    libdipole_fail(error, DIPOLE_ERROR_CONNECT,
+                   "%.120s does not speak TLS at this port: is it a tcp: address?", host);
+    return fail_for_good(error);
   }
   libdipole_fail(error, DIPOLE_ERROR_CONNECT, "TLS with %.120s failed: %s%s%s", host,
                  verified != X509_V_OK ? "its certificate: " : "",

@@ -64,10 +64,10 @@ static void log_end(void *owner, const wire_error *error) {
   const struct connection *c = owner;
   char peer[TCP_TEXT_BYTES];
   tcp_peer(c->fd, peer);
-  log_peer_line(LOG_LEVEL_INFO, "event=%s status=%s%s%s%s%s",
+  log_peer_line(LOG_LEVEL_INFO, "event=%s status=%s%s%s%s%s%s%s",
                 is_refused(c) ? "connection-refused" : "connection-ended",
                 wire_status_name(error->status), LOG_FIELD(" field=", error->field),
-                LOG_FIELD(" peer=", peer));
+                LOG_FIELD(" peer=", peer), LOG_FIELD(" allowed=", error->allowed));
 }
 
 wire_error connection_refusal(enum connection_purpose purpose) {

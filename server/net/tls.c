@@ -102,10 +102,19 @@ struct tls {
 
 /* ---- certificates ---------------------------------------------------------------------------- */
 
+static _Thread_local bool password_wanted; /* whether OpenSSL has met a key with a password */
+
 static void describe_fault(char why[TLS_WHY_BYTES]) {
   const unsigned long error = ERR_peek_error(); /* later ones say where it was noticed */
   const char *reason = ERR_reason_error_string(error);
-  if (ERR_SYSTEM_ERROR(error)) {
+  if (password_wanted) {
+    reason = "the key has a password: give a key without one, as openssl pkey writes it";
+    password_wanted = false;
+  } else if (ERR_GET_LIB(error) == ERR_LIB_SSL &&
+             (ERR_GET_REASON(error) == SSL_R_WRONG_VERSION_NUMBER ||
+              ERR_GET_REASON(error) == SSL_R_HTTP_REQUEST)) {
+    reason = "the peer does not speak TLS, or a balancer's PROXY header comes before it";
+  } else if (ERR_SYSTEM_ERROR(error)) {
     reason = strerror(ERR_GET_REASON(error));
   } else if (ERR_GET_REASON(error) == ERR_R_UNSUPPORTED ||
              (ERR_GET_LIB(error) == ERR_LIB_PEM && ERR_GET_REASON(error) == PEM_R_NO_START_LINE)) {
@@ -118,6 +127,7 @@ static void describe_fault(char why[TLS_WHY_BYTES]) {
 /* Keys with a password are refused: OpenSSL would ask at the terminal. */
 static int no_password(char *password, int bytes, int writing, void *unused) {
   (void)password, (void)bytes, (void)writing, (void)unused;
+  password_wanted = true;
   return -1;
 }
 

@@ -57,6 +57,21 @@ WRONG_MAGIC = {
 }
 
 
+@pytest.mark.parametrize(
+    "first, said",
+    [(b"PROXY TCP4 192.0.2.1 192.0.2.2 4000 4817\r\n", "no PROXY header of a balancer"),
+     (b"\r\n\r\n\0\r\nQUIT\n\x21\x11\0\x0c" + bytes(12), "no PROXY header of a balancer"),
+     (b"\x16\3\1\2\0\1\0\1\xfc\3\3" + bytes(32), "this is TLS"),
+     (b"POST /v1/eval HTTP/1.1\r\nHost: a\r\n\r\n", "this is HTTP")],
+)  # fmt: skip
+def test_other_protocols_are_named(daemon, first, said):
+    one = daemon()
+    with one.connect("tcp") as connection:
+        connection.send_bytes(first)
+        assert_error(connection.receive_frame(), "bad-magic", "magic", said, request_id=0)
+    assert one.has_line("status=bad-magic", 5) and said in one.log[-1]
+
+
 @pytest.mark.parametrize("name", WRONG_MAGIC)
 def test_wrong_magic_is_told_and_closed(shared, connection, name):
     connection.send_bytes(frame(PING, 3))

@@ -239,12 +239,27 @@ def test_daemons_that_are_not_believed(daemon, authority, server, ours, tmp_path
     assert time.monotonic() - start_s < 4
 
 
+def media(url: str, files: dict[str, str]) -> str:
+    """Returns what `dipole media` says that cannot connect."""
+    words = [text for name, value in files.items() for text in (f"--{name}", value)]
+    ended = subprocess.run(
+        [BUILD / "dipole", "media", "--connect", url, *words],
+        capture_output=True, text=True, timeout=END_S, check=False, env=environment(),
+    )  # fmt: skip
+    assert ended.returncode == 1
+    return ended.stderr
+
+
 def test_plain_and_tls_do_not_mix(farm, ours):
+    """Each side says what is the matter."""
+    plain, secure = farm.url("tcp").replace("tcp:", "tls:"), farm.url("tls").replace("tls:", "tcp:")
+    with pytest.raises(dipole.ConnectError, match="is it a tcp: address"):
+        dipole.Client(plain, **ours)
+    assert "is it a tcp: address" in media(plain, ours)
+    assert farm.has_line("this is TLS, which needs a tls: address", 5)
     with pytest.raises(dipole.DipoleError):
-        dipole.Client(farm.url("tcp").replace("tcp:", "tls:"), **ours, retry_s=0)
-    with pytest.raises(dipole.DipoleError):
-        dipole.Client(farm.url("tls").replace("tls:", "tcp:"), retry_s=0)
-    assert farm.has_line("event=tls-refused", 5)
+        dipole.Client(secure, retry_s=0)
+    assert farm.has_line("the peer does not speak TLS", 5)
 
 
 @pytest.mark.parametrize(
@@ -268,14 +283,18 @@ def test_wrong_files(authority, server, ours, files, said):
     assert f"dipoled: {said.format(**names)}" in ended.stderr
 
 
-def test_a_key_with_a_password_asks_nobody(server, tmp_path):
+def test_a_key_with_a_password_asks_nobody(farm, server, ours, tmp_path):
     locked = str(tmp_path / "locked.key")
     subprocess.run(
         ["openssl", "ec", "-in", server[1], "-aes128", "-passout", "pass:secret", "-out", locked],
         check=True, capture_output=True,
     )  # fmt: skip
     ended = run("--listen", "tls:127.0.0.1:0", "--certificate", server[0], "--key", locked)
-    assert ended.returncode == 1 and f"dipoled: {locked}: " in ended.stderr
+    assert ended.returncode == 1 and f"dipoled: {locked}: the key has a password" in ended.stderr
+    files = {**ours, "key": locked}
+    with pytest.raises(dipole.ConnectError, match=f"the key {locked} has a password"):
+        dipole.Client(farm.url("tls"), **files)
+    assert f"the key {locked} has a password" in media(farm.url("tls"), files)
 
 
 # ---- roles ---------------------------------------------------------------------------------------

@@ -116,8 +116,12 @@ class Tls(NamedTuple):
         context = ssl.create_default_context(cafile=ca)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         if certificate is not None:
-            # Without this, OpenSSL would ask for a password at the terminal.
-            context.load_cert_chain(certificate, key, password="")
+
+            def refuse() -> str:  # Without this, OpenSSL would ask for a password at the terminal.
+                text = "has a password: give a key without one, as openssl pkey writes it"
+                raise ConnectError(f"the key {key or certificate} {text}", final=True)
+
+            context.load_cert_chain(certificate, key, password=refuse)
         return context
 
 
@@ -233,7 +237,10 @@ class Connection:
         except (OSError, subprocess.SubprocessError) as error:
             ended = isinstance(error, (ssl.SSLZeroReturnError, ssl.SSLEOFError))
             final = isinstance(error, ssl.SSLError) and not ended  # certificates, or no TLS there
-            raise ConnectError(f"{self.name}: {error}", final=final) from error
+            final |= isinstance(error, ConnectError) and error.final
+            plain = isinstance(error, ssl.SSLError) and error.reason == "WRONG_VERSION_NUMBER"
+            text = "no TLS is spoken at this port: is it a tcp: address?" if plain else error
+            raise ConnectError(f"{self.name}: {text}", final=final) from error
         raise AddressError(
             f"{self.name}: not one of unix:PATH, tcp:HOST:PORT, tls:HOST:PORT, private:, "
             "private:PROGRAM"
