@@ -4,6 +4,7 @@ errors."""
 from __future__ import annotations
 
 import copy
+import inspect
 import math
 import os
 import pickle
@@ -19,7 +20,7 @@ from pathlib import Path
 import dipole
 import numpy as np
 import pytest
-from daemons import PROGRAM, REPOSITORY, environment
+from daemons import BUILD, PROGRAM, REPOSITORY, environment
 from dipole import Grid, Medium, wire
 from dipole import connection as connections
 from dipole.connection import Incoming
@@ -740,3 +741,55 @@ def test_an_interrupt_while_the_client_waits(shared, monkeypatch):
                 client.collect(waiting)
         before = client._connection
         assert client.collect(waiting)[1].R > 0 and client._connection is before
+
+
+GOOD_CALLS = [
+    'eval("better", m, [1.0], wanted=["R"], deadline_ms=9)', 'eval(Query("better", m, 1.0))',
+    'submit("better", "skin1", r=1.0, wanted="R")', 'values("better", m, 1.0, "R", evaluator="f32")',
+    'sample("better", m, [0.5], wanted="r")', 'sample("better", m, draw=Draw(5))',
+    'offers(m, 1.0, tolerance=0.1)', 'table("better", m, tolerance=1e-3)',
+    'surface("transport", 0.5, evaluator="f64")', 'invert("better", 0.5, 1.0, g=0.1)',
+    'varying("better", sigma_a=1, sigma_s=1, r=1, wanted="R")',
+    'gather("better", m, Points([[0, 0, 0]], [1]), [[1, 2, 3]], progress=lambda a, b: True)',
+    'mc(m, Grid(0, 1, 2), photons=2e3, progress=lambda now: now.photons > 0)',
+    'fit("better", [1, 2], [0.01, 0.002], 1e-4, axis="r", deadline_ms=9000)',
+    'ring_means("better", "skin1", [0, 1], tolerance=0.1)',
+]  # fmt: skip
+BAD_CALLS = [
+    'eval("better", m, [1.0], wanted=3)', 'eval("better", m, [1.0], want=["R"])', 'eval("better")',
+    'eval("better", m, [1.0], None, "f64", "exact")', 'eval(Query("better", m, 1.0), wanted="R")',
+    'submit("better", m, [1.0], wanted=3)', 'eval_parts("better", m, [1.0], want="R")',
+    'values("better", m, 1.0, wanted="R")', 'sample("better", m, [0.5], None)',
+    'sample("better", m, [0.5], r=[1.0])', 'offers(m, 1.0, want="R")', 'table("better", m, r=[1.0])',
+    'surface("transport", 0, 1.3, "f32")', 'invert("better", 0.5, 1.0, "mean-free-path")',
+    'varying("better", want="R")', 'varying("better", sigma_a=1, sigma_s=1, r=1, wanted=3)',
+    'gather("better", m)', 'gather("better", m, Points([[0, 0, 0]], [1]), [[1, 2, 3]], 0.1)',
+    'mc(m, Grid(0, 1, 2), 2000)', 'mc(m, Grid(0, 1, 2), photon=2000)', 'mc(m)',
+    'fit("better", [1, 2], [1, 1], 1, "r", "absolute")', 'ring_means("better", m, [0, 1], wanted="R")',
+]  # fmt: skip
+
+
+def test_calls_have_signatures(client, tmp_path):
+    """A call that does not fit fails, and mypy finds it, too; also where it is awaited."""
+    names = {"c": client, "m": Medium(*SKIN), **vars(dipole)}
+    for call in GOOD_CALLS:
+        eval("c." + call, names)
+    for call in BAD_CALLS:
+        with pytest.raises((TypeError, dipole.ArgumentError)):
+            eval("c." + call, names)
+    assert "wanted" in str(inspect.signature(dipole.AsyncClient.eval))
+    text = "from dipole import *\n\nm = Medium(1, 1)\nasync def run(c: Client, a: AsyncClient) -> None:\n"
+    calls = [*GOOD_CALLS, *BAD_CALLS]
+    awaited = [one for one in calls if not one.startswith(("submit", "eval_parts"))]
+    lines = [f"    c.{one}" for one in calls] + [f"    await a.{one}" for one in awaited]
+    (tmp_path / "calls.py").write_text(text + "\n".join(lines) + "\n")
+    checked = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", "--cache-dir", str(BUILD / "mypy"), "calls.py"],
+        cwd=tmp_path, env=environment(MYPYPATH=str(REPOSITORY / "clients/python")),
+        capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    if "No module named mypy" in checked.stderr:
+        pytest.skip("mypy is not installed")
+    found = {int(line.split(":")[1]) - 5 for line in checked.stdout.splitlines() if ": error: " in line}
+    bad = {i for i, line in enumerate(lines) if line.split(".", 1)[1] in BAD_CALLS}
+    assert found == bad, checked.stdout

@@ -16,16 +16,16 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Iterable
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from . import broadcast, calls, evaluation, fitting, gathering, inversion, mc, rings, varying, wire
+from . import broadcast, calls, evaluation, fitting, gathering, inversion, mc, rings, varying
 from .broadcast import Values
 from .connection import TLS_WAITS, Connection, Frame, Tls
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
-from .exchange import Exchange, Request
+from .exchange import Exchange, Request, signed, takes_query
 from .opening import Opening
 from .rings import RingMeans
 from .surface import Surface
 from .table import Table
-from .values import Draw, Fits, Gathered, Grid, Info, Inversion, McProgress, McResult, Media
+from .values import Fits, Gathered, Grid, Info, Inversion, McProgress, McResult, Media
 from .values import Medium, Offers, Query, Result, Samples, Varying
 
 T = TypeVar("T")
@@ -137,11 +137,13 @@ class AsyncClient:
 
     # ---- calls: see Client -----------------------------------------------------------------------
 
+    @takes_query(Query)
     async def eval(self, *query: Any, **options: Any) -> Result:
         """See Client.eval()."""
         made = await self._query(*query, **options)
         return await self._ask(evaluation.eval(self.info, made))
 
+    @takes_query(Query)
     async def eval_parts(self, *query: Any, **options: Any) -> AsyncIterator[Result]:
         """See Client.eval_parts(). Returns an asynchronous iterator. The client reads up to 16
         parts ahead of the caller, or more while another call waits for its own answer."""
@@ -153,11 +155,12 @@ class AsyncClient:
         finally:
             self._drop(request_id)
 
+    @signed(broadcast.query)
     async def values(
         self, model: str | int | None, media: Media, r: Any, quantity: str = "R", **options: Any
     ) -> Values:
         """See Client.values()."""
-        template = Query(model, media, r, wanted=[quantity], **options)
+        template = broadcast.query(self.info, model, media, r, quantity, **options)
         if isinstance(media, str):
             media = broadcast.first_axis(await self._media_of(media), r)
         places, collected = broadcast.plan(self.info, media, r, quantity)
@@ -176,63 +179,54 @@ class AsyncClient:
             await asyncio.gather(*tasks, return_exceptions=True)
         return collected.values()
 
+    @signed(evaluation.offers)
     async def offers(self, media: Media, r: Any = None, **options: Any) -> Offers:
         """See Client.offers()."""
-        query = await self._query(None, media, r, **options)
-        return await self._ask(evaluation.offers(self.info, query))
+        listed = await self._media_of(media)
+        return await self._ask(evaluation.offers(self.info, listed, r, **options))
 
+    @signed(evaluation.table)
     async def table(self, model: str | int, medium: Media, **options: Any) -> Table:
         """See Client.table()."""
-        query = await self._query(model, medium, **options)
-        return await self._ask(evaluation.table(self.info, query))
+        listed = await self._media_of(medium)
+        return await self._ask(evaluation.table(self.info, model, listed, **options))
 
-    async def surface(
-        self, model: str | int, g: float = 0.0, eta: float = 1.3, **options: Any
-    ) -> Surface:
+    @signed(evaluation.surface)
+    async def surface(self, *model: Any, **options: Any) -> Surface:
         """See Client.surface()."""
-        query = await self._query(model, Medium(0.0, 0.0, g, eta), **options)
-        return await self._ask(evaluation.surface(self.info, query))
+        return await self._ask(evaluation.surface(self.info, *model, **options))
 
-    async def sample(
-        self,
-        model: str | int,
-        media: Media,
-        u: Any = None,
-        *,
-        draw: Draw | None = None,
-        **options: Any,
-    ) -> Samples:
+    @signed(evaluation.sample)
+    async def sample(self, model: str | int, media: Media, *u: Any, **options: Any) -> Samples:
         """See Client.sample()."""
-        query = await self._query(model, media, **options)
-        return await self._ask(evaluation.sample(self.info, query, u, draw))
+        listed = await self._media_of(media)
+        return await self._ask(evaluation.sample(self.info, model, listed, *u, **options))
 
+    @signed(inversion.request)
     async def invert(self, model: str | int, albedo: Any, length: Any, **options: Any) -> Inversion:
         """See Client.invert()."""
         return await self._ask(inversion.request(self.info, model, albedo, length, **options))
 
+    @signed(fitting.design)
     async def fit(
         self, model: str | int, at: Any, values: Any, errors: Any, **options: Any
     ) -> Fits:
         """See Client.fit()."""
-        deadline_ms = options.pop("deadline_ms", 0)
         made = fitting.design(self.info, model, at, values, errors, **options)
         collected = fitting.Collected(self.info, made)
-        for request in fitting.requests(made, deadline_ms):
+        for request in fitting.requests(made):
             collected.add(await self._ask(request))
         return collected.fits()
 
+    @signed(varying.plan)
     async def varying(self, model: str | int, **options: Any) -> Varying:
         """See Client.varying()."""
         plan = varying.plan(self.info, model, **options)
         return plan.join([await self._ask(request) for request in plan.requests()])
 
+    @signed(gathering.plan)
     async def gather(
-        self,
-        model: str | int,
-        media: Media,
-        *light: Any,
-        progress: gathering.Progress = None,
-        **options: Any,
+        self, model: str | int, media: Media, *light: Any, **options: Any
     ) -> Gathered:
         """See Client.gather()."""
         listed = await self._media_of(media)
@@ -245,7 +239,6 @@ class AsyncClient:
                     under_way.append(await self._send(request))
                 if not under_way:
                     return run.result()
-                before = run.answered
                 try:
                     run.add(await self._next(under_way[0]))
                 except Refused as error:
@@ -255,8 +248,6 @@ class AsyncClient:
                         self._drop(under_way.pop())
                 finally:
                     self._drop(under_way.pop(0))
-                if run.answered > before and progress is not None:
-                    run.stopped |= progress(run.answered, run.count) is False
                 if run.stopped:
                     return run.result()
         except (DipoleError, OSError):
@@ -283,6 +274,7 @@ class AsyncClient:
         await self._ask(request)
         return time.perf_counter() - start
 
+    @signed(mc.request)
     async def mc(
         self,
         medium: Media,
@@ -307,12 +299,13 @@ class AsyncClient:
             if not ended:
                 await self._cancel(request_id)
 
+    @signed(rings.means)
     async def ring_means(
         self, model: str | int | None, media: Media, edges: Any, **options: Any
     ) -> RingMeans:
         """See Client.ring_means()."""
-        listed = evaluation.media_array(await self._media_of(media))
-        means = rings.means(model, listed, edges, **options)
+        listed = await self._media_of(media)
+        means = rings.means(self.info, model, listed, edges, **options)
         try:
             query = next(means)
             while True:

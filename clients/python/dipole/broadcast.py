@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from . import wire
 from .errors import ArgumentError
 from .evaluation import media_array
-from .values import Array, Info, Media, Result, counted, in_short, span
+from .values import Array, Info, Media, Query, Result, counted, in_short, span
 
 # Number of queries that wait for answers at a time: enough to keep the daemon busy all the time.
 OUTSTANDING = 64
@@ -38,6 +38,26 @@ class _Media(NamedTuple):
     distinct: Array  # [C, 4]
     # [...] of each medium in the call: its position in `distinct`
     index: Array  # type: ignore[assignment]
+
+
+def query(
+    info: Info,
+    model: str | int | None,
+    media: Media,
+    r: Any,
+    quantity: str = "R",
+    *,
+    evaluator: str | int | None = None,
+    moments: str | int = "exact",
+    parameters: Mapping[str, float | str] | None = None,
+    tolerance: float | None = None,
+    deadline_ms: int = 0,
+) -> Query:
+    """What all queries of Client.values() have in common."""
+    return Query(
+        model, media, r, wanted=[quantity], evaluator=evaluator, moments=moments, parameters=parameters,
+        tolerance=tolerance, deadline_ms=deadline_ms,
+    )  # fmt: skip
 
 
 def plan(

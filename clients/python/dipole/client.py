@@ -16,13 +16,12 @@ from . import broadcast, calls, evaluation, fitting, gathering, inversion, mc, r
 from .broadcast import Values
 from .connection import Frame, Tls
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
-from .exchange import Exchange, Request
-from .gathering import Points
+from .exchange import Exchange, Request, signed, takes_query
 from .opening import Opening
 from .rings import RingMeans
 from .surface import Surface
 from .table import Table
-from .values import Draw, Fits, Gathered, Grid, Info, Inversion, McProgress, McResult, Media, Medium
+from .values import Fits, Gathered, Grid, Info, Inversion, McProgress, McResult, Media, Medium
 from .values import Offers, Query, Result, Samples, Varying
 
 T = TypeVar("T")
@@ -91,13 +90,15 @@ class Client:
 
     # ---- evaluating ------------------------------------------------------------------------------
 
+    @takes_query(Query)
     def eval(self, *query: Any, **options: Any) -> Result:
         """Evaluates a Query, or its arguments: eval(model, media, r, tolerance=0.01). The options
         are grid, evaluator, moments, wanted, parameters, tolerance and deadline_ms; help(Query)
-        describes them. Waits for the answer. Raises Refused, which names the field at fault, if the daemon refuses the query. The
-        status of Refused is "deadline" if the answer would be too late."""
+        describes them. Waits for the answer. Raises Refused, which names the field at fault, if the
+        daemon refuses the query. Its status is "deadline" if the answer would be too late."""
         return self._ask(evaluation.eval(self.info, self._query(*query, **options)))
 
+    @signed(broadcast.query)
     def values(
         self, model: str | int | None, media: Media, r: Any, quantity: str = "R", **options: Any
     ) -> Values:
@@ -113,7 +114,7 @@ class Client:
         The number of media and radii is not limited: this method sends as many queries as it needs.
         deadline_ms holds for each query. Equal media are sent once.
         """
-        template = Query(model, media, r, wanted=[quantity], **options)
+        template = broadcast.query(self.info, model, media, r, quantity, **options)
         media = broadcast.first_axis(self._media_of(media), r) if isinstance(media, str) else media
         places, collected = broadcast.plan(self.info, media, r, quantity)
         under_way: dict[int, broadcast.Places] = {}
@@ -135,6 +136,7 @@ class Client:
                 self.forget(request_id)
         return collected.values()
 
+    @takes_query(Query)
     def submit(self, *query: Any, **options: Any) -> int:
         """Sends a query like eval(), but does not wait. Returns the query's id for collect()."""
         request_id = self._send(evaluation.eval(self.info, self._query(*query, **options)))
@@ -163,6 +165,7 @@ class Client:
             del self._submitted[request_id]
             self._exchange.drop(request_id)
 
+    @takes_query(Query)
     def eval_parts(self, *query: Any, **options: Any) -> Parts:
         """Evaluates like eval(), but returns an iterator that gives each part of the answer when it
         arrives, so that an answer may be larger than memory. A part is a Result that begins at
@@ -171,37 +174,30 @@ class Client:
         request = evaluation.eval(self.info, self._query(*query, **options), is_streamed=True)
         return Parts(self, self._send(request))
 
+    @signed(evaluation.offers)
     def offers(self, media: Media, r: Any = None, **options: Any) -> Offers:
         """Lists the models and evaluators that could answer eval(None, ...) with the same
         arguments, cheapest first, with the measured error and cost of each."""
-        return self._ask(evaluation.offers(self.info, self._query(None, media, r, **options)))
+        return self._ask(evaluation.offers(self.info, self._media_of(media), r, **options))
 
+    @signed(evaluation.table)
     def table(self, model: str | int, medium: Media, **options: Any) -> Table:
         """Fetches the table that the evaluator "lut" uses for a medium. The Table evaluates it in
         this process, with the daemon's bits. options: moments, parameters, deadline_ms and
         tolerance (relative, at least 1e-6, by default 1e-4), as of a Query."""
-        return self._ask(evaluation.table(self.info, self._query(model, medium, **options)))
+        listed = self._media_of(medium)
+        return self._ask(evaluation.table(self.info, model, listed, **options))
 
-    def surface(
-        self, model: str | int, g: float = 0.0, eta: float = 1.3, **options: Any
-    ) -> Surface:
+    @signed(evaluation.surface)
+    def surface(self, *model: Any, **options: Any) -> Surface:
         """Fetches what all media with this g and eta share. The Surface evaluates transport with a
         medium for each value, and finds the media of colours, in this process and with the bits of
         varying(). options: evaluator, "f32" by default, or "f64"; moments, parameters, tolerance
         and deadline_ms, as of varying()."""
-        return self._ask(evaluation.surface(
-            self.info, self._query(model, Medium(0.0, 0.0, g, eta), **options)
-        ))
+        return self._ask(evaluation.surface(self.info, *model, **options))
 
-    def sample(
-        self,
-        model: str | int,
-        media: Media,
-        u: Any = None,
-        *,
-        draw: Draw | None = None,
-        **options: Any,
-    ) -> Samples:
+    @signed(evaluation.sample)
+    def sample(self, model: str | int, media: Media, *u: Any, **options: Any) -> Samples:
         """Draws radii with a density in proportion to r R(r): the radius for a number u has cdf u.
 
         u: N numbers from 0 (0 mm) to 1 (infinity). draw: a rule that makes the numbers, in place of
@@ -209,9 +205,10 @@ class Client:
         Query, whose `wanted` is ("r", "pdf") by default. "r" is the drawn radii; all other
         quantities are evaluated at these. A model that does not cover all radii is refused.
         """
-        query = self._query(model, media, **options)
-        return self._ask(evaluation.sample(self.info, query, u, draw))
+        listed = self._media_of(media)
+        return self._ask(evaluation.sample(self.info, model, listed, *u, **options))
 
+    @signed(inversion.request)
     def invert(self, model: str | int, albedo: Any, length: Any, **options: Any) -> Inversion:
         """Finds media that have given diffuse albedos under a model.
 
@@ -223,6 +220,7 @@ class Client:
         """
         return self._ask(inversion.request(self.info, model, albedo, length, **options))
 
+    @signed(fitting.design)
     def fit(
         self, model: str | int, at: Any, values: Any, errors: Any, **options: Any
     ) -> Fits:
@@ -241,7 +239,6 @@ class Client:
         given, and g=0.0 hold for all sets. moments, parameters, deadline_ms: as of a Query; large images are sent in several
         requests, and the deadline holds for each.
         """
-        deadline_ms = options.pop("deadline_ms", 0)
         made = fitting.design(self.info, model, at, values, errors, **options)
         collected = fitting.Collected(self.info, made)
         under_way: list[int] = []
@@ -251,7 +248,7 @@ class Client:
             self._exchange.drop(under_way.pop(0))
 
         try:
-            for request in fitting.requests(made, deadline_ms):
+            for request in fitting.requests(made):
                 under_way.append(self._send(request))
                 if len(under_way) >= fitting.OUTSTANDING:
                     collect_one()
@@ -262,6 +259,7 @@ class Client:
                 self._exchange.drop(request_id)
         return collected.fits()
 
+    @signed(varying.plan)
     def varying(self, model: str | int, **options: Any) -> Varying:
         """Evaluates values each of which has a medium of its own, as the points of a texture have.
         A value costs some ten nanoseconds.
@@ -282,15 +280,9 @@ class Client:
         plan = varying.plan(self.info, model, **options)
         return plan.join([self._ask(request) for request in plan.requests()])
 
+    @signed(gathering.plan)
     def gather(
-        self,
-        model: str | int,
-        media: Media,
-        points: Points,
-        queries: Any,
-        *,
-        progress: gathering.Progress = None,
-        **options: Any,
+        self, model: str | int, media: Media, *light: Any, **options: Any
     ) -> Gathered:
         """Sums, at each query position x, the light of all points: R(|x - x_i|) times the power of
         point i, for each channel.
@@ -306,7 +298,7 @@ class Client:
         The numbers of points and queries of one daemon are its limits; queries are sent in several
         requests, whose number is not limited.
         """
-        plan = gathering.plan(self.info, model, self._media_of(media), points, queries, **options)
+        plan = gathering.plan(self.info, model, self._media_of(media), *light, **options)
         run = gathering.Run(plan)
         under_way: list[int] = []
         try:
@@ -315,7 +307,6 @@ class Client:
                     under_way.append(self._send(request))
                 if not under_way:
                     return run.result()
-                before = run.answered
                 try:
                     run.add(self._next(under_way[0]))
                 except Refused as error:
@@ -325,8 +316,6 @@ class Client:
                         self._exchange.drop(under_way.pop())
                 finally:
                     self._exchange.drop(under_way.pop(0))
-                if run.answered > before and progress is not None:
-                    run.stopped |= progress(run.answered, run.count) is False
                 if run.stopped:
                     self._cancel_all(under_way)
                     return run.result()
@@ -341,6 +330,7 @@ class Client:
 
     # ---- Monte Carlo -----------------------------------------------------------------------------
 
+    @signed(mc.request)
     def mc(
         self,
         medium: Media,
@@ -390,6 +380,7 @@ class Client:
         self._exchange.ask_once(job_id)
         self._exchange.drop(self._send(mc.cancellation(job_id)))
 
+    @signed(rings.means)
     def ring_means(
         self, model: str | int | None, media: Media, edges: Any, **options: Any
     ) -> RingMeans:
@@ -401,8 +392,8 @@ class Client:
         at 0: it is measured from 0.01 mean free paths on. options: evaluator, moments, parameters,
         tolerance and deadline_ms, as of a Query.
         """
-        listed = evaluation.media_array(self._media_of(media))
-        means = rings.means(model, listed, edges, **options)
+        listed = self._media_of(media)
+        means = rings.means(self.info, model, listed, edges, **options)
         try:
             query = next(means)
             while True:

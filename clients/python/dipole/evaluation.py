@@ -110,7 +110,10 @@ def _names(wanted: str | Iterable[str] | None, default: tuple[str, ...]) -> tupl
     """Returns the names of the wanted quantities."""
     if wanted is None:
         return default
-    return (wanted,) if isinstance(wanted, str) else tuple(wanted)
+    try:
+        return (wanted,) if isinstance(wanted, str) else tuple(wanted)
+    except TypeError as error:
+        raise ArgumentError(f"wanted: names of quantities, or one name: {error}") from error
 
 
 # Parameters whose values may be names: the kinds of choices that these are.
@@ -240,8 +243,24 @@ def eval(info: Info, query: Query, is_streamed: bool = False) -> Request[Result]
     return Request("eval", payload, answer, query.deadline_ms)
 
 
-def offers(info: Info, query: Query) -> Request[Offers]:
+def offers(
+    info: Info,
+    media: Media,
+    r: Any = None,
+    *,
+    grid: Grid | None = None,
+    evaluator: str | int | None = None,
+    wanted: str | Iterable[str] | None = None,
+    moments: str | int = "exact",
+    parameters: Mapping[str, float | str] | None = None,
+    tolerance: float | None = None,
+    deadline_ms: int = 0,
+) -> Request[Offers]:
     """See Client.offers()."""
+    query = Query(
+        None, media, r, grid=grid, evaluator=evaluator, wanted=wanted, moments=moments, parameters=parameters,
+        tolerance=tolerance, deadline_ms=deadline_ms,
+    )  # fmt: skip
 
     def read(reply: bytes) -> Offers:
         fixed, (entries,) = unpack_list(reply, wire.OFFERS_REPLY, count=wire.OFFER)
@@ -264,14 +283,42 @@ def offers(info: Info, query: Query) -> Request[Offers]:
     return Request("offers", _eval_payload(info, query)[0], lambda: Once(read), query.deadline_ms)
 
 
-def table(info: Info, query: Query) -> Request[Table]:
+def table(
+    info: Info,
+    model: str | int,
+    medium: Media,
+    *,
+    moments: str | int = "exact",
+    parameters: Mapping[str, float | str] | None = None,
+    tolerance: float | None = None,
+    deadline_ms: int = 0,
+) -> Request[Table]:
     """See Client.table()."""
+    query = Query(
+        model, medium, moments=moments, parameters=parameters,
+        tolerance=tolerance, deadline_ms=deadline_ms,
+    )  # fmt: skip
     return _table(info, query, lambda data: Table(data, info))
 
 
-def surface(info: Info, query: Query) -> Request[Surface]:
-    """See Client.surface(). query: its medium has the g and eta; sigma_a and sigma_s are 0."""
-    return _table(info, query, lambda data: Surface(data, info, str(query.evaluator or "f32")))
+def surface(
+    info: Info,
+    model: str | int,
+    g: float = 0.0,
+    eta: float = 1.3,
+    *,
+    evaluator: str = "f32",
+    moments: str | int = "exact",
+    parameters: Mapping[str, float | str] | None = None,
+    tolerance: float | None = None,
+    deadline_ms: int = 0,
+) -> Request[Surface]:
+    """See Client.surface()."""
+    query = Query(
+        model, Medium(0.0, 0.0, g, eta), moments=moments, parameters=parameters,
+        tolerance=tolerance, deadline_ms=deadline_ms,
+    )  # fmt: skip
+    return _table(info, query, lambda data: Surface(data, info, evaluator))
 
 
 def _table(info: Info, query: Query, make: Callable[[bytes], Any]) -> Request[Any]:
@@ -293,13 +340,28 @@ def _table(info: Info, query: Query, make: Callable[[bytes], Any]) -> Request[An
     return Request("table", payload, lambda: Once(read), query.deadline_ms)
 
 
-def sample(info: Info, query: Query, u: Any, draw: Draw | None) -> Request[Samples]:
-    """See Client.sample(). query: without radii."""
+def sample(
+    info: Info,
+    model: str | int,
+    media: Media,
+    u: Any = None,
+    *,
+    draw: Draw | None = None,
+    evaluator: str | int | None = None,
+    wanted: str | Iterable[str] | None = None,
+    moments: str | int = "exact",
+    parameters: Mapping[str, float | str] | None = None,
+    tolerance: float | None = None,
+    deadline_ms: int = 0,
+) -> Request[Samples]:
+    """See Client.sample()."""
+    query = Query(
+        model, media, evaluator=evaluator, wanted=wanted, moments=moments, parameters=parameters,
+        tolerance=tolerance, deadline_ms=deadline_ms,
+    )  # fmt: skip
     _check_model(query)
     if (u is None) == (draw is None):
         raise ArgumentError("u, draw: give exactly one of them")
-    if query.r is not None or query.grid is not None:
-        raise ArgumentError("r, grid: a sample draws its radii")
     draw = draw and draw._replace(count=whole(draw.count), seed=whole(draw.seed))
     evaluator_id = id_of(info, "evaluator", query.evaluator or "f64")
     listed = _in_precision(u, "u", "number", evaluator_id)

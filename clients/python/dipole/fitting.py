@@ -27,6 +27,7 @@ class Design(NamedTuple):
     wants_residuals: bool
     g: float | None  # None: not given, so that it is 0
     eta: float
+    deadline_ms: int
 
 
 class Part(NamedTuple):
@@ -109,6 +110,7 @@ def design(
     moments: str | int = "exact",
     parameters: Mapping[str, float | str] | None = None,
     residuals: bool = False,
+    deadline_ms: int = 0,
 ) -> Design:
     """See Client.fit()."""
     if eta is None:
@@ -145,10 +147,11 @@ def design(
         wants_residuals=residuals,
         g=None if g is None else float(g),
         eta=float(eta),
+        deadline_ms=deadline_ms,
     )
 
 
-def requests(made: Design, deadline_ms: int) -> Iterator[exchange.Request[Part]]:
+def requests(made: Design) -> Iterator[exchange.Request[Part]]:
     """Yields the requests for all sets, one after the other."""
     total, readings = made.values.shape
     each = max(1, _REQUEST_BYTES // (16 * max(readings, 1)))
@@ -163,7 +166,7 @@ def requests(made: Design, deadline_ms: int) -> Iterator[exchange.Request[Part]]
             return Answer(first, count, residuals)
 
         payload = b"".join([fixed, made.head, values, errors])
-        yield exchange.Request("fit", payload, answer, deadline_ms)
+        yield exchange.Request("fit", payload, answer, made.deadline_ms)
 
 
 class Collected:

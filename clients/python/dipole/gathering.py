@@ -88,6 +88,7 @@ class Plan(NamedTuple):
     fixed: dict[str, Any]  # the fields of the request but query_count
     head: bytes  # the media and parameters
     deadline_ms: int
+    progress: Progress
 
 
 class Piece(NamedTuple):
@@ -197,6 +198,8 @@ class Run:
             self._known = True
             self._sent_times = 0
             self._answered += len(answer.sums)
+            if len(answer.sums) and self._plan.progress is not None:
+                self.stopped |= self._plan.progress(self._answered, self.count) is False
         elif answer.known:
             self._sending = None
             self._known = True
@@ -285,6 +288,7 @@ def plan(
     points: Points,
     queries: Any,
     *,
+    progress: Progress = None,
     tolerance: float = 1e-2,
     evaluator: str | int = "lut",
     moments: str | int = "exact",
@@ -316,6 +320,7 @@ def plan(
         },
         head=media_bytes.tobytes() + b"".join(structures),
         deadline_ms=deadline_ms,
+        progress=progress,
     )
 
 

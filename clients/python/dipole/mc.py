@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,7 @@ def request(
     medium: Media,
     edges: Grid,
     *,
+    progress: Callable[[McProgress], bool | None] | None = None,
     photons: float | None = None,
     error_total: float = 0.0,
     error_rings: float = 0.0,
@@ -44,7 +45,7 @@ def request(
     seed: int = 1,
     parameters: Mapping[str, float | str] | None = None,
 ) -> Request[McProgress | McResult]:
-    """See Client.mc()."""
+    """See Client.mc(). progress: not used here."""
     if photons is None:
         wishes = error_total or error_rings
         photons = info.limits["max_mc_photons"] if wishes else 1_000_000

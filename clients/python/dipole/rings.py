@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .errors import ArgumentError
-from .values import Array, Grid, Query, Result, counted, in_short, span, whole
+from .evaluation import media_array
+from .values import Array, Grid, Info, Media, Query, Result, counted, in_short, span, whole
 
 _NODES = 16  # of Gauss and Legendre in each part of a ring
 _PARTS_MOST = 1 << 18  # of all media: the parts are cut no more when there are more of them
@@ -41,8 +42,9 @@ _Powers = tuple[Array, Array, Array]
 
 
 def means(
+    info: Info,
     model: str | int | None,
-    media: Array,
+    media: Media,
     edges: Any,
     *,
     evaluator: str | int | None = None,
@@ -51,7 +53,7 @@ def means(
     tolerance: float | None = None,
     deadline_ms: int = 0,
 ) -> Generator[Query, Result, RingMeans]:
-    """Yields queries, takes their results, and returns the means. media: [C, 4].
+    """Yields queries, takes their results, and returns the means.
 
     A ring is cut into parts whose outer edge is at most twice the inner one, and each part is cut
     into halves until that changes its power by less than the values' errors do. The sum of the last
@@ -61,7 +63,7 @@ def means(
         model, media, None, wanted="2_pi_r_R", evaluator=evaluator, moments=moments,
         parameters=parameters, tolerance=tolerance, deadline_ms=deadline_ms,
     )  # fmt: skip
-    edges = _edges(edges)
+    edges, media = _edges(edges), media_array(media)
     low, high, ring = _cut(edges, media)
     if model is None:  # The first answer names the model for all others.
         first = yield replace(query, r=np.append(low[low > 0], high))

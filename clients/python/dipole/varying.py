@@ -139,7 +139,10 @@ def _padded(data: bytes) -> bytes:
 
 def _bits(info: Info, kind: str, names: str | Iterable[str]) -> dict[int, str]:
     """Returns the names by bit, in the order of the bits."""
-    listed = (names,) if isinstance(names, str) else tuple(names)
+    try:
+        listed = (names,) if isinstance(names, str) else tuple(names)
+    except TypeError as error:
+        raise ArgumentError(f"{kind}: names, or one name: {error}") from error
     found = {id_of(info, kind, name): name for name in listed}
     return dict(sorted(found.items()))
 
