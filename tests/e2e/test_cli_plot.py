@@ -9,6 +9,7 @@ import subprocess
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import FAILED, TIMEOUT_S, USAGE, dipole, read_csv
 from daemons import BUILD, REPOSITORY, environment
@@ -238,12 +239,25 @@ def test_demo(tmp_path, copied_build):
     run = run_demo(copied_build, folder)
     assert run.returncode == 0, run.stderr
     assert run.stderr == ""
-    table = dipole("eval", "--medium", "skin1", "--model", "classical,better").stdout
-    assert table in run.stdout
+    asked = ["--medium", "skin1", "--channel", "red", "--model", "transport,classical,better"]
+    radii = ["--from", "0.1", "--to", "10", "--log", "--count"]
+    assert dipole("eval", *asked, *radii, "9").stdout in run.stdout
+    assert "not measured" not in run.stdout
+    rows = read_csv((copied_build / "demo" / "skin1.csv").read_text())
+    R = {name: np.array([float(row["R"]) for row in rows
+                         if (row["model"], row["channel"]) == (name, "red")])
+         for name in asked[-1].split(",")}  # fmt: skip
+    r = np.array([float(row["r"]) for row in rows[: len(R["better"])]])
+    sentence = run.stdout.splitlines()[-1]
+    assert sentence.startswith("In red, from 0.1 to 10 mm, the classical dipole is up to ")
+    for name in ("classical", "better"):
+        off = 100 * abs(R[name] / R["transport"] - 1)
+        assert (f"the {name} dipole is up to {off.max():.0f} % from transport, at {r[off.argmax()]:.2g}"
+                f" mm, and from 2 mm on up to {off[r >= 2].max():.0f} %") in sentence
     for suffix in ("svg", "png", "csv"):
         assert f"{copied_build}/demo/skin1.{suffix}" in run.stdout
     check_png(copied_build / "demo" / "skin1.png")
-    assert len(svg_lines(ElementTree.parse(copied_build / "demo" / "skin1.svg").getroot())) == 6
+    assert len(svg_lines(ElementTree.parse(copied_build / "demo" / "skin1.svg").getroot())) == 9
     assert list(folder.iterdir()) == []  # The daemon and its socket are gone.
 
 
