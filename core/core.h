@@ -300,7 +300,9 @@ typedef struct core_profile {
    * and for the albedo with r = 0, since every evaluator computes the albedo in double precision.
    * It holds for dR/dr, pdf and 2 pi r R with sigma_t' from 1e-6 to 1e6 per mm, sigma_a up to 1e6
    * sigma_s', eta from 0.2 to 5, and r either 0 or from 1e-12 to 1e6 mean free paths 1 / sigma_t';
-   * beyond, these three may underflow too early. For ln R see core_eval_f64(). Where the albedo has
+   * beyond, these three may underflow too early. Next to the source, at positive radii below
+   * CORE_RADIUS_SMALL_MM, and for these three below CORE_RADIUS_SMALL_MFP mean free paths, numbers on the
+   * way to a value may underflow: core_profile_errors() states an infinite error there. For ln R see core_eval_f64(). Where the albedo has
    * underflowed to 0, cdf and pdf are 0 at every radius, infinity included. The bound holds for
    * radii within `reach`; core_profile_errors() gives the error for any radii and quantities. */
   double numerical_error;
@@ -391,6 +393,9 @@ typedef struct core_stated_errors {
   double numerical_per_mm; /* as core_profile.numerical_error_per_mm */
   double model;            /* bound against radiative transport; NAN if not known */
 } core_stated_errors;
+
+#define CORE_RADIUS_SMALL_MM 1e-260
+#define CORE_RADIUS_SMALL_MFP 1e-100
 
 /* The errors of the wanted quantities (bits) at radii from least to most; there are no radii if
  * least is above most. The model's error is relative, but absolute for ln R. It does not cover the

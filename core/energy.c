@@ -68,13 +68,13 @@ static double build_panel(core_kernel_f64 *ring, const double *c, double first_m
 double core_energy_build(core_kernel_f64 *ring, const double *c, double first_mm, double last_mm,
                          double *table) {
   const size_t panels = panels_between(first_mm, last_mm);
-  double ends[2] = {first_mm, first_mm * 1.0625};
-  double density[2];
-  ring(c, 2, ends, density);
-  /* Near the source R goes like 1 / r or like R0 + R1 ln(first / r). The energy within r of the
+  double ends[3] = {first_mm, first_mm * 1.0625, first_mm * 0x1p-64};
+  double density[3];
+  ring(c, 3, ends, density);
+  /* Below the first radius R goes like 1 / r or like R0 + R1 ln(first / r). The energy within r of the
    * latter is pi r^2 (R0 + R1 / 2 + R1 ln(first / r)). */
   const bool steep = !(density[1] > 1.03 * density[0]);
-  const double rise = (1 - density[1] / density[0] / 1.0625) / real_log(1.0625, 0); /* R1 / R0 */
+  const double rise = (density[2] * 0x1p64 / density[0] - 1) / real_log(0x1p64, 0); /* R1 / R0 */
   const bool rises = !steep && rise > 0;
   double energy = density[0] * first_mm * (steep ? 1 : rises ? 0.5 + 0.25 * rise : 0.5);
   for (size_t i = 0; i < panels; i++) {

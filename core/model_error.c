@@ -506,6 +506,15 @@ static double derivative_error(const core_profile *profile, core_radii_range rad
   return known ? profile->derivative_error : (double)INFINITY;
 }
 
+/* Returns whether values next to the source may have underflowed on the way. */
+static bool is_too_near(const core_profile *profile, unsigned wanted, double r_mm) {
+  const unsigned steep = CORE_QUANTITY_SLOPE | CORE_QUANTITY_PDF | CORE_QUANTITY_RING;
+  const double least_mm = CORE_RADIUS_SMALL_MFP / core_sigma_t_prime(&profile->medium);
+  return r_mm > 0 &&
+         (((wanted & (FOLLOWS_R | CORE_QUANTITY_CDF)) != 0 && r_mm < CORE_RADIUS_SMALL_MM) ||
+          ((wanted & steep) != 0 && r_mm < least_mm));
+}
+
 core_stated_errors core_profile_errors(const core_profile *profile, unsigned wanted,
                                        core_radii_range radii) {
   const bool derivatives = core_wants_derivatives(wanted);
@@ -518,6 +527,9 @@ core_stated_errors core_profile_errors(const core_profile *profile, unsigned wan
   const double of_others = fmax(numerical, slope) + core_error_beyond(profile->reach, most_mm) +
                            ((wanted & CORE_QUANTITY_S) != 0 ? CORE_S_ERROR : 0) +
                            ((wanted & CORE_QUANTITY_TRANSFER) != 0 ? CORE_TRANSFER_ERROR : 0);
+  if (is_too_near(profile, wanted, radii.least_mm)) {
+    return (core_stated_errors){.numerical = (double)INFINITY, .model = (double)NAN};
+  }
   return (core_stated_errors){
       .numerical = fmax(others ? of_others : 0, derivatives ? derivative_error(profile, radii) : 0),
       .numerical_per_mm = fmax(others ? profile->numerical_error_per_mm : 0,

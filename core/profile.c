@@ -183,9 +183,12 @@ static void set_model_errors(core_profile *profile, const core_parameters *param
       core_model_errors_stated(profile->model, profile->moments, profile->notes, parameters,
                                medium->g, medium->eta, core_ratio_of(medium));
   profile->notes |= isnan(parameters->value[CORE_PARAMETER_GAMMA]) ? 0u : CORE_NOTE_GAMMA;
-  if (profile->albedo > 1 + profile->numerical_error) {
-    profile->notes |= CORE_NOTE_ALBEDO_ABOVE_1;
-  }
+}
+
+/* Notes an albedo above 1 by more than its error. This is that of double precision, in which every
+ * evaluator computes the albedo, so that all evaluators note the same. */
+static void note_albedo(core_profile *profile, double error) {
+  profile->notes |= profile->albedo > 1 + error ? CORE_NOTE_ALBEDO_ABOVE_1 : 0u;
 }
 
 /* Sets the numerical errors to `error` and what the table of anisotropic scattering adds. */
@@ -417,6 +420,8 @@ static core_fault prepare_model(core_profile *profile, const struct model *model
   profile->numerical_error_per_mm = preparation.error_epsilons_per_mm * epsilon;
   profile->reach = preparation.reach;
   profile->notes = preparation.notes;
+  note_albedo(profile,
+              preparation.error + preparation.error_epsilons * DBL_EPSILON + preparation.added.all);
   profile->cost = preparation.cost;
   profile->scale_mm = preparation.scale_mm;
   profile->table = preparation.table;
@@ -485,6 +490,7 @@ static core_fault prepare_sum(core_profile *profile, const struct model *model,
   profile->reach =
       parts[0].reach.most_mm < parts[1].reach.most_mm ? parts[0].reach : parts[1].reach;
   profile->notes = (parts[0].notes | parts[1].notes) & ~(unsigned)CORE_NOTE_ALBEDO_ABOVE_1;
+  note_albedo(profile, fmax(parts[0].numerical_error, parts[1].numerical_error) + 2 * DBL_EPSILON);
   profile->cost = parts[0].cost + parts[1].cost;
   profile->scale_mm = fmin(parts[0].scale_mm, parts[1].scale_mm);
   set_sum_derivative_error(profile);
@@ -559,7 +565,7 @@ static core_fault prepare_table(core_profile *profile, const struct model *model
   profile->kernels = core_isa_lut_kernels(inputs.isa);
   profile->albedo = source->albedo;
   profile->reach = source->reach;
-  profile->notes = source->notes & ~(unsigned)CORE_NOTE_ALBEDO_ABOVE_1;
+  profile->notes = source->notes;
   profile->cost = 1;
   profile->scale_mm = source->scale_mm;
   fault = build_table(profile, model, asked);

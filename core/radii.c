@@ -15,6 +15,9 @@ static core_fault radius_fault(size_t index) {
   return (core_fault){"r", RADIUS_ALLOWED, index};
 }
 
+/* Radii that are less may have errors of their own (core_profile_errors()), also beside 0. */
+#define NEAREST_MM (CORE_RADIUS_SMALL_MFP / CORE_SIGMA_T_PRIME_MIN_PER_MM)
+
 #define LESS(a, b) ((a) < (b) ? (a) : (b))
 #define MORE(a, b) ((a) > (b) ? (a) : (b))
 
@@ -28,7 +31,7 @@ static core_fault radius_fault(size_t index) {
 #define DEFINE_CHECK(name, type)                                                                   \
   core_fault name(size_t n, const type *r, core_radii_range *range) {                              \
     type least = (type)INFINITY;                                                                   \
-    type most = 0;                                                                                 \
+    type most = 0, tiny = (type)NEAREST_MM;                                                        \
     int has_nan = 0;                                                                               \
     const size_t quarter = n / 4;                                                                  \
     REDUCE                                                                                         \
@@ -60,6 +63,10 @@ static core_fault radius_fault(size_t index) {
         most = r[i] > most && r[i] < (type)INFINITY ? r[i] : most;                                 \
       }                                                                                            \
     }                                                                                              \
+    for (size_t i = 0; !(least > 0) && i < n; i++) { /* the least positive one, if it is tiny */   \
+      tiny = r[i] > 0 && r[i] < tiny ? r[i] : tiny;                                                \
+    }                                                                                              \
+    least = !(least > 0) && tiny < (type)NEAREST_MM ? tiny : least;                                \
     *range = (core_radii_range){(double)least + 0, (double)most}; /* -0.0 becomes 0 */             \
     return (core_fault){0};                                                                        \
   }

@@ -126,13 +126,14 @@ static inline double burley_ln_R(const double *c, double r) {
   const double x = burley_x(c, r);
   const double third = x * (1.0 / 3);
   const double q2 = real_exp(-2 * third).exp;
-  const double kept = real_min(real_max(r, 1e-300), 1e300);
+  const double kept = real_min(r, 1e250) * UP; /* a normal number */
   /* Near R = 1 the difference of two logarithms would cancel, so the logarithm of the quotient is
    * taken wherever the quotient is a normal number. */
   const double scale = c[R_SCALE] * (1 + q2);
-  const double quotient = scale / kept;
+  const double quotient = scale * UP / kept;
   const bool normal = quotient > 1e-290 && quotient < 1e290;
-  const double ratio = real_log(normal ? quotient : scale, 0) - real_log(normal ? 1 : kept, 0);
+  const double ratio = real_log(normal ? quotient : scale, 0) -
+                       real_log(normal ? 1 : kept, normal ? 0 : -UP_EXPONENT);
   const double ln_R = ratio - third;
   const double bounded = x < FAR ? ln_R : -(double)INFINITY;
   return c[LIMIT] > 0 ? (r > 0 ? bounded : (double)INFINITY) : -(double)INFINITY;
@@ -275,9 +276,10 @@ static inline void lane_fill(const double *shared, struct lane lane, double *c) 
   const double own = real_min(0.5 * better.power * better.sum, 1);
   const double asked = choice.given + choice.own * own;
   const double albedo = asked >= ALBEDO_LEAST ? asked : 0;
-  const double mu = choice.fourth * better.mu + (1 - choice.fourth);
+  const double mu_tr =
+      real_sqrt(lane.sigma_a) * real_sqrt(lane.sigma_t) * real_sqrt(3 / (1 + lane.absorbed));
   const double divisor = lane_divisor(choice, albedo);
-  c[PER_D] = lane.sigma_t * mu * divisor;
+  c[PER_D] = (choice.fourth * mu_tr + (1 - choice.fourth) * lane.sigma_t) * divisor;
   c[D] = 1 / c[PER_D];
   c[PDF_SCALE] = albedo > 0 ? 0.25 * c[PER_D] : 0;
   c[RING_SCALE] = albedo * 0.25 * c[PER_D];
@@ -368,8 +370,10 @@ core_fault core_burley_prepare(const core_inputs *inputs, core_preparation *prep
   const double albedo = asked >= ALBEDO_LEAST ? asked : 0;
   const double sigma_t_prime = core_sigma_t_prime(medium);
   const double absorbed = medium->sigma_a_per_mm / sigma_t_prime;
-  /* mu_tr uses Grosjean's diffusion coefficient, which holds at every albedo */
-  const double mu_tr = sigma_t_prime * sqrt(3 * absorbed / (1 + absorbed));
+  /* mu_tr uses Grosjean's diffusion coefficient, which holds at every albedo; sigma_a may be subnormal,
+   * and its share underflow */
+  const double mu_tr =
+      sqrt(medium->sigma_a_per_mm) * sqrt(sigma_t_prime) * sqrt(3 / (1 + absorbed));
   const double per_length = inputs->variant == CORE_BURLEY_DMFP ? mu_tr : sigma_t_prime;
   double *c = preparation->coefficients;
   const double divisor = width_ratio(inputs->variant, albedo);

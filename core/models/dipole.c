@@ -216,7 +216,8 @@ static inline real bracket(struct view v, real mu, real phi, real flux1, real fl
   return real_fma(mirror_flux, v.mirror.exp, real_fma(flux1 * i1, real_flux, fluence));
 }
 
-static inline real R_usual_of(const real *c, struct view v) {
+static inline real R_usual_of(const real *c, real r, struct view v) {
+  (void)r;
   const real sum = bracket(v, c[MU], c[R_PHI], c[R_FLUX_1], c[R_FLUX_2]);
   return real_times_exp(sum, -c[MU] * v.d1, c[R_EXPONENT]);
 }
@@ -224,7 +225,8 @@ static inline real R_usual_of(const real *c, struct view v) {
 /* R_usual_of() in single precision for a medium that is denser than DENSE. There R is a normal
  * number at radii where 1 - e^(-mu (d2 - d1)) has underflowed. This function therefore takes that
  * number times DENSE_SCALE. */
-static inline real R_dense_of(const real *c, struct view v) {
+static inline real R_dense_of(const real *c, real r, struct view v) {
+  (void)r;
   v.apart *= DENSE_SCALE;
   v.mirror.one_minus_exp *= DENSE_SCALE;
   const real small = c[MU] * v.apart;
@@ -233,15 +235,29 @@ static inline real R_dense_of(const real *c, struct view v) {
   return real_times_exp(sum, -c[MU] * v.d1, c[R_EXPONENT]);
 }
 
-/* The density of sampled radii, 2 pi r R / albedo, in 1/mm. */
-static inline real pdf_of(const real *c, struct view v) {
-  const real sum = bracket(v, c[MU], c[PDF_PHI], c[PDF_FLUX_1], c[PDF_FLUX_2]);
-  return real_times_exp(v.x * sum, -c[MU] * v.d1, c[PDF_EXPONENT]);
+/* Next to the source v.x underflows before a product with it does: it is then replaced by x 2^k. */
+struct raised {
+  real x;
+  real k;
+};
+
+static inline struct raised raise_x(const real *c, real r, struct view v) {
+  const int low = v.x < REAL_Z1 * REAL(0x1p-64);
+  const real raised = real_nearer_zero(r + 0, 1) * REAL(0x1p64) * c[UNITS_PER_MM]; /* +0: no -0 */
+  return (struct raised){low ? raised : v.x, low ? 64 : 0};
 }
 
-static inline real ring_of(const real *c, struct view v) {
+/* The density of sampled radii, 2 pi r R / albedo, in 1/mm. */
+static inline real pdf_of(const real *c, real r, struct view v) {
+  const struct raised raised = raise_x(c, r, v);
+  const real sum = bracket(v, c[MU], c[PDF_PHI], c[PDF_FLUX_1], c[PDF_FLUX_2]);
+  return real_times_exp(raised.x * sum, -c[MU] * v.d1, c[PDF_EXPONENT] - raised.k);
+}
+
+static inline real ring_of(const real *c, real r, struct view v) {
+  const struct raised raised = raise_x(c, r, v);
   const real sum = bracket(v, c[MU], c[RING_PHI], c[RING_FLUX_1], c[RING_FLUX_2]);
-  return real_times_exp(v.x * sum, -c[MU] * v.d1, c[RING_EXPONENT]);
+  return real_times_exp(raised.x * sum, -c[MU] * v.d1, c[RING_EXPONENT] - raised.k);
 }
 
 static inline real dipole_ln_R(const real *c, real r) {
@@ -263,7 +279,7 @@ struct derivatives {
  * a) (2 + X) - Q. All sums are those of R, times 4 pi / p d1^2 e^(mu d1), and are written as
  * bracket() and dipole_slope() write theirs. */
 static inline __attribute__((always_inline)) struct derivatives dipole_derivatives(const real *c,
-                                                                                  real r) {
+                                                                                   real r) {
   const struct view v = look_from(c, r);
   const real mu = c[MU] * REAL_Z1, z2 = c[Z2] * (1 / REAL_Z1);
   const real d1 = v.d1 * (1 / REAL_Z1), d2 = v.d2 * (1 / REAL_Z1);
@@ -321,7 +337,8 @@ static inline real dipole_slope(const real *c, real r) {
   const real apart = v.apart * (1 / REAL_Z1);
   const real mu_squares = c[MU] * (1 / REAL_Z1) * c[Z2_SQUARED_LESS_Z1_SQUARED];
   const real ratio = v.d1 / v.d2;
-  const real sine = v.x / v.d1;
+  const struct raised raised = raise_x(c, r, v);
+  const real sine = raised.x / v.d1;
   const real squares = real_fma(i1, i1, real_fma(i1, i2, i2 * i2));
   const real gone = (i2 + mu) * v.mirror.one_minus_exp * ratio;
   const real steeper = real_fma(mu_squares, i1 * i2, gone);
@@ -332,7 +349,7 @@ static inline real dipole_slope(const real *c, real r) {
   const real flux1 = c[SLOPE_FLUX_1] * sine * (i1 * i1) * bend1;
   const real flux2 = c[SLOPE_FLUX_2] * sine * (i2 * i2) * bend2 * ratio;
   const real sum = real_fma(flux2, v.mirror.exp, flux1 + phi);
-  return -real_times_exp(sum, -c[MU] * v.d1, c[SLOPE_EXPONENT]);
+  return -real_times_exp(sum, -c[MU] * v.d1, c[SLOPE_EXPONENT] - raised.k);
 }
 
 /* The cdf at a radius, and the attenuation e^(-mu a1) with a1 = d1 - z1 as in the file's first
@@ -532,11 +549,12 @@ static inline size_t block_length(size_t left) {
       for (size_t i = 0; i < next; i++) {                                                          \
         const struct distances measured = block_get(&block, i);                                    \
         block_set(&block, i, measure(c, kernel_units(c, next_r[i])));                              \
-        out[done + i] = quantity##_of(c, view_of(c, kernel_units(c, now_r[i]), measured));         \
+        out[done + i] =                                                                            \
+            quantity##_of(c, now_r[i], view_of(c, kernel_units(c, now_r[i]), measured));           \
       }                                                                                            \
       for (size_t i = next; i < now; i++) {                                                        \
-        out[done + i] =                                                                            \
-            quantity##_of(c, view_of(c, kernel_units(c, now_r[i]), block_get(&block, i)));         \
+        out[done + i] = quantity##_of(                                                             \
+            c, now_r[i], view_of(c, kernel_units(c, now_r[i]), block_get(&block, i)));             \
       }                                                                                            \
     }                                                                                              \
   }
@@ -638,15 +656,15 @@ static inline void lane_fill(const real *shared, struct lane lane, real *c) {
 }
 
 static inline real dipole_R(const real *c, real r) {
-  return R_usual_of(c, look_from(c, r));
+  return R_usual_of(c, r, look_from(c, r));
 }
 
 static inline real dipole_pdf(const real *c, real r) {
-  return pdf_of(c, look_from(c, r));
+  return pdf_of(c, r, look_from(c, r));
 }
 
 static inline real dipole_ring(const real *c, real r) {
-  return ring_of(c, look_from(c, r));
+  return ring_of(c, r, look_from(c, r));
 }
 
 LANES_KERNEL(varying_R, COEFFICIENTS, lane_fill, dipole_R, INFINITY)

@@ -33,6 +33,7 @@
 
 #define EXTENDED_ERROR 2.5e-13
 #define SOURCE_LEAST 1e-250
+#define LEAST 1e-15
 
 /* Coefficients that preparation computes; lengths are in mean free paths. Variant 1 keeps them in a
  * table, and the table of the energy within r follows them there; see energy.h. */
@@ -66,7 +67,6 @@ enum coefficient {
 
 /* the integral ends at this depth; light from deeper is less than a rounding error */
 #define DEPTH 38.0
-#define LEAST 1e-15
 #define FAR 1e100
 
 enum { LANES = 32, PANELS = 5 };
@@ -330,11 +330,9 @@ CORE_KERNEL_TABLE_NONE(extended);
 /* The cost of one value in kernel evaluations of a dipole, measured with `build/bench kernel`. */
 #define COST 130
 
-/* The table of variant 1 reaches from TABLE_FIRST mean free paths to TABLE_LAST times the larger of
- * 2 z_b and one mean free path, or to TABLE_EXPONENT / mu where that is less. Less than 1e-13 of
- * the energy lies below the first radius, and a few 1e-13 lie beyond the last: without absorption
+/* The table of variant 1 reaches from LEAST, below which R is a logarithm, to TABLE_LAST times the larger of
+ * 2 z_b and one mean free path, or to TABLE_EXPONENT / mu where that is less. A few 1e-13 of the energy lie beyond the last: without absorption
  * the energy beyond x is about (2 + 2 z_b) / x. */
-#define TABLE_FIRST 1e-7
 #define TABLE_LAST 1e13
 #define TABLE_EXPONENT 45.0
 
@@ -391,7 +389,7 @@ static bool add_energy(const core_inputs *inputs, core_preparation *preparation)
   const double mfp_mm = 1 / c[MFP_PER_MM];
   const double last = TABLE_LAST * fmax(1, c[TWO_ZB]);
   const double reach = c[MU] * last > TABLE_EXPONENT ? TABLE_EXPONENT / c[MU] : last;
-  const double first_mm = TABLE_FIRST * mfp_mm;
+  const double first_mm = LEAST * mfp_mm;
   const double last_mm = reach * mfp_mm;
   preparation->table_bytes = (ENERGY + core_energy_length(first_mm, last_mm)) * sizeof(double);
   double *table = malloc(preparation->table_bytes);

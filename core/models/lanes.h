@@ -37,6 +37,7 @@ _Static_assert((int)LANES_SHARED <= CORE_VARYING_SHARED_MAX, "the structure has 
 
 /* The medium of one value. */
 struct lane {
+  real sigma_a;   /* 1/mm */
   real sigma_t;   /* sigma_t', 1/mm */
   real mfp;       /* 1 / sigma_t' */
   real absorbed;  /* sigma_a / sigma_t' */
@@ -46,6 +47,7 @@ struct lane {
 static inline struct lane lane_of(const real *shared, real sigma_a, real sigma_s) {
   const real reduced = sigma_s * shared[LANES_SCATTER];
   struct lane lane;
+  lane.sigma_a = sigma_a;
   lane.sigma_t = sigma_a + reduced;
   lane.mfp = 1 / lane.sigma_t;
   lane.absorbed = sigma_a * lane.mfp;

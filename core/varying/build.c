@@ -153,7 +153,7 @@ static double transport_albedo(const struct albedos *albedos, double s, double w
 }
 
 static double dipole_albedo(const struct albedos *albedos, double s, double w) {
-  const struct lane lane = {1, 1, s * s, w * (1 + s)};
+  const struct lane lane = {s * s, 1, 1, s * s, w * (1 + s)};
   const struct lane_dipole dipole = lane_dipole_of(albedos->shared, lane);
   return 0.5 * dipole.power * dipole.sum;
 }

@@ -312,6 +312,10 @@ core_stated_errors core_varying_errors(const core_varying *varying, unsigned wan
     return errors;
   }
   errors.numerical = rounding(varying, family, range) + varying->surface_error;
+  if (family == BURLEY && varying->evaluator == CORE_EVALUATOR_F32 &&
+      (wanted & CORE_QUANTITY_ALBEDO) != 0) {
+    errors.numerical += (double)FLT_EPSILON; /* a quotient of values that were rounded */
+  }
   if (family == TRANSPORT) {
     errors.numerical += table_error(varying, wanted, range);
   }

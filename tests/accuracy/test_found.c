@@ -165,6 +165,13 @@ static const struct found {
     {26, 1, {1, 1, 0, 1.3}, 0, 300, CORE_ELEMENTWISE_TRANSFER, .002},
     {12, 1, {0, 1, .9999999999, 1.4}, 0, 0, CORE_ELEMENTWISE_TRANSFER, 1e-8},
     {12, 1, {0, 1, .9999999999, 1.4}, 0, 0, CORE_ELEMENTWISE_TRANSFER, 1},
+    /* a sigma_a whose share of sigma_t' underflows */
+    {20, 1, {5e-324, 1e15, 0, 1.4}, 0, 0, CORE_ELEMENTWISE_R, 1},
+    {20, 1, {1e-320, 1e3, 0, 1.4}, 0, 0, CORE_ELEMENTWISE_LN_R, 1},
+    {20, 1, {1e-308, 1e15, 0, 1.4}, 0, 0, CORE_ELEMENTWISE_CDF, 1e140},
+    /* radii below those that core.h once took for the least */
+    {18, 1, {.1, 1, 0, 1.4}, 0, 0, CORE_ELEMENTWISE_LN_R, 1e-310},
+    {2, 1, {.1, 1, 0, 1.4}, 0, 0, CORE_ELEMENTWISE_RING, 1e-305},
 };
 
 static const struct found in_f32[] = {
@@ -185,6 +192,11 @@ static const struct found in_f32[] = {
      0,
      CORE_ELEMENTWISE_SLOPE,
      .00019060341583099216},
+    /* products with a radius in single precision that has underflowed before them */
+    {2, 1, {.1, 1, 0, 1.4}, 0, 0, CORE_ELEMENTWISE_RING, 1e-29},
+    {2, 1, {.1, 1, 0, 1.4}, 0, 0, CORE_ELEMENTWISE_PDF, 1e-34},
+    {5, 1, {1e6, 1e6, 0, 1.4}, 0, 0, CORE_ELEMENTWISE_RING, 0x1p-143},
+    {1, 1, {1, 1e3, 0, 1.3}, 0, 0, CORE_ELEMENTWISE_SLOPE, 1e-38},
 };
 
 static core_parameters parameters_of(const struct found *one) {
@@ -209,6 +221,8 @@ static bool is_right(const struct found *one, enum core_evaluator evaluator) {
       [CORE_ELEMENTWISE_SLOPE] = CORE_QUANTITY_SLOPE,
       [CORE_ELEMENTWISE_S] = CORE_QUANTITY_S,
       [CORE_ELEMENTWISE_TRANSFER] = CORE_QUANTITY_TRANSFER,
+      [CORE_ELEMENTWISE_PDF] = CORE_QUANTITY_PDF,
+      [CORE_ELEMENTWISE_RING] = CORE_QUANTITY_RING,
   };
   const core_parameters parameters = parameters_of(one);
   core_profile profile;
@@ -245,6 +259,48 @@ UNIT_TEST(what_was_found_is_right) {
     wrong += !is_right(&in_f32[i], CORE_EVALUATOR_F32);
   }
   assert_int_equal(wrong, 0);
+}
+
+/* The cdf of `beam` next to the source, by Simpson's rule over ln r of R in 113 bits. */
+UNIT_TEST(the_cdf_of_a_beam_is_right_next_to_the_source) {
+  static const struct {
+    core_medium medium;
+    double r, cdf;
+  } known[] = {
+      {{.01, 1, 0, 1.4}, 9.9009900990099006e-13, 1.3836845073962646e-23},
+      {{.01, 1, 0, 1.4}, 9.9009900990099001e-08, 7.8922410233095209e-14},
+      {{.01, 1, 0, 1.4}, 9.9009900990099013e-06, 5.5144139416569459e-10},
+      {{1, 1, 0, 1.4}, 4.9999999999999999e-13, 7.3834424520749872e-23},
+      {{1, 1, 0, 1.4}, 4.9999999999999998e-08, 4.1812199815651e-13},
+      {{1, 1, 0, 1.4}, 5.0000000000000004e-06, 2.9003391668365315e-09},
+  };
+  for (size_t i = 0; i < sizeof known / sizeof known[0]; i++) {
+    core_profile profile;
+    unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_BEAM, 1,
+                                           CORE_EVALUATOR_F64, &known[i].medium, NULL),
+                      NULL, 0);
+    const double cdf = unit_value_at(&profile, CORE_QUANTITY_CDF, known[i].r);
+    assert_true(fabs(cdf / known[i].cdf - 1) <= profile.numerical_error);
+    core_profile_free(&profile);
+  }
+}
+
+/* Where numbers on the way to a value underflow, also beside a radius of 0, no error is promised. */
+UNIT_TEST(next_to_the_source_the_error_is_not_known) {
+  static const double lists[][2] = {{0, 1e-310}, {1, 1e-270}, {0, 1e-200}, {0, 1e-20}};
+  const core_medium medium = {0.1, 1, 0, 1.4};
+  core_profile profile;
+  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_BEAM, 1,
+                                         CORE_EVALUATOR_F64, &medium, NULL),
+                    NULL, 0);
+  for (int i = 0; i < 4; i++) {
+    core_radii_range radii;
+    unit_assert_fault(core_radii_check_f64(2, lists[i], &radii), NULL, 0);
+    assert_int_equal(isinf(core_profile_errors(&profile, CORE_QUANTITY_R, radii).numerical), i < 2);
+    assert_int_equal(isinf(core_profile_errors(&profile, CORE_QUANTITY_SLOPE, radii).numerical),
+                     i < 3);
+  }
+  core_profile_free(&profile);
 }
 
 /* S where light from outside strikes a thinner medium next to the critical angle. */

@@ -353,6 +353,15 @@ UNIT_TEST(an_albedo_above_1_is_confessed) {
           continue;
         }
         const bool confessed = (profile.notes & CORE_NOTE_ALBEDO_ABOVE_1) != 0;
+        for (const core_choice *one = core_evaluators; one->name != NULL && confessed; one++) {
+          core_profile same;
+          if (core_profile_prepare(&same, core_isa_select(NULL), model->id, CORE_MOMENTS_EXACT,
+                                   one->id, &medium, &parameters)
+                  .field == NULL) {
+            assert_int_equal(same.notes, profile.notes);
+            core_profile_free(&same);
+          }
+        }
         assert_int_equal(confessed, profile.albedo > 1 + profile.numerical_error);
         const double off =
             core_profile_errors(&profile, CORE_QUANTITY_ALBEDO, (core_radii_range){0, 0}).model;
