@@ -4,20 +4,26 @@ user presses Ctrl-C:
     jobs.py HOST:PORT sample    ten radii, distributed as the light that leaves skin
     jobs.py HOST:PORT invert    the coefficients of three media of known albedo and mean free path
     jobs.py HOST:PORT mc        R of skin by Monte Carlo in five rings, with standard errors
-    jobs.py HOST:PORT fit [[g=0] eta=X MM,READING,ERROR...]
+    jobs.py HOST:PORT fit [g=0] [scale=absolute] [eta=X MM,READING,ERROR...]
                                 the coefficients of a medium from readings of R at some distances,
                                 with their standard errors; eta is the medium's refractive index
-                                inside over outside
+                                inside over outside; scale=free: R times an unknown factor
 
 DEVICE,BAUD in place of HOST:PORT names a serial line."""
 
+from __future__ import annotations
+
+import math
 import sys
 
-from unit import DEFAULTS, Unit
+from unit import DEFAULTS, Unit, arguments, refuse
 
 REGULAR, FREE_PATH, LOGARITHMIC = 2, 1, 3
 TRANSPORT = 29
 READINGS = ["1,.02292,.00046", "2,.00781,.00016", "3,.00343,.00007", "5,.000775,.000016"]
+SCALES = {"absolute": 1, "free": 2}
+FIT = {"g": "0", "eta": "1.4", "scale": "absolute"}  # by name; eta: that of READINGS
+READINGS_MOST = 25
 SKIN = 0.032, 0.74, 0, 1.3  # sigma_a, sigma_s (1/mm), g, eta
 
 
@@ -67,36 +73,74 @@ def mc(unit: Unit) -> None:
         print(f"{start:.3g} to {stop:.3g} mm: {R:.4g} +- {error:.2g} 1/mm^2")
 
 
-def fit(unit: Unit, *given: str) -> None:
+def numbers(text: str, count: int) -> list[float]:
+    """Reads `count` finite numbers with commas between them; refuses all else."""
+    try:
+        found = [float(one) for one in text.split(",")]
+    except ValueError:
+        found = []
+    if len(found) != count or not all(map(math.isfinite, found)):
+        what = "give MM,READING,ERROR" if count > 1 else "give a number"
+        refuse(f"{text}: {what}, with points in numbers", __doc__)
+    return found
+
+
+def read_fit(given: list[str]) -> tuple[dict[str, str], list[list[float]]]:
+    """Returns what is given by name, and the readings: mm, reading and error of each."""
+    named = dict(one.split("=", 1) for one in given if "=" in one)
+    for name, value in named.items():
+        if name not in FIT:
+            refuse(f"{name}= is unknown; fit takes {'=, '.join(FIT)}=", __doc__)
+        if name == "scale" and value not in SCALES:
+            refuse(f"scale={value} is unknown; it is {' or '.join(SCALES)}", __doc__)
+        if name != "scale":
+            numbers(value, 1)
+    own = [one for one in given if "=" not in one]
+    if own and "eta" not in named:
+        refuse("give eta=X: a wrong eta gives wrong coefficients that fit as well", __doc__)
+    readings = [numbers(one, 3) for one in own or READINGS]
+    least = 3 if named.get("scale") == "free" else 2
+    if not least <= len(readings) <= READINGS_MOST:
+        refuse(f"{len(readings)} readings: give {least} to {READINGS_MOST}", __doc__)
+    return named, readings
+
+
+def fit(unit: Unit, named: dict[str, str], readings: list[list[float]]) -> None:
     """An instrument writes its places once, and then its readings each time."""
-    given = given or ("eta=1.4", *READINGS)
-    known = {name: float(value) for name, _, value in (one.partition("=") for one in given) if value}
-    readings = [one for one in given if "=" not in one]
-    if "eta" not in known:
-        sys.exit("give eta=X: a wrong eta gives wrong coefficients that fit as well")
-    g_from = "" if "g" in known else " (default)"
-    at, values, errors = zip(*(map(float, one.split(",")) for one in readings))
+    known = FIT | named
+    at = [mm for mm, _, _ in readings]
     unit.write(101, "H", TRANSPORT)
-    unit.write(110, "2f", known.get("g", 0), known["eta"])
+    unit.write(110, "2f", float(known["g"]), float(known["eta"]))
+    unit.write(8001, "H", SCALES[known["scale"]])
     unit.write(8015, f"H{len(at)}f", len(at), *at)  # reading_count, at
-    pairs = [number for pair in zip(values, errors) for number in pair]
+    pairs = [number for _, value, error in readings for number in (value, error)]
     unit.write(8204, f"{len(pairs)}f", *pairs)
     run(unit, 8200, 8320, 0, 8420)
-    a, s, a_error, s_error, _, chi_squared = unit.floats(8328, 6)
+    a, s, a_error, s_error, _, chi_squared, _, factor, factor_error = unit.floats(8328, 9)
     print(f"sigma_a {a:.6g} +- {a_error:.2g}, sigma_s' {s:.6g} +- {s_error:.2g} 1/mm")
+    if known["scale"] == "free":
+        print(f"factor {factor:.6g} +- {factor_error:.2g}")
     (model_error,), (g, eta) = unit.floats(8356, 1), unit.floats(8410, 2)
-    print(f"with g {g:.6g}{g_from}, eta {eta:.6g}")
+    g_from, scale_from = ("" if name in named else " (default)" for name in ("g", "scale"))
+    print(f"with g {g:.6g}{g_from}, eta {eta:.6g}, scale {known['scale']}{scale_from}")
     print(f"chi-squared {chi_squared:.4g} of {len(at)} readings, model error {model_error:.2g}")
 
 
-def main(where: str, job: str, *more: str) -> None:
+def main() -> None:
+    jobs = {"sample": sample, "invert": invert, "mc": mc}
+    where, job, *more = arguments(__doc__, 2, 2 + len(FIT) + READINGS_MOST)
+    if job not in (*jobs, "fit"):
+        refuse(f"{job} is unknown; a job is {', '.join(jobs)} or fit", __doc__)
+    if job != "fit" and more:
+        refuse(f"{more[0]}: {job} takes nothing more", __doc__)
+    named, readings = read_fit(more)
     unit = Unit(where)
     unit.write(DEFAULTS, "H", 1)  # other masters may have written anything
     unit.write(106, "4f", *SKIN)
     if job == "fit":
-        fit(unit, *more)
+        fit(unit, named, readings)
     else:
-        {"sample": sample, "invert": invert, "mc": mc}[job](unit)
+        jobs[job](unit)
 
 
-main(*sys.argv[1:])
+main()

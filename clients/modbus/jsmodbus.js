@@ -1,10 +1,10 @@
 // R of skin at ten distances, with jsmodbus (npm): node jsmodbus.js HOST:PORT [MODEL].
-// MODEL is an id of the list of models in REGISTERS.md. With fit [eta=X MM,READING,ERROR...] in its place,
-// coefficients are fitted to readings.
+// MODEL is an id of the list of models in REGISTERS.md. With fit in its place, coefficients are
+// fitted to readings: see --help.
 "use strict";
 const net = require("net");
 const Modbus = require("jsmodbus");
-const { work } = require("./unit.js");
+const { read } = require("./unit.js");
 
 // Adds the code of an exception to the error.
 function tell(error) {
@@ -12,8 +12,8 @@ function tell(error) {
   throw Object.assign(new Error(error.message), { exception: body && body.code });
 }
 
-const [host, port] = process.argv[2].split(":");
-const socket = net.connect({ host, port: Number(port) });
+const { host, port, work } = read(process.argv.slice(2));
+const socket = net.connect({ host, port });
 const client = new Modbus.client.TCP(socket, 1);
 const unit = {
   write: (address, registers) => client.writeMultipleRegisters(address, registers).catch(tell),
@@ -25,7 +25,7 @@ socket.on("error", (error) => {
   process.exit(1);
 });
 socket.on("connect", () => {
-  work(unit, ...process.argv.slice(3))
+  work(unit)
     .catch((error) => {
       console.error(error.message);
       process.exitCode = 1;

@@ -4,11 +4,23 @@
 # Options of mbpoll: -0 counts registers from 0, as the protocol does; -B takes floats with the most
 # significant word first.
 set -eu
-case ${1?"profile.sh HOST:PORT [MODEL], or profile.sh DEVICE,BAUD [MODEL]"} in
-/*) line="-m rtu -b ${1##*,} -P none -a 1 -0 -1 -q -B" where=${1%,*} ;;
-*) line="-m tcp -p ${1##*:} -a 1 -0 -1 -q -B" where=${1%:*} ;;
+usage="profile.sh HOST:PORT [MODEL], or profile.sh DEVICE,BAUD [MODEL]
+MODEL is an id of the list of models in REGISTERS.md (default: 2)"
+refuse() { # WHAT: is wrong with the command line
+  printf '%s\n%s\n' "$1" "$usage" >&2
+  exit 2
+}
+for word; do
+  case $word in -h | --help) echo "$usage" && exit ;; esac
+done
+case ${1-} in
+/*,*[0-9]) line="-m rtu -b ${1##*,} -P none -a 1 -0 -1 -q -B" where=${1%,*} ;;
+?*:*[0-9]) line="-m tcp -p ${1##*:} -a 1 -0 -1 -q -B" where=${1%:*} ;;
+*) refuse "${1:-nothing} is given: give HOST:PORT or DEVICE,BAUD" ;;
 esac
 model=${2-2}
+case $model in '' | *[!0-9]*) refuse "'$model': give the id of a model, a number such as 2" ;; esac
+[ $# -le 2 ] || refuse "$3 is one word too many"
 
 # register TYPE ADDRESS VALUE...: writes. $line is not quoted: the shell splits it into options.
 # shellcheck disable=SC2086

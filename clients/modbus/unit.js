@@ -11,6 +11,8 @@ const BUSY_EXCEPTION = 6;
 const [BUSY, DONE, UNFITTED] = [1, 2, 5]; // values of the register `status`
 const TRANSPORT = 29;
 const READINGS = ["1,.02292,.00046", "2,.00781,.00016", "3,.00343,.00007", "5,.000775,.000016"];
+const SCALES = ["absolute", "free"];
+const FIT = { g: "0", eta: "1.4", scale: "absolute" }; // by name; eta: that of READINGS
 const PATIENCE_MS = 60000;
 
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
@@ -79,25 +81,21 @@ async function printProfile(unit, model) {
   });
 }
 
-// Finds the coefficients of a medium from readings, texts such as "1,.0229,.0005": mm, reading and
-// standard error. The first text is the medium's eta, such as "eta=1.4". An instrument writes its
-// places once, and its readings each time.
-async function printFit(unit, given) {
-  const [first, ...texts] = given.length ? given : ["eta=1.4", ...READINGS];
-  if (!first.startsWith("eta=")) {
-    throw new Error("give eta=X: a wrong eta gives wrong coefficients that fit as well");
-  }
-  const readings = texts.map((one) => one.split(",").map(Number));
+// Finds the coefficients of a medium from readings: mm, reading and standard error of each. An
+// instrument writes its places once, and its readings each time.
+async function printFit(unit, named, readings) {
+  const known = { ...FIT, ...named };
   await write(unit, 251, [1]); // defaults
   await write(unit, 101, [TRANSPORT]);
-  await write(unit, 112, floats([Number(first.slice(4))])); // eta
+  await write(unit, 110, floats([Number(known.g), Number(known.eta)]));
+  await write(unit, 8001, [SCALES.indexOf(known.scale) + 1]);
   await write(unit, 8015, [readings.length, ...floats(readings.map(([mm]) => mm))]);
   await write(unit, 8204, floats(readings.flatMap(([, value, error]) => [value, error])));
   const before = await unit.read(8321, 1);
   const token = (before.readUInt16BE(0) % 65535) + 1;
   await write(unit, 8200, [token]); // commit
   let head;
-  while ((head = await unit.read(8320, 20)).readUInt16BE(0) === BUSY) {
+  while ((head = await unit.read(8320, 26)).readUInt16BE(0) === BUSY) {
     await pause(20);
   }
   if (head.readUInt16BE(0) === UNFITTED) {
@@ -107,17 +105,70 @@ async function printFit(unit, given) {
     await fail(unit, 8322, 8420);
   }
   const float = (i) => head.readFloatBE(16 + 4 * i);
-  const [a, s, aError, sError, chiSquared] = [0, 1, 2, 3, 5].map(float);
+  const [a, s, aError, sError, chiSquared, factor, factorError] = [0, 1, 2, 3, 5, 7, 8].map(float);
   const told = (value, error) => `${value.toPrecision(6)} +- ${error.toPrecision(2)}`;
   console.log(`sigma_a ${told(a, aError)}, sigma_s' ${told(s, sError)} 1/mm`);
+  if (known.scale === "free") {
+    console.log(`factor ${told(factor, factorError)}`);
+  }
   const assumed = await unit.read(8410, 4);
-  console.log(`with g ${assumed.readFloatBE(0)} (default), eta ${assumed.readFloatBE(4).toPrecision(6)}`);
+  const [g, eta] = [0, 4].map((at) => Number(assumed.readFloatBE(at).toPrecision(6)));
+  const [gFrom, scaleFrom] = ["g", "scale"].map((name) => (name in named ? "" : " (default)"));
+  console.log(`with g ${g}${gFrom}, eta ${eta}, scale ${known.scale}${scaleFrom}`);
   console.log(`chi-squared ${chiSquared.toPrecision(4)} of ${readings.length} readings`);
 }
 
-// Does what the command line says behind HOST:PORT: the number of a model, or fit and readings.
-function work(unit, what = "2", ...readings) {
-  return what === "fit" ? printFit(unit, readings) : printProfile(unit, Number(what));
+// Ends the program with its usage: for --help, or with what is wrong.
+function usage(what) {
+  const name = process.argv[1].replace(/.*\//, "");
+  (what ? console.error : console.log)(`${what ? `${what}\n` : ""}node ${name} HOST:PORT [MODEL]
+node ${name} HOST:PORT fit [g=0] [scale=absolute|free] [eta=X MM,READING,ERROR...]
+MODEL is an id of the list of models in REGISTERS.md (default: 2).`);
+  process.exit(what ? 2 : 0);
 }
 
-module.exports = { work };
+function readFit(given) {
+  const named = {};
+  for (const one of given.filter((word) => word.includes("="))) {
+    const [name, value] = one.split("=", 2);
+    const isNumber = value !== "" && Number.isFinite(Number(value));
+    const good = name === "scale" ? SCALES.includes(value) : isNumber;
+    if (!Object.keys(FIT).includes(name) || !good) {
+      usage(`${one}: fit takes g= and eta= with a number, and scale=absolute or scale=free`);
+    }
+    named[name] = value;
+  }
+  const own = given.filter((word) => !word.includes("="));
+  if (own.length && !named.eta) {
+    usage("give eta=X: a wrong eta gives wrong coefficients that fit as well");
+  }
+  const readings = (own.length ? own : READINGS).map((one) => {
+    const numbers = one.split(",").map((text) => (text === "" ? NaN : Number(text)));
+    const good = numbers.length === 3 && numbers.every(Number.isFinite);
+    return good ? numbers : usage(`${one}: give MM,READING,ERROR`);
+  });
+  const least = named.scale === "free" ? 3 : 2;
+  if (readings.length < least || readings.length > 25) {
+    usage(`${readings.length} readings: give ${least} to 25`);
+  }
+  return (unit) => printFit(unit, named, readings);
+}
+
+// Reads the words of the command line: HOST:PORT, and the number of a model, or fit and readings.
+// Returns the host, the port, and what to do with a unit.
+function read(words) {
+  const [where, what = "2", ...more] = words;
+  if (words.includes("--help") || words.includes("-h")) {
+    usage();
+  }
+  if (!/^.+:\d+$/.test(where || "")) {
+    usage(`${where || "nothing"} is given: give HOST:PORT`);
+  }
+  if (what !== "fit" && (more.length > 0 || !(Number(what) > 0 && Number(what) < 65536))) {
+    usage(`${[what, ...more].join(" ")}: give the id of a model, or fit`);
+  }
+  const work = what === "fit" ? readFit(more) : (unit) => printProfile(unit, Number(what));
+  return { host: where.replace(/:\d+$/, ""), port: Number(where.replace(/.*:/, "")), work };
+}
+
+module.exports = { read };

@@ -6,19 +6,17 @@ first sets all of them to their defaults, then writes what it depends on."""
 from __future__ import annotations
 
 import inspect
+import re
 import struct
 import sys
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NoReturn
 
 try:
     from pymodbus.client import ModbusSerialClient, ModbusTcpClient  # type: ignore[import]
 except ImportError:
-    sys.exit(
-        f"{sys.executable} has no pymodbus: install Debian's python3-pymodbus and run "
-        "/usr/bin/python3, or run pip install 'pymodbus[serial]'"
-    )
+    ModbusTcpClient = None
 
 ERROR, ERROR_TEXT, TEXT_REGISTERS, DEFAULTS = 302, 620, 40, 251
 BUSY, IS_BUSY, DONE, UNFITTED = 6, 1, 2, 5  # an exception, and values of the register `status`
@@ -26,11 +24,36 @@ FIT_STATUS_NAME, NAME_REGISTERS = 8460, 8  # why a fit is no success
 PATIENCE_S = 60
 
 
+def refuse(what: str, about: str | None) -> NoReturn:
+    """Ends the program with what is wrong with its command line."""
+    print(f"{what}\n\n{about}", file=sys.stderr)
+    sys.exit(2)
+
+
+def arguments(about: str | None, least: int, most: int) -> list[str]:
+    """Returns the words of the command line, of which there are `least` to `most`. --help prints
+    what the program is about."""
+    given = sys.argv[1:]
+    if "--help" in given or "-h" in given:
+        print(about)
+        sys.exit()
+    if not least <= len(given) <= most:
+        refuse(f"{len(given)} words are given; {least} to {most} are needed", about)
+    if not re.fullmatch(r"/.+,\d+|.+:\d+", given[0]):
+        refuse(f"{given[0]}: give HOST:PORT or, of a serial line, DEVICE,BAUD", about)
+    return given
+
+
 class Unit:
     """A unit at HOST:PORT, or on a serial line at DEVICE,BAUD."""
 
     def __init__(self, where: str, number: int = 1):
         self.client: Any
+        if ModbusTcpClient is None:
+            sys.exit(
+                f"{sys.executable} has no pymodbus: install Debian's python3-pymodbus and run "
+                "/usr/bin/python3, or run pip install 'pymodbus[serial]'"
+            )
         if where.startswith("/"):
             device, _, baud = where.rpartition(",")
             self.client = ModbusSerialClient(device, baudrate=int(baud), parity="N")

@@ -380,16 +380,71 @@ def test_instruments_fit_noisy_monte_carlo(request, address, noisy_readings, nam
     result = run(*command, env=environment)
     assert result.returncode == 0, result.stdout + result.stderr
     if name == "jobs.sh":
-        numbers = map(float, re.findall(r"\]: *\t *(\S+)", result.stdout))
-        a, s, a_error, s_error, chi, g, eta = numbers
-        assert (g, eta) == (0, 1.4)
+        a, s, a_error, s_error, chi = map(float, re.findall(r"\]: *\t *(\S+)", result.stdout))
     else:
         found = re.findall(r"(\S+) \+- ([^\s,]+)", result.stdout)
         (a, a_error), (s, s_error) = (map(float, pair) for pair in found)
         chi = float(re.search(r"chi-squared (\S+)", result.stdout)[1])
-        assert "with g 0 (default), eta 1.4" in result.stdout
+    assert "with g 0 (default), eta 1.4, scale absolute (default)\n" in result.stdout
     assert abs(a - 0.03) < 3 * a_error < 0.03 and abs(s - 1.2) < 3 * s_error < 0.6
     assert 0 < chi < 12
+
+
+@pytest.mark.parametrize("name", [*FITTERS, "profile.sh", "profile.py"])
+def test_examples_know_their_words(request, address, name):
+    """--help says how an example is called. An unknown word is refused by name, before any unit is
+    asked: nothing is connected to."""
+    tool = {"sh": "sh", "py": sys.executable, "js": "node"}[name.rpartition(".")[2]]
+    environment = dict(os.environ)
+    if tool == "node":
+        environment["NODE_PATH"] = str(request.getfixturevalue("node_modules"))
+    nobody = "127.0.0.1:1"
+
+    def ask(*words: str) -> subprocess.CompletedProcess[str]:
+        return run(tool, str(EXAMPLES / name), *words, env=environment)
+
+    for words in (["--help"], [nobody, "fit", "-h"]):
+        told = ask(*words)
+        assert told.returncode == 0 and told.stderr == "" and f"{name} HOST:PORT" in told.stdout
+    wrong = {"": "", "localhost": "localhost", f"{nobody} -5": "-5", f"{nobody} 2 3": "3"}
+    if name in FITTERS:
+        assert "scale=" in told.stdout
+        readings = "1,.02,.001 2,.01,.001 3,.004,.0002"
+        good, wrong[f"{nobody} fit {readings}"] = f"eta=1.4 {readings}", "give eta=X"
+        for words in ("G=.9", "eta=", "eta=1,4", "scale=reference", "scale=", "1,.02", "1,2,3,4",
+                      "1,x,3", "1,,3"):  # fmt: skip
+            wrong[f"{nobody} fit {good} {words}"] = words
+    for words, said in wrong.items():
+        told = ask(*words.split())
+        assert told.returncode == 2 and told.stdout == "", (words, told)
+        assert said.rpartition("=")[0] in told.stderr and "Traceback" not in told.stderr, told
+        assert f"{name} HOST:PORT" in told.stderr
+
+
+@pytest.mark.parametrize("name", FITTERS)
+def test_fits_say_what_they_took_and_scale(request, slave, address, name):
+    """With scale=free, readings that are twice as large have the same coefficients."""
+    tool, environment = FITTERS[name], dict(os.environ)
+    if tool == "node":
+        environment["NODE_PATH"] = str(request.getfixturevalue("node_modules"))
+    elif tool == "sh" and shutil.which("mbpoll") is None:
+        pytest.skip("mbpoll is not installed")
+    at = np.array([0.5, 1, 2, 3, 5, 8])
+    with slave.client() as client:
+        R = client.eval("transport", (0.03, 12, 0.9, 1.35), at, wanted="R").R[0]
+    readings = [f"{r},{2 * value:.7g},{0.02 * value:.7g}" for r, value in zip(at, R)]
+    result = run(tool, str(EXAMPLES / name), address, "fit", "g=0.9", "eta=1.35", "scale=free",
+                 *readings, env=environment)  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    numbers = [float(text) for text in re.findall(r"(?:\]: *\t *|sigma_a |sigma_s' |factor )(\S+)",
+                                                  result.stdout)]  # fmt: skip
+    found = [numbers[0], numbers[1], numbers[5 if name == "jobs.sh" else 2]]
+    assert found == pytest.approx([0.03, 1.2, 2], rel=2e-3)
+    taken = dict(re.findall(r"\b(g|eta|scale) (\S+?)(?:,|\n| \(default\))", result.stdout))
+    assert taken == {"g": "0.9", "eta": "1.35", "scale": "free"}
+    assert "(default)" not in result.stdout
+    usual = run(tool, str(EXAMPLES / name), address, "fit", env=environment).stdout
+    assert "with g 0 (default), eta 1.4, scale absolute (default)\n" in usual
 
 
 def test_instruments_are_told_what_is_no_success(address):
@@ -404,12 +459,6 @@ def test_instruments_are_told_what_is_no_success(address):
     if shutil.which("mbpoll") is not None:
         result = run("sh", str(EXAMPLES / "jobs.sh"), address, "fit", "eta=1.4", *readings.split())
         assert result.returncode == 1 and result.stderr == f"{said}\n", result.stderr
-
-
-def test_a_fit_of_readings_needs_their_eta(address):
-    for command in ([sys.executable, "jobs.py"], ["sh", "jobs.sh"]):
-        result = run(command[0], str(EXAMPLES / command[1]), address, "fit", "1,.02,.001", "2,.01,.001")
-        assert result.returncode == 1 and "give eta=X" in result.stderr, result.stderr
 
 
 def test_a_job_that_is_refused_says_why(daemon):
