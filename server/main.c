@@ -78,6 +78,7 @@ static void stop(struct daemon *daemon, int signal_number) {
   for (size_t i = 0; i < daemon->listener_count; i++) {
     listener_close(&daemon->listeners[i]);
   }
+  handshakes_stop(daemon->server.handshakes);
   uint64_t running = daemon->workers_started;
   if (daemon->server.tls != NULL && running == server_worker_count(&daemon->server)) {
     /* The last worker hands connections to the others: it ends before they do. */
@@ -327,10 +328,12 @@ static bool set_up_tls(struct server *server) {
 }
 
 /* Called when the workers have started. */
-static bool set_up_handshakes(struct server *server) {
+static bool set_up_handshakes(struct daemon *daemon) {
+  struct server *server = &daemon->server;
   if (server->tls != NULL) {
     struct worker *worker = &server->workers[server_worker_count(server) - 1];
-    server->handshakes = handshakes_new(server, server->tls, worker, listener_admit_tls);
+    server->handshakes =
+        handshakes_new(server, server->tls, &daemon->loop, worker, listener_admit_tls);
   }
   return (server->tls == NULL || server->handshakes != NULL) || complain("tls", "out of memory");
 }
@@ -389,7 +392,7 @@ static int run(struct daemon *daemon) {
   raise_descriptor_limit();
   set_up_loop(daemon);
   daemon->ready = set_up_tls(server) && set_up_modbus(server) && start_workers(daemon) &&
-                  set_up_handshakes(server) && open_metrics(daemon) && open_addresses(daemon) &&
+                  set_up_handshakes(daemon) && open_metrics(daemon) && open_addresses(daemon) &&
                   open_modbus(daemon) && open_http(daemon);
   if (daemon->ready) {
     log_line(LOG_LEVEL_INFO, "event=ready workers=%llu isa=%s",

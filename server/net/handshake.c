@@ -3,6 +3,7 @@
 #include <netinet/in.h>
 #include <netinet/tcp.h>
 #include <stdlib.h>
+#include <sys/ioctl.h>
 #include <sys/resource.h>
 #include <sys/socket.h>
 #include <unistd.h>
@@ -20,6 +21,10 @@ TAILQ_HEAD(queue, handshake);
 
 struct handshakes {
   struct server *server;
+  struct queue
+      silent; /* on the main thread: clients that have sent nothing, the oldest one first */
+  unsigned silent_count;
+  uv_timer_t timer; /* looks for those that are silent for too long */
   struct tls *tls;
   struct worker *worker;
   handshakes_done *done;
@@ -91,8 +96,8 @@ static void fail(struct handshake *h, const char *reason) {
 static void on_poll(uv_poll_t *poll, int status, int events) {
   (void)events;
   struct handshake *h = poll->data;
-  if (status < 0) {
-    fail(h, uv_strerror(status));
+  if (status < 0) { /* libuv says EBADF for a reset. */
+    fail(h, "the peer has closed the connection");
   } else {
     worker_run_later(&h->client);
   }
@@ -146,7 +151,6 @@ static void start(struct client *client) {
     fail(TAILQ_FIRST(&all->queue), "max_tls_handshakes newer ones have begun");
   }
   h->began_ms = uv_now(worker_loop(client->worker));
-  h->poll.data = h;
   if (uv_poll_init(worker_loop(client->worker), &h->poll, h->fd) != 0) {
     worker_forget(client);
     tls_session_free(h->session);
@@ -186,30 +190,116 @@ void handshakes_admit(struct server *server, int fd) {
   }
 }
 
-void handshakes_begin(struct server *server, int fd, handshakes_done *done) {
-  struct handshakes *all = server->handshakes;
+/* Gives a client that has sent something, and is not in a queue, to the worker. */
+static void pass_on(struct handshake *h) {
+  struct handshakes *all = h->all;
+  struct server *server = all->server;
   const bool full = atomic_load(&all->waiting) >= server->options.max_tls_handshakes;
-  struct handshake *h = full ? NULL : calloc(1, sizeof *h);
-  struct tls_session *session = h != NULL ? tls_session_new(all->tls, fd) : NULL;
-  if (session == NULL) {
-    free(h);
-    refuse(server, fd, full ? "max_tls_handshakes have begun at once" : "out of memory",
+  h->session = full ? NULL : tls_session_new(all->tls, h->fd);
+  if (h->session == NULL) {
+    refuse(server, h->fd, full ? "max_tls_handshakes have begun at once" : "out of memory",
            STATS_TLS_HANDSHAKES_FAILED);
+    free(h);
     return;
   }
-  const int on = 1;
-  setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
-  h->client.kind = &kind;
-  h->all = all;
-  h->fd = fd;
-  h->session = session;
-  h->done = done;
   atomic_fetch_add(&all->waiting, 1);
   worker_give(all->worker, &h->client);
 }
 
-struct handshakes *handshakes_new(struct server *server, struct tls *tls, struct worker *worker,
-                                  handshakes_done *done) {
+static void on_left(uv_handle_t *handle) {
+  struct handshake *h = handle->data;
+  if (!h->closing && !atomic_load(&h->all->server->draining)) {
+    pass_on(h);
+  } else {
+    close(h->fd);
+    free(h);
+  }
+}
+
+/* Takes a client out of those that are silent. why: NULL if it has sent something. */
+static void leave(struct handshake *h, const char *why) {
+  TAILQ_REMOVE(&h->all->silent, h, in_queue);
+  h->all->silent_count--;
+  if (why != NULL) {
+    log_refusal(h->fd, why);
+    stats_add(&h->all->server->stats, STATS_TLS_HANDSHAKES_FAILED, 1);
+    h->closing = true;
+  }
+  uv_close((uv_handle_t *)&h->poll, on_left);
+}
+
+static bool has_sent(const struct handshake *h) {
+  int bytes = 0;
+  return ioctl(h->fd, FIONREAD, &bytes) == 0 && bytes > 0;
+}
+
+static void on_first_bytes(uv_poll_t *poll, int status, int events) {
+  struct handshake *h = poll->data;
+  (void)status, (void)events;
+  leave(h, has_sent(h) ? NULL : "the peer has closed the connection");
+}
+
+static void on_timer(uv_timer_t *timer) {
+  struct handshakes *all = timer->data;
+  struct handshake *h;
+  while ((h = TAILQ_FIRST(&all->silent)) != NULL &&
+         uv_now(timer->loop) - h->began_ms > all->server->options.tls_handshake_timeout_ms) {
+    leave(h, "the handshake takes too long");
+  }
+  if (h == NULL) {
+    uv_timer_stop(timer);
+  }
+}
+
+void handshakes_begin(struct server *server, int fd, handshakes_done *done) {
+  struct handshakes *all = server->handshakes;
+  struct handshake *h = calloc(1, sizeof *h);
+  const int on = 1;
+  if (h == NULL) {
+    refuse(server, fd, "out of memory", STATS_TLS_HANDSHAKES_FAILED);
+    return;
+  }
+  setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
+  h->client.kind = &kind;
+  h->all = all;
+  h->fd = fd;
+  h->done = done;
+  h->poll.data = h;
+  if (has_sent(h)) {
+    pass_on(h);
+    return;
+  }
+  if (uv_poll_init(all->timer.loop, &h->poll, fd) != 0) {
+    refuse(server, fd, "the socket cannot be polled", STATS_TLS_HANDSHAKES_FAILED);
+    free(h);
+    return;
+  }
+  while (all->silent_count >= server->options.max_tls_handshakes) {
+    struct handshake *oldest = TAILQ_FIRST(&all->silent);
+    leave(oldest, has_sent(oldest) ? NULL : "max_tls_handshakes newer ones have begun");
+  }
+  const uint64_t period_ms = server->options.tls_handshake_timeout_ms / 4 + 1;
+  h->began_ms = uv_now(all->timer.loop);
+  TAILQ_INSERT_TAIL(&all->silent, h, in_queue);
+  all->silent_count++;
+  uv_poll_start(&h->poll, UV_READABLE, on_first_bytes);
+  if (!uv_is_active((uv_handle_t *)&all->timer)) {
+    uv_timer_start(&all->timer, on_timer, period_ms, period_ms);
+  }
+}
+
+void handshakes_stop(struct handshakes *all) {
+  struct handshake *h;
+  while (all != NULL && (h = TAILQ_FIRST(&all->silent)) != NULL) {
+    leave(h, "the daemon stops");
+  }
+  if (all != NULL) {
+    uv_close((uv_handle_t *)&all->timer, NULL);
+  }
+}
+
+struct handshakes *handshakes_new(struct server *server, struct tls *tls, uv_loop_t *loop,
+                                  struct worker *worker, handshakes_done *done) {
   struct handshakes *all = calloc(1, sizeof *all);
   if (all != NULL) {
     all->server = server;
@@ -217,6 +307,9 @@ struct handshakes *handshakes_new(struct server *server, struct tls *tls, struct
     all->worker = worker;
     all->done = done;
     TAILQ_INIT(&all->queue);
+    TAILQ_INIT(&all->silent);
+    uv_timer_init(loop, &all->timer);
+    all->timer.data = all;
   }
   return all;
 }

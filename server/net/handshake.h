@@ -2,9 +2,11 @@
  * them costs other clients nothing but a small share of the processor. A connection whose handshake
  * is done goes on to the workers that evaluate.
  *
- * A handshake may take --tls-handshake-timeout-ms and 64 KiB. While --max-tls-handshakes are under
- * way, each new one ends the oldest: so handshakes that somebody leaves half open keep nobody out
- * whose handshake takes milliseconds.
+ * A handshake may take --tls-handshake-timeout-ms and 64 KiB, and begins when the client has sent
+ * something; before that it costs no more than its socket, which the main thread watches. There may
+ * be --max-tls-handshakes under way, and as many clients that are silent: one more ends the oldest of
+ * its kind. So handshakes that somebody leaves half open keep nobody out whose handshake takes
+ * milliseconds.
  */
 #ifndef DIPOLED_HANDSHAKE_H
 #define DIPOLED_HANDSHAKE_H
@@ -18,11 +20,16 @@ struct handshakes;
  * worker's thread. */
 typedef void handshakes_done(struct server *server, int fd, struct tls_session *session);
 
-/* Makes the handshakes. done: for the binary protocol. Returns NULL if there is no memory. */
-struct handshakes *handshakes_new(struct server *server, struct tls *tls, struct worker *worker,
-                                  handshakes_done *done);
+/* Makes the handshakes. loop: the main thread's. done: for the binary protocol. Returns NULL if there
+ * is no memory. */
+struct handshakes *handshakes_new(struct server *server, struct tls *tls, uv_loop_t *loop,
+                                  struct worker *worker, handshakes_done *done);
 
-/* Frees it. Call this after the worker has ended. handshakes: may be NULL. */
+/* Ends those of clients that have sent nothing. Call this when no more can begin. handshakes: may be
+ * NULL, here and below. */
+void handshakes_stop(struct handshakes *handshakes);
+
+/* Frees it. Call this after the worker has ended and the loop has closed its handles. */
 void handshakes_free(struct handshakes *handshakes);
 
 /* Begins the handshake of a connected socket, which it then owns. The connection of a peer that is

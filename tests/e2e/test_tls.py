@@ -16,6 +16,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import ExitStack
 
 import dipole
 import numpy as np
@@ -549,6 +550,30 @@ def test_half_open_handshakes_keep_nobody_out(farm, ours):
             ratios.append(ratio_beside_a_flood(client))
         assert sanitized() or min(ratios) < 10, ratios
     assert eventually(lambda: counters(farm)["tls_handshakes_open"] == 0)
+
+
+def test_silent_clients_end_only_each_other(daemon, server, ours):
+    """A handshake that has begun goes on beside a flood of connections that send nothing."""
+    one = daemon("--max-tls-handshakes", "4", *options(server), listen=[TLS, "tcp:127.0.0.1:0"])
+    arriving, leaving = ssl.MemoryBIO(), ssl.MemoryBIO()
+    session = dipole.Tls(**ours).context().wrap_bio(arriving, leaving, server_hostname="localhost")
+    with pytest.raises(ssl.SSLWantReadError):
+        session.do_handshake()
+    hello = leaving.read()
+    with socket.create_connection(("127.0.0.1", port_of(one)), 10) as good, ExitStack() as stack:
+        good.sendall(hello[:50])
+        assert eventually(lambda: counters(one)["tls_handshakes_open"] == 1)
+        address = "127.0.0.1", port_of(one)
+        silent = [stack.enter_context(socket.create_connection(address, 10)) for _ in range(50)]
+        for ended in silent[:46]:
+            assert ended.recv(1) == b""
+        good.sendall(hello[50:])
+        arriving.write(good.recv(65536))
+        session.do_handshake()
+        good.sendall(leaving.read())
+        assert eventually(lambda: counters(one)["tls_handshakes"] == 1)
+        assert not select.select(silent[46:], [], [], 0)[0]
+        assert counters(one)["tls_handshakes_failed"] == 46
 
 
 def test_a_handshake_may_not_take_long(daemon, server, ours):
