@@ -59,6 +59,10 @@ WARNINGS := -Wall -Wextra -Werror -Wshadow -Wstrict-prototypes -Wmissing-prototy
 # value; without them loops with sqrt and selections are not vectorized. GCC 12.2 at -O2 drops the
 # rounding of `x[0] = (double)(float)x[0]; x[1] = (double)(float)x[1];` in its SLP vectorizer.
 BITS := -ffp-contract=off -fno-math-errno -fno-trapping-math -fno-tree-slp-vectorize
+# The x87 of 32-bit machines rounds twice.
+ifneq ($(shell $(CC) -dM -E -x c /dev/null | grep -w __i386__),)
+BITS += -msse2 -mfpmath=sse
+endif
 ALL_CFLAGS = -std=c17 $(WARNINGS) $(BITS) -fPIC -pthread $(CFLAGS) $(SANITIZE)
 ALL_CPPFLAGS = -D_GNU_SOURCE -I. -DDIPOLED_VERSION='"$(VERSION)"' -MMD -MP $(CPPFLAGS)
 # Fuzzing does not follow the kernels: it would be slow, and they have hardly a branch.

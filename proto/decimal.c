@@ -10,14 +10,12 @@
 #include <string.h>
 #include <strings.h>
 
-__extension__ typedef unsigned __int128 u128;
-
 /* ---- powers of ten --------------------------------------------------------------------------- */
 
 enum {
   POWER_MIN = -292, /* the powers of ten that a double needs */
   POWER_MAX = 324,
-  LIMBS = 20, /* of 64 bits: 10^324 takes 1077 bits, and 2^1279 / 10^292 leaves 309 */
+  LIMBS = 40, /* of 32 bits: 10^324 takes 1077 bits, and 2^1279 / 10^292 leaves 309 */
 };
 
 /* The 128 leading bits of 10^k, rounded up. */
@@ -28,45 +26,43 @@ static struct power {
 static atomic_bool powers_are_made;
 
 /* Returns the 128 leading bits of a number, plus 1 if other bits are set or `inexact`. */
-static struct power leading_bits(const uint64_t number[LIMBS], bool inexact) {
+static struct power leading_bits(const uint32_t number[LIMBS], bool inexact) {
   int top = LIMBS - 1;
   while (number[top] == 0) {
     top--;
   }
-  uint64_t limbs[3]; /* the highest first */
-  for (int i = 0; i < 3; i++) {
-    limbs[i] = top >= i ? number[top - i] : 0;
+  uint64_t words[4] = {0}; /* each limb with the one below it, the highest first */
+  for (int i = 0; i < 4 && top >= i; i++) {
+    words[i] = (uint64_t)number[top - i] << 32 | (top > i ? number[top - i - 1] : 0);
   }
-  for (int i = 0; i + 3 <= top; i++) {
+  for (int i = 0; i + 5 <= top; i++) {
     inexact |= number[i] != 0;
   }
-  const int shift = __builtin_clzll(limbs[0]);
-  u128 bits = (u128)limbs[0] << 64 | limbs[1];
-  if (shift > 0) {
-    bits = bits << shift | limbs[2] >> (64 - shift);
-  }
-  bits += inexact || limbs[2] << shift != 0;
-  return (struct power){(uint64_t)(bits >> 64), (uint64_t)bits};
+  const int shift = __builtin_clzll(words[0]);
+  const uint64_t high = words[0] << shift | (words[1] & UINT32_MAX) >> (32 - shift);
+  const uint64_t low = words[2] << shift | (words[3] & UINT32_MAX) >> (32 - shift);
+  const bool more = inexact || (uint32_t)(words[3] << shift) != 0;
+  return (struct power){high + (more && low == UINT64_MAX), low + more};
 }
 
 static void make_powers(void) {
-  uint64_t number[LIMBS] = {1};
+  uint32_t number[LIMBS] = {1};
   for (int k = 0; k <= POWER_MAX; k++) {
     powers[k - POWER_MIN] = leading_bits(number, false);
-    u128 carry = 0;
+    uint64_t carry = 0;
     for (int i = 0; i < LIMBS; i++) {
-      carry += (u128)number[i] * 10;
-      number[i] = (uint64_t)carry;
-      carry >>= 64;
+      carry += (uint64_t)number[i] * 10;
+      number[i] = (uint32_t)carry;
+      carry >>= 32;
     }
   }
   memset(number, 0, sizeof number);
-  number[LIMBS - 1] = UINT64_C(1) << 63;
+  number[LIMBS - 1] = UINT32_C(1) << 31;
   for (int k = -1; k >= POWER_MIN; k--) {
-    u128 rest = 0;
+    uint64_t rest = 0;
     for (int i = LIMBS - 1; i >= 0; i--) {
-      rest = rest << 64 | number[i];
-      number[i] = (uint64_t)(rest / 10);
+      rest = rest << 32 | number[i];
+      number[i] = (uint32_t)(rest / 10);
       rest %= 10;
     }
     powers[k - POWER_MIN] = leading_bits(number, true);
@@ -95,12 +91,20 @@ struct digits {
   int exponent;
 };
 
+/* Without a type of 128 bits, which machines of 32 bits have not. */
+static struct power multiply(uint64_t a, uint64_t b) {
+  const uint64_t a_low = (uint32_t)a, b_low = (uint32_t)b, a_high = a >> 32, b_high = b >> 32;
+  const uint64_t low = a_low * b_low, one = a_high * b_low + (low >> 32);
+  const uint64_t other = a_low * b_high + (uint32_t)one;
+  return (struct power){a_high * b_high + (one >> 32) + (other >> 32), other << 32 | (uint32_t)low};
+}
+
 /* Returns the product of a power and a number, in units of 2^128. Its last bit is also set if any
  * bits are cut off. */
 static uint64_t product(struct power power, uint64_t number) {
-  const u128 low = (u128)power.low * number;
-  const u128 high = (u128)power.high * number + (uint64_t)(low >> 64);
-  return (uint64_t)(high >> 64) | ((uint64_t)high > 1);
+  const struct power high = multiply(power.high, number);
+  const uint64_t middle = high.low + multiply(power.low, number).high;
+  return (high.high + (middle < high.low)) | (middle > 1);
 }
 
 /* Returns the shortest decimal within half the distance to the neighbours of significand
@@ -293,19 +297,17 @@ static inline size_t write_bits(bool negative, uint64_t magnitude, int precision
 size_t decimal_write(double value, char text[DECIMAL_BYTES]) {
   uint64_t bits;
   memcpy(&bits, &value, sizeof bits);
-  return isfinite(value) && value != 0
-             ? write_bits(bits >> 63, bits & (UINT64_MAX >> 1), DBL_MANT_DIG,
-                          DBL_MIN_EXP - DBL_MANT_DIG, text)
-             : write_name(value, text);
+  return isfinite(value) && value != 0 ? write_bits(bits >> 63, bits & (UINT64_MAX >> 1),
+                                                    DBL_MANT_DIG, DBL_MIN_EXP - DBL_MANT_DIG, text)
+                                       : write_name(value, text);
 }
 
 size_t decimal_write_single(float value, char text[DECIMAL_BYTES]) {
   uint32_t bits;
   memcpy(&bits, &value, sizeof bits);
-  return isfinite(value) && value != 0
-             ? write_bits(bits >> 31, bits & (UINT32_MAX >> 1), FLT_MANT_DIG,
-                          FLT_MIN_EXP - FLT_MANT_DIG, text)
-             : write_name((double)value, text);
+  return isfinite(value) && value != 0 ? write_bits(bits >> 31, bits & (UINT32_MAX >> 1),
+                                                    FLT_MANT_DIG, FLT_MIN_EXP - FLT_MANT_DIG, text)
+                                       : write_name((double)value, text);
 }
 
 /* ---- reading --------------------------------------------------------------------------------- */

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 import shutil
 import subprocess
 import sys
@@ -63,3 +64,24 @@ def test_a_circle_put_into_a_copy_is_found(copy, folder):
     status, lines = report(copy)
     assert status == 1
     assert any({module, other} <= set(line.split()) for line in lines)
+
+
+@pytest.mark.skipif(
+    platform.machine() != "x86_64" or not Path("/usr/include/x86_64-linux-gnu/gnu/stubs-32.h").exists(),
+    reason="the headers for 32 bits are not installed",
+)
+def test_programs_compile_for_32_bits():
+    files = [
+        path
+        for folder in ("proto", "server", "clients/c", "clients/cli")
+        for path in sorted((REPOSITORY / folder).rglob("*.c"))
+        if not {"tools", "examples", "page.c"} & set(path.parts)
+    ]
+    packages = subprocess.run(
+        ["pkg-config", "--cflags", "libmodbus"], capture_output=True, text=True, check=True
+    )
+    options = ["-m32", "-idirafter", "/usr/include/x86_64-linux-gnu", *packages.stdout.split()]
+    options += ["-std=c17", "-Wall", "-Wextra", "-Werror", "-D_GNU_SOURCE", "-DDIPOLED_VERSION=\"\""]
+    command = ["gcc", *options, "-I.", "-fsyntax-only", *files]
+    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
