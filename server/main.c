@@ -34,6 +34,7 @@ struct daemon {
   struct server server;
   uv_loop_t loop;
   uv_signal_t signals[STOP_SIGNALS];
+  uv_work_t first_work;
   struct systemd systemd;
   struct listener listeners[SYSTEMD_SOCKETS_MAX + (2 * OPTIONS_LIST_MAX + 2) * TCP_ADDRESSES_MAX];
   size_t listener_count;
@@ -142,6 +143,10 @@ static bool choose_isa(struct server *server) {
   return false;
 }
 
+static void do_nothing(uv_work_t *work) {
+  (void)work;
+}
+
 static bool start_workers(struct daemon *daemon) {
   struct server *server = &daemon->server;
   const uint64_t count = server_worker_count(server);
@@ -154,6 +159,8 @@ static bool start_workers(struct daemon *daemon) {
       server->mc == NULL) {
     return complain("workers", "out of memory");
   }
+  /* libuv aborts if the threads of its pool, which prepare, cannot start. So they start now. */
+  uv_queue_work(&daemon->loop, &daemon->first_work, do_nothing, NULL);
   for (; daemon->workers_started < count; daemon->workers_started++) {
     const int error = worker_start(&server->workers[daemon->workers_started], server);
     if (error != 0) {

@@ -18,6 +18,7 @@ import threading
 import time
 from pathlib import Path
 
+import dipole
 import pytest
 from certificates import Authority
 from daemons import Daemon, eventually, sanitized
@@ -466,6 +467,27 @@ def wait_for_answers(
             assert_answer(known[first.request_id % 40], first, parts)
             answered.append(first.request_id)
     return answered
+
+
+@pytest.mark.skipif(sanitized(), reason="a sanitizer reserves terabytes of addresses")
+@pytest.mark.parametrize("kind", ["lut", "mc"])
+def test_no_memory_for_the_first_thread_that_prepares(daemon, kind):
+    """The daemon has no room for the stack of another thread when it is first asked for what other
+    threads do: it answers or refuses, and goes on."""
+    one = daemon()
+    with one.client() as client:
+        client.eval("better", "skin1", [1.0], evaluator="f64")
+        status = Path(f"/proc/{one.process.pid}/status").read_text()
+        pages_kB = int(next(x for x in status.splitlines() if x.startswith("VmSize:")).split()[1])
+        limit = (pages_kB + 4096) * 1024
+        resource.prlimit(one.process.pid, resource.RLIMIT_AS, (limit, limit))
+        with contextlib.suppress(dipole.Refused):
+            if kind == "lut":
+                client.eval("better", "skin1", [1.0], evaluator="lut")
+            else:
+                client.mc(dipole.Medium(0.1, 1.0), [0.0, 1.0], photons=4096)
+    with one.client() as client:
+        assert client.ping() > 0
 
 
 # ---- wake-ups, and leaving -----------------------------------------------------------------------
