@@ -5,6 +5,9 @@ set -eu
 cd "$(dirname "$0")/../.."
 action=$1
 DESTDIR=${DESTDIR-}
+# The folder below which those that become empty are removed: not in the system's own.
+base=${DESTDIR:-$PREFIX}
+case " $SYSTEM_PREFIXES " in *" $base "*) base=/nowhere ;; esac
 
 # Copies standard input with the names between @ replaced.
 fill() {
@@ -30,8 +33,8 @@ put() { # mode, source, path
   esac
 }
 
-# Removes a file, and with a Python module what Python has compiled from it. Below $DESTDIR it also
-# removes the folders that become empty.
+# Removes a file, with a Python module what Python has compiled from it, and the folders that become
+# empty, if they are below the base or named after the project.
 take_away() { # path
   rm -f "$1"
   left=${1%/*}
@@ -41,7 +44,8 @@ take_away() { # path
     rmdir "$left" 2>/dev/null || true
     ;;
   esac
-  while [ -n "$DESTDIR" ] && [ "${left#"$DESTDIR"/}" != "$left" ]; do
+  while :; do
+    case $left in "$base"/* | "$PREFIX"/*dipole*) ;; *) break ;; esac
     rmdir "$left" 2>/dev/null || [ ! -d "$left" ] || break
     left=${left%/*}
   done
@@ -74,3 +78,4 @@ grep -v '^#' clients/packaging/files | fill | while read -r mode source place; d
   esac
   unset IFS
 done
+[ "$action" = install ] || [ "$base" = /nowhere ] || [ -n "$DESTDIR" ] || rmdir "$base" 2>/dev/null || true

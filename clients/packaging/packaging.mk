@@ -14,8 +14,13 @@ PYTHONDIR ?= $(shell $(PYTHON) clients/packaging/python_folder.py $(PREFIX))
 # What install.sh fills in.
 INSTALL_FILES = BUILD='$(BUILD)' DESTDIR='$(DESTDIR)' VERSION=$(VERSION) SOVERSION=$(SOVERSION) \
 	PREFIX=$(PREFIX) BINDIR=$(BINDIR) LIBDIR=$(LIBDIR) INCLUDEDIR=$(INCLUDEDIR) MANDIR=$(MANDIR) \
-	DOCDIR=$(DOCDIR) UNITDIR=$(UNITDIR) BASHDIR=$(BASHDIR) ZSHDIR=$(ZSHDIR) PYTHONDIR=$(PYTHONDIR) TLS_LIBS='$(TLS_LIBS)' \
+	SYSTEM_PREFIXES='$(SYSTEM_PREFIXES)' DOCDIR=$(DOCDIR) UNITDIR=$(UNITDIR) BASHDIR=$(BASHDIR) ZSHDIR=$(ZSHDIR) PYTHONDIR=$(PYTHONDIR) TLS_LIBS='$(TLS_LIBS)' \
 	sh clients/packaging/install.sh
+
+# The socket's group is for root and where systemd looks for units. A file says that `install` has made it.
+SYSTEM_PREFIXES ?= /usr /usr/local
+MAKES_GROUP = [ "$$(id -u),$(DESTDIR),$(filter $(PREFIX),$(SYSTEM_PREFIXES))" = '0,,$(PREFIX)' ]
+GROUP_MADE = $(PREFIX)/lib/sysusers.d/dipoled.made
 
 .PHONY: manuals install uninstall deb check-deb container
 
@@ -27,13 +32,16 @@ manuals: $(BUILD)/dipoled $(BUILD)/dipole
 install: $(INSTALLED) $(LIBRARIES)
 	$(Q)$(INSTALL_FILES) install
 	$(Q)[ -n "$(DESTDIR)" ] || [ "$$(id -u)" != 0 ] || ldconfig
-	$(Q)[ -n "$(DESTDIR)" ] || [ "$$(id -u)" != 0 ] || ! command -v systemd-sysusers >/dev/null || systemd-sysusers '$(PREFIX)/lib/sysusers.d/dipoled.conf'
+	$(Q)! $(MAKES_GROUP) || getent group dipole >/dev/null || ! command -v systemd-sysusers >/dev/null || \
+		{ systemd-sysusers '$(PREFIX)/lib/sysusers.d/dipoled.conf' && touch '$(GROUP_MADE)'; }
 	@printf 'Installed in %s%s: programs in %s, library in %s, Python module in %s\n' \
 		'$(DESTDIR)' '$(PREFIX)' '$(BINDIR)' '$(LIBDIR)' '$(PYTHONDIR)'
 
 # With the same PREFIX, DESTDIR and the like.
 uninstall:
+	$(Q)! $(MAKES_GROUP) || [ ! -e '$(GROUP_MADE)' ] || { groupdel dipole; rm '$(GROUP_MADE)'; }
 	$(Q)$(INSTALL_FILES) uninstall
+	$(Q)[ -n "$(DESTDIR)" ] || [ "$$(id -u)" != 0 ] || ldconfig
 
 # The packages and the source package, in DEB. They are built from a copy of the sources with Debian's
 # flags; with REUSE=yes the copy takes what is in BUILD over, which the tests do.

@@ -3,6 +3,7 @@ them."""
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from pathlib import Path
@@ -40,6 +41,34 @@ def test_uninstall_leaves_nothing_behind(tmp_path):
     assert len(files(tmp_path)) > 20
     make("uninstall", DESTDIR=tmp_path, PREFIX=PREFIX)
     assert files(tmp_path) == set()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root makes groups")
+@pytest.mark.parametrize("before", [False, True])
+@pytest.mark.parametrize("system", [False, True])
+def test_a_group_for_systems_prefix_alone(tmp_path, monkeypatch, system, before):
+    """Without DESTDIR, root makes the socket's group where systemd looks for units, unless it is
+    there. `make uninstall` removes the group that `make install` has made, and the folders."""
+    tools, prefix, group, done = (tmp_path / name for name in ("tools", "prefix", "group", "done"))
+    tools.mkdir()
+    for name, does in {
+        "getent": f"[ -e {group} ]",
+        "systemd-sysusers": f"touch {group} {done}",
+        "groupdel": f"rm {group} && touch {done}",
+        "ldconfig": "true",
+    }.items():
+        (tools / name).write_text(f"#!/bin/sh\n{does}\n")
+        (tools / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tools}:{os.environ['PATH']}")
+    if before:
+        group.touch()
+    variables = {"PREFIX": prefix, **({"SYSTEM_PREFIXES": prefix} if system else {})}
+    make("install", **variables)
+    assert group.exists() == (system or before)
+    make("uninstall", **variables)
+    assert group.exists() == before and done.exists() == (system and not before)
+    left = files(prefix) if prefix.exists() else set()
+    assert not any("dipole" in name for name in left) and (system or not prefix.exists())
 
 
 def test_uninstall_leaves_others_alone(tmp_path):

@@ -485,7 +485,7 @@ def test_no_memory_for_the_first_thread_that_prepares(daemon, kind):
             if kind == "lut":
                 client.eval("better", "skin1", [1.0], evaluator="lut")
             else:
-                client.mc(dipole.Medium(0.1, 1.0), [0.0, 1.0], photons=4096)
+                client.mc(dipole.Medium(0.1, 1.0), dipole.Grid(0, 1, 2), photons=4096)
     with one.client() as client:
         assert client.ping() > 0
 
