@@ -568,6 +568,7 @@ const cli_command cli_command_bench = {
     .examples = "  dipole bench\n"
                 "  dipole bench --connect tcp:farm7:4817 --connections 8 --in-flight 128\n"
                 "  dipole bench --model transport --evaluator lut --seconds 5 --format json\n",
+    .shows_service = true,
     .settings_bytes = sizeof(bench_settings),
     .check = check,
     .run = run,

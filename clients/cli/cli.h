@@ -93,6 +93,9 @@ typedef struct cli_command {
    * check. Returns an exit status; the command goes on if that is CLI_OK. */
   int (*check)(void *settings);
 
+  /* Without --connect and $DIPOLED, the command is about the installed service if that is there. */
+  bool shows_service;
+
   /* Returns whether the command needs no daemon. NULL if it always needs one. */
   bool (*is_local)(const void *settings);
 

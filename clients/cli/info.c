@@ -278,6 +278,7 @@ const cli_command cli_command_info = {
     .name = "info",
     .about = "Show a daemon: models, evaluators, instruction set, limits, statistics, costs",
     .formats = "table,csv,json",
+    .shows_service = true,
     .settings_bytes = sizeof(cli_common),
     .run = run,
     .examples = "  dipole info\n"

@@ -1,6 +1,9 @@
 /* dipole: the command line of dipoled. Each command is a file of its own. */
 #include <stdlib.h>
 #include <string.h>
+#include <sys/socket.h>
+#include <sys/un.h>
+#include <unistd.h>
 
 #include "clients/cli/daemon.h"
 #include "clients/cli/options.h"
@@ -65,7 +68,32 @@ static int help(const char *name) {
   return CLI_OK;
 }
 
+#define SERVICE "/run/dipoled.sock" /* as server/dipoled.socket has it */
+
+/* Names the installed service if no daemon is named and the service is there, and says so. */
+static void find_service(cli_common *common) {
+  const struct sockaddr_un at = {.sun_family = AF_UNIX, .sun_path = SERVICE};
+  const char *named = getenv("DIPOLED");
+  if (common->connect != NULL || (named != NULL && named[0] != '\0')) {
+    return;
+  }
+  const int fd = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  if (fd >= 0 && connect(fd, (const struct sockaddr *)&at, sizeof at) == 0) {
+    common->connect = "unix:" SERVICE;
+    cli_say(CLI_OK, "this is the installed service, unix:" SERVICE "; --connect names others");
+  } else if (errno == EACCES) {
+    cli_say(CLI_OK, "this is a private daemon, since you may not connect to the installed service; "
+                    "`adduser USER dipole` allows it");
+  }
+  if (fd >= 0) {
+    close(fd);
+  }
+}
+
 static int connect_and_run(const cli_command *command, void *settings) {
+  if (command->shows_service) {
+    find_service(settings);
+  }
   const bool local = command->is_local != NULL && command->is_local(settings);
   dipole_client *client = local ? NULL : cli_open(settings);
   const int status = local || client != NULL ? command->run(settings, client) : CLI_FAILED;

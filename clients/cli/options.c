@@ -17,7 +17,8 @@ static const cli_option common_options[] = {
     {"connect", "ADDRESS",
      "unix:PATH, tcp:HOST:PORT or tls:HOST:PORT; private: for a daemon of\n"
      "its own. Several, separated by commas, are tried in turn (default:\n"
-     "the environment variable DIPOLED, else private:)",
+     "the environment variable DIPOLED, else private:; for info, top and bench\n"
+     "the installed service before that, if it is there)",
      CLI_TEXT, offsetof(cli_common, connect), NULL},
     {"ca", "FILE",
      "for tls: the certificates that sign the daemon's, PEM (default: the\n"

@@ -575,6 +575,7 @@ const cli_command cli_command_top = {
     .examples = "  dipole top --connect unix:/tmp/dipoled.sock\n"
                 "  dipole top --connect tcp:farm7:4817 --interval 60 --format csv > farm7.csv\n"
                 "  dipole top --connect tcp:farm7:4817 --count 1 --format json\n",
+    .shows_service = true,
     .settings_bytes = sizeof(top_settings),
     .check = check,
     .run = run,

@@ -253,3 +253,29 @@ def test_a_narrow_terminal_cuts_nothing(busy, columns):
     assert max(map(len, shown(screen.seen))) <= columns
     screen.process.send_signal(signal.SIGINT)
     assert screen.end()[0] == 0
+
+
+SERVICE = """mount -t tmpfs none /run || exit 77
+"$0/dipole" info | grep "^address  *private:" || exit 1
+"$0/dipoled" --listen unix:/run/dipoled.sock >/dev/null 2>&1 &
+trap "kill $!" EXIT
+"$0/dipole" info --connect unix:/run/dipoled.sock >/dev/null || exit 1
+for command in "info --format csv" "top --count 1 --interval .1" "bench --seconds .01"; do
+  "$0/dipole" $command || exit 1
+done
+"$0/dipole" info --connect private: | grep "^address  *private:"
+"""
+
+
+def test_the_installed_service_is_shown_unless_another_daemon_is_named():
+    run = subprocess.run(
+        ["unshare", "-rm", "bash", "-mc", SERVICE, str(PROGRAM.parent)], env=environment(),
+        capture_output=True, text=True, timeout=TIMEOUT_S, check=False,
+    )  # fmt: skip
+    if run.returncode == 77 or "unshare failed" in run.stderr:
+        pytest.skip("a file system of one's own cannot be mounted here")
+    assert run.returncode == 0, run.stderr
+    for shown in ("daemon,address,", "dipoled 0.1.0 at ", "dipoled 0.1.0 at "):
+        run.stdout = run.stdout.split(f"{shown}unix:/run/dipoled.sock", 1)[1]
+    for command in ("info", "top", "bench"):
+        assert f"dipole {command}: this is the installed service, unix:/run/dipoled" in run.stderr
