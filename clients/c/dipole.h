@@ -583,7 +583,7 @@ typedef struct dipole_fit_query {
   const double *source_mm; /* [reading_count] diameters of the discs that emit the light and that */
   const double *detector_mm; /* detect it; NULL: 0 */
   uint64_t set_count;   /* At least 1. All sets must fit into a frame (limit max_frame_bytes). */
-  const double *values; /* [set_count][reading_count], at least 0 */
+  const double *values; /* [set_count][reading_count]; noise may make some negative */
   const double *errors; /* [set_count][reading_count] their standard errors, above 0 and finite */
   bool residuals;       /* whether the residuals are wanted */
   unsigned deadline_ms; /* as of an eval */

@@ -386,9 +386,9 @@ enum { TOLD_MAX = 10 };
 static void tell_reading(const report *of, const cli_sample *sample, const dipole_fitted *one) {
   const size_t index = one->index < sample->count ? one->index : 0;
   const bool is_error = one->field == 2;
-  cli_fail("sample %s: reading %zu (line %llu): its %s must be %s, and finite", sample->name,
+  cli_fail("sample %s: reading %zu (line %llu): its %s must be %sfinite", sample->name,
            index + 1, (unsigned long long)of->readings.lines[sample->first + index],
-           is_error ? "error" : "R", is_error ? "above 0" : "at least 0");
+           is_error ? "error" : "R", is_error ? "above 0, and " : "");
 }
 
 /* Everything is written in any case; then the user is told what is no success. */

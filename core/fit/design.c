@@ -455,8 +455,8 @@ void core_fit_model(const core_fit *fit, double sigma_a_per_mm, double sigma_s_p
 /* Returns the fault of the first reading that is wrong. */
 static core_fault check_set(const core_fit *fit, const double *values, const double *errors) {
   for (size_t i = 0; i < fit->count; i++) {
-    if (!(values[i] >= 0 && values[i] < (double)INFINITY)) {
-      return (core_fault){"value", "at least 0, and finite", i};
+    if (!isfinite(values[i])) {
+      return (core_fault){"value", "finite", i};
     }
     if (!(errors[i] > 0 && errors[i] < (double)INFINITY)) {
       return (core_fault){"error", "above 0, and finite", i};

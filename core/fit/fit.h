@@ -169,7 +169,7 @@ typedef struct core_fit_result {
 void core_fit_model(const core_fit *fit, double sigma_a_per_mm, double sigma_s_prime_per_mm,
                     double *values);
 
-/* Fits one set: values[count] at least 0, in 1/mm^2 (axis RADIUS) or 1 (FREQUENCY), or 1 for
+/* Fits one set: values[count], which may be negative by noise, in 1/mm^2 (axis RADIUS) or 1 (FREQUENCY), or 1 for
  * ratios; errors[count] are their standard errors, above 0 and finite. residuals: NULL, or room for
  * count numbers (value - factor model) / error at the best medium. */
 void core_fit_run(const core_fit *fit, const double *values, const double *errors,

@@ -92,8 +92,8 @@ static void take_apart(const core_fit *fit, struct fit_readings readings, bool l
     const double m = scaled[i], value = readings.values[i], weight = 1 / readings.errors[i];
     if (logarithms) {
       const double slope = fit->weight[i] / real_max(m, 0x1p-1022);
-      out[i] = (struct residual){readings.logarithms[i], ln[i], value * weight, by_r[i] * slope,
-                                 by_s[i] * slope};
+      out[i] = (struct residual){readings.logarithms[i], ln[i], real_max(value, 0) * weight,
+                                 by_r[i] * slope, by_s[i] * slope};
     } else {
       out[i] =
           (struct residual){value, m, weight, by_r[i] * fit->weight[i], by_s[i] * fit->weight[i]};
@@ -176,7 +176,7 @@ static double measure_grid(const core_fit *fit, struct fit_readings readings, do
                            double *chi) {
   double weights[CORE_FIT_READINGS_MAX];
   for (size_t k = 0; k < fit->count; k++) {
-    const double value = readings.values[k], own = readings.errors[k];
+    const double value = real_max(readings.values[k], 0), own = readings.errors[k];
     weights[k] = value * value / (own * own + error * error * value * value);
   }
   return fit->model.loops->measure(FIT_GRID, fit->grid, fit->count, readings.logarithms, weights,
@@ -362,7 +362,7 @@ static enum core_fit_status status_of(const core_fit *fit, const core_fit_result
   const core_fit_solution *best = &result->best;
   const double limit = CORE_FIT_LN_ERROR_MAX * CORE_FIT_LN_ERROR_MAX;
   const bool vague =
-      !(result->condition < CORE_FIT_CONDITION_MAX) ||
+      !(best->factor > 0) || !(result->condition < CORE_FIT_CONDITION_MAX) ||
       !(result->covariance.a_a < limit * best->sigma_a_per_mm * best->sigma_a_per_mm) ||
       !(result->covariance.s_s < limit * best->sigma_s_prime_per_mm * best->sigma_s_prime_per_mm);
   return result->bounds != 0                                    ? CORE_FIT_STATUS_AT_BOUND

@@ -45,7 +45,7 @@ _Static_assert(FIT_GRID % FIT_LOOPS_MEDIA == 0, "the loops take all media of the
 struct fit_readings {
   const double *values;
   const double *errors;
-  const double *logarithms; /* of the values; NULL if none are needed */
+  const double *logarithms; /* of values above 0: others do not count; NULL if none are needed */
 };
 
 /* Chi-squared at a medium as far as it is quadratic: information and gradient by (ln_ratio,

@@ -503,7 +503,7 @@ static wire_error wrong_reading(const uint8_t *question, const wire_fitted *fitt
     error = wire_error_make(WIRE_STATUS_BAD_VALUE, "reference_reading", "above 0");
   } else {
     error = wire_error_make(WIRE_STATUS_BAD_VALUE, "reading",
-                            value ? "a value of at least 0" : "a standard error above 0");
+                            value ? "a finite value" : "a standard error above 0");
   }
   error.index = 2 * fitted->index + (value ? 0 : 1);
   return error;

@@ -174,7 +174,7 @@ UNIT_TEST(wrong_readings_are_refused_with_their_index) {
   static const struct {
     double value, error;
     const char *field;
-  } rows[] = {{-1e-9, 1, "value"},
+  } rows[] = {{-(double)INFINITY, 1, "value"},
               {(double)NAN, 1, "value"},
               {(double)INFINITY, 1, "value"},
               {1, 0, "error"},
@@ -182,7 +182,7 @@ UNIT_TEST(wrong_readings_are_refused_with_their_index) {
               {1, (double)NAN, "error"},
               {0, 0, "error"},
               {1, (double)INFINITY, "error"},
-              {-1, 0, "value"}};
+              {-1, 0, "error"}};
   for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
     struct subject wrong = subject;
     wrong.design.at = wrong.at;

@@ -230,7 +230,7 @@ def test_statuses_and_the_exit_status(readings):
         "zero": "refused", "blank": "refused", "origin": "refused",
     }  # fmt: skip
     for said in (
-        "sample negative: reading 3 (line 12): its R must be at least 0",
+        "sample negative: reading 3 (line 12): its error must be above 0, and finite",
         "sample zero: reading 1 (line 15): its error must be above 0",
         "sample blank: reading 1 (line 17): its error must be above 0",
         "sample few: ", "reading_count", "6 of 7 samples",

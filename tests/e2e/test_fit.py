@@ -184,7 +184,7 @@ def test_asyncio(client, daemon, readings):
 def test_wrong_readings_are_named_and_others_are_fitted(client, readings):
     values = np.tile(readings, (8, 1))
     errors = 0.01 * values
-    wrong = [(0, 3, -1e-9), (1, 0, np.nan), (2, 5, np.inf)]
+    wrong = [(0, 3, -np.inf), (1, 0, np.nan), (2, 5, np.inf)]
     for i, index, value in wrong:
         values[i, index] = value
     for i, index, error in ((3, 2, 0.0), (4, 1, -1.0), (5, 5, np.nan), (6, 0, np.inf)):
@@ -195,6 +195,26 @@ def test_wrong_readings_are_named_and_others_are_fitted(client, readings):
     assert list(found.sets["index"]) == [3, 0, 5, 2, 1, 5, 0, 0]
     assert np.isnan(found.sigma_a[:7]).all() and np.isnan(found.sigma_a_error[:7]).all()
     assert np.isnan(found.residuals[:7]).all() and np.isfinite(found.residuals[7]).all()
+
+
+def test_negative_readings_count_and_nothing_is_biased(client):
+    """At far distances noise is more than R. Dropping what is below 0 would raise the mean."""
+    at = [1.0, 2.0, 4.0, 10.0, 15.0, 20.0]
+    R = client.eval("better", Medium(0.1, 1.2, 0.0, 1.4), at).R[0]
+    errors = np.maximum(0.02 * R, 1e-5)
+    values = np.random.default_rng(1).normal(R, errors, (400, len(at)))
+    assert np.count_nonzero((values < 0).any(axis=1)) > 300
+    for scale in ("absolute", "free"):
+        found = client.fit("better", at, values, errors, eta=1.4, scale=scale)
+        assert np.count_nonzero(found.fitted) >= 399
+        assert (found.chi_squared <= (((values - R) / errors) ** 2).sum(axis=1)).all()
+        if scale == "free":  # so little is known that coefficients are far from linear in readings
+            continue
+        for name, truth in (("sigma_a", 0.1), ("sigma_s_prime", 1.2)):
+            values_found = getattr(found, name)[found.fitted]
+            assert abs(values_found.mean() - truth) < 4 * values_found.std() / 20, name
+    all_dark = client.fit("better", at, -values[0], errors, eta=1.4)
+    assert all_dark.status != "fitted"
 
 
 def test_a_bound_is_no_success(client):

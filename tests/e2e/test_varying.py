@@ -490,4 +490,4 @@ def test_the_asyncio_client_fetches_surfaces(daemon):
 def test_an_albedo_in_single_precision_is_within_its_error(client, model):
     media = {"sigma_a": 214.6922607421875, "sigma_s": 64.18435668945312, "eta": 1.4}
     found = client.varying(model, **media, wanted=["albedo"])
-    assert abs(float(found.albedo) / 0.004059579960877682 - 1) <= found.numerical_error < 4e-7
+    assert abs(float(found["albedo"]) / 0.004059579960877682 - 1) <= found.numerical_error < 4e-7

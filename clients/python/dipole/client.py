@@ -228,7 +228,7 @@ class Client:
 
         at: [N] distances in mm or, with axis="f", spatial frequencies in 1/mm. values: [..., N]
         readings there, such as an image [H, W, N]: R in 1/mm^2, or R(f). errors: their standard
-        errors, of a shape that broadcasts. A reading that is negative or NaN, or whose error is 0,
+        errors, of a shape that broadcasts. A reading may be negative by noise. One that is not finite, or whose error is 0,
         gives its set the status "refused"; the others are fitted.
 
         options: scale: "absolute"; "free" if all readings of a set have an unknown factor. In its
