@@ -168,6 +168,42 @@ static void describe_radius(const core_choose_request *asked, size_t worst, char
   }
 }
 
+/* Whether an error below 1 is known for a medium that is usual but for one coefficient. */
+static bool is_known(const core_choose_request *asked, unsigned which, double value) {
+  core_medium medium = {1, 1, 0, 1.3};
+  core_choose_request one = *asked;
+  *(which == 0 ? &medium.g : which == 1 ? &medium.eta : &medium.sigma_a_per_mm) = value;
+  medium.sigma_s_per_mm /= 1 - medium.g;
+  one.media = &medium;
+  one.media_count = 1;
+  one.radii = (core_radii_range){1, 1};
+  return best_of(&one).error <= 1;
+}
+
+/* Writes which coefficient of a medium no error is known for, and up to where one is. */
+static void describe_cause(const core_choose_request *asked, size_t worst, char *text,
+                           size_t bytes) {
+  const core_medium *medium = &asked->media[worst];
+  const double ratio = medium->sigma_a_per_mm / (medium->sigma_s_per_mm * (1 - medium->g));
+  const struct {
+    const char *name;
+    double usual, given;
+  } coefficients[] = {
+      {"g", 0, medium->g}, {"eta", 1.3, medium->eta}, {"sigma_a / sigma_s'", 1, ratio}};
+  for (unsigned i = 0; i < 3; i++) {
+    double good = coefficients[i].usual, bad = coefficients[i].given;
+    if (is_known(asked, i, good) && !is_known(asked, i, bad)) {
+      for (int halving = 0; halving < 40; halving++) {
+        const double middle = 0.5 * (good + bad);
+        *(is_known(asked, i, middle) ? &good : &bad) = middle;
+      }
+      snprintf(text, bytes, ": %s %.4g is %s %.2g", coefficients[i].name, coefficients[i].given,
+               bad > coefficients[i].usual ? "above" : "below", good);
+      return;
+    }
+  }
+}
+
 /* Returns the refusal of a tolerance that no candidate keeps. */
 static wire_error none_meets(const core_choose_request *asked) {
   char allowed[ALLOWED_BYTES], medium[32] = "", part[64] = "", least[ROUNDED_BYTES];
@@ -182,7 +218,9 @@ static wire_error none_meets(const core_choose_request *asked) {
              core_choice_by_id(core_models, best.model)->name,
              core_choice_by_id(core_evaluators, best.evaluator)->name);
   } else {
-    snprintf(allowed, sizeof allowed, "a model instead: no error below 1 is known%s", medium);
+    char cause[64] = "";
+    describe_cause(asked, worst, cause, sizeof cause);
+    snprintf(allowed, sizeof allowed, "a model instead: no error is known%s%s", medium, cause);
   }
   if (!describe_quantity(asked, part, sizeof part)) {
     describe_radius(asked, worst, part, sizeof part);
