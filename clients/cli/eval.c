@@ -43,12 +43,12 @@ const cli_option cli_eval_options[] = {
 };
 
 static const cli_option output_options[] = {
-    {"want", "NAME[,NAME...]",
+    {"wanted", "NAME[,NAME...]",
      "what to evaluate. R: 1/mm^2 per unit of power that entered; albedo; cdf:\n"
      "the share of the albedo within r; S: 1/(mm^2 sr); R_f: for striped light,\n"
      "at spatial frequencies in 1/mm; `dipole info` lists all (default:\n"
      "R,albedo; with --f R_f,albedo)",
-     CLI_NAMES, FIELD(want), NULL},
+     CLI_NAMES, FIELD(wanted), NULL},
     {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
     {"plot", "[FILE]",
      "also draw R over r into FILE.svg or FILE.png (default: " PLOT_FILE "); -: as\n"
@@ -65,7 +65,7 @@ static int check_table(const cli_eval_settings *settings) {
       profile->evaluator != NULL || cli_parameters_given(profile) || profile->deadline_ms.given ||
       profile->common.connect != NULL || settings->at_f) {
     return cli_fail_usage("--table FILE says what is evaluated, and needs no daemon: of "
-                          "the options leave all out but radii, --want and output");
+                          "the options leave all out but radii, --wanted and output");
   }
   return CLI_OK;
 }
@@ -114,7 +114,7 @@ static bool is_local(const void *settings) {
 
 static int write_and_draw(const cli_eval_settings *settings, const cli_eval_report *report) {
   if (settings->plot.count > 0 && (report->quantities.wanted & DIPOLE_R) == 0) {
-    return cli_fail_usage("--plot draws R: add R to --want");
+    return cli_fail_usage("--plot draws R: add R to --wanted");
   }
   cli_eval_write(report, settings->profile.common.form);
   if (settings->plot.count == 0) {
@@ -158,11 +158,11 @@ const cli_command cli_command_eval = {
     .examples = "  dipole eval --medium skin1 --model classical,better --plot skin1.svg\n"
                 "  dipole eval --sigma-a 0.01,0.1 --sigma-s 10 --g 0.9 --eta 1.4 --r 0,0.5,1,2\n"
                 "  dipole eval --medium marble --from 0.01 --to 100 --count 41 --log --format csv\n"
-                "  dipole eval --medium skin2 --eta 1 --moments fit --want albedo\n"
-                "  dipole eval --medium skin1 --want S --cos-in 0.8 --cos-out 0.5 --r 0.5,1,2\n"
+                "  dipole eval --medium skin2 --eta 1 --moments fit --wanted albedo\n"
+                "  dipole eval --medium skin1 --wanted S --cos-in 0.8 --cos-out 0.5 --r 0.5,1,2\n"
                 "  dipole eval --medium skin1 --tolerance 0.01\n"
                 "  dipole eval --sigma-a 0.05 --sigma-s 9.5 --g 0.9 --eta 1.4 --tolerance 0.01\n"
-                "  dipole eval --medium skin1 --model better --evaluator f32 --want R,cdf\n"
+                "  dipole eval --medium skin1 --model better --evaluator f32 --wanted R,cdf\n"
                 "  dipole eval --medium skin1 --model all --plot\n",
     .settings_bytes = sizeof(cli_eval_settings),
     .check = check,

@@ -14,7 +14,7 @@ typedef struct cli_eval_settings {
   cli_number from, to;
   cli_count count;
   bool logarithmic;
-  cli_texts want;
+  cli_texts wanted;
   cli_texts plot;
 } cli_eval_settings;
 

@@ -389,7 +389,7 @@ int cli_eval_ask(const cli_eval_settings *settings, dipole_client *client,
   }
   if (!choose_models(settings, report) ||
       (settings->reference != NULL && !choose_reference(settings->reference, report)) ||
-      !cli_quantities_take(report->profile.info, &settings->want,
+      !cli_quantities_take(report->profile.info, &settings->wanted,
                            DIPOLE_ALBEDO | (settings->at_f ? DIPOLE_TRANSFER : DIPOLE_R),
                            DIPOLE_ALBEDO | DIPOLE_RADIUS, &report->quantities)) {
     return CLI_USAGE;

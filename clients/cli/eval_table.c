@@ -125,7 +125,7 @@ static int evaluate(const dipole_table *table, const float *r, const cli_eval_re
   for (size_t q = 0; status == CLI_OK && q < report->quantities.count; q++) {
     const enum dipole_quantity quantity = (enum dipole_quantity)report->quantities.items[q]->id;
     if (!dipole_table_values(table, quantity, 0, &probe, &probe)) {
-      status = cli_fail("--want %s: a table does not hold it; it holds R, albedo, cdf, pdf, "
+      status = cli_fail("--wanted %s: a table does not hold it; it holds R, albedo, cdf, pdf, "
                         "2_pi_r_R and S",
                         report->quantities.items[q]->name);
     } else if (!dipole_table_values(table, quantity, n, r, out)) {
@@ -171,7 +171,7 @@ int cli_eval_table(const cli_eval_settings *settings, cli_eval_report *report, d
     return cli_fail("%s", error.text);
   }
   report->profile.info = *info;
-  if (!cli_quantities_take(*info, &settings->want, DIPOLE_R | DIPOLE_ALBEDO,
+  if (!cli_quantities_take(*info, &settings->wanted, DIPOLE_R | DIPOLE_ALBEDO,
                            DIPOLE_ALBEDO | DIPOLE_RADIUS, &report->quantities)) {
     return CLI_USAGE;
   }

@@ -385,7 +385,7 @@ static int ask(cli_eval_settings eval, const char *name, dipole_client *client,
   char quantity[64];
   char *wanted[] = {quantity};
   snprintf(quantity, sizeof quantity, "%s", name);
-  eval.want = (cli_texts){1, wanted};
+  eval.wanted = (cli_texts){1, wanted};
   return cli_eval_ask(&eval, client, report);
 }
 

@@ -31,10 +31,10 @@ static const cli_option options[] = {
      "in place of radii: these spatial frequencies, 1/mm, for R_f, whose column\n"
      "is f in place of r",
      CLI_NUMBERS, offsetof(points_settings, f), NULL},
-    {"want", "NAME[,NAME...]",
+    {"wanted", "NAME[,NAME...]",
      "the quantities to write; `dipole info` lists all (default: R,albedo,cdf;\n"
      "with --tolerance in place of --model R,albedo, which keep more tolerances)",
-     CLI_NAMES, offsetof(points_settings, want), NULL},
+     CLI_NAMES, offsetof(points_settings, wanted), NULL},
     {"errors", NULL,
      "write numerical_error and model_error, too: how far the values may be from\n"
      "the model's formula, and the model from radiative transport (empty: not\n"
@@ -581,11 +581,11 @@ static int prepare(points_run *points) {
       (profile->model != NULL &&
        cli_named(usual->info, DIPOLE_MODEL, "model", profile->model) == NULL) ||
       !cli_parameters_take(usual->info, profile, &usual->parameters) ||
-      !cli_quantities_take(usual->info, &settings->want, wanted, 0, &usual->quantities)) {
+      !cli_quantities_take(usual->info, &settings->wanted, wanted, 0, &usual->quantities)) {
     return CLI_USAGE;
   }
   if ((usual->quantities.wanted & DIPOLE_RADIUS) != 0) {
-    return cli_fail_usage("--want r: r is a column of the input, or of --r: leave it out");
+    return cli_fail_usage("--wanted r: r is a column of the input, or of --r: leave it out");
   }
   usual->by_f = (usual->quantities.wanted & ~(unsigned)DIPOLE_ALBEDO) == DIPOLE_TRANSFER;
   if (settings->f.count > 0 && (settings->r.count > 0 || !usual->by_f)) {
@@ -675,8 +675,8 @@ const cli_command cli_command_points = {
     .formats = "csv",
     .options = {options, cli_parameter_options},
     .examples = "  dipole points media.csv > profiles.csv\n"
-                "  dipole media --format csv | dipole points --r 0.5,1,2 --want R,cdf\n"
-                "  dipole points media.csv --want R --errors\n"
+                "  dipole media --format csv | dipole points --r 0.5,1,2 --wanted R,cdf\n"
+                "  dipole points media.csv --wanted R --errors\n"
                 "  dipole invert --albedo 0.4,0.2 --mean-free-path 1 --format csv |\n"
                 "    dipole points --r 1 --model better\n"
                 "  printf 'sigma_a,sigma_s,g,eta,r\\n0.01,1,0,1.4,2\\n' | dipole points\n",

@@ -8,7 +8,7 @@
 
 typedef struct points_settings {
   cli_profile_settings profile;
-  cli_texts want;
+  cli_texts wanted;
   cli_numbers r, f;
   bool errors;
 } points_settings;

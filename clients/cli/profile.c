@@ -419,7 +419,7 @@ bool cli_quantities_take(const dipole_info *info, const cli_texts *names, unsign
   const dipole_choice *quantity;
   *quantities = (cli_quantities){.wanted = names->count == 0 ? usual : 0};
   for (size_t i = 0; i < names->count; i++) {
-    quantity = cli_named(info, DIPOLE_QUANTITY, "want", names->items[i]);
+    quantity = cli_named(info, DIPOLE_QUANTITY, "wanted", names->items[i]);
     if (quantity == NULL) {
       return false;
     }

@@ -155,7 +155,7 @@ void cli_profile_free(cli_profile *profile);
 /* Sets the number of channels and allocates their arrays. */
 void cli_profile_set_channels(cli_profile *profile, size_t count);
 
-/* The quantities that --want asks for. */
+/* The quantities that --wanted asks for. */
 enum { CLI_QUANTITIES_MAX = 32 };
 
 typedef struct cli_quantities {

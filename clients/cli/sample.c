@@ -19,7 +19,7 @@ typedef struct sample_settings {
   cli_numbers u;
   cli_count count, seed, first;
   const char *draw;
-  cli_texts want;
+  cli_texts wanted;
   cli_texts plot;
 } sample_settings;
 
@@ -43,11 +43,11 @@ static const cli_option options[] = {
      CLI_TEXT, FIELD(profile.model), CLI_MODEL_DEFAULT},
     {CLI_MOMENTS_OPTION, "exact"},
     {CLI_EVALUATOR_OPTION, NULL},
-    {"want", "NAME[,NAME...]",
+    {"wanted", "NAME[,NAME...]",
      "what to write. r: the radii; pdf: their density, 1/mm, which is 2 pi r\n"
      "times that of points on the surface; `dipole info` lists all, at these\n"
      "radii (default: r,pdf)",
-     CLI_NAMES, FIELD(want), NULL},
+     CLI_NAMES, FIELD(wanted), NULL},
     {CLI_DEADLINE_OPTION, NULL},
     {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
     {"plot", "[FILE]",
@@ -101,7 +101,7 @@ static int choose(const sample_settings *settings, report *of) {
   if (settings->u.count == 0 && of->draw->id == DIPOLE_DRAW_LIST) {
     return cli_fail_usage("--draw %s: give the numbers with --u", DRAW_OF_A_LIST);
   }
-  return cli_quantities_take(of->profile.info, &settings->want, DIPOLE_RADIUS | DIPOLE_PDF,
+  return cli_quantities_take(of->profile.info, &settings->wanted, DIPOLE_RADIUS | DIPOLE_PDF,
                              DIPOLE_ALBEDO, &of->quantities)
              ? CLI_OK
              : CLI_USAGE;
@@ -477,7 +477,7 @@ const cli_command cli_command_sample = {
     .check = check,
     .run = run,
     .examples = "  dipole sample --medium skin1\n"
-                "  dipole sample --medium skin1 --u 0.1,0.5,0.9 --want r,pdf,R,cdf\n"
+                "  dipole sample --medium skin1 --u 0.1,0.5,0.9 --wanted r,pdf,R,cdf\n"
                 "  dipole sample --sigma-a 0.01 --sigma-s 1 --count 1000 --draw stratified "
                 "--seed 7 --format csv\n"
                 "  dipole sample --medium marble --model burley --count 10000 --plot marble.svg\n"

@@ -263,7 +263,7 @@ const cli_command cli_command_table = {
     .formats = "table,csv,json",
     .options = {cli_medium_options, options, cli_parameter_options},
     .examples = "  dipole table --medium skin1 --output skin1.table\n"
-                "  dipole eval --table skin1.table --r 0.1,1,10 --want R,cdf\n"
+                "  dipole eval --table skin1.table --r 0.1,1,10 --wanted R,cdf\n"
                 "  dipole table --sigma-a 0.01 --sigma-s 1 --tolerance 1e-5 --format csv\n",
     .settings_bytes = sizeof(table_settings),
     .check = check,

@@ -15,7 +15,7 @@ typedef struct texture_settings {
   cli_number g, eta;
   const char *light;
   bool specular, linear;
-  cli_texts want;
+  cli_texts wanted;
 } texture_settings;
 
 #define FIELD(name) offsetof(texture_settings, name)
@@ -40,7 +40,7 @@ static const cli_option options[] = {
     {"coefficients", "NAME[,NAME...]",
      "what to write: sigma_a, sigma_s (1/mm), and scattered, the single-scattering\n"
      "albedo for random walks (default: sigma_a,sigma_s)",
-     CLI_NAMES, FIELD(want), NULL},
+     CLI_NAMES, FIELD(wanted), NULL},
     {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
     {"model", "NAME", "the model that the colours are right for (default: transport)", CLI_TEXT,
      FIELD(profile.model), CLI_MODEL_DEFAULT},
@@ -90,7 +90,7 @@ static int check(void *given) {
 /* Finds the coefficients that are wanted. */
 static bool take_wanted(texture_run *run, const dipole_info *info) {
   static char *usual[] = {"sigma_a", "sigma_s"};
-  const cli_texts *names = &run->settings->want;
+  const cli_texts *names = &run->settings->wanted;
   const size_t count = names->count > 0 ? names->count : 2;
   for (size_t i = 0; i < count && i < WANTED_MAX; i++) {
     const dipole_choice *found = cli_named(info, DIPOLE_COEFFICIENT, "coefficients",

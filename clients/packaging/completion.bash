@@ -25,7 +25,7 @@ _dipole_daemon_names() { # PROGRAM OPTION
   --scale) list=scales ;;
   --light) list=lights ;;
   --coefficients) list=coefficients ;;
-  --want | --quantity) list=quantities ;;
+  --wanted | --quantity) list=quantities ;;
   --draw) list=draws ;;
   --medium)
     "$1" media --connect private: --format csv 2>/dev/null | awk -F, 'NR > 1 && !seen[$1]++ { print $1 }'

@@ -10,7 +10,7 @@ _dipole_names() { # OPTION many|one
   case $option in
   model | fit-model) list=models ;;
   evaluator | moments | phase | scale | light | coefficients) list=${option%s}s ;;
-  want | quantity) list=quantities ;;
+  wanted | quantity) list=quantities ;;
   draw) list=draws ;;
   medium) names=(${(fu)"$($program[1] media --connect private: --format csv | sed 1d | cut -d, -f1)"}) ;;
   esac

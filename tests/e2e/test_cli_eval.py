@@ -31,7 +31,7 @@ def test_points_says_the_same_as_eval(shared, evaluator, moments):
     of = ["--evaluator", evaluator, "--connect", shared.url()]
     medium = [*MEDIUM[:1], "0.01" if evaluator == "lut" else "0.01,0.1", *MEDIUM[2:]]
     rows = eval_rows(
-        *[*medium, "--model", "all", "--r", "0,0.3,1,7.5,inf", "--want", "R,albedo,cdf"],
+        *[*medium, "--model", "all", "--r", "0,0.3,1,7.5,inf", "--wanted", "R,albedo,cdf"],
         *[*of, "--moments", moments],
         quiet=False,  # The command names the models that it leaves out.
     )
@@ -46,7 +46,7 @@ def test_points_says_the_same_as_eval(shared, evaluator, moments):
 
 
 def test_extremes():
-    rows = eval_rows(*MEDIUM, "--r", "0,inf", "--want", "R,cdf")
+    rows = eval_rows(*MEDIUM, "--r", "0,inf", "--wanted", "R,cdf")
     assert [row["r"] for row in rows] == ["0", "inf"] * 2
     assert float(rows[0]["R"]) > 0 and rows[0]["cdf"] == "0"
     assert rows[1]["R"] == "0" and rows[1]["cdf"] == "1"
@@ -61,7 +61,7 @@ def test_defaults():
     assert rows == eval_rows(
         *["--sigma-a", "0.1", "--sigma-s", "1", "--g", "0", "--eta", "1.3", "--model", "better"],
         *["--from", "0", "--to", "10", "--count", "21", "--moments", "exact"],
-        *["--want", "R,albedo", "--evaluator", "f64"],
+        *["--wanted", "R,albedo", "--evaluator", "f64"],
     )
 
 
@@ -117,14 +117,14 @@ def test_csv():
 
 
 def test_csv_without_radii():
-    rows = eval_rows(*MEDIUM, "--want", "albedo")
+    rows = eval_rows(*MEDIUM, "--wanted", "albedo")
     assert len(rows) == 2
     assert all(row["r"] == row["R"] == row["cdf"] == "" for row in rows)
     assert all(0 < float(row["albedo"]) < 1 for row in rows)
 
 
 def test_json_says_the_same_as_csv():
-    arguments = [*MEDIUM, "--model", "classical,better", "--want", "R,albedo,cdf", "--r", "0,1,inf"]
+    arguments = [*MEDIUM, "--model", "classical,better", "--wanted", "R,albedo,cdf", "--r", "0,1,inf"]
     report = eval_json(*arguments)
     assert report["units"]["r"] == "mm"
     assert report["units"]["R"] == "1/mm^2 per unit of power that entered"
@@ -188,9 +188,9 @@ def test_table_is_aligned_and_has_units():
 
 
 def test_table_holds_what_is_wanted():
-    text = dipole("eval", *MEDIUM, "--r", "2", "--want", "cdf").stdout
+    text = dipole("eval", *MEDIUM, "--r", "2", "--wanted", "cdf").stdout
     assert "cdf 1" in text and "cdf 2" in text and "R 1" not in text and "albedo" not in text
-    assert dipole("eval", *MEDIUM, "--want", "albedo").stdout.count("better") == 2
+    assert dipole("eval", *MEDIUM, "--wanted", "albedo").stdout.count("better") == 2
 
 
 # ---- daemons -------------------------------------------------------------------------------------
@@ -199,7 +199,7 @@ def test_table_holds_what_is_wanted():
 def test_a_long_list_is_asked_for_in_parts(daemon):
     small = daemon("--max-frame-bytes", "4096").url()
     radii = ",".join(str(i / 16) for i in range(3000))
-    arguments = [*MEDIUM, "--want", "R,albedo,cdf", "--r", radii]
+    arguments = [*MEDIUM, "--wanted", "R,albedo,cdf", "--r", radii]
     for evaluator in ("f64", "f32"):
         whole = eval_rows(*arguments, "--evaluator", evaluator)
         assert whole == eval_rows(*arguments, "--evaluator", evaluator, "--connect", small)
@@ -209,7 +209,7 @@ def test_a_long_list_is_asked_for_in_parts(daemon):
 @pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
 def test_a_large_grid_comes_in_parts(daemon, evaluator):
     small = daemon("--max-frame-bytes", "65536", "--max-part-bytes", "16384").url()
-    arguments = [*MEDIUM, "--want", "R,albedo,cdf", "--count", "20000", "--evaluator", evaluator]
+    arguments = [*MEDIUM, "--wanted", "R,albedo,cdf", "--count", "20000", "--evaluator", evaluator]
     whole = dipole("eval", "--format", "csv", *arguments).stdout
     assert whole == dipole("eval", "--format", "csv", *arguments, "--connect", small).stdout
     assert whole.count("\n") == 1 + 2 * 20000
@@ -290,7 +290,7 @@ def test_a_connection_that_is_lost(daemon):
 def test_radii_are_the_ones_that_the_evaluator_took():
     radii = [number for number in many_numbers(500) if number < 3e38 and number >= 0]
     rows = eval_rows(
-        *["--sigma-a", "0", "--sigma-s", "1", "--evaluator", "f32", "--want", "cdf"],
+        *["--sigma-a", "0", "--sigma-s", "1", "--evaluator", "f32", "--wanted", "cdf"],
         *["--r", ",".join(map(repr, radii))],
     )
     for row, r in zip(rows, radii, strict=True):

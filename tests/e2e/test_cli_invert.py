@@ -56,7 +56,7 @@ def test_json_and_table_say_the_same():
 def test_the_check_is_an_evaluation():
     for row in rows("--albedo", "0.2,0.8", "--mean-free-path", "1", "--g", "0.5"):
         given = ["--sigma-a", row["sigma_a"], "--sigma-s", row["sigma_s"], "--g", row["g"]]
-        judged = dipole("eval", *given, "--want", "albedo", "--format", "csv")
+        judged = dipole("eval", *given, "--wanted", "albedo", "--format", "csv")
         assert read_csv(judged.stdout)[0]["albedo"] == row["albedo"]
 
 

@@ -59,7 +59,7 @@ def test_numbers_read_back_and_are_short(kind):
     """The radii that eval prints are those that it was given: any doubles from 0 on."""
     numbers = NUMBERS[kind]
     rows = eval_rows(
-        *["--sigma-a", "0", "--sigma-s", "1", "--want", "R"],
+        *["--sigma-a", "0", "--sigma-s", "1", "--wanted", "R"],
         *["--r", ",".join(map(repr, numbers))],
     )
     assert len(rows) == len(numbers)

@@ -46,7 +46,7 @@ def test_every_parameter_is_an_option(command):
 def test_parameters_reach_the_model(client, model):
     given = some_parameters(model)
     rows = eval_rows(
-        *[*MEDIUM, "--model", model, "--r", "0.5,2", "--want", "R,S,2_pi_r_R,albedo"],
+        *[*MEDIUM, "--model", model, "--r", "0.5,2", "--wanted", "R,S,2_pi_r_R,albedo"],
         *[*options(given), "--evaluator", "f64"],
     )
     answer = client.eval(
@@ -89,7 +89,7 @@ def test_wrong_parameters(arguments, status, said):
 
 
 def test_parameters_are_repeated_in_the_answer():
-    asked = [*MEDIUM, "--r", "1", "--want", "S", "--cos-in", "0.8", "--cos-out", "0.25"]
+    asked = [*MEDIUM, "--r", "1", "--wanted", "S", "--cos-in", "0.8", "--cos-out", "0.25"]
     assert eval_json(*asked)["parameters"] == {"cos_in": 0.8, "cos_out": 0.25}
     assert "cos_in 0.8, cos_out 0.25\n" in dipole("eval", *asked).stdout
     assert eval_json(*MEDIUM, "--r", "1")["parameters"] == {}
@@ -165,7 +165,7 @@ def infinite_at_0(client) -> str:
 
 def test_infinity_in_every_format(client):
     model = infinite_at_0(client)
-    asked = [*MEDIUM, "--model", model, "--r", "0,1", "--want", "R,2_pi_r_R"]
+    asked = [*MEDIUM, "--model", model, "--r", "0,1", "--wanted", "R,2_pi_r_R"]
     row = eval_rows(*asked)[0]
     assert row["R"] == "inf" and math.isfinite(float(row["2_pi_r_R"]))
     channel = eval_json(*asked)["models"][0]["channels"][0]
@@ -201,7 +201,7 @@ def test_all_models_take_what_they_can():
     for model in MODELS:
         given |= needs(model)
     assert len(given) > 1
-    asked = [*MEDIUM, "--r", "1", "--want", "R,S,albedo"]
+    asked = [*MEDIUM, "--r", "1", "--wanted", "R,S,albedo"]
     rows = eval_rows(*asked, "--model", "all", *options(given))
     assert {row["model"] for row in rows} == set(MODELS) and len(rows) == len(MODELS)
     for row in rows:
@@ -267,7 +267,7 @@ def test_a_long_list_that_a_model_refuses_in_its_second_half(daemon):
     this model is shown."""
     small = daemon("--max-frame-bytes", "4096").url()
     radii = ",".join(str(1 + i / 500) for i in range(900)) + ",0"
-    asked = [*MEDIUM, "--model", "all", "--r", radii, "--want", "R,cdf"]
+    asked = [*MEDIUM, "--model", "all", "--r", radii, "--wanted", "R,cdf"]
     rows = eval_rows(*asked, "--connect", small, quiet=False)
     assert rows == eval_rows(*asked, quiet=False)
     assert len({row["model"] for row in rows}) * 901 == len(rows)

@@ -162,7 +162,7 @@ def test_quantities(tmp_path, quantity, label):
     assert label in svg_texts(root)
     rows = numbers(*arguments)
     values = column(rows, quantity)
-    direct = ["--medium", "skin1", "--want", quantity, "--count", "25", "--from", "0.5"]
+    direct = ["--medium", "skin1", "--wanted", quantity, "--count", "25", "--from", "0.5"]
     other = [row for row in eval_rows(*direct) if row["channel"] == "blue"]
     assert (values == column(other, quantity)).all()
     points = np.array(path_points(svg_lines(root)[0]))
@@ -189,7 +189,7 @@ def test_the_error_is_that_of_direct_evaluation(tmp_path, quantity):
     rows = numbers(*arguments, "--model", "classical,better")
     assert list(dict.fromkeys(row["model"] for row in rows)) == ["classical", "better"]
     direct = eval_rows(
-        *["--medium", "skin1", "--model", "classical,better,transport", "--want", quantity, *radii]
+        *["--medium", "skin1", "--model", "classical,better,transport", "--wanted", quantity, *radii]
     )
     keys = {(row["model"], row["channel"], row["r"]): float(row[quantity]) for row in direct}
     for row in rows:
@@ -580,7 +580,7 @@ def test_monte_carlo_of_a_slab(client):
         ([*SKIN, "--axes", "linear", "--log"], "--log needs --from, above 0"),
         ([*SKIN, "--model", "best"], "--model: 'best' is unknown; this daemon has classical, be"),
         ([*SKIN, "--channel", "pink"], "--channel: 'pink' is unknown; it is red, green or blue"),
-        ([*SKIN, "--want", "R"], "--want: no such option"),
+        ([*SKIN, "--wanted", "R"], "--wanted: no such option"),
         ([*SKIN, "--mc", "0"], "--mc: give a whole number of photons"),
         ([*SKIN, "--mc", "1e3", "--r", "1,2"], "--mc needs rings, not single radii"),
         ([*SKIN, "--mc", "1e3", "--quantity", "cdf"], "--mc compares R: leave --quantity out"),

@@ -44,7 +44,7 @@ def test_columns_are_appended():
     assert row.startswith(ROW + ",") and row.endswith(",ok")
     expected = eval_rows(
         *["--sigma-a", "0.01", "--sigma-s", "1", "--eta", "1.4", "--r", "2"],
-        *["--want", "R,albedo,cdf"],
+        *["--wanted", "R,albedo,cdf"],
     )[0]
     assert_near(read_csv(text)[0], expected, "R", "albedo", "cdf")
 
@@ -53,14 +53,14 @@ def test_errors_stand_in_each_row():
     """A row that is asked for by itself has the errors of an eval, and those of a group share the
     largest. What was not measured is empty, and a column that exists is replaced."""
     medium = ["--sigma-a", "0.01", "--sigma-s", "1", "--eta", "1.4", "--r", "2"]
-    text = points(f"{HEADER},model_error\n{ROW},9\n", "--errors", "--want", "R,dR_dr")
+    text = points(f"{HEADER},model_error\n{ROW},9\n", "--errors", "--wanted", "R,dR_dr")
     assert text.splitlines()[0] == f"{HEADER},model_error,R,dR_dr,numerical_error,status"
     for model in ("transport", "better+single"):
         row = read_csv(
-            points(f"{HEADER}\n{ROW}\n", "--errors", "--want", "R,ln_R", "--model", model,
+            points(f"{HEADER}\n{ROW}\n", "--errors", "--wanted", "R,ln_R", "--model", model,
                    "--evaluator", "f64")
         )[0]  # fmt: skip
-        expected = eval_rows(*medium, "--want", "R,ln_R", "--model", model, "--evaluator", "f64")[0]
+        expected = eval_rows(*medium, "--wanted", "R,ln_R", "--model", model, "--evaluator", "f64")[0]
         assert columns(row, "numerical_error", "model_error") == columns(
             expected, "numerical_error", "model_error"
         )
@@ -70,7 +70,7 @@ def test_errors_stand_in_each_row():
                status=BAD_ROWS)
     )
     alone = [
-        eval_rows("--sigma-a", sigma_a, *medium[2:], "--want", "R", "--model", "better")[0]
+        eval_rows("--sigma-a", sigma_a, *medium[2:], "--wanted", "R", "--model", "better")[0]
         for sigma_a in ("0.01", "1")
     ]
     worst = max(float(row["model_error"]) for row in alone)
@@ -131,7 +131,7 @@ def test_single_precision_is_double_precision_rounded():
     lines = [f"{0.001 * (i % 97)},1,{i % 5 / 10},1.4,{(1 + i % 613) / 64}" for i in range(20000)]
     text = "\n".join([HEADER, *lines, ""])
     single, double = (
-        read_csv(points(text, "--model", "better", "--want", "R", "--evaluator", one, "--errors"))
+        read_csv(points(text, "--model", "better", "--wanted", "R", "--evaluator", one, "--errors"))
         for one in ("f32", "f64")
     )
     for one, other in zip(single, double, strict=True):
@@ -351,7 +351,7 @@ def test_more_rows_by_themselves_than_may_be_outstanding(row):
     """Rows with derivatives, and those of a group that are wrong, are each asked for alone."""
     want = "dR_dr" if row[0] == "0" else "R"
     lines = [row.format(i + 1) for i in range(9000)]
-    text = points("\n".join([HEADER, *lines, ""]), "--model", "better", "--want", want,
+    text = points("\n".join([HEADER, *lines, ""]), "--model", "better", "--wanted", want,
                   status=0 if row[0] == "0" else BAD_ROWS)
     answered = text.splitlines()[1:]
     assert [one.split(",")[4] for one in answered] == [str(i + 1) for i in range(9000)]
@@ -445,17 +445,17 @@ def test_a_busy_daemon_is_asked_again(daemon):
         return busy(request_id) if number % 3 == 0 and number < 600 else None
 
     with Proxy(daemon().url(), on_eval) as proxy:
-        wanted = ["--want", "R,dR_dr"]
+        wanted = ["--wanted", "R,dR_dr"]
         assert points(text, "--connect", proxy.url, *wanted) == points(text, *wanted)
 
 
 def test_a_daemon_that_goes_away(daemon):
     text = "\n".join([f"id,{HEADER}", *(f"{i},0.01,1,0,1.4,{i}" for i in range(3000))])
     with Proxy(daemon().url(), lambda number, _: False if number == 1500 else None) as proxy:
-        options = ["--connect", proxy.url, "--retry-ms", "300", "--want", "R,dR_dr"]
+        options = ["--connect", proxy.url, "--retry-ms", "300", "--wanted", "R,dR_dr"]
         run = dipole("points", *options, stdin=text, status=FAILED)
     assert "connection" in run.stderr
-    whole = points(text, "--want", "R,dR_dr")
+    whole = points(text, "--wanted", "R,dR_dr")
     assert whole.startswith(run.stdout) and len(run.stdout) < len(whole)
 
 
@@ -513,7 +513,7 @@ def test_few_media_of_transport_are_evaluated_one_by_one(client):
 
 def test_transport_is_solved_for_tolerances_below_those_of_tables():
     text = f"{HEADER},tolerance\n{ROW},1e-7\n{ROW},1e-6\n"
-    solved, tabled = read_csv(points(text, "--errors", "--model", "transport", "--want", "R,ln_R"))
+    solved, tabled = read_csv(points(text, "--errors", "--model", "transport", "--wanted", "R,ln_R"))
     assert solved["status"] == tabled["status"] == "ok"
     assert 1e-8 < float(solved["numerical_error"]) <= 1e-7 < float(tabled["numerical_error"])
 
@@ -543,7 +543,7 @@ def test_a_tolerance_in_place_of_a_model(client):
     (dark,) = read_csv(points(absorbing, "--tolerance", "0.01"))
     assert dark["status"] == "ok"
     (refused,) = read_csv(
-        dipole("points", "--tolerance", "0.001", "--want", "R,cdf", stdin=absorbing,
+        dipole("points", "--tolerance", "0.001", "--wanted", "R,cdf", stdin=absorbing,
                status=BAD_ROWS).stdout
     )  # fmt: skip
     assert refused["status"].endswith(" without cdf")
@@ -553,7 +553,7 @@ def test_a_tolerance_in_place_of_a_model(client):
 
 def test_measured_media_by_name():
     text = "medium,channel,r,eta\nskin1,red,1,\nskin1,blue,1,1.4\nmy own,red,1,1.3\nskin1,,1,\n"
-    run = dipole("points", "--want", "R", stdin=text, status=BAD_ROWS)
+    run = dipole("points", "--wanted", "R", stdin=text, status=BAD_ROWS)
     rows = read_csv(run.stdout)
     known = eval_rows("--medium", "skin1", "--r", "1")[0]
     changed = eval_rows("--medium", "skin1", "--eta", "1.4", "--r", "1")[2]
@@ -565,13 +565,13 @@ def test_measured_media_by_name():
 
 
 def test_quantities():
-    text = points(f"{HEADER}\n{ROW}\n", "--want", "cdf,pdf")
+    text = points(f"{HEADER}\n{ROW}\n", "--wanted", "cdf,pdf")
     assert text.splitlines()[0] == f"{HEADER},cdf,pdf,status"
     (row,) = read_csv(text)
     (known,) = eval_rows("--sigma-a", "0.01", "--sigma-s", "1", "--eta", "1.4", "--r", "2",
-                         "--want", "cdf,pdf")
+                         "--wanted", "cdf,pdf")
     assert_near(row, known, "cdf", "pdf")
-    dipole("points", "--want", "r", stdin=text, status=USAGE)
+    dipole("points", "--wanted", "r", stdin=text, status=USAGE)
 
 
 def test_inverted_media_go_straight_into_points():

@@ -167,7 +167,7 @@ def test_busy_for_a_limited_time(daemon, command):
         return busy(request_id)
 
     # dR_dr has no kernel for media that vary, so points asks for it by evals.
-    arguments = ARGUMENTS if command == "eval" else ("--want", "dR_dr")
+    arguments = ARGUMENTS if command == "eval" else ("--wanted", "dR_dr")
     rows = "sigma_a,sigma_s,g,eta,r\n0.01,1,0,1.4,2\n"
     counts = []
     for retry_ms in ("0", "200"):

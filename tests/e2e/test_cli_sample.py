@@ -28,7 +28,7 @@ def test_the_daemons_radii(client, rule, evaluator):
     how = ["--draw", rule, "--count", "50", "--evaluator", evaluator]
     how += [] if rule == "regular" else ["--seed", "18446744073709551615"]
     how += ["--first", "7"] if rule == "random" else []
-    table = rows(*MEDIUM, *how, "--want", "pdf,r,cdf,albedo", "--model", "classical")
+    table = rows(*MEDIUM, *how, "--wanted", "pdf,r,cdf,albedo", "--model", "classical")
     draw = Draw(50, rule, seed=2**64 - 1, first=7 if rule == "random" else 0)
     wanted = ["r", "pdf", "cdf", "albedo"]
     expected = client.sample("classical", SKIN, draw=draw, evaluator=evaluator, wanted=wanted)
@@ -92,14 +92,14 @@ def test_json_and_table_say_the_same():
 
 def test_defaults():
     assert dipole("sample", *MEDIUM).stdout == dipole(
-        "sample", *MEDIUM, "--count", "10", "--draw", "random", "--seed", "1", "--want", "r,pdf"
+        "sample", *MEDIUM, "--count", "10", "--draw", "random", "--seed", "1", "--wanted", "r,pdf"
     ).stdout
 
 
 @pytest.mark.parametrize("suffix", ["svg", "png"])
 def test_a_picture(tmp_path, suffix):
     path = tmp_path / f"r.{suffix}"
-    how = ["--count", "500", "--want", "r", "--plot", str(path)]
+    how = ["--count", "500", "--wanted", "r", "--plot", str(path)]
     run = dipole("sample", "--medium", "skin1", *how)
     assert "pdf" not in run.stdout.splitlines()[3]
     data = path.read_bytes()
@@ -125,7 +125,7 @@ test_wrong_command_lines_say_what_to_do = says(USAGE, ["sample"], [
     ([*MEDIUM, "--draw", "lots"], "--draw: 'lots' is unknown; this daemon has list, regular"),
     ([*MEDIUM, "--draw", "list"], "--draw list: give the numbers with --u"),
     ([*MEDIUM, "--model", "best"], "--model: 'best' is unknown; this daemon has classical"),
-    ([*MEDIUM, "--want", "colour"], "--want: 'colour' is unknown; this daemon has R"),
+    ([*MEDIUM, "--wanted", "colour"], "--wanted: 'colour' is unknown; this daemon has R"),
     ([*MEDIUM, "--evaluator", "f16"], "--evaluator: 'f16' is unknown; this daemon has f64"),
     ([*MEDIUM, "--moments", "fat"], "--moments: 'fat' is unknown; this daemon has exact"),
     ([*MEDIUM, "--format", "xml"], "--format xml: it is one of table,csv,json"),

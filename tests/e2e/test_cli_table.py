@@ -190,7 +190,7 @@ def assert_same_values(here: list[dict], there: list[dict]) -> None:
 @pytest.mark.parametrize("model", ["better", "better+single", "transport"])
 def test_a_file_says_the_same_as_the_daemon(tmp_path, model):
     path = save(tmp_path, *MEDIA, "--model", model)
-    wanted = ["--want", "R,cdf,pdf,2_pi_r_R,S,albedo"]
+    wanted = ["--wanted", "R,cdf,pdf,2_pi_r_R,S,albedo"]
     for radii in (RADII, ["--r", "0.1,1,3"], ["--r", "300"], ["--from", "20", "--to", "70.3"]):
         here = eval_rows("--table", path, *radii, *wanted)
         there = eval_rows(*MEDIA, "--model", model, "--evaluator", "lut", *radii, *wanted)
@@ -204,7 +204,7 @@ def test_errors_of_a_file_are_for_the_radii(tmp_path):
     medium = ["--sigma-a", "0.35", "--sigma-s", "0.65", "--eta", "1.5"]
     path = save(tmp_path, *medium, "--model", "transport")
     errors = [
-        float(eval_rows("--table", path, "--r", r, "--want", "R")[0]["numerical_error"])
+        float(eval_rows("--table", path, "--r", r, "--wanted", "R")[0]["numerical_error"])
         for r in ("1", "60", "100")
     ]
     assert errors[0] < 1e-4 and 1e-2 < errors[1] < errors[2]
@@ -219,7 +219,7 @@ def test_grids_from_a_file(tmp_path):
         [],
         ["--from", "0.1", "--to", "3", "--count", "7"],
         ["--from", "0.01", "--to", "100", "--count", "9", "--log"],
-        ["--want", "albedo"],
+        ["--wanted", "albedo"],
     ):
         here = eval_rows("--table", path, *grid)
         assert_same_values(here, eval_rows(*MEDIUM, "--evaluator", "lut", *grid))
@@ -228,7 +228,7 @@ def test_grids_from_a_file(tmp_path):
 def test_angles_of_a_file(tmp_path):
     angles = ["--cos-in", "0.8", "--cos-out", "0.3"]
     path = save(tmp_path, *MEDIUM, *angles)
-    want = ["--r", "0.5,1", "--want", "S,R"]
+    want = ["--r", "0.5,1", "--wanted", "S,R"]
     here = eval_json("--table", path, *want)
     there = eval_json(*MEDIUM, *angles, "--evaluator", "lut", *want)
     assert here["r"] == there["r"]
@@ -258,8 +258,8 @@ def test_what_a_file_cannot_do(tmp_path):
         run = dipole("eval", "--table", path, *option, status=USAGE)
         assert "--table FILE says what is evaluated" in run.stderr
     for arguments, said in [
-        (["--want", "dR_dr"], "--want dR_dr: a table does not hold it; it holds R, albedo, cdf"),
-        (["--want", "ln_R,R"], "--want ln_R: a table does not hold it"),
+        (["--wanted", "dR_dr"], "--wanted dR_dr: a table does not hold it; it holds R, albedo, cdf"),
+        (["--wanted", "ln_R,R"], "--wanted ln_R: a table does not hold it"),
         (["--r", "1,-1"], "r number 2 of 2: allowed: 0 to inf mm"),
         (["--r", "nan"], "r number 1 of 1: allowed: 0 to inf mm"),
         (["--from", "2", "--to", "1"], "radius_stop: allowed: at least radius_start"),
@@ -267,7 +267,7 @@ def test_what_a_file_cannot_do(tmp_path):
         run = dipole("eval", "--table", path, *arguments, status=FAILED)
         assert said in run.stderr and run.stdout == ""
     assert "'colour' is unknown" in dipole(
-        "eval", "--table", path, "--want", "colour", status=USAGE
+        "eval", "--table", path, "--wanted", "colour", status=USAGE
     ).stderr
 
 
@@ -304,7 +304,7 @@ def test_files_of_several_models(client, tmp_path):
 
 def test_evaluator_lut_is_like_any_other(client):
     rows = eval_rows(*MEDIUM, "--evaluator", "lut", "--tolerance", "1e-3", "--model", "better",
-                     "--r", "0.5,1,7", "--want", "R,cdf,ln_R,dR_dr,pdf")
+                     "--r", "0.5,1,7", "--wanted", "R,cdf,ln_R,dR_dr,pdf")
     r = np.float32([0.5, 1, 7])
     answer = client.eval(
         "better", (0.032, 0.74, 0, 1.3), r, evaluator="lut", tolerance=1e-3,

@@ -116,7 +116,7 @@ def test_every_option_that_takes_a_name_knows_names(complete):
         ("--fit-model", "models"),
         ("--evaluator", "evaluators"),
         ("--moments", "moments"),
-        ("--want", "quantities"),
+        ("--wanted", "quantities"),
         ("--medium", "media"),
     ],
 )
@@ -133,7 +133,7 @@ def test_names_that_help_enumerates(complete):
 
 
 def test_several_names(complete):
-    assert complete("dipole eval --want R,al") == ["R,albedo"]
+    assert complete("dipole eval --wanted R,al") == ["R,albedo"]
     assert complete("dipole eval --model classical,better,gros") == [
         "classical,better,grosjean",
         "classical,better,grosjean-boundary",
@@ -146,8 +146,8 @@ def test_several_names(complete):
 def test_a_value_behind_an_equals_sign(complete, breaks):
     before = "" if "=" in breaks else "--medium="
     assert complete("dipole eval --medium=skin", breaks) == [f"{before}skin1", f"{before}skin2"]
-    before = "" if "=" in breaks else "--want="
-    assert complete("dipole eval --want=R,al", breaks) == [f"{before}R,albedo"]
+    before = "" if "=" in breaks else "--wanted="
+    assert complete("dipole eval --wanted=R,al", breaks) == [f"{before}R,albedo"]
 
 
 @pytest.mark.parametrize("breaks", [BREAKS, " \t\n"])
@@ -172,7 +172,7 @@ def test_files(complete, tmp_path):
     assert sorted(complete("dipole points a", cwd=tmp_path)) == ["a.csv", "a.table"]
     assert complete("dipole eval --plot=b", cwd=tmp_path) == ["b.csv"]
     # An option may also follow an option whose value may be left out.
-    assert complete("dipole eval --plot --wan", cwd=tmp_path) == ["--want"]
+    assert complete("dipole eval --plot --wan", cwd=tmp_path) == ["--wanted"]
 
 
 def test_the_script_registers_itself_for_both_programs():
@@ -233,7 +233,7 @@ def test_zsh_offers_every_option_with_its_explanation(offer):
 
 @pytest.mark.parametrize(
     "option, kind",
-    [("model", "models"), ("moments", "moments"), ("want", "quantities"), ("medium", "media")],
+    [("model", "models"), ("moments", "moments"), ("wanted", "quantities"), ("medium", "media")],
 )
 def test_zsh_offers_the_names_of_the_daemon(offer, known, option, kind):
     names = offer("dipole", "eval", "", option=option)

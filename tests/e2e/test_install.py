@@ -159,7 +159,7 @@ def pkg_config(tree: Path, *options: str) -> list[str]:
 
 
 def expected() -> list[float]:
-    rows = eval_rows("--sigma-a", "0.032", "--sigma-s", "0.74", "--r", "0.5,1", "--want", "R")
+    rows = eval_rows("--sigma-a", "0.032", "--sigma-s", "0.74", "--r", "0.5,1", "--wanted", "R")
     column = next(name for name in rows[0] if name.startswith("R"))
     return [float(row[column]) for row in rows]
 

@@ -29,7 +29,7 @@ def test_logarithm_goes_on_where_R_has_underflowed(client):
 
 def test_the_command_line_appends_columns(client):
     arguments = ["--sigma-a", "0.1", "--sigma-s", "1", "--r", "0.5,2", "--format", "csv"]
-    out = dipole("eval", *arguments, "--want", "pdf,R,ln_R").stdout
+    out = dipole("eval", *arguments, "--wanted", "pdf,R,ln_R").stdout
     rows = list(csv.DictReader(io.StringIO(out)))
     assert list(rows[0])[-4:] == ["model_error", "notes", "ln_R", "pdf"]
     answer = client.eval("better", Medium(0.1, 1.0), [0.5, 2.0], wanted=WANTED)
@@ -41,7 +41,7 @@ def test_the_command_line_appends_columns(client):
 @pytest.mark.parametrize("evaluator", ["f64", "f32"])
 def test_every_format_of_the_command_line_has_them(client, evaluator):
     arguments = ["--sigma-a", "0.1", "--sigma-s", "1", "--r", "0.5,2", "--evaluator", evaluator]
-    arguments += ["--want", "dR_dr,ln_R,pdf"]
+    arguments += ["--wanted", "dR_dr,ln_R,pdf"]
     answer = client.eval("better", Medium(0.1, 1.0), [0.5, 2.0], evaluator=evaluator, wanted=WANTED)
     report = eval_json(*arguments)
     channel = report["models"][0]["channels"][0]
@@ -102,16 +102,16 @@ def test_media_without_derivatives_are_refused(client):
 def test_derivatives_on_the_command_line(client):
     arguments = ["--sigma-a", "0.1", "--sigma-s", "1", "--r", "0.5,2", "--model", "better"]
     answer = client.eval("better", Medium(0.1, 1.0), [0.5, 2.0], wanted=BY)
-    rows = eval_rows(*arguments, "--want", ",".join(BY))
-    report = eval_json(*arguments, "--want", ",".join(BY))["models"][0]["channels"][0]
+    rows = eval_rows(*arguments, "--wanted", ",".join(BY))
+    report = eval_json(*arguments, "--wanted", ",".join(BY))["models"][0]["channels"][0]
     for name in BY:
         assert [float(row[name]) for row in rows] == list(getattr(answer, name)[0])
         assert report[name] == list(getattr(answer, name)[0])
     for wanted, kind in (("R", "relative"), (BY[0], "absolute"), ("R," + BY[1], "relative, of log")):
-        shown = dipole("eval", *arguments, "--want", wanted).stdout
+        shown = dipole("eval", *arguments, "--wanted", wanted).stdout
         assert f" {kind}" in shown and ("absolute" in shown) == (wanted != "R")
     row = "sigma_a,sigma_s,g,eta,r\n0.1,1,0,1.4,2\n"
-    table = read_csv(points(row, "--want", BY[0], "--model", "better", "--errors"))[0]
+    table = read_csv(points(row, "--wanted", BY[0], "--model", "better", "--errors"))[0]
     assert float(table[BY[0]]) == client.eval(
         "better", Medium(0.1, 1.0, 0, 1.4), [2.0], wanted=BY
     ).dlnR_dln_sigma_a[0, 0]
@@ -136,6 +136,6 @@ def test_a_daemon_whose_quantities_are_not_bits(daemon, want):
     """The command must not look for an array that the answer lacks."""
     arguments = ["--sigma-a", "0.1", "--sigma-s", "1", "--r", "0.5,2"]
     with Proxy(daemon().url(), lambda number, request_id: None, sums_for_quantities) as proxy:
-        rows = eval_rows(*arguments, "--want", want, "--connect", proxy.url)
-    expected = eval_rows(*arguments, "--want", "R" if want == "R" else "R,cdf")
+        rows = eval_rows(*arguments, "--wanted", want, "--connect", proxy.url)
+    expected = eval_rows(*arguments, "--wanted", "R" if want == "R" else "R,cdf")
     assert rows == expected

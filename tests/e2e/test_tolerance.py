@@ -307,7 +307,7 @@ def test_people_are_told_what_was_taken_and_why(client):
 
 
 def test_a_single_radius():
-    text = dipole("eval", *MEDIUM, "--tolerance", "0.1", "--r", "2", "--want", "R").stdout
+    text = dipole("eval", *MEDIUM, "--tolerance", "0.1", "--r", "2", "--wanted", "R").stdout
     assert " of transport at 2 mm, " in text
 
 
@@ -340,9 +340,9 @@ def test_columns_are_added_by_a_choice_alone():
 
 
 def test_double_precision_where_only_that_will_do():
-    report = eval_json(*MEDIUM, "--tolerance", "3e-8", "--r", "1", "--want", "R")
+    report = eval_json(*MEDIUM, "--tolerance", "3e-8", "--r", "1", "--wanted", "R")
     assert report["evaluator"] == "f64" and report["chosen"]["error"] <= 3e-8
-    asked = [*MEDIUM, "--tolerance", "0.01", "--r", "1", "--want", "R", "--evaluator", "f64"]
+    asked = [*MEDIUM, "--tolerance", "0.01", "--r", "1", "--wanted", "R", "--evaluator", "f64"]
     assert eval_json(*asked)["chosen"]["evaluator"] == "f64"
 
 
@@ -352,5 +352,5 @@ test_refusals_have_the_daemons_words = says(FAILED, ["eval", *MEDIUM], [
     (["--tolerance", "0.1", "--eta", "0"], "bad-value: eta: allowed: "),
     (["--tolerance", "0.1", "--r", "1,-1"], "bad-value: r number 2 of 2: allowed: "),
     (["--tolerance", "0.1", "--from", "3", "--to", "1"], "(--to)"),
-    (["--tolerance", "1e-3", "--want", "ln_R", "--g", "0.9"], "bad-value: tolerance"),
+    (["--tolerance", "1e-3", "--wanted", "ln_R", "--g", "0.9"], "bad-value: tolerance"),
 ])
