@@ -302,7 +302,7 @@ def test_spatial_frequencies_are_no_radii(client, tmp_path):
     """R_f has frequencies f in 1/mm, in each form, whether --f gives them or --r."""
     exact = client.eval("better", (0.01, 10, 0.9, 1.4), [0.1, 1], wanted=["R_f"]).R_f[0].tolist()
     medium = ["--sigma-a", "0.01", "--sigma-s", "10", "--g", "0.9", "--eta", "1.4"]
-    for options in (["--f", "0.1,1"], ["--want", "R_f,albedo", "--r", "0.1,1"]):
+    for options in (["--f", "0.1,1"], ["--wanted", "R_f,albedo", "--r", "0.1,1"]):
         rows = eval_rows(*medium, *options)
         assert [(row["f"], float(row["R_f"])) for row in rows] == list(zip(["0.1", "1"], exact))
         assert "r" not in rows[0] and rows[0]["albedo"]
@@ -313,7 +313,7 @@ def test_spatial_frequencies_are_no_radii(client, tmp_path):
         assert lines[3].split() == ["f", "R_f", "1"] and lines[4].split() == ["1/mm", "1"]
         assert not any(" mm" in line or "r = " in line for line in lines)
         assert any("up to f = 1 1/mm" in line for line in lines)
-    both = eval_json(*medium, "--want", "R,R_f", "--r", "0.1,1")
+    both = eval_json(*medium, "--wanted", "R,R_f", "--r", "0.1,1")
     assert both["r"] == both["f"] == [0.1, 1] and both["units"]["r"] == "mm"
     picture = tmp_path / "f.svg"
     dipole("plot", *medium, "--quantity", "R_f", "--f", "0.1,1", "--plot", str(picture), quiet=False)
@@ -325,9 +325,9 @@ def test_rows_of_spatial_frequencies(client):
     media = "sigma_a,sigma_s,g,eta{}\n0.01,10,0.9,1.4{}\n"
     rows = read_csv(points(media.format("", ""), "--f", "0.1,1"))
     assert [(row["f"], float(row["R_f"])) for row in rows] == list(zip(["0.1", "1"], exact))
-    (row,) = read_csv(points(media.format(",f", ",1"), "--want", "R_f"))
+    (row,) = read_csv(points(media.format(",f", ",1"), "--wanted", "R_f"))
     assert (row["status"], float(row["R_f"])) == ("ok", exact[1])
-    run = dipole("points", "--want", "R_f", stdin=media.format("", ""), status=FAILED)
+    run = dipole("points", "--wanted", "R_f", stdin=media.format("", ""), status=FAILED)
     assert "the column f is missing" in run.stderr
     run = dipole("points", "--f", "1", stdin=media.format(",f", ",1"), status=FAILED)
     assert "has the column f: leave --f out" in run.stderr
@@ -335,10 +335,10 @@ def test_rows_of_spatial_frequencies(client):
 
 test_frequencies_are_for_R_f = says(USAGE, [], [
     (["eval", *MEDIUM, "--f", "1", "--r", "1"], "--f is for R_f, and --r for all else"),
-    (["eval", *MEDIUM, "--f", "1", "--want", "R"], "which only R_f has: ask for R_f alone"),
+    (["eval", *MEDIUM, "--f", "1", "--wanted", "R"], "which only R_f has: ask for R_f alone"),
     (["eval", *MEDIUM, "--f", "1", "--to", "2"], "--f gives the frequencies one by one"),
     (["plot", *MEDIUM, "--f", "1"], "which only R_f has"),
-    (["points", "--f", "1", "--want", "R"], "which only R_f has"),
+    (["points", "--f", "1", "--wanted", "R"], "which only R_f has"),
 ])  # fmt: skip
 
 

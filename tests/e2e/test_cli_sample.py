@@ -41,7 +41,7 @@ def test_the_daemons_radii(client, rule, evaluator):
 
 
 def test_many_random_numbers_come_in_pieces(client):
-    table = rows(*MEDIUM, "--count", "131073", "--seed", "3", "--first", "5", "--want", "r")
+    table = rows(*MEDIUM, "--count", "131073", "--seed", "3", "--first", "5", "--wanted", "r")
     expected = client.sample("better", SKIN, draw=Draw(131073, "random", seed=3, first=5))
     np.testing.assert_array_equal(column(table, "u"), expected.u)
     np.testing.assert_array_equal(column(table, "r"), expected.r[0])
