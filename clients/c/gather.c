@@ -16,7 +16,7 @@ enum {
   OUTSTANDING = 4, /* requests under way at a time */
   PART_POINTS = 65536,
   PART_QUERIES = GATHER_PART_QUERIES,
-  SENT_MOST = 4, /* how often the points are sent, at most, until sums come: daemons may lose them */
+  SENT_MOST = 4, /* how often the points are sent, at most, until sums come */
 };
 
 /* Of a request with tolerance 0: the points that are summed one by one, about two seconds' worth. */
