@@ -770,23 +770,30 @@ static bool advance(dipole_client *client, dipole_error *error) {
   return !moves || (wait_and_move(client, error) && receive(client, error));
 }
 
-/* Returns false and sets *error if the client can only be closed. A forked process would take
- * answers of the one that opened the client, so its copy of the client is broken. An exception or a
- * jump may have left an earlier call in the middle of a frame. */
-static bool check_usable(dipole_client *client, dipole_error *error) {
-  if (client->broken.kind == DIPOLE_ERROR_NONE && client->process != getpid()) {
-    libdipole_fail(&client->broken, DIPOLE_ERROR_CONNECTION,
-                   "process %ld opened this client: after fork(), open a client in each process",
-                   (long)client->process);
-  } else if (client->broken.kind == DIPOLE_ERROR_NONE && client->torn) {
-    libdipole_fail(&client->broken, DIPOLE_ERROR_CONNECTION,
-                   "an exception or a jump left an earlier call of this client before its end, or a "
-                   "function that a call runs uses the client: open another one");
+/* Returns false and sets *error if the client can only be closed. An exception or a jump may have
+ * left an earlier call in the middle of a frame. */
+static bool check_whole(dipole_client *client, dipole_error *error) {
+  if (client->broken.kind == DIPOLE_ERROR_NONE && client->torn) {
+    libdipole_fail(
+        &client->broken, DIPOLE_ERROR_CONNECTION,
+        "an exception or a jump left an earlier call of this client before its end, or a "
+        "function that a call runs uses the client: open another one");
   }
   if (client->broken.kind != DIPOLE_ERROR_NONE) {
     *error = client->broken;
   }
   return client->broken.kind == DIPOLE_ERROR_NONE;
+}
+
+/* Does the same before bytes move. A forked process would take answers of the one that opened the
+ * client, so its copy of the client is broken. */
+static bool check_usable(dipole_client *client, dipole_error *error) {
+  if (client->broken.kind == DIPOLE_ERROR_NONE && client->process != getpid()) {
+    libdipole_fail(&client->broken, DIPOLE_ERROR_CONNECTION,
+                   "process %ld opened this client: after fork(), open a client in each process",
+                   (long)client->process);
+  }
+  return check_whole(client, error);
 }
 
 static bool advance_or_restore(dipole_client *client, dipole_error *error) {
@@ -827,7 +834,7 @@ static bool step(dipole_client *client, dipole_error *error) {
 bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
                              uint64_t payload_bytes, uint8_t **payload, dipole_error *error) {
   libdipole_call_begin(client, pending->kind);
-  if (!check_usable(client, error)) {
+  if (!check_whole(client, error)) {
     return false;
   }
   while (client->lost.kind != DIPOLE_ERROR_NONE || client->dropped_count >= DIPOLE_IN_FLIGHT_MAX) {
@@ -862,16 +869,12 @@ bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
   return true;
 }
 
-static void send_held(dipole_client *client) {
-  client->torn = true;
-  libdipole_stream_send(&client->stream);
-  client->held_count = 0;
-  client->torn = false;
-}
-
 void dipole_flush(dipole_client *client) {
   if (check_usable(client, &(dipole_error){0})) {
-    send_held(client);
+    client->torn = true;
+    libdipole_stream_send(&client->stream);
+    client->held_count = 0;
+    client->torn = false;
   }
 }
 
@@ -883,7 +886,7 @@ bool libdipole_request_send(dipole_client *client, dipole_error *error) {
   client->held_count++;
   if (client->held_count * HELD_SHARE >= dipole_outstanding(client) ||
       stream->out_end - stream->out_begin >= HELD_MAX_BYTES) {
-    send_held(client);
+    dipole_flush(client);
   }
   while (stream->out_end - stream->out_begin > BACKLOG_MAX_BYTES) {
     if (!step(client, error)) {
