@@ -466,11 +466,13 @@ class Client:
         return request_id
 
     def _send_again(self, request_ids: Sequence[int]) -> None:
-        self._connection.check_usable()
-        with self._connection.whole():
-            for request_id in request_ids:
-                for data in self._exchange.frame(request_id):
-                    self._connection.send_bytes(data)
+        connection = self._connection
+        connection.check_usable()
+        connection.torn = True
+        for request_id in request_ids:
+            for data in self._exchange.frame(request_id):
+                connection.send_bytes(data)
+        connection.torn = False
 
     def _next(self, request_id: int) -> Any:
         """Waits for the next part of an answer. Returns None after the last one."""

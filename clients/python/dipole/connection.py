@@ -14,7 +14,7 @@ import ssl
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -148,7 +148,7 @@ class Connection:
         self.timeout_s = timeout_s
         self.is_one_of_several = False  # whether a client may leave a silent daemon for another
         self.incoming = Incoming()
-        self.torn = False  # whether an exception may have ended a call in the middle of a frame
+        self.torn = False  # True while a frame moves, and after an exception in the middle of one
         self._owner = os.getpid()
         self._process: subprocess.Popen[bytes] | None = None
         self.socket = self._open()
@@ -208,13 +208,6 @@ class Connection:
         if self.torn:
             text = "an exception, such as an interrupt, has ended a call in the middle of a frame"
             raise ConnectionLost(f"{self.name}: {text}")
-
-    @contextlib.contextmanager
-    def whole(self) -> Iterator[None]:
-        """Gives the connection up unless the body ends."""
-        was_torn, self.torn = self.torn, True
-        yield
-        self.torn = was_torn
 
     def set_timeout_s(self, timeout_s: float | None) -> None:
         self.timeout_s = timeout_s
@@ -310,7 +303,6 @@ class Connection:
     def send_bytes(self, data: bytes) -> None:
         """Sends all the bytes, and meanwhile buffers what arrives. If neither end read while it
         sends, both could wait for each other forever."""
-        self.check_owner()
         view = memoryview(data)
         try:
             while view:
@@ -384,14 +376,16 @@ class Connection:
         self._receive_some()
 
     def _receive_some(self) -> None:
-        with self.whole():
-            try:
-                count = self.socket.recv_into(self.incoming.room())
-            except TLS_WAITS:
-                return
-            except OSError as error:
-                raise self.lost(error) from error
-            self.received(count)
+        is_sending, self.torn = self.torn, True
+        try:
+            count = self.socket.recv_into(self.incoming.room())
+        except TLS_WAITS:
+            self.torn = is_sending
+            return
+        except OSError as error:
+            raise self.lost(error) from error
+        self.received(count)
+        self.torn = is_sending
 
     def lost(self, error: OSError) -> ConnectionLost:
         """Says that receiving has failed. If the daemon refuses the certificate, that is final."""
@@ -413,19 +407,21 @@ class Connection:
     ) -> None:
         """Sends a header and a payload, whose length must be a multiple of 8."""
         self.check_usable()
-        with self.whole():
-            for data in frame_pieces(type, request_id, payload, deadline_ms):
-                self.send_bytes(data)
+        self.torn = True
+        for data in frame_pieces(type, request_id, payload, deadline_ms):
+            self.send_bytes(data)
+        self.torn = False
 
     def receive_frame(self, give: Callable[[Frame], object] | None = None) -> Frame:
         """Waits for the next frame, whatever its type. give: is called with it; if that raises an
         exception, the connection is given up."""
         self.check_usable()
         while True:
-            with self.whole():
-                frame = self.incoming.take_frame()
-                if frame is not None and give is not None:
-                    give(frame)
+            self.torn = True
+            frame = self.incoming.take_frame()
+            if frame is not None and give is not None:
+                give(frame)
+            self.torn = False
             if frame is not None:
                 return frame
             self._receive()
