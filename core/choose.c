@@ -150,6 +150,16 @@ static size_t cheapest_tolerance(const struct cost *cost, double most) {
   return best;
 }
 
+/* Whether the table of solutions holds all media, so that its error counts, and not the tolerance. */
+static bool are_stored(const core_choose_request *request) {
+  bool stored = true;
+  for (size_t i = 0; i < request->media_count; i++) {
+    const core_medium taken = taken_of(request, i);
+    stored = stored && core_transport_is_stored(&taken);
+  }
+  return stored;
+}
+
 #define BELOW (1 - 1e-12) /* leaves room for rounding where errors are added */
 
 /* Chooses the tolerance to prepare with. The numerical error may take a quarter of the tolerance
@@ -163,7 +173,12 @@ static void set_numerical_error(core_candidate *candidate, const struct cost *co
   const double share = fmin(left / 4, left * BELOW - besides);
   const size_t which = cheapest_tolerance(cost, share - floor);
   candidate->numerical_tolerance = tolerances[which];
-  candidate->numerical_error = which > 0 ? tolerances[which] + floor : cost->numerical;
+  const bool looked_up = cost->model == CORE_MODEL_TRANSPORT &&
+                         cost->evaluator != CORE_EVALUATOR_LUT && are_stored(request);
+  const double own = looked_up
+                         ? fmin(tolerances[which], core_transport_slope_error()) /* the table's */
+                         : tolerances[which];
+  candidate->numerical_error = which > 0 ? own + floor : cost->numerical;
   candidate->cost_ns = cost->with[which].evaluate_ns;
   candidate->prepare_ns = cost->with[which].prepare_ns;
   if (share < cost->numerical && cost->numerical_least < cost->numerical) {
@@ -191,10 +206,9 @@ static double solving_ns(void) {
  * other than 0, or its table does not hold one of them, which is then solved whatever the tolerance
  * is. */
 static void set_cost_of_media(core_candidate *candidate, const core_choose_request *request) {
-  bool stored = true, with_g = candidate->model == CORE_MODEL_TRANSPORT;
+  bool with_g = candidate->model == CORE_MODEL_TRANSPORT;
   for (size_t i = 0; i < request->media_count; i++) {
     const core_medium taken = taken_of(request, i);
-    stored = stored && core_transport_is_stored(&taken);
     with_g = with_g && (taken.g < 0 || taken.g > 0);
   }
   for (size_t i = 0; i < sizeof costs_with_g / sizeof costs_with_g[0] && with_g; i++) {
@@ -203,7 +217,7 @@ static void set_cost_of_media(core_candidate *candidate, const core_choose_reque
       candidate->prepare_ns = costs_with_g[i].prepare_ns;
     }
   }
-  if (!stored && candidate->model == CORE_MODEL_TRANSPORT) {
+  if (candidate->model == CORE_MODEL_TRANSPORT && !are_stored(request)) {
     candidate->prepare_ns = fmax(candidate->prepare_ns, solving_ns());
   }
 }

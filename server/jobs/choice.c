@@ -189,7 +189,7 @@ static void describe_cause(const core_choose_request *asked, size_t worst, char 
     const char *name;
     double usual, given;
   } coefficients[] = {
-      {"g", 0, medium->g}, {"eta", 1.3, medium->eta}, {"sigma_a / sigma_s'", 1, ratio}};
+      {"g", 0, medium->g}, {"eta", 1.3, medium->eta}, {"sigma_a/sigma_s'", 1, ratio}};
   for (unsigned i = 0; i < 3; i++) {
     double good = coefficients[i].usual, bad = coefficients[i].given;
     if (is_known(asked, i, good) && !is_known(asked, i, bad)) {
@@ -220,7 +220,7 @@ static wire_error none_meets(const core_choose_request *asked) {
   } else {
     char cause[64] = "";
     describe_cause(asked, worst, cause, sizeof cause);
-    snprintf(allowed, sizeof allowed, "a model instead: no error is known%s%s", medium, cause);
+    snprintf(allowed, sizeof allowed, "a model instead: no error known%s%s", medium, cause);
   }
   if (!describe_quantity(asked, part, sizeof part)) {
     describe_radius(asked, worst, part, sizeof part);
