@@ -723,3 +723,38 @@ UNIT_TEST(lengths_do_not_matter) {
   assert_int_equal(choice.model, other.model);
   assert_true(choice.error == other.error);
 }
+
+/* Where transport is looked up, its error is that of the table, whatever it is prepared with. */
+UNIT_TEST(the_error_of_a_table_is_not_the_tolerance) {
+  for (int i = 0; i < 3; i++) {
+    const double g = 0.45 * i;
+    const core_medium medium = {0.1, 1 / (1 - g), g, 1.4};
+    const core_choose_request request = {.media = &medium,
+                                         .media_count = 1,
+                                         .moments = CORE_MOMENTS_EXACT,
+                                         .wanted = CORE_QUANTITY_R,
+                                         .radii = {1, 1},
+                                         .radius_count = 1,
+                                         .single = true,
+                                         .tolerance = 0.01};
+    core_candidate candidates[CORE_CANDIDATES_MAX];
+    const size_t count = core_choose(&request, candidates);
+    for (size_t k = 0; k < count; k++) {
+      if (candidates[k].model == CORE_MODEL_TRANSPORT &&
+          candidates[k].evaluator == CORE_EVALUATOR_F32) {
+        core_parameters parameters = core_parameters_none();
+        core_profile profile;
+        parameters.value[CORE_PARAMETER_TOLERANCE] = candidates[k].numerical_tolerance;
+        unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL),
+                                               CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
+                                               CORE_EVALUATOR_F32, &medium, &parameters),
+                          NULL, 0);
+        const double stated =
+            core_profile_errors(&profile, CORE_QUANTITY_R, request.radii).numerical;
+        assert_true(candidates[k].numerical_error >= stated &&
+                    candidates[k].numerical_error < stated + 2e-4);
+        core_profile_free(&profile);
+      }
+    }
+  }
+}
