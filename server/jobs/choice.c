@@ -218,9 +218,12 @@ static wire_error none_meets(const core_choose_request *asked) {
              core_choice_by_id(core_models, best.model)->name,
              core_choice_by_id(core_evaluators, best.evaluator)->name);
   } else {
-    char cause[64] = "";
+    char cause[48] = "";
     describe_cause(asked, worst, cause, sizeof cause);
-    snprintf(allowed, sizeof allowed, "a model instead: no error known%s%s", medium, cause);
+    snprintf(allowed, sizeof allowed, "a model instead: no error known%s", cause);
+    if (strlen(allowed) + strlen(medium) < sizeof allowed) {
+      strcat(allowed, medium);
+    }
   }
   if (!describe_quantity(asked, part, sizeof part)) {
     describe_radius(asked, worst, part, sizeof part);
