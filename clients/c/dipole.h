@@ -632,8 +632,9 @@ typedef struct dipole_fits {
 } dipole_fits;
 
 /* Finds the media whose readings are most likely, and waits for the answer. The daemon prepares
- * what all sets have in common once, and keeps it. The caller frees *fits with dipole_fits_free().
- */
+ * what all sets have in common once, and keeps it. Beyond two mean free paths readings hardly see g:
+ * ask again with g - 0.05 and g + 0.05 to see how much the coefficients change. The caller frees
+ * *fits with dipole_fits_free(). */
 bool dipole_fit(dipole_client *client, const dipole_fit_query *query, dipole_fits **fits,
                 dipole_error *error);
 

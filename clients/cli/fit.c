@@ -60,6 +60,18 @@ static const cli_option options[] = {
     {0},
 };
 
+/* The largest changes of a sample's coefficients for g +- G_CHANGE. */
+typedef struct g_change {
+  double a, s;    /* of sigma_a and sigma_s', 1/mm; NAN where one of the fits is no success */
+  unsigned sides; /* which of the two g the model takes: index into sides_of_g */
+} g_change;
+
+#define G_CHANGE 0.05
+
+enum { G_BELOW = 1, G_ABOVE = 2 };
+
+static const char *const sides_of_g[] = {"none", "below", "above", "both"};
+
 typedef struct report {
   const fit_settings *settings;
   const dipole_info *info;
@@ -67,6 +79,7 @@ typedef struct report {
   cli_parameters parameters;
   cli_readings readings;
   dipole_fitted *fitted; /* [sample_count] */
+  g_change *changes;     /* [sample_count] */
   double *residuals;     /* [readings.count]; NAN where nothing was fitted */
   unsigned notes;
 } report;
@@ -204,6 +217,44 @@ static void take(report *of, const batch *some, const dipole_fits *fits) {
   of->notes |= fits->notes;
 }
 
+/* Returns the larger one; NAN if one is NAN. */
+static double larger(double a, double b) {
+  return isnan(a) || a > b ? a : b;
+}
+
+static void take_change(g_change *change, unsigned side, const dipole_fitted *one,
+                        const dipole_fitted *other) {
+  const bool good = one->status == DIPOLE_FITTED && other->status == DIPOLE_FITTED;
+  const double a = fabs(other->sigma_a_per_mm - one->sigma_a_per_mm);
+  const double s = fabs(other->sigma_s_prime_per_mm - one->sigma_s_prime_per_mm);
+  change->a = larger(change->a, good ? a : (double)NAN);
+  change->s = larger(change->s, good ? s : (double)NAN);
+  change->sides |= side;
+}
+
+/* Fits the samples of a query, which `notes` came with, with g by G_CHANGE less or more. A g that
+ * the model does not take, or not as it takes the query's, is left out. */
+static bool ask_side(dipole_client *client, report *of, const batch *some, dipole_fit_query query,
+                     unsigned notes, unsigned side, dipole_error *error) {
+  const dipole_choice *similarity = cli_choice(of->info, DIPOLE_NOTE, "similarity");
+  const double g = query.g + (side == G_BELOW ? -G_CHANGE : G_CHANGE);
+  query.g = round(g * 1e9) / 1e9; /* .9 + .05 is .95, which transport's table holds */
+  query.residuals = false;
+  dipole_fits *fits;
+  if (!CLI_ASK(&of->settings->profile.common, error, dipole_fit(client, &query, &fits, error))) {
+    return error->kind == DIPOLE_ERROR_REFUSED &&
+           (strcmp(error->field, "g") == 0 || strcmp(error->field, "detector_na") == 0);
+  }
+  const bool alike = similarity == NULL || strcmp(of->model->name, "transport") != 0 ||
+                     (fits->notes & ~notes & similarity->id) == 0;
+  for (size_t i = 0; alike && i < some->count; i++) {
+    const size_t sample = some->samples[i];
+    take_change(&of->changes[sample], side, &of->fitted[sample], &fits->sets[i]);
+  }
+  dipole_fits_free(fits);
+  return true;
+}
+
 /* Returns whether a refusal is about one reading. */
 static bool is_of_reading(const dipole_error *error) {
   return strcmp(error->field, "at") == 0 || strcmp(error->field, "source") == 0 ||
@@ -251,8 +302,11 @@ static bool ask_some(dipole_client *client, report *of, const batch *some, dipol
   bool good =
       CLI_ASK(&of->settings->profile.common, error, dipole_fit(client, &query, &fits, error));
   if (good) {
+    const unsigned notes = fits->notes;
     take(of, some, fits);
     dipole_fits_free(fits);
+    good = ask_side(client, of, some, query, notes, G_BELOW, error) &&
+           ask_side(client, of, some, query, notes, G_ABOVE, error);
   } else if (is_of_file(first, error)) {
     tell_refused(of, first, some->count, error);
     good = true;
@@ -323,6 +377,7 @@ static void put_sample(cli_rows *rows, const void *context, size_t index) {
   const dipole_fitted *one = &of->fitted[index];
   const double a = sqrt(one->variance_a), s = sqrt(one->variance_s);
   const double scale_error = sqrt(one->variance_factor);
+  const g_change *change = &of->changes[index];
   const unsigned with_factor = is_free(of) ? 0u : CLI_IN_CSV | CLI_IN_JSON;
   cli_put_text(rows, CLI_COLUMN("sample"), sample->name);
   cli_put_number(rows, CLI_COLUMN("sigma_a", NULL, "1/mm", "%.5g", "-"), one->sigma_a_per_mm);
@@ -330,6 +385,10 @@ static void put_sample(cli_rows *rows, const void *context, size_t index) {
                  one->sigma_s_prime_per_mm);
   cli_put_number(rows, CLI_COLUMN("sigma_a_error", "error of a", "1/mm", "%.2g", "-"), a);
   cli_put_number(rows, CLI_COLUMN("sigma_s_prime_error", "error of s'", "1/mm", "%.2g", "-"), s);
+  cli_put_number(rows, CLI_COLUMN("sigma_a_by_g", "a by g", "1/mm", "%.2g", "-"),
+                 change->sides != 0 ? change->a : (double)NAN);
+  cli_put_number(rows, CLI_COLUMN("sigma_s_prime_by_g", "s' by g", "1/mm", "%.2g", "-"),
+                 change->sides != 0 ? change->s : (double)NAN);
   cli_put_number(rows, CLI_COLUMN("correlation", NULL, " ", "%.3f", "-"),
                  one->covariance_a_s / (a * s));
   cli_put_number(rows, CLI_COLUMN("scale", NULL, " ", "%.5g", "-", NULL, with_factor), one->factor);
@@ -343,6 +402,7 @@ static void put_sample(cli_rows *rows, const void *context, size_t index) {
                  one->model_error);
   cli_put_number(rows, CLI_COLUMN("g", .unit = " "), g_of(of, sample));
   cli_put_text(rows, CLI_COLUMN("g_from", "g from", " "), source_of_g(of, sample));
+  cli_put_text(rows, CLI_COLUMN("g_sides", "g sides", " "), sides_of_g[change->sides]);
   cli_put_number(rows, CLI_COLUMN("eta", .unit = " "), eta_of(of, sample));
   cli_put_text(rows, CLI_COLUMN("status", .unit = " "), status_of(of, one));
   if (rows->json != NULL) {
@@ -362,6 +422,7 @@ static void write_table(const void *context) {
   cli_rows_print(stdout, 1, of->readings.sample_count, put_sample, of);
   puts("\nerrors are standard errors; chi2 is the sum of the squares of (reading - fit) / error");
   puts("model error: of R against radiative transport, which is not in the standard errors");
+  puts("by g: the largest change for g +- .05, which the readings may not tell apart");
   cli_write_notes(of->info, of->notes, stdout);
 }
 
@@ -374,7 +435,8 @@ static void put_members(cli_json *json, const void *context) {
   cli_json_text(json, "scale", of->scale->name);
   cli_json_notes(json, of->info, of->notes);
   cli_json_texts(json, "units", "sigma_a", "1/mm", "sigma_s_prime", "1/mm", "sigma_a_error", "1/mm",
-                 "sigma_s_prime_error", "1/mm", NULL);
+                 "sigma_s_prime_error", "1/mm", "sigma_a_by_g", "1/mm", "sigma_s_prime_by_g",
+                 "1/mm", NULL);
   cli_rows_json(json, "samples", of->readings.sample_count, put_sample, of);
 }
 
@@ -425,6 +487,7 @@ static int draw(const report *of) {
 static void refuse_all(report *of) {
   const double nan = (double)NAN;
   of->fitted = cli_allocate(of->readings.sample_count, sizeof *of->fitted);
+  of->changes = cli_allocate(of->readings.sample_count, sizeof *of->changes);
   of->residuals = cli_allocate(of->readings.count, sizeof *of->residuals);
   for (size_t i = 0; i < of->readings.sample_count; i++) {
     of->fitted[i] = (dipole_fitted){.status = DIPOLE_FIT_REFUSED,
@@ -476,6 +539,7 @@ static int run(void *settings, dipole_client *client) {
   const int status = fit_and_write(client, &of);
   cli_readings_free(&of.readings);
   free(of.fitted);
+  free(of.changes);
   free(of.residuals);
   return status;
 }
@@ -494,8 +558,12 @@ const cli_command cli_command_fit = {
         "is detected on), and detector_na (see --detector-na). Each sample has at least as many\n"
         "readings as unknowns: 2, or 3 with --scale free. Without a column eta, --eta has to be\n"
         "given. The output has the g and eta that were taken, and g_from, where g comes from: file,\n"
-        "option or default. chi2 hardly depends on g beyond 2 mean free paths: fit again with another\n"
-        "g, such as 0.05 more, to see how much the coefficients depend on it.\n" CLI_CSV_TEXT "\n"
+        "option or default. Beyond two mean free paths readings hardly see g: they are fitted with a\n"
+        "wrong one, too. sigma_a_by_g and sigma_s_prime_by_g say how much sigma_a and sigma_s'\n"
+        "change at most for g +- .05 (about twice that for +- .1), and g_sides which of these two g\n"
+        "the model takes: both, below, above or none. They have no value where one of the fits is no\n"
+        "success. They are 0 where the model does not see g (notes similarity and gamma), though the\n"
+        "light does.\n" CLI_CSV_TEXT "\n"
         "status is fitted, or says why a sample is no success: at-bound, undetermined,\n"
         "implausible, ambiguous, unfinished or refused; `dipole info` describes them. The exit\n"
         "status is then 3, and all samples are written nevertheless. sigma_s' is sigma_s (1 - g).\n"

@@ -15,8 +15,8 @@ from dipole import Medium
 from pictures import svg_texts
 
 COLUMNS = (
-    "sample,sigma_a,sigma_s_prime,sigma_a_error,sigma_s_prime_error,correlation,scale,scale_error,"
-    "chi2,readings,g,g_from,eta,status"
+    "sample,sigma_a,sigma_s_prime,sigma_a_error,sigma_s_prime_error,sigma_a_by_g,"
+    "sigma_s_prime_by_g,correlation,scale,scale_error,chi2,readings,g,g_from,g_sides,eta,status"
 )
 AT_MM = np.array([0.5, 1.0, 2.0, 4.0])
 MEDIA = {"milk": Medium(0.01, 1.5, 0.0, 1.4), "skin": Medium(0.05, 1.0, 0.0, 1.4)}
@@ -69,7 +69,7 @@ def test_table_and_json(readings, tmp_path):
     text = dipole("fit", str(path), *OPTIONS).stdout
     head = text.splitlines()
     assert "model better" in head[0] and "scale absolute" in head[0]
-    assert "sigma_s'" in head[2] and head[3].split().count("1/mm") == 4
+    assert "sigma_s'" in head[2] and head[3].split().count("1/mm") == 6
     assert "its error" not in text  # the factor is known
     assert "its error" in dipole("fit", str(path), *OPTIONS, "--scale", "free").stdout
     report = json.loads(dipole("fit", str(path), *OPTIONS, "--format", "json").stdout)
@@ -118,10 +118,53 @@ def test_an_eta_has_to_be_given_and_what_was_taken_is_shown(readings):
         assert [f"{row['g']} {row['g_from']}" for row in found] == taken
         assert {row["eta"] for row in found} == {"1.4"}
         table = dipole("fit", *OPTIONS, *options, stdin=some).stdout
-        assert all(" ".join([*one.split(), "1.4"]) in " ".join(table.split()) for one in taken)
+        assert all(" ".join([*one.split(), "both 1.4"]) in " ".join(table.split()) for one in taken)
         told = json.loads(dipole("fit", *OPTIONS, *options, "--format", "json", stdin=some).stdout)
         assert [f"{one['g']:g} {one['g_from']} {one['eta']}" for one in told["samples"]] == [
             f"{one} 1.4" for one in taken]
+
+
+def test_how_much_a_wrong_g_changes(slave):
+    """Readings made with g .9 and fitted with .8 look right. What +-.05 changes is half of what that
+    step of .1 does: .50 to .58 of it for these."""
+    AT = [AT_MM, AT_MM + 1.5, 5 * AT_MM[1:]]
+    media = [Medium(a, 10, 0.9, 1.4) for a in (0.005, 0.02, 0.1)]
+    with slave.client() as client:
+        R = [[client.eval("transport", one, at).R[0] for at in AT] for one in media]
+    text = "sample,r,R,error\n" + "".join(
+        lines(f"{i} {k}", R[i][k], AT[k], 0.02) for i in range(len(media)) for k in range(len(AT)))
+    for form in ("csv", "json"):
+        arguments = ["--eta", "1.4", "--format", form, "--model"]
+        run = dipole("fit", *arguments, "transport", "--g", "0.8", stdin=text).stdout
+        found = rows(run) if form == "csv" else json.loads(run)["samples"]
+        assert len(found) == 9
+        for row in found:
+            assert (row["status"], row["g_sides"]) == ("fitted", "both")
+            medium = media[int(row["sample"][0])]
+            for name, true in (("sigma_a", medium.sigma_a), ("sigma_s_prime", 1.0)):
+                wrong = abs(float(row[name]) - true)
+                assert 0.5 * wrong <= float(row[f"{name}_by_g"]) <= 0.6 * wrong
+
+
+def test_which_g_are_tried_and_what_no_change_is_told_of(slave):
+    """A g is left out that transport's table does not hold. No change is told where readings see g."""
+    cases = {  # g and the relative error: the sides, and whether changes are told
+        (-0.5, 0.1): ("above", True), (0, 0.1): ("both", True), (0.9, 0.1): ("both", True),
+        (0.93, 0.1): ("below", True), (0.9, 0.0003): ("both", False),
+    }  # fmt: skip
+    at, changes = AT_MM + 0.5, ("sigma_a_by_g", "sigma_s_prime_by_g")
+    with slave.client() as client:
+        R = client.eval("transport", Medium(0.02, 10, 0.9, 1.4), at).R[0]
+    text = ["".join(line + f",{g}\n" for line in lines(f"{g} {error}", R, at, error).splitlines())
+            for g, error in cases]
+    run = ["fit", "--eta", "1.4", "--format", "csv", "--model"]
+    found = rows(dipole(*run, "transport", stdin="sample,r,R,error,g\n" + "".join(text)).stdout)
+    assert {row["status"] for row in found} == {"fitted"}
+    assert [(row["g_sides"], row[name] != "") for row in found for name in changes] == [
+        case for case in cases.values() for _ in changes]
+    seen = rows(dipole(*run, "better", stdin="sample,r,R,error,g\n" + "".join(text[:-1])).stdout)
+    assert {row["g_sides"] for row in seen} == {"both"}  # no g is seen
+    assert all(float(row[name]) < 1e-8 for row in seen for name in changes)
 
 
 def test_an_aperture_of_the_file_and_of_an_option(readings):
@@ -239,6 +282,8 @@ def test_statuses_and_the_exit_status(readings):
         assert said in run.stderr, (said, run.stderr)
     empty = [row for row in rows(run.stdout) if row["status"] == "refused"]
     assert all(row["sigma_a"] == row["sigma_a_error"] == row["chi2"] == "" for row in empty)
+    told = {row["sample"] for row in rows(run.stdout) if row["sigma_a_by_g"] != ""}
+    assert told == {"good"}
     report = dipole("fit", *OPTIONS, "--format", "json", stdin=text, status=BAD_ROWS).stdout
     assert json.loads(report)["samples"][1]["bounds"] > 0
     assert "refused" in dipole("fit", *OPTIONS, stdin=text, status=BAD_ROWS).stdout
