@@ -109,13 +109,13 @@ def test_what_differs_is_not_the_same(daemon):
 
 def test_the_bound_is_kept(daemon):
     """A small cache keeps those of many profiles that were used last."""
-    one = daemon("--cache-bytes", "60000")
+    one = daemon("--cache-bytes", "80000")
     counted = Counted(one)
     many = media(60)
     with one.connect() as connection:
         for medium in many:
             assert ask(connection, EVAL, payload("beam", [medium])).type == REPLY
-            assert counted["bytes"] <= 60000
+            assert counted["bytes"] <= 80000
         kept = counted["entries"]
         assert 5 <= kept < 15
         assert counted["evictions"] == 60 - kept

@@ -153,11 +153,12 @@ def test_all_addresses_of_a_name(daemon, folder):
 @pytest.mark.skipif(not has_ipv6(), reason="this machine has no IPv6")
 @pytest.mark.parametrize("turned", [False, True])
 def test_all_addresses_of_both_kinds(daemon, turned):
-    with socket.socket() as free:
+    with socket.socket() as free:  # holds the port until the daemon has it
+        free.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    listen = [f"tcp:[::]:{port}", f"tcp:0.0.0.0:{port}"]
-    one = daemon(listen=listen[::-1] if turned else listen)
+        listen = [f"tcp:[::]:{port}", f"tcp:0.0.0.0:{port}"]
+        one = daemon(listen=listen[::-1] if turned else listen)
     assert sorted(one.urls) == sorted(listen)
     for host in ("[::1]", "127.0.0.1"):
         with dipole.Connection(f"tcp:{host}:{port}") as connection:
@@ -175,9 +176,9 @@ def test_all_addresses_of_both_kinds(daemon, turned):
 )  # fmt: skip
 def test_the_same_address_twice(folder, first, second):
     with socket.socket() as free:
+        free.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    ended = run(*f"{first} {second}".format(folder, port).split())
+        ended = run(*f"{first} {second}".format(folder, free.getsockname()[1]).split())
     assert ended.returncode == 1 and re.search("daemon listens there already|name each device once", ended.stderr)
     assert not (folder / "s").exists()
 

@@ -553,7 +553,7 @@ def test_the_environment_of_the_readme(tmp_path):
     subprocess.run(["sh", "-c", command], cwd=tmp_path, check=True)
     program = "import dipole, sys; print(dipole.__file__.startswith(sys.prefix))"
     python = [f"{tmp_path}/dipole/bin/python", "-c", program]
-    assert subprocess.run(python, env=environment(), capture_output=True).stdout == b"True\n"
+    assert subprocess.run(python, env=environment(PYTHONPATH=""), capture_output=True).stdout == b"True\n"
 
 
 def test_errors_of_a_private_daemon_appear(tmp_path):
@@ -765,7 +765,7 @@ GOOD_CALLS = [
     'varying("better", sigma_a=1, sigma_s=1, r=1, wanted="R")',
     'gather("better", m, Points([[0, 0, 0]], [1]), [[1, 2, 3]], progress=lambda a, b: True)',
     'mc(m, Grid(0, 1, 2), photons=2e3, progress=lambda now: now.photons > 0)',
-    'fit("better", [1, 2], [0.01, 0.002], 1e-4, axis="r", deadline_ms=9000)',
+    'fit("better", [1, 2], [0.01, 0.002], 1e-4, axis="r", eta=1.4, deadline_ms=9000)',
     'ring_means("better", "skin1", [0, 1], tolerance=0.1)',
 ]  # fmt: skip
 BAD_CALLS = [

@@ -378,13 +378,15 @@ class Connection:
     def _receive_some(self) -> None:
         is_sending, self.torn = self.torn, True
         try:
-            count = self.socket.recv_into(self.incoming.room())
+            self.received(self.socket.recv_into(self.incoming.room()))
         except TLS_WAITS:
+            pass
+        except ConnectionLost:  # Frames that came before may still be taken.
             self.torn = is_sending
-            return
+            raise
         except OSError as error:
+            self.torn = is_sending
             raise self.lost(error) from error
-        self.received(count)
         self.torn = is_sending
 
     def lost(self, error: OSError) -> ConnectionLost:
@@ -408,8 +410,12 @@ class Connection:
         """Sends a header and a payload, whose length must be a multiple of 8."""
         self.check_usable()
         self.torn = True
-        for data in frame_pieces(type, request_id, payload, deadline_ms):
-            self.send_bytes(data)
+        try:
+            for data in frame_pieces(type, request_id, payload, deadline_ms):
+                self.send_bytes(data)
+        except ConnectionLost:  # Frames that came before may still be received.
+            self.torn = False
+            raise
         self.torn = False
 
     def receive_frame(self, give: Callable[[Frame], object] | None = None) -> Frame:
