@@ -137,14 +137,14 @@ static bool find_curve(png_structp png, png_infop info, const char *file, curve 
   for (int i = 0; i < count; i++) {
     if (memcmp(chunks[i].name, "cICP", 4) == 0 && chunks[i].size == 4) {
       const unsigned transfer = chunks[i].data[1];
-      *found = transfer == CICP_SRGB ? (curve){SRGB} : (curve){POWER, 1, NULL};
+      *found = transfer == CICP_SRGB ? (curve){.kind = SRGB} : (curve){POWER, 1, NULL};
       found->exponent = transfer == CICP_POWER_22 ? 2.2 : transfer == CICP_POWER_28 ? 2.8 : 1;
       return transfer == CICP_SRGB || transfer == CICP_LINEAR || found->exponent > 1 ||
              fail(file, "its cICP chunk names a transfer function that is not known here: convert "
                         "it to sRGB, or add --linear if its values are linear");
     }
   }
-  *found = (curve){SRGB};
+  *found = (curve){.kind = SRGB};
   if (png_get_valid(png, info, PNG_INFO_sRGB) != 0) {
     return true;
   }

@@ -71,6 +71,7 @@ void fuzz_http(const uint8_t *data, size_t size) {
   wire_error error = wire_error_none();
   struct http_text payload;
   uint32_t deadline_ms;
+  bool g_is_default;
   http_text_init(&payload, &fuzz_server.buffers);
   char *text = malloc(size);
   CHECK(text != NULL);
@@ -80,7 +81,8 @@ void fuzz_http(const uint8_t *data, size_t size) {
   error = is_body ? http_values_parse(&values, text, size - MESSAGES_AT, BRACKETS)
                   : http_values_parse_query(&values, text);
   if (error.status == WIRE_STATUS_OK) {
-    error = http_question_translate(message, &values, &payload, PAYLOAD, &deadline_ms);
+    error =
+        http_question_translate(message, &values, &payload, PAYLOAD, &deadline_ms, &g_is_default);
     http_values_free(&values);
   }
   if (error.status == WIRE_STATUS_OK) {
