@@ -78,19 +78,16 @@ def test_latencies_are_plausible(daemon):
     payload = eval_payload([SKIN], [1.0] * 16)
     with daemon().client() as client, client_connection(client) as connection:
         start = time.monotonic()
-        slowest = 0.0
         for _ in range(300):
-            asked = time.monotonic()
             ask(connection, EVAL, payload)
-            slowest = max(slowest, time.monotonic() - asked)
-        taken_us = (time.monotonic() - start) * 1e6
         now = look_when(client, lambda now: now["latency_eval_short_count"] >= 300)
+        taken_us = (time.monotonic() - start) * 1e6
     found = [now[f"latency_eval_short_{q}_us"] for q in QUANTILES]
     assert found == sorted(found)
     assert now["latency_eval_short_count"] == 300
-    # The daemon's time is part of the time that the client waited.
-    assert 0 < found[-1] <= slowest * 1e6 + 1
-    assert 0 < now["latency_eval_short_sum_us"] <= taken_us
+    # One request follows another, and each ends when its answer has been written, which the client
+    # may have read before.
+    assert 0 < found[-1] <= now["latency_eval_short_sum_us"] + 1 <= taken_us + 1
     assert now["latency_eval_long_max_us"] == now["latency_refused_max_us"] == 0
 
 
