@@ -445,9 +445,10 @@ static void put_reading(cli_rows *rows, const void *context, size_t index) {
   cli_put_number(rows, CLI_COLUMN("g"), from->query.medium.g);
   cli_put_number(rows, CLI_COLUMN("eta"), from->query.medium.eta);
   for (size_t i = 0; i < from->parameters.count; i++) {
-    if (strcmp(parameter_name(from, i), "detector_na") == 0) {
-      cli_put_number(rows, CLI_COLUMN("detector_na"), from->parameters.items[i].value);
-    }
+    cli_put_number(rows, CLI_COLUMN(parameter_name(from, i)), from->parameters.items[i].value);
+  }
+  if (isfinite(from->query.thickness_mm)) { /* `dipole fit` refuses this column */
+    cli_put_number(rows, CLI_COLUMN("thickness"), from->query.thickness_mm);
   }
   cli_put_number(rows, CLI_COLUMN("r"), r_mm);
   cli_put_number(rows, CLI_COLUMN("R"), value);

@@ -135,6 +135,11 @@ static int take_column(reading *of, const char *name, size_t at) {
       return CLI_OK;
     }
   }
+  if (strcmp(name, "thickness") == 0 || strncmp(name, "phase", strlen("phase")) == 0) {
+    return cli_fail("%s: the column %s is of no medium that can be fitted: those are half spaces "
+                    "that scatter by Henyey-Greenstein's function",
+                    of->source, name);
+  }
   const char *nearest = nearest_to(name);
   return nearest == NULL
              ? CLI_OK

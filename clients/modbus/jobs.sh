@@ -55,7 +55,7 @@ done
 register() {
   type=$1 address=$2
   shift 2
-  mbpoll $line -r "$address" -t "$type" "$where" "$@" >/dev/null 2>&1 && return
+  mbpoll $line -r "$address" -t "$type" -- "$where" "$@" >/dev/null 2>&1 && return
   echo "error $(number 302) at register $(number 303)" >&2
   exit 1
 }

@@ -27,7 +27,7 @@ case $model in '' | *[!0-9]*) refuse "'$model': give the id of a model, a number
 register() {
   type=$1 address=$2
   shift 2
-  mbpoll $line -r "$address" -t "$type" "$where" "$@" >/dev/null 2>&1
+  mbpoll $line -r "$address" -t "$type" -- "$where" "$@" >/dev/null 2>&1
 }
 
 # show TYPE ADDRESS COUNT: reads, and prints lines such as "[312]: 0.04".

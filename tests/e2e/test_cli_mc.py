@@ -210,6 +210,11 @@ def test_radii_give_readings_that_fit_reads_as_they_are():
     (at_r,) = albedo["at_r"]
     assert at_r["R"] == albedo["R"][0] and at_r["detector_na"] == 0.5
     assert f"{at_r['R']:.5e}" in text
+    phase = ["--phase", "modified", "--phase-share", "0.9"]
+    for other, column in (["--thickness", "4"], "thickness"), (phase, "phase"):
+        run = dipole("mc", *MEDIUM, *other, "--r", "1,2", "--photons", "2e4", "--format", "csv")
+        refused = dipole("fit", stdin=run.stdout, status=FAILED)
+        assert f"the column {column} is of no medium that can be fitted" in refused.stderr
 
 
 def test_several_channels_are_as_many_jobs():

@@ -445,6 +445,11 @@ def test_fits_say_what_they_took_and_scale(request, slave, address, name):
     assert "(default)" not in result.stdout
     usual = run(tool, str(EXAMPLES / name), address, "fit", env=environment).stdout
     assert "with g 0 (default), eta 1.4, scale absolute (default)\n" in usual
+    readings.append("20,-1e-5,2e-5")  # noise
+    for g, end in (("0.9", 0), ("-0.4", 1)):  # A wrong g does not fit, but it gets there.
+        words = ["fit", "eta=1.35", f"g={g}", "scale=free", *readings]
+        result = run(tool, str(EXAMPLES / name), address, *words, env=environment)
+        assert result.returncode == end and ("implausible" in result.stderr) == bool(end), result
 
 
 def test_instruments_are_told_what_is_no_success(address):

@@ -4,6 +4,7 @@ also when calls are cancelled and when the daemon goes away."""
 from __future__ import annotations
 
 import asyncio
+import os
 import socket
 import time
 
@@ -235,6 +236,11 @@ def test_a_second_event_loop(shared, timeout_s):
     loop.run_until_complete(client.open())
     with pytest.raises(dipole.ConnectionLost, match="another event loop opened this client"):
         run(use())
+    child = os.fork()
+    if child == 0:  # Closing its copy waits for nothing, and leaves the parent's loop alone.
+        loop.run_until_complete(client.close())
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0 and loop.run_until_complete(use()) > 0
     loop.run_until_complete(client.close())
     loop.close()
     assert run(open_and_use()) > 0

@@ -490,7 +490,9 @@ class _Stream:
         self.connection.hang_up()  # so that those end who wait for bytes, or for room to send
         if self.is_ours():
             await asyncio.gather(*self._sends)
-        await asyncio.to_thread(self.connection.close)
+            await asyncio.to_thread(self.connection.close)
+        else:  # A forked loop shares its epoll with the parent's: nothing may be waited for.
+            self.connection.close()
 
     def give_up(self, error: ConnectionLost) -> None:
         """Makes the task that receives raise this error."""
@@ -499,8 +501,8 @@ class _Stream:
         self.connection.hang_up()
 
     def is_ours(self) -> bool:
-        """Whether the running event loop is the one in which the stream was made."""
-        return asyncio.get_running_loop() is self._loop
+        """Whether this is the process, and the running event loop the one, that made the stream."""
+        return asyncio.get_running_loop() is self._loop and self.connection.is_ours()
 
     def check_usable(self) -> None:
         """Raises ConnectionLost if this process or this event loop has not opened the connection."""

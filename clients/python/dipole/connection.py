@@ -185,20 +185,24 @@ class Connection:
         closes its copy of the socket."""
         self.hang_up()
         self.socket.close()
-        if self._process is not None and self._owner == os.getpid():
+        if self._process is not None and self.is_ours():
             _end(self._process)
         self._process = None
 
     def hang_up(self) -> None:
         """Ends the connection, even where a forked process holds the socket, too; but not in such a
         process."""
-        if self._owner == os.getpid():
+        if self.is_ours():
             with contextlib.suppress(OSError):
                 shut_down(self.socket, socket.SHUT_RDWR)
 
+    def is_ours(self) -> bool:
+        """Whether this process opened the connection, and not one that it was forked from."""
+        return self._owner == os.getpid()
+
     def check_owner(self) -> None:
         """Raises ConnectionLost in a forked process, which would take answers of its parent."""
-        if self._owner != os.getpid():
+        if not self.is_ours():
             text = f"process {self._owner} opened this client: after a fork, open one in each process"
             raise ConnectionLost(f"{self.name}: {text}", final=True)
 
