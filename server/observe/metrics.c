@@ -1,10 +1,13 @@
 #include "server/observe/metrics.h"
 
 #include <dirent.h>
+#include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/queue.h>
 #include <sys/resource.h>
+#include <sys/socket.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -17,7 +20,7 @@
 #include "server/server.h"
 
 enum {
-  MOST_CONNECTIONS = 16, /* the most connections at a time; others wait */
+  MOST_CONNECTIONS = 16, /* the most connections at a time: one more ends the oldest */
   SILENCE_S = 5,         /* seconds of silence after which a connection is closed */
   CONNECTION_BYTES = 16384,
 };
@@ -151,6 +154,14 @@ struct metrics {
   double start_s; /* when the daemon started, since 1970 */
   struct http_library library;
   struct MHD_Daemon *daemon;
+  TAILQ_HEAD(, holder) holders; /* from the oldest on; only the library's thread touches them */
+  unsigned count;
+};
+
+/* A connection that is open. */
+struct holder {
+  TAILQ_ENTRY(holder) in_holders;
+  int fd;
 };
 
 /* Sends a response and frees it. If it is NULL, for lack of memory, closes the connection. */
@@ -240,13 +251,50 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *connecti
                                            : health_of(metrics->server));
 }
 
+/* Returns whether the next connection would find no place, or no descriptor. */
+static bool is_full(const struct metrics *metrics, int fd) {
+  const int spare = fcntl(fd, F_DUPFD_CLOEXEC, 0);
+  if (spare >= 0) {
+    close(spare);
+  }
+  return spare < 0 || metrics->count >= MOST_CONNECTIONS;
+}
+
+/* The library accepts nothing while it has its most connections. So the last one ends the oldest,
+ * and a probe is answered however many clients are silent. */
+static void on_connection(void *context, struct MHD_Connection *connection, void **state,
+                          enum MHD_ConnectionNotificationCode what) {
+  struct metrics *metrics = context;
+  struct holder *holder = *state;
+  if (what == MHD_CONNECTION_NOTIFY_CLOSED) {
+    if (holder != NULL) {
+      TAILQ_REMOVE(&metrics->holders, holder, in_holders);
+      metrics->count--;
+      free(holder);
+    }
+    return;
+  }
+  *state = holder = malloc(sizeof *holder);
+  if (holder == NULL) {
+    return;
+  }
+  holder->fd = metrics->library.get_connection_info(connection, MHD_CONNECTION_INFO_CONNECTION_FD)
+                   ->connect_fd;
+  TAILQ_INSERT_TAIL(&metrics->holders, holder, in_holders);
+  metrics->count++;
+  if (is_full(metrics, holder->fd) && TAILQ_FIRST(&metrics->holders) != holder) {
+    shutdown(TAILQ_FIRST(&metrics->holders)->fd, SHUT_RDWR);
+  }
+}
+
 static struct MHD_Daemon *start(struct metrics *metrics, int fd) {
   return metrics->library.start_daemon(
       MHD_USE_AUTO | MHD_USE_INTERNAL_POLLING_THREAD | MHD_USE_ITC, 0, NULL, NULL, on_request,
       metrics, MHD_OPTION_LISTEN_SOCKET, fd, MHD_OPTION_CONNECTION_LIMIT,
       (unsigned)MOST_CONNECTIONS, MHD_OPTION_CONNECTION_TIMEOUT, (unsigned)SILENCE_S,
       MHD_OPTION_CONNECTION_MEMORY_LIMIT, (size_t)CONNECTION_BYTES, MHD_OPTION_UNESCAPE_CALLBACK,
-      http_library_leave_escaped, NULL, MHD_OPTION_END);
+      http_library_leave_escaped, NULL, MHD_OPTION_NOTIFY_CONNECTION, on_connection, metrics,
+      MHD_OPTION_END);
 }
 
 static struct metrics *fail(const char *address, const char *why, int fd, struct metrics *metrics) {
@@ -276,6 +324,7 @@ struct metrics *metrics_open(struct server *server, const char *address) {
   metrics->start_s = (double)now.tv_sec + (double)now.tv_nsec / 1e9 -
                      (double)(uv_hrtime() - server->started_ns) / 1e9;
   metrics->server = server;
+  TAILQ_INIT(&metrics->holders);
   metrics->daemon = start(metrics, fd); /* The library owns the socket from here on. */
   if (metrics->daemon == NULL) {
     return fail(address, "the HTTP server does not start", fd, metrics);

@@ -21,7 +21,7 @@ from pathlib import Path
 import dipole
 import pytest
 from certificates import Authority
-from daemons import Daemon, eventually, sanitized
+from daemons import Daemon, eventually, read_log_line, sanitized
 from dipole import Connection, ConnectionLost, wire
 from frames import EVAL, F32, R, assert_daemon_serves, eval_payload, frame, serves, statistics
 from known import (
@@ -429,22 +429,27 @@ def test_out_of_file_descriptors(daemon):
     assert 1 <= len(paused) <= 2 + (time.monotonic() - began_s) / 5  # once in 10 s, by 2 listeners
 
 
-@pytest.mark.parametrize("scheme", ["unix", "tcp", "http", "modbus-tcp", "tls"])
+@pytest.mark.parametrize("scheme", ["unix", "tcp", "http", "modbus-tcp", "tls", "metrics", "http metrics"])
 def test_probes_are_answered_when_no_descriptor_is_left(daemon, tmp_path, scheme):
+    """Nor when clients hold all connections that the port of the probes has."""
     pem, key = Authority(tmp_path).sign("farm")
     options = ["--http", "127.0.0.1:0", "--metrics", "127.0.0.1:0", "--modbus", "tcp:127.0.0.1:0"]
     options += ["--listen", "tls:127.0.0.1:0", "--certificate", pem, "--key", key]
     one = daemon(*options, prefix=["prlimit", "--nofile=96:96"])
-    url = one.url(scheme)
-    host, _, port = url.removeprefix(f"{scheme}:").removeprefix("//").rpartition(":")
+    urls = {one["event"]: one["url"] for one in map(read_log_line, one.log) if "url" in one}
+    places = []
+    for name in scheme.split():
+        url = urls["metrics"].removesuffix("/metrics") if name == "metrics" else one.url(name)
+        host, _, port = url.partition(":")[2].removeprefix("//").rpartition(":")
+        places.append((host, int(port)) if host else port)
     with contextlib.ExitStack() as clients:
-        for _ in range(120):
-            client = clients.enter_context(
-                socket.socket(socket.AF_UNIX if scheme == "unix" else socket.AF_INET)
-            )
-            client.connect(url.removeprefix("unix:") if scheme == "unix" else (host, int(port)))
+        for i in range(120):
+            place = places[i % len(places)]
+            family = socket.AF_UNIX if isinstance(place, str) else socket.AF_INET
+            clients.enter_context(socket.socket(family)).connect(place)
         opened = Path(f"/proc/{one.process.pid}/fd")
-        assert eventually(lambda: len(list(opened.iterdir())) >= 85)
+        least = 30 if scheme == "metrics" else 85
+        assert eventually(lambda: len(list(opened.iterdir())) >= least)
         for path in ("/healthz", "/readyz", "/metrics") * 3:
             assert fetch(one, path)[0] == 200
     assert eventually(lambda: serves(one))
