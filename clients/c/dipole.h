@@ -22,8 +22,9 @@
  * After fork(), only the process that opened a client can use it: in the other one its calls fail
  * with kind CONNECTION, and dipole_close() frees the copy and disturbs neither the connection nor a
  * private daemon. A client that a call left before its end, by an exception of a caller's function
- * or by longjmp(), can only be closed: its calls fail with kind CONNECTION. The library has no global state and never ends the program. A function that returns bool returns
- * false on failure and then fills *error; error may be NULL.
+ * or by longjmp(), can only be closed: its calls fail with kind CONNECTION. The library has no global
+ * state and never ends the program. A function that returns bool returns false on failure and then
+ * fills *error; error may be NULL.
  */
 #ifndef DIPOLE_H
 #define DIPOLE_H

@@ -448,9 +448,9 @@ enum { TOLD_MAX = 10 };
 static void tell_reading(const report *of, const cli_sample *sample, const dipole_fitted *one) {
   const size_t index = one->index < sample->count ? one->index : 0;
   const bool is_error = one->field == 2;
-  cli_fail("sample %s: reading %zu (line %llu): its %s must be %sfinite", sample->name,
-           index + 1, (unsigned long long)of->readings.lines[sample->first + index],
-           is_error ? "error" : "R", is_error ? "above 0, and " : "");
+  cli_fail("sample %s: reading %zu (line %llu): its %s must be %sfinite", sample->name, index + 1,
+           (unsigned long long)of->readings.lines[sample->first + index], is_error ? "error" : "R",
+           is_error ? "above 0, and " : "");
 }
 
 /* Everything is written in any case; then the user is told what is no success. */
@@ -557,12 +557,17 @@ const cli_command cli_command_fit = {
         "eta, g, source_mm and detector_mm (diameters of the discs that light enters through and\n"
         "is detected on), and detector_na (see --detector-na). Each sample has at least as many\n"
         "readings as unknowns: 2, or 3 with --scale free. Without a column eta, --eta has to be\n"
-        "given. The output has the g and eta that were taken, and g_from, where g comes from: file,\n"
-        "option or default. Beyond two mean free paths readings hardly see g: they are fitted with a\n"
+        "given. The output has the g and eta that were taken, and g_from, where g comes from: "
+        "file,\n"
+        "option or default. Beyond two mean free paths readings hardly see g: they are fitted with "
+        "a\n"
         "wrong one, too. sigma_a_by_g and sigma_s_prime_by_g say how much sigma_a and sigma_s'\n"
-        "change at most for g +- .05 (about twice that for +- .1), and g_sides which of these two g\n"
-        "the model takes: both, below, above or none. They have no value where one of the fits is no\n"
-        "success. They are 0 where the model does not see g (notes similarity and gamma), though the\n"
+        "change at most for g +- .05 (about twice that for +- .1), and g_sides which of these two "
+        "g\n"
+        "the model takes: both, below, above or none. They have no value where one of the fits is "
+        "no\n"
+        "success. They are 0 where the model does not see g (notes similarity and gamma), though "
+        "the\n"
         "light does.\n" CLI_CSV_TEXT "\n"
         "status is fitted, or says why a sample is no success: at-bound, undetermined,\n"
         "implausible, ambiguous, unfinished or refused; `dipole info` describes them. The exit\n"

@@ -783,7 +783,7 @@ static bool put_all(struct question *q, uint32_t *deadline_ms) {
 
 wire_error http_question_translate(const struct http_message *message,
                                    const struct http_values *values, struct http_text *payload,
-                                    size_t bytes_max, uint32_t *deadline_ms, bool *g_is_default) {
+                                   size_t bytes_max, uint32_t *deadline_ms, bool *g_is_default) {
   struct question q = {
       .message = message, .values = values, .payload = payload, .bytes_max = bytes_max};
   *deadline_ms = 0;

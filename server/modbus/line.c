@@ -90,7 +90,7 @@ static void send_by_hand(void *context) {
 static void on_sent(uv_async_t *sent) {
   struct modbus_line *line = sent->data;
   if (line->stopping || !uv_is_active((uv_handle_t *)&line->timer)) {
-    worker_run_later(&line->client); /* for what has arrived meanwhile, if no timer waits for a silence */
+    worker_run_later(&line->client); /* for what has arrived, if no timer waits for a silence */
   }
 }
 

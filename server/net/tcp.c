@@ -95,9 +95,8 @@ static bool listens_at(const char *address, bool exact) {
 const char *tcp_occupant(const struct sockaddr *address, socklen_t length) {
   char text[TCP_TEXT_BYTES];
   write_address(address, length, text);
-  return listens_at(text, false)
-             ? "this daemon listens there already, as [::] does for IPv4: name each address once"
-             : "another process listens there: name another address";
+  return listens_at(text, false) ? "this daemon listens there already: name each address once"
+                                 : "another process listens there: name another address";
 }
 
 static int bind_to(const struct addrinfo *address) {
@@ -198,14 +197,21 @@ size_t tcp_listen(const char *host_port, size_t most, int *fds, const char **why
   return count;
 }
 
+int tcp_lowest_descriptor(void) {
+  const int lowest = fcntl(STDERR_FILENO, F_DUPFD_CLOEXEC, 0);
+  if (lowest >= 0) {
+    syscall(SYS_close,
+            lowest); /* as libuv does: close() would tell a sanitizer of another's number */
+  }
+  return lowest;
+}
+
 bool tcp_has_descriptor(void) {
   struct rlimit limit;
-  const int lowest = fcntl(STDERR_FILENO, F_DUPFD_CLOEXEC, 0); /* of those that are free */
+  const int lowest = tcp_lowest_descriptor();
   if (lowest < 0 || getrlimit(RLIMIT_NOFILE, &limit) != 0) {
     return false;
   }
-  syscall(SYS_close,
-          lowest); /* as libuv does: close() would tell a sanitizer of another's number */
   const rlim_t share = limit.rlim_cur / KEPT_SHARE;
   errno = EMFILE;
   return (rlim_t)lowest < limit.rlim_cur - (share < KEPT_MOST ? share : KEPT_MOST);

@@ -15,6 +15,9 @@ enum { TCP_ADDRESSES_MAX = 8 }; /* of one name */
 /* Says who listens at an address that is in use. */
 const char *tcp_occupant(const struct sockaddr *address, socklen_t length);
 
+/* Returns the number that the next descriptor would get; -1 with errno if none is left. */
+int tcp_lowest_descriptor(void);
+
 /* Returns whether a client may have one more descriptor: some are kept for /healthz and metrics, and
  * for files that are read again. If not, errno is EMFILE. */
 bool tcp_has_descriptor(void);

@@ -1,7 +1,6 @@
 #include "server/observe/metrics.h"
 
 #include <dirent.h>
-#include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -251,17 +250,8 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *connecti
                                            : health_of(metrics->server));
 }
 
-/* Returns whether the next connection would find no place, or no descriptor. */
-static bool is_full(const struct metrics *metrics, int fd) {
-  const int spare = fcntl(fd, F_DUPFD_CLOEXEC, 0);
-  if (spare >= 0) {
-    close(spare);
-  }
-  return spare < 0 || metrics->count >= MOST_CONNECTIONS;
-}
-
-/* The library accepts nothing while it has its most connections. So the last one ends the oldest,
- * and a probe is answered however many clients are silent. */
+/* The library accepts nothing while it has its most connections, or no descriptor is left. So the
+ * last connection ends the oldest, and a probe is answered however many clients are silent. */
 static void on_connection(void *context, struct MHD_Connection *connection, void **state,
                           enum MHD_ConnectionNotificationCode what) {
   struct metrics *metrics = context;
@@ -282,7 +272,8 @@ static void on_connection(void *context, struct MHD_Connection *connection, void
                    ->connect_fd;
   TAILQ_INSERT_TAIL(&metrics->holders, holder, in_holders);
   metrics->count++;
-  if (is_full(metrics, holder->fd) && TAILQ_FIRST(&metrics->holders) != holder) {
+  const bool is_full = metrics->count >= MOST_CONNECTIONS || tcp_lowest_descriptor() < 0;
+  if (is_full && TAILQ_FIRST(&metrics->holders) != holder) {
     shutdown(TAILQ_FIRST(&metrics->holders)->fd, SHUT_RDWR);
   }
 }
