@@ -10,7 +10,7 @@
 #   make truth      stated errors against exact values, SECONDS=60 of them, SEED=N or a new one
 #   make rings      Monte Carlo against the solver, 100 million photons for each g (minutes)
 #   make fuzz       coverage-guided fuzzing of all that reads foreign bytes, SECONDS=300 of it
-#   make plan       how many daemons and how much network a farm needs (server/SCALING.md)
+#   make plan       how many daemons and how much network a farm needs (server/DEPLOYING.md)
 #   make bench      every benchmark; build/bench GROUP runs one
 #   make docs       the tables in proto/*.md, from proto/*.def, and the manual pages
 #   make model-errors  core/model_errors.def, measured anew against transport (minutes)
@@ -388,13 +388,13 @@ check-balancer-long: all $(BUILD)/soak-load
 	BALANCER_S=$(BALANCER_S) $(PYTEST) -k all_kinds tests/e2e/test_balancer.py
 
 # How many daemons a farm needs; PLAN='--nodes 2e3 --rate 50' for another one. `make scaling` puts the
-# tables into server/SCALING.md. check-plan compares the simulation with three daemons.
+# tables into server/DEPLOYING.md. check-plan compares the simulation with three daemons.
 PLAN_COMMAND = env TESTED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python PYTHONDONTWRITEBYTECODE=1 $(PYTHON) tests/plan.py
 plan: all
 	@$(PLAN_COMMAND) $(PLAN)
 
 scaling: all
-	@$(PLAN_COMMAND) $(PLAN) --write server/SCALING.md
+	@$(PLAN_COMMAND) $(PLAN) --write server/DEPLOYING.md
 
 check-plan: all
 	@$(PLAN_COMMAND) --check

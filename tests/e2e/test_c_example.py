@@ -181,5 +181,5 @@ def test_the_readme(installed, tmp_path, shared):
     installed.compile(["cc", "-std=c17", "-Wall", "-Wextra"], tmp_path / "readme.c", program)
     lines = installed.run(program, shared.url()).splitlines()
     with shared.client() as client:
-        R = client.eval(None, (0.05, 9.5, 0.9, 1.4), [0.1, 1.0, 5.0], tolerance=0.01).R[0]
+        R = client.eval("transport", (0.05, 9.5, 0.9, 1.4), [0.1, 1.0, 5.0], evaluator="lut").R[0]
     assert lines == [f"{r} mm: {value:.6g} 1/mm^2" for r, value in zip((0.1, 1, 5), R)]

@@ -102,8 +102,8 @@ def test_the_command_prints_both_tables(tmp_path):
 
 
 def test_the_document_has_the_tables_of_the_command(plan):
-    """SCALING.md has a row for each kind and each size, as the command prints them."""
-    text = (REPOSITORY / "server/SCALING.md").read_text()
+    """DEPLOYING.md has a row for each kind and each size, as the command prints them."""
+    text = (REPOSITORY / "server/DEPLOYING.md").read_text()
     part = re.search(r"<!-- plan -->\n(.*)<!-- end of plan -->", text, re.S)[1]
     kinds = [kind for kind, share in plan.MIX.items() if share > 0]
     assert re.findall(r"^\| (\w+) \| 0\.", part, re.M) == kinds
