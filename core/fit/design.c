@@ -115,8 +115,8 @@ core_fault core_fit_check(const core_fit_design *design) {
 
 /* ---- costs ----------------------------------------------------------------------------------- */
 
-/* Measured with 3 to 300 readings and with fibres: with a dipole's or a Burley profile's five media an
- * evaluation takes 0.4 us and 0.07 us for each place, and with a table half of that or less. A slab's
+/* Measured with 3 to 300 readings and with fibres: with the derivatives of a dipole or a Burley profile
+ * an evaluation takes 0.4 us and 0.07 us for each place, and with a table half of that or less. A slab's
  * profiles take some 100 us each, five for an evaluation. */
 #define EVALUATION_COST 128
 #define PLACE_COST 42

@@ -140,43 +140,33 @@ static void look_up(const struct fit_model *model, struct fit_place place,
   }
 }
 
-/* Steps in ln_ratio and ln_scattering: none, and both ways along each. */
-enum { STEPS = 5 };
-static const int steps[STEPS][2] = {{0, 0}, {1, 0}, {-1, 0}, {0, 1}, {0, -1}};
-
 /* Does what fit_values() does, where kernels take a medium for each value. */
 static void vary(const struct fit_model *model, struct fit_place place,
                  const struct fit_places *places, double *value, double *by_ratio,
                  double *by_scattering) {
-  enum { NODES = 48 };
-  const size_t nodes = places->first[places->count], media = by_ratio != NULL ? STEPS : 1;
-  double *sums[] = {value, by_ratio, by_scattering};
+  const size_t nodes = places->first[places->count];
+  const core_medium medium = fit_medium(model, place);
+  double *const sums[] = {value, by_ratio, by_scattering};
   size_t reading[3] = {0, 0, 0};
-  for (size_t q = 0; q < (media > 1 ? 3 : 1); q++) {
+  for (int q = 0; q < 3 && sums[q] != NULL; q++) {
     sums[q][0] = 0;
   }
-  for (size_t start = 0; start < nodes; start += NODES) {
-    const size_t n = nodes - start < NODES ? nodes - start : NODES;
-    double a[STEPS * NODES], s[STEPS * NODES], r[STEPS * NODES], R[STEPS * NODES];
-    for (size_t m = 0; m < media; m++) {
-      const core_medium medium =
-          fit_medium(model, (struct fit_place){place.ln_ratio + STEP_LEAST * steps[m][0],
-                                               place.ln_scattering + STEP_LEAST * steps[m][1]});
-      for (size_t i = 0; i < n; i++) {
-        a[m * n + i] = medium.sigma_a_per_mm;
-        s[m * n + i] = medium.sigma_s_per_mm;
-        r[m * n + i] = places->at[start + i];
-      }
+  for (size_t start = 0; start < nodes; start += CHUNK) {
+    const size_t n = nodes - start < CHUNK ? nodes - start : CHUNK;
+    double a[CHUNK], s[CHUNK], R[3][CHUNK];
+    for (size_t i = 0; i < n; i++) {
+      a[i] = medium.sigma_a_per_mm;
+      s[i] = medium.sigma_s_per_mm;
     }
-    core_varying_eval_f64(&model->varying, model->quantity, media * n, a, s, r, R);
-    add_up(places, start, n, R, &reading[0], value);
-    for (size_t q = 1; q < 3 && media > 1; q++) {
-      const double *up = &R[(2 * q - 1) * n], *down = &R[2 * q * n];
-      double slope[NODES];
-      for (size_t i = 0; i < n; i++) {
-        slope[i] = (up[i] - down[i]) / (2 * STEP_LEAST);
-      }
-      add_up(places, start, n, slope, &reading[q], sums[q]);
+    core_varying_gradient_f64(&model->varying, n, a, s, places->at + start,
+                              &(core_gradient){R[0], R[1], R[2]});
+    for (size_t i = 0; i < n; i++) {
+      R[0][i] = real_exp_signed(real_max(R[0][i], -690));
+      R[1][i] *= R[0][i]; /* sigma_a alone changes with the ratio, both with the scattering */
+      R[2][i] = fma(R[2][i], R[0][i], R[1][i]);
+    }
+    for (int q = 0; q < 3 && sums[q] != NULL; q++) {
+      add_up(places, start, n, R[q], &reading[q], sums[q]);
     }
   }
 }
