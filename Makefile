@@ -83,6 +83,7 @@ endif
 PNG_CFLAGS = $(shell $(PKG_CONFIG) --cflags libpng)
 PNG_LIBS = $(shell $(PKG_CONFIG) --libs libpng)
 HTTP_CFLAGS = $(shell $(PKG_CONFIG) --cflags libmicrohttpd)
+HTTP_LIBS = $(shell $(PKG_CONFIG) --libs libmicrohttpd)
 MODBUS_CFLAGS = $(shell $(PKG_CONFIG) --cflags libmodbus)
 MODBUS_LIBS = $(shell $(PKG_CONFIG) --libs libmodbus)
 JSON_LIBS = $(shell $(PKG_CONFIG) --libs jansson)
@@ -227,12 +228,12 @@ $(BUILD)/libdipole.so: $(BUILD)/libdipole.so.$(VERSION)
 
 $(BUILD)/dipoled: $(SERVER) $(BUILD)/libproto.a $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(UV_LIBS) $(TLS_LIBS) $(MODBUS_LIBS) $(JSON_LIBS) $(CORE_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(UV_LIBS) $(TLS_LIBS) $(MODBUS_LIBS) $(HTTP_LIBS) $(JSON_LIBS) $(CORE_LIBS) -lm
 
 # The same, and a test can see how often it takes memory from the heap.
 $(BUILD)/dipoled-counting: $(SERVER) $(OBJ)/tests/e2e/count_allocations.o $(BUILD)/libproto.a $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc -o $@ $^ $(UV_LIBS) $(TLS_LIBS) $(MODBUS_LIBS) $(JSON_LIBS) $(CORE_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc -o $@ $^ $(UV_LIBS) $(TLS_LIBS) $(MODBUS_LIBS) $(HTTP_LIBS) $(JSON_LIBS) $(CORE_LIBS) -lm
 
 $(OBJ)/clients/c/tls.o $(OBJ)/tests/bench/bench_tls.o: EXTRA_CPPFLAGS = $(TLS_CFLAGS)
 $(OBJ)/clients/cli/image.o: EXTRA_CPPFLAGS = $(PNG_CFLAGS)
@@ -276,7 +277,7 @@ FUZZED := $(filter-out $(call objects,server/main.c clients/cli/main.c),$(SERVER
 $(FUZZ): EXTRA_CPPFLAGS = $(UV_CFLAGS) $(MODBUS_CFLAGS)
 $(BUILD)/fuzz: $(FUZZ) $(FUZZED) $(BUILD)/libdipole.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -fsanitize=fuzzer -o $@ $^ $(UV_LIBS) $(TLS_LIBS) $(MODBUS_LIBS) $(JSON_LIBS) $(PNG_LIBS) $(CORE_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -fsanitize=fuzzer -o $@ $^ $(UV_LIBS) $(TLS_LIBS) $(MODBUS_LIBS) $(HTTP_LIBS) $(JSON_LIBS) $(PNG_LIBS) $(CORE_LIBS) -lm
 
 $(BUILD)/tests/%: $(OBJ)/tests/%.o $(TEST_SUPPORT) $(BUILD)/libdipole.a
 	@mkdir -p $(@D)
@@ -298,7 +299,7 @@ $(OBJ)/tests/unit/test_input.o: EXTRA_CPPFLAGS = $(UV_CFLAGS)
 
 # A worker with clients of the test's own.
 $(BUILD)/tests/unit/test_worker: $(filter-out $(call objects,server/main.c),$(SERVER))
-$(BUILD)/tests/unit/test_worker: TEST_LIBS = $(UV_LIBS) $(MODBUS_LIBS) $(JSON_LIBS)
+$(BUILD)/tests/unit/test_worker: TEST_LIBS = $(UV_LIBS) $(MODBUS_LIBS) $(HTTP_LIBS) $(JSON_LIBS)
 $(OBJ)/tests/unit/test_worker.o: EXTRA_CPPFLAGS = $(UV_CFLAGS)
 
 # And what Modbus is made of.

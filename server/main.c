@@ -35,7 +35,6 @@ struct daemon {
   uv_loop_t loop;
   uv_signal_t signals[STOP_SIGNALS];
   uv_work_t first_work;
-  struct systemd systemd;
   struct listener listeners[SYSTEMD_SOCKETS_MAX + (2 * OPTIONS_LIST_MAX + 2) * TCP_ADDRESSES_MAX];
   size_t listener_count;
   struct metrics *metrics;   /* NULL without --metrics */
@@ -75,7 +74,9 @@ static void stop(struct daemon *daemon, int signal_number) {
              : signal_number == SIGINT ? "SIGINT"
                                        : "SIGTERM");
   }
-  systemd_tell_stopping(&daemon->systemd);
+  if (daemon->server.options.fd == NULL) {
+    systemd_tell("STOPPING=1\nSTATUS=Answering what is in flight.");
+  }
   for (size_t i = 0; i < daemon->listener_count; i++) {
     listener_close(&daemon->listeners[i]);
   }
@@ -260,14 +261,11 @@ static bool admit_inherited(struct server *server) {
 
 /* Listens at the sockets that a service manager passes. */
 static bool adopt_passed(struct daemon *daemon) {
-  const char *why;
-  int first = 0;
-  const int count =
-      systemd_open(&daemon->systemd, &why) ? systemd_sockets(&daemon->systemd, &first, &why) : -1;
+  const int count = systemd_sockets();
   if (count < 0) {
-    return complain("LISTEN_FDS", why);
+    return complain("LISTEN_FDS", "it is no number up to 32 (SYSTEMD_SOCKETS_MAX)");
   }
-  for (int fd = first; fd < first + count; fd++) {
+  for (int fd = SYSTEMD_FIRST_SOCKET; fd < SYSTEMD_FIRST_SOCKET + count; fd++) {
     if (!listener_adopt(&daemon->listeners[daemon->listener_count], &daemon->server, &daemon->loop,
                         fd)) {
       return false;
@@ -404,7 +402,9 @@ static int run(struct daemon *daemon) {
   if (daemon->ready) {
     log_line(LOG_LEVEL_INFO, "event=ready workers=%llu isa=%s",
              (unsigned long long)server->options.workers, core_isa_name(server->isa));
-    systemd_tell_ready(&daemon->systemd);
+    if (server->options.fd == NULL) {
+      systemd_tell("READY=1\nSTATUS=Serving.");
+    }
   } else {
     stop(daemon, 0);
   }

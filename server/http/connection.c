@@ -68,10 +68,8 @@ static struct http_connection *of(struct client *client) {
   return (struct http_connection *)(void *)client;
 }
 
-static struct http_connection *of_handle(const struct http_host *host,
-                                         struct MHD_Connection *handle) {
-  return host->library.get_connection_info(handle, MHD_CONNECTION_INFO_SOCKET_CONTEXT)
-      ->socket_context;
+static struct http_connection *of_handle(struct MHD_Connection *handle) {
+  return MHD_get_connection_info(handle, MHD_CONNECTION_INFO_SOCKET_CONTEXT)->socket_context;
 }
 
 static uint64_t now_ms(const struct http_connection *c) {
@@ -105,7 +103,7 @@ static void open_connection(struct http_host *host, struct MHD_Connection *handl
   c->client.kind = &kind;
   c->host = host;
   c->handle = handle;
-  c->fd = host->library.get_connection_info(handle, MHD_CONNECTION_INFO_CONNECTION_FD)->connect_fd;
+  c->fd = MHD_get_connection_info(handle, MHD_CONNECTION_INFO_CONNECTION_FD)->connect_fd;
   http_text_init(&c->query, &host->buffers);
   http_text_init(&c->body, &host->buffers);
   http_text_init(&c->payload, &host->buffers);
@@ -187,7 +185,8 @@ static void refuse_uri(struct http_connection *c) {
 }
 
 void *http_connection_begin(void *context, const char *uri, struct MHD_Connection *connection) {
-  struct http_connection *c = of_handle(context, connection);
+  struct http_connection *c = of_handle(connection);
+  (void)context;
   if (c != NULL) {
     const char *query = strchr(uri, '?');
     http_text_reset(&c->query);
@@ -204,8 +203,8 @@ void *http_connection_begin(void *context, const char *uri, struct MHD_Connectio
 
 void http_connection_complete(void *context, struct MHD_Connection *connection, void **state,
                               enum MHD_RequestTerminationCode why) {
-  struct http_connection *c = of_handle(context, connection);
-  (void)state, (void)why;
+  struct http_connection *c = of_handle(connection);
+  (void)context, (void)state, (void)why;
   if (c != NULL) {
     forget_request(c);
     c->state = AWAITS;
@@ -217,59 +216,56 @@ void http_connection_complete(void *context, struct MHD_Connection *connection, 
 
 static void add_headers(const struct http_connection *c, struct MHD_Response *response,
                         unsigned status, uint32_t retry_after_ms) {
-  const struct http_library *http = &c->host->library;
   const char *origin = options_of(c)->http_allow_origin;
   char seconds[16];
-  http->add_response_header(response, MHD_HTTP_HEADER_CONTENT_TYPE, "application/json");
-  http->add_response_header(response, "X-Content-Type-Options", "nosniff");
+  MHD_add_response_header(response, MHD_HTTP_HEADER_CONTENT_TYPE, "application/json");
+  MHD_add_response_header(response, "X-Content-Type-Options", "nosniff");
   if (status == MHD_HTTP_METHOD_NOT_ALLOWED || status == MHD_HTTP_NO_CONTENT) {
-    http->add_response_header(response, MHD_HTTP_HEADER_ALLOW,
-                              c->route.kind == MESSAGE ? "GET, HEAD, POST" : "GET, HEAD");
+    MHD_add_response_header(response, MHD_HTTP_HEADER_ALLOW,
+                            c->route.kind == MESSAGE ? "GET, HEAD, POST" : "GET, HEAD");
   }
   if (status == MHD_HTTP_TOO_MANY_REQUESTS) {
     snprintf(seconds, sizeof seconds, "%u", (unsigned)(retry_after_ms + 999) / 1000);
-    http->add_response_header(response, MHD_HTTP_HEADER_RETRY_AFTER, seconds);
+    MHD_add_response_header(response, MHD_HTTP_HEADER_RETRY_AFTER, seconds);
   }
   if (c->host->stopping || c->unclear) {
-    http->add_response_header(response, MHD_HTTP_HEADER_CONNECTION, "close");
+    MHD_add_response_header(response, MHD_HTTP_HEADER_CONNECTION, "close");
   }
   if (origin != NULL) {
-    http->add_response_header(response, "Access-Control-Allow-Origin", origin);
-    http->add_response_header(response, "Access-Control-Allow-Headers", "Content-Type");
-    http->add_response_header(response, MHD_HTTP_HEADER_VARY, "Origin");
+    MHD_add_response_header(response, "Access-Control-Allow-Origin", origin);
+    MHD_add_response_header(response, "Access-Control-Allow-Headers", "Content-Type");
+    MHD_add_response_header(response, MHD_HTTP_HEADER_VARY, "Origin");
   }
 }
 
 /* Sends the answer that has been written. If there was no memory for it, closes the connection. */
 static enum MHD_Result send_text(struct http_connection *c, unsigned status,
                                  uint32_t retry_after_ms) {
-  const struct http_library *http = &c->host->library;
   c->state = ANSWERED;
   struct MHD_Response *response =
       c->answer.failed ? NULL
-                       : http->create_response_from_buffer(c->answer.count, c->answer.bytes,
-                                                           MHD_RESPMEM_PERSISTENT);
+                       : MHD_create_response_from_buffer(c->answer.count, c->answer.bytes,
+                                                         MHD_RESPMEM_PERSISTENT);
   if (response == NULL) {
     return MHD_NO;
   }
   add_headers(c, response, status, retry_after_ms);
-  const enum MHD_Result sent = http->queue_response(c->handle, status, response);
-  http->destroy_response(response);
+  const enum MHD_Result sent = MHD_queue_response(c->handle, status, response);
+  MHD_destroy_response(response);
   return sent;
 }
 
 static enum MHD_Result send_page(struct http_connection *c) {
-  const struct http_library *http = &c->host->library;
-  struct MHD_Response *response = http_page_response(http);
+  struct MHD_Response *response = http_page_response();
   c->state = ANSWERED;
   if (response == NULL) {
     return MHD_NO;
   }
   if (c->host->stopping) {
-    http->add_response_header(response, MHD_HTTP_HEADER_CONNECTION, "close");
+    MHD_add_response_header(response, MHD_HTTP_HEADER_CONNECTION, "close");
   }
-  const enum MHD_Result sent = http->queue_response(c->handle, MHD_HTTP_OK, response);
-  http->destroy_response(response);
+  const enum MHD_Result sent = MHD_queue_response(c->handle, MHD_HTTP_OK, response);
+  MHD_destroy_response(response);
   return sent;
 }
 
@@ -419,7 +415,7 @@ static enum MHD_Result ask(struct http_connection *c, enum wire_type type, uint3
     return send_answer(c);
   }
   c->state = RUNS;
-  c->host->library.suspend_connection(c->handle);
+  MHD_suspend_connection(c->handle);
   if (c->more_to_do) {
     worker_run_later(&c->client);
   } else if (requests_deadline_ms(&c->requests) != 0) {
@@ -430,7 +426,7 @@ static enum MHD_Result ask(struct http_connection *c, enum wire_type type, uint3
 
 static void resume(struct http_connection *c, enum state state) {
   c->state = state;
-  c->host->library.resume_connection(c->handle);
+  MHD_resume_connection(c->handle);
   c->host->on_resumed(c->host);
 }
 
@@ -537,7 +533,7 @@ static enum MHD_Result answer(struct http_connection *c) {
 }
 
 static const char *header_of(const struct http_connection *c, const char *name) {
-  return c->host->library.lookup_connection_value(c->handle, MHD_HEADER_KIND, name);
+  return MHD_lookup_connection_value(c->handle, MHD_HEADER_KIND, name);
 }
 
 /* Checks what the header says of the body. */
@@ -579,8 +575,7 @@ static unsigned check_header(struct http_connection *c, const char *url, const c
                              const char *version, wire_error *error) {
   const bool reads = strcmp(method, "GET") == 0 || strcmp(method, "HEAD") == 0;
   c->has_body = strcmp(method, "POST") == 0;
-  const unsigned misfit =
-      http_library_check(&c->host->library, c->handle, options_of(c), url, version, "/", error);
+  const unsigned misfit = http_library_check(c->handle, options_of(c), url, version, "/", error);
   c->unclear = misfit == MHD_HTTP_BAD_REQUEST;
   if (misfit != 0) {
     return misfit;
@@ -654,8 +649,8 @@ static enum MHD_Result take_end(struct http_connection *c) {
 enum MHD_Result http_connection_take(void *context, struct MHD_Connection *connection,
                                      const char *url, const char *method, const char *version,
                                      const char *body, size_t *body_bytes, void **state) {
-  struct http_connection *c = of_handle(context, connection);
-  (void)state;
+  struct http_connection *c = of_handle(connection);
+  (void)context, (void)state;
   if (c == NULL) {
     return MHD_NO;
   }

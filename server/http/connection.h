@@ -19,7 +19,6 @@ enum { HTTP_CONNECTION_BYTES = 32768 };
 struct http_host {
   struct server *server;
   struct worker *worker;
-  struct http_library library;
   struct budget buffers; /* half of the server's */
   uint64_t connection_count;
   bool stopping; /* whether the daemon stops */

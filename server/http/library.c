@@ -1,32 +1,9 @@
 #include "server/http/library.h"
 
 #include <arpa/inet.h>
-#include <dlfcn.h>
-#include <errno.h>
 #include <stdio.h>
 #include <string.h>
 #include <strings.h>
-
-#include "server/net/tcp.h"
-
-/* The version of the library whose interface microhttpd.h of the 0.9 and 1.0 releases declares. */
-#define LIBRARY "libmicrohttpd.so.12"
-
-bool http_library_load(struct http_library *library, const char **why) {
-  void *handle = dlopen(LIBRARY, RTLD_NOW | RTLD_LOCAL);
-  void *address;
-  bool found = handle != NULL;
-  /* POSIX guarantees that a function's address fits into a void *. C has no conversion between
-   * them, so the address is copied by memcpy(). */
-#define HTTP_FUNCTION(name)                                                                        \
-  address = found ? dlsym(handle, "MHD_" #name) : NULL;                                            \
-  found = address != NULL;                                                                         \
-  memcpy(&library->name, &address, sizeof address);
-  HTTP_FUNCTIONS
-#undef HTTP_FUNCTION
-  *why = found ? NULL : dlerror();
-  return found;
-}
 
 size_t http_library_leave_escaped(void *context, struct MHD_Connection *connection, char *text) {
   (void)context, (void)connection;
@@ -101,12 +78,12 @@ static bool may_ask(const struct options *options, const struct header *header, 
                               (header->origin != NULL && strcmp(allowed, header->origin) == 0)));
 }
 
-unsigned http_library_check(const struct http_library *library, struct MHD_Connection *connection,
-                            const struct options *options, const char *target, const char *version,
-                            const char *open_path, wire_error *error) {
+unsigned http_library_check(struct MHD_Connection *connection, const struct options *options,
+                            const char *target, const char *version, const char *open_path,
+                            wire_error *error) {
   struct header header = {0};
   const bool is_old = strcmp(version, MHD_HTTP_VERSION_1_0) == 0;
-  library->get_connection_values(connection, MHD_HEADER_KIND, note_field, &header);
+  MHD_get_connection_values(connection, MHD_HEADER_KIND, note_field, &header);
   const char *host = strncasecmp(target, "http://", 7) == 0 ? target + 7 : header.host;
   const char *field =
       header.broken                                     ? "header"
@@ -135,7 +112,7 @@ unsigned http_library_check(const struct http_library *library, struct MHD_Conne
 
 /* ---- listening ------------------------------------------------------------------------------- */
 
-int http_library_listen(const char *option, const char *address) {
+size_t http_library_listen(const char *option, const char *address, int fds[TCP_ADDRESSES_MAX]) {
   char local[64];
   const char *port = strchr(address, ':') == NULL ? address
                      : address[0] == ':'          ? address + 1
@@ -144,11 +121,10 @@ int http_library_listen(const char *option, const char *address) {
   if (port != NULL) {
     snprintf(local, sizeof local, "127.0.0.1:%s", port);
   }
-  int fd = -1;
-  if (tcp_listen(port != NULL ? local : address, 1, &fd, &why) == 0) {
-    fd = -1;
+  const size_t count = tcp_listen(port != NULL ? local : address, fds, &why);
+  if (count == 0) {
     fprintf(stderr, "dipoled: --%s %s: %s. Write HOST:PORT, or a PORT of this machine\n", option,
             address, why);
   }
-  return fd;
+  return count;
 }

@@ -42,12 +42,12 @@ static const struct {
     {"X-Frame-Options", "DENY"},
 };
 
-struct MHD_Response *http_page_response(const struct http_library *http) {
+struct MHD_Response *http_page_response(void) {
   struct MHD_Response *response =
-      http->create_response_from_buffer((size_t)(http_page_data_end - http_page_data),
-                                        (void *)(uintptr_t)http_page_data, MHD_RESPMEM_PERSISTENT);
+      MHD_create_response_from_buffer((size_t)(http_page_data_end - http_page_data),
+                                      (void *)(uintptr_t)http_page_data, MHD_RESPMEM_PERSISTENT);
   for (size_t i = 0; response != NULL && i < sizeof headers / sizeof headers[0]; i++) {
-    http->add_response_header(response, headers[i].name, headers[i].value);
+    MHD_add_response_header(response, headers[i].name, headers[i].value);
   }
   return response;
 }

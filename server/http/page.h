@@ -2,10 +2,10 @@
 #ifndef DIPOLED_HTTP_PAGE_H
 #define DIPOLED_HTTP_PAGE_H
 
-#include "server/http/library.h"
+#include <microhttpd.h>
 
 /* Makes the answer that holds the page, with all its headers. Returns NULL if there is no memory.
  * The caller destroys it. */
-struct MHD_Response *http_page_response(const struct http_library *http);
+struct MHD_Response *http_page_response(void);
 
 #endif

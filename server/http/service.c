@@ -12,13 +12,18 @@
 
 enum { REFUSALS_AT_ONCE = 64 };
 
+/* One address: the library has one listening socket for each of its daemons. */
+struct port {
+  uv_poll_t poll; /* on the library's epoll descriptor */
+  struct MHD_Daemon *daemon;
+};
+
 /* The service is a client of its worker: each turn lets the library read, answer and write. */
 struct http_service {
   struct client client; /* first member: see client.h */
   struct http_host host;
-  struct MHD_Daemon *daemon;
-  uv_poll_t poll; /* on the library's epoll descriptor */
-  int fd;         /* the listening socket, which the library owns */
+  struct port ports[TCP_ADDRESSES_MAX];
+  size_t count; /* of ports */
   bool ended;
 };
 
@@ -40,19 +45,22 @@ static void on_event(uv_poll_t *poll, int status, int events) {
 
 static void on_closed(uv_handle_t *handle) {
   struct http_service *service = handle->data;
-  service->host.library.stop_daemon(service->daemon);
-  worker_forget(&service->client);
+  MHD_stop_daemon(((struct port *)(void *)handle)->daemon);
+  if (--service->count == 0) {
+    worker_forget(&service->client);
+  }
 }
 
 /* ---- the client of the worker ---------------------------------------------------------------- */
 
 static void start(struct client *client) {
   struct http_service *service = of(client);
-  const int fd =
-      service->host.library.get_daemon_info(service->daemon, MHD_DAEMON_INFO_EPOLL_FD)->epoll_fd;
-  uv_poll_init(worker_loop(client->worker), &service->poll, fd);
-  service->poll.data = service;
-  uv_poll_start(&service->poll, UV_READABLE, on_event);
+  for (struct port *port = service->ports; port < service->ports + service->count; port++) {
+    const int fd = MHD_get_daemon_info(port->daemon, MHD_DAEMON_INFO_EPOLL_FD)->epoll_fd;
+    uv_poll_init(worker_loop(client->worker), &port->poll, fd);
+    port->poll.data = service;
+    uv_poll_start(&port->poll, UV_READABLE, on_event);
+  }
   worker_context(client->worker)->buffers = &service->host.buffers;
 }
 
@@ -62,13 +70,15 @@ static void run(struct client *client) {
   if (service->ended) {
     return;
   }
-  service->host.library.run(service->daemon);
-  if (service->host.library.get_timeout(service->daemon, &wait_ms) == MHD_YES && wait_ms == 0) {
-    worker_run_later(client);
+  for (size_t i = 0; i < service->count; i++) {
+    MHD_run(service->ports[i].daemon);
+    if (MHD_get_timeout(service->ports[i].daemon, &wait_ms) == MHD_YES && wait_ms == 0) {
+      worker_run_later(client);
+    }
   }
-  if (service->host.stopping && service->host.connection_count == 0) {
-    service->ended = true;
-    uv_close((uv_handle_t *)&service->poll, on_closed);
+  service->ended = service->host.stopping && service->host.connection_count == 0;
+  for (size_t i = 0; service->ended && i < service->count; i++) {
+    uv_close((uv_handle_t *)&service->ports[i].poll, on_closed);
   }
 }
 
@@ -80,7 +90,9 @@ static void tick(struct client *client, uint64_t now_ms) {
 static void stop(struct client *client) {
   struct http_service *service = of(client);
   service->host.stopping = true;
-  close(service->host.library.quiesce_daemon(service->daemon));
+  for (size_t i = 0; i < service->count; i++) {
+    close(MHD_quiesce_daemon(service->ports[i].daemon));
+  }
   worker_run_later(client);
 }
 
@@ -101,12 +113,11 @@ static enum MHD_Result admit(void *context, const struct sockaddr *peer, socklen
              : MHD_NO;
 }
 
-static struct MHD_Daemon *start_daemon(struct http_service *service) {
-  struct http_host *host = &service->host;
+static struct MHD_Daemon *start_daemon(struct http_host *host, int fd) {
   const struct options *options = &host->server->options;
-  return host->library.start_daemon(
+  return MHD_start_daemon(
       MHD_USE_EPOLL | MHD_ALLOW_SUSPEND_RESUME, 0, admit, host, http_connection_take, host,
-      MHD_OPTION_LISTEN_SOCKET, service->fd, MHD_OPTION_CONNECTION_LIMIT,
+      MHD_OPTION_LISTEN_SOCKET, fd, MHD_OPTION_CONNECTION_LIMIT,
       (unsigned)options->max_http_connections + REFUSALS_AT_ONCE, MHD_OPTION_CONNECTION_TIMEOUT,
       (unsigned)(options->frame_timeout_ms + 999) / 1000, MHD_OPTION_CONNECTION_MEMORY_LIMIT,
       (size_t)HTTP_CONNECTION_BYTES, MHD_OPTION_UNESCAPE_CALLBACK, http_library_leave_escaped, NULL,
@@ -115,16 +126,21 @@ static struct MHD_Daemon *start_daemon(struct http_service *service) {
       MHD_OPTION_END);
 }
 
-static struct http_service *fail(struct http_service *service, const char *why) {
-  fprintf(stderr, "dipoled: --http %s: %s\n", service->host.server->options.http, why);
-  close(service->fd);
-  free(service);
-  return NULL;
+static bool open_port(struct http_service *service, struct port *port, int fd) {
+  char bound[TCP_TEXT_BYTES];
+  tcp_bound(fd, bound);
+  port->daemon = start_daemon(&service->host, fd); /* which owns the socket from here on */
+  if (port->daemon == NULL) {
+    fprintf(stderr, "dipoled: --http %s: the HTTP server does not start\n", bound);
+    close(fd);
+    return false;
+  }
+  log_line(LOG_LEVEL_INFO, "event=listening url=http://%s", bound);
+  return true;
 }
 
 struct http_service *http_service_open(struct server *server, struct worker *worker) {
-  char bound[TCP_TEXT_BYTES];
-  const char *why;
+  int fds[TCP_ADDRESSES_MAX];
   struct http_service *service = calloc(1, sizeof *service);
   if (service == NULL) {
     return NULL;
@@ -135,22 +151,20 @@ struct http_service *http_service_open(struct server *server, struct worker *wor
       .worker = worker,
       .buffers = {.most = server->options.max_total_bytes / 2, .whole = &server->buffers},
       .on_resumed = on_resumed};
-  service->fd = http_library_listen("http", server->options.http);
-  if (service->fd < 0) {
+  http_fields_init();
+  service->count = http_library_listen("http", server->options.http, fds);
+  bool good = service->count > 0;
+  for (size_t i = 0; i < service->count; i++) {
+    good &= open_port(service, &service->ports[i], fds[i]);
+  }
+  if (!good) {
+    for (size_t i = 0; i < service->count; i++) {
+      MHD_stop_daemon(service->ports[i].daemon);
+    }
     free(service);
     return NULL;
   }
-  http_fields_init();
-  tcp_bound(service->fd, bound);
-  if (!http_library_load(&service->host.library, &why)) {
-    return fail(service, why);
-  }
-  service->daemon = start_daemon(service);
-  if (service->daemon == NULL) {
-    return fail(service, "the HTTP server does not start");
-  }
   worker_give(worker, &service->client);
-  log_line(LOG_LEVEL_INFO, "event=listening url=http://%s", bound);
   return service;
 }
 

@@ -269,7 +269,7 @@ static size_t open_tcp(struct listener *listeners, const char *url, const char *
                        const char *scheme) {
   const char *why;
   int fds[TCP_ADDRESSES_MAX];
-  const size_t count = tcp_listen(host_port, TCP_ADDRESSES_MAX, fds, &why);
+  const size_t count = tcp_listen(host_port, fds, &why);
   for (size_t i = 0; i < count; i++) {
     char bound[TCP_TEXT_BYTES];
     listeners[i] = listeners[0];

@@ -1,77 +1,37 @@
 #include "server/net/systemd.h"
 
-#include <dlfcn.h>
+#include <stddef.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/socket.h>
+#include <sys/un.h>
 #include <unistd.h>
 
-#include "server/observe/log.h"
-
-#define LIBRARY "libsystemd.so.0"
-
-enum { FIRST_SOCKET = 3 }; /* SD_LISTEN_FDS_START */
-
-static bool is_set(const char *variable) {
-  const char *value = getenv(variable);
-  return value != NULL && *value != '\0';
-}
-
-/* Returns whether the variables are meant for this process and not for its parent. */
-static bool has_sockets(void) {
-  return is_set("LISTEN_FDS") && is_set("LISTEN_PID") &&
-         strtol(getenv("LISTEN_PID"), NULL, 10) == (long)getpid();
-}
-
-static bool load(struct systemd *systemd, const char **why) {
-  void *library = dlopen(LIBRARY, RTLD_NOW | RTLD_LOCAL);
-  void *address;
-  bool found = library != NULL;
-  /* POSIX guarantees that a function's address fits into a void *. C has no conversion between
-   * them, so the address is copied by memcpy(). */
-#define SYSTEMD_FUNCTION(name, parameters)                                                         \
-  address = found ? dlsym(library, "sd_" #name) : NULL;                                            \
-  found = address != NULL;                                                                         \
-  memcpy(&systemd->name, &address, sizeof address);
-  SYSTEMD_FUNCTIONS
-#undef SYSTEMD_FUNCTION
-  *why = found ? NULL : dlerror();
-  return found;
-}
-
-bool systemd_open(struct systemd *systemd, const char **why) {
-  *systemd = (struct systemd){0};
-  if ((!has_sockets() && !is_set("NOTIFY_SOCKET")) || load(systemd, why)) {
-    return true;
+int systemd_sockets(void) {
+  const char *process = getenv("LISTEN_PID"), *count = getenv("LISTEN_FDS");
+  char *end;
+  if (process == NULL || count == NULL || strtol(process, NULL, 10) != (long)getpid()) {
+    return 0; /* They are meant for this process's parent. */
   }
-  *systemd = (struct systemd){0};
-  if (!has_sockets()) {
-    log_line(LOG_LEVEL_ERROR, "event=not-notifying reason=\"%s\"", *why);
+  const long passed = strtol(count, &end, 10);
+  return *end != '\0' || passed < 0 || passed > SYSTEMD_SOCKETS_MAX ? -1 : (int)passed;
+}
+
+void systemd_tell(const char *state) {
+  struct sockaddr_un manager = {.sun_family = AF_UNIX};
+  const char *path = getenv("NOTIFY_SOCKET");
+  const size_t length = path != NULL ? strlen(path) : 0;
+  if (length == 0 || length > sizeof manager.sun_path) {
+    return;
   }
-  return !has_sockets();
-}
-
-int systemd_sockets(const struct systemd *systemd, int *first, const char **why) {
-  const int count = systemd->listen_fds != NULL ? systemd->listen_fds(0) : 0;
-  *first = FIRST_SOCKET;
-  if (count < 0) {
-    *why = strerror(-count);
-  } else if (count > SYSTEMD_SOCKETS_MAX) {
-    *why = "more sockets are passed than are taken (SYSTEMD_SOCKETS_MAX)";
+  memcpy(manager.sun_path, path, length);
+  if (path[0] == '@') {
+    manager.sun_path[0] = '\0'; /* an abstract socket */
   }
-  return count < 0 || count > SYSTEMD_SOCKETS_MAX ? -1 : count;
-}
-
-/* Notifies the manager. Ignores failures, because the manager has then ended. */
-static void tell(const struct systemd *systemd, const char *state) {
-  if (systemd->notify != NULL) {
-    systemd->notify(0, state);
+  const int fd = socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0);
+  if (fd >= 0) {
+    sendto(fd, state, strlen(state), MSG_NOSIGNAL, (const struct sockaddr *)&manager,
+           (socklen_t)(offsetof(struct sockaddr_un, sun_path) + length));
+    close(fd);
   }
-}
-
-void systemd_tell_ready(const struct systemd *systemd) {
-  tell(systemd, "READY=1\nSTATUS=Serving.");
-}
-
-void systemd_tell_stopping(const struct systemd *systemd) {
-  tell(systemd, "STOPPING=1\nSTATUS=Answering what is in flight.");
 }

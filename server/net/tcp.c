@@ -151,11 +151,13 @@ static bool is_repeated(const struct addrinfo *list, const struct addrinfo *addr
   return list != address;
 }
 
-/* Listens at the addresses of a list, up to `most`. One that the machine does not have is left out
+/* Listens at the addresses of a list. One that the machine does not have is left out
  * if another is there. Returns how many; if one fails, closes all, returns 0 and sets *why. */
-static size_t listen_at_all(const struct addrinfo *list, size_t most, int *fds, const char **why) {
+static size_t listen_at_all(const struct addrinfo *list, int fds[TCP_ADDRESSES_MAX],
+                            const char **why) {
   size_t count = 0;
-  for (const struct addrinfo *one = list; one != NULL && count < most; one = one->ai_next) {
+  for (const struct addrinfo *one = list; one != NULL && count < TCP_ADDRESSES_MAX;
+       one = one->ai_next) {
     fds[count] = is_repeated(list, one) ? -1 : bind_to(one);
     if (fds[count] >= 0) {
       count++;
@@ -173,7 +175,7 @@ static size_t listen_at_all(const struct addrinfo *list, size_t most, int *fds, 
   return count;
 }
 
-size_t tcp_listen(const char *host_port, size_t most, int *fds, const char **why) {
+size_t tcp_listen(const char *host_port, int fds[TCP_ADDRESSES_MAX], const char **why) {
   char host[256];
   const char *port;
   if (!split(host_port, host, sizeof host, &port)) {
@@ -192,7 +194,7 @@ size_t tcp_listen(const char *host_port, size_t most, int *fds, const char **why
     *why = looked_up == EAI_NONAME ? "no host has this name" : gai_strerror(looked_up);
     return 0;
   }
-  const size_t count = listen_at_all(found, most, fds, why);
+  const size_t count = listen_at_all(found, fds, why);
   freeaddrinfo(found);
   return count;
 }

@@ -6,11 +6,12 @@
 #include <stddef.h>
 #include <sys/socket.h>
 
-/* Listens at HOST:PORT, or [HOST]:PORT for a host with colons; port 0 means any free port. A name may
- * have several addresses: sets fds to non-blocking sockets at the first `most` of them, and returns
- * how many there are. On failure, returns 0 and sets *why to the reason. */
-size_t tcp_listen(const char *host_port, size_t most, int *fds, const char **why);
 enum { TCP_ADDRESSES_MAX = 8 }; /* of one name */
+
+/* Listens at HOST:PORT, or [HOST]:PORT for a host with colons; port 0 means any free port. A name may
+ * have several addresses: sets fds to non-blocking sockets at each of them, and returns how many there
+ * are. On failure, returns 0 and sets *why to the reason. */
+size_t tcp_listen(const char *host_port, int fds[TCP_ADDRESSES_MAX], const char **why);
 
 /* Says who listens at an address that is in use. */
 const char *tcp_occupant(const struct sockaddr *address, socklen_t length);

@@ -148,49 +148,52 @@ static char *make_text(const struct server *server, double start_s, size_t *byte
 
 /* ---- answering ------------------------------------------------------------------------------- */
 
-struct metrics {
-  const struct server *server;
-  double start_s; /* when the daemon started, since 1970 */
-  struct http_library library;
-  struct MHD_Daemon *daemon;
-  TAILQ_HEAD(, holder) holders; /* from the oldest on; only the library's thread touches them */
-  unsigned count;
-};
-
 /* A connection that is open. */
 struct holder {
   TAILQ_ENTRY(holder) in_holders;
   int fd;
 };
 
+/* One address: the library has one listening socket, and a thread, for each of its daemons. */
+struct port {
+  const struct metrics *metrics;
+  struct MHD_Daemon *daemon;
+  TAILQ_HEAD(, holder) holders; /* from the oldest on; only the library's thread touches them */
+  unsigned count;
+};
+
+struct metrics {
+  const struct server *server;
+  double start_s; /* when the daemon started, since 1970 */
+  struct port ports[TCP_ADDRESSES_MAX];
+};
+
 /* Sends a response and frees it. If it is NULL, for lack of memory, closes the connection. */
-static enum MHD_Result send_response(const struct http_library *http,
-                                     struct MHD_Connection *connection, unsigned status,
+static enum MHD_Result send_response(struct MHD_Connection *connection, unsigned status,
                                      const char *type, struct MHD_Response *response) {
   if (response == NULL) {
     return MHD_NO;
   }
-  http->add_response_header(response, MHD_HTTP_HEADER_CONTENT_TYPE, type);
+  MHD_add_response_header(response, MHD_HTTP_HEADER_CONTENT_TYPE, type);
   if (status == MHD_HTTP_BAD_REQUEST) {
-    http->add_response_header(response, MHD_HTTP_HEADER_CONNECTION, "close");
+    MHD_add_response_header(response, MHD_HTTP_HEADER_CONNECTION, "close");
   }
   if (status == MHD_HTTP_METHOD_NOT_ALLOWED) {
-    http->add_response_header(response, MHD_HTTP_HEADER_ALLOW, "GET, HEAD");
+    MHD_add_response_header(response, MHD_HTTP_HEADER_ALLOW, "GET, HEAD");
   }
-  const enum MHD_Result sent = http->queue_response(connection, status, response);
-  http->destroy_response(response);
+  const enum MHD_Result sent = MHD_queue_response(connection, status, response);
+  MHD_destroy_response(response);
   return sent;
 }
 
-static enum MHD_Result send_text(const struct http_library *http, struct MHD_Connection *connection,
-                                 unsigned status, const char *text) {
-  return send_response(http, connection, status, PLAIN,
-                       http->create_response_from_buffer(strlen(text), (void *)(uintptr_t)text,
-                                                         MHD_RESPMEM_MUST_COPY));
+static enum MHD_Result send_text(struct MHD_Connection *connection, unsigned status,
+                                 const char *text) {
+  return send_response(connection, status, PLAIN,
+                       MHD_create_response_from_buffer(strlen(text), (void *)(uintptr_t)text,
+                                                       MHD_RESPMEM_MUST_COPY));
 }
 
-static enum MHD_Result send_metrics(const struct http_library *http,
-                                    struct MHD_Connection *connection,
+static enum MHD_Result send_metrics(struct MHD_Connection *connection,
                                     const struct metrics *metrics) {
   size_t bytes;
   char *text = make_text(metrics->server, metrics->start_s, &bytes);
@@ -198,21 +201,20 @@ static enum MHD_Result send_metrics(const struct http_library *http,
     return MHD_NO;
   }
   struct MHD_Response *response =
-      http->create_response_from_buffer(bytes, text, MHD_RESPMEM_MUST_FREE);
+      MHD_create_response_from_buffer(bytes, text, MHD_RESPMEM_MUST_FREE);
   if (response == NULL) {
     free(text);
   }
-  return send_response(http, connection, MHD_HTTP_OK, EXPOSITION, response);
+  return send_response(connection, MHD_HTTP_OK, EXPOSITION, response);
 }
 
-static enum MHD_Result send_health(const struct http_library *http,
-                                   struct MHD_Connection *connection, enum health health) {
+static enum MHD_Result send_health(struct MHD_Connection *connection, enum health health) {
   const char *reason = health_reason(health);
   char text[128];
   snprintf(text, sizeof text, "%s%s%s\n", health_name(health), reason[0] != '\0' ? ": " : "",
            reason);
-  return send_text(http, connection,
-                   health == HEALTH_OK ? MHD_HTTP_OK : MHD_HTTP_SERVICE_UNAVAILABLE, text);
+  return send_text(connection, health == HEALTH_OK ? MHD_HTTP_OK : MHD_HTTP_SERVICE_UNAVAILABLE,
+                   text);
 }
 
 static bool is_read(const char *method) {
@@ -226,40 +228,38 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *connecti
                                   size_t *body_bytes, void **state) {
   static const char not_found[] = "There are /metrics, /healthz and /readyz.\n";
   static const char not_allowed[] = "It is only for reading: GET or HEAD.\n";
-  const struct metrics *metrics = context;
-  const struct http_library *http = &metrics->library;
+  const struct metrics *metrics = ((const struct port *)context)->metrics;
   wire_error error;
   (void)body, (void)body_bytes, (void)state;
   const unsigned refused =
-      http_library_check(http, connection, &metrics->server->options, url, version, NULL, &error);
+      http_library_check(connection, &metrics->server->options, url, version, NULL, &error);
   if (refused != 0) {
     char text[160];
     snprintf(text, sizeof text, "%s: %s\n", error.field, error.allowed);
-    return send_text(http, connection, refused, text);
+    return send_text(connection, refused, text);
   }
   const bool is_metrics = strcmp(url, "/metrics") == 0, is_ready = strcmp(url, "/readyz") == 0;
   if (!is_metrics && !is_ready && strcmp(url, "/healthz") != 0) {
-    return send_text(http, connection, MHD_HTTP_NOT_FOUND, not_found);
+    return send_text(connection, MHD_HTTP_NOT_FOUND, not_found);
   }
   if (!is_read(method)) {
-    return send_text(http, connection, MHD_HTTP_METHOD_NOT_ALLOWED, not_allowed);
+    return send_text(connection, MHD_HTTP_METHOD_NOT_ALLOWED, not_allowed);
   }
-  return is_metrics ? send_metrics(http, connection, metrics)
-                    : send_health(http, connection,
-                                  is_ready ? health_readiness(metrics->server)
-                                           : health_of(metrics->server));
+  return is_metrics ? send_metrics(connection, metrics)
+                    : send_health(connection, is_ready ? health_readiness(metrics->server)
+                                                       : health_of(metrics->server));
 }
 
 /* The library accepts nothing while it has its most connections, or no descriptor is left. So the
  * last connection ends the oldest, and a probe is answered however many clients are silent. */
 static void on_connection(void *context, struct MHD_Connection *connection, void **state,
                           enum MHD_ConnectionNotificationCode what) {
-  struct metrics *metrics = context;
+  struct port *port = context;
   struct holder *holder = *state;
   if (what == MHD_CONNECTION_NOTIFY_CLOSED) {
     if (holder != NULL) {
-      TAILQ_REMOVE(&metrics->holders, holder, in_holders);
-      metrics->count--;
+      TAILQ_REMOVE(&port->holders, holder, in_holders);
+      port->count--;
       free(holder);
     }
     return;
@@ -268,65 +268,65 @@ static void on_connection(void *context, struct MHD_Connection *connection, void
   if (holder == NULL) {
     return;
   }
-  holder->fd = metrics->library.get_connection_info(connection, MHD_CONNECTION_INFO_CONNECTION_FD)
-                   ->connect_fd;
-  TAILQ_INSERT_TAIL(&metrics->holders, holder, in_holders);
-  metrics->count++;
-  const bool is_full = metrics->count >= MOST_CONNECTIONS || tcp_lowest_descriptor() < 0;
-  if (is_full && TAILQ_FIRST(&metrics->holders) != holder) {
-    shutdown(TAILQ_FIRST(&metrics->holders)->fd, SHUT_RDWR);
+  holder->fd = MHD_get_connection_info(connection, MHD_CONNECTION_INFO_CONNECTION_FD)->connect_fd;
+  TAILQ_INSERT_TAIL(&port->holders, holder, in_holders);
+  port->count++;
+  const bool is_full = port->count >= MOST_CONNECTIONS || tcp_lowest_descriptor() < 0;
+  if (is_full && TAILQ_FIRST(&port->holders) != holder) {
+    shutdown(TAILQ_FIRST(&port->holders)->fd, SHUT_RDWR);
   }
 }
 
-static struct MHD_Daemon *start(struct metrics *metrics, int fd) {
-  return metrics->library.start_daemon(
-      MHD_USE_AUTO | MHD_USE_INTERNAL_POLLING_THREAD | MHD_USE_ITC, 0, NULL, NULL, on_request,
-      metrics, MHD_OPTION_LISTEN_SOCKET, fd, MHD_OPTION_CONNECTION_LIMIT,
-      (unsigned)MOST_CONNECTIONS, MHD_OPTION_CONNECTION_TIMEOUT, (unsigned)SILENCE_S,
-      MHD_OPTION_CONNECTION_MEMORY_LIMIT, (size_t)CONNECTION_BYTES, MHD_OPTION_UNESCAPE_CALLBACK,
-      http_library_leave_escaped, NULL, MHD_OPTION_NOTIFY_CONNECTION, on_connection, metrics,
-      MHD_OPTION_END);
+static struct MHD_Daemon *start(struct port *port, int fd) {
+  return MHD_start_daemon(
+      MHD_USE_AUTO | MHD_USE_INTERNAL_POLLING_THREAD | MHD_USE_ITC, 0, NULL, NULL, on_request, port,
+      MHD_OPTION_LISTEN_SOCKET, fd, MHD_OPTION_CONNECTION_LIMIT, (unsigned)MOST_CONNECTIONS,
+      MHD_OPTION_CONNECTION_TIMEOUT, (unsigned)SILENCE_S, MHD_OPTION_CONNECTION_MEMORY_LIMIT,
+      (size_t)CONNECTION_BYTES, MHD_OPTION_UNESCAPE_CALLBACK, http_library_leave_escaped, NULL,
+      MHD_OPTION_NOTIFY_CONNECTION, on_connection, port, MHD_OPTION_END);
 }
 
-static struct metrics *fail(const char *address, const char *why, int fd, struct metrics *metrics) {
-  fprintf(stderr, "dipoled: --metrics %s: %s\n", address, why);
-  close(fd);
-  free(metrics);
-  return NULL;
+static bool open_port(struct metrics *metrics, struct port *port, int fd) {
+  char bound[TCP_TEXT_BYTES];
+  tcp_bound(fd, bound);
+  port->metrics = metrics;
+  TAILQ_INIT(&port->holders);
+  port->daemon = start(port, fd); /* The library owns the socket from here on. */
+  if (port->daemon == NULL) {
+    fprintf(stderr, "dipoled: --metrics %s: the HTTP server does not start\n", bound);
+    close(fd);
+    return false;
+  }
+  log_line(LOG_LEVEL_INFO, "event=metrics url=http://%s/metrics", bound);
+  return true;
 }
 
 struct metrics *metrics_open(struct server *server, const char *address) {
-  const int fd = http_library_listen("metrics", address);
-  if (fd < 0) {
-    return NULL;
-  }
-  const char *why;
-  char bound[TCP_TEXT_BYTES];
-  tcp_bound(fd, bound);
+  struct timespec now;
+  int fds[TCP_ADDRESSES_MAX];
   struct metrics *metrics = calloc(1, sizeof *metrics);
   if (metrics == NULL) {
-    return fail(address, "out of memory", fd, metrics);
+    return NULL;
   }
-  if (!http_library_load(&metrics->library, &why)) {
-    return fail(address, why, fd, metrics);
-  }
-  struct timespec now;
   clock_gettime(CLOCK_REALTIME, &now);
   metrics->start_s = (double)now.tv_sec + (double)now.tv_nsec / 1e9 -
                      (double)(uv_hrtime() - server->started_ns) / 1e9;
   metrics->server = server;
-  TAILQ_INIT(&metrics->holders);
-  metrics->daemon = start(metrics, fd); /* The library owns the socket from here on. */
-  if (metrics->daemon == NULL) {
-    return fail(address, "the HTTP server does not start", fd, metrics);
+  const size_t count = http_library_listen("metrics", address, fds);
+  bool good = count > 0;
+  for (size_t i = 0; i < count; i++) {
+    good &= open_port(metrics, &metrics->ports[i], fds[i]);
   }
-  log_line(LOG_LEVEL_INFO, "event=metrics url=http://%s/metrics", bound);
+  if (!good) {
+    metrics_close(metrics);
+    return NULL;
+  }
   return metrics;
 }
 
 void metrics_close(struct metrics *metrics) {
-  if (metrics != NULL) {
-    metrics->library.stop_daemon(metrics->daemon);
-    free(metrics);
+  for (size_t i = 0; metrics != NULL && i < TCP_ADDRESSES_MAX; i++) {
+    MHD_stop_daemon(metrics->ports[i].daemon);
   }
+  free(metrics);
 }

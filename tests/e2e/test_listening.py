@@ -9,11 +9,12 @@ import re
 import socket
 import stat
 import subprocess
+import urllib.request
 from pathlib import Path
 
 import dipole
 import pytest
-from daemons import BUILD, END_S, PROGRAM, environment, eventually, run, sanitized
+from daemons import BUILD, END_S, PROGRAM, environment, eventually, read_log_line, run, sanitized
 from frames import EVAL, PING, ask, assert_serves, eval_payload, frame
 
 
@@ -137,9 +138,15 @@ def test_all_addresses_of_a_name(daemon, folder):
     (folder / "two.c").write_text(TWO)
     subprocess.run(["cc", "-shared", "-fPIC", "-o", "two.so", "two.c", "-ldl"], cwd=folder, check=True)
     env = {"LD_PRELOAD": str(folder / "two.so")}
-    one = daemon("--modbus", "tcp:two.invalid:0", listen=["tcp:two.invalid:0"], env=env)
+    options = ["--modbus", "tcp:two.invalid:0", "--http", "two.invalid:0", "--metrics", "two.invalid:0"]
+    one = daemon(*options, listen=["tcp:two.invalid:0"], env=env)
     hosts = [url.rpartition(":")[0] for url in one.urls]
-    assert hosts == [f"{way}:127.0.0.{n}" for way in ("tcp", "modbus-tcp") for n in (1, 2)]
+    assert hosts == [f"{way}127.0.0.{n}" for way in ("tcp:", "modbus-tcp:", "http://") for n in (1, 2)]
+    metrics = [read_log_line(line)["url"] for line in one.log if "event=metrics" in line]
+    assert [url.rpartition(":")[0] for url in metrics] == ["http://127.0.0.1", "http://127.0.0.2"]
+    for url in [f"{url}/healthz" for url in one.urls[4:]] + metrics:
+        with urllib.request.urlopen(url, timeout=END_S) as answer:
+            assert answer.status == 200
     for url in one.urls[:2]:
         with dipole.Connection(url) as connection:
             assert_serves(connection)

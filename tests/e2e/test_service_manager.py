@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import socket
 import subprocess
@@ -15,16 +14,6 @@ import pytest
 from daemons import END_S, PROGRAM, START_S, environment, run
 from frames import EVAL, PING, ask, assert_serves, eval_payload, frame
 
-
-def has_libsystemd() -> bool:
-    try:
-        ctypes.CDLL("libsystemd.so.0")
-        return True
-    except OSError:
-        return False
-
-
-pytestmark = pytest.mark.skipif(not has_libsystemd(), reason="there is no libsystemd")
 
 # This program passes sockets as a service manager does, from descriptor 3 on, and then becomes the
 # daemon, because LISTEN_PID must be the daemon's process.

@@ -8,9 +8,6 @@ list_files >/opt/before
 
 dpkg -i /opt/packages/*.deb || true # not yet: what they depend on is missing
 apt-get -y --no-install-recommends -f install
-# What it does not need, but is recommended for metrics.
-apt-get -y --no-install-recommends install libmicrohttpd12
-apt-mark auto libmicrohttpd12
 for deb in /opt/packages/*.deb; do
   name=$(dpkg-deb -f "$deb" Package)
   [ "$(dpkg-query -W -f '${db:Status-Abbrev}' "$name")" = 'ii ' ]
