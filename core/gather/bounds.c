@@ -1,4 +1,4 @@
-/* Finds bounds from samples of R. core/MODELS.md says what they bound.
+/* Finds bounds from samples of R. core/gather/loops.h says what they bound.
  *
  * At each edge of a band, a polynomial of the squared distance interpolates R close by. Its first
  * four terms are the cubic polynomial, from which R is off by g (s - r^2)^4 at further distances.

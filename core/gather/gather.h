@@ -4,8 +4,8 @@
  *
  * where the points x_i hold the power P_i,c that enters there, in each of up to eight channels
  * (irradiance times area; Jensen and Buhler 2002, section 3). An octree over the points lets one
- * node stand for many of them, where a bound on what this changes allows it: core/MODELS.md derives
- * the bound.
+ * node stand for many of them, where a bound on what this changes allows it:
+ * core/gather/loops.h derives the bound.
  *
  * A caller builds the points once (core_gather_points), prepares profiles and a tolerance
  * (core_gather_sum), and gathers at as many queries as it likes. A query's values depend on the

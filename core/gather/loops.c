@@ -1,4 +1,4 @@
-/* The innermost loops of gathering. core/MODELS.md explains the pairs. */
+/* The innermost loops of gathering. core/gather/loops.h explains the pairs. */
 #include "core/gather/loops.h"
 
 #include <math.h>

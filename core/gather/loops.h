@@ -1,6 +1,32 @@
 /* loops: the innermost loops of gathering, compiled once for each instruction set. Internal to
  * core/gather.
  *
+ * **A node by two distances.** Let D be the vector from a node's centroid to x, d that to one of its
+ * points, E the mean weighted with power, and s = |D - d|^2 the squared distance, of which R is a
+ * function f. The mean of s is |D|^2 + E |d|^2, and with y = s - E s
+ *
+ *   E y^2 = 4 D.C.D - 4 D.t + tr F - (tr C)^2         C = E d d, F = E |d|^2 d d, t = E |d|^2 d
+ *   E y^3 = -8 E (D.d)^3 + 12 (D.F.D - D.C.D tr C) + e
+ *
+ * A node keeps its power, its centroid, C, F, the third moments and its radius a, the largest |d|.
+ * The pair s-, s+ and its weights (Gauss's rule of two points) have the mean, E y^2 and E y^3
+ * without e. Both lie between (|D| - a)^2 and (|D| + a)^2, as s does. With z = |d|^2 - tr C, whose
+ * E z^2 is tr F - (tr C)^2, and Z the larger of a^2 - tr C and tr C,
+ * |e| = |-6 E (D.d) z^2 + E z^3| <= E z^2 (6 |D| a + Z).
+ *
+ * **Its bound.** Write f = p + g y^4 with p cubic in s and leading coefficient c. Between (|D| - a)^2
+ * and (|D| + a)^2 let G be the largest |g|, G' the smallest (0 if the sign of g varies), and let g
+ * vary by v. Points and pair agree on p but for c e. The pair's mean Q y^4 is at least (E y^2)^2
+ * and, since the pair lies within h = 2 |D| a + a^2 of the mean, at most E y^4 + 2 h |e|. So the node
+ * is off by at most
+ *
+ *   P min(v E y^4 + max(G' (E y^4 - (E y^2)^2), 2 h (G' + v) |e|) + |c e|, the largest R from |D| - a)
+ *
+ * By Minkowski's inequality (E y^4)^(1/4) <= 2 (E (D.d)^4)^(1/4) + (Z^2 E z^2)^(1/4) and
+ * (E y^2)^(1/2) >= 2 (D.C.D)^(1/2) - (E z^2)^(1/2); and E (D.d)^4 <= |D|^2 D.F.D. For all x in a ball
+ * the roots of n.F.n and n.C.n, n = D / |D|, differ from those at its centre by at most the sine of
+ * the angle times the root of the tensor's norm. bounds.c finds G, G' and c once for each profile.
+ *
  * All arrays are aligned to 64 bytes, and n is a multiple of GATHER_LANES. Sums have the same order
  * everywhere: lane l adds the numbers l, l + GATHER_LANES, ..., and the lanes are added at the end.
  */
@@ -25,7 +51,7 @@ typedef struct gather_seen {
   _Alignas(64) double field[GATHER_SEEN_FIELDS][GATHER_LANES];
 } gather_seen;
 
-/* What nodes and all queries of a cell have in common: core/MODELS.md names these. */
+/* What nodes and all queries of a cell have in common: the comment at the head names these. */
 typedef struct gather_views {
   _Alignas(64) double nearest[GATHER_LANES]; /* of the distances between points and queries */
   double ratio[GATHER_LANES];                /* of distances, below INFINITY if the rest is known */

@@ -1,9 +1,18 @@
 /* Gathers: finds the nodes that stand for their points, for each cell of queries, and sums.
  *
- * Queries in one cell share a list of nodes and of leaves whose points are summed one by one. The
- * list's error is below a share of the tolerance, by an estimate of M. A query whose own M shows that
- * the tolerance is missed takes the next list, which is finer. So a query's values depend on its cell
- * and itself.
+ * Queries in one cell (the cube of a node of at most 80 points, or a cube of about a leaf's size
+ * between nodes) share a list of nodes and of leaves whose points are summed one by one. The list
+ * begins as that for the centre of the cube of a node of at most 1,024 points. That one is made from
+ * the root on: with M estimated by a walk that opens nodes larger than half their distance, the nodes
+ * with the largest bounds are opened, in any channel, until the sum B of all bounds is below 0.9
+ * tolerance M. The cell estimates M by this list, computes the bounds again and opens further nodes.
+ *
+ * Each query then has its own M, and B / (M - B) bounds its relative error. If that is above the
+ * tolerance, the query takes the next list, for a quarter of the error; after eight lists it takes
+ * all points. So a query's values depend on its cell and itself, and no order or slicing changes
+ * them. Rounding of centroids, and of powers of channels that share moments, takes a 256th of the
+ * tolerance, which the bound includes. What the profile is off from its model comes on top
+ * (core_gather_error()).
  */
 #include <assert.h>
 #include <float.h>
