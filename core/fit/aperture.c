@@ -5,10 +5,11 @@
 #include "core/fit/aperture.h"
 
 #include <assert.h>
+#include <stdbool.h>
 #include <stdint.h>
 
+#include "core/transport/decay.h"
 #include "core/transport/functions.h"
-#include "core/transport/transport.h"
 
 #define CORE_REAL 64
 #include "core/kernel.h"

@@ -208,6 +208,7 @@ CORE_KERNEL_TABLE_NONE(transport);
 #include "core/gauss.h"
 #include "core/kernel.h"
 #include "core/model_error.h"
+#include "core/transport/decay.h"
 #include "core/transport/table.h"
 #include "core/transport/transport.h"
 

@@ -22,6 +22,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "core/transport/decay.h"
 #include "core/transport/exitance.h"
 #include "core/transport/functions.h"
 #include "core/transport/gauss.h"
@@ -125,31 +126,6 @@ static double phase_at(const transport_phase *phase, double cosine) {
   return sum;
 }
 
-/* Returns the rate at which diffuse light decays: 1 / kappa is the largest eigenvalue of the
- * symmetric tridiagonal matrix with l / sqrt(h_(l-1) h_l) beside its diagonal, h_l = (2 l + 1) (1 -
- * a g_l). Bisection, with the signs of Sturm's sequence. absorbed: 1 - a. */
-static double decay_rate(const halfspace_medium *medium, double absorbed) {
-  enum { TERMS = 600, STEPS = 60 };
-  double low = 0, high = 1;
-  for (int step = 0; step < STEPS; step++) {
-    const double middle = 0.5 * (low + high); /* a candidate for kappa */
-    /* pivots of (1 / middle) H - T, positive as long as 1 / middle is above all eigenvalues */
-    double pivot = absorbed / middle;
-    bool above = pivot > 0;
-    for (size_t l = 1; l < TERMS && above; l++) {
-      const double g = l < medium->moments ? medium->moment[l] : 0;
-      pivot = (double)(2 * l + 1) * (1 - medium->albedo * g) / middle - (double)(l * l) / pivot;
-      above = pivot > 0;
-    }
-    if (above) {
-      low = middle;
-    } else {
-      high = middle;
-    }
-  }
-  return low;
-}
-
 static void truncate_phase(struct scaled *to, double ratio, const transport_phase *phase,
                            double moment_least, size_t moments_most) {
   const double g = moment_at(phase, 1);
@@ -169,20 +145,8 @@ static void truncate_phase(struct scaled *to, double ratio, const transport_phas
   to->medium = (halfspace_medium){albedo * (1 - forward) / kept, count, to->moment};
   to->unit = 1 / (kept * sigma_t);
   to->single = albedo / kept;
-  to->kappa = decay_rate(&to->medium, 1 - to->medium.albedo);
-}
-
-double transport_anisotropic_kappa(double albedo, double g) {
-  enum { MOMENTS = 200 };
-  assert(albedo > 0 && albedo <= 1 && fabs(g) <= 0.99);
-  double moment[MOMENTS];
-  moment[0] = 1;
-  for (size_t l = 1; l < MOMENTS; l++) {
-    moment[l] = g * moment[l - 1];
-  }
-  const double sigma_s = albedo / (1 - g), sigma_t = 1 - albedo + sigma_s;
-  const halfspace_medium medium = {sigma_s / sigma_t, MOMENTS, moment};
-  return sigma_t * decay_rate(&medium, (1 - albedo) / sigma_t);
+  to->kappa = transport_decay_rate(to->medium.moment, to->medium.moments, to->medium.albedo,
+                                   1 - to->medium.albedo);
 }
 
 /* ---- light that is scattered twice near the source -------------------------------------------- */

@@ -118,9 +118,4 @@ core_fault transport_anisotropic_totals(transport_totals *totals, const core_isa
                                         double sigma_a_ratio, const transport_phase *phase,
                                         const double *etas, size_t count);
 
-/* Returns kappa, the rate per reduced mean free path at which diffuse light decays far away, for
- * Henyey and Greenstein's function. albedo: sigma_s (1 - g) / (sigma_a + sigma_s (1 - g)), above 0,
- * up to 1. g: -0.99 to 0.99. */
-double transport_anisotropic_kappa(double albedo, double g);
-
 #endif

@@ -1,6 +1,7 @@
 /* The code reads tables byte by byte, so that they may have any alignment, on machines of any byte
  * order. */
 #include "core/transport/table.h"
+#include "core/transport/decay.h"
 
 #include <assert.h>
 #include <math.h>
@@ -17,7 +18,33 @@ enum {
   TERMS_MAX = TRANSPORT_TABLE_TERMS_MAX,
   PANELS = TRANSPORT_TABLE_PANELS,
   SIDES = TRANSPORT_TABLE_SIDES,
-  DIMENSIONS = 3, /* of a coefficient of D, besides y */
+  TOTALS_MAX = 2,                   /* of one side */
+  SERIES_MAX = TOTALS_MAX + PANELS, /* of one side */
+  LANES = 4,                        /* coefficients that are added together */
+};
+
+/* A block: coefficients with the same indices but for the innermost one, filled up with zeros to a
+ * multiple of LANES. */
+struct block {
+  uint32_t at; /* position of the first coefficient */
+  uint16_t
+      weight; /* the other indices but the albedo's: l TERMS_MAX + j for a panel, l for a total */
+  uint16_t groups; /* of LANES coefficients */
+};
+
+/* A series in the order in which it is summed: the albedo's index i is the outermost. The innermost
+ * index is k for a panel, and j for a total. */
+struct packed {
+  size_t terms;                /* of k */
+  size_t of_albedo;            /* of i */
+  size_t first[TERMS_MAX + 1]; /* position of the first block of each i */
+  struct block *block;
+  int32_t *coefficient;
+};
+
+/* The series of each side, isotropic scattering first, the totals before the panels. */
+struct transport_packed {
+  struct packed series[2 * SIDES][SERIES_MAX];
 };
 
 /* u = ln((s + U_BEGIN) / (U_END - s)) */
@@ -156,59 +183,105 @@ static size_t read_count(struct reader *reader, size_t least) {
   return count;
 }
 
-/* Reads an integer of at most 49 bits, which a double holds exactly. */
-static int64_t read_integer(struct reader *reader) {
+/* Reads an integer of at most 32 bits. */
+static int32_t read_integer(struct reader *reader) {
   uint64_t zigzag = 0;
-  for (int shift = 0; shift < 49; shift += 7) {
+  for (int shift = 0; shift < 35; shift += 7) {
     const uint8_t byte = read_byte(reader);
     zigzag |= (uint64_t)(byte & 0x7f) << shift;
     if (byte < 0x80) {
-      return (int64_t)(zigzag >> 1) ^ -(int64_t)(zigzag & 1);
+      reader->good &= zigzag <= UINT32_MAX;
+      return (int32_t)((uint32_t)(zigzag >> 1) ^ -(uint32_t)(zigzag & 1));
     }
   }
   reader->good = false;
   return 0;
 }
 
-/* Reads a sum over some indices, where basis[0] has the values of the first index's polynomials,
- * basis[1] those of the next one's, and so on. */
-static double read_sum(struct reader *reader, const double (*basis)[TERMS_MAX], size_t indices) {
-  if (indices == 0) {
-    return (double)read_integer(reader);
-  }
-  double sum = 0;
-  const size_t count = read_count(reader, 0);
-  for (size_t i = 0; i < count; i++) {
-    sum += read_sum(reader, basis + 1, indices - 1) * basis[0][i];
-  }
-  return sum;
+static size_t number_of_totals(int side) {
+  return side < SIDES ? 1 : TOTALS_MAX;
 }
 
-/* Reads a series and sums it over all indices but k. Sets terms[k] to the coefficients of T_k that
- * result, in units of the quantum, and returns their number. */
-static size_t read_series(struct reader *reader, const double (*basis)[TERMS_MAX], size_t indices,
-                          double *terms) {
-  const size_t count = read_count(reader, 1);
-  for (size_t k = 0; k < count; k++) {
-    terms[k] = read_sum(reader, basis, indices);
-  }
-  return count;
-}
-
-/* Reads one side of one part completely, as a check. Sets *panels to the end of the totals. Returns
- * whether it is well formed. */
-static bool pass_over_side(struct reader *reader, size_t totals, size_t indices,
-                           const uint8_t **panels) {
-  static const double zeros[DIMENSIONS][TERMS_MAX];
-  double terms[TERMS_MAX];
-  for (size_t i = 0; i < totals + PANELS; i++) {
-    *panels = i == totals ? reader->at : *panels;
-    const size_t count = read_series(reader, zeros, indices, terms);
-    if (i < totals && count != 1) {
-      reader->good = false;
+/* Reads a series of a side. count: the number of coefficients of the block that each combination of
+ * the indices i, l and j (panels) or i and l (totals) has, which is set if `coefficient` is NULL;
+ * otherwise, position: of the first coefficient of each block. */
+static void read_series(struct reader *reader, bool of_g, bool is_total, struct packed *series,
+                        uint8_t *count, const uint32_t *position) {
+  const size_t terms = read_count(reader, 1);
+  reader->good &= !is_total || terms == 1;
+  series->terms = terms;
+  for (size_t k = 0; k < terms && reader->good; k++) {
+    const size_t of_g_terms = of_g ? read_count(reader, 0) : 1;
+    for (size_t l = 0; l < of_g_terms; l++) {
+      const size_t of_albedo = read_count(reader, 0);
+      series->of_albedo = of_albedo > series->of_albedo ? of_albedo : series->of_albedo;
+      for (size_t i = 0; i < of_albedo; i++) {
+        const size_t of_v = read_count(reader, 0);
+        for (size_t j = 0; j < of_v; j++) {
+          const int32_t c = read_integer(reader);
+          const size_t inner = is_total ? j : k;
+          const size_t block = (i * TERMS_MAX + l) * TERMS_MAX + (is_total ? 0 : j);
+          if (position == NULL) {
+            count[block] = (uint8_t)(inner + 1);
+          } else {
+            series->coefficient[position[block] + inner] = c;
+          }
+        }
+      }
     }
   }
-  return reader->good;
+}
+
+/* Lays the blocks of a series out. Returns whether there is memory. */
+static bool lay_blocks(struct packed *series, bool is_total, const uint8_t *count,
+                       uint32_t *position) {
+  const size_t of_one = (size_t)TERMS_MAX * TERMS_MAX;
+  size_t blocks = 0, coefficients = 0;
+  for (size_t b = 0; b < series->of_albedo * of_one; b++) {
+    blocks += count[b] > 0;
+  }
+  series->block = malloc((blocks + 1) * sizeof *series->block);
+  blocks = 0;
+  for (size_t b = 0; series->block != NULL && b < series->of_albedo * of_one; b++) {
+    if (b % of_one == 0) {
+      series->first[b / of_one] = blocks;
+    }
+    if (count[b] > 0) {
+      const size_t groups = (count[b] + LANES - 1u) / LANES, weight = b % of_one;
+      position[b] = (uint32_t)coefficients;
+      series->block[blocks++] =
+          (struct block){(uint32_t)coefficients, (uint16_t)(is_total ? weight / TERMS_MAX : weight),
+                         (uint16_t)groups};
+      coefficients += groups * LANES;
+    }
+  }
+  series->first[series->of_albedo] = blocks;
+  series->coefficient = calloc(coefficients + 1, sizeof *series->coefficient);
+  return series->block != NULL && series->coefficient != NULL;
+}
+
+/* Reads one side of one part completely, and checks it. Sets *panels to the end of the totals.
+ * Returns false if it is not well formed, or if memory runs out. */
+static bool pack_side(struct reader *reader, int side, struct packed series[SERIES_MAX],
+                      const uint8_t **panels) {
+  const size_t most = (size_t)TERMS_MAX * TERMS_MAX * TERMS_MAX, totals = number_of_totals(side);
+  uint8_t *count = malloc(most);
+  uint32_t *position = malloc(most * sizeof *position);
+  bool good = count != NULL && position != NULL;
+  for (size_t n = 0; n < totals + PANELS && good; n++) {
+    const bool is_total = n < totals;
+    struct reader again = *reader;
+    *panels = n == totals ? reader->at : *panels;
+    memset(count, 0, most);
+    read_series(reader, side >= SIDES, is_total, &series[n], count, NULL);
+    good = reader->good && lay_blocks(&series[n], is_total, count, position);
+    if (good) {
+      read_series(&again, side >= SIDES, is_total, &series[n], count, position);
+    }
+  }
+  free(count);
+  free(position);
+  return good;
 }
 
 /* Returns whether the edges of a part ascend for every albedo. */
@@ -255,15 +328,29 @@ bool transport_table_open(transport_table *table, const uint8_t *bytes, size_t l
     table->field[i] = number_at(bytes + 24 + 8 * i);
   }
   struct reader reader = {bytes + TRANSPORT_TABLE_HEADER_BYTES, bytes + length, true};
-  for (int side = 0; side < 2 * SIDES; side++) {
+  table->packed = calloc(1, sizeof *table->packed);
+  bool good = table->packed != NULL;
+  for (int side = 0; side < 2 * SIDES && good; side++) {
     table->side[side] = reader.at;
-    if (!pass_over_side(&reader, side < SIDES ? 1 : 2, side < SIDES ? 2 : 3,
-                        &table->panels[side])) {
-      return false;
-    }
+    good = pack_side(&reader, side, table->packed->series[side], &table->panels[side]);
   }
   table->side[2 * SIDES] = reader.at;
-  return reader.at == reader.end && sane(table->field);
+  good = good && reader.at == reader.end && sane(table->field);
+  if (!good) {
+    transport_table_close(table);
+  }
+  return good;
+}
+
+void transport_table_close(transport_table *table) {
+  for (int side = 0; table->packed != NULL && side < 2 * SIDES; side++) {
+    for (int n = 0; n < SERIES_MAX; n++) {
+      free(table->packed->series[side][n].block);
+      free(table->packed->series[side][n].coefficient);
+    }
+  }
+  free(table->packed);
+  table->packed = NULL;
 }
 
 static transport_table shipped;
@@ -387,63 +474,127 @@ static void end_difference(transport_difference *difference) {
   difference->last_slope = 2 * slope / (edge[PANELS] - edge[PANELS - 1]);
 }
 
-static void read_panels(struct reader *reader, const double (*basis)[TERMS_MAX], size_t indices,
-                        double quantum, size_t terms[PANELS], double term[PANELS][TERMS_MAX]) {
-  for (int i = 0; i < PANELS; i++) {
-    terms[i] = read_series(reader, basis, indices, term[i]);
-    for (size_t k = 0; k < terms[i]; k++) {
-      term[i][k] *= quantum;
+/* ---- summing -------------------------------------------------------------------------------- */
+
+/* The polynomials of g and v, of one part. */
+struct weights {
+  double of_l[TERMS_MAX];
+  double of_v[TERMS_MAX];
+  double both[TERMS_MAX * TERMS_MAX]; /* [l][j] */
+};
+
+static void set_weights(const double *field, bool of_difference, double g, double eta,
+                        struct weights *weights) {
+  polynomials_of_v(field, eta, weights->of_v);
+  if (of_difference) {
+    polynomials_of_w(field, g, weights->of_l);
+  } else {
+    memset(weights->of_l, 0, sizeof weights->of_l);
+    weights->of_l[0] = 1;
+  }
+  for (size_t l = 0; l < (of_difference ? TERMS_MAX : 1); l++) {
+    for (size_t j = 0; j < TERMS_MAX; j++) {
+      weights->both[l * TERMS_MAX + j] = weights->of_l[l] * weights->of_v[j];
     }
   }
 }
 
-/* Reads a series of one term for the logarithm of a total per albedo, and returns the total. */
-static double read_total(struct reader *reader, const double (*basis)[TERMS_MAX], size_t indices,
-                         double quantum, double albedo) {
+/* Sets sum, from 0 to the largest number of terms of its blocks, to the sum of the blocks of i. */
+static void sum_blocks(const struct packed *series, size_t i, const double *weight, double *sum) {
+  memset(sum, 0, TERMS_MAX * sizeof *sum);
+  for (size_t b = series->first[i]; b < series->first[i + 1]; b++) {
+    const struct block *block = &series->block[b];
+    const int32_t *c = &series->coefficient[block->at];
+    const double factor = weight[block->weight];
+    for (size_t group = 0; group < block->groups; group++) {
+      for (size_t k = 0; k < LANES; k++) {
+        sum[group * LANES + k] += factor * c[group * LANES + k];
+      }
+    }
+  }
+}
+
+/* Sets row[k] to the sum over all indices but i and k. */
+static void sum_row(const struct packed *series, bool is_total, size_t i,
+                    const struct weights *weights, double quantum, double row[TERMS_MAX]) {
+  sum_blocks(series, i, is_total ? weights->of_l : weights->both, row);
+  if (is_total) {
+    double sum = 0;
+    for (size_t j = 0; j < TERMS_MAX; j++) {
+      sum += row[j] * weights->of_v[j];
+    }
+    row[0] = sum;
+  }
+  for (size_t k = 0; k < series->terms; k++) {
+    row[k] *= quantum;
+  }
+}
+
+/* Sets terms[k] to the sum of the row of each i times of_albedo[i]. */
+static void add_row(const double *row, size_t count, double of_albedo, double *terms) {
+  for (size_t k = 0; k < count; k++) {
+    terms[k] += of_albedo * row[k];
+  }
+}
+
+/* Sets terms to a series' coefficients of T_k, which a medium has. Returns their number. */
+static size_t sum_series(const struct packed *series, bool is_total, const struct weights *weights,
+                         double quantum, const double *of_albedo, double terms[TERMS_MAX]) {
+  double row[TERMS_MAX];
+  memset(terms, 0, TERMS_MAX * sizeof *terms);
+  for (size_t i = 0; i < series->of_albedo; i++) {
+    sum_row(series, is_total, i, weights, quantum, row);
+    add_row(row, series->terms, of_albedo[i], terms);
+  }
+  return series->terms;
+}
+
+static double sum_total(const struct packed *series, const struct weights *weights, double quantum,
+                        const double *of_albedo, double albedo) {
   double logarithm[TERMS_MAX];
-  read_series(reader, basis, indices, logarithm);
-  return albedo * fn_exp(logarithm[0] * quantum);
+  sum_series(series, true, weights, quantum, of_albedo, logarithm);
+  return albedo * fn_exp(logarithm[0]);
 }
 
 void transport_table_difference(const transport_table *table, double albedo, double g, double eta,
                                 transport_difference *difference) {
   assert(transport_table_covers_difference(table, albedo, g, eta));
-  const double *field = table->field;
-  const int side = SIDES + (int)transport_table_side(eta);
-  double basis[DIMENSIONS][TERMS_MAX];
-  polynomials_of_w(field, g, basis[0]);
-  polynomials_of_u(field, albedo, basis[1]);
-  polynomials_of_v(field, eta, basis[2]);
-  struct reader reader = {table->side[side], table->side[side + 1], true};
-  const double quantum = field[TRANSPORT_TABLE_TOTALS_QUANTUM];
-  difference->total = read_total(&reader, basis, 3, quantum, albedo);
-  difference->total_diffuse = read_total(&reader, basis, 3, quantum, albedo);
+  const double *field = table->field, quantum = field[TRANSPORT_TABLE_TOTALS_QUANTUM];
+  const struct packed *series = table->packed->series[SIDES + (int)transport_table_side(eta)];
+  struct weights weights;
+  double of_u[TERMS_MAX];
+  set_weights(field, true, g, eta, &weights);
+  polynomials_of_u(field, albedo, of_u);
+  difference->total = sum_total(&series[0], &weights, quantum, of_u, albedo);
+  difference->total_diffuse = sum_total(&series[1], &weights, quantum, of_u, albedo);
   difference->kappa = transport_anisotropic_kappa(albedo, g);
   difference->kappa_isotropic = transport_kappa(albedo);
   transport_table_edges(field, true, difference->kappa_isotropic, difference->edge);
-  memset(difference->term, 0, sizeof difference->term);
-  read_panels(&reader, basis, 3, field[TRANSPORT_TABLE_D_QUANTUM], difference->terms,
-              difference->term);
+  for (int i = 0; i < PANELS; i++) {
+    difference->terms[i] = sum_series(&series[TOTALS_MAX + i], false, &weights,
+                                      field[TRANSPORT_TABLE_D_QUANTUM], of_u, difference->term[i]);
+  }
   end_difference(difference);
 }
 
 void transport_table_look_up(const transport_table *table, double albedo, double g, double eta,
                              transport_series *series) {
   assert(transport_table_covers(table, albedo, g, eta));
-  const double *field = table->field;
-  const enum transport_table_side side = transport_table_side(eta);
-  const double quantum = field[TRANSPORT_TABLE_QUANTUM];
-  double basis[2][TERMS_MAX];
-  polynomials_of_t(field, albedo, basis[0]);
-  polynomials_of_v(field, eta, basis[1]);
-  struct reader reader = {table->side[side], table->side[side + 1], true};
+  const double *field = table->field, quantum = field[TRANSPORT_TABLE_QUANTUM];
+  const struct packed *packed = table->packed->series[transport_table_side(eta)];
+  struct weights weights;
+  double of_t[TERMS_MAX];
+  set_weights(field, false, 0, eta, &weights);
+  polynomials_of_t(field, albedo, of_t);
   series->g = g;
   series->kappa = transport_kappa(albedo);
-  series->total = read_total(&reader, basis, 2, quantum, albedo);
+  series->total = sum_total(&packed[0], &weights, quantum, of_t, albedo);
   series->total_diffuse = (double)NAN;
   series->ln_albedo = fn_log(albedo);
   transport_table_edges(field, false, series->kappa, series->edge);
-  read_panels(&reader, basis, 2, quantum, series->terms, series->term);
+  for (int i = 0; i < PANELS; i++) {
+    series->terms[i] = sum_series(&packed[1 + i], false, &weights, quantum, of_t, series->term[i]);
+  }
   if (g != 0) {
     transport_table_difference(table, albedo, g, eta, &series->difference);
     series->kappa = series->difference.kappa;
@@ -454,11 +605,11 @@ void transport_table_look_up(const transport_table *table, double albedo, double
 
 /* ---- slices ---------------------------------------------------------------------------------- */
 
-/* A series over k, as the table has it, and the albedo's index i; the other indices are summed. */
+/* A series over the albedo's index i and k; the other indices are summed. */
 struct slice_series {
   size_t terms;     /* of k */
   size_t of_albedo; /* of i */
-  double term[TERMS_MAX][TERMS_MAX];
+  double row[TERMS_MAX][TERMS_MAX];
 };
 
 /* The parts of a slice: of isotropic scattering, then of D. */
@@ -469,21 +620,12 @@ struct transport_slice {
   struct slice_series beam, diffuse, difference[PANELS];
 };
 
-/* Reads a series whose indices are k, that of g if of_g is not NULL, the albedo's and that of v. */
-static void read_slice(struct reader *reader, const double *of_g, const double (*of_v)[TERMS_MAX],
-                       double quantum, struct slice_series *series) {
-  series->terms = read_count(reader, 1);
-  series->of_albedo = 0;
-  for (size_t k = 0; k < series->terms; k++) {
-    const size_t outer = of_g != NULL ? read_count(reader, 0) : 1;
-    for (size_t l = 0; l < outer; l++) {
-      const double factor = of_g != NULL ? quantum * of_g[l] : quantum;
-      const size_t count = read_count(reader, 0);
-      series->of_albedo = count > series->of_albedo ? count : series->of_albedo;
-      for (size_t i = 0; i < count; i++) {
-        series->term[k][i] += factor * read_sum(reader, of_v, 1);
-      }
-    }
+static void slice_of(const struct packed *series, bool is_total, const struct weights *weights,
+                     double quantum, struct slice_series *slice) {
+  slice->terms = series->terms;
+  slice->of_albedo = series->of_albedo;
+  for (size_t i = 0; i < series->of_albedo; i++) {
+    sum_row(series, is_total, i, weights, quantum, slice->row[i]);
   }
 }
 
@@ -495,34 +637,32 @@ transport_slice *transport_slice_create(const transport_table *table, double g, 
   }
   const double *field = table->field;
   const int side = transport_table_side(eta);
-  double of_g[TERMS_MAX], of_v[1][TERMS_MAX];
+  const struct packed *series = table->packed->series[side];
+  struct weights weights;
   slice->table = table;
   slice->g = g;
   slice->eta = eta;
-  polynomials_of_v(field, eta, of_v[0]);
-  polynomials_of_w(field, g, of_g);
-  struct reader reader = {table->side[side], table->side[side + 1], true};
-  read_slice(&reader, NULL, of_v, field[TRANSPORT_TABLE_QUANTUM], &slice->total);
+  set_weights(field, false, 0, eta, &weights);
+  slice_of(&series[0], true, &weights, field[TRANSPORT_TABLE_QUANTUM], &slice->total);
   for (int i = 0; i < PANELS; i++) {
-    read_slice(&reader, NULL, of_v, field[TRANSPORT_TABLE_QUANTUM], &slice->panel[i]);
+    slice_of(&series[1 + i], false, &weights, field[TRANSPORT_TABLE_QUANTUM], &slice->panel[i]);
   }
-  reader = (struct reader){table->side[SIDES + side], table->side[SIDES + side + 1], true};
-  read_slice(&reader, of_g, of_v, field[TRANSPORT_TABLE_TOTALS_QUANTUM], &slice->beam);
-  read_slice(&reader, of_g, of_v, field[TRANSPORT_TABLE_TOTALS_QUANTUM], &slice->diffuse);
+  series = table->packed->series[SIDES + side];
+  set_weights(field, true, g, eta, &weights);
+  slice_of(&series[0], true, &weights, field[TRANSPORT_TABLE_TOTALS_QUANTUM], &slice->beam);
+  slice_of(&series[1], true, &weights, field[TRANSPORT_TABLE_TOTALS_QUANTUM], &slice->diffuse);
   for (int i = 0; i < PANELS; i++) {
-    read_slice(&reader, of_g, of_v, field[TRANSPORT_TABLE_D_QUANTUM], &slice->difference[i]);
+    slice_of(&series[TOTALS_MAX + i], false, &weights, field[TRANSPORT_TABLE_D_QUANTUM],
+             &slice->difference[i]);
   }
   return slice;
 }
 
 /* Sets the terms of k of a medium. Returns their number. */
 static size_t sum_slice(const struct slice_series *series, const double *of_albedo, double *terms) {
-  for (size_t k = 0; k < series->terms; k++) {
-    double sum = 0;
-    for (size_t i = 0; i < series->of_albedo; i++) {
-      sum += series->term[k][i] * of_albedo[i];
-    }
-    terms[k] = sum;
+  memset(terms, 0, series->terms * sizeof *terms);
+  for (size_t i = 0; i < series->of_albedo; i++) {
+    add_row(series->row[i], series->terms, of_albedo[i], terms);
   }
   return series->terms;
 }

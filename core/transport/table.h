@@ -52,8 +52,8 @@
  * A series is a sum of c_kij T_k T_i T_j, Chebyshev polynomials of y (in the panel), t and v (in
  * the table's range), each mapped to -1 to 1. A series of D is a sum of c_klij T_k T_l T_i T_j over
  * y, w, u and v. The bytes of a series are the number of k (one byte; 1 for a total), for each k the
- * number of the next index (one byte), and so on, and for each j the integer c / quantum. An
- * integer is written in zigzag order (0, -1, 1, -2, ... become 0, 1, 2, 3, ...), seven bits to a
+ * number of the next index (one byte), and so on, and for each j the integer c / quantum, of at most
+ * 32 bits. An integer is written in zigzag order (0, -1, 1, -2, ... become 0, 1, 2, 3, ...), seven bits to a
  * byte, the lowest first; the eighth bit of a byte is set if another byte follows.
  *
  * ERROR: the table was compared with the solvers at media and radii that were not used to make it.
@@ -136,19 +136,23 @@ enum transport_table_side {
   TRANSPORT_TABLE_SIDES
 };
 
-/* An opened table. It points into the bytes that it was opened from. */
+/* An opened table. It points into the bytes that it was opened from. `packed` is a copy of the
+ * coefficients, about a megabyte, in the order in which they are summed. */
 typedef struct transport_table {
   double field[TRANSPORT_TABLE_FIELDS];
   /* position where each side begins, first those of isotropic scattering, then those of D; and the
    * end of the last */
   const uint8_t *side[2 * TRANSPORT_TABLE_SIDES + 1];
   const uint8_t *panels[2 * TRANSPORT_TABLE_SIDES]; /* position where the totals of a side end */
+  struct transport_packed *packed;
 } transport_table;
 
-/* Opens a table after checking all of its bytes. Returns false if the bytes are damaged or of
- * another version; then *table must not be used. The bytes may have any values and any alignment.
- * They must outlive the table. */
+/* Opens a table after checking all of its bytes, in some milliseconds. Returns false if the bytes
+ * are damaged or of another version, or if memory runs out; then *table must not be used. The bytes
+ * may have any values and any alignment. They must outlive the table. The caller closes it with
+ * transport_table_close(). */
 bool transport_table_open(transport_table *table, const uint8_t *bytes, size_t length);
+void transport_table_close(transport_table *table);
 
 /* Returns the table that is part of the program, or NULL if it is damaged. It is mapped read-only
  * with the program, and all processes share it. Any thread may call this at any time. */

@@ -7,6 +7,7 @@
 #include <pthread.h>
 #include <stdlib.h>
 
+#include "core/transport/decay.h"
 #include "core/transport/equation.h"
 #include "core/transport/functions.h"
 #include "core/transport/nodes.h"
@@ -138,36 +139,6 @@ static const spectrum_grid *grid_of(transport_boundary *boundary, size_t level, 
   const spectrum_grid *grid = boundary->grids[level][i];
   pthread_mutex_unlock(&boundary->lock);
   return grid;
-}
-
-/* ---- decay ---------------------------------------------------------------------------------- */
-
-/* x = atanh(kappa) solves tanh(x) / x = a. The code uses Newton's method from x = 1 / a, from where
- * it converges from one side. For weak absorption this would lose digits, so there the code solves
- * for kappa in the series
- *
- *   atanh(kappa) / kappa = 1 + kappa^2 / 3 + kappa^4 / 5 + ... = 1 / a.
- */
-double transport_kappa(double albedo) {
-  if (albedo > 0.999) {
-    const double excess = (1 - albedo) / albedo;
-    double square = 0;
-    for (int i = 0; i < 6; i++) {
-      square = excess / (1.0 / 3 + square * (1.0 / 5 + square * (1.0 / 7 + square / 9)));
-    }
-    return sqrt(square);
-  }
-  if (albedo < 0.04) {
-    return 1; /* kappa is 1 within 1e-20 here */
-  }
-  double x = 1 / albedo;
-  double tanh_x = 1;
-  for (int i = 0; i < 60; i++) {
-    const double e = fn_exp(-2 * x);
-    tanh_x = (1 - e) / (1 + e);
-    x -= (albedo * x - tanh_x) / (albedo - (1 - tanh_x * tanh_x));
-  }
-  return tanh_x;
 }
 
 /* ---- solutions ------------------------------------------------------------------------------ */

@@ -86,8 +86,4 @@ transport_number transport_total(const transport_solution *solution);
  * transport_solve(). */
 core_fault transport_solve_total(transport_number *total, double eta, double albedo);
 
-/* Returns kappa, the rate per mean free path at which diffuse light decays far away: from 0 for
- * albedo 1 to 1 for albedo 0. The relative error is below 1e-11. albedo: 0 to 1. */
-double transport_kappa(double albedo);
-
 #endif

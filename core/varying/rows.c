@@ -1,5 +1,6 @@
 /* The energy within is a Chebyshev series in x for each panel. Q is that of the table's series, some
  * of whose edges move with the albedo: panels do not end there. */
+#include "core/transport/decay.h"
 #include "core/varying/rows.h"
 
 #include <assert.h>
@@ -9,7 +10,6 @@
 
 #include "core/transport/anisotropic.h"
 #include "core/transport/functions.h"
-#include "core/transport/transport.h"
 
 enum { TERMS = ROWS_TERMS, BASES = ROWS_BASES, STEPS = 40, KAPPA_TERMS = 32, TOGETHER = 64 };
 

@@ -2,6 +2,7 @@
  * next to which a solver has nothing to hold on to. */
 #include <math.h>
 
+#include "core/transport/decay.h"
 #include "core/transport/transport.h"
 #include "tests/unit/unit.h"
 

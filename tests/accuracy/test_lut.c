@@ -9,7 +9,7 @@
 #include <math.h>
 #include <time.h>
 
-#include "core/transport/transport.h"
+#include "core/transport/decay.h"
 #include "tests/accuracy/table_case.h"
 #include "tests/unit/unit.h"
 

@@ -6,6 +6,7 @@
 #include <math.h>
 
 #include "core/choose.h"
+#include "core/transport/decay.h"
 #include "core/transport/transport.h"
 #include "tests/unit/unit.h"
 

@@ -407,7 +407,11 @@ static struct copy copy_shipped(uint8_t **memory) {
 
 static bool opens(struct copy copy) {
   transport_table table;
-  return transport_table_open(&table, copy.bytes, copy.length);
+  const bool good = transport_table_open(&table, copy.bytes, copy.length);
+  if (good) {
+    transport_table_close(&table);
+  }
+  return good;
 }
 
 UNIT_TEST(damaged_tables_are_refused) {

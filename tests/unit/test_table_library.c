@@ -3,6 +3,7 @@
 #include <math.h>
 
 #include "core/lut/lut.h"
+#include "core/transport/decay.h"
 #include "core/transport/transport.h"
 #include "proto/channels.h"
 #include "proto/table.h"

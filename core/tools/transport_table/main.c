@@ -17,6 +17,7 @@
 #include "core/splitmix.h"
 #include "core/tools/tools.h"
 #include "core/tools/transport_table/nodes.h"
+#include "core/transport/decay.h"
 #include "core/transport/functions.h"
 #include "core/transport/table.h"
 #include "core/transport/transport.h"
@@ -492,6 +493,7 @@ static table_bytes make_all(const char *folder) {
   report_one("R", &result.R, field[TRANSPORT_TABLE_ERROR]);
   report_one("total", &result.total, field[TRANSPORT_TABLE_ERROR]);
   report_difference(&result, field);
+  transport_table_close(&table);
   for (size_t i = 0; i < ALL; i++) {
     sample_free(&samples[i]);
   }
@@ -525,11 +527,13 @@ static table_bytes make_difference(const char *folder, const char *path) {
   }
   samples_solve(folder, samples + NODES_D, CHECKS_D);
   nodes_encode_difference(&bytes, samples, false);
+  transport_table_close(&table);
   open_bytes(&table, bytes);
   checks_result result = checks_compare(&table, samples + NODES_D, CHECKS_D);
   set_errors_of_difference(table.field, &result);
   nodes_seal(bytes, table.field);
   report_difference(&result, table.field);
+  transport_table_close(&table);
   for (size_t i = 0; i < ALL; i++) {
     sample_free(&samples[i]);
   }
@@ -543,6 +547,7 @@ static table_bytes make_totals(const char *path) {
   table.field[TRANSPORT_TABLE_TOTALS_QUANTUM] = fields[TRANSPORT_TABLE_TOTALS_QUANTUM];
   nodes_seal(bytes, table.field);
   nodes_encode_difference(&bytes, NULL, true);
+  transport_table_close(&table);
   return bytes;
 }
 
@@ -567,6 +572,7 @@ int main(int argc, char **argv) {
   FILE *file = tools_open(path);
   fwrite(bytes.bytes, bytes.length, 1, file);
   tools_close(file, path);
+  transport_table_close(&table);
   printf("transport.table: %zu bytes\n", bytes.length);
   free(bytes.bytes);
   return EXIT_SUCCESS;

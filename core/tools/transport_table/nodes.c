@@ -7,9 +7,9 @@
 #include <string.h>
 
 #include "core/transport/anisotropic.h"
+#include "core/transport/decay.h"
 #include "core/transport/functions.h"
 #include "core/transport/table.h"
-#include "core/transport/transport.h"
 
 enum {
   PANELS = TRANSPORT_TABLE_PANELS,
@@ -588,6 +588,7 @@ void nodes_encode_difference(table_bytes *table, const table_sample *samples, bo
     }
   }
   nodes_seal(writer, isotropic.field);
+  transport_table_close(&isotropic);
   free(totals.at);
   free(table->bytes);
   *table = writer;
