@@ -10,6 +10,7 @@
 #include <unistd.h>
 
 #include "proto/standard.h"
+#include "server/http/library.h"
 #include "server/http/service.h"
 #include "server/jobs/mc_pool.h"
 #include "server/modbus/service.h"
@@ -324,9 +325,17 @@ static bool set_up_modbus(struct server *server) {
 static bool set_up_tls(struct server *server) {
   const struct options *options = &server->options;
   const bool wanted = tls_is_wanted(options);
+  const bool names_clients = options->client_ca != NULL || options->roles != NULL;
+  /* In the environment, clients of this machine may have named their own certificate. */
+  const bool names_ours =
+      options->certificate != NULL && options->certificate != getenv("DIPOLED_CERTIFICATE");
   if (options->roles != NULL && options->client_ca == NULL && (wanted || options->fd == NULL)) {
     return complain("--roles",
                     "it needs --client-ca FILE: roles are those of clients' certificates");
+  }
+  if (!wanted && options->fd == NULL && (names_clients || names_ours)) {
+    return complain(names_clients ? "--client-ca" : "--certificate",
+                    "no address has TLS: give --listen or --modbus tls:HOST:PORT, too");
   }
   server->tls = wanted ? tls_new(&server->options) : NULL;
   return !wanted || server->tls != NULL;
@@ -384,7 +393,8 @@ static void raise_descriptor_limit(void) {
 static int run(struct daemon *daemon) {
   struct server *server = &daemon->server;
   if (!set_log_level(&server->options) || !choose_isa(server) ||
-      !access_read_option("allow", &server->options.allow, &access_anyone, &server->allow)) {
+      !access_read_option("allow", &server->options.allow, &access_anyone, &server->allow) ||
+      !http_library_check_names(&server->options.http_name)) {
     return 2;
   }
   server->buffers.most = server->options.max_total_bytes;

@@ -187,9 +187,20 @@ static bool check_variables(void) {
   return good;
 }
 
-static bool read_environment(struct options *options) {
+/* Returns whether an option makes the daemon serve whoever reaches an address. */
+static bool serves_others(const struct description *option) {
+  return option->offset == AT(listen) || option->offset == AT(modbus) ||
+         option->offset == AT(http) || option->offset == AT(metrics);
+}
+
+/* is_private: the daemon is for one program alone, whose user may have set these variables for
+ * another daemon. */
+static bool read_environment(struct options *options, bool is_private) {
   for (int i = 0; i < OPTIONS; i++) {
     const struct description *option = &descriptions[i];
+    if (is_private && serves_others(option)) {
+      continue;
+    }
     char name[VARIABLE_BYTES];
     name_variable(option, name);
     const char *text = getenv(name);
@@ -336,7 +347,11 @@ enum options_outcome options_read(int argc, char **argv, struct options *options
       *(uint64_t *)place(options, &descriptions[i]) = descriptions[i].default_value;
     }
   }
-  if (!read_environment(options) || !check_variables()) {
+  bool is_private = false;
+  for (int i = 1; i < argc; i++) {
+    is_private |= strncmp(argv[i], "--fd", 4) == 0;
+  }
+  if (!read_environment(options, is_private) || !check_variables()) {
     return OPTIONS_EXIT_USAGE;
   }
   const enum options_outcome outcome = read_command_line(argc, argv, options);

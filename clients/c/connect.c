@@ -173,34 +173,6 @@ static int set_attributes(posix_spawnattr_t *attributes) {
   return fault != 0 ? fault : posix_spawnattr_setflags(attributes, flags);
 }
 
-/* Returns whether an environment variable would make the daemon serve other clients, too. */
-static bool serves_others(const char *variable) {
-  static const char *const names[] = {
-      "DIPOLED_LISTEN=", "DIPOLED_METRICS=", "DIPOLED_MODBUS=", "DIPOLED_HTTP="};
-  for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
-    if (strncmp(variable, names[i], strlen(names[i])) == 0) {
-      return true;
-    }
-  }
-  return false;
-}
-
-/* Returns the program's environment without the variables that would make the daemon serve other
- * clients. The caller frees it. */
-static char **private_environment(void) {
-  size_t count = 0;
-  while (environ[count] != NULL) {
-    count++;
-  }
-  char **kept = calloc(count + 1, sizeof *kept);
-  for (size_t i = 0, at = 0; kept != NULL && i < count; i++) {
-    if (!serves_others(environ[i])) {
-      kept[at++] = environ[i];
-    }
-  }
-  return kept;
-}
-
 /* Starts a private daemon, which logs only errors. Returns 0 or an errno. */
 static int spawn(const char *program, int fd, pid_t *pid) {
   char number[16];
@@ -208,21 +180,18 @@ static int spawn(const char *program, int fd, pid_t *pid) {
   posix_spawn_file_actions_t actions;
   posix_spawnattr_t attributes;
   snprintf(number, sizeof number, "%d", DAEMON_FD);
-  char **environment = private_environment();
-  int fault = environment != NULL ? posix_spawn_file_actions_init(&actions) : ENOMEM;
+  int fault = posix_spawn_file_actions_init(&actions);
   if (fault == 0) {
     fault = posix_spawnattr_init(&attributes);
     if (fault == 0) {
       fault = set_files(&actions, fd);
       fault = fault != 0 ? fault : set_attributes(&attributes);
-      fault = fault != 0
-                  ? fault
-                  : posix_spawnp(pid, program, &actions, &attributes, arguments, environment);
+      fault = fault != 0 ? fault
+                         : posix_spawnp(pid, program, &actions, &attributes, arguments, environ);
       posix_spawnattr_destroy(&attributes);
     }
     posix_spawn_file_actions_destroy(&actions);
   }
-  free(environment);
   return fault;
 }
 

@@ -47,27 +47,49 @@ static enum MHD_Result note_field(void *context, enum MHD_ValueKind kind, const 
   return MHD_YES;
 }
 
-/* Returns whether HOST[:PORT] is an address, localhost, or a name that the options list. */
-static bool is_our_host(const struct options *options, const char *host) {
+/* What a name of a host consists of. */
+#define NAME_BYTES "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-._"
+
+bool http_library_check_names(const struct options_list *names) {
+  for (size_t i = 0; i < names->count; i++) {
+    const char *name = names->items[i];
+    const size_t length = strlen(name);
+    if (length == 0 || strspn(name, NAME_BYTES) != length || name[length - 1] == '.') {
+      fprintf(stderr, "dipoled: --http-name is a name alone, as farm7.example, not '%s'\n", name);
+      return false;
+    }
+  }
+  return true;
+}
+
+enum whose { OURS, FOREIGN, MALFORMED };
+
+/* Says whether HOST[:PORT] is an address, localhost, or a name that the options list. */
+static enum whose whose_host(const struct options *options, const char *host) {
   char name[256];
   uint8_t address[16];
   const bool brackets = host[0] == '[';
   host += brackets;
-  const size_t length = strcspn(host, brackets ? "]" : ":/?");
+  const size_t length = brackets ? strcspn(host, "]") : strspn(host, NAME_BYTES);
   const char *end = host + length + (brackets && host[length] != '\0');
-  if (length >= sizeof name || strchr(":/?", *end) == NULL) {
-    return false;
+  end += *end == ':' ? 1 + strspn(end + 1, "0123456789") : 0;
+  if (length >= sizeof name || strchr("/?", *end) == NULL ||
+      (brackets && host[length] != ']')) {
+    return MALFORMED;
   }
   memcpy(name, host, length);
   name[length] = '\0';
   if (brackets) {
-    return inet_pton(AF_INET6, name, address) == 1;
+    return inet_pton(AF_INET6, name, address) == 1 ? OURS : MALFORMED;
+  }
+  if (length > 0 && name[length - 1] == '.') {
+    name[length - 1] = '\0'; /* the root of all names */
   }
   bool ours = strcasecmp(name, "localhost") == 0 || inet_pton(AF_INET, name, address) == 1;
   for (size_t i = 0; i < options->http_name.count; i++) {
     ours |= strcasecmp(name, options->http_name.items[i]) == 0;
   }
-  return ours;
+  return ours ? OURS : FOREIGN;
 }
 
 static bool may_ask(const struct options *options, const struct header *header, bool is_open) {
@@ -85,10 +107,12 @@ unsigned http_library_check(struct MHD_Connection *connection, const struct opti
   const bool is_old = strcmp(version, MHD_HTTP_VERSION_1_0) == 0;
   MHD_get_connection_values(connection, MHD_HEADER_KIND, note_field, &header);
   const char *host = strncasecmp(target, "http://", 7) == 0 ? target + 7 : header.host;
+  const enum whose whose = host != NULL ? whose_host(options, host) : OURS;
   const char *field =
-      header.broken                                     ? "header"
-      : header.hosts != 1 && !(is_old && !header.hosts) ? MHD_HTTP_HEADER_HOST
-      : header.codings + header.lengths > 1             ? MHD_HTTP_HEADER_CONTENT_LENGTH
+      header.broken ? "header"
+      : whose == MALFORMED || (header.hosts != 1 && !(is_old && !header.hosts))
+          ? MHD_HTTP_HEADER_HOST
+      : header.codings + header.lengths > 1 ? MHD_HTTP_HEADER_CONTENT_LENGTH
       : header.coding != NULL && (is_old || strcasecmp(header.coding, "chunked") != 0)
           ? MHD_HTTP_HEADER_TRANSFER_ENCODING
           : NULL;
@@ -97,7 +121,7 @@ unsigned http_library_check(struct MHD_Connection *connection, const struct opti
                              "unfolded lines NAME: VALUE, one Host, one Content-Length or chunked");
     return MHD_HTTP_BAD_REQUEST;
   }
-  if (host != NULL && !is_our_host(options, host)) {
+  if (whose == FOREIGN) {
     *error = wire_error_make(WIRE_STATUS_NOT_ALLOWED, MHD_HTTP_HEADER_HOST,
                              "an address, localhost, or a name that --http-name gives");
     return MHD_HTTP_MISDIRECTED_REQUEST;

@@ -22,6 +22,9 @@ unsigned http_library_check(struct MHD_Connection *connection, const struct opti
                             const char *target, const char *version, const char *open_path,
                             wire_error *error);
 
+/* Checks the values of --http-name. Prints a message and returns false if one can match no Host. */
+bool http_library_check_names(const struct options_list *names);
+
 /* Listens at [HOST]:PORT, where no HOST means the loopback interface: at each address of a name.
  * Returns how many sockets it has opened. On failure, prints a message with the option's name to
  * standard error and returns 0. */

@@ -10,6 +10,7 @@
 #include <string.h>
 #include <sys/resource.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
 #include <sys/syscall.h>
 #include <unistd.h>
 
@@ -19,6 +20,9 @@ enum {
   KEPT_SHARE = 16,        /* at most one in so many */
   OWN_DESCRIPTORS = 1024, /* more than a daemon has that begins to listen */
 };
+
+/* What an IPv4 address in IPv6 begins with (RFC 4291). */
+#define MAPPED "::ffff:"
 
 static void write_address(const struct sockaddr *address, socklen_t length,
                           char text[TCP_TEXT_BYTES]) {
@@ -30,8 +34,10 @@ static void write_address(const struct sockaddr *address, socklen_t length,
              address->sa_data);
   } else if (getnameinfo(address, length, host, sizeof host, port, sizeof port,
                          NI_NUMERICHOST | NI_NUMERICSERV) == 0) {
-    const bool bracket = address->sa_family == AF_INET6;
-    snprintf(text, TCP_TEXT_BYTES, "%s%s%s:%s", bracket ? "[" : "", host, bracket ? "]" : "", port);
+    const bool mapped = strncmp(host, MAPPED, strlen(MAPPED)) == 0;
+    const bool bracket = address->sa_family == AF_INET6 && !mapped;
+    snprintf(text, TCP_TEXT_BYTES, "%s%s%s:%s", bracket ? "[" : "",
+             host + (mapped ? strlen(MAPPED) : 0), bracket ? "]" : "", port);
   }
 }
 
@@ -69,6 +75,14 @@ static bool is_any(const char *address) {
   return strncmp(address, "0.0.0.0:", 8) == 0 || strncmp(address, "[::]:", 5) == 0;
 }
 
+/* Returns whether two addresses are the same, or paths that lead to the same socket. */
+static bool is_same(const char *a, const char *b) {
+  struct stat one, other;
+  return strcmp(a, b) == 0 ||
+         (strncmp(a, "unix:", 5) == 0 && strncmp(b, "unix:", 5) == 0 && stat(a + 5, &one) == 0 &&
+          stat(b + 5, &other) == 0 && one.st_dev == other.st_dev && one.st_ino == other.st_ino);
+}
+
 /* Returns whether an address takes in another, which may be a path. */
 static bool takes_in(const char *a, const char *b) {
   return is_any(a) && strncmp(b, "unix:", 5) != 0 && strrchr(b, ':') != NULL &&
@@ -85,7 +99,7 @@ static bool listens_at(const char *address, bool exact) {
     socklen_t length = sizeof listens;
     if (getsockopt(fd, SOL_SOCKET, SO_ACCEPTCONN, &listens, &length) == 0 && listens != 0) {
       tcp_bound(fd, bound);
-      found = strcmp(bound, address) == 0 ||
+      found = is_same(bound, address) ||
               (!exact && (takes_in(bound, address) || takes_in(address, bound)));
     }
   }

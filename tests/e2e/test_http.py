@@ -19,7 +19,7 @@ from urllib.parse import quote
 import dipole
 import numpy as np
 import pytest
-from daemons import BUILD, Daemon, eventually, sanitized
+from daemons import BUILD, Daemon, eventually, run, sanitized
 from installing import npm_install
 
 TIMEOUT_S = 30
@@ -708,14 +708,21 @@ def test_a_name_that_is_not_the_daemons_is_421(served, daemon, port):
             return int(sock.recv(65536).split()[1])
 
     named = daemon("--http", "127.0.0.1:0", "--metrics", "127.0.0.1:0", "--http-name", "render.example")
-    for host in ("localhost", "LocalHost:80", "127.0.0.1:80", "192.0.2.1", "[::1]", "[2001:db8::1]:80"):
+    for host in ("localhost", "localhost.", "LocalHost:80", "127.0.0.1:80", "192.0.2.1", "[::1]", "[2001:db8::1]:80"):
         assert status(served, host) == status(named, host) == 200, host
-    for host in ("evil.example", "localhost.evil.example", "", "127.0.0.1.evil.example", "::1", "[::1].evil",
-                 "a" * 300, "127.0.0.1@evil", "[localhost]x"):
+    for host in ("evil.example", "localhost.evil.example", "", "127.0.0.1.evil.example", "localhost.."):
         assert status(served, host) == status(named, host) == 421, host
+    for host in ("localhost:evil", "::1", "[::1].evil", "[::1", "[localhost]", "127.0.0.1@evil", "a" * 300):
+        assert status(served, host) == status(named, host) == 400, host
     for host in ("render.example", "Render.Example:8017"):
         assert (status(served, host), status(named, host)) == (421, 200)
     assert status(served, "localhost", "GET http://evil.example/healthz") == 421
+
+
+@pytest.mark.parametrize("name", ["", "*", "farm7:8017", "farm7.", "http://farm7", "[::1]"])
+def test_names_that_no_request_can_have(name):
+    ended = run("--http", "127.0.0.1:0", "--http-name", name)
+    assert ended.returncode == 2 and f"--http-name is a name alone, as farm7.example, not '{name}'" in ended.stderr
 
 
 def test_other_sites_ask_nothing(served, daemon):

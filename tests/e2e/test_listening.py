@@ -177,6 +177,8 @@ def test_all_addresses_of_both_kinds(daemon, turned):
     [("--listen unix:{0}/s", "--listen unix:{0}/s"),
      ("--listen tcp:127.0.0.1:{1}", "--listen tcp:127.0.0.1:{1}"),
      ("--listen tcp:localhost:{1}", "--modbus tcp:0.0.0.0:{1}"),
+     ("--listen unix:{0}/s", "--listen unix:{0}/../{2}/s"),
+     ("--listen tcp:127.0.0.1:{1}", "--listen tcp:[::ffff:127.0.0.1]:{1}"),
      ("--listen tcp:127.0.0.1:{1}", "--http {1}"),
      ("--metrics {1}", "--listen tcp:0.0.0.0:{1}"),
      ("--modbus rtu:/none", "--modbus rtu:/none,9600")],
@@ -185,7 +187,7 @@ def test_the_same_address_twice(folder, first, second):
     with socket.socket() as free:
         free.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         free.bind(("127.0.0.1", 0))
-        ended = run(*f"{first} {second}".format(folder, free.getsockname()[1]).split())
+        ended = run(*f"{first} {second}".format(folder, free.getsockname()[1], folder.name).split())
     assert ended.returncode == 1 and re.search("daemon listens there already|name each device once", ended.stderr)
     assert not (folder / "s").exists()
 

@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 from certificates import FLOODS, Authority, Recorder
 from daemons import BUILD, END_S, PROGRAM, environment, eventually, run, sanitized
-from frames import PING, SKIN, frame
+from frames import PING, SKIN, assert_serves, frame
 
 RADII = np.linspace(0.1, 5.0, 65536)
 TLS = "tls:127.0.0.1:0"
@@ -417,6 +417,15 @@ def test_a_file_of_roles_that_is_missing(server):
 def test_roles_need_certificates_of_clients(server, listen):
     ended = run("--listen", listen, *options(server, "--roles", "/dev/null"))
     assert ended.returncode == 1 and "dipoled: --roles: it needs --client-ca FILE" in ended.stderr
+
+
+def test_certificates_need_an_address_with_tls(daemon, server):
+    """A client's own certificate may stand in the same environment."""
+    for more, name in (["--client-ca", server[0]], "--client-ca"), ([], "--certificate"):
+        ended = run("--listen", "tcp:127.0.0.1:0", *options(server, *more))
+        assert ended.returncode == 1 and f"dipoled: {name}: no address has TLS" in ended.stderr
+    with daemon(env={"DIPOLED_CERTIFICATE": server[0], "DIPOLED_KEY": server[1]}).connect() as connection:
+        assert_serves(connection)
 
 
 # ---- reloading -----------------------------------------------------------------------------------

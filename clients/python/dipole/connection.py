@@ -285,7 +285,6 @@ class Connection:
         """Starts a daemon. It logs only errors, to the standard error of this program."""
         pair = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
         ours, theirs = map(_above_standard, pair)
-        kept = {k: v for k, v in os.environ.items() if k not in _SERVES_OTHERS}
         try:
             with theirs:
                 self._process = subprocess.Popen(
@@ -293,7 +292,6 @@ class Connection:
                     pass_fds=[theirs.fileno()],
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,
-                    env=kept,
                     process_group=0,  # so that the interrupt key does not end the daemon first
                 )
         except BaseException:
@@ -439,9 +437,6 @@ class Connection:
 
 # What a socket with TLS raises when it has to wait.
 TLS_WAITS = (ssl.SSLWantReadError, ssl.SSLWantWriteError)
-
-# Environment variables that would make a private daemon serve other clients, too.
-_SERVES_OTHERS = ("DIPOLED_LISTEN", "DIPOLED_METRICS", "DIPOLED_MODBUS", "DIPOLED_HTTP")
 
 
 def frame_pieces(
