@@ -21,7 +21,7 @@ void libdipole_stream_init(libdipole_stream *stream, int fd) {
   stream->tls = NULL;
   stream->address[0] = '\0';
   stream->send_errno = 0;
-  stream->silent = false;
+  stream->heard = stream->silent = false;
   stream->out = NULL;
   stream->out_begin = stream->out_end = stream->out_capacity = 0;
   stream->target = NULL;
@@ -156,9 +156,13 @@ static bool receive(libdipole_stream *stream, dipole_error *error) {
                ? fail_lost(stream, stream->send_errno, error)
                : libdipole_fail(
                      error, DIPOLE_ERROR_CONNECTION,
-                     "the daemon, or a proxy, closed the connection%s%s without a reason",
-                     stream->address[0] != '\0' ? " at " : "", stream->address);
+                     "the daemon, or a proxy, closed the connection%s%s without a reason%s",
+                     stream->address[0] != '\0' ? " at " : "", stream->address,
+                     !stream->heard && strncmp(stream->address, "tcp:", 4) == 0
+                         ? ": is it a tls: address?"
+                         : "");
   }
+  stream->heard = true;
   if (stream->target_bytes > 0) {
     stream->target += got;
     stream->target_bytes -= (size_t)got;

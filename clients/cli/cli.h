@@ -62,11 +62,12 @@ enum cli_form { CLI_NONE, CLI_TABLE, CLI_CSV, CLI_JSON };
 /* The settings of every command start with these. */
 typedef struct cli_common {
   const char *connect; /* one address or several; NULL for $DIPOLED or else a private daemon */
+  bool is_service;     /* whether it is the installed service, which nobody has named */
   const char *ca;      /* files for tls: addresses; NULL if they are not given */
   const char *certificate;
   const char *key;
-  const char *format;  /* what --format says; NULL if it is not given */
-  enum cli_form form;  /* what --format means, also if it is not given */
+  const char *format; /* what --format says; NULL if it is not given */
+  enum cli_form form; /* what --format means, also if it is not given */
   cli_count timeout_ms;
   cli_count retry_ms;
   const char *operand;        /* NULL if there is none */
@@ -79,12 +80,12 @@ enum { CLI_LISTS_MAX = 6 };
 
 typedef struct cli_command {
   const char *name;
-  const char *operand;  /* what --help calls it; NULL if the command takes none */
+  const char *operand;        /* what --help calls it; NULL if the command takes none */
   const char *second_operand; /* the same for one that may follow */
-  const char *about;    /* one line */
-  const char *more;     /* further text for --help, which ends with a newline; NULL if none */
-  const char *examples; /* example command lines; the text ends with a newline */
-  const char *formats;  /* the values of --format, separated by commas; the first is the default */
+  const char *about;          /* one line */
+  const char *more;           /* further text for --help, which ends with a newline; NULL if none */
+  const char *examples;       /* example command lines; the text ends with a newline */
+  const char *formats; /* the values of --format, separated by commas; the first is the default */
   const cli_option *options[CLI_LISTS_MAX]; /* lists of its options, in the order of --help */
   const char *usual_file;                   /* for options of kind CLI_FILES */
   size_t settings_bytes;                    /* size of its settings, which are zeroed first */

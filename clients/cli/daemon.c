@@ -58,7 +58,7 @@ dipole_client *cli_open(const cli_common *common) {
   }
   cli_fail("%s", error.text);
   if (error.kind == DIPOLE_ERROR_CONNECT && error.status == 0 && address != NULL &&
-      strncmp(address, "private:", strlen("private:")) != 0) {
+      strncmp(address, "private:", strlen("private:")) != 0 && !common->is_service) {
     const bool several = strstr(address, ",unix:") != NULL || strstr(address, ",tcp:") != NULL ||
                          strstr(address, ",tls:") != NULL;
     fprintf(stderr,

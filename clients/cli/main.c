@@ -80,6 +80,7 @@ static void find_service(cli_common *common) {
   const int fd = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
   if (fd >= 0 && connect(fd, (const struct sockaddr *)&at, sizeof at) == 0) {
     common->connect = "unix:" SERVICE;
+    common->is_service = true;
     cli_say(CLI_OK, "this is the installed service, unix:" SERVICE "; --connect names others");
   } else if (errno == EACCES) {
     cli_say(CLI_OK, "this is a private daemon, since you may not connect to the installed service; "

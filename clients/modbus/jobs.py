@@ -87,14 +87,17 @@ def numbers(text: str, count: int) -> list[float]:
 
 def read_fit(given: list[str]) -> tuple[dict[str, str], list[list[float]]]:
     """Returns what is given by name, and the readings: mm, reading and error of each."""
-    named = dict(one.split("=", 1) for one in given if "=" in one)
-    for name, value in named.items():
+    named: dict[str, str] = {}
+    for name, value in (one.split("=", 1) for one in given if "=" in one):
+        if name in named:
+            refuse(f"{name}= is given twice", __doc__)
         if name not in FIT:
             refuse(f"{name}= is unknown; fit takes {'=, '.join(FIT)}=", __doc__)
         if name == "scale" and value not in SCALES:
             refuse(f"scale={value} is unknown; it is {' or '.join(SCALES)}", __doc__)
         if name != "scale":
             numbers(value, 1)
+        named[name] = value
     own = [one for one in given if "=" not in one]
     if own and "eta" not in named:
         refuse("give eta=X: a wrong eta gives wrong coefficients that fit as well", __doc__)

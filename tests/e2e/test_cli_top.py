@@ -263,7 +263,10 @@ trap "kill $!" EXIT
 for command in "info --format csv" "top --count 1 --interval .1" "bench --seconds .01"; do
   "$0/dipole" $command || exit 1
 done
-"$0/dipole" info --connect private: | grep "^address  *private:"
+"$0/dipole" info --connect private: | grep "^address  *private:" || exit 1
+kill -STOP $!
+"$0/dipole" info --retry-ms 100 --timeout-ms 100 && exit 1
+kill -CONT $!
 """
 
 
@@ -277,5 +280,6 @@ def test_the_installed_service_is_shown_unless_another_daemon_is_named():
     assert run.returncode == 0, run.stderr
     for shown in ("daemon,address,", "dipoled 0.1.0 at ", "dipoled 0.1.0 at "):
         run.stdout = run.stdout.split(f"{shown}unix:/run/dipoled.sock", 1)[1]
+    assert "The address is from" not in run.stderr  # of the one that does not answer
     for command in ("info", "top", "bench"):
         assert f"dipole {command}: this is the installed service, unix:/run/dipoled" in run.stderr

@@ -258,8 +258,9 @@ def test_plain_and_tls_do_not_mix(farm, ours):
         dipole.Client(plain, **ours)
     assert "is it a tcp: address" in media(plain, ours)
     assert farm.has_line("this is TLS, which needs a tls: address", 5)
-    with pytest.raises(dipole.DipoleError):
+    with pytest.raises(dipole.DipoleError, match="is it a tls: address"):
         dipole.Client(secure, retry_s=0)
+    assert "is it a tls: address" in media(secure, {})
     assert farm.has_line("the peer does not speak TLS", 5)
 
 

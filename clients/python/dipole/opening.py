@@ -117,7 +117,8 @@ class Opening:
         except BaseException as error:
             connection.close()
             if isinstance(error, ConnectionLost) and not error.final:
-                raise ConnectError(f"{error} (before it said hello)") from error
+                hint = ": is it a tls: address?" if address.startswith("tcp:") else ""
+                raise ConnectError(f"{error} (before it said hello{hint})") from error
             raise
         connection.set_timeout_s(self._timeout_s)
         connection.is_one_of_several = len(self._addresses) > 1
