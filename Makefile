@@ -346,7 +346,7 @@ check-structure:
 
 # Checks the types of the Python module and of the examples in Python.
 check-types:
-	@MYPYPATH=clients/python:clients/modbus $(PYTHON) -m mypy --strict --cache-dir $(BUILD)/mypy clients/python/dipole clients/python/examples clients/modbus
+	@MYPYPATH=clients/python:clients/modbus $(PYTHON) -m mypy --strict --enable-incomplete-feature=Unpack --cache-dir $(BUILD)/mypy clients/python/dipole clients/python/examples clients/modbus
 
 # Each test program by itself, so that one that crashes takes no other with it.
 check-unit: $(TESTS)

@@ -797,7 +797,8 @@ def test_calls_have_signatures(client, tmp_path):
     lines = [f"    c.{one}" for one in calls] + [f"    await a.{one}" for one in awaited]
     (tmp_path / "calls.py").write_text(text + "\n".join(lines) + "\n")
     checked = subprocess.run(
-        [sys.executable, "-m", "mypy", "--strict", "--cache-dir", str(BUILD / "mypy"), "calls.py"],
+        [sys.executable, "-m", "mypy", "--strict", "--enable-incomplete-feature=Unpack",
+         "--cache-dir", str(BUILD / "mypy"), "calls.py"],
         cwd=tmp_path, env=environment(MYPYPATH=str(REPOSITORY / "clients/python")),
         capture_output=True, text=True, timeout=300, check=False,
     )  # fmt: skip

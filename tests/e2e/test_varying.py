@@ -316,9 +316,10 @@ def test_more_values_than_a_request_holds(client, monkeypatch):
 
 
 def test_answers_that_do_not_fit_are_not_taken(client):
-    plan = varying.plan(client.info, "better", sigma_a=[0.1] * 4, sigma_s=1.0, r=1.0)
+    answer_of = next(varying.varying(client._calls, "better", sigma_a=[0.1] * 4, sigma_s=1.0, r=1.0)).answer
+    fixed_of = answer_of()._plan.fixed
     right = {
-        **{name: plan.fixed[name] for name in
+        **{name: fixed_of[name] for name in
            ("model", "evaluator", "moments", "wanted", "coefficients")},
         "notes": 0, "value_count": 3, "value_first": 0, "part": 0, "part_count": 2,
         "answered_count": 3, "numerical_error": 0.0, "model_error": 0.0, "colour_least": 0.0,
@@ -334,8 +335,8 @@ def test_answers_that_do_not_fit_are_not_taken(client):
              {"value_count": 4}, {"value_count": 5}]
     for changes in wrong:
         with pytest.raises(dipole.ProtocolError):
-            varying.Answer(plan, 4).add(payload(**changes))
-    answer = varying.Answer(plan, 4)
+            answer_of().add(payload(**changes))
+    answer = answer_of()
     answer.add(payload())
     assert not answer.ended
     answer.add(payload(part=1, value_first=3, value_count=1))

@@ -13,25 +13,55 @@ import socket
 import ssl
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterable
-from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from . import broadcast, calls, evaluation, fitting, gathering, inversion, mc, rings, varying
-from .broadcast import Values
+from .calls import Calls, Cancel, Steps, takes_query
 from .connection import TLS_WAITS, Connection, Frame, Tls
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
-from .exchange import Exchange, Request, signed, takes_query
+from .exchange import Exchange, Request
 from .opening import Opening
-from .rings import RingMeans
-from .surface import Surface
-from .table import Table
-from .values import Fits, Gathered, Grid, Info, Inversion, McProgress, McResult, Media
-from .values import Medium, Offers, Query, Result, Samples, Varying
+from .values import Info, Query, Result
 
+P = ParamSpec("P")
 T = TypeVar("T")
 
 # While no call waits, the client stops reading when this many parts of answers are not yet taken.
 _PIECES_AHEAD = 16
+
+
+def _method(
+    call: Callable[Concatenate[Calls, P], Steps[T]]
+) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
+    """Makes a method of a call."""
+    signature = calls.signature_of(call)
+
+    async def method(self: AsyncClient, *arguments: Any, **options: Any) -> T:
+        signature.bind(self, *arguments, **options)
+        return await self._drive(call(self._open_calls(), *arguments, **options))
+
+    made: Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]
+    made = calls.described(method, call, "AsyncClient")
+    return made
+
+
+class _Exchange(Exchange):
+    """Requests for which tasks wait."""
+
+    def __init__(self, retry_s: float):
+        super().__init__(retry_s)
+        self.moved: dict[int, asyncio.Event] = {}  # by request: a part has come, or it has ended
+        self.read_on = asyncio.Event()  # set when the reader that has paused may read again
+
+    def begin(self, request: Request[Any]) -> int:
+        request_id = super().begin(request)
+        self.moved[request_id] = asyncio.Event()
+        return request_id
+
+    def drop(self, request_id: int) -> None:
+        super().drop(request_id)
+        self.moved.pop(request_id, None)
+        self.read_on.set()
 
 
 class AsyncClient:
@@ -57,17 +87,14 @@ class AsyncClient:
         self._timeout_s = timeout_s
         self._retry_s = retry_s
         self._tls = Tls(ca, certificate, key)
-        self._info: Info | None = None
-        self._measured: dict[str, tuple[Medium, Medium, Medium]] = {}
+        self._calls: Calls | None = None
         self._stream: _Stream | None = None
         self._begin()
 
     def _begin(self) -> None:
-        self._exchange = Exchange(0.0)
-        self._moved: dict[int, asyncio.Event] = {}  # by request: a part has come, or it has ended
+        self._exchange = _Exchange(0.0)
         self._tasks: set[asyncio.Task[None]] = set()
         self._connected = asyncio.Event()  # clear only before open() and while reconnecting
-        self._read_on = asyncio.Event()  # set when the reader that has paused may read again
         self._waiting: set[int] = set()  # ids of the requests for which a call waits
         self._waiting_since_s = 0.0  # when _waiting last became non-empty
         self._failed: DipoleError | None = None
@@ -75,9 +102,7 @@ class AsyncClient:
     @property
     def info(self) -> Info:
         """The daemon's description of itself."""
-        if self._info is None:
-            raise ArgumentError("this client is not open")
-        return self._info
+        return self._open_calls().info
 
     @property
     def address(self) -> str:
@@ -85,9 +110,9 @@ class AsyncClient:
         return self._opened().connection.address
 
     def __repr__(self) -> str:
-        if self._stream is None or self._info is None:
+        if self._stream is None:
             return f"<AsyncClient: {self._address}, not open>"
-        return f"<AsyncClient: {self._info.software} at {self._name()}>"
+        return f"<AsyncClient: {self.info.software} at {self._name()}>"
 
     # ---- opening and closing ---------------------------------------------------------------------
 
@@ -105,7 +130,8 @@ class AsyncClient:
         self._opening = Opening(
             self._address, self._timeout_s, self._retry_s, calls.hello, self._tls
         )
-        connection, self._info = await asyncio.to_thread(self._opening.open)
+        connection, info = await asyncio.to_thread(self._opening.open)
+        self._calls = Calls(info, self._exchange)
         self._exchange.retry_s = self._opening.retry_s
         self._stream = _Stream(connection)
         self._connected.set()
@@ -127,6 +153,11 @@ class AsyncClient:
         if stream is not None:
             await stream.close()
 
+    def _open_calls(self) -> Calls:
+        if self._calls is None:
+            raise ArgumentError("this client is not open")
+        return self._calls
+
     def _opened(self) -> _Stream:
         if self._stream is None:
             raise self._failed or ArgumentError("this client is not open")
@@ -135,214 +166,66 @@ class AsyncClient:
     def _name(self) -> str:
         return str(self._address) if self._stream is None else self._stream.connection.address
 
-    # ---- calls: see Client -----------------------------------------------------------------------
+    # ---- calls -----------------------------------------------------------------------------------
 
-    @takes_query(Query)
+    values = _method(broadcast.values)
+    offers = _method(evaluation.offers)
+    table = _method(evaluation.table)
+    surface = _method(evaluation.surface)
+    sample = _method(evaluation.sample)
+    invert = _method(inversion.invert)
+    fit = _method(fitting.fit)
+    varying = _method(varying.varying)
+    gather = _method(gathering.gather)
+    mc = _method(mc.mc)
+    ring_means = _method(rings.ring_means)
+    media = _method(calls.media)
+    statistics = _method(calls.statistics)
+    ping = _method(calls.ping)
+
+    @takes_query(Query, evaluation.eval)
     async def eval(self, *query: Any, **options: Any) -> Result:
-        """See Client.eval()."""
-        made = await self._query(*query, **options)
-        return await self._ask(evaluation.eval(self.info, made))
+        return await self._drive(evaluation.eval(self._open_calls(), Query.of(*query, **options)))
 
-    @takes_query(Query)
+    @takes_query(Query, evaluation.eval_parts)
     async def eval_parts(self, *query: Any, **options: Any) -> AsyncIterator[Result]:
-        """See Client.eval_parts(). Returns an asynchronous iterator. The client reads up to 16
-        parts ahead of the caller, or more while another call waits for its own answer."""
-        made = await self._query(*query, **options)
-        request_id = await self._send(evaluation.eval(self.info, made, is_streamed=True))
+        made = Query.of(*query, **options)
+        request_id = await self._drive(evaluation.eval_parts(self._open_calls(), made))
         try:
             while (part := await self._next(request_id)) is not None:
                 yield part
         finally:
-            self._drop(request_id)
-
-    @signed(broadcast.query)
-    async def values(
-        self, model: str | int | None, media: Media, r: Any, quantity: str = "R", **options: Any
-    ) -> Values:
-        """See Client.values()."""
-        template = broadcast.query(self.info, model, media, r, quantity, **options)
-        if isinstance(media, str):
-            media = broadcast.first_axis(await self._media_of(media), r)
-        places, collected = broadcast.plan(self.info, media, r, quantity)
-
-        async def ask() -> None:
-            for place in places:
-                query = replace(template, media=place.media, r=place.radii)
-                collected.add(place, await self.eval(query))
-
-        tasks = [asyncio.create_task(ask()) for _ in range(broadcast.OUTSTANDING)]
-        try:
-            await asyncio.gather(*tasks)
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
-        return collected.values()
-
-    @signed(evaluation.offers)
-    async def offers(self, media: Media, r: Any = None, **options: Any) -> Offers:
-        """See Client.offers()."""
-        listed = await self._media_of(media)
-        return await self._ask(evaluation.offers(self.info, listed, r, **options))
-
-    @signed(evaluation.table)
-    async def table(self, model: str | int, medium: Media, **options: Any) -> Table:
-        """See Client.table()."""
-        listed = await self._media_of(medium)
-        return await self._ask(evaluation.table(self.info, model, listed, **options))
-
-    @signed(evaluation.surface)
-    async def surface(self, *model: Any, **options: Any) -> Surface:
-        """See Client.surface()."""
-        return await self._ask(evaluation.surface(self.info, *model, **options))
-
-    @signed(evaluation.sample)
-    async def sample(self, model: str | int, media: Media, *u: Any, **options: Any) -> Samples:
-        """See Client.sample()."""
-        listed = await self._media_of(media)
-        return await self._ask(evaluation.sample(self.info, model, listed, *u, **options))
-
-    @signed(inversion.request)
-    async def invert(self, model: str | int, albedo: Any, length: Any, **options: Any) -> Inversion:
-        """See Client.invert()."""
-        return await self._ask(inversion.request(self.info, model, albedo, length, **options))
-
-    @signed(fitting.design)
-    async def fit(
-        self, model: str | int, at: Any, values: Any, errors: Any, **options: Any
-    ) -> Fits:
-        """See Client.fit()."""
-        made = fitting.design(self.info, model, at, values, errors, **options)
-        collected = fitting.Collected(self.info, made)
-        for request in fitting.requests(made):
-            collected.add(await self._ask(request))
-        return collected.fits()
-
-    @signed(varying.plan)
-    async def varying(self, model: str | int, **options: Any) -> Varying:
-        """See Client.varying()."""
-        plan = varying.plan(self.info, model, **options)
-        return plan.join([await self._ask(request) for request in plan.requests()])
-
-    @signed(gathering.plan)
-    async def gather(
-        self, model: str | int, media: Media, *light: Any, **options: Any
-    ) -> Gathered:
-        """See Client.gather()."""
-        listed = await self._media_of(media)
-        run = gathering.Run(gathering.plan(self.info, model, listed, *light, **options))
-        under_way: list[int] = []
-        ended = False  # whether the daemon has ended it
-        try:
-            while True:
-                while len(under_way) < gathering.OUTSTANDING and (request := run.next()):
-                    under_way.append(await self._send(request))
-                if not under_way:
-                    return run.result()
-                try:
-                    run.add(await self._next(under_way[0]))
-                except Refused as error:
-                    if not run.refused(error):
-                        raise
-                    while len(under_way) > 1:  # Their answers are no longer wanted.
-                        self._drop(under_way.pop())
-                finally:
-                    self._drop(under_way.pop(0))
-                if run.stopped:
-                    return run.result()
-        except (DipoleError, OSError):
-            ended = True
-            raise
-        finally:
-            for request_id in under_way:
-                self._drop(request_id)
-                if not ended:
-                    await self._cancel(request_id)
-
-    async def media(self) -> dict[str, tuple[Medium, Medium, Medium]]:
-        """See Client.media()."""
-        return await self._ask(calls.media())
-
-    async def statistics(self) -> dict[str, int]:
-        """See Client.statistics()."""
-        return await self._ask(calls.statistics())
-
-    async def ping(self, payload: bytes = b"") -> float:
-        """See Client.ping()."""
-        request = calls.ping(payload)
-        start = time.perf_counter()
-        await self._ask(request)
-        return time.perf_counter() - start
-
-    @signed(mc.request)
-    async def mc(
-        self,
-        medium: Media,
-        edges: Grid,
-        *,
-        progress: Callable[[McProgress], bool | None] | None = None,
-        **options: Any,
-    ) -> McResult:
-        """See Client.mc()."""
-        medium = await self._media_of(medium)
-        request_id = await self._send(mc.request(self.info, medium, edges, **options))
-        cancelled = ended = False
-        try:
-            while not isinstance(report := await self._next(request_id), McResult):
-                if progress is not None and not cancelled and progress(report) is False:
-                    cancelled = True
-                    await self._cancel(request_id)
-            ended = True
-            return report
-        finally:
-            self._drop(request_id)
-            if not ended:
-                await self._cancel(request_id)
-
-    @signed(rings.means)
-    async def ring_means(
-        self, model: str | int | None, media: Media, edges: Any, **options: Any
-    ) -> RingMeans:
-        """See Client.ring_means()."""
-        listed = await self._media_of(media)
-        means = rings.means(self.info, model, listed, edges, **options)
-        try:
-            query = next(means)
-            while True:
-                query = means.send(await self.eval(query))
-        except StopIteration as end:
-            done: RingMeans = end.value
-            return done
-
-    async def _cancel(self, job_id: int) -> None:
-        """Cancels a Monte Carlo job or a gather. Does nothing without a connection: it ended with it."""
-        self._exchange.ask_once(job_id)
-        if self._stream is not None:
-            request_id = self._exchange.begin(mc.cancellation(job_id))
-            pieces = self._exchange.frame(request_id)
             self._exchange.drop(request_id)
-            await self._stream.send(pieces)
-
-    async def _query(self, *query: Any, **options: Any) -> Query:
-        made = Query.of(*query, **options)
-        return replace(made, media=await self._media_of(made.media))
-
-    async def _media_of(self, media: Media) -> Media:
-        """Returns the channels of a measured medium for its name, and other media unchanged."""
-        if not isinstance(media, str):
-            return media
-        self._measured = self._measured or await self.media()
-        return evaluation.known("medium", media, self._measured)
 
     # ---- requests and answers --------------------------------------------------------------------
 
-    async def _ask(self, request: Request[T]) -> T:
-        request_id = await self._send(request)
+    async def _drive(self, steps: Steps[T]) -> T:
+        """Does the steps of a call."""
         try:
-            answer: T = await self._next(request_id)
-            return answer
-        finally:
-            self._drop(request_id)
+            step = next(steps)
+            while True:
+                try:
+                    given = await self._do(step)
+                except BaseException as error:
+                    step = steps.throw(error)
+                else:
+                    step = steps.send(given)
+        except StopIteration as end:
+            returned: T = end.value
+            return returned
+
+    async def _do(self, step: Request[Any] | int | Cancel) -> Any:
+        if isinstance(step, Request):
+            return await self._send(step)
+        if isinstance(step, int):
+            return await self._next(step)
+        self._exchange.ask_once(step.request_id)
+        if self._stream is not None:
+            request_id = self._exchange.begin(mc.cancellation(step.request_id))
+            pieces = self._exchange.frame(request_id)
+            self._exchange.drop(request_id)
+            await self._stream.send(pieces)
+        return None
 
     async def _send(self, request: Request[Any]) -> int:
         """Sends a request; returns its id."""
@@ -351,23 +234,16 @@ class AsyncClient:
         if self._failed is not None:
             raise self._failed
         request_id = self._exchange.begin(request)
-        self._moved[request_id] = asyncio.Event()
         try:
             await self._opened().send(self._exchange.frame(request_id))
         except BaseException:
-            self._drop(request_id)
+            self._exchange.drop(request_id)
             raise
         return request_id
 
-    def _drop(self, request_id: int) -> None:
-        """Forgets a request whose answer is complete or no longer wanted."""
-        self._exchange.drop(request_id)
-        self._moved.pop(request_id, None)
-        self._read_on.set()
-
     async def _next(self, request_id: int) -> Any:
         """Waits for the next part of an answer. Returns None after the last one."""
-        moved = self._moved[request_id]
+        moved = self._exchange.moved[request_id]
         while not self._exchange.is_ready(request_id):
             if self._failed is not None:
                 raise self._failed
@@ -375,13 +251,13 @@ class AsyncClient:
             if not self._waiting:
                 self._waiting_since_s = time.monotonic()
             self._waiting.add(request_id)
-            self._read_on.set()
+            self._exchange.read_on.set()
             moved.clear()
             try:
                 await moved.wait()
             finally:
                 self._waiting.discard(request_id)
-        self._read_on.set()
+        self._exchange.read_on.set()
         return self._exchange.next(request_id)
 
     # ---- reading ---------------------------------------------------------------------------------
@@ -395,8 +271,8 @@ class AsyncClient:
                 except (ConnectionLost, Refused) as lost:
                     await self._restore(lost)
                 while not self._waiting and self._exchange.ahead() >= _PIECES_AHEAD:
-                    self._read_on.clear()
-                    await self._read_on.wait()
+                    self._exchange.read_on.clear()
+                    await self._exchange.read_on.wait()
         except DipoleError as error:
             self._fail(error)
         except BaseException as error:
@@ -406,7 +282,7 @@ class AsyncClient:
 
     def _take(self, frame: Frame) -> None:
         request_id = self._exchange.take(frame)
-        moved = self._moved.get(request_id)
+        moved = self._exchange.moved.get(request_id)
         if moved is not None and self._exchange.is_ready(request_id):
             moved.set()
             self._waiting.discard(request_id)  # The call no longer waits, even if it runs later.
@@ -445,8 +321,8 @@ class AsyncClient:
             pieces = self._exchange.frame(request_id)
             if pieces:
                 await self._opened().send(pieces)
-            elif request_id in self._moved:  # The deadline of the request has passed.
-                self._moved[request_id].set()
+            elif request_id in self._exchange.moved:  # The deadline of the request has passed.
+                self._exchange.moved[request_id].set()
 
     async def _restore(self, lost: DipoleError) -> None:
         """Connects again and sends the requests without an answer again. Raises `lost` if that
@@ -465,7 +341,7 @@ class AsyncClient:
         """Ends all calls with an error: nothing more is received."""
         if self._failed is None:
             self._failed = error
-        for moved in self._moved.values():
+        for moved in self._exchange.moved.values():
             moved.set()
         self._connected.set()
 

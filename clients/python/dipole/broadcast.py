@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
-from . import wire
+from . import evaluation, wire
+from .arguments import media_array
+from .calls import Calls, Steps
 from .errors import ArgumentError
-from .evaluation import media_array
-from .values import Array, Info, Media, Query, Result, counted, in_short, span
+from .exchange import Request
+from .values import Array, EvaluatorOptions, Info, Media, Query, Result, counted, in_short, span
 
 # Number of queries that wait for answers at a time: enough to keep the daemon busy all the time.
 OUTSTANDING = 64
@@ -40,27 +44,46 @@ class _Media(NamedTuple):
     index: Array  # type: ignore[assignment]
 
 
-def query(
-    info: Info,
+def values(
+    calls: Calls,
     model: str | int | None,
     media: Media,
     r: Any,
     quantity: str = "R",
-    *,
-    evaluator: str | int | None = None,
-    moments: str | int = "exact",
-    parameters: Mapping[str, float | str] | None = None,
-    tolerance: float | None = None,
-    deadline_ms: int = 0,
-) -> Query:
-    """What all queries of Client.values() have in common."""
-    return Query(
-        model, media, r, wanted=[quantity], evaluator=evaluator, moments=moments, parameters=parameters,
-        tolerance=tolerance, deadline_ms=deadline_ms,
-    )  # fmt: skip
+    **options: Unpack[EvaluatorOptions],
+) -> Steps[Values]:
+    """Evaluates one quantity for media and radii of any shapes, which are broadcast against each
+    other as numpy's functions do.
+
+    media: a Medium whose fields may be arrays, or an array [..., 4], or the name of a measured
+    medium, whose three channels become the first axis. r: radii in mm, of any shape. For
+    example, sigma_a of shape [H, W, 1] and r of shape [N] give values [H, W, N]; for an image
+    of media, r of shape [H, W] gives each pixel its own radius. quantity: the name of a
+    quantity that has a value for each radius. options: as of a Query.
+
+    The number of media and radii is not limited: this method sends as many queries as it needs.
+    deadline_ms holds for each query. Equal media are sent once.
+    """
+    template = Query(model, media, r, wanted=[quantity], **options)
+    if isinstance(media, str):
+        media = _first_axis((yield from calls.media_of(media)), r)
+    places, collected = _plan(calls.info, media, r, quantity)
+    under_way: deque[Places] = deque()
+
+    def requests() -> Iterator[Request[Result]]:
+        for place in places:
+            under_way.append(place)
+            query = replace(template, media=place.media, r=place.radii)
+            yield evaluation.request(calls.info, query)
+
+    def take(result: Result) -> None:
+        collected.add(under_way.popleft(), result)
+
+    yield from calls.each(requests(), take, OUTSTANDING)
+    return collected.values()
 
 
-def plan(
+def _plan(
     info: Info, media: Media, r: Any, quantity: str
 ) -> tuple[Iterator[Places], Answers]:
     """Returns the queries that Client.values() has to send, and an object that collects their
@@ -86,7 +109,7 @@ def plan(
     return _groups(info, one, radii, shape), collected
 
 
-def first_axis(media: Media, r: Any) -> Array:
+def _first_axis(media: Media, r: Any) -> Array:
     """Gives media [C, 4] as many axes that each of them meets each of the radii."""
     array = media_array(media)
     return array.reshape(len(array), *(1,) * np.ndim(r), 4)

@@ -1,160 +1,26 @@
-"""Makes requests of queries, and results of the replies, for eval, sample, offers and table."""
+"""Calls that send a Query: eval, sample, offers, table and surface."""
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple, TypeVar, Unpack
 
 import numpy as np
 
 from . import wire
+from .arguments import id_of, in_precision, media_array, name_of, names_of, notes_of, one_medium
+from .arguments import parameters_list
+from .calls import Calls, Steps
 from .connection import frame_pieces
 from .errors import ArgumentError, ProtocolError, TableError
 from .exchange import Answer, Once, Request
 from .surface import Surface
 from .table import Table
-from .values import Array, Draw, Grid, Info, Media, Medium, Offer, Offers, Query, Result, Samples, whole
+from .values import Array, Draw, Grid, Info, Media, Medium, Offer, Offers, OffersOptions, Options
+from .values import Query, Result, SampleOptions, Samples, whole
 
 T = TypeVar("T")
-
-# ---- names and numbers ---------------------------------------------------------------------------
-
-
-def id_of(info: Info, kind: str, name: str | int) -> int:
-    """Finds the id of a choice by its name. Returns an id unchanged: the daemon checks it."""
-    if not isinstance(name, str):
-        return name
-    return known(kind, name, info.choices[kind]).id
-
-
-def known(kind: str, name: str, choices: Mapping[str, T]) -> T:
-    """Returns the choice of that name. If there is none, the error names the nearest one."""
-    if name not in choices:
-        near = difflib.get_close_matches(name, choices, 1)
-        hint = f". Did you mean {near[0]}?" if near else ""
-        raise ArgumentError(f"{kind} {name}: not one of {', '.join(choices)}{hint}")
-    return choices[name]
-
-
-def name_of(info: Info, kind: str, number: int) -> str:
-    """Finds the daemon's name for the id of a choice in a reply."""
-    for choice in info.choices[kind].values():
-        if choice.id == number:
-            return choice.name
-    raise ProtocolError(f"a reply with {kind} {number}, which the daemon has not listed")
-
-
-def notes_of(info: Info, notes: int) -> tuple[str, ...]:
-    """Returns the names of the notes in a sum of their bits."""
-    listed = info.choices["note"].values()
-    return tuple(note.name for note in listed if note.id and notes & note.id)
-
-
-def unpack_list(
-    payload: bytes, fixed_structure: wire.Structure, **lists: wire.Structure
-) -> tuple[Any, list[list[Any]]]:
-    """Unpacks a payload of a fixed part and then lists. For each list, `lists` maps the field of
-    the fixed part that holds its length to the structure of its entries."""
-    if len(payload) < fixed_structure.bytes:
-        raise ProtocolError(f"a {fixed_structure.name} that is too short")
-    fixed = fixed_structure.unpack(payload)
-    at = fixed_structure.bytes
-    expected = at + sum(getattr(fixed, count) * entry.bytes for count, entry in lists.items())
-    if len(payload) != expected:
-        raise ProtocolError(f"a {fixed_structure.name} of an unexpected size")
-    unpacked = []
-    for count, entry in lists.items():
-        end = at + getattr(fixed, count) * entry.bytes
-        unpacked.append([entry.unpack(payload, offset) for offset in range(at, end, entry.bytes)])
-        at = end
-    return fixed, unpacked
-
-
-# ---- requests ------------------------------------------------------------------------------------
-
-
-def media_array(media: Media) -> Array:
-    """Makes an array [C, 4] of one medium or of several."""
-    if isinstance(media, Medium) and any(map(np.ndim, media)):
-        raise ArgumentError(
-            "media: the fields of this Medium are arrays: give a list of Medium, or call values(), "
-            "which broadcasts them"
-        )
-    try:
-        listed = media if isinstance(media, (tuple, np.ndarray)) else list(media)
-        array: Array = np.asarray(listed, "<f8")
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"media: a Medium, or several, or an array [C, 4]: {error}") from error
-    if array.ndim == 1:
-        array = array[np.newaxis]
-    if array.ndim != 2 or array.shape[1] != 4:
-        raise ArgumentError("media: a Medium, or several, or an array [C, 4]")
-    return array
-
-
-def one_medium(media: Media) -> Medium:
-    """Makes a Medium of an argument that may be only one."""
-    if isinstance(media, (tuple, list)) and 2 <= len(media) <= 4 and np.isscalar(media[0]):
-        return Medium(*media)
-    array = media_array(media)
-    if len(array) != 1:
-        raise ArgumentError(
-            f"medium: one Medium, not {len(array)}. Of a measured medium, take one channel: "
-            'client.media()["skin1"][0] is red'
-        )
-    return Medium(*array[0])
-
-
-def _names(wanted: str | Iterable[str] | None, default: tuple[str, ...]) -> tuple[str, ...]:
-    """Returns the names of the wanted quantities."""
-    if wanted is None:
-        return default
-    try:
-        return (wanted,) if isinstance(wanted, str) else tuple(wanted)
-    except TypeError as error:
-        raise ArgumentError(f"wanted: names of quantities, or one name: {error}") from error
-
-
-# Parameters whose values may be names: the kinds of choices that these are.
-_NAMED = {"fit_model": "model", "phase": "phase"}
-
-
-def parameters_list(
-    info: Info, parameters: Mapping[str, float | str] | None, tolerance: float | None = None
-) -> list[bytes]:
-    """Packs each parameter into its structure. The daemon checks the values."""
-    structures = []
-    all_parameters = dict(parameters or {})
-    if tolerance is not None:
-        if "tolerance" in all_parameters:
-            raise ArgumentError("tolerance: as an argument or in parameters, not both")
-        all_parameters["tolerance"] = tolerance
-    for name, given in all_parameters.items():
-        by_name = name in _NAMED and isinstance(given, str)
-        value = id_of(info, _NAMED[name], str(given)) if by_name else given
-        try:
-            number = float(value)
-        except (TypeError, ValueError) as error:
-            raise ArgumentError(f"parameter {name}: {value!r} is no number") from error
-        parameter = id_of(info, "parameter", name)
-        structures.append(wire.PARAMETER.pack(parameter=parameter, value=number))
-    return structures
-
-
-def _in_precision(numbers: Any, argument: str, noun: str, evaluator_id: int) -> Array:
-    """Makes an array [N] of numbers, in the precision of an evaluator. An error message names the
-    caller's argument and uses the noun for one number: "r: one radius or an array [N]"."""
-    if evaluator_id not in wire.EVALUATOR_TYPES:
-        raise ArgumentError(f"evaluator {evaluator_id}: this module does not know its precision")
-    try:
-        array = np.asarray([] if numbers is None else numbers, wire.EVALUATOR_TYPES[evaluator_id])
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"{argument}: one {noun} or an array [N]: {error}") from error
-    if array.ndim > 1:
-        raise ArgumentError(f"{argument}: one {noun} or an array [N]")
-    return np.ascontiguousarray(array.reshape(-1))
-
 
 def _payload(
     structure: wire.Structure,
@@ -186,6 +52,10 @@ def _model_id(info: Info, query: Query) -> int:
     return wire.ANY_MODEL if query.model is None else id_of(info, "model", query.model)
 
 
+def _bits(info: Info, wanted: tuple[str, ...]) -> int:
+    return sum({id_of(info, "quantity", name) for name in wanted})
+
+
 def _check_model(query: Query) -> None:
     has_tolerance = query.tolerance is not None or "tolerance" in (query.parameters or ())
     if query.model is None and not has_tolerance:
@@ -195,7 +65,7 @@ def _check_model(query: Query) -> None:
 def _eval_payload(info: Info, query: Query) -> tuple[bytes, Shape]:
     grid, evaluator = query.grid, query.evaluator
     cdf = () if query.model is None else ("cdf",)
-    wanted = _names(query.wanted, ("R", "albedo", *cdf, *(() if grid is None else ("r",))))
+    wanted = names_of(query.wanted, ("R", "albedo", *cdf, *(() if grid is None else ("r",))))
     if grid is not None and not isinstance(grid, Grid):
         raise ArgumentError("grid: a Grid, such as Grid(0.1, 10, 100)")
     grid = grid and grid._replace(count=whole(grid.count))
@@ -205,11 +75,11 @@ def _eval_payload(info: Info, query: Query) -> tuple[bytes, Shape]:
         raise ArgumentError("r, grid: one of them, not both")
     evaluator_id = id_of(info, "evaluator", evaluator)
     media = media_array(query.media)
-    radii = None if grid is not None else _in_precision(query.r, "r", "radius", evaluator_id)
+    radii = None if grid is not None else in_precision(query.r, "r", "radius", evaluator_id)
     shape = Shape(
         radii=radii,
         value_type=wire.EVALUATOR_TYPES.get(evaluator_id),
-        wanted=sum({id_of(info, "quantity", name) for name in wanted}),
+        wanted=_bits(info, wanted),
         medium_count=len(media),
         radius_count=grid.count if grid is not None else 0 if radii is None else len(radii),
     )
@@ -230,10 +100,10 @@ def _eval_payload(info: Info, query: Query) -> tuple[bytes, Shape]:
     return payload, shape
 
 
-def eval(info: Info, query: Query, is_streamed: bool = False) -> Request[Result]:
-    """See Client.eval() and, for is_streamed, Client.eval_parts()."""
+def request(info: Info, query: Query, is_streamed: bool = False) -> Request[Result]:
+    """Makes the request of eval() or, for is_streamed, eval_parts()."""
     _check_model(query)
-    if query.r is None and query.grid is None and _names(query.wanted, ("R",)) != ("albedo",):
+    if query.r is None and query.grid is None and names_of(query.wanted, ("R",)) != ("albedo",):
         raise ArgumentError('r: give radii, or a grid. Only wanted=["albedo"] needs none')
     payload, shape = _eval_payload(info, query)
 
@@ -243,27 +113,50 @@ def eval(info: Info, query: Query, is_streamed: bool = False) -> Request[Result]
     return Request("eval", payload, answer, query.deadline_ms)
 
 
+def _named(calls: Calls, query: Query) -> Steps[Query]:
+    """Returns a query of the channels of the medium that a query names."""
+    media = yield from calls.media_of(query.media)
+    return query if media is query.media else replace(query, media=media)
+
+
+def eval(calls: Calls, query: Query) -> Steps[Result]:
+    """Evaluates a Query, or its arguments: eval(model, media, r, tolerance=0.01). The options are
+    grid, evaluator, moments, wanted, parameters, tolerance and deadline_ms; help(Query) describes
+    them. Waits for the answer. Raises Refused, which names the field at fault, if the daemon
+    refuses the query. Its status is "deadline" if the answer would be too late."""
+    query = yield from _named(calls, query)
+    return (yield from calls.ask(request(calls.info, query)))
+
+
+def submit(calls: Calls, query: Query) -> Steps[int]:
+    """Sends a query like eval(), but does not wait. Returns the query's id for collect()."""
+    request_id: int = yield request(calls.info, (yield from _named(calls, query)))
+    return request_id
+
+
+def eval_parts(calls: Calls, query: Query) -> Steps[int]:
+    """Evaluates like eval(), but returns an iterator that gives each part of the answer when it
+    arrives, so that an answer may be larger than memory. A part is a Result that begins at radius
+    number radius_first. The daemon chooses how many radii a part has. Any step of the iterator may
+    raise Refused; the parts before that are valid. The iterator of an AsyncClient is an
+    asynchronous one. That client reads up to 16 parts ahead of the caller, or more while another
+    call waits for its own answer."""
+    query = yield from _named(calls, query)
+    request_id: int = yield request(calls.info, query, is_streamed=True)
+    return request_id
+
+
 def offers(
-    info: Info,
-    media: Media,
-    r: Any = None,
-    *,
-    grid: Grid | None = None,
-    evaluator: str | int | None = None,
-    wanted: str | Iterable[str] | None = None,
-    moments: str | int = "exact",
-    parameters: Mapping[str, float | str] | None = None,
-    tolerance: float | None = None,
-    deadline_ms: int = 0,
-) -> Request[Offers]:
-    """See Client.offers()."""
-    query = Query(
-        None, media, r, grid=grid, evaluator=evaluator, wanted=wanted, moments=moments, parameters=parameters,
-        tolerance=tolerance, deadline_ms=deadline_ms,
-    )  # fmt: skip
+    calls: Calls, media: Media, r: Any = None, **options: Unpack[OffersOptions]
+) -> Steps[Offers]:
+    """Lists the models and evaluators that could answer eval(None, ...) with the same arguments,
+    cheapest first, with the measured error and cost of each."""
+    info = calls.info
+    media = yield from calls.media_of(media)
+    query = Query(None, media, r, **options)
 
     def read(reply: bytes) -> Offers:
-        fixed, (entries,) = unpack_list(reply, wire.OFFERS_REPLY, count=wire.OFFER)
+        fixed, (entries,) = wire.unpack_list(reply, wire.OFFERS_REPLY, count=wire.OFFER)
         if fixed.taken > fixed.count:
             raise ProtocolError("an offers reply that takes what it does not offer")
         listed = tuple(
@@ -280,49 +173,41 @@ def offers(
         )
         return Offers(listed, listed[fixed.taken] if fixed.taken < fixed.count else None)
 
-    return Request("offers", _eval_payload(info, query)[0], lambda: Once(read), query.deadline_ms)
+    payload = _eval_payload(info, query)[0]
+    made = Request("offers", payload, lambda: Once(read), query.deadline_ms)
+    return (yield from calls.ask(made))
 
 
 def table(
-    info: Info,
-    model: str | int,
-    medium: Media,
-    *,
-    moments: str | int = "exact",
-    parameters: Mapping[str, float | str] | None = None,
-    tolerance: float | None = None,
-    deadline_ms: int = 0,
-) -> Request[Table]:
-    """See Client.table()."""
-    query = Query(
-        model, medium, moments=moments, parameters=parameters,
-        tolerance=tolerance, deadline_ms=deadline_ms,
-    )  # fmt: skip
-    return _table(info, query, lambda data: Table(data, info))
+    calls: Calls, model: str | int, medium: Media, **options: Unpack[Options]
+) -> Steps[Table]:
+    """Fetches the table that the evaluator "lut" uses for a medium. The Table evaluates it in this
+    process, with the daemon's bits. options: moments, parameters, deadline_ms and tolerance
+    (relative, at least 1e-6, by default 1e-4), as of a Query."""
+    medium = yield from calls.media_of(medium)
+    query = Query(model, one_medium(medium), **options)
+    return (yield from _table(calls, query, lambda data: Table(data, calls.info)))
 
 
 def surface(
-    info: Info,
+    calls: Calls,
     model: str | int,
     g: float = 0.0,
     eta: float = 1.3,
     *,
     evaluator: str = "f32",
-    moments: str | int = "exact",
-    parameters: Mapping[str, float | str] | None = None,
-    tolerance: float | None = None,
-    deadline_ms: int = 0,
-) -> Request[Surface]:
-    """See Client.surface()."""
-    query = Query(
-        model, Medium(0.0, 0.0, g, eta), moments=moments, parameters=parameters,
-        tolerance=tolerance, deadline_ms=deadline_ms,
-    )  # fmt: skip
-    return _table(info, query, lambda data: Surface(data, info, evaluator))
+    **options: Unpack[Options],
+) -> Steps[Surface]:
+    """Fetches what all media with this g and eta share. The Surface evaluates transport with a
+    medium for each value, and finds the media of colours, in this process and with the bits of
+    varying(). options: evaluator, "f32" by default, or "f64"; moments, parameters, tolerance and
+    deadline_ms, as of varying()."""
+    query = Query(model, Medium(0.0, 0.0, g, eta), **options)
+    return (yield from _table(calls, query, lambda data: Surface(data, calls.info, evaluator)))
 
 
-def _table(info: Info, query: Query, make: Callable[[bytes], Any]) -> Request[Any]:
-    medium = one_medium(query.media)
+def _table(calls: Calls, query: Query, make: Callable[[bytes], T]) -> Steps[T]:
+    info = calls.info
     parameters = parameters_list(info, query.parameters, query.tolerance)
     fixed = wire.TABLE_REQUEST.pack(
         model=_model_id(info, query),
@@ -330,49 +215,49 @@ def _table(info: Info, query: Query, make: Callable[[bytes], Any]) -> Request[An
         parameter_count=len(parameters),
     )
 
-    def read(reply: bytes) -> Any:
+    def read(reply: bytes) -> T:
         try:
             return make(b"".join(frame_pieces(wire.MESSAGES["table"] | wire.REPLY, 0, reply)))
         except TableError as error:
             raise ProtocolError(f"a table reply that is not a table: {error}") from error
 
-    payload = b"".join([fixed, wire.MEDIUM.pack(**medium._asdict()), *parameters])
-    return Request("table", payload, lambda: Once(read), query.deadline_ms)
+    payload = b"".join([fixed, media_array(query.media).tobytes(), *parameters])
+    made = Request("table", payload, lambda: Once(read), query.deadline_ms)
+    return (yield from calls.ask(made))
 
 
 def sample(
-    info: Info,
+    calls: Calls,
     model: str | int,
     media: Media,
     u: Any = None,
     *,
     draw: Draw | None = None,
-    evaluator: str | int | None = None,
-    wanted: str | Iterable[str] | None = None,
-    moments: str | int = "exact",
-    parameters: Mapping[str, float | str] | None = None,
-    tolerance: float | None = None,
-    deadline_ms: int = 0,
-) -> Request[Samples]:
-    """See Client.sample()."""
-    query = Query(
-        model, media, evaluator=evaluator, wanted=wanted, moments=moments, parameters=parameters,
-        tolerance=tolerance, deadline_ms=deadline_ms,
-    )  # fmt: skip
+    **options: Unpack[SampleOptions],
+) -> Steps[Samples]:
+    """Draws radii with a density in proportion to r R(r): the radius for a number u has cdf u.
+
+    u: N numbers from 0 (0 mm) to 1 (infinity). draw: a rule that makes the numbers, in place of
+    u; Draw(1024) makes 1024 random numbers. All channels get the same numbers. options: as of a
+    Query, whose `wanted` is ("r", "pdf") by default. "r" is the drawn radii; all other
+    quantities are evaluated at these. A model that does not cover all radii is refused.
+    """
+    info = calls.info
+    media = yield from calls.media_of(media)
+    query = Query(model, media, **options)
     _check_model(query)
     if (u is None) == (draw is None):
         raise ArgumentError("u, draw: give exactly one of them")
     draw = draw and draw._replace(count=whole(draw.count), seed=whole(draw.seed))
     evaluator_id = id_of(info, "evaluator", query.evaluator or "f64")
-    listed = _in_precision(u, "u", "number", evaluator_id)
-    media = media_array(query.media)
-    wanted = _names(query.wanted, ("r", "pdf"))
+    listed = in_precision(u, "u", "number", evaluator_id)
+    array = media_array(media)
     value_type = wire.EVALUATOR_TYPES[evaluator_id]
     shape = Shape(
         radii=None,
         value_type=value_type,
-        wanted=sum({id_of(info, "quantity", name) for name in wanted}),
-        medium_count=len(media),
+        wanted=_bits(info, names_of(query.wanted, ("r", "pdf"))),
+        medium_count=len(array),
         radius_count=len(listed) if draw is None else draw.count,
         drawn=True,
     )
@@ -384,7 +269,7 @@ def sample(
         query,
         shape,
         evaluator_id,
-        media,
+        array,
         listed,
         draw=draw_id,
         sample_count=shape.radius_count,
@@ -396,7 +281,11 @@ def sample(
         numbers = listed if draw is None else numbers_of(draw, value_type)
         return Samples(u=numbers, **_common_fields(part, info))
 
-    return Request("sample", payload, lambda: EvalAnswer(shape, read), query.deadline_ms)
+    def answer() -> EvalAnswer:
+        return EvalAnswer(shape, read)
+
+    made: Request[Samples] = Request("sample", payload, answer, query.deadline_ms)
+    return (yield from calls.ask(made))
 
 
 # ---- answers -------------------------------------------------------------------------------------

@@ -7,30 +7,26 @@ asked. The parts of an unfinished answer are thrown away before that.
 
 from __future__ import annotations
 
-import inspect
 import random
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Concatenate, Generic, ParamSpec, Protocol, TypeVar, overload
+from typing import Any, Generic, TypeVar
 
 from . import wire
 from .connection import Frame, frame_pieces
 from .errors import ArgumentError, ConnectError, ConnectionLost, DipoleError, ProtocolError, Refused
-from .values import Info, Query
 
-P = ParamSpec("P")
 T = TypeVar("T")
-T_co = TypeVar("T_co", covariant=True)
 
 KEPT_BYTES = 64 << 20  # the most payload bytes that a client keeps to send them again
 
 PAUSE_FIRST_S = 0.010
 # Requests that may be sent again: all but a cancel, which concerns one connection.
 _REPEATABLE = (
-    "eval", "sample", "invert", "fit", "varying", "points", "gather", "offers", "table", "media", "statistics", "ping",
-    "mc",
+    "eval", "sample", "invert", "fit", "varying", "points", "gather", "offers", "table", "media",
+    "statistics", "ping", "mc",
 )  # fmt: skip
 _TEMPORARY = ("busy", "shutting-down", "timeout")
 
@@ -90,38 +86,6 @@ class Request(Generic[T]):
     def __post_init__(self) -> None:
         if not 0 <= self.deadline_ms < 1 << 32:
             raise ArgumentError("deadline_ms: a whole number from 0 to 4294967295")
-
-
-# ---- signatures of the clients' methods ----------------------------------------------------------
-
-
-def signed(
-    like: Callable[Concatenate[Info, P], object]
-) -> Callable[[Callable[..., T]], Callable[Concatenate[Any, P], T]]:
-    """Gives a method that passes its arguments on the signature of the function that takes them,
-    after an Info."""
-    return lambda method: _sign(method, list(inspect.signature(like).parameters.values())[1:])
-
-
-class QueryCall(Protocol[P, T_co]):
-    """A method that takes a Query or its arguments."""
-
-    @overload
-    def __call__(self, query: Query, /) -> T_co: ...
-    @overload
-    def __call__(self, *arguments: P.args, **options: P.kwargs) -> T_co: ...
-
-
-def takes_query(like: Callable[P, Query]) -> Callable[[Callable[..., T]], QueryCall[P, T]]:
-    """Gives a method the signature of a class of queries. It may also get a query."""
-    return lambda method: _sign(method, list(inspect.signature(like).parameters.values()))
-
-
-def _sign(method: Callable[..., T], parameters: list[inspect.Parameter]) -> Callable[..., T]:
-    own = inspect.signature(method)
-    signature = own.replace(parameters=[own.parameters["self"], *parameters])
-    setattr(method, "__signature__", signature)  # noqa: B010  (mypy does not know it)
-    return method
 
 
 class _Pending:

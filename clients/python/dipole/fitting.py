@@ -8,26 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from . import exchange, wire
+from .arguments import id_of, media_array, parameters_list
+from .calls import Calls, Steps
 from .errors import ArgumentError, ProtocolError
-from .evaluation import id_of, media_array, parameters_list
-from .values import Array, Fits, Info, Media
+from .values import Array, Fits, Media
 
 _SETS = wire.FITTED.dtype()
 _REQUEST_BYTES = 16 << 20  # larger images are sent in several requests
 OUTSTANDING = 2  # requests under way at a time
-
-
-class Design(NamedTuple):
-    """What all sets of readings have in common."""
-
-    head: bytes  # the structures and arrays of a request from fit_design on
-    shape: tuple[int, ...]  # of the sets
-    values: Array  # [sets, readings]
-    errors: Array
-    wants_residuals: bool
-    g: float | None  # None: not given, so that it is 0
-    eta: float
-    deadline_ms: int
 
 
 class Part(NamedTuple):
@@ -93,8 +81,8 @@ def _place(name: str, given: Any, readings: int) -> Array:
         raise ArgumentError(f"{name}: one number, or an array [{readings}]: {error}") from error
 
 
-def design(
-    info: Info,
+def fit(
+    calls: Calls,
     model: str | int,
     at: Any,
     values: Any,
@@ -111,8 +99,25 @@ def design(
     parameters: Mapping[str, float | str] | None = None,
     residuals: bool = False,
     deadline_ms: int = 0,
-) -> Design:
-    """See Client.fit()."""
+) -> Steps[Fits]:
+    """Finds the sigma_a and sigma_s' under a model that make readings most likely.
+
+    at: [N] distances in mm or, with axis="f", spatial frequencies in 1/mm. values: [..., N]
+    readings there, such as an image [H, W, N]: R in 1/mm^2, or R(f). errors: their standard
+    errors, of a shape that broadcasts. A reading may be negative by noise. One that is not finite,
+    or whose error is 0, gives its set the status "refused"; the others are fitted.
+
+    options: scale: "absolute"; "free" if all readings of a set have an unknown factor. In its
+    place, reference names the Medium whose readings, by the same instrument, the values were
+    divided by. source, detector: diameters of the discs that emit and detect the light, mm, one
+    for all readings or [N]; the detector sees light of all angles, unless parameters has
+    {"detector_na": NA / the index outside}. residuals: whether they are wanted. eta, which has
+    to be given, and g=0.0 hold for all sets. Beyond two mean free paths readings hardly see g:
+    a wrong one is "fitted", too. Ask again with g - 0.05 and g + 0.05 to see how much sigma_a
+    and sigma_s_prime change; for 0.1 it is about twice that. moments, parameters, deadline_ms:
+    as of a Query; large images are sent in several requests, and the deadline holds for each.
+    """
+    info = calls.info
     if eta is None:
         raise ArgumentError("eta: give the refractive index inside over outside: it has no default")
     readings, spread = _arrays(values, errors)
@@ -139,57 +144,44 @@ def design(
         medium = known.tobytes()
     given = {"at": at, "source": source, "detector": detector}
     places = [_place(name, one, count).tobytes() for name, one in given.items()]
-    return Design(
-        head=b"".join([fixed, *listed, medium, *places]),
-        shape=readings.shape[:-1],
-        values=readings.reshape(-1, count),
-        errors=spread.reshape(-1, count),
-        wants_residuals=residuals,
-        g=None if g is None else float(g),
+    head = b"".join([fixed, *listed, medium, *places])
+    lists = (readings.reshape(-1, count), spread.reshape(-1, count))
+    sets = np.empty(len(lists[0]), _SETS)
+    remainders = np.empty_like(lists[0]) if residuals else None
+
+    def add(part: Part) -> None:
+        end = part.first + len(part.sets)
+        sets[part.first : end] = part.sets
+        if remainders is not None:
+            remainders[part.first : end] = part.residuals
+
+    yield from calls.each(_requests(head, *lists, residuals, deadline_ms), add, OUTSTANDING)
+    sets.setflags(write=False)
+    shape = readings.shape[:-1]
+    names = {choice.id: name for name, choice in info.choices["fit_status"].items()}
+    return Fits(
+        sets=sets.reshape(shape),
+        residuals=None if remainders is None else remainders.reshape(readings.shape),
+        status_names=names,
+        g=float(g or 0.0),
         eta=float(eta),
-        deadline_ms=deadline_ms,
+        g_is_default=g is None,
     )
 
 
-def requests(made: Design) -> Iterator[exchange.Request[Part]]:
-    """Yields the requests for all sets, one after the other."""
-    total, readings = made.values.shape
+def _requests(
+    head: bytes, values: Array, errors: Array, wants_residuals: bool, deadline_ms: int
+) -> Iterator[exchange.Request[Part]]:
+    """Yields the requests for all sets, one after the other. head: the structures and arrays that
+    they share, from fit_design on. values, errors: [sets, readings]."""
+    total, readings = values.shape
     each = max(1, _REQUEST_BYTES // (16 * max(readings, 1)))
     for first in range(0, max(total, 1), each):
-        count = min(each, total - first)
-        fixed = wire.FIT_REQUEST.pack(set_count=count, residuals=int(made.wants_residuals))
-        values = made.values[first : first + count].tobytes()
-        errors = made.errors[first : first + count].tobytes()
-        residuals = readings if made.wants_residuals else 0
+        end = min(first + each, total)
+        fixed = wire.FIT_REQUEST.pack(set_count=end - first, residuals=int(wants_residuals))
 
-        def answer(first: int = first, count: int = count, residuals: int = residuals) -> Answer:
-            return Answer(first, count, residuals)
+        def answer(first: int = first, count: int = end - first) -> Answer:
+            return Answer(first, count, readings if wants_residuals else 0)
 
-        payload = b"".join([fixed, made.head, values, errors])
-        yield exchange.Request("fit", payload, answer, made.deadline_ms)
-
-
-class Collected:
-    """The results of all requests."""
-
-    def __init__(self, info: Info, made: Design):
-        self._info = info
-        self._made = made
-        self._sets = np.empty(len(made.values), _SETS)
-        self._residuals = np.empty_like(made.values) if made.wants_residuals else None
-
-    def add(self, part: Part) -> None:
-        end = part.first + len(part.sets)
-        self._sets[part.first : end] = part.sets
-        if self._residuals is not None:
-            self._residuals[part.first : end] = part.residuals
-
-    def fits(self) -> Fits:
-        self._sets.setflags(write=False)
-        residuals = self._residuals
-        if residuals is not None:
-            residuals = residuals.reshape(*self._made.shape, residuals.shape[-1])
-        names = {choice.id: name for name, choice in self._info.choices["fit_status"].items()}
-        made = self._made
-        return Fits(self._sets.reshape(made.shape), residuals, names, made.g or 0.0, made.eta,
-                    made.g is None)
+        payload = b"".join([fixed, head, values[first:end].tobytes(), errors[first:end].tobytes()])
+        yield exchange.Request("fit", payload, answer, deadline_ms)

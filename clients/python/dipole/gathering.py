@@ -18,8 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from . import wire
-from .errors import ArgumentError, ProtocolError, Refused
-from .evaluation import id_of, media_array, name_of, notes_of, parameters_list
+from .arguments import id_of, media_array, name_of, notes_of, parameters_list
+from .calls import Calls, Steps
+from .errors import ArgumentError, DipoleError, ProtocolError, Refused
 from .exchange import Answer as _Answer
 from .exchange import Once, Request
 from .table import Table
@@ -155,7 +156,7 @@ def _order(queries: Array) -> Any:
     return np.argsort(keys, kind="stable")
 
 
-class Run:
+class _Run:
     """A gather under way. The client sends what next() gives, gives the answers to add() in order,
     and refusals to refused()."""
 
@@ -281,8 +282,8 @@ def _words(name: bytes) -> tuple[int, int]:
     return int.from_bytes(name[:8], "little"), int.from_bytes(name[8:], "little")
 
 
-def plan(
-    info: Info,
+def gather(
+    calls: Calls,
     model: str | int,
     media: Media,
     points: Points,
@@ -294,8 +295,24 @@ def plan(
     moments: str | int = "exact",
     parameters: Mapping[str, float | str] | None = None,
     deadline_ms: int = 0,
-) -> Plan:
-    """See Client.gather()."""
+) -> Steps[Gathered]:
+    """Sums, at each query position x, the light of all points: R(|x - x_i|) times the power of
+    point i, for each channel.
+
+    media: one for each power of a point. points: Points(xyz, power). queries: [..., 3] mm.
+    progress: is called with the numbers of queries that are answered and that there are. If it
+    returns False, the call ends, and the sums that are missing are NaN; what the daemon still does
+    for it ends, too, as if it raises an exception. options: tolerance, 1e-2 by default: the largest
+    relative error, at each query, that grouping points may cause; 0 sums each point by itself.
+    evaluator, "lut" by default, moments, parameters and deadline_ms: as of a Query; the deadline
+    holds for each request.
+
+    The points are sent to a daemon that does not have them, and again when it has lost them. The
+    numbers of points and queries of one daemon are its limits; queries are sent in several
+    requests, whose number is not limited.
+    """
+    info = calls.info
+    media = yield from calls.media_of(media)
     try:
         listed = np.asarray(queries, "<f8")
     except (TypeError, ValueError) as error:
@@ -304,7 +321,7 @@ def plan(
         raise ArgumentError("queries: an array [..., 3]")
     media_bytes = media_array(media)
     structures = parameters_list(info, parameters)
-    return Plan(
+    run = _Run(Plan(
         info=info,
         points=points,
         shape=listed.shape[:-1],
@@ -321,7 +338,34 @@ def plan(
         head=media_bytes.tobytes() + b"".join(structures),
         deadline_ms=deadline_ms,
         progress=progress,
-    )
+    ))  # fmt: skip
+    under_way: list[int] = []
+    drop = calls.exchange.drop
+    try:
+        while not run.stopped:
+            while len(under_way) < OUTSTANDING and (request := run.next()):
+                under_way.append((yield request))
+            if not under_way:
+                return run.result()
+            try:
+                run.add((yield under_way[0]))
+            except Refused as error:
+                if not run.refused(error):
+                    raise
+                while len(under_way) > 1:  # Their answers are no longer wanted.
+                    drop(under_way.pop())
+            finally:
+                drop(under_way.pop(0))
+        yield from calls.cancel(under_way)
+        return run.result()
+    except DipoleError:
+        raise
+    except BaseException:
+        yield from calls.cancel(under_way)
+        raise
+    finally:
+        for request_id in under_way:
+            drop(request_id)
 
 
 # ---- at home -------------------------------------------------------------------------------------

@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from . import exchange, wire
+from .arguments import id_of, name_of
+from .calls import Calls, Steps
 from .errors import ArgumentError, ProtocolError
-from .evaluation import id_of, name_of
 from .values import Info, Inversion
 
 _ARRAYS = 3  # sigma_a, sigma_s, albedo
@@ -86,8 +87,8 @@ class Answer(exchange.Answer[Inversion]):
         )
 
 
-def request(
-    info: Info,
+def invert(
+    calls: Calls,
     model: str | int,
     albedo: Any,
     length: Any,
@@ -97,8 +98,16 @@ def request(
     eta: float = 1.3,
     moments: str | int = "exact",
     deadline_ms: int = 0,
-) -> exchange.Request[Inversion]:
-    """See Client.invert()."""
+) -> Steps[Inversion]:
+    """Finds media that have given diffuse albedos under a model.
+
+    albedo: from 0 to 1, of any shape, such as a texture [H, W, 3]. length: mm, of a shape that
+    can be broadcast with that of albedo. Where the model cannot reach an albedo, the medium is
+    NaN. options: given names the kind of length, from info.choices["length"]. The default,
+    "mean-free-path", is 1 / (sigma_a + sigma_s (1 - g)). g=0.0 and eta=1.3 hold for all media.
+    moments, deadline_ms: as of a Query.
+    """
+    info = calls.info
     try:
         albedos, lengths = np.broadcast_arrays(np.asarray(albedo, "<f8"), np.asarray(length, "<f8"))
     except ValueError as error:
@@ -121,4 +130,5 @@ def request(
         eta=query.eta,
     )
     payload = b"".join([fixed, albedos.tobytes(), lengths.tobytes()])
-    return exchange.Request("invert", payload, lambda: Answer(query, info), deadline_ms)
+    made = exchange.Request("invert", payload, lambda: Answer(query, info), deadline_ms)
+    return (yield from calls.ask(made))

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from . import wire
-from .errors import ArgumentError, ProtocolError
-from .evaluation import id_of, one_medium, parameters_list
+from .arguments import id_of, one_medium, parameters_list
+from .calls import Calls, Cancel, Steps
+from .errors import ArgumentError, DipoleError, ProtocolError
 from .exchange import Answer, Once, Request
-from .values import Grid, Info, McEnergy, McProgress, McResult, McValue, Media, whole
+from .values import Grid, McEnergy, McProgress, McResult, McValue, Media, whole
 
 
 class _Answer(Answer[McProgress | McResult]):
@@ -31,8 +32,8 @@ class _Answer(Answer[McProgress | McResult]):
         self.ready.append(unpack_result(payload) if self.ended else progress_of(fixed))
 
 
-def request(
-    info: Info,
+def mc(
+    calls: Calls,
     medium: Media,
     edges: Grid,
     *,
@@ -44,8 +45,23 @@ def request(
     albedos: Iterable[float] = (),
     seed: int = 1,
     parameters: Mapping[str, float | str] | None = None,
-) -> Request[McProgress | McResult]:
-    """See Client.mc(). progress: not used here."""
+) -> Steps[McResult]:
+    """Runs a Monte Carlo job on the daemon and waits for its result.
+
+    edges: the edges of the rings; n edges make n - 1 rings. progress: is called a few times a
+    second. If it returns False, the job is cancelled, and the result holds the photons walked
+    so far. If it raises an exception, such as KeyboardInterrupt, the job is cancelled too.
+    options: photons: how many to walk. The default is a million, or the daemon's limit if an
+    error is given. error_total, error_rings: the job ends as soon as the relative standard
+    error of the total R, or of every ring with light, is at most this; if both are given, both
+    must hold. thickness: of a slab, mm; None means a half space. albedos: up to 16, in place of
+    the medium's own; one walk gives the results for all of them. seed: 1 by default.
+    parameters: a phase function in place of Henyey and Greenstein's, by name, for example
+    {"phase": "two-term", "phase_share": 0.95, "phase_g": -0.3}; info.choices["phase"]
+    describes them. The medium's g is their mean cosine.
+    """
+    info = calls.info
+    medium = yield from calls.media_of(medium)
     if photons is None:
         wishes = error_total or error_rings
         photons = info.limits["max_mc_photons"] if wishes else 1_000_000
@@ -54,7 +70,24 @@ def request(
     spacing = id_of(info, "spacing", edges.spacing)
     numbers = (photons, error_total, error_rings, thickness, albedos, seed)
     payload = pack_request(medium, edges, spacing, *numbers)
-    return Request("mc", payload + b"".join(parameters_list(info, parameters)), _Answer)
+    job = yield Request("mc", payload + b"".join(parameters_list(info, parameters)), _Answer)
+    cancelled = False
+    try:
+        while not isinstance(report := (yield job), McResult):
+            if progress is not None and progress(report) is False and not cancelled:
+                cancelled = True
+                yield Cancel(job)
+        return report
+    except DipoleError:
+        raise
+    except BaseException as error:
+        yield from calls.cancel([job])
+        while isinstance(error, (Exception, KeyboardInterrupt)):  # A cancelled task does not wait.
+            if isinstance((yield job), McResult):
+                break
+        raise
+    finally:
+        calls.exchange.drop(job)
 
 
 def cancellation(job_id: int) -> Request[None]:

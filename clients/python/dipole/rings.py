@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
+from .arguments import media_array
+from .calls import Calls, Steps
 from .errors import ArgumentError
-from .evaluation import media_array
-from .values import Array, Grid, Info, Media, Query, Result, counted, in_short, span, whole
+from .evaluation import eval
+from .values import Array, EvaluatorOptions, Grid, Media, Query, counted, in_short, span, whole
 
 _NODES = 16  # of Gauss and Legendre in each part of a ring
 _PARTS_MOST = 1 << 18  # of all media: the parts are cut no more when there are more of them
@@ -41,41 +42,39 @@ class RingMeans(NamedTuple):
 _Powers = tuple[Array, Array, Array]
 
 
-def means(
-    info: Info,
+def ring_means(
+    calls: Calls,
     model: str | int | None,
     media: Media,
     edges: Any,
-    *,
-    evaluator: str | int | None = None,
-    moments: str | int = "exact",
-    parameters: Mapping[str, float | str] | None = None,
-    tolerance: float | None = None,
-    deadline_ms: int = 0,
-) -> Generator[Query, Result, RingMeans]:
-    """Yields queries, takes their results, and returns the means.
+    **options: Unpack[EvaluatorOptions],
+) -> Steps[RingMeans]:
+    """Returns a model's means of R over rings, to compare with those of mc().
 
-    A ring is cut into parts whose outer edge is at most twice the inner one, and each part is cut
-    into halves until that changes its power by less than the values' errors do. The sum of the last
-    changes is part of the error: it is far above that of the sum of the halves.
+    edges: mm, a Grid as for mc(), or the edges [N + 1] of its result. The means are integrals of
+    2 pi r R over the ring, over the ring's area; the numerical error holds that of the integration,
+    for which several queries are sent. The model error is NaN for rings that start at 0: it is
+    measured from 0.01 mean free paths on. options: evaluator, moments, parameters, tolerance and
+    deadline_ms, as of a Query.
     """
-    query = Query(
-        model, media, None, wanted="2_pi_r_R", evaluator=evaluator, moments=moments,
-        parameters=parameters, tolerance=tolerance, deadline_ms=deadline_ms,
-    )  # fmt: skip
-    edges, media = _edges(edges), media_array(media)
+    # A ring is cut into parts whose outer edge is at most twice the inner one, and each part is cut
+    # into halves until that changes its power by less than the values' errors do. The sum of the
+    # last changes is part of the error: it is far above that of the sum of the halves.
+    media = media_array((yield from calls.media_of(media)))
+    query = Query(model, media, wanted="2_pi_r_R", **options)
+    edges = _edges(edges)
     low, high, ring = _cut(edges, media)
     if model is None:  # The first answer names the model for all others.
-        first = yield replace(query, r=np.append(low[low > 0], high))
-        query = replace(query, model=first.model, evaluator=evaluator or "f64")
+        first = yield from eval(calls, replace(query, r=np.append(low[low > 0], high)))
+        query = replace(query, model=first.model, evaluator=query.evaluator or "f64")
     power, error = np.zeros((2, len(media), len(edges) - 1))
-    whole, rounding, model_error = yield from _powers(query, low, high)
+    whole, rounding, model_error = yield from _powers(calls, query, low, high)
     small = np.zeros(len(low), bool)
     while len(low):
         middle = (low + high) / 2
         ends = np.stack([low, middle, high])
         low, high = ends[:2].T.reshape(-1), ends[1:].T.reshape(-1)
-        halves, rounding, worst = yield from _powers(query, low, high)
+        halves, rounding, worst = yield from _powers(calls, query, low, high)
         model_error = np.maximum(model_error, worst)
         sums, rounded = (x[:, 0::2] + x[:, 1::2] for x in (halves, rounding))
         change = np.abs(sums - whole)
@@ -111,11 +110,11 @@ def _cut(edges: Array, media: Array) -> tuple[Array, Array, Array]:
     return np.concatenate(low), np.concatenate(high), np.concatenate(ring)
 
 
-def _powers(query: Query, low: Array, high: Array) -> Generator[Query, Result, _Powers]:
+def _powers(calls: Calls, query: Query, low: Array, high: Array) -> Steps[_Powers]:
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)  # type: ignore[no-untyped-call]
     width = (high - low)[:, None]
     r = low[:, None] + width * ((1 + nodes) / 2)
-    result = yield replace(query, r=r.reshape(-1))
+    result = yield from eval(calls, replace(query, r=r.reshape(-1)))
     values = result.two_pi_r_R
     evaluated = r.astype(values.dtype)
     ring: Array = values.astype(np.float64).reshape(-1, *r.shape)

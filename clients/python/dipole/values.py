@@ -9,7 +9,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import Any, NamedTuple, Union
+from typing import Any, NamedTuple, TypedDict, Union
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,6 +122,36 @@ class Query:
         if isinstance(first, Query) and len(arguments) + len(options) == 1:
             return first
         return cls(*arguments, **options)
+
+
+# Fields of a Query that calls take as options.
+
+
+class Options(TypedDict, total=False):
+    """Of a call that prepares a model."""
+
+    moments: str | int
+    parameters: Mapping[str, float | str] | None
+    tolerance: float | None
+    deadline_ms: int
+
+
+class EvaluatorOptions(Options, total=False):
+    """Of a call that evaluates a model, too."""
+
+    evaluator: str | int | None
+
+
+class SampleOptions(EvaluatorOptions, total=False):
+    """Of a call whose quantities may be chosen, too."""
+
+    wanted: str | Iterable[str] | None
+
+
+class OffersOptions(SampleOptions, total=False):
+    """All but the model, the media and r."""
+
+    grid: Grid | None
 
 
 class Choice(NamedTuple):

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from . import wire
+from .arguments import id_of, name_of, notes_of, parameters_list
+from .calls import Calls, Steps
 from .errors import ArgumentError, ProtocolError
-from .evaluation import id_of, name_of, notes_of, parameters_list
 from .exchange import Answer as _Answer
 from .exchange import Request
 from .values import Array, Info, Varying
@@ -167,8 +168,8 @@ def _given(
     return ({**media, "u": u}, wire.VARYING_DRAWN) if u is not None else (media, wire.VARYING_NONE)
 
 
-def plan(
-    info: Info,
+def varying(
+    calls: Calls,
     model: str | int,
     *,
     sigma_a: Any = None,
@@ -189,8 +190,24 @@ def plan(
     parameters: Mapping[str, float | str] | None = None,
     tolerance: float | None = None,
     deadline_ms: int = 0,
-) -> Plan:
-    """See Client.varying()."""
+) -> Steps[Varying]:
+    """Evaluates values each of which has a medium of its own, as the points of a texture have. A
+    value costs some ten nanoseconds.
+
+    sigma_a, sigma_s: 1/mm. In place of them, colour and length give the media: a colour is a
+    diffuse albedo, from 0 to 1; given names the kind of length, as for invert(). light: "beam"
+    or "diffuse", the light of the colours. specular: whether the colours contain what the
+    surface itself reflects. r: radii in mm; or u: numbers from 0 to 1, for which radii are
+    drawn. All of them are arrays of any shapes that can be broadcast with each other. g=0.0 and
+    eta=1.3 hold for all values.
+
+    wanted: names of quantities. The default is R, or r for numbers u. coefficients: names from
+    info.choices["coefficient"]; the default is sigma_a and sigma_s for colours without r and u.
+    evaluator: "f32" or "f64", also the precision of the arrays. A value that has no answer is
+    NaN; statuses says why. tolerance: of transport, 1e-5 or more, 1e-3 by default. moments,
+    parameters, deadline_ms: as of a Query. The number of values is not limited.
+    """
+    info = calls.info
     arrays, numbers = _given(sigma_a, sigma_s, colour, length, r, u)
     coloured = "colour" in arrays
     evaluator_id = id_of(info, "evaluator", evaluator)
@@ -205,7 +222,7 @@ def plan(
         coefficients = ("sigma_a", "sigma_s") if coloured and numbers == wire.VARYING_NONE else ()
     coefficient_bits = _bits(info, "coefficient", coefficients)
     parameter_structures = parameters_list(info, parameters, tolerance)
-    return Plan(
+    plan = Plan(
         info=info,
         shape=listed[0].shape,
         fixed={
@@ -229,3 +246,6 @@ def plan(
         type=type,
         deadline_ms=deadline_ms,
     )
+    pieces: list[Piece] = []
+    yield from calls.each(plan.requests(), pieces.append)
+    return plan.join(pieces)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .errors import ArgumentError
+from .errors import ArgumentError, ProtocolError
 
 MAGIC = 0x4C504944
 VERSION = 1
@@ -306,3 +306,23 @@ ERROR = Structure(
     "error",
     "u16 status, u16 zero, u32 retry_after_ms, u64 index, text field[32], text allowed[80]",
 )
+
+
+def unpack_list(
+    payload: bytes, fixed_structure: Structure, **lists: Structure
+) -> tuple[Any, list[list[Any]]]:
+    """Unpacks a payload of a fixed part and then lists. For each list, `lists` maps the field of
+    the fixed part that holds its length to the structure of its entries."""
+    if len(payload) < fixed_structure.bytes:
+        raise ProtocolError(f"a {fixed_structure.name} that is too short")
+    fixed = fixed_structure.unpack(payload)
+    at = fixed_structure.bytes
+    expected = at + sum(getattr(fixed, count) * entry.bytes for count, entry in lists.items())
+    if len(payload) != expected:
+        raise ProtocolError(f"a {fixed_structure.name} of an unexpected size")
+    unpacked = []
+    for count, entry in lists.items():
+        end = at + getattr(fixed, count) * entry.bytes
+        unpacked.append([entry.unpack(payload, offset) for offset in range(at, end, entry.bytes)])
+        at = end
+    return fixed, unpacked

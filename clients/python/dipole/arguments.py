@@ -1,0 +1,127 @@
+"""What the arguments of calls have in common: names of the daemon's lists, media and parameters."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from typing import Any, TypeVar
+
+import numpy as np
+
+from . import wire
+from .errors import ArgumentError, ProtocolError
+from .values import Array, Info, Media, Medium
+
+T = TypeVar("T")
+
+
+def id_of(info: Info, kind: str, name: str | int) -> int:
+    """Finds the id of a choice by its name. Returns an id unchanged: the daemon checks it."""
+    if not isinstance(name, str):
+        return name
+    return known(kind, name, info.choices[kind]).id
+
+
+def known(kind: str, name: str, choices: Mapping[str, T]) -> T:
+    """Returns the choice of that name. If there is none, the error names the nearest one."""
+    if name not in choices:
+        near = difflib.get_close_matches(name, choices, 1)
+        hint = f". Did you mean {near[0]}?" if near else ""
+        raise ArgumentError(f"{kind} {name}: not one of {', '.join(choices)}{hint}")
+    return choices[name]
+
+
+def name_of(info: Info, kind: str, number: int) -> str:
+    """Finds the daemon's name for the id of a choice in a reply."""
+    for choice in info.choices[kind].values():
+        if choice.id == number:
+            return choice.name
+    raise ProtocolError(f"a reply with {kind} {number}, which the daemon has not listed")
+
+
+def notes_of(info: Info, notes: int) -> tuple[str, ...]:
+    """Returns the names of the notes in a sum of their bits."""
+    listed = info.choices["note"].values()
+    return tuple(note.name for note in listed if note.id and notes & note.id)
+
+
+def media_array(media: Media) -> Array:
+    """Makes an array [C, 4] of one medium or of several."""
+    if isinstance(media, Medium) and any(map(np.ndim, media)):
+        raise ArgumentError(
+            "media: the fields of this Medium are arrays: give a list of Medium, or call values(), "
+            "which broadcasts them"
+        )
+    try:
+        listed = media if isinstance(media, (tuple, np.ndarray)) else list(media)
+        array: Array = np.asarray(listed, "<f8")
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"media: a Medium, or several, or an array [C, 4]: {error}") from error
+    if array.ndim == 1:
+        array = array[np.newaxis]
+    if array.ndim != 2 or array.shape[1] != 4:
+        raise ArgumentError("media: a Medium, or several, or an array [C, 4]")
+    return array
+
+
+def one_medium(media: Media) -> Medium:
+    """Makes a Medium of an argument that may be only one."""
+    if isinstance(media, (tuple, list)) and 2 <= len(media) <= 4 and np.isscalar(media[0]):
+        return Medium(*media)
+    array = media_array(media)
+    if len(array) != 1:
+        raise ArgumentError(
+            f"medium: one Medium, not {len(array)}. Of a measured medium, take one channel: "
+            'client.media()["skin1"][0] is red'
+        )
+    return Medium(*array[0])
+
+
+def names_of(wanted: str | Iterable[str] | None, default: tuple[str, ...]) -> tuple[str, ...]:
+    """Returns the names of the wanted quantities."""
+    if wanted is None:
+        return default
+    try:
+        return (wanted,) if isinstance(wanted, str) else tuple(wanted)
+    except TypeError as error:
+        raise ArgumentError(f"wanted: names of quantities, or one name: {error}") from error
+
+
+# Parameters whose values may be names: the kinds of choices that these are.
+_NAMED = {"fit_model": "model", "phase": "phase"}
+
+
+def parameters_list(
+    info: Info, parameters: Mapping[str, float | str] | None, tolerance: float | None = None
+) -> list[bytes]:
+    """Packs each parameter into its structure. The daemon checks the values."""
+    structures = []
+    all_parameters = dict(parameters or {})
+    if tolerance is not None:
+        if "tolerance" in all_parameters:
+            raise ArgumentError("tolerance: as an argument or in parameters, not both")
+        all_parameters["tolerance"] = tolerance
+    for name, given in all_parameters.items():
+        by_name = name in _NAMED and isinstance(given, str)
+        value = id_of(info, _NAMED[name], str(given)) if by_name else given
+        try:
+            number = float(value)
+        except (TypeError, ValueError) as error:
+            raise ArgumentError(f"parameter {name}: {value!r} is no number") from error
+        parameter = id_of(info, "parameter", name)
+        structures.append(wire.PARAMETER.pack(parameter=parameter, value=number))
+    return structures
+
+
+def in_precision(numbers: Any, argument: str, noun: str, evaluator_id: int) -> Array:
+    """Makes an array [N] of numbers, in the precision of an evaluator. An error message names the
+    caller's argument and uses the noun for one number: "r: one radius or an array [N]"."""
+    if evaluator_id not in wire.EVALUATOR_TYPES:
+        raise ArgumentError(f"evaluator {evaluator_id}: this module does not know its precision")
+    try:
+        array = np.asarray([] if numbers is None else numbers, wire.EVALUATOR_TYPES[evaluator_id])
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"{argument}: one {noun} or an array [N]: {error}") from error
+    if array.ndim > 1:
+        raise ArgumentError(f"{argument}: one {noun} or an array [N]")
+    return np.ascontiguousarray(array.reshape(-1))
