@@ -109,8 +109,8 @@ static bool read_row(cli_csv_record *record, const cloud_columns *columns, cli_c
     const bool given = columns->at[i] < record->cell_count;
     if (!given || !cli_csv_number(record, columns->at[i], &numbers[i])) {
       const char *text = given ? cli_csv_cell_text(record, columns->at[i], &length) : "";
-      cli_fail("%s:%llu: column %zu: '%.40s' is no number%s", cloud->file, line,
-               columns->at[i] + 1, text, cli_csv_number_hint(text));
+      cli_fail("%s:%llu: column %zu: '%.40s' is no number%s", cloud->file, line, columns->at[i] + 1,
+               text, cli_csv_number_hint(text));
       return false;
     }
   }
@@ -143,7 +143,7 @@ static bool read_csv(int fd, bool with_power, cli_cloud *cloud) {
   reader->fd = fd;
   const bool good = read_records(reader, &record, with_power, cloud);
   cli_csv_record_free(&record);
-  cli_csv_record_free(&reader->held);
+  cli_csv_reader_free(reader);
   free(reader);
   return good;
 }
@@ -155,10 +155,10 @@ static const struct type {
   size_t bytes;
   enum { SIGNED, UNSIGNED, REAL } kind;
 } types[] = {
-    {"char", "int8", 1, SIGNED},    {"uchar", "uint8", 1, UNSIGNED},
-    {"short", "int16", 2, SIGNED},  {"ushort", "uint16", 2, UNSIGNED},
-    {"int", "int32", 4, SIGNED},    {"uint", "uint32", 4, UNSIGNED},
-    {"float", "float32", 4, REAL},  {"double", "float64", 8, REAL},
+    {"char", "int8", 1, SIGNED},   {"uchar", "uint8", 1, UNSIGNED},
+    {"short", "int16", 2, SIGNED}, {"ushort", "uint16", 2, UNSIGNED},
+    {"int", "int32", 4, SIGNED},   {"uint", "uint32", 4, UNSIGNED},
+    {"float", "float32", 4, REAL}, {"double", "float64", 8, REAL},
 };
 
 typedef struct ply_reader {
@@ -186,7 +186,8 @@ static bool read_line(ply_reader *ply, char line[LINE_BYTES]) {
   return true;
 }
 
-static bool add_property(const cli_cloud *cloud, ply_reader *ply, const char *type, const char *name) {
+static bool add_property(const cli_cloud *cloud, ply_reader *ply, const char *type,
+                         const char *name) {
   if (ply->property_count == FIELDS_MAX) {
     return fail_ply(cloud, ply, "vertices have more than 64 properties");
   }
@@ -213,7 +214,7 @@ static bool read_ply_header(const cli_cloud *cloud, ply_reader *ply) {
   }
   while (read_line(ply, line)) {
     if (strcmp(line, "end_header") == 0) {
-      return !binary              ? fail_ply(cloud, ply, "the format is not binary_little_endian")
+      return !binary ? fail_ply(cloud, ply, "the format is not binary_little_endian")
              : element == NO_ELEMENT ? fail_ply(cloud, ply, "there is no element vertex")
                                      : true;
     }
@@ -340,8 +341,7 @@ static void write_csv(FILE *file, const cli_cloud *at, uint32_t channels, const 
   fputc('\n', file);
   for (uint64_t i = 0; i < at->count; i++) {
     for (size_t k = 0; k < AXES; k++) {
-      fprintf(file, "%s%s", k > 0 ? "," : "",
-              cli_number_format(at->xyz_mm[i * AXES + k], text));
+      fprintf(file, "%s%s", k > 0 ? "," : "", cli_number_format(at->xyz_mm[i * AXES + k], text));
     }
     for (uint32_t c = 0; c < channels; c++) {
       fprintf(file, ",%s", cli_number_format(M[i * channels + c], text));

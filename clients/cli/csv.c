@@ -9,90 +9,25 @@
 #include "clients/cli/cli.h"
 #include "clients/cli/number.h"
 
-enum { BYTE_ORDER_MARK_BYTES = 3, HALF_BYTES = CLI_CSV_INPUT_BYTES / 2 };
+enum { BYTE_ORDER_MARK_BYTES = 3 };
 
 /* ---- bytes ----------------------------------------------------------------------------------- */
 
-static size_t put_utf8(uint32_t code, unsigned char *to) {
-  static const unsigned char marks[] = {0, 0, 0xc0, 0xe0, 0xf0};
-  const size_t bytes = code < 0x80 ? 1 : code < 0x800 ? 2 : code < 0x10000 ? 3 : 4;
-  for (size_t i = bytes; i-- > 1; code >>= 6) {
-    to[i] = (unsigned char)(0x80 | (code & 0x3f));
-  }
-  to[0] = (unsigned char)(marks[bytes] | code);
-  return bytes;
-}
-
-static uint32_t unit_at(const cli_csv_reader *reader, size_t at) {
-  const size_t high = reader->encoding == CLI_CSV_UTF16_BIG ? at : at + 1;
-  return reader->input[high] * 256u + reader->input[2 * at + 1 - high];
-}
-
-/* Turns the UTF-16 in the second half of the input into UTF-8, which is at most half as long again,
- * from its start on. What is no character becomes U+FFFD. Keeps the beginning of a character. */
-static void decode_utf16(cli_csv_reader *reader, size_t bytes) {
-  size_t at = HALF_BYTES;
-  const size_t end = at + bytes;
-  reader->begin = reader->end = 0;
-  while (end - at >= 2) {
-    uint32_t code = unit_at(reader, at), low = 0;
-    const bool is_high = code >> 10 == 0xd800 >> 10;
-    if (is_high && end - at >= 4) {
-      low = unit_at(reader, at + 2);
-    } else if (is_high && !reader->at_end) {
-      break;
-    }
-    const bool is_pair = low >> 10 == 0xdc00 >> 10;
-    code = is_pair ? 0x10000 + (code - 0xd800) * 0x400 + (low - 0xdc00) : code;
-    at += is_pair ? 4 : 2;
-    code = code >> 11 == 0xd800 >> 11 ? 0xfffd : code;
-    reader->end += put_utf8(code, reader->input + reader->end);
-  }
-  reader->rest_bytes = end - at;
-  memcpy(reader->rest, reader->input + at, reader->rest_bytes);
-}
-
-/* Reads bytes behind the first `bytes` of the second half of the input. Returns how many there are
- * then. */
-static size_t read_some(cli_csv_reader *reader, size_t bytes) {
-  ssize_t got;
-  do {
-    got = read(reader->fd, reader->input + HALF_BYTES + bytes, HALF_BYTES - bytes);
-  } while (got < 0 && errno == EINTR);
-  if (got <= 0) {
-    reader->at_end = true;
-    reader->read_errno = got < 0 ? errno : 0;
-    return bytes;
-  }
-  reader->bytes_read += (uint64_t)got;
-  return bytes + (size_t)got;
-}
-
 static bool fill(cli_csv_reader *reader) {
   struct pollfd wait = {.fd = reader->fd, .events = POLLIN};
+  ssize_t got;
   if (reader->before_wait != NULL && poll(&wait, 1, 0) == 0) {
     reader->before_wait(reader->context);
   }
-  const bool first = reader->bytes_read == 0;
   do {
-    size_t bytes = reader->rest_bytes;
-    memcpy(reader->input + HALF_BYTES, reader->rest, bytes);
-    do {
-      bytes = read_some(reader, bytes);
-    } while (reader->bytes_read < 2 && !reader->at_end);
-    if (first && bytes >= 2) {
-      const uint32_t mark = unit_at(reader, HALF_BYTES);
-      reader->encoding = mark == 0xfeff   ? CLI_CSV_UTF16_LITTLE
-                         : mark == 0xfffe ? CLI_CSV_UTF16_BIG
-                                          : CLI_CSV_UTF8;
-    }
-    reader->begin = HALF_BYTES;
-    reader->end = HALF_BYTES + bytes;
-    if (reader->encoding != CLI_CSV_UTF8) {
-      decode_utf16(reader, bytes);
-    }
-  } while (reader->begin == reader->end && !reader->at_end);
-  return reader->begin < reader->end;
+    got = read(reader->fd, reader->input, sizeof reader->input);
+  } while (got < 0 && errno == EINTR);
+  reader->at_end = got <= 0;
+  reader->read_errno = got < 0 ? errno : 0;
+  reader->begin = 0;
+  reader->end = got > 0 ? (size_t)got : 0;
+  reader->bytes_read += reader->end;
+  return got > 0;
 }
 
 /* Returns the next byte without taking it; -1 at the end of the input. */
@@ -152,7 +87,7 @@ static void split(cli_csv_record *record, char separator) {
   const char *bytes = record->bytes;
   const size_t end = record->length - record->ending_bytes;
   record->cell_count = 0;
-  record->malformed = record->decimal_comma = false;
+  record->malformed = false;
   record->separator = separator;
   for (size_t at = record->begin; at <= end; at++) {
     cli_csv_cell cell = {.begin = at};
@@ -183,33 +118,17 @@ const char *cli_csv_cell_text(const cli_csv_record *record, size_t index, size_t
   return record->texts + record->cells[index].begin;
 }
 
-/* Returns whether a text may have commas between its thousands: 1,234. */
-static bool may_be_thousands(const char *text) {
-  text += *text == '-' || *text == '+';
-  const size_t digits = strspn(text, "0123456789");
-  return text[0] != '0' && digits > 0 && digits <= 3 && strlen(text) == digits + 4 &&
-         strspn(text + digits + 1, "0123456789") == 3;
-}
-
-bool cli_csv_number(cli_csv_record *record, size_t index, double *value) {
+bool cli_csv_number(const cli_csv_record *record, size_t index, double *value) {
   const cli_csv_cell *cell = &record->cells[index];
-  char *text = record->texts + cell->begin, *comma = strchr(text, ',');
-  if (strlen(text) != cell->text_length) {
-    return false;
-  }
-  if (comma == NULL || record->separator == ',' ||
-      (record->separator != ';' && may_be_thousands(text))) {
-    return cli_number_parse(text, value);
-  }
-  *comma = '.';
-  const bool good = cli_number_parse(text, value);
-  *comma = ',';
-  record->decimal_comma = record->decimal_comma || good;
-  return good;
+  const char *text = record->texts + cell->begin;
+  return strlen(text) == cell->text_length && !decimal_starts_with_zero(text) &&
+         cli_number_parse(text, value);
 }
 
 const char *cli_csv_number_hint(const char *text) {
-  return strchr(text, ',') != NULL ? ": write a decimal point" : "";
+  return strchr(text, ',') != NULL || decimal_starts_with_zero(text) ? ": write a decimal point"
+         : text[0] == '#' ? ": below the header, lines with several cells are no comments"
+                          : "";
 }
 
 bool cli_csv_has_more(const cli_csv_record *row, size_t header_cells) {
@@ -294,6 +213,12 @@ static bool is_empty(const cli_csv_record *record) {
   return at == record->length - record->ending_bytes;
 }
 
+/* Returns whether a line is the one that Excel reads and writes above the header: sep=; */
+static bool names_separator(const cli_csv_record *record) {
+  return record->length - record->ending_bytes - record->begin == strlen("sep=;") &&
+         strncmp(record->bytes + record->begin, "sep=", 4) == 0;
+}
+
 /* Reads a record or a comment, and makes no cells. */
 static enum cli_csv_kind read_line(cli_csv_reader *reader, cli_csv_record *record) {
   record->length = record->ending_bytes = record->cell_count = 0;
@@ -302,7 +227,8 @@ static enum cli_csv_kind read_line(cli_csv_reader *reader, cli_csv_record *recor
   const bool part_of_mark = mark_bytes > 0 && mark_bytes < BYTE_ORDER_MARK_BYTES;
   record->begin = part_of_mark ? 0 : mark_bytes;
   int byte = peek(reader);
-  enum state state = part_of_mark ? IN_CELL : byte == '#' ? IN_COMMENT : CELL_START;
+  const bool comment = byte == '#' && reader->header_cells == 0;
+  enum state state = part_of_mark ? IN_CELL : comment ? IN_COMMENT : CELL_START;
   uint64_t quote_line = 0;
   bool ends = false;
   for (; !ends && byte >= 0; byte = ends ? 0 : peek(reader)) {
@@ -331,7 +257,9 @@ static enum cli_csv_kind read_line(cli_csv_reader *reader, cli_csv_record *recor
   keep(record, "", 1); /* room for the zero byte of the last text */
   const char *end = record->bytes + --record->length;
   record->ending_bytes = (size_t)ends + (record->length > 1 && end[-1] == '\n' && end[-2] == '\r');
-  return state == IN_COMMENT || is_empty(record) ? CLI_CSV_COMMENT : CLI_CSV_RECORD;
+  return comment || is_empty(record) || (record->line == 1 && names_separator(record))
+             ? CLI_CSV_COMMENT
+             : CLI_CSV_RECORD;
 }
 
 /* Returns what separates the columns of a header; 0 if that could be commas or semicolons. Splits
@@ -349,23 +277,28 @@ static char split_header(cli_csv_record *header) {
 }
 
 static enum cli_csv_kind take_header(cli_csv_reader *reader, cli_csv_record *header) {
-  reader->separator = split_header(header);
-  if (reader->separator == 0) {
+  const char separator = split_header(header);
+  if (memchr(header->bytes, '\0', header->length) != NULL) {
+    return fail_at(
+        reader, header->line,
+        "the header has zero bytes, as UTF-16 has: save the file as UTF-8, or convert it "
+        "by iconv -f UTF-16 -t UTF-8");
+  }
+  if (separator == 0) {
     return fail_at(reader, header->line,
                    "the header has commas and semicolons: separate its columns by one of them");
-  }
-  if (memchr(header->bytes, '\0', header->length) != NULL) {
-    return fail_at(reader, header->line, "the header has zero bytes: save the file as UTF-8");
   }
   if (header->cell_count == 1 && strchr(header->texts + header->cells[0].begin, ' ') != NULL) {
     return fail_at(reader, header->line,
                    "the header is one cell: separate its columns by commas, semicolons or tabs");
   }
+  reader->separator = separator;
+  reader->header_cells = header->cell_count;
   return CLI_CSV_RECORD;
 }
 
 /* Returns whether a comment above the first record is the header: it has as many cells, and only
- * the record has numbers among them. Then splits it. */
+ * the record has numbers among them. Then splits both. */
 static bool is_header(cli_csv_record *comment, cli_csv_record *first) {
   const size_t begin = comment->begin;
   size_t names = 0, numbers = 0;
@@ -376,8 +309,8 @@ static bool is_header(cli_csv_record *comment, cli_csv_record *first) {
     names += comment->cells[i].text_length > 0 && !cli_csv_number(comment, i, &number);
     numbers += i < first->cell_count && cli_csv_number(first, i, &number);
   }
-  if (names > 1 && names == comment->cell_count && names == first->cell_count && numbers > 0 &&
-      first->separator != 0 && !comment->malformed) {
+  if (comment->begin > begin && names > 1 && names == comment->cell_count &&
+      names == first->cell_count && numbers > 0 && first->separator != 0 && !comment->malformed) {
     return true;
   }
   comment->begin = begin;
@@ -385,30 +318,62 @@ static bool is_header(cli_csv_record *comment, cli_csv_record *first) {
   return false;
 }
 
+/* Makes the cells of a line below the header. */
+static enum cli_csv_kind take_line(const cli_csv_reader *reader, cli_csv_record *record) {
+  split(record, reader->separator);
+  const bool is_comment = record->bytes[record->begin] == '#' && record->cell_count == 1;
+  return is_comment && reader->header_cells > 1 ? CLI_CSV_COMMENT : CLI_CSV_RECORD;
+}
+
+/* Reads the comments above the first record, and that, and finds the header among them. */
+static void read_ahead(cli_csv_reader *reader) {
+  struct cli_csv_held *last;
+  do {
+    reader->held = cli_resize(reader->held, reader->held_count + 1, sizeof *reader->held);
+    last = &reader->held[reader->held_count++];
+    last->record = (cli_csv_record){0};
+    last->kind = read_line(reader, &last->record);
+  } while (last->kind == CLI_CSV_COMMENT);
+  if (last->kind != CLI_CSV_RECORD) {
+    return;
+  }
+  for (struct cli_csv_held *one = last; one-- > reader->held;) {
+    if (is_header(&one->record, &last->record)) {
+      one->kind = take_header(reader, &one->record);
+      while (++one < last) {
+        one->kind = is_empty(&one->record) ? one->kind : take_line(reader, &one->record);
+      }
+      return;
+    }
+  }
+  last->kind = take_header(reader, &last->record);
+}
+
 enum cli_csv_kind cli_csv_read(cli_csv_reader *reader, cli_csv_record *record) {
-  enum cli_csv_kind kind = reader->held_kind;
-  if (kind != CLI_CSV_END) {
-    const cli_csv_record held = reader->held;
-    reader->held = *record;
-    *record = held;
-    reader->held_kind = CLI_CSV_END;
-  } else {
-    kind = read_line(reader, record);
+  if (reader->header_cells == 0 && reader->held_count == 0) {
+    read_ahead(reader);
   }
-  if (reader->separator != 0) {
-    if (kind == CLI_CSV_RECORD) {
-      split(record, reader->separator);
+  if (reader->held_next < reader->held_count) {
+    cli_csv_record_free(record);
+    const struct cli_csv_held *next = &reader->held[reader->held_next++];
+    *record = next->record;
+    const enum cli_csv_kind kind = next->kind;
+    if (reader->held_next == reader->held_count) {
+      cli_csv_reader_free(reader);
     }
-  } else if (kind == CLI_CSV_RECORD) {
-    return take_header(reader, record);
-  } else if (kind == CLI_CSV_COMMENT && record->bytes[record->begin] == '#') {
-    reader->held_kind = read_line(reader, &reader->held);
-    if (reader->held_kind == CLI_CSV_RECORD && is_header(record, &reader->held)) {
-      reader->separator = record->separator;
-      return CLI_CSV_RECORD;
-    }
+    return kind;
   }
-  return kind;
+  const enum cli_csv_kind kind = read_line(reader, record);
+  return kind == CLI_CSV_RECORD ? take_line(reader, record) : kind;
+}
+
+void cli_csv_reader_free(cli_csv_reader *reader) {
+  while (reader->held_next < reader->held_count) {
+    cli_csv_record_free(&reader->held[reader->held_next++].record);
+  }
+  free(reader->held);
+  reader->held = NULL;
+  reader->held_count = reader->held_next = 0;
 }
 
 void cli_csv_record_free(cli_csv_record *record) {

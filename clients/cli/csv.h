@@ -1,7 +1,10 @@
 /* csv: reads comma-separated values by records (RFC 4180) and keeps their bytes; writes cells. Also
  * reads what cannot be misunderstood: cells between semicolons or tabs, as the header has them;
- * blanks around cells; lines that end with a carriage return; a header that starts with #, if the
- * line below it has as many cells, and numbers; UTF-16 with a byte order mark, as UTF-8. */
+ * blanks around cells; lines that end with a carriage return; a first line sep=;.
+ *
+ * Comments are blank lines and lines that start with #, but no data is lost as one: above the header,
+ * the last such line with as many cells as the first row, and names where that has a number, is the
+ * header; below it, such a line with several cells is a row, as that of a sample called #1. */
 #ifndef DIPOLE_CLI_CSV_H
 #define DIPOLE_CLI_CSV_H
 
@@ -12,8 +15,8 @@
 
 /* What --help says about it. */
 #define CLI_CSV_TEXT                                                                               \
-  "CSV has a header, and commas, semicolons or tabs between its cells. Between semicolons or\n"    \
-  "tabs a number may have a decimal comma. UTF-16 is read if it starts with a mark.\n"
+  "CSV has a header, and commas, semicolons or tabs between its cells. Lines that start with #\n"  \
+  "are comments, but below the header only those with one cell.\n"
 
 /* The size of the longest record, with the line breaks in its quotes. */
 #define CLI_CSV_RECORD_MAX_BYTES ((size_t)1 << 20)
@@ -37,15 +40,14 @@ typedef struct cli_csv_record {
   uint64_t line;       /* number of its first line, from 1 on */
   cli_csv_cell *cells;
   size_t cell_count, cell_capacity;
-  bool malformed;     /* text stands after a closing quote */
-  char separator;     /* of its cells */
-  bool decimal_comma; /* cli_csv_number() has read one */
+  bool malformed; /* text stands after a closing quote */
+  char separator; /* of its cells */
 } cli_csv_record;
 
 enum cli_csv_kind {
   CLI_CSV_END,
   CLI_CSV_RECORD,
-  CLI_CSV_COMMENT, /* a line that starts with #, or a blank line; it has no cells */
+  CLI_CSV_COMMENT, /* see above; it has no cells */
   CLI_CSV_FAILED,  /* see problem */
 };
 
@@ -57,16 +59,17 @@ typedef struct cli_csv_reader {
   void (*before_wait)(void *context);
   void *context;
   char problem[160]; /* after CLI_CSV_FAILED: what is wrong, and where */
-  /* The rest belongs to the functions below. Free `held` at the end. */
-  char separator;   /* 0 before the header */
-  bool lone_return; /* a line has ended with a carriage return alone */
-  cli_csv_record held;
-  enum cli_csv_kind held_kind; /* of the record that was read ahead; CLI_CSV_END if none was */
+  /* The rest belongs to the functions below. */
+  char separator;      /* 0 before the header */
+  size_t header_cells; /* 0 before the header */
+  bool lone_return;    /* a line has ended with a carriage return alone */
+  struct cli_csv_held {
+    cli_csv_record record;
+    enum cli_csv_kind kind;
+  } * held; /* what was read ahead for the header's sake */
+  size_t held_count, held_next;
   bool at_end;
   int read_errno;
-  enum { CLI_CSV_UTF8, CLI_CSV_UTF16_LITTLE, CLI_CSV_UTF16_BIG } encoding;
-  size_t rest_bytes;
-  unsigned char rest[4]; /* of UTF-16: the beginning of a character */
   size_t begin, end;
   unsigned char input[CLI_CSV_INPUT_BYTES];
 } cli_csv_reader;
@@ -76,13 +79,15 @@ typedef struct cli_csv_reader {
  * first cell. */
 enum cli_csv_kind cli_csv_read(cli_csv_reader *reader, cli_csv_record *record);
 
+/* Frees what was read ahead; the caller closes fd. */
+void cli_csv_reader_free(cli_csv_reader *reader);
+
 /* Returns the text of a cell without its quotes and the blanks around it. It is valid until the next
  * record is read. The text may hold zero bytes; *length is its length with them. */
 const char *cli_csv_cell_text(const cli_csv_record *record, size_t index, size_t *length);
 
-/* Reads a cell as a number. Where no comma separates cells, it may be a decimal comma; 1,234 is then
- * a number only between semicolons, since it may mean 1234 elsewhere. */
-bool cli_csv_number(cli_csv_record *record, size_t index, double *value);
+/* Reads a cell as a number. 05 is none, since 0,05 in two cells is meant as 0.05. */
+bool cli_csv_number(const cli_csv_record *record, size_t index, double *value);
 
 /* Says what may help if a text is no number: starts with ": ", or is "". */
 const char *cli_csv_number_hint(const char *text);

@@ -644,7 +644,7 @@ static int run(void *settings, dipole_client *client) {
     cli_csv_record_free(&points->rows[i].record);
     free(points->rows[i].values);
   }
-  cli_csv_record_free(&points->reader.held);
+  cli_csv_reader_free(&points->reader);
   for (size_t i = 0; i < 3; i++) {
     free(points->arrays[i]);
   }
@@ -670,8 +670,7 @@ const cli_command cli_command_points = {
         "Each row is written as it is, with columns appended, or replaced if they exist: R\n"
         "(1/mm^2 per unit of power that entered; it may be inf), albedo, cdf (the share of the\n"
         "albedo within r) and status. status is ok or says what is wrong with the row; then the\n"
-        "exit status is 3, but the other rows are evaluated. Lines that start with # are "
-        "copied.\n" CLI_CSV_TEXT CLI_DEFAULT_TEXT,
+        "exit status is 3, but the other rows are evaluated. Comments are copied.\n" CLI_CSV_TEXT CLI_DEFAULT_TEXT,
     .formats = "csv",
     .options = {options, cli_parameter_options},
     .examples = "  dipole points media.csv > profiles.csv\n"

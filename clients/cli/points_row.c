@@ -148,7 +148,7 @@ static bool take_column(const points_usual *usual, const char *source, const cha
   const bool f = usual->by_f && strcmp(name, name_of_radii(usual)) == 0;
   size_t *place = place_of(columns, usual->info, f ? inputs[R].name : name);
   if (place == NULL) {
-    return check_unread(usual, source, name);
+    return strcmp(name, "f") == 0 || check_unread(usual, source, name); /* of an earlier R_f */
   }
   if (*place != POINTS_ABSENT) {
     cli_fail("%s: the header has the column %s twice: rename one", source, name);
@@ -219,14 +219,9 @@ static double numerical_error(const points_usual *usual, const points_row *row, 
   return row->numerical_error + (grows ? row->numerical_error_per_mm * r_mm : 0);
 }
 
-/* Writes a number with the decimal mark of the row. */
-static void write_number(const points_row *row, double value, FILE *file) {
+static void write_number(double value, FILE *file) {
   char text[CLI_NUMBER_BYTES];
-  char *point = strchr(cli_number_format(value, text), '.');
-  if (point != NULL && row->record.decimal_comma) {
-    *point = ',';
-  }
-  fputs_unlocked(isnan(value) ? "" : text, file);
+  fputs_unlocked(isnan(value) ? "" : cli_number_format(value, text), file);
 }
 
 /* A cell of the row's line for radius number `radius`. */
@@ -237,13 +232,12 @@ static void write_output(const points_usual *usual, const points_row *row, size_
   if (output == first + count + (usual->settings->errors ? 2 : 0)) {
     cli_csv_write_cell(good ? "ok" : row->status, file);
   } else if (good && output >= first + count) {
-    write_number(row,
-                 output == first + count ? numerical_error(usual, row, radius) : row->model_error,
+    write_number(output == first + count ? numerical_error(usual, row, radius) : row->model_error,
                  file);
   } else if (good && output < first) {
-    write_number(row, usual->radii->items[radius], file);
+    write_number(usual->radii->items[radius], file);
   } else if (good) {
-    write_number(row, row->values[radius * count + output - first], file);
+    write_number(row->values[radius * count + output - first], file);
   }
 }
 
@@ -357,12 +351,11 @@ static bool read_moments(const points_usual *usual, const points_columns *column
 static bool read_number(points_row *row, size_t input, size_t at) {
   size_t length;
   const bool given = at != POINTS_ABSENT;
+  const char *text = given ? cli_csv_cell_text(&row->record, at, &length) : "";
   return (given && cli_csv_number(&row->record, at, AT(row, inputs[input].offset))) ||
          make_bad(row,
-                  "%s: '%.*s' is no number: allowed: decimal numbers within the range of "
-                  "doubles",
-                  inputs[input].name, SHOWN_BYTES,
-                  given ? cli_csv_cell_text(&row->record, at, &length) : "");
+                  "%s: '%.*s' is no number: allowed: decimal numbers within the range of doubles%s",
+                  inputs[input].name, SHOWN_BYTES, text, cli_csv_number_hint(text));
 }
 
 /* measured: whether the row has the coefficients of a measured medium, which its cells override. */
@@ -422,10 +415,8 @@ static bool read_parameters(const points_usual *usual, const points_columns *col
     double value;
     const size_t at = columns->parameter_at[i];
     const char *text = cli_csv_cell_text(&row->record, at, &length);
-    good = length == 0 || (strlen(text) == length &&
-                           (strchr(text, ',') != NULL
-                                ? cli_csv_number(&row->record, at, &value)
-                                : cli_parameter_parse(usual->info, parameter, text, &value)));
+    good = length == 0 || (strlen(text) == length && !decimal_starts_with_zero(text) &&
+                           cli_parameter_parse(usual->info, parameter, text, &value));
     if (!good) {
       make_bad(row, "%s: '%.*s' is no value: allowed: %s", parameter->name, SHOWN_BYTES, text,
                parameter->about);

@@ -330,7 +330,7 @@ static int read_all(reading *of) {
     }
   }
   cli_csv_record_free(&record);
-  cli_csv_record_free(&of->reader.held);
+  cli_csv_reader_free(&of->reader);
   if (status == CLI_OK && kind == CLI_CSV_FAILED) {
     return cli_fail("%s: %s", of->source, of->reader.problem);
   }

@@ -586,6 +586,10 @@ def test_inverted_media_go_straight_into_points():
     assert len(read_csv(points(measured, "--r", "1"))) == measured.count("\n") - 1
     bad = dipole("points", "--r", "1", stdin=f"{HEADER}\n{ROW}\n", status=FAILED)
     assert "has the column r: leave --r out" in bad.stderr
+    by_f = f"{HEADER[:-1]}f\n{ROW}\n"
+    bad = dipole("points", "--f", "1", "--wanted", "R_f", stdin=by_f, status=FAILED)
+    assert "has the column f: leave --f out" in bad.stderr
+    assert read_csv(points(by_f, "--r", "1"))[0]["f"] == "2"
 
 
 @pytest.mark.parametrize(
@@ -611,17 +615,15 @@ FORMS = {
     "blanks": lambda text: text.replace(",", " ,\t "),
     "quotes behind blanks": lambda text: re.sub("([^,\n]+)", ' "\\1" ', text),
     "semicolons": lambda text: text.replace(",", ";"),
-    "decimal commas": lambda text: text.replace(",", ";").replace(".", ","),
-    "decimal commas and tabs": lambda text: text.replace(",", "\t").replace(".", ","),
     "tabs": lambda text: text.replace(",", " \t"),
     "returns": lambda text: text.replace("\n", "\r"),
     "returns and feeds": lambda text: "\r\n" + text.replace("\n", "\r\n"),
     "a header that starts with #": lambda text: "# by hand, twice\n# " + text,
     "a header that starts with #, tabs": lambda text: "#" + text.replace(",", "\t"),
-    "UTF-16": lambda text: ("#\n" + text).encode("utf-16"),
-    "UTF-16, big-endian": lambda text: ("\ufeff" + text).encode("utf-16-be"),
-    "all": lambda text: ("\ufeff#" + text.replace(",", "; ").replace(".", ",").replace("\n", "\r"))
-    .encode("utf-16-be"),
+    "a header above a comment": lambda text: "# x,y\n#" + text.replace("\n", "\n# in mm\n\n#\n", 1),
+    "comments everywhere": lambda text: "#1\n" + text.replace("\n", "\n# so it is\n\n") + "#",
+    "Excel's first line": lambda text: "\ufeffsep=;\r\n" + text.replace(",", ";"),
+    "all": lambda text: "\ufeff#" + text.replace(",", "; ").replace("\n", "\r"),
 }  # fmt: skip
 READINGS = "sample,r,R,error\na,1,.0234,.0005\na,2,.00787,.0002\na,4,.00159,.00003\n"
 CLOUD = "x,y,z,power\n0,0,0,1.5\n0,2.5,0,0.5\n"
@@ -631,8 +633,8 @@ def read_by_all(tmp_path, form) -> list:
     """Returns what three commands make of files in a form."""
     table = points(form(f"{HEADER}\n{ROW}\n0.5,1.25,0,1.4,2\n"))
     mark = next(one for one in ",;\t" if f"r{one}" in re.sub('[ "]', "", table))
-    rows = [[float(cell.strip(' "').replace(",", ".")) for cell in line.split(mark)[:-1]]
-            for line in re.split("[\r\n]+", table.strip("\ufeff\r\n"))[-2:]]  # fmt: skip
+    lines = [line for line in re.split("[\r\n]+", table) if mark in line]
+    rows = [[float(cell.strip(' "')) for cell in line.split(mark)[:-1]] for line in lines[-2:]]
     fits = read_csv(dipole("fit", "--eta", "1.4", "--format", "csv", stdin=form(READINGS)).stdout)
     paths = [scratch(tmp_path, name, form(CLOUD.replace("2.5", y))) for name, y in zip("pq", "23")]
     medium = ["--sigma-a", "0.01", "--sigma-s", "1", "--model", "better"]
@@ -652,7 +654,10 @@ def test_forms_of_csv(tmp_path, form):
     [
         ("x,y,z;power\n0,0,0;1\n", "line 1: the header has commas and semicolons"),
         ("# made\nx y z power\n0 0 0 1\n", "line 2: the header is one cell: separate its columns"),
-        ("x y z power\n".encode("utf-16-le"), "line 1: the header has zero bytes: save the file as"),
+        ("#\nx,y,z,power\n0,0,0,1\n".encode("utf-16"), "the header has zero bytes, as UTF-16 has: save"),
+        ("x;y;z;power\n0;0;0;1,5\n", "'1,5' is no number: write a decimal point"),
+        ("x,y,z,power\n0,0205,0,1\n", "column 2: '0205' is no number: write a decimal point"),
+        ("x,y,z,power\n0,0,0,1\n#0,0,0,1\n", ":3: column 1: '#0' is no number: below the header, lines"),
         ('x,y,z,power\n0,0,0,1\n0,"0,0,2\n0,0,1,1\n', "line 3: a quote is not closed"),
         ('x,y,z,power\n0,0,"0,1{long}', "line 2: a quote is not closed within 1 MiB"),
         ("x,y,z,power\n0,0,0,{long}", "line 2: the row is longer than 1 MiB"),
@@ -666,6 +671,15 @@ def test_what_is_wrong_with_a_csv_is_named(tmp_path, text, said):
     path = scratch(tmp_path, "p.csv", text if text[-1:] != "}" else text.format(long="1" * 2**20))
     run = dipole("gather", path, path, "--sigma-a", "1", "--sigma-s", "1", status=FAILED)
     assert said in run.stderr and run.stdout == ""
+
+
+def test_samples_whose_names_start_with_a_hash(tmp_path):
+    """They vanish from no file, whatever stands above the header."""
+    header, rows = READINGS.split("\n", 1)
+    for above in ("", "# by hand\n", "#"):
+        text = f"{above}{header}\n{rows.replace('a,', '#1,')}{rows}"
+        fits = read_csv(dipole("fit", "--eta", "1.4", "--format", "csv", stdin=text).stdout)
+        assert [(fit["sample"], fit["status"]) for fit in fits] == [("#1", "fitted"), ("a", "fitted")]
 
 
 def test_cells_beyond_the_header_that_are_empty_do_no_harm():
