@@ -44,130 +44,54 @@ static void on_png_warning(png_structp png, png_const_charp what) {
   }
 }
 
-/* How shares of the largest value become linear light. */
-typedef struct curve {
-  enum { SRGB, POWER, PROFILE } kind;
-  double exponent;
-  const uint8_t *profile; /* a curve of an ICC profile (ICC.1:2022): "curv" or "para" */
-} curve;
-
-static uint32_t number_at(const uint8_t *at) {
-  return (uint32_t)at[0] << 24 | (uint32_t)at[1] << 16 | (uint32_t)at[2] << 8 | at[3];
-}
-
-/* Evaluates a curve that is_whole(). */
-static double profile_decode(const uint8_t *of, double share) {
-  if (of[0] == 'c') {
-    const uint32_t count = number_at(of + 8);
-    const double place = share * (count - 1.0), low = fmin(floor(place), count - 2.0);
-    const uint8_t *at = of + 12 + (count > 1 ? 2 * (size_t)low : 0);
-    return count == 0   ? share
-           : count == 1 ? pow(share, at[0] + at[1] / 256.0)
-                        : ((at[0] * 256 + at[1]) * (low + 1 - place) +
-                           (at[2] * 256 + at[3]) * (place - low)) /
-                              65535;
-  }
-  double g[7] = {0};
-  static const uint8_t counts[] = {1, 3, 4, 5, 7};
-  for (size_t i = 0; i < counts[of[9]]; i++) {
-    g[i] = (int32_t)number_at(of + 12 + 4 * i) / 65536.0;
-  }
-  if (of[9] == 0) {
-    return pow(share, g[0]);
-  }
-  if (of[9] <= 2) { /* 0, or a constant, below -b / a */
-    return (g[1] * share + g[2] > 0 ? pow(g[1] * share + g[2], g[0]) : 0) + g[3];
-  }
-  return share >= g[4] ? pow(fmax(g[1] * share + g[2], 0), g[0]) + g[5] : g[3] * share + g[6];
-}
-
-static double decode(double share, const curve *by) {
-  switch (by->kind) {
-  case POWER:
-    return by->exponent == 1 ? share : pow(share, by->exponent);
-  case PROFILE:
-    return profile_decode(by->profile, share);
-  case SRGB:
-    break;
-  }
-  return share <= 0.04045 ? share / 12.92 : pow((share + 0.055) / 1.055, 2.4); /* IEC 61966-2-1 */
-}
-
-static bool is_whole(const uint8_t *of, size_t bytes) {
-  static const uint8_t para_bytes[] = {16, 24, 28, 32, 40};
-  return bytes >= 12 && ((memcmp(of, "curv", 4) == 0 && number_at(of + 8) <= (bytes - 12) / 2) ||
-                         (memcmp(of, "para", 4) == 0 && of[8] == 0 && of[9] < sizeof para_bytes &&
-                          bytes >= para_bytes[of[9]]));
-}
-
-/* Finds the curve that a profile has for all of its channels. */
-static bool find_profile_curve(const uint8_t *profile, size_t bytes, curve *found) {
-  enum { TAGS = 128, TAG_BYTES = 12 };
-  size_t found_bytes = 0;
-  const size_t count = bytes >= TAGS + 4 ? number_at(profile + TAGS) : 0;
-  for (size_t i = 0; i < count && TAGS + 4 + (i + 1) * TAG_BYTES <= bytes; i++) {
-    const uint8_t *tag = profile + TAGS + 4 + i * TAG_BYTES;
-    const size_t at = number_at(tag + 4), length = number_at(tag + 8);
-    if (memcmp(tag + 1, "TRC", 3) != 0) {
-      continue;
-    }
-    if (at > bytes || length > bytes - at || !is_whole(profile + at, length) ||
-        (found_bytes > 0 &&
-         (length != found_bytes || memcmp(profile + at, found->profile, found_bytes) != 0))) {
-      return false;
-    }
-    *found = (curve){.kind = PROFILE, .profile = profile + at};
-    found_bytes = length;
-  }
-  return found_bytes > 0;
+/* Makes linear light of a share of the largest value. exponent: 0 for the curve of sRGB */
+static double decode(double share, double exponent) {
+  return exponent > 0       ? pow(share, exponent)
+         : share <= 0.04045 ? share / 12.92
+                            : pow((share + 0.055) / 1.055, 2.4); /* IEC 61966-2-1 */
 }
 
 /* Finds out how a file says that its values become linear light: cICP goes first, then sRGB, iCCP
  * and gAMA (Portable Network Graphics, third edition). Without a word they are sRGB, and so they
- * are where gAMA is nearly 1 / 2.2, which files that are sRGB say. */
-static bool find_curve(png_structp png, png_infop info, const char *file, curve *found) {
-  enum { CICP_POWER_22 = 4, CICP_POWER_28 = 5, CICP_LINEAR = 8, CICP_SRGB = 13 };
+ * are where gAMA is nearly 1 / 2.2, which files that are sRGB say, and where libpng knows the colour
+ * profile. Returns the exponent, 0 for sRGB; or -1 after a message. */
+static double find_exponent(png_structp png, png_infop info, const char *file) {
+  static const double powers[] = {[4] = 2.2, [5] = 2.8, [8] = 1}; /* of cICP; 13 is sRGB */
   png_unknown_chunkp chunks = NULL;
-  png_charp name;
-  png_bytep profile;
-  png_uint_32 bytes;
-  int method;
   double gamma;
   const int count = png_get_unknown_chunks(png, info, &chunks);
   for (int i = 0; i < count; i++) {
     if (memcmp(chunks[i].name, "cICP", 4) == 0 && chunks[i].size == 4) {
       const unsigned transfer = chunks[i].data[1];
-      *found = transfer == CICP_SRGB ? (curve){.kind = SRGB} : (curve){POWER, 1, NULL};
-      found->exponent = transfer == CICP_POWER_22 ? 2.2 : transfer == CICP_POWER_28 ? 2.8 : 1;
-      return transfer == CICP_SRGB || transfer == CICP_LINEAR || found->exponent > 1 ||
-             fail(file, "its cICP chunk names a transfer function that is not known here: convert "
-                        "it to sRGB, or add --linear if its values are linear");
+      const double power = transfer < sizeof powers / sizeof powers[0] ? powers[transfer] : 0;
+      const bool known = power > 0 || transfer == 13;
+      return known || fail(file, "its cICP chunk names a transfer function that is not known here: "
+                                 "convert it to sRGB, or add --linear if its values are linear")
+                 ? power
+                 : -1;
     }
   }
-  *found = (curve){.kind = SRGB};
   if (png_get_valid(png, info, PNG_INFO_sRGB) != 0) {
-    return true;
+    return 0;
   }
-  if (png_get_iCCP(png, info, &name, &method, &profile, &bytes) != 0) {
-    return find_profile_curve(profile, bytes, found) ||
-           fail(file, "its colour profile has no curve for all channels: convert it to sRGB, or "
-                      "add --linear if its values are linear");
+  if (png_get_valid(png, info, PNG_INFO_iCCP) != 0) {
+    fail(file, "its colour profile is none of sRGB that is known here: save it as sRGB without a "
+               "profile, or add --linear if its values are linear");
+    return -1;
   }
-  if (png_get_gAMA(png, info, &gamma) != 0 && gamma > 0 && fabs(gamma * 2.2 - 1) > 0.01) {
-    *found = (curve){.kind = POWER, .exponent = 1 / gamma};
-  }
-  return true;
+  const bool tells = png_get_gAMA(png, info, &gamma) != 0 && gamma > 0;
+  return tells && fabs(gamma * 2.2 - 1) > 0.01 ? 1 / gamma : 0;
 }
 
 /* Computes the values of one row. table: [256] for 8 bits. Returns how many pixels are opaque. */
 static size_t take_row(const uint8_t *row, unsigned bits, size_t samples, const float table[256],
-                       const curve *by, const cli_image *image, float *values) {
+                       double exponent, const cli_image *image, float *values) {
   const size_t bytes = bits / 8;
   size_t opaque = 0;
   for (size_t x = 0; x < image->width; x++, row += samples * bytes) {
     for (size_t c = 0; c < image->channels; c++) {
       const uint8_t *at = row + c * bytes;
-      *values++ = bits == 8 ? table[*at] : (float)decode((at[0] * 256 + at[1]) / 65535.0, by);
+      *values++ = bits == 8 ? table[*at] : (float)decode((at[0] * 256 + at[1]) / 65535.0, exponent);
     }
     const uint8_t *last = row + samples * bytes - bytes;
     opaque += samples == image->channels || (last[0] == 255 && last[bytes - 1] == 255);
@@ -205,9 +129,11 @@ struct png_reading {
 static bool read_png_rows(png_structp png, png_infop info, const char *file, size_t file_bytes,
                           bool linear, struct png_reading *reading, cli_image *image) {
   float table[256];
-  curve by = {.kind = POWER, .exponent = 1};
-  if (!start_png(png, info, file, file_bytes, image) ||
-      (!linear && !find_curve(png, info, file, &by))) {
+  if (!start_png(png, info, file, file_bytes, image)) {
+    return false;
+  }
+  const double exponent = linear ? 1 : find_exponent(png, info, file);
+  if (exponent < 0) {
     return false;
   }
   const size_t row_bytes = png_get_rowbytes(png, info);
@@ -222,13 +148,13 @@ static bool read_png_rows(png_structp png, png_infop info, const char *file, siz
   png_read_image(png, reading->rows);
   png_read_end(png, NULL);
   for (unsigned i = 0; i < 256; i++) {
-    table[i] = (float)decode(i / 255.0, &by);
+    table[i] = (float)decode(i / 255.0, exponent);
   }
   const size_t pixels = image->width * image->height;
   size_t opaque = 0;
   for (size_t y = 0; y < image->height; y++) {
     opaque += take_row(reading->rows[y], png_get_bit_depth(png, info), png_get_channels(png, info),
-                       table, &by, image, image->values + y * image->width * image->channels);
+                       table, exponent, image, image->values + y * image->width * image->channels);
   }
   if (opaque < pixels) {
     cli_say(CLI_OK, "%s: %zu of %zu pixels are not opaque; their opacity (alpha) is left out", file,
@@ -299,18 +225,19 @@ static bool write_png(const char *file, FILE *to, const cli_image *image) {
  * the rows, the last one first. */
 static bool read_pfm(const char *file, FILE *from, size_t file_bytes, cli_image *image) {
   char kind, space;
-  unsigned width, height;
+  size_t width, height;
   double scale;
-  if (fscanf(from, "P%c %6u %6u %lf%c", &kind, &width, &height, &scale, &space) != 5 ||
+  if (fscanf(from, "P%c %18zu %18zu %lf%c", &kind, &width, &height, &scale, &space) != 5 ||
       (kind != 'F' && kind != 'f')) {
     return fail(file, "it is neither a PNG nor a PFM");
   }
-  if (!(scale < 0)) {
-    return fail(file, "this PFM is big-endian: write it as little-endian, with a negative scale");
-  }
   const size_t channels = kind == 'F' ? 3 : 1, left = file_bytes - (size_t)ftell(from);
   const uint64_t bytes = (uint64_t)width * height * channels * sizeof(float);
-  if (width <= CLI_IMAGE_SIDE_MAX && height <= CLI_IMAGE_SIDE_MAX && left < bytes) {
+  const bool fits = width <= CLI_IMAGE_SIDE_MAX && height <= CLI_IMAGE_SIDE_MAX;
+  if (fits && !(scale < 0)) {
+    return fail(file, "this PFM is big-endian: write it as little-endian, with a negative scale");
+  }
+  if (fits && left < bytes) {
     return fail(file, "the PFM ends too early");
   }
   if (!allocate(file, width, height, channels, image)) {
