@@ -2,9 +2,8 @@
 #include "clients/cli/eval.h"
 
 #include <stdlib.h>
-#include <string.h>
 
-#include "clients/cli/picture.h"
+#include "clients/cli/plot_report.h"
 #include "clients/cli/profile.h"
 
 #define PLOT_FILE "dipole.svg"
@@ -90,18 +89,8 @@ int cli_eval_check(cli_eval_settings *settings) {
   if (settings->logarithmic && !settings->from.given) {
     return cli_fail_usage("--log needs --from, above 0");
   }
-  for (size_t i = 0; i < settings->plot.count; i++) {
-    const char *path = settings->plot.items[i];
-    if (strcmp(path, CLI_PICTURE_TERMINAL) == 0 && common->form >= CLI_CSV) {
-      return cli_fail_usage("--plot - draws onto standard output, where the %s goes: name a file, "
-                            "or leave --format out",
-                            common->format);
-    }
-    if (!cli_picture_check(path)) {
-      return CLI_USAGE;
-    }
-  }
-  return cli_deadline_check(&settings->profile);
+  const int drawn = cli_picture_check(&settings->plot, common);
+  return drawn == CLI_OK ? cli_deadline_check(&settings->profile) : drawn;
 }
 
 static int check(void *settings) {
@@ -117,11 +106,7 @@ static int write_and_draw(const cli_eval_settings *settings, const cli_eval_repo
     return cli_fail_usage("--plot draws R: add R to --wanted");
   }
   cli_eval_write(report, settings->profile.common.form);
-  if (settings->plot.count == 0) {
-    return CLI_OK;
-  }
-  const cli_picture picture = cli_picture_of_R(report);
-  return cli_picture_draw(&picture, &settings->plot);
+  return settings->plot.count > 0 ? cli_plot_R(report, &settings->plot) : CLI_OK;
 }
 
 static int run(void *settings, dipole_client *client) {

@@ -1,5 +1,7 @@
 #include "clients/cli/eval_report.h"
 
+#include <assert.h>
+#include <math.h>
 #include <stdlib.h>
 
 const dipole_choice cli_monte_carlo = {.kind = DIPOLE_MODEL, .name = "mc", .about = "Monte Carlo"};
@@ -32,6 +34,19 @@ void cli_eval_make_values(cli_eval_report *report) {
 const cli_eval_values *cli_eval_values_of(const cli_eval_report *report, size_t model,
                                           size_t channel) {
   return &report->values[model * report->profile.channel_count + channel];
+}
+
+size_t cli_eval_add_quantity(cli_eval_report *report, const dipole_choice *quantity) {
+  const size_t at = report->quantities.count++;
+  assert(at < CLI_QUANTITIES_MAX);
+  report->quantities.items[at] = quantity;
+  for (size_t k = 0; k < report->model_count * report->profile.channel_count; k++) {
+    report->values[k].arrays[at] = cli_allocate(report->radius_count, sizeof(double));
+    for (size_t i = 0; i < report->radius_count; i++) {
+      report->values[k].arrays[at][i] = (double)NAN;
+    }
+  }
+  return at;
 }
 
 void cli_eval_report_free(cli_eval_report *report) {

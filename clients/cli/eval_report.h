@@ -60,6 +60,9 @@ void cli_eval_make_values(cli_eval_report *report);
 const cli_eval_values *cli_eval_values_of(const cli_eval_report *report, size_t model,
                                           size_t channel);
 
+/* Adds a quantity, whose values are NaN. Returns its position. */
+size_t cli_eval_add_quantity(cli_eval_report *report, const dipole_choice *quantity);
+
 void cli_eval_report_free(cli_eval_report *report);
 
 #endif

@@ -7,9 +7,9 @@
 #include "clients/cli/daemon.h"
 #include "clients/cli/options.h"
 #include "clients/cli/picture.h"
-#include "clients/cli/plot_fit.h"
 #include "clients/cli/profile.h"
 #include "clients/cli/progress.h"
+#include "clients/cli/readings.h"
 #include "clients/cli/rows.h"
 
 #define PLOT_FILE "fit.svg"
@@ -96,12 +96,8 @@ static int check(void *given) {
   if (settings->scale != NULL && strcmp(settings->scale, "reference") == 0) {
     return cli_fail_usage("--scale reference: give --reference A,S,G,ETA in its place");
   }
-  for (size_t i = 0; i < settings->plot.count; i++) {
-    if (!cli_picture_check(settings->plot.items[i])) {
-      return CLI_USAGE;
-    }
-  }
-  return cli_deadline_check(&settings->profile);
+  const int drawn = cli_picture_check(&settings->plot, &settings->profile.common);
+  return drawn == CLI_OK ? cli_deadline_check(&settings->profile) : drawn;
 }
 
 /* ---- asking ---------------------------------------------------------------------------------- */
@@ -475,12 +471,60 @@ static int judge(const report *of) {
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
+/* Samples in a picture; the first ones of a file. */
+enum { DRAWN_MAX = CLI_PALETTE };
+
+static bool spans_decades(const cli_readings *readings) {
+  double least = (double)INFINITY, most = 0;
+  for (size_t i = 0; i < readings->count; i++) {
+    least = fmin(least, readings->at[i]);
+    most = fmax(most, readings->at[i]);
+  }
+  return least > 0 && most >= 10 * least;
+}
+
+/* Draws readings and what was fitted to them, and below them the residuals. */
 static int draw(const report *of) {
-  char title[160];
-  snprintf(title, sizeof title, "fit of %s, scale %s: readings, fit (lines) and residuals",
-           of->model->name, of->scale->name);
-  const cli_fit_picture picture = {&of->readings, of->residuals, title};
-  return cli_fit_draw(&picture, &of->settings->plot);
+  const cli_readings *readings = &of->readings;
+  const bool decades = spans_decades(readings);
+  cli_picture picture = {.x_label =
+                             readings->frequency ? "spatial frequency f (1/mm)" : "distance r (mm)",
+                         .row_count = 2,
+                         .column_count = 1,
+                         .rows = {{{NULL, decades, CLI_LOGARITHMIC}, 0, ""},
+                                  {{NULL, decades, CLI_LINEAR}, 0, "residual / error"}}};
+  double *fitted = cli_allocate(readings->count, sizeof *fitted);
+  snprintf(picture.title, sizeof picture.title, "fit of %s, scale %s", of->model->name,
+           of->scale->name);
+  snprintf(picture.rows[0].label, CLI_LABEL_BYTES, "%s: readings, fit (lines)",
+           readings->frequency ? "R(f)" : "R (1/mm^2)");
+  for (size_t i = 0; i < readings->count; i++) {
+    fitted[i] = readings->values[i] - of->residuals[i] * readings->errors[i];
+  }
+  for (size_t s = 0; s < readings->sample_count && s < DRAWN_MAX; s++) {
+    const size_t first = readings->samples[s].first;
+    const double *const values[] = {fitted, readings->values, of->residuals};
+    static const enum cli_style styles[] = {CLI_FITTED, CLI_ERRORS, CLI_POINTS};
+    for (size_t k = 0; k < 3; k++) {
+      cli_curve *curve = cli_picture_add(&picture);
+      *curve = (cli_curve){.row = k / 2,
+                           .style = styles[k],
+                           .mark = s,
+                           .colour = cli_palette[s],
+                           .count = readings->samples[s].count,
+                           .x = readings->at + first,
+                           .y = values[k] + first,
+                           .error = k == 1 ? readings->errors + first : NULL};
+      snprintf(curve->title, sizeof curve->title, "%s", k == 1 ? readings->samples[s].name : "");
+    }
+  }
+  const int status = cli_picture_draw(&picture, &of->settings->plot);
+  free(fitted);
+  if (status == CLI_OK && readings->sample_count > DRAWN_MAX) {
+    cli_say(CLI_OK, "the picture shows the first %d of %zu samples", DRAWN_MAX,
+            readings->sample_count);
+  }
+  return status;
 }
 
 /* Until they are answered, samples are refused. */

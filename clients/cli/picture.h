@@ -1,11 +1,8 @@
-/* picture: draws quantities of an evaluation over r, into a file or as text. */
+/* picture: a table of curves, drawn by gnuplot into a file or as text. */
 #ifndef DIPOLE_CLI_PICTURE_H
 #define DIPOLE_CLI_PICTURE_H
 
-#include "clients/cli/eval_report.h"
-
-/* The name that stands for text on standard output. */
-#define CLI_PICTURE_TERMINAL "-"
+#include "clients/cli/profile.h"
 
 enum cli_scale {
   CLI_LINEAR,
@@ -17,45 +14,62 @@ enum cli_scale {
 /* What a panel's axes are. */
 typedef struct cli_axes {
   const char *name; /* of --axes; NULL ends a list */
-  bool logarithmic_r;
+  bool logarithmic_x;
   enum cli_scale scale;
 } cli_axes;
 
-/* Returns the axes of this name; NULL if there are none. */
-const cli_axes *cli_axes_find(const char *name);
+enum { CLI_LABEL_BYTES = 160, CLI_PICTURE_ROWS_MAX = 5, CLI_PALETTE = 8 };
 
-/* A row of panels, which differ only in their channels. */
-typedef struct cli_picture_row {
+/* A row of panels. */
+typedef struct cli_row {
   cli_axes axes;
-  size_t quantity;   /* by its position in the report */
-  const char *label; /* of its values; NULL for the quantity's name and unit */
-} cli_picture_row;
+  double gamma; /* for CLI_GAMMA, which shows values to the power 1 / gamma */
+  char label[CLI_LABEL_BYTES];
+} cli_row;
 
-/* Each of the axes, and a deviation. */
-enum { CLI_PICTURE_ROWS_MAX = 5 };
+enum cli_style {
+  CLI_LINE,
+  CLI_FITTED, /* a line through the points in the order of x */
+  CLI_BINS,   /* a histogram of the places */
+  CLI_POINTS,
+  CLI_ERRORS, /* points with standard errors */
+};
 
+typedef struct cli_curve {
+  size_t row, column; /* of its panel */
+  enum cli_style style;
+  size_t dash, mark; /* from 0 on; a mark stands for the curve in text */
+  double bin;        /* for CLI_BINS: how wide one is */
+  const char *colour;
+  char title[CLI_LABEL_BYTES]; /* in the legend; "" if it is not there */
+  size_t count;
+  const double *x, *y, *error; /* [count]; error: for CLI_ERRORS */
+} cli_curve;
+
+/* Zero it first. cli_picture_draw() frees what is allocated. */
 typedef struct cli_picture {
-  const cli_eval_report *report; /* with a model at least */
-  size_t row_count;
-  cli_picture_row rows[CLI_PICTURE_ROWS_MAX]; /* from the top */
-  size_t error_quantity;                      /* standard errors; 0: there are none */
-  size_t width_px, height_px;                 /* of a file; 0: as large as the panels need */
+  char title[CLI_LABEL_BYTES];
+  const char *x_label;
+  size_t row_count, column_count;
+  cli_row rows[CLI_PICTURE_ROWS_MAX]; /* from the top */
+  char (*columns)[CLI_LABEL_BYTES];   /* [column_count] titles, allocated; NULL: there are none */
+  size_t curve_count;
+  cli_curve *curves;          /* allocated */
+  char *caption;              /* lines below the panels, allocated; NULL: there are none */
+  size_t width_px, height_px; /* of a file; 0: as large as the panels need */
 } cli_picture;
 
-/* Returns whether a picture can have this name. If it cannot, says what is wrong. */
-bool cli_picture_check(const char *path);
+/* Checks what --plot gives. Says what is wrong and returns an exit status. */
+int cli_picture_check(const cli_texts *paths, const cli_common *common);
 
-/* Returns the picture of R, on logarithmic axes if the radii are in equal ratios, else over a
- * linear one. The report must have R. */
-cli_picture cli_picture_of_R(const cli_eval_report *report);
+/* Adds a zeroed curve, which lies there until the next is added. */
+cli_curve *cli_picture_add(cli_picture *picture);
 
-/* Draws into files, or for CLI_PICTURE_TERMINAL onto standard output, and tells which file that is.
- * Says what is wrong and returns an exit status. */
-int cli_picture_draw(const cli_picture *picture, const cli_texts *paths);
+/* Draws into each of the files, or for "-" onto standard output, and tells which file that is if
+ * it is the command's usual one. Says what is wrong and returns an exit status. */
+int cli_picture_draw(cli_picture *picture, const cli_texts *paths);
 
-/* Says which file a picture is in if it is the command's usual file, which the user may not have
- * named. */
-void cli_picture_tell(const char *path);
+extern const char *const cli_palette[CLI_PALETTE];
 
 /* Returns the colour of a channel's curve, such as "#d62728". */
 const char *cli_channel_colour(const cli_profile *profile, size_t channel);

@@ -1,14 +1,11 @@
 /* dipole plot: pictures of profiles over r, and of how far they are from radiative transport. */
-#include <assert.h>
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "clients/cli/daemon.h"
 #include "clients/cli/eval.h"
-#include "clients/cli/number.h"
 #include "clients/cli/options.h"
-#include "clients/cli/picture.h"
+#include "clients/cli/plot_report.h"
 #include "clients/cli/plot_rings.h"
 
 #define PLOT_FILE "dipole.svg"
@@ -105,10 +102,10 @@ static bool parse_size(const char *text, size_t *width_px, size_t *height_px) {
          *height_px <= SIDE_MOST_PX;
 }
 
-static bool has_logarithmic_r(const plot_settings *settings) {
+static bool has_logarithmic_x(const plot_settings *settings) {
   for (size_t i = 0; i < settings->axes.count; i++) {
     const cli_axes *axes = cli_axes_find(settings->axes.items[i]);
-    if (axes != NULL && axes->logarithmic_r) {
+    if (axes != NULL && axes->logarithmic_x) {
       return true;
     }
   }
@@ -124,7 +121,7 @@ static void set_defaults(plot_settings *settings) {
   if (settings->photons.given && !eval->count.given) {
     eval->count.value = RINGS_DEFAULT;
   }
-  if (eval->r.count == 0 && eval->f.count == 0 && has_logarithmic_r(settings)) {
+  if (eval->r.count == 0 && eval->f.count == 0 && has_logarithmic_x(settings)) {
     if (!eval->from.given && eval->to.value > 0 && isfinite(eval->to.value)) {
       eval->from = (cli_number){true, FROM_SHARE * eval->to.value};
     }
@@ -188,65 +185,12 @@ static int check(void *given) {
   return CLI_OK;
 }
 
-/* ---- derived quantities: a report draws and writes them like those of the daemon ------------- */
+/* ---- what is made of the answers: a report draws and writes it like what the daemon has -------- */
 
-/* The name of a derived quantity. It must live as long as the report that holds the quantity. */
-typedef struct derived {
-  dipole_choice choice; /* with an id that no quantity has */
-  char name[64], about[96];
-} derived;
-
-enum { ERROR, GAMMA, DEVIATION, DERIVED };
-
-/* Adds a quantity with room for the values of all models and channels. Returns its position. */
-static size_t add_quantity(cli_eval_report *report, derived *names) {
-  const size_t at = report->quantities.count++;
-  assert(at < CLI_QUANTITIES_MAX);
-  names->choice =
-      (dipole_choice){.kind = DIPOLE_QUANTITY, .name = names->name, .about = names->about};
-  report->quantities.items[at] = &names->choice;
-  for (size_t i = 0; i < report->model_count * report->profile.channel_count; i++) {
-    report->values[i].arrays[at] = cli_allocate(report->radius_count, sizeof(double));
-  }
-  return at;
-}
-
-/* Adds the standard errors of the model `mc`, [channel_count * radius_count]; those of the other
- * models are NaN. Returns its position. */
-static size_t add_errors(cli_eval_report *report, const double *errors, derived *names) {
-  const size_t channels = report->profile.channel_count;
-  snprintf(names->name, sizeof names->name, "R_error");
-  snprintf(names->about, sizeof names->about, "1/mm^2");
-  const size_t at = add_quantity(report, names);
-  for (size_t k = 0; k < report->model_count * channels; k++) {
-    const bool walked = cli_is_walked(&report->models[k / channels]);
-    for (size_t i = 0; i < report->radius_count; i++) {
-      report->values[k].arrays[at][i] =
-          walked ? errors[k % channels * report->radius_count + i] : (double)NAN;
-    }
-  }
-  return at;
-}
-
-/* Adds the first quantity to the power 1 / gamma; NaN where the quantity is negative. Returns its
- * position. */
-static size_t add_gamma(cli_eval_report *report, double gamma, derived *names) {
-  const dipole_choice *of = report->quantities.items[0];
-  const bool plain = strcmp(of->about, "1") == 0;
-  char number[CLI_NUMBER_BYTES];
-  snprintf(names->name, sizeof names->name, "%.24s^(1/%s)", of->name,
-           cli_number_format(gamma, number));
-  snprintf(names->about, sizeof names->about, "%.24s%s%.48s", of->name, plain ? "" : " in ",
-           plain ? "" : of->about);
-  const size_t at = add_quantity(report, names);
-  for (size_t k = 0; k < report->model_count * report->profile.channel_count; k++) {
-    double *const *arrays = report->values[k].arrays;
-    for (size_t i = 0; i < report->radius_count; i++) {
-      arrays[at][i] = arrays[0][i] >= 0 ? pow(arrays[0][i], 1 / gamma) : (double)NAN;
-    }
-  }
-  return at;
-}
+static const dipole_choice deviation = {
+    .kind = DIPOLE_QUANTITY, .name = "deviation", .about = "relative, from " REFERENCE};
+static const dipole_choice of_deviation = {
+    .kind = DIPOLE_QUANTITY, .name = "deviation_error", .about = "relative"};
 
 /* Returns whether the reference is radiative transport itself for a channel. It is not where it
  * replaces anisotropic scattering by isotropic scattering. */
@@ -254,49 +198,50 @@ static bool holds(const cli_eval_report *report, size_t reference, size_t channe
   return cli_eval_values_of(report, reference, channel)->model_error == 0;
 }
 
-/* Adds the relative deviation of the first quantity from its value in the reference model. It is
- * NaN in channels for which the reference does not hold, and where that value is 0 or either value
- * is infinite. Returns its position. */
-static size_t add_deviation(cli_eval_report *report, size_t reference, derived *names) {
+/* Adds the relative deviation of the first quantity from its value in the reference model, and then
+ * if errors are the second quantity, those of the deviation. A deviation is NaN in channels for
+ * which the reference does not hold, and where that value is 0 or either value is infinite. */
+static void add_deviation(cli_eval_report *report, size_t reference) {
   const size_t channels = report->profile.channel_count;
-  snprintf(names->name, sizeof names->name, "deviation");
-  snprintf(names->about, sizeof names->about, "relative, from " REFERENCE);
-  const size_t at = add_quantity(report, names);
+  const bool errors = report->quantities.count > 1;
+  const size_t at = cli_eval_add_quantity(report, &deviation);
+  if (errors) {
+    cli_eval_add_quantity(report, &of_deviation);
+  }
   for (size_t k = 0; k < report->model_count * channels; k++) {
     const double *from = cli_eval_values_of(report, reference, k % channels)->arrays[0];
     const bool comparable = holds(report, reference, k % channels);
     double *const *arrays = report->values[k].arrays;
-    for (size_t i = 0; i < report->radius_count; i++) {
-      const bool good = isfinite(arrays[0][i]) && isfinite(from[i]) && from[i] != 0;
-      arrays[at][i] = good && comparable ? arrays[0][i] / from[i] - 1 : (double)NAN;
+    for (size_t i = 0; comparable && i < report->radius_count; i++) {
+      if (isfinite(arrays[0][i]) && isfinite(from[i]) && from[i] != 0) {
+        arrays[at][i] = arrays[0][i] / from[i] - 1;
+        if (errors) {
+          arrays[at + 1][i] = arrays[1][i] / from[i];
+        }
+      }
     }
   }
-  return at;
 }
 
 /* Names the channels for which the reference does not hold. Fails if these are all. */
 static int check_reference(const cli_eval_report *report, size_t reference) {
-  const size_t channels = report->profile.channel_count;
-  size_t missing = 0;
-  for (size_t i = 0; i < channels; i++) {
-    missing += !holds(report, reference, i);
-  }
-  for (size_t i = 0; i < channels && missing < channels; i++) {
-    if (!holds(report, reference, i)) {
+  size_t held = 0;
+  for (size_t i = 0; i < report->profile.channel_count; i++) {
+    if (holds(report, reference, i)) {
+      held++;
+    } else {
       cli_fail("--error: no deviation is shown of %s, because " REFERENCE
                " is not known to hold for its g, eta and absorption",
                report->profile.channels[i].name);
     }
   }
-  return missing < channels ? CLI_OK
-                            : cli_fail("--error: " REFERENCE " is not known to hold for this "
-                                       "medium's g, eta and absorption, so that there is nothing "
-                                       "to compare with: leave --error out");
+  return held > 0 ? CLI_OK
+                  : cli_fail("--error: there is nothing to compare with: leave --error out");
 }
 
 /* Finds the reference model and adds the deviations from it. Removes the reference if it was asked
  * for this purpose only. */
-static int take_deviation(cli_eval_report *report, derived *names, size_t *position) {
+static int take_deviation(cli_eval_report *report) {
   size_t reference = 0;
   while (reference < report->model_count &&
          strcmp(report->models[reference].choice->name, REFERENCE) != 0) {
@@ -310,7 +255,7 @@ static int take_deviation(cli_eval_report *report, derived *names, size_t *posit
   if (status != CLI_OK) {
     return status;
   }
-  *position = add_deviation(report, reference, names);
+  add_deviation(report, reference);
   if (report->models[report->model_count - 1].unlisted) {
     report->model_count--;
   }
@@ -322,48 +267,34 @@ static int take_deviation(cli_eval_report *report, derived *names, size_t *posit
 
 /* ---- the picture ----------------------------------------------------------------------------- */
 
-/* Makes the picture, and adds the quantities that it shows to the report. */
-static int make_picture(const plot_settings *settings, cli_eval_report *report,
-                        derived names[DERIVED], cli_picture *picture) {
-  const size_t count = settings->axes.count;
-  *picture = (cli_picture){.report = report, .row_count = count > 0 ? count : 1};
-  parse_size(settings->size, &picture->width_px, &picture->height_px);
-  for (size_t i = 0; i < picture->row_count; i++) {
-    cli_picture_row *row = &picture->rows[i];
-    row->axes = *cli_axes_find(count > 0 ? settings->axes.items[i] : AXES_DEFAULT);
-    if (row->axes.scale == CLI_GAMMA) {
-      row->quantity = add_gamma(report, settings->gamma.value, &names[GAMMA]);
-    }
-  }
-  if (!settings->error) {
-    return CLI_OK;
-  }
-  cli_picture_row *row = &picture->rows[picture->row_count++];
-  row->axes = (cli_axes){"deviation", row[-1].axes.logarithmic_r, CLI_PERCENT};
-  row->label = "deviation from " REFERENCE " (%)";
-  return take_deviation(report, &names[DEVIATION], &row->quantity);
-}
-
-/* errors: the standard errors of the model `mc`; NULL without it. */
-static int write_and_draw(const plot_settings *settings, cli_eval_report *report,
-                          const double *errors) {
-  static char terminal[] = CLI_PICTURE_TERMINAL;
+static int write_and_draw(const plot_settings *settings, cli_eval_report *report) {
+  static char terminal[] = "-";
   char *terminal_items[] = {terminal};
   const cli_texts onto_terminal = {1, terminal_items};
-  const cli_texts *files = &settings->eval.plot;
+  const cli_texts *files = &settings->eval.plot, *axes = &settings->axes;
   const enum cli_form form = settings->eval.profile.common.form;
-  derived names[DERIVED];
-  cli_picture picture;
-  const size_t error_quantity = errors != NULL ? add_errors(report, errors, &names[ERROR]) : 0;
-  const int status = make_picture(settings, report, names, &picture);
-  picture.error_quantity = error_quantity;
+  const size_t measured = report->quantities.count; /* R, and with Monte Carlo its errors */
+  cli_picture picture = {0};
+  cli_row row = {.gamma = settings->gamma.value};
+  const int status = settings->error ? take_deviation(report) : CLI_OK;
   if (status != CLI_OK) {
     return status;
   }
   cli_eval_write(report, form);
-  return form == CLI_NONE || files->count > 0
-             ? cli_picture_draw(&picture, files->count > 0 ? files : &onto_terminal)
-             : CLI_OK;
+  if (form != CLI_NONE && files->count == 0) {
+    return CLI_OK;
+  }
+  parse_size(settings->size, &picture.width_px, &picture.height_px);
+  for (size_t i = 0; i < axes->count || i == 0; i++) {
+    row.axes = *cli_axes_find(axes->count > 0 ? axes->items[i] : AXES_DEFAULT);
+    cli_plot_row(&picture, report, row, 0);
+  }
+  if (settings->error) {
+    row = (cli_row){
+        {NULL, row.axes.logarithmic_x, CLI_PERCENT}, 0, "deviation from " REFERENCE " (%)"};
+    cli_plot_row(&picture, report, row, measured);
+  }
+  return cli_plot_report(&picture, report, files->count > 0 ? files : &onto_terminal);
 }
 
 /* ---- the command ----------------------------------------------------------------------------- */
@@ -390,8 +321,8 @@ static int ask(cli_eval_settings eval, const char *name, dipole_client *client,
 }
 
 /* Asks for means over rings, and walks photons beside them. */
-static int ask_rings(const plot_settings *settings, dipole_client *client, cli_eval_report *report,
-                     double **errors) {
+static int ask_rings(const plot_settings *settings, dipole_client *client,
+                     cli_eval_report *report) {
   const cli_number *thickness = &settings->eval.profile.thickness;
   cli_eval_settings eval = settings->eval;
   cli_rings rings =
@@ -401,8 +332,7 @@ static int ask_rings(const plot_settings *settings, dipole_client *client, cli_e
   if (status == CLI_OK) {
     cli_rings_take_means(&rings, report);
     status = cli_rings_walk(&rings, settings->photons.value,
-                            thickness->given ? thickness->value : (double)INFINITY, client, report,
-                            errors);
+                            thickness->given ? thickness->value : (double)INFINITY, client, report);
   }
   cli_rings_free(&rings);
   return status;
@@ -411,17 +341,15 @@ static int ask_rings(const plot_settings *settings, dipole_client *client, cli_e
 static int run(void *given, dipole_client *client) {
   const plot_settings *settings = given;
   cli_eval_report report = {0};
-  double *errors = NULL;
   int status = check_quantity(settings->quantity, client);
   if (status == CLI_OK) {
-    status = settings->photons.given ? ask_rings(settings, client, &report, &errors)
+    status = settings->photons.given ? ask_rings(settings, client, &report)
                                      : ask(settings->eval, settings->quantity, client, &report);
   }
   if (status == CLI_OK) {
-    status = write_and_draw(settings, &report, errors);
+    status = write_and_draw(settings, &report);
   }
   cli_eval_report_free(&report);
-  free(errors);
   return status;
 }
 
@@ -437,8 +365,8 @@ const cli_command cli_command_plot = {
         "\n"
         "Three things lie beyond the axes and only show in the numbers, which --format writes. On\n"
         "a linear axis: peaks in the first 2 % of the radii that are more than four times as\n"
-        "high as the rest. On a logarithmic axis: values more than 4 decades below the least\n"
-        "value of the middle curve. Of deviations: those beyond 200 %.\n"
+        "high as the rest. On a logarithmic axis: values below 1e-12 of the largest. Of\n"
+        "deviations: those beyond 200 %.\n"
         "\n"
         "With --mc, a value is the mean over a ring, and stands at the radius that halves the "
         "ring's\n"

@@ -15,17 +15,27 @@ enum { OCTAVES_OF_DISC = 16, NODES = 2 * CORE_GAUSS_HALF };
 
 /* ---- rings ----------------------------------------------------------------------------------- */
 
-static void add_part(cli_rings *rings, size_t ring, double from_mm, double to_mm) {
+/* Adds the rule's nodes from from_mm to to_mm. share: of their weights in the mean; sign: in what
+ * its error is told from. */
+static void add_rule(cli_rings *rings, size_t ring, double from_mm, double to_mm, double share,
+                     double sign) {
   const size_t first = rings->node_count;
   rings->node_count += NODES;
   rings->nodes_mm = cli_resize(rings->nodes_mm, rings->node_count, sizeof *rings->nodes_mm);
   rings->weights = cli_resize(rings->weights, rings->node_count, sizeof *rings->weights);
-  rings->ring_of = cli_resize(rings->ring_of, rings->node_count, sizeof *rings->ring_of);
   for (int i = 0; i < NODES; i++) {
+    const double weight_mm = (to_mm - from_mm) * core_gauss_weight(i);
     rings->nodes_mm[first + (size_t)i] = from_mm + (to_mm - from_mm) * core_gauss_node(i);
-    rings->weights[first + (size_t)i] = (to_mm - from_mm) * core_gauss_weight(i);
-    rings->ring_of[first + (size_t)i] = ring;
+    rings->weights[first + (size_t)i] = (cli_weight){ring, share * weight_mm, sign * weight_mm};
   }
+}
+
+/* The power of a part is the sum of its halves'; the rule over the whole part tells the error. */
+static void add_part(cli_rings *rings, size_t ring, double from_mm, double to_mm) {
+  const double middle_mm = (from_mm + to_mm) / 2;
+  add_rule(rings, ring, from_mm, middle_mm, 1, 1);
+  add_rule(rings, ring, middle_mm, to_mm, 1, 1);
+  add_rule(rings, ring, from_mm, to_mm, 0, -1);
 }
 
 static void add_ring(cli_rings *rings, size_t ring) {
@@ -65,7 +75,6 @@ void cli_rings_free(cli_rings *rings) {
   free(rings->edges_mm);
   free(rings->nodes_mm);
   free(rings->weights);
-  free(rings->ring_of);
   *rings = (cli_rings){0};
 }
 
@@ -74,16 +83,22 @@ void cli_rings_free(cli_rings *rings) {
 void cli_rings_take_means(const cli_rings *rings, cli_eval_report *report) {
   const double pi = acos(-1), *edges_mm = rings->edges_mm;
   for (size_t k = 0; k < report->model_count * report->profile.channel_count; k++) {
+    cli_eval_values *values = &report->values[k];
     double *powers = cli_allocate(rings->count, sizeof *powers);
-    double *of_nodes = report->values[k].arrays[0];
+    double *errors = cli_allocate(rings->count, sizeof *errors), worst = 0;
     for (size_t i = 0; i < rings->node_count; i++) {
-      powers[rings->ring_of[i]] += rings->weights[i] * of_nodes[i];
+      const cli_weight *weight = &rings->weights[i];
+      powers[weight->ring] += weight->mm * values->arrays[0][i];
+      errors[weight->ring] += weight->error_mm * values->arrays[0][i];
     }
     for (size_t i = 0; i < rings->count; i++) {
+      worst = powers[i] > 0 ? fmax(worst, fabs(errors[i]) / powers[i]) : worst;
       powers[i] /= pi * (edges_mm[i + 1] * edges_mm[i + 1] - edges_mm[i] * edges_mm[i]);
     }
-    free(of_nodes);
-    report->values[k].arrays[0] = powers;
+    free(errors);
+    free(values->arrays[0]);
+    values->arrays[0] = powers;
+    values->numerical_error += worst;
   }
   report->quantities.items[0] = cli_choice_of_id(report->profile.info, DIPOLE_QUANTITY, DIPOLE_R);
   report->quantities.wanted = DIPOLE_R;
@@ -97,23 +112,22 @@ void cli_rings_take_means(const cli_rings *rings, cli_eval_report *report) {
 
 /* Adds a model, as the last but an unlisted one. Returns its values, [channel_count]. */
 static cli_eval_values *insert_model(cli_eval_report *report, const dipole_choice *choice) {
-  const size_t channels = report->profile.channel_count, count = report->model_count;
-  const size_t after = report->models[count - 1].unlisted ? 1 : 0, at = count - after;
-  report->models = cli_resize(report->models, count + 1, sizeof *report->models);
+  const size_t channels = report->profile.channel_count;
+  const size_t after = report->models[report->model_count - 1].unlisted ? 1 : 0;
+  const size_t at = report->model_count++ - after;
+  report->models = cli_resize(report->models, report->model_count, sizeof *report->models);
   memmove(&report->models[at + 1], &report->models[at], after * sizeof *report->models);
   report->models[at] = (cli_eval_model){.choice = choice, .named = true};
-  cli_eval_values *values = cli_allocate((count + 1) * channels, sizeof *values);
-  memcpy(values, report->values, at * channels * sizeof *values);
-  memcpy(values + (at + 1) * channels, report->values + at * channels,
-         after * channels * sizeof *values);
-  for (size_t i = count * channels; i < report->values_capacity; i++) {
-    free(report->values[i].arrays[0]); /* of a model that refused the rest of a query */
+  report->values =
+      cli_resize(report->values, report->values_capacity + channels, sizeof *report->values);
+  cli_eval_values *values = report->values + at * channels;
+  memmove(values + channels, values, (report->values_capacity - at * channels) * sizeof *values);
+  report->values_capacity += channels;
+  for (size_t i = 0; i < channels; i++) {
+    values[i] = (cli_eval_values){.albedo = (double)NAN, .model_error = (double)NAN};
+    values[i].arrays[0] = cli_allocate(report->radius_count, sizeof(double));
   }
-  free(report->values);
-  report->values = values;
-  report->values_capacity = (count + 1) * channels;
-  report->model_count++;
-  return values + at * channels;
+  return values;
 }
 
 typedef struct walk {
@@ -131,12 +145,14 @@ static bool follow(void *context, const dipole_mc_progress *now) {
 }
 
 int cli_rings_walk(const cli_rings *rings, double photons, double thickness_mm,
-                   dipole_client *client, cli_eval_report *report, double **errors) {
+                   dipole_client *client, cli_eval_report *report) {
+  static const dipole_choice R_error = {
+      .kind = DIPOLE_QUANTITY, .name = "R_error", .about = "1/mm^2"};
   walk of = {.channels = report->profile.channel_count};
   dipole_error error = {0};
   bool good = true;
   cli_eval_values *values = insert_model(report, &cli_monte_carlo);
-  *errors = cli_allocate(of.channels * rings->count, sizeof **errors);
+  const size_t at = cli_eval_add_quantity(report, &R_error);
   cli_progress_start(&of.progress, "photons");
   for (; good && of.channel < of.channels; of.channel++) {
     const dipole_mc_query query = {.medium = report->profile.media[of.channel],
@@ -147,15 +163,12 @@ int cli_rings_walk(const cli_rings *rings, double photons, double thickness_mm,
                                    .radius_stop_mm = rings->edges_mm[rings->count],
                                    .seed = 1,
                                    .photons = (uint64_t)photons};
-    cli_eval_values *one = &values[of.channel];
-    *one = (cli_eval_values){.albedo = (double)NAN, .model_error = (double)NAN};
-    one->arrays[0] = cli_allocate(rings->count, sizeof(double));
+    double *const *arrays = values[of.channel].arrays;
     dipole_mc_result *result = NULL;
     good = dipole_mc(client, &query, follow, &of, &result, &error);
     for (size_t i = 0; good && i < rings->count; i++) {
-      one->arrays[0][i] = dipole_mc_values(result, 0, DIPOLE_MC_REFLECTED)[i];
-      (*errors)[of.channel * rings->count + i] =
-          dipole_mc_errors(result, 0, DIPOLE_MC_REFLECTED)[i];
+      arrays[0][i] = dipole_mc_values(result, 0, DIPOLE_MC_REFLECTED)[i];
+      arrays[at][i] = dipole_mc_errors(result, 0, DIPOLE_MC_REFLECTED)[i];
     }
     dipole_mc_result_free(result);
   }

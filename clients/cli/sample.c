@@ -4,7 +4,6 @@
 #include <string.h>
 
 #include "clients/cli/daemon.h"
-#include "clients/cli/gnuplot.h"
 #include "clients/cli/number.h"
 #include "clients/cli/picture.h"
 #include "clients/cli/profile.h"
@@ -52,7 +51,7 @@ static const cli_option options[] = {
     {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
     {"plot", "[FILE]",
      "also draw a histogram of the radii, and their density, into FILE.svg or\n"
-     "FILE.png (default: " PLOT_FILE "). May be repeated",
+     "FILE.png (default: " PLOT_FILE "); -: as text. May be repeated",
      CLI_FILES, FIELD(plot), NULL},
     {0},
 };
@@ -80,13 +79,8 @@ static int check(void *given) {
     return cli_fail_usage("--u gives the numbers one by one: leave --count, --draw, "
                           "--seed and --first out");
   }
-  for (size_t i = 0; i < settings->plot.count; i++) {
-    if (!cli_gnuplot_draws(settings->plot.items[i])) {
-      return cli_fail_usage("--plot %s: the name must end in .svg or .png",
-                            settings->plot.items[i]);
-    }
-  }
-  return cli_deadline_check(&settings->profile);
+  const int drawn = cli_picture_check(&settings->plot, &settings->profile.common);
+  return drawn == CLI_OK ? cli_deadline_check(&settings->profile) : drawn;
 }
 
 /* ---- asking ---------------------------------------------------------------------------------- */
@@ -326,99 +320,61 @@ static void put_members(cli_json *json, const void *context) {
 
 /* ---- the picture: a histogram, and over it the density that the radii were drawn from -------- */
 
-enum { BINS = 60, WIDTH_PX = 900, HEIGHT_PX = 600 };
+enum { BINS = 60 };
 
 /* The picture shows this share of the radii. The largest ones would leave the others no room. */
 #define SHOWN_SHARE 0.99
 
-typedef struct point {
-  double r_mm;
-  double pdf_per_mm;
-} point;
-
-typedef struct histogram {
-  const report *of;
-  point *points; /* [channel_count][count], each channel's by radius */
-  double most_mm;
-} histogram;
-
 static int compare(const void *a, const void *b) {
-  const double x = ((const point *)a)->r_mm, y = ((const point *)b)->r_mm;
+  const double x = *(const double *)a, y = *(const double *)b;
   return (x > y) - (x < y);
 }
 
-/* Writes two blocks of data. For channel 0 these are $hist0, the middle of each bin and the density
- * of the radii in it, and $pdf0, the radii that were drawn and the density that they come from. */
-static void write_data(FILE *script, const histogram *picture, size_t channel) {
-  const size_t count = picture->of->count;
-  const point *points = picture->points + channel * count;
-  const double width_mm = picture->most_mm / BINS;
-  size_t bins[BINS] = {0};
-  for (size_t i = 0; i < count && points[i].r_mm < picture->most_mm; i++) {
-    const size_t bin = (size_t)(points[i].r_mm / picture->most_mm * BINS);
-    bins[bin < BINS ? bin : BINS - 1]++;
+/* Stores a channel's radii and densities. Returns the radius within which the shown share lies; 0
+ * if that is infinite. sorted: room for [count]. */
+static double take_points(const report *of, size_t channel, double *r_mm, double *pdf_per_mm,
+                          double *sorted) {
+  for (size_t i = 0; i < of->count; i++) {
+    r_mm[i] = sorted[i] = value_of(of, channel, DIPOLE_RADIUS, i);
+    pdf_per_mm[i] = value_of(of, channel, DIPOLE_PDF, i);
   }
-  fprintf(script, "$hist%zu << END\n", channel);
-  for (size_t i = 0; i < BINS; i++) {
-    fprintf(script, "%.9g %.9g\n", ((double)i + 0.5) * width_mm,
-            (double)bins[i] / ((double)count * width_mm));
-  }
-  fprintf(script, "END\n$pdf%zu << END\n", channel);
-  for (size_t i = 0; i < count && points[i].r_mm <= picture->most_mm; i++) {
-    fprintf(script, "%.9g %.9g\n", points[i].r_mm, points[i].pdf_per_mm);
-  }
-  fputs("NaN NaN\nEND\n", script); /* gnuplot wants one point at least, even an undefined one */
+  qsort(sorted, of->count, sizeof *sorted, compare);
+  const double last_mm = sorted[(size_t)(SHOWN_SHARE * (double)(of->count - 1))];
+  return isfinite(last_mm) ? last_mm : 0;
 }
 
-static void write_script(FILE *script, const void *context) {
-  const histogram *picture = context;
-  const report *of = picture->of;
+static int draw(const report *of, const cli_texts *paths) {
+  const size_t channels = of->profile.channel_count, count = of->count;
   const char *medium = of->profile.medium;
-  char title[128];
-  for (size_t channel = 0; channel < of->profile.channel_count; channel++) {
-    write_data(script, picture, channel);
+  cli_picture picture = {.x_label = "r (mm)",
+                         .row_count = 1,
+                         .column_count = 1,
+                         .rows = {{.label = "density (1/mm)"}}};
+  double *r_mm = cli_allocate((2 * channels + 1) * count, sizeof(double)), most_mm = 0;
+  double *pdf_per_mm = r_mm + channels * count, *sorted = pdf_per_mm + channels * count;
+  for (size_t c = 0; c < channels; c++) {
+    most_mm = fmax(most_mm, take_points(of, c, r_mm + c * count, pdf_per_mm + c * count, sorted));
   }
-  snprintf(title, sizeof title, "%s%s%s: %zu radii, %s", medium != NULL ? medium : "",
-           medium != NULL ? ", " : "", of->profile.model->name, of->count, of->draw->name);
-  fputs("set grid\nset style fill transparent solid 0.25 noborder\nset xlabel 'r (mm)'\n"
-        "set ylabel 'density (1/mm)'\nset title ",
-        script);
-  cli_gnuplot_quote(script, title);
-  fprintf(script, "\nset xrange [0:%.9g]\nset yrange [0:*]\nplot ", picture->most_mm);
-  for (size_t i = 0; i < of->profile.channel_count; i++) {
-    const char *colour = cli_channel_colour(&of->profile, i);
-    cli_channel_title(&of->profile, i, title, sizeof title);
-    fprintf(script,
-            "%s$hist%zu using 1:2 with boxes lc rgb '%s' notitle, "
-            "$pdf%zu using 1:2 with lines lw 2 lc rgb '%s' title ",
-            i > 0 ? ", " : "", i, colour, i, colour);
-    cli_gnuplot_quote(script, title);
+  for (size_t i = 0; i < channels * count; i++) {
+    pdf_per_mm[i] = r_mm[i] <= most_mm && most_mm > 0 ? pdf_per_mm[i] : (double)NAN;
   }
-  fputc('\n', script);
-}
-
-static int draw(const report *of, const char *path) {
-  char error[CLI_GNUPLOT_ERROR_BYTES];
-  const size_t channels = of->profile.channel_count;
-  histogram picture = {.of = of,
-                       .points = cli_allocate(channels * of->count, sizeof *picture.points)};
-  for (size_t channel = 0; channel < channels; channel++) {
-    point *points = picture.points + channel * of->count;
-    for (size_t i = 0; i < of->count; i++) {
-      points[i] =
-          (point){value_of(of, channel, DIPOLE_RADIUS, i), value_of(of, channel, DIPOLE_PDF, i)};
-    }
-    qsort(points, of->count, sizeof *points, compare);
-    const double last_mm = points[(size_t)(SHOWN_SHARE * (double)(of->count - 1))].r_mm;
-    picture.most_mm = isfinite(last_mm) ? fmax(picture.most_mm, last_mm) : picture.most_mm;
+  for (size_t k = 0; k < 2 * channels; k++) {
+    const size_t c = k / 2;
+    cli_curve *curve = cli_picture_add(&picture);
+    *curve = (cli_curve){.style = k % 2 == 0 ? CLI_BINS : CLI_FITTED,
+                         .mark = c,
+                         .colour = cli_channel_colour(&of->profile, c),
+                         .bin = most_mm / BINS,
+                         .count = count,
+                         .x = r_mm + c * count,
+                         .y = pdf_per_mm + c * count};
+    cli_channel_title(&of->profile, c, curve->title, k % 2 == 0 ? 1 : sizeof curve->title);
   }
-  int status = CLI_OK;
-  if (!(picture.most_mm > 0)) {
-    status = cli_fail("--plot %s: all radii are 0 or infinite: draw more radii, or others", path);
-  } else if (!cli_gnuplot(path, WIDTH_PX, HEIGHT_PX, write_script, &picture, error)) {
-    status = cli_fail("--plot %s: %s", path, error);
-  }
-  free(picture.points);
+  snprintf(picture.title, sizeof picture.title, "%.64s%s%.24s: %zu radii, %.24s",
+           medium != NULL ? medium : "", medium != NULL ? ", " : "", of->profile.model->name, count,
+           of->draw->name);
+  const int status = cli_picture_draw(&picture, paths);
+  free(r_mm);
   return status;
 }
 
@@ -441,13 +397,7 @@ static int ask_and_write(const sample_settings *settings, dipole_client *client,
                              .put_row = put_sample,
                              .members = put_members};
   cli_write(&output, settings->profile.common.form, of);
-  for (size_t i = 0; status == CLI_OK && i < settings->plot.count; i++) {
-    status = draw(of, settings->plot.items[i]);
-    if (status == CLI_OK) {
-      cli_picture_tell(settings->plot.items[i]);
-    }
-  }
-  return status;
+  return status == CLI_OK && settings->plot.count > 0 ? draw(of, &settings->plot) : status;
 }
 
 static int run(void *settings, dipole_client *client) {

@@ -1,76 +1,85 @@
-"""Reads pictures that `dipole` has drawn."""
+"""Reads what `dipole` gives gnuplot to draw, and what gnuplot has drawn."""
 
 from __future__ import annotations
 
+import os
 import re
-import struct
 import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
 from pathlib import Path
 
-SVG = "{http://www.w3.org/2000/svg}"
+import numpy as np
+from command_line import dipole
+
+FAKE = """#!/bin/sh
+[ "$*" = "-d -" ] && cat >"$0.script" && echo drawn
+"""
 
 
-def svg_lines(root: ElementTree.Element) -> list[ElementTree.Element]:
-    """Returns the groups in which gnuplot draws the lines of a plot."""
-    groups = []
-    for group in root.iter(f"{SVG}g"):
-        title = group.find(f"{SVG}title")
-        if title is not None and (title.text or "").startswith("gnuplot_plot_"):
-            groups.append(group)
-    return groups
+@dataclass
+class Curve:
+    title: str
+    style: str  # how it is drawn, with its colour and dash
+    data: np.ndarray  # [N, 3]: place, what is shown there, its error; without undefined points
 
 
-def svg_texts(root: ElementTree.Element) -> list[str]:
-    return ["".join(text.itertext()).strip() for text in root.iter(f"{SVG}text")]
+@dataclass
+class Panel:
+    settings: dict[str, str]  # by their names, such as "title", "logscale y" and "yrange"
+    curves: list[Curve]
 
 
-def svg_size(root: ElementTree.Element) -> tuple[float, float]:
-    width, height = root.get("viewBox").split()[2:]
-    return float(width), float(height)
+def script(folder: Path, *arguments: str, to: str = "r.svg", **how) -> list[Panel]:
+    """Runs a command with a gnuplot that draws nothing. Returns the panels that it was to draw."""
+    fake = folder / "fake" / "gnuplot"
+    fake.parent.mkdir(exist_ok=True)
+    fake.write_text(FAKE)
+    fake.chmod(0o755)
+    path = to if to == "-" else str(folder / to)
+    env = {"PATH": f"{fake.parent}:{os.environ['PATH']}"}
+    run = dipole(*arguments, "--plot", path, env=env, **how)
+    assert (run.stdout if to == "-" else Path(path).read_text()).count("drawn\n") == 1
+    return read_script(Path(f"{fake}.script").read_text())
 
 
-def png_size(path: Path) -> tuple[int, int]:
-    data = path.read_bytes()
-    assert data.startswith(b"\x89PNG\r\n\x1a\n") and data.endswith(b"IEND\xaeB`\x82")
-    return struct.unpack(">II", data[16:24])
+def read_script(text: str) -> list[Panel]:
+    panels, settings, blocks = [], {}, {}
+    for block in re.finditer(r"\$(\w+) << END\n(.*?)END\n", text, re.S):
+        data = np.array([line.split() for line in block[2].splitlines()], np.float64)
+        blocks[block[1]] = data[~np.isnan(data[:, 0])]
+    for line in re.sub(r"\$\w+ << END\n.*?END\n", "", text, flags=re.S).splitlines():
+        word, name, value = (*line.split(" ", 2), "", "")[:3]
+        if word == "plot":
+            found = re.findall(r'\$(\w+) using (.*?) title "(.*?)"', line)
+            curves = [Curve(plain(title), style, blocks[name]) for name, style, title in found]
+            panels.append(Panel(dict(settings), curves))
+        elif name == "logscale":
+            names = [f"logscale {value}"] if word == "set" else ["logscale x", "logscale y"]
+            settings = {k: v for k, v in settings.items() if k not in names}
+            settings |= dict.fromkeys(names, "set") if word == "set" else {}
+        elif word == "set":
+            settings[name] = plain(value)
+        elif word == "unset":
+            settings.pop(name, None)
+    return panels
+
+
+def plain(text: str) -> str:
+    """Returns a text without its quotes, and without the octal numbers that stand for characters."""
+    return re.sub(r"\\0([0-7]{3})", lambda octal: chr(int(octal[1], 8)), text.strip('"'))
+
+
+def svg_lines(path: Path) -> int:
+    """Returns how many curves gnuplot has drawn."""
+    return path.read_text().count("<title>gnuplot_plot_")
+
+
+def svg_texts(path: Path) -> list[str]:
+    texts = ElementTree.parse(path).getroot().iter("{http://www.w3.org/2000/svg}text")
+    return ["".join(text.itertext()).strip() for text in texts]
 
 
 def check_png(path: Path) -> None:
-    width, height = png_size(path)
-    assert width >= 600 and height >= 400
-    assert path.stat().st_size > 5000
-
-
-def path_points(group: ElementTree.Element) -> list[tuple[float, float]]:
-    """Returns the corners of a line in pixels. They are those of its longest piece, because another
-    piece is in the legend."""
-    pieces = []
-    for path in group.iter(f"{SVG}path"):
-        for letter, x, y in re.findall(r"([ML])(-?[\d.]+),(-?[\d.]+)", path.get("d", "")):
-            if letter == "M":
-                pieces.append([])
-            pieces[-1].append((float(x), float(y)))
-    return max(pieces, key=len)
-
-
-def places(root: ElementTree.Element, words) -> list[tuple[str, str]]:
-    """Returns the x and y of the texts that are among these words."""
-    found = []
-    for group in root.iter(f"{SVG}g"):
-        text = group.find(f"{SVG}text")
-        if text is not None and "".join(text.itertext()).strip() in words:
-            match = re.match(r"translate\(([\d.]+),([\d.]+)\)", group.get("transform", ""))
-            found.append((match[1], match[2]))
-    return found
-
-
-def style(group: ElementTree.Element) -> tuple:
-    """Returns the colour and dashes of a line, which are those of its longest path."""
-    longest = max(group.iter(f"{SVG}path"), key=lambda path: len(path.get("d", "")))
-    parents = {child: parent for parent in group.iter() for child in parent}
-    colour = longest.get("stroke")
-    at = longest
-    while colour is None and at in parents:
-        at = parents[at]
-        colour = at.get("stroke")
-    return colour, longest.get("stroke-dasharray")
+    data = path.read_bytes()
+    assert data.startswith(b"\x89PNG\r\n\x1a\n") and data.endswith(b"IEND\xaeB`\x82")
+    assert len(data) > 5000
