@@ -9,13 +9,14 @@ import re
 import select
 import socket
 import struct
+import subprocess
 import time
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 import pytest
-from daemons import Daemon
+from daemons import REPOSITORY, Daemon
 from lists import EVALUATORS, MODELS, read_list
 
 TCP = "--modbus", "tcp:127.0.0.1:0"
@@ -32,10 +33,22 @@ MIRROR = 2000
 
 def addresses() -> dict[str, int]:
     """Returns the PDU addresses by the fields' identifiers."""
-    fields = {}
-    text = read_list("proto/registers.def")
-    for ident, address in re.findall(r"REGISTERS_(?:FIELD|STATISTIC)\((\w+), (\d+),", text):
-        fields[ident] = int(address)
+    lists = "".join(
+        f"#define REGISTERS_{kind}(ident, address, ...) @ident=address@\n"
+        for kind in ("FIELD", "STATISTIC")
+    )
+    text = subprocess.run(
+        ["cc", "-E", "-P", "-I.", "-x", "c", "-"],
+        input=f'{lists}#include "proto/registers.def"\n',
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    fields = {
+        ident: sum(map(int, re.findall(r"\d+", address)))  # such as (4420) + 1
+        for ident, address in re.findall(r"@ *(\w+) *= *([\d+() ]+)@", text)
+    }
     text = read_list("core/choices.def")
     for number, ident in re.findall(r"CORE_PARAMETER\((\d+), (\w+),", text):
         fields[f"PARAMETER_{ident}"] = 104 if number == "1" else 216 + 2 * int(number)

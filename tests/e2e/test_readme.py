@@ -20,6 +20,7 @@ WORDS = {
     "clients/GUIDE.md": 1500,
     "core/ACCURACY.md": 1500,
     "core/MODELS.md": 1500,
+    "proto/REGISTERS.md": 6000,
     "server/DEPLOYING.md": 1500,
 }
 
