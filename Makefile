@@ -170,7 +170,7 @@ $(OBJ)/core/radii.o: override CFLAGS := $(CFLAGS) -O3 -fopenmp-simd -falign-loop
 $(OBJ)/proto/digest.o: override CFLAGS := $(CFLAGS) -O3 -funroll-loops
 
 # What writes and reads the numbers of JSON and CSV.
-$(addprefix $(OBJ)/,proto/decimal.o $(addprefix server/http/,answer.o connection.o question.o text.o values.o)): override CFLAGS := $(CFLAGS) -O3
+$(addprefix $(OBJ)/,core/evaluate.o proto/decimal.o $(addprefix server/http/,answer.o connection.o question.o text.o values.o)): override CFLAGS := $(CFLAGS) -O3
 
 # core/models/NAME.ISA.fREAL.o
 define kernel_rule

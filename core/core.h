@@ -295,13 +295,13 @@ typedef struct core_profile {
   /* Numerical error: a value at radius r is off from the model's exact formula by at most
    * numerical_error + numerical_error_per_mm * r, relative, or by 16 of the smallest subnormal
    * numbers, whichever is more. A value that is larger than the largest finite number of its
-   * precision is infinity. S is R times a number: its relative error is CORE_S_ERROR more, and what
-   * R loses by underflow or overflow, S loses times that number. The bound holds for R, S and cdf,
-   * and for the albedo with r = 0, since every evaluator computes the albedo in double precision.
-   * It holds for dR/dr, pdf and 2 pi r R with sigma_t' from 1e-6 to 1e6 per mm, sigma_a up to 1e6
-   * sigma_s', eta from 0.2 to 5, and r either 0 or from 1e-12 to 1e6 mean free paths 1 / sigma_t';
-   * beyond, these three may underflow too early. Next to the source, at positive radii below
-   * CORE_RADIUS_SMALL_MM, and for these three below CORE_RADIUS_SMALL_MFP mean free paths, numbers on the
+   * precision is infinity. 2 pi r R, pdf and S are R times a number: what R loses by underflow or
+   * overflow, they lose times that number. The relative error of S is CORE_S_ERROR more. The bound
+   * holds for these, R and cdf, and for the albedo with r = 0, since every evaluator computes the
+   * albedo in double precision. It holds for dR/dr with sigma_t' from 1e-6 to 1e6 per mm, sigma_a
+   * up to 1e6 sigma_s', eta from 0.2 to 5, and r either 0 or from 1e-12 to 1e6 mean free paths
+   * 1 / sigma_t'; beyond, it may underflow too early. Next to the source, at positive radii below
+   * CORE_RADIUS_SMALL_MM, and for dR/dr below CORE_RADIUS_SMALL_MFP mean free paths, numbers on the
    * way to a value may underflow: core_profile_errors() states an infinite error there. For ln R see core_eval_f64(). Where the albedo has
    * underflowed to 0, cdf and pdf are 0 at every radius, infinity included. The bound holds for
    * radii within `reach`; core_profile_errors() gives the error for any radii and quantities. */

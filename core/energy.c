@@ -48,7 +48,7 @@ static void integrate_series(const double *g, double half_width, double *series)
 }
 
 /* Returns the energy of the panel that begins at y = ln(r / first), and writes its series. */
-static double build_panel(core_kernel_f64 *ring, const double *c, double first_mm, double y,
+static double build_panel(core_kernel_f64 *R, const double *c, double first_mm, double y,
                           double *series) {
   double r[NODES];
   double g[NODES];
@@ -56,21 +56,24 @@ static double build_panel(core_kernel_f64 *ring, const double *c, double first_m
   for (int i = 0; i < NODES; i++) {
     r[i] = first_mm * real_exp_signed(y + WIDTH * core_gauss_node(i));
   }
-  ring(c, NODES, r, g);
+  R(c, NODES, r, g);
   for (int i = 0; i < NODES; i++) {
-    g[i] *= r[i];
+    g[i] *= 6.28318530717958647693 * r[i] * r[i];
     energy = fma(core_gauss_weight(i), g[i], energy);
   }
   integrate_series(g, 0.5 * WIDTH, series);
   return WIDTH * energy;
 }
 
-double core_energy_build(core_kernel_f64 *ring, const double *c, double first_mm, double last_mm,
+double core_energy_build(core_kernel_f64 *R, const double *c, double first_mm, double last_mm,
                          double *table) {
   const size_t panels = panels_between(first_mm, last_mm);
   double ends[3] = {first_mm, first_mm * 1.0625, first_mm * 0x1p-64};
-  double density[3];
-  ring(c, 3, ends, density);
+  double density[3]; /* 2 pi r R */
+  R(c, 3, ends, density);
+  for (int i = 0; i < 3; i++) {
+    density[i] *= 6.28318530717958647693 * ends[i];
+  }
   /* Below the first radius R goes like 1 / r or like R0 + R1 ln(first / r). The energy within r of the
    * latter is pi r^2 (R0 + R1 / 2 + R1 ln(first / r)). */
   const bool steep = !(density[1] > 1.03 * density[0]);
@@ -79,7 +82,7 @@ double core_energy_build(core_kernel_f64 *ring, const double *c, double first_mm
   double energy = density[0] * first_mm * (steep ? 1 : rises ? 0.5 + 0.25 * rise : 0.5);
   for (size_t i = 0; i < panels; i++) {
     double *series = table + CORE_ENERGY_SERIES + i * CORE_ENERGY_TERMS;
-    const double gained = build_panel(ring, c, first_mm, (double)i * WIDTH, series);
+    const double gained = build_panel(R, c, first_mm, (double)i * WIDTH, series);
     series[0] += energy;
     energy += gained;
   }

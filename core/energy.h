@@ -27,9 +27,9 @@ enum core_energy_field {
 /* How many numbers a table from first_mm to last_mm has. */
 size_t core_energy_length(double first_mm, double last_mm);
 
-/* Fills in a table of core_energy_length() numbers from ring(c, ...) = 2 pi r R in 1/mm. Returns
+/* Fills in a table of core_energy_length() numbers from the kernel of R. Returns
  * the whole energy and divides the table by it unless it is 0. */
-double core_energy_build(core_kernel_f64 *ring, const double *c, double first_mm, double last_mm,
+double core_energy_build(core_kernel_f64 *R, const double *c, double first_mm, double last_mm,
                          double *table);
 
 #endif

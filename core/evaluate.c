@@ -1,5 +1,6 @@
 /* Evaluates prepared profiles. It calls the model's kernels where they exist, and otherwise uses
- * methods for all models: S from R, sums of two models and their derivatives, and single precision rounded from double.
+ * methods for all models: S, the pdf and 2 pi r R from R, sums of two models and their derivatives,
+ * and single precision rounded from double.
  *
  * Arrays are processed in chunks that fit into the first-level cache; no value depends on where the
  * chunks are cut.
@@ -54,7 +55,7 @@ static void add_chunk(const core_profile *profile, enum core_quantity quantity, 
   double second[CHUNK];
   core_evaluate(&profile->parts[0], quantity, n, r, out);
   core_evaluate(&profile->parts[1], quantity, n, r, second);
-  const bool shares = quantity == CORE_QUANTITY_CDF || quantity == CORE_QUANTITY_PDF;
+  const bool shares = quantity == CORE_QUANTITY_CDF;
   const double share0 = shares ? profile->part_shares[0] : 1;
   const double share1 = shares ? profile->part_shares[1] : 1;
   for (size_t i = 0; i < n; i++) {
@@ -87,8 +88,82 @@ static void average_chunk(const core_profile *profile, enum core_quantity quanti
   }
 }
 
+/* Returns S / R = F_t(cos_in) F_t(cos_out) / (pi (1 - 2 C1(1 / eta))). */
+static double S_per_R(const core_profile *profile) {
+  const double eta = profile->medium.eta;
+  const double lost = core_fresnel_moments(CORE_MOMENTS_EXACT, 1 / eta).one_minus_2c1;
+  return core_fresnel_transmittance(eta, profile->cos_in) *
+         core_fresnel_transmittance(eta, profile->cos_out) / (3.14159265358979323846 * lost);
+}
+
+/* A quantity that is R times up times `number`, and maybe times r. */
+struct multiple {
+  double up; /* a power of two, so that R up does not underflow */
+  double number;
+  bool by_radius;
+};
+
+static bool is_multiple(enum core_quantity quantity) {
+  return (quantity & (CORE_QUANTITY_S | CORE_QUANTITY_PDF | CORE_QUANTITY_RING)) != 0;
+}
+
+static struct multiple multiple_of(const core_profile *profile, enum core_quantity quantity) {
+  const double two_pi = 6.28318530717958647693, albedo = profile->albedo;
+  if (quantity == CORE_QUANTITY_S) {
+    return (struct multiple){1, S_per_R(profile), false};
+  }
+  if (quantity == CORE_QUANTITY_RING) {
+    return (struct multiple){1, two_pi, true};
+  }
+  const double up = albedo < 0x1p-800 ? 0x1p200 : 1;
+  return (struct multiple){up, albedo > 0 ? two_pi / (albedo * up) : 0, true};
+}
+
+/* Returns the multiple: 0 where R or the number is 0, also where r or R is infinite. r is the last
+ * factor, as it may be subnormal. */
+static inline double times_R(struct multiple of, double r, double R) {
+  const double product = R * of.up * of.number;
+  return product > 0 ? (of.by_radius ? r * product : product) : 0;
+}
+
+/* Returns the multiple by r where R is infinite: its limit at the source, where R is in proportion
+ * to 1 / r, or to ln(1 / r). */
+static double at_source(const core_profile *profile, const struct multiple *of) {
+  const double r[2] = {1e-200, 0.5e-200};
+  double R[2];
+  core_evaluate(profile, CORE_QUANTITY_R, 2, r, R);
+  return R[1] > 1.5 * R[0] ? times_R(*of, r[1], R[1]) : 0;
+}
+
+/* Replaces R by a multiple of it. */
+static void multiply(const core_profile *profile, enum core_quantity quantity, size_t n,
+                     const double *r, double *out) {
+  const struct multiple of = multiple_of(profile, quantity);
+  uint64_t infinite = 0;
+  for (size_t i = 0; i < n; i++) {
+    const double value = times_R(of, r[i], out[i]);
+    out[i] = value;
+    /* the highest bit, of infinity and of 0 times it */
+    infinite |= (real_to_bits(value) & (UINT64_MAX >> 1)) + (UINT64_C(1) << REAL_MANTISSA_BITS);
+  }
+  if (of.by_radius && infinite >> 63 != 0) {
+    const double source = at_source(profile, &of);
+    for (size_t i = 0; i < n; i++) {
+      out[i] = out[i] < (double)INFINITY ? out[i] : source; /* 0 times infinity is no number */
+    }
+  }
+}
+
 void core_evaluate(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const double *r, double *out) {
+  if (is_multiple(quantity)) {
+    for (size_t done = 0; done < n; done += CHUNK) {
+      const size_t count = smaller(n - done, CHUNK);
+      core_evaluate(profile, CORE_QUANTITY_R, count, r + done, out + done);
+      multiply(profile, quantity, count, r + done, out + done);
+    }
+    return;
+  }
   if (profile->parts == NULL) {
     const double *coefficients =
         profile->table != NULL ? profile->table : profile->coefficients.f64;
@@ -108,32 +183,10 @@ void core_evaluate(const core_profile *profile, enum core_quantity quantity, siz
   }
 }
 
-/* Returns S / R = F_t(cos_in) F_t(cos_out) / (pi (1 - 2 C1(1 / eta))). */
-static double S_per_R(const core_profile *profile) {
-  const double eta = profile->medium.eta;
-  const double lost = core_fresnel_moments(CORE_MOMENTS_EXACT, 1 / eta).one_minus_2c1;
-  return core_fresnel_transmittance(eta, profile->cos_in) *
-         core_fresnel_transmittance(eta, profile->cos_out) / (3.14159265358979323846 * lost);
-}
-
-static void evaluate_f64(const core_profile *profile, enum core_quantity quantity, size_t n,
-                         const double *r, double *out) {
-  if (quantity != CORE_QUANTITY_S) {
-    core_evaluate(profile, quantity, n, r, out);
-    return;
-  }
-  core_evaluate(profile, CORE_QUANTITY_R, n, r, out);
-  const double factor = S_per_R(profile);
-  for (size_t i = 0; i < n; i++) {
-    /* If the factor is 0, S is 0 even where R is infinite. */
-    out[i] = factor > 0 ? out[i] * factor : 0;
-  }
-}
-
 void core_eval_f64(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const double *r, double *out) {
   assert(profile->evaluator == CORE_EVALUATOR_F64);
-  evaluate_f64(profile, quantity, n, r, out);
+  core_evaluate(profile, quantity, n, r, out);
 }
 
 /* ---- single precision ------------------------------------------------------------------------ */
@@ -148,7 +201,7 @@ static void widely(const core_profile *profile, enum core_quantity quantity, siz
     for (size_t i = 0; i < count; i++) {
       wide_r[i] = (double)r[done + i];
     }
-    evaluate_f64(profile, quantity, count, wide_r, wide_out);
+    core_evaluate(profile, quantity, count, wide_r, wide_out);
     for (size_t i = 0; i < count; i++) {
       /* A cdf below 1 must not round to 1. */
       const bool less = quantity == CORE_QUANTITY_CDF && wide_out[i] < 1;
@@ -158,30 +211,22 @@ static void widely(const core_profile *profile, enum core_quantity quantity, siz
   }
 }
 
-static void evaluate_f32(const core_profile *profile, enum core_quantity quantity, size_t n,
-                         const float *r, float *out) {
-  core_kernel_f32 *kernel =
-      core_is_narrow(profile) ? profile->kernels->f32->evaluate[position(quantity)] : NULL;
-  if (kernel != NULL) {
-    kernel(core_coefficients_f32(profile), n, r, out);
+void core_eval_f32(const core_profile *profile, enum core_quantity quantity, size_t n,
+                   const float *r, float *out) {
+  assert(profile->evaluator != CORE_EVALUATOR_F64);
+  core_kernel_f32 *const *kernels =
+      core_is_narrow(profile) ? profile->kernels->f32->evaluate : NULL;
+  if (kernels != NULL && kernels[position(quantity)] != NULL) {
+    kernels[position(quantity)](core_coefficients_f32(profile), n, r, out);
+  } else if (kernels != NULL && is_multiple(quantity)) {
+    const struct multiple of = multiple_of(profile, quantity);
+    kernels[CORE_ELEMENTWISE_R](core_coefficients_f32(profile), n, r, out);
+    for (size_t i = 0; i < n; i++) {
+      out[i] = (float)times_R(of, (double)r[i], (double)out[i]);
+    }
   } else {
     /* The profile that a table was made from has the quantities that the table lacks. */
     assert(profile->lut == NULL || profile->source != NULL);
     widely(profile->lut != NULL ? profile->source : profile, quantity, n, r, out);
-  }
-}
-
-void core_eval_f32(const core_profile *profile, enum core_quantity quantity, size_t n,
-                   const float *r, float *out) {
-  assert(profile->evaluator != CORE_EVALUATOR_F64);
-  if (quantity != CORE_QUANTITY_S || !core_is_narrow(profile)) {
-    evaluate_f32(profile, quantity, n, r, out);
-    return;
-  }
-  evaluate_f32(profile, CORE_QUANTITY_R, n, r, out);
-  const double factor = S_per_R(profile);
-  for (size_t i = 0; i < n; i++) {
-    /* If the factor is 0, S is 0 even where R is infinite. */
-    out[i] = factor > 0 ? (float)((double)out[i] * factor) : 0;
   }
 }

@@ -234,11 +234,12 @@ static inline real real_log(real x, real exponent) {
   const CORE_PASTE2(core_kernels_f, CORE_REAL)                                                     \
       CORE_PASTE5(core_kernels_, family, _, CORE_ISA, CORE_PASTE2(_f, CORE_REAL)) = {__VA_ARGS__}
 
-/* The member of the table for a family with a kernel eval_... for each elementwise quantity. */
+/* The member of the table for a family with kernels eval_R, eval_cdf, eval_slope and eval_ln_R. */
 #define CORE_KERNELS_OF_ALL                                                                        \
-  .evaluate = {[CORE_ELEMENTWISE_R] = eval_R,         [CORE_ELEMENTWISE_CDF] = eval_cdf,           \
-               [CORE_ELEMENTWISE_SLOPE] = eval_slope, [CORE_ELEMENTWISE_LN_R] = eval_ln_R,         \
-               [CORE_ELEMENTWISE_PDF] = eval_pdf,     [CORE_ELEMENTWISE_RING] = eval_ring}
+  .evaluate = {[CORE_ELEMENTWISE_R] = eval_R,                                                      \
+               [CORE_ELEMENTWISE_CDF] = eval_cdf,                                                  \
+               [CORE_ELEMENTWISE_SLOPE] = eval_slope,                                              \
+               [CORE_ELEMENTWISE_LN_R] = eval_ln_R}
 
 /* Defines an empty single precision table for a family whose single precision values are its double
  * precision ones, rounded. The file is compiled for both but has kernels only where CORE_REAL is

@@ -72,8 +72,8 @@ typedef void core_varying_gradient_kernel_f64(const double *shared, const double
                                               const double *r, double *ln_R, double *by_ln_sigma_a,
                                               double *by_ln_sigma_s);
 
-/* An entry is NULL where core has one method for all models: core/evaluate.c makes S from R,
- * core/transfer.c transforms R, core/derivative.c takes differences of ln R, and core/sample.c
+/* An entry is NULL where core has one method for all models: core/evaluate.c makes S, the pdf and
+ * 2 pi r R from R, core/transfer.c transforms R, core/derivative.c takes differences of ln R, and core/sample.c
  * inverts the cdf. If all entries of an f32 table
  * are NULL, core evaluates in double precision and rounds. The entries for media that vary are NULL
  * too if a model has none. */
@@ -82,6 +82,7 @@ typedef struct core_kernels_f64 {
   core_kernel_f64 *sample;                           /* in: cdf values; out: radii in mm */
   core_varying_kernel_f64 *varying[CORE_ELEMENTWISE_COUNT];
   core_varying_kernel_f64 *varying_sample;
+  core_varying_kernel_f64 *varying_albedo; /* in: any valid radii */
   core_varying_gradient_kernel_f64 *varying_gradient;
   core_varying_check_kernel_f64 *varying_check; /* in core/models/varying.c alone, for all models */
   core_varying_invert_kernel_f64 *varying_invert;
@@ -92,6 +93,7 @@ typedef struct core_kernels_f32 {
   core_kernel_f32 *sample;
   core_varying_kernel_f32 *varying[CORE_ELEMENTWISE_COUNT];
   core_varying_kernel_f32 *varying_sample;
+  core_varying_kernel_f32 *varying_albedo;
   core_varying_check_kernel_f32 *varying_check;
   core_varying_invert_kernel_f32 *varying_invert;
 } core_kernels_f32;
@@ -226,7 +228,7 @@ static inline unsigned core_similarity_note(const core_inputs *inputs) {
   return inputs->medium->g < 0 || inputs->medium->g > 0 ? CORE_NOTE_SIMILARITY : 0;
 }
 
-/* Does what core_eval_f64() does for every quantity except S. The profile may have any evaluator as
+/* Does what core_eval_f64() does. The profile may have any evaluator as
  * long as its coefficients are in double precision: it is of f64, a sum, or has no f32 kernels. */
 void core_evaluate(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const double *r, double *out);

@@ -508,11 +508,10 @@ static double derivative_error(const core_profile *profile, core_radii_range rad
 
 /* Returns whether values next to the source may have underflowed on the way. */
 static bool is_too_near(const core_profile *profile, unsigned wanted, double r_mm) {
-  const unsigned steep = CORE_QUANTITY_SLOPE | CORE_QUANTITY_PDF | CORE_QUANTITY_RING;
   const double least_mm = CORE_RADIUS_SMALL_MFP / core_sigma_t_prime(&profile->medium);
   return r_mm > 0 &&
          (((wanted & (FOLLOWS_R | CORE_QUANTITY_CDF)) != 0 && r_mm < CORE_RADIUS_SMALL_MM) ||
-          ((wanted & steep) != 0 && r_mm < least_mm));
+          ((wanted & CORE_QUANTITY_SLOPE) != 0 && r_mm < least_mm));
 }
 
 core_stated_errors core_profile_errors(const core_profile *profile, unsigned wanted,

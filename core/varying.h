@@ -157,7 +157,8 @@ core_stated_errors core_varying_errors(const core_varying *varying, unsigned wan
 
 /* ---- evaluating ------------------------------------------------------------------------------ */
 
-/* Evaluates R, CDF, PDF or RING (core.h) of a preparation of evaluator f64 (asserted) for n values:
+/* Evaluates R, CDF, PDF, RING (core.h) or ALBEDO, which does not need r, of a preparation of
+ * evaluator f64 (asserted) for n values:
  * out[i] of the medium sigma_a[i], sigma_s[i] at r[i] mm. A value whose status is neither OK nor
  * FAR is NaN. */
 void core_varying_eval_f64(const core_varying *varying, enum core_quantity quantity, size_t n,

@@ -274,7 +274,7 @@ static void fill(const struct slice *slice, double value, void *out) {
 
 /* The memory of one slice. */
 struct scratch {
-  double *sigma_a, *sigma_s, *r, *mfp, *pdf;
+  double *sigma_a, *sigma_s, *r;
   uint8_t *status;
 };
 
@@ -283,34 +283,7 @@ static struct scratch divide(double *scratch) {
   for (size_t i = 0; i < VARYING_SCRATCH_ARRAYS; i++) {
     arrays[i] = scratch + i * VARYING_SLICE_VALUES;
   }
-  return (struct scratch){arrays[0], arrays[1], arrays[2],
-                          arrays[3], arrays[4], (uint8_t *)arrays[5]};
-}
-
-/* Computes the albedos of the media: 2 pi r R over the pdf, here at a mean free path 1 / sigma_t',
- * where neither is too small. A medium that does not scatter has albedo 0. */
-static void evaluate_albedo(const struct slice *slice, const struct scratch *scratch, void *out) {
-  const double unscattered = 1 - slice->varying->g;
-  for (size_t i = 0; i < slice->n; i++) {
-    if (slice->single) {
-      ((float *)scratch->mfp)[i] = 1 / (((const float *)slice->sigma_a)[i] +
-                                        ((const float *)slice->sigma_s)[i] * (float)unscattered);
-    } else {
-      scratch->mfp[i] = 1 / (((const double *)slice->sigma_a)[i] +
-                             ((const double *)slice->sigma_s)[i] * unscattered);
-    }
-  }
-  evaluate(slice, CORE_QUANTITY_RING, scratch->mfp, out);
-  evaluate(slice, CORE_QUANTITY_PDF, scratch->mfp, scratch->pdf);
-  for (size_t i = 0; i < slice->n; i++) {
-    if (slice->single) {
-      float *to = (float *)out;
-      to[i] = to[i] > 0 ? to[i] / ((const float *)scratch->pdf)[i] : to[i];
-    } else {
-      double *to = (double *)out;
-      to[i] = to[i] > 0 ? to[i] / scratch->pdf[i] : to[i];
-    }
-  }
+  return (struct scratch){arrays[0], arrays[1], arrays[2], (uint8_t *)arrays[3]};
 }
 
 /* Returns where the part's values from `begin` on of an array go; NULL if it is not wanted. */
@@ -433,7 +406,7 @@ void varying_part_evaluate(varying_part *part, const varying_request *request,
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
     void *to = place(part, VARYING_QUANTITY(quantity->id), begin, bytes);
     if (to != NULL && quantity->id == CORE_QUANTITY_ALBEDO) {
-      evaluate_albedo(&slice, &memory, to);
+      evaluate(&slice, CORE_QUANTITY_ALBEDO, NULL, to);
     } else if (to != NULL && quantity->id != CORE_QUANTITY_RADIUS) {
       evaluate(&slice, quantity->id, numbers, to);
     }

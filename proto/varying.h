@@ -70,7 +70,7 @@ bool varying_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_vary
 /* ---- evaluating ------------------------------------------------------------------------------ */
 
 /* The most values of one slice, and the arrays of this length that a slice needs as scratch. */
-enum { VARYING_SLICE_VALUES = 2048, VARYING_SCRATCH_ARRAYS = 6 };
+enum { VARYING_SLICE_VALUES = 2048, VARYING_SCRATCH_ARRAYS = 4 };
 
 /* A reply, or a part of one, that is being filled in. */
 typedef struct varying_part {

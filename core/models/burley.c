@@ -27,10 +27,8 @@
 enum coefficient {
   PER_D,      /* 1/mm */
   D,          /* mm */
-  RING_SCALE, /* A / (4 d), in 1/mm */
-  PDF_SCALE,  /* 1 / (4 d) */
+  ALBEDO,     /* A */
   R_SCALE,    /* A / (8 pi d), in 1/mm; R is this times the exponentials, divided by r */
-  LIMIT,      /* limit of the cdf at infinity: 1, or 0 if A is 0 */
   /* derivatives by ln sigma_a and by ln sigma_s' */
   A_BY_A, /* of ln A */
   A_BY_S,
@@ -90,15 +88,12 @@ static inline double exponentials(double scale, double x, double exponent) {
 
 static inline double burley_R(const double *c, double r) {
   const double R = exponentials(c[R_SCALE], burley_x(c, r), UP_EXPONENT) / (r * UP);
-  return c[LIMIT] > 0 ? R : 0;
+  return c[ALBEDO] > 0 ? R : 0;
 }
 
-static inline double burley_ring(const double *c, double r) {
-  return exponentials(c[RING_SCALE], burley_x(c, r), 0);
-}
-
-static inline double burley_pdf(const double *c, double r) {
-  return exponentials(c[PDF_SCALE], burley_x(c, r), 0);
+static inline double burley_albedo(const double *c, double r) {
+  (void)r;
+  return c[ALBEDO];
 }
 
 /* The Hankel transform of e^(-s r) / r is 2 pi / sqrt(s^2 + k^2), k = 2 pi f: here
@@ -107,8 +102,8 @@ static inline double burley_transfer(const double *c, double f) {
   const double kd = real_min(6.28318530717958647693 * f * c[D], FAR);
   const double squared = kd * kd;
   const double sum = 1 / real_sqrt(1 + squared) + 3 / real_sqrt(real_fma(9, squared, 1));
-  const double value = c[RING_SCALE] * c[D] * sum;
-  return c[LIMIT] > 0 && f < (double)INFINITY ? value : 0;
+  const double value = 0.25 * c[ALBEDO] * sum;
+  return c[ALBEDO] > 0 && f < (double)INFINITY ? value : 0;
 }
 
 /* Returns dR/dr = -A / (8 pi d r) [(1 + q^2) q / r + (1/3 + q^2) q / d], with q = e^(-r / (3 d)).
@@ -119,7 +114,7 @@ static inline double burley_slope(const double *c, double r) {
   const double q2 = real_exp(-2 * third).exp;
   const double sum = real_fma(x, q2 + 1.0 / 3, 1 + q2);
   const double slope = -(real_times_exp(c[R_SCALE] * sum, -third, UP_EXPONENT) / r) / (r * UP);
-  return c[LIMIT] > 0 ? slope : 0;
+  return c[ALBEDO] > 0 ? slope : 0;
 }
 
 static inline double burley_ln_R(const double *c, double r) {
@@ -136,7 +131,7 @@ static inline double burley_ln_R(const double *c, double r) {
                        real_log(normal ? 1 : kept, normal ? 0 : -UP_EXPONENT);
   const double ln_R = ratio - third;
   const double bounded = x < FAR ? ln_R : -(double)INFINITY;
-  return c[LIMIT] > 0 ? (r > 0 ? bounded : (double)INFINITY) : -(double)INFINITY;
+  return c[ALBEDO] > 0 ? (r > 0 ? bounded : (double)INFINITY) : -(double)INFINITY;
 }
 
 /* The derivatives of ln R by ln sigma_a and ln sigma_s': R depends on A and d, and d ln R / d
@@ -151,7 +146,7 @@ static inline struct derivatives burley_derivatives(const double *c, double r) {
   const double q2 = real_exp(-x * (2.0 / 3)).exp;
   const double by_per_d = 1 - x * (q2 + 1.0 / 3) / (1 + q2);
   /* where R is 0 it does not change */
-  const bool shines = c[LIMIT] > 0 && x < FAR;
+  const bool shines = c[ALBEDO] > 0 && x < FAR;
   return (struct derivatives){
       .by_a = shines ? real_fma(c[PER_D_BY_A], by_per_d, c[A_BY_A]) : 0,
       .by_s = shines ? real_fma(c[PER_D_BY_S], by_per_d, c[A_BY_S]) : 0,
@@ -176,7 +171,7 @@ static inline double share(double x) {
 
 static inline double burley_cdf(const double *c, double r) {
   const double x = burley_x(c, r);
-  return c[LIMIT] > 0 ? (x < WHOLE ? real_min(share(x), REAL_BELOW_1) : 1) : 0;
+  return c[ALBEDO] > 0 ? (x < WHOLE ? real_min(share(x), REAL_BELOW_1) : 1) : 0;
 }
 
 /* Returns the radius in mm at which the cdf is u. With q = e^(-r / (3 d)) and w = 1 - q the cdf is
@@ -214,7 +209,7 @@ static inline double burley_sample(const double *c, double u) {
   const double far = -real_log(real_max(q, 1e-300), 0);
   const double x = 3 * (u < 0.5 ? near : far);
   const double r = u < 1 ? x * c[D] : (double)INFINITY;
-  return ((c[LIMIT] > 0) & (u > 0)) ? r : 0;
+  return ((c[ALBEDO] > 0) & (u > 0)) ? r : 0;
 }
 
 /* Adding 0 turns the radius -0 into 0. */
@@ -234,8 +229,6 @@ CORE_KERNEL(eval_R, zero_R)
 CORE_KERNEL(eval_cdf, zero_cdf)
 CORE_KERNEL(eval_slope, zero_slope)
 CORE_KERNEL(eval_ln_R, burley_ln_R)
-CORE_KERNEL(eval_pdf, burley_pdf)
-CORE_KERNEL(eval_ring, burley_ring)
 CORE_KERNEL(eval_transfer, burley_transfer)
 CORE_KERNEL(eval_by_a, burley_by_a)
 CORE_KERNEL(eval_by_s, burley_by_s)
@@ -281,10 +274,8 @@ static inline void lane_fill(const double *shared, struct lane lane, double *c) 
   const double divisor = lane_divisor(choice, albedo);
   c[PER_D] = (choice.fourth * mu_tr + (1 - choice.fourth) * lane.sigma_t) * divisor;
   c[D] = 1 / c[PER_D];
-  c[PDF_SCALE] = albedo > 0 ? 0.25 * c[PER_D] : 0;
-  c[RING_SCALE] = albedo * 0.25 * c[PER_D];
+  c[ALBEDO] = albedo;
   c[R_SCALE] = albedo * c[PER_D] * (1 / 25.1327412287183459077);
-  c[LIMIT] = albedo; /* only its sign matters */
   const double by_a = lane_albedo_slope(shared, lane, better);
   const bool constant = (choice.own == 0) | !(albedo < 1) | !(albedo > 0);
   set_derivatives(c, shared[LANES_FIT], lane.absorbed, lane.scattered, albedo, divisor,
@@ -293,8 +284,7 @@ static inline void lane_fill(const double *shared, struct lane lane, double *c) 
 
 LANES_KERNEL(varying_R, COEFFICIENTS, lane_fill, zero_R, INFINITY)
 LANES_KERNEL(varying_cdf, COEFFICIENTS, lane_fill, zero_cdf, INFINITY)
-LANES_KERNEL(varying_pdf, COEFFICIENTS, lane_fill, burley_pdf, INFINITY)
-LANES_KERNEL(varying_ring, COEFFICIENTS, lane_fill, burley_ring, INFINITY)
+LANES_KERNEL(varying_albedo, COEFFICIENTS, lane_fill, burley_albedo, INFINITY)
 LANES_KERNEL(varying_ln_R, COEFFICIENTS, lane_fill, burley_ln_R, INFINITY)
 LANES_GRADIENT(varying_gradient, COEFFICIENTS, lane_fill, burley_ln_R, burley_derivatives)
 LANES_KERNEL(varying_sample, COEFFICIENTS, lane_fill, burley_sample, 1)
@@ -379,10 +369,8 @@ core_fault core_burley_prepare(const core_inputs *inputs, core_preparation *prep
   const double divisor = width_ratio(inputs->variant, albedo);
   c[PER_D] = per_length * divisor;
   c[D] = 1 / c[PER_D];
-  c[PDF_SCALE] = albedo > 0 ? 0.25 * c[PER_D] : 0;
-  c[RING_SCALE] = albedo * 0.25 * c[PER_D];
+  c[ALBEDO] = albedo;
   c[R_SCALE] = albedo * c[PER_D] / 25.1327412287183459077;
-  c[LIMIT] = albedo > 0;
   const bool constant = !isnan(given) || !(albedo < 1) || !(albedo > 0);
   const double scattered = medium->sigma_s_per_mm * (1 - medium->g) / sigma_t_prime;
   set_derivatives(c, inputs->variant, absorbed, scattered, albedo, divisor,

@@ -17,7 +17,7 @@
  * Domain: every medium that core_medium_check() accepts; radii from 0 to infinity.
  *
  * Error, in the epsilon of the evaluator: DIPOLE_ERROR_EPSILONS epsilon (1 + mu_tr d1), relative,
- * for R, dR/dr, pdf, albedo and cdf. For ln R it is the same, absolute, plus as many epsilon of ln
+ * for R, dR/dr, albedo and cdf. For ln R it is the same, absolute, plus as many epsilon of ln
  * R itself. core.h says where each bound holds. The factor in brackets is the condition of
  * e^(-mu_tr d1). Where the mirror source is higher than 50 z1, the condition of
  * e^(-mu_tr (d2 - d1)) counts as well: 3 epsilon for each unit of it beyond 4
@@ -61,14 +61,7 @@ enum coefficient {
   SLOPE_FLUX_1,
   SLOPE_FLUX_2,
   SLOPE_EXPONENT,
-  PDF_PHI, /* the next four are the same for the density of radii, in 1/mm */
-  PDF_FLUX_1,
-  PDF_FLUX_2,
-  PDF_EXPONENT,
-  RING_PHI, /* the next four are the same for 2 pi r R, in 1/mm */
-  RING_FLUX_1,
-  RING_FLUX_2,
-  RING_EXPONENT,
+  ALBEDO, /* set for media that vary alone */
   CDF_FLUX_1,  /* the flux of the real source as a share of the albedo */
   CDF_FLUX_2,  /* the flux of the mirror source as a share of the albedo */
   CDF_PHI_FAR, /* the fluence's share of the albedo; multiplies 1 - e^(-mu a2) */
@@ -216,8 +209,7 @@ static inline real bracket(struct view v, real mu, real phi, real flux1, real fl
   return real_fma(mirror_flux, v.mirror.exp, real_fma(flux1 * i1, real_flux, fluence));
 }
 
-static inline real R_usual_of(const real *c, real r, struct view v) {
-  (void)r;
+static inline real R_usual_of(const real *c, struct view v) {
   const real sum = bracket(v, c[MU], c[R_PHI], c[R_FLUX_1], c[R_FLUX_2]);
   return real_times_exp(sum, -c[MU] * v.d1, c[R_EXPONENT]);
 }
@@ -225,8 +217,7 @@ static inline real R_usual_of(const real *c, real r, struct view v) {
 /* R_usual_of() in single precision for a medium that is denser than DENSE. There R is a normal
  * number at radii where 1 - e^(-mu (d2 - d1)) has underflowed. This function therefore takes that
  * number times DENSE_SCALE. */
-static inline real R_dense_of(const real *c, real r, struct view v) {
-  (void)r;
+static inline real R_dense_of(const real *c, struct view v) {
   v.apart *= DENSE_SCALE;
   v.mirror.one_minus_exp *= DENSE_SCALE;
   const real small = c[MU] * v.apart;
@@ -245,19 +236,6 @@ static inline struct raised raise_x(const real *c, real r, struct view v) {
   const int low = v.x < REAL_Z1 * REAL(0x1p-64);
   const real raised = real_nearer_zero(r + 0, 1) * REAL(0x1p64) * c[UNITS_PER_MM]; /* +0: no -0 */
   return (struct raised){low ? raised : v.x, low ? 64 : 0};
-}
-
-/* The density of sampled radii, 2 pi r R / albedo, in 1/mm. */
-static inline real pdf_of(const real *c, real r, struct view v) {
-  const struct raised raised = raise_x(c, r, v);
-  const real sum = bracket(v, c[MU], c[PDF_PHI], c[PDF_FLUX_1], c[PDF_FLUX_2]);
-  return real_times_exp(raised.x * sum, -c[MU] * v.d1, c[PDF_EXPONENT] - raised.k);
-}
-
-static inline real ring_of(const real *c, real r, struct view v) {
-  const struct raised raised = raise_x(c, r, v);
-  const real sum = bracket(v, c[MU], c[RING_PHI], c[RING_FLUX_1], c[RING_FLUX_2]);
-  return real_times_exp(raised.x * sum, -c[MU] * v.d1, c[RING_EXPONENT] - raised.k);
 }
 
 static inline real dipole_ln_R(const real *c, real r) {
@@ -550,19 +528,17 @@ static inline size_t block_length(size_t left) {
         const struct distances measured = block_get(&block, i);                                    \
         block_set(&block, i, measure(c, kernel_units(c, next_r[i])));                              \
         out[done + i] =                                                                            \
-            quantity##_of(c, now_r[i], view_of(c, kernel_units(c, now_r[i]), measured));           \
+            quantity##_of(c, view_of(c, kernel_units(c, now_r[i]), measured));                     \
       }                                                                                            \
       for (size_t i = next; i < now; i++) {                                                        \
-        out[done + i] = quantity##_of(                                                             \
-            c, now_r[i], view_of(c, kernel_units(c, now_r[i]), block_get(&block, i)));             \
+        out[done + i] =                                                                            \
+            quantity##_of(c, view_of(c, kernel_units(c, now_r[i]), block_get(&block, i)));         \
       }                                                                                            \
     }                                                                                              \
   }
 
 VIEW_KERNEL(R_usual)
 VIEW_KERNEL(R_dense)
-VIEW_KERNEL(pdf)
-VIEW_KERNEL(ring)
 CORE_KERNEL(eval_cdf, dipole_cdf)
 CORE_KERNEL(eval_ln_R, dipole_ln_R)
 CORE_KERNEL(eval_slope, dipole_slope)
@@ -582,11 +558,9 @@ static void sample(const real *restrict c, size_t n, const real *restrict u, rea
 
 /* ---- a medium for each value ----------------------------------------------------------------- */
 
-/* The powers of two by which the weights of R and of the densities are multiplied. With sigma_t'
- * from 1e-6 to 1e6 per mm no sum overflows near the source, and none underflows before the result
- * does. */
+/* The power of two by which the weights of R are multiplied. With sigma_t' from 1e-6 to 1e6 per mm
+ * no sum overflows near the source, and none underflows before the result does. */
 #define LANE_R_UP 80
-#define LANE_RING_UP 40
 
 /* Returns the least of the numbers of kernel units where the cdf has rounded to its limit, from the
  * bounds of set_bracket(). */
@@ -611,7 +585,7 @@ static inline void lane_fill(const real *shared, struct lane lane, real *c) {
   c[Z2_SQUARED] = z2 * z2 * (REAL_Z1 * REAL_Z1);
   c[Z2_SQUARED_LESS_Z1_SQUARED] = d.z2_less_1 * (2 + d.z2_less_1) * (REAL_Z1 * REAL_Z1);
 
-  const real up = REAL(0x1p40); /* half of LANE_R_UP, and all of LANE_RING_UP */
+  const real up = REAL(0x1p40); /* half of LANE_R_UP */
   const real scale =
       (lane.sigma_t * up) * (lane.sigma_t * up) * d.power * REAL(0.0795774715459476679);
   const real near_scale = scale * (REAL_Z1 * REAL_Z1 * REAL_Z1);
@@ -620,17 +594,7 @@ static inline void lane_fill(const real *shared, struct lane lane, real *c) {
   c[R_FLUX_2] = near_scale * flux * z2;
   c[R_EXPONENT] = -LANE_R_UP;
   const real inverse_sum = d.power > 0 ? 1 / d.sum : 0;
-  const real pdf_scale = lane.sigma_t * inverse_sum * up;
-  c[PDF_PHI] = pdf_scale * d.phi;
-  c[PDF_FLUX_1] = pdf_scale * (REAL_Z1 * REAL_Z1) * flux;
-  c[PDF_FLUX_2] = c[PDF_FLUX_1] * z2;
-  c[PDF_EXPONENT] = -LANE_RING_UP;
-  const real ring_scale = lane.sigma_t * (REAL(0.5) * d.power) * up;
-  c[RING_PHI] = ring_scale * d.phi;
-  c[RING_FLUX_1] = ring_scale * (REAL_Z1 * REAL_Z1) * flux;
-  c[RING_FLUX_2] = c[RING_FLUX_1] * z2;
-  c[RING_EXPONENT] = -LANE_RING_UP;
-
+  c[ALBEDO] = REAL(0.5) * d.power * d.sum;
   c[CDF_LIMIT] = d.power > 0 ? 1 : 0;
   c[CDF_FLUX_1] = flux * d.real_share * inverse_sum;
   c[CDF_FLUX_2] = flux * d.mirror_share * inverse_sum;
@@ -656,21 +620,17 @@ static inline void lane_fill(const real *shared, struct lane lane, real *c) {
 }
 
 static inline real dipole_R(const real *c, real r) {
-  return R_usual_of(c, r, look_from(c, r));
+  return R_usual_of(c, look_from(c, r));
 }
 
-static inline real dipole_pdf(const real *c, real r) {
-  return pdf_of(c, r, look_from(c, r));
-}
-
-static inline real dipole_ring(const real *c, real r) {
-  return ring_of(c, r, look_from(c, r));
+static inline real dipole_albedo(const real *c, real r) {
+  (void)r;
+  return c[ALBEDO];
 }
 
 LANES_KERNEL(varying_R, COEFFICIENTS, lane_fill, dipole_R, INFINITY)
 LANES_KERNEL(varying_cdf, COEFFICIENTS, lane_fill, dipole_cdf, INFINITY)
-LANES_KERNEL(varying_pdf, COEFFICIENTS, lane_fill, dipole_pdf, INFINITY)
-LANES_KERNEL(varying_ring, COEFFICIENTS, lane_fill, dipole_ring, INFINITY)
+LANES_KERNEL(varying_albedo, COEFFICIENTS, lane_fill, dipole_albedo, INFINITY)
 LANES_KERNEL(varying_ln_R, COEFFICIENTS, lane_fill, dipole_ln_R, INFINITY)
 #if CORE_REAL == 64
 LANES_GRADIENT(varying_gradient, COEFFICIENTS, lane_fill, dipole_ln_R, dipole_derivatives)
@@ -788,8 +748,8 @@ static void set_scales(const struct dipole *dipole, double *c) {
   c[R_FLUX_2] *= Z1 * Z1 * Z1;
 }
 
-/* Returns the albedo and sets the coefficients of the cdf, the pdf and 2 pi r R, from the closed
- * forms of the albedo and of the energy within r. The sums are in double-double: with sigma_a = 0
+/* Returns the albedo and sets the coefficients of the cdf, from the closed forms of the albedo and
+ * of the energy within r. The sums are in double-double: with sigma_a = 0
  * the better dipole's albedo is 1 to the last bit. */
 static double set_energy(const struct dipole *dipole, double *c) {
   const double reach = dd_round(dipole->mu) * dd_round(dipole->z2_less_1);
@@ -809,16 +769,6 @@ static double set_energy(const struct dipole *dipole, double *c) {
   c[CDF_FLUX_2] = scatters ? dd_round(dd_div(dd_mul(dipole->c_flux, mirror_share), sum)) : 0;
   c[CDF_PHI_FAR] = scatters ? dd_round(dd_div(between, sum)) : 0;
   c[CDF_PHI_NEAR] = scatters ? dd_round(dd_div(dd_mul(phi, real_share), sum)) / Z1 : 0;
-  if (scatters) {
-    set_weights(dipole, dd_div(dipole->sigma_t_prime, sum), 60, 80, &c[PDF_PHI], &c[PDF_EXPONENT]);
-    const dd half_p = dd_scale(dipole->albedo_prime_power, 0.5);
-    set_weights(dipole, dd_mul(dipole->sigma_t_prime, half_p), 60, 80, &c[RING_PHI],
-                &c[RING_EXPONENT]);
-    c[PDF_FLUX_1] *= Z1 * Z1;
-    c[PDF_FLUX_2] *= Z1 * Z1;
-    c[RING_FLUX_1] *= Z1 * Z1;
-    c[RING_FLUX_2] *= Z1 * Z1;
-  }
   return dd_round(albedo);
 }
 

@@ -45,8 +45,6 @@ enum coefficient {
   FLUX,         /* C_E */
   KAPPA,        /* 1 if the integrand contains the factor kappa (variant 1), else 0 */
   R_SCALE,      /* alpha'^2 / (4 pi) in 1/mm^2 */
-  RING_SCALE,   /* 2 pi times alpha'^2 / (4 pi), in 1/mm */
-  PDF_SCALE,    /* RING_SCALE / albedo */
   SLOPE_SCALE,  /* alpha'^2 / (4 pi) in 1/mm^3 */
   CDF_SCALE,    /* alpha'^2 / (2 albedo) */
   MIRROR_SHARE, /* e^(-2 mu z_b) */
@@ -258,20 +256,6 @@ static inline double finish_R(const double *c, double x, double radius, double n
   return c[CDF_LIMIT] > 0 ? R : 0;
 }
 
-static inline double finish_ring(const double *c, double x, double radius, double near_sum) {
-  const double far = radius > 0 ? real_min(x / radius, 1) : 1;
-  const double sum = risen(c, x, radius, near_sum);
-  const double near = c[KAPPA] > 0 ? real_min(radius / x, 1) : 1;
-  return real_times_exp(c[RING_SCALE] * (x * sum), -c[MU] * x, 0) * (far * far) * near;
-}
-
-static inline double finish_pdf(const double *c, double x, double radius, double near_sum) {
-  const double far = radius > 0 ? real_min(x / radius, 1) : 1;
-  const double sum = risen(c, x, radius, near_sum);
-  const double near = c[KAPPA] > 0 ? real_min(radius / x, 1) : 1;
-  return real_times_exp(c[PDF_SCALE] * (x * sum), -c[MU] * x, 0) * (far * far) * near;
-}
-
 static inline double finish_slope(const double *c, double x, double radius, double sum) {
   const double apart = x / radius;
   const double near = c[KAPPA] > 0 ? apart : apart * apart;
@@ -295,8 +279,6 @@ static inline double finish_cdf(const double *c, double x, double radius, double
 }
 
 KERNEL(eval_R, integrate_R, finish_R)
-KERNEL(eval_ring, integrate_R, finish_ring)
-KERNEL(eval_pdf, integrate_R, finish_pdf)
 KERNEL(eval_slope, integrate_slope, finish_slope)
 KERNEL(eval_ln_R, integrate_R, finish_ln_R)
 KERNEL(eval_cdf_closed, integrate_energy, finish_cdf)
@@ -369,7 +351,6 @@ static double set_coefficients(const core_inputs *inputs, double *c) {
   const double source = squared >= SOURCE_LEAST ? 0.5 * squared : 0;
   const double two_pi = 6.28318530717958647693;
   c[R_SCALE] = source / two_pi * sigma_t_prime * sigma_t_prime;
-  c[RING_SCALE] = source * sigma_t_prime;
   c[SLOPE_SCALE] = c[R_SCALE] * sigma_t_prime;
   c[CDF_LIMIT] = source > 0;
   const double bracket = c[FLUX] * (1 + mirror.exp) + c[PHI] * c[PHI_SHARE];
@@ -397,9 +378,9 @@ static bool add_energy(const core_inputs *inputs, core_preparation *preparation)
     return false;
   }
   memcpy(table, c, ENERGY * sizeof *table);
-  core_kernel_f64 *ring =
-      core_isa_kernels(inputs->isa, CORE_MODEL_BEAM)->f64->evaluate[CORE_ELEMENTWISE_RING];
-  preparation->albedo = core_energy_build(ring, table, first_mm, last_mm, &table[ENERGY]);
+  core_kernel_f64 *R =
+      core_isa_kernels(inputs->isa, CORE_MODEL_BEAM)->f64->evaluate[CORE_ELEMENTWISE_R];
+  preparation->albedo = core_energy_build(R, table, first_mm, last_mm, &table[ENERGY]);
   preparation->table = table;
   return true;
 }
@@ -417,9 +398,7 @@ core_fault core_extended_prepare(const core_inputs *inputs, core_preparation *pr
     if (!add_energy(inputs, preparation)) {
       return CORE_OUT_OF_MEMORY;
     }
-    c = preparation->table;
   }
-  c[PDF_SCALE] = c[CDF_LIMIT] > 0 ? c[RING_SCALE] / preparation->albedo : 0;
   return (core_fault){0};
 }
 

@@ -84,19 +84,6 @@ static inline double finish_R(const double *c, double r, double x, double sum) {
   return R > 0 ? R * (r < x ? x / r : 1) * (far * far * far) : 0;
 }
 
-static inline double finish_ring(const double *c, double r, double x, double sum) {
-  const double far = beyond(r, x);
-  const double ring = 6.28318530717958647693 * times_radius(x, sum, exponent_of(c, x));
-  return ring * (far * far) * 0x1p-64;
-}
-
-static inline double finish_pdf(const double *c, double r, double x, double sum) {
-  const double far = beyond(r, x);
-  const double exponent = (x * x) * c[GAUSSIANS_SLOWEST];
-  const double ring = 6.28318530717958647693 * times_radius(x, sum, exponent);
-  return ring * (far * far) * c[GAUSSIANS_PER_ALBEDO] * 0x1p-64;
-}
-
 static inline double finish_slope(const double *c, double r, double x, double sum) {
   const double far = beyond(r, x);
   /* The factor 2^64 of times_radius() must not make a sum overflow: the largest sums, next to the
@@ -132,8 +119,6 @@ static inline double finish_steep(const double *c, double r, double x, double su
 }
 
 BLOCK_KERNEL(eval_R, begin, sum_R, finish_R)
-BLOCK_KERNEL(eval_ring, begin, sum_R, finish_ring)
-BLOCK_KERNEL(eval_pdf, begin, sum_R, finish_pdf)
 BLOCK_KERNEL(eval_ln_sum, begin, sum_R, finish_ln_R)
 BLOCK_KERNEL(eval_cdf, begin, sum_energy, finish_cdf)
 BLOCK_KERNEL(eval_sum_slope, begin, sum_slope, finish_slope)
@@ -256,7 +241,6 @@ core_fault core_gaussians_table(const core_gaussian *gaussians, size_t count,
   c[GAUSSIANS_LEAST_MM] = least_mm;
   c[GAUSSIANS_LEAST_CDF] = near_energy * per_whole;
   c[GAUSSIANS_LIMIT] = scatters;
-  c[GAUSSIANS_PER_ALBEDO] = per_whole;
   c[GAUSSIANS_MOST_MM] = given->most_mm;
   c[GAUSSIANS_FAR_MM] = shines ? given->far_mm : (double)INFINITY;
   memcpy(&c[GAUSSIANS_FAR], given->far, sizeof given->far);

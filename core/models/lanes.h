@@ -175,11 +175,10 @@ static inline void lanes_share_dipole(double *shared, int variant, core_fresnel 
 
 /* The members of a kernel table for the kernels varying_sample, varying_R and so on. */
 #define LANES_KERNELS_OF_ALL                                                                       \
-  .varying_sample = varying_sample,                                                                \
-  .varying = {                                                                                     \
-      [CORE_ELEMENTWISE_R] = varying_R,       [CORE_ELEMENTWISE_CDF] = varying_cdf,                \
-      [CORE_ELEMENTWISE_PDF] = varying_pdf,   [CORE_ELEMENTWISE_RING] = varying_ring,              \
-      [CORE_ELEMENTWISE_LN_R] = varying_ln_R,                                                      \
+  .varying_sample = varying_sample, .varying_albedo = varying_albedo, .varying = {                 \
+    [CORE_ELEMENTWISE_R] = varying_R,                                                              \
+    [CORE_ELEMENTWISE_CDF] = varying_cdf,                                                          \
+    [CORE_ELEMENTWISE_LN_R] = varying_ln_R,                                                        \
   }
 
 #endif

@@ -44,8 +44,6 @@ enum coefficient {
   ABSORBED,   /* sigma_a / sigma_t */
   SCATTERED,  /* sigma_s / sigma_t */
   R_SCALE,    /* sigma_s; R is this times the sum over the nodes, divided by r */
-  RING_SCALE, /* 2 pi sigma_s */
-  PDF_SCALE,  /* 2 pi sigma_s / albedo */
   CDF_SCALE,  /* 2 pi sigma_s / (sigma_t albedo) */
   CDF_LIMIT,  /* limit of the cdf at infinity: 1, or 0 if nothing scatters */
   /* Beyond tau = FAR the sum falls like f^-FAR_POWER (1 + FAR_BEND f^-FAR_BEND_POWER), with f = tau
@@ -141,16 +139,6 @@ static inline double finish_slope(const double *c, double r, double tau, double 
   return c[CDF_LIMIT] > 0 ? -(c[EXPONENT] * tau > 300 ? far : near) : 0;
 }
 
-static inline double finish_ring(const double *c, double r, double tau, double sum) {
-  (void)r;
-  return real_times_exp(c[RING_SCALE] * sum, -c[EXPONENT] * tau, 0);
-}
-
-static inline double finish_pdf(const double *c, double r, double tau, double sum) {
-  (void)r;
-  return real_times_exp(c[PDF_SCALE] * sum, -c[EXPONENT] * tau, 0);
-}
-
 /* Returns tau for ln R, at most FAR. Beyond FAR finish_ln_R() continues the sum by powers of
  * tau. */
 static inline double begin_ln_R(const double *c, double r) {
@@ -184,8 +172,6 @@ static inline double finish_cdf(const double *c, double r, double tau, double su
 
 BLOCK_KERNEL(eval_R, begin, sum_R, finish_R)
 BLOCK_KERNEL(eval_slope, begin, sum_slope, finish_slope)
-BLOCK_KERNEL(eval_ring, begin, sum_R, finish_ring)
-BLOCK_KERNEL(eval_pdf, begin, sum_R, finish_pdf)
 BLOCK_KERNEL(eval_ln_R, begin_ln_R, sum_R, finish_ln_R)
 BLOCK_KERNEL(eval_cdf, begin, sum_energy, finish_cdf)
 
@@ -429,8 +415,6 @@ core_fault core_single_prepare(const core_inputs *inputs, core_preparation *prep
   c[SCATTERED] = sigma_s / sigma_t;
   c[EXPONENT] = rule.least;
   c[R_SCALE] = scatters ? sigma_s : 0;
-  c[RING_SCALE] = two_pi * c[R_SCALE];
-  c[PDF_SCALE] = scatters ? c[RING_SCALE] / preparation->albedo : 0;
   c[CDF_SCALE] = 1 / energy;
   c[CDF_LIMIT] = scatters;
   c[NODE_COUNT] = (double)nodes;

@@ -117,21 +117,14 @@ static inline real surface_R(const real *shared, const real *words, real sigma_a
   return ((row.lane.scattered > 0) & (r < (real)INFINITY)) ? R : 0;
 }
 
-static inline real surface_ring(const real *shared, const real *words, real sigma_a, real sigma_s,
-                                real r) {
-  const struct row row = row_of(shared, words, sigma_a, sigma_s);
-  const real ring =
-      x_R(words, row, r * row.lane.sigma_t, row.lane.sigma_t * REAL(6.28318530717958647693));
-  return ((row.lane.scattered > 0) & (r < (real)INFINITY)) ? ring : 0;
-}
-
-static inline real surface_pdf(const real *shared, const real *words, real sigma_a, real sigma_s,
-                               real r) {
+static inline real surface_albedo(const real *shared, const real *words, real sigma_a,
+                                  real sigma_s, real r) {
+  (void)r;
   const struct row row = row_of(shared, words, sigma_a, sigma_s);
   const real total = cells_line(
       words, cells_word(words, CORE_SURFACE_AT + CORE_SURFACE_TOTAL) + 4 * row.place.cell,
       row.place.t);
-  return surface_ring(shared, words, sigma_a, sigma_s, r) / total;
+  return row.lane.scattered > 0 ? total : 0;
 }
 
 static inline real surface_cdf(const real *shared, const real *words, real sigma_a, real sigma_s,
@@ -178,8 +171,7 @@ static inline real surface_radius(const real *shared, const real *words, real si
 
 SURFACE_KERNEL(varying_R, surface_R, INFINITY)
 SURFACE_KERNEL(varying_cdf, surface_cdf, INFINITY)
-SURFACE_KERNEL(varying_pdf, surface_pdf, INFINITY)
-SURFACE_KERNEL(varying_ring, surface_ring, INFINITY)
+SURFACE_KERNEL(varying_albedo, surface_albedo, INFINITY)
 SURFACE_KERNEL(varying_sample, surface_radius, 1)
 
 #if CORE_REAL == 64
@@ -256,11 +248,8 @@ CORE_KERNEL_TABLE(surface,
                   .varying_gradient = gradient,
 #endif
                   .varying_sample = varying_sample,
-                  .varying = {
-                      [CORE_ELEMENTWISE_R] = varying_R,
-                      [CORE_ELEMENTWISE_CDF] = varying_cdf,
-                      [CORE_ELEMENTWISE_PDF] = varying_pdf,
-                      [CORE_ELEMENTWISE_RING] = varying_ring,
-                  });
+                  .varying_albedo = varying_albedo,
+                  .varying = {[CORE_ELEMENTWISE_R] = varying_R,
+                              [CORE_ELEMENTWISE_CDF] = varying_cdf});
 
 #endif

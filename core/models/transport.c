@@ -48,8 +48,6 @@ enum coefficient {
   KAPPA,
   PANELS,
   R_SCALE,    /* sigma_t'^2 */
-  RING_SCALE, /* 2 pi sigma_t' */
-  PDF_SCALE,  /* 2 pi sigma_t' divided by the whole energy */
   SLOPE_SCALE,
   LIMIT, /* limit of the cdf at infinity: 1, or 0 if nothing scatters */
   FIRST_X,
@@ -149,14 +147,6 @@ static inline double exponential(double scale, const double *c, struct profile p
   return real_times_exp(scale * up, real_min(p.value, 0) - c[KAPPA] * p.x, 0) * (p.far * p.far);
 }
 
-static inline double transport_ring(const double *c, double r) {
-  return exponential(c[RING_SCALE], c, look(c, r));
-}
-
-static inline double transport_pdf(const double *c, double r) {
-  return exponential(c[PDF_SCALE], c, look(c, r));
-}
-
 static inline double transport_R(const double *c, double r) {
   const struct profile p = look(c, r);
   const double R = exponential(c[R_SCALE], c, p) / p.x * p.far;
@@ -188,8 +178,6 @@ CORE_KERNEL(eval_R, transport_R)
 CORE_KERNEL(eval_cdf, transport_cdf)
 CORE_KERNEL(eval_slope, transport_slope)
 CORE_KERNEL(eval_ln_R, transport_ln_R)
-CORE_KERNEL(eval_pdf, transport_pdf)
-CORE_KERNEL(eval_ring, transport_ring)
 
 CORE_KERNEL_TABLE(transport, CORE_KERNELS_OF_ALL);
 
@@ -365,7 +353,6 @@ static void set_scales(double *c, double sigma_t_prime, double share) {
   c[MFP_PER_MM] = sigma_t_prime;
   c[LIMIT] = share > 0;
   c[R_SCALE] = share * (sigma_t_prime * sigma_t_prime);
-  c[RING_SCALE] = share * (6.28318530717958647693 * sigma_t_prime);
   c[SLOPE_SCALE] = c[R_SCALE] * sigma_t_prime;
 }
 
@@ -465,11 +452,10 @@ static core_fault fill(const core_inputs *inputs, struct source *source, double 
   }
   set_scales(c, sigma_t_prime, share);
   set_series(source, c);
-  core_kernel_f64 *ring =
-      core_isa_kernels(inputs->isa, CORE_MODEL_TRANSPORT)->f64->evaluate[CORE_ELEMENTWISE_RING];
+  core_kernel_f64 *R =
+      core_isa_kernels(inputs->isa, CORE_MODEL_TRANSPORT)->f64->evaluate[CORE_ELEMENTWISE_R];
   const double energy =
-      core_energy_build(ring, c, first * mfp_mm, energy_last * mfp_mm, &c[before_energy]);
-  c[PDF_SCALE] = c[RING_SCALE] / energy;
+      core_energy_build(R, c, first * mfp_mm, energy_last * mfp_mm, &c[before_energy]);
   if (source->joined) {
     /* The albedo has a table of its own, which is more exact than that of R. */
     set_scales(c, sigma_t_prime, share * (preparation->albedo / energy));

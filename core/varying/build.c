@@ -530,12 +530,11 @@ static double measure_function(const struct measured *of, enum core_surface_func
 
 /* Returns the error of the total that the pdf is divided by. */
 static double measure_total(const struct measured *of, const core_kernels_f64 *kernels) {
-  const double sigma_a = of->row->s * of->row->s, x = 1;
+  const double sigma_a = of->row->s * of->row->s;
   const double sigma_s = of->row->albedo / of->shared[LANES_SCATTER];
-  double ring, pdf;
-  kernels->varying[CORE_ELEMENTWISE_RING](of->shared, of->wide, 1, &sigma_a, &sigma_s, &x, &ring);
-  kernels->varying[CORE_ELEMENTWISE_PDF](of->shared, of->wide, 1, &sigma_a, &sigma_s, &x, &pdf);
-  return fabs(ring / pdf / of->row->total - 1);
+  double total;
+  kernels->varying_albedo(of->shared, of->wide, 1, &sigma_a, &sigma_s, &sigma_a, &total);
+  return fabs(total / of->row->total - 1);
 }
 
 /* Returns the largest error of all functions for one row; the pdf has that of R and of the total. */

@@ -312,10 +312,6 @@ core_stated_errors core_varying_errors(const core_varying *varying, unsigned wan
     return errors;
   }
   errors.numerical = rounding(varying, family, range) + varying->surface_error;
-  if (family == BURLEY && varying->evaluator == CORE_EVALUATOR_F32 &&
-      (wanted & CORE_QUANTITY_ALBEDO) != 0) {
-    errors.numerical += (double)FLT_EPSILON; /* a quotient of values that were rounded */
-  }
   if (family == TRANSPORT) {
     errors.numerical += table_error(varying, wanted, range);
   }
@@ -328,28 +324,64 @@ core_stated_errors core_varying_errors(const core_varying *varying, unsigned wan
 
 /* ---- evaluating ------------------------------------------------------------------------------ */
 
-static enum core_elementwise position(enum core_quantity quantity) {
-  switch (quantity) {
-  case CORE_QUANTITY_R:
-    return CORE_ELEMENTWISE_R;
-  case CORE_QUANTITY_CDF:
-    return CORE_ELEMENTWISE_CDF;
-  case CORE_QUANTITY_PDF:
-    return CORE_ELEMENTWISE_PDF;
-  case CORE_QUANTITY_RING:
-    return CORE_ELEMENTWISE_RING;
-  default:
-    assert(!"R, CDF, PDF or RING");
-    return CORE_ELEMENTWISE_COUNT;
+/* Where R is infinite, next to the source, r R is constant: it is taken at this radius. */
+#define NEAREST_MM 1e-20
+
+/* DEFINE_EVALUATE() defines evaluate_f64() and evaluate_f32(): R, CDF, PDF, RING, ALBEDO, and
+ * RADIUS at a cdf. 2 pi r R is computed from R, and the density from it and the albedo. */
+#define DEFINE_EVALUATE(type, bits, table)                                                         \
+  static void multiply_##bits(const core_varying *varying, bool density, size_t n,                 \
+                              const type *sigma_a, const type *sigma_s, const type *r,             \
+                              type *out) {                                                         \
+    const core_kernels_##bits *kernels = varying->kernels->bits;                                   \
+    type albedo[CHUNK];                                                                            \
+    if (density) {                                                                                 \
+      kernels->varying_albedo(varying->shared.bits, varying->table, n, sigma_a, sigma_s, r,        \
+                              albedo);                                                             \
+    }                                                                                              \
+    for (size_t i = 0; i < n; i++) {                                                               \
+      type near = r[i];                                                                            \
+      if (isinf(out[i])) {                                                                         \
+        near = (type)NEAREST_MM;                                                                   \
+        kernels->varying[CORE_ELEMENTWISE_R](varying->shared.bits, varying->table, 1, &sigma_a[i], \
+                                             &sigma_s[i], &near, &out[i]);                         \
+      }                                                                                            \
+      const double R = (double)out[i] / (density ? (double)albedo[i] : 1);                         \
+      out[i] = out[i] > 0 ? (type)(6.28318530717958647693 * (double)near * R) : out[i];            \
+    }                                                                                              \
+  }                                                                                                \
+                                                                                                   \
+  static void evaluate_##bits(const core_varying *varying, enum core_quantity quantity, size_t n,  \
+                              const type *sigma_a, const type *sigma_s, const type *in,            \
+                              type *out) {                                                         \
+    const core_kernels_##bits *kernels = varying->kernels->bits;                                   \
+    const bool density = quantity == CORE_QUANTITY_PDF;                                            \
+    const bool ring = density || quantity == CORE_QUANTITY_RING;                                   \
+    core_varying_kernel_##bits *kernel =                                                           \
+        quantity == CORE_QUANTITY_RADIUS   ? kernels->varying_sample                               \
+        : quantity == CORE_QUANTITY_ALBEDO ? kernels->varying_albedo                               \
+                                           : kernels->varying[quantity == CORE_QUANTITY_CDF        \
+                                                                  ? CORE_ELEMENTWISE_CDF           \
+                                                                  : CORE_ELEMENTWISE_R];           \
+    for (size_t done = 0; done < n; done += CHUNK) {                                               \
+      const size_t count = n - done < CHUNK ? n - done : CHUNK;                                    \
+      const type *a = sigma_a + done, *s = sigma_s + done;                                         \
+      const type *x = quantity == CORE_QUANTITY_ALBEDO ? a : in + done; /* any number from 0 on */ \
+      kernel(varying->shared.bits, varying->table, count, a, s, x, out + done);                    \
+      if (ring) {                                                                                  \
+        multiply_##bits(varying, density, count, a, s, x, out + done);                             \
+      }                                                                                            \
+    }                                                                                              \
   }
-}
+
+DEFINE_EVALUATE(double, f64, wide_words)
+DEFINE_EVALUATE(float, f32, words)
 
 void core_varying_eval_f64(const core_varying *varying, enum core_quantity quantity, size_t n,
                            const double *sigma_a, const double *sigma_s, const double *r,
                            double *out) {
   assert(varying->evaluator == CORE_EVALUATOR_F64);
-  varying->kernels->f64->varying[position(quantity)](varying->shared.f64, varying->wide_words, n,
-                                                     sigma_a, sigma_s, r, out);
+  evaluate_f64(varying, quantity, n, sigma_a, sigma_s, r, out);
 }
 
 void core_varying_gradient_f64(const core_varying *varying, size_t n, const double *sigma_a,
@@ -373,27 +405,25 @@ void core_varying_gradient_f64(const core_varying *varying, size_t n, const doub
 
 void core_varying_sample_f64(const core_varying *varying, size_t n, const double *sigma_a,
                              const double *sigma_s, const double *u, double *r) {
-  assert(varying->evaluator == CORE_EVALUATOR_F64);
-  varying->kernels->f64->varying_sample(varying->shared.f64, varying->wide_words, n, sigma_a,
-                                        sigma_s, u, r);
+  core_varying_eval_f64(varying, CORE_QUANTITY_RADIUS, n, sigma_a, sigma_s, u, r);
 }
 
-/* Evaluates in double precision and rounds. `below_1`: whether a value below 1 must stay so. */
-static void widely(const core_varying *varying, core_varying_kernel_f64 *kernel, bool below_1,
-                   size_t n, const float *sigma_a, const float *sigma_s, const float *in,
-                   float *out) {
+/* Evaluates in double precision and rounds. A cdf below 1 stays so. */
+static void widely(const core_varying *varying, enum core_quantity quantity, size_t n,
+                   const float *sigma_a, const float *sigma_s, const float *in, float *out) {
   double wide[4][CHUNK];
   for (size_t done = 0; done < n; done += CHUNK) {
     const size_t count = n - done < CHUNK ? n - done : CHUNK;
     for (size_t i = 0; i < count; i++) {
       wide[0][i] = (double)sigma_a[done + i];
       wide[1][i] = (double)sigma_s[done + i];
-      wide[2][i] = (double)in[done + i];
+      wide[2][i] = quantity != CORE_QUANTITY_ALBEDO ? (double)in[done + i] : 0;
     }
-    kernel(varying->shared.f64, varying->wide_words, count, wide[0], wide[1], wide[2], wide[3]);
+    evaluate_f64(varying, quantity, count, wide[0], wide[1], wide[2], wide[3]);
     for (size_t i = 0; i < count; i++) {
+      const bool less = quantity == CORE_QUANTITY_CDF && wide[3][i] < 1;
       const float rounded = (float)wide[3][i];
-      out[done + i] = below_1 && wide[3][i] < 1 && rounded >= 1 ? 1 - FLT_EPSILON / 2 : rounded;
+      out[done + i] = less && rounded >= 1 ? 1 - FLT_EPSILON / 2 : rounded;
     }
   }
 }
@@ -401,25 +431,13 @@ static void widely(const core_varying *varying, core_varying_kernel_f64 *kernel,
 void core_varying_eval_f32(const core_varying *varying, enum core_quantity quantity, size_t n,
                            const float *sigma_a, const float *sigma_s, const float *r, float *out) {
   assert(varying->evaluator == CORE_EVALUATOR_F32);
-  const enum core_elementwise at = position(quantity);
-  core_varying_kernel_f32 *kernel = varying->kernels->f32->varying[at];
-  if (kernel != NULL) {
-    kernel(varying->shared.f32, varying->words, n, sigma_a, sigma_s, r, out);
-  } else {
-    widely(varying, varying->kernels->f64->varying[at], quantity == CORE_QUANTITY_CDF, n, sigma_a,
-           sigma_s, r, out);
-  }
+  (varying->kernels->f32->varying_sample != NULL ? evaluate_f32 : widely)(
+      varying, quantity, n, sigma_a, sigma_s, r, out);
 }
 
 void core_varying_sample_f32(const core_varying *varying, size_t n, const float *sigma_a,
                              const float *sigma_s, const float *u, float *r) {
-  assert(varying->evaluator == CORE_EVALUATOR_F32);
-  if (varying->kernels->f32->varying_sample != NULL) {
-    varying->kernels->f32->varying_sample(varying->shared.f32, varying->words, n, sigma_a, sigma_s,
-                                          u, r);
-  } else {
-    widely(varying, varying->kernels->f64->varying_sample, false, n, sigma_a, sigma_s, u, r);
-  }
+  core_varying_eval_f32(varying, CORE_QUANTITY_RADIUS, n, sigma_a, sigma_s, u, r);
 }
 
 /* ---- from colours to media ------------------------------------------------------------------- */

@@ -543,8 +543,7 @@ quad form_truth(const form_model *form, form_values at, enum core_elementwise qu
 bool form_promises(const form_model *form, int quantity, double r) {
   const form_part *part = &form->part[0];
   const double x = r * (double)part->sigma_t_prime;
-  return (quantity != CORE_ELEMENTWISE_SLOPE && quantity != CORE_ELEMENTWISE_PDF &&
-          quantity != CORE_ELEMENTWISE_RING) ||
+  return quantity != CORE_ELEMENTWISE_SLOPE ||
          (part->sigma_t_prime >= 1e-6Q && part->sigma_t_prime <= 1e6Q &&
           part->absorbed <= 1e6Q * part->scattered && part->medium.eta >= 0.2 &&
           part->medium.eta <= 5 && (!(r > 0) || (x >= 1e-12 && x <= 1e6)));
@@ -593,14 +592,23 @@ quad form_allowed(const core_profile *profile, int quantity, double r, quad size
   return quantity == CORE_ELEMENTWISE_LN_R ? relative + 8 * epsilon * size : relative * size;
 }
 
+/* Returns a value over R, for quantities that are R times a number; else 1. */
+static quad multiple_of_R(const form_model *form, int quantity, double r) {
+  return quantity == CORE_ELEMENTWISE_S      ? form->S_per_R
+         : quantity == CORE_ELEMENTWISE_RING ? 2 * pi * (quad)r
+         : quantity == CORE_ELEMENTWISE_PDF  ? 2 * pi * (quad)r / form->albedo
+                                             : 1;
+}
+
 double form_share(const form_model *form, const core_profile *profile, int quantity, double r,
                   double value, quad truth, quad unsure) {
-  const bool wide = is_wide(profile, quantity), is_S = quantity == CORE_ELEMENTWISE_S;
+  const bool wide = is_wide(profile, quantity);
   const quad size = fabsf128(truth), error = fabsf128((quad)value - truth);
   const quad allowed = form_allowed(profile, quantity, r, size) + unsure;
-  const quad carried = is_S ? fmaxf128(form->S_per_R, 1) : 1;
+  const quad times = multiple_of_R(form, quantity, r);
+  const quad carried = fmaxf128(times, 1);
   const quad quanta = 16 * carried * (wide ? (quad)DBL_TRUE_MIN : (quad)FLT_TRUE_MIN);
-  const quad R = is_S && form->S_per_R > 0 ? size / form->S_per_R : size;
+  const quad R = times > 0 ? size / times : size;
   const quad most = wide ? (quad)DBL_MAX : (quad)FLT_MAX;
   const bool overflows = fmaxf128(size, R) + allowed > most;
   if (isinf(truth) || isinf(value)) {

@@ -84,8 +84,7 @@ form_values form_at(const form_model *form, double r, bool fast);
  * known, as cdf and pdf where the albedo is 0 in double precision, or nearly. */
 quad form_truth(const form_model *form, form_values at, enum core_elementwise quantity, double r);
 
-/* Returns whether core.h states an error of the quantity at r mm: of dR/dr, pdf and 2 pi r R not
- * everywhere. */
+/* Returns whether core.h states an error of the quantity at r mm: of dR/dr not everywhere. */
 bool form_promises(const form_model *form, int quantity, double r);
 
 /* Returns how far a value of this size may be off, by what the profile states. The quantity may be

@@ -129,20 +129,18 @@ class Surface:
         sigma_s (1/mm). The arrays have any shapes that can be broadcast with each other. A value
         that has no answer is NaN."""
         with self._arrays(sigma_a, sigma_s, r, np.inf) as (row, r, finish):
-            x = r * row.sigma_t
-            value = self._x_R(row, x, row.sigma_t * row.sigma_t) / x
-            return finish(np.where((row.scattered > 0) & (r < np.inf), value, self._type(0)))
+            return finish(self._R(row, r))
 
     def ring(self, sigma_a: Any, sigma_s: Any, r: Any) -> Array:
         """Returns 2 pi r R in 1/mm; arguments as of R()."""
         with self._arrays(sigma_a, sigma_s, r, np.inf) as (row, r, finish):
-            return finish(self._ring(row, r))
+            return finish(self._ring(row, r, 1))
 
     def pdf(self, sigma_a: Any, sigma_s: Any, r: Any) -> Array:
         """Returns the probability density of radii in 1/mm; arguments as of R()."""
         with self._arrays(sigma_a, sigma_s, r, np.inf) as (row, r, finish):
             total = self._line(self._n[_AT + _TOTAL] + 4 * row.cell, row.t)
-            return finish(self._ring(row, r) / total)
+            return finish(self._ring(row, r, total.astype(np.float64)))
 
     def cdf(self, sigma_a: Any, sigma_s: Any, r: Any) -> Array:
         """Returns the power that leaves within r over all power that leaves; arguments as of R()."""
@@ -337,10 +335,18 @@ class Surface:
         far = np.where(x > kept, beyond * beyond, one)
         return self._times_exp(scale * row.scattered * (one + kx) * far, Q - kx)
 
-    def _ring(self, row: _Row, r: Array) -> Array:
-        scale = row.sigma_t * self._type(6.28318530717958647693)
-        ring = self._x_R(row, r * row.sigma_t, scale)
-        return np.where((row.scattered > 0) & (r < np.inf), ring, self._type(0))
+    def _R(self, row: _Row, r: Array) -> Array:
+        x = r * row.sigma_t
+        value = self._x_R(row, x, row.sigma_t * row.sigma_t) / x
+        return np.where((row.scattered > 0) & (r < np.inf), value, self._type(0))
+
+    def _ring(self, row: _Row, r: Array, over: Any) -> Array:
+        """Returns 2 pi r R over a number. Where R is infinite, next to the source, r R is
+        constant."""
+        near = np.where(np.isinf(self._R(row, r)), self._type(1e-20), r)
+        R = self._R(row, near)
+        ring = 6.28318530717958647693 * near.astype(np.float64) * (R.astype(np.float64) / over)
+        return np.where(R > 0, ring.astype(self._type), R)
 
     def _times_exp(self, scale: Array, z: Array) -> Array:
         """Returns scale e^z."""
