@@ -114,10 +114,16 @@ static void write_units(struct http_text *text, const struct http_field *fields)
 
 /* ---- eval and sample ------------------------------------------------------------------------- */
 
+/* With R_f alone, r holds spatial frequencies. */
 static void write_quantity_units(struct http_text *text, unsigned wanted) {
+  const unsigned by_r = CORE_QUANTITY_ALBEDO | CORE_QUANTITY_RADIUS;
+  const bool by_f = (wanted & ~by_r) == CORE_QUANTITY_TRANSFER;
   for (const core_choice *one = core_quantities; one->name != NULL; one++) {
     if ((one->id & wanted) != 0) {
-      http_text_string(text, one->name, one->id == CORE_QUANTITY_R ? WIRE_R_UNIT : one->about);
+      http_text_string(text, one->name,
+                       one->id == CORE_QUANTITY_R                ? WIRE_R_UNIT
+                       : one->id == CORE_QUANTITY_RADIUS && by_f ? "1/mm"
+                                                                 : one->about);
     }
   }
 }

@@ -139,6 +139,12 @@ def test_coefficients_parameters_and_grids(served):
     assert "similarity" in answer["notes"]
 
 
+@pytest.mark.parametrize("wanted, unit", [("R_f,r,albedo", "1/mm"), ("R,R_f,r", "mm"), ("R,r", "mm")])
+def test_frequencies_have_their_unit(served, wanted, unit):
+    answer = good(get(served, f"/v1/eval?model=better&medium=skin1&r=1&wanted={wanted}"))
+    assert answer["units"]["r"] == unit
+
+
 def models(daemon) -> list[str]:
     return [one["name"] for one in good(get(daemon, "/v1/models"))["models"]]
 

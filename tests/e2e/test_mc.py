@@ -639,6 +639,15 @@ def test_ring_means_are_within_their_errors(client, evaluator, most):
             assert error < most or R == 0
 
 
+def test_each_ring_has_its_own_error(client):
+    """Transport is known less well far away than near the entry point."""
+    edges = [0.05, 1, 5, 50]
+    medium = Medium(0.1, 10, 0.9, 1.4)
+    errors = client.ring_means("transport", medium, edges).numerical_error[0]
+    alone = [client.ring_means("transport", medium, [a, b]).numerical_error[0, 0] for a, b in zip(edges, edges[1:])]
+    assert (errors < 1e-3).all() and errors == pytest.approx(alone, rel=0.3)
+
+
 def test_the_rings_of_a_job_beside_means_of_transport(client):
     rings = client.mc(SKIN, Grid(0.05, 8.0, 13, "logarithmic"), photons=400_000)
     apart = (rings.R[0] - client.ring_means("transport", SKIN, rings.edges).R[0]) / rings.R_error[0]

@@ -163,6 +163,12 @@ def test_a_quantity_that_was_not_wanted_is_named(client):
         result.R
 
 
+def test_frequencies_are_printed_as_such(client):
+    shown = repr(client.eval("better", SKIN, [0.1, 1.0], wanted=["R_f", "albedo"]))
+    assert "2 frequencies, 0.1 to 1 1/mm" in shown
+    assert "2 radii, 0.1 to 1 mm" in repr(client.eval("better", SKIN, [0.1, 1.0], wanted=["R_f", "R"]))
+
+
 def test_what_is_printed_fits_three_lines(client):
     r = np.linspace(0.1, 9.0, 500)
     whole = [name for name in client.info.choices["quantity"] if name != "S"]

@@ -6,7 +6,6 @@ and every port answers at the end."""
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import http.client
 import os
 import random
@@ -14,12 +13,14 @@ import socket
 import ssl
 import struct
 import subprocess
+import tempfile
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import dipole
-from certificates import Authority
+from certificates import Authority, Recorder
 from daemons import BUILD, Daemon, sanitized
 from dipole import DipoleError, wire
 from frames import EVAL, F32, SKIN, STATISTICS, R, ask, eval_payload, frame
@@ -225,32 +226,17 @@ def hang_halfway(beside: Beside) -> None:
         beside.stop.wait(beside.rng.random())
 
 
-def libssl() -> ctypes.CDLL:
-    """Returns OpenSSL's library, since Python's module ssl sends no KeyUpdates."""
-    library = ctypes.CDLL("libssl.so.3")
-    for name in ("TLS_client_method", "SSL_CTX_new", "SSL_new"):
-        getattr(library, name).restype = ctypes.c_void_p
-    return library
-
-
 def update_keys(beside: Beside) -> None:
     """A flood of KeyUpdates on one connection, some of which ask for one in return."""
-    library = libssl()
-    context = ctypes.c_void_p(library.SSL_CTX_new(ctypes.c_void_p(library.TLS_client_method())))
-    state = ctypes.c_void_p(library.SSL_new(context))
-    with contextlib.suppress(OSError), socket.create_connection(beside.port("tls"), 20) as plain:
-        plain.settimeout(None)
-        for option in (socket.SO_SNDTIMEO, socket.SO_RCVTIMEO):  # for a daemon that does not read
-            plain.setsockopt(socket.SOL_SOCKET, option, struct.pack("ll", 5, 0))
-        library.SSL_set_fd(state, plain.fileno())
-        good = library.SSL_connect(state) == 1
-        for i in range(beside.rng.randrange(1, 30_000)):
-            asks = int(i % 1000 == 999)
-            good = good and not beside.stop.is_set() and library.SSL_key_update(state, asks) == 1
-            if not good or library.SSL_do_handshake(state) != 1:
-                break
-    library.SSL_free(state)
-    library.SSL_CTX_free(context)
+    context = ssl.create_default_context(cafile=beside.ca)
+    with contextlib.suppress(OSError), tempfile.TemporaryDirectory() as folder:
+        one = Recorder(beside.port("tls")[1], context, "1.3", Path(folder))
+        with one.socket:
+            one.socket.settimeout(5)  # for a daemon that does not read
+            for i in range(beside.rng.randrange(1, 30_000)):
+                if beside.stop.is_set():
+                    break
+                one.socket.sendall(one.update_of_keys(i % 1000 == 999))
 
 
 def ask_every_port(beside: Beside) -> None:

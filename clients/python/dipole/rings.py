@@ -37,7 +37,7 @@ class RingMeans(NamedTuple):
         )
 
 
-# What one query gives for N parts of rings: their powers [C, N], how far these may be off because
+# What is known of N parts of rings: their powers [C, N], how far these may be off because
 # the values and the radii are rounded [C, N], and the error of the model [C].
 _Powers = tuple[Array, Array, Array]
 
@@ -111,6 +111,19 @@ def _cut(edges: Array, media: Array) -> tuple[Array, Array, Array]:
 
 
 def _powers(calls: Calls, query: Query, low: Array, high: Array) -> Steps[_Powers]:
+    # A query states one error for all of its radii: so each has the parts of an octave.
+    octaves = np.frexp(high)[1]
+    channels = len(np.asarray(query.media))
+    powers, errors = np.empty((2, channels, len(low)))
+    model_errors = np.zeros(channels)
+    for octave in np.unique(octaves):
+        at = octaves == octave
+        powers[:, at], errors[:, at], one = yield from _powers_at(calls, query, low[at], high[at])
+        model_errors = np.maximum(model_errors, one)
+    return powers, errors, model_errors
+
+
+def _powers_at(calls: Calls, query: Query, low: Array, high: Array) -> Steps[_Powers]:
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)  # type: ignore[no-untyped-call]
     width = (high - low)[:, None]
     r = low[:, None] + width * ((1 + nodes) / 2)

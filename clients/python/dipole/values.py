@@ -277,7 +277,7 @@ class Result(_Evaluated):
 
     @property
     def r(self) -> Array:
-        """[N] mm: the radii of the query. A grid has them only if r was wanted."""
+        """[N] mm, or 1/mm with R_f: the radii of the query. A grid has them only if r was wanted."""
         return self._quantity("r")
 
     @property
@@ -341,8 +341,10 @@ class Result(_Evaluated):
         r = self.quantities.get("r")
         if r is None:
             return self._in_short("a grid of radii")
-        listed = f", {span(r)} mm" if r.size else ""
-        return self._in_short(counted(r.size, "radius", "radii") + listed)
+        by_f = list(self.values) == ["R_f"]
+        one, several, unit = ("frequency", "frequencies", "1/mm") if by_f else ("radius", "radii", "mm")
+        listed = f", {span(r)} {unit}" if r.size else ""
+        return self._in_short(counted(r.size, one, several) + listed)
 
 
 class Draw(NamedTuple):
