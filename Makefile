@@ -152,7 +152,7 @@ INSTALLED := $(BUILD)/dipoled $(BUILD)/dipole
 PROGRAMS := $(INSTALLED) $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-types check-unit check-units-long check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-tls-long check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz check-fuzz-long check-truth check-truth-long check-fits check-varying check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables totals reference tradeoff apertures figures picture gather-figure fit-bias clean
+.PHONY: all setup demo check check-long check-structure check-types check-unit check-units-long check-bits check-bits-aarch64 check-e2e check-again check-packages check-soak check-soak-long check-tls-long check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz check-fuzz-long check-truth check-truth-long check-fits check-varying check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables totals reference tradeoff apertures figures picture gather-figure fit-bias clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -367,6 +367,10 @@ PYTEST = env TESTED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python:tests/e2
 
 check-e2e: all $(BUILD)/dipoled-counting $(BUILD)/soak-load $(BUILD)/pipeline
 	$(PYTEST) -n 2 --dist loadfile --durations=20 --ignore=tests/e2e/test_packages.py tests/e2e
+
+# Runs the one test of tests/e2e that the variable TEST of the environment names.
+check-again:
+	@$(PYTEST) "$$TEST"
 
 # Builds the Debian packages twice.
 check-packages: all

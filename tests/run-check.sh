@@ -4,7 +4,8 @@
 # much. Keeps what a part prints in LOGS/PART.log and shows it. At the end it prints how long each
 # part took, every test that was skipped or has failed, and how many tests passed, failed and were
 # skipped; LOGS/failed keeps the names of those that failed, and LOGS/total the numbers. Exits 1 when
-# a part has failed. With FORBID_SKIPS=yes it also exits 1 when a test was skipped for
+# a part has failed. Up to ten failed tests of pytest or cmocka programs run once more, each alone:
+# one that passes then is named by a line `flaky: NAME` and does not count as failed. With FORBID_SKIPS=yes it also exits 1 when a test was skipped for
 # another reason than that ../shared is missing.
 set -u
 logs=$1
@@ -42,12 +43,38 @@ pytest_count() { # PART WORD
   grep -E ' in [0-9.]+s' "$logs/$1.log" | tail -n 1 | grep -oE "[0-9]+ $2" | grep -oE '[0-9]+' || echo 0
 }
 
+# Runs a failed test again; its name is that of a line FAILED of the part's log.
+run_again() { # PART NAME
+  case $1 in
+  unit) timeout 600 "${logs%/*}/tests/$2" ;;
+  units-long) UNIT_LONG=yes timeout 600 "${logs%/*}/tests/$2" ;;
+  *) TEST=$2 make --no-print-directory check-again ;;
+  esac >>"$logs/again.log" 2>&1 </dev/null
+}
+
+# Whether all tests that failed in a part pass when each runs alone. Writes those to LOGS/flaky.
+all_are_flaky() { # PART
+  local names name behind
+  case $1 in e2e) behind=' - ' ;; unit | units-long) behind=': ' ;; *) return 1 ;; esac
+  names=$(grep -E '^(FAILED|ERROR) ' "$logs/$1.log" | sed -E "s/^[A-Z]+ +//; s/$behind.*//" | sort -u)
+  [ -n "$names" ] && [ "$(wc -l <<<"$names")" -le 10 ] || return 1
+  while read -r name; do
+    run_again "$1" "$name" || return 1
+  done <<<"$names"
+  sed 's/^/flaky: /' <<<"$names" >>"$logs/flaky"
+}
+
 passed=0 failed=0 skipped=0 bad=
+: >"$logs/flaky"
 : >"$logs/skipped"
 : >"$logs/failed"
 echo "---- time of each part"
 for part in $parts; do
   read -r status seconds <"$logs/$part.status"
+  if [ "$status" -ne 0 ] && all_are_flaky "$part"; then # they count neither way
+    sed -i -E 's/^(FAILED|ERROR) /flaky  /; s/, [0-9]+ (failed|errors?)//; s/[0-9]+ (failed|errors?),? ?//' "$logs/$part.log"
+    status=0
+  fi
   printf '%-12s %4d s%s\n' "$part" "$seconds" "$([ "$status" -eq 0 ] || echo '  FAILED')"
   [ "$status" -eq 0 ] || bad="$bad $part"
   case $part in
@@ -79,7 +106,7 @@ for part in $parts; do
   fi
 done
 
-cat "$logs/skipped" "$logs/failed"
+cat "$logs/skipped" "$logs/failed" "$logs/flaky"
 if [ "${FORBID_SKIPS-}" = yes ] && grep -v '\.\./shared' "$logs/skipped" >/dev/null; then
   echo "run-check.sh: tests were skipped for other reasons than that ../shared is missing"
   bad="$bad skipped-tests"
