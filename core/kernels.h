@@ -33,7 +33,7 @@ typedef void core_kernel_f64(const double *coefficients, size_t n, const double 
 typedef void core_kernel_f32(const float *coefficients, size_t n, const float *in, float *out);
 
 /* The same where every value has a medium of its own (core/varying.h): sigma_a[n] and sigma_s[n] in
- * 1/mm. shared: numbers that all media share; words: tables that they share (core/models/cells.h).
+ * 1/mm. shared: numbers that all media share; words: tables that they share (core/cells/find.h).
  * Media and arguments outside of the domain give NaN. */
 typedef void core_varying_kernel_f64(const double *shared, const double *words, size_t n,
                                      const double *sigma_a, const double *sigma_s, const double *in,

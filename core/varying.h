@@ -94,7 +94,7 @@ typedef struct core_varying {
  * core_profile_check() for a medium with this g and eta; `model` or `evaluator` if media cannot
  * vary with it; `eta` if the table of solutions does not cover it; `tolerance` if no surface keeps
  * it; and `memory`. On a fault *varying is unspecified. Otherwise the caller frees it. For
- * `transport` this takes some 35 ms and 1 MB with the default tolerance, 0.1 s and 4 MB with 1e-4,
+ * `transport` this takes some 20 ms and 1 MB with the default tolerance, 60 ms and 4 MB with 1e-4,
  * and 0.4 s and 22 MB with 1e-5 (1.5 s and 54 MB for g near -0.5 and eta from 1.7 on); f64 takes
  * three times the memory. For other models it takes some ten microseconds. */
 core_fault core_varying_prepare(core_varying *varying, const core_isa *isa, unsigned model,

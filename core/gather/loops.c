@@ -340,7 +340,7 @@ static uint64_t look_up_close(const float *restrict table, const gather_pieces *
     const reals r = *(const reals *)(in + i);
     const ints bits = (ints)r;
     const int32_t octave =
-        ((int32_t)core_lut_bits(in[i]) >> CORE_LUT_MANTISSA_BITS & 0xff) - GATHER_CLOSE / 2;
+        ((int32_t)core_cells_bits(in[i]) >> CORE_LUT_MANTISSA_BITS & 0xff) - GATHER_CLOSE / 2;
     const ints place = (bits >> CORE_LUT_MANTISSA_BITS) - octave;
     const ints entry = (ints)_mm512_permutexvar_epi32(
         (__m512i)place, _mm512_loadu_si512(table + CORE_LUT_R_OCTAVES + octave));

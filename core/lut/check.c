@@ -12,10 +12,10 @@ core_fault core_lut_check(const float *words, size_t count) {
   }
   const size_t pieces = (count - others) / CORE_LUT_TERMS;
   for (size_t i = CORE_LUT_R_OCTAVES; i < CORE_LUT_PIECES; i++) {
-    const uint32_t entry = core_lut_bits(words[i]);
-    const uint32_t shift = CORE_LUT_ENTRY_SHIFT(entry);
-    if (shift > CORE_LUT_MANTISSA_BITS || shift < CORE_LUT_MANTISSA_BITS - CORE_LUT_CUTS_MAX ||
-        CORE_LUT_ENTRY_PIECE(entry) + (UINT32_C(1) << (CORE_LUT_MANTISSA_BITS - shift)) > pieces) {
+    const uint32_t entry = core_cells_bits(words[i]);
+    if (!core_cells_hold(CORE_LUT_ENTRY_PIECE(entry),
+                         CORE_LUT_MANTISSA_BITS - CORE_LUT_ENTRY_SHIFT(entry), CORE_LUT_CUTS_MAX,
+                         pieces)) {
       return fault;
     }
   }

@@ -18,7 +18,8 @@ enum { PLACES = 11, STEP = 64, FOUND_PER_PIECE = 5, SCANNED_PER_PIECE = 16 };
 
 static const int places[PLACES] = {0, 3, 9, 16, 24, 32, 40, 48, 55, 61, 64};
 
-/* points[degree - 1] lists the places through which a polynomial of degree 1, 2 or 3 goes. */
+/* points[degree - 1] lists the places through which a polynomial of degree 1, 2 or 3 goes, those of
+ * core_cells_through(). */
 static const int points[3][4] = {{0, 10}, {0, 5, 10}, {0, 3, 7, 10}};
 
 /* A term of the wrong sign is set to 0 if its size is at most this, relative to the first term. */
@@ -26,31 +27,14 @@ static const int points[3][4] = {{0, 10}, {0, 5, 10}, {0, 3, 7, 10}};
 
 /* ---- candidates ------------------------------------------------------------------------------ */
 
-/* Computes, by divided differences, the coefficients in w of the polynomial of this degree through
- * the values y at its points. */
+/* Computes the coefficients in w of the polynomial of this degree through the values y at its
+ * points. These lie symmetrically, so from the right they are the same in reverse. */
 static void interpolate(int degree, bool from_right, const double *y, double *c) {
-  double w[4];
-  double d[4];
+  double through[CORE_LUT_TERMS];
   for (int i = 0; i <= degree; i++) {
-    const double t = (double)places[points[degree - 1][i]] / STEP;
-    w[i] = from_right ? 1 - t : t;
-    d[i] = y[points[degree - 1][i]];
+    through[i] = y[points[degree - 1][from_right ? degree - i : i]];
   }
-  for (int level = 1; level <= degree; level++) {
-    for (int i = degree; i >= level; i--) {
-      d[i] = (d[i] - d[i - 1]) / (w[i] - w[i - level]);
-    }
-  }
-  for (int i = 0; i < CORE_LUT_TERMS; i++) {
-    c[i] = 0;
-  }
-  c[0] = d[degree];
-  for (int i = degree - 1; i >= 0; i--) {
-    for (int k = degree; k > 0; k--) {
-      c[k] = c[k - 1] - w[i] * c[k];
-    }
-    c[0] = d[i] - w[i] * c[0];
-  }
+  core_cells_through(degree, through, 1, c);
 }
 
 /* Makes all terms have the sign of the whole change. Returns false if a term of the other sign is
@@ -81,7 +65,7 @@ static void round_piece(const double *c, bool from_right, float *piece) {
     piece[k] = (float)c[k];
   }
   if (from_right) {
-    piece[0] = core_lut_float(core_lut_bits(piece[0]) | UINT32_C(0x80000000));
+    piece[0] = core_cells_float(core_cells_bits(piece[0]) | UINT32_C(0x80000000));
   }
 }
 

@@ -4,28 +4,15 @@
 #define DIPOLED_CORE_LUT_PIECE_H
 
 #include <math.h>
-#include <stdint.h>
-#include <string.h>
 
+#include "core/cells/cells.h"
 #include "core/lut/lut.h"
-
-static inline uint32_t core_lut_bits(float x) {
-  uint32_t bits;
-  memcpy(&bits, &x, sizeof bits);
-  return bits;
-}
-
-static inline float core_lut_float(uint32_t bits) {
-  float x;
-  memcpy(&x, &bits, sizeof x);
-  return x;
-}
 
 /* Evaluates a piece: |c0| + w (c1 + w (c2 + w c3)). w is t, or 1 - t if c0 has a minus sign, which
  * marks a piece that is written from its right end. t: the argument's position in the piece, from 0
  * to 1. */
 static inline float core_lut_piece(const float *c, float t) {
-  const int32_t bits = (int32_t)core_lut_bits(c[0]);
+  const int32_t bits = (int32_t)core_cells_bits(c[0]);
   const float w = bits < 0 ? 1 - t : t;
   return fabsf(c[0]) + w * (c[1] + w * (c[2] + w * c[3]));
 }

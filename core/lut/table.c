@@ -36,7 +36,7 @@ static void evaluate(const core_profile *profile, size_t n, const double *r, dou
 static int samples_exponent(const core_profile *profile) {
   return profile->evaluator != CORE_EVALUATOR_LUT
              ? ilogb(profile->scale_mm) - CORE_LUT_SCALE_OCTAVE
-             : (int)(core_lut_bits(profile->lut[CORE_LUT_SAMPLES_MM]) >> 23 & 0xff) - 127;
+             : (int)(core_cells_bits(profile->lut[CORE_LUT_SAMPLES_MM]) >> 23 & 0xff) - 127;
 }
 
 void core_lut_samples(const core_profile *profile, double *r, double *R) {

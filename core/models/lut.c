@@ -14,6 +14,7 @@
 
 #if CORE_REAL == 32
 
+#include "core/cells/find.h"
 #include "core/lut/piece.h"
 
 enum { CHUNK = 1024, BLOCK = 64 };
@@ -22,9 +23,9 @@ enum { CHUNK = 1024, BLOCK = 64 };
  * the logarithm of the mantissa is 2 artanh(s) / ln 2. No products are fused, as everywhere in the
  * kernels of tables. */
 static inline float lut_log2(float x) {
-  const uint32_t bits = core_lut_bits(x);
+  const uint32_t bits = core_cells_bits(x);
   const float exponent = (float)((int32_t)(bits >> 23 & 0xff) - 127);
-  const float m = core_lut_float((bits & 0x7fffff) | 0x3f800000);
+  const float m = core_cells_float((bits & 0x7fffff) | 0x3f800000);
   const float s = (m - 1) / (m + 1);
   const float t = s * s;
   float series = 1.0f / 13;
@@ -127,18 +128,14 @@ static inline __attribute__((always_inline)) void look_up(const float *restrict 
   _Alignas(64) float t[BLOCK], piece[BLOCK][CORE_LUT_TERMS];
   for (size_t i = 0; i < n; i++) {
     const struct lut_key key = key_of(in[i] + 0);
-    const int32_t octave = (int32_t)core_lut_bits(key.x) >> CORE_LUT_MANTISSA_BITS & 0xff;
-    entry[i] = (int32_t)core_lut_bits(c[key.octaves + octave]);
+    const int32_t octave = (int32_t)core_cells_bits(key.x) >> CORE_LUT_MANTISSA_BITS & 0xff;
+    entry[i] = (int32_t)core_cells_bits(c[key.octaves + octave]);
   }
   for (size_t i = 0; i < n; i++) {
-    const int32_t bits = (int32_t)core_lut_bits(key_of(in[i] + 0).x);
-    const int32_t shift = entry[i] & 31;
-    const int32_t mantissa = bits & ((1 << CORE_LUT_MANTISSA_BITS) - 1);
-    const int32_t index = mantissa >> shift;
-    const int32_t rest = mantissa - (index << shift);
-    const float unit = core_lut_float((uint32_t)((127 - shift) << CORE_LUT_MANTISSA_BITS));
-    at[i] = CORE_LUT_PIECES + CORE_LUT_TERMS * ((entry[i] >> 5) + index);
-    t[i] = (float)rest * unit;
+    const int32_t bits = (int32_t)core_cells_bits(key_of(in[i] + 0).x);
+    const struct cells_place place = cells_in_octave(bits, CORE_LUT_ENTRY_SHIFT(entry[i]));
+    at[i] = CORE_LUT_PIECES + CORE_LUT_TERMS * (CORE_LUT_ENTRY_PIECE(entry[i]) + place.cell);
+    t[i] = place.t;
   }
   for (size_t i = 0; i < n; i++) {
     memcpy(piece[i], c + at[i], sizeof piece[i]);

@@ -6,7 +6,7 @@
  */
 #ifdef CORE_ISA
 
-#include "core/models/cells.h"
+#include "core/cells/find.h"
 #include "core/models/lanes.h"
 
 #if CORE_REAL == 64

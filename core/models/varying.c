@@ -2,7 +2,7 @@
  * statuses of values, and from colours to media. */
 #ifdef CORE_ISA
 
-#include "core/models/cells.h"
+#include "core/cells/find.h"
 #include "core/models/lanes.h"
 
 /* What is checked of one value. */

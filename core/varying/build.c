@@ -5,39 +5,30 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "core/cells/cells.h"
 #include "core/kernels.h"
 #include "core/transport/functions.h"
 #include "core/transport/table.h"
 #include "core/varying/rows.h"
 
 #define CORE_REAL 64
-#include "core/models/cells.h"
 #include "core/models/lanes.h"
+
+enum { STEPS = CORE_CELLS_STEPS, TERMS = CORE_CELLS_TERMS, PATCH = CORE_CELLS_PATCH };
 
 /* ---- axes ------------------------------------------------------------------------------------ */
 
-/* A function is fitted through 4 points of each cell, at these positions. The ends are shared with
- * the neighbours, so that the cells meet. */
-enum { STEPS = 3 }; /* between the points of a cell */
-static const double positions[STEPS + 1] = {0, 0.25, 0.75, 1};
-
-/* Coefficients of the powers of t for the value at each position. */
-static const double lagrange[STEPS + 1][CORE_SURFACE_TERMS] = {
-    {1, -19.0 / 3, 32.0 / 3, -16.0 / 3},
-    {0, 8, -56.0 / 3, 32.0 / 3},
-    {0, -8.0 / 3, 40.0 / 3, -32.0 / 3},
-    {0, 1, -16.0 / 3, 16.0 / 3},
-};
-
 static void put_integer(float *words, size_t at, size_t value) {
-  const uint32_t bits = (uint32_t)value;
-  memcpy(&words[at], &bits, sizeof bits);
+  words[at] = core_cells_float((uint32_t)value);
 }
 
-static size_t integer_at(const float *words, size_t at) {
-  uint32_t bits;
-  memcpy(&bits, &words[at], sizeof bits);
-  return bits;
+static uint32_t integer_at(const float *words, size_t at) {
+  return core_cells_bits(words[at]);
+}
+
+/* Returns the entry of octave i of an axis, counted from CORE_SURFACE_EXPONENT on. */
+static uint32_t entry_of(const float *words, enum core_surface_axis axis, size_t i) {
+  return integer_at(words, CORE_SURFACE_ENTRIES + CORE_SURFACE_AXIS * (size_t)axis + i);
 }
 
 static size_t cells_of(const float *words, enum core_surface_axis axis) {
@@ -52,7 +43,7 @@ static void lay_axis(float *words, enum core_surface_axis axis, int first, int e
     const int octave = CORE_SURFACE_EXPONENT + i - first;
     const bool inside = octave >= 0 && octave < end - first;
     const size_t entry = (size_t)CORE_SURFACE_ENTRIES + CORE_SURFACE_AXIS * axis + (size_t)i;
-    put_integer(words, entry, inside ? cell << 5 | cuts[octave] : 0);
+    put_integer(words, entry, inside ? cell << CORE_CELLS_ENTRY_BITS | cuts[octave] : 0);
     cell += inside ? (size_t)1 << cuts[octave] : 0;
   }
   words[CORE_SURFACE_LEAST + axis] = (float)ldexp(1, first);
@@ -60,38 +51,33 @@ static void lay_axis(float *words, enum core_surface_axis axis, int first, int e
   put_integer(words, (size_t)CORE_SURFACE_CELLS + axis, cell);
 }
 
-/* Sets nodes[STEPS cells + 1] to the coordinates of all points of an axis, in ascending order. */
-static void axis_nodes(const float *words, enum core_surface_axis axis, double *nodes) {
+/* Sets nodes to the coordinates at `count` shares of the length of each cell of an axis, in ascending
+ * order, and one more to the end of the axis. Returns their number without the last. */
+static size_t axis_nodes(const float *words, enum core_surface_axis axis, size_t count,
+                         const double *shares, double *nodes) {
+  const double least = (double)words[CORE_SURFACE_LEAST + axis];
+  const size_t all = cells_of(words, axis);
   size_t node = 0;
-  for (int i = 0; i < CORE_SURFACE_AXIS; i++) {
-    const size_t entry =
-        integer_at(words, (size_t)CORE_SURFACE_ENTRIES + CORE_SURFACE_AXIS * axis + (size_t)i);
+  for (int i = ilogb(least) - CORE_SURFACE_EXPONENT; node < count * all; i++) {
     const double begin = ldexp(1, CORE_SURFACE_EXPONENT + i);
-    const bool inside = begin >= (double)words[CORE_SURFACE_LEAST + axis] &&
-                        begin < (double)words[CORE_SURFACE_MOST + axis];
-    const size_t cells = inside ? (size_t)1 << (entry & 31) : 0;
-    for (size_t cell = 0; cell < cells; cell++) {
-      for (int step = 0; step < STEPS; step++) {
-        nodes[node++] = begin * (1 + ((double)cell + positions[step]) / (double)cells);
-      }
+    const size_t cells = (size_t)1 << (entry_of(words, axis, (size_t)i) & 31);
+    for (size_t k = 0; k < count * cells; k++) {
+      const double place = (double)(k / count) + shares[k % count];
+      nodes[node++] = begin * (1 + place / (double)cells);
     }
-    if (cells > 0) {
-      nodes[node] = 2 * begin;
-    }
+    nodes[node] = 2 * begin;
   }
+  return node;
 }
 
-/* Sets the cells of a function of one coordinate to those through values[STEPS cells + 1]. */
-static void fit_lines(const double *values, size_t cells, float *out) {
-  for (size_t cell = 0; cell < cells; cell++) {
-    for (int k = 0; k < CORE_SURFACE_TERMS; k++) {
-      double sum = 0;
-      for (int i = 0; i <= STEPS; i++) {
-        sum += values[STEPS * cell + (size_t)i] * lagrange[i][k];
-      }
-      out[CORE_SURFACE_TERMS * cell + (size_t)k] = (float)sum;
-    }
-  }
+/* Sets *t to the place of a coordinate on an axis in its cell, which is returned. */
+static size_t cell_at(const float *words, enum core_surface_axis axis, double x, double *t) {
+  const int octave = ilogb(x);
+  const uint32_t entry = entry_of(words, axis, (size_t)(octave - CORE_SURFACE_EXPONENT));
+  const double place = (ldexp(x, -octave) - 1) * (double)(UINT32_C(1) << (entry & 31));
+  const size_t index = (size_t)place;
+  *t = place - (double)index;
+  return (entry >> CORE_CELLS_ENTRY_BITS) + index;
 }
 
 /* The axes of each function; the first two share their rows. */
@@ -119,7 +105,7 @@ static size_t words_of(const float *words, enum core_surface_function function) 
   const bool line = !shapes[function].has_rows || shapes[function].columns == CORE_SURFACE_AXES;
   const size_t columns =
       shapes[function].columns == CORE_SURFACE_AXES ? 1 : cells_of(words, shapes[function].columns);
-  return lines * columns * (line ? CORE_SURFACE_TERMS : CORE_SURFACE_TERMS * CORE_SURFACE_TERMS);
+  return lines * columns * (line ? TERMS : PATCH);
 }
 
 /* ---- colours --------------------------------------------------------------------------------- */
@@ -134,7 +120,7 @@ enum {
   COLOUR_FINE_MORE = (COLOUR_FINE << COLOUR_FINE_CUTS) - (COLOUR_FINE << COLOUR_CUTS),
   COLOUR_CELLS = ((COLOUR_END - COLOUR_FIRST) << COLOUR_CUTS) + COLOUR_FINE_MORE,
   COLOUR_REST_CELLS = ((COLOUR_END - COLOUR_REST_FIRST) << COLOUR_CUTS) + COLOUR_FINE_MORE,
-  COLOUR_WORDS = CORE_LIGHTS * CORE_SURFACE_TERMS * (COLOUR_CELLS + COLOUR_REST_CELLS),
+  COLOUR_WORDS = CORE_LIGHTS * TERMS * (COLOUR_CELLS + COLOUR_REST_CELLS),
   SECANTS = 40
 };
 
@@ -194,17 +180,18 @@ static void fit_colours(const struct albedos *albedos, double most, float *words
   double nodes[STEPS * COLOUR_REST_CELLS + 1], values[STEPS * COLOUR_REST_CELLS + 1];
   for (int rest = 0; rest < 2; rest++) {
     const size_t cells = rest ? COLOUR_REST_CELLS : COLOUR_CELLS;
-    axis_nodes(words, rest ? CORE_SURFACE_COLOUR_REST : CORE_SURFACE_COLOUR, nodes);
+    axis_nodes(words, rest ? CORE_SURFACE_COLOUR_REST : CORE_SURFACE_COLOUR, STEPS,
+               core_cells_points, nodes);
     double y = fn_log(0.7); /* of about half of the largest albedo */
     for (size_t i = STEPS * cells + 1; i-- > 0;) {
       y = find_medium(albedos, most, rest, fn_log(most * nodes[i]), y);
       values[i] = fn_exp(y);
     }
-    fit_lines(values, cells, &words[*at]);
+    core_cells_fit_lines(values, cells, &words[*at]);
     const enum core_surface_function function =
         rest ? CORE_SURFACE_S_OF_REST : CORE_SURFACE_W_OF_COLOUR;
     put_integer(words, (size_t)CORE_SURFACE_AT + function + albedos->light, *at);
-    *at += CORE_SURFACE_TERMS * cells;
+    *at += TERMS * cells;
   }
 }
 
@@ -315,32 +302,30 @@ static void lay_axes(const core_surface_inputs *inputs, const transport_table *t
   }
 }
 
-/* Sets the words of k: the polynomial through kappa / s at Chebyshev points. */
+/* Sets the words of k: the polynomial through kappa / s at Chebyshev points, by divided
+ * differences. */
 static void put_kappa(const rows *all, float *words) {
-  enum { TERMS = CORE_SURFACE_KAPPA_TERMS };
-  double sum[TERMS] = {0};
-  double at[TERMS];
-  for (int i = 0; i < TERMS; i++) {
+  enum { COUNT = CORE_SURFACE_KAPPA_TERMS };
+  double at[COUNT], d[COUNT], c[COUNT] = {0};
+  for (int i = 0; i < COUNT; i++) {
     double sine, cosine;
-    fn_sincos(FN_PI * (i + 0.5) / TERMS, &sine, &cosine);
+    fn_sincos(FN_PI * (i + 0.5) / COUNT, &sine, &cosine);
     at[i] = 0.5 * (1 + cosine);
+    d[i] = rows_kappa_per_s(all, at[i], 1 - at[i]);
   }
-  for (int i = 0; i < TERMS; i++) {
-    double basis[TERMS] = {rows_kappa_per_s(all, at[i], 1 - at[i])};
-    for (int k = 0, degree = 0; k < TERMS; k++) {
-      if (k != i) { /* times (s - at[k]) / (at[i] - at[k]) */
-        degree++;
-        for (int j = degree; j >= 0; j--) {
-          basis[j] = ((j > 0 ? basis[j - 1] : 0) - at[k] * basis[j]) / (at[i] - at[k]);
-        }
-      }
-    }
-    for (int j = 0; j < TERMS; j++) {
-      sum[j] += basis[j];
+  for (int level = 1; level < COUNT; level++) {
+    for (int i = COUNT - 1; i >= level; i--) {
+      d[i] = (d[i] - d[i - 1]) / (at[i] - at[i - level]);
     }
   }
-  for (int j = 0; j < TERMS; j++) {
-    words[CORE_SURFACE_KAPPA + j] = (float)sum[j];
+  for (int i = COUNT - 1; i >= 0; i--) { /* c = d[i] + (s - at[i]) c */
+    for (int k = COUNT - 1; k > 0; k--) {
+      c[k] = c[k - 1] - at[i] * c[k];
+    }
+    c[0] = d[i] - at[i] * c[0];
+  }
+  for (int k = 0; k < COUNT; k++) {
+    words[CORE_SURFACE_KAPPA + k] = (float)c[k];
   }
 }
 
@@ -358,83 +343,99 @@ static void Q_of_words(const float *words, const rows_row *row, size_t n, const 
   }
 }
 
-/* The points of all axes, and the values of a function at the points of all rows. */
+/* Points of the axes, and the values of the functions there, row by row. */
 struct grid {
-  double *nodes[CORE_SURFACE_AXES]; /* STEPS cells + 1 for each axis */
-  double *ln_x;                     /* logarithms of those of radii */
-  double *values[CORE_SURFACE_FUNCTIONS];
+  size_t count[CORE_SURFACE_AXES];
+  double *nodes[CORE_SURFACE_AXES];
+  double *ln_x; /* logarithms of those of radii */
+  double *values[CORE_SURFACE_TOTAL + 1];
+  double *owned;
 };
 
-static size_t nodes_of(const float *words, enum core_surface_axis axis) {
-  return STEPS * cells_of(words, axis) + 1;
+/* Returns the number of points that a function has in each row. */
+static size_t columns_of(const struct grid *grid, int function) {
+  return shapes[function].columns == CORE_SURFACE_AXES ? 1 : grid->count[shapes[function].columns];
+}
+
+/* Makes a grid for `lines` rows, or for those of all nodes of albedos if that is 0. Each cell has points
+ * at `count` shares of its length. ends: whether the ends of axes are points, too. Returns false if
+ * memory runs out; else the caller frees grid->owned. */
+static bool make_grid(const float *words, size_t lines, size_t count, const double *shares,
+                      bool ends, struct grid *grid) {
+  size_t all = 0, places[CORE_SURFACE_AXES];
+  for (int i = 0; i < CORE_SURFACE_COLOUR; i++) {
+    grid->count[i] = count * cells_of(words, i) + ends;
+    places[i] = count * cells_of(words, i) + 1;
+    all += places[i];
+  }
+  lines = lines > 0 ? lines : grid->count[CORE_SURFACE_S] + grid->count[CORE_SURFACE_W];
+  all += places[CORE_SURFACE_RADIUS];
+  for (int i = 0; i <= CORE_SURFACE_TOTAL; i++) {
+    all += lines * columns_of(grid, i);
+  }
+  double *free_from = grid->owned = malloc(all * sizeof *free_from);
+  if (grid->owned == NULL) {
+    return false;
+  }
+  for (int i = 0; i < CORE_SURFACE_COLOUR; i++) {
+    grid->nodes[i] = free_from;
+    free_from += places[i];
+    axis_nodes(words, i, count, shares, grid->nodes[i]);
+  }
+  grid->ln_x = free_from;
+  free_from += places[CORE_SURFACE_RADIUS];
+  for (size_t i = 0; i < grid->count[CORE_SURFACE_RADIUS]; i++) {
+    grid->ln_x[i] = fn_log(grid->nodes[CORE_SURFACE_RADIUS][i]);
+  }
+  for (int i = 0; i <= CORE_SURFACE_TOTAL; i++) {
+    grid->values[i] = free_from;
+    free_from += lines * columns_of(grid, i);
+  }
+  return true;
 }
 
 /* Sets the values of a row, number `index` of all. */
 static void set_values(const float *words, const struct grid *grid, const rows_row *row,
                        size_t index) {
   const double *x = grid->nodes[CORE_SURFACE_RADIUS];
-  const size_t radii = nodes_of(words, CORE_SURFACE_RADIUS);
-  Q_of_words(words, row, radii, x, grid->ln_x, &grid->values[CORE_SURFACE_Q][index * radii]);
-  for (size_t i = 0; i < radii; i++) {
-    grid->values[CORE_SURFACE_CDF][index * radii + i] = rows_cdf(row, x[i]);
+  double *out[CORE_SURFACE_TOTAL + 1];
+  for (int i = 0; i <= CORE_SURFACE_TOTAL; i++) {
+    out[i] = &grid->values[i][index * columns_of(grid, i)];
   }
-  const size_t us = nodes_of(words, CORE_SURFACE_U), rests = nodes_of(words, CORE_SURFACE_REST);
+  Q_of_words(words, row, grid->count[CORE_SURFACE_RADIUS], x, grid->ln_x, out[CORE_SURFACE_Q]);
+  for (size_t i = 0; i < grid->count[CORE_SURFACE_RADIUS]; i++) {
+    out[CORE_SURFACE_CDF][i] = rows_cdf(row, x[i]);
+  }
   rows_found found = {0};
-  for (size_t i = 0; i < us; i++) {
-    grid->values[CORE_SURFACE_X_OF_U][index * us + i] =
-        rows_radius(row, grid->nodes[CORE_SURFACE_U][i], &found);
+  for (size_t i = 0; i < grid->count[CORE_SURFACE_U]; i++) {
+    out[CORE_SURFACE_X_OF_U][i] = rows_radius(row, grid->nodes[CORE_SURFACE_U][i], &found);
   }
   found = (rows_found){0};
-  for (size_t i = 0; i < rests; i++) {
-    grid->values[CORE_SURFACE_X_OF_REST][index * rests + i] =
+  for (size_t i = 0; i < grid->count[CORE_SURFACE_REST]; i++) {
+    out[CORE_SURFACE_X_OF_REST][i] =
         rows_radius_of_rest(row, grid->nodes[CORE_SURFACE_REST][i], &found);
   }
-  grid->values[CORE_SURFACE_TOTAL][index] = row->total;
-}
-
-/* Sets the patches of `cells` rows of cells. */
-static void fit_patches(const double *values, size_t cells, size_t columns, float *out) {
-  const size_t count = STEPS * columns + 1;
-  for (size_t patch = 0; patch < cells * columns; patch++) {
-    const double *corner = &values[STEPS * (patch / columns) * count + STEPS * (patch % columns)];
-    double along[STEPS + 1][CORE_SURFACE_TERMS]; /* powers of t, at each position of the rows */
-    for (int i = 0; i <= STEPS; i++) {
-      for (int q = 0; q < CORE_SURFACE_TERMS; q++) {
-        double sum = 0;
-        for (int k = 0; k <= STEPS; k++) {
-          sum += lagrange[k][q] * corner[(size_t)i * count + (size_t)k];
-        }
-        along[i][q] = sum;
-      }
-    }
-    for (int p = 0; p < CORE_SURFACE_TERMS; p++) {
-      for (int q = 0; q < CORE_SURFACE_TERMS; q++) {
-        double sum = 0;
-        for (int i = 0; i <= STEPS; i++) {
-          sum += lagrange[i][p] * along[i][q];
-        }
-        out[16 * patch + (size_t)(4 * p + q)] = (float)sum;
-      }
-    }
-  }
+  *out[CORE_SURFACE_TOTAL] = row->total;
 }
 
 /* Sets the words of all functions of a surface from the values. */
 static void put_functions(const struct grid *grid, float *words, size_t *at) {
-  const size_t s_cells = cells_of(words, CORE_SURFACE_S), w_cells = cells_of(words, CORE_SURFACE_W);
-  for (int i = 0; i <= CORE_SURFACE_X_OF_REST; i++) {
-    const size_t columns = cells_of(words, shapes[i].columns), count = STEPS * columns + 1;
+  for (int i = 0; i <= CORE_SURFACE_TOTAL; i++) {
+    const double *values = grid->values[i];
     put_integer(words, (size_t)CORE_SURFACE_AT + (size_t)i, *at);
-    fit_patches(grid->values[i], s_cells, columns, &words[*at]);
-    *at += 16 * s_cells * columns;
-    fit_patches(&grid->values[i][(STEPS * s_cells + 1) * count], w_cells, columns, &words[*at]);
-    *at += 16 * w_cells * columns;
+    for (int axis = CORE_SURFACE_S; axis <= CORE_SURFACE_W; axis++) {
+      const size_t cells = cells_of(words, axis);
+      if (i == CORE_SURFACE_TOTAL) {
+        core_cells_fit_lines(values, cells, &words[*at]);
+        *at += TERMS * cells;
+      } else {
+        const size_t columns = cells_of(words, shapes[i].columns);
+        core_cells_fit_patches(values, cells, columns, &words[*at]);
+        *at += PATCH * cells * columns;
+      }
+      values += grid->count[axis] * columns_of(grid, i);
+    }
   }
-  put_integer(words, (size_t)CORE_SURFACE_AT + CORE_SURFACE_TOTAL, *at);
-  fit_lines(grid->values[CORE_SURFACE_TOTAL], s_cells, &words[*at]);
-  *at += CORE_SURFACE_TERMS * s_cells;
-  fit_lines(&grid->values[CORE_SURFACE_TOTAL][STEPS * s_cells + 1], w_cells, &words[*at]);
-  *at += CORE_SURFACE_TERMS * w_cells;
 }
 
 /* ---- measuring ------------------------------------------------------------------------------- */
@@ -442,112 +443,77 @@ static void put_functions(const struct grid *grid, float *words, size_t *at) {
 /* The stated error is the one found in the middle of cells, and of R at kinks, times this. */
 #define FOUND_MARGIN 1.2
 
-enum { MEASURED = 256 };
-
-/* One row of a surface that is measured. */
-struct measured {
-  const double *shared;
-  const float *words;
-  const double *wide; /* the words in double precision */
-  const struct grid *grid;
-  const rows_row *row;
+/* A place among the rows. */
+struct among {
+  size_t cell; /* of both axes of albedos */
+  double p;
 };
 
-/* Sets exact[i] to the value of a function at in[i], in ascending order. */
-static void row_values(const rows_row *row, enum core_surface_function function, size_t n,
-                       const double *in, double *exact) {
-  rows_found found = {0};
-  double ln_x[MEASURED] = {0};
-  for (size_t i = 0; i < n; i++) {
-    ln_x[i] = function == CORE_SURFACE_Q ? fn_log(in[i]) : 0;
-    exact[i] = function == CORE_SURFACE_CDF      ? rows_cdf(row, in[i])
-               : function == CORE_SURFACE_X_OF_U ? rows_radius(row, in[i], &found)
-                                                 : 0;
-    if (function == CORE_SURFACE_X_OF_REST) {
-      exact[i] = rows_radius_of_rest(row, in[i], &found);
-    }
-  }
-  if (function == CORE_SURFACE_Q) {
-    rows_Q(row, n, ln_x, exact);
-    for (size_t i = 0; i < n; i++) {
-      const double kx = row->kappa * in[i];
-      exact[i] = row->albedo * (1 + kx) / in[i] * fn_exp(exact[i] - kx);
-    }
-  }
-}
-
-/* Sets x to the middle of cell number `first` of an axis and of those that follow. */
-static void middles(const struct grid *grid, enum core_surface_axis axis, size_t first,
-                    size_t count, double *x) {
-  for (size_t i = 0; i < count; i++) {
-    const double *node = &grid->nodes[axis][STEPS * (first + i)];
-    x[i] = 0.5 * (node[1] + node[2]);
-  }
-}
-
-/* Returns the largest relative error of a function at `count` places, for one row, up to the reach.
- */
-static double measure_at(const struct measured *of, enum core_surface_function function,
-                         core_varying_kernel_f64 *kernel, size_t count, const double *places) {
-  const rows_row *row = of->row;
-  const float *far = &of->words[CORE_SURFACE_FAR];
-  const double reach = 1 / ((double)far[0] + row->s * ((double)far[1] + row->s * (double)far[2]));
-  double sigma_a[MEASURED] = {0}, sigma_s[MEASURED] = {0}, in[MEASURED] = {0};
-  double found[MEASURED], exact[MEASURED];
-  double worst = 0;
-  row_values(row, function, count, places, exact);
-  for (size_t i = 0; i < count; i++) {
-    sigma_a[i] = row->s * row->s;
-    sigma_s[i] = row->albedo / of->shared[LANES_SCATTER];
-    in[i] = function == CORE_SURFACE_X_OF_REST ? 1 - places[i] : places[i];
-  }
-  kernel(of->shared, of->wide, count, sigma_a, sigma_s, in, found);
-  for (size_t i = 0; i < count; i++) {
-    const double r = shapes[function].columns == CORE_SURFACE_RADIUS ? places[i] : exact[i];
-    worst = r <= reach ? fmax(worst, fabs(found[i] / exact[i] - 1)) : worst;
-  }
-  return worst;
-}
-
-/* Returns the largest error of a function for one row: in the middle of cells, and at kinks of Q. */
-static double measure_function(const struct measured *of, enum core_surface_function function,
-                               core_varying_kernel_f64 *kernel) {
+/* Returns the relative error of a function where a row and a coordinate meet, and for Q that of R; 0
+ * beyond the reach. */
+static double error_at(const float *words, int function, struct among row, double reach, double x,
+                       double exact) {
   const enum core_surface_axis axis = shapes[function].columns;
-  const size_t cells = cells_of(of->words, axis);
-  double places[MEASURED];
-  double worst = 0;
-  for (size_t begin = 0; begin < cells; begin += MEASURED) {
-    const size_t count = cells - begin < MEASURED ? cells - begin : MEASURED;
-    middles(of->grid, axis, begin, count, places);
-    worst = fmax(worst, measure_at(of, function, kernel, count, places));
+  if (!((axis == CORE_SURFACE_RADIUS ? x : exact) <= reach)) {
+    return 0;
   }
-  if (function == CORE_SURFACE_Q) {
-    const size_t count = rows_edges(of->row, places);
-    worst = fmax(worst, measure_at(of, function, kernel, count, places));
+  double t;
+  const size_t cell = cell_at(words, axis, x, &t);
+  const size_t at = integer_at(words, (size_t)CORE_SURFACE_AT + (size_t)function) +
+                    PATCH * (row.cell * cells_of(words, axis) + cell);
+  const double found = core_cells_patch(&words[at], row.p, t);
+  return function == CORE_SURFACE_Q ? fabs(found - exact) : fabs(found / exact - 1);
+}
+
+/* Returns the largest error of all functions for one row: at the points of a grid, and at kinks of
+ * Q. The pdf has that of R and of the total. */
+static double measure_row(const float *words, const struct grid *grid, const rows_row *row,
+                          struct among place) {
+  const float *far = &words[CORE_SURFACE_FAR];
+  const double reach = 1 / ((double)far[0] + row->s * ((double)far[1] + row->s * (double)far[2]));
+  double x[ROWS_EDGES_MAX], ln_x[ROWS_EDGES_MAX], Q[ROWS_EDGES_MAX], worst = 0;
+  set_values(words, grid, row, 0);
+  for (int i = 0; i < CORE_SURFACE_TOTAL; i++) {
+    const double *nodes = grid->nodes[shapes[i].columns];
+    for (size_t k = 0; k < columns_of(grid, i); k++) {
+      worst = fmax(worst, error_at(words, i, place, reach, nodes[k], grid->values[i][k]));
+    }
   }
+  const size_t kinks = rows_edges(row, x);
+  for (size_t i = 0; i < kinks; i++) {
+    ln_x[i] = fn_log(x[i]);
+  }
+  Q_of_words(words, row, kinks, x, ln_x, Q);
+  for (size_t i = 0; i < kinks; i++) {
+    worst = fmax(worst, error_at(words, CORE_SURFACE_Q, place, reach, x[i], Q[i]));
+  }
+  const size_t total = integer_at(words, (size_t)CORE_SURFACE_AT + CORE_SURFACE_TOTAL);
+  return worst +
+         fabs(core_cells_line(&words[total + TERMS * place.cell], place.p) / row->total - 1);
+}
+
+/* Returns the largest error in the middle of cells of both axes of albedos, and without absorption;
+ * INFINITY if memory runs out. */
+static double measure(const rows *all, const float *words, rows_row *row) {
+  static const double middle[1] = {0.5};
+  struct grid grid;
+  if (!make_grid(words, 1, 1, middle, false, &grid)) {
+    return (double)INFINITY;
+  }
+  rows_fill(all, 0, 1, row);
+  double worst = measure_row(words, &grid, row, (struct among){0, 0});
+  size_t cell = 0;
+  for (int axis = CORE_SURFACE_S; axis <= CORE_SURFACE_W; axis++) {
+    for (size_t i = 0; i < grid.count[axis]; i++, cell++) {
+      const double node = grid.nodes[axis][i], w = axis == CORE_SURFACE_S ? 1 - node : node;
+      if (w >= rows_w_least(all)) {
+        rows_fill(all, axis == CORE_SURFACE_S ? node : 1 - node, w, row);
+        worst = fmax(worst, measure_row(words, &grid, row, (struct among){cell, 0.5}));
+      }
+    }
+  }
+  free(grid.owned);
   return worst;
-}
-
-/* Returns the error of the total that the pdf is divided by. */
-static double measure_total(const struct measured *of, const core_kernels_f64 *kernels) {
-  const double sigma_a = of->row->s * of->row->s;
-  const double sigma_s = of->row->albedo / of->shared[LANES_SCATTER];
-  double total;
-  kernels->varying_albedo(of->shared, of->wide, 1, &sigma_a, &sigma_s, &sigma_a, &total);
-  return fabs(total / of->row->total - 1);
-}
-
-/* Returns the largest error of all functions for one row; the pdf has that of R and of the total. */
-static double measure_row(const struct measured *of, const core_kernels_f64 *kernels) {
-  double worst = 0;
-  for (int i = 0; i <= CORE_SURFACE_X_OF_REST; i++) {
-    core_varying_kernel_f64 *kernel = i == CORE_SURFACE_Q ? kernels->varying[CORE_ELEMENTWISE_R]
-                                      : i == CORE_SURFACE_CDF
-                                          ? kernels->varying[CORE_ELEMENTWISE_CDF]
-                                          : kernels->varying_sample;
-    worst = fmax(worst, measure_function(of, i, kernel));
-  }
-  return worst + measure_total(of, kernels);
 }
 
 /* ---- all words ------------------------------------------------------------------------------- */
@@ -571,47 +537,10 @@ static void put_far(const core_surface_inputs *inputs, float *words) {
   }
 }
 
-/* Number of points of both axes of albedos. */
-static size_t rows_of(const float *words) {
-  return nodes_of(words, CORE_SURFACE_S) + nodes_of(words, CORE_SURFACE_W);
-}
-
-static void free_grid(struct grid *grid) {
-  free(grid->ln_x);
-  for (int i = 0; i < CORE_SURFACE_AXES; i++) {
-    free(grid->nodes[i]);
-  }
-  for (int i = 0; i < CORE_SURFACE_FUNCTIONS; i++) {
-    free(grid->values[i]);
-  }
-}
-
-static bool make_grid(const float *words, struct grid *grid) {
-  *grid = (struct grid){.ln_x = malloc(nodes_of(words, CORE_SURFACE_RADIUS) * sizeof(double))};
-  bool good = grid->ln_x != NULL;
-  for (int i = 0; i < CORE_SURFACE_COLOUR; i++) {
-    grid->nodes[i] = malloc(nodes_of(words, i) * sizeof(double));
-    good = good && grid->nodes[i] != NULL;
-  }
-  for (int i = 0; i <= CORE_SURFACE_TOTAL; i++) {
-    const size_t columns =
-        shapes[i].columns == CORE_SURFACE_AXES ? 1 : nodes_of(words, shapes[i].columns);
-    grid->values[i] = malloc(rows_of(words) * columns * sizeof(double));
-    good = good && grid->values[i] != NULL;
-  }
-  for (int i = 0; good && i < CORE_SURFACE_COLOUR; i++) {
-    axis_nodes(words, i, grid->nodes[i]);
-  }
-  for (size_t i = 0; good && i < nodes_of(words, CORE_SURFACE_RADIUS); i++) {
-    grid->ln_x[i] = fn_log(grid->nodes[CORE_SURFACE_RADIUS][i]);
-  }
-  return good;
-}
-
 /* Fills the rows of an axis of albedos; `first` is the number of the first one. */
 static void fill_rows(const rows *all, const float *words, const struct grid *grid,
                       enum core_surface_axis axis, size_t first, rows_row *row) {
-  for (size_t i = 0; i < nodes_of(words, axis); i++) {
+  for (size_t i = 0; i < grid->count[axis]; i++) {
     const double node = grid->nodes[axis][i];
     const bool by_s = axis == CORE_SURFACE_S;
     /* Rows far below the least albedo only fill up the first octave. */
@@ -619,33 +548,6 @@ static void fill_rows(const rows *all, const float *words, const struct grid *gr
     rows_fill(all, by_s ? node : 1 - w, w, row);
     set_values(words, grid, row, first + i);
   }
-}
-
-/* Returns the largest error in the middle of cells of both axes of albedos, and without absorption.
- */
-static double measure(const core_surface_inputs *inputs, const rows *all, const float *words,
-                      size_t count, const struct grid *grid, rows_row *row) {
-  double *wide = core_surface_widen(words, count);
-  const struct measured of = {inputs->shared, words, wide, grid, row};
-  const core_kernels_f64 *kernels = core_isa_surface_kernels(inputs->isa)->f64;
-  double worst = (double)INFINITY;
-  if (wide != NULL) {
-    rows_fill(all, 0, 1, row);
-    worst = measure_row(&of, kernels);
-  }
-  for (int axis = CORE_SURFACE_S; wide != NULL && axis <= CORE_SURFACE_W; axis++) {
-    for (size_t i = 0; i < cells_of(words, axis); i++) {
-      const double middle =
-          0.5 * (grid->nodes[axis][STEPS * i + 1] + grid->nodes[axis][STEPS * i + 2]);
-      const double w = axis == CORE_SURFACE_S ? 1 - middle : middle;
-      if (w >= rows_w_least(all)) {
-        rows_fill(all, axis == CORE_SURFACE_S ? middle : 1 - middle, w, row);
-        worst = fmax(worst, measure_row(&of, kernels));
-      }
-    }
-  }
-  free(wide);
-  return worst;
 }
 
 static void put_all_colours(const rows *all, const double *shared, float *words, size_t *at) {
@@ -670,8 +572,7 @@ static core_fault build_surface(const core_surface_inputs *inputs, const rows *a
     *count += words_of(header, i);
   }
   *words = calloc(*count, sizeof **words);
-  if (!make_grid(header, &grid) || *words == NULL) {
-    free_grid(&grid);
+  if (*words == NULL || !make_grid(header, 0, STEPS, core_cells_points, true, &grid)) {
     free(*words);
     return CORE_OUT_OF_MEMORY;
   }
@@ -679,15 +580,15 @@ static core_fault build_surface(const core_surface_inputs *inputs, const rows *a
   put_kappa(all, *words);
   put_far(inputs, *words);
   fill_rows(all, *words, &grid, CORE_SURFACE_S, 0, row);
-  fill_rows(all, *words, &grid, CORE_SURFACE_W, nodes_of(header, CORE_SURFACE_S), row);
+  fill_rows(all, *words, &grid, CORE_SURFACE_W, grid.count[CORE_SURFACE_S], row);
   size_t at = CORE_SURFACE_PATCHES;
   put_functions(&grid, *words, &at);
+  free(grid.owned);
   put_all_colours(all, NULL, *words, &at);
   (*words)[CORE_SURFACE_SCATTERED_LEAST] =
       (float)(rows_w_least(all) * (2 - rows_w_least(all)) * (1 + 0x1p-20));
   (*words)[CORE_SURFACE_ERROR] =
-      (float)(FOUND_MARGIN * measure(inputs, all, *words, *count, &grid, row) + rows_error(all));
-  free_grid(&grid);
+      (float)(FOUND_MARGIN * measure(all, *words, row) + rows_error(all));
   return (core_fault){0};
 }
 
@@ -756,25 +657,19 @@ double *core_surface_widen(const float *words, size_t count) {
 
 /* ---- checking -------------------------------------------------------------------------------- */
 
-/* Whether an axis has `cells` cells in turn, from its least to its most coordinate. */
+/* Whether coordinates between the ends of an axis have an entry, and every entry has cells. */
 static bool axis_good(const float *words, enum core_surface_axis axis, size_t most_cells) {
-  const float least = words[CORE_SURFACE_LEAST + axis], most = words[CORE_SURFACE_MOST + axis];
-  int first, end;
-  if (!(least > 0 && least < most && most < (float)INFINITY) || frexpf(least, &first) > 0.5f) {
-    return false;
+  const double least = (double)words[CORE_SURFACE_LEAST + axis];
+  const double most = (double)words[CORE_SURFACE_MOST + axis];
+  const size_t cells = cells_of(words, axis);
+  bool good = least >= ldexp(1, CORE_SURFACE_EXPONENT) && least < most &&
+              most < ldexp(1, CORE_SURFACE_EXPONENT + CORE_SURFACE_AXIS) && cells <= most_cells;
+  for (size_t i = 0; good && i < CORE_SURFACE_AXIS; i++) {
+    const uint32_t entry = entry_of(words, axis, i);
+    good =
+        core_cells_hold(entry >> CORE_CELLS_ENTRY_BITS, entry & 31, CORE_SURFACE_CUTS_MAX, cells);
   }
-  frexpf(most, &end);
-  first = first - 1 - CORE_SURFACE_EXPONENT;
-  end = end - CORE_SURFACE_EXPONENT;
-  size_t cells = 0;
-  bool good = first >= 0 && end <= CORE_SURFACE_AXIS;
-  for (int i = first; good && i < end; i++) {
-    const size_t entry =
-        integer_at(words, (size_t)CORE_SURFACE_ENTRIES + CORE_SURFACE_AXIS * axis + (size_t)i);
-    good = entry >> 5 == cells && (entry & 31) <= CORE_SURFACE_CUTS_MAX;
-    cells += good ? (size_t)1 << (entry & 31) : 0;
-  }
-  return good && cells == cells_of(words, axis) && cells <= most_cells;
+  return good;
 }
 
 core_fault core_surface_check(const float *words, size_t count, bool is_transport) {
@@ -782,7 +677,7 @@ core_fault core_surface_check(const float *words, size_t count, bool is_transpor
               integer_at(words, CORE_SURFACE_VERSION_WORD) == CORE_SURFACE_VERSION;
   for (int axis = is_transport ? 0 : CORE_SURFACE_COLOUR; good && axis < CORE_SURFACE_AXES;
        axis++) {
-    good = axis_good(words, axis, count / CORE_SURFACE_TERMS);
+    good = axis_good(words, axis, count / TERMS);
   }
   for (int i = 0; good && i < CORE_SURFACE_FUNCTIONS; i++) {
     if (is_transport || !shapes[i].of_transport) {

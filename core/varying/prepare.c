@@ -21,8 +21,6 @@ core_fault core_varying_prepare(core_varying *varying, const core_isa *isa, unsi
   }
   const double tolerance = given->value[CORE_PARAMETER_TOLERANCE];
   const core_surface_inputs inputs = {
-      .isa = isa,
-      .moments = moments,
       .g = varying->table_g,
       .eta = eta,
       .tolerance = isnan(tolerance) ? CORE_VARYING_TOLERANCE : tolerance,

@@ -41,6 +41,7 @@ struct rows {
   /* from which rows are extrapolated: to small s, and to small w */
   double base_at[2][BASES];
   rows_source base[2][BASES];
+  double base_Q[2][BASES][ROWS_PANELS_MAX][TERMS]; /* at the points of the panels */
 };
 
 /* ---- series ---------------------------------------------------------------------------------- */
@@ -70,9 +71,16 @@ static void set_panels(rows *all) {
   for (int octave = 0; octave < ROWS_OCTAVES; octave++) {
     const double begin = ldexp(1, ROWS_FIRST + octave);
     all->panel_of_octave[octave] = all->panels;
+    /* Near the source and far away, where x R is a power of x, two octaves make a panel. */
+    const bool wide = ROWS_FIRST + octave < 0 || ROWS_FIRST + octave >= ROWS_END;
+    if (wide && octave % 2 == 1) {
+      all->panel_of_octave[octave] = all->panel_of_octave[octave - 1];
+      continue;
+    }
+    const double end = (wide ? 4 : 2) * begin;
     double x = begin;
-    while (x < 2 * begin) {
-      double next = 2 * begin;
+    while (x < end) {
+      double next = end;
       for (int i = 0; i < ROWS_CUTS_MAX; i++) {
         const double edge = fixed_edge(all->table, i);
         next = edge > x && edge < next ? edge : next;
@@ -106,7 +114,7 @@ static double sum_of(const double *terms, double t) {
   const double s = 2 * t - 1;
   double next = 0, after = 0;
   for (int k = TERMS - 1; k >= 1; k--) {
-    const double sum = terms[k] + 2 * s * next - after;
+    const double sum = (terms[k] - after) + 2 * s * next;
     after = next;
     next = sum;
   }
@@ -199,20 +207,15 @@ static void set_source(const rows *all, double albedo, rows_source *source) {
   source->fading = fades ? -2 - slope : 0;
 }
 
-/* Adds Q times a weight. */
-static void add_source(const rows_source *source, double weight, size_t n, const double *y,
-                       double *Q) {
+/* Sets Q[i] to Q of a source at y[i], in ascending order. */
+static void source_Q(const rows_source *source, size_t n, const double *y, double *Q) {
   const double last = source->series.edge[TRANSPORT_TABLE_PANELS];
-  for (size_t done = 0; done < n; done += TOGETHER) {
-    const size_t count = n - done < TOGETHER ? n - done : TOGETHER;
-    double here[TOGETHER];
-    transport_series_Q(&source->series, count, y + done, here);
-    for (size_t i = 0; i < count; i++) {
-      const double beyond = y[done + i] - last;
-      const double far = beyond > 0 ? source->last_Q - (2 + source->steeper) * beyond -
-                                          0.5 * source->fading * (1 - fn_exp(-2 * beyond))
-                                    : here[i];
-      Q[done + i] += weight * far;
+  transport_series_Q(&source->series, n, y, Q);
+  for (size_t i = 0; i < n; i++) {
+    const double beyond = y[i] - last;
+    if (beyond > 0) {
+      Q[i] = source->last_Q - (2 + source->steeper) * beyond -
+             0.5 * source->fading * (1 - fn_exp(-2 * beyond));
     }
   }
 }
@@ -221,10 +224,28 @@ void rows_Q(const rows_row *row, size_t n, const double *y, double *Q) {
   for (size_t i = 0; i < n; i++) {
     Q[i] = row->lift;
   }
-  for (int i = 0; i < BASES; i++) {
-    if (row->base[i] != NULL) {
-      add_source(row->base[i], row->weight[i], n, y, Q);
+  for (int k = 0; k < BASES && row->base[k] != NULL; k++) {
+    for (size_t done = 0; done < n; done += TOGETHER) {
+      const size_t count = n - done < TOGETHER ? n - done : TOGETHER;
+      double here[TOGETHER];
+      source_Q(row->base[k], count, y + done, here);
+      for (size_t i = 0; i < count; i++) {
+        Q[done + i] += row->weight[k] * here[i];
+      }
     }
+  }
+}
+
+/* Sets Q[TERMS] to Q at the points of a panel, before it is lifted. */
+static void panel_Q(const rows *all, const rows_row *row, int panel, double *Q) {
+  if (row->base[0] == &row->source) {
+    source_Q(&row->source, TERMS, all->ln_x[panel], Q);
+    return;
+  }
+  const double(*base)[ROWS_PANELS_MAX][TERMS] = all->base_Q[row->s < all->s_least ? 0 : 1];
+  for (int i = 0; i < TERMS; i++) {
+    Q[i] = row->weight[0] * base[0][panel][i] + row->weight[1] * base[1][panel][i] +
+           row->weight[2] * base[2][panel][i];
   }
 }
 
@@ -245,7 +266,7 @@ static void sum_energy(const rows *all, rows_row *row) {
     part[i] = 0;
     if (row->kappa * all->edge[i] < DECAYS_MOST) {
       double density[TERMS], terms[TERMS];
-      rows_Q(row, TERMS, all->ln_x[i], Q);
+      panel_Q(all, row, i, Q);
       for (int k = 0; k < TERMS; k++) {
         const double kx = row->kappa * all->x[i][k];
         density[k] = 2 * FN_PI * row->albedo * width * (1 + kx) * fn_exp(Q[k] - kx);
@@ -388,6 +409,10 @@ rows *rows_create(const transport_table *table, double g, double eta, double tol
     all->base_at[1][i] = w;
     set_source(all, (1 - s) * (1 + s), &all->base[0][i]);
     set_source(all, w * (2 - w), &all->base[1][i]);
+    for (int panel = 0; panel < all->panels; panel++) {
+      source_Q(&all->base[0][i], TERMS, all->ln_x[panel], all->base_Q[0][i][panel]);
+      source_Q(&all->base[1][i], TERMS, all->ln_x[panel], all->base_Q[1][i][panel]);
+    }
   }
   return all;
 }
@@ -435,23 +460,24 @@ double rows_cdf(const rows_row *row, double x) {
   return row->before[panel] + sum_of(row->within[panel], t);
 }
 
-/* Newton's method squares its error: the step after one of this size is within 1e-10. */
-#define SEARCHED 3e-6
+/* Newton's method squares its error: the step after one of this size is within some 1e-9. */
+#define SEARCHED 3e-5
 
-/* Returns x in a panel where the energy within the panel is `wanted`: Newton's method in a
- * bracket. */
-static double search(const rows_row *row, int panel, double wanted, rows_found *last) {
-  const double *terms = row->within[panel];
-  const bool follows = last->panel == panel && last->slope > 0;
-  const double guess =
-      follows ? last->t + (wanted - last->wanted) / last->slope : wanted / sum_of(terms, 1);
+/* Returns x in a panel where the energy within the panel is `wanted`: Newton's method in a bracket.
+ * energy: u or -rest, whose differences count. */
+static double search(const rows_row *row, int panel, double wanted, double energy,
+                     rows_found *last) {
+  const double *terms = row->within[panel], *edge = &row->all->edge[panel];
+  const double width = edge[1] - edge[0], ahead = energy - last->energy;
+  const double x = last->x + ahead * (last->per_energy + 0.5 * last->bend * ahead);
+  const double guess = last->per_energy > 0 ? (x - edge[0]) / width : wanted / sum_of(terms, 1);
   double low = 0, high = 1, t = fmin(fmax(guess, 0), 1), slope = 0;
   for (int i = 0; i < STEPS; i++) {
     const double s = 2 * t - 1;
     double next = 0, after = 0, next_slope = 0, after_slope = 0;
     for (int k = TERMS - 1; k >= 1; k--) {
-      const double sum_slope = 2 * (next + s * next_slope) - after_slope;
-      const double sum = terms[k] + 2 * s * next - after;
+      const double sum_slope = (2 * next - after_slope) + 2 * s * next_slope;
+      const double sum = (terms[k] - after) + 2 * s * next; /* in this order none waits long */
       after = next;
       next = sum;
       after_slope = next_slope;
@@ -470,9 +496,10 @@ static double search(const rows_row *row, int panel, double wanted, rows_found *
       break;
     }
   }
-  *last = (rows_found){panel, wanted, t, slope};
-  const double *edge = &row->all->edge[panel];
-  return edge[0] + t * (edge[1] - edge[0]);
+  const double per_energy = width / slope;
+  *last = (rows_found){energy, edge[0] + t * width, per_energy,
+                       last->per_energy > 0 ? (per_energy - last->per_energy) / ahead : 0};
+  return last->x;
 }
 
 double rows_radius(const rows_row *row, double u, rows_found *last) {
@@ -483,7 +510,7 @@ double rows_radius(const rows_row *row, double u, rows_found *last) {
   while (panel < row->all->panels - 1 && row->before[panel + 1] < u) {
     panel++;
   }
-  return search(row, panel, u - row->before[panel], last);
+  return search(row, panel, u - row->before[panel], u, last);
 }
 
 double rows_radius_of_rest(const rows_row *row, double rest, rows_found *last) {
@@ -491,5 +518,5 @@ double rows_radius_of_rest(const rows_row *row, double rest, rows_found *last) {
   while (panel > 0 && row->beyond[panel] < rest) {
     panel--;
   }
-  return search(row, panel, fmax(row->beyond[panel] - rest, 0), last);
+  return search(row, panel, fmax(row->beyond[panel] - rest, 0), -rest, last);
 }

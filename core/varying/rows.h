@@ -36,9 +36,9 @@ typedef struct rows_row {
   double total;
   double total_diffuse;
   rows_source source;
-  const rows_source *base[ROWS_BASES];     /* Q is the sum of these with weights: the row's own */
-  double weight[ROWS_BASES];               /* source, or those that it is extrapolated from */
-  double lift;                             /* of Q, so that R integrates to the total */
+  const rows_source *base[ROWS_BASES]; /* Q is the sum of these with weights: the row's own */
+  double weight[ROWS_BASES];           /* source, or those that it is extrapolated from */
+  double lift;                         /* of Q, so that R integrates to the total */
   /* For each panel the energy within, from its begin on, per total, as a Chebyshev series; the energy
    * below its begin; and that from its begin on. */
   double within[ROWS_PANELS_MAX][ROWS_TERMS];
@@ -79,10 +79,10 @@ size_t rows_edges(const rows_row *row, double x[ROWS_EDGES_MAX]);
 
 /* Where a radius was found, from which the next one is sought. Begins as zero. */
 typedef struct rows_found {
-  int panel;
-  double wanted; /* energy within the panel */
-  double t;      /* place in the panel, from 0 to 1 */
-  double slope;  /* of the energy by t; 0 if nothing was found in a panel yet */
+  double energy; /* u or -rest */
+  double x;
+  double per_energy; /* d x / d energy; 0 if nothing was found yet */
+  double bend;       /* of per_energy, by the energy */
 } rows_found;
 
 /* Return the cdf at x, and the radius whose cdf is u, or 1 - rest. `last` is where the radius of the

@@ -60,7 +60,6 @@ enum {
   CORE_SURFACE_EXPONENT = -40, /* of the first octave that an axis may have */
   CORE_SURFACE_AXIS = 64,
   CORE_SURFACE_CUTS_MAX = 7,
-  CORE_SURFACE_TERMS = 4, /* of a cell, in each direction */
   CORE_SURFACE_KAPPA_TERMS = 5,
   CORE_SURFACE_VERSION = 1
 };
@@ -86,8 +85,6 @@ _Static_assert((int)CORE_SURFACE_ERROR < CORE_SURFACE_ENTRIES, "the words do not
 
 /* The inputs of making the words. */
 typedef struct core_surface_inputs {
-  const core_isa *isa;
-  enum core_moments moments;
   double g; /* that `transport` scatters with */
   double eta;
   double tolerance;
@@ -108,7 +105,7 @@ core_fault core_surface_share(core_varying *varying);
 /* Makes the words; the caller frees them. Faults: `tolerance`, `memory`. */
 core_fault core_surface_build(const core_surface_inputs *inputs, float **words, size_t *count);
 
-/* Returns the words for kernels in double precision (core/models/cells.h), which the caller frees,
+/* Returns the words for kernels in double precision (core/cells/find.h), which the caller frees,
  * or NULL if memory runs out. */
 double *core_surface_widen(const float *words, size_t count);
 

@@ -9,7 +9,7 @@
  *   ratio.varying.invert       the same for a medium from a colour
  *   ratio.varying.bicubic      how many times longer a bicubic interpolation takes than a value of
  *                              transport, in a table of 100 x 64 nodes that a binary search finds
- *   varying.prepare.<g>        s, to make a surface of the default tolerance
+ *   varying.surface.prepare.<g>   s, to make a surface of the default tolerance
  */
 #include <math.h>
 #include <stdio.h>
@@ -190,7 +190,7 @@ static void measure_preparation(double g) {
     seconds[i] = (double)(bench_now_ns() - start) * 1e-9;
     core_varying_free(&varying);
   }
-  bench_figure(bench_median(seconds, PREPARATIONS), "s", "varying.prepare.%g", g);
+  bench_figure(bench_median(seconds, PREPARATIONS), "s", "varying.surface.prepare.%g", g);
 }
 
 void bench_varying(void) {

@@ -1,8 +1,9 @@
-/* cells: finds and evaluates the cells of core/varying/surface.h. Each sum and product is rounded
- * separately. */
-#ifndef DIPOLED_CORE_MODELS_CELLS_H
-#define DIPOLED_CORE_MODELS_CELLS_H
+/* find: how kernels find and evaluate cells (core/cells/cells.h), and those of a surface in particular
+ * (core/varying/surface.h). Each sum and product is rounded separately. */
+#ifndef DIPOLED_CORE_CELLS_FIND_H
+#define DIPOLED_CORE_CELLS_FIND_H
 
+#include "core/cells/cells.h"
 #include "core/kernel.h"
 #include "core/varying/surface.h"
 
@@ -21,12 +22,21 @@ static inline cells_integer cells_word(const real *words, cells_integer at) {
   return word;
 }
 
-/* A cell of an axis, and the position in it, from 0 to 1. */
+/* A cell of an octave or an axis, and the place in it, from 0 to 1. */
 struct cells_place {
   cells_integer cell;
   real t;
-  real per_unit; /* by how much t grows for each unit of the coordinate */
+  real per_unit; /* by how much t grows for each unit of the coordinate; not set in an octave */
 };
+
+/* Finds a number with these bits in its octave, which has 2^(REAL_MANTISSA_BITS - shift) cells. */
+static inline struct cells_place cells_in_octave(cells_integer bits, cells_integer shift) {
+  const cells_integer mantissa = bits & (((cells_integer)1 << REAL_MANTISSA_BITS) - 1);
+  const cells_integer index = mantissa >> shift;
+  const cells_integer rest = mantissa - (index << shift);
+  const real unit = real_from_bits((real_bits)(REAL_EXPONENT_BIAS - shift) << REAL_MANTISSA_BITS);
+  return (struct cells_place){.cell = index, .t = (real)rest * unit};
+}
 
 /* axis: of enum core_surface_axis; kept: the coordinate, clamped to the axis. */
 static inline struct cells_place cells_find(const real *words, cells_integer axis, real kept) {
@@ -35,16 +45,13 @@ static inline struct cells_place cells_find(const real *words, cells_integer axi
       (bits >> REAL_MANTISSA_BITS) - (REAL_EXPONENT_BIAS + CORE_SURFACE_EXPONENT);
   const cells_integer entry =
       cells_word(words, CORE_SURFACE_ENTRIES + CORE_SURFACE_AXIS * axis + octave);
-  const cells_integer shift = REAL_MANTISSA_BITS - (entry & 31);
-  const cells_integer mantissa = bits & (((cells_integer)1 << REAL_MANTISSA_BITS) - 1);
-  const cells_integer index = mantissa >> shift;
-  const cells_integer rest = mantissa - (index << shift);
-  const real unit = real_from_bits((real_bits)(REAL_EXPONENT_BIAS - shift) << REAL_MANTISSA_BITS);
+  struct cells_place place = cells_in_octave(bits, REAL_MANTISSA_BITS - (entry & 31));
+  place.cell += entry >> CORE_CELLS_ENTRY_BITS;
   /* cells for each unit of the coordinate: 2^(cuts - exponent) */
-  const real per_unit =
+  place.per_unit =
       real_from_bits((real_bits)(REAL_EXPONENT_BIAS - octave - CORE_SURFACE_EXPONENT + (entry & 31))
                      << REAL_MANTISSA_BITS);
-  return (struct cells_place){(entry >> 5) + index, (real)rest * unit, per_unit};
+  return place;
 }
 
 static inline real cells_kept(const real *words, cells_integer axis, real x) {
