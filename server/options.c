@@ -98,9 +98,23 @@ static bool set(struct options *options, const struct description *option, const
   return false;
 }
 
+/* Returns the option whose name is nearest to a name without what stands before it. */
+static const struct description *nearest_to(const char *name, unsigned *distance) {
+  const struct description *nearest = &descriptions[0];
+  *distance = UINT_MAX;
+  for (int i = 0; i < OPTIONS; i++) {
+    const unsigned apart = core_name_distance(descriptions[i].name, name);
+    if (apart < *distance) {
+      nearest = &descriptions[i];
+      *distance = apart;
+    }
+  }
+  return nearest;
+}
+
 /* ---- environment ----------------------------------------------------------------------------- */
 
-enum { VARIABLE_BYTES = 64 };
+enum { VARIABLE_BYTES = 64, DISTANCE_MOST = 2 }; /* Names further apart are nothing alike. */
 #define VARIABLE_PREFIX "DIPOLED_"
 
 /* Writes the name of an option's environment variable: DIPOLED_ and its field in capitals. */
@@ -127,22 +141,6 @@ static bool read_environment_list(struct options *options, const struct descript
     }
   }
   return true;
-}
-
-/* Returns the option whose variable has the name that is nearest to a name. */
-static const struct description *nearest_variable(const char *name, unsigned *distance) {
-  const struct description *nearest = &descriptions[0];
-  *distance = UINT_MAX;
-  for (int i = 0; i < OPTIONS; i++) {
-    char known[VARIABLE_BYTES];
-    name_variable(&descriptions[i], known);
-    const unsigned apart = strcmp(known, name) == 0 ? 0 : 1 + core_name_distance(known, name);
-    if (apart < *distance) {
-      nearest = &descriptions[i];
-      *distance = apart;
-    }
-  }
-  return nearest;
 }
 
 /* Returns whether Kubernetes or Docker has set a variable for a service that is called dipoled, or
@@ -174,9 +172,8 @@ static bool check_variables(void) {
     if (strcmp(name, VARIABLE_PREFIX "CA") == 0) { /* the clients' variable */
       continue;
     }
-    const struct description *nearest = nearest_variable(name, &distance);
-    if (distance > 0) {
-      name_variable(nearest, known);
+    name_variable(nearest_to(name + strlen(VARIABLE_PREFIX), &distance), known);
+    if (strcmp(known, name) != 0) {
       fprintf(stderr,
               "dipoled: the environment variable %s is no option; the nearest is %s. "
               "dipoled --help lists them\n",
@@ -279,18 +276,11 @@ static void print_help(void) {
 /* Names the option that is nearest to one that getopt has refused. */
 static void name_nearest(const char *given) {
   char name[VARIABLE_BYTES];
-  unsigned least = 4; /* Names that are further apart have nothing to do with each other. */
-  const char *nearest = NULL;
+  unsigned distance;
   snprintf(name, sizeof name, "%.*s", (int)strcspn(given, "="), given);
-  for (int i = 0; i < OPTIONS; i++) {
-    char known[VARIABLE_BYTES];
-    snprintf(known, sizeof known, "--%s", descriptions[i].name);
-    const unsigned apart = strcmp(known, name) == 0 ? 0 : 1 + core_name_distance(known, name);
-    nearest = apart < least ? descriptions[i].name : nearest;
-    least = apart < least ? apart : least;
-  }
-  if (nearest != NULL && least > 0) {
-    fprintf(stderr, "dipoled: the nearest option is --%s\n", nearest);
+  const struct description *nearest = nearest_to(name + strspn(name, "-"), &distance);
+  if (distance <= DISTANCE_MOST && strcmp(nearest->name, name + strspn(name, "-")) != 0) {
+    fprintf(stderr, "dipoled: the nearest option is --%s\n", nearest->name);
   }
   fprintf(stderr, "dipoled --help lists the options\n");
 }

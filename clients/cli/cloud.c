@@ -98,10 +98,9 @@ static bool read_row(cli_csv_record *record, const cloud_columns *columns, cli_c
                      uint64_t *capacity) {
   double numbers[COLUMNS_MAX];
   const unsigned long long line = record->line;
-  if (record->malformed || cli_csv_has_more(record, columns->cell_count)) {
-    cli_fail("%s:%llu: %s", cloud->file, line,
-             record->malformed ? "text stands after a closing quote"
-                               : "more cells than in the header: numbers have a decimal point");
+  const char *fault = cli_csv_fault(record, columns->cell_count);
+  if (fault != NULL) {
+    cli_fail("%s:%llu: %s", cloud->file, line, fault);
     return false;
   }
   for (size_t i = 0; i < columns->count; i++) {

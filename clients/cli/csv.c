@@ -9,7 +9,7 @@
 #include "clients/cli/cli.h"
 #include "clients/cli/number.h"
 
-enum { BYTE_ORDER_MARK_BYTES = 3 };
+#define UTF8_MARK "\xef\xbb\xbf" /* a byte order mark, with which a file may begin */
 
 /* ---- bytes ----------------------------------------------------------------------------------- */
 
@@ -131,12 +131,14 @@ const char *cli_csv_number_hint(const char *text) {
                           : "";
 }
 
-bool cli_csv_has_more(const cli_csv_record *row, size_t header_cells) {
+const char *cli_csv_fault(const cli_csv_record *row, size_t header_cells) {
   size_t i = header_cells;
   while (i < row->cell_count && row->cells[i].text_length == 0) {
     i++;
   }
-  return i < row->cell_count;
+  return row->malformed        ? "text stands after a closing quote"
+         : i < row->cell_count ? "more cells than in the header: numbers have a decimal point"
+                               : NULL;
 }
 
 /* ---- records --------------------------------------------------------------------------------- */
@@ -169,21 +171,6 @@ static void take_run(cli_csv_reader *reader, cli_csv_record *record, bool commen
   }
   keep(record, from, count);
   reader->begin += count;
-}
-
-/* Takes the bytes of a byte order mark at the start of the input, and returns their number: 3, or
- * less if the mark is not whole. */
-static size_t take_byte_order_mark(cli_csv_reader *reader, cli_csv_record *record) {
-  static const unsigned char mark[BYTE_ORDER_MARK_BYTES] = {0xef, 0xbb, 0xbf};
-  size_t taken = 0;
-  if (reader->bytes_read > 0) {
-    return 0;
-  }
-  while (taken < sizeof mark && peek(reader) == mark[taken]) {
-    keep(record, &mark[taken++], 1);
-    reader->begin++;
-  }
-  return taken;
 }
 
 /* Takes the next byte. Returns whether it ends a line. Once a carriage return has ended one, it does
@@ -223,12 +210,17 @@ static bool names_separator(const cli_csv_record *record) {
 static enum cli_csv_kind read_line(cli_csv_reader *reader, cli_csv_record *record) {
   record->length = record->ending_bytes = record->cell_count = 0;
   record->line = reader->lines + 1;
-  const size_t mark_bytes = take_byte_order_mark(reader, record);
-  const bool part_of_mark = mark_bytes > 0 && mark_bytes < BYTE_ORDER_MARK_BYTES;
-  record->begin = part_of_mark ? 0 : mark_bytes;
   int byte = peek(reader);
+  const bool marked = record->line == 1 && reader->end - reader->begin >= strlen(UTF8_MARK) &&
+                      memcmp(reader->input + reader->begin, UTF8_MARK, strlen(UTF8_MARK)) == 0;
+  if (marked) {
+    keep(record, UTF8_MARK, strlen(UTF8_MARK));
+    reader->begin += strlen(UTF8_MARK);
+    byte = peek(reader);
+  }
+  record->begin = record->length;
   const bool comment = byte == '#' && reader->header_cells == 0;
-  enum state state = part_of_mark ? IN_CELL : comment ? IN_COMMENT : CELL_START;
+  enum state state = comment ? IN_COMMENT : CELL_START;
   uint64_t quote_line = 0;
   bool ends = false;
   for (; !ends && byte >= 0; byte = ends ? 0 : peek(reader)) {

@@ -92,8 +92,8 @@ bool cli_csv_number(const cli_csv_record *record, size_t index, double *value);
 /* Says what may help if a text is no number: starts with ": ", or is "". */
 const char *cli_csv_number_hint(const char *text);
 
-/* Returns whether a row has cells beyond those of the header that are not empty. */
-bool cli_csv_has_more(const cli_csv_record *row, size_t header_cells);
+/* Says what is wrong with a row; NULL if nothing is. Empty cells beyond the header's do no harm. */
+const char *cli_csv_fault(const cli_csv_record *row, size_t header_cells);
 
 /* Write a cell as it was read, or a text as a cell, in quotes where it needs them. */
 void cli_csv_copy_cell(const cli_csv_record *record, size_t index, FILE *file);

@@ -51,33 +51,30 @@ static double decode(double share, double exponent) {
                             : pow((share + 0.055) / 1.055, 2.4); /* IEC 61966-2-1 */
 }
 
+static double refuse_curve(const char *file, const char *what) {
+  cli_fail("%s: its %s is none of sRGB that is known here: save it as sRGB without one, or add "
+           "--linear if its values are linear",
+           file, what);
+  return -1;
+}
+
 /* Finds out how a file says that its values become linear light: cICP goes first, then sRGB, iCCP
  * and gAMA (Portable Network Graphics, third edition). Without a word they are sRGB, and so they
  * are where gAMA is nearly 1 / 2.2, which files that are sRGB say, and where libpng knows the colour
  * profile. Returns the exponent, 0 for sRGB; or -1 after a message. */
 static double find_exponent(png_structp png, png_infop info, const char *file) {
-  static const double powers[] = {[4] = 2.2, [5] = 2.8, [8] = 1}; /* of cICP; 13 is sRGB */
+  enum { CICP_SRGB = 13 };
   png_unknown_chunkp chunks = NULL;
   double gamma;
-  const int count = png_get_unknown_chunks(png, info, &chunks);
-  for (int i = 0; i < count; i++) {
-    if (memcmp(chunks[i].name, "cICP", 4) == 0 && chunks[i].size == 4) {
-      const unsigned transfer = chunks[i].data[1];
-      const double power = transfer < sizeof powers / sizeof powers[0] ? powers[transfer] : 0;
-      const bool known = power > 0 || transfer == 13;
-      return known || fail(file, "its cICP chunk names a transfer function that is not known here: "
-                                 "convert it to sRGB, or add --linear if its values are linear")
-                 ? power
-                 : -1;
-    }
+  if (png_get_unknown_chunks(png, info, &chunks) > 0) { /* cICP alone is kept */
+    return chunks[0].size == 4 && chunks[0].data[1] == CICP_SRGB ? 0
+                                                                 : refuse_curve(file, "cICP chunk");
   }
   if (png_get_valid(png, info, PNG_INFO_sRGB) != 0) {
     return 0;
   }
   if (png_get_valid(png, info, PNG_INFO_iCCP) != 0) {
-    fail(file, "its colour profile is none of sRGB that is known here: save it as sRGB without a "
-               "profile, or add --linear if its values are linear");
-    return -1;
+    return refuse_curve(file, "colour profile");
   }
   const bool tells = png_get_gAMA(png, info, &gamma) != 0 && gamma > 0;
   return tells && fabs(gamma * 2.2 - 1) > 0.01 ? 1 / gamma : 0;

@@ -17,7 +17,7 @@ typedef struct cli_image {
 
 /* Reads a file: PNG or PFM, as its first bytes say. Says on standard error if an opacity is left
  * out. The values of a PNG are shares of the largest one; unless `linear`, they are decoded to
- * linear light as the file says by cICP, iCCP or gAMA, else as sRGB. Says what is wrong and returns
+ * linear light as the file says by gAMA, else as sRGB. Says what is wrong and returns
  * false if it cannot be read. The caller frees image->values with free(). */
 bool cli_image_read(const char *file, bool linear, cli_image *image);
 

@@ -226,12 +226,8 @@ static int set_of_sample(const reading *of, const row *from, size_t column, doub
 
 static int take_row(reading *of, cli_csv_record *record) {
   row taken = {.line = record->line};
-  int status = record->malformed ? fail_line(of, record->line, "text stands after a closing quote")
-               : cli_csv_has_more(record, of->column_count)
-                   ? fail_line(of, record->line,
-                               "%zu cells, where the header has %zu: numbers have a decimal point",
-                               record->cell_count, of->column_count)
-                   : CLI_OK;
+  const char *fault = cli_csv_fault(record, of->column_count);
+  int status = fault != NULL ? fail_line(of, record->line, "%s", fault) : CLI_OK;
   for (size_t i = RADIUS; status == CLI_OK && i < COLUMNS; i++) {
     status = take_number(of, record, i, &taken.numbers[i]);
   }

@@ -35,7 +35,7 @@ static const cli_option options[] = {
      FIELD(specular), NULL},
     {"linear", NULL,
      "the values of a PNG are linear, whatever it says (default: what it says,\n"
-     "by cICP or gAMA, else sRGB)",
+     "by gAMA, else sRGB)",
      CLI_SWITCH, FIELD(linear), NULL},
     {"coefficients", "NAME[,NAME...]",
      "what to write: sigma_a, sigma_s (1/mm), and scattered, the single-scattering\n"

@@ -427,7 +427,7 @@ static enum MHD_Result ask(struct http_connection *c, enum wire_type type, uint3
 static void resume(struct http_connection *c, enum state state) {
   c->state = state;
   MHD_resume_connection(c->handle);
-  c->host->on_resumed(c->host);
+  worker_run_later(c->host->service);
 }
 
 /* ---- requests -------------------------------------------------------------------------------- */

@@ -21,9 +21,8 @@ struct http_host {
   struct worker *worker;
   struct budget buffers; /* half of the server's */
   uint64_t connection_count;
-  bool stopping; /* whether the daemon stops */
-  /* Called after a suspended connection has been resumed. */
-  void (*on_resumed)(struct http_host *host);
+  bool stopping;          /* whether the daemon stops */
+  struct client *service; /* whose turns let the library go on */
 };
 
 /* The functions that the library calls; `context` is the struct http_host. */

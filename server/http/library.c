@@ -73,8 +73,7 @@ static enum whose whose_host(const struct options *options, const char *host) {
   const size_t length = brackets ? strcspn(host, "]") : strspn(host, NAME_BYTES);
   const char *end = host + length + (brackets && host[length] != '\0');
   end += *end == ':' ? 1 + strspn(end + 1, "0123456789") : 0;
-  if (length >= sizeof name || strchr("/?", *end) == NULL ||
-      (brackets && host[length] != ']')) {
+  if (length >= sizeof name || strchr("/?", *end) == NULL || (brackets && host[length] != ']')) {
     return MALFORMED;
   }
   memcpy(name, host, length);

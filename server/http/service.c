@@ -31,12 +31,6 @@ static struct http_service *of(struct client *client) {
   return (struct http_service *)(void *)client;
 }
 
-static void on_resumed(struct http_host *host) {
-  struct http_service *service =
-      (struct http_service *)(void *)((char *)host - offsetof(struct http_service, host));
-  worker_run_later(&service->client);
-}
-
 static void on_event(uv_poll_t *poll, int status, int events) {
   struct http_service *service = poll->data;
   (void)status, (void)events;
@@ -150,7 +144,7 @@ struct http_service *http_service_open(struct server *server, struct worker *wor
       .server = server,
       .worker = worker,
       .buffers = {.most = server->options.max_total_bytes / 2, .whole = &server->buffers},
-      .on_resumed = on_resumed};
+      .service = &service->client};
   http_fields_init();
   service->count = http_library_listen("http", server->options.http, fds);
   bool good = service->count > 0;
