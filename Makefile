@@ -420,10 +420,12 @@ soak:
 
 check-asan:
 	@sh .ci/install-packages
+	@$(MAKE) --no-print-directory build/libdipole.so
 	@$(MAKE) --no-print-directory BUILD=build-asan SANITIZE='-fsanitize=address,undefined -fno-sanitize-recover=all' CFLAGS='-O1 -g' UNIT_LIMIT_S=3600 check
 
 check-tsan:
 	@sh .ci/install-packages
+	@$(MAKE) --no-print-directory build/libdipole.so
 	@$(MAKE) --no-print-directory BUILD=build-tsan SANITIZE='-fsanitize=thread' CFLAGS='-O1 -g' UNIT_LIMIT_S=3600 check
 
 # Coverage-guided fuzzing by clang's libFuzzer, with sanitizers, in a folder of its own. What `fuzz`

@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import dipole
+import dipole.library
 
 START_S = 30.0
 
@@ -35,6 +36,9 @@ def sanitized(*kinds: str) -> bool:
     code = PROGRAM.read_bytes()
     return any(f"__{kind}_init".encode() in code for kind in kinds or ("asan", "tsan"))
 
+
+# Python loads no library that needs a sanitizer.
+dipole.library.PATH = str((REPOSITORY / "build" if sanitized() else BUILD) / "libdipole.so")
 
 # How long a daemon may take to stop. It finishes a running preparation first, which takes 0.1 s,
 # 1.4 s for transport that absorbs nothing, and up to 70 times as long under a sanitizer.

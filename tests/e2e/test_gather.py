@@ -13,7 +13,7 @@ import time
 import dipole
 import numpy as np
 import pytest
-from daemons import BUILD, Daemon, eventually, sanitized
+from daemons import Daemon, eventually, sanitized
 from dipole import Points, gathering, wire
 from frames import (
     F64, SKIN, SPECTRALON, ask, assert_daemon_serves, assert_error, assert_serves, frame,
@@ -207,7 +207,6 @@ def test_workers_parts_and_other_load(daemon, expected, workers):
             thread.join()
 
 
-@pytest.mark.skipif(sanitized(), reason="Python loads no library that needs a sanitizer")
 @pytest.mark.parametrize(
     "model, tolerance", [("better", 0), ("better", 1e-5), ("transport", 1e-2), ("transport", 1e-4)]
 )
@@ -217,23 +216,19 @@ def test_at_home(client, model, tolerance):
     points, queries = scene(5000, 3), positions(6000).reshape(60, 100, 3)
     media = client.media()["skin1"]
     tables = [client.table(model, medium) for medium in media]
-    library = str(BUILD / "libdipole.so")
     asked = client.gather(model, media, points, queries, tolerance=tolerance)
-    home = dipole.gather_at_home(tables, points, queries, tolerance=tolerance, library=library)
+    home = dipole.gather_at_home(tables, points, queries, tolerance=tolerance)
     assert home.M.shape == (60, 100, 3) and np.array_equal(home.M, asked.M)
     assert (home.nodes_visited > 0) == (tolerance > 0)
     np.testing.assert_equal(dataclasses.asdict(home), dataclasses.asdict(asked))
 
 
-@pytest.mark.skipif(sanitized(), reason="Python loads no library that needs a sanitizer")
 def test_at_home_faults_and_progress(client):
     points, queries = scene(3000, 1), positions(9000)
     table = client.table("better", SKIN)
 
     def home(tables, at, **options):
-        return dipole.gather_at_home(
-            tables, points, at, library=str(BUILD / "libdipole.so"), **options
-        )
+        return dipole.gather_at_home(tables, points, at, library=dipole.library.PATH, **options)
 
     expected = home([table], queries).M
     told = []

@@ -216,6 +216,7 @@ def test_the_python_module(tree, prefix, tmp_path):
         "import dipole\n"
         "with dipole.Client() as client:\n"
         "    print(*client.eval('better', (0.032, 0.74, 0, 1.3), [0.5, 1.0]).R[0])\n"
+        "    print(float(client.table('better', (0.032, 0.74, 0, 1.3)).R(0.5)))\n"
         "print(dipole.__file__)"
     )
     env = {
@@ -223,9 +224,10 @@ def test_the_python_module(tree, prefix, tmp_path):
         "PYTHONPATH": str(found[0].parents[1]),
         "PYTHONDONTWRITEBYTECODE": "1",
     }
-    *values, path = run(sys.executable, "-c", program, env=env, cwd=tmp_path).split()
+    *values, by_table, path = run(sys.executable, "-c", program, env=env, cwd=tmp_path).split()
     assert path == str(found[0])
     assert list(map(float, values)) == expected()
+    assert float(by_table) == pytest.approx(expected()[0], rel=1e-4)
 
 
 def test_python_looks_where_the_module_is_installed(tree):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import functools
 import math
 import re
@@ -11,10 +10,10 @@ import zlib
 import dipole
 import numpy as np
 import pytest
-from daemons import BUILD, REPOSITORY, sanitized
+from daemons import REPOSITORY
 from dipole import Medium, Table, wire
 from frames import BETTER, EXACT, SKIN, ask, assert_refused, media_bytes, parameters_bytes, refused
-from lists import MODELS, NOTES, PARAMETERS, QUANTITIES, needs
+from lists import MODELS, NOTES, PARAMETERS, needs
 
 TABLE = wire.MESSAGES["table"]
 TOLERANCE = PARAMETERS["tolerance"].id
@@ -141,39 +140,6 @@ def test_radii_that_a_model_does_not_cover(client):
     assert "to 8 mm" in str(caught.value)
 
 
-def from_library(table: Table, quantity: int, x: np.ndarray) -> np.ndarray:
-    """Evaluates a saved table by libdipole: values of a quantity, or radii for quantity 0."""
-    library = ctypes.CDLL(str(BUILD / "libdipole.so"))
-    handle, out = ctypes.c_void_p(), np.empty_like(x)
-    at = [array.ctypes.data_as(ctypes.POINTER(ctypes.c_float)) for array in (x, out)]
-    count = ctypes.c_size_t(len(x))
-    assert library.dipole_table_load(
-        table.data, ctypes.c_size_t(len(table.data)), ctypes.byref(handle), None
-    )
-    if quantity == 0:
-        assert library.dipole_table_radii(handle, count, *at)
-    else:
-        assert library.dipole_table_values(handle, quantity, count, *at)
-    library.dipole_table_free(handle)
-    return out
-
-
-@pytest.mark.skipif(sanitized(), reason="a sanitized library cannot be loaded here")
-def test_same_bits_as_the_library(client, case):
-    """Python and the library give the same bits for all quantities, and for radii of a given cdf,
-    which the daemon does not evaluate."""
-    table = client.table(*case)
-    r = radii(table.pieces_from_mm, table.pieces_to_mm)
-    random = np.random.default_rng(20120101)
-    drawn = [random.random(3000), 10 ** random.uniform(-45, 0, 3000)]
-    ends = [2.0 ** -np.arange(150.0), 1 - 2.0 ** -np.arange(1.0, 25.0), [0, 1]]
-    u = np.concatenate([*drawn, *ends]).astype(np.float32)
-    for name, evaluate in [("R", table.R), ("cdf", table.cdf), ("pdf", table.pdf)]:
-        assert evaluate(r).tobytes() == from_library(table, QUANTITIES[name], r).tobytes()
-    assert table.ring(r).tobytes() == from_library(table, QUANTITIES["2_pi_r_R"], r).tobytes()
-    assert table.radius(u).tobytes() == from_library(table, 0, u).tobytes()
-
-
 def test_radii_for_given_cdf(client, case):
     """Radii for given u, from the smallest up and around the ends of octaves, have the cdf u."""
     table = client.table(*case)
@@ -182,7 +148,8 @@ def test_radii_for_given_cdf(client, case):
     u = np.concatenate([u, ends, 1 - ends[-30:], [np.nextafter(np.float32(1), np.float32(0))]])
     u = u.astype(np.float32)
     r = table.radius(u)
-    assert r.dtype == np.float32
+    drawn = client.sample(*case, u, evaluator="lut", wanted=["r"]).r[0]
+    assert r.dtype == np.float32 and r.tobytes() == drawn.tobytes()
     if table.albedo == 0:
         assert not r.any()
         return

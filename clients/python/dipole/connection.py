@@ -484,14 +484,19 @@ def _poll(connection: socket.socket, wanted: int, wait_ms: float | None) -> int:
     return events[0][1] if events else 0
 
 
+def built(name: str) -> Path | None:
+    """Returns a file in build/ of the repository that holds this module, if there is one."""
+    folder = Path(__file__).resolve().parent
+    in_clone = folder.parts[-3:] == ("clients", "python", "dipole")
+    path = folder.parents[2] / "build" / name
+    return path if in_clone and path.exists() else None
+
+
 def _find_daemon() -> str:
     """Finds the dipoled beside the running program, else the one in $PATH, else the one in build/
     of the repository that holds this module."""
     beside = Path(sys.argv[0] or ".").resolve().parent / "dipoled"
-    folder = Path(__file__).resolve().parent
-    in_clone = folder.parts[-3:] == ("clients", "python", "dipole")
-    built = folder.parents[2] / "build" / "dipoled" if in_clone else None
-    for found in (beside, shutil.which("dipoled"), built):
+    for found in (beside, shutil.which("dipoled"), built("dipoled")):
         if found is not None and os.access(found, os.X_OK):
             return str(found)
     raise FileNotFoundError(

@@ -1,5 +1,5 @@
-"""Client.gather(): sums of the light that points leave at other positions; and gather_at_home(), which
-needs no daemon.
+"""Client.gather(): sums of the light that points leave at other positions; and gather_at_home(),
+which needs no daemon.
 
 The points are sent at most once to each daemon, which knows them by the hash of their content. A
 daemon that does not have them says so, and is then sent them; so it does not matter which daemon
@@ -12,7 +12,6 @@ import ctypes
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +22,8 @@ from .calls import Calls, Steps
 from .errors import ArgumentError, DipoleError, ProtocolError, Refused
 from .exchange import Answer as _Answer
 from .exchange import Once, Request
+from .library import Handle, address, call
+from .library import library as load
 from .table import Table
 from .values import Array, Gathered, Info, Media
 
@@ -40,8 +41,8 @@ class Points:
     """A set of points that hold power.
 
     xyz: [N, 3] mm. power: [N] or [N, C] W, one for each channel: irradiance times area. The powers
-    are rounded to single precision. A Points object may be used for any number of calls and clients;
-    it computes the name of its content once.
+    are rounded to single precision. A Points object may be used for any number of calls and
+    clients; it computes the name of its content once.
     """
 
     def __init__(self, xyz: Any, power: Any):
@@ -144,8 +145,8 @@ def _read_sent(payload: bytes) -> Any:
 
 
 def _order(queries: Array) -> Any:
-    """Returns an order in which neighbours follow each other: along Morton's curve through 1024 cubes
-    on a side."""
+    """Returns an order in which neighbours follow each other: along Morton's curve through 1024
+    cubes on a side."""
     least = queries.min(axis=0)
     extent = float(np.max(queries.max(axis=0) - least)) or 1.0
     cubes = ((queries - least) * (1023 / extent)).astype(np.int64)
@@ -162,7 +163,7 @@ class _Run:
 
     def __init__(self, plan: Plan):
         # Where there are several requests, neighbours are put into one, because the daemon shares
-        # between them what it finds. Bad queries, which it names by their index, stay where they are.
+        # between them what it finds. Bad queries, which it names by index, stay where they are.
         several = len(plan.queries) > _PART_QUERIES and plan.fixed["tolerance"] > 0
         self._order: Any = None
         if several and np.all(np.abs(plan.queries) <= 1e9):
@@ -371,20 +372,6 @@ def gather(
 # ---- at home -------------------------------------------------------------------------------------
 
 
-class _Error(ctypes.Structure):
-    """struct dipole_error of clients/c/dipole.h."""
-
-    _fields_ = (
-        ("kind", ctypes.c_int),
-        ("status", ctypes.c_uint),
-        ("index", ctypes.c_uint64),
-        ("field", ctypes.c_char * 33),
-        ("allowed", ctypes.c_char * 81),
-        ("retry_after_ms", ctypes.c_uint32),
-        ("text", ctypes.c_char * 256),
-    )
-
-
 class _Result(ctypes.Structure):
     """struct dipole_gather_result of clients/c/dipole.h."""
 
@@ -402,19 +389,6 @@ class _Result(ctypes.Structure):
 _FOLLOW = ctypes.CFUNCTYPE(ctypes.c_bool, ctypes.c_void_p, ctypes.c_uint64, ctypes.c_uint64)
 
 
-def _library(path: str | None) -> ctypes.CDLL:
-    folder = Path(__file__).resolve().parent
-    name = "libdipole.so.0"
-    if path is None and folder.parts[-3:] == ("clients", "python", "dipole"):
-        built = folder.parents[2] / "build" / name
-        path = str(built) if built.exists() else None
-    return ctypes.CDLL(path or name)
-
-
-def _address(array: Array) -> ctypes.c_void_p:
-    return ctypes.c_void_p(array.ctypes.data)
-
-
 def gather_at_home(
     tables: Sequence[Table],
     points: Points,
@@ -424,12 +398,12 @@ def gather_at_home(
     progress: Progress = None,
     library: str | None = None,
 ) -> Gathered:
-    """Sums as Client.gather() does, with the same bits, but in this process and on one thread. It needs
-    the C library, not a daemon.
+    """Sums as Client.gather() does, with the same bits, but in this process and on one thread. It
+    needs the C library, not a daemon.
 
-    tables: those of Client.table() or Table.load(), one for each power of a point. library: the path
-    of the C library; else that of the clone that holds this module, or the installed one. Raises
-    OSError if there is none.
+    tables: those of Client.table() or Table.load(), one for each power of a point. library: the
+    path of the C library; else that of the clone that holds this module, or the installed one.
+    Raises OSError if there is none.
     """
     listed = np.asarray(queries, np.float64)
     if listed.ndim < 1 or listed.shape[-1] != 3:
@@ -438,8 +412,7 @@ def gather_at_home(
         raise ArgumentError(f"tables: {points.channels}, one for each power of a point")
     places = np.ascontiguousarray(listed)
     sums = np.empty((*listed.shape[:-1], points.channels))
-    calls, error, result = _library(library), _Error(), _Result()
-    handles = (ctypes.c_void_p * len(tables))()
+    calls, result = load(library), _Result()
     handle = ctypes.c_void_p()
     raised: list[BaseException] = []
 
@@ -450,41 +423,30 @@ def gather_at_home(
             raised.append(caught)
             return False
 
-    def call(function: Any, *arguments: Any) -> None:
-        function.restype = ctypes.c_bool
-        if not function(*arguments, ctypes.byref(error)):
-            raise ArgumentError(error.text.decode())
-
+    held = [Handle(calls, "table", table.data) for table in tables]
+    call(
+        calls.dipole_points_make,
+        ctypes.c_uint64(len(points)),
+        ctypes.c_uint32(points.channels),
+        address(points.xyz),
+        address(points.power),
+        ctypes.byref(handle),
+    )
     try:
-        for i, table in enumerate(tables):
-            made = ctypes.c_void_p()
-            size = ctypes.c_size_t(len(table.data))
-            call(calls.dipole_table_load, table.data, size, ctypes.byref(made))
-            handles[i] = made.value
-        call(
-            calls.dipole_points_make,
-            ctypes.c_uint64(len(points)),
-            ctypes.c_uint32(points.channels),
-            _address(points.xyz),
-            _address(points.power),
-            ctypes.byref(handle),
-        )
         call(
             calls.dipole_gather_at_home,
-            handles,
+            (ctypes.c_void_p * len(held))(*(one.value for one in held)),
             handle,
             ctypes.c_double(tolerance),
             ctypes.c_uint64(places.size // 3),
-            _address(places),
+            address(places),
             _FOLLOW(follow),
             None,
-            _address(sums),
+            address(sums),
             ctypes.byref(result),
         )
     finally:
         calls.dipole_points_free(handle)
-        for one in handles:
-            calls.dipole_table_free(ctypes.c_void_p(one))
     if raised:
         raise raised[0]
     sums.setflags(write=False)

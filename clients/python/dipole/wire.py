@@ -50,6 +50,7 @@ KINDS = _numbered(
 
 # Permanent ids that the layout of a payload depends on.
 EVALUATOR_TYPES = {1: "<f8", 2: "<f4", 3: "<f4"}  # by evaluator: the numpy type of its values
+EVALUATORS = {"f64": 1, "f32": 2}
 QUANTITY_R = 1
 QUANTITY_ALBEDO = 2
 QUANTITY_CDF = 4
@@ -77,6 +78,7 @@ FIT_FITTED = 1  # the only status of a fit that is a success
 VARYING_NONE = 0
 VARYING_RADII = 1
 VARYING_DRAWN = 2
+VALUE_OK = 0
 VALUES_ANSWERED = (0, 1)
 ANY_MODEL = 0  # in place of a model: the daemon chooses one by the parameter tolerance
 
