@@ -12,20 +12,6 @@
 const char *const cli_palette[CLI_PALETTE] = {"#0072b2", "#d55e00", "#009e73", "#cc79a7",
                                               "#e69f00", "#56b4e9", "#7f7f7f", "#8c564b"};
 
-const char *cli_channel_colour(const cli_profile *profile, size_t channel) {
-  static const char *const rgb[CLI_COLOURS] = {"#d62728", "#2ca02c", "#1f4fd8"};
-  const size_t colour = cli_colour(profile->channels[channel].name);
-  if (colour < CLI_COLOURS) {
-    return rgb[colour];
-  }
-  return profile->channel_count == CLI_COLOURS ? rgb[channel] : cli_palette[channel % CLI_PALETTE];
-}
-
-void cli_channel_title(const cli_profile *profile, size_t channel, char *text, size_t bytes) {
-  snprintf(text, bytes, "%s%s", profile->medium != NULL ? "" : "channel ",
-           profile->channels[channel].name);
-}
-
 cli_curve *cli_picture_add(cli_picture *picture) {
   picture->curves = cli_resize(picture->curves, picture->curve_count + 1, sizeof(cli_curve));
   cli_curve *curve = &picture->curves[picture->curve_count++];
@@ -132,17 +118,12 @@ static void write_curve(FILE *script, const cli_curve *curve, size_t number, boo
   static const char *const styles[][2] = {
       [CLI_LINE] = {"1:2", "lines lw 2"},
       [CLI_FITTED] = {"1:2 smooth unique", "lines lw 1.5"},
-      [CLI_BINS] = {" smooth frequency", "boxes fs transparent solid 0.25 noborder"},
       [CLI_POINTS] = {"1:2", "points pt 7 ps 0.6"},
       [CLI_ERRORS] = {"1:2:3", "yerrorbars pt 7 ps 0.5"},
   };
   const enum cli_style style = curve->style;
   const bool dot = style == CLI_LINE && curve->count == 1;
   fprintf(script, "$curve%zu using ", number);
-  if (style == CLI_BINS) {
-    fprintf(script, "(%.9g*(floor($1/%.9g)+0.5)):(%.9g)", curve->bin, curve->bin,
-            1 / (curve->bin * (double)curve->count));
-  }
   fputs(text && style == CLI_ERRORS ? "1:2" : styles[style][0], script);
   if (!text) {
     fprintf(script, " with %s dt %zu", styles[dot ? CLI_POINTS : style][1], 1 + curve->dash);

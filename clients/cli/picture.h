@@ -30,7 +30,6 @@ typedef struct cli_row {
 enum cli_style {
   CLI_LINE,
   CLI_FITTED, /* a line through the points in the order of x */
-  CLI_BINS,   /* a histogram of the places */
   CLI_POINTS,
   CLI_ERRORS, /* points with standard errors */
 };
@@ -39,7 +38,6 @@ typedef struct cli_curve {
   size_t row, column; /* of its panel */
   enum cli_style style;
   size_t dash, mark; /* from 0 on; a mark stands for the curve in text */
-  double bin;        /* for CLI_BINS: how wide one is */
   const char *colour;
   char title[CLI_LABEL_BYTES]; /* in the legend; "" if it is not there */
   size_t count;
@@ -70,11 +68,5 @@ cli_curve *cli_picture_add(cli_picture *picture);
 int cli_picture_draw(cli_picture *picture, const cli_texts *paths);
 
 extern const char *const cli_palette[CLI_PALETTE];
-
-/* Returns the colour of a channel's curve, such as "#d62728". */
-const char *cli_channel_colour(const cli_profile *profile, size_t channel);
-
-/* Writes what a legend calls a channel, such as "red" or "channel 1". */
-void cli_channel_title(const cli_profile *profile, size_t channel, char *text, size_t bytes);
 
 #endif

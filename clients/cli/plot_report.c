@@ -31,6 +31,22 @@ static bool is_by_channel(const cli_eval_report *report) {
   return report->model_count > FEW_MODELS || channels > FEW_CHANNELS || channels == 1;
 }
 
+/* Returns the colour of a channel's curve, such as "#d62728". */
+static const char *channel_colour(const cli_profile *profile, size_t channel) {
+  static const char *const rgb[CLI_COLOURS] = {"#d62728", "#2ca02c", "#1f4fd8"};
+  const size_t colour = cli_colour(profile->channels[channel].name);
+  if (colour < CLI_COLOURS) {
+    return rgb[colour];
+  }
+  return profile->channel_count == CLI_COLOURS ? rgb[channel] : cli_palette[channel % CLI_PALETTE];
+}
+
+/* Writes what a legend calls a channel, such as "red" or "channel 1". */
+static void title_channel(const cli_profile *profile, size_t channel, char *text, size_t bytes) {
+  snprintf(text, bytes, "%s%s", profile->medium != NULL ? "" : "channel ",
+           profile->channels[channel].name);
+}
+
 static void add_curve(cli_picture *picture, const cli_eval_report *report, size_t k,
                       size_t quantity) {
   const size_t channels = report->profile.channel_count, model = k / channels;
@@ -45,13 +61,13 @@ static void add_curve(cli_picture *picture, const cli_eval_report *report, size_
       .dash = by_channel ? model / CLI_PALETTE : model,
       .mark = by_channel ? model : k,
       .colour = by_channel ? cli_palette[model % CLI_PALETTE]
-                           : cli_channel_colour(&report->profile, k % channels),
+                           : channel_colour(&report->profile, k % channels),
       .count = report->radius_count,
       .x = report->radii,
       .y = report->values[k].arrays[quantity],
       .error = walked ? report->values[k].arrays[quantity + 1] : NULL,
   };
-  cli_channel_title(&report->profile, k % channels, channel, sizeof channel);
+  title_channel(&report->profile, k % channels, channel, sizeof channel);
   snprintf(curve->title, sizeof curve->title, "%s%s%s", name, by_channel ? "" : ", ",
            by_channel ? "" : channel);
 }
@@ -99,7 +115,7 @@ static char *make_caption(const cli_eval_report *report) {
   }
   for (size_t i = 0; i < profile->channel_count && i < CAPTION_CHANNELS; i++) {
     const dipole_medium *medium = &profile->channels[i].medium;
-    cli_channel_title(profile, i, name, sizeof name);
+    title_channel(profile, i, name, sizeof name);
     fprintf(lines, "%s: sigma_a %.6g/mm, sigma_s %.6g/mm, g %.6g, eta %.6g\n", name,
             medium->sigma_a_per_mm, medium->sigma_s_per_mm, medium->g, medium->eta);
   }
@@ -125,7 +141,7 @@ int cli_plot_report(cli_picture *picture, const cli_eval_report *report, const c
   picture->column_count = by_channel ? profile->channel_count : 1;
   picture->columns = cli_allocate(picture->column_count, sizeof *picture->columns);
   for (size_t i = 0; by_channel && i < profile->channel_count; i++) {
-    cli_channel_title(profile, i, picture->columns[i], sizeof picture->columns[i]);
+    title_channel(profile, i, picture->columns[i], sizeof picture->columns[i]);
   }
   picture->caption = make_caption(report);
   return cli_picture_draw(picture, paths);

@@ -39,19 +39,15 @@ static void add_part(cli_rings *rings, size_t ring, double from_mm, double to_mm
 }
 
 static void add_ring(cli_rings *rings, size_t ring) {
-  const double to_mm = rings->edges_mm[ring + 1];
-  double from_mm = rings->edges_mm[ring];
-  int octaves = OCTAVES_OF_DISC;
-  if (from_mm > 0) {
-    octaves = (int)fmax(ceil(log2(to_mm / from_mm)), 1);
-  } else {
-    from_mm = ldexp(to_mm, -octaves);
-    add_part(rings, ring, 0, from_mm);
-  }
-  const double ratio = pow(to_mm / from_mm, 1.0 / octaves);
-  for (int i = 0; i < octaves; i++) {
-    add_part(rings, ring, from_mm * pow(ratio, i),
-             i + 1 < octaves ? from_mm * pow(ratio, i + 1) : to_mm);
+  const double from_mm = rings->edges_mm[ring], to_mm = rings->edges_mm[ring + 1];
+  const double first_mm = from_mm > 0 ? from_mm : ldexp(to_mm, -OCTAVES_OF_DISC);
+  const int octaves = (int)fmax(ceil(log2(to_mm / first_mm)), 1);
+  double low_mm = from_mm;
+  for (int i = from_mm > 0 ? 1 : 0; i <= octaves; i++) {
+    const double high_mm =
+        i < octaves ? first_mm * pow(to_mm / first_mm, (double)i / octaves) : to_mm;
+    add_part(rings, ring, low_mm, high_mm);
+    low_mm = high_mm;
   }
 }
 

@@ -1,16 +1,13 @@
 /* dipole sample: draws radii in proportion to the light that leaves there. */
-#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "clients/cli/daemon.h"
 #include "clients/cli/number.h"
-#include "clients/cli/picture.h"
 #include "clients/cli/profile.h"
 #include "clients/cli/progress.h"
 #include "clients/cli/rows.h"
 
-#define PLOT_FILE "dipole.svg"
 #define DRAW_OF_A_LIST "list"
 
 typedef struct sample_settings {
@@ -19,7 +16,6 @@ typedef struct sample_settings {
   cli_count count, seed, first;
   const char *draw;
   cli_texts wanted;
-  cli_texts plot;
 } sample_settings;
 
 #define FIELD(name) offsetof(sample_settings, name)
@@ -48,11 +44,6 @@ static const cli_option options[] = {
      "radii (default: r,pdf)",
      CLI_NAMES, FIELD(wanted), NULL},
     {CLI_DEADLINE_OPTION, NULL},
-    {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"plot", "[FILE]",
-     "also draw a histogram of the radii, and their density, into FILE.svg or\n"
-     "FILE.png (default: " PLOT_FILE "); -: as text. May be repeated",
-     CLI_FILES, FIELD(plot), NULL},
     {0},
 };
 
@@ -79,8 +70,7 @@ static int check(void *given) {
     return cli_fail_usage("--u gives the numbers one by one: leave --count, --draw, "
                           "--seed and --first out");
   }
-  const int drawn = cli_picture_check(&settings->plot, &settings->profile.common);
-  return drawn == CLI_OK ? cli_deadline_check(&settings->profile) : drawn;
+  return cli_deadline_check(&settings->profile);
 }
 
 /* ---- asking ---------------------------------------------------------------------------------- */
@@ -135,9 +125,7 @@ static dipole_sample_query make_query(const sample_settings *settings, const rep
       .model = profile->model->id,
       .evaluator = profile->evaluator->id,
       .moments = profile->moments->id,
-      /* A picture needs these two, even if they are not written. */
-      .wanted = of->quantities.wanted |
-                (settings->plot.count > 0 ? (unsigned)DIPOLE_RADIUS | DIPOLE_PDF : 0),
+      .wanted = of->quantities.wanted,
       .media = profile->media,
       .medium_count = (uint32_t)profile->channel_count,
       .draw = of->draw->id,
@@ -318,66 +306,6 @@ static void put_members(cli_json *json, const void *context) {
   cli_rows_json(json, "channels", profile->channel_count, put_channel, of);
 }
 
-/* ---- the picture: a histogram, and over it the density that the radii were drawn from -------- */
-
-enum { BINS = 60 };
-
-/* The picture shows this share of the radii. The largest ones would leave the others no room. */
-#define SHOWN_SHARE 0.99
-
-static int compare(const void *a, const void *b) {
-  const double x = *(const double *)a, y = *(const double *)b;
-  return (x > y) - (x < y);
-}
-
-/* Stores a channel's radii and densities. Returns the radius within which the shown share lies; 0
- * if that is infinite. sorted: room for [count]. */
-static double take_points(const report *of, size_t channel, double *r_mm, double *pdf_per_mm,
-                          double *sorted) {
-  for (size_t i = 0; i < of->count; i++) {
-    r_mm[i] = sorted[i] = value_of(of, channel, DIPOLE_RADIUS, i);
-    pdf_per_mm[i] = value_of(of, channel, DIPOLE_PDF, i);
-  }
-  qsort(sorted, of->count, sizeof *sorted, compare);
-  const double last_mm = sorted[(size_t)(SHOWN_SHARE * (double)(of->count - 1))];
-  return isfinite(last_mm) ? last_mm : 0;
-}
-
-static int draw(const report *of, const cli_texts *paths) {
-  const size_t channels = of->profile.channel_count, count = of->count;
-  const char *medium = of->profile.medium;
-  cli_picture picture = {.x_label = "r (mm)",
-                         .row_count = 1,
-                         .column_count = 1,
-                         .rows = {{.label = "density (1/mm)"}}};
-  double *r_mm = cli_allocate((2 * channels + 1) * count, sizeof(double)), most_mm = 0;
-  double *pdf_per_mm = r_mm + channels * count, *sorted = pdf_per_mm + channels * count;
-  for (size_t c = 0; c < channels; c++) {
-    most_mm = fmax(most_mm, take_points(of, c, r_mm + c * count, pdf_per_mm + c * count, sorted));
-  }
-  for (size_t i = 0; i < channels * count; i++) {
-    pdf_per_mm[i] = r_mm[i] <= most_mm && most_mm > 0 ? pdf_per_mm[i] : (double)NAN;
-  }
-  for (size_t k = 0; k < 2 * channels; k++) {
-    const size_t c = k / 2;
-    cli_curve *curve = cli_picture_add(&picture);
-    *curve = (cli_curve){.style = k % 2 == 0 ? CLI_BINS : CLI_FITTED,
-                         .mark = c,
-                         .colour = cli_channel_colour(&of->profile, c),
-                         .bin = most_mm / BINS,
-                         .count = count,
-                         .x = r_mm + c * count,
-                         .y = pdf_per_mm + c * count};
-    cli_channel_title(&of->profile, c, curve->title, k % 2 == 0 ? 1 : sizeof curve->title);
-  }
-  snprintf(picture.title, sizeof picture.title, "%.64s%s%.24s: %zu radii, %.24s",
-           medium != NULL ? medium : "", medium != NULL ? ", " : "", of->profile.model->name, count,
-           of->draw->name);
-  const int status = cli_picture_draw(&picture, paths);
-  free(r_mm);
-  return status;
-}
-
 /* ---- the command ----------------------------------------------------------------------------- */
 
 static int ask_and_write(const sample_settings *settings, dipole_client *client, report *of) {
@@ -397,7 +325,7 @@ static int ask_and_write(const sample_settings *settings, dipole_client *client,
                              .put_row = put_sample,
                              .members = put_members};
   cli_write(&output, settings->profile.common.form, of);
-  return status == CLI_OK && settings->plot.count > 0 ? draw(of, &settings->plot) : status;
+  return status;
 }
 
 static int run(void *settings, dipole_client *client) {
@@ -422,7 +350,6 @@ const cli_command cli_command_sample = {
             "numbers.\n" CLI_DEFAULT_TEXT,
     .formats = "table,csv,json",
     .options = {cli_medium_options, options, cli_parameter_options},
-    .usual_file = PLOT_FILE,
     .settings_bytes = sizeof(sample_settings),
     .check = check,
     .run = run,
@@ -430,6 +357,6 @@ const cli_command cli_command_sample = {
                 "  dipole sample --medium skin1 --u 0.1,0.5,0.9 --wanted r,pdf,R,cdf\n"
                 "  dipole sample --sigma-a 0.01 --sigma-s 1 --count 1000 --draw stratified "
                 "--seed 7 --format csv\n"
-                "  dipole sample --medium marble --model burley --count 10000 --plot marble.svg\n"
+                "  dipole sample --medium marble --model burley --count 10000\n"
                 "  dipole sample --medium skin1 --model better --evaluator f32 --count 1000\n",
 };

@@ -1,16 +1,14 @@
-"""`dipole sample`: the daemon's radii in every format, a picture, and wrong command lines."""
+"""`dipole sample`: the daemon's radii in every format, and wrong command lines."""
 
 from __future__ import annotations
 
 import json
-import re
 
 import numpy as np
 import pytest
 from command_line import FAILED, USAGE, dipole, read_csv, says
 from dipole import Draw
 from frames import SKIN
-from pictures import script
 
 MEDIUM = ["--sigma-a", "0.032", "--sigma-s", "0.74"]  # skin1, red
 
@@ -98,32 +96,6 @@ def test_defaults():
     ).stdout
 
 
-def test_a_picture(tmp_path):
-    """A histogram of the radii, and their density: of 99 % of them."""
-    how = ["sample", "--medium", "skin1", "--count", "500", "--wanted", "r"]
-    (panel,) = script(tmp_path, *how)
-    assert panel.settings["ylabel"] == "density (1/mm)"
-    assert panel.settings["multiplot"].endswith("skin1, better: 500 radii, random")
-    assert [curve.title for curve in panel.curves] == ["", "red", "", "green", "", "blue"]
-    run = dipole(*how[:-1], "r,pdf", "--format", "csv")
-    rows = [row for row in read_csv(run.stdout) if row["channel"] == "red"]
-    bins, density = panel.curves[:2]
-    points = [[float(row["r"]), float(row["pdf"])] for row in rows]
-    shown = [point for point in points if point[0] <= sorted(points)[494][0]]
-    assert density.data[:, :2].tolist() == bins.data[:, :2].tolist() == shown
-    width, same, share = re.match(
-        r"\((.*)\*\(floor\(\$1/(.*)\)\+0.5\)\):\((.*)\) smooth frequency with boxes", bins.style
-    ).groups()
-    assert float(width) == float(same) == pytest.approx(max(r for r, _ in shown) / 60)
-    assert float(share) == pytest.approx(1 / (500 * float(width)))
-
-
-def test_nothing_to_draw(tmp_path):
-    path = str(tmp_path / "r.svg")
-    run = dipole("sample", *MEDIUM, "--u", "1,1", "--plot", path, status=FAILED)
-    assert "density (1/mm) is 0, negative or infinite everywhere" in run.stderr
-
-
 test_wrong_command_lines_say_what_to_do = says(USAGE, ["sample"], [
     ([], "give --medium NAME, or --sigma-a and --sigma-s"),
     ([*MEDIUM, "--u", "0.5", "--count", "3"], "--u gives the numbers one by one: leave"),
@@ -138,7 +110,6 @@ test_wrong_command_lines_say_what_to_do = says(USAGE, ["sample"], [
     ([*MEDIUM, "--evaluator", "f16"], "--evaluator: 'f16' is unknown; this daemon has f64"),
     ([*MEDIUM, "--moments", "fat"], "--moments: 'fat' is unknown; this daemon has exact"),
     ([*MEDIUM, "--format", "xml"], "--format xml: it is one of table,csv,json"),
-    ([*MEDIUM, "--plot", "r.pdf"], "--plot r.pdf: the name must end in .svg or .png"),
     ([*MEDIUM, "--deadline-ms", "4294967296"], "--deadline-ms: give at most 4294967295"),
     ([*MEDIUM, "skin1"], "'skin1' is one argument too many"),
 ])
