@@ -11,10 +11,7 @@
 #include "clients/cli/rows.h"
 
 typedef struct mc_settings {
-  cli_common common;
-  const char *medium;
-  cli_texts channel;
-  cli_numbers sigma_a, sigma_s, g, eta;
+  cli_profile_settings profile; /* the medium */
   cli_number thickness;
   const char *phase;
   cli_number phase_share, phase_g, detector_na;
@@ -27,27 +24,10 @@ typedef struct mc_settings {
   cli_count seed;
 } mc_settings;
 
-#define ETA_DEFAULT 1.3
 #define FIELD(name) offsetof(mc_settings, name)
 
 static const cli_option options[] = {
-    {"Medium", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"medium", "NAME", "a measured medium; `dipole media` lists them", CLI_TEXT, FIELD(medium),
-     NULL},
-    {"channel", "COLOUR[,...]", "red, green or blue. Only these channels are taken (default: all)",
-     CLI_NAMES, FIELD(channel), NULL},
-    {"sigma-a", "X[,X...]",
-     "absorption coefficient, 1/mm; one value for each channel. Each channel is\na job of its own",
-     CLI_NUMBERS, FIELD(sigma_a), NULL},
-    {"sigma-s", "X[,X...]", "scattering coefficient, 1/mm; a single value is for all channels",
-     CLI_NUMBERS, FIELD(sigma_s), NULL},
-    {"g", "X[,X...]",
-     "mean cosine of the scattering angle (default: 0); sigma_s (1 - g) of a\n"
-     "measured medium stays as it was measured",
-     CLI_NUMBERS, FIELD(g), NULL},
-    {"eta", "X[,X...]",
-     "refractive index inside over outside (default: that of the measured\nmedium, else 1.3)",
-     CLI_NUMBERS, FIELD(eta), NULL},
+    {"Walks", NULL, NULL, CLI_HEADING, 0, NULL},
     {"phase", "NAME",
      "phase function: henyey-greenstein, modified or two-term; `dipole info`\n"
      "describes them; their mean cosine is that of --g (default:\nhenyey-greenstein)",
@@ -90,8 +70,8 @@ static const cli_option options[] = {
 
 typedef struct report {
   const dipole_info *info;
-  const char *medium; /* a measured medium; NULL if it is given by numbers */
-  char channel[24]; /* its colour or, if there are several channels, their numbers from 1; or "" */
+  const char *medium;  /* the only measured one; NULL if there is none */
+  const char *channel; /* the name of the channel; "" if there is one that is not measured */
   const dipole_choice *phase;
   const cli_numbers *r; /* none: rings are written */
   cli_parameters parameters;
@@ -101,59 +81,10 @@ typedef struct report {
 
 /* ---- without a daemon ------------------------------------------------------------------------ */
 
-static bool is_asked(const mc_settings *settings, size_t colour) {
-  return settings->channel.count == 0 || cli_texts_have(&settings->channel, cli_colours[colour]);
-}
-
-/* Returns the number of channels; 0 if the options disagree about it. */
-static size_t count_channels(const mc_settings *settings) {
-  const size_t counts[] = {settings->sigma_a.count, settings->sigma_s.count, settings->g.count,
-                           settings->eta.count};
-  size_t count = settings->medium == NULL ? 1 : 0;
-  for (size_t i = 0; settings->medium != NULL && i < CLI_COLOURS; i++) {
-    count += is_asked(settings, i);
-  }
-  for (size_t i = 0; i < sizeof counts / sizeof counts[0]; i++) {
-    if (counts[i] > 1 && counts[i] != count) {
-      if (settings->medium != NULL || count > 1) {
-        return 0;
-      }
-      count = counts[i];
-    }
-  }
-  return count;
-}
-
-static int check_medium(const mc_settings *settings) {
-  if (settings->medium == NULL && (settings->sigma_a.count == 0 || settings->sigma_s.count == 0)) {
-    return cli_fail_usage("give --medium NAME, or --sigma-a and --sigma-s");
-  }
-  if (settings->medium == NULL && settings->channel.count > 0) {
-    return cli_fail_usage(
-        "--channel chooses channels of --medium NAME: add --medium NAME, or leave "
-        "--channel out");
-  }
-  if (settings->medium != NULL && (settings->sigma_a.count > 0 || settings->sigma_s.count > 0)) {
-    return cli_fail_usage("--medium NAME stands for --sigma-a and --sigma-s: leave these "
-                          "out; --g and --eta may stay");
-  }
-  for (size_t i = 0; i < settings->channel.count; i++) {
-    if (cli_colour(settings->channel.items[i]) == CLI_COLOURS) {
-      return cli_fail_usage("--channel: '%s' is unknown; it is red, green or blue",
-                            settings->channel.items[i]);
-    }
-  }
-  return count_channels(settings) > 0
-             ? CLI_OK
-             : cli_fail_usage(
-                   "--sigma-a, --sigma-s, --g and --eta: give one value, or one for each "
-                   "channel");
-}
-
 static int check(void *given) {
   const mc_settings *settings = given;
   const double photons = settings->photons.value;
-  const int status = check_medium(settings);
+  const int status = cli_medium_check(&settings->profile);
   if (status != CLI_OK) {
     return status;
   }
@@ -183,32 +114,6 @@ static int check(void *given) {
 }
 
 /* ---- the query ------------------------------------------------------------------------------- */
-
-/* Takes channel number `index` of those that are asked for. */
-static int take_measured(const mc_settings *settings, dipole_client *client, size_t index,
-                         report *of) {
-  dipole_measured_medium found;
-  dipole_medium *medium = &of->query.medium;
-  size_t colour = 0;
-  const int status = cli_find_medium(client, settings->medium, &found);
-  if (status != CLI_OK) {
-    return status;
-  }
-  for (size_t left = index; left > 0 || !is_asked(settings, colour); colour++) {
-    left -= is_asked(settings, colour);
-  }
-  snprintf(of->channel, sizeof of->channel, "%s", cli_colours[colour]);
-  *medium = found.channel[colour];
-  if (settings->g.count > 0) {
-    /* Only sigma_s' was measured. So another g needs another sigma_s, which keeps sigma_s' the
-     * same. */
-    const double g = cli_numbers_pick(&settings->g, index, 0);
-    medium->sigma_s_per_mm = medium->sigma_s_per_mm * (1 - medium->g) / (1 - g);
-    medium->g = g;
-  }
-  medium->eta = cli_numbers_pick(&settings->eta, index, medium->eta);
-  return CLI_OK;
-}
 
 /* Returns how many photons may walk. If an error is asked for, only the daemon limits them. */
 static uint64_t photons_of(const mc_settings *settings, const dipole_info *info) {
@@ -278,19 +183,15 @@ static void set_rings(const cli_numbers *r, dipole_mc_query *query) {
   query->radius_stop_mm = most_mm * exp(half);
 }
 
-/* Makes the query of channel number `index` of `count`. */
-static int make_query(const mc_settings *settings, dipole_client *client, size_t index,
-                      size_t count, report *of) {
-  of->info = dipole_get_info(client);
-  of->medium = settings->medium;
-  if (count > 1) {
-    snprintf(of->channel, sizeof of->channel, "%zu", index + 1);
-  }
+/* Makes the query of a channel. */
+static int make_query(const mc_settings *settings, const cli_profile *profile, size_t channel,
+                      report *of) {
+  const bool measured = profile->medium != NULL;
+  of->info = profile->info;
+  of->medium = measured && strchr(profile->medium, ',') == NULL ? profile->medium : NULL;
+  of->channel = measured || profile->channel_count > 1 ? profile->channels[channel].name : "";
   of->query = (dipole_mc_query){
-      .medium = {cli_numbers_pick(&settings->sigma_a, index, 0),
-                 cli_numbers_pick(&settings->sigma_s, index, 0),
-                 cli_numbers_pick(&settings->g, index, 0),
-                 cli_numbers_pick(&settings->eta, index, ETA_DEFAULT)},
+      .medium = profile->media[channel],
       .albedos = settings->albedo.items,
       .albedo_count = (unsigned)settings->albedo.count,
       .thickness_mm = settings->thickness.value,
@@ -307,9 +208,7 @@ static int make_query(const mc_settings *settings, dipole_client *client, size_t
   if (of->r->count > 0) {
     set_rings(of->r, &of->query);
   }
-  const int status = take_parameters(settings, of);
-  return status != CLI_OK || settings->medium == NULL ? status
-                                                      : take_measured(settings, client, index, of);
+  return take_parameters(settings, of);
 }
 
 /* ---- following the job ----------------------------------------------------------------------- */
@@ -731,16 +630,16 @@ static void put_all(cli_json *json, const void *context) {
 }
 
 /* Runs the job of each channel. Ctrl-C ends the present one, and none is begun after it. */
-static int run_jobs(const mc_settings *settings, dipole_client *client, size_t count,
+static int run_jobs(const mc_settings *settings, dipole_client *client, const cli_profile *profile,
                     reports *all) {
   dipole_error error;
-  while (all->count < count && !cli_interrupted()) {
+  while (all->count < profile->channel_count && !cli_interrupted()) {
     report *of = &all->items[all->count];
-    const int status = make_query(settings, client, all->count, count, of);
+    const int status = make_query(settings, profile, all->count, of);
     if (status != CLI_OK) {
       return status;
     }
-    if (!run_job(client, &settings->common, of, &error)) {
+    if (!run_job(client, &settings->profile.common, of, &error)) {
       return cli_fail_error(&error);
     }
     all->count++;
@@ -750,12 +649,13 @@ static int run_jobs(const mc_settings *settings, dipole_client *client, size_t c
 
 static int run(void *given, dipole_client *client) {
   const mc_settings *settings = given;
-  const size_t count = count_channels(settings);
-  reports all = {.items = cli_allocate(count, sizeof *all.items)};
-  int status = run_jobs(settings, client, count, &all);
+  cli_profile profile = {0};
+  int status = cli_profile_take(&settings->profile, client, &profile);
+  reports all = {.items = cli_allocate(profile.channel_count, sizeof *all.items)};
+  status = status == CLI_OK ? run_jobs(settings, client, &profile, &all) : status;
   if (all.count > 0) {
     const cli_output output = {.table = write_tables, .csv = write_csv, .members = put_all};
-    cli_write(&output, settings->common.form, &all);
+    cli_write(&output, settings->profile.common.form, &all);
   }
   for (size_t i = 0; i < all.count; i++) {
     const int judged = judge(&all.items[i]);
@@ -763,6 +663,7 @@ static int run(void *given, dipole_client *client) {
     dipole_mc_result_free(all.items[i].result);
   }
   free(all.items);
+  cli_profile_free(&profile);
   return status;
 }
 
@@ -771,13 +672,13 @@ const cli_command cli_command_mc = {
     .about = "Walk photons through a medium (Monte Carlo): R(r) with standard errors",
     .more =
         "\n"
-        "The daemon does this as a job of low priority beside its other work. Ctrl-C cancels the\n"
-        "job and prints what has been walked by then. Values are means over rings, in 1/mm^2 per\n"
-        "unit of power that entered. A second table has the light beyond the rings, the totals\n"
-        "of R and T and what was absorbed. The exit status is 1 if the job was cancelled or\n"
-        "missed the error that was asked for.\n",
+        "The daemon does this as jobs of low priority beside its other work, one a channel.\n"
+        "Ctrl-C cancels the job and prints what has been walked by then. Values are means over\n"
+        "rings, in 1/mm^2 per unit of power that entered. A second table has the light beyond the\n"
+        "rings, the totals of R and T and what was absorbed. The exit status is 1 if the job was\n"
+        "cancelled or missed the error that was asked for.\n",
     .formats = "table,csv,json",
-    .options = {options},
+    .options = {cli_medium_options, options},
     .examples = "  dipole mc --medium skin1\n"
                 "  dipole mc --medium skin1 --channel blue --g 0.8 --error 0.02 --to 3\n"
                 "  dipole mc --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --thickness 2\n"

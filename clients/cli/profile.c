@@ -24,8 +24,10 @@ const cli_option cli_medium_options[] = {
      FIELD(sigma_a), NULL},
     {"sigma-s", "X[,X...]", "scattering coefficient, 1/mm; a single value is for all channels",
      CLI_NUMBERS, FIELD(sigma_s), NULL},
-    {"g", "X[,X...]", "mean cosine of the scattering angle (default: 0)", CLI_NUMBERS, FIELD(g),
-     NULL},
+    {"g", "X[,X...]",
+     "mean cosine of the scattering angle (default: 0); sigma_s (1 - g) of a\n"
+     "measured medium stays as it was measured",
+     CLI_NUMBERS, FIELD(g), NULL},
     {"eta", "X[,X...]",
      "refractive index inside over outside (default: that of the measured\nmedium, else 1.3)",
      CLI_NUMBERS, FIELD(eta), NULL},
@@ -210,13 +212,12 @@ size_t cli_colour(const char *name) {
 }
 
 int cli_medium_check(const cli_profile_settings *settings) {
-  const bool coefficients = settings->sigma_a.count > 0 || settings->sigma_s.count > 0;
   if (settings->medium == NULL && (settings->sigma_a.count == 0 || settings->sigma_s.count == 0)) {
     return cli_fail_usage("give --medium NAME, or --sigma-a and --sigma-s");
   }
-  if (settings->medium != NULL && (coefficients || settings->g.count > 0)) {
-    return cli_fail_usage("--medium NAME stands for --sigma-a, --sigma-s and --g: leave "
-                          "these out; --eta may stay");
+  if (settings->medium != NULL && (settings->sigma_a.count > 0 || settings->sigma_s.count > 0)) {
+    return cli_fail_usage("--medium NAME stands for --sigma-a and --sigma-s: leave these out; --g "
+                          "and --eta may stay");
   }
   if (settings->medium == NULL && settings->channel.count > 0) {
     return cli_fail_usage("--channel is one of a measured medium: give --medium too");
@@ -277,6 +278,9 @@ static void add_measured(const cli_profile_settings *settings, const dipole_meas
       snprintf(channel->name, sizeof channel->name, "%s%s%s", several ? medium->name : "",
                several ? " " : "", cli_colours[i]);
       channel->medium = medium->channel[i];
+      const double g = cli_numbers_pick(&settings->g, *at, channel->medium.g);
+      channel->medium.sigma_s_per_mm *= (1 - channel->medium.g) / (1 - g);
+      channel->medium.g = g;
       channel->medium.eta = cli_numbers_pick(&settings->eta, *at, channel->medium.eta);
       ++*at;
     }

@@ -7,7 +7,7 @@ import math
 import signal
 
 import pytest
-from command_line import FAILED, USAGE, Terminal, dipole, read_csv, says
+from command_line import FAILED, USAGE, Terminal, dipole, eval_rows, read_csv, says
 
 MEDIUM = ["--sigma-a", "0.1", "--sigma-s", "0.9", "--eta", "1.3"]
 SHORT = [*MEDIUM, "--photons", "2e4", "--to", "4", "--rings", "4"]
@@ -82,6 +82,10 @@ def test_a_measured_medium_with_another_g():
     assert report["medium"] == "skin1" and report["channel"] == "blue"
     assert report["sigma_a"] == 0.48 and report["g"] == 0.8
     assert abs(report["sigma_s"] - 1.01 / 0.2) < 1e-12
+    several = mc_json("--medium", "skin1,marble", "--channel", "red", "--photons", "5000")
+    assert [one["channel"] for one in several["channels"]] == ["skin1 red", "marble red"]
+    (row,) = eval_rows("--medium", "skin1", "--channel", "blue", "--g", "0.8", "--r", "1")
+    assert (row["g"], float(row["sigma_s"])) == ("0.8", report["sigma_s"])
 
 
 def test_error_targets():
@@ -100,11 +104,11 @@ test_wrong_command_lines_say_what_to_do = says(USAGE, ["mc"], [
     ([], "give --medium NAME, or --sigma-a and --sigma-s"),
     (["--sigma-a", "1"], "give --medium NAME, or --sigma-a and --sigma-s"),
     (["--medium", "skin1", "--channel", "pink"], "--channel: 'pink' is unknown; it is red, green"),
-    (["--sigma-a", "1,2", "--sigma-s", "1,2,3"], "give one value, or one for each channel"),
-    (["--medium", "skin1", "--eta", "1.3,1.4"], "give one value, or one for each channel"),
+    (["--sigma-a", "1,2", "--sigma-s", "1,2,3"], "--sigma-s has 3 values and --sigma-a has 2: give one"),
+    (["--medium", "skin1", "--eta", "1.3,1.4"], "--eta has 2 values and --medium has 3: give one value"),
     (["--medium", "skin", "--channel", "red"], "--medium: 'skin' is unknown; this daemon has"),
     ([*MEDIUM, "--medium", "skin1"], "--medium NAME stands for --sigma-a and --sigma-s"),
-    ([*MEDIUM, "--channel", "red"], "--channel chooses channels of --medium NAME"),
+    ([*MEDIUM, "--channel", "red"], "--channel is one of a measured medium: give --medium too"),
     ([*MEDIUM, "--log"], "--log needs --from, above 0"),
     ([*MEDIUM, "--photons", "1.5"], "--photons: give a whole number from 1 to 9e15, such as 2000000"),
     ([*MEDIUM, "--photons", "0"], "--photons: give a whole number"),
