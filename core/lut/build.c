@@ -37,8 +37,6 @@ struct build {
   double error;
 };
 
-static const core_fault too_rough = {"tolerance", "larger: no table of this profile keeps it", 0};
-
 /* ---- the functions --------------------------------------------------------------------------- */
 
 static void scaled_R(const void *context, size_t n, const double *x, double *y) {
@@ -181,45 +179,26 @@ static bool find_last(struct build *b) {
 
 /* ---- gathering ------------------------------------------------------------------------------- */
 
-static core_fault from_fit(enum lut_fit fit) {
-  return fit == LUT_FITTED      ? (core_fault){0}
-         : fit == LUT_NO_MEMORY ? CORE_OUT_OF_MEMORY
-                                : too_rough;
-}
-
-/* Fits the octaves from first to last - 1 of a subject. `octaves` is the word that holds the entry
- * of exponent -127. The search for the number of cuts of an octave begins near the result of the
- * one before. */
+/* Fits the octaves from first to last - 1 of a subject, and raises b->error to the largest error found
+ * in them. `octaves` is the word that holds the entry of exponent -127. The search for the number of
+ * cuts of an octave begins near the result of the one before. */
 static core_fault gather(struct build *b, const struct lut_subject *subject, uint32_t octaves,
                          int first, int last) {
   unsigned cuts = 0;
   struct lut_subject stricter = *subject;
   stricter.tolerance *= FIT_SHARE;
-  for (int exponent = first; exponent < last; exponent++) {
-    uint32_t entry;
+  core_fault fault = {0};
+  for (int exponent = first; fault.field == NULL && exponent < last; exponent++) {
+    uint32_t *entry = &b->entries[octaves - CORE_LUT_R_OCTAVES + (uint32_t)(exponent + 127)];
     cuts = cuts > 0 ? cuts - 1 : 0;
-    const enum lut_fit fit = lut_fit_octave(&stricter, exponent, &cuts, &b->pieces, &entry);
-    if (fit != LUT_FITTED) {
-      return from_fit(fit);
+    fault = lut_fit_octave(&stricter, exponent, &cuts, &b->pieces, entry);
+    if (fault.field == NULL) {
+      const double error = lut_fit_error(subject, exponent, *entry, &b->pieces, b->error);
+      fault = error <= subject->tolerance ? fault : lut_too_rough;
+      b->error = fmax(b->error, error);
     }
-    b->entries[octaves - CORE_LUT_R_OCTAVES + (uint32_t)(exponent + 127)] = entry;
   }
-  return (core_fault){0};
-}
-
-/* Raises b->error to the largest error found in these octaves. Faults if it exceeds the tolerance.
- */
-static core_fault measure(struct build *b, const struct lut_subject *subject, uint32_t octaves,
-                          int first, int last) {
-  for (int exponent = first; exponent < last; exponent++) {
-    const uint32_t entry = b->entries[octaves - CORE_LUT_R_OCTAVES + (uint32_t)(exponent + 127)];
-    const double error = lut_fit_error(subject, exponent, entry, &b->pieces, b->error);
-    if (!(error <= subject->tolerance)) {
-      return too_rough;
-    }
-    b->error = fmax(b->error, error);
-  }
-  return (core_fault){0};
+  return fault;
 }
 
 static core_fault gather_R(struct build *b) {
@@ -231,11 +210,7 @@ static core_fault gather_R(struct build *b) {
       /* 8 of the smallest positive numbers in any quantity that is derived from R */
       .negligible = 0x1p-146 / factor / b->scale,
   };
-  core_fault fault = gather(b, &subject, CORE_LUT_R_OCTAVES, b->first, b->last);
-  if (fault.field == NULL) {
-    fault = measure(b, &subject, CORE_LUT_R_OCTAVES, b->first, b->last);
-  }
-  return fault;
+  return gather(b, &subject, CORE_LUT_R_OCTAVES, b->first, b->last);
 }
 
 static core_fault gather_cdf(struct build *b) {
@@ -246,11 +221,7 @@ static core_fault gather_cdf(struct build *b) {
       .negligible = 0x1p-146, /* 8 of the smallest positive numbers */
       .monotone = true,
   };
-  core_fault fault = gather(b, &subject, CORE_LUT_CDF_OCTAVES, b->first, b->last);
-  if (fault.field == NULL) {
-    fault = measure(b, &subject, CORE_LUT_CDF_OCTAVES, b->first, b->last);
-  }
-  return fault;
+  return gather(b, &subject, CORE_LUT_CDF_OCTAVES, b->first, b->last);
 }
 
 /* Returns the least exponent of u at which the radius is a normal number. */
@@ -292,18 +263,11 @@ static core_fault gather_radius(struct build *b) {
   const int first = first_u(b);
   core_fault fault = gather(b, &near, CORE_LUT_RADIUS_OCTAVES, first, -1);
   if (fault.field == NULL) {
-    fault =
-        from_fit(lut_fit_constant((float)middle, &b->pieces,
-                                  &b->entries[CORE_LUT_RADIUS_OCTAVES - CORE_LUT_R_OCTAVES + 126]));
+    fault = lut_fit_constant((float)middle, &b->pieces,
+                             &b->entries[CORE_LUT_RADIUS_OCTAVES - CORE_LUT_R_OCTAVES + 126]);
   }
   if (fault.field == NULL) {
     fault = gather(b, &far, CORE_LUT_COMPLEMENT_OCTAVES, COMPLEMENT_EXPONENT_MIN, -1);
-  }
-  if (fault.field == NULL) {
-    fault = measure(b, &near, CORE_LUT_RADIUS_OCTAVES, first, -1);
-  }
-  if (fault.field == NULL) {
-    fault = measure(b, &far, CORE_LUT_COMPLEMENT_OCTAVES, COMPLEMENT_EXPONENT_MIN, -1);
   }
   const double u = ldexp(1, first);
   double r;
@@ -318,7 +282,7 @@ static core_fault gather_radius(struct build *b) {
 
 static core_fault gather_all(struct build *b) {
   if (!find_first(b) || !set_scale(b) || !find_last(b)) {
-    return too_rough;
+    return lut_too_rough;
   }
   const double two_pi = 6.28318530717958647693;
   b->word[CORE_LUT_SCALE] = b->scale;
@@ -351,7 +315,7 @@ static core_fault assemble(const struct build *b, core_lut *lut) {
     lut->words[i] = (float)b->word[i];
     if (!isfinite(lut->words[i])) {
       free(lut->words);
-      return too_rough;
+      return lut_too_rough;
     }
   }
   memcpy(&lut->words[CORE_LUT_R_OCTAVES], b->entries, sizeof b->entries);
@@ -370,7 +334,7 @@ core_fault core_lut_build(core_lut *lut, const core_profile *source, double tole
   /* Entries outside of the octaves point to the first piece. The kernels replace its values there
    * by the asymptotes. */
   uint32_t outside;
-  core_fault fault = from_fit(lut_fit_constant(0, &b.pieces, &outside));
+  core_fault fault = lut_fit_constant(0, &b.pieces, &outside);
   for (size_t i = 0; i < sizeof b.entries / sizeof b.entries[0]; i++) {
     b.entries[i] = CORE_LUT_ENTRY(0, CORE_LUT_MANTISSA_BITS);
   }

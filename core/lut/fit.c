@@ -8,6 +8,8 @@
 #include <math.h>
 #include <stdlib.h>
 
+#include "core/kernels.h"
+
 /* The places in a piece where the fit is compared, in 1/64 of its length. All are exact in single
  * precision. */
 enum { PLACES = 11, STEP = 64, FOUND_PER_PIECE = 5, SCANNED_PER_PIECE = 16 };
@@ -24,6 +26,8 @@ static const int points[3][4] = {{0, 10}, {0, 5, 10}, {0, 3, 7, 10}};
 
 /* A term of the wrong sign is set to 0 if its size is at most this, relative to the first term. */
 #define ALMOST_NONE 1e-9
+
+const core_fault lut_too_rough = {"tolerance", "larger: no table of this profile keeps it", 0};
 
 /* ---- candidates ------------------------------------------------------------------------------ */
 
@@ -171,38 +175,38 @@ static bool fit_all(const struct lut_subject *subject, int exponent, unsigned cu
   return true;
 }
 
-enum lut_fit lut_fit_octave(const struct lut_subject *subject, int exponent, unsigned *cuts,
-                            struct lut_pieces *pieces, uint32_t *entry) {
+core_fault lut_fit_octave(const struct lut_subject *subject, int exponent, unsigned *cuts,
+                          struct lut_pieces *pieces, uint32_t *entry) {
   for (; *cuts <= CORE_LUT_CUTS_MAX; ++*cuts) {
     const size_t more = (size_t)1 << *cuts;
     if (pieces->count + more > CORE_LUT_PIECES_MAX) {
       break;
     }
     if (!make_room(pieces, more)) {
-      return LUT_NO_MEMORY;
+      return CORE_OUT_OF_MEMORY;
     }
     *entry = CORE_LUT_ENTRY(pieces->count, CORE_LUT_MANTISSA_BITS - *cuts);
     if (fit_all(subject, exponent, *cuts, &pieces->c[pieces->count]) &&
         lut_fit_error(subject, exponent, *entry, pieces, (double)INFINITY) <= subject->tolerance) {
       pieces->count += more;
-      return LUT_FITTED;
+      return (core_fault){0};
     }
   }
-  return LUT_TOO_ROUGH;
+  return lut_too_rough;
 }
 
-enum lut_fit lut_fit_constant(float value, struct lut_pieces *pieces, uint32_t *entry) {
+core_fault lut_fit_constant(float value, struct lut_pieces *pieces, uint32_t *entry) {
   if (pieces->count == CORE_LUT_PIECES_MAX) {
-    return LUT_TOO_ROUGH;
+    return lut_too_rough;
   }
   if (!make_room(pieces, 1)) {
-    return LUT_NO_MEMORY;
+    return CORE_OUT_OF_MEMORY;
   }
   const float piece[CORE_LUT_TERMS] = {value, 0, 0, 0};
   memcpy(pieces->c[pieces->count], piece, sizeof piece);
   *entry = CORE_LUT_ENTRY(pieces->count, CORE_LUT_MANTISSA_BITS);
   pieces->count++;
-  return LUT_FITTED;
+  return (core_fault){0};
 }
 
 /* Returns the largest relative error of piece `index` of 2^cuts at n arguments, which are given as

@@ -23,16 +23,17 @@ struct lut_pieces {
   size_t room; /* pieces that c has memory for */
 };
 
-enum lut_fit { LUT_FITTED, LUT_TOO_ROUGH, LUT_NO_MEMORY };
+/* The fault if no table keeps the tolerance. */
+extern const core_fault lut_too_rough;
 
 /* Appends the pieces for [2^exponent, 2^(exponent + 1)). It begins with 2^*cuts equal pieces and
  * doubles their number until they keep the tolerance. Sets *cuts to the log2 of that number and
- * *entry to the entry that finds the pieces. */
-enum lut_fit lut_fit_octave(const struct lut_subject *subject, int exponent, unsigned *cuts,
-                            struct lut_pieces *pieces, uint32_t *entry);
+ * *entry to the entry that finds the pieces. Faults: lut_too_rough and `memory`. */
+core_fault lut_fit_octave(const struct lut_subject *subject, int exponent, unsigned *cuts,
+                          struct lut_pieces *pieces, uint32_t *entry);
 
 /* Appends one piece that has the same value everywhere. */
-enum lut_fit lut_fit_constant(float value, struct lut_pieces *pieces, uint32_t *entry);
+core_fault lut_fit_constant(float value, struct lut_pieces *pieces, uint32_t *entry);
 
 /* Returns the largest relative error of the pieces of an octave. Each piece is compared at five
  * arguments that the fit itself has not looked at, and at many more if its error there is among the

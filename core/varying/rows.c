@@ -353,9 +353,7 @@ void rows_fill(const rows *all, double s, double w, rows_row *row) {
   row->s = s;
   row->w = w;
   row->albedo = w * (1 + s);
-  const transport_slice_sums totals = rows_totals(all, s, w);
-  row->total = totals.beam;
-  row->total_diffuse = totals.diffuse;
+  row->total = rows_totals(all, s, w).beam;
   row->kappa = kappa_of_row(all, s, w);
   row->lift = 0;
   if (s < all->s_least || w < all->w_least) {

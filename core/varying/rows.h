@@ -34,7 +34,6 @@ typedef struct rows_row {
   double albedo;
   double kappa;
   double total;
-  double total_diffuse;
   rows_source source;
   const rows_source *base[ROWS_BASES]; /* Q is the sum of these with weights: the row's own */
   double weight[ROWS_BASES];           /* source, or those that it is extrapolated from */
