@@ -372,6 +372,7 @@ def full(value) -> str:
 def test_readings_that_are_wrong_are_told(page):
     page.open()
     for text, said in [("r,R\n1,2\n", "no column error"), ("r,R,error\n1,x,2\n", "Line 2"),
+                       ("# a, b\nsample,r,R,error\n# c\n#1,1,x,1\n", "Line 4"),
                        ("r,R,error,z\n1,1,1,1\n", "Column z"), (READINGS, "Give eta")]:
         paste(page, text)
         page.run("await page.waitForFunction(said => document.getElementById('fit-problem')"
