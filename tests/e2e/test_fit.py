@@ -3,7 +3,6 @@ and others are fitted; a request of any size is answered in turns, in parts and 
 
 from __future__ import annotations
 
-import asyncio
 
 import dipole
 import numpy as np
@@ -167,15 +166,6 @@ def test_many_requests_for_an_image(client, readings, monkeypatch):
     cut = client.fit("better", AT_MM, image, 0.02 * image, eta=1.4, residuals=True)
     assert cut.sets.tobytes() == whole.sets.tobytes()
     np.testing.assert_array_equal(cut.residuals, whole.residuals)
-
-
-def test_asyncio(client, daemon, readings):
-    async def fit() -> dipole.Fits:
-        async with dipole.AsyncClient(daemon().url("unix")) as other:
-            return await other.fit("better", AT_MM, readings, 0.01 * readings, eta=1.4)
-
-    here = client.fit("better", AT_MM, readings, 0.01 * readings, eta=1.4)
-    assert asyncio.run(fit()).sets.tobytes() == here.sets.tobytes()
 
 
 # ---- what is never a success ---------------------------------------------------------------------

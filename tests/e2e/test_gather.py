@@ -147,18 +147,6 @@ def test_no_queries_and_many(client):
     assert np.all(found.M > 0)
 
 
-def test_asyncio(shared):
-    points, queries = scene(2000), positions(30)
-
-    async def gather() -> dipole.values.Gathered:
-        async with dipole.AsyncClient(shared.url()) as client:
-            return await client.gather("better", [SKIN], points, queries)
-
-    with shared.client() as client:
-        expected = client.gather("better", [SKIN], points, queries)
-    assert np.array_equal(asyncio.run(gather()).M, expected.M)
-
-
 # ---- the same bits -------------------------------------------------------------------------------
 
 

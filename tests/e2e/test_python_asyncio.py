@@ -32,42 +32,64 @@ def run(coroutine):
 # ---- the same answers ----------------------------------------------------------------------------
 
 
+R = np.linspace(0.5, 3, 6)
+POINTS = dipole.Points(np.linspace(0, 1, 300).reshape(100, 3), np.ones(100))
+CALLS = {
+    "eval": (["better", THREE, [0.5, 1.0]], {"wanted": ["R", "cdf", "albedo"]}),
+    "values": (["better", Medium(np.linspace(0.01, 1, 5)[:, None], 1.0), np.linspace(0, 3, 4)],
+               {"quantity": "cdf", "evaluator": "f32"}),
+    "media": ([], {}),
+    "offers": ([SKIN, [1.0]], {"tolerance": 0.02}),
+    "table": (["better", SKIN], {"tolerance": 1e-3}),
+    "surface": (["transport", 0.3, 1.4], {"tolerance": 1e-2}),
+    "sample": (["better", "skin1"], {"draw": dipole.Draw(100)}),
+    "invert": (["better", [0.2, 0.8], 1.5], {}),
+    "fit": (["better", R, np.exp(-R), 0.01 * np.exp(-R)], {"eta": 1.4}),
+    "varying": (["better"], {"sigma_a": [0.1, 0.2], "sigma_s": 1.0, "r": [[0.5], [1.0]]}),
+    "gather": (["better", [SKIN], POINTS, np.ones((30, 3))], {}),
+    "mc": ([SKIN, Grid(0, 4, 5)], {"photons": 20000, "seed": 3}),
+    "ring_means": (["better", "skin1", Grid(0, 4, 5)], {}),
+}  # fmt: skip
+
+
+def assert_same(found, expected) -> None:
+    """Compares all that two answers hold."""
+    assert type(found) is type(expected)
+    if isinstance(found, dict):
+        assert found.keys() == expected.keys()
+        for name in found:
+            assert_same(found[name], expected[name])
+    elif isinstance(found, (dipole.Table, dipole.Surface)):
+        assert found.data == expected.data
+    elif isinstance(found, list):
+        for one, other in zip(found, expected, strict=True):
+            assert_same(one, other)
+    elif hasattr(found, "__dict__"):
+        assert_same(vars(found), vars(expected))
+    elif isinstance(found, np.ndarray):
+        assert (found.dtype, found.shape) == (expected.dtype, expected.shape)
+        assert found.tobytes() == expected.tobytes()
+    else:
+        np.testing.assert_equal(found, expected)
+
+
 def test_every_call_answers_as_the_other_client(shared):
     async def ask() -> None:
         async with AsyncClient(shared.url()) as client:
             assert client.info == known.info
-            result = await client.eval("better", THREE, [0.5, 1.0], wanted=["R", "cdf", "albedo"])
-            expected = known.eval("better", THREE, [0.5, 1.0], wanted=["R", "cdf", "albedo"])
-            np.testing.assert_array_equal(result.R, expected.R)
-            np.testing.assert_array_equal(result.cdf, expected.cdf)
-            np.testing.assert_array_equal(result.albedo, expected.albedo)
-            shape = Medium(np.linspace(0.01, 1, 5)[:, None], 1.0), np.linspace(0, 3, 4)
-            values = await client.values("better", *shape, quantity="cdf", evaluator="f32")
-            expected = known.values("better", *shape, quantity="cdf", evaluator="f32")
-            np.testing.assert_array_equal(values.values, expected.values)
-            assert await client.media() == known.media()
+            for name, (arguments, options) in CALLS.items():
+                found = await getattr(client, name)(*arguments, **options)
+                assert_same(found, getattr(known, name)(*arguments, **options))
             assert (await client.statistics()).keys() == known.statistics().keys()
             assert await client.ping(b"12345678") > 0
-            offers = await client.offers(SKIN, [1.0], tolerance=0.02)
-            assert offers == known.offers(SKIN, [1.0], tolerance=0.02)
-            table = await client.table("better", SKIN, tolerance=1e-3)
-            expected = known.table("better", SKIN, tolerance=1e-3)
-            np.testing.assert_array_equal(table.words, expected.words)
-            samples = await client.sample("better", THREE, draw=dipole.Draw(100))
-            expected = known.sample("better", THREE, draw=dipole.Draw(100))
-            np.testing.assert_array_equal(samples.r, expected.r)
-            inverted = await client.invert("better", [0.2, 0.8], 1.5)
-            expected = known.invert("better", [0.2, 0.8], 1.5)
-            np.testing.assert_array_equal(inverted.sigma_a, expected.sigma_a)
-            walk = {"photons": 20000, "seed": 3}
-            result = await client.mc(SKIN, Grid(0, 4, 5), **walk)
-            expected = known.mc(SKIN, Grid(0, 4, 5), **walk)
-            means = await client.ring_means("better", "skin1", result.edges)
-            assert (means.R == known.ring_means("better", "skin1", Grid(0, 4, 5)).R).all()
-            np.testing.assert_array_equal(result.values, expected.values)
+            parts = [part async for part in client.eval_parts("better", SKIN, R)]
+            assert_same(parts, list(known.eval_parts("better", SKIN, R)))
 
     with shared.client() as known:
         run(ask())
+    own = {name for name in vars(dipole.Client) if not name.startswith("_")}
+    both = own & {name for name in vars(AsyncClient) if not name.startswith("_")}
+    assert both == {*CALLS, "statistics", "ping", "eval_parts", "address", "close"}
 
 
 def test_many_at_a_time_are_told_apart(shared):

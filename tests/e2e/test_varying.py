@@ -344,18 +344,6 @@ def test_answers_that_do_not_fit_are_not_taken(client):
     assert answer.ended
 
 
-def test_the_asyncio_client(daemon):
-    import asyncio
-
-    async def run(url: str) -> dipole.Varying:
-        async with dipole.AsyncClient(url) as client:
-            return await client.varying("better", **texture(100))
-
-    one = daemon()
-    with one.client() as client:
-        assert bits(asyncio.run(run(one.url()))) == bits(client.varying("better", **texture(100)))
-
-
 # ---- at home -------------------------------------------------------------------------------------
 
 
@@ -476,18 +464,6 @@ def test_damaged_surfaces_are_refused_or_evaluated(client):
     for damaged in (data[:-1], data + b"\0", data[:100], b"", data[:-1] + b"\xff"):
         with pytest.raises(dipole.TableError):
             dipole.Surface(damaged)
-
-
-def test_the_asyncio_client_fetches_surfaces(daemon):
-    import asyncio
-
-    async def run(url: str) -> dipole.Surface:
-        async with dipole.AsyncClient(url) as client:
-            return await client.surface("transport", 0.3, 1.4)
-
-    one = daemon()
-    with one.client() as client:
-        assert asyncio.run(run(one.url())).data == client.surface("transport", 0.3, 1.4).data
 
 
 @pytest.mark.parametrize("model", ["burley", "burley-diffuse", "burley-dmfp"])

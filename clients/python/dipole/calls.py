@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, ParamSpec, Protocol, TypeVar, Union, overloa
 
 from . import values, wire
 from .arguments import known
-from .errors import ArgumentError, ConnectionLost, ProtocolError
+from .errors import ArgumentError, ConnectionLost, DipoleError, ProtocolError
 from .exchange import Exchange, Once, Request
 from .values import Choice, Info, Media, Medium, Query
 
@@ -51,10 +51,15 @@ class Calls:
             self.exchange.drop(request_id)
 
     def each(
-        self, requests: Iterable[Request[T]], take: Callable[[T], object], most: int = 1
+        self,
+        requests: Iterable[Request[T]],
+        take: Callable[[T], object],
+        most: int = 1,
+        cancels: bool = False,
     ) -> Steps[None]:
         """Sends requests, of which at most `most` are under way, and gives the answers to take() in
-        their order. After an error, the other answers are no longer wanted."""
+        their order. After an error, the other answers are no longer wanted. cancels: whether the
+        daemon is told so, unless the error is its own."""
         waiting = iter(requests)
         under_way: list[int] = []
         try:
@@ -65,6 +70,11 @@ class Calls:
                     return
                 take((yield under_way[0]))
                 self.exchange.drop(under_way.pop(0))
+        except DipoleError:
+            raise
+        except BaseException:
+            yield from self.cancel(under_way if cancels else ())
+            raise
         finally:
             for request_id in under_way:
                 self.exchange.drop(request_id)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -19,13 +19,13 @@ import numpy as np
 from . import wire
 from .arguments import id_of, media_array, name_of, notes_of, parameters_list
 from .calls import Calls, Steps
-from .errors import ArgumentError, DipoleError, ProtocolError, Refused
+from .errors import ArgumentError, ProtocolError, Refused
 from .exchange import Answer as _Answer
 from .exchange import Once, Request
 from .library import Handle, address, call
 from .library import library as load
 from .table import Table
-from .values import Array, Gathered, Info, Media
+from .values import Array, Gathered, Media
 
 OUTSTANDING = 4  # requests under way at a time
 _PART_POINTS = 65536
@@ -80,19 +80,6 @@ def _hash(content: Any) -> bytes:
     return hashlib.blake2b(content, digest_size=16).digest()
 
 
-class Plan(NamedTuple):
-    """What gather() asks for."""
-
-    info: Info
-    points: Points
-    shape: tuple[int, ...]  # of the queries
-    queries: Array  # [Q, 3]
-    fixed: dict[str, Any]  # the fields of the request but query_count
-    head: bytes  # the media and parameters
-    deadline_ms: int
-    progress: Progress
-
-
 class Piece(NamedTuple):
     """The answer to one gather request."""
 
@@ -104,10 +91,9 @@ class Piece(NamedTuple):
 class _Sums(_Answer[Piece]):
     """The answer to a gather request: puts its parts together."""
 
-    def __init__(self, plan: Plan, count: int):
+    def __init__(self, count: int, channels: int):
         super().__init__()
-        self._plan = plan
-        self._piece = Piece([], [], np.empty((count, plan.points.channels)))
+        self._piece = Piece([], [], np.empty((count, channels)))
         self._next = 0
 
     def _add(self, payload: bytes) -> None:
@@ -157,126 +143,8 @@ def _order(queries: Array) -> Any:
     return np.argsort(keys, kind="stable")
 
 
-class _Run:
-    """A gather under way. The client sends what next() gives, gives the answers to add() in order,
-    and refusals to refused()."""
-
-    def __init__(self, plan: Plan):
-        # Where there are several requests, neighbours are put into one, because the daemon shares
-        # between them what it finds. Bad queries, which it names by index, stay where they are.
-        several = len(plan.queries) > _PART_QUERIES and plan.fixed["tolerance"] > 0
-        self._order: Any = None
-        if several and np.all(np.abs(plan.queries) <= 1e9):
-            self._order = _order(plan.queries)
-            plan = plan._replace(queries=plan.queries[self._order])
-        self._plan = plan
-        self._pieces: list[Piece] = []
-        self._asked = 0  # queries of the requests that next() has given
-        self._answered = 0  # queries of the requests that are answered
-        self._sending: int | None = None  # the next point to send; None: the points are not sent
-        self._sent_times = 0
-        self._known = False  # whether the daemon has shown that it has the points
-        self.count = len(plan.queries)
-        self.stopped = False  # whether the caller has ended it
-
-    @property
-    def answered(self) -> int:
-        """How many queries are answered."""
-        return self._answered
-
-    def next(self) -> Request[Any] | None:
-        """Returns the next request; None if there is none now."""
-        if self._sending is not None:
-            return self._next_points()
-        if not self._known and self._asked > self._answered:
-            return None  # Others would be refused, too.
-        if self.stopped or (self._asked == self.count and (self.count > 0 or self._pieces)):
-            return None
-        return self._next_sums()
-
-    def add(self, answer: Any) -> None:
-        if isinstance(answer, Piece):
-            self._pieces.append(answer)
-            self._known = True
-            self._sent_times = 0
-            self._answered += len(answer.sums)
-            if len(answer.sums) and self._plan.progress is not None:
-                self.stopped |= self._plan.progress(self._answered, self.count) is False
-        elif answer.known:
-            self._sending = None
-            self._known = True
-        elif answer.point_next == len(self._plan.points):
-            raise ProtocolError("a points reply that does not know the set, with all its points")
-
-    def refused(self, error: Refused) -> bool:
-        """Returns whether the points are sent now, for a daemon that does not have them. The
-        requests under way are then given up."""
-        if error.status != "unknown-points" or self._sent_times == _SENT_MOST:
-            return False
-        self._sent_times += 1
-        self._sending = 0
-        self._known = False
-        self._asked = self._answered
-        return True
-
-    def _next_points(self) -> Request[Any] | None:
-        points, first = self._plan.points, self._sending or 0
-        xyz = points.xyz[first : first + _PART_POINTS]
-        if len(xyz) == 0 and len(points) > 0:
-            return None
-        power = points.power[first : first + _PART_POINTS].tobytes()
-        fixed = wire.POINTS_REQUEST.pack(
-            set=_words(points.name),
-            channel_count=points.channels,
-            point_count=len(points),
-            point_first=first,
-            part_points=len(xyz),
-        )
-        padding = bytes(wire.padded(len(power)) - len(power))
-        self._sending = first + len(xyz)
-        payload = b"".join([fixed, xyz.tobytes(), power, padding])
-        return Request("points", payload, lambda: Once(_read_sent), self._plan.deadline_ms)
-
-    def _next_sums(self) -> Request[Piece]:
-        plan, first = self._plan, self._asked
-        most = _PART_QUERIES
-        if plan.fixed["tolerance"] == 0:
-            pairs = max(1, len(plan.points) * plan.points.channels)
-            most = max(1, min(most, _PART_PAIRS // pairs))
-        queries = plan.queries[first : first + most]
-        fixed = wire.GATHER_REQUEST.pack(query_count=len(queries), **plan.fixed)
-        self._asked = first + len(queries)
-        payload = b"".join([fixed, plan.head, queries.tobytes()])
-        return Request("gather", payload, lambda: _Sums(plan, len(queries)), plan.deadline_ms)
-
-    def result(self) -> Gathered:
-        """Makes the result. Sums that were not asked for are NaN."""
-        plan, info = self._plan, self._plan.info
-        missing = np.full((self.count - self._answered, plan.points.channels), np.nan)
-        sums = np.concatenate([*(piece.sums for piece in self._pieces), missing])
-        if self._order is not None:
-            ordered = sums
-            sums = np.empty_like(ordered)
-            sums[self._order] = ordered
-        sums = sums.reshape(*plan.shape, plan.points.channels)
-        sums.setflags(write=False)
-        replies = [reply for piece in self._pieces for reply in piece.replies]
-        channels = [part for piece in self._pieces for part in piece.channels]
-        fields = [[(c.numerical_error, c.model_error) for c in part] for part in channels]
-        errors = np.max(fields, axis=0) if fields else np.full((plan.points.channels, 2), np.nan)
-        return Gathered(
-            model=name_of(info, "model", plan.fixed["model"]),
-            moments=name_of(info, "moments", plan.fixed["moments"]),
-            evaluator=name_of(info, "evaluator", plan.fixed["evaluator"]),
-            tolerance=plan.fixed["tolerance"],
-            M=sums,
-            bound=max((reply.bound for reply in replies), default=0.0),
-            numerical_error=errors[:, 0],
-            model_error=errors[:, 1],
-            points_visited=sum(reply.points_visited for reply in replies),
-            nodes_visited=sum(reply.nodes_visited for reply in replies),
-            notes=notes_of(info, replies[-1].notes if replies else 0),
-        )
+class _Stopped(Exception):
+    """The caller has ended a gather."""
 
 
 def _words(name: bytes) -> tuple[int, int]:
@@ -320,53 +188,116 @@ def gather(
         raise ArgumentError(f"queries: {error}") from error
     if listed.ndim < 1 or listed.shape[-1] != 3:
         raise ArgumentError("queries: an array [..., 3]")
-    media_bytes = media_array(media)
-    structures = parameters_list(info, parameters)
-    run = _Run(Plan(
-        info=info,
-        points=points,
-        shape=listed.shape[:-1],
-        queries=np.ascontiguousarray(listed.reshape(-1, 3)),
-        fixed={
-            "model": id_of(info, "model", model),
-            "evaluator": id_of(info, "evaluator", evaluator),
-            "moments": id_of(info, "moments", moments),
-            "parameter_count": len(structures),
-            "medium_count": len(media_bytes),
-            "set": _words(points.name),
-            "tolerance": float(tolerance),
-        },
-        head=media_bytes.tobytes() + b"".join(structures),
-        deadline_ms=deadline_ms,
-        progress=progress,
-    ))  # fmt: skip
-    under_way: list[int] = []
-    drop = calls.exchange.drop
+    places = np.ascontiguousarray(listed.reshape(-1, 3))
+    # Where there are several requests, neighbours are put into one, because the daemon shares
+    # between them what it finds. Bad queries, which it names by index, stay where they are.
+    order: Any = None
+    if len(places) > _PART_QUERIES and tolerance > 0 and np.all(np.abs(places) <= 1e9):
+        order = _order(places)
+        places = places[order]
+    channels = points.channels
+    array, structures = media_array(media), parameters_list(info, parameters)
+    fixed: dict[str, Any] = {
+        "model": id_of(info, "model", model),
+        "evaluator": id_of(info, "evaluator", evaluator),
+        "moments": id_of(info, "moments", moments),
+        "parameter_count": len(structures),
+        "medium_count": len(array),
+        "set": _words(points.name),
+        "tolerance": float(tolerance),
+    }
+    head = array.tobytes() + b"".join(structures)
+    most = _PART_QUERIES
+    if tolerance == 0:
+        most = max(1, min(most, _PART_PAIRS // max(1, len(points) * channels)))
+    pieces: list[Piece] = []
+    answered = 0
+
+    def requests(end: int) -> Iterator[Request[Piece]]:
+        for first in range(answered, end, most):
+            part = places[first : min(first + most, end)]
+            request = wire.GATHER_REQUEST.pack(query_count=len(part), **fixed)
+            payload = b"".join([request, head, part.tobytes()])
+
+            def answer(count: int = len(part)) -> _Sums:
+                return _Sums(count, channels)
+
+            yield Request("gather", payload, answer, deadline_ms)
+
+    def take(piece: Piece) -> None:
+        nonlocal answered
+        pieces.append(piece)
+        answered += len(piece.sums)
+        if len(piece.sums) and progress is not None and progress(answered, len(places)) is False:
+            raise _Stopped
+
+    sent_times = 0
     try:
-        while not run.stopped:
-            while len(under_way) < OUTSTANDING and (request := run.next()):
-                under_way.append((yield request))
-            if not under_way:
-                return run.result()
-            try:
-                run.add((yield under_way[0]))
+        while answered < len(places) or not pieces:
+            before = answered
+            try:  # Others than the first would be refused, too, if the daemon lacks the points.
+                yield from calls.each(requests(before + most), take, cancels=True)
+                yield from calls.each(requests(len(places)), take, OUTSTANDING, cancels=True)
             except Refused as error:
-                if not run.refused(error):
+                sent_times = 1 if answered > before else sent_times + 1
+                if error.status != "unknown-points" or sent_times > _SENT_MOST:
                     raise
-                while len(under_way) > 1:  # Their answers are no longer wanted.
-                    drop(under_way.pop())
-            finally:
-                drop(under_way.pop(0))
-        yield from calls.cancel(under_way)
-        return run.result()
-    except DipoleError:
-        raise
-    except BaseException:
-        yield from calls.cancel(under_way)
-        raise
-    finally:
-        for request_id in under_way:
-            drop(request_id)
+                yield from _send(calls, points, deadline_ms)
+    except _Stopped:
+        pass
+    sums = np.full((len(places), channels), np.nan)
+    found = np.concatenate([piece.sums for piece in pieces])
+    sums[slice(answered) if order is None else order[:answered]] = found
+    sums = sums.reshape(*listed.shape[:-1], channels)
+    sums.setflags(write=False)
+    replies = [reply for piece in pieces for reply in piece.replies]
+    errors = np.max(
+        [[(c.numerical_error, c.model_error) for c in part]
+         for piece in pieces for part in piece.channels], axis=0,
+    )  # fmt: skip
+    return Gathered(
+        model=name_of(info, "model", fixed["model"]),
+        moments=name_of(info, "moments", fixed["moments"]),
+        evaluator=name_of(info, "evaluator", fixed["evaluator"]),
+        tolerance=fixed["tolerance"],
+        M=sums,
+        bound=max(reply.bound for reply in replies),
+        numerical_error=errors[:, 0],
+        model_error=errors[:, 1],
+        points_visited=sum(reply.points_visited for reply in replies),
+        nodes_visited=sum(reply.nodes_visited for reply in replies),
+        notes=notes_of(info, replies[-1].notes),
+    )
+
+
+def _send(calls: Calls, points: Points, deadline_ms: int) -> Steps[None]:
+    """Sends points to a daemon that does not have them, until it has all of them."""
+    known = False
+
+    def requests() -> Iterator[Request[Any]]:
+        for first in range(0, max(len(points), 1), _PART_POINTS):
+            if known:
+                return
+            xyz = points.xyz[first : first + _PART_POINTS]
+            power = points.power[first : first + _PART_POINTS].tobytes()
+            fixed = wire.POINTS_REQUEST.pack(
+                set=_words(points.name),
+                channel_count=points.channels,
+                point_count=len(points),
+                point_first=first,
+                part_points=len(xyz),
+            )
+            padding = bytes(wire.padded(len(power)) - len(power))
+            payload = b"".join([fixed, xyz.tobytes(), power, padding])
+            yield Request("points", payload, lambda: Once(_read_sent), deadline_ms)
+
+    def take(answer: Any) -> None:
+        nonlocal known
+        known = known or bool(answer.known)
+        if answer.point_next == len(points) and not known:
+            raise ProtocolError("a points reply that does not know the set, with all its points")
+
+    yield from calls.each(requests(), take, OUTSTANDING)
 
 
 # ---- at home -------------------------------------------------------------------------------------
