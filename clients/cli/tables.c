@@ -1,7 +1,5 @@
 /* dipole table: fetches the tables that the evaluator lut uses, so that they can be evaluated
  * without a daemon. */
-#include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "clients/cli/daemon.h"
@@ -68,39 +66,6 @@ static int fetch(const table_settings *settings, dipole_client *client, report *
   return CLI_OK;
 }
 
-/* ---- the words of a table, as proto/PROTOCOL.md has them ------------------------------------- */
-
-enum { WORDS_BEFORE_PIECES = 784, PIECE_WORDS = 4, SAMPLE_WORDS = 1856, MANTISSA_BITS = 23 };
-
-/* The entry of an octave that has no pieces. */
-enum { ENTRY_OUTSIDE = MANTISSA_BITS };
-
-static const char *const constants[] = {
-    "pieces_from", "pieces_to", "scale",    "ring_scale",  "pdf_scale",
-    "near_power",  "near_R",    "near_log", "near_cdf",    "near_cdf_log",
-    "far",         "limit",     "first_u",  "near_radius",
-};
-
-/* The functions that are stored in pieces. Each has `count` entries, one for each exponent of its
- * argument, from word number `entries` on. */
-static const struct {
-  const char *name;
-  size_t entries, count;
-} functions[] = {{"R", 16, 256},
-                 {"cdf", 272, 256},
-                 {"radius_of_u", 528, 128},
-                 {"radius_of_1_minus_u", 656, 128}};
-
-static size_t count_pieces(const dipole_table_info *info) {
-  return (info->word_count - WORDS_BEFORE_PIECES - SAMPLE_WORDS) / PIECE_WORDS;
-}
-
-static double number_of(uint32_t word) {
-  float number;
-  memcpy(&number, &word, sizeof number);
-  return (double)number;
-}
-
 /* ---- writing --------------------------------------------------------------------------------- */
 
 /* Writes the table of a channel, for people and in JSON. */
@@ -126,7 +91,6 @@ static void put_table(cli_rows *rows, const void *context, size_t index) {
     cli_json_number(rows->json, "radius_least", info->radius_least_mm);
     cli_json_number(rows->json, "radius_most", info->radius_most_mm);
   }
-  cli_put_count(rows, CLI_COLUMN("pieces"), count_pieces(info));
   if (rows->form == CLI_JSON) {
     cli_json_count(rows->json, "layout", info->layout);
     cli_json_counts(rows->json, "words", info->words, info->word_count);
@@ -160,49 +124,6 @@ static void write_table(const void *context) {
   cli_write_notes(profile->info, notes, stdout);
 }
 
-static void write_csv_piece(const char *channel, const char *function, double from, double to,
-                            const uint32_t *words) {
-  const double c0 = number_of(words[0]);
-  /* Nine digits are enough to read back a number in single precision. */
-  printf("%s,%s,%.9g,%.9g,%s,%.9g,%.9g,%.9g,%.9g\n", channel, function, from, to,
-         signbit(c0) ? "right" : "left", fabs(c0), number_of(words[1]), number_of(words[2]),
-         number_of(words[3]));
-}
-
-/* Writes the pieces of an octave, which lie side by side. */
-static void write_csv_octave(const char *channel, const char *function,
-                             const dipole_table_info *info, uint32_t entry, int exponent) {
-  const uint32_t pieces = UINT32_C(1) << (MANTISSA_BITS - (entry & 31));
-  const uint32_t *words = info->words + WORDS_BEFORE_PIECES + (size_t)(entry >> 5) * PIECE_WORDS;
-  const double step = ldexp(1, exponent) / pieces;
-  for (uint32_t i = 0; i < pieces; i++) {
-    const double from = ldexp(1, exponent) + i * step;
-    write_csv_piece(channel, function, from, from + step, words + (size_t)i * PIECE_WORDS);
-  }
-}
-
-static void write_csv_table(const char *channel, const dipole_table_info *info) {
-  for (size_t i = 0; i < sizeof constants / sizeof constants[0]; i++) {
-    printf("%s,%s,,,,%.9g,,,\n", channel, constants[i], number_of(info->words[i]));
-  }
-  for (size_t f = 0; f < sizeof functions / sizeof functions[0]; f++) {
-    for (size_t i = 0; i < functions[f].count; i++) {
-      const uint32_t entry = info->words[functions[f].entries + i];
-      if (entry != ENTRY_OUTSIDE) {
-        write_csv_octave(channel, functions[f].name, info, entry, (int)i - 127);
-      }
-    }
-  }
-}
-
-static void write_csv(const void *context) {
-  const report *of = context;
-  puts("channel,function,from,to,written_from,c0,c1,c2,c3");
-  for (size_t i = 0; i < of->tables.count; i++) {
-    write_csv_table(of->profile.channels[i].name, dipole_table_get_info(of->tables.items[i]));
-  }
-}
-
 static void put_members(cli_json *json, const void *context) {
   const report *of = context;
   const cli_profile *profile = &of->profile;
@@ -230,7 +151,7 @@ static int ask_and_write(const table_settings *settings, dipole_client *client, 
   if (is_to_standard(settings)) {
     return CLI_OK;
   }
-  const cli_output output = {.table = write_table, .csv = write_csv, .members = put_members};
+  const cli_output output = {.table = write_table, .members = put_members};
   cli_write(&output, settings->profile.common.form, of);
   return CLI_OK;
 }
@@ -253,18 +174,12 @@ const cli_command cli_command_table = {
         "--table`, libdipole and the Python module evaluate a file of --output to the same bits\n"
         "and errors as the daemon.\n"
         "\n"
-        "CSV has a row for each constant, with its value in c0. Then it has a row for each piece\n"
-        "of the functions R (times scale; 1/mm^2), cdf, radius_of_u (mm) and radius_of_1_minus_u\n"
-        "(mm; for u above 1/2). From `from` on and below `to`, the value is\n"
-        "c0 + w (c1 + w (c2 + w c3)) in single precision. w goes from 0 to 1 if the piece is\n"
-        "written from the left, and from 1 to 0 if it is written from the right. JSON has the\n"
-        "words as integers. proto/PROTOCOL.md describes them, and what holds outside of the\n"
-        "pieces.\n",
-    .formats = "table,csv,json",
+        "JSON has the words as integers. proto/PROTOCOL.md describes them.\n",
+    .formats = "table,json",
     .options = {cli_medium_options, options, cli_parameter_options},
     .examples = "  dipole table --medium skin1 --output skin1.table\n"
                 "  dipole eval --table skin1.table --r 0.1,1,10 --wanted R,cdf\n"
-                "  dipole table --sigma-a 0.01 --sigma-s 1 --tolerance 1e-5 --format csv\n",
+                "  dipole table --sigma-a 0.01 --sigma-s 1 --tolerance 1e-5 --format json\n",
     .settings_bytes = sizeof(table_settings),
     .check = check,
     .run = run,
