@@ -26,41 +26,29 @@ class Part(NamedTuple):
     residuals: Array
 
 
-class Answer(exchange.Answer[Part]):
-    """The answer to one fit request: puts its parts together. first: position of its first set."""
+class Answer(exchange.InParts[Part]):
+    """The answer to one fit request. first: position of its first set."""
 
     def __init__(self, first: int, set_count: int, residuals: int):
-        super().__init__()
+        super().__init__(wire.FIT_REPLY, "set", set_count)
         self._sets = np.empty(set_count, _SETS)
         self._residuals = np.empty((set_count, residuals))
         self._first = first
-        self._next_part = 0
-        self._next_set = 0
 
-    def _add(self, payload: bytes) -> None:
-        if len(payload) < wire.FIT_REPLY.bytes:
-            raise ProtocolError("a fit reply that is too short")
-        fixed = wire.FIT_REPLY.unpack(payload)
-        count, begin, readings = fixed.set_count, self._next_set, self._residuals.shape[1]
-        at = wire.FIT_REPLY.bytes + count * wire.FITTED.bytes
-        if fixed.reading_count != readings or len(payload) != at + 8 * count * readings:
-            raise ProtocolError("a fit reply whose size does not fit its counts")
-        if (fixed.part, fixed.set_first) != (self._next_part, begin):
-            raise ProtocolError("a fit reply that is not the next part")
-        left = len(self._sets) - begin
-        is_last = fixed.part + 1 == fixed.part_count
-        if not 0 < count <= left or is_last != (count == left) or fixed.fitted_count > count:
-            raise ProtocolError("a fit reply with another number of sets than the request")
-        self._sets[begin : begin + count] = np.frombuffer(
-            payload, _SETS, count, wire.FIT_REPLY.bytes
-        )
-        residuals = np.frombuffer(payload, "<f8", count * readings, at)
-        self._residuals[begin : begin + count] = residuals.reshape(count, readings)
-        self._next_part += 1
-        self._next_set += count
-        self.ended = is_last
-        if is_last:
-            self.ready.append(Part(self._first, self._sets, self._residuals))
+    def _bytes_of(self, fixed: Any, count: int) -> int:
+        fits = 0 < count >= fixed.fitted_count
+        if fixed.reading_count != self._residuals.shape[1] or not fits:
+            raise ProtocolError("a fit reply that does not answer the request")
+        return int(count * (wire.FITTED.bytes + 8 * fixed.reading_count))
+
+    def _take(self, fixed: Any, payload: bytes, items: slice) -> None:
+        at, count = wire.FIT_REPLY.bytes, fixed.set_count
+        self._sets[items] = np.frombuffer(payload, _SETS, count, at)
+        residuals = np.frombuffer(payload, "<f8", -1, at + count * wire.FITTED.bytes)
+        self._residuals[items] = residuals.reshape(count, fixed.reading_count)
+
+    def _whole(self) -> Part:
+        return Part(self._first, self._sets, self._residuals)
 
 
 def _arrays(values: Any, errors: Any) -> tuple[Array, Array]:

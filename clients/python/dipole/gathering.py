@@ -20,8 +20,7 @@ from . import wire
 from .arguments import id_of, media_array, name_of, notes_of, parameters_list
 from .calls import Calls, Steps
 from .errors import ArgumentError, ProtocolError, Refused
-from .exchange import Answer as _Answer
-from .exchange import Once, Request
+from .exchange import InParts, Once, Request
 from .library import Handle, address, call
 from .library import library as load
 from .table import Table
@@ -88,40 +87,30 @@ class Piece(NamedTuple):
     sums: Array  # [Q, C]
 
 
-class _Sums(_Answer[Piece]):
-    """The answer to a gather request: puts its parts together."""
+class _Sums(InParts[Piece]):
+    """The answer to a gather request."""
 
     def __init__(self, count: int, channels: int):
-        super().__init__()
+        super().__init__(wire.GATHER_REPLY, "query", count)
         self._piece = Piece([], [], np.empty((count, channels)))
-        self._next = 0
 
-    def _add(self, payload: bytes) -> None:
+    def _bytes_of(self, fixed: Any, count: int) -> int:
+        width = self._piece.sums.shape[1]
+        if fixed.channel_count != width:
+            raise ProtocolError("a gather reply that does not answer the request")
+        return width * (wire.CHANNEL.bytes + 8 * count)
+
+    def _take(self, fixed: Any, payload: bytes, items: slice) -> None:
         replies, channels, sums = self._piece
-        if len(payload) < wire.GATHER_REPLY.bytes:
-            raise ProtocolError("a gather reply that is too short")
-        fixed = wire.GATHER_REPLY.unpack(payload)
-        at = wire.GATHER_REPLY.bytes + fixed.channel_count * wire.CHANNEL.bytes
-        count, width = fixed.query_count, sums.shape[1]
-        if fixed.channel_count != width or len(payload) != at + 8 * count * width:
-            raise ProtocolError("a gather reply whose size does not fit its counts")
-        is_last = fixed.part + 1 == fixed.part_count
-        left = len(sums) - self._next
-        if (fixed.part, fixed.query_first) != (len(replies), self._next):
-            raise ProtocolError("a gather reply that is not the next part")
-        if count > left or is_last != (count == left):
-            raise ProtocolError("a gather reply with another number of sums than the request")
-        listed = np.frombuffer(payload, "<f8", count * width, at)
-        sums[self._next : self._next + count] = listed.reshape(count, width)
-        begin = wire.GATHER_REPLY.bytes
-        channels.append(
-            [wire.CHANNEL.unpack(payload, i) for i in range(begin, at, wire.CHANNEL.bytes)]
-        )
+        begin, each = wire.GATHER_REPLY.bytes, wire.CHANNEL.bytes
+        at = begin + each * fixed.channel_count
+        channels.append([wire.CHANNEL.unpack(payload, i) for i in range(begin, at, each)])
+        listed = np.frombuffer(payload, "<f8", -1, at)
+        sums[items] = listed.reshape(fixed.query_count, fixed.channel_count)
         replies.append(fixed)
-        self._next += count
-        self.ended = is_last
-        if is_last:
-            self.ready.append(self._piece)
+
+    def _whole(self) -> Piece:
+        return self._piece
 
 
 def _read_sent(payload: bytes) -> Any:

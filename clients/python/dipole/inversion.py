@@ -27,48 +27,34 @@ class Query(NamedTuple):
     eta: float
 
 
-class Answer(exchange.Answer[Inversion]):
-    """The answer to an invert request: puts its parts together. info: names the ids."""
+class Answer(exchange.InParts[Inversion]):
+    """The answer to an invert request. info: names the ids."""
 
     def __init__(self, query: Query, info: Info):
-        super().__init__()
+        super().__init__(wire.INVERT_REPLY, "medium", query.count)
         self._query = query
         self._info = info
         self._arrays = np.empty((_ARRAYS, query.count))
         self._reach: tuple[float, float] | None = None
         self._missing = 0
-        self._next_part = 0
-        self._next_medium = 0
 
-    def _add(self, payload: bytes) -> None:
-        if len(payload) < wire.INVERT_REPLY.bytes:
-            raise ProtocolError("an invert reply that is too short")
-        fixed = wire.INVERT_REPLY.unpack(payload)
-        query, count, begin = self._query, fixed.medium_count, self._next_medium
-        if len(payload) != wire.INVERT_REPLY.bytes + _ARRAYS * 8 * count:
-            raise ProtocolError("an invert reply whose size does not fit its count")
-        if (fixed.model, fixed.moments, fixed.given) != (query.model, query.moments, query.given):
+    def _bytes_of(self, fixed: Any, count: int) -> int:
+        query = self._query
+        asked = (query.model, query.moments, query.given)
+        if count == 0 or (fixed.model, fixed.moments, fixed.given) != asked:
             raise ProtocolError("an invert reply that does not answer the request")
-        if (fixed.part, fixed.medium_first) != (self._next_part, begin):
-            raise ProtocolError("an invert reply that is not the next part")
-        left = query.count - begin
-        is_last = fixed.part + 1 == fixed.part_count
-        if not 0 < count <= left or is_last != (count == left):
-            raise ProtocolError("an invert reply with another number of media than the request")
+        return _ARRAYS * 8 * count
+
+    def _take(self, fixed: Any, payload: bytes, items: slice) -> None:
         reach = (fixed.albedo_least, fixed.albedo_most)
-        if fixed.missing_count > count or self._reach not in (None, reach):
+        if fixed.missing_count > fixed.medium_count or self._reach not in (None, reach):
             raise ProtocolError("parts of an invert reply that do not belong together")
-        values = np.frombuffer(payload, "<f8", _ARRAYS * count, wire.INVERT_REPLY.bytes)
-        self._arrays[:, begin : begin + count] = values.reshape(_ARRAYS, count)
+        values = np.frombuffer(payload, "<f8", -1, wire.INVERT_REPLY.bytes)
+        self._arrays[:, items] = values.reshape(_ARRAYS, -1)
         self._reach = reach
         self._missing += fixed.missing_count
-        self._next_part += 1
-        self._next_medium += count
-        self.ended = is_last
-        if is_last:
-            self.ready.append(self._result())
 
-    def _result(self) -> Inversion:
+    def _whole(self) -> Inversion:
         query, reach = self._query, self._reach
         assert reach is not None
         self._arrays.setflags(write=False)

@@ -11,8 +11,7 @@ from . import wire
 from .arguments import id_of, name_of, notes_of, parameters_list
 from .calls import Calls, Steps
 from .errors import ArgumentError, ProtocolError
-from .exchange import Answer as _Answer
-from .exchange import Request
+from .exchange import InParts, Request
 from .values import Array, Info, Varying
 
 VALUES_MOST = 1 << 20  # of one request: some megabytes
@@ -90,48 +89,34 @@ class Piece(NamedTuple):
     statuses: Array
 
 
-class Answer(_Answer[Piece]):
-    """The answer to a varying request: puts its parts together."""
+class Answer(InParts[Piece]):
+    """The answer to a varying request."""
 
     def __init__(self, plan: Plan, count: int):
-        super().__init__()
+        super().__init__(wire.VARYING_REPLY, "value", count)
         self._plan = plan
-        self._count = count
         arrays = len(plan.wanted) + len(plan.coefficients)
         self._arrays = np.empty((arrays, count), plan.type)
         self._statuses = np.empty(count, np.uint8)
         self._replies: list[Any] = []
-        self._next = 0
 
-    def _add(self, payload: bytes) -> None:
-        plan = self._plan
-        if len(payload) < wire.VARYING_REPLY.bytes:
-            raise ProtocolError("a varying reply that is too short")
-        fixed = wire.VARYING_REPLY.unpack(payload)
-        count, item = fixed.value_count, self._arrays.itemsize
-        array_bytes = wire.padded(count * item)
-        at = wire.VARYING_REPLY.bytes
-        if len(payload) != at + len(self._arrays) * array_bytes + wire.padded(count):
-            raise ProtocolError("a varying reply whose size does not fit its count")
+    def _bytes_of(self, fixed: Any, count: int) -> int:
         asked = ("model", "evaluator", "moments", "wanted", "coefficients")
-        if any(getattr(fixed, name) != plan.fixed[name] for name in asked):
+        if any(getattr(fixed, name) != self._plan.fixed[name] for name in asked):
             raise ProtocolError("a varying reply that does not answer the request")
-        left = self._count - self._next
-        is_last = fixed.part + 1 == fixed.part_count
-        if (fixed.part, fixed.value_first) != (len(self._replies), self._next):
-            raise ProtocolError("a varying reply that is not the next part")
-        if count > left or is_last != (count == left):
-            raise ProtocolError("a varying reply with another number of values than the request")
+        array_bytes = wire.padded(count * self._arrays.itemsize)
+        return len(self._arrays) * array_bytes + wire.padded(count)
+
+    def _take(self, fixed: Any, payload: bytes, items: slice) -> None:
+        at, count = wire.VARYING_REPLY.bytes, fixed.value_count
         for array in self._arrays:
-            array[self._next : self._next + count] = np.frombuffer(payload, plan.type, count, at)
-            at += array_bytes
-        statuses = np.frombuffer(payload, np.uint8, count, at)
-        self._statuses[self._next : self._next + count] = statuses
+            array[items] = np.frombuffer(payload, self._plan.type, count, at)
+            at += wire.padded(count * array.itemsize)
+        self._statuses[items] = np.frombuffer(payload, np.uint8, count, at)
         self._replies.append(fixed)
-        self._next += count
-        self.ended = is_last
-        if is_last:
-            self.ready.append(Piece(self._replies, list(self._arrays), self._statuses))
+
+    def _whole(self) -> Piece:
+        return Piece(self._replies, list(self._arrays), self._statuses)
 
 
 def _padded(data: bytes) -> bytes:
