@@ -101,8 +101,10 @@ static void write_data(FILE *script, const cli_picture *picture) {
     for (size_t i = 0; i < curve->count; i++) {
       const double y = shown(row, curve->x[i], curve->y[i]);
       if (!isnan(y)) {
-        fprintf(script, "%.17g %.17g %.17g\n", curve->x[i], y,
-                curve->error != NULL ? shown_error(row, curve->y[i], curve->error[i]) : 0.0);
+        const double error =
+            curve->error != NULL ? shown_error(row, curve->y[i], curve->error[i]) : 0;
+        fprintf(script, isfinite(error) ? "%.17g %.17g %.17g\n" : "%.17g %.17g NaN\n", curve->x[i],
+                y, error);
       } else if (curve->style == CLI_LINE) {
         fputs("NaN NaN NaN\n", script); /* a gap */
       }

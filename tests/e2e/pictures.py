@@ -71,7 +71,7 @@ def plain(text: str) -> str:
 
 def svg_lines(path: Path) -> int:
     """Returns how many curves gnuplot has drawn."""
-    return path.read_text().count("<title>gnuplot_plot_")
+    return path.read_text().count('<g id="gnuplot_plot_')
 
 
 def svg_texts(path: Path) -> list[str]:
