@@ -217,6 +217,26 @@ class Offers(NamedTuple):
         )
 
 
+class _Quantity(property):
+    """A property: the quantity of an answer that has a name, and what it is."""
+
+    def __init__(self, name: str, about: str):
+        super().__init__(lambda answer: answer._quantity(name))
+        self.__doc__ = about
+
+    def __get__(self, answer: Any, owner: type | None = None) -> Array:
+        found: Array = super().__get__(answer, owner)
+        return found
+
+
+class _Root(_Quantity):
+    """A property: the root of a quantity."""
+
+    def __get__(self, answer: Any, owner: type | None = None) -> Array:
+        found = super().__get__(answer, owner)
+        return found if answer is None else np.asarray(np.sqrt(found))
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class _Evaluated:
     """The fields that Result and Samples share.
@@ -242,15 +262,8 @@ class _Evaluated:
         names, such as "2_pi_r_R"."""
         return {name: array for name, array in self.quantities.items() if array.ndim == 2}
 
-    @property
-    def pdf(self) -> Array:
-        """[C, N] 1/mm: density of radii, 2 pi r R over the albedo."""
-        return self._quantity("pdf")
-
-    @property
-    def albedo(self) -> Array:
-        """[C] float64: integral of 2 pi r R(r)."""
-        return self._quantity("albedo")
+    pdf = _Quantity("pdf", "[C, N] 1/mm: density of radii, 2 pi r R over the albedo.")
+    albedo = _Quantity("albedo", "[C] float64: integral of 2 pi r R(r).")
 
     def _quantity(self, name: str) -> Array:
         if name not in self.quantities:
@@ -275,55 +288,29 @@ class Result(_Evaluated):
 
     radius_first: int  # position in the query of the first radius of this part; 0 for the whole
 
-    @property
-    def r(self) -> Array:
-        """[N] mm, or 1/mm with R_f: the radii of the query. A grid has them only if r was wanted."""
-        return self._quantity("r")
-
-    @property
-    def R(self) -> Array:
-        """[C, N] 1/mm^2 per unit of power that entered."""
-        return self._quantity("R")
-
-    @property
-    def cdf(self) -> Array:
-        """[C, N] power that leaves within r over all that leaves, 0 to 1."""
-        return self._quantity("cdf")
-
-    @property
-    def dR_dr(self) -> Array:
-        """[C, N] 1/mm^3."""
-        return self._quantity("dR_dr")
-
-    @property
-    def ln_R(self) -> Array:
-        """[C, N]: finite even where R underflows. Its error is absolute."""
-        return self._quantity("ln_R")
-
-    @property
-    def two_pi_r_R(self) -> Array:
-        """[C, N] 1/mm: finite even where R is infinite at r = 0."""
-        return self._quantity("2_pi_r_R")
-
-    @property
-    def S(self) -> Array:
-        """[C, N] 1/(mm^2 sr): the BSSRDF for the parameters cos_in and cos_out."""
-        return self._quantity("S")
-
-    @property
-    def R_f(self) -> Array:
-        """[C, N]: the reflectance for striped light; r holds spatial frequencies f in 1/mm."""
-        return self._quantity("R_f")
-
-    @property
-    def dlnR_dln_sigma_a(self) -> Array:
-        """[C, N]: d ln R / d ln sigma_a, for fits. Its error is absolute."""
-        return self._quantity("dlnR_dln_sigma_a")
-
-    @property
-    def dlnR_dln_sigma_s(self) -> Array:
-        """[C, N]: d ln R / d ln sigma_s, which is also that by ln sigma_s'."""
-        return self._quantity("dlnR_dln_sigma_s")
+    r = _Quantity(
+        "r",
+        "[N] mm, or 1/mm with R_f: the radii of the query. A grid has them only if r was "
+        "wanted.",
+    )
+    R = _Quantity("R", "[C, N] 1/mm^2 per unit of power that entered.")
+    cdf = _Quantity("cdf", "[C, N] power that leaves within r over all that leaves, 0 to 1.")
+    dR_dr = _Quantity("dR_dr", "[C, N] 1/mm^3.")
+    ln_R = _Quantity("ln_R", "[C, N]: finite even where R underflows. Its error is absolute.")
+    two_pi_r_R = _Quantity("2_pi_r_R", "[C, N] 1/mm: finite even where R is infinite at r = 0.")
+    S = _Quantity("S", "[C, N] 1/(mm^2 sr): the BSSRDF for the parameters cos_in and cos_out.")
+    R_f = _Quantity(
+        "R_f",
+        "[C, N]: the reflectance for striped light; r holds spatial frequencies f in 1/mm.",
+    )
+    dlnR_dln_sigma_a = _Quantity(
+        "dlnR_dln_sigma_a",
+        "[C, N]: d ln R / d ln sigma_a, for fits. Its error is absolute.",
+    )
+    dlnR_dln_sigma_s = _Quantity(
+        "dlnR_dln_sigma_s",
+        "[C, N]: d ln R / d ln sigma_s, which is also that by ln sigma_s'.",
+    )
 
     def numerical_error(self, r: Array | float | None = None) -> Array:
         """Returns how far a value at radius r may be from the model's exact formula: [C, N],
@@ -369,10 +356,10 @@ class Samples(_Evaluated):
 
     u: Array  # [N] the numbers, between 0 and 1, that give the radii of every channel
 
-    @property
-    def r(self) -> Array:
-        """[C, N] mm. A point at this distance in any direction has the density pdf / (2 pi r)."""
-        return self._quantity("r")
+    r = _Quantity(
+        "r",
+        "[C, N] mm. A point at this distance in any direction has the density pdf / (2 pi r).",
+    )
 
     def __repr__(self) -> str:
         return self._in_short(f"{counted(self.u.size, 'radius', 'radii')} drawn for each")
@@ -410,11 +397,6 @@ class Inversion:
         return np.stack([self.sigma_a, self.sigma_s, g, eta], axis=-1)
 
 
-def _root(variance: Array) -> Array:
-    root: Array = np.sqrt(variance)
-    return root
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Fits:
     """What was fitted to sets of readings. Arrays have the shape of the sets: that of the values of
@@ -441,7 +423,7 @@ class Fits:
             f"model_error {span(self.model_error)}>",
         )
 
-    def _field(self, name: str) -> Array:
+    def _quantity(self, name: str) -> Array:
         field: Array = self.sets[name]
         return field
 
@@ -457,25 +439,10 @@ class Fits:
         fitted: Array = self.sets["status"] == wire.FIT_FITTED
         return fitted
 
-    @property
-    def sigma_a(self) -> Array:
-        """1/mm."""
-        return self._field("sigma_a")
-
-    @property
-    def sigma_s_prime(self) -> Array:
-        """sigma_s (1 - g), 1/mm."""
-        return self._field("sigma_s_prime")
-
-    @property
-    def sigma_a_error(self) -> Array:
-        """The standard error of sigma_a, 1/mm."""
-        return _root(self._field("variance_a"))
-
-    @property
-    def sigma_s_prime_error(self) -> Array:
-        """The standard error of sigma_s', 1/mm."""
-        return _root(self._field("variance_s"))
+    sigma_a = _Quantity("sigma_a", "1/mm.")
+    sigma_s_prime = _Quantity("sigma_s_prime", "sigma_s (1 - g), 1/mm.")
+    sigma_a_error = _Root("variance_a", "The standard error of sigma_a, 1/mm.")
+    sigma_s_prime_error = _Root("variance_s", "The standard error of sigma_s', 1/mm.")
 
     @property
     def correlation(self) -> Array:
@@ -491,33 +458,23 @@ class Fits:
         between them: of the model, and with detector_na of the share that is detected. It is not
         part of the standard errors. NaN: not measured, as for frequencies unless the model is
         transport."""
-        return self._field("model_error")
+        return self._quantity("model_error")
 
-    @property
-    def factor(self) -> Array:
-        """The factor of all readings; 1 unless the scale is "free"."""
-        return self._field("factor")
-
-    @property
-    def factor_error(self) -> Array:
-        """The standard error of the factor; 0 unless the scale is "free"."""
-        return _root(self._field("variance_factor"))
-
-    @property
-    def chi_squared(self) -> Array:
-        """The sum of the squares of the residuals."""
-        return self._field("chi_squared")
-
-    @property
-    def reduced_chi_squared(self) -> Array:
-        """chi_squared over readings less unknowns; NaN if there are as many unknowns."""
-        return self._field("reduced_chi_squared")
-
-    @property
-    def condition(self) -> Array:
-        """The largest over the least standard error along any direction of ln sigma_a and ln
-        sigma_s'."""
-        return self._field("condition")
+    factor = _Quantity("factor", 'The factor of all readings; 1 unless the scale is "free".')
+    factor_error = _Root(
+        "variance_factor",
+        'The standard error of the factor; 0 unless the scale is "free".',
+    )
+    chi_squared = _Quantity("chi_squared", "The sum of the squares of the residuals.")
+    reduced_chi_squared = _Quantity(
+        "reduced_chi_squared",
+        "chi_squared over readings less unknowns; NaN if there are as many unknowns.",
+    )
+    condition = _Quantity(
+        "condition",
+        "The largest over the least standard error along any direction of ln sigma_a and ln "
+        "sigma_s'.",
+    )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -554,8 +511,9 @@ class Varying:
         missing = int(np.count_nonzero(~self.answered))
         arrays = {**self.quantities, **self.coefficients}
         return in_short(
-            f"<Varying: {self.model}, {self.evaluator}; {counted(self.statuses.size, 'value', 'values')}"
-            f" of shape {self.statuses.shape}, g {self.g:.3g}, eta {self.eta:.4g}, {missing} missing",
+            f"<Varying: {self.model}, {self.evaluator}; "
+            f"{counted(self.statuses.size, 'value', 'values')} of shape {self.statuses.shape}, "
+            f"g {self.g:.3g}, eta {self.eta:.4g}, {missing} missing",
             ", ".join(f"{name} {span(array)}" for name, array in arrays.items()) + ">",
         )
 
