@@ -125,10 +125,10 @@ MODELS := $(patsubst core/models/%.c,%,$(shell grep -l CORE_KERNEL_TABLE core/mo
 KERNELS := $(foreach isa,$(ISAS),$(foreach real,32 64,$(MODELS:%=$(OBJ)/core/models/%.$(isa).f$(real).o)))
 
 # Other inner loops that are compiled once for each instruction set.
-LOOPS := core/fit/loops core/gather/loops core/montecarlo/walk core/transport/dense_product
+LOOPS := core/fit/loops core/gather/loops core/montecarlo/walk core/solver/dense_product
 KERNELS += $(foreach isa,$(ISAS),$(LOOPS:%=$(OBJ)/%.$(isa).o))
 
-CORE := $(call objects,$(filter-out $(LOOPS:%=%.c),$(wildcard core/*.c core/models/*.c core/montecarlo/*.c core/transport/*.c core/lut/*.c core/cells/*.c core/fit/*.c core/gather/*.c core/varying/*.c))) $(KERNELS)
+CORE := $(call objects,$(filter-out $(LOOPS:%=%.c),$(wildcard core/*.c core/models/*.c core/montecarlo/*.c core/transport/*.c core/solver/*.c core/lut/*.c core/cells/*.c core/fit/*.c core/gather/*.c core/varying/*.c))) $(KERNELS)
 PROTO := $(call objects,$(wildcard proto/*.c))
 SERVER := $(call objects,$(wildcard server/*.c server/*/*.c))
 LIBRARY := $(call objects,$(wildcard clients/c/*.c))

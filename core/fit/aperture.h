@@ -4,7 +4,7 @@
  * The share of a cone whose largest angle to the normal outside has the sine NA is u^2 e^F, where u =
  * NA / min(1, eta): u^2 is the share of light whose radiance outside is the same in all directions. F
  * comes from a table that is part of the program (aperture.table, made by `make apertures` with the
- * solver of core/transport/anisotropic.h), for Henyey and Greenstein's function. It is a Chebyshev
+ * solver of core/solver/solver.h), for Henyey and Greenstein's function. It is a Chebyshev
  * series in five coordinates, each mapped to -1 to 1:
  *
  *   y = ln x                                       x the radius in reduced mean free paths 1 /

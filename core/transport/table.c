@@ -9,7 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "core/transport/anisotropic.h"
+#include "core/solver/solver.h"
 #include "core/transport/functions.h"
 #include "core/transport/table_data.h"
 #include "core/transport/transport.h"

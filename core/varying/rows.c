@@ -1,14 +1,14 @@
 /* The energy within is a Chebyshev series in x for each panel. Q is that of the table's series, some
  * of whose edges move with the albedo: panels do not end there. */
-#include "core/transport/decay.h"
 #include "core/varying/rows.h"
+#include "core/transport/decay.h"
 
 #include <assert.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "core/transport/anisotropic.h"
+#include "core/solver/solver.h"
 #include "core/transport/functions.h"
 
 enum { TERMS = ROWS_TERMS, BASES = ROWS_BASES, STEPS = 40, KAPPA_TERMS = 32, TOGETHER = 64 };

@@ -43,12 +43,12 @@ enum {
   SEED = 20120101
 };
 
-/* With more photons, the finest grids are compared: the solver's error has to be small beside the
+/* With more photons, a smaller tolerance is asked for: the solver's error has to be small beside the
  * standard error of a ring, or chi-squared says nothing. */
 #define FINEST_FROM_MILLIONS 20
 
 struct run {
-  transport_effort effort;
+  double tolerance;
   uint64_t photons; /* of each medium */
   tools_progress progress;
   struct found {
@@ -58,8 +58,8 @@ struct run {
   } found[RUNS];
 };
 
-static void compare(struct found *to, const walks_result *walked,
-                    const transport_anisotropic *solution, transport_number total) {
+static void compare(struct found *to, const walks_result *walked, const solver_solution *solution,
+                    transport_number total) {
   for (size_t i = 0; i < walked->count; i++) {
     const core_mc_ring *ring = &walked->rings[i];
     double error;
@@ -81,21 +81,20 @@ static void run_one(void *context, size_t i) {
   const struct subject *subject = &subjects[i / MEDIA];
   const walks_medium medium = {media[i % MEDIA].ratio, subject->g,     media[i % MEDIA].eta,
                                subject->phase,         subject->share, subject->second};
-  static _Thread_local double moment[TRANSPORT_PHASE_MOMENTS_MAX];
-  transport_anisotropic *solution;
-  transport_phase phase;
-  transport_totals totals;
+  static _Thread_local double moment[SOLVER_MOMENTS_MAX];
+  solver_solution *solution;
+  solver_phase phase;
+  solver_total totals;
   walks_result walked;
   walks_phase(&medium, moment, &phase);
-  tools_check(transport_anisotropic_solve(&solution, core_isa_select(NULL), medium.ratio, &phase,
-                                          &medium.eta, 1, run->effort),
+  tools_check(solver_solve(&solution, core_isa_select(NULL), medium.ratio, &phase, &medium.eta, 1,
+                           run->tolerance),
               "the solver");
-  tools_check(transport_anisotropic_totals(&totals, core_isa_select(NULL), medium.ratio, &phase,
-                                           &medium.eta, 1),
+  tools_check(solver_totals(&totals, core_isa_select(NULL), medium.ratio, &phase, &medium.eta, 1),
               "the solver");
   walks_run(&walked, &medium, RINGS, run->photons, SEED + i);
   compare(&run->found[i], &walked, solution, totals.normal);
-  transport_anisotropic_free(solution);
+  solver_free(solution);
   tools_progress_add(&run->progress, 1);
 }
 
@@ -122,7 +121,7 @@ int main(int argc, char **argv) {
     tools_fail("usage: rings MILLIONS");
   }
   static struct run run;
-  run.effort = millions < FINEST_FROM_MILLIONS ? TRANSPORT_EFFORT_QUICK : TRANSPORT_EFFORT_FINEST;
+  run.tolerance = millions < FINEST_FROM_MILLIONS ? 1e-3 : 1e-4;
   run.photons =
       ((uint64_t)(millions * 1e6 / MEDIA) / CORE_MC_BATCH_PHOTONS + 1) * CORE_MC_BATCH_PHOTONS;
   tools_progress_start(&run.progress, RUNS);

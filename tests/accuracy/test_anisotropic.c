@@ -9,20 +9,23 @@
 #include <string.h>
 
 #include "core/fit/aperture.h"
-#include "core/transport/anisotropic.h"
+#include "core/solver/solver.h"
 #include "core/transport/single.h"
 #include "tests/accuracy/montecarlo_run.h"
 #include "tests/accuracy/vectors.h"
 #include "tests/unit/unit.h"
 
+/* of the solver */
+#define TOLERANCE 1e-3
+
 #define PI 3.14159265358979323846
 
-static transport_anisotropic *solve(double ratio, const transport_phase *phase, const double *etas,
-                                    size_t count) {
-  transport_anisotropic *solution;
-  unit_assert_fault(transport_anisotropic_solve(&solution, core_isa_select(NULL), ratio, phase,
-                                                etas, count, TRANSPORT_EFFORT_QUICK),
-                    NULL, 0);
+static solver_solution *solve(double ratio, const solver_phase *phase, const double *etas,
+                              size_t count) {
+  solver_solution *solution;
+  unit_assert_fault(
+      solver_solve(&solution, core_isa_select(NULL), ratio, phase, etas, count, TOLERANCE), NULL,
+      0);
   return solution;
 }
 
@@ -46,12 +49,11 @@ UNIT_TEST(isotropic_scattering_is_that_of_the_other_solver) {
   enum { ETAS = sizeof etas / sizeof etas[0] };
   const double ratio = 0.03;
   const double albedo = 1 / (1 + ratio);
-  const transport_phase phase = {0, 0, NULL};
-  transport_anisotropic *solution = solve(ratio, &phase, etas, ETAS);
-  transport_totals totals[ETAS];
-  unit_assert_fault(
-      transport_anisotropic_totals(totals, core_isa_select(NULL), ratio, &phase, etas, ETAS), NULL,
-      0);
+  const solver_phase phase = {0, 0, NULL};
+  solver_solution *solution = solve(ratio, &phase, etas, ETAS);
+  solver_total totals[ETAS];
+  unit_assert_fault(solver_totals(totals, core_isa_select(NULL), ratio, &phase, etas, ETAS), NULL,
+                    0);
   double worst = 0;
   for (size_t i = 0; i < ETAS; i++) {
     transport_boundary *boundary;
@@ -60,11 +62,11 @@ UNIT_TEST(isotropic_scattering_is_that_of_the_other_solver) {
     unit_assert_fault(transport_solve(&truth, boundary, albedo), NULL, 0);
     for (double r = 0.01; r < 21; r *= 1.4) {
       const transport_values values = transport_at(truth, r);
-      const double single = transport_anisotropic_single_at(solution, i, r);
+      const double single = solver_single_at(solution, i, r);
       assert_true(fabs(single / values.single.value - 1) < 1e-9);
       if (values.R.value > 1e-12) {
-        worst = fmax(worst, hold("isotropic", r, transport_anisotropic_at(solution, i, r),
-                                 values.R.value, 2e-6, 1e-3));
+        worst = fmax(worst,
+                     hold("isotropic", r, solver_at(solution, i, r), values.R.value, 2e-6, 1e-3));
       }
     }
     const double total = transport_total(truth).value;
@@ -73,7 +75,65 @@ UNIT_TEST(isotropic_scattering_is_that_of_the_other_solver) {
     transport_boundary_free(boundary);
   }
   printf("g = 0, sigma_a / sigma_s' %g: R off by at most %.1e\n", ratio, worst);
-  transport_anisotropic_free(solution);
+  solver_free(solution);
+}
+
+/* ---- what holds for any medium --------------------------------------------------------------- */
+
+/* Where nothing is absorbed, all light leaves, and R falls as r^-3 far away. */
+UNIT_TEST(all_light_leaves_a_white_medium) {
+  static const double gs[] = {0.8, -0.4}, etas[] = {1.4, 1};
+  for (size_t i = 0; i < 2; i++) {
+    enum { STEPS = 400 };
+    const solver_phase phase = {gs[i], 0, NULL};
+    solver_solution *solution = solve(0, &phase, &etas[i], 1);
+    const double first = 1e-5, last = 300, ratio = pow(last / first, 1.0 / STEPS);
+    double sum = 0, r = first * sqrt(ratio);
+    for (size_t k = 0; k < STEPS; k++, r *= ratio) {
+      sum += 2 * PI * r * r * log(ratio) * solver_at(solution, 0, r).value;
+    }
+    const double beyond = 2 * PI * last * last * solver_at(solution, 0, last).value;
+    printf("white, g %g, eta %g: %.6f within 300, %.6f beyond\n", gs[i], etas[i], sum, beyond);
+    assert_true(fabs(sum + beyond - 1) < 3e-4);
+    solver_total total;
+    unit_assert_fault(solver_totals(&total, core_isa_select(NULL), 0, &phase, &etas[i], 1), NULL,
+                      0);
+    assert_true(total.normal.value == 1 && total.diffuse.value == 1);
+    solver_free(solution);
+  }
+}
+
+/* White and black media, with narrow and backward scattering, against a finer grid. */
+UNIT_TEST(stated_errors_are_those_against_a_finer_grid) {
+  static const double media[][4] = {{0, 0.6, 1.55, 3},
+                                    {1000, 0.8, 1.33, 3},
+                                    {0.02, 0.99, 1.4, 4},
+                                    {0.5, -0.7, 0.5, 3},
+                                    {0.1, 0.9, 3.9, 3}};
+  for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
+    const solver_phase phase = {media[i][1], 0, NULL};
+    const double *eta = &media[i][2], tolerance = 1e-2, own = 3e-4;
+    double worst = 0, stated = 0;
+    solver_solution *solution, *finer;
+    unit_assert_fault(
+        solver_solve(&solution, core_isa_select(NULL), media[i][0], &phase, eta, 1, tolerance),
+        NULL, 0);
+    unit_assert_fault(solver_solve_level(&finer, core_isa_select(NULL), media[i][0], &phase, eta, 1,
+                                         (size_t)media[i][3], NULL, false),
+                      NULL, 0);
+    for (double r = SOLVER_RADIUS_LEAST; r < SOLVER_RADIUS_MOST; r *= 1.3) {
+      const transport_number R = solver_at(solution, 0, r);
+      const double error = R.error / R.value;
+      const double off = fabs(R.value / solver_at(finer, 0, r).value - 1);
+      worst = R.value > 0 ? fmax(worst, off / (error + own)) : worst;
+      stated = fmax(stated, error);
+    }
+    printf("ratio %g, g %g, eta %g: %.2f of what is stated, %.1e at most\n", media[i][0],
+           media[i][1], *eta, worst, stated);
+    assert_true(worst <= 1);
+    solver_free(solution);
+    solver_free(finer);
+  }
 }
 
 /* ---- numbers of others ---------------------------------------------------------------------- */
@@ -89,12 +149,11 @@ UNIT_TEST(totals_are_those_of_adding_doubling) {
                {0.998003992, 0.8, 1.4, 0.63166, 1e-5},
                {0.99, 0.8, 1.4, 0.38586, 1e-5}};
   for (size_t i = 0; i < sizeof known / sizeof known[0]; i++) {
-    const transport_phase phase = {known[i].g, 0, NULL};
+    const solver_phase phase = {known[i].g, 0, NULL};
     const double ratio = (1 - known[i].albedo) / (known[i].albedo * (1 - known[i].g));
     const double specular = pow((known[i].eta - 1) / (known[i].eta + 1), 2);
-    transport_totals total;
-    unit_assert_fault(transport_anisotropic_totals(&total, core_isa_select(NULL), ratio, &phase,
-                                                   &known[i].eta, 1),
+    solver_total total;
+    unit_assert_fault(solver_totals(&total, core_isa_select(NULL), ratio, &phase, &known[i].eta, 1),
                       NULL, 0);
     assert_true(total.normal.error < 1e-6 * total.normal.value);
     const double launched = specular + (1 - specular) * total.normal.value;
@@ -108,13 +167,13 @@ UNIT_TEST(totals_are_those_of_adding_doubling) {
  */
 UNIT_TEST(diffuse_light_is_reflected_as_h_functions_say) {
   static const double known[][2] = {{0.9, 0.478024489}, {0.5, 0.146544381}};
-  const transport_phase phase = {0, 0, NULL};
+  const solver_phase phase = {0, 0, NULL};
   const double eta = 1;
   for (size_t i = 0; i < 2; i++) {
-    transport_totals total;
-    unit_assert_fault(transport_anisotropic_totals(&total, core_isa_select(NULL),
-                                                   1 / known[i][0] - 1, &phase, &eta, 1),
-                      NULL, 0);
+    solver_total total;
+    unit_assert_fault(
+        solver_totals(&total, core_isa_select(NULL), 1 / known[i][0] - 1, &phase, &eta, 1), NULL,
+        0);
     hold("diffuse total", known[i][0], total.diffuse, known[i][1], 1e-8, 1e-6);
   }
 }
@@ -166,11 +225,10 @@ UNIT_TEST(diffuse_totals_are_known_to_1e5) {
   static const double media[][2] = {{0.1, 0.9}, {1, 0.9}, {8, 0.9}, {15, 0.945}, {30, -0.4}};
   static const double etas[] = {0.7, 1, 1.05, 1.4, 2.2};
   for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
-    const transport_phase phase = {media[i][1], 0, NULL};
-    transport_totals totals[5];
-    unit_assert_fault(
-        transport_anisotropic_totals(totals, core_isa_select(NULL), media[i][0], &phase, etas, 5),
-        NULL, 0);
+    const solver_phase phase = {media[i][1], 0, NULL};
+    solver_total totals[5];
+    unit_assert_fault(solver_totals(totals, core_isa_select(NULL), media[i][0], &phase, etas, 5),
+                      NULL, 0);
     for (size_t eta = 0; eta < 5; eta++) {
       assert_true(totals[eta].diffuse.error < 2e-6 * totals[eta].diffuse.value);
     }
@@ -189,26 +247,25 @@ UNIT_TEST(values_of_another_implementation_hold) {
     for (size_t l = 1; l < MOMENTS; l++) {
       moment[l] = known->g * moment[l - 1];
     }
-    const transport_phase phase = {known->g, known->g < 0.5 ? MOMENTS : 0, moment};
-    transport_anisotropic *solution = solve(known->ratio, &phase, &known->eta, 1);
+    const solver_phase phase = {known->g, known->g < 0.5 ? MOMENTS : 0, moment};
+    solver_solution *solution = solve(known->ratio, &phase, &known->eta, 1);
     for (size_t row = 0; row < ANISOTROPIC_RADII; row++) {
-      hold("another implementation", known[row].x,
-           transport_anisotropic_at(solution, 0, known[row].x), known[row].R, known[row].error,
-           1e-3);
+      hold("another implementation", known[row].x, solver_at(solution, 0, known[row].x),
+           known[row].R, known[row].error, 1e-3);
     }
-    assert_true(isinf(transport_anisotropic_at(solution, 0, 0).value));
-    assert_true(transport_anisotropic_at(solution, 0, INFINITY).value == 0);
-    transport_anisotropic_free(solution);
+    assert_true(isinf(solver_at(solution, 0, 0).value));
+    assert_true(solver_at(solution, 0, INFINITY).value == 0);
+    solver_free(solution);
   }
 }
 
 /* The mean of R over a ring. */
-static double ring_mean(const transport_anisotropic *solution, double from, double to) {
+static double ring_mean(const solver_solution *solution, double from, double to) {
   enum { POINTS = 8 };
   double sum = 0;
   for (int i = 0; i < POINTS; i++) {
     const double r = sqrt(from * from + (to * to - from * from) * (i + 0.5) / POINTS);
-    sum += transport_anisotropic_at(solution, 0, r).value;
+    sum += solver_at(solution, 0, r).value;
   }
   return sum / POINTS;
 }
@@ -220,8 +277,8 @@ UNIT_TEST(rings_are_those_of_monte_carlo) {
     skip();
   }
   const double eta = 1.4;
-  const transport_phase phase = {0.9, 0, NULL};
-  transport_anisotropic *solution = solve(0.05, &phase, &eta, 1);
+  const solver_phase phase = {0.9, 0, NULL};
+  solver_solution *solution = solve(0.05, &phase, &eta, 1);
   double chi_squared = 0, largest = 0;
   size_t rings = 0;
   for (char *line = strtok(text, "\n"); line != NULL; line = strtok(NULL, "\n")) {
@@ -237,7 +294,7 @@ UNIT_TEST(rings_are_those_of_monte_carlo) {
   printf("%zu rings, chi-squared per ring %.2f (sigma is an upper bound), largest %.1f sigma\n",
          rings, chi_squared / (double)rings, largest);
   assert_true(rings > 40 && chi_squared < 1.2 * (double)rings && largest < 4.5);
-  transport_anisotropic_free(solution);
+  solver_free(solution);
   free(text);
 }
 
@@ -263,11 +320,10 @@ UNIT_TEST(light_within_cones_is_that_of_walks) {
   static const double etas[] = {0.8, 1.4}, sines[] = {0.25, 0.6};
   const double ratio = 0.1, g = 0.5, albedo = 1 / (1 + ratio * (1 - g));
   const double unit = 1 / (1 - albedo + albedo * (1 - g)); /* reduced mean free path, in paths */
-  const transport_phase phase = {.g = g};
-  transport_anisotropic *solution;
-  unit_assert_fault(transport_anisotropic_solve_cones(&solution, core_isa_select(NULL), ratio,
-                                                      &phase, etas, 2, sines, 2,
-                                                      TRANSPORT_EFFORT_QUICK, true),
+  const solver_phase phase = {.g = g};
+  solver_solution *solution;
+  unit_assert_fault(solver_solve_cones(&solution, core_isa_select(NULL), ratio, &phase, etas, 2,
+                                       sines, 2, TOLERANCE),
                     NULL, 0);
   for (size_t k = 0; k < CASES; k++) {
     const size_t eta = k / 2, cone = k % 2;
@@ -280,8 +336,8 @@ UNIT_TEST(light_within_cones_is_that_of_walks) {
     double squares = 0, shares[RINGS];
     for (size_t i = 0; i < RINGS; i++) {
       const double r = sqrt(rings[i].from_mm * rings[i].to_mm) / unit;
-      shares[i] = transport_anisotropic_share_at(solution, eta, cone, r).value;
-      const double R = shares[i] * transport_anisotropic_at(solution, eta, r).value / (unit * unit);
+      shares[i] = solver_share_at(solution, eta, cone, r).value;
+      const double R = shares[i] * solver_at(solution, eta, r).value / (unit * unit);
       const double off = (rings[i].R_per_mm2 - R) / hypot(rings[i].error_per_mm2, 0.005 * R);
       squares += off * off;
       expect_share(ratio, g, etas[eta], request.aperture, r, shares[i]);
@@ -295,7 +351,7 @@ UNIT_TEST(light_within_cones_is_that_of_walks) {
     assert_true(squares / RINGS < 1 + 4 * sqrt(2.0 / RINGS));
     montecarlo_run_free(&run);
   }
-  transport_anisotropic_free(solution);
+  solver_free(solution);
 }
 
 /* ---- the reference table -------------------------------------------------------------------- */
@@ -390,50 +446,47 @@ UNIT_TEST(the_reference_table_holds) {
 UNIT_TEST(there_is_no_wave_of_the_last_wavenumber) {
   const double eta = 2.18, last = 8, half_wave = PI / last;
   static const double binomial[] = {1, -6, 15, -20, 15, -6, 1};
-  const transport_phase phase = {-0.5, 0, NULL};
-  transport_anisotropic *solution = solve(70, &phase, &eta, 1);
+  const solver_phase phase = {-0.5, 0, NULL};
+  solver_solution *solution = solve(70, &phase, &eta, 1);
   double worst = 0;
   for (double r = 4; r < 6; r += 0.1) {
     double difference = 0;
     for (int i = 0; i < 7; i++) {
-      difference +=
-          binomial[i] * log(transport_anisotropic_at(solution, 0, r + (i - 3) * half_wave).value);
+      difference += binomial[i] * log(solver_at(solution, 0, r + (i - 3) * half_wave).value);
     }
     worst = fmax(worst, fabs(difference) / 64);
   }
   printf("waves of %.1e at most\n", worst);
   assert_true(worst < 8e-4);
-  transport_anisotropic_free(solution);
+  solver_free(solution);
 }
 
 /* ---- the interface -------------------------------------------------------------------------- */
 
 UNIT_TEST(kept_exitances_give_the_same_bits) {
   static const double etas[] = {0.8, 1.4};
-  enum { ETAS = 2, NUMBERS = ETAS * TRANSPORT_ANISOTROPIC_WAVENUMBERS_MAX };
+  enum { LEVEL = 1, ETAS = 2, NUMBERS = ETAS * SOLVER_WAVENUMBERS_MAX };
   static double complex exitances[NUMBERS];
-  const transport_phase phase = {0.7, 0, NULL};
+  const solver_phase phase = {0.7, 0, NULL};
   const core_isa *isa = core_isa_select(NULL);
-  transport_anisotropic *solutions[3];
-  unit_assert_fault(transport_anisotropic_solve_once(&solutions[0], isa, 0.1, &phase, etas, ETAS,
-                                                     TRANSPORT_EFFORT_QUICK),
-                    NULL, 0);
+  solver_solution *solutions[3];
+  unit_assert_fault(
+      solver_solve_level(&solutions[0], isa, 0.1, &phase, etas, ETAS, LEVEL, NULL, false), NULL, 0);
   for (int known = 0; known < 2; known++) {
-    unit_assert_fault(transport_anisotropic_solve_kept(&solutions[1 + known], isa, 0.1, &phase,
-                                                       etas, ETAS, TRANSPORT_EFFORT_QUICK,
-                                                       exitances, known),
+    unit_assert_fault(solver_solve_level(&solutions[1 + known], isa, 0.1, &phase, etas, ETAS, LEVEL,
+                                         exitances, known),
                       NULL, 0);
   }
   for (size_t eta = 0; eta < ETAS; eta++) {
     for (double r = 1e-3; r < 30; r *= 3) {
-      const double R = transport_anisotropic_at(solutions[0], eta, r).value;
+      const double R = solver_at(solutions[0], eta, r).value;
       assert_true(R > 0);
-      assert_true(transport_anisotropic_at(solutions[1], eta, r).value == R);
-      assert_true(transport_anisotropic_at(solutions[2], eta, r).value == R);
+      assert_true(solver_at(solutions[1], eta, r).value == R);
+      assert_true(solver_at(solutions[2], eta, r).value == R);
     }
   }
   for (int i = 0; i < 3; i++) {
-    transport_anisotropic_free(solutions[i]);
+    solver_free(solutions[i]);
   }
 }
 
@@ -443,14 +496,12 @@ UNIT_TEST(totals_by_moments_are_those_by_g) {
   for (size_t l = 0; l < MOMENTS; l++) {
     moment[l] = pow(0.3, (double)l);
   }
-  const transport_phase by_g = {0.3, 0, NULL}, by_moments = {0, MOMENTS, moment};
+  const solver_phase by_g = {0.3, 0, NULL}, by_moments = {0, MOMENTS, moment};
   static const double etas[] = {1.4, 0.9};
-  transport_totals one[2], other[2];
-  unit_assert_fault(transport_anisotropic_totals(one, core_isa_select(NULL), 0.1, &by_g, etas, 2),
-                    NULL, 0);
-  unit_assert_fault(
-      transport_anisotropic_totals(other, core_isa_select(NULL), 0.1, &by_moments, etas, 2), NULL,
-      0);
+  solver_total one[2], other[2];
+  unit_assert_fault(solver_totals(one, core_isa_select(NULL), 0.1, &by_g, etas, 2), NULL, 0);
+  unit_assert_fault(solver_totals(other, core_isa_select(NULL), 0.1, &by_moments, etas, 2), NULL,
+                    0);
   for (size_t i = 0; i < 2; i++) {
     assert_true(fabs(one[i].diffuse.value / other[i].diffuse.value - 1) < 1e-12);
   }
@@ -459,37 +510,32 @@ UNIT_TEST(totals_by_moments_are_those_by_g) {
 UNIT_TEST(faults_name_their_field) {
   const double eta = 1.4, bad_eta[] = {1.4, 4.1};
   const double moments[] = {0.5, 0};
-  const transport_phase good = {0.9, 0, NULL}, peaked = {0.999, 0, NULL}, unknown = {NAN, 0, NULL};
-  const transport_phase unnormalized = {0, 2, moments};
-  transport_anisotropic *solution;
+  const solver_phase good = {0.9, 0, NULL}, peaked = {0.999, 0, NULL}, unknown = {NAN, 0, NULL};
+  const solver_phase unnormalized = {0, 2, moments};
+  solver_solution *solution;
   const struct {
     double ratio;
-    const transport_phase *phase;
+    const solver_phase *phase;
     const double *etas;
     size_t count;
     const char *field;
     size_t index;
   } faults[] = {
-      {NAN, &good, &eta, 1, "sigma_a_ratio", 0},
-      {1e-7, &good, &eta, 1, "sigma_a_ratio", 0},
-      {1, &peaked, &eta, 1, "phase", 0},
-      {1, &unknown, &eta, 1, "phase", 0},
-      {1, &unnormalized, &eta, 1, "phase", 0},
-      {1, &good, bad_eta, 2, "eta", 1},
-      {1, &good, &eta, 0, "eta", 0},
+      {NAN, &good, &eta, 1, "sigma_a_ratio", 0},  {-1e-9, &good, &eta, 1, "sigma_a_ratio", 0},
+      {1001, &good, &eta, 1, "sigma_a_ratio", 0}, {1, &peaked, &eta, 1, "phase", 0},
+      {1, &unknown, &eta, 1, "phase", 0},         {1, &unnormalized, &eta, 1, "phase", 0},
+      {1, &good, bad_eta, 2, "eta", 1},           {1, &good, &eta, 0, "eta", 0},
   };
   for (size_t i = 0; i < sizeof faults / sizeof faults[0]; i++) {
-    unit_assert_fault(transport_anisotropic_solve(&solution, core_isa_select(NULL), faults[i].ratio,
-                                                  faults[i].phase, faults[i].etas, faults[i].count,
-                                                  TRANSPORT_EFFORT_QUICK),
+    unit_assert_fault(solver_solve(&solution, core_isa_select(NULL), faults[i].ratio,
+                                   faults[i].phase, faults[i].etas, faults[i].count, TOLERANCE),
                       faults[i].field, faults[i].index);
     assert_null(solution);
   }
   const double sines[] = {0.5, 0};
-  unit_assert_fault(transport_anisotropic_solve_cones(&solution, core_isa_select(NULL), 1, &good,
-                                                      &eta, 1, sines, 2, TRANSPORT_EFFORT_QUICK,
-                                                      true),
-                    "sine", 1);
+  unit_assert_fault(
+      solver_solve_cones(&solution, core_isa_select(NULL), 1, &good, &eta, 1, sines, 2, TOLERANCE),
+      "sine", 1);
   assert_null(solution);
-  transport_anisotropic_free(NULL);
+  solver_free(NULL);
 }

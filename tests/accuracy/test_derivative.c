@@ -5,7 +5,7 @@
 #include <string.h>
 
 #include "core/kernels.h"
-#include "core/transport/anisotropic.h"
+#include "core/solver/solver.h"
 #include "tests/accuracy/forms.h"
 #include "tests/unit/unit.h"
 
@@ -119,10 +119,10 @@ UNIT_TEST(derivatives_are_those_of_the_formulas) {
       if (models[m] == CORE_MODEL_BURLEY_DMFP && !(medium.sigma_a_per_mm > 0)) {
         medium.sigma_a_per_mm = 0.125;
       }
-      worst =
-          fmax(worst, compare_with_formula(
-                          models[m], i < TABLES ? CORE_EVALUATOR_LUT : CORE_EVALUATOR_F32, &medium,
-                          unit_parameters(models[m], &medium), quick ? 20 : 6, &random));
+      worst = fmax(worst, compare_with_formula(models[m],
+                                               i < TABLES ? CORE_EVALUATOR_LUT : CORE_EVALUATOR_F32,
+                                               &medium, unit_parameters(models[m], &medium),
+                                               quick ? 20 : 6, &random));
     }
     printf("%s: %.3f of what is stated\n", core_choice_by_id(core_models, models[m])->name, worst);
   }
@@ -142,8 +142,8 @@ UNIT_TEST(derivatives_of_thin_slabs_are_those_of_the_formulas) {
         i < 8 ? 1.1001 + 0.02 * (i / 4) : unit_random_between(&random, 1.11, 2);
     core_parameters parameters = core_parameters_none();
     parameters.value[CORE_PARAMETER_THICKNESS] = thickness / core_sigma_t_prime(&medium);
-    worst = fmax(worst, compare_with_formula(slabs[i % 4], CORE_EVALUATOR_LUT, &medium, parameters, 6,
-                                             &random));
+    worst = fmax(worst, compare_with_formula(slabs[i % 4], CORE_EVALUATOR_LUT, &medium, parameters,
+                                             6, &random));
   }
   printf("thin slabs: %.3f of what is stated\n", worst);
 }
@@ -228,12 +228,11 @@ UNIT_TEST(derivatives_of_transport_with_g_are_those_of_the_solver) {
   core_parameters parameters = core_parameters_none();
   for (size_t m = 0; m < (unit_is_long() ? sizeof media / sizeof media[0] : 1); m++) {
     const double g = media[m][0], ratio = media[m][1];
-    const transport_phase phase = {g, 0, NULL};
-    transport_anisotropic *solutions[5];
+    const solver_phase phase = {g, 0, NULL};
+    solver_solution *solutions[5];
     for (int k = 0; k < 5; k++) {
-      unit_assert_fault(transport_anisotropic_solve(&solutions[k], core_isa_select(NULL),
-                                                    ratio * exp((k - 2) * h), &phase, etas, ETAS,
-                                                    TRANSPORT_EFFORT_QUICK),
+      unit_assert_fault(solver_solve(&solutions[k], core_isa_select(NULL), ratio * exp((k - 2) * h),
+                                     &phase, etas, ETAS, 1e-3),
                         NULL, 0);
     }
     for (size_t e = 0; e < ETAS; e++) {
@@ -248,9 +247,9 @@ UNIT_TEST(derivatives_of_transport_with_g_are_those_of_the_solver) {
         double by_a[5], by_r[5], unsure = 0;
         for (int k = 0; k < 5; k++) {
           const double sigma_t = (1 + ratio * exp((k - 2) * h)) / (1 + ratio);
-          const transport_number R = transport_anisotropic_at(solutions[k], e, r * sigma_t);
+          const transport_number R = solver_at(solutions[k], e, r * sigma_t);
           by_a[k] = log(R.value * sigma_t * sigma_t);
-          by_r[k] = log(transport_anisotropic_at(solutions[2], e, r * exp((k - 2) * h)).value);
+          by_r[k] = log(solver_at(solutions[2], e, r * exp((k - 2) * h)).value);
           unsure = fmax(unsure, R.value > 1e-12 ? R.error / R.value : 1);
         }
         if (unsure > 2e-3) {
@@ -271,7 +270,7 @@ UNIT_TEST(derivatives_of_transport_with_g_are_those_of_the_solver) {
       core_profile_free(&profile);
     }
     for (int k = 0; k < 5; k++) {
-      transport_anisotropic_free(solutions[k]);
+      solver_free(solutions[k]);
     }
   }
 }

@@ -540,7 +540,7 @@ UNIT_TEST(a_table_states_its_largest_error) {
 }
 
 /* R of transport for g below 0 halfway between two albedos of its table, where its series are
- * furthest off. The truth is a solution with TRANSPORT_EFFORT_NORMAL, whose error it states
+ * furthest off. The truth is a solution with a tolerance of 1e-4, whose error it states
  * itself. */
 UNIT_TEST(transport_between_the_albedos_of_its_table) {
   const core_medium medium = {0.0086343149442095583, 0.68876179057435116, -0.4393447758318606,
@@ -603,7 +603,7 @@ UNIT_TEST(slopes_beside_a_table_have_an_error_of_their_own) {
 }
 
 /* Far away in a dark medium, where R is below what the table's solutions resolve. The truth is a
- * solution with TRANSPORT_EFFORT_NORMAL. */
+ * solution with a tolerance of 1e-4. */
 UNIT_TEST(transport_with_g_where_its_table_ends) {
   const core_medium medium = {0.54875120806794742, 1.6528208203568595, 0.72698263092146687, 1};
   const double truth[][2] = {{23.334396362304688, 2.2871e-15}, {24.4, 6.649e-16}};

@@ -4,7 +4,7 @@
  * program's rings, where ../shared is there. */
 #include <math.h>
 
-#include "core/transport/anisotropic.h"
+#include "core/solver/solver.h"
 #include "core/transport/transport.h"
 #include "tests/unit/unit.h"
 
@@ -191,23 +191,21 @@ UNIT_TEST(errors_hold_at_any_g) {
 /* Against the solver, which knows no table. */
 UNIT_TEST(errors_hold_against_the_solver) {
   static const double etas[] = {1.03, 1.16, 1.37, 1.52, 1.93};
-  const transport_phase phase = {0.83, 0, NULL};
+  const solver_phase phase = {0.83, 0, NULL};
   enum { ETAS = sizeof etas / sizeof etas[0] };
-  transport_anisotropic *solution;
-  transport_totals totals[ETAS];
+  solver_solution *solution;
+  solver_total totals[ETAS];
   size_t known = 0;
   const double ratio = 0.034;
-  unit_assert_fault(transport_anisotropic_solve(&solution, core_isa_select(NULL), ratio, &phase,
-                                                etas, ETAS, TRANSPORT_EFFORT_QUICK),
+  unit_assert_fault(solver_solve(&solution, core_isa_select(NULL), ratio, &phase, etas, ETAS, 1e-3),
                     NULL, 0);
-  unit_assert_fault(
-      transport_anisotropic_totals(totals, core_isa_select(NULL), ratio, &phase, etas, ETAS), NULL,
-      0);
+  unit_assert_fault(solver_totals(totals, core_isa_select(NULL), ratio, &phase, etas, ETAS), NULL,
+                    0);
   for (size_t k = 0; k < ETAS; k++) {
     struct truth truth = {.medium = medium_of(ratio, phase.g, etas[k])};
     set_radii(&truth);
     for (size_t i = 0; i < RADII; i++) {
-      const transport_number R = transport_anisotropic_at(solution, k, truth.r[i]);
+      const transport_number R = solver_at(solution, k, truth.r[i]);
       truth.R[i] = R.value;
       truth.error[i] = R.error / R.value;
     }
@@ -215,7 +213,7 @@ UNIT_TEST(errors_hold_against_the_solver) {
     truth.albedo_error = totals[k].normal.error / totals[k].normal.value;
     known += check_stated(&truth);
   }
-  transport_anisotropic_free(solution);
+  solver_free(solution);
   printf("%zu errors against the solver\n", known);
   assert_true(known > (size_t)ETAS * 10 * RADII);
 }
@@ -325,19 +323,17 @@ UNIT_TEST(gamma_is_within_what_is_said) {
   for (size_t l = 0; l < MOMENTS; l++, power *= g) {
     moment[l] = power + (l == 0 ? 1 - share : l == 2 ? 0.4 * (1 - share) : 0);
   }
-  const transport_phase phase = {0, MOMENTS, moment};
+  const solver_phase phase = {0, MOMENTS, moment};
   const double gamma = (1 - moment[2]) / (1 - moment[1]);
-  transport_anisotropic *truth;
-  unit_assert_fault(transport_anisotropic_solve(&truth, core_isa_select(NULL), ratio, &phase, etas,
-                                                3, TRANSPORT_EFFORT_QUICK),
-                    NULL, 0);
+  solver_solution *truth;
+  unit_assert_fault(solver_solve(&truth, core_isa_select(NULL), ratio, &phase, etas, 3, 1e-3), NULL,
+                    0);
   for (size_t eta = 0; eta < 3; eta++) {
     core_profile profile = prepared_with_gamma(medium_of(ratio, moment[1], etas[eta]), gamma);
     assert_true((profile.notes & CORE_NOTE_GAMMA) != 0);
     assert_true((profile.notes & CORE_NOTE_SIMILARITY) == 0);
     for (size_t i = 0; i < sizeof radii / sizeof radii[0]; i++) {
-      const double off =
-          fabs(R_at(&profile, radii[i]) / transport_anisotropic_at(truth, eta, radii[i]).value - 1);
+      const double off = fabs(R_at(&profile, radii[i]) / solver_at(truth, eta, radii[i]).value - 1);
       const double said = stated(&profile, CORE_QUANTITY_R, radii[i], radii[i]);
       printf("gamma %.3f, eta %g, r %g: off by %.3f, stated %.3f\n", gamma, etas[eta], radii[i],
              off, said);
@@ -346,7 +342,7 @@ UNIT_TEST(gamma_is_within_what_is_said) {
     }
     core_profile_free(&profile);
   }
-  transport_anisotropic_free(truth);
+  solver_free(truth);
 }
 
 /* Without another phase function gamma changes nothing, and beyond what was measured its error is

@@ -5,7 +5,7 @@
 #include "core/choose.h"
 #include "core/inverter.h"
 #include "core/kernels.h"
-#include "core/transport/anisotropic.h"
+#include "core/solver/solver.h"
 #include "core/transport/table.h"
 #include "tests/accuracy/vectors.h"
 #include "tests/unit/unit.h"
@@ -131,15 +131,14 @@ UNIT_TEST(albedos_are_those_of_adding_doubling) {
 
 /* dR/dr by differences of the solver's ln R, which is smooth, whatever its error. Differences of R
  * itself would be 2e-3 off at 20 mean free paths. */
-static double slope_of(const transport_anisotropic *solution, size_t eta, double r) {
+static double slope_of(const solver_solution *solution, size_t eta, double r) {
   double by[2];
   for (int i = 0; i < 2; i++) {
     const double h = i == 0 ? 0.02 * r : 0.04 * r;
-    by[i] = log(transport_anisotropic_at(solution, eta, r + h).value /
-                transport_anisotropic_at(solution, eta, r - h).value) /
+    by[i] = log(solver_at(solution, eta, r + h).value / solver_at(solution, eta, r - h).value) /
             (2 * h);
   }
-  return transport_anisotropic_at(solution, eta, r).value * (4 * by[0] - by[1]) / 3;
+  return solver_at(solution, eta, r).value * (4 * by[0] - by[1]) / 3;
 }
 
 /* How far the values of a medium are off at most, over what is allowed. */
@@ -148,14 +147,14 @@ struct excess {
 };
 
 /* Compares R and dR/dr with the solution for boundary e at random radii. */
-static void compare_with_solution(const transport_anisotropic *solution, size_t e,
+static void compare_with_solution(const solver_solution *solution, size_t e,
                                   const core_medium *medium, core_radii_range radii, double R_least,
                                   uint64_t *random, struct excess *excess) {
   enum { RADII = 24 };
   core_profile profile = prepare(medium, CORE_EVALUATOR_F64, (double)NAN);
   for (size_t i = 0; i < RADII; i++) {
     const double r = unit_random_log(random, radii.least_mm, radii.most_mm);
-    const transport_number truth = transport_anisotropic_at(solution, e, r);
+    const transport_number truth = solver_at(solution, e, r);
     const double error = truth.error / truth.value;
     if (truth.value < R_least || error > 2e-3) {
       continue;
@@ -177,19 +176,18 @@ static void compare_with_solution(const transport_anisotropic *solution, size_t 
 
 /* The same for each of three boundaries, for which the medium is solved. */
 static struct excess compare_with_solver(double ratio, double g, const double etas[3],
-                                         enum transport_effort effort, core_radii_range radii,
-                                         double R_least, uint64_t *random) {
-  const transport_phase phase = {g, 0, NULL};
+                                         double tolerance, core_radii_range radii, double R_least,
+                                         uint64_t *random) {
+  const solver_phase phase = {g, 0, NULL};
   struct excess excess = {0, 0};
-  transport_anisotropic *solution;
+  solver_solution *solution;
   unit_assert_fault(
-      transport_anisotropic_solve(&solution, core_isa_select(NULL), ratio, &phase, etas, 3, effort),
-      NULL, 0);
+      solver_solve(&solution, core_isa_select(NULL), ratio, &phase, etas, 3, tolerance), NULL, 0);
   for (size_t e = 0; e < 3; e++) {
     const core_medium medium = medium_of(ratio, g, etas[e]);
     compare_with_solution(solution, e, &medium, radii, R_least, random, &excess);
   }
-  transport_anisotropic_free(solution);
+  solver_free(solution);
   printf("of what is allowed: R %.2f, dR/dr %.2f\n", excess.R, excess.slope);
   return excess;
 }
@@ -202,19 +200,17 @@ UNIT_TEST(values_are_those_of_the_solver) {
     const double ratio = unit_random_log(&random, 1e-4, 2);
     const double etas[] = {unit_random_between(&random, 0.7, 1), 1,
                            unit_random_between(&random, 1, 2.2)};
-    compare_with_solver(ratio, g, etas, TRANSPORT_EFFORT_QUICK, (core_radii_range){0.01, 20}, 1e-12,
-                        &random);
+    compare_with_solver(ratio, g, etas, 1e-3, (core_radii_range){0.01, 20}, 1e-12, &random);
   }
 }
 
 /* The table was measured where R is above 1e-12. Its error grows beyond the reach. */
 UNIT_TEST(smaller_values_are_within_what_is_stated_beyond_the_reach) {
   uint64_t random = unit_seed();
-  const enum transport_effort effort =
-      unit_is_long() ? TRANSPORT_EFFORT_NORMAL : TRANSPORT_EFFORT_QUICK;
+  const double tolerance = unit_is_long() ? 1e-4 : 1e-3;
   const double etas[] = {0.782, 1, 1.16};
-  const struct excess excess =
-      compare_with_solver(1.2162, 0.727, etas, effort, (core_radii_range){15, 25}, 1e-17, &random);
+  const struct excess excess = compare_with_solver(1.2162, 0.727, etas, tolerance,
+                                                   (core_radii_range){15, 25}, 1e-17, &random);
   assert_true(excess.R > 0);
 }
 
@@ -245,9 +241,8 @@ UNIT_TEST(media_without_absorption_are_within_what_is_stated) {
   const double etas[] = {1.45, 1.9, 2.195};
   uint64_t random = unit_seed();
   for (size_t m = 0; m < sizeof media / sizeof media[0]; m++) {
-    const struct excess excess =
-        compare_with_solver(media[m][0], media[m][1], etas, TRANSPORT_EFFORT_QUICK,
-                            (core_radii_range){0.02, 400}, 1e-12, &random);
+    const struct excess excess = compare_with_solver(media[m][0], media[m][1], etas, 1e-3,
+                                                     (core_radii_range){0.02, 400}, 1e-12, &random);
     assert_true(excess.R > 0);
   }
 }
@@ -263,21 +258,21 @@ struct within {
 
 /* Returns the integral of 2 pi r R J0(2 pi f r) from one radius to another, and adds the solver's
  * error to *error. */
-static double between_radii(const transport_anisotropic *solution, double from, double to, double f,
+static double between_radii(const solver_solution *solution, double from, double to, double f,
                             double *error) {
   static const double node[] = {-0.77459666924148338, 0, 0.77459666924148338};
   static const double weight[] = {5.0 / 18, 8.0 / 18, 5.0 / 18};
   double sum = 0;
   for (size_t i = 0; i < 3; i++) {
     const double r = 0.5 * (from + to + (to - from) * node[i]);
-    const transport_number R = transport_anisotropic_at(solution, 0, r);
+    const transport_number R = solver_at(solution, 0, r);
     sum += weight[i] * (to - from) * 2 * PI * r * R.value * j0(2 * PI * f * r);
     *error += weight[i] * (to - from) * 2 * PI * r * R.error;
   }
   return sum;
 }
 
-static void integrate(const transport_anisotropic *solution, struct within *within) {
+static void integrate(const solver_solution *solution, struct within *within) {
   *within = (struct within){.r = {0}};
   for (size_t i = 1; i < WITHIN; i++) {
     within->r[i] = 1e-3 * pow(1.2, (double)i);
@@ -343,7 +338,7 @@ static double entering(double eta, double x) {
 }
 
 /* R, 2 pi r R, the pdf, ln R and S of light that enters and leaves at given angles. */
-static void check_densities(const core_profile *profile, const transport_anisotropic *solution,
+static void check_densities(const core_profile *profile, const solver_solution *solution,
                             double eta, double total, double *worst) {
   enum { COSINES = 20000 };
   double norm = 0;
@@ -353,7 +348,7 @@ static void check_densities(const core_profile *profile, const transport_anisotr
   }
   const double factor = entering(eta, 0.8) * entering(eta, 0.9) / (PI * norm);
   for (double r = 0.011; r < 20; r *= 1.6) {
-    const transport_number R = transport_anisotropic_at(solution, 0, r);
+    const transport_number R = solver_at(solution, 0, r);
     const double ring = 2 * PI * r * R.value, unsure = R.error / R.value + 1e-6;
     const struct {
       const char *name;
@@ -375,7 +370,7 @@ static void check_densities(const core_profile *profile, const transport_anisotr
 }
 
 /* The reflectance for stripes: the integral of 2 pi r R J0(2 pi f r). */
-static void check_transform(const core_profile *profile, const transport_anisotropic *solution,
+static void check_transform(const core_profile *profile, const solver_solution *solution,
                             double total, double *worst) {
   static const double frequencies[] = {0.003, 0.03, 0.1, 0.4};
   for (size_t i = 0; i < sizeof frequencies / sizeof frequencies[0]; i++) {
@@ -395,19 +390,17 @@ UNIT_TEST(quantities_are_integrals_of_the_solvers_R) {
   static const double media[][3] = {{0.1, 0.9, 1.4}, {2, -0.4, 0.8}};
   for (size_t m = 0; m < sizeof media / sizeof media[0]; m++) {
     const double ratio = media[m][0], g = media[m][1], eta = media[m][2];
-    const transport_phase phase = {g, 0, NULL};
+    const solver_phase phase = {g, 0, NULL};
     const core_medium medium = medium_of(ratio, g, eta);
     core_parameters parameters = core_parameters_none();
-    transport_anisotropic *solution;
-    transport_totals totals;
+    solver_solution *solution;
+    solver_total totals;
     struct within within;
     double worst = 0;
-    unit_assert_fault(transport_anisotropic_solve(&solution, core_isa_select(NULL), ratio, &phase,
-                                                  &eta, 1, TRANSPORT_EFFORT_NORMAL),
+    unit_assert_fault(solver_solve(&solution, core_isa_select(NULL), ratio, &phase, &eta, 1, 1e-4),
                       NULL, 0);
-    unit_assert_fault(
-        transport_anisotropic_totals(&totals, core_isa_select(NULL), ratio, &phase, &eta, 1), NULL,
-        0);
+    unit_assert_fault(solver_totals(&totals, core_isa_select(NULL), ratio, &phase, &eta, 1), NULL,
+                      0);
     const double total = totals.normal.value;
     integrate(solution, &within);
     assert_true(within.r[WITHIN - 1] > 90);
@@ -427,7 +420,7 @@ UNIT_TEST(quantities_are_integrals_of_the_solvers_R) {
       core_profile_free(&profile);
     }
     printf("sigma_a / sigma_s' %g, g %g, eta %g: %.2f of what is allowed\n", ratio, g, eta, worst);
-    transport_anisotropic_free(solution);
+    solver_free(solution);
   }
 }
 

@@ -2,7 +2,7 @@
 #include <math.h>
 
 #include "core/kernels.h"
-#include "core/transport/anisotropic.h"
+#include "core/solver/solver.h"
 #include "core/transport/table.h"
 #include "core/transport/transport.h"
 #include "tests/accuracy/vectors.h"
@@ -197,20 +197,20 @@ UNIT_TEST(the_difference_agrees_with_the_solver) {
   enum { BOUNDARIES = 8 };
   uint64_t random = unit_seed();
   const double ratio = unit_random_log(&random, 1e-4, 5), albedo = 1 / (1 + ratio);
-  const transport_phase phase = {unit_random_between(&random, -0.5, 0.95), 0, NULL};
+  const solver_phase phase = {unit_random_between(&random, -0.5, 0.95), 0, NULL};
   double etas[BOUNDARIES] = {0.7, 1, 2.2}, worst = 0;
   for (size_t i = 3; i < BOUNDARIES; i++) {
     etas[i] = unit_random_between(&random, 0.7, 2.2);
   }
-  transport_anisotropic *solution;
-  unit_assert_fault(transport_anisotropic_solve(&solution, core_isa_select(NULL), ratio, &phase,
-                                                etas, BOUNDARIES, TRANSPORT_EFFORT_QUICK),
-                    NULL, 0);
+  solver_solution *solution;
+  unit_assert_fault(
+      solver_solve(&solution, core_isa_select(NULL), ratio, &phase, etas, BOUNDARIES, 1e-3), NULL,
+      0);
   for (size_t i = 0; i < BOUNDARIES; i++) {
     transport_series series;
     transport_table_look_up(transport_table_shipped(), albedo, phase.g, etas[i], &series);
     for (double x = 1e-4; x < 30; x *= 1.3) {
-      const transport_number R = transport_anisotropic_at(solution, i, x);
+      const transport_number R = solver_at(solution, i, x);
       if (R.value > TRANSPORT_TABLE_R_LEAST) {
         worst = fmax(
             worst, hold_forward(&series, albedo, phase.g, etas[i], x, R.value, R.error / R.value));
@@ -218,7 +218,7 @@ UNIT_TEST(the_difference_agrees_with_the_solver) {
     }
   }
   printf("ratio %g, g %g: off from the solver by at most %.2g\n", ratio, phase.g, worst);
-  transport_anisotropic_free(solution);
+  solver_free(solution);
 }
 
 /* Between the smallest albedos that the table was made from, where series without the ends of the
@@ -228,18 +228,18 @@ UNIT_TEST(media_without_absorption_are_exact) {
   static const double media[][2] = {{1e-4, -0.489}, {1.5e-6, -0.498}, {1.9e-6, -0.131}};
   static const double etas[BOUNDARIES] = {0.8, 1.5, 2.19};
   for (size_t m = 0; m < sizeof media / sizeof media[0]; m++) {
-    const transport_phase phase = {media[m][1], 0, NULL};
+    const solver_phase phase = {media[m][1], 0, NULL};
     double worst = 0;
-    transport_anisotropic *solution;
-    unit_assert_fault(transport_anisotropic_solve(&solution, core_isa_select(NULL), media[m][0],
-                                                  &phase, etas, BOUNDARIES, TRANSPORT_EFFORT_QUICK),
-                      NULL, 0);
+    solver_solution *solution;
+    unit_assert_fault(
+        solver_solve(&solution, core_isa_select(NULL), media[m][0], &phase, etas, BOUNDARIES, 1e-3),
+        NULL, 0);
     for (size_t i = 0; i < BOUNDARIES; i++) {
       transport_series series;
       transport_table_look_up(transport_table_shipped(), 1 / (1 + media[m][0]), phase.g, etas[i],
                               &series);
       for (double x = 0.05; x < 200; x *= 1.3) {
-        const transport_number R = transport_anisotropic_at(solution, i, x);
+        const transport_number R = solver_at(solution, i, x);
         const double y = log(x), ln_xR = transport_series_at(&series, y) - series.kappa * x;
         const double off = fabs(exp(ln_xR - y) / R.value - 1);
         assert_true(off <= 1e-3 + R.error / R.value);
@@ -247,7 +247,7 @@ UNIT_TEST(media_without_absorption_are_exact) {
       }
     }
     printf("ratio %g, g %g: off from the solver by at most %.2g\n", media[m][0], phase.g, worst);
-    transport_anisotropic_free(solution);
+    solver_free(solution);
   }
 }
 
@@ -262,11 +262,11 @@ UNIT_TEST(totals_of_all_g_hold) {
   double worst = 0;
   for (size_t i = 0; i < 40; i++) {
     const double eta = unit_random_between(&random, 0.7, 2.2), albedo = random_albedo(&random, i);
-    const transport_phase phase = {unit_random_between(&random, -0.5, 0.95), 0, NULL};
-    transport_totals truth;
-    unit_assert_fault(transport_anisotropic_totals(&truth, core_isa_select(NULL),
-                                                   (1 - albedo) / albedo, &phase, &eta, 1),
-                      NULL, 0);
+    const solver_phase phase = {unit_random_between(&random, -0.5, 0.95), 0, NULL};
+    solver_total truth;
+    unit_assert_fault(
+        solver_totals(&truth, core_isa_select(NULL), (1 - albedo) / albedo, &phase, &eta, 1), NULL,
+        0);
     transport_difference difference;
     transport_table_difference(transport_table_shipped(), albedo, phase.g, eta, &difference);
     const double stated = transport_table_total_error(transport_table_shipped(), phase.g);

@@ -6,7 +6,7 @@
 #include <float.h>
 #include <math.h>
 
-#include "core/transport/anisotropic.h"
+#include "core/solver/solver.h"
 #include "core/transport/table.h"
 #include "core/varying.h"
 #include "core/varying/rows.h"
@@ -371,7 +371,7 @@ UNIT_TEST(surfaces_of_each_g_and_eta_keep_the_least_tolerance) {
 struct solved {
   core_medium medium; /* sigma_t' = 1 */
   core_profile profile;
-  transport_anisotropic *solution; /* NULL if g is 0 */
+  solver_solution *solution; /* NULL if g is 0 */
 };
 
 static struct solved solve(uint64_t *random, bool isotropic) {
@@ -385,10 +385,10 @@ static struct solved solve(uint64_t *random, bool isotropic) {
                                            CORE_EVALUATOR_F64, &solved.medium, NULL),
                       NULL, 0);
   } else {
-    const transport_phase phase = {g, 0, NULL};
-    unit_assert_fault(transport_anisotropic_solve(&solved.solution, core_isa_select(NULL), ratio,
-                                                  &phase, &eta, 1, TRANSPORT_EFFORT_QUICK),
-                      NULL, 0);
+    const solver_phase phase = {g, 0, NULL};
+    unit_assert_fault(
+        solver_solve(&solved.solution, core_isa_select(NULL), ratio, &phase, &eta, 1, 1e-3), NULL,
+        0);
   }
   return solved;
 }
@@ -396,7 +396,7 @@ static struct solved solve(uint64_t *random, bool isotropic) {
 /* Returns R at r with its relative error. */
 static transport_number solved_R(const struct solved *solved, double r) {
   if (solved->solution != NULL) {
-    transport_number R = transport_anisotropic_at(solved->solution, 0, r);
+    transport_number R = solver_at(solved->solution, 0, r);
     R.error /= R.value;
     return R;
   }
@@ -440,7 +440,7 @@ UNIT_TEST(values_are_within_the_stated_error_of_the_solvers) {
     if (isotropic) {
       core_profile_free(&solved.profile);
     }
-    transport_anisotropic_free(solved.solution);
+    solver_free(solved.solution);
   }
   assert_true(media < 4 || (compared[0] > 0 && compared[1] > 0));
   print_message(
@@ -520,16 +520,15 @@ UNIT_TEST(colours_lead_to_media_that_have_them_by_the_solver) {
     const double colour = unit_random_between(&random, 0.01, 0.97);
     const core_colour what = {i % 4 < 2 ? CORE_LIGHT_BEAM : CORE_LIGHT_DIFFUSE, false,
                               CORE_LENGTH_FREE_PATH};
-    const transport_phase phase = {g, 0, NULL};
+    const solver_phase phase = {g, 0, NULL};
     core_varying varying = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, g, eta, NULL);
-    transport_totals totals;
+    solver_total totals;
     double a, s, albedo;
     uint8_t status;
     core_varying_invert_f64(&varying, &what, 1, &colour, &length, &a, &s, &albedo, &status);
     assert_int_equal(status, CORE_VALUE_OK);
-    unit_assert_fault(transport_anisotropic_totals(&totals, core_isa_select(NULL),
-                                                   a / (s * (1 - g)), &phase, &eta, 1),
-                      NULL, 0);
+    unit_assert_fault(
+        solver_totals(&totals, core_isa_select(NULL), a / (s * (1 - g)), &phase, &eta, 1), NULL, 0);
     const double found = what.light == CORE_LIGHT_BEAM ? totals.normal.value : totals.diffuse.value;
     if (!(fabs(found - colour) < CORE_COLOUR_ERROR)) {
       fail_msg("g %g eta %g light %d: %g for %g", g, eta, (int)what.light, found, colour);
@@ -771,9 +770,9 @@ UNIT_TEST(derivatives_are_those_of_ln_R) {
       /* Cells of a surface meet up to single precision: where an edge lies between two of the values,
        * one side is the slope. */
       const double slope = by[0] - 2 * by[1];
-      const double off = fmin(fabs(ln_R[2] - ln_R[0] - 2e-6 * slope) / 2,
-                              fmin(fabs(ln_R[2] - ln_R[1] - 1e-6 * slope),
-                                   fabs(ln_R[1] - ln_R[0] - 1e-6 * slope)));
+      const double off = fmin(
+          fabs(ln_R[2] - ln_R[0] - 2e-6 * slope) / 2,
+          fmin(fabs(ln_R[2] - ln_R[1] - 1e-6 * slope), fabs(ln_R[1] - ln_R[0] - 1e-6 * slope)));
       assert_true(off < 1e-11 * (1 + fabs(slope)));
     }
     core_varying_free(&varying);

@@ -39,8 +39,8 @@
 #include <unistd.h>
 
 #include "core/kernels.h"
+#include "core/solver/solver.h"
 #include "core/splitmix.h"
-#include "core/transport/anisotropic.h"
 #include "core/transport/transport.h"
 #include "tests/accuracy/forms.h"
 
@@ -829,7 +829,7 @@ static void check_isotropic_derivatives(uint64_t *random) {
 
 /* Compares derivatives with differences of solutions for media whose sigma_a is e^h times the last
  * one's. */
-static void compare_derivatives_with(struct subject *s, transport_anisotropic *const solutions[5],
+static void compare_derivatives_with(struct subject *s, solver_solution *const solutions[5],
                                      size_t boundary, double h, uint64_t *random) {
   const double sigma_t = core_sigma_t_prime(&s->medium), sigma_a = s->medium.sigma_a_per_mm;
   for (int e = F64; e <= LUT; e++) {
@@ -841,9 +841,9 @@ static void compare_derivatives_with(struct subject *s, transport_anisotropic *c
       double by_a[5], by_r[5], by[2], unsure = 0;
       for (int k = 0; k < 5; k++) {
         const double other = sigma_t + sigma_a * (exp((k - 2) * h) - 1);
-        const transport_number R = transport_anisotropic_at(solutions[k], boundary, r * other);
+        const transport_number R = solver_at(solutions[k], boundary, r * other);
         by_a[k] = log(R.value * other * other);
-        by_r[k] = log(transport_anisotropic_at(solutions[2], boundary, r * exp((k - 2) * h)).value);
+        by_r[k] = log(solver_at(solutions[2], boundary, r * exp((k - 2) * h)).value);
         unsure = fmax(unsure, R.value > 1e-12 ? R.error / R.value : 1);
       }
       differences(by_a, by_r, h, by);
@@ -863,27 +863,25 @@ static void check_scattering(uint64_t *random) {
   const double h = 0.08;
   const double g = between(random, -0.5, 0.95), ratio = log_between(random, 1e-5, 80);
   const double boundaries[BOUNDARIES] = {between(random, 0.7, 1), 1, between(random, 1, 2.2)};
-  const transport_phase phase = {g, 0, NULL};
-  transport_anisotropic *solutions[MEDIA];
-  transport_totals totals[BOUNDARIES];
+  const solver_phase phase = {g, 0, NULL};
+  solver_solution *solutions[MEDIA];
+  solver_total totals[BOUNDARIES];
   begin_transport(&s);
   int ready = 0;
   while (ready < MEDIA &&
-         transport_anisotropic_solve(&solutions[ready], core_isa_select(NULL),
-                                     ratio * exp((ready - 2) * h), &phase, boundaries, BOUNDARIES,
-                                     TRANSPORT_EFFORT_QUICK)
+         solver_solve(&solutions[ready], core_isa_select(NULL), ratio * exp((ready - 2) * h),
+                      &phase, boundaries, BOUNDARIES, 1e-3)
                  .field == NULL) {
     ready++;
   }
   if (ready < MEDIA) {
     while (ready > 0) {
-      transport_anisotropic_free(solutions[--ready]);
+      solver_free(solutions[--ready]);
     }
     return;
   }
-  const transport_anisotropic *solution = solutions[2];
-  transport_anisotropic_totals(totals, core_isa_select(NULL), ratio, &phase, boundaries,
-                               BOUNDARIES);
+  const solver_solution *solution = solutions[2];
+  solver_totals(totals, core_isa_select(NULL), ratio, &phase, boundaries, BOUNDARIES);
   for (size_t b = 0; b < BOUNDARIES; b++) {
     s.medium = (core_medium){ratio / (1 + ratio), 1 / (1 + ratio) / (1 - g), g, boundaries[b]};
     for (int e = F64; e <= LUT; e++) {
@@ -902,7 +900,7 @@ static void check_scattering(uint64_t *random) {
             profile->albedo, total.value);
       for (size_t i = 0; i < SOLVED; i++) {
         const double r = (double)(float)log_between(random, 0.005, 25);
-        const transport_number R = transport_anisotropic_at(solution, b, r);
+        const transport_number R = solver_at(solution, b, r);
         double value;
         evaluate(profile, CORE_QUANTITY_R, 1, &r, &value);
         const core_stated_errors errors =
@@ -918,7 +916,7 @@ static void check_scattering(uint64_t *random) {
     compare_derivatives_with(&s, solutions, b, h, random);
   }
   while (ready > 0) {
-    transport_anisotropic_free(solutions[--ready]);
+    solver_free(solutions[--ready]);
   }
 }
 

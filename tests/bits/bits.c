@@ -11,9 +11,9 @@
 #include "core/core.h"
 #include "core/gather/gather.h"
 #include "core/montecarlo/montecarlo.h"
+#include "core/solver/layer.h"
+#include "core/solver/solver.h"
 #include "core/splitmix.h"
-#include "core/transport/anisotropic.h"
-#include "core/transport/halfspace.h"
 #include "core/varying.h"
 
 enum { MEDIA = 61, RADII = 257 };
@@ -282,27 +282,32 @@ static void print_varying(const core_isa *isa, unsigned model, unsigned evaluato
 static void print_anisotropic(const core_isa *isa) {
   static const double etas[] = {0.8, 1, 1.4};
   enum { ETAS = sizeof etas / sizeof etas[0], MOMENTS = 12 };
-  const transport_phase phase = {0.8, 0, NULL};
-  transport_totals totals[ETAS];
+  const solver_phase phase = {0.8, 0, NULL};
+  solver_total totals[ETAS];
   uint64_t sum = CHECKSUM_START;
-  if (transport_anisotropic_totals(totals, isa, 0.05, &phase, etas, ETAS).field == NULL) {
+  if (solver_totals(totals, isa, 0.05, &phase, etas, ETAS).field == NULL) {
     sum = checksum(sum, totals, sizeof totals);
   }
   double moment[MOMENTS] = {1};
   for (size_t l = 1; l < MOMENTS; l++) {
     moment[l] = 0.6 * moment[l - 1];
   }
-  const halfspace_rules rules = {4, 9, 3};
-  const halfspace_medium medium = {0.9, MOMENTS, moment};
-  halfspace *expansion = transport_halfspace_new(isa, &rules, &medium, etas, ETAS, NULL, 0);
-  halfspace_exitance exitance[ETAS];
+  const expansion_rules rules = {4, 9, 3};
+  const expansion_medium medium = {0.9, MOMENTS, moment};
+  const expansion_boundaries boundaries = {.count = ETAS, .etas = etas};
+  expansion *expanded = solver_expansion_new(isa, &rules, &medium, &boundaries);
+  layer_exitance exitance[ETAS];
   for (int imaginary = 0; imaginary < 2; imaginary++) {
     const double complex k = 1.25 + 0.125 * imaginary * (double complex)I;
-    if (expansion != NULL && transport_halfspace_solve(expansion, k, 0.25, exitance)) {
-      sum = checksum(sum, exitance, sizeof exitance);
+    if (expanded != NULL && solver_layer_halfspace(expanded, k, 0.25, exitance)) {
+      for (size_t eta = 0; eta < ETAS; eta++) {
+        const double complex numbers[] = {exitance[eta].single, exitance[eta].part[0],
+                                          exitance[eta].diffuse};
+        sum = checksum(sum, numbers, sizeof numbers);
+      }
     }
   }
-  transport_halfspace_free(expansion);
+  solver_expansion_free(expanded);
   printf("anisotropic %016" PRIx64 "\n", sum);
 }
 

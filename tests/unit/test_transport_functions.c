@@ -4,8 +4,8 @@
 #include <float.h>
 #include <math.h>
 
+#include "core/solver/dense.h"
 #include "core/transport/bessel.h"
-#include "core/transport/dense.h"
 #include "core/transport/functions.h"
 #include "core/transport/gauss.h"
 #include "tests/unit/unit.h"
@@ -151,7 +151,7 @@ UNIT_TEST(rules_are_exact_for_polynomials) {
 
 /* ---- dense systems ------------------------------------------------------------------------------ */
 
-enum { ROWS_MAX = 150, MATRICES = 7, SYSTEM = MATRICES * 2 * ROWS_MAX * (ROWS_MAX + 8) };
+enum { ROWS_MAX = 150, MATRICES = 9, SYSTEM = MATRICES * 2 * ROWS_MAX * (ROWS_MAX + 8) };
 
 /* A symmetric matrix with random numbers. On the diagonal, `size` is added to the real part in some
  * rows and subtracted in the others, as in Vanderbei's quasidefinite matrices. */
@@ -187,7 +187,8 @@ static double difference(const dense *one, const dense *other) {
   return most;
 }
 
-/* b^T a^-1 b by elimination without pivoting, against a solution with it, on every instruction set. */
+/* g^T a^-1 [g, h] by elimination without pivoting, against a solution with it, on every instruction
+ * set. */
 static void compare_congruence(size_t rows, bool is_complex, double *memory, uint64_t *random) {
   const uint64_t seed = *random;
   dense of[MATRICES];
@@ -199,21 +200,31 @@ static void compare_congruence(size_t rows, bool is_complex, double *memory, uin
     *random = seed;
     double *next = memory;
     for (size_t k = 0; k < MATRICES; k++) {
-      of[k] = transport_dense_at(isa, &next, rows, rows, is_complex);
+      of[k] = solver_dense_at(isa, &next, rows, k < 3 ? rows : rows + 1, is_complex);
     }
-    const dense *a = &of[0], *b = &of[1], *x = &of[2], *result = &of[3], *truth = &of[4];
+    const dense *a = &of[0], *copy = &of[1], *g = &of[2], *b = &of[3], *x = &of[4];
+    const dense *result = &of[5], *truth = &of[6], *first = &of[7], *spare = &of[8];
     fill_symmetric(a, 3 * (double)rows, random);
-    fill_symmetric(b, 0, random);
+    copy_matrix(copy, a);
+    fill_symmetric(g, 0, random);
+    for (size_t row = 0; row < rows; row++) {
+      for (size_t i = 0; i <= rows; i++) {
+        const size_t to = row * b->stride + i, from = row * g->stride + i;
+        b->re[to] = i < rows ? g->re[from] : unit_random_between(random, -1, 1);
+        if (is_complex) {
+          b->im[to] = i < rows ? g->im[from] : unit_random_between(random, -1, 1);
+        }
+      }
+    }
     copy_matrix(x, b);
-    copy_matrix(truth, a);
-    assert_true(transport_dense_solve(truth, x));
-    transport_dense_multiply(truth, b, x);
-    assert_true(transport_dense_congruence(result, a, b, &of[5]));
+    assert_true(solver_dense_solve(copy, x));
+    solver_dense_multiply(truth, g, x);
+    assert_true(solver_dense_congruence(result, a, b, spare));
     assert_true(difference(result, truth) < 1e-13 * (double)rows);
     if (level == 0) {
-      copy_matrix(&of[6], result);
+      copy_matrix(first, result);
     }
-    assert_true(difference(result, &of[6]) == 0);
+    assert_true(difference(result, first) == 0);
   }
 }
 
@@ -231,8 +242,8 @@ UNIT_TEST(symmetric_systems_are_solved_without_pivots) {
   double *next = memory;
   dense of[4];
   for (size_t k = 0; k < 4; k++) {
-    of[k] = transport_dense_at(core_isa_select(NULL), &next, 9, 9, true);
+    of[k] = solver_dense_at(core_isa_select(NULL), &next, 9, 9, true);
   }
-  assert_false(transport_dense_congruence(&of[0], &of[1], &of[2], &of[3])); /* a is 0 */
+  assert_false(solver_dense_congruence(&of[0], &of[1], &of[2], &of[3])); /* a is 0 */
   free(memory);
 }

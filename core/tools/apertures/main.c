@@ -1,17 +1,17 @@
-/* apertures FOLDER FILE quick|normal: solves the media of the table of core/fit/aperture.h, on quick or
- * normal grids, and writes it. It keeps what it has solved in FOLDER, so that an interrupted run
+/* apertures FOLDER FILE quick|normal: solves the media of the table of core/fit/aperture.h, for a quick
+ * or a normal tolerance, and writes it. It keeps what it has solved in FOLDER, so that an interrupted run
  * continues where it stopped.
  *
  * apertures FOLDER ERRORS: compares the table that the program has with media that it was not made
- * from, on normal grids, and writes the relative errors of the share, as core/fit/aperture_errors.def
+ * from, for a normal tolerance, and writes the relative errors of the share, as core/fit/aperture_errors.def
  * has them. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "core/fit/aperture.h"
+#include "core/solver/solver.h"
 #include "core/tools/tools.h"
-#include "core/transport/anisotropic.h"
 #include "core/transport/functions.h"
 
 enum {
@@ -36,19 +36,18 @@ struct solved {
   double error[ETAS][CONES][PLACES];
 };
 
-/* effort: TRANSPORT_EFFORT_NORMAL with the error, or another one without. */
 static void solve(struct solved *to, const double etas[ETAS], const double u[CONES],
-                  transport_effort effort, bool once) {
-  const transport_phase phase = {.g = to->g};
-  transport_anisotropic *solution;
-  tools_check(transport_anisotropic_solve_cones(&solution, core_isa_select(NULL), to->ratio, &phase,
-                                                etas, ETAS, u, CONES, effort, once),
+                  double tolerance) {
+  const solver_phase phase = {.g = to->g};
+  solver_solution *solution;
+  tools_check(solver_solve_cones(&solution, core_isa_select(NULL), to->ratio, &phase, etas, ETAS, u,
+                                 CONES, tolerance),
               "the solver");
   for (size_t e = 0; e < ETAS; e++) {
     for (size_t c = 0; c < CONES; c++) {
       for (size_t i = 0; i < PLACES; i++) {
         const transport_number share =
-            transport_anisotropic_share_at(solution, e, c, fit_aperture_x(i, to->ratio));
+            solver_share_at(solution, e, c, fit_aperture_x(i, to->ratio));
         to->F[e][c][i] = log(share.value / (u[c] * u[c]));
         to->error[e][c][i] = share.error / share.value;
       }
@@ -59,14 +58,17 @@ static void solve(struct solved *to, const double etas[ETAS], const double u[CON
       to->F[e][c][at] = isfinite(to->F[e][c][at]) ? to->F[e][c][at] : to->F[e][c + 1][at];
     }
   }
-  transport_anisotropic_free(solution);
+  solver_free(solution);
 }
 
 /* Media of the table come first, then those that it is compared at, which are spread by the golden
  * ratio and its square, as are their eta and u. */
 enum { MADE = RATIOS * GS, COMPARED = 14, MEDIA = MADE + COMPARED };
 
-/* From both of these on, quick grids are up to a few percent off, and normal ones are used. */
+/* Tolerances of the solver. From both of these on, the quick one leaves errors of a few percent in narrow
+ * cones, and the normal one is used. */
+#define QUICK 1e-2
+#define NORMAL 1e-3
 #define NORMAL_FROM_RATIO 3
 #define NORMAL_FROM_G 0.6
 
@@ -101,8 +103,8 @@ static void set_medium(size_t i, struct solved *to, double etas[ETAS], double u[
 
 struct run {
   const char *folder;
-  transport_effort effort; /* of the media that make the table */
-  size_t first;            /* of the media that are solved */
+  double tolerance; /* of the media that make the table */
+  size_t first;     /* of the media that are solved */
   struct solved *media;
   tools_progress progress;
 };
@@ -115,9 +117,9 @@ static void solve_or_read(void *context, size_t item) {
   char path[PATH_BYTES];
   const bool made = run->first + item < MADE;
   const bool dark = wanted.ratio > NORMAL_FROM_RATIO && wanted.g > NORMAL_FROM_G;
-  const transport_effort effort = made && !dark ? run->effort : TRANSPORT_EFFORT_NORMAL;
-  if (snprintf(path, sizeof path, "%s/%d-%.9g-%.9g-%.9g-%.9g", run->folder, 2 * (int)effort + made,
-               wanted.ratio, wanted.g, etas[0], u[0]) >= PATH_BYTES) {
+  const double tolerance = made && !dark ? run->tolerance : NORMAL;
+  if (snprintf(path, sizeof path, "%s/%g-%.9g-%.9g-%.9g-%.9g", run->folder, tolerance, wanted.ratio,
+               wanted.g, etas[0], u[0]) >= PATH_BYTES) {
     tools_fail("the folder's name is too long");
   }
   FILE *file = fopen(path, "rb");
@@ -128,7 +130,7 @@ static void solve_or_read(void *context, size_t item) {
   if (!read) {
     to->ratio = wanted.ratio;
     to->g = wanted.g;
-    solve(to, etas, u, effort, made);
+    solve(to, etas, u, tolerance);
     file = tools_open(path);
     fwrite(to, sizeof *to, 1, file);
     tools_close(file, path);
@@ -351,9 +353,7 @@ int main(int count, char **arguments) {
     tools_fail("usage: apertures FOLDER FILE quick|normal, or apertures FOLDER ERRORS");
   }
   struct run run = {.folder = arguments[1],
-                    .effort = !compares && strcmp(arguments[3], "normal") == 0
-                                  ? TRANSPORT_EFFORT_NORMAL
-                                  : TRANSPORT_EFFORT_QUICK,
+                    .tolerance = !compares && strcmp(arguments[3], "normal") == 0 ? NORMAL : QUICK,
                     .media = calloc(MEDIA, sizeof *run.media)};
   if (run.media == NULL) {
     tools_fail("out of memory");

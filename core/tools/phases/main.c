@@ -27,6 +27,8 @@ static const struct subject {
     {MIE, 1.1, 1, 0},
 };
 
+#define TOLERANCE 1e-3 /* of the solver */
+
 static const double ratios[] = {1e-4, 0.1};
 static const double etas[] = {0.8, 1, 1.4, 2};
 static const double gammas[] = {0.8, 1.15, 1.35, 1.55, 1.75, 1.95}; /* edges of the ranges */
@@ -43,12 +45,11 @@ enum {
   PATH_BYTES = 1024
 };
 
-/* Sets *phase to a subject's phase function. `moment` has TRANSPORT_PHASE_MOMENTS_MAX numbers. */
-static void take_subject(const struct subject *subject, double *moment, transport_phase *phase) {
+/* Sets *phase to a subject's phase function. `moment` has SOLVER_MOMENTS_MAX numbers. */
+static void take_subject(const struct subject *subject, double *moment, solver_phase *phase) {
   if (subject->kind == MIE) {
-    *phase = (transport_phase){
-        0, mie_moments(subject->a, subject->b, subject->c, moment, TRANSPORT_PHASE_MOMENTS_MAX),
-        moment};
+    *phase = (solver_phase){
+        0, mie_moments(subject->a, subject->b, subject->c, moment, SOLVER_MOMENTS_MAX), moment};
     return;
   }
   const bool modified = subject->kind == MODIFIED;
@@ -87,24 +88,22 @@ static double radius_of(size_t i) {
 }
 
 static void solve(struct truth *to, const struct subject *subject, double ratio) {
-  static _Thread_local double moment[TRANSPORT_PHASE_MOMENTS_MAX];
+  static _Thread_local double moment[SOLVER_MOMENTS_MAX];
   const core_isa *isa = core_isa_select(NULL);
-  transport_phase phase;
-  transport_anisotropic *solution;
-  transport_totals totals[ETAS];
+  solver_phase phase;
+  solver_solution *solution;
+  solver_total totals[ETAS];
   take_subject(subject, moment, &phase);
   to->gamma = (1 - moment[2]) / (1 - moment[1]);
-  tools_check(transport_anisotropic_solve(&solution, isa, ratio, &phase, etas, ETAS,
-                                          TRANSPORT_EFFORT_QUICK),
-              "the solver");
-  tools_check(transport_anisotropic_totals(totals, isa, ratio, &phase, etas, ETAS), "the solver");
+  tools_check(solver_solve(&solution, isa, ratio, &phase, etas, ETAS, TOLERANCE), "the solver");
+  tools_check(solver_totals(totals, isa, ratio, &phase, etas, ETAS), "the solver");
   for (size_t eta = 0; eta < ETAS; eta++) {
     to->total[eta] = totals[eta].normal.value;
     for (size_t i = 0; i < RADII; i++) {
-      to->R[eta][i] = transport_anisotropic_at(solution, eta, radius_of(i)).value;
+      to->R[eta][i] = solver_at(solution, eta, radius_of(i)).value;
     }
   }
-  transport_anisotropic_free(solution);
+  solver_free(solution);
 }
 
 /* ---- the model ------------------------------------------------------------------------------- */

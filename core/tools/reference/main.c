@@ -37,12 +37,15 @@ enum {
 
 /* From this g on, the normal grids are up to 9e-3 off near the source. */
 #define FINEST_FROM 0.95
+/* Tolerances of the solver. */
+#define NORMAL 1e-3
+#define FINEST 1e-4
 
 /* Photons take long with little absorption. */
 #define RATIO_SLOW 0.01
 
-static int photons_of(transport_effort effort, double ratio) {
-  const int photons = effort == TRANSPORT_EFFORT_FINEST ? PHOTONS : PHOTONS / 4;
+static int photons_of(double tolerance, double ratio) {
+  const int photons = tolerance == FINEST ? PHOTONS : PHOTONS / 4;
   return ratio > RATIO_SLOW ? photons : photons / 4;
 }
 
@@ -96,9 +99,9 @@ enum { STEPS = PAIRS + PAIRS * ETAS };
 
 struct run {
   const char *folder;
-  transport_effort effort;
+  double tolerance;
   struct solved solved[PAIRS];
-  transport_totals totals[PAIRS][ETAS]; /* which take milliseconds and are in no file */
+  solver_total totals[PAIRS][ETAS]; /* which take milliseconds and are in no file */
   struct walked walked[PAIRS * ETAS];
   tools_progress progress;
 };
@@ -111,44 +114,38 @@ static struct number number_of(transport_number from) {
   return (struct number){from.value, from.error};
 }
 
-static void solve(struct solved *to, const struct pair *pair, transport_effort effort) {
-  const transport_phase phase = {pair->g, 0, NULL};
-  transport_anisotropic *solution;
-  tools_check(transport_anisotropic_solve(&solution, core_isa_select(NULL), pair->ratio, &phase,
-                                          etas, ETAS, effort),
-              "the solver");
+static void solve(struct solved *to, const struct pair *pair, double tolerance) {
+  const solver_phase phase = {pair->g, 0, NULL};
+  solver_solution *solution;
+  tools_check(
+      solver_solve(&solution, core_isa_select(NULL), pair->ratio, &phase, etas, ETAS, tolerance),
+      "the solver");
   for (size_t eta = 0; eta < ETAS; eta++) {
     for (size_t i = 0; i < RADII; i++) {
-      to->R[eta][i] = number_of(transport_anisotropic_at(solution, eta, radii[i]));
+      to->R[eta][i] = number_of(solver_at(solution, eta, radii[i]));
       to->mean[eta][i] =
           walks_mean(solution, eta, WALKS_TENTHS, walks_ring_of(WALKS_TENTHS, radii[i]), NULL);
     }
   }
-  transport_anisotropic_free(solution);
+  solver_free(solution);
 }
 
 /* The key has totals of the beam, which change when the solver does. */
 static void solve_or_read(struct run *run, size_t i) {
-  static const char *const efforts[] = {"quick", "normal", "finest"};
   const struct pair *pair = &pairs[i];
-  const transport_phase phase = {pair->g, 0, NULL};
-  transport_totals *totals = run->totals[i];
+  const solver_phase phase = {pair->g, 0, NULL};
+  solver_total *totals = run->totals[i];
   char path[PATH_BYTES], key[KEY_BYTES];
   double *numbers = (double *)&run->solved[i];
   const size_t count = sizeof run->solved[i] / sizeof *numbers;
-  const transport_effort least = pair->g < FINEST_FROM ? run->effort : TRANSPORT_EFFORT_FINEST;
-  bool found = false;
-  tools_check(
-      transport_anisotropic_totals(totals, core_isa_select(NULL), pair->ratio, &phase, etas, ETAS),
-      "the solver");
+  const double tolerance = pair->g < FINEST_FROM ? run->tolerance : FINEST;
+  tools_check(solver_totals(totals, core_isa_select(NULL), pair->ratio, &phase, etas, ETAS),
+              "the solver");
   snprintf(key, sizeof key, "solved %d eta from %g to %g: %a %a\n", ETAS, etas[0], etas[ETAS - 1],
            totals[0].normal.value, totals[ETAS - 1].normal.value);
-  for (int effort = TRANSPORT_EFFORT_FINEST; effort >= (int)least && !found; effort--) {
-    snprintf(path, sizeof path, "%s/%s-%g-%g", run->folder, efforts[effort], pair->ratio, pair->g);
-    found = read_numbers(path, key, numbers, count);
-  }
-  if (!found) {
-    solve(&run->solved[i], pair, least);
+  snprintf(path, sizeof path, "%s/%g-%g-%g", run->folder, tolerance, pair->ratio, pair->g);
+  if (!read_numbers(path, key, numbers, count)) {
+    solve(&run->solved[i], pair, tolerance);
     write_numbers(path, key, numbers, count);
   }
   tools_progress_add(&run->progress, SOLVING_US);
@@ -171,7 +168,7 @@ static void walk_or_read(struct run *run, size_t i) {
   const struct pair *pair = &pairs[i / ETAS];
   const walks_medium medium = {.ratio = pair->ratio, .g = pair->g, .eta = etas[i % ETAS]};
   char path[PATH_BYTES], key[KEY_BYTES];
-  const int photons = photons_of(run->effort, medium.ratio);
+  const int photons = photons_of(run->tolerance, medium.ratio);
   walks_result probe;
   walks_run(&probe, &medium, WALKS_TENTHS, CORE_MC_BATCH_PHOTONS, SEED + i);
   snprintf(path, sizeof path, "%s/walked-%g-%g-%g", run->folder, medium.ratio, medium.g,
@@ -222,7 +219,7 @@ static void write_row(FILE *file, const struct pair *pair, double eta, const cha
 static void write_medium(FILE *file, const struct run *run, size_t pair, size_t eta) {
   const struct solved *solved = &run->solved[pair];
   const struct walked *walked = &run->walked[pair * ETAS + eta];
-  const transport_totals *totals = &run->totals[pair][eta];
+  const solver_total *totals = &run->totals[pair][eta];
   const struct number none = {(double)NAN, (double)NAN};
   write_row(file, &pairs[pair], etas[eta], "total", (double)NAN, number_of(totals->normal),
             walked->total);
@@ -243,7 +240,7 @@ int main(int argc, char **argv) {
   }
   static struct run run;
   run.folder = argv[1];
-  run.effort = normal ? TRANSPORT_EFFORT_NORMAL : TRANSPORT_EFFORT_FINEST;
+  run.tolerance = normal ? NORMAL : FINEST;
   tools_make_folder(argv[1]);
   tools_progress_start(&run.progress, PAIRS * SOLVING_US + PAIRS * ETAS * WALKING_US);
   tools_each(tools_processors(), STEPS, step, &run);

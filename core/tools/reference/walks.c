@@ -66,7 +66,7 @@ size_t walks_ring_of(size_t rings, double r) {
 }
 
 /* By quadrature in r^2. */
-double walks_mean(const transport_anisotropic *solution, size_t eta, size_t rings, size_t ring,
+double walks_mean(const solver_solution *solution, size_t eta, size_t rings, size_t ring,
                   double *error) {
   enum { NODES = 4 };
   const core_grid grid = edges_of(rings);
@@ -77,7 +77,7 @@ double walks_mean(const transport_anisotropic *solution, size_t eta, size_t ring
   const double from = edge[0] * edge[0], to = edge[1] * edge[1];
   for (size_t i = 0; i < rule.n; i++) {
     const double r = sqrt(from + (to - from) * rule.x[i]);
-    const transport_number R = transport_anisotropic_at(solution, eta, r);
+    const transport_number R = solver_at(solution, eta, r);
     sum += rule.weight[i] * R.value;
     errors += rule.weight[i] * R.error;
   }
@@ -88,16 +88,16 @@ double walks_mean(const transport_anisotropic *solution, size_t eta, size_t ring
 }
 
 /* The moments of 3 cos^2 / (4 pi) are 1, 0, 2/5, 0, ... Those that are left out are below 1e-12. */
-void walks_phase(const walks_medium *medium, double *moment, transport_phase *phase) {
+void walks_phase(const walks_medium *medium, double *moment, solver_phase *phase) {
   const core_mc_request request = request_of(medium, 1, 0);
   const bool modified = medium->phase == CORE_PHASE_MODIFIED;
   const double share = medium->phase_share, first = core_mc_first_g(&request);
   double one = 1, other = 1;
-  *phase = (transport_phase){medium->g, 0, moment};
+  *phase = (solver_phase){medium->g, 0, moment};
   if (!modified && medium->phase != CORE_PHASE_TWO_TERM) {
     return;
   }
-  while (phase->moments < TRANSPORT_PHASE_MOMENTS_MAX &&
+  while (phase->moments < SOLVER_MOMENTS_MAX &&
          (phase->moments < 3 || fabs(one) + fabs(other) > 1e-12)) {
     const size_t l = phase->moments++;
     const double second = !modified ? other : l == 0 ? 1 : l == 2 ? 0.4 : 0;

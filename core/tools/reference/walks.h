@@ -1,11 +1,11 @@
-/* walks: Monte Carlo beside the solver of core/transport/anisotropic.h, in reduced mean free paths,
+/* walks: Monte Carlo beside the solver of core/solver/solver.h, in reduced mean free paths,
  * for Henyey and Greenstein's phase function and mixtures with it. Rings are logarithmic, from
  * 10^-2.05 to 10^1.35 reduced mean free paths. */
 #ifndef DIPOLED_REFERENCE_WALKS_H
 #define DIPOLED_REFERENCE_WALKS_H
 
 #include "core/montecarlo/montecarlo.h"
-#include "core/transport/anisotropic.h"
+#include "core/solver/solver.h"
 
 /* With WALKS_TENTHS rings, a radius of a whole tenth of a decade lies in the middle of its ring. */
 enum { WALKS_RINGS_MAX = 170, WALKS_TENTHS = 34 };
@@ -33,11 +33,11 @@ size_t walks_ring_of(size_t rings, double r);
 
 /* Returns the solver's mean of R over one of the rings, for boundary `eta` of the solution. If
  * error is not NULL, sets *error to the mean of the error that the solver states. */
-double walks_mean(const transport_anisotropic *solution, size_t eta, size_t rings, size_t ring,
+double walks_mean(const solver_solution *solution, size_t eta, size_t rings, size_t ring,
                   double *error);
 
 /* Sets *phase to the medium's phase function. The moments of a mixture go to the array `moment` of
- * TRANSPORT_PHASE_MOMENTS_MAX numbers, which must live as long as *phase. */
-void walks_phase(const walks_medium *medium, double *moment, transport_phase *phase);
+ * SOLVER_MOMENTS_MAX numbers, which must live as long as *phase. */
+void walks_phase(const walks_medium *medium, double *moment, solver_phase *phase);
 
 #endif

@@ -206,9 +206,9 @@ static void make_places(const double *field, uint64_t *random, double albedo,
   }
 }
 
-/* Returns the effort whose solutions the table is compared with. */
-static transport_effort check_effort(double g) {
-  return g >= -0.25 && g < 0.85 ? TRANSPORT_EFFORT_NORMAL : TRANSPORT_EFFORT_FINEST;
+/* Returns the level whose solutions the table is compared with. */
+static size_t check_level(double g) {
+  return g >= -0.25 && g < 0.85 ? SAMPLE_NORMAL : SAMPLE_FINEST;
 }
 
 /* Draws a medium from ranges of g and of the albedo. Returns the albedo. */
@@ -236,7 +236,7 @@ static void checks_make_difference(const double *field, table_sample samples[CHE
     } else {
       albedo = make_random(&random, check_media[n].g, check_media[n].albedo, &samples[n]);
     }
-    samples[n].effort = check_effort(samples[n].g);
+    samples[n].level = check_level(samples[n].g);
     make_places(field, &random, albedo, &samples[n]);
   }
 }
@@ -333,16 +333,16 @@ static void totals_compare(const transport_table *table, checks_result *result) 
   const double u_least = transport_table_u(1 - 2e-6);
   const double u_most = transport_table_u(table->field[TRANSPORT_TABLE_ALBEDO_LEAST]);
   for (size_t n = 0; n < MEDIA; n++) {
-    const transport_phase phase = {between(&random, -0.5, 0.95), 0, NULL};
+    const solver_phase phase = {between(&random, -0.5, 0.95), 0, NULL};
     const double albedo = transport_table_albedo_of_u(between(&random, u_least, u_most));
-    transport_totals truth[ETAS_D];
+    solver_total truth[ETAS_D];
     double eta[ETAS_D];
     for (size_t i = 0; i < ETAS_D; i++) {
       eta[i] = eta_of_difference(i, &random);
     }
-    tools_check(transport_anisotropic_totals(truth, core_isa_select(NULL), (1 - albedo) / albedo,
-                                             &phase, eta, ETAS_D),
-                "transport");
+    tools_check(
+        solver_totals(truth, core_isa_select(NULL), (1 - albedo) / albedo, &phase, eta, ETAS_D),
+        "transport");
     for (size_t i = 0; i < ETAS_D; i++) {
       transport_difference difference;
       transport_table_difference(table, albedo, phase.g, eta[i], &difference);

@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "core/transport/anisotropic.h"
+#include "core/solver/solver.h"
 #include "core/transport/decay.h"
 #include "core/transport/functions.h"
 #include "core/transport/table.h"
@@ -169,7 +169,7 @@ void nodes_read_off(const transport_table *table, table_sample *sample) {
 
 static void make_node(const double *field, double g, double albedo, table_sample *sample) {
   sample_make(sample, g, NODES_D_V, first_radius(PANELS));
-  sample->effort = sample_effort(g);
+  sample->level = sample_level(g);
   make_etas(field, TRANSPORT_TABLE_BELOW_1, NODES_D_BELOW_1, sample->eta);
   make_etas(field, TRANSPORT_TABLE_FROM_1, NODES_D_FROM_1, sample->eta + NODES_D_BELOW_1);
   for (size_t j = 0; j < NODES_D_V; j++) {
@@ -357,7 +357,7 @@ table_bytes nodes_encode(const double *field, const table_sample samples[NODES])
 struct totals {
   const double *field;
   enum transport_table_side side;
-  transport_totals (*at)[TOTALS_V];
+  solver_total (*at)[TOTALS_V];
 };
 
 static void solve_totals(void *context, size_t li) {
@@ -365,11 +365,10 @@ static void solve_totals(void *context, size_t li) {
   const double *field = totals->field;
   double etas[TOTALS_V];
   make_etas(field, totals->side, TOTALS_V, etas);
-  const transport_phase phase = {transport_table_g(w_point(field, li / TOTALS_U, TOTALS_G)), 0,
-                                 NULL};
+  const solver_phase phase = {transport_table_g(w_point(field, li / TOTALS_U, TOTALS_G)), 0, NULL};
   const double albedo = transport_table_albedo_of_u(u_point(field, li % TOTALS_U, TOTALS_U));
-  tools_check(transport_anisotropic_totals(totals->at[li], core_isa_select(NULL),
-                                           (1 - albedo) / albedo, &phase, etas, TOTALS_V),
+  tools_check(solver_totals(totals->at[li], core_isa_select(NULL), (1 - albedo) / albedo, &phase,
+                            etas, TOTALS_V),
               "transport");
 }
 
@@ -379,7 +378,7 @@ static void put_totals(table_bytes *writer, const struct totals *totals, bool di
     const double albedo =
         transport_table_albedo_of_u(u_point(totals->field, li % TOTALS_U, TOTALS_U));
     for (size_t j = 0; j < TOTALS_V; j++) {
-      const transport_totals *at = &totals->at[li][j];
+      const solver_total *at = &totals->at[li][j];
       values[li * TOTALS_V + j] = fn_log((diffuse ? at->diffuse : at->normal).value / albedo);
     }
   }

@@ -4,8 +4,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "core/solver/solver.h"
 #include "core/tools/tools.h"
-#include "core/transport/anisotropic.h"
 #include "core/transport/table.h"
 #include "core/transport/transport.h"
 
@@ -24,14 +24,13 @@ enum { PATH_MAX_BYTES = 1024 };
 
 /* ---- samples --------------------------------------------------------------------------------- */
 
-transport_effort sample_effort(double g) {
-  return g >= FINEST_FROM ? TRANSPORT_EFFORT_FINEST : TRANSPORT_EFFORT_NORMAL;
+size_t sample_level(double g) {
+  return g >= FINEST_FROM ? SAMPLE_FINEST : SAMPLE_NORMAL;
 }
 
 void sample_make(table_sample *sample, double g, size_t media, size_t radii) {
   const size_t numbers = media * (3 + 2 * radii);
-  *sample = (struct table_sample){
-      .g = g, .effort = TRANSPORT_EFFORT_NORMAL, .media = media, .radii = radii};
+  *sample = (struct table_sample){.g = g, .level = SAMPLE_NORMAL, .media = media, .radii = radii};
   sample->bytes = numbers * sizeof(double);
   sample->numbers = calloc(numbers, sizeof(double));
   if (sample->numbers == NULL) {
@@ -63,25 +62,25 @@ static void solve_isotropic(table_sample *sample) {
   transport_boundary_free(boundary);
 }
 
-/* Sets the exitances, see transport_anisotropic_solve_kept(), or makes R from them if they are known. */
+/* Sets the exitances, see solver_solve_level(), or makes R from them if they are known. */
 static void solve_anisotropic(table_sample *sample, double complex *exitances, bool known) {
-  const transport_phase phase = {sample->g, 0, NULL};
+  const solver_phase phase = {sample->g, 0, NULL};
   const core_isa *isa = core_isa_select(NULL);
   const double ratio = (1 - sample->albedo[0]) / sample->albedo[0];
-  transport_anisotropic *solution;
-  tools_check(transport_anisotropic_solve_kept(&solution, isa, ratio, &phase, sample->eta,
-                                               sample->media, sample->effort, exitances, known),
+  solver_solution *solution;
+  tools_check(solver_solve_level(&solution, isa, ratio, &phase, sample->eta, sample->media,
+                                 sample->level, exitances, known),
               "transport");
   for (size_t i = 0; i < sample->media; i++) {
     for (size_t j = i * sample->radii; j < (i + 1) * sample->radii; j++) {
-      sample->R[j] = transport_anisotropic_at(solution, i, sample->x[j]).value;
+      sample->R[j] = solver_at(solution, i, sample->x[j]).value;
     }
   }
-  transport_anisotropic_free(solution);
+  solver_free(solution);
 }
 
 static double cost_us(const table_sample *sample) {
-  const bool finest = sample->effort == TRANSPORT_EFFORT_FINEST;
+  const bool finest = sample->level == SAMPLE_FINEST;
   return sample->g == 0 ? (double)sample->media * MEDIUM_COST_US
          : finest       ? FINEST_COST_US
                         : SAMPLE_COST_US;
@@ -103,7 +102,7 @@ static struct kept kept_of(const table_sample *sample) {
                          sample->numbers};
   }
   const size_t inputs = 2 * sample->media;
-  const size_t count = inputs + 2 * sample->media * TRANSPORT_ANISOTROPIC_WAVENUMBERS_MAX;
+  const size_t count = inputs + 2 * sample->media * SOLVER_WAVENUMBERS_MAX;
   const struct kept kept = {inputs, count, calloc(count, sizeof(double))};
   if (kept.numbers == NULL) {
     tools_fail("out of memory");
@@ -134,15 +133,15 @@ static uint64_t checksum_of(const double *numbers, size_t count) {
 /* Identifies the inputs and the solver that a file's results depend on. `probe` is a checksum of what
  * is kept of one fixed medium, which changes when the solver changes. */
 struct key {
-  double g, effort;
+  double g, level;
   uint64_t probe, inputs;
 };
 
-/* Solvers that a sample may need: that for isotropic scattering, then one for each effort. */
-enum { SOLVERS = 1 + TRANSPORT_EFFORT_FINEST + 1 };
+/* Solvers that a sample may need: that for isotropic scattering, then one for each level. */
+enum { SOLVERS = 1 + SAMPLE_FINEST + 1 };
 
 static size_t solver_of(const table_sample *sample) {
-  return sample->g == 0 ? 0 : 1 + (size_t)sample->effort;
+  return sample->g == 0 ? 0 : 1 + sample->level;
 }
 
 /* Solves one medium with a solver, for the keys of its samples. */
@@ -150,7 +149,7 @@ static void probe_solver(void *context, size_t solver) {
   uint64_t *probe = context;
   table_sample sample;
   sample_make(&sample, solver == 0 ? 0 : 0.1, 1, 3);
-  sample.effort = solver == 0 ? sample.effort : (transport_effort)(solver - 1);
+  sample.level = solver == 0 ? sample.level : solver - 1;
   sample.albedo[0] = 0.9;
   sample.eta[0] = 1.3;
   memcpy(sample.x, (double[]){1e-3, 1, 20}, 3 * sizeof(double));
@@ -214,7 +213,7 @@ static void solve_or_read(void *context, size_t i) {
   struct run *run = context;
   table_sample *sample = &run->samples[i];
   const struct kept kept = kept_of(sample);
-  const struct key key = {sample->g, sample->effort, run->probe[solver_of(sample)],
+  const struct key key = {sample->g, (double)sample->level, run->probe[solver_of(sample)],
                           checksum_of(kept.numbers, kept.inputs)};
   char path[PATH_MAX_BYTES];
   path_of(path, run->folder, &key);

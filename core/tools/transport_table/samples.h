@@ -1,19 +1,19 @@
 /* samples: solves media at many radii on all cores and keeps the solutions in files. A later run
  * reads those files, so that an interrupted run continues where it stopped. For g other than 0 they hold
- * the exitances (anisotropic.h), so that other radii need no new solutions. */
+ * the exitances (solver.h), so that other radii need no new solutions. */
 #ifndef DIPOLED_TOOLS_SAMPLES_H
 #define DIPOLED_TOOLS_SAMPLES_H
 
 #include <stddef.h>
 #include <stdint.h>
 
-#include "core/transport/anisotropic.h"
+#include "core/solver/solver.h"
 
 /* Media that are solved together: of one eta with several albedos for isotropic scattering (g = 0),
  * or of one albedo and g with several eta. The sample owns all arrays. */
 typedef struct table_sample {
   double g;
-  transport_effort effort; /* without meaning for isotropic scattering */
+  size_t level; /* of the solver's grids, without meaning for isotropic scattering */
   size_t media, radii;
   double *albedo;  /* [media] */
   double *eta;     /* [media] */
@@ -24,11 +24,14 @@ typedef struct table_sample {
   double *numbers; /* memory that holds the five arrays */
 } table_sample;
 
-/* Returns the effort that a medium with g other than 0 needs: TRANSPORT_EFFORT_FINEST for g from 0.85
- * on, else TRANSPORT_EFFORT_NORMAL. */
-transport_effort sample_effort(double g);
+/* Levels of the solver's grids. */
+enum { SAMPLE_NORMAL = 3, SAMPLE_FINEST = 4 };
 
-/* Allocates the arrays. The effort is TRANSPORT_EFFORT_NORMAL. If no memory is left, the program ends
+/* Returns the level that a medium with g other than 0 needs: SAMPLE_FINEST for g from 0.85 on, else
+ * SAMPLE_NORMAL. */
+size_t sample_level(double g);
+
+/* Allocates the arrays. The level is SAMPLE_NORMAL. If no memory is left, the program ends
  * with a message. */
 void sample_make(table_sample *sample, double g, size_t media, size_t radii);
 void sample_free(table_sample *sample);

@@ -1,6 +1,6 @@
 /* The innermost loops of dense.c, compiled once for each instruction set. All have the same bits,
  * because no product is contracted with a sum, and each number's sum has the same order. */
-#include "core/transport/dense.h"
+#include "core/solver/dense.h"
 
 /* A tile of TILE_ROWS by TILE_LANES groups of LANES numbers stays in registers. With eight groups
  * or more, the sums do not wait for one another. */
@@ -86,6 +86,6 @@ static void subtract_complex(double *restrict to_re, double *restrict to_im,
 /* The one symbol that this object exports. */
 #define PASTE_(a, b) a##b
 #define PASTE(a, b) PASTE_(a, b)
-extern const dense_loops PASTE(transport_dense_loops_, CORE_ISA);
-const dense_loops PASTE(transport_dense_loops_, CORE_ISA) = {add_product, subtract_real,
-                                                             subtract_complex};
+extern const dense_loops PASTE(solver_dense_loops_, CORE_ISA);
+const dense_loops PASTE(solver_dense_loops_, CORE_ISA) = {add_product, subtract_real,
+                                                          subtract_complex};

@@ -2,8 +2,8 @@
  *
  * The functions use IEEE products and sums in a fixed order, so that the results have the same bits
  * on every machine. A library of linear algebra would choose another order on each processor. */
-#ifndef DIPOLED_CORE_TRANSPORT_DENSE_H
-#define DIPOLED_CORE_TRANSPORT_DENSE_H
+#ifndef DIPOLED_CORE_SOLVER_DENSE_H
+#define DIPOLED_CORE_SOLVER_DENSE_H
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -20,33 +20,28 @@ typedef struct dense {
 } dense;
 
 /* Returns the number of doubles that one part of a matrix takes. */
-size_t transport_dense_size(size_t rows, size_t columns);
+size_t solver_dense_size(size_t rows, size_t columns);
 
 /* Returns a matrix whose parts lie at *memory, and moves *memory behind them. The matrix is not
- * filled. *memory: 64-byte aligned, with room for transport_dense_size() numbers, or for twice as
+ * filled. *memory: 64-byte aligned, with room for solver_dense_size() numbers, or for twice as
  * many for a complex matrix. */
-dense transport_dense_at(const core_isa *isa, double **memory, size_t rows, size_t columns,
-                         bool is_complex);
+dense solver_dense_at(const core_isa *isa, double **memory, size_t rows, size_t columns,
+                      bool is_complex);
 
 /* Sets to = a b. The three are all real or all complex, their shapes fit, and `to` is neither of
  * the others. */
-void transport_dense_multiply(const dense *to, const dense *a, const dense *b);
-
-/* The same for a b of square blocks along its diagonal and zeros elsewhere: block i has the rows
- * and columns first[i] to before first[i + 1]. first: `blocks` + 1 numbers that ascend. */
-void transport_dense_multiply_blocks(const dense *to, const dense *a, const dense *b,
-                                     const size_t *first, size_t blocks);
+void solver_dense_multiply(const dense *to, const dense *a, const dense *b);
 
 /* Replaces b by the solution x of a x = b, by elimination with partial pivoting in blocks. The
  * content of a, which is square, is lost. Returns false if a is singular; then b has no meaning. */
-bool transport_dense_solve(const dense *a, const dense *b);
+bool solver_dense_solve(const dense *a, const dense *b);
 
-/* Sets to = b^T a^-1 b for symmetric matrices a and b of the same size, by elimination without pivoting:
- * with some rows exchanged, a has to be [g h; h^T -k] with g and k whose real parts are positive
- * definite (Vanderbei 1995, "Symmetric quasidefinite matrices"). The contents of a, b and of
- * *spare, which has their shape, are lost. Returns false if a pivot is 0; then `to` has no meaning. */
-bool transport_dense_congruence(const dense *to, const dense *a, const dense *b,
-                                const dense *spare);
+/* Sets to = g^T a^-1 [g, h] for symmetric matrices a and g of the same size and a b = [g, h] with
+ * as many columns as `to`, by elimination without pivoting: with some rows exchanged, a has to be
+ * [c d; d^T -e] with c and e whose real parts are positive definite (Vanderbei 1995, "Symmetric
+ * quasidefinite matrices"). The contents of a, b and of *spare, which has the shape of b, are
+ * lost. Returns false if a pivot is 0; then `to` has no meaning. */
+bool solver_dense_congruence(const dense *to, const dense *a, const dense *b, const dense *spare);
 
 /* ---- dense_product.c, for dense.c alone ----------------------------------------------------- */
 

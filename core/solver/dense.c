@@ -1,4 +1,4 @@
-#include "core/transport/dense.h"
+#include "core/solver/dense.h"
 
 #include <math.h>
 
@@ -11,13 +11,13 @@ static size_t padded(size_t columns) {
   return (columns + GROUP - 1) / GROUP * GROUP;
 }
 
-size_t transport_dense_size(size_t rows, size_t columns) {
+size_t solver_dense_size(size_t rows, size_t columns) {
   return rows * padded(columns);
 }
 
-dense transport_dense_at(const core_isa *isa, double **memory, size_t rows, size_t columns,
-                         bool is_complex) {
-  const size_t size = transport_dense_size(rows, columns);
+dense solver_dense_at(const core_isa *isa, double **memory, size_t rows, size_t columns,
+                      bool is_complex) {
+  const size_t size = solver_dense_size(rows, columns);
   const dense made = {
       isa, rows, columns, padded(columns), *memory, is_complex ? *memory + size : NULL};
   *memory += is_complex ? 2 * size : size;
@@ -29,10 +29,10 @@ dense transport_dense_at(const core_isa *isa, double **memory, size_t rows, size
 #define INDEX(level, unused) INDEX_##level,
 enum { CORE_ISA_LEVELS(INDEX, ) LEVELS };
 
-#define DECLARE(level, unused) extern const dense_loops transport_dense_loops_##level;
+#define DECLARE(level, unused) extern const dense_loops solver_dense_loops_##level;
 CORE_ISA_LEVELS(DECLARE, )
 
-#define LOOPS_OF(level, unused) [INDEX_##level] = &transport_dense_loops_##level,
+#define LOOPS_OF(level, unused) [INDEX_##level] = &solver_dense_loops_##level,
 static const dense_loops *const loops[LEVELS] = {CORE_ISA_LEVELS(LOOPS_OF, )};
 
 /* ---- products ------------------------------------------------------------------------------- */
@@ -69,23 +69,9 @@ static void clear(const dense *of) {
   }
 }
 
-void transport_dense_multiply(const dense *to, const dense *a, const dense *b) {
+void solver_dense_multiply(const dense *to, const dense *a, const dense *b) {
   clear(to);
   add(to, a, b, 1);
-}
-
-void transport_dense_multiply_blocks(const dense *to, const dense *a, const dense *b,
-                                     const size_t *first, size_t blocks) {
-  clear(to);
-  for (size_t i = 0; i < blocks; i++) {
-    /* Groups of columns are multiplied as a whole. The block's neighbours are 0 in these rows. */
-    const size_t row = first[i], inner = first[i + 1] - row;
-    const size_t column = row / GROUP * GROUP, columns = first[i + 1] - column;
-    const dense part = within(to, 0, column, to->rows, columns);
-    const dense left = within(a, 0, row, a->rows, inner);
-    const dense right = within(b, row, column, inner, columns);
-    add(&part, &left, &right, 1);
-  }
 }
 
 /* ---- elimination ---------------------------------------------------------------------------- */
@@ -192,7 +178,7 @@ static void scale_row(const dense *of, size_t row, number by) {
   }
 }
 
-bool transport_dense_solve(const dense *a, const dense *b) {
+bool solver_dense_solve(const dense *a, const dense *b) {
   const size_t n = a->rows;
   for (size_t first = 0; first < n; first += PANEL) {
     const size_t end = first + PANEL < n ? first + PANEL : n;
@@ -221,7 +207,8 @@ bool transport_dense_solve(const dense *a, const dense *b) {
   return true;
 }
 
-/* ---- symmetric matrices ----------------------------------------------------------------------- */
+/* ---- symmetric matrices -----------------------------------------------------------------------
+ */
 
 /* Rows of a triangle that are computed together, as rectangles that reach to the last column. A
  * multiple of PANEL. */
@@ -239,9 +226,9 @@ static void add_triangle(const dense *to, size_t first, const dense *a, const de
   }
 }
 
-/* Factors the rows first to before end of a symmetric matrix, without exchanging any, and subtracts
- * them from the triangle below. The factors of elimination are left below the diagonal. Returns false
- * if a pivot is 0. */
+/* Factors the rows first to before end of a symmetric matrix, without exchanging any, and
+ * subtracts them from the triangle below. The factors of elimination are left below the diagonal.
+ * Returns false if a pivot is 0. */
 static bool factor_symmetric(const dense *a, size_t first, size_t end) {
   for (size_t row = first; row < end; row++) {
     const number at = get(a, row, row);
@@ -265,8 +252,7 @@ static bool factor_symmetric(const dense *a, size_t first, size_t end) {
   return true;
 }
 
-bool transport_dense_congruence(const dense *to, const dense *a, const dense *b,
-                                const dense *spare) {
+bool solver_dense_congruence(const dense *to, const dense *a, const dense *b, const dense *spare) {
   const size_t n = a->rows;
   for (size_t first = 0; first < n; first += PANEL) {
     const size_t end = first + PANEL < n ? first + PANEL : n;
@@ -275,13 +261,14 @@ bool transport_dense_congruence(const dense *to, const dense *a, const dense *b,
     }
     apply_panel(a, b, first, end, 0);
   }
+  const dense left = within(spare, 0, 0, n, n);
   for (size_t row = 0; row < n; row++) {
     for (size_t column = 0; column < n; column++) {
-      set(spare, column, row, product(get(b, row, column), get(a, row, row)));
+      set(&left, column, row, product(get(b, row, column), get(a, row, row)));
     }
   }
   clear(to);
-  add_triangle(to, 0, spare, b, 1);
+  add_triangle(to, 0, &left, b, 1);
   for (size_t row = 0; row < n; row++) {
     for (size_t column = 0; column < row; column++) {
       set(to, row, column, get(to, column, row));

@@ -1,0 +1,264 @@
+/* X is interpolated by Chebyshev polynomials on panels, straight pieces of a path in the complex
+ * plane that double in width up to K. Beyond, with q = sqrt(1 + k^2), the scale of light that is
+ * not scattered,
+ *
+ *   X = (far + (b1 ln(1 + q) + c1) / q + (b2 ln(1 + q) + c2) / q^2) / q^2,
+ *
+ * where `far` is known from light that is scattered twice close to the source, and b and c are
+ * fitted. There the path turns upwards, where H0 decays. What is left at K, where both meet, goes
+ * on as k^-5 and k^-6: a step there would be a wave in r of the wavenumber K, which counts where R
+ * is small. */
+#include "core/solver/exitance.h"
+
+#include <assert.h>
+#include <math.h>
+#include <string.h>
+
+#include "core/solver/dense.h"
+#include "core/transport/bessel.h"
+#include "core/transport/functions.h"
+#include "core/transport/gauss.h"
+
+/* The tail is fitted to wavenumbers above this part of K. */
+#define TAIL_FROM 0.4
+
+/* The part of the last panel over which a slope is taken. */
+#define NEARBY 1e-3
+
+/* The path rises up to this Im k, so that light of large wavenumbers counts near the source alone.
+ */
+#define RISE 0.5
+#define RISE_MOST 0.35
+
+/* The first panel's width if nothing is absorbed, when X has no scale below 1. */
+#define WIDTH_WHITE 0.03
+
+enum { TAIL_TERMS = EXITANCE_TAIL_TERMS };
+
+/* ---- where it is known ---------------------------------------------------------------------- */
+
+static double last_of(const exitance_grid *of) {
+  return of->tier_end[EXITANCE_TIERS - 1];
+}
+
+void solver_exitance_place(exitance_grid *to, const core_isa *isa, double kappa, double share,
+                           size_t nodes, const double tier_end[EXITANCE_TIERS]) {
+  assert(nodes <= EXITANCE_NODES_MAX && share >= 0 && share < 1);
+  const double low = share * kappa, high = fmax(low, RISE_MOST);
+  *to = (exitance_grid){.isa = isa, .nodes = nodes, .point = {CMPLX(0, low)}};
+  memcpy(to->tier_end, tier_end, sizeof to->tier_end);
+  const double last = last_of(to);
+  double end = kappa > 0 ? fmin(last / 4, (1 - share) * kappa) : WIDTH_WHITE;
+  while (creal(to->point[to->panels]) < last) {
+    assert(to->panels < EXITANCE_PANELS_MAX);
+    to->point[++to->panels] = CMPLX(end, fmin(low + RISE * end, high));
+    end = 2 * end > 0.7 * last ? last : 2 * end;
+  }
+}
+
+double complex solver_exitance_wavenumber(const exitance_grid *of, size_t node) {
+  double sine, cosine;
+  fn_sincos(FN_PI * ((double)(node % of->nodes) + 0.5) / (double)of->nodes, &sine, &cosine);
+  const double complex *at = &of->point[node / of->nodes];
+  return 0.5 * (at[0] + at[1]) - 0.5 * (at[1] - at[0]) * cosine;
+}
+
+/* Replaces values at the nodes by the terms of a Chebyshev series. */
+static void find_terms(const exitance_grid *of, double complex *values) {
+  const size_t n = of->nodes;
+  double complex term[EXITANCE_NODES_MAX];
+  for (size_t j = 0; j < n; j++) {
+    term[j] = 0;
+    for (size_t i = 0; i < n; i++) {
+      double sine, cosine;
+      fn_sincos(FN_PI * (double)j * ((double)i + 0.5) / (double)n, &sine, &cosine);
+      /* the nodes are in ascending order: x_i = -cos */
+      term[j] += values[i] * (j % 2 == 0 ? cosine : -cosine);
+    }
+    term[j] *= (j == 0 ? 1.0 : 2.0) / (double)n;
+  }
+  memcpy(values, term, n * sizeof *values);
+}
+
+/* Returns X at the part x of a panel, from 0 to 1. */
+static double complex series_at(const exitance_grid *of, const exitance_series *at, size_t panel,
+                                double x) {
+  double complex one = 0, two = 0;
+  for (size_t j = of->nodes; j-- > 1;) {
+    const double complex next = at->term[panel][j] + (4 * x - 2) * one - two;
+    two = one;
+    one = next;
+  }
+  return at->term[panel][0] + (2 * x - 1) * one - two;
+}
+
+/* Sets terms to what the coefficients of the tail are multiplied by at k, and returns 1 / q^2. */
+static double complex tail_terms(double complex k, double complex *terms) {
+  const double complex q = fn_csqrt(1 + k * k), inverse = fn_inverse(q);
+  terms[1] = inverse * inverse * inverse;
+  terms[0] = fn_clog(1 + q) * terms[1];
+  terms[2] = terms[0] * inverse;
+  terms[3] = terms[1] * inverse;
+  return inverse * inverse;
+}
+
+/* Normal equations of least squares, with one right side or two. */
+enum { UNKNOWNS_MAX = 16, RIGHT_SIDES = 2 };
+struct equations {
+  dense normal, right;
+  double memory[UNKNOWNS_MAX * (UNKNOWNS_MAX + 8)] __attribute__((aligned(64)));
+};
+
+static void begin_equations(struct equations *to, const core_isa *isa, size_t unknowns) {
+  double *next = to->memory;
+  memset(to->memory, 0, sizeof to->memory);
+  to->normal = solver_dense_at(isa, &next, unknowns, unknowns, false);
+  to->right = solver_dense_at(isa, &next, unknowns, RIGHT_SIDES, false);
+}
+
+/* Adds an equation whose unknowns are multiplied by terms[]. */
+static void add_equation(struct equations *to, double weight, const double *terms,
+                         const double right[RIGHT_SIDES]) {
+  for (size_t row = 0; row < to->normal.rows; row++) {
+    const double factor = weight * terms[row];
+    for (size_t column = 0; column < to->normal.columns; column++) {
+      to->normal.re[row * to->normal.stride + column] += factor * terms[column];
+    }
+    for (size_t side = 0; side < RIGHT_SIDES; side++) {
+      to->right.re[row * to->right.stride + side] += factor * right[side];
+    }
+  }
+}
+
+/* Returns unknown i for each right side, after the equations have been solved. */
+static const double *unknown(const struct equations *of, size_t i) {
+  return of->right.re + i * of->right.stride;
+}
+
+/* Fits the tail to X at the nodes with s above a part of K, by least squares. Returns false if the
+ * normal equations are singular. */
+static bool fit_tail(const exitance_grid *of, exitance_series *at, const double complex *values) {
+  struct equations equations;
+  begin_equations(&equations, of->isa, TAIL_TERMS);
+  for (size_t i = 0; i < of->panels * of->nodes; i++) {
+    const double complex k = solver_exitance_wavenumber(of, i);
+    if (creal(k) < TAIL_FROM * last_of(of)) {
+      continue;
+    }
+    double complex terms[TAIL_TERMS];
+    const double complex rest = values[i] - at->far * tail_terms(k, terms);
+    const double k2 = fn_norm2(k);
+    double re[TAIL_TERMS], im[TAIL_TERMS];
+    for (size_t j = 0; j < TAIL_TERMS; j++) {
+      re[j] = creal(terms[j]);
+      im[j] = cimag(terms[j]);
+    }
+    add_equation(&equations, k2 * k2 * k2, re, (double[]){creal(rest), 0});
+    add_equation(&equations, k2 * k2 * k2, im, (double[]){cimag(rest), 0});
+  }
+  const bool ok = solver_dense_solve(&equations.normal, &equations.right);
+  for (size_t i = 0; i < TAIL_TERMS && ok; i++) {
+    at->tail[i] = unknown(&equations, i)[0];
+  }
+  return ok;
+}
+
+/* Returns X beyond K. */
+static double complex beyond(const exitance_series *at, double complex last, double complex k) {
+  const double complex ratio = last * fn_inverse(k), ratio2 = ratio * ratio;
+  double complex terms[TAIL_TERMS], sum = at->far * tail_terms(k, terms);
+  for (size_t i = 0; i < TAIL_TERMS; i++) {
+    sum += at->tail[i] * terms[i];
+  }
+  return sum + ratio2 * ratio2 * ratio * (at->step + at->bend * (1 - ratio));
+}
+
+size_t solver_exitance_end(const exitance_grid *of, size_t tier) {
+  size_t panel = tier + 1 < EXITANCE_TIERS ? 0 : of->panels;
+  while (panel < of->panels &&
+         fn_abs(0.5 * (of->point[panel] + of->point[panel + 1])) <= of->tier_end[tier]) {
+    panel++;
+  }
+  return panel * of->nodes;
+}
+
+bool solver_exitance_make(exitance_series *to, const exitance_grid *of, double far,
+                          const double complex *values) {
+  to->far = far;
+  if (!fit_tail(of, to, values)) {
+    return false;
+  }
+  for (size_t panel = 0; panel < of->panels; panel++) {
+    memcpy(to->term[panel], values + panel * of->nodes, of->nodes * sizeof *values);
+    find_terms(of, to->term[panel]);
+  }
+  const double complex last = of->point[of->panels];
+  const double complex before = last - NEARBY * (last - of->point[of->panels - 1]);
+  to->step = to->bend = 0;
+  to->step = series_at(of, to, of->panels - 1, 1) - beyond(to, last, last);
+  to->bend = series_at(of, to, of->panels - 1, 1 - NEARBY) - beyond(to, last, before);
+  to->bend *= last * fn_inverse(before - last);
+  return true;
+}
+
+/* ---- the way back --------------------------------------------------------------------------- */
+
+enum { RULE_NODES = 12 };
+
+/* What has decayed by more than e to this power is left out. */
+#define DECAYS_MOST 45
+
+/* Returns X H0(kr) k, with H0(kr) = -2 i / pi K0(-i k r). */
+static double complex weighted(double complex exitance, double complex k, double r) {
+  return exitance * k * CMPLX(0, -2 / FN_PI) * transport_bessel_k(CMPLX(0, -r) * k).k0;
+}
+
+/* Returns the integral over one interval of a panel, whose ends are parts from 0 to 1. */
+static double interval(const exitance_grid *of, const exitance_series *at, const gauss_rule *rule,
+                       size_t panel, double begin, double end, double r) {
+  const double complex first = of->point[panel], way = of->point[panel + 1] - first;
+  double complex sum = 0;
+  for (size_t i = 0; i < rule->n; i++) {
+    const double x = begin + (end - begin) * rule->x[i];
+    sum += rule->weight[i] * weighted(series_at(of, at, panel, x), first + x * way, r);
+  }
+  return creal(sum * way) * (end - begin);
+}
+
+double solver_exitance_at(const exitance_series *at, const exitance_grid *of, double r) {
+  enum { HALVINGS = 12, DOUBLINGS = 200 };
+  gauss_rule rule;
+  transport_gauss(&rule, RULE_NODES);
+  double sum = 0;
+  for (size_t panel = 0; panel < of->panels; panel++) {
+    const double complex from = of->point[panel], way = of->point[panel + 1] - from;
+    if (r * cimag(from - of->point[0]) > DECAYS_MOST) {
+      return sum / (2 * FN_PI);
+    }
+    const double periods = ceil(fn_abs(way) * r / (2 * FN_PI));
+    const size_t parts = periods < 1 ? 1 : (size_t)periods;
+    for (size_t i = 0; i < parts; i++) {
+      double begin = (double)i / (double)parts, end = (double)(i + 1) / (double)parts;
+      /* H0(kr) is not smooth at k = 0, so the interval that begins there is cut in halves, the
+       * lower one again and again. */
+      for (size_t halving = 0; panel + i == 0 && halving < HALVINGS; halving++) {
+        sum += interval(of, at, &rule, panel, end / 2, end, r);
+        end /= 2;
+      }
+      sum += interval(of, at, &rule, panel, begin, end, r);
+    }
+  }
+  /* From K the path runs upwards. */
+  const double complex last = of->point[of->panels];
+  double begin = 0, end = 0.5 * fmin(last_of(of), 1 / r);
+  for (size_t i = 0; i < DOUBLINGS && begin * r < DECAYS_MOST; i++) {
+    for (size_t node = 0; node < rule.n; node++) {
+      const double complex k = last + CMPLX(0, begin + (end - begin) * rule.x[node]);
+      sum += (end - begin) * rule.weight[node] *
+             creal(CMPLX(0, 1) * weighted(beyond(at, last, k), k, r));
+    }
+    begin = end;
+    end *= 2;
+  }
+  return sum / (2 * FN_PI);
+}

@@ -1,0 +1,58 @@
+/* exitance: X(k), the exitance of light that was scattered more than once, Fourier transformed
+ * over the plane, between and beyond the wavenumbers at which it is known, and the way back to
+ * R(r). See anisotropic.c for the formulas. Lengths are in any unit, and k is per this unit. */
+#ifndef DIPOLED_CORE_SOLVER_EXITANCE_H
+#define DIPOLED_CORE_SOLVER_EXITANCE_H
+
+#include <complex.h>
+#include <stdbool.h>
+#include <stddef.h>
+
+#include "core/core.h"
+
+enum {
+  EXITANCE_TIERS = 4,
+  EXITANCE_NODES_MAX = 16,
+  EXITANCE_PANELS_MAX = 40,
+  EXITANCE_TAIL_TERMS = 4
+};
+
+/* The wavenumbers: Chebyshev's nodes on the straight pieces of a path. Each tier of them, up to
+ * some |k|, is solved in one way, and has errors of its own. */
+typedef struct exitance_grid {
+  const core_isa *isa;
+  double tier_end
+      [EXITANCE_TIERS]; /* largest |k| of each tier; the last is K, the path's largest Re k */
+  size_t nodes;         /* on each panel */
+  size_t panels;
+  double complex point[EXITANCE_PANELS_MAX + 1]; /* where the path begins, and each panel ends */
+} exitance_grid;
+
+/* Sets *to, with panels that double in width. kappa: the decay rate of R far away, 0 or at least
+ * 1e-9. share: Im k / kappa where the path begins, 0 to less than 1. nodes: 8 to
+ * EXITANCE_NODES_MAX. tier_end: ascending. */
+void solver_exitance_place(exitance_grid *to, const core_isa *isa, double kappa, double share,
+                           size_t nodes, const double tier_end[EXITANCE_TIERS]);
+
+/* Returns k of a node. Nodes count through all panels, in ascending order. */
+double complex solver_exitance_wavenumber(const exitance_grid *of, size_t node);
+
+/* Returns the number of nodes in this tier and all below it. */
+size_t solver_exitance_end(const exitance_grid *of, size_t tier);
+
+/* What is known of X: a Chebyshev series on each panel, and the tail beyond K. */
+typedef struct exitance_series {
+  double complex term[EXITANCE_PANELS_MAX][EXITANCE_NODES_MAX];
+  double far, tail[EXITANCE_TAIL_TERMS];
+  double complex step, bend; /* of X less the tail at K: its value, and its change beside k^-5 */
+} exitance_series;
+
+/* Sets *to from X at all nodes, which it changes. far: the limit of k^2 X. Returns false if an
+ * equation is singular. */
+bool solver_exitance_make(exitance_series *to, const exitance_grid *of, double far,
+                          const double complex *values);
+
+/* Returns R at the radius r, above 0, per squared unit of length. */
+double solver_exitance_at(const exitance_series *at, const exitance_grid *of, double r);
+
+#endif

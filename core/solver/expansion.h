@@ -1,0 +1,77 @@
+/* expansion: the angles of light in a medium, in functions of half of them, and the transport
+ * equation in these functions.
+ *
+ * Lengths are in scaled mean free paths: the part of the phase function that a truncated series
+ * cannot tell from unscattered light counts as unscattered (Joseph, Wiscombe, Weinman 1976,
+ * delta-M). */
+#ifndef DIPOLED_CORE_SOLVER_EXPANSION_H
+#define DIPOLED_CORE_SOLVER_EXPANSION_H
+
+#include <stddef.h>
+
+#include "core/core.h"
+
+enum {
+  EXPANSION_MOMENTS_MAX = 256, /* largest number of moments of a truncated phase function */
+  EXPANSION_ORDERS_MAX = 24,
+  EXPANSION_DEGREES_MAX = 80,
+  EXPANSION_ETAS_MAX = 32, /* largest number of boundaries that are solved together */
+  EXPANSION_CONES_MAX = 8, /* largest number of cones of angles for each boundary */
+};
+
+/* A medium whose phase function has been truncated. */
+typedef struct expansion_medium {
+  double albedo;        /* of single scattering, after the truncation */
+  size_t moments;       /* number of moments, 1 to EXPANSION_MOMENTS_MAX */
+  const double *moment; /* moment[l] for l from 0, with moment[0] = 1 */
+} expansion_medium;
+
+/* The functions: for each hemisphere and each m from 0 to `orders`, cos(m phi) sin^m(theta) times
+ * `degrees` - m polynomials of cos(theta), but at least `degrees_least` of them. */
+typedef struct expansion_rules {
+  size_t orders;
+  size_t degrees;
+  size_t degrees_least;
+} expansion_rules;
+
+/* The boundaries of a medium, with cones of angles. */
+typedef struct expansion_boundaries {
+  size_t count;
+  const double *etas; /* index inside over index outside, each 0.2 to 5 */
+  size_t cones;
+  /* that of the largest angle to the normal outside that a cone has, over min(1, eta), which is
+   * that of all light; each above 0, up to 1 */
+  const double *sines;
+} expansion_boundaries;
+
+/* Matrices are [n][n] and symmetric: their rows of odd orders have the other sign than in the
+ * formulas of expansion.c. */
+typedef struct expansion {
+  const core_isa *isa;
+  double albedo;
+  size_t orders, n;
+  size_t first[EXPANSION_ORDERS_MAX + 2]; /* the first function of each order, then n */
+  double *unit;                           /* <psi psi> */
+  double *even, *odd;                     /* E - a (P++ + P+-) and E - a (P++ - P+-), for k = 0 */
+  double *slant;                          /* C: what k is multiplied by in E */
+  double *source[2];                      /* b+, b-, for m = 0 alone */
+  /* for the orders above M: [nodes] alpha, cosines and weights, [nodes][n] the functions */
+  size_t nodes;
+  double *alpha, *mu, *weight, *psi;
+  expansion_boundaries boundaries;
+  double *reflection[EXPANSION_ETAS_MAX]; /* F = <psi mu F psi>, with the formulas' signs */
+  double *entering;                       /* [boundary] <mu T> */
+  /* [boundary][1 + cone] <mu T psi>, m = 0, over all angles, then over those of a cone */
+  double *exit[EXPANSION_ETAS_MAX][1 + EXPANSION_CONES_MAX];
+} expansion;
+
+/* Returns the integrals for one medium and some boundaries, or NULL if memory runs out. The caller
+ * frees them with solver_expansion_free(), which accepts NULL. boundaries: 1 to
+ * EXPANSION_ETAS_MAX, with up to EXPANSION_CONES_MAX cones; what it points to has to outlive the
+ * result. */
+expansion *solver_expansion_new(const core_isa *isa, const expansion_rules *rules,
+                                const expansion_medium *medium,
+                                const expansion_boundaries *boundaries);
+void solver_expansion_free(expansion *of);
+
+#endif

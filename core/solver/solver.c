@@ -1,0 +1,602 @@
+/* With X(k) the exitance of light scattered more than once, Fourier transformed over the plane,
+ *
+ *   R(r) = 1 / (2 pi) Re int X(k) H0(kr) k dk,   k = s + i c, s from 0 to infinity,
+ *
+ * where 0 <= c < kappa, so that R keeps its digits where it decays as e^(-kappa r). exitance.c has
+ * the way from X to R. For wavenumbers above all that are solved it has to know `far`, the limit
+ * of k^2 X.
+ *
+ * `far`: light that is scattered twice and comes back to where it entered runs along a triangle.
+ * The number of triangles of size l is in proportion to dl / l, so that R2(r) = far / (2 pi) ln(1
+ * / r) + ..., with
+ *
+ *   far = (2 pi a)^2 int_0^pi/2 T(mu) mu dtheta int_theta^pi p(cos t) p(-cos(t - theta)) dt,
+ *
+ * mu = cos(theta), theta the angle at which the light leaves, t the angle by which it is deflected
+ * first. The light that leaves within a cone of angles has an X of its own, whose integral over
+ * theta ends at the cone's edge. */
+#include "core/solver/solver.h"
+
+#include <assert.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/solver/exitance.h"
+#include "core/solver/layer.h"
+#include "core/transport/decay.h"
+#include "core/transport/functions.h"
+#include "core/transport/gauss.h"
+#include "core/transport/single.h"
+
+#define SINGLE_STEP 0.3
+
+/* ---- how finely ----------------------------------------------------------------------------- */
+
+enum { TIERS = EXITANCE_TIERS };
+
+/* How wavenumbers up to k_most are solved. */
+struct tier {
+  double k_most;
+  expansion_rules rules;
+};
+
+/* A basis resolves a phase function of at most some three moments for each degree. */
+struct level {
+  double moment_least; /* the series of the phase function ends at a moment as small as this */
+  size_t moments_most;
+  double floor;            /* least relative error that is stated */
+  double share;            /* of kappa, where the path of wavenumbers begins */
+  size_t nodes;            /* on each panel */
+  struct tier tier[TIERS]; /* the last one's k_most is K */
+};
+
+static const struct level levels[SOLVER_LEVELS] = {
+    {1e-4,
+     30,
+     1e-3,
+     0.80,
+     8,
+     {{0.3, {3, 7, 3}}, {1, {4, 8, 3}}, {3, {6, 9, 3}}, {4.5, {6, 10, 4}}}},
+    {1e-4,
+     40,
+     3e-4,
+     0.80,
+     8,
+     {{0.3, {4, 9, 3}}, {1, {6, 10, 3}}, {3, {7, 12, 4}}, {5.5, {8, 14, 5}}}},
+    {1e-4,
+     48,
+     1e-4,
+     0.85,
+     9,
+     {{0.3, {5, 11, 4}}, {1, {7, 12, 4}}, {3, {9, 15, 5}}, {6.5, {10, 18, 6}}}},
+    {1e-5,
+     64,
+     5e-5,
+     0.85,
+     10,
+     {{0.3, {6, 13, 5}}, {1, {8, 14, 5}}, {3, {11, 18, 6}}, {8, {11, 22, 7}}}},
+    {1e-5,
+     80,
+     3e-5,
+     0.88,
+     11,
+     {{0.3, {7, 15, 5}}, {1, {9, 17, 6}}, {3, {12, 22, 7}}, {10, {13, 28, 9}}}},
+    {1e-6,
+     96,
+     2e-5,
+     0.86,
+     12,
+     {{0.3, {8, 20, 8}}, {1, {10, 22, 8}}, {3, {13, 26, 8}}, {12, {15, 34, 10}}}},
+};
+
+/* ---- the medium ----------------------------------------------------------------------------- */
+
+/* A medium after its phase function has been truncated. */
+struct scaled {
+  expansion_medium medium;
+  double moment[EXPANSION_MOMENTS_MAX];
+  double unit;   /* scaled mean free path in reduced mean free paths */
+  double kappa;  /* per scaled mean free path */
+  double single; /* albedo by which light scattered once is in proportion, per scaled path */
+};
+
+static double moment_at(const solver_phase *phase, size_t l) {
+  if (phase->moments > 0) {
+    return l < phase->moments ? phase->moment[l] : 0;
+  }
+  double power = 1;
+  for (size_t i = 0; i < l; i++) {
+    power *= phase->g;
+  }
+  return power;
+}
+
+/* Returns the phase function, normalized to 1 over the sphere, times 4 pi. */
+static double phase_at(const solver_phase *phase, double cosine) {
+  if (phase->moments == 0) {
+    const double g = phase->g, base = 1 + g * g - 2 * g * cosine;
+    return (1 - g) * (1 + g) / (base * sqrt(base));
+  }
+  double before = 0, here = 1, sum = 0;
+  for (size_t l = 0; l < phase->moments; l++) {
+    sum += (double)(2 * l + 1) * phase->moment[l] * here;
+    const double next =
+        ((double)(2 * l + 1) * cosine * here - (double)l * before) / (double)(l + 1);
+    before = here;
+    here = next;
+  }
+  return sum;
+}
+
+/* Light that decays more slowly, per scaled mean free path, does not decay. */
+#define KAPPA_LEAST 1e-9
+
+static void truncate_phase(struct scaled *to, double ratio, const solver_phase *phase,
+                           double moment_least, size_t moments_most) {
+  const double g = moment_at(phase, 1);
+  /* In reduced mean free paths sigma_a + sigma_s (1 - g) is 1. */
+  const double sigma_s = 1 / (1 + ratio) / (1 - g), sigma_t = ratio / (1 + ratio) + sigma_s;
+  const double albedo = sigma_s / sigma_t;
+  size_t count = 2;
+  while (count < moments_most && fabs(moment_at(phase, count)) > moment_least) {
+    count++;
+  }
+  /* An odd moment of a backward phase function is negative, and nothing is left out then. */
+  const double forward = fmax(0, moment_at(phase, count));
+  for (size_t l = 0; l < count; l++) {
+    to->moment[l] = (moment_at(phase, l) - forward) / (1 - forward);
+  }
+  const double kept = 1 - albedo * forward;
+  to->medium = (expansion_medium){albedo * (1 - forward) / kept, count, to->moment};
+  to->unit = 1 / (kept * sigma_t);
+  to->single = albedo / kept;
+  to->kappa = transport_decay_rate(to->medium.moment, to->medium.moments, to->medium.albedo,
+                                   ratio / (1 + ratio) * to->unit);
+  to->kappa = to->kappa < KAPPA_LEAST ? 0 : to->kappa;
+}
+
+/* ---- light that is scattered twice near the source --------------------------------------------
+ */
+
+/* Returns arcsin(x) for 0 < x <= 1. */
+static double arcsine(double x) {
+  return cimag(fn_clog(CMPLX(sqrt((1 - x) * (1 + x)), x)));
+}
+
+/* Returns the integral over t from theta to pi of p(cos t) p(-cos(t - theta)) (4 pi)^2. The panels
+ * halve towards both ends, where p may be narrow. */
+static double second_deflections(const solver_phase *phase, const gauss_rule *rule, double theta) {
+  enum { HALVINGS = 9 };
+  const double length = FN_PI - theta;
+  double sum = 0, end = 0.5;
+  for (size_t panel = 0; panel < HALVINGS; panel++) {
+    const double begin = panel + 1 < HALVINGS ? end / 2 : 0;
+    for (size_t i = 0; i < rule->n; i++) {
+      const double x = length * (begin + (end - begin) * rule->x[i]);
+      const double weight = length * (end - begin) * rule->weight[i];
+      for (int side = 0; side < 2; side++) {
+        double sine, first, second;
+        fn_sincos(side == 0 ? theta + x : FN_PI - x, &sine, &first);
+        fn_sincos(side == 0 ? x : length - x, &sine, &second);
+        sum += weight * phase_at(phase, first) * phase_at(phase, -second);
+      }
+    }
+    end = begin;
+  }
+  return sum;
+}
+
+/* edge: the sine of the cone's edge outside, 1 for light of all angles. */
+static double far_of(const struct scaled *scaled, const solver_phase *phase, double eta,
+                     double edge) {
+  enum { ANGLES = 40, DEFLECTIONS = 12 };
+  gauss_rule angles, deflections;
+  transport_gauss(&angles, ANGLES);
+  transport_gauss(&deflections, DEFLECTIONS);
+  const double most = edge < eta ? arcsine(edge / eta) : 0.5 * FN_PI;
+  double sum = 0;
+  for (size_t i = 0; i < angles.n; i++) {
+    const double v = angles.x[i];
+    double sine, mu;
+    fn_sincos(most * (1 - v * v), &sine, &mu);
+    const double mu_outside = sqrt(fmax(0, 1 - eta * eta * (1 - mu) * (1 + mu)));
+    const double t = eta == 1 ? 1 : transport_transmittance(eta, mu, mu_outside);
+    sum += 2 * v * most * angles.weight[i] * t * mu *
+           second_deflections(phase, &deflections, most * (1 - v * v));
+  }
+  return 0.25 * scaled->single * scaled->single * sum;
+}
+
+/* ---- one grid ------------------------------------------------------------------------------- */
+
+struct grid {
+  struct scaled scaled;
+  exitance_grid wavenumbers;
+  exitance_series *exitance; /* one for each part */
+};
+
+/* Returns how many X there are. X number i is of the boundary i % count, and of light of all angles
+ * for i < count, else of the cone i / count - 1. */
+static size_t parts_of(const expansion_boundaries *of) {
+  return of->count * (1 + of->cones);
+}
+
+/* Returns the sine of the largest angle outside. */
+static double sine_of(const expansion_boundaries *of, size_t part) {
+  return part < of->count ? 1
+                          : of->sines[part / of->count - 1] * fmin(of->etas[part % of->count], 1);
+}
+
+enum { PARTS_MAX = SOLVER_ETAS_MAX * (1 + SOLVER_CONES_MAX) };
+_Static_assert((int)EXITANCE_PANELS_MAX *EXITANCE_NODES_MAX == (int)SOLVER_WAVENUMBERS_MAX,
+               "a caller keeps all wavenumbers");
+
+/* Where so much of the light has decayed, no tolerance holds. */
+#define DECAYS_MOST 20
+
+/* The radii at which two grids are compared. */
+enum { RADII = 36 };
+#define RADIUS_LEAST 0.004
+#define RADIUS_RATIO 1.45
+
+struct solver_solution {
+  size_t count;
+  size_t parts;
+  size_t grids;           /* 1, or 2 if the next coarser one is known */
+  single_rule *single;    /* one for each part, with the phase function in its weights */
+  struct grid grid[2];    /* the finest, and the next coarser one */
+  double floor;           /* of relative errors */
+  double margin;          /* relative errors over the grids' difference */
+  double (*error)[RADII]; /* [boundary] relative, at each radius */
+};
+
+/* Solves the wavenumbers that belong to one tier. values: [part][node of all panels]. Returns
+ * false if memory runs out or an equation is singular. */
+static bool solve_tier(struct grid *of, const core_isa *isa, const struct level *by, size_t tier,
+                       const expansion_boundaries *boundaries, double complex **values) {
+  expansion *expanded =
+      solver_expansion_new(isa, &by->tier[tier].rules, &of->scaled.medium, boundaries);
+  bool ok = expanded != NULL;
+  const size_t end = solver_exitance_end(&of->wavenumbers, tier);
+  for (size_t node = tier > 0 ? solver_exitance_end(&of->wavenumbers, tier - 1) : 0;
+       node < end && ok; node++) {
+    layer_exitance exitance[SOLVER_ETAS_MAX];
+    ok = solver_layer_halfspace(expanded, solver_exitance_wavenumber(&of->wavenumbers, node),
+                                of->scaled.kappa, exitance);
+    for (size_t part = 0; part < parts_of(boundaries) && ok; part++) {
+      values[part][node] = exitance[part % boundaries->count].part[part / boundaries->count];
+    }
+  }
+  solver_expansion_free(expanded);
+  return ok;
+}
+
+/* X at all nodes that a caller keeps: [part][SOLVER_WAVENUMBERS_MAX]. */
+struct kept {
+  double complex *exitances; /* NULL if it keeps none */
+  bool known;                /* whether they are given, else they are set */
+};
+
+static bool solve_grid(struct grid *to, const core_isa *isa, const struct level *by, double ratio,
+                       const solver_phase *phase, const expansion_boundaries *boundaries,
+                       struct kept kept) {
+  const size_t parts = parts_of(boundaries);
+  double tier_end[TIERS];
+  for (size_t tier = 0; tier < TIERS; tier++) {
+    tier_end[tier] = by->tier[tier].k_most;
+  }
+  truncate_phase(&to->scaled, ratio, phase, by->moment_least, by->moments_most);
+  solver_exitance_place(&to->wavenumbers, isa, to->scaled.kappa, by->share, by->nodes, tier_end);
+  to->exitance = calloc(parts, sizeof *to->exitance);
+  double complex *values[PARTS_MAX];
+  const size_t nodes = solver_exitance_end(&to->wavenumbers, TIERS - 1);
+  double complex *memory = calloc(nodes * parts, sizeof *memory);
+  bool ok = to->exitance != NULL && memory != NULL;
+  for (size_t part = 0; part < parts && ok; part++) {
+    values[part] = kept.exitances == NULL ? memory + part * nodes
+                                          : kept.exitances + part * SOLVER_WAVENUMBERS_MAX;
+  }
+  for (size_t tier = 0; tier < TIERS && ok && !kept.known; tier++) {
+    ok = solve_tier(to, isa, by, tier, boundaries, values);
+  }
+  for (size_t part = 0; part < parts && ok; part++) {
+    const double far = far_of(&to->scaled, phase, boundaries->etas[part % boundaries->count],
+                              sine_of(boundaries, part));
+    ok = solver_exitance_make(&to->exitance[part], &to->wavenumbers, far, values[part]);
+  }
+  free(memory);
+  return ok;
+}
+
+/* ---- solutions ------------------------------------------------------------------------------ */
+
+/* Puts the phase function into the weights of light that was scattered once, which leaves at the
+ * cosine mu = (E^2 - 1) / (E^2 + 1). */
+static void weigh_single(single_rule *rule, const solver_phase *phase) {
+  for (size_t i = 0; i < rule->n; i++) {
+    const double e2 = rule->rate[i] * rule->rate[i];
+    rule->weight[i] *= phase_at(phase, -(e2 - 1) / (e2 + 1));
+  }
+}
+
+static const core_fault no_fault = {NULL, NULL, 0};
+static const core_fault memory_fault = {CORE_FIELD_MEMORY, "enough for the solution", 0};
+
+static core_fault check(double ratio, const solver_phase *phase, const double *etas, size_t count) {
+  if (!(ratio >= 0 && ratio <= 1000)) {
+    return (core_fault){"sigma_a_ratio", "0 to 1000", 0};
+  }
+  const bool is_series = phase->moments != 0;
+  if (is_series ? phase->moments < 2 || phase->moments > SOLVER_MOMENTS_MAX ||
+                      phase->moment[0] != 1 || !(fabs(phase->moment[1]) <= 0.99)
+                : !(fabs(phase->g) <= 0.99)) {
+    return (core_fault){"phase", "a mean cosine from -0.99 to 0.99", 0};
+  }
+  if (count < 1 || count > SOLVER_ETAS_MAX) {
+    return (core_fault){"eta", "1 to 32 of them", 0};
+  }
+  for (size_t i = 0; i < count; i++) {
+    if (!(etas[i] >= TRANSPORT_ETA_MIN && etas[i] <= TRANSPORT_ETA_MAX)) {
+      return (core_fault){"eta", "0.25 to 4", i};
+    }
+  }
+  return no_fault;
+}
+
+static double reduced_single(const solver_solution *of, const struct grid *grid, size_t part,
+                             double r) {
+  const double unit = grid->scaled.unit;
+  return grid->scaled.single * transport_single_at(&of->single[part], r / unit).r / (unit * unit);
+}
+
+static double value_at(const solver_solution *of, const struct grid *grid, size_t part, double r) {
+  const double unit = grid->scaled.unit;
+  return reduced_single(of, grid, part, r) +
+         solver_exitance_at(&grid->exitance[part], &grid->wavenumbers, r / unit) / (unit * unit);
+}
+
+/* Stated errors over the grids' difference. Where light is scattered back, grids share more of
+ * their errors: below BACKWARD they were up to 2.8 times as far off as they differ, above it 1.5
+ * times. */
+#define MARGIN 1.6
+#define MARGIN_BACKWARD 4.0
+#define BACKWARD (-0.3)
+
+/* Compares the two grids, and returns the largest relative error at radii that a tolerance is for.
+ */
+static double find_errors(solver_solution *of) {
+  double worst = 0;
+  for (size_t eta = 0; eta < of->count; eta++) {
+    double r = RADIUS_LEAST;
+    for (size_t i = 0; i < RADII; i++, r *= RADIUS_RATIO) {
+      const double fine = value_at(of, &of->grid[0], eta, r);
+      const double coarse = value_at(of, &of->grid[1], eta, r);
+      of->error[eta][i] = fine > 0 && coarse > 0 ? of->margin * fabs(1 - coarse / fine) : 1;
+      const bool counts = r >= SOLVER_RADIUS_LEAST && r <= SOLVER_RADIUS_MOST &&
+                          r * of->grid[0].scaled.kappa / of->grid[0].scaled.unit < DECAYS_MOST;
+      worst = counts ? fmax(worst, of->error[eta][i]) : worst;
+    }
+  }
+  return worst;
+}
+
+static core_fault solve(solver_solution **solution, const core_isa *isa, double sigma_a_ratio,
+                        const solver_phase *phase, const expansion_boundaries *boundaries,
+                        size_t first, size_t last, double tolerance, struct kept kept) {
+  *solution = NULL;
+  const core_fault fault = check(sigma_a_ratio, phase, boundaries->etas, boundaries->count);
+  if (fault.field != NULL) {
+    return fault;
+  }
+  solver_solution *made = calloc(1, sizeof *made);
+  if (made == NULL) {
+    return memory_fault;
+  }
+  made->count = boundaries->count;
+  made->parts = parts_of(boundaries);
+  made->margin = moment_at(phase, 1) < BACKWARD ? MARGIN_BACKWARD : MARGIN;
+  made->single = malloc(made->parts * sizeof *made->single);
+  made->error = calloc(made->count, sizeof *made->error);
+  bool ok = made->single != NULL && made->error != NULL;
+  for (size_t i = 0; i < made->parts && ok; i++) {
+    transport_single_rule(&made->single[i], boundaries->etas[i % made->count],
+                          sine_of(boundaries, i), SINGLE_STEP);
+    weigh_single(&made->single[i], phase);
+  }
+  double worst = (double)INFINITY;
+  for (size_t level = first; level <= last && worst > tolerance && ok; level++) {
+    free(made->grid[1].exitance);
+    made->grid[1] = made->grid[0];
+    made->grid[0] = (struct grid){.exitance = NULL};
+    ok = solve_grid(&made->grid[0], isa, &levels[level], sigma_a_ratio, phase, boundaries, kept);
+    made->grids = level > first ? 2 : 1;
+    made->floor = levels[level].floor;
+    worst = ok && level > first ? find_errors(made) : worst;
+  }
+  if (!ok) {
+    solver_free(made);
+    return memory_fault;
+  }
+  *solution = made;
+  return no_fault;
+}
+
+core_fault solver_solve(solver_solution **solution, const core_isa *isa, double sigma_a_ratio,
+                        const solver_phase *phase, const double *etas, size_t count,
+                        double tolerance) {
+  return solver_solve_cones(solution, isa, sigma_a_ratio, phase, etas, count, NULL, 0, tolerance);
+}
+
+core_fault solver_solve_cones(solver_solution **solution, const core_isa *isa, double sigma_a_ratio,
+                              const solver_phase *phase, const double *etas, size_t count,
+                              const double *sines, size_t cones, double tolerance) {
+  *solution = NULL;
+  if (cones > SOLVER_CONES_MAX) {
+    return (core_fault){"sine", "0 to 8 of them", 0};
+  }
+  for (size_t i = 0; i < cones; i++) {
+    if (!(sines[i] > 0 && sines[i] <= 1)) {
+      return (core_fault){"sine", "above 0, up to 1", i};
+    }
+  }
+  if (!(tolerance >= 0)) {
+    return (core_fault){"tolerance", "not negative", 0};
+  }
+  const expansion_boundaries boundaries = {count, etas, cones, sines};
+  const size_t first = tolerance < 2e-4 ? 2 : tolerance < 3e-3 ? 1 : 0;
+  return solve(solution, isa, sigma_a_ratio, phase, &boundaries, first, first + 3, tolerance,
+               (struct kept){NULL, false});
+}
+
+core_fault solver_solve_level(solver_solution **solution, const core_isa *isa, double sigma_a_ratio,
+                              const solver_phase *phase, const double *etas, size_t count,
+                              size_t level, double complex *exitances, bool known) {
+  assert(level < SOLVER_LEVELS && (exitances != NULL || !known));
+  const expansion_boundaries boundaries = {.count = count, .etas = etas};
+  return solve(solution, isa, sigma_a_ratio, phase, &boundaries, level, level, 0,
+               (struct kept){exitances, known});
+}
+
+void solver_free(solver_solution *solution) {
+  if (solution != NULL) {
+    free(solution->grid[0].exitance);
+    free(solution->grid[1].exitance);
+    free(solution->error);
+    free(solution->single);
+    free(solution);
+  }
+}
+
+/* ---- values --------------------------------------------------------------------------------- */
+
+double solver_single_at(const solver_solution *solution, size_t eta, double r) {
+  return reduced_single(solution, &solution->grid[0], eta, r);
+}
+
+/* The grids' difference changes its sign here and there as r grows. The error is therefore the
+ * largest relative difference at five neighbours of r. It is at least `floor`, since the two grids
+ * share a part of their errors. */
+transport_number solver_at(const solver_solution *solution, size_t eta, double r) {
+  enum { SIDE = 2 };
+  assert(eta < solution->count && r >= 0);
+  if (r == 0) {
+    return (transport_number){INFINITY, INFINITY};
+  }
+  if (isinf(r)) {
+    return (transport_number){0, 0};
+  }
+  const double value = fmax(value_at(solution, &solution->grid[0], eta, r), 0);
+  if (solution->grids == 1) {
+    return (transport_number){value, (double)NAN};
+  }
+  const double place = fn_log(fmax(r, RADIUS_LEAST) / RADIUS_LEAST) / fn_log(RADIUS_RATIO) + 0.5;
+  const size_t middle = place < RADII - 1 ? (size_t)place : RADII - 1;
+  double error = solution->floor;
+  for (size_t i = middle > SIDE ? middle - SIDE : 0; i <= middle + SIDE && i < RADII; i++) {
+    error = fmax(error, solution->error[eta][i]);
+  }
+  return (transport_number){value, error * value};
+}
+
+transport_number solver_share_at(const solver_solution *solution, size_t eta, size_t cone,
+                                 double r) {
+  const size_t part = solution->count * (1 + cone) + eta;
+  assert(eta < solution->count && part < solution->parts && r > 0 && r < (double)INFINITY);
+  double share[2] = {(double)NAN, (double)NAN};
+  for (size_t i = 0; i < solution->grids; i++) {
+    const struct grid *grid = &solution->grid[i];
+    share[i] = value_at(solution, grid, part, r) / value_at(solution, grid, eta, r);
+  }
+  return (transport_number){share[0], fabs(share[0] - share[1])};
+}
+
+/* ---- totals --------------------------------------------------------------------------------- */
+
+/* Moments of light that is scattered once are left out below this. */
+#define MOMENT_LEAST 1e-13
+
+/* Enters a value of grid i: the first grid's is the value, and the next one's difference from it is
+ * the error. */
+static void enter(transport_number *to, size_t i, double value) {
+  *to = i == 0 ? (transport_number){value, 0}
+               : (transport_number){to->value, fabs(to->value - value)};
+}
+
+/* Sets moment[] to the moments of the true phase function, except those that are negligible, and
+ * returns their number. */
+static size_t find_moments(const solver_phase *phase, double moment[SOLVER_MOMENTS_MAX]) {
+  size_t count = 0;
+  double power = 1;
+  while (count < SOLVER_MOMENTS_MAX &&
+         (phase->moments > 0 ? count < phase->moments : fabs(power) > MOMENT_LEAST)) {
+    moment[count] = phase->moments > 0 ? phase->moment[count] : power;
+    power *= phase->g;
+    count++;
+  }
+  return count;
+}
+
+/* Solves at k = 0. Of diffuse light, that which was scattered once is taken off: what leaves if
+ * the albedo is SMALL times as large, less what leaves if it is -SMALL times, over 2 SMALL. */
+#define SMALL 1e-4
+static bool solve_total(const core_isa *isa, const expansion_rules *rules,
+                        const struct scaled *scaled, const expansion_boundaries *boundaries,
+                        layer_exitance *exitance) {
+  static const double albedo[] = {1, SMALL, -SMALL}, weight[] = {0, -0.5 / SMALL, 0.5 / SMALL};
+  bool ok = true;
+  for (size_t i = 0; i < 3 && ok; i++) {
+    layer_exitance at[SOLVER_ETAS_MAX];
+    expansion_medium medium = scaled->medium;
+    medium.albedo *= albedo[i];
+    expansion *expanded = solver_expansion_new(isa, rules, &medium, boundaries);
+    ok = expanded != NULL && solver_layer_halfspace(expanded, 0, i == 0 ? scaled->kappa : 1, at);
+    for (size_t eta = 0; eta < boundaries->count && ok; eta++) {
+      exitance[eta] = i == 0 ? at[eta] : exitance[eta];
+      exitance[eta].diffuse += weight[i] * at[eta].diffuse;
+    }
+    solver_expansion_free(expanded);
+  }
+  return ok;
+}
+
+core_fault solver_totals(solver_total *totals, const core_isa *isa, double sigma_a_ratio,
+                         const solver_phase *phase, const double *etas, size_t count) {
+  const core_fault fault = check(sigma_a_ratio, phase, etas, count);
+  if (fault.field != NULL) {
+    return fault;
+  }
+  static const struct {
+    expansion_rules rules;
+    double moment_least;
+    size_t moments_most;
+  } by[2] = {{{0, 72, 3}, 1e-8, 250}, {{0, 56, 3}, 1e-7, 220}};
+  if (sigma_a_ratio == 0) {
+    for (size_t eta = 0; eta < count; eta++) {
+      totals[eta] = (solver_total){{1, 0}, {1, 0}};
+    }
+    return no_fault;
+  }
+  double moment[SOLVER_MOMENTS_MAX];
+  const size_t moments = find_moments(phase, moment);
+  const expansion_boundaries boundaries = {.count = count, .etas = etas};
+  for (size_t i = 0; i < 2; i++) {
+    struct scaled scaled;
+    truncate_phase(&scaled, sigma_a_ratio, phase, by[i].moment_least, by[i].moments_most);
+    layer_exitance exitance[SOLVER_ETAS_MAX];
+    if (!solve_total(isa, &by[i].rules, &scaled, &boundaries, exitance)) {
+      return memory_fault;
+    }
+    for (size_t eta = 0; eta < count; eta++) {
+      single_rule rule;
+      const double once = transport_single_diffuse(etas[eta], moments, moment);
+      transport_single_rule(&rule, etas[eta], 1, SINGLE_STEP);
+      weigh_single(&rule, phase);
+      enter(&totals[eta].normal, i,
+            creal(exitance[eta].part[0]) +
+                scaled.single * transport_single_at(&rule, INFINITY).within);
+      enter(&totals[eta].diffuse, i, creal(exitance[eta].diffuse) + scaled.single * once);
+    }
+  }
+  return no_fault;
+}
