@@ -155,7 +155,7 @@ def test_what_is_found_is_what_an_eval_and_a_sample_take(client):
 def test_answers_that_do_not_fit_are_not_taken(client):
     """A client refuses a reply that does not fit its request, because its caller relies on the
     shape."""
-    query = inversion.Query((4,), 4, 2, 1, 1, 0.0, 1.3)
+    asked = {"model": 2, "moments": 1, "given": 1, "medium_count": 4, "g": 0.0, "eta": 1.3}
     right = {
         "model": 2,
         "moments": 1,
@@ -178,16 +178,16 @@ def test_answers_that_do_not_fit_are_not_taken(client):
     wrong += [{"medium_count": 4}, {"medium_count": 0}, {"medium_first": 1}, {"missing_count": 4}]
     for changes in wrong:
         with pytest.raises(dipole.ProtocolError):
-            inversion.Answer(query, client.info).add(payload(**changes))
+            inversion.Answer(asked, (4,), client.info).add(payload(**changes))
     for changes in ({"albedo_most": 0.5}, {"medium_first": 2}, {"medium_count": 2}, {"part": 0}):
-        answer = inversion.Answer(query, client.info)
+        answer = inversion.Answer(asked, (4,), client.info)
         answer.add(payload())
         with pytest.raises(dipole.ProtocolError):
             answer.add(payload(**{**last, **changes}))
     for cut in (payload()[:-8], payload()[:40]):
         with pytest.raises(dipole.ProtocolError):
-            inversion.Answer(query, client.info).add(cut)
-    answer = inversion.Answer(query, client.info)
+            inversion.Answer(asked, (4,), client.info).add(cut)
+    answer = inversion.Answer(asked, (4,), client.info)
     answer.add(payload())
     assert not answer.ended and not answer.ready
     answer.add(payload(**last))

@@ -272,65 +272,17 @@ def test_save_and_load(client, tmp_path):
         Table.load(tmp_path / "none")
 
 
-def with_words(data: bytes, change) -> bytes:
-    """Makes a table with changed words and the right checksum."""
-    fixed = wire.TABLE_REPLY.unpack(data, wire.HEADER.bytes)
-    words_at = len(data) - 4 * fixed.word_count
-    words = np.frombuffer(data, "<u4", -1, words_at).copy()
-    change(words)
-    checksum = zlib.crc32(words.tobytes())
-    fixed_bytes = wire.TABLE_REPLY.pack(**fixed._replace(checksum=checksum)._asdict())
-    between = data[wire.HEADER.bytes + wire.TABLE_REPLY.bytes : words_at]
-    return data[: wire.HEADER.bytes] + fixed_bytes + between + words.tobytes()
-
-
 def test_damage_is_found(client):
     data = client.table("better", SKIN).data
     random = np.random.default_rng(1)
-    assert Table.load(with_words(data, lambda words: None)).data == data
     for end in random.integers(0, len(data), 50):
         with pytest.raises(dipole.TableError):
             Table.load(data[:end])
     for at in random.integers(wire.HEADER.bytes + wire.TABLE_REPLY.bytes, len(data), 50):
         damaged = bytearray(data)
         damaged[at] ^= 1 << int(random.integers(8))
-        with pytest.raises(dipole.TableError) as caught:
+        with pytest.raises(dipole.TableError, match="checksum"):
             Table.load(bytes(damaged))
-        assert "checksum" in str(caught.value)
-
-
-@pytest.mark.parametrize("entry", [0xFFFFFFFF, 24, 9, (5000 << 5) | 23, (4 << 5) | 10])
-@pytest.mark.parametrize("at", [16, 272, 528, 783])
-def test_entries_outside_are_found(client, entry, at):
-    def change(words):
-        words[at] = entry
-
-    data = with_words(client.table("better", SKIN).data, change)
-    with pytest.raises(dipole.TableError) as caught:
-        Table.load(data)
-    assert "points outside" in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    "field, value",
-    [
-        ("layout", 1),
-        ("word_count", 0),
-        ("parameter_count", 1),
-        ("pieces_from", 1.0),
-        ("reach", math.nan),
-        ("reach", 0.0),
-        ("reach_growth", -1.0),
-        ("numerical_errors", (0.0,) * 10 + (math.nan,)),
-        ("numerical_errors", (1.0,) + (0.0,) * 10),
-    ],
-)
-def test_facts_that_do_not_fit(client, field, value):
-    data = client.table("better", SKIN).data
-    fixed = wire.TABLE_REPLY.unpack(data, wire.HEADER.bytes)._replace(**{field: value})
-    start, end = wire.HEADER.bytes, wire.HEADER.bytes + wire.TABLE_REPLY.bytes
-    with pytest.raises(dipole.TableError):
-        Table.load(data[:start] + wire.TABLE_REPLY.pack(**fixed._asdict()) + data[end:])
 
 
 # ---- requests ------------------------------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -15,33 +15,20 @@ from .values import Info, Inversion
 _ARRAYS = 3  # sigma_a, sigma_s, albedo
 
 
-class Query(NamedTuple):
-    """The facts about a request with which its reply is checked and read."""
-
-    shape: tuple[int, ...]
-    count: int  # type: ignore[assignment]  # hides tuple.count()
-    model: int
-    moments: int
-    given: int
-    g: float
-    eta: float
-
-
 class Answer(exchange.InParts[Inversion]):
-    """The answer to an invert request. info: names the ids."""
+    """The answer to an invert request. fixed: the request's structure. shape: of the media. info:
+    names the ids."""
 
-    def __init__(self, query: Query, info: Info):
-        super().__init__(wire.INVERT_REPLY, "medium", query.count)
-        self._query = query
-        self._info = info
-        self._arrays = np.empty((_ARRAYS, query.count))
+    def __init__(self, fixed: dict[str, Any], shape: tuple[int, ...], info: Info):
+        super().__init__(wire.INVERT_REPLY, "medium", fixed["medium_count"])
+        self._fixed, self._shape, self._info = fixed, shape, info
+        self._arrays = np.empty((_ARRAYS, fixed["medium_count"]))
         self._reach: tuple[float, float] | None = None
         self._missing = 0
 
     def _bytes_of(self, fixed: Any, count: int) -> int:
-        query = self._query
-        asked = (query.model, query.moments, query.given)
-        if count == 0 or (fixed.model, fixed.moments, fixed.given) != asked:
+        asked = ("model", "moments", "given")
+        if count == 0 or any(getattr(fixed, name) != self._fixed[name] for name in asked):
             raise ProtocolError("an invert reply that does not answer the request")
         return _ARRAYS * 8 * count
 
@@ -55,20 +42,20 @@ class Answer(exchange.InParts[Inversion]):
         self._missing += fixed.missing_count
 
     def _whole(self) -> Inversion:
-        query, reach = self._query, self._reach
-        assert reach is not None
+        fixed = self._fixed
+        assert self._reach is not None
         self._arrays.setflags(write=False)
-        sigma_a, sigma_s, albedo = self._arrays.reshape(_ARRAYS, *query.shape)
+        sigma_a, sigma_s, albedo = self._arrays.reshape(_ARRAYS, *self._shape)
         return Inversion(
-            model=name_of(self._info, "model", query.model),
-            moments=name_of(self._info, "moments", query.moments),
+            model=name_of(self._info, "model", fixed["model"]),
+            moments=name_of(self._info, "moments", fixed["moments"]),
             sigma_a=sigma_a,
             sigma_s=sigma_s,
-            g=query.g,
-            eta=query.eta,
+            g=fixed["g"],
+            eta=fixed["eta"],
             albedo=albedo,
-            albedo_least=reach[0],
-            albedo_most=reach[1],
+            albedo_least=self._reach[0],
+            albedo_most=self._reach[1],
             missing=self._missing,
         )
 
@@ -98,23 +85,18 @@ def invert(
         albedos, lengths = np.broadcast_arrays(np.asarray(albedo, "<f8"), np.asarray(length, "<f8"))
     except ValueError as error:
         raise ArgumentError(f"albedo, length: {error}") from error
-    query = Query(
-        shape=albedos.shape,
-        count=albedos.size,
-        model=id_of(info, "model", model),
-        moments=id_of(info, "moments", moments),
-        given=id_of(info, "length", given),
-        g=float(g),
-        eta=float(eta),
-    )
-    fixed = wire.INVERT_REQUEST.pack(
-        model=query.model,
-        moments=query.moments,
-        given=query.given,
-        medium_count=query.count,
-        g=query.g,
-        eta=query.eta,
-    )
-    payload = b"".join([fixed, albedos.tobytes(), lengths.tobytes()])
-    made = exchange.Request("invert", payload, lambda: Answer(query, info), deadline_ms)
-    return (yield from calls.ask(made))
+    fixed = {
+        "model": id_of(info, "model", model),
+        "moments": id_of(info, "moments", moments),
+        "given": id_of(info, "length", given),
+        "medium_count": albedos.size,
+        "g": float(g),
+        "eta": float(eta),
+    }
+    arrays = [albedos.tobytes(), lengths.tobytes()]
+    payload = b"".join([wire.INVERT_REQUEST.pack(**fixed), *arrays])
+
+    def answer() -> Answer:
+        return Answer(fixed, albedos.shape, info)
+
+    return (yield from calls.ask(exchange.Request("invert", payload, answer, deadline_ms)))
