@@ -135,7 +135,7 @@ static double ring_sum(const core_preparation *preparation) {
   double sum = 0;
   for (double y = -25; y < 25; y += 0.02) {
     const double r = exp(y);
-    sum += 0.02 * r * evaluate(preparation, CORE_ELEMENTWISE_RING, r);
+    sum += 0.02 * r * (2 * acos(-1) * r * evaluate(preparation, CORE_ELEMENTWISE_R, r));
   }
   return sum;
 }
