@@ -37,7 +37,16 @@ enum coefficient {
   COEFFICIENTS
 };
 
-#if !defined CORE_ISA || CORE_REAL == 64
+#ifndef CORE_ISA
+#define CORE_REAL 64
+#endif
+#include "core/models/lanes.h"
+
+#if CORE_REAL == 64
+
+/* A surface albedo below this is taken as 0. */
+#define ALBEDO_LEAST 1e-250
+
 /* Sets the last four, from the derivative of ln A by ln sigma_a: that by ln sigma_s' is the
  * opposite. divisor: s. */
 static inline void set_derivatives(double *c, double fit, double absorbed, double scattered,
@@ -54,15 +63,56 @@ static inline void set_derivatives(double *c, double fit, double absorbed, doubl
   c[PER_D_BY_A] = absorbed + (by_mu + by_albedo);
   c[PER_D_BY_S] = scattered - (by_mu + by_albedo);
 }
+
+/* What is chosen for all media is a factor of 1 or 0 in place of a condition, which keeps compilers
+ * from vectorizing; so products with it are exact. */
+struct lane_choice {
+  double cubic, square, fourth; /* the fit */
+  double given;                 /* the parameter, or 0 */
+  double own;                   /* 1 if the medium's own albedo is taken */
+};
+
+static inline struct lane_choice lane_choice_of(const double *shared) {
+  const double fit = shared[LANES_FIT], given = shared[LANES_SURFACE_ALBEDO];
+  const double fourth = fit > CORE_BURLEY_DIFFUSE ? 1 : 0;
+  const double square = fit > CORE_BURLEY_SEARCHLIGHT ? 1 - fourth : 0;
+  return (struct lane_choice){1 - square - fourth, square, fourth, given >= 0 ? given : 0,
+                              given >= 0 ? 0 : 1};
+}
+
+/* Returns s = l / d. */
+static inline double lane_divisor(struct lane_choice choice, double albedo) {
+  const double away = albedo - 0.8;
+  const double cubic = 1.85 - albedo + 7 * fabs(away) * (away * away);
+  const double square = 1.9 - albedo + 3.5 * (away * away);
+  const double off = (albedo - 0.33) * (albedo - 0.33);
+  const double fourth = 3.5 + 100 * (off * off);
+  return choice.cubic * cubic + choice.square * square + choice.fourth * fourth;
+}
+
+/* Sets the coefficients of a medium. */
+static inline void lane_fill(const double *shared, struct lane lane, double *c) {
+  const struct lane_choice choice = lane_choice_of(shared);
+  const struct lane_dipole better = lane_dipole_of(shared, lane);
+  const double own = real_min(0.5 * better.power * better.sum, 1);
+  const double asked = choice.given + choice.own * own;
+  const double albedo = asked >= ALBEDO_LEAST ? asked : 0;
+  const double mu_tr =
+      real_sqrt(lane.sigma_a) * real_sqrt(lane.sigma_t) * real_sqrt(3 / (1 + lane.absorbed));
+  const double divisor = lane_divisor(choice, albedo);
+  c[PER_D] = (choice.fourth * mu_tr + (1 - choice.fourth) * lane.sigma_t) * divisor;
+  c[D] = 1 / c[PER_D];
+  c[ALBEDO] = albedo;
+  c[R_SCALE] = albedo * c[PER_D] * (1 / 25.1327412287183459077);
+  const double by_a = lane_albedo_slope(shared, lane, better);
+  const bool constant = (choice.own == 0) | !(albedo < 1) | !(albedo > 0);
+  set_derivatives(c, shared[LANES_FIT], lane.absorbed, lane.scattered, albedo, divisor,
+                  constant ? 0 : by_a);
+}
+
 #endif
 
-/* A surface albedo below this is taken as 0. */
-#define ALBEDO_LEAST 1e-250
-
 #ifdef CORE_ISA
-
-#include "core/kernel.h"
-#include "core/models/lanes.h"
 
 #if CORE_REAL == 64
 
@@ -236,52 +286,6 @@ CORE_KERNEL(sample, burley_sample)
 
 /* ---- a medium for each value ----------------------------------------------------------------- */
 
-/* What is chosen for all media is a factor of 1 or 0 in place of a condition, which keeps compilers
- * from vectorizing; so products with it are exact. */
-struct lane_choice {
-  double cubic, square, fourth; /* the fit */
-  double given;                 /* the parameter, or 0 */
-  double own;                   /* 1 if the medium's own albedo is taken */
-};
-
-static inline struct lane_choice lane_choice_of(const double *shared) {
-  const double fit = shared[LANES_FIT], given = shared[LANES_SURFACE_ALBEDO];
-  const double fourth = fit > CORE_BURLEY_DIFFUSE ? 1 : 0;
-  const double square = fit > CORE_BURLEY_SEARCHLIGHT ? 1 - fourth : 0;
-  return (struct lane_choice){1 - square - fourth, square, fourth, given >= 0 ? given : 0,
-                              given >= 0 ? 0 : 1};
-}
-
-/* Returns s = l / d. */
-static inline double lane_divisor(struct lane_choice choice, double albedo) {
-  const double away = albedo - 0.8;
-  const double cubic = 1.85 - albedo + 7 * fabs(away) * (away * away);
-  const double square = 1.9 - albedo + 3.5 * (away * away);
-  const double off = (albedo - 0.33) * (albedo - 0.33);
-  const double fourth = 3.5 + 100 * (off * off);
-  return choice.cubic * cubic + choice.square * square + choice.fourth * fourth;
-}
-
-/* Sets the coefficients of a medium in the same way as core_burley_prepare(). */
-static inline void lane_fill(const double *shared, struct lane lane, double *c) {
-  const struct lane_choice choice = lane_choice_of(shared);
-  const struct lane_dipole better = lane_dipole_of(shared, lane);
-  const double own = real_min(0.5 * better.power * better.sum, 1);
-  const double asked = choice.given + choice.own * own;
-  const double albedo = asked >= ALBEDO_LEAST ? asked : 0;
-  const double mu_tr =
-      real_sqrt(lane.sigma_a) * real_sqrt(lane.sigma_t) * real_sqrt(3 / (1 + lane.absorbed));
-  const double divisor = lane_divisor(choice, albedo);
-  c[PER_D] = (choice.fourth * mu_tr + (1 - choice.fourth) * lane.sigma_t) * divisor;
-  c[D] = 1 / c[PER_D];
-  c[ALBEDO] = albedo;
-  c[R_SCALE] = albedo * c[PER_D] * (1 / 25.1327412287183459077);
-  const double by_a = lane_albedo_slope(shared, lane, better);
-  const bool constant = (choice.own == 0) | !(albedo < 1) | !(albedo > 0);
-  set_derivatives(c, shared[LANES_FIT], lane.absorbed, lane.scattered, albedo, divisor,
-                  constant ? 0 : by_a);
-}
-
 LANES_KERNEL(varying_R, COEFFICIENTS, lane_fill, zero_R, INFINITY)
 LANES_KERNEL(varying_cdf, COEFFICIENTS, lane_fill, zero_cdf, INFINITY)
 LANES_KERNEL(varying_albedo, COEFFICIENTS, lane_fill, burley_albedo, INFINITY)
@@ -301,11 +305,6 @@ CORE_KERNEL_TABLE_NONE(burley);
 
 #else /* what follows prepares a profile, and is compiled once for all instruction sets */
 
-#include <math.h>
-
-#define CORE_REAL 64
-#include "core/models/lanes.h"
-
 core_check_function core_burley_check;
 core_prepare_function core_burley_prepare;
 
@@ -317,65 +316,18 @@ core_fault core_burley_check(const core_inputs *inputs, core_radii_range *radii)
   return (core_fault){0};
 }
 
-static double better_albedo(const core_inputs *inputs) {
-  core_profile better;
-  const core_fault fault =
-      core_profile_prepare(&better, inputs->isa, CORE_MODEL_BETTER, inputs->moments,
-                           CORE_EVALUATOR_F64, inputs->medium, NULL);
-  return fault.field == NULL ? fmin(better.albedo, 1) : 0;
-}
-
-static double width_ratio(int variant, double albedo) {
-  switch (variant) {
-  case CORE_BURLEY_SEARCHLIGHT: {
-    const double away = fabs(albedo - 0.8);
-    return 1.85 - albedo + 7 * away * away * away;
-  }
-  case CORE_BURLEY_DIFFUSE: {
-    const double away = albedo - 0.8;
-    return 1.9 - albedo + 3.5 * away * away;
-  }
-  default: {
-    const double away = (albedo - 0.33) * (albedo - 0.33);
-    return 3.5 + 100 * away * away;
-  }
-  }
-}
-
-/* Returns the derivative of the better dipole's ln albedo by ln sigma_a. */
-static double better_albedo_slope(const core_inputs *inputs) {
+core_fault core_burley_prepare(const core_inputs *inputs, core_preparation *preparation) {
   const core_medium *medium = inputs->medium;
-  double shared[CORE_VARYING_SHARED_MAX] = {[LANES_SCATTER] = 1 - medium->g};
+  double shared[CORE_VARYING_SHARED_MAX] = {
+      [LANES_SCATTER] = 1 - medium->g,
+      [LANES_SURFACE_ALBEDO] = core_parameter_or(inputs, CORE_PARAMETER_SURFACE_ALBEDO, -1),
+      [LANES_FIT] = inputs->variant};
+  double *c = preparation->coefficients;
   lanes_share_dipole(shared, CORE_DIPOLE_GROSJEAN | CORE_DIPOLE_BOUNDARY | CORE_DIPOLE_EXITANCE,
                      core_fresnel_moments(inputs->moments, medium->eta));
-  const struct lane lane = lane_of(shared, medium->sigma_a_per_mm, medium->sigma_s_per_mm);
-  return lane_albedo_slope(shared, lane, lane_dipole_of(shared, lane));
-}
-
-core_fault core_burley_prepare(const core_inputs *inputs, core_preparation *preparation) {
+  lane_fill(shared, lane_of(shared, medium->sigma_a_per_mm, medium->sigma_s_per_mm), c);
   preparation->notes = core_similarity_note(inputs);
-  const core_medium *medium = inputs->medium;
-  const double given = inputs->parameters->value[CORE_PARAMETER_SURFACE_ALBEDO];
-  const double asked = isnan(given) ? better_albedo(inputs) : given;
-  const double albedo = asked >= ALBEDO_LEAST ? asked : 0;
-  const double sigma_t_prime = core_sigma_t_prime(medium);
-  const double absorbed = medium->sigma_a_per_mm / sigma_t_prime;
-  /* mu_tr uses Grosjean's diffusion coefficient, which holds at every albedo; sigma_a may be subnormal,
-   * and its share underflow */
-  const double mu_tr =
-      sqrt(medium->sigma_a_per_mm) * sqrt(sigma_t_prime) * sqrt(3 / (1 + absorbed));
-  const double per_length = inputs->variant == CORE_BURLEY_DMFP ? mu_tr : sigma_t_prime;
-  double *c = preparation->coefficients;
-  const double divisor = width_ratio(inputs->variant, albedo);
-  c[PER_D] = per_length * divisor;
-  c[D] = 1 / c[PER_D];
-  c[ALBEDO] = albedo;
-  c[R_SCALE] = albedo * c[PER_D] / 25.1327412287183459077;
-  const bool constant = !isnan(given) || !(albedo < 1) || !(albedo > 0);
-  const double scattered = medium->sigma_s_per_mm * (1 - medium->g) / sigma_t_prime;
-  set_derivatives(c, inputs->variant, absorbed, scattered, albedo, divisor,
-                  constant ? 0 : better_albedo_slope(inputs));
-  preparation->albedo = albedo;
+  preparation->albedo = c[ALBEDO];
   preparation->error_epsilons = 8;
   preparation->error_epsilons_per_mm = 8 * c[PER_D];
   preparation->scale_mm = c[D];

@@ -61,7 +61,7 @@ enum coefficient {
   SLOPE_FLUX_1,
   SLOPE_FLUX_2,
   SLOPE_EXPONENT,
-  ALBEDO, /* set for media that vary alone */
+  ALBEDO,
   CDF_FLUX_1,  /* the flux of the real source as a share of the albedo */
   CDF_FLUX_2,  /* the flux of the mirror source as a share of the albedo */
   CDF_PHI_FAR, /* the fluence's share of the albedo; multiplies 1 - e^(-mu a2) */
@@ -95,12 +95,75 @@ _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room
 /* dR/dr has more operations than R: up to 8.3 (1 + mu_tr d1) were seen. */
 #define DIPOLE_SLOPE_EPSILONS 10.0
 
-#ifdef CORE_ISA /* the kernels, compiled for each instruction set and precision */
-
-#include "core/kernel.h"
+#ifndef CORE_ISA
+#define CORE_REAL 64
+#endif
 #include "core/models/lanes.h"
 
 #define REAL_Z1 ((real)Z1)
+
+/* The power of two by which the weights of R are multiplied. With sigma_t' from 1e-6 to 1e6 per mm
+ * no sum overflows near the source, and none underflows before the result does. */
+#define LANE_R_UP 80
+
+/* Returns the least of the numbers of kernel units where the cdf has rounded to its limit, from the
+ * bounds of the comment at lane_fill(). */
+static inline real lane_whole(real tail, real mu) {
+  const real far = REAL(0x1p56) * tail;
+  const real decayed = real_log(real_max(far / REAL_Z1, 1), 0) / real_max(mu, REAL(1e-30));
+  return real_min(real_min(far, REAL_Z1 + decayed), REAL(1e19));
+}
+
+/* Sets the coefficients of a medium, except those of dR/dr and of the transfer function, which media
+ * that vary do not need. CORE and TAIL are the bounds that bracket the inverse of the cdf. */
+static inline void lane_fill(const real *shared, struct lane lane, real *c) {
+  const struct lane_dipole d = lane_dipole_of(shared, lane);
+  const real z2 = 1 + d.z2_less_1;
+  const real flux = shared[LANES_C_FLUX];
+  c[UNITS_PER_MM] = lane.sigma_t * REAL_Z1;
+  c[MM_PER_UNIT] = lane.mfp / REAL_Z1;
+  c[MU] = d.mu / REAL_Z1;
+  c[INVERSE_MU] = real_min(1 / c[MU], REAL(1e30));
+  c[Z2] = z2 * REAL_Z1;
+  c[Z2_LESS_Z1] = d.z2_less_1 * REAL_Z1;
+  c[Z2_SQUARED] = z2 * z2 * (REAL_Z1 * REAL_Z1);
+  c[Z2_SQUARED_LESS_Z1_SQUARED] = d.z2_less_1 * (2 + d.z2_less_1) * (REAL_Z1 * REAL_Z1);
+
+  const real up = REAL(0x1p40); /* half of LANE_R_UP */
+  const real scale =
+      (lane.sigma_t * up) * (lane.sigma_t * up) * d.power * REAL(0.0795774715459476679);
+  const real near_scale = scale * (REAL_Z1 * REAL_Z1 * REAL_Z1);
+  c[R_PHI] = scale * REAL_Z1 * d.phi;
+  c[R_FLUX_1] = near_scale * flux;
+  c[R_FLUX_2] = near_scale * flux * z2;
+  c[R_EXPONENT] = -LANE_R_UP;
+  const real inverse_sum = d.power > 0 ? 1 / d.sum : 0;
+  c[ALBEDO] = REAL(0.5) * d.power * d.sum;
+  c[CDF_LIMIT] = d.power > 0 ? 1 : 0;
+  c[CDF_FLUX_1] = flux * d.real_share * inverse_sum;
+  c[CDF_FLUX_2] = flux * d.mirror_share * inverse_sum;
+  c[CDF_PHI_FAR] = d.between * inverse_sum;
+  const real phi_near = d.phi * d.real_share * inverse_sum;
+  c[CDF_PHI_NEAR] = phi_near / REAL_Z1;
+  const real_exp_values mirror = real_exp(-d.mu * d.z2_less_1);
+  const real fluence = phi_near * (d.z2_less_1 + mirror.one_minus_exp) / z2;
+  const real fluxes = c[CDF_FLUX_1] * (1 + d.mu + (1 + d.mu * z2) / (z2 * z2) * mirror.exp);
+  c[CORE] = d.power > 0 ? REAL_Z1 * real_sqrt(2 / (fluence + fluxes)) : 0;
+  c[TAIL] = REAL_Z1 * (c[CDF_FLUX_1] * (1 + z2) + REAL(0.5) * phi_near * (d.z2_less_1 * (1 + z2)));
+  c[CDF_WHOLE] = lane_whole(c[TAIL], c[MU]);
+
+  const struct lane_slopes by =
+      lane_slopes_of(shared[LANES_GROSJEAN] > 0, lane.absorbed, lane.scattered);
+  c[ABSORBED] = lane.absorbed;
+  c[SCATTERED] = lane.scattered;
+  c[PHI] = d.phi;
+  c[FLUX] = flux;
+  c[BY_MU] = by.mu;
+  c[BY_PHI] = by.phi;
+  c[BY_POWER] = by.power;
+}
+
+#ifdef CORE_ISA /* the kernels, compiled for each instruction set and precision */
 
 /* FAR: beyond this radius, in kernel units, R has underflowed and the cdf has rounded to its limit;
  * up to it no product of two distances overflows. LN_R_FAR: up to this radius the numbers whose
@@ -558,67 +621,6 @@ static void sample(const real *restrict c, size_t n, const real *restrict u, rea
 
 /* ---- a medium for each value ----------------------------------------------------------------- */
 
-/* The power of two by which the weights of R are multiplied. With sigma_t' from 1e-6 to 1e6 per mm
- * no sum overflows near the source, and none underflows before the result does. */
-#define LANE_R_UP 80
-
-/* Returns the least of the numbers of kernel units where the cdf has rounded to its limit, from the
- * bounds of set_bracket(). */
-static inline real lane_whole(real tail, real mu) {
-  const real far = REAL(0x1p56) * tail;
-  const real decayed = real_log(real_max(far / REAL_Z1, 1), 0) / real_max(mu, REAL(1e-30));
-  return real_min(real_min(far, REAL_Z1 + decayed), REAL(1e19));
-}
-
-/* Sets the coefficients of a medium in the same way as core_dipole_prepare(), in plain
- * arithmetic. */
-static inline void lane_fill(const real *shared, struct lane lane, real *c) {
-  const struct lane_dipole d = lane_dipole_of(shared, lane);
-  const real z2 = 1 + d.z2_less_1;
-  const real flux = shared[LANES_C_FLUX];
-  c[UNITS_PER_MM] = lane.sigma_t * REAL_Z1;
-  c[MM_PER_UNIT] = lane.mfp / REAL_Z1;
-  c[MU] = d.mu / REAL_Z1;
-  c[INVERSE_MU] = real_min(1 / c[MU], REAL(1e30));
-  c[Z2] = z2 * REAL_Z1;
-  c[Z2_LESS_Z1] = d.z2_less_1 * REAL_Z1;
-  c[Z2_SQUARED] = z2 * z2 * (REAL_Z1 * REAL_Z1);
-  c[Z2_SQUARED_LESS_Z1_SQUARED] = d.z2_less_1 * (2 + d.z2_less_1) * (REAL_Z1 * REAL_Z1);
-
-  const real up = REAL(0x1p40); /* half of LANE_R_UP */
-  const real scale =
-      (lane.sigma_t * up) * (lane.sigma_t * up) * d.power * REAL(0.0795774715459476679);
-  const real near_scale = scale * (REAL_Z1 * REAL_Z1 * REAL_Z1);
-  c[R_PHI] = scale * REAL_Z1 * d.phi;
-  c[R_FLUX_1] = near_scale * flux;
-  c[R_FLUX_2] = near_scale * flux * z2;
-  c[R_EXPONENT] = -LANE_R_UP;
-  const real inverse_sum = d.power > 0 ? 1 / d.sum : 0;
-  c[ALBEDO] = REAL(0.5) * d.power * d.sum;
-  c[CDF_LIMIT] = d.power > 0 ? 1 : 0;
-  c[CDF_FLUX_1] = flux * d.real_share * inverse_sum;
-  c[CDF_FLUX_2] = flux * d.mirror_share * inverse_sum;
-  c[CDF_PHI_FAR] = d.between * inverse_sum;
-  const real phi_near = d.phi * d.real_share * inverse_sum;
-  c[CDF_PHI_NEAR] = phi_near / REAL_Z1;
-  const real_exp_values mirror = real_exp(-d.mu * d.z2_less_1);
-  const real fluence = phi_near * (d.z2_less_1 + mirror.one_minus_exp) / z2;
-  const real fluxes = c[CDF_FLUX_1] * (1 + d.mu + (1 + d.mu * z2) / (z2 * z2) * mirror.exp);
-  c[CORE] = d.power > 0 ? REAL_Z1 * real_sqrt(2 / (fluence + fluxes)) : 0;
-  c[TAIL] = REAL_Z1 * (c[CDF_FLUX_1] * (1 + z2) + REAL(0.5) * phi_near * (d.z2_less_1 * (1 + z2)));
-  c[CDF_WHOLE] = lane_whole(c[TAIL], c[MU]);
-
-  const struct lane_slopes by =
-      lane_slopes_of(shared[LANES_GROSJEAN] > 0, lane.absorbed, lane.scattered);
-  c[ABSORBED] = lane.absorbed;
-  c[SCATTERED] = lane.scattered;
-  c[PHI] = d.phi;
-  c[FLUX] = flux;
-  c[BY_MU] = by.mu;
-  c[BY_PHI] = by.phi;
-  c[BY_POWER] = by.power;
-}
-
 static inline real dipole_R(const real *c, real r) {
   return R_usual_of(c, look_from(c, r));
 }
@@ -662,114 +664,31 @@ CORE_KERNEL_TABLE(dipole, .sample = sample, CORE_KERNELS_OF_ALL,
 
 #else /* what follows prepares a profile, and is compiled once for all instruction sets */
 
-#define CORE_REAL 64
 #include "core/dd.h"
-#include "core/models/lanes.h"
 
-static const dd ONE = {1, 0};
-static const dd TWO = {2, 0};
-static const dd THREE = {3, 0};
-static const dd FOUR_PI = {0x1.921fb54442d18p+3, 0x1.1a62633145c07p-51};
-
-/* The quantities of Table 2 (d'Eon 2012), in units of z1 = 1 / sigma_t'; sigma_t_prime is in 1/mm.
- */
-struct dipole {
-  dd sigma_t_prime;
-  dd absorbed;           /* sigma_a / sigma_t' */
-  dd scattered;          /* alpha' */
-  dd albedo_prime_power; /* p = alpha' or alpha'^2 */
-  dd diffusion;          /* D */
-  dd mu_squared;
-  dd mu;
-  dd z2_less_1;
-  dd c_phi;
-  dd c_flux;
-};
-
-static struct dipole table_2(int variant, enum core_moments moments, const core_medium *medium) {
-  struct dipole dipole;
-  const dd sigma_a = dd_from(medium->sigma_a_per_mm);
-  const dd sigma_s_prime = dd_mul(dd_two_sum(1, -medium->g), dd_from(medium->sigma_s_per_mm));
-  dipole.sigma_t_prime = dd_add(sigma_a, sigma_s_prime);
-  const dd absorbed = dd_div(sigma_a, dipole.sigma_t_prime);
-  const dd scattered = dd_div(sigma_s_prime, dipole.sigma_t_prime);
-  dipole.absorbed = absorbed;
-  dipole.scattered = scattered;
-  const core_fresnel fresnel = core_fresnel_moments(moments, medium->eta);
-  const dd one_minus_2c1 = dd_from(fresnel.one_minus_2c1);
-  const dd one_minus_3c2 = dd_from(fresnel.one_minus_3c2);
-
-  const bool grosjean = (variant & CORE_DIPOLE_GROSJEAN) != 0;
-  dipole.diffusion = dd_div(grosjean ? dd_add(ONE, absorbed) : ONE, THREE);
-  dipole.albedo_prime_power = grosjean ? dd_mul(scattered, scattered) : scattered;
-  dipole.mu_squared = dd_div(absorbed, dipole.diffusion);
-  dipole.mu = dd_sqrt(dipole.mu_squared);
-
-  const dd lost = (variant & CORE_DIPOLE_BOUNDARY) ? one_minus_3c2 : one_minus_2c1;
-  const dd boundary = dd_div(dd_sub(TWO, lost), one_minus_2c1);
-  dipole.z2_less_1 = dd_scale(dd_mul(boundary, dipole.diffusion), 4);
-
-  const bool exitance = (variant & CORE_DIPOLE_EXITANCE) != 0;
-  dipole.c_phi = exitance ? dd_scale(one_minus_2c1, 0.25) : dd_from(0);
-  dipole.c_flux = exitance ? dd_scale(one_minus_3c2, 0.5) : ONE;
-  return dipole;
-}
-
-/* Sets weights[0..2] to phi scale, flux scale z1 and flux scale z2, divided by 2^exponent, and sets
- * *exponent. The exponent brings the scale between 2^least and 2^most. With that range, in single
- * precision, no weight underflows in the kernels' unit, no sum overflows near the source, and no
- * sum underflows before R does. */
-static void set_weights(const struct dipole *dipole, dd scale, int least, int most, double *weights,
-                        double *exponent) {
-  const dd phi = dd_div(dipole->c_phi, dipole->diffusion);
-  const dd flux = dd_mul(scale, dipole->c_flux);
-  const dd z2 = dd_add(ONE, dipole->z2_less_1);
-  const dd values[] = {dd_mul(scale, phi), flux, dd_mul(flux, z2)};
-  const int size = dd_round(scale) > 0 ? ilogb(dd_round(scale)) : least;
+/* Scales three weights by a power of two, which their exponent takes back, such that `scale`, by
+ * which they are multiplied, is between 2^least and 2^most. With that range, in single precision, no
+ * weight underflows in the kernels' unit, no sum overflows near the source, and no sum underflows
+ * before R does. */
+static void set_weights(double scale, int least, int most, double *weights, double *exponent) {
+  const int size = scale > 0 ? ilogb(scale) : least;
   const int power = size < least ? size - least : size > most ? size - most : 0;
-  *exponent = power;
+  *exponent += power;
   for (int i = 0; i < 3; i++) {
-    weights[i] = ldexp(dd_round(values[i]), -power);
+    weights[i] = ldexp(weights[i], -power);
   }
 }
 
-static void set_scales(const struct dipole *dipole, double *c) {
-  const dd squared = dd_mul(dipole->sigma_t_prime, dipole->sigma_t_prime);
-  const dd R_scale = dd_div(dd_mul(dipole->albedo_prime_power, squared), FOUR_PI);
-  const dd slope_scale = dd_mul(R_scale, dipole->sigma_t_prime);
-  c[UNITS_PER_MM] = dd_round(dipole->sigma_t_prime) * Z1;
-  c[MM_PER_UNIT] = dd_round(dd_div(ONE, dipole->sigma_t_prime)) / Z1;
-  set_weights(dipole, R_scale, 90, 100, &c[R_PHI], &c[R_EXPONENT]);
-  set_weights(dipole, slope_scale, 70, 80, &c[SLOPE_PHI], &c[SLOPE_EXPONENT]);
-  /* Conversion to the kernels' unit of length: the fluence term is 1 / length, and the flux term is
-   * z / length^3, of which the weight contains z in units of z1. */
-  c[R_PHI] *= Z1;
-  c[R_FLUX_1] *= Z1 * Z1 * Z1;
-  c[R_FLUX_2] *= Z1 * Z1 * Z1;
-}
-
-/* Returns the albedo and sets the coefficients of the cdf, from the closed forms of the albedo and
- * of the energy within r. The sums are in double-double: with sigma_a = 0
- * the better dipole's albedo is 1 to the last bit. */
-static double set_energy(const struct dipole *dipole, double *c) {
-  const double reach = dd_round(dipole->mu) * dd_round(dipole->z2_less_1);
-  const dd real_share = dd_from(real_exp(-dd_round(dipole->mu)).exp);
-  const dd mirror_share = dd_mul(real_share, dd_from(real_exp(-reach).exp));
-  const dd phi = dd_div(dipole->c_phi, dipole->diffusion);
-  /* between = phi (e^(-mu z1) - e^(-mu z2)) / mu */
-  const dd between = dd_mul(dd_mul(phi, dd_mul(real_share, dipole->z2_less_1)),
-                            dd_from(real_exp(-reach).quotient));
-  const dd flux = dd_mul(dipole->c_flux, dd_add(real_share, mirror_share));
-  const dd sum = dd_add(flux, between);
-  const dd albedo = dd_scale(dd_mul(dipole->albedo_prime_power, sum), 0.5);
-  const bool scatters = dd_round(dipole->albedo_prime_power) > 0;
-
-  c[CDF_LIMIT] = scatters;
-  c[CDF_FLUX_1] = scatters ? dd_round(dd_div(dd_mul(dipole->c_flux, real_share), sum)) : 0;
-  c[CDF_FLUX_2] = scatters ? dd_round(dd_div(dd_mul(dipole->c_flux, mirror_share), sum)) : 0;
-  c[CDF_PHI_FAR] = scatters ? dd_round(dd_div(between, sum)) : 0;
-  c[CDF_PHI_NEAR] = scatters ? dd_round(dd_div(dd_mul(phi, real_share), sum)) / Z1 : 0;
-  return dd_round(albedo);
+static void set_scales(struct lane lane, double power, double *c) {
+  const double scale = power * (lane.sigma_t * lane.sigma_t) * 0.0795774715459476679;
+  const double to_slope[3] = {1 / Z1, 1 / (Z1 * Z1 * Z1), 1 / (Z1 * Z1 * Z1)};
+  for (int i = 0; i < 3; i++) {
+    c[R_PHI + i] = ldexp(c[R_PHI + i], -LANE_R_UP);
+    c[SLOPE_PHI + i] = c[R_PHI + i] * to_slope[i] * lane.sigma_t;
+  }
+  c[R_EXPONENT] = c[SLOPE_EXPONENT] = 0;
+  set_weights(scale, 90, 100, &c[R_PHI], &c[R_EXPONENT]);
+  set_weights(scale * lane.sigma_t, 70, 80, &c[SLOPE_PHI], &c[SLOPE_EXPONENT]);
 }
 
 /* Splits a number so that neither part loses digits in single precision. */
@@ -778,51 +697,25 @@ static void set_parts(dd x, double *high, double *low) {
   *low = dd_round(dd_sub(x, dd_from(*high)));
 }
 
-static void set_transfer(const struct dipole *dipole, double *c) {
-  const dd half_p = dd_scale(dipole->albedo_prime_power, 0.5);
-  const dd two_pi = dd_scale(FOUR_PI, 0.5);
-  set_parts(dd_div(two_pi, dipole->sigma_t_prime), &c[WAVE_HI], &c[WAVE_LO]);
-  set_parts(dipole->mu_squared, &c[MU_SQUARED_HI], &c[MU_SQUARED_LO]);
-  c[TRANSFER_FLUX] = dd_round(dd_mul(half_p, dipole->c_flux));
-  c[TRANSFER_PHI] =
-      dd_round(dd_mul(dd_mul(half_p, dd_div(dipole->c_phi, dipole->diffusion)), dipole->z2_less_1));
-}
-
-static void set_derivatives(const struct dipole *dipole, bool grosjean, double *c) {
-  c[ABSORBED] = dd_round(dipole->absorbed);
-  c[SCATTERED] = dd_round(dipole->scattered);
-  const struct lane_slopes by = lane_slopes_of(grosjean, c[ABSORBED], c[SCATTERED]);
-  c[PHI] = dd_round(dd_div(dipole->c_phi, dipole->diffusion));
-  c[FLUX] = dd_round(dipole->c_flux);
-  c[BY_MU] = by.mu;
-  c[BY_PHI] = by.phi;
-  c[BY_POWER] = by.power;
-}
-
-/* Sets the bounds that bracket the inverse of the cdf: CORE, TAIL, INVERSE_MU, CDF_WHOLE. Plain
- * double is exact enough for bounds. */
-static void set_bracket(double *c) {
-  const double z2 = c[Z2] / Z1;
-  const double mu = c[MU] * Z1;
-  const double phi_near = c[CDF_PHI_NEAR] * Z1;
-  const real_exp_values mirror = real_exp(-mu * (z2 - 1));
-  const double phi = phi_near * (z2 - 1 + mirror.one_minus_exp) / z2;
-  const double flux = c[CDF_FLUX_1] * (1 + mu + (1 + mu * z2) / (z2 * z2) * mirror.exp);
-  c[CORE] = phi + flux > 0 ? Z1 * sqrt(2 / (phi + flux)) : 0;
-  c[TAIL] = Z1 * (c[CDF_FLUX_1] * (1 + z2) + 0.5 * phi_near * (z2 * z2 - 1));
-  c[INVERSE_MU] = fmin(1 / c[MU], 1e30);
-  /* 1 - cdf is at most TAIL / z1 e^(-mu (d1 - z1)) and at most TAIL / d1. From CDF_WHOLE on one of
-   * these bounds is less than 2^-56. */
-  const double tail = 0x1p56 * c[TAIL];
-  const double decayed = tail > Z1 ? Z1 + real_log(tail / Z1, 0) / c[MU] : Z1;
-  c[CDF_WHOLE] = fmin(fmin(tail, decayed), 1e19);
+/* R(f) falls like e^(-q) with q up to some hundred: the 16 epsilon of tests/accuracy/test_transfer.c
+ * need k and mu in double-double. */
+static void set_transfer(const core_medium *medium, const double *shared, struct lane_dipole d,
+                         double *c) {
+  static const dd two_pi = {0x1.921fb54442d18p+2, 0x1.1a62633145c07p-52};
+  const dd sigma_a = dd_from(medium->sigma_a_per_mm);
+  const dd reduced = dd_mul(dd_two_sum(1, -medium->g), dd_from(medium->sigma_s_per_mm));
+  const dd sigma_t = dd_add(sigma_a, reduced), absorbed = dd_div(sigma_a, sigma_t);
+  const dd three_D = dd_add(dd_from(1), shared[LANES_GROSJEAN] > 0 ? absorbed : dd_from(0));
+  set_parts(dd_div(two_pi, sigma_t), &c[WAVE_HI], &c[WAVE_LO]);
+  set_parts(dd_div(dd_mul(dd_from(3), absorbed), three_D), &c[MU_SQUARED_HI], &c[MU_SQUARED_LO]);
+  c[TRANSFER_FLUX] = 0.5 * d.power * shared[LANES_C_FLUX];
+  c[TRANSFER_PHI] = 0.5 * d.power * shared[LANES_C_BETWEEN];
 }
 
 /* Returns the largest mu (d2 - d1) at which the mirror source still matters: it is at most mu (z2 -
  * z1), and the mirror source's flux is at most z2 / z1 e^(-mu (d2 - d1)) times the real one's. */
-static double mirrored_condition(const struct dipole *dipole) {
-  const double z2_less_1 = dd_round(dipole->z2_less_1);
-  return fmin(dd_round(dipole->mu) * z2_less_1, real_log(1 + z2_less_1, 0));
+static double mirrored_condition(struct lane_dipole d) {
+  return fmin(d.mu * d.z2_less_1, real_log(1 + d.z2_less_1, 0));
 }
 
 core_check_function core_dipole_check;
@@ -835,26 +728,21 @@ core_fault core_dipole_check(const core_inputs *inputs, core_radii_range *radii)
 }
 
 core_fault core_dipole_prepare(const core_inputs *inputs, core_preparation *preparation) {
-  preparation->notes = core_similarity_note(inputs);
-  const struct dipole dipole = table_2(inputs->variant, inputs->moments, inputs->medium);
-  const dd z2_plus_1 = dd_add(TWO, dipole.z2_less_1);
-  const dd z2 = dd_add(ONE, dipole.z2_less_1);
+  const core_medium *medium = inputs->medium;
+  double shared[CORE_VARYING_SHARED_MAX] = {[LANES_SCATTER] = 1 - medium->g};
+  lanes_share_dipole(shared, inputs->variant, core_fresnel_moments(inputs->moments, medium->eta));
+  const struct lane lane = lane_of(shared, medium->sigma_a_per_mm, medium->sigma_s_per_mm);
+  const struct lane_dipole dipole = lane_dipole_of(shared, lane);
   double *c = preparation->coefficients;
-  c[MU] = dd_round(dipole.mu) / Z1;
-  c[Z2] = dd_round(z2) * Z1;
-  c[Z2_LESS_Z1] = dd_round(dipole.z2_less_1) * Z1;
-  c[Z2_SQUARED] = dd_round(dd_mul(z2, z2)) * (Z1 * Z1);
-  c[Z2_SQUARED_LESS_Z1_SQUARED] = dd_round(dd_mul(dipole.z2_less_1, z2_plus_1)) * (Z1 * Z1);
-  set_scales(&dipole, c);
-  preparation->albedo = set_energy(&dipole, c);
-  set_bracket(c);
-  set_transfer(&dipole, c);
-  set_derivatives(&dipole, (inputs->variant & CORE_DIPOLE_GROSJEAN) != 0, c);
+  lane_fill(shared, lane, c);
+  set_scales(lane, dipole.power, c);
+  set_transfer(medium, shared, dipole, c);
+  preparation->notes = core_similarity_note(inputs);
+  preparation->albedo = c[ALBEDO];
   /* the error bound contains 1 + mu_tr d1, which is at most 1 + mu_tr (z1 + r) */
-  preparation->error_epsilons = DIPOLE_ERROR_EPSILONS * (1 + dd_round(dipole.mu)) +
-                                3 * fmax(mirrored_condition(&dipole) - 4, 0);
-  preparation->slope_epsilons =
-      (DIPOLE_SLOPE_EPSILONS - DIPOLE_ERROR_EPSILONS) * (1 + dd_round(dipole.mu));
+  preparation->error_epsilons =
+      DIPOLE_ERROR_EPSILONS * (1 + dipole.mu) + 3 * fmax(mirrored_condition(dipole) - 4, 0);
+  preparation->slope_epsilons = (DIPOLE_SLOPE_EPSILONS - DIPOLE_ERROR_EPSILONS) * (1 + dipole.mu);
   preparation->error_epsilons_per_mm = DIPOLE_ERROR_EPSILONS * c[MU] * c[UNITS_PER_MM];
   return (core_fault){0};
 }

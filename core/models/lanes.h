@@ -22,6 +22,7 @@ enum lane_shared {
   LANES_Z2_PER_D, /* 4 A */
   LANES_C_PHI,
   LANES_C_FLUX,
+  LANES_C_BETWEEN, /* 4 A C_phi, which is 1 less a moment exactly */
   /* Burley's profile */
   LANES_SURFACE_ALBEDO, /* the parameter, or -1 if the better dipole's albedo is taken */
   LANES_FIT,            /* of enum core_burley_fit, and the switches of the better dipole above */
@@ -51,7 +52,7 @@ static inline struct lane lane_of(const real *shared, real sigma_a, real sigma_s
   lane.sigma_t = sigma_a + reduced;
   lane.mfp = 1 / lane.sigma_t;
   lane.absorbed = sigma_a * lane.mfp;
-  lane.scattered = reduced * lane.mfp;
+  lane.scattered = sigma_a > 0 ? reduced * lane.mfp : 1; /* exactly */
   return lane;
 }
 
@@ -88,7 +89,8 @@ static inline struct lane_dipole lane_dipole_of(const real *shared, struct lane 
   const real_exp_values mirror = real_exp(-dipole.mu * dipole.z2_less_1);
   dipole.real_share = real_exp(-dipole.mu).exp;
   dipole.mirror_share = dipole.real_share * mirror.exp;
-  dipole.between = dipole.phi * (dipole.real_share * dipole.z2_less_1) * mirror.quotient;
+  /* With sigma_a = 0 the better dipole's sum is 2 to the last bit. */
+  dipole.between = shared[LANES_C_BETWEEN] * dipole.real_share * mirror.quotient;
   dipole.sum =
       real_fma(shared[LANES_C_FLUX], dipole.real_share + dipole.mirror_share, dipole.between);
   return dipole;
@@ -131,6 +133,7 @@ static inline void lanes_share_dipole(double *shared, int variant, core_fresnel 
   shared[LANES_Z2_PER_D] = 4 * (2 - lost) / fresnel.one_minus_2c1;
   shared[LANES_C_PHI] = exitance ? 0.25 * fresnel.one_minus_2c1 : 0;
   shared[LANES_C_FLUX] = exitance ? 0.5 * fresnel.one_minus_3c2 : 1;
+  shared[LANES_C_BETWEEN] = exitance ? 2 - lost : 0;
 }
 
 #ifdef CORE_ISA
