@@ -24,6 +24,7 @@ enum core_dipole_switch {
   CORE_DIPOLE_GROSJEAN = 1, /* Grosjean's diffusion coefficient and prefactor alpha'^2 */
   CORE_DIPOLE_BOUNDARY = 2, /* A = (1 + 3 C2) / (1 - 2 C1) */
   CORE_DIPOLE_EXITANCE = 4, /* exitance: (1 - 2 C1) / 4 fluence + (1 - 3 C2) / 2 flux */
+  CORE_DIPOLE_BETTER = 7,   /* all three */
 };
 
 /* The fit that gives the width of Burley's profile. */

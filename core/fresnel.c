@@ -26,20 +26,7 @@
 
 #include "core/core.h"
 #include "core/dd.h"
-
-enum { NODES = 8 };
-
-/* The positive nodes of the Gauss-Legendre rule with 16 points on [-1, 1], and their weights. */
-static const double gauss[NODES][2] = {
-    {0.98940093499164993259, 0.02715245941175409485},
-    {0.94457502307323257607, 0.06225352393864789286},
-    {0.86563120238783174388, 0.09515851168249278480},
-    {0.75540440835500303389, 0.12462897125553387205},
-    {0.61787624440264374844, 0.14959598881657673208},
-    {0.45801677765722738634, 0.16915651939500253818},
-    {0.28160355077925891323, 0.18260341504492358886},
-    {0.09501250983763744018, 0.18945061045506849628},
-};
+#include "core/gauss.h"
 
 /* Constants of the integrals. They are double-double, because their errors would not average out as
  * the nodes' rounding errors do. */
@@ -83,8 +70,8 @@ static struct moments sum_near_normal(const struct boundary *b) {
     const double to = fmin(2 * from, end);
     const double half = 0.5 * (to - from);
     const double middle = 0.5 * (to + from);
-    for (int i = 0; i < 2 * NODES; i++) {
-      const double *node = gauss[i / 2];
+    for (int i = 0; i < 2 * CORE_GAUSS_HALF; i++) {
+      const double *node = core_gauss[i / 2];
       const double ratio = fma(i % 2 ? half : -half, node[0], middle);
       const double u = fma(-b->v0.hi, ratio, 1) - b->v0.lo * ratio;
       add_node(b, half * node[1], ratio, u, &sum);
@@ -102,8 +89,8 @@ static struct moments sum_near_grazing(const struct boundary *b, dd end, double 
   while (from < 1) {
     const double half = 0.5 * (to - from);
     const double middle = 0.5 * (to + from);
-    for (int i = 0; i < 2 * NODES; i++) {
-      const double *node = gauss[i / 2];
+    for (int i = 0; i < 2 * CORE_GAUSS_HALF; i++) {
+      const double *node = core_gauss[i / 2];
       const double share = fma(i % 2 ? half : -half, node[0], middle);
       const double u = fma(end.hi, share, end.lo * share);
       add_node(b, half * node[1], 1 - u, u, &sum);

@@ -317,15 +317,11 @@ core_fault core_burley_check(const core_inputs *inputs, core_radii_range *radii)
 }
 
 core_fault core_burley_prepare(const core_inputs *inputs, core_preparation *preparation) {
-  const core_medium *medium = inputs->medium;
   double shared[CORE_VARYING_SHARED_MAX] = {
-      [LANES_SCATTER] = 1 - medium->g,
       [LANES_SURFACE_ALBEDO] = core_parameter_or(inputs, CORE_PARAMETER_SURFACE_ALBEDO, -1),
       [LANES_FIT] = inputs->variant};
   double *c = preparation->coefficients;
-  lanes_share_dipole(shared, CORE_DIPOLE_GROSJEAN | CORE_DIPOLE_BOUNDARY | CORE_DIPOLE_EXITANCE,
-                     core_fresnel_moments(inputs->moments, medium->eta));
-  lane_fill(shared, lane_of(shared, medium->sigma_a_per_mm, medium->sigma_s_per_mm), c);
+  lane_fill(shared, lane_of_medium(shared, CORE_DIPOLE_BETTER, inputs->moments, inputs->medium), c);
   preparation->notes = core_similarity_note(inputs);
   preparation->albedo = c[ALBEDO];
   preparation->error_epsilons = 8;

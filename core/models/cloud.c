@@ -49,7 +49,7 @@
 #include <string.h>
 
 #define CORE_REAL 64
-#include "core/kernel.h"
+#include "core/models/lanes.h"
 
 #define QUANTIZED_TOLERANCE 1e-4
 #define SLAB_TOLERANCE 1e-12
@@ -114,20 +114,19 @@ static double period_of(const struct cloud *cloud) {
 }
 
 static struct cloud make_cloud(const core_inputs *inputs) {
-  const core_medium *medium = inputs->medium;
-  const core_fresnel fresnel = core_fresnel_moments(inputs->moments, medium->eta);
-  const bool grosjean = (inputs->variant & CORE_DIPOLE_GROSJEAN) != 0;
-  const bool boundary = (inputs->variant & CORE_DIPOLE_BOUNDARY) != 0;
-  const bool exitance = (inputs->variant & CORE_DIPOLE_EXITANCE) != 0;
-  struct cloud cloud = {.sigma_t_prime = core_sigma_t_prime(medium)};
-  const double scattered = medium->sigma_s_per_mm * (1 - medium->g) / cloud.sigma_t_prime;
-  cloud.absorbed = medium->sigma_a_per_mm / cloud.sigma_t_prime;
-  cloud.diffusion = grosjean ? (1 + cloud.absorbed) / 3 : 1.0 / 3;
-  cloud.source = grosjean ? scattered * scattered : scattered;
-  const double lost = boundary ? fresnel.one_minus_3c2 : fresnel.one_minus_2c1;
-  cloud.zb = 2 * (2 - lost) / fresnel.one_minus_2c1 * cloud.diffusion;
-  cloud.c_phi = exitance ? 0.25 * fresnel.one_minus_2c1 : 0;
-  cloud.c_flux = exitance ? 0.5 * fresnel.one_minus_3c2 : 1;
+  double shared[CORE_VARYING_SHARED_MAX];
+  const struct lane lane =
+      lane_of_medium(shared, inputs->variant, inputs->moments, inputs->medium);
+  const struct lane_dipole dipole = lane_dipole_of(shared, lane);
+  struct cloud cloud = {
+      .sigma_t_prime = lane.sigma_t,
+      .source = dipole.power,
+      .absorbed = lane.absorbed,
+      .diffusion = dipole.diffusion,
+      .zb = 0.5 * dipole.z2_less_1,
+      .c_phi = shared[LANES_C_PHI],
+      .c_flux = shared[LANES_C_FLUX],
+  };
   cloud.rate = cloud.absorbed;
   if ((inputs->variant & CORE_CLOUD_BEAM) == 0) {
     cloud.thickness = inputs->parameters->value[CORE_PARAMETER_THICKNESS] * cloud.sigma_t_prime;

@@ -114,8 +114,8 @@ static inline real lane_whole(real tail, real mu) {
   return real_min(real_min(far, REAL_Z1 + decayed), REAL(1e19));
 }
 
-/* Sets the coefficients of a medium, except those of dR/dr and of the transfer function, which media
- * that vary do not need. CORE and TAIL are the bounds that bracket the inverse of the cdf. */
+/* Sets the coefficients of a medium, except those of dR/dr and of the transfer function, which
+ * media that vary do not need. CORE and TAIL are the bounds that bracket the inverse of the cdf. */
 static inline void lane_fill(const real *shared, struct lane lane, real *c) {
   const struct lane_dipole d = lane_dipole_of(shared, lane);
   const real z2 = 1 + d.z2_less_1;
@@ -667,8 +667,8 @@ CORE_KERNEL_TABLE(dipole, .sample = sample, CORE_KERNELS_OF_ALL,
 #include "core/dd.h"
 
 /* Scales three weights by a power of two, which their exponent takes back, such that `scale`, by
- * which they are multiplied, is between 2^least and 2^most. With that range, in single precision, no
- * weight underflows in the kernels' unit, no sum overflows near the source, and no sum underflows
+ * which they are multiplied, is between 2^least and 2^most. With that range, in single precision,
+ * no weight underflows in the kernels' unit, no sum overflows near the source, and no sum underflows
  * before R does. */
 static void set_weights(double scale, int least, int most, double *weights, double *exponent) {
   const int size = scale > 0 ? ilogb(scale) : least;
@@ -697,8 +697,8 @@ static void set_parts(dd x, double *high, double *low) {
   *low = dd_round(dd_sub(x, dd_from(*high)));
 }
 
-/* R(f) falls like e^(-q) with q up to some hundred: the 16 epsilon of tests/accuracy/test_transfer.c
- * need k and mu in double-double. */
+/* R(f) falls like e^(-q) with q up to some hundred: the 16 epsilon of
+ * tests/accuracy/test_transfer.c need k and mu in double-double. */
 static void set_transfer(const core_medium *medium, const double *shared, struct lane_dipole d,
                          double *c) {
   static const dd two_pi = {0x1.921fb54442d18p+2, 0x1.1a62633145c07p-52};
@@ -729,9 +729,8 @@ core_fault core_dipole_check(const core_inputs *inputs, core_radii_range *radii)
 
 core_fault core_dipole_prepare(const core_inputs *inputs, core_preparation *preparation) {
   const core_medium *medium = inputs->medium;
-  double shared[CORE_VARYING_SHARED_MAX] = {[LANES_SCATTER] = 1 - medium->g};
-  lanes_share_dipole(shared, inputs->variant, core_fresnel_moments(inputs->moments, medium->eta));
-  const struct lane lane = lane_of(shared, medium->sigma_a_per_mm, medium->sigma_s_per_mm);
+  double shared[CORE_VARYING_SHARED_MAX];
+  const struct lane lane = lane_of_medium(shared, inputs->variant, inputs->moments, medium);
   const struct lane_dipole dipole = lane_dipole_of(shared, lane);
   double *c = preparation->coefficients;
   lane_fill(shared, lane, c);

@@ -307,7 +307,7 @@ CORE_KERNEL_TABLE_NONE(extended);
 
 #define CORE_REAL 64
 #include "core/energy.h"
-#include "core/kernel.h"
+#include "core/models/lanes.h"
 
 /* The cost of one value in kernel evaluations of a dipole, measured with `build/bench kernel`. */
 #define COST 130
@@ -331,24 +331,20 @@ core_fault core_extended_check(const core_inputs *inputs, core_radii_range *radi
  * the albedo for kappa = 1, alpha'^2 / 2 / (1 + mu) [C_E (1 + e^(-2 mu z_b)) + C_phi / D (1 - e^(-2
  * mu z_b)) / mu]. */
 static double set_coefficients(const core_inputs *inputs, double *c) {
-  const core_medium *medium = inputs->medium;
-  const double sigma_s_prime = medium->sigma_s_per_mm * (1 - medium->g);
-  const double sigma_t_prime = medium->sigma_a_per_mm + sigma_s_prime;
-  const double absorbed = medium->sigma_a_per_mm / sigma_t_prime;
-  const double albedo_prime = sigma_s_prime / sigma_t_prime;
-  const core_fresnel fresnel = core_fresnel_moments(inputs->moments, medium->eta);
-  const double diffusion = (1 + absorbed) / 3;
-  const double boundary = (2 - fresnel.one_minus_3c2) / fresnel.one_minus_2c1;
+  double shared[CORE_VARYING_SHARED_MAX];
+  const struct lane lane = lane_of_medium(
+      shared, CORE_DIPOLE_BETTER, inputs->moments, inputs->medium);
+  const struct lane_dipole dipole = lane_dipole_of(shared, lane);
+  const double sigma_t_prime = lane.sigma_t;
   c[MFP_PER_MM] = sigma_t_prime;
-  c[MU] = sqrt(absorbed / diffusion);
-  c[TWO_ZB] = 4 * boundary * diffusion;
-  c[PHI] = 0.25 * fresnel.one_minus_2c1 / diffusion;
-  c[FLUX] = 0.5 * fresnel.one_minus_3c2;
+  c[MU] = dipole.mu;
+  c[TWO_ZB] = dipole.z2_less_1;
+  c[PHI] = dipole.phi;
+  c[FLUX] = shared[LANES_C_FLUX];
   const real_exp_values mirror = real_exp(-c[MU] * c[TWO_ZB]);
   c[MIRROR_SHARE] = mirror.exp;
   c[PHI_SHARE] = c[TWO_ZB] * mirror.quotient;
-  const double squared = albedo_prime * albedo_prime;
-  const double source = squared >= SOURCE_LEAST ? 0.5 * squared : 0;
+  const double source = dipole.power >= SOURCE_LEAST ? 0.5 * dipole.power : 0;
   const double two_pi = 6.28318530717958647693;
   c[R_SCALE] = source / two_pi * sigma_t_prime * sigma_t_prime;
   c[SLOPE_SCALE] = c[R_SCALE] * sigma_t_prime;

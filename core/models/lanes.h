@@ -69,6 +69,7 @@ static inline int lane_good(const real *shared, real sigma_a, real sigma_s) {
 struct lane_dipole {
   real power; /* alpha' or its square */
   real mu;
+  real diffusion; /* D */
   real z2_less_1;
   real phi;          /* C_phi / D */
   real real_share;   /* e^(-mu z1) */
@@ -83,6 +84,7 @@ static inline struct lane_dipole lane_dipole_of(const real *shared, struct lane 
   const real diffusion = three_D * (REAL(1.0) / 3);
   struct lane_dipole dipole;
   dipole.power = grosjean ? lane.scattered * lane.scattered : lane.scattered;
+  dipole.diffusion = diffusion;
   dipole.mu = real_sqrt(3 * lane.absorbed / three_D);
   dipole.z2_less_1 = shared[LANES_Z2_PER_D] * diffusion;
   dipole.phi = shared[LANES_C_PHI] / diffusion;
@@ -136,7 +138,16 @@ static inline void lanes_share_dipole(double *shared, int variant, core_fresnel 
   shared[LANES_C_BETWEEN] = exitance ? 2 - lost : 0;
 }
 
-#ifdef CORE_ISA
+#ifndef CORE_ISA
+/* Sets the numbers shared by media with this one's g and eta, and returns the medium. variant: the
+ * switches of a dipole. */
+static inline struct lane lane_of_medium(double *shared, int variant, enum core_moments moments,
+                                         const core_medium *medium) {
+  shared[LANES_SCATTER] = 1 - medium->g;
+  lanes_share_dipole(shared, variant, core_fresnel_moments(moments, medium->eta));
+  return lane_of(shared, medium->sigma_a_per_mm, medium->sigma_s_per_mm);
+}
+#else
 
 /* LANES_KERNEL(name, coefficients, fill, element, most) defines a kernel as in core/kernels.h. For
  * each value, fill(shared, lane, c) sets the coefficients c[coefficients] of its medium, and

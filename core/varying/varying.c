@@ -71,10 +71,8 @@ static void share(core_varying *varying, enum family family, int variant,
   shared[LANES_SURFACE_ALBEDO] = isnan(given) ? -1 : given;
   shared[LANES_FIT] = variant;
   if (family != TRANSPORT) {
-    const int switches = family == DIPOLE
-                             ? variant
-                             : CORE_DIPOLE_GROSJEAN | CORE_DIPOLE_BOUNDARY | CORE_DIPOLE_EXITANCE;
-    lanes_share_dipole(shared, switches, core_fresnel_moments(varying->moments, varying->eta));
+    lanes_share_dipole(shared, family == DIPOLE ? variant : CORE_DIPOLE_BETTER,
+                       core_fresnel_moments(varying->moments, varying->eta));
   }
 }
 
