@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
@@ -67,27 +68,37 @@ def values(
     template = Query(model, media, r, wanted=[quantity], **options)
     if isinstance(media, str):
         media = _first_axis((yield from calls.media_of(media)), r)
-    places, collected = _plan(calls.info, media, r, quantity)
+    shape, queries = _plan(calls.info, media, r)
     under_way: deque[Places] = deque()
+    found: Array = np.empty(0)
+    numerical_error, model_error = np.full((2, math.prod(shape)), np.nan)
+    models: set[str] = set()
 
     def requests() -> Iterator[Request[Result]]:
-        for place in places:
-            under_way.append(place)
-            query = replace(template, media=place.media, r=place.radii)
+        for one in queries:
+            under_way.append(one)
+            query = replace(template, media=one.media, r=one.radii)
             yield evaluation.request(calls.info, query)
 
     def take(result: Result) -> None:
-        collected.add(under_way.popleft(), result)
+        nonlocal found
+        asked, values = under_way.popleft(), result.values[quantity]
+        if found.size == 0:
+            found = np.empty(len(numerical_error), values.dtype)
+        errors = result.numerical_error(asked.radii)
+        for channel, places in asked.places:
+            found[places] = values[channel]
+            numerical_error[places] = errors[channel]
+            model_error[places] = result.model_error[channel]
+        models.add(result.model)
 
     yield from calls.each(requests(), take, OUTSTANDING)
-    return collected.values()
+    a, b, c = (array.reshape(shape) for array in (found, numerical_error, model_error))
+    return Values(a, b, c, tuple(sorted(models)))
 
 
-def _plan(
-    info: Info, media: Media, r: Any, quantity: str
-) -> tuple[Iterator[Places], Answers]:
-    """Returns the queries that Client.values() has to send, and an object that collects their
-    results."""
+def _plan(info: Info, media: Media, r: Any) -> tuple[tuple[int, ...], Iterator[Places]]:
+    """Returns the shape of the result, and the queries that Client.values() has to send."""
     one = _media(media)
     try:
         radii = np.asarray(r, np.float64)
@@ -101,12 +112,11 @@ def _plan(
             f"media, r: shapes {shapes} do not broadcast. For each medium at each radius, give the "
             "media a further axis: np.array(media)[:, None]"
         ) from error
-    collected = Answers(shape, quantity)
     if radii.size == 0 or one.index.size == 0:
-        return iter(()), collected
+        return shape, iter(())
     if _is_product(one.index, radii):
-        return _product(info, one, radii, len(shape)), collected
-    return _groups(info, one, radii, shape), collected
+        return shape, _product(info, one, radii, len(shape))
+    return shape, _groups(info, one, radii, shape)
 
 
 def _first_axis(media: Media, r: Any) -> Array:
@@ -210,38 +220,3 @@ def _groups(
         for begin in range(bounds[i], bounds[i + 1], most_radii):
             places = order[begin : min(begin + most_radii, bounds[i + 1])]
             yield Places(medium[np.newaxis], listed[places], ((0, places),))
-
-
-# ---- what is answered ----------------------------------------------------------------------------
-
-
-class Answers:
-    """Collects the results of queries in arrays of the broadcast shape."""
-
-    def __init__(self, shape: tuple[int, ...], quantity: str):
-        self._shape = shape
-        self._quantity = quantity
-        self._values: Array | None = None
-        self._numerical_error = np.zeros(int(np.prod(shape)))
-        self._model_error = np.full(int(np.prod(shape)), np.nan)
-        self._models: set[str] = set()
-
-    def add(self, query: Places, result: Result) -> None:
-        found = result.values[self._quantity]
-        if self._values is None:
-            self._values = np.empty(self._numerical_error.size, found.dtype)
-        numerical_error = result.numerical_error(query.radii)
-        for channel, places in query.places:
-            self._values[places] = found[channel]
-            self._numerical_error[places] = numerical_error[channel]
-            self._model_error[places] = result.model_error[channel]
-        self._models.add(result.model)
-
-    def values(self) -> Values:
-        values = np.empty(0) if self._values is None else self._values
-        return Values(
-            values.reshape(self._shape),
-            self._numerical_error.reshape(self._shape),
-            self._model_error.reshape(self._shape),
-            tuple(sorted(self._models)),
-        )
