@@ -1,14 +1,13 @@
 /* The energy within is a Chebyshev series in x for each panel. Q is that of the table's series, some
  * of whose edges move with the albedo: panels do not end there. */
 #include "core/varying/rows.h"
-#include "core/transport/decay.h"
 
 #include <assert.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "core/solver/solver.h"
+#include "core/transport/decay.h"
 #include "core/transport/functions.h"
 
 enum { TERMS = ROWS_TERMS, BASES = ROWS_BASES, STEPS = 40, KAPPA_TERMS = 32, TOGETHER = 64 };
@@ -467,8 +466,8 @@ static double search(const rows_row *row, int panel, double wanted, double energ
                      rows_found *last) {
   const double *terms = row->within[panel], *edge = &row->all->edge[panel];
   const double width = edge[1] - edge[0], ahead = energy - last->energy;
-  const double x = last->x + ahead * (last->per_energy + 0.5 * last->bend * ahead);
-  const double guess = last->per_energy > 0 ? (x - edge[0]) / width : wanted / sum_of(terms, 1);
+  const double guess = last->per_energy > 0 ? (last->x + last->per_energy * ahead - edge[0]) / width
+                                            : wanted / sum_of(terms, 1);
   double low = 0, high = 1, t = fmin(fmax(guess, 0), 1), slope = 0;
   for (int i = 0; i < STEPS; i++) {
     const double s = 2 * t - 1;
@@ -494,9 +493,7 @@ static double search(const rows_row *row, int panel, double wanted, double energ
       break;
     }
   }
-  const double per_energy = width / slope;
-  *last = (rows_found){energy, edge[0] + t * width, per_energy,
-                       last->per_energy > 0 ? (per_energy - last->per_energy) / ahead : 0};
+  *last = (rows_found){energy, edge[0] + t * width, width / slope};
   return last->x;
 }
 

@@ -81,7 +81,6 @@ typedef struct rows_found {
   double energy; /* u or -rest */
   double x;
   double per_energy; /* d x / d energy; 0 if nothing was found yet */
-  double bend;       /* of per_energy, by the energy */
 } rows_found;
 
 /* Return the cdf at x, and the radius whose cdf is u, or 1 - rest. `last` is where the radius of the

@@ -2,16 +2,13 @@
  * model, and for `transport` the profile over albedo and radius for one g and eta. They have the
  * same form in memory and on the wire.
  *
- * The words are 32-bit, little-endian: numbers in IEEE single precision, and integers. A function
- * is cut into cells, which are polynomials of the third degree in each coordinate, with all
- * coefficients side by side: 16 words, one cache line, in two dimensions. Sums and products are
- * each rounded, so any program with IEEE arithmetic gets the same bits.
+ * The words are 32-bit, little-endian. A function is cut into cells (core/cells/cells.h), which are
+ * polynomials of the third degree in each coordinate, with all coefficients side by side: 16 words,
+ * one cache line, in two dimensions. Sums and products are each rounded, so any program with IEEE
+ * arithmetic gets the same bits.
  *
- * Coordinates. Each axis cuts the octaves [2^e, 2^(e+1)) of its coordinate into equal cells, a
- * power of two of them for each octave. An axis is CORE_SURFACE_AXIS words: for each exponent e
- * from CORE_SURFACE_EXPONENT on an integer, cell << 5 | cuts, where `cell` is the octave's first
- * one and it has 2^cuts cells; and a coordinate's position t in its cell is from 0 to 1.
- * Coordinates are clamped to the axis first.
+ * Coordinates. An axis is CORE_SURFACE_AXIS entries, for the octaves from 2^CORE_SURFACE_EXPONENT on,
+ * with cuts below the first cell. Coordinates are clamped to the axis first.
  *
  *   albedo  s = sqrt(sigma_a / sigma_t') up to 1/2, as what diffuses is smooth in s where little is
  *           absorbed; and w = 1 - s, which is nearly in proportion to the albedo, beyond. The rows
