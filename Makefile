@@ -166,6 +166,9 @@ $(OBJ)/%.o: %.c Makefile
 # Whose loop over listed radii is to be vectorized, and as fast wherever the linker puts it.
 $(OBJ)/core/radii.o: override CFLAGS := $(CFLAGS) -O3 -fopenmp-simd -falign-loops=64 -falign-functions=64
 
+# The sums of the table of solutions.
+$(OBJ)/core/transport/table.o: override CFLAGS := $(CFLAGS) -O3
+
 # The hash of large sets of points, at the speed of libraries.
 $(OBJ)/proto/digest.o: override CFLAGS := $(CFLAGS) -O3 -funroll-loops
 

@@ -58,22 +58,21 @@ static bool accepts(const struct cost *cost, const core_choose_request *request,
          (request->radii.least_mm >= domain.least_mm && request->radii.most_mm <= domain.most_mm);
 }
 
-/* Returns the errors of a model. Those of the similarity relation are not known of transport, so
- * that no tolerance is answered with it. */
+/* Returns the errors of a model. What transport solves has an error that is not known before, so that
+ * no tolerance is answered with it. */
 static core_model_errors errors_of(const struct cost *cost, const core_choose_request *request,
                                    const core_medium *medium) {
-  core_added_errors added;
   if (request->gamma > 0) {
     const core_medium taken = core_transport_medium(medium, request->gamma);
-    return cost->model == CORE_MODEL_TRANSPORT && core_transport_added_errors(&taken, &added)
+    return cost->model == CORE_MODEL_TRANSPORT && core_transport_is_stored(&taken)
                ? core_gamma_errors_find(request->gamma, medium->eta, core_ratio_of(medium))
                : core_model_errors_unknown();
   }
   return cost->model != CORE_MODEL_TRANSPORT
              ? core_model_errors_find(cost->model, request->moments, medium->g, medium->eta,
                                       core_ratio_of(medium))
-         : core_transport_added_errors(medium, &added) ? core_model_errors_exact()
-                                                       : core_model_errors_unknown();
+         : core_transport_is_stored(medium) ? core_model_errors_exact()
+                                            : core_model_errors_unknown();
 }
 
 /* Returns the model's largest error over the channels, or INFINITY if it is not known for one. */

@@ -353,15 +353,17 @@ core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluat
                               core_radii_range *radii);
 
 /* Whether preparing may take longer than a millisecond. A server should then prepare on a separate
- * thread. */
-bool core_prepares_slowly(unsigned model, unsigned evaluator);
+ * thread. medium and parameters: those of the profile, which have been checked; medium is NULL for
+ * media that vary. */
+bool core_prepares_slowly(unsigned model, unsigned evaluator, const core_medium *medium,
+                          const core_parameters *parameters);
 
-/* Whether core_albedo() may take as long as preparing does, and that is long. */
+/* Whether core_albedo() takes as long as preparing does, and that is long. */
 bool core_finds_albedo_slowly(unsigned model);
 
 /* Sets *albedo to what core_profile_prepare() would set core_profile.albedo to, for
  * CORE_EVALUATOR_F64 without parameters; NaN on a fault. Arguments and faults are those of
- * core_profile_prepare(). It takes as long as preparing, or about a millisecond where
+ * core_profile_prepare(). It takes as long as preparing, or some ten milliseconds where
  * core_finds_albedo_slowly() is false. */
 core_fault core_albedo(const core_isa *isa, unsigned model, unsigned moments,
                        const core_medium *medium, double *albedo);

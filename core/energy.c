@@ -3,14 +3,14 @@
 #include <math.h>
 
 #define CORE_REAL 64
-#include "core/gauss.h"
 #include "core/kernel.h"
+#include "core/legendre.h"
 
 /* The width of a panel in ln r. For a profile that falls like e^(-mu r), the series is exact to
  * double precision with this width wherever the panel has a noticeable share of the energy. */
 #define WIDTH 0.5
 
-enum { NODES = 2 * CORE_GAUSS_HALF };
+enum { NODES = CORE_LEGENDRE_TERMS };
 
 static size_t panels_between(double first_mm, double last_mm) {
   return (size_t)ceil(real_log(last_mm / first_mm, 0) / WIDTH);
@@ -20,26 +20,11 @@ size_t core_energy_length(double first_mm, double last_mm) {
   return CORE_ENERGY_SERIES + panels_between(first_mm, last_mm) * CORE_ENERGY_TERMS;
 }
 
-/* Writes the Legendre polynomials P_0(s) to P_NODES(s) to p. */
-static void legendre(double s, double *p) {
-  p[0] = 1;
-  p[1] = s;
-  for (int k = 1; k < NODES; k++) {
-    p[k + 1] = ((2 * k + 1) * s * p[k] - k * p[k - 1]) / (k + 1);
-  }
-}
-
 /* Writes the Legendre series of the integral from -1 to s of a function that is given at the nodes:
  * int P_k = (P_(k+1) - P_(k-1)) / (2 k + 1). */
 static void integrate_series(const double *g, double half_width, double *series) {
-  double coefficients[NODES] = {0};
-  double p[NODES + 1];
-  for (int i = 0; i < NODES; i++) {
-    legendre(2 * core_gauss_node(i) - 1, p);
-    for (int k = 0; k < NODES; k++) {
-      coefficients[k] += (2 * k + 1) * core_gauss_weight(i) * g[i] * p[k];
-    }
-  }
+  double coefficients[NODES];
+  core_legendre_fit(g, coefficients);
   for (int k = 0; k < CORE_ENERGY_TERMS; k++) {
     const double above = k > 0 ? coefficients[k - 1] / (2 * k - 1) : coefficients[0];
     const double below = k + 1 < NODES ? coefficients[k + 1] / (2 * k + 3) : 0;

@@ -128,8 +128,8 @@ typedef struct core_inputs {
   const core_medium *medium;
   const core_parameters *parameters;
   const core_isa *isa;
-  /* Accepted error of a table of solutions that may stand in for solving; 0 if none may. */
-  double tabulated;
+  /* If a table is to be made of the profile: the error that the profile may have; else 0. */
+  double accepted;
   /* Whether the albedo is all that is asked for. A formula may then leave out the rest. */
   bool only_albedo;
 } core_inputs;
@@ -153,6 +153,9 @@ typedef struct core_preparation {
   core_added_errors added; /* further error by band of radii, 0 for every model but transport */
   double slope_error;      /* numerical error of dR/dr if it is larger than error, else 0 */
   double slope_epsilons;   /* what rounding adds to error_epsilons for dR/dr */
+  /* error of derivatives that have kernels, if it is not that of R, else 0 */
+  double derivative_error;
+  double derivative_error_per_mm;
   double error_epsilons;   /* further error, in epsilons of the evaluator */
   double error_epsilons_per_mm; /* further error for each mm of r, in epsilons */
   double cost;                  /* see core_profile */
@@ -169,7 +172,7 @@ typedef core_fault core_check_function(const core_inputs *inputs, core_radii_ran
 typedef core_fault core_prepare_function(const core_inputs *inputs, core_preparation *preparation);
 
 /* Returns the relative error of dR/dr of the model `transport` where it comes from the table of
- * solutions for g = 0, as it does with the evaluator lut. */
+ * solutions, for g = 0. */
 double core_transport_slope_error(void);
 
 /* Returns the reach of the model `transport` for a medium that scatters. */
@@ -181,21 +184,23 @@ core_reach core_transport_reach(const core_medium *medium);
  * medium is then returned as it is. */
 core_medium core_transport_medium(const core_medium *medium, double gamma);
 
-/* Returns whether the model `transport` evaluates the scattering of a medium as it is: g is 0, or
- * the table of anisotropic scattering covers the medium. Otherwise it uses the similarity relation.
- * Sets *added, to zeros if g is 0 or the result is false. */
-bool core_transport_added_errors(const core_medium *medium, core_added_errors *added);
+/* Sets *added to what the table of solutions adds for a medium: to zeros if g is 0, or if the table
+ * does not cover the medium. */
+void core_transport_added_errors(const core_medium *medium, core_added_errors *added);
 
 /* Returns whether the model `transport` has the medium in its table of solutions, or nothing scatters
  * in it. Otherwise preparation solves it, whatever the tolerance is. */
 bool core_transport_is_stored(const core_medium *medium);
 
+/* Returns the fault of a g and eta that the table of solutions does not cover. */
+core_fault core_transport_stored_check(double g, double eta);
+
 /* Returns the error of `transport` with isotropic scattering where the table of solutions covers
  * the medium, relative. */
 double core_transport_table_error(double eta);
 
-/* Returns the largest ratio sigma_a / sigma_s' at which `transport` evaluates scattering with this
- * g and eta as it is, or INFINITY if there is none or the model uses the similarity relation. */
+/* Returns the largest ratio sigma_a / sigma_s' at which `transport` finds the albedo with this g and
+ * eta in the time that is usual for them. */
 double core_transport_ratio_most(double g, double eta);
 
 /* Returns the numerical error of the wanted quantities at radii from least to most; there are no
@@ -255,10 +260,6 @@ double core_slab_truncation(const core_medium *medium, double thickness_mm, bool
  * The profile is not a sum, and has neighbours or does not depend on the medium. */
 void core_derivative(const core_profile *profile, enum core_quantity quantity, size_t n,
                      const double *r, double *out);
-
-/* Returns a number that is the same for two media if `transport` takes both in the same way, so
- * that one turns into the other smoothly. */
-unsigned core_transport_way(const core_inputs *inputs);
 
 /* Whether a profile has kernels and coefficients in single precision. */
 static inline bool core_is_narrow(const core_profile *profile) {

@@ -27,7 +27,7 @@ struct model {
 
 #define SLOW 1u           /* the bit of id 0, which no parameter has */
 #define COSTLY (1u << 31) /* the bit of id 31, which no parameter has */
-#define QUICK_ALBEDO (1u << 30)
+#define SOLVES (1u << 30) /* the bit of id 30, which no parameter has */
 #define BIT(IDENT) (1u << CORE_PARAMETER_##IDENT)
 #define TAKEN_BY_ALL (BIT(TOLERANCE) | BIT(COS_IN) | BIT(COS_OUT))
 
@@ -56,14 +56,20 @@ static unsigned parameters_of(const struct model *model) {
              : parameters_of(find(model->parts[0])) | parameters_of(find(model->parts[1]));
 }
 
-bool core_prepares_slowly(unsigned model, unsigned evaluator) {
+bool core_prepares_slowly(unsigned model, unsigned evaluator, const core_medium *medium,
+                          const core_parameters *parameters) {
   const struct model *found = find(model);
-  return found != NULL && (evaluator == CORE_EVALUATOR_LUT || (parameters_of(found) & SLOW) != 0);
+  const bool solves = found != NULL && (parameters_of(found) & SOLVES) != 0;
+  const core_medium taken =
+      medium != NULL ? core_transport_medium(medium, parameters->value[CORE_PARAMETER_GAMMA])
+                     : (core_medium){0};
+  return found != NULL && (evaluator == CORE_EVALUATOR_LUT || (parameters_of(found) & SLOW) != 0 ||
+                           (solves && (medium == NULL || !core_transport_is_stored(&taken))));
 }
 
 bool core_finds_albedo_slowly(unsigned model) {
   const struct model *found = find(model);
-  return found != NULL && (parameters_of(found) & (SLOW | QUICK_ALBEDO)) == SLOW;
+  return found != NULL && (parameters_of(found) & SLOW) != 0;
 }
 
 bool core_worth_keeping(unsigned model, unsigned evaluator) {
@@ -203,8 +209,6 @@ static void set_numerical_errors(core_profile *profile, double error,
 /* ---- neighbours ------------------------------------------------------------------------------ */
 
 #define NEAR_TOLERANCE 1e-11
-#define TRANSPORT_NEAR_TOLERANCE 1e-3 /* by which neighbours come from the table of solutions */
-#define TRANSPORT_NEAR_SOLVED 1e-5
 
 /* Differences add up the errors of ln R with these weights, in the middle or at an end, and are
  * truncated by less than TRUNCATION (1 + rate r), where ln R changes by `rate` per mm. */
@@ -215,14 +219,6 @@ static void set_numerical_errors(core_profile *profile, double error,
  * the far side is small. So ln R has one ln y and three ln |y + i r|, whose differences are off by
  * no more than those of ln y. They make up for each other in part: 2.6 of them are left at most. */
 #define TRUNCATION_BEHIND_SLAB 3.0
-/* The errors of transport are smooth functions of the medium, so that differences of solutions are
- * off by less than this, and those of the table by less than the errors that it states for dR/dr
- * (measured: tests/accuracy/test_derivative.c). */
-#define NEAR_OF_SOLVED 1e-6
-/* With g other than 0 the derivative by ln sigma_a is off by less than the error stated for dR/dr,
- * and d ln R / d ln r by that error times its own size: up to this near the source, and more by the
- * rate of decay far away. */
-#define NEAR_STEEPNESS 3.0
 
 static core_fault prepare(core_profile *profile, const struct model *model, core_inputs inputs,
                           core_radii_range radii);
@@ -248,16 +244,14 @@ static core_medium neighbour_of(const core_medium *medium, bool in_s, int positi
   return other;
 }
 
-/* Whether the model takes a neighbour, and in the same way as the medium itself. */
+/* Whether the model takes a neighbour. */
 static bool is_smooth(const struct model *model, const core_inputs *inputs, bool in_s,
                       int position) {
   const core_medium medium = neighbour_of(inputs->medium, in_s, position);
   core_radii_range radii;
   core_inputs other = *inputs;
   other.medium = &medium;
-  return check(model, other.moments, CORE_EVALUATOR_F64, &other, &radii).field == NULL &&
-         (model->id != CORE_MODEL_TRANSPORT ||
-          core_transport_way(&other) == core_transport_way(inputs));
+  return check(model, other.moments, CORE_EVALUATOR_F64, &other, &radii).field == NULL;
 }
 
 /* Sets *first to the position of the first neighbour. Returns whether all are smooth. */
@@ -279,19 +273,9 @@ static core_fault choose_near(const struct model *model, core_inputs *inputs,
   static const int firsts[] = {-3, 0, 1 - CORE_NEIGHBOURS};
   double *tolerance = &parameters->value[CORE_PARAMETER_TOLERANCE];
   inputs->parameters = parameters;
-  inputs->tabulated = 0;
+  inputs->accepted = 0;
   *tolerance = NEAR_TOLERANCE;
-  bool found = false;
-  if (model->id == CORE_MODEL_TRANSPORT) {
-    *tolerance = TRANSPORT_NEAR_SOLVED;
-    const unsigned solved = core_transport_way(inputs);
-    *tolerance = TRANSPORT_NEAR_TOLERANCE;
-    found =
-        core_transport_way(inputs) != solved && find_first(model, inputs, in_s, firsts, 1, first);
-    *tolerance = found ? TRANSPORT_NEAR_TOLERANCE : TRANSPORT_NEAR_SOLVED;
-  }
-  found = found || find_first(model, inputs, in_s, firsts, 1, first);
-  return found || find_first(model, inputs, in_s, firsts + 1, 2, first)
+  return find_first(model, inputs, in_s, firsts, 3, first)
              ? (core_fault){0}
              : (core_fault){"wanted", "no derivatives: the model ends next to this medium", 0};
 }
@@ -314,26 +298,6 @@ static core_fault prepare_row(core_profile *profile, const struct model *model, 
   return fault;
 }
 
-/* Whether the profile comes from the table of anisotropic scattering, whose error does not depend
- * on a tolerance. */
-static bool is_anisotropic(const core_profile *profile) {
-  return profile->numerical_errors[CORE_MODEL_ERROR_BANDS] < profile->numerical_error;
-}
-
-/* Sets the error of differences of `transport`. middle: the profile of the medium itself. */
-static void set_transport_error(core_profile *profile, const core_profile *middle) {
-  const double error = middle->numerical_error;
-  profile->derivative_error = error <= TRANSPORT_NEAR_SOLVED ? NEAR_OF_SOLVED : error;
-  if (is_anisotropic(middle)) {
-    const double r = middle->reach.most_mm;
-    double R, slope;
-    core_evaluate(middle, CORE_QUANTITY_R, 1, &r, &R);
-    core_evaluate(middle, CORE_QUANTITY_SLOPE, 1, &r, &slope);
-    profile->derivative_error += NEAR_STEEPNESS * error;
-    profile->derivative_error_per_mm += error * (R > 0 ? fabs(slope) / R : 0);
-  }
-}
-
 /* Sets the error of differences. rate: by how much ln R changes per mm, at most. */
 static void set_near_error(core_profile *profile, const core_inputs *inputs, double rate) {
   const double thickness_mm = core_parameter_or(inputs, CORE_PARAMETER_THICKNESS, 0);
@@ -354,9 +318,6 @@ static void set_near_error(core_profile *profile, const core_inputs *inputs, dou
   }
   profile->derivative_error_per_mm =
       weights * (middle->numerical_error_per_mm + 8 * DBL_EPSILON * rate) + truncation * rate;
-  if (profile->model == CORE_MODEL_TRANSPORT) {
-    set_transport_error(profile, middle);
-  }
 }
 
 /* Prepares the neighbours of a profile. */
@@ -372,14 +333,19 @@ static core_fault prepare_near(core_profile *profile, const struct model *model,
   return fault.field == NULL && slab ? prepare_row(profile, model, *inputs, true) : fault;
 }
 
-/* Prepares the derivatives of a model with these errors in rounding, and sets their error. */
+/* Prepares the derivatives of a model, and sets their error. */
 static core_fault prepare_derivatives(core_profile *profile, const struct model *model,
-                                      const core_inputs *inputs, double epsilons_per_mm) {
-  const double rate = fmax(epsilons_per_mm, 2 * core_sigma_t_prime(&profile->medium));
+                                      const core_inputs *inputs,
+                                      const core_preparation *preparation) {
+  const double rate =
+      fmax(preparation->error_epsilons_per_mm, 2 * core_sigma_t_prime(&profile->medium));
   const double thickness_mm = core_parameter_or(inputs, CORE_PARAMETER_THICKNESS, 0);
   if (profile->kernels->f64->evaluate[CORE_ELEMENTWISE_BY_SIGMA_A] != NULL) {
-    profile->derivative_error = OWN_DERIVATIVE * profile->numerical_error;
-    profile->derivative_error_per_mm = OWN_DERIVATIVE * profile->numerical_error_per_mm;
+    const bool own = preparation->derivative_error > 0;
+    profile->derivative_error =
+        own ? preparation->derivative_error : OWN_DERIVATIVE * profile->numerical_error;
+    profile->derivative_error_per_mm = own ? preparation->derivative_error_per_mm
+                                           : OWN_DERIVATIVE * profile->numerical_error_per_mm;
   } else if ((profile->notes & CORE_NOTE_MEDIUM_UNUSED) == 0) {
     const core_fault fault = prepare_near(profile, model, inputs);
     if (fault.field != NULL) {
@@ -433,9 +399,8 @@ static core_fault prepare_model(core_profile *profile, const struct model *model
       profile->coefficients.f64[i] = preparation.coefficients[i];
     }
   }
-  return wants_derivatives(inputs)
-             ? prepare_derivatives(profile, model, inputs, preparation.error_epsilons_per_mm)
-             : fault;
+  return wants_derivatives(inputs) ? prepare_derivatives(profile, model, inputs, &preparation)
+                                   : fault;
 }
 
 /* The mean of both parts' derivatives is weighted with R, whose errors count by how far the parts'
@@ -500,9 +465,8 @@ static core_fault prepare_sum(core_profile *profile, const struct model *model,
 /* The tolerance for the profile from which a table is made, as a share of the table's tolerance. */
 #define SOURCE_SHARE 0.0625
 
-/* The same share for a transport profile that is looked up in the table of solutions. It is larger,
- * as solving takes much longer than looking up. */
-#define TABULATED_SHARE 0.5
+/* The same share for a profile whose error does not follow a tolerance. */
+#define ACCEPTED_SHARE 0.5
 
 /* The stated error is the one found between the nodes times this. */
 #define FOUND_MARGIN 1.1
@@ -512,13 +476,19 @@ static bool fits(const struct model *model) {
   return (model->parameters & BIT(GAUSSIANS)) != 0;
 }
 
+/* Whether the error of a profile is what it is: that of the table of solutions, or of a solution. */
+static bool keeps_error(const core_profile *source, double asked) {
+  return source->numerical_errors[CORE_MODEL_ERROR_BANDS] < source->numerical_error ||
+         source->numerical_error > ACCEPTED_SHARE * asked;
+}
+
 static core_fault build_table(core_profile *profile, const struct model *model, double asked) {
   /* lut.error includes all rounding except that of the factors of 2 pi r R and the pdf. */
   const double rounding = 2 * (double)FLT_EPSILON;
   const core_profile *source = profile->source;
-  const double spent = rounding + (fits(model)              ? 0
-                                   : is_anisotropic(source) ? SOURCE_SHARE * asked
-                                                            : source->numerical_error);
+  const double spent = rounding + (fits(model)                  ? 0
+                                   : keeps_error(source, asked) ? SOURCE_SHARE * asked
+                                                                : source->numerical_error);
   core_lut lut;
   const core_fault fault = core_lut_build(&lut, source, (asked - spent) / FOUND_MARGIN);
   if (fault.field == NULL) {
@@ -550,7 +520,7 @@ static core_fault prepare_table(core_profile *profile, const struct model *model
   parameters.value[CORE_PARAMETER_TOLERANCE] =
       fits(model) ? (double)NAN : fmin(SOURCE_SHARE * asked, CORE_LUT_TOLERANCE);
   inputs.parameters = &parameters;
-  inputs.tabulated = TABULATED_SHARE * asked;
+  inputs.accepted = ACCEPTED_SHARE * asked;
   core_profile *source = malloc(sizeof *source);
   if (source == NULL) {
     return CORE_OUT_OF_MEMORY;
@@ -571,8 +541,8 @@ static core_fault prepare_table(core_profile *profile, const struct model *model
   fault = build_table(profile, model, asked);
   /* Where a part of the error does not depend on the tolerance, a table that misses it is still of
    * use; it states its error. */
-  for (double looser = 4 * asked; is_tolerance(fault) && is_anisotropic(source) && looser <= 0.01;
-       looser *= 4) {
+  for (double looser = 4 * asked;
+       is_tolerance(fault) && keeps_error(source, asked) && looser <= 0.01; looser *= 4) {
     fault = build_table(profile, model, looser);
   }
   if (fault.field != NULL) {

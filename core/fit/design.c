@@ -77,6 +77,18 @@ static core_fault check_aperture(const core_fit_design *design) {
              : (core_fault){"detector_na", "g from 0 to 0.95 and eta from 0.7 to 2.2 with it", 0};
 }
 
+/* A fit asks transport for many media, which the table of solutions must have. */
+static core_fault check_stored(const core_fit_design *design) {
+  if (design->model != CORE_MODEL_TRANSPORT) {
+    return (core_fault){0};
+  }
+  const core_medium *reference = &design->reference;
+  const core_fault fault = core_transport_stored_check(taken_g(design, design->g), design->eta);
+  return fault.field == NULL && design->scale == CORE_FIT_SCALE_REFERENCE
+             ? core_transport_stored_check(taken_g(design, reference->g), reference->eta)
+             : fault;
+}
+
 /* Whether R depends on the medium by its coefficients alone. */
 static bool fits_model(unsigned model) {
   return model != CORE_MODEL_GAUSSIANS && model != CORE_MODEL_SKIN_RED &&
@@ -109,6 +121,9 @@ core_fault core_fit_check(const core_fit_design *design) {
   }
   if (fault.field == NULL) {
     fault = check_aperture(design);
+  }
+  if (fault.field == NULL) {
+    fault = check_stored(design);
   }
   return fault.field == NULL ? check_readings(design) : fault;
 }

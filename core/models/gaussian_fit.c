@@ -109,7 +109,7 @@ core_fault core_gaussian_fit_check(const core_inputs *inputs, core_radii_range *
 }
 
 /* Returns what the fitted model's own error adds where it is known to matter: for `transport` with
- * g other than 0. */
+ * g other than 0, by table. */
 static double error_of_model(const core_inputs *inputs, const struct asked *asked) {
   core_added_errors added = {{0}, 0};
   if (asked->model == CORE_MODEL_TRANSPORT) {

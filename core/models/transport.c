@@ -1,40 +1,35 @@
-/* Radiative transport itself: the model evaluates the deterministic solutions of core/transport/,
- * where the equations are.
+/* Radiative transport itself: the model evaluates solutions of the equation of core/transport/.
  *
- * Preparation solves a medium once, at points of ln x (x is the radius in mean free paths 1 /
- * sigma_t'). The kernels evaluate Legendre series of
+ * Preparation takes the solution of a medium from the table of solutions (core/transport/table.h)
+ * wherever that covers the medium, and solves it elsewhere (core/solver/solver.h), which takes
+ * seconds. The kernels evaluate Legendre series of
  *
  *   L(ln x) = ln(x R(x)) + kappa x
  *
- * in panels of ln x. Since 1 / x at the source and e^(-kappa x) far away are divided out, a series
- * of 16 terms is exact to half of TOLERANCE_LEAST. R stays positive between the points. The energy
- * within r is integrated from the same series (core/energy.h). The albedo is the solver's own
- * total.
+ * in panels of ln x, where x is the radius in mean free paths 1 / sigma_t'. Since 1 / x at the source
+ * and e^(-kappa x) far away are divided out, a series of 16 terms is exact to SERIES_ERROR. R stays
+ * positive between the points. The energy within r is integrated from the same series
+ * (core/energy.h). The albedo is the solution's own total.
  *
- * If a tolerance is given, or core_inputs allows it, preparation takes the profile from a table of
- * solutions (core/transport/table.h) instead of solving, provided that the table covers the medium
- * and is as accurate as asked.
+ * Derivatives: R(r; sigma_a, sigma_s) = sigma_t'^2 R(x; rho), rho = sigma_a / sigma_s', so that
  *
- * Anisotropic scattering (Henyey and Greenstein 1941, g from -0.5 to 0.95) always comes from that
- * table, which covers sigma_a up to 100 sigma_s' and eta from 0.7 to 2.2. Solving it would take
- * seconds. The table's error is larger than that for g = 0, whatever the tolerance, and is stated
- * by band of radii. Other media go through the similarity relation, with a note.
+ *   d ln R / d ln sigma_a = (1 - a) (2 + d ln R / d ln x) + d ln R / d ln rho,
+ *   d ln R / d ln sigma_s = a (2 + d ln R / d ln x) - d ln R / d ln rho,
  *
- * Domain: eta from 0.25 to 4. Below FIRST mean free paths R is continued in proportion to 1 / x.
- * The last radius is LAST_EXPONENT / kappa or LAST mean free paths, whichever is less. Beyond it R
- * is continued in proportion to the diffusion of a dipole, (1 + kappa x) e^(-kappa x) / x^3, times
- * a factor that keeps the slope at the last radius. That factor is a power of x; if the last radius
- * is LAST, it is instead the next term of that diffusion, in 1 / x^2, which is as accurate as the
- * solution.
+ * with the albedo a = 1 / (1 + rho) of scattering. If they are asked for, the derivative of L by ln
+ * rho is a second series: a central difference of two more media of the table or of the solver.
  *
- * Error, up to the last radius, where R is 1e-13 of its value at one mean free path: the tolerance,
- * relative (TOLERANCE by default, at least TOLERANCE_LEAST, half of which is for the series), or
- * the solver's own estimate where that is larger, which happens for albedos below about 1e-6.
- * Beyond the last radius the error grows as core_transport_reach() says. It was measured against
- * solutions to 110 / kappa (tests/accuracy/test_transport_far.c), where the continuation is off by
- * 0.4 at most, for an albedo of 0.01. With the table: the table's measured error plus
- * TOLERANCE_LEAST, where R is above TRANSPORT_TABLE_R_LEAST. For g other than 0 the table's error
- * by region is added (core_added_errors).
+ * Domain: g from -0.98 to 0.99, eta from 0.25 to 4, sigma_a up to 1000 sigma_s', and media that
+ * scatter nothing. Below FIRST mean free paths R is continued in proportion to 1 / x. The last radius
+ * is the table's reach; of solutions, LAST_SOLVED or where R falls below TRANSPORT_TABLE_R_LEAST. Beyond it R is continued in
+ * proportion to the diffusion of a dipole, (1 + kappa x) e^(-kappa x) / x^3, times a factor that keeps
+ * the slope at the last radius. That factor is a power of x; if R is still that of white media there, it is
+ * instead the next term of that diffusion, in 1 / x^2, which is as accurate as the solution.
+ *
+ * Error, up to the reach that the profile reports: that of the table, by bands of radii for g other
+ * than 0, or that which the solver estimates by its two grids, by bands of radii. The tolerance
+ * chooses the solver's grids; the error is stated, whatever the tolerance. Beyond the reach the error
+ * grows as core_transport_reach() says.
  */
 #include "core/kernels.h"
 
@@ -47,7 +42,7 @@ enum coefficient {
   MFP_PER_MM,
   KAPPA,
   PANELS,
-  R_SCALE,    /* sigma_t'^2 */
+  R_SCALE, /* sigma_t'^2 */
   SLOPE_SCALE,
   LIMIT, /* limit of the cdf at infinity: 1, or 0 if nothing scatters */
   FIRST_X,
@@ -62,7 +57,11 @@ enum coefficient {
   STEEPER = PER_PANEL + SEGMENTS,
   /* FADING: ln R falls by FADING (1 - (LAST_X / x)^2) / 2 more than a dipole's diffusion */
   FADING,
-  SERIES, /* TERMS coefficients for each panel; the table of the energy follows them */
+  ABSORBED,       /* 1 - a */
+  KAPPA_BY_RATIO, /* derivative of kappa by ln rho */
+  BY_RATIO, /* position of the series of dL / d ln rho, TERMS for each panel; 0 if there is none */
+  ENERGY,   /* position of the table of the energy */
+  SERIES,   /* TERMS coefficients of L for each panel */
 };
 
 enum { TERMS = 16 };
@@ -103,6 +102,8 @@ struct profile {
   double far; /* x divided by the true radius, at most 1 */
   double value;
   double slope;
+  double panel;
+  double s; /* position in the panel, from -1 to 1 */
 };
 
 static inline struct profile look(const double *c, double r) {
@@ -137,6 +138,8 @@ static inline struct profile look(const double *c, double r) {
       .slope = inside          ? sum.slope * (2 * per_panel)
                : x > c[LAST_X] ? kx / (1 + kx) - power - c[FADING] * faded
                                : 0,
+      .panel = panel,
+      .s = s,
   };
 }
 
@@ -170,8 +173,33 @@ static inline double transport_ln_R(const double *c, double r) {
 }
 
 static inline double transport_cdf(const double *c, double r) {
-  const double cdf = energy_cdf(&c[SERIES + (size_t)c[PANELS] * TERMS], r);
+  const double cdf = energy_cdf(&c[(size_t)c[ENERGY]], r);
   return c[LIMIT] > 0 ? cdf : 0;
+}
+
+/* Returns 2 + d ln R / d ln x. */
+static inline double by_scale(const double *c, struct profile p) {
+  return 1 + p.slope - c[KAPPA] * p.x;
+}
+
+/* Returns d ln R / d ln rho. */
+static inline double by_ratio(const double *c, struct profile p) {
+  const double *series = &c[(size_t)c[BY_RATIO] + (size_t)p.panel * TERMS];
+  const double last = c[LAST_X], beyond = real_max(p.x, last);
+  const double moved = beyond / (1 + c[KAPPA] * beyond) - last / (1 + c[KAPPA] * last);
+  return sum_series(series, p.s).value + c[KAPPA_BY_RATIO] * (moved - p.x);
+}
+
+static inline double transport_by_sigma_a(const double *c, double r) {
+  const struct profile p = look(c, r);
+  const double by = real_fma(c[ABSORBED], by_scale(c, p), by_ratio(c, p));
+  return c[LIMIT] > 0 && p.far > 0 ? by : 0;
+}
+
+static inline double transport_by_sigma_s(const double *c, double r) {
+  const struct profile p = look(c, r);
+  const double by = real_fma(1 - c[ABSORBED], by_scale(c, p), -by_ratio(c, p));
+  return c[LIMIT] > 0 && p.far > 0 ? by : 0;
 }
 
 CORE_KERNEL(eval_R, transport_R)
@@ -179,7 +207,12 @@ CORE_KERNEL(eval_cdf, transport_cdf)
 CORE_KERNEL(eval_slope, transport_slope)
 CORE_KERNEL(eval_ln_R, transport_ln_R)
 
-CORE_KERNEL_TABLE(transport, CORE_KERNELS_OF_ALL);
+CORE_KERNEL(eval_by_sigma_a, transport_by_sigma_a)
+CORE_KERNEL(eval_by_sigma_s, transport_by_sigma_s)
+
+CORE_KERNEL_TABLE(transport, CORE_KERNELS_OF_ALL,
+                  .evaluate[CORE_ELEMENTWISE_BY_SIGMA_A] = eval_by_sigma_a,
+                  .evaluate[CORE_ELEMENTWISE_BY_SIGMA_S] = eval_by_sigma_s);
 
 #else
 CORE_KERNEL_TABLE_NONE(transport);
@@ -187,37 +220,125 @@ CORE_KERNEL_TABLE_NONE(transport);
 
 #else /* what follows prepares a profile, and is compiled once for all instruction sets */
 
+#include <assert.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #define CORE_REAL 64
 #include "core/energy.h"
-#include "core/gauss.h"
 #include "core/kernel.h"
+#include "core/legendre.h"
 #include "core/model_error.h"
+#include "core/solver/solver.h"
 #include "core/transport/decay.h"
 #include "core/transport/table.h"
-#include "core/transport/transport.h"
 
-#define TOLERANCE 1e-5
 #define TOLERANCE_LEAST 1e-8
 #define FIRST 1e-10
 #define LAST 1e4
+#define ENERGY_FIRST 1e-8 /* below it R is in proportion to 1 / x for the energy within */
 #define LAST_EXPONENT 30.0
-#define PANEL_WIDTH 0.75 /* largest width of a panel in ln x */
-#define LEAST_WIDTH 1e-3 /* least width of a segment in ln x */
+#define LAST_SOLVED 200.0 /* beyond, solutions lose digits, and R is diffusion */
+#define PANEL_WIDTH 0.75  /* largest width of a panel in ln x, but for the table's first one */
+#define LEAST_WIDTH 1e-3  /* least width of a segment in ln x */
+#define SERIES_ERROR 1e-8
 /* cost of one value in kernel evaluations of a dipole, measured with `build/bench kernel` */
 #define COST 8
 
-/* Up to this sigma_a / sigma_s' an albedo is inverted if g is not 0, as the table ends there. */
-#define RATIO_MOST 100.0
+enum { PANELS_MAX = 48 };
+
+/* ---- the domain ------------------------------------------------------------------------------- */
+
+#define G_LEAST (-0.98)
+#define G_MOST 0.99
+#define RATIO_MOST 1000.0       /* largest sigma_a / sigma_s' */
+#define RATIO_MOST_STORED 100.0 /* the same of the table */
+
+core_check_function core_transport_check;
+core_prepare_function core_transport_prepare;
+
+/* Bevilacqua and Depeursinge 1999: R beyond half a mean free path depends on the phase function by
+ * sigma_s' and gamma. */
+core_medium core_transport_medium(const core_medium *medium, double gamma) {
+  core_medium other = *medium;
+  if (!isnan(gamma)) {
+    other.g = gamma - 1;
+    other.sigma_s_per_mm = medium->sigma_s_per_mm * (1 - medium->g) / (2 - gamma);
+  }
+  return other;
+}
+
+static core_medium medium_of(const core_inputs *inputs) {
+  return core_transport_medium(inputs->medium, inputs->parameters->value[CORE_PARAMETER_GAMMA]);
+}
+
+static double albedo_of(const core_medium *medium) {
+  return medium->sigma_s_per_mm * (1 - medium->g) / core_sigma_t_prime(medium);
+}
+
+/* Returns the share of extinction that is absorption. Next to white an albedo has too few digits to
+ * say it. */
+static double absorbed_of(const core_medium *medium) {
+  return medium->sigma_a_per_mm / core_sigma_t_prime(medium);
+}
+
+core_fault core_transport_check(const core_inputs *inputs, core_radii_range *radii) {
+  (void)radii;
+  const core_medium medium = medium_of(inputs);
+  if (!(medium.eta >= TRANSPORT_ETA_MIN && medium.eta <= TRANSPORT_ETA_MAX)) {
+    return (core_fault){"eta", "0.25 to 4 with transport", 0};
+  }
+  if (core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, 1) < TOLERANCE_LEAST) {
+    return (core_fault){"tolerance", "1e-8 to 1 with transport", 0};
+  }
+  if (!(medium.sigma_s_per_mm > 0)) {
+    return (core_fault){0};
+  }
+  if (!(medium.g >= G_LEAST && medium.g <= G_MOST)) {
+    return isnan(inputs->parameters->value[CORE_PARAMETER_GAMMA])
+               ? (core_fault){"g", "-0.98 to 0.99 with transport", 0}
+               : (core_fault){"gamma", "0.02 to 1.99 with transport", 0};
+  }
+  const double scatters = medium.sigma_s_per_mm * (1 - medium.g);
+  return medium.sigma_a_per_mm <= RATIO_MOST * scatters * (1 + 1e-12)
+             ? (core_fault){0}
+             : (core_fault){"sigma_a", "0 to 1000 sigma_s (1 - g) with transport", 0};
+}
+
+static bool is_stored(const core_medium *medium) {
+  const transport_table *table = transport_table_shipped();
+  return table != NULL && transport_table_covers(table, albedo_of(medium), medium->g, medium->eta);
+}
+
+bool core_transport_is_stored(const core_medium *medium) {
+  return !(medium->sigma_s_per_mm > 0) || is_stored(medium);
+}
+
+core_fault core_transport_stored_check(double g, double eta) {
+  const core_medium medium = {1, 1 / (1 - g), g, eta}, other = {1, 1, 0, eta};
+  return is_stored(&medium)   ? (core_fault){0}
+         : !is_stored(&other) ? (core_fault){"eta", "0.7 to 2.2 with transport", 0}
+                              : (core_fault){"g", "-0.5 to 0.95 with transport", 0};
+}
+
+double core_transport_ratio_most(double g, double eta) {
+  const core_medium medium = {1, 1 / (1 - g), g, eta};
+  return is_stored(&medium) ? RATIO_MOST_STORED : RATIO_MOST;
+}
+
+/* ---- errors ----------------------------------------------------------------------------------- */
 
 /* Next to eta = 1 the table is less exact far from the source in media that absorb: there R changes
  * by half a percent between eta = 1 and 1.0001, and the table's nodes do not follow. It is off by
  * up to 1.5e-5 at the end of the reach. */
 #define TABLE_NEAR_1 1.6e-5
 #define TABLE_IS_NEAR_1 1e-4
+
+/* The table extrapolates to media that absorb less than this share, with an error of up to 5e-6
+ * more. */
+#define TABLE_WHITE 6e-6
+#define TABLE_IS_WHITE 1e-6
 
 /* The error of dR/dr from the table of solutions is up to 20 times that of R (`make truth`). */
 #define TABLE_SLOPE 32.0
@@ -226,344 +347,11 @@ CORE_KERNEL_TABLE_NONE(transport);
  * media against core/solver/). */
 #define TABLE_SLOPE_JUMPS 1e-2
 
-/* For a smaller single-scattering albedo the medium is solved with this one, and the result is
- * scaled: light that is scattered once is then in proportion to the albedo, and what is scattered
- * twice in proportion to its square. What is scattered more often does not matter. */
-#define ALBEDO_LEAST 1e-12
-/* For a smaller one, light that was scattered once is most of R near the source, and light that was
- * scattered twice is most of R far away, since it need not go at an angle under which it can leave.
- * ln R bends where the two meet: it takes narrower panels, and they are checked between their
- * nodes. */
-#define ALBEDO_BENDS 0.01
-#define PANEL_WIDTH_BENDS 0.15
-
-core_check_function core_transport_check;
-core_prepare_function core_transport_prepare;
-
-core_fault core_transport_check(const core_inputs *inputs, core_radii_range *radii) {
-  (void)radii;
-  const double eta = inputs->medium->eta;
-  if (!(eta >= TRANSPORT_ETA_MIN && eta <= TRANSPORT_ETA_MAX)) {
-    return (core_fault){"eta", "0.25 to 4 with transport", 0};
-  }
-  if (core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, TOLERANCE) < TOLERANCE_LEAST) {
-    return (core_fault){"tolerance", "1e-8 to 1 with transport", 0};
-  }
-  return (core_fault){0};
-}
-
-static core_fault solve(const core_inputs *inputs, double albedo, double tolerance,
-                        transport_solution **solution) {
-  transport_boundary *boundary;
-  core_fault fault = transport_boundary_create(&boundary, inputs->medium->eta, tolerance);
-  if (fault.field == NULL) {
-    fault = transport_solve(solution, boundary, albedo);
-  }
-  transport_boundary_free(boundary);
-  return fault;
-}
-
-/* The source of a profile, a solution or a table's series, and the positions of its panels. */
-struct source {
-  const transport_solution *solution;     /* NULL if `series` is the source */
-  const transport_difference *difference; /* to be added to the solution, NULL if g is 0 */
-  const transport_series *series;
-  double kappa;          /* kappa of the medium */
-  double solution_kappa; /* kappa of the solution's albedo */
-  double extra_kappa; /* kappa of the solution if the solver was given a smaller albedo, else 0 */
-  double share; /* albedo of the medium over that of the solution, if that is larger, else 1 */
-  bool bends;   /* whether ln R may bend within a panel, and the error is measured */
-  struct segment {
-    double begin; /* in ln x */
-    double width; /* of a panel */
-    size_t panels;
-  } segment[SEGMENTS]; /* those that are not used have no panels */
-  size_t panels;
-  double error;     /* largest relative error that the solver has estimated so far */
-  double fit_error; /* the same of the series between its nodes, if it is measured */
-  /* g is not 0: the panels are to be joined, as the table is not smooth at its edges */
-  bool joined;
-};
-
-/* Returns the albedo that the solver is called with. The solver's bounds need some decay, so for an
- * albedo of 1 it solves 1 - 2^-53, where kappa = 1.8e-8. logarithm_at() divides out the factor (1 +
- * kappa x) e^(-kappa x) by which the two profiles differ. */
-static double solvable_albedo(double albedo) {
-  return fmin(fmax(albedo, ALBEDO_LEAST), 1 - 0x1p-53);
-}
-
-/* Returns by how much the solution for that albedo is to be multiplied. */
-static double share_of(double albedo) {
-  return albedo < ALBEDO_LEAST ? albedo / ALBEDO_LEAST : 1;
-}
-
-/* Returns L = ln(x R) + kappa x at y = ln x, from the source. */
-static double logarithm_at(struct source *source, double y) {
-  if (source->series != NULL) {
-    return transport_series_at(source->series, y);
-  }
-  const double x = real_exp_signed(y);
-  const transport_values at = transport_at(source->solution, x);
-  const double extra = source->extra_kappa * x;
-  const double R =
-      source->share < 1 ? fma(source->share, at.multiple.value, at.single.value) : at.R.value;
-  source->error = fmax(source->error, at.R.error / fmax(R, 1e-300));
-  const double more =
-      source->difference != NULL ? transport_difference_at(source->difference, y) : 0;
-  return real_log(fmax(x * R, 1e-300), 0) + source->solution_kappa * x +
-         (extra - real_log(1 + extra, 0)) + more;
-}
-
-/* Returns a panel's series at s from -1 to 1. */
-static double series_at(const double *series, double s) {
-  double sum = 0, p = 1, before = 0;
-  for (int k = 0; k < TERMS; k++) {
-    sum = fma(series[k], p, sum);
-    const double next = ((2 * k + 1) * s * p - k * before) / (k + 1);
-    before = p;
-    p = next;
-  }
-  return sum;
-}
-
-/* Adds the error of a panel's series to the source's: twice the largest that is seen at its ends,
- * where such errors are largest, and in its middle. */
-static void measure_panel(struct source *source, double y, double width, const double *series) {
-  for (int i = 0; i <= 2; i++) {
-    const double off = series_at(series, i - 1) - logarithm_at(source, fma(0.5 * i, width, y));
-    source->fit_error = fmax(source->fit_error, 2 * fabs(off));
-  }
-}
-
-/* Sets `series` to the Legendre series through the Gauss points of the panel that begins at ln x =
- * y. */
-static void fit_panel(struct source *source, double y, double width, double *series) {
-  memset(series, 0, TERMS * sizeof *series);
-  for (int i = 0; i < 2 * CORE_GAUSS_HALF; i++) {
-    const double s = 2 * core_gauss_node(i) - 1;
-    const double value = logarithm_at(source, fma(width, core_gauss_node(i), y));
-    double p = 1, before = 0;
-    for (int k = 0; k < TERMS; k++) {
-      series[k] += (2 * k + 1) * core_gauss_weight(i) * value * p;
-      const double next = ((2 * k + 1) * s * p - k * before) / (k + 1);
-      before = p;
-      p = next;
-    }
-  }
-}
-
-/* share: factor of R; 0 if nothing scatters. */
-static void set_scales(double *c, double sigma_t_prime, double share) {
-  c[MFP_PER_MM] = sigma_t_prime;
-  c[LIMIT] = share > 0;
-  c[R_SCALE] = share * (sigma_t_prime * sigma_t_prime);
-  c[SLOPE_SCALE] = c[R_SCALE] * sigma_t_prime;
-}
-
-/* Returns by how much the slope dL / d ln x at the end of a panel is less than that of a dipole's
- * diffusion. kappa_last: kappa times the radius there. */
-static double steeper(const double *series, double width, double kappa_last) {
-  double slope = 0; /* derivative by s at s = 1; that of P_k is k (k + 1) / 2 */
-  for (int k = TERMS - 1; k > 0; k--) {
-    slope = fma(0.5 * k * (k + 1), series[k], slope);
-  }
-  return kappa_last / (1 + kappa_last) - 2 - slope * (2 / width);
-}
-
-/* Returns the last segment that has panels. */
-static const struct segment *last_segment(const struct source *source) {
-  int i = SEGMENTS - 1;
-  while (source->segment[i].panels == 0) {
-    i--;
-  }
-  return &source->segment[i];
-}
-
-static double last_of(const struct source *source) {
-  const struct segment *segment = last_segment(source);
-  return real_exp_signed(fma((double)segment->panels, segment->width, segment->begin));
-}
-
-static void set_series(struct source *source, double *c) {
-  const double last = last_of(source);
-  c[KAPPA] = source->kappa;
-  c[PANELS] = (double)source->panels;
-  c[FIRST_X] = real_exp_signed(source->segment[0].begin);
-  c[LAST_X] = last;
-  size_t panel = 0;
-  for (int k = 0; k < SEGMENTS; k++) {
-    const struct segment *segment = &source->segment[k];
-    c[BEGINS + k] = segment->panels > 0 ? segment->begin : (double)INFINITY;
-    c[FIRST_PANEL + k] = (double)panel;
-    c[PER_PANEL + k] = segment->panels > 0 ? 1 / segment->width : 0;
-    for (size_t i = 0; i < segment->panels; i++, panel++) {
-      const double y = fma((double)i, segment->width, segment->begin);
-      fit_panel(source, y, segment->width, &c[SERIES + panel * TERMS]);
-      if (source->bends) {
-        measure_panel(source, y, segment->width, &c[SERIES + panel * TERMS]);
-      }
-    }
-  }
-  if (source->joined) {
-    transport_join_panels(source->panels, TERMS, &c[SERIES]);
-  }
-  const double more = steeper(&c[SERIES + (source->panels - 1) * TERMS],
-                              last_segment(source)->width, source->kappa * last);
-  const bool fades = last > 0.5 * LAST;
-  c[STEEPER] = fades ? 0 : more;
-  c[FADING] = fades ? more : 0;
-}
-
-/* Divides the range from ln_first to ln_last into panels. edges: those of the table of solutions, in
- * ascending order, where segments begin, or NULL. */
-static void lay_panels(struct source *source, double ln_first, double ln_last,
-                       const double edges[TRANSPORT_TABLE_PANELS + 1]) {
-  const double most = source->bends ? PANEL_WIDTH_BENDS : PANEL_WIDTH;
-  double begin = ln_first;
-  int used = 0;
-  for (int i = edges != NULL ? 1 : TRANSPORT_TABLE_PANELS + 1; i <= TRANSPORT_TABLE_PANELS + 1;
-       i++) {
-    const double end = i <= TRANSPORT_TABLE_PANELS ? edges[i] : ln_last;
-    if (end > begin + LEAST_WIDTH && (end < ln_last - LEAST_WIDTH || end == ln_last)) {
-      const double panels = ceil((end - begin) / most);
-      source->segment[used++] = (struct segment){begin, (end - begin) / panels, (size_t)panels};
-      source->panels += (size_t)panels;
-      begin = end;
-    }
-  }
-}
-
-/* Makes the table of a profile that scatters, `share` times the source, and adds it to the
- * preparation, whose albedo has been set. */
-static core_fault fill(const core_inputs *inputs, struct source *source, double share,
-                       core_preparation *preparation) {
-  if (inputs->only_albedo) {
-    return (core_fault){0};
-  }
-  const double sigma_t_prime = core_sigma_t_prime(inputs->medium);
-  const double mfp_mm = 1 / sigma_t_prime;
-  const double first = real_exp_signed(source->segment[0].begin);
-  /* Less than 1e-12 of the energy lies beyond 40 decay lengths 1 / kappa, or beyond 1e12 mean free
-   * paths. */
-  const double energy_last =
-      source->kappa * 1e12 > 40 ? fmax(40 / source->kappa, last_of(source)) : 1e12;
-  const size_t before_energy = SERIES + source->panels * TERMS;
-  const size_t energy_length = core_energy_length(first * mfp_mm, energy_last * mfp_mm);
-  preparation->table_bytes = (before_energy + energy_length) * sizeof(double);
-  double *c = malloc(preparation->table_bytes);
-  if (c == NULL) {
-    return CORE_OUT_OF_MEMORY;
-  }
-  set_scales(c, sigma_t_prime, share);
-  set_series(source, c);
-  core_kernel_f64 *R =
-      core_isa_kernels(inputs->isa, CORE_MODEL_TRANSPORT)->f64->evaluate[CORE_ELEMENTWISE_R];
-  const double energy =
-      core_energy_build(R, c, first * mfp_mm, energy_last * mfp_mm, &c[before_energy]);
-  if (source->joined) {
-    /* The albedo has a table of its own, which is more exact than that of R. */
-    set_scales(c, sigma_t_prime, share * (preparation->albedo / energy));
-  }
-  preparation->table = c;
-  return (core_fault){0};
-}
-
-static core_fault fill_nothing(double sigma_t_prime, core_preparation *preparation) {
-  preparation->table_bytes =
-      (SERIES + TERMS + CORE_ENERGY_SERIES + CORE_ENERGY_TERMS) * sizeof(double);
-  double *c = calloc(1, preparation->table_bytes);
-  if (c == NULL) {
-    return CORE_OUT_OF_MEMORY;
-  }
-  set_scales(c, sigma_t_prime, 0);
-  c[PANELS] = 1;
-  c[FIRST_X] = FIRST;
-  c[LAST_X] = LAST;
-  double *energy = &c[SERIES + TERMS];
-  energy[CORE_ENERGY_PANELS] = 1;
-  energy[CORE_ENERGY_FIRST_MM] = 1;
-  energy[CORE_ENERGY_PER_PANEL] = 1;
-  preparation->table = c;
-  return (core_fault){0};
-}
-
-/* Where less than this share is absorbed, 1 less the albedo is in proportion to the root of it. An
- * albedo of scattering next to 1 has too few digits to say how much is absorbed. */
-#define ABSORBED_FEW 0x1p-20
-
-/* Returns the albedo of a medium, for which a solution at a clamped and rounded albedo of scattering
- * has `total`. All light leaves a medium that absorbs none. */
-static double albedo_of_total(const core_medium *medium, double solvable, double total) {
-  const double absorbed = medium->sigma_a_per_mm / core_sigma_t_prime(medium);
-  return absorbed < ABSORBED_FEW ? 1 - (1 - total) * sqrt(absorbed / (1 - solvable)) : total;
-}
-
-/* The same where the total is looked up, with an absolute error of 1e-8. */
-static double albedo_looked_up(const core_medium *medium, double total) {
-  return medium->sigma_a_per_mm > 0 ? fmin(total, 1) : 1;
-}
-
-/* Solves the medium with isotropic scattering. difference: what the medium's g adds to the
- * solution, or NULL if there is none. */
-static core_fault solve_and_fill(const core_inputs *inputs, double albedo, double asked,
-                                 const transport_difference *difference,
-                                 core_preparation *preparation) {
-  const core_medium *medium = inputs->medium;
-  const double tolerance = fmin(0.5 * asked, TRANSPORT_TOLERANCE_MAX);
-  const double solvable = solvable_albedo(albedo);
-  const double share = share_of(albedo);
-  if (inputs->only_albedo) {
-    transport_number total = {.value = 0};
-    const core_fault fault =
-        difference != NULL ? (core_fault){0} : transport_solve_total(&total, medium->eta, solvable);
-    preparation->albedo = difference != NULL
-                              ? albedo_looked_up(medium, difference->total)
-                              : albedo_of_total(medium, solvable, total.value) * share;
-    return fault;
-  }
-  transport_solution *solution = NULL;
-  core_fault fault = solve(inputs, solvable, tolerance, &solution);
-  if (fault.field == NULL) {
-    /* If the absorption is too small to make the albedo differ from 1, kappa is computed from the
-     * absorption itself. */
-    const bool shows = albedo <= solvable;
-    const double absorbed = medium->sigma_a_per_mm / core_sigma_t_prime(medium);
-    const double kappa = shows ? transport_kappa(solvable) : sqrt(3 * absorbed);
-    const double reach = kappa * LAST > LAST_EXPONENT ? LAST_EXPONENT / kappa : LAST;
-    struct source source = {.solution = solution,
-                            .difference = difference,
-                            .joined = difference != NULL,
-                            .kappa = difference != NULL && shows ? difference->kappa : kappa,
-                            .solution_kappa = kappa,
-                            .extra_kappa = shows ? 0 : transport_kappa(solvable),
-                            .share = share,
-                            .bends = difference == NULL && albedo < ALBEDO_BENDS};
-    lay_panels(&source, real_log(FIRST, 0), real_log(reach, 0),
-               difference != NULL ? difference->edge : NULL);
-    preparation->albedo =
-        difference != NULL
-            ? albedo_looked_up(medium, difference->total)
-            : albedo_of_total(medium, solvable, transport_total(solution).value) * share;
-    fault = fill(inputs, &source, share, preparation);
-    preparation->error = fmax(asked, source.error + source.fit_error);
-  }
-  transport_solution_free(solution);
-  return fault;
-}
-
-static double albedo_of(const core_medium *medium) {
-  return medium->sigma_s_per_mm * (1 - medium->g) / core_sigma_t_prime(medium);
-}
-
-/* Returns the table of solutions if it covers the anisotropic scattering of this medium, else NULL.
- */
-static const transport_table *table_for_g(const core_medium *medium) {
-  const bool isotropic = !(medium->g < 0 || medium->g > 0);
-  const transport_table *table = isotropic ? NULL : transport_table_shipped();
-  const bool serves = table != NULL && transport_table_covers_difference(table, albedo_of(medium),
-                                                                         medium->g, medium->eta);
-  return serves ? table : NULL;
-}
+/* Errors of derivatives, in errors of R: those of a solution change slowly with the radius and with
+ * the medium (tests/accuracy/test_transport_solved.c). */
+#define DERIVATIVE 4.0
+/* what a central difference leaves, by steps of LN_RATIO_STEP_SOLVED */
+#define DIFFERENCE_ERROR 1e-4
 
 /* Returns the radius, in mean free paths, where R of a medium that the table covers has fallen below
  * TRANSPORT_TABLE_R_LEAST, by a factor of up to 30, or FARTHEST if that is nearer. R is at most e^c (1 +
@@ -583,36 +371,45 @@ static double radius_of_R_least(double albedo, double eta, double kappa) {
   return fmin(x, FARTHEST);
 }
 
-/* The reach that the profile reports is that of the table of solutions, which is shorter than the
- * solver's: so it does not depend on which of the two was used. For g other than 0 it ends about where
- * R falls below TRANSPORT_TABLE_R_LEAST, or at FARTHEST, so that the profile's last band of radii, from
- * 10 mean free paths on, does not state the error of still larger radii. The growth is an upper bound
- * of what was measured against the solver up to 30 decay lengths, where R is above 1e-17. */
+static bool is_isotropic(const core_medium *medium) {
+  return !(medium->g < 0 || medium->g > 0);
+}
+
+/* How fast the error grows beyond a reach where R has fallen below TRANSPORT_TABLE_R_LEAST. */
+static double growth_of(double kappa) {
+  return 0.015 + 4 * kappa * kappa;
+}
+
+/* For g other than 0 the reach ends about where R falls below TRANSPORT_TABLE_R_LEAST, or at FARTHEST,
+ * so that the profile's last band of radii, from 10 mean free paths on, does not state the error of
+ * still larger radii. The growth is an upper bound of what was measured against the solver up to 30
+ * decay lengths, where R is above 1e-17. */
 core_reach core_transport_reach(const core_medium *medium) {
   const double sigma_t_prime = core_sigma_t_prime(medium);
   const double albedo = albedo_of(medium), kappa = transport_kappa(albedo);
-  if (table_for_g(medium) != NULL) {
+  if (!is_isotropic(medium) && is_stored(medium)) {
     return (core_reach){
         .most_mm = radius_of_R_least(albedo, medium->eta, kappa) / sigma_t_prime,
-        .growth = 0.015 + 4 * kappa * kappa,
+        .growth = growth_of(kappa),
     };
   }
   return (core_reach){.most_mm = 1 / (kappa / LAST_EXPONENT + 1 / LAST) / sigma_t_prime,
                       .growth = fmin(0.5, kappa + 1e-4)};
 }
 
-double core_transport_ratio_most(double g, double eta) {
-  const core_medium medium = {RATIO_MOST, 1 / (1 - g), g, eta};
-  return table_for_g(&medium) != NULL ? RATIO_MOST : (double)INFINITY;
+/* The cdf and the pdf have the error of R and that of the energy that they are divided by. */
+static void set_all(core_added_errors *added) {
+  for (size_t i = 0; i <= CORE_MODEL_ERROR_BANDS; i++) {
+    added->all = fmax(added->all, 2 * added->banded[i]);
+  }
 }
 
-bool core_transport_added_errors(const core_medium *medium, core_added_errors *added) {
+void core_transport_added_errors(const core_medium *medium, core_added_errors *added) {
   *added = (core_added_errors){{0}, 0};
-  const transport_table *table = table_for_g(medium);
-  if (table == NULL) {
-    return !(medium->g < 0 || medium->g > 0) || !(medium->sigma_s_per_mm > 0);
+  const transport_table *table = transport_table_shipped();
+  if (is_isotropic(medium) || !is_stored(medium)) {
+    return;
   }
-  const double albedo = albedo_of(medium), g = medium->g;
   const size_t bands = CORE_MODEL_ERROR_BANDS;
   /* Beyond the reach core_error_beyond() is added. */
   const double reach = core_transport_reach(medium).most_mm * core_sigma_t_prime(medium);
@@ -620,17 +417,15 @@ bool core_transport_added_errors(const core_medium *medium, core_added_errors *a
     const double least = i == 0 ? 0 : core_error_edges_mfp[i];
     const double most =
         i + 1 == bands ? fmax(least, reach) : core_error_edges_mfp[i + 1] * (1 - 1e-6);
-    added->banded[i] = transport_table_error(table, albedo, g, medium->eta, least, most);
-    added->all = fmax(added->all, added->banded[i]);
+    added->banded[i] =
+        transport_table_error(table, albedo_of(medium), medium->g, medium->eta, least, most);
   }
-  added->banded[bands] = transport_table_total_error(table, g);
-  /* The cdf and the pdf have the error of R and that of the energy that they are divided by. */
-  added->all = 2 * fmax(added->all, added->banded[bands]);
-  return true;
+  added->banded[bands] = transport_table_total_error(table, medium->g);
+  set_all(added);
 }
 
 static double isotropic_error(const transport_table *table) {
-  return transport_table_error(table, 0.5, 0, 1, 0, INFINITY) + TOLERANCE_LEAST;
+  return transport_table_error(table, 0.5, 0, 1, 0, INFINITY) + SERIES_ERROR;
 }
 
 static double error_of_R(const transport_table *table, double eta) {
@@ -652,100 +447,485 @@ double core_transport_slope_error(void) {
   return table != NULL ? error_of_slope(table) : 0;
 }
 
-static core_fault look_up(const core_inputs *inputs, double albedo, double g,
-                          const transport_table *table, core_preparation *preparation) {
-  transport_series series;
-  transport_table_look_up(table, albedo, g, inputs->medium->eta, &series);
-  struct source source = {.series = &series, .kappa = series.kappa, .joined = g < 0 || g > 0};
-  lay_panels(&source, series.edge[0], series.edge[TRANSPORT_TABLE_PANELS],
-             source.joined ? series.difference.edge : NULL);
-  preparation->albedo = series.total;
-  const bool as_R = source.joined || inputs->tabulated > 0;
-  preparation->error = as_R ? error_of_R(table, inputs->medium->eta) : error_of_slope(table);
-  preparation->slope_error = source.joined ? TABLE_SLOPE_JUMPS : error_of_slope(table);
-  return fill(inputs, &source, 1, preparation);
+/* ---- sources ---------------------------------------------------------------------------------- */
+
+/* What a profile is made of: a medium of the table, or a solution. */
+struct source {
+  const core_medium *medium;
+  const transport_series *series;  /* of the table, else NULL */
+  const solver_solution *solution; /* else NULL */
+  double kappa;
+};
+
+/* Returns kappa of a medium. If the absorption is too small to show in the albedo, it is computed from
+ * the absorption itself. */
+static double kappa_of(const core_medium *medium) {
+  const double absorbed = absorbed_of(medium);
+  return absorbed < 0x1p-40     ? sqrt(3 * absorbed)
+         : is_isotropic(medium) ? transport_kappa(albedo_of(medium))
+                                : transport_anisotropic_kappa(albedo_of(medium), medium->g);
 }
 
-/* Prepares a medium whose scattering the table covers. */
-static core_fault prepare_anisotropic(const core_inputs *inputs, double albedo, double asked,
-                                      const transport_table *table, core_preparation *preparation) {
-  const core_medium *medium = inputs->medium;
-  transport_difference difference;
-  if (transport_table_covers(table, albedo, medium->g, medium->eta)) {
-    return look_up(inputs, albedo, medium->g, table, preparation);
+/* Sets L[i] = ln(x R) + kappa x at y[i] = ln x, in ascending order; of a solution, error[i] to its
+ * relative error and R[i] to R. */
+static void look_at(const struct source *source, const double y[TERMS], double L[TERMS],
+                    double error[TERMS], double R[TERMS]) {
+  if (source->series != NULL) {
+    transport_series_Q(source->series, TERMS, y, L);
   }
-  transport_table_difference(table, albedo, medium->g, medium->eta, &difference);
-  return solve_and_fill(inputs, albedo, asked, &difference, preparation);
+  for (int i = 0; i < TERMS; i++) {
+    const double x = real_exp_signed(y[i]);
+    if (source->series != NULL) {
+      L[i] += source->series->ln_albedo + real_log(fma(source->kappa, x, 1), 0);
+      continue;
+    }
+    const transport_number at = solver_at(source->solution, 0, x);
+    R[i] = at.value;
+    error[i] = at.error / fmax(at.value, 1e-300);
+    L[i] = real_log(fmax(x * at.value, 1e-300), 0) + source->kappa * x;
+  }
 }
 
-/* Returns the table of solutions if it covers this medium with isotropic scattering and is as
- * accurate as inputs->tabulated or a tolerance that was given asks, else NULL. */
-static const transport_table *table_for(const core_inputs *inputs, double albedo) {
-  const double given = core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, 0);
-  const transport_table *table = transport_table_shipped();
-  const bool serves = table != NULL &&
-                      transport_table_covers(table, albedo, 0, inputs->medium->eta) &&
-                      (error_of_R(table, inputs->medium->eta) <= inputs->tabulated ||
-                       error_of_slope(table) <= given);
-  return serves ? table : NULL;
+/* The panels of a profile and the values of L at their Gauss points, in ascending order. */
+struct panels {
+  struct segment {
+    double begin; /* in ln x */
+    double width; /* of a panel */
+    size_t panels;
+  } segment[SEGMENTS]; /* those that are not used have no panels */
+  size_t count;
+  double y[PANELS_MAX][TERMS];
+  double L[PANELS_MAX][TERMS];
+  bool joined; /* to be joined, as the table is not smooth at its edges */
+  bool fades;  /* beyond the last radius R goes on like the diffusion of white media */
+};
+
+/* Sets y to the Gauss points of a panel, in ascending order. */
+static void set_points(double begin, double width, double y[TERMS]) {
+  for (int i = 0; i < TERMS; i++) {
+    const int node = i < TERMS / 2 ? TERMS - 2 - 2 * i : 2 * i - TERMS + 1;
+    y[i] = fma(width, core_gauss_node(node), begin);
+  }
 }
 
-/* Bevilacqua and Depeursinge 1999: R beyond half a mean free path depends on the phase function by
- * sigma_s' and gamma. */
-core_medium core_transport_medium(const core_medium *medium, double gamma) {
+/* Sets `series` to the Legendre series through values at the points of set_points(). */
+static void fit_values(const double value[TERMS], double series[TERMS]) {
+  double by_node[TERMS];
+  for (int i = 0; i < TERMS; i++) {
+    by_node[i < TERMS / 2 ? TERMS - 2 - 2 * i : 2 * i - TERMS + 1] = value[i];
+  }
+  core_legendre_fit(by_node, series);
+}
+
+/* Lays panels between the edges of the table. The first one, up to 1e-3 mean free paths, is the
+ * table's own, whose series has fewer terms. */
+static void lay_panels(struct panels *panels, const double edges[TRANSPORT_TABLE_PANELS + 1],
+                       double ln_last) {
+  double begin = edges[0];
+  int used = 0;
+  for (int i = 1; i <= TRANSPORT_TABLE_PANELS + 1; i++) {
+    const double end = i <= TRANSPORT_TABLE_PANELS ? edges[i] : ln_last;
+    if (end > begin + LEAST_WIDTH && (end < ln_last - LEAST_WIDTH || end == ln_last)) {
+      const double count = i == 1 ? 1 : ceil((end - begin) / PANEL_WIDTH);
+      panels->segment[used++] = (struct segment){begin, (end - begin) / count, (size_t)count};
+      for (size_t k = 0; k < (size_t)count; k++) {
+        set_points(fma((double)k, (end - begin) / count, begin), (end - begin) / count,
+                   panels->y[panels->count++]);
+      }
+      begin = end;
+    }
+  }
+}
+
+/* Returns the last segment that has panels. */
+static const struct segment *last_segment(const struct panels *panels) {
+  int i = SEGMENTS - 1;
+  while (panels->segment[i].panels == 0) {
+    i--;
+  }
+  return &panels->segment[i];
+}
+
+static double last_of(const struct panels *panels) {
+  const struct segment *segment = last_segment(panels);
+  return real_exp_signed(fma((double)segment->panels, segment->width, segment->begin));
+}
+
+/* ---- the profile's table ---------------------------------------------------------------------- */
+
+/* share: factor of R; 0 if nothing scatters. */
+static void set_scales(double *c, double sigma_t_prime, double share) {
+  c[MFP_PER_MM] = sigma_t_prime;
+  c[LIMIT] = share > 0;
+  c[R_SCALE] = share * (sigma_t_prime * sigma_t_prime);
+  c[SLOPE_SCALE] = c[R_SCALE] * sigma_t_prime;
+}
+
+/* Returns by how much the slope dL / d ln x at the end of a panel is less than that of a dipole's
+ * diffusion. kappa_last: kappa times the radius there. */
+static double steeper(const double *series, double width, double kappa_last) {
+  double slope = 0; /* derivative by s at s = 1; that of P_k is k (k + 1) / 2 */
+  for (int k = TERMS - 1; k > 0; k--) {
+    slope = fma(0.5 * k * (k + 1), series[k], slope);
+  }
+  return kappa_last / (1 + kappa_last) - 2 - slope * (2 / width);
+}
+
+static void set_series(const struct panels *panels, double kappa, double *c) {
+  const double last = last_of(panels);
+  c[KAPPA] = kappa;
+  c[PANELS] = (double)panels->count;
+  c[FIRST_X] = real_exp_signed(panels->segment[0].begin);
+  c[LAST_X] = last;
+  size_t panel = 0;
+  for (int k = 0; k < SEGMENTS; k++) {
+    const struct segment *segment = &panels->segment[k];
+    c[BEGINS + k] = segment->panels > 0 ? segment->begin : (double)INFINITY;
+    c[FIRST_PANEL + k] = (double)panel;
+    c[PER_PANEL + k] = segment->panels > 0 ? 1 / segment->width : 0;
+    panel += segment->panels;
+  }
+  for (size_t i = 0; i < panels->count; i++) {
+    fit_values(panels->L[i], &c[SERIES + i * TERMS]);
+  }
+  if (panels->joined) {
+    transport_join_panels(panels->count, TERMS, &c[SERIES]);
+  }
+  const double more =
+      steeper(&c[SERIES + (panels->count - 1) * TERMS], last_segment(panels)->width, kappa * last);
+  c[STEEPER] = panels->fades ? 0 : more;
+  c[FADING] = panels->fades ? more : 0;
+}
+
+/* The derivative by ln rho: that of kappa, and that of L at the points of the panels. */
+struct by_ratio {
+  double kappa;
+  double L[PANELS_MAX][TERMS];
+};
+
+/* Makes the table of a profile that scatters and adds it to the preparation, whose albedo has been
+ * set. by_ratio: NULL if no derivatives are wanted. scaled: R has to have the albedo for its
+ * energy. */
+static core_fault fill(const core_inputs *inputs, const core_medium *medium,
+                       const struct panels *panels, double kappa, const struct by_ratio *by_ratio,
+                       bool scaled, core_preparation *preparation) {
+  const double sigma_t_prime = core_sigma_t_prime(medium), mfp_mm = 1 / sigma_t_prime;
+  const double first = ENERGY_FIRST;
+  /* Less than 1e-12 of the energy lies beyond 40 decay lengths 1 / kappa, or beyond 1e12 mean free
+   * paths. */
+  const double energy_last = kappa * 1e12 > 40 ? fmax(40 / kappa, last_of(panels)) : 1e12;
+  const size_t length = panels->count * TERMS, both = by_ratio != NULL ? 2 * length : length;
+  const size_t before_energy = SERIES + both;
+  preparation->table_bytes =
+      (before_energy + core_energy_length(first * mfp_mm, energy_last * mfp_mm)) * sizeof(double);
+  double *c = malloc(preparation->table_bytes);
+  if (c == NULL) {
+    return CORE_OUT_OF_MEMORY;
+  }
+  set_scales(c, sigma_t_prime, 1);
+  set_series(panels, kappa, c);
+  c[ABSORBED] = absorbed_of(medium);
+  c[KAPPA_BY_RATIO] = by_ratio != NULL ? by_ratio->kappa : 0;
+  c[BY_RATIO] = by_ratio != NULL ? (double)(SERIES + length) : 0;
+  for (size_t i = 0; i < panels->count && by_ratio != NULL; i++) {
+    fit_values(by_ratio->L[i], &c[SERIES + length + i * TERMS]);
+  }
+  c[ENERGY] = (double)before_energy;
+  core_kernel_f64 *R =
+      core_isa_kernels(inputs->isa, CORE_MODEL_TRANSPORT)->f64->evaluate[CORE_ELEMENTWISE_R];
+  const double energy =
+      core_energy_build(R, c, first * mfp_mm, energy_last * mfp_mm, &c[before_energy]);
+  if (scaled) {
+    /* The albedo has a table of its own, which is more exact than that of R. */
+    set_scales(c, sigma_t_prime, preparation->albedo / energy);
+  }
+  preparation->table = c;
+  return (core_fault){0};
+}
+
+static core_fault fill_nothing(double sigma_t_prime, core_preparation *preparation) {
+  preparation->table_bytes =
+      (SERIES + 2 * TERMS + CORE_ENERGY_SERIES + CORE_ENERGY_TERMS) * sizeof(double);
+  double *c = calloc(1, preparation->table_bytes);
+  if (c == NULL) {
+    return CORE_OUT_OF_MEMORY;
+  }
+  set_scales(c, sigma_t_prime, 0);
+  c[PANELS] = 1;
+  c[FIRST_X] = FIRST;
+  c[LAST_X] = LAST;
+  c[BY_RATIO] = SERIES + TERMS;
+  c[ENERGY] = SERIES + 2 * TERMS;
+  double *energy = &c[SERIES + 2 * TERMS];
+  energy[CORE_ENERGY_PANELS] = 1;
+  energy[CORE_ENERGY_FIRST_MM] = 1;
+  energy[CORE_ENERGY_PER_PANEL] = 1;
+  preparation->table = c;
+  return (core_fault){0};
+}
+
+/* ---- derivatives ------------------------------------------------------------------------------ */
+
+/* Steps of ln rho. Those of solutions outweigh what their errors differ by. */
+#define LN_RATIO_STEP 0x1p-15
+#define LN_RATIO_STEP_SOLVED 0x1p-6
+enum { DIFFERENCE_LEVEL = 3 }; /* the solver's grid of both neighbours */
+
+static bool wants_derivatives(const core_inputs *inputs) {
+  return !isnan(inputs->parameters->value[CORE_PARAMETER_DERIVATIVES]);
+}
+
+/* Returns the medium with e^(step) times the ratio rho and the same sigma_s. */
+static core_medium neighbour_of(const core_medium *medium, double step) {
   core_medium other = *medium;
-  if (!isnan(gamma)) {
-    other.g = gamma - 1;
-    other.sigma_s_per_mm = medium->sigma_s_per_mm * (1 - medium->g) / (2 - gamma);
-  }
+  other.sigma_a_per_mm *= real_exp_signed(step);
   return other;
 }
 
-static core_fault prepare(const core_inputs *inputs, core_preparation *preparation) {
-  const double albedo = albedo_of(inputs->medium);
-  const double asked = core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, TOLERANCE);
-  preparation->notes = core_transport_added_errors(inputs->medium, &preparation->added)
-                           ? 0
-                           : (unsigned)CORE_NOTE_SIMILARITY;
-  preparation->error = asked;
-  preparation->cost = COST;
-  if (!(albedo > 0)) {
-    return fill_nothing(core_sigma_t_prime(inputs->medium), preparation);
+/* Adds weight times the values of a neighbour to the derivative. */
+static void add_neighbour(const struct source *source, const struct panels *panels, double weight,
+                          struct by_ratio *by_ratio) {
+  double L[TERMS], error[TERMS], R[TERMS];
+  by_ratio->kappa += weight * source->kappa;
+  for (size_t i = 0; i < panels->count; i++) {
+    look_at(source, panels->y[i], L, error, R);
+    for (int k = 0; k < TERMS; k++) {
+      by_ratio->L[i][k] += weight * L[k];
+    }
   }
-  preparation->reach = core_transport_reach(inputs->medium);
-  const transport_table *for_g = table_for_g(inputs->medium);
-  const transport_table *table = table_for(inputs, albedo);
-  return for_g != NULL   ? prepare_anisotropic(inputs, albedo, asked, for_g, preparation)
-         : table != NULL ? look_up(inputs, albedo, 0, table, preparation)
-                         : solve_and_fill(inputs, albedo, asked, NULL, preparation);
 }
 
-bool core_transport_is_stored(const core_medium *medium) {
-  const double albedo = albedo_of(medium), g = table_for_g(medium) != NULL ? medium->g : 0;
+/* ---- by the table ----------------------------------------------------------------------------- */
+
+/* Where less than this share is absorbed, 1 less the albedo is in proportion to the root of it. */
+#define ABSORBED_FEW 0x1p-20
+
+/* Returns the albedo of a medium, for which the table has `total` at the albedo `known` of
+ * scattering. All light leaves a medium that absorbs none. For g other than 0 the total has an
+ * absolute error of 1e-8. */
+static double albedo_of_total(const core_medium *medium, double known, double total) {
+  const double absorbed = absorbed_of(medium);
+  return !is_isotropic(medium)     ? (absorbed > 0 ? fmin(total, 1) : 1)
+         : absorbed < ABSORBED_FEW ? 1 - (1 - total) * sqrt(absorbed / (1 - known))
+                                   : total;
+}
+
+/* Returns the albedo that the table is asked for. */
+static double known_albedo(const core_medium *medium) {
+  return is_isotropic(medium) ? fmin(albedo_of(medium), 1 - 0x1p-53) : albedo_of(medium);
+}
+
+static void look_up(const core_medium *medium, transport_series *series, struct source *source) {
+  transport_table_look_up(transport_table_shipped(), known_albedo(medium), medium->g, medium->eta,
+                          series);
+  *source = (struct source){.medium = medium, .series = series, .kappa = kappa_of(medium)};
+}
+
+/* Sets *by_ratio by a difference between two media of the table. */
+static void differentiate_table(const core_medium *medium, const struct panels *panels,
+                                struct by_ratio *by_ratio) {
+  *by_ratio = (struct by_ratio){0};
+  const core_medium above = neighbour_of(medium, LN_RATIO_STEP);
+  const double above_step = is_stored(&above) ? LN_RATIO_STEP : 0;
+  for (int i = 0; i < 2 && medium->sigma_a_per_mm > 0; i++) {
+    const core_medium other = neighbour_of(medium, i == 0 ? -LN_RATIO_STEP : above_step);
+    transport_series series;
+    struct source source;
+    look_up(&other, &series, &source);
+    add_neighbour(&source, panels, (i == 0 ? -1 : 1) / (above_step + LN_RATIO_STEP), by_ratio);
+  }
+}
+
+static core_fault prepare_stored(const core_inputs *inputs, const core_medium *medium,
+                                 core_preparation *preparation) {
   const transport_table *table = transport_table_shipped();
-  return !(albedo > 0) || (table != NULL && transport_table_covers(table, albedo, g, medium->eta));
+  const bool isotropic = is_isotropic(medium);
+  transport_series series;
+  struct source source;
+  look_up(medium, &series, &source);
+  preparation->albedo = albedo_of_total(medium, known_albedo(medium), series.total);
+  preparation->error =
+      error_of_R(table, medium->eta) + (absorbed_of(medium) < TABLE_IS_WHITE ? TABLE_WHITE : 0);
+  preparation->slope_error = isotropic ? error_of_slope(table) : TABLE_SLOPE_JUMPS;
+  core_transport_added_errors(medium, &preparation->added);
+  preparation->reach = core_transport_reach(medium);
+  const double error = preparation->error + preparation->added.all;
+  preparation->derivative_error =
+      isotropic ? error_of_slope(table) : fmax(DERIVATIVE * error, TABLE_SLOPE_JUMPS);
+  preparation->derivative_error_per_mm =
+      isotropic ? 0 : error * source.kappa * core_sigma_t_prime(medium);
+  if (inputs->only_albedo) {
+    return (core_fault){0};
+  }
+  struct panels panels = {.joined = true};
+  struct by_ratio by_ratio;
+  lay_panels(&panels, isotropic ? series.edge : series.difference.edge,
+             series.edge[TRANSPORT_TABLE_PANELS]);
+  panels.fades = last_of(&panels) > 0.4 * LAST;
+  for (size_t i = 0; i < panels.count; i++) {
+    look_at(&source, panels.y[i], panels.L[i], NULL, NULL);
+  }
+  const bool derivatives = wants_derivatives(inputs);
+  if (derivatives) {
+    differentiate_table(medium, &panels, &by_ratio);
+  }
+  return fill(inputs, medium, &panels, source.kappa, derivatives ? &by_ratio : NULL, !isotropic,
+              preparation);
 }
 
-unsigned core_transport_way(const core_inputs *inputs) {
-  enum { NOTHING, SOLVED, LOOKED_UP, DIFFERENCE, LOOKED_UP_G, SIMILAR = 8 };
-  const core_medium medium =
-      core_transport_medium(inputs->medium, inputs->parameters->value[CORE_PARAMETER_GAMMA]);
-  const double albedo = albedo_of(&medium);
-  const transport_table *for_g = table_for_g(&medium);
-  const bool anisotropic = medium.g < 0 || medium.g > 0;
-  return !(albedo > 0)   ? NOTHING
-         : for_g == NULL ? (table_for(inputs, albedo) != NULL ? LOOKED_UP : SOLVED) +
-                               (anisotropic ? SIMILAR : 0)
-         : transport_table_covers(for_g, albedo, medium.g, medium.eta) ? LOOKED_UP_G
-                                                                       : DIFFERENCE;
+/* ---- by the solver ---------------------------------------------------------------------------- */
+
+static double ratio_of(const core_medium *medium) {
+  return fmin(medium->sigma_a_per_mm / (medium->sigma_s_per_mm * (1 - medium->g)), RATIO_MOST);
 }
+
+/* Enters an error at a radius into the bands next to it. */
+static void enter_error(double error, double x, core_added_errors *added) {
+  const double apart = 1.1; /* points are closer */
+  for (size_t i = 0; i < CORE_MODEL_ERROR_BANDS; i++) {
+    const double least = i == 0 ? 0 : core_error_edges_mfp[i];
+    const double most =
+        i + 1 == CORE_MODEL_ERROR_BANDS ? (double)INFINITY : core_error_edges_mfp[i + 1];
+    if (x * apart >= least && x <= most * apart) {
+      added->banded[i] = fmax(added->banded[i], error);
+    }
+  }
+}
+
+/* Returns the least y above `least` where R has fallen below TRANSPORT_TABLE_R_LEAST, which it has at
+ * `most`. */
+static double end_of(const struct source *source, double least, double most) {
+  for (int step = 0; step < 20; step++) {
+    const double y = 0.5 * (least + most);
+    const bool fallen =
+        solver_at(source->solution, 0, real_exp_signed(y)).value < TRANSPORT_TABLE_R_LEAST;
+    *(fallen ? &most : &least) = y;
+  }
+  return least;
+}
+
+/* Adds the panel from y on with this width. */
+static void add_panel(const struct source *source, double y, double width, struct panels *panels,
+                      core_added_errors *added) {
+  const size_t i = panels->count++;
+  double error[TERMS], R[TERMS];
+  set_points(y, width, panels->y[i]);
+  look_at(source, panels->y[i], panels->L[i], error, R);
+  for (int k = 0; k < TERMS; k++) {
+    enter_error(error[k], real_exp_signed(panels->y[i][k]), added);
+  }
+}
+
+/* Lays panels until R has fallen below TRANSPORT_TABLE_R_LEAST, or up to LAST_SOLVED, with their errors. */
+static void lay_panels_solved(const struct source *source, struct panels *panels,
+                              core_added_errors *added) {
+  const double last = real_log(LAST_SOLVED, 0);
+  double y = real_log(FIRST, 0), end = last;
+  for (double next = y + PANEL_WIDTH; next < last && end == last; next += PANEL_WIDTH) {
+    if (solver_at(source->solution, 0, real_exp_signed(next)).value < TRANSPORT_TABLE_R_LEAST) {
+      end = end_of(source, next - PANEL_WIDTH, next);
+    } else {
+      add_panel(source, y, PANEL_WIDTH, panels, added);
+      y = next;
+    }
+  }
+  panels->fades = end == last;
+  panels->segment[0] = (struct segment){real_log(FIRST, 0), PANEL_WIDTH, panels->count};
+  if (end > y + LEAST_WIDTH) {
+    panels->segment[1] = (struct segment){y, end - y, 1};
+    add_panel(source, y, end - y, panels, added);
+  }
+}
+
+/* Sets *by_ratio by a difference between two solutions on the same grid. */
+static core_fault differentiate_solved(const core_inputs *inputs, const core_medium *medium,
+                                       const struct panels *panels, struct by_ratio *by_ratio) {
+  core_fault fault = {0};
+  *by_ratio = (struct by_ratio){0};
+  const solver_phase phase = {.g = medium->g};
+  /* Beyond RATIO_MOST nothing is solved. */
+  const double above = ratio_of(medium) > 0.9 * RATIO_MOST ? 0 : LN_RATIO_STEP_SOLVED;
+  for (int i = 0; i < 2 && medium->sigma_a_per_mm > 0 && fault.field == NULL; i++) {
+    const core_medium other = neighbour_of(medium, i == 0 ? -LN_RATIO_STEP_SOLVED : above);
+    solver_solution *solution;
+    fault = solver_solve_level(&solution, inputs->isa, ratio_of(&other), &phase, &medium->eta, 1,
+                               DIFFERENCE_LEVEL, NULL, false);
+    if (fault.field == NULL) {
+      const struct source source = {
+          .medium = &other, .solution = solution, .kappa = kappa_of(&other)};
+      add_neighbour(&source, panels, (i == 0 ? -1 : 1) / (above + LN_RATIO_STEP_SOLVED), by_ratio);
+    }
+    solver_free(solution);
+  }
+  return fault;
+}
+
+/* Sets the albedo and its error. */
+static core_fault find_albedo(const core_inputs *inputs, const core_medium *medium,
+                              core_preparation *preparation) {
+  const solver_phase phase = {.g = medium->g};
+  solver_total total;
+  const core_fault fault =
+      solver_totals(&total, inputs->isa, ratio_of(medium), &phase, &medium->eta, 1);
+  if (fault.field == NULL) {
+    preparation->albedo = medium->sigma_a_per_mm > 0 ? fmin(total.normal.value, 1) : 1;
+    preparation->added.banded[CORE_MODEL_ERROR_BANDS] =
+        2 * total.normal.error / fmax(total.normal.value, 1e-300);
+  }
+  return fault;
+}
+
+static core_fault prepare_solved(const core_inputs *inputs, const core_medium *medium,
+                                 double tolerance, core_preparation *preparation) {
+  core_fault fault = find_albedo(inputs, medium, preparation);
+  if (fault.field != NULL || inputs->only_albedo) {
+    return fault;
+  }
+  const bool derivatives = wants_derivatives(inputs);
+  const solver_phase phase = {.g = medium->g};
+  solver_solution *solution;
+  struct source source = {.medium = medium, .kappa = kappa_of(medium)};
+  struct panels panels = {.joined = false};
+  struct by_ratio by_ratio;
+  fault =
+      solver_solve(&solution, inputs->isa, ratio_of(medium), &phase, &medium->eta, 1, tolerance);
+  if (fault.field == NULL) {
+    source.solution = solution;
+    lay_panels_solved(&source, &panels, &preparation->added);
+    fault = derivatives ? differentiate_solved(inputs, medium, &panels, &by_ratio) : fault;
+  }
+  solver_free(solution);
+  if (fault.field != NULL) {
+    return fault;
+  }
+  set_all(&preparation->added);
+  preparation->error = SERIES_ERROR;
+  const double error = SERIES_ERROR + preparation->added.all;
+  preparation->slope_error = DERIVATIVE * error;
+  preparation->derivative_error = DERIVATIVE * error + DIFFERENCE_ERROR;
+  preparation->derivative_error_per_mm = error * source.kappa * core_sigma_t_prime(medium);
+  preparation->reach = (core_reach){.most_mm = last_of(&panels) / core_sigma_t_prime(medium),
+                                    .growth = growth_of(source.kappa)};
+  return fill(inputs, medium, &panels, source.kappa, derivatives ? &by_ratio : NULL, false,
+              preparation);
+}
+
+/* ---- preparing -------------------------------------------------------------------------------- */
+
+#define TOLERANCE 1e-3 /* with which a medium is solved if none is given */
 
 core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *preparation) {
-  const core_medium medium =
-      core_transport_medium(inputs->medium, inputs->parameters->value[CORE_PARAMETER_GAMMA]);
-  core_inputs taken = *inputs;
-  taken.medium = &medium;
-  return prepare(&taken, preparation);
+  const core_medium medium = medium_of(inputs);
+  preparation->cost = COST;
+  preparation->error = SERIES_ERROR;
+  if (!(medium.sigma_s_per_mm > 0)) {
+    return fill_nothing(core_sigma_t_prime(&medium), preparation);
+  }
+  const double tolerance = inputs->accepted > 0
+                               ? fmax(inputs->accepted, TOLERANCE)
+                               : core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, TOLERANCE);
+  return is_stored(&medium) ? prepare_stored(inputs, &medium, preparation)
+                            : prepare_solved(inputs, &medium, tolerance, preparation);
 }
 
 #endif

@@ -369,17 +369,11 @@ const transport_table *transport_table_shipped(void) {
 
 /* ---- looking up ----------------------------------------------------------------------------- */
 
-bool transport_table_covers_difference(const transport_table *table, double albedo, double g,
-                                       double eta) {
+bool transport_table_covers(const transport_table *table, double albedo, double g, double eta) {
   const double *field = table->field;
   return albedo >= field[TRANSPORT_TABLE_ALBEDO_LEAST] && albedo <= 1 &&
          g >= field[TRANSPORT_TABLE_G_LEAST] && g <= field[TRANSPORT_TABLE_G_MOST] &&
          eta >= field[TRANSPORT_TABLE_ETA_LEAST] && eta <= field[TRANSPORT_TABLE_ETA_MOST];
-}
-
-bool transport_table_covers(const transport_table *table, double albedo, double g, double eta) {
-  return transport_table_covers_difference(table, albedo, g, eta) &&
-         albedo <= table->field[TRANSPORT_TABLE_ALBEDO_MOST];
 }
 
 /* Returns the number of limits that a number has reached. */
@@ -558,7 +552,7 @@ static double sum_total(const struct packed *series, const struct weights *weigh
 
 void transport_table_difference(const transport_table *table, double albedo, double g, double eta,
                                 transport_difference *difference) {
-  assert(transport_table_covers_difference(table, albedo, g, eta));
+  assert(transport_table_covers(table, albedo, g, eta));
   const double *field = table->field, quantum = field[TRANSPORT_TABLE_TOTALS_QUANTUM];
   const struct packed *series = table->packed->series[SIDES + (int)transport_table_side(eta)];
   struct weights weights;
@@ -577,26 +571,83 @@ void transport_table_difference(const transport_table *table, double albedo, dou
   end_difference(difference);
 }
 
-void transport_table_look_up(const transport_table *table, double albedo, double g, double eta,
-                             transport_series *series) {
-  assert(transport_table_covers(table, albedo, g, eta));
+/* Sets the part of *series that is of isotropic scattering, for an albedo that the table has. */
+static void sum_isotropic(const transport_table *table, const struct weights *weights,
+                          enum transport_table_side side, double albedo, transport_series *series) {
   const double *field = table->field, quantum = field[TRANSPORT_TABLE_QUANTUM];
-  const struct packed *packed = table->packed->series[transport_table_side(eta)];
-  struct weights weights;
+  const struct packed *packed = table->packed->series[side];
   double of_t[TERMS_MAX];
-  set_weights(field, false, 0, eta, &weights);
   polynomials_of_t(field, albedo, of_t);
-  series->g = g;
+  series->g = 0;
   series->kappa = transport_kappa(albedo);
-  series->total = sum_total(&packed[0], &weights, quantum, of_t, albedo);
+  series->total = sum_total(&packed[0], weights, quantum, of_t, albedo);
   series->total_diffuse = (double)NAN;
   series->ln_albedo = fn_log(albedo);
   transport_table_edges(field, false, series->kappa, series->edge);
   for (int i = 0; i < PANELS; i++) {
-    series->terms[i] = sum_series(&packed[1 + i], false, &weights, quantum, of_t, series->term[i]);
+    series->terms[i] = sum_series(&packed[1 + i], false, weights, quantum, of_t, series->term[i]);
+  }
+}
+
+static double Q_of(const transport_series *series, double y) {
+  double Q;
+  transport_series_Q(series, 1, &y, &Q);
+  return Q;
+}
+
+/* Next to white, Q at a radius x is linear in kappa^2 / (1 + kappa x): light that diffuses from a depth
+ * z has come sqrt(x^2 + z^2) far, so that ln R gains -kappa^2 z^2 / (2 (1 + kappa x)). 1 less the total
+ * is in proportion to kappa. Lines lead there from the largest albedo and from one with BASE times
+ * the absorption. */
+#define BASE 2.8
+static double bend_of(double kappa, double x) {
+  return kappa * kappa / (1 + kappa * x);
+}
+
+static void extend_to_white(const transport_table *table, const struct weights *weights,
+                            enum transport_table_side side, double albedo,
+                            transport_series *series) {
+  const double absorbed = 1 - table->field[TRANSPORT_TABLE_ALBEDO_MOST];
+  const double kappa = transport_kappa(albedo);
+  transport_series most;
+  sum_isotropic(table, weights, side, 1 - absorbed, &most);
+  sum_isotropic(table, weights, side, 1 - BASE * absorbed, series);
+  for (int i = 0; i < PANELS; i++) {
+    const size_t count = series->terms[i];
+    double terms[TERMS_MAX] = {0}, polynomial[TERMS_MAX];
+    for (size_t m = 0; m < count; m++) {
+      double sine, s;
+      fn_sincos(FN_PI * ((double)m + 0.5) / (double)count, &sine, &s);
+      const double y = series->edge[i] + 0.5 * (1 + s) * (series->edge[i + 1] - series->edge[i]);
+      const double x = fn_exp(y), at_most = Q_of(&most, y), bend = bend_of(most.kappa, x);
+      const double further = (bend - bend_of(kappa, x)) / (bend_of(series->kappa, x) - bend);
+      chebyshev(s, polynomial);
+      add_row(polynomial, count, (at_most + further * (at_most - Q_of(series, y))) / (double)count,
+              terms);
+    }
+    for (size_t k = 0; k < count; k++) {
+      series->term[i][k] = (k == 0 ? 1 : 2) * terms[k];
+    }
+  }
+  series->kappa = kappa;
+  series->total = 1 - (1 - most.total) * sqrt((1 - albedo) / absorbed);
+  series->ln_albedo = fn_log(albedo);
+}
+
+void transport_table_look_up(const transport_table *table, double albedo, double g, double eta,
+                             transport_series *series) {
+  assert(transport_table_covers(table, albedo, g, eta));
+  const enum transport_table_side side = transport_table_side(eta);
+  struct weights weights;
+  set_weights(table->field, false, 0, eta, &weights);
+  if (albedo > table->field[TRANSPORT_TABLE_ALBEDO_MOST]) {
+    extend_to_white(table, &weights, side, albedo, series);
+  } else {
+    sum_isotropic(table, &weights, side, albedo, series);
   }
   if (g != 0) {
     transport_table_difference(table, albedo, g, eta, &series->difference);
+    series->g = g;
     series->kappa = series->difference.kappa;
     series->total = series->difference.total;
     series->total_diffuse = series->difference.total_diffuse;
@@ -630,7 +681,7 @@ static void slice_of(const struct packed *series, bool is_total, const struct we
 }
 
 transport_slice *transport_slice_create(const transport_table *table, double g, double eta) {
-  assert(transport_table_covers_difference(table, 0.5, g, eta));
+  assert(transport_table_covers(table, 0.5, g, eta));
   transport_slice *slice = calloc(1, sizeof *slice);
   if (slice == NULL) {
     return NULL;

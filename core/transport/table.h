@@ -53,8 +53,8 @@
  * the table's range), each mapped to -1 to 1. A series of D is a sum of c_klij T_k T_l T_i T_j over
  * y, w, u and v. The bytes of a series are the number of k (one byte; 1 for a total), for each k the
  * number of the next index (one byte), and so on, and for each j the integer c / quantum, of at most
- * 32 bits. An integer is written in zigzag order (0, -1, 1, -2, ... become 0, 1, 2, 3, ...), seven bits to a
- * byte, the lowest first; the eighth bit of a byte is set if another byte follows.
+ * 32 bits. An integer is written in zigzag order (0, -1, 1, -2, ... become 0, 1, 2, 3, ...), seven
+ * bits to a byte, the lowest first; the eighth bit of a byte is set if another byte follows.
  *
  * ERROR: the table was compared with the solvers at media and radii that were not used to make it.
  * The stated errors are TRANSPORT_TABLE_MARGIN times the largest relative error that was found, of
@@ -158,17 +158,13 @@ void transport_table_close(transport_table *table);
  * with the program, and all processes share it. Any thread may call this at any time. */
 const transport_table *transport_table_shipped(void);
 
-/* Returns whether the table covers a medium with this albedo, g and eta. Any numbers may be passed. */
+/* Returns whether the table covers a medium with this albedo, g and eta: albedos reach to 1, beyond
+ * TRANSPORT_TABLE_ALBEDO_MOST by extrapolation, whose error is up to 5e-6 more. Any numbers may be passed. */
 bool transport_table_covers(const transport_table *table, double albedo, double g, double eta);
-
-/* The same for transport_table_difference() alone, which also serves albedos up to 1. */
-bool transport_table_covers_difference(const transport_table *table, double albedo, double g,
-                                       double eta);
 
 /* Returns the largest relative error of R for radii from x_least to x_most, where R is above
  * TRANSPORT_TABLE_R_LEAST. Of isotropic scattering, this is the error for all media and radii, and
- * that of the total as well. x_least: 0 to x_most. x_most: up to infinity. The table has to cover
- * the difference of the medium (asserted), or g has to be 0. */
+ * that of the total as well. x_least: 0 to x_most. x_most: up to infinity. */
 double transport_table_error(const transport_table *table, double albedo, double g, double eta,
                              double x_least, double x_most);
 
@@ -191,8 +187,7 @@ typedef struct transport_difference {
   double last_slope; /* by ln x, at the last edge */
 } transport_difference;
 
-/* Sets *difference to the difference of a medium, which the table has to cover
- * (transport_table_covers_difference(), asserted). The result has the same bits on every machine.
+/* Sets *difference to the difference of a medium, which the table has to cover (asserted). The result has the same bits on every machine.
  * For g = 0 all terms are 0 up to the table's accuracy. */
 void transport_table_difference(const transport_table *table, double albedo, double g, double eta,
                                 transport_difference *difference);

@@ -136,17 +136,16 @@ static core_fault check(unsigned moments, unsigned evaluator, double g, double e
   if (parameters->value[CORE_PARAMETER_TOLERANCE] < CORE_VARYING_TOLERANCE_MIN) {
     return (core_fault){"tolerance", "1e-5 to 1 if media vary", 0};
   }
-  return (core_fault){0};
+  const core_medium taken = core_transport_medium(&medium, parameters->value[CORE_PARAMETER_GAMMA]);
+  return family == TRANSPORT ? core_transport_stored_check(taken.g, eta) : (core_fault){0};
 }
 
 /* Sets the g of the surface, and the notes, which are those of core_profile_prepare(). */
 static void set_scattering(core_varying *varying, enum family family) {
   const core_medium medium = example(varying->g, varying->eta);
   const core_medium taken = core_transport_medium(&medium, varying->gamma);
-  core_added_errors added;
-  const bool similar = family == TRANSPORT ? !core_transport_added_errors(&taken, &added)
-                                           : varying->g < 0 || varying->g > 0;
-  varying->table_g = family == TRANSPORT && !similar ? taken.g : 0;
+  const bool similar = family != TRANSPORT && (varying->g < 0 || varying->g > 0);
+  varying->table_g = family == TRANSPORT ? taken.g : 0;
   varying->notes = (similar ? (unsigned)CORE_NOTE_SIMILARITY : 0) |
                    (isnan(varying->gamma) ? 0 : (unsigned)CORE_NOTE_GAMMA);
 }

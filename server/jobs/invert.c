@@ -97,7 +97,9 @@ static enum job_outcome start(struct job *job, const struct job_request *request
   const wire_invert_request *fixed = &invert->request.fixed;
   wire_error error = check(invert, request);
   if (error.status == WIRE_STATUS_OK) {
-    const bool solved = core_prepares_slowly(fixed->model, CORE_EVALUATOR_F64);
+    const core_medium medium = {1, 1 / (1 - fixed->g), fixed->g, fixed->eta};
+    const core_parameters none = core_parameters_none();
+    const bool solved = core_prepares_slowly(fixed->model, CORE_EVALUATOR_F64, &medium, &none);
     const bool costly = core_worth_keeping(fixed->model, CORE_EVALUATOR_F64);
     invert->probe_radii = invert->slow ? SLOW_PROBE_RADII
                           : solved     ? SOLVED_PROBE_RADII

@@ -105,6 +105,10 @@ void cache_key_start(struct cache_key *key, unsigned model, unsigned moments, un
   }
 }
 
+core_medium cache_key_medium(const struct cache_key *key) {
+  return (core_medium){key->medium[0], key->medium[1], key->medium[2], key->medium[3]};
+}
+
 void cache_key_set_medium(struct cache_key *key, const core_medium *medium) {
   key->medium[0] = normalized(medium->sigma_a_per_mm);
   key->medium[1] = normalized(medium->sigma_s_per_mm);
@@ -141,7 +145,7 @@ bool cache_key_equal(const struct cache_key *a, const struct cache_key *b) {
 
 core_fault cache_key_prepare(const struct cache_key *key, const core_isa *isa,
                              core_profile *profile) {
-  const core_medium medium = {key->medium[0], key->medium[1], key->medium[2], key->medium[3]};
+  const core_medium medium = cache_key_medium(key);
   core_parameters parameters;
   memcpy(parameters.value, key->parameters, sizeof parameters.value);
   return core_profile_prepare(profile, isa, key->model, key->moments, key->evaluator, &medium,

@@ -70,6 +70,9 @@ void cache_key_start(struct cache_key *key, unsigned model, unsigned moments, un
 /* Sets the medium of one channel, and the hash. Call it after cache_key_start(). */
 void cache_key_set_medium(struct cache_key *key, const core_medium *medium);
 
+/* Returns the medium of a profile's key. */
+core_medium cache_key_medium(const struct cache_key *key);
+
 /* Makes the key of a prepared fit. */
 void cache_key_set_design(struct cache_key *key, const uint8_t *design, size_t design_bytes);
 

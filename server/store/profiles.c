@@ -192,8 +192,13 @@ static enum profiles_answer look(struct profiles *profiles, struct profiles_look
 
 static enum profiles_answer get_from_cache(struct profiles *profiles,
                                            struct profiles_lookup *lookup) {
+  const struct cache_key *key = &lookup->key;
+  const core_medium medium = cache_key_medium(key);
+  core_parameters parameters;
+  memcpy(parameters.value, key->parameters, sizeof parameters.value);
   const bool slow =
-      lookup->key.design != NULL || core_prepares_slowly(lookup->key.model, lookup->key.evaluator);
+      key->design != NULL ||
+      core_prepares_slowly(key->model, key->evaluator, key->varying ? NULL : &medium, &parameters);
   return look(profiles, lookup, slow, true);
 }
 

@@ -9,6 +9,7 @@
 #include <math.h>
 #include <time.h>
 
+#include "core/kernels.h"
 #include "core/transport/decay.h"
 #include "tests/accuracy/table_case.h"
 #include "tests/unit/unit.h"
@@ -110,6 +111,9 @@ static double range_of(unsigned model, const core_medium *medium) {
 static bool make_subject(unsigned model, const struct table_place *place, uint64_t *random) {
   subject.model = model;
   subject.place = *place;
+  if (model == CORE_MODEL_TRANSPORT && !core_transport_is_stored(&place->medium)) {
+    return false; /* solving takes seconds */
+  }
   if (table_truth(&subject.truth, model, place).field != NULL) {
     return false;
   }
@@ -195,10 +199,12 @@ static void try_table(double tolerance, struct record *record) {
   record->built++;
   const size_t bytes = table.lut_count * sizeof *table.lut;
   record->bytes = bytes > record->bytes ? bytes : record->bytes;
-  /* That of a fit is stated beside the table's. */
-  assert_true(subject.model == CORE_MODEL_GAUSSIANS || table.numerical_error <= tolerance);
+  /* That of a fit is stated beside the table's, and that of transport's solutions with it. */
+  const bool transport = subject.model == CORE_MODEL_TRANSPORT;
+  assert_true(subject.model == CORE_MODEL_GAUSSIANS || transport ||
+              table.numerical_error <= tolerance);
   for (int f = 0; f < FUNCTIONS; f++) {
-    measure(&table, f, tolerance, record);
+    measure(&table, f, transport ? fmax(tolerance, table.numerical_error) : tolerance, record);
   }
   core_profile_free(&table);
 }

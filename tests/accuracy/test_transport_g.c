@@ -566,31 +566,36 @@ UNIT_TEST(the_stated_error_is_the_tables_whatever_the_tolerance) {
 
 /* ---- outside ---------------------------------------------------------------------------------- */
 
-UNIT_TEST(outside_of_the_table_the_similarity_relation_is_named) {
-  static const core_medium outside[] = {{0.05, 9.5, 0.96, 1.4},      {0.05, 9.5, -0.55, 1.4},
-                                        {0.05, 9.5, 0.9, 0.65},      {0.05, 9.5, 0.9, 2.3},
-                                        {101 * 0.95, 9.5, 0.9, 1.4}, {1e-3, 9.5, 0.999999, 1.4},
-                                        {0.05, 9.5, -0.9999, 1.4},   {1e15, 9.5, 0.9, 1.4}};
+UNIT_TEST(outside_of_the_table_media_are_solved_or_refused) {
+  static const struct {
+    core_medium medium;
+    const char *field; /* of the refusal, NULL if it is solved */
+  } outside[] = {{{0.05, 9.5, 0.96, 1.4}, NULL},      {{0.05, 9.5, -0.55, 1.4}, NULL},
+                 {{0.05, 9.5, 0.9, 0.65}, NULL},      {{0.05, 9.5, 0.9, 2.3}, NULL},
+                 {{101 * 0.95, 9.5, 0.9, 1.4}, NULL}, {{1e-3, 9.5, 0.999999, 1.4}, "g"},
+                 {{0.05, 9.5, -0.9999, 1.4}, "g"},    {{1e15, 9.5, 0.9, 1.4}, "sigma_a"}};
+  const core_parameters none = core_parameters_none();
   for (size_t i = 0; i < sizeof outside / sizeof outside[0]; i++) {
-    core_profile profile = prepare(&outside[i], CORE_EVALUATOR_F32, 1e-3);
-    assert_int_equal(profile.notes, CORE_NOTE_SIMILARITY);
-    const core_radii_range radii = {1 / core_sigma_t_prime(&outside[i]),
-                                    2 / core_sigma_t_prime(&outside[i])};
-    const double error = core_profile_errors(&profile, CORE_QUANTITY_R, radii).model;
-    assert_true(isnan(error) || error > 0.01);
-    core_choose_request request = {.media = &outside[i],
-                                   .media_count = 1,
-                                   .moments = CORE_MOMENTS_EXACT,
-                                   .wanted = CORE_QUANTITY_R,
-                                   .radii = radii,
-                                   .tolerance = 1};
+    const core_medium *medium = &outside[i].medium;
+    unit_assert_fault(core_profile_check(CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
+                                         CORE_EVALUATOR_F32, medium, NULL, NULL),
+                      outside[i].field, 0);
+    assert_true(core_prepares_slowly(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F32, medium, &none));
+    core_choose_request request = {
+        .media = medium,
+        .media_count = 1,
+        .moments = CORE_MOMENTS_EXACT,
+        .wanted = CORE_QUANTITY_R,
+        .radii = {1 / core_sigma_t_prime(medium), 2 / core_sigma_t_prime(medium)},
+        .tolerance = 1};
     core_candidate candidates[CORE_CANDIDATES_MAX];
     const size_t n = core_choose(&request, candidates);
     for (size_t k = 0; k < n; k++) {
       assert_true(candidates[k].model != CORE_MODEL_TRANSPORT || !candidates[k].meets);
     }
-    core_profile_free(&profile);
   }
+  const core_medium inside = {0, 9.5, 0.9, 1.4};
+  assert_false(core_prepares_slowly(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, &inside, &none));
   const core_medium nothing = {1, 0, 0.9, 1.4};
   core_profile profile = prepare(&nothing, CORE_EVALUATOR_F64, (double)NAN);
   assert_int_equal(profile.notes, 0);

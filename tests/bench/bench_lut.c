@@ -10,6 +10,8 @@
  *   ratio.lut.transport_over_better_dipole   the table of transport over the better dipole itself,
  *                                            both for tissue with g = 0.9
  *   lut.transport_with_g.prepare          s, to build that table
+ *   lut.transport-g.prepare               us, a profile by the table of solutions and R at 16 radii,
+ *                                         each of a medium with g and eta of its own
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -97,10 +99,38 @@ static void measure_transport(void) {
   core_profile_free(&direct);
 }
 
+static void measure_solutions(void) {
+  enum { MEDIA = 400, FEW = 16 };
+  double us[PREPARATIONS], R[FEW];
+  bench_progress("lut: profiles by the table of solutions");
+  for (int i = 0; i < PREPARATIONS; i++) {
+    const uint64_t start = bench_now_ns();
+    for (int k = 0; k < MEDIA; k++) {
+      const double g = 0.6 + 8e-4 * k;
+      const core_medium medium = {0.05 + 1e-3 * k, 1 / (1 - g), g, 1.3 + 1e-3 * k};
+      double r[FEW];
+      core_profile profile;
+      if (core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
+                               CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium, NULL)
+              .field != NULL) {
+        bench_fail("a medium was refused");
+      }
+      for (int j = 0; j < FEW; j++) {
+        r[j] = 0.1 * (j + 1);
+      }
+      core_eval_f64(&profile, CORE_QUANTITY_R, FEW, r, R);
+      core_profile_free(&profile);
+    }
+    us[i] = (double)(bench_now_ns() - start) * 1e-3 / MEDIA;
+  }
+  bench_figure(bench_median(us, PREPARATIONS), "us", "lut.transport-g.prepare");
+}
+
 void bench_lut(void) {
   bench_fill_radii(sizeof *radii, radii, RADII);
   for (const core_choice *model = core_models; model->name != NULL; model++) {
     measure_model(model);
   }
   measure_transport();
+  measure_solutions();
 }

@@ -98,9 +98,9 @@ static uint64_t add_samples(uint64_t sum, const core_profile *profile, uint64_t 
 
 /* Returns for how many media a model is evaluated: fewer if it is slow. */
 static int media_of(const core_choice *model, const core_choice *evaluator) {
-  return core_prepares_slowly(model->id, CORE_EVALUATOR_F64) ? SLOW_MEDIA
-         : evaluator->id == CORE_EVALUATOR_LUT               ? TABLES
-                                                             : MEDIA;
+  return core_prepares_slowly(model->id, CORE_EVALUATOR_F64, NULL, NULL) ? SLOW_MEDIA
+         : evaluator->id == CORE_EVALUATOR_LUT                           ? TABLES
+                                                                         : MEDIA;
 }
 
 /* Prepares a profile, with a thickness if the model needs one. Returns a fault for a medium outside
@@ -190,7 +190,7 @@ static bool is_due(const core_choice *model, const core_choice *evaluator,
   if (evaluator->id == CORE_EVALUATOR_LUT) {
     return is_tabulated(model) && (quantity == NULL || needed || quantity->id == CORE_QUANTITY_PDF);
   }
-  return !core_prepares_slowly(model->id, CORE_EVALUATOR_F64) ||
+  return !core_prepares_slowly(model->id, CORE_EVALUATOR_F64, NULL, NULL) ||
          (evaluator->id == CORE_EVALUATOR_F64 && needed);
 }
 

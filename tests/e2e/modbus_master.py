@@ -352,7 +352,7 @@ def input_block(
 # ---- jobs ----------------------------------------------------------------------------------------
 
 SKIN = (0.032, 0.74, 0.0, 1.3)
-SLOW = {"model": MODELS["transport"], "evaluator": EVALUATORS["f64"]}
+SLOW = {"model": MODELS["beam"], "evaluator": EVALUATORS["lut"]}
 
 
 def slow_medium(number: int) -> tuple[float, ...]:

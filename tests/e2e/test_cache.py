@@ -12,7 +12,7 @@ from frames import (
     ALBEDO, EVAL, F32, LOGARITHMIC, R, ask, assert_closed, assert_daemon_serves, assert_error,
     eval_payload, frame,
 )
-from lists import MODELS, PARAMETERS, QUANTITIES
+from lists import EVALUATORS, MODELS, PARAMETERS, QUANTITIES
 
 REPLY = EVAL | wire.REPLY
 MEDIA = [(0.032, 0.74, 0, 1.3), (0.17, 0.88, 0, 1.3), (0.48, 1.01, 0.3, 1.4)]
@@ -24,6 +24,11 @@ S = QUANTITIES["S"]
 def payload(model: str, media=MEDIA[:1], **fixed) -> bytes:
     """Makes an eval request for a model of the list."""
     return eval_payload(media, model=MODELS[model], **fixed)
+
+
+def slow(media=MEDIA[:1]) -> bytes:
+    """Makes a request whose profiles take a tenth of a second each to prepare."""
+    return payload("beam", media, evaluator=EVALUATORS["lut"])
 
 
 def media(count: int) -> list[tuple[float, ...]]:
@@ -130,13 +135,13 @@ def test_streams_of_cheap_media_evict_nothing(daemon):
     one = daemon("--cache-bytes", "100000", "--max-media", "4096")
     counted = Counted(one)
     with one.connect() as connection:
-        first = ask(connection, EVAL, payload("transport"))
+        first = ask(connection, EVAL, slow())
         assert ask(connection, EVAL, payload("better", media(4096), radii=[1.0])).type == REPLY
         assert counted["entries"] == 1
         assert ask(connection, EVAL, payload("single", media(400), radii=[1.0])).type == REPLY
         assert counted["bytes"] <= 100000
         builds = counted["builds"]
-        assert ask(connection, EVAL, payload("transport")) == first
+        assert ask(connection, EVAL, slow()) == first
         assert counted["builds"] == builds
 
 
@@ -224,12 +229,12 @@ def connections():
 @pytest.mark.parametrize("workers", ["1", "4"])
 def test_a_thousand_clients_cause_one_build(daemon, connections, workers):
     with daemon("--cache-bytes", "0").connect() as fresh:
-        expected = ask(fresh, EVAL, payload("transport", MEDIA[:1]))
+        expected = ask(fresh, EVAL, slow())
     assert expected.type == REPLY
     one = daemon("--workers", workers)
     counted = Counted(one)
     clients = connections(one, CLIENTS)
-    request = frame(EVAL, 77, payload("transport", MEDIA[:1]))
+    request = frame(EVAL, 77, slow())
     for client in clients:
         client.send_bytes(request)
     for client in clients:
@@ -243,7 +248,7 @@ def test_simultaneous_askers_share_even_what_is_not_kept(daemon, connections):
     one = daemon("--cache-bytes", "0")
     counted = Counted(one)
     clients = connections(one, 50)
-    request = frame(EVAL, 77, payload("transport", MEDIA[:1]))
+    request = frame(EVAL, 77, slow())
     for client in clients:
         client.send_bytes(request)
     replies = [client.receive_frame() for client in clients]
@@ -280,7 +285,7 @@ def test_who_leaves_takes_nothing_along(daemon):
     """A preparation goes on for the clients that stay and for those that come later."""
     one = daemon()
     counted = Counted(one)
-    request = frame(EVAL, 77, payload("transport"))
+    request = frame(EVAL, 77, slow())
     leaving, staying = one.connect(), one.connect()
     leaving.send_bytes(request)
     assert under_way(counted)
@@ -289,10 +294,10 @@ def test_who_leaves_takes_nothing_along(daemon):
     assert staying.receive_frame().type == REPLY
     staying.close()
     with one.connect() as later:
-        assert ask(later, EVAL, payload("transport")).type == REPLY
+        assert ask(later, EVAL, slow()).type == REPLY
     assert counted["builds"] == 1
     with one.connect() as alone:
-        alone.send_bytes(frame(EVAL, 77, payload("transport", MEDIA[1:2])))
+        alone.send_bytes(frame(EVAL, 77, slow(MEDIA[1:2])))
         assert under_way(counted, 2)
     assert eventually(lambda: counted["entries"] == 2)
     assert_daemon_serves(one)
@@ -301,7 +306,7 @@ def test_who_leaves_takes_nothing_along(daemon):
 def test_stopping_answers_who_waits(daemon):
     one = daemon()
     counted = Counted(one)
-    request = frame(EVAL, 77, payload("transport"))
+    request = frame(EVAL, 77, slow())
     with one.connect() as first, one.connect() as second:
         first.send_bytes(request)
         second.send_bytes(request)
@@ -318,7 +323,7 @@ def test_stopping_while_nobody_waits(daemon):
     one = daemon()
     counted = Counted(one)
     with one.connect() as connection:
-        connection.send_bytes(frame(EVAL, 77, payload("transport")))
+        connection.send_bytes(frame(EVAL, 77, slow()))
         assert under_way(counted)
     one.terminate()
     assert one.wait() == 0
@@ -330,7 +335,7 @@ def test_stopping_waits_for_what_has_begun_alone(daemon, connections):
     one = daemon("--drain-timeout-ms", "100")
     counted = Counted(one)
     for client, medium in zip(connections(one, 400), media(400), strict=True):
-        client.send_bytes(frame(EVAL, 77, payload("transport", [medium])))
+        client.send_bytes(frame(EVAL, 77, slow([medium])))
     assert eventually(lambda: counted["builds"] >= 4)
     one.terminate()
     assert one.wait() == 0

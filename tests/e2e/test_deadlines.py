@@ -14,7 +14,7 @@ from frames import (
     EVAL, HELLO, MEDIA, PING, SKIN, STATISTICS, R, ask, assert_daemon_serves, assert_error,
     assert_serves, eval_payload, frame, parameters_bytes, statistics,
 )
-from lists import MODELS, PARAMETERS
+from lists import EVALUATORS, MODELS, PARAMETERS
 from parted import EVALUATED, receive_parts, take_apart
 
 PONG = PING | wire.REPLY
@@ -29,7 +29,7 @@ def slow_payload(media: int = 30) -> bytes:
     """Makes a request for new media, each of which takes a tenth of a second to prepare."""
     rng = np.random.default_rng(time.monotonic_ns())
     several = [(rng.uniform(0.01, 0.2), 1.0, 0.0, 1.4) for _ in range(media)]
-    return eval_payload(several, [0.5, 1.0], model=MODELS["transport"])
+    return eval_payload(several, [0.5, 1.0], model=MODELS["beam"], evaluator=EVALUATORS["lut"])
 
 
 def assert_late(reply: Frame, request_id: int = 77) -> None:

@@ -12,8 +12,7 @@ import pytest
 from daemons import eventually
 from dipole import wire
 from frames import EVAL, ask, assert_error, assert_serves, eval_payload, frame
-from lists import MODELS
-from modbus_master import BUSY, TCP, Exception_, Tcp, input_block
+from modbus_master import BUSY, SLOW, TCP, Exception_, Tcp, input_block
 from test_metrics import fetch
 
 UNITS = range(1, 248)
@@ -26,12 +25,12 @@ def new_medium() -> tuple[float, ...]:
 
 
 def request(deadline_ms: int = 0, medium=None) -> bytes:
-    payload = eval_payload([medium or new_medium()], [1.0], model=MODELS["transport"])
+    payload = eval_payload([medium or new_medium()], [1.0], **SLOW)
     return frame(EVAL, 77, payload, deadline_ms)
 
 
 def commit(master: Tcp, unit: int) -> None:
-    block = input_block(1, new_medium(), [1.0], model=MODELS["transport"])
+    block = input_block(1, new_medium(), [1.0], **SLOW)
     master.write(100, block, unit)
 
 

@@ -334,7 +334,7 @@ def test_busy_then_done(daemon):
         assert run_job(master, 2, input_block(7, SKIN, [1.0])).done == 7  # Other units do not wait.
         job = master.wait()
         assert (job.status, job.done, job.error, job.sequence) == (DONE, 1, 0, 1)
-        expected = client.eval("transport", medium, radii, evaluator="f64")
+        expected = client.eval("beam", medium, radii, evaluator="lut")
         assert_equal_answers(master, 1, expected, 2)
         again = master.write_read(100, input_block(2, medium, radii, **SLOW), 300, 8)
         # The answer comes at once, because the profile is prepared now.
@@ -350,7 +350,7 @@ def test_input_may_be_written_while_busy(daemon):
         assert master.job().status == IS_BUSY
         master.write(100, input_block(0, SKIN, [3.0, 4.0, 5.0]))
         assert master.wait().done == 1
-        expected = client.eval("transport", medium, radii, evaluator="f64")
+        expected = client.eval("beam", medium, radii, evaluator="lut")
         assert_equal_answers(master, 1, expected, 2)
 
 

@@ -71,7 +71,7 @@ def set_medium(master: Tcp, unit: int, medium, model: str = "better", evaluator:
 # Commits a slow job of a kind. `number` selects a medium that no request has had.
 def commit_slow(master: Tcp, kind: str, unit: int = 1, number: int = 1) -> None:
     if kind == "SAMPLE":
-        set_medium(master, unit, slow_medium(100 + number), "transport", "f64")
+        set_medium(master, unit, slow_medium(100 + number), "beam", "lut")
     elif kind == "INVERT":
         set_medium(master, unit, slow_medium(number), "beam", "f64")
         setting(master, unit, INVERT_MEDIUM_COUNT=50)
@@ -312,7 +312,7 @@ def test_a_deadline_counts_while_a_job_waits(daemon, kind):
             master.write(AT["DEADLINE_MS"], floats(30.0))
             master.write(100, input_block(7, slow_medium(99), [1.0], **SLOW))
         else:
-            model = "beam" if kind == "INVERT" else "transport"
+            model = "beam"
             set_medium(master, 1, slow_medium(99), model, "f64")
             master.write(AT[f"{kind}_DEADLINE_MS"], floats(30.0))
             master.write_one(AT[f"{kind}_COMMIT"], 7)

@@ -21,9 +21,8 @@ from pathlib import Path
 
 import pytest
 from daemons import eventually, read_log_line, sanitized
-from lists import MODELS
 from modbus_master import (
-    AT, BAD_ADDRESS, BAD_FUNCTION, BAD_VALUE, BUSY, READ_HOLDING, TCP, WRITE_REGISTER,
+    AT, BAD_ADDRESS, BAD_FUNCTION, BAD_VALUE, BUSY, READ_HOLDING, SLOW, TCP, WRITE_REGISTER,
     WRITE_REGISTERS, Rtu, Tcp, as_words, checksum, exception, input_block, words,
 )
 
@@ -109,7 +108,7 @@ def test_device_identification(start):
 
 def test_a_slow_model(start):
     master, _ = start()
-    block = input_block(1, (0.0333, 0.74, 0, 1.3), [1.0], model=MODELS["transport"], evaluator=1)
+    block = input_block(1, (0.0333, 0.74, 0, 1.3), [1.0], **SLOW)
     assert as_words(master.write_read(100, block, 300, 2, 7)) == [1, 0]
     assert master.wait(7)[:2] == (2, 1)
 
@@ -565,7 +564,7 @@ def test_counters(start):
     master.send(request[:-1] + bytes([request[-1] ^ 1]))
     assert master.is_silent(0.05)
     count(ERRORS)
-    block = input_block(1, (0.0333, 0.74, 0, 1.3), [1.0], model=MODELS["transport"], evaluator=1)
+    block = input_block(1, (0.0333, 0.74, 0, 1.3), [1.0], **SLOW)
     master.write_read(100, block, 300, 2, 7)
     with exception(BUSY):
         master.write_one(AT["COMMIT"], 2, 7)

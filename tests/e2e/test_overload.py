@@ -245,7 +245,7 @@ def test_values_with_media_of_their_own_are_admitted_and_timed(daemon):
         ("sample", sample(4_000_000)),
         ("invert", invert(1_000_000)),
         # An inversion of a slow model waits for profiles that other threads prepare.
-        ("invert", invert(60, "transport")),
+        ("invert", invert(60, "beam")),
         ("fit", fit(200_000)),
     ],
     ids=["sample", "invert", "prepared", "fit"],

@@ -227,7 +227,8 @@ def test_a_closed_client(shared):
         with pytest.raises(dipole.ArgumentError, match="not open"):
             await client.ping()
         await client.open()
-        waiting = asyncio.create_task(client.eval("transport", Medium(0.0123, 1.0), [1.0]))
+        waiting = asyncio.create_task(client.eval("beam", Medium(0.0123, 1.0), [1.0],
+                                                  evaluator="lut"))
         await asyncio.sleep(0.01)
         await client.close()
         await client.close()

@@ -119,7 +119,7 @@ def test_a_refusal_names_the_quantity_that_is_the_cause(client):
 def test_a_medium_whose_error_nothing_bounds_is_named(client):
     error = refusal(client, [SKIN, (1.0, 1e-3, 0.98, 2.5)], [1.0], tolerance=0.1, wanted="R")
     known = "a model instead: no error known"
-    assert error.allowed == f"{known}: sigma_a/sigma_s' 5e+04 is above 96 for medium 2"
+    assert error.allowed == f"{known}: eta 2.5 is above 2.2 for medium 2"
     assert error.index == 1
     for medium, cause in (((0.1, 1.0, -0.9, 1.4), "g -0.9 is below -0.5"),
                           ((500.0, 1.0, 0.0, 1.4), "sigma_a/sigma_s' 500 is above 96")):

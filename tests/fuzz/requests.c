@@ -6,9 +6,9 @@
 #include "proto/fit.h"
 #include "proto/gather.h"
 #include "proto/invert.h"
-#include "proto/varying.h"
 #include "proto/mc.h"
 #include "proto/sample.h"
+#include "proto/varying.h"
 #include "server/jobs/requests.h"
 #include "server/net/connection.h"
 #include "tests/fuzz/daemon.h"
@@ -41,7 +41,7 @@ static bool names_slow_profile(unsigned type, const uint8_t *payload, size_t siz
     eval.fixed.evaluator = gather.evaluator;
   }
   return type == WIRE_TYPE_TABLE || type == WIRE_TYPE_FIT || eval.fixed.model == EVAL_ANY_MODEL ||
-         core_prepares_slowly(eval.fixed.model, eval.fixed.evaluator);
+         core_prepares_slowly(eval.fixed.model, eval.fixed.evaluator, NULL, NULL);
 }
 
 /* The number of answers to a stream: one for each whole frame, each refused header, and an

@@ -245,7 +245,7 @@ static double length_of(const core_medium *medium, enum core_length length) {
 /* Returns whether these tests search with a model: only if it prepares quickly. The tests in
  * tests/e2e invert slow models, whose search is the same. */
 static bool is_searched(const core_choice *model) {
-  return !core_prepares_slowly(model->id, CORE_EVALUATOR_F64);
+  return !core_prepares_slowly(model->id, CORE_EVALUATOR_F64, NULL, NULL);
 }
 
 static void seek_albedos(core_inverter *inverter, unsigned usual) {

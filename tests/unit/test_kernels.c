@@ -218,7 +218,8 @@ static size_t portable_isa(void) {
 
 /* Returns for how many media a model is tested on an instruction set. */
 static size_t medium_count(size_t isa, unsigned model, unsigned evaluator) {
-  const bool slow = core_prepares_slowly(model, evaluator) && model != CORE_MODEL_BURLEY;
+  const bool slow =
+      core_prepares_slowly(model, evaluator, NULL, NULL) && model != CORE_MODEL_BURLEY;
   const bool is_best = strcmp(core_isa_listed(isa), core_isa_name(core_isa_select(NULL))) == 0;
   /* Transport without absorption takes seconds to prepare, in either precision by the same solver. */
   const bool few = model == CORE_MODEL_TRANSPORT &&

@@ -150,7 +150,7 @@ UNIT_TEST(what_has_been_evicted_is_not_held) {
  * that own a large table. */
 UNIT_TEST(the_list_knows_what_is_worth_keeping) {
   for (const core_choice *model = core_models; model->name != NULL; model++) {
-    if (core_prepares_slowly(model->id, CORE_EVALUATOR_F64)) {
+    if (core_prepares_slowly(model->id, CORE_EVALUATOR_F64, NULL, NULL)) {
       assert_true(core_worth_keeping(model->id, CORE_EVALUATOR_F64));
       continue;
     }

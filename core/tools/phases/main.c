@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "core/kernels.h"
 #include "core/model_error.h"
 #include "core/tools/phases/mie.h"
 #include "core/tools/reference/walks.h"
@@ -112,13 +113,13 @@ static void compare(struct item *item, double ratio, size_t eta) {
   const double gamma = item->truth.gamma;
   const core_medium medium = {ratio / (1 + ratio), 1 / ((1 + ratio) * (2 - gamma)), gamma - 1,
                               etas[eta]};
+  if (!core_transport_is_stored(&medium)) {
+    tools_fail("transport does not know gamma %g, ratio %g, eta %g", gamma, ratio, etas[eta]);
+  }
   core_profile profile;
   tools_check(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
                                    CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium, NULL),
               "transport");
-  if ((profile.notes & CORE_NOTE_SIMILARITY) != 0) {
-    tools_fail("transport does not know gamma %g, ratio %g, eta %g", gamma, ratio, etas[eta]);
-  }
   for (size_t i = 0; i < RADII; i++) {
     const double r = radius_of(i);
     double R;

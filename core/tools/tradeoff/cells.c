@@ -3,6 +3,8 @@
 #include <math.h>
 #include <stdlib.h>
 
+#include "core/kernels.h"
+
 /* Each side of a cell has this many steps, and a medium at each end of a step. The ratios of the
  * first cells have more: they begin at 0, and between 0 and 1e-4 the error of Burley's profile for
  * the diffuse mean free path rises and falls again. */
@@ -88,20 +90,19 @@ static void find_truth(struct truth *truth, const core_medium *medium) {
   core_profile profile;
   parameters.value[CORE_PARAMETER_TOLERANCE] = LOOK_UP_TOLERANCE;
   truth->values.known = false;
-  if (core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
+  if (!core_transport_is_stored(medium) ||
+      core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
                            CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, medium, &parameters)
-          .field != NULL) {
+              .field != NULL) {
     return;
   }
-  if ((profile.notes & CORE_NOTE_SIMILARITY) == 0) {
-    evaluate(&truth->values, &profile);
-    for (size_t band = 0; band < NODES_BANDS; band++) {
-      const core_radii_range radii = {nodes_edges[band], nodes_edges[band + 1]};
-      truth->band_error[band] = core_profile_errors(&profile, CORE_QUANTITY_R, radii).numerical;
-    }
-    truth->albedo_error =
-        core_profile_errors(&profile, CORE_QUANTITY_ALBEDO, (core_radii_range){0, 0}).numerical;
+  evaluate(&truth->values, &profile);
+  for (size_t band = 0; band < NODES_BANDS; band++) {
+    const core_radii_range radii = {nodes_edges[band], nodes_edges[band + 1]};
+    truth->band_error[band] = core_profile_errors(&profile, CORE_QUANTITY_R, radii).numerical;
   }
+  truth->albedo_error =
+      core_profile_errors(&profile, CORE_QUANTITY_ALBEDO, (core_radii_range){0, 0}).numerical;
   core_profile_free(&profile);
 }
 
