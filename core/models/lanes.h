@@ -52,7 +52,9 @@ static inline struct lane lane_of(const real *shared, real sigma_a, real sigma_s
   lane.sigma_t = sigma_a + reduced;
   lane.mfp = 1 / lane.sigma_t;
   lane.absorbed = sigma_a * lane.mfp;
-  lane.scattered = sigma_a > 0 ? reduced * lane.mfp : 1; /* exactly */
+  /* 1 without absorption, exactly; by sums, since a choice keeps the loops of surfaces from vectors */
+  const real white = sigma_a > 0 ? 0 : 1;
+  lane.scattered = reduced * lane.mfp * (1 - white) + white;
   return lane;
 }
 
