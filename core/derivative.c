@@ -64,9 +64,9 @@ static void along(const core_profile *neighbours, int first, size_t n, const dou
                   double *sum) {
   double of_first[CHUNK], ln_R[CHUNK];
   memset(sum, 0, n * sizeof *sum);
-  core_evaluate(neighbours, CORE_QUANTITY_LN_R, n, r, of_first);
+  core_run_kernel(neighbours, CORE_ELEMENTWISE_LN_R, n, r, of_first);
   for (int j = 1; j < CORE_NEIGHBOURS; j++) {
-    core_evaluate(&neighbours[j], CORE_QUANTITY_LN_R, n, r, ln_R);
+    core_run_kernel(&neighbours[j], CORE_ELEMENTWISE_LN_R, n, r, ln_R);
     add(n, weights_from(first)[j], ln_R, of_first, sum);
   }
 }
@@ -82,7 +82,7 @@ static void along_both(const core_profile *middle, size_t n, const double *r, do
     for (size_t i = 0; i < n; i++) {
       radii[i] = r[i] * factor;
     }
-    core_evaluate(middle, CORE_QUANTITY_LN_R, n, radii, j == 0 ? of_first : ln_R);
+    core_run_kernel(middle, CORE_ELEMENTWISE_LN_R, n, radii, j == 0 ? of_first : ln_R);
     add(n, weights_from(-CORE_NEIGHBOURS / 2)[j], j == 0 ? of_first : ln_R, of_first, sum);
   }
 }

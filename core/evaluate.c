@@ -165,15 +165,12 @@ void core_evaluate(const core_profile *profile, enum core_quantity quantity, siz
     return;
   }
   if (profile->parts == NULL) {
-    const double *coefficients =
-        profile->table != NULL ? profile->table : profile->coefficients.f64;
-    core_kernel_f64 *kernel = profile->kernels->f64->evaluate[position(quantity)];
-    if (kernel == NULL && quantity == CORE_QUANTITY_TRANSFER) {
+    if (profile->kernels->f64->evaluate[position(quantity)] != NULL) {
+      core_run_kernel(profile, position(quantity), n, r, out);
+    } else if (quantity == CORE_QUANTITY_TRANSFER) {
       core_transfer(profile, n, r, out);
-    } else if (kernel == NULL) {
-      core_derivative(profile, quantity, n, r, out);
     } else {
-      kernel(coefficients, n, r, out);
+      core_derivative(profile, quantity, n, r, out);
     }
     return;
   }

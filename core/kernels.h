@@ -238,6 +238,14 @@ static inline unsigned core_similarity_note(const core_inputs *inputs) {
 void core_evaluate(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const double *r, double *out);
 
+/* Runs the kernel of a quantity that every model has one for: R, CDF, SLOPE or LN_R. The profile is
+ * as that of core_evaluate(), and not a sum. */
+static inline void core_run_kernel(const core_profile *profile, enum core_elementwise quantity, size_t n,
+                            const double *r, double *out) {
+  profile->kernels->f64->evaluate[quantity](
+      profile->table != NULL ? profile->table : profile->coefficients.f64, n, r, out);
+}
+
 /* Does what core_evaluate() does for the quantity TRANSFER of models without a kernel for it. The
  * profile is not a sum. */
 void core_transfer(const core_profile *profile, size_t n, const double *f, double *out);

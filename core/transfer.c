@@ -82,7 +82,7 @@ static int first_node(const core_profile *profile) {
   for (int i = 0; i < NEAREST; i++) {
     const double r = power(node);
     double cdf;
-    core_evaluate(profile, CORE_QUANTITY_CDF, 1, &r, &cdf);
+    core_run_kernel(profile, CORE_ELEMENTWISE_CDF, 1, &r, &cdf);
     if (cdf <= 1e-11) {
       break;
     }
@@ -127,7 +127,8 @@ static void fill(struct shared *shared, int first, int end) {
     for (int i = 0; i < n; i++) {
       r[i] = power(done + i);
     }
-    core_evaluate(shared->profile, faint ? CORE_QUANTITY_LN_R : CORE_QUANTITY_R, (size_t)n, r, R);
+    core_run_kernel(shared->profile, faint ? CORE_ELEMENTWISE_LN_R : CORE_ELEMENTWISE_R, (size_t)n,
+                    r, R);
     for (int i = 0; i < n; i++) {
       const double squared =
           faint ? real_exp_signed(R[i] + 2 * real_log(r[i], 0) - ln_albedo) : r[i] * R[i] * r[i];

@@ -61,9 +61,8 @@ void core_gather_points_free(core_gather_points *points);
  * points are built. The result does not depend on how the work is cut. */
 bool core_gather_points_build(core_gather_points *points, uint64_t work_ns);
 
-/* For points that are built: their number, their channels, and the bytes that they take, which is at
- * most core_gather_points_bytes_most(). */
-size_t core_gather_points_count(const core_gather_points *points);
+/* For points that are built: their channels, and the bytes that they take, which is at most
+ * core_gather_points_bytes_most(). */
 size_t core_gather_points_channels(const core_gather_points *points);
 size_t core_gather_points_bytes(const core_gather_points *points);
 
@@ -83,7 +82,6 @@ typedef struct core_gather_sum core_gather_sum;
 core_fault core_gather_sum_prepare(core_gather_sum **sum, const core_isa *isa, size_t channels,
                                    const core_profile *const *profiles, double tolerance);
 void core_gather_sum_free(core_gather_sum *sum);
-size_t core_gather_sum_bytes(const core_gather_sum *sum);
 
 /* Returns about how long gathering takes, in evaluations of one quantity of a dipole: at n queries, 1
  * or more, in an order as of core_gather(), of which those in one cell share the work of finding its

@@ -100,10 +100,6 @@ size_t core_gather_points_bytes(const core_gather_points *points) {
          points->node_count * node_bytes(points->channels, points->groups);
 }
 
-size_t core_gather_points_count(const core_gather_points *points) {
-  return points->n;
-}
-
 size_t core_gather_points_channels(const core_gather_points *points) {
   return points->channels;
 }

@@ -113,14 +113,6 @@ void core_gather_sum_free(core_gather_sum *sum) {
   }
 }
 
-size_t core_gather_sum_bytes(const core_gather_sum *sum) {
-  size_t bytes = sizeof *sum + (sum->bounds != NULL ? sum->channels * sizeof *sum->bounds : 0);
-  for (size_t c = 0; c < sum->channels; c++) {
-    bytes += CORE_LUT_TERMS * sum->pieces[c].stride * sizeof *sum->pieces[c].memory;
-  }
-  return bytes;
-}
-
 /* Returns about how many nodes and points a query takes. Measured with points on a sphere: from 600 to
  * 1,000 at 1e-2 for 1e4 to 1e6 points, and some twice as many for each tenth of the tolerance. */
 static double visits_of(const core_gather_sum *sum, const core_gather_points *points) {
