@@ -36,7 +36,7 @@ single_values transport_single_at(const single_rule *rule, double r);
 /* Returns the energy of light scattered once that leaves, per power that has entered, if diffuse
  * light (of the same radiance from all directions) strikes the boundary, for albedo 1. It is in
  * proportion to the albedo. eta: 0.2 to 5. moment[l], l < moments: the Legendre moments of the phase
- * function, as in anisotropic.h. The relative error is below 1e-8. */
+ * function, as in core/solver/solver.h. The relative error is below 1e-8. */
 double transport_single_diffuse(double eta, size_t moments, const double *moment);
 
 #endif

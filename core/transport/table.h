@@ -1,4 +1,4 @@
-/* table: a table of solutions of radiative transport (see transport.h and anisotropic.h), as a series
+/* table: a table of solutions of radiative transport (see transport.h and core/solver/solver.h), as a series
  * over albedo, g, eta and radius. The table is part of the program (transport.table, made by `make
  * tables`). Scattering is that of Henyey and Greenstein (1941) with the mean cosine g.
  *
