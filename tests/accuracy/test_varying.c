@@ -640,7 +640,7 @@ static void compare_errors_of_range(const core_varying *varying, enum core_quant
 
 UNIT_TEST(the_errors_of_a_range_are_the_largest_of_its_media) {
   static const unsigned models[] = {CORE_MODEL_BETTER, CORE_MODEL_BURLEY, CORE_MODEL_TRANSPORT};
-  static const double gs[] = {0, 0.7, 0.97};
+  static const double gs[] = {0, 0.7, 0.95};
   uint64_t random = unit_seed();
   for (int i = 0; i < 9; i++) {
     core_varying varying = prepare(models[i / 3], CORE_EVALUATOR_F64, gs[i % 3], 1.4, NULL);
@@ -792,6 +792,9 @@ UNIT_TEST(preparing_refuses_what_cannot_vary) {
   unit_assert_fault(core_varying_prepare(&varying, isa, CORE_MODEL_BETTER, CORE_MOMENTS_EXACT,
                                          CORE_EVALUATOR_LUT, 0, 1.4, NULL),
                     "evaluator", 0);
+  unit_assert_fault(core_varying_prepare(&varying, isa, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
+                                         CORE_EVALUATOR_F64, 0.97, 1.4, NULL),
+                    "g", 0);
   unit_assert_fault(core_varying_prepare(&varying, isa, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
                                          CORE_EVALUATOR_F64, 0, 3, NULL),
                     "eta", 0);
