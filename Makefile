@@ -13,7 +13,6 @@
 #   make plan       how many daemons and how much network a farm needs (server/DEPLOYING.md)
 #   make bench      every benchmark; build/bench GROUP runs one
 #   make docs       the tables in proto/*.md, from proto/*.def, and the manual pages
-#   make model-errors  core/model_errors.def, measured anew against transport (minutes)
 #   make gamma-errors  core/gamma_errors.def, transport with gamma for other phase functions
 #   make tradeoff   speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
 #   make tables     core/transport/transport.table, solved anew (2 hours; resumes)
@@ -152,7 +151,7 @@ INSTALLED := $(BUILD)/dipoled $(BUILD)/dipole
 PROGRAMS := $(INSTALLED) $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-types check-unit check-units-long check-bits check-bits-aarch64 check-e2e check-again check-packages check-soak check-soak-long check-tls-long check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz check-fuzz-long check-truth check-truth-long check-fits check-varying check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables totals reference tradeoff apertures figures picture gather-figure fit-bias clean
+.PHONY: all setup demo check check-long check-structure check-types check-unit check-units-long check-bits check-bits-aarch64 check-e2e check-again check-packages check-soak check-soak-long check-tls-long check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz check-fuzz-long check-truth check-truth-long check-fits check-varying check-rings rings soak truth fuzz fuzz-merge bench docs gamma-errors tables totals reference tradeoff apertures figures picture gather-figure fit-bias clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -356,7 +355,7 @@ check-unit: $(TESTS)
 	@UNIT_LIMIT_S=$(UNIT_LIMIT_S) bash tests/run-units.sh $(BUILD)/logs $(TESTS)
 
 # Those that have a long form.
-LONG_TESTS := $(addprefix $(BUILD)/tests/,unit/test_kernels accuracy/test_choose accuracy/test_derivative accuracy/test_lut accuracy/test_transport_g accuracy/test_transport_table)
+LONG_TESTS := $(addprefix $(BUILD)/tests/,unit/test_kernels accuracy/test_derivative accuracy/test_lut accuracy/test_transport_g accuracy/test_transport_table)
 check-units-long: $(LONG_TESTS)
 	@UNIT_LONG=yes bash tests/run-units.sh $(BUILD)/logs-long $(LONG_TESTS)
 
@@ -492,20 +491,14 @@ $(BUILD)/trade-speed: $(TRADEOFF) $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
 
-# Minutes, on all cores: how far models are from exact solutions and from Monte Carlo.
-model-errors:
-	@$(MAKE) --no-print-directory -j2 $(BUILD)/trade-speed
-	$(BUILD)/trade-speed --output $(BUILD)/tradeoff errors
-	cp $(BUILD)/tradeoff/model_errors.def core/
-
 # On a machine that does little else: it times what is chosen by cost.
 tradeoff:
 	@sh .ci/install-packages demo figures
 	@$(MAKE) --no-print-directory -j2 $(BUILD)/trade-speed
-	$(BUILD)/trade-speed --output $(BUILD)/tradeoff costs
+	$(BUILD)/trade-speed $(BUILD)/tradeoff
 	$(PYTHON) core/tools/tradeoff/draw.py $(BUILD)/tradeoff
 	cp $(BUILD)/tradeoff/costs.def core/
-	cp $(BUILD)/tradeoff/front.svg $(BUILD)/tradeoff/map.svg core/tools/tradeoff/
+	cp $(BUILD)/tradeoff/front.svg core/tools/tradeoff/
 
 $(BUILD)/transport-table: $(TABLES) $(BUILD)/libcore.a
 	$(call SAY,LD,$@)

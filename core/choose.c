@@ -1,5 +1,6 @@
 #include "core/choose.h"
 
+#include <assert.h>
 #include <float.h>
 #include <math.h>
 
@@ -8,33 +9,28 @@
 
 static const struct cost {
   unsigned model;
-  unsigned evaluator;
-  double numerical; /* the error that a profile states by default */
-  double numerical_least;
-  double tolerance_least;
-  /* With each of the tolerances. */
-  struct {
-    double evaluate_ns;
-    double prepare_ns;
-  } with[CORE_CHOOSE_TOLERANCE_COUNT];
-} costs[] = {
-#define CORE_COST(model, evaluator, numerical, numerical_least, least, ...)                        \
-  {model, evaluator, numerical, numerical_least, least, {__VA_ARGS__}},
-#define CORE_COST_WITH_G(model, evaluator, prepare_ns)
-#include "core/costs.def"
-};
-
-static const struct cost_with_g {
-  unsigned model;
-  unsigned evaluator;
+  double radius_ns[2]; /* by f64, by f32 */
   double prepare_ns;
-} costs_with_g[] = {
-#define CORE_COST(model, evaluator, numerical, numerical_least, least, ...)
-#define CORE_COST_WITH_G(model, evaluator, prepare_ns) {model, evaluator, prepare_ns},
+  double prepare_lut_ns;
+} costs[] = {
+#define CORE_COST(model, f64, f32, prepare, prepare_lut) {model, {f64, f32}, prepare, prepare_lut},
 #include "core/costs.def"
 };
 
-static const double tolerances[CORE_CHOOSE_TOLERANCE_COUNT] = CORE_CHOOSE_TOLERANCES;
+const unsigned core_costed_models[] = {
+#define CORE_COST(model, f64, f32, prepare, prepare_lut) model,
+#include "core/costs.def"
+    0};
+
+static const double lut_ns =
+#define CORE_COST_LUT(lut) lut
+#include "core/costs.def"
+    ;
+
+static const double solve_ns =
+#define CORE_COST_SOLVE(solve) solve
+#include "core/costs.def"
+    ;
 
 enum {
   UNMEASURED = CORE_QUANTITY_CDF | CORE_QUANTITY_SLOPE | CORE_QUANTITY_TRANSFER |
@@ -44,58 +40,7 @@ enum {
   ELEMENTWISE = FOLLOWS_R | CORE_QUANTITY_CDF | CORE_QUANTITY_TRANSFER,
 };
 
-/* ---- the error of a model -------------------------------------------------------------------- */
-
-/* Whether the medium and the radii are in the model's domain. */
-static bool accepts(const struct cost *cost, const core_choose_request *request,
-                    const core_medium *medium) {
-  core_radii_range domain;
-  if (core_profile_check(cost->model, request->moments, cost->evaluator, medium, NULL, &domain)
-          .field != NULL) {
-    return false;
-  }
-  return (request->wanted & ELEMENTWISE) == 0 ||
-         (request->radii.least_mm >= domain.least_mm && request->radii.most_mm <= domain.most_mm);
-}
-
-/* Returns the errors of a model. What transport solves has an error that is not known before, so that
- * no tolerance is answered with it. */
-static core_model_errors errors_of(const struct cost *cost, const core_choose_request *request,
-                                   const core_medium *medium) {
-  if (request->gamma > 0) {
-    const core_medium taken = core_transport_medium(medium, request->gamma);
-    return cost->model == CORE_MODEL_TRANSPORT && core_transport_is_stored(&taken)
-               ? core_gamma_errors_find(request->gamma, medium->eta, core_ratio_of(medium))
-               : core_model_errors_unknown();
-  }
-  return cost->model != CORE_MODEL_TRANSPORT
-             ? core_model_errors_find(cost->model, request->moments, medium->g, medium->eta,
-                                      core_ratio_of(medium))
-         : core_transport_is_stored(medium) ? core_model_errors_exact()
-                                            : core_model_errors_unknown();
-}
-
-/* Returns the model's largest error over the channels, or INFINITY if it is not known for one. */
-static double model_error(const struct cost *cost, const core_choose_request *request) {
-  double error = 0;
-  for (size_t i = 0; i < request->media_count && error < (double)INFINITY; i++) {
-    const core_medium *medium = &request->media[i];
-    const core_model_errors errors = errors_of(cost, request, medium);
-    const double here = core_model_errors_of(&errors, medium, request->wanted, request->radii);
-    const bool promised =
-        here < (double)INFINITY || (request->wanted & (ELEMENTWISE | CORE_QUANTITY_ALBEDO)) == 0;
-    const bool unmeasured = (request->wanted & UNMEASURED) != 0 && !errors.exact;
-    error = promised && !unmeasured && accepts(cost, request, medium) ? fmax(error, here)
-                                                                      : (double)INFINITY;
-  }
-  return error;
-}
-
-/* ---- the numerical error --------------------------------------------------------------------- */
-
-static double sigma_t_prime(const core_medium *medium) {
-  return medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g);
-}
+/* ---- errors ---------------------------------------------------------------------------------- */
 
 /* Returns what `transport` makes of a medium. */
 static core_medium taken_of(const core_choose_request *request, size_t i) {
@@ -103,11 +48,35 @@ static core_medium taken_of(const core_choose_request *request, size_t i) {
                                request->gamma > 0 ? request->gamma : (double)NAN);
 }
 
-/* Returns the error that is added to transport's numerical error at radii beyond its reach and for
- * anisotropic scattering. */
-static double added_error(const struct cost *cost, const core_choose_request *request) {
+/* Returns the model error of `transport`: 0, or that of gamma for the worst medium. It is INFINITY
+ * if the table does not hold a medium: the error of what is solved is not known before. */
+static double model_error(const core_choose_request *request) {
   double error = 0;
-  for (size_t i = 0; i < request->media_count && cost->model == CORE_MODEL_TRANSPORT; i++) {
+  for (size_t i = 0; i < request->media_count && error < (double)INFINITY; i++) {
+    const core_medium taken = taken_of(request, i);
+    double here = 0;
+    if (request->gamma > 0) {
+      const core_model_errors errors = core_gamma_errors_find(request->gamma, &request->media[i]);
+      here = (request->wanted & UNMEASURED) == 0
+                 ? core_model_errors_of(&errors, &request->media[i], request->wanted,
+                                        request->radii)
+                 : (double)INFINITY;
+    }
+    const bool taken_as_it_is =
+        core_transport_is_stored(&taken) &&
+        core_profile_check(CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64,
+                           &request->media[i], NULL, NULL)
+                .field == NULL;
+    error = taken_as_it_is && !isnan(here) ? fmax(error, here) : (double)INFINITY;
+  }
+  return error;
+}
+
+/* Returns the error that is added to the numerical error at radii beyond the reach and for
+ * anisotropic scattering. */
+static double added_error(const core_choose_request *request) {
+  double error = 0;
+  for (size_t i = 0; i < request->media_count; i++) {
     const core_medium *medium = &request->media[i];
     const double most_mm = (request->wanted & FOLLOWS_R) != 0 ? request->radii.most_mm : 0;
     const core_medium taken = taken_of(request, i);
@@ -129,169 +98,135 @@ static double logarithm_error(const core_choose_request *request) {
     return 0;
   }
   for (size_t i = 0; i < request->media_count; i++) {
-    ln_R = fmax(ln_R, 64 + 64 + request->radii.most_mm * sigma_t_prime(&request->media[i]));
+    ln_R = fmax(ln_R, 64 + 64 + request->radii.most_mm * core_sigma_t_prime(&request->media[i]));
   }
   return 8 * (request->single ? (double)FLT_EPSILON : DBL_EPSILON) * ln_R;
 }
 
-#define SAVES 0.95 /* a cost that is less than this share of another is less */
-
-/* Returns which of the tolerances to prepare with if the numerical error may be `most`: the
- * smallest of those that are cheapest. */
-static size_t cheapest_tolerance(const struct cost *cost, double most) {
-  size_t best = 0;
-  for (size_t i = 1; i < CORE_CHOOSE_TOLERANCE_COUNT && tolerances[i] <= most; i++) {
-    if (cost->with[i].prepare_ns < SAVES * cost->with[best].prepare_ns ||
-        cost->with[i].evaluate_ns < SAVES * cost->with[best].evaluate_ns) {
-      best = i;
-    }
-  }
-  return best;
-}
-
-/* Whether the table of solutions holds all media, so that its error counts, and not the tolerance. */
-static bool are_stored(const core_choose_request *request) {
-  bool stored = true;
+/* Returns the error of R in the table of solutions, for all media; INFINITY if it does not hold one of
+ * them. */
+static double table_error(const core_choose_request *request) {
+  double error = 0;
   for (size_t i = 0; i < request->media_count; i++) {
     const core_medium taken = taken_of(request, i);
-    stored = stored && core_transport_is_stored(&taken);
+    error = fmax(error, core_transport_is_stored(&taken) ? core_transport_table_error(taken.eta)
+                                                         : (double)INFINITY);
   }
-  return stored;
+  return error;
 }
 
+/* Returns the error of dR/dr in the table for all media, or 0 if it is not wanted. */
+static double slope_error(const core_choose_request *request) {
+  double error = 0;
+  for (size_t i = 0; i < request->media_count && (request->wanted & CORE_QUANTITY_SLOPE) != 0; i++) {
+    error = fmax(error, core_transport_slope_error(taken_of(request, i).g));
+  }
+  return error > 0 ? error + DBL_EPSILON : 0;
+}
+
+/* Rounding, besides the tolerance and the error of the table. */
+#define ROUNDING_F32 1.3e-7
+
+/* The tolerances that are used if what is left allows them, so that requests share profiles. */
+#define LOOSE 1e-3
 #define BELOW (1 - 1e-12) /* leaves room for rounding where errors are added */
 
-/* Chooses the tolerance to prepare with. The numerical error may take a quarter of the tolerance
- * that the model's error leaves, but no more than the errors besides leave of that. If nothing is
- * left, the numerical error is the least that the evaluator can have. */
-static void set_numerical_error(core_candidate *candidate, const struct cost *cost,
-                                const core_choose_request *request) {
-  const double besides = logarithm_error(request) + added_error(cost, request);
-  const double left = (request->tolerance - candidate->model_error) / (1 + candidate->model_error);
-  const double floor = cost->numerical_least - cost->tolerance_least;
-  const double share = fmin(left / 4, left * BELOW - besides);
-  const size_t which = cheapest_tolerance(cost, share - floor);
-  candidate->numerical_tolerance = tolerances[which];
-  const bool looked_up = cost->model == CORE_MODEL_TRANSPORT &&
-                         cost->evaluator != CORE_EVALUATOR_LUT && are_stored(request);
-  const double own = looked_up
-                         ? fmin(tolerances[which], core_transport_slope_error()) /* the table's */
-                         : tolerances[which];
-  candidate->numerical_error = which > 0 ? own + floor : cost->numerical;
-  candidate->cost_ns = cost->with[which].evaluate_ns;
-  candidate->prepare_ns = cost->with[which].prepare_ns;
-  if (share < cost->numerical && cost->numerical_least < cost->numerical) {
-    candidate->numerical_tolerance = fmax(share - floor, cost->tolerance_least);
-    candidate->numerical_error = candidate->numerical_tolerance + floor;
-  }
-  const bool slope = (request->wanted & CORE_QUANTITY_SLOPE) != 0;
-  if (slope && cost->model == CORE_MODEL_TRANSPORT && cost->evaluator == CORE_EVALUATOR_LUT) {
-    candidate->numerical_error = fmax(candidate->numerical_error, core_transport_slope_error());
-  }
-  candidate->numerical_error += besides;
+/* Sets the parameter `tolerance` to prepare with, and the numerical error, where `left` is left for
+ * it. */
+static void set_numerical_error(core_candidate *candidate, const core_choose_request *request,
+                                double left) {
+  const bool lut = candidate->evaluator == CORE_EVALUATOR_LUT;
+  const double rounding = request->single && !lut ? ROUNDING_F32 : 0;
+  const double least = fmax(CORE_LUT_TOLERANCE_MIN, 2 * table_error(request));
+  const double tolerance = fmin(fmax(left * BELOW, least), LOOSE);
+  const double of_slope = slope_error(request);
+  candidate->looked_up = true;
+  candidate->numerical_tolerance = lut ? tolerance : (double)NAN;
+  candidate->numerical_error =
+      lut ? fmax(tolerance, of_slope)
+          : rounding + fmax(table_error(request) + DBL_EPSILON, of_slope);
 }
 
-/* Returns the time that the solver takes for a medium: the evaluator f64 solves each one if no
- * tolerance is given. */
-static double solving_ns(void) {
+/* ---- costs ----------------------------------------------------------------------------------- */
+
+static const struct cost *cost_of(unsigned model) {
   const struct cost *cost = costs;
-  while (cost->model != CORE_MODEL_TRANSPORT || cost->evaluator != CORE_EVALUATOR_F64) {
+  while (cost->model != model) {
     cost++;
+    assert(cost < costs + sizeof costs / sizeof costs[0]);
   }
-  return cost->with[0].prepare_ns;
+  return cost;
 }
 
-/* Sets the cost of preparing `transport` for media that are not as those that were timed: their g is
- * other than 0, or its table does not hold one of them, which is then solved whatever the tolerance
- * is. */
-static void set_cost_of_media(core_candidate *candidate, const core_choose_request *request) {
-  bool with_g = candidate->model == CORE_MODEL_TRANSPORT;
-  for (size_t i = 0; i < request->media_count; i++) {
-    const core_medium taken = taken_of(request, i);
-    with_g = with_g && (taken.g < 0 || taken.g > 0);
+/* Returns how many values a medium has: one for each radius and elementwise quantity. */
+static double value_count(const core_choose_request *request) {
+  return (double)request->radius_count * __builtin_popcount(request->wanted & ELEMENTWISE);
+}
+
+/* Sets the costs, and what follows from them and the errors. */
+static void finish(core_candidate *candidate, const core_choose_request *request) {
+  const struct cost *cost = cost_of(candidate->model);
+  const bool lut = candidate->evaluator == CORE_EVALUATOR_LUT;
+  candidate->cost_ns = lut ? lut_ns : cost->radius_ns[candidate->evaluator == CORE_EVALUATOR_F32];
+  candidate->prepare_ns = lut ? cost->prepare_lut_ns : cost->prepare_ns;
+  if (candidate->model == CORE_MODEL_TRANSPORT && !candidate->looked_up) {
+    candidate->prepare_ns += solve_ns;
   }
-  for (size_t i = 0; i < sizeof costs_with_g / sizeof costs_with_g[0] && with_g; i++) {
-    if (costs_with_g[i].model == (unsigned)candidate->model &&
-        costs_with_g[i].evaluator == (unsigned)candidate->evaluator) {
-      candidate->prepare_ns = costs_with_g[i].prepare_ns;
-    }
-  }
-  if (candidate->model == CORE_MODEL_TRANSPORT && !are_stored(request)) {
-    candidate->prepare_ns = fmax(candidate->prepare_ns, solving_ns());
-  }
+  candidate->error = candidate->model_error + (1 + candidate->model_error) * candidate->numerical_error;
+  candidate->total_ns = candidate->prepare_ns + value_count(request) * candidate->cost_ns;
+  candidate->meets = candidate->error <= request->tolerance;
+}
+
+void core_offer(core_candidate *candidate, const core_choose_request *request, unsigned model,
+                enum core_evaluator evaluator, double model_error, double numerical_error) {
+  *candidate = (core_candidate){.model = model,
+                                .evaluator = evaluator,
+                                .numerical_tolerance = (double)NAN,
+                                .model_error = model_error,
+                                .numerical_error = numerical_error};
+  finish(candidate, request);
 }
 
 /* ---- choosing -------------------------------------------------------------------------------- */
 
-/* Returns how many values a medium has: one for each radius and elementwise quantity. */
-static double value_count(const core_choose_request *request) {
-  unsigned quantities = 0;
-  for (unsigned left = request->wanted & ELEMENTWISE; left != 0; left &= left - 1) {
-    quantities++;
-  }
-  return (double)request->radius_count * quantities;
-}
-
-static core_candidate make_candidate(const struct cost *cost, const core_choose_request *request) {
-  core_candidate candidate = {
-      .model = cost->model,
-      .evaluator = cost->evaluator,
-      .numerical_tolerance = (double)NAN,
-      .model_error = model_error(cost, request),
-      .numerical_error = (double)INFINITY,
-      .error = (double)INFINITY,
-      .cost_ns = cost->with[0].evaluate_ns,
-      .prepare_ns = cost->with[0].prepare_ns,
-  };
+static core_candidate make_candidate(const core_choose_request *request,
+                                     enum core_evaluator evaluator) {
+  core_candidate candidate = {.model = CORE_MODEL_TRANSPORT,
+                              .evaluator = evaluator,
+                              .numerical_tolerance = (double)NAN,
+                              .model_error = model_error(request),
+                              .numerical_error = (double)INFINITY};
   if (candidate.model_error < (double)INFINITY) {
-    set_numerical_error(&candidate, cost, request);
-    set_cost_of_media(&candidate, request);
-    candidate.error =
-        candidate.model_error + (1 + candidate.model_error) * candidate.numerical_error;
+    const double besides = logarithm_error(request) + added_error(request);
+    const double left =
+        (request->tolerance - candidate.model_error) / (1 + candidate.model_error) - besides;
+    set_numerical_error(&candidate, request, left);
+    candidate.numerical_error += besides;
   }
-  candidate.total_ns = candidate.prepare_ns + value_count(request) * candidate.cost_ns;
-  candidate.meets = candidate.error <= request->tolerance;
+  finish(&candidate, request);
   return candidate;
 }
 
-/* Returns the position of the best candidate from position `first` on. */
-static size_t best_of(const core_candidate *candidates, size_t first, size_t count) {
-  double least_ns = (double)INFINITY;
-  size_t best = first;
-  for (size_t i = first; i < count; i++) {
-    least_ns = candidates[i].meets ? fmin(least_ns, candidates[i].total_ns) : least_ns;
-  }
-  for (size_t i = first + 1; i < count; i++) {
-    const core_candidate *one = &candidates[i], *other = &candidates[best];
-    const double alike_ns = least_ns * CORE_CHOOSE_COST_ALIKE;
-    const bool one_may = one->meets && one->total_ns <= alike_ns;
-    const bool other_may = other->meets && other->total_ns <= alike_ns;
-    if (one_may != other_may ? one_may : one->error < other->error) {
-      best = i;
-    }
-  }
-  return best;
-}
-
-/* Moves the candidate at position `from` up to position `to`; those between move down by one. */
-static void move_up(core_candidate *candidates, size_t from, size_t to) {
-  const core_candidate moved = candidates[from];
-  for (size_t i = from; i > to; i--) {
-    candidates[i] = candidates[i - 1];
-  }
-  candidates[to] = moved;
+/* Whether one candidate is to come before another. */
+static bool is_better(const core_candidate *one, const core_candidate *other) {
+  return one->meets != other->meets ? one->meets
+         : one->meets               ? one->total_ns < other->total_ns
+                                    : one->error < other->error;
 }
 
 size_t core_choose(const core_choose_request *request,
-                   core_candidate candidates[CORE_CANDIDATES_MAX]) {
-  size_t count = 0;
-  for (size_t i = 0; i < CORE_CANDIDATES_MAX && request->media_count > 0; i++) {
-    if (request->single == (costs[i].evaluator != CORE_EVALUATOR_F64)) {
-      candidates[count++] = make_candidate(&costs[i], request);
-    }
+                   core_candidate candidates[CORE_TRANSPORT_CANDIDATES]) {
+  if (request->media_count == 0) {
+    return 0;
   }
-  for (size_t i = 0; i < count; i++) {
-    move_up(candidates, best_of(candidates, i, count), i);
+  if (!request->single) {
+    candidates[0] = make_candidate(request, CORE_EVALUATOR_F64);
+    return 1;
   }
-  return count;
+  const core_candidate f32 = make_candidate(request, CORE_EVALUATOR_F32);
+  const core_candidate lut = make_candidate(request, CORE_EVALUATOR_LUT);
+  const bool table_first = is_better(&lut, &f32);
+  candidates[0] = table_first ? lut : f32;
+  candidates[1] = table_first ? f32 : lut;
+  return 2;
 }

@@ -267,14 +267,8 @@ typedef struct core_radii_range {
   double most_mm;
 } core_radii_range;
 
-/* The errors of a model against radiative transport for one medium; core/model_error.h finds them.
- */
+/* The number of bands of radii that some errors are stated for (core_error_edges_mfp). */
 enum { CORE_MODEL_ERROR_BANDS = 10 };
-typedef struct core_model_errors {
-  bool exact; /* the model is transport itself and has no model error */
-  /* Relative errors of R in each band of radii, then that of the albedo; NAN where not measured. */
-  double error[CORE_MODEL_ERROR_BANDS + 1];
-} core_model_errors;
 
 /* The largest radius at which a profile's numerical error holds, and the error's growth beyond it:
  * at a radius r > most_mm, e^(growth ln^2(r / most_mm)) - 1 is added, or INFINITY if growth ln^2(r
@@ -308,7 +302,7 @@ typedef struct core_profile {
    * radii within `reach`; core_profile_errors() gives the error for any radii and quantities. */
   double numerical_error;
   double numerical_error_per_mm;
-  /* The same for R, 2 pi r R, S and ln R in each band of radii of core_model_errors, then for the
+  /* The same for R, 2 pi r R, S and ln R in each band of radii (core/model_error.h), then for the
    * albedo. None is larger than numerical_error, and all are equal to it unless the model is
    * `transport` and g is not 0. Below the first band and above the last one, their errors hold. */
   double numerical_errors[CORE_MODEL_ERROR_BANDS + 1];
@@ -317,7 +311,6 @@ typedef struct core_profile {
   double derivative_error;
   double derivative_error_per_mm;
   core_reach reach;
-  core_model_errors model_errors;
   unsigned notes;         /* bits of enum core_note */
   core_radii_range radii; /* the profile may be evaluated from least to most */
   double cost;            /* of one radius, in evaluations of a dipole */
@@ -390,19 +383,17 @@ static inline bool core_wants_derivatives(unsigned wanted) {
   return (wanted & (CORE_QUANTITY_BY_SIGMA_A | CORE_QUANTITY_BY_SIGMA_S)) != 0;
 }
 
-/* The errors of a profile's values that a reply states. */
+/* The numerical errors of a profile's values that a reply states. */
 typedef struct core_stated_errors {
   double numerical;        /* as core_profile.numerical_error, for all of the radii */
   double numerical_per_mm; /* as core_profile.numerical_error_per_mm */
-  double model;            /* bound against radiative transport; NAN if not known */
 } core_stated_errors;
 
 #define CORE_RADIUS_SMALL_MM 1e-260
 #define CORE_RADIUS_SMALL_MFP 1e-100
 
 /* The errors of the wanted quantities (bits) at radii from least to most; there are no radii if
- * least is above most. The model's error is relative, but absolute for ln R. It does not cover the
- * cdf, dR/dr, TRANSFER, BY_SIGMA_A and BY_SIGMA_S, which were not measured. */
+ * least is above most. core/model_error.h finds how far the model is from transport. */
 core_stated_errors core_profile_errors(const core_profile *profile, unsigned wanted,
                                        core_radii_range radii);
 

@@ -172,8 +172,8 @@ typedef core_fault core_check_function(const core_inputs *inputs, core_radii_ran
 typedef core_fault core_prepare_function(const core_inputs *inputs, core_preparation *preparation);
 
 /* Returns the relative error of dR/dr of the model `transport` where it comes from the table of
- * solutions, for g = 0. */
-double core_transport_slope_error(void);
+ * solutions. */
+double core_transport_slope_error(double g);
 
 /* Returns the reach of the model `transport` for a medium that scatters. */
 core_reach core_transport_reach(const core_medium *medium);

@@ -7,7 +7,6 @@
 
 #include "core/kernels.h"
 #include "core/lut/lut.h"
-#include "core/model_error.h"
 
 #define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
   extern core_check_function core_##formula##_check;                                               \
@@ -182,14 +181,6 @@ core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluat
 }
 
 /* ---- preparing ------------------------------------------------------------------------------- */
-
-static void set_model_errors(core_profile *profile, const core_parameters *parameters) {
-  const core_medium *medium = &profile->medium;
-  profile->model_errors =
-      core_model_errors_stated(profile->model, profile->moments, profile->notes, parameters,
-                               medium->g, medium->eta, core_ratio_of(medium));
-  profile->notes |= isnan(parameters->value[CORE_PARAMETER_GAMMA]) ? 0u : CORE_NOTE_GAMMA;
-}
 
 /* Notes an albedo above 1 by more than its error. This is that of double precision, in which every
  * evaluator computes the albedo, so that all evaluators note the same. */
@@ -584,7 +575,7 @@ static core_fault prepare(core_profile *profile, const struct model *model, core
                            : model->check != NULL ? prepare_model(profile, model, &inputs)
                                                   : prepare_sum(profile, model, &inputs, radii);
   if (fault.field == NULL) {
-    set_model_errors(profile, inputs.parameters);
+    profile->notes |= isnan(inputs.parameters->value[CORE_PARAMETER_GAMMA]) ? 0u : CORE_NOTE_GAMMA;
   }
   return fault;
 }

@@ -147,13 +147,17 @@ void core_varying_check_u_f32(const core_varying *varying, size_t n, const float
 /* Joins the ranges of two arrays into *range. */
 void core_varying_range_add(core_varying_range *range, const core_varying_range *other);
 
-/* Returns the errors of the wanted quantities (bits) of values in a range whose status is OK. The
- * numerical error is relative, against the exact formula of the model. It contains rounding, up to
- * where a value underflows; for `transport` also the measured error of the surface and that of the
- * table of solutions. The field numerical_per_mm is 0. The model's error is that of
- * core_profile_errors(), the largest of the media and radii. */
-core_stated_errors core_varying_errors(const core_varying *varying, unsigned wanted,
-                                       const core_varying_range *range);
+/* Returns the numerical error of the wanted quantities (bits) of values in a range whose status is
+ * OK: relative, against the exact formula of the model. It contains rounding, up to where a value
+ * underflows; for `transport` also the measured error of the surface and that of the table of
+ * solutions. */
+double core_varying_error(const core_varying *varying, unsigned wanted,
+                          const core_varying_range *range);
+
+/* Returns the model error of such values where it needs no comparison: that of `transport`, which is
+ * 0 unless gamma is given (core/model_error.h). It is NAN for other models. */
+double core_varying_stated_error(const core_varying *varying, unsigned wanted,
+                                 const core_varying_range *range);
 
 /* ---- evaluating ------------------------------------------------------------------------------ */
 

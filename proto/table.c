@@ -52,12 +52,11 @@ wire_error table_request_parse(const uint8_t *payload, size_t payload_bytes,
                                    &request->parameters);
 }
 
-void table_reply_put(uint8_t *at, const core_profile *profile, const core_parameters *parameters) {
+void table_reply_put(uint8_t *at, const core_profile *profile, const core_parameters *parameters,
+                     const core_model_errors *errors) {
   const uint8_t *words = (const uint8_t *)profile->lut;
   const size_t word_bytes = profile->lut_count * sizeof *profile->lut;
   const core_radii_range pieces = core_table_pieces(profile);
-  /* The reply states the largest error for all radii that the table covers. */
-  const double model_error = core_profile_errors(profile, CORE_QUANTITY_R, profile->radii).model;
   wire_table_reply fixed = {
       .layout = TABLE_LAYOUT,
       .model = (uint16_t)profile->model,
@@ -73,7 +72,7 @@ void table_reply_put(uint8_t *at, const core_profile *profile, const core_parame
       .albedo = profile->albedo,
       .numerical_error = profile->numerical_error,
       .numerical_error_per_mm = profile->numerical_error_per_mm,
-      .model_error = model_error,
+      .model_error = errors->exact ? 0 : (double)NAN,
       .pieces_from = pieces.least_mm,
       .pieces_to = pieces.most_mm,
       .radius_least = profile->radii.least_mm,
@@ -81,8 +80,8 @@ void table_reply_put(uint8_t *at, const core_profile *profile, const core_parame
       .reach = profile->reach.most_mm,
       .reach_growth = profile->reach.growth,
   };
-  _Static_assert(sizeof fixed.model_errors == sizeof profile->model_errors.error, "bands, albedo");
-  memcpy(fixed.model_errors, profile->model_errors.error, sizeof fixed.model_errors);
+  _Static_assert(sizeof fixed.model_errors == sizeof errors->error, "bands, albedo");
+  memcpy(fixed.model_errors, errors->error, sizeof fixed.model_errors);
   memcpy(fixed.numerical_errors, profile->numerical_errors, sizeof fixed.numerical_errors);
   wire_put_table_reply(at, &fixed);
   at += WIRE_BYTES_table_reply;
@@ -116,7 +115,7 @@ void table_reply_put_surface(uint8_t *at, const core_varying *surface,
       .g = surface->g,
       .eta = surface->eta,
       .albedo = (double)NAN,
-      .numerical_error = core_varying_errors(surface, wanted, &all).numerical,
+      .numerical_error = core_varying_error(surface, wanted, &all),
       .model_error = (double)NAN,
       .radius_most = (double)INFINITY,
       .reach = (double)INFINITY,

@@ -3,6 +3,7 @@
 #ifndef DIPOLED_PROTO_TABLE_H
 #define DIPOLED_PROTO_TABLE_H
 
+#include "core/model_error.h"
 #include "core/varying.h"
 #include "proto/wire.h"
 
@@ -36,8 +37,9 @@ size_t table_reply_bytes(uint32_t parameter_count, size_t word_count);
 uint32_t table_checksum(const uint8_t *bytes, size_t count);
 
 /* Writes the reply for a profile of evaluator lut, table_reply_bytes() long. `at` is a multiple of
- * 8. `parameters` are those of the request. */
-void table_reply_put(uint8_t *at, const core_profile *profile, const core_parameters *parameters);
+ * 8. `parameters` are those of the request; errors: those of the model by band of radii. */
+void table_reply_put(uint8_t *at, const core_profile *profile, const core_parameters *parameters,
+                     const core_model_errors *errors);
 
 /* The number of words of a surface on the wire: with zeros, a multiple of 4. */
 size_t table_surface_words(const core_varying *surface);

@@ -12,7 +12,7 @@ _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays
 /* The quantities that a value of its own medium may have. */
 #define QUANTITIES                                                                                 \
   (CORE_QUANTITY_R | CORE_QUANTITY_ALBEDO | CORE_QUANTITY_CDF | CORE_QUANTITY_RADIUS |             \
-   CORE_QUANTITY_PDF | CORE_QUANTITY_RING)
+   CORE_QUANTITY_PDF | CORE_QUANTITY_RING | CORE_QUANTITY_MODEL_ERROR)
 
 /* All coefficients. */
 #define CORE_COEFFICIENT(bit, IDENT, name, about) | (bit)
@@ -44,18 +44,18 @@ static wire_error check_wanted(const wire_varying_request *fixed) {
   const unsigned most = fixed->numbers == VARYING_DRAWN ? (unsigned)QUANTITIES
                         : fixed->numbers == VARYING_RADII
                             ? (unsigned)QUANTITIES & ~(unsigned)CORE_QUANTITY_RADIUS
-                            : (unsigned)CORE_QUANTITY_ALBEDO;
+                            : (unsigned)(CORE_QUANTITY_ALBEDO | CORE_QUANTITY_MODEL_ERROR);
   if (channels_has_others(fixed->wanted)) {
     return wire_error_not_in_list("wanted", core_quantities, "a sum of");
   }
   if ((fixed->wanted & ~most) != 0) {
-    return bad_value("wanted", "R, albedo, cdf, pdf, 2_pi_r_R of radii; r besides of numbers u; "
-                               "else albedo");
+    return bad_value("wanted", "R, albedo, cdf, pdf, 2_pi_r_R, model_error of radii; "
+                               "r besides of numbers u; else albedo");
   }
   if ((fixed->coefficients & ~(unsigned)COEFFICIENTS) != 0) {
     return wire_error_not_in_list("coefficients", core_coefficients, "a sum of");
   }
-  return fixed->wanted == 0 && fixed->coefficients == 0
+  return (fixed->wanted & ~CORE_QUANTITY_MODEL_ERROR) == 0 && fixed->coefficients == 0
              ? bad_value("wanted", "at least one quantity or coefficient")
              : wire_error_none();
 }
@@ -156,7 +156,8 @@ wire_error varying_request_parse(const uint8_t *payload, size_t payload_bytes,
 varying_layout varying_reply_layout(unsigned evaluator, unsigned wanted, unsigned coefficients,
                                     uint64_t count) {
   varying_layout layout = {
-      .arrays = coefficients | VARYING_QUANTITY(wanted),
+      .arrays =
+          coefficients | VARYING_QUANTITY(wanted & ~(unsigned)CORE_QUANTITY_MODEL_ERROR),
       .array_bytes = wire_padded(count * core_evaluator_bytes(evaluator)),
   };
   const uint64_t arrays = (uint64_t)__builtin_popcount(layout.arrays);
@@ -274,8 +275,8 @@ static void fill(const struct slice *slice, double value, void *out) {
 
 /* The memory of one slice. */
 struct scratch {
-  double *sigma_a, *sigma_s, *r;
-  uint8_t *status;
+  double *sigma_a, *sigma_s, *r, *truth;
+  uint8_t *status, *known;
 };
 
 static struct scratch divide(double *scratch) {
@@ -283,7 +284,8 @@ static struct scratch divide(double *scratch) {
   for (size_t i = 0; i < VARYING_SCRATCH_ARRAYS; i++) {
     arrays[i] = scratch + i * VARYING_SLICE_VALUES;
   }
-  return (struct scratch){arrays[0], arrays[1], arrays[2], (uint8_t *)arrays[3]};
+  return (struct scratch){arrays[0], arrays[1],           arrays[2],
+                          arrays[3], (uint8_t *)arrays[4], (uint8_t *)arrays[5]};
 }
 
 /* Returns where the part's values from `begin` on of an array go; NULL if it is not wanted. */
@@ -369,6 +371,7 @@ void varying_part_start(varying_part *part, const varying_request *request, uint
   part->layout = varying_reply_layout(fixed->evaluator, fixed->wanted, fixed->coefficients, count);
   part->range =
       (core_varying_range){.albedo_least = (double)INFINITY, .mfp_least = (double)INFINITY};
+  part->model_error = (double)NAN;
   for (uint64_t at = WIRE_BYTES_varying_reply; at < part->layout.status_offset;
        at += part->layout.array_bytes) {
     memset(payload + at + used, 0, (size_t)part->layout.array_bytes - used);
@@ -376,8 +379,51 @@ void varying_part_start(varying_part *part, const varying_request *request, uint
   memset(payload + part->layout.status_offset + count, 0, (size_t)(wire_padded(count) - count));
 }
 
+/* Raises the part's model error to that of an array of the slice. */
+static void compare(varying_part *part, const struct slice *slice, const struct scratch *scratch,
+                    unsigned quantity, const uint8_t *status, const void *values) {
+  for (size_t i = 0; i < slice->n; i++) {
+    const double value =
+        slice->single ? (double)((const float *)values)[i] : ((const double *)values)[i];
+    const double truth = slice->single ? (double)((const float *)scratch->truth)[i]
+                                       : scratch->truth[i];
+    if (status[i] == CORE_VALUE_OK && scratch->known[i] == CORE_VALUE_OK && !isinf(truth)) {
+      const double apart = fabs(value - truth);
+      const double relative = quantity == CORE_QUANTITY_CDF ? apart
+                              : apart > 0                   ? apart / truth
+                                                            : 0;
+      part->model_error = fmax(part->model_error, relative);
+    }
+  }
+}
+
+/* Compares the slice's values with those of transport. given: radii or numbers u; r: the radii. */
+static void compare_all(varying_part *part, const struct slice *slice, const core_varying *ruler,
+                        const struct scratch *scratch, bool drawn, uint64_t begin,
+                        const void *given, const void *r) {
+  const size_t bytes = slice->single ? sizeof(float) : sizeof(double);
+  const uint8_t *status = part->payload + part->layout.status_offset + begin;
+  struct slice truth = *slice;
+  core_varying_range unused;
+  truth.varying = ruler;
+  check(&truth, drawn, given, scratch->known, &unused);
+  for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
+    const void *values = place(part, VARYING_QUANTITY(quantity->id), begin, bytes);
+    if (values == NULL) {
+      continue;
+    }
+    if (quantity->id == CORE_QUANTITY_RADIUS) {
+      sample(&truth, given, scratch->truth);
+    } else {
+      evaluate(&truth, quantity->id, r, scratch->truth);
+    }
+    compare(part, slice, scratch, quantity->id, status, values);
+  }
+}
+
 void varying_part_evaluate(varying_part *part, const varying_request *request,
-                           const core_varying *varying, uint64_t begin, size_t n, double *scratch) {
+                           const core_varying *varying, const core_varying *ruler, uint64_t begin,
+                           size_t n, double *scratch) {
   const struct scratch memory = divide(scratch);
   const wire_varying_request *fixed = &request->fixed;
   const size_t bytes = core_evaluator_bytes(fixed->evaluator);
@@ -397,7 +443,8 @@ void varying_part_evaluate(varying_part *part, const varying_request *request,
   check(&slice, fixed->numbers != VARYING_RADII, numbers,
         part->payload + part->layout.status_offset + begin, &range);
   core_varying_range_add(&part->range, &range);
-  if (drawn && fixed->wanted != CORE_QUANTITY_ALBEDO && fixed->wanted != 0) {
+  const void *given = numbers;
+  if (drawn && (fixed->wanted & ~(CORE_QUANTITY_ALBEDO | CORE_QUANTITY_MODEL_ERROR)) != 0) {
     void *r = place(part, VARYING_QUANTITY(CORE_QUANTITY_RADIUS), begin, bytes);
     r = r != NULL ? r : memory.r;
     sample(&slice, numbers, r);
@@ -412,6 +459,10 @@ void varying_part_evaluate(varying_part *part, const varying_request *request,
     }
   }
   put_statuses(part, request, begin, &slice, &memory, range.answered);
+  if (ruler != NULL) {
+    compare_all(part, &slice, ruler, &memory, fixed->numbers != VARYING_RADII, begin, given,
+                numbers);
+  }
 }
 
 /* Returns colours of the light of a request: what a medium reflects per power that entered, and,
@@ -421,10 +472,22 @@ static double seen(const varying_request *request, const core_varying *varying, 
   return request->colour.specular ? surface + (1 - surface) * colour : colour;
 }
 
+/* Returns the model error of a part; that of transport itself counts, too. */
+static double model_error(const varying_part *part, const core_varying *varying,
+                          const core_varying *ruler, unsigned wanted) {
+  if ((wanted & CORE_QUANTITY_MODEL_ERROR) == 0) {
+    return (double)NAN;
+  }
+  return ruler == NULL
+             ? core_varying_stated_error(varying, wanted, &part->range)
+             : part->model_error +
+                   (1 + part->model_error) * core_varying_error(ruler, wanted, &part->range);
+}
+
 void varying_part_end(const varying_part *part, const varying_request *request,
-                      const core_varying *varying, uint32_t number, uint32_t part_count) {
+                      const core_varying *varying, const core_varying *ruler, uint32_t number,
+                      uint32_t part_count) {
   const wire_varying_request *fixed = &request->fixed;
-  const core_stated_errors errors = core_varying_errors(varying, fixed->wanted, &part->range);
   const bool colours = fixed->given != 0;
   const enum core_light light = request->colour.light;
   const wire_varying_reply start = {
@@ -439,8 +502,8 @@ void varying_part_end(const varying_part *part, const varying_request *request,
       .part = number,
       .part_count = part_count,
       .answered_count = part->range.answered,
-      .numerical_error = errors.numerical,
-      .model_error = errors.model,
+      .numerical_error = core_varying_error(varying, fixed->wanted, &part->range),
+      .model_error = model_error(part, varying, ruler, fixed->wanted),
       .colour_least = colours ? seen(request, varying, varying->colour_least[light]) : (double)NAN,
       .colour_most = colours ? seen(request, varying, varying->colour_most[light]) : (double)NAN,
       .specular = colours ? varying->specular[light] : (double)NAN,

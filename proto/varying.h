@@ -70,7 +70,7 @@ bool varying_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_vary
 /* ---- evaluating ------------------------------------------------------------------------------ */
 
 /* The most values of one slice, and the arrays of this length that a slice needs as scratch. */
-enum { VARYING_SLICE_VALUES = 2048, VARYING_SCRATCH_ARRAYS = 4 };
+enum { VARYING_SLICE_VALUES = 2048, VARYING_SCRATCH_ARRAYS = 6 };
 
 /* A reply, or a part of one, that is being filled in. */
 typedef struct varying_part {
@@ -79,6 +79,7 @@ typedef struct varying_part {
   uint64_t first; /* position in the request of the part's first value */
   uint64_t count;
   core_varying_range range; /* of all values so far */
+  double model_error;       /* the largest so far against `ruler`; NAN: nothing was compared */
 } varying_part;
 
 /* Begins a part. Zeroes the padding of its arrays. */
@@ -86,12 +87,15 @@ void varying_part_start(varying_part *part, const varying_request *request, uint
                         uint64_t first, uint64_t count);
 
 /* Evaluates the values begin to begin + n - 1 of the part, n up to VARYING_SLICE_VALUES, and writes
- * their arrays and statuses. scratch: [VARYING_SCRATCH_ARRAYS * VARYING_SLICE_VALUES]. */
+ * their arrays and statuses. ruler: `transport` with the same g, eta and evaluator, with which the
+ * values are compared, or NULL. scratch: [VARYING_SCRATCH_ARRAYS * VARYING_SLICE_VALUES]. */
 void varying_part_evaluate(varying_part *part, const varying_request *request,
-                           const core_varying *varying, uint64_t begin, size_t n, double *scratch);
+                           const core_varying *varying, const core_varying *ruler, uint64_t begin,
+                           size_t n, double *scratch);
 
 /* Writes the start of the part, when all its values have been evaluated. */
 void varying_part_end(const varying_part *part, const varying_request *request,
-                      const core_varying *varying, uint32_t number, uint32_t part_count);
+                      const core_varying *varying, const core_varying *ruler, uint32_t number,
+                      uint32_t part_count);
 
 #endif

@@ -279,7 +279,10 @@ enum dipole_quantity {
   /* The derivatives of ln R by ln sigma_a and by ln sigma_s (or sigma_s') at fixed r, g and eta, for
    * fits. Both are 0 where R is 0. Their errors are absolute. */
   DIPOLE_BY_SIGMA_A = 1024,
-  DIPOLE_BY_SIGMA_S = 2048
+  DIPOLE_BY_SIGMA_S = 2048,
+  /* dipole_channel.model_error. Finding it takes a millisecond for each new medium, and microseconds
+   * after that, which a query that leaves it out does not pay. */
+  DIPOLE_MODEL_ERROR = 4096
 };
 enum dipole_spacing { DIPOLE_LIST = 1, DIPOLE_LINEAR = 2, DIPOLE_LOGARITHMIC = 3 };
 
@@ -298,10 +301,10 @@ typedef struct dipole_parameter {
 } dipole_parameter;
 
 typedef struct dipole_query {
-  /* dipole_id(client, DIPOLE_MODEL, name). With DIPOLE_ANY_MODEL the daemon takes the cheapest
-   * model and evaluator that are measured to be within the parameter `tolerance` of radiative
-   * transport, for all media and from the smallest to the largest radius. The time to prepare a
-   * medium counts, so that few radii may get another model than many. The result names both. */
+  /* dipole_id(client, DIPOLE_MODEL, name). With DIPOLE_ANY_MODEL the daemon takes transport in the
+   * cheapest evaluator that is within the parameter `tolerance` of radiative transport, for all media
+   * and from the smallest to the largest radius. The time to prepare a medium counts, so that few
+   * radii may get another evaluator than many. The result names both. */
   unsigned model;
   unsigned evaluator; /* enum dipole_evaluator. It sets the type of radii and values, too. With
                          DIPOLE_ANY_MODEL it sets only the type: F32 and LUT then mean the same. */
@@ -345,8 +348,11 @@ typedef struct dipole_channel {
    * is absolute. */
   double numerical_error;
   double numerical_error_per_mm;
-  double model_error;    /* Error of the model against radiative transport, relative, for the radii
-                            that were asked for; NaN if it was not measured. */
+  /* The largest error of the wanted quantities against radiative transport, at the radii that were
+   * asked for, or of a sample at those between which all but 2e-6 of the light leaves. It is
+   * relative, for ln R and the cdf absolute, for R_f over the albedo. NaN unless DIPOLE_MODEL_ERROR
+   * was wanted, or if transport is not solved for the medium, or diverges at all radii (r = 0). */
+  double model_error;
   const double *R_f64;   /* [radius_count], 1/mm^2 */
   const double *cdf_f64; /* [radius_count] */
   const float *R_f32;
@@ -615,9 +621,9 @@ typedef struct dipole_fitted {
    * NaN if none was found. */
   double second_sigma_a_per_mm, second_sigma_s_prime_per_mm, second_factor, second_chi_squared;
   /* The relative error of R of the best medium against radiative transport, at the distances of the
-   * readings and between them: that of the model, and with detector_na that of the share that is
+   * readings and between them: that of transport, and with detector_na that of the share that is
    * detected. With DIPOLE_REFERENCE it is that of the ratio. It is not part of the variances. NaN: it
-   * was not measured, as for frequencies unless the model is transport. The numerical error of R, which
+   * is not known, as for every other model than transport. The numerical error of R, which
    * dipole_eval() states, is in neither: for transport with g other than 0 it may be 1e-3, and
    * more with sigma_a above sigma_s'. */
   double model_error;
@@ -668,7 +674,7 @@ typedef struct dipole_table_info {
   double albedo; /* integral of 2 pi r R(r) over all radii */
   /* A value at radius r, up to reach_mm, is off from the model's formula by at most numerical_error
    * + numerical_error_per_mm * r, relative, as measured between all nodes. model_error holds at all
-   * radii that the model covers: it is 0 for transport and NaN, which means not measured, for other
+   * radii that the model covers: it is 0 for transport and NaN, which means not known, for other
    * models. dipole_table_errors() has the errors for the radii of a call. */
   double numerical_error;
   double numerical_error_per_mm;
@@ -689,7 +695,7 @@ typedef struct dipole_table_info {
 typedef struct dipole_errors {
   double numerical_error;        /* constant part of the numerical error */
   double numerical_error_per_mm; /* growth of the numerical error with the radius */
-  double model_error; /* of the model against radiative transport; NaN if it was not measured */
+  double model_error; /* of the model against radiative transport; NaN if it is not known */
 } dipole_errors;
 
 /* Fetches a table from a daemon. The caller frees *table with dipole_table_free(). */
@@ -715,8 +721,9 @@ const dipole_table_info *dipole_table_get_info(const dipole_table *table);
 bool dipole_table_values(const dipole_table *table, enum dipole_quantity quantity, size_t n,
                          const float *r, float *out);
 
-/* States the errors of quantities at the radii of a call: exactly those that a daemon states for an
- * eval of this medium and model with DIPOLE_LUT and the same radii. wanted: sum of DIPOLE_ALBEDO
+/* States the errors of quantities at the radii of a call: the numerical errors are exactly those that a
+ * daemon states for an eval of this medium and model with DIPOLE_LUT and the same radii, and the model
+ * error is the largest in the bands of radii that hold them. wanted: sum of DIPOLE_ALBEDO
  * and the quantities of dipole_table_values(). r: [n] in mm; only the smallest and the largest
  * finite radius matter, so the two ends stand for all radii between them. Returns false and leaves
  * *errors as it was if dipole_table_values() would refuse a quantity or a radius. */
@@ -800,7 +807,8 @@ typedef struct dipole_varying_result {
   uint64_t answered_count; /* number of values that are answered; the others are NaN */
   const uint8_t *statuses; /* [value_count]: enum dipole_value_status, or the id of a fault */
   double numerical_error;  /* relative, of all values whose status is DIPOLE_VALUE_OK */
-  double model_error;      /* against radiative transport, relative; NaN if it was not measured */
+  double model_error;      /* against radiative transport, relative; NaN unless DIPOLE_MODEL_ERROR was
+                              wanted, or if transport is not solved for the media */
   double colour_least;     /* the range of colours that media have, as in the query; NaN if the */
   double colour_most;      /* query has none */
   double specular;         /* the share of the light that the surface reflects; NaN likewise */
@@ -894,7 +902,7 @@ typedef struct dipole_gather_result {
   double bound;              /* the largest error that groups of points have caused, at most */
   double numerical_error[8]; /* of each channel: by the evaluator and by rounding, relative */
   double model_error[8];     /* of each channel: of R against radiative transport at 0.01 to 20 mean
-                                free paths, relative; NaN if it was not measured */
+                                free paths, relative; NaN if transport is not solved */
   uint64_t points_visited;   /* points that were summed one by one */
   uint64_t nodes_visited;    /* groups that stood for their points */
   unsigned notes; /* sum of the ids of the notes (kind DIPOLE_NOTE) that hold for any channel */

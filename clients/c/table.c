@@ -13,6 +13,7 @@
 struct dipole_table {
   dipole_table_info info;
   core_profile profile;
+  core_model_errors model_errors;
   float radius_least_mm; /* the least radius, 0 or more, that the model covers */
   float radius_most_mm;
   dipole_parameter parameters[CORE_PARAMETERS_END];
@@ -126,11 +127,11 @@ static bool set_profile(dipole_table *table, const wire_table_reply *fixed,
       .numerical_error = fixed->numerical_error,
       .numerical_error_per_mm = fixed->numerical_error_per_mm,
       .reach = {fixed->reach, fixed->reach_growth},
-      .model_errors = {.exact = fixed->model_error == 0},
       .notes = fixed->notes,
       .radii = {fixed->radius_least, fixed->radius_most},
   };
-  memcpy(profile->model_errors.error, fixed->model_errors, sizeof fixed->model_errors);
+  table->model_errors.exact = fixed->model_error == 0;
+  memcpy(table->model_errors.error, fixed->model_errors, sizeof fixed->model_errors);
   memcpy(profile->numerical_errors, fixed->numerical_errors, sizeof fixed->numerical_errors);
   for (size_t i = 0; i <= CORE_MODEL_ERROR_BANDS; i++) {
     if (!(fixed->numerical_errors[i] >= 0 &&
@@ -289,6 +290,10 @@ const core_profile *libdipole_table_profile(const dipole_table *table) {
   return &table->profile;
 }
 
+const core_model_errors *libdipole_table_model_errors(const dipole_table *table) {
+  return &table->model_errors;
+}
+
 const dipole_table_info *dipole_table_get_info(const dipole_table *table) {
   return &table->info;
 }
@@ -335,7 +340,9 @@ bool dipole_table_errors(const dipole_table *table, unsigned wanted, size_t n, c
     return false;
   }
   const core_stated_errors stated = core_profile_errors(&table->profile, wanted, range);
-  *errors = (dipole_errors){stated.numerical, stated.numerical_per_mm, stated.model};
+  *errors = (dipole_errors){
+      stated.numerical, stated.numerical_per_mm,
+      core_model_errors_of(&table->model_errors, &table->profile.medium, wanted, range)};
   return true;
 }
 

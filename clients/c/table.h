@@ -3,6 +3,7 @@
 #define LIBDIPOLE_TABLE_H
 
 #include "clients/c/request.h"
+#include "core/model_error.h"
 #include "proto/varying.h"
 
 /* Reads the header of the frame at the start of the bytes; sets *frame_bytes to its length. Fails
@@ -17,6 +18,9 @@ libdipole_frame *libdipole_table_ask(dipole_client *client, const dipole_table_q
 
 /* Returns the profile that a table evaluates, of evaluator lut. The table owns it. */
 const core_profile *libdipole_table_profile(const dipole_table *table);
+
+/* Returns the model's errors by band of radii. The table owns them. */
+const core_model_errors *libdipole_table_model_errors(const dipole_table *table);
 
 /* Returns the preparation for the request's evaluator if the surface is that of its model, moments,
  * g, eta and parameters, else NULL. The surface owns it. */

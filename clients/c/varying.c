@@ -259,11 +259,11 @@ static void evaluate(const varying_request *request, const core_varying *varying
   varying_part_start(&part, request, frame->payload, 0, count);
   for (uint64_t at = 0; at < count; at += VARYING_SLICE_VALUES) {
     const uint64_t left = count - at;
-    varying_part_evaluate(&part, request, varying, at,
+    varying_part_evaluate(&part, request, varying, NULL, at,
                           left < VARYING_SLICE_VALUES ? (size_t)left : VARYING_SLICE_VALUES,
                           scratch);
   }
-  varying_part_end(&part, request, varying, 0, 1);
+  varying_part_end(&part, request, varying, NULL, 0, 1);
 }
 
 /* Parses the request that a daemon would get, and answers it. */

@@ -1,4 +1,5 @@
 /* Asks a daemon for profiles, model by model, and puts the answers together. */
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -103,6 +104,11 @@ static double *make_room(double *values, size_t count) {
   return values != NULL ? values : cli_allocate(count, sizeof *values);
 }
 
+/* Returns the larger number, or NaN if either is NaN. */
+static double larger(double a, double b) {
+  return isnan(a) || a > b ? a : b;
+}
+
 /* Keeps a part of the answer: the radii from `first` on of the model at a place. */
 static void keep(const asking *ask, size_t place, size_t first, const dipole_result *part) {
   cli_eval_report *report = ask->report;
@@ -120,7 +126,9 @@ static void keep(const asking *ask, size_t place, size_t first, const dipole_res
     values->albedo = channel->albedo;
     values->numerical_error = channel->numerical_error;
     values->numerical_error_per_mm = channel->numerical_error_per_mm;
-    values->model_error = channel->model_error;
+    /* A list is asked for in pieces, which state the errors of their own radii. */
+    values->model_error = first == 0 ? channel->model_error
+                                     : larger(values->model_error, channel->model_error);
     for (size_t q = 0; q < report->quantities.count; q++) {
       const unsigned id = report->quantities.items[q]->id;
       values->arrays[q] = make_room(values->arrays[q], report->radius_count);
@@ -140,7 +148,7 @@ static dipole_query make_query(const asking *ask, size_t place, const cli_parame
   dipole_query query = {.model = model != NULL ? model->id : DIPOLE_ANY_MODEL,
                         .evaluator = report->models[place].evaluator->id,
                         .moments = report->profile.moments->id,
-                        .wanted = report->quantities.wanted | DIPOLE_RADIUS,
+                        .wanted = report->quantities.wanted | DIPOLE_RADIUS | DIPOLE_MODEL_ERROR,
                         .media = report->profile.media,
                         .medium_count = (uint32_t)report->profile.channel_count,
                         .spacing = radii->spacing,

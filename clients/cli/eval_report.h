@@ -9,7 +9,7 @@
 typedef struct cli_eval_values {
   double albedo; /* NaN if it is not wanted */
   double numerical_error, numerical_error_per_mm;
-  double model_error;                 /* NaN if it is not measured */
+  double model_error;                 /* NaN if it is not known */
   double *arrays[CLI_QUANTITIES_MAX]; /* [radius_count] for each of the report's quantities */
 } cli_eval_values;
 

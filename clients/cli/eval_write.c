@@ -113,6 +113,19 @@ static const char *range_of(const cli_eval_report *report, char text[RANGE_BYTES
   return text;
 }
 
+/* Returns whether the model errors leave a radius out because transport diverges there: 0. */
+static bool diverges(const cli_eval_report *report) {
+  const unsigned diverging = DIPOLE_R | DIPOLE_S | DIPOLE_SLOPE | DIPOLE_LN_R;
+  bool at_0 = false, compared = false;
+  for (size_t i = 0; i < report->radius_count; i++) {
+    at_0 = at_0 || report->radii[i] == 0;
+  }
+  for (size_t i = 0; i < report->model_count * report->profile.channel_count; i++) {
+    compared = compared || report->values[i].model_error != 0;
+  }
+  return at_0 && compared && (report->quantities.wanted & diverging) != 0;
+}
+
 /* Returns a bound in two digits, rounded up so that it stays a bound. */
 static double rounded_up(double bound) {
   const double unit = pow(10, floor(log10(bound)) - 1);
@@ -313,7 +326,8 @@ static void put_channel(cli_rows *rows, const void *context, size_t index) {
   const bool ranged = range_of(report, range)[0] != '\0' && !cli_eval_is_by_f(report);
   cli_put_number(
       rows,
-      CLI_COLUMN("model_error", "model error", ranged ? range : "relative", "%.1e", "not measured"),
+      CLI_COLUMN("model_error", "model error", ranged ? range : "relative", "%.1e",
+                 diverges(report) && !(radius_max(report) > 0) ? "diverges" : "not solved"),
       values->model_error);
   if (albedo && rows->form == CLI_JSON) {
     cli_put_number(rows, CLI_COLUMN("albedo"), values->albedo);
@@ -408,6 +422,9 @@ static void write_table(const void *context) {
            cli_eval_is_by_f(report) ? "f" : "r", radius_max(report), unit_of_radii(report));
   }
   puts("model error: of the model against radiative transport, relative");
+  if (diverges(report)) {
+    puts("             at r > 0: transport diverges at r = 0");
+  }
   cli_write_launched(profile->media, profile->channel_count, stdout);
   write_notes(report);
   write_chosen(report, stdout);

@@ -393,7 +393,7 @@ static void put_sample(cli_rows *rows, const void *context, size_t index) {
   cli_put_number(rows, CLI_COLUMN("chi2", NULL, " ", "%.4g", "-"), one->chi_squared);
   cli_put_count(rows, CLI_COLUMN("readings", .unit = " "), sample->count);
   cli_put_number(rows,
-                 CLI_COLUMN("model_error", "model error", "relative", "%.1e", "not measured", NULL,
+                 CLI_COLUMN("model_error", "model error", "relative", "%.1e", "not known", NULL,
                             CLI_IN_TABLE | CLI_IN_JSON),
                  one->model_error);
   cli_put_number(rows, CLI_COLUMN("g", .unit = " "), g_of(of, sample));

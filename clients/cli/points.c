@@ -38,12 +38,16 @@ static const cli_option options[] = {
     {"errors", NULL,
      "write numerical_error and model_error, too: how far the values may be from\n"
      "the model's formula, and the model from radiative transport (empty: not\n"
-     "measured). Rows that are answered together have the largest error of all",
+     "solved). Rows that are answered together have the largest error of all",
      CLI_SWITCH, offsetof(points_settings, errors), NULL},
     {0},
 };
 
 /* ---- asking ---------------------------------------------------------------------------------- */
+
+static unsigned wanted_of(const points_usual *usual) {
+  return usual->quantities.wanted | (usual->settings->errors ? (unsigned)DIPOLE_MODEL_ERROR : 0);
+}
 
 /* Sends the row's query; the row then waits for the answer. */
 static bool submit_row(const points_usual *usual, dipole_client *client, points_row *row,
@@ -54,7 +58,7 @@ static bool submit_row(const points_usual *usual, dipole_client *client, points_
   const dipole_query query = {.model = row->model,
                               .evaluator = row->evaluator,
                               .moments = row->moments,
-                              .wanted = usual->quantities.wanted,
+                              .wanted = wanted_of(usual),
                               .media = &row->medium,
                               .medium_count = 1,
                               .spacing = DIPOLE_LIST,
@@ -338,7 +342,7 @@ static bool ask(points_run *points, points_row *const *rows, size_t count,
   const dipole_varying_query query = {.model = rows[0]->model,
                                       .evaluator = DIPOLE_F64,
                                       .moments = rows[0]->moments,
-                                      .wanted = usual->quantities.wanted,
+                                      .wanted = wanted_of(usual),
                                       .g = rows[0]->medium.g,
                                       .eta = rows[0]->medium.eta,
                                       .sigma_a_per_mm = points->arrays[0],

@@ -427,6 +427,10 @@ bool cli_quantities_take(const dipole_info *info, const cli_texts *names, unsign
     if (quantity == NULL) {
       return false;
     }
+    if (quantity->id == DIPOLE_MODEL_ERROR) {
+      return cli_fail_usage("--wanted model_error: it is written beside the values; `dipole points` "
+                            "has --errors for it");
+    }
     quantities->wanted |= quantity->id;
   }
   for (size_t from = 0; quantities->count < CLI_QUANTITIES_MAX &&

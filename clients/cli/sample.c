@@ -125,7 +125,7 @@ static dipole_sample_query make_query(const sample_settings *settings, const rep
       .model = profile->model->id,
       .evaluator = profile->evaluator->id,
       .moments = profile->moments->id,
-      .wanted = of->quantities.wanted,
+      .wanted = of->quantities.wanted | DIPOLE_MODEL_ERROR,
       .media = profile->media,
       .medium_count = (uint32_t)profile->channel_count,
       .draw = of->draw->id,
@@ -210,7 +210,7 @@ static void put_channel(cli_rows *rows, const void *context, size_t index) {
   cli_put_number(rows, CLI_COLUMN("numerical_error_per_mm", .forms = CLI_IN_JSON),
                  channel->numerical_error_per_mm);
   cli_put_number(rows,
-                 CLI_COLUMN("model_error", "model error", "at all radii", "%.1e", "not measured"),
+                 CLI_COLUMN("model_error", "model error", "at drawn radii", "%.1e", "not solved"),
                  channel->model_error);
   if (has_albedo(of)) {
     cli_put_number(rows, CLI_COLUMN("albedo"), channel->albedo);

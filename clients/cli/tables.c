@@ -100,7 +100,7 @@ static void put_table(cli_rows *rows, const void *context, size_t index) {
   cli_put_number(rows, CLI_COLUMN("numerical error", NULL, "relative, at most", "%.1e"),
                  info->numerical_error);
   cli_put_number(rows, CLI_COLUMN("reach", "holds up to", "mm", "%.4g"), info->reach_mm);
-  cli_put_number(rows, CLI_COLUMN("model error", NULL, "at all radii", "%.1e", "not measured"),
+  cli_put_number(rows, CLI_COLUMN("model error", NULL, "at all radii", "%.1e", "by radius"),
                  info->model_error);
 }
 
@@ -115,7 +115,7 @@ static void write_table(const void *context) {
   cli_rows_print(stdout, 1, of->tables.count, put_table, of);
   puts("numerical error: of R and cdf against the model's formula, as measured\n"
        "holds up to: the numerical error of R is larger at radii beyond this one\n"
-       "model error: of the model against radiative transport, at all radii\n"
+       "model error: of the model against radiative transport\n"
        "`dipole eval --table` states both errors for the radii that it is asked for");
   for (size_t i = 0; i < of->tables.count; i++) {
     notes |= dipole_table_get_info(of->tables.items[i])->notes;

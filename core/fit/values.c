@@ -76,7 +76,7 @@ static double with_shares(const struct fit_model *model, const core_medium *medi
     return error;
   }
   const double sigma_t_prime = core_sigma_t_prime(medium);
-  return (1 + error) * (1 + fit_aperture_error(&model->aperture, core_ratio_of(medium).least,
+  return (1 + error) * (1 + fit_aperture_error(&model->aperture, core_ratio_of(medium),
                                                places->radii.least_mm * sigma_t_prime,
                                                places->radii.most_mm * sigma_t_prime)) -
          1;
@@ -84,17 +84,16 @@ static double with_shares(const struct fit_model *model, const core_medium *medi
 
 double fit_model_error(const struct fit_model *model, const core_medium *medium,
                        const struct fit_places *places, unsigned notes) {
-  const core_model_errors errors =
-      core_model_errors_stated(model->model, model->moments, notes, &model->parameters, medium->g,
-                               medium->eta, core_ratio_of(medium));
+  const core_model_errors errors = core_model_errors_stated(
+      model->model, notes, model->parameters.value[CORE_PARAMETER_GAMMA], medium);
   return with_shares(model, medium, places,
                      core_model_errors_of(&errors, medium, model->quantity, places->radii));
 }
 
-/* errors: NULL, or receives the numerical error at all radii and the readings' model error. */
+/* error: NULL, or receives the numerical error at all radii; model_error: the same. */
 static core_fault evaluate(const struct fit_model *model, const core_medium *medium,
                            const struct fit_places *places, double *value,
-                           core_stated_errors *errors) {
+                           double *error, double *model_error) {
   core_profile profile;
   const core_fault fault = core_profile_prepare(&profile, model->isa, model->model, model->moments,
                                                 CORE_EVALUATOR_F64, medium, &model->parameters);
@@ -102,10 +101,11 @@ static core_fault evaluate(const struct fit_model *model, const core_medium *med
     return fault;
   }
   fit_values_of_profile(model, &profile, places, value);
-  if (errors != NULL) {
-    errors->numerical = profile.numerical_error;
-    errors->model = with_shares(
-        model, medium, places, core_profile_errors(&profile, model->quantity, places->radii).model);
+  if (error != NULL) {
+    *error = profile.numerical_error;
+  }
+  if (model_error != NULL) {
+    *model_error = fit_model_error(model, medium, places, profile.notes);
   }
   core_profile_free(&profile);
   return fault;
@@ -174,10 +174,8 @@ static void vary(const struct fit_model *model, struct fit_place place,
 core_fault fit_values_of_medium(const struct fit_model *model, const core_medium *medium,
                                 const struct fit_places *places, double *value,
                                 double *model_error) {
-  core_stated_errors errors;
-  const core_fault fault = evaluate(model, medium, places, value, &errors);
-  *model_error = fault.field == NULL ? errors.model : (double)NAN;
-  return fault;
+  *model_error = (double)NAN;
+  return evaluate(model, medium, places, value, NULL, model_error);
 }
 
 static double step_for(double error) {
@@ -198,9 +196,9 @@ static core_fault differentiate(const struct fit_model *model, struct fit_place 
   const struct fit_place up = {place.ln_ratio + step.ln_ratio,
                                place.ln_scattering + step.ln_scattering};
   const core_medium low = fit_medium(model, down), high = fit_medium(model, up);
-  core_fault fault = evaluate(model, &high, places, slope, NULL);
+  core_fault fault = evaluate(model, &high, places, slope, NULL, NULL);
   if (fault.field == NULL) {
-    fault = evaluate(model, &low, places, before, NULL);
+    fault = evaluate(model, &low, places, before, NULL, NULL);
   }
   for (size_t i = 0; fault.field == NULL && i < places->count; i++) {
     slope[i] = (slope[i] - before[i]) / (2 * width);
@@ -220,10 +218,10 @@ core_fault fit_values(const struct fit_model *model, struct fit_place place,
     return (core_fault){0};
   }
   const core_medium medium = fit_medium(model, place);
-  core_stated_errors errors;
-  core_fault fault = evaluate(model, &medium, places, value, &errors);
+  double error;
+  core_fault fault = evaluate(model, &medium, places, value, &error, NULL);
   if (fault.field == NULL && by_ratio != NULL) {
-    const double step = step_for(errors.numerical);
+    const double step = step_for(error);
     const struct fit_place along = {step, 0}, across = {0, step};
     fault = differentiate(model, place, along, step, places, by_ratio);
     if (fault.field == NULL) {

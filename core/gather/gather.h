@@ -17,7 +17,7 @@
 #ifndef DIPOLED_CORE_GATHER_GATHER_H
 #define DIPOLED_CORE_GATHER_GATHER_H
 
-#include "core/core.h"
+#include "core/model_error.h"
 
 enum { CORE_GATHER_CHANNELS_MAX = 8 };
 #define CORE_GATHER_POINTS_MAX ((size_t)1 << 24)
@@ -146,8 +146,8 @@ size_t core_gather_on(const core_gather_sum *sum, const core_gather_points *poin
 double core_gather_error(const core_gather_sum *sum, const core_gather_points *points,
                          size_t channel, size_t n, const double *xyz);
 
-/* The model's error that is stated for a channel with this profile: that of R at 0.01 to 20 mean free
- * paths. NaN: it was not measured. */
-double core_gather_model_error(const core_profile *profile);
+/* The model's error that is stated for a channel with these errors: that of R at 0.01 to 20 mean free
+ * paths. NAN: it is not known. */
+double core_gather_model_error(const core_model_errors *errors, const core_medium *medium);
 
 #endif

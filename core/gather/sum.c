@@ -925,8 +925,8 @@ double core_gather_error(const core_gather_sum *sum, const core_gather_points *p
          (narrow ? rounding_error(profile, radii.most_mm) : 0) + 0x1p-44;
 }
 
-double core_gather_model_error(const core_profile *profile) {
-  const double mfp_mm = 1 / core_sigma_t_prime(&profile->medium);
+double core_gather_model_error(const core_model_errors *errors, const core_medium *medium) {
+  const double mfp_mm = 1 / core_sigma_t_prime(medium);
   const core_radii_range usual = {0.01 * mfp_mm, 20 * mfp_mm};
-  return core_profile_errors(profile, CORE_QUANTITY_R, usual).model;
+  return core_model_errors_of(errors, medium, CORE_QUANTITY_R, usual);
 }

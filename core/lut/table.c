@@ -93,7 +93,6 @@ core_fault core_profile_from_table(core_profile *profile, const core_isa *isa, c
       .numerical_error = facts.numerical_error,
       .numerical_error_per_mm = facts.numerical_error_per_mm,
       .reach = facts.reach,
-      .model_errors = facts.model_errors,
       .notes = facts.notes,
       .radii = facts.radii,
       .cost = 1,

@@ -442,9 +442,9 @@ static double error_of_slope(const transport_table *table) {
   return isotropic_error(table) * TABLE_SLOPE;
 }
 
-double core_transport_slope_error(void) {
+double core_transport_slope_error(double g) {
   const transport_table *table = transport_table_shipped();
-  return table != NULL ? error_of_slope(table) : 0;
+  return table == NULL ? 0 : g < 0 || g > 0 ? TABLE_SLOPE_JUMPS : error_of_slope(table);
 }
 
 /* ---- sources ---------------------------------------------------------------------------------- */
@@ -746,7 +746,7 @@ static core_fault prepare_stored(const core_inputs *inputs, const core_medium *m
   preparation->albedo = albedo_of_total(medium, known_albedo(medium), series.total);
   preparation->error =
       error_of_R(table, medium->eta) + (absorbed_of(medium) < TABLE_IS_WHITE ? TABLE_WHITE : 0);
-  preparation->slope_error = isotropic ? error_of_slope(table) : TABLE_SLOPE_JUMPS;
+  preparation->slope_error = core_transport_slope_error(isotropic ? 0 : 1);
   core_transport_added_errors(medium, &preparation->added);
   preparation->reach = core_transport_reach(medium);
   const double error = preparation->error + preparation->added.all;

@@ -288,35 +288,30 @@ static double table_error(const core_varying *varying, unsigned wanted,
   return 2 * core_transport_table_error(varying->eta) + error;
 }
 
-/* Returns the errors of the model in a range, as core_profile_prepare() finds them for a medium. */
-static core_model_errors model_errors(const core_varying *varying,
-                                      const core_varying_range *range) {
-  const core_ratio_range ratios = {(1 - range->albedo_most) / range->albedo_most,
-                                   (1 - range->albedo_least) / range->albedo_least};
-  core_parameters parameters = core_parameters_none();
-  parameters.value[CORE_PARAMETER_GAMMA] = varying->gamma;
-  parameters.value[CORE_PARAMETER_SURFACE_ALBEDO] = varying->surface_albedo;
-  return core_model_errors_stated(varying->model, varying->moments, varying->notes, &parameters,
-                                  varying->g, varying->eta, ratios);
+double core_varying_stated_error(const core_varying *varying, unsigned wanted,
+                                 const core_varying_range *range) {
+  double error = 0;
+  for (int end = 0; end < 2 && range->albedo_least <= range->albedo_most; end++) {
+    const core_medium medium =
+        medium_of(varying, varying->g, end == 0 ? range->albedo_least : range->albedo_most);
+    const core_model_errors errors =
+        core_model_errors_stated(varying->model, varying->notes, varying->gamma, &medium);
+    const double here = core_model_errors_of(
+        &errors, &medium, wanted, (core_radii_range){range->mfp_least, range->mfp_most});
+    error = isnan(error) || error > here ? error : here;
+  }
+  return error;
 }
 
-core_stated_errors core_varying_errors(const core_varying *varying, unsigned wanted,
-                                       const core_varying_range *range) {
+double core_varying_error(const core_varying *varying, unsigned wanted,
+                          const core_varying_range *range) {
   int variant;
   const enum family family = family_of(varying->model, &variant);
-  core_stated_errors errors = {0, 0, 0};
   if (range->albedo_least > range->albedo_most) {
-    return errors;
+    return 0;
   }
-  errors.numerical = rounding(varying, family, range) + varying->surface_error;
-  if (family == TRANSPORT) {
-    errors.numerical += table_error(varying, wanted, range);
-  }
-  const core_medium medium = medium_of(varying, varying->g, range->albedo_most);
-  const core_model_errors found = model_errors(varying, range);
-  errors.model = core_model_errors_of(&found, &medium, wanted,
-                                      (core_radii_range){range->mfp_least, range->mfp_most});
-  return errors;
+  const double error = rounding(varying, family, range) + varying->surface_error;
+  return error + (family == TRANSPORT ? table_error(varying, wanted, range) : 0);
 }
 
 /* ---- evaluating ------------------------------------------------------------------------------ */

@@ -348,7 +348,7 @@ static void write_channel_schema(struct http_text *text) {
   write_properties(text, http_fields_of_medium);
   write_properties(text, http_fields_of_channel);
   for (const core_choice *one = core_quantities; one->name != NULL; one++) {
-    if (one->id != CORE_QUANTITY_ALBEDO) {
+    if (one->id != CORE_QUANTITY_ALBEDO && one->id != CORE_QUANTITY_MODEL_ERROR) {
       write_list(text, one->name, NUMBER, one->about);
     }
   }

@@ -498,7 +498,13 @@ static size_t longest(const struct question *q) {
 
 static bool read_field(struct question *q, const struct http_field *field, uint64_t *number) {
   if (field->choices != NULL) {
-    return read_choice(q, field, number);
+    const bool read = read_choice(q, field, number);
+    const unsigned type = q->message->type;
+    if (http_values_same(field->name, "wanted") && *number != 0 &&
+        (type == WIRE_TYPE_EVAL || type == WIRE_TYPE_SAMPLE || type == WIRE_TYPE_VARYING)) {
+      *number |= CORE_QUANTITY_MODEL_ERROR; /* always, as in Python */
+    }
+    return read;
   }
   const struct http_list *list = list_of(q->message, field->name);
   const struct http_value values = get(q, list != NULL ? list->name : "");

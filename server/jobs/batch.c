@@ -179,7 +179,6 @@ static void put_errors(const struct repeat_entry *entry, core_radii_range radii,
   wire_channel fixed;
   wire_get_channel(channel, &fixed);
   fixed.numerical_error = errors.numerical;
-  fixed.model_error = errors.model;
   wire_put_channel(channel, &fixed);
 }
 
@@ -208,13 +207,15 @@ void repeat_answer(const struct repeat_entry *entry, struct batch *batch, struct
 /* ---- remembering requests -------------------------------------------------------------------- */
 
 /* Returns whether repeat_learn() may keep a request, so that repeat_find() finds it when a client
- * sends it again. A request for RADIUS or S is not kept: no kernel evaluates RADIUS, and S depends
- * on angles, which the profiles in the table do not have. */
+ * sends it again. A request for RADIUS, S or MODEL_ERROR is not kept: no kernel evaluates RADIUS, S
+ * depends on angles, which the profiles in the table do not have, and the model error on the profile
+ * of transport. */
 static bool can_repeat(const wire_eval_request *fixed, const eval_layout *layout,
                        struct profiles_place place) {
   return fixed->medium_count == 1 && fixed->radius_count > 0 &&
          fixed->radius_count <= BATCH_SHORT_RADII && layout->arrays_per_channel > 0 &&
-         (fixed->wanted & (CORE_QUANTITY_RADIUS | CORE_QUANTITY_S)) == 0 &&
+         (fixed->wanted &
+          (CORE_QUANTITY_RADIUS | CORE_QUANTITY_S | CORE_QUANTITY_MODEL_ERROR)) == 0 &&
          eval_request_bytes(1, fixed->parameter_count, 0) <= REPEAT_REQUEST_BYTES &&
          profiles_at(place) != NULL;
 }

@@ -48,13 +48,12 @@ wire_error choice_check(const eval_request *request) {
                              : wire_error_make(WIRE_STATUS_BAD_VALUE, fault.field, fault.allowed);
 }
 
-static core_choose_request asked_of(const eval_request *request, core_radii_range radii) {
+core_choose_request choice_asked(const eval_request *request, core_radii_range radii) {
   const wire_eval_request *fixed = &request->fixed;
   const double gamma = request->parameters.value[CORE_PARAMETER_GAMMA];
   return (core_choose_request){
       .media = media_of(request),
       .media_count = fixed->medium_count,
-      .moments = fixed->moments,
       .wanted = wanted_of(fixed),
       .radii = radii,
       .radius_count = fixed->radius_count,
@@ -64,16 +63,11 @@ static core_choose_request asked_of(const eval_request *request, core_radii_rang
   };
 }
 
-void choice_list(const eval_request *request, core_radii_range radii, struct choice *choice) {
-  const core_choose_request asked = asked_of(request, radii);
-  choice->count = core_choose(&asked, choice->candidates);
-}
-
 /* ---- refusing -------------------------------------------------------------------------------- */
 
 /* Returns the best candidate. */
 static core_candidate best_of(const core_choose_request *asked) {
-  core_candidate candidates[CORE_CANDIDATES_MAX];
+  core_candidate candidates[CORE_TRANSPORT_CANDIDATES];
   core_choose(asked, candidates);
   return candidates[0];
 }
@@ -240,13 +234,14 @@ static wire_error none_meets(const core_choose_request *asked) {
 
 /* Writes the next candidate into the request. Returns false if there is none left, or if it does
  * not keep the tolerance. */
-static bool take_next(struct choice_state *state, const struct choice *choice,
+static bool take_next(struct choice_state *state, const core_choose_request *asked,
                       eval_request *request) {
-  if (state->tried >= choice->count || !choice->candidates[state->tried].meets) {
+  core_candidate candidates[CORE_TRANSPORT_CANDIDATES];
+  const size_t count = core_choose(asked, candidates);
+  if (state->tried >= count || !candidates[state->tried].meets) {
     return false;
   }
-  const core_candidate *candidate = &choice->candidates[state->tried++];
-  state->model_error = candidate->model_error;
+  const core_candidate *candidate = &candidates[state->tried++];
   request->fixed.model = (uint16_t)candidate->model;
   request->fixed.evaluator = (uint16_t)candidate->evaluator;
   request->parameters.value[CORE_PARAMETER_TOLERANCE] = candidate->numerical_tolerance;
@@ -254,12 +249,10 @@ static bool take_next(struct choice_state *state, const struct choice *choice,
 }
 
 wire_error choice_first(struct choice_state *state, eval_request *request, core_radii_range radii) {
-  struct choice choice;
-  choice_list(request, radii, &choice);
-  state->tolerance = request->parameters.value[CORE_PARAMETER_TOLERANCE];
+  const core_choose_request asked = choice_asked(request, radii);
+  state->tolerance = asked.tolerance;
   state->tried = 0;
-  const core_choose_request asked = asked_of(request, radii);
-  return take_next(state, &choice, request) ? wire_error_none() : none_meets(&asked);
+  return take_next(state, &asked, request) ? wire_error_none() : none_meets(&asked);
 }
 
 bool choice_again(struct choice_state *state, core_fault fault, eval_request *request,
@@ -267,29 +260,7 @@ bool choice_again(struct choice_state *state, core_fault fault, eval_request *re
   if (isnan(state->tolerance) || profiles_is_busy(fault)) {
     return false;
   }
-  struct choice choice;
   request->parameters.value[CORE_PARAMETER_TOLERANCE] = state->tolerance;
-  choice_list(request, radii, &choice);
-  return take_next(state, &choice, request);
-}
-
-static int by_cost(const void *a, const void *b) {
-  const core_candidate *left = a, *right = b;
-  const int cost = (left->total_ns > right->total_ns) - (left->total_ns < right->total_ns);
-  const int model = (int)left->model - (int)right->model;
-  const int evaluator = (int)left->evaluator - (int)right->evaluator;
-  return cost != 0 ? cost : model != 0 ? model : evaluator;
-}
-
-size_t choice_sort_by_cost(struct choice *choice) {
-  if (choice->count == 0) {
-    return 0;
-  }
-  const core_candidate first = choice->candidates[0];
-  qsort(choice->candidates, choice->count, sizeof choice->candidates[0], by_cost);
-  size_t at = 0;
-  while (by_cost(&choice->candidates[at], &first) != 0) {
-    at++;
-  }
-  return first.meets ? at : choice->count;
+  const core_choose_request asked = choice_asked(request, radii);
+  return take_next(state, &asked, request);
 }

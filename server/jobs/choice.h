@@ -1,4 +1,4 @@
-/* choice: picks a model and an evaluator for eval requests that name a tolerance in place of a
+/* choice: picks the evaluator of transport for eval requests that name a tolerance in place of a
  * model.
  */
 #ifndef DIPOLED_CHOICE_H
@@ -7,26 +7,18 @@
 #include "core/choose.h"
 #include "proto/eval.h"
 
-/* The models and evaluators that could answer a request, best first, as core_choose() lists them.
- */
-struct choice {
-  core_candidate candidates[CORE_CANDIDATES_MAX];
-  size_t count;
-};
-
 /* The state of choosing a model for one request. */
 struct choice_state {
-  double tolerance;   /* of the request; NAN if the request names a model */
-  double model_error; /* of the model that was chosen */
-  size_t tried;       /* how many candidates have been chosen so far */
+  double tolerance; /* of the request; NAN if the request names a model */
+  size_t tried;     /* how many candidates have been chosen so far */
 };
 
 /* Checks the tolerance and the media of a request of model EVAL_ANY_MODEL. */
 wire_error choice_check(const eval_request *request);
 
-/* Lists the candidates for a request of model EVAL_ANY_MODEL, after choice_check() and the check of
- * its radii, which lie in the range `radii` unless they are infinite. */
-void choice_list(const eval_request *request, core_radii_range radii, struct choice *choice);
+/* Returns what core/choose.h is asked for a request of model EVAL_ANY_MODEL, after choice_check() and
+ * the check of its radii, which lie in the range `radii` unless they are infinite. */
+core_choose_request choice_asked(const eval_request *request, core_radii_range radii);
 
 /* Writes the best candidate into the request, as if the client had asked for it. Returns an error
  * if none keeps the tolerance; it says which tolerance the best one keeps. */
@@ -37,9 +29,5 @@ wire_error choice_first(struct choice_state *state, eval_request *request, core_
  * model, or if memory was lacking: the same request must get the same model whenever it is sent. */
 bool choice_again(struct choice_state *state, core_fault fault, eval_request *request,
                   core_radii_range radii);
-
-/* Sorts the candidates by cost. Returns the position of the candidate that an eval would get, or
- * choice->count if it would get none. */
-size_t choice_sort_by_cost(struct choice *choice);
 
 #endif

@@ -80,7 +80,9 @@ static wire_error check_range(const struct eval_job *eval, const core_radii_rang
 /* If only the albedo is wanted, there may be no radii: a grid of 0 radii is accepted. */
 static wire_error check_grid(const struct eval_job *eval) {
   const wire_eval_request *fixed = &eval->request.fixed;
-  if (fixed->wanted == CORE_QUANTITY_ALBEDO && fixed->radius_count == 0) {
+  const unsigned of_channel = CORE_QUANTITY_ALBEDO | CORE_QUANTITY_MODEL_ERROR;
+  if ((fixed->wanted & of_channel) != 0 && (fixed->wanted & ~of_channel) == 0 &&
+      fixed->radius_count == 0) {
     return wire_error_none();
   }
   const core_fault fault = core_grid_check(&eval->grid);
@@ -285,6 +287,40 @@ static uint64_t least_cost(const struct eval_job *eval) {
   return arrays > 0 && is_sample(eval) ? arrays + (uint64_t)core_draw_cost(&dipole) : arrays;
 }
 
+/* Any radius may be drawn. All but this share of the light on either side leaves at the radii for
+ * which a sample states its model error. */
+#define DRAWN_BEYOND 1e-6
+
+/* Returns the radii for which the channel's model error is stated. */
+static core_asked_radii asked_radii(const struct eval_job *eval) {
+  if (!is_sample(eval)) {
+    return (core_asked_radii){eval->grid, eval->request.radii, eval->radii};
+  }
+  const core_profile *profile = &eval->lookup.profile;
+  double ends[] = {DRAWN_BEYOND, 1 - DRAWN_BEYOND};
+  if (eval_job_value_bytes(eval) == sizeof(float)) {
+    const float u[] = {(float)ends[0], (float)ends[1]};
+    float r[2];
+    core_sample_f32(profile, 2, u, r);
+    ends[0] = (double)r[0], ends[1] = (double)r[1];
+  } else {
+    core_sample_f64(profile, 2, ends, ends);
+  }
+  const core_grid one = {CORE_SPACING_LINEAR, 1, 0, 0}; /* nothing scatters: all radii are 0 */
+  const core_grid many = {CORE_SPACING_LOGARITHMIC, CORE_GRID_COUNT_MAX, ends[0], ends[1]};
+  const bool spread = ends[0] > 0 && ends[1] < (double)INFINITY;
+  return (core_asked_radii){spread ? many : one, NULL, {0, 0}};
+}
+
+static double model_error(const struct eval_job *eval, unsigned wanted) {
+  if ((wanted & CORE_QUANTITY_MODEL_ERROR) == 0) {
+    return (double)NAN;
+  }
+  const core_asked_radii asked = asked_radii(eval);
+  return core_model_error(&eval->lookup.profile, eval->ruler.ready ? &eval->ruler.profile : NULL,
+                          eval->request.parameters.value[CORE_PARAMETER_GAMMA], wanted, &asked);
+}
+
 /* Writes the channel's structure of the reply: its albedo and errors. */
 static void start_channel(struct eval_job *eval) {
   const core_profile *profile = &eval->lookup.profile;
@@ -298,7 +334,7 @@ static void start_channel(struct eval_job *eval) {
       .albedo = albedo_wanted ? profile->albedo : (double)NAN,
       .numerical_error = errors.numerical,
       .numerical_error_per_mm = errors.numerical_per_mm,
-      .model_error = isnan(eval->choice.tolerance) ? errors.model : eval->choice.model_error,
+      .model_error = model_error(eval, wanted),
   };
   wire_put_channel(eval->reply + eval->layout.channels_offset +
                        (size_t)eval->channel * WIRE_BYTES_channel,
@@ -332,6 +368,15 @@ static void start_profiles(struct eval_job *eval) {
                  &eval->request.parameters);
 }
 
+/* Gets the profile of transport for the current channel, if its model error needs it. */
+static enum profiles_answer get_ruler(struct eval_job *eval, const core_medium *medium) {
+  const wire_eval_request *fixed = &eval->request.fixed;
+  return (fixed->wanted & CORE_QUANTITY_MODEL_ERROR) == 0
+             ? PROFILES_READY
+             : profiles_get_ruler(&eval->job.context->profiles, &eval->ruler, fixed->model,
+                                  &eval->request.parameters, medium);
+}
+
 /* Begins the request again with the next best model for its tolerance. Returns false if there is no
  * other model. */
 static bool start_again(struct eval_job *eval) {
@@ -348,6 +393,14 @@ static bool start_again(struct eval_job *eval) {
 /* Gets the profile of the current channel. */
 static enum job_outcome get_profile(struct eval_job *eval) {
   const core_medium medium = medium_of(eval, eval->channel);
+  switch (get_ruler(eval, &medium)) {
+  case PROFILES_WAIT:
+    return JOB_WAITS;
+  case PROFILES_FAULT:
+    return job_refuse(&eval->job, job_fault(eval->ruler.fault, eval->channel));
+  case PROFILES_READY:
+    break;
+  }
   switch (profiles_get(&eval->job.context->profiles, &eval->lookup, &medium)) {
   case PROFILES_WAIT:
     return JOB_WAITS;
@@ -451,6 +504,7 @@ static void channel_step(struct eval_job *eval, size_t n) {
       learn(eval);
     }
     profiles_return(&eval->lookup);
+    profiles_return(&eval->ruler);
   }
 }
 
@@ -501,6 +555,7 @@ enum job_outcome eval_job_start(struct eval_job *eval, wire_error error,
     return job_refuse(&eval->job, error);
   }
   eval->repeated = NULL;
+  job_init_lookup(&eval->job, &eval->ruler, request);
   job_init_lookup(&eval->job, &eval->lookup, request);
   start_profiles(eval);
   eval->job.part_bytes = eval->layout.payload_bytes;
@@ -578,6 +633,7 @@ void eval_job_end(struct job *job) {
   struct eval_job *eval = of(job);
   if (eval->repeated == NULL) {
     profiles_return(&eval->lookup);
+    profiles_return(&eval->ruler);
   }
 }
 

@@ -4,6 +4,7 @@
 #define DIPOLED_EVAL_H
 
 #include "core/draw.h"
+#include "core/ruler.h"
 #include "proto/eval.h"
 #include "server/jobs/choice.h"
 #include "server/jobs/job.h"
@@ -36,6 +37,7 @@ struct eval_job {
   bool radii_done;               /* whether the radii have been written or are not wanted */
   unsigned notes;                /* the notes of all channels so far */
   struct profiles_lookup lookup; /* for the channel's profile */
+  struct profiles_lookup ruler;  /* for that of transport, if the model error needs it */
 };
 
 /* ---- for sample.c ---------------------------------------------------------------------------- */

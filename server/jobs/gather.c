@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "core/ruler.h"
 #include "proto/gather.h"
 #include "server/jobs/job.h"
 
@@ -12,6 +13,8 @@
 struct gather_work {
   struct profiles_lookup set;
   struct profiles_lookup channels[CORE_GATHER_CHANNELS_MAX];
+  struct profiles_lookup ruler; /* transport for the next channel, if its model error needs it */
+  double model_error[CORE_GATHER_CHANNELS_MAX];
   uint32_t ready; /* number of channels whose profiles are prepared */
   core_gather_sum *sum;
   core_gather_scratch *scratch;
@@ -62,6 +65,7 @@ static struct gather_work *new_work(struct gather_job *gather, const struct job_
   work->sum = NULL;
   work->scratch = NULL;
   job_init_lookup(&gather->job, &work->set, from);
+  job_init_lookup(&gather->job, &work->ruler, from);
   for (uint32_t i = 0; i < CORE_GATHER_CHANNELS_MAX; i++) {
     job_init_lookup(&gather->job, &work->channels[i], from);
   }
@@ -152,16 +156,29 @@ static enum job_outcome find_set(struct gather_job *gather) {
 static enum job_outcome prepare_channel(struct gather_job *gather) {
   struct gather_work *work = gather->work;
   const wire_gather_request *fixed = &gather->request.fixed;
+  const core_medium *medium = &gather->request.media[work->ready];
   struct profiles_lookup *lookup = &work->channels[work->ready];
-  profiles_start(lookup, fixed->model, fixed->moments, fixed->evaluator,
-                 &gather->request.parameters);
-  switch (
-      profiles_get(&gather->job.context->profiles, lookup, &gather->request.media[work->ready])) {
+  struct profiles *profiles = &gather->job.context->profiles;
+  enum profiles_answer answer = profiles_get_ruler(profiles, &work->ruler, fixed->model,
+                                                   &gather->request.parameters, medium);
+  if (answer == PROFILES_READY) {
+    profiles_start(lookup, fixed->model, fixed->moments, fixed->evaluator,
+                   &gather->request.parameters);
+    answer = profiles_get(profiles, lookup, medium);
+  } else {
+    lookup->fault = work->ruler.fault;
+  }
+  switch (answer) {
   case PROFILES_WAIT:
     return JOB_WAITS;
-  case PROFILES_READY:
-    work->ready++;
+  case PROFILES_READY: {
+    const core_model_errors errors = core_model_errors_measure(
+        &lookup->profile, work->ruler.ready ? &work->ruler.profile : NULL,
+        gather->request.parameters.value[CORE_PARAMETER_GAMMA]);
+    work->model_error[work->ready++] = core_gather_model_error(&errors, medium);
+    profiles_return(&work->ruler);
     return JOB_GOES_ON;
+  }
   case PROFILES_FAULT:
     break;
   }
@@ -329,7 +346,7 @@ static void put_head(const struct gather_job *gather) {
                                   .numerical_error =
                                       core_gather_error(work->sum, work->set.gather, i,
                                                         (size_t)parts->count, queries_of(gather)),
-                                  .model_error = core_gather_model_error(profile)};
+                                  .model_error = work->model_error[i]};
     fixed.notes |= profile->notes;
     wire_put_channel(gather->payload + WIRE_BYTES_gather_reply + i * (size_t)WIRE_BYTES_channel,
                      &channel);
@@ -413,6 +430,7 @@ static void end(struct job *job) {
     profiles_return(&work->channels[i]);
   }
   profiles_return(&work->set);
+  profiles_return(&work->ruler);
   free(work);
   budget_return(job->context->buffers, gather->bytes);
 }

@@ -1,32 +1,179 @@
-/* Offers: lists the models and evaluators that could answer an eval with a tolerance. */
+/* Offers: lists the models and evaluators that could answer an eval, with their errors and costs.
+ * Transport comes as an eval with a tolerance would get it (choice.h). The errors of other models are
+ * computed from their profiles. */
+#include <math.h>
+#include <stdlib.h>
+
 #include "server/jobs/eval.h"
 
-static struct choice list(const struct job *job) {
-  struct choice choice;
-  const struct eval_job *eval = (const struct eval_job *)(const void *)job;
-  choice_list(&eval->request, eval->radii, &choice);
-  return choice;
+struct offers_job {
+  struct eval_job eval; /* its request, radii and lookups */
+  uint32_t medium;      /* the next one to compare */
+  size_t model;         /* position of the model in core_costed_models */
+  struct {              /* of each model, over the media so far; INFINITY if not known */
+    double model, numerical;
+  } errors[CORE_CANDIDATES_MAX / 2];
+};
+
+JOB_FITS_SLOT(struct offers_job);
+
+static struct offers_job *of(struct job *job) {
+  return (struct offers_job *)(void *)job;
 }
 
-/* Checks the request and finds the size of the list. The list itself is too large for a slot, so
- * begin_part() makes it again. */
-static enum job_outcome start(struct job *job, const struct job_request *request) {
-  const wire_error error = eval_job_offers((struct eval_job *)(void *)job, request);
-  if (error.status != WIRE_STATUS_OK) {
-    return job_refuse(job, error);
+static core_choose_request asked_of(const struct offers_job *offers) {
+  return choice_asked(&offers->eval.request, offers->eval.radii);
+}
+
+/* ---- comparing ------------------------------------------------------------------------------- */
+
+static enum core_evaluator evaluator_of(const struct offers_job *offers) {
+  return eval_job_value_bytes(&offers->eval) == sizeof(float) ? CORE_EVALUATOR_F32
+                                                              : CORE_EVALUATOR_F64;
+}
+
+/* Gets the profiles of the next model and of transport, for the next medium. *fault: why there is
+ * none. */
+static enum profiles_answer get(struct offers_job *offers, unsigned model,
+                                const core_medium *medium, core_fault *fault) {
+  struct eval_job *eval = &offers->eval;
+  struct profiles *profiles = &eval->job.context->profiles;
+  const core_parameters none = core_parameters_none();
+  core_radii_range range;
+  *fault = core_profile_check(model, CORE_MOMENTS_EXACT, evaluator_of(offers), medium, &none, &range);
+  const bool covers = eval->radii.least_mm >= range.least_mm && eval->radii.most_mm <= range.most_mm;
+  if (fault->field != NULL || !covers || !isnan(eval->request.parameters.value[CORE_PARAMETER_GAMMA]) ||
+      !core_ruler_is_needed(model, &none, medium, false)) {
+    return PROFILES_FAULT;
   }
-  job->part_bytes = WIRE_BYTES_offers_reply + list(job).count * (size_t)WIRE_BYTES_offer;
+  enum profiles_answer answer = profiles_get_ruler(profiles, &eval->ruler, model, &none, medium);
+  *fault = eval->ruler.fault;
+  if (answer != PROFILES_READY) {
+    return answer;
+  }
+  profiles_start(&eval->lookup, model, CORE_MOMENTS_EXACT, evaluator_of(offers), &none);
+  answer = profiles_get(profiles, &eval->lookup, medium);
+  *fault = eval->lookup.fault;
+  return answer;
+}
+
+/* Raises the errors of the model to those for this medium. */
+static void compare(struct offers_job *offers, bool known) {
+  const struct eval_job *eval = &offers->eval;
+  const core_asked_radii asked = {eval->grid, eval->request.radii, eval->radii};
+  const unsigned wanted = asked_of(offers).wanted;
+  double model = (double)INFINITY, numerical = (double)INFINITY;
+  if (known) {
+    const core_stated_errors errors =
+        core_profile_errors(&eval->lookup.profile, wanted, eval->radii);
+    const double found = core_model_error(&eval->lookup.profile, &eval->ruler.profile,
+                                          (double)NAN, wanted, &asked);
+    const bool any = eval->radii.least_mm <= eval->radii.most_mm;
+    model = isnan(found) ? (double)INFINITY : found;
+    numerical = errors.numerical + (any ? errors.numerical_per_mm * eval->radii.most_mm : 0);
+  }
+  offers->errors[offers->model].model = fmax(offers->errors[offers->model].model, model);
+  offers->errors[offers->model].numerical =
+      fmax(offers->errors[offers->model].numerical, numerical);
+}
+
+/* Compares the next model for the next medium. */
+static enum job_outcome step(struct job *job, uint64_t *budget) {
+  struct offers_job *offers = of(job);
+  struct eval_job *eval = &offers->eval;
+  const unsigned model = core_costed_models[offers->model];
+  *budget -= *budget < JOB_SLICE_RADII ? *budget : JOB_SLICE_RADII;
+  if (model == 0) {
+    profiles_return(&eval->ruler);
+    offers->model = 0;
+    offers->medium++;
+  } else {
+    wire_medium medium;
+    core_fault fault;
+    wire_get_medium(eval->request.media + (size_t)offers->medium * WIRE_BYTES_medium, &medium);
+    const core_medium taken = {medium.sigma_a, medium.sigma_s, medium.g, medium.eta};
+    const enum profiles_answer answer = get(offers, model, &taken, &fault);
+    if (answer == PROFILES_WAIT) {
+      return JOB_WAITS;
+    }
+    if (answer == PROFILES_FAULT && fault.field != NULL && profiles_is_busy(fault)) {
+      return job_refuse(job, job_fault(fault, offers->medium));
+    }
+    compare(offers, answer == PROFILES_READY);
+    profiles_return(&eval->lookup);
+    offers->model++;
+  }
+  if (offers->medium < eval->request.fixed.medium_count) {
+    return JOB_GOES_ON;
+  }
+  const size_t evaluators = evaluator_of(offers) == CORE_EVALUATOR_F32 ? 2 : 1;
+  job->part_bytes = WIRE_BYTES_offers_reply +
+                    CORE_CANDIDATES_MAX / 2 * evaluators * (size_t)WIRE_BYTES_offer;
   return JOB_NEXT_PART;
 }
 
+static enum job_outcome start(struct job *job, const struct job_request *request) {
+  struct offers_job *offers = of(job);
+  const wire_error error = eval_job_offers(&offers->eval, request);
+  if (error.status != WIRE_STATUS_OK) {
+    return job_refuse(job, error);
+  }
+  offers->eval.repeated = NULL;
+  job_init_lookup(job, &offers->eval.ruler, request);
+  job_init_lookup(job, &offers->eval.lookup, request);
+  offers->medium = 0;
+  offers->model = 0;
+  for (size_t i = 0; i < CORE_CANDIDATES_MAX / 2; i++) {
+    offers->errors[i].model = offers->errors[i].numerical = 0;
+  }
+  return JOB_GOES_ON;
+}
+
+/* ---- listing --------------------------------------------------------------------------------- */
+
+static int by_cost(const void *a, const void *b) {
+  const core_candidate *left = a, *right = b;
+  const int cost = (left->total_ns > right->total_ns) - (left->total_ns < right->total_ns);
+  const int model = (int)left->model - (int)right->model;
+  const int evaluator = (int)left->evaluator - (int)right->evaluator;
+  return cost != 0 ? cost : model != 0 ? model : evaluator;
+}
+
+/* Lists all candidates by cost. Returns their number and sets *taken to the position of the one that
+ * an eval would get, or to their number if it would get none. */
+static size_t list(const struct offers_job *offers, core_candidate *candidates, size_t *taken) {
+  const core_choose_request asked = asked_of(offers);
+  size_t count = core_choose(&asked, candidates);
+  const core_candidate first = candidates[0];
+  for (size_t i = 0; core_costed_models[i] != 0 && count > 0; i++) {
+    const unsigned model = core_costed_models[i];
+    if (model == CORE_MODEL_TRANSPORT) {
+      continue;
+    }
+    core_offer(&candidates[count++], &asked, model, evaluator_of(offers), offers->errors[i].model,
+               offers->errors[i].numerical);
+    if (asked.single) {
+      core_offer(&candidates[count++], &asked, model, CORE_EVALUATOR_LUT, offers->errors[i].model,
+                 fmax(offers->errors[i].numerical, CORE_LUT_TOLERANCE));
+    }
+  }
+  qsort(candidates, count, sizeof *candidates, by_cost);
+  *taken = 0;
+  while (*taken < count && (!first.meets || by_cost(&candidates[*taken], &first) != 0)) {
+    ++*taken;
+  }
+  return count;
+}
+
 static enum job_outcome put(struct job *job, uint8_t *at) {
-  struct choice choice = list(job);
-  const size_t taken = choice_sort_by_cost(&choice);
-  const wire_offers_reply reply = {.count = (uint32_t)choice.count, .taken = (uint32_t)taken};
+  core_candidate candidates[CORE_CANDIDATES_MAX];
+  size_t taken;
+  const size_t count = list(of(job), candidates, &taken);
+  const wire_offers_reply reply = {.count = (uint32_t)count, .taken = (uint32_t)taken};
   wire_put_offers_reply(at, &reply);
   at += WIRE_BYTES_offers_reply;
-  for (size_t i = 0; i < choice.count; i++) {
-    const core_candidate *candidate = &choice.candidates[i];
+  for (size_t i = 0; i < count; i++) {
+    const core_candidate *candidate = &candidates[i];
     const wire_offer offer = {
         .model = (uint16_t)candidate->model,
         .evaluator = (uint16_t)candidate->evaluator,
@@ -42,4 +189,5 @@ static enum job_outcome put(struct job *job, uint8_t *at) {
   return JOB_DONE;
 }
 
-const struct job_kind job_kind_OFFERS = {.start = start, .begin_part = put};
+const struct job_kind job_kind_OFFERS = {
+    .start = start, .begin_part = put, .step = step, .end = eval_job_end};

@@ -1,5 +1,6 @@
 /* Table: sends the table of a model for one medium, or the surface for all media of one g and eta,
  * so that the client can evaluate it itself. */
+#include "core/ruler.h"
 #include "proto/table.h"
 #include "proto/channels.h"
 #include "server/jobs/job.h"
@@ -8,6 +9,7 @@ struct table {
   struct job job;
   table_request request;
   struct profiles_lookup lookup;
+  struct profiles_lookup ruler; /* transport, if the model errors need it */
 };
 
 JOB_FITS_SLOT(struct table);
@@ -40,6 +42,7 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
   if (fault.field != NULL) {
     return job_refuse(job, job_error(fault));
   }
+  job_init_lookup(&table->job, &table->ruler, from);
   job_init_lookup(&table->job, &table->lookup, from);
   profiles_start(&table->lookup, fixed->model, fixed->moments, evaluator, &request->parameters);
   return JOB_GOES_ON;
@@ -48,9 +51,14 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
 static enum profiles_answer get(struct table *table) {
   struct profiles *profiles = &table->job.context->profiles;
   const core_medium *medium = &table->request.medium;
-  return table_is_surface(medium)
-             ? profiles_get_varying(profiles, &table->lookup, medium->g, medium->eta)
-             : profiles_get(profiles, &table->lookup, medium);
+  if (table_is_surface(medium)) {
+    return profiles_get_varying(profiles, &table->lookup, medium->g, medium->eta);
+  }
+  const enum profiles_answer answer =
+      profiles_get_ruler(profiles, &table->ruler, table->request.fixed.model,
+                         &table->request.parameters, medium);
+  table->lookup.fault = table->ruler.fault;
+  return answer == PROFILES_READY ? profiles_get(profiles, &table->lookup, medium) : answer;
 }
 
 static enum job_outcome step(struct job *job, uint64_t *budget) {
@@ -80,13 +88,17 @@ static enum job_outcome put(struct job *job, uint8_t *at) {
   if (surface != NULL) {
     table_reply_put_surface(at, surface, &table->request.parameters);
   } else {
-    table_reply_put(at, &table->lookup.profile, &table->request.parameters);
+    const core_model_errors errors = core_model_errors_measure(
+        &table->lookup.profile, table->ruler.ready ? &table->ruler.profile : NULL,
+        table->request.parameters.value[CORE_PARAMETER_GAMMA]);
+    table_reply_put(at, &table->lookup.profile, &table->request.parameters, &errors);
   }
   return JOB_DONE;
 }
 
 static void end(struct job *job) {
   profiles_return(&of(job)->lookup);
+  profiles_return(&of(job)->ruler);
 }
 
 const struct job_kind job_kind_TABLE = {

@@ -1,11 +1,15 @@
 /* Varying: evaluates values each of which has a medium of its own, slice by slice. */
 #include "proto/varying.h"
+
+#include "core/ruler.h"
 #include "server/jobs/job.h"
 
 struct varying_job {
   struct job job;
   varying_request request;
   struct profiles_lookup lookup;
+  struct profiles_lookup ruler; /* transport, if the model error needs it */
+  bool compares;                /* whether it does */
   uint64_t value_radii; /* the cost of a value, in radii of a dipole */
   struct job_parts parts;
   varying_part part;
@@ -80,16 +84,22 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
     error = cut(varying, &job->context->server->options);
   }
   if (error.status == WIRE_STATUS_OK) {
-    varying->value_radii = value_cost(fixed);
+    varying->compares = (fixed->wanted & CORE_QUANTITY_MODEL_ERROR) != 0 &&
+                        core_ruler_is_needed(fixed->model, &request->parameters,
+                                             &(core_medium){1, 1, fixed->g, fixed->eta}, false);
+    varying->value_radii = value_cost(fixed) * (varying->compares ? 2 : 1);
     error =
         job_admit(job, (double)fixed->value_count * (double)varying->value_radii, "value_count");
   }
   if (error.status != WIRE_STATUS_OK) {
     return job_refuse(job, error);
   }
+  const core_parameters none = core_parameters_none();
+  job_init_lookup(job, &varying->ruler, from);
   job_init_lookup(job, &varying->lookup, from);
   profiles_start(&varying->lookup, fixed->model, fixed->moments, fixed->evaluator,
                  &request->parameters);
+  profiles_start(&varying->ruler, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, fixed->evaluator, &none);
   set_part_bytes(varying);
   return JOB_NEXT_PART;
 }
@@ -105,8 +115,8 @@ static enum job_outcome begin_part(struct job *job, uint8_t *payload) {
 }
 
 static enum job_outcome end_part(struct varying_job *varying) {
-  varying_part_end(&varying->part, &varying->request, varying->lookup.varying, varying->parts.part,
-                   varying->parts.part_count);
+  varying_part_end(&varying->part, &varying->request, varying->lookup.varying,
+                   varying->ruler.varying, varying->parts.part, varying->parts.part_count);
   if (!job_parts_next(&varying->parts)) {
     return JOB_DONE;
   }
@@ -114,10 +124,34 @@ static enum job_outcome end_part(struct varying_job *varying) {
   return JOB_NEXT_PART;
 }
 
+/* Prepares transport for the comparison. If no surface of it can be made, there is none. */
+static enum job_outcome prepare_ruler(struct varying_job *varying) {
+  struct job *job = &varying->job;
+  const wire_varying_request *fixed = &varying->request.fixed;
+  switch (
+      profiles_get_varying(&job->context->profiles, &varying->ruler, fixed->g, fixed->eta)) {
+  case PROFILES_WAIT:
+    return JOB_WAITS;
+  case PROFILES_FAULT:
+    if (profiles_is_busy(varying->ruler.fault)) {
+      return job_refuse(job, job_fault(varying->ruler.fault, 0));
+    }
+    break;
+  case PROFILES_READY:
+    break;
+  }
+  varying->compares = false;
+  return JOB_GOES_ON;
+}
+
 /* Prepares what all values share, and checks what the colours mean. */
 static enum job_outcome prepare(struct varying_job *varying) {
   struct job *job = &varying->job;
   const varying_request *request = &varying->request;
+  const enum job_outcome outcome = varying->compares ? prepare_ruler(varying) : JOB_GOES_ON;
+  if (outcome != JOB_GOES_ON) {
+    return outcome;
+  }
   switch (profiles_get_varying(&job->context->profiles, &varying->lookup, request->fixed.g,
                                request->fixed.eta)) {
   case PROFILES_WAIT:
@@ -149,7 +183,7 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
   if (outcome == JOB_GOES_ON) {
     const size_t n = slice_length(varying);
     varying_part_evaluate(&varying->part, &varying->request, varying->lookup.varying,
-                          varying->index, n, job->context->radii);
+                          varying->ruler.varying, varying->index, n, job->context->radii);
     varying->index += n;
     spent += n * varying->value_radii;
     job_pay(job, n * varying->value_radii);
@@ -164,6 +198,7 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
 
 static void end(struct job *job) {
   profiles_return(&of(job)->lookup);
+  profiles_return(&of(job)->ruler);
 }
 
 const struct job_kind job_kind_VARYING = {

@@ -69,7 +69,7 @@ static size_t put_eval(const uint16_t image[REGISTERS_END], uint8_t *question) {
       .model = registers_u16(image, REGISTERS_AT_MODEL),
       .evaluator = registers_u16(image, REGISTERS_AT_EVALUATOR),
       .moments = registers_u16(image, REGISTERS_AT_MOMENTS),
-      .wanted = registers_u16(image, REGISTERS_AT_WANTED),
+      .wanted = registers_u16(image, REGISTERS_AT_WANTED) | CORE_QUANTITY_MODEL_ERROR,
       .medium_count = 1,
       .spacing = (uint16_t)spacing,
       .parameter_count = (uint16_t)channels_count_parameters(&parameters),
@@ -89,7 +89,7 @@ static size_t put_eval(const uint16_t image[REGISTERS_END], uint8_t *question) {
 }
 
 /* The quantities of a sample that have registers. */
-#define SAMPLE_WANTED (CORE_QUANTITY_RADIUS | CORE_QUANTITY_PDF)
+#define SAMPLE_WANTED (CORE_QUANTITY_RADIUS | CORE_QUANTITY_PDF | CORE_QUANTITY_MODEL_ERROR)
 
 static size_t put_sample(const uint16_t image[REGISTERS_END], uint8_t *question) {
   const core_parameters parameters = parameters_of(image);

@@ -3,6 +3,8 @@
 #include <assert.h>
 #include <string.h>
 
+#include "core/ruler.h"
+
 /* ---- the table ------------------------------------------------------------------------------- */
 
 static struct profiles_set *set_of(struct profiles *profiles, uint64_t hash) {
@@ -245,6 +247,17 @@ enum profiles_answer profiles_get(struct profiles *profiles, struct profiles_loo
     core_profile_set_angles(&lookup->profile, &lookup->parameters);
   }
   return answer;
+}
+
+enum profiles_answer profiles_get_ruler(struct profiles *profiles, struct profiles_lookup *lookup,
+                                        unsigned model, const core_parameters *parameters,
+                                        const core_medium *medium) {
+  if (lookup->ready || !core_ruler_is_needed(model, parameters, medium, false)) {
+    return PROFILES_READY;
+  }
+  const core_parameters looked_up = core_ruler_parameters(medium);
+  profiles_start(lookup, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &looked_up);
+  return profiles_get(profiles, lookup, medium);
 }
 
 enum profiles_answer profiles_get_fit(struct profiles *profiles, struct profiles_lookup *lookup,

@@ -132,6 +132,12 @@ void profiles_start(struct profiles_lookup *lookup, unsigned model, unsigned mom
 enum profiles_answer profiles_get(struct profiles *profiles, struct profiles_lookup *lookup,
                                   const core_medium *medium);
 
+/* Gets the profile of transport that the model error of a model is computed from, if it needs one
+ * (core/ruler.h); else the answer is READY, and lookup->ready is false. In place of profiles_start() and profiles_get(). */
+enum profiles_answer profiles_get_ruler(struct profiles *profiles, struct profiles_lookup *lookup,
+                                        unsigned model, const core_parameters *parameters,
+                                        const core_medium *medium);
+
 /* Gets the prepared fit of a design (server/store/cache.h), in place of profiles_start() and
  * profiles_get(). It comes from the cache; the store does not keep it. The bytes stay valid until
  * profiles_return(). After PROFILES_WAIT and on_ready(), call it again for the same design. */

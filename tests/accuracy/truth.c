@@ -39,6 +39,7 @@
 #include <unistd.h>
 
 #include "core/kernels.h"
+#include "core/ruler.h"
 #include "core/solver/solver.h"
 #include "core/splitmix.h"
 #include "core/transport/transport.h"
@@ -712,7 +713,14 @@ static void check_model_errors(uint64_t *random) {
   s.moments = CORE_MOMENTS_EXACT;
   s.medium = (core_medium){ratio / (1 + ratio), 1 / (1 + ratio), 0, eta};
   s.parameters = core_parameters_none();
-  if (!solve(&solved, &s.medium, random)) {
+  if (!core_ruler_is_stored(&s.medium) || !solve(&solved, &s.medium, random)) {
+    return;
+  }
+  core_profile ruler;
+  const core_parameters looked_up = core_ruler_parameters(&s.medium);
+  if (core_profile_prepare(&ruler, core_isa_select(NULL), CORE_MODEL_TRANSPORT, s.moments,
+                           CORE_EVALUATOR_F64, &s.medium, &looked_up)
+          .field != NULL) {
     return;
   }
   for (s.model = 0; s.model < MODELS; s.model++) {
@@ -727,16 +735,22 @@ static void check_model_errors(uint64_t *random) {
       const unsigned wanted = wants[below(random, sizeof wants / sizeof wants[0])];
       const size_t a = below(random, SOLVED), b = below(random, SOLVED);
       const size_t first = a < b ? a : b, last = a < b ? b : a;
-      const core_stated_errors errors =
-          core_profile_errors(profile, wanted, (core_radii_range){solved.r[first], solved.r[last]});
-      if (!isnan(errors.model)) {
+      const core_radii_range range = {solved.r[first], solved.r[last]};
+      const core_asked_radii asked = {
+          {CORE_SPACING_LOGARITHMIC, CORE_GRID_COUNT_MAX, range.least_mm, range.most_mm},
+          NULL,
+          range};
+      const double stated = core_model_error(profile, &ruler, (double)NAN, wanted, &asked);
+      if (!isnan(stated)) {
         const double off = deviation(profile, &solved, wanted, first, last);
-        const double share = off / (errors.model + errors.numerical + 1e-6);
-        count(&s, F64, MODEL_ERROR, share <= 1, share, solved.r[first], off, errors.model);
+        const double share =
+            off / (stated + core_profile_errors(profile, wanted, range).numerical + 1e-6);
+        count(&s, F64, MODEL_ERROR, share <= 1, share, solved.r[first], off, stated);
       }
     }
     core_profile_free(profile);
   }
+  core_profile_free(&ruler);
 }
 
 /* Compares a profile's derivatives at r mm with those by ln sigma_a and ln sigma_s, which may

@@ -202,7 +202,10 @@ def test_a_long_list_is_asked_for_in_parts(daemon):
     arguments = [*MEDIUM, "--wanted", "R,albedo,cdf", "--r", radii]
     for evaluator in ("f64", "f32"):
         whole = eval_rows(*arguments, "--evaluator", evaluator)
-        assert whole == eval_rows(*arguments, "--evaluator", evaluator, "--connect", small)
+        parts = eval_rows(*arguments, "--evaluator", evaluator, "--connect", small)
+        for row in (*whole, *parts):
+            row.pop("model_error")  # the largest of each part, which has its own comparison
+        assert whole == parts
     assert len(whole) == 6000
 
 

@@ -42,23 +42,9 @@ def test_the_medium_comes_back(client, readings):
 
 
 def test_the_model_error_is_that_of_the_best_medium(client, readings):
-    """It is what eval states at the distances of the readings. Discs widen the range of radii, and a
-    reference medium adds its own error."""
-    def stated(sigma_a, sigma_s, least=AT_MM[0], most=AT_MM[-1]):
-        medium = Medium(float(sigma_a), float(sigma_s), 0.0, 1.4)
-        return client.eval("better", medium, [least, most]).model_error[0]
-
+    """It is that of transport; for other models an eval of the medium that was found says it."""
     found = client.fit("better", AT_MM, readings, 0.01 * readings, eta=1.4)
-    error = stated(found.sigma_a, found.sigma_s_prime)
-    assert found.model_error == error > 0.01
-    wide = client.fit("better", AT_MM, readings, 0.01 * readings, eta=1.4, source=0.9)
-    assert stated(wide.sigma_a, wide.sigma_s_prime, 0.05, 4.45) >= wide.model_error > error
-    known = Medium(0.01, 1.0, 0.0, 1.4)
-    ratio = readings / client.eval("better", known, AT_MM).R[0]
-    off = stated(0.01, 1.0)
-    of_ratio = client.fit("better", AT_MM, ratio, 0.01 * ratio, eta=1.4, reference=known)
-    np.testing.assert_allclose(of_ratio.model_error, (error + off) / (1 - off), rtol=1e-12)
-
+    assert np.isnan(found.model_error)
     exact = client.fit("transport", AT_MM, readings, 0.01 * readings, eta=1.4)
     assert exact.model_error == 0
     values, errors = [readings, -readings], 0.01 * readings

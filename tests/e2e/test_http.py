@@ -301,8 +301,9 @@ def test_what_a_varying_request_leaves_out(served):
     answer = good(get(served, "/v1/varying?colour=0.1,0.5&length=1"))
     assert (answer["model"], answer["evaluator"], answer["wanted"]) == ("transport", "f32", [])
     assert answer["coefficients"] == ["sigma_a", "sigma_s"]
-    assert good(get(served, "/v1/varying?sigma_a=1&sigma_s=1&r=1"))["wanted"] == ["R"]
-    assert good(get(served, "/v1/varying?sigma_a=1&sigma_s=1&u=0.5"))["wanted"] == ["r"]
+    assert good(get(served, "/v1/varying?sigma_a=1&sigma_s=1&r=1"))["wanted"] == ["R", "model_error"]
+    drawn = good(get(served, "/v1/varying?sigma_a=1&sigma_s=1&u=0.5"))
+    assert drawn["wanted"] == ["r", "model_error"] and drawn["model_error"] == 0
 
 
 def test_a_value_that_is_wrong_has_a_status(served):

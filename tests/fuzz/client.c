@@ -36,7 +36,8 @@ void fuzz_table_start(void) {
   whole_table_bytes = WIRE_BYTES_header + payload_bytes;
   whole_table = malloc(whole_table_bytes);
   wire_put_header(whole_table, &header);
-  table_reply_put(whole_table + WIRE_BYTES_header, &profile, &parameters);
+  const core_model_errors unknown = core_model_errors_unknown();
+  table_reply_put(whole_table + WIRE_BYTES_header, &profile, &parameters, &unknown);
   core_profile_free(&profile);
 }
 

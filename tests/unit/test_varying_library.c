@@ -158,11 +158,11 @@ static bool send_part(int fd, const service *with, const wire_header *header,
   varying_part_start(&part, request, payload, first, count);
   for (uint64_t at = 0; at < count; at += with->slice_values) {
     const uint64_t rest = count - at;
-    varying_part_evaluate(&part, request, varying, at,
+    varying_part_evaluate(&part, request, varying, NULL, at,
                           rest < with->slice_values ? (size_t)rest : with->slice_values, scratch);
   }
   const uint32_t number = (uint32_t)(first / most);
-  varying_part_end(&part, request, varying, number,
+  varying_part_end(&part, request, varying, NULL, number,
                    (uint32_t)((fixed->value_count - 1) / most + 1));
   if (with->spoil != NULL) {
     with->spoil(payload, number);

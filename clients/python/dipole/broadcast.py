@@ -26,7 +26,7 @@ class Values(NamedTuple):
 
     values: Array  # of the evaluator's precision; units as in Result
     numerical_error: Array  # of each value against the model's exact formula, relative
-    model_error: Array  # of the model against transport, relative; NaN: not measured
+    model_error: Array  # of the model against transport, relative; NaN: not solved
     models: tuple[str, ...]  # the models used: one, unless the tolerance chose several
 
     def __repr__(self) -> str:

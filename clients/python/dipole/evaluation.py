@@ -52,8 +52,9 @@ def _model_id(info: Info, query: Query) -> int:
     return wire.ANY_MODEL if query.model is None else id_of(info, "model", query.model)
 
 
-def _bits(info: Info, wanted: tuple[str, ...]) -> int:
-    return sum({id_of(info, "quantity", name) for name in wanted})
+def _bits(info: Info, wanted: tuple[str, ...], model_error: bool) -> int:
+    bits = {id_of(info, "quantity", name) for name in wanted}
+    return sum(bits | {wire.QUANTITY_MODEL_ERROR} if model_error else bits)
 
 
 def _check_model(query: Query) -> None:
@@ -79,7 +80,7 @@ def _eval_payload(info: Info, query: Query) -> tuple[bytes, Shape]:
     shape = Shape(
         radii=radii,
         value_type=wire.EVALUATOR_TYPES.get(evaluator_id),
-        wanted=_bits(info, wanted),
+        wanted=_bits(info, wanted, query.model_error),
         medium_count=len(media),
         radius_count=grid.count if grid is not None else 0 if radii is None else len(radii),
     )
@@ -256,7 +257,7 @@ def sample(
     shape = Shape(
         radii=None,
         value_type=value_type,
-        wanted=_bits(info, names_of(query.wanted, ("r", "pdf"))),
+        wanted=_bits(info, names_of(query.wanted, ("r", "pdf")), query.model_error),
         medium_count=len(array),
         radius_count=len(listed) if draw is None else draw.count,
         drawn=True,

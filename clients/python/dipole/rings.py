@@ -25,7 +25,7 @@ class RingMeans(NamedTuple):
     edges: Array  # [N + 1] mm
     numerical_error: Array  # [C, N] of the mean against the model's exact formula, relative; inf where
     # the mean is 0 because R underflows
-    model_error: Array  # [C] of the model against transport, relative; NaN: not measured
+    model_error: Array  # [C] of the model against transport, relative; NaN: not solved
     model: str
 
     def __repr__(self) -> str:

@@ -40,7 +40,7 @@ class TableErrors(NamedTuple):
 
     numerical_error_constant: float  # constant part of the numerical error
     numerical_error_per_mm: float  # this number times r is added to the constant part
-    model_error: float  # of the model against radiative transport; NaN if it was not measured
+    model_error: float  # of the model against radiative transport; NaN if it is not known
 
 
 class Table(Fetched):
@@ -62,7 +62,7 @@ class Table(Fetched):
         self.numerical_error_constant: float = fixed.numerical_error
         self.numerical_error_per_mm: float = fixed.numerical_error_per_mm
         self.reach_mm: float = fixed.reach  # Further away R is less exact than the two above say.
-        self.model_error: float = fixed.model_error  # at all radii; 0 or, if not measured, NaN
+        self.model_error: float = fixed.model_error  # at all radii; 0 or, if not known, NaN
         self.pieces_from_mm: float = fixed.pieces_from  # below this radius: an asymptotic formula
         self.pieces_to_mm: float = fixed.pieces_to  # from this radius on: an asymptotic formula
         self.radius_least_mm: float = fixed.radius_least  # the least radius that the model covers

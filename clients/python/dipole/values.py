@@ -101,6 +101,8 @@ class Query:
         deviation from transport. If a model is named, it limits the numerical error; for "lut",
         the daemon builds the table to this error.
     deadline_ms: how long the answer may take from the arrival of the query; 0 means no limit.
+    model_error: whether to compare the model with transport at these radii, which takes a
+        millisecond for each new medium.
     """
 
     model: str | int | None
@@ -114,6 +116,7 @@ class Query:
     parameters: Mapping[str, float | str] | None = None
     tolerance: float | None = None
     deadline_ms: int = 0
+    model_error: bool = True
 
     @classmethod
     def of(cls, *arguments: Any, **options: Any) -> Query:
@@ -251,7 +254,8 @@ class _Evaluated:
     moments: str
     numerical_error_constant: Array  # [C] numerical_error() adds this constant
     numerical_error_per_mm: Array  # [C] 1/mm: and this number times the radius
-    # [C] error of the model against transport, relative; NaN if it was not measured for these radii
+    # [C] error of the model against transport at these radii, relative; NaN if transport is not
+    # solved for the medium
     model_error: Array
     notes: tuple[str, ...]  # names of the notes, of info.choices["note"], that hold for any channel
     quantities: dict[str, Array]  # every quantity of the answer by the daemon's name
@@ -456,7 +460,7 @@ class Fits:
     def model_error(self) -> Array:
         """The relative error of R against radiative transport, at the distances of the readings and
         between them: of the model, and with detector_na of the share that is detected. It is not
-        part of the standard errors. NaN: not measured, as for frequencies unless the model is
+        part of the standard errors. NaN: not known, as for every other model than
         transport."""
         return self._quantity("model_error")
 
@@ -493,7 +497,7 @@ class Varying:
     faults: dict[str, str]  # what is allowed, for each status of a value that has no answer
     notes: tuple[str, ...]
     numerical_error: float  # relative, of all values whose status is "ok"
-    model_error: float  # against radiative transport, relative; nan if it was not measured
+    model_error: float  # against radiative transport, relative; nan if that is not solved
     colour_least: float  # the range of colours that media have, if colours were given; else nan
     colour_most: float
     specular: float  # the share of the light that the surface reflects; nan without colours
@@ -530,7 +534,7 @@ class Gathered:
     bound: float  # relative error that grouping points has caused at most; within the tolerance
     numerical_error: Array  # [C] relative error of the evaluator and of rounding
     model_error: Array  # [C] of R against radiative transport, relative, from 0.01 to 20 mean free
-    # paths; nan if it was not measured
+    # paths; nan if transport is not solved
     points_visited: int  # points that were summed one by one
     nodes_visited: int  # groups that stood for their points
     notes: tuple[str | int, ...]

@@ -214,7 +214,7 @@ def varying(
             "model": id_of(info, "model", model),
             "evaluator": evaluator_id,
             "moments": id_of(info, "moments", moments),
-            "wanted": sum(wanted_bits),
+            "wanted": sum({*wanted_bits, wire.QUANTITY_MODEL_ERROR}),
             "coefficients": sum(coefficient_bits),
             "given": id_of(info, "length", given) if coloured else 0,
             "light": id_of(info, "light", light) if coloured else 0,

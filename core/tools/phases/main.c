@@ -163,7 +163,7 @@ static void find(void *context, size_t i) {
 static void write_range(FILE *file, const struct run *run, size_t range) {
   fprintf(file, "CORE_GAMMA_ERROR(%g", gammas[range + 1]);
   for (size_t ratio = 0; ratio < RATIOS; ratio++) {
-    fputs(",\n\"", file);
+    fputs(",\n{", file);
     for (size_t band = 0; band <= BANDS; band++) {
       double error = 0;
       for (size_t i = ratio; i < ITEMS; i += RATIOS) {
@@ -175,9 +175,10 @@ static void write_range(FILE *file, const struct run *run, size_t range) {
       if (error == 0) {
         tools_fail("no phase function has a gamma from %g to %g", gammas[range], gammas[range + 1]);
       }
-      fprintf(file, "%02x", core_error_code(error));
+      const double unit = pow(10, floor(log10(error)) - 2); /* rounded up to three digits */
+      fprintf(file, "%s%.3g", band > 0 ? ", " : "", ceil(error / unit * (1 - 1e-12)) * unit);
     }
-    fputs("\"", file);
+    fputs("}", file);
   }
   fputs(")\n", file);
 }
@@ -189,11 +190,11 @@ static void write_list(FILE *file, const struct run *run) {
       " *\n"
       " * CORE_GAMMA_LEAST(gamma), CORE_GAMMA_RATIO(sigma_a / sigma_s') rising,\n"
       " * CORE_GAMMA_ETA(least, most)   where they were measured\n"
-      " * CORE_GAMMA_ERROR(gamma, \"...\" for each ratio)   up to this gamma, from the one "
+      " * CORE_GAMMA_ERROR(gamma, {...} for each ratio)   up to this gamma, from the one "
       "before:\n"
       " *   the largest error among modified and two-term Henyey-Greenstein functions and those "
       "of\n"
-      " *   spheres, as codes of core/model_error.h, for each band of radii and for the albedo\n"
+      " *   spheres, relative, for each band of radii and for the albedo\n"
       " */\n/* clang-format off */\n",
       file);
   static const char *const names[] = {"LEAST(gamma)", "RATIO(ratio)", "ETA(least, most)",

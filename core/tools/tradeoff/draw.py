@@ -1,4 +1,4 @@
-"""Draws what `trade-speed costs` has measured: draw.py FOLDER reads FOLDER/tradeoff.csv. A subject
+"""Draws what `make tradeoff` has measured: draw.py FOLDER reads FOLDER/tradeoff.csv. A subject
 is a model with an evaluator. Written into the folder, as .svg and .png:
 
     front   error against cost per radius, of a known medium, and of a new one that is prepared
@@ -6,11 +6,8 @@ is a model with an evaluator. Written into the folder, as .svg and .png:
             tables; a line joins the precisions of a model. The Pareto front has names; a table has
             all numbers. The error is the median over radii, and over the media of Figures 1 to 16
             of d'Eon 2012.
-    map     the cheapest subject within 1 %, 3 %, 10 % and 30 %, over ratio and eta, for all radii
-            and for those from one mean free path on. A sentence stands for the panels in which
-            transport by table is the cheapest everywhere.
 
-Standard output lists the subjects on the fronts, and for how many media each one is the cheapest.
+Standard output lists the subjects on the fronts.
 """
 
 from __future__ import annotations
@@ -30,7 +27,7 @@ import numpy as np
 
 CORE = Path(__file__).resolve().parents[2]
 # Costs that differ by no more than this factor count as equal; then the error decides.
-COST_ALIKE = float(re.search(r"COST_ALIKE (\S+)", (CORE / "choose.h").read_text())[1])
+COST_ALIKE = 1.1
 ERROR_ALIKE = 1.01
 ERROR_LEAST = 1e-7  # transport's own tolerance; smaller errors cannot be measured
 
@@ -48,8 +45,8 @@ class Subject(NamedTuple):
         return f"{self.model}, {self.evaluator}"
 
 
-def read(path: Path) -> tuple[list[Subject], list[str], list[str]]:
-    """The subjects in the file's order, the ratios and the eta."""
+def read(path: Path) -> list[Subject]:
+    """The subjects in the file's order."""
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
     if strange := [cell for row in rows for cell in row.values() if re.search(r"[^\w.+-]", cell)]:
@@ -66,11 +63,11 @@ def read(path: Path) -> tuple[list[Subject], list[str], list[str]]:
         media = list(group)
         errors = {
             name: np.array([number(row, name) for row in media]).reshape(len(ratios), len(etas))
-            for name in ("worst", "median", "worst_from_1_mfp")
+            for name in ("worst", "median")
         }
         cost = number(media[0], "cost_ns"), number(media[0], "prepare_ns")
         subjects.append(Subject(model, evaluator, *cost, errors))
-    return subjects, ratios, etas
+    return subjects
 
 
 def draw(path: Path, size: tuple[int, int], script: str) -> None:
@@ -407,130 +404,9 @@ def draw_front(folder: Path, subjects: list[Subject]) -> None:
     draw(folder / "front", (WIDTH, HEIGHT), script + "unset multiplot\n")
 
 
-# ---- the map -------------------------------------------------------------------------------------
-
-MAP_WIDTH, MAP_COLUMNS = 1500, 4
-MAP_TOP, MAP_ROW, MAP_LEGEND, LEGEND_LINE = 96, 330, 76, 24
-WITHIN = (0.01, 0.03, 0.1, 0.3)
-RANGES = {"worst": "0.01", "worst_from_1_mfp": "1"}  # and the first radius of each
-# Of subjects in the order of their list; transport has shades of grey.
-MAP_COLOURS = [
-    0x0072B2, 0xE69F00, 0x009E73, 0xCC79A7, 0x56B4E9, 0xD55E00, 0xF0E442, 0x8C564B, 0x9467BD,
-    0x2CA02C, 0x17BECF, 0x7F7F7F, 0xAEC7E8, 0xFFBB78, 0x98DF8A, 0xFF9896, 0xC5B0D5,
-]  # fmt: skip
-
-
-def cheapest(
-    subjects: list[Subject], what: str, within: float, medium: tuple[int, int]
-) -> int | None:
-    """The cheapest subject within an error of transport. Among costs that are alike, the nearest to
-    transport counts as the cheapest."""
-    near = [i for i, one in enumerate(subjects) if one.errors[what][medium] <= within]
-    least_ns = min((subjects[i].ns for i in near), default=math.nan)
-    alike = [i for i in near if subjects[i].ns <= least_ns * COST_ALIKE]
-    return min(alike, key=lambda i: subjects[i].errors[what][medium], default=None)
-
-
-class Panel(NamedTuple):
-    within: float
-    first_radius: str
-    found: list[int | None]  # for each medium the position in the list of subjects
-
-    def __str__(self) -> str:
-        return f"within {100 * self.within:g} %, r from {self.first_radius} to 20 mean free paths"
-
-
-def sentences(panels: list[Panel]) -> list[str]:
-    """What is said of panels that are not shown."""
-    return [f"Transport by table is the cheapest everywhere {panel}." for panel in panels]
-
-
-def legend_script(
-    subjects: list[Subject], shown: list[int], colours: dict[int | None, int], height: int
-) -> str:
-    """A square and a name for each subject, four to a line."""
-    script = ""
-    for place, i in enumerate(shown):
-        x, y = 64 + place % 4 * 350, MAP_LEGEND - 34 - place // 4 * LEGEND_LINE
-        y += (len(shown) - 1) // 4 * LEGEND_LINE
-        script += (
-            f"set object rectangle from screen {x / MAP_WIDTH:.5f},{(y - 7) / height:.5f} to "
-            f"screen {(x + 22) / MAP_WIDTH:.5f},{(y + 7) / height:.5f} fc rgb {colours[i]} "
-            f"fs solid border rgb '#666666'\nset label '{subjects[i]}' at "
-            f"screen {(x + 30) / MAP_WIDTH:.5f},{y / height:.5f} left\n"
-        )
-    return script
-
-
-def panel_script(panel: Panel, place: int, rows: int, colours: dict[int | None, int],
-                 media: list[tuple[int, int]], bottom: int, height: int) -> str:  # fmt: skip
-    left = (58 + place % MAP_COLUMNS * 362) / MAP_WIDTH
-    low = (bottom + 64 + (rows - 1 - place // MAP_COLUMNS) * MAP_ROW) / height
-    cells = "".join(f"{x} {y} {colours[i]}\n" for (x, y), i in zip(media, panel.found))
-    within, radii = str(panel).split(", ")
-    return (
-        f"$cells << END\n{cells}END\nset title \"{within},\\n{radii}\" offset 0,-0.5\n"
-        f"set lmargin at screen {left:.5f}\nset rmargin at screen {left + 300 / MAP_WIDTH:.5f}\n"
-        f"set bmargin at screen {low:.5f}\nset tmargin at screen {low + 200 / height:.5f}\n"
-        "plot $cells using 1:2:(0.5):(0.5):3 with boxxyerror fill solid 1 noborder "
-        "fillcolor rgb variable notitle\nunset label\nunset object\n"
-    )
-
-
-def draw_map(folder: Path, subjects: list[Subject], ratios: list[str], etas: list[str]) -> None:
-    media = list(itertools.product(range(len(ratios)), range(len(etas))))
-    panels = [
-        Panel(within, radius, [cheapest(subjects, what, within, medium) for medium in media])
-        for what, radius in RANGES.items()
-        for within in WITHIN
-    ]
-    table = next(
-        (i for i, one in enumerate(subjects) if one[:2] == ("transport", "lut")), len(subjects)
-    )
-    drawn = [panel for panel in panels if set(panel.found) != {table}]
-    said = sentences([panel for panel in panels if panel not in drawn])
-    shown = sorted({i for panel in drawn for i in panel.found if i is not None})
-    evaluators = list(dict.fromkeys(subject.evaluator for subject in subjects))
-
-    def colour(i: int) -> int:
-        if subjects[i].model == "transport":
-            return 0xC7C7C7 - 0x181818 * evaluators.index(subjects[i].evaluator)
-        return MAP_COLOURS[shown.index(i) % len(MAP_COLOURS)]
-
-    colours: dict[int | None, int] = {i: colour(i) for i in shown} | {None: 0xFFFFFF}
-    rows = -(-len(drawn) // MAP_COLUMNS)
-    bottom = MAP_LEGEND + max(len(shown) - 1, 0) // 4 * LEGEND_LINE
-    height = bottom + rows * MAP_ROW + 22 * len(said) + MAP_TOP
-    powers = [x if math.log10(float(x)).is_integer() else "" for x in ratios]
-    x_tics = ", ".join(f"'{x}' {i}" for i, x in enumerate(powers))
-    y_tics = ", ".join(f"'{eta}' {i}" for i, eta in enumerate(etas) if i % 2 == 0)
-    script = (
-        "set multiplot "
-        "title 'The cheapest that is near enough to transport at all of these radii' font ',16'\n"
-        "unset key\nset xlabel 'σa / σs′' offset 0,0.6\nset ylabel 'η' offset 1,0\n"
-        f"set xtics ({x_tics}) out nomirror\nset ytics ({y_tics}) out nomirror\n"
-        f"set xrange [-0.5:{len(ratios) - 1}.5]\nset yrange [-0.5:{len(etas) - 1}.5]\n"
-        + legend_script(subjects, shown, colours, height)
-    )
-    for line, sentence in enumerate(said):
-        y = (height - 64 - 22 * line) / height
-        script += f"set label '{sentence}' at screen {64 / MAP_WIDTH:.5f},{y:.5f} left\n"
-    for place, panel in enumerate(drawn):
-        script += panel_script(panel, place, rows, colours, media, bottom, height)
-    for panel in panels:
-        counts = " ".join(
-            f"{subjects[i].model}/{subjects[i].evaluator} {panel.found.count(i)}"
-            for i in sorted({i for i in panel.found if i is not None})
-        )
-        print(f"cheapest {panel}, of {len(media)} media: {counts}")
-    draw(folder / "map", (MAP_WIDTH, height), script + "unset multiplot\n")
-
-
 def main() -> None:
     folder = Path(sys.argv[1])
-    subjects, ratios, etas = read(folder / "tradeoff.csv")
-    draw_front(folder, subjects)
-    draw_map(folder, subjects, ratios, etas)
+    draw_front(folder, read(folder / "tradeoff.csv"))
 
 
 if __name__ == "__main__":

@@ -194,10 +194,10 @@ static void answer_varying(const struct target *target, const core_varying *vary
   varying_part_start(&part, &request, target->replies + WIRE_BYTES_header, 0, n);
   for (size_t at = 0; at < n; at += VARYING_SLICE_VALUES) {
     const size_t left = n - at;
-    varying_part_evaluate(&part, &request, varying, at,
+    varying_part_evaluate(&part, &request, varying, NULL, at,
                           left < VARYING_SLICE_VALUES ? left : VARYING_SLICE_VALUES, scratch);
   }
-  varying_part_end(&part, &request, varying, 0, 1);
+  varying_part_end(&part, &request, varying, NULL, 0, 1);
   free(scratch);
 }
 

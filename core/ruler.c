@@ -1,0 +1,219 @@
+#include "core/ruler.h"
+
+#include <assert.h>
+#include <float.h>
+#include <math.h>
+
+#include "core/kernels.h"
+
+#define CORE_REAL 64
+#include "core/kernel.h"
+
+core_parameters core_ruler_parameters(const core_medium *medium) {
+  (void)medium;
+  return core_parameters_none();
+}
+
+bool core_ruler_is_stored(const core_medium *medium) {
+  return core_transport_is_stored(medium);
+}
+
+bool core_ruler_is_needed(unsigned model, const core_parameters *parameters,
+                          const core_medium *medium, bool solves) {
+  const double *value = parameters->value;
+  const bool plain = isnan(value[CORE_PARAMETER_GAMMA]) &&
+                     isnan(value[CORE_PARAMETER_THICKNESS]) &&
+                     isnan(value[CORE_PARAMETER_SURFACE_ALBEDO]);
+  return model != CORE_MODEL_TRANSPORT && plain &&
+         core_profile_check(CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, medium,
+                            NULL, NULL)
+                 .field == NULL &&
+         (solves || core_ruler_is_stored(medium));
+}
+
+enum {
+  COMPARED = CORE_QUANTITY_R | CORE_QUANTITY_CDF | CORE_QUANTITY_SLOPE | CORE_QUANTITY_LN_R |
+             CORE_QUANTITY_PDF | CORE_QUANTITY_RING | CORE_QUANTITY_TRANSFER,
+};
+
+/* Evaluates a profile of any evaluator. Radii of one in single precision are rounded already. */
+static void evaluate(const core_profile *profile, enum core_quantity quantity, size_t n,
+                     const double *r, double *out) {
+  float near[CORE_RULER_RADII], value[CORE_RULER_RADII];
+  if (profile->evaluator == CORE_EVALUATOR_F64) {
+    core_eval_f64(profile, quantity, n, r, out);
+    return;
+  }
+  for (size_t i = 0; i < n; i++) {
+    near[i] = (float)r[i];
+  }
+  core_eval_f32(profile, quantity, n, near, value);
+  for (size_t i = 0; i < n; i++) {
+    out[i] = (double)value[i];
+  }
+}
+
+/* How far a value is off. least: what a value may lose by underflow. */
+static double off_by(enum core_quantity quantity, double value, double truth, double albedo,
+                     double least) {
+  if (value == truth) { /* infinities and zeros, too */
+    return 0;
+  }
+  const double apart = fmax(fabs(value - truth) - least, 0);
+  return quantity == CORE_QUANTITY_LN_R || quantity == CORE_QUANTITY_CDF ? apart
+         : quantity == CORE_QUANTITY_TRANSFER                            ? apart / albedo
+         : apart > 0                                                     ? apart / fabs(truth)
+                                                                         : 0;
+}
+
+void core_model_errors_at(const core_profile *profile, const core_profile *transport,
+                          unsigned wanted, size_t n, const double *r, double *error) {
+  assert(n <= CORE_RULER_RADII);
+  double value[CORE_RULER_RADII], truth[CORE_RULER_RADII];
+  const double least =
+      16 * (profile->evaluator == CORE_EVALUATOR_F64 ? DBL_TRUE_MIN : (double)FLT_TRUE_MIN);
+  wanted |= (wanted & CORE_QUANTITY_S) != 0 ? (unsigned)CORE_QUANTITY_R : 0;
+  for (size_t i = 0; i < n; i++) {
+    error[i] = (double)NAN;
+  }
+  for (unsigned left = wanted & COMPARED; left != 0; left &= left - 1) {
+    const enum core_quantity quantity = left & ~(left - 1);
+    evaluate(profile, quantity, n, r, value);
+    core_eval_f64(transport, quantity, n, r, truth);
+    for (size_t i = 0; i < n; i++) {
+      if (r[i] > 0 || !isinf(truth[i])) {
+        error[i] = fmax(error[i], off_by(quantity, value[i], truth[i], transport->albedo, least));
+      }
+    }
+  }
+  for (size_t i = 0; i < n; i++) {
+    const core_stated_errors of_truth =
+        core_profile_errors(transport, wanted & COMPARED, (core_radii_range){r[i], r[i]});
+    const double numerical = of_truth.numerical + of_truth.numerical_per_mm * r[i];
+    error[i] += (1 + error[i]) * numerical;
+  }
+}
+
+/* The error of the albedo. */
+static double error_of_albedo(const core_profile *profile, const core_profile *transport) {
+  const double error =
+      off_by(CORE_QUANTITY_ALBEDO, profile->albedo, transport->albedo, 0, 16 * DBL_TRUE_MIN);
+  const core_radii_range none = {1, 0};
+  return error +
+         (1 + error) * core_profile_errors(transport, CORE_QUANTITY_ALBEDO, none).numerical;
+}
+
+/* Radii between which the error is taken to be smooth are apart by this in ln r, unless that takes
+ * more than CORE_RULER_RADII. */
+#define RULER_STEP 0.125
+
+/* Sets *least and *most to the radii above 0 between which all of the request lie. */
+static void find_ends(const core_asked_radii *asked, bool single, core_radii_range *ends) {
+  const core_grid *grid = &asked->grid;
+  *ends = (core_radii_range){grid->start_mm, grid->stop_mm};
+  if (asked->listed == NULL && !(grid->start_mm > 0)) {
+    core_grid_radii_f64(grid, 1, 1, &ends->least_mm);
+  }
+  if (asked->listed != NULL) {
+    *ends = (core_radii_range){(double)INFINITY, 0};
+    for (uint64_t i = 0; i < grid->count; i++) {
+      const double r = single ? (double)((const float *)asked->listed)[i]
+                              : ((const double *)asked->listed)[i];
+      ends->least_mm = r > 0 ? fmin(ends->least_mm, r) : ends->least_mm;
+      ends->most_mm = r < (double)INFINITY ? fmax(ends->most_mm, r) : ends->most_mm;
+    }
+  }
+}
+
+/* Sets r[] to the radii to compare at, and *between to whether the request has others between them.
+ * Returns their number. */
+static size_t choose_radii(const core_asked_radii *asked, bool single, double *r, bool *between) {
+  float near[CORE_RULER_RADII];
+  core_grid grid = asked->grid;
+  *between = grid.count > CORE_RULER_RADII;
+  if (*between) {
+    core_radii_range ends;
+    find_ends(asked, single, &ends);
+    if (!(ends.least_mm < ends.most_mm)) { /* no other radius than one, 0 and infinity */
+      *r = ends.most_mm;
+      *between = false;
+      return 1;
+    }
+    const double steps = ceil(real_log(ends.most_mm / ends.least_mm, 0) / RULER_STEP);
+    grid = (core_grid){CORE_SPACING_LOGARITHMIC,
+                       (uint64_t)fmin(fmax(steps, 2), CORE_RULER_RADII - 1) + 1,
+                       fmax(ends.least_mm, CORE_GRID_LOG_MIN_MM), ends.most_mm};
+  }
+  const size_t n = (size_t)grid.count;
+  size_t kept = 0;
+  if (!*between && asked->listed != NULL) {
+    for (size_t i = 0; i < n; i++) {
+      r[kept] = single ? (double)((const float *)asked->listed)[i]
+                       : ((const double *)asked->listed)[i];
+      kept += r[kept] < (double)INFINITY;
+    }
+    return kept;
+  }
+  if (single) {
+    core_grid_radii_f32(&grid, 0, n, near);
+    for (size_t i = 0; i < n; i++) {
+      r[i] = (double)near[i];
+    }
+  } else {
+    core_grid_radii_f64(&grid, 0, n, r);
+  }
+  return n;
+}
+
+/* Returns the error at radius i and next to it: a curve is off from the line between two points by an
+ * eighth of its second difference, of which twice as much is taken. */
+static double with_margin(const double *error, size_t n, size_t i, bool between) {
+  double bend = 0;
+  for (size_t k = i > 1 ? i - 1 : 1; between && k <= i + 1 && k + 1 < n; k++) {
+    bend = fmax(bend, fabs(error[k - 1] - 2 * error[k] + error[k + 1]));
+  }
+  return error[i] + bend / 4;
+}
+
+double core_model_error(const core_profile *profile, const core_profile *transport, double gamma,
+                        unsigned wanted, const core_asked_radii *asked) {
+  if (transport == NULL || (transport->notes & CORE_NOTE_SIMILARITY) != 0) {
+    const core_model_errors errors =
+        core_model_errors_stated(profile->model, profile->notes, gamma, &profile->medium);
+    return core_model_errors_of(&errors, &profile->medium, wanted, asked->range);
+  }
+  double r[CORE_RULER_RADII], error[CORE_RULER_RADII];
+  double most = (wanted & CORE_QUANTITY_ALBEDO) != 0 ? error_of_albedo(profile, transport)
+                                                     : (double)NAN;
+  bool between = false;
+  const bool at_radii = (wanted & (COMPARED | CORE_QUANTITY_S)) != 0 && asked->grid.count > 0;
+  const bool single = profile->evaluator != CORE_EVALUATOR_F64;
+  const size_t n = at_radii ? choose_radii(asked, single, r, &between) : 0;
+  core_model_errors_at(profile, transport, wanted, n, r, error);
+  for (size_t i = 0; i < n; i++) {
+    if (isinf(error[i])) {
+      return (double)NAN;
+    }
+    most = fmax(most, with_margin(error, n, i, between)); /* passes NANs over */
+  }
+  return most;
+}
+
+core_model_errors core_model_errors_measure(const core_profile *profile,
+                                            const core_profile *transport, double gamma) {
+  if (transport == NULL || (transport->notes & CORE_NOTE_SIMILARITY) != 0) {
+    return core_model_errors_stated(profile->model, profile->notes, gamma, &profile->medium);
+  }
+  core_model_errors errors = {.exact = false};
+  const double mfp_mm = 1 / core_sigma_t_prime(&profile->medium);
+  for (size_t i = 0; i < CORE_MODEL_ERROR_BANDS; i++) {
+    const double *edge = &core_error_edges_mfp[i];
+    const core_asked_radii band = {
+        {CORE_SPACING_LOGARITHMIC, CORE_GRID_COUNT_MAX, edge[0] * mfp_mm, edge[1] * mfp_mm},
+        NULL,
+        {edge[0] * mfp_mm, edge[1] * mfp_mm}};
+    errors.error[i] = core_model_error(profile, transport, gamma, CORE_QUANTITY_R, &band);
+  }
+  errors.error[CORE_MODEL_ERROR_BANDS] = error_of_albedo(profile, transport);
+  return errors;
+}

@@ -1,0 +1,60 @@
+/* ruler: computes how far models are from radiative transport.
+ *
+ * The model error of a request is the largest |R_model / R_transport - 1| at its radii, from the
+ * profile of the model `transport` for the same medium, the ruler. The other quantities are compared
+ * in the same way, each with itself. The numerical error that transport states is part of the sum,
+ * and so the result is an upper bound for the values of this profile.
+ */
+#ifndef DIPOLED_CORE_RULER_H
+#define DIPOLED_CORE_RULER_H
+
+#include "core/model_error.h"
+
+/* The tolerance with which the ruler is looked up in the table of solutions. */
+#define CORE_RULER_TOLERANCE 1e-3
+
+/* Whether the table of solutions covers a medium. */
+bool core_ruler_is_stored(const core_medium *medium);
+
+/* Returns the parameters of the ruler's profile, of model `transport`, moments `exact` and evaluator
+ * `f64`. */
+core_parameters core_ruler_parameters(const core_medium *medium);
+
+/* Whether core_model_error() needs the ruler for a model and a medium, and may have it: the table
+ * has it, or it may be solved (`solves`). There is none for slabs, for a surface albedo and for
+ * gamma. */
+bool core_ruler_is_needed(unsigned model, const core_parameters *parameters,
+                          const core_medium *medium, bool solves);
+
+/* Up to so many radii are compared one by one. More of them are compared at this many at most. */
+enum { CORE_RULER_RADII = 256 };
+
+/* The radii of a request: a grid, or grid.count listed ones of the evaluator's type. */
+typedef struct core_asked_radii {
+  core_grid grid;
+  const void *listed;     /* NULL: the grid */
+  core_radii_range range; /* as core_radii_check_f64() sets it */
+} core_asked_radii;
+
+/* Sets error[n], n up to CORE_RULER_RADII, to how far the wanted quantities of a profile are from
+ * those of the ruler at radii r[n] in mm, in the precision of the profile's evaluator: the largest
+ * one, relative, but absolute for ln R and the cdf, and over the albedo for TRANSFER. It is NAN where
+ * transport diverges, at r = 0, and if none of the quantities can be compared, as the derivatives of
+ * ln R; and INFINITY where nothing is known of transport. */
+void core_model_errors_at(const core_profile *profile, const core_profile *transport,
+                          unsigned wanted, size_t n, const double *r, double *error);
+
+/* Returns the largest of these errors at the finite radii of a request, and of the albedo if it is
+ * wanted; NAN if it is not known. transport: the ruler, or NULL if it is not needed or not at hand.
+ * gamma: the parameter, NAN if it is not given. Of more than CORE_RULER_RADII radii, some are
+ * compared that are at most e^(1/8) apart (more over ranges of more than e^32). Between them the
+ * error is taken to be smooth: a quarter of the second differences around is added, which is twice
+ * what a parabola rises above its points. */
+double core_model_error(const core_profile *profile, const core_profile *transport, double gamma,
+                        unsigned wanted, const core_asked_radii *asked);
+
+/* Returns the errors of a profile in each band; the arguments are those of core_model_error(). */
+core_model_errors core_model_errors_measure(const core_profile *profile,
+                                            const core_profile *transport, double gamma);
+
+#endif
