@@ -103,7 +103,6 @@ static double chosen(const struct truth *truth, uint64_t *random, size_t *promis
   const core_choose_request request = {
       .media = &truth->medium,
       .media_count = 1,
-      .moments = CORE_MOMENTS_EXACT,
       .wanted = CORE_QUANTITY_R,
       .radii = draw_range(truth, &first, &last, random),
       .single = unit_random_below(random, 2) == 1,
