@@ -273,7 +273,8 @@ static void compare_with_fine(const struct subject *s, const struct values *valu
   if ((s->family == FORM_FIT && !is_R) || !judged) {
     return;
   }
-  compare(s, e, q, r, values->of[e][q][i], fine, form_allowed(&s->profiles[FINE], q, r, fine));
+  compare(s, e, q, r, values->of[e][q][i], fine,
+          form_allowed(&s->profiles[FINE], q, r, fabsf128(fine)));
 }
 
 /* Whether a transform has no form: that of `beam`, alone or in a sum. */

@@ -130,7 +130,7 @@ test_what_the_daemon_refuses_or_cannot_be_reached = says(FAILED, ["eval"], [
     ([*EVAL[1:], "--connect", "unix:/nonexistent", "--retry-ms", "0"],
      "cannot connect to the socket /nonexist"),
     ([*EVAL[1:], "--connect", "private:/nonexistent"], "Install dipoled, or name a running daemon"),
-    ([*EVAL[1:], "--tolerance", "1e-9"], "eval: bad-value: tolerance: allowed: at least 1e-08"),
+    ([*EVAL[1:], "--tolerance", "1e-9"], "eval: bad-value: tolerance: allowed: at least 3.22e-06"),
     ([*EVAL[1:], "--model", "better,multipole"], "model multipole: bad-value: thickness: allowed: "
      "the thickness of the slab in mm: this model needs it (--thickness)"),
     ([*EVAL[1:], "--model", "multipole,better", "--thickness", "9"], "model better: bad-value: "

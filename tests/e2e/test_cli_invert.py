@@ -115,5 +115,5 @@ test_what_the_daemon_refuses = says(FAILED, ["invert"], [
 
 
 def test_too_late():
-    run = dipole("invert", *BOTH, "--model", "transport", "--deadline-ms", "20", status=FAILED)
+    run = dipole("invert", *BOTH, "--model", "beam", "--deadline-ms", "1", status=FAILED)
     assert "deadline_ms: allowed: more" in run.stderr and run.stdout == ""

@@ -606,7 +606,8 @@ def test_ring_means_are_differences_of_the_cdf(client, model, edges):
     lost = 1e-15 * of_edges.albedo[:, None] / powers  # digits of the difference
     assert means.R.shape == (3, len(means.edges) - 1)
     error = np.abs(means.R * np.pi * np.diff(means.edges**2) / powers - 1)
-    assert (error <= 1e-8 + 10 * lost).all()
+    # Transport's R is scaled to the total of its table.
+    assert (error <= (1e-6 if model == "transport" else 1e-8) + 10 * lost).all()
     assert (means.numerical_error > 0).all() and means.model_error.shape == (3,)
 
 
