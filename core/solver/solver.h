@@ -12,7 +12,7 @@
  * has entered, which excludes the specular reflection of the beam.
  *
  * The same input gives the same bits on every machine and for every instruction set `isa`. These
- * functions allocate and do not log. They have no state: threads may call them at the same time. /
+ * functions allocate and do not log. They have no state: threads may call them at the same time.
  */
 #ifndef DIPOLED_CORE_SOLVER_H
 #define DIPOLED_CORE_SOLVER_H
@@ -51,8 +51,8 @@ typedef struct solver_solution solver_solution;
  * tolerance, at radii from SOLVER_RADIUS_LEAST to SOLVER_RADIUS_MOST as far as R has not decayed
  * by e^-20, but at most four of them. What holds is the error that is stated beside each value,
  * which is larger than asked for where |g| is above 0.95 or g is below -0.5. One boundary and g up
- * to 0.9 take some 0.2 s of a processor for a tolerance of 1e-2, 0.7 s for 1e-3 and 9 s or more
- * for 1e-4; the most that they take is 3, 9 and 37 s. sigma_a_ratio: sigma_a / (sigma_s (1 - g)),
+ * to 0.9 take some 0.2 s of a processor for a tolerance of 1e-2, 0.6 to 2.5 s for 1e-3 and 9 s
+ * or more for 1e-4; the most that they take is 3, 10 and 37 s. sigma_a_ratio: sigma_a / (sigma_s (1 - g)),
  * 0 to 1000. etas: index inside over index outside, TRANSPORT_ETA_MIN to TRANSPORT_ETA_MAX, 1 to
  * SOLVER_ETAS_MAX of them. tolerance: not negative. Faults: `sigma_a_ratio`, `phase`, `eta`,
  * `tolerance`, `memory`. On a fault *solution is NULL. Otherwise the caller owns it and frees it
