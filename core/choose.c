@@ -82,7 +82,7 @@ static double added_error(const core_choose_request *request) {
     const core_medium taken = taken_of(request, i);
     core_added_errors added;
     core_transport_added_errors(&taken, &added);
-    error = fmax(error, core_error_beyond(core_transport_reach(medium), most_mm) +
+    error = fmax(error, core_error_beyond(core_transport_reach(&taken), most_mm) +
                             core_banded_error(added.banded, added.all, medium, request->wanted,
                                               request->radii));
   }
@@ -109,7 +109,7 @@ static double table_error(const core_choose_request *request) {
   double error = 0;
   for (size_t i = 0; i < request->media_count; i++) {
     const core_medium taken = taken_of(request, i);
-    error = fmax(error, core_transport_is_stored(&taken) ? core_transport_table_error(taken.eta)
+    error = fmax(error, core_transport_is_stored(&taken) ? core_transport_table_error(&taken)
                                                          : (double)INFINITY);
   }
   return error;

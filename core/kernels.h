@@ -197,7 +197,7 @@ core_fault core_transport_stored_check(double g, double eta);
 
 /* Returns the error of `transport` with isotropic scattering where the table of solutions covers
  * the medium, relative. */
-double core_transport_table_error(double eta);
+double core_transport_table_error(const core_medium *medium);
 
 /* Returns the largest ratio sigma_a / sigma_s' at which `transport` finds the albedo with this g and
  * eta in the time that is usual for them. */

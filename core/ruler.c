@@ -59,6 +59,9 @@ static double off_by(enum core_quantity quantity, double value, double truth, do
   if (value == truth) { /* infinities and zeros, too */
     return 0;
   }
+  if (isnan(value)) {
+    return (double)INFINITY;
+  }
   const double apart = fmax(fabs(value - truth) - least, 0);
   return quantity == CORE_QUANTITY_LN_R || quantity == CORE_QUANTITY_CDF ? apart
          : quantity == CORE_QUANTITY_TRANSFER                            ? apart / albedo
@@ -134,6 +137,7 @@ static size_t choose_radii(const core_asked_radii *asked, bool single, double *r
   if (*between) {
     core_radii_range ends;
     find_ends(asked, single, &ends);
+    ends.least_mm = fmax(ends.least_mm, CORE_GRID_LOG_MIN_MM);
     if (!(ends.least_mm < ends.most_mm)) { /* no other radius than one, 0 and infinity */
       *r = ends.most_mm;
       *between = false;
@@ -142,7 +146,7 @@ static size_t choose_radii(const core_asked_radii *asked, bool single, double *r
     const double steps = ceil(real_log(ends.most_mm / ends.least_mm, 0) / RULER_STEP);
     grid = (core_grid){CORE_SPACING_LOGARITHMIC,
                        (uint64_t)fmin(fmax(steps, 2), CORE_RULER_RADII - 1) + 1,
-                       fmax(ends.least_mm, CORE_GRID_LOG_MIN_MM), ends.most_mm};
+                       ends.least_mm, ends.most_mm};
   }
   const size_t n = (size_t)grid.count;
   size_t kept = 0;
@@ -195,6 +199,11 @@ double core_model_error(const core_profile *profile, const core_profile *transpo
       return (double)NAN;
     }
     most = fmax(most, with_margin(error, n, i, between)); /* passes NANs over */
+  }
+  if (between && asked->range.least_mm == 0) { /* some quantities are finite there */
+    const double source = 0;
+    core_model_errors_at(profile, transport, wanted, 1, &source, error);
+    most = isinf(error[0]) ? (double)NAN : fmax(most, error[0]);
   }
   return most;
 }

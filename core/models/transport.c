@@ -428,13 +428,14 @@ static double isotropic_error(const transport_table *table) {
   return transport_table_error(table, 0.5, 0, 1, 0, INFINITY) + SERIES_ERROR;
 }
 
-static double error_of_R(const transport_table *table, double eta) {
-  return isotropic_error(table) + (fabs(eta - 1) < TABLE_IS_NEAR_1 ? TABLE_NEAR_1 : 0);
+static double error_of_R(const transport_table *table, const core_medium *medium) {
+  return isotropic_error(table) + (fabs(medium->eta - 1) < TABLE_IS_NEAR_1 ? TABLE_NEAR_1 : 0) +
+         (absorbed_of(medium) < TABLE_IS_WHITE ? TABLE_WHITE : 0);
 }
 
-double core_transport_table_error(double eta) {
+double core_transport_table_error(const core_medium *medium) {
   const transport_table *table = transport_table_shipped();
-  return table != NULL ? error_of_R(table, eta) : (double)INFINITY;
+  return table != NULL ? error_of_R(table, medium) : (double)INFINITY;
 }
 
 /* This is more than the error of R. */
@@ -744,8 +745,7 @@ static core_fault prepare_stored(const core_inputs *inputs, const core_medium *m
   struct source source;
   look_up(medium, &series, &source);
   preparation->albedo = albedo_of_total(medium, known_albedo(medium), series.total);
-  preparation->error =
-      error_of_R(table, medium->eta) + (absorbed_of(medium) < TABLE_IS_WHITE ? TABLE_WHITE : 0);
+  preparation->error = error_of_R(table, medium);
   preparation->slope_error = core_transport_slope_error(isotropic ? 0 : 1);
   core_transport_added_errors(medium, &preparation->added);
   preparation->reach = core_transport_reach(medium);

@@ -1,6 +1,6 @@
 /* exitance: X(k), the exitance of light that was scattered more than once, Fourier transformed
  * over the plane, between and beyond the wavenumbers at which it is known, and the way back to
- * R(r). See anisotropic.c for the formulas. Lengths are in any unit, and k is per this unit. */
+ * R(r). See solver.c for the formulas. Lengths are in any unit, and k is per this unit. */
 #ifndef DIPOLED_CORE_SOLVER_EXITANCE_H
 #define DIPOLED_CORE_SOLVER_EXITANCE_H
 

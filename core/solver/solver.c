@@ -138,9 +138,9 @@ static void truncate_phase(struct scaled *to, double ratio, const solver_phase *
   /* In reduced mean free paths sigma_a + sigma_s (1 - g) is 1. */
   const double sigma_s = 1 / (1 + ratio) / (1 - g), sigma_t = ratio / (1 + ratio) + sigma_s;
   const double albedo = sigma_s / sigma_t;
-  size_t count = 2;
-  while (count < moments_most && fabs(moment_at(phase, count)) > moment_least) {
-    count++;
+  size_t count = moments_most;
+  while (count > 2 && fabs(moment_at(phase, count - 1)) <= moment_least) {
+    count--;
   }
   /* An odd moment of a backward phase function is negative, and nothing is left out then. */
   const double forward = fmax(0, moment_at(phase, count));
@@ -372,7 +372,9 @@ static double find_errors(solver_solution *of) {
     for (size_t i = 0; i < RADII; i++, r *= RADIUS_RATIO) {
       const double fine = value_at(of, &of->grid[0], eta, r);
       const double coarse = value_at(of, &of->grid[1], eta, r);
-      of->error[eta][i] = fine > 0 && coarse > 0 ? of->margin * fabs(1 - coarse / fine) : 1;
+      const double least = coarse > 0 ? 0 : 1; /* by which they differ */
+      const double error = fine > 0 ? of->margin * fmax(fabs(1 - coarse / fine), least) : 1;
+      of->error[eta][i] = isfinite(error) ? error : (double)INFINITY;
       const bool counts = r >= SOLVER_RADIUS_LEAST && r <= SOLVER_RADIUS_MOST &&
                           r * of->grid[0].scaled.kappa / of->grid[0].scaled.unit < DECAYS_MOST;
       worst = counts ? fmax(worst, of->error[eta][i]) : worst;
@@ -440,8 +442,8 @@ core_fault solver_solve_cones(solver_solution **solution, const core_isa *isa, d
       return (core_fault){"sine", "above 0, up to 1", i};
     }
   }
-  if (!(tolerance >= 0)) {
-    return (core_fault){"tolerance", "not negative", 0};
+  if (!(tolerance >= 0 && tolerance < (double)INFINITY)) {
+    return (core_fault){"tolerance", "not negative, finite", 0};
   }
   const expansion_boundaries boundaries = {count, etas, cones, sines};
   const size_t first = tolerance < 2e-4 ? 2 : tolerance < 3e-3 ? 1 : 0;
@@ -490,9 +492,12 @@ transport_number solver_at(const solver_solution *solution, size_t eta, double r
   if (isinf(r)) {
     return (transport_number){0, 0};
   }
-  const double value = fmax(value_at(solution, &solution->grid[0], eta, r), 0);
+  const double value = value_at(solution, &solution->grid[0], eta, r);
   if (solution->grids == 1) {
-    return (transport_number){value, (double)NAN};
+    return (transport_number){fmax(value, 0), (double)NAN};
+  }
+  if (!(value > 0)) { /* R is not known but for its size */
+    return (transport_number){0, isnan(value) ? (double)INFINITY : fabs(value)};
   }
   const double place = fn_log(fmax(r, RADIUS_LEAST) / RADIUS_LEAST) / fn_log(RADIUS_RATIO) + 0.5;
   const size_t middle = place < RADII - 1 ? (size_t)place : RADII - 1;
@@ -587,6 +592,12 @@ core_fault solver_totals(solver_total *totals, const core_isa *isa, double sigma
   for (size_t i = 0; i < 2; i++) {
     struct scaled scaled;
     truncate_phase(&scaled, sigma_a_ratio, phase, by[i].moment_least, by[i].moments_most);
+    if (scaled.kappa == 0) { /* the part that is absorbed is in proportion to kappa */
+      for (size_t eta = 0; eta < count; eta++) {
+        totals[eta] = (solver_total){{1, 100 * KAPPA_LEAST}, {1, 100 * KAPPA_LEAST}};
+      }
+      return no_fault;
+    }
     layer_exitance exitance[SOLVER_ETAS_MAX];
     if (!solve_total(isa, &by[i].rules, &scaled, &boundaries, exitance)) {
       return memory_fault;

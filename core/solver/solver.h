@@ -54,7 +54,7 @@ typedef struct solver_solution solver_solution;
  * to 0.9 take some 0.2 s of a processor for a tolerance of 1e-2, 0.6 to 2.5 s for 1e-3 and 9 s
  * or more for 1e-4; the most that they take is 3, 10 and 37 s. sigma_a_ratio: sigma_a / (sigma_s (1 - g)),
  * 0 to 1000. etas: index inside over index outside, TRANSPORT_ETA_MIN to TRANSPORT_ETA_MAX, 1 to
- * SOLVER_ETAS_MAX of them. tolerance: not negative. Faults: `sigma_a_ratio`, `phase`, `eta`,
+ * SOLVER_ETAS_MAX of them. tolerance: not negative, finite. Faults: `sigma_a_ratio`, `phase`, `eta`,
  * `tolerance`, `memory`. On a fault *solution is NULL. Otherwise the caller owns it and frees it
  * with solver_free(), which accepts NULL. */
 core_fault solver_solve(solver_solution **solution, const core_isa *isa, double sigma_a_ratio,
@@ -79,8 +79,8 @@ core_fault solver_solve_level(solver_solution **solution, const core_isa *isa, d
 void solver_free(solver_solution *solution);
 
 /* Returns R at the radius r for the boundary etas[eta], with an estimate of its absolute error. r:
- * 0 (where R is infinite) to infinity. Beyond 30 decay lengths the error grows up to the size of
- * R. */
+ * 0 (where R is infinite) to infinity; above 1e4 it takes longer and longer. Where the grids do not
+ * find a positive R, the value is 0 and the error the size of what they find. */
 transport_number solver_at(const solver_solution *solution, size_t eta, double r);
 
 /* Returns the share of R that leaves within the cone sines[cone], with an estimate of its absolute

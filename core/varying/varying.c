@@ -285,7 +285,8 @@ static double table_error(const core_varying *varying, unsigned wanted,
                                           (core_radii_range){range->mfp_least, range->mfp_most}));
   }
   /* Densities and the cdf have the error of R and that of the energy that they are divided by. */
-  return 2 * core_transport_table_error(varying->eta) + error;
+  const core_medium grey = {1, 1, 0, varying->eta};
+  return 2 * core_transport_table_error(&grey) + error;
 }
 
 double core_varying_stated_error(const core_varying *varying, unsigned wanted,

@@ -68,7 +68,7 @@ static void compare(struct offers_job *offers, bool known) {
         core_profile_errors(&eval->lookup.profile, wanted, eval->radii);
     const double found = core_model_error(&eval->lookup.profile, &eval->ruler.profile,
                                           (double)NAN, wanted, &asked);
-    const bool any = eval->radii.least_mm <= eval->radii.most_mm;
+    const bool any = eval->grid.count > 0;
     model = isnan(found) ? (double)INFINITY : found;
     numerical = errors.numerical + (any ? errors.numerical_per_mm * eval->radii.most_mm : 0);
   }

@@ -537,5 +537,31 @@ UNIT_TEST(faults_name_their_field) {
       solver_solve_cones(&solution, core_isa_select(NULL), 1, &good, &eta, 1, sines, 2, TOLERANCE),
       "sine", 1);
   assert_null(solution);
+  unit_assert_fault(solver_solve(&solution, core_isa_select(NULL), 1, &good, &eta, 1, INFINITY),
+                    "tolerance", 0);
   solver_free(NULL);
+}
+
+/* 0.5 HG(0.8) + 0.5 HG(-0.8): every other moment is 0. */
+UNIT_TEST(moments_behind_one_that_is_0_count) {
+  double moment[64], power = 1;
+  for (size_t l = 0; l < 64; l++, power *= 0.8) {
+    moment[l] = l % 2 == 0 ? power : 0;
+  }
+  const solver_phase phase = {.moments = 64, .moment = moment};
+  const double eta = 1.4;
+  solver_total total, without;
+  unit_assert_fault(solver_totals(&total, core_isa_select(NULL), 1, &phase, &eta, 1), NULL, 0);
+  double short_moment[3] = {1, 0, moment[2]};
+  const solver_phase cut = {.moments = 3, .moment = short_moment};
+  unit_assert_fault(solver_totals(&without, core_isa_select(NULL), 1, &cut, &eta, 1), NULL, 0);
+  assert_true(fabs(total.normal.value - without.normal.value) > 100 * total.normal.error);
+}
+
+UNIT_TEST(next_to_nothing_is_absorbed) {
+  const solver_phase phase = {.g = 0.97};
+  const double eta = 1.4;
+  solver_total total;
+  unit_assert_fault(solver_totals(&total, core_isa_select(NULL), 3e-17, &phase, &eta, 1), NULL, 0);
+  assert_true(total.normal.value == 1 && total.normal.error > 0 && total.normal.error < 1e-6);
 }

@@ -569,14 +569,16 @@ def test_phase_functions_change_R_as_they_should(client):
 # ---- the Python client ---------------------------------------------------------------------------
 
 
-def test_interrupting_the_python_client_cancels(daemon):
+# The last one is of another client, which progress() used.
+@pytest.mark.parametrize("error", [KeyboardInterrupt, dipole.ConnectionLost])
+def test_interrupting_the_python_client_cancels(daemon, error):
     one = daemon()
     with one.client() as client:
 
         def interrupt(now: dipole.McProgress) -> bool:
-            raise KeyboardInterrupt
+            raise error("stop")
 
-        with pytest.raises(KeyboardInterrupt):
+        with pytest.raises(error, match="stop"):
             client.mc(ENDLESS["medium"], EDGES, photons=ENDLESS["photons"], progress=interrupt)
         assert client.statistics()["mc_jobs_open"] == 0
         assert client.eval("better", SKIN, [1.0]).R.shape == (1, 1)

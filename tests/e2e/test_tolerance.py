@@ -357,3 +357,22 @@ test_refusals_have_the_daemons_words = says(FAILED, ["eval", *MEDIUM], [
     (["--tolerance", "0.1", "--from", "3", "--to", "1"], "(--to)"),
     (["--tolerance", "1e-3", "--wanted", "ln_R", "--g", "0.9"], "bad-value: tolerance"),
 ])
+
+
+def test_model_errors_at_the_ends_of_what_may_be_asked(client):
+    """More radii than are compared one by one: all next to 0, and from 0 on, where 2 pi r R of
+    transport is finite and that of a dipole is 0."""
+    one = Medium(0.1, 10, 0, 1.4)
+    next_to_0 = client.eval("classical", one, grid=Grid(0, 1e-301, 300), wanted="R", evaluator="f64")
+    assert np.isnan(next_to_0.model_error).all()
+    ring = client.eval("classical", one, grid=Grid(0, 10, 257), wanted="2_pi_r_R")
+    assert 1 <= ring.model_error[0] < 1.001
+    listed = client.eval("classical", one, np.append(0, np.linspace(0, 10, 300)), wanted="R")
+    assert 0.4 < listed.model_error[0] < 1
+
+
+def test_a_white_medium_has_the_error_that_the_choice_counts(client):
+    white = {"media": Medium(1e-8, 1, 0, 1.3), "r": [1.0], "wanted": "R", "evaluator": "f64"}
+    with pytest.raises(python_client.Refused, match="at least 9.2"):
+        client.eval(None, tolerance=5e-6, **white)
+    assert error_of(client.eval(None, tolerance=1e-5, **white)) <= 1e-5

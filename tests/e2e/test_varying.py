@@ -447,3 +447,10 @@ def test_an_albedo_in_single_precision_is_within_its_error(client, model):
     media = {"sigma_a": 214.6922607421875, "sigma_s": 64.18435668945312, "eta": 1.4}
     found = client.varying(model, **media, wanted=["albedo"])
     assert abs(float(found["albedo"]) / 0.004059579960877682 - 1) <= found.numerical_error < 4e-7
+
+
+def test_the_model_error_has_no_array_of_its_own(client):
+    how = {"sigma_a": [0.1, 0.2], "sigma_s": 1.0, "r": 1.0, "g": 0.8, "eta": 1.4}
+    one = client.varying("transport", wanted=["R", "model_error"], **how)
+    assert list(one.quantities) == ["R"]
+    assert np.array_equal(one["R"], client.varying("transport", wanted="R", **how)["R"])

@@ -62,18 +62,23 @@ class Calls:
         daemon is told so, unless the error is its own."""
         waiting = iter(requests)
         under_way: list[int] = []
+        taking = False
         try:
             while True:
                 while len(under_way) < most and (request := next(waiting, None)) is not None:
                     under_way.append((yield request))
                 if not under_way:
                     return
-                take((yield under_way[0]))
+                answer = yield under_way[0]
+                taking = True
+                take(answer)
+                taking = False
                 self.exchange.drop(under_way.pop(0))
-        except DipoleError:
+        except GeneratorExit:
             raise
-        except BaseException:
-            yield from self.cancel(under_way if cancels else ())
+        except BaseException as error:
+            if cancels and (taking or not isinstance(error, DipoleError)):
+                yield from self.cancel(under_way)
             raise
         finally:
             for request_id in under_way:

@@ -71,16 +71,21 @@ def mc(
     numbers = (photons, error_total, error_rings, thickness, albedos, seed)
     payload = pack_request(medium, edges, spacing, *numbers)
     job = yield Request("mc", payload + b"".join(parameters_list(info, parameters)), _Answer)
-    cancelled = False
+    cancelled = reporting = False
     try:
         while not isinstance(report := (yield job), McResult):
-            if progress is not None and progress(report) is False and not cancelled:
+            reporting = True
+            stop = progress is not None and progress(report) is False and not cancelled
+            reporting = False
+            if stop:
                 cancelled = True
                 yield Cancel(job)
         return report
-    except DipoleError:
+    except GeneratorExit:
         raise
     except BaseException as error:
+        if isinstance(error, DipoleError) and not reporting:  # the daemon's own
+            raise
         yield from calls.cancel([job])
         while isinstance(error, (Exception, KeyboardInterrupt)):  # A cancelled task does not wait.
             if isinstance((yield job), McResult):

@@ -203,6 +203,7 @@ def varying(
         raise ArgumentError(f"{', '.join(arrays)}: {error}") from error
     usual = _WANTED[numbers]
     wanted_bits = _bits(info, "quantity", usual if wanted is None else wanted)
+    wanted_bits.pop(wire.QUANTITY_MODEL_ERROR, None)  # it has no array, and is always asked for
     if coefficients is None:
         coefficients = ("sigma_a", "sigma_s") if coloured and numbers == wire.VARYING_NONE else ()
     coefficient_bits = _bits(info, "coefficient", coefficients)
