@@ -606,25 +606,33 @@ static enum job_outcome end_part(struct eval_job *eval) {
   return JOB_NEXT_PART;
 }
 
+/* What a profile with a table, or a ruler, is charged for in radii: looking transport up takes up to a
+ * millisecond if the cache does not have it, so that few channels share a turn. */
+enum { PREPARED_RADII = JOB_SLICE_RADII / 4 };
+
 enum job_outcome eval_job_step(struct job *job, uint64_t *budget) {
   struct eval_job *eval = of(job);
   size_t n;
   double cost = 1, fixed = 0;
+  uint64_t prepared = 0;
   if (!eval->radii_done) {
     cost += grid_cost(eval);
     n = slice_length(eval, fixed, cost);
     radii_step(eval, n);
   } else {
-    const enum job_outcome outcome = eval->lookup.ready ? JOB_GOES_ON : get_profile(eval);
+    const bool gets = !eval->lookup.ready;
+    const enum job_outcome outcome = gets ? get_profile(eval) : JOB_GOES_ON;
     if (outcome != JOB_GOES_ON || !eval->lookup.ready) {
       return outcome;
     }
+    const bool has_table = eval->ruler.ready || eval->lookup.profile.table != NULL;
+    prepared = gets && has_table ? PREPARED_RADII : 0;
     cost = cost_of(eval);
     fixed = core_call_cost(&eval->lookup.profile, eval->request.fixed.wanted);
     n = slice_length(eval, fixed, cost);
     channel_step(eval, n);
   }
-  const uint64_t spent = (uint64_t)((double)n * cost + fixed) + JOB_STEP_RADII;
+  const uint64_t spent = (uint64_t)((double)n * cost + fixed) + prepared + JOB_STEP_RADII;
   *budget -= spent < *budget ? spent : *budget;
   return eval->channel < eval->request.fixed.medium_count ? JOB_GOES_ON : end_part(eval);
 }
