@@ -221,6 +221,7 @@ CORE_KERNEL_TABLE_NONE(transport);
 #else /* what follows prepares a profile, and is compiled once for all instruction sets */
 
 #include <assert.h>
+#include <float.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -737,6 +738,14 @@ static void differentiate_table(const core_medium *medium, const struct panels *
   }
 }
 
+/* What a difference between neighbours leaves where they are nearly white, per mm: their albedos are
+ * rounded, so that kappa's slope is off, and ln R far away is about ln(1 + kappa x) - kappa x. */
+static double rounded_albedos_per_mm(const core_medium *medium, double kappa, double most_mm) {
+  const double absorbed = absorbed_of(medium), per_mm = kappa * core_sigma_t_prime(medium);
+  const double off = fmin(DBL_EPSILON / (absorbed * LN_RATIO_STEP), 1);
+  return absorbed > 0 ? off * per_mm * (per_mm * most_mm / (1 + per_mm * most_mm)) : 0;
+}
+
 static core_fault prepare_stored(const core_inputs *inputs, const core_medium *medium,
                                  core_preparation *preparation) {
   const transport_table *table = transport_table_shipped();
@@ -753,7 +762,8 @@ static core_fault prepare_stored(const core_inputs *inputs, const core_medium *m
   preparation->derivative_error =
       isotropic ? error_of_slope(table) : fmax(DERIVATIVE * error, TABLE_SLOPE_JUMPS);
   preparation->derivative_error_per_mm =
-      isotropic ? 0 : error * source.kappa * core_sigma_t_prime(medium);
+      (isotropic ? 0 : error * source.kappa * core_sigma_t_prime(medium)) +
+      rounded_albedos_per_mm(medium, source.kappa, preparation->reach.most_mm);
   if (inputs->only_albedo) {
     return (core_fault){0};
   }
