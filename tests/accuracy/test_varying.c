@@ -107,18 +107,23 @@ static double compare(const core_varying *f64, const core_varying *f32, const st
                       const core_profile *profile) {
   core_varying_range range;
   const uint8_t status = check(f64, value, &range);
-  double worst = 0;
+  double worst = 0, R;
   if (status == CORE_VALUE_FAR) {
     return 0;
   }
   assert_int_equal(status, CORE_VALUE_OK);
+  core_eval_f64(profile, CORE_QUANTITY_R, 1, &value->r, &R);
   for (int i = 0; i < QUANTITIES; i++) {
     double exact;
     core_eval_f64(profile, quantities[i], 1, &value->r, &exact);
     const double own = profile->numerical_error + profile->numerical_error_per_mm * value->r;
     for (int narrow = 0; narrow < (f32 != NULL ? 2 : 1); narrow++) {
       const core_varying *varying = narrow ? f32 : f64;
-      const double tiny = 64 * (narrow ? 0x1p-149 : 0x1p-1074);
+      /* 2 pi r R and the pdf lose what R loses by underflow, times their factor. */
+      const bool follows =
+          quantities[i] == CORE_QUANTITY_RING || quantities[i] == CORE_QUANTITY_PDF;
+      const double factor = follows && R > 0 ? fmax(exact / R, 1) : 1;
+      const double tiny = 64 * (narrow ? 0x1p-149 : 0x1p-1074) * factor;
       const double error = core_varying_error(varying, quantities[i], &range);
       /* Of transport only what the surface adds is allowed, as both come from the same table. */
       const bool transport = f64->model == CORE_MODEL_TRANSPORT;
