@@ -200,7 +200,8 @@ double core_model_error(const core_profile *profile, const core_profile *transpo
     }
     most = fmax(most, with_margin(error, n, i, between)); /* passes NANs over */
   }
-  if (between && asked->range.least_mm == 0) { /* some quantities are finite there */
+  const double first_mm = asked->listed != NULL ? asked->range.least_mm : asked->grid.start_mm;
+  if (between && !(first_mm > 0)) { /* some quantities are finite at r = 0 */
     const double source = 0;
     core_model_errors_at(profile, transport, wanted, 1, &source, error);
     most = isinf(error[0]) ? (double)NAN : fmax(most, error[0]);
