@@ -57,10 +57,10 @@ static double model_error(const core_choose_request *request) {
     double here = 0;
     if (request->gamma > 0) {
       const core_model_errors errors = core_gamma_errors_find(request->gamma, &request->media[i]);
-      here = (request->wanted & UNMEASURED) == 0
-                 ? core_model_errors_of(&errors, &request->media[i], request->wanted,
-                                        request->radii)
-                 : (double)INFINITY;
+      here =
+          (request->wanted & UNMEASURED) == 0
+              ? core_model_errors_of(&errors, &request->media[i], request->wanted, request->radii)
+              : (double)INFINITY;
     }
     const bool taken_as_it_is =
         core_transport_is_stored(&taken) &&
@@ -118,7 +118,8 @@ static double table_error(const core_choose_request *request) {
 /* Returns the error of dR/dr in the table for all media, or 0 if it is not wanted. */
 static double slope_error(const core_choose_request *request) {
   double error = 0;
-  for (size_t i = 0; i < request->media_count && (request->wanted & CORE_QUANTITY_SLOPE) != 0; i++) {
+  for (size_t i = 0; i < request->media_count && (request->wanted & CORE_QUANTITY_SLOPE) != 0;
+       i++) {
     error = fmax(error, core_transport_slope_error(taken_of(request, i).g));
   }
   return error > 0 ? error + DBL_EPSILON : 0;
@@ -142,9 +143,8 @@ static void set_numerical_error(core_candidate *candidate, const core_choose_req
   const double of_slope = slope_error(request);
   candidate->looked_up = true;
   candidate->numerical_tolerance = lut ? tolerance : (double)NAN;
-  candidate->numerical_error =
-      lut ? fmax(tolerance, of_slope)
-          : rounding + fmax(table_error(request) + DBL_EPSILON, of_slope);
+  candidate->numerical_error = lut ? fmax(tolerance, of_slope)
+                                   : rounding + fmax(table_error(request) + DBL_EPSILON, of_slope);
 }
 
 /* ---- costs ----------------------------------------------------------------------------------- */
@@ -172,7 +172,8 @@ static void finish(core_candidate *candidate, const core_choose_request *request
   if (candidate->model == CORE_MODEL_TRANSPORT && !candidate->looked_up) {
     candidate->prepare_ns += solve_ns;
   }
-  candidate->error = candidate->model_error + (1 + candidate->model_error) * candidate->numerical_error;
+  candidate->error =
+      candidate->model_error + (1 + candidate->model_error) * candidate->numerical_error;
   candidate->total_ns = candidate->prepare_ns + value_count(request) * candidate->cost_ns;
   candidate->meets = candidate->error <= request->tolerance;
 }

@@ -156,7 +156,7 @@ typedef struct core_preparation {
   /* error of derivatives that have kernels, if it is not that of R, else 0 */
   double derivative_error;
   double derivative_error_per_mm;
-  double error_epsilons;   /* further error, in epsilons of the evaluator */
+  double error_epsilons;        /* further error, in epsilons of the evaluator */
   double error_epsilons_per_mm; /* further error for each mm of r, in epsilons */
   double cost;                  /* see core_profile */
   double scale_mm;              /* see core_profile */
@@ -240,8 +240,8 @@ void core_evaluate(const core_profile *profile, enum core_quantity quantity, siz
 
 /* Runs the kernel of a quantity that every model has one for: R, CDF, SLOPE or LN_R. The profile is
  * as that of core_evaluate(), and not a sum. */
-static inline void core_run_kernel(const core_profile *profile, enum core_elementwise quantity, size_t n,
-                            const double *r, double *out) {
+static inline void core_run_kernel(const core_profile *profile, enum core_elementwise quantity,
+                                   size_t n, const double *r, double *out) {
   profile->kernels->f64->evaluate[quantity](
       profile->table != NULL ? profile->table : profile->coefficients.f64, n, r, out);
 }

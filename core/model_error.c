@@ -154,12 +154,11 @@ double core_ratio_of(const core_medium *medium) {
   return medium->sigma_a_per_mm / (medium->sigma_s_per_mm * (1 - medium->g));
 }
 
-core_model_errors core_model_errors_stated(unsigned model, unsigned notes, double gamma,
+core_model_errors core_model_errors_stated(unsigned model, double gamma,
                                            const core_medium *medium) {
-  const bool transport = model == CORE_MODEL_TRANSPORT && (notes & CORE_NOTE_SIMILARITY) == 0;
-  return !transport     ? core_model_errors_unknown()
-         : isnan(gamma) ? core_model_errors_exact()
-                        : core_gamma_errors_find(gamma, medium);
+  return model != CORE_MODEL_TRANSPORT ? core_model_errors_unknown()
+         : isnan(gamma)                ? core_model_errors_exact()
+                                       : core_gamma_errors_find(gamma, medium);
 }
 
 /* ---- numerical errors ------------------------------------------------------------------------ */

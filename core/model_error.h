@@ -28,10 +28,9 @@ typedef struct core_model_errors {
  * 1.08. They are NAN where nothing was measured. */
 core_model_errors core_gamma_errors_find(double gamma, const core_medium *medium);
 
-/* Returns the errors that need no ruler: those of `transport`, which are 0 unless gamma is given.
- * notes: those of the profile. The errors of all other models are unknown. */
-core_model_errors core_model_errors_stated(unsigned model, unsigned notes, double gamma,
-                                           const core_medium *medium);
+/* Returns the errors that need no ruler: those of `transport`, which are 0 unless gamma is given. The
+ * errors of all other models are unknown. */
+core_model_errors core_model_errors_stated(unsigned model, double gamma, const core_medium *medium);
 
 /* Returns the errors of a model that is transport itself. */
 core_model_errors core_model_errors_exact(void);

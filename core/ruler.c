@@ -9,26 +9,16 @@
 #define CORE_REAL 64
 #include "core/kernel.h"
 
-core_parameters core_ruler_parameters(const core_medium *medium) {
-  (void)medium;
-  return core_parameters_none();
-}
-
-bool core_ruler_is_stored(const core_medium *medium) {
-  return core_transport_is_stored(medium);
-}
-
 bool core_ruler_is_needed(unsigned model, const core_parameters *parameters,
                           const core_medium *medium, bool solves) {
   const double *value = parameters->value;
-  const bool plain = isnan(value[CORE_PARAMETER_GAMMA]) &&
-                     isnan(value[CORE_PARAMETER_THICKNESS]) &&
+  const bool plain = isnan(value[CORE_PARAMETER_GAMMA]) && isnan(value[CORE_PARAMETER_THICKNESS]) &&
                      isnan(value[CORE_PARAMETER_SURFACE_ALBEDO]);
   return model != CORE_MODEL_TRANSPORT && plain &&
          core_profile_check(CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, medium,
                             NULL, NULL)
                  .field == NULL &&
-         (solves || core_ruler_is_stored(medium));
+         (solves || core_transport_is_stored(medium));
 }
 
 enum {
@@ -102,8 +92,7 @@ static double error_of_albedo(const core_profile *profile, const core_profile *t
   const double error =
       off_by(CORE_QUANTITY_ALBEDO, profile->albedo, transport->albedo, 0, 16 * DBL_TRUE_MIN);
   const core_radii_range none = {1, 0};
-  return error +
-         (1 + error) * core_profile_errors(transport, CORE_QUANTITY_ALBEDO, none).numerical;
+  return error + (1 + error) * core_profile_errors(transport, CORE_QUANTITY_ALBEDO, none).numerical;
 }
 
 /* Radii between which the error is taken to be smooth are apart by this in ln r, unless that takes
@@ -120,8 +109,8 @@ static void find_ends(const core_asked_radii *asked, bool single, core_radii_ran
   if (asked->listed != NULL) {
     *ends = (core_radii_range){(double)INFINITY, 0};
     for (uint64_t i = 0; i < grid->count; i++) {
-      const double r = single ? (double)((const float *)asked->listed)[i]
-                              : ((const double *)asked->listed)[i];
+      const double r =
+          single ? (double)((const float *)asked->listed)[i] : ((const double *)asked->listed)[i];
       ends->least_mm = r > 0 ? fmin(ends->least_mm, r) : ends->least_mm;
       ends->most_mm = r < (double)INFINITY ? fmax(ends->most_mm, r) : ends->most_mm;
     }
@@ -145,15 +134,15 @@ static size_t choose_radii(const core_asked_radii *asked, bool single, double *r
     }
     const double steps = ceil(real_log(ends.most_mm / ends.least_mm, 0) / RULER_STEP);
     grid = (core_grid){CORE_SPACING_LOGARITHMIC,
-                       (uint64_t)fmin(fmax(steps, 2), CORE_RULER_RADII - 1) + 1,
-                       ends.least_mm, ends.most_mm};
+                       (uint64_t)fmin(fmax(steps, 2), CORE_RULER_RADII - 1) + 1, ends.least_mm,
+                       ends.most_mm};
   }
   const size_t n = (size_t)grid.count;
   size_t kept = 0;
   if (!*between && asked->listed != NULL) {
     for (size_t i = 0; i < n; i++) {
-      r[kept] = single ? (double)((const float *)asked->listed)[i]
-                       : ((const double *)asked->listed)[i];
+      r[kept] =
+          single ? (double)((const float *)asked->listed)[i] : ((const double *)asked->listed)[i];
       kept += r[kept] < (double)INFINITY;
     }
     return kept;
@@ -181,14 +170,14 @@ static double with_margin(const double *error, size_t n, size_t i, bool between)
 
 double core_model_error(const core_profile *profile, const core_profile *transport, double gamma,
                         unsigned wanted, const core_asked_radii *asked) {
-  if (transport == NULL || (transport->notes & CORE_NOTE_SIMILARITY) != 0) {
+  if (transport == NULL) {
     const core_model_errors errors =
-        core_model_errors_stated(profile->model, profile->notes, gamma, &profile->medium);
+        core_model_errors_stated(profile->model, gamma, &profile->medium);
     return core_model_errors_of(&errors, &profile->medium, wanted, asked->range);
   }
   double r[CORE_RULER_RADII], error[CORE_RULER_RADII];
-  double most = (wanted & CORE_QUANTITY_ALBEDO) != 0 ? error_of_albedo(profile, transport)
-                                                     : (double)NAN;
+  double most =
+      (wanted & CORE_QUANTITY_ALBEDO) != 0 ? error_of_albedo(profile, transport) : (double)NAN;
   bool between = false;
   const bool at_radii = (wanted & (COMPARED | CORE_QUANTITY_S)) != 0 && asked->grid.count > 0;
   const bool single = profile->evaluator != CORE_EVALUATOR_F64;
@@ -211,8 +200,8 @@ double core_model_error(const core_profile *profile, const core_profile *transpo
 
 core_model_errors core_model_errors_measure(const core_profile *profile,
                                             const core_profile *transport, double gamma) {
-  if (transport == NULL || (transport->notes & CORE_NOTE_SIMILARITY) != 0) {
-    return core_model_errors_stated(profile->model, profile->notes, gamma, &profile->medium);
+  if (transport == NULL) {
+    return core_model_errors_stated(profile->model, gamma, &profile->medium);
   }
   core_model_errors errors = {.exact = false};
   const double mfp_mm = 1 / core_sigma_t_prime(&profile->medium);

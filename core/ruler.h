@@ -1,7 +1,8 @@
 /* ruler: computes how far models are from radiative transport.
  *
  * The model error of a request is the largest |R_model / R_transport - 1| at its radii, from the
- * profile of the model `transport` for the same medium, the ruler. The other quantities are compared
+ * profile of the model `transport` for the same medium, the ruler, with moments `exact`, evaluator
+ * `f64` and no parameters. The other quantities are compared
  * in the same way, each with itself. The numerical error that transport states is part of the sum,
  * and so the result is an upper bound for the values of this profile.
  */
@@ -9,16 +10,6 @@
 #define DIPOLED_CORE_RULER_H
 
 #include "core/model_error.h"
-
-/* The tolerance with which the ruler is looked up in the table of solutions. */
-#define CORE_RULER_TOLERANCE 1e-3
-
-/* Whether the table of solutions covers a medium. */
-bool core_ruler_is_stored(const core_medium *medium);
-
-/* Returns the parameters of the ruler's profile, of model `transport`, moments `exact` and evaluator
- * `f64`. */
-core_parameters core_ruler_parameters(const core_medium *medium);
 
 /* Whether core_model_error() needs the ruler for a model and a medium, and may have it: the table
  * has it, or it may be solved (`solves`). There is none for slabs, for a surface albedo and for

@@ -73,7 +73,7 @@ typedef struct core_varying {
   /* The share of the light striking the surface that the surface itself reflects (Fresnel). */
   double specular[CORE_LIGHTS];
   double surface_error; /* measured error of the surface, relative; 0 for other models */
-  float *words; /* of the surface and of colours, for core_varying_open(); owned */
+  float *words;         /* of the surface and of colours, for core_varying_open(); owned */
   size_t words_count;
 
   double table_g; /* with which the surface scatters: g, gamma - 1, or 0 by similarity */

@@ -244,7 +244,8 @@ static void describe_errors(const struct description *to) {
   const char *before = "";
   char text[CELL_BYTES];
 #define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text_)                              \
-  snprintf(text, sizeof text, "%s %d %s (%02x)", before, code, name, (unsigned)(modbus_exception)); \
+  snprintf(text, sizeof text, "%s %d %s (%02x)", before, code, name,                               \
+           (unsigned)(modbus_exception));                                                          \
   to->print(to->context, text);                                                                    \
   before = ",";
 #include "proto/statuses.def"

@@ -156,8 +156,7 @@ wire_error varying_request_parse(const uint8_t *payload, size_t payload_bytes,
 varying_layout varying_reply_layout(unsigned evaluator, unsigned wanted, unsigned coefficients,
                                     uint64_t count) {
   varying_layout layout = {
-      .arrays =
-          coefficients | VARYING_QUANTITY(wanted & ~(unsigned)CORE_QUANTITY_MODEL_ERROR),
+      .arrays = coefficients | VARYING_QUANTITY(wanted & ~(unsigned)CORE_QUANTITY_MODEL_ERROR),
       .array_bytes = wire_padded(count * core_evaluator_bytes(evaluator)),
   };
   const uint64_t arrays = (uint64_t)__builtin_popcount(layout.arrays);
@@ -284,8 +283,8 @@ static struct scratch divide(double *scratch) {
   for (size_t i = 0; i < VARYING_SCRATCH_ARRAYS; i++) {
     arrays[i] = scratch + i * VARYING_SLICE_VALUES;
   }
-  return (struct scratch){arrays[0], arrays[1],           arrays[2],
-                          arrays[3], (uint8_t *)arrays[4], (uint8_t *)arrays[5]};
+  return (struct scratch){
+      arrays[0], arrays[1], arrays[2], arrays[3], (uint8_t *)arrays[4], (uint8_t *)arrays[5]};
 }
 
 /* Returns where the part's values from `begin` on of an array go; NULL if it is not wanted. */
@@ -385,13 +384,11 @@ static void compare(varying_part *part, const struct slice *slice, const struct 
   for (size_t i = 0; i < slice->n; i++) {
     const double value =
         slice->single ? (double)((const float *)values)[i] : ((const double *)values)[i];
-    const double truth = slice->single ? (double)((const float *)scratch->truth)[i]
-                                       : scratch->truth[i];
+    const double truth =
+        slice->single ? (double)((const float *)scratch->truth)[i] : scratch->truth[i];
     if (status[i] == CORE_VALUE_OK && scratch->known[i] == CORE_VALUE_OK && !isinf(truth)) {
       const double apart = fabs(value - truth);
-      const double relative = quantity == CORE_QUANTITY_CDF ? apart
-                              : apart > 0                   ? apart / truth
-                                                            : 0;
+      const double relative = quantity == CORE_QUANTITY_CDF ? apart : apart > 0 ? apart / truth : 0;
       part->model_error = fmax(part->model_error, relative);
     }
   }
@@ -478,10 +475,9 @@ static double model_error(const varying_part *part, const core_varying *varying,
   if ((wanted & CORE_QUANTITY_MODEL_ERROR) == 0) {
     return (double)NAN;
   }
-  return ruler == NULL
-             ? core_varying_stated_error(varying, wanted, &part->range)
-             : part->model_error +
-                   (1 + part->model_error) * core_varying_error(ruler, wanted, &part->range);
+  return ruler == NULL ? core_varying_stated_error(varying, wanted, &part->range)
+                       : part->model_error + (1 + part->model_error) *
+                                                 core_varying_error(ruler, wanted, &part->range);
 }
 
 void varying_part_end(const varying_part *part, const varying_request *request,

@@ -336,7 +336,7 @@ typedef struct dipole_query {
 /* Sets all fields of a query: the model transport, DIPOLE_LUT, DIPOLE_EXACT, DIPOLE_R, DIPOLE_LIST,
  * and 0 or NULL for all others. Then set at least the media and the radii, which are an array of
  * float unless you change the evaluator to DIPOLE_F64. A table of transport takes milliseconds to
- * prepare, which is much less than the other evaluators need, and is within 1e-4 of them. */
+ * prepare and then the least for a radius; it is within 1e-4 of the other evaluators. */
 void dipole_query_init(dipole_query *query);
 
 /* The answer for one medium. An array is NULL if its quantity was not wanted or if its type is not
@@ -807,11 +807,11 @@ typedef struct dipole_varying_result {
   uint64_t answered_count; /* number of values that are answered; the others are NaN */
   const uint8_t *statuses; /* [value_count]: enum dipole_value_status, or the id of a fault */
   double numerical_error;  /* relative, of all values whose status is DIPOLE_VALUE_OK */
-  double model_error;      /* against radiative transport, relative; NaN unless DIPOLE_MODEL_ERROR was
+  double model_error;  /* against radiative transport, relative; NaN unless DIPOLE_MODEL_ERROR was
                               wanted, or if transport is not solved for the media */
-  double colour_least;     /* the range of colours that media have, as in the query; NaN if the */
-  double colour_most;      /* query has none */
-  double specular;         /* the share of the light that the surface reflects; NaN likewise */
+  double colour_least; /* the range of colours that media have, as in the query; NaN if the */
+  double colour_most;  /* query has none */
+  double specular;     /* the share of the light that the surface reflects; NaN likewise */
 } dipole_varying_result;
 
 /* Evaluates a query and waits for the answer. The arrays of a request must fit into a frame (limit

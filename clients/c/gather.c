@@ -582,7 +582,8 @@ bool dipole_gather_at_home(const dipole_table *const *tables, const dipole_point
   home->info = info;
   for (uint32_t c = 0; c < info->channel_count; c++) {
     profiles[c] = libdipole_table_profile(tables[c]);
-    result->model_error[c] = core_gather_model_error(libdipole_table_model_errors(tables[c]), &profiles[c]->medium);
+    result->model_error[c] =
+        core_gather_model_error(libdipole_table_model_errors(tables[c]), &profiles[c]->medium);
     result->notes |= profiles[c]->notes;
   }
   const bool good = check_home(info, query_count, queries_mm, error) &&

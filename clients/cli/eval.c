@@ -128,14 +128,16 @@ const cli_command cli_command_eval = {
     .more =
         "\n"
         "The output has the values, their numerical error, the model's own error at these radii\n"
-        "(against radiative transport, where that is solved), and notes on what the model does not\n"
+        "(against radiative transport, where that is solved), and notes on what the model does "
+        "not\n"
         "do. A value is within the sum of both errors of transport. Some models are infinite at\n"
         "r = 0: tables and CSV then say inf, JSON \"inf\". NaN is an empty cell or null.\n"
         "\n"
         "With --tolerance and without --model, the daemon takes transport in the cheapest\n"
         "evaluator that keeps the tolerance for all channels and radii; the time to prepare a\n"
         "medium counts, so that few radii may get another one than many. A line below the table\n"
-        "says which it took and why. With --model, --tolerance is a bound on the numerical error.\n" CLI_DEFAULT_TEXT,
+        "says which it took and why. With --model, --tolerance is a bound on the numerical "
+        "error.\n" CLI_DEFAULT_TEXT,
     .formats = "table,csv,json",
     .options = {cli_medium_options, radii_options, cli_eval_options, output_options,
                 cli_parameter_options},

@@ -127,8 +127,8 @@ static void keep(const asking *ask, size_t place, size_t first, const dipole_res
     values->numerical_error = channel->numerical_error;
     values->numerical_error_per_mm = channel->numerical_error_per_mm;
     /* A list is asked for in pieces, which state the errors of their own radii. */
-    values->model_error = first == 0 ? channel->model_error
-                                     : larger(values->model_error, channel->model_error);
+    values->model_error =
+        first == 0 ? channel->model_error : larger(values->model_error, channel->model_error);
     for (size_t q = 0; q < report->quantities.count; q++) {
       const unsigned id = report->quantities.items[q]->id;
       values->arrays[q] = make_room(values->arrays[q], report->radius_count);

@@ -22,7 +22,8 @@ static const cli_option options[] = {
      "with a tolerance, the cheapest that is so near to radiative transport)",
      CLI_TEXT, offsetof(cli_profile_settings, model), NULL},
     {"evaluator", "NAME",
-     CLI_EVALUATOR_TEXT "(default: f64; lut for transport, which f64 solves in .1 s a row)",
+     CLI_EVALUATOR_TEXT "(default: f64; lut for transport, which is\nfaster where many rows share "
+                        "g and eta, and slower where they do not)",
      CLI_TEXT, offsetof(points_settings, profile.evaluator), NULL},
     {"r", "X[,X...]",
      "for files without a column r: each row is written once for each of these\nradii, mm",
@@ -272,8 +273,8 @@ static bool is_worth_a_surface(points_run *points, const points_row *row) {
   return i == SURFACE_MEDIA;
 }
 
-/* Returns whether the row may be asked for in a group. Transport without a table is solved for each
- * medium, and with one needs a surface for the group. */
+/* Returns whether the row may be asked for in a group. Transport needs a surface for it, whose values
+ * are those of a table. */
 static bool is_for_group(points_run *points, const points_row *row) {
   const points_usual *usual = &points->usual;
   return (usual->quantities.wanted & ~(unsigned)GROUP_QUANTITIES) == 0 && row->model < MODELS &&
@@ -674,7 +675,8 @@ const cli_command cli_command_points = {
         "Each row is written as it is, with columns appended, or replaced if they exist: R\n"
         "(1/mm^2 per unit of power that entered; it may be inf), albedo, cdf (the share of the\n"
         "albedo within r) and status. status is ok or says what is wrong with the row; then the\n"
-        "exit status is 3, but the other rows are evaluated. Comments are copied.\n" CLI_CSV_TEXT CLI_DEFAULT_TEXT,
+        "exit status is 3, but the other rows are evaluated. Comments are copied.\n" CLI_CSV_TEXT
+            CLI_DEFAULT_TEXT,
     .formats = "csv",
     .options = {options, cli_parameter_options},
     .examples = "  dipole points media.csv > profiles.csv\n"

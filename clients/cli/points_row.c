@@ -324,8 +324,7 @@ double points_tolerance(const points_usual *usual, const points_row *row) {
   return (double)NAN;
 }
 
-/* Chooses the model and the evaluator. The parameters are known already. Transport is solved for
- * each row unless a table is taken. */
+/* Chooses the model and the evaluator. The parameters are known already. */
 static bool read_model(const points_usual *usual, const points_columns *columns, points_row *row) {
   const char *name = text_of(columns, row, MODEL);
   const bool named = name != NULL || usual->settings->profile.model != NULL;

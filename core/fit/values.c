@@ -83,17 +83,17 @@ static double with_shares(const struct fit_model *model, const core_medium *medi
 }
 
 double fit_model_error(const struct fit_model *model, const core_medium *medium,
-                       const struct fit_places *places, unsigned notes) {
-  const core_model_errors errors = core_model_errors_stated(
-      model->model, notes, model->parameters.value[CORE_PARAMETER_GAMMA], medium);
+                       const struct fit_places *places) {
+  const core_model_errors errors =
+      core_model_errors_stated(model->model, model->parameters.value[CORE_PARAMETER_GAMMA], medium);
   return with_shares(model, medium, places,
                      core_model_errors_of(&errors, medium, model->quantity, places->radii));
 }
 
 /* error: NULL, or receives the numerical error at all radii; model_error: the same. */
 static core_fault evaluate(const struct fit_model *model, const core_medium *medium,
-                           const struct fit_places *places, double *value,
-                           double *error, double *model_error) {
+                           const struct fit_places *places, double *value, double *error,
+                           double *model_error) {
   core_profile profile;
   const core_fault fault = core_profile_prepare(&profile, model->isa, model->model, model->moments,
                                                 CORE_EVALUATOR_F64, medium, &model->parameters);
@@ -105,7 +105,7 @@ static core_fault evaluate(const struct fit_model *model, const core_medium *med
     *error = profile.numerical_error;
   }
   if (model_error != NULL) {
-    *model_error = fit_model_error(model, medium, places, profile.notes);
+    *model_error = fit_model_error(model, medium, places);
   }
   core_profile_free(&profile);
   return fault;

@@ -43,10 +43,9 @@ struct fit_place {
 
 core_medium fit_medium(const struct fit_model *model, struct fit_place place);
 
-/* Returns the relative error of readings against radiative transport; NAN if it is not known. notes:
- * bits of the model's. */
+/* Returns the relative error of readings against radiative transport; NAN if it is not known. */
 double fit_model_error(const struct fit_model *model, const core_medium *medium,
-                       const struct fit_places *places, unsigned notes);
+                       const struct fit_places *places);
 
 /* Returns ln x, or that of the least normal number if x is less. */
 double fit_ln(double x);

@@ -25,10 +25,10 @@
 #include "core/kernels.h"
 
 enum coefficient {
-  PER_D,      /* 1/mm */
-  D,          /* mm */
-  ALBEDO,     /* A */
-  R_SCALE,    /* A / (8 pi d), in 1/mm; R is this times the exponentials, divided by r */
+  PER_D,   /* 1/mm */
+  D,       /* mm */
+  ALBEDO,  /* A */
+  R_SCALE, /* A / (8 pi d), in 1/mm; R is this times the exponentials, divided by r */
   /* derivatives by ln sigma_a and by ln sigma_s' */
   A_BY_A, /* of ln A */
   A_BY_S,

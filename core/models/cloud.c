@@ -115,8 +115,7 @@ static double period_of(const struct cloud *cloud) {
 
 static struct cloud make_cloud(const core_inputs *inputs) {
   double shared[CORE_VARYING_SHARED_MAX];
-  const struct lane lane =
-      lane_of_medium(shared, inputs->variant, inputs->moments, inputs->medium);
+  const struct lane lane = lane_of_medium(shared, inputs->variant, inputs->moments, inputs->medium);
   const struct lane_dipole dipole = lane_dipole_of(shared, lane);
   struct cloud cloud = {
       .sigma_t_prime = lane.sigma_t,

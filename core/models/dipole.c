@@ -590,8 +590,7 @@ static inline size_t block_length(size_t left) {
       for (size_t i = 0; i < next; i++) {                                                          \
         const struct distances measured = block_get(&block, i);                                    \
         block_set(&block, i, measure(c, kernel_units(c, next_r[i])));                              \
-        out[done + i] =                                                                            \
-            quantity##_of(c, view_of(c, kernel_units(c, now_r[i]), measured));                     \
+        out[done + i] = quantity##_of(c, view_of(c, kernel_units(c, now_r[i]), measured));         \
       }                                                                                            \
       for (size_t i = next; i < now; i++) {                                                        \
         out[done + i] =                                                                            \

@@ -332,8 +332,8 @@ core_fault core_extended_check(const core_inputs *inputs, core_radii_range *radi
  * mu z_b)) / mu]. */
 static double set_coefficients(const core_inputs *inputs, double *c) {
   double shared[CORE_VARYING_SHARED_MAX];
-  const struct lane lane = lane_of_medium(
-      shared, CORE_DIPOLE_BETTER, inputs->moments, inputs->medium);
+  const struct lane lane =
+      lane_of_medium(shared, CORE_DIPOLE_BETTER, inputs->moments, inputs->medium);
   const struct lane_dipole dipole = lane_dipole_of(shared, lane);
   const double sigma_t_prime = lane.sigma_t;
   c[MFP_PER_MM] = sigma_t_prime;

@@ -15,8 +15,8 @@ enum gaussians_field {
   GAUSSIANS_SHIFT,
   /* for smaller radii R is continued in proportion to 1 / r; 0 if no radius is smaller */
   GAUSSIANS_LEAST_MM,
-  GAUSSIANS_LEAST_CDF,  /* cdf at LEAST_MM */
-  GAUSSIANS_LIMIT,      /* limit of the cdf at infinity: 1, or 0 if nothing scatters */
+  GAUSSIANS_LEAST_CDF, /* cdf at LEAST_MM */
+  GAUSSIANS_LIMIT,     /* limit of the cdf at infinity: 1, or 0 if nothing scatters */
   /* for larger radii R is continued in proportion to 1 / r^3; infinity if no radius is larger */
   GAUSSIANS_MOST_MM,
   /* for larger radii core_cloud_ln_R() computes ln R; infinity if the sum always does */

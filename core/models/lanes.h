@@ -191,10 +191,11 @@ static inline struct lane lane_of_medium(double *shared, int variant, enum core_
 
 /* The members of a kernel table for the kernels varying_sample, varying_R and so on. */
 #define LANES_KERNELS_OF_ALL                                                                       \
-  .varying_sample = varying_sample, .varying_albedo = varying_albedo, .varying = {                 \
-    [CORE_ELEMENTWISE_R] = varying_R,                                                              \
-    [CORE_ELEMENTWISE_CDF] = varying_cdf,                                                          \
-    [CORE_ELEMENTWISE_LN_R] = varying_ln_R,                                                        \
+  .varying_sample = varying_sample, .varying_albedo = varying_albedo,                              \
+  .varying = {                                                                                     \
+      [CORE_ELEMENTWISE_R] = varying_R,                                                            \
+      [CORE_ELEMENTWISE_CDF] = varying_cdf,                                                        \
+      [CORE_ELEMENTWISE_LN_R] = varying_ln_R,                                                      \
   }
 
 #endif

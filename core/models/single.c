@@ -39,13 +39,13 @@
 
 /* Positions in the table that preparation makes. */
 enum coefficient {
-  SIGMA_T,    /* 1/mm */
-  EXPONENT,   /* e^(u_c) */
-  ABSORBED,   /* sigma_a / sigma_t */
-  SCATTERED,  /* sigma_s / sigma_t */
-  R_SCALE,    /* sigma_s; R is this times the sum over the nodes, divided by r */
-  CDF_SCALE,  /* 2 pi sigma_s / (sigma_t albedo) */
-  CDF_LIMIT,  /* limit of the cdf at infinity: 1, or 0 if nothing scatters */
+  SIGMA_T,   /* 1/mm */
+  EXPONENT,  /* e^(u_c) */
+  ABSORBED,  /* sigma_a / sigma_t */
+  SCATTERED, /* sigma_s / sigma_t */
+  R_SCALE,   /* sigma_s; R is this times the sum over the nodes, divided by r */
+  CDF_SCALE, /* 2 pi sigma_s / (sigma_t albedo) */
+  CDF_LIMIT, /* limit of the cdf at infinity: 1, or 0 if nothing scatters */
   /* Beyond tau = FAR the sum falls like f^-FAR_POWER (1 + FAR_BEND f^-FAR_BEND_POWER), with f = tau
    * / FAR. */
   FAR_POWER,

@@ -117,8 +117,8 @@ static inline real surface_R(const real *shared, const real *words, real sigma_a
   return ((row.lane.scattered > 0) & (r < (real)INFINITY)) ? R : 0;
 }
 
-static inline real surface_albedo(const real *shared, const real *words, real sigma_a,
-                                  real sigma_s, real r) {
+static inline real surface_albedo(const real *shared, const real *words, real sigma_a, real sigma_s,
+                                  real r) {
   (void)r;
   const struct row row = row_of(shared, words, sigma_a, sigma_s);
   const real total = cells_line(
@@ -247,9 +247,8 @@ CORE_KERNEL_TABLE(surface,
 #if CORE_REAL == 64
                   .varying_gradient = gradient,
 #endif
-                  .varying_sample = varying_sample,
-                  .varying_albedo = varying_albedo,
-                  .varying = {[CORE_ELEMENTWISE_R] = varying_R,
-                              [CORE_ELEMENTWISE_CDF] = varying_cdf});
+                  .varying_sample = varying_sample, .varying_albedo = varying_albedo,
+                  .varying = {
+                      [CORE_ELEMENTWISE_R] = varying_R, [CORE_ELEMENTWISE_CDF] = varying_cdf});
 
 #endif

@@ -216,28 +216,6 @@ static bool solve_total(const struct totals *totals, transport_work *work, doubl
   return true;
 }
 
-core_fault transport_solve_total(transport_number *total, double eta, double albedo) {
-  *total = (transport_number){0, 0};
-  const core_fault fault = check_boundary(eta, TRANSPORT_TOLERANCE_MAX);
-  if (fault.field != NULL) {
-    return fault;
-  }
-  if (!(albedo >= 0 && albedo <= 1)) {
-    return (core_fault){"albedo", ALBEDO_ALLOWED, 0};
-  }
-  if (!(albedo > 0)) {
-    return no_fault;
-  }
-  struct totals totals = {0};
-  transport_work *work = transport_work_new();
-  double multiple;
-  const bool solved = work != NULL && make_totals(&totals, eta) &&
-                      solve_total(&totals, work, albedo, transport_kappa(albedo), &multiple, total);
-  transport_work_free(work);
-  free_totals(&totals);
-  return solved ? no_fault : memory_fault;
-}
-
 static bool solve(transport_solution *solution, transport_boundary *boundary,
                   transport_work *work) {
   const bool far = boundary->reach_decays > TRANSPORT_REACH_DECAYS;

@@ -81,9 +81,4 @@ transport_values transport_at(const transport_solution *solution, double r);
  */
 transport_number transport_total(const transport_solution *solution);
 
-/* Sets *total to the total alone, with the bits of transport_total(), in a hundredth of the time
- * that a solution takes. Arguments and faults are those of transport_boundary_create() and
- * transport_solve(). */
-core_fault transport_solve_total(transport_number *total, double eta, double albedo);
-
 #endif

@@ -296,9 +296,9 @@ double core_varying_stated_error(const core_varying *varying, unsigned wanted,
     const core_medium medium =
         medium_of(varying, varying->g, end == 0 ? range->albedo_least : range->albedo_most);
     const core_model_errors errors =
-        core_model_errors_stated(varying->model, varying->notes, varying->gamma, &medium);
-    const double here = core_model_errors_of(
-        &errors, &medium, wanted, (core_radii_range){range->mfp_least, range->mfp_most});
+        core_model_errors_stated(varying->model, varying->gamma, &medium);
+    const double here = core_model_errors_of(&errors, &medium, wanted,
+                                             (core_radii_range){range->mfp_least, range->mfp_most});
     error = isnan(error) || error > here ? error : here;
   }
   return error;
@@ -351,11 +351,11 @@ double core_varying_error(const core_varying *varying, unsigned wanted,
     const bool density = quantity == CORE_QUANTITY_PDF;                                            \
     const bool ring = density || quantity == CORE_QUANTITY_RING;                                   \
     core_varying_kernel_##bits *kernel =                                                           \
-        quantity == CORE_QUANTITY_RADIUS   ? kernels->varying_sample                               \
-        : quantity == CORE_QUANTITY_ALBEDO ? kernels->varying_albedo                               \
-                                           : kernels->varying[quantity == CORE_QUANTITY_CDF        \
-                                                                  ? CORE_ELEMENTWISE_CDF           \
-                                                                  : CORE_ELEMENTWISE_R];           \
+        quantity == CORE_QUANTITY_RADIUS ? kernels->varying_sample                                 \
+        : quantity == CORE_QUANTITY_ALBEDO                                                         \
+            ? kernels->varying_albedo                                                              \
+            : kernels->varying[quantity == CORE_QUANTITY_CDF ? CORE_ELEMENTWISE_CDF                \
+                                                             : CORE_ELEMENTWISE_R];                \
     for (size_t done = 0; done < n; done += CHUNK) {                                               \
       const size_t count = n - done < CHUNK ? n - done : CHUNK;                                    \
       const type *a = sigma_a + done, *s = sigma_s + done;                                         \
@@ -424,8 +424,8 @@ static void widely(const core_varying *varying, enum core_quantity quantity, siz
 void core_varying_eval_f32(const core_varying *varying, enum core_quantity quantity, size_t n,
                            const float *sigma_a, const float *sigma_s, const float *r, float *out) {
   assert(varying->evaluator == CORE_EVALUATOR_F32);
-  (varying->kernels->f32->varying_sample != NULL ? evaluate_f32 : widely)(
-      varying, quantity, n, sigma_a, sigma_s, r, out);
+  (varying->kernels->f32->varying_sample != NULL ? evaluate_f32 : widely)(varying, quantity, n,
+                                                                          sigma_a, sigma_s, r, out);
 }
 
 void core_varying_sample_f32(const core_varying *varying, size_t n, const float *sigma_a,

@@ -214,8 +214,8 @@ static bool can_repeat(const wire_eval_request *fixed, const eval_layout *layout
                        struct profiles_place place) {
   return fixed->medium_count == 1 && fixed->radius_count > 0 &&
          fixed->radius_count <= BATCH_SHORT_RADII && layout->arrays_per_channel > 0 &&
-         (fixed->wanted &
-          (CORE_QUANTITY_RADIUS | CORE_QUANTITY_S | CORE_QUANTITY_MODEL_ERROR)) == 0 &&
+         (fixed->wanted & (CORE_QUANTITY_RADIUS | CORE_QUANTITY_S | CORE_QUANTITY_MODEL_ERROR)) ==
+             0 &&
          eval_request_bytes(1, fixed->parameter_count, 0) <= REPEAT_REQUEST_BYTES &&
          profiles_at(place) != NULL;
 }

@@ -159,8 +159,8 @@ static enum job_outcome prepare_channel(struct gather_job *gather) {
   const core_medium *medium = &gather->request.media[work->ready];
   struct profiles_lookup *lookup = &work->channels[work->ready];
   struct profiles *profiles = &gather->job.context->profiles;
-  enum profiles_answer answer = profiles_get_ruler(profiles, &work->ruler, fixed->model,
-                                                   &gather->request.parameters, medium);
+  enum profiles_answer answer =
+      profiles_get_ruler(profiles, &work->ruler, fixed->model, &gather->request.parameters, medium);
   if (answer == PROFILES_READY) {
     profiles_start(lookup, fixed->model, fixed->moments, fixed->evaluator,
                    &gather->request.parameters);
@@ -172,9 +172,9 @@ static enum job_outcome prepare_channel(struct gather_job *gather) {
   case PROFILES_WAIT:
     return JOB_WAITS;
   case PROFILES_READY: {
-    const core_model_errors errors = core_model_errors_measure(
-        &lookup->profile, work->ruler.ready ? &work->ruler.profile : NULL,
-        gather->request.parameters.value[CORE_PARAMETER_GAMMA]);
+    const core_model_errors errors =
+        core_model_errors_measure(&lookup->profile, work->ruler.ready ? &work->ruler.profile : NULL,
+                                  gather->request.parameters.value[CORE_PARAMETER_GAMMA]);
     work->model_error[work->ready++] = core_gather_model_error(&errors, medium);
     profiles_return(&work->ruler);
     return JOB_GOES_ON;

@@ -40,9 +40,12 @@ static enum profiles_answer get(struct offers_job *offers, unsigned model,
   struct profiles *profiles = &eval->job.context->profiles;
   const core_parameters none = core_parameters_none();
   core_radii_range range;
-  *fault = core_profile_check(model, CORE_MOMENTS_EXACT, evaluator_of(offers), medium, &none, &range);
-  const bool covers = eval->radii.least_mm >= range.least_mm && eval->radii.most_mm <= range.most_mm;
-  if (fault->field != NULL || !covers || !isnan(eval->request.parameters.value[CORE_PARAMETER_GAMMA]) ||
+  *fault =
+      core_profile_check(model, CORE_MOMENTS_EXACT, evaluator_of(offers), medium, &none, &range);
+  const bool covers =
+      eval->radii.least_mm >= range.least_mm && eval->radii.most_mm <= range.most_mm;
+  if (fault->field != NULL || !covers ||
+      !isnan(eval->request.parameters.value[CORE_PARAMETER_GAMMA]) ||
       !core_ruler_is_needed(model, &none, medium, false)) {
     return PROFILES_FAULT;
   }
@@ -66,8 +69,8 @@ static void compare(struct offers_job *offers, bool known) {
   if (known) {
     const core_stated_errors errors =
         core_profile_errors(&eval->lookup.profile, wanted, eval->radii);
-    const double found = core_model_error(&eval->lookup.profile, &eval->ruler.profile,
-                                          (double)NAN, wanted, &asked);
+    const double found =
+        core_model_error(&eval->lookup.profile, &eval->ruler.profile, (double)NAN, wanted, &asked);
     const bool any = eval->grid.count > 0;
     model = isnan(found) ? (double)INFINITY : found;
     numerical = errors.numerical + (any ? errors.numerical_per_mm * eval->radii.most_mm : 0);
@@ -107,8 +110,8 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
     return JOB_GOES_ON;
   }
   const size_t evaluators = evaluator_of(offers) == CORE_EVALUATOR_F32 ? 2 : 1;
-  job->part_bytes = WIRE_BYTES_offers_reply +
-                    CORE_CANDIDATES_MAX / 2 * evaluators * (size_t)WIRE_BYTES_offer;
+  job->part_bytes =
+      WIRE_BYTES_offers_reply + CORE_CANDIDATES_MAX / 2 * evaluators * (size_t)WIRE_BYTES_offer;
   return JOB_NEXT_PART;
 }
 

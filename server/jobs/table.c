@@ -1,7 +1,7 @@
 /* Table: sends the table of a model for one medium, or the surface for all media of one g and eta,
  * so that the client can evaluate it itself. */
-#include "core/ruler.h"
 #include "proto/table.h"
+#include "core/ruler.h"
 #include "proto/channels.h"
 #include "server/jobs/job.h"
 
@@ -54,9 +54,8 @@ static enum profiles_answer get(struct table *table) {
   if (table_is_surface(medium)) {
     return profiles_get_varying(profiles, &table->lookup, medium->g, medium->eta);
   }
-  const enum profiles_answer answer =
-      profiles_get_ruler(profiles, &table->ruler, table->request.fixed.model,
-                         &table->request.parameters, medium);
+  const enum profiles_answer answer = profiles_get_ruler(
+      profiles, &table->ruler, table->request.fixed.model, &table->request.parameters, medium);
   table->lookup.fault = table->ruler.fault;
   return answer == PROFILES_READY ? profiles_get(profiles, &table->lookup, medium) : answer;
 }

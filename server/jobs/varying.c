@@ -10,7 +10,7 @@ struct varying_job {
   struct profiles_lookup lookup;
   struct profiles_lookup ruler; /* transport, if the model error needs it */
   bool compares;                /* whether it does */
-  uint64_t value_radii; /* the cost of a value, in radii of a dipole */
+  uint64_t value_radii;         /* the cost of a value, in radii of a dipole */
   struct job_parts parts;
   varying_part part;
   uint64_t index; /* position in the part of the next value */
@@ -99,7 +99,8 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
   job_init_lookup(job, &varying->lookup, from);
   profiles_start(&varying->lookup, fixed->model, fixed->moments, fixed->evaluator,
                  &request->parameters);
-  profiles_start(&varying->ruler, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, fixed->evaluator, &none);
+  profiles_start(&varying->ruler, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, fixed->evaluator,
+                 &none);
   set_part_bytes(varying);
   return JOB_NEXT_PART;
 }
@@ -128,8 +129,7 @@ static enum job_outcome end_part(struct varying_job *varying) {
 static enum job_outcome prepare_ruler(struct varying_job *varying) {
   struct job *job = &varying->job;
   const wire_varying_request *fixed = &varying->request.fixed;
-  switch (
-      profiles_get_varying(&job->context->profiles, &varying->ruler, fixed->g, fixed->eta)) {
+  switch (profiles_get_varying(&job->context->profiles, &varying->ruler, fixed->g, fixed->eta)) {
   case PROFILES_WAIT:
     return JOB_WAITS;
   case PROFILES_FAULT:

@@ -10,11 +10,11 @@
 #include "server/store/points.h"
 
 enum {
-  BUCKETS_MIN = 256, /* Each number of buckets is a power of two. */
-  FAST_SHARE = 4,    /* Fast profiles may hold a quarter of all bytes. */
+  BUCKETS_MIN = 256,     /* Each number of buckets is a power of two. */
+  FAST_SHARE = 4,        /* Fast profiles may hold a quarter of all bytes. */
   BUILD_NS = 1000000000, /* how long one call builds the tree of a set */
-  KINDS = 3,         /* fast, slow, and sets of points */
-  POINTS = 2,        /* the list of the latter */
+  KINDS = 3,             /* fast, slow, and sets of points */
+  POINTS = 2,            /* the list of the latter */
 };
 
 struct cache_entry {
@@ -40,9 +40,9 @@ struct cache_entry {
     core_profile profile;
     core_varying varying; /* if key.varying is 1 */
   };
-  core_fit *fit;       /* NULL unless the key has a design */
+  core_fit *fit;              /* NULL unless the key has a design */
   core_gather_points *gather; /* NULL unless the key has a set */
-  double design[]; /* that of the key */
+  double design[];            /* that of the key */
 };
 
 TAILQ_HEAD(entries, cache_entry);
@@ -484,7 +484,7 @@ static enum cache_answer look(struct cache *cache, const struct cache_key *key, 
                               struct cache_waiter *waiter, struct cache_entry **found) {
   struct cache_entry *entry = find(cache, key);
   const bool new = entry == NULL;
-  if (new && is_set(key) && key->points == NULL) {
+  if (new &&is_set(key) && key->points == NULL) {
     return CACHE_UNKNOWN;
   }
   if ((new ? slow : !entry->begun) && !waiter->admitted && owner->count >= cache->max_waiting) {

@@ -137,7 +137,7 @@ enum cache_answer {
   CACHE_AWAITED, /* the waiter waits; the caller calls cache_prepare_in_pool() */
   CACHE_NO_MEMORY,
   CACHE_UNKNOWN, /* there is no such set of points, and the key has no points */
-  CACHE_BUSY, /* the owner has max_waiting waiters already, and this one is not admitted */
+  CACHE_BUSY,    /* the owner has max_waiting waiters already, and this one is not admitted */
 };
 
 /* Looks a profile up. After KEPT and NEW, *entry is a reference that the caller releases. After

@@ -255,8 +255,8 @@ enum profiles_answer profiles_get_ruler(struct profiles *profiles, struct profil
   if (lookup->ready || !core_ruler_is_needed(model, parameters, medium, false)) {
     return PROFILES_READY;
   }
-  const core_parameters looked_up = core_ruler_parameters(medium);
-  profiles_start(lookup, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &looked_up);
+  const core_parameters none = core_parameters_none();
+  profiles_start(lookup, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &none);
   return profiles_get(profiles, lookup, medium);
 }
 

@@ -81,14 +81,14 @@ struct profiles_lookup {
   struct cache_owner *owner; /* the owner whose turns are used to prepare slow profiles */
   struct cache_key key;
   core_parameters parameters;
-  bool ready;                  /* whether `profile` is valid, until profiles_return() */
-  core_profile profile;        /* a copy, with the angles of the request */
-  struct profiles_place place; /* of the profile without the angles, if the table has it */
-  struct cache_entry *entry;   /* reference to the entry that was copied; NULL: none */
-  const core_fit *fit;         /* in place of `profile`, after profiles_get_fit() */
-  const core_varying *varying; /* after profiles_get_varying(): what was prepared */
-  const core_gather_points *gather;   /* after profiles_get_points(): the set of points */
-  core_fault fault;            /* after PROFILES_FAULT: why there is no profile */
+  bool ready;                       /* whether `profile` is valid, until profiles_return() */
+  core_profile profile;             /* a copy, with the angles of the request */
+  struct profiles_place place;      /* of the profile without the angles, if the table has it */
+  struct cache_entry *entry;        /* reference to the entry that was copied; NULL: none */
+  const core_fit *fit;              /* in place of `profile`, after profiles_get_fit() */
+  const core_varying *varying;      /* after profiles_get_varying(): what was prepared */
+  const core_gather_points *gather; /* after profiles_get_points(): the set of points */
+  core_fault fault;                 /* after PROFILES_FAULT: why there is no profile */
   struct cache_waiter waiter;
   bool woken;
 };
@@ -133,7 +133,8 @@ enum profiles_answer profiles_get(struct profiles *profiles, struct profiles_loo
                                   const core_medium *medium);
 
 /* Gets the profile of transport that the model error of a model is computed from, if it needs one
- * (core/ruler.h); else the answer is READY, and lookup->ready is false. In place of profiles_start() and profiles_get(). */
+ * (core/ruler.h); else the answer is READY, and lookup->ready is false. In place of profiles_start()
+ * and profiles_get(). */
 enum profiles_answer profiles_get_ruler(struct profiles *profiles, struct profiles_lookup *lookup,
                                         unsigned model, const core_parameters *parameters,
                                         const core_medium *medium);

@@ -278,7 +278,8 @@ UNIT_TEST(ends_have_their_limits) {
       {0.03, 0.7, 0, 1.3}, {0, 1, 0, 1.4}, {0.5, 0, 0, 1.4}, {1e-9, 1e9, 0.9, 1}};
   for (size_t m = 0; m < sizeof models / sizeof models[0]; m++) {
     for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
-      const bool few = !unit_is_long() && core_prepares_slowly(models[m], CORE_EVALUATOR_F64, NULL, NULL);
+      const bool few =
+          !unit_is_long() && core_prepares_slowly(models[m], CORE_EVALUATOR_F64, NULL, NULL);
       const unsigned last = few ? CORE_EVALUATOR_F64 : CORE_EVALUATOR_F32;
       for (unsigned evaluator = CORE_EVALUATOR_F64; evaluator <= last; evaluator++) {
         core_profile profile;

@@ -3,6 +3,7 @@
  * solver with the phase function's own moments. */
 #include <math.h>
 
+#include "core/kernels.h"
 #include "core/ruler.h"
 #include "core/solver/solver.h"
 #include "tests/unit/unit.h"
@@ -26,8 +27,7 @@ static core_profile prepared(unsigned model, unsigned evaluator, core_medium med
 }
 
 static core_profile ruler_of(core_medium medium) {
-  const core_parameters parameters = core_ruler_parameters(&medium);
-  return prepared_with(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, medium, &parameters);
+  return prepared(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, medium);
 }
 
 static double error_between(const core_profile *profile, const core_profile *ruler, unsigned wanted,
@@ -113,7 +113,7 @@ UNIT_TEST(a_grid_has_the_largest_error_between_its_ends) {
     const core_medium medium = medium_of(unit_random_log(&random, 1e-4, 50),
                                          i % 2 == 0 ? 0 : unit_random_between(&random, -0.45, 0.9),
                                          unit_random_between(&random, 0.75, 2.1));
-    if (!core_ruler_is_stored(&medium)) {
+    if (!core_transport_is_stored(&medium)) {
       continue;
     }
     core_profile ruler = ruler_of(medium);
@@ -167,8 +167,8 @@ UNIT_TEST(errors_hold_against_the_solver) {
         const transport_number R = solver_at(solution, k, r[i]);
         const double off = fabs(value_at(&profile, CORE_QUANTITY_R, r[i]) / R.value - 1);
         if (!(off <= error[i] + (1 + off) * 2 * R.error / R.value)) {
-          fail_msg("model %u, eta %g, r %g: off by %.5g, stated %.5g", models[m], etas[k], r[i], off,
-                   error[i]);
+          fail_msg("model %u, eta %g, r %g: off by %.5g, stated %.5g", models[m], etas[k], r[i],
+                   off, error[i]);
         }
         known++;
       }
@@ -214,16 +214,16 @@ UNIT_TEST(bands_have_the_largest_error_of_their_radii) {
   const core_model_errors errors = core_model_errors_measure(&profile, &ruler, (double)NAN);
   for (size_t i = 0; i < CORE_MODEL_ERROR_BANDS; i++) {
     const double from = core_error_edges_mfp[i], to = core_error_edges_mfp[i + 1];
-    const double all = error_between(&profile, &ruler, CORE_QUANTITY_R, CORE_SPACING_LOGARITHMIC,
-                                     100, from, to);
+    const double all =
+        error_between(&profile, &ruler, CORE_QUANTITY_R, CORE_SPACING_LOGARITHMIC, 100, from, to);
     const core_radii_range inside = {1.1 * from, 0.9 * to};
     const double stated = core_model_errors_of(&errors, &medium, CORE_QUANTITY_R, inside);
     assert_true(stated >= all * (1 - 1e-6) && stated < 1.2 * all + 1e-3);
   }
-  assert_true(isnan(core_model_errors_of(&errors, &medium, CORE_QUANTITY_R,
-                                         (core_radii_range){0.005, 1})));
-  assert_true(isnan(core_model_errors_of(&errors, &medium, CORE_QUANTITY_CDF,
-                                         (core_radii_range){1, 1})));
+  assert_true(
+      isnan(core_model_errors_of(&errors, &medium, CORE_QUANTITY_R, (core_radii_range){0.005, 1})));
+  assert_true(
+      isnan(core_model_errors_of(&errors, &medium, CORE_QUANTITY_CDF, (core_radii_range){1, 1})));
   core_profile_free(&profile);
   core_profile_free(&ruler);
 }
@@ -308,8 +308,7 @@ UNIT_TEST(gamma_is_within_what_is_said) {
     assert_true((profile.notes & CORE_NOTE_GAMMA) != 0);
     assert_true((profile.notes & CORE_NOTE_SIMILARITY) == 0);
     for (size_t i = 0; i < sizeof radii / sizeof radii[0]; i++) {
-      const double off =
-          fabs(R_at(&profile, radii[i]) / solver_at(truth, eta, radii[i]).value - 1);
+      const double off = fabs(R_at(&profile, radii[i]) / solver_at(truth, eta, radii[i]).value - 1);
       const double said = gamma_error(&profile, gamma, radii[i], radii[i]);
       printf("gamma %.3f, eta %g, r %g: off by %.3f, stated %.3f\n", gamma, etas[eta], radii[i],
              off, said);

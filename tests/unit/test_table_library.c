@@ -31,10 +31,8 @@ static core_model_errors measured(const core_profile *profile) {
     return core_model_errors_measure(profile, NULL, (double)NAN);
   }
   core_profile ruler;
-  const core_parameters parameters = core_ruler_parameters(medium);
   unit_assert_fault(core_profile_prepare(&ruler, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
-                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, medium,
-                                         &parameters),
+                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, medium, &none),
                     NULL, 0);
   const core_model_errors errors = core_model_errors_measure(profile, &ruler, (double)NAN);
   core_profile_free(&ruler);

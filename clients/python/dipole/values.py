@@ -75,18 +75,18 @@ class Query:
     """A description of what to evaluate. A client's calls take either a Query or its arguments:
     client.eval("better", skin, [0.5, 1.0]) is client.eval(Query("better", skin, [0.5, 1.0])).
 
-    model: a name or an id. With None, the daemon takes the cheapest model and evaluator that are
-        measured to be within `tolerance` of radiative transport, for all media and from the
-        smallest to the largest radius. The time to prepare a medium counts, so that few radii may
-        get another model than many. The result names both. The daemon refuses the query if it
-        knows no model that is accurate enough.
+    model: a name or an id. With None, the daemon takes transport in the cheapest evaluator that is
+        within `tolerance` of radiative transport, for all media and from the smallest to the
+        largest radius. The time to prepare a medium counts, so that few radii may get another
+        evaluator than many. The result names both. The daemon refuses the query if no evaluator
+        is accurate enough.
     media: one Medium, several of them, an array [C, 4] of sigma_a, sigma_s, g and eta, or the name
         of a measured medium, which stands for its red, green and blue channel.
     r: N radii in mm, from 0 to infinity. Only wanted=["albedo"] needs no radii.
     grid: the radii by a rule, in place of r. The request then lists no radii.
     evaluator: "f64" computes in double precision and "f32" in single precision. "lut" looks values
-        up in a table in single precision. If a model is named, the default is "f64", which takes
-        "transport" .1 s for each medium; "lut" takes milliseconds. If the model is None, the
+        up in a table in single precision. If a model is named, the default is "f64". "lut" takes
+        milliseconds for each medium and then the least for a radius. If the model is None, the
         evaluator only says the precision, and the default is single precision.
         A fit needs "f64": the step by which a least-squares routine usually changes a coefficient
         (1.5e-8 of it) does not change a value in single precision, so that the routine sees no

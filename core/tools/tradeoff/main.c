@@ -12,8 +12,8 @@
 #include "core/ruler.h"
 #include "core/tools/tools.h"
 
-static const double ratios[] = {1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02,
-                                0.05, 0.1,  0.2,  0.5,  1,    2,    5,    10}; /* sigma_a / sigma_s' */
+static const double ratios[] = {1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05,
+                                0.1,  0.2,  0.5,  1,    2,    5,    10}; /* sigma_a / sigma_s' */
 
 enum {
   RATIOS = sizeof ratios / sizeof ratios[0],
@@ -65,9 +65,9 @@ static const char *why_left_out(unsigned model) {
   if (model == CORE_MODEL_GAUSSIANS) {
     return "a fit, as far off as the model that it is fitted to";
   }
-  const core_fault fault = core_profile_prepare(&profile, core_isa_select(NULL), model,
-                                                CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium,
-                                                NULL);
+  const core_fault fault =
+      core_profile_prepare(&profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
+                           CORE_EVALUATOR_F64, &medium, NULL);
   if (fault.field != NULL) {
     return fault.field; /* the parameter that the model needs */
   }
@@ -117,9 +117,9 @@ static void compare(const struct subject *subject, const core_medium *medium,
 static void compare_all(void *context, size_t m) {
   (void)context;
   const core_medium medium = medium_of(ratios[m / ETAS], 0, eta_of(m % ETAS));
-  const struct subject solved = {
-      .model = core_choice_by_id(core_models, CORE_MODEL_TRANSPORT),
-      .evaluator = core_choice_by_id(core_evaluators, CORE_EVALUATOR_F64)};
+  const struct subject solved = {.model = core_choice_by_id(core_models, CORE_MODEL_TRANSPORT),
+                                 .evaluator =
+                                     core_choice_by_id(core_evaluators, CORE_EVALUATOR_F64)};
   core_profile ruler;
   double r[RADII];
   if (!prepare(&ruler, &solved, &medium, ERROR_LEAST)) {
@@ -141,6 +141,8 @@ enum { ROUNDS = 31, LENGTH = 4096, EVALUATION_MEDIA = 3, PREPARATION_MEDIA = 12,
 
 /* A sample takes at least this: far longer than reading the clock, far shorter than a time slice.
  */
+#define TOLERANCE 1e-3 /* with which profiles are prepared that are timed */
+#define BEYOND_G 0.96  /* a g that the table of solutions does not cover */
 #define SAMPLE_NS 100000.0
 #define PREPARING_NS 20e6 /* preparing is repeated for about this time */
 
@@ -202,7 +204,7 @@ static void time_evaluating(void) {
     static double samples[SUBJECTS_MAX][ROUNDS];
     size_t runs[SUBJECTS_MAX];
     for (size_t s = 0; s < run.count; s++) {
-      runs[s] = prepare(&profile[s], &run.subject[s], &media[m], CORE_RULER_TOLERANCE);
+      runs[s] = prepare(&profile[s], &run.subject[s], &media[m], TOLERANCE);
       while (runs[s] > 0 && evaluate_ns(&profile[s], runs[s]) < SAMPLE_NS) {
         runs[s] *= 2;
       }
@@ -339,9 +341,9 @@ int main(int argc, char **argv) {
   tools_progress_stage(&run.progress, "cost of preparing");
   for (size_t s = 0; s < run.count; s++) {
     struct subject *of = &run.subject[s];
-    of->prepare_ns = time_preparing(of, 0.9, CORE_RULER_TOLERANCE);
+    of->prepare_ns = time_preparing(of, 0.9, TOLERANCE);
     if (of->model->id == CORE_MODEL_TRANSPORT && of->evaluator->id == CORE_EVALUATOR_F64) {
-      solve_ns = time_preparing(of, 0, 1e-6);
+      solve_ns = time_preparing(of, BEYOND_G, TOLERANCE);
     }
     tools_progress_add(&run.progress, 1);
   }
