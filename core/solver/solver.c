@@ -243,6 +243,7 @@ enum { RADII = 36 };
 struct solver_solution {
   size_t count;
   size_t parts;
+  size_t level;           /* of the finest grid */
   size_t grids;           /* 1, or 2 if the next coarser one is known */
   single_rule *single;    /* one for each part, with the phase function in its weights */
   struct grid grid[2];    /* the finest, and the next coarser one */
@@ -414,6 +415,7 @@ static core_fault solve(solver_solution **solution, const core_isa *isa, double 
     ok = solve_grid(&made->grid[0], isa, &levels[level], sigma_a_ratio, phase, boundaries, kept);
     made->grids = level > first ? 2 : 1;
     made->floor = levels[level].floor;
+    made->level = level;
     worst = ok && level > first ? find_errors(made) : worst;
   }
   if (!ok) {
@@ -468,6 +470,10 @@ void solver_free(solver_solution *solution) {
     free(solution->single);
     free(solution);
   }
+}
+
+size_t solver_level(const solver_solution *solution) {
+  return solution->level;
 }
 
 /* ---- values --------------------------------------------------------------------------------- */

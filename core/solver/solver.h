@@ -78,6 +78,9 @@ core_fault solver_solve_level(solver_solution **solution, const core_isa *isa, d
                               size_t level, double complex *exitances, bool known);
 void solver_free(solver_solution *solution);
 
+/* Returns the level of the finest grid. */
+size_t solver_level(const solver_solution *solution);
+
 /* Returns R at the radius r for the boundary etas[eta], with an estimate of its absolute error. r:
  * 0 (where R is infinite) to infinity; above 1e4 it takes longer and longer. Where the grids do not
  * find a positive R, the value is 0 and the error the size of what they find. */

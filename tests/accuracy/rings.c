@@ -1,5 +1,9 @@
-/* rings MILLIONS: Monte Carlo against the solver for any phase function, ring by ring, with at
- * least MILLIONS of photons for each g and for each mixture of two functions. Exits with
+/* rings MILLIONS
+ * rings media SEED COUNT [FIRST]
+ * rings walked MILLIONS
+ *
+ * The first form compares Monte Carlo with the solver for any phase function, ring by ring, with at
+ * least MILLIONS of photons for each g and for each mixture of two functions. It exits with
  * EXIT_FAILURE if any ring or total is off by 4.5 standard errors or more, or if chi-squared per
  * ring is not between 0.8 and 1.2 for a g, or for all. `make rings` walks 100 millions each, `make
  * check-rings` 4.
@@ -7,12 +11,26 @@
  * The standard errors are Monte Carlo's alone, as if the solver had no error: whatever error it has
  * raises chi-squared. The error that the solver states is a bound, not a standard error. What it
  * could add to chi-squared if all of it were there, the mean of its square in standard errors, is
- * printed beside it. */
+ * printed beside it.
+ *
+ * `media` solves COUNT media, from number FIRST of a seed on, that the table of solutions does not
+ * cover, with the tolerance 1e-3 and on a grid two levels finer (at most the finest), and prints a
+ * line of CSV for each: found is the largest relative difference of R from 0.01 to 30 mean free
+ * paths, and share the largest difference over what is stated at its radius, which is `at`.
+ *
+ * `walked` walks at least MILLIONS of photons for each of ten such media, and prints a line of CSV
+ * for each ring, with what the solver (tolerance 1e-3) has and states; beyond is by how many
+ * standard errors Monte Carlo is off by more than what is stated. */
 #include <math.h>
 #include <stdlib.h>
+#include <string.h>
+#include <time.h>
 
+#include "core/kernels.h"
+#include "core/splitmix.h"
 #include "core/tools/reference/walks.h"
 #include "core/tools/tools.h"
+#include "core/transport/table.h"
 
 #define SIGMAS_MOST 4.5
 /* The standard errors of rings with few photons are known too badly. */
@@ -115,10 +133,179 @@ static bool judge(const char *name, const struct found *sum) {
   return good;
 }
 
+/* ---- media that the table does not cover ------------------------------------------------------ */
+
+#define TOLERANCE 1e-3
+enum { FINER = 2 }; /* levels */
+
+static double between(uint64_t *state, double low, double high) {
+  return low + (high - low) * core_splitmix_f64(state);
+}
+
+/* A tenth of the media absorb nothing. */
+static walks_medium draw_medium(uint64_t *state) {
+  for (;;) {
+    const bool white = core_splitmix_f64(state) < 0.1;
+    const double ratio = exp(between(state, log(1e-5), log(1000)));
+    const double far = between(state, 0.85, 0.99), any = between(state, -0.95, 0.99);
+    const double g = core_splitmix_f64(state) < 0.4 ? far : any;
+    const walks_medium drawn = {
+        .ratio = white ? 0 : ratio, .g = g, .eta = exp(between(state, log(0.3), log(3.9)))};
+    const core_medium medium = {drawn.ratio, 1 / (1 - drawn.g), drawn.g, drawn.eta};
+    if (!core_transport_is_stored(&medium)) {
+      return drawn;
+    }
+  }
+}
+
+static double seconds_now(void) {
+  struct timespec now;
+  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &now);
+  return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+static bool check_medium(const walks_medium *medium) {
+  const core_isa *isa = core_isa_select(NULL);
+  const solver_phase phase = {.g = medium->g};
+  solver_solution *solution, *finer;
+  const double start = seconds_now();
+  tools_check(solver_solve(&solution, isa, medium->ratio, &phase, &medium->eta, 1, TOLERANCE),
+              "the solver");
+  const double solved = seconds_now();
+  const size_t level = solver_level(solution);
+  const size_t fine = level + FINER < SOLVER_LEVELS ? level + FINER : SOLVER_LEVELS - 1;
+  tools_check(
+      solver_solve_level(&finer, isa, medium->ratio, &phase, &medium->eta, 1, fine, NULL, false),
+      "the solver");
+  double stated = 0, found = 0, share = 0, at = 0;
+  for (double r = 0.01; r < 30; r *= 1.25) {
+    const double truth = solver_at(finer, 0, r).value;
+    const transport_number R = solver_at(solution, 0, r);
+    if (truth < TRANSPORT_TABLE_R_LEAST) {
+      break;
+    }
+    const double off = fabs(R.value - truth);
+    stated = fmax(stated, R.error / truth);
+    found = fmax(found, off / truth);
+    if (!(off <= share * R.error)) {
+      share = off / R.error;
+      at = r;
+    }
+  }
+  printf("%.9g,%.9g,%.9g,%zu,%zu,%.3g,%.3g,%.3g,%.3g,%.3g,%.3g\n", medium->ratio, medium->g,
+         medium->eta, level, fine, stated, found, share, at, solved - start,
+         seconds_now() - solved);
+  fflush(stdout);
+  solver_free(solution);
+  solver_free(finer);
+  return share <= 1;
+}
+
+static bool check_media(uint64_t seed, size_t count, size_t first) {
+  uint64_t state = seed;
+  bool good = true;
+  printf("ratio,g,eta,level,finer,stated,found,share,at,seconds,finer_seconds\n");
+  for (size_t i = 0; i < first + count; i++) {
+    const walks_medium medium = draw_medium(&state);
+    good = (i < first || check_medium(&medium)) && good;
+  }
+  return good;
+}
+
+/* ---- such media, walked ------------------------------------------------------------------------- */
+
+enum { WALKED = 10, PARTS = 16 }; /* each medium is walked in so many parts */
+
+static const walks_medium walked_media[WALKED] = {
+    {.ratio = 0.1, .g = 0.99, .eta = 1.4},  {.ratio = 0.03, .g = 0.97, .eta = 1.4},
+    {.ratio = 20, .g = 0.98, .eta = 2},     {.ratio = 0.5, .g = 0.96, .eta = 3.5},
+    {.ratio = 0.3, .g = 0.9, .eta = 3.9},   {.ratio = 3, .g = 0.8, .eta = 0.4},
+    {.ratio = 0.001, .g = 0.5, .eta = 2.5}, {.ratio = 0.1, .g = 0, .eta = 0.3},
+    {.ratio = 0.2, .g = -0.6, .eta = 1.33}, {.ratio = 0.05, .g = -0.95, .eta = 0.6},
+};
+
+struct walked {
+  uint64_t photons; /* of each part */
+  tools_progress progress;
+  walks_result results[WALKED][PARTS];
+  solver_solution *solutions[WALKED];
+};
+
+/* Solves the media, then walks their parts. */
+static void walk_one(void *context, size_t i) {
+  struct walked *run = context;
+  const walks_medium *medium = &walked_media[i % WALKED];
+  if (i < WALKED) {
+    const solver_phase phase = {.g = medium->g};
+    tools_check(solver_solve(&run->solutions[i], core_isa_select(NULL), medium->ratio, &phase,
+                             &medium->eta, 1, TOLERANCE),
+                "the solver");
+  } else {
+    const size_t part = i / WALKED - 1;
+    walks_run(&run->results[i % WALKED][part], medium, WALKS_TENTHS, run->photons, SEED + i);
+  }
+  tools_progress_add(&run->progress, 1);
+}
+
+/* Prints the rings of a medium, and returns by how many standard errors one is beyond at most. */
+static double print_walked(const struct walked *run, size_t i) {
+  const walks_medium *medium = &walked_media[i];
+  double worst = 0;
+  for (size_t ring = 0; ring < WALKS_TENTHS; ring++) {
+    double walked = 0, squares = 0, stated;
+    uint64_t photons = 0;
+    const core_mc_ring *edges = &run->results[i][0].rings[ring];
+    for (size_t part = 0; part < PARTS; part++) {
+      const core_mc_ring *of = &run->results[i][part].rings[ring];
+      walked += of->R_per_mm2 / PARTS;
+      squares += of->error_per_mm2 * of->error_per_mm2 / (PARTS * PARTS);
+      photons += of->photons;
+    }
+    const double R = walks_mean(run->solutions[i], 0, WALKS_TENTHS, ring, &stated);
+    const double error = sqrt(squares), beyond = (fabs(walked - R) - stated) / error;
+    worst = photons >= PHOTONS_LEAST ? fmax(worst, beyond) : worst;
+    printf("%g,%g,%g,%.6g,%.6g,%.7g,%.2g,%.7g,%.2g,%llu,%.2f\n", medium->ratio, medium->g,
+           medium->eta, edges->from_mm, edges->to_mm, walked, error, R, stated,
+           (unsigned long long)photons, beyond);
+  }
+  return worst;
+}
+
+static bool check_walked(double millions) {
+  static struct walked run;
+  run.photons =
+      ((uint64_t)(millions * 1e6 / PARTS) / CORE_MC_BATCH_PHOTONS + 1) * CORE_MC_BATCH_PHOTONS;
+  tools_progress_start(&run.progress, WALKED * (1 + PARTS));
+  tools_each(tools_processors(), WALKED * (1 + PARTS), walk_one, &run);
+  tools_progress_end(&run.progress);
+  printf("ratio,g,eta,from,to,walked,sigma,solved,stated,photons,beyond\n");
+  double worst = 0;
+  for (size_t i = 0; i < WALKED; i++) {
+    worst = fmax(worst, print_walked(&run, i));
+    solver_free(run.solutions[i]);
+  }
+  return worst < SIGMAS_MOST;
+}
+
+static double number_of(const char *text) {
+  return text != NULL ? atof(text) : 0;
+}
+
 int main(int argc, char **argv) {
-  const double millions = argc == 2 ? atof(argv[1]) : 0;
+  const bool media_alone = argc >= 4 && strcmp(argv[1], "media") == 0;
+  if (media_alone) {
+    return check_media((uint64_t)number_of(argv[2]), (size_t)number_of(argv[3]),
+                       (size_t)number_of(argv[4]))
+               ? EXIT_SUCCESS
+               : EXIT_FAILURE;
+  }
+  const bool walks = argc == 3 && strcmp(argv[1], "walked") == 0;
+  const double millions = argc == 2 || walks ? atof(argv[argc - 1]) : 0;
   if (!(millions >= 0.1 && millions <= 1e6)) {
-    tools_fail("usage: rings MILLIONS");
+    tools_fail("usage: rings MILLIONS | media SEED COUNT [FIRST] | walked MILLIONS");
+  }
+  if (walks) {
+    return check_walked(millions) ? EXIT_SUCCESS : EXIT_FAILURE;
   }
   static struct run run;
   run.tolerance = millions < FINEST_FROM_MILLIONS ? 1e-3 : 1e-4;
