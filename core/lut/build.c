@@ -190,13 +190,19 @@ static core_fault gather(struct build *b, const struct lut_subject *subject, uin
   core_fault fault = {0};
   for (int exponent = first; fault.field == NULL && exponent < last; exponent++) {
     uint32_t *entry = &b->entries[octaves - CORE_LUT_R_OCTAVES + (uint32_t)(exponent + 127)];
+    const size_t pieces_before = b->pieces.count;
+    double error = (double)INFINITY;
     cuts = cuts > 0 ? cuts - 1 : 0;
-    fault = lut_fit_octave(&stricter, exponent, &cuts, &b->pieces, entry);
-    if (fault.field == NULL) {
-      const double error = lut_fit_error(subject, exponent, *entry, &b->pieces, b->error);
-      fault = error <= subject->tolerance ? fault : lut_too_rough;
-      b->error = fmax(b->error, error);
+    /* Between the places where a fit looks, it may be worse than the tolerance: then cut once more. */
+    for (; fault.field == NULL && !(error <= subject->tolerance); cuts++) {
+      b->pieces.count = pieces_before;
+      fault = lut_fit_octave(&stricter, exponent, &cuts, &b->pieces, entry);
+      if (fault.field == NULL) {
+        error = lut_fit_error(subject, exponent, *entry, &b->pieces, b->error);
+      }
     }
+    cuts--;
+    b->error = fault.field == NULL ? fmax(b->error, error) : b->error;
   }
   return fault;
 }
