@@ -300,11 +300,12 @@ static void describe_field(struct description *to, const char *kind, const char 
   char type[32];
   char row[256];
   if (count == 1) {
-    snprintf(type, sizeof type, "%s", kind);
+    snprintf(type, sizeof type, "%s@%zu", kind, to->offset_bytes);
   } else {
-    snprintf(type, sizeof type, "%s[%zu]", kind, count);
+    snprintf(type, sizeof type, "%s[%zu]@%zu", kind, count, to->offset_bytes);
   }
-  snprintf(row, sizeof row, "| %zu | %s | %s | %s |\n", to->offset_bytes, type, field, meaning);
+  const bool alone = meaning[0] == '\0';
+  snprintf(row, sizeof row, alone ? "%-12s %s%s\n" : "%-12s %-22s  %s\n", type, field, meaning);
   to->print(to->context, row);
   to->offset_bytes += count * size_bytes;
 }
@@ -315,35 +316,31 @@ static void describe_field(struct description *to, const char *kind, const char 
   describe_field(&to, #kind, #field, count, WIRE_SIZE_##kind, meaning);
 #define DESCRIBE_TEXT(field, bytes, meaning) describe_field(&to, "text", #field, bytes, 1, meaning);
 
-static void describe_title(struct description *to, const char *name, size_t bytes,
-                           const char *about) {
-  char title[256];
-  snprintf(title, sizeof title,
-           "### %s\n%zu bytes; %s.\n\n| offset | type | field | meaning |\n|---|---|---|---|\n",
-           name, bytes, about);
-  to->print(to->context, title);
-  to->offset_bytes = 0;
-}
-
 static void describe_status(struct description *to, int code, const char *ident, int modbus,
-                            int http, const char *name, const char *text) {
+                            int http, const char *text) {
   char row[256];
-  snprintf(row, sizeof row, "| %d | %s | %s | %02x | %d | %s |\n", code, ident, name,
-           (unsigned)modbus, http, text);
+  snprintf(row, sizeof row, "%-4d %-14s %02x     %d  %s\n", code, ident, (unsigned)modbus, http, text);
   to->print(to->context, row);
 }
 
-void wire_describe(void (*print)(void *context, const char *text), void *context) {
+bool wire_describe(const char *name, void (*print)(void *context, const char *text),
+                   void *context) {
   struct description to = {.print = print, .context = context};
-#define WIRE_STRUCTURE(name, about)                                                                \
-  describe_title(&to, #name, WIRE_BYTES_##name, about);                                            \
-  WIRE_FIELDS_##name(DESCRIBE_ONE, DESCRIBE_ARRAY, DESCRIBE_TEXT) print(context, "\n");
+  char title[64];
+#define WIRE_STRUCTURE(structure, about)                                                           \
+  if (strcmp(name, #structure) == 0) {                                                             \
+    snprintf(title, sizeof title, "%s, %d bytes\n", name, WIRE_BYTES_##structure);                 \
+    print(context, title);                                                                         \
+    WIRE_FIELDS_##structure(DESCRIBE_ONE, DESCRIBE_ARRAY, DESCRIBE_TEXT) return true;              \
+  }
 #include "proto/messages.def"
-  print(context, "## Statuses\n| code | status | name | Modbus exception | HTTP | meaning |\n"
-                 "|---|---|---|---|---|---|\n");
-#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
-  describe_status(&to, code, #IDENT, modbus_exception, http, name, text);
+  if (strcmp(name, "statuses") != 0) {
+    return false;
+  }
+  print(context, "code status         Modbus HTTP  meaning\n");
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, text_name, text)                          \
+  describe_status(&to, code, #IDENT, modbus_exception, http, text);
 #include "proto/statuses.def"
 #undef WIRE_STATUS
-  print(context, "\n");
+  return true;
 }

@@ -156,7 +156,8 @@ wire_choice wire_choice_at(size_t index); /* index is below wire_choice_count() 
 
 /* ---- documentation --------------------------------------------------------------------------- */
 
-/* Writes the byte tables of PROTOCOL.md as Markdown. Calls print(context, text) for each piece. */
-void wire_describe(void (*print)(void *context, const char *text), void *context);
+/* Writes a table of PROTOCOL.md as lines of text: the fields of the structure of this name, or the
+ * `statuses`. Calls print(context, text) for each piece. Returns false for other names. */
+bool wire_describe(const char *name, void (*print)(void *context, const char *text), void *context);
 
 #endif

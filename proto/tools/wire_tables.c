@@ -1,6 +1,7 @@
-/* wire-tables PROTOCOL.md REGISTERS.md: replaces what stands between the markers of these two
- * documents by the byte tables of the wire and the tables of the register map. It makes them from
- * the same lists as the code. */
+/* wire-tables PROTOCOL.md REGISTERS.md: writes the tables of the wire's structures and statuses into
+ * the blocks ```table NAME of the first document, and those of the register map between the markers
+ * of the second. It makes them from the same lists as the code. */
+#include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -10,6 +11,7 @@
 
 #define BEGIN "<!-- tables: begin -->\n"
 #define END "<!-- tables: end -->\n"
+#define BLOCK "\n```table "
 
 static char *read_file(const char *path) {
   FILE *file = fopen(path, "rb");
@@ -38,9 +40,37 @@ static int fail(const char *path, const char *what) {
   return EXIT_FAILURE;
 }
 
-static int rewrite(const char *path,
-                   void (*describe)(void (*print)(void *context, const char *text),
-                                    void *context)) {
+/* Replaces the lines of each block that begins with ```table NAME. */
+static int rewrite_blocks(const char *path) {
+  char *text = read_file(path);
+  FILE *file = text != NULL ? fopen(path, "wb") : NULL;
+  if (file == NULL) {
+    free(text);
+    return fail(path, "cannot be read and written");
+  }
+  const char *rest = text;
+  bool known = true;
+  for (char *begin; (begin = strstr(rest, BLOCK)) != NULL;) {
+    begin += strlen(BLOCK);
+    char *lines = begin + strcspn(begin, "\n");
+    char *end = strstr(lines, "\n```");
+    if (end == NULL) {
+      break;
+    }
+    fprintf(file, "%.*s\n", (int)(lines - rest), rest);
+    *lines = '\0';
+    known = wire_describe(begin, print, file) && known;
+    rest = end + 1;
+  }
+  fputs(rest, file);
+  free(text);
+  if (fclose(file) != 0) {
+    return fail(path, "cannot be written");
+  }
+  return known ? EXIT_SUCCESS : fail(path, "has a table of no structure");
+}
+
+static int rewrite_tables(const char *path) {
   char *text = read_file(path);
   if (text == NULL) {
     return fail(path, "cannot be read");
@@ -57,7 +87,7 @@ static int rewrite(const char *path,
     return fail(path, "cannot be written");
   }
   fwrite(text, 1, (size_t)(begin - text) + strlen(BEGIN), file);
-  describe(print, file);
+  registers_describe(print, file);
   fputs(end, file);
   free(text);
   return fclose(file) == 0 ? EXIT_SUCCESS : fail(path, "cannot be written");
@@ -68,6 +98,6 @@ int main(int argc, char **argv) {
     fprintf(stderr, "usage: wire-tables PROTOCOL.md REGISTERS.md\n");
     return 2;
   }
-  const int written = rewrite(argv[1], wire_describe);
-  return written == EXIT_SUCCESS ? rewrite(argv[2], registers_describe) : written;
+  const int written = rewrite_blocks(argv[1]);
+  return written == EXIT_SUCCESS ? rewrite_tables(argv[2]) : written;
 }

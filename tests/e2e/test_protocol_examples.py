@@ -13,19 +13,14 @@ from lists import QUANTITIES
 
 # The requests whose documented replies are compared byte by byte.
 DETERMINISTIC = {
-    "eval", "parameter", "derivative", "ping", "mc", "cancel", "sample", "invert", "varying",
-    "points", "gather", "error",
+    "eval", "ping", "mc", "cancel", "sample", "invert", "varying", "points", "gather", "error",
 }
-# The types of requests by the names of examples, which are the names of messages and three more.
-TYPES = {
-    **wire.MESSAGES,
-    **dict.fromkeys(("parameter", "derivative", "error"), wire.MESSAGES["eval"]),
-}
+# The types of requests by the names of examples, which are the names of messages and one more.
+TYPES = {**wire.MESSAGES, "error": wire.MESSAGES["eval"]}
 
 
 def read_examples() -> dict[str, bytes]:
-    """Reads the frames in blocks ```hex NAME: pairs of digits, and comments from # to the end of
-    the line."""
+    """Reads the frames in blocks ```hex NAME: digits, and comments from # to the end of the line."""
     text = (REPOSITORY / "proto/PROTOCOL.md").read_text()
     examples = {}
     for name, body in re.findall(r"^```hex ([\w-]+)\n(.*?)^```", text, re.M | re.S):
@@ -63,8 +58,7 @@ def test_requests_ask_for_what_the_text_says():
     request = wire.EVAL_REQUEST.unpack(payload_of("eval-request"))
     assert (request.evaluator, request.spacing, request.medium_count) == (1, wire.SPACING_LIST, 1)
     assert wire.MEDIUM.unpack(payload_of("eval-request"), wire.EVAL_REQUEST.bytes) == SKIN
-    request = wire.EVAL_REQUEST.unpack(payload_of("parameter-request"))
-    assert (request.wanted, request.parameter_count) == (QUANTITIES["S"], 2)
+    assert request.wanted == QUANTITIES["R"] | QUANTITIES["albedo"] | QUANTITIES["cdf"]
     assert wire.EVAL_REQUEST.unpack(payload_of("offers-request")).model == wire.ANY_MODEL
 
 
