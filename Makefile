@@ -174,12 +174,17 @@ $(OBJ)/proto/digest.o: override CFLAGS := $(CFLAGS) -O3 -funroll-loops
 # What writes and reads the numbers of JSON and CSV.
 $(addprefix $(OBJ)/,core/evaluate.o proto/decimal.o $(addprefix server/http/,answer.o connection.o question.o text.o values.o)): override CFLAGS := $(CFLAGS) -O3
 
+# Loops over blocks of a constant length stay loops: written out they are no faster, and several times
+# as long. But the series of transport are written out, so that their factors are constants.
+SHORT_LOOPS = $(if $(findstring clang,$(CC)),,--param max-completely-peeled-insns=60)
+$(OBJ)/core/models/transport.%: SHORT_LOOPS =
+
 # core/models/NAME.ISA.fREAL.o
 define kernel_rule
 $(OBJ)/core/models/%.$(1).f$(2).o: core/models/%.c Makefile
 	@mkdir -p $$(@D)
 	$$(call SAY,CC,$$< $(1) f$(2))
-	$$(Q)$$(CC) $$(ALL_CPPFLAGS) -DCORE_ISA=$(1) -DCORE_REAL=$(2) $$(KERNEL_CFLAGS) $$(ISA_FLAGS_$(1)) -c -o $$@ $$<
+	$$(Q)$$(CC) $$(ALL_CPPFLAGS) -DCORE_ISA=$(1) -DCORE_REAL=$(2) $$(KERNEL_CFLAGS) $$(ISA_FLAGS_$(1)) $$(SHORT_LOOPS) -c -o $$@ $$<
 endef
 $(foreach isa,$(ISAS),$(foreach real,32 64,$(eval $(call kernel_rule,$(isa),$(real)))))
 

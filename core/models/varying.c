@@ -13,11 +13,10 @@ struct checked {
   real mfp;    /* the radius in mean free paths */
 };
 
-/* has_reach: whether errors are stated up to some radius only. */
+/* most: the largest argument; out_of_range: the status of others; has_reach: whether errors are
+ * stated up to some radius only. */
 static inline struct checked check_value(const real *shared, real sigma_a, real sigma_s, real in,
-                                         enum core_varying_argument argument, int has_reach) {
-  const int numbers = argument == CORE_VARYING_NUMBERS;
-  const cells_integer out_of_range = numbers ? CORE_VALUE_NUMBER : CORE_VALUE_RADIUS;
+                                         real most, cells_integer out_of_range, int has_reach) {
   const struct lane lane = lane_of(shared, sigma_a, sigma_s);
   const real mfp = in * lane.sigma_t;
   const int a = (sigma_a >= 0) & (sigma_a <= shared[LANES_SIGMA_T_MOST]) &
@@ -25,7 +24,7 @@ static inline struct checked check_value(const real *shared, real sigma_a, real 
   const int range = (sigma_s >= 0) & (lane.sigma_t >= shared[LANES_SIGMA_T_LEAST]) &
                     (lane.sigma_t <= shared[LANES_SIGMA_T_MOST]);
   const int ratio = lane_good(shared, sigma_a, sigma_s);
-  const int in_range = (in >= 0) & (in <= (numbers ? 1 : (real)INFINITY));
+  const int in_range = (in >= 0) & (in <= most);
   int near = 1;
   if (has_reach) {
     const real s = real_sqrt(lane.absorbed);
@@ -59,38 +58,31 @@ struct extremes {
 };
 
 /* Adds the numbers that are not NaN to the least and the most of each place. */
-static inline void widen(size_t n, const real *restrict x, real *restrict least,
-                         real *restrict most) {
-  for (size_t i = 0; i < n; i++) {
+static inline void widen(const real *restrict x, real *restrict least, real *restrict most) {
+  for (size_t i = 0; i < BLOCK; i++) {
     const real lower = least[i], upper = most[i];
     least[i] = x[i] < lower ? x[i] : lower;
     most[i] = x[i] > upper ? x[i] : upper;
   }
 }
 
-static inline void count(size_t n, const cells_integer *restrict status,
-                         cells_integer *restrict answered) {
-  for (size_t i = 0; i < n; i++) {
-    answered[i] += status[i] <= CORE_VALUE_FAR;
-  }
-}
-
 __attribute__((always_inline)) static inline void
-check_block(const real *restrict shared, size_t n, const real *restrict sigma_a,
-            const real *restrict sigma_s, const real *restrict in,
-            enum core_varying_argument argument, int has_reach, cells_integer *restrict status,
-            struct extremes *restrict seen) {
+check_block(const real *restrict shared, const real *restrict sigma_a, const real *restrict sigma_s,
+            const real *restrict in, real most, cells_integer out_of_range, int has_reach,
+            cells_integer *restrict status, struct extremes *restrict seen) {
   real albedo[BLOCK], mfp[BLOCK];
-  for (size_t i = 0; i < n; i++) {
+  for (size_t i = 0; i < BLOCK; i++) {
     const struct checked value =
-        check_value(shared, sigma_a[i], sigma_s[i], in[i], argument, has_reach);
+        check_value(shared, sigma_a[i], sigma_s[i], in[i], most, out_of_range, has_reach);
     status[i] = value.status;
     albedo[i] = value.ok ? value.albedo : (real)NAN;
     mfp[i] = (value.ok & (value.mfp < (real)INFINITY)) ? value.mfp : (real)NAN;
   }
-  widen(n, albedo, seen->albedo_least, seen->albedo_most);
-  widen(n, mfp, seen->mfp_least, seen->mfp_most);
-  count(n, status, seen->answered);
+  widen(albedo, seen->albedo_least, seen->albedo_most);
+  widen(mfp, seen->mfp_least, seen->mfp_most);
+  for (size_t i = 0; i < BLOCK; i++) {
+    seen->answered[i] += status[i] <= CORE_VALUE_FAR;
+  }
 }
 
 /* Joins the places. */
@@ -109,41 +101,46 @@ static void sum_up(struct extremes *seen, core_varying_range *range) {
                                 (double)seen->mfp_most[0]};
 }
 
-__attribute__((always_inline)) static inline void
-check_all(const real *restrict shared, size_t n, const real *restrict sigma_a,
-          const real *restrict sigma_s, const real *restrict in,
-          enum core_varying_argument argument, int has_reach, uint8_t *restrict status,
-          core_varying_range *restrict range) {
-  struct extremes seen;
-  cells_integer wide[BLOCK];
-  for (size_t i = 0; i < BLOCK; i++) {
-    seen.answered[i] = 0;
-    seen.albedo_least[i] = seen.mfp_least[i] = (real)INFINITY;
-    seen.albedo_most[i] = seen.mfp_most[i] = 0;
-  }
-  size_t done = 0;
-  for (; done + BLOCK <= n; done += BLOCK) { /* of a constant length */
-    check_block(shared, BLOCK, sigma_a + done, sigma_s + done, in + done, argument, has_reach, wide,
-                &seen);
-    narrow(BLOCK, wide, status + done);
-  }
-  check_block(shared, n - done, sigma_a + done, sigma_s + done, in + done, argument, has_reach,
-              wide, &seen);
-  narrow(n - done, wide, status + done);
-  sum_up(&seen, range);
-}
+/* The last values, in a block that NaN fills up: a radius that is NaN gets no answer. */
+struct last_block {
+  real sigma_a[BLOCK], sigma_s[BLOCK], in[BLOCK];
+};
 
 static void check(const real *restrict shared, size_t n, const real *restrict sigma_a,
                   const real *restrict sigma_s, const real *restrict in,
                   enum core_varying_argument argument, uint8_t *restrict status,
                   core_varying_range *restrict range) {
-  if (argument == CORE_VARYING_NUMBERS) {
-    check_all(shared, n, sigma_a, sigma_s, in, CORE_VARYING_NUMBERS, 0, status, range);
-  } else if (shared[LANES_FAR] > 0) {
-    check_all(shared, n, sigma_a, sigma_s, in, CORE_VARYING_RADII, 1, status, range);
-  } else {
-    check_all(shared, n, sigma_a, sigma_s, in, CORE_VARYING_RADII, 0, status, range);
+  const int numbers = argument == CORE_VARYING_NUMBERS;
+  const int has_reach = !numbers && shared[LANES_FAR] > 0;
+  const real most = numbers ? 1 : (real)INFINITY;
+  const cells_integer out_of_range = numbers ? CORE_VALUE_NUMBER : CORE_VALUE_RADIUS;
+  struct last_block last;
+  struct extremes seen;
+  for (size_t i = 0; i < BLOCK; i++) {
+    seen.answered[i] = 0;
+    seen.albedo_least[i] = seen.mfp_least[i] = (real)INFINITY;
+    seen.albedo_most[i] = seen.mfp_most[i] = 0;
   }
+  for (size_t done = 0; done < n; done += BLOCK) {
+    const size_t count = n - done < BLOCK ? n - done : BLOCK;
+    const real *a = sigma_a + done, *s = sigma_s + done, *x = in + done;
+    cells_integer wide[BLOCK];
+    if (count < BLOCK) {
+      for (size_t i = 0; i < BLOCK; i++) {
+        last.sigma_a[i] = i < count ? a[i] : 0;
+        last.sigma_s[i] = i < count ? s[i] : 0;
+        last.in[i] = i < count ? x[i] : (real)NAN;
+      }
+      a = last.sigma_a, s = last.sigma_s, x = last.in;
+    }
+    if (has_reach) {
+      check_block(shared, a, s, x, most, out_of_range, 1, wide, &seen);
+    } else {
+      check_block(shared, a, s, x, most, out_of_range, 0, wide, &seen);
+    }
+    narrow(count, wide, status + done);
+  }
+  sum_up(&seen, range);
 }
 
 /* Returns s = sqrt(sigma_a / sigma_t') of the medium of a colour, and sets *w to 1 - s. v: the

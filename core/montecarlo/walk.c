@@ -284,20 +284,19 @@ static inline struct vector scatter(const walk_medium *m, struct vector u, uint3
 
 /* Walks the lanes one step. phase and is_slab repeat the medium's fields as constants, so that the
  * compiler makes a separate loop for each combination. */
-static inline __attribute__((always_inline)) void step(const walk_medium *medium, uint32_t high,
+static inline __attribute__((always_inline)) void step(const walk_medium *medium,
+                                                       const random_words *restrict random,
                                                        size_t lanes, walk_lanes *restrict w,
                                                        enum walk_phase phase, bool is_slab) {
   const walk_medium m = *medium;
   const size_t whole_groups = lanes & ~(size_t)(WALK_GROUP - 1);
-  random_words random;
-  draw(&m, whole_groups, w->collisions, w->photon, high, EVENT_SCATTERING, &random);
   for (size_t i = 0; i < whole_groups; i++) {
-    const lane_direction azimuth = lane_azimuth(random.word[1][i]);
-    const lane_uniform flight = lane_uniform_from(random.word[2][i]);
-    const lane_uniform chance = lane_uniform_from(random.word[3][i]);
+    const lane_direction azimuth = lane_azimuth(random->word[1][i]);
+    const lane_uniform flight = lane_uniform_from(random->word[2][i]);
+    const lane_uniform chance = lane_uniform_from(random->word[3][i]);
 
     const struct vector before = {w->ux[i], w->uy[i], w->uz[i]};
-    const struct vector u = scatter(&m, before, random.word[0][i], azimuth, phase);
+    const struct vector u = scatter(&m, before, random->word[0][i], azimuth, phase);
     const float path = lane_minus_log(flight.v, flight.w);
     const struct landing landing = is_slab ? land_in_slab(&m, w->z[i], u, path, chance)
                                            : land_in_half_space(&m, w->z[i], u, path, chance);
@@ -317,13 +316,16 @@ static inline __attribute__((always_inline)) void step(const walk_medium *medium
 }
 
 static void step_any(const walk_medium *medium, uint32_t high, size_t lanes, walk_lanes *walk) {
+  random_words random;
+  const size_t whole_groups = lanes & ~(size_t)(WALK_GROUP - 1);
+  draw(medium, whole_groups, walk->collisions, walk->photon, high, EVENT_SCATTERING, &random);
   switch (medium->phase) {
 #define STEPS(phase)                                                                               \
   case phase:                                                                                      \
     if (medium->slab) {                                                                            \
-      step(medium, high, lanes, walk, phase, true);                                                \
+      step(medium, &random, lanes, walk, phase, true);                                             \
     } else {                                                                                       \
-      step(medium, high, lanes, walk, phase, false);                                               \
+      step(medium, &random, lanes, walk, phase, false);                                            \
     }                                                                                              \
     break;
     STEPS(WALK_ISOTROPIC)
