@@ -86,7 +86,7 @@ static const uint8_t *get_text(const uint8_t *at, char *text, size_t bytes) {
   }
 #define GET_TEXT(field, bytes, meaning) at = get_text(at, to->field, bytes);
 
-#define WIRE_STRUCTURE(name, about)                                                                \
+#define WIRE_STRUCTURE(name)                                                                       \
   void wire_put_##name(uint8_t *at, const wire_##name *from) {                                     \
     WIRE_FIELDS_##name(PUT_ONE, PUT_ARRAY, PUT_TEXT)(void) at;                                     \
   }                                                                                                \
@@ -327,7 +327,7 @@ bool wire_describe(const char *name, void (*print)(void *context, const char *te
                    void *context) {
   struct description to = {.print = print, .context = context};
   char title[64];
-#define WIRE_STRUCTURE(structure, about)                                                           \
+#define WIRE_STRUCTURE(structure)                                                                  \
   if (strcmp(name, #structure) == 0) {                                                             \
     snprintf(title, sizeof title, "%s, %d bytes\n", name, WIRE_BYTES_##structure);                 \
     print(context, title);                                                                         \

@@ -66,7 +66,7 @@ enum wire_choice_kind {
 #define WIRE_DECLARE_ARRAY(kind, field, count, meaning) WIRE_CTYPE_##kind field[count];
 #define WIRE_DECLARE_TEXT(field, bytes, meaning) char field[(bytes) + 1];
 
-#define WIRE_STRUCTURE(name, about)                                                                \
+#define WIRE_STRUCTURE(name)                                                                       \
   typedef struct wire_##name {                                                                     \
     WIRE_FIELDS_##name(WIRE_DECLARE_ONE, WIRE_DECLARE_ARRAY, WIRE_DECLARE_TEXT)                    \
   } wire_##name;
@@ -82,7 +82,7 @@ enum wire_choice_kind {
 #define WIRE_ADD_ARRAY(kind, field, count, meaning) +WIRE_SIZE_##kind *(count)
 #define WIRE_ADD_TEXT(field, bytes, meaning) +(bytes)
 
-#define WIRE_STRUCTURE(name, about)                                                                \
+#define WIRE_STRUCTURE(name)                                                                       \
   WIRE_BYTES_##name = 0 WIRE_FIELDS_##name(WIRE_ADD_ONE, WIRE_ADD_ARRAY, WIRE_ADD_TEXT),
 enum wire_bytes {
 #include "proto/messages.def"
@@ -91,7 +91,7 @@ enum wire_bytes {
 /* wire_put_<name>() writes WIRE_BYTES_<name> bytes to `at`, which has room for them.
  * wire_get_<name>() reads as many bytes from `at`. Neither can fail, and `at` needs no alignment.
  * Text that is longer than its field is cut. */
-#define WIRE_STRUCTURE(name, about)                                                                \
+#define WIRE_STRUCTURE(name)                                                                       \
   void wire_put_##name(uint8_t *at, const wire_##name *from);                                      \
   void wire_get_##name(const uint8_t *at, wire_##name *to);
 #include "proto/messages.def"

@@ -8,7 +8,7 @@
 #define ONE(kind, field, meaning) FIELD(#field, kind, 1, meaning)
 #define ARRAY(kind, field, count, meaning) FIELD(#field, kind, count, meaning)
 #define TEXT(field, bytes, meaning) FIELD(#field, text, bytes, meaning)
-#define WIRE_STRUCTURE(structure, about)                                                           \
+#define WIRE_STRUCTURE(structure)                                                                  \
   struct http_field http_fields_of_##structure[] = {                                               \
       WIRE_FIELDS_##structure(ONE, ARRAY, TEXT){.name = NULL}};
 #include "proto/messages.def"
@@ -183,7 +183,7 @@ static void complete(struct http_field *fields) {
 }
 
 void http_fields_init(void) {
-#define WIRE_STRUCTURE(name, about) complete(http_fields_of_##name);
+#define WIRE_STRUCTURE(name) complete(http_fields_of_##name);
 #include "proto/messages.def"
 }
 

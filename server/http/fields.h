@@ -26,7 +26,7 @@ struct http_field {
 };
 
 /* The structures: http_fields_of_eval_request and so on. */
-#define WIRE_STRUCTURE(name, about) extern struct http_field http_fields_of_##name[];
+#define WIRE_STRUCTURE(name) extern struct http_field http_fields_of_##name[];
 #include "proto/messages.def"
 
 /* Completes the structures. Call it once, before anything else of server/http. */

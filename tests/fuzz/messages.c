@@ -15,7 +15,7 @@
 #include "tests/fuzz/fuzz.h"
 
 /* A structure that is read from any bytes, written and read again is the same. */
-#define WIRE_STRUCTURE(name, about)                                                                \
+#define WIRE_STRUCTURE(name)                                                                       \
   static void round_trip_##name(const uint8_t *data) {                                             \
     uint8_t once[WIRE_BYTES_##name], twice[WIRE_BYTES_##name];                                     \
     wire_##name structure;                                                                         \
@@ -28,7 +28,7 @@
 #include "proto/messages.def"
 
 static void round_trips(const uint8_t *data, size_t size) {
-#define WIRE_STRUCTURE(name, about)                                                                \
+#define WIRE_STRUCTURE(name)                                                                       \
   if (size >= WIRE_BYTES_##name) {                                                                 \
     uint8_t *copy = fuzz_copy(data, WIRE_BYTES_##name);                                            \
     round_trip_##name(copy);                                                                       \

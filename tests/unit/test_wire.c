@@ -10,7 +10,7 @@ enum { REPEATS = 50, MARGIN = 16, GUARD = 0xa5 };
 /* Random bytes decode and encode to themselves at every offset, and nothing around them is written.
  * No byte is zero, so that no text ends early. The tests with the Python client, which has a list
  * of its own, show that numbers are little-endian. */
-#define WIRE_STRUCTURE(name, about)                                                                \
+#define WIRE_STRUCTURE(name)                                                                       \
   static void round_trip_##name(uint64_t *random) {                                                \
     for (size_t offset = 0; offset < MARGIN; offset++) {                                           \
       uint8_t bytes[MARGIN + WIRE_BYTES_##name + MARGIN], again[sizeof bytes];                     \
@@ -31,7 +31,7 @@ enum { REPEATS = 50, MARGIN = 16, GUARD = 0xa5 };
 UNIT_TEST(structures_survive_the_round_trip) {
   uint64_t random = unit_seed();
   for (int i = 0; i < REPEATS; i++) {
-#define WIRE_STRUCTURE(name, about) round_trip_##name(&random);
+#define WIRE_STRUCTURE(name) round_trip_##name(&random);
 #include "proto/messages.def"
   }
 }
@@ -245,7 +245,7 @@ UNIT_TEST(the_protocols_tables_are_those_of_the_list) {
     name = end + 2;
   }
   free(document);
-#define WIRE_STRUCTURE(name, about) +1
+#define WIRE_STRUCTURE(name) +1
   const unsigned structures = 0
 #include "proto/messages.def"
       ;
