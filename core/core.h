@@ -14,6 +14,7 @@
 #ifndef DIPOLED_CORE_H
 #define DIPOLED_CORE_H
 
+#include <stdatomic.h>
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -167,6 +168,8 @@ typedef struct core_fault {
 
 /* The field of a fault when no memory is left for a profile; trying again later may succeed. */
 #define CORE_FIELD_MEMORY "memory"
+/* The field of a fault that says that a caller has stopped a preparation. */
+#define CORE_FIELD_STOPPED "stopped"
 
 /* ---- media ----------------------------------------------------------------------------------- */
 
@@ -371,6 +374,13 @@ bool core_worth_keeping(unsigned model, unsigned evaluator);
 core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsigned model,
                                 unsigned moments, unsigned evaluator, const core_medium *medium,
                                 const core_parameters *parameters);
+
+/* The same, and gives up within a second of `stop` being true where transport is solved: fault
+ * CORE_FIELD_STOPPED. stop: NULL, or set by any thread. */
+core_fault core_profile_prepare_until(core_profile *profile, const core_isa *isa, unsigned model,
+                                      unsigned moments, unsigned evaluator,
+                                      const core_medium *medium, const core_parameters *parameters,
+                                      const atomic_bool *stop);
 
 /* The relative error of S / R: of the Fresnel moment and of both transmittances. */
 #define CORE_S_ERROR 0x1p-49

@@ -132,6 +132,7 @@ typedef struct core_inputs {
   double accepted;
   /* Whether the albedo is all that is asked for. A formula may then leave out the rest. */
   bool only_albedo;
+  const atomic_bool *stop; /* that of core_profile_prepare_until() */
 } core_inputs;
 
 /* What the table of anisotropic scattering adds to the numerical error of `transport`, relative: to

@@ -595,12 +595,21 @@ static core_fault check_and_prepare(core_profile *profile, unsigned model, unsig
 core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsigned model,
                                 unsigned moments, unsigned evaluator, const core_medium *medium,
                                 const core_parameters *parameters) {
+  return core_profile_prepare_until(profile, isa, model, moments, evaluator, medium, parameters,
+                                    NULL);
+}
+
+core_fault core_profile_prepare_until(core_profile *profile, const core_isa *isa, unsigned model,
+                                      unsigned moments, unsigned evaluator,
+                                      const core_medium *medium, const core_parameters *parameters,
+                                      const atomic_bool *stop) {
   const core_parameters none = core_parameters_none();
   const core_inputs inputs = {
       .moments = moments,
       .medium = medium,
       .parameters = parameters != NULL ? parameters : &none,
       .isa = isa,
+      .stop = stop,
   };
   return check_and_prepare(profile, model, evaluator, &inputs);
 }

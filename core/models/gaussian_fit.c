@@ -272,8 +272,9 @@ static core_fault fit_profile(const core_inputs *inputs, const core_profile *pro
 core_fault core_gaussian_fit_prepare(const core_inputs *inputs, core_preparation *preparation) {
   const struct asked asked = asked_of(inputs);
   core_profile profile;
-  core_fault fault = core_profile_prepare(&profile, inputs->isa, asked.model, inputs->moments,
-                                          CORE_EVALUATOR_F64, inputs->medium, &asked.parameters);
+  core_fault fault = core_profile_prepare_until(&profile, inputs->isa, asked.model, inputs->moments,
+                                                CORE_EVALUATOR_F64, inputs->medium,
+                                                &asked.parameters, inputs->stop);
   if (fault.field != NULL) {
     return fault;
   }

@@ -856,6 +856,9 @@ static core_fault differentiate_solved(const core_inputs *inputs, const core_med
   /* Beyond RATIO_MOST nothing is solved. */
   const double above = ratio_of(medium) > 0.9 * RATIO_MOST ? 0 : LN_RATIO_STEP_SOLVED;
   for (int i = 0; i < 2 && medium->sigma_a_per_mm > 0 && fault.field == NULL; i++) {
+    if (inputs->stop != NULL && atomic_load(inputs->stop)) {
+      return (core_fault){CORE_FIELD_STOPPED, "to be waited for", 0};
+    }
     const core_medium other = neighbour_of(medium, i == 0 ? -LN_RATIO_STEP_SOLVED : above);
     solver_solution *solution;
     fault = solver_solve_level(&solution, inputs->isa, ratio_of(&other), &phase, &medium->eta, 1,
@@ -897,8 +900,8 @@ static core_fault prepare_solved(const core_inputs *inputs, const core_medium *m
   struct source source = {.medium = medium, .kappa = kappa_of(medium)};
   struct panels panels = {.joined = false};
   struct by_ratio by_ratio;
-  fault =
-      solver_solve(&solution, inputs->isa, ratio_of(medium), &phase, &medium->eta, 1, tolerance);
+  fault = solver_solve_until(&solution, inputs->isa, ratio_of(medium), &phase, medium->eta,
+                             tolerance, inputs->stop);
   if (fault.field == NULL) {
     source.solution = solution;
     lay_panels_solved(&source, &panels, &preparation->added);

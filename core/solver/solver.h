@@ -18,6 +18,7 @@
 #define DIPOLED_CORE_SOLVER_H
 
 #include <complex.h>
+#include <stdatomic.h>
 #include <stdbool.h>
 
 #include "core/core.h"
@@ -49,7 +50,8 @@ typedef struct solver_solution solver_solution;
 /* Solves one medium for some boundaries together, which takes little longer than for one. Finer
  * and finer grids are solved until the relative error that two of them show is at most the
  * tolerance, at radii from SOLVER_RADIUS_LEAST to SOLVER_RADIUS_MOST as far as R has not decayed
- * by e^-20, but at most four of them. What holds is the error that is stated beside each value,
+ * by e^-20, but at most four of them, and no fourth one if the first three show that it would not
+ * reach the tolerance. What holds is the error that is stated beside each value,
  * which is larger than asked for where |g| is above 0.95 or g is below -0.5. One boundary and g up
  * to 0.9 take some 0.2 s of a processor for a tolerance of 1e-2, 0.6 to 2.5 s for 1e-3 and 9 s
  * or more for 1e-4; the most that they take is 3, 10 and 37 s. sigma_a_ratio: sigma_a / (sigma_s (1 - g)),
@@ -61,14 +63,20 @@ core_fault solver_solve(solver_solution **solution, const core_isa *isa, double 
                         const solver_phase *phase, const double *etas, size_t count,
                         double tolerance);
 
-/* The same with the light that leaves within cones of angles, too. sines: that of the largest
+/* The same, and gives up within one wavenumber (up to a tenth of a second) of `stop` being true:
+ * fault CORE_FIELD_STOPPED. stop: NULL, or set by any thread. */
+core_fault solver_solve_until(solver_solution **solution, const core_isa *isa, double sigma_a_ratio,
+                              const solver_phase *phase, double eta, double tolerance,
+                              const atomic_bool *stop);
+
+/* The same as solver_solve() with the light that leaves within cones of angles, too. sines: that of the largest
  * angle to the normal outside that a cone has, over min(1, eta), which is that of all light; each
  * above 0 and up to 1, 0 to SOLVER_CONES_MAX of them. Fault: `sine`. */
 core_fault solver_solve_cones(solver_solution **solution, const core_isa *isa, double sigma_a_ratio,
                               const solver_phase *phase, const double *etas, size_t count,
                               const double *sines, size_t cones, double tolerance);
 
-/* The same on the grid number `level` alone, 0 (the coarsest) to SOLVER_LEVELS - 1: the errors of
+/* The same as solver_solve() on the grid number `level` alone, 0 (the coarsest) to SOLVER_LEVELS - 1: the errors of
  * the values are NAN. exitances: NULL, or memory for the exitance at each wavenumber, which takes
  * nearly all of the time, [count][SOLVER_WAVENUMBERS_MAX]. If not `known`, it is set; the rest of
  * it stays. If `known`, it must be what a call with the same other arguments has set, and the
@@ -82,12 +90,13 @@ void solver_free(solver_solution *solution);
 size_t solver_level(const solver_solution *solution);
 
 /* Returns R at the radius r for the boundary etas[eta], with an estimate of its absolute error. r:
- * 0 (where R is infinite) to infinity; above 1e4 it takes longer and longer. Where the grids do not
- * find a positive R, the value is 0 and the error the size of what they find. */
+ * 0 (where R is infinite) to infinity; beyond 1e4 R goes on as diffusion, (1 + kappa r) e^(-kappa r)
+ * / r^3. Where the grids do not find a positive R, the value is 0 and the error the size of what
+ * they find. */
 transport_number solver_at(const solver_solution *solution, size_t eta, double r);
 
 /* Returns the share of R that leaves within the cone sines[cone], with an estimate of its absolute
- * error. r: above 0 and finite. */
+ * error, the same multiple of the grids' difference as that of R. r: above 0 and finite. */
 transport_number solver_share_at(const solver_solution *solution, size_t eta, size_t cone,
                                  double r);
 

@@ -25,6 +25,7 @@ struct cache_entry {
   _Atomic uint64_t references;
   _Atomic bool kept; /* whether the entry is prepared and in the cache */
   _Atomic bool used; /* whether it was used since it was put at the head of its list */
+  _Atomic bool stop; /* whether the preparation is to stop, as nobody waits for it any more */
 
   /* The mutex guards the following members. */
   bool under_way;               /* whether the profile is not prepared yet */
@@ -144,12 +145,12 @@ bool cache_key_equal(const struct cache_key *a, const struct cache_key *b) {
 }
 
 core_fault cache_key_prepare(const struct cache_key *key, const core_isa *isa,
-                             core_profile *profile) {
+                             core_profile *profile, const atomic_bool *stop) {
   const core_medium medium = cache_key_medium(key);
   core_parameters parameters;
   memcpy(parameters.value, key->parameters, sizeof parameters.value);
-  return core_profile_prepare(profile, isa, key->model, key->moments, key->evaluator, &medium,
-                              &parameters);
+  return core_profile_prepare_until(profile, isa, key->model, key->moments, key->evaluator, &medium,
+                                    &parameters, stop);
 }
 
 core_fault cache_key_prepare_varying(const struct cache_key *key, const core_isa *isa,
@@ -403,6 +404,7 @@ static void wait_for(struct cache_entry *entry, struct cache_owner *owner,
   waiter->owner = NULL;
   waiter->list = &entry->waiters;
   LIST_INSERT_HEAD(waiter->list, waiter, in_list);
+  atomic_store(&entry->stop, false);
   if (!entry->begun) {
     enqueue(entry->cache, owner, waiter);
   }
@@ -646,7 +648,7 @@ static uint64_t prepare_entry(struct cache_entry *entry) {
     return entry->fault.field == NULL ? sizeof *entry + core_varying_bytes(&entry->varying) : 0;
   }
   if (key->design == NULL) {
-    entry->fault = cache_key_prepare(key, isa, &entry->profile);
+    entry->fault = cache_key_prepare(key, isa, &entry->profile, &entry->stop);
     return entry->fault.field == NULL ? sizeof *entry + core_profile_bytes(&entry->profile) : 0;
   }
   fit_design read;
@@ -654,6 +656,10 @@ static uint64_t prepare_entry(struct cache_entry *entry) {
   entry->fault = core_fit_create(&entry->fit, isa, &read.design);
   return entry->fault.field == NULL ? sizeof *entry + key->design_bytes + core_fit_bytes(entry->fit)
                                     : 0;
+}
+
+static bool is_stopped(const struct cache_entry *entry) {
+  return entry->fault.field != NULL && strcmp(entry->fault.field, CORE_FIELD_STOPPED) == 0;
 }
 
 void cache_prepare(struct cache_entry *entry) {
@@ -666,9 +672,14 @@ void cache_prepare(struct cache_entry *entry) {
     return;
   }
   stats_add(cache->stats, STATS_CACHE_BUILDS, 1);
-  entry->bytes = prepare_entry(entry);
   struct entries evicted = TAILQ_HEAD_INITIALIZER(evicted);
+  entry->bytes = prepare_entry(entry);
   uv_mutex_lock(&cache->mutex);
+  while (is_stopped(entry) && !LIST_EMPTY(&entry->waiters)) { /* that came after it had stopped */
+    uv_mutex_unlock(&cache->mutex);
+    entry->bytes = prepare_entry(entry);
+    uv_mutex_lock(&cache->mutex);
+  }
   entry->under_way = false;
   keep(cache, entry, &evicted);
   wake_all(entry);
@@ -718,6 +729,9 @@ void cache_leave(struct cache_waiter *waiter) {
   delist(waiter);
   dequeue(entry->cache, waiter);
   const bool given_up = !entry->begun && give_up(entry);
+  if (entry->slow && LIST_EMPTY(&entry->waiters)) {
+    atomic_store(&entry->stop, true);
+  }
   uv_mutex_unlock(&entry->cache->mutex);
   waiter->entry = NULL;
   if (given_up) {

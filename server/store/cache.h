@@ -82,10 +82,10 @@ void cache_key_set_points(struct cache_key *key, const uint64_t set[2], struct p
 
 bool cache_key_equal(const struct cache_key *a, const struct cache_key *b);
 
-/* These call core_profile_prepare() and core_varying_prepare() with the members of the key and
+/* These call core_profile_prepare_until() and core_varying_prepare() with the members of the key and
  * nothing else, so that the bits do not depend on who asks first. */
 core_fault cache_key_prepare(const struct cache_key *key, const core_isa *isa,
-                             core_profile *profile);
+                             core_profile *profile, const atomic_bool *stop);
 core_fault cache_key_prepare_varying(const struct cache_key *key, const core_isa *isa,
                                      core_varying *varying);
 
@@ -154,7 +154,8 @@ struct cache_entry *cache_begin_turn(struct cache *cache);
 void cache_end_turn(struct cache *cache);
 
 /* Prepares an entry, on any thread, and wakes all its waiters. A slow entry that has no waiters any
- * more is not prepared but removed from the cache. */
+ * more is not prepared but removed from the cache; if the last one leaves while transport is being
+ * solved, that stops. */
 void cache_prepare(struct cache_entry *entry);
 
 /* Prepares slow entries, turn by turn, on threads of libuv's pool. Call this on the loop's thread.

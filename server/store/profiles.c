@@ -128,7 +128,7 @@ static enum profiles_answer prepare_here(struct profiles *profiles,
                                          struct profiles_lookup *lookup) {
   count(profiles, false);
   stats_add(&profiles->server->stats, STATS_CACHE_BUILDS, 1);
-  lookup->fault = cache_key_prepare(&lookup->key, profiles->server->isa, &lookup->profile);
+  lookup->fault = cache_key_prepare(&lookup->key, profiles->server->isa, &lookup->profile, NULL);
   if (lookup->fault.field != NULL) {
     return PROFILES_FAULT;
   }

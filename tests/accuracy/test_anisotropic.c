@@ -95,6 +95,10 @@ UNIT_TEST(all_light_leaves_a_white_medium) {
     const double beyond = 2 * PI * last * last * solver_at(solution, 0, last).value;
     printf("white, g %g, eta %g: %.6f within 300, %.6f beyond\n", gs[i], etas[i], sum, beyond);
     assert_true(fabs(sum + beyond - 1) < 3e-4);
+    const transport_number far = solver_at(solution, 0, 9999),
+                           farther = solver_at(solution, 0, 1e12);
+    assert_true(fabs(farther.value / pow(1e12 / 9999, -3) / far.value - 1) <=
+                farther.error / farther.value);
     solver_total total;
     unit_assert_fault(solver_totals(&total, core_isa_select(NULL), 0, &phase, &etas[i], 1), NULL,
                       0);
@@ -134,6 +138,48 @@ UNIT_TEST(stated_errors_are_those_against_a_finer_grid) {
     solver_free(solution);
     solver_free(finer);
   }
+}
+
+/* A fourth grid is solved only where the first three leave it a chance to reach the tolerance. Where
+ * it is left out, it would have missed the tolerance indeed. */
+UNIT_TEST(grids_that_cannot_reach_the_tolerance_are_left_out) {
+  static const struct {
+    double ratio, g, eta;
+    size_t level;
+  } media[] = {{0.1, 0.97, 1.4, 2}, {20, 0.98, 2, 2}, {0.03, 0.93, 3, 3}, {1, 0.5, 3, 1}};
+  const double tolerance = 1e-2;
+  for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
+    const solver_phase phase = {media[i].g, 0, NULL};
+    solver_solution *solution, *next;
+    unit_assert_fault(solver_solve(&solution, core_isa_select(NULL), media[i].ratio, &phase,
+                                   &media[i].eta, 1, tolerance),
+                      NULL, 0);
+    assert_int_equal(solver_level(solution), media[i].level);
+    if (media[i].level == 2) {
+      double apart = 0, stated = 0;
+      unit_assert_fault(solver_solve_level(&next, core_isa_select(NULL), media[i].ratio, &phase,
+                                           &media[i].eta, 1, 3, NULL, false),
+                        NULL, 0);
+      for (double r = SOLVER_RADIUS_LEAST; r < SOLVER_RADIUS_MOST; r *= 1.2) {
+        const transport_number R = solver_at(solution, 0, r);
+        apart = fmax(apart, fabs(R.value / solver_at(next, 0, r).value - 1));
+        stated = fmax(stated, R.error / R.value);
+      }
+      assert_true(apart > tolerance && stated > tolerance);
+      solver_free(next);
+    }
+    solver_free(solution);
+  }
+}
+
+UNIT_TEST(a_solution_that_nobody_wants_stops) {
+  const solver_phase phase = {.g = 0.9};
+  const atomic_bool stop = true;
+  solver_solution *solution;
+  unit_assert_fault(
+      solver_solve_until(&solution, core_isa_select(NULL), 1, &phase, 1.4, 1e-3, &stop),
+      CORE_FIELD_STOPPED, 0);
+  assert_null(solution);
 }
 
 /* ---- numbers of others ---------------------------------------------------------------------- */
@@ -255,6 +301,7 @@ UNIT_TEST(values_of_another_implementation_hold) {
     }
     assert_true(isinf(solver_at(solution, 0, 0).value));
     assert_true(solver_at(solution, 0, INFINITY).value == 0);
+    assert_true(solver_at(solution, 0, 1e300).value == 0);
     solver_free(solution);
   }
 }

@@ -368,6 +368,36 @@ UNIT_TEST(what_nobody_waits_for_is_not_prepared) {
   cache_free(f.cache);
 }
 
+static void prepare_on_thread(void *entry) {
+  cache_prepare(entry);
+}
+
+/* Of a preparation that has begun, too, if transport is solved. */
+UNIT_TEST(what_nobody_waits_for_any_more_stops) {
+  struct fixture f;
+  open_cache(&f, 1 << 20);
+  const core_parameters none = core_parameters_none();
+  const struct cache_key key = key_of(CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64,
+                                      (core_medium){0.01, 100, 0.98, 3}, none);
+  struct cache_waiter waiter = {0};
+  struct cache_entry *entry = NULL;
+  assert_true(cache_look(f.cache, &key, true, &f.owner, &f.queue, &waiter, &entry) ==
+              CACHE_AWAITED);
+  entry = cache_begin_turn(f.cache);
+  uv_thread_t thread;
+  assert_int_equal(uv_thread_create(&thread, prepare_on_thread, entry), 0);
+  while (count(&f, STATS_CACHE_BUILDS) == 0) {
+    uv_sleep(1);
+  }
+  cache_leave(&waiter);
+  uv_thread_join(&thread);
+  cache_end_turn(f.cache);
+  assert_string_equal(cache_fault(entry).field, CORE_FIELD_STOPPED);
+  assert_false(cache_keeps(entry));
+  cache_release(entry);
+  cache_free(f.cache);
+}
+
 UNIT_TEST(a_fault_goes_to_all_and_is_not_kept) {
   struct fixture f;
   open_cache(&f, 1 << 20);
