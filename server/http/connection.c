@@ -11,9 +11,10 @@
 #include "server/http/openapi.h"
 #include "server/http/page.h"
 #include "server/http/question.h"
-#include "server/jobs/requests.h"
+#include "server/jobs/run.h"
 #include "server/net/worker.h"
 #include "server/observe/health.h"
+#include "server/store/points.h"
 
 enum {
   HEADER_BYTES = 1024, /* of the library's memory for one connection, beside the URI */
@@ -52,17 +53,19 @@ struct http_connection {
   struct route route;
   struct http_text query;   /* of the URI, with a zero byte behind it; empty if there is none */
   struct http_text body;    /* of the request, as far as it has arrived */
-  struct http_text payload; /* of the frame that asks the same */
+  struct http_text payload; /* of the message that asks the same */
+  struct http_text reply;   /* the payload of its reply */
   bool g_is_default;        /* whether the request left g out */
   struct http_text answer;  /* which the library sends from where it is */
 
-  struct input input;
-  struct output output;
-  struct requests requests;
-  bool more_to_do; /* whether the job can go on */
+  struct run run;
+  uint64_t arrived_ns;   /* when its request had arrived */
+  struct points *points; /* the set that it sends; NULL: none */
+  wire_error error;      /* by which the job was refused; OK: the reply is complete */
 };
 
 static const struct client_kind kind;
+static const struct run_sink sink;
 
 static struct http_connection *of(struct client *client) {
   return (struct http_connection *)(void *)client;
@@ -82,18 +85,6 @@ static const struct options *options_of(const struct http_connection *c) {
 
 /* ---- beginning and end ----------------------------------------------------------------------- */
 
-static void on_wake(void *owner) {
-  struct http_connection *c = owner;
-  worker_run_later(&c->client);
-}
-
-static void init_requests(struct http_connection *c) {
-  output_init(&c->output, c->host->server);
-  c->output.budget = &c->host->buffers;
-  requests_init(&c->requests, &c->input, &c->output, on_wake, c);
-  c->requests.whole = true;
-}
-
 static void open_connection(struct http_host *host, struct MHD_Connection *handle, void **to) {
   struct http_connection *c = calloc(1, sizeof *c);
   *to = c;
@@ -107,10 +98,9 @@ static void open_connection(struct http_host *host, struct MHD_Connection *handl
   http_text_init(&c->query, &host->buffers);
   http_text_init(&c->body, &host->buffers);
   http_text_init(&c->payload, &host->buffers);
+  http_text_init(&c->reply, &host->buffers);
   http_text_init(&c->answer, &host->buffers);
-  input_init(&c->input, host->server);
-  c->input.budget = &host->buffers;
-  init_requests(c);
+  run_init(&c->run, &sink, c);
   host->connection_count++;
   worker_adopt(host->worker, &c->client);
   c->since_ms = now_ms(c);
@@ -120,18 +110,21 @@ static void forget_request(struct http_connection *c) {
   http_text_free(&c->body);
   http_text_reset(&c->query);
   http_text_reset(&c->payload);
+  http_text_reset(&c->reply);
   http_text_reset(&c->answer);
+}
+
+static void free_texts(struct http_connection *c) {
+  http_text_free(&c->query);
+  http_text_free(&c->payload);
+  http_text_free(&c->reply);
+  http_text_free(&c->answer);
 }
 
 /* The library closes no connection whose job runs, so the client is in no queue of the worker. */
 static void close_connection(struct http_connection *c) {
-  forget_request(c);
-  http_text_free(&c->query);
-  http_text_free(&c->payload);
-  http_text_free(&c->answer);
-  requests_drop(&c->requests);
-  input_free(&c->input);
-  output_free(&c->output);
+  http_text_free(&c->body);
+  free_texts(c);
   worker_forget(&c->client);
   c->host->connection_count--;
   free(c);
@@ -291,58 +284,35 @@ static wire_error too_large(const struct http_connection *c, const char *field) 
   return refuse(WIRE_STATUS_TOO_LARGE, field, allowed);
 }
 
-/* Gives the job up, and what it has written. */
-static void give_up(struct http_connection *c) {
-  batch_finish(&worker_context(c->host->worker)->batch, &c->host->server->stats);
-  requests_drop(&c->requests);
-  output_free(&c->output);
-  init_requests(c);
-  c->requests.context = worker_context(c->host->worker);
-  c->requests.profiles = &c->client.profiles;
-  input_discard(&c->input);
-}
-
 /* Frees what has become the text of an answer, if it is much, so that a slow reader holds the text
  * alone. */
-static void free_frames(struct http_connection *c) {
+static void free_payloads(struct http_connection *c) {
   http_text_reset(&c->payload);
+  http_text_reset(&c->reply);
   http_text_trim(&c->answer);
-  if (c->input.large || c->output.spare_bytes > 0) {
-    input_release(&c->input);
-    output_release(&c->output);
-  }
 }
 
-static void write_reply(struct http_connection *c, const uint8_t *payload, size_t bytes) {
+static void write_reply(struct http_connection *c) {
+  const uint8_t *payload = (const uint8_t *)c->reply.bytes;
   if (c->route.kind == LISTS) {
     http_answer_write_models(payload, &c->answer);
   } else if (c->route.kind == MEDIA) {
     http_answer_write_media(payload, &c->answer);
   } else {
     http_answer_write(c->route.message, (const uint8_t *)c->payload.bytes, c->g_is_default, payload,
-                      bytes, &c->answer);
+                      c->reply.count, &c->answer);
   }
 }
 
-/* Sends what is in the output: one frame. */
+/* Sends the reply, or the refusal, of a job that has ended. */
 static enum MHD_Result send_answer(struct http_connection *c) {
-  uv_buf_t frame;
-  wire_header header;
-  wire_error error = wire_error_busy("max_total_bytes", "less at a time", 1000);
-  if (output_buffers(&c->output, &frame, 1) == 0 || c->requests.no_room) {
-    return send_error(c, &error, 0);
+  const bool refused = c->error.status != WIRE_STATUS_OK;
+  if (!refused) {
+    write_reply(c);
+    c->error = wire_error_busy("max_total_bytes", "less at a time", 1000); /* if that failed */
   }
-  wire_get_header((const uint8_t *)frame.base, &header);
-  const uint8_t *payload = (const uint8_t *)frame.base + WIRE_BYTES_header;
-  const bool refused = header.type == WIRE_TYPE_ERROR;
-  if (refused) {
-    wire_get_error(payload, &error);
-  } else {
-    write_reply(c, payload, header.payload_bytes);
-  }
-  output_consume(&c->output, WIRE_BYTES_header + header.payload_bytes);
-  free_frames(c);
-  return refused || c->answer.failed ? send_error(c, &error, 0) : send_text(c, MHD_HTTP_OK, 0);
+  free_payloads(c);
+  return refused || c->answer.failed ? send_error(c, &c->error, 0) : send_text(c, MHD_HTTP_OK, 0);
 }
 
 /* ---- the job --------------------------------------------------------------------------------- */
@@ -353,74 +323,80 @@ static const char *size_field(const struct http_connection *c) {
   return message != NULL && message->lists[0].name != NULL ? message->lists[0].count : "tolerance";
 }
 
-/* Does the work of one turn. */
-static void step(struct http_connection *c) {
-  uint64_t budget = JOB_SLICE_RADII;
-  struct requests *r = &c->requests;
-  bool more = true;
-  while (more && budget > 0) {
-    more = requests_step(r, &budget);
-    const bool is_large = r->job != NULL && r->job->part_bytes > options_of(c)->max_part_bytes;
-    if (is_large || r->between_parts) {
-      const wire_error error = too_large(c, size_field(c));
-      give_up(c);
-      requests_refuse(r, 0, &error);
-      more = false;
-    }
+/* A reply is one part, up to max_part_bytes. */
+static uint8_t *reserve(void *owner, const struct job *job, wire_error *error) {
+  struct http_connection *c = owner;
+  if (c->reply.count > 0 || job->part_bytes > options_of(c)->max_part_bytes) {
+    *error = too_large(c, size_field(c));
+    return NULL;
   }
-  c->more_to_do = more && r->job != NULL;
+  char *room = http_text_room(&c->reply, (size_t)job->part_bytes);
+  c->reply.count = room != NULL ? (size_t)job->part_bytes : 0;
+  *error = wire_error_busy("max_total_bytes", "less at a time", 1000);
+  return (uint8_t *)room;
 }
 
-static bool is_done(const struct http_connection *c) {
-  return c->requests.job == NULL;
+static void commit(void *owner, bool last) {
+  (void)owner, (void)last;
 }
 
-/* Gives a frame to the requests. Returns false if there is no memory. */
-static bool feed(struct http_connection *c, const void *bytes, size_t count) {
-  const uint64_t now_ns = worker_round_ns(c->host->worker);
-  const uint8_t *from = bytes;
-  while (count > 0) {
-    uint8_t *room;
-    const size_t most = input_room(&c->input, &room), piece = count < most ? count : most;
-    if (piece == 0) {
-      return false;
-    }
-    memcpy(room, from, piece);
-    input_arrived(&c->input, piece, now_ns);
-    from += piece;
-    count -= piece;
+static void cancel(void *owner) {
+  (void)owner;
+}
+
+static void wake(void *owner) {
+  struct http_connection *c = owner;
+  worker_run_later(&c->client);
+}
+
+/* A request sends a set of points whole, or not at all. */
+static void drop_points(struct http_connection *c) {
+  points_release(c->points);
+  c->points = NULL;
+}
+
+static void end(void *owner, const wire_error *refusal) {
+  struct http_connection *c = owner;
+  drop_points(c);
+  c->error = refusal != NULL ? *refusal : wire_error_none();
+  stats_count_answer(&c->host->server->stats, c->error.status);
+  latency_note(worker_context(c->host->worker)->latency, c->run.latency, c->arrived_ns);
+}
+
+static const struct run_sink sink = {
+    .reserve = reserve, .commit = commit, .cancel = cancel, .wake = wake, .end = end};
+
+/* Makes the worker give the job its next turn, or wake it at its deadline. */
+static void go_on(struct http_connection *c) {
+  if (c->run.state == RUN_GOES_ON) {
+    worker_run_later(&c->client);
+  } else if (c->run.deadline_ms != 0) {
+    worker_wake_at(c->host->worker, c->run.deadline_ms);
   }
-  return true;
 }
 
 /* Asks for what the payload says. Answers at once, or when the job is done. */
 static enum MHD_Result ask(struct http_connection *c, enum wire_type type, uint32_t deadline_ms) {
-  const wire_header header = {
-      .magic = WIRE_MAGIC,
-      .version = WIRE_VERSION,
-      .type = (uint16_t)type,
-      .payload_bytes = (uint32_t)c->payload.count,
-      .deadline_ms = deadline_ms,
-  };
-  uint8_t bytes[WIRE_BYTES_header];
-  wire_put_header(bytes, &header);
-  if (!feed(c, bytes, sizeof bytes) || !feed(c, c->payload.bytes, c->payload.count)) {
-    const wire_error busy = wire_error_busy("max_total_bytes", "less at a time", 1000);
-    input_discard(&c->input);
-    return send_error(c, &busy, 0);
-  }
-  step(c);
-  if (is_done(c)) {
-    batch_finish(&worker_context(c->host->worker)->batch, &c->host->server->stats);
+  struct worker *worker = c->host->worker;
+  const wire_header header = {.type = (uint16_t)type, .payload_bytes = (uint32_t)c->payload.count};
+  struct job_request request = {.header = &header,
+                                .payload = (const uint8_t *)c->payload.bytes,
+                                .context = worker_context(worker),
+                                .profiles = &c->client.profiles,
+                                .whole = true,
+                                .points = &c->points};
+  uint64_t budget = JOB_SLICE_RADII;
+  c->arrived_ns = worker_round_ns(worker);
+  stats_count_request(&c->host->server->stats, type);
+  run_start(&c->run, &request, deadline_ms > 0 ? c->arrived_ns / 1000000 + deadline_ms : 0);
+  run_on(&c->run, &budget);
+  if (c->run.state == RUN_IDLE) {
+    batch_finish(&worker_context(worker)->batch, &c->host->server->stats);
     return send_answer(c);
   }
   c->state = RUNS;
   MHD_suspend_connection(c->handle);
-  if (c->more_to_do) {
-    worker_run_later(&c->client);
-  } else if (requests_deadline_ms(&c->requests) != 0) {
-    worker_wake_at(c->host->worker, requests_deadline_ms(&c->requests));
-  }
+  go_on(c);
   return MHD_YES;
 }
 
@@ -428,6 +404,12 @@ static void resume(struct http_connection *c, enum state state) {
   c->state = state;
   MHD_resume_connection(c->handle);
   worker_run_later(c->host->service);
+}
+
+static void give_up(struct http_connection *c) {
+  run_drop(&c->run);
+  drop_points(c);
+  resume(c, GIVEN_UP);
 }
 
 /* ---- requests -------------------------------------------------------------------------------- */
@@ -463,7 +445,7 @@ static bool find_route(const char *url, struct route *route) {
   return false;
 }
 
-/* Translates a request into the payload of a frame. */
+/* Translates a request into the payload of a message. */
 static wire_error translate(struct http_connection *c, uint32_t *deadline_ms) {
   static char none[1];
   struct http_values values;
@@ -672,41 +654,32 @@ enum MHD_Result http_connection_take(void *context, struct MHD_Connection *conne
 /* ---- the client of the worker ---------------------------------------------------------------- */
 
 static void start(struct client *client) {
-  struct http_connection *c = of(client);
-  c->requests.context = worker_context(client->worker);
-  c->requests.profiles = &client->profiles;
+  (void)client; /* There is nothing to do: the library reads. */
 }
 
 static void run(struct client *client) {
   struct http_connection *c = of(client);
+  uint64_t budget = JOB_SLICE_RADII;
   if (c->state == RUNS) {
-    step(c);
+    run_on(&c->run, &budget);
   }
 }
 
 static void finish(struct client *client) {
   struct http_connection *c = of(client);
-  if (c->state != RUNS) {
-    return;
-  }
-  if (is_done(c)) {
+  if (c->state == RUNS && c->run.state == RUN_IDLE) {
     resume(c, READY);
-  } else if (c->more_to_do) {
-    worker_run_later(client);
-  } else if (requests_deadline_ms(&c->requests) != 0) {
-    worker_wake_at(client->worker, requests_deadline_ms(&c->requests));
+  } else if (c->state == RUNS) {
+    go_on(c);
   }
 }
 
 static void deadline(struct client *client) {
   struct http_connection *c = of(client);
-  if (c->state != RUNS) {
-    return;
-  }
-  if (requests_expire(&c->requests)) {
+  if (c->state == RUNS && run_expire(&c->run)) {
     worker_run_later(client);
-  } else if (requests_deadline_ms(&c->requests) != 0) {
-    worker_wake_at(client->worker, requests_deadline_ms(&c->requests));
+  } else if (c->state == RUNS) {
+    go_on(c);
   }
 }
 
@@ -722,11 +695,10 @@ static void tick(struct client *client, uint64_t at_ms) {
   struct http_connection *c = of(client);
   if (c->state == RUNS && is_abandoned(c)) {
     give_up(c);
-    resume(c, GIVEN_UP);
   }
   if (c->state == ANSWERED) { /* A slow reader has no use for them. */
-    input_release(&c->input);
-    output_release(&c->output);
+    http_text_free(&c->payload);
+    http_text_free(&c->reply);
   }
   if (c->state != AWAITS && c->state != RECEIVES) {
     return;
@@ -734,11 +706,7 @@ static void tick(struct client *client, uint64_t at_ms) {
   if (at_ms - c->since_ms > options_of(c)->frame_timeout_ms) {
     shutdown(c->fd, SHUT_RDWR);
   } else if (at_ms - c->since_ms > REST_MS) {
-    input_release(&c->input);
-    output_release(&c->output);
-    http_text_free(&c->query);
-    http_text_free(&c->payload);
-    http_text_free(&c->answer);
+    free_texts(c);
   }
 }
 
@@ -755,7 +723,6 @@ static void abort_client(struct client *client) {
   shutdown(c->fd, SHUT_RDWR);
   if (c->state == RUNS) {
     give_up(c);
-    resume(c, GIVEN_UP);
   }
 }
 

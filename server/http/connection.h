@@ -1,7 +1,7 @@
 /* connection: one HTTP connection, whose requests are answered one after the other.
  *
- * A request becomes a frame of the binary protocol, which server/jobs/requests.h answers: so HTTP
- * has the limits, shares, deadlines and errors of that protocol. Most requests are answered at
+ * A request becomes the payload of a message, whose job server/jobs/run.h runs: so HTTP has the limits,
+ * shares, deadlines and errors of the binary protocol. Most requests are answered at
  * once. The others go on in the turns of the connection, as a client of the worker
  * (server/net/client.h), while the library leaves the connection alone.
  */

@@ -645,7 +645,8 @@ void eval_job_end(struct job *job) {
   }
 }
 
-const struct job_kind job_kind_EVAL = {.start = start_eval,
+const struct job_kind job_kind_EVAL = {.role = ROLE_EVALUATE,
+                                       .start = start_eval,
                                        .begin_part = eval_job_begin_part,
                                        .step = eval_job_step,
                                        .end = eval_job_end};

@@ -284,4 +284,4 @@ static void end(struct job *job) {
 }
 
 const struct job_kind job_kind_FIT = {
-    .start = start, .begin_part = begin_part, .step = step, .end = end};
+    .role = ROLE_COMPUTE, .start = start, .begin_part = begin_part, .step = step, .end = end};

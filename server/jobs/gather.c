@@ -22,9 +22,9 @@ struct gather_work {
   float worst;                         /* the largest bound of the current part */
   double cost;                         /* of the queries that have been counted */
   double done_radii;                   /* of the part's query, if it takes several parts */
-  double M[CORE_GATHER_CHANNELS_MAX];  /* of this query */
   uint32_t order[GATHER_PART_QUERIES]; /* of the current part, or of those that are being counted */
   float bounds[GATHER_PART_QUERIES * CORE_GATHER_CHANNELS_MAX];
+  double sums[GATHER_PART_QUERIES * CORE_GATHER_CHANNELS_MAX]; /* of the current part */
 };
 
 struct gather_job {
@@ -39,8 +39,7 @@ struct gather_job {
   struct job_parts parts;
   uint32_t piece;       /* of the part, if it is one query that takes long, from 0 */
   uint32_t piece_count; /* each a part of the reply, of which the last has the sum; else 1 */
-  uint8_t *payload;
-  uint64_t index; /* position in the part's order of the next query */
+  uint64_t index;       /* position in the part's order of the next query */
 };
 
 JOB_FITS_SLOT(struct gather_job);
@@ -268,26 +267,41 @@ static uint64_t answered_count(const struct gather_job *gather) {
   return gather->piece + 1 == gather->piece_count ? gather->parts.count : 0;
 }
 
-static enum job_outcome next_part(struct gather_job *gather) {
-  gather->job.part_bytes =
-      gather_reply_bytes(gather->request.fixed.medium_count, answered_count(gather));
-  return JOB_NEXT_PART;
+static const double *queries_of(const struct gather_job *gather) {
+  return gather->request.queries + gather->parts.first * GATHER_AXES;
+}
+
+/* Begins a part. */
+static void begin_sums(struct gather_job *gather) {
+  struct gather_work *work = gather->work;
+  work->visits = (core_gather_visits){0};
+  work->worst = 0;
+  if (gather->piece == 0) {
+    gather->index = 0;
+    work->done_radii = 0;
+    core_gather_order(work->set.gather, (size_t)gather->parts.count, queries_of(gather),
+                      work->order);
+  }
 }
 
 /* Begins the first part, when the cost is known. */
-static enum job_outcome begin_sums(struct gather_job *gather) {
+static enum job_outcome begin_first(struct gather_job *gather) {
   wire_error error = admit(gather);
   if (error.status == WIRE_STATUS_OK) {
     error = cut(gather);
   }
-  return error.status == WIRE_STATUS_OK ? next_part(gather) : job_refuse(&gather->job, error);
+  if (error.status != WIRE_STATUS_OK) {
+    return job_refuse(&gather->job, error);
+  }
+  begin_sums(gather);
+  return JOB_GOES_ON;
 }
 
 /* Counts on, or begins the first part. */
 static enum job_outcome count_or_begin(struct gather_job *gather) {
   const uint64_t n = gather->request.fixed.query_count;
   if (gather->counted == (n < COUNTED_MOST ? n : COUNTED_MOST)) {
-    return begin_sums(gather);
+    return begin_first(gather);
   }
   count_cost(gather);
   return JOB_GOES_ON;
@@ -306,26 +320,7 @@ static enum job_outcome prepare(struct gather_job *gather) {
 
 /* ---- parts ----------------------------------------------------------------------------------- */
 
-static const double *queries_of(const struct gather_job *gather) {
-  return gather->request.queries + gather->parts.first * GATHER_AXES;
-}
-
-static enum job_outcome begin_part(struct job *job, uint8_t *payload) {
-  struct gather_job *gather = of(job);
-  struct gather_work *work = gather->work;
-  gather->payload = payload;
-  work->visits = (core_gather_visits){0};
-  work->worst = 0;
-  if (gather->piece > 0) {
-    return JOB_GOES_ON;
-  }
-  gather->index = 0;
-  work->done_radii = 0;
-  core_gather_order(work->set.gather, (size_t)gather->parts.count, queries_of(gather), work->order);
-  return JOB_GOES_ON;
-}
-
-static void put_head(const struct gather_job *gather) {
+static void put_head(const struct gather_job *gather, uint8_t *payload) {
   const struct gather_work *work = gather->work;
   const wire_gather_request *asked = &gather->request.fixed;
   const struct job_parts *parts = &gather->parts;
@@ -348,14 +343,18 @@ static void put_head(const struct gather_job *gather) {
                                                         (size_t)parts->count, queries_of(gather)),
                                   .model_error = work->model_error[i]};
     fixed.notes |= profile->notes;
-    wire_put_channel(gather->payload + WIRE_BYTES_gather_reply + i * (size_t)WIRE_BYTES_channel,
-                     &channel);
+    wire_put_channel(payload + WIRE_BYTES_gather_reply + i * (size_t)WIRE_BYTES_channel, &channel);
   }
-  wire_put_gather_reply(gather->payload, &fixed);
+  wire_put_gather_reply(payload, &fixed);
 }
 
-static enum job_outcome end_part(struct gather_job *gather) {
-  put_head(gather);
+/* Writes a part whose sums are known, and begins the next one. */
+static enum job_outcome put(struct job *job, uint8_t *payload) {
+  struct gather_job *gather = of(job);
+  const uint32_t channels = gather->request.fixed.medium_count;
+  put_head(gather, payload);
+  memcpy(payload + gather_sums_offset(channels), gather->work->sums,
+         (size_t)answered_count(gather) * channels * sizeof(double));
   gather->piece++;
   if (gather->piece == gather->piece_count) {
     gather->piece = 0;
@@ -363,7 +362,8 @@ static enum job_outcome end_part(struct gather_job *gather) {
       return JOB_DONE;
     }
   }
-  return next_part(gather);
+  begin_sums(gather);
+  return JOB_GOES_ON;
 }
 
 /* Notes the largest bound of a slice. */
@@ -383,42 +383,40 @@ static bool part_is_done(const struct gather_job *gather) {
   return known || (gather->piece + 1 < gather->piece_count && gather->work->done_radii >= until);
 }
 
-static enum job_outcome gather_slice(struct gather_job *gather, uint64_t *spent) {
+static enum job_outcome gather_slice(struct gather_job *gather, uint64_t *budget) {
   struct gather_work *work = gather->work;
   const uint32_t channels = gather->request.fixed.medium_count;
   const uint32_t *order = work->order + gather->index;
-  uint8_t *sums = gather->payload + gather_sums_offset(channels);
-  const bool pieces = gather->piece_count > 1;
-  double left = JOB_SLICE_RADII;
-  const size_t n =
-      core_gather_on(work->sum, work->set.gather, work->scratch,
-                     (size_t)(gather->parts.count - gather->index), order, queries_of(gather),
-                     pieces ? work->M : (double *)(void *)sums, work->bounds, &work->visits, &left);
+  const double slice = (double)(*budget < JOB_SLICE_RADII ? *budget : JOB_SLICE_RADII);
+  double left = slice;
+  const size_t n = core_gather_on(
+      work->sum, work->set.gather, work->scratch, (size_t)(gather->parts.count - gather->index),
+      order, queries_of(gather), work->sums, work->bounds, &work->visits, &left);
   note_bounds(work, order, n, channels);
   gather->index += n;
-  const double radii = JOB_SLICE_RADII - left;
+  const double radii = slice - left;
+  const uint64_t spent = (uint64_t)fmax(radii, 1);
   work->done_radii += radii;
-  *spent = (uint64_t)fmax(radii, 1);
-  job_pay(&gather->job, *spent);
+  job_pay(&gather->job, spent);
+  *budget -= spent < *budget ? spent : *budget;
   struct stats *stats = &gather->job.context->server->stats;
   stats_add(stats, STATS_QUERIES_GATHERED, n * channels);
   stats_add(stats, STATS_SLICES_EVALUATED, 1);
   if (!part_is_done(gather)) {
     return JOB_GOES_ON;
   }
-  if (pieces && answered_count(gather) > 0) {
-    memcpy(sums, work->M, channels * sizeof work->M[0]);
-  }
-  return end_part(gather);
+  gather->job.part_bytes = gather_reply_bytes(channels, answered_count(gather));
+  return JOB_NEXT_PART;
 }
 
 static enum job_outcome step(struct job *job, uint64_t *budget) {
   struct gather_job *gather = of(job);
-  uint64_t spent = gather->work->sum == NULL ? JOB_STEP_RADII : JOB_SLICE_RADII;
-  const enum job_outcome outcome =
-      gather->query_radii == 0 ? prepare(gather) : gather_slice(gather, &spent);
+  if (gather->query_radii > 0) {
+    return gather_slice(gather, budget);
+  }
+  const uint64_t spent = gather->work->sum == NULL ? JOB_STEP_RADII : JOB_SLICE_RADII;
   *budget -= spent < *budget ? spent : *budget;
-  return outcome;
+  return prepare(gather);
 }
 
 static void end(struct job *job) {
@@ -435,5 +433,9 @@ static void end(struct job *job) {
   budget_return(job->context->buffers, gather->bytes);
 }
 
-const struct job_kind job_kind_GATHER = {
-    .start = start, .begin_part = begin_part, .step = step, .end = end, .aside = true};
+const struct job_kind job_kind_GATHER = {.role = ROLE_COMPUTE,
+                                         .detached = true,
+                                         .start = start,
+                                         .begin_part = put,
+                                         .step = step,
+                                         .end = end};

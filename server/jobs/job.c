@@ -6,7 +6,7 @@
 
 /* ---- starting and ending --------------------------------------------------------------------- */
 
-static const struct job_kind *kind_of(unsigned type) {
+const struct job_kind *job_kind_of(unsigned type) {
   switch (type) {
 #define WIRE_MESSAGE(type, IDENT, name)                                                            \
   case type:                                                                                       \
@@ -17,11 +17,9 @@ static const struct job_kind *kind_of(unsigned type) {
   }
 }
 
-enum job_outcome job_start(struct job_slot *slot, const struct job_request *request,
-                           struct job **started) {
+enum job_outcome job_start(struct job_slot *slot, const struct job_request *request) {
   struct job *job = (struct job *)(void *)slot->bytes;
-  *started = job;
-  job->kind = kind_of(request->header->type);
+  job->kind = job_kind_of(request->header->type);
   job->context = request->context;
   job->header = *request->header;
   job->owed_radii = 0;
@@ -29,14 +27,10 @@ enum job_outcome job_start(struct job_slot *slot, const struct job_request *requ
   job->large = false;
   job->latency = LATENCY_OTHER;
   job->lookup = NULL;
+  job->reader_idle = true;
   return job->kind != NULL ? job->kind->start(job, request)
                            : job_refuse(job, wire_error_make(WIRE_STATUS_BAD_TYPE, "type",
                                                              "a message of the protocol"));
-}
-
-bool job_is_aside(unsigned type) {
-  const struct job_kind *kind = kind_of(type);
-  return kind != NULL && kind->aside;
 }
 
 void job_end(struct job *job) {

@@ -1,8 +1,7 @@
 /* job: the interface of all requests that are being answered, whatever their message.
  *
- * Each message of proto/messages.def has one `struct job_kind`, named job_kind_<IDENT>. The callers
- * (server/jobs/requests.c for the binary protocol, server/modbus for registers) know only its
- * functions:
+ * Each message of proto/messages.def has one `struct job_kind`, named job_kind_<IDENT>, which says all
+ * that the daemon knows of it. Its functions are called by server/jobs/run.c alone:
  *
  *   start() checks the request. It returns JOB_NEXT_PART if the size of the reply is known, or
  *   JOB_GOES_ON if that takes steps. begin_part() is then given room for part_bytes, and step() is
@@ -21,17 +20,17 @@
 
 #include "proto/wire.h"
 #include "server/jobs/batch.h"
+#include "server/net/roles.h"
 #include "server/observe/latency.h"
 #include "server/store/profiles.h"
 
 /* The outcome of a call of a job's functions. */
 enum job_outcome {
   JOB_GOES_ON,   /* call step() */
-  JOB_WAITS,     /* the job waits for a profile; call step() after on_ready() */
+  JOB_WAITS,     /* the job waits for a profile or for threads; call step() after on_ready() */
   JOB_NEXT_PART, /* the current part, if any, is complete; call begin_part() for the next one */
   JOB_DONE,      /* the reply is complete after batch_finish() */
   JOB_REFUSED,   /* the reply ends here; the job's refusal says why */
-  JOB_DETACHED,  /* start() only: the job answers later and no longer needs the payload */
 };
 
 /* The work of one slice, in radii of a dipole: about 25 to 100 microseconds. A small request may
@@ -73,47 +72,42 @@ struct job_request {
   const wire_header *header;
   const uint8_t *payload; /* header->payload_bytes, at a multiple of 8 */
   struct job_context *context;
-  /* Called on the worker's thread: on_ready() when a waiting job can go on, on_news() when a
-   * detached job has something to write. */
-  void (*on_ready)(void *owner);
-  void (*on_news)(void *owner);
+  void (*on_ready)(void *owner); /* called on the worker's thread when a waiting job can go on */
   void *owner;
   struct cache_owner *profiles; /* the client, whose turns are used to prepare slow profiles */
-  bool whole;            /* whether the reply has to be one part, as far as its size allows */
-  struct job **detached; /* the connection's list of detached jobs; NULL: jobs cannot be detached */
-  struct points *
-      *points; /* the set that the connection is sending, *points NULL if there is none */
-  /* Ends requests of the connection that are `aside`, with CANCELLED. Returns whether there were any
-   * with this id. NULL: there are none. */
-  bool (*cancel)(void *owner, uint64_t request_id);
+  bool whole;             /* whether the reply has to be one part, as far as its size allows */
+  struct points **points; /* the set that the client is sending, *points NULL if there is none */
+  /* Ends the detached requests of the connection with this id, and returns whether there were any.
+   * NULL: there are none. */
+  bool (*cancel)(void *canceller, uint64_t request_id);
+  void *canceller;
 };
 
 /* The functions of the jobs of one message. A function may be NULL where its comment says so. */
 struct job_kind {
-  /* Checks the whole request. The payload stays valid until the job ends or becomes detached. A
-   * detached job allocates itself and appears in request->detached. Returns any outcome except DONE
-   * and WAITS. The caller calls end() later unless the outcome is REFUSED or DETACHED. */
+  /* Checks the whole request. The payload stays valid until the job ends. Returns any outcome except
+   * DONE and WAITS. The caller calls end() later unless the outcome is REFUSED. */
   enum job_outcome (*start)(struct job *job, const struct job_request *request);
 
   /* Begins to write a part to `payload`: part_bytes at a multiple of 8, which stay valid until the
-   * part is complete. Returns GOES_ON or DONE. */
+   * part is complete. Returns GOES_ON or DONE. A detached job completes the part at once. */
   enum job_outcome (*begin_part)(struct job *job, uint8_t *payload);
 
   /* Does at most about one slice of work and subtracts its cost, in radii of a dipole, from
-   * *budget, down to 0. Returns any outcome except DETACHED. NULL if begin_part() completes the
-   * reply. */
+   * *budget, down to 0. NULL if begin_part() completes the reply. */
   enum job_outcome (*step)(struct job *job, uint64_t *budget);
 
   /* Releases everything that the job holds, and ends its waiting. Also called for a job that is not
    * complete. NULL if such a job holds nothing. */
   void (*end)(struct job *job);
 
-  /* Makes a detached job end soon with its results so far. NULL if such jobs are never detached. */
+  /* Makes a detached job end soon with its results so far. NULL: a cancel request ends it at once. */
   void (*stop)(struct job *job, enum job_stop why);
 
-  /* Whether requests of this kind take long, and are kept beside the input while they wait and run,
-   * so that a cancel request behind them is found. */
-  bool aside;
+  /* Whether such requests take long: a connection answers the requests behind them meanwhile. */
+  bool detached;
+
+  enum role role; /* that a client with a certificate needs; 0: none */
 };
 
 /* The first member of each kind's own job structure. */
@@ -128,9 +122,8 @@ struct job {
   LIST_ENTRY(job) in_large;
   enum latency_class latency;
   struct profiles_lookup *lookup; /* gets the job's profiles; NULL if it has none */
-  struct job *next;               /* of a detached job: the next one in the connection's list */
-  bool reader_idle;   /* of a detached job: the output is empty, so it may report progress */
-  wire_error refusal; /* set with JOB_REFUSED */
+  bool reader_idle;               /* whether all parts are sent, so that it may report progress */
+  wire_error refusal;             /* set with JOB_REFUSED */
 };
 
 /* The parts of a reply that is a list of sets, media or values. */
@@ -159,15 +152,14 @@ struct job_slot {
 
 #define JOB_FITS_SLOT(type) _Static_assert(sizeof(type) <= JOB_SLOT_BYTES, "a job fits its slot")
 
-/* Starts a job in a free slot and sets *job. Returns what the kind's start() returns, or REFUSED
- * for an unknown message. */
-enum job_outcome job_start(struct job_slot *slot, const struct job_request *request,
-                           struct job **job);
+/* Returns the kind of a message; NULL if there is no such message. */
+const struct job_kind *job_kind_of(unsigned type);
 
-/* Returns whether requests of a type are kept beside the input. */
-bool job_is_aside(unsigned type);
+/* Starts a job in a free slot. Returns what the kind's start() returns, or REFUSED for an unknown
+ * message. */
+enum job_outcome job_start(struct job_slot *slot, const struct job_request *request);
 
-/* Ends a job that start() has neither refused nor detached: removes its work from the worker's
+/* Ends a job that start() has not refused: removes its work from the worker's
  * owed_radii and calls the kind's end(). */
 void job_end(struct job *job);
 

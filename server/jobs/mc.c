@@ -6,24 +6,32 @@
 #include "server/jobs/job.h"
 #include "server/jobs/mc_pool.h"
 
+/* What the pool sends when mc_job_look() has something new to return. It outlives the job, until libuv
+ * has closed it. */
+struct news {
+  uv_async_t wake;
+  void (*on_ready)(void *owner);
+  void *owner;
+};
+
 struct mc {
   struct job job;
-  uv_async_t wake; /* The pool sends it when mc_job_look() has something new to return. */
-  void (*on_news)(void *owner);
-  void *owner;
+  struct news *news;
   struct mc_job *walk;
   uint64_t progress_count; /* number of progress replies so far */
   bool complete;           /* the next part is the table, and not: */
   wire_mc_reply progress;
 };
 
+JOB_FITS_SLOT(struct mc);
+
 static struct mc *of(struct job *job) {
   return (struct mc *)(void *)job;
 }
 
 static void on_wake(uv_async_t *handle) {
-  const struct mc *mc = handle->data;
-  mc->on_news(mc->owner);
+  const struct news *news = handle->data;
+  news->on_ready(news->owner);
 }
 
 static void on_closed(uv_handle_t *handle) {
@@ -35,33 +43,25 @@ static wire_error no_memory(void) {
                          JOB_RETRY_AFTER_MS);
 }
 
-static struct mc *new_mc(const struct job *job, const struct job_request *request) {
-  struct mc *mc = calloc(1, sizeof *mc);
-  if (mc == NULL || uv_async_init(job->context->loop, &mc->wake, on_wake) != 0) {
-    free(mc);
-    return NULL;
-  }
-  mc->job = *job;
-  mc->wake.data = mc;
-  mc->on_news = request->on_news;
-  mc->owner = request->owner;
-  return mc;
-}
-
 static enum job_outcome start(struct job *job, const struct job_request *request) {
-  struct mc *mc = new_mc(job, request);
-  if (mc == NULL) {
+  struct mc *mc = of(job);
+  mc->news = malloc(sizeof *mc->news);
+  if (mc->news == NULL || uv_async_init(job->context->loop, &mc->news->wake, on_wake) != 0) {
+    free(mc->news);
     return job_refuse(job, no_memory());
   }
+  mc->news->wake.data = mc->news;
+  mc->news->on_ready = request->on_ready;
+  mc->news->owner = request->owner;
+  mc->progress_count = 0;
+  mc->complete = false;
   const wire_error error = mc_job_start(job->context->server->mc, request->payload,
-                                        request->header->payload_bytes, &mc->wake, &mc->walk);
+                                        request->header->payload_bytes, &mc->news->wake, &mc->walk);
   if (error.status != WIRE_STATUS_OK) {
-    uv_close((uv_handle_t *)&mc->wake, on_closed);
+    uv_close((uv_handle_t *)&mc->news->wake, on_closed);
     return job_refuse(job, error);
   }
-  mc->job.next = *request->detached;
-  *request->detached = &mc->job;
-  return JOB_DETACHED;
+  return JOB_GOES_ON;
 }
 
 static enum job_outcome step(struct job *job, uint64_t *budget) {
@@ -109,8 +109,13 @@ static void stop(struct job *job, enum job_stop why) {
 static void end(struct job *job) {
   struct mc *mc = of(job);
   mc_job_drop(mc->walk);
-  uv_close((uv_handle_t *)&mc->wake, on_closed);
+  uv_close((uv_handle_t *)&mc->news->wake, on_closed);
 }
 
-const struct job_kind job_kind_MC = {
-    .start = start, .begin_part = begin_part, .step = step, .end = end, .stop = stop};
+const struct job_kind job_kind_MC = {.role = ROLE_COMPUTE,
+                                     .detached = true,
+                                     .start = start,
+                                     .begin_part = begin_part,
+                                     .step = step,
+                                     .end = end,
+                                     .stop = stop};

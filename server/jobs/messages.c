@@ -151,7 +151,8 @@ static enum job_outcome put_statistics(struct job *job, uint8_t *at) {
   return JOB_DONE;
 }
 
-const struct job_kind job_kind_STATS = {.start = start_statistics, .begin_part = put_statistics};
+const struct job_kind job_kind_STATS = {
+    .role = ROLE_OBSERVE, .start = start_statistics, .begin_part = put_statistics};
 
 /* ---- ping ------------------------------------------------------------------------------------ */
 
@@ -192,14 +193,7 @@ static enum job_outcome start_cancel(struct job *job, const struct job_request *
   }
   wire_cancel_request request;
   wire_get_cancel_request(from->payload, &request);
-  cancel->found = from->cancel != NULL && from->cancel(from->owner, request.job_id);
-  for (struct job *other = from->detached != NULL ? *from->detached : NULL; other != NULL;
-       other = other->next) {
-    if (other->header.request_id == request.job_id) {
-      other->kind->stop(other, JOB_CANCELLED);
-      cancel->found = true;
-    }
-  }
+  cancel->found = from->cancel != NULL && from->cancel(from->canceller, request.job_id);
   return reply_with(job, WIRE_BYTES_cancel_reply);
 }
 

@@ -193,4 +193,4 @@ static enum job_outcome put(struct job *job, uint8_t *at) {
 }
 
 const struct job_kind job_kind_OFFERS = {
-    .start = start, .begin_part = put, .step = step, .end = eval_job_end};
+    .role = ROLE_EVALUATE, .start = start, .begin_part = put, .step = step, .end = eval_job_end};

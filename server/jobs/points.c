@@ -182,4 +182,4 @@ static void end(struct job *job) {
 }
 
 const struct job_kind job_kind_POINTS = {
-    .start = start, .begin_part = put, .step = step, .end = end};
+    .role = ROLE_COMPUTE, .start = start, .begin_part = put, .step = step, .end = end};

@@ -6,23 +6,24 @@
 #include "server/observe/health.h"
 #include "server/store/points.h"
 
-void requests_init(struct requests *requests, struct input *input, struct output *output,
-                   void (*wake)(void *owner), void *owner) {
-  *requests = (struct requests){
-      .input = input, .output = output, .wake = wake, .owner = owner, .roles = ROLE_ALL};
-  requests->aside_end = &requests->waiting_aside;
-}
+/* What detached requests may hold of a connection's input. More stays in the input, and in the
+ * socket. */
+#define DETACHED_BYTES ((uint64_t)4 << 20)
+
+/* A request that has left the input. */
+struct detached {
+  struct requests *requests;
+  TAILQ_ENTRY(detached) in_requests;
+  wire_header header;
+  uint64_t arrived_ns;
+  struct input_block block; /* the frame */
+  struct run run;
+  bool refused; /* after the run: whether it ended with this */
+  wire_error refusal;
+};
 
 static struct stats *stats_of(const struct requests *r) {
   return &r->context->server->stats;
-}
-
-static bool is_late(const struct requests *r) {
-  return r->deadline_ms != 0 && uv_now(r->context->loop) >= r->deadline_ms;
-}
-
-static void note_latency(struct requests *r, enum latency_class kind) {
-  latency_note(r->context->latency, kind, r->arrived_ns);
 }
 
 /* ---- frames ---------------------------------------------------------------------------------- */
@@ -46,9 +47,13 @@ static uint8_t *begin_frame(struct output *output, unsigned type, uint64_t reque
   return frame + WIRE_BYTES_header;
 }
 
-static uint8_t *begin_reply(struct requests *r, const struct job *job) {
-  return begin_frame(r->output, job->header.type | WIRE_REPLY, job->header.request_id,
-                     (size_t)job->part_bytes);
+static uint8_t *begin_reply(struct requests *r, const struct job *job, wire_error *error) {
+  uint8_t *payload = begin_frame(r->output, job->header.type | WIRE_REPLY, job->header.request_id,
+                                 (size_t)job->part_bytes);
+  if (payload == NULL) {
+    *error = job_busy();
+  }
+  return payload;
 }
 
 bool requests_refuse(struct requests *r, uint64_t request_id, const wire_error *error) {
@@ -63,243 +68,243 @@ bool requests_refuse(struct requests *r, uint64_t request_id, const wire_error *
   return true;
 }
 
-/* ---- detached jobs --------------------------------------------------------------------------- */
+/* Notes the end of a request. refusal: what is still to be written; NULL: all is. */
+static void answer(struct requests *r, const wire_header *header, uint64_t arrived_ns,
+                   enum latency_class latency, const wire_error *refusal) {
+  latency_note(r->context->latency, latency, arrived_ns);
+  if (refusal == NULL) {
+    stats_count_answer(stats_of(r), WIRE_STATUS_OK);
+  } else {
+    r->no_room |= !requests_refuse(r, header->request_id, refusal);
+  }
+}
+
+/* ---- detached requests ----------------------------------------------------------------------- */
+
+static uint8_t *reserve_detached(void *owner, const struct job *job, wire_error *error) {
+  struct requests *r = ((struct detached *)owner)->requests;
+  return begin_reply(r, job, error);
+}
+
+static void commit_detached(void *owner, bool last) {
+  (void)last;
+  output_commit(((struct detached *)owner)->requests->output);
+}
+
+static void cancel_detached(void *owner) {
+  output_cancel(((struct detached *)owner)->requests->output);
+}
+
+static void wake_detached(void *owner) {
+  const struct requests *r = ((struct detached *)owner)->requests;
+  r->wake(r->owner);
+}
+
+/* The refusal is written later: another request may have a part open in the output. */
+static void end_detached(void *owner, const wire_error *refusal) {
+  struct detached *detached = owner;
+  detached->refused = refusal != NULL;
+  if (refusal != NULL) {
+    detached->refusal = *refusal;
+  }
+}
+
+static const struct run_sink detached_sink = {.reserve = reserve_detached,
+                                              .commit = commit_detached,
+                                              .cancel = cancel_detached,
+                                              .wake = wake_detached,
+                                              .end = end_detached,
+                                              .waits_for_room = true};
+
+/* Moves the first frame out of the input. Returns NULL if there is no memory. */
+static struct detached *detach(struct requests *r) {
+  struct detached *detached = malloc(sizeof *detached);
+  if (detached == NULL || !input_take(r->input, &r->header, &detached->block)) {
+    free(detached);
+    return NULL;
+  }
+  detached->requests = r;
+  detached->header = r->header;
+  detached->arrived_ns = r->arrived_ns;
+  run_init(&detached->run, &detached_sink, detached);
+  r->detached_count++;
+  r->detached_bytes += detached->block.capacity;
+  return detached;
+}
+
+static void remove_detached(struct requests *r, struct detached *detached) {
+  TAILQ_REMOVE(&r->detached, detached, in_requests);
+  r->detached_count--;
+  r->detached_bytes -= detached->block.capacity;
+  r->blocked = false;
+  input_free_block(r->input, &detached->block);
+  free(detached);
+}
 
 static void drop_detached(struct requests *r) {
-  while (r->detached != NULL) {
-    struct job *job = r->detached;
-    r->detached = job->next;
-    job_end(job);
+  struct detached *detached;
+  while ((detached = TAILQ_FIRST(&r->detached)) != NULL) {
+    run_drop(&detached->run);
+    remove_detached(r, detached);
   }
 }
 
 bool requests_stop_detached(struct requests *r, enum job_stop why) {
-  for (struct job *job = r->detached; job != NULL; job = job->next) {
-    job->kind->stop(job, why);
-  }
-  return r->detached != NULL;
-}
-
-/* Lets a detached job write. Returns true if the last reply or the refusal has been committed. If
- * the output has no room, the job is asked again later. */
-static bool step_detached(struct requests *r, struct job *job) {
-  uint64_t budget = JOB_SLICE_RADII;
-  job->reader_idle = r->output->ready_bytes == 0;
-  enum job_outcome outcome = job->kind->step(job, &budget);
-  if (outcome == JOB_NEXT_PART) {
-    uint8_t *payload = begin_reply(r, job);
-    if (payload == NULL) {
-      return false;
-    }
-    outcome = job->kind->begin_part(job, payload);
-    output_commit(r->output);
-    if (outcome == JOB_DONE) {
-      stats_count_answer(stats_of(r), WIRE_STATUS_OK);
+  struct detached *detached;
+  TAILQ_FOREACH(detached, &r->detached, in_requests) {
+    struct job *job = detached->run.job;
+    if (job->kind->stop != NULL && detached->run.state != RUN_IDLE) {
+      job->kind->stop(job, why);
     }
   }
-  return outcome == JOB_DONE ||
-         (outcome == JOB_REFUSED && requests_refuse(r, job->header.request_id, &job->refusal));
+  return r->detached_count > 0;
 }
 
-void requests_step_detached(struct requests *r) {
-  if (r->part_open) {
-    return;
-  }
-  for (struct job **link = &r->detached; *link != NULL;) {
-    struct job *job = *link;
-    if (step_detached(r, job)) {
-      *link = job->next;
-      job_end(job);
+/* Ends those requests that have this id. */
+static bool cancel(void *canceller, uint64_t request_id) {
+  struct requests *r = canceller;
+  const wire_error error =
+      wire_error_make(WIRE_STATUS_CANCELLED, "job_id", "no cancel request that names it");
+  bool found = false;
+  struct detached *one;
+  TAILQ_FOREACH(one, &r->detached, in_requests) {
+    struct job *job = one->run.job;
+    if (one->header.request_id != request_id || one->run.state == RUN_IDLE) {
+      continue;
+    }
+    found = true;
+    if (job->kind->stop != NULL) {
+      job->kind->stop(job, JOB_CANCELLED);
     } else {
-      link = &job->next;
+      run_give_up(&one->run, &error);
     }
   }
+  return found;
 }
 
-/* ---- requests beside the input --------------------------------------------------------------- */
-
-/* What may wait beside the input. More stays in the input, and in the socket. */
-#define ASIDE_BYTES ((uint64_t)4 << 20)
-
-/* Moves the first frame out of the input. Returns NULL if there is no memory. */
-static struct aside *put_aside(struct requests *r, const wire_header *header) {
-  struct aside *aside = malloc(sizeof *aside);
-  if (aside != NULL) {
-    *aside = (struct aside){.header = *header, .arrived_ns = input_arrival_ns(r->input, header)};
-  }
-  if (aside != NULL && !input_take(r->input, header, &aside->block)) {
-    free(aside);
-    aside = NULL;
-  }
-  return aside;
-}
-
-static void free_aside(struct requests *r, struct aside *aside) {
-  if (aside != NULL) {
-    input_free_block(r->input, &aside->block);
-    free(aside);
-  }
-}
-
-static void add_aside(struct requests *r, struct aside *aside) {
-  *r->aside_end = aside;
-  r->aside_end = &aside->next;
-  r->aside_count++;
-  r->aside_bytes += aside->block.capacity;
-}
-
-/* Removes the one that *link points to from the list. */
-static struct aside *remove_aside(struct requests *r, struct aside **link) {
-  struct aside *aside = *link;
-  *link = aside->next;
-  r->aside_end = *link == NULL ? link : r->aside_end;
-  r->aside_count--;
-  r->aside_bytes -= aside->block.capacity;
-  return aside;
-}
-
-/* Ends the request that has been dealt with: removes it from where it is. */
-static void end_request(struct requests *r, const wire_header *header) {
-  if (r->own == NULL) {
-    input_next(r->input, header);
-  } else {
-    free_aside(r, r->own);
-    r->own = NULL;
-  }
-}
-
-/* ---- the job that answers in turn ------------------------------------------------------------ */
-
-/* Ends the job that holds the input. Its reply is in the output; a refusal is written now. */
-static void finish(struct requests *r, const wire_error *refusal) {
-  struct job *job = r->job;
-  const wire_header header = job->header;
-  note_latency(r, refusal != NULL ? LATENCY_REFUSED : job->latency);
-  job_end(job);
-  r->job = NULL;
-  r->waiting = false;
-  r->part_open = false;
-  r->between_parts = false;
-  if (refusal == NULL) {
-    stats_count_answer(stats_of(r), WIRE_STATUS_OK);
-  } else if (!requests_refuse(r, header.request_id, refusal)) {
-    r->no_room = true;
-    return;
-  }
-  end_request(r, &header);
-}
-
-/* Ends the job with a refusal. If a part is open, first empties the batch, which may still hold
- * values for it, and then cancels the part. */
-static void give_up(struct requests *r, const wire_error *refusal) {
-  if (r->part_open) {
-    batch_finish(&r->context->batch, stats_of(r));
-    output_cancel(r->output);
-  }
-  finish(r, refusal);
-}
-
-static void begin_part(struct requests *r) {
-  struct job *job = r->job;
-  r->between_parts = false;
-  uint8_t *payload = begin_reply(r, job);
-  if (payload == NULL) { /* no room: the reply ends with the parts that have been sent */
-    const wire_error busy = job_busy();
-    finish(r, &busy);
-    return;
-  }
-  r->part_open = true;
-  if (job->kind->begin_part(job, payload) == JOB_DONE) {
-    output_commit(r->output);
-    finish(r, NULL);
-  }
-}
-
-static void end_part(struct requests *r) {
-  output_commit(r->output);
-  r->part_open = false;
-  r->between_parts = true;
-  requests_step_detached(r); /* so that detached jobs need not wait for the last part */
-}
-
-static void follow(struct requests *r, enum job_outcome outcome) {
-  switch (outcome) {
-  case JOB_GOES_ON:
-  case JOB_DETACHED:
-    return;
-  case JOB_WAITS:
-    r->waiting = true;
-    return;
-  case JOB_NEXT_PART:
-    if (r->part_open) {
-      end_part(r);
-    } else {
-      begin_part(r);
+/* Begins the parts that wait for room, and answers the requests that have ended. Returns whether there
+ * were any of these. */
+static bool write_detached(struct requests *r) {
+  bool any = false;
+  struct detached *next;
+  for (struct detached *one = TAILQ_FIRST(&r->detached); one != NULL; one = next) {
+    uint64_t budget = 1;
+    next = TAILQ_NEXT(one, in_requests);
+    if (one->run.state == RUN_HAS_PART && !output_is_full(r->output)) {
+      run_step(&one->run, &budget);
     }
-    return;
-  case JOB_DONE:
-    output_commit(r->output);
-    finish(r, NULL);
-    return;
-  case JOB_REFUSED:
-    give_up(r, &r->job->refusal);
-    return;
+    if (one->run.state == RUN_IDLE) {
+      answer(r, &one->header, one->arrived_ns, one->run.latency,
+             one->refused ? &one->refusal : NULL);
+      remove_detached(r, one);
+      any = true;
+    }
+  }
+  return any;
+}
+
+bool requests_step_detached(struct requests *r, uint64_t *budget) {
+  bool more = false;
+  struct detached *one;
+  TAILQ_FOREACH(one, &r->detached, in_requests) {
+    struct run *run = &one->run;
+    run_expire(run);
+    while (run->state == RUN_GOES_ON && *budget > 0) {
+      run->job->reader_idle = r->output->ready_bytes == 0;
+      run_step(run, budget);
+    }
+  }
+  if (!r->run.part_open && r->detached_count > 0) {
+    more = write_detached(r);
+  }
+  TAILQ_FOREACH(one, &r->detached, in_requests) {
+    more |= one->run.state == RUN_GOES_ON;
+  }
+  return more;
+}
+
+/* ---- the request that is answered in its turn ------------------------------------------------ */
+
+static uint8_t *reserve(void *owner, const struct job *job, wire_error *error) {
+  return begin_reply(owner, job, error);
+}
+
+static void commit(void *owner, bool last) {
+  (void)last;
+  output_commit(((struct requests *)owner)->output);
+}
+
+static void give_part_up(void *owner) {
+  output_cancel(((struct requests *)owner)->output);
+}
+
+static void wake(void *owner) {
+  const struct requests *r = owner;
+  r->wake(r->owner);
+}
+
+static void end(void *owner, const wire_error *refusal) {
+  struct requests *r = owner;
+  answer(r, &r->header, r->arrived_ns, r->run.latency, refusal);
+  if (!r->no_room) {
+    input_next(r->input, &r->header);
   }
 }
 
-static wire_error late(void) {
-  return wire_error_make(WIRE_STATUS_DEADLINE, "deadline_ms",
-                         "more milliseconds, or 0 for no limit");
+void requests_init(struct requests *requests, struct input *input, struct output *output,
+                   void (*wake_owner)(void *owner), void *owner) {
+  static const struct run_sink sink = {
+      .reserve = reserve, .commit = commit, .cancel = give_part_up, .wake = wake, .end = end};
+  *requests = (struct requests){
+      .input = input, .output = output, .wake = wake_owner, .owner = owner, .roles = ROLE_ALL};
+  TAILQ_INIT(&requests->detached);
+  run_init(&requests->run, &sink, requests);
 }
+
+/* ---- waiting and ending ---------------------------------------------------------------------- */
 
 uint64_t requests_deadline_ms(const struct requests *r) {
-  return r->waiting || r->between_parts ? r->deadline_ms : 0;
+  const bool waits = r->run.state == RUN_WAITS || r->run.state == RUN_HAS_PART;
+  uint64_t first_ms = waits ? r->run.deadline_ms : 0;
+  const struct detached *one;
+  TAILQ_FOREACH(one, &r->detached, in_requests) {
+    const uint64_t at_ms = one->run.deadline_ms;
+    first_ms = at_ms != 0 && (first_ms == 0 || at_ms < first_ms) ? at_ms : first_ms;
+  }
+  return first_ms;
 }
 
 bool requests_expire(struct requests *r) {
-  if (requests_deadline_ms(r) == 0 || !is_late(r)) {
-    return false;
+  const bool waits = r->run.state == RUN_WAITS || r->run.state == RUN_HAS_PART;
+  bool any = waits && run_expire(&r->run);
+  struct detached *one;
+  TAILQ_FOREACH(one, &r->detached, in_requests) {
+    any |= run_expire(&one->run);
   }
-  const wire_error error = late();
-  give_up(r, &error);
-  return true;
+  return any;
 }
 
 unsigned requests_count(const struct requests *r) {
-  unsigned count = input_count(r->input) +
-                   output_count(r->output, r->job != NULL ? r->job->header.request_id : 0);
-  for (const struct job *job = r->detached; job != NULL; job = job->next) {
-    count++;
-  }
-  return count + r->aside_count + (r->own != NULL);
+  const uint64_t except = r->run.state != RUN_IDLE ? r->header.request_id : 0;
+  return input_count(r->input) + output_count(r->output, except) + r->detached_count;
 }
 
 void requests_drop(struct requests *r) {
   drop_detached(r);
-  if (r->job != NULL) {
-    job_end(r->job);
-    r->job = NULL;
-  }
-  free_aside(r, r->own);
-  r->own = NULL;
-  while (r->waiting_aside != NULL) {
-    free_aside(r, remove_aside(r, &r->waiting_aside));
-  }
+  run_drop(&r->run);
   points_release(r->points);
   r->points = NULL;
 }
 
 void requests_trim(struct requests *r, uint64_t now_ms) {
-  if (r->points != NULL && r->job == NULL && points_is_late(r->points, now_ms)) {
+  if (r->points != NULL && r->run.state == RUN_IDLE && points_is_late(r->points, now_ms)) {
     points_release(r->points);
     r->points = NULL;
   }
 }
 
 void requests_end(struct requests *r, uint64_t request_id, wire_error error) {
-  if (r->tell_end != NULL) {
-    r->tell_end(r->owner, &error);
-  }
+  r->tell_end(r->owner, &error);
   requests_refuse(r, request_id, &error);
   drop_detached(r);
   r->ended = true;
@@ -307,100 +312,70 @@ void requests_end(struct requests *r, uint64_t request_id, wire_error error) {
 
 /* ---- taking requests up ---------------------------------------------------------------------- */
 
-static void on_ready(void *owner) {
-  struct requests *r = owner;
-  r->waiting = false;
-  r->wake(r->owner);
-}
-
-static void on_news(void *owner) {
-  const struct requests *r = owner;
-  r->wake(r->owner);
-}
-
-/* Refuses a request that has no job, because its frame or its start was refused. */
-static void refuse(struct requests *r, const wire_header *header, const wire_error *error) {
-  note_latency(r, LATENCY_REFUSED);
-  if (requests_refuse(r, header->request_id, error)) {
-    end_request(r, header);
-  } else {
-    r->no_room = true;
-  }
-}
-
 /* Returns whether the client has the role that a message needs. If not, sets *error. */
-static bool is_allowed(const struct requests *r, unsigned type, wire_error *error) {
-  const unsigned needed = roles_needed(type);
-  if ((r->roles & needed) == needed) {
+static bool is_allowed(const struct requests *r, const struct job_kind *kind, wire_error *error) {
+  if (kind == NULL || (r->roles & kind->role) == kind->role) {
     return true;
   }
   char allowed[sizeof error->allowed];
-  snprintf(allowed, sizeof allowed, "certificates with the role %s", roles_name(needed));
+  snprintf(allowed, sizeof allowed, "certificates with the role %s", roles_name(kind->role));
   *error = wire_error_make(WIRE_STATUS_NOT_ALLOWED, "role", allowed);
   return false;
 }
 
-/* Ends those requests beside the input that have this id. */
-static bool cancel(void *owner, uint64_t request_id) {
-  struct requests *r = owner;
-  const wire_error error =
-      wire_error_make(WIRE_STATUS_CANCELLED, "job_id", "no cancel request that names it");
-  bool found = false;
-  if (r->job != NULL && r->own != NULL && r->job->header.request_id == request_id) {
-    give_up(r, &error);
-    found = true;
-  }
-  for (struct aside **link = &r->waiting_aside; *link != NULL && !r->no_room;) {
-    if ((*link)->header.request_id != request_id) {
-      link = &(*link)->next;
-      continue;
-    }
-    struct aside *aside = remove_aside(r, link);
-    stats_count_request(stats_of(r), aside->header.type);
-    r->no_room = !requests_refuse(r, request_id, &error);
-    free_aside(r, aside);
-    found = true;
-  }
-  return found;
+static void refuse(struct requests *r, wire_error error) {
+  r->run.latency = LATENCY_REFUSED;
+  end(r, &error);
 }
 
-static void start(struct requests *r, const wire_header *header, const uint8_t *payload) {
-  stats_count_request(stats_of(r), header->type);
-  r->deadline_ms = header->deadline_ms > 0 ? r->arrived_ns / 1000000 + header->deadline_ms : 0;
-  wire_error error = late();
-  if (is_late(r) || !is_allowed(r, header->type, &error)) {
-    refuse(r, header, &error);
+static void start(struct requests *r, struct run *run, const wire_header *header,
+                  const uint8_t *payload) {
+  struct job_request request = {.header = header,
+                                .payload = payload,
+                                .context = r->context,
+                                .profiles = r->profiles,
+                                .points = &r->points,
+                                .cancel = cancel,
+                                .canceller = r};
+  run_start(run, &request,
+            header->deadline_ms > 0 ? r->arrived_ns / 1000000 + header->deadline_ms : 0);
+}
+
+/* Starts a request that leaves the input. Those that threads of their own work on come first: their
+ * steps cost nothing. */
+static void start_detached(struct requests *r, const struct job_kind *kind) {
+  struct detached *one = detach(r);
+  if (one == NULL) {
+    refuse(r, job_busy());
     return;
   }
-  const struct job_request request = {.header = header,
-                                      .payload = payload,
-                                      .context = r->context,
-                                      .on_ready = on_ready,
-                                      .on_news = on_news,
-                                      .owner = r,
-                                      .profiles = r->profiles,
-                                      .whole = r->whole,
-                                      .detached = &r->detached,
-                                      .points = &r->points,
-                                      .cancel = cancel};
-  struct job *job;
-  const enum job_outcome outcome = job_start(&r->slot, &request, &job);
-  if (outcome == JOB_REFUSED) {
-    refuse(r, header, &job->refusal);
-  } else if (outcome == JOB_DETACHED) {
-    end_request(r, header);
+  if (kind->stop != NULL) {
+    TAILQ_INSERT_HEAD(&r->detached, one, in_requests);
   } else {
-    r->job = job;
-    follow(r, outcome);
+    TAILQ_INSERT_TAIL(&r->detached, one, in_requests);
+  }
+  start(r, &one->run, &one->header, one->block.payload);
+  one->run.deadline_ms = kind->stop != NULL ? 0 : one->run.deadline_ms; /* a limit for the start */
+}
+
+/* Starts the request whose header is r->header. */
+static void take(struct requests *r, const struct job_kind *kind, const uint8_t *payload) {
+  wire_error error;
+  stats_count_request(stats_of(r), r->header.type);
+  if (!is_allowed(r, kind, &error)) {
+    refuse(r, error);
+  } else if (kind != NULL && kind->detached) {
+    start_detached(r, kind);
+  } else {
+    start(r, &r->run, &r->header, payload);
   }
 }
 
-/* Takes the next frame. Returns false if no complete frame has arrived. */
+/* Takes the next frame. Returns false if no complete frame has arrived, or if it waits. */
 static bool take_frame(struct requests *r) {
-  wire_header header;
   const uint8_t *payload = NULL;
   wire_error error;
-  const enum input_outcome outcome = input_frame(r->input, &header, &payload, &error);
+  const enum input_outcome outcome = input_frame(r->input, &r->header, &payload, &error);
   if (outcome == INPUT_INCOMPLETE) {
     return false;
   }
@@ -408,137 +383,47 @@ static bool take_frame(struct requests *r) {
     requests_end(r, 0, error);
     return false;
   }
-  r->arrived_ns = input_arrival_ns(r->input, &header);
+  const struct job_kind *kind = outcome == INPUT_FRAME ? job_kind_of(r->header.type) : NULL;
+  r->blocked = kind != NULL && kind->detached && r->detached_count > 0 &&
+               (r->detached_count >= r->context->server->options.max_in_flight ||
+                r->detached_bytes + r->header.payload_bytes > DETACHED_BYTES);
+  if (r->blocked) {
+    return false;
+  }
+  r->arrived_ns = input_arrival_ns(r->input, &r->header);
   r->taken++;
   if (outcome == INPUT_FRAME) {
-    r->own = job_is_aside(header.type) ? put_aside(r, &header) : NULL;
-    start(r, &header, r->own != NULL ? r->own->block.payload : payload);
+    take(r, kind, payload);
   } else {
-    refuse(r, &header, &error);
+    refuse(r, error);
   }
   return true;
 }
 
-static void start_aside(struct requests *r) {
-  r->own = remove_aside(r, &r->waiting_aside);
-  const wire_header header = r->own->header;
-  r->arrived_ns = r->own->arrived_ns;
-  start(r, &header, r->own->block.payload);
-}
-
-/* Answers a cancel request while a job runs, which may be the one that it ends. Returns false if it
- * has to wait, because the answer of another job is being written. */
-static bool take_cancel(struct requests *r, const wire_header *header, const uint8_t *payload) {
-  wire_cancel_request fixed = {0};
-  if (header->payload_bytes == WIRE_BYTES_cancel_request) {
-    wire_get_cancel_request(payload, &fixed);
-  }
-  if (r->part_open && fixed.job_id != r->job->header.request_id) {
+/* Goes on with the request that is answered in its turn. Returns false if it waits for its profile,
+ * or for the reader, who does not keep up with its parts. */
+static bool step_run(struct requests *r, uint64_t *budget) {
+  if (r->run.state == RUN_HAS_PART) {
+    write_detached(r); /* so that they need not wait for the last part */
+    if (output_is_full(r->output)) {
+      job_rest(r->run.job);
+      return run_expire(&r->run);
+    }
+    job_resume(r->run.job);
+  } else if (r->run.state == RUN_WAITS) {
     return false;
   }
-  struct job_slot slot;
-  struct job *job;
-  const struct job_request request = {.header = header,
-                                      .payload = payload,
-                                      .context = r->context,
-                                      .owner = r,
-                                      .detached = &r->detached,
-                                      .cancel = cancel};
-  stats_count_request(stats_of(r), header->type);
-  const enum job_outcome outcome = job_start(&slot, &request, &job);
-  uint8_t *at = NULL;
-  if (r->no_room) {
-    return true;
-  }
-  if (outcome == JOB_REFUSED) {
-    r->no_room = !requests_refuse(r, header->request_id, &job->refusal);
-  } else {
-    at = begin_reply(r, job);
-    r->no_room = at == NULL;
-  }
-  if (at != NULL) {
-    job->kind->begin_part(job, at);
-    output_commit(r->output);
-    stats_count_answer(stats_of(r), WIRE_STATUS_OK);
-  }
-  input_next(r->input, header);
-  r->taken++;
-  return true;
-}
-
-/* While a job runs whose request is beside the input: answers the cancel request that comes next, or
- * puts the next request of such a kind beside it. Returns whether it took a frame. */
-static bool look_ahead(struct requests *r) {
-  wire_header header;
-  const uint8_t *payload = NULL;
-  wire_error error;
-  if (input_frame(r->input, &header, &payload, &error) != INPUT_FRAME) {
-    return false;
-  }
-  if (header.type == WIRE_TYPE_CANCEL) {
-    return take_cancel(r, &header, payload);
-  }
-  const uint64_t frame_bytes = WIRE_BYTES_header + (uint64_t)header.payload_bytes;
-  if (!job_is_aside(header.type) || r->aside_bytes + frame_bytes > ASIDE_BYTES ||
-      r->aside_count >= r->context->server->options.max_in_flight) {
-    return false;
-  }
-  struct aside *aside = put_aside(r, &header);
-  if (aside == NULL) {
-    return false;
-  }
-  add_aside(r, aside);
-  r->taken++;
-  return true;
-}
-
-bool requests_take_on(struct requests *r) {
-  wire_header header;
-  const uint8_t *payload;
-  wire_error error;
-  return r->job == NULL ||
-         (r->own != NULL && input_frame(r->input, &header, &payload, &error) == INPUT_INCOMPLETE);
-}
-
-/* Begins the next part, or waits if the reader does not keep up. Returns false if it waits. */
-static bool step_between_parts(struct requests *r) {
-  if (output_is_full(r->output)) {
-    job_rest(r->job);
-    return false;
-  }
-  job_resume(r->job);
-  begin_part(r);
-  return true;
-}
-
-static bool step_job(struct requests *r, uint64_t *budget) {
-  if (is_late(r)) {
-    const wire_error error = late();
-    give_up(r, &error);
-    return true;
-  }
-  if (r->between_parts) {
-    return step_between_parts(r);
-  }
-  follow(r, r->job->kind->step(r->job, budget));
+  run_step(&r->run, budget);
   return true;
 }
 
 bool requests_step(struct requests *r, uint64_t *budget) {
   bool more = false;
-  if (r->own != NULL && look_ahead(r)) {
-    *budget -= *budget < JOB_STEP_RADII ? *budget : JOB_STEP_RADII;
-    more = true;
-  } else if (r->job != NULL) {
-    more = !r->waiting && step_job(r, budget);
+  if (r->run.state != RUN_IDLE) {
+    more = step_run(r, budget);
   } else if (!r->ended && !output_is_full(r->output)) {
     *budget -= *budget < JOB_STEP_RADII ? *budget : JOB_STEP_RADII;
-    if (r->waiting_aside != NULL) {
-      start_aside(r);
-      more = true;
-    } else {
-      more = take_frame(r);
-    }
+    more = take_frame(r);
   }
   return more && !r->no_room;
 }

@@ -69,5 +69,8 @@ static enum job_outcome start(struct job *job, const struct job_request *request
   return eval_job_start(eval, error, request);
 }
 
-const struct job_kind job_kind_SAMPLE = {
-    .start = start, .begin_part = eval_job_begin_part, .step = eval_job_step, .end = eval_job_end};
+const struct job_kind job_kind_SAMPLE = {.role = ROLE_EVALUATE,
+                                         .start = start,
+                                         .begin_part = eval_job_begin_part,
+                                         .step = eval_job_step,
+                                         .end = eval_job_end};

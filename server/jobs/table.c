@@ -101,4 +101,4 @@ static void end(struct job *job) {
 }
 
 const struct job_kind job_kind_TABLE = {
-    .start = start, .begin_part = put, .step = step, .end = end};
+    .role = ROLE_COMPUTE, .start = start, .begin_part = put, .step = step, .end = end};

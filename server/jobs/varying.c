@@ -202,4 +202,4 @@ static void end(struct job *job) {
 }
 
 const struct job_kind job_kind_VARYING = {
-    .start = start, .begin_part = begin_part, .step = step, .end = end};
+    .role = ROLE_EVALUATE, .start = start, .begin_part = begin_part, .step = step, .end = end};

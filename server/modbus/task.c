@@ -49,14 +49,14 @@ static void set_progress(struct modbus_task *task, double progress) {
 }
 
 void modbus_task_refresh(struct modbus_task *task) {
-  const struct job *job = task->job;
-  if (task->state != MODBUS_TASK_RUNS && task->state != MODBUS_TASK_WAITS) {
+  const struct job *job = task->run.job;
+  if (task->run.state == RUN_IDLE) {
     return;
   }
   const uint64_t place = job->lookup != NULL ? cache_place(&job->lookup->waiter) : 0;
   registers_set_u16(task->registers, fields_of(task)->place,
                     place < UINT16_MAX ? (unsigned)place : UINT16_MAX);
-  if (task->detached == NULL && task->owed_radii > 0) {
+  if (task->owed_radii > 0) {
     set_progress(task, 1 - (double)job->owed_radii / (double)task->owed_radii);
   }
 }
@@ -85,56 +85,50 @@ static void enter(struct modbus_task *task, enum modbus_task_state state) {
   }
 }
 
-/* Called when the job can go on, because its profile has been prepared or Monte Carlo has news. */
-static void on_ready(void *owner) {
+static uint8_t *reserve(void *owner, const struct job *job, wire_error *error) {
   struct modbus_task *task = owner;
-  if (task->state == MODBUS_TASK_WAITS) {
-    enter(task, MODBUS_TASK_RUNS);
-  }
-}
-
-/* Calls the function of the job that its last outcome asks for. Subtracts the cost from *budget. */
-static enum job_outcome step(struct modbus_task *task, enum job_outcome outcome, uint64_t *budget) {
-  struct job *job = task->job;
-  if (outcome != JOB_NEXT_PART) {
-    job->reader_idle = true;
-    return job->kind->step(job, budget);
-  }
+  (void)error;
   assert(job->part_bytes <= MODBUS_REPLY_BYTES);
   task->reply_bytes = (size_t)job->part_bytes;
-  outcome = job->kind->begin_part(job, task->reply);
-  if (outcome == JOB_GOES_ON && task->detached != NULL) { /* This part was a report of progress. */
+  return task->reply;
+}
+
+/* A part that is not the last one is a report of progress. */
+static void commit(void *owner, bool last) {
+  struct modbus_task *task = owner;
+  if (!last) {
     modbus_translate_reply(task->kind, task->question, task->reply, task->reply_bytes,
                            task->registers, NULL);
   }
-  return outcome;
 }
+
+static void cancel(void *owner) {
+  (void)owner;
+}
+
+static void wake(void *owner) {
+  enter(owner, MODBUS_TASK_RUNS);
+}
+
+static void end(void *owner, const wire_error *refusal) {
+  struct modbus_task *task = owner;
+  task->error = refusal != NULL ? *refusal : wire_error_none();
+  health_note_refusal(task->queue->server, &task->error);
+}
+
+static const struct run_sink sink = {
+    .reserve = reserve, .commit = commit, .cancel = cancel, .wake = wake, .end = end};
 
 /* Runs the job until the budget is spent, the job waits, or it ends. Returns the reason why it has
  * failed, or OK. */
-static wire_error follow(struct modbus_task *task, enum job_outcome outcome, uint64_t *budget) {
-  while ((outcome == JOB_GOES_ON && *budget > 0) || outcome == JOB_NEXT_PART) {
-    outcome = step(task, outcome, budget);
+static wire_error follow(struct modbus_task *task, uint64_t *budget) {
+  run_on(&task->run, budget);
+  if (task->run.state != RUN_IDLE) {
+    enter(task, task->run.state == RUN_WAITS ? MODBUS_TASK_WAITS : MODBUS_TASK_RUNS);
+    return wire_error_none();
   }
-  if (outcome == JOB_GOES_ON) {
-    enter(task, MODBUS_TASK_RUNS);
-  } else if (outcome == JOB_WAITS || outcome == JOB_DETACHED) {
-    enter(task, MODBUS_TASK_WAITS);
-  } else {
-    const wire_error error = outcome == JOB_DONE ? wire_error_none() : task->job->refusal;
-    health_note_refusal(task->queue->server, &error);
-    job_end(task->job);
-    enter(task, outcome == JOB_DONE ? MODBUS_TASK_EVALUATED : MODBUS_TASK_IDLE);
-    return error;
-  }
-  return wire_error_none();
-}
-
-/* Ends the job without results. First evaluates the batch, which may still write to its reply. */
-static void give_up(struct modbus_task *task) {
-  batch_finish(&worker_context(task->queue->client->worker)->batch, stats_of(task));
-  job_end(task->job);
-  enter(task, MODBUS_TASK_IDLE);
+  enter(task, task->error.status == WIRE_STATUS_OK ? MODBUS_TASK_EVALUATED : MODBUS_TASK_IDLE);
+  return task->error;
 }
 
 static void fail_job(struct modbus_task *task, const wire_error *error) {
@@ -148,16 +142,26 @@ static uint64_t abandoned_ms(const struct modbus_task *task) {
   return task->named_ms + task->queue->server->options.modbus_idle_timeout_ms;
 }
 
-static void set_deadline(struct modbus_task *task) {
+/* Returns whether the job ends with its results so far if it is cancelled: Monte Carlo. */
+static bool may_stop(const struct modbus_task *task) {
+  return task->run.state != RUN_IDLE && task->run.job->kind->stop != NULL;
+}
+
+static uint64_t deadline_of(const struct modbus_task *task) {
   const registers_job *fields = fields_of(task);
-  struct worker *worker = task->queue->client->worker;
   const double limit_ms =
       fields->deadline > 0 ? registers_number(task->registers, fields->deadline) : 0;
-  task->deadline_ms = limit_ms > 0 ? worker_round_ns(worker) / 1000000 + (uint64_t)limit_ms : 0;
-  if (task->deadline_ms > 0) {
-    worker_wake_at(worker, task->deadline_ms);
+  return limit_ms > 0 ? worker_round_ns(task->queue->client->worker) / 1000000 + (uint64_t)limit_ms
+                      : 0;
+}
+
+/* Makes the worker call modbus_queue_expire() when there is something to do. */
+static void watch(const struct modbus_task *task) {
+  struct worker *worker = task->queue->client->worker;
+  if (task->run.deadline_ms != 0) {
+    worker_wake_at(worker, task->run.deadline_ms);
   }
-  if (task->detached != NULL) {
+  if (may_stop(task) && !task->cancelled) {
     worker_wake_at(worker, abandoned_ms(task));
   }
 }
@@ -169,31 +173,22 @@ wire_error modbus_task_commit(struct modbus_task *task, struct client *master) {
       .payload_bytes =
           (uint32_t)modbus_translate_input(task->kind, task->registers, task->question),
   };
-  task->detached = NULL;
-  const struct job_request request = {
+  struct job_request request = {
       .header = &header,
       .payload = task->question,
       .context = worker_context(worker),
-      .on_ready = on_ready,
-      .on_news = on_ready,
-      .owner = task,
       .profiles = &master->profiles,
-      .detached = &task->detached,
   };
-  enum job_outcome outcome = job_start(&task->slot, &request, &task->job);
-  if (outcome == JOB_REFUSED) {
-    health_note_refusal(task->queue->server, &task->job->refusal);
-    return task->job->refusal;
-  }
-  task->job = outcome == JOB_DETACHED ? task->detached : task->job;
-  task->cancelled = false;
-  task->owed_radii = task->job->owed_radii;
-  set_deadline(task);
   uint64_t budget = JOB_SLICE_RADII;
-  const wire_error error = follow(task, outcome, &budget);
+  task->cancelled = false;
+  run_init(&task->run, &sink, task);
+  run_start(&task->run, &request, deadline_of(task));
+  task->owed_radii = task->run.state != RUN_IDLE ? task->run.job->owed_radii : 0;
+  const wire_error error = follow(task, &budget);
   if (error.status != WIRE_STATUS_OK) {
     return error;
   }
+  watch(task);
   task->token = registers_u16(task->registers, fields_of(task)->commit);
   clear_error(task);
   set_progress(task, 0);
@@ -204,16 +199,14 @@ wire_error modbus_task_commit(struct modbus_task *task, struct client *master) {
 }
 
 void modbus_task_cancel(struct modbus_task *task) {
-  if (task->state != MODBUS_TASK_RUNS && task->state != MODBUS_TASK_WAITS) {
-    return;
-  }
-  if (task->detached != NULL) {
+  if (may_stop(task)) {
     task->cancelled = true;
-    task->job->kind->stop(task->job, JOB_CANCELLED);
-    return;
+    task->run.job->kind->stop(task->run.job, JOB_CANCELLED);
+  } else if (task->run.state != RUN_IDLE) {
+    run_drop(&task->run);
+    enter(task, MODBUS_TASK_IDLE);
+    set_status(task, REGISTERS_STATUS_CANCELLED);
   }
-  give_up(task);
-  set_status(task, REGISTERS_STATUS_CANCELLED);
 }
 
 /* ---- all tasks that are not idle ------------------------------------------------------------- */
@@ -228,27 +221,12 @@ void modbus_queue_init(struct modbus_queue *queue, struct server *server, struct
 
 /* Ends the job if its deadline has passed. Returns whether it has. */
 static bool expire(struct modbus_task *task) {
-  if (task->deadline_ms == 0 || now_ms(task->queue) < task->deadline_ms) {
+  if (!run_expire(&task->run)) {
     return false;
   }
-  const wire_error error =
-      wire_error_make(WIRE_STATUS_DEADLINE, "deadline_ms", "more: the results take longer");
-  give_up(task);
-  fail_job(task, &error);
+  enter(task, MODBUS_TASK_IDLE);
+  fail_job(task, &task->error);
   return true;
-}
-
-/* Cancels a detached job that no master asks for any more, because it keeps its place from
- * others. */
-static void abandon(struct modbus_task *task) {
-  if (task->detached == NULL || task->cancelled) {
-    return;
-  }
-  if (now_ms(task->queue) >= abandoned_ms(task)) {
-    modbus_task_cancel(task);
-  } else {
-    worker_wake_at(task->queue->client->worker, abandoned_ms(task));
-  }
 }
 
 void modbus_queue_run(struct modbus_queue *queue) {
@@ -256,7 +234,7 @@ void modbus_queue_run(struct modbus_queue *queue) {
   struct modbus_task *task;
   while (budget > 0 && (task = TAILQ_FIRST(&queue->tasks[MODBUS_TASK_RUNS])) != NULL) {
     budget -= budget < JOB_STEP_RADII ? budget : JOB_STEP_RADII;
-    const wire_error error = expire(task) ? wire_error_none() : follow(task, JOB_GOES_ON, &budget);
+    const wire_error error = follow(task, &budget);
     if (error.status != WIRE_STATUS_OK) {
       fail_job(task, &error);
     }
@@ -299,16 +277,19 @@ void modbus_queue_expire(struct modbus_queue *queue) {
     for (struct modbus_task *task = TAILQ_FIRST(&queue->tasks[states[i]]); task != NULL;
          task = next) {
       next = TAILQ_NEXT(task, in_queue);
-      abandon(task);
-      if (!expire(task) && task->deadline_ms != 0) {
-        worker_wake_at(queue->client->worker, task->deadline_ms);
+      /* A job that no master asks for any more keeps its place from others. */
+      if (may_stop(task) && !task->cancelled && now_ms(queue) >= abandoned_ms(task)) {
+        modbus_task_cancel(task);
+      }
+      if (!expire(task)) {
+        watch(task);
       }
     }
   }
 }
 
 static void move(struct modbus_task *task, struct client *from, struct client *to) {
-  struct profiles_lookup *lookup = task->job->lookup;
+  struct profiles_lookup *lookup = task->run.job->lookup;
   if (lookup != NULL && lookup->owner == &from->profiles) {
     lookup->owner = &to->profiles;
   }
@@ -329,9 +310,7 @@ void modbus_queue_end(struct modbus_queue *queue) {
   for (unsigned state = 0; state < MODBUS_TASK_STATES; state++) {
     struct modbus_task *task;
     while ((task = TAILQ_FIRST(&queue->tasks[state])) != NULL) {
-      if (state != MODBUS_TASK_EVALUATED) {
-        job_end(task->job);
-      }
+      run_drop(&task->run);
       enter(task, MODBUS_TASK_IDLE);
     }
   }

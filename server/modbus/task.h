@@ -11,7 +11,7 @@
 #ifndef DIPOLED_MODBUS_TASK_H
 #define DIPOLED_MODBUS_TASK_H
 
-#include "server/jobs/job.h"
+#include "server/jobs/run.h"
 #include "server/modbus/translate.h"
 #include "server/net/client.h"
 
@@ -35,12 +35,10 @@ struct modbus_task {
   TAILQ_ENTRY(modbus_task) in_queue; /* in the list of its state, unless the task is idle */
   uint16_t token;                    /* the value of `commit` that has started the job */
   bool cancelled;                    /* whether the job ends early with its results so far */
-  uint64_t deadline_ms;              /* of the job, on the loop's clock; 0: there is none */
   uint64_t named_ms;                 /* when a request last named the unit, on the loop's clock */
   uint64_t owed_radii;               /* owed_radii of the job when it started */
-  struct job *job;                   /* the job, in the slot or detached */
-  struct job *detached;
-  struct job_slot slot;
+  struct run run;
+  wire_error error; /* after the run: why the job was refused; OK: it was not */
   size_t reply_bytes;
   _Alignas(8) uint8_t question[MODBUS_QUESTION_BYTES];
   _Alignas(8) uint8_t reply[MODBUS_REPLY_BYTES];

@@ -29,11 +29,12 @@ struct connection {
   struct output output;
   struct requests requests;
 
-  bool more_to_do; /* whether work was left at the end of the last turn */
-  bool stopping;   /* whether the daemon stops: the connection then ends after its last answer */
-  bool peer_done;  /* whether the peer has shut down its side, so that nothing more arrives */
-  bool lingering;  /* whether this side is shut down and the peer has still to close */
-  bool closing;    /* whether uv_close() has been called */
+  bool more_to_do;    /* whether frames or their work were left at the end of the last turn */
+  bool detached_more; /* whether work of detached requests was left */
+  bool stopping;      /* whether the daemon stops: the connection then ends after its last answer */
+  bool peer_done;     /* whether the peer has shut down its side, so that nothing more arrives */
+  bool lingering;     /* whether this side is shut down and the peer has still to close */
+  bool closing;       /* whether uv_close() has been called */
 
   uint64_t active_ms;        /* when bytes were last received or sent */
   uint64_t frame_started_ms; /* when the incomplete frame began to arrive; 0 if there is none */
@@ -147,8 +148,8 @@ static void linger(struct connection *c) {
 
 static size_t find_room(void *owner, uint8_t **room) {
   struct connection *c = owner;
-  return requests_take_on(&c->requests) ? input_room(&c->input, room)
-                                        : input_room_behind(&c->input, room);
+  return requests_hold_input(&c->requests) ? input_room_behind(&c->input, room)
+                                           : input_room(&c->input, room);
 }
 
 /* Refuses and skips an incomplete frame because there is no memory for the rest of it. */
@@ -169,13 +170,11 @@ static void set_reading(struct connection *c, bool wanted) {
   }
 }
 
-/* Reads while a job runs. If it uses its request in place, reads only into the free memory behind that
- * request. So the arrival times of the next requests are known, and their deadlines count from then.
- */
+/* Reads while a job uses its request in place: only into the free memory behind that request. So the
+ * arrival times of the next requests are known, and their deadlines count from then. */
 static void read_behind(struct connection *c) {
   uint8_t *room = NULL;
-  set_reading(c, !c->peer_done &&
-                     (requests_take_on(&c->requests) || input_room_behind(&c->input, &room) > 0));
+  set_reading(c, !c->peer_done && input_room_behind(&c->input, &room) > 0);
 }
 
 /* Takes the bytes that have been read; the connection answers their requests in the same round of
@@ -194,13 +193,13 @@ static void on_received(void *owner, ssize_t bytes) {
       input_discard(&c->input);
       return;
     }
-    if (c->requests.job != NULL && c->requests.own == NULL) {
+    if (requests_hold_input(&c->requests)) {
       read_behind(c);
       return; /* The job will wake the connection. */
     }
   } else {
     transport_set_reading(&c->transport, false);
-    if (bytes == UV_ENOBUFS && c->requests.job != NULL) {
+    if (bytes == UV_ENOBUFS && requests_hold_input(&c->requests)) {
       return; /* The next turn of the job reads on. */
     }
     if (bytes == UV_ENOBUFS) {
@@ -280,8 +279,8 @@ static void note_partial_frame(struct connection *c) {
   }
 }
 
-/* If the peer is done or the daemon stops, makes the detached jobs end with their results so far:
- * nobody can cancel them any more. Returns whether their last replies are still to come. */
+/* If the peer is done or the daemon stops, makes Monte Carlo end with its results so far: nobody can
+ * cancel it any more. Returns whether last replies of detached requests are still to come. */
 static bool awaits_detached(struct connection *c) {
   return (c->peer_done || c->stopping) &&
          requests_stop_detached(&c->requests, c->peer_done ? JOB_CANCELLED : JOB_DAEMON_STOPS);
@@ -308,7 +307,7 @@ static void end_if_done(struct connection *c) {
 
 /* Called when a turn has done all work that it could: reads on, or ends the connection. */
 static void read_on_or_end(struct connection *c) {
-  if (c->requests.job != NULL) { /* The job waits for a profile, or for the reader. */
+  if (c->requests.run.state != RUN_IDLE) { /* The job waits for a profile, or for the reader. */
     read_behind(c);
     return;
   }
@@ -324,6 +323,10 @@ static void read_on_or_end(struct connection *c) {
     if (c->lingering) {
       set_reading(c, true);
     }
+    return;
+  }
+  if (c->requests.blocked) {
+    read_behind(c);
     return;
   }
   note_partial_frame(c);
@@ -342,22 +345,24 @@ static void watch_deadline(struct connection *c) {
 static void run(struct client *client) {
   struct connection *c = of(client);
   struct requests *r = &c->requests;
-  uint64_t budget = TURN_RADII;
-  /* A turn takes at most max_in_flight requests, the current job's among them. */
+  const uint64_t share = r->detached_count > 0 ? TURN_RADII / 2 : 0;
+  uint64_t budget = TURN_RADII - share;
+  /* A turn takes at most max_in_flight requests, the current one among them. */
   const uint64_t before = r->taken;
-  const uint64_t most = before + c->server->options.max_in_flight - (r->job != NULL);
+  const uint64_t most = before + c->server->options.max_in_flight - (r->run.state != RUN_IDLE);
   bool more = true;
-  while (more && budget > 0 && !c->closing && (r->job != NULL || r->taken < most)) {
+  while (more && budget > 0 && !c->closing && (r->run.state != RUN_IDLE || r->taken < most)) {
     more = requests_step(r, &budget);
   }
   if (r->taken > before) {
     c->frame_started_ms = 0;
   }
+  budget += share;
+  c->detached_more = requests_step_detached(r, &budget);
   if (r->no_room) {
     abort_connection(c);
   }
   if (!c->closing) {
-    requests_step_detached(r);
     watch_deadline(c);
   }
   c->more_to_do = more;
@@ -374,7 +379,7 @@ static void finish(struct client *client) {
     return;
   }
   if (c->more_to_do || (was_blocked && !output_is_full(&c->output))) {
-    if (c->requests.job != NULL) {
+    if (requests_hold_input(&c->requests)) {
       read_behind(c);
     } else {
       set_reading(c, false);
@@ -383,8 +388,10 @@ static void finish(struct client *client) {
   } else {
     read_on_or_end(c);
   }
-  if (!c->closing && !c->transport.writing && c->output.ready_bytes > 0) {
-    worker_run_later(&c->client); /* WRITE_BYTES have been written, and there is more */
+  /* WRITE_BYTES may have been written, and there is more. */
+  const bool writes_more = !c->transport.writing && c->output.ready_bytes > 0;
+  if (!c->closing && (c->detached_more || writes_more)) {
+    worker_run_later(&c->client);
   }
 }
 
@@ -431,7 +438,7 @@ static void tick(struct client *client, uint64_t now_ms) {
     return;
   }
   requests_trim(&c->requests, now_ms);
-  if (c->requests.job == NULL) {
+  if (!requests_hold_input(&c->requests)) {
     input_trim(&c->input, now_ms);
   }
   output_trim(&c->output, now_ms);
@@ -441,7 +448,7 @@ static void tick(struct client *client, uint64_t now_ms) {
     }
     return;
   }
-  if (c->requests.job != NULL || c->client.run_queue != NULL) {
+  if (requests_hold_input(&c->requests) || c->client.run_queue != NULL) {
     return;
   }
   if (c->frame_started_ms != 0 && now_ms - c->frame_started_ms > options->frame_timeout_ms) {
@@ -449,7 +456,7 @@ static void tick(struct client *client, uint64_t now_ms) {
                  wire_error_make(WIRE_STATUS_TIMEOUT, "payload_bytes",
                                  "a whole frame within frame_timeout_ms"));
     worker_run_later(&c->client);
-  } else if (c->requests.detached != NULL) { /* There may be room for a reply now. */
+  } else if (c->requests.detached_count > 0) { /* There may be room for a reply now. */
     worker_run_later(&c->client);
   } else if (now_ms - c->active_ms > options->idle_timeout_ms) {
     requests_end(

@@ -5,8 +5,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "proto/wire.h"
-
 enum { LINE_BYTES = 1024, ENTRIES_MAX = 1000, RIGHTS_MAX = 16, ADDRESS_MAX = 65535 };
 
 enum kind { EVERYBODY, SUBJECT, ROLE };
@@ -37,27 +35,6 @@ const char *roles_name(unsigned role) {
     i++;
   }
   return names[i].name;
-}
-
-unsigned roles_needed(unsigned type) {
-  switch (type) {
-  case WIRE_TYPE_EVAL:
-  case WIRE_TYPE_OFFERS:
-  case WIRE_TYPE_SAMPLE:
-  case WIRE_TYPE_INVERT:
-  case WIRE_TYPE_VARYING:
-    return ROLE_EVALUATE;
-  case WIRE_TYPE_MC:
-  case WIRE_TYPE_TABLE:
-  case WIRE_TYPE_FIT:
-  case WIRE_TYPE_POINTS:
-  case WIRE_TYPE_GATHER:
-    return ROLE_COMPUTE;
-  case WIRE_TYPE_STATS:
-    return ROLE_OBSERVE;
-  default:
-    return 0;
-  }
 }
 
 /* ---- the file -------------------------------------------------------------------------------- */

@@ -57,10 +57,6 @@ struct roles_rights *roles_rights_of(const struct roles *roles, const char *subj
 bool roles_allow(const struct roles_rights *rights, unsigned function, bool writes, unsigned first,
                  unsigned count);
 
-/* Returns the role that a message of this type needs; 0 if everybody may send it, as hello, media,
- * ping and cancel, or if there is no such message. */
-unsigned roles_needed(unsigned type);
-
 const char *roles_name(unsigned role); /* of one role: evaluate, compute or observe */
 
 #endif

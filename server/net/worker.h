@@ -1,30 +1,31 @@
 /* worker: a thread with an event loop of its own, its clients, and their run queue.
  *
- * An eval that misses the cache enters 24 files by callgrind's count, in this order:
+ * An eval that misses the cache enters 25 files by callgrind's count, in this order:
  *    1 server/net/worker.c       gives the connection a turn
  *    2 server/net/connection.c   has read the bytes, and writes the answer
  *    3 server/net/buffers.c      finds the frame, and has room for the reply
  *    4 server/jobs/requests.c    takes the request up and frames its reply
- *    5 proto/wire.c              reads and writes headers and structures
- *    6 server/observe/stats.c    counts
- *    7 server/jobs/job.c         starts the job of the message, admits and ends it
- *    8 server/jobs/batch.c       sees that it repeats no earlier request; gathers short requests
- *    9 server/jobs/eval.c        checks the request, works slice by slice, fills the reply in
- *   10 proto/eval.c              takes the payload apart and lays the reply out
- *   11 proto/channels.c          reads the media and parameters
- *   12 core/choice_lists.c       looks ids up
- *   13 core/profile.c            checks that there is such a profile, and prepares it
- *   14 core/medium.c             checks a medium
- *   15 core/radii.c              checks radii
- *   16 server/store/profiles.c   looks for the profile in the worker's store
- *   17 server/store/cache.c      computes its key
- *   18 core/models/dipole.c      prepares it (the file of its model)
- *   19 core/fresnel.c            computes its Fresnel moments
- *   20 core/model_error.c        looks up how far the model is from transport
- *   21 core/isa_kernels.c        chooses the kernels of the instruction set
- *   22 core/owned.c              tells how much memory the profile owns
- *   23 core/evaluate.c           calls the kernel
- *   24 server/observe/latency.c  notes how long the request took
+ *    5 server/jobs/run.c         drives its job from the start to the end
+ *    6 proto/wire.c              reads and writes headers and structures
+ *    7 server/observe/stats.c    counts
+ *    8 server/jobs/job.c         starts the job of the message, admits and ends it
+ *    9 server/jobs/batch.c       sees that it repeats no earlier request; gathers short requests
+ *   10 server/jobs/eval.c        checks the request, works slice by slice, fills the reply in
+ *   11 proto/eval.c              takes the payload apart and lays the reply out
+ *   12 proto/channels.c          reads the media and parameters
+ *   13 core/choice_lists.c       looks ids up
+ *   14 core/profile.c            checks that there is such a profile, and prepares it
+ *   15 core/medium.c             checks a medium
+ *   16 core/radii.c              checks radii
+ *   17 server/store/profiles.c   looks for the profile in the worker's store
+ *   18 server/store/cache.c      computes its key
+ *   19 core/models/dipole.c      prepares it (the file of its model)
+ *   20 core/fresnel.c            computes its Fresnel moments
+ *   21 core/model_error.c        looks up how far the model is from transport
+ *   22 core/isa_kernels.c        chooses the kernels of the instruction set
+ *   23 core/owned.c              tells how much memory the profile owns
+ *   24 core/evaluate.c           calls the kernel
+ *   25 server/observe/latency.c  notes how long the request took
  *
  * Threading: the main thread accepts each connection and gives it to the worker that has
  * the fewest. From then on that worker reads, evaluates and writes for it on its own thread, so a

@@ -426,6 +426,22 @@ def test_cancel_by_a_message(daemon):
         assert_serves(connection)
 
 
+def test_requests_behind_a_gather_are_answered_meanwhile(daemon):
+    one = daemon("--workers", "1")
+    points = scene(50_000, seed=11)
+    slow = gather_payload(points, queries=positions(16_384), model=MODELS["extended"], tolerance=0.0)
+    with one.connect() as connection:
+        send(connection, points)
+        connection.send_bytes(frame(GATHER, 1, slow))
+        for request_id in range(2, 102):
+            connection.send_bytes(frame(wire.MESSAGES["ping"], request_id, b""))
+        connection.send_bytes(frame(CANCEL, 102, wire.CANCEL_REQUEST.pack(job_id=1)))
+        replies = [connection.receive_frame() for _ in range(102)]
+        assert {reply.request_id for reply in replies} == set(range(1, 103))
+        ended = [reply for reply in replies if reply.request_id == 1]
+        assert_error(ended[0], "cancelled", "job_id", "no cancel", request_id=1)
+
+
 def test_a_client_that_cancels_ends_the_daemons_work(daemon):
     one = daemon("--workers", "1")
     points = scene(500 if sanitized() else 5_000, seed=11)  # a part takes a second or so, all seven

@@ -45,7 +45,7 @@ static bool names_slow_profile(unsigned type, const uint8_t *payload, size_t siz
 }
 
 /* The number of answers to a stream: one for each whole frame, each refused header, and an
- * incomplete frame at the end. After a wrong magic number, Monte Carlo jobs may end without an
+ * incomplete frame at the end. After a wrong magic number, detached requests may end without an
  * answer. */
 struct expected {
   size_t least;
@@ -70,7 +70,7 @@ static struct expected expect_answers(const uint8_t *at, size_t left) {
       return (struct expected){count + 1, count + 1, slow};
     }
     count += good;
-    jobs += good && header.type == WIRE_TYPE_MC;
+    jobs += good && (header.type == WIRE_TYPE_MC || header.type == WIRE_TYPE_GATHER);
     slow |= good && names_slow_profile(header.type, at, header.payload_bytes);
     at += header.payload_bytes;
     left -= header.payload_bytes;
@@ -132,7 +132,7 @@ static bool check_answer(const wire_header *header, const uint8_t *payload, size
     wire_gather_reply fixed;
     CHECK(fuzz_decode_gather_reply(payload, size));
     wire_get_gather_reply(payload, &fixed);
-    return check_part(fixed.part, fixed.part_count, next_part);
+    return fixed.part + 1 == fixed.part_count; /* Other answers may come between its parts. */
   }
   case WIRE_TYPE_MC | WIRE_REPLY:
     CHECK(fuzz_decode_mc_reply(payload, size, &under_way));
@@ -235,12 +235,13 @@ static void answer_all(struct pipe *pipe, bool to_the_end) {
     }
     CHECK(!requests->no_room);
     batch_finish(&fuzz_worker.context.batch, &fuzz_server.stats);
-    requests_step_detached(requests);
+    uint64_t budget = JOB_SLICE_RADII;
+    const bool more = requests_step_detached(requests, &budget);
     drain(pipe);
-    if (requests->job == NULL && (requests->detached == NULL || !to_the_end)) {
+    if (!requests_hold_input(requests) && (requests->detached_count == 0 || !to_the_end)) {
       return;
     }
-    if (requests->waiting || requests->job == NULL) {
+    if (!more && (requests->run.state == RUN_WAITS || requests->run.state == RUN_IDLE)) {
       fuzz_daemon_run(UV_RUN_ONCE); /* runs until a profile or a Monte Carlo job is ready */
     }
   }
@@ -248,6 +249,10 @@ static void answer_all(struct pipe *pipe, bool to_the_end) {
 
 static void on_pipe_wake(void *owner) {
   (void)owner;
+}
+
+static void on_pipe_end(void *owner, const wire_error *error) {
+  (void)owner, (void)error;
 }
 
 static void arrive(struct pipe *pipe, const uint8_t *bytes, size_t count) {
@@ -280,6 +285,7 @@ void fuzz_requests(const uint8_t *data, size_t size) {
   input_init(&pipe.input, &fuzz_server);
   output_init(&pipe.output, &fuzz_server);
   requests_init(&pipe.requests, &pipe.input, &pipe.output, on_pipe_wake, &pipe);
+  pipe.requests.tell_end = on_pipe_end;
   pipe.requests.context = &fuzz_worker.context;
   pipe.requests.profiles = &pipe.owner;
   struct fuzz_delivery delivery = fuzz_delivery_begin(data, size);

@@ -1,0 +1,150 @@
+#include "server/jobs/run.h"
+
+void run_init(struct run *run, const struct run_sink *sink, void *owner) {
+  run->sink = sink;
+  run->owner = owner;
+  run->state = RUN_IDLE;
+  run->part_open = false;
+  run->deadline_ms = 0;
+  run->job = (struct job *)(void *)run->slot.bytes;
+}
+
+/* ---- ending ---------------------------------------------------------------------------------- */
+
+/* First evaluates the batch, which may hold values for a part that is open. */
+void run_drop(struct run *run) {
+  if (run->state == RUN_IDLE) {
+    return;
+  }
+  if (run->part_open) {
+    struct job_context *context = run->job->context;
+    batch_finish(&context->batch, &context->server->stats);
+    run->sink->cancel(run->owner);
+    run->part_open = false;
+  }
+  job_end(run->job);
+  run->state = RUN_IDLE;
+}
+
+static void finish(struct run *run, const wire_error *refusal) {
+  run->latency = refusal != NULL ? LATENCY_REFUSED : run->job->latency;
+  run_drop(run);
+  run->sink->end(run->owner, refusal);
+}
+
+void run_give_up(struct run *run, const wire_error *refusal) {
+  finish(run, refusal);
+}
+
+static bool is_late(const struct run *run, const struct job_context *context) {
+  return run->deadline_ms != 0 && uv_now(context->loop) >= run->deadline_ms;
+}
+
+static wire_error late(void) {
+  return wire_error_make(WIRE_STATUS_DEADLINE, "deadline_ms",
+                         "more milliseconds, or 0 for no limit");
+}
+
+bool run_expire(struct run *run) {
+  if (run->state == RUN_IDLE || !is_late(run, run->job->context)) {
+    return false;
+  }
+  const wire_error error = late();
+  finish(run, &error);
+  return true;
+}
+
+/* ---- steps ----------------------------------------------------------------------------------- */
+
+static void commit(struct run *run, bool last) {
+  run->part_open = false;
+  run->sink->commit(run->owner, last);
+}
+
+static void begin_part(struct run *run) {
+  struct job *job = run->job;
+  wire_error error;
+  uint8_t *payload = run->sink->reserve(run->owner, job, &error);
+  if (payload == NULL && run->sink->waits_for_room) {
+    run->state = RUN_HAS_PART;
+    return;
+  }
+  if (payload == NULL) { /* the reply ends with the parts that are complete */
+    finish(run, &error);
+    return;
+  }
+  run->part_open = true;
+  run->state = RUN_GOES_ON;
+  const bool done = job->kind->begin_part(job, payload) == JOB_DONE;
+  if (done || job->kind->detached) {
+    commit(run, done);
+  }
+  if (done) {
+    finish(run, NULL);
+  }
+}
+
+static void follow(struct run *run, enum job_outcome outcome) {
+  run->state = outcome == JOB_WAITS ? RUN_WAITS : RUN_GOES_ON;
+  switch (outcome) {
+  case JOB_GOES_ON:
+  case JOB_WAITS:
+    return;
+  case JOB_NEXT_PART:
+    if (run->part_open) {
+      run->state = RUN_HAS_PART;
+      commit(run, false);
+    } else if (run->sink->waits_for_room) {
+      run->state = RUN_HAS_PART;
+    } else {
+      begin_part(run);
+    }
+    return;
+  case JOB_DONE:
+    commit(run, true);
+    finish(run, NULL);
+    return;
+  case JOB_REFUSED:
+    finish(run, &run->job->refusal);
+    return;
+  }
+}
+
+static void on_ready(void *owner) {
+  struct run *run = owner;
+  if (run->state == RUN_WAITS) {
+    run->state = RUN_GOES_ON;
+    run->sink->wake(run->owner);
+  }
+}
+
+void run_start(struct run *run, struct job_request *request, uint64_t deadline_ms) {
+  run->deadline_ms = deadline_ms;
+  request->on_ready = on_ready;
+  request->owner = run;
+  const enum job_outcome outcome = is_late(run, request->context) ? job_refuse(run->job, late())
+                                                                  : job_start(&run->slot, request);
+  if (outcome != JOB_REFUSED) {
+    follow(run, outcome);
+    return;
+  }
+  run->latency = LATENCY_REFUSED;
+  run->sink->end(run->owner, &run->job->refusal);
+}
+
+void run_step(struct run *run, uint64_t *budget) {
+  if (run_expire(run)) {
+    return;
+  }
+  if (run->state == RUN_HAS_PART) {
+    begin_part(run);
+  } else {
+    follow(run, run->job->kind->step(run->job, budget));
+  }
+}
+
+void run_on(struct run *run, uint64_t *budget) {
+  while ((run->state == RUN_GOES_ON && *budget > 0) || run->state == RUN_HAS_PART) {
+    run_step(run, budget);
+  }
+}

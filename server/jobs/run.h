@@ -1,0 +1,62 @@
+/* run: one job under way, from its start to its last part or its refusal, whoever asks for it: a
+ * connection of the binary protocol, an HTTP request or a Modbus unit. That one is the sink, which has
+ * room for the parts and is told of the end. The run knows deadlines and how to give a job up; the
+ * sink knows turns. Call all functions on the worker's thread.
+ */
+#ifndef DIPOLED_RUN_H
+#define DIPOLED_RUN_H
+
+#include "server/jobs/job.h"
+
+struct run_sink {
+  /* Returns room for job->part_bytes at a multiple of 8, which stays valid until the part is complete
+   * and the batch has been evaluated. Returns NULL and sets *error if there is none. */
+  uint8_t *(*reserve)(void *owner, const struct job *job, wire_error *error);
+  void (*commit)(void *owner, bool last);              /* the part is complete */
+  void (*cancel)(void *owner);                         /* the part is given up */
+  void (*wake)(void *owner);                           /* a job that waited can go on */
+  void (*end)(void *owner, const wire_error *refusal); /* the last call; NULL: all is answered */
+  bool waits_for_room; /* whether a part without room is begun later; else the job is refused */
+};
+
+enum run_state {
+  RUN_IDLE,    /* there is no job */
+  RUN_GOES_ON, /* call run_step() */
+  RUN_WAITS,   /* for a profile or for threads: wake() tells when the job goes on */
+  RUN_HAS_PART /* between two parts, or before the first: call run_step() when there is room */
+};
+
+struct run {
+  const struct run_sink *sink;
+  void *owner;
+  enum run_state state;
+  bool part_open;             /* whether a part has been reserved and is not complete */
+  uint64_t deadline_ms;       /* on the loop's clock; 0: there is none */
+  enum latency_class latency; /* after the end */
+  struct job *job;            /* in the slot */
+  struct job_slot slot;
+};
+
+/* Prepares a run whose state is RUN_IDLE. */
+void run_init(struct run *run, const struct run_sink *sink, void *owner);
+
+/* Starts the job of a request, whose on_ready and owner this sets. The state is RUN_IDLE after it if
+ * the sink has been told of the end. */
+void run_start(struct run *run, struct job_request *request, uint64_t deadline_ms);
+
+/* Does one step of a job that goes on or has a part. Subtracts its cost from *budget, down to 0. */
+void run_step(struct run *run, uint64_t *budget);
+
+/* Does steps until the budget is spent, the job waits, or it has ended. */
+void run_on(struct run *run, uint64_t *budget);
+
+/* Ends the job with a refusal. */
+void run_give_up(struct run *run, const wire_error *refusal);
+
+/* If the deadline has passed, ends the job with DEADLINE and returns true. */
+bool run_expire(struct run *run);
+
+/* Ends the job, if there is one, without telling the sink. */
+void run_drop(struct run *run);
+
+#endif
