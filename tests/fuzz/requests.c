@@ -235,7 +235,7 @@ static void answer_all(struct pipe *pipe, bool to_the_end) {
     }
     CHECK(!requests->no_room);
     batch_finish(&fuzz_worker.context.batch, &fuzz_server.stats);
-    uint64_t budget = JOB_SLICE_RADII;
+    budget = JOB_SLICE_RADII;
     const bool more = requests_step_detached(requests, &budget);
     drain(pipe);
     if (!requests_hold_input(requests) && (requests->detached_count == 0 || !to_the_end)) {
