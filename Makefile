@@ -16,7 +16,6 @@
 #   make gamma-errors  core/gamma_errors.def, transport with gamma for other phase functions
 #   make tradeoff   speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
 #   make tables     core/transport/transport.table, solved anew (2 hours; resumes)
-#   make totals     the totals in that table alone, for g other than 0 (a minute)
 #   make apertures  core/fit/aperture.table and its errors, solved anew (minutes; resumes)
 #   make reference  core/transport/reference.csv, R(r) for many g, solved anew (an hour; resumes)
 #   make figures    Figures 1 to 17 of d'Eon 2012 and one of tissue, in build/figures (ten minutes;
@@ -136,7 +135,9 @@ BENCH := $(call objects,$(wildcard tests/bench/*.c tests/bench/*/*.c))
 # The tools of core share these; the command line draws and shows progress with the same two.
 TOOLS := $(call objects,core/tools/tools.c clients/cli/progress.c)
 TRADEOFF := $(call objects,$(wildcard core/tools/tradeoff/*.c)) $(TOOLS)
-TABLES := $(call objects,$(wildcard core/tools/transport_table/*.c)) $(TOOLS)
+# An independent check of the solver and of the table, whose part for g = 0 comes from it.
+ISOTROPIC := $(call objects,$(wildcard tests/accuracy/isotropic/*.c))
+TABLES := $(call objects,$(wildcard core/tools/transport_table/*.c)) $(ISOTROPIC) $(TOOLS)
 REFERENCE := $(call objects,$(wildcard core/tools/reference/*.c)) $(TOOLS)
 APERTURES := $(call objects,core/tools/apertures/main.c) $(TOOLS)
 PHASES := $(call objects,$(wildcard core/tools/phases/*.c) core/tools/reference/walks.c) $(TOOLS)
@@ -145,13 +146,13 @@ PIPELINE := $(call objects,$(wildcard tests/pipeline/*.c))
 # The longest ones come first, so that no processor waits for them at the end.
 TESTS := $(addprefix $(BUILD)/tests/,unit/test_kernels accuracy/test_choose accuracy/test_dipole)
 TESTS += $(filter-out $(TESTS),$(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/accuracy/test_*.c tests/unit/test_*.c)))
-TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/accuracy/rings.c tests/accuracy/truth.c tests/bench/*.c tests/bits/*.c tests/e2e/*.c tests/fuzz/*.c tests/pipeline/*.c tests/soak/*.c),$(wildcard tests/*/*.c)))
+TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/accuracy/rings.c tests/accuracy/truth.c tests/bench/*.c tests/bits/*.c tests/e2e/*.c tests/fuzz/*.c tests/pipeline/*.c tests/soak/*.c),$(wildcard tests/*/*.c))) $(ISOTROPIC)
 
 INSTALLED := $(BUILD)/dipoled $(BUILD)/dipole
 PROGRAMS := $(INSTALLED) $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-types check-unit check-units-long check-bits check-bits-aarch64 check-e2e check-again check-packages check-soak check-soak-long check-tls-long check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz check-fuzz-long check-truth check-truth-long check-fits check-varying check-rings rings soak truth fuzz fuzz-merge bench docs gamma-errors tables totals reference tradeoff apertures figures picture gather-figure fit-bias clean
+.PHONY: all setup demo check check-long check-structure check-types check-unit check-units-long check-bits check-bits-aarch64 check-e2e check-again check-packages check-soak check-soak-long check-tls-long check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz check-fuzz-long check-truth check-truth-long check-fits check-varying check-rings rings soak truth fuzz fuzz-merge bench docs gamma-errors tables reference tradeoff apertures figures picture gather-figure fit-bias clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -264,7 +265,7 @@ $(BUILD)/wire-tables: $(OBJ)/proto/tools/wire_tables.o $(BUILD)/libproto.a $(BUI
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
 
-$(BUILD)/tests/accuracy/truth: $(call objects,tests/accuracy/truth.c tests/accuracy/forms.c tests/accuracy/reference.c tests/accuracy/reference_fresnel.c) $(BUILD)/libcore.a
+$(BUILD)/tests/accuracy/truth: $(call objects,tests/accuracy/truth.c tests/accuracy/forms.c tests/accuracy/reference.c tests/accuracy/reference_fresnel.c) $(ISOTROPIC) $(BUILD)/libcore.a
 	@mkdir -p $(@D)
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lmpfr -lgmp $(CORE_LIBS) -lm
@@ -509,14 +510,9 @@ $(BUILD)/transport-table: $(TABLES) $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
 
-# Some 100 minutes on two cores; after an interruption it goes on where it was. KEPT=1: minutes; solutions
-# are those that the table has, but for the checks.
+# Some 100 minutes on two cores; after an interruption it goes on where it was.
 tables: $(BUILD)/transport-table
-	$(BUILD)/transport-table $(KEPT:1=--kept) $(BUILD)/tables core/transport/transport.table
-
-# The totals for g other than 0 alone, where the solver of totals has changed.
-totals: $(BUILD)/transport-table
-	$(BUILD)/transport-table core/transport/transport.table
+	$(BUILD)/transport-table $(BUILD)/tables core/transport/transport.table
 
 $(BUILD)/apertures: $(APERTURES) $(BUILD)/libcore.a
 	$(call SAY,LD,$@)

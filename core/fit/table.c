@@ -6,7 +6,6 @@
 #include "core/fit/fit.h"
 #include "core/kernels.h"
 #include "core/transport/decay.h"
-#include "core/transport/transport.h"
 
 #define CORE_REAL 64
 #include "core/kernel.h"

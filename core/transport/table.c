@@ -260,10 +260,9 @@ static bool lay_blocks(struct packed *series, bool is_total, const uint8_t *coun
   return series->block != NULL && series->coefficient != NULL;
 }
 
-/* Reads one side of one part completely, and checks it. Sets *panels to the end of the totals.
- * Returns false if it is not well formed, or if memory runs out. */
-static bool pack_side(struct reader *reader, int side, struct packed series[SERIES_MAX],
-                      const uint8_t **panels) {
+/* Reads one side of one part completely, and checks it. Returns false if it is not well formed, or if
+ * memory runs out. */
+static bool pack_side(struct reader *reader, int side, struct packed series[SERIES_MAX]) {
   const size_t most = (size_t)TERMS_MAX * TERMS_MAX * TERMS_MAX, totals = number_of_totals(side);
   uint8_t *count = malloc(most);
   uint32_t *position = malloc(most * sizeof *position);
@@ -271,7 +270,6 @@ static bool pack_side(struct reader *reader, int side, struct packed series[SERI
   for (size_t n = 0; n < totals + PANELS && good; n++) {
     const bool is_total = n < totals;
     struct reader again = *reader;
-    *panels = n == totals ? reader->at : *panels;
     memset(count, 0, most);
     read_series(reader, side >= SIDES, is_total, &series[n], count, NULL);
     good = reader->good && lay_blocks(&series[n], is_total, count, position);
@@ -332,7 +330,7 @@ bool transport_table_open(transport_table *table, const uint8_t *bytes, size_t l
   bool good = table->packed != NULL;
   for (int side = 0; side < 2 * SIDES && good; side++) {
     table->side[side] = reader.at;
-    good = pack_side(&reader, side, table->packed->series[side], &table->panels[side]);
+    good = pack_side(&reader, side, table->packed->series[side]);
   }
   table->side[2 * SIDES] = reader.at;
   good = good && reader.at == reader.end && sane(table->field);

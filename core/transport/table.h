@@ -1,4 +1,4 @@
-/* table: a table of solutions of radiative transport (see transport.h and core/solver/solver.h), as a series
+/* table: a table of solutions of radiative transport (see core/solver/solver.h), as a series
  * over albedo, g, eta and radius. The table is part of the program (transport.table, made by `make
  * tables`). Scattering is that of Henyey and Greenstein (1941) with the mean cosine g.
  *
@@ -143,7 +143,6 @@ typedef struct transport_table {
   /* position where each side begins, first those of isotropic scattering, then those of D; and the
    * end of the last */
   const uint8_t *side[2 * TRANSPORT_TABLE_SIDES + 1];
-  const uint8_t *panels[2 * TRANSPORT_TABLE_SIDES]; /* position where the totals of a side end */
   struct transport_packed *packed;
 } transport_table;
 

@@ -11,6 +11,7 @@
 #include "core/fit/aperture.h"
 #include "core/solver/solver.h"
 #include "core/transport/single.h"
+#include "tests/accuracy/isotropic/isotropic.h"
 #include "tests/accuracy/montecarlo_run.h"
 #include "tests/accuracy/vectors.h"
 #include "tests/unit/unit.h"
@@ -56,12 +57,12 @@ UNIT_TEST(isotropic_scattering_is_that_of_the_other_solver) {
                     0);
   double worst = 0;
   for (size_t i = 0; i < ETAS; i++) {
-    transport_boundary *boundary;
-    transport_solution *truth;
-    unit_assert_fault(transport_boundary_create(&boundary, etas[i], 1e-6), NULL, 0);
-    unit_assert_fault(transport_solve(&truth, boundary, albedo), NULL, 0);
+    isotropic_boundary *boundary;
+    isotropic_solution *truth;
+    unit_assert_fault(isotropic_boundary_create(&boundary, etas[i], 1e-6), NULL, 0);
+    unit_assert_fault(isotropic_solve(&truth, boundary, albedo), NULL, 0);
     for (double r = 0.01; r < 21; r *= 1.4) {
-      const transport_values values = transport_at(truth, r);
+      const isotropic_values values = isotropic_at(truth, r);
       const double single = solver_single_at(solution, i, r);
       assert_true(fabs(single / values.single.value - 1) < 1e-9);
       if (values.R.value > 1e-12) {
@@ -69,10 +70,10 @@ UNIT_TEST(isotropic_scattering_is_that_of_the_other_solver) {
                      hold("isotropic", r, solver_at(solution, i, r), values.R.value, 2e-6, 1e-3));
       }
     }
-    const double total = transport_total(truth).value;
+    const double total = isotropic_total(truth).value;
     hold("isotropic total", etas[i], totals[i].normal, total, 1e-7, 1e-6);
-    transport_solution_free(truth);
-    transport_boundary_free(boundary);
+    isotropic_solution_free(truth);
+    isotropic_boundary_free(boundary);
   }
   printf("g = 0, sigma_a / sigma_s' %g: R off by at most %.1e\n", ratio, worst);
   solver_free(solution);
@@ -433,8 +434,8 @@ static bool read_row(const char *line, struct row *row) {
 }
 
 /* Returns the solver's own value of a row, by solutions for isotropic scattering. */
-static double isotropic_value(const struct row *row, const transport_solution *solution) {
-  return row->r > 0 ? transport_at(solution, row->r).R.value : transport_total(solution).value;
+static double isotropic_value(const struct row *row, const isotropic_solution *solution) {
+  return row->r > 0 ? isotropic_at(solution, row->r).R.value : isotropic_total(solution).value;
 }
 
 /* The rows for g = 0 are within their bounds of the solver for isotropic scattering, Monte Carlo is
@@ -443,8 +444,8 @@ UNIT_TEST(the_reference_table_holds) {
   enum { MEDIUM_ROWS = 20, MEDIA_LEAST = 64 };
   char *text = unit_read_file("core/transport/reference.csv");
   assert_non_null(text);
-  transport_boundary *boundary = NULL;
-  transport_solution *solution = NULL;
+  isotropic_boundary *boundary = NULL;
+  isotropic_solution *solution = NULL;
   double chi_squared = 0, largest = 0, before[3] = {0};
   size_t rows = 0, walked = 0, isotropic = 0;
   strtok(text, "\n"); /* the names of the columns */
@@ -455,10 +456,10 @@ UNIT_TEST(the_reference_table_holds) {
     const double medium[] = {row.ratio, row.g, row.eta};
     assert_int_equal(memcmp(medium, before, sizeof medium) != 0, rows % MEDIUM_ROWS == 0);
     if (rows % MEDIUM_ROWS == 0 && row.g == 0) {
-      transport_solution_free(solution);
-      transport_boundary_free(boundary);
-      unit_assert_fault(transport_boundary_create(&boundary, row.eta, 1e-8), NULL, 0);
-      unit_assert_fault(transport_solve(&solution, boundary, 1 / (1 + row.ratio)), NULL, 0);
+      isotropic_solution_free(solution);
+      isotropic_boundary_free(boundary);
+      unit_assert_fault(isotropic_boundary_create(&boundary, row.eta, 1e-8), NULL, 0);
+      unit_assert_fault(isotropic_solve(&solution, boundary, 1 / (1 + row.ratio)), NULL, 0);
     }
     memcpy(before, medium, sizeof medium);
     if (row.g == 0 && strcmp(row.quantity, "total_diffuse") != 0) {
@@ -481,8 +482,8 @@ UNIT_TEST(the_reference_table_holds) {
   assert_true(rows % MEDIUM_ROWS == 0 && rows / MEDIUM_ROWS >= MEDIA_LEAST && isotropic > 100);
   assert_true(walked > rows / 2 && chi_squared > 0.8 * (double)walked &&
               chi_squared < 1.2 * (double)walked && largest < 4.5);
-  transport_solution_free(solution);
-  transport_boundary_free(boundary);
+  isotropic_solution_free(solution);
+  isotropic_boundary_free(boundary);
   free(text);
 }
 

@@ -6,8 +6,8 @@
 
 #include "core/kernels.h"
 #include "core/solver/solver.h"
-#include "core/transport/transport.h"
 #include "tests/accuracy/forms.h"
+#include "tests/accuracy/isotropic/isotropic.h"
 #include "tests/unit/unit.h"
 
 static const enum core_quantity both[] = {CORE_QUANTITY_BY_SIGMA_A, CORE_QUANTITY_BY_SIGMA_S};
@@ -154,28 +154,28 @@ UNIT_TEST(derivatives_of_thin_slabs_are_those_of_the_formulas) {
 static void solved(const core_medium *medium, size_t n, const double *r, double *by_a, double *X) {
   static const double weights[] = {-1.0 / 60, 0.15, -0.75, 0, 0.75, -0.15, 1.0 / 60};
   const double h = 0.03;
-  transport_boundary *boundary;
-  unit_assert_fault(transport_boundary_create(&boundary, medium->eta, 1e-8), NULL, 0);
+  isotropic_boundary *boundary;
+  unit_assert_fault(isotropic_boundary_create(&boundary, medium->eta, 1e-8), NULL, 0);
   memset(by_a, 0, n * sizeof *by_a);
   memset(X, 0, n * sizeof *X);
   for (int k = -3; k <= 3; k++) {
     const double sigma_t = medium->sigma_a_per_mm * exp(k * h) + medium->sigma_s_per_mm;
     const double own = medium->sigma_a_per_mm + medium->sigma_s_per_mm;
-    transport_solution *solution;
-    unit_assert_fault(transport_solve(&solution, boundary, medium->sigma_s_per_mm / sigma_t), NULL,
+    isotropic_solution *solution;
+    unit_assert_fault(isotropic_solve(&solution, boundary, medium->sigma_s_per_mm / sigma_t), NULL,
                       0);
     for (size_t i = 0; i < n; i++) {
       const double weight = weights[k + 3] / h;
-      by_a[i] += weight * log(sigma_t * sigma_t * transport_at(solution, r[i] * sigma_t).R.value);
+      by_a[i] += weight * log(sigma_t * sigma_t * isotropic_at(solution, r[i] * sigma_t).R.value);
     }
     for (int l = -3; k == 0 && l <= 3; l++) {
       for (size_t i = 0; i < n; i++) {
-        X[i] += weights[l + 3] / h * log(transport_at(solution, r[i] * own * exp(l * h)).R.value);
+        X[i] += weights[l + 3] / h * log(isotropic_at(solution, r[i] * own * exp(l * h)).R.value);
       }
     }
-    transport_solution_free(solution);
+    isotropic_solution_free(solution);
   }
-  transport_boundary_free(boundary);
+  isotropic_boundary_free(boundary);
 }
 
 UNIT_TEST(derivatives_of_transport_are_those_of_its_solutions) {

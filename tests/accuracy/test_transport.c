@@ -6,7 +6,7 @@
 #include <math.h>
 #include <pthread.h>
 
-#include "core/transport/transport.h"
+#include "tests/accuracy/isotropic/isotropic.h"
 #include "tests/bench/plain_walk.h"
 #include "tests/unit/unit.h"
 
@@ -15,22 +15,22 @@
 
 /* ---- solving ------------------------------------------------------------------------------ */
 
-static transport_boundary *boundary_for(double eta, double tolerance) {
-  transport_boundary *boundary;
-  unit_assert_fault(transport_boundary_create(&boundary, eta, tolerance), NULL, 0);
+static isotropic_boundary *boundary_for(double eta, double tolerance) {
+  isotropic_boundary *boundary;
+  unit_assert_fault(isotropic_boundary_create(&boundary, eta, tolerance), NULL, 0);
   return boundary;
 }
 
-static transport_solution *solve_with(transport_boundary *boundary, double albedo) {
-  transport_solution *solution;
-  unit_assert_fault(transport_solve(&solution, boundary, albedo), NULL, 0);
+static isotropic_solution *solve_with(isotropic_boundary *boundary, double albedo) {
+  isotropic_solution *solution;
+  unit_assert_fault(isotropic_solve(&solution, boundary, albedo), NULL, 0);
   return solution;
 }
 
-static transport_solution *solve(double eta, double albedo, double tolerance) {
-  transport_boundary *boundary = boundary_for(eta, tolerance);
-  transport_solution *solution = solve_with(boundary, albedo);
-  transport_boundary_free(boundary);
+static isotropic_solution *solve(double eta, double albedo, double tolerance) {
+  isotropic_boundary *boundary = boundary_for(eta, tolerance);
+  isotropic_solution *solution = solve_with(boundary, albedo);
+  isotropic_boundary_free(boundary);
   return solution;
 }
 
@@ -94,14 +94,14 @@ struct vector_worst {
   struct worst R, single, multiple, total;
 };
 
-static void compare_row(struct vector_worst *worst, const transport_solution *solution,
+static void compare_row(struct vector_worst *worst, const isotropic_solution *solution,
                         const double row[COLUMNS]) {
-  const transport_values values = transport_at(solution, row[RADIUS]);
+  const isotropic_values values = isotropic_at(solution, row[RADIUS]);
   compare(&worst->R, values.R, row[VALUE], row[ERROR] + PRINTED_DIGITS * row[VALUE]);
   compare(&worst->single, values.single, row[SINGLE], PRINTED_DIGITS * row[SINGLE]);
   compare(&worst->multiple, values.multiple, row[MULTIPLE],
           row[ERROR] + PRINTED_DIGITS * row[MULTIPLE]);
-  compare(&worst->total, transport_total(solution), row[TOTAL], PRINTED_TOTAL);
+  compare(&worst->total, isotropic_total(solution), row[TOTAL], PRINTED_TOTAL);
 }
 
 static void hold_vectors(const char *text, double tolerance) {
@@ -112,16 +112,16 @@ static void hold_vectors(const char *text, double tolerance) {
   char *copy = strdup(text);
   char *at = strchr(copy, '\n') + 1;
   double row[COLUMNS], before[COLUMNS] = {0};
-  transport_solution *solution = NULL;
+  isotropic_solution *solution = NULL;
   while (read_row(&at, row)) {
     if (row[ETA] != before[ETA] || row[ALBEDO] != before[ALBEDO]) {
-      transport_solution_free(solution);
+      isotropic_solution_free(solution);
       solution = solve(row[ETA], row[ALBEDO], tolerance);
     }
     compare_row(&worst, solution, row);
     memcpy(before, row, sizeof row);
   }
-  transport_solution_free(solution);
+  isotropic_solution_free(solution);
   free(copy);
   printf("tolerance %g\n", tolerance);
   assert_worst(&worst.R, tolerance);
@@ -161,14 +161,14 @@ UNIT_TEST(totals_hold) {
   for (size_t i = 0; i < 3; i++) {
     const double eta = total_etas[i];
     const double specular = (eta - 1) / (eta + 1) * ((eta - 1) / (eta + 1));
-    transport_boundary *boundary = boundary_for(eta, 1e-3);
+    isotropic_boundary *boundary = boundary_for(eta, 1e-3);
     for (size_t j = 0; j < sizeof known_totals / sizeof known_totals[0]; j++) {
-      transport_solution *solution = solve_with(boundary, known_totals[j][0]);
+      isotropic_solution *solution = solve_with(boundary, known_totals[j][0]);
       const double entered = (known_totals[j][i + 1] - specular) / (1 - specular);
-      compare(&worst, transport_total(solution), entered, 5.1e-12 / (1 - specular));
-      transport_solution_free(solution);
+      compare(&worst, isotropic_total(solution), entered, 5.1e-12 / (1 - specular));
+      isotropic_solution_free(solution);
     }
-    transport_boundary_free(boundary);
+    isotropic_boundary_free(boundary);
   }
   assert_worst(&worst, 1e-9);
 }
@@ -187,16 +187,16 @@ static const double unbounded_single[][2] = {
 UNIT_TEST(media_without_a_boundary_hold) {
   struct worst worst = {.what = "R at eta = 1"};
   for (size_t i = 0; i < 3; i++) {
-    transport_solution *solution = solve(1, unbounded_albedos[i], 1e-7);
+    isotropic_solution *solution = solve(1, unbounded_albedos[i], 1e-7);
     for (size_t j = 0; j < sizeof unbounded / sizeof unbounded[0]; j++) {
       const double truth = unbounded[j][i + 1];
-      compare(&worst, transport_at(solution, unbounded[j][0]).R, truth, 5.1e-8 * truth);
+      compare(&worst, isotropic_at(solution, unbounded[j][0]).R, truth, 5.1e-8 * truth);
     }
     for (size_t j = 0; i == 1 && j < 3; j++) {
       const double truth = unbounded_single[j][1];
-      compare(&worst, transport_at(solution, unbounded_single[j][0]).single, truth, 5.1e-8 * truth);
+      compare(&worst, isotropic_at(solution, unbounded_single[j][0]).single, truth, 5.1e-8 * truth);
     }
-    transport_solution_free(solution);
+    isotropic_solution_free(solution);
   }
   assert_worst(&worst, 1e-7);
 }
@@ -222,14 +222,14 @@ static const struct {
 };
 
 /* Rings: r_from, r_to, mean R, its relative standard error. Returns how many were held. */
-static size_t hold_rings(const char *text, const transport_solution *solution) {
+static size_t hold_rings(const char *text, const isotropic_solution *solution) {
   size_t rings = 0;
   for (const char *line = strstr(text, "r_from"); line != NULL; line = strchr(line, '\n')) {
     line += *line == '\n';
     double from, to, mean, sigma;
     if (sscanf(line, "%lf,%lf,%lf,%lf", &from, &to, &mean, &sigma) == 4 && sigma < MCML_SIGMA_MAX) {
       const double energy =
-          transport_at(solution, to).within.value - transport_at(solution, from).within.value;
+          isotropic_at(solution, to).within.value - isotropic_at(solution, from).within.value;
       const double R = energy / (PI * (to * to - from * from));
       if (fabs(mean / R - 1) > MCML_SIGMAS * sigma + MCML_SYSTEMATIC) {
         fail_msg("ring from %g to %g: MCML %g, transport %g", from, to, mean, R);
@@ -250,9 +250,9 @@ UNIT_TEST(mcml_agrees) {
       printf("skipped: there is no %s\n", path);
       skip();
     }
-    transport_solution *solution = solve(mcml[i].eta, 1 / (1 + mcml[i].ratio), 1e-5);
+    isotropic_solution *solution = solve(mcml[i].eta, 1 / (1 + mcml[i].ratio), 1e-5);
     rings += hold_rings(text, solution);
-    transport_solution_free(solution);
+    isotropic_solution_free(solution);
     free(text);
   }
   printf("%zu rings of MCML\n", rings);
@@ -290,15 +290,15 @@ UNIT_TEST(a_plain_walk_agrees) {
   for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
     transport_number walked[WALK_EDGES];
     walk(media[i][0], media[i][1], walked);
-    transport_solution *solution = solve(media[i][0], media[i][1], 1e-5);
+    isotropic_solution *solution = solve(media[i][0], media[i][1], 1e-5);
     for (size_t j = 0; j < WALK_EDGES; j++) {
-      const double within = transport_at(solution, walk_edges[j]).within.value;
+      const double within = isotropic_at(solution, walk_edges[j]).within.value;
       if (fabs(within - walked[j].value) > 4 * walked[j].error) {
         fail_msg("eta %g, albedo %g, within %g: walk %g +- %g, transport %g", media[i][0],
                  media[i][1], walk_edges[j], walked[j].value, walked[j].error, within);
       }
     }
-    transport_solution_free(solution);
+    isotropic_solution_free(solution);
   }
 }
 
@@ -309,10 +309,10 @@ UNIT_TEST(all_energy_leaves_where_none_is_absorbed) {
                                 1.001, 1.1, 1.3, 1.5, 1.8,   2.2,      3, 4};
   struct worst worst = {.what = "totals without absorption"};
   for (size_t i = 0; i < sizeof etas / sizeof etas[0]; i++) {
-    transport_solution *solution = solve(etas[i], 1, 1e-3);
-    compare(&worst, transport_total(solution), 1, 0);
-    assert_true(transport_at(solution, 100).within.value < 1);
-    transport_solution_free(solution);
+    isotropic_solution *solution = solve(etas[i], 1, 1e-3);
+    compare(&worst, isotropic_total(solution), 1, 0);
+    assert_true(isotropic_at(solution, 100).within.value < 1);
+    isotropic_solution_free(solution);
   }
   assert_worst(&worst, 1e-11);
 }
@@ -324,24 +324,24 @@ UNIT_TEST(energy_is_the_integral_of_R) {
   static const double gauss[][2] = {
       {0.5, 4.0 / 9}, {0.11270166537925831, 5.0 / 18}, {0.88729833462074169, 5.0 / 18}};
   for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
-    transport_solution *solution = solve(media[i][0], media[i][1], 1e-7);
-    double before = transport_at(solution, 1e-4).within.value;
+    isotropic_solution *solution = solve(media[i][0], media[i][1], 1e-7);
+    double before = isotropic_at(solution, 1e-4).within.value;
     for (double r = 1e-4; r < 20; r *= 1.05) {
       double energy = 0;
       for (size_t j = 0; j < 3; j++) {
         const double at = r * (1 + 0.05 * gauss[j][0]);
-        energy += gauss[j][1] * 0.05 * r * 2 * PI * at * transport_at(solution, at).R.value;
+        energy += gauss[j][1] * 0.05 * r * 2 * PI * at * isotropic_at(solution, at).R.value;
       }
-      const transport_number within = transport_at(solution, r * 1.05).within;
+      const transport_number within = isotropic_at(solution, r * 1.05).within;
       assert_true(within.value >= before - within.error);
       assert_true(fabs(within.value - before - energy) <= 1e-7 * energy + 2 * within.error);
       before = within.value;
     }
-    const transport_number total = transport_total(solution);
-    assert_true(transport_at(solution, INFINITY).within.value == total.value);
-    const transport_number all = transport_at(solution, 1e5).within;
+    const transport_number total = isotropic_total(solution);
+    assert_true(isotropic_at(solution, INFINITY).within.value == total.value);
+    const transport_number all = isotropic_at(solution, 1e5).within;
     assert_true(fabs(all.value - total.value) <= 1e-4);
-    transport_solution_free(solution);
+    isotropic_solution_free(solution);
   }
 }
 
@@ -353,11 +353,11 @@ enum { TOLERANCES = sizeof tolerances / sizeof tolerances[0] };
 
 /* Within the range that is asked for everywhere: to 30 mean free paths. */
 static void compare_solutions(struct worst worst[3], uint64_t *random,
-                              const transport_solution *solution, const transport_solution *truth) {
+                              const isotropic_solution *solution, const isotropic_solution *truth) {
   for (int i = 0; i < RADII; i++) {
     const double r = unit_random_log(random, 1e-3, 30);
-    const transport_values values = transport_at(solution, r);
-    const transport_values true_values = transport_at(truth, r);
+    const isotropic_values values = isotropic_at(solution, r);
+    const isotropic_values true_values = isotropic_at(truth, r);
     compare(&worst[0], values.R, true_values.R.value, true_values.R.error);
     compare(&worst[1], values.multiple, true_values.multiple.value, true_values.multiple.error);
     compare(&worst[2], values.within, true_values.within.value, true_values.within.error);
@@ -390,13 +390,13 @@ UNIT_TEST(estimates_are_honest) {
   for (int i = 0; i < MEDIA; i++) {
     double eta, albedo;
     random_medium(&random, i, &eta, &albedo);
-    transport_solution *truth = solve(eta, albedo, TRANSPORT_TOLERANCE_MIN);
+    isotropic_solution *truth = solve(eta, albedo, ISOTROPIC_TOLERANCE_MIN);
     for (size_t t = 0; t < TOLERANCES; t++) {
-      transport_solution *solution = solve(eta, albedo, tolerances[t]);
+      isotropic_solution *solution = solve(eta, albedo, tolerances[t]);
       compare_solutions(worst[t], &random, solution, truth);
-      transport_solution_free(solution);
+      isotropic_solution_free(solution);
     }
-    transport_solution_free(truth);
+    isotropic_solution_free(truth);
   }
   for (size_t t = 0; t < TOLERANCES; t++) {
     printf("tolerance %g\n", tolerances[t]);
@@ -412,19 +412,19 @@ UNIT_TEST(far_radii_are_honest) {
   static const double media[][2] = {{1.4, 0.2}, {1, 0.9}, {0.7, 0.999}};
   struct worst worst = {.what = "far radii: R"};
   for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
-    transport_solution *truth = solve(media[i][0], media[i][1], TRANSPORT_TOLERANCE_MIN);
-    transport_solution *solution = solve(media[i][0], media[i][1], 1e-4);
+    isotropic_solution *truth = solve(media[i][0], media[i][1], ISOTROPIC_TOLERANCE_MIN);
+    isotropic_solution *solution = solve(media[i][0], media[i][1], 1e-4);
     for (double r = 30; r < 1e4; r *= 1.1) {
-      const transport_number value = transport_at(solution, r).R;
-      const transport_number close = transport_at(truth, r).R;
+      const transport_number value = isotropic_at(solution, r).R;
+      const transport_number close = isotropic_at(truth, r).R;
       assert_true(isfinite(value.value) && value.value >= 0);
       assert_true(fabs(value.value - close.value) <= ESTIMATE_FACTOR * value.error + close.error);
       if (close.error < 1e-3 * close.value) {
         compare(&worst, value, close.value, close.error);
       }
     }
-    transport_solution_free(solution);
-    transport_solution_free(truth);
+    isotropic_solution_free(solution);
+    isotropic_solution_free(truth);
   }
   report(&worst);
   assert_true(worst.count >= 40 && worst.ratio <= ESTIMATE_FACTOR);
@@ -433,45 +433,45 @@ UNIT_TEST(far_radii_are_honest) {
 /* Near the source R is a T / (4 pi r) of light scattered once; what is scattered more often grows
  * like ln(1 / r), down to radii far below the finest wavelength that is solved for. */
 UNIT_TEST(the_source_has_its_limits) {
-  transport_solution *solution = solve(1.4, 0.9, 1e-7);
-  const double near = transport_at(solution, 1e-12).single.value * 1e-12;
-  const double nearer = transport_at(solution, 1e-15).single.value * 1e-15;
+  isotropic_solution *solution = solve(1.4, 0.9, 1e-7);
+  const double near = isotropic_at(solution, 1e-12).single.value * 1e-12;
+  const double nearer = isotropic_at(solution, 1e-15).single.value * 1e-15;
   assert_true(fabs(near / nearer - 1) < 1e-10);
   double slope = 0;
   for (double r = 1e-5; r > 1e-20; r /= 10) {
     const double step =
-        transport_at(solution, r / 10).multiple.value - transport_at(solution, r).multiple.value;
+        isotropic_at(solution, r / 10).multiple.value - isotropic_at(solution, r).multiple.value;
     assert_true(step > 0 && (slope == 0 || fabs(step / slope - 1) < 1e-3));
     slope = step;
   }
-  assert_true(isfinite(transport_at(solution, 1e-280).R.value));
-  transport_solution_free(solution);
+  assert_true(isfinite(isotropic_at(solution, 1e-280).R.value));
+  isotropic_solution_free(solution);
 }
 
 /* ---- inputs ------------------------------------------------------------------------------- */
 
 UNIT_TEST(bad_inputs_are_named) {
-  transport_boundary *boundary = NULL;
+  isotropic_boundary *boundary = NULL;
   static const double etas[] = {0, -1, 0.249, 4.01, NAN, INFINITY};
   for (size_t i = 0; i < sizeof etas / sizeof etas[0]; i++) {
-    unit_assert_fault(transport_boundary_create(&boundary, etas[i], 1e-5), "eta", 0);
+    unit_assert_fault(isotropic_boundary_create(&boundary, etas[i], 1e-5), "eta", 0);
     assert_null(boundary);
   }
   static const double bad_tolerances[] = {0, -1, 9e-10, 2e-3, NAN, INFINITY};
   for (size_t i = 0; i < sizeof bad_tolerances / sizeof bad_tolerances[0]; i++) {
-    unit_assert_fault(transport_boundary_create(&boundary, 1.4, bad_tolerances[i]), "tolerance", 0);
+    unit_assert_fault(isotropic_boundary_create(&boundary, 1.4, bad_tolerances[i]), "tolerance", 0);
     assert_null(boundary);
   }
   boundary = boundary_for(1.4, 1e-3);
   static const double albedos[] = {-1e-300, 1 + DBL_EPSILON, NAN, INFINITY, -INFINITY};
   for (size_t i = 0; i < sizeof albedos / sizeof albedos[0]; i++) {
-    transport_solution *solution;
-    unit_assert_fault(transport_solve(&solution, boundary, albedos[i]), "albedo", 0);
+    isotropic_solution *solution;
+    unit_assert_fault(isotropic_solve(&solution, boundary, albedos[i]), "albedo", 0);
     assert_null(solution);
   }
-  transport_boundary_free(boundary);
-  transport_boundary_free(NULL);
-  transport_solution_free(NULL);
+  isotropic_boundary_free(boundary);
+  isotropic_boundary_free(NULL);
+  isotropic_solution_free(NULL);
 }
 
 UNIT_TEST(extremes_end) {
@@ -480,43 +480,43 @@ UNIT_TEST(extremes_end) {
       0, 5e-324, 1e-300, 1e-10, 1e-3, 1 - 1e-10, 1 - 1e-15, 1 - DBL_EPSILON / 2, 1};
   static const double radii[] = {0, 5e-324, 1e-300, 1e-9, 1, 1e5, 1e8, 1e59, 1e61, DBL_MAX};
   for (size_t i = 0; i < 3; i++) {
-    transport_boundary *boundary = boundary_for(etas[i], 1e-3);
+    isotropic_boundary *boundary = boundary_for(etas[i], 1e-3);
     for (size_t j = 0; j < sizeof albedos / sizeof albedos[0]; j++) {
-      transport_solution *solution = solve_with(boundary, albedos[j]);
-      const double total = transport_total(solution).value;
+      isotropic_solution *solution = solve_with(boundary, albedos[j]);
+      const double total = isotropic_total(solution).value;
       assert_true(total >= 0 && total <= 1 + 1e-11 && (total > 0 || albedos[j] < 1e-300));
       for (size_t k = 0; k < sizeof radii / sizeof radii[0]; k++) {
-        const transport_values values = transport_at(solution, radii[k]);
+        const isotropic_values values = isotropic_at(solution, radii[k]);
         assert_true(values.R.value >= 0 && values.R.error >= 0);
         assert_true(values.within.value >= 0 && values.within.value <= total + values.within.error);
       }
-      const transport_values nowhere = transport_at(solution, INFINITY);
+      const isotropic_values nowhere = isotropic_at(solution, INFINITY);
       assert_true(nowhere.R.value == 0 && nowhere.R.error == 0);
       assert_true(nowhere.within.value == total);
-      transport_solution_free(solution);
+      isotropic_solution_free(solution);
     }
-    transport_boundary_free(boundary);
+    isotropic_boundary_free(boundary);
   }
 }
 
 /* ---- bits --------------------------------------------------------------------------------- */
 
 struct job {
-  transport_boundary *boundary;
+  isotropic_boundary *boundary;
   double albedo;
-  transport_solution *solution;
+  isotropic_solution *solution;
 };
 
 static void *run_job(void *argument) {
   struct job *job = argument;
-  const core_fault fault = transport_solve(&job->solution, job->boundary, job->albedo);
+  const core_fault fault = isotropic_solve(&job->solution, job->boundary, job->albedo);
   return fault.field == NULL ? job : NULL;
 }
 
-static void assert_same_bits(const transport_solution *one, const transport_solution *other) {
+static void assert_same_bits(const isotropic_solution *one, const isotropic_solution *other) {
   for (double r = 1e-4; r < 100; r *= 3) {
-    const transport_values a = transport_at(one, r);
-    const transport_values b = transport_at(other, r);
+    const isotropic_values a = isotropic_at(one, r);
+    const isotropic_values b = isotropic_at(other, r);
     assert_memory_equal(&a, &b, sizeof a);
   }
 }
@@ -525,7 +525,7 @@ static void assert_same_bits(const transport_solution *one, const transport_solu
 UNIT_TEST(threads_get_the_same_bits) {
   enum { JOBS = 4 };
   static const double albedos[JOBS] = {0.5, 0.9, 0.91, 0.5};
-  transport_boundary *shared = boundary_for(1.5, 1e-3);
+  isotropic_boundary *shared = boundary_for(1.5, 1e-3);
   struct job jobs[JOBS];
   pthread_t threads[JOBS];
   for (int i = 0; i < JOBS; i++) {
@@ -536,12 +536,12 @@ UNIT_TEST(threads_get_the_same_bits) {
     void *done;
     assert_int_equal(pthread_join(threads[i], &done), 0);
     assert_non_null(done);
-    transport_solution *alone = solve(1.5, albedos[i], 1e-3);
+    isotropic_solution *alone = solve(1.5, albedos[i], 1e-3);
     assert_same_bits(alone, jobs[i].solution);
-    transport_solution_free(alone);
-    transport_solution_free(jobs[i].solution);
+    isotropic_solution_free(alone);
+    isotropic_solution_free(jobs[i].solution);
   }
-  transport_boundary_free(shared);
+  isotropic_boundary_free(shared);
 }
 
 /* What this machine and compiler make is what any other made. */
@@ -551,12 +551,12 @@ UNIT_TEST(bits_are_the_same_everywhere) {
       {1, 0x1.7be9c17e90e1ep-7, 0x1.009e9811d0c1ep-3},
       {20, 0x1.d2ac929e0a916p-27, 0x1.07f0516d1909ap-2},
   };
-  transport_solution *solution = solve(1.4, 0.9, 1e-5);
+  isotropic_solution *solution = solve(1.4, 0.9, 1e-5);
   for (size_t i = 0; i < sizeof known / sizeof known[0]; i++) {
-    const transport_values values = transport_at(solution, known[i][0]);
+    const isotropic_values values = isotropic_at(solution, known[i][0]);
     if (values.R.value != known[i][1] || values.within.value != known[i][2]) {
       fail_msg("at r = %g: {%a, %a}", known[i][0], values.R.value, values.within.value);
     }
   }
-  transport_solution_free(solution);
+  isotropic_solution_free(solution);
 }

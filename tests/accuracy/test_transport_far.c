@@ -7,7 +7,7 @@
 
 #include "core/choose.h"
 #include "core/transport/decay.h"
-#include "core/transport/transport.h"
+#include "tests/accuracy/isotropic/isotropic.h"
 #include "tests/unit/unit.h"
 
 enum { ETAS = 4, MEDIA = 5, RADII = 40, REQUESTS = 40 };
@@ -24,23 +24,23 @@ static int compare(const void *a, const void *b) {
   return (x > y) - (x < y);
 }
 
-static void draw_truth(struct truth *truth, transport_boundary *boundary, double eta, double albedo,
+static void draw_truth(struct truth *truth, isotropic_boundary *boundary, double eta, double albedo,
                        uint64_t *random) {
   const double scale = unit_random_log(random, 0.1, 10), kappa = transport_kappa(albedo);
-  transport_solution *solution;
+  isotropic_solution *solution;
   *truth = (struct truth){.medium = {scale * (1 - albedo), scale * albedo, 0, eta}};
-  unit_assert_fault(transport_solve(&solution, boundary, albedo), NULL, 0);
+  unit_assert_fault(isotropic_solve(&solution, boundary, albedo), NULL, 0);
   for (size_t i = 0; i < RADII; i++) {
     truth->r[i] = (double)(float)(unit_random_log(random, 1, 105) / kappa / scale);
   }
   qsort(truth->r, RADII, sizeof truth->r[0], compare);
   for (size_t i = 0; i < RADII; i++) {
-    const transport_number R = transport_at(solution, truth->r[i] * scale).R;
+    const transport_number R = isotropic_at(solution, truth->r[i] * scale).R;
     truth->R[i] = R.value * scale * scale;
     truth->error = fmax(truth->error, R.error / R.value);
   }
   assert_true(truth->error < 1e-2);
-  transport_solution_free(solution);
+  isotropic_solution_free(solution);
 }
 
 /* The largest deviation of R at radii[first..last], over what is allowed of it. */
@@ -129,9 +129,9 @@ UNIT_TEST(the_error_that_is_stated_holds_far_away) {
   double most = 0, most_chosen = 0;
   size_t promises = 0;
   for (size_t e = 0; e < ETAS; e++) {
-    transport_boundary *boundary;
+    isotropic_boundary *boundary;
     const double eta = e == 0 ? 1.5 : unit_random_log(&random, 0.7, 2.2);
-    unit_assert_fault(transport_boundary_create_far(&boundary, eta, 1e-6), NULL, 0);
+    unit_assert_fault(isotropic_boundary_create_far(&boundary, eta, 1e-6), NULL, 0);
     for (size_t m = 0; m < MEDIA; m++) {
       const double albedo = e == 0 && m == 0 ? 0.65
                             : m % 2 == 0     ? unit_random_between(&random, 0.01, 0.95)
@@ -146,7 +146,7 @@ UNIT_TEST(the_error_that_is_stated_holds_far_away) {
         most_chosen = fmax(most_chosen, chosen(&truth, &random, &promises));
       }
     }
-    transport_boundary_free(boundary);
+    isotropic_boundary_free(boundary);
   }
   printf("largest error %.3f of what was stated, %.3f of %zu tolerances\n", most, most_chosen,
          promises);

@@ -5,7 +5,7 @@
 
 #include "core/kernels.h"
 #include "core/solver/solver.h"
-#include "core/transport/transport.h"
+#include "tests/accuracy/isotropic/isotropic.h"
 #include "tests/unit/unit.h"
 
 /* The wanted quantity at r of a profile, and the error that is stated there. */
@@ -47,18 +47,18 @@ static void expect(const core_profile *profile, enum core_quantity quantity, dou
   *worst = fmax(*worst, off / stated);
 }
 
-static transport_solution *solved(double ratio, double eta) {
-  transport_boundary *boundary;
-  transport_solution *solution;
-  unit_assert_fault(transport_boundary_create(&boundary, eta, 1e-8), NULL, 0);
-  unit_assert_fault(transport_solve(&solution, boundary, fmin(1 / (1 + ratio), 1 - 0x1p-53)), NULL,
+static isotropic_solution *solved(double ratio, double eta) {
+  isotropic_boundary *boundary;
+  isotropic_solution *solution;
+  unit_assert_fault(isotropic_boundary_create(&boundary, eta, 1e-8), NULL, 0);
+  unit_assert_fault(isotropic_solve(&solution, boundary, fmin(1 / (1 + ratio), 1 - 0x1p-53)), NULL,
                     0);
-  transport_boundary_free(boundary);
+  isotropic_boundary_free(boundary);
   return solution;
 }
 
-static double ln_R(const transport_solution *solution, double x) {
-  return log(transport_at(solution, x).R.value);
+static double ln_R(const isotropic_solution *solution, double x) {
+  return log(isotropic_at(solution, x).R.value);
 }
 
 UNIT_TEST(isotropic_media_are_as_the_independent_solver_has_them) {
@@ -66,11 +66,11 @@ UNIT_TEST(isotropic_media_are_as_the_independent_solver_has_them) {
   for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
     const double ratio = media[i][0], eta = media[i][1], albedo = 1 / (1 + ratio), h = 1e-3;
     core_profile profile = prepared(ratio, 0, eta, 1e-2);
-    transport_solution *truth = solved(ratio, eta);
-    transport_solution *above = solved(ratio * exp(h), eta), *below = solved(ratio * exp(-h), eta);
+    isotropic_solution *truth = solved(ratio, eta);
+    isotropic_solution *above = solved(ratio * exp(h), eta), *below = solved(ratio * exp(-h), eta);
     double worst = 0;
     for (double x = 1e-6; x < 3 * profile.reach.most_mm; x *= 2.5) {
-      const double R = transport_at(truth, x).R.value;
+      const double R = isotropic_at(truth, x).R.value;
       if (!(R > 1e-15)) {
         break;
       }
@@ -82,14 +82,14 @@ UNIT_TEST(isotropic_media_are_as_the_independent_solver_has_them) {
              &worst);
       expect(&profile, CORE_QUANTITY_BY_SIGMA_S, x, albedo * (2 + by_x) - by_ratio, false, &worst);
       expect(&profile, CORE_QUANTITY_CDF, x,
-             transport_at(truth, x).within.value / transport_total(truth).value, true, &worst);
+             isotropic_at(truth, x).within.value / isotropic_total(truth).value, true, &worst);
     }
-    assert_true(fabs(profile.albedo / (ratio > 0 ? transport_total(truth).value : 1) - 1) <=
+    assert_true(fabs(profile.albedo / (ratio > 0 ? isotropic_total(truth).value : 1) - 1) <=
                 profile.numerical_errors[CORE_MODEL_ERROR_BANDS]);
     printf("ratio %g, eta %g: %.2g of what is stated\n", ratio, eta, worst);
-    transport_solution_free(truth);
-    transport_solution_free(above);
-    transport_solution_free(below);
+    isotropic_solution_free(truth);
+    isotropic_solution_free(above);
+    isotropic_solution_free(below);
     core_profile_free(&profile);
   }
 }

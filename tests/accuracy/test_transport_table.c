@@ -4,7 +4,7 @@
 #include "core/kernels.h"
 #include "core/solver/solver.h"
 #include "core/transport/table.h"
-#include "core/transport/transport.h"
+#include "tests/accuracy/isotropic/isotropic.h"
 #include "tests/accuracy/vectors.h"
 #include "tests/unit/unit.h"
 
@@ -76,15 +76,15 @@ struct worsts {
   struct worst R, total, within;
 };
 
-static void compare_medium(struct worsts *worst, transport_boundary *boundary, double albedo,
+static void compare_medium(struct worsts *worst, isotropic_boundary *boundary, double albedo,
                            double eta, uint64_t *random) {
-  transport_solution *solution;
-  unit_assert_fault(transport_solve(&solution, boundary, albedo), NULL, 0);
+  isotropic_solution *solution;
+  unit_assert_fault(isotropic_solve(&solution, boundary, albedo), NULL, 0);
   core_preparation preparation = prepare(albedo, eta, 1e-4);
-  compare(&worst->total, preparation.albedo, transport_total(solution), albedo, eta, 0);
+  compare(&worst->total, preparation.albedo, isotropic_total(solution), albedo, eta, 0);
   for (int i = 0; i < RADII; i++) {
     const double x = i == 0 ? 0.001 : i == 1 ? 30 : unit_random_log(random, 1e-8, 1e4);
-    const transport_values truth = transport_at(solution, x);
+    const isotropic_values truth = isotropic_at(solution, x);
     if (truth.R.value > TRANSPORT_TABLE_R_LEAST) {
       const double R = evaluate(&preparation, CORE_ELEMENTWISE_R, x);
       const double cdf = evaluate(&preparation, CORE_ELEMENTWISE_CDF, x);
@@ -93,7 +93,7 @@ static void compare_medium(struct worsts *worst, transport_boundary *boundary, d
     }
   }
   free(preparation.table);
-  transport_solution_free(solution);
+  isotropic_solution_free(solution);
 }
 
 /* Draws an albedo. For even i the logarithm of 1 - albedo is uniform, for odd i that of the albedo.
@@ -111,13 +111,13 @@ UNIT_TEST(the_quoted_error_holds) {
     const double eta = e < sizeof fixed_etas / sizeof fixed_etas[0]
                            ? fixed_etas[e]
                            : unit_random_between(&random, 0.7, 2.2);
-    transport_boundary *boundary;
-    unit_assert_fault(transport_boundary_create(&boundary, eta, SOLVER_TOLERANCE), NULL, 0);
+    isotropic_boundary *boundary;
+    unit_assert_fault(isotropic_boundary_create(&boundary, eta, SOLVER_TOLERANCE), NULL, 0);
     for (size_t i = 0; i < ALBEDOS; i++) {
       const double albedo = i < 2 ? fixed_albedos[i] : random_albedo(&random, i);
       compare_medium(&worst, boundary, albedo, eta, &random);
     }
-    transport_boundary_free(boundary);
+    isotropic_boundary_free(boundary);
   }
   report("R", &worst.R);
   report("total", &worst.total);

@@ -42,8 +42,8 @@
 #include "core/ruler.h"
 #include "core/solver/solver.h"
 #include "core/splitmix.h"
-#include "core/transport/transport.h"
 #include "tests/accuracy/forms.h"
+#include "tests/accuracy/isotropic/isotropic.h"
 
 /* ---- random numbers ------------------------------------------------------------------------------ */
 
@@ -652,22 +652,22 @@ static int by_size(const void *a, const void *b) {
 }
 
 static bool solve(struct solved *solved, const core_medium *medium, uint64_t *random) {
-  transport_boundary *boundary;
-  transport_solution *solution = NULL;
-  if (transport_boundary_create(&boundary, medium->eta, 1e-6).field == NULL &&
-      transport_solve(&solution, boundary, medium->sigma_s_per_mm).field == NULL) {
+  isotropic_boundary *boundary;
+  isotropic_solution *solution = NULL;
+  if (isotropic_boundary_create(&boundary, medium->eta, 1e-6).field == NULL &&
+      isotropic_solve(&solution, boundary, medium->sigma_s_per_mm).field == NULL) {
     for (size_t i = 0; i < SOLVED; i++) {
       solved->r[i] = log_between(random, 0.005, 40);
     }
     qsort(solved->r, SOLVED, sizeof solved->r[0], by_size);
     for (size_t i = 0; i < SOLVED; i++) {
-      solved->R[i] = transport_at(solution, solved->r[i]).R.value;
+      solved->R[i] = isotropic_at(solution, solved->r[i]).R.value;
     }
-    solved->albedo = transport_total(solution).value;
+    solved->albedo = isotropic_total(solution).value;
   }
   const bool done = solution != NULL;
-  transport_solution_free(solution);
-  transport_boundary_free(boundary);
+  isotropic_solution_free(solution);
+  isotropic_boundary_free(boundary);
   return done;
 }
 

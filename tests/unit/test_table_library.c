@@ -5,9 +5,9 @@
 #include "core/lut/lut.h"
 #include "core/ruler.h"
 #include "core/transport/decay.h"
-#include "core/transport/transport.h"
 #include "proto/channels.h"
 #include "proto/table.h"
+#include "tests/accuracy/isotropic/isotropic.h"
 #include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
 
@@ -192,17 +192,17 @@ UNIT_TEST(tables_state_the_errors_of_their_profiles) {
  * further. */
 UNIT_TEST(errors_of_a_table_hold_far_away) {
   static const double decays[] = {20, 40, 60, 100}, albedos[] = {0.1, 0.65, 0.95, 0.9999};
-  transport_boundary *boundary;
+  isotropic_boundary *boundary;
   double most = 0;
-  unit_assert_fault(transport_boundary_create_far(&boundary, 1.5, 1e-6), NULL, 0);
+  unit_assert_fault(isotropic_boundary_create_far(&boundary, 1.5, 1e-6), NULL, 0);
   for (size_t i = 0; i < sizeof albedos / sizeof albedos[0]; i++) {
     made_table made = make("transport", (core_medium){1 - albedos[i], albedos[i], 0, 1.5});
     dipole_table *table = load(&made);
-    transport_solution *solution;
-    unit_assert_fault(transport_solve(&solution, boundary, albedos[i]), NULL, 0);
+    isotropic_solution *solution;
+    unit_assert_fault(isotropic_solve(&solution, boundary, albedos[i]), NULL, 0);
     for (size_t k = 0; k < sizeof decays / sizeof decays[0]; k++) {
       const float r = (float)(decays[k] / transport_kappa(albedos[i]));
-      const transport_number R = transport_at(solution, (double)r).R;
+      const transport_number R = isotropic_at(solution, (double)r).R;
       float found;
       dipole_errors errors;
       assert_true(dipole_table_values(table, DIPOLE_R, 1, &r, &found));
@@ -217,11 +217,11 @@ UNIT_TEST(errors_of_a_table_hold_far_away) {
       most = fmax(most, share);
       assert_true(errors.model_error == 0);
     }
-    transport_solution_free(solution);
+    isotropic_solution_free(solution);
     dipole_table_free(table);
     unmake(&made);
   }
-  transport_boundary_free(boundary);
+  isotropic_boundary_free(boundary);
   printf("largest error %.3f of what was stated\n", most);
   assert_true(most <= 1);
 }

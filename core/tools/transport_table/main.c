@@ -1,14 +1,6 @@
 /* transport-table FOLDER FILE: solves for the media of the table of core/transport/table.h, makes
  * the table, measures its error and writes it to FILE. It keeps solutions in FOLDER, so that an
- * interrupted run continues where it stopped. Every machine writes the same file.
- *
- * transport-table --kept FOLDER FILE: takes solutions from the table FILE itself at all points that it
- * was made from, solves for the checks, and makes R for g other than 0 anew, with its errors. Isotropic
- * scattering and all totals stay. The result is what a complete run would write, but for rounding of
- * some 1e-4.
- *
- * transport-table FILE: makes the totals for g other than 0 and their errors in FILE anew, which
- * takes a minute. The rest of FILE stays. The result is what a complete run would write. */
+ * interrupted run continues where it stopped. Every machine writes the same file. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -20,7 +12,6 @@
 #include "core/transport/decay.h"
 #include "core/transport/functions.h"
 #include "core/transport/table.h"
-#include "core/transport/transport.h"
 
 /* With these ends, g = 0 is one of Chebyshev's points in w: w(G_LEAST) / w(G_MOST) = -(1 - c) / (1
  * + c), c = sin(pi / 9). */
@@ -460,8 +451,6 @@ static void report_totals(const checks_result *result, const double *field) {
   }
 }
 
-/* ---- the ways to make it ----------------------------------------------------------------------- */
-
 static void open_bytes(transport_table *table, table_bytes bytes) {
   if (!transport_table_open(table, bytes.bytes, bytes.length)) {
     tools_fail("the table cannot be read");
@@ -482,7 +471,7 @@ static table_bytes make_all(const char *folder) {
   samples_solve(folder, samples, ALL);
   table_bytes bytes = nodes_encode(field, samples);
   nodes_seal(bytes, field);
-  nodes_encode_difference(&bytes, nodes_d, true);
+  nodes_encode_difference(&bytes, nodes_d);
   transport_table table;
   open_bytes(&table, bytes);
   const checks_result result = checks_compare(&table, checks, CHECKS + CHECKS_D);
@@ -500,78 +489,21 @@ static table_bytes make_all(const char *folder) {
   return bytes;
 }
 
-/* Reads a table. *table points into the bytes. */
-static table_bytes read_table(const char *path, transport_table *table) {
-  enum { BYTES_MAX = 1 << 22 };
-  table_bytes bytes = {malloc(BYTES_MAX), 0};
-  FILE *file = fopen(path, "rbe");
-  if (bytes.bytes == NULL || file == NULL) {
-    tools_fail("cannot read %s", path);
-  }
-  bytes.length = fread(bytes.bytes, 1, BYTES_MAX, file);
-  fclose(file);
-  open_bytes(table, bytes);
-  return bytes;
-}
-
-/* Reads a table and replaces its R for g other than 0. */
-static table_bytes make_difference(const char *folder, const char *path) {
-  enum { ALL = NODES_D + CHECKS_D };
-  static table_sample samples[ALL];
-  transport_table table;
-  table_bytes bytes = read_table(path, &table);
-  nodes_make_difference(table.field, samples);
-  checks_make_difference(table.field, samples + NODES_D);
-  for (size_t i = 0; i < NODES_D; i++) {
-    nodes_read_off(&table, &samples[i]);
-  }
-  samples_solve(folder, samples + NODES_D, CHECKS_D);
-  nodes_encode_difference(&bytes, samples, false);
-  transport_table_close(&table);
-  open_bytes(&table, bytes);
-  checks_result result = checks_compare(&table, samples + NODES_D, CHECKS_D);
-  set_errors_of_difference(table.field, &result);
-  nodes_seal(bytes, table.field);
-  report_difference(&result, table.field);
-  transport_table_close(&table);
-  for (size_t i = 0; i < ALL; i++) {
-    sample_free(&samples[i]);
-  }
-  return bytes;
-}
-
-/* Reads a table and replaces its totals for g other than 0, but for their errors. */
-static table_bytes make_totals(const char *path) {
-  transport_table table;
-  table_bytes bytes = read_table(path, &table);
-  table.field[TRANSPORT_TABLE_TOTALS_QUANTUM] = fields[TRANSPORT_TABLE_TOTALS_QUANTUM];
-  nodes_seal(bytes, table.field);
-  nodes_encode_difference(&bytes, NULL, true);
-  transport_table_close(&table);
-  return bytes;
-}
-
 int main(int argc, char **argv) {
-  const bool kept = argc == 4 && strcmp(argv[1], "--kept") == 0;
-  if (argc != 2 && argc != 3 && !kept) {
-    tools_fail("usage: transport-table [[--kept] FOLDER] FILE");
+  if (argc != 3) {
+    tools_fail("usage: transport-table FOLDER FILE");
   }
-  const char *path = argv[argc - 1];
-  table_bytes bytes = kept        ? make_difference(argv[2], path)
-                      : argc == 3 ? make_all(argv[1])
-                                  : make_totals(path);
+  table_bytes bytes = make_all(argv[1]);
   transport_table table;
   checks_result result = {0};
   open_bytes(&table, bytes);
-  if (!kept) {
-    totals_compare(&table, &result);
-    set_errors_of_totals(table.field, &result);
-    nodes_seal(bytes, table.field);
-    report_totals(&result, table.field);
-  }
-  FILE *file = tools_open(path);
+  totals_compare(&table, &result);
+  set_errors_of_totals(table.field, &result);
+  nodes_seal(bytes, table.field);
+  report_totals(&result, table.field);
+  FILE *file = tools_open(argv[2]);
   fwrite(bytes.bytes, bytes.length, 1, file);
-  tools_close(file, path);
+  tools_close(file, argv[2]);
   transport_table_close(&table);
   printf("transport.table: %zu bytes\n", bytes.length);
   free(bytes.bytes);

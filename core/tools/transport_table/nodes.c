@@ -156,17 +156,6 @@ static size_t sample_of(size_t l, size_t i) {
   return (l > NODES_D_G_ZERO ? l - 1 : l) * NODES_D_U + i;
 }
 
-void nodes_read_off(const transport_table *table, table_sample *sample) {
-  for (size_t j = 0; j < sample->media; j++) {
-    transport_series series;
-    transport_table_look_up(table, sample->albedo[j], sample->g, sample->eta[j], &series);
-    for (size_t k = j * sample->radii; k < (j + 1) * sample->radii; k++) {
-      const double y = fn_log(sample->x[k]);
-      sample->R[k] = fn_exp(transport_series_at(&series, y) - series.kappa * sample->x[k] - y);
-    }
-  }
-}
-
 static void make_node(const double *field, double g, double albedo, table_sample *sample) {
   sample_make(sample, g, NODES_D_V, first_radius(PANELS));
   sample->level = sample_level(g);
@@ -557,13 +546,7 @@ static void put_differences(table_bytes *writer, const transport_table *isotropi
   free(values);
 }
 
-static void put_bytes(table_bytes *writer, const uint8_t *begin, const uint8_t *end) {
-  for (; begin < end; begin++) {
-    put_byte(writer, *begin);
-  }
-}
-
-void nodes_encode_difference(table_bytes *table, const table_sample *samples, bool with_totals) {
+void nodes_encode_difference(table_bytes *table, const table_sample samples[NODES_D]) {
   transport_table isotropic;
   if (!transport_table_open(&isotropic, table->bytes, table->length)) {
     tools_fail("the table cannot be read");
@@ -572,19 +555,11 @@ void nodes_encode_difference(table_bytes *table, const table_sample *samples, bo
   table_bytes writer = {allocate(BYTES_MAX, 1), (size_t)(isotropic.side[SIDES] - table->bytes)};
   memcpy(writer.bytes, table->bytes, writer.length);
   for (enum transport_table_side side = 0; side < TRANSPORT_TABLE_SIDES; side++) {
-    if (with_totals) {
-      totals.side = side;
-      tools_each(tools_processors(), TOTALS_G * TOTALS_U, solve_totals, &totals);
-      put_totals(&writer, &totals, false);
-      put_totals(&writer, &totals, true);
-    } else {
-      put_bytes(&writer, isotropic.side[SIDES + side], isotropic.panels[SIDES + side]);
-    }
-    if (samples != NULL) {
-      put_differences(&writer, &isotropic, samples, side);
-    } else {
-      put_bytes(&writer, isotropic.panels[SIDES + side], isotropic.side[SIDES + side + 1]);
-    }
+    totals.side = side;
+    tools_each(tools_processors(), TOTALS_G * TOTALS_U, solve_totals, &totals);
+    put_totals(&writer, &totals, false);
+    put_totals(&writer, &totals, true);
+    put_differences(&writer, &isotropic, samples, side);
   }
   nodes_seal(writer, isotropic.field);
   transport_table_close(&isotropic);

@@ -24,9 +24,6 @@ enum {
 void nodes_make(const double *field, table_sample samples[NODES]);
 void nodes_make_difference(const double *field, table_sample samples[NODES_D]);
 
-/* Sets R of a sample to what a table has. */
-void nodes_read_off(const transport_table *table, table_sample *sample);
-
 /* Returns the albedo whose u is the middle between points i and i + 1 of NODES_D_U. */
 double nodes_albedo_between(const double *field, size_t i);
 
@@ -39,9 +36,8 @@ typedef struct table_bytes {
 /* Makes a table with the part for isotropic scattering. In it, D is 0. */
 table_bytes nodes_encode(const double *field, const table_sample samples[NODES]);
 
-/* Replaces D, whose samples are [NODES_D], or keeps it if they are NULL; and solves for the totals if
- * with_totals, else keeps them. */
-void nodes_encode_difference(table_bytes *table, const table_sample *samples, bool with_totals);
+/* Replaces D, and solves for the totals. */
+void nodes_encode_difference(table_bytes *table, const table_sample samples[NODES_D]);
 
 /* Writes the fields and the checksum into a table's bytes. */
 void nodes_seal(table_bytes table, const double *field);

@@ -7,7 +7,7 @@
 #include "core/solver/solver.h"
 #include "core/tools/tools.h"
 #include "core/transport/table.h"
-#include "core/transport/transport.h"
+#include "tests/accuracy/isotropic/isotropic.h"
 
 enum { PATH_MAX_BYTES = 1024 };
 
@@ -48,18 +48,18 @@ void sample_free(table_sample *sample) {
 }
 
 static void solve_isotropic(table_sample *sample) {
-  transport_boundary *boundary;
-  tools_check(transport_boundary_create(&boundary, sample->eta[0], TOLERANCE), "transport");
+  isotropic_boundary *boundary;
+  tools_check(isotropic_boundary_create(&boundary, sample->eta[0], TOLERANCE), "transport");
   for (size_t i = 0; i < sample->media; i++) {
-    transport_solution *solution;
-    tools_check(transport_solve(&solution, boundary, sample->albedo[i]), "transport");
-    sample->total[i] = transport_total(solution).value;
+    isotropic_solution *solution;
+    tools_check(isotropic_solve(&solution, boundary, sample->albedo[i]), "transport");
+    sample->total[i] = isotropic_total(solution).value;
     for (size_t j = i * sample->radii; j < (i + 1) * sample->radii; j++) {
-      sample->R[j] = transport_at(solution, sample->x[j]).R.value;
+      sample->R[j] = isotropic_at(solution, sample->x[j]).R.value;
     }
-    transport_solution_free(solution);
+    isotropic_solution_free(solution);
   }
-  transport_boundary_free(boundary);
+  isotropic_boundary_free(boundary);
 }
 
 /* Sets the exitances, see solver_solve_level(), or makes R from them if they are known. */

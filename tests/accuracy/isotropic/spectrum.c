@@ -19,7 +19,7 @@
  *
  * The code uses w = -i k r, with H0(kr) = -2 i / pi K0(w), H1(kr) = -2 / pi K1(w), i / k = r / w.
  */
-#include "core/transport/spectrum.h"
+#include "tests/accuracy/isotropic/spectrum.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -51,13 +51,13 @@
 
 /* ---- wavenumbers ---------------------------------------------------------------------------- */
 
-size_t transport_spectrum_level(double kappa) {
+size_t isotropic_spectrum_level(double kappa) {
   const double octaves = -fn_log(fmax(kappa, 1e-30) / LAMBDA_MAX) / LN2;
   const double level = LEVELS_PER_OCTAVE * octaves;
   return level < SPECTRUM_LEVEL_MAX ? (size_t)fmax(0, ceil(level)) : SPECTRUM_LEVEL_MAX;
 }
 
-double transport_spectrum_lambda(size_t level, double shrink) {
+double isotropic_spectrum_lambda(size_t level, double shrink) {
   return shrink * LAMBDA_MAX * fn_exp(-LN2 / LEVELS_PER_OCTAVE * (double)level);
 }
 
@@ -80,15 +80,15 @@ static void choose_contour(spectrum_grid *grid, const spectrum_rules *rules, dou
   grid->n = steps < SPECTRUM_POINTS_MAX ? (size_t)steps : SPECTRUM_POINTS_MAX;
 }
 
-void transport_spectrum_rules(spectrum_rules *rules, double eta, double accuracy,
+void isotropic_spectrum_rules(spectrum_rules *rules, double eta, double accuracy,
                               double reach_decays) {
   rules->accuracy = accuracy;
   rules->reach_decays = reach_decays;
-  transport_nodes_rules(&rules->near, eta, fmax(ACCURACY_MIN, accuracy / NEAR_FINER));
-  transport_nodes_rules(&rules->far, eta, accuracy);
+  isotropic_nodes_rules(&rules->near, eta, fmax(ACCURACY_MIN, accuracy / NEAR_FINER));
+  isotropic_nodes_rules(&rules->far, eta, accuracy);
 }
 
-spectrum_grid *transport_grid_new(const spectrum_rules *rules, double lambda) {
+spectrum_grid *isotropic_grid_new(const spectrum_rules *rules, double lambda) {
   spectrum_grid *grid = malloc(sizeof *grid);
   if (grid == NULL) {
     return NULL;
@@ -98,19 +98,19 @@ spectrum_grid *transport_grid_new(const spectrum_rules *rules, double lambda) {
     double complex dk;
     const double complex k = wavenumber(grid, j, &dk);
     const nodes_rules *at_k = fn_abs(k) < K_NEAR ? &rules->near : &rules->far;
-    if (!transport_equation_make(&grid->equations[j], at_k, k)) {
+    if (!isotropic_equation_make(&grid->equations[j], at_k, k)) {
       grid->n = j;
-      transport_grid_free(grid);
+      isotropic_grid_free(grid);
       return NULL;
     }
   }
   return grid;
 }
 
-void transport_grid_free(spectrum_grid *of) {
+void isotropic_grid_free(spectrum_grid *of) {
   if (of != NULL) {
     for (size_t j = 0; j < of->n; j++) {
-      transport_equation_free(&of->equations[j]);
+      isotropic_equation_free(&of->equations[j]);
     }
     free(of);
   }
@@ -150,7 +150,7 @@ static double complex asymptote_at(const struct asymptote *fit, double complex k
   return (fit->far + (fit->b * fn_clog(k) + fit->c) * by_k) * by_k * by_k;
 }
 
-bool transport_spectrum_make(spectrum *to, const spectrum_grid *grid, transport_work *work,
+bool isotropic_spectrum_make(spectrum *to, const spectrum_grid *grid, isotropic_work *work,
                              double albedo, double kappa) {
   double complex exitance[SPECTRUM_POINTS_MAX];
   double complex dk;
@@ -160,7 +160,7 @@ bool transport_spectrum_make(spectrum *to, const spectrum_grid *grid, transport_
   for (size_t j = 0; j < grid->n; j++) {
     to->k[j] = wavenumber(grid, j, &dk);
     if (!(j == 0 && cut_through) &&
-        !transport_equation_solve(&grid->equations[j], work, albedo, kappa, &exitance[j])) {
+        !isotropic_equation_solve(&grid->equations[j], work, albedo, kappa, &exitance[j])) {
       return false;
     }
     to->weighted[j] = exitance[j] * dk;
@@ -210,7 +210,7 @@ static spectrum_values sum_at(const spectrum *of, double r) {
 }
 
 /* Since X -> far / k^2 for large k, R(r) - R(r0) -> far / (2 pi) ln(r0 / r) as r and r0 go to 0. */
-spectrum_values transport_spectrum_at(const spectrum *of, double r) {
+spectrum_values isotropic_spectrum_at(const spectrum *of, double r) {
   if (r >= R_LIMIT) {
     return sum_at(of, r);
   }

@@ -25,14 +25,14 @@
  * / (1 + p). The code leaves this part out of each term, because for large k it is by far the
  * larger part.
  */
-#include "core/transport/equation.h"
+#include "tests/accuracy/isotropic/equation.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "core/transport/functions.h"
-#include "core/transport/h_function.h"
+#include "tests/accuracy/isotropic/h_function.h"
 
 /* Pivots are added until the rest of the kernel, weighed as in choose_pivots(), is at most this
  * times the accuracy. Comparisons with the full system show that the exitance is then off by less
@@ -80,21 +80,21 @@ static bool choose_pivots(equation *to) {
   return true;
 }
 
-bool transport_equation_make(equation *to, const nodes_rules *rules, double complex k) {
+bool isotropic_equation_make(equation *to, const nodes_rules *rules, double complex k) {
   to->k = k;
   to->accuracy = rules->accuracy;
-  if (!transport_nodes_make(&to->nodes, rules, k)) {
+  if (!isotropic_nodes_make(&to->nodes, rules, k)) {
     return false;
   }
   if (!choose_pivots(to)) {
-    transport_nodes_free(&to->nodes);
+    isotropic_nodes_free(&to->nodes);
     return false;
   }
   return true;
 }
 
-void transport_equation_free(equation *of) {
-  transport_nodes_free(&of->nodes);
+void isotropic_equation_free(equation *of) {
+  isotropic_nodes_free(&of->nodes);
 }
 
 /* ---- the unknowns' equation ----------------------------------------------------------------- */
@@ -103,7 +103,7 @@ void transport_equation_free(equation *of) {
  * zeros to a multiple of GROUP. */
 enum { GROUP = 4, RANK_PADDED = (EQUATION_RANK_MAX + GROUP - 1) / GROUP * GROUP };
 
-struct transport_work {
+struct isotropic_work {
   h_function *h;
   size_t nodes_reserved;
   size_t cells_reserved; /* number of nodes times number of functions phi */
@@ -118,25 +118,25 @@ struct transport_work {
   double complex exit[RANK_PADDED]; /* sum of exit H phi_l */
 };
 
-transport_work *transport_work_new(void) {
-  transport_work *work = calloc(1, sizeof *work);
-  if (work != NULL && (work->h = transport_h_new()) == NULL) {
+isotropic_work *isotropic_work_new(void) {
+  isotropic_work *work = calloc(1, sizeof *work);
+  if (work != NULL && (work->h = isotropic_h_new()) == NULL) {
     free(work);
     return NULL;
   }
   return work;
 }
 
-void transport_work_free(transport_work *of) {
+void isotropic_work_free(isotropic_work *of) {
   if (of != NULL) {
-    transport_h_free(of->h);
+    isotropic_h_free(of->h);
     free(of->log_h);
     free(of->phi_re);
     free(of);
   }
 }
 
-static bool reserve(transport_work *work, size_t count, size_t padded) {
+static bool reserve(isotropic_work *work, size_t count, size_t padded) {
   if (count > work->nodes_reserved) {
     double complex *log_h = realloc(work->log_h, (count + 1) * sizeof *log_h);
     if (log_h == NULL) {
@@ -162,7 +162,7 @@ static bool reserve(transport_work *work, size_t count, size_t padded) {
 }
 
 /* Fills a row for each node with phi_l, and another one with kernel H^2 phi_l. */
-static void fill_rows(const equation *of, transport_work *work, size_t padded) {
+static void fill_rows(const equation *of, isotropic_work *work, size_t padded) {
   const nodes *at = &of->nodes;
   double complex q[RANK_PADDED], root[RANK_PADDED];
   for (size_t l = 0; l < of->rank; l++) {
@@ -190,7 +190,7 @@ static void fill_rows(const equation *of, transport_work *work, size_t padded) {
 
 /* Computes rows l and l + 1 of the matrix 1 - a B, columns m to m + GROUP - 1, and their mirror
  * images. */
-static void fill_tile(transport_work *work, size_t n, size_t padded, double albedo, size_t l,
+static void fill_tile(isotropic_work *work, size_t n, size_t padded, double albedo, size_t l,
                       size_t m) {
   double re[2][GROUP] = {{0}}, im[2][GROUP] = {{0}};
   for (size_t i = 0; i < n; i++) {
@@ -215,7 +215,7 @@ static void fill_tile(transport_work *work, size_t n, size_t padded, double albe
   }
 }
 
-static void fill_matrix(transport_work *work, size_t n, size_t padded, double albedo) {
+static void fill_matrix(isotropic_work *work, size_t n, size_t padded, double albedo) {
   for (size_t l = 0; l < padded; l += 2) {
     for (size_t m = l / GROUP * GROUP; m < padded; m += GROUP) {
       fill_tile(work, n, padded, albedo, l, m);
@@ -225,7 +225,7 @@ static void fill_matrix(transport_work *work, size_t n, size_t padded, double al
 
 /* Subtracts factor times row `from` from row `to`, from the column `first`, rounded down to a
  * multiple of GROUP, on. Nothing uses the columns before `first` any more. */
-static void subtract_row(transport_work *work, size_t padded, size_t to, size_t from, size_t first,
+static void subtract_row(isotropic_work *work, size_t padded, size_t to, size_t from, size_t first,
                          double complex factor) {
   const double re = creal(factor);
   const double im = cimag(factor);
@@ -240,11 +240,11 @@ static void subtract_row(transport_work *work, size_t padded, size_t to, size_t 
   work->right[to] -= factor * work->right[from];
 }
 
-static double complex element(const transport_work *work, size_t l, size_t m) {
+static double complex element(const isotropic_work *work, size_t l, size_t m) {
   return CMPLX(work->matrix_re[l][m], work->matrix_im[l][m]);
 }
 
-static void swap_rows(transport_work *work, size_t padded, size_t one, size_t other) {
+static void swap_rows(isotropic_work *work, size_t padded, size_t one, size_t other) {
   for (size_t m = 0; m < padded; m++) {
     const double re = work->matrix_re[one][m];
     const double im = work->matrix_im[one][m];
@@ -261,7 +261,7 @@ static void swap_rows(transport_work *work, size_t padded, size_t one, size_t ot
 /* Solves the system by Gauss's elimination with partial pivoting; work->right becomes the solution.
  * With some tens of unknowns no library would be faster, and a library's bits would differ between
  * machines. */
-static void eliminate(transport_work *work, size_t rank, size_t padded) {
+static void eliminate(isotropic_work *work, size_t rank, size_t padded) {
   for (size_t column = 0; column < rank; column++) {
     size_t largest = column;
     for (size_t l = column + 1; l < rank; l++) {
@@ -293,7 +293,7 @@ static void eliminate(transport_work *work, size_t rank, size_t padded) {
  *   sum of exit [H(p) a H(1) / (1 + p) - a / (1 + p)]
  *     = sum of exit a / (1 + p) [h(p) H(1) + h(1)].
  */
-static double complex first_terms(const equation *of, const transport_work *work, double albedo) {
+static double complex first_terms(const equation *of, const isotropic_work *work, double albedo) {
   const nodes *at = &of->nodes;
   const double complex h_1 = fn_cexpm1(work->log_h[at->n]);
   double complex sum = 0;
@@ -307,7 +307,7 @@ static double complex first_terms(const equation *of, const transport_work *work
 }
 
 /* Sets work->right to b_l and work->exit to the sums of exit H phi_l. */
-static void fill_vectors(const equation *of, transport_work *work, size_t padded, double albedo) {
+static void fill_vectors(const equation *of, isotropic_work *work, size_t padded, double albedo) {
   const nodes *at = &of->nodes;
   const double complex h_1 = fn_cexp(work->log_h[at->n]);
   memset(work->right, 0, sizeof work->right);
@@ -323,7 +323,7 @@ static void fill_vectors(const equation *of, transport_work *work, size_t padded
   }
 }
 
-bool transport_equation_solve(const equation *of, transport_work *work, double albedo, double kappa,
+bool isotropic_equation_solve(const equation *of, isotropic_work *work, double albedo, double kappa,
                               double complex *exitance) {
   const nodes *at = &of->nodes;
   const size_t padded = (of->rank + GROUP - 1) / GROUP * GROUP;
@@ -335,9 +335,9 @@ bool transport_equation_solve(const equation *of, transport_work *work, double a
     p_max = fmax(p_max, sqrt(fn_norm2(at->p[i])));
   }
   const double complex source = 1;
-  transport_h_set(work->h, albedo, kappa, of->k, p_max, of->accuracy);
-  transport_h_log(work->h, at->n, at->p, work->log_h);
-  transport_h_log(work->h, 1, &source, work->log_h + at->n);
+  isotropic_h_set(work->h, albedo, kappa, of->k, p_max, of->accuracy);
+  isotropic_h_log(work->h, at->n, at->p, work->log_h);
+  isotropic_h_log(work->h, 1, &source, work->log_h + at->n);
   *exitance = first_terms(of, work, albedo);
   if (of->rank > 0) {
     fill_rows(of, work, padded);

@@ -1,13 +1,13 @@
 /* spectrum: the wavenumbers of a path, the exitance at them, and the transform back to radii. */
-#ifndef DIPOLED_CORE_TRANSPORT_SPECTRUM_H
-#define DIPOLED_CORE_TRANSPORT_SPECTRUM_H
+#ifndef DIPOLED_TESTS_ISOTROPIC_SPECTRUM_H
+#define DIPOLED_TESTS_ISOTROPIC_SPECTRUM_H
 
 #include <complex.h>
 #include <stdbool.h>
 #include <stddef.h>
 
-#include "core/transport/equation.h"
-#include "core/transport/nodes.h"
+#include "tests/accuracy/isotropic/equation.h"
+#include "tests/accuracy/isotropic/nodes.h"
 
 enum {
   SPECTRUM_POINTS_MAX = 640,
@@ -23,7 +23,7 @@ typedef struct spectrum_rules {
   nodes_rules far;
 } spectrum_rules;
 
-void transport_spectrum_rules(spectrum_rules *rules, double eta, double accuracy,
+void isotropic_spectrum_rules(spectrum_rules *rules, double eta, double accuracy,
                               double reach_decays);
 
 /* The wavenumbers of a path, each with its equation for one eta and accuracy. */
@@ -36,17 +36,17 @@ typedef struct spectrum_grid {
 } spectrum_grid;
 
 /* Returns the level of media with this kappa (see transport_kappa()), 0 to SPECTRUM_LEVEL_MAX. */
-size_t transport_spectrum_level(double kappa);
+size_t isotropic_spectrum_level(double kappa);
 
 /* Returns lambda for a level, times shrink, 0.5 to 1: another value gives another path, to compare
  * with. */
-double transport_spectrum_lambda(size_t level, double shrink);
+double isotropic_spectrum_lambda(size_t level, double shrink);
 
-/* Makes a grid, which the caller frees with transport_grid_free(), or returns NULL if memory runs
+/* Makes a grid, which the caller frees with isotropic_grid_free(), or returns NULL if memory runs
  * out. lambda: at most the kappa of the media; the nearer it is to kappa, the more digits R keeps
  * far away. */
-spectrum_grid *transport_grid_new(const spectrum_rules *rules, double lambda);
-void transport_grid_free(spectrum_grid *of);
+spectrum_grid *isotropic_grid_new(const spectrum_rules *rules, double lambda);
+void isotropic_grid_free(spectrum_grid *of);
 
 /* The exitance of light scattered more than once, at the grid's wavenumbers and beyond. */
 typedef struct spectrum {
@@ -59,7 +59,7 @@ typedef struct spectrum {
 
 /* Sets *to to the spectrum of one medium. albedo: in (0, 1]; kappa: transport_kappa(albedo), which
  * is of the level that the grid was made for. Returns false if memory runs out. */
-bool transport_spectrum_make(spectrum *to, const spectrum_grid *grid, transport_work *work,
+bool isotropic_spectrum_make(spectrum *to, const spectrum_grid *grid, isotropic_work *work,
                              double albedo, double kappa);
 
 /* Light scattered more than once, at a radius r: R per squared mean free path, and energies per
@@ -71,6 +71,6 @@ typedef struct spectrum_values {
   double beyond;     /* energy beyond r, accurate for large r */
 } spectrum_values;
 
-spectrum_values transport_spectrum_at(const spectrum *of, double r);
+spectrum_values isotropic_spectrum_at(const spectrum *of, double r);
 
 #endif

@@ -14,7 +14,7 @@
  *   ln H(p) = -(h / 2 pi) sum over all j of p L(w_j) w'_j / (p^2 + w_j^2)
  *             + L(i p) / (e^(-2 pi i y* / h) - 1),     sinh(y*) = i p / sigma.
  */
-#include "core/transport/h_function.h"
+#include "tests/accuracy/isotropic/h_function.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -44,7 +44,7 @@ struct h_function {
 };
 
 /* Returns ln(1 - a atan(Q) / Q) from Q^2. The principal branch of atan has its cut along Q^2 < -1.
- * This function turns the cut by 2 cut > 0 about Q^2 = -1, as far as transport_h_set() turns the
+ * This function turns the cut by 2 cut > 0 about Q^2 = -1, as far as isotropic_h_set() turns the
  * line w: between the old cut and the new one it uses another branch of atan. Near Q = 0, where a
  * may be 1, it uses a series for 1 - atan(Q) / Q. */
 static double complex dispersion(double albedo, double complex q2, double cut) {
@@ -64,15 +64,15 @@ static double complex dispersion(double albedo, double complex q2, double cut) {
   return fn_clog(1 - albedo * angle * fn_inverse(q));
 }
 
-h_function *transport_h_new(void) {
+h_function *isotropic_h_new(void) {
   return malloc(sizeof(h_function));
 }
 
-void transport_h_free(h_function *of) {
+void isotropic_h_free(h_function *of) {
   free(of);
 }
 
-void transport_h_set(h_function *to, double albedo, double kappa, double complex k, double p_max,
+void isotropic_h_set(h_function *to, double albedo, double kappa, double complex k, double p_max,
                      double accuracy) {
   const double complex log_p0 = 0.5 * fn_clog(k * k + kappa * kappa);
   const double scale = fn_exp(creal(log_p0));
@@ -141,7 +141,7 @@ static double complex pole(const h_function *of, double complex p) {
   return dispersion(of->albedo, of->k * of->k - p * p, of->cut) * fn_inverse(fn_cexpm1(exponent));
 }
 
-void transport_h_log(const h_function *of, size_t n, const double complex *p,
+void isotropic_h_log(const h_function *of, size_t n, const double complex *p,
                      double complex *log_h) {
   for (size_t from = 0; from < n; from += LANES) {
     line_sums(of, n - from < LANES ? n - from : LANES, p + from, log_h + from);

@@ -1,4 +1,4 @@
-#include "core/transport/nodes.h"
+#include "tests/accuracy/isotropic/nodes.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -43,7 +43,7 @@ static double nearness(double eta) {
   return eta == 1 ? 0 : fn_log(1 + 1 / sqrt(fabs((eta - 1) * (eta + 1))));
 }
 
-void transport_nodes_rules(nodes_rules *rules, double eta, double accuracy) {
+void isotropic_nodes_rules(nodes_rules *rules, double eta, double accuracy) {
   const double digits = -fn_log(accuracy);
   const double for_root = 6 + 0.6 * digits;
   rules->eta = eta;
@@ -312,7 +312,7 @@ static void add_arc(nodes *to, const nodes_rules *rules, double complex k, int s
 
 /* ---- all of them ---------------------------------------------------------------------------- */
 
-bool transport_nodes_make(nodes *to, const nodes_rules *rules, double complex k) {
+bool isotropic_nodes_make(nodes *to, const nodes_rules *rules, double complex k) {
   const bool chords = rules->eta != 1 && fn_abs(k) < CHORDS_UP_TO;
   gauss_rule path; /* rule for each arc, or for all of X if eta is 1 */
   transport_gauss(&path, arc_points(rules, k));
@@ -337,7 +337,7 @@ bool transport_nodes_make(nodes *to, const nodes_rules *rules, double complex k)
   return true;
 }
 
-void transport_nodes_free(nodes *of) {
+void isotropic_nodes_free(nodes *of) {
   free(of->p);
   *of = (nodes){0, NULL, NULL, NULL};
 }

@@ -12,8 +12,8 @@
  * reflects is K - K_T. The weights `kernel` represent it and the weights `exit` represent X: K -
  * K_T = sum of kernel[i] e^(-p[i] t) and X = sum of exit[i] e^(-p[i] t).
  */
-#ifndef DIPOLED_CORE_TRANSPORT_NODES_H
-#define DIPOLED_CORE_TRANSPORT_NODES_H
+#ifndef DIPOLED_TESTS_ISOTROPIC_NODES_H
+#define DIPOLED_TESTS_ISOTROPIC_NODES_H
 
 #include <complex.h>
 #include <stdbool.h>
@@ -39,14 +39,14 @@ typedef struct nodes {
 } nodes;
 
 /* Sets *rules up. eta: 0.05 to 20; accuracy: 1e-14 to 1e-2. */
-void transport_nodes_rules(nodes_rules *rules, double eta, double accuracy);
+void isotropic_nodes_rules(nodes_rules *rules, double eta, double accuracy);
 
 /* Makes the nodes for the wavenumber k, in radians per mean free path. k lies in the first
  * quadrant, with Im k < 1 or Re k > Im k / 3. No two of the decay rates have the sum 0. The caller
- * frees the arrays, which are one block, with transport_nodes_free(). Returns false if memory runs
+ * frees the arrays, which are one block, with isotropic_nodes_free(). Returns false if memory runs
  * out; then there is nothing to free. */
-bool transport_nodes_make(nodes *to, const nodes_rules *rules, double complex k);
+bool isotropic_nodes_make(nodes *to, const nodes_rules *rules, double complex k);
 
-void transport_nodes_free(nodes *of);
+void isotropic_nodes_free(nodes *of);
 
 #endif

@@ -1,6 +1,6 @@
 /* The solver computes every number twice, on two contours with two sets of nodes. The finer one is
  * the answer, and SAFETY times their difference is the error estimate. */
-#include "core/transport/transport.h"
+#include "tests/accuracy/isotropic/isotropic.h"
 
 #include <assert.h>
 #include <math.h>
@@ -8,11 +8,11 @@
 #include <stdlib.h>
 
 #include "core/transport/decay.h"
-#include "core/transport/equation.h"
 #include "core/transport/functions.h"
-#include "core/transport/nodes.h"
 #include "core/transport/single.h"
-#include "core/transport/spectrum.h"
+#include "tests/accuracy/isotropic/equation.h"
+#include "tests/accuracy/isotropic/nodes.h"
+#include "tests/accuracy/isotropic/spectrum.h"
 
 #define ETA_ALLOWED "from 0.25 to 4"
 #define TOLERANCE_ALLOWED "from 1e-9 to 1e-3"
@@ -44,7 +44,7 @@ struct totals {
   single_rule single[BOTH];
 };
 
-struct transport_boundary {
+struct isotropic_boundary {
   double reach_decays;
   spectrum_rules rules[BOTH];
   struct totals totals;
@@ -58,16 +58,16 @@ static const core_fault memory_fault = {"memory", MEMORY_ALLOWED, 0};
 static bool make_totals(struct totals *totals, double eta) {
   bool made = true;
   for (size_t i = 0; i < BOTH; i++) {
-    transport_nodes_rules(&totals->rules[i], eta, total_accuracy[i]);
+    isotropic_nodes_rules(&totals->rules[i], eta, total_accuracy[i]);
     transport_single_rule(&totals->single[i], eta, 1, single_step[i]);
-    made &= transport_equation_make(&totals->equation[i], &totals->rules[i], K_TOTAL);
+    made &= isotropic_equation_make(&totals->equation[i], &totals->rules[i], K_TOTAL);
   }
   return made;
 }
 
 static void free_totals(struct totals *totals) {
   for (size_t i = 0; i < BOTH; i++) {
-    transport_equation_free(&totals->equation[i]);
+    isotropic_equation_free(&totals->equation[i]);
   }
 }
 
@@ -75,53 +75,53 @@ static core_fault check_boundary(double eta, double tolerance) {
   if (!(eta >= TRANSPORT_ETA_MIN && eta <= TRANSPORT_ETA_MAX)) {
     return (core_fault){"eta", ETA_ALLOWED, 0};
   }
-  if (!(tolerance >= TRANSPORT_TOLERANCE_MIN && tolerance <= TRANSPORT_TOLERANCE_MAX)) {
+  if (!(tolerance >= ISOTROPIC_TOLERANCE_MIN && tolerance <= ISOTROPIC_TOLERANCE_MAX)) {
     return (core_fault){"tolerance", TOLERANCE_ALLOWED, 0};
   }
   return no_fault;
 }
 
-static core_fault create(transport_boundary **boundary, double eta, double tolerance,
+static core_fault create(isotropic_boundary **boundary, double eta, double tolerance,
                          double reach_decays) {
   *boundary = NULL;
   const core_fault fault = check_boundary(eta, tolerance);
   if (fault.field != NULL) {
     return fault;
   }
-  transport_boundary *made = calloc(1, sizeof *made);
+  isotropic_boundary *made = calloc(1, sizeof *made);
   if (made == NULL) {
     return memory_fault;
   }
   made->reach_decays = reach_decays;
   pthread_mutex_init(&made->lock, NULL);
   for (size_t i = 0; i < BOTH; i++) {
-    transport_spectrum_rules(&made->rules[i], eta, tolerance / finer[i], reach_decays);
+    isotropic_spectrum_rules(&made->rules[i], eta, tolerance / finer[i], reach_decays);
   }
   if (!make_totals(&made->totals, eta)) {
-    transport_boundary_free(made);
+    isotropic_boundary_free(made);
     return memory_fault;
   }
   *boundary = made;
   return no_fault;
 }
 
-core_fault transport_boundary_create(transport_boundary **boundary, double eta, double tolerance) {
-  return create(boundary, eta, tolerance, TRANSPORT_REACH_DECAYS);
+core_fault isotropic_boundary_create(isotropic_boundary **boundary, double eta, double tolerance) {
+  return create(boundary, eta, tolerance, ISOTROPIC_REACH_DECAYS);
 }
 
-core_fault transport_boundary_create_far(transport_boundary **boundary, double eta,
+core_fault isotropic_boundary_create_far(isotropic_boundary **boundary, double eta,
                                          double tolerance) {
-  return create(boundary, eta, tolerance, TRANSPORT_REACH_DECAYS_FAR);
+  return create(boundary, eta, tolerance, ISOTROPIC_REACH_DECAYS_FAR);
 }
 
-void transport_boundary_free(transport_boundary *boundary) {
+void isotropic_boundary_free(isotropic_boundary *boundary) {
   if (boundary == NULL) {
     return;
   }
   free_totals(&boundary->totals);
   for (size_t i = 0; i < BOTH; i++) {
     for (size_t level = 0; level <= SPECTRUM_LEVEL_MAX; level++) {
-      transport_grid_free(boundary->grids[level][i]);
+      isotropic_grid_free(boundary->grids[level][i]);
     }
   }
   pthread_mutex_destroy(&boundary->lock);
@@ -130,11 +130,11 @@ void transport_boundary_free(transport_boundary *boundary) {
 
 /* Returns the grid of a level, and makes it on the first call for that level. Returns NULL if
  * memory runs out. */
-static const spectrum_grid *grid_of(transport_boundary *boundary, size_t level, size_t i) {
+static const spectrum_grid *grid_of(isotropic_boundary *boundary, size_t level, size_t i) {
   pthread_mutex_lock(&boundary->lock);
   if (boundary->grids[level][i] == NULL) {
     boundary->grids[level][i] =
-        transport_grid_new(&boundary->rules[i], transport_spectrum_lambda(level, shrink[i]));
+        isotropic_grid_new(&boundary->rules[i], isotropic_spectrum_lambda(level, shrink[i]));
   }
   const spectrum_grid *grid = boundary->grids[level][i];
   pthread_mutex_unlock(&boundary->lock);
@@ -159,7 +159,7 @@ struct errors {
   double beyond;
 };
 
-struct transport_solution {
+struct isotropic_solution {
   double albedo;
   double kappa;
   /* relative accuracy that the rules for light scattered more than once are made for */
@@ -181,12 +181,12 @@ static double relative(double fine, double coarse) {
   return fine == coarse ? 0 : fmin(1, SAFETY * fabs(fine - coarse) / fabs(fine));
 }
 
-static void fill_table(transport_solution *solution, double reach_decays) {
+static void fill_table(isotropic_solution *solution, double reach_decays) {
   const double last = fmin(TABLE_LAST, TABLE_REACHES * reach_decays / fmax(solution->kappa, 1e-30));
   for (size_t i = 0; i < TABLE_MAX && table_radius(i) <= last; i++) {
-    const spectrum_values fine = transport_spectrum_at(&solution->spectra[FINE], table_radius(i));
+    const spectrum_values fine = isotropic_spectrum_at(&solution->spectra[FINE], table_radius(i));
     const spectrum_values coarse =
-        transport_spectrum_at(&solution->spectra[COARSE], table_radius(i));
+        isotropic_spectrum_at(&solution->spectra[COARSE], table_radius(i));
     solution->table[i] =
         (struct errors){relative(fine.r, coarse.r), relative(fine.within, coarse.within),
                         relative(fine.beyond, coarse.beyond)};
@@ -197,12 +197,12 @@ static void fill_table(transport_solution *solution, double reach_decays) {
 
 /* Sets *multiple and *total to the energy that leaves after it was scattered more than once, and to
  * all that leaves. */
-static bool solve_total(const struct totals *totals, transport_work *work, double albedo,
+static bool solve_total(const struct totals *totals, isotropic_work *work, double albedo,
                         double kappa, double *multiple, transport_number *total) {
   double twice[BOTH];
   for (size_t i = 0; i < BOTH; i++) {
     double complex exitance;
-    if (!transport_equation_solve(&totals->equation[i], work, albedo, kappa, &exitance)) {
+    if (!isotropic_equation_solve(&totals->equation[i], work, albedo, kappa, &exitance)) {
       return false;
     }
     twice[i] = creal(exitance);
@@ -216,17 +216,17 @@ static bool solve_total(const struct totals *totals, transport_work *work, doubl
   return true;
 }
 
-static bool solve(transport_solution *solution, transport_boundary *boundary,
-                  transport_work *work) {
-  const bool far = boundary->reach_decays > TRANSPORT_REACH_DECAYS;
-  const size_t level = transport_spectrum_level(solution->kappa);
+static bool solve(isotropic_solution *solution, isotropic_boundary *boundary,
+                  isotropic_work *work) {
+  const bool far = boundary->reach_decays > ISOTROPIC_REACH_DECAYS;
+  const size_t level = isotropic_spectrum_level(solution->kappa);
   for (size_t i = 0; i < BOTH; i++) {
     spectrum_grid *own =
-        far ? transport_grid_new(&boundary->rules[i], shrink_far[i] * solution->kappa) : NULL;
+        far ? isotropic_grid_new(&boundary->rules[i], shrink_far[i] * solution->kappa) : NULL;
     const spectrum_grid *grid = far ? own : grid_of(boundary, level, i);
-    const bool made = grid != NULL && transport_spectrum_make(&solution->spectra[i], grid, work,
+    const bool made = grid != NULL && isotropic_spectrum_make(&solution->spectra[i], grid, work,
                                                               solution->albedo, solution->kappa);
-    transport_grid_free(own);
+    isotropic_grid_free(own);
     if (!made) {
       return false;
     }
@@ -239,14 +239,14 @@ static bool solve(transport_solution *solution, transport_boundary *boundary,
   return true;
 }
 
-core_fault transport_solve(transport_solution **solution, transport_boundary *boundary,
+core_fault isotropic_solve(isotropic_solution **solution, isotropic_boundary *boundary,
                            double albedo) {
   *solution = NULL;
   if (!(albedo >= 0 && albedo <= 1)) {
     return (core_fault){"albedo", ALBEDO_ALLOWED, 0};
   }
-  transport_solution *made = calloc(1, sizeof *made);
-  transport_work *work = transport_work_new();
+  isotropic_solution *made = calloc(1, sizeof *made);
+  isotropic_work *work = isotropic_work_new();
   bool solved = made != NULL && work != NULL;
   if (solved && albedo > 0) {
     made->albedo = albedo;
@@ -256,7 +256,7 @@ core_fault transport_solve(transport_solution **solution, transport_boundary *bo
     made->single[COARSE] = boundary->totals.single[COARSE];
     solved = solve(made, boundary, work);
   }
-  transport_work_free(work);
+  isotropic_work_free(work);
   if (!solved) {
     free(made);
     return memory_fault;
@@ -265,11 +265,11 @@ core_fault transport_solve(transport_solution **solution, transport_boundary *bo
   return no_fault;
 }
 
-void transport_solution_free(transport_solution *solution) {
+void isotropic_solution_free(isotropic_solution *solution) {
   free(solution);
 }
 
-transport_number transport_total(const transport_solution *solution) {
+transport_number isotropic_total(const isotropic_solution *solution) {
   return solution->total;
 }
 
@@ -285,7 +285,7 @@ static double off_by(double value, double fraction, double absolute) {
 }
 
 /* Returns the largest relative errors that the table holds around the radius r. */
-static struct errors errors_around(const transport_solution *solution, double r) {
+static struct errors errors_around(const isotropic_solution *solution, double r) {
   const double place = (fn_log(fmax(r, TABLE_FIRST)) - fn_log(TABLE_FIRST)) / TABLE_STEP;
   const size_t before = (size_t)place;
   struct errors most = {0, 0, 0};
@@ -300,7 +300,7 @@ static struct errors errors_around(const transport_solution *solution, double r)
 /* Returns the absolute errors of the values at r. Beyond the table, the only known bound is that
  * light decays at least as fast as e^(-kappa r). So there the errors of R and of the energy beyond
  * r are these values themselves plus that bound. */
-static struct errors errors_at(const transport_solution *solution, double r,
+static struct errors errors_at(const isotropic_solution *solution, double r,
                                const spectrum_values *values) {
   const double least = solution->least_error;
   const double last_r = table_radius(solution->table_count - 1);
@@ -322,7 +322,7 @@ static struct errors errors_at(const transport_solution *solution, double r,
 
 /* Returns the energy within r of light scattered more than once. Far away the energy beyond r is
  * small and more accurate, so the code subtracts it from the total there. */
-static transport_number multiple_within(const transport_solution *solution,
+static transport_number multiple_within(const isotropic_solution *solution,
                                         const spectrum_values *values,
                                         const struct errors *errors) {
   if (values->beyond < values->within) {
@@ -345,13 +345,13 @@ static transport_number not_negative(transport_number number) {
   return (transport_number){number.value < 0 ? 0 : number.value, number.error};
 }
 
-static transport_values finite_values(const transport_solution *solution, double r) {
+static isotropic_values finite_values(const isotropic_solution *solution, double r) {
   const single_values single = transport_single_at(&solution->single[FINE], r);
   const single_values coarse = transport_single_at(&solution->single[COARSE], r);
-  const spectrum_values multiple = transport_spectrum_at(&solution->spectra[FINE], r);
+  const spectrum_values multiple = isotropic_spectrum_at(&solution->spectra[FINE], r);
   const struct errors errors = errors_at(solution, r, &multiple);
   const double albedo = solution->albedo;
-  transport_values values;
+  isotropic_values values;
   values.single = single_number(albedo, single.r, coarse.r);
   values.multiple = not_negative((transport_number){multiple.r, errors.R});
   values.R = sum_of(values.single, values.multiple);
@@ -360,20 +360,20 @@ static transport_values finite_values(const transport_solution *solution, double
   return values;
 }
 
-transport_values transport_at(const transport_solution *solution, double r) {
+isotropic_values isotropic_at(const isotropic_solution *solution, double r) {
   assert(r >= 0);
   const transport_number none = {0, 0};
   if (solution->albedo == 0) {
-    return (transport_values){none, none, none, none};
+    return (isotropic_values){none, none, none, none};
   }
   if (r < R_SMALLEST) {
     const transport_number infinite = {INFINITY, 0};
-    return (transport_values){infinite, infinite, infinite, none};
+    return (isotropic_values){infinite, infinite, infinite, none};
   }
   if (r > R_LARGEST) {
     /* The bound follows since R decreases, and at most all the energy leaves beyond r / 2. */
     const transport_number next_to_none = {0, 2 * solution->total.value / (r * r)};
-    return (transport_values){next_to_none, next_to_none, next_to_none, solution->total};
+    return (isotropic_values){next_to_none, next_to_none, next_to_none, solution->total};
   }
   return finite_values(solution, r);
 }
