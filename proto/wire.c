@@ -316,31 +316,45 @@ static void describe_field(struct description *to, const char *kind, const char 
   describe_field(&to, #kind, #field, count, WIRE_SIZE_##kind, meaning);
 #define DESCRIBE_TEXT(field, bytes, meaning) describe_field(&to, "text", #field, bytes, 1, meaning);
 
-static void describe_status(struct description *to, int code, const char *ident, int modbus,
-                            int http, const char *text) {
-  char row[256];
-  snprintf(row, sizeof row, "%-4d %-14s %02x     %d  %s\n", code, ident, (unsigned)modbus, http, text);
+static void describe_status(struct description *to, int code, const char *ident, int http) {
+  char row[64];
+  snprintf(row, sizeof row, "%-4d %-14s %d\n", code, ident, http);
   to->print(to->context, row);
 }
 
-bool wire_describe(const char *name, void (*print)(void *context, const char *text),
-                   void *context) {
-  struct description to = {.print = print, .context = context};
+/* Returns false if there is neither a structure nor a list of this name. */
+static bool describe_table(struct description to, const char *name) {
   char title[64];
 #define WIRE_STRUCTURE(structure)                                                                  \
   if (strcmp(name, #structure) == 0) {                                                             \
-    snprintf(title, sizeof title, "%s, %d bytes\n", name, WIRE_BYTES_##structure);                 \
-    print(context, title);                                                                         \
+    snprintf(title, sizeof title, "%s (%d)\n", name, WIRE_BYTES_##structure);                      \
+    to.print(to.context, title);                                                                   \
     WIRE_FIELDS_##structure(DESCRIBE_ONE, DESCRIBE_ARRAY, DESCRIBE_TEXT) return true;              \
   }
 #include "proto/messages.def"
   if (strcmp(name, "statuses") != 0) {
     return false;
   }
-  print(context, "code status         Modbus HTTP  meaning\n");
+  to.print(to.context, "code status         HTTP\n");
 #define WIRE_STATUS(code, IDENT, modbus_exception, http, text_name, text)                          \
-  describe_status(&to, code, #IDENT, modbus_exception, http, text);
+  describe_status(&to, code, #IDENT, http);
 #include "proto/statuses.def"
 #undef WIRE_STATUS
+  return true;
+}
+
+bool wire_describe(const char *names, void (*print)(void *context, const char *text),
+                   void *context) {
+  const struct description to = {.print = print, .context = context};
+  char name[32];
+  int length;
+  for (const char *at = names; sscanf(at, "%31s%n", name, &length) == 1; at += length) {
+    if (at != names) {
+      print(context, "\n");
+    }
+    if (!describe_table(to, name)) {
+      return false;
+    }
+  }
   return true;
 }

@@ -156,8 +156,10 @@ wire_choice wire_choice_at(size_t index); /* index is below wire_choice_count() 
 
 /* ---- documentation --------------------------------------------------------------------------- */
 
-/* Writes a table of PROTOCOL.md as lines of text: the fields of the structure of this name, or the
- * `statuses`. Calls print(context, text) for each piece. Returns false for other names. */
-bool wire_describe(const char *name, void (*print)(void *context, const char *text), void *context);
+/* Writes tables of PROTOCOL.md as lines of text: the fields of structures, or the `statuses`. names:
+ * of these, with blanks between. Calls print(context, text) for each piece. Returns false if there is
+ * no such table. */
+bool wire_describe(const char *names, void (*print)(void *context, const char *text),
+                   void *context);
 
 #endif

@@ -1,4 +1,5 @@
-"""structure.py [FOLDER]: fails, and names the circle, when modules include each other in one.
+"""structure.py [FOLDER]: fails, and names what is wrong, when modules include each other in a circle,
+when a document has too many words, and when a rule of the protocol is too long or there twice.
 
 A module is a .c file with the .h and .def files of the same name in the same folder. Only includes
 that the sources of FOLDER (by default this repository) write with quotes count."""
@@ -10,6 +11,18 @@ import sys
 from pathlib import Path
 
 FOLDERS = ("core", "proto", "server", "clients/c", "clients/cli")
+# The words that each document may have, as `wc -w` counts them.
+WORDS = {
+    "README.md": 900,
+    "proto/PROTOCOL.md": 9000,
+    "proto/REGISTERS.md": 6000,
+    "clients/GUIDE.md": 1500,
+    "server/DEPLOYING.md": 1500,
+    "core/MODELS.md": 1500,
+    "core/ACCURACY.md": 1500,
+}
+RULE_WORDS = 30  # of a rule of PROTOCOL.md: a line that begins with its number, as **E11a**
+RULE = re.compile(r"^\*\*([A-Z]\d+[a-z]?)\*\* (.*)$", re.MULTILINE)
 INCLUDE = re.compile(r'^[ \t]*#[ \t]*include[ \t]+"([^"]+)"', re.MULTILINE)
 
 Graph = dict[str, set[str]]
@@ -74,6 +87,24 @@ def circles(graph: Graph) -> list[list[str]]:
     ]
 
 
+def wordy(root: Path) -> list[str]:
+    """Returns what is wrong with the lengths of the documents and rules that FOLDER has."""
+    texts = {name: (root / name).read_text() for name in WORDS if (root / name).exists()}
+    found = [
+        f"{name} has {words} words, more than {WORDS[name]}"
+        for name, text in texts.items()
+        if (words := len(text.split())) > WORDS[name]
+    ]
+    rules = RULE.findall(texts.get("proto/PROTOCOL.md", ""))
+    numbers = [number for number, _ in rules]
+    found += [f"rule {n} is there twice" for n in sorted(set(numbers)) if numbers.count(n) > 1]
+    return found + [
+        f"rule {number} has {words} words, more than {RULE_WORDS}"
+        for number, text in rules
+        if (words := len(text.split())) > RULE_WORDS
+    ]
+
+
 def main() -> int:
     root = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parents[1]).resolve()
     graph = modules(root)
@@ -82,7 +113,10 @@ def main() -> int:
         print("modules include each other:", " -> ".join(circle))
     if not found:
         print(f"structure: {len(graph)} modules, none includes itself through others")
-    return 1 if found else 0
+    too_long = wordy(root)
+    for fault in too_long:
+        print(fault)
+    return 1 if found or too_long else 0
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 /* wire-tables PROTOCOL.md REGISTERS.md: writes the tables of the wire's structures and statuses into
- * the blocks ```table NAME of the first document, and those of the register map between the markers
- * of the second. It makes them from the same lists as the code. */
+ * the blocks ```table NAMES of the first document, and those of the register map between the
+ * markers of the second. It makes them from the same lists as the code. */
 #include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -40,7 +40,7 @@ static int fail(const char *path, const char *what) {
   return EXIT_FAILURE;
 }
 
-/* Replaces the lines of each block that begins with ```table NAME. */
+/* Replaces the lines of each block that begins with ```table NAMES. */
 static int rewrite_blocks(const char *path) {
   char *text = read_file(path);
   FILE *file = text != NULL ? fopen(path, "wb") : NULL;

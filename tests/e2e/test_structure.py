@@ -1,4 +1,5 @@
-"""tests/structure.py finds a circle of includes that is put into a copy of the sources."""
+"""tests/structure.py finds a circle of includes that is put into a copy of the sources, and documents
+and rules that are too long."""
 
 from __future__ import annotations
 
@@ -85,3 +86,18 @@ def test_programs_compile_for_32_bits():
     command = ["gcc", *options, "-I.", "-fsyntax-only", *files]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_what_is_too_long_is_named(tmp_path):
+    assert all((REPOSITORY / name).exists() for name in structure.WORDS)
+    text = (REPOSITORY / "proto/PROTOCOL.md").read_text()
+    assert len(structure.RULE.findall(text)) > 100 and not structure.wordy(REPOSITORY)
+    (tmp_path / "proto").mkdir()
+    rules = "**A1** word\n\n**A1** word\n\n**A2b**" + " word" * 31
+    (tmp_path / "proto/PROTOCOL.md").write_text(rules)
+    (tmp_path / "README.md").write_text("word " * 901)
+    assert structure.wordy(tmp_path) == [
+        "README.md has 901 words, more than 900",
+        "rule A1 is there twice",
+        "rule A2b has 31 words, more than 30",
+    ]
