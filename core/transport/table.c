@@ -506,9 +506,40 @@ static void sum_blocks(const struct packed *series, size_t i, const double *weig
   }
 }
 
-/* Sets row[k] to the sum over all indices but i and k. */
-static void sum_row(const struct packed *series, bool is_total, size_t i,
-                    const struct weights *weights, double quantum, double row[TERMS_MAX]) {
+/* The rows of a series, by the albedo's index. */
+struct rows {
+  double row[TERMS_MAX][TERMS_MAX];
+};
+
+/* One part of the table for a g and eta. */
+struct part {
+  const double *field;
+  bool of_difference;
+  size_t totals;
+  const struct packed *series; /* the totals before the panels */
+  const struct rows *rows;     /* of each series, or NULL: they are summed anew */
+  struct weights weights;
+};
+
+static void set_part(const transport_table *table, bool of_difference, double g, double eta,
+                     struct part *part) {
+  const int side = (of_difference ? SIDES : 0) + (int)transport_table_side(eta);
+  part->field = table->field;
+  part->of_difference = of_difference;
+  part->totals = number_of_totals(side);
+  part->series = table->packed->series[side];
+  part->rows = NULL;
+  set_weights(table->field, of_difference, g, eta, &part->weights);
+}
+
+/* Sets row[k] to that of series n and the albedo's index i. */
+static void sum_row(const struct part *part, size_t n, size_t i, double row[TERMS_MAX]) {
+  const struct packed *series = &part->series[n];
+  const struct weights *weights = &part->weights;
+  const bool is_total = n < part->totals;
+  const double quantum = part->field[!part->of_difference ? TRANSPORT_TABLE_QUANTUM
+                                     : is_total           ? TRANSPORT_TABLE_TOTALS_QUANTUM
+                                                          : TRANSPORT_TABLE_D_QUANTUM];
   sum_blocks(series, i, is_total ? weights->of_l : weights->both, row);
   if (is_total) {
     double sum = 0;
@@ -529,62 +560,59 @@ static void add_row(const double *row, size_t count, double of_albedo, double *t
   }
 }
 
-/* Sets terms to a series' coefficients of T_k, which a medium has. Returns their number. */
-static size_t sum_series(const struct packed *series, bool is_total, const struct weights *weights,
-                         double quantum, const double *of_albedo, double terms[TERMS_MAX]) {
-  double row[TERMS_MAX];
+/* Sets terms to the coefficients of T_k of series n, which a medium has. Returns their number. */
+static size_t sum_series(const struct part *part, size_t n, const double *of_albedo,
+                         double terms[TERMS_MAX]) {
+  const struct packed *series = &part->series[n];
+  double own[TERMS_MAX];
   memset(terms, 0, TERMS_MAX * sizeof *terms);
   for (size_t i = 0; i < series->of_albedo; i++) {
-    sum_row(series, is_total, i, weights, quantum, row);
-    add_row(row, series->terms, of_albedo[i], terms);
+    if (part->rows == NULL) {
+      sum_row(part, n, i, own);
+    }
+    add_row(part->rows != NULL ? part->rows[n].row[i] : own, series->terms, of_albedo[i], terms);
   }
   return series->terms;
 }
 
-static double sum_total(const struct packed *series, const struct weights *weights, double quantum,
-                        const double *of_albedo, double albedo) {
+static double sum_total(const struct part *part, size_t n, const double *of_albedo, double albedo) {
   double logarithm[TERMS_MAX];
-  sum_series(series, true, weights, quantum, of_albedo, logarithm);
+  sum_series(part, n, of_albedo, logarithm);
   return albedo * fn_exp(logarithm[0]);
 }
 
-void transport_table_difference(const transport_table *table, double albedo, double g, double eta,
-                                transport_difference *difference) {
-  assert(transport_table_covers(table, albedo, g, eta));
-  const double *field = table->field, quantum = field[TRANSPORT_TABLE_TOTALS_QUANTUM];
-  const struct packed *series = table->packed->series[SIDES + (int)transport_table_side(eta)];
-  struct weights weights;
-  double of_u[TERMS_MAX];
-  set_weights(field, true, g, eta, &weights);
-  polynomials_of_u(field, albedo, of_u);
-  difference->total = sum_total(&series[0], &weights, quantum, of_u, albedo);
-  difference->total_diffuse = sum_total(&series[1], &weights, quantum, of_u, albedo);
-  difference->kappa = transport_anisotropic_kappa(albedo, g);
-  difference->kappa_isotropic = transport_kappa(albedo);
-  transport_table_edges(field, true, difference->kappa_isotropic, difference->edge);
-  for (int i = 0; i < PANELS; i++) {
-    difference->terms[i] = sum_series(&series[TOTALS_MAX + i], false, &weights,
-                                      field[TRANSPORT_TABLE_D_QUANTUM], of_u, difference->term[i]);
+static void sum_panels(const struct part *part, const double *of_albedo, size_t terms[PANELS],
+                       double term[PANELS][TERMS_MAX]) {
+  for (size_t i = 0; i < PANELS; i++) {
+    terms[i] = sum_series(part, part->totals + i, of_albedo, term[i]);
   }
+}
+
+/* Adds the difference to a series of isotropic scattering. kappa: that of the medium. */
+static void add_difference(const struct part *part, double albedo, double g, double kappa,
+                           transport_series *series) {
+  transport_difference *difference = &series->difference;
+  double of_u[TERMS_MAX];
+  polynomials_of_u(part->field, albedo, of_u);
+  difference->kappa_isotropic = transport_kappa(albedo);
+  transport_table_edges(part->field, true, difference->kappa_isotropic, difference->edge);
+  sum_panels(part, of_u, difference->terms, difference->term);
   end_difference(difference);
+  series->g = g;
+  series->kappa = difference->kappa = kappa;
+  series->total = sum_total(part, 0, of_u, albedo);
 }
 
 /* Sets the part of *series that is of isotropic scattering, for an albedo that the table has. */
-static void sum_isotropic(const transport_table *table, const struct weights *weights,
-                          enum transport_table_side side, double albedo, transport_series *series) {
-  const double *field = table->field, quantum = field[TRANSPORT_TABLE_QUANTUM];
-  const struct packed *packed = table->packed->series[side];
+static void sum_isotropic(const struct part *part, double albedo, transport_series *series) {
   double of_t[TERMS_MAX];
-  polynomials_of_t(field, albedo, of_t);
+  polynomials_of_t(part->field, albedo, of_t);
   series->g = 0;
   series->kappa = transport_kappa(albedo);
-  series->total = sum_total(&packed[0], weights, quantum, of_t, albedo);
-  series->total_diffuse = (double)NAN;
+  series->total = sum_total(part, 0, of_t, albedo);
   series->ln_albedo = fn_log(albedo);
-  transport_table_edges(field, false, series->kappa, series->edge);
-  for (int i = 0; i < PANELS; i++) {
-    series->terms[i] = sum_series(&packed[1 + i], false, weights, quantum, of_t, series->term[i]);
-  }
+  transport_table_edges(part->field, false, series->kappa, series->edge);
+  sum_panels(part, of_t, series->terms, series->term);
 }
 
 static double Q_of(const transport_series *series, double y) {
@@ -602,14 +630,12 @@ static double bend_of(double kappa, double x) {
   return kappa * kappa / (1 + kappa * x);
 }
 
-static void extend_to_white(const transport_table *table, const struct weights *weights,
-                            enum transport_table_side side, double albedo,
-                            transport_series *series) {
-  const double absorbed = 1 - table->field[TRANSPORT_TABLE_ALBEDO_MOST];
+static void extend_to_white(const struct part *part, double albedo, transport_series *series) {
+  const double absorbed = 1 - part->field[TRANSPORT_TABLE_ALBEDO_MOST];
   const double kappa = transport_kappa(albedo);
   transport_series most;
-  sum_isotropic(table, weights, side, 1 - absorbed, &most);
-  sum_isotropic(table, weights, side, 1 - BASE * absorbed, series);
+  sum_isotropic(part, 1 - absorbed, &most);
+  sum_isotropic(part, 1 - BASE * absorbed, series);
   for (int i = 0; i < PANELS; i++) {
     const size_t count = series->terms[i];
     double terms[TERMS_MAX] = {0}, polynomial[TERMS_MAX];
@@ -635,48 +661,28 @@ static void extend_to_white(const transport_table *table, const struct weights *
 void transport_table_look_up(const transport_table *table, double albedo, double g, double eta,
                              transport_series *series) {
   assert(transport_table_covers(table, albedo, g, eta));
-  const enum transport_table_side side = transport_table_side(eta);
-  struct weights weights;
-  set_weights(table->field, false, 0, eta, &weights);
+  struct part part;
+  set_part(table, false, 0, eta, &part);
   if (albedo > table->field[TRANSPORT_TABLE_ALBEDO_MOST]) {
-    extend_to_white(table, &weights, side, albedo, series);
+    extend_to_white(&part, albedo, series);
   } else {
-    sum_isotropic(table, &weights, side, albedo, series);
+    sum_isotropic(&part, albedo, series);
   }
   if (g != 0) {
-    transport_table_difference(table, albedo, g, eta, &series->difference);
-    series->g = g;
-    series->kappa = series->difference.kappa;
-    series->total = series->difference.total;
-    series->total_diffuse = series->difference.total_diffuse;
+    set_part(table, true, g, eta, &part);
+    add_difference(&part, albedo, g, transport_anisotropic_kappa(albedo, g), series);
   }
 }
 
 /* ---- slices ---------------------------------------------------------------------------------- */
 
-/* A series over the albedo's index i and k; the other indices are summed. */
-struct slice_series {
-  size_t terms;     /* of k */
-  size_t of_albedo; /* of i */
-  double row[TERMS_MAX][TERMS_MAX];
-};
-
-/* The parts of a slice: of isotropic scattering, then of D. */
+/* The parts of a slice, with their rows: of isotropic scattering, then of D. */
 struct transport_slice {
   const transport_table *table;
   double g, eta;
-  struct slice_series total, panel[PANELS];
-  struct slice_series beam, diffuse, difference[PANELS];
+  struct part part[2];
+  struct rows rows[2][SERIES_MAX];
 };
-
-static void slice_of(const struct packed *series, bool is_total, const struct weights *weights,
-                     double quantum, struct slice_series *slice) {
-  slice->terms = series->terms;
-  slice->of_albedo = series->of_albedo;
-  for (size_t i = 0; i < series->of_albedo; i++) {
-    sum_row(series, is_total, i, weights, quantum, slice->row[i]);
-  }
-}
 
 transport_slice *transport_slice_create(const transport_table *table, double g, double eta) {
   assert(transport_table_covers(table, 0.5, g, eta));
@@ -684,81 +690,38 @@ transport_slice *transport_slice_create(const transport_table *table, double g, 
   if (slice == NULL) {
     return NULL;
   }
-  const double *field = table->field;
-  const int side = transport_table_side(eta);
-  const struct packed *series = table->packed->series[side];
-  struct weights weights;
   slice->table = table;
   slice->g = g;
   slice->eta = eta;
-  set_weights(field, false, 0, eta, &weights);
-  slice_of(&series[0], true, &weights, field[TRANSPORT_TABLE_QUANTUM], &slice->total);
-  for (int i = 0; i < PANELS; i++) {
-    slice_of(&series[1 + i], false, &weights, field[TRANSPORT_TABLE_QUANTUM], &slice->panel[i]);
-  }
-  series = table->packed->series[SIDES + side];
-  set_weights(field, true, g, eta, &weights);
-  slice_of(&series[0], true, &weights, field[TRANSPORT_TABLE_TOTALS_QUANTUM], &slice->beam);
-  slice_of(&series[1], true, &weights, field[TRANSPORT_TABLE_TOTALS_QUANTUM], &slice->diffuse);
-  for (int i = 0; i < PANELS; i++) {
-    slice_of(&series[TOTALS_MAX + i], false, &weights, field[TRANSPORT_TABLE_D_QUANTUM],
-             &slice->difference[i]);
+  for (int d = 0; d < 2; d++) {
+    struct part *part = &slice->part[d];
+    set_part(table, d == 1, d == 1 ? g : 0, eta, part);
+    for (size_t n = 0; n < part->totals + PANELS; n++) {
+      for (size_t i = 0; i < part->series[n].of_albedo; i++) {
+        sum_row(part, n, i, slice->rows[d][n].row[i]);
+      }
+    }
+    part->rows = slice->rows[d];
   }
   return slice;
 }
 
-/* Sets the terms of k of a medium. Returns their number. */
-static size_t sum_slice(const struct slice_series *series, const double *of_albedo, double *terms) {
-  memset(terms, 0, series->terms * sizeof *terms);
-  for (size_t i = 0; i < series->of_albedo; i++) {
-    add_row(series->row[i], series->terms, of_albedo[i], terms);
-  }
-  return series->terms;
-}
-
 transport_slice_sums transport_slice_total(const transport_slice *slice, double albedo) {
-  double of_t[TERMS_MAX], of_u[TERMS_MAX], beam[TERMS_MAX], diffuse[TERMS_MAX];
+  double of_t[TERMS_MAX], of_u[TERMS_MAX];
+  const bool isotropic = slice->g == 0;
+  polynomials_of_t(slice->table->field, albedo, of_t);
   polynomials_of_u(slice->table->field, albedo, of_u);
-  sum_slice(&slice->diffuse, of_u, diffuse);
-  if (slice->g == 0) {
-    polynomials_of_t(slice->table->field, albedo, of_t);
-    sum_slice(&slice->total, of_t, beam);
-  } else {
-    sum_slice(&slice->beam, of_u, beam);
-  }
-  return (transport_slice_sums){albedo * fn_exp(beam[0]), albedo * fn_exp(diffuse[0])};
+  return (transport_slice_sums){
+      sum_total(&slice->part[isotropic ? 0 : 1], 0, isotropic ? of_t : of_u, albedo),
+      sum_total(&slice->part[1], 1, of_u, albedo)};
 }
 
 void transport_slice_look_up(const transport_slice *slice, double albedo, double kappa,
                              transport_series *series) {
   assert(transport_table_covers(slice->table, albedo, slice->g, slice->eta));
-  const double *field = slice->table->field;
-  transport_difference *difference = &series->difference;
-  double of_t[TERMS_MAX], of_u[TERMS_MAX];
-  polynomials_of_t(field, albedo, of_t);
-  polynomials_of_u(field, albedo, of_u);
-  const transport_slice_sums totals = transport_slice_total(slice, albedo);
-  series->g = slice->g;
-  series->kappa = transport_kappa(albedo);
-  series->total = totals.beam;
-  series->total_diffuse = totals.diffuse;
-  series->ln_albedo = fn_log(albedo);
-  transport_table_edges(field, false, series->kappa, series->edge);
-  for (int i = 0; i < PANELS; i++) {
-    series->terms[i] = sum_slice(&slice->panel[i], of_t, series->term[i]);
-  }
+  sum_isotropic(&slice->part[0], albedo, series);
   if (slice->g != 0) {
-    difference->kappa_isotropic = series->kappa;
-    difference->kappa = kappa;
-    difference->total = totals.beam;
-    difference->total_diffuse = totals.diffuse;
-    transport_table_edges(field, true, series->kappa, difference->edge);
-    memset(difference->term, 0, sizeof difference->term);
-    for (int i = 0; i < PANELS; i++) {
-      difference->terms[i] = sum_slice(&slice->difference[i], of_u, difference->term[i]);
-    }
-    end_difference(difference);
-    series->kappa = difference->kappa;
+    add_difference(&slice->part[1], albedo, slice->g, kappa, series);
   }
 }
 

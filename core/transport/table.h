@@ -176,20 +176,13 @@ double transport_table_diffuse_error(const transport_table *table, double albedo
 /* By how much a medium differs from the one with the same albedo and eta that scatters
  * isotropically: Chebyshev series in ln x. */
 typedef struct transport_difference {
-  double kappa;           /* of the medium */
-  double kappa_isotropic; /* of the isotropic one */
-  double total;           /* the energy that leaves, per power that has entered at right angles */
-  double total_diffuse;   /* the same for diffuse light */
+  double kappa;                            /* of the medium */
+  double kappa_isotropic;                  /* of the isotropic one */
   double edge[TRANSPORT_TABLE_PANELS + 1]; /* edges in ln x */
   size_t terms[TRANSPORT_TABLE_PANELS];
   double term[TRANSPORT_TABLE_PANELS][TRANSPORT_TABLE_TERMS_MAX];
   double last_slope; /* by ln x, at the last edge */
 } transport_difference;
-
-/* Sets *difference to the difference of a medium, which the table has to cover (asserted). The result has the same bits on every machine.
- * For g = 0 all terms are 0 up to the table's accuracy. */
-void transport_table_difference(const transport_table *table, double albedo, double g, double eta,
-                                transport_difference *difference);
 
 /* Returns what has to be added to L_0 = ln(x R_0) + kappa_isotropic x, where R_0 is of the isotropic
  * medium, in order to get ln(x R) + kappa x of the medium, at y = ln x for any y. So R_0 may come
@@ -199,9 +192,8 @@ double transport_difference_at(const transport_difference *difference, double y)
 /* One medium of the table: Chebyshev series in ln x of isotropic scattering, and the difference. */
 typedef struct transport_series {
   double g;
-  double kappa;         /* the rate at which diffuse light decays far away */
-  double total;         /* the energy that leaves, per power that has entered at right angles */
-  double total_diffuse; /* the same for diffuse light; NAN for g = 0 */
+  double kappa; /* the rate at which diffuse light decays far away */
+  double total; /* the energy that leaves, per power that has entered at right angles */
   double ln_albedo;
   double edge[TRANSPORT_TABLE_PANELS + 1]; /* edges in ln x; the last one is the reach */
   size_t terms[TRANSPORT_TABLE_PANELS];
@@ -222,8 +214,8 @@ typedef struct transport_slice transport_slice;
  * runs out. The caller frees it with free(). */
 transport_slice *transport_slice_create(const transport_table *table, double g, double eta);
 
-/* Does the same as transport_table_look_up() for the slice's g and eta, up to rounding. The albedo
- * has to be covered (asserted). kappa: that of the medium (transport_anisotropic_kappa()), if g is
+/* Does the same as transport_table_look_up() for the slice's g and eta, for an albedo up to the table's
+ * largest one. The albedo has to be covered (asserted). kappa: that of the medium (transport_anisotropic_kappa()), if g is
  * not 0. */
 void transport_slice_look_up(const transport_slice *slice, double albedo, double kappa,
                              transport_series *series);

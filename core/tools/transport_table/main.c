@@ -335,11 +335,15 @@ static void totals_compare(const transport_table *table, checks_result *result) 
         solver_totals(truth, core_isa_select(NULL), (1 - albedo) / albedo, &phase, eta, ETAS_D),
         "transport");
     for (size_t i = 0; i < ETAS_D; i++) {
-      transport_difference difference;
-      transport_table_difference(table, albedo, phase.g, eta[i], &difference);
-      compare_total(&result->D_total, difference.total, truth[i].normal, albedo, phase.g, eta[i]);
-      compare_total(&result->D_diffuse[transport_table_albedo_band(albedo)],
-                    difference.total_diffuse, truth[i].diffuse, albedo, phase.g, eta[i]);
+      transport_slice *slice = transport_slice_create(table, phase.g, eta[i]);
+      if (slice == NULL) {
+        tools_fail("out of memory");
+      }
+      const transport_slice_sums totals = transport_slice_total(slice, albedo);
+      free(slice);
+      compare_total(&result->D_total, totals.beam, truth[i].normal, albedo, phase.g, eta[i]);
+      compare_total(&result->D_diffuse[transport_table_albedo_band(albedo)], totals.diffuse,
+                    truth[i].diffuse, albedo, phase.g, eta[i]);
     }
   }
 }
