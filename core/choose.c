@@ -6,6 +6,7 @@
 
 #include "core/kernels.h"
 #include "core/model_error.h"
+#include "core/solver/solver.h"
 
 static const struct cost {
   unsigned model;
@@ -49,11 +50,10 @@ static core_medium taken_of(const core_choose_request *request, size_t i) {
 }
 
 /* Returns the model error of `transport`: 0, or that of gamma for the worst medium. It is INFINITY
- * if the table does not hold a medium: the error of what is solved is not known before. */
+ * where nothing was measured, or if transport does not take a medium. */
 static double model_error(const core_choose_request *request) {
   double error = 0;
   for (size_t i = 0; i < request->media_count && error < (double)INFINITY; i++) {
-    const core_medium taken = taken_of(request, i);
     double here = 0;
     if (request->gamma > 0) {
       const core_model_errors errors = core_gamma_errors_find(request->gamma, &request->media[i]);
@@ -62,12 +62,10 @@ static double model_error(const core_choose_request *request) {
               ? core_model_errors_of(&errors, &request->media[i], request->wanted, request->radii)
               : (double)INFINITY;
     }
-    const bool taken_as_it_is =
-        core_transport_is_stored(&taken) &&
-        core_profile_check(CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64,
-                           &request->media[i], NULL, NULL)
-                .field == NULL;
-    error = taken_as_it_is && !isnan(here) ? fmax(error, here) : (double)INFINITY;
+    const bool taken = core_profile_check(CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
+                                          CORE_EVALUATOR_F64, &request->media[i], NULL, NULL)
+                           .field == NULL;
+    error = taken && !isnan(here) ? fmax(error, here) : (double)INFINITY;
   }
   return error;
 }
@@ -147,6 +145,40 @@ static void set_numerical_error(core_candidate *candidate, const core_choose_req
                                    : rounding + fmax(table_error(request) + DBL_EPSILON, of_slope);
 }
 
+/* The error of the cdf and what comes of it, and that of dR/dr, in errors of R: see
+ * core/models/transport.c. */
+#define CDF_ERRORS 2
+#define SLOPE_ERRORS 8
+
+/* Sets the candidate to what the solver is asked for, where `left` is left for the numerical error. */
+static void set_solved(core_candidate *candidate, const core_choose_request *request, double left) {
+  const bool follows_R = (request->wanted & FOLLOWS_R) != 0;
+  const bool of_cdf = (request->wanted & (ELEMENTWISE & ~FOLLOWS_R)) != 0;
+  bool near = of_cdf;
+  double beyond = 0;
+  for (size_t i = 0; i < request->media_count && follows_R; i++) {
+    const core_medium taken = taken_of(request, i);
+    near |= request->radii.least_mm * core_sigma_t_prime(&taken) < SOLVER_NEAR;
+    beyond = fmax(beyond, core_error_beyond(core_transport_reach(&taken), request->radii.most_mm));
+  }
+  const bool doubled = of_cdf || (request->wanted & CORE_QUANTITY_PDF) != 0;
+  const double errors = (request->wanted & CORE_QUANTITY_SLOPE) != 0 ? SLOPE_ERRORS
+                        : doubled                                    ? CDF_ERRORS
+                                                                     : 1;
+  const double rounding = request->single ? ROUNDING_F32 : 0, of_R = (left - rounding) / errors;
+  const double least = near ? SOLVER_LEAST_NEAR : SOLVER_LEAST;
+  if (of_R >= least + beyond) {
+    const double tolerance = of_R * BELOW / (near ? SOLVER_NEAR_FACTOR : 1);
+    candidate->looked_up = false;
+    candidate->left = left;
+    candidate->numerical_tolerance = tolerance < LOOSE ? tolerance : (double)NAN;
+    candidate->numerical_error = left;
+  } else if (isinf(candidate->numerical_error)) {
+    candidate->looked_up = false;
+    candidate->numerical_error = errors * (least + beyond) + rounding;
+  }
+}
+
 /* ---- costs ----------------------------------------------------------------------------------- */
 
 static const struct cost *cost_of(unsigned model) {
@@ -190,19 +222,25 @@ void core_offer(core_candidate *candidate, const core_choose_request *request, u
 
 /* ---- choosing -------------------------------------------------------------------------------- */
 
+/* Returns what is looked up, or what is solved if that misses the tolerance. */
 static core_candidate make_candidate(const core_choose_request *request,
                                      enum core_evaluator evaluator) {
   core_candidate candidate = {.model = CORE_MODEL_TRANSPORT,
                               .evaluator = evaluator,
                               .numerical_tolerance = (double)NAN,
+                              .left = (double)NAN,
                               .model_error = model_error(request),
                               .numerical_error = (double)INFINITY};
   if (candidate.model_error < (double)INFINITY) {
-    const double besides = logarithm_error(request) + added_error(request);
-    const double left =
-        (request->tolerance - candidate.model_error) / (1 + candidate.model_error) - besides;
-    set_numerical_error(&candidate, request, left);
+    const double of_ln_R = logarithm_error(request), besides = of_ln_R + added_error(request);
+    const double left = (request->tolerance - candidate.model_error) / (1 + candidate.model_error);
+    set_numerical_error(&candidate, request, left - besides);
     candidate.numerical_error += besides;
+    finish(&candidate, request);
+    if (!candidate.meets && evaluator != CORE_EVALUATOR_LUT) {
+      set_solved(&candidate, request, left * BELOW - of_ln_R);
+      candidate.numerical_error += candidate.looked_up ? 0 : of_ln_R;
+    }
   }
   finish(&candidate, request);
   return candidate;

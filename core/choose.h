@@ -1,7 +1,8 @@
 /* choose: finds how to evaluate transport to a tolerance, and what other models cost.
  *
  * A request that gives a tolerance in place of a model gets `transport`, in the evaluator that its
- * number of radii makes cheapest. core/costs.def has the costs, which `make tradeoff` measured. A
+ * number of radii makes cheapest: looked up in the table of solutions, or solved where that does not
+ * cover a medium or is not exact enough. core/costs.def has the costs, which `make tradeoff` measured. A
  * choice depends on the request alone: the same request gives the same choice on every machine,
  * whatever is cached.
  *
@@ -27,11 +28,13 @@ typedef struct core_choose_request {
 } core_choose_request;
 
 /* A model with an evaluator, for a request. The errors are upper bounds, and INFINITY where nothing
- * can be promised. */
+ * can be promised. The error of what is solved is the tolerance itself: only the prepared profile
+ * states whether the solver has reached it. */
 typedef struct core_candidate {
   enum core_model model;
   enum core_evaluator evaluator;
   double numerical_tolerance; /* the parameter `tolerance` to prepare with; NAN: the default */
+  double left; /* of what is solved: the numerical error that its profile may state; else NAN */
   double model_error;
   double numerical_error;
   double error;      /* model_error and numerical_error together */

@@ -193,6 +193,11 @@ void core_transport_added_errors(const core_medium *medium, core_added_errors *a
  * in it. Otherwise preparation solves it, whatever the tolerance is. */
 bool core_transport_is_stored(const core_medium *medium);
 
+/* Returns whether preparation looks the medium up: it is stored, and the tolerance (NAN: none is given)
+ * is not below what the table states of R at some radius. With g = 0 nothing is more exact than the
+ * table. */
+bool core_transport_is_looked_up(const core_medium *medium, double tolerance);
+
 /* Returns the fault of a g and eta that the table of solutions does not cover. */
 core_fault core_transport_stored_check(double g, double eta);
 

@@ -62,8 +62,10 @@ bool core_prepares_slowly(unsigned model, unsigned evaluator, const core_medium 
   const core_medium taken =
       medium != NULL ? core_transport_medium(medium, parameters->value[CORE_PARAMETER_GAMMA])
                      : (core_medium){0};
-  return found != NULL && (evaluator == CORE_EVALUATOR_LUT || (parameters_of(found) & SLOW) != 0 ||
-                           (solves && (medium == NULL || !core_transport_is_stored(&taken))));
+  return found != NULL &&
+         (evaluator == CORE_EVALUATOR_LUT || (parameters_of(found) & SLOW) != 0 ||
+          (solves && (medium == NULL || !core_transport_is_looked_up(
+                                            &taken, parameters->value[CORE_PARAMETER_TOLERANCE]))));
 }
 
 bool core_finds_albedo_slowly(unsigned model) {

@@ -2,7 +2,8 @@
  *
  * Preparation takes the solution of a medium from the table of solutions (core/transport/table.h)
  * wherever that covers the medium, and solves it elsewhere (core/solver/solver.h), which takes
- * seconds. The kernels evaluate Legendre series of
+ * seconds. It solves stored media, too, if the parameter `tolerance` is below what the table states,
+ * unless a table for single precision is made of the profile. The kernels evaluate Legendre series of
  *
  *   L(ln x) = ln(x R(x)) + kappa x
  *
@@ -437,6 +438,20 @@ static double error_of_R(const transport_table *table, const core_medium *medium
 double core_transport_table_error(const core_medium *medium) {
   const transport_table *table = transport_table_shipped();
   return table != NULL ? error_of_R(table, medium) : (double)INFINITY;
+}
+
+bool core_transport_is_looked_up(const core_medium *medium, double tolerance) {
+  if (!core_transport_is_stored(medium) || !(medium->sigma_s_per_mm > 0)) {
+    return core_transport_is_stored(medium);
+  }
+  core_added_errors added;
+  core_transport_added_errors(medium, &added);
+  double error = 0;
+  for (size_t i = 0; i < CORE_MODEL_ERROR_BANDS; i++) {
+    error = fmax(error, added.banded[i]);
+  }
+  return is_isotropic(medium) ||
+         !(tolerance < error + error_of_R(transport_table_shipped(), medium));
 }
 
 /* This is more than the error of R. */
@@ -936,9 +951,12 @@ core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *p
   }
   const double tolerance = inputs->accepted > 0
                                ? fmax(inputs->accepted, TOLERANCE)
-                               : core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, TOLERANCE);
-  return is_stored(&medium) ? prepare_stored(inputs, &medium, preparation)
-                            : prepare_solved(inputs, &medium, tolerance, preparation);
+                               : inputs->parameters->value[CORE_PARAMETER_TOLERANCE];
+  const bool any = inputs->accepted > 0 || inputs->only_albedo; /* the albedo's error is small */
+  return core_transport_is_looked_up(&medium, any ? (double)NAN : tolerance)
+             ? prepare_stored(inputs, &medium, preparation)
+             : prepare_solved(inputs, &medium, isnan(tolerance) ? TOLERANCE : tolerance,
+                              preparation);
 }
 
 #endif

@@ -45,7 +45,7 @@ struct tier {
 struct level {
   double moment_least; /* the series of the phase function ends at a moment as small as this */
   size_t moments_most;
-  double floor[2];         /* least relative error that is stated: below r = NEAR, beyond */
+  double floor[2];         /* least relative error that is stated: below r = SOLVER_NEAR, beyond */
   double share;            /* of kappa, where the path of wavenumbers begins */
   size_t nodes;            /* on each panel */
   struct tier tier[TIERS]; /* the last one's k_most is K */
@@ -84,7 +84,7 @@ static const struct level levels[SOLVER_LEVELS] = {
      {{0.3, {7, 15, 5}}, {1, {9, 17, 6}}, {3, {12, 22, 7}}, {10, {13, 28, 9}}}},
     {1e-6,
      96,
-     {1e-4, 2e-5},
+     {SOLVER_LEAST_NEAR, SOLVER_LEAST},
      0.86,
      12,
      {{0.3, {8, 20, 8}}, {1, {10, 22, 8}}, {3, {13, 26, 8}}, {12, {15, 34, 10}}}},
@@ -247,7 +247,7 @@ struct solver_solution {
   size_t grids;           /* 1, or 2 if the next coarser one is known */
   single_rule *single;    /* one for each part, with the phase function in its weights */
   struct grid grid[2];    /* the finest, and the next coarser one */
-  const double *floor;    /* of relative errors: below r = NEAR, beyond */
+  const double *floor;    /* of relative errors: below r = SOLVER_NEAR, beyond */
   double margin;          /* relative errors over the grids' difference */
   double (*error)[RADII]; /* [boundary] relative, at each radius */
 };
@@ -430,7 +430,7 @@ static core_fault solve(solver_solution **solution, const core_isa *isa, double 
     made->level = level;
     if (ok && level > first) {
       const double before = worst;
-      worst = find_errors(made);
+      worst = fmax(find_errors(made), made->floor[1]);
       expected = isinf(before) ? 0 : worst * fmin(1, GAIN_GROWS * worst / before);
     }
   }
@@ -513,7 +513,6 @@ double solver_single_at(const solver_solution *solution, size_t eta, double r) {
 
 /* Near the source, grids share more of their errors, which come from wavenumbers beyond K: for eta
  * above 2 they agree within 1e-4 and are 6e-4 off. */
-#define NEAR 0.3
 
 /* Beyond so many reduced mean free paths R is that of diffusion, within FARTHER_OFF, relative: a source
  * at a depth of some mean free paths changes it by kappa / r, and where that is larger nothing is
@@ -557,7 +556,7 @@ transport_number solver_at(const solver_solution *solution, size_t eta, double r
   }
   const double place = fn_log(fmax(r, RADIUS_LEAST) / RADIUS_LEAST) / fn_log(RADIUS_RATIO) + 0.5;
   const size_t middle = place < RADII - 1 ? (size_t)place : RADII - 1;
-  double error = solution->floor[r >= NEAR];
+  double error = solution->floor[r >= SOLVER_NEAR];
   for (size_t i = middle > SIDE ? middle - SIDE : 0; i <= middle + SIDE && i < RADII; i++) {
     error = fmax(error, solution->error[eta][i]);
   }

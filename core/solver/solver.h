@@ -45,11 +45,18 @@ enum {
 #define SOLVER_RADIUS_LEAST 0.01
 #define SOLVER_RADIUS_MOST 20.0
 
+/* The least relative errors that any solution states: at radii below SOLVER_NEAR, and beyond. Those of
+ * one solution are about SOLVER_NEAR_FACTOR apart. */
+#define SOLVER_NEAR 0.3
+#define SOLVER_LEAST_NEAR 1e-4
+#define SOLVER_LEAST 2e-5
+#define SOLVER_NEAR_FACTOR 5
+
 typedef struct solver_solution solver_solution;
 
 /* Solves one medium for some boundaries together, which takes little longer than for one. Finer
- * and finer grids are solved until the relative error that two of them show is at most the
- * tolerance, at radii from SOLVER_RADIUS_LEAST to SOLVER_RADIUS_MOST as far as R has not decayed
+ * and finer grids are solved until the relative error that two of them show, and the least that
+ * their values can have beyond SOLVER_NEAR, is at most the tolerance, at radii from SOLVER_RADIUS_LEAST to SOLVER_RADIUS_MOST as far as R has not decayed
  * by e^-20, but at most four of them, and no fourth one if the first three show that it would not
  * reach the tolerance. What holds is the error that is stated beside each value,
  * which is larger than asked for where |g| is above 0.95 or g is below -0.5. One boundary and g up

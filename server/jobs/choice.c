@@ -1,5 +1,6 @@
 #include "server/jobs/choice.h"
 
+#include <inttypes.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -72,6 +73,12 @@ static core_candidate best_of(const core_choose_request *asked) {
   return candidates[0];
 }
 
+/* Whether the table of solutions keeps the tolerance. What a refusal quotes is answered, and nobody knows
+ * that of a solution. */
+static bool is_kept(core_candidate best) {
+  return best.meets && best.looked_up;
+}
+
 /* Writes a positive number with three digits, rounded up or down. */
 static void round_to(char text[ROUNDED_BYTES], double value, bool up) {
   snprintf(text, ROUNDED_BYTES, "%.3g", value);
@@ -105,7 +112,7 @@ static bool describe_quantity(const core_choose_request *asked, char *text, size
     const unsigned bit = left & ~(left - 1);
     others.wanted &= ~bit;
     const core_candidate best = best_of(&others);
-    if (others.wanted != 0 && best.meets) {
+    if (others.wanted != 0 && is_kept(best)) {
       char error[ROUNDED_BYTES];
       round_to(error, best.error, true);
       snprintf(text, bytes, "; %s without %s", error,
@@ -123,12 +130,12 @@ static double find_radius(const core_choose_request *asked) {
   double least_mm = fmax(asked->radii.least_mm, asked->radii.most_mm * 1e-6);
   double most_mm = asked->radii.most_mm;
   nearer.radii.most_mm = least_mm;
-  if (!(least_mm < most_mm && most_mm < (double)INFINITY && best_of(&nearer).meets)) {
+  if (!(least_mm < most_mm && most_mm < (double)INFINITY && is_kept(best_of(&nearer)))) {
     return -1;
   }
   for (int halving = 0; halving < 14; halving++) {
     nearer.radii.most_mm = sqrt(least_mm) * sqrt(most_mm);
-    *(best_of(&nearer).meets ? &least_mm : &most_mm) = nearer.radii.most_mm;
+    *(is_kept(best_of(&nearer)) ? &least_mm : &most_mm) = nearer.radii.most_mm;
   }
   return least_mm;
 }
@@ -153,7 +160,7 @@ static void describe_radius(const core_choose_request *asked, size_t worst, char
       return;
     }
     const core_candidate best = best_of(&all);
-    if (best.meets) {
+    if (is_kept(best)) {
       round_to(error, best.error, true);
       snprintf(text, bytes, "; %s up to %s mm", error, radius_mm);
       return;
@@ -170,7 +177,7 @@ static bool is_known(const core_choose_request *asked, unsigned which, double va
   medium.sigma_s_per_mm /= 1 - medium.g;
   one.media = &medium;
   one.media_count = 1;
-  one.radii = (core_radii_range){1, 1};
+  one.radii.least_mm = one.radii.most_mm = 1 / (medium.sigma_a_per_mm + 1);
   return best_of(&one).error <= 1;
 }
 
@@ -245,6 +252,7 @@ static bool take_next(struct choice_state *state, const core_choose_request *ask
   request->fixed.model = (uint16_t)candidate->model;
   request->fixed.evaluator = (uint16_t)candidate->evaluator;
   request->parameters.value[CORE_PARAMETER_TOLERANCE] = candidate->numerical_tolerance;
+  state->left = candidate->left;
   return true;
 }
 
@@ -253,6 +261,26 @@ wire_error choice_first(struct choice_state *state, eval_request *request, core_
   state->tolerance = asked.tolerance;
   state->tried = 0;
   return take_next(state, &asked, request) ? wire_error_none() : none_meets(&asked);
+}
+
+wire_error choice_check_solved(const struct choice_state *state, const eval_request *request,
+                               core_radii_range radii, const core_profile *profile,
+                               uint32_t channel) {
+  const core_stated_errors errors = core_profile_errors(profile, wanted_of(&request->fixed), radii);
+  const double stated = errors.numerical +
+                        (errors.numerical_per_mm > 0 ? errors.numerical_per_mm * radii.most_mm : 0);
+  if (isnan(state->left) || stated <= state->left) {
+    return wire_error_none();
+  }
+  char least[ROUNDED_BYTES], medium[32] = "", allowed[ALLOWED_BYTES];
+  round_to(least, state->tolerance * stated / state->left, true);
+  if (request->fixed.medium_count > 1) {
+    snprintf(medium, sizeof medium, " for medium %" PRIu32, channel + 1);
+  }
+  snprintf(allowed, sizeof allowed, "at least %s%s (best: transport, solved)", least, medium);
+  wire_error error = wire_error_make(WIRE_STATUS_BAD_VALUE, "tolerance", allowed);
+  error.index = channel;
+  return error;
 }
 
 bool choice_again(struct choice_state *state, core_fault fault, eval_request *request,

@@ -410,6 +410,13 @@ static enum job_outcome get_profile(struct eval_job *eval) {
   case PROFILES_READY:
     break;
   }
+  if (!isnan(eval->choice.tolerance)) {
+    const wire_error error = choice_check_solved(&eval->choice, &eval->request, eval->radii,
+                                                 &eval->lookup.profile, eval->channel);
+    if (error.status != WIRE_STATUS_OK) {
+      return job_refuse(&eval->job, error);
+    }
+  }
   start_channel(eval);
   return JOB_GOES_ON;
 }

@@ -74,6 +74,10 @@ UNIT_TEST(promises_are_what_is_stated) {
     for (size_t k = 0; k < n && candidates[k].meets; k++) {
       assert_true(candidates[k].error <= request.tolerance);
       assert_true(candidates[k].model_error == 0);
+      if (!candidates[k].looked_up) {
+        assert_true(candidates[k].left <= request.tolerance);
+        continue;
+      }
       check_promise(&request, &candidates[k]);
       promises++;
     }
@@ -168,11 +172,37 @@ UNIT_TEST(gamma_has_an_error_of_its_own) {
   assert_true(isinf(choose(&request).error));
 }
 
-/* What the table of solutions does not hold has an error that is not known before. */
-UNIT_TEST(what_is_solved_is_not_promised) {
-  const core_medium medium = {0.1, 1, 0, 2.5};
-  const core_choose_request request = easy(&medium, 1);
-  assert_true(isinf(choose(&request).error));
+/* Where the table of solutions has no medium, or is not exact enough, it is solved: with the tolerance
+ * as the error, which the profile then states or misses. */
+UNIT_TEST(what_the_table_does_not_keep_is_solved) {
+  const core_medium beyond = {0.1, 1, 0, 2.5}, tissue = {0.05, 10, 0.9, 1.4};
+  core_choose_request request = easy(&beyond, 1);
+  core_candidate choice = choose(&request);
+  assert_true(choice.meets && !choice.looked_up && choice.error <= request.tolerance);
+  assert_true(isnan(choice.numerical_tolerance)); /* that of every solution */
+  request = easy(&tissue, 1);
+  choice = choose(&request);
+  assert_true(choice.looked_up && isnan(choice.left));
+  request.tolerance = 2.5e-4;
+  choice = choose(&request);
+  assert_true(choice.meets && !choice.looked_up && choice.error <= 2.5e-4);
+  assert_true(choice.prepare_ns > 1e8 && choice.evaluator == CORE_EVALUATOR_F64);
+  core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_TOLERANCE] = choice.numerical_tolerance;
+  assert_true(core_prepares_slowly(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, &tissue, &parameters));
+  core_profile profile;
+  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
+                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &tissue,
+                                         &parameters),
+                    NULL, 0);
+  const core_stated_errors errors = core_profile_errors(&profile, request.wanted, request.radii);
+  assert_true(errors.numerical + errors.numerical_per_mm * request.radii.most_mm <= choice.left);
+  core_profile_free(&profile);
+  request.radii.least_mm = 0.01; /* nearer, solutions are less exact */
+  assert_true(choose(&request).numerical_tolerance < 0.3 * choice.numerical_tolerance);
+  request.tolerance = 1e-5;
+  choice = choose(&request);
+  assert_true(!choice.meets && choice.error < 2e-3);
 }
 
 /* The same in other units of length, for the radii are relative to the medium. */

@@ -543,10 +543,10 @@ def test_a_tolerance_in_place_of_a_model(client):
     (dark,) = read_csv(points(absorbing, "--tolerance", "0.01"))
     assert dark["status"] == "ok"
     (refused,) = read_csv(
-        dipole("points", "--tolerance", "0.001", "--wanted", "R,cdf", stdin=absorbing,
+        dipole("points", "--tolerance", "1e-5", "--wanted", "R,dR_dr", stdin=f"{HEADER}\n{ROW}\n",
                status=BAD_ROWS).stdout
     )  # fmt: skip
-    assert refused["status"].endswith(" without cdf")
+    assert refused["status"].endswith(" without dR_dr")
     (model,) = read_csv(points(absorbing, "--tolerance", "0.01", "--model", "transport"))
     assert "cdf" in model
 
