@@ -22,14 +22,23 @@ SYSTEM_PREFIXES ?= /usr /usr/local
 MAKES_GROUP = [ "$$(id -u),$(DESTDIR),$(filter $(PREFIX),$(SYSTEM_PREFIXES))" = '0,,$(PREFIX)' ]
 GROUP_MADE = $(PREFIX)/lib/sysusers.d/dipoled.made
 
-.PHONY: manuals install uninstall deb check-deb container
+# The tables in proto/*.md, from proto/*.def.
+$(BUILD)/wire-tables: $(OBJ)/proto/tools/wire_tables.o $(BUILD)/libproto.a $(BUILD)/libcore.a
+PROGRAMS += $(BUILD)/wire-tables
+
+.PHONY: docs manuals install uninstall deb check-deb container
+
+docs: $(BUILD)/wire-tables ## the tables in proto/*.md, from proto/*.def, and the manual pages
+	@sh .ci/install-packages docs
+	$(BUILD)/wire-tables proto/PROTOCOL.md proto/REGISTERS.md
+	@$(MAKE) --no-print-directory -j2 manuals
 
 # The manual pages stand among the sources, so that installing runs none of the built programs.
 # `make docs` makes them.
 manuals: $(BUILD)/dipoled $(BUILD)/dipole
 	$(Q)PYTHONDONTWRITEBYTECODE=1 $(PYTHON) clients/packaging/manuals.py $(BUILD) clients/packaging/man
 
-install: $(INSTALLED) $(LIBRARIES)
+install: $(INSTALLED) $(LIBRARIES) ## to $(DESTDIR)$(PREFIX)
 	$(Q)$(INSTALL_FILES) install
 	$(Q)[ -n "$(DESTDIR)" ] || [ "$$(id -u)" != 0 ] || ldconfig
 	$(Q)! $(MAKES_GROUP) || getent group dipole >/dev/null || ! command -v systemd-sysusers >/dev/null || \
@@ -38,7 +47,7 @@ install: $(INSTALLED) $(LIBRARIES)
 		'$(DESTDIR)' '$(PREFIX)' '$(BINDIR)' '$(LIBDIR)' '$(PYTHONDIR)'
 
 # With the same PREFIX, DESTDIR and the like.
-uninstall:
+uninstall: ## takes it away again
 	$(Q)! $(MAKES_GROUP) || [ ! -e '$(GROUP_MADE)' ] || { groupdel dipole; rm '$(GROUP_MADE)'; }
 	$(Q)$(INSTALL_FILES) uninstall
 	$(Q)[ -n "$(DESTDIR)" ] || [ "$$(id -u)" != 0 ] || ldconfig
@@ -47,7 +56,7 @@ uninstall:
 # flags; with REUSE=yes the copy takes what is in BUILD over, which the tests do.
 DEB ?= $(BUILD)/deb
 DEB_TREE = $(DEB)/dipoled-$(VERSION)
-deb:
+deb: ## Debian packages, in build/deb
 	@sh .ci/install-packages deb
 	@rm -rf $(DEB)
 	@mkdir -p $(DEB_TREE)
@@ -63,10 +72,10 @@ deb:
 CONTAINER ?= podman
 CONTAINER_NAME ?= dipoled
 CONTAINER_FOLDER ?= $(BUILD)/container
-container: $(INSTALLED)
+container: $(INSTALLED) ## an image of the daemon, by podman or docker
 	$(Q)sh clients/packaging/container.sh $(BUILD) $(CONTAINER_FOLDER)
 	$(Q)$(CONTAINER) build $(if $(findstring podman,$(CONTAINER)),--format docker) -t $(CONTAINER_NAME) -f $(CONTAINER_FOLDER)/Containerfile $(CONTAINER_FOLDER)
 
 # In a new system: installs them, asks the daemon, and takes them away again.
-check-deb: deb
+check-deb: deb ## installs the Debian packages in a new system
 	@sh tests/packages/run.sh $(DEB)

@@ -1,0 +1,73 @@
+# Programs that make tables and figures. Part of the Makefile. Those that take minutes and more go on
+# where they were after an interruption.
+
+# These share; the command line shows progress with the same.
+TOOLS := $(call objects,core/tools/tools.c clients/cli/progress.c)
+# An independent check of the solver and of the table, whose part for g = 0 comes from it.
+ISOTROPIC := $(call objects,$(wildcard tests/accuracy/isotropic/*.c))
+tool = $(call objects,$(wildcard core/tools/$(1)/*.c)) $(TOOLS) $(BUILD)/libcore.a
+$(BUILD)/trade-speed: $(call tool,tradeoff)
+$(BUILD)/transport-table: $(call tool,transport_table) $(ISOTROPIC)
+$(BUILD)/reference: $(call tool,reference)
+$(BUILD)/apertures: $(call tool,apertures)
+$(BUILD)/phases: $(call tool,phases) $(OBJ)/core/tools/reference/walks.o
+$(addprefix $(BUILD)/,trade-speed reference phases): LIBS = $(CORE_LIBS)
+$(BUILD)/picture: $(OBJ)/clients/c/examples/picture.o $(BUILD)/libdipole.a
+$(BUILD)/picture: LIBS = $(call libs,libpng) $(TLS_LIBS)
+$(OBJ)/clients/c/examples/picture.o: EXTRA_CPPFLAGS = $(call cflags,libpng)
+PROGRAMS += $(addprefix $(BUILD)/,trade-speed transport-table reference apertures phases picture)
+
+.PHONY: gamma-errors tables reference tradeoff apertures figures picture gather-figure fit-bias
+
+# On a machine that does little else: it times what is chosen by cost.
+tradeoff: ## speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
+	@sh .ci/install-packages demo figures
+	@$(MAKE) --no-print-directory -j2 $(BUILD)/trade-speed
+	$(BUILD)/trade-speed $(BUILD)/tradeoff
+	$(PYTHON) core/tools/tradeoff/draw.py $(BUILD)/tradeoff
+	cp $(BUILD)/tradeoff/costs.def core/
+	cp $(BUILD)/tradeoff/front.svg core/tools/tradeoff/
+
+tables: $(BUILD)/transport-table ## core/transport/transport.table, solved anew (2 hours)
+	$(BUILD)/transport-table $(BUILD)/tables core/transport/transport.table
+
+# The program is made anew, and its table compared with other media. GRIDS=normal takes three times as
+# long.
+GRIDS ?= quick
+apertures: $(BUILD)/apertures ## core/fit/aperture.table and its errors, solved anew (minutes)
+	$(BUILD)/apertures $(BUILD)/apertures-parts core/fit/aperture.table $(GRIDS)
+	@$(MAKE) --no-print-directory $(BUILD)/apertures
+	$(BUILD)/apertures $(BUILD)/apertures-parts core/fit/aperture_errors.def
+
+# EFFORT=normal: minutes.
+EFFORT ?= finest
+reference: $(BUILD)/reference ## core/transport/reference.csv, R(r) for many g, solved anew (an hour)
+	$(BUILD)/reference $(BUILD)/reference-parts core/transport/reference.csv $(EFFORT)
+
+gamma-errors: $(BUILD)/phases ## core/gamma_errors.def, transport with gamma for other phase functions
+	$(BUILD)/phases $(BUILD)/phases-parts core/gamma_errors.def
+
+figures: ## Figures 1 to 17 of d'Eon 2012 and one of tissue, in build/figures (ten minutes)
+	@sh .ci/install-packages demo figures
+	@$(MAKE) --no-print-directory -j2 $(BUILD)/dipoled $(BUILD)/dipole
+	DIPOLED=private:$(BUILD)/dipoled $(PYTHON) core/tools/figures.py --output $(BUILD)/figures $(FIGURES_OPTIONS)
+	cp $(BUILD)/figures/tissue.svg core/tools/
+	$(BUILD)/dipole plot --medium skin1 --model classical,better,transport --error --plot clients/cli/skin1.svg
+
+picture: ## a mesh in marble, milk and skin by three models, clients/c/examples/picture.png
+	@sh .ci/install-packages demo
+	@$(MAKE) --no-print-directory -j2 $(BUILD)/dipoled $(BUILD)/picture
+	DIPOLED=private:$(BUILD)/dipoled $(BUILD)/picture clients/c/examples/picture.png
+
+# Error against time, time against points, and sheets of light: some three minutes.
+gather-figure: $(BUILD)/bench $(BUILD)/tests/accuracy/test_gather ## build/figures/gather.svg: light gathered from points
+	@sh .ci/install-packages figures
+	@mkdir -p $(BUILD)/figures
+	$(BUILD)/bench --long gather > $(BUILD)/figures/gather.tsv
+	$(BUILD)/tests/accuracy/test_gather > $(BUILD)/figures/gather.txt
+	$(PYTHON) core/tools/gather.py $(BUILD)/figures/gather.tsv $(BUILD)/figures/gather.txt core/tools/gather.svg
+
+fit-bias: ## what diffusion models make of readings, beside transport: a table and a figure
+	@sh .ci/install-packages demo figures
+	@$(MAKE) --no-print-directory -j2 $(BUILD)/dipoled
+	DIPOLED=private:$(BUILD)/dipoled $(PYTHON) core/tools/fit_bias.py --output $(BUILD)/figures

@@ -1,0 +1,210 @@
+# Test programs, and what runs them. Part of the Makefile.
+
+BENCH := $(call objects,$(wildcard tests/bench/*.c tests/bench/*/*.c))
+# The longest ones come first, so that no processor waits for them at the end.
+TESTS := $(addprefix $(BUILD)/tests/,unit/test_kernels accuracy/test_choose accuracy/test_dipole)
+TESTS += $(filter-out $(TESTS),$(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/accuracy/test_*.c tests/unit/test_*.c)))
+TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/accuracy/rings.c tests/accuracy/truth.c tests/bench/*.c tests/bits/*.c tests/e2e/*.c tests/fuzz/*.c tests/pipeline/*.c tests/soak/*.c),$(wildcard tests/*/*.c))) $(ISOTROPIC)
+
+# ---- programs ------------------------------------------------------------------------------------
+
+$(TESTS): $(BUILD)/tests/%: $(OBJ)/tests/%.o $(TEST_SUPPORT) $(BUILD)/libdipole.a
+$(TESTS): LIBS = -lcmocka -lmpfr -lgmp $(TLS_LIBS) $(CORE_LIBS) $(TEST_LIBS)
+
+# The daemon's cache, input, histograms and Modbus, tested without a daemon, and a worker with clients
+# of the test's own.
+unit = $(addprefix $(BUILD)/tests/unit/,$(1))
+$(call unit,test_cache test_profiles): $(call objects,$(addprefix server/,store/cache.c store/points.c store/profiles.c observe/stats.c))
+$(call unit,test_histogram): $(call objects,server/observe/latency.c)
+$(call unit,test_input): $(call objects,server/net/buffers.c)
+$(call unit,test_modbus): $(call objects,server/net/access.c $(addprefix server/modbus/,codec.c diagnostics.c receiver.c))
+$(call unit,test_worker): $(filter-out $(OBJ)/server/main.o,$(SERVER))
+$(call unit,test_cache test_profiles test_histogram test_input): TEST_LIBS = $(call libs,libuv)
+$(call unit,test_worker): TEST_LIBS = $(SERVER_LIBS)
+$(patsubst %,$(OBJ)/tests/unit/test_%.o,cache profiles input worker): EXTRA_CPPFLAGS = $(call cflags,libuv)
+$(OBJ)/tests/unit/test_modbus.o: EXTRA_CPPFLAGS = $(call cflags,libmodbus)
+
+$(BUILD)/bench: $(BENCH) $(BUILD)/libdipole.a
+$(BUILD)/soak-load: $(call objects,$(wildcard tests/soak/*.c)) $(BUILD)/libdipole.a
+$(BUILD)/pipeline: $(call objects,$(wildcard tests/pipeline/*.c)) $(BUILD)/libdipole.a
+$(BUILD)/bench $(BUILD)/soak-load $(BUILD)/pipeline: LIBS = $(TLS_LIBS) $(CORE_LIBS)
+$(OBJ)/tests/bench/bench_tls.o: EXTRA_CPPFLAGS = $(TLS_CFLAGS)
+
+# The daemon, and a test can see how often it takes memory from the heap.
+$(BUILD)/dipoled-counting: $(SERVER) $(OBJ)/tests/e2e/count_allocations.o $(BUILD)/libproto.a $(BUILD)/libcore.a
+$(BUILD)/dipoled-counting: LIBS = -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc $(SERVER_LIBS) $(CORE_LIBS)
+$(OBJ)/tests/e2e/count_allocations.o: EXTRA_CPPFLAGS = $(call cflags,libuv)
+
+$(BUILD)/tests/accuracy/truth: $(call objects,$(addprefix tests/accuracy/,truth.c forms.c reference.c reference_fresnel.c)) $(ISOTROPIC) $(BUILD)/libcore.a
+$(BUILD)/tests/accuracy/truth: LIBS = -lmpfr -lgmp $(CORE_LIBS)
+$(BUILD)/tests/accuracy/rings: $(call objects,tests/accuracy/rings.c core/tools/reference/walks.c) $(TOOLS) $(BUILD)/libcore.a
+$(BUILD)/tests/bits: $(OBJ)/tests/bits/bits.o $(BUILD)/libcore.a
+$(BUILD)/tests/accuracy/rings $(BUILD)/tests/bits: LIBS = $(CORE_LIBS)
+
+# For clang and its libFuzzer alone: `make fuzz` builds it in a folder of its own.
+FUZZ := $(call objects,$(wildcard tests/fuzz/*.c))
+$(FUZZ): EXTRA_CPPFLAGS = $(call cflags,libuv libmodbus)
+$(BUILD)/fuzz: $(FUZZ) $(filter-out %/main.o,$(SERVER) $(CLI)) $(BUILD)/libdipole.a
+$(BUILD)/fuzz: LIBS = -fsanitize=fuzzer $(SERVER_LIBS) $(call libs,libpng) $(CORE_LIBS)
+
+PROGRAMS += $(TESTS) $(addprefix $(BUILD)/,bench soak-load pipeline dipoled-counting fuzz tests/bits tests/accuracy/truth tests/accuracy/rings)
+
+# Debian's prometheus and promtool, taken out of the package: installing that would start a server.
+# The tests that need them say so if they are not to be had.
+$(BUILD)/prometheus:
+	@mkdir -p $(@D)/prometheus.d
+	-@if command -v prometheus >/dev/null; then ln -sf "$$(command -v prometheus)" "$$(command -v promtool)" $(@D); \
+	  elif command -v apt-get >/dev/null; then cd $(@D)/prometheus.d && apt-get -qq -o APT::Sandbox::User=root download prometheus && \
+	  dpkg-deb --fsys-tarfile prometheus_*.deb | tar -x ./usr/bin && mv -f usr/bin/promtool usr/bin/prometheus ..; fi
+	@rm -rf $(@D)/prometheus.d
+
+# ---- what `make check` runs, and longer forms ------------------------------------------------------
+
+.PHONY: check-programs check-long check-structure check-types check-unit check-units-long check-bits \
+	check-bits-aarch64 check-e2e check-again check-packages check-soak check-soak-long check-tls-long \
+	check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz \
+	check-fuzz-long check-truth check-truth-long check-fits check-varying check-rings rings soak truth \
+	fuzz fuzz-merge bench
+
+check-programs: $(TESTS) $(addprefix $(BUILD)/,dipoled-counting wire-tables trade-speed soak-load pipeline tests/bits tests/accuracy/truth)
+
+check-long: ## the tests that take longer: packages in a new system, aarch64, long loads
+	@sh .ci/install-packages demo check deb ci
+	@$(MAKE) --no-print-directory -j2 all $(BUILD)/tests/bits $(BUILD)/soak-load $(BUILD)/pipeline
+	+@bash tests/run-check.sh $(BUILD)/logs-long bits-aarch64 soak-long tls-long balancer-long+rings,truth-long plan pipeline fits+varying units-long fuzz-long packages deb
+
+check-structure: ## circles of modules, words of documents
+	@$(PYTHON) tests/structure.py
+
+check-types: ## types of the Python module and of the examples in Python
+	@MYPYPATH=clients/python:clients/modbus $(PYTHON) -m mypy --strict --enable-incomplete-feature=Unpack --cache-dir $(BUILD)/mypy clients/python/dipole clients/python/examples clients/modbus
+
+# Each test program by itself, so that one that crashes takes no other with it.
+check-unit: $(TESTS) ## tests in C
+	@UNIT_LIMIT_S=$(UNIT_LIMIT_S) bash tests/run-units.sh $(BUILD)/logs $(TESTS)
+
+# Those that have a long form.
+LONG_TESTS := $(addprefix $(BUILD)/tests/,unit/test_kernels accuracy/test_derivative accuracy/test_lut accuracy/test_transport_g accuracy/test_transport_table)
+check-units-long: $(LONG_TESTS)
+	@UNIT_LONG=yes bash tests/run-units.sh $(BUILD)/logs-long $(LONG_TESTS)
+
+check-bits: $(BUILD)/tests/bits ## the same bits from each instruction set
+	@sh tests/run-bits.sh $(BUILD) native
+
+check-bits-aarch64: $(BUILD)/tests/bits
+	@sh tests/run-bits.sh $(BUILD) aarch64
+
+PYTEST = env TESTED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python:tests/e2e PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -rfEs -p no:cacheprovider
+
+check-e2e: all $(BUILD)/dipoled-counting $(BUILD)/soak-load $(BUILD)/pipeline ## tests of the programs
+	$(PYTEST) -n 2 --dist loadfile --durations=20 --ignore=tests/e2e/test_packages.py tests/e2e
+
+# Runs the one test of tests/e2e that the variable TEST of the environment names.
+check-again:
+	@$(PYTEST) "$$TEST"
+
+# Builds the Debian packages twice.
+check-packages: all
+	$(PYTEST) tests/e2e/test_packages.py
+
+check-soak: all $(BUILD)/soak-load
+	SOAK_S=15 $(PYTEST) -s tests/soak
+
+check-soak-long: all $(BUILD)/soak-load
+	SOAK_S=120 $(PYTEST) -s tests/soak
+
+# Ten thousand handshakes that somebody leaves half open, five thousand with faults, and a million
+# records with faults.
+check-tls-long: all
+	TLS_HANDSHAKES=10000 TLS_RECORDS=1000000 $(PYTEST) --durations=5 tests/e2e/test_tls.py
+
+# Clients of all kinds behind HAProxy, while three daemons are killed and drained.
+BALANCER_S ?= 600
+check-balancer-long: all $(BUILD)/soak-load ## ten minutes behind HAProxy, BALANCER_S seconds if given
+	BALANCER_S=$(BALANCER_S) $(PYTEST) -k all_kinds tests/e2e/test_balancer.py
+
+# PLAN='--nodes 2e3 --rate 50' for another farm. `make scaling` puts the tables into
+# server/DEPLOYING.md. check-plan compares the simulation with three daemons.
+PLAN_COMMAND = env TESTED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python PYTHONDONTWRITEBYTECODE=1 $(PYTHON) tests/plan.py
+plan: all ## how many daemons and how much network a farm needs
+	@$(PLAN_COMMAND) $(PLAN)
+
+scaling: all
+	@$(PLAN_COMMAND) $(PLAN) --write server/DEPLOYING.md
+
+check-plan: all
+	@$(PLAN_COMMAND) --check
+
+# Eight threads, each with 256 requests under way.
+PIPELINE_REQUESTS ?= 10000000
+check-pipeline: ## 10 million requests from eight threads, each answer compared
+	@sh .ci/install-packages
+	@$(MAKE) --no-print-directory -j2 all $(BUILD)/pipeline
+	PIPELINE_REQUESTS=$(PIPELINE_REQUESTS) $(PYTEST) -s tests/e2e/test_pipeline.py
+
+SOAK_S ?= 600
+soak: ## ten minutes at full load, SOAK_S seconds if given: answers and memory
+	@sh .ci/install-packages
+	@$(MAKE) --no-print-directory -j2 all $(BUILD)/soak-load
+	SOAK_S=$(SOAK_S) $(PYTEST) -s tests/soak
+
+SANITIZE_asan := address,undefined -fno-sanitize-recover=all
+SANITIZE_tsan := thread
+check-asan: ## check with the sanitizers of addresses and undefined behaviour
+check-tsan: ## check with the sanitizer of threads
+check-asan check-tsan: check-%:
+	@sh .ci/install-packages
+	@$(MAKE) --no-print-directory build/libdipole.so
+	@$(MAKE) --no-print-directory BUILD=build-$* SANITIZE='-fsanitize=$(SANITIZE_$*)' CFLAGS='-O1 -g' UNIT_LIMIT_S=3600 check
+
+# With sanitizers, clang cannot vectorize each loop that is marked for it.
+BUILT_FUZZ = build-fuzz
+BUILD_FUZZ = $(MAKE) --no-print-directory -j2 BUILD=$(BUILT_FUZZ) CC=clang CFLAGS='-O1 -g -Wno-pass-failed' SANITIZE='-fsanitize=fuzzer-no-link -fsanitize=address,undefined -fno-sanitize-recover=all' $(BUILT_FUZZ)/fuzz
+# The corpus, and so many seconds of other inputs for each target, at most. The short form builds
+# portable kernels alone, which takes half the time.
+check-fuzz: FUZZ_S = 4
+check-fuzz: BUILT_FUZZ = build-fuzz-portable
+check-fuzz: BUILD_FUZZ += ISAS=portable
+check-fuzz-long: FUZZ_S = 5
+check-fuzz check-fuzz-long:
+	@if ! command -v clang >/dev/null; then echo "fuzz: everything was skipped: there is no clang"; exit 0; fi; \
+	  $(BUILD_FUZZ) && $(PYTHON) tests/fuzz/fuzz.py $(BUILT_FUZZ)/fuzz check $(FUZZ_S)
+
+fuzz: ## libFuzzer for SECONDS=300 on all that reads foreign bytes, with sanitizers
+	@sh .ci/install-packages
+	@$(BUILD_FUZZ)
+	@$(PYTHON) tests/fuzz/fuzz.py build-fuzz/fuzz $(or $(SECONDS),300)
+
+# Puts what `fuzz` has found into tests/fuzz/corpus, as far as it reaches new code.
+fuzz-merge:
+	@$(BUILD_FUZZ)
+	@$(PYTHON) tests/fuzz/fuzz.py build-fuzz/fuzz merge
+
+# A fixed seed. The long form has as many rounds as each class needs.
+check-truth: ROUNDS = 14
+check-truth-long: ROUNDS = 20
+check-truth check-truth-long: $(BUILD)/tests/accuracy/truth
+	@$(BUILD)/tests/accuracy/truth --rounds $(ROUNDS) --seed 1
+
+truth: $(BUILD)/tests/accuracy/truth ## stated errors against exact values, SECONDS=60 of them, SEED=N or a new one
+	$(BUILD)/tests/accuracy/truth --seconds $(or $(SECONDS),60) $(SEED:%=--seed %)
+
+# 100,000 random media and radii for each model, surfaces with tolerance 1e-5 for a grid of 192 pairs
+# of g and eta, and 40 media that are solved: some five minutes. Each further solved medium takes two
+# seconds.
+VARYING_SOLVED ?= 40
+check-varying: $(BUILD)/tests/accuracy/test_varying ## media that vary, random ones
+	VARYING_MEDIA=100000 VARYING_SURFACES=192 VARYING_SOLVED=$(VARYING_SOLVED) $(BUILD)/tests/accuracy/test_varying
+
+check-fits: $(BUILD)/tests/accuracy/test_fit ## coefficients from 10,000 random sets of readings a model
+	FIT_SETS=10000 $(BUILD)/tests/accuracy/test_fit
+
+# MILLIONS of photons for each g.
+MILLIONS ?= 100
+check-rings: MILLIONS = 4
+rings: ## Monte Carlo against the solver, 100 million photons for each g (minutes)
+check-rings rings: $(BUILD)/tests/accuracy/rings
+	$(BUILD)/tests/accuracy/rings $(MILLIONS)
+
+bench: $(BUILD)/bench ## every benchmark; build/bench GROUP runs one
+	$(BUILD)/bench
