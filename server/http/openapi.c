@@ -53,7 +53,6 @@ static void write_scalar(struct http_text *text, enum http_kind kind) {
   }
 }
 
-/* Writes the members of a field's schema. */
 static void write_members(struct http_text *text, const struct http_field *field) {
   if (field->choices != NULL) {
     write_choice(text, field->choices, field->bits);

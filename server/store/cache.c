@@ -369,7 +369,6 @@ static void keep(struct cache *cache, struct cache_entry *entry, struct entries 
 
 /* ---- waiting --------------------------------------------------------------------------------- */
 
-/* Appends the waiter to its owner's queue. */
 static void enqueue(struct cache *cache, struct cache_owner *owner, struct cache_waiter *waiter) {
   if (owner->count++ == 0) {
     TAILQ_INIT(&owner->waiters);
