@@ -22,8 +22,8 @@ static const cli_option options[] = {
      "with a tolerance, the cheapest that is so near to radiative transport)",
      CLI_TEXT, offsetof(cli_profile_settings, model), NULL},
     {"evaluator", "NAME",
-     CLI_EVALUATOR_TEXT "(default: f64; lut for transport, which is\nfaster where many rows share "
-                        "g and eta, and slower where they do not)",
+     CLI_EVALUATOR_TEXT
+     "(default: f64; for transport lut where\nmany rows share g and eta, else f32)",
      CLI_TEXT, offsetof(points_settings, profile.evaluator), NULL},
     {"r", "X[,X...]",
      "for files without a column r: each row is written once for each of these\nradii, mm",
@@ -50,23 +50,36 @@ static unsigned wanted_of(const points_usual *usual) {
   return usual->quantities.wanted | (usual->settings->errors ? (unsigned)DIPOLE_MODEL_ERROR : 0);
 }
 
+/* Whether a row of transport takes f32 in place of a table of its own, which would cost 6 ms. Its values
+ * are those of stored solutions as well, whatever tolerance a table would have had. */
+static bool takes_f32(const points_usual *usual, const points_row *row) {
+  return row->model == usual->transport && row->evaluator == DIPOLE_LUT &&
+         usual->settings->profile.evaluator == NULL;
+}
+
 /* Sends the row's query; the row then waits for the answer. */
 static bool submit_row(const points_usual *usual, dipole_client *client, points_row *row,
                        dipole_error *error) {
   const float r_f32_mm = (float)row->r_mm;
   const void *f64 = points_has_radii(usual) ? usual->radii->items : &row->r_mm;
   const void *f32 = points_has_radii(usual) ? usual->r_f32 : &r_f32_mm;
+  cli_parameters parameters = row->parameters;
+  unsigned evaluator = row->evaluator;
+  if (takes_f32(usual, row)) {
+    evaluator = DIPOLE_F32;
+    cli_parameters_remove(&parameters, usual->tolerance);
+  }
   const dipole_query query = {.model = row->model,
-                              .evaluator = row->evaluator,
+                              .evaluator = evaluator,
                               .moments = row->moments,
                               .wanted = wanted_of(usual),
                               .media = &row->medium,
                               .medium_count = 1,
                               .spacing = DIPOLE_LIST,
-                              .radii = row->evaluator == DIPOLE_F64 ? f64 : f32,
+                              .radii = evaluator == DIPOLE_F64 ? f64 : f32,
                               .radius_count = usual->radius_count,
-                              .parameters = row->parameters.items,
-                              .parameter_count = row->parameters.count};
+                              .parameters = parameters.items,
+                              .parameter_count = parameters.count};
   row->state = POINTS_WAITING;
   return dipole_submit(client, &query, &row->id, error);
 }
@@ -110,11 +123,11 @@ enum { MODELS = 256, GROUP_VALUES = 65536 };
 /* How many bytes of text the rows of the window may hold together. */
 #define WINDOW_BYTES ((size_t)4 << 20)
 
-/* Media that share a model, g and eta. A surface for all of them takes the daemon as long as tables
- * for the first SURFACE_MEDIA, which are asked for one by one. So neither a file of few media nor
+/* Media that share a model, g and eta. A surface for all of them takes the daemon as long as profiles
+ * of the first SURFACE_MEDIA, which are asked for one by one. So neither a file of few media nor
  * one of many takes more than twice the time of the better way, and a row's values depend on
  * nothing but the rows above it. */
-enum { SURFACE_MEDIA = 16, FAMILIES = 4096 };
+enum { SURFACE_MEDIA = 256, FAMILIES = 512 };
 
 typedef struct points_family {
   uint64_t hash; /* of what the media share; 0 if there are none */
