@@ -12,7 +12,6 @@
 #include "core/solver/solver.h"
 #include "core/transport/functions.h"
 #include "core/transport/table_data.h"
-#include "core/transport/transport.h"
 
 enum {
   TERMS_MAX = TRANSPORT_TABLE_TERMS_MAX,
@@ -159,43 +158,20 @@ uint64_t transport_table_checksum(const uint8_t *bytes, size_t length) {
   return hash;
 }
 
-struct reader {
-  const uint8_t *at, *end;
-  bool good;
-};
-
-static uint8_t read_byte(struct reader *reader) {
-  if (reader->at == reader->end) {
-    reader->good = false;
-    return 0;
-  }
-  return *reader->at++;
+/* These read on at *at. The checksum has shown that the bytes are those of a table. */
+static size_t read_count(const uint8_t **at) {
+  return *(*at)++;
 }
 
-/* Reads a number of terms, from `least` (0 or 1) to TERMS_MAX; any other number makes the reader
- * bad. */
-static size_t read_count(struct reader *reader, size_t least) {
-  const size_t count = read_byte(reader);
-  if (count < least || count > TERMS_MAX) {
-    reader->good = false;
-    return least;
-  }
-  return count;
-}
-
-/* Reads an integer of at most 32 bits. */
-static int32_t read_integer(struct reader *reader) {
+static int32_t read_integer(const uint8_t **at) {
   uint64_t zigzag = 0;
-  for (int shift = 0; shift < 35; shift += 7) {
-    const uint8_t byte = read_byte(reader);
+  for (int shift = 0;; shift += 7) {
+    const uint8_t byte = *(*at)++;
     zigzag |= (uint64_t)(byte & 0x7f) << shift;
     if (byte < 0x80) {
-      reader->good &= zigzag <= UINT32_MAX;
       return (int32_t)((uint32_t)(zigzag >> 1) ^ -(uint32_t)(zigzag & 1));
     }
   }
-  reader->good = false;
-  return 0;
 }
 
 static size_t number_of_totals(int side) {
@@ -205,20 +181,18 @@ static size_t number_of_totals(int side) {
 /* Reads a series of a side. count: the number of coefficients of the block that each combination of
  * the indices i, l and j (panels) or i and l (totals) has, which is set if `coefficient` is NULL;
  * otherwise, position: of the first coefficient of each block. */
-static void read_series(struct reader *reader, bool of_g, bool is_total, struct packed *series,
+static void read_series(const uint8_t **at, bool of_g, bool is_total, struct packed *series,
                         uint8_t *count, const uint32_t *position) {
-  const size_t terms = read_count(reader, 1);
-  reader->good &= !is_total || terms == 1;
-  series->terms = terms;
-  for (size_t k = 0; k < terms && reader->good; k++) {
-    const size_t of_g_terms = of_g ? read_count(reader, 0) : 1;
+  series->terms = read_count(at);
+  for (size_t k = 0; k < series->terms; k++) {
+    const size_t of_g_terms = of_g ? read_count(at) : 1;
     for (size_t l = 0; l < of_g_terms; l++) {
-      const size_t of_albedo = read_count(reader, 0);
+      const size_t of_albedo = read_count(at);
       series->of_albedo = of_albedo > series->of_albedo ? of_albedo : series->of_albedo;
       for (size_t i = 0; i < of_albedo; i++) {
-        const size_t of_v = read_count(reader, 0);
+        const size_t of_v = read_count(at);
         for (size_t j = 0; j < of_v; j++) {
-          const int32_t c = read_integer(reader);
+          const int32_t c = read_integer(at);
           const size_t inner = is_total ? j : k;
           const size_t block = (i * TERMS_MAX + l) * TERMS_MAX + (is_total ? 0 : j);
           if (position == NULL) {
@@ -260,19 +234,18 @@ static bool lay_blocks(struct packed *series, bool is_total, const uint8_t *coun
   return series->block != NULL && series->coefficient != NULL;
 }
 
-/* Reads one side of one part completely, and checks it. Returns false if it is not well formed, or if
- * memory runs out. */
-static bool pack_side(struct reader *reader, int side, struct packed series[SERIES_MAX]) {
+/* Reads one side of one part. Returns false if memory runs out. */
+static bool pack_side(const uint8_t **at, int side, struct packed series[SERIES_MAX]) {
   const size_t most = (size_t)TERMS_MAX * TERMS_MAX * TERMS_MAX, totals = number_of_totals(side);
   uint8_t *count = malloc(most);
   uint32_t *position = malloc(most * sizeof *position);
   bool good = count != NULL && position != NULL;
   for (size_t n = 0; n < totals + PANELS && good; n++) {
     const bool is_total = n < totals;
-    struct reader again = *reader;
+    const uint8_t *again = *at;
     memset(count, 0, most);
-    read_series(reader, side >= SIDES, is_total, &series[n], count, NULL);
-    good = reader->good && lay_blocks(&series[n], is_total, count, position);
+    read_series(at, side >= SIDES, is_total, &series[n], count, NULL);
+    good = lay_blocks(&series[n], is_total, count, position);
     if (good) {
       read_series(&again, side >= SIDES, is_total, &series[n], count, position);
     }
@@ -280,39 +253,6 @@ static bool pack_side(struct reader *reader, int side, struct packed series[SERI
   free(count);
   free(position);
   return good;
-}
-
-/* Returns whether the edges of a part ascend for every albedo. */
-static bool edges_ascend(const double *field, bool of_difference) {
-  const double kappa_most = 1;
-  const int first = of_difference ? TRANSPORT_TABLE_D_EDGES : TRANSPORT_TABLE_EDGES;
-  const int reach = of_difference ? TRANSPORT_TABLE_D_REACH_DECAYS : TRANSPORT_TABLE_REACH_DECAYS;
-  double edge[PANELS + 1];
-  bool good = field[first] > 0 && field[reach] > 0 && field[reach + 1] > 0;
-  if (good) {
-    transport_table_edges(field, of_difference, kappa_most, edge);
-  }
-  for (int i = 0; i < PANELS && good; i++) {
-    good = edge[i] < edge[i + 1];
-  }
-  return good;
-}
-
-static bool sane(const double *field) {
-  bool good = field[TRANSPORT_TABLE_ERROR] >= 0 && field[TRANSPORT_TABLE_QUANTUM] > 0 &&
-              field[TRANSPORT_TABLE_ALBEDO_LEAST] > 0 &&
-              field[TRANSPORT_TABLE_ALBEDO_LEAST] < field[TRANSPORT_TABLE_ALBEDO_MOST] &&
-              field[TRANSPORT_TABLE_ALBEDO_MOST] < 1 &&
-              field[TRANSPORT_TABLE_ETA_LEAST] >= TRANSPORT_ETA_MIN &&
-              field[TRANSPORT_TABLE_ETA_LEAST] < 1 && field[TRANSPORT_TABLE_ETA_MOST] > 1 &&
-              field[TRANSPORT_TABLE_ETA_MOST] <= TRANSPORT_ETA_MAX &&
-              field[TRANSPORT_TABLE_D_QUANTUM] > 0 && field[TRANSPORT_TABLE_G_LEAST] > -1 &&
-              field[TRANSPORT_TABLE_G_LEAST] < 0 && field[TRANSPORT_TABLE_G_MOST] > 0 &&
-              field[TRANSPORT_TABLE_G_MOST] < 1 && field[TRANSPORT_TABLE_TOTALS_QUANTUM] > 0;
-  for (int i = TRANSPORT_TABLE_TOTALS_ERROR; i < TRANSPORT_TABLE_FIELDS; i++) {
-    good &= field[i] >= 0; /* errors */
-  }
-  return good && edges_ascend(field, false) && edges_ascend(field, true);
 }
 
 bool transport_table_open(transport_table *table, const uint8_t *bytes, size_t length) {
@@ -325,15 +265,13 @@ bool transport_table_open(transport_table *table, const uint8_t *bytes, size_t l
   for (int i = 0; i < TRANSPORT_TABLE_FIELDS; i++) {
     table->field[i] = number_at(bytes + 24 + 8 * i);
   }
-  struct reader reader = {bytes + TRANSPORT_TABLE_HEADER_BYTES, bytes + length, true};
+  const uint8_t *at = bytes + TRANSPORT_TABLE_HEADER_BYTES;
   table->packed = calloc(1, sizeof *table->packed);
   bool good = table->packed != NULL;
   for (int side = 0; side < 2 * SIDES && good; side++) {
-    table->side[side] = reader.at;
-    good = pack_side(&reader, side, table->packed->series[side]);
+    table->difference = side <= SIDES ? at : table->difference;
+    good = pack_side(&at, side, table->packed->series[side]);
   }
-  table->side[2 * SIDES] = reader.at;
-  good = good && reader.at == reader.end && sane(table->field);
   if (!good) {
     transport_table_close(table);
   }

@@ -136,20 +136,17 @@ enum transport_table_side {
   TRANSPORT_TABLE_SIDES
 };
 
-/* An opened table. It points into the bytes that it was opened from. `packed` is a copy of the
- * coefficients, about a megabyte, in the order in which they are summed. */
+/* An opened table. `packed` is a copy of the coefficients, about a megabyte, in the order in which they
+ * are summed. */
 typedef struct transport_table {
   double field[TRANSPORT_TABLE_FIELDS];
-  /* position where each side begins, first those of isotropic scattering, then those of D; and the
-   * end of the last */
-  const uint8_t *side[2 * TRANSPORT_TABLE_SIDES + 1];
+  const uint8_t *difference; /* position among the bytes where D begins */
   struct transport_packed *packed;
 } transport_table;
 
-/* Opens a table after checking all of its bytes, in some milliseconds. Returns false if the bytes
- * are damaged or of another version, or if memory runs out; then *table must not be used. The bytes
- * may have any values and any alignment. They must outlive the table. The caller closes it with
- * transport_table_close(). */
+/* Opens a table, which `make tables` has written, in some milliseconds. Returns false if the bytes have
+ * another length, version or checksum, or if memory runs out; then *table must not be used. They may
+ * have any alignment. The caller closes it with transport_table_close(). */
 bool transport_table_open(transport_table *table, const uint8_t *bytes, size_t length);
 void transport_table_close(transport_table *table);
 

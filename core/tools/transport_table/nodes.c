@@ -552,7 +552,7 @@ void nodes_encode_difference(table_bytes *table, const table_sample samples[NODE
     tools_fail("the table cannot be read");
   }
   struct totals totals = {isotropic.field, 0, allocate(TOTALS_G * TOTALS_U, sizeof *totals.at)};
-  table_bytes writer = {allocate(BYTES_MAX, 1), (size_t)(isotropic.side[SIDES] - table->bytes)};
+  table_bytes writer = {allocate(BYTES_MAX, 1), (size_t)(isotropic.difference - table->bytes)};
   memcpy(writer.bytes, table->bytes, writer.length);
   for (enum transport_table_side side = 0; side < TRANSPORT_TABLE_SIDES; side++) {
     totals.side = side;
