@@ -485,25 +485,10 @@ core_fault core_profile_from_table(core_profile *profile, const core_isa *isa, c
 /* Whether a table holds a quantity without help from the profile that it was made from. */
 bool core_table_has(enum core_quantity quantity);
 
-/* ---- from albedo to coefficients ------------------------------------------------------------- */
-
-/* The medium whose albedo under a model is the wanted one. Its g is 0, so that sigma_s is sigma_s'.
- */
-typedef struct core_inversion {
-  core_fault fault; /* field `albedo` if the wanted albedo is not between the two below */
-  core_medium medium;
-  double albedo_least; /* range that this model, moments and eta can reach */
-  double albedo_most;
-} core_inversion;
+/* ---- from albedo to coefficients: core/inverter.h -------------------------------------------- */
 
 #define CORE_MEAN_FREE_PATH_MIN_MM 1e-14 /* narrower than a medium's limits, for rounding */
 #define CORE_MEAN_FREE_PATH_MAX_MM 1e14
-
-/* Finds a medium with a given albedo and mean free path 1 / sigma_t', which is from
- * CORE_MEAN_FREE_PATH_MIN_MM to ..._MAX_MM. The medium's albedo has a relative error of at most
- * 1e-12 where the model's albedo has so many digits. core/inverter.h inverts step by step. */
-core_inversion core_invert_albedo(unsigned model, unsigned moments, double albedo,
-                                  double mean_free_path_mm, double eta);
 
 /* ---- radii ----------------------------------------------------------------------------------- */
 

@@ -17,7 +17,7 @@
  * the stated errors of both are added, and in two of 48 rounds, once with g other than 0, its R and
  * the derivatives of ln R with solutions of neighbouring media;
  * `gaussians` is compared with the model that it was fitted to. Besides values the rounds check
- * samples (core_sample), inversions (core_invert_albedo), that a cdf never falls once it is 1, and
+ * samples (core_sample), inversions (invert_albedo), that a cdf never falls once it is 1, and
  * the stated errors of models against solutions of transport.
  *
  * Each processor runs rounds of its own. The program prints its seed, how many values of each class
@@ -43,6 +43,7 @@
 #include "core/solver/solver.h"
 #include "core/splitmix.h"
 #include "tests/accuracy/forms.h"
+#include "tests/accuracy/inversion.h"
 #include "tests/accuracy/isotropic/isotropic.h"
 
 /* ---- random numbers ------------------------------------------------------------------------------ */
@@ -392,21 +393,21 @@ static void check_samples(const struct subject *s, enum evaluator e, uint64_t *r
   }
 }
 
-/* The medium that core_invert_albedo() finds has the wanted albedo. */
+/* The medium that invert_albedo() finds has the wanted albedo. */
 static void check_inversion(struct subject *s, uint64_t *random) {
   static form_model found;
   const double wanted = below(random, 2) ? between(random, 0.01, 1) : log_between(random, 1e-6, 1);
   const double mfp_mm = log_between(random, 1e-6, 1e6);
-  const core_inversion inversion =
-      core_invert_albedo(models[s->model], s->moments, wanted, mfp_mm, s->medium.eta);
+  const inversion inverted =
+      invert_albedo(models[s->model], s->moments, wanted, mfp_mm, s->medium.eta);
   core_profile profile;
-  if (inversion.fault.field == NULL &&
+  if (inverted.fault.field == NULL &&
       core_profile_prepare(&profile, core_isa_select(NULL), models[s->model], s->moments,
-                           CORE_EVALUATOR_F64, &inversion.medium, NULL)
+                           CORE_EVALUATOR_F64, &inverted.medium, NULL)
               .field == NULL) {
     core_parameters parameters = core_parameters_none();
     parameters.value[CORE_PARAMETER_COS_IN] = parameters.value[CORE_PARAMETER_COS_OUT] = 1;
-    form_prepare(&found, models[s->model], s->moments, &inversion.medium, &parameters);
+    form_prepare(&found, models[s->model], s->moments, &inverted.medium, &parameters);
     const double allowed = 1e-12 + profile.numerical_error;
     core_profile_free(&profile);
     const double error = fabs((double)(found.albedo / (quad)wanted - 1));

@@ -15,6 +15,7 @@
 #include "core/solver/solver.h"
 #include "core/splitmix.h"
 #include "core/varying.h"
+#include "tests/accuracy/inversion.h"
 
 enum { MEDIA = 61, RADII = 257 };
 
@@ -167,9 +168,9 @@ static void print_inversions(const core_choice *model) {
   uint64_t sum = CHECKSUM_START;
   for (int i = 0; i < MEDIA; i++) {
     const double albedo = core_splitmix_f64(&state);
-    const core_inversion inversion =
-        core_invert_albedo(model->id, CORE_MOMENTS_EXACT, albedo, spread(&state, -10, 10), 1.3);
-    sum = checksum(sum, &inversion.medium, sizeof inversion.medium);
+    const inversion found =
+        invert_albedo(model->id, CORE_MOMENTS_EXACT, albedo, spread(&state, -10, 10), 1.3);
+    sum = checksum(sum, &found.medium, sizeof found.medium);
   }
   printf("%s inversions %016" PRIx64 "\n", model->name, sum);
 }

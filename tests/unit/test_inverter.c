@@ -4,6 +4,7 @@
 #include <float.h>
 #include <math.h>
 
+#include "tests/accuracy/inversion.h"
 #include "tests/unit/unit.h"
 
 #define ROUND_TRIP 1e-12
@@ -29,29 +30,28 @@ static void assert_mean_free_path(const core_medium *medium, double mean_free_pa
   assert_true(fabs(sigma_t_prime * mean_free_path_mm - 1) <= 4 * DBL_EPSILON);
 }
 
-static void assert_reach(const core_inversion *inversion) {
-  assert_true(inversion->albedo_least >= 0 && inversion->albedo_least < 1e-8);
-  assert_true(inversion->albedo_most > .9 && inversion->albedo_most <= 1);
+static void assert_reach(const inversion *found) {
+  assert_true(found->albedo_least >= 0 && found->albedo_least < 1e-8);
+  assert_true(found->albedo_most > .9 && found->albedo_most <= 1);
 }
 
 /* Inverts an albedo. Either the medium found has this albedo, or the albedo is above the largest
  * one possible and is refused. Returns whether a medium was found. */
 static bool round_trip(unsigned model, unsigned moments, double albedo, double mean_free_path_mm,
                        double eta) {
-  const core_inversion inversion =
-      core_invert_albedo(model, moments, albedo, mean_free_path_mm, eta);
-  if (inversion.fault.field != NULL) {
-    unit_assert_fault(inversion.fault, "albedo", 0);
-    assert_reach(&inversion);
-    assert_true(albedo > inversion.albedo_most);
+  const inversion found = invert_albedo(model, moments, albedo, mean_free_path_mm, eta);
+  if (found.fault.field != NULL) {
+    unit_assert_fault(found.fault, "albedo", 0);
+    assert_reach(&found);
+    assert_true(albedo > found.albedo_most);
     return false;
   }
-  assert_reach(&inversion);
-  assert_true(albedo <= inversion.albedo_most);
-  unit_assert_fault(core_medium_check(&inversion.medium), NULL, 0);
-  assert_true(inversion.medium.g == 0 && inversion.medium.eta == eta);
-  assert_mean_free_path(&inversion.medium, mean_free_path_mm);
-  const double got = albedo_of(model, moments, &inversion.medium);
+  assert_reach(&found);
+  assert_true(albedo <= found.albedo_most);
+  unit_assert_fault(core_medium_check(&found.medium), NULL, 0);
+  assert_true(found.medium.g == 0 && found.medium.eta == eta);
+  assert_mean_free_path(&found.medium, mean_free_path_mm);
+  const double got = albedo_of(model, moments, &found.medium);
   if (!(fabs(got - albedo) <= ROUND_TRIP * albedo)) {
     fail_msg("model %u moments %u eta %.17g mean free path %.17g: albedo %.17g, wanted %.17g",
              model, moments, eta, mean_free_path_mm, got, albedo);
@@ -113,12 +113,12 @@ UNIT_TEST(coefficients_come_back) {
       const core_medium *medium = &core_measured_media[i].channel[c];
       const double path_mm = 1 / (medium->sigma_a_per_mm + medium->sigma_s_per_mm);
       const double albedo = albedo_of(CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, medium);
-      const core_inversion inversion =
-          core_invert_albedo(CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, albedo, path_mm, medium->eta);
-      unit_assert_fault(inversion.fault, NULL, 0);
-      assert_true(fabs(inversion.medium.sigma_a_per_mm - medium->sigma_a_per_mm) <=
+      const inversion found =
+          invert_albedo(CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, albedo, path_mm, medium->eta);
+      unit_assert_fault(found.fault, NULL, 0);
+      assert_true(fabs(found.medium.sigma_a_per_mm - medium->sigma_a_per_mm) <=
                   1e-10 * medium->sigma_a_per_mm);
-      assert_true(fabs(inversion.medium.sigma_s_per_mm - medium->sigma_s_per_mm) <=
+      assert_true(fabs(found.medium.sigma_s_per_mm - medium->sigma_s_per_mm) <=
                   1e-10 * medium->sigma_s_per_mm);
     }
   }
@@ -140,8 +140,8 @@ UNIT_TEST(extreme_mean_free_paths_are_taken) {
 static void try_the_most(unsigned model, unsigned moments, double eta, uint64_t *random) {
   (void)random;
   for (size_t j = 0; j < sizeof paths_mm / sizeof paths_mm[0]; j++) {
-    const double most = core_invert_albedo(model, moments, .5, paths_mm[j], eta).albedo_most;
-    const core_inversion white = core_invert_albedo(model, moments, most, paths_mm[j], eta);
+    const double most = invert_albedo(model, moments, .5, paths_mm[j], eta).albedo_most;
+    const inversion white = invert_albedo(model, moments, most, paths_mm[j], eta);
     unit_assert_fault(white.fault, NULL, 0);
     assert_true(white.medium.sigma_a_per_mm == 0);
     assert_true(albedo_of(model, moments, &white.medium) == most);
@@ -158,7 +158,7 @@ UNIT_TEST(the_most_has_no_absorption) {
 
 static void try_out_of_reach(unsigned model, unsigned moments, double eta, uint64_t *random) {
   (void)random;
-  const core_inversion reach = core_invert_albedo(model, moments, .5, 1, eta);
+  const inversion reach = invert_albedo(model, moments, .5, 1, eta);
   const double wanted[] = {nextafter(reach.albedo_most, 2),
                            1.5,
                            1e300,
@@ -169,13 +169,13 @@ static void try_out_of_reach(unsigned model, unsigned moments, double eta, uint6
                            -INFINITY,
                            (double)NAN};
   for (size_t i = 0; i < sizeof wanted / sizeof wanted[0]; i++) {
-    const core_inversion inversion = core_invert_albedo(model, moments, wanted[i], 1, eta);
-    unit_assert_fault(inversion.fault, "albedo", 0);
-    assert_true(inversion.albedo_most == reach.albedo_most);
-    assert_true(inversion.albedo_least == reach.albedo_least);
-    assert_reach(&inversion);
+    const inversion found = invert_albedo(model, moments, wanted[i], 1, eta);
+    unit_assert_fault(found.fault, "albedo", 0);
+    assert_true(found.albedo_most == reach.albedo_most);
+    assert_true(found.albedo_least == reach.albedo_least);
+    assert_reach(&found);
   }
-  const core_inversion least = core_invert_albedo(model, moments, reach.albedo_least, 1, eta);
+  const inversion least = invert_albedo(model, moments, reach.albedo_least, 1, eta);
   unit_assert_fault(least.fault, NULL, 0);
 }
 
@@ -187,7 +187,7 @@ UNIT_TEST(an_albedo_out_of_reach_is_a_fault_that_names_the_reach) {
 
 static void assert_names(unsigned model, unsigned moments, double mean_free_path_mm, double eta,
                          const char *field) {
-  unit_assert_fault(core_invert_albedo(model, moments, .5, mean_free_path_mm, eta).fault, field, 0);
+  unit_assert_fault(invert_albedo(model, moments, .5, mean_free_path_mm, eta).fault, field, 0);
 }
 
 UNIT_TEST(faults_name_the_field) {
@@ -195,7 +195,7 @@ UNIT_TEST(faults_name_the_field) {
   const double bad_paths[] = {0,        -1,       -INFINITY, INFINITY, (double)NAN,
                               .999e-14, 1.001e14, 1e300,     5e-324};
   for (size_t i = 0; i < sizeof bad_paths / sizeof bad_paths[0]; i++) {
-    assert_names(model, moments, bad_paths[i], 1.3, "mean_free_path");
+    assert_names(model, moments, bad_paths[i], 1.3, "length");
   }
   const double bad_etas[] = {0, -1.3, CORE_ETA_MIN / 2, CORE_ETA_MAX * 2, INFINITY, (double)NAN};
   for (size_t i = 0; i < sizeof bad_etas / sizeof bad_etas[0]; i++) {
