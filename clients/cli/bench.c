@@ -22,7 +22,6 @@ typedef struct bench_times {
 /* The load that bench_run() puts on a daemon. */
 typedef struct bench_load {
   const char *name;
-  const char *about;
   unsigned connections;
   unsigned in_flight; /* requests under way on each connection */
   uint64_t radii;     /* how many radii each request has */
@@ -426,10 +425,10 @@ static int measure(report *of) {
   const bench_settings *settings = of->settings;
   const double seconds = settings->seconds.value;
   const bench_load loads[MEASUREMENTS] = {
-      {"small", "one small request at a time", 1, 1, settings->radii.value, seconds},
-      {"pipelined", "many small requests under way", (unsigned)settings->connections.value,
-       (unsigned)settings->in_flight.value, settings->radii.value, seconds},
-      {"large", "one large request at a time", 1, 1, settings->large_radii.value, seconds},
+      {"small", 1, 1, settings->radii.value, seconds},
+      {"pipelined", (unsigned)settings->connections.value, (unsigned)settings->in_flight.value,
+       settings->radii.value, seconds},
+      {"large", 1, 1, settings->large_radii.value, seconds},
   };
   bool good = true;
   dipole_error error;
@@ -459,10 +458,7 @@ static void put_figure(cli_rows *rows, const char *name, const char *head, doubl
 static void put_result(cli_rows *rows, const void *context, size_t index) {
   const bench_result *result = &((const report *)context)->results[index];
   const bench_load *load = &result->load;
-  cli_put_text(rows, CLI_COLUMN("name", "requests", .forms = CLI_IN_TABLE | CLI_IN_JSON),
-               load->name);
-  cli_put_text(rows, CLI_COLUMN("about", .forms = CLI_IN_JSON), load->about);
-  cli_put_text(rows, CLI_COLUMN("measurement", .forms = CLI_IN_CSV), load->name);
+  cli_put_text(rows, CLI_COLUMN("measurement", "requests"), load->name);
   cli_put_number(rows, CLI_COLUMN("radii", .format = "%.0f"), (double)load->radii);
   cli_put_number(rows, CLI_COLUMN("connections", .format = "%.0f"), load->connections);
   cli_put_number(rows, CLI_COLUMN("in_flight", "in flight", .format = "%.0f"), load->in_flight);
@@ -477,29 +473,16 @@ static void put_result(cli_rows *rows, const void *context, size_t index) {
   put_figure(rows, "bytes_per_s", "MB/s", 1e6, bench_bytes_per_s(result));
 }
 
-static void write_table(const void *context) {
+static void put_facts(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
   const dipole_info *info = of->profile.info;
-  const char *medium = of->profile.medium;
-  const size_t channels = of->profile.channel_count;
-  printf("%s at %s: %u workers, %s\n%s, %s, %s%s%zu channel%s\n\n", info->software, info->address,
-         info->workers, info->instruction_set, of->profile.model->name, of->profile.evaluator->name,
-         medium != NULL ? medium : "", medium != NULL ? ", " : "", channels,
-         channels == 1 ? "" : "s");
-  cli_rows_print(stdout, 1, MEASUREMENTS, put_result, of);
-}
-
-static void put_members(cli_json *json, const void *context) {
-  const report *of = context;
-  const dipole_info *info = of->profile.info;
-  cli_json_text(json, "software", info->software);
-  cli_json_text(json, "address", info->address);
-  cli_json_text(json, "instruction_set", info->instruction_set);
-  cli_json_count(json, "workers", info->workers);
-  cli_json_text(json, "model", of->profile.model->name);
-  cli_json_text(json, "evaluator", of->profile.evaluator->name);
-  cli_json_count(json, "channels", of->profile.channel_count);
-  cli_rows_json(json, "measurements", MEASUREMENTS, put_result, of);
+  (void)index;
+  cli_put_text(rows, CLI_COLUMN("daemon"), info->software);
+  cli_put_text(rows, CLI_COLUMN("address", "at"), info->address);
+  cli_put_text(rows, CLI_COLUMN("instruction_set", ""), info->instruction_set);
+  cli_put_count(rows, CLI_COLUMN("workers"), info->workers);
+  cli_put_profile(rows, &of->profile);
+  cli_put_count(rows, CLI_COLUMN("channels"), of->profile.channel_count);
 }
 
 /* ---- the command ----------------------------------------------------------------------------- */
@@ -515,8 +498,8 @@ static int measure_and_write(const bench_settings *settings, report *of) {
   if (status != CLI_OK) {
     return status;
   }
-  const cli_output output = {
-      .table = write_table, .rows = MEASUREMENTS, .put_row = put_result, .members = put_members};
+  const cli_report output = {
+      .facts = put_facts, .rows = MEASUREMENTS, .put_row = put_result, .left = 1};
   cli_write(&output, settings->profile.common.form, of);
   return CLI_OK;
 }
@@ -534,19 +517,19 @@ static int run(void *settings, dipole_client *client) {
 
 static const cli_option options[] = {
     {"Load", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"model", "NAME", "which model is evaluated (default: better)", CLI_TEXT,
-     offsetof(bench_settings, profile.model), "better"},
-    {"evaluator", "NAME", "f64, f32 or lut (default: f32)", CLI_TEXT,
-     offsetof(bench_settings, profile.evaluator), "f32"},
-    {"seconds", "S", "how long each of the three is measured (default: 1)", CLI_NUMBER,
+    {"model", "NAME", "which model is evaluated", CLI_TEXT, offsetof(bench_settings, profile.model),
+     "better"},
+    {"evaluator", "NAME", "f64, f32 or lut", CLI_TEXT, offsetof(bench_settings, profile.evaluator),
+     "f32"},
+    {"seconds", "S", "how long each of the three is measured", CLI_NUMBER,
      offsetof(bench_settings, seconds), "1"},
-    {"connections", "N", "how many connections the pipelined requests have (default: 1)", CLI_COUNT,
+    {"connections", "N", "how many connections the pipelined requests have", CLI_COUNT,
      offsetof(bench_settings, connections), "1"},
-    {"in-flight", "N", "how many requests are under way on each connection (default: 64)",
-     CLI_COUNT, offsetof(bench_settings, in_flight), "64"},
-    {"radii", "N", "how many radii a small request has (default: 16)", CLI_COUNT,
-     offsetof(bench_settings, radii), "16"},
-    {"large-radii", "N", "how many radii a large request has (default: 65536)", CLI_COUNT,
+    {"in-flight", "N", "how many requests are under way on each connection", CLI_COUNT,
+     offsetof(bench_settings, in_flight), "64"},
+    {"radii", "N", "how many radii a small request has", CLI_COUNT, offsetof(bench_settings, radii),
+     "16"},
+    {"large-radii", "N", "how many radii a large request has", CLI_COUNT,
      offsetof(bench_settings, large_radii), "65536"},
     {0},
 };
@@ -564,7 +547,8 @@ const cli_command cli_command_bench = {
         "channel; bytes are those of radii sent and values received. If others use the daemon\n"
         "at the same time, each of you gets a share of it.\n",
     .formats = "table,csv,json",
-    .options = {cli_medium_options, options, cli_parameter_options},
+    .options = {cli_medium_options, options},
+    .parameters = CLI_OF_MODELS,
     .examples = "  dipole bench\n"
                 "  dipole bench --connect tcp:farm7:4817 --connections 8 --in-flight 128\n"
                 "  dipole bench --model transport --evaluator lut --seconds 5 --format json\n",

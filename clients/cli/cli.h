@@ -9,6 +9,7 @@
 #include <stdio.h>
 
 #include "clients/c/dipole.h"
+#include "core/core.h"
 
 enum cli_status { CLI_OK = 0, CLI_FAILED = 1, CLI_USAGE = 2, CLI_BAD_ROWS = 3 };
 
@@ -24,6 +25,12 @@ typedef struct cli_number {
   double value;
 } cli_number;
 
+/* A parameter of core/choices.def. */
+typedef struct cli_given {
+  const char *text; /* NULL if the option is not given */
+  double value;     /* of a number; not that of a name */
+} cli_given;
+
 typedef struct cli_numbers {
   size_t count; /* 0 if the option is not given */
   double *items;
@@ -35,25 +42,26 @@ typedef struct cli_texts {
 } cli_texts;
 
 enum cli_option_kind {
-  CLI_HEADING, /* no option, but a heading for --help */
-  CLI_SWITCH,  /* bool */
-  CLI_TEXT,    /* const char * */
-  CLI_COUNT,   /* cli_count */
-  CLI_NUMBER,  /* cli_number */
-  CLI_NUMBERS, /* cli_numbers, separated by commas */
-  CLI_NAMES,   /* cli_texts, separated by commas */
-  CLI_FILES,   /* cli_texts: each use of the option adds one. Without a value it adds the command's
-                  usual file. */
+  CLI_HEADING,   /* no option, but a heading for --help */
+  CLI_SWITCH,    /* bool */
+  CLI_TEXT,      /* const char * */
+  CLI_COUNT,     /* cli_count */
+  CLI_COUNT32,   /* the same, up to UINT32_MAX */
+  CLI_NUMBER,    /* cli_number */
+  CLI_NUMBERS,   /* cli_numbers, separated by commas */
+  CLI_NAMES,     /* cli_texts, separated by commas */
+  CLI_FILES,     /* cli_texts: each use of the option adds one */
+  CLI_PARAMETER, /* cli_given */
 };
 
 typedef struct cli_option {
   const char *name;     /* without the dashes; NULL ends a list */
   const char *argument; /* what --help calls its value; NULL if it has none */
-  const char *help;
+  const char *help;     /* of any length; --help breaks it into lines */
   enum cli_option_kind kind;
   size_t offset;     /* where its value lies in the command's settings */
-  const char *usual; /* the value if the option is not given, for CLI_TEXT, CLI_COUNT and
-                        CLI_NUMBER; NULL stands for NULL or 0 */
+  const char *usual; /* the value if the option is not given, for CLI_TEXT, CLI_COUNT, CLI_COUNT32
+                        and CLI_NUMBER, which --help tells; NULL stands for NULL or 0 */
 } cli_option;
 
 /* What --format can say. CLI_NONE: the command writes no values, but for example a picture. */
@@ -70,8 +78,9 @@ typedef struct cli_common {
   enum cli_form form; /* what --format means, also if it is not given */
   cli_count timeout_ms;
   cli_count retry_ms;
-  const char *operand;        /* NULL if there is none */
-  const char *second_operand; /* NULL if there is none */
+  cli_given parameters[CORE_PARAMETERS_END]; /* those that the command takes, by their ids */
+  const char *operand;                       /* NULL if there is none */
+  const char *second_operand;                /* NULL if there is none */
 } cli_common;
 
 /* ---- commands -------------------------------------------------------------------------------- */
@@ -87,8 +96,8 @@ typedef struct cli_command {
   const char *examples;       /* example command lines; the text ends with a newline */
   const char *formats; /* the values of --format, separated by commas; the first is the default */
   const cli_option *options[CLI_LISTS_MAX]; /* lists of its options, in the order of --help */
-  const char *usual_file;                   /* for options of kind CLI_FILES */
-  size_t settings_bytes;                    /* size of its settings, which are zeroed first */
+  unsigned parameters;   /* bit 1 << id for each parameter that it takes, which --help tells of */
+  size_t settings_bytes; /* size of its settings, which are zeroed first */
 
   /* Checks and completes the settings before any daemon is asked. NULL if there is nothing to
    * check. Returns an exit status; the command goes on if that is CLI_OK. */
@@ -103,6 +112,9 @@ typedef struct cli_command {
   /* Does the work and returns an exit status. client: NULL if is_local() said so. */
   int (*run)(void *settings, dipole_client *client);
 } cli_command;
+
+/* All commands, in the order of help; NULL ends the list. */
+extern const cli_command *const cli_commands[];
 
 /* Remembers which command runs, for the messages below. Call this first, once. */
 void cli_start(const cli_command *command);

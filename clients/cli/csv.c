@@ -6,8 +6,8 @@
 #include <string.h>
 #include <unistd.h>
 
-#include "clients/cli/cli.h"
 #include "clients/cli/number.h"
+#include "clients/cli/options.h"
 
 #define UTF8_MARK "\xef\xbb\xbf" /* a byte order mark, with which a file may begin */
 
@@ -139,6 +139,72 @@ const char *cli_csv_fault(const cli_csv_record *row, size_t header_cells) {
   return row->malformed        ? "text stands after a closing quote"
          : i < row->cell_count ? "more cells than in the header: numbers have a decimal point"
                                : NULL;
+}
+
+/* ---- columns --------------------------------------------------------------------------------- */
+
+/* Says so and returns false if a column that is not read is nearly called as one that is, or as an
+ * option, which holds for all rows. */
+static bool check_unread(const char *source, const char *name, const char *const *names,
+                         size_t count, const cli_option *options) {
+  cli_nearest column = {0}, given = {0};
+  for (size_t i = 0; i < count; i++) {
+    cli_nearest_try(&column, name, names[i], strlen(names[i]) / 4);
+  }
+  for (; options != NULL && options->name != NULL; options++) {
+    if (options->kind != CLI_HEADING) {
+      cli_nearest_try(&given, name, options->name, strlen(options->name) / 8);
+    }
+  }
+  if (column.name != NULL) {
+    cli_fail("%s: the column %s is not read; the nearest that is read is %s: rename it", source,
+             name, column.name);
+  } else if (given.name != NULL) {
+    cli_fail("%s: the column %s is not read; the nearest is the option --%s, which holds for all "
+             "rows: give it, and rename the column",
+             source, name, given.name);
+  }
+  return column.name == NULL && given.name == NULL;
+}
+
+bool cli_csv_find(const char *source, const cli_csv_record *header, const char *const *names,
+                  size_t count, const cli_option *options, size_t *at) {
+  size_t length;
+  bool good = true;
+  memset(at, 0xff, count * sizeof *at); /* CLI_CSV_ABSENT */
+  for (size_t i = 0; good && i < header->cell_count; i++) {
+    const char *name = cli_csv_cell_text(header, i, &length);
+    size_t k = 0;
+    while (k < count && strcmp(names[k], name) != 0) {
+      k++;
+    }
+    if (k == count) {
+      good = check_unread(source, name, names, count, options);
+    } else if (at[k] != CLI_CSV_ABSENT) {
+      cli_fail("%s: the header has the column %s twice: rename one", source, name);
+      good = false;
+    } else {
+      at[k] = i;
+    }
+  }
+  return good;
+}
+
+bool cli_csv_fail_missing(const char *source, const cli_csv_record *header, const char *missing,
+                          const char *needs) {
+  char *text = NULL;
+  size_t bytes = 0, length;
+  FILE *found = open_memstream(&text, &bytes);
+  for (size_t i = 0; found != NULL && i < header->cell_count; i++) {
+    fprintf(found, "%s%s", i > 0 ? ", " : "", cli_csv_cell_text(header, i, &length));
+  }
+  if (found != NULL) {
+    fclose(found);
+  }
+  cli_fail("%s: the column %s is missing; the header has %s; it needs %s", source, missing,
+           text != NULL ? text : "others", needs);
+  free(text);
+  return false;
 }
 
 /* ---- records --------------------------------------------------------------------------------- */

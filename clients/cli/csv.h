@@ -13,6 +13,8 @@
 #include <stdint.h>
 #include <stdio.h>
 
+#include "clients/cli/cli.h"
+
 /* What --help says about it. */
 #define CLI_CSV_TEXT                                                                               \
   "CSV has a header, and commas, semicolons or tabs between its cells. Lines that start with #\n"  \
@@ -91,6 +93,17 @@ bool cli_csv_number(const cli_csv_record *record, size_t index, double *value);
 
 /* Says what may help if a text is no number: starts with ": ", or is "". */
 const char *cli_csv_number_hint(const char *text);
+
+/* Finds the columns with these names in the header of `source`, a file's name: at[i] is the position
+ * of names[i], or CLI_CSV_ABSENT. Says what is wrong and returns false if one stands there twice, or
+ * a column is nearly called as one of them, or as one of the options, which may be NULL. */
+#define CLI_CSV_ABSENT SIZE_MAX
+bool cli_csv_find(const char *source, const cli_csv_record *header, const char *const *names,
+                  size_t count, const cli_option *options, size_t *at);
+
+/* Says that a column is missing, which the header has, and what it needs. Returns false. */
+bool cli_csv_fail_missing(const char *source, const cli_csv_record *header, const char *missing,
+                          const char *needs);
 
 /* Says what is wrong with a row; NULL if nothing is. Empty cells beyond the header's do no harm. */
 const char *cli_csv_fault(const cli_csv_record *row, size_t header_cells);

@@ -3,24 +3,21 @@
 
 #include <stdlib.h>
 
-#include "clients/cli/plot_report.h"
-#include "clients/cli/profile.h"
-
-#define PLOT_FILE "dipole.svg"
+#include "clients/cli/picture.h"
+#include "clients/cli/plot.h"
 
 #define FIELD(name) offsetof(cli_eval_settings, name)
 
 static const cli_option radii_options[] = {
     {"table", "FILE",
-     "evaluate the tables in a file of `dipole table`, without a daemon;\n"
-     "-: standard input",
+     "evaluate the tables in a file of `dipole table`, without a daemon; -: standard input",
      CLI_TEXT, FIELD(table), NULL},
     {"Radii", NULL, NULL, CLI_HEADING, 0, NULL},
     {"r", "X[,X...]", "these radii, mm; one may be inf", CLI_NUMBERS, FIELD(r), NULL},
-    CLI_EVAL_F_OPTION(FIELD(f)),
-    {"from", "X", "the first radius of a grid, mm (default: 0)", CLI_NUMBER, FIELD(from), "0"},
-    {"to", "X", "the last radius of the grid, mm (default: 10)", CLI_NUMBER, FIELD(to), "10"},
-    {"count", "N", "how many radii the grid has (default: 21)", CLI_COUNT, FIELD(count), "21"},
+    CLI_EVAL_F_OPTION,
+    {"from", "X", "the first radius of a grid, mm", CLI_NUMBER, FIELD(from), "0"},
+    {"to", "X", "the last radius of the grid, mm", CLI_NUMBER, FIELD(to), "10"},
+    {"count", "N", "how many radii the grid has", CLI_COUNT, FIELD(count), "21"},
     {"log", NULL, "make the ratios between radii equal instead of the steps; needs --from",
      CLI_SWITCH, FIELD(logarithmic), NULL},
     {0},
@@ -29,29 +26,27 @@ static const cli_option radii_options[] = {
 const cli_option cli_eval_options[] = {
     {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
     {"model", "NAME[,NAME...]",
-     "`dipole info` lists them; all: every model that accepts the query, while\n"
-     "standard error names those that refuse it (default: transport; with\n"
-     "--tolerance the cheapest that is so near to it)",
+     "`dipole info` lists them; all: every model that accepts the query, while standard error "
+     "names "
+     "those that refuse it (default: transport; with --tolerance the cheapest that is so near to "
+     "it)",
      CLI_NAMES, FIELD(model), NULL},
     {CLI_MOMENTS_OPTION, NULL},
     {CLI_EVALUATOR_OPTION, NULL},
-    {"deadline-ms", "N",
-     "ask the daemon to answer each query within N ms or to refuse it; 0: no\nlimit (default: 0)",
-     CLI_COUNT, FIELD(profile.deadline_ms), NULL},
+    {CLI_DEADLINE_OPTION, NULL},
     {0},
 };
 
 static const cli_option output_options[] = {
     {"wanted", "NAME[,NAME...]",
-     "what to evaluate. R: 1/mm^2 per unit of power that entered; albedo; cdf:\n"
-     "the share of the albedo within r; S: 1/(mm^2 sr); R_f: for striped light,\n"
-     "at spatial frequencies in 1/mm; `dipole info` lists all (default:\n"
-     "R,albedo; with --f R_f,albedo)",
+     "what to evaluate. R: 1/mm^2 per unit of power that entered; albedo; cdf: the share of the "
+     "albedo within r; S: 1/(mm^2 sr); R_f: for striped light, at spatial frequencies in 1/mm; "
+     "`dipole info` lists all (default: R,albedo; with --f R_f,albedo)",
      CLI_NAMES, FIELD(wanted), NULL},
     {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"plot", "[FILE]",
-     "also draw R over r into FILE.svg or FILE.png (default: " PLOT_FILE "); -: as\n"
-     "text below the table. May be repeated. `dipole plot` draws more",
+    {"plot", "FILE",
+     "also draw R over r into FILE.svg or FILE.png; -: as text below the table. May be repeated. "
+     "`dipole plot` draws more",
      CLI_FILES, FIELD(plot), NULL},
     {0},
 };
@@ -61,8 +56,8 @@ static const cli_option output_options[] = {
 static int check_table(const cli_eval_settings *settings) {
   const cli_profile_settings *profile = &settings->profile;
   if (cli_medium_given(profile) || settings->model.count > 0 || profile->moments != NULL ||
-      profile->evaluator != NULL || cli_parameters_given(profile) || profile->deadline_ms.given ||
-      profile->common.connect != NULL || settings->at_f) {
+      profile->evaluator != NULL || cli_parameters_given(&profile->common) ||
+      profile->deadline_ms.given || profile->common.connect != NULL || settings->f.count > 0) {
     return cli_fail_usage("--table FILE says what is evaluated, and needs no daemon: of "
                           "the options leave all out but radii, --wanted and output");
   }
@@ -70,27 +65,24 @@ static int check_table(const cli_eval_settings *settings) {
 }
 
 int cli_eval_check(cli_eval_settings *settings) {
-  const cli_common *common = &settings->profile.common;
   if (settings->f.count > 0 && settings->r.count > 0) {
     return cli_fail_usage("--f is for R_f, and --r for all else: leave one out");
   }
-  settings->at_f = settings->f.count > 0;
-  const cli_numbers *list = settings->at_f ? &settings->f : &settings->r;
+  const bool at_f = settings->f.count > 0;
   const int status =
       settings->table != NULL ? check_table(settings) : cli_medium_check(&settings->profile);
   if (status != CLI_OK) {
     return status;
   }
-  if (list->count > 0 && (settings->from.given || settings->to.given || settings->count.given ||
-                          settings->logarithmic)) {
+  if ((at_f || settings->r.count > 0) && (settings->from.given || settings->to.given ||
+                                          settings->count.given || settings->logarithmic)) {
     return cli_fail_usage("--%s gives the %s one by one: leave --from, --to, --count and --log out",
-                          settings->at_f ? "f" : "r", settings->at_f ? "frequencies" : "radii");
+                          at_f ? "f" : "r", at_f ? "frequencies" : "radii");
   }
   if (settings->logarithmic && !settings->from.given) {
     return cli_fail_usage("--log needs --from, above 0");
   }
-  const int drawn = cli_picture_check(&settings->plot, common);
-  return drawn == CLI_OK ? cli_deadline_check(&settings->profile) : drawn;
+  return cli_picture_check(&settings->plot, &settings->profile.common);
 }
 
 static int check(void *settings) {
@@ -117,7 +109,7 @@ static int run(void *settings, dipole_client *client) {
   if (status == CLI_OK) {
     status = write_and_draw(settings, &report);
   }
-  cli_eval_report_free(&report);
+  cli_eval_free(&report);
   free(info);
   return status;
 }
@@ -135,13 +127,12 @@ const cli_command cli_command_eval = {
         "\n"
         "With --tolerance and without --model, the daemon takes transport in the cheapest\n"
         "evaluator that keeps the tolerance for all channels and radii; the time to prepare a\n"
-        "medium counts, so that few radii may get another one than many. A line below the table\n"
-        "says which it took and why. With --model, --tolerance is a bound on the numerical "
-        "error.\n" CLI_DEFAULT_TEXT,
+        "medium counts, so that few radii may get another one than many. With --model, "
+        "--tolerance\n"
+        "is a bound on the numerical error.\n" CLI_DEFAULT_TEXT,
     .formats = "table,csv,json",
-    .options = {cli_medium_options, radii_options, cli_eval_options, output_options,
-                cli_parameter_options},
-    .usual_file = PLOT_FILE,
+    .options = {cli_medium_options, radii_options, cli_eval_options, output_options},
+    .parameters = CLI_OF_MODELS,
     .examples = "  dipole eval --medium skin1 --model classical,better --plot skin1.svg\n"
                 "  dipole eval --sigma-a 0.01,0.1 --sigma-s 10 --g 0.9 --eta 1.4 --r 0,0.5,1,2\n"
                 "  dipole eval --medium marble --from 0.01 --to 100 --count 41 --log --format csv\n"
@@ -150,7 +141,7 @@ const cli_command cli_command_eval = {
                 "  dipole eval --medium skin1 --tolerance 0.01\n"
                 "  dipole eval --sigma-a 0.05 --sigma-s 9.5 --g 0.9 --eta 1.4 --tolerance 0.01\n"
                 "  dipole eval --medium skin1 --model better --evaluator f32 --wanted R,cdf\n"
-                "  dipole eval --medium skin1 --model all --plot\n",
+                "  dipole eval --medium skin1 --model all --plot all.svg\n",
     .settings_bytes = sizeof(cli_eval_settings),
     .check = check,
     .is_local = is_local,

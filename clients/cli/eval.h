@@ -1,8 +1,61 @@
-/* eval: how `dipole eval` and `dipole plot` ask, and how `dipole eval` writes. */
+/* eval: values of models at radii, as `dipole eval`, `plot` and `sample` ask for them and write
+ * them. */
 #ifndef DIPOLE_CLI_EVAL_H
 #define DIPOLE_CLI_EVAL_H
 
-#include "clients/cli/eval_report.h"
+#include "clients/cli/profile.h"
+
+/* ---- what was answered ----------------------------------------------------------------------- */
+
+/* The values of one model and channel. Single precision values are held as the doubles that they
+ * equal. */
+typedef struct cli_eval_values {
+  double albedo; /* NaN if it is not wanted */
+  double numerical_error, numerical_error_per_mm;
+  double model_error;                 /* NaN if it is not known */
+  double *arrays[CLI_QUANTITIES_MAX]; /* [place_count] for each of the report's quantities; NULL for
+                                         the albedo */
+} cli_eval_values;
+
+typedef struct cli_eval_model {
+  const dipole_choice *choice; /* NULL until the daemon has chosen it */
+  const dipole_choice *evaluator;
+  bool named;     /* on the command line, and not only as one of all: its refusal is a failure */
+  unsigned notes; /* ids of the daemon's notes */
+} cli_eval_model;
+
+/* Zero it first, and free it by cli_eval_free(). */
+typedef struct cli_eval_report {
+  cli_profile profile; /* each model takes what it can of the parameters */
+  cli_quantities quantities;
+  size_t model_count; /* how many models answered */
+  cli_eval_model *models;
+  bool chosen;               /* the daemon has chosen the model */
+  const char *place;         /* where values are: "r", "f" or, of drawn radii, "u" */
+  size_t place_count;        /* 0 if there is only the albedo */
+  double *places;            /* [place_count] as the daemon used them: mm, 1/mm or a number */
+  cli_eval_values *values;   /* [model_count * channel_count], model by model */
+  size_t values_capacity;    /* how many values may hold arrays */
+  const dipole_choice *draw; /* of drawn radii; else NULL */
+  uint64_t seed, first;      /* of drawn radii */
+} cli_eval_report;
+
+/* Adds a model, or notes that it is named if it is there already. */
+void cli_eval_add_model(cli_eval_report *report, const dipole_choice *model, bool named);
+
+/* Makes room for the values of all models and channels, which have no arrays yet. */
+void cli_eval_make_values(cli_eval_report *report);
+
+/* Keeps the part of an answer that begins at place `first` of the model at a position. This is
+ * where the errors of an answer come in; a list that is asked for in pieces has those of all. */
+void cli_eval_keep(cli_eval_report *report, size_t model, size_t first, const dipole_result *part);
+
+/* Writes the report to standard output. */
+void cli_eval_write(const cli_eval_report *report, enum cli_form form);
+
+void cli_eval_free(cli_eval_report *report);
+
+/* ---- asking ---------------------------------------------------------------------------------- */
 
 typedef struct cli_eval_settings {
   cli_profile_settings profile; /* `model` is not used */
@@ -10,7 +63,6 @@ typedef struct cli_eval_settings {
   cli_texts model;
   const char *reference; /* a model that is asked too, with what it takes of the parameters */
   cli_numbers r, f;
-  bool at_f; /* f is given, and r is not */
   cli_number from, to;
   cli_count count;
   bool logarithmic;
@@ -21,20 +73,19 @@ typedef struct cli_eval_settings {
 /* The options of an evaluation, for settings that start with a cli_eval_settings. */
 extern const cli_option cli_eval_options[];
 
-/* The option --f. at: where the numbers lie. */
-#define CLI_EVAL_F_OPTION(at)                                                                      \
+/* The option --f. */
+#define CLI_EVAL_F_OPTION                                                                          \
   {                                                                                                \
     "f", "X[,X...]",                                                                               \
         "in place of radii: these spatial frequencies of striped light, 1/mm, for R_f",            \
-        CLI_NUMBERS, at, NULL                                                                      \
+        CLI_NUMBERS, offsetof(cli_eval_settings, f), NULL                                          \
   }
 
-/* Checks everything that can be checked without a daemon, and sets at_f. Returns an exit status. */
+/* Checks everything that can be checked without a daemon. Returns an exit status. */
 int cli_eval_check(cli_eval_settings *settings);
 
 /* Fills a zeroed report by asking a daemon. Of all models, those are left out that refuse the
- * query, with a line each on standard error. Says what is wrong and returns an exit status; free
- * the report in any case. */
+ * query, with a line each on standard error. Says what is wrong and returns an exit status. */
 int cli_eval_ask(const cli_eval_settings *settings, dipole_client *client, cli_eval_report *report);
 
 /* Fills a zeroed report from the file of tables, without a daemon. The report refers to *info, so
@@ -50,12 +101,12 @@ typedef struct cli_eval_radii {
   float *f32;        /* to be freed */
 } cli_eval_radii;
 
-/* Returns the radii that are asked for. The list is empty if no quantity has a value for each
- * radius. */
+/* Returns the radii that are asked for; none if no quantity has a value for each radius. */
 cli_eval_radii cli_eval_make_radii(const cli_eval_settings *settings,
                                    const cli_eval_report *report);
 
-/* Writes the report to standard output; nothing for CLI_NONE. */
-void cli_eval_write(const cli_eval_report *report, enum cli_form form);
+/* Looks up the quantities, R and the albedo by default, and sets where values are. Says what is
+ * wrong and returns false if that fails. */
+bool cli_eval_take_quantities(const cli_eval_settings *settings, cli_eval_report *report);
 
 #endif

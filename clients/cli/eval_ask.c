@@ -22,7 +22,8 @@ static bool choose_model(const char *name, cli_eval_report *report) {
 
 static bool choose_models(const cli_eval_settings *settings, cli_eval_report *report) {
   const cli_texts *names = &settings->model;
-  if (names->count == 0 && settings->profile.tolerance.given) {
+  if (names->count == 0 &&
+      settings->profile.common.parameters[CORE_PARAMETER_TOLERANCE].text != NULL) {
     cli_eval_add_model(report, NULL, true); /* the daemon chooses */
     return true;
   }
@@ -45,25 +46,39 @@ static bool choose_models(const cli_eval_settings *settings, cli_eval_report *re
 /* Like one of all models, the reference takes what it can of the parameters. */
 static bool choose_reference(const char *name, cli_eval_report *report) {
   const dipole_choice *model = cli_choice(report->profile.info, DIPOLE_MODEL, name);
-  const size_t listed = report->model_count;
   if (model == NULL) {
     cli_fail("this daemon has no model %s to compare with: leave --error out", name);
     return false;
   }
   cli_eval_add_model(report, model, false);
-  report->models[report->model_count - 1].unlisted = report->model_count > listed;
   return true;
 }
 
-/* ---- radii ----------------------------------------------------------------------------------- */
+/* ---- quantities and radii ----------------------------------------------------------------------------------- */
+
+bool cli_eval_take_quantities(const cli_eval_settings *settings, cli_eval_report *report) {
+  const bool at_f = settings->f.count > 0;
+  const unsigned usual = DIPOLE_ALBEDO | (at_f ? DIPOLE_TRANSFER : DIPOLE_R);
+  if (!cli_quantities_take(report->profile.info, &settings->wanted, usual, DIPOLE_RADIUS,
+                           &report->quantities)) {
+    return false;
+  }
+  const unsigned others = report->quantities.wanted & ~(unsigned)(DIPOLE_ALBEDO | DIPOLE_RADIUS);
+  report->place = others == DIPOLE_TRANSFER ? "f" : "r";
+  if (at_f && others != DIPOLE_TRANSFER) {
+    cli_fail_usage("--f gives spatial frequencies, which only R_f has: ask for R_f alone");
+    return false;
+  }
+  return true;
+}
 
 cli_eval_radii cli_eval_make_radii(const cli_eval_settings *settings,
                                    const cli_eval_report *report) {
   cli_eval_radii radii = {.spacing = DIPOLE_LIST};
-  if (report->quantities.count == 0) {
+  if ((report->quantities.wanted & ~(unsigned)(DIPOLE_ALBEDO | DIPOLE_RADIUS)) == 0) {
     return radii;
   }
-  const cli_numbers *list = settings->at_f ? &settings->f : &settings->r;
+  const cli_numbers *list = settings->f.count > 0 ? &settings->f : &settings->r;
   if (list->count == 0) {
     radii.spacing = settings->logarithmic ? DIPOLE_LOGARITHMIC : DIPOLE_LINEAR;
     radii.count = settings->count.value;
@@ -93,49 +108,20 @@ typedef struct asking {
   size_t models_done, models_total;
 } asking;
 
-static void copy_values(double *to, const double *f64, const float *f32, size_t count) {
-  for (size_t i = 0; i < count; i++) {
-    to[i] = f64 != NULL ? f64[i] : cli_number_of_single(f32[i]);
-  }
-}
-
-/* Makes room for all radii of a model, once the daemon has agreed to so many. */
-static double *make_room(double *values, size_t count) {
-  return values != NULL ? values : cli_allocate(count, sizeof *values);
-}
-
-/* Returns the larger number, or NaN if either is NaN. */
-static double larger(double a, double b) {
-  return isnan(a) || a > b ? a : b;
-}
-
 /* Keeps a part of the answer: the radii from `first` on of the model at a place. */
 static void keep(const asking *ask, size_t place, size_t first, const dipole_result *part) {
   cli_eval_report *report = ask->report;
-  const size_t count = (size_t)part->radius_count;
-  report->radius_count = (size_t)ask->radii->count;
-  report->radii = make_room(report->radii, report->radius_count);
-  copy_values(report->radii + first, part->radius_f64, part->radius_f32, count);
-  for (size_t i = first; ask->radii->spacing != DIPOLE_LIST && i < first + count; i++) {
-    report->radii[i] = cli_number_rounded(report->radii[i]);
+  const bool is_grid = ask->radii->spacing != DIPOLE_LIST;
+  if (report->places == NULL) {
+    report->place_count = (size_t)ask->radii->count;
+    report->places = cli_allocate(report->place_count, sizeof *report->places);
   }
-  report->models[place].notes |= part->notes;
-  for (size_t i = 0; i < report->profile.channel_count; i++) {
-    const dipole_channel *channel = &part->channels[i];
-    cli_eval_values *values = &report->values[place * report->profile.channel_count + i];
-    values->albedo = channel->albedo;
-    values->numerical_error = channel->numerical_error;
-    values->numerical_error_per_mm = channel->numerical_error_per_mm;
-    /* A list is asked for in pieces, which state the errors of their own radii. */
-    values->model_error =
-        first == 0 ? channel->model_error : larger(values->model_error, channel->model_error);
-    for (size_t q = 0; q < report->quantities.count; q++) {
-      const unsigned id = report->quantities.items[q]->id;
-      values->arrays[q] = make_room(values->arrays[q], report->radius_count);
-      copy_values(values->arrays[q] + first, dipole_values_f64(part, (uint32_t)i, id),
-                  dipole_values_f32(part, (uint32_t)i, id), count);
-    }
+  for (size_t i = 0; i < part->radius_count; i++) {
+    const double r =
+        part->radius_f64 != NULL ? part->radius_f64[i] : cli_number_of_single(part->radius_f32[i]);
+    report->places[first + i] = is_grid ? cli_number_rounded(r) : r;
   }
+  cli_eval_keep(report, place, first, part);
 }
 
 /* Returns what the model at a place is asked: for `count` radii of a list from number `first` on,
@@ -242,11 +228,33 @@ static bool is_not_taken(const dipole_error *error) {
   return strncmp(error->allowed, "nothing", strlen("nothing")) == 0;
 }
 
+/* Without a model and without --evaluator, takes single precision, which is cheaper, unless only
+ * double precision keeps the tolerance. */
+static bool ask_any_model(const asking *ask, dipole_error *error) {
+  cli_eval_model *model = &ask->report->models[0];
+  ask->report->chosen = true;
+  if (ask->settings->profile.evaluator == NULL) {
+    model->evaluator = cli_choice_of_id(ask->report->profile.info, DIPOLE_EVALUATOR, DIPOLE_LUT);
+    if (model->evaluator != NULL &&
+        ask_piece(ask, 0, &ask->report->profile.parameters, 0, ask->radii->count, error)) {
+      return true;
+    }
+    model->evaluator = cli_choice_of_id(ask->report->profile.info, DIPOLE_EVALUATOR, DIPOLE_F64);
+    if (error->kind != DIPOLE_ERROR_REFUSED || strcmp(error->field, "tolerance") != 0) {
+      return false;
+    }
+  }
+  return ask_piece(ask, 0, &ask->report->profile.parameters, 0, ask->radii->count, error);
+}
+
 /* Asks the model at a place. One of all models is asked without the parameters that it does not
  * take; a named one has to take them. */
 static bool ask_model(const asking *ask, size_t place, dipole_error *error) {
   const cli_eval_report *report = ask->report;
   cli_parameters parameters = report->profile.parameters;
+  if (report->models[place].choice == NULL) {
+    return ask_any_model(ask, error);
+  }
   for (;;) {
     if (ask_piece(ask, place, &parameters, 0, ask->radii->count, error)) {
       return true;
@@ -326,45 +334,6 @@ static int ask_all(asking *ask) {
   return status;
 }
 
-/* ---- a tolerance instead of a model ---------------------------------------------------------- */
-
-/* Asks which models could answer with the report's evaluator. Sets *taken if one of them keeps the
- * tolerance. */
-static bool ask_offers(const asking *ask, bool *taken, dipole_error *error) {
-  cli_eval_offers *offers = &ask->report->chosen_from;
-  const dipole_query query =
-      make_query(ask, 0, &ask->report->profile.parameters, 0, ask->radii->count);
-  size_t at;
-  free(offers->offers);
-  offers->offers = NULL;
-  const bool good =
-      CLI_ASK(&ask->settings->profile.common, error,
-              dipole_offers(ask->client, &query, &offers->offers, &offers->count, &at, error));
-  *taken = good && at < offers->count;
-  return good;
-}
-
-/* Without --evaluator, takes single precision, which is cheaper, unless only double precision keeps
- * the tolerance. If neither does, the daemon will refuse the query. */
-static int choose_precision(const asking *ask) {
-  static const unsigned either[] = {DIPOLE_LUT, DIPOLE_F64};
-  cli_eval_report *report = ask->report;
-  dipole_error error;
-  bool taken = false;
-  report->chosen_from.tolerance = ask->settings->profile.tolerance.value;
-  for (size_t i = 0; !taken && i < sizeof either / sizeof either[0]; i++) {
-    const dipole_choice *evaluator =
-        cli_choice_of_id(report->profile.info, DIPOLE_EVALUATOR, either[i]);
-    if (ask->settings->profile.evaluator == NULL && evaluator != NULL) {
-      report->models[0].evaluator = evaluator;
-    }
-    if (!ask_offers(ask, &taken, &error)) {
-      return cli_fail_error(&error);
-    }
-  }
-  return CLI_OK;
-}
-
 /* ---- all of it ------------------------------------------------------------------------------- */
 
 static int ask_with(const cli_eval_settings *settings, dipole_client *client,
@@ -379,31 +348,21 @@ static int ask_with(const cli_eval_settings *settings, dipole_client *client,
                 .bad_value = dipole_id(client, DIPOLE_STATUS, "bad-value"),
                 .progress = &progress};
   cli_progress_start(&progress, "values");
-  int status = report->models[0].choice == NULL ? choose_precision(&ask) : CLI_OK;
-  if (status == CLI_OK) {
-    status = ask_all(&ask);
-  }
+  const int status = ask_all(&ask);
   free(radii.f32);
   return status;
 }
 
 int cli_eval_ask(const cli_eval_settings *settings, dipole_client *client,
                  cli_eval_report *report) {
-  cli_profile_settings profile = settings->profile;
-  profile.moments = profile.moments != NULL ? profile.moments : "exact";
-  const int status = cli_profile_take(&profile, client, &report->profile);
+  const int status = cli_profile_take(&settings->profile, client, &report->profile);
   if (status != CLI_OK) {
     return status;
   }
   if (!choose_models(settings, report) ||
       (settings->reference != NULL && !choose_reference(settings->reference, report)) ||
-      !cli_quantities_take(report->profile.info, &settings->wanted,
-                           DIPOLE_ALBEDO | (settings->at_f ? DIPOLE_TRANSFER : DIPOLE_R),
-                           DIPOLE_ALBEDO | DIPOLE_RADIUS, &report->quantities)) {
+      !cli_eval_take_quantities(settings, report)) {
     return CLI_USAGE;
-  }
-  if (settings->at_f && !cli_eval_is_by_f(report)) {
-    return cli_fail_usage("--f gives spatial frequencies, which only R_f has: ask for R_f alone");
   }
   for (size_t i = 0; i < report->model_count; i++) {
     cli_eval_model *model = &report->models[i];
@@ -411,8 +370,9 @@ int cli_eval_ask(const cli_eval_settings *settings, dipole_client *client,
     model->evaluator = report->profile.evaluator != NULL
                            ? report->profile.evaluator
                            : cli_choice(report->profile.info, DIPOLE_EVALUATOR,
-                                        cli_usual_evaluator(&profile, name));
+                                        cli_usual_evaluator(&settings->profile, name));
   }
+  report->profile.evaluator = NULL; /* each row has its own */
   cli_eval_make_values(report);
   return ask_with(settings, client, report);
 }

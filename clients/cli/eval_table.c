@@ -94,10 +94,10 @@ static float *take_radii(const cli_eval_settings *settings, cli_eval_report *rep
       return NULL;
     }
   }
-  report->radius_count = (size_t)radii.count;
-  report->radii = cli_allocate(report->radius_count, sizeof *report->radii);
-  for (size_t i = 0; i < report->radius_count; i++) {
-    report->radii[i] = cli_number_of_single(radii.f32[i]);
+  report->place_count = (size_t)radii.count;
+  report->places = cli_allocate(report->place_count, sizeof *report->places);
+  for (size_t i = 0; i < report->place_count; i++) {
+    report->places[i] = cli_number_of_single(radii.f32[i]);
   }
   return radii.f32 != NULL ? radii.f32 : cli_allocate(0, sizeof *radii.f32);
 }
@@ -105,25 +105,28 @@ static float *take_radii(const cli_eval_settings *settings, cli_eval_report *rep
 /* Names the first radius that a table does not take. */
 static int fail_radius(const dipole_table_info *info, const cli_eval_report *report) {
   size_t at = 0;
-  while (at + 1 < report->radius_count && report->radii[at] >= info->radius_least_mm &&
-         report->radii[at] <= info->radius_most_mm) {
+  while (at + 1 < report->place_count && report->places[at] >= info->radius_least_mm &&
+         report->places[at] <= info->radius_most_mm) {
     at++;
   }
   return cli_fail("r number %zu of %zu: allowed: %.6g to %.6g mm, which the model covers", at + 1,
-                  report->radius_count, info->radius_least_mm, info->radius_most_mm);
+                  report->place_count, info->radius_least_mm, info->radius_most_mm);
 }
 
 /* Fills in the values of one table. */
 static int evaluate(const dipole_table *table, const float *r, const cli_eval_report *report,
                     cli_eval_values *values) {
   const dipole_table_info *info = dipole_table_get_info(table);
-  const size_t n = report->radius_count;
+  const size_t n = report->place_count;
   float probe = 0;
   values->albedo = (report->quantities.wanted & DIPOLE_ALBEDO) != 0 ? info->albedo : (double)NAN;
   float *out = cli_allocate(n, sizeof *out);
   int status = CLI_OK;
   for (size_t q = 0; status == CLI_OK && q < report->quantities.count; q++) {
     const enum dipole_quantity quantity = (enum dipole_quantity)report->quantities.items[q]->id;
+    if (quantity == DIPOLE_ALBEDO) {
+      continue;
+    }
     if (!dipole_table_values(table, quantity, 0, &probe, &probe)) {
       status = cli_fail("--wanted %s: a table does not hold it; it holds R, albedo, cdf, pdf, "
                         "2_pi_r_R and S",
@@ -171,8 +174,7 @@ int cli_eval_table(const cli_eval_settings *settings, cli_eval_report *report, d
     return cli_fail("%s", error.text);
   }
   report->profile.info = *info;
-  if (!cli_quantities_take(*info, &settings->wanted, DIPOLE_R | DIPOLE_ALBEDO,
-                           DIPOLE_ALBEDO | DIPOLE_RADIUS, &report->quantities)) {
+  if (!cli_eval_take_quantities(settings, report)) {
     return CLI_USAGE;
   }
   int status = cli_tables_read(settings->table, &tables) ? CLI_OK : CLI_FAILED;

@@ -12,11 +12,9 @@
 #include "clients/cli/readings.h"
 #include "clients/cli/rows.h"
 
-#define PLOT_FILE "fit.svg"
-
 typedef struct fit_settings {
   cli_profile_settings profile;
-  cli_number g, eta, detector_na;
+  cli_number g, eta;
   const char *scale;
   cli_numbers reference;
   cli_texts plot;
@@ -29,33 +27,28 @@ enum { REFERENCE_NUMBERS = 4 };
 static const cli_option options[] = {
     {"Samples", NULL, NULL, CLI_HEADING, 0, NULL},
     {"eta", "X",
-     "refractive index inside over outside, where the file does not say: it has\n"
-     "no default (tissue in air has about 1.4)",
+     "refractive index inside over outside, where the file does not say: it has no default (tissue "
+     "in air has about 1.4)",
      CLI_NUMBER, FIELD(eta), NULL},
-    {"g", "X", "mean cosine of the scattering angle, where the file does not say\n(default: 0)",
+    {"g", "X", "mean cosine of the scattering angle, where the file does not say (default: 0)",
      CLI_NUMBER, FIELD(g), NULL},
-    {"detector-na", "X",
-     "sine of the largest angle to the normal, outside, at which light is\n"
-     "detected, where the file does not say: the numerical aperture over the\n"
-     "index outside (default: all light)",
-     CLI_NUMBER, FIELD(detector_na), NULL},
     {"scale", "NAME",
-     "absolute: R is as the model has it; free: R of each sample is that times\n"
-     "a factor, which is fitted, too (default: absolute)",
+     "absolute: R is as the model has it; free: R of each sample is that times a factor, which is "
+     "fitted, too (default: absolute)",
      CLI_TEXT, FIELD(scale), NULL},
     {"reference", "A,S,G,ETA",
-     "R is divided by the reading of a known medium at the same place:\n"
-     "sigma_a, sigma_s (1/mm), g and eta of that medium",
+     "R is divided by the reading of a known medium at the same place: sigma_a, sigma_s (1/mm), g "
+     "and eta of that medium",
      CLI_NUMBERS, FIELD(reference), NULL},
     {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"model", "NAME", "the model that is fitted; see `dipole info` (default: transport)", CLI_TEXT,
+    {"model", "NAME", "the model that is fitted; see `dipole info`", CLI_TEXT,
      offsetof(cli_profile_settings, model), CLI_MODEL_DEFAULT},
-    {CLI_MOMENTS_OPTION, "exact"},
+    {CLI_MOMENTS_OPTION, NULL},
     {CLI_DEADLINE_OPTION, NULL},
     {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"plot", "[FILE]",
-     "also draw readings, fit and residuals of the first samples into FILE.svg\n"
-     "or FILE.png (default: " PLOT_FILE "); -: as text. May be repeated",
+    {"plot", "FILE",
+     "also draw readings, fit and residuals of the first samples into FILE.svg or FILE.png; -: as "
+     "text. May be repeated",
      CLI_FILES, FIELD(plot), NULL},
     {0},
 };
@@ -74,9 +67,8 @@ static const char *const sides_of_g[] = {"none", "below", "above", "both"};
 
 typedef struct report {
   const fit_settings *settings;
-  const dipole_info *info;
-  const dipole_choice *model, *moments, *axis, *scale;
-  cli_parameters parameters;
+  cli_profile profile;
+  const dipole_choice *axis, *scale;
   cli_readings readings;
   dipole_fitted *fitted; /* [sample_count] */
   g_change *changes;     /* [sample_count] */
@@ -96,41 +88,22 @@ static int check(void *given) {
   if (settings->scale != NULL && strcmp(settings->scale, "reference") == 0) {
     return cli_fail_usage("--scale reference: give --reference A,S,G,ETA in its place");
   }
-  const int drawn = cli_picture_check(&settings->plot, &settings->profile.common);
-  return drawn == CLI_OK ? cli_deadline_check(&settings->profile) : drawn;
+  return cli_picture_check(&settings->plot, &settings->profile.common);
 }
 
 /* ---- asking ---------------------------------------------------------------------------------- */
 
-/* Whether the daemon knows the parameter detector_na, or nothing asks for it. */
-static bool knows_aperture(const report *of) {
-  bool given = of->settings->detector_na.given;
-  for (size_t i = 0; i < of->readings.sample_count; i++) {
-    given = given || !isnan(of->readings.samples[i].detector_na);
-  }
-  if (given && cli_choice(of->info, DIPOLE_PARAMETER, "detector_na") == NULL) {
-    cli_fail_usage("detector_na: this daemon does not know it");
-    return false;
-  }
-  return true;
-}
-
-static int choose(const fit_settings *settings, report *of) {
+/* Looks up the names that options and the file give. */
+static int choose(const fit_settings *settings, dipole_client *client, report *of) {
   const char *scale = settings->reference.count > 0 ? "reference"
                       : settings->scale != NULL     ? settings->scale
                                                     : "absolute";
-  of->model = cli_named(of->info, DIPOLE_MODEL, "model", settings->profile.model);
-  of->moments = of->model == NULL
-                    ? NULL
-                    : cli_named(of->info, DIPOLE_MOMENTS, "moments", settings->profile.moments);
-  of->scale = of->moments == NULL ? NULL : cli_named(of->info, DIPOLE_SCALE, "scale", scale);
-  of->axis = of->scale == NULL
-                 ? NULL
-                 : cli_named(of->info, DIPOLE_AXIS, "axis", of->readings.frequency ? "f" : "r");
-  return of->axis != NULL && cli_parameters_take(of->info, &settings->profile, &of->parameters) &&
-                 knows_aperture(of)
-             ? CLI_OK
-             : CLI_USAGE;
+  if (!cli_profile_take_names(&settings->profile, client, &of->profile)) {
+    return CLI_USAGE;
+  }
+  of->scale = cli_named(of->profile.info, DIPOLE_SCALE, "scale", scale);
+  of->axis = cli_named(of->profile.info, DIPOLE_AXIS, "axis", of->readings.frequency ? "f" : "r");
+  return of->scale != NULL && of->axis != NULL ? CLI_OK : CLI_USAGE;
 }
 
 /* Some samples of one design, in the order of the file. */
@@ -139,16 +112,15 @@ typedef struct batch {
   size_t *samples;
 } batch;
 
-/* Sets *parameters to those of a sample. */
-static void parameters_of(const report *of, const cli_sample *sample, cli_parameters *parameters) {
-  const cli_number *given = &of->settings->detector_na;
-  const dipole_choice *aperture = cli_choice(of->info, DIPOLE_PARAMETER, "detector_na");
-  *parameters = of->parameters;
-  if (aperture != NULL && !isnan(sample->detector_na)) {
-    cli_parameters_set(parameters, aperture->id, sample->detector_na);
-  } else if (aperture != NULL && given->given) {
-    cli_parameters_set(parameters, aperture->id, given->value);
+/* Returns the parameters of a sample: those of the options, and the aperture of the file. */
+static cli_parameters parameters_of(const report *of, const cli_sample *sample) {
+  const dipole_choice *aperture = cli_choice(of->profile.info, DIPOLE_PARAMETER, "detector_na");
+  cli_parameters parameters = of->profile.parameters;
+  if (!isnan(sample->detector_na)) {
+    cli_parameters_set(&parameters, aperture != NULL ? aperture->id : CORE_PARAMETER_DETECTOR_NA,
+                       sample->detector_na);
   }
+  return parameters;
 }
 
 static double g_of(const report *of, const cli_sample *sample) {
@@ -182,8 +154,8 @@ static dipole_fit_query query_of(const report *of, const cli_sample *sample,
   const fit_settings *settings = of->settings;
   const double *known = settings->reference.items;
   dipole_fit_query query = {
-      .model = of->model->id,
-      .moments = of->moments->id,
+      .model = of->profile.model->id,
+      .moments = of->profile.moments->id,
       .g = g_of(of, sample),
       .eta = eta_of(of, sample),
       .parameters = parameters->items,
@@ -232,7 +204,7 @@ static void take_change(g_change *change, unsigned side, const dipole_fitted *on
  * the model does not take, or not as it takes the query's, is left out. */
 static bool ask_side(dipole_client *client, report *of, const batch *some, dipole_fit_query query,
                      unsigned notes, unsigned side, dipole_error *error) {
-  const dipole_choice *similarity = cli_choice(of->info, DIPOLE_NOTE, "similarity");
+  const dipole_choice *similarity = cli_choice(of->profile.info, DIPOLE_NOTE, "similarity");
   const double g = query.g + (side == G_BELOW ? -G_CHANGE : G_CHANGE);
   query.g = round(g * 1e9) / 1e9; /* .9 + .05 is .95, which transport's table holds */
   query.residuals = false;
@@ -241,7 +213,7 @@ static bool ask_side(dipole_client *client, report *of, const batch *some, dipol
     return error->kind == DIPOLE_ERROR_REFUSED &&
            (strcmp(error->field, "g") == 0 || strcmp(error->field, "detector_na") == 0);
   }
-  const bool alike = similarity == NULL || strcmp(of->model->name, "transport") != 0 ||
+  const bool alike = similarity == NULL || strcmp(of->profile.model->name, "transport") != 0 ||
                      (fits->notes & ~notes & similarity->id) == 0;
   for (size_t i = 0; alike && i < some->count; i++) {
     const size_t sample = some->samples[i];
@@ -282,8 +254,7 @@ static void tell_refused(const report *of, const cli_sample *first, size_t count
 static bool ask_some(dipole_client *client, report *of, const batch *some, dipole_error *error) {
   const cli_sample *first = &of->readings.samples[some->samples[0]];
   const size_t bytes = first->count * sizeof(double);
-  cli_parameters parameters;
-  parameters_of(of, first, &parameters);
+  const cli_parameters parameters = parameters_of(of, first);
   dipole_fit_query query = query_of(of, first, &parameters);
   double *values = cli_allocate(some->count, bytes), *errors = cli_allocate(some->count, bytes);
   for (size_t i = 0; i < some->count; i++) {
@@ -350,21 +321,13 @@ static bool ask(dipole_client *client, report *of, dipole_error *error) {
 /* ---- writing --------------------------------------------------------------------------------- */
 
 static const char *status_of(const report *of, const dipole_fitted *fitted) {
-  const dipole_choice *status = cli_choice_of_id(of->info, DIPOLE_FIT_STATUS, fitted->status);
+  const dipole_choice *status =
+      cli_choice_of_id(of->profile.info, DIPOLE_FIT_STATUS, fitted->status);
   return status != NULL ? status->name : "unknown";
 }
 
 static bool is_free(const report *of) {
   return of->scale->id == DIPOLE_FREE;
-}
-
-static void put_second(cli_json *json, const dipole_fitted *one) {
-  cli_json_begin(json, "second", '{');
-  cli_json_number(json, "sigma_a", one->second_sigma_a_per_mm);
-  cli_json_number(json, "sigma_s_prime", one->second_sigma_s_prime_per_mm);
-  cli_json_number(json, "scale", one->second_factor);
-  cli_json_number(json, "chi2", one->second_chi_squared);
-  cli_json_end(json, '}');
 }
 
 static void put_sample(cli_rows *rows, const void *context, size_t index) {
@@ -401,39 +364,33 @@ static void put_sample(cli_rows *rows, const void *context, size_t index) {
   cli_put_text(rows, CLI_COLUMN("g_sides", "g sides", " "), sides_of_g[change->sides]);
   cli_put_number(rows, CLI_COLUMN("eta", .unit = " "), eta_of(of, sample));
   cli_put_text(rows, CLI_COLUMN("status", .unit = " "), status_of(of, one));
-  if (rows->json != NULL) {
-    cli_json_number(rows->json, "reduced_chi2", one->reduced_chi_squared);
-    cli_json_number(rows->json, "condition", one->condition);
-    cli_json_count(rows->json, "bounds", one->bounds);
-    cli_json_count(rows->json, "evaluations", one->evaluations);
-    put_second(rows->json, one);
-    cli_json_numbers(rows->json, "residuals", of->residuals + sample->first, sample->count);
+  const unsigned json = CLI_IN_JSON;
+  cli_put_number(rows, CLI_COLUMN("reduced_chi2", .forms = json), one->reduced_chi_squared);
+  cli_put_number(rows, CLI_COLUMN("condition", .forms = json), one->condition);
+  cli_put_number(rows, CLI_COLUMN("second_sigma_a", .unit = "1/mm", .forms = json),
+                 one->second_sigma_a_per_mm);
+  cli_put_number(rows, CLI_COLUMN("second_sigma_s_prime", .unit = "1/mm", .forms = json),
+                 one->second_sigma_s_prime_per_mm);
+  cli_put_number(rows, CLI_COLUMN("second_chi2", .forms = json), one->second_chi_squared);
+}
+
+static void put_facts(cli_rows *rows, const void *context, size_t index) {
+  const report *of = context;
+  (void)index;
+  cli_put_profile(rows, &of->profile);
+  cli_put_text(rows, CLI_COLUMN("axis", .forms = CLI_IN_JSON), of->axis->name);
+  cli_put_text(rows, CLI_COLUMN("scale"), of->scale->name);
+  if (rows->form == CLI_JSON) {
+    cli_put_notes(rows, of->profile.info, of->notes);
   }
 }
 
-static void write_table(const void *context) {
+static void write_foot(const void *context) {
   const report *of = context;
-  printf("coefficients fitted to readings; model %s, moments %s, scale %s\n\n", of->model->name,
-         of->moments->name, of->scale->name);
-  cli_rows_print(stdout, 1, of->readings.sample_count, put_sample, of);
   puts("\nerrors are standard errors; chi2 is the sum of the squares of (reading - fit) / error");
   puts("model error: of R against radiative transport, which is not in the standard errors");
   puts("by g: the largest change for g +- .05, which the readings may not tell apart");
-  cli_write_notes(of->info, of->notes, stdout);
-}
-
-static void put_members(cli_json *json, const void *context) {
-  const report *of = context;
-  cli_json_text(json, "software", of->info->software);
-  cli_json_text(json, "model", of->model->name);
-  cli_json_text(json, "moments", of->moments->name);
-  cli_json_text(json, "axis", of->axis->name);
-  cli_json_text(json, "scale", of->scale->name);
-  cli_json_notes(json, of->info, of->notes);
-  cli_json_texts(json, "units", "sigma_a", "1/mm", "sigma_s_prime", "1/mm", "sigma_a_error", "1/mm",
-                 "sigma_s_prime_error", "1/mm", "sigma_a_by_g", "1/mm", "sigma_s_prime_by_g",
-                 "1/mm", NULL);
-  cli_rows_json(json, "samples", of->readings.sample_count, put_sample, of);
+  cli_write_notes(of->profile.info, of->notes);
 }
 
 /* ---- what is no success ---------------------------------------------------------------------- */
@@ -463,16 +420,14 @@ static int judge(const report *of) {
   if (bad == 0) {
     return CLI_OK;
   }
-  cli_fail("%s: %zu of %zu samples were not fitted: see the column status",
-           cli_readings_source(of->settings->profile.common.operand), bad,
-           of->readings.sample_count);
+  cli_fail("%s: %zu of %zu samples were not fitted: see the column status", of->readings.source,
+           bad, of->readings.sample_count);
   return CLI_BAD_ROWS;
 }
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
-/* Samples in a picture; the first ones of a file. */
-enum { DRAWN_MAX = CLI_PALETTE };
+enum { DRAWN_MAX = 8 }; /* samples in a picture; the first ones of a file */
 
 static bool spans_decades(const cli_readings *readings) {
   double least = (double)INFINITY, most = 0;
@@ -486,40 +441,38 @@ static bool spans_decades(const cli_readings *readings) {
 /* Draws readings and what was fitted to them, and below them the residuals. */
 static int draw(const report *of) {
   const cli_readings *readings = &of->readings;
-  const bool decades = spans_decades(readings);
+  const size_t drawn = readings->sample_count < DRAWN_MAX ? readings->sample_count : DRAWN_MAX;
   cli_picture picture = {.x_label =
                              readings->frequency ? "spatial frequency f (1/mm)" : "distance r (mm)",
-                         .row_count = 2,
-                         .column_count = 1,
-                         .rows = {{{NULL, decades, CLI_LOGARITHMIC}, 0, ""},
-                                  {{NULL, decades, CLI_LINEAR}, 0, "residual / error"}}};
+                         .lower_label = "residual / error",
+                         .logarithmic_x = spans_decades(readings),
+                         .logarithmic_y = true};
   double *fitted = cli_allocate(readings->count, sizeof *fitted);
-  snprintf(picture.title, sizeof picture.title, "fit of %s, scale %s", of->model->name,
+  double *zeros = cli_allocate(readings->count, sizeof *zeros);
+  snprintf(picture.title, sizeof picture.title, "fit of %s, scale %s", of->profile.model->name,
            of->scale->name);
-  snprintf(picture.rows[0].label, CLI_LABEL_BYTES, "%s: readings, fit (lines)",
+  snprintf(picture.y_label, sizeof picture.y_label, "%s: readings, fit (lines)",
            readings->frequency ? "R(f)" : "R (1/mm^2)");
   for (size_t i = 0; i < readings->count; i++) {
     fitted[i] = readings->values[i] - of->residuals[i] * readings->errors[i];
   }
-  for (size_t s = 0; s < readings->sample_count && s < DRAWN_MAX; s++) {
-    const size_t first = readings->samples[s].first;
-    const double *const values[] = {fitted, readings->values, of->residuals};
-    static const enum cli_style styles[] = {CLI_FITTED, CLI_ERRORS, CLI_POINTS};
-    for (size_t k = 0; k < 3; k++) {
-      cli_curve *curve = cli_picture_add(&picture);
-      *curve = (cli_curve){.row = k / 2,
-                           .style = styles[k],
-                           .mark = s,
-                           .colour = cli_palette[s],
-                           .count = readings->samples[s].count,
-                           .x = readings->at + first,
-                           .y = values[k] + first,
-                           .error = k == 1 ? readings->errors + first : NULL};
-      snprintf(curve->title, sizeof curve->title, "%s", k == 1 ? readings->samples[s].name : "");
+  for (size_t k = 0; k < 2 * drawn; k++) { /* first the lines */
+    const cli_sample *sample = &readings->samples[k % drawn];
+    cli_curve *curve = cli_picture_add(&picture);
+    curve->colour = (unsigned)(k % drawn);
+    curve->count = sample->count;
+    curve->x = readings->at + sample->first;
+    curve->y = (k < drawn ? fitted : readings->values) + sample->first;
+    curve->lower = zeros;
+    if (k >= drawn) {
+      curve->error = readings->errors + sample->first;
+      curve->lower = of->residuals + sample->first;
+      snprintf(curve->title, sizeof curve->title, "%s", sample->name);
     }
   }
   const int status = cli_picture_draw(&picture, &of->settings->plot);
   free(fitted);
+  free(zeros);
   if (status == CLI_OK && readings->sample_count > DRAWN_MAX) {
     cli_say(CLI_OK, "the picture shows the first %d of %zu samples", DRAWN_MAX,
             readings->sample_count);
@@ -559,7 +512,7 @@ static void refuse_all(report *of) {
 static int fit_and_write(dipole_client *client, report *of) {
   dipole_error error;
   int status = cli_readings_read(of->settings->profile.common.operand, &of->readings);
-  status = status == CLI_OK ? choose(of->settings, of) : status;
+  status = status == CLI_OK ? choose(of->settings, client, of) : status;
   status = status == CLI_OK ? check_eta(of) : status;
   if (status != CLI_OK) {
     return status;
@@ -568,10 +521,11 @@ static int fit_and_write(dipole_client *client, report *of) {
   if (!ask(client, of, &error)) {
     return cli_fail_error(&error);
   }
-  const cli_output output = {.table = write_table,
+  const cli_report output = {.facts = put_facts,
                              .rows = of->readings.sample_count,
                              .put_row = put_sample,
-                             .members = put_members};
+                             .left = 1,
+                             .foot = write_foot};
   cli_write(&output, of->settings->profile.common.form, of);
   status = of->settings->plot.count > 0 ? draw(of) : CLI_OK;
   const int judged = judge(of);
@@ -579,7 +533,7 @@ static int fit_and_write(dipole_client *client, report *of) {
 }
 
 static int run(void *settings, dipole_client *client) {
-  report of = {.settings = settings, .info = dipole_get_info(client)};
+  report of = {.settings = settings};
   const int status = fit_and_write(client, &of);
   cli_readings_free(&of.readings);
   free(of.fitted);
@@ -622,8 +576,8 @@ const cli_command cli_command_fit = {
         "radiative transport, at the distances of a sample and between them. With --detector-na\n"
         "it contains that of the share that is detected. It is not part of the standard errors.\n",
     .formats = "table,csv,json",
-    .options = {options, cli_parameter_options},
-    .usual_file = PLOT_FILE,
+    .options = {options},
+    .parameters = CLI_OF_MODELS | CLI_PARAMETER_BIT(DETECTOR_NA),
     .settings_bytes = sizeof(fit_settings),
     .check = check,
     .run = run,

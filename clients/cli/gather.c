@@ -3,57 +3,124 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "clients/cli/cloud.h"
-#include "clients/cli/csv.h"
 #include "clients/cli/daemon.h"
-#include "clients/cli/options.h"
 #include "clients/cli/profile.h"
-#include "clients/cli/progress.h"
+#include "clients/cli/sheet.h"
 
 typedef struct gather_settings {
   cli_profile_settings profile;
   cli_number tolerance, least_distance;
-  const char *output;
 } gather_settings;
 
 static const cli_option options[] = {
     {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"model", "NAME", "the model; `dipole info` lists them (default: transport)", CLI_TEXT,
+    {"model", "NAME", "the model; `dipole info` lists them", CLI_TEXT,
      offsetof(gather_settings, profile.model), CLI_MODEL_DEFAULT},
-    {"evaluator", "NAME",
-     "f64 or f32: double or single precision; lut: single, by a table\n(default: lut)", CLI_TEXT,
-     offsetof(gather_settings, profile.evaluator), "lut"},
-    {CLI_MOMENTS_OPTION, "exact"},
+    {"evaluator", "NAME", "f64 or f32: double or single precision; lut: single, by a table",
+     CLI_TEXT, offsetof(gather_settings, profile.evaluator), "lut"},
+    {CLI_MOMENTS_OPTION, NULL},
     {"tolerance", "X",
-     "largest relative error, at each query, that groups of points may cause which\n"
-     "stand for their points: 1e-9 to .5, or 0 for none (default: .01)",
+     "largest relative error, at each query, that groups of points may cause which stand for their "
+     "points: 1e-9 to .5, or 0 for none",
      CLI_NUMBER, offsetof(gather_settings, tolerance), "0.01"},
     {"least-distance", "X",
-     "no distance between a query and a point counts as less than X mm (default:\n"
-     "0). Where R grows like 1/r, half the radius of a disc of a point's area is\n"
-     "right: the mean of 1/r over the disc",
+     "no distance between a query and a point counts as less than X mm (default: 0). Where R grows "
+     "like 1/r, half the radius of a disc of a point's area is right: the mean of 1/r over the "
+     "disc",
      CLI_NUMBER, offsetof(gather_settings, least_distance), NULL},
     {CLI_DEADLINE_OPTION, NULL},
-    {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"output", "FILE",
-     "write to this file: CSV, or PLY with colours if it ends with .ply (default:\n"
-     "CSV to standard output)",
-     CLI_TEXT, offsetof(gather_settings, output), NULL},
     {0},
 };
 
 static int check(void *given) {
   const gather_settings *settings = given;
-  const cli_common *common = &settings->profile.common;
-  if (common->operand == NULL || common->second_operand == NULL) {
+  const double least_mm = settings->least_distance.value;
+  if (settings->profile.common.operand == NULL || settings->profile.common.second_operand == NULL) {
     return cli_fail_usage("name two files: the points, and the queries");
   }
-  const double least_mm = settings->least_distance.value;
-  if (!(least_mm >= 0 && least_mm < (double)INFINITY)) {
-    return cli_fail_usage("--least-distance: give a number of at least 0, in mm");
+  return least_mm >= 0 && least_mm < (double)INFINITY
+             ? cli_medium_check(&settings->profile)
+             : cli_fail_usage("--least-distance: give a number of at least 0, in mm");
+}
+
+/* ---- files ----------------------------------------------------------------------------------- */
+
+enum { X, Y, Z, POWER, FIRST_POWER, POWERS_MAX = 8, COLUMNS = FIRST_POWER + POWERS_MAX };
+
+static const char *const names[COLUMNS] = {"x",       "y",       "z",       "power",
+                                           "power_1", "power_2", "power_3", "power_4",
+                                           "power_5", "power_6", "power_7", "power_8"};
+
+/* Points or queries. */
+typedef struct cloud {
+  cli_sheet sheet;
+  uint64_t count;
+  uint32_t channels; /* powers of each point */
+  double *xyz_mm;    /* [count][3] */
+  float *power_W;    /* [count][channels] */
+} cloud;
+
+static bool has_places(const cli_sheet *sheet, const cli_csv_record *header) {
+  for (size_t i = X; i <= Z; i++) {
+    if (sheet->at[i] == CLI_CSV_ABSENT) {
+      return cli_csv_fail_missing(sheet->source, header, names[i],
+                                  "x, y and z in mm, and points power, or power_1 and so on, in W");
+    }
   }
-  const int status = cli_medium_check(&settings->profile);
-  return status != CLI_OK ? status : cli_deadline_check(&settings->profile);
+  return true;
+}
+
+static bool has_powers(const cli_sheet *sheet, const cli_csv_record *header) {
+  return has_places(sheet, header) &&
+         (sheet->at[POWER] != CLI_CSV_ABSENT || sheet->at[FIRST_POWER] != CLI_CSV_ABSENT ||
+          cli_csv_fail_missing(sheet->source, header, "power or power_1", "it for each point"));
+}
+
+/* Returns whether the numbers of a row are there, from `first` column on; else says which is not. */
+static bool has_numbers(const cli_sheet *sheet, size_t row, size_t first, size_t count) {
+  for (size_t i = first; i < first + count; i++) {
+    if (isnan(cli_sheet_number(sheet, row, i))) {
+      cli_fail("%s: line %llu: %s: there is no number", sheet->source,
+               (unsigned long long)sheet->lines[row], names[i]);
+      return false;
+    }
+  }
+  return true;
+}
+
+/* Reads a file. Says what is wrong and returns false; free *of in any case. */
+static bool read_cloud(const char *path, bool with_power, cloud *of) {
+  cli_sheet *sheet = &of->sheet;
+  if (!cli_sheet_read(path, NULL, names, COLUMNS, with_power ? has_powers : has_places, sheet)) {
+    return false;
+  }
+  const size_t power = sheet->at[POWER] != CLI_CSV_ABSENT ? POWER : FIRST_POWER;
+  while (with_power && power + of->channels < COLUMNS &&
+         sheet->at[power + of->channels] != CLI_CSV_ABSENT &&
+         !(power == POWER && of->channels > 0)) {
+    of->channels++;
+  }
+  of->count = sheet->count;
+  of->xyz_mm = cli_allocate(of->count, 3 * sizeof(double));
+  of->power_W = cli_allocate(of->count, (of->channels + 1) * sizeof(float));
+  for (size_t i = 0; i < of->count; i++) {
+    if (!has_numbers(sheet, i, X, 3) || !has_numbers(sheet, i, power, of->channels)) {
+      return false;
+    }
+    for (size_t k = 0; k < 3; k++) {
+      of->xyz_mm[3 * i + k] = cli_sheet_number(sheet, i, k);
+    }
+    for (size_t c = 0; c < of->channels; c++) {
+      of->power_W[of->channels * i + c] = (float)cli_sheet_number(sheet, i, power + c);
+    }
+  }
+  return true;
+}
+
+static void free_cloud(cloud *of) {
+  cli_sheet_free(&of->sheet);
+  free(of->xyz_mm);
+  free(of->power_W);
 }
 
 /* ---- asking ---------------------------------------------------------------------------------- */
@@ -64,14 +131,16 @@ static bool follow(void *context, uint64_t answered, uint64_t count) {
 }
 
 /* Says what was refused, and where the point or query at fault stands. */
-static int fail_at(const dipole_error *error, const cli_cloud *points, const cli_cloud *queries) {
+static int fail_at(const dipole_error *error, const cloud *points, const cloud *queries) {
   char place[512];
   const bool of_queries = strcmp(error->field, "queries") == 0;
   const bool of_points = strcmp(error->field, "points") == 0 || strcmp(error->field, "power") == 0;
   if (error->kind != DIPOLE_ERROR_REFUSED || (!of_queries && !of_points)) {
     return cli_fail_error(error);
   }
-  cli_cloud_place(of_queries ? queries : points, error->index, place, sizeof place);
+  const cli_sheet *sheet = of_queries ? &queries->sheet : &points->sheet;
+  snprintf(place, sizeof place, "%s: line %llu: ", sheet->source,
+           (unsigned long long)(error->index < sheet->count ? sheet->lines[error->index] : 0));
   return cli_fail_error_of(place, error);
 }
 
@@ -81,7 +150,7 @@ typedef struct work {
   const gather_settings *settings;
   dipole_client *client;
   dipole_gather_query query;
-  const cli_cloud *points, *queries;
+  const cloud *points, *queries;
   cli_progress progress;
 } work;
 
@@ -182,10 +251,10 @@ static int ask(work *of, const slice *some, double *M) {
   dipole_error error;
   dipole_points *set;
   dipole_gather_result result;
-  const cli_cloud *points = of->points;
+  const cloud *points = of->points;
   if (!dipole_points_make(some->count, points->channels, points->xyz_mm + 3 * some->first,
                           points->power_W + some->first * points->channels, &set, &error)) {
-    return cli_fail("%s: %s", points->file, error.text);
+    return cli_fail("%s: %s", points->sheet.source, error.text);
   }
   of->query.points = set;
   const bool good =
@@ -211,7 +280,7 @@ static int ask_all(work *of, double *M) {
   const uint64_t even = (count + SLICES - 1) / SLICES;
   const uint64_t most = !is_cut ? count : even > SLICE_POINTS ? even : SLICE_POINTS;
   if (count == 0) {
-    return cli_fail("%s: it has no points", of->points->file);
+    return cli_fail("%s: it has no points", of->points->sheet.source);
   }
   double *part = cli_allocate((size_t)sums + 1, sizeof *part);
   int status = CLI_OK;
@@ -252,12 +321,11 @@ static void tell_infinite(const work *of, const double *M) {
 
 /* Makes the query of the profile. Returns an exit status. */
 static int take_query(const gather_settings *settings, const cli_profile *profile,
-                      const cli_cloud *points, const cli_cloud *queries,
-                      dipole_gather_query *query) {
+                      const cloud *points, const cloud *queries, dipole_gather_query *query) {
   if (profile->channel_count != points->channels) {
     return cli_fail_usage("%s has %u powers for each point, and the medium %zu channels: give as "
                           "many media, or choose with --channel",
-                          points->file, points->channels, profile->channel_count);
+                          points->sheet.source, points->channels, profile->channel_count);
   }
   *query = (dipole_gather_query){
       .model = profile->model->id,
@@ -272,8 +340,30 @@ static int take_query(const gather_settings *settings, const cli_profile *profil
   return CLI_OK;
 }
 
+/* The sums at the queries. */
+typedef struct sums {
+  const cloud *queries;
+  uint32_t channels;
+  const double *M; /* [queries][channels] */
+} sums;
+
+static void put_query(cli_rows *rows, const void *context, size_t index) {
+  const sums *of = context;
+  const bool any = index < of->queries->count;
+  for (size_t k = 0; k < 3; k++) {
+    cli_put_number(rows, CLI_COLUMN(names[k], .unit = "mm"),
+                   any ? of->queries->xyz_mm[3 * index + k] : 0);
+  }
+  for (uint32_t c = 0; c < of->channels; c++) {
+    char name[16];
+    snprintf(name, sizeof name, "M_%u", c + 1);
+    cli_put_number(rows, CLI_COLUMN(name, NULL, "W/mm^2", "%.5e"),
+                   any ? of->M[index * of->channels + c] : 0);
+  }
+}
+
 static int gather(const gather_settings *settings, dipole_client *client,
-                  const cli_profile *profile, const cli_cloud *points, const cli_cloud *queries) {
+                  const cli_profile *profile, const cloud *points, const cloud *queries) {
   work of = {.settings = settings, .client = client, .points = points, .queries = queries};
   int status = take_query(settings, profile, points, queries, &of.query);
   if (status != CLI_OK) {
@@ -283,9 +373,8 @@ static int gather(const gather_settings *settings, dipole_client *client,
   status = ask_all(&of, M);
   if (status == CLI_OK) {
     tell_infinite(&of, M);
-  }
-  if (status == CLI_OK && !cli_cloud_write(settings->output, queries, points->channels, M)) {
-    status = CLI_FAILED;
+    const cli_report output = {.rows = queries->count, .put_row = put_query};
+    cli_write(&output, settings->profile.common.form, &(const sums){queries, points->channels, M});
   }
   free(M);
   return status;
@@ -293,18 +382,17 @@ static int gather(const gather_settings *settings, dipole_client *client,
 
 static int run(void *given, dipole_client *client) {
   const gather_settings *settings = given;
-  const cli_common *common = &settings->profile.common;
   cli_profile profile = {0};
-  cli_cloud points = {0}, queries = {0};
+  cloud points = {0}, queries = {0};
   int status = cli_profile_take(&settings->profile, client, &profile);
   if (status == CLI_OK) {
-    status = cli_cloud_read(common->operand, true, &points) &&
-                     cli_cloud_read(common->second_operand, false, &queries)
+    status = read_cloud(settings->profile.common.operand, true, &points) &&
+                     read_cloud(settings->profile.common.second_operand, false, &queries)
                  ? gather(settings, client, &profile, &points, &queries)
                  : CLI_FAILED;
   }
-  cli_cloud_free(&points);
-  cli_cloud_free(&queries);
+  free_cloud(&points);
+  free_cloud(&queries);
   cli_profile_free(&profile);
   return status;
 }
@@ -318,17 +406,15 @@ const cli_command cli_command_gather = {
         "\n"
         "Each point holds power that entered the medium there: irradiance times area. Each query\n"
         "gets the sum of R(distance) times power over all points, in W/mm^2, for each channel\n"
-        "(Jensen and Buhler 2002). POINTS and QUERIES are CSV with a header, or binary PLY if "
-        "they\n"
-        "end with .ply: columns x, y, z in mm, and power_1, power_2 and so on in W; - is standard\n"
-        "input. What is written has the columns M_1, M_2 and so on. At a point's own position R "
-        "is\n"
-        "infinite for most models, and so is the sum: see --least-distance.\n" CLI_CSV_TEXT,
-    .formats = "none",
+        "(Jensen and Buhler 2002). POINTS and QUERIES are CSV with the columns x, y, z in mm, and\n"
+        "power, or power_1, power_2 and so on, in W; - is standard input. What is written has the\n"
+        "columns M_1, M_2 and so on. At a point's own position R is infinite for most models, and "
+        "so\n"
+        "is the sum: see --least-distance.\n" CLI_CSV_TEXT,
+    .formats = "csv,table,json",
     .options = {cli_medium_options, options},
-    .examples =
-        "  dipole gather points.csv queries.csv --medium skin1 --tolerance 1e-3\n"
-        "  dipole gather points.ply queries.ply --medium marble --model better --output M.ply\n",
+    .examples = "  dipole gather points.csv queries.csv --medium skin1 --tolerance 1e-3 > M.csv\n"
+                "  dipole gather points.csv queries.csv --medium marble --model better\n",
     .settings_bytes = sizeof(gather_settings),
     .check = check,
     .run = run,

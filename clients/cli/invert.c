@@ -21,18 +21,17 @@ typedef struct invert_settings {
 static const cli_option options[] = {
     {"Medium", NULL, NULL, CLI_HEADING, 0, NULL},
     {"albedo", "X[,X...]",
-     "diffuse albedo: the share of the power that leaves, 0 to 1; one value\nfor each channel",
+     "diffuse albedo: the share of the power that leaves, 0 to 1; one value for each channel",
      CLI_NUMBERS, FIELD(albedo), NULL},
     CLI_LENGTH_OPTIONS(invert_settings, lengths),
     {"g", "X", "mean cosine of the scattering angle (default: 0)", CLI_NUMBER, FIELD(g), NULL},
-    {"eta", "X", "refractive index inside over outside (default: 1.3)", CLI_NUMBER, FIELD(eta),
-     "1.3"},
+    {"eta", "X", "refractive index inside over outside", CLI_NUMBER, FIELD(eta), "1.3"},
     {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
     {"model", "NAME",
-     "the model that gives the albedo; see `dipole info` (default:\n"
-     "transport, which takes some 5 ms for each medium; better takes\nmicroseconds)",
+     "the model that gives the albedo; see `dipole info`. transport takes some 5 ms for each "
+     "medium, better microseconds",
      CLI_TEXT, FIELD(profile.model), CLI_MODEL_DEFAULT},
-    {CLI_MOMENTS_OPTION, "exact"},
+    {CLI_MOMENTS_OPTION, NULL},
     {CLI_DEADLINE_OPTION, NULL},
     {0},
 };
@@ -46,8 +45,8 @@ typedef struct wanted {
 } wanted;
 
 typedef struct report {
-  const dipole_info *info;
-  const dipole_choice *model, *moments, *given;
+  cli_profile profile;
+  const dipole_choice *given;
   double albedo_least, albedo_most;
   size_t count, missing;
   wanted *items;
@@ -71,24 +70,10 @@ static int check(void *given) {
     return cli_fail_usage("--%s has %zu values and --albedo has %zu: give one value or as many",
                           name, lengths->count, albedos);
   }
-  return cli_deadline_check(&settings->profile);
+  return CLI_OK;
 }
 
 /* ---- asking ---------------------------------------------------------------------------------- */
-
-static int choose(const invert_settings *settings, const char *length, report *of) {
-  of->model = cli_named(of->info, DIPOLE_MODEL, "model", settings->profile.model);
-  of->moments = of->model == NULL
-                    ? NULL
-                    : cli_named(of->info, DIPOLE_MOMENTS, "moments", settings->profile.moments);
-  if (of->moments == NULL) {
-    return CLI_USAGE;
-  }
-  of->given = cli_choice(of->info, DIPOLE_LENGTH, length);
-  return of->given != NULL
-             ? CLI_OK
-             : cli_fail("--%s: this daemon does not know it; name another length", length);
-}
 
 static void take(report *of, const invert_settings *settings, size_t first,
                  const dipole_inversion *inversion) {
@@ -113,8 +98,8 @@ static bool ask_some(dipole_client *client, const invert_settings *settings, rep
     albedos[i] = of->items[first + i].wanted_albedo;
     lengths_mm[i] = of->items[first + i].length_mm;
   }
-  const dipole_invert_query query = {.model = of->model->id,
-                                     .moments = of->moments->id,
+  const dipole_invert_query query = {.model = of->profile.model->id,
+                                     .moments = of->profile.moments->id,
                                      .given = of->given->id,
                                      .g = settings->g.value,
                                      .eta = settings->eta.value,
@@ -145,7 +130,7 @@ static void show_progress(report *of, double steps) {
  * not silent for long, however many media there are. */
 static bool ask(dipole_client *client, const invert_settings *settings, report *of,
                 dipole_error *error) {
-  const bool slow = strcmp(of->model->name, CLI_MODEL_DEFAULT) == 0;
+  const bool slow = strcmp(of->profile.model->name, CLI_MODEL_DEFAULT) == 0;
   const size_t each = slow ? SLOW_MEDIA : of->count;
   bool good = true;
   of->missing = 0;
@@ -165,9 +150,9 @@ static bool verify(dipole_client *client, const invert_settings *settings, repor
     if (!of->items[i].found) {
       continue;
     }
-    const dipole_query query = {.model = of->model->id,
+    const dipole_query query = {.model = of->profile.model->id,
                                 .evaluator = DIPOLE_F64,
-                                .moments = of->moments->id,
+                                .moments = of->profile.moments->id,
                                 .wanted = DIPOLE_ALBEDO,
                                 .media = &of->items[i].medium,
                                 .medium_count = 1,
@@ -203,12 +188,12 @@ static void put_medium(cli_rows *rows, const void *context, size_t index) {
   const double off = fabs(one->albedo - one->wanted_albedo);
   const double reduced = one->found ? sigma_s * (1 - medium->g) : (double)NAN;
   const char *reason = one->found ? NULL : status_of(of, one), *none = one->found ? NULL : "-";
-  cli_put_text(rows, CLI_COLUMN("model", .forms = CLI_IN_CSV), of->model->name);
+  const unsigned programs = CLI_IN_CSV | CLI_IN_JSON;
+  cli_put_text(rows, CLI_COLUMN("model", .forms = programs), of->profile.model->name);
   cli_put_count(rows, CLI_COLUMN("channel"), index + 1);
   cli_put_number(rows, CLI_COLUMN("wanted_albedo", "albedo", "wanted"), one->wanted_albedo);
-  cli_put_text(rows, CLI_COLUMN("given", .forms = CLI_IN_CSV), of->given->name);
+  cli_put_text(rows, CLI_COLUMN("given", .forms = programs), of->given->name);
   cli_put_number(rows, CLI_COLUMN("length", of->given->name, "mm"), one->length_mm);
-  cli_put_text(rows, CLI_COLUMN("status", .forms = CLI_IN_JSON), status_of(of, one));
   cli_put_shown(rows, CLI_COLUMN("sigma_a", NULL, "1/mm", "%.9g"), medium->sigma_a_per_mm, reason);
   cli_put_shown(rows, CLI_COLUMN("sigma_s", NULL, "1/mm", "%.9g"), sigma_s, none);
   cli_put_shown(rows, CLI_COLUMN("sigma_s'", NULL, "1/mm", "%.9g", .forms = CLI_IN_TABLE), reduced,
@@ -217,36 +202,29 @@ static void put_medium(cli_rows *rows, const void *context, size_t index) {
   cli_put_shown(rows, CLI_COLUMN("eta"), medium->eta, none);
   cli_put_shown(rows, CLI_COLUMN("albedo", "check: albedo"), one->albedo, none);
   cli_put_shown(rows, CLI_COLUMN("off by", .format = "%.1e", .forms = CLI_IN_TABLE), off, none);
-  cli_put_text(rows, CLI_COLUMN("status", .forms = CLI_IN_CSV), status_of(of, one));
+  cli_put_text(rows, CLI_COLUMN("status", .forms = programs), status_of(of, one));
 }
 
-static void write_table(const void *context) {
+static void put_facts(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
-  printf("media of given albedo; model %s, moments %s\n%s: %s\n\n", of->model->name,
-         of->moments->name, of->given->name, of->given->about);
-  cli_rows_print(stdout, 1, of->count, put_medium, of);
-  printf("check: an evaluation of the medium\nalbedos within reach: %.6g to %.17g\n",
-         of->albedo_least, of->albedo_most);
-  cli_write_launched(&of->items[0].medium, of->count > 0 ? 1 : 0, stdout); /* all have one eta */
+  (void)index;
+  cli_put_profile(rows, &of->profile);
+  cli_put_text(rows, CLI_COLUMN("given"), of->given->name);
+  cli_put_text(rows, CLI_COLUMN("formula", "="), of->given->about);
+  cli_put_number(rows, CLI_COLUMN("albedo_least", "albedos from"), of->albedo_least);
+  cli_put_number(rows, CLI_COLUMN("albedo_most", "to"), of->albedo_most);
 }
 
-static void put_members(cli_json *json, const void *context) {
+static void write_foot(const void *context) {
   const report *of = context;
-  cli_json_text(json, "software", of->info->software);
-  cli_json_text(json, "model", of->model->name);
-  cli_json_text(json, "moments", of->moments->name);
-  cli_json_text(json, "given", of->given->name);
-  cli_json_number(json, "albedo_least", of->albedo_least);
-  cli_json_number(json, "albedo_most", of->albedo_most);
-  cli_json_texts(json, "units", "length", "mm", "sigma_a", "1/mm", "sigma_s", "1/mm", "albedo", "1",
-                 NULL);
-  cli_rows_json(json, "channels", of->count, put_medium, of);
+  puts("check: an evaluation of the medium");
+  cli_write_launched(&of->items[0].medium, of->count > 0 ? 1 : 0); /* all have one eta */
 }
 
 /* Everything is written in any case; then the user is told which media there are not. */
 static int write_and_judge(const invert_settings *settings, const report *of) {
-  const cli_output output = {
-      .table = write_table, .rows = of->count, .put_row = put_medium, .members = put_members};
+  const cli_report output = {
+      .facts = put_facts, .rows = of->count, .put_row = put_medium, .left = 1, .foot = write_foot};
   cli_write(&output, settings->profile.common.form, of);
   if (of->missing == 0) {
     return CLI_OK;
@@ -270,9 +248,12 @@ static int ask_and_write(const invert_settings *settings, dipole_client *client,
     of->items[i].wanted_albedo = cli_numbers_pick(&settings->albedo, i, 0);
     of->items[i].length_mm = cli_numbers_pick(lengths, i, 0);
   }
-  const int status = choose(settings, length, of);
-  if (status != CLI_OK) {
-    return status;
+  if (!cli_profile_take_names(&settings->profile, client, &of->profile)) {
+    return CLI_USAGE;
+  }
+  of->given = cli_choice(of->profile.info, DIPOLE_LENGTH, length);
+  if (of->given == NULL) {
+    return cli_fail("--%s: this daemon does not know it; name another length", length);
   }
   const bool good = ask(client, settings, of, &error) && verify(client, settings, of, &error);
   cli_progress_wipe(&of->progress);
@@ -286,7 +267,7 @@ static int ask_and_write(const invert_settings *settings, dipole_client *client,
 }
 
 static int run(void *settings, dipole_client *client) {
-  report of = {.info = dipole_get_info(client)};
+  report of = {0};
   const int status = ask_and_write(settings, client, &of);
   free(of.items);
   return status;

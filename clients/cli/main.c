@@ -5,6 +5,7 @@
 #include <sys/un.h>
 #include <unistd.h>
 
+#include "clients/cli/complete.h"
 #include "clients/cli/daemon.h"
 #include "clients/cli/options.h"
 #include "proto/standard.h"
@@ -13,14 +14,13 @@ extern const cli_command cli_command_eval, cli_command_plot, cli_command_points,
     cli_command_invert, cli_command_fit, cli_command_texture, cli_command_gather, cli_command_table,
     cli_command_mc, cli_command_media, cli_command_info, cli_command_top, cli_command_bench;
 
-static const cli_command *const commands[] = {
-    &cli_command_eval,   &cli_command_plot,  &cli_command_points,  &cli_command_sample,
-    &cli_command_invert, &cli_command_fit,   &cli_command_texture, &cli_command_gather,
-    &cli_command_table,  &cli_command_mc,    &cli_command_media,   &cli_command_info,
-    &cli_command_top,    &cli_command_bench,
+const cli_command *const cli_commands[] = {
+    &cli_command_eval,    &cli_command_plot,   &cli_command_points,
+    &cli_command_sample,  &cli_command_invert, &cli_command_fit,
+    &cli_command_texture, &cli_command_gather, &cli_command_table,
+    &cli_command_mc,      &cli_command_media,  &cli_command_info,
+    &cli_command_top,     &cli_command_bench,  NULL,
 };
-
-enum { COMMANDS = sizeof commands / sizeof commands[0] };
 
 static void print_help(FILE *file) {
   fputs(
@@ -29,8 +29,8 @@ static void print_help(FILE *file) {
       "where it entered: R(r) in 1/mm^2 per unit of power that entered. Unless --connect\n"
       "or the environment variable DIPOLED names a daemon, it starts one of its own.\n\nCommands\n",
       file);
-  for (size_t i = 0; i < COMMANDS; i++) {
-    fprintf(file, "  %-8s %s\n", commands[i]->name, commands[i]->about);
+  for (size_t i = 0; cli_commands[i] != NULL; i++) {
+    fprintf(file, "  %-8s %s\n", cli_commands[i]->name, cli_commands[i]->about);
   }
   fputs("  help     This text, or `dipole help COMMAND`\n\n"
         "`dipole COMMAND --help` describes a command; `dipole --version` prints the version.\n",
@@ -38,9 +38,9 @@ static void print_help(FILE *file) {
 }
 
 static const cli_command *find_command(const char *name) {
-  for (size_t i = 0; i < COMMANDS; i++) {
-    if (strcmp(commands[i]->name, name) == 0) {
-      return commands[i];
+  for (size_t i = 0; cli_commands[i] != NULL; i++) {
+    if (strcmp(cli_commands[i]->name, name) == 0) {
+      return cli_commands[i];
     }
   }
   return NULL;
@@ -48,8 +48,8 @@ static const cli_command *find_command(const char *name) {
 
 static int fail_unknown(const char *name) {
   fprintf(stderr, "dipole: there is no command '%s'; the commands are", name);
-  for (size_t i = 0; i < COMMANDS; i++) {
-    fprintf(stderr, " %s,", commands[i]->name);
+  for (size_t i = 0; cli_commands[i] != NULL; i++) {
+    fprintf(stderr, " %s,", cli_commands[i]->name);
   }
   fputs(" help\n", stderr);
   return CLI_USAGE;
@@ -120,6 +120,9 @@ static int run_command(const cli_command *command, int argc, char **argv) {
 }
 
 static int run(int argc, char **argv) {
+  if (argc == 3 && strcmp(argv[1], "complete") == 0) { /* for shells, and not in any help */
+    return cli_complete(argv[2]);
+  }
   if (argc < 2) {
     print_help(stderr);
     return CLI_USAGE;

@@ -12,9 +12,6 @@
 
 typedef struct mc_settings {
   cli_profile_settings profile; /* the medium */
-  cli_number thickness;
-  const char *phase;
-  cli_number phase_share, phase_g, detector_na;
   cli_numbers albedo;
   cli_numbers r;
   cli_number from, to;
@@ -28,53 +25,39 @@ typedef struct mc_settings {
 
 static const cli_option options[] = {
     {"Walks", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"phase", "NAME",
-     "phase function: henyey-greenstein, modified or two-term; `dipole info`\n"
-     "describes them; their mean cosine is that of --g (default:\nhenyey-greenstein)",
-     CLI_TEXT, FIELD(phase), NULL},
-    {"phase-share", "X", "share of Henyey and Greenstein's function in modified and two-term",
-     CLI_NUMBER, FIELD(phase_share), NULL},
-    {"phase-g", "X", "mean cosine of the second term of two-term", CLI_NUMBER, FIELD(phase_g),
-     NULL},
-    {"thickness", "X", "of a slab, mm (default: half space)", CLI_NUMBER, FIELD(thickness), "inf"},
     {"albedo", "X[,X...]",
-     "up to 16 single-scattering albedos in place of the medium's own; the\nsame walks serve all",
+     "up to 16 single-scattering albedos in place of the medium's own; the same walks serve all",
      CLI_NUMBERS, FIELD(albedo), NULL},
     {"Rings", NULL, NULL, CLI_HEADING, 0, NULL},
     {"r", "X[,X...]",
-     "in place of rings: R at these radii above 0, mm, from rings 3 % wide.\n"
-     "--format csv is then a file that `dipole fit` reads",
+     "in place of rings: R at these radii above 0, mm, from rings 3 % wide. --format csv is then a "
+     "file that `dipole fit` reads",
      CLI_NUMBERS, FIELD(r), NULL},
     {"from", "X", "inner edge of the first ring, mm (default: 0)", CLI_NUMBER, FIELD(from), NULL},
-    {"to", "X", "outer edge of the last ring, mm (default: 10)", CLI_NUMBER, FIELD(to), "10"},
-    {"rings", "N", "how many rings there are (default: 20)", CLI_COUNT, FIELD(rings), "20"},
+    {"to", "X", "outer edge of the last ring, mm", CLI_NUMBER, FIELD(to), "10"},
+    {"rings", "N", "how many rings there are", CLI_COUNT32, FIELD(rings), "20"},
     {"log", NULL, "make the ratios between edges equal instead of the steps; needs --from",
      CLI_SWITCH, FIELD(logarithmic), NULL},
-    {"detector-na", "X",
-     "rings count only light whose angle to the normal outside has at most\n"
-     "this sine, as `dipole fit` takes it; totals count all (default: all light)",
-     CLI_NUMBER, FIELD(detector_na), NULL},
     {"Effort", NULL, NULL, CLI_HEADING, 0, NULL},
     {"photons", "N",
-     "how many photons walk, such as 2e6 (default: 1e6; with --error or\n--total-error, as many as "
-     "the daemon allows)",
+     "how many photons walk, such as 2e6 (with --error or --total-error, as many as the daemon "
+     "allows)",
      CLI_NUMBER, FIELD(photons), "1e6"},
     {"error", "X", "end when the relative standard error of each ring with light is so small",
      CLI_NUMBER, FIELD(error), NULL},
     {"total-error", "X", "end when that of the total R is so small; with --error, when both are",
      CLI_NUMBER, FIELD(total_error), NULL},
-    {"seed", "N", "seed of the random numbers; the same seed gives the same bits (default: 1)",
-     CLI_COUNT, FIELD(seed), "1"},
+    {"seed", "N", "seed of the random numbers; the same seed gives the same bits", CLI_COUNT,
+     FIELD(seed), "1"},
     {0},
 };
 
 typedef struct report {
   const dipole_info *info;
-  const char *medium;  /* the only measured one; NULL if there is none */
-  const char *channel; /* the name of the channel; "" if there is one that is not measured */
-  const dipole_choice *phase;
-  const cli_numbers *r; /* none: rings are written */
-  cli_parameters parameters;
+  const char *medium;        /* the only measured one; NULL if there is none */
+  const char *channel;       /* the name of the channel */
+  const cli_numbers *r;      /* none: rings are written */
+  cli_parameters parameters; /* without the thickness */
   dipole_mc_query query;
   dipole_mc_result *result;
 } report;
@@ -101,9 +84,6 @@ static int check(void *given) {
   if (settings->logarithmic && !settings->from.given) {
     return cli_fail_usage("--log needs --from, above 0");
   }
-  if (settings->rings.value > UINT32_MAX) {
-    return cli_fail_usage("--rings: give at most %lu", (unsigned long)UINT32_MAX);
-  }
   if (!(photons >= 1 && photons <= 0x1p53 && photons == floor(photons))) {
     return cli_fail_usage("--photons: give a whole number from 1 to 9e15, such as 2000000 or 2e6");
   }
@@ -126,41 +106,9 @@ static uint64_t photons_of(const mc_settings *settings, const dipole_info *info)
   return (uint64_t)settings->photons.value;
 }
 
-static void set_parameter(report *of, const char *name, double value) {
-  const dipole_choice *parameter = cli_choice(of->info, DIPOLE_PARAMETER, name);
-  if (parameter != NULL) {
-    cli_parameters_set(&of->parameters, parameter->id, value);
-  }
-}
-
 /* Returns the name of a parameter of the query. */
 static const char *parameter_name(const report *of, size_t i) {
   return cli_choice_of_id(of->info, DIPOLE_PARAMETER, of->parameters.items[i].id)->name;
-}
-
-static int take_parameters(const mc_settings *settings, report *of) {
-  if (settings->phase != NULL) {
-    of->phase = cli_named(of->info, DIPOLE_PHASE, "phase", settings->phase);
-    if (of->phase == NULL) {
-      return CLI_USAGE;
-    }
-    set_parameter(of, "phase", of->phase->id);
-  }
-  if (settings->phase_share.given) {
-    set_parameter(of, "phase_share", settings->phase_share.value);
-  }
-  if (settings->phase_g.given) {
-    set_parameter(of, "phase_g", settings->phase_g.value);
-  }
-  if (settings->detector_na.given) {
-    if (cli_choice(of->info, DIPOLE_PARAMETER, "detector_na") == NULL) {
-      return cli_fail_usage("--detector-na: this daemon does not know it");
-    }
-    set_parameter(of, "detector_na", settings->detector_na.value);
-  }
-  of->query.parameters = of->parameters.items;
-  of->query.parameter_count = of->parameters.count;
-  return CLI_OK;
 }
 
 /* The rings that --r is read from are so wide. Their bias is some 2e-3 of R where R falls by e within
@@ -184,17 +132,22 @@ static void set_rings(const cli_numbers *r, dipole_mc_query *query) {
 }
 
 /* Makes the query of a channel. */
-static int make_query(const mc_settings *settings, const cli_profile *profile, size_t channel,
-                      report *of) {
+static void make_query(const mc_settings *settings, const cli_profile *profile, size_t channel,
+                       report *of) {
   const bool measured = profile->medium != NULL;
+  const cli_given *thickness = &settings->profile.common.parameters[CORE_PARAMETER_THICKNESS];
   of->info = profile->info;
   of->medium = measured && strchr(profile->medium, ',') == NULL ? profile->medium : NULL;
-  of->channel = measured || profile->channel_count > 1 ? profile->channels[channel].name : "";
+  of->channel = profile->channels[channel].name;
+  of->parameters = profile->parameters;
+  cli_parameters_remove(&of->parameters, CORE_PARAMETER_THICKNESS); /* a field of its own */
   of->query = (dipole_mc_query){
       .medium = profile->media[channel],
       .albedos = settings->albedo.items,
       .albedo_count = (unsigned)settings->albedo.count,
-      .thickness_mm = settings->thickness.value,
+      .thickness_mm = thickness->text != NULL ? thickness->value : (double)INFINITY,
+      .parameters = of->parameters.items,
+      .parameter_count = of->parameters.count,
       .spacing = settings->logarithmic ? DIPOLE_LOGARITHMIC : DIPOLE_LINEAR,
       .ring_count = (uint32_t)settings->rings.value,
       .radius_start_mm = settings->from.value,
@@ -208,7 +161,6 @@ static int make_query(const mc_settings *settings, const cli_profile *profile, s
   if (of->r->count > 0) {
     set_rings(of->r, &of->query);
   }
-  return take_parameters(settings, of);
 }
 
 /* ---- following the job ----------------------------------------------------------------------- */
@@ -242,12 +194,10 @@ static bool run_job(dipole_client *client, const cli_common *common, report *of,
   return good;
 }
 
-/* ---- writing --------------------------------------------------------------------------------- */
+/* ---- what was walked ------------------------------------------------------------------------- */
 
 /* The two sides of a slab. A half space has the first only. */
-static const struct {
-  const char *name, *error, *photons;
-} sides[DIPOLE_MC_SIDES] = {{"R", "R_error", "R_photons"}, {"T", "T_error", "T_photons"}};
+static const char *const sides[DIPOLE_MC_SIDES] = {"R", "T"};
 
 /* A part of the power that entered. */
 typedef struct part {
@@ -258,12 +208,9 @@ typedef struct part {
 
 enum { PARTS_MAX = 11 };
 
-/* Lists where the power went, and returns the number of parts. all: also those of the other side
- * of a slab, where there is none. */
-static size_t list_parts(const dipole_mc_result *result, size_t albedo, bool all,
-                         part parts[PARTS_MAX]) {
+/* Lists where the power went, and returns the number of parts. */
+static size_t list_parts(const dipole_mc_result *result, size_t albedo, part parts[PARTS_MAX]) {
   const dipole_mc_energy *energy = &result->energies[albedo];
-  const bool slab = all || result->side_count == DIPOLE_MC_SIDES;
   const dipole_mc_value R0 = {energy->unscattered[0], 0}, T0 = {energy->unscattered[1], 0};
   const part either[][4] = {
       {{"R_total", "R, total", energy->R},
@@ -278,7 +225,7 @@ static size_t list_parts(const dipole_mc_result *result, size_t albedo, bool all
   const part rest[] = {{"absorbed", "absorbed", energy->absorbed},
                        {"unfinished", "unfinished walks", energy->unfinished},
                        {"roulette", "added by roulette", energy->roulette}};
-  const size_t of_sides = slab ? 8 : 4;
+  const size_t of_sides = 4 * (size_t)result->side_count;
   memcpy(parts, either, of_sides * sizeof *parts);
   memcpy(parts + of_sides, rest, sizeof rest);
   return of_sides + sizeof rest / sizeof rest[0];
@@ -287,15 +234,13 @@ static size_t list_parts(const dipole_mc_result *result, size_t albedo, bool all
 /* A result, and which of its albedos is written. */
 typedef struct one_albedo {
   const report *report;
-  const dipole_mc_result *result;
   uint32_t albedo;
-  const char *channel; /* for CSV of several channels; else NULL */
 } one_albedo;
 
 /* Returns R at a radius, between the middles of the two rings beside it: in proportion to a power of
  * r where both have light. *error: its standard error. */
 static double R_at(const one_albedo *of, uint32_t side, double r_mm, double *error) {
-  const dipole_mc_result *result = of->result;
+  const dipole_mc_result *result = of->report->result;
   const double *edges = result->edges_mm, *R = dipole_mc_values(result, of->albedo, side),
                *errors = dipole_mc_errors(result, of->albedo, side);
   const double width = log(edges[1] / edges[0]);
@@ -308,267 +253,180 @@ static double R_at(const one_albedo *of, uint32_t side, double r_mm, double *err
                                    : (1 - share) * R[low] + share * R[high];
 }
 
-/* "2.1 %"; "-" for no light, which has an error, but no relative error. */
-static const char *relative_error(double value, double error, char text[32]) {
-  snprintf(text, 32, value > 0 && isfinite(error) ? "%.2g %%" : "-", 100 * error / value);
-  return text;
+/* ---- for people ------------------------------------------------------------------------------ */
+
+/* Puts R or T, its error, and that relative; "-" for no light, which has no relative error. */
+static void put_value(cli_rows *rows, uint32_t side, double value, double error) {
+  char text[32];
+  snprintf(text, sizeof text, value > 0 && isfinite(error) ? "%.2g %%" : "-", 100 * error / value);
+  cli_put_number(rows, CLI_COLUMN(sides[side], NULL, "1/mm^2", "%.5e"), value);
+  cli_put_number(rows, CLI_COLUMN("standard error", NULL, "1/mm^2", "%.1e"), error);
+  cli_put_text(rows, CLI_COLUMN("relative", .unit = " "), text);
 }
 
-static void put_radius(cli_rows *rows, const void *context, size_t index) {
+/* Puts a ring, or one of the radii of --r. */
+static void put_place(cli_rows *rows, const void *context, size_t index) {
   const one_albedo *of = context;
-  const double r_mm = of->report->r->items[index];
-  cli_put_number(rows, CLI_COLUMN("r", .unit = "mm"), r_mm);
-  for (uint32_t side = 0; side < of->result->side_count; side++) {
-    double error;
-    char text[32];
-    const double value = R_at(of, side, r_mm, &error);
-    cli_put_number(rows, CLI_COLUMN(sides[side].name, NULL, "1/mm^2", "%.5e"), value);
-    cli_put_number(rows, CLI_COLUMN("standard error", NULL, "1/mm^2", "%.1e"), error);
-    cli_put_text(rows, CLI_COLUMN("relative", .unit = " "), relative_error(value, error, text));
+  const dipole_mc_result *result = of->report->result;
+  const bool at_r = of->report->r->count > 0;
+  if (at_r) {
+    cli_put_number(rows, CLI_COLUMN("r", .unit = "mm"), of->report->r->items[index]);
+  } else {
+    cli_put_number(rows, CLI_COLUMN("from", .unit = "mm"), result->edges_mm[index]);
+    cli_put_number(rows, CLI_COLUMN("to", .unit = "mm"), result->edges_mm[index + 1]);
   }
-}
-
-/* Puts a row of CSV that `dipole fit` reads. */
-static void put_reading(cli_rows *rows, const void *context, size_t index) {
-  const one_albedo *of = context;
-  const report *from = of->report;
-  const double r_mm = from->r->items[index];
-  char albedo[CLI_NUMBER_BYTES], sample[80];
-  double error;
-  const double value = R_at(of, 0, r_mm, &error);
-  cli_number_format(of->result->energies[of->albedo].albedo, albedo);
-  snprintf(sample, sizeof sample, "%s%s%s", from->channel[0] != '\0' ? from->channel : "1",
-           of->result->albedo_count > 1 ? ", albedo " : "",
-           of->result->albedo_count > 1 ? albedo : "");
-  cli_put_text(rows, CLI_COLUMN("sample"), sample);
-  cli_put_number(rows, CLI_COLUMN("g"), from->query.medium.g);
-  cli_put_number(rows, CLI_COLUMN("eta"), from->query.medium.eta);
-  for (size_t i = 0; i < from->parameters.count; i++) {
-    cli_put_number(rows, CLI_COLUMN(parameter_name(from, i)), from->parameters.items[i].value);
-  }
-  if (isfinite(from->query.thickness_mm)) { /* `dipole fit` refuses this column */
-    cli_put_number(rows, CLI_COLUMN("thickness"), from->query.thickness_mm);
-  }
-  cli_put_number(rows, CLI_COLUMN("r"), r_mm);
-  cli_put_number(rows, CLI_COLUMN("R"), value);
-  cli_put_number(rows, CLI_COLUMN("error"), error);
-}
-
-/* Puts a ring, for people. */
-static void put_ring(cli_rows *rows, const void *context, size_t index) {
-  const one_albedo *of = context;
-  const dipole_mc_result *result = of->result;
-  cli_put_number(rows, CLI_COLUMN("from", .unit = "mm"), result->edges_mm[index]);
-  cli_put_number(rows, CLI_COLUMN("to", .unit = "mm"), result->edges_mm[index + 1]);
   for (uint32_t side = 0; side < result->side_count; side++) {
-    const double value = dipole_mc_values(result, of->albedo, side)[index];
-    const double error = dipole_mc_errors(result, of->albedo, side)[index];
-    char relative[32];
-    cli_put_number(rows, CLI_COLUMN(sides[side].name, NULL, "1/mm^2", "%.5e"), value);
-    cli_put_number(rows, CLI_COLUMN("standard error", NULL, "1/mm^2", "%.1e"), error);
-    cli_put_text(rows, CLI_COLUMN("relative", .unit = " "), relative_error(value, error, relative));
-    cli_put_count(rows, CLI_COLUMN("photons", .unit = " "), dipole_mc_photons(result, side)[index]);
+    double error = at_r ? 0 : dipole_mc_errors(result, of->albedo, side)[index];
+    const double value = at_r ? R_at(of, side, of->report->r->items[index], &error)
+                              : dipole_mc_values(result, of->albedo, side)[index];
+    put_value(rows, side, value, error);
+    if (!at_r) {
+      cli_put_count(rows, CLI_COLUMN("photons", .unit = " "),
+                    dipole_mc_photons(result, side)[index]);
+    }
   }
 }
 
-/* Puts a part of the power, for people. */
 static void put_part(cli_rows *rows, const void *context, size_t index) {
   const one_albedo *of = context;
   part parts[PARTS_MAX];
-  list_parts(of->result, of->albedo, false, parts);
+  list_parts(of->report->result, of->albedo, parts);
   cli_put_text(rows, CLI_COLUMN("per unit of power that entered"), parts[index].about);
   cli_put_number(rows, CLI_COLUMN("share"), parts[index].value.value);
   cli_put_number(rows, CLI_COLUMN("standard error", .format = "%.1e"), parts[index].value.error);
 }
 
-static void write_title(const report *of) {
+/* Puts the medium of a channel and how its photons walked. */
+static void put_walk(cli_rows *rows, const void *context, size_t index) {
+  const report *of = context;
   const dipole_mc_query *query = &of->query;
-  const dipole_mc_result *result = of->result;
+  (void)index;
   if (of->medium != NULL) {
-    printf("%s %s: ", of->medium, of->channel);
-  } else if (of->channel[0] != '\0') {
-    printf("channel %s: ", of->channel);
+    cli_put_text(rows, CLI_COLUMN("medium", ""), of->medium);
   }
-  printf("Monte Carlo, R in %s\n", of->info->R_unit);
-  if (query->albedo_count > 0) {
-    printf("sigma_a + sigma_s %.6g 1/mm",
-           query->medium.sigma_a_per_mm + query->medium.sigma_s_per_mm);
-  } else {
-    printf("sigma_a %.6g 1/mm, sigma_s %.6g 1/mm", query->medium.sigma_a_per_mm,
-           query->medium.sigma_s_per_mm);
-  }
-  printf(", g %.6g, eta %.6g, ", query->medium.g, query->medium.eta);
-  if (result->side_count == DIPOLE_MC_SIDES) {
-    printf("slab of %.6g mm\n", query->thickness_mm);
-  } else {
-    puts("half space");
-  }
-  if (of->phase != NULL) {
-    printf("phase function %s: %s", of->phase->name, of->phase->about);
-    for (size_t i = 0; i < of->parameters.count; i++) {
-      if (strncmp(parameter_name(of, i), "phase_", 6) == 0) {
-        printf(", %s %.6g", parameter_name(of, i), of->parameters.items[i].value);
-      }
-    }
-    putchar('\n');
+  cli_put_text(rows, CLI_COLUMN("channel"), of->channel);
+  cli_put_medium(rows, &query->medium);
+  if (isfinite(query->thickness_mm)) { /* `dipole fit` refuses this column */
+    cli_put_number(rows, CLI_COLUMN("thickness", .unit = "mm"), query->thickness_mm);
   }
   for (size_t i = 0; i < of->parameters.count; i++) {
-    if (strcmp(parameter_name(of, i), "detector_na") == 0) {
-      printf("rings have the light at angles whose sine is at most %.6g outside\n",
-             of->parameters.items[i].value);
-    }
+    cli_put_number(rows, CLI_COLUMN(parameter_name(of, i)), of->parameters.items[i].value);
   }
-  printf("%llu photons, seed %llu", (unsigned long long)result->last.photons,
-         (unsigned long long)query->seed);
-  puts(result->end == DIPOLE_MC_CANCELLED || result->end == DIPOLE_MC_STOPPED
-           ? "; CANCELLED: this is what had been walked by then"
+  cli_put_count(rows, CLI_COLUMN("seed", .forms = CLI_IN_TABLE | CLI_IN_JSON), query->seed);
+  cli_put_count(rows, CLI_COLUMN("photons", .forms = CLI_IN_TABLE), of->result->last.photons);
+}
+
+/* All channels whose jobs have ended. */
+typedef struct reports {
+  size_t count;
+  report *items;
+} reports;
+
+static void write_channel(const report *of) {
+  part parts[PARTS_MAX];
+  cli_rows title = {.form = CLI_TABLE, .pass = CLI_ROWS_TITLE, .file = stdout, .between = ", "};
+  put_walk(&title, of, 0);
+  puts(of->result->end == DIPOLE_MC_CANCELLED || of->result->end == DIPOLE_MC_STOPPED
+           ? "\nCANCELLED: this is what had been walked by then"
            : "");
+  for (uint32_t albedo = 0; albedo < of->result->albedo_count; albedo++) {
+    const one_albedo one = {of, albedo};
+    printf("\nsingle-scattering albedo %.6g\n\n", of->result->energies[albedo].albedo);
+    cli_rows_print(stdout, 0, 0, of->r->count > 0 ? of->r->count : of->result->ring_count,
+                   put_place, &one);
+    putchar('\n');
+    cli_rows_print(stdout, 0, 1, list_parts(of->result, albedo, parts), put_part, &one);
+  }
+  cli_write_launched(&of->query.medium, 1);
 }
 
 static void write_table(const void *context) {
-  const report *of = context;
-  part parts[PARTS_MAX];
-  write_title(of);
-  for (uint32_t albedo = 0; albedo < of->result->albedo_count; albedo++) {
-    const one_albedo one = {of, of->result, albedo, NULL};
-    printf("\nsingle-scattering albedo %.6g\n\n", of->result->energies[albedo].albedo);
-    if (of->r->count > 0) {
-      cli_rows_print(stdout, 0, of->r->count, put_radius, &one);
-    } else {
-      cli_rows_print(stdout, 0, of->result->ring_count, put_ring, &one);
-    }
-    putchar('\n');
-    cli_rows_print(stdout, 1, list_parts(of->result, albedo, false, parts), put_part, &one);
+  const reports *all = context;
+  for (size_t i = 0; i < all->count; i++) {
+    fputs(i > 0 ? "\n" : "", stdout);
+    write_channel(&all->items[i]);
   }
-  cli_write_launched(&of->query.medium, 1, stdout);
 }
 
-/* Puts a row of CSV: first come those of the rings on each side, then those of the parts of the
- * power, which have no radii and photons. */
-static void put_value(cli_rows *rows, const void *context, size_t index) {
-  const one_albedo *of = context;
-  const dipole_mc_result *result = of->result;
+/* ---- for programs: channel by channel, albedo by albedo, the rings and then where power went -- */
+
+/* Returns how many rows an albedo has. */
+static size_t rows_of(const reports *all) {
+  const report *of = &all->items[0];
+  part parts[PARTS_MAX];
+  return of->r->count > 0 ? of->r->count
+                          : (size_t)of->result->side_count * of->result->ring_count +
+                                list_parts(of->result, 0, parts);
+}
+
+/* Puts a reading of --r, which `dipole fit` reads. */
+static void put_reading(cli_rows *rows, const one_albedo *of, size_t index) {
+  const report *from = of->report;
+  char albedo[CLI_NUMBER_BYTES], sample[80];
+  double error;
+  const bool several = from->result->albedo_count > 1;
+  const double value = R_at(of, 0, from->r->items[index], &error);
+  cli_number_format(from->result->energies[of->albedo].albedo, albedo);
+  snprintf(sample, sizeof sample, "%s%s%s", from->channel, several ? ", albedo " : "",
+           several ? albedo : "");
+  cli_put_text(rows, CLI_COLUMN("sample"), sample);
+  put_walk(rows, from, 0);
+  cli_put_number(rows, CLI_COLUMN("r", .unit = "mm"), from->r->items[index]);
+  cli_put_number(rows, CLI_COLUMN("R", .unit = "1/mm^2"), value);
+  cli_put_number(rows, CLI_COLUMN("error", .unit = "1/mm^2"), error);
+}
+
+/* Puts a ring of a side, or a part of the power, which has no radii and photons. */
+static void put_quantity(cli_rows *rows, const one_albedo *of, size_t index) {
+  const dipole_mc_result *result = of->report->result;
   const size_t ring_rows = (size_t)result->side_count * result->ring_count;
   const bool is_ring = index < ring_rows;
   const uint32_t side = is_ring ? (uint32_t)(index / result->ring_count) : 0;
   const size_t ring = is_ring ? index % result->ring_count : 0;
   part parts[PARTS_MAX];
-  list_parts(result, of->albedo, false, parts);
-  const part ring_part = {sides[side].name,
+  list_parts(result, of->albedo, parts);
+  const part ring_part = {sides[side],
                           NULL,
                           {dipole_mc_values(result, of->albedo, side)[ring],
                            dipole_mc_errors(result, of->albedo, side)[ring]}};
   const part *one = is_ring ? &ring_part : &parts[index - ring_rows];
-  if (of->channel != NULL) {
-    cli_put_text(rows, CLI_COLUMN("channel"), of->channel);
-  }
+  const double none = (double)NAN;
+  put_walk(rows, of->report, 0);
   cli_put_number(rows, CLI_COLUMN("albedo"), result->energies[of->albedo].albedo);
   cli_put_text(rows, CLI_COLUMN("quantity"), one->name);
-  cli_put_number(rows, CLI_COLUMN("from"), is_ring ? result->edges_mm[ring] : (double)NAN);
-  cli_put_number(rows, CLI_COLUMN("to"), is_ring ? result->edges_mm[ring + 1] : (double)NAN);
-  cli_put_number(rows, CLI_COLUMN("value"), one->value.value);
+  cli_put_number(rows, CLI_COLUMN("from", .unit = "mm"), is_ring ? result->edges_mm[ring] : none);
+  cli_put_number(rows, CLI_COLUMN("to", .unit = "mm"), is_ring ? result->edges_mm[ring + 1] : none);
+  cli_put_number(rows, CLI_COLUMN("value", .unit = "of rings 1/mm^2, of others 1"),
+                 one->value.value);
   cli_put_number(rows, CLI_COLUMN("error"), one->value.error);
-  if (is_ring) {
-    cli_put_count(rows, CLI_COLUMN("photons"), dipole_mc_photons(result, side)[ring]);
-  } else {
-    cli_put_text(rows, CLI_COLUMN("photons"), "");
-  }
+  cli_put_number(rows, CLI_COLUMN("photons"),
+                 is_ring ? (double)dipole_mc_photons(result, side)[ring] : none);
 }
 
-/* Writes a channel. With several, each row names its channel. */
-static void write_channel_csv(const report *of, bool names, bool several) {
-  const dipole_mc_result *result = of->result;
-  part parts[PARTS_MAX];
-  for (uint32_t albedo = 0; albedo < result->albedo_count; albedo++) {
-    const one_albedo one = {of, result, albedo, several ? of->channel : NULL};
-    if (of->r->count > 0) {
-      cli_rows_csv(stdout, names && albedo == 0, of->r->count, put_reading, &one);
-      continue;
-    }
-    const size_t rows =
-        (size_t)result->side_count * result->ring_count + list_parts(result, albedo, false, parts);
-    cli_rows_csv(stdout, names && albedo == 0, rows, put_value, &one);
-  }
+static void put_row(cli_rows *rows, const void *context, size_t index) {
+  const reports *all = context;
+  const size_t each = rows_of(all), albedos = all->items[0].result->albedo_count;
+  const one_albedo one = {&all->items[index / (each * albedos)],
+                          (uint32_t)(index / each % albedos)};
+  (one.report->r->count > 0 ? put_reading : put_quantity)(rows, &one, index % each);
 }
 
-static void put_albedo(cli_rows *rows, const void *context, size_t index) {
-  const report *of = context;
-  const dipole_mc_result *result = of->result;
-  const uint32_t albedo = (uint32_t)index;
-  const one_albedo one = {of, result, albedo, NULL};
-  part parts[PARTS_MAX];
-  cli_put_number(rows, CLI_COLUMN("albedo"), result->energies[albedo].albedo);
-  for (uint32_t side = 0; side < result->side_count; side++) {
-    cli_json_numbers(rows->json, sides[side].name, dipole_mc_values(result, albedo, side),
-                     result->ring_count);
-    cli_json_numbers(rows->json, sides[side].error, dipole_mc_errors(result, albedo, side),
-                     result->ring_count);
-  }
-  if (of->r->count > 0) {
-    cli_json_begin(rows->json, "at_r", '[');
-    for (size_t i = 0; i < of->r->count; i++) {
-      cli_json_begin(rows->json, NULL, '{');
-      cli_rows_members(rows->json, put_reading, &one, i);
-      cli_json_end(rows->json, '}');
-    }
-    cli_json_end(rows->json, ']');
-  }
-  const size_t count = list_parts(result, albedo, true, parts);
-  cli_json_begin(rows->json, "shares", '{');
-  for (size_t i = 0; i < count; i++) {
-    cli_json_begin(rows->json, parts[i].name, '{');
-    cli_json_number(rows->json, "value", parts[i].value.value);
-    cli_json_number(rows->json, "error", parts[i].value.error);
-    cli_json_end(rows->json, '}');
-  }
-  cli_json_end(rows->json, '}');
-}
-
-static void put_query(cli_rows *rows, const void *context, size_t index) {
-  const dipole_mc_query *query = context;
-  (void)index;
-  cli_put_medium(rows, &query->medium);
-  cli_put_number(rows, CLI_COLUMN("thickness"), query->thickness_mm);
-  cli_put_count(rows, CLI_COLUMN("seed"), query->seed);
-}
-
-static void put_members(cli_json *json, const void *context) {
-  const report *of = context;
+/* Puts what holds for all channels. */
+static void put_facts(cli_rows *rows, const void *context, size_t index) {
   static const char *const ends[] = {[DIPOLE_MC_PHOTONS] = "photons",
                                      [DIPOLE_MC_ERRORS] = "errors",
                                      [DIPOLE_MC_CANCELLED] = "cancelled",
                                      [DIPOLE_MC_STOPPED] = "stopped"};
-  const dipole_mc_result *result = of->result;
-  cli_json_text(json, "software", of->info->software);
-  if (of->medium != NULL) {
-    cli_json_text(json, "medium", of->medium);
-  }
-  if (of->channel[0] != '\0') {
-    cli_json_text(json, "channel", of->channel);
-  }
-  cli_rows_members(json, put_query, &of->query, 0);
-  cli_json_text(json, "phase", of->phase != NULL ? of->phase->name : "henyey-greenstein");
-  for (size_t i = 0; i < of->parameters.count; i++) {
-    if (strcmp(parameter_name(of, i), "phase") != 0) {
-      cli_json_number(json, parameter_name(of, i), of->parameters.items[i].value);
-    }
-  }
-  cli_json_texts(json, "units", "sigma_a", "1/mm", "sigma_s", "1/mm", "thickness", "mm", "edges",
-                 "mm", "R", of->info->R_unit, "T", of->info->R_unit, "shares",
-                 "per unit of power that entered", NULL);
-  cli_json_text(json, "ended_by", ends[result->end]);
-  cli_json_count(json, "photons", result->last.photons);
-  cli_json_number(json, "error_total", result->last.error_total);
-  cli_json_number(json, "error_rings", result->last.error_rings);
-  cli_json_numbers(json, "edges", result->edges_mm, (size_t)result->ring_count + 1);
-  for (uint32_t side = 0; side < result->side_count; side++) {
-    cli_json_begin(json, sides[side].photons, '[');
-    for (uint32_t i = 0; i < result->ring_count; i++) {
-      cli_json_count(json, NULL, dipole_mc_photons(result, side)[i]);
-    }
-    cli_json_end(json, ']');
-  }
-  cli_rows_json(json, "albedos", result->albedo_count, put_albedo, of);
+  const reports *all = context;
+  const report *last = &all->items[all->count - 1];
+  (void)index;
+  cli_put_text(rows, CLI_COLUMN("software", .forms = CLI_IN_JSON), last->info->software);
+  cli_put_text(rows, CLI_COLUMN("ended_by", "Monte Carlo, ended by"), ends[last->result->end]);
+  cli_put_count(rows, CLI_COLUMN("photons"), last->result->last.photons);
+  cli_put_number(rows, CLI_COLUMN("error_total", "error of the total R"),
+                 last->result->last.error_total);
+  cli_put_number(rows, CLI_COLUMN("error_rings", "largest error of a ring"),
+                 last->result->last.error_rings);
 }
 
 /* ---- the command ----------------------------------------------------------------------------- */
@@ -592,53 +450,13 @@ static int judge(const report *of) {
   return CLI_OK;
 }
 
-/* The results of all channels whose jobs have ended. */
-typedef struct reports {
-  size_t count;
-  report *items;
-} reports;
-
-static void write_tables(const void *context) {
-  const reports *all = context;
-  for (size_t i = 0; i < all->count; i++) {
-    fputs(i > 0 ? "\n" : "", stdout);
-    write_table(&all->items[i]);
-  }
-}
-
-static void write_csv(const void *context) {
-  const reports *all = context;
-  for (size_t i = 0; i < all->count; i++) {
-    write_channel_csv(&all->items[i], i == 0, all->count > 1);
-  }
-}
-
-/* The members of one channel or, of several, a list with an object for each. */
-static void put_all(cli_json *json, const void *context) {
-  const reports *all = context;
-  if (all->count == 1) {
-    put_members(json, all->items);
-    return;
-  }
-  cli_json_begin(json, "channels", '[');
-  for (size_t i = 0; i < all->count; i++) {
-    cli_json_begin(json, NULL, '{');
-    put_members(json, &all->items[i]);
-    cli_json_end(json, '}');
-  }
-  cli_json_end(json, ']');
-}
-
 /* Runs the job of each channel. Ctrl-C ends the present one, and none is begun after it. */
 static int run_jobs(const mc_settings *settings, dipole_client *client, const cli_profile *profile,
                     reports *all) {
   dipole_error error;
   while (all->count < profile->channel_count && !cli_interrupted()) {
     report *of = &all->items[all->count];
-    const int status = make_query(settings, profile, all->count, of);
-    if (status != CLI_OK) {
-      return status;
-    }
+    make_query(settings, profile, all->count, of);
     if (!run_job(client, &settings->profile.common, of, &error)) {
       return cli_fail_error(&error);
     }
@@ -654,7 +472,11 @@ static int run(void *given, dipole_client *client) {
   reports all = {.items = cli_allocate(profile.channel_count, sizeof *all.items)};
   status = status == CLI_OK ? run_jobs(settings, client, &profile, &all) : status;
   if (all.count > 0) {
-    const cli_output output = {.table = write_tables, .csv = write_csv, .members = put_all};
+    const cli_report output = {.facts = put_facts,
+                               .rows =
+                                   all.count * all.items[0].result->albedo_count * rows_of(&all),
+                               .put_row = put_row,
+                               .table = write_table};
     cli_write(&output, settings->profile.common.form, &all);
   }
   for (size_t i = 0; i < all.count; i++) {
@@ -679,6 +501,9 @@ const cli_command cli_command_mc = {
         "cancelled or missed the error that was asked for.\n",
     .formats = "table,csv,json",
     .options = {cli_medium_options, options},
+    .parameters = CLI_PARAMETER_BIT(PHASE) | CLI_PARAMETER_BIT(PHASE_SHARE) |
+                  CLI_PARAMETER_BIT(PHASE_G) | CLI_PARAMETER_BIT(DETECTOR_NA) |
+                  CLI_PARAMETER_BIT(THICKNESS),
     .examples = "  dipole mc --medium skin1\n"
                 "  dipole mc --medium skin1 --channel blue --g 0.8 --error 0.02 --to 3\n"
                 "  dipole mc --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --thickness 2\n"

@@ -5,21 +5,14 @@
 #include "clients/cli/profile.h"
 #include "clients/cli/rows.h"
 
-/* Puts one channel of a medium. */
+/* Puts one channel of a medium, whose name people see once. */
 static void put_channel(cli_rows *rows, const void *context, size_t index) {
   const dipole_measured_medium *media = context;
   const size_t channel = index % CLI_COLOURS;
-  const char *name = media[index / CLI_COLOURS].name;
-  cli_put_text(rows, CLI_COLUMN("medium", .forms = CLI_IN_TABLE), channel == 0 ? name : "");
-  cli_put_text(rows, CLI_COLUMN("medium", .forms = CLI_IN_CSV), name);
+  const bool again = rows->form == CLI_TABLE && channel > 0;
+  cli_put_text(rows, CLI_COLUMN("medium"), again ? "" : media[index / CLI_COLOURS].name);
   cli_put_text(rows, CLI_COLUMN("channel"), cli_colours[channel]);
   cli_put_medium(rows, &media[index / CLI_COLOURS].channel[channel]);
-}
-
-static void put_medium(cli_rows *rows, const void *context, size_t index) {
-  const dipole_measured_medium *medium = (const dipole_measured_medium *)context + index;
-  cli_put_text(rows, CLI_COLUMN("medium"), medium->name);
-  cli_rows_json(rows->json, "channels", CLI_COLOURS, put_channel, medium);
 }
 
 static int run(void *settings, dipole_client *client) {
@@ -30,17 +23,8 @@ static int run(void *settings, dipole_client *client) {
   if (!dipole_media(client, &media, &count, &error)) {
     return cli_fail_error(&error);
   }
-  if (common->form == CLI_TABLE) {
-    cli_rows_print(stdout, 2, count * CLI_COLOURS, put_channel, media);
-  } else if (common->form == CLI_CSV) {
-    cli_rows_csv(stdout, true, count * CLI_COLOURS, put_channel, media);
-  } else {
-    cli_json json = {.file = stdout};
-    cli_json_begin(&json, NULL, '{');
-    cli_json_texts(&json, "units", "sigma_a", "1/mm", "sigma_s", "1/mm", NULL);
-    cli_rows_json(&json, "media", count, put_medium, media);
-    cli_json_end(&json, '}');
-  }
+  const cli_report report = {.rows = count * CLI_COLOURS, .put_row = put_channel, .left = 2};
+  cli_write(&report, common->form, media);
   free(media);
   return CLI_OK;
 }

@@ -15,52 +15,102 @@ _Static_assert(DIPOLE_TIMEOUT_MS == 30000, "say so in the help of --timeout-ms")
 static const cli_option common_options[] = {
     {"Options of all commands", NULL, NULL, CLI_HEADING, 0, NULL},
     {"connect", "ADDRESS",
-     "unix:PATH, tcp:HOST:PORT or tls:HOST:PORT; private: for a daemon of\n"
-     "its own. Several, separated by commas, are tried in turn (default:\n"
-     "the environment variable DIPOLED, else private:; for info, top and bench\n"
-     "the installed service before that, if it is there)",
+     "unix:PATH, tcp:HOST:PORT or tls:HOST:PORT; private: for a daemon of its own. Several, "
+     "separated by commas, are tried in turn (default: the environment variable DIPOLED, else "
+     "private:; for info, top and bench the installed service before that, if it is there)",
      CLI_TEXT, offsetof(cli_common, connect), NULL},
     {"ca", "FILE",
-     "for tls: the certificates that sign the daemon's, PEM (default: the\n"
-     "environment variable DIPOLED_CA, else those of the system)",
+     "for tls: the certificates that sign the daemon's, PEM (default: the environment variable "
+     "DIPOLED_CA, else those of the system)",
      CLI_TEXT, offsetof(cli_common, ca), NULL},
     {"certificate", "FILE",
-     "for tls: the client's certificate, PEM, if the daemon asks for one\n"
-     "(default: the environment variable DIPOLED_CERTIFICATE)",
+     "for tls: the client's certificate, PEM, if the daemon asks for one (default: the environment "
+     "variable DIPOLED_CERTIFICATE)",
      CLI_TEXT, offsetof(cli_common, certificate), NULL},
     {"key", "FILE",
-     "for tls: its key (default: the environment variable DIPOLED_KEY, else\n"
-     "in the file of the certificate)",
+     "for tls: its key (default: the environment variable DIPOLED_KEY, else in the file of the "
+     "certificate)",
      CLI_TEXT, offsetof(cli_common, key), NULL},
-    {"format", NULL, NULL, CLI_TEXT, offsetof(cli_common, format), NULL},
-    {"timeout-ms", "N", "give up if the daemon is silent for N ms; 0: never (default: 30000)",
-     CLI_COUNT, offsetof(cli_common, timeout_ms), "30000"},
+    {"format", "FORMAT", NULL, CLI_TEXT, offsetof(cli_common, format), NULL},
+    {"timeout-ms", "N", "give up if the daemon is silent for N ms; 0: never", CLI_COUNT32,
+     offsetof(cli_common, timeout_ms), CORE_TEXT(30000)},
     {"retry-ms", "N",
-     "go on trying for N ms if no daemon is there, or if it is lost or busy; 0: do\n"
-     "not (default: 5000; while it is busy: --timeout-ms, if that is more)",
-     CLI_COUNT, offsetof(cli_common, retry_ms), NULL},
+     "go on trying for N ms if no daemon is there, or if it is lost or busy; 0: do not (default: "
+     "5000; while it is busy: --timeout-ms, if that is more)",
+     CLI_COUNT32, offsetof(cli_common, retry_ms), NULL},
     {"help", NULL, "print this text", CLI_SWITCH, 0, NULL},
     {0},
 };
 
+/* ---- the options of a command ---------------------------------------------------------------- */
+
+/* Returns whether a parameter is a name of a list, whose unit is "id". */
+static bool is_name(const core_choice *parameter) {
+  return strncmp(parameter->about, "id: ", strlen("id: ")) == 0;
+}
+
+/* Makes an option of a parameter: its name with - for _, and its text without the unit 1 or id. */
+static void make_parameter(const core_choice *from, cli_option *option) {
+  static char names[CORE_PARAMETERS_END][32];
+  const char *about = strchr(from->about, ':') + 2;
+  snprintf(names[from->id], sizeof names[0], "%s", from->name);
+  for (char *dash; (dash = strchr(names[from->id], '_')) != NULL;) {
+    *dash = '-';
+  }
+  *option = (cli_option){.name = names[from->id],
+                         .argument = is_name(from) ? "NAME" : "X",
+                         .help = from->about[0] == '1' || is_name(from) ? about : from->about,
+                         .kind = CLI_PARAMETER,
+                         .offset = offsetof(cli_common, parameters[from->id])};
+}
+
+static const cli_option *parameter_option(unsigned id) {
+  static cli_option made[CORE_PARAMETERS_END];
+  if (made[id].name == NULL) {
+    make_parameter(core_choice_by_id(core_parameter_list, id), &made[id]);
+  }
+  return &made[id];
+}
+
 enum { OPTIONS_MAX = 64 };
 
-/* Fills `all` with the options of a command, headings included, in the order of --help. Returns how
- * many there are. */
-static size_t gather(const cli_command *command, const cli_option *all[OPTIONS_MAX]) {
-  size_t count = 0;
-  for (size_t i = 0; i <= CLI_LISTS_MAX; i++) {
-    const cli_option *option = i < CLI_LISTS_MAX ? command->options[i] : common_options;
-    for (; option != NULL && option->name != NULL; option++) {
-      assert(count < OPTIONS_MAX);
-      all[count++] = option;
-    }
+static size_t add_list(const cli_option *option, const cli_option **all, size_t count) {
+  for (; option != NULL && option->name != NULL; option++) {
+    assert(count < OPTIONS_MAX);
+    all[count++] = option;
   }
   return count;
 }
 
-static bool is_format(const cli_option *option) {
-  return strcmp(option->name, "format") == 0;
+/* Fills `all` with the options of a command, headings included, in the order of --help. Returns how
+ * many there are. */
+static size_t gather(const cli_command *command, const cli_option *all[OPTIONS_MAX]) {
+  static const cli_option heading[] = {
+      {"Parameters, for the models that take them", NULL, NULL, CLI_HEADING, 0, NULL}, {0}};
+  size_t count = 0;
+  for (size_t i = 0; i < CLI_LISTS_MAX; i++) {
+    count = add_list(command->options[i], all, count);
+  }
+  count = command->parameters != 0 ? add_list(heading, all, count) : count;
+  for (unsigned id = 1; id < CORE_PARAMETERS_END; id++) {
+    if ((command->parameters & 1U << id) != 0) {
+      assert(count < OPTIONS_MAX);
+      all[count++] = parameter_option(id);
+    }
+  }
+  return add_list(common_options, all, count);
+}
+
+size_t cli_options_list(const cli_command *command, const cli_option **options, size_t most) {
+  const cli_option *all[OPTIONS_MAX];
+  const size_t count = gather(command, all);
+  size_t listed = 0;
+  for (size_t i = 0; i < count && listed < most; i++) {
+    if (all[i]->kind != CLI_HEADING) {
+      options[listed++] = all[i];
+    }
+  }
+  return listed;
 }
 
 /* ---- looking up ------------------------------------------------------------------------------ */
@@ -166,13 +216,23 @@ static const char *take_value(const cli_option *option, const char *text, bool g
     *AT(settings, option, const char *) = text;
     return NULL;
   case CLI_COUNT:
+  case CLI_COUNT32:
     AT(settings, option, cli_count)->given = given;
-    return cli_count_parse(text, &AT(settings, option, cli_count)->value) ? NULL : "whole number";
+    return !cli_count_parse(text, &AT(settings, option, cli_count)->value) ? "whole number"
+           : option->kind == CLI_COUNT32 && AT(settings, option, cli_count)->value > UINT32_MAX
+               ? "whole number up to 4294967295"
+               : NULL;
   case CLI_NUMBER:
     AT(settings, option, cli_number)->given = given;
     return cli_number_parse(text, &AT(settings, option, cli_number)->value) ? NULL
            : strchr(text, ',') != NULL ? "number: write a decimal point, as in 0.05"
                                        : "number";
+  case CLI_PARAMETER:
+    AT(settings, option, cli_given)->text = text;
+    return option->argument[0] == 'N' ||
+                   cli_number_parse(text, &AT(settings, option, cli_given)->value)
+               ? NULL
+               : "number";
   case CLI_NUMBERS:
     return read_numbers(text, AT(settings, option, cli_numbers));
   case CLI_NAMES:
@@ -236,36 +296,19 @@ static int finish(int argc, char **argv, cli_common *common) {
                           command->formats);
   }
   common->form = form_of(common->format != NULL ? common->format : command->formats);
-  if (common->timeout_ms.value > UINT32_MAX || common->retry_ms.value > UINT32_MAX) {
-    return cli_fail_usage("--%s: give at most %lu",
-                          common->timeout_ms.value > UINT32_MAX ? "timeout-ms" : "retry-ms",
-                          (unsigned long)UINT32_MAX);
-  }
   return CLI_OK;
 }
 
-/* Returns the value of an option. That of kind CLI_FILES may lack one; then nothing follows it, or
- * getopt has taken the next option for its value, and this gives that option back. */
-static const char *value_or_usual(const cli_option *option, char **argv) {
-  if (option->kind == CLI_FILES && optarg != NULL && strncmp(optarg, "--", 2) == 0 &&
-      optarg == argv[optind - 1]) {
-    optind--;
-    return cli_running()->usual_file;
-  }
-  return option->kind == CLI_FILES && optarg == NULL ? cli_running()->usual_file : optarg;
-}
-
 /* Returns false if the command ends here; *status is then its exit status. */
-static bool take_option(const cli_option *option, char **argv, void *settings, int *status) {
+static bool take_option(const cli_option *option, void *settings, int *status) {
   if (strcmp(option->name, "help") == 0) {
     cli_options_help(cli_running());
     *status = CLI_OK;
     return false;
   }
-  const char *value = value_or_usual(option, argv);
-  const char *expected = take_value(option, value, true, settings);
+  const char *expected = take_value(option, optarg, true, settings);
   if (expected != NULL) {
-    *status = cli_fail_usage("--%s: '%s' is no %s", option->name, value, expected);
+    *status = cli_fail_usage("--%s: '%s' is no %s", option->name, optarg, expected);
   }
   return expected == NULL;
 }
@@ -316,10 +359,6 @@ bool cli_options_read(int argc, char **argv, void *settings, int *status) {
       *status = finish(argc, argv, settings);
       return *status == CLI_OK;
     }
-    if (result == ':' && optopt >= FIRST_RESULT && all[optopt - FIRST_RESULT]->kind == CLI_FILES) {
-      result = optopt;
-      optarg = NULL;
-    }
     if (result == '?' && optopt != 0 && optopt < FIRST_RESULT) {
       *status = cli_fail_usage("-%c: no such option", optopt);
       return false;
@@ -329,7 +368,7 @@ bool cli_options_read(int argc, char **argv, void *settings, int *status) {
                               : fail_unknown(argv[optind - 1], all, count);
       return false;
     }
-    if (!take_option(all[result - FIRST_RESULT], argv, settings, status)) {
+    if (!take_option(all[result - FIRST_RESULT], settings, status)) {
       return false;
     }
   }
@@ -337,22 +376,38 @@ bool cli_options_read(int argc, char **argv, void *settings, int *status) {
 
 /* ---- help ------------------------------------------------------------------------------------ */
 
-enum { HELP_COLUMN = 24 };
+enum { HELP_COLUMN = 24, HELP_WIDTH = 98 };
 
-/* Prints an option and its explanation, whose lines all start in the same column. */
-static void print_option(const cli_option *option, const char *help) {
-  const char *value = is_format(option) ? "FORMAT" : option->argument;
-  int column =
-      printf("  --%s%s%s", option->name, value != NULL ? " " : "", value != NULL ? value : "");
+/* Prints words in lines that all start in HELP_COLUMN. column: that of the cursor */
+static void print_words(int column, const char *text) {
+  while (*text != '\0') {
+    const int length = (int)strcspn(text, " ");
+    const bool first = column < HELP_COLUMN, fits = column + 1 + length <= HELP_WIDTH;
+    if (!first && !fits) {
+      putchar('\n');
+    }
+    const int blanks = first ? HELP_COLUMN - column : fits ? 1 : HELP_COLUMN;
+    column = printf("%*s%.*s", blanks, "", length, text) + (first || fits ? column : 0);
+    text += length + (text[length] == ' ');
+  }
+  putchar('\n');
+}
+
+/* Prints an option, its explanation and its default. */
+static void print_option(const cli_option *option, const char *formats) {
+  const char *help = option->help != NULL ? option->help : formats;
+  char *text = NULL;
+  int column = printf("  --%s%s%s", option->name, option->argument != NULL ? " " : "",
+                      option->argument != NULL ? option->argument : "");
   if (column > HELP_COLUMN - 2) {
     putchar('\n');
     column = 0;
   }
-  for (const char *end; *help != '\0'; help = *end == '\0' ? end : end + 1) {
-    end = strchrnul(help, '\n');
-    printf("%*s%.*s\n", HELP_COLUMN - column, "", (int)(end - help), help);
-    column = 0;
+  if (option->usual == NULL || asprintf(&text, "%s (default: %s)", help, option->usual) < 0) {
+    text = NULL;
   }
+  print_words(column, text != NULL ? text : help);
+  free(text);
 }
 
 void cli_options_help(const cli_command *command) {
@@ -370,7 +425,7 @@ void cli_options_help(const cli_command *command) {
     if (all[i]->kind == CLI_HEADING) {
       printf("\n%s\n", all[i]->name);
     } else {
-      print_option(all[i], is_format(all[i]) ? formats : all[i]->help);
+      print_option(all[i], formats);
     }
   }
   printf("\nExit status: 0 done, 1 failed, 2 wrong command line, 3 some rows or values are bad\n"

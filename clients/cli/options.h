@@ -16,6 +16,10 @@ void cli_options_free(void *settings);
  * --from for radius_start; NULL if there is none. */
 const cli_option *cli_options_find(const char *field);
 
+/* Fills `options` with those of a command, without headings, in the order of --help. Returns how
+ * many there are, at most `most`. */
+size_t cli_options_list(const cli_command *command, const cli_option **options, size_t most);
+
 /* The known name that is the nearest to a name that is unknown: to ask whether that was meant.
  * Starts as {0}; its name is NULL as long as no known name is near enough. */
 typedef struct cli_nearest {

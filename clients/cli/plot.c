@@ -1,29 +1,27 @@
 /* dipole plot: pictures of profiles over r, and of how far they are from radiative transport. */
+#include "clients/cli/plot.h"
+
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "clients/cli/daemon.h"
-#include "clients/cli/eval.h"
 #include "clients/cli/options.h"
-#include "clients/cli/plot_report.h"
-#include "clients/cli/plot_rings.h"
+#include "clients/cli/picture.h"
+#include "core/gauss.h"
 
-#define PLOT_FILE "dipole.svg"
 #define REFERENCE "transport"
-#define AXES_DEFAULT "logarithmic"
 #define RINGS_DEFAULT 24 /* so many rings with --mc, without --count */
 #define FROM_SHARE 1e-3  /* on a logarithmic axis, --from is this share of --to by default */
+#define PERCENT_MAX 200  /* deviations beyond this are not drawn */
 
-enum { SIDE_LEAST_PX = 320, SIDE_MOST_PX = 8192, RINGS_MAX = 4096 };
+enum { RINGS_MAX = 4096, FEW_MODELS = 4 };
 
 typedef struct plot_settings {
   cli_eval_settings eval;
-  cli_texts axes;
-  const char *quantity;
-  cli_number gamma;
+  const char *axes, *quantity;
   cli_number photons; /* for Monte Carlo beside the models */
   bool error;
-  const char *size;
 } plot_settings;
 
 #define FIELD(name) offsetof(plot_settings, name)
@@ -31,97 +29,45 @@ typedef struct plot_settings {
 static const cli_option options[] = {
     {"Radii", NULL, NULL, CLI_HEADING, 0, NULL},
     {"r", "X[,X...]", "these radii, mm", CLI_NUMBERS, FIELD(eval.r), NULL},
-    CLI_EVAL_F_OPTION(FIELD(eval.f)),
+    CLI_EVAL_F_OPTION,
     {"from", "X", "the first radius, mm (default: 0; on a logarithmic axis --to / 1000)",
-     CLI_NUMBER, FIELD(eval.from), "0"},
-    {"to", "X", "the last radius, mm (default: 10)", CLI_NUMBER, FIELD(eval.to), "10"},
-    {"count", "N", "how many radii a curve has (default: 401); with --mc, how many rings (24)",
-     CLI_COUNT, FIELD(eval.count), "401"},
+     CLI_NUMBER, FIELD(eval.from), NULL},
+    {"to", "X", "the last radius, mm", CLI_NUMBER, FIELD(eval.to), "10"},
+    {"count", "N", "how many radii a curve has; with --mc, how many rings (then 24)", CLI_COUNT,
+     FIELD(eval.count), "401"},
     {"log", NULL,
-     "make the ratios between radii equal instead of the steps (default: if an\n"
-     "axis of r is logarithmic and --from is above 0)",
+     "make the ratios between radii equal instead of the steps (default: if r is on a logarithmic "
+     "axis and --from is above 0)",
      CLI_SWITCH, FIELD(eval.logarithmic), NULL},
     {"Picture", NULL, NULL, CLI_HEADING, 0, NULL},
     {"quantity", "NAME",
-     "what to draw: R, cdf, pdf, dR_dr, ln_R, 2_pi_r_R, S or, over spatial\n"
-     "frequencies, R_f; see `dipole info` (default: R)",
+     "what to draw: R, cdf, pdf, dR_dr, ln_R, 2_pi_r_R, S or, over spatial frequencies, R_f; see "
+     "`dipole info`",
      CLI_TEXT, FIELD(quantity), "R"},
-    {"axes", "NAME[,NAME...]",
-     "linear, semilog, logarithmic or gamma. Each has a panel. semilog: values\n"
-     "are logarithmic; logarithmic: r is, too; gamma: values to the power\n"
-     "1/2.2 over linear r (default: " AXES_DEFAULT ")",
-     CLI_NAMES, FIELD(axes), NULL},
-    {"axes-gamma", "X", "values to the power 1/X on the axes gamma (default: 2.2)", CLI_NUMBER,
-     FIELD(gamma), "2.2"},
+    {"axes", "NAME", "linear; semilog: values are logarithmic; logarithmic: r is, too", CLI_TEXT,
+     FIELD(axes), "logarithmic"},
     {"error", NULL, "add a panel with the relative deviation from " REFERENCE, CLI_SWITCH,
      FIELD(error), NULL},
     {"mc", "PHOTONS",
-     "walk so many photons in each channel, such as 1e6, and draw means over\n"
-     "rings: of Monte Carlo with standard errors, and of the models",
+     "walk so many photons in each channel, such as 1e6, and draw means over rings: of Monte Carlo "
+     "with standard errors, and of the models",
      CLI_NUMBER, FIELD(photons), NULL},
-    {"size", "WxH", "of a picture in a file, in pixels (default: what its panels need)", CLI_TEXT,
-     FIELD(size), NULL},
-    {"plot", "[FILE]",
-     "draw into FILE.svg or FILE.png (without FILE: " PLOT_FILE "); -: as text on\n"
-     "standard output. May be repeated (default: -, or no picture with\n"
-     "--format)",
+    {"plot", "FILE",
+     "draw into FILE.svg or FILE.png; -: as text on standard output. May be repeated (default: -)",
      CLI_FILES, FIELD(eval.plot), NULL},
     {0},
 };
 
 /* ---- the command line ------------------------------------------------------------------------ */
 
-static int check_axes(const cli_texts *names) {
-  for (size_t i = 0; i < names->count; i++) {
-    const char *name = names->items[i];
-    if (cli_axes_find(name) == NULL) {
-      return cli_fail_usage("--axes: '%s' is unknown; they are linear, semilog, "
-                            "logarithmic and gamma",
-                            name);
-    }
-    for (size_t k = 0; k < i; k++) {
-      if (strcmp(names->items[k], name) == 0) {
-        return cli_fail_usage("--axes: name %s only once", name);
-      }
-    }
-  }
-  return CLI_OK;
-}
-
-/* Reads a size such as "900x600". Without a text, sets both sides to 0. Returns whether the text is
- * good. */
-static bool parse_size(const char *text, size_t *width_px, size_t *height_px) {
-  int length = 0;
-  *width_px = *height_px = 0;
-  if (text == NULL) {
-    return true;
-  }
-  return strspn(text, "0123456789x") == strlen(text) &&
-         sscanf(text, "%zux%zu%n", width_px, height_px, &length) == 2 && text[length] == '\0' &&
-         *width_px >= SIDE_LEAST_PX && *width_px <= SIDE_MOST_PX && *height_px >= SIDE_LEAST_PX &&
-         *height_px <= SIDE_MOST_PX;
-}
-
-static bool has_logarithmic_x(const plot_settings *settings) {
-  for (size_t i = 0; i < settings->axes.count; i++) {
-    const cli_axes *axes = cli_axes_find(settings->axes.items[i]);
-    if (axes != NULL && axes->logarithmic_x) {
-      return true;
-    }
-  }
-  return settings->axes.count == 0; /* the default */
-}
-
 /* Sets the defaults that differ from those of `dipole eval`. */
 static void set_defaults(plot_settings *settings) {
   cli_eval_settings *eval = &settings->eval;
-  if (settings->error) {
-    eval->reference = REFERENCE;
-  }
+  eval->reference = settings->error ? REFERENCE : NULL;
   if (settings->photons.given && !eval->count.given) {
     eval->count.value = RINGS_DEFAULT;
   }
-  if (eval->r.count == 0 && eval->f.count == 0 && has_logarithmic_x(settings)) {
+  if (eval->r.count == 0 && eval->f.count == 0 && strcmp(settings->axes, "logarithmic") == 0) {
     if (!eval->from.given && eval->to.value > 0 && isfinite(eval->to.value)) {
       eval->from = (cli_number){true, FROM_SHARE * eval->to.value};
     }
@@ -134,222 +80,353 @@ static int check_walk(const plot_settings *settings) {
   if (!(photons >= 1 && photons <= 0x1p53 && photons == floor(photons))) {
     return cli_fail_usage("--mc: give a whole number of photons from 1 to 9e15, such as 1e6");
   }
-  if (settings->eval.r.count > 0 || settings->eval.f.count > 0) {
-    return cli_fail_usage("--mc needs rings, not single radii: give --from, --to and --count in "
-                          "place of --r");
+  if (settings->eval.r.count > 0 || settings->eval.f.count > 0 ||
+      strcmp(settings->quantity, "R") != 0) {
+    return cli_fail_usage(
+        "--mc draws means of R over rings: give --from, --to and --count in place "
+        "of --r, --f and --quantity");
   }
-  if (strcmp(settings->quantity, "R") != 0) {
-    return cli_fail_usage("--mc compares R: leave --quantity out");
-  }
-  if (settings->eval.count.value < 1 || settings->eval.count.value > RINGS_MAX) {
-    return cli_fail_usage("--count: with --mc, give 1 to %d rings", RINGS_MAX);
-  }
-  if (!(settings->eval.from.value >= 0 && settings->eval.to.value > settings->eval.from.value &&
+  if (settings->eval.count.value < 1 || settings->eval.count.value > RINGS_MAX ||
+      !(settings->eval.from.value >= 0 && settings->eval.to.value > settings->eval.from.value &&
         isfinite(settings->eval.to.value))) {
-    return cli_fail_usage("--mc: rings are from --from, 0 or more, to --to, which is larger");
+    return cli_fail_usage("--mc: give 1 to %d rings, from --from, 0 or more, to --to, which is "
+                          "larger",
+                          RINGS_MAX);
   }
   return CLI_OK;
 }
 
 static int check(void *given) {
   plot_settings *settings = given;
-  size_t width_px, height_px;
   set_defaults(settings);
-  int status = cli_eval_check(&settings->eval);
-  status = status == CLI_OK ? check_axes(&settings->axes) : status;
+  const int status = cli_eval_check(&settings->eval);
   if (status != CLI_OK) {
     return status;
   }
-  if (settings->gamma.given && !cli_texts_have(&settings->axes, "gamma")) {
-    return cli_fail_usage("--axes-gamma changes nothing but the axes gamma: add --axes gamma, or "
-                          "leave --axes-gamma out");
+  if (strcmp(settings->axes, "linear") != 0 && strcmp(settings->axes, "semilog") != 0 &&
+      strcmp(settings->axes, "logarithmic") != 0) {
+    return cli_fail_usage("--axes: '%s' is unknown; they are linear, semilog and logarithmic",
+                          settings->axes);
   }
-  if (!(settings->gamma.value > 0 && isfinite(settings->gamma.value))) {
-    return cli_fail_usage("--axes-gamma: give a number above 0");
-  }
-  if (!parse_size(settings->size, &width_px, &height_px)) {
-    return cli_fail_usage("--size %s: write WIDTHxHEIGHT, such as 900x600; each side %d "
-                          "to %d pixels",
-                          settings->size, SIDE_LEAST_PX, SIDE_MOST_PX);
-  }
-  if (settings->photons.given && status == CLI_OK) {
-    status = check_walk(settings);
-  }
-  if (status != CLI_OK) {
-    return status;
-  }
-  if (settings->error && settings->eval.profile.thickness.given) {
+  if (settings->error &&
+      settings->eval.profile.common.parameters[CORE_PARAMETER_THICKNESS].text != NULL) {
     return cli_fail_usage("--error compares with " REFERENCE ", which has no slabs: leave "
                           "--thickness out");
   }
-  return CLI_OK;
+  return settings->photons.given ? check_walk(settings) : CLI_OK;
 }
 
-/* ---- what is made of the answers: a report draws and writes it like what the daemon has -------- */
+/* ---- curves ---------------------------------------------------------------------------------- */
 
-static const dipole_choice deviation = {
-    .kind = DIPOLE_QUANTITY, .name = "deviation", .about = "relative, from " REFERENCE};
-static const dipole_choice of_deviation = {
-    .kind = DIPOLE_QUANTITY, .name = "deviation_error", .about = "relative"};
-
-/* Returns whether the reference is radiative transport itself for a channel. It is not where it
- * replaces anisotropic scattering by isotropic scattering. */
-static bool holds(const cli_eval_report *report, size_t reference, size_t channel) {
-  return cli_eval_values_of(report, reference, channel)->model_error == 0;
+/* Adds the curve of a model and channel. Few models have a dash each and channels a colour; else
+ * models have a colour and channels a dash. model: beyond the report's, that of Monte Carlo */
+static cli_curve *add_curve(cli_picture *picture, const cli_eval_report *report, size_t model,
+                            size_t channel) {
+  const cli_profile *profile = &report->profile;
+  const bool by_colour = profile->channel_count > 1 && report->model_count <= FEW_MODELS;
+  const size_t colour = cli_colour(profile->channels[channel].name);
+  const char *name = model < report->model_count ? report->models[model].choice->name : "mc";
+  cli_curve *curve = cli_picture_add(picture);
+  curve->colour = (unsigned)(!by_colour             ? model
+                             : colour < CLI_COLOURS ? CLI_COLOUR_RED + colour
+                                                    : channel);
+  curve->dash = (unsigned)(by_colour ? model : channel);
+  curve->count = report->place_count;
+  curve->x = report->places;
+  if (profile->channel_count > 1) {
+    snprintf(curve->title, sizeof curve->title, "%s, %s%s", name,
+             profile->medium != NULL ? "" : "channel ", profile->channels[channel].name);
+  } else {
+    snprintf(curve->title, sizeof curve->title, "%s", name);
+  }
+  return curve;
 }
 
-/* Adds the relative deviation of the first quantity from its value in the reference model, and then
- * if errors are the second quantity, those of the deviation. A deviation is NaN in channels for
- * which the reference does not hold, and where that value is 0 or either value is infinite. */
-static void add_deviation(cli_eval_report *report, size_t reference) {
+/* Names what the picture is of: measured media, or else the coefficients of the first channel. */
+static void write_title(const cli_profile *profile, char *text, size_t bytes) {
+  const dipole_medium *medium = &profile->media[0];
+  if (profile->medium != NULL) {
+    snprintf(text, bytes, "%s", profile->medium);
+  } else {
+    snprintf(text, bytes, "sigma_a %.6g/mm, sigma_s %.6g/mm, g %.6g, eta %.6g%s",
+             medium->sigma_a_per_mm, medium->sigma_s_per_mm, medium->g, medium->eta,
+             profile->channel_count > 1 ? " and others" : "");
+  }
+}
+
+static void set_labels(cli_picture *picture, const cli_eval_report *report,
+                       const dipole_choice *quantity) {
+  write_title(&report->profile, picture->title, sizeof picture->title);
+  picture->x_label = report->place[0] == 'f' ? "f (1/mm)" : "r (mm)";
+  snprintf(picture->y_label, sizeof picture->y_label, "%s (%s)", quantity->name,
+           quantity->id == DIPOLE_R ? report->profile.info->R_unit : quantity->about);
+}
+
+/* Returns whether the ratios between radii are equal. */
+static bool has_equal_ratios(const cli_eval_report *report) {
+  const double *r = report->places;
+  const size_t n = report->place_count;
+  return n > 2 && r[0] > 0 && isfinite(r[n - 1]) && r[n - 1] > r[0] &&
+         fabs(r[1] / r[0] / (r[n - 1] / r[n - 2]) - 1) < 1e-3;
+}
+
+int cli_plot_R(const cli_eval_report *report, const cli_texts *paths) {
+  cli_picture picture = {.logarithmic_x = has_equal_ratios(report), .logarithmic_y = true};
   const size_t channels = report->profile.channel_count;
-  const bool errors = report->quantities.count > 1;
-  const size_t at = cli_eval_add_quantity(report, &deviation);
-  if (errors) {
-    cli_eval_add_quantity(report, &of_deviation);
+  size_t quantity = 0;
+  while (report->quantities.items[quantity]->id != DIPOLE_R) {
+    quantity++;
   }
+  set_labels(&picture, report, report->quantities.items[quantity]);
   for (size_t k = 0; k < report->model_count * channels; k++) {
-    const double *from = cli_eval_values_of(report, reference, k % channels)->arrays[0];
-    const bool comparable = holds(report, reference, k % channels);
-    double *const *arrays = report->values[k].arrays;
-    for (size_t i = 0; comparable && i < report->radius_count; i++) {
-      if (isfinite(arrays[0][i]) && isfinite(from[i]) && from[i] != 0) {
-        arrays[at][i] = arrays[0][i] / from[i] - 1;
-        if (errors) {
-          arrays[at + 1][i] = arrays[1][i] / from[i];
-        }
-      }
-    }
+    add_curve(&picture, report, k / channels, k % channels)->y = report->values[k].arrays[quantity];
+  }
+  return cli_picture_draw(&picture, paths);
+}
+
+/* ---- means over rings, and Monte Carlo ------------------------------------------------------- */
+
+/* A ring is cut into parts whose outer edge is at most twice the inner one, since R may fall by
+ * orders of magnitude within a ring. A ring that starts at 0 is cut into so many octaves and the
+ * rest of it. */
+enum { OCTAVES_OF_DISC = 16, NODES = 2 * CORE_GAUSS_HALF };
+
+typedef struct rings {
+  size_t count;
+  double *edges_mm; /* [count + 1] */
+  size_t node_count;
+  double *nodes_mm, *weights_mm; /* [node_count], ring by ring, of integrals over r */
+  size_t *node_rings;            /* [node_count] */
+  double *R, *R_error;           /* [channel_count][count] by Monte Carlo */
+} rings;
+
+static void add_part(rings *of, size_t ring, double from_mm, double to_mm) {
+  const size_t first = of->node_count;
+  of->node_count += NODES;
+  of->nodes_mm = cli_resize(of->nodes_mm, of->node_count, sizeof(double));
+  of->weights_mm = cli_resize(of->weights_mm, of->node_count, sizeof(double));
+  of->node_rings = cli_resize(of->node_rings, of->node_count, sizeof(size_t));
+  for (int i = 0; i < NODES; i++) {
+    of->nodes_mm[first + (size_t)i] = from_mm + (to_mm - from_mm) * core_gauss_node(i);
+    of->weights_mm[first + (size_t)i] = (to_mm - from_mm) * core_gauss_weight(i);
+    of->node_rings[first + (size_t)i] = ring;
   }
 }
 
-/* Names the channels for which the reference does not hold. Fails if these are all. */
-static int check_reference(const cli_eval_report *report, size_t reference) {
-  size_t held = 0;
-  for (size_t i = 0; i < report->profile.channel_count; i++) {
-    if (holds(report, reference, i)) {
-      held++;
-    } else {
+static void add_ring(rings *of, size_t ring) {
+  const double from_mm = of->edges_mm[ring], to_mm = of->edges_mm[ring + 1];
+  const double first_mm = from_mm > 0 ? from_mm : ldexp(to_mm, -OCTAVES_OF_DISC);
+  const int octaves = 2 * (int)fmax(ceil(log2(to_mm / first_mm)), 1); /* in halves */
+  double low_mm = from_mm;
+  for (int i = from_mm > 0 ? 1 : 0; i <= octaves; i++) {
+    const double high_mm =
+        i < octaves ? first_mm * pow(to_mm / first_mm, (double)i / octaves) : to_mm;
+    add_part(of, ring, low_mm, high_mm);
+    low_mm = high_mm;
+  }
+}
+
+static rings make_rings(const cli_eval_settings *eval) {
+  const double from_mm = eval->from.value, to_mm = eval->to.value;
+  rings of = {.count = (size_t)eval->count.value};
+  of.edges_mm = cli_allocate(of.count + 1, sizeof(double));
+  for (size_t i = 0; i <= of.count; i++) {
+    const double share = (double)i / (double)of.count;
+    of.edges_mm[i] = eval->logarithmic ? from_mm * pow(to_mm / from_mm, share)
+                                       : from_mm + (to_mm - from_mm) * share;
+  }
+  of.edges_mm[of.count] = to_mm;
+  for (size_t i = 0; i < of.count; i++) {
+    add_ring(&of, i);
+  }
+  return of;
+}
+
+static void free_rings(rings *of) {
+  free(of->edges_mm);
+  free(of->nodes_mm);
+  free(of->weights_mm);
+  free(of->node_rings);
+  free(of->R);
+  free(of->R_error);
+}
+
+/* Turns a report of 2 pi r R at the nodes, its only quantity, into one of R over the rings, whose
+ * places are the radii that halve the rings' areas. */
+static void take_means(const rings *of, cli_eval_report *report) {
+  const double pi = acos(-1), *edges_mm = of->edges_mm;
+  for (size_t k = 0; k < report->model_count * report->profile.channel_count; k++) {
+    double **values = &report->values[k].arrays[0];
+    double *means = cli_allocate(of->count, sizeof *means);
+    for (size_t i = 0; i < of->node_count; i++) {
+      const size_t ring = of->node_rings[i];
+      means[ring] +=
+          of->weights_mm[i] * (*values)[i] /
+          (pi * (edges_mm[ring + 1] * edges_mm[ring + 1] - edges_mm[ring] * edges_mm[ring]));
+    }
+    free(*values);
+    *values = means;
+  }
+  report->place_count = of->count;
+  for (size_t i = 0; i < of->count; i++) {
+    report->places[i] = hypot(edges_mm[i], edges_mm[i + 1]) / sqrt(2);
+  }
+}
+
+static bool follow(void *context, const dipole_mc_progress *now) {
+  const double expected = (double)now->photons_expected, done = (double)now->photons;
+  cli_progress_show(context, done / fmax(expected, done), done);
+  return true;
+}
+
+/* Walks photons through the medium of each channel: a half space, or a slab of --thickness. */
+static int walk(const plot_settings *settings, dipole_client *client, const cli_profile *profile,
+                rings *of) {
+  const cli_given *thickness = &settings->eval.profile.common.parameters[CORE_PARAMETER_THICKNESS];
+  dipole_error error;
+  bool good = true;
+  of->R = cli_allocate(profile->channel_count * of->count, sizeof(double));
+  of->R_error = cli_allocate(profile->channel_count * of->count, sizeof(double));
+  for (size_t i = 0; good && i < profile->channel_count; i++) {
+    const dipole_mc_query query = {
+        .medium = profile->media[i],
+        .thickness_mm = thickness->text != NULL ? thickness->value : (double)INFINITY,
+        .spacing = settings->eval.logarithmic ? DIPOLE_LOGARITHMIC : DIPOLE_LINEAR,
+        .ring_count = (uint32_t)of->count,
+        .radius_start_mm = of->edges_mm[0],
+        .radius_stop_mm = of->edges_mm[of->count],
+        .seed = 1,
+        .photons = (uint64_t)settings->photons.value};
+    dipole_mc_result *result = NULL;
+    cli_progress progress;
+    cli_progress_start(&progress, "photons");
+    good = dipole_mc(client, &query, follow, &progress, &result, &error);
+    cli_progress_wipe(&progress);
+    for (size_t k = 0; good && k < of->count; k++) {
+      of->R[i * of->count + k] = dipole_mc_values(result, 0, DIPOLE_MC_REFLECTED)[k];
+      of->R_error[i * of->count + k] = dipole_mc_errors(result, 0, DIPOLE_MC_REFLECTED)[k];
+    }
+    dipole_mc_result_free(result);
+  }
+  return good ? CLI_OK : cli_fail_error(&error);
+}
+
+/* ---- the deviation from transport ------------------------------------------------------------ */
+
+/* Returns the position of the reference model, and names the channels for which it is not radiative
+ * transport itself; report->model_count if there is nothing to compare with. */
+static size_t find_reference(const cli_eval_report *report) {
+  const size_t channels = report->profile.channel_count;
+  size_t at = report->model_count, held = 0;
+  while (at-- > 0 && strcmp(report->models[at].choice->name, REFERENCE) != 0) {
+  }
+  for (size_t i = 0; at < report->model_count && i < channels; i++) {
+    const bool holds = report->values[at * channels + i].model_error == 0;
+    held += holds;
+    if (!holds) {
       cli_fail("--error: no deviation is shown of %s, because " REFERENCE
                " is not known to hold for its g, eta and absorption",
                report->profile.channels[i].name);
     }
   }
-  return held > 0 ? CLI_OK
-                  : cli_fail("--error: there is nothing to compare with: leave --error out");
+  return held > 0 ? at : report->model_count;
 }
 
-/* Finds the reference model and adds the deviations from it. Removes the reference if it was asked
- * for this purpose only. */
-static int take_deviation(cli_eval_report *report) {
-  size_t reference = 0;
-  while (reference < report->model_count &&
-         strcmp(report->models[reference].choice->name, REFERENCE) != 0) {
-    reference++;
+/* Sets the curve's part of the lower panel, in percent. values: [2][count] to be kept */
+static void set_deviation(cli_curve *curve, const cli_eval_values *reference, double *values) {
+  const double *from = reference->arrays[0];
+  for (size_t i = 0; i < curve->count; i++) {
+    const bool good = isfinite(curve->y[i]) && isfinite(from[i]) && from[i] != 0;
+    values[i] = good ? 100 * (curve->y[i] / from[i] - 1) : (double)NAN;
+    values[curve->count + i] = good && curve->error != NULL ? 100 * curve->error[i] / from[i] : 0;
   }
-  if (reference == report->model_count) {
-    return cli_fail("--error: " REFERENCE " does not answer this, so that there is nothing "
-                    "to compare with: leave --error out");
-  }
-  const int status = check_reference(report, reference);
-  if (status != CLI_OK) {
-    return status;
-  }
-  add_deviation(report, reference);
-  if (report->models[report->model_count - 1].unlisted) {
-    report->model_count--;
-  }
-  return report->model_count > 0
-             ? CLI_OK
-             : cli_fail("no model answers but " REFERENCE ", which is to compare with: name "
-                        "another --model");
-}
-
-/* ---- the picture ----------------------------------------------------------------------------- */
-
-static int write_and_draw(const plot_settings *settings, cli_eval_report *report) {
-  static char terminal[] = "-";
-  char *terminal_items[] = {terminal};
-  const cli_texts onto_terminal = {1, terminal_items};
-  const cli_texts *files = &settings->eval.plot, *axes = &settings->axes;
-  const enum cli_form form = settings->eval.profile.common.form;
-  const size_t measured = report->quantities.count; /* R, and with Monte Carlo its errors */
-  cli_picture picture = {0};
-  cli_row row = {.gamma = settings->gamma.value};
-  const int status = settings->error ? take_deviation(report) : CLI_OK;
-  if (status != CLI_OK) {
-    return status;
-  }
-  cli_eval_write(report, form);
-  if (form != CLI_NONE && files->count == 0) {
-    return CLI_OK;
-  }
-  parse_size(settings->size, &picture.width_px, &picture.height_px);
-  for (size_t i = 0; i < axes->count || i == 0; i++) {
-    row.axes = *cli_axes_find(axes->count > 0 ? axes->items[i] : AXES_DEFAULT);
-    cli_plot_row(&picture, report, row, 0);
-  }
-  if (settings->error) {
-    row = (cli_row){
-        {NULL, row.axes.logarithmic_x, CLI_PERCENT}, 0, "deviation from " REFERENCE " (%)"};
-    cli_plot_row(&picture, report, row, measured);
-  }
-  return cli_plot_report(&picture, report, files->count > 0 ? files : &onto_terminal);
+  curve->lower = values;
+  curve->lower_error = values + curve->count;
 }
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
-/* Checks that a quantity has a value for each radius. */
-static int check_quantity(const char *name, dipole_client *client) {
-  const dipole_choice *quantity =
-      cli_named(dipole_get_info(client), DIPOLE_QUANTITY, "quantity", name);
-  if (quantity != NULL && (quantity->id == DIPOLE_ALBEDO || quantity->id == DIPOLE_RADIUS)) {
-    return cli_fail_usage("--quantity %s: there is no curve of it over r; name another quantity",
-                          name);
-  }
-  return quantity != NULL ? CLI_OK : CLI_USAGE;
+/* Returns whether a model was asked for to compare with it, and not by --model. */
+static bool is_unlisted(const plot_settings *settings, const cli_eval_report *report,
+                        size_t model) {
+  return model < report->model_count && !report->models[model].named &&
+         strcmp(report->models[model].choice->name, REFERENCE) == 0 &&
+         !cli_texts_have(&settings->eval.model, "all");
 }
 
-/* Asks for one quantity at the radii of `eval`. */
+/* Draws the models of the report, and Monte Carlo. */
+static int draw(const plot_settings *settings, const cli_eval_report *report, const rings *of) {
+  static char text[] = "-";
+  char *texts[] = {text};
+  const cli_texts onto_terminal = {1, texts}, *files = &settings->eval.plot;
+  const size_t channels = report->profile.channel_count, count = report->place_count;
+  const size_t reference = settings->error ? find_reference(report) : 0;
+  cli_picture picture = {.logarithmic_x = strcmp(settings->axes, "logarithmic") == 0,
+                         .logarithmic_y = strcmp(settings->axes, "linear") != 0};
+  if (reference == report->model_count) {
+    return cli_fail("--error: there is nothing to compare with: leave --error out");
+  }
+  set_labels(&picture, report,
+             of != NULL ? cli_choice_of_id(report->profile.info, DIPOLE_QUANTITY, DIPOLE_R)
+                        : report->quantities.items[0]);
+  picture.lower_label = settings->error ? "deviation from " REFERENCE " (%)" : NULL;
+  picture.lower_most = PERCENT_MAX;
+  double *deviations =
+      cli_allocate((report->model_count + 1) * channels * count, 2 * sizeof *deviations);
+  const size_t models = report->model_count + (of != NULL);
+  for (size_t k = 0; k < models * channels; k++) {
+    const size_t model = k / channels, i = k % channels;
+    if (is_unlisted(settings, report, model)) {
+      continue;
+    }
+    cli_curve *curve = add_curve(&picture, report, model, i);
+    curve->y = model < report->model_count ? report->values[k].arrays[0] : of->R + i * count;
+    curve->error = model < report->model_count ? NULL : of->R_error + i * count;
+    const cli_eval_values *from = &report->values[reference * channels + i];
+    if (settings->error && from->model_error == 0) {
+      set_deviation(curve, from, deviations + 2 * k * count);
+    }
+  }
+  const int status = cli_picture_draw(&picture, files->count > 0 ? files : &onto_terminal);
+  free(deviations);
+  return status;
+}
+
+/* Asks for one quantity at the radii of `eval`, which has to have a value at each. */
 static int ask(cli_eval_settings eval, const char *name, dipole_client *client,
                cli_eval_report *report) {
   char quantity[64];
   char *wanted[] = {quantity};
   snprintf(quantity, sizeof quantity, "%s", name);
   eval.wanted = (cli_texts){1, wanted};
-  return cli_eval_ask(&eval, client, report);
-}
-
-/* Asks for means over rings, and walks photons beside them. */
-static int ask_rings(const plot_settings *settings, dipole_client *client,
-                     cli_eval_report *report) {
-  const cli_number *thickness = &settings->eval.profile.thickness;
-  cli_eval_settings eval = settings->eval;
-  cli_rings rings =
-      cli_rings_make(eval.from.value, eval.to.value, eval.logarithmic, (size_t)eval.count.value);
-  eval.r = (cli_numbers){.count = rings.node_count, .items = rings.nodes_mm};
-  int status = ask(eval, "2_pi_r_R", client, report);
-  if (status == CLI_OK) {
-    cli_rings_take_means(&rings, report);
-    status = cli_rings_walk(&rings, settings->photons.value,
-                            thickness->given ? thickness->value : (double)INFINITY, client, report);
+  const dipole_choice *choice =
+      cli_named(dipole_get_info(client), DIPOLE_QUANTITY, "quantity", name);
+  if (choice != NULL && (choice->id == DIPOLE_ALBEDO || choice->id == DIPOLE_RADIUS)) {
+    return cli_fail_usage("--quantity %s: there is no curve of it over r; name another quantity",
+                          name);
   }
-  cli_rings_free(&rings);
-  return status;
+  return choice != NULL ? cli_eval_ask(&eval, client, report) : CLI_USAGE;
 }
 
 static int run(void *given, dipole_client *client) {
   const plot_settings *settings = given;
+  const bool walks = settings->photons.given;
+  cli_eval_settings eval = settings->eval;
   cli_eval_report report = {0};
-  int status = check_quantity(settings->quantity, client);
-  if (status == CLI_OK) {
-    status = settings->photons.given ? ask_rings(settings, client, &report)
-                                     : ask(settings->eval, settings->quantity, client, &report);
+  rings of = walks ? make_rings(&eval) : (rings){0};
+  if (walks) {
+    eval.r = (cli_numbers){.count = of.node_count, .items = of.nodes_mm};
+  }
+  int status = ask(eval, walks ? "2_pi_r_R" : settings->quantity, client, &report);
+  if (status == CLI_OK && walks) {
+    take_means(&of, &report);
+    status = walk(settings, client, &report.profile, &of);
   }
   if (status == CLI_OK) {
-    status = write_and_draw(settings, &report);
+    status = draw(settings, &report, walks ? &of : NULL);
   }
-  cli_eval_report_free(&report);
+  free_rings(&of);
+  cli_eval_free(&report);
   return status;
 }
 
@@ -358,15 +435,9 @@ const cli_command cli_command_plot = {
     .about = "Draw profiles over r, and how far they are from radiative transport",
     .more =
         "\n"
-        "Up to four models and eight channels share a panel: each model has a dash, each channel\n"
-        "a colour. With more, or with a single channel, each channel has a panel of its own and\n"
-        "each model a colour. The axes logarithmic and gamma are those of the figures of d'Eon\n"
-        "2012.\n"
-        "\n"
-        "Three things lie beyond the axes and only show in the numbers, which --format writes. On\n"
-        "a linear axis: peaks in the first 2 % of the radii that are more than four times as\n"
-        "high as the rest. On a logarithmic axis: values below 1e-12 of the largest. Of\n"
-        "deviations: those beyond 200 %.\n"
+        "Up to four models have a dash each and channels a colour; with more, or with a single\n"
+        "channel, models have a colour each. On a logarithmic axis, values below 1e-12 of the\n"
+        "largest are left out, and deviations beyond 200 %. `dipole eval` writes the numbers.\n"
         "\n"
         "With --mc, a value is the mean over a ring, and stands at the radius that halves the "
         "ring's\n"
@@ -374,18 +445,15 @@ const cli_command cli_command_plot = {
         "\n"
         "gnuplot draws all pictures. Text has colours only on a terminal, unless NO_COLOR is "
         "set.\n",
-    .formats = "none,table,csv,json",
-    .options = {cli_medium_options, cli_eval_options, options, cli_parameter_options},
-    .usual_file = PLOT_FILE,
+    .formats = "none",
+    .options = {cli_medium_options, cli_eval_options, options},
+    .parameters = CLI_OF_MODELS,
     .examples =
         "  dipole plot --medium skin1 --model classical,better,transport\n"
-        "  dipole plot --medium skin1 --channel red --model all --axes logarithmic,gamma "
-        "--error \\\n"
-        "    --plot skin1.svg\n"
-        "  dipole plot --medium marble,wholemilk --channel green --model better,transport --plot\n"
+        "  dipole plot --medium skin1 --channel red --model all --error --plot skin1.svg\n"
+        "  dipole plot --medium marble,wholemilk --channel green --model better,transport\n"
         "  dipole plot --sigma-a 0.01,0.1,1 --sigma-s 1 --eta 1.4 --quantity 2_pi_r_R \\\n"
-        "    --axes linear --to 20 --size 1200x800 --plot a.png --plot a.svg\n"
-        "  dipole plot --medium skin1 --quantity cdf --axes linear --format csv\n"
+        "    --axes linear --to 20 --plot a.png --plot a.svg\n"
         "  dipole plot --medium skin1 --channel red --model better,transport --mc 1e5 --error\n",
     .settings_bytes = sizeof(plot_settings),
     .check = check,

@@ -1,8 +1,6 @@
 /* dipole points: evaluates the rows of a CSV file. The rows that wait for an answer are kept in a
  * window of bounded size. So many queries are under way at a time, and rows are written in their
  * order. */
-#include <errno.h>
-#include <fcntl.h>
 #include <math.h>
 #include <stdarg.h>
 #include <stdlib.h>
@@ -14,32 +12,32 @@
 #include "clients/cli/number.h"
 #include "clients/cli/points_row.h"
 #include "clients/cli/progress.h"
+#include "clients/cli/sheet.h"
 
 static const cli_option options[] = {
     {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
     {"model", "NAME",
-     "the model of the rows whose cell is empty or absent (default: transport;\n"
-     "with a tolerance, the cheapest that is so near to radiative transport)",
+     "the model of the rows whose cell is empty or absent (default: transport; with a tolerance, "
+     "the cheapest that is so near to radiative transport)",
      CLI_TEXT, offsetof(cli_profile_settings, model), NULL},
     {"evaluator", "NAME",
-     CLI_EVALUATOR_TEXT
-     "(default: f64; for transport lut where\nmany rows share g and eta, else f32)",
+     "f64 or f32: double or single precision; lut: single, by a table (default: f64; for transport "
+     "lut where many rows share g and eta, else f32)",
      CLI_TEXT, offsetof(points_settings, profile.evaluator), NULL},
     {"r", "X[,X...]",
-     "for files without a column r: each row is written once for each of these\nradii, mm",
+     "for files without a column r: each row is written once for each of these radii, mm",
      CLI_NUMBERS, offsetof(points_settings, r), NULL},
     {"f", "X[,X...]",
-     "in place of radii: these spatial frequencies, 1/mm, for R_f, whose column\n"
-     "is f in place of r",
+     "in place of radii: these spatial frequencies, 1/mm, for R_f, whose column is f in place of r",
      CLI_NUMBERS, offsetof(points_settings, f), NULL},
     {"wanted", "NAME[,NAME...]",
-     "the quantities to write; `dipole info` lists all (default: R,albedo,cdf;\n"
-     "with --tolerance in place of --model R,albedo, which keep more tolerances)",
+     "the quantities to write; `dipole info` lists all (default: R,albedo,cdf; with --tolerance in "
+     "place of --model R,albedo, which keep more tolerances)",
      CLI_NAMES, offsetof(points_settings, wanted), NULL},
     {"errors", NULL,
-     "write numerical_error and model_error, too: how far the values may be from\n"
-     "the model's formula, and the model from radiative transport (empty: not\n"
-     "solved). Rows that are answered together have the largest error of all",
+     "write numerical_error and model_error, too: how far the values may be from the model's "
+     "formula, and the model from radiative transport (empty: not solved). Rows that are answered "
+     "together have the largest error of all",
      CLI_SWITCH, offsetof(points_settings, errors), NULL},
     {0},
 };
@@ -554,11 +552,8 @@ static bool read_rows(points_run *points) {
 /* Opens the input and learns its size. */
 static bool open_input(points_run *points, const char *operand) {
   struct stat about;
-  const bool standard = operand == NULL || strcmp(operand, "-") == 0;
-  points->source = standard ? "standard input" : operand;
-  points->reader.fd = standard ? STDIN_FILENO : open(operand, O_RDONLY | O_CLOEXEC);
+  points->reader.fd = cli_sheet_open(operand, &points->source);
   if (points->reader.fd < 0) {
-    cli_fail("%s: %s", operand, strerror(errno));
     return false;
   }
   if (fstat(points->reader.fd, &about) == 0 && S_ISREG(about.st_mode)) {
@@ -569,37 +564,25 @@ static bool open_input(points_run *points, const char *operand) {
   return true;
 }
 
-/* Looks up what holds for rows whose cells are empty or absent. The names are known. */
-static void take_usual(points_usual *usual) {
-  const cli_profile_settings *profile = &usual->settings->profile;
-  const dipole_info *info = usual->info;
-  const char *given = profile->evaluator, *model = profile->model;
-  const char *formula = given != NULL ? given : "f64", *table = given != NULL ? given : "lut";
-  usual->evaluator = cli_choice(info, DIPOLE_EVALUATOR, formula)->id;
-  usual->evaluator_of_transport = cli_choice(info, DIPOLE_EVALUATOR, table)->id;
+/* Looks up what holds for rows whose cells are empty or absent. */
+static void take_usual(const cli_profile *profile, bool is_given, points_usual *usual) {
+  const dipole_info *info = usual->info = profile->info;
+  usual->parameters = profile->parameters;
   usual->transport = cli_choice(info, DIPOLE_MODEL, CLI_MODEL_DEFAULT)->id;
-  usual->model = model != NULL ? cli_choice(info, DIPOLE_MODEL, model)->id : usual->transport;
-  usual->moments = cli_choice(info, DIPOLE_MOMENTS, "exact")->id;
+  usual->model = profile->model != NULL ? profile->model->id : usual->transport;
+  usual->moments = profile->moments->id;
+  usual->evaluator = is_given ? profile->evaluator->id : DIPOLE_F64;
+  usual->evaluator_of_transport = is_given ? profile->evaluator->id : DIPOLE_LUT;
   usual->tolerance = cli_choice(info, DIPOLE_PARAMETER, "tolerance")->id;
 }
 
-/* Reads the options, and asks for the measured media. Returns an exit status. */
-static int prepare(points_run *points) {
-  points_usual *usual = &points->usual;
-  const points_settings *settings = usual->settings;
-  const cli_profile_settings *profile = &settings->profile;
-  dipole_error error;
-  const bool any_model = profile->tolerance.given && profile->model == NULL;
+static int take_quantities(const points_settings *settings, points_usual *usual) {
+  const bool any_model = usual->settings->profile.model == NULL &&
+                         settings->profile.common.parameters[CORE_PARAMETER_TOLERANCE].text != NULL;
   const unsigned wanted = settings->f.count > 0
                               ? DIPOLE_TRANSFER | DIPOLE_ALBEDO
                               : DIPOLE_R | DIPOLE_ALBEDO | (any_model ? 0 : DIPOLE_CDF);
-  usual->info = dipole_get_info(points->client);
-  if ((profile->evaluator != NULL &&
-       cli_named(usual->info, DIPOLE_EVALUATOR, "evaluator", profile->evaluator) == NULL) ||
-      (profile->model != NULL &&
-       cli_named(usual->info, DIPOLE_MODEL, "model", profile->model) == NULL) ||
-      !cli_parameters_take(usual->info, profile, &usual->parameters) ||
-      !cli_quantities_take(usual->info, &settings->wanted, wanted, 0, &usual->quantities)) {
+  if (!cli_quantities_take(usual->info, &settings->wanted, wanted, 0, &usual->quantities)) {
     return CLI_USAGE;
   }
   if ((usual->quantities.wanted & DIPOLE_RADIUS) != 0) {
@@ -611,8 +594,24 @@ static int prepare(points_run *points) {
                           "without --r");
   }
   usual->radii = settings->f.count > 0 ? &settings->f : &settings->r;
-  take_usual(usual);
   usual->radius_count = points_has_radii(usual) ? usual->radii->count : 1;
+  return CLI_OK;
+}
+
+/* Reads the options, and asks for the measured media. Returns an exit status. */
+static int prepare(points_run *points) {
+  points_usual *usual = &points->usual;
+  const points_settings *settings = usual->settings;
+  cli_profile profile = {0};
+  dipole_error error;
+  if (!cli_profile_take_names(&settings->profile, points->client, &profile)) {
+    return CLI_USAGE;
+  }
+  take_usual(&profile, settings->profile.evaluator != NULL, usual);
+  const int status = take_quantities(settings, usual);
+  if (status != CLI_OK) {
+    return status;
+  }
   for (size_t i = 0; i < 3; i++) {
     const size_t values = usual->radius_count + GROUP_VALUES;
     points->arrays[i] = cli_allocate(values, sizeof *points->arrays[i]);
@@ -691,7 +690,8 @@ const cli_command cli_command_points = {
         "exit status is 3, but the other rows are evaluated. Comments are copied.\n" CLI_CSV_TEXT
             CLI_DEFAULT_TEXT,
     .formats = "csv",
-    .options = {options, cli_parameter_options},
+    .options = {options},
+    .parameters = CLI_OF_MODELS,
     .examples = "  dipole points media.csv > profiles.csv\n"
                 "  dipole media --format csv | dipole points --r 0.5,1,2 --wanted R,cdf\n"
                 "  dipole points media.csv --wanted R --errors\n"

@@ -15,177 +15,89 @@
 /* The columns that are read. Those with names come first. */
 enum { MODEL, MOMENTS, MEDIUM, CHANNEL, FIRST_NUMBER, R = POINTS_INPUTS - 1 };
 
-static const struct {
-  const char *name;
-  size_t offset; /* where the number lies in a points_row */
-} inputs[POINTS_INPUTS] = {
-    {"model", 0},
-    {"moments", 0},
-    {"medium", 0},
-    {"channel", 0},
-    {"sigma_a", offsetof(points_row, medium.sigma_a_per_mm)},
-    {"sigma_s", offsetof(points_row, medium.sigma_s_per_mm)},
-    {"g", offsetof(points_row, medium.g)},
-    {"eta", offsetof(points_row, medium.eta)},
-    {"r", offsetof(points_row, r_mm)},
-};
+static const char *const inputs[POINTS_INPUTS] = {
+    "model", "moments", "medium", "channel", "sigma_a", "sigma_s", "g", "eta", "r"};
+
+/* Where the numbers lie in a points_row. */
+static const size_t offsets[POINTS_INPUTS] = {
+    [FIRST_NUMBER] = offsetof(points_row, medium.sigma_a_per_mm),
+    [FIRST_NUMBER + 1] = offsetof(points_row, medium.sigma_s_per_mm),
+    [FIRST_NUMBER + 2] = offsetof(points_row, medium.g),
+    [FIRST_NUMBER + 3] = offsetof(points_row, medium.eta),
+    [R] = offsetof(points_row, r_mm)};
 
 /* ---- the header ------------------------------------------------------------------------------ */
 
-/* Returns where the position of a parameter's column is stored. Adds the parameter if it is new; if
- * there is no room for it, returns NULL. */
-static size_t *parameter_place(points_columns *columns, const dipole_choice *parameter) {
+static void add_names(const dipole_info *info, enum dipole_kind kind, points_columns *columns) {
+  const dipole_choice *choice;
+  for (size_t from = 0; columns->name_count < POINTS_NAMES_MAX - 3 &&
+                        (choice = cli_next_choice(info, kind, &from)) != NULL;) {
+    columns->names[columns->name_count++] = choice->name;
+  }
+}
+
+/* Adds a column that is written. */
+static void add_output(points_columns *columns, const char *name) {
   size_t i = 0;
-  while (i < columns->parameter_count && columns->parameters[i] != parameter) {
+  while (strcmp(columns->names[i], name) != 0) {
     i++;
   }
-  if (i == CLI_PARAMETERS_MAX) {
-    return NULL;
-  }
-  if (i == columns->parameter_count) {
-    columns->parameters[i] = parameter;
-    columns->parameter_at[i] = POINTS_ABSENT;
-    columns->parameter_count++;
-  }
-  return &columns->parameter_at[i];
+  columns->outputs[columns->output_count++] = i;
 }
 
-/* Returns where the position of a column with this name is stored. Returns NULL if the column is
- * neither read nor written. */
-static size_t *place_of(points_columns *columns, const dipole_info *info, const char *name) {
-  for (size_t i = 0; i < POINTS_INPUTS; i++) {
-    if (strcmp(inputs[i].name, name) == 0) {
-      return &columns->input_at[i];
-    }
+static void list_columns(const points_usual *usual, points_columns *columns) {
+  *columns = (points_columns){.name_count = POINTS_INPUTS};
+  memcpy(columns->names, inputs, sizeof inputs);
+  columns->names[R] = usual->by_f ? "f" : "r";
+  add_names(usual->info, DIPOLE_PARAMETER, columns);
+  columns->parameter_count = columns->name_count - POINTS_INPUTS;
+  add_names(usual->info, DIPOLE_QUANTITY, columns);
+  columns->names[columns->name_count++] = "numerical_error";
+  columns->names[columns->name_count++] = "status";
+  if (points_has_radii(usual)) {
+    add_output(columns, columns->names[R]);
   }
-  for (size_t i = 0; i < columns->output_count; i++) {
-    if (strcmp(columns->outputs[i].name, name) == 0) {
-      return &columns->outputs[i].at;
-    }
+  for (size_t i = 0; i < usual->quantities.count; i++) {
+    add_output(columns, usual->quantities.items[i]->name);
   }
-  const dipole_choice *parameter = cli_choice(info, DIPOLE_PARAMETER, name);
-  return parameter != NULL ? parameter_place(columns, parameter) : NULL;
-}
-
-/* Refuses a column that is not read although its name is nearly that of one that is, or is that of
- * an option. Others are copied. */
-static bool check_unread(const points_usual *usual, const char *source, const char *name) {
-  const dipole_choice *parameter;
-  cli_nearest nearest = {0};
-  if (cli_choice(usual->info, DIPOLE_QUANTITY, name) != NULL) {
-    return true;
+  if (usual->settings->errors) {
+    add_output(columns, "numerical_error");
+    add_output(columns, "model_error"); /* a quantity */
   }
-  for (size_t i = 0; i < POINTS_INPUTS; i++) {
-    cli_nearest_try(&nearest, name, inputs[i].name, strlen(inputs[i].name) / 4);
-  }
-  for (size_t from = 0;
-       (parameter = cli_next_choice(usual->info, DIPOLE_PARAMETER, &from)) != NULL;) {
-    cli_nearest_try(&nearest, name, parameter->name, strlen(parameter->name) / 4);
-  }
-  if (nearest.name != NULL) {
-    cli_fail("%s: the column %s is not read; the nearest that is read is %s: rename it", source,
-             name, nearest.name);
-    return false;
-  }
-  for (const cli_option *option = usual->options; option->name != NULL; option++) {
-    if (option->kind != CLI_HEADING) {
-      cli_nearest_try(&nearest, name, option->name, strlen(option->name) / 8);
-    }
-  }
-  if (nearest.name != NULL) {
-    cli_fail("%s: the column %s is not read; the nearest is the option --%s, which holds for all "
-             "rows: give it, and rename the column",
-             source, name, nearest.name);
-  }
-  return nearest.name == NULL;
-}
-
-static bool fail_missing(const char *source, const char *missing, const cli_csv_record *header) {
-  char *text = NULL;
-  size_t bytes = 0, length;
-  FILE *found = open_memstream(&text, &bytes);
-  for (size_t i = 0; found != NULL && i < header->cell_count; i++) {
-    fprintf(found, "%s%s", i > 0 ? ", " : "", cli_csv_cell_text(header, i, &length));
-  }
-  if (found != NULL) {
-    fclose(found);
-  }
-  cli_fail("%s: the column %s is missing; the header has %s; it needs sigma_a, sigma_s, g and "
-           "eta, or medium and channel; and r unless --r is given; and may have model, moments "
-           "and parameters",
-           source, missing, text != NULL ? text : "others");
-  free(text);
-  return false;
+  add_output(columns, "status");
 }
 
 static bool is_required(const points_usual *usual, const points_columns *columns, size_t input) {
   return input == R ? !points_has_radii(usual)
-                    : input >= FIRST_NUMBER && columns->input_at[MEDIUM] == POINTS_ABSENT;
-}
-
-/* Returns the name of the column of radii, which are spatial frequencies if only R_f is wanted. */
-static const char *name_of_radii(const points_usual *usual) {
-  return usual->by_f ? "f" : inputs[R].name;
-}
-
-static void list_outputs(const points_usual *usual, points_columns *columns) {
-  if (points_has_radii(usual)) {
-    columns->outputs[columns->output_count++].name = name_of_radii(usual);
-  }
-  for (size_t i = 0; i < usual->quantities.count; i++) {
-    columns->outputs[columns->output_count++].name = usual->quantities.items[i]->name;
-  }
-  if (usual->settings->errors) {
-    columns->outputs[columns->output_count++].name = "numerical_error";
-    columns->outputs[columns->output_count++].name = "model_error";
-  }
-  columns->outputs[columns->output_count++].name = "status";
-}
-
-/* Takes one column of the header. */
-static bool take_column(const points_usual *usual, const char *source, const char *name, size_t at,
-                        points_columns *columns) {
-  const bool f = usual->by_f && strcmp(name, name_of_radii(usual)) == 0;
-  size_t *place = place_of(columns, usual->info, f ? inputs[R].name : name);
-  if (place == NULL) {
-    return strcmp(name, "f") == 0 || check_unread(usual, source, name); /* of an earlier R_f */
-  }
-  if (*place != POINTS_ABSENT) {
-    cli_fail("%s: the header has the column %s twice: rename one", source, name);
-    return false;
-  }
-  *place = at;
-  return true;
+                    : input >= FIRST_NUMBER && columns->at[MEDIUM] == CLI_CSV_ABSENT;
 }
 
 bool points_find_columns(const points_usual *usual, const char *source,
                          const cli_csv_record *header, points_columns *columns) {
-  size_t length;
-  bool good = true;
-  memset(columns, 0xff, sizeof *columns); /* POINTS_ABSENT everywhere */
-  columns->count = header->cell_count;
-  columns->parameter_count = columns->output_count = 0;
-  list_outputs(usual, columns);
-  for (size_t i = 0; good && i < header->cell_count; i++) {
-    good = take_column(usual, source, cli_csv_cell_text(header, i, &length), i, columns);
-  }
-  if (good && points_has_radii(usual) && columns->input_at[R] != POINTS_ABSENT) {
-    cli_fail("%s: the header has the column %s: leave --%s out, or rename the column", source,
-             name_of_radii(usual), name_of_radii(usual));
+  list_columns(usual, columns);
+  columns->count = columns->first_output = header->cell_count;
+  if (!cli_csv_find(source, header, columns->names, columns->name_count, usual->options,
+                    columns->at)) {
     return false;
   }
-  columns->first_output = columns->count;
+  if (points_has_radii(usual) && columns->at[R] != CLI_CSV_ABSENT) {
+    cli_fail("%s: the header has the column %s: leave --%s out, or rename the column", source,
+             columns->names[R], columns->names[R]);
+    return false;
+  }
   for (size_t i = 0; i < columns->output_count; i++) {
-    if (columns->outputs[i].at < columns->first_output) {
-      columns->first_output = columns->outputs[i].at;
+    const size_t at = columns->at[columns->outputs[i]];
+    columns->first_output = at < columns->first_output ? at : columns->first_output;
+  }
+  for (size_t i = 0; i < POINTS_INPUTS; i++) {
+    if (is_required(usual, columns, i) && columns->at[i] == CLI_CSV_ABSENT) {
+      return cli_csv_fail_missing(
+          source, header, columns->names[i],
+          "sigma_a, sigma_s, g and eta, or medium and channel; and r unless --r is given; and may "
+          "have model, moments and parameters");
     }
   }
-  for (size_t i = 0; good && i < POINTS_INPUTS; i++) {
-    if (is_required(usual, columns, i) && columns->input_at[i] == POINTS_ABSENT) {
-      return fail_missing(source, i == R ? name_of_radii(usual) : inputs[i].name, header);
-    }
-  }
-  return good;
+  return true;
 }
 
 /* ---- writing --------------------------------------------------------------------------------- */
@@ -204,8 +116,8 @@ static void write_ending(const cli_csv_record *record, FILE *file) {
 void points_write_header(const points_columns *columns, const cli_csv_record *header, FILE *file) {
   fwrite(header->bytes, 1, header->length - header->ending_bytes, file);
   for (size_t i = 0; i < columns->output_count; i++) {
-    if (columns->outputs[i].at == POINTS_ABSENT) {
-      fprintf(file, "%c%s", header->separator, columns->outputs[i].name);
+    if (columns->at[columns->outputs[i]] == CLI_CSV_ABSENT) {
+      fprintf(file, "%c%s", header->separator, columns->names[columns->outputs[i]]);
     }
   }
   write_ending(header, file);
@@ -252,7 +164,7 @@ void points_write_line(const points_usual *usual, const points_columns *columns,
   }
   for (size_t i = as_read; i < columns->count; i++) {
     size_t output = 0;
-    while (output < columns->output_count && columns->outputs[output].at != i) {
+    while (output < columns->output_count && columns->at[columns->outputs[output]] != i) {
       output++;
     }
     if (i > 0) {
@@ -265,7 +177,7 @@ void points_write_line(const points_usual *usual, const points_columns *columns,
     }
   }
   for (size_t output = 0; output < columns->output_count; output++) {
-    if (columns->outputs[output].at == POINTS_ABSENT) {
+    if (columns->at[columns->outputs[output]] == CLI_CSV_ABSENT) {
       putc_unlocked(record->separator, file);
       write_output(usual, row, radius, output, file);
     }
@@ -296,8 +208,8 @@ __attribute__((format(printf, 2, 3))) static bool make_bad(points_row *row, cons
 /* Returns the text of an input's cell; NULL if it is empty or absent. */
 static const char *text_of(const points_columns *columns, const points_row *row, size_t input) {
   size_t length = 0;
-  const size_t at = columns->input_at[input];
-  const char *text = at == POINTS_ABSENT ? NULL : cli_csv_cell_text(&row->record, at, &length);
+  const size_t at = columns->at[input];
+  const char *text = at == CLI_CSV_ABSENT ? NULL : cli_csv_cell_text(&row->record, at, &length);
   return length == 0 ? NULL : text;
 }
 
@@ -308,8 +220,8 @@ static bool find_id(const points_usual *usual, points_row *row, size_t input, en
   const dipole_choice *choice = cli_choice(usual->info, kind, name);
   if (choice == NULL) {
     cli_list_names(usual->info, kind, known, sizeof known);
-    return make_bad(row, "%s: '%.*s' is unknown: allowed: %s", inputs[input].name, SHOWN_BYTES,
-                    name, known);
+    return make_bad(row, "%s: '%.*s' is unknown: allowed: %s", inputs[input], SHOWN_BYTES, name,
+                    known);
   }
   *id = choice->id;
   return true;
@@ -349,12 +261,12 @@ static bool read_moments(const points_usual *usual, const points_columns *column
 /* Reads a cell with a number into the row. */
 static bool read_number(points_row *row, size_t input, size_t at) {
   size_t length;
-  const bool given = at != POINTS_ABSENT;
+  const bool given = at != CLI_CSV_ABSENT;
   const char *text = given ? cli_csv_cell_text(&row->record, at, &length) : "";
-  return (given && cli_csv_number(&row->record, at, AT(row, inputs[input].offset))) ||
+  return (given && cli_csv_number(&row->record, at, AT(row, offsets[input]))) ||
          make_bad(row,
                   "%s: '%.*s' is no number: allowed: decimal numbers within the range of doubles%s",
-                  inputs[input].name, SHOWN_BYTES, text, cli_csv_number_hint(text));
+                  inputs[input], SHOWN_BYTES, text, cli_csv_number_hint(text));
 }
 
 /* measured: whether the row has the coefficients of a measured medium, which its cells override. */
@@ -363,8 +275,8 @@ static bool read_numbers(const points_usual *usual, const points_columns *column
   bool good = true;
   for (size_t i = FIRST_NUMBER; good && i < POINTS_INPUTS; i++) {
     const bool needed = i == R ? !points_has_radii(usual) : !measured;
-    const size_t at = columns->input_at[i];
-    if (needed || (at != POINTS_ABSENT && row->record.cells[at].text_length > 0)) {
+    const size_t at = columns->at[i];
+    if (needed || (at != CLI_CSV_ABSENT && row->record.cells[at].text_length > 0)) {
       good = read_number(row, i, at);
     }
   }
@@ -409,10 +321,14 @@ static bool read_parameters(const points_usual *usual, const points_columns *col
   bool good = true;
   row->parameters = usual->parameters;
   for (size_t i = 0; good && i < columns->parameter_count; i++) {
-    const dipole_choice *parameter = columns->parameters[i];
+    const size_t at = columns->at[POINTS_INPUTS + i];
+    if (at == CLI_CSV_ABSENT) {
+      continue;
+    }
+    const dipole_choice *parameter =
+        cli_choice(usual->info, DIPOLE_PARAMETER, columns->names[POINTS_INPUTS + i]);
     size_t length;
     double value;
-    const size_t at = columns->parameter_at[i];
     const char *text = cli_csv_cell_text(&row->record, at, &length);
     good = length == 0 || (strlen(text) == length && !decimal_starts_with_zero(text) &&
                            cli_parameter_parse(usual->info, parameter, text, &value));

@@ -13,27 +13,21 @@ typedef struct points_settings {
   bool errors;
 } points_settings;
 
-enum { POINTS_INPUTS = 9, POINTS_OUTPUTS_MAX = CLI_QUANTITIES_MAX + 4 };
+enum {
+  POINTS_INPUTS = 9,
+  POINTS_NAMES_MAX = POINTS_INPUTS + CLI_PARAMETERS_MAX + CLI_QUANTITIES_MAX + 3
+};
 
-/* The position of a column that the header does not have. */
-#define POINTS_ABSENT SIZE_MAX
-
-/* A column that is written. */
-typedef struct points_output {
-  const char *name;
-  size_t at; /* its position in the header */
-} points_output;
-
-/* The positions of the columns in the header. */
+/* The columns that are read or written, and where they are in the header. */
 typedef struct points_columns {
   size_t count; /* number of cells in the header */
-  size_t input_at[POINTS_INPUTS];
-  size_t parameter_count; /* number of columns that are named after a parameter */
-  const dipole_choice *parameters[CLI_PARAMETERS_MAX];
-  size_t parameter_at[CLI_PARAMETERS_MAX];
-  size_t output_count; /* with --r the radius, the quantities, with --errors two, the status */
-  points_output outputs[POINTS_OUTPUTS_MAX];
-  size_t first_output; /* position of the first column that is replaced; count if none is */
+  size_t name_count;
+  const char *names[POINTS_NAMES_MAX]; /* inputs, parameters, quantities, errors and the status */
+  size_t at[POINTS_NAMES_MAX];         /* their positions, or CLI_CSV_ABSENT */
+  size_t parameter_count;              /* how many names, from POINTS_INPUTS on, are parameters */
+  size_t output_count;              /* the radius of --r, the quantities, errors and the status */
+  size_t outputs[POINTS_NAMES_MAX]; /* positions in names */
+  size_t first_output; /* position in the header of the first column that is replaced, or count */
 } points_columns;
 
 enum points_state {

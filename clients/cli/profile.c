@@ -25,46 +25,18 @@ const cli_option cli_medium_options[] = {
     {"sigma-s", "X[,X...]", "scattering coefficient, 1/mm; a single value is for all channels",
      CLI_NUMBERS, FIELD(sigma_s), NULL},
     {"g", "X[,X...]",
-     "mean cosine of the scattering angle (default: 0); sigma_s (1 - g) of a\n"
-     "measured medium stays as it was measured",
+     "mean cosine of the scattering angle (default: 0); sigma_s (1 - g) of a measured medium stays "
+     "as it was measured",
      CLI_NUMBERS, FIELD(g), NULL},
     {"eta", "X[,X...]",
-     "refractive index inside over outside (default: that of the measured\nmedium, else 1.3)",
+     "refractive index inside over outside (default: that of the measured medium, else 1.3)",
      CLI_NUMBERS, FIELD(eta), NULL},
     {0},
 };
 
-const cli_option cli_parameter_options[] = {
-    {"Parameters, for the models that take them", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"tolerance", "X",
-     "largest relative numerical error, for models that can choose it, and\n"
-     "for tables. Without --model, in eval, plot and points: largest error of\n"
-     "the answer against radiative transport",
-     CLI_NUMBER, FIELD(tolerance), NULL},
-    {"cos-in", "X", "cosine of the angle of incidence, for S (default: 1)", CLI_NUMBER,
-     FIELD(cos_in), NULL},
-    {"cos-out", "X", "cosine of the angle of exit, for S (default: 1)", CLI_NUMBER, FIELD(cos_out),
-     NULL},
-    {"thickness", "X", "of a slab, mm; the models of slabs need it", CLI_NUMBER, FIELD(thickness),
-     NULL},
-    {"surface-albedo", "X", "A of Burley's models (default: the albedo by the better dipole)",
-     CLI_NUMBER, FIELD(surface_albedo), NULL},
-    {"gaussians", "N", "how many Gaussians are fitted (default: 6)", CLI_NUMBER, FIELD(gaussians),
-     NULL},
-    {"fit-model", "NAME", "name or id of the model that Gaussians are fitted to (default: better)",
-     CLI_TEXT, FIELD(fit_model), NULL},
-    {"fit-from", "X", "smallest radius of the fit, mm (default: 0.1 mean free paths)", CLI_NUMBER,
-     FIELD(fit_from), NULL},
-    {"fit-to", "X", "largest radius of the fit, mm (default: 10 mean free paths)", CLI_NUMBER,
-     FIELD(fit_to), NULL},
-    {"gamma", "X", "of the phase function, (1 - g_2) / (1 - g), for transport (default: 1 + g)",
-     CLI_NUMBER, FIELD(gamma), NULL},
-    {0},
-};
-
 const char *cli_usual_evaluator(const cli_profile_settings *settings, const char *model) {
-  const bool tabled =
-      !settings->tolerance.given || settings->tolerance.value >= CORE_LUT_TOLERANCE_MIN;
+  const cli_given *tolerance = &settings->common.parameters[CORE_PARAMETER_TOLERANCE];
+  const bool tabled = tolerance->text == NULL || tolerance->value >= CORE_LUT_TOLERANCE_MIN;
   return tabled && (model == NULL || strcmp(model, CLI_MODEL_DEFAULT) == 0) ? "lut" : "f64";
 }
 
@@ -113,80 +85,57 @@ void cli_parameters_set(cli_parameters *parameters, unsigned id, double value) {
   }
 }
 
-/* Returns the daemon's parameter that an option stands for; NULL if it has none. */
-static const dipole_choice *parameter_of(const dipole_info *info, const char *option) {
-  char name[64];
-  snprintf(name, sizeof name, "%s", option);
-  for (char *dash; (dash = strchr(name, '-')) != NULL;) {
-    *dash = '_';
-  }
-  return cli_choice(info, DIPOLE_PARAMETER, name);
-}
-
-static bool parse_model(const dipole_info *info, const char *text, double *value) {
-  const dipole_choice *model = cli_choice(info, DIPOLE_MODEL, text);
-  if (model != NULL) {
-    *value = model->id;
-  }
-  return model != NULL || cli_number_parse(text, value);
+/* Returns the kind of list whose names a parameter takes. */
+static enum dipole_kind kind_of(const dipole_choice *parameter) {
+  return strcmp(parameter->name, "phase") == 0 ? DIPOLE_PHASE : DIPOLE_MODEL;
 }
 
 bool cli_parameter_parse(const dipole_info *info, const dipole_choice *parameter, const char *text,
                          double *value) {
-  for (const cli_option *option = cli_parameter_options; option->name != NULL; option++) {
-    if (option->kind == CLI_TEXT && parameter_of(info, option->name) == parameter) {
-      return parse_model(info, text, value);
-    }
+  const bool named = strncmp(parameter->about, "id: ", strlen("id: ")) == 0;
+  const dipole_choice *choice = named ? cli_choice(info, kind_of(parameter), text) : NULL;
+  if (choice != NULL) {
+    *value = choice->id;
   }
-  return cli_number_parse(text, value);
+  return choice != NULL || cli_number_parse(text, value);
 }
 
-/* Returns whether a parameter's option is given. Sets *number, or *text for the name of a model. */
-static bool is_given(const cli_option *option, const cli_profile_settings *settings,
-                     const char **text, double *number) {
-  const void *at = (const char *)settings + option->offset;
-  *text = option->kind == CLI_TEXT ? *(const char *const *)at : NULL;
-  *number = option->kind == CLI_NUMBER ? ((const cli_number *)at)->value : 0;
-  return *text != NULL || (option->kind == CLI_NUMBER && ((const cli_number *)at)->given);
-}
-
-bool cli_parameters_given(const cli_profile_settings *settings) {
-  const char *text;
-  double number;
-  const cli_option *option = cli_parameter_options;
-  while (option->name != NULL && !is_given(option, settings, &text, &number)) {
-    option++;
+bool cli_parameters_given(const cli_common *common) {
+  size_t id = 0;
+  while (id < CORE_PARAMETERS_END && common->parameters[id].text == NULL) {
+    id++;
   }
-  return option->name != NULL;
+  return id < CORE_PARAMETERS_END;
 }
 
-static bool fail_unknown(const dipole_info *info, const cli_option *option, const char *what,
-                         enum dipole_kind kind) {
+static bool take_parameter(const dipole_info *info, const cli_given *given, unsigned id,
+                           cli_parameters *parameters) {
   char known[1024];
-  cli_list_names(info, kind, known, sizeof known);
-  cli_fail_usage("--%s: %s %s", option->name, what, known);
-  return false;
+  const char *name = core_choice_by_id(core_parameter_list, id)->name;
+  const dipole_choice *parameter = cli_choice(info, DIPOLE_PARAMETER, name);
+  const cli_option *option = cli_options_find(name);
+  double value;
+  if (parameter == NULL) {
+    cli_list_names(info, DIPOLE_PARAMETER, known, sizeof known);
+    cli_fail_usage("--%s: this daemon does not know it; it knows %s", option->name, known);
+    return false;
+  }
+  if (!cli_parameter_parse(info, parameter, given->text, &value)) {
+    return cli_named(info, kind_of(parameter), option->name, given->text) != NULL;
+  }
+  cli_parameters_set(parameters, parameter->id, value);
+  return true;
 }
 
-bool cli_parameters_take(const dipole_info *info, const cli_profile_settings *settings,
-                         cli_parameters *parameters) {
-  const char *text;
-  double value;
+static bool take_parameters(const dipole_info *info, const cli_common *common,
+                            cli_parameters *parameters) {
+  bool good = true;
   *parameters = (cli_parameters){0};
-  for (const cli_option *option = cli_parameter_options; option->name != NULL; option++) {
-    if (!is_given(option, settings, &text, &value)) {
-      continue;
-    }
-    const dipole_choice *parameter = parameter_of(info, option->name);
-    if (parameter == NULL) {
-      return fail_unknown(info, option, "this daemon does not know it; it knows", DIPOLE_PARAMETER);
-    }
-    if (text != NULL && !parse_model(info, text, &value)) {
-      return fail_unknown(info, option, "there is no such model; this daemon has", DIPOLE_MODEL);
-    }
-    cli_parameters_set(parameters, parameter->id, value);
+  for (unsigned id = 1; good && id < CORE_PARAMETERS_END; id++) {
+    const cli_given *given = &common->parameters[id];
+    good = given->text == NULL || take_parameter(info, given, id, parameters);
   }
-  return true;
+  return good;
 }
 
 /* ---- the medium's options -------------------------------------------------------------------- */
@@ -229,12 +178,6 @@ int cli_medium_check(const cli_profile_settings *settings) {
     }
   }
   return CLI_OK;
-}
-
-int cli_deadline_check(const cli_profile_settings *settings) {
-  return settings->deadline_ms.value <= UINT32_MAX
-             ? CLI_OK
-             : cli_fail_usage("--deadline-ms: give at most %lu", (unsigned long)UINT32_MAX);
 }
 
 /* ---- media ----------------------------------------------------------------------------------- */
@@ -357,16 +300,19 @@ static bool count_channels(const cli_profile_settings *settings, size_t *count) 
 
 /* ---- the whole profile ----------------------------------------------------------------------- */
 
-static bool take_names(const cli_profile_settings *settings, cli_profile *profile) {
+bool cli_profile_take_names(const cli_profile_settings *settings, dipole_client *client,
+                            cli_profile *profile) {
   const struct {
     const dipole_choice **to;
     enum dipole_kind kind;
     const char *option, *name;
   } choices[] = {
       {&profile->model, DIPOLE_MODEL, "model", settings->model},
-      {&profile->moments, DIPOLE_MOMENTS, "moments", settings->moments},
+      {&profile->moments, DIPOLE_MOMENTS, "moments",
+       settings->moments != NULL ? settings->moments : "exact"},
       {&profile->evaluator, DIPOLE_EVALUATOR, "evaluator", settings->evaluator},
   };
+  profile->info = dipole_get_info(client);
   for (size_t i = 0; i < sizeof choices / sizeof choices[0]; i++) {
     if (choices[i].name != NULL) {
       *choices[i].to =
@@ -376,7 +322,7 @@ static bool take_names(const cli_profile_settings *settings, cli_profile *profil
       }
     }
   }
-  return true;
+  return take_parameters(profile->info, &settings->common, &profile->parameters);
 }
 
 void cli_profile_set_channels(cli_profile *profile, size_t count) {
@@ -388,10 +334,7 @@ void cli_profile_set_channels(cli_profile *profile, size_t count) {
 int cli_profile_take(const cli_profile_settings *settings, dipole_client *client,
                      cli_profile *profile) {
   size_t count;
-  profile->info = dipole_get_info(client);
-  if (!take_names(settings, profile) ||
-      !cli_parameters_take(profile->info, settings, &profile->parameters) ||
-      !count_channels(settings, &count)) {
+  if (!cli_profile_take_names(settings, client, profile) || !count_channels(settings, &count)) {
     return CLI_USAGE;
   }
   cli_profile_set_channels(profile, count);
@@ -445,27 +388,41 @@ bool cli_quantities_take(const dipole_info *info, const cli_texts *names, unsign
 
 /* ---- what reports say of a profile ----------------------------------------------------------- */
 
-void cli_write_medium(const cli_profile *profile, FILE *file) {
+void cli_put_profile(cli_rows *rows, const cli_profile *profile) {
+  const struct {
+    const char *name;
+    const dipole_choice *choice;
+  } choices[] = {
+      {"model", profile->model}, {"evaluator", profile->evaluator}, {"moments", profile->moments}};
+  cli_put_text(rows, CLI_COLUMN("software", .forms = CLI_IN_JSON), profile->info->software);
   if (profile->medium != NULL) {
-    fprintf(file, "%s: ", profile->medium);
+    cli_put_text(rows, CLI_COLUMN("medium", ""), profile->medium);
   }
-}
-
-static const char *parameter_name(const cli_profile *profile, size_t index) {
-  const dipole_choice *choice =
-      cli_choice_of_id(profile->info, DIPOLE_PARAMETER, profile->parameters.items[index].id);
-  return choice != NULL ? choice->name : "";
-}
-
-void cli_write_parameters(const cli_profile *profile, FILE *file) {
-  char text[CLI_NUMBER_BYTES];
+  for (size_t i = 0; i < sizeof choices / sizeof choices[0]; i++) {
+    if (choices[i].choice != NULL) {
+      cli_put_text(rows, CLI_COLUMN(choices[i].name), choices[i].choice->name);
+    }
+  }
   for (size_t i = 0; i < profile->parameters.count; i++) {
-    fprintf(file, ", %s %s", parameter_name(profile, i),
-            cli_number_format(profile->parameters.items[i].value, text));
+    const dipole_parameter *one = &profile->parameters.items[i];
+    const dipole_choice *choice = cli_choice_of_id(profile->info, DIPOLE_PARAMETER, one->id);
+    cli_put_number(rows, CLI_COLUMN(choice != NULL ? choice->name : "?"), one->value);
   }
 }
 
-void cli_write_launched(const dipole_medium *media, size_t count, FILE *file) {
+void cli_put_notes(cli_rows *rows, const dipole_info *info, unsigned notes) {
+  const dipole_choice *note;
+  char text[256] = "";
+  size_t length = 0;
+  for (size_t from = 0;
+       length < sizeof text && (note = cli_next_note(info, notes, &from)) != NULL;) {
+    length += (size_t)snprintf(text + length, sizeof text - length, "%s%s", length > 0 ? " " : "",
+                               note->name);
+  }
+  cli_put_text(rows, CLI_COLUMN("notes"), text);
+}
+
+void cli_write_launched(const dipole_medium *media, size_t count) {
   const char *before = "per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 =";
   for (size_t i = 0; i < count; i++) {
     bool told = false;
@@ -474,41 +431,16 @@ void cli_write_launched(const dipole_medium *media, size_t count, FILE *file) {
     }
     if (!told) {
       const double share = (media[i].eta - 1) / (media[i].eta + 1);
-      fprintf(file, "%s %.6g (eta %.6g)", before, 1 - share * share, media[i].eta);
+      printf("%s %.6g (eta %.6g)", before, 1 - share * share, media[i].eta);
       before = ",";
     }
   }
-  fputs(count > 0 ? "\n" : "", file);
+  putchar('\n');
 }
 
-void cli_write_notes(const dipole_info *info, unsigned notes, FILE *file) {
+void cli_write_notes(const dipole_info *info, unsigned notes) {
   const dipole_choice *note;
   for (size_t from = 0; (note = cli_next_note(info, notes, &from)) != NULL;) {
-    fprintf(file, "note: %s: %s\n", note->name, note->about);
+    printf("note: %s: %s\n", note->name, note->about);
   }
-}
-
-void cli_json_head(cli_json *json, const cli_profile *profile) {
-  cli_json_text(json, "software", profile->info->software);
-  cli_json_text(json, "instruction_set", profile->info->instruction_set);
-  if (profile->medium != NULL) {
-    cli_json_text(json, "medium", profile->medium);
-  }
-}
-
-void cli_json_parameters(cli_json *json, const cli_profile *profile) {
-  cli_json_begin(json, "parameters", '{');
-  for (size_t i = 0; i < profile->parameters.count; i++) {
-    cli_json_number(json, parameter_name(profile, i), profile->parameters.items[i].value);
-  }
-  cli_json_end(json, '}');
-}
-
-void cli_json_notes(cli_json *json, const dipole_info *info, unsigned notes) {
-  const dipole_choice *note;
-  cli_json_begin(json, "notes", '[');
-  for (size_t from = 0; (note = cli_next_note(info, notes, &from)) != NULL;) {
-    cli_json_text(json, NULL, note->name);
-  }
-  cli_json_end(json, ']');
 }

@@ -3,16 +3,13 @@
 #define DIPOLE_CLI_PROFILE_H
 
 #include "clients/cli/cli.h"
-#include "clients/cli/json.h"
+#include "clients/cli/rows.h"
 
 /* ---- options --------------------------------------------------------------------------------- */
 
 /* A command has options only for the members that it uses. */
 typedef struct cli_profile_settings {
   cli_common common;
-  cli_number tolerance, cos_in, cos_out, thickness, surface_albedo, gaussians, fit_from, fit_to,
-      gamma;
-  const char *fit_model;
   const char *medium; /* names, separated by commas */
   cli_texts channel;
   cli_numbers sigma_a, sigma_s, g, eta;
@@ -22,8 +19,11 @@ typedef struct cli_profile_settings {
 
 /* The options below are for settings that start with a cli_profile_settings. */
 
-/* An option for each parameter of the protocol; its name is the parameter's, with - for _. */
-extern const cli_option cli_parameter_options[];
+/* For cli_command.parameters: those of the models, with their tolerances, and a bit of any. */
+#define CLI_PARAMETER_BIT(IDENT) (1U << CORE_PARAMETER_##IDENT)
+#define CLI_OF_MODELS                                                                              \
+  (~(CLI_PARAMETER_BIT(PHASE) | CLI_PARAMETER_BIT(PHASE_SHARE) | CLI_PARAMETER_BIT(PHASE_G) |      \
+     CLI_PARAMETER_BIT(DETECTOR_NA)))
 
 /* The options of the medium: the members from medium to eta. */
 extern const cli_option cli_medium_options[];
@@ -33,14 +33,13 @@ extern const cli_option cli_medium_options[];
   "moments", "NAME", "Fresnel moments; `dipole info` lists them (default: exact)", CLI_TEXT,       \
       offsetof(cli_profile_settings, moments)
 #define CLI_DEADLINE_OPTION                                                                        \
-  "deadline-ms", "N",                                                                              \
-      "ask the daemon to answer within N ms or to refuse; 0: no limit\n(default: 0)", CLI_COUNT,   \
-      offsetof(cli_profile_settings, deadline_ms)
-
-#define CLI_EVALUATOR_TEXT "f64 or f32: double or single precision; lut: single, by a table\n"
+  "deadline-ms", "N", "ask the daemon to answer within N ms or to refuse; 0: no limit",            \
+      CLI_COUNT32, offsetof(cli_profile_settings, deadline_ms)
 #define CLI_EVALUATOR_OPTION                                                                       \
-  "evaluator", "NAME", CLI_EVALUATOR_TEXT "(default: f64; lut for transport)", CLI_TEXT,           \
-      offsetof(cli_profile_settings, evaluator)
+  "evaluator", "NAME",                                                                             \
+      "f64 or f32: double or single precision; lut: single, by a table (default: f64; lut for "    \
+      "transport)",                                                                                \
+      CLI_TEXT, offsetof(cli_profile_settings, evaluator)
 
 /* The model if none is given, and the reason, for --help. */
 #define CLI_MODEL_DEFAULT "transport"
@@ -83,13 +82,12 @@ const cli_numbers *cli_lengths_find(const cli_lengths *lengths, const char **nam
  * exact as the tolerance. model: NULL if none is named. */
 const char *cli_usual_evaluator(const cli_profile_settings *settings, const char *model);
 
-/* Check the options above without a daemon, and return an exit status. */
+/* Checks the options of the medium without a daemon, and returns an exit status. */
 int cli_medium_check(const cli_profile_settings *settings);
-int cli_deadline_check(const cli_profile_settings *settings);
 
 /* Returns whether any option of the medium, or of the parameters, is given. */
 bool cli_medium_given(const cli_profile_settings *settings);
-bool cli_parameters_given(const cli_profile_settings *settings);
+bool cli_parameters_given(const cli_common *common);
 
 /* ---- parameters ------------------------------------------------------------------------------ */
 
@@ -107,12 +105,7 @@ void cli_parameters_set(cli_parameters *parameters, unsigned id, double value);
 /* Removes a parameter. Returns false if it is not set. */
 bool cli_parameters_remove(cli_parameters *parameters, unsigned id);
 
-/* Reads the parameters from the options. Says what is wrong and returns false if the daemon does
- * not know a parameter, or the model that one names. */
-bool cli_parameters_take(const dipole_info *info, const cli_profile_settings *settings,
-                         cli_parameters *parameters);
-
-/* Reads the value of a parameter of the daemon: a number, or the name or id of a model. */
+/* Reads the value of a parameter of the daemon: a number, or a name or id of a list. */
 bool cli_parameter_parse(const dipole_info *info, const dipole_choice *parameter, const char *text,
                          double *value);
 
@@ -146,8 +139,13 @@ typedef struct cli_profile {
   dipole_medium *media;  /* [channel_count]: those of the channels */
 } cli_profile;
 
-/* Looks up the names in the settings, and reads the parameters and media. Says what is wrong and
- * returns an exit status. Free *profile in any case. */
+/* Looks up the names in the settings, and reads the parameters. Says what is wrong and returns
+ * false if the daemon does not know one of them. */
+bool cli_profile_take_names(const cli_profile_settings *settings, dipole_client *client,
+                            cli_profile *profile);
+
+/* Does so, and reads the media. Says what is wrong and returns an exit status. Free *profile in any
+ * case. */
 int cli_profile_take(const cli_profile_settings *settings, dipole_client *client,
                      cli_profile *profile);
 void cli_profile_free(cli_profile *profile);
@@ -172,22 +170,18 @@ bool cli_quantities_take(const dipole_info *info, const cli_texts *names, unsign
 
 /* ---- what reports say of a profile ----------------------------------------------------------- */
 
-/* "skin1: ", or nothing if there is no measured medium. */
-void cli_write_medium(const cli_profile *profile, FILE *file);
+/* Puts what all reports begin with: the software in JSON, the medium if it is measured, the model,
+ * evaluator and moments that are set, and the parameters. */
+void cli_put_profile(cli_rows *rows, const cli_profile *profile);
 
-/* ", tolerance 0.01, cos_in 0.5" */
-void cli_write_parameters(const cli_profile *profile, FILE *file);
+/* Puts the names of the notes in the sum `notes`, with blanks between them. */
+void cli_put_notes(cli_rows *rows, const dipole_info *info, unsigned notes);
 
 /* How to get from power that entered to power that was launched, for each eta of the media: rule E8
  * of proto/PROTOCOL.md. */
-void cli_write_launched(const dipole_medium *media, size_t count, FILE *file);
+void cli_write_launched(const dipole_medium *media, size_t count);
 
 /* "note: NAME: what it says", a line for each note in the sum `notes`. */
-void cli_write_notes(const dipole_info *info, unsigned notes, FILE *file);
-
-/* The members software, instruction_set and, if it is measured, medium. */
-void cli_json_head(cli_json *json, const cli_profile *profile);
-void cli_json_parameters(cli_json *json, const cli_profile *profile);
-void cli_json_notes(cli_json *json, const dipole_info *info, unsigned notes);
+void cli_write_notes(const dipole_info *info, unsigned notes);
 
 #endif

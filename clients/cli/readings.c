@@ -1,360 +1,190 @@
 #include "clients/cli/readings.h"
 
-#include <errno.h>
-#include <fcntl.h>
 #include <math.h>
-#include <stdarg.h>
+#include <search.h>
 #include <stdlib.h>
 #include <string.h>
-#include <unistd.h>
 
-#include "clients/cli/csv.h"
-#include "core/core.h"
+#include "clients/cli/sheet.h"
 
-/* ---- finding equal things -------------------------------------------------------------------- */
+/* ---- numbering equal things ------------------------------------------------------------------ */
 
-/* Numbers things from 0 on: equal bytes have the same number. */
-typedef struct numbering {
-  size_t count;
-  size_t slot_count; /* a power of two */
-  struct slot {
-    char *bytes; /* NULL: the slot is empty */
-    size_t length;
-    size_t number;
-  } * slots;
-} numbering;
-
-static uint64_t hash_of(const char *bytes, size_t length) {
-  uint64_t hash = UINT64_C(0xcbf29ce484222325); /* FNV-1a (Fowler, Noll, Vo 1991) */
-  for (size_t i = 0; i < length; i++) {
-    hash = (hash ^ (unsigned char)bytes[i]) * UINT64_C(0x100000001b3);
-  }
-  return hash ^ hash >> 32;
-}
-
-static struct slot *slot_of(const numbering *of, const char *bytes, size_t length) {
-  size_t at = hash_of(bytes, length) & (of->slot_count - 1);
-  while (of->slots[at].bytes != NULL &&
-         (of->slots[at].length != length || memcmp(of->slots[at].bytes, bytes, length) != 0)) {
-    at = (at + 1) & (of->slot_count - 1);
-  }
-  return &of->slots[at];
-}
-
-static void grow(numbering *of) {
-  numbering larger = {.count = of->count,
-                      .slot_count = of->slot_count > 0 ? 2 * of->slot_count : 64};
-  larger.slots = cli_allocate(larger.slot_count, sizeof *larger.slots);
-  for (size_t i = 0; i < of->slot_count; i++) {
-    if (of->slots[i].bytes != NULL) {
-      *slot_of(&larger, of->slots[i].bytes, of->slots[i].length) = of->slots[i];
-    }
-  }
-  free(of->slots);
-  *of = larger;
-}
-
-/* Returns the number of a thing; of->count - 1 if it is new. */
-static size_t number_of(numbering *of, const char *bytes, size_t length) {
-  if (2 * of->count >= of->slot_count) {
-    grow(of);
-  }
-  struct slot *slot = slot_of(of, bytes, length);
-  if (slot->bytes == NULL) {
-    *slot = (struct slot){cli_allocate(length + 1, 1), length, of->count++};
-    memcpy(slot->bytes, bytes, length);
-  }
-  return slot->number;
-}
-
-static void free_numbering(numbering *of) {
-  for (size_t i = 0; i < of->slot_count; i++) {
-    free(of->slots[i].bytes);
-  }
-  free(of->slots);
-}
-
-/* ---- columns --------------------------------------------------------------------------------- */
-
-enum { SAMPLE, RADIUS, FREQUENCY, VALUE, ERROR, G, ETA, APERTURE, SOURCE, DETECTOR, COLUMNS };
-
-static const char *const columns[COLUMNS] = {
-    "sample", "r", "f", "R", "error", "g", "eta", "detector_na", "source_mm", "detector_mm"};
-
-#define ABSENT SIZE_MAX
-
-/* A line of the file. */
-typedef struct row {
-  size_t sample;
-  double numbers[COLUMNS];
-  uint64_t line;
-} row;
-
-typedef struct reading {
-  const char *source;
-  cli_csv_reader reader;
-  size_t at[COLUMNS]; /* positions in the header */
-  size_t column_count;
-  numbering names;
-  cli_readings *readings;
-  size_t row_count, row_capacity;
-  row *rows;
-} reading;
-
-__attribute__((format(printf, 3, 4))) static int fail_line(const reading *of, uint64_t line,
-                                                           const char *format, ...) {
-  char what[160];
-  va_list arguments;
-  va_start(arguments, format);
-  vsnprintf(what, sizeof what, format, arguments);
-  va_end(arguments);
-  return cli_fail("%s: line %llu: %s", of->source, (unsigned long long)line, what);
-}
-
-/* Finds the nearest column to a name that is not known; NULL if none is near. */
-static const char *nearest_to(const char *name) {
-  const char *nearest = NULL;
-  unsigned least = 3;
-  for (size_t i = 0; i < COLUMNS; i++) {
-    const unsigned apart = core_name_distance(name, columns[i]);
-    if (apart < least && apart <= strlen(columns[i]) / 3) {
-      least = apart;
-      nearest = columns[i];
-    }
-  }
-  return nearest;
-}
-
-static int take_column(reading *of, const char *name, size_t at) {
-  for (size_t i = 0; i < COLUMNS; i++) {
-    if (strcmp(name, columns[i]) == 0) {
-      if (of->at[i] != ABSENT) {
-        return cli_fail("%s: the header has the column %s twice: rename one", of->source, name);
-      }
-      of->at[i] = at;
-      return CLI_OK;
-    }
-  }
-  if (strcmp(name, "thickness") == 0 || strncmp(name, "phase", strlen("phase")) == 0) {
-    return cli_fail("%s: the column %s is of no medium that can be fitted: those are half spaces "
-                    "that scatter by Henyey-Greenstein's function",
-                    of->source, name);
-  }
-  const char *nearest = nearest_to(name);
-  return nearest == NULL
-             ? CLI_OK
-             : cli_fail("%s: the column %s is not read; the nearest that is read is %s: "
-                        "rename it",
-                        of->source, name, nearest);
-}
-
-static int take_header(reading *of, const cli_csv_record *header) {
-  int status = CLI_OK;
+typedef struct thing {
+  void *bytes;
   size_t length;
-  of->column_count = header->cell_count;
-  for (size_t i = 0; i < COLUMNS; i++) {
-    of->at[i] = ABSENT;
-  }
-  for (size_t i = 0; status == CLI_OK && i < header->cell_count; i++) {
-    status = take_column(of, cli_csv_cell_text(header, i, &length), i);
-  }
-  if (status != CLI_OK) {
-    return status;
-  }
-  if ((of->at[RADIUS] == ABSENT) == (of->at[FREQUENCY] == ABSENT)) {
-    return cli_fail("%s: the header needs either the column r (distances in mm) or the column f "
-                    "(spatial frequencies in 1/mm)",
-                    of->source);
-  }
-  for (size_t i = VALUE; i <= ERROR; i++) {
-    if (of->at[i] == ABSENT) {
-      return cli_fail("%s: the column %s is missing; the header needs r or f, R and error, and may "
-                      "have sample, g, eta, detector_na, source_mm and detector_mm",
-                      of->source, columns[i]);
-    }
-  }
-  of->readings->frequency = of->at[FREQUENCY] != ABSENT;
-  return CLI_OK;
+  size_t number; /* from 0 on */
+} thing;
+
+static int compare(const void *a, const void *b) {
+  const thing *x = a, *y = b;
+  return x->length != y->length ? (x->length > y->length) - (x->length < y->length)
+                                : memcmp(x->bytes, y->bytes, x->length);
 }
 
-/* ---- rows ------------------------------------------------------------------------------------ */
-
-/* Reads the number of a cell: NAN if it is empty or absent. */
-static int take_number(const reading *of, cli_csv_record *record, size_t column, double *number) {
-  size_t length;
-  *number = (double)NAN;
-  if (of->at[column] >= record->cell_count) {
-    return CLI_OK;
-  }
-  const char *text = cli_csv_cell_text(record, of->at[column], &length);
-  if (length == 0 || cli_csv_number(record, of->at[column], number)) {
-    return CLI_OK;
-  }
-  return fail_line(of, record->line, "%s: '%.40s' is no number%s", columns[column], text,
-                   cli_csv_number_hint(text));
+static void free_thing(void *one) {
+  free(((thing *)one)->bytes);
+  free(one);
 }
 
-static size_t sample_of(reading *of, const cli_csv_record *record) {
-  cli_readings *readings = of->readings;
-  const bool named = of->at[SAMPLE] < record->cell_count;
-  size_t length = 1;
-  const char *name = named ? cli_csv_cell_text(record, of->at[SAMPLE], &length) : "1";
-  const size_t number = number_of(&of->names, name, length);
-  if (number == readings->sample_count) {
-    if ((number & (number - 1)) == 0) {
-      readings->samples =
-          cli_resize(readings->samples, number > 0 ? 2 * number : 1, sizeof *readings->samples);
-    }
-    char *copy = cli_allocate(length + 1, 1);
-    memcpy(copy, name, length);
-    readings->samples[readings->sample_count++] = (cli_sample){
-        .name = copy, .g = (double)NAN, .eta = (double)NAN, .detector_na = (double)NAN};
+/* Returns the number of a thing, of which `*count` are in the tree already; *count - 1 if it is
+ * new. */
+static size_t number_of(void **tree, size_t *count, const void *bytes, size_t length) {
+  thing *one = cli_allocate(1, sizeof *one);
+  *one = (thing){cli_allocate(length + 1, 1), length, *count};
+  memcpy(one->bytes, bytes, length);
+  thing *const *found = tsearch(one, tree, compare);
+  if (found == NULL) {
+    fputs("dipole: out of memory\n", stderr);
+    exit(CLI_FAILED);
+  }
+  const size_t number = (*found)->number;
+  *count += *found == one;
+  if (*found != one) {
+    free_thing(one);
   }
   return number;
 }
 
-/* Sets what all lines of a sample must agree about. */
-static int set_of_sample(const reading *of, const row *from, size_t column, double *kept) {
-  const double given = from->numbers[column];
-  if (isnan(given) || !(*kept < given || *kept > given)) {
-    *kept = isnan(given) ? *kept : given;
-    return CLI_OK;
-  }
-  return fail_line(of, from->line, "%s differs from that of the sample's other lines",
-                   columns[column]);
-}
+/* ---- columns --------------------------------------------------------------------------------- */
 
-static int take_row(reading *of, cli_csv_record *record) {
-  row taken = {.line = record->line};
-  const char *fault = cli_csv_fault(record, of->column_count);
-  int status = fault != NULL ? fail_line(of, record->line, "%s", fault) : CLI_OK;
-  for (size_t i = RADIUS; status == CLI_OK && i < COLUMNS; i++) {
-    status = take_number(of, record, i, &taken.numbers[i]);
+enum { RADIUS, FREQUENCY, VALUE, ERROR, G, ETA, APERTURE, SOURCE, DETECTOR, COLUMNS };
+
+static const char *const names[COLUMNS] = {"r",   "f",           "R",         "error",      "g",
+                                           "eta", "detector_na", "source_mm", "detector_mm"};
+
+static bool check_header(const cli_sheet *sheet, const cli_csv_record *header) {
+  size_t length;
+  for (size_t i = 0; i < header->cell_count; i++) {
+    const char *name = cli_csv_cell_text(header, i, &length);
+    if (strcmp(name, "thickness") == 0 || strncmp(name, "phase", strlen("phase")) == 0) {
+      cli_fail("%s: the column %s is of no medium that can be fitted: those are half spaces that "
+               "scatter by Henyey-Greenstein's function",
+               sheet->source, name);
+      return false;
+    }
   }
-  if (status != CLI_OK) {
-    return status;
-  }
-  taken.sample = sample_of(of, record);
-  cli_sample *sample = &of->readings->samples[taken.sample];
-  status = set_of_sample(of, &taken, G, &sample->g);
-  status = status == CLI_OK ? set_of_sample(of, &taken, ETA, &sample->eta) : status;
-  status = status == CLI_OK ? set_of_sample(of, &taken, APERTURE, &sample->detector_na) : status;
-  sample->count++;
-  if (of->row_count == of->row_capacity) {
-    of->row_capacity = of->row_capacity > 0 ? 2 * of->row_capacity : 256;
-    of->rows = cli_resize(of->rows, of->row_capacity, sizeof *of->rows);
-  }
-  of->rows[of->row_count++] = taken;
-  return status;
+  const char *missing =
+      (sheet->at[RADIUS] == CLI_CSV_ABSENT) == (sheet->at[FREQUENCY] == CLI_CSV_ABSENT)
+          ? "r or f (one of both)"
+      : sheet->at[VALUE] == CLI_CSV_ABSENT ? "R"
+      : sheet->at[ERROR] == CLI_CSV_ABSENT ? "error"
+                                           : NULL;
+  return missing == NULL ||
+         cli_csv_fail_missing(
+             sheet->source, header, missing,
+             "r (distances in mm) or f (spatial frequencies in 1/mm), R and error, "
+             "and may have sample, g, eta, detector_na, source_mm and detector_mm");
 }
 
 /* ---- grouping -------------------------------------------------------------------------------- */
 
+/* Sets what all lines of a sample must agree about. */
+static bool set_of_sample(const cli_sheet *sheet, size_t row, size_t column, double *kept) {
+  const double given = cli_sheet_number(sheet, row, column);
+  const bool good = isnan(given) || !(*kept < given || *kept > given);
+  if (!good) {
+    cli_fail("%s: line %llu: %s differs from that of the sample's other lines", sheet->source,
+             (unsigned long long)sheet->lines[row], names[column]);
+  }
+  *kept = isnan(given) ? *kept : given;
+  return good;
+}
+
+/* Lists the samples, and counts their readings. numbers: [rows] those of the rows' samples */
+static bool list_samples(const cli_sheet *sheet, cli_readings *readings, size_t *numbers) {
+  void *tree = NULL;
+  size_t count = 0;
+  bool good = true;
+  readings->samples = cli_allocate(sheet->count, sizeof *readings->samples);
+  for (size_t row = 0; good && row < sheet->count; row++) {
+    const char *label = sheet->labels[row];
+    const size_t number = numbers[row] = number_of(&tree, &count, label, strlen(label));
+    cli_sample *sample = &readings->samples[number];
+    if (number == readings->sample_count) {
+      readings->sample_count++;
+      *sample = (cli_sample){
+          .name = strdup(label), .g = (double)NAN, .eta = (double)NAN, .detector_na = (double)NAN};
+    }
+    good = set_of_sample(sheet, row, G, &sample->g) &&
+           set_of_sample(sheet, row, ETA, &sample->eta) &&
+           set_of_sample(sheet, row, APERTURE, &sample->detector_na);
+    sample->count++;
+  }
+  tdestroy(tree, free_thing);
+  return good;
+}
+
+static double or_zero(double number) {
+  return isnan(number) ? 0 : number;
+}
+
 /* Puts the readings into their arrays, sample by sample. */
-static void arrange(const reading *of, cli_readings *readings) {
-  const size_t place = readings->frequency ? FREQUENCY : RADIUS;
-  const size_t count = of->row_count;
-  size_t next = 0;
+static void arrange(const cli_sheet *sheet, const size_t *numbers, cli_readings *readings) {
+  const size_t place = readings->frequency ? FREQUENCY : RADIUS, count = sheet->count;
+  double **const arrays[] = {&readings->at, &readings->values, &readings->errors,
+                             &readings->source_mm, &readings->detector_mm};
   readings->count = count;
-  readings->at = cli_allocate(count, sizeof(double));
-  readings->values = cli_allocate(count, sizeof(double));
-  readings->errors = cli_allocate(count, sizeof(double));
-  readings->source_mm = cli_allocate(count, sizeof(double));
-  readings->detector_mm = cli_allocate(count, sizeof(double));
   readings->lines = cli_allocate(count, sizeof *readings->lines);
-  for (size_t i = 0; i < readings->sample_count; i++) {
+  for (size_t i = 0; i < sizeof arrays / sizeof arrays[0]; i++) {
+    *arrays[i] = cli_allocate(count, sizeof(double));
+  }
+  for (size_t i = 0, next = 0; i < readings->sample_count; i++) {
     readings->samples[i].first = next;
     next += readings->samples[i].count;
     readings->samples[i].count = 0;
   }
-  for (size_t i = 0; i < count; i++) {
-    const row *from = &of->rows[i];
-    cli_sample *sample = &readings->samples[from->sample];
+  for (size_t row = 0; row < count; row++) {
+    cli_sample *sample = &readings->samples[numbers[row]];
     const size_t to = sample->first + sample->count++;
-    readings->at[to] = from->numbers[place];
-    readings->values[to] = from->numbers[VALUE];
-    readings->errors[to] = from->numbers[ERROR];
-    readings->source_mm[to] = isnan(from->numbers[SOURCE]) ? 0 : from->numbers[SOURCE];
-    readings->detector_mm[to] = isnan(from->numbers[DETECTOR]) ? 0 : from->numbers[DETECTOR];
-    readings->lines[to] = from->line;
+    readings->at[to] = cli_sheet_number(sheet, row, place);
+    readings->values[to] = cli_sheet_number(sheet, row, VALUE);
+    readings->errors[to] = cli_sheet_number(sheet, row, ERROR);
+    readings->source_mm[to] = or_zero(cli_sheet_number(sheet, row, SOURCE));
+    readings->detector_mm[to] = or_zero(cli_sheet_number(sheet, row, DETECTOR));
+    readings->lines[to] = sheet->lines[row];
   }
 }
 
 /* Numbers the designs of samples: g, eta, the aperture, and where the readings were taken. */
 static void number_designs(cli_readings *readings) {
   enum { OF_SAMPLE = 3 };
-  numbering designs = {0};
+  void *tree = NULL;
   double *key = NULL;
   for (size_t i = 0; i < readings->sample_count; i++) {
     cli_sample *sample = &readings->samples[i];
     const size_t n = sample->count, bytes = n * sizeof *key;
     key = cli_resize(key, OF_SAMPLE + 3 * n, sizeof *key);
-    key[0] = sample->g;
-    key[1] = sample->eta;
-    key[2] = sample->detector_na;
-    double *places = key + OF_SAMPLE;
-    memcpy(places, readings->at + sample->first, bytes);
-    memcpy(places + n, readings->source_mm + sample->first, bytes);
-    memcpy(places + 2 * n, readings->detector_mm + sample->first, bytes);
-    sample->design = number_of(&designs, (const char *)key, (OF_SAMPLE + 3 * n) * sizeof *key);
+    memcpy(key, (double[]){sample->g, sample->eta, sample->detector_na}, OF_SAMPLE * sizeof *key);
+    memcpy(key + OF_SAMPLE, readings->at + sample->first, bytes);
+    memcpy(key + OF_SAMPLE + n, readings->source_mm + sample->first, bytes);
+    memcpy(key + OF_SAMPLE + 2 * n, readings->detector_mm + sample->first, bytes);
+    sample->design =
+        number_of(&tree, &readings->design_count, key, (OF_SAMPLE + 3 * n) * sizeof *key);
   }
-  readings->design_count = designs.count;
   free(key);
-  free_numbering(&designs);
-}
-
-/* ---- the file -------------------------------------------------------------------------------- */
-
-static bool is_standard(const char *path) {
-  return path == NULL || strcmp(path, "-") == 0;
-}
-
-const char *cli_readings_source(const char *path) {
-  return is_standard(path) ? "standard input" : path;
-}
-
-static int read_all(reading *of) {
-  cli_csv_record record = {0};
-  bool has_header = false;
-  int status = CLI_OK;
-  enum cli_csv_kind kind = CLI_CSV_COMMENT;
-  while (status == CLI_OK && (kind == CLI_CSV_RECORD || kind == CLI_CSV_COMMENT)) {
-    kind = cli_csv_read(&of->reader, &record);
-    if (kind == CLI_CSV_RECORD) {
-      status = has_header ? take_row(of, &record) : take_header(of, &record);
-      has_header = true;
-    }
-  }
-  cli_csv_record_free(&record);
-  cli_csv_reader_free(&of->reader);
-  if (status == CLI_OK && kind == CLI_CSV_FAILED) {
-    return cli_fail("%s: %s", of->source, of->reader.problem);
-  }
-  return status != CLI_OK || of->row_count > 0
-             ? status
-             : cli_fail("%s: there are no readings; a header line names the columns: sample, r or "
-                        "f, R and error",
-                        of->source);
+  tdestroy(tree, free_thing);
 }
 
 int cli_readings_read(const char *path, cli_readings *readings) {
-  reading *of = cli_allocate(1, sizeof *of);
+  cli_sheet sheet;
   *readings = (cli_readings){0};
-  of->source = cli_readings_source(path);
-  of->readings = readings;
-  of->reader.fd = is_standard(path) ? STDIN_FILENO : open(path, O_RDONLY | O_CLOEXEC);
-  int status = of->reader.fd < 0 ? cli_fail("%s: %s", path, strerror(errno)) : read_all(of);
-  if (status == CLI_OK) {
-    arrange(of, readings);
+  bool good = cli_sheet_read(path, "sample", names, COLUMNS, check_header, &sheet);
+  readings->source = sheet.source;
+  if (good && sheet.count == 0) {
+    cli_fail("%s: there are no readings", sheet.source);
+    good = false;
+  }
+  size_t *numbers = cli_allocate(sheet.count, sizeof *numbers);
+  if (good && list_samples(&sheet, readings, numbers)) {
+    readings->frequency = sheet.at[FREQUENCY] != CLI_CSV_ABSENT;
+    arrange(&sheet, numbers, readings);
     number_designs(readings);
+  } else {
+    good = false;
   }
-  if (of->reader.fd > STDIN_FILENO) {
-    close(of->reader.fd);
-  }
-  free_numbering(&of->names);
-  free(of->rows);
-  free(of);
-  return status;
+  free(numbers);
+  cli_sheet_free(&sheet);
+  return good ? CLI_OK : CLI_FAILED;
 }
 
 void cli_readings_free(cli_readings *readings) {

@@ -14,7 +14,8 @@ typedef struct cli_sample {
 } cli_sample;
 
 typedef struct cli_readings {
-  bool frequency; /* the places are spatial frequencies */
+  const char *source; /* name of the file, for messages */
+  bool frequency;     /* the places are spatial frequencies */
   size_t sample_count;
   cli_sample *samples; /* in the order of their first lines */
   size_t design_count;
@@ -28,8 +29,5 @@ typedef struct cli_readings {
  * status. Free *readings in any case. */
 int cli_readings_read(const char *path, cli_readings *readings);
 void cli_readings_free(cli_readings *readings);
-
-/* Returns the name of the file for messages. */
-const char *cli_readings_source(const char *path);
 
 #endif

@@ -3,29 +3,78 @@
 #include <math.h>
 #include <stdlib.h>
 
+#include "clients/c/error.h"
 #include "clients/cli/csv.h"
 #include "clients/cli/number.h"
 
-/* Writes the column's cell of the header if a line of the header is being written. Returns whether
- * the value is to be written instead. */
+/* ---- JSON ------------------------------------------------------------------------------------ */
+
+static void write_text(const char *text, FILE *file) {
+  fputc('"', file);
+  for (size_t bytes; *text != '\0'; text += bytes > 0 ? bytes : 1) {
+    const unsigned char byte = (unsigned char)*text;
+    bytes = libdipole_character_bytes(text);
+    if (byte == '"' || byte == '\\') {
+      fprintf(file, "\\%c", byte);
+    } else if (byte < 0x20 || bytes == 0) {
+      fprintf(file, "\\u%04x", bytes == 0 ? 0xfffdU : byte);
+    } else {
+      fwrite(text, 1, bytes, file);
+    }
+  }
+  fputc('"', file);
+}
+
+static void write_number(double value, FILE *file) {
+  char text[CLI_NUMBER_BYTES];
+  cli_number_format(value, text);
+  if (isinf(value)) {
+    write_text(text, file);
+  } else {
+    fputs(isnan(value) ? "null" : text, file);
+  }
+}
+
+/* ---- cells ----------------------------------------------------------------------------------- */
+
+static void write_between(cli_rows *rows) {
+  fputs(rows->filled ? rows->between : "", rows->file);
+  rows->filled = true;
+}
+
+/* Writes the column's cell of the header if a line of the header is being written, and in JSON and
+ * titles the name. Returns whether the value is to be written. */
 static bool begin_value(cli_rows *rows, const cli_column *column) {
+  const char *head = column->head != NULL ? column->head : column->name;
+  const bool values = rows->pass == CLI_ROWS_VALUES;
   if (column->forms != 0 && (column->forms & 1U << rows->form) == 0) {
     return false;
   }
-  if (rows->form == CLI_CSV) {
-    fputs(rows->filled ? "," : "", rows->file);
-    rows->filled = true;
-    if (rows->pass != CLI_ROWS_VALUES) {
-      cli_csv_write_cell(column->name, rows->file);
-    }
-  } else if (rows->form == CLI_TABLE && rows->pass != CLI_ROWS_VALUES) {
-    const char *head = column->head != NULL ? column->head : column->name;
+  if (rows->pass == CLI_ROWS_TITLE) {
+    write_between(rows);
+    fprintf(rows->file, "%s%s", head, head[0] != '\0' ? " " : "");
+    return true;
+  }
+  if (rows->form == CLI_TABLE && !values) {
     const char *text = rows->pass == CLI_ROWS_OVER   ? column->over
                        : rows->pass == CLI_ROWS_HEAD ? head
                                                      : column->unit;
     cli_table_add(rows->table, "%s", text != NULL ? text : "");
+  } else if (rows->form == CLI_CSV) {
+    write_between(rows);
+    if (!values) {
+      cli_csv_write_cell(column->name, rows->file);
+    }
+  } else if (rows->form == CLI_JSON &&
+             (values || (column->unit != NULL && column->unit[0] != ' '))) {
+    write_between(rows);
+    write_text(column->name, rows->file);
+    fputs(": ", rows->file);
+    if (!values) {
+      write_text(column->unit, rows->file);
+    }
   }
-  return rows->pass == CLI_ROWS_VALUES;
+  return values;
 }
 
 void cli_put_shown(cli_rows *rows, const cli_column *column, double value, const char *text) {
@@ -34,8 +83,8 @@ void cli_put_shown(cli_rows *rows, const cli_column *column, double value, const
     return;
   }
   if (rows->form == CLI_JSON) {
-    cli_json_number(rows->json, column->name, value);
-  } else if (rows->form == CLI_CSV) {
+    write_number(value, rows->file);
+  } else if (rows->form == CLI_CSV || rows->pass == CLI_ROWS_TITLE) {
     fputs(isnan(value) ? "" : cli_number_format(value, number), rows->file);
   } else if (text != NULL) {
     cli_table_add(rows->table, "%s", text);
@@ -52,12 +101,10 @@ void cli_put_count(cli_rows *rows, const cli_column *column, uint64_t value) {
   if (!begin_value(rows, column)) {
     return;
   }
-  if (rows->form == CLI_JSON) {
-    cli_json_count(rows->json, column->name, value);
-  } else if (rows->form == CLI_CSV) {
-    fprintf(rows->file, "%llu", (unsigned long long)value);
-  } else {
+  if (rows->form == CLI_TABLE && rows->pass == CLI_ROWS_VALUES) {
     cli_table_add(rows->table, "%llu", (unsigned long long)value);
+  } else {
+    fprintf(rows->file, "%llu", (unsigned long long)value);
   }
 }
 
@@ -66,9 +113,11 @@ void cli_put_text(cli_rows *rows, const cli_column *column, const char *text) {
     return;
   }
   if (rows->form == CLI_JSON) {
-    cli_json_text(rows->json, column->name, text);
+    write_text(text, rows->file);
   } else if (rows->form == CLI_CSV) {
     cli_csv_write_cell(text, rows->file);
+  } else if (rows->pass == CLI_ROWS_TITLE) {
+    fputs(text, rows->file);
   } else {
     cli_table_add(rows->table, "%s", text);
   }
@@ -95,12 +144,8 @@ static bool keep_filled(cli_table *table, size_t first) {
   return filled;
 }
 
-void cli_rows_print(FILE *file, size_t left, size_t count, cli_put_row *put, const void *context) {
-  cli_rows_fit(file, 0, left, count, put, context);
-}
-
-void cli_rows_fit(FILE *file, size_t width, size_t left, size_t count, cli_put_row *put,
-                  const void *context) {
+void cli_rows_print(FILE *file, size_t width, size_t left, size_t count, cli_put_row *put,
+                    const void *context) {
   cli_table table = {.left = left, .width = width};
   cli_rows rows = {.form = CLI_TABLE, .table = &table};
   for (rows.pass = CLI_ROWS_OVER; rows.pass < CLI_ROWS_VALUES; rows.pass++) {
@@ -115,47 +160,67 @@ void cli_rows_fit(FILE *file, size_t width, size_t left, size_t count, cli_put_r
   cli_table_print(&table, file);
 }
 
-void cli_rows_csv(FILE *file, bool names, size_t count, cli_put_row *put, const void *context) {
-  cli_rows rows = {.form = CLI_CSV, .file = file, .pass = CLI_ROWS_HEAD};
+void cli_rows_csv(bool names, size_t count, cli_put_row *put, const void *context) {
+  cli_rows rows = {.form = CLI_CSV, .file = stdout, .between = ",", .pass = CLI_ROWS_HEAD};
   if (names) {
     put(&rows, context, 0);
-    fputc('\n', file);
+    putchar('\n');
   }
   rows.pass = CLI_ROWS_VALUES;
   for (size_t i = 0; i < count; i++) {
     rows.filled = false;
     put(&rows, context, i);
-    fputc('\n', file);
+    putchar('\n');
   }
 }
 
-void cli_rows_members(cli_json *json, cli_put_row *put, const void *context, size_t index) {
-  cli_rows rows = {.form = CLI_JSON, .pass = CLI_ROWS_VALUES, .json = json};
+void cli_rows_object(cli_put_row *put, const void *context, size_t index) {
+  cli_rows rows = {.form = CLI_JSON, .pass = CLI_ROWS_VALUES, .file = stdout, .between = ", "};
+  putchar('{');
   put(&rows, context, index);
+  putchar('}');
 }
 
-void cli_rows_json(cli_json *json, const char *key, size_t count, cli_put_row *put,
-                   const void *context) {
-  cli_json_begin(json, key, '[');
-  for (size_t i = 0; i < count; i++) {
-    cli_json_begin(json, NULL, '{');
-    cli_rows_members(json, put, context, i);
-    cli_json_end(json, '}');
+static void write_json(const cli_report *report, const void *context) {
+  cli_rows rows = {.form = CLI_JSON, .pass = CLI_ROWS_VALUES, .file = stdout, .between = ",\n  "};
+  fputs("{\n  ", stdout);
+  if (report->facts != NULL) {
+    report->facts(&rows, context, 0);
+    fputs(rows.filled ? rows.between : "", stdout);
   }
-  cli_json_end(json, ']');
+  fputs("\"units\": {", stdout);
+  rows = (cli_rows){.form = CLI_JSON, .pass = CLI_ROWS_UNIT, .file = stdout, .between = ", "};
+  report->put_row(&rows, context, 0);
+  fputs("},\n  \"rows\": [", stdout);
+  for (size_t i = 0; i < report->rows; i++) {
+    fputs(i > 0 ? ",\n    " : "\n    ", stdout);
+    cli_rows_object(report->put_row, context, i);
+  }
+  fputs("\n  ]\n}\n", stdout);
 }
 
-void cli_write(const cli_output *output, enum cli_form form, const void *context) {
+static void write_table(const cli_report *report, const void *context) {
+  if (report->facts != NULL) {
+    cli_rows title = {.form = CLI_TABLE, .pass = CLI_ROWS_TITLE, .file = stdout, .between = ", "};
+    report->facts(&title, context, 0);
+    fputs("\n\n", stdout);
+  }
+  if (report->table != NULL) {
+    report->table(context);
+    return;
+  }
+  cli_rows_print(stdout, 0, report->left, report->rows, report->put_row, context);
+  if (report->foot != NULL) {
+    report->foot(context);
+  }
+}
+
+void cli_write(const cli_report *report, enum cli_form form, const void *context) {
   if (form == CLI_TABLE) {
-    output->table(context);
-  } else if (form == CLI_CSV && output->csv != NULL) {
-    output->csv(context);
+    write_table(report, context);
   } else if (form == CLI_CSV) {
-    cli_rows_csv(stdout, true, output->rows, output->put_row, context);
+    cli_rows_csv(true, report->rows, report->put_row, context);
   } else if (form == CLI_JSON) {
-    cli_json json = {.file = stdout};
-    cli_json_begin(&json, NULL, '{');
-    output->members(&json, context);
-    cli_json_end(&json, '}');
+    write_json(report, context);
   }
 }

@@ -4,7 +4,6 @@
 #define DIPOLE_CLI_ROWS_H
 
 #include "clients/cli/cli.h"
-#include "clients/cli/json.h"
 #include "clients/cli/table.h"
 
 /* Bits for cli_column.forms. */
@@ -12,7 +11,7 @@ enum { CLI_IN_TABLE = 1 << CLI_TABLE, CLI_IN_CSV = 1 << CLI_CSV, CLI_IN_JSON = 1
 
 typedef struct cli_column {
   const char *name;    /* in CSV and JSON */
-  const char *head;    /* in a table; NULL for the name */
+  const char *head;    /* for people; NULL for the name */
   const char *unit;    /* below the head in a table; NULL for none */
   const char *format;  /* of a number in a table; NULL for "%.6g" */
   const char *missing; /* what a table shows instead of NaN; NULL for "nan" */
@@ -22,13 +21,13 @@ typedef struct cli_column {
 
 #define CLI_COLUMN(...) (&(const cli_column){.name = __VA_ARGS__})
 
-/* Which line of the output is being written. The header of a table has up to three lines. That of
- * CSV is the line of names. */
+/* What is being written of a row. */
 enum cli_pass {
   CLI_ROWS_OVER,   /* the header's line above the names; see cli_column.over */
   CLI_ROWS_HEAD,   /* the header's line of names */
-  CLI_ROWS_UNIT,   /* the header's line of units */
+  CLI_ROWS_UNIT,   /* the header's line of units; in JSON the members of "units" */
   CLI_ROWS_VALUES, /* a row of values */
+  CLI_ROWS_TITLE,  /* for people: names and values on one line */
 };
 
 /* What a row is written to. */
@@ -37,15 +36,16 @@ typedef struct cli_rows {
   enum cli_pass pass;
   FILE *file;
   cli_table *table;
-  cli_json *json; /* for CLI_JSON, where a row may write further members of its object; else NULL */
-  bool filled;    /* this line of CSV has a cell already */
+  const char *between; /* of two cells on this line, or members of this object */
+  bool filled;         /* it has one already */
 } cli_rows;
 
 /* Writes row `index`: calls one of the functions below for each column, always for the same columns
  * in the same order. For a line of the header, `index` is 0 and the values do not matter. */
 typedef void cli_put_row(cli_rows *rows, const void *context, size_t index);
 
-/* These write one cell. A number that is NaN is an empty cell in CSV and null in JSON. */
+/* These write one cell. A number that is NaN is an empty cell in CSV and null in JSON, where
+ * infinities are the texts "inf" and "-inf". */
 void cli_put_number(cli_rows *rows, const cli_column *column, double value);
 void cli_put_count(cli_rows *rows, const cli_column *column, uint64_t value);
 void cli_put_text(cli_rows *rows, const cli_column *column, const char *text);
@@ -56,30 +56,29 @@ void cli_put_shown(cli_rows *rows, const cli_column *column, double value, const
 /* Writes the four coefficients of a medium. */
 void cli_put_medium(cli_rows *rows, const dipole_medium *medium);
 
-/* These write `count` rows, at least one: as an aligned table, whose first `left` columns are
- * aligned left; as CSV, after a line of names if `names` is true; or as an array of objects with
- * this key. */
-void cli_rows_print(FILE *file, size_t left, size_t count, cli_put_row *put, const void *context);
-/* Like cli_rows_print(), for a terminal of a width in characters; see cli_table.width. */
-void cli_rows_fit(FILE *file, size_t width, size_t left, size_t count, cli_put_row *put,
-                  const void *context);
-void cli_rows_csv(FILE *file, bool names, size_t count, cli_put_row *put, const void *context);
-void cli_rows_json(cli_json *json, const char *key, size_t count, cli_put_row *put,
-                   const void *context);
+/* Writes `count` rows, at least one, as an aligned table, whose first `left` columns are aligned
+ * left. width: see cli_table.width. */
+void cli_rows_print(FILE *file, size_t width, size_t left, size_t count, cli_put_row *put,
+                    const void *context);
 
-/* Writes one row as members of the innermost JSON object. */
-void cli_rows_members(cli_json *json, cli_put_row *put, const void *context, size_t index);
+/* Write rows as CSV, after a line of names if `names` is true; or a row as an object of JSON on one
+ * line. */
+void cli_rows_csv(bool names, size_t count, cli_put_row *put, const void *context);
+void cli_rows_object(cli_put_row *put, const void *context, size_t index);
 
-/* How a command writes what `context` holds to standard output, in each form. */
-typedef struct cli_output {
-  void (*table)(const void *context);
-  void (*csv)(const void *context); /* NULL: CSV has `rows` rows by put_row() */
+/* A command's output, written to standard output in each form. JSON is an object of the facts,
+ * "units" and "rows", which has an object for each row; CSV has the rows; people get a line of the
+ * facts, and the rows unless there is table(). */
+typedef struct cli_report {
+  cli_put_row *facts; /* one row, of what holds for all; NULL for none */
   size_t rows;
   cli_put_row *put_row;
-  void (*members)(cli_json *json, const void *context); /* the members of the JSON object */
-} cli_output;
+  size_t left;                        /* see cli_rows_print() */
+  void (*table)(const void *context); /* NULL for the rows, and then foot(), unless that is NULL */
+  void (*foot)(const void *context);
+} cli_report;
 
 /* Writes nothing for CLI_NONE. */
-void cli_write(const cli_output *output, enum cli_form form, const void *context);
+void cli_write(const cli_report *report, enum cli_form form, const void *context);
 
 #endif

@@ -14,13 +14,13 @@ typedef struct table_settings {
 
 static const cli_option options[] = {
     {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"model", "NAME", "see `dipole info` (default: transport)", CLI_TEXT,
-     offsetof(cli_profile_settings, model), CLI_MODEL_DEFAULT},
-    {CLI_MOMENTS_OPTION, "exact"},
+    {"model", "NAME", "see `dipole info`", CLI_TEXT, offsetof(cli_profile_settings, model),
+     CLI_MODEL_DEFAULT},
+    {CLI_MOMENTS_OPTION, NULL},
     {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
     {"output", "FILE",
-     "write the tables into FILE, binary, one behind the other; -: only write\n"
-     "them to standard output",
+     "write the tables into FILE, binary, one behind the other; -: only write them to standard "
+     "output",
      CLI_TEXT, offsetof(table_settings, output), NULL},
     {0},
 };
@@ -68,7 +68,7 @@ static int fetch(const table_settings *settings, dipole_client *client, report *
 
 /* ---- writing --------------------------------------------------------------------------------- */
 
-/* Writes the table of a channel, for people and in JSON. */
+/* Puts the table of a channel. */
 static void put_table(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
   const dipole_table_info *info = dipole_table_get_info(of->tables.items[index]);
@@ -77,42 +77,28 @@ static void put_table(cli_rows *rows, const void *context, size_t index) {
   cli_put_text(rows, CLI_COLUMN("channel"), of->profile.channels[index].name);
   cli_put_medium(rows, &info->medium);
   cli_put_number(rows, CLI_COLUMN("albedo"), info->albedo);
-  if (rows->form == CLI_JSON) {
-    cli_json_number(rows->json, "numerical_error", info->numerical_error);
-    cli_json_number(rows->json, "numerical_error_per_mm", info->numerical_error_per_mm);
-    cli_json_number(rows->json, "reach", info->reach_mm);
-    cli_json_number(rows->json, "model_error", info->model_error);
-    cli_json_notes(rows->json, of->profile.info, info->notes);
-  }
   cli_put_number(rows, CLI_COLUMN("pieces_from", "pieces from", "mm", "%.4g"),
                  info->pieces_from_mm);
   cli_put_number(rows, CLI_COLUMN("pieces_to", "to", "mm", "%.4g"), info->pieces_to_mm);
-  if (rows->form == CLI_JSON) {
-    cli_json_number(rows->json, "radius_least", info->radius_least_mm);
-    cli_json_number(rows->json, "radius_most", info->radius_most_mm);
-  }
-  if (rows->form == CLI_JSON) {
-    cli_json_count(rows->json, "layout", info->layout);
-    cli_json_counts(rows->json, "words", info->words, info->word_count);
-    return;
-  }
   cli_put_count(rows, CLI_COLUMN("bytes"), bytes);
-  cli_put_number(rows, CLI_COLUMN("numerical error", NULL, "relative, at most", "%.1e"),
+  cli_put_number(rows,
+                 CLI_COLUMN("numerical_error", "numerical error", "relative, at most", "%.1e"),
                  info->numerical_error);
   cli_put_number(rows, CLI_COLUMN("reach", "holds up to", "mm", "%.4g"), info->reach_mm);
-  cli_put_number(rows, CLI_COLUMN("model error", NULL, "at all radii", "%.1e", "by radius"),
+  cli_put_number(rows,
+                 CLI_COLUMN("model_error", "model error", "at all radii", "%.1e", "by radius"),
                  info->model_error);
 }
 
-static void write_table(const void *context) {
+static void put_facts(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
-  const cli_profile *profile = &of->profile;
+  (void)index;
+  cli_put_profile(rows, &of->profile);
+}
+
+static void write_foot(const void *context) {
+  const report *of = context;
   unsigned notes = 0;
-  cli_write_medium(profile, stdout);
-  printf("tables of %s, moments %s", profile->model->name, profile->moments->name);
-  cli_write_parameters(profile, stdout);
-  fputs("\n\n", stdout);
-  cli_rows_print(stdout, 1, of->tables.count, put_table, of);
   puts("numerical error: of R and cdf against the model's formula, as measured\n"
        "holds up to: the numerical error of R is larger at radii beyond this one\n"
        "model error: of the model against radiative transport\n"
@@ -120,21 +106,8 @@ static void write_table(const void *context) {
   for (size_t i = 0; i < of->tables.count; i++) {
     notes |= dipole_table_get_info(of->tables.items[i])->notes;
   }
-  cli_write_launched(profile->media, profile->channel_count, stdout);
-  cli_write_notes(profile->info, notes, stdout);
-}
-
-static void put_members(cli_json *json, const void *context) {
-  const report *of = context;
-  const cli_profile *profile = &of->profile;
-  cli_json_head(json, profile);
-  cli_json_text(json, "model", profile->model->name);
-  cli_json_text(json, "source", profile->model->about);
-  cli_json_text(json, "moments", profile->moments->name);
-  cli_json_parameters(json, profile);
-  cli_json_texts(json, "units", "sigma_a", "1/mm", "sigma_s", "1/mm", "pieces_from", "mm",
-                 "pieces_to", "mm", "radius_least", "mm", "radius_most", "mm", "reach", "mm", NULL);
-  cli_rows_json(json, "tables", of->tables.count, put_table, of);
+  cli_write_launched(of->profile.media, of->profile.channel_count);
+  cli_write_notes(of->profile.info, notes);
 }
 
 /* ---- the command ----------------------------------------------------------------------------- */
@@ -151,7 +124,11 @@ static int ask_and_write(const table_settings *settings, dipole_client *client, 
   if (is_to_standard(settings)) {
     return CLI_OK;
   }
-  const cli_output output = {.table = write_table, .members = put_members};
+  const cli_report output = {.facts = put_facts,
+                             .rows = of->tables.count,
+                             .put_row = put_table,
+                             .left = 1,
+                             .foot = write_foot};
   cli_write(&output, settings->profile.common.form, of);
   return CLI_OK;
 }
@@ -172,11 +149,10 @@ const cli_command cli_command_table = {
         "Each channel has a table, as the evaluator lut uses it. --tolerance says how exact it\n"
         "is, from 1e-6 to 1 (default: 1e-4). A value above 0.1 counts as 0.1. `dipole eval\n"
         "--table`, libdipole and the Python module evaluate a file of --output to the same bits\n"
-        "and errors as the daemon.\n"
-        "\n"
-        "JSON has the words as integers. proto/PROTOCOL.md describes them.\n",
-    .formats = "table,json",
-    .options = {cli_medium_options, options, cli_parameter_options},
+        "and errors as the daemon.\n",
+    .formats = "table,csv,json",
+    .options = {cli_medium_options, options},
+    .parameters = CLI_OF_MODELS,
     .examples = "  dipole table --medium skin1 --output skin1.table\n"
                 "  dipole eval --table skin1.table --r 0.1,1,10 --wanted R,cdf\n"
                 "  dipole table --sigma-a 0.01 --sigma-s 1 --tolerance 1e-5 --format json\n",

@@ -24,27 +24,26 @@ static const cli_option options[] = {
     {"Media", NULL, NULL, CLI_HEADING, 0, NULL},
     CLI_LENGTH_OPTIONS(texture_settings, lengths),
     {"g", "X", "mean cosine of the scattering angle (default: 0)", CLI_NUMBER, FIELD(g), NULL},
-    {"eta", "X", "refractive index inside over outside (default: 1.3)", CLI_NUMBER, FIELD(eta),
-     "1.3"},
+    {"eta", "X", "refractive index inside over outside", CLI_NUMBER, FIELD(eta), "1.3"},
     {"Colours", NULL, NULL, CLI_HEADING, 0, NULL},
     {"light", "NAME",
-     "the light of the colours: beam, at normal incidence, or diffuse, the same\n"
-     "from all directions (default: beam)",
+     "the light of the colours: beam, at normal incidence, or diffuse, the same "
+     "from all directions",
      CLI_TEXT, FIELD(light), "beam"},
     {"specular", NULL, "the colours contain what the surface itself reflects (Fresnel)", CLI_SWITCH,
      FIELD(specular), NULL},
     {"linear", NULL,
-     "the values of a PNG are linear, whatever it says (default: what it says,\n"
+     "the values of a PNG are linear, whatever it says (default: what it says, "
      "by gAMA, else sRGB)",
      CLI_SWITCH, FIELD(linear), NULL},
     {"coefficients", "NAME[,NAME...]",
-     "what to write: sigma_a, sigma_s (1/mm), and scattered, the single-scattering\n"
+     "what to write: sigma_a, sigma_s (1/mm), and scattered, the single-scattering "
      "albedo for random walks (default: sigma_a,sigma_s)",
      CLI_NAMES, FIELD(wanted), NULL},
     {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"model", "NAME", "the model that the colours are right for (default: transport)", CLI_TEXT,
-     FIELD(profile.model), CLI_MODEL_DEFAULT},
-    {CLI_MOMENTS_OPTION, "exact"},
+    {"model", "NAME", "the model that the colours are right for", CLI_TEXT, FIELD(profile.model),
+     CLI_MODEL_DEFAULT},
+    {CLI_MOMENTS_OPTION, NULL},
     {CLI_DEADLINE_OPTION, NULL},
     {0},
 };
@@ -84,7 +83,7 @@ static int check(void *given) {
     return cli_fail_usage("--%s has %zu values: give one, or three for red, green and blue", length,
                           lengths->count);
   }
-  return cli_deadline_check(&settings->profile);
+  return CLI_OK;
 }
 
 /* Finds the coefficients that are wanted. */
@@ -125,27 +124,26 @@ static int take_settings(texture_run *run) {
   const texture_settings *settings = run->settings;
   const cli_profile_settings *profile = &settings->profile;
   const char *length;
-  const dipole_info *info = dipole_get_info(run->client);
+  cli_profile names = {0};
   cli_lengths_find(&settings->lengths, &length);
-  const dipole_choice *model = cli_named(info, DIPOLE_MODEL, "model", profile->model);
-  const dipole_choice *moments =
-      model == NULL ? NULL : cli_named(info, DIPOLE_MOMENTS, "moments", profile->moments);
-  const dipole_choice *light =
-      moments == NULL ? NULL : cli_named(info, DIPOLE_LIGHT, "light", settings->light);
-  const dipole_choice *given = cli_choice(info, DIPOLE_LENGTH, length);
-  if (light == NULL || given == NULL || !take_wanted(run, info) ||
-      !cli_parameters_take(info, profile, &run->parameters)) {
+  if (!cli_profile_take_names(profile, run->client, &names)) {
     return CLI_USAGE;
   }
+  const dipole_choice *light = cli_named(names.info, DIPOLE_LIGHT, "light", settings->light);
+  const dipole_choice *given = cli_choice(names.info, DIPOLE_LENGTH, length);
+  if (light == NULL || given == NULL || !take_wanted(run, names.info)) {
+    return CLI_USAGE;
+  }
+  run->parameters = names.parameters;
   const bool shares = run->query.coefficients == DIPOLE_SCATTERED;
   if (!cli_image_can_write(profile->common.second_operand, shares)) {
     return cli_fail_usage("%s: the name of the image that is written ends with .pfm, or with .png "
                           "if --coefficients is scattered",
                           profile->common.second_operand);
   }
-  run->query.model = model->id;
+  run->query.model = names.model->id;
   run->query.evaluator = DIPOLE_F32;
-  run->query.moments = moments->id;
+  run->query.moments = names.moments->id;
   run->query.light = light->id;
   run->query.given = given->id;
   run->query.specular = settings->specular;
@@ -299,7 +297,8 @@ const cli_command cli_command_texture = {
         "Both keep the numbers. FFmpeg 5.1 turns a PFM upside down when it writes and reads one:\n"
         "add `-vf vflip` if the image that went in was no EXR.\n",
     .formats = "none",
-    .options = {options, cli_parameter_options},
+    .options = {options},
+    .parameters = CLI_OF_MODELS,
     .examples =
         "  dipole texture skin.png skin.pfm --mean-free-path 1,.5,.3\n"
         "  dipole texture skin.png albedo.png --mean-free-path 1 --coefficients scattered\n",

@@ -219,14 +219,14 @@ static void top_write_table(const dipole_info *info, const top_record *record, s
   } else {
     fputs("Each second, since its start\n\n", file);
   }
-  cli_rows_fit(file, width, 0, 1, put_rates, record);
+  cli_rows_print(file, width, 0, 1, put_rates, record);
   fputs("\nNow\n", file);
-  cli_rows_fit(file, width, 0, 1, put_gauges, record);
+  cli_rows_print(file, width, 0, 1, put_gauges, record);
   fputs("\n", file);
   for (size_t from = 0; next_latency(record, &from, kind, sizeof kind);) {
     kinds++;
   }
-  cli_rows_fit(file, width, 1, kinds, put_latency, record);
+  cli_rows_print(file, width, 1, kinds, put_latency, record);
   write_active(record, "radii_", "radii_evaluated", "radii of model", file);
   write_active(record, "answers_", "answers_ok", "errors", file);
 }
@@ -268,19 +268,6 @@ static void put_record(cli_rows *rows, const void *context, size_t index) {
       cli_put_number(rows, CLI_COLUMN(name), (double)top_value(record, name));
     }
   }
-}
-
-/* Writes a line of CSV, after a line of names if `names` is true. */
-static void top_write_csv(const top_record *record, bool names, FILE *file) {
-  cli_rows_csv(file, names, 1, put_record, record);
-}
-
-/* Writes a JSON object with the same names as CSV on one line. */
-static void top_write_json(const top_record *record, FILE *file) {
-  cli_json json = {.file = file, .one_line = true};
-  cli_json_begin(&json, NULL, '{');
-  cli_rows_members(&json, put_record, record, 0);
-  cli_json_end(&json, '}');
 }
 
 /* ---- time ------------------------------------------------------------------------------------ */
@@ -403,9 +390,10 @@ static void show(enum cli_form form, const dipole_info *info, const top_record *
       top_write_table(info, record, 0, stdout);
     }
   } else if (form == CLI_CSV) {
-    top_write_csv(record, number == 0, stdout);
+    cli_rows_csv(number == 0, 1, put_record, record);
   } else {
-    top_write_json(record, stdout);
+    cli_rows_object(put_record, record, 0);
+    putchar('\n');
   }
   fflush(stdout);
 }
@@ -553,8 +541,8 @@ static int run(void *given, dipole_client *client) {
 
 static const cli_option options[] = {
     {"How often", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"interval", "S", "seconds between two tables (default: 1)", CLI_NUMBER,
-     offsetof(top_settings, interval_s), "1"},
+    {"interval", "S", "seconds between two tables", CLI_NUMBER, offsetof(top_settings, interval_s),
+     "1"},
     {"count", "N", "end after N intervals (default: only at Ctrl-C)", CLI_COUNT,
      offsetof(top_settings, count), NULL},
     {0},

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import xml.etree.ElementTree as ElementTree
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,57 +15,30 @@ FAKE = """#!/bin/sh
 """
 
 
-@dataclass
-class Curve:
-    title: str
-    style: str  # how it is drawn, with its colour and dash
-    data: np.ndarray  # [N, 3]: place, what is shown there, its error; without undefined points
-
-
-@dataclass
-class Panel:
-    settings: dict[str, str]  # by their names, such as "title", "logscale y" and "yrange"
-    curves: list[Curve]
-
-
-def script(folder: Path, *arguments: str, to: str = "r.svg", **how) -> list[Panel]:
-    """Runs a command with a gnuplot that draws nothing. Returns the panels that it was to draw."""
+def script(folder: Path, *arguments: str, **how) -> tuple[dict[str, str], dict[str, np.ndarray]]:
+    """Runs a command with a gnuplot that draws nothing. Returns the variables that it was to draw by,
+    and the data of each curve by its title: lines of a place, what is shown there, its error, and
+    the two of the lower panel."""
     fake = folder / "fake" / "gnuplot"
     fake.parent.mkdir(exist_ok=True)
     fake.write_text(FAKE)
     fake.chmod(0o755)
-    path = to if to == "-" else str(folder / to)
     env = {"PATH": f"{fake.parent}:{os.environ['PATH']}"}
-    run = dipole(*arguments, "--plot", path, env=env, **how)
-    assert (run.stdout if to == "-" else Path(path).read_text()).count("drawn\n") == 1
-    return read_script(Path(f"{fake}.script").read_text())
-
-
-def read_script(text: str) -> list[Panel]:
-    panels, settings, blocks = [], {}, {}
-    for block in re.finditer(r"\$(\w+) << END\n(.*?)END\n", text, re.S):
-        data = np.array([line.split() for line in block[2].splitlines()], np.float64)
-        blocks[block[1]] = data[~np.isnan(data[:, 0])]
-    for line in re.sub(r"\$\w+ << END\n.*?END\n", "", text, flags=re.S).splitlines():
-        word, name, value = (*line.split(" ", 2), "", "")[:3]
-        if word == "plot":
-            found = re.findall(r'\$(\w+) using (.*?) title "(.*?)"', line)
-            curves = [Curve(plain(title), style, blocks[name]) for name, style, title in found]
-            panels.append(Panel(dict(settings), curves))
-        elif name == "logscale":
-            names = [f"logscale {value}"] if word == "set" else ["logscale x", "logscale y"]
-            settings = {k: v for k, v in settings.items() if k not in names}
-            settings |= dict.fromkeys(names, "set") if word == "set" else {}
-        elif word == "set":
-            settings[name] = plain(value)
-        elif word == "unset":
-            settings.pop(name, None)
-    return panels
+    dipole(*arguments, "--plot", str(folder / "r.svg"), env=env, **how)
+    assert (folder / "r.svg").read_text() == "drawn\n"
+    text = Path(f"{fake}.script").read_text()
+    names = {name: plain(value) for name, value in re.findall(r"(?m)^([\w\[\]]+) = (.*)$", text)}
+    blocks = re.search(r"\$data << END\n(.*?)END\n", text, re.S)[1].split("\n\n\n")[:-1]
+    curves = {
+        names[f"T[{i + 1}]"]: np.array([line.split() for line in block.splitlines()], np.float64)
+        for i, block in enumerate(blocks)
+    }
+    return names, curves
 
 
 def plain(text: str) -> str:
     """Returns a text without its quotes, and without the octal numbers that stand for characters."""
-    return re.sub(r"\\0([0-7]{3})", lambda octal: chr(int(octal[1], 8)), text.strip('"'))
+    return re.sub(r"\\0([0-7]{3})", lambda octal: chr(int(octal[1], 8)), text.strip("\"'"))
 
 
 def svg_lines(path: Path) -> int:

@@ -62,23 +62,6 @@ def test_csv_has_a_line_for_each_sample(readings, slave):
             assert float(row["chi2"]) == pytest.approx(same.chi_squared, abs=1e-12)
 
 
-def test_table_and_json(readings, tmp_path):
-    path = tmp_path / "readings.csv"
-    path.write_text(table_of(readings))
-    text = dipole("fit", str(path), *OPTIONS).stdout
-    head = text.splitlines()
-    assert "model better" in head[0] and "scale absolute" in head[0]
-    assert "sigma_s'" in head[2] and head[3].split().count("1/mm") == 6
-    assert "its error" not in text  # the factor is known
-    assert "its error" in dipole("fit", str(path), *OPTIONS, "--scale", "free").stdout
-    report = json.loads(dipole("fit", str(path), *OPTIONS, "--format", "json").stdout)
-    assert (report["model"], report["axis"], report["scale"]) == ("better", "r", "absolute")
-    assert report["notes"] == [] and report["units"]["sigma_a"] == "1/mm"
-    one = report["samples"][1]
-    assert one["sample"] == "skin" and one["status"] == "fitted" and len(one["residuals"]) == 4
-    assert one["sigma_s_prime"] == pytest.approx(1.0, rel=1e-6) and one["condition"] > 1
-
-
 def test_lines_of_samples_in_any_order_and_columns_too(readings):
     """What is found does not depend on the order of lines, or on columns that are not read."""
     usual = rows(
@@ -93,36 +76,6 @@ def test_lines_of_samples_in_any_order_and_columns_too(readings):
     assert found == usual
 
 
-def test_no_sample_column_and_g_and_eta_of_the_file(readings):
-    R = readings["milk"]
-    head = "r,R,error,g,eta\n"
-    data = "".join(f"{r},{v!r},{0.01 * v!r},0.8,1.4\n" for r, v in zip(AT_MM, R.tolist()))
-    found = rows(dipole("fit", "--model", "better", "--format", "csv", stdin=head + data).stdout)
-    assert [row["sample"] for row in found] == ["1"]
-    assert float(found[0]["sigma_s_prime"]) == pytest.approx(1.5, rel=1e-6)
-    text = dipole("fit", "--model", "better", stdin=head + data).stdout
-    assert "note: similarity: " in text
-
-
-def test_an_eta_has_to_be_given_and_what_was_taken_is_shown(readings):
-    """A wrong eta or g gives wrong coefficients that fit as well."""
-    text = table_of(readings)
-    refused = dipole("fit", "--model", "better", stdin=text, status=USAGE)
-    assert refused.stdout == "" and "sample milk: its eta is not known: give --eta X" in refused.stderr
-    some = "sample,r,R,error,g,eta\n" + text.partition("\n")[2].replace("\n", ",0.8,1.4\n", 4)
-    refused = dipole("fit", "--model", "better", stdin=some, status=USAGE)
-    assert "sample skin: its eta is not known" in refused.stderr
-    for options, taken in (([], ["0.8 file", "0 default"]), (["--g", "0.5"], ["0.8 file", "0.5 option"])):
-        found = rows(dipole("fit", *OPTIONS, *options, "--format", "csv", stdin=some).stdout)
-        assert [f"{row['g']} {row['g_from']}" for row in found] == taken
-        assert {row["eta"] for row in found} == {"1.4"}
-        table = dipole("fit", *OPTIONS, *options, stdin=some).stdout
-        assert all(" ".join([*one.split(), "both 1.4"]) in " ".join(table.split()) for one in taken)
-        told = json.loads(dipole("fit", *OPTIONS, *options, "--format", "json", stdin=some).stdout)
-        assert [f"{one['g']:g} {one['g_from']} {one['eta']}" for one in told["samples"]] == [
-            f"{one} 1.4" for one in taken]
-
-
 def test_how_much_a_wrong_g_changes(slave):
     """Readings made with g .9 and fitted with .8 look right. What +-.05 changes is half of what that
     step of .1 does: .50 to .58 of it for these."""
@@ -135,7 +88,7 @@ def test_how_much_a_wrong_g_changes(slave):
     for form in ("csv", "json"):
         arguments = ["--eta", "1.4", "--format", form, "--model"]
         run = dipole("fit", *arguments, "transport", "--g", "0.8", stdin=text).stdout
-        found = rows(run) if form == "csv" else json.loads(run)["samples"]
+        found = rows(run) if form == "csv" else json.loads(run)["rows"]
         assert len(found) == 9
         for row in found:
             assert (row["status"], row["g_sides"]) == ("fitted", "both")
@@ -179,7 +132,7 @@ def test_an_aperture_of_the_file_and_of_an_option(readings):
     first, second = rows(dipole("fit", *arguments, stdin=mixed).stdout)
     assert first == a and second["sigma_a"] != b["sigma_a"]
     arguments[arguments.index("csv")] = "json"
-    told = json.loads(dipole("fit", *arguments, stdin=mixed).stdout)["samples"]
+    told = json.loads(dipole("fit", *arguments, stdin=mixed).stdout)["rows"]
     assert all(0.005 < sample["model_error"] < 0.04 for sample in told)
     table = dipole("fit", "--model", "transport", "--eta", "1.4", "--detector-na", "0.22", stdin=mixed)
     assert f" {told[0]['model_error']:.1e} " in table.stdout
@@ -216,27 +169,6 @@ def test_many_samples_of_several_designs(readings):
 # ---- pictures ------------------------------------------------------------------------------------
 
 
-def test_plot(readings, tmp_path):
-    text = table_of(readings)
-    fit, residuals = script(tmp_path, "fit", *OPTIONS, stdin=text)
-    assert "logscale y" in fit.settings and "logscale y" not in residuals.settings
-    assert fit.settings["ylabel"] == "R (1/mm^2): readings, fit (lines)"
-    assert fit.settings["xlabel"].endswith("distance r (mm)")
-    assert residuals.settings["ylabel"] == "residual / error"
-    for i, name in enumerate(readings):
-        line, points = fit.curves[2 * i : 2 * i + 2]
-        assert (line.title, points.title) == ("", name)
-        assert "smooth unique with lines" in line.style and "1:2:3 with yerrorbars" in points.style
-        expected = [AT_MM, readings[name], 0.01 * readings[name]]
-        np.testing.assert_allclose(points.data.T, expected, 1e-14)
-        left = (points.data[:, 1] - line.data[:, 1]) / points.data[:, 2]
-        np.testing.assert_allclose(residuals.curves[i].data[:, 1], left, atol=1e-12)
-    many = {f"s{i}": readings["milk"] for i in range(9)}
-    run = dipole("fit", *OPTIONS, "--plot", stdin=table_of(many), cwd=tmp_path, quiet=False)
-    assert "the picture is fit.svg" in run.stderr
-    assert "first 8 of 9 samples" in run.stderr
-
-
 @pytest.mark.parametrize("end", ["\n", "\r", "\r\n", "\x85", "\x1b", "\\\n", "'", "''", '"'])
 def test_a_name_is_no_command(readings, tmp_path, end):
     """gnuplot runs the next line of a text that is not closed, and what ` and @ hold; four quotes
@@ -256,77 +188,4 @@ def test_json_is_utf_8(readings):
     name = b'"a\xff\xc0\xaf\xed\xa0\x80\xf5 b\xc3\xa4\xf0\x9f\x98\x80"'
     text = table_of({"milk": readings["milk"]}).encode().replace(b"milk", name)
     report = json.loads(dipole("fit", *OPTIONS, "--format", "json", stdin=text).stdout)
-    assert report["samples"][0]["sample"] == "a" + 7 * "\ufffd" + " b\u00e4\U0001f600"
-
-
-# ---- what is never a success ---------------------------------------------------------------------
-
-
-def test_statuses_and_the_exit_status(readings):
-    R = readings["milk"]
-    text = "sample,r,R,error\n" + lines("good", R)
-    text += lines("rising", R[::-1]) + lines("negative", np.array([*R[:2], -R[2], R[3]]))
-    text += "few,1,.02,.001\nzero,1,.02,0\nzero,2,.01,.001\nblank,1,.02,\nblank,2,.01,.001\n"
-    text += "origin,0,.02,.001\norigin,2,.01,.001\n"
-    run = dipole("fit", *OPTIONS, "--format", "csv", stdin=text, status=BAD_ROWS)
-    statuses = {row["sample"]: row["status"] for row in rows(run.stdout)}
-    assert statuses == {
-        "good": "fitted", "rising": "implausible", "negative": "refused", "few": "refused",
-        "zero": "refused", "blank": "refused", "origin": "refused",
-    }  # fmt: skip
-    for said in (
-        "sample negative: reading 3 (line 12): its error must be above 0, and finite",
-        "sample zero: reading 1 (line 15): its error must be above 0",
-        "sample blank: reading 1 (line 17): its error must be above 0",
-        "sample few: ", "reading_count", "6 of 7 samples",
-        "sample origin: reading 1 (line 19): bad-value: at",
-    ):  # fmt: skip
-        assert said in run.stderr, (said, run.stderr)
-    empty = [row for row in rows(run.stdout) if row["status"] == "refused"]
-    assert all(row["sigma_a"] == row["sigma_a_error"] == row["chi2"] == "" for row in empty)
-    told = {row["sample"] for row in rows(run.stdout) if row["sigma_a_by_g"] != ""}
-    assert told == {"good"}
-    report = dipole("fit", *OPTIONS, "--format", "json", stdin=text, status=BAD_ROWS).stdout
-    assert json.loads(report)["samples"][1]["bounds"] > 0
-    assert "refused" in dipole("fit", *OPTIONS, stdin=text, status=BAD_ROWS).stdout
-
-
-WRONG_FILES = {
-    "": "there are no readings",
-    "r,R,error\n": "there are no readings",
-    "R,error\n1,1\n": "needs either the column r",
-    "r,f,R,error\n1,1,1,1\n": "needs either the column r",
-    "r,R\n1,1\n": "the column error is missing",
-    "r,error\n1,1\n": "the column R is missing",
-    "r,R,errors\n1,1,1\n": "the nearest that is read is error",
-    "r,R,error,R\n1,1,1,1\n": "the column R twice",
-    "r,R,error\n1,x,1\n": "line 2: R: 'x' is no number",
-    "r,R,error,g\n1,1,1,0\n2,1,1,.5\n": "line 3: g differs",
-    'r,R,error\n1,"1,1\n': "a quote is not closed",
-}
-
-
-@pytest.mark.parametrize("text", WRONG_FILES)
-def test_a_file_that_is_wrong(text):
-    run = dipole("fit", *OPTIONS, stdin=text, status=FAILED)
-    assert WRONG_FILES[text] in run.stderr and run.stdout == ""
-
-
-test_usage = says(USAGE, ["fit"], [
-    (["--reference", "1,2,3"], "give four numbers"),
-    (["--reference", "1,2,3,4", "--scale", "free"], "leave --scale out"),
-    (["--scale", "reference"], "--reference A,S,G,ETA"),
-    (["--plot", "fit.pdf"], ".svg or .png"),
-])  # fmt: skip
-
-
-def test_options_that_the_daemon_refuses(readings):
-    text = table_of(readings)
-    run = dipole("fit", "--model", "better", "--eta", "0", stdin=text, status=FAILED)
-    assert "eta" in run.stderr and "--eta" in run.stderr
-    run = dipole("fit", "--model", "skin-red", "--eta", "1.4", stdin=text, status=FAILED)
-    assert "coefficients alone" in run.stderr
-    run = dipole("fit", "--model", "bettr", stdin=text, status=USAGE)
-    assert "better" in run.stderr
-    run = dipole("fit", "/nonexistent/readings.csv", status=FAILED)
-    assert "No such file" in run.stderr
+    assert report["rows"][0]["sample"] == "a" + 7 * "\ufffd" + " b\u00e4\U0001f600"

@@ -37,18 +37,6 @@ def assert_near(row: dict[str, str], other: dict[str, str], *names: str) -> None
 # ---- good rows -----------------------------------------------------------------------------------
 
 
-def test_columns_are_appended():
-    text = points(f"{HEADER}\n{ROW}\n")
-    header, row = text.splitlines()
-    assert header == HEADER + ",R,albedo,cdf,status"
-    assert row.startswith(ROW + ",") and row.endswith(",ok")
-    expected = eval_rows(
-        *["--sigma-a", "0.01", "--sigma-s", "1", "--eta", "1.4", "--r", "2"],
-        *["--wanted", "R,albedo,cdf"],
-    )[0]
-    assert_near(read_csv(text)[0], expected, "R", "albedo", "cdf")
-
-
 def test_errors_stand_in_each_row():
     """A row that is asked for by itself has the errors of an eval, and those of a group share the
     largest. What is not known is empty, and a column that exists is replaced."""
@@ -82,50 +70,6 @@ def test_errors_stand_in_each_row():
     assert float(skin["model_error"]) > 0 and skin["status"] == "ok"
 
 
-def test_columns_in_any_order_with_others_between():
-    text = points('note,r,eta,"sigma_s",x,g,sigma_a\n"a, ""b""",2,1.4,"1",,0,0.01\n')
-    assert text.splitlines()[0] == 'note,r,eta,"sigma_s",x,g,sigma_a,R,albedo,cdf,status'
-    assert text.splitlines()[1].startswith('"a, ""b""",2,1.4,"1",,0,0.01,')
-    usual = read_csv(points(f"{HEADER}\n{ROW}\n"))[0]
-    assert columns(read_csv(text)[0], "R", "albedo", "cdf", "status") == columns(
-        usual, "R", "albedo", "cdf", "status"
-    )
-
-
-def test_model_and_moments_may_be_absent_or_empty():
-    rows = read_csv(
-        points(
-            f"model,moments,{HEADER}\n,,{ROW}\nbetter,exact,{ROW}\n"
-            f"classical,exact,{ROW}\nbetter,fit,{ROW}\n"
-        )
-    )
-    values = [columns(row, "R", "albedo", "cdf") for row in rows]
-    assert values[0] == values[1]
-    assert len({tuple(value) for value in values}) == 3
-    assert values[0] == columns(read_csv(points(f"{HEADER}\n{ROW}\n"))[0], "R", "albedo", "cdf")
-
-
-def test_existing_results_are_replaced_where_they_stand():
-    text = points(f"status,R,{HEADER},cdf\nold,,{ROW},0.5\n")
-    assert text.splitlines()[0] == f"status,R,{HEADER},cdf,albedo"
-    usual = read_csv(points(f"{HEADER}\n{ROW}\n"))[0]
-    row = read_csv(text)[0]
-    assert columns(row, "R", "albedo", "cdf", "status") == columns(
-        usual, "R", "albedo", "cdf", "status"
-    )
-    assert text == points(text).replace("\r", "")  # nothing is left to do the second time
-
-
-def test_extremes():
-    text = f"{HEADER}\n0,1,0,1.4,0\n0,1,0,1.4,inf\n0.5,0,0,1.4,1\n0.5,1,0,1.4,1e300\n"
-    rows = read_csv(points(text))
-    assert [row["status"] for row in rows] == ["ok"] * 4
-    assert float(rows[0]["R"]) > 0 and rows[0]["albedo"] == "1" and rows[0]["cdf"] == "0"
-    assert columns(rows[1], "R", "albedo", "cdf") == ["0", "1", "1"]
-    assert columns(rows[2], "R", "albedo", "cdf") == ["0", "0", "0"]
-    assert columns(rows[3], "R", "cdf") == ["0", "1"]
-
-
 def test_single_precision_is_double_precision_rounded():
     """Rows in single precision, too, are asked for in groups, each with a medium of its own."""
     lines = [f"{0.001 * (i % 97)},1,{i % 5 / 10},1.4,{(1 + i % 613) / 64}" for i in range(20000)]
@@ -153,21 +97,7 @@ def test_single_precision(evaluator, within):
             assert float(one[column]) == pytest.approx(float(other[column]), rel=within)
 
 
-def test_no_rows():
-    assert points(f"{HEADER}\n") == f"{HEADER},R,albedo,cdf,status\n"
-    assert points(HEADER) == f"{HEADER},R,albedo,cdf,status\n"
-
-
 # ---- what CSV can look like ----------------------------------------------------------------------
-
-
-def test_comments_and_blank_lines_are_copied():
-    text = points(f"# media, \"odd\n\n{HEADER}\n#\n{ROW}\n\n  \n{ROW}\n# end")
-    lines = text.split("\n")
-    assert lines[:3] == ['# media, "odd', "", HEADER + ",R,albedo,cdf,status"]
-    assert lines[3] == "#" and lines[5:7] == ["", "  "] and lines[8] == "# end"
-    assert lines[4] == lines[7] and lines[4].endswith(",ok")
-    assert len(lines) == 9
 
 
 def test_carriage_returns_are_kept():
@@ -191,10 +121,6 @@ def test_quoted_cells_may_hold_lines():
     assert [row["status"] for row in rows] == ["ok", "ok"]
 
 
-def test_last_line_without_an_end():
-    assert points(f"{HEADER}\n{ROW}") == points(f"{HEADER}\n{ROW}\n")
-
-
 def test_bytes_that_are_no_text_are_passed_through():
     run = subprocess.run(
         [str(PROGRAM), "points"],
@@ -207,110 +133,7 @@ def test_bytes_that_are_no_text_are_passed_through():
     assert run.stdout.splitlines()[1].startswith(b"\xff\x00\xfe," + ROW.encode() + b",")
 
 
-def test_file_standard_input_and_dash(tmp_path):
-    text = f"{HEADER}\n{ROW}\n"
-    path = scratch(tmp_path, "rows.csv", text)
-    expected = points(text)
-    assert dipole("points", path).stdout == expected
-    assert dipole("points", "-", stdin=text).stdout == expected
-    assert dipole("points", "--format", "csv", path).stdout == expected
-
-
-# ---- bad rows ------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "row, said",
-    [
-        ("best,,0.01,1,0,1.4,2", "model: 'best' is unknown: allowed: classical, better"),
-        ("Better,,0.01,1,0,1.4,2", "model: 'Better' is unknown"),
-        (",exakt,0.01,1,0,1.4,2", "moments: 'exakt' is unknown: allowed: exact, fit"),
-        (",,-0.01,1,0,1.4,2", "bad-value: sigma_a: allowed: "),
-        (",,inf,1,0,1.4,2", "bad-value: sigma_a: allowed: "),
-        (",,0.01,nan,0,1.4,2", "bad-value: sigma_s: allowed: "),
-        (",,0,0,0,1.4,2", "allowed: "),
-        (",,0.01,1,1,1.4,2", "bad-value: g: allowed: "),
-        (",,0.01,1,-1,1.4,2", "bad-value: g: allowed: "),
-        (",,0.01,1,0,0,2", "bad-value: eta: allowed: "),
-        (",fit,0.01,1,0,2.6,2", "bad-value: eta: allowed: "),
-        (",,0.01,1,0,1.4,-2", "bad-value: r: allowed: "),
-        (",,0.01,1,0,1.4,nan", "bad-value: r: allowed: "),
-        (",,0.01,1,0,1.4,", "r: '' is no number: allowed: "),
-        (",,0.01,1,0,1.4,1 2", "r: '1 2' is no number: allowed: "),
-        (",,0.01,1,0,1.4,2mm", "r: '2mm' is no number: allowed: "),
-        (",,0x1,1,0,1.4,2", "sigma_a: '0x1' is no number: allowed: "),
-        (",,1e999,1,0,1.4,2", "sigma_a: '1e999' is no number: allowed: "),
-        (',,"0,01",1,0,1.4,2', "sigma_a: '0,01' is no number: allowed: "),
-        (',,"0.""",1,0,1.4,2', "sigma_a: '0.\"' is no number: allowed: "),
-        (",,0.01,1,0,1.4", "the row: 6 cells: allowed: 7"),
-        ("0.01", "the row: 1 cells: allowed: 7"),
-        (",,0.01,1,0,1.4,2,3,4", "the row: 9 cells: allowed: 7"),
-        ('"a"b,,0.01,1,0,1.4,2', "the row: text after a closing quote"),
-    ],
-)
-def test_a_bad_row_says_why_and_the_others_go_on(row, said):
-    good = f"better,exact,{ROW}"
-    run = dipole(
-        *["points"], stdin=f"model,moments,{HEADER}\n{good}\n{row}\n{good}\n", status=BAD_ROWS
-    )
-    lines = run.stdout.splitlines()
-    assert len(lines) == 4
-    assert lines[1] == lines[3] and lines[1].endswith(",ok")
-    rows = read_csv(run.stdout)
-    assert said in rows[1]["status"]
-    assert columns(rows[1], "R", "albedo", "cdf") == ["", "", ""]
-    assert lines[2].startswith(row.split(",3,4")[0])
-    assert "1 of 3 rows were bad" in run.stderr
-
-
-def test_cells_beyond_the_header_are_kept_behind_the_results():
-    run = points(f"{HEADER}\n{ROW},\"more\",yes\n", status=BAD_ROWS)
-    assert run.splitlines()[1].endswith(',"more",yes')
-    row = next(iter(read_csv(run)))
-    assert "7 cells" in row["status"] and row[None] == ["more", "yes"]
-
-
-def test_results_of_a_bad_row_are_replaced_too():
-    text = f"R,status,{HEADER}\n1,ok,0.01,1,0,1.4,-1\n"
-    row = read_csv(points(text, status=BAD_ROWS))[0]
-    assert row["R"] == "" and row["status"].startswith("bad-value: r: allowed: ")
-
-
 # ---- bad files -----------------------------------------------------------------------------------
-
-
-def test_a_missing_column_is_named_with_those_found():
-    run = dipole("points", stdin="model,sigma_a,R,eta,g\n", status=FAILED)
-    assert "the column sigma_s is missing; the header has model, sigma_a, R, eta, g;" in run.stderr
-    assert "standard input: " in run.stderr and run.stdout == ""
-
-
-def test_a_column_that_stands_twice(tmp_path):
-    path = scratch(tmp_path, "twice.csv", f"{HEADER},r\n{ROW},1\n")
-    run = dipole("points", path, status=FAILED)
-    assert "the header has the column r twice" in run.stderr and path in run.stderr
-
-
-@pytest.mark.parametrize("text", ["", "\n", "# a comment\n", "\ufeff"])
-def test_no_header(text):
-    run = dipole("points", stdin=text, status=FAILED)
-    assert "there is no header line; it names the columns: sigma_a, " in run.stderr
-
-
-def test_no_file():
-    run = dipole("points", "/nonexistent/rows.csv", status=FAILED)
-    assert "/nonexistent/rows.csv: No such file" in run.stderr
-
-
-def test_a_folder_instead_of_a_file(tmp_path):
-    run = dipole("points", str(tmp_path), status=FAILED)
-    assert "Is a directory" in run.stderr
-
-
-def test_an_open_quote_is_an_error_after_the_rows_before_it():
-    run = dipole("points", stdin=f"{HEADER}\n{ROW}\n\"{ROW}\n", status=FAILED)
-    assert "line 3: a quote is not closed" in run.stderr
-    assert run.stdout.splitlines()[1].endswith(",ok")
 
 
 @pytest.mark.parametrize("excess", [0, 1])
@@ -462,17 +285,6 @@ def test_a_daemon_that_goes_away(daemon):
 # ---- models, media, radii, quantities ------------------------------------------------------------
 
 
-def test_the_usual_model_is_transport_by_table(client):
-    text = f"{HEADER}\n{ROW}\n"
-    (row,) = read_csv(dipole("points", stdin=text, usual=True).stdout)
-    answer = client.eval("transport", (0.01, 1, 0, 1.4), [2.0], evaluator="lut", wanted=["R", "cdf"])
-    assert float(row["R"]) == pytest.approx(answer.R[0, 0], rel=2e-4)
-    assert float(row["cdf"]) == pytest.approx(answer.cdf[0, 0], rel=2e-4)
-    (named,) = read_csv(dipole("points", "--model", "classical", stdin=text).stdout)
-    double = client.eval("classical", (0.01, 1, 0, 1.4), [2.0]).R[0, 0]
-    assert float(named["R"]) == pytest.approx(double, rel=ROUNDING)
-
-
 def test_rows_of_transport_are_not_solved_one_by_one():
     """Stored solutions are the default of every row of transport, whether its model is named or not,
     and whatever its tolerance; no other row has them."""
@@ -555,63 +367,6 @@ def test_a_tolerance_in_place_of_a_model(client):
     assert "cdf" in model
 
 
-def test_measured_media_by_name():
-    text = "medium,channel,r,eta\nskin1,red,1,\nskin1,blue,1,1.4\nmy own,red,1,1.3\nskin1,,1,\n"
-    run = dipole("points", "--wanted", "R", stdin=text, status=BAD_ROWS)
-    rows = read_csv(run.stdout)
-    known = eval_rows("--medium", "skin1", "--r", "1")[0]
-    changed = eval_rows("--medium", "skin1", "--eta", "1.4", "--r", "1")[2]
-    assert [rows[0]["R"], rows[1]["R"]] == [known["R"], changed["R"]]
-    assert "medium: 'my own' is unknown" in rows[2]["status"]
-    assert "channel: '': allowed: red, green, blue" in rows[3]["status"]
-    own = f"medium,{HEADER}\nmy own,{ROW}\n"
-    assert read_csv(points(own))[0]["status"] == "ok"  # With coefficients, the name is only copied.
-
-
-def test_quantities():
-    text = points(f"{HEADER}\n{ROW}\n", "--wanted", "cdf,pdf")
-    assert text.splitlines()[0] == f"{HEADER},cdf,pdf,status"
-    (row,) = read_csv(text)
-    (known,) = eval_rows("--sigma-a", "0.01", "--sigma-s", "1", "--eta", "1.4", "--r", "2",
-                         "--wanted", "cdf,pdf")
-    assert_near(row, known, "cdf", "pdf")
-    dipole("points", "--wanted", "r", stdin=text, status=USAGE)
-
-
-def test_inverted_media_go_straight_into_points():
-    found = dipole("invert", "--albedo", "0.4,0.2", "--mean-free-path", "1", "--format", "csv").stdout
-    rows = read_csv(points(found, "--r", "0.5,2"))
-    assert [(row["channel"], row["r"]) for row in rows] == [
-        ("1", "0.5"), ("1", "2"), ("2", "0.5"), ("2", "2")
-    ]
-    assert all(row["status"] == "ok" and float(row["R"]) > 0 for row in rows)
-    assert {row["model"] for row in rows} == {"better"}
-    measured = dipole("media", "--format", "csv").stdout
-    assert len(read_csv(points(measured, "--r", "1"))) == measured.count("\n") - 1
-    bad = dipole("points", "--r", "1", stdin=f"{HEADER}\n{ROW}\n", status=FAILED)
-    assert "has the column r: leave --r out" in bad.stderr
-    by_f = f"{HEADER[:-1]}f\n{ROW}\n"
-    bad = dipole("points", "--f", "1", "--wanted", "R_f", stdin=by_f, status=FAILED)
-    assert "has the column f: leave --f out" in bad.stderr
-    assert read_csv(points(by_f, "--r", "1"))[0]["f"] == "2"
-
-
-@pytest.mark.parametrize(
-    "column, said",
-    [
-        ("evaluator", "the nearest is the option --evaluator"),
-        ("evaluater", "the nearest is the option --evaluator"),
-        ("tolerence", "the nearest that is read is tolerance"),
-        ("Model", "the nearest that is read is model"),
-        ("sigma-a", "the nearest that is read is sigma_a"),
-        ("fit_form", "the nearest that is read is fit_from"),
-    ],
-)
-def test_a_column_that_is_nearly_one_that_is_read(column, said):
-    run = dipole("points", stdin=f"{HEADER},{column}\n{ROW},1\n", status=FAILED)
-    assert f"the column {column} is not read; {said}" in run.stderr and run.stdout == ""
-
-
 # ---- other forms of CSV, which all commands read -------------------------------------------------
 
 # What cannot be misunderstood, made of text with commas, points and line feeds.
@@ -651,42 +406,3 @@ def read_by_all(tmp_path, form) -> list:
 @pytest.mark.parametrize("form", FORMS)
 def test_forms_of_csv(tmp_path, form):
     assert read_by_all(tmp_path, FORMS[form]) == read_by_all(tmp_path, str)
-
-
-@pytest.mark.parametrize(
-    "text, said",
-    [
-        ("x,y,z;power\n0,0,0;1\n", "line 1: the header has commas and semicolons"),
-        ("# made\nx y z power\n0 0 0 1\n", "line 2: the header is one cell: separate its columns"),
-        ("#\nx,y,z,power\n0,0,0,1\n".encode("utf-16"), "the header has zero bytes, as UTF-16 has: save"),
-        ("x;y;z;power\n0;0;0;1,5\n", "'1,5' is no number: write a decimal point"),
-        ("x,y,z,power\n0,0205,0,1\n", "column 2: '0205' is no number: write a decimal point"),
-        ("x,y,z,power\n0,0,0,1\n#0,0,0,1\n", ":3: column 1: '#0' is no number: below the header, lines"),
-        ('x,y,z,power\n0,0,0,1\n0,"0,0,2\n0,0,1,1\n', "line 3: a quote is not closed"),
-        ('x,y,z,power\n0,0,"0,1{long}', "line 2: a quote is not closed within 1 MiB"),
-        ("x,y,z,power\n0,0,0,{long}", "line 2: the row is longer than 1 MiB"),
-        ("x,y,z,power\r0,0,0,1\r0,zero,0,1\r", ":3: column 2: 'zero' is no number"),
-        ("x\ty\tz\tpower\n0\t0\t0\t1,234\n", "'1,234' is no number: write a decimal point"),
-        ("x,y,z,power\n0,0,0,1,5\n", ":2: more cells than in the header: numbers have a decimal"),
-        ('x,y,z,power\n0,"0"1,0,1\n', ":2: text stands after a closing quote"),
-    ],
-)  # fmt: skip
-def test_what_is_wrong_with_a_csv_is_named(tmp_path, text, said):
-    path = scratch(tmp_path, "p.csv", text if text[-1:] != "}" else text.format(long="1" * 2**20))
-    run = dipole("gather", path, path, "--sigma-a", "1", "--sigma-s", "1", status=FAILED)
-    assert said in run.stderr and run.stdout == ""
-
-
-def test_samples_whose_names_start_with_a_hash(tmp_path):
-    """They vanish from no file, whatever stands above the header."""
-    header, rows = READINGS.split("\n", 1)
-    for above in ("", "# by hand\n", "#"):
-        text = f"{above}{header}\n{rows.replace('a,', '#1,')}{rows}"
-        fits = read_csv(dipole("fit", "--eta", "1.4", "--format", "csv", stdin=text).stdout)
-        assert [(fit["sample"], fit["status"]) for fit in fits] == [("#1", "fitted"), ("a", "fitted")]
-
-
-def test_cells_beyond_the_header_that_are_empty_do_no_harm():
-    dipole("fit", "--eta", "1.4", stdin=READINGS.replace("\n", ",,\n", 2), usual=False)
-    run = dipole("fit", stdin=READINGS.replace(".0234", "0,0234"), status=FAILED)
-    assert "line 2: more cells than in the header: numbers have a decimal point" in run.stderr

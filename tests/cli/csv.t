@@ -1,0 +1,41 @@
+## What is wrong with a CSV is named.
+$ for text in 'x,y,z;power\n0,0,0;1\n' '# made\nx y z power\n0 0 0 1\n' 'x;y;z;power\n0;0;0;1,5\n' 'x,y,z,power\n0,0205,0,1\n' 'x,y,z,power\n0,0,0,1\n#0,0,0,1\n' 'x,y,z,power\n0,0,0,1\n0,"0,0,2\n0,0,1,1\n' 'x,y,z,power\r0,0,0,1\r0,zero,0,1\r' 'x\ty\tz\tpower\n0\t0\t0\t1,234\n' 'x,y,z,power\n0,0,0,1,5\n' 'x,y,z,power\n0,"0"1,0,1\n'; do printf "$text" > p.csv; dipole gather p.csv p.csv --sigma-a 1 --sigma-s 1; done
+! dipole gather: p.csv: line 1: the header has commas and semicolons: separate its columns by one of them
+! dipole gather: p.csv: line 2: the header is one cell: separate its columns by commas, semicolons or tabs
+! dipole gather: p.csv: line 2: power: '1,5' is no number: write a decimal point
+! dipole gather: p.csv: line 2: y: '0205' is no number: write a decimal point
+! dipole gather: p.csv: line 3: x: '#0' is no number: below the header, lines with several cells are no comments
+! dipole gather: p.csv: line 3: a quote is not closed
+! dipole gather: p.csv: line 3: y: 'zero' is no number
+! dipole gather: p.csv: line 2: power: '1,234' is no number: write a decimal point
+! dipole gather: p.csv: line 2: more cells than in the header: numbers have a decimal point
+! dipole gather: p.csv: line 2: text stands after a closing quote
+? 1
+
+$ printf '#\nx,y,z,power\n0,0,0,1\n' | iconv -t UTF-16 > p.csv; dipole gather p.csv p.csv --sigma-a 1 --sigma-s 1
+! dipole gather: p.csv: line 1: the header has zero bytes, as UTF-16 has: save the file as UTF-8, or convert it by iconv -f UTF-16 -t UTF-8
+? 1
+
+$ (printf 'x,y,z,power\n0,0,"0,1'; head -c 1048576 /dev/zero | tr '\0' 1) > p.csv; dipole gather p.csv p.csv --sigma-a 1 --sigma-s 1
+! dipole gather: p.csv: line 2: a quote is not closed within 1 MiB
+? 1
+
+$ (printf 'x,y,z,power\n0,0,0,'; head -c 1048576 /dev/zero | tr '\0' 1) > p.csv; dipole gather p.csv p.csv --sigma-a 1 --sigma-s 1
+! dipole gather: p.csv: line 2: the row is longer than 1 MiB
+? 1
+
+## Samples whose names start with a hash vanish from no file, whatever stands above the header.
+$ for above in '' '# by hand\n' '#'; do printf "${above}sample,r,R,error\n#1,1,.0234,.0005\n#1,2,.00787,.0002\n#1,4,.00159,.00003\na,1,.0234,.0005\na,2,.00787,.0002\n" | dipole fit --model better --eta 1.4 --format csv | cut -d, -f1,17; done
+sample,status
+"#1",fitted
+a,fitted
+sample,status
+"#1",fitted
+a,fitted
+sample,status
+"#1",fitted
+a,fitted
+
+$ printf 'sample,r,R,error,,\na,1,.0234,.0005,,\na,2,.00787,.0002\na,4,.00159,.00003\n' | dipole fit --model better --eta 1.4 --format csv | cut -d, -f1,17
+sample,status
+a,fitted

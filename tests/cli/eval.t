@@ -1,0 +1,386 @@
+## dipole eval: the same numbers as a table, as CSV and as JSON.
+$ dipole eval --medium skin1 --model classical,better --count 3
+skin1, moments exact, R in 1/mm^2 per unit of power that entered
+
+     classical   classical   classical      better      better      better
+ r       R red     R green      R blue       R red     R green      R blue
+mm      1/mm^2      1/mm^2      1/mm^2      1/mm^2      1/mm^2      1/mm^2
+--  ----------  ----------  ----------  ----------  ----------  ----------
+ 0  4.4433e-02  6.2826e-02  8.9258e-02  2.6396e-02  3.0135e-02  3.3296e-02
+ 5  8.0218e-04  1.0260e-04  2.9839e-06  9.6938e-04  1.3361e-04  5.8228e-06
+10  7.4269e-05  1.0322e-06  7.6634e-10  8.4214e-05  1.6231e-06  3.6897e-09
+
+model      evaluator  channel  sigma_a  sigma_s  g  eta     albedo    numerical error      model error
+                                  1/mm     1/mm                     relative, at most  from 0 to 10 mm
+---------  ---------  -------  -------  -------  -  ---  ---------  -----------------  ---------------
+classical  f64        red        0.032     0.74  0  1.3   0.436049            7.2e-15          6.4e-02
+classical  f64        green       0.17     0.88  0  1.3   0.227366            1.6e-14          3.5e-01
+classical  f64        blue        0.48     1.01  0  1.3    0.13101            3.0e-14          8.2e-01
+better     f64        red        0.032     0.74  0  1.3   0.404808            7.1e-15          1.6e-01
+better     f64        green       0.17     0.88  0  1.3   0.162793            1.5e-14          2.4e-01
+better     f64        blue        0.48     1.01  0  1.3  0.0701464            2.6e-14          3.9e-01
+numerical error: against the model's formula, up to r = 10 mm
+model error: of the model against radiative transport, relative
+             at r > 0: transport diverges at r = 0
+per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
+
+$ dipole eval --medium skin1 --model classical,better --count 3 --format csv
+model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evaluator,notes
+classical,red,0.032,0.74,0,1.3,0,0.04443318995075527,0.4360488981000882,2.402764671015483e-15,0.06360699167201968,f64,
+classical,red,0.032,0.74,0,1.3,5,8.021768997285513e-4,0.4360488981000882,4.820698901050279e-15,0.06360699167201968,f64,
+classical,red,0.032,0.74,0,1.3,10,7.426864799726663e-5,0.4360488981000882,7.238633131085076e-15,0.06360699167201968,f64,
+classical,green,0.17,0.88,0,1.3,0,0.0628256755210193,0.22736553703849327,3.0143568573442707e-15,0.3533445013949795,f64,
+classical,green,0.17,0.88,0,1.3,5,1.026028965955413e-4,0.22736553703849327,9.513856951550377e-15,0.3533445013949795,f64,
+classical,green,0.17,0.88,0,1.3,10,1.0322313668903495e-6,0.22736553703849327,1.6013357045756483e-14,0.3533445013949795,f64,
+classical,blue,0.48,1.01,0,1.3,0,0.08925790330539174,0.13100973315918066,3.5226547094830505e-15,0.8178200866860671,f64,
+classical,blue,0.48,1.01,0,1.3,5,2.9838634267783284e-6,0.13100973315918066,1.6532573841599908e-14,0.8178200866860671,f64,
+classical,blue,0.48,1.01,0,1.3,10,7.663392932602495e-10,0.13100973315918066,2.954249297371676e-14,0.8178200866860671,f64,
+better,red,0.032,0.74,0,1.3,0,0.026396169457422243,0.4048076115742095,2.3901722738496005e-15,0.1577593988431819,f64,
+better,red,0.032,0.74,0,1.3,5,9.693772895059612e-4,0.4048076115742095,4.7594998508240916e-15,0.1577593988431819,f64,
+better,red,0.032,0.74,0,1.3,10,8.421414694343739e-5,0.4048076115742095,7.128827427798584e-15,0.1577593988431819,f64,
+better,green,0.17,0.88,0,1.3,0,0.03013512264367322,0.16279293241527554,2.9248684373814938e-15,0.23664452963700927,f64,
+better,green,0.17,0.88,0,1.3,5,1.3361404268614279e-4,0.16279293241527554,8.954554326783023e-15,0.23664452963700927,f64,
+better,green,0.17,0.88,0,1.3,10,1.6231275856096587e-6,0.16279293241527554,1.498424021618455e-14,0.23664452963700927,f64,
+better,blue,0.48,1.01,0,1.3,0,0.033296263024003805,0.0701464120117238,3.2950790537976285e-15,0.39233474881816877,f64,
+better,blue,0.48,1.01,0,1.3,5,5.822759721543044e-6,0.0701464120117238,1.4609559551058095e-14,0.39233474881816877,f64,
+better,blue,0.48,1.01,0,1.3,10,3.6896749979262757e-9,0.0701464120117238,2.592404004831856e-14,0.39233474881816877,f64,
+
+$ dipole eval --medium skin1 --channel red --r 0,1,inf --wanted R,albedo,cdf --model better,transport --format json
+{
+  "software": "dipoled 0.1.0",
+  "medium": "skin1",
+  "moments": "exact",
+  "R": "1/mm^2 per unit of power that entered",
+  "units": {"sigma_a": "1/mm", "sigma_s": "1/mm", "r": "mm", "R": "1/mm^2", "albedo": "1", "cdf": "1", "numerical_error": "relative, at most", "model_error": "from 0 to inf mm"},
+  "rows": [
+    {"model": "better", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": 0, "R": 0.026396169457422243, "albedo": 0.4048076115742095, "cdf": 0, "numerical_error": 2.3901722738496005e-15, "model_error": 0.17190248081160078, "evaluator": "f64", "notes": ""},
+    {"model": "better", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": 1, "R": 0.015481882273229152, "albedo": 0.4048076115742095, "cdf": 0.15524509398211575, "numerical_error": 2.8640377892444987e-15, "model_error": 0.17190248081160078, "evaluator": "f64", "notes": ""},
+    {"model": "better", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": "inf", "R": 0, "albedo": 0.4048076115742095, "cdf": 1, "numerical_error": "inf", "model_error": 0.17190248081160078, "evaluator": "f64", "notes": ""},
+    {"model": "transport", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": 0, "R": "inf", "albedo": 0.43945764501319085, "cdf": 0, "numerical_error": 8.30018799703575e-5, "model_error": 0, "evaluator": "lut", "notes": ""},
+    {"model": "transport", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": 1, "R": 0.01570149, "albedo": 0.43945764501319085, "cdf": 0.32714382, "numerical_error": 8.30018799703575e-5, "model_error": 0, "evaluator": "lut", "notes": ""},
+    {"model": "transport", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": "inf", "R": 0, "albedo": 0.43945764501319085, "cdf": 1, "numerical_error": 8.30018799703575e-5, "model_error": 0, "evaluator": "lut", "notes": ""}
+  ]
+}
+
+$ dipole eval --sigma-a 0.01,0.1 --sigma-s 10 --g 0.9 --eta 1.4 --model better --wanted cdf --r 2
+moments exact, R in 1/mm^2 per unit of power that entered
+
+      better    better
+ r     cdf 1     cdf 2
+mm         1         1
+--  --------  --------
+ 2  0.370764  0.620164
+
+model   evaluator  channel  sigma_a  sigma_s    g  eta    numerical error  model error
+                               1/mm     1/mm            relative, at most      at 2 mm
+------  ---------  -------  -------  -------  ---  ---  -----------------  -----------
+better  f64        1           0.01       10  0.9  1.4            2.7e-15      2.3e-02
+better  f64        2            0.1       10  0.9  1.4            4.6e-15      1.9e-02
+numerical error: against the model's formula, up to r = 2 mm
+model error: of the model against radiative transport, relative
+per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.972222 (eta 1.4)
+note: similarity: g is not 0: the model sees isotropic scattering of sigma_s (1 - g)
+
+$ dipole eval --sigma-a 0.01,0.1 --sigma-s 10 --g 0.9 --eta 1.4 --model better --wanted albedo --format csv
+model,channel,sigma_a,sigma_s,g,eta,albedo,numerical_error,model_error,evaluator,notes
+better,1,0.01,10,0.9,1.4,0.605952712135344,2.080999524065612e-15,0.024579259979243692,f64,similarity
+better,2,0.1,10,0.9,1.4,0.22887417356461276,2.6645352591003757e-15,0.11830496817362056,f64,similarity
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --model better --format csv | awk -F, '{print $7}' | tr '\n' ' '
+r 0 0.5 1 1.5 2 2.5 3 3.5 4 4.5 5 5.5 6 6.5 7 7.5 8 8.5 9 9.5 10 
+
+$ dipole eval --medium marble --eta 1.2,1.3,1.5 --r 1 --format csv --model better
+model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evaluator,notes
+better,red,0.0021,2.19,0,1.2,1,0.05007482829194086,0.8879691096734903,2.0801925875891195e-15,0.2407985115192916,f64,
+better,green,0.0041,2.62,0,1.3,1,0.048447134610163936,0.8392773086273129,2.2167633548627504e-15,0.18545813843756898,f64,
+better,blue,0.0071,3,0,1.5,1,0.04274182810107147,0.7542858791284851,2.374719055719728e-15,0.10979533811716259,f64,
+
+$ dipole eval --medium skin1 --channel blue --g 0.8 --r 1 --format csv --model better
+model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evaluator,notes
+better,blue,0.48,5.050000000000001,0.8,1.3,1,0.00576535423426011,0.0701464120117238,5.557975153249722e-15,0.2393951770694521,f64,similarity
+
+$ dipole eval --medium marble,skin1 --channel red,blue --eta 1.1,1.2,1.3,1.4 --r 1 --format csv --model better
+model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evaluator,notes
+better,marble red,0.0021,2.19,0,1.1,1,0.053527813074979426,0.9020892190941748,2.0801925875891195e-15,0.28316312222320184,f64,
+better,marble blue,0.0071,3,0,1.2,1,0.0512111906873481,0.8293255231173589,2.374719055719728e-15,0.2024664201846386,f64,
+better,skin1 red,0.032,0.74,0,1.3,1,0.015481882273229152,0.4048076115742095,2.8640377892444987e-15,0.07885072820519266,f64,
+better,skin1 blue,0.48,1.01,0,1.4,1,0.004954157187455209,0.06038796649866023,5.557975153249722e-15,0.38936304598819654,f64,
+
+$ dipole eval --medium marble,skin1 --channel red,blue --eta 1,2,3
+! dipole eval: --eta has 3 values and --medium has 4: give one value or as many
+! `dipole eval --help` tells more.
+? 2
+
+## Grids: the shortest numbers.
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --model better --wanted R --from 0.01 --to 100 --count 5 --log --format csv
+model,channel,sigma_a,sigma_s,g,eta,r,R,numerical_error,model_error,evaluator,notes
+better,1,0.1,1,0,1.3,0.01,0.04350332405227486,2.674305221717077e-15,0.9920803284170651,f64,
+better,1,0.1,1,0,1.3,0.1,0.04286625662620181,2.7622348852673894e-15,0.9920803284170651,f64,
+better,1,0.1,1,0,1.3,1,0.0164987142816284,3.641531520770513e-15,0.9920803284170651,f64,
+better,1,0.1,1,0,1.3,10,6.039401959519168e-6,1.2434497875801753e-14,0.9920803284170651,f64,
+better,1,0.1,1,0,1.3,100,2.285061708563905e-29,1.0036416142611416e-13,0.9920803284170651,f64,
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --model better --wanted R --from 0.1 --to 0.1 --count 1 --evaluator f32 --format csv
+model,channel,sigma_a,sigma_s,g,eta,r,R,numerical_error,model_error,evaluator,notes
+better,1,0.1,1,0,1.3,0.1,0.042866264,1.4829635620117187e-6,0.8936313392904222,f32,
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --model better --wanted R --from 0.023 --to 1.863 --count 21 --format csv | grep -c ',0.943,'
+1
+
+## Models are asked for once each; transport is by table, whether it is named or not.
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --r 1 --model classical,better,classical --format csv
+model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evaluator,notes
+classical,1,0.1,1,0,1.3,1,0.023011708280071198,0.3137401295412308,3.724468258285356e-15,0.5924547482333685,f64,
+better,1,0.1,1,0,1.3,1,0.01649871428162842,0.26022500449976643,3.641531520770513e-15,0.1512791549091128,f64,
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --r 1 --format csv
+model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evaluator,notes
+transport,1,0.1,1,0,1.3,1,0.014450509,0.30660714050957727,8.405402399257857e-5,0,lut,
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --r 1 --model transport --tolerance 1e-7 --format csv
+model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evaluator,notes
+transport,1,0.1,1,0,1.3,1,0.014450509299045075,0.30660714050957727,3.2100000000000006e-6,0,f64,
+
+## Spatial frequencies are no radii.
+$ dipole eval --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --model better --f 0.1,1
+moments exact, R_f, the reflectance of striped light
+
+          better
+   f       R_f 1
+1/mm           1
+----  ----------
+ 0.1  2.1323e-01
+   1  3.5160e-04
+
+model   evaluator  channel  sigma_a  sigma_s    g  eta    albedo         numerical error  model error
+                               1/mm     1/mm                      of the albedo, at most     relative
+------  ---------  -------  -------  -------  ---  ---  --------  ----------------------  -----------
+better  f64        1           0.01       10  0.9  1.4  0.605953                 1.0e-09      3.5e-02
+numerical error: against the model's formula, up to f = 1 1/mm
+model error: of the model against radiative transport, relative
+per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.972222 (eta 1.4)
+note: similarity: g is not 0: the model sees isotropic scattering of sigma_s (1 - g)
+
+$ dipole eval --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --model better --wanted R_f,albedo --r 0.1,1 --format csv
+model,channel,sigma_a,sigma_s,g,eta,f,albedo,R_f,numerical_error,model_error,evaluator,notes
+better,1,0.01,10,0.9,1.4,0.1,0.605952712135344,0.21323395498981187,1.0000021117684354e-9,0.03450577547108367,f64,similarity
+better,1,0.01,10,0.9,1.4,1,0.605952712135344,3.516034949555704e-4,1.0000023886886356e-9,0.03450577547108367,f64,similarity
+
+$ dipole eval --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --model better --f 0.1 --format json
+{
+  "software": "dipoled 0.1.0",
+  "moments": "exact",
+  "R_f": "R_f, the reflectance of striped light",
+  "units": {"sigma_a": "1/mm", "sigma_s": "1/mm", "f": "1/mm", "albedo": "1", "R_f": "1", "numerical_error": "of the albedo, at most", "model_error": "relative"},
+  "rows": [
+    {"model": "better", "channel": "1", "sigma_a": 0.01, "sigma_s": 10, "g": 0.9, "eta": 1.4, "f": 0.1, "albedo": 0.605952712135344, "R_f": 0.21323395498981187, "numerical_error": 1.0000021117684354e-9, "model_error": 0.03450577547108367, "evaluator": "f64", "notes": "similarity"}
+  ]
+}
+
+$ dipole eval --sigma-a 0.01 --sigma-s 10 --f 1 --r 1
+! dipole eval: --f is for R_f, and --r for all else: leave one out
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.01 --sigma-s 10 --f 1 --wanted R
+! dipole eval: --f gives spatial frequencies, which only R_f has: ask for R_f alone
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.01 --sigma-s 10 --f 1 --to 2
+! dipole eval: --f gives the frequencies one by one: leave --from, --to, --count and --log out
+! `dipole eval --help` tells more.
+? 2
+
+## Tolerances in place of a model.
+$ dipole eval --medium skin1 --tolerance 0.01 --r 1,2
+skin1, moments exact, tolerance 0.01, R in 1/mm^2 per unit of power that entered
+
+     transport   transport   transport
+ r       R red     R green      R blue
+mm      1/mm^2      1/mm^2      1/mm^2
+--  ----------  ----------  ----------
+ 1  1.5701e-02  1.0142e-02  4.5069e-03
+ 2  5.5199e-03  2.4111e-03  5.9256e-04
+
+model      evaluator  channel  sigma_a  sigma_s  g  eta    albedo    numerical error     model error
+                                  1/mm     1/mm                    relative, at most  from 1 to 2 mm
+---------  ---------  -------  -------  -------  -  ---  --------  -----------------  --------------
+transport  f32        red        0.032     0.74  0  1.3  0.439458            3.3e-06         0.0e+00
+transport  f32        green       0.17     0.88  0  1.3  0.213259            3.3e-06         0.0e+00
+transport  f32        blue        0.48     1.01  0  1.3  0.115435            3.3e-06         0.0e+00
+numerical error: against the model's formula, up to r = 2 mm
+model error: of the model against radiative transport, relative
+per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
+took transport (f32), the cheapest that keeps the tolerance
+
+$ dipole eval --sigma-a 0.05 --sigma-s 9.5 --g 0.9 --eta 1.4 --tolerance 1e-5 --r 1,2 --format csv
+! dipole eval: bad-value: tolerance: allowed: at least 0.000344 (best: transport, f64) (--tolerance)
+? 1
+
+$ dipole eval --sigma-a 0.05 --sigma-s 9.5 --g 0.9 --eta 1.4 --tolerance 1e-5 --evaluator f32 --r 1,2
+! dipole eval: bad-value: tolerance: allowed: at least 0.000344 (best: transport, f32) (--tolerance)
+? 1
+
+## Parameters and notes.
+$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --wanted S --cos-in 0.8 --cos-out 0.25
+moments exact, cos_in 0.8, cos_out 0.25, R in 1/mm^2 per unit of power that entered
+
+         better
+ r          S 1
+mm  1/(mm^2 sr)
+--  -----------
+ 1   4.0547e-03
+
+model   evaluator  channel  sigma_a  sigma_s  g  eta    numerical error  model error
+                               1/mm     1/mm          relative, at most      at 1 mm
+------  ---------  -------  -------  -------  -  ---  -----------------  -----------
+better  f64        1          0.032     0.74  0  1.3            4.6e-15      1.4e-02
+numerical error: against the model's formula, up to r = 1 mm
+model error: of the model against radiative transport, relative
+per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
+
+$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --wanted S --cos-in 0.8 --format json
+{
+  "software": "dipoled 0.1.0",
+  "moments": "exact",
+  "cos_in": 0.8,
+  "R": "1/mm^2 per unit of power that entered",
+  "units": {"sigma_a": "1/mm", "sigma_s": "1/mm", "r": "mm", "S": "1/(mm^2 sr)", "numerical_error": "relative, at most", "model_error": "at 1 mm"},
+  "rows": [
+    {"model": "better", "channel": "1", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": 1, "S": 0.005058993446080879, "numerical_error": 4.640394628644749e-15, "model_error": 0.013989674510023978, "evaluator": "f64", "notes": ""}
+  ]
+}
+
+$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model gaussians --r 1 --fit-model classical --format csv
+model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evaluator,notes
+gaussians,1,0.032,0.74,0,1.3,1,0.022003446135484304,0.4351174018643613,0.0016572261195275356,0.4013648964112038,f64,
+
+$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model gaussians --r 1 --fit-model 1 --format csv
+model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evaluator,notes
+gaussians,1,0.032,0.74,0,1.3,1,0.022003446135484304,0.4351174018643613,0.0016572261195275356,0.4013648964112038,f64,
+
+$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model gaussians --r 1 --fit-model best
+! dipole eval: --fit-model: 'best' is unknown; this daemon has classical, better, grosjean, boundary, exitance, grosjean-boundary, grosjean-exitance, boundary-exitance, extended, quantized, beam, single, classical+single, better+single, extended+single, quantized+single, beam+single, burley, burley-diffuse, burley-dmfp, skin-red, skin-green, skin-blue, gaussians, multipole, multipole-transmitted, better-multipole, better-multipole-transmitted, transport. Is it beam?
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --cos-in x
+! dipole eval: --cos-in: 'x' is no number
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --cos-in 1.5
+! dipole eval: model better: bad-value: cos_in: allowed: 0 to 1 (--cos-in)
+? 1
+
+$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --cos-out nan
+! dipole eval: model better: bad-value: cos_out: allowed: a number; a parameter that is not wanted is left out (--cos-out)
+? 1
+
+$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --thickness 3
+! dipole eval: model better: bad-value: thickness: allowed: nothing: this model does not take it (--thickness)
+? 1
+
+$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --tolerance 2
+! dipole eval: model better: bad-value: tolerance: allowed: 1e-12 to 1 (--tolerance)
+? 1
+
+$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --g 0.5 --r 1 --model single,better,classical | grep note
+note: similarity: g is not 0: the model sees isotropic scattering of sigma_s (1 - g) (better, classical)
+
+$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --g 0.5 --r 1 --model better | grep note
+note: similarity: g is not 0: the model sees isotropic scattering of sigma_s (1 - g)
+
+## Errors: not solved, and what diverges at r = 0.
+$ dipole eval --sigma-a 0.03 --sigma-s 1 --eta 5 --model classical --wanted albedo --r 1
+moments exact, R in 1/mm^2 per unit of power that entered
+
+model      evaluator  channel  sigma_a  sigma_s  g  eta    albedo    numerical error  model error
+                                  1/mm     1/mm                    relative, at most     relative
+---------  ---------  -------  -------  -------  -  ---  --------  -----------------  -----------
+classical  f64        1           0.03        1  0    5  0.361207            2.8e-15   not solved
+numerical error: against the model's formula
+model error: of the model against radiative transport, relative
+per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.555556 (eta 5)
+
+$ dipole eval --sigma-a 0.03 --sigma-s 1 --model better --wanted R --r 0
+moments exact, R in 1/mm^2 per unit of power that entered
+
+        better
+ r         R 1
+mm      1/mm^2
+--  ----------
+ 0  4.9723e-02
+
+model   evaluator  channel  sigma_a  sigma_s  g  eta    numerical error  model error
+                               1/mm     1/mm          relative, at most      at 0 mm
+------  ---------  -------  -------  -------  -  ---  -----------------  -----------
+better  f64        1           0.03        1  0  1.3            2.3e-15     diverges
+numerical error: against the model's formula
+model error: of the model against radiative transport, relative
+             at r > 0: transport diverges at r = 0
+per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
+
+$ dipole eval --sigma-a 0.03 --sigma-s 1 --model better --wanted R --r 0,1
+moments exact, R in 1/mm^2 per unit of power that entered
+
+        better
+ r         R 1
+mm      1/mm^2
+--  ----------
+ 0  4.9723e-02
+ 1  2.2375e-02
+
+model   evaluator  channel  sigma_a  sigma_s  g  eta    numerical error     model error
+                               1/mm     1/mm          relative, at most  from 0 to 1 mm
+------  ---------  -------  -------  -------  -  ---  -----------------  --------------
+better  f64        1           0.03        1  0  1.3            2.8e-15         1.3e-01
+numerical error: against the model's formula, up to r = 1 mm
+model error: of the model against radiative transport, relative
+             at r > 0: transport diverges at r = 0
+per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
+
+$ dipole eval --sigma-a 0.03 --sigma-s 1 --model transport --wanted R,2_pi_r_R --r 0,1
+moments exact, R in 1/mm^2 per unit of power that entered
+
+     transport   transport
+ r         R 1  2_pi_r_R 1
+mm      1/mm^2        1/mm
+--  ----------  ----------
+ 0         inf  3.6900e-01
+ 1  1.9787e-02  1.2433e-01
+
+model      evaluator  channel  sigma_a  sigma_s  g  eta    numerical error     model error
+                                  1/mm     1/mm          relative, at most  from 0 to 1 mm
+---------  ---------  -------  -------  -------  -  ---  -----------------  --------------
+transport  lut        1           0.03        1  0  1.3            8.5e-05         0.0e+00
+numerical error: against the model's formula, up to r = 1 mm
+model error: of the model against radiative transport, relative
+per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
+
+## What all models refuse is said once, and who refuses by itself is left out.
+$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model all --cos-in 2
+! dipole eval: bad-value: cos_in: allowed: 0 to 1 (--cos-in)
+? 1
+
+$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model all --eta 0
+! dipole eval: bad-value: eta: allowed: 0.001 to 1000 (--eta)
+? 1
+
+$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model all --r 1 --wanted R --format csv 2>&1 >all.csv | cut -d' ' -f3
+multipole
+multipole-transmitted
+better-multipole
+better-multipole-transmitted
+
+$ cut -d, -f1 all.csv | sort -u | wc -l
+26
+
+$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --r 1 --model all,multipole
+! dipole eval: model multipole: bad-value: thickness: allowed: the thickness of the slab in mm: this model needs it (--thickness)
+? 1
+
+$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --r 1 --model all,better --thickness 3
+! dipole eval: model better: bad-value: thickness: allowed: nothing: this model does not take it (--thickness)
+? 1

@@ -1,0 +1,144 @@
+## dipole fit: what is found, and what is no success.
+$ dipole eval --sigma-a 0.05 --sigma-s 1 --eta 1.4 --model better --r 0.5,1,2,4 --format csv | awk -F, 'NR == 1 { print "sample,r,R,error"; next } { print "skin," $7 "," $8 "," $8 / 100 }' > skin.csv
+
+$ cat skin.csv
+sample,r,R,error
+skin,0.5,0.031035372713807588,0.000310354
+skin,1,0.017629443464045762,0.000176294
+skin,2,0.006070401063919001,6.0704e-05
+skin,4,0.0011978417768160803,1.19784e-05
+
+$ dipole fit skin.csv --model better --eta 1.4
+model better, moments exact, scale absolute
+
+sample  sigma_a  sigma_s'  error of a  error of s'   a by g  s' by g  correlation      chi2  readings  model error  g   g from  g sides  eta  status
+           1/mm      1/mm        1/mm         1/mm     1/mm     1/mm                                      relative                                  
+------  -------  --------  ----------  -----------  -------  -------  -----------  --------  --------  -----------  -  -------  -------  ---  ------
+skin       0.05         1      0.0006       0.0052  1.4e-17  2.2e-16        0.335  2.12e-23         4    not known  0  default     both  1.4  fitted
+
+errors are standard errors; chi2 is the sum of the squares of (reading - fit) / error
+model error: of R against radiative transport, which is not in the standard errors
+by g: the largest change for g +- .05, which the readings may not tell apart
+
+$ dipole fit skin.csv --model better --eta 1.4 --scale free --format csv
+sample,sigma_a,sigma_s_prime,sigma_a_error,sigma_s_prime_error,sigma_a_by_g,sigma_s_prime_by_g,correlation,scale,scale_error,chi2,readings,g,g_from,g_sides,eta,status
+skin,0.0500000000000007,0.9999999999999961,0.004512962943682094,0.030251779004553565,3.885780586188048e-16,2.3314683517128287e-15,-0.9688287843312002,1.0000000000000082,0.057780137656808,7.836717955594742e-27,4,0,default,both,1.4,fitted
+
+$ dipole fit skin.csv --model better --eta 1.4 --g 0.5 --format json
+{
+  "software": "dipoled 0.1.0",
+  "model": "better",
+  "moments": "exact",
+  "axis": "r",
+  "scale": "absolute",
+  "notes": "similarity",
+  "units": {"sigma_a": "1/mm", "sigma_s_prime": "1/mm", "sigma_a_error": "1/mm", "sigma_s_prime_error": "1/mm", "sigma_a_by_g": "1/mm", "sigma_s_prime_by_g": "1/mm", "model_error": "relative", "second_sigma_a": "1/mm", "second_sigma_s_prime": "1/mm"},
+  "rows": [
+    {"sample": "skin", "sigma_a": 0.0500000000000022, "sigma_s_prime": 0.9999999999999923, "sigma_a_error": 5.967816010685673e-4, "sigma_s_prime_error": 0.005204203545675181, "sigma_a_by_g": 2.0816681711721685e-17, "sigma_s_prime_by_g": 3.3306690738754696e-16, "correlation": 0.33461250620544125, "scale": 1, "scale_error": 0, "chi2": 2.120165308996693e-23, "readings": 4, "model_error": null, "g": 0.5, "g_from": "option", "g_sides": "both", "eta": 1.4, "status": "fitted", "reduced_chi2": 1.0600826544983466e-23, "condition": 2.4957671945558144, "second_sigma_a": null, "second_sigma_s_prime": null, "second_chi2": null}
+  ]
+}
+
+$ dipole fit skin.csv --model better
+! dipole fit: sample skin: its eta is not known: give --eta X (the refractive index inside over outside), or a column eta
+! `dipole fit --help` tells more.
+? 2
+
+$ sed '1s/$/,eta,g/; 2,$s/$/,1.4,0.8/' skin.csv | dipole fit --model better
+model better, moments exact, scale absolute
+
+sample  sigma_a  sigma_s'  error of a  error of s'   a by g  s' by g  correlation       chi2  readings  model error    g  g from  g sides  eta  status
+           1/mm      1/mm        1/mm         1/mm     1/mm     1/mm                                       relative                                   
+------  -------  --------  ----------  -----------  -------  -------  -----------  ---------  --------  -----------  ---  ------  -------  ---  ------
+skin       0.05         1      0.0006       0.0052  4.2e-17  2.2e-16        0.335  2.138e-23         4    not known  0.8    file     both  1.4  fitted
+
+errors are standard errors; chi2 is the sum of the squares of (reading - fit) / error
+model error: of R against radiative transport, which is not in the standard errors
+by g: the largest change for g +- .05, which the readings may not tell apart
+note: similarity: g is not 0: the model sees isotropic scattering of sigma_s (1 - g)
+
+$ dipole fit skin.csv --reference 1,2,3
+! dipole fit: --reference: give four numbers: sigma_a, sigma_s, g and eta
+! `dipole fit --help` tells more.
+? 2
+
+$ dipole fit skin.csv --reference 1,2,3,4 --scale free
+! dipole fit: --reference says what the scale is: leave --scale out
+! `dipole fit --help` tells more.
+? 2
+
+$ dipole fit skin.csv --scale reference
+! dipole fit: --scale reference: give --reference A,S,G,ETA in its place
+! `dipole fit --help` tells more.
+? 2
+
+$ dipole fit skin.csv --plot fit.pdf
+! dipole fit: --plot fit.pdf: the name must end in .svg or .png; - is the terminal
+! `dipole fit --help` tells more.
+? 2
+
+$ dipole fit skin.csv --model better --eta 0
+! dipole fit: bad-value: eta of medium 1 of 4: allowed: 0.001 to 1000 (--eta)
+? 1
+
+$ dipole fit skin.csv --model skin-red --eta 1.4
+! dipole fit: bad-value: model: allowed: a model whose R depends on the coefficients alone (--model)
+? 1
+
+$ dipole fit /nonexistent/readings.csv
+! dipole fit: /nonexistent/readings.csv: No such file or directory
+? 1
+
+$ sed '1s/$/,detector_na/; 2,$s/$/,0.3/' skin.csv | dipole fit --model better --eta 1.4
+model better, moments exact, scale absolute
+
+sample  sigma_a  sigma_s'  error of a  error of s'  a by g  s' by g  correlation  chi2  readings  model error  g   g from  g sides  eta   status
+           1/mm      1/mm        1/mm         1/mm    1/mm     1/mm                                  relative                                   
+------  -------  --------  ----------  -----------  ------  -------  -----------  ----  --------  -----------  -  -------  -------  ---  -------
+skin          -         -           -            -       -        -            -     -         4    not known  0  default     none  1.4  refused
+
+errors are standard errors; chi2 is the sum of the squares of (reading - fit) / error
+model error: of R against radiative transport, which is not in the standard errors
+by g: the largest change for g +- .05, which the readings may not tell apart
+! dipole fit: sample skin: bad-value: detector_na: allowed: nothing but with transport and distances
+! dipole fit: standard input: 1 of 1 samples were not fitted: see the column status
+? 3
+
+## Statuses.
+$ printf 'sample,r,R,error\nfew,1,.02,.001\nzero,1,.02,0\nzero,2,.01,.001\nblank,1,.02,\nblank,2,.01,.001\norigin,0,.02,.001\norigin,2,.01,.001\nrising,1,.01,.0001\nrising,2,.02,.0001\nrising,4,.03,.0001\n' | dipole fit --model better --eta 1.4
+model better, moments exact, scale absolute
+
+sample     sigma_a  sigma_s'  error of a  error of s'  a by g  s' by g  correlation       chi2  readings  model error  g   g from  g sides  eta       status
+              1/mm      1/mm        1/mm         1/mm    1/mm     1/mm                                       relative                                       
+------  ----------  --------  ----------  -----------  ------  -------  -----------  ---------  --------  -----------  -  -------  -------  ---  -----------
+few              -         -           -            -       -        -            -          -         1    not known  0  default     none  1.4      refused
+zero             -         -           -            -       -        -            -          -         2    not known  0  default     both  1.4      refused
+blank            -         -           -            -       -        -            -          -         2    not known  0  default     both  1.4      refused
+origin           -         -           -            -       -        -            -          -         2    not known  0  default     none  1.4      refused
+rising  6.8455e-07   0.68455     0.00069       0.0058       -        -        0.838  9.023e+04         3    not known  0  default     both  1.4  implausible
+
+errors are standard errors; chi2 is the sum of the squares of (reading - fit) / error
+model error: of R against radiative transport, which is not in the standard errors
+by g: the largest change for g +- .05, which the readings may not tell apart
+! dipole fit: sample few: bad-count: reading_count: allowed: 2 to 1024, or 3 to 1024 with the scale free
+! dipole fit: sample origin: reading 1 (line 7): bad-value: at: allowed: above 0 without fibres
+! dipole fit: sample zero: reading 1 (line 3): its error must be above 0, and finite
+! dipole fit: sample blank: reading 1 (line 5): its error must be above 0, and finite
+! dipole fit: standard input: 5 of 5 samples were not fitted: see the column status
+? 3
+
+## Files that are wrong.
+$ for text in '' 'r,R,error\n' 'R,error\n1,1\n' 'r,f,R,error\n1,1,1,1\n' 'r,R\n1,1\n' 'r,R,errors\n1,1,1\n' 'r,R,error,R\n1,1,1,1\n' 'r,R,error\n1,x,1\n' 'r,R,error,g\n1,1,1,0\n2,1,1,.5\n' 'r,R,error\n1,"1,1\n' 'r,R,error\n1,0,5,1\n' 'r,R,error,thickness\n1,1,1,1\n' 'r,R,error,phase_g\n1,1,1,1\n'; do printf "$text" | dipole fit --eta 1.4; done
+! dipole fit: standard input: it has no header, a line that names the columns
+! dipole fit: standard input: there are no readings
+! dipole fit: standard input: the column r or f (one of both) is missing; the header has R, error; it needs r (distances in mm) or f (spatial frequencies in 1/mm), R and error, and may have sample, g, eta, detector_na, source_mm and detector_mm
+! dipole fit: standard input: the column r or f (one of both) is missing; the header has r, f, R, error; it needs r (distances in mm) or f (spatial frequencies in 1/mm), R and error, and may have sample, g, eta, detector_na, source_mm and detector_mm
+! dipole fit: standard input: the column error is missing; the header has r, R; it needs r (distances in mm) or f (spatial frequencies in 1/mm), R and error, and may have sample, g, eta, detector_na, source_mm and detector_mm
+! dipole fit: standard input: the column errors is not read; the nearest that is read is error: rename it
+! dipole fit: standard input: the header has the column R twice: rename one
+! dipole fit: standard input: line 2: R: 'x' is no number
+! dipole fit: standard input: line 3: g differs from that of the sample's other lines
+! dipole fit: standard input: line 2: a quote is not closed
+! dipole fit: standard input: line 2: more cells than in the header: numbers have a decimal point
+! dipole fit: standard input: the column thickness is of no medium that can be fitted: those are half spaces that scatter by Henyey-Greenstein's function
+! dipole fit: standard input: the column phase_g is of no medium that can be fitted: those are half spaces that scatter by Henyey-Greenstein's function
+? 1

@@ -1,0 +1,394 @@
+## Help, versions, and wrong command lines.
+$ dipole --version
+dipole 0.1.0
+
+$ dipole help
+Usage: dipole COMMAND [OPTION]...
+
+Asks the daemon dipoled how much light leaves a translucent medium at distance r from
+where it entered: R(r) in 1/mm^2 per unit of power that entered. Unless --connect
+or the environment variable DIPOLED names a daemon, it starts one of its own.
+
+Commands
+  eval     Evaluate a medium over a range of radii, as a table or a picture
+  plot     Draw profiles over r, and how far they are from radiative transport
+  points   Evaluate each row of a CSV file (or of standard input)
+  sample   Draw radii in proportion to the light that leaves there
+  invert   Find the medium that has a given albedo: sigma_a and sigma_s
+  fit      Find sigma_a and sigma_s' of samples from readings of their reflectance
+  texture  Map an image of colours to images of the media that have them
+  gather   Sum the light that points leave at other positions
+  table    Fetch tables of a medium, to be evaluated without a daemon
+  mc       Walk photons through a medium (Monte Carlo): R(r) with standard errors
+  media    List the measured media and their coefficients
+  info     Show a daemon: models, evaluators, instruction set, limits, statistics
+  top      Watch a daemon: requests, radii and bytes each second, latencies, queues
+  bench    Measure how fast a daemon answers: latency, pipelined requests, throughput
+  help     This text, or `dipole help COMMAND`
+
+`dipole COMMAND --help` describes a command; `dipole --version` prints the version.
+
+$ dipole help evaluate
+! dipole: there is no command 'evaluate'; the commands are eval, plot, points, sample, invert, fit, texture, gather, table, mc, media, info, top, bench, help
+? 2
+
+$ dipole evaluate
+! dipole: there is no command 'evaluate'; the commands are eval, plot, points, sample, invert, fit, texture, gather, table, mc, media, info, top, bench, help
+? 2
+
+$ dipole invert --help
+Usage: dipole invert [OPTION]...
+
+Find the medium that has a given albedo: sigma_a and sigma_s.
+
+Takes a diffuse albedo and a length, and finds the coefficients of a medium that has
+them by a model. sigma_t' is sigma_a + sigma_s (1 - g). As a check, the albedo of that
+medium is evaluated. The exit status is 3 if there is no such medium for some channel.
+
+Medium
+  --albedo X[,X...]     diffuse albedo: the share of the power that leaves, 0 to 1; one value for
+                        each channel
+  --mean-free-path X[,X...]
+                        1 / sigma_t', mm; a single value is for all channels
+  --diffuse-mean-free-path X[,X...]
+                        instead: 1 / (sigma_t' sqrt(3 a / (1 + a))), a = sigma_a / sigma_t', mm
+  --classical-diffuse-path X[,X...]
+                        instead: 1 / sqrt(3 sigma_a sigma_t'), mm
+  --g X                 mean cosine of the scattering angle (default: 0)
+  --eta X               refractive index inside over outside (default: 1.3)
+
+Evaluation
+  --model NAME          the model that gives the albedo; see `dipole info`. transport takes some 5
+                        ms for each medium, better microseconds (default: transport)
+  --moments NAME        Fresnel moments; `dipole info` lists them (default: exact)
+  --deadline-ms N       ask the daemon to answer within N ms or to refuse; 0: no limit
+
+Options of all commands
+  --connect ADDRESS     unix:PATH, tcp:HOST:PORT or tls:HOST:PORT; private: for a daemon of its
+                        own. Several, separated by commas, are tried in turn (default: the
+                        environment variable DIPOLED, else private:; for info, top and bench the
+                        installed service before that, if it is there)
+  --ca FILE             for tls: the certificates that sign the daemon's, PEM (default: the
+                        environment variable DIPOLED_CA, else those of the system)
+  --certificate FILE    for tls: the client's certificate, PEM, if the daemon asks for one
+                        (default: the environment variable DIPOLED_CERTIFICATE)
+  --key FILE            for tls: its key (default: the environment variable DIPOLED_KEY, else in
+                        the file of the certificate)
+  --format FORMAT       one of table,csv,json (default: table)
+  --timeout-ms N        give up if the daemon is silent for N ms; 0: never (default: 30000)
+  --retry-ms N          go on trying for N ms if no daemon is there, or if it is lost or busy; 0:
+                        do not (default: 5000; while it is busy: --timeout-ms, if that is more)
+  --help                print this text
+
+Exit status: 0 done, 1 failed, 2 wrong command line, 3 some rows or values are bad
+(points, invert, texture).
+
+Examples
+  dipole invert --albedo 0.44,0.22,0.13 --mean-free-path 1.3,0.95,0.67
+  dipole invert --albedo 0.8 --diffuse-mean-free-path 2 --g 0.9 --eta 1.4
+  dipole invert --albedo 0.1,0.5,0.9 --mean-free-path 1 --model classical --format csv
+  dipole invert --albedo 0.8 --mean-free-path 1 --model quantized --format json
+
+$ dipole eval
+! dipole eval: give --medium NAME, or --sigma-a and --sigma-s
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 1
+! dipole eval: give --medium NAME, or --sigma-a and --sigma-s
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval skin1
+! dipole eval: 'skin1' is one argument too many: leave it out
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole points a.csv b.csv
+! dipole points: 'b.csv' is one argument too many: leave it out
+! `dipole points --help` tells more.
+? 2
+
+$ dipole media --mediun
+! dipole media: --mediun: no such option
+! `dipole media --help` tells more.
+? 2
+
+$ dipole media -x
+! dipole media: -x: no such option
+! `dipole media --help` tells more.
+? 2
+
+$ dipole eval --meduim=skin1
+! dipole eval: --meduim=skin1: no such option; the nearest is --medium
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --model bettr
+! dipole eval: --model: 'bettr' is unknown; this daemon has classical, better, grosjean, boundary, exitance, grosjean-boundary, grosjean-exitance, boundary-exitance, extended, quantized, beam, single, classical+single, better+single, extended+single, quantized+single, beam+single, burley, burley-diffuse, burley-dmfp, skin-red, skin-green, skin-blue, gaussians, multipole, multipole-transmitted, better-multipole, better-multipole-transmitted, transport. Is it better?
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a
+! dipole eval: --sigma-a: a value is missing
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole media --format xml
+! dipole media: --format xml: it is one of table,csv,json
+! `dipole media --help` tells more.
+? 2
+
+$ dipole media --format able
+! dipole media: --format able: it is one of table,csv,json
+! `dipole media --help` tells more.
+? 2
+
+$ dipole points --format json
+! dipole points: --format json: only csv
+! `dipole points --help` tells more.
+? 2
+
+$ dipole media --timeout-ms -1
+! dipole media: --timeout-ms: '-1' is no whole number
+! `dipole media --help` tells more.
+? 2
+
+$ dipole media --timeout-ms 4294967296
+! dipole media: --timeout-ms: '4294967296' is no whole number up to 4294967295
+! `dipole media --help` tells more.
+? 2
+
+$ dipole media --retry-ms 4294967296
+! dipole media: --retry-ms: '4294967296' is no whole number up to 4294967295
+! `dipole media --help` tells more.
+? 2
+
+$ dipole media --retry-ms soon
+! dipole media: --retry-ms: 'soon' is no whole number
+! `dipole media --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --g 0x1p-1
+! dipole eval: --g: '0x1p-1' is no number (or several, separated by commas)
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --g 0,5,
+! dipole eval: --g: '0,5,' is no number (or several, separated by commas)
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0,05
+! dipole eval: --sigma-a: '0,05' is no list of numbers: one of them starts with a 0; write a decimal point, as in 0.05
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --r 1,-00.5
+! dipole eval: --r: '1,-00.5' is no list of numbers: one of them starts with a 0; write a decimal point, as in 0.05
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole invert --albedo 07
+! dipole invert: --albedo: '07' is no list of numbers: one of them starts with a 0; write a decimal point, as in 0.05
+! `dipole invert --help` tells more.
+? 2
+
+$ dipole invert --eta 1,4
+! dipole invert: --eta: '1,4' is no number: write a decimal point, as in 0.05
+! `dipole invert --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --g ' 0'
+! dipole eval: --g: ' 0' is no number (or several, separated by commas)
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --eta 1e999
+! dipole eval: --eta: '1e999' is no number (or several, separated by commas)
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --to 1mm
+! dipole eval: --to: '1mm' is no number
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --count 1e3
+! dipole eval: --count: '1e3' is no whole number
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --count 18446744073709551616
+! dipole eval: --count: '18446744073709551616' is no whole number
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --medium skin1
+! dipole eval: --medium NAME stands for --sigma-a and --sigma-s: leave these out; --g and --eta may stay
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --r 1 --count 3
+! dipole eval: --r gives the radii one by one: leave --from, --to, --count and --log out
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --log
+! dipole eval: --log needs --from, above 0
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --g 0,0.5 --eta 1,1.2,1.4
+! dipole eval: --eta has 3 values and --g has 2: give one value or as many
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --medium skin1 --eta 1,2
+! dipole eval: --eta has 2 values and --medium has 3: give one value or as many
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --deadline-ms 4294967296
+! dipole eval: --deadline-ms: '4294967296' is no whole number up to 4294967295
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --deadline-ms -1
+! dipole eval: --deadline-ms: '-1' is no whole number
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --table a --deadline-ms 5
+! dipole eval: --table FILE says what is evaluated, and needs no daemon: of the options leave all out but radii, --wanted and output
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --plot r.pdf
+! dipole eval: --plot r.pdf: the name must end in .svg or .png; - is the terminal
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --plot .png
+! dipole eval: --plot .png: the name must end in .svg or .png; - is the terminal
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --plot r.png --wanted albedo
+! dipole eval: --plot draws R: add R to --wanted
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --plot - --format json
+! dipole eval: --plot - draws onto standard output, where the json goes: name a file, or leave --format out
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --model better,
+! dipole eval: --model: '' is unknown; this daemon has classical, better, grosjean, boundary, exitance, grosjean-boundary, grosjean-exitance, boundary-exitance, extended, quantized, beam, single, classical+single, better+single, extended+single, quantized+single, beam+single, burley, burley-diffuse, burley-dmfp, skin-red, skin-green, skin-blue, gaussians, multipole, multipole-transmitted, better-multipole, better-multipole-transmitted, transport
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --moments fat
+! dipole eval: --moments: 'fat' is unknown; this daemon has exact, fit, jensen, pbrt. Is it fit?
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --evaluator f16
+! dipole eval: --evaluator: 'f16' is unknown; this daemon has f64, f32, lut
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --wanted colour
+! dipole eval: --wanted: 'colour' is unknown; this daemon has R, albedo, cdf, r, dR_dr, ln_R, pdf, 2_pi_r_R, S, R_f, dlnR_dln_sigma_a, dlnR_dln_sigma_s, model_error
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --medium skin
+! dipole eval: --medium: 'skin' is unknown; this daemon has apple, chicken1, chicken2, cream, ketchup, marble, potato, skimmilk, skin1, skin2, spectralon, wholemilk
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole points --evaluator f16
+! dipole points: --evaluator: 'f16' is unknown; this daemon has f64, f32, lut
+! `dipole points --help` tells more.
+? 2
+
+## What the daemon refuses, and daemons that are not there.
+$ dipole eval --sigma-a -1 --sigma-s 1
+! dipole eval: bad-value: sigma_a: allowed: 0 to 1e15 per mm (--sigma-a)
+? 1
+
+$ dipole eval --sigma-a inf --sigma-s 1
+! dipole eval: bad-value: sigma_a: allowed: 0 to 1e15 per mm (--sigma-a)
+? 1
+
+$ dipole eval --sigma-a 1 --sigma-s nan
+! dipole eval: bad-value: sigma_s: allowed: 0 to 1e15 per mm (--sigma-s)
+? 1
+
+$ dipole eval --sigma-a 0,-1 --sigma-s 1
+! dipole eval: bad-value: sigma_a of medium 2 of 2: allowed: 0 to 1e15 per mm (--sigma-a)
+? 1
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --g 1
+! dipole eval: bad-value: g: allowed: between -1 and 1, exclusive (--g)
+? 1
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --eta 0
+! dipole eval: bad-value: eta: allowed: 0.001 to 1000 (--eta)
+? 1
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --eta 3 --moments fit --model better
+! dipole eval: bad-value: eta: allowed: 0.195 to 2.485 with moments fit (--eta)
+? 1
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --r 0,-1
+! dipole eval: bad-value: r number 2 of 2: allowed: 0 to infinity, in mm (--r)
+? 1
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --from -1
+! dipole eval: bad-value: radius_start: allowed: at least 0 mm, finite (--from)
+? 1
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --from 0 --log
+! dipole eval: bad-value: radius_start: allowed: at least 1e-300 mm, finite (logarithmic) (--from)
+? 1
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --to inf
+! dipole eval: bad-value: radius_stop: allowed: at least radius_start, finite (--to)
+? 1
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --count 99999999999999
+! dipole eval: too-large: radius_count: allowed: at most 1099511627776 radii (--count)
+? 1
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --tolerance 1e-9
+! dipole eval: bad-value: tolerance: allowed: at least 3.22e-06 (best: transport, f64) (--tolerance)
+? 1
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --model better,multipole
+! dipole eval: model multipole: bad-value: thickness: allowed: the thickness of the slab in mm: this model needs it (--thickness)
+? 1
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --model multipole,better --thickness 9
+! dipole eval: model better: bad-value: thickness: allowed: nothing: this model does not take it (--thickness)
+? 1
+
+$ dipole media --connect localhost
+! dipole media: address 'localhost': write unix:PATH, tcp:HOST:PORT, tls:HOST:PORT or private:
+? 1
+
+$ dipole media --connect unix:/nonexistent/d --retry-ms 0
+! dipole media: cannot connect to the socket /nonexistent/d: No such file or directory
+! The address is from --connect. If no daemon runs there, start one with `dipoled --listen unix:/nonexistent/d`. Or leave --connect out: dipole then starts a daemon for itself.
+? 1
+
+$ DIPOLED=unix:/nonexistent/d dipole media --retry-ms 0
+! dipole media: cannot connect to the socket /nonexistent/d: No such file or directory
+! The address is from the environment variable DIPOLED. If no daemon runs there, start one with `dipoled --listen unix:/nonexistent/d`. Or unset that variable: dipole then starts a daemon for itself.
+? 1
+
+$ dipole media --connect private:/nonexistent
+! dipole media: cannot start a private daemon: there is no program /nonexistent beside this program or in PATH. Install dipoled, or name a running daemon, as in DIPOLED=tcp:HOST:PORT
+? 1

@@ -1,0 +1,122 @@
+## dipole invert: media with given albedos.
+$ dipole invert --albedo 0.25,0.75 --mean-free-path 1.5 --model better
+model better, moments exact, given mean-free-path, = 1 / sigma_t', albedos from 7.640417442483896e-62, to 1
+
+channel  albedo  mean-free-path        sigma_a      sigma_s     sigma_s'  g  eta  check: albedo   off by
+         wanted              mm           1/mm         1/mm         1/mm
+-------  ------  --------------  -------------  -----------  -----------  -  ---  -------------  -------
+1          0.25             1.5   0.0641838214  0.602482845  0.602482845  0  1.3           0.25  1.1e-16
+2          0.75             1.5  0.00280860178  0.663858065  0.663858065  0  1.3           0.75  0.0e+00
+check: an evaluation of the medium
+per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
+
+$ dipole invert --albedo 0.25,0.75 --mean-free-path 1,2 --g 0.8 --eta 1.4 --model better --format csv
+model,channel,wanted_albedo,given,length,sigma_a,sigma_s,g,eta,albedo,status
+better,1,0.25,mean-free-path,1,0.08006372314328833,4.599681384283559,0.8,1.4,0.25000000000000006,ok
+better,2,0.75,mean-free-path,2,0.001605803268234967,2.4919709836588253,0.8,1.4,0.7499999999999999,ok
+
+$ dipole invert --albedo 0.5 --diffuse-mean-free-path 1 --model better --format json
+{
+  "software": "dipoled 0.1.0",
+  "model": "better",
+  "moments": "exact",
+  "given": "diffuse-mean-free-path",
+  "formula": "1 / (sigma_t' sqrt(3 a / (1 + a))), a = sigma_a / sigma_t': Grosjean's",
+  "albedo_least": 7.640417442483896e-62,
+  "albedo_most": 1,
+  "units": {"wanted_albedo": "wanted", "length": "mm", "sigma_a": "1/mm", "sigma_s": "1/mm"},
+  "rows": [
+    {"model": "better", "channel": 1, "wanted_albedo": 0.5, "given": "diffuse-mean-free-path", "length": 1, "sigma_a": 0.09130701779526736, "sigma_s": 3.648510779643632, "g": 0, "eta": 1.3, "albedo": 0.5, "status": "ok"}
+  ]
+}
+
+$ dipole invert --albedo 0.05,0.5 --mean-free-path 1 --model single
+model single, moments exact, given mean-free-path, = 1 / sigma_t', albedos from 7.572019300469239e-32, to 0.0757201930046924
+
+channel  albedo  mean-free-path       sigma_a      sigma_s     sigma_s'  g  eta  check: albedo   off by
+         wanted              mm          1/mm         1/mm         1/mm
+-------  ------  --------------  ------------  -----------  -----------  -  ---  -------------  -------
+1          0.05               1   0.339674161  0.660325839  0.660325839  0  1.3           0.05  2.1e-17
+2           0.5               1  out of reach            -            -  -    -              -        -
+check: an evaluation of the medium
+per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
+! dipole invert: 1 of 2: there is no such medium: with this model, g and eta albedos above 0 go from 7.57e-32 to 0.075720193004692404, and without absorption there is no diffuse path
+? 3
+
+$ dipole invert --albedo 0.05,0.5 --mean-free-path 1 --model single --format csv
+model,channel,wanted_albedo,given,length,sigma_a,sigma_s,g,eta,albedo,status
+single,1,0.05,mean-free-path,1,0.339674160670701,0.6603258393292989,0,1.3,0.050000000000000024,ok
+single,2,0.5,mean-free-path,1,,,0,1.3,,out of reach
+! dipole invert: 1 of 2: there is no such medium: with this model, g and eta albedos above 0 go from 7.57e-32 to 0.075720193004692404, and without absorption there is no diffuse path
+? 3
+
+$ dipole invert --albedo 1 --diffuse-mean-free-path 1 --model better --format csv
+model,channel,wanted_albedo,given,length,sigma_a,sigma_s,g,eta,albedo,status
+better,1,1,diffuse-mean-free-path,1,,,0,1.3,,no such length
+! dipole invert: 1 of 1: there is no such medium: with this model, g and eta albedos above 0 go from 7.64e-62 to 1, and without absorption there is no diffuse path
+? 3
+
+$ dipole invert --albedo 1 --mean-free-path 1 --model better --format csv
+model,channel,wanted_albedo,given,length,sigma_a,sigma_s,g,eta,albedo,status
+better,1,1,mean-free-path,1,0,1,0,1.3,1,ok
+
+$ dipole invert --albedo 0.4,0.2 --mean-free-path 1 --model better --format csv | dipole points --r 0.5,2
+model,channel,wanted_albedo,given,length,sigma_a,sigma_s,g,eta,albedo,status,r,R,cdf
+better,1,0.4,mean-free-path,1,0.04254523875590417,0.9574547612440959,0,1.3,0.4,ok,0.5,0.034066219607273844,0.07589683682929961
+better,1,0.4,mean-free-path,1,0.04254523875590417,0.9574547612440959,0,1.3,0.4,ok,2,0.00715953759805385,0.502126804616571
+better,2,0.2,mean-free-path,1,0.12862311017013614,0.8713768898298638,0,1.3,0.1999999999999999,ok,0.5,0.02330424401517404,0.10536196096925443
+better,2,0.2,mean-free-path,1,0.12862311017013614,0.8713768898298638,0,1.3,0.1999999999999999,ok,2,0.0037990923562216837,0.6282713999554665
+
+$ dipole invert
+! dipole invert: give --albedo, and --mean-free-path in mm
+! `dipole invert --help` tells more.
+? 2
+
+$ dipole invert --albedo 0.5
+! dipole invert: give exactly one of --mean-free-path, --diffuse-mean-free-path and --classical-diffuse-path, in mm
+! `dipole invert --help` tells more.
+? 2
+
+$ dipole invert --albedo 0.5 --mean-free-path 1 --diffuse-mean-free-path 1
+! dipole invert: give exactly one of --mean-free-path, --diffuse-mean-free-path and --classical-diffuse-path, in mm
+! `dipole invert --help` tells more.
+? 2
+
+$ dipole invert --albedo 0.1,0.2 --mean-free-path 1,2,3
+! dipole invert: --mean-free-path has 3 values and --albedo has 2: give one value or as many
+! `dipole invert --help` tells more.
+? 2
+
+$ dipole invert --albedo half --mean-free-path 1
+! dipole invert: --albedo: 'half' is no number (or several, separated by commas)
+! `dipole invert --help` tells more.
+? 2
+
+$ dipole invert --albedo 0.5 --mean-free-path 1 --sigma-a 1
+! dipole invert: --sigma-a: no such option
+! `dipole invert --help` tells more.
+? 2
+
+$ dipole invert --albedo 0.1,1.5 --mean-free-path 1
+! dipole invert: bad-value: albedo number 2 of 2: allowed: 0 to 1 (--albedo)
+? 1
+
+$ dipole invert --albedo 0.1 --mean-free-path 0
+! dipole invert: bad-value: length: allowed: 1e-14 to 1e14 mm (--mean-free-path)
+? 1
+
+$ dipole invert --albedo 0.1 --classical-diffuse-path -1
+! dipole invert: bad-value: length: allowed: 1e-14 to 1e14 mm (--classical-diffuse-path)
+? 1
+
+$ dipole invert --albedo 0.1 --mean-free-path 1 --g 1
+! dipole invert: bad-value: g: allowed: between -1 and 1, exclusive (--g)
+? 1
+
+$ dipole invert --albedo 0.1 --mean-free-path 1 --model skin-red
+! dipole invert: bad-value: model: allowed: a model whose albedo depends on the medium (--model)
+? 1
+
+$ dipole invert --albedo 0.1 --mean-free-path 1 --model multipole
+! dipole invert: bad-value: thickness: allowed: the thickness of the slab in mm: this model needs it
+? 1

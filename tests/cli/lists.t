@@ -1,0 +1,265 @@
+## dipole media, info, table, bench, top and texture: what does not depend on the machine.
+$ dipole media
+medium      channel  sigma_a  sigma_s  g  eta
+                        1/mm     1/mm
+----------  -------  -------  -------  -  ---
+apple       red        0.003     2.29  0  1.3
+            green     0.0034     2.39  0  1.3
+            blue       0.046     1.97  0  1.3
+chicken1    red        0.015     0.15  0  1.3
+            green      0.077     0.21  0  1.3
+            blue        0.19     0.38  0  1.3
+chicken2    red        0.018     0.19  0  1.3
+            green      0.088     0.25  0  1.3
+            blue         0.2     0.32  0  1.3
+cream       red       0.0002     7.38  0  1.3
+            green     0.0028     5.47  0  1.3
+            blue      0.0163     3.15  0  1.3
+ketchup     red        0.061     0.18  0  1.3
+            green       0.97     0.07  0  1.3
+            blue        1.45     0.03  0  1.3
+marble      red       0.0021     2.19  0  1.3
+            green     0.0041     2.62  0  1.3
+            blue      0.0071        3  0  1.3
+potato      red       0.0024     0.68  0  1.3
+            green      0.009      0.7  0  1.3
+            blue        0.12     0.55  0  1.3
+skimmilk    red       0.0014      0.7  0  1.3
+            green     0.0025     1.22  0  1.3
+            blue      0.0142      1.9  0  1.3
+skin1       red        0.032     0.74  0  1.3
+            green       0.17     0.88  0  1.3
+            blue        0.48     1.01  0  1.3
+skin2       red        0.013     1.09  0  1.3
+            green       0.07     1.59  0  1.3
+            blue       0.145     1.79  0  1.3
+spectralon  red            0     11.6  0  1.3
+            green          0     20.4  0  1.3
+            blue           0     14.9  0  1.3
+wholemilk   red       0.0011     2.55  0  1.3
+            green     0.0024     3.21  0  1.3
+            blue       0.014     3.77  0  1.3
+
+$ dipole media --format csv | grep skin1
+skin1,red,0.032,0.74,0,1.3
+skin1,green,0.17,0.88,0,1.3
+skin1,blue,0.48,1.01,0,1.3
+
+$ dipole media --format json | head -5
+{
+  "units": {"sigma_a": "1/mm", "sigma_s": "1/mm"},
+  "rows": [
+    {"medium": "apple", "channel": "red", "sigma_a": 3e-3, "sigma_s": 2.29, "g": 0, "eta": 1.3},
+    {"medium": "apple", "channel": "green", "sigma_a": 0.0034, "sigma_s": 2.39, "g": 0, "eta": 1.3},
+
+$ dipole info --format csv | grep '^models,better,\|^parameters\|^limits,max_frame\|^daemon,protocol'
+daemon,protocol_version,1
+models,better,"d'Eon 2012, Table 2"
+parameters,tolerance,"1: error asked for, relative: numerical, or, without a model, all of it (1e-12 to 1)"
+parameters,cos_in,"1: cosine of the angle of incidence, for S; else 1 (0 to 1)"
+parameters,cos_out,"1: cosine of the angle of exit, for S; else 1 (0 to 1)"
+parameters,thickness,"mm: of a slab, which needs it (1e-15 to 1e30)"
+parameters,surface_albedo,"1: Burley's A; else the better dipole's albedo (0 to 1)"
+parameters,gaussians,"1: how many are fitted, an integer; else 6 (1 to 12)"
+parameters,fit_model,"id: model that is fitted; else better (1 to 65535)"
+parameters,fit_from,"mm: least radius of a fit; else 0.1 mfp (0 to 1e30)"
+parameters,fit_to,"mm: largest radius of a fit; else 10 mfp (1e-30 to 1e30)"
+parameters,phase,"id: of mc: its phase function; else henyey-greenstein (1 to 65535)"
+parameters,phase_share,1: of mc: share of the first HG of phase modified or two-term (1e-6 to 1)
+parameters,phase_g,1: of mc: mean cosine of the second HG of phase two-term (-0.9999 to 0.9999)
+parameters,gamma,"1: (1 - g_2) / (1 - g) of the phase function, with transport; else 1 + g (0.5 to 1.95)"
+parameters,detector_na,"1: of fit with transport, and of mc: sine of the largest exit angle detected; else 1 (0.01 to 1)"
+limits,max_frame_bytes,67108864
+
+$ dipole info | head -9
+section         name                                value
+--------------  ----------------------------------  ------------------------------------------------------------------------------------------------
+daemon          software                            dipoled 0.1.0
+                address                             private:
+                protocol_version                    1
+                instruction_set                     avx512
+                workers                             2
+                R_unit                              1/mm^2 per unit of power that entered
+models          classical                           Jensen et al. 2001; d'Eon 2012, Table 2
+
+$ dipole table --medium skin1 --model transport --tolerance 1e-3
+skin1, model transport, moments exact, tolerance 1e-3
+
+channel  sigma_a  sigma_s  g  eta    albedo  pieces from   to  bytes    numerical error  holds up to   model error
+            1/mm     1/mm                             mm   mm         relative, at most           mm  at all radii
+-------  -------  -------  -  ---  --------  -----------  ---  -----  -----------------  -----------  ------------
+red        0.032     0.74  0  1.3  0.439458    5.821e-11  512  19184            7.6e-04        111.1       0.0e+00
+green       0.17     0.88  0  1.3  0.213259     2.91e-11  256  19168            8.0e-04        43.72       0.0e+00
+blue        0.48     1.01  0  1.3  0.115435     2.91e-11  128  19104            7.4e-04        23.63       0.0e+00
+numerical error: of R and cdf against the model's formula, as measured
+holds up to: the numerical error of R is larger at radii beyond this one
+model error: of the model against radiative transport
+`dipole eval --table` states both errors for the radii that it is asked for
+per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
+
+$ dipole table --sigma-a 0.032 --sigma-s 0.74 --model better --g 0.97 --output a.table --format csv
+channel,sigma_a,sigma_s,g,eta,albedo,pieces_from,pieces_to,bytes,numerical_error,reach,model_error
+1,0.032,0.74,0.97,1.3,0.01747984589212022,9.313225746154785e-10,2048,21632,8.439217715535063e-5,inf,
+
+$ dipole eval --table a.table --r 0.1,1 --wanted R,cdf --format csv
+model,channel,sigma_a,sigma_s,g,eta,r,R,cdf,numerical_error,model_error,evaluator,notes
+better,1,0.032,0.74,0.97,1.3,0.1,1.3394394e-5,2.4073828e-5,8.439217715536079e-5,,lut,similarity
+better,1,0.032,0.74,0.97,1.3,1,1.3333372e-5,0.0024018935,8.439217715545223e-5,,lut,similarity
+
+$ dipole eval --table a.table --model better
+! dipole eval: --table FILE says what is evaluated, and needs no daemon: of the options leave all out but radii, --wanted and output
+! `dipole eval --help` tells more.
+? 2
+
+$ dipole eval --table a.table --wanted dR_dr
+! dipole eval: --wanted dR_dr: a table does not hold it; it holds R, albedo, cdf, pdf, 2_pi_r_R and S
+? 1
+
+$ dipole eval --table a.table --r 1,-1
+! dipole eval: r number 2 of 2: allowed: 0 to inf mm, which the model covers
+? 1
+
+$ dipole eval --table a.table --from 2 --to 1
+! dipole eval: radius_stop: allowed: at least radius_start, finite
+? 1
+
+$ dipole eval --table /nonexistent
+! dipole eval: cannot read /nonexistent: No such file or directory
+? 1
+
+$ head -c 100 a.table | dipole eval --table - --r 1
+! dipole eval: -: table 1: this is not an intact table: it is too short
+? 1
+
+$ dipole table --sigma-a 0.032 --sigma-s 0.74 --output - --format json
+! dipole table: --output - writes binary to standard output: leave --format out, or name a file
+! `dipole table --help` tells more.
+? 2
+
+$ dipole table --sigma-a 0.032 --sigma-s 0.74 --output /nonexistent/file
+! dipole table: cannot write /nonexistent/file: No such file or directory
+? 1
+
+$ dipole table --sigma-a 0.032 --sigma-s 0.74 --output /dev/full
+! dipole table: cannot write /dev/full: No space left on device
+? 1
+
+$ dipole table --sigma-a 0.032 --sigma-s 0.74 --tolerance 1e-9
+! dipole table: bad-value: tolerance: allowed: 1e-6 to 1 with lut (--tolerance)
+? 1
+
+$ dipole table --sigma-a 0.032 --sigma-s 0.74 --g 0,1
+! dipole table: channel 2: bad-value: g: allowed: between -1 and 1, exclusive (--g)
+? 1
+
+$ dipole table --sigma-a 0.032 --sigma-s 0.74 --thickness 1 --model better
+! dipole table: bad-value: thickness: allowed: nothing: this model does not take it (--thickness)
+? 1
+
+$ dipole bench --seconds 0
+! dipole bench: --seconds: give a number from 0.01 to 3600
+! `dipole bench --help` tells more.
+? 2
+
+$ dipole bench --connections 257
+! dipole bench: --connections: give a number from 1 to 256
+! `dipole bench --help` tells more.
+? 2
+
+$ dipole bench --connections 2
+! dipole bench: --connections: a daemon of its own has one connection; --connect names another
+! `dipole bench --help` tells more.
+? 2
+
+$ dipole bench --in-flight 4097
+! dipole bench: --in-flight: give a number from 1 to 4096
+! `dipole bench --help` tells more.
+? 2
+
+$ dipole bench --radii 0
+! dipole bench: --radii: give a number from 1 to 4194304
+! `dipole bench --help` tells more.
+? 2
+
+$ dipole bench --in-flight 4096 --radii 65536
+! dipole bench: --connections, --in-flight, --radii: give less: together they take more than 1024 MiB for values
+! `dipole bench --help` tells more.
+? 2
+
+$ dipole bench --seconds .01 --model multipole
+! dipole bench: bad-value: thickness: allowed: the thickness of the slab in mm: this model needs it (--thickness)
+? 1
+
+$ dipole top --interval 0
+! dipole top: --interval: give a number from 0.05 to 86400 seconds
+! `dipole top --help` tells more.
+? 2
+
+$ dipole top --interval soon
+! dipole top: --interval: 'soon' is no number
+! `dipole top --help` tells more.
+? 2
+
+$ dipole top --count 0
+! dipole top: --count: give at least 1
+! `dipole top --help` tells more.
+? 2
+
+$ dipole complete 'dipole '
+eval	Evaluate a medium over a range of radii, as a table or a picture
+plot	Draw profiles over r, and how far they are from radiative transport
+points	Evaluate each row of a CSV file (or of standard input)
+sample	Draw radii in proportion to the light that leaves there
+invert	Find the medium that has a given albedo: sigma_a and sigma_s
+fit	Find sigma_a and sigma_s' of samples from readings of their reflectance
+texture	Map an image of colours to images of the media that have them
+gather	Sum the light that points leave at other positions
+table	Fetch tables of a medium, to be evaluated without a daemon
+mc	Walk photons through a medium (Monte Carlo): R(r) with standard errors
+media	List the measured media and their coefficients
+info	Show a daemon: models, evaluators, instruction set, limits, statistics
+top	Watch a daemon: requests, radii and bytes each second, latencies, queues
+bench	Measure how fast a daemon answers: latency, pipelined requests, throughput
+help
+
+$ dipole complete 'dipole help ta'
+table	Fetch tables of a medium, to be evaluated without a daemon
+
+$ dipole complete 'dipole nonsense '
+
+$ dipole complete 'dipole eval --sigma-'
+--sigma-a	absorption coefficient, 1/mm
+--sigma-s	scattering coefficient, 1/mm
+
+$ dipole complete 'dipole eval --log --cos-o'
+--cos-out	cosine of the angle of exit, for S
+
+$ dipole complete 'dipole eval --wanted R,al'
+R,albedo
+
+$ dipole complete 'dipole eval --medium=skin'
+--medium=skin1
+--medium=skin2
+
+$ dipole complete 'dipole mc --channel '
+red
+green
+blue
+
+$ dipole complete 'dipole mc --phase '
+henyey-greenstein
+modified
+two-term
+
+$ dipole complete 'dipole info --format '
+table
+csv
+json
+
+$ dipole complete 'dipole info --connect t'
+tcp:
+tls:
+
+$ dipole complete 'dipole points '
+
+$ dipole complete 'dipole eval --to '

@@ -1,0 +1,274 @@
+## dipole mc: Monte Carlo.
+$ dipole mc --medium skin1 --channel red --photons 2e4 --to 4 --rings 4
+Monte Carlo, ended by photons, photons 20480, error of the total R 0.005596368798218589, largest error of a ring 0.04318910332627239
+
+skin1, channel red, sigma_a 0.032, sigma_s 0.74, g 0, eta 1.3, seed 1, photons 20480
+
+single-scattering albedo 0.958549
+
+from  to            R  standard error  relative  photons
+  mm  mm       1/mm^2          1/mm^2                   
+----  --  -----------  --------------  --------  -------
+   0   1  4.56523e-02         1.9e-04    0.42 %     3328
+   1   2  8.88924e-03         1.4e-04     1.6 %     2266
+   2   3  3.67740e-03         6.7e-05     1.8 %     1772
+   3   4  1.95821e-03         8.5e-05     4.3 %     1454
+
+per unit of power that entered        share  standard error
+------------------------------  -----------  --------------
+R, total                           0.435942         2.4e-03
+  never scattered, at r = 0               0         0.0e+00
+  closer than the first ring              0         0.0e+00
+  beyond the last ring             0.107914         1.6e-03
+absorbed                           0.562546         2.1e-03
+unfinished walks                          0         0.0e+00
+added by roulette               -0.00151178         6.9e-04
+per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --photons 2e4 --to 4 --rings 2 --thickness 2 --albedo 0.5,0.9
+Monte Carlo, ended by photons, photons 20480, error of the total R 0.009079125746386849, largest error of a ring 0.04024715524119119
+
+channel 1, sigma_a 0.1, sigma_s 0.9, g 0, eta 1.3, thickness 2, seed 1, photons 20480
+
+single-scattering albedo 0.5
+
+from  to            R  standard error  relative  photons            T  standard error  relative  photons
+  mm  mm       1/mm^2          1/mm^2                          1/mm^2          1/mm^2                   
+----  --  -----------  --------------  --------  -------  -----------  --------------  --------  -------
+   0   2  4.66371e-03         4.4e-05    0.95 %     6808  2.54056e-03         4.2e-05     1.6 %     4769
+   2   4  8.46565e-05         2.3e-06     2.7 %     2500  8.46636e-05         3.4e-06       4 %     2500
+
+per unit of power that entered         share  standard error
+------------------------------  ------------  --------------
+R, total                            0.062755         5.7e-04
+  never scattered, at r = 0      0.000306308         0.0e+00
+  closer than the first ring               0         0.0e+00
+  beyond the last ring           0.000651332         9.0e-05
+T, total                            0.168779         4.8e-04
+  never scattered, at r = 0         0.133033         0.0e+00
+  closer than the first ring               0         0.0e+00
+  beyond the last ring           0.000627877         3.8e-05
+absorbed                            0.768466         7.1e-04
+unfinished walks                           0         0.0e+00
+added by roulette               -7.70434e-10         5.1e-09
+
+single-scattering albedo 0.9
+
+from  to            R  standard error  relative  photons            T  standard error  relative  photons
+  mm  mm       1/mm^2          1/mm^2                          1/mm^2          1/mm^2                   
+----  --  -----------  --------------  --------  -------  -----------  --------------  --------  -------
+   0   2  1.57927e-02         1.1e-04    0.68 %     6808  1.03096e-02         1.0e-04    0.98 %     4769
+   2   4  1.25531e-03         2.3e-05     1.9 %     2500  1.23494e-03         2.9e-05     2.3 %     2500
+
+per unit of power that entered         share  standard error
+------------------------------  ------------  --------------
+R, total                             0.26535         1.3e-03
+  never scattered, at r = 0      0.000306308         0.0e+00
+  closer than the first ring               0         0.0e+00
+  beyond the last ring             0.0192629         3.1e-04
+T, total                             0.32945         1.0e-03
+  never scattered, at r = 0         0.133033         0.0e+00
+  closer than the first ring               0         0.0e+00
+  beyond the last ring              0.020305         3.4e-04
+absorbed                            0.405027         1.0e-03
+unfinished walks                           0         0.0e+00
+added by roulette               -0.000173285         3.5e-04
+per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --photons 2e4 --to 4 --rings 2 --format csv
+channel,sigma_a,sigma_s,g,eta,albedo,quantity,from,to,value,error,photons
+1,0.1,0.9,0,1.3,0.9,R,0,2,0.0165230439074756,1.7978604881144274e-4,6421
+1,0.1,0.9,0,1.3,0.9,R,2,4,0.0014753148717933367,3.53779751191746e-5,2833
+1,0.1,0.9,0,1.3,0.9,R_total,,,0.2887791768680572,0.0019652241353313826,
+1,0.1,0.9,0,1.3,0.9,R_unscattered,,,0,0,
+1,0.1,0.9,0,1.3,0.9,R_under,,,0,0,
+1,0.1,0.9,0,1.3,0.9,R_over,,,0.025526423093895773,3.0426576573929447e-4,
+1,0.1,0.9,0,1.3,0.9,absorbed,,,0.7099982207484454,0.0014326138401066113,
+1,0.1,0.9,0,1.3,0.9,unfinished,,,0,0,
+1,0.1,0.9,0,1.3,0.9,roulette,,,-0.0012226023835014983,7.332947458397996e-4,
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --photons 2e4 --to 4 --rings 1 --g 0.5 --phase two-term --phase-share 0.8 --phase-g -0.2 --detector-na 0.5 --format json
+{
+  "software": "dipoled 0.1.0",
+  "ended_by": "photons",
+  "photons": 20480,
+  "error_total": 0.008743218792484419,
+  "error_rings": 0.049223969385662224,
+  "units": {"sigma_a": "1/mm", "sigma_s": "1/mm", "from": "mm", "to": "mm", "value": "of rings 1/mm^2, of others 1"},
+  "rows": [
+    {"channel": "1", "sigma_a": 0.1, "sigma_s": 0.9, "g": 0.5, "eta": 1.3, "phase": 3, "phase_share": 0.8, "phase_g": -0.2, "detector_na": 0.5, "seed": 1, "albedo": 0.9, "quantity": "R", "from": 0, "to": 4, "value": 7.690786025338378e-4, "error": 3.7857101586293516e-5, "photons": 1428},
+    {"channel": "1", "sigma_a": 0.1, "sigma_s": 0.9, "g": 0.5, "eta": 1.3, "phase": 3, "phase_share": 0.8, "phase_g": -0.2, "detector_na": 0.5, "seed": 1, "albedo": 0.9, "quantity": "R_total", "from": null, "to": null, "value": 0.18982922189587037, "error": 0.0016597184202426685, "photons": null},
+    {"channel": "1", "sigma_a": 0.1, "sigma_s": 0.9, "g": 0.5, "eta": 1.3, "phase": 3, "phase_share": 0.8, "phase_g": -0.2, "detector_na": 0.5, "seed": 1, "albedo": 0.9, "quantity": "R_unscattered", "from": null, "to": null, "value": 0, "error": 0, "photons": null},
+    {"channel": "1", "sigma_a": 0.1, "sigma_s": 0.9, "g": 0.5, "eta": 1.3, "phase": 3, "phase_share": 0.8, "phase_g": -0.2, "detector_na": 0.5, "seed": 1, "albedo": 0.9, "quantity": "R_under", "from": null, "to": null, "value": 0, "error": 0, "photons": null},
+    {"channel": "1", "sigma_a": 0.1, "sigma_s": 0.9, "g": 0.5, "eta": 1.3, "phase": 3, "phase_share": 0.8, "phase_g": -0.2, "detector_na": 0.5, "seed": 1, "albedo": 0.9, "quantity": "R_over", "from": null, "to": null, "value": 0.008992183059849699, "error": 3.6129985936219716e-4, "photons": null},
+    {"channel": "1", "sigma_a": 0.1, "sigma_s": 0.9, "g": 0.5, "eta": 1.3, "phase": 3, "phase_share": 0.8, "phase_g": -0.2, "detector_na": 0.5, "seed": 1, "albedo": 0.9, "quantity": "absorbed", "from": null, "to": null, "value": 0.809548156283373, "error": 0.0015261491139638408, "photons": null},
+    {"channel": "1", "sigma_a": 0.1, "sigma_s": 0.9, "g": 0.5, "eta": 1.3, "phase": 3, "phase_share": 0.8, "phase_g": -0.2, "detector_na": 0.5, "seed": 1, "albedo": 0.9, "quantity": "unfinished", "from": null, "to": null, "value": 0, "error": 0, "photons": null},
+    {"channel": "1", "sigma_a": 0.1, "sigma_s": 0.9, "g": 0.5, "eta": 1.3, "phase": 3, "phase_share": 0.8, "phase_g": -0.2, "detector_na": 0.5, "seed": 1, "albedo": 0.9, "quantity": "roulette", "from": null, "to": null, "value": -6.226218207645504e-4, "error": 4.069310037447945e-4, "photons": null}
+  ]
+}
+
+$ dipole mc --medium skin1,marble --channel blue --g 0.8 --photons 2000 --rings 1 --format csv
+channel,sigma_a,sigma_s,g,eta,albedo,quantity,from,to,value,error,photons
+skin1 blue,0.48,5.050000000000001,0.8,1.3,0.9132007233273055,R,0,10,2.9391405385892995e-4,inf,1052
+skin1 blue,0.48,5.050000000000001,0.8,1.3,0.9132007233273055,R_total,,,0.09233582323900091,inf,
+skin1 blue,0.48,5.050000000000001,0.8,1.3,0.9132007233273055,R_unscattered,,,0,0,
+skin1 blue,0.48,5.050000000000001,0.8,1.3,0.9132007233273055,R_under,,,0,inf,
+skin1 blue,0.48,5.050000000000001,0.8,1.3,0.9132007233273055,R_over,,,0,inf,
+skin1 blue,0.48,5.050000000000001,0.8,1.3,0.9132007233273055,absorbed,,,0.9099435971869859,inf,
+skin1 blue,0.48,5.050000000000001,0.8,1.3,0.9132007233273055,unfinished,,,0,inf,
+skin1 blue,0.48,5.050000000000001,0.8,1.3,0.9132007233273055,roulette,,,0.002279420425995214,inf,
+marble blue,0.0071,15.000000000000004,0.8,1.3,0.9995268906051136,R,0,10,0.002603024782703812,inf,3733
+marble blue,0.0071,15.000000000000004,0.8,1.3,0.9995268906051136,R_total,,,0.8234509051047858,inf,
+marble blue,0.0071,15.000000000000004,0.8,1.3,0.9995268906051136,R_unscattered,,,0,0,
+marble blue,0.0071,15.000000000000004,0.8,1.3,0.9995268906051136,R_under,,,0,inf,
+marble blue,0.0071,15.000000000000004,0.8,1.3,0.9995268906051136,R_over,,,0.00568655165933924,inf,
+marble blue,0.0071,15.000000000000004,0.8,1.3,0.9995268906051136,absorbed,,,0.17681562950160762,inf,
+marble blue,0.0071,15.000000000000004,0.8,1.3,0.9995268906051136,unfinished,,,0,inf,
+marble blue,0.0071,15.000000000000004,0.8,1.3,0.9995268906051136,roulette,,,2.665346063933015e-4,inf,
+
+$ dipole mc --sigma-a 0.02,0.1 --sigma-s 10 --g 0.9 --eta 1.4 --r 1,2 --photons 2e4 --format csv
+sample,channel,sigma_a,sigma_s,g,eta,r,R,error
+1,1,0.02,10,0.9,1.4,1,0.01951816904341955,0.0011803849975312952
+1,1,0.02,10,0.9,1.4,2,0.00865045900648739,4.926673118399016e-4
+2,2,0.1,10,0.9,1.4,1,0.012046688398935086,0.0010656090405767702
+2,2,0.1,10,0.9,1.4,2,0.004236130842936714,1.9365225033346625e-4
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --error 0.05 --to 3 --rings 3 --format csv
+channel,sigma_a,sigma_s,g,eta,albedo,quantity,from,to,value,error,photons
+1,0.1,0.9,0,1.3,0.9,R,0,1,0.04590471378682582,2.3170241487721353e-4,25373
+1,0.1,0.9,0,1.3,0.9,R,1,2,0.006804410511629082,6.67372467768142e-5,15742
+1,0.1,0.9,0,1.3,0.9,R,2,3,0.0022708512293433867,2.0215656838869837e-5,10864
+1,0.1,0.9,0,1.3,0.9,R_total,,,0.2907800395821985,6.983862531190143e-4,
+1,0.1,0.9,0,1.3,0.9,R_unscattered,,,0,0,
+1,0.1,0.9,0,1.3,0.9,R_under,,,0,0,
+1,0.1,0.9,0,1.3,0.9,R_over,,,0.04676562206083168,3.3598952634447915e-4,
+1,0.1,0.9,0,1.3,0.9,absorbed,,,0.7090884037130718,6.339023556806285e-4,
+1,0.1,0.9,0,1.3,0.9,unfinished,,,0,0,
+1,0.1,0.9,0,1.3,0.9,roulette,,,-1.315567047330185e-4,2.1399659711909382e-4,
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --photons 2e4 --to 4 --rings 1 --error 0.001
+Monte Carlo, ended by photons, photons 20480, error of the total R 0.006805283388660986, largest error of a ring 0.008221610085640294
+
+channel 1, sigma_a 0.1, sigma_s 0.9, g 0, eta 1.3, seed 1, photons 20480
+
+single-scattering albedo 0.9
+
+from  to            R  standard error  relative  photons
+  mm  mm       1/mm^2          1/mm^2                   
+----  --  -----------  --------------  --------  -------
+   0   4  5.23725e-03         4.3e-05    0.82 %     9254
+
+per unit of power that entered       share  standard error
+------------------------------  ----------  --------------
+R, total                          0.288779         2.0e-03
+  never scattered, at r = 0              0         0.0e+00
+  closer than the first ring             0         0.0e+00
+  beyond the last ring           0.0255264         3.0e-04
+absorbed                          0.709998         1.4e-03
+unfinished walks                         0         0.0e+00
+added by roulette               -0.0012226         7.3e-04
+per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
+! dipole mc: 20480 photons were not enough for the error asked for: the worst ring has 0.0082, R has 0.0068: ask for more --photons
+? 1
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --thickness 4 --r 1,2 --photons 2e4 --format csv | dipole fit
+! dipole fit: standard input: the column thickness is of no medium that can be fitted: those are half spaces that scatter by Henyey-Greenstein's function
+? 1
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --phase modified --phase-share 0.9 --r 1,2 --photons 2e4 --format csv | dipole fit
+! dipole fit: standard input: the column phase is of no medium that can be fitted: those are half spaces that scatter by Henyey-Greenstein's function
+? 1
+
+$ dipole mc
+! dipole mc: give --medium NAME, or --sigma-a and --sigma-s
+! `dipole mc --help` tells more.
+? 2
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --r 1 --to 2
+! dipole mc: --r gives the radii one by one: leave --from, --to, --rings and --log out
+! `dipole mc --help` tells more.
+? 2
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --r 0,1
+! dipole mc: --r: give radii above 0
+! `dipole mc --help` tells more.
+? 2
+
+$ dipole mc --medium skin1 --channel pink
+! dipole mc: --channel: 'pink' is unknown; it is red, green or blue
+! `dipole mc --help` tells more.
+? 2
+
+$ dipole mc --sigma-a 1,2 --sigma-s 1,2,3
+! dipole mc: --sigma-s has 3 values and --sigma-a has 2: give one value or as many
+! `dipole mc --help` tells more.
+? 2
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --channel red
+! dipole mc: --channel is one of a measured medium: give --medium too
+! `dipole mc --help` tells more.
+? 2
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --log
+! dipole mc: --log needs --from, above 0
+! `dipole mc --help` tells more.
+? 2
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --photons 1.5
+! dipole mc: --photons: give a whole number from 1 to 9e15, such as 2000000 or 2e6
+! `dipole mc --help` tells more.
+? 2
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --rings 99999999999
+! dipole mc: --rings: '99999999999' is no whole number up to 4294967295
+! `dipole mc --help` tells more.
+? 2
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --phase mie
+! dipole mc: --phase: 'mie' is unknown; this daemon has henyey-greenstein, modified, two-term
+! `dipole mc --help` tells more.
+? 2
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --phase two-term --phase-share 0.8
+! dipole mc: bad-value: phase_g: allowed: -0.9999 to 0.9999: the phase function two-term needs it (--phase-g)
+? 1
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --g 1
+! dipole mc: bad-value: g: allowed: between -1 and 1, exclusive (--g)
+? 1
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --thickness -1
+! dipole mc: bad-value: thickness: allowed: 0, at least 1e-6 mean free paths, or infinity (--thickness)
+? 1
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --albedo 0.5,2
+! dipole mc: bad-value: albedo: allowed: 0 to 1 (--albedo)
+? 1
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --albedo 1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1
+! dipole mc: albedo_count is at most 16
+? 1
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --rings 4097
+! dipole mc: bad-count: ring_count: allowed: 1 to 4096 (--rings)
+? 1
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --from -1
+! dipole mc: bad-value: radius_start: allowed: at least 0 mm, finite (--from)
+? 1
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --error 2
+! dipole mc: bad-value: error_rings: allowed: 0 (none), or 1e-9 to 1 (--error)
+? 1
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --total-error -1
+! dipole mc: bad-value: error_total: allowed: 0 (none), or 1e-9 to 1 (--total-error)
+? 1
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --photons 1e12
+! dipole mc: too-large: photons: allowed: at most 10000000000 (--photons)
+? 1
+
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --detector-na 1.1
+! dipole mc: bad-value: detector_na: allowed: 0.01 to 1 (--detector-na)
+? 1

@@ -1,0 +1,169 @@
+## dipole plot: text, and wrong command lines.
+$ dipole plot --medium skin1 --channel red --model better,transport --count 60 --error
+
+                 skin1: R (1/mm^2 per unit of power that entered)
+ 1e+01 +--------------------------------------------------------------------+
+       |oo.oo                 +                      +                     +|
+       |+    oooooo.o                                                      +|
+ 1e+00 |-+           oooooo                                               +-|
+       |+                  o.oooooo                                        +|
+ 1e-01 |++                         oo.ooo                                 ++|
+       |+                                ooooo.o                           +|
+       |**.********.********.********.********.*ooooo                      +|
+ 1e-02 |-+                                           oo.ooo*              +-|
+       |+                                                  oooo*           +|
+       |+                                                      o.ooo       +|
+ 1e-03 |-+                                                          oo*   +-|
+       |+                                                             oo*  +|
+ 1e-04 |++                                                              o.o+|
+       |+                                                                  o|
+       |+                     +                      +                     +|
+ 1e-05 +--------------------------------------------------------------------+
+       0.01                  0.1                     1                     10
+                                      r (mm)
+                         +..*..+better    +..o..+transport
+
+                        skin1: deviation from transport (%)
+   40 +---------------------------------------------------------------------+
+      |+                      +                     +                      +|
+   20 |-+                                                .*******.*       +-|
+      |                                                **          ******   |
+      |                                              **                  .**|
+    0 |oo.ooooooo.ooooooo.ooooooo.ooooooo.ooooooo.ooooooo.ooooooo.ooooooo.oo|
+      |                                            *                        |
+  -20 |-+                                        .*                       +-|
+      |                                         *                           |
+  -40 |-+                                     **                          +-|
+      |                                      *                              |
+  -60 |-+                                   *                             +-|
+      |                                  .**                                |
+      |                               ***                                   |
+  -80 |-+                          ***                                    +-|
+      |+                 .*******.*                 +                      +|
+ -100 +---------------------------------------------------------------------+
+      0.01                   0.1                    1                      10
+                                      r (mm)
+                         +..*..+better    +..o..+transport
+
+$ dipole eval --medium skin1 --model better --r 0.1,1,2 --plot - | tail -24
+model error: of the model against radiative transport, relative
+per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
+
+                 skin1: R (1/mm^2 per unit of power that entered)
+ 1e-01 +--------------------------------------------------------------------+
+       |+    +      +     +     +     +      +     +     +     +      +    +|
+       |+                                                                  +|
+       |+ +.............                                                   +|
+       |+     ........................*.......                             +|
+ 1e-02 |-+           .......   .......o.....  ................            +-|
+       |+                   .......         ..........        ........*    +|
+       |+                          ...+...            ...........          +|
+       |+                                 ........               .....o    +|
+       |+                                         ........                 +|
+       |                                                  ........          |
+ 1e-03 |-+                                                        ....+   +-|
+       |+                                                                  +|
+       |+                                                                  +|
+       |+                                                                  +|
+       |     +      +     +     +     +      +     +     +     +      +     |
+ 1e-04 +--------------------------------------------------------------------+
+       0    0.2    0.4   0.6   0.8    1     1.2   1.4   1.6   1.8     2    2.2
+                                      r (mm)
+           +..*..+better, red   +..o..+better, green +..+..+better, blue
+
+$ dipole plot
+! dipole plot: give --medium NAME, or --sigma-a and --sigma-s
+! `dipole plot --help` tells more.
+? 2
+
+$ dipole plot --medium skin1 --axes log
+! dipole plot: --axes: 'log' is unknown; they are linear, semilog and logarithmic
+! `dipole plot --help` tells more.
+? 2
+
+$ dipole plot --medium skin1 --quantity colour
+! dipole plot: --quantity: 'colour' is unknown; this daemon has R, albedo, cdf, r, dR_dr, ln_R, pdf, 2_pi_r_R, S, R_f, dlnR_dln_sigma_a, dlnR_dln_sigma_s, model_error
+! `dipole plot --help` tells more.
+? 2
+
+$ dipole plot --medium skin1 --quantity albedo
+! dipole plot: --quantity albedo: there is no curve of it over r; name another quantity
+! `dipole plot --help` tells more.
+? 2
+
+$ dipole plot --medium skin1 --error --thickness 1
+! dipole plot: --error compares with transport, which has no slabs: leave --thickness out
+! `dipole plot --help` tells more.
+? 2
+
+$ dipole plot --medium skin1 --plot r.pdf
+! dipole plot: --plot r.pdf: the name must end in .svg or .png; - is the terminal
+! `dipole plot --help` tells more.
+? 2
+
+$ dipole plot --medium skin1 --r 1 --to 3
+! dipole plot: --r gives the radii one by one: leave --from, --to, --count and --log out
+! `dipole plot --help` tells more.
+? 2
+
+$ dipole plot --medium skin1 --axes linear --log
+! dipole plot: --log needs --from, above 0
+! `dipole plot --help` tells more.
+? 2
+
+$ dipole plot --medium skin1 --f 1
+! dipole plot: --f gives spatial frequencies, which only R_f has: ask for R_f alone
+! `dipole plot --help` tells more.
+? 2
+
+$ dipole plot --medium skin1 --mc 0
+! dipole plot: --mc: give a whole number of photons from 1 to 9e15, such as 1e6
+! `dipole plot --help` tells more.
+? 2
+
+$ dipole plot --medium skin1 --mc 1e3 --r 1,2
+! dipole plot: --mc draws means of R over rings: give --from, --to and --count in place of --r, --f and --quantity
+! `dipole plot --help` tells more.
+? 2
+
+$ dipole plot --medium skin1 --mc 1e3 --quantity cdf
+! dipole plot: --mc draws means of R over rings: give --from, --to and --count in place of --r, --f and --quantity
+! `dipole plot --help` tells more.
+? 2
+
+$ dipole plot --medium skin1 --mc 1e3 --count 4097
+! dipole plot: --mc: give 1 to 4096 rings, from --from, 0 or more, to --to, which is larger
+! `dipole plot --help` tells more.
+? 2
+
+$ dipole plot --medium skin1 --mc 1e3 --from 3 --to 2
+! dipole plot: --mc: give 1 to 4096 rings, from --from, 0 or more, to --to, which is larger
+! `dipole plot --help` tells more.
+? 2
+
+$ dipole plot --medium skin1, --model better
+! dipole plot: --medium: '' is unknown; this daemon has apple, chicken1, chicken2, cream, ketchup, marble, potato, skimmilk, skin1, skin2, spectralon, wholemilk
+! `dipole plot --help` tells more.
+? 2
+
+$ dipole plot --medium skin1 --to -1
+! dipole plot: bad-value: radius_stop: allowed: at least radius_start, finite (--to)
+? 1
+
+$ dipole plot --medium skin1 --quantity dR_dr --model better
+! dipole plot: --plot: dR_dr (1/mm^3) is 0, negative or infinite everywhere, which these axes do not show: try other radii, or `dipole plot --axes linear`
+? 1
+
+$ dipole plot --medium skin1 --model single --r 0
+! dipole plot: --plot: R (1/mm^2 per unit of power that entered) is 0, negative or infinite everywhere, which these axes do not show: try other radii, or `dipole plot --axes linear`
+? 1
+
+$ dipole plot --sigma-a 0.1 --sigma-s 1 --eta 5 --model better --error
+! dipole plot: transport is left out: bad-value: eta: allowed: 0.25 to 4 with transport (--eta)
+! dipole plot: --error: there is nothing to compare with: leave --error out
+? 1
+
+$ dipole plot --sigma-a 0.05 --sigma-s 50 --g 0.995 --eta 1.4 --model better --error
+! dipole plot: transport is left out: bad-value: g: allowed: -0.98 to 0.99 with transport (--g)
+! dipole plot: --error: there is nothing to compare with: leave --error out
+? 1
