@@ -305,11 +305,11 @@ static void write_table(const void *context) {
   const double most = place_max(report);
   for (size_t first = 0; report->place_count > 0 && first < report->model_count;) {
     const block models = block_from(report, first);
-    cli_rows_print(stdout, 0, 0, report->place_count, put_place, &models);
+    cli_rows_print(stdout, 0, report->place_count, put_place, &models);
     putchar('\n');
     first += models.count;
   }
-  cli_rows_print(stdout, 0, 3, report->model_count * profile->channel_count, put_channel, report);
+  cli_rows_print(stdout, 3, report->model_count * profile->channel_count, put_channel, report);
   fputs("numerical error: against the model's formula", stdout);
   if (report->draw == NULL && most > 0) {
     printf(", up to %s = %.6g %s", report->place, most, unit_of_places(report));

@@ -332,10 +332,10 @@ static void write_channel(const report *of) {
   for (uint32_t albedo = 0; albedo < of->result->albedo_count; albedo++) {
     const one_albedo one = {of, albedo};
     printf("\nsingle-scattering albedo %.6g\n\n", of->result->energies[albedo].albedo);
-    cli_rows_print(stdout, 0, 0, of->r->count > 0 ? of->r->count : of->result->ring_count,
-                   put_place, &one);
+    cli_rows_print(stdout, 0, of->r->count > 0 ? of->r->count : of->result->ring_count, put_place,
+                   &one);
     putchar('\n');
-    cli_rows_print(stdout, 0, 1, list_parts(of->result, albedo, parts), put_part, &one);
+    cli_rows_print(stdout, 1, list_parts(of->result, albedo, parts), put_part, &one);
   }
   cli_write_launched(&of->query.medium, 1);
 }

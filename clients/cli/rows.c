@@ -144,9 +144,8 @@ static bool keep_filled(cli_table *table, size_t first) {
   return filled;
 }
 
-void cli_rows_print(FILE *file, size_t width, size_t left, size_t count, cli_put_row *put,
-                    const void *context) {
-  cli_table table = {.left = left, .width = width};
+void cli_rows_print(FILE *file, size_t left, size_t count, cli_put_row *put, const void *context) {
+  cli_table table = {.left = left};
   cli_rows rows = {.form = CLI_TABLE, .table = &table};
   for (rows.pass = CLI_ROWS_OVER; rows.pass < CLI_ROWS_VALUES; rows.pass++) {
     const size_t first = table.cell_count;
@@ -209,7 +208,7 @@ static void write_table(const cli_report *report, const void *context) {
     report->table(context);
     return;
   }
-  cli_rows_print(stdout, 0, report->left, report->rows, report->put_row, context);
+  cli_rows_print(stdout, report->left, report->rows, report->put_row, context);
   if (report->foot != NULL) {
     report->foot(context);
   }

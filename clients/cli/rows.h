@@ -56,10 +56,8 @@ void cli_put_shown(cli_rows *rows, const cli_column *column, double value, const
 /* Writes the four coefficients of a medium. */
 void cli_put_medium(cli_rows *rows, const dipole_medium *medium);
 
-/* Writes `count` rows, at least one, as an aligned table, whose first `left` columns are aligned
- * left. width: see cli_table.width. */
-void cli_rows_print(FILE *file, size_t width, size_t left, size_t count, cli_put_row *put,
-                    const void *context);
+/* Writes `count` rows as an aligned table, whose first `left` columns are aligned left. */
+void cli_rows_print(FILE *file, size_t left, size_t count, cli_put_row *put, const void *context);
 
 /* Write rows as CSV, after a line of names if `names` is true; or a row as an object of JSON on one
  * line. */

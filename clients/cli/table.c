@@ -33,22 +33,9 @@ static size_t width_of(const char *text) {
   return width;
 }
 
-/* The columns that are printed side by side: those aligned left, and a run of others. */
-typedef struct run {
-  size_t left, first, end;
-} run;
-
-static size_t next_in(const run *of, size_t column) {
-  return column + 1 == of->left && of->first > of->left ? of->first : column + 1;
-}
-
-static size_t begin_of(const run *of) {
-  return of->left > 0 ? 0 : of->first;
-}
-
-static void print_rule(const size_t *widths, const run *of, FILE *file) {
-  for (size_t column = begin_of(of); column < of->end; column = next_in(of, column)) {
-    fputs(column > begin_of(of) ? "  " : "", file);
+static void print_rule(const cli_table *table, const size_t *widths, FILE *file) {
+  for (size_t column = 0; column < table->columns; column++) {
+    fputs(column > 0 ? "  " : "", file);
     for (size_t i = 0; i < widths[column]; i++) {
       fputc('-', file);
     }
@@ -56,52 +43,20 @@ static void print_rule(const size_t *widths, const run *of, FILE *file) {
   fputc('\n', file);
 }
 
-static void print_cell(const char *cell, size_t width, bool left, FILE *file) {
-  const int padding = (int)(width - width_of(cell));
-  if (left) {
-    fprintf(file, "%s%*s", cell, padding, "");
-  } else {
-    fprintf(file, "%*s%s", padding, "", cell);
-  }
-}
-
-/* Prints a row. Leaves out empty cells at its end. */
+/* Prints a row without the empty cells at its end, and without blanks there. */
 static void print_row(const cli_table *table, char *const *cells, const size_t *widths,
-                      const run *whole, FILE *file) {
-  run of = *whole;
-  while (of.end > of.first + (of.left == 0) && cells[of.end - 1][0] == '\0') {
-    of.end--;
+                      FILE *file) {
+  size_t end = table->columns;
+  while (end > 1 && cells[end - 1][0] == '\0') {
+    end--;
   }
-  of.end = of.end == of.first ? of.left : of.end;
-  for (size_t i = begin_of(&of); i < of.end; i = next_in(&of, i)) {
-    const bool left = i < table->left, last = next_in(&of, i) >= of.end;
-    fputs(i > begin_of(&of) ? "  " : "", file);
-    print_cell(cells[i], left && last ? width_of(cells[i]) : widths[i], left, file);
+  for (size_t i = 0; i < end; i++) {
+    const bool left = i < table->left;
+    const int padding = (int)(widths[i] - width_of(cells[i]));
+    fprintf(file, "%s%*s%s%*s", i > 0 ? "  " : "", left ? 0 : padding, "", cells[i],
+            left && i + 1 < end ? padding : 0, "");
   }
   fputc('\n', file);
-}
-
-static void print_run(const cli_table *table, const size_t *widths, const run *of, FILE *file) {
-  const size_t columns = table->columns;
-  for (size_t i = 0; i + columns <= table->cell_count; i += columns) {
-    if (table->heads > 0 && i == table->heads * columns) {
-      print_rule(widths, of, file);
-    }
-    print_row(table, table->cells + i, widths, of, file);
-  }
-}
-
-/* Returns the end of the longest run of columns from `first` on that fits, at least one. */
-static size_t end_of_run(const cli_table *table, const size_t *widths, size_t first) {
-  size_t width = 0, end = first;
-  for (size_t i = 0; i < table->left; i++) {
-    width += widths[i] + 2;
-  }
-  while (end < table->columns &&
-         (end == first || table->width == 0 || width + widths[end] <= table->width)) {
-    width += widths[end++] + 2;
-  }
-  return end;
 }
 
 void cli_table_print(cli_table *table, FILE *file) {
@@ -111,13 +66,12 @@ void cli_table_print(cli_table *table, FILE *file) {
     const size_t width = width_of(table->cells[i]);
     widths[i % columns] = width > widths[i % columns] ? width : widths[i % columns];
   }
-  run of = {.left = table->left < columns ? table->left : columns, .end = table->left};
-  do {
-    of.first = of.end;
-    of.end = end_of_run(table, widths, of.first);
-    fputs(of.first > of.left ? "\n" : "", file);
-    print_run(table, widths, &of, file);
-  } while (of.end < columns);
+  for (size_t i = 0; i + columns <= table->cell_count; i += columns) {
+    if (table->heads > 0 && i == table->heads * columns) {
+      print_rule(table, widths, file);
+    }
+    print_row(table, table->cells + i, widths, file);
+  }
   for (size_t i = 0; i < table->cell_count; i++) {
     free(table->cells[i]);
   }

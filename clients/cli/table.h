@@ -9,8 +9,6 @@ typedef struct cli_table {
   size_t columns;
   size_t left;       /* the first so many columns are aligned left, the others right */
   size_t heads;      /* the first so many rows are the header */
-  size_t width;      /* of the terminal, in characters: columns that do not fit come below the
-                        others, next to those aligned left; 0: all columns side by side */
   size_t cell_count; /* the cells are stored row by row */
   size_t cell_capacity;
   char **cells;

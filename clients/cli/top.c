@@ -18,17 +18,20 @@ typedef struct top_settings {
   cli_count count;
 } top_settings;
 
-/* The statistics at one moment. All 0 stands for the daemon's start. */
+/* The statistics at one moment. */
 typedef struct top_look {
   dipole_value *values; /* to be freed */
-  size_t count;
-  double at_s; /* by a monotonic clock */
+  size_t count;         /* 0: not known */
+  double at_s;          /* by a monotonic clock */
 } top_look;
 
 typedef struct top_record {
-  top_look before;
+  const dipole_info *info;
+  top_look before; /* not known: now is shown by itself, or since the daemon's start */
   top_look now;
   double interval_s;
+  size_t listed_count;
+  size_t listed[256]; /* positions of the statistics that are shown */
 } top_record;
 
 /* ---- statistics ------------------------------------------------------------------------------ */
@@ -42,232 +45,96 @@ static uint64_t find(const top_look *look, const char *name) {
   return 0;
 }
 
-/* Returns a statistic of now; 0 if the daemon has none of this name. */
-static uint64_t top_value(const top_record *record, const char *name) {
-  return find(&record->now, name);
+static bool ends_with(const char *name, const char *ending) {
+  const size_t length = strlen(name), end = strlen(ending);
+  return length >= end && strcmp(name + length - end, ending) == 0;
 }
 
-static uint64_t rise(const top_record *record, const char *name) {
-  const uint64_t before = find(&record->before, name), now = find(&record->now, name);
-  return now > before ? now - before : 0;
-}
-
-/* Returns by how much a statistic has risen each second. */
-static double rate(const top_record *record, const char *name) {
-  return record->interval_s > 0 ? (double)rise(record, name) / record->interval_s : 0;
-}
-
-/* Returns the name of the next statistic, from position *from on, that begins with a prefix, and
- * sets *from behind it; NULL if there is no more. */
-static const char *next(const top_record *record, const char *prefix, size_t *from) {
-  while (*from < record->now.count) {
-    const char *name = record->now.values[(*from)++].name;
-    if (strncmp(name, prefix, strlen(prefix)) == 0) {
-      return name;
-    }
-  }
-  return NULL;
-}
-
-/* Returns the sum of the rates of all statistics that begin with a prefix, except for `but`. */
-static double sum_of_rates(const top_record *record, const char *prefix, const char *but) {
-  double sum = 0;
-  const char *name;
-  for (size_t from = 0; (name = next(record, prefix, &from)) != NULL;) {
-    sum += strcmp(name, but) == 0 ? 0 : rate(record, name);
-  }
-  return sum;
-}
-
-static double requests_rate(const top_record *record) {
-  return sum_of_rates(record, "requests_", "");
-}
-
-static double errors_rate(const top_record *record) {
-  return sum_of_rates(record, "answers_", "answers_ok");
-}
-
-/* Returns how many requests were evaluated in one pass, on average over the interval; 0 if none
- * were. */
-static double batch_mean(const top_record *record) {
-  const uint64_t batches = rise(record, "batches_evaluated");
-  return batches > 0 ? (double)rise(record, "batched_requests") / (double)batches : 0;
-}
-
-/* The quantiles of latencies: their names in statistics, and those in the table. */
-static const char *const latencies[][2] = {{"p50_us", "p50"},
-                                           {"p90_us", "p90"},
-                                           {"p99_us", "p99"},
-                                           {"p999_us", "p99.9"},
-                                           {"max_us", "max"}};
-enum { LATENCIES = sizeof latencies / sizeof latencies[0] };
-
-/* Copies the name of the next class of requests with known latencies into `kind`. Returns false if
- * there is none left. */
-static bool next_latency(const top_record *record, size_t *from, char *kind, size_t bytes) {
-  static const char prefix[] = "latency_", suffix[] = "_count";
-  const char *name;
-  while ((name = next(record, prefix, from)) != NULL) {
-    const char *rest = name + strlen(prefix);
-    const size_t length = strlen(rest);
-    if (length > strlen(suffix) && strcmp(rest + length - strlen(suffix), suffix) == 0) {
-      snprintf(kind, bytes, "%.*s", (int)(length - strlen(suffix)), rest);
+/* Returns whether a statistic is a state and no count, so that it has no rate. */
+static bool is_state(const char *name) {
+  static const char *const endings[] = {"_open",       "queued_connections",
+                                        "owed_radii",  "cache_entries",
+                                        "cache_bytes", "buffer_bytes",
+                                        "uptime_ms",   "_p50_us",
+                                        "_p90_us",     "_p99_us",
+                                        "_p999_us",    "_max_us"};
+  for (size_t i = 0; i < sizeof endings / sizeof endings[0]; i++) {
+    if (ends_with(name, endings[i])) {
       return true;
     }
   }
   return false;
 }
 
-static uint64_t latency(const top_record *record, const char *kind, const char *what) {
-  char name[96];
-  snprintf(name, sizeof name, "latency_%s_%s", kind, what);
-  return top_value(record, name);
+/* Returns by how much a statistic has risen each second; NaN if it is a state. */
+static double rate(const top_record *record, const dipole_value *now) {
+  const uint64_t before = find(&record->before, now->name);
+  return is_state(now->name)      ? (double)NAN
+         : now->value < before    ? 0
+         : record->interval_s > 0 ? (double)(now->value - before) / record->interval_s
+                                  : 0;
 }
 
-/* ---- for people ------------------------------------------------------------------------------ */
+/* Lists the statistics that people see: states, without quantiles that are 0 or of less interest,
+ * and what has risen. Programs get all of them, always in the same order. */
+static void list(top_record *record, enum cli_form form) {
+  record->listed_count = 0;
+  for (size_t i = 0; i < record->now.count && record->listed_count < 256; i++) {
+    const dipole_value *one = &record->now.values[i];
+    const bool quantile = ends_with(one->name, "_us"), latency = strncmp(one->name, "lat", 3) == 0;
+    const bool shown = quantile ? one->value > 0 && (ends_with(one->name, "_p50_us") ||
+                                                     ends_with(one->name, "_p99_us"))
+                                : !latency && !(rate(record, one) <= 0);
+    if (form != CLI_TABLE || shown) {
+      record->listed[record->listed_count++] = i;
+    }
+  }
+}
 
-/* Writes a number with three figures, such as 950, 12.3 k or 4.56 M. A count below 1000 has no
- * decimals. */
-static void put_figures(cli_rows *rows, const char *head, double value, bool is_count) {
+/* ---- writing --------------------------------------------------------------------------------- */
+
+/* Writes a number with three figures, such as 950, 12.3 k or 4.56 M; "" for NaN. */
+static const char *figures(double value, bool is_count, char text[32]) {
   static const char *const units[] = {"", " k", " M", " G", " T", " P"};
-  char text[32];
   size_t unit = 0;
   while (value >= 999.5 && unit + 1 < sizeof units / sizeof units[0]) {
     value /= 1000;
     unit++;
   }
   const bool is_whole = value >= 99.95 || value <= 0 || (is_count && unit == 0);
-  snprintf(text, sizeof text, "%.*f%s", is_whole ? 0 : value >= 9.995 ? 1 : 2, value, units[unit]);
-  cli_put_text(rows, CLI_COLUMN(head), text);
+  snprintf(text, 32, "%.*f%s", is_whole ? 0 : value >= 9.995 ? 1 : 2, value, units[unit]);
+  return isnan(value) ? "" : text;
 }
 
-static void put_rates(cli_rows *rows, const void *context, size_t index) {
+static void put_statistic(cli_rows *rows, const void *context, size_t index) {
+  static const dipole_value none = {.name = ""};
   const top_record *record = context;
-  (void)index;
-  put_figures(rows, "requests", requests_rate(record), false);
-  put_figures(rows, "radii", rate(record, "radii_evaluated"), false);
-  cli_put_number(rows, CLI_COLUMN("MB in", .format = "%.2f"), rate(record, "received_bytes") / 1e6);
-  cli_put_number(rows, CLI_COLUMN("MB out", .format = "%.2f"), rate(record, "sent_bytes") / 1e6);
-  cli_put_number(rows, CLI_COLUMN("batch", .format = "%.1f"), batch_mean(record));
-  put_figures(rows, "errors", errors_rate(record), false);
-  put_figures(rows, "cache hits", rate(record, "cache_hits"), false);
-  put_figures(rows, "misses", rate(record, "cache_misses"), false);
+  const dipole_value *one =
+      index < record->listed_count ? &record->now.values[record->listed[index]] : &none;
+  const double now = (double)one->value, per_s = rate(record, one);
+  const unsigned programs = CLI_IN_CSV | CLI_IN_JSON;
+  char text[32];
+  cli_put_number(rows, CLI_COLUMN("uptime_ms", .forms = programs),
+                 (double)find(&record->now, "uptime_ms"));
+  cli_put_number(rows, CLI_COLUMN("interval_s", .forms = programs), record->interval_s);
+  cli_put_text(rows, CLI_COLUMN("statistic"), one->name);
+  cli_put_shown(rows, CLI_COLUMN("now"), now, figures(now, true, text));
+  cli_put_shown(rows, CLI_COLUMN("per_s", "each second"), per_s, figures(per_s, false, text));
 }
 
-static void put_gauges(cli_rows *rows, const void *context, size_t index) {
-  static const char *const gauges[][2] = {
-      {"connections_open", "connections"}, {"queued_connections", "queued"},
-      {"owed_radii", "radii owed"},        {"mc_jobs_open", "mc jobs"},
-      {"cache_entries", "profiles"},       {"cache_bytes", "their bytes"},
-      {"buffer_bytes", "buffer bytes"},
-  };
-  (void)index;
-  for (size_t i = 0; i < sizeof gauges / sizeof gauges[0]; i++) {
-    put_figures(rows, gauges[i][1], (double)top_value(context, gauges[i][0]), true);
-  }
-}
-
-/* Writes a class of requests and its latencies. */
-static void put_latency(cli_rows *rows, const void *context, size_t index) {
-  char kind[64] = "";
-  size_t from = 0;
-  for (size_t i = 0; i <= index; i++) {
-    next_latency(context, &from, kind, sizeof kind);
-  }
-  cli_put_text(rows, CLI_COLUMN("us, since its start"), kind);
-  for (size_t i = 0; i < LATENCIES; i++) {
-    cli_put_count(rows, CLI_COLUMN(latencies[i][1]), latency(context, kind, latencies[i][0]));
-  }
-  put_figures(rows, "requests", (double)latency(context, kind, "count"), true);
-}
-
-/* Writes the rates of those statistics that rose and begin with a prefix, except for `but`. */
-static void write_active(const top_record *record, const char *prefix, const char *but,
-                         const char *head, FILE *file) {
-  cli_table table = {.columns = 2, .left = 1, .heads = 1};
-  cli_rows rows = {.form = CLI_TABLE, .table = &table, .pass = CLI_ROWS_VALUES};
-  const char *name;
-  for (size_t from = 0; (name = next(record, prefix, &from)) != NULL;) {
-    const double each_second = rate(record, name);
-    if (each_second > 0 && strcmp(name, but) != 0) {
-      if (table.cell_count == 0) {
-        cli_table_add(&table, "%s", head);
-        cli_table_add(&table, "each second");
-      }
-      cli_table_add(&table, "%s", name + strlen(prefix));
-      put_figures(&rows, "", each_second, false);
-    }
-  }
-  if (table.cell_count > 0) {
-    fputs("\n", file);
-    cli_table_print(&table, file);
-  }
-}
-
-/* Writes a table for people, about 80 columns wide. It lists models that were evaluated and errors
- * that were sent, if there are any. width: that of the terminal; 0 if there is none. */
-static void top_write_table(const dipole_info *info, const top_record *record, size_t width,
-                            FILE *file) {
-  const uint64_t up_s = top_value(record, "uptime_ms") / 1000;
-  char kind[64];
-  size_t kinds = 0;
+/* Writes a table for people. */
+static void write_table(const top_record *record, FILE *file) {
+  const dipole_info *info = record->info;
+  const uint64_t up_s = find(&record->now, "uptime_ms") / 1000;
   fprintf(file, "%s at %s: up %llu:%02u:%02u, %u workers, %s\n", info->software, info->address,
           (unsigned long long)(up_s / 3600), (unsigned)(up_s / 60 % 60), (unsigned)(up_s % 60),
           info->workers, info->instruction_set);
   if (record->before.count > 0) {
-    fprintf(file, "Each second, over the last %.1f s\n\n", record->interval_s);
+    fprintf(file, "over the last %.1f s\n\n", record->interval_s);
   } else {
-    fputs("Each second, since its start\n\n", file);
+    fputs("since its start\n\n", file);
   }
-  cli_rows_print(file, width, 0, 1, put_rates, record);
-  fputs("\nNow\n", file);
-  cli_rows_print(file, width, 0, 1, put_gauges, record);
-  fputs("\n", file);
-  for (size_t from = 0; next_latency(record, &from, kind, sizeof kind);) {
-    kinds++;
-  }
-  cli_rows_print(file, width, 1, kinds, put_latency, record);
-  write_active(record, "radii_", "radii_evaluated", "radii of model", file);
-  write_active(record, "answers_", "answers_ok", "errors", file);
-}
-
-/* ---- for programs: always the same names from the same daemon -------------------------------- */
-
-static void put_rates_of(cli_rows *rows, const top_record *record, const char *prefix) {
-  const char *name;
-  for (size_t from = 0; (name = next(record, prefix, &from)) != NULL;) {
-    char per_s[96];
-    snprintf(per_s, sizeof per_s, "%s_per_s", name);
-    cli_put_number(rows, CLI_COLUMN(per_s), rate(record, name));
-  }
-}
-
-static void put_record(cli_rows *rows, const void *context, size_t index) {
-  static const char *const rates[] = {"received_bytes", "sent_bytes", "cache_hits", "cache_misses",
-                                      "radii_",         "requests_",  "answers_"};
-  static const char *const gauges[] = {"uptime_ms",   "connections_open", "queued_connections",
-                                       "owed_radii",  "buffer_bytes",     "cache_entries",
-                                       "cache_bytes", "mc_jobs_open"};
-  const top_record *record = context;
-  char kind[64];
-  (void)index;
-  cli_put_number(rows, CLI_COLUMN("interval_s"), record->interval_s);
-  for (size_t i = 0; i < sizeof gauges / sizeof gauges[0]; i++) {
-    cli_put_number(rows, CLI_COLUMN(gauges[i]), (double)top_value(record, gauges[i]));
-  }
-  cli_put_number(rows, CLI_COLUMN("requests_per_s"), requests_rate(record));
-  cli_put_number(rows, CLI_COLUMN("errors_per_s"), errors_rate(record));
-  cli_put_number(rows, CLI_COLUMN("requests_per_batch"), batch_mean(record));
-  for (size_t i = 0; i < sizeof rates / sizeof rates[0]; i++) {
-    put_rates_of(rows, record, rates[i]);
-  }
-  for (size_t from = 0; next_latency(record, &from, kind, sizeof kind);) {
-    for (size_t i = 0; i < LATENCIES; i++) {
-      char name[96];
-      snprintf(name, sizeof name, "latency_%s_%s", kind, latencies[i][0]);
-      cli_put_number(rows, CLI_COLUMN(name), (double)top_value(record, name));
-    }
-  }
+  cli_rows_print(file, 1, record->listed_count, put_statistic, record);
 }
 
 /* ---- time ------------------------------------------------------------------------------------ */
@@ -326,12 +193,12 @@ static void draw(const char *text) {
   fputs(CLEAR_BELOW, stdout);
 }
 
-static void show_on_screen(const dipole_info *info, const top_record *record) {
+static void show_on_screen(const top_record *record) {
   char *text = NULL;
   size_t bytes = 0;
   FILE *file = open_memstream(&text, &bytes);
   if (file != NULL) {
-    top_write_table(info, record, cli_terminal_look().columns, file);
+    write_table(record, file);
     if (fclose(file) == 0) {
       draw(text);
     }
@@ -380,29 +247,28 @@ static void turn_over(top_record *record) {
   record->now = (top_look){0};
 }
 
-static void show(enum cli_form form, const dipole_info *info, const top_record *record,
-                 uint64_t number) {
-  if (form == CLI_TABLE) {
-    if (has_screen) {
-      show_on_screen(info, record);
-    } else {
-      fputs(number > 0 ? "\n" : "", stdout);
-      top_write_table(info, record, 0, stdout);
-    }
+static void show(enum cli_form form, top_record *record, uint64_t number) {
+  list(record, form);
+  if (form == CLI_TABLE && has_screen) {
+    show_on_screen(record);
+  } else if (form == CLI_TABLE) {
+    fputs(number > 0 ? "\n" : "", stdout);
+    write_table(record, stdout);
   } else if (form == CLI_CSV) {
-    cli_rows_csv(number == 0, 1, put_record, record);
-  } else {
-    cli_rows_object(put_record, record, 0);
+    cli_rows_csv(number == 0, record->listed_count, put_statistic, record);
+  }
+  for (size_t i = 0; form == CLI_JSON && i < record->listed_count; i++) {
+    cli_rows_object(put_statistic, record, i);
     putchar('\n');
   }
   fflush(stdout);
 }
 
 /* On a terminal, shows the statistics since the daemon's start before the first interval ends. */
-static void show_beginning(const dipole_info *info, top_record *record) {
+static void show_beginning(top_record *record) {
   if (has_screen) {
-    record->interval_s = (double)top_value(record, "uptime_ms") / 1000;
-    show(CLI_TABLE, info, record, 0);
+    record->interval_s = (double)find(&record->now, "uptime_ms") / 1000;
+    show(CLI_TABLE, record, 0);
   }
 }
 
@@ -483,9 +349,9 @@ static bool watch_once(watched *of, top_record *record, uint64_t number, double 
   *next_s = fmax(*next_s + interval_s, (double)cli_now_ns() / 1e9);
   if (looked && record->before.count > 0) {
     record->interval_s = record->now.at_s - record->before.at_s;
-    show(of->settings->common.form, dipole_get_info(of->client), record, number);
+    show(of->settings->common.form, record, number);
   } else if (looked) { /* It is back. */
-    show_beginning(dipole_get_info(of->client), record);
+    show_beginning(record);
   }
   return (looked || has_screen) && !ferror(stdout); /* main() will say why */
 }
@@ -501,7 +367,7 @@ static int watch(const top_settings *settings, dipole_client *client, top_record
   }
   block_end(SIG_BLOCK);
   if (record->now.count > 0) {
-    show_beginning(dipole_get_info(client), record);
+    show_beginning(record);
   }
   double next_s = (double)cli_now_ns() / 1e9 + settings->interval_s.value;
   for (uint64_t i = 0; good && (!settings->count.given || i < settings->count.value); i++) {
@@ -527,7 +393,7 @@ static int check(void *given) {
 
 static int run(void *given, dipole_client *client) {
   const top_settings *settings = given;
-  top_record record = {0};
+  top_record record = {.info = dipole_get_info(client)};
   end_on_signals();
   if (settings->common.form == CLI_TABLE) {
     begin_screen();
@@ -554,10 +420,9 @@ const cli_command cli_command_top = {
     .more =
         "\nOn a terminal, each table takes the place of the one before; Ctrl-C ends the command.\n"
         "While the daemon does not answer, its reason stands there, and `top` tries again.\n"
-        "Elsewhere, each interval gives a table, a line of CSV or a line of JSON. Names end\n"
-        "with their units. Those that end in _per_s are rates over the interval. Latencies\n"
-        "are those of all requests since the daemon's start. If NO_COLOR is set, there is no\n"
-        "bold type.\n",
+        "Elsewhere, each interval gives a table, or a line of CSV or JSON for each statistic.\n"
+        "Names end with their units; per_s is the rate over the interval. Latencies are those of\n"
+        "all requests since the daemon's start. Tables leave out what has not risen.\n",
     .formats = "table,csv,json",
     .options = {options},
     .examples = "  dipole top --connect unix:/tmp/dipoled.sock\n"
