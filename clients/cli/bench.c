@@ -19,23 +19,39 @@ typedef struct bench_times {
   uint32_t buckets[BENCH_BUCKETS];
 } bench_times;
 
-/* The load that bench_run() puts on a daemon. */
-typedef struct bench_load {
+/* A load on a daemon. */
+typedef struct load {
   const char *name;
   unsigned connections;
   unsigned in_flight; /* requests under way on each connection */
   uint64_t radii;     /* how many radii each request has */
-  double seconds;
-} bench_load;
+} load;
 
 /* What was measured under a load. */
-typedef struct bench_result {
-  bench_load load;
-  bench_times times;  /* how long each request took, from submitting it to having its answer */
-  double took_s;      /* from the first request to the last answer */
-  double value_bytes; /* size of a radius and of a value */
-  double values_per_radius;
-} bench_result;
+typedef struct measured {
+  load load;
+  bench_times times; /* how long each request took, from submitting it to having its answer */
+  double took_s;     /* from the first request to the last answer */
+} measured;
+
+enum { CONNECTIONS_MAX = 256, RADII_MAX = 1 << 22, MEASUREMENTS = 3 };
+
+typedef struct bench_settings {
+  cli_profile_settings profile;
+  cli_number seconds;
+  cli_count connections, in_flight, radii, large_radii;
+} bench_settings;
+
+typedef struct report {
+  const bench_settings *settings;
+  dipole_client *client;
+  cli_profile profile;
+  void *radii;
+  dipole_query query;
+  cli_progress progress;
+  uint64_t requests; /* how many requests have been made */
+  measured results[MEASUREMENTS];
+} report;
 
 enum { SHOW_EVERY_MS = 50 };
 
@@ -67,7 +83,7 @@ static void join_times(bench_times *times, const bench_times *more) {
 
 /* Returns the duration, in us, that this share of the durations did not exceed. Returns 0 if
  * nothing was counted. */
-static double bench_times_quantile_us(const bench_times *times, double share) {
+static double quantile_us(const bench_times *times, double share) {
   const double wanted = ceil(share * (double)times->count);
   double before = 0;
   for (size_t i = 0; i < BENCH_BUCKETS; i++) {
@@ -160,22 +176,18 @@ static void *work(void *argument) {
 
 /* ---- all of them ----------------------------------------------------------------------------- */
 
-static size_t quantities(unsigned wanted) {
-  return (size_t)__builtin_popcount(wanted & ~(unsigned)(DIPOLE_ALBEDO | DIPOLE_RADIUS));
+/* Returns the size of a radius and of a value. */
+static size_t value_bytes(const report *of) {
+  return of->query.evaluator == DIPOLE_F64 ? sizeof(double) : sizeof(float);
 }
 
-/* Returns how many bytes the values of an answer take. */
-static size_t values_bytes(const dipole_query *query) {
-  const size_t value_bytes = query->evaluator == DIPOLE_F64 ? sizeof(double) : sizeof(float);
-  return quantities(query->wanted) * query->medium_count * query->radius_count * value_bytes;
-}
-
-static void make_slots(worker *of) {
-  const size_t bytes = (values_bytes(of->query) + 7) / 8 * 8;
-  of->slots = cli_allocate(of->in_flight, sizeof *of->slots);
-  of->values = cli_allocate(of->in_flight, bytes);
-  for (unsigned i = 0; i < of->in_flight; i++) {
-    of->slots[i].values = of->values + i * bytes;
+static void make_slots(const report *of, worker *one) {
+  const size_t bytes =
+      (size_t)(of->query.medium_count * one->query->radius_count * value_bytes(of) + 7) / 8 * 8;
+  one->slots = cli_allocate(one->in_flight, sizeof *one->slots);
+  one->values = cli_allocate(one->in_flight, bytes);
+  for (unsigned i = 0; i < one->in_flight; i++) {
+    one->slots[i].values = one->values + i * bytes;
   }
 }
 
@@ -207,41 +219,35 @@ static uint64_t count_answers(worker *workers, unsigned count, bool *done) {
 }
 
 /* Shows the progress until all workers are done. */
-static void watch(worker *workers, const bench_load *load, uint64_t start_ns,
-                  void (*show)(void *context, double share, uint64_t requests), void *context) {
+static void watch(report *of, worker *workers, const measured *result, uint64_t start_ns) {
   const struct timespec nap = {.tv_nsec = SHOW_EVERY_MS * 1000000L};
+  const double at = (double)(result - of->results);
   for (bool done = false; !done;) {
-    const uint64_t answered = count_answers(workers, load->connections, &done);
-    const double share = (double)(cli_now_ns() - start_ns) / 1e9 / load->seconds;
-    show(context, share < 1 ? share : 1, answered);
+    const uint64_t answered = count_answers(workers, result->load.connections, &done);
+    const double share = (double)(cli_now_ns() - start_ns) / 1e9 / of->settings->seconds.value;
+    cli_progress_show(&of->progress, (at + fmin(share, 1)) / MEASUREMENTS,
+                      (double)(of->requests + answered));
     if (!done) {
       nanosleep(&nap, NULL);
     }
   }
 }
 
-/* Starts a thread for each worker. Returns how many run; if that is not all, *error says why. */
-static unsigned start(worker *workers, const bench_load *load, uint64_t start_ns,
-                      dipole_error *error) {
-  for (unsigned i = 0; i < load->connections; i++) {
-    workers[i].until_ns = start_ns + (uint64_t)(load->seconds * 1e9);
-    if (pthread_create(&workers[i].thread, NULL, work, &workers[i]) != 0) {
-      *error = (dipole_error){.kind = DIPOLE_ERROR_MEMORY, .text = "cannot start a thread"};
-      return i;
-    }
-  }
-  return load->connections;
-}
-
-static bool run_all(worker *workers, const bench_load *load,
-                    void (*show)(void *context, double share, uint64_t requests), void *context,
-                    bench_result *result, dipole_error *error) {
+/* Starts a thread for each worker and waits until they are done. */
+static bool run_all(report *of, worker *workers, measured *result, dipole_error *error) {
   const uint64_t start_ns = cli_now_ns();
-  const unsigned running = start(workers, load, start_ns, error);
-  bool good = running == load->connections;
+  const uint64_t until_ns = start_ns + (uint64_t)(of->settings->seconds.value * 1e9);
   uint64_t ended_ns = start_ns;
+  unsigned running = 0;
+  bool good = true;
+  for (; good && running < result->load.connections; running += good) {
+    workers[running].until_ns = until_ns;
+    good = pthread_create(&workers[running].thread, NULL, work, &workers[running]) == 0;
+  }
   if (good) {
-    watch(workers, load, start_ns, show, context);
+    watch(of, workers, result, start_ns);
+  } else {
+    *error = (dipole_error){.kind = DIPOLE_ERROR_MEMORY, .text = "cannot start a thread"};
   }
   for (unsigned i = 0; i < running; i++) {
     pthread_join(workers[i].thread, NULL);
@@ -256,34 +262,29 @@ static bool run_all(worker *workers, const bench_load *load,
   return good;
 }
 
-/* Asks the query in this way, with as many of its radii as the load says. The first connection is
- * the client's own. Calls show() with the share that is done, 0 to 1, and the number of requests,
- * every 50 ms. Returns false, with *error, if a request failed. */
-static bool bench_run(dipole_client *client, const cli_common *common, const dipole_query *query,
-                      const bench_load *load,
-                      void (*show)(void *context, double share, uint64_t requests), void *context,
-                      bench_result *result, dipole_error *error) {
-  worker *workers = cli_allocate(load->connections, sizeof *workers);
-  dipole_query asked = *query;
+/* Asks under a load. The first connection is the client's own. Returns false, with *error, if a
+ * request failed. */
+static bool run_load(report *of, const load *asked, measured *result, dipole_error *error) {
+  worker *workers = cli_allocate(asked->connections, sizeof *workers);
+  dipole_query query = of->query;
   bool good = true;
-  asked.radius_count = load->radii;
-  *result =
-      (bench_result){.load = *load,
-                     .value_bytes = asked.evaluator == DIPOLE_F64 ? sizeof(double) : sizeof(float),
-                     .values_per_radius = (double)(quantities(asked.wanted) * asked.medium_count)};
-  for (unsigned i = 0; i < load->connections; i++) {
+  query.radius_count = asked->radii;
+  result->load = *asked;
+  for (unsigned i = 0; i < asked->connections; i++) {
     worker *one = &workers[i];
-    one->client = client;
-    one->query = &asked;
-    one->in_flight = load->in_flight;
-    make_slots(one);
-    good = good && (i == 0 || open_another(common, &one->client, error)) && warm_up(one, error);
+    one->client = of->client;
+    one->query = &query;
+    one->in_flight = asked->in_flight;
+    make_slots(of, one);
+    good = good && (i == 0 || open_another(&of->settings->profile.common, &one->client, error)) &&
+           warm_up(one, error);
   }
-  good = good && run_all(workers, load, show, context, result, error);
-  for (unsigned i = 0; i < load->connections; i++) {
+  good = good && run_all(of, workers, result, error);
+  of->requests += result->times.count;
+  for (unsigned i = 0; i < asked->connections; i++) {
     free(workers[i].values);
     free(workers[i].slots);
-    if (workers[i].client != client) {
+    if (workers[i].client != of->client) {
       dipole_close(workers[i].client);
     }
   }
@@ -291,24 +292,7 @@ static bool bench_run(dipole_client *client, const cli_common *common, const dip
   return good;
 }
 
-/* ---- rates ----------------------------------------------------------------------------------- */
-
-static double bench_requests_per_s(const bench_result *result) {
-  return result->took_s > 0 ? (double)result->times.count / result->took_s : 0;
-}
-
-/* Counts the radii of each channel. */
-static double bench_radii_per_s(const bench_result *result) {
-  return bench_requests_per_s(result) * (double)result->load.radii * result->values_per_radius;
-}
-
-/* Counts the bytes of radii and values. */
-static double bench_bytes_per_s(const bench_result *result) {
-  return bench_requests_per_s(result) * (double)result->load.radii *
-         (1 + result->values_per_radius) * result->value_bytes;
-}
-
-/* ---- the command: settings and what is reported ---------------------------------------------- */
+/* ---- the command line ------------------------------------------------------------------------ */
 
 #define MEDIUM_DEFAULT "skin1"
 #define SECONDS_LEAST 0.01
@@ -316,30 +300,8 @@ static double bench_bytes_per_s(const bench_result *result) {
 #define RADIUS_LEAST_MM 0.01
 #define RADIUS_MOST_MM 10.0
 
-enum { CONNECTIONS_MAX = 256, RADII_MAX = 1 << 22, MEASUREMENTS = 3 };
-
 /* How much memory the values under way may take on all connections. */
 #define VALUES_MAX_BYTES ((size_t)1 << 30)
-
-typedef struct bench_settings {
-  cli_profile_settings profile;
-  cli_number seconds;
-  cli_count connections, in_flight, radii, large_radii;
-} bench_settings;
-
-typedef struct report {
-  const bench_settings *settings;
-  dipole_client *client;
-  cli_profile profile;
-  void *radii;
-  dipole_query query;
-  cli_progress progress;
-  unsigned measured; /* how many measurements are over */
-  uint64_t requests; /* how many requests these measurements have made */
-  bench_result results[MEASUREMENTS];
-} report;
-
-/* ---- the command line ------------------------------------------------------------------------ */
 
 static int check(void *given) {
   bench_settings *settings = given;
@@ -415,29 +377,19 @@ static void make_query(report *of) {
 
 /* ---- measuring ------------------------------------------------------------------------------- */
 
-static void show(void *context, double share, uint64_t requests) {
-  report *of = context;
-  cli_progress_show(&of->progress, ((double)of->measured + share) / MEASUREMENTS,
-                    (double)(of->requests + requests));
-}
-
 static int measure(report *of) {
   const bench_settings *settings = of->settings;
-  const double seconds = settings->seconds.value;
-  const bench_load loads[MEASUREMENTS] = {
-      {"small", 1, 1, settings->radii.value, seconds},
+  const load loads[MEASUREMENTS] = {
+      {"small", 1, 1, settings->radii.value},
       {"pipelined", (unsigned)settings->connections.value, (unsigned)settings->in_flight.value,
-       settings->radii.value, seconds},
-      {"large", 1, 1, settings->large_radii.value, seconds},
+       settings->radii.value},
+      {"large", 1, 1, settings->large_radii.value},
   };
   bool good = true;
   dipole_error error;
   cli_progress_start(&of->progress, "requests");
-  for (of->measured = 0; good && of->measured < MEASUREMENTS; of->measured++) {
-    bench_result *result = &of->results[of->measured];
-    good = bench_run(of->client, &settings->profile.common, &of->query, &loads[of->measured], show,
-                     of, result, &error);
-    of->requests += result->times.count;
+  for (size_t i = 0; good && i < MEASUREMENTS; i++) {
+    good = run_load(of, &loads[i], &of->results[i], &error);
   }
   cli_progress_wipe(&of->progress);
   return good ? CLI_OK : cli_fail_error(&error);
@@ -456,21 +408,26 @@ static void put_figure(cli_rows *rows, const char *name, const char *head, doubl
 }
 
 static void put_result(cli_rows *rows, const void *context, size_t index) {
-  const bench_result *result = &((const report *)context)->results[index];
-  const bench_load *load = &result->load;
-  cli_put_text(rows, CLI_COLUMN("measurement", "requests"), load->name);
-  cli_put_number(rows, CLI_COLUMN("radii", .format = "%.0f"), (double)load->radii);
-  cli_put_number(rows, CLI_COLUMN("connections", .format = "%.0f"), load->connections);
-  cli_put_number(rows, CLI_COLUMN("in_flight", "in flight", .format = "%.0f"), load->in_flight);
+  const report *of = context;
+  const measured *result = &of->results[index];
+  const load *under = &result->load;
+  const double channels = (double)of->profile.channel_count;
+  const double per_s = result->took_s > 0 ? (double)result->times.count / result->took_s : 0;
+  const double radii_per_s = per_s * (double)under->radii;
+  cli_put_text(rows, CLI_COLUMN("measurement", "requests"), under->name);
+  cli_put_number(rows, CLI_COLUMN("radii", .format = "%.0f"), (double)under->radii);
+  cli_put_number(rows, CLI_COLUMN("connections", .format = "%.0f"), under->connections);
+  cli_put_number(rows, CLI_COLUMN("in_flight", "in flight", .format = "%.0f"), under->in_flight);
   cli_put_number(rows, CLI_COLUMN("requests", .forms = CLI_IN_CSV | CLI_IN_JSON),
                  (double)result->times.count);
   cli_put_number(rows, CLI_COLUMN("seconds", .forms = CLI_IN_CSV | CLI_IN_JSON), result->took_s);
-  put_figure(rows, "p50_us", "p50 us", 1, bench_times_quantile_us(&result->times, 0.5));
-  put_figure(rows, "p99_us", "p99 us", 1, bench_times_quantile_us(&result->times, 0.99));
+  put_figure(rows, "p50_us", "p50 us", 1, quantile_us(&result->times, 0.5));
+  put_figure(rows, "p99_us", "p99 us", 1, quantile_us(&result->times, 0.99));
   put_figure(rows, "max_us", "max us", 1, (double)result->times.most_ns / 1000);
-  put_figure(rows, "requests_per_s", "requests/s", 1, bench_requests_per_s(result));
-  put_figure(rows, "radii_per_s", "M radii/s", 1e6, bench_radii_per_s(result));
-  put_figure(rows, "bytes_per_s", "MB/s", 1e6, bench_bytes_per_s(result));
+  put_figure(rows, "requests_per_s", "requests/s", 1, per_s);
+  put_figure(rows, "radii_per_s", "M radii/s", 1e6, radii_per_s * channels);
+  put_figure(rows, "bytes_per_s", "MB/s", 1e6,
+             radii_per_s * (1 + channels) * (double)value_bytes(of));
 }
 
 static void put_facts(cli_rows *rows, const void *context, size_t index) {

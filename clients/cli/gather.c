@@ -144,8 +144,7 @@ static int fail_at(const dipole_error *error, const cloud *points, const cloud *
   return cli_fail_error_of(place, error);
 }
 
-/* What is asked. The points are asked for in slices, so that where a query is too near to a point of
- * a slice, few points are summed one by one in its place. */
+/* What is asked. */
 typedef struct work {
   const gather_settings *settings;
   dipole_client *client;
@@ -153,10 +152,6 @@ typedef struct work {
   const cloud *points, *queries;
   cli_progress progress;
 } work;
-
-typedef struct slice {
-  uint64_t first, count;
-} slice;
 
 static int compare_x(const void *a, const void *b) {
   const double x = **(const double *const *)a, y = **(const double *const *)b;
@@ -185,14 +180,15 @@ static bool is_near(const double *const *places, size_t count, const double *que
   return low < count && places[low][0] < query_mm[0] + least_mm;
 }
 
-/* Sums the points of a slice one by one. r: room for a radius of each. */
-static bool sum_directly(const work *of, const slice *some, const double *query_mm, double *r,
-                         double *M, dipole_error *error) {
+/* Sums the points one by one. r: room for a radius of each. */
+static bool sum_directly(const work *of, const double *query_mm, double *r, double *M,
+                         dipole_error *error) {
   const bool is_double = of->query.evaluator == DIPOLE_F64;
-  const uint32_t channels = of->points->channels;
-  for (uint64_t i = 0; i < some->count; i++) {
-    const double *at_mm = of->points->xyz_mm + 3 * (some->first + i);
-    const double r_mm = fmax(distance_mm(at_mm, query_mm), of->settings->least_distance.value);
+  const cloud *points = of->points;
+  const uint32_t channels = points->channels;
+  for (uint64_t i = 0; i < points->count; i++) {
+    const double r_mm =
+        fmax(distance_mm(points->xyz_mm + 3 * i, query_mm), of->settings->least_distance.value);
     if (is_double) {
       r[i] = r_mm;
     } else {
@@ -207,7 +203,7 @@ static bool sum_directly(const work *of, const slice *some, const double *query_
                               .medium_count = channels,
                               .spacing = DIPOLE_LIST,
                               .radii = r,
-                              .radius_count = some->count,
+                              .radius_count = points->count,
                               .deadline_ms = of->query.deadline_ms};
   dipole_result *result;
   if (!CLI_ASK(&of->settings->profile.common, error,
@@ -217,84 +213,62 @@ static bool sum_directly(const work *of, const slice *some, const double *query_
   for (uint32_t c = 0; c < channels; c++) {
     const dipole_channel *channel = &result->channels[c];
     M[c] = 0;
-    for (uint64_t i = 0; i < some->count; i++) {
+    for (uint64_t i = 0; i < points->count; i++) {
       M[c] += (is_double ? channel->R_f64[i] : (double)channel->R_f32[i]) *
-              (double)of->points->power_W[(some->first + i) * channels + c];
+              (double)points->power_W[i * channels + c];
     }
   }
   dipole_result_free(result);
   return true;
 }
 
-/* Sums the slice directly for the queries that are too near to a point of it. */
-static bool mend_near(const work *of, const slice *some, double *M, dipole_error *error) {
+/* Sums directly for the queries that are too near to a point. */
+static bool mend_near(work *of, double *M, dipole_error *error) {
   const double least_mm = of->settings->least_distance.value;
-  const double **places = cli_allocate(some->count, sizeof *places);
-  double *r = cli_allocate(some->count, sizeof *r);
-  for (uint64_t i = 0; i < some->count; i++) {
-    places[i] = of->points->xyz_mm + 3 * (some->first + i);
+  const double count = (double)of->queries->count;
+  const double **places = cli_allocate(of->points->count, sizeof *places);
+  double *r = cli_allocate(of->points->count, sizeof *r);
+  for (uint64_t i = 0; i < of->points->count; i++) {
+    places[i] = of->points->xyz_mm + 3 * i;
   }
-  qsort(places, some->count, sizeof *places, compare_x);
+  qsort(places, of->points->count, sizeof *places, compare_x);
   bool good = true;
   for (uint64_t q = 0; good && q < of->queries->count && !cli_interrupted(); q++) {
     const double *query_mm = of->queries->xyz_mm + 3 * q;
-    good = !is_near(places, some->count, query_mm, least_mm) ||
-           sum_directly(of, some, query_mm, r, M + q * of->points->channels, error);
+    good = !is_near(places, of->points->count, query_mm, least_mm) ||
+           sum_directly(of, query_mm, r, M + q * of->points->channels, error);
+    cli_progress_show(&of->progress, (double)q / count, (double)q);
   }
   free(places);
   free(r);
   return good;
 }
 
-/* Sets M to the sums over a slice. Returns an exit status. */
-static int ask(work *of, const slice *some, double *M) {
+/* Sets M to the sums. Returns an exit status. */
+static int ask(work *of, double *M) {
   dipole_error error;
   dipole_points *set;
   dipole_gather_result result;
   const cloud *points = of->points;
-  if (!dipole_points_make(some->count, points->channels, points->xyz_mm + 3 * some->first,
-                          points->power_W + some->first * points->channels, &set, &error)) {
+  if (points->count == 0) {
+    return cli_fail("%s: it has no points", points->sheet.source);
+  }
+  if (!dipole_points_make(points->count, points->channels, points->xyz_mm, points->power_W, &set,
+                          &error)) {
     return cli_fail("%s: %s", points->sheet.source, error.text);
   }
   of->query.points = set;
+  cli_catch_interrupt();
+  cli_progress_start(&of->progress, "queries");
   const bool good =
       CLI_ASK(&of->settings->profile.common, &error,
               dipole_gather(of->client, &of->query, follow, &of->progress, M, &result, &error)) &&
-      (!(of->settings->least_distance.value > 0) || mend_near(of, some, M, &error));
+      (!(of->settings->least_distance.value > 0) || mend_near(of, M, &error));
   cli_progress_wipe(&of->progress);
   dipole_points_free(set);
-  if (!good) {
-    error.index += strcmp(error.field, "queries") == 0 ? 0 : some->first;
-    return fail_at(&error, points, of->queries);
-  }
-  return cli_interrupted() ? cli_fail("interrupted; nothing was written") : CLI_OK;
-}
-
-/* Slices have so many points at least, and there are so many slices at most. */
-enum { SLICE_POINTS = 1024, SLICES = 16 };
-
-/* Sets M to the sums. Returns an exit status. */
-static int ask_all(work *of, double *M) {
-  const uint64_t count = of->points->count, sums = of->queries->count * of->points->channels;
-  const bool is_cut = of->settings->least_distance.value > 0 && count > SLICE_POINTS;
-  const uint64_t even = (count + SLICES - 1) / SLICES;
-  const uint64_t most = !is_cut ? count : even > SLICE_POINTS ? even : SLICE_POINTS;
-  if (count == 0) {
-    return cli_fail("%s: it has no points", of->points->sheet.source);
-  }
-  double *part = cli_allocate((size_t)sums + 1, sizeof *part);
-  int status = CLI_OK;
-  cli_catch_interrupt();
-  cli_progress_start(&of->progress, "queries");
-  for (uint64_t first = 0; status == CLI_OK && first < count; first += most) {
-    const slice some = {first, count - first < most ? count - first : most};
-    status = ask(of, &some, part);
-    for (uint64_t i = 0; i < sums; i++) {
-      M[i] += part[i];
-    }
-  }
-  free(part);
-  return status;
+  return !good               ? fail_at(&error, points, of->queries)
+         : cli_interrupted() ? cli_fail("interrupted; nothing was written")
+                             : CLI_OK;
 }
 
 /* Says how many sums are infinite, and what helps. */
@@ -370,7 +344,7 @@ static int gather(const gather_settings *settings, dipole_client *client,
     return status;
   }
   double *M = cli_allocate((size_t)queries->count * points->channels + 1, sizeof *M);
-  status = ask_all(&of, M);
+  status = ask(&of, M);
   if (status == CLI_OK) {
     tell_infinite(&of, M);
     const cli_report output = {.rows = queries->count, .put_row = put_query};

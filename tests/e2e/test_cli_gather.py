@@ -118,7 +118,7 @@ def test_points_that_are_lost_again_and_again(shared, tmp_path, client):
 
 @pytest.mark.parametrize("model, evaluator", [("transport", "lut"), ("better+single", "f64")])
 def test_no_distance_counts_as_less(shared, tmp_path, model, evaluator):
-    """Points are asked for in slices of 1024, and queries at or near a point directly."""
+    """Queries at or near a point are summed directly."""
     xyz, power = RNG.uniform(-5, 5, (2100, 3)), RNG.uniform(0, 1, (2100, 2)).astype("<f4")
     queries = np.vstack([xyz[::300], xyz[::300] + 0.02, RNG.uniform(-5, 5, (10, 3))])
     points = write_csv(tmp_path / "p.csv", names(2), [xyz, power])
