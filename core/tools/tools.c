@@ -59,6 +59,42 @@ void tools_close(FILE *file, const char *path) {
   }
 }
 
+/* The name of a file is the FNV-1a checksum of its key, which is its first line. */
+static void kept_name(char name[PATH_BYTES], const char *folder, const char *key) {
+  uint64_t hash = UINT64_C(0xcbf29ce484222325);
+  for (const char *at = key; *at != '\0'; at++) {
+    hash = (hash ^ (unsigned char)*at) * UINT64_C(0x100000001b3);
+  }
+  if (snprintf(name, PATH_BYTES, "%s/%016llx", folder, (unsigned long long)hash) >= PATH_BYTES) {
+    tools_fail("%s: the name is too long", folder);
+  }
+}
+
+bool tools_kept(const char *folder, const char *key, void *result, size_t bytes) {
+  char name[PATH_BYTES], *line = NULL;
+  size_t room = 0;
+  kept_name(name, folder, key);
+  FILE *file = fopen(name, "rbe");
+  if (file == NULL) {
+    return false;
+  }
+  const ssize_t length = getline(&line, &room, file);
+  const bool good = length == (ssize_t)strlen(key) + 1 && strncmp(line, key, strlen(key)) == 0 &&
+                    fread(result, bytes, 1, file) == 1;
+  free(line);
+  fclose(file);
+  return good;
+}
+
+void tools_keep(const char *folder, const char *key, const void *result, size_t bytes) {
+  char name[PATH_BYTES];
+  kept_name(name, folder, key);
+  FILE *file = tools_open(name);
+  fprintf(file, "%s\n", key);
+  fwrite(result, bytes, 1, file);
+  tools_close(file, name);
+}
+
 /* ---- threads --------------------------------------------------------------------------------- */
 
 size_t tools_processors(void) {

@@ -31,18 +31,14 @@ tradeoff: ## speed against accuracy, in build/tradeoff, and core/costs.def (minu
 tables: $(BUILD)/transport-table ## core/transport/transport.table, solved anew (2 hours)
 	$(BUILD)/transport-table $(BUILD)/tables core/transport/transport.table
 
-# The program is made anew, and its table compared with other media. GRIDS=normal takes three times as
-# long.
-GRIDS ?= quick
+# The program is made anew, and its table compared with other media.
 apertures: $(BUILD)/apertures ## core/fit/aperture.table and its errors, solved anew (minutes)
-	$(BUILD)/apertures $(BUILD)/apertures-parts core/fit/aperture.table $(GRIDS)
+	$(BUILD)/apertures $(BUILD)/apertures-parts core/fit/aperture.table
 	@$(MAKE) --no-print-directory $(BUILD)/apertures
-	$(BUILD)/apertures $(BUILD)/apertures-parts core/fit/aperture_errors.def
+	$(BUILD)/apertures compare $(BUILD)/apertures-parts core/fit/aperture_errors.def
 
-# EFFORT=normal: minutes.
-EFFORT ?= finest
 reference: $(BUILD)/reference ## core/transport/reference.csv, R(r) for many g, solved anew (an hour)
-	$(BUILD)/reference $(BUILD)/reference-parts core/transport/reference.csv $(EFFORT)
+	$(BUILD)/reference $(BUILD)/reference-parts core/transport/reference.csv
 
 gamma-errors: $(BUILD)/phases ## core/gamma_errors.def, transport with gamma for other phase functions
 	$(BUILD)/phases $(BUILD)/phases-parts core/gamma_errors.def

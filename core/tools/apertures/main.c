@@ -1,8 +1,7 @@
-/* apertures FOLDER FILE quick|normal: solves the media of the table of core/fit/aperture.h, for a quick
- * or a normal tolerance, and writes it. It keeps what it has solved in FOLDER, so that an interrupted run
- * continues where it stopped.
+/* apertures FOLDER FILE: solves the media of the table of core/fit/aperture.h and writes it. It keeps
+ * what it has solved in FOLDER, so that an interrupted run continues where it stopped.
  *
- * apertures FOLDER ERRORS: compares the table that the program has with media that it was not made
+ * apertures compare FOLDER FILE: compares the table that the program has with media that it was not made
  * from, for a normal tolerance, and writes the relative errors of the share, as core/fit/aperture_errors.def
  * has them. */
 #include <math.h>
@@ -22,7 +21,7 @@ enum {
   ETAS = BELOW + FROM,
   GS = FIT_APERTURE_GS,
   CONES = FIT_APERTURE_CONES,
-  PATH_BYTES = 1024,
+  KEY_BYTES = 256,
   MEDIUM_US = 20000000,
 };
 
@@ -103,8 +102,7 @@ static void set_medium(size_t i, struct solved *to, double etas[ETAS], double u[
 
 struct run {
   const char *folder;
-  double tolerance; /* of the media that make the table */
-  size_t first;     /* of the media that are solved */
+  size_t first; /* of the media that are solved */
   struct solved *media;
   tools_progress progress;
 };
@@ -114,26 +112,16 @@ static void solve_or_read(void *context, size_t item) {
   struct solved wanted, *to = &run->media[run->first + item];
   double etas[ETAS], u[CONES];
   set_medium(run->first + item, &wanted, etas, u);
-  char path[PATH_BYTES];
-  const bool made = run->first + item < MADE;
+  char key[KEY_BYTES];
   const bool dark = wanted.ratio > NORMAL_FROM_RATIO && wanted.g > NORMAL_FROM_G;
-  const double tolerance = made && !dark ? run->tolerance : NORMAL;
-  if (snprintf(path, sizeof path, "%s/%g-%.9g-%.9g-%.9g-%.9g", run->folder, tolerance, wanted.ratio,
-               wanted.g, etas[0], u[0]) >= PATH_BYTES) {
-    tools_fail("the folder's name is too long");
-  }
-  FILE *file = fopen(path, "rb");
-  const bool read = file != NULL && fread(to, sizeof *to, 1, file) == 1;
-  if (file != NULL) {
-    fclose(file);
-  }
-  if (!read) {
+  const double tolerance = run->first + item < MADE && !dark ? QUICK : NORMAL;
+  snprintf(key, sizeof key, "%g, medium %.9g %.9g, eta from %.9g, u from %.9g", tolerance,
+           wanted.ratio, wanted.g, etas[0], u[0]);
+  if (!tools_kept(run->folder, key, to, sizeof *to)) {
     to->ratio = wanted.ratio;
     to->g = wanted.g;
     solve(to, etas, u, tolerance);
-    file = tools_open(path);
-    fwrite(to, sizeof *to, 1, file);
-    tools_close(file, path);
+    tools_keep(run->folder, key, to, sizeof *to);
   }
   tools_progress_add(&run->progress, MEDIUM_US);
 }
@@ -348,22 +336,16 @@ static void compare(const struct solved *media, const char *path) {
 }
 
 int main(int count, char **arguments) {
-  const bool compares = count == 3;
-  if (!compares && count != 4) {
-    tools_fail("usage: apertures FOLDER FILE quick|normal, or apertures FOLDER ERRORS");
+  const bool compares = count == 4 && strcmp(arguments[1], "compare") == 0;
+  if (count != (compares ? 4 : 3)) {
+    tools_fail("usage: apertures [compare] FOLDER FILE");
   }
-  struct run run = {.folder = arguments[1],
-                    .tolerance = !compares && strcmp(arguments[3], "normal") == 0 ? NORMAL : QUICK,
-                    .media = calloc(MEDIA, sizeof *run.media)};
+  struct run run = {.folder = arguments[count - 2], .media = calloc(MEDIA, sizeof *run.media)};
   if (run.media == NULL) {
     tools_fail("out of memory");
   }
   solve_media(&run, compares ? MADE : 0, compares ? COMPARED : MADE);
-  if (compares) {
-    compare(run.media, arguments[2]);
-  } else {
-    write_table(run.media, arguments[2]);
-  }
+  (compares ? compare : write_table)(run.media, arguments[count - 1]);
   free(run.media);
   return 0;
 }

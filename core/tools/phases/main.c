@@ -43,7 +43,7 @@ enum {
   BANDS = CORE_MODEL_ERROR_BANDS,
   IN_BAND = 4, /* radii in each band: both ends and two more */
   RADII = BANDS * IN_BAND,
-  PATH_BYTES = 1024
+  KEY_BYTES = 256
 };
 
 /* Sets *phase to a subject's phase function. `moment` has SOLVER_MOMENTS_MAX numbers. */
@@ -137,19 +137,12 @@ static void find(void *context, size_t i) {
   struct item *item = &run->item[i];
   const struct subject *subject = &subjects[i / RATIOS];
   const double ratio = ratios[i % RATIOS];
-  char path[PATH_BYTES];
-  snprintf(path, sizeof path, "%s/%d-%g-%g-%g-%g", run->folder, (int)subject->kind, subject->a,
-           subject->b, subject->c, ratio);
-  FILE *file = fopen(path, "re");
-  const bool good = file != NULL && fread(&item->truth, sizeof item->truth, 1, file) == 1;
-  if (file != NULL) {
-    fclose(file);
-  }
-  if (!good) {
+  char key[KEY_BYTES];
+  snprintf(key, sizeof key, "%d %g %g %g, ratio %g", (int)subject->kind, subject->a, subject->b,
+           subject->c, ratio);
+  if (!tools_kept(run->folder, key, &item->truth, sizeof item->truth)) {
     solve(&item->truth, subject, ratio);
-    file = tools_open(path);
-    fwrite(&item->truth, sizeof item->truth, 1, file);
-    tools_close(file, path);
+    tools_keep(run->folder, key, &item->truth, sizeof item->truth);
   }
   for (size_t eta = 0; eta < ETAS; eta++) {
     compare(item, ratio, eta);

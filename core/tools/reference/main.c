@@ -1,14 +1,10 @@
-/* reference FOLDER FILE EFFORT: writes the table core/transport/reference.csv: R(r) and totals of
+/* reference FOLDER FILE: writes the table core/transport/reference.csv: R(r) and totals of
  * media with Henyey and Greenstein's phase function by the solver's finest grids, each with an
  * error bound, and by Monte Carlo beside it. core/transport/REFERENCE.md says more. It keeps
  * results in FOLDER, so that an interrupted run continues where it stopped. Every machine writes
- * the same file.
- *
- * EFFORT is finest, or normal for a table with larger error bounds in a fifth of the time. A run
- * with normal takes what FOLDER has by the finest grids, and solves with them from FINEST_FROM on. */
+ * the same file. */
 #include <math.h>
 #include <stdlib.h>
-#include <string.h>
 
 #include "core/tools/reference/walks.h"
 #include "core/tools/tools.h"
@@ -35,19 +31,10 @@ enum {
   SEED = 17
 };
 
-/* From this g on, the normal grids are up to 9e-3 off near the source. */
-#define FINEST_FROM 0.95
-/* Tolerances of the solver. */
-#define NORMAL 1e-3
-#define FINEST 1e-4
+#define TOLERANCE 1e-4 /* of the solver: its finest grids */
 
 /* Photons take long with little absorption. */
 #define RATIO_SLOW 0.01
-
-static int photons_of(double tolerance, double ratio) {
-  const int photons = tolerance == FINEST ? PHOTONS : PHOTONS / 4;
-  return ratio > RATIO_SLOW ? photons : photons / 4;
-}
 
 /* A value with its absolute error bound or standard error; NaN where there is none. */
 struct number {
@@ -64,33 +51,7 @@ struct walked {
   struct number total, mean[RADII];
 };
 
-/* ---- files ----------------------------------------------------------------------------------- */
-
-enum { PATH_BYTES = 1024, KEY_BYTES = 256 };
-
-/* The first line of a step's file, its key, names what its numbers depend on. */
-static bool read_numbers(const char *path, const char *key, double *numbers, size_t count) {
-  char line[KEY_BYTES];
-  FILE *file = fopen(path, "re");
-  if (file == NULL) {
-    return false;
-  }
-  bool good = fgets(line, sizeof line, file) != NULL && strcmp(line, key) == 0;
-  for (size_t i = 0; i < count && good; i++) {
-    good = fscanf(file, "%la", &numbers[i]) == 1;
-  }
-  fclose(file);
-  return good;
-}
-
-static void write_numbers(const char *path, const char *key, const double *numbers, size_t count) {
-  FILE *file = tools_open(path);
-  fputs(key, file);
-  for (size_t i = 0; i < count; i++) {
-    fprintf(file, "%a\n", numbers[i]);
-  }
-  tools_close(file, path);
-}
+enum { KEY_BYTES = 256 };
 
 /* ---- the steps ------------------------------------------------------------------------------ */
 
@@ -99,7 +60,6 @@ enum { STEPS = PAIRS + PAIRS * ETAS };
 
 struct run {
   const char *folder;
-  double tolerance;
   struct solved solved[PAIRS];
   solver_total totals[PAIRS][ETAS]; /* which take milliseconds and are in no file */
   struct walked walked[PAIRS * ETAS];
@@ -114,11 +74,11 @@ static struct number number_of(transport_number from) {
   return (struct number){from.value, from.error};
 }
 
-static void solve(struct solved *to, const struct pair *pair, double tolerance) {
+static void solve(struct solved *to, const struct pair *pair) {
   const solver_phase phase = {pair->g, 0, NULL};
   solver_solution *solution;
   tools_check(
-      solver_solve(&solution, core_isa_select(NULL), pair->ratio, &phase, etas, ETAS, tolerance),
+      solver_solve(&solution, core_isa_select(NULL), pair->ratio, &phase, etas, ETAS, TOLERANCE),
       "the solver");
   for (size_t eta = 0; eta < ETAS; eta++) {
     for (size_t i = 0; i < RADII; i++) {
@@ -135,18 +95,14 @@ static void solve_or_read(struct run *run, size_t i) {
   const struct pair *pair = &pairs[i];
   const solver_phase phase = {pair->g, 0, NULL};
   solver_total *totals = run->totals[i];
-  char path[PATH_BYTES], key[KEY_BYTES];
-  double *numbers = (double *)&run->solved[i];
-  const size_t count = sizeof run->solved[i] / sizeof *numbers;
-  const double tolerance = pair->g < FINEST_FROM ? run->tolerance : FINEST;
+  char key[KEY_BYTES];
   tools_check(solver_totals(totals, core_isa_select(NULL), pair->ratio, &phase, etas, ETAS),
               "the solver");
-  snprintf(key, sizeof key, "solved %d eta from %g to %g: %a %a\n", ETAS, etas[0], etas[ETAS - 1],
-           totals[0].normal.value, totals[ETAS - 1].normal.value);
-  snprintf(path, sizeof path, "%s/%g-%g-%g", run->folder, tolerance, pair->ratio, pair->g);
-  if (!read_numbers(path, key, numbers, count)) {
-    solve(&run->solved[i], pair, tolerance);
-    write_numbers(path, key, numbers, count);
+  snprintf(key, sizeof key, "solved %g %g, %d eta from %g to %g: %a %a", pair->ratio, pair->g, ETAS,
+           etas[0], etas[ETAS - 1], totals[0].normal.value, totals[ETAS - 1].normal.value);
+  if (!tools_kept(run->folder, key, &run->solved[i], sizeof run->solved[i])) {
+    solve(&run->solved[i], pair);
+    tools_keep(run->folder, key, &run->solved[i], sizeof run->solved[i]);
   }
   tools_progress_add(&run->progress, SOLVING_US);
 }
@@ -167,18 +123,15 @@ static void walk(struct walked *to, const walks_medium *medium, int photons, uin
 static void walk_or_read(struct run *run, size_t i) {
   const struct pair *pair = &pairs[i / ETAS];
   const walks_medium medium = {.ratio = pair->ratio, .g = pair->g, .eta = etas[i % ETAS]};
-  char path[PATH_BYTES], key[KEY_BYTES];
-  const int photons = photons_of(run->tolerance, medium.ratio);
+  char key[KEY_BYTES];
+  const int photons = medium.ratio > RATIO_SLOW ? PHOTONS : PHOTONS / 4;
   walks_result probe;
   walks_run(&probe, &medium, WALKS_TENTHS, CORE_MC_BATCH_PHOTONS, SEED + i);
-  snprintf(path, sizeof path, "%s/walked-%g-%g-%g", run->folder, medium.ratio, medium.g,
-           medium.eta);
-  snprintf(key, sizeof key, "walked %d photons: %a\n", photons, probe.total.value);
-  double *numbers = (double *)&run->walked[i];
-  const size_t count = sizeof run->walked[i] / sizeof *numbers;
-  if (!read_numbers(path, key, numbers, count)) {
+  snprintf(key, sizeof key, "walked %g %g %g, %d photons: %a", medium.ratio, medium.g, medium.eta,
+           photons, probe.total.value);
+  if (!tools_kept(run->folder, key, &run->walked[i], sizeof run->walked[i])) {
     walk(&run->walked[i], &medium, photons, SEED + i);
-    write_numbers(path, key, numbers, count);
+    tools_keep(run->folder, key, &run->walked[i], sizeof run->walked[i]);
   }
   tools_progress_add(&run->progress, WALKING_US);
 }
@@ -234,13 +187,11 @@ static void write_medium(FILE *file, const struct run *run, size_t pair, size_t 
 }
 
 int main(int argc, char **argv) {
-  const bool normal = argc == 4 && strcmp(argv[3], "normal") == 0;
-  if (argc != 4 || (!normal && strcmp(argv[3], "finest") != 0)) {
-    tools_fail("usage: reference FOLDER FILE finest|normal");
+  if (argc != 3) {
+    tools_fail("usage: reference FOLDER FILE");
   }
   static struct run run;
   run.folder = argv[1];
-  run.tolerance = normal ? NORMAL : FINEST;
   tools_make_folder(argv[1]);
   tools_progress_start(&run.progress, PAIRS * SOLVING_US + PAIRS * ETAS * WALKING_US);
   tools_each(tools_processors(), STEPS, step, &run);

@@ -9,7 +9,7 @@
 #include "core/transport/table.h"
 #include "tests/accuracy/isotropic/isotropic.h"
 
-enum { PATH_MAX_BYTES = 1024 };
+enum { KEY_BYTES = 256 };
 
 #define TOLERANCE 1e-8 /* of the solver for isotropic scattering */
 
@@ -31,7 +31,6 @@ size_t sample_level(double g) {
 void sample_make(table_sample *sample, double g, size_t media, size_t radii) {
   const size_t numbers = media * (3 + 2 * radii);
   *sample = (struct table_sample){.g = g, .level = SAMPLE_NORMAL, .media = media, .radii = radii};
-  sample->bytes = numbers * sizeof(double);
   sample->numbers = calloc(numbers, sizeof(double));
   if (sample->numbers == NULL) {
     tools_fail("out of memory");
@@ -86,41 +85,33 @@ static double cost_us(const table_sample *sample) {
                         : SAMPLE_COST_US;
 }
 
-/* ---- what a file keeps ------------------------------------------------------------------------ */
+/* ---- what is kept ----------------------------------------------------------------------------- */
 
-/* Numbers that a file keeps: the inputs that a sample was solved for, then what was solved. Of
- * isotropic scattering these are all numbers of the sample. Of others they are the albedos, the etas
- * and the exitances, so that R at other radii needs no new solution. */
-struct kept {
-  size_t inputs, count;
-  double *numbers;
-};
-
-static struct kept kept_of(const table_sample *sample) {
+/* Returns memory for what is kept of a sample, and sets *count: of isotropic scattering the totals and
+ * R in the sample itself; of others the exitances, so that R at other radii needs no new solution. */
+static double *results_of(const table_sample *sample, size_t *count) {
   if (sample->g == 0) {
-    return (struct kept){(size_t)(sample->total - sample->numbers), sample->bytes / sizeof(double),
-                         sample->numbers};
+    *count = sample->media * (1 + sample->radii);
+    return sample->total;
   }
-  const size_t inputs = 2 * sample->media;
-  const size_t count = inputs + 2 * sample->media * SOLVER_WAVENUMBERS_MAX;
-  const struct kept kept = {inputs, count, calloc(count, sizeof(double))};
-  if (kept.numbers == NULL) {
+  *count = 2 * sample->media * SOLVER_WAVENUMBERS_MAX;
+  double *exitances = calloc(*count, sizeof *exitances);
+  if (exitances == NULL) {
     tools_fail("out of memory");
   }
-  memcpy(kept.numbers, sample->albedo, inputs * sizeof(double));
-  return kept;
+  return exitances;
 }
 
-static void free_kept(struct kept kept, const table_sample *sample) {
-  if (kept.numbers != sample->numbers) {
-    free(kept.numbers);
+static void free_results(double *results, const table_sample *sample) {
+  if (results != sample->total) {
+    free(results);
   }
 }
 
-/* Solves, unless what the file keeps is known. */
-static void solve(table_sample *sample, struct kept kept, bool known) {
+/* Solves, unless the results are known. */
+static void solve(table_sample *sample, double *results, bool known) {
   if (sample->g != 0) {
-    solve_anisotropic(sample, (double complex *)(kept.numbers + kept.inputs), known);
+    solve_anisotropic(sample, (double complex *)results, known);
   } else if (!known) {
     solve_isotropic(sample);
   }
@@ -130,13 +121,6 @@ static uint64_t checksum_of(const double *numbers, size_t count) {
   return transport_table_checksum((const uint8_t *)numbers, count * sizeof *numbers);
 }
 
-/* Identifies the inputs and the solver that a file's results depend on. `probe` is a checksum of what
- * is kept of one fixed medium, which changes when the solver changes. */
-struct key {
-  double g, level;
-  uint64_t probe, inputs;
-};
-
 /* Solvers that a sample may need: that for isotropic scattering, then one for each level. */
 enum { SOLVERS = 1 + SAMPLE_FINEST + 1 };
 
@@ -144,7 +128,7 @@ static size_t solver_of(const table_sample *sample) {
   return sample->g == 0 ? 0 : 1 + sample->level;
 }
 
-/* Solves one medium with a solver, for the keys of its samples. */
+/* Solves one medium with a solver, for the keys of its samples: they change when the solver does. */
 static void probe_solver(void *context, size_t solver) {
   uint64_t *probe = context;
   table_sample sample;
@@ -153,51 +137,12 @@ static void probe_solver(void *context, size_t solver) {
   sample.albedo[0] = 0.9;
   sample.eta[0] = 1.3;
   memcpy(sample.x, (double[]){1e-3, 1, 20}, 3 * sizeof(double));
-  const struct kept kept = kept_of(&sample);
-  solve(&sample, kept, false);
-  probe[solver] = checksum_of(kept.numbers, kept.count);
-  free_kept(kept, &sample);
+  size_t count;
+  double *results = results_of(&sample, &count);
+  solve(&sample, results, false);
+  probe[solver] = checksum_of(results, count);
+  free_results(results, &sample);
   sample_free(&sample);
-}
-
-/* ---- files ----------------------------------------------------------------------------------- */
-
-static void path_of(char path[PATH_MAX_BYTES], const char *folder, const struct key *key) {
-  const uint64_t name = transport_table_checksum((const uint8_t *)key, sizeof *key);
-  if (snprintf(path, PATH_MAX_BYTES, "%s/%016llx", folder, (unsigned long long)name) >=
-      PATH_MAX_BYTES) {
-    tools_fail("the folder's name is too long");
-  }
-}
-
-/* A file holds the numbers and their checksum. Returns whether there is one for these inputs. */
-static bool read_kept(const char *path, struct kept kept) {
-  FILE *file = fopen(path, "rb");
-  double *copy = malloc(kept.count * sizeof *copy);
-  if (copy == NULL) {
-    tools_fail("out of memory");
-  }
-  uint64_t checksum;
-  const bool good = file != NULL && fread(copy, sizeof *copy, kept.count, file) == kept.count &&
-                    fread(&checksum, sizeof checksum, 1, file) == 1 &&
-                    checksum == checksum_of(copy, kept.count) &&
-                    memcmp(copy, kept.numbers, kept.inputs * sizeof *copy) == 0;
-  if (good) {
-    memcpy(kept.numbers, copy, kept.count * sizeof *copy);
-  }
-  free(copy);
-  if (file != NULL) {
-    fclose(file);
-  }
-  return good;
-}
-
-static void write_kept(const char *path, struct kept kept) {
-  const uint64_t checksum = checksum_of(kept.numbers, kept.count);
-  FILE *file = tools_open(path);
-  fwrite(kept.numbers, sizeof *kept.numbers, kept.count, file);
-  fwrite(&checksum, sizeof checksum, 1, file);
-  tools_close(file, path);
 }
 
 /* ---- threads --------------------------------------------------------------------------------- */
@@ -212,17 +157,19 @@ struct run {
 static void solve_or_read(void *context, size_t i) {
   struct run *run = context;
   table_sample *sample = &run->samples[i];
-  const struct kept kept = kept_of(sample);
-  const struct key key = {sample->g, (double)sample->level, run->probe[solver_of(sample)],
-                          checksum_of(kept.numbers, kept.inputs)};
-  char path[PATH_MAX_BYTES];
-  path_of(path, run->folder, &key);
-  const bool known = read_kept(path, kept);
-  solve(sample, kept, known);
+  const size_t inputs = sample->media * (sample->g == 0 ? 2 + sample->radii : 2);
+  size_t count;
+  double *results = results_of(sample, &count);
+  char key[KEY_BYTES];
+  snprintf(key, sizeof key, "g %a, level %zu, solver %016llx, inputs %016llx", sample->g,
+           sample->level, (unsigned long long)run->probe[solver_of(sample)],
+           (unsigned long long)checksum_of(sample->numbers, inputs));
+  const bool known = tools_kept(run->folder, key, results, count * sizeof *results);
+  solve(sample, results, known);
   if (!known) {
-    write_kept(path, kept);
+    tools_keep(run->folder, key, results, count * sizeof *results);
   }
-  free_kept(kept, sample);
+  free_results(results, sample);
   tools_progress_add(&run->progress, cost_us(sample));
 }
 

@@ -20,7 +20,6 @@ typedef struct table_sample {
   double *x;       /* [media][radii], reduced mean free paths */
   double *total;   /* [media], solved: the energy that leaves in all, of isotropic scattering */
   double *R;       /* [media][radii], solved */
-  size_t bytes;    /* size of numbers */
   double *numbers; /* memory that holds the five arrays */
 } table_sample;
 
