@@ -285,7 +285,7 @@ wire_error choice_check_solved(const struct choice_state *state, const eval_requ
 
 bool choice_again(struct choice_state *state, core_fault fault, eval_request *request,
                   core_radii_range radii) {
-  if (isnan(state->tolerance) || profiles_is_busy(fault)) {
+  if (isnan(state->tolerance) || lookup_is_busy(fault)) {
     return false;
   }
   request->parameters.value[CORE_PARAMETER_TOLERANCE] = state->tolerance;

@@ -369,10 +369,10 @@ static void start_profiles(struct eval_job *eval) {
 }
 
 /* Gets the profile of transport for the current channel, if its model error needs it. */
-static enum profiles_answer get_ruler(struct eval_job *eval, const core_medium *medium) {
+static enum lookup_answer get_ruler(struct eval_job *eval, const core_medium *medium) {
   const wire_eval_request *fixed = &eval->request.fixed;
   return (fixed->wanted & CORE_QUANTITY_MODEL_ERROR) == 0
-             ? PROFILES_READY
+             ? LOOKUP_READY
              : profiles_get_ruler(&eval->job.context->profiles, &eval->ruler, fixed->model,
                                   &eval->request.parameters, medium);
 }
@@ -394,20 +394,20 @@ static bool start_again(struct eval_job *eval) {
 static enum job_outcome get_profile(struct eval_job *eval) {
   const core_medium medium = medium_of(eval, eval->channel);
   switch (get_ruler(eval, &medium)) {
-  case PROFILES_WAIT:
+  case LOOKUP_WAIT:
     return JOB_WAITS;
-  case PROFILES_FAULT:
+  case LOOKUP_FAULT:
     return job_refuse(&eval->job, job_fault(eval->ruler.fault, eval->channel));
-  case PROFILES_READY:
+  case LOOKUP_READY:
     break;
   }
   switch (profiles_get(&eval->job.context->profiles, &eval->lookup, &medium)) {
-  case PROFILES_WAIT:
+  case LOOKUP_WAIT:
     return JOB_WAITS;
-  case PROFILES_FAULT:
+  case LOOKUP_FAULT:
     return start_again(eval) ? JOB_GOES_ON
                              : job_refuse(&eval->job, job_fault(eval->lookup.fault, eval->channel));
-  case PROFILES_READY:
+  case LOOKUP_READY:
     break;
   }
   if (!isnan(eval->choice.tolerance)) {

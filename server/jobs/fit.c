@@ -6,6 +6,7 @@
 #include <stdlib.h>
 
 #include "server/jobs/job.h"
+#include "server/store/fits.h"
 
 /* The cost of a profile that is prepared on this thread, in radii of a dipole. */
 enum { PROFILE_RADII = JOB_SLICE_RADII };
@@ -26,17 +27,17 @@ struct refining {
 struct fit_job {
   struct job job;
   fit_request request;
-  struct profiles_lookup lookup; /* gets the prepared design */
-  struct refining *refining;     /* NULL as long as no set was refined */
-  core_fit_search *search;       /* of the next set; NULL before the first */
-  bool searches;                 /* whether that has begun */
-  uint64_t evaluation_radii;     /* the cost of an evaluation, in radii of a dipole */
-  uint64_t set_radii;            /* that of a set, on average */
-  uint32_t residuals;            /* how many the reply has for each set: 0, or one for a reading */
-  uint8_t *reply;                /* payload of the current part */
-  struct job_parts parts;        /* of the sets */
-  uint64_t index;                /* position in the part of the next set */
-  uint64_t fitted;               /* how many sets of the part before index are a success */
+  struct lookup lookup;      /* gets the prepared design */
+  struct refining *refining; /* NULL as long as no set was refined */
+  core_fit_search *search;   /* of the next set; NULL before the first */
+  bool searches;             /* whether that has begun */
+  uint64_t evaluation_radii; /* the cost of an evaluation, in radii of a dipole */
+  uint64_t set_radii;        /* that of a set, on average */
+  uint32_t residuals;        /* how many the reply has for each set: 0, or one for a reading */
+  uint8_t *reply;            /* payload of the current part */
+  struct job_parts parts;    /* of the sets */
+  uint64_t index;            /* position in the part of the next set */
+  uint64_t fitted;           /* how many sets of the part before index are a success */
   uint32_t notes;
 };
 
@@ -98,7 +99,7 @@ static enum job_outcome start(struct job *job, const struct job_request *request
   fit->refining = NULL;
   fit->search = NULL;
   fit->searches = false;
-  job_init_lookup(job, &fit->lookup, request);
+  job_init_other(job, &fit->lookup, request);
   job->part_bytes = fit_reply_bytes(fit->parts.count, fit->residuals);
   return JOB_NEXT_PART;
 }
@@ -139,13 +140,13 @@ static wire_error out_of_memory(void) {
 
 static enum job_outcome get_design(struct fit_job *fit) {
   struct job_context *context = fit->job.context;
-  switch (profiles_get_fit(&context->profiles, &fit->lookup, fit->request.design_bytes,
-                           fit->request.design_bytes_count)) {
-  case PROFILES_WAIT:
+  switch (fits_get(&context->profiles.lookups, &fit->lookup, fit->request.design_bytes,
+                   fit->request.design_bytes_count)) {
+  case LOOKUP_WAIT:
     return JOB_WAITS;
-  case PROFILES_FAULT:
+  case LOOKUP_FAULT:
     return job_refuse(&fit->job, job_fault(fit->lookup.fault, (uint32_t)fit->lookup.fault.index));
-  case PROFILES_READY:
+  case LOOKUP_READY:
     break;
   }
   fit->search = core_fit_search_new();
@@ -189,9 +190,9 @@ static enum job_outcome begin_refining(struct fit_job *fit, const core_fit_resul
       return job_refuse(&fit->job, out_of_memory());
     }
     struct profiles_lookup *lookup = &fit->refining->lookup;
-    *lookup = (struct profiles_lookup){.on_ready = fit->lookup.on_ready,
-                                       .context = fit->lookup.context,
-                                       .owner = fit->lookup.owner};
+    *lookup = (struct profiles_lookup){.cached = {.on_ready = fit->lookup.on_ready,
+                                                  .context = fit->lookup.context,
+                                                  .owner = fit->lookup.owner}};
     profiles_start(lookup, read.design.model, read.design.moments, CORE_EVALUATOR_F64,
                    &read.parameters);
   }
@@ -206,21 +207,21 @@ static enum job_outcome begin_refining(struct fit_job *fit, const core_fit_resul
 static enum job_outcome refine(struct fit_job *fit) {
   struct refining *refining = fit->refining;
   switch (profiles_get(&fit->job.context->profiles, &refining->lookup, &refining->medium)) {
-  case PROFILES_WAIT:
+  case LOOKUP_WAIT:
     return JOB_WAITS;
-  case PROFILES_FAULT:
-    if (profiles_is_busy(refining->lookup.fault)) {
+  case LOOKUP_FAULT:
+    if (lookup_is_busy(refining->lookup.fault)) {
       return job_refuse(&fit->job, job_fault(refining->lookup.fault, 0));
     }
     refining->goes_on = false; /* the model takes the medium of the table, but not this one */
     put(fit, &refining->result);
     return JOB_GOES_ON;
-  case PROFILES_READY:
+  case LOOKUP_READY:
     break;
   }
   const struct set set = next_set(fit);
   const bool more =
-      core_fit_refine(fit->lookup.fit, &refining->lookup.profile, set.values, set.errors,
+      core_fit_refine(fits_found(&fit->lookup), &refining->lookup.profile, set.values, set.errors,
                       &refining->result, set.residuals, &refining->medium);
   profiles_return(&refining->lookup);
   refining->goes_on = more && ++refining->steps < CORE_FIT_REFINE_MOST;
@@ -242,12 +243,12 @@ static enum job_outcome fit_next(struct fit_job *fit, uint64_t *spent) {
   core_medium medium;
   *spent += fit->evaluation_radii;
   fit->searches = fit->searches ? core_fit_step(fit->search, &result, set.residuals)
-                                : core_fit_begin(fit->search, fit->lookup.fit, set.values,
+                                : core_fit_begin(fit->search, fits_found(&fit->lookup), set.values,
                                                  set.errors, &result, set.residuals);
   if (fit->searches) {
     return JOB_GOES_ON;
   }
-  if (core_fit_wants_exact(fit->lookup.fit, set.values, set.errors, &result, &medium)) {
+  if (core_fit_wants_exact(fits_found(&fit->lookup), set.values, set.errors, &result, &medium)) {
     return begin_refining(fit, &result, &medium);
   }
   put(fit, &result);
@@ -256,7 +257,7 @@ static enum job_outcome fit_next(struct fit_job *fit, uint64_t *spent) {
 
 static enum job_outcome step(struct job *job, uint64_t *budget) {
   struct fit_job *fit = of(job);
-  enum job_outcome outcome = fit->lookup.ready ? JOB_GOES_ON : get_design(fit);
+  enum job_outcome outcome = fit->lookup.entry != NULL ? JOB_GOES_ON : get_design(fit);
   if (outcome != JOB_GOES_ON) {
     return outcome;
   }
@@ -275,7 +276,7 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
 
 static void end(struct job *job) {
   struct fit_job *fit = of(job);
-  profiles_return(&fit->lookup);
+  lookup_return(&fit->lookup);
   core_fit_search_free(fit->search);
   if (fit->refining != NULL) {
     profiles_return(&fit->refining->lookup);

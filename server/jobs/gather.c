@@ -8,10 +8,11 @@
 #include "core/ruler.h"
 #include "proto/gather.h"
 #include "server/jobs/job.h"
+#include "server/store/points.h"
 
 /* What a job needs besides its slot, in one block. */
 struct gather_work {
-  struct profiles_lookup set;
+  struct lookup set;
   struct profiles_lookup channels[CORE_GATHER_CHANNELS_MAX];
   struct profiles_lookup ruler; /* transport for the next channel, if its model error needs it */
   double model_error[CORE_GATHER_CHANNELS_MAX];
@@ -63,7 +64,7 @@ static struct gather_work *new_work(struct gather_job *gather, const struct job_
   work->cost = 0;
   work->sum = NULL;
   work->scratch = NULL;
-  job_init_lookup(&gather->job, &work->set, from);
+  job_init_other(&gather->job, &work->set, from);
   job_init_lookup(&gather->job, &work->ruler, from);
   for (uint32_t i = 0; i < CORE_GATHER_CHANNELS_MAX; i++) {
     job_init_lookup(&gather->job, &work->channels[i], from);
@@ -135,17 +136,17 @@ static enum job_outcome check_queries(struct gather_job *gather) {
 /* ---- preparing ------------------------------------------------------------------------------- */
 
 static enum job_outcome find_set(struct gather_job *gather) {
-  struct profiles_lookup *lookup = &gather->work->set;
+  struct lookup *lookup = &gather->work->set;
   const wire_gather_request *fixed = &gather->request.fixed;
-  switch (profiles_get_points(&gather->job.context->profiles, lookup, fixed->set, NULL)) {
-  case PROFILES_WAIT:
+  switch (points_get(&gather->job.context->profiles.lookups, lookup, fixed->set, NULL)) {
+  case LOOKUP_WAIT:
     return JOB_WAITS;
-  case PROFILES_FAULT:
+  case LOOKUP_FAULT:
     return job_refuse(&gather->job, job_fault(lookup->fault, 0));
-  case PROFILES_READY:
+  case LOOKUP_READY:
     break;
   }
-  return core_gather_points_channels(lookup->gather) == fixed->medium_count
+  return core_gather_points_channels(points_found(lookup)) == fixed->medium_count
              ? JOB_GOES_ON
              : job_refuse(&gather->job,
                           wire_error_make(WIRE_STATUS_BAD_COUNT, "medium_count",
@@ -158,9 +159,9 @@ static enum job_outcome prepare_channel(struct gather_job *gather) {
   const core_medium *medium = &gather->request.media[work->ready];
   struct profiles_lookup *lookup = &work->channels[work->ready];
   struct profiles *profiles = &gather->job.context->profiles;
-  enum profiles_answer answer =
+  enum lookup_answer answer =
       profiles_get_ruler(profiles, &work->ruler, fixed->model, &gather->request.parameters, medium);
-  if (answer == PROFILES_READY) {
+  if (answer == LOOKUP_READY) {
     profiles_start(lookup, fixed->model, fixed->moments, fixed->evaluator,
                    &gather->request.parameters);
     answer = profiles_get(profiles, lookup, medium);
@@ -168,9 +169,9 @@ static enum job_outcome prepare_channel(struct gather_job *gather) {
     lookup->fault = work->ruler.fault;
   }
   switch (answer) {
-  case PROFILES_WAIT:
+  case LOOKUP_WAIT:
     return JOB_WAITS;
-  case PROFILES_READY: {
+  case LOOKUP_READY: {
     const core_model_errors errors =
         core_model_errors_measure(&lookup->profile, work->ruler.ready ? &work->ruler.profile : NULL,
                                   gather->request.parameters.value[CORE_PARAMETER_GAMMA]);
@@ -178,7 +179,7 @@ static enum job_outcome prepare_channel(struct gather_job *gather) {
     profiles_return(&work->ruler);
     return JOB_GOES_ON;
   }
-  case PROFILES_FAULT:
+  case LOOKUP_FAULT:
     break;
   }
   return job_refuse(&gather->job, job_fault(lookup->fault, work->ready));
@@ -192,7 +193,7 @@ static wire_error open_scratch(struct gather_job *gather) {
     return job_busy();
   }
   gather->bytes += bytes;
-  work->scratch = core_gather_scratch_create(work->sum, work->set.gather);
+  work->scratch = core_gather_scratch_create(work->sum, points_found(&work->set));
   return work->scratch != NULL ? wire_error_none() : job_busy();
 }
 
@@ -254,11 +255,11 @@ static void count_cost(struct gather_job *gather) {
   const uint64_t n = rest < GATHER_PART_QUERIES ? rest : GATHER_PART_QUERIES;
   const double *queries = gather->request.queries + block * GATHER_AXES;
   if (into == 0) {
-    core_gather_order(work->set.gather, (size_t)n, queries, work->order);
+    core_gather_order(points_found(&work->set), (size_t)n, queries, work->order);
   }
   const uint64_t count = n - into < COUNTED_AT_ONCE ? n - into : COUNTED_AT_ONCE;
-  work->cost +=
-      core_gather_cost(work->sum, work->set.gather, (size_t)count, work->order + into, queries);
+  work->cost += core_gather_cost(work->sum, points_found(&work->set), (size_t)count,
+                                 work->order + into, queries);
   gather->counted += count;
 }
 
@@ -279,7 +280,7 @@ static void begin_sums(struct gather_job *gather) {
   if (gather->piece == 0) {
     gather->index = 0;
     work->done_radii = 0;
-    core_gather_order(work->set.gather, (size_t)gather->parts.count, queries_of(gather),
+    core_gather_order(points_found(&work->set), (size_t)gather->parts.count, queries_of(gather),
                       work->order);
   }
 }
@@ -312,7 +313,7 @@ static enum job_outcome prepare(struct gather_job *gather) {
   const struct gather_work *work = gather->work;
   const wire_gather_request *fixed = &gather->request.fixed;
   return gather->checked < fixed->query_count ? check_queries(gather)
-         : work->set.gather == NULL           ? find_set(gather)
+         : points_found(&work->set) == NULL   ? find_set(gather)
          : work->ready < fixed->medium_count  ? prepare_channel(gather)
          : work->sum == NULL                  ? prepare_sum(gather)
                                               : count_or_begin(gather);
@@ -339,7 +340,7 @@ static void put_head(const struct gather_job *gather, uint8_t *payload) {
     const core_profile *profile = &work->channels[i].profile;
     const wire_channel channel = {.albedo = (double)NAN,
                                   .numerical_error =
-                                      core_gather_error(work->sum, work->set.gather, i,
+                                      core_gather_error(work->sum, points_found(&work->set), i,
                                                         (size_t)parts->count, queries_of(gather)),
                                   .model_error = work->model_error[i]};
     fixed.notes |= profile->notes;
@@ -389,9 +390,10 @@ static enum job_outcome gather_slice(struct gather_job *gather, uint64_t *budget
   const uint32_t *order = work->order + gather->index;
   const double slice = (double)(*budget < JOB_SLICE_RADII ? *budget : JOB_SLICE_RADII);
   double left = slice;
-  const size_t n = core_gather_on(
-      work->sum, work->set.gather, work->scratch, (size_t)(gather->parts.count - gather->index),
-      order, queries_of(gather), work->sums, work->bounds, &work->visits, &left);
+  const size_t n =
+      core_gather_on(work->sum, points_found(&work->set), work->scratch,
+                     (size_t)(gather->parts.count - gather->index), order, queries_of(gather),
+                     work->sums, work->bounds, &work->visits, &left);
   note_bounds(work, order, n, channels);
   gather->index += n;
   const double radii = slice - left;
@@ -427,7 +429,7 @@ static void end(struct job *job) {
   for (uint32_t i = 0; i < CORE_GATHER_CHANNELS_MAX; i++) {
     profiles_return(&work->channels[i]);
   }
-  profiles_return(&work->set);
+  lookup_return(&work->set);
   profiles_return(&work->ruler);
   free(work);
   budget_return(job->context->buffers, gather->bytes);

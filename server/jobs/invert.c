@@ -187,12 +187,12 @@ static enum job_outcome probe(struct invert_job *invert, double *albedo) {
     return JOB_GOES_ON;
   }
   switch (profiles_get(&context->profiles, &invert->lookup, &invert->inverter.medium)) {
-  case PROFILES_WAIT:
+  case LOOKUP_WAIT:
     return JOB_WAITS;
-  case PROFILES_FAULT:
+  case LOOKUP_FAULT:
     return job_refuse(&invert->job, job_fault(invert->lookup.fault,
                                               (uint32_t)(invert->parts.first + invert->index)));
-  case PROFILES_READY:
+  case LOOKUP_READY:
     break;
   }
   *albedo = invert->lookup.profile.albedo;

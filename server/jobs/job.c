@@ -43,21 +43,22 @@ void job_end(struct job *job) {
   }
 }
 
-void job_init_lookup(struct job *job, struct profiles_lookup *lookup,
-                     const struct job_request *request) {
+void job_init_other(struct job *job, struct lookup *lookup, const struct job_request *request) {
   job->lookup = lookup;
   lookup->on_ready = request->on_ready;
   lookup->context = request->owner;
   lookup->owner = request->profiles;
-  lookup->ready = false;
-  lookup->place = (struct profiles_place){0};
   lookup->entry = NULL;
-  lookup->fit = NULL;
-  lookup->varying = NULL;
-  lookup->gather = NULL;
   lookup->waiter.entry = NULL;
   lookup->waiter.admitted = false;
   lookup->woken = false;
+}
+
+void job_init_lookup(struct job *job, struct profiles_lookup *lookup,
+                     const struct job_request *request) {
+  job_init_other(job, &lookup->cached, request);
+  lookup->ready = false;
+  lookup->place = (struct profiles_place){0};
 }
 
 /* ---- admission control ----------------------------------------------------------------------- */
@@ -142,10 +143,10 @@ wire_error job_error(core_fault fault) {
 wire_error job_fault(core_fault fault, uint32_t channel) {
   fault.index = channel;
   wire_error error = job_error(fault);
-  if (profiles_is_busy(fault)) {
+  if (lookup_is_busy(fault)) {
     error.status = WIRE_STATUS_BUSY;
     error.retry_after_ms = JOB_RETRY_AFTER_MS;
-  } else if (profiles_is_unknown(fault)) {
+  } else if (lookup_is_unknown(fault)) {
     error.status = WIRE_STATUS_UNKNOWN_POINTS;
   }
   return error;

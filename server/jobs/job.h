@@ -121,9 +121,9 @@ struct job {
   bool large;          /* whether the job is in context->large */
   LIST_ENTRY(job) in_large;
   enum latency_class latency;
-  struct profiles_lookup *lookup; /* gets the job's profiles; NULL if it has none */
-  bool reader_idle;               /* whether all parts are sent, so that it may report progress */
-  wire_error refusal;             /* set with JOB_REFUSED */
+  struct lookup *lookup; /* gets the job's profiles; NULL if it has none */
+  bool reader_idle;      /* whether all parts are sent, so that it may report progress */
+  wire_error refusal;    /* set with JOB_REFUSED */
 };
 
 /* The parts of a reply that is a list of sets, media or values. */
@@ -163,7 +163,9 @@ enum job_outcome job_start(struct job_slot *slot, const struct job_request *requ
  * owed_radii and calls the kind's end(). */
 void job_end(struct job *job);
 
-/* Sets up the lookup of a job's profiles, which calls request->on_ready() after a wait. */
+/* Set up a lookup of things of other kinds, or of profiles, which calls request->on_ready() after a
+ * wait. */
+void job_init_other(struct job *job, struct lookup *lookup, const struct job_request *request);
 void job_init_lookup(struct job *job, struct profiles_lookup *lookup,
                      const struct job_request *request);
 

@@ -34,8 +34,8 @@ static enum core_evaluator evaluator_of(const struct offers_job *offers) {
 
 /* Gets the profiles of the next model and of transport, for the next medium. *fault: why there is
  * none. */
-static enum profiles_answer get(struct offers_job *offers, unsigned model,
-                                const core_medium *medium, core_fault *fault) {
+static enum lookup_answer get(struct offers_job *offers, unsigned model, const core_medium *medium,
+                              core_fault *fault) {
   struct eval_job *eval = &offers->eval;
   struct profiles *profiles = &eval->job.context->profiles;
   const core_parameters none = core_parameters_none();
@@ -47,11 +47,11 @@ static enum profiles_answer get(struct offers_job *offers, unsigned model,
   if (fault->field != NULL || !covers ||
       !isnan(eval->request.parameters.value[CORE_PARAMETER_GAMMA]) ||
       !core_ruler_is_needed(model, &none, medium, false)) {
-    return PROFILES_FAULT;
+    return LOOKUP_FAULT;
   }
-  enum profiles_answer answer = profiles_get_ruler(profiles, &eval->ruler, model, &none, medium);
+  enum lookup_answer answer = profiles_get_ruler(profiles, &eval->ruler, model, &none, medium);
   *fault = eval->ruler.fault;
-  if (answer != PROFILES_READY) {
+  if (answer != LOOKUP_READY) {
     return answer;
   }
   profiles_start(&eval->lookup, model, CORE_MOMENTS_EXACT, evaluator_of(offers), &none);
@@ -95,14 +95,14 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
     core_fault fault;
     wire_get_medium(eval->request.media + (size_t)offers->medium * WIRE_BYTES_medium, &medium);
     const core_medium taken = {medium.sigma_a, medium.sigma_s, medium.g, medium.eta};
-    const enum profiles_answer answer = get(offers, model, &taken, &fault);
-    if (answer == PROFILES_WAIT) {
+    const enum lookup_answer answer = get(offers, model, &taken, &fault);
+    if (answer == LOOKUP_WAIT) {
       return JOB_WAITS;
     }
-    if (answer == PROFILES_FAULT && fault.field != NULL && profiles_is_busy(fault)) {
+    if (answer == LOOKUP_FAULT && fault.field != NULL && lookup_is_busy(fault)) {
       return job_refuse(job, job_fault(fault, offers->medium));
     }
-    compare(offers, answer == PROFILES_READY);
+    compare(offers, answer == LOOKUP_READY);
     profiles_return(&eval->lookup);
     offers->model++;
   }

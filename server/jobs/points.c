@@ -9,7 +9,7 @@
 struct points_job {
   struct job job;
   points_request request;
-  struct profiles_lookup lookup;
+  struct lookup lookup;
   struct points **sent;  /* the set that the connection is sending */
   struct points *points; /* the set that this part is of; a reference; NULL: none, or it is known */
   bool asked;            /* whether the cache has been asked for the set */
@@ -52,7 +52,7 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
   points->asked = points->complete = false;
   points->done = 0;
   points->reply = (wire_points_reply){.set = {fixed->set[0], fixed->set[1]}};
-  job_init_lookup(job, &points->lookup, from);
+  job_init_other(job, &points->lookup, from);
   job->lookup = NULL;
   return JOB_GOES_ON;
 }
@@ -115,17 +115,17 @@ static enum job_outcome begin(struct points_job *points) {
 /* Asks the cache whether it has the set, or to build its tree. */
 static enum job_outcome ask(struct points_job *points) {
   const uint64_t *set = points->request.fixed.set;
-  switch (profiles_get_points(&points->job.context->profiles, &points->lookup, set,
-                              points->complete ? points->points : NULL)) {
-  case PROFILES_READY:
+  switch (points_get(&points->job.context->profiles.lookups, &points->lookup, set,
+                     points->complete ? points->points : NULL)) {
+  case LOOKUP_READY:
     if (*points->sent != NULL && points_is(*points->sent, &points->request.fixed)) {
       drop_sent(points);
     }
     return answer(points, true);
-  case PROFILES_WAIT:
+  case LOOKUP_WAIT:
     return JOB_WAITS;
-  case PROFILES_FAULT:
-    if (!profiles_is_unknown(points->lookup.fault)) {
+  case LOOKUP_FAULT:
+    if (!lookup_is_unknown(points->lookup.fault)) {
       return refuse(points, job_fault(points->lookup.fault, 0));
     }
   }
@@ -177,7 +177,7 @@ static enum job_outcome put(struct job *job, uint8_t *at) {
 
 static void end(struct job *job) {
   struct points_job *points = of(job);
-  profiles_return(&points->lookup);
+  lookup_return(&points->lookup);
   points_release(points->points);
 }
 

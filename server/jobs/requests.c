@@ -128,14 +128,14 @@ static struct detached *detach(struct requests *r) {
   detached->arrived_ns = r->arrived_ns;
   run_init(&detached->run, &detached_sink, detached);
   r->detached_count++;
-  r->detached_bytes += detached->block.capacity;
+  r->detached_bytes += r->header.payload_bytes;
   return detached;
 }
 
 static void remove_detached(struct requests *r, struct detached *detached) {
   TAILQ_REMOVE(&r->detached, detached, in_requests);
   r->detached_count--;
-  r->detached_bytes -= detached->block.capacity;
+  r->detached_bytes -= detached->header.payload_bytes;
   r->blocked = false;
   input_free_block(r->input, &detached->block);
   free(detached);

@@ -33,10 +33,10 @@ struct requests {
   uint64_t arrived_ns;             /* when it had arrived */
   TAILQ_HEAD(, detached) detached; /* the first one that goes on has the next slice */
   unsigned detached_count;
-  uint64_t detached_bytes;
-  bool blocked;          /* whether the next frame waits until a detached request ends */
-  struct points *points; /* the set of points that the client is sending; NULL if there is none */
-  bool ended;            /* whether no more frames are taken */
+  uint64_t detached_bytes; /* of their payloads */
+  bool blocked;            /* whether the next frame waits until a detached request ends */
+  struct points *points;   /* the set of points that the client is sending; NULL if there is none */
+  bool ended;              /* whether no more frames are taken */
   bool no_room;   /* whether not even an error fitted into the output: abort the connection */
   uint64_t taken; /* number of frames taken so far */
 };

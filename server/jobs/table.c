@@ -4,11 +4,13 @@
 #include "core/ruler.h"
 #include "proto/channels.h"
 #include "server/jobs/job.h"
+#include "server/store/varyings.h"
 
 struct table {
   struct job job;
   table_request request;
   struct profiles_lookup lookup;
+  struct lookup surface;        /* in place of a profile */
   struct profiles_lookup ruler; /* transport, if the model errors need it */
 };
 
@@ -42,36 +44,42 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
   if (fault.field != NULL) {
     return job_refuse(job, job_error(fault));
   }
+  job_init_other(&table->job, &table->surface, from);
   job_init_lookup(&table->job, &table->ruler, from);
   job_init_lookup(&table->job, &table->lookup, from);
   profiles_start(&table->lookup, fixed->model, fixed->moments, evaluator, &request->parameters);
   return JOB_GOES_ON;
 }
 
-static enum profiles_answer get(struct table *table) {
+static enum lookup_answer get(struct table *table) {
   struct profiles *profiles = &table->job.context->profiles;
   const core_medium *medium = &table->request.medium;
   if (table_is_surface(medium)) {
-    return profiles_get_varying(profiles, &table->lookup, medium->g, medium->eta);
+    const wire_table_request *fixed = &table->request.fixed;
+    const enum lookup_answer answer =
+        varyings_get(&profiles->lookups, &table->surface, fixed->model, fixed->moments,
+                     CORE_EVALUATOR_F32, &table->request.parameters, medium->g, medium->eta);
+    table->lookup.fault = table->surface.fault;
+    return answer;
   }
-  const enum profiles_answer answer = profiles_get_ruler(
+  const enum lookup_answer answer = profiles_get_ruler(
       profiles, &table->ruler, table->request.fixed.model, &table->request.parameters, medium);
   table->lookup.fault = table->ruler.fault;
-  return answer == PROFILES_READY ? profiles_get(profiles, &table->lookup, medium) : answer;
+  return answer == LOOKUP_READY ? profiles_get(profiles, &table->lookup, medium) : answer;
 }
 
 static enum job_outcome step(struct job *job, uint64_t *budget) {
   struct table *table = of(job);
   *budget -= *budget < JOB_STEP_RADII ? *budget : JOB_STEP_RADII;
   switch (get(table)) {
-  case PROFILES_WAIT:
+  case LOOKUP_WAIT:
     return JOB_WAITS;
-  case PROFILES_FAULT:
+  case LOOKUP_FAULT:
     return job_refuse(job, job_fault(table->lookup.fault, 0));
-  case PROFILES_READY:
+  case LOOKUP_READY:
     break;
   }
-  const core_varying *surface = table->lookup.varying;
+  const core_varying *surface = varyings_found(&table->surface);
   job->part_bytes = table_reply_bytes(channels_count_parameters(&table->request.parameters),
                                       surface != NULL ? table_surface_words(surface)
                                                       : table->lookup.profile.lut_count);
@@ -83,7 +91,7 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
 
 static enum job_outcome put(struct job *job, uint8_t *at) {
   struct table *table = of(job);
-  const core_varying *surface = table->lookup.varying;
+  const core_varying *surface = varyings_found(&table->surface);
   if (surface != NULL) {
     table_reply_put_surface(at, surface, &table->request.parameters);
   } else {
@@ -96,6 +104,7 @@ static enum job_outcome put(struct job *job, uint8_t *at) {
 }
 
 static void end(struct job *job) {
+  lookup_return(&of(job)->surface);
   profiles_return(&of(job)->lookup);
   profiles_return(&of(job)->ruler);
 }

@@ -3,14 +3,15 @@
 
 #include "core/ruler.h"
 #include "server/jobs/job.h"
+#include "server/store/varyings.h"
 
 struct varying_job {
   struct job job;
   varying_request request;
-  struct profiles_lookup lookup;
-  struct profiles_lookup ruler; /* transport, if the model error needs it */
-  bool compares;                /* whether it does */
-  uint64_t value_radii;         /* the cost of a value, in radii of a dipole */
+  struct lookup lookup;
+  struct lookup ruler;  /* transport, if the model error needs it */
+  bool compares;        /* whether it does */
+  uint64_t value_radii; /* the cost of a value, in radii of a dipole */
   struct job_parts parts;
   varying_part part;
   uint64_t index; /* position in the part of the next value */
@@ -94,13 +95,8 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
   if (error.status != WIRE_STATUS_OK) {
     return job_refuse(job, error);
   }
-  const core_parameters none = core_parameters_none();
-  job_init_lookup(job, &varying->ruler, from);
-  job_init_lookup(job, &varying->lookup, from);
-  profiles_start(&varying->lookup, fixed->model, fixed->moments, fixed->evaluator,
-                 &request->parameters);
-  profiles_start(&varying->ruler, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, fixed->evaluator,
-                 &none);
+  job_init_other(job, &varying->ruler, from);
+  job_init_other(job, &varying->lookup, from);
   set_part_bytes(varying);
   return JOB_NEXT_PART;
 }
@@ -116,8 +112,8 @@ static enum job_outcome begin_part(struct job *job, uint8_t *payload) {
 }
 
 static enum job_outcome end_part(struct varying_job *varying) {
-  varying_part_end(&varying->part, &varying->request, varying->lookup.varying,
-                   varying->ruler.varying, varying->parts.part, varying->parts.part_count);
+  varying_part_end(&varying->part, &varying->request, varyings_found(&varying->lookup),
+                   varyings_found(&varying->ruler), varying->parts.part, varying->parts.part_count);
   if (!job_parts_next(&varying->parts)) {
     return JOB_DONE;
   }
@@ -129,15 +125,17 @@ static enum job_outcome end_part(struct varying_job *varying) {
 static enum job_outcome prepare_ruler(struct varying_job *varying) {
   struct job *job = &varying->job;
   const wire_varying_request *fixed = &varying->request.fixed;
-  switch (profiles_get_varying(&job->context->profiles, &varying->ruler, fixed->g, fixed->eta)) {
-  case PROFILES_WAIT:
+  const core_parameters none = core_parameters_none();
+  switch (varyings_get(&job->context->profiles.lookups, &varying->ruler, CORE_MODEL_TRANSPORT,
+                       CORE_MOMENTS_EXACT, fixed->evaluator, &none, fixed->g, fixed->eta)) {
+  case LOOKUP_WAIT:
     return JOB_WAITS;
-  case PROFILES_FAULT:
-    if (profiles_is_busy(varying->ruler.fault)) {
+  case LOOKUP_FAULT:
+    if (lookup_is_busy(varying->ruler.fault)) {
       return job_refuse(job, job_fault(varying->ruler.fault, 0));
     }
     break;
-  case PROFILES_READY:
+  case LOOKUP_READY:
     break;
   }
   varying->compares = false;
@@ -152,18 +150,21 @@ static enum job_outcome prepare(struct varying_job *varying) {
   if (outcome != JOB_GOES_ON) {
     return outcome;
   }
-  switch (profiles_get_varying(&job->context->profiles, &varying->lookup, request->fixed.g,
-                               request->fixed.eta)) {
-  case PROFILES_WAIT:
+  const wire_varying_request *fixed = &request->fixed;
+  switch (varyings_get(&job->context->profiles.lookups, &varying->lookup, fixed->model,
+                       fixed->moments, fixed->evaluator, &request->parameters, fixed->g,
+                       fixed->eta)) {
+  case LOOKUP_WAIT:
     return JOB_WAITS;
-  case PROFILES_FAULT:
+  case LOOKUP_FAULT:
     return job_refuse(job, job_fault(varying->lookup.fault, 0));
-  case PROFILES_READY:
+  case LOOKUP_READY:
     break;
   }
-  const core_fault fault = request->fixed.given != 0
-                               ? core_colour_check(varying->lookup.varying, &request->colour)
-                               : (core_fault){NULL, NULL, 0};
+  const core_fault fault =
+      request->fixed.given != 0
+          ? core_colour_check(varyings_found(&varying->lookup), &request->colour)
+          : (core_fault){NULL, NULL, 0};
   return fault.field == NULL ? JOB_GOES_ON : job_refuse(job, job_error(fault));
 }
 
@@ -179,11 +180,12 @@ static size_t slice_length(const struct varying_job *varying) {
 static enum job_outcome step(struct job *job, uint64_t *budget) {
   struct varying_job *varying = of(job);
   uint64_t spent = JOB_STEP_RADII;
-  enum job_outcome outcome = varying->lookup.varying != NULL ? JOB_GOES_ON : prepare(varying);
+  enum job_outcome outcome =
+      varyings_found(&varying->lookup) != NULL ? JOB_GOES_ON : prepare(varying);
   if (outcome == JOB_GOES_ON) {
     const size_t n = slice_length(varying);
-    varying_part_evaluate(&varying->part, &varying->request, varying->lookup.varying,
-                          varying->ruler.varying, varying->index, n, job->context->radii);
+    varying_part_evaluate(&varying->part, &varying->request, varyings_found(&varying->lookup),
+                          varyings_found(&varying->ruler), varying->index, n, job->context->radii);
     varying->index += n;
     spent += n * varying->value_radii;
     job_pay(job, n * varying->value_radii);
@@ -197,8 +199,8 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
 }
 
 static void end(struct job *job) {
-  profiles_return(&of(job)->lookup);
-  profiles_return(&of(job)->ruler);
+  lookup_return(&of(job)->lookup);
+  lookup_return(&of(job)->ruler);
 }
 
 const struct job_kind job_kind_VARYING = {

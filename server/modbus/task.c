@@ -289,7 +289,7 @@ void modbus_queue_expire(struct modbus_queue *queue) {
 }
 
 static void move(struct modbus_task *task, struct client *from, struct client *to) {
-  struct profiles_lookup *lookup = task->run.job->lookup;
+  struct lookup *lookup = task->run.job->lookup;
   if (lookup != NULL && lookup->owner == &from->profiles) {
     lookup->owner = &to->profiles;
   }

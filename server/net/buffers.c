@@ -185,7 +185,7 @@ void input_next(struct input *input, const wire_header *header) {
 bool input_take(struct input *input, const wire_header *header, struct input_block *block) {
   const size_t frame_bytes = WIRE_BYTES_header + (size_t)header->payload_bytes;
   const uint8_t *frame = input->bytes + input->begin;
-  if (frame_bytes <= BASE_BYTES) {
+  if (frame_bytes <= BASE_BYTES || frame_bytes < input->capacity / 2) {
     if (!budget_take(input->budget, frame_bytes)) {
       return false;
     }

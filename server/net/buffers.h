@@ -83,8 +83,8 @@ struct input_block {
 };
 
 /* Removes the first frame, for which input_frame() returned INPUT_FRAME, but keeps its payload in a
- * block, which the caller frees with input_free_block(). A large frame takes the buffer with it and
- * is not copied. Returns false, and changes nothing, if there is no memory. */
+ * block, which the caller frees with input_free_block(). A large frame that fills most of the buffer
+ * takes it along and is not copied. Returns false, and changes nothing, if there is no memory. */
 bool input_take(struct input *input, const wire_header *header, struct input_block *block);
 void input_free_block(struct input *input, struct input_block *block);
 

@@ -180,7 +180,7 @@ static void take_from_inbox(struct worker *worker) {
 static void on_wake(uv_async_t *handle) {
   struct worker *worker = handle->data;
   take_from_inbox(worker);
-  profiles_wake(&worker->context.profiles);
+  lookups_wake(&worker->context.profiles.lookups);
 }
 
 static void wake(void *context) {

@@ -3,7 +3,7 @@
 #include <string.h>
 
 #include "server/net/worker.h"
-#include "server/store/profiles.h"
+#include "server/store/lookup.h"
 
 static uint64_t now_ms(void) {
   return uv_hrtime() / 1000000;
@@ -44,7 +44,7 @@ const char *health_reason(enum health health) {
 }
 
 void health_note_refusal(struct server *server, const wire_error *error) {
-  if (error->status == WIRE_STATUS_BUSY && strcmp(error->field, PROFILES_FIELD_BUSY) != 0) {
+  if (error->status == WIRE_STATUS_BUSY && strcmp(error->field, LOOKUP_FIELD_BUSY) != 0) {
     atomic_store_explicit(&server->refused_ms, now_ms(), memory_order_relaxed);
   }
 }

@@ -1,24 +1,19 @@
 #include "server/store/cache.h"
 
 #include <assert.h>
-#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 #include <uv.h>
 
-#include "proto/fit.h"
-#include "server/store/points.h"
-
 enum {
-  BUCKETS_MIN = 256,     /* Each number of buckets is a power of two. */
-  FAST_SHARE = 4,        /* Fast profiles may hold a quarter of all bytes. */
-  BUILD_NS = 1000000000, /* how long one call builds the tree of a set */
-  KINDS = 3,             /* fast, slow, and sets of points */
-  POINTS = 2,            /* the list of the latter */
+  BUCKETS_MIN = 256, /* Each number of buckets is a power of two. */
+  FAST_SHARE = 4,    /* What is fast to prepare may hold a quarter of all bytes. */
+  LISTS = 3,         /* fast, slow, and apart */
+  APART = 2,         /* the last of them */
 };
 
 struct cache_entry {
-  uv_work_t work; /* in use while a thread of the pool prepares the profile */
+  uv_work_t work; /* in use while a thread of the pool prepares the thing */
   struct cache *cache;
   struct cache_key key;
   bool slow;
@@ -28,28 +23,22 @@ struct cache_entry {
   _Atomic bool stop; /* whether the preparation is to stop, as nobody waits for it any more */
 
   /* The mutex guards the following members. */
-  bool under_way;               /* whether the profile is not prepared yet */
+  bool under_way;               /* whether the thing is not prepared yet */
   bool begun;                   /* whether its preparation has begun */
-  struct cache_waiters waiters; /* those who wait until the profile is prepared */
+  struct cache_waiters waiters; /* those who wait until the thing is prepared */
   LIST_ENTRY(cache_entry) in_bucket;
-  TAILQ_ENTRY(cache_entry) in_list; /* the list of its kind, or of evicted entries */
+  TAILQ_ENTRY(cache_entry) in_list; /* one of the cache's lists, or that of evicted entries */
 
-  /* The thread that prepares the profile sets these before other threads see them. */
+  /* The thread that prepares the thing sets these before other threads see them. */
   uint64_t bytes;
   core_fault fault;
-  union {
-    core_profile profile;
-    core_varying varying; /* if key.varying is 1 */
-  };
-  core_fit *fit;              /* NULL unless the key has a design */
-  core_gather_points *gather; /* NULL unless the key has a set */
-  double design[];            /* that of the key */
+  _Alignas(16) uint8_t memory[]; /* the thing, and the content of its key */
 };
 
 TAILQ_HEAD(entries, cache_entry);
 LIST_HEAD(bucket, cache_entry);
 
-/* The prepared entries of one kind, fast or slow, the newest first. */
+/* Prepared entries, the newest first. */
 struct list {
   struct entries entries;
   uint64_t bytes;
@@ -60,12 +49,12 @@ struct cache {
   const core_isa *isa;
   struct stats *stats;
   uint64_t limit_bytes;
-  uint64_t points_bytes;
+  uint64_t apart_bytes;
   uv_mutex_t mutex; /* guards the members that follow */
   struct bucket *buckets;
   uint64_t bucket_count;
   uint64_t entry_count; /* number of entries in the buckets, prepared or not */
-  struct list lists[KINDS];
+  struct list lists[LISTS];
   TAILQ_HEAD(, cache_owner) turns; /* owners with waiters; the first has the next turn */
   struct cache_owner *latest;      /* owner of the latest turn, or NULL; new owners go before it */
   unsigned turn_count;             /* number of turns that have begun and not ended */
@@ -73,102 +62,17 @@ struct cache {
   uint64_t max_waiting;
 };
 
-/* ---- keys ------------------------------------------------------------------------------------ */
-
-enum { PLAIN_BYTES = offsetof(struct cache_key, design) }; /* of a key, compared as they are */
-
-static_assert(PLAIN_BYTES == 16 + 8 * CORE_PARAMETERS_END + 32 + 16 + 16, "no padding");
-
-static double normalized(double value) {
-  if (isnan(value)) {
-    return (double)NAN;
-  }
-  return value == 0 ? 0.0 : value;
-}
-
-/* Adds one word to a hash: multiplies by 2^64 over the golden ratio (Knuth 1998, section 6.4), and
- * folds the high bits, which depend on all bits of the word, onto the low ones. */
-static uint64_t mix(uint64_t hash, double word) {
-  uint64_t bits;
-  memcpy(&bits, &word, sizeof bits);
-  hash = (hash ^ bits) * UINT64_C(0x9e3779b97f4a7c15);
-  return hash ^ (hash >> 32);
-}
-
-void cache_key_start(struct cache_key *key, unsigned model, unsigned moments, unsigned evaluator,
-                     const core_parameters *parameters) {
-  *key = (struct cache_key){.model = model, .moments = moments, .evaluator = evaluator};
-  key->hash_before_medium = model + ((uint64_t)moments << 16) + ((uint64_t)evaluator << 32);
-  for (size_t i = 0; i < CORE_PARAMETERS_END; i++) {
-    const bool angle = i == CORE_PARAMETER_COS_IN || i == CORE_PARAMETER_COS_OUT;
-    key->parameters[i] = angle ? (double)NAN : normalized(parameters->value[i]);
-    key->hash_before_medium = mix(key->hash_before_medium, key->parameters[i]);
-  }
-}
-
-core_medium cache_key_medium(const struct cache_key *key) {
-  return (core_medium){key->medium[0], key->medium[1], key->medium[2], key->medium[3]};
-}
-
-void cache_key_set_medium(struct cache_key *key, const core_medium *medium) {
-  key->medium[0] = normalized(medium->sigma_a_per_mm);
-  key->medium[1] = normalized(medium->sigma_s_per_mm);
-  key->medium[2] = normalized(medium->g);
-  key->medium[3] = normalized(medium->eta);
-  key->hash = key->hash_before_medium;
-  for (size_t i = 0; i < 4; i++) {
-    key->hash = mix(key->hash, key->medium[i]);
-  }
-}
-
-void cache_key_set_design(struct cache_key *key, const uint8_t *design, size_t design_bytes) {
-  *key = (struct cache_key){.design = design, .design_bytes = design_bytes};
-  for (size_t i = 0; i < design_bytes; i += sizeof(double)) {
-    double word;
-    memcpy(&word, design + i, sizeof word);
-    key->hash = mix(key->hash, word);
-  }
-}
-
-void cache_key_set_points(struct cache_key *key, const uint64_t set[2], struct points *points) {
-  *key = (struct cache_key){.set = {set[0], set[1]}, .hash = set[0], .points = points};
-}
-
-static bool is_set(const struct cache_key *key) {
-  return (key->set[0] | key->set[1]) != 0;
-}
-
-bool cache_key_equal(const struct cache_key *a, const struct cache_key *b) {
-  return a->hash == b->hash && memcmp(a, b, PLAIN_BYTES) == 0 &&
-         a->design_bytes == b->design_bytes &&
-         (a->design_bytes == 0 || memcmp(a->design, b->design, a->design_bytes) == 0);
-}
-
-core_fault cache_key_prepare(const struct cache_key *key, const core_isa *isa,
-                             core_profile *profile, const atomic_bool *stop) {
-  const core_medium medium = cache_key_medium(key);
-  core_parameters parameters;
-  memcpy(parameters.value, key->parameters, sizeof parameters.value);
-  return core_profile_prepare_until(profile, isa, key->model, key->moments, key->evaluator, &medium,
-                                    &parameters, stop);
-}
-
-core_fault cache_key_prepare_varying(const struct cache_key *key, const core_isa *isa,
-                                     core_varying *varying) {
-  core_parameters parameters;
-  memcpy(parameters.value, key->parameters, sizeof parameters.value);
-  return core_varying_prepare(varying, isa, key->model, key->moments, key->evaluator,
-                              key->medium[2], key->medium[3], &parameters);
-}
-
 /* ---- references ------------------------------------------------------------------------------ */
 
 void cache_hold(struct cache_entry *entry) {
   atomic_fetch_add_explicit(&entry->references, 1, memory_order_relaxed);
 }
 
-static void free_gather(void *gather) {
-  core_gather_points_free(gather);
+static void release_source(struct cache_entry *entry) {
+  if (entry->key.source != NULL) {
+    entry->key.kind->release(entry->key.source);
+    entry->key.source = NULL;
+  }
 }
 
 void cache_release(struct cache_entry *entry) {
@@ -176,15 +80,10 @@ void cache_release(struct cache_entry *entry) {
   if (atomic_fetch_sub_explicit(&entry->references, 1, memory_order_acq_rel) > 1) {
     return;
   }
-  if (entry->bytes > 0 && entry->key.varying != 0) {
-    core_varying_free(&entry->varying);
-  } else if (entry->gather != NULL) {
-    points_free_aside(free_gather, entry->gather, entry->bytes);
-  } else if (entry->bytes > 0) {
-    core_profile_free(&entry->profile);
-    core_fit_free(entry->fit);
+  if (entry->bytes > 0) {
+    entry->key.kind->free(entry->memory);
   }
-  points_release(entry->key.points);
+  release_source(entry);
   free(entry);
 }
 
@@ -196,20 +95,8 @@ static void release_all(struct entries *evicted) {
   }
 }
 
-const core_profile *cache_profile(const struct cache_entry *entry) {
-  return &entry->profile;
-}
-
-const core_fit *cache_fit(const struct cache_entry *entry) {
-  return entry->fit;
-}
-
-const core_varying *cache_varying(const struct cache_entry *entry) {
-  return &entry->varying;
-}
-
-const core_gather_points *cache_gather(const struct cache_entry *entry) {
-  return entry->gather;
+const void *cache_thing(const struct cache_entry *entry) {
+  return entry->memory;
 }
 
 core_fault cache_fault(const struct cache_entry *entry) {
@@ -229,6 +116,11 @@ void cache_used(struct cache_entry *entry) {
 
 /* ---- the table of all entries; from here to the public part, the mutex is held --------------- */
 
+static bool is_equal(const struct cache_key *a, const struct cache_key *b) {
+  return a->hash == b->hash && a->kind == b->kind && a->content_bytes == b->content_bytes &&
+         memcmp(a->content, b->content, a->content_bytes) == 0;
+}
+
 static struct bucket *bucket_of(const struct cache *cache, uint64_t hash) {
   return &cache->buckets[hash & (cache->bucket_count - 1)];
 }
@@ -236,7 +128,7 @@ static struct bucket *bucket_of(const struct cache *cache, uint64_t hash) {
 static struct cache_entry *find(const struct cache *cache, const struct cache_key *key) {
   struct cache_entry *entry;
   LIST_FOREACH(entry, bucket_of(cache, key->hash), in_bucket) {
-    if (cache_key_equal(&entry->key, key)) {
+    if (is_equal(&entry->key, key)) {
       break;
     }
   }
@@ -279,7 +171,7 @@ static void take_out(struct cache *cache, struct cache_entry *entry) {
 /* ---- eviction -------------------------------------------------------------------------------- */
 
 static struct list *list_of(struct cache *cache, const struct cache_entry *entry) {
-  return &cache->lists[is_set(&entry->key) ? POINTS : entry->slow];
+  return &cache->lists[entry->key.kind->apart ? APART : (int)entry->slow];
 }
 
 static void move_to_head(struct list *list, struct cache_entry *entry) {
@@ -313,30 +205,30 @@ static void evict(struct cache *cache, struct list *list, struct entries *evicte
   take_out(cache, entry);
   atomic_store_explicit(&entry->kept, false, memory_order_relaxed);
   TAILQ_INSERT_HEAD(evicted, entry, in_list);
-  const bool set = is_set(&entry->key);
-  stats_add(cache->stats, set ? STATS_POINTS_EVICTIONS : STATS_CACHE_EVICTIONS, 1);
-  stats_subtract(cache->stats, set ? STATS_POINTS_SETS : STATS_CACHE_ENTRIES, 1);
-  stats_subtract(cache->stats, set ? STATS_POINTS_BYTES : STATS_CACHE_BYTES, entry->bytes);
+  const bool apart = entry->key.kind->apart;
+  stats_add(cache->stats, apart ? STATS_POINTS_EVICTIONS : STATS_CACHE_EVICTIONS, 1);
+  stats_subtract(cache->stats, apart ? STATS_POINTS_SETS : STATS_CACHE_ENTRIES, 1);
+  stats_subtract(cache->stats, apart ? STATS_POINTS_BYTES : STATS_CACHE_BYTES, entry->bytes);
 }
 
-/* Returns the limit of the entries of one kind. */
+/* Returns the limit of the entries of one list. */
 static uint64_t limit_of(const struct cache *cache, const struct cache_entry *entry) {
-  return is_set(&entry->key) ? cache->points_bytes
-         : entry->slow       ? cache->limit_bytes
-                             : cache->limit_bytes / FAST_SHARE;
+  return entry->key.kind->apart ? cache->apart_bytes
+         : entry->slow          ? cache->limit_bytes
+                                : cache->limit_bytes / FAST_SHARE;
 }
 
-/* Makes room for an entry that is not larger than the limit of its kind. For a fast entry, first
+/* Makes room for an entry that is not larger than the limit of its list. For a fast entry, first
  * evicts fast entries until all of them are within their limit. Then evicts slow entries, as long
  * as there are any, until all entries are within the cache's limit. */
 static void make_room(struct cache *cache, const struct cache_entry *entry,
                       struct entries *evicted) {
   struct list *fast = &cache->lists[false];
   struct list *slow = &cache->lists[true];
-  struct list *points = &cache->lists[POINTS];
-  if (is_set(&entry->key)) {
-    while (entry->bytes > cache->points_bytes - points->bytes) {
-      evict(cache, points, evicted);
+  struct list *apart = &cache->lists[APART];
+  if (entry->key.kind->apart) {
+    while (entry->bytes > cache->apart_bytes - apart->bytes) {
+      evict(cache, apart, evicted);
     }
     return;
   }
@@ -362,9 +254,9 @@ static void keep(struct cache *cache, struct cache_entry *entry, struct entries 
   list->bytes += entry->bytes;
   list->count++;
   atomic_store_explicit(&entry->kept, true, memory_order_relaxed);
-  const bool set = is_set(&entry->key);
-  stats_add(cache->stats, set ? STATS_POINTS_SETS : STATS_CACHE_ENTRIES, 1);
-  stats_add(cache->stats, set ? STATS_POINTS_BYTES : STATS_CACHE_BYTES, entry->bytes);
+  const bool apart = entry->key.kind->apart;
+  stats_add(cache->stats, apart ? STATS_POINTS_SETS : STATS_CACHE_ENTRIES, 1);
+  stats_add(cache->stats, apart ? STATS_POINTS_BYTES : STATS_CACHE_BYTES, entry->bytes);
 }
 
 /* ---- waiting --------------------------------------------------------------------------------- */
@@ -459,17 +351,21 @@ static struct cache_entry *begin_turn(struct cache *cache) {
   return entry;
 }
 
+/* Returns how far behind the thing the content of the key begins. */
+static size_t content_offset(const struct cache_kind *kind) {
+  return (kind->thing_bytes + 15) / 16 * 16;
+}
+
 /* Makes an entry with one reference, which the table holds. Returns NULL if there is no memory. */
 static struct cache_entry *new_entry(struct cache *cache, const struct cache_key *key, bool slow) {
-  struct cache_entry *entry = calloc(1, sizeof *entry + key->design_bytes);
+  const size_t offset = content_offset(key->kind);
+  struct cache_entry *entry = calloc(1, sizeof *entry + offset + key->content_bytes);
   if (entry != NULL) {
     entry->cache = cache;
     entry->key = *key;
-    if (key->design != NULL) {
-      entry->key.design = memcpy(entry->design, key->design, key->design_bytes);
-    }
-    if (key->points != NULL) {
-      points_hold(key->points);
+    entry->key.content = memcpy(entry->memory + offset, key->content, key->content_bytes);
+    if (key->source != NULL) {
+      key->kind->hold(key->source);
     }
     entry->slow = slow;
     entry->under_way = true;
@@ -485,7 +381,7 @@ static enum cache_answer look(struct cache *cache, const struct cache_key *key, 
                               struct cache_waiter *waiter, struct cache_entry **found) {
   struct cache_entry *entry = find(cache, key);
   const bool new = entry == NULL;
-  if (new &&is_set(key) && key->points == NULL) {
+  if (new && key->kind->hold != NULL && key->source == NULL) {
     return CACHE_UNKNOWN;
   }
   if ((new ? slow : !entry->begun) && !waiter->admitted && owner->count >= cache->max_waiting) {
@@ -533,7 +429,7 @@ static uint64_t place_of(const struct cache *cache, const struct cache_waiter *w
 
 /* ---- public: takes the mutex ----------------------------------------------------------------- */
 
-struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t points_bytes,
+struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t apart_bytes,
                         uint64_t max_waiting, struct stats *stats) {
   struct cache *cache = calloc(1, sizeof *cache);
   if (cache == NULL) {
@@ -541,14 +437,14 @@ struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t poin
   }
   cache->isa = isa;
   cache->limit_bytes = limit_bytes;
-  cache->points_bytes = points_bytes;
+  cache->apart_bytes = apart_bytes;
   cache->max_waiting = max_waiting;
   cache->turns_most = uv_available_parallelism() < 4 ? 1 : 2; /* leaves cores for the workers */
   cache->stats = stats;
   cache->bucket_count = BUCKETS_MIN;
   cache->buckets = calloc(BUCKETS_MIN, sizeof *cache->buckets);
-  for (int kind = 0; kind < KINDS; kind++) {
-    TAILQ_INIT(&cache->lists[kind].entries);
+  for (int i = 0; i < LISTS; i++) {
+    TAILQ_INIT(&cache->lists[i].entries);
   }
   TAILQ_INIT(&cache->turns);
   if (cache->buckets == NULL || uv_mutex_init(&cache->mutex) != 0) {
@@ -619,41 +515,12 @@ void cache_move_waiters(struct cache *cache, struct cache_owner *from, struct ca
   uv_mutex_unlock(&cache->mutex);
 }
 
-/* Builds the tree of a set of points, and then no longer holds the points as they were sent. */
-static uint64_t build(struct cache_entry *entry) {
-  struct points *points = entry->key.points;
-  entry->gather = core_gather_points_create((size_t)points->count, points->xyz,
-                                            points->channel_count, points->power);
-  while (entry->gather != NULL && !core_gather_points_build(entry->gather, BUILD_NS)) {
-  }
-  if (entry->gather == NULL) {
-    entry->fault = (core_fault){CORE_FIELD_MEMORY, "less than what is left: try again", 0};
-  }
-  entry->key.points = NULL;
-  points_release(points);
-  return entry->fault.field == NULL ? sizeof *entry + core_gather_points_bytes(entry->gather) : 0;
-}
-
-/* Prepares the profile or the fit, or sets the fault. Returns the bytes of the entry; 0 with a
- * fault. */
+/* Prepares the thing, or sets the fault. Returns the bytes of the entry; 0 with a fault. */
 static uint64_t prepare_entry(struct cache_entry *entry) {
-  const struct cache_key *key = &entry->key;
-  const core_isa *isa = entry->cache->isa;
-  if (is_set(key)) {
-    return build(entry);
-  }
-  if (key->varying != 0) {
-    entry->fault = cache_key_prepare_varying(key, isa, &entry->varying);
-    return entry->fault.field == NULL ? sizeof *entry + core_varying_bytes(&entry->varying) : 0;
-  }
-  if (key->design == NULL) {
-    entry->fault = cache_key_prepare(key, isa, &entry->profile, &entry->stop);
-    return entry->fault.field == NULL ? sizeof *entry + core_profile_bytes(&entry->profile) : 0;
-  }
-  fit_design read;
-  fit_design_read(key->design, &read);
-  entry->fault = core_fit_create(&entry->fit, isa, &read.design);
-  return entry->fault.field == NULL ? sizeof *entry + key->design_bytes + core_fit_bytes(entry->fit)
+  const struct cache_kind *kind = entry->key.kind;
+  entry->fault = kind->prepare(entry->memory, &entry->key, entry->cache->isa, &entry->stop);
+  return entry->fault.field == NULL ? sizeof *entry + content_offset(kind) +
+                                          entry->key.content_bytes + kind->bytes(entry->memory)
                                     : 0;
 }
 
@@ -679,6 +546,7 @@ void cache_prepare(struct cache_entry *entry) {
     entry->bytes = prepare_entry(entry);
     uv_mutex_lock(&cache->mutex);
   }
+  release_source(entry);
   entry->under_way = false;
   keep(cache, entry, &evicted);
   wake_all(entry);

@@ -1,28 +1,29 @@
-/* cache: keeps prepared profiles, and prepared fits, found by what they are prepared from. All
- * workers share it, and its bytes are bounded. What is said of profiles holds for fits, too.
+/* cache: keeps things that take time to prepare, such as profiles, found by what they are prepared
+ * from. All workers share it, and its bytes are bounded. It knows no contents: a kind of things is a
+ * struct cache_kind, in a file of its own in this folder (profiles.c, varyings.c, fits.c, points.c).
  *
- * An entry is a profile that is being prepared or has been prepared. After its preparation nothing
+ * An entry is a thing that is being prepared or has been prepared. After its preparation nothing
  * in it changes. The cache's table, the workers' local stores and the jobs each hold a reference to
  * the entries that they use. An entry is freed when the last reference is released, so an evicted
  * entry may still be in use; the cache then no longer counts its bytes.
  *
- * The first thread that asks for a profile prepares it, or has it prepared. All threads that ask in
+ * The first thread that asks for a thing prepares it, or has it prepared. All threads that ask in
  * the meantime wait for the same entry and are woken. If the preparation fails, all of them get the
  * fault, which the cache does not keep.
  *
- * Slow profiles are prepared on libuv's pool, one at a time, or two on a machine with four cores or
+ * Slow things are prepared on libuv's pool, one at a time, or two on a machine with four cores or
  * more. Each waiter waits in the queue of its owner, for example of a connection. Owners take
  * turns: each turn prepares the entry of one owner's first waiter, and wakes all waiters of that
  * entry. So even an owner with hundreds of waiters delays another owner by only one preparation in
  * each turn. An entry without waiters whose preparation has not begun is removed.
  *
- * Threading: one mutex guards the table, the lists for eviction and the lists of waiters. No
- * profile is prepared or freed while the mutex is held. Profiles are evaluated without it, and a
- * worker finds the entries in its local store (server/store/profiles.h) without it.
+ * Threading: one mutex guards the table, the lists for eviction and the lists of waiters. Nothing is
+ * prepared or freed while the mutex is held. Things are used without it, and a worker finds the
+ * entries in its local store (server/store/profiles.h) without it.
  *
- * Eviction: least recently used first, in lists. Profiles that are fast to prepare may take at
- * most a quarter of all bytes, so that a stream of them leaves three quarters to the slow ones. Sets
- * of points have a third list with a limit of their own, so that they evict nothing else. The
+ * Eviction: least recently used first, in lists. Things that are fast to prepare may take at
+ * most a quarter of all bytes, so that a stream of them leaves three quarters to the slow ones. Kinds
+ * that stand apart have a third list with a limit of its own, so that they evict nothing else. The
  * cache does not see when a worker finds an entry in its local store. The worker then sets a mark
  * in the entry. When a marked entry is the next to be evicted, it moves to the head of its list
  * instead.
@@ -30,71 +31,58 @@
 #ifndef DIPOLED_CACHE_H
 #define DIPOLED_CACHE_H
 
+#include <string.h>
 #include <sys/queue.h>
 #include <uv.h>
 
-#include "core/fit/fit.h"
-#include "core/gather/gather.h"
-#include "core/varying.h"
+#include "core/core.h"
 #include "server/observe/stats.h"
 
-struct points;
+struct cache_key;
 
-/* The key of a profile: everything from which it is prepared. Two profiles are the same if their
- * keys have the same bytes: there is no padding, 0 has no sign, and all parameters that are not
- * given are the same NaN. The angles of S are not in the key, because a job sets them in its copy
- * of the profile.
- *
- * The key of a prepared fit (core/fit/fit.h) has a `design`: the bytes of fit_design_read(), which
- * are compared one by one. Its other members, except the hash, are 0. The design belongs to the
- * caller; an entry of the cache has a copy. */
-struct cache_key {
-  uint32_t model;
-  uint32_t moments;
-  uint32_t evaluator;
-  uint32_t varying; /* 1: the preparation of media that vary (core/varying.h), 0: a profile */
-  double parameters[CORE_PARAMETERS_END];
-  double medium[4]; /* sigma_a, sigma_s (1/mm), g, eta; the first two are 0 if media vary */
-  uint64_t set[2];  /* name of a set of points (server/store/points.h); 0 for all other keys */
-  uint64_t hash_before_medium;
-  uint64_t hash;
-  const uint8_t *design; /* NULL for a profile */
-  uint64_t design_bytes; /* a multiple of 8 */
-  struct points *points; /* the points of a set, from which its tree is built; else NULL */
+/* A kind of things. */
+struct cache_kind {
+  size_t thing_bytes; /* of its structure */
+
+  /* Prepares a thing, all of whose bytes are 0, from its key and nothing else, so that the bits do not
+   * depend on who asks first. May give up with CORE_FIELD_STOPPED when *stop is set. */
+  core_fault (*prepare)(void *thing, const struct cache_key *key, const core_isa *isa,
+                        const atomic_bool *stop);
+  void (*free)(void *thing);            /* what it owns */
+  uint64_t (*bytes)(const void *thing); /* of what it owns */
+
+  /* Take and release a reference to the source of a key. NULL: keys have none. */
+  void (*hold)(void *source);
+  void (*release)(void *source);
+
+  bool apart; /* whether the limit and the statistics are those of sets of points */
 };
 
-/* Sets the members of the key that all channels of a request share. */
-void cache_key_start(struct cache_key *key, unsigned model, unsigned moments, unsigned evaluator,
-                     const core_parameters *parameters);
+/* What a thing is found by, and prepared from. Two keys are the same if their kinds and contents are:
+ * contents have no padding. Who asks owns the content; an entry has a copy. */
+struct cache_key {
+  const struct cache_kind *kind;
+  const void *content;
+  size_t content_bytes;
+  uint64_t hash; /* of the content, see cache_mix() */
+  void *source;  /* what is needed besides to prepare it; NULL: cache_look() makes no new entry */
+};
 
-/* Sets the medium of one channel, and the hash. Call it after cache_key_start(). */
-void cache_key_set_medium(struct cache_key *key, const core_medium *medium);
-
-/* Returns the medium of a profile's key. */
-core_medium cache_key_medium(const struct cache_key *key);
-
-/* Makes the key of a prepared fit. */
-void cache_key_set_design(struct cache_key *key, const uint8_t *design, size_t design_bytes);
-
-/* Makes the key of a set of points. points: what a new entry is built from, of which it takes a
- * reference; NULL: cache_look() makes no new entry. */
-void cache_key_set_points(struct cache_key *key, const uint64_t set[2], struct points *points);
-
-bool cache_key_equal(const struct cache_key *a, const struct cache_key *b);
-
-/* These call core_profile_prepare_until() and core_varying_prepare() with the members of the key and
- * nothing else, so that the bits do not depend on who asks first. */
-core_fault cache_key_prepare(const struct cache_key *key, const core_isa *isa,
-                             core_profile *profile, const atomic_bool *stop);
-core_fault cache_key_prepare_varying(const struct cache_key *key, const core_isa *isa,
-                                     core_varying *varying);
+/* Adds one word to a hash: multiplies by 2^64 over the golden ratio (Knuth 1998, section 6.4), and
+ * folds the high bits, which depend on all bits of the word, onto the low ones. */
+static inline uint64_t cache_mix(uint64_t hash, double word) {
+  uint64_t bits;
+  memcpy(&bits, &word, sizeof bits);
+  hash = (hash ^ bits) * UINT64_C(0x9e3779b97f4a7c15);
+  return hash ^ (hash >> 32);
+}
 
 struct cache;
 struct cache_entry;
 
 LIST_HEAD(cache_waiters, cache_waiter);
 
-/* The owner of waiters for slow profiles, for example a connection. Owners take turns. Before the
+/* The owner of waiters for slow things, for example a connection. Owners take turns. Before the
  * first use, set all members to 0. The cache's mutex guards them. */
 struct cache_owner {
   TAILQ_HEAD(cache_waiting, cache_waiter) waiters; /* for entries whose preparation has not begun */
@@ -113,7 +101,7 @@ struct cache_queue {
 /* A waiter: waits for one entry on behalf of a job. `entry` is NULL while there is none, and the
  * other members except `admitted` then have no meaning. */
 struct cache_waiter {
-  bool admitted; /* the job has had a profile before: max_waiting does not stop it halfway */
+  bool admitted; /* the job has had a thing before: max_waiting does not stop it halfway */
   struct cache_entry *entry;
   struct cache_queue *queue;
   struct cache_owner *owner; /* the owner whose queue it is in; NULL: the preparation has begun */
@@ -122,25 +110,24 @@ struct cache_waiter {
   LIST_ENTRY(cache_waiter) in_list;
 };
 
-/* Makes a cache that keeps at most limit_bytes of prepared profiles, and points_bytes of sets of
- * points. A waiter that is not admitted yet is refused if its owner has max_waiting waiters for
+/* Makes a cache that keeps at most limit_bytes, and apart_bytes of kinds that stand apart. A waiter that is not admitted yet is refused if its owner has max_waiting waiters for
  * preparations that have not begun. Returns NULL if there is no memory. */
-struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t points_bytes,
+struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t apart_bytes,
                         uint64_t max_waiting, struct stats *stats);
 
-/* Frees the cache. Asserts that no profile is being prepared and all references are released. */
+/* Frees the cache. Asserts that nothing is being prepared and all references are released. */
 void cache_free(struct cache *cache);
 
 enum cache_answer {
-  CACHE_KEPT, /* *entry is prepared */
-  CACHE_NEW,  /* the profile is fast to prepare: the caller calls cache_prepare(*entry) at once */
+  CACHE_KEPT,    /* *entry is prepared */
+  CACHE_NEW,     /* the thing is fast to prepare: the caller calls cache_prepare(*entry) at once */
   CACHE_AWAITED, /* the waiter waits; the caller calls cache_prepare_in_pool() */
   CACHE_NO_MEMORY,
-  CACHE_UNKNOWN, /* there is no such set of points, and the key has no points */
+  CACHE_UNKNOWN, /* there is no such thing, and the key has no source */
   CACHE_BUSY,    /* the owner has max_waiting waiters already, and this one is not admitted */
 };
 
-/* Looks a profile up. After KEPT and NEW, *entry is a reference that the caller releases. After
+/* Looks a thing up. After KEPT and NEW, *entry is a reference that the caller releases. After
  * AWAITED, the waiter belongs to `queue` and `owner` until cache_leave(). Before the call,
  * waiter->entry must be NULL. */
 enum cache_answer cache_look(struct cache *cache, const struct cache_key *key, bool slow,
@@ -175,13 +162,10 @@ uint64_t cache_place(const struct cache_waiter *waiter);
 /* Ends the waiting of a waiter, woken or not. Does nothing if it does not wait. */
 void cache_leave(struct cache_waiter *waiter);
 
-/* These return the profile, the fit, what media that vary share or a set of points, and the fault,
- * of a prepared entry: one that was KEPT, that the caller has prepared, or whose waiter was woken. What its key
- * asked for is valid if the fault's field is NULL, and as long as the caller holds a reference. */
-const core_profile *cache_profile(const struct cache_entry *entry);
-const core_fit *cache_fit(const struct cache_entry *entry);
-const core_varying *cache_varying(const struct cache_entry *entry);
-const core_gather_points *cache_gather(const struct cache_entry *entry);
+/* These return the thing and the fault of a prepared entry: one that was KEPT, that the caller has
+ * prepared, or whose waiter was woken. The thing is valid if the fault's field is NULL, and as long as
+ * the caller holds a reference. */
+const void *cache_thing(const struct cache_entry *entry);
 core_fault cache_fault(const struct cache_entry *entry);
 
 /* Returns whether the entry is in the cache. A local store releases entries that are not. */

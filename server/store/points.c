@@ -6,8 +6,9 @@
 #include <string.h>
 
 enum {
-  ROWS_MIN = 4096,      /* room for so many points is taken first, and then twice as much */
-  RETRY_AFTER_MS = 1000 /* of BUSY: sets take seconds to send */
+  ROWS_MIN = 4096,       /* room for so many points is taken first, and then twice as much */
+  RETRY_AFTER_MS = 1000, /* of BUSY: sets take seconds to send */
+  BUILD_NS = 1000000000  /* how long one call builds the tree of a set */
 };
 
 /* What is freed at once. Returning 8 MiB to the system takes less than a millisecond. */
@@ -46,8 +47,7 @@ static wire_error busy(void) {
 }
 
 static bool take_bytes(struct server *server, uint64_t bytes) {
-  if (atomic_fetch_add(&server->points_sent_bytes, bytes) + bytes <=
-      server->options.points_bytes) {
+  if (atomic_fetch_add(&server->points_sent_bytes, bytes) + bytes <= server->options.points_bytes) {
     return true;
   }
   atomic_fetch_sub(&server->points_sent_bytes, bytes);
@@ -98,7 +98,7 @@ static void *destroy_aside(void *argument) {
   return NULL;
 }
 
-void points_free_aside(void (*destroy)(void *what), void *what, uint64_t bytes) {
+static void free_aside(void (*destroy)(void *what), void *what, uint64_t bytes) {
   struct burden *burden = bytes > FREED_AT_ONCE_BYTES ? malloc(sizeof *burden) : NULL;
   pthread_t thread;
   if (burden == NULL) {
@@ -133,7 +133,7 @@ void points_release(struct points *points) {
   const uint64_t bytes = points->capacity * row_bytes(points);
   atomic_fetch_sub(&points->server->points_sent_bytes, bytes);
   stats_subtract(&points->server->stats, STATS_POINTS_SENT_SETS, 1);
-  points_free_aside(destroy, points, bytes);
+  free_aside(destroy, points, bytes);
 }
 
 /* ---- adding ---------------------------------------------------------------------------------- */
@@ -159,4 +159,58 @@ bool points_has_its_name(struct points *points) {
   assert(points->next == points->count);
   gather_name_end(&points->name, name);
   return memcmp(name, points->set, sizeof name) == 0;
+}
+
+/* ---- the kind -------------------------------------------------------------------------------- */
+
+/* Builds the tree of a set. */
+static core_fault prepare(void *thing, const struct cache_key *key, const core_isa *isa,
+                          const atomic_bool *stop) {
+  const struct points *points = key->source;
+  core_gather_points **tree = thing;
+  (void)isa, (void)stop;
+  *tree = core_gather_points_create((size_t)points->count, points->xyz, points->channel_count,
+                                    points->power);
+  while (*tree != NULL && !core_gather_points_build(*tree, BUILD_NS)) {
+  }
+  return *tree != NULL ? (core_fault){NULL, NULL, 0}
+                       : (core_fault){CORE_FIELD_MEMORY, "less than what is left: try again", 0};
+}
+
+static uint64_t tree_bytes(const void *thing) {
+  return core_gather_points_bytes(*(core_gather_points *const *)thing);
+}
+
+static void destroy_tree(void *tree) {
+  core_gather_points_free(tree);
+}
+
+static void free_tree(void *thing) {
+  free_aside(destroy_tree, *(core_gather_points **)thing, tree_bytes(thing));
+}
+
+static void hold(void *points) {
+  points_hold(points);
+}
+
+static void release(void *points) {
+  points_release(points);
+}
+
+static const struct cache_kind kind = {.thing_bytes = sizeof(core_gather_points *),
+                                       .prepare = prepare,
+                                       .free = free_tree,
+                                       .bytes = tree_bytes,
+                                       .hold = hold,
+                                       .release = release,
+                                       .apart = true};
+
+enum lookup_answer points_get(struct lookups *lookups, struct lookup *lookup, const uint64_t set[2],
+                              struct points *points) {
+  const struct cache_key key = {.kind = &kind,
+                                .content = set,
+                                .content_bytes = 2 * sizeof set[0],
+                                .hash = set[0],
+                                .source = points};
+  return lookup_get(lookups, lookup, &key, true, false);
 }

@@ -8,8 +8,9 @@
 #ifndef DIPOLED_POINTS_H
 #define DIPOLED_POINTS_H
 
+#include "core/gather/gather.h"
 #include "proto/gather.h"
-#include "server/server.h"
+#include "server/store/lookup.h"
 
 /* For each part of a set that is this large, its client has frame_timeout_ms. */
 #define POINTS_TIMED_BYTES ((uint64_t)16 << 20)
@@ -60,8 +61,15 @@ void points_hold(struct points *points);
 /* Releases a reference; with the last one, frees the set. points may be NULL. */
 void points_release(struct points *points);
 
-/* Calls destroy(what), at once if it takes little time, which freeing a few MiB does, or else on a
- * thread of its own, so that no loop waits. */
-void points_free_aside(void (*destroy)(void *what), void *what, uint64_t bytes);
+/* Looks the tree of a set up. points: what it is built from if the cache does not have it, of which a
+ * new entry takes a reference; NULL: the set is then at fault. */
+enum lookup_answer points_get(struct lookups *lookups, struct lookup *lookup, const uint64_t set[2],
+                              struct points *points);
+
+/* Returns the tree that points_get() has found, until lookup_return(); NULL if there is none. */
+static inline const core_gather_points *points_found(const struct lookup *lookup) {
+  core_gather_points *const *found = lookup_thing(lookup);
+  return found != NULL ? *found : NULL;
+}
 
 #endif

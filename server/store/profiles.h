@@ -38,8 +38,36 @@
 #ifndef DIPOLED_PROFILES_H
 #define DIPOLED_PROFILES_H
 
-#include "server/server.h"
-#include "server/store/cache.h"
+#include "server/store/lookup.h"
+
+/* The key of a profile: everything from which it is prepared. Two profiles are the same if their keys
+ * have the same bytes: there is no padding, 0 has no sign, and all parameters that are not given are
+ * the same NaN. The angles of S are not in the key, because a job sets them in its copy of the
+ * profile. */
+struct profiles_key {
+  uint32_t model;
+  uint32_t moments;
+  uint32_t evaluator;
+  uint32_t zero;
+  double parameters[CORE_PARAMETERS_END];
+  double medium[4]; /* sigma_a, sigma_s (1/mm), g, eta */
+  uint64_t hash_before_medium;
+  uint64_t hash;
+};
+
+/* Sets the members of the key that all channels of a request share. */
+void profiles_key_start(struct profiles_key *key, unsigned model, unsigned moments,
+                        unsigned evaluator, const core_parameters *parameters);
+
+/* Sets the medium of one channel, and the hash. Call it after profiles_key_start(). */
+void profiles_key_set_medium(struct profiles_key *key, const core_medium *medium);
+
+bool profiles_key_equal(const struct profiles_key *a, const struct profiles_key *b);
+
+/* Returns the key in the form of the cache, whose content `key` is. */
+struct cache_key profiles_cache_key(const struct profiles_key *key, const struct cache_kind *kind);
+
+extern const struct cache_kind profiles_kind; /* whose things are core_profile */
 
 /* A profile is found by its hash: in one of PROFILES_SETS sets, in any of its PROFILES_WAYS
  * slots. */
@@ -49,7 +77,7 @@ struct profiles_slot {
   uint64_t version;          /* rises whenever the slot gets another profile or is emptied */
   unsigned pins;             /* The slot keeps its profile while this is above 0. */
   struct cache_entry *entry; /* reference to the cache entry; NULL: the profile owns no memory */
-  struct cache_key key;      /* has model 0, which no model has, if the slot is empty */
+  struct profiles_key key;   /* has model 0, which no model has, if the slot is empty */
   core_profile profile;
 };
 
@@ -62,10 +90,8 @@ struct profiles_place {
 
 /* The store of one worker; only its thread uses it. */
 struct profiles {
-  struct server *server;
-  uv_loop_t *loop;
-  bool keeps; /* false if the cache has 0 bytes: the table then stays empty */
-  struct cache_queue queue;
+  struct lookups lookups; /* for profiles and for all other kinds */
+  bool keeps;             /* false if the cache has 0 bytes: the table then stays empty */
   struct profiles_set {
     uint64_t hashes[PROFILES_WAYS];
     unsigned next; /* position of the slot that is replaced next */
@@ -74,88 +100,44 @@ struct profiles {
 };
 
 /* A job's lookup of one profile after the other. Before profiles_start(), set on_ready, context and
- * owner, and all other members to 0. */
+ * owner of `cached`, and all other members to 0. */
 struct profiles_lookup {
-  void (*on_ready)(void *context); /* called after PROFILES_WAIT: call profiles_get() again */
-  void *context;
-  struct cache_owner *owner; /* the owner whose turns are used to prepare slow profiles */
-  struct cache_key key;
+  struct lookup cached; /* of the entry that was copied */
+  struct profiles_key key;
   core_parameters parameters;
-  bool ready;                       /* whether `profile` is valid, until profiles_return() */
-  core_profile profile;             /* a copy, with the angles of the request */
-  struct profiles_place place;      /* of the profile without the angles, if the table has it */
-  struct cache_entry *entry;        /* reference to the entry that was copied; NULL: none */
-  const core_fit *fit;              /* in place of `profile`, after profiles_get_fit() */
-  const core_varying *varying;      /* after profiles_get_varying(): what was prepared */
-  const core_gather_points *gather; /* after profiles_get_points(): the set of points */
-  core_fault fault;                 /* after PROFILES_FAULT: why there is no profile */
-  struct cache_waiter waiter;
-  bool woken;
+  bool ready;                  /* whether `profile` is valid, until profiles_return() */
+  core_profile profile;        /* a copy, with the angles of the request */
+  struct profiles_place place; /* of the profile without the angles, if the table has it */
+  core_fault fault;            /* after LOOKUP_FAULT: why there is no profile */
 };
 
 /* Sets up the store. It calls wake(context), on any thread, when the worker should call
- * profiles_wake(). */
+ * lookups_wake(). */
 void profiles_init(struct profiles *profiles, struct server *server, uv_loop_t *loop,
                    void (*wake)(void *context), void *context);
 
 /* Empties the table. Call it when no job waits for a profile and no slot is pinned. */
 void profiles_end(struct profiles *profiles);
 
-/* Calls on_ready() for the jobs whose profiles have been prepared. */
-void profiles_wake(struct profiles *profiles);
-
 /* Releases the entries that the cache has evicted, so that their memory is freed. Call this a few
  * times a second. */
 void profiles_sweep(struct profiles *profiles);
-
-enum profiles_answer { PROFILES_READY, PROFILES_FAULT, PROFILES_WAIT };
-
-/* The field of the fault of an owner that has max_waiting_profiles waiters already. */
-#define PROFILES_FIELD_BUSY "max_waiting_profiles"
-
-/* The field of the fault of profiles_get_points() for a set that nobody has sent, or that was evicted
- * since. */
-#define PROFILES_FIELD_SET "set"
-
-/* Returns whether a fault is temporary: memory is lacking, or too many profiles wait. */
-bool profiles_is_busy(core_fault fault);
-
-/* Returns whether a fault is that of a set of points that is not there. */
-bool profiles_is_unknown(core_fault fault);
 
 /* Sets the arguments that the next profiles share. core_profile_check() must have accepted them. */
 void profiles_start(struct profiles_lookup *lookup, unsigned model, unsigned moments,
                     unsigned evaluator, const core_parameters *parameters);
 
-/* Gets the profile for a medium. The caller has returned the previous profile. After PROFILES_WAIT
+/* Gets the profile for a medium. The caller has returned the previous profile. After LOOKUP_WAIT
  * and on_ready(), call it again for the same medium. */
-enum profiles_answer profiles_get(struct profiles *profiles, struct profiles_lookup *lookup,
-                                  const core_medium *medium);
+enum lookup_answer profiles_get(struct profiles *profiles, struct profiles_lookup *lookup,
+                                const core_medium *medium);
 
 /* Gets the profile of transport that the model error of a model is computed from, if it needs one
  * (core/ruler.h); else the answer is READY, and lookup->ready is false. In place of profiles_start()
  * and profiles_get(). */
-enum profiles_answer profiles_get_ruler(struct profiles *profiles, struct profiles_lookup *lookup,
-                                        unsigned model, const core_parameters *parameters,
-                                        const core_medium *medium);
-
-/* Gets the prepared fit of a design (server/store/cache.h), in place of profiles_start() and
- * profiles_get(). It comes from the cache; the store does not keep it. The bytes stay valid until
- * profiles_return(). After PROFILES_WAIT and on_ready(), call it again for the same design. */
-enum profiles_answer profiles_get_fit(struct profiles *profiles, struct profiles_lookup *lookup,
-                                      const uint8_t *design, size_t design_bytes);
-/* Gets what media that vary share (core/varying.h), for the arguments of profiles_start(), from the
- * cache; the store does not keep it. Sets lookup->varying, which is valid until profiles_return().
- * After PROFILES_WAIT and on_ready(), call it again. */
-enum profiles_answer profiles_get_varying(struct profiles *profiles, struct profiles_lookup *lookup,
-                                          double g, double eta);
-
-/* Gets a set of points from the cache, in place of profiles_start() and profiles_get(). points: what
- * its tree is built from if the cache does not have it; NULL: it is then at fault. Sets
- * lookup->gather, which is valid until profiles_return(). After PROFILES_WAIT and on_ready(), call
- * it again. */
-enum profiles_answer profiles_get_points(struct profiles *profiles, struct profiles_lookup *lookup,
-                                         const uint64_t set[2], struct points *points);
+enum lookup_answer profiles_get_ruler(struct profiles *profiles, struct profiles_lookup *lookup,
+                                      unsigned model, const core_parameters *parameters,
+                                      const core_medium *medium);
 
 /* Returns the profile to the store, or gives up waiting for it. Does nothing if there is neither.
  */

@@ -677,8 +677,8 @@ def test_a_hundred_clients_that_send_and_never_ask(daemon):
     freed after a time."""
     budget = 8_000_000
     one = daemon("--points-bytes", str(budget), "--frame-timeout-ms", "1500")
-    # Each client sends the half of another set, about 0.6 MB.
-    payload_of = lambda seed: points_payload(scene(40_000, seed=seed), 0, 20_000)  # noqa: E731
+    # Each client sends the half of another set, about 0.57 MB.
+    payload_of = lambda seed: points_payload(scene(38_000, seed=seed), 0, 19_000)  # noqa: E731
     first = payload_of(0)
     connections = [one.connect() for _ in range(100)]
     try:

@@ -4,20 +4,31 @@
 #include <math.h>
 #include <uv.h>
 
-#include "server/store/cache.h"
+#include "server/store/profiles.h"
 #include "tests/unit/unit.h"
 
 static const core_medium SKIN = {0.032, 0.74, 0, 1.3};
 
 /* Returns key number i. Its model is single scattering, whose profile is made quickly and has the
  * same size for all media. */
-static struct cache_key key_number(unsigned i) {
+static struct profiles_key key_number(unsigned i) {
   const core_parameters none = core_parameters_none();
   const core_medium medium = {0.01 + 0.001 * i, 0.74, 0, 1.3};
-  struct cache_key key;
-  cache_key_start(&key, CORE_MODEL_SINGLE, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &none);
-  cache_key_set_medium(&key, &medium);
+  struct profiles_key key;
+  profiles_key_start(&key, CORE_MODEL_SINGLE, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &none);
+  profiles_key_set_medium(&key, &medium);
   return key;
+}
+
+static const core_profile *profile_of(const struct cache_entry *entry) {
+  return cache_thing(entry);
+}
+
+static enum cache_answer look(struct cache *cache, const struct profiles_key *key, bool slow,
+                              struct cache_owner *owner, struct cache_queue *queue,
+                              struct cache_waiter *waiter, struct cache_entry **entry) {
+  const struct cache_key plain = profiles_cache_key(key, &profiles_kind);
+  return cache_look(cache, &plain, slow, owner, queue, waiter, entry);
 }
 
 static void not_woken(void *context) {
@@ -60,19 +71,18 @@ static unsigned take_turns(struct cache *cache, unsigned most) {
 /* Makes a waiter wait for a slow profile that is not prepared. */
 static void wait_for(struct fixture *f, struct cache_owner *owner, uint64_t number,
                      struct cache_waiter *waiter) {
-  const struct cache_key key = key_number(number);
+  const struct profiles_key key = key_number(number);
   struct cache_entry *none = NULL;
-  assert_true(cache_look(f->cache, &key, true, owner, &f->queue, waiter, &none) == CACHE_AWAITED);
+  assert_true(look(f->cache, &key, true, owner, &f->queue, waiter, &none) == CACHE_AWAITED);
 }
 
 /* Returns a reference to an entry. *was_there: whether it was in the cache. If it was not, prepares
  * it on this thread. */
-static struct cache_entry *ask(struct fixture *f, const struct cache_key *key, bool slow,
+static struct cache_entry *ask(struct fixture *f, const struct profiles_key *key, bool slow,
                                bool *was_there) {
   struct cache_waiter waiter = {0};
   struct cache_entry *entry = NULL;
-  const enum cache_answer answer =
-      cache_look(f->cache, key, slow, &f->owner, &f->queue, &waiter, &entry);
+  const enum cache_answer answer = look(f->cache, key, slow, &f->owner, &f->queue, &waiter, &entry);
   assert_true(answer == CACHE_KEPT || answer == (slow ? CACHE_AWAITED : CACHE_NEW));
   *was_there = answer == CACHE_KEPT;
   if (answer == CACHE_NEW) {
@@ -86,13 +96,13 @@ static struct cache_entry *ask(struct fixture *f, const struct cache_key *key, b
     cache_leave(&waiter);
   }
   assert_null(cache_fault(entry).field);
-  assert_true(cache_profile(entry)->medium.sigma_a_per_mm == key->medium[0]);
+  assert_true(profile_of(entry)->medium.sigma_a_per_mm == key->medium[0]);
   return entry;
 }
 
 /* Gets entry number i and releases it. Returns whether it was in the cache. */
 static bool visit_as(struct fixture *f, unsigned i, bool slow) {
-  const struct cache_key key = key_number(i);
+  const struct profiles_key key = key_number(i);
   bool was_there;
   cache_release(ask(f, &key, slow, &was_there));
   return was_there;
@@ -115,34 +125,34 @@ static uint64_t entry_bytes(void) {
 
 /* ---- keys ------------------------------------------------------------------------------------ */
 
-static struct cache_key key_of(unsigned model, unsigned moments, unsigned evaluator,
-                               core_medium medium, core_parameters parameters) {
-  struct cache_key key;
+static struct profiles_key key_of(unsigned model, unsigned moments, unsigned evaluator,
+                                  core_medium medium, core_parameters parameters) {
+  struct profiles_key key;
   memset(&key, 0xa5, sizeof key);
-  cache_key_start(&key, model, moments, evaluator, &parameters);
-  cache_key_set_medium(&key, &medium);
+  profiles_key_start(&key, model, moments, evaluator, &parameters);
+  profiles_key_set_medium(&key, &medium);
   return key;
 }
 
 UNIT_TEST(keys_that_mean_the_same_are_equal) {
   const core_parameters none = core_parameters_none();
   core_parameters other = none;
-  const struct cache_key key = key_of(1, 2, 1, (core_medium){0, 1, 0, 1.3}, none);
-  struct cache_key same = key_of(1, 2, 1, (core_medium){-0.0, 1, -0.0, 1.3}, none);
-  assert_true(cache_key_equal(&key, &same));
+  const struct profiles_key key = key_of(1, 2, 1, (core_medium){0, 1, 0, 1.3}, none);
+  struct profiles_key same = key_of(1, 2, 1, (core_medium){-0.0, 1, -0.0, 1.3}, none);
+  assert_true(profiles_key_equal(&key, &same));
   for (size_t i = 0; i < CORE_PARAMETERS_END; i++) {
     other.value[i] = -(double)NAN;
   }
   other.value[CORE_PARAMETER_COS_IN] = 0.5; /* Angles are not part of the key. */
   other.value[CORE_PARAMETER_COS_OUT] = 0.25;
   same = key_of(1, 2, 1, (core_medium){0, 1, 0, 1.3}, other);
-  assert_true(cache_key_equal(&key, &same));
+  assert_true(profiles_key_equal(&key, &same));
 }
 
 UNIT_TEST(keys_that_differ_anywhere_are_not) {
   const core_parameters none = core_parameters_none();
   enum { KEYS = 8 + CORE_PARAMETERS_END };
-  struct cache_key keys[KEYS];
+  struct profiles_key keys[KEYS];
   size_t n = 0;
   keys[n++] = key_of(1, 1, 1, SKIN, none);
   keys[n++] = key_of(2, 1, 1, SKIN, none);
@@ -161,7 +171,7 @@ UNIT_TEST(keys_that_differ_anywhere_are_not) {
   }
   for (size_t i = 0; i < n; i++) {
     for (size_t j = 0; j < n; j++) {
-      assert_true(cache_key_equal(&keys[i], &keys[j]) == (i == j));
+      assert_true(profiles_key_equal(&keys[i], &keys[j]) == (i == j));
     }
   }
 }
@@ -175,7 +185,7 @@ UNIT_TEST(kept_profiles_are_those_that_core_prepares) {
   double values[5];
   const core_parameters none = core_parameters_none();
   for (unsigned i = 0; i < 3; i++) {
-    const struct cache_key key = key_number(i);
+    const struct profiles_key key = key_number(i);
     const core_medium medium = {key.medium[0], key.medium[1], key.medium[2], key.medium[3]};
     unit_assert_fault(core_profile_prepare(&direct, core_isa_select(NULL), CORE_MODEL_SINGLE,
                                            CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium, &none),
@@ -185,7 +195,7 @@ UNIT_TEST(kept_profiles_are_those_that_core_prepares) {
       bool was_there;
       struct cache_entry *entry = ask(&f, &key, true, &was_there);
       assert_true(was_there == (time == 1));
-      core_eval_f64(cache_profile(entry), CORE_QUANTITY_R, 5, r, values);
+      core_eval_f64(profile_of(entry), CORE_QUANTITY_R, 5, r, values);
       assert_memory_equal(values, expected, sizeof values);
       cache_release(entry);
     }
@@ -214,7 +224,7 @@ UNIT_TEST(the_least_recently_used_goes_first) {
 UNIT_TEST(a_use_that_the_cache_did_not_see_counts_once) {
   struct fixture f;
   open_cache(&f, 2 * entry_bytes());
-  const struct cache_key key = key_number(0);
+  const struct profiles_key key = key_number(0);
   bool was_there;
   struct cache_entry *entry = ask(&f, &key, true, &was_there);
   visit(&f, 1);
@@ -258,16 +268,16 @@ UNIT_TEST(the_bound_holds_to_the_byte) {
 UNIT_TEST(what_is_in_use_survives_its_eviction) {
   struct fixture f;
   open_cache(&f, entry_bytes());
-  const struct cache_key key = key_number(0);
+  const struct profiles_key key = key_number(0);
   const double r[] = {0.1, 1, 10};
   double before[3];
   double after[3];
   bool was_there;
   struct cache_entry *entry = ask(&f, &key, true, &was_there);
-  core_eval_f64(cache_profile(entry), CORE_QUANTITY_R, 3, r, before);
+  core_eval_f64(profile_of(entry), CORE_QUANTITY_R, 3, r, before);
   visit(&f, 1);
   assert_false(cache_keeps(entry));
-  core_eval_f64(cache_profile(entry), CORE_QUANTITY_R, 3, r, after);
+  core_eval_f64(profile_of(entry), CORE_QUANTITY_R, 3, r, after);
   assert_memory_equal(before, after, sizeof before);
   assert_false(visit(&f, 0)); /* makes a second entry with the same content */
   cache_release(entry);
@@ -339,7 +349,7 @@ UNIT_TEST(all_wait_for_one) {
   while ((waiter = cache_next_woken(f.cache, &f.queue)) != NULL) {
     assert_ptr_equal(waiter->entry, entry);
     assert_null(cache_fault(waiter->entry).field);
-    assert_true(cache_profile(waiter->entry)->albedo > 0);
+    assert_true(profile_of(waiter->entry)->albedo > 0);
     cache_leave(waiter);
     assert_null(waiter->entry);
     woken++;
@@ -377,12 +387,12 @@ UNIT_TEST(what_nobody_waits_for_any_more_stops) {
   struct fixture f;
   open_cache(&f, 1 << 20);
   const core_parameters none = core_parameters_none();
-  const struct cache_key key = key_of(CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64,
-                                      (core_medium){0.01, 100, 0.98, 3}, none);
+  const struct profiles_key key =
+      key_of(CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64,
+             (core_medium){0.01, 100, 0.98, 3}, none);
   struct cache_waiter waiter = {0};
   struct cache_entry *entry = NULL;
-  assert_true(cache_look(f.cache, &key, true, &f.owner, &f.queue, &waiter, &entry) ==
-              CACHE_AWAITED);
+  assert_true(look(f.cache, &key, true, &f.owner, &f.queue, &waiter, &entry) == CACHE_AWAITED);
   entry = cache_begin_turn(f.cache);
   uv_thread_t thread;
   assert_int_equal(uv_thread_create(&thread, prepare_on_thread, entry), 0);
@@ -403,13 +413,13 @@ UNIT_TEST(a_fault_goes_to_all_and_is_not_kept) {
   open_cache(&f, 1 << 20);
   core_parameters parameters = core_parameters_none();
   parameters.value[CORE_PARAMETER_TOLERANCE] = 1e-11; /* which no fit of Gaussians can meet */
-  const struct cache_key key =
+  const struct profiles_key key =
       key_of(CORE_MODEL_GAUSSIANS, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, SKIN, parameters);
   for (uint64_t time = 1; time <= 2; time++) {
     struct cache_waiter waiters[2] = {{0}};
     struct cache_entry *none = NULL;
     for (int i = 0; i < 2; i++) {
-      assert_true(cache_look(f.cache, &key, true, &f.owner, &f.queue, &waiters[i], &none) ==
+      assert_true(look(f.cache, &key, true, &f.owner, &f.queue, &waiters[i], &none) ==
                   CACHE_AWAITED);
     }
     assert_int_equal(take_turns(f.cache, 2), 1);
@@ -534,8 +544,8 @@ UNIT_TEST(an_owner_has_a_limit) {
     wait_for(&f, &f.owner, i, &waiters[i]);
   }
   for (uint64_t i = 0; i <= MAX_WAITING; i += MAX_WAITING) { /* a known entry, and a new one */
-    const struct cache_key key = key_number(i);
-    assert_true(cache_look(f.cache, &key, true, &f.owner, &f.queue, &one, &none) == CACHE_BUSY);
+    const struct profiles_key key = key_number(i);
+    assert_true(look(f.cache, &key, true, &f.owner, &f.queue, &one, &none) == CACHE_BUSY);
     assert_null(one.entry);
   }
   wait_for(&f, &other, MAX_WAITING, &one);
@@ -596,8 +606,8 @@ static void on_woken(void *context) {
 }
 
 static void judge(struct thread *thread, const struct cache_entry *entry,
-                  const struct cache_key *key) {
-  thread->wrong += cache_profile(entry)->medium.sigma_a_per_mm != key->medium[0];
+                  const struct profiles_key *key) {
+  thread->wrong += profile_of(entry)->medium.sigma_a_per_mm != key->medium[0];
 }
 
 /* Asks for a random profile. If it is new, prepares it on this thread, as workers and libuv's pool
@@ -605,11 +615,11 @@ static void judge(struct thread *thread, const struct cache_entry *entry,
 static void ask_at_random(struct thread *thread) {
   const unsigned i = (unsigned)unit_random_below(&thread->seed, KEYS);
   const bool slow = i % 2 == 0;
-  const struct cache_key key = key_number(i);
+  const struct profiles_key key = key_number(i);
   struct cache_waiter waiter = {0};
   struct cache_entry *entry = NULL;
   const enum cache_answer answer =
-      cache_look(thread->f->cache, &key, slow, &thread->owner, &thread->queue, &waiter, &entry);
+      look(thread->f->cache, &key, slow, &thread->owner, &thread->queue, &waiter, &entry);
   if (unit_random_below(&thread->seed, 8) == 0) {
     cache_leave(&waiter);
   }

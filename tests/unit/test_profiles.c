@@ -45,16 +45,17 @@ static double get_albedo(struct fixture *f, unsigned model, core_medium medium,
                          const core_parameters *parameters, double *cos_in) {
   bool woken = false;
   struct cache_owner owner = {0};
-  struct profiles_lookup lookup = {.on_ready = set_woken, .context = &woken, .owner = &owner};
+  struct profiles_lookup lookup = {
+      .cached = {.on_ready = set_woken, .context = &woken, .owner = &owner}};
   profiles_start(&lookup, model, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, parameters);
-  enum profiles_answer answer = profiles_get(&f->profiles, &lookup, &medium);
-  if (answer == PROFILES_WAIT) {
+  enum lookup_answer answer = profiles_get(&f->profiles, &lookup, &medium);
+  if (answer == LOOKUP_WAIT) {
     uv_run(&f->loop, UV_RUN_DEFAULT);
-    profiles_wake(&f->profiles);
+    lookups_wake(&f->profiles.lookups);
     assert_true(woken);
     answer = profiles_get(&f->profiles, &lookup, &medium);
   }
-  assert_int_equal(answer, PROFILES_READY);
+  assert_int_equal(answer, LOOKUP_READY);
   const double albedo = lookup.profile.albedo;
   *cos_in = lookup.profile.cos_in;
   profiles_return(&lookup);
@@ -123,16 +124,17 @@ UNIT_TEST(what_has_been_evicted_is_not_held) {
   static struct fixture f;
   open_fixture(&f, 4 * 20000); /* A quarter of it holds one fast profile, but not two. */
   const core_medium other = {0.1, 1, 0, 1.3};
-  struct cache_key key;
-  cache_key_start(&key, CORE_MODEL_SINGLE, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &none);
-  cache_key_set_medium(&key, &other);
+  struct profiles_key key;
+  profiles_key_start(&key, CORE_MODEL_SINGLE, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &none);
+  profiles_key_set_medium(&key, &other);
+  const struct cache_key plain = profiles_cache_key(&key, &profiles_kind);
   double cos_in;
   get_albedo(&f, CORE_MODEL_SINGLE, other, &none, &cos_in);
   struct cache_owner owner = {0};
   struct cache_queue queue = {.wake = not_woken};
   struct cache_waiter waiter = {0};
   struct cache_entry *entry = NULL;
-  assert_true(cache_look(f.server.cache, &key, false, &owner, &queue, &waiter, &entry) ==
+  assert_true(cache_look(f.server.cache, &plain, false, &owner, &queue, &waiter, &entry) ==
               CACHE_KEPT);
   get_albedo(&f, CORE_MODEL_SINGLE, SKIN, &none, &cos_in);
   assert_false(cache_keeps(entry));
