@@ -18,10 +18,8 @@ enum { RATIOS = FIT_TABLE_RATIOS, PLACES = FIT_TABLE_PLACES };
 #define WAVE_LEAST 1e-7
 #define WAVE_MOST 1e3
 
-/* The tolerance by which a profile of transport comes from the table of solutions, wherever it can;
- * and that of other models. */
-#define TRANSPORT_TOLERANCE 1e-3
-#define OTHER_TOLERANCE 1e-8
+/* The tolerance of all models but transport, which comes from the table of solutions. */
+#define TOLERANCE 1e-8
 
 /* ---- making ---------------------------------------------------------------------------------- */
 
@@ -71,7 +69,7 @@ core_fault fit_table_create(fit_table **made, const struct fit_table_source *sou
   }
   core_parameters taken = *source->parameters;
   taken.value[CORE_PARAMETER_TOLERANCE] =
-      source->model == CORE_MODEL_TRANSPORT ? TRANSPORT_TOLERANCE : OTHER_TOLERANCE;
+      source->model == CORE_MODEL_TRANSPORT ? (double)NAN : TOLERANCE;
   table->waves = source->quantity == CORE_QUANTITY_TRANSFER;
   table->ratio_least = real_log(CORE_FIT_RATIO_MIN, 0);
   table->ratio_step = (real_log(CORE_FIT_RATIO_MAX, 0) - table->ratio_least) / (RATIOS - 1);
