@@ -100,7 +100,7 @@ const core_choice core_fit_statuses[] = {
     END,
 };
 
-#define CORE_VALUE(id, IDENT, name, field, allowed) {id, name, allowed},
+#define CORE_VALUE(id, IDENT, name, allowed) {id, name, allowed},
 const core_choice core_value_statuses[] = {
 #include "core/choices.def"
     END,

@@ -16,10 +16,6 @@ _Static_assert(sizeof core_error_edges_mfp / sizeof core_error_edges_mfp[0] == B
 
 /* ---- errors by band of radii ----------------------------------------------------------------- */
 
-core_model_errors core_model_errors_exact(void) {
-  return (core_model_errors){.exact = true};
-}
-
 core_model_errors core_model_errors_unknown(void) {
   core_model_errors errors = {.exact = false};
   for (size_t i = 0; i <= BANDS; i++) {
@@ -157,7 +153,7 @@ double core_ratio_of(const core_medium *medium) {
 core_model_errors core_model_errors_stated(unsigned model, double gamma,
                                            const core_medium *medium) {
   return model != CORE_MODEL_TRANSPORT ? core_model_errors_unknown()
-         : isnan(gamma)                ? core_model_errors_exact()
+         : isnan(gamma)                ? (core_model_errors){.exact = true}
                                        : core_gamma_errors_find(gamma, medium);
 }
 

@@ -32,9 +32,6 @@ core_model_errors core_gamma_errors_find(double gamma, const core_medium *medium
  * errors of all other models are unknown. */
 core_model_errors core_model_errors_stated(unsigned model, double gamma, const core_medium *medium);
 
-/* Returns the errors of a model that is transport itself. */
-core_model_errors core_model_errors_exact(void);
-
 /* Returns errors that are all NAN, which means not known. */
 core_model_errors core_model_errors_unknown(void);
 

@@ -23,16 +23,12 @@
 /* ---- statuses -------------------------------------------------------------------------------- */
 
 /* What became of one value, in one byte. */
-#define CORE_VALUE(id, IDENT, name, field, allowed) CORE_VALUE_##IDENT = (id),
+#define CORE_VALUE(id, IDENT, name, allowed) CORE_VALUE_##IDENT = (id),
 enum core_value_status {
 #include "core/choices.def"
 };
 
 extern const core_choice core_value_statuses[]; /* `about` says what is allowed */
-
-/* Returns the fault of a status: its field and what is allowed. `index` is the value's position.
- * For CORE_VALUE_OK, and for CORE_VALUE_FAR, whose value is answered, the field is NULL. */
-core_fault core_value_fault(unsigned status, size_t index);
 
 /* ---- preparing ------------------------------------------------------------------------------- */
 

@@ -45,10 +45,6 @@ core_fault core_gather_check_queries(size_t n, const double *xyz);
 /* Points with their tree. Immutable once they are built: any number of threads may use them. */
 typedef struct core_gather_points core_gather_points;
 
-/* Returns the most bytes that n points may take, while they are being built too. The arrays of the
- * caller do not count. */
-size_t core_gather_points_bytes_most(size_t n, size_t channels);
-
 /* Begins to build points that core_gather_check_points() accepts; 1 to CORE_GATHER_POINTS_MAX points
  * and 1 to CORE_GATHER_CHANNELS_MAX channels (asserted). The arrays stay the caller's and must not
  * change until the points are built; they are not used after that. Returns NULL if memory runs out.
@@ -61,8 +57,7 @@ void core_gather_points_free(core_gather_points *points);
  * points are built. The result does not depend on how the work is cut. */
 bool core_gather_points_build(core_gather_points *points, uint64_t work_ns);
 
-/* For points that are built: their channels, and the bytes that they take, which is at most
- * core_gather_points_bytes_most(). */
+/* For points that are built: their channels, and the bytes that they take. */
 size_t core_gather_points_channels(const core_gather_points *points);
 size_t core_gather_points_bytes(const core_gather_points *points);
 

@@ -89,12 +89,6 @@ static size_t point_bytes(size_t channels) {
   return 3 * sizeof(double) + channels * sizeof(float);
 }
 
-size_t core_gather_points_bytes_most(size_t n, size_t channels) {
-  const size_t sorting = 2 * (sizeof(uint64_t) + sizeof(uint32_t));
-  return sizeof(core_gather_points) + sizeof(gather_build) + n * (point_bytes(channels) + sorting) +
-         node_capacity(n) * node_bytes(channels, channels);
-}
-
 size_t core_gather_points_bytes(const core_gather_points *points) {
   return sizeof *points + points->n * point_bytes(points->channels) +
          points->node_count * node_bytes(points->channels, points->groups);

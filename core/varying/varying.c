@@ -18,20 +18,6 @@
 
 enum { CHUNK = 256 };
 
-/* ---- statuses -------------------------------------------------------------------------------- */
-
-core_fault core_value_fault(unsigned status, size_t index) {
-  switch (status) {
-#define CORE_VALUE(id, IDENT, name, field, allowed)                                                \
-  case CORE_VALUE_##IDENT:                                                                         \
-    return field != NULL ? (core_fault){field, allowed, index} : (core_fault){0};
-#include "core/choices.def"
-  default:
-    assert(!"a status");
-    return (core_fault){0};
-  }
-}
-
 /* ---- preparing ------------------------------------------------------------------------------- */
 
 /* The families of models whose media can vary. */

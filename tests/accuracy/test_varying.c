@@ -181,12 +181,9 @@ UNIT_TEST(dipoles_and_burley_are_within_the_stated_error) {
 
 /* A profile of transport from the table of solutions. */
 static core_profile tabulated(const core_medium *medium) {
-  core_parameters parameters = core_parameters_none();
-  parameters.value[CORE_PARAMETER_TOLERANCE] = 1e-3;
   core_profile profile;
   unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
-                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, medium,
-                                         &parameters),
+                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, medium, NULL),
                     NULL, 0);
   return profile;
 }
@@ -601,8 +598,6 @@ UNIT_TEST(wrong_values_have_a_status_and_the_others_are_answered) {
   const uint8_t expected[COUNT] = {CORE_VALUE_OK,      CORE_VALUE_SIGMA_A, CORE_VALUE_SIGMA_A,
                                    CORE_VALUE_SIGMA_S, CORE_VALUE_RATIO,   CORE_VALUE_RADIUS,
                                    CORE_VALUE_RADIUS,  CORE_VALUE_FAR,     CORE_VALUE_SIGMA_A};
-  static const char *const fields[COUNT] = {NULL, "sigma_a", "sigma_a", "sigma_s", "sigma_s",
-                                            "r",  "r",       NULL,      "sigma_a"};
   uint8_t status[COUNT];
   double out[COUNT];
   core_varying_range range;
@@ -611,7 +606,6 @@ UNIT_TEST(wrong_values_have_a_status_and_the_others_are_answered) {
   for (size_t i = 0; i < COUNT; i++) {
     assert_int_equal(status[i], expected[i]);
     assert_int_equal(isnan(out[i]), expected[i] > CORE_VALUE_FAR);
-    unit_assert_fault(core_value_fault(status[i], i), fields[i], fields[i] != NULL ? i : 0);
   }
   assert_int_equal(range.answered, 2);
   assert_true(range.albedo_least >= 0.5 && range.albedo_most <= 0.5 && range.mfp_most <= 2);
