@@ -222,8 +222,9 @@ static bool is_too_near(const core_profile *profile, unsigned wanted, double r_m
 core_stated_errors core_profile_errors(const core_profile *profile, unsigned wanted,
                                        core_radii_range radii) {
   const bool derivatives = core_wants_derivatives(wanted);
-  const bool others = (wanted & ~(unsigned)(CORE_QUANTITY_BY_SIGMA_A | CORE_QUANTITY_BY_SIGMA_S |
-                                            CORE_QUANTITY_MODEL_ERROR)) != 0;
+  const unsigned others = wanted & ~(unsigned)(CORE_QUANTITY_BY_SIGMA_A | CORE_QUANTITY_BY_SIGMA_S |
+                                               CORE_QUANTITY_MODEL_ERROR | CORE_QUANTITY_RADIUS);
+
   const double most_mm = (wanted & FOLLOWS_R) != 0 ? radii.most_mm : 0;
   const double numerical = core_banded_error(profile->numerical_errors, profile->numerical_error,
                                              &profile->medium, wanted, radii);
@@ -235,8 +236,10 @@ core_stated_errors core_profile_errors(const core_profile *profile, unsigned wan
     return (core_stated_errors){.numerical = (double)INFINITY};
   }
   return (core_stated_errors){
-      .numerical = fmax(others ? of_others : 0, derivatives ? derivative_error(profile, radii) : 0),
-      .numerical_per_mm = fmax(others ? profile->numerical_error_per_mm : 0,
-                               derivatives ? profile->derivative_error_per_mm : 0),
+      .numerical =
+          fmax(others != 0 ? of_others : 0, derivatives ? derivative_error(profile, radii) : 0),
+      .numerical_per_mm = fmax(
+          (others & ~(unsigned)CORE_QUANTITY_ALBEDO) != 0 ? profile->numerical_error_per_mm : 0,
+          derivatives ? profile->derivative_error_per_mm : 0),
   };
 }

@@ -1,5 +1,6 @@
 #include "proto/eval.h"
 
+#include <math.h>
 #include <stdio.h>
 
 #include "proto/channels.h"
@@ -71,15 +72,18 @@ wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval
  * offset of the first one in *layout. Returns false if the bytes before the arrays do not fit. */
 static bool array_room(unsigned wanted, uint32_t channel_count, uint64_t max_payload_bytes,
                        eval_layout *layout, uint64_t *arrays, uint64_t *room) {
-  *layout = (eval_layout){.channels_offset = WIRE_BYTES_eval_reply};
+  *layout = (eval_layout){.errors_offset = eval_albedo_offset(channel_count)};
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
     layout->arrays_per_channel += eval_is_array(wanted, quantity->id);
+    layout->errors_per_channel += (wanted & quantity->id) != 0;
   }
-  /* There are at most 2^32 channels of 32 bytes, with a few arrays each, so nothing wraps here. The
-   * caller checks the length of the arrays by division before it multiplies. */
+  /* There are at most 2^32 channels of some hundred bytes, with a few arrays each, so nothing wraps
+   * here. The caller checks the length of the arrays by division before it multiplies. */
   const bool radii_wanted = radii_come_once(wanted);
   *arrays = (uint64_t)channel_count * layout->arrays_per_channel + radii_wanted;
-  layout->radius_offset = WIRE_BYTES_eval_reply + (uint64_t)channel_count * WIRE_BYTES_channel;
+  layout->radius_offset = layout->errors_offset + (uint64_t)channel_count *
+                                                      layout->errors_per_channel *
+                                                      WIRE_BYTES_quantity_error;
   if (layout->radius_offset > max_payload_bytes) {
     return false;
   }
@@ -126,6 +130,32 @@ uint64_t eval_array_offset(const eval_layout *layout, unsigned wanted, uint32_t 
   return layout->arrays_offset + array * layout->array_bytes;
 }
 
+uint64_t eval_albedo_offset(uint32_t channel) {
+  return WIRE_BYTES_eval_reply + (uint64_t)channel * sizeof(double);
+}
+
+uint64_t eval_error_offset(const eval_layout *layout, unsigned wanted, uint32_t channel,
+                           unsigned quantity) {
+  const uint64_t before = (unsigned)__builtin_popcount(wanted & (quantity - 1));
+  return layout->errors_offset +
+         ((uint64_t)channel * layout->errors_per_channel + before) * WIRE_BYTES_quantity_error;
+}
+
+wire_quantity_error eval_largest_error(const uint8_t *payload, const eval_layout *layout,
+                                       unsigned wanted, uint32_t channel) {
+  wire_quantity_error most = {.model_error = (double)NAN};
+  for (unsigned i = 0; i < layout->errors_per_channel; i++) {
+    wire_quantity_error one;
+    wire_get_quantity_error(payload + eval_error_offset(layout, wanted, channel, 1) +
+                                i * (size_t)WIRE_BYTES_quantity_error,
+                            &one);
+    most.numerical_error = fmax(most.numerical_error, one.numerical_error);
+    most.numerical_error_per_mm = fmax(most.numerical_error_per_mm, one.numerical_error_per_mm);
+    most.model_error = fmax(most.model_error, one.model_error); /* passes NANs over */
+  }
+  return most;
+}
+
 bool eval_reply_parse(const uint8_t *payload, size_t payload_bytes, bool drawn,
                       wire_eval_reply *fixed, eval_layout *layout) {
   if (payload_bytes < WIRE_BYTES_eval_reply) {
@@ -137,6 +167,6 @@ bool eval_reply_parse(const uint8_t *payload, size_t payload_bytes, bool drawn,
   }
   return fixed->part < fixed->part_count &&
          eval_reply_layout(fixed->evaluator, fixed->wanted | (drawn ? EVAL_DRAWN : 0),
-                           fixed->channel_count, fixed->radius_count, payload_bytes, layout) &&
+                           fixed->channel_count, fixed->count, payload_bytes, layout) &&
          layout->payload_bytes == payload_bytes;
 }

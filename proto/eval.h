@@ -36,7 +36,8 @@ typedef struct eval_layout {
   uint64_t payload_bytes;
   uint64_t radius_offset;   /* the radii, if they are wanted and not drawn */
   uint64_t array_bytes;     /* length of one array with padding */
-  uint64_t channels_offset; /* first channel structure */
+  uint64_t errors_offset;   /* first channel's first quantity_error */
+  unsigned errors_per_channel;
   uint64_t arrays_offset;   /* first channel's first array */
   unsigned arrays_per_channel;
 } eval_layout;
@@ -62,6 +63,18 @@ bool eval_is_array(unsigned wanted, unsigned quantity);
  * of a channel lie in the order of the list of quantities. */
 uint64_t eval_array_offset(const eval_layout *layout, unsigned wanted, uint32_t channel,
                            enum core_quantity quantity);
+
+/* Returns the offset of a channel's albedo, an f64. */
+uint64_t eval_albedo_offset(uint32_t channel);
+
+/* Returns the offset of the quantity_error of a wanted quantity in a channel. They lie in the order
+ * of the list of quantities. */
+uint64_t eval_error_offset(const eval_layout *layout, unsigned wanted, uint32_t channel,
+                           unsigned quantity);
+
+/* Returns the errors that hold for all values of a channel: the largest of all its quantities. */
+wire_quantity_error eval_largest_error(const uint8_t *payload, const eval_layout *layout,
+                                       unsigned wanted, uint32_t channel);
 
 /* Parses the payload of a reply to an eval or, if `drawn`, to a sample. Returns false if the
  * payload does not have the shape that its fixed part announces. */

@@ -236,5 +236,5 @@ bool fit_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_fit_repl
   const size_t set_bytes = WIRE_BYTES_fitted + fixed->reading_count * sizeof(double);
   const size_t sets_bytes = payload_bytes - WIRE_BYTES_fit_reply;
   return fixed->part < fixed->part_count && sets_bytes % set_bytes == 0 &&
-         sets_bytes / set_bytes == fixed->set_count && fixed->fitted_count <= fixed->set_count;
+         sets_bytes / set_bytes == fixed->count && fixed->fitted_count <= fixed->count;
 }

@@ -155,7 +155,7 @@ wire_error gather_request_parse(const uint8_t *payload, size_t payload_bytes,
 }
 
 size_t gather_sums_offset(uint32_t channel_count) {
-  return WIRE_BYTES_gather_reply + (size_t)channel_count * WIRE_BYTES_channel;
+  return WIRE_BYTES_gather_reply + (size_t)channel_count * WIRE_BYTES_quantity_error;
 }
 
 uint64_t gather_reply_bytes(uint32_t channel_count, uint64_t query_count) {
@@ -168,6 +168,6 @@ bool gather_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_gathe
   }
   wire_get_gather_reply(payload, fixed);
   return fixed->channel_count >= 1 && fixed->channel_count <= CORE_GATHER_CHANNELS_MAX &&
-         fixed->query_count <= GATHER_QUERIES_MAX && fixed->part < fixed->part_count &&
-         payload_bytes == gather_reply_bytes(fixed->channel_count, fixed->query_count);
+         fixed->count <= GATHER_QUERIES_MAX && fixed->part < fixed->part_count &&
+         payload_bytes == gather_reply_bytes(fixed->channel_count, fixed->count);
 }

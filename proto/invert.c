@@ -70,6 +70,6 @@ bool invert_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_inver
   const size_t medium_bytes = INVERT_ARRAYS * sizeof(double);
   const size_t media_bytes = payload_bytes - WIRE_BYTES_invert_reply;
   return fixed->part < fixed->part_count && media_bytes % medium_bytes == 0 &&
-         media_bytes / medium_bytes == fixed->medium_count &&
-         fixed->missing_count <= fixed->medium_count;
+         media_bytes / medium_bytes == fixed->count &&
+         fixed->missing_count <= fixed->count;
 }

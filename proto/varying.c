@@ -188,11 +188,11 @@ bool varying_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_vary
   wire_get_varying_reply(payload, fixed);
   if ((fixed->evaluator != CORE_EVALUATOR_F64 && fixed->evaluator != CORE_EVALUATOR_F32) ||
       (fixed->wanted & ~QUANTITIES) != 0 || (fixed->coefficients & ~(unsigned)COEFFICIENTS) != 0 ||
-      fixed->value_count > payload_bytes || fixed->answered_count > fixed->value_count) {
+      fixed->count > payload_bytes || fixed->answered_count > fixed->count) {
     return false;
   }
   *layout = varying_reply_layout(fixed->evaluator, fixed->wanted, fixed->coefficients,
-                                 fixed->value_count);
+                                 fixed->count);
   return fixed->part < fixed->part_count && layout->payload_bytes == payload_bytes;
 }
 
@@ -492,8 +492,8 @@ void varying_part_end(const varying_part *part, const varying_request *request,
       .wanted = fixed->wanted,
       .coefficients = fixed->coefficients,
       .notes = varying->notes,
-      .value_count = part->count,
-      .value_first = part->first,
+      .count = part->count,
+      .first = part->first,
       .part = number,
       .part_count = part_count,
       .answered_count = part->range.answered,

@@ -226,7 +226,7 @@ wire_error wire_error_not_in_list(const char *field, const core_choice *list, co
 
 /* ---- the list of choices --------------------------------------------------------------------- */
 
-static const core_choice statuses[] = {
+static const core_choice wire_statuses[] = {
 #define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text) {code, name, text},
 #include "proto/statuses.def"
 #undef WIRE_STATUS
@@ -237,23 +237,8 @@ static const struct {
   enum wire_choice_kind kind;
   const core_choice *list;
 } choice_lists[] = {
-    {WIRE_CHOICE_MODEL, core_models},
-    {WIRE_CHOICE_EVALUATOR, core_evaluators},
-    {WIRE_CHOICE_MOMENTS, core_moments_list},
-    {WIRE_CHOICE_QUANTITY, core_quantities},
-    {WIRE_CHOICE_SPACING, core_spacings},
-    {WIRE_CHOICE_STATUS, statuses},
-    {WIRE_CHOICE_PARAMETER, core_parameter_list},
-    {WIRE_CHOICE_NOTE, core_notes},
-    {WIRE_CHOICE_DRAW, core_draws},
-    {WIRE_CHOICE_LENGTH, core_lengths},
-    {WIRE_CHOICE_PHASE, core_phases},
-    {WIRE_CHOICE_SCALE, core_fit_scales},
-    {WIRE_CHOICE_AXIS, core_fit_axes},
-    {WIRE_CHOICE_FIT_STATUS, core_fit_statuses},
-    {WIRE_CHOICE_LIGHT, core_lights},
-    {WIRE_CHOICE_VALUE, core_value_statuses},
-    {WIRE_CHOICE_COEFFICIENT, core_coefficients},
+#define WIRE_LIST(kind, IDENT, name, list) {WIRE_CHOICE_##IDENT, list},
+#include "proto/messages.def"
 };
 
 enum { CHOICE_LISTS = sizeof choice_lists / sizeof choice_lists[0] };
@@ -285,76 +270,4 @@ wire_choice wire_choice_at(size_t index) {
   WIRE_SET_TEXT(choice.name, entry->name);
   WIRE_SET_TEXT(choice.about, entry->about);
   return choice;
-}
-
-/* ---- documentation --------------------------------------------------------------------------- */
-
-struct description {
-  void (*print)(void *context, const char *text);
-  void *context;
-  size_t offset_bytes;
-};
-
-static void describe_field(struct description *to, const char *kind, const char *field,
-                           size_t count, size_t size_bytes, const char *meaning) {
-  char type[32];
-  char row[256];
-  if (count == 1) {
-    snprintf(type, sizeof type, "%s@%zu", kind, to->offset_bytes);
-  } else {
-    snprintf(type, sizeof type, "%s[%zu]@%zu", kind, count, to->offset_bytes);
-  }
-  const bool alone = meaning[0] == '\0';
-  snprintf(row, sizeof row, alone ? "%-12s %s%s\n" : "%-12s %-22s  %s\n", type, field, meaning);
-  to->print(to->context, row);
-  to->offset_bytes += count * size_bytes;
-}
-
-#define DESCRIBE_ONE(kind, field, meaning)                                                         \
-  describe_field(&to, #kind, #field, 1, WIRE_SIZE_##kind, meaning);
-#define DESCRIBE_ARRAY(kind, field, count, meaning)                                                \
-  describe_field(&to, #kind, #field, count, WIRE_SIZE_##kind, meaning);
-#define DESCRIBE_TEXT(field, bytes, meaning) describe_field(&to, "text", #field, bytes, 1, meaning);
-
-static void describe_status(struct description *to, int code, const char *ident, int http) {
-  char row[64];
-  snprintf(row, sizeof row, "%-4d %-14s %d\n", code, ident, http);
-  to->print(to->context, row);
-}
-
-/* Returns false if there is neither a structure nor a list of this name. */
-static bool describe_table(struct description to, const char *name) {
-  char title[64];
-#define WIRE_STRUCTURE(structure)                                                                  \
-  if (strcmp(name, #structure) == 0) {                                                             \
-    snprintf(title, sizeof title, "%s (%d)\n", name, WIRE_BYTES_##structure);                      \
-    to.print(to.context, title);                                                                   \
-    WIRE_FIELDS_##structure(DESCRIBE_ONE, DESCRIBE_ARRAY, DESCRIBE_TEXT) return true;              \
-  }
-#include "proto/messages.def"
-  if (strcmp(name, "statuses") != 0) {
-    return false;
-  }
-  to.print(to.context, "code status         HTTP\n");
-#define WIRE_STATUS(code, IDENT, modbus_exception, http, text_name, text)                          \
-  describe_status(&to, code, #IDENT, http);
-#include "proto/statuses.def"
-#undef WIRE_STATUS
-  return true;
-}
-
-bool wire_describe(const char *names, void (*print)(void *context, const char *text),
-                   void *context) {
-  const struct description to = {.print = print, .context = context};
-  char name[32];
-  int length;
-  for (const char *at = names; sscanf(at, "%31s%n", name, &length) == 1; at += length) {
-    if (at != names) {
-      print(context, "\n");
-    }
-    if (!describe_table(to, name)) {
-      return false;
-    }
-  }
-  return true;
 }

@@ -13,7 +13,7 @@
 struct core_choice; /* declared in core/core.h */
 
 #define WIRE_MAGIC UINT32_C(0x4c504944)
-#define WIRE_VERSION 1
+#define WIRE_VERSION 2
 #define WIRE_REPLY 0x8000      /* the type of a reply is that of its request plus this */
 #define WIRE_TYPE_ERROR 0xffff /* type of an error frame, which is sent in place of a reply */
 #define WIRE_ALIGNMENT 8       /* payloads, structures and arrays start at multiples of 8 bytes */
@@ -34,23 +34,8 @@ enum wire_status {
 };
 
 enum wire_choice_kind {
-  WIRE_CHOICE_MODEL = 1,
-  WIRE_CHOICE_EVALUATOR,
-  WIRE_CHOICE_MOMENTS,
-  WIRE_CHOICE_QUANTITY,
-  WIRE_CHOICE_SPACING,
-  WIRE_CHOICE_STATUS,
-  WIRE_CHOICE_PARAMETER,
-  WIRE_CHOICE_NOTE,
-  WIRE_CHOICE_DRAW,
-  WIRE_CHOICE_LENGTH,
-  WIRE_CHOICE_PHASE,
-  WIRE_CHOICE_SCALE,
-  WIRE_CHOICE_AXIS,
-  WIRE_CHOICE_FIT_STATUS,
-  WIRE_CHOICE_LIGHT,
-  WIRE_CHOICE_VALUE,
-  WIRE_CHOICE_COEFFICIENT,
+#define WIRE_LIST(kind, IDENT, name, list) WIRE_CHOICE_##IDENT = (kind),
+#include "proto/messages.def"
 };
 
 /* ---- structures ------------------------------------------------------------------------------ */
@@ -119,12 +104,13 @@ WIRE_COLD wire_error wire_error_make(enum wire_status status, const char *field,
 
 /* Returns BUSY. The field is that of the request which asks for too much, or the name of the limit
  * that is reached. */
-WIRE_COLD wire_error wire_error_busy(const char *field, const char *allowed, uint32_t retry_after_ms);
+WIRE_COLD wire_error wire_error_busy(const char *field, const char *allowed,
+                                     uint32_t retry_after_ms);
 
 /* Returns BAD_VALUE with the entries of one of core's lists as what is allowed, for example "one of
  * 1 (f64), 2 (f32)". A long list is cut. `how` is "one of" or "a sum of". */
 WIRE_COLD wire_error wire_error_not_in_list(const char *field, const struct core_choice *list,
-                                  const char *how);
+                                            const char *how);
 
 /* Returns true if wire_header_check() would return OK. */
 static inline bool wire_header_is_good(const wire_header *header, uint64_t max_payload_bytes) {
@@ -153,13 +139,5 @@ const char *wire_type_name(unsigned type);
 /* One list of everything that requests choose from: the lists of core/core.h, then the statuses. */
 size_t wire_choice_count(void);
 wire_choice wire_choice_at(size_t index); /* index is below wire_choice_count() */
-
-/* ---- documentation --------------------------------------------------------------------------- */
-
-/* Writes tables of PROTOCOL.md as lines of text: the fields of structures, or the `statuses`. names:
- * of these, with blanks between. Calls print(context, text) for each piece. Returns false if there is
- * no such table. */
-bool wire_describe(const char *names, void (*print)(void *context, const char *text),
-                   void *context);
 
 #endif

@@ -1,5 +1,6 @@
 #include "clients/c/answer.h"
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -43,9 +44,9 @@ static bool is_asked_for(const libdipole_pending *pending, const wire_eval_reply
 static bool is_next_part(const libdipole_pending *pending, const wire_eval_reply *fixed) {
   const uint64_t left = pending->radius_count - pending->next_radius;
   const bool is_last = fixed->part + 1 == fixed->part_count;
-  return fixed->part == pending->next_part && fixed->radius_first == pending->next_radius &&
-         fixed->radius_count <= left && is_last == (fixed->radius_count == left) &&
-         (fixed->radius_count > 0 || fixed->part_count == 1);
+  return fixed->part == pending->next_part && fixed->first == pending->next_radius &&
+         fixed->count <= left && is_last == (fixed->count == left) &&
+         (fixed->count > 0 || fixed->part_count == 1);
 }
 
 /* Checks that a frame is the next part of the answer and has the counts of the request, so that a
@@ -81,15 +82,13 @@ static const void *array_at(const libdipole_frame *frame, const eval_layout *lay
 
 static void get_channel(const libdipole_frame *frame, const eval_layout *layout,
                         const wire_eval_reply *fixed, uint32_t index, dipole_channel *channel) {
-  wire_channel from;
-  wire_get_channel(frame->payload + layout->channels_offset + (size_t)index * WIRE_BYTES_channel,
-                   &from);
-  *channel = (dipole_channel){.albedo = from.albedo,
-                              .numerical_error = from.numerical_error,
-                              .numerical_error_per_mm = from.numerical_error_per_mm,
-                              .model_error = from.model_error};
   const unsigned wanted = wanted_of(frame->header.type, fixed->wanted);
-  const uint64_t bytes = fixed->radius_count * core_evaluator_bytes(fixed->evaluator);
+  const wire_quantity_error most = eval_largest_error(frame->payload, layout, wanted, index);
+  *channel = (dipole_channel){.numerical_error = most.numerical_error,
+                              .numerical_error_per_mm = most.numerical_error_per_mm,
+                              .model_error = most.model_error};
+  memcpy(&channel->albedo, frame->payload + eval_albedo_offset(index), sizeof channel->albedo);
+  const uint64_t bytes = fixed->count * core_evaluator_bytes(fixed->evaluator);
   const void *R = array_at(frame, layout, wanted, bytes, index, CORE_QUANTITY_R);
   const void *cdf = array_at(frame, layout, wanted, bytes, index, CORE_QUANTITY_CDF);
   if (fixed->evaluator == DIPOLE_F64) {
@@ -120,7 +119,7 @@ static dipole_result *make_result(libdipole_frame *frame, const wire_eval_reply 
                                   .moments = fixed->moments,
                                   .wanted = fixed->wanted,
                                   .notes = fixed->notes,
-                                  .radius_count = fixed->radius_count,
+                                  .radius_count = fixed->count,
                                   .radius_f64 = fixed->evaluator == DIPOLE_F64 ? radii : NULL,
                                   .radius_f32 = fixed->evaluator == DIPOLE_F64 ? NULL : radii,
                                   .channel_count = fixed->channel_count,
@@ -172,6 +171,21 @@ const float *dipole_values_f32(const dipole_result *result, uint32_t channel, un
   return values(result, channel, quantity, sizeof(float));
 }
 
+dipole_errors dipole_errors_of(const dipole_result *result, uint32_t channel, unsigned quantity) {
+  const libdipole_frame *frame = (const libdipole_frame *)(const void *)result;
+  const unsigned wanted = wanted_of(frame->header.type, result->wanted);
+  eval_layout layout;
+  wire_quantity_error error = {(double)NAN, (double)NAN, (double)NAN};
+  if (channel < result->channel_count && (result->wanted & quantity) != 0 &&
+      (quantity & (quantity - 1)) == 0 &&
+      eval_reply_layout(result->evaluator, wanted, result->channel_count, result->radius_count,
+                        frame->payload_bytes, &layout)) {
+    wire_get_quantity_error(frame->payload + eval_error_offset(&layout, wanted, channel, quantity),
+                            &error);
+  }
+  return (dipole_errors){error.numerical_error, error.numerical_error_per_mm, error.model_error};
+}
+
 void dipole_result_free(dipole_result *result) {
   free(result); /* The result is the first member of the frame, so this frees the whole frame. */
 }
@@ -181,7 +195,9 @@ void dipole_result_free(dipole_result *result) {
 /* Returns the size of an answer's head: the fixed part and the channels. All parts have this head.
  */
 static size_t head_bytes(const libdipole_pending *pending) {
-  return WIRE_BYTES_eval_reply + (size_t)pending->medium_count * WIRE_BYTES_channel;
+  const size_t errors = (size_t)__builtin_popcount(pending->wanted);
+  return WIRE_BYTES_eval_reply +
+         pending->medium_count * (sizeof(double) + errors * WIRE_BYTES_quantity_error);
 }
 
 /* Returns whether a part differs from the first one only in its radii and values. */
@@ -228,8 +244,8 @@ static bool begin_gathering(libdipole_pending *pending, const libdipole_frame *f
 static void copy_array(libdipole_frame *to, uint64_t to_offset, const libdipole_frame *part,
                        uint64_t part_offset, const wire_eval_reply *fixed) {
   const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
-  memcpy(to->payload + to_offset + fixed->radius_first * value_bytes, part->payload + part_offset,
-         (size_t)fixed->radius_count * value_bytes);
+  memcpy(to->payload + to_offset + fixed->first * value_bytes, part->payload + part_offset,
+         (size_t)fixed->count * value_bytes);
 }
 
 static void copy_part(const libdipole_pending *pending, const libdipole_frame *part,
@@ -256,7 +272,7 @@ static void hand_on(libdipole_pending *pending, libdipole_frame *part, const wir
                     const eval_layout *layout) {
   libdipole_reader *reader = pending->reader;
   const dipole_result *result = make_result(part, fixed, layout);
-  reader->stopped = !reader->part(reader->context, result, fixed->radius_first);
+  reader->stopped = !reader->part(reader->context, result, fixed->first);
   pending->dropped = reader->stopped && fixed->part + 1 < fixed->part_count;
 }
 
@@ -278,16 +294,7 @@ static bool take_part(libdipole_pending *pending, libdipole_frame *part, dipole_
   } else if (pending->reader != NULL && !pending->dropped) {
     hand_on(pending, part, &fixed, &layout);
   }
-  const bool is_last = fixed.part + 1 == fixed.part_count;
-  const uint64_t count = fixed.radius_count;
-  if (is_last) { /* The gathered answer has the head of an answer of one part. */
-    fixed.radius_count = pending->radius_count;
-    fixed.radius_first = 0;
-    fixed.part = 0;
-    fixed.part_count = 1;
-    wire_put_eval_reply(pending->gathered->payload, &fixed);
-  }
-  libdipole_part_end(pending, count, is_last);
+  libdipole_part_end(pending, part);
   return true;
 }
 
@@ -350,10 +357,10 @@ static bool place_bytes(dipole_client *client, const libdipole_pending *pending)
   }
   const size_t value_bytes = core_evaluator_bytes(into->fixed.evaluator);
   const uint64_t values_bytes =
-      into->fixed.radius_count * value_bytes; /* After the values, the array has only padding. */
+      into->fixed.count * value_bytes; /* After the values, the array has only padding. */
   if (into->done_bytes < values_bytes && !pending->dropped) {
-    stream->target = array_start(into, pending, value_bytes) +
-                     into->fixed.radius_first * value_bytes + into->done_bytes;
+    stream->target = array_start(into, pending, value_bytes) + into->fixed.first * value_bytes +
+                     into->done_bytes;
     stream->target_bytes = (size_t)(values_bytes - into->done_bytes);
   } else {
     const uint64_t left = into->array_bytes - into->done_bytes;

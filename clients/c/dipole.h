@@ -339,6 +339,14 @@ typedef struct dipole_query {
  * prepare and then the least for a radius; it is within 1e-4 of the other evaluators. */
 void dipole_query_init(dipole_query *query);
 
+/* The relative errors of values. At radius r, a value is off from the model's formula by at most
+ * numerical_error + numerical_error_per_mm * r. */
+typedef struct dipole_errors {
+  double numerical_error;        /* constant part of the numerical error */
+  double numerical_error_per_mm; /* growth of the numerical error with the radius */
+  double model_error; /* of the model against radiative transport; NaN if it is not known */
+} dipole_errors;
+
 /* The answer for one medium. An array is NULL if its quantity was not wanted or if its type is not
  * that of the evaluator: DIPOLE_F64 sets the arrays *_f64, the other evaluators set *_f32. */
 typedef struct dipole_channel {
@@ -400,6 +408,11 @@ void dipole_result_free(dipole_result *result); /* result may be NULL */
  * Also NULL for DIPOLE_ALBEDO, and for DIPOLE_RADIUS unless dipole_sample() made the result. */
 const double *dipole_values_f64(const dipole_result *result, uint32_t channel, unsigned quantity);
 const float *dipole_values_f32(const dipole_result *result, uint32_t channel, unsigned quantity);
+
+/* Returns the errors of a wanted quantity of a channel. Those of a dipole_channel are the largest of
+ * all its quantities. model_error is NaN unless DIPOLE_MODEL_ERROR was wanted. All are NaN if the
+ * quantity was not wanted or if there is no such channel. */
+dipole_errors dipole_errors_of(const dipole_result *result, uint32_t channel, unsigned quantity);
 
 /* ---- many at once -------------------------------------------------------------------------- */
 
@@ -689,14 +702,6 @@ typedef struct dipole_table_info {
    * models except transport. */
   double reach_mm;
 } dipole_table_info;
-
-/* The relative errors of values. At radius r, a value is off from the model's formula by at most
- * numerical_error + numerical_error_per_mm * r. */
-typedef struct dipole_errors {
-  double numerical_error;        /* constant part of the numerical error */
-  double numerical_error_per_mm; /* growth of the numerical error with the radius */
-  double model_error; /* of the model against radiative transport; NaN if it is not known */
-} dipole_errors;
 
 /* Fetches a table from a daemon. The caller frees *table with dipole_table_free(). */
 bool dipole_table_fetch(dipole_client *client, const dipole_table_query *query,

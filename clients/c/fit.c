@@ -24,18 +24,18 @@ static void copy_sets(const libdipole_pending *pending, const libdipole_frame *p
                       const wire_fit_reply *fixed) {
   const size_t residuals_bytes = fixed->reading_count * sizeof(double);
   uint8_t *whole = pending->gathered->payload;
-  memcpy(whole + fit_residuals_offset(fixed->set_first), part->payload + WIRE_BYTES_fit_reply,
-         (size_t)fixed->set_count * WIRE_BYTES_fitted);
-  memcpy(whole + fit_residuals_offset(pending->radius_count) + fixed->set_first * residuals_bytes,
-         part->payload + fit_residuals_offset(fixed->set_count),
-         (size_t)fixed->set_count * residuals_bytes);
+  memcpy(whole + fit_residuals_offset(fixed->first), part->payload + WIRE_BYTES_fit_reply,
+         (size_t)fixed->count * WIRE_BYTES_fitted);
+  memcpy(whole + fit_residuals_offset(pending->radius_count) + fixed->first * residuals_bytes,
+         part->payload + fit_residuals_offset(fixed->count),
+         (size_t)fixed->count * residuals_bytes);
 }
 
 static bool take_part(libdipole_pending *pending, const libdipole_frame *frame,
                       dipole_error *error) {
   wire_fit_reply fixed;
-  if (!fit_reply_parse(frame->payload, (size_t)frame->payload_bytes, &fixed) ||
-      fixed.set_count == 0 || fixed.reading_count != pending->medium_count) {
+  if (!fit_reply_parse(frame->payload, (size_t)frame->payload_bytes, &fixed) || fixed.count == 0 ||
+      fixed.reading_count != pending->medium_count) {
     return libdipole_fail_protocol(error, "it answered a fit request with another shape than was "
                                           "asked for");
   }
@@ -46,14 +46,13 @@ static bool take_part(libdipole_pending *pending, const libdipole_frame *frame,
     whole.fitted_count += before.fitted_count;
     whole.notes |= before.notes;
   }
-  const libdipole_part part = {fixed.part, fixed.part_count, fixed.set_first, fixed.set_count};
-  if (!libdipole_gather(pending, frame, &part,
-                        fit_reply_bytes(pending->radius_count, fixed.reading_count), error)) {
+  if (!libdipole_gather(pending, frame, fit_reply_bytes(pending->radius_count, fixed.reading_count),
+                        error)) {
     return false;
   }
   copy_sets(pending, frame, &fixed);
   wire_put_fit_reply(pending->gathered->payload, &whole);
-  libdipole_part_end(pending, fixed.set_count, fixed.part + 1 == fixed.part_count);
+  libdipole_part_end(pending, frame);
   return true;
 }
 

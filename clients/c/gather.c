@@ -101,7 +101,6 @@ static bool take_part(libdipole_pending *pending, const libdipole_frame *frame,
     return libdipole_fail_protocol(error, "it answered a gather request with another shape than "
                                           "was asked for");
   }
-  const libdipole_part part = {fixed.part, fixed.part_count, fixed.query_first, fixed.query_count};
   const size_t head_bytes = gather_sums_offset(fixed.channel_count);
   const size_t row_bytes = fixed.channel_count * sizeof(double);
   wire_gather_reply whole = fixed;
@@ -113,17 +112,17 @@ static bool take_part(libdipole_pending *pending, const libdipole_frame *frame,
     whole.nodes_visited += before.nodes_visited;
     whole.notes |= before.notes;
   }
-  if (!libdipole_gather(pending, frame, &part,
+  if (!libdipole_gather(pending, frame,
                         gather_reply_bytes(fixed.channel_count, pending->radius_count), error)) {
     return false;
   }
   uint8_t *payload = pending->gathered->payload;
   memcpy(payload + WIRE_BYTES_gather_reply, frame->payload + WIRE_BYTES_gather_reply,
          head_bytes - WIRE_BYTES_gather_reply);
-  memcpy(payload + head_bytes + fixed.query_first * row_bytes, frame->payload + head_bytes,
-         (size_t)fixed.query_count * row_bytes);
+  memcpy(payload + head_bytes + fixed.first * row_bytes, frame->payload + head_bytes,
+         (size_t)fixed.count * row_bytes);
   wire_put_gather_reply(payload, &whole);
-  libdipole_part_end(pending, fixed.query_count, fixed.part + 1 == fixed.part_count);
+  libdipole_part_end(pending, frame);
   return true;
 }
 
@@ -285,11 +284,11 @@ static void take_sums(struct run *run, const libdipole_frame *frame, uint64_t n)
            frame->payload + gather_sums_offset(channels) + i * row_bytes, row_bytes);
   }
   for (uint32_t i = 0; i < channels; i++) {
-    wire_channel channel;
-    wire_get_channel(frame->payload + WIRE_BYTES_gather_reply + i * (size_t)WIRE_BYTES_channel,
-                     &channel);
-    result->numerical_error[i] = fmax(result->numerical_error[i], channel.numerical_error);
-    result->model_error[i] = channel.model_error;
+    wire_quantity_error error;
+    wire_get_quantity_error(
+        frame->payload + WIRE_BYTES_gather_reply + i * (size_t)WIRE_BYTES_quantity_error, &error);
+    result->numerical_error[i] = fmax(result->numerical_error[i], error.numerical_error);
+    result->model_error[i] = error.model_error;
   }
   result->bound = fmax(result->bound, fixed.bound);
   result->points_visited += fixed.points_visited;

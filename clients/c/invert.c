@@ -28,17 +28,16 @@ static void copy_arrays(const libdipole_pending *pending, const libdipole_frame 
                         const wire_invert_reply *fixed) {
   for (enum invert_array i = INVERT_SIGMA_A; i < INVERT_ARRAYS; i++) {
     uint8_t *to = pending->gathered->payload + invert_array_offset(i, pending->radius_count);
-    memcpy(to + fixed->medium_first * sizeof(double),
-           part->payload + invert_array_offset(i, fixed->medium_count),
-           (size_t)fixed->medium_count * sizeof(double));
+    memcpy(to + fixed->first * sizeof(double), part->payload + invert_array_offset(i, fixed->count),
+           (size_t)fixed->count * sizeof(double));
   }
 }
 
 static bool take_part(libdipole_pending *pending, const libdipole_frame *frame,
                       dipole_error *error) {
   wire_invert_reply fixed = {0}, before;
-  bool good = invert_reply_parse(frame->payload, (size_t)frame->payload_bytes, &fixed) &&
-              fixed.medium_count > 0;
+  bool good =
+      invert_reply_parse(frame->payload, (size_t)frame->payload_bytes, &fixed) && fixed.count > 0;
   wire_invert_reply whole = fixed;
   if (good && pending->gathered != NULL) {
     wire_get_invert_reply(pending->gathered->payload, &before);
@@ -49,14 +48,12 @@ static bool take_part(libdipole_pending *pending, const libdipole_frame *frame,
     return libdipole_fail_protocol(error, "it answered an invert request with another shape than "
                                           "was asked for");
   }
-  const libdipole_part part = {fixed.part, fixed.part_count, fixed.medium_first,
-                               fixed.medium_count};
-  if (!libdipole_gather(pending, frame, &part, invert_reply_bytes(pending->radius_count), error)) {
+  if (!libdipole_gather(pending, frame, invert_reply_bytes(pending->radius_count), error)) {
     return false;
   }
   copy_arrays(pending, frame, &fixed);
   wire_put_invert_reply(pending->gathered->payload, &whole);
-  libdipole_part_end(pending, fixed.medium_count, fixed.part + 1 == fixed.part_count);
+  libdipole_part_end(pending, frame);
   return true;
 }
 

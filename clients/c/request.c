@@ -211,26 +211,32 @@ static void drop_parts(libdipole_pending *pending) {
 }
 
 bool libdipole_gather(libdipole_pending *pending, const libdipole_frame *frame,
-                      const libdipole_part *part, uint64_t whole_bytes, dipole_error *error) {
+                      uint64_t whole_bytes, dipole_error *error) {
+  wire_part part;
+  wire_get_part(frame->payload, &part);
   const uint64_t left = pending->radius_count - pending->next_radius;
-  const bool is_last = part->part + 1 == part->part_count;
-  if (part->part != pending->next_part || part->first != pending->next_radius ||
-      part->count > left || is_last != (part->count == left) ||
-      (part->count == 0 && !is_last && pending->type != WIRE_TYPE_GATHER) ||
-      (pending->gathered != NULL && part->part_count != pending->part_count)) {
+  const bool is_last = part.part + 1 == part.part_count;
+  if (part.part != pending->next_part || part.first != pending->next_radius || part.count > left ||
+      is_last != (part.count == left) ||
+      (part.count == 0 && !is_last && pending->type != WIRE_TYPE_GATHER) ||
+      (pending->gathered != NULL && part.part_count != pending->part_count)) {
     return libdipole_fail_protocol(error, "the parts of its answer do not belong together");
   }
   if (pending->gathered == NULL) {
-    pending->part_count = part->part_count;
+    pending->part_count = part.part_count;
     pending->gathered = libdipole_frame_new(&frame->header, whole_bytes, whole_bytes, 0, error);
   }
   return pending->gathered != NULL;
 }
 
-void libdipole_part_end(libdipole_pending *pending, uint64_t count, bool is_last) {
+void libdipole_part_end(libdipole_pending *pending, const libdipole_frame *frame) {
+  wire_part part;
+  wire_get_part(frame->payload, &part);
   pending->next_part++;
-  pending->next_radius += count;
-  if (is_last) {
+  pending->next_radius += part.count;
+  if (part.part + 1 == part.part_count) {
+    const wire_part whole = {.part_count = 1, .count = pending->radius_count};
+    wire_put_part(pending->gathered->payload, &whole);
     pending->frame = pending->gathered;
     pending->gathered = NULL;
     drop_parts(pending);

@@ -211,21 +211,15 @@ libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload
                                      uint64_t stored_bytes, uint32_t channel_count,
                                      dipole_error *error);
 
-/* Where a part of an answer belongs: its number, and its radii, media, sets or values. */
-typedef struct libdipole_part {
-  uint32_t part, part_count;
-  uint64_t first, count;
-} libdipole_part;
-
 /* Fails with kind PROTOCOL if a part is not the next one of the answer. Otherwise
  * pending->gathered has room for the whole answer, a payload of whole_bytes; it is allocated with
  * the first part. The caller copies the part to it and calls libdipole_part_end(). */
 bool libdipole_gather(libdipole_pending *pending, const libdipole_frame *frame,
-                      const libdipole_part *part, uint64_t whole_bytes, dipole_error *error);
+                      uint64_t whole_bytes, dipole_error *error);
 
-/* Notes that a part of `count` radii or media has been taken. After the last part, the gathered
- * parts become the answer. */
-void libdipole_part_end(libdipole_pending *pending, uint64_t count, bool is_last);
+/* Notes that a part, a frame, has been taken. After the last one, the gathered parts become the answer, whose
+ * head is that of an answer in one part. */
+void libdipole_part_end(libdipole_pending *pending, const libdipole_frame *frame);
 
 /* Fails with kind PROTOCOL, after which the client can only be closed. Returns false. */
 bool libdipole_bad_answer(dipole_client *client, const char *what, dipole_error *error);

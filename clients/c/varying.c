@@ -39,13 +39,12 @@ static void copy_arrays(libdipole_pending *pending, const libdipole_frame *part,
   uint8_t *whole = pending->gathered->payload;
   for (uint32_t array = 1; array != 0 && array <= to.arrays; array <<= 1) {
     if ((to.arrays & array) != 0) {
-      memcpy(whole + varying_array_offset(&to, array) + fixed->value_first * value_bytes,
-             part->payload + varying_array_offset(from, array),
-             (size_t)fixed->value_count * value_bytes);
+      memcpy(whole + varying_array_offset(&to, array) + fixed->first * value_bytes,
+             part->payload + varying_array_offset(from, array), (size_t)fixed->count * value_bytes);
     }
   }
-  memcpy(whole + to.status_offset + fixed->value_first, part->payload + from->status_offset,
-         (size_t)fixed->value_count);
+  memcpy(whole + to.status_offset + fixed->first, part->payload + from->status_offset,
+         (size_t)fixed->count);
 }
 
 static bool take_part(libdipole_pending *pending, const libdipole_frame *frame,
@@ -65,16 +64,14 @@ static bool take_part(libdipole_pending *pending, const libdipole_frame *frame,
     whole.numerical_error = largest(before.numerical_error, fixed.numerical_error);
     whole.model_error = largest(before.model_error, fixed.model_error);
   }
-  const libdipole_part part = {fixed.part, fixed.part_count, fixed.value_first, fixed.value_count};
   const varying_layout all = varying_reply_layout(fixed.evaluator, fixed.wanted, fixed.coefficients,
                                                   pending->radius_count);
-  if (!libdipole_gather(pending, frame, &part, all.payload_bytes, error)) {
+  if (!libdipole_gather(pending, frame, all.payload_bytes, error)) {
     return false;
   }
   copy_arrays(pending, frame, &fixed, &layout);
-  whole.value_count = pending->radius_count;
   wire_put_varying_reply(pending->gathered->payload, &whole);
-  libdipole_part_end(pending, fixed.value_count, fixed.part + 1 == fixed.part_count);
+  libdipole_part_end(pending, frame);
   return true;
 }
 
@@ -179,7 +176,7 @@ static bool take(libdipole_frame *frame, dipole_varying_result **result, dipole_
   wire_get_varying_reply(frame->payload, &fixed);
   made->frame = frame;
   made->layout =
-      varying_reply_layout(fixed.evaluator, fixed.wanted, fixed.coefficients, fixed.value_count);
+      varying_reply_layout(fixed.evaluator, fixed.wanted, fixed.coefficients, fixed.count);
   made->public = (dipole_varying_result){
       .model = fixed.model,
       .evaluator = fixed.evaluator,
@@ -187,7 +184,7 @@ static bool take(libdipole_frame *frame, dipole_varying_result **result, dipole_
       .wanted = fixed.wanted,
       .coefficients = fixed.coefficients,
       .notes = fixed.notes,
-      .value_count = fixed.value_count,
+      .value_count = fixed.count,
       .answered_count = fixed.answered_count,
       .statuses = frame->payload + made->layout.status_offset,
       .numerical_error = fixed.numerical_error,

@@ -30,7 +30,7 @@ PROGRAMS += $(BUILD)/wire-tables
 
 docs: $(BUILD)/wire-tables ## the tables in proto/*.md, from proto/*.def, and the manual pages
 	@sh .ci/install-packages docs
-	$(BUILD)/wire-tables proto/PROTOCOL.md proto/REGISTERS.md
+	$(BUILD)/wire-tables proto/PROTOCOL.md proto/REGISTERS.md clients/python/dipole/schema.py
 	@$(MAKE) --no-print-directory -j2 manuals
 
 # The manual pages stand among the sources, so that installing runs none of the built programs.

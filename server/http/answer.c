@@ -134,13 +134,20 @@ static void write_channel(struct http_text *text, const uint8_t *payload, const 
   const bool single = core_evaluator_bytes(fixed->evaluator) == sizeof(float);
   http_text_begin(text, NULL, '{');
   write_fields(text, http_fields_of_medium, media + (size_t)channel * WIRE_BYTES_medium);
-  write_fields(text, http_fields_of_channel,
-               payload + layout->channels_offset + (size_t)channel * WIRE_BYTES_channel);
+  http_text_number(text, "albedo", get_f64(payload + eval_albedo_offset(channel)));
+  http_text_begin(text, "errors", '{');
+  for (const core_choice *one = core_quantities; one->name != NULL; one++) {
+    if ((one->id & fixed->wanted & ~(unsigned)CORE_QUANTITY_MODEL_ERROR) != 0) {
+      write_object(text, one->name, http_fields_of_quantity_error,
+                   payload + eval_error_offset(layout, wanted, channel, one->id));
+    }
+  }
+  http_text_end(text, '}');
   for (const core_choice *one = core_quantities; one->name != NULL; one++) {
     if ((one->id & fixed->wanted) != 0 && eval_is_array(wanted, one->id)) {
       http_text_numbers(text, one->name,
-                        payload + eval_array_offset(layout, wanted, channel, one->id),
-                        fixed->radius_count, single);
+                        payload + eval_array_offset(layout, wanted, channel, one->id), fixed->count,
+                        single);
     }
   }
   http_text_end(text, '}');
@@ -162,7 +169,7 @@ static void write_eval(struct http_text *text, const uint8_t *media, const uint8
   write_quantity_units(text, fixed.wanted);
   http_text_end(text, '}');
   if ((fixed.wanted & CORE_QUANTITY_RADIUS) != 0 && !drawn) {
-    http_text_numbers(text, "r", payload + layout.radius_offset, fixed.radius_count,
+    http_text_numbers(text, "r", payload + layout.radius_offset, fixed.count,
                       core_evaluator_bytes(fixed.evaluator) == sizeof(float));
   }
   http_text_begin(text, "channels", '[');
@@ -199,8 +206,8 @@ static void write_invert(struct http_text *text, const uint8_t *payload) {
   http_text_string(text, "albedo", "1");
   http_text_end(text, '}');
   for (unsigned i = 0; i < INVERT_ARRAYS; i++) {
-    http_text_numbers(text, names[i], payload + invert_array_offset(i, fixed.medium_count),
-                      fixed.medium_count, false);
+    http_text_numbers(text, names[i], payload + invert_array_offset(i, fixed.count), fixed.count,
+                      false);
   }
 }
 
@@ -237,12 +244,12 @@ static void write_fit(struct http_text *text, const uint8_t *design, bool g_is_d
   http_text_number(text, "eta", asked.eta);
   wire_get_fit_reply(payload, &fixed);
   const uint8_t *at = write_fields(text, http_fields_of_fit_reply, payload);
-  const uint8_t *residuals = payload + fit_residuals_offset(fixed.set_count);
+  const uint8_t *residuals = payload + fit_residuals_offset(fixed.count);
   http_text_begin(text, "units", '{');
   write_units(text, http_fields_of_fitted);
   http_text_end(text, '}');
   http_text_begin(text, "sets", '[');
-  for (uint64_t i = 0; i < fixed.set_count; i++) {
+  for (uint64_t i = 0; i < fixed.count; i++) {
     http_text_begin(text, NULL, '{');
     at = write_fields(text, http_fields_of_fitted, at);
     if (fixed.reading_count > 0) {
@@ -262,8 +269,7 @@ static void write_arrays(struct http_text *text, const core_choice *list, unsign
     const uint32_t array = (uint32_t)one->id << left;
     if ((layout->arrays & array) != 0) {
       http_text_numbers(text, one->name, payload + varying_array_offset(layout, array),
-                        fixed->value_count,
-                        core_evaluator_bytes(fixed->evaluator) == sizeof(float));
+                        fixed->count, core_evaluator_bytes(fixed->evaluator) == sizeof(float));
     }
   }
 }
@@ -286,7 +292,7 @@ static void write_varying(struct http_text *text, const uint8_t *payload, size_t
   write_arrays(text, core_coefficients, 0, payload, &fixed, &layout);
   write_arrays(text, core_quantities, VARYING_QUANTITY_SHIFT, payload, &fixed, &layout);
   http_text_begin(text, "statuses", '[');
-  for (uint64_t i = 0; i < fixed.value_count; i++) {
+  for (uint64_t i = 0; i < fixed.count; i++) {
     http_text_string(
         text, NULL,
         core_choice_by_id(core_value_statuses, payload[layout.status_offset + i])->name);
@@ -308,10 +314,10 @@ static void write_gather(struct http_text *text, const uint8_t *media, const uin
   for (uint32_t channel = 0; channel < fixed.channel_count; channel++) {
     http_text_begin(text, NULL, '{');
     write_fields(text, http_fields_of_medium, media + channel * (size_t)WIRE_BYTES_medium);
-    write_fields(text, http_fields_of_channel,
-                 payload + WIRE_BYTES_gather_reply + channel * (size_t)WIRE_BYTES_channel);
+    write_fields(text, http_fields_of_quantity_error,
+                 payload + WIRE_BYTES_gather_reply + channel * (size_t)WIRE_BYTES_quantity_error);
     http_text_begin(text, "M", '[');
-    for (uint64_t i = 0; i < fixed.query_count; i++) {
+    for (uint64_t i = 0; i < fixed.count; i++) {
       http_text_number(text, NULL,
                        get_f64(sums + (i * fixed.channel_count + channel) * sizeof(double)));
     }

@@ -160,10 +160,9 @@ static const char *unit_of(const struct http_field *field) {
 
 static bool is_internal(const char *field) {
   static const char *const names[] = {
-      "zero",         "zero_too",     "medium_count", "part",         "parameter_count",
-      "part_count",   "radius_first", "set_first",    "medium_first", "channel_count",
-      "choice_count", "limit_count",  "count",        "value_first",  "numbers",
-      "point_first",  "part_points",  "point_next",   "query_first"};
+      "zero",       "zero_too",    "medium_count",  "part",         "parameter_count",
+      "part_count", "first",       "channel_count", "choice_count", "limit_count",
+      "numbers",    "point_first", "part_points",   "point_next"};
   for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
     if (strcmp(names[i], field) == 0) {
       return true;

@@ -345,7 +345,10 @@ static void write_reply_schema(struct http_text *text, const struct http_message
 static void write_channel_schema(struct http_text *text) {
   begin_object(text, "Channel");
   write_properties(text, http_fields_of_medium);
-  write_properties(text, http_fields_of_channel);
+  http_text_raw(text, "albedo", NUMBER);
+  http_text_raw(text, "errors",
+                "{\"type\":\"object\",\"description\":\"of each wanted quantity\","
+                "\"additionalProperties\":" REFERENCE("Errors") "}");
   for (const core_choice *one = core_quantities; one->name != NULL; one++) {
     if (one->id != CORE_QUANTITY_ALBEDO && one->id != CORE_QUANTITY_MODEL_ERROR) {
       write_list(text, one->name, NUMBER, one->about);
@@ -382,9 +385,12 @@ static void write_components(struct http_text *text) {
   write_properties(text, http_fields_of_fitted);
   write_list(text, "residuals", NUMBER, "of the readings, if they are wanted");
   end_object(text);
+  begin_object(text, "Errors");
+  write_properties(text, http_fields_of_quantity_error);
+  end_object(text);
   begin_object(text, "Gathered");
   write_properties(text, http_fields_of_medium);
-  write_properties(text, http_fields_of_channel);
+  write_properties(text, http_fields_of_quantity_error);
   write_list(text, "M", NUMBER, "W/mm^2; the sums, in the order of the positions");
   end_object(text);
   begin_object(text, "Offer");

@@ -1,6 +1,7 @@
 #include "server/jobs/batch.h"
 
 #include <assert.h>
+#include <math.h>
 #include <string.h>
 
 /* ---- passes ---------------------------------------------------------------------------------- */
@@ -80,8 +81,9 @@ void batch_finish(struct batch *batch, struct stats *stats) {
   }
 }
 
-_Static_assert((int)REPEAT_REPLY_BYTES == (int)WIRE_BYTES_eval_reply + (int)WIRE_BYTES_channel,
-               "what stands before the arrays");
+_Static_assert((int)REPEAT_REPLY_BYTES >= (int)WIRE_BYTES_eval_reply + (int)sizeof(double) +
+                                              10 * (int)WIRE_BYTES_quantity_error,
+               "all quantities that can_repeat() allows have room");
 
 /* ---- finding repeated requests --------------------------------------------------------------- */
 
@@ -173,24 +175,25 @@ static const void *radii_of(const struct repeat_entry *entry, const uint8_t *pay
 
 /* Writes the errors that hold for the listed radii of this request. A request for a grid needs none
  * of this: it has the radii of the entry, whose reply states their errors. */
-static void put_errors(const struct repeat_entry *entry, core_radii_range radii, uint8_t *channel) {
-  const core_stated_errors errors =
-      core_profile_errors(profiles_at(entry->place), entry->wanted, radii);
-  wire_channel fixed;
-  wire_get_channel(channel, &fixed);
-  fixed.numerical_error = errors.numerical;
-  wire_put_channel(channel, &fixed);
+static void put_errors(const struct repeat_entry *entry, core_radii_range radii, uint8_t *at) {
+  const core_profile *profile = profiles_at(entry->place);
+  for (unsigned left = entry->wanted; left != 0; left &= left - 1) {
+    const core_stated_errors errors = core_profile_errors(profile, left & ~(left - 1), radii);
+    const wire_quantity_error error = {errors.numerical, errors.numerical_per_mm, (double)NAN};
+    wire_put_quantity_error(at, &error);
+    at += WIRE_BYTES_quantity_error;
+  }
 }
 
 void repeat_answer(const struct repeat_entry *entry, struct batch *batch, struct stats *stats,
                    const uint8_t *payload, core_radii_range range, double *radii, uint8_t *reply) {
   const size_t used = entry->count * entry->value_bytes;
   const void *r = radii_of(entry, payload, radii);
-  memcpy(reply, entry->reply, REPEAT_REPLY_BYTES);
+  memcpy(reply, entry->reply, entry->head_bytes);
   if (is_listed(entry)) {
-    put_errors(entry, range, reply + WIRE_BYTES_eval_reply);
+    put_errors(entry, range, reply + eval_albedo_offset(1));
   }
-  uint8_t *to = reply + REPEAT_REPLY_BYTES;
+  uint8_t *to = reply + entry->head_bytes;
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
     if (eval_is_array(entry->wanted, quantity->id)) {
       const bool taken = batch_take(batch, stats, entry->place, quantity->id, entry->count, r, to);
@@ -248,6 +251,7 @@ void repeat_learn(struct repeat *repeat, const eval_request *request, const core
   entry->request_bytes = bytes;
   entry->payload_bytes = bytes + (size_t)wire_padded(listed);
   entry->reply_bytes = (size_t)layout->payload_bytes;
+  entry->head_bytes = (size_t)layout->arrays_offset;
   entry->array_bytes = (size_t)layout->array_bytes;
   entry->value_bytes = value_bytes;
   entry->count = (size_t)fixed->radius_count;
@@ -256,5 +260,5 @@ void repeat_learn(struct repeat *repeat, const eval_request *request, const core
   entry->grid = *grid;
   entry->place = place;
   memcpy(entry->request, payload, bytes);
-  memcpy(entry->reply, reply, REPEAT_REPLY_BYTES);
+  memcpy(entry->reply, reply, entry->head_bytes);
 }

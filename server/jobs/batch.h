@@ -69,7 +69,7 @@ enum {
   REPEAT_SETS = 64,
   REPEAT_WAYS = 4,
   REPEAT_REQUEST_BYTES = 256, /* the longest request that is remembered, without its radii */
-  REPEAT_REPLY_BYTES = 72,    /* size of a reply with one channel, without its arrays */
+  REPEAT_REPLY_BYTES = 288,   /* of a reply with one channel, without its arrays, at most */
 };
 
 /* A request that has been answered, and the start of its reply. */
@@ -78,6 +78,7 @@ struct repeat_entry {
   size_t request_bytes; /* size up to the radii; 0 if the entry is empty */
   size_t payload_bytes; /* size with the radii */
   size_t reply_bytes;
+  size_t head_bytes; /* of the reply, before its arrays */
   size_t array_bytes;
   size_t value_bytes;
   size_t count; /* number of radii */

@@ -313,7 +313,7 @@ static core_asked_radii asked_radii(const struct eval_job *eval) {
 }
 
 static double model_error(const struct eval_job *eval, unsigned wanted) {
-  if ((wanted & CORE_QUANTITY_MODEL_ERROR) == 0) {
+  if ((eval->request.fixed.wanted & CORE_QUANTITY_MODEL_ERROR) == 0) {
     return (double)NAN;
   }
   const core_asked_radii asked = asked_radii(eval);
@@ -321,24 +321,26 @@ static double model_error(const struct eval_job *eval, unsigned wanted) {
                           eval->request.parameters.value[CORE_PARAMETER_GAMMA], wanted, &asked);
 }
 
-/* Writes the channel's structure of the reply: its albedo and errors. */
+/* Writes the channel's albedo and the errors of its quantities. */
 static void start_channel(struct eval_job *eval) {
   const core_profile *profile = &eval->lookup.profile;
   eval->notes |= profile->notes;
-  const bool albedo_wanted = (eval->request.fixed.wanted & CORE_QUANTITY_ALBEDO) != 0;
-  /* A sample's values are as exact as the cdf that gives the radii. */
-  const unsigned wanted =
-      eval->request.fixed.wanted | (is_sample(eval) ? (unsigned)CORE_QUANTITY_CDF : 0);
-  const core_stated_errors errors = core_profile_errors(profile, wanted, eval->radii);
-  const wire_channel channel = {
-      .albedo = albedo_wanted ? profile->albedo : (double)NAN,
-      .numerical_error = errors.numerical,
-      .numerical_error_per_mm = errors.numerical_per_mm,
-      .model_error = model_error(eval, wanted),
-  };
-  wire_put_channel(eval->reply + eval->layout.channels_offset +
-                       (size_t)eval->channel * WIRE_BYTES_channel,
-                   &channel);
+  const unsigned wanted = eval_job_wanted(eval);
+  const unsigned listed = eval->request.fixed.wanted;
+  const double albedo = (listed & CORE_QUANTITY_ALBEDO) != 0 ? profile->albedo : (double)NAN;
+  memcpy(eval->reply + eval_albedo_offset(eval->channel), &albedo, sizeof albedo);
+  double worst = (double)NAN;
+  for (unsigned left = listed; left != 0; left &= left - 1) {
+    const unsigned quantity = left & ~(left - 1);
+    /* A sample's values are as exact as the cdf that gives the radii. */
+    const unsigned with = quantity | (is_sample(eval) ? (unsigned)CORE_QUANTITY_CDF : 0);
+    const core_stated_errors stated = core_profile_errors(profile, with, eval->radii);
+    const double off = quantity == CORE_QUANTITY_MODEL_ERROR ? worst : model_error(eval, with);
+    const wire_quantity_error error = {stated.numerical, stated.numerical_per_mm, off};
+    worst = fmax(worst, off); /* passes NANs over */
+    wire_put_quantity_error(
+        eval->reply + eval_error_offset(&eval->layout, wanted, eval->channel, quantity), &error);
+  }
 }
 
 static void start_part(struct eval_job *eval) {
@@ -350,8 +352,8 @@ static void start_part(struct eval_job *eval) {
       .moments = fixed->moments,
       .wanted = fixed->wanted,
       .channel_count = fixed->medium_count,
-      .radius_count = eval->count,
-      .radius_first = eval->first,
+      .count = eval->count,
+      .first = eval->first,
       .part = eval->part,
       .part_count = eval->part_count,
   };

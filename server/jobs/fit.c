@@ -118,8 +118,8 @@ static enum job_outcome end_part(struct fit_job *fit) {
   const wire_fit_reply start = {
       .part = fit->parts.part,
       .part_count = fit->parts.part_count,
-      .set_count = fit->parts.count,
-      .set_first = fit->parts.first,
+      .count = fit->parts.count,
+      .first = fit->parts.first,
       .fitted_count = fit->fitted,
       .reading_count = fit->residuals,
       .notes = fit->notes,

@@ -329,8 +329,8 @@ static void put_head(const struct gather_job *gather, uint8_t *payload) {
                              .evaluator = asked->evaluator,
                              .moments = asked->moments,
                              .channel_count = asked->medium_count,
-                             .query_count = answered_count(gather),
-                             .query_first = parts->first,
+                             .count = answered_count(gather),
+                             .first = parts->first,
                              .part = parts->part * gather->piece_count + gather->piece,
                              .part_count = parts->part_count * gather->piece_count,
                              .bound = (double)work->worst,
@@ -338,13 +338,13 @@ static void put_head(const struct gather_job *gather, uint8_t *payload) {
                              .nodes_visited = work->visits.nodes};
   for (uint32_t i = 0; i < asked->medium_count; i++) {
     const core_profile *profile = &work->channels[i].profile;
-    const wire_channel channel = {.albedo = (double)NAN,
-                                  .numerical_error =
-                                      core_gather_error(work->sum, points_found(&work->set), i,
-                                                        (size_t)parts->count, queries_of(gather)),
-                                  .model_error = work->model_error[i]};
+    const wire_quantity_error error = {
+        .numerical_error = core_gather_error(work->sum, points_found(&work->set), i,
+                                             (size_t)parts->count, queries_of(gather)),
+        .model_error = work->model_error[i]};
     fixed.notes |= profile->notes;
-    wire_put_channel(payload + WIRE_BYTES_gather_reply + i * (size_t)WIRE_BYTES_channel, &channel);
+    wire_put_quantity_error(
+        payload + WIRE_BYTES_gather_reply + i * (size_t)WIRE_BYTES_quantity_error, &error);
   }
   wire_put_gather_reply(payload, &fixed);
 }

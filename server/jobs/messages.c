@@ -59,7 +59,7 @@ static wire_error check_hello(const struct job_request *from) {
     return wire_error_make(WIRE_STATUS_BAD_VALUE, "version_min", "at most version_max");
   }
   return request.version_min > WIRE_VERSION || request.version_max < WIRE_VERSION
-             ? wire_error_make(WIRE_STATUS_BAD_VERSION, "version_max", "a range with 1 in it")
+             ? wire_error_make(WIRE_STATUS_BAD_VERSION, "version_max", "a range with 2 in it")
              : wire_error_none();
 }
 

@@ -19,7 +19,7 @@ _Static_assert(WIRE_BYTES_sample_request + WIRE_BYTES_medium +
 _Static_assert(WIRE_BYTES_invert_request + 2 * REGISTERS_RADII_MAX * sizeof(double) <=
                    MODBUS_QUESTION_BYTES,
                "the request of an invert is shorter");
-_Static_assert(WIRE_BYTES_eval_reply + WIRE_BYTES_channel +
+_Static_assert(WIRE_BYTES_eval_reply + sizeof(double) + 5 * WIRE_BYTES_quantity_error +
                        3 * REGISTERS_RADII_MAX * sizeof(double) <=
                    MODBUS_REPLY_BYTES,
                "the reply to an eval is shorter");
@@ -313,20 +313,29 @@ static double largest(const struct values *radii, unsigned count) {
 
 /* Returns the largest numerical error of values at radii up to r. rounded: the values have been
  * rounded from double precision to float registers. */
-static float stated_error(const wire_channel *channel, double r, bool rounded) {
-  return rounded_up(channel->numerical_error + channel->numerical_error_per_mm * r +
+static float stated_error(const wire_quantity_error *error, double r, bool rounded) {
+  return rounded_up(error->numerical_error + error->numerical_error_per_mm * r +
                     (rounded ? 0x1p-24 : 0));
 }
 
-static void set_errors(uint16_t image[REGISTERS_END], const wire_channel *channel, double r,
+static void set_errors(uint16_t image[REGISTERS_END], const wire_quantity_error *error, double r,
                        bool rounded) {
-  registers_set_f32(image, REGISTERS_AT_NUMERICAL_ERROR, stated_error(channel, r, rounded));
-  registers_set_f32(image, REGISTERS_AT_MODEL_ERROR, rounded_up(channel->model_error));
-  registers_set_f32(image, REGISTERS_AT_ALBEDO, (float)channel->albedo);
-  registers_set_f64(image, REGISTERS_AT_NUMERICAL_ERROR_DOUBLE, channel->numerical_error);
-  registers_set_f64(image, REGISTERS_AT_NUMERICAL_ERROR_PER_MM, channel->numerical_error_per_mm);
-  registers_set_f64(image, REGISTERS_AT_MODEL_ERROR_DOUBLE, channel->model_error);
-  registers_set_f64(image, REGISTERS_AT_ALBEDO_DOUBLE, channel->albedo);
+  registers_set_f32(image, REGISTERS_AT_NUMERICAL_ERROR, stated_error(error, r, rounded));
+  registers_set_f32(image, REGISTERS_AT_MODEL_ERROR, rounded_up(error->model_error));
+  registers_set_f64(image, REGISTERS_AT_NUMERICAL_ERROR_DOUBLE, error->numerical_error);
+  registers_set_f64(image, REGISTERS_AT_NUMERICAL_ERROR_PER_MM, error->numerical_error_per_mm);
+  registers_set_f64(image, REGISTERS_AT_MODEL_ERROR_DOUBLE, error->model_error);
+}
+
+/* Returns the errors of a quantity, or the largest of all that are wanted if it is not. */
+static wire_quantity_error error_of(const uint8_t *reply, const eval_layout *layout,
+                                    unsigned wanted, enum core_quantity quantity) {
+  if ((wanted & quantity) == 0) {
+    return eval_largest_error(reply, layout, wanted, 0);
+  }
+  wire_quantity_error error;
+  wire_get_quantity_error(reply + eval_error_offset(layout, wanted, 0, quantity), &error);
+  return error;
 }
 
 static struct values array_of(const uint8_t *reply, const eval_layout *layout,
@@ -343,15 +352,13 @@ static void take_eval(const uint8_t *question, const uint8_t *reply, size_t repl
                       uint16_t image[REGISTERS_END]) {
   wire_eval_request asked;
   wire_eval_reply start;
-  wire_channel channel;
   eval_layout layout;
   wire_get_eval_request(question, &asked);
   wire_get_eval_reply(reply, &start);
-  const unsigned count = (unsigned)start.radius_count;
+  const unsigned count = (unsigned)start.count;
   const bool fits =
       eval_reply_layout(start.evaluator, start.wanted, 1, count, reply_bytes, &layout);
   assert(fits && count <= REGISTERS_RADII_MAX);
-  wire_get_channel(reply + layout.channels_offset, &channel);
 
   double room[REGISTERS_RADII_MAX];
   asked.evaluator = start.evaluator;
@@ -364,7 +371,12 @@ static void take_eval(const uint8_t *question, const uint8_t *reply, size_t repl
   set_values(image, REGISTERS_AT_CDF, REGISTERS_AT_CDF_DOUBLE, &cdf, count, before);
   set_values(image, REGISTERS_AT_S, REGISTERS_AT_S_DOUBLE, &S, count, before);
   set_values(image, REGISTERS_AT_DISTANCES, 0, &radii, count, before);
-  set_errors(image, &channel, largest(&radii, count), R.bytes == sizeof(double));
+  const wire_quantity_error error = error_of(reply, &layout, start.wanted, CORE_QUANTITY_R);
+  set_errors(image, &error, largest(&radii, count), R.bytes == sizeof(double));
+  double albedo;
+  memcpy(&albedo, reply + eval_albedo_offset(0), sizeof albedo);
+  registers_set_f32(image, REGISTERS_AT_ALBEDO, (float)albedo);
+  registers_set_f64(image, REGISTERS_AT_ALBEDO_DOUBLE, albedo);
   registers_set_u16(image, REGISTERS_AT_COUNT, count);
   registers_set_u16(image, REGISTERS_AT_MODEL_TAKEN, start.model);
   registers_set_u16(image, REGISTERS_AT_EVALUATOR_TAKEN, start.evaluator);
@@ -375,24 +387,23 @@ static void take_sample(const uint8_t *question, const uint8_t *reply, size_t re
                         uint16_t image[REGISTERS_END]) {
   (void)question;
   wire_eval_reply start;
-  wire_channel channel;
   eval_layout layout;
   const bool whole = eval_reply_parse(reply, reply_bytes, true, &start, &layout);
-  assert(whole && start.radius_count <= REGISTERS_RADII_MAX);
-  wire_get_channel(reply + layout.channels_offset, &channel);
+  assert(whole && start.count <= REGISTERS_RADII_MAX);
   const size_t value_bytes = core_evaluator_bytes(start.evaluator);
   const unsigned drawn = SAMPLE_WANTED | EVAL_DRAWN;
   const struct values radii = {reply + eval_array_offset(&layout, drawn, 0, CORE_QUANTITY_RADIUS),
                                value_bytes};
   const struct values pdf = {reply + eval_array_offset(&layout, drawn, 0, CORE_QUANTITY_PDF),
                              value_bytes};
-  const unsigned count = (unsigned)start.radius_count;
+  const unsigned count = (unsigned)start.count;
+  const wire_quantity_error error = eval_largest_error(reply, &layout, drawn, 0);
   const unsigned before = registers_u16(image, REGISTERS_AT_SAMPLE_COUNT);
   set_values(image, REGISTERS_AT_SAMPLE_R, 0, &radii, count, before);
   set_values(image, REGISTERS_AT_SAMPLE_PDF, 0, &pdf, count, before);
   registers_set_f32(image, REGISTERS_AT_SAMPLE_NUMERICAL_ERROR,
-                    stated_error(&channel, largest(&radii, count), value_bytes == sizeof(double)));
-  registers_set_f32(image, REGISTERS_AT_SAMPLE_MODEL_ERROR, rounded_up(channel.model_error));
+                    stated_error(&error, largest(&radii, count), value_bytes == sizeof(double)));
+  registers_set_f32(image, REGISTERS_AT_SAMPLE_MODEL_ERROR, rounded_up(error.model_error));
   registers_set_u16(image, REGISTERS_AT_SAMPLE_COUNT, count);
   registers_set_u16(image, REGISTERS_AT_SAMPLE_NOTES, start.notes);
 }
@@ -404,8 +415,8 @@ static void take_invert(const uint8_t *question, const uint8_t *reply, size_t re
   (void)question;
   wire_invert_reply start;
   const bool whole = invert_reply_parse(reply, reply_bytes, &start);
-  assert(whole && start.part_count == 1 && start.medium_count <= REGISTERS_RADII_MAX);
-  const unsigned count = (unsigned)start.medium_count;
+  assert(whole && start.part_count == 1 && start.count <= REGISTERS_RADII_MAX);
+  const unsigned count = (unsigned)start.count;
   const unsigned before = registers_u16(image, REGISTERS_AT_INVERT_COUNT);
   for (unsigned i = 0; i < INVERT_ARRAYS; i++) {
     const struct values values = {reply + invert_array_offset(i, count), sizeof(double)};
@@ -554,7 +565,7 @@ static enum registers_status take_fit(const uint8_t *question, const uint8_t *re
   wire_fit_reply start;
   wire_fitted fitted;
   const bool whole = fit_reply_parse(reply, reply_bytes, &start);
-  assert(whole && start.set_count == 1 && start.reading_count <= REGISTERS_FIT_READINGS_MAX);
+  assert(whole && start.count == 1 && start.reading_count <= REGISTERS_FIT_READINGS_MAX);
   wire_get_fitted(reply + WIRE_BYTES_fit_reply, &fitted);
   if (fitted.status == CORE_FIT_STATUS_REFUSED) {
     *error = wrong_reading(question, &fitted);

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from dipole import Connection, wire
-from frames import EVAL
+from frames import EVAL, head_bytes
 
 EVALUATED = EVAL | wire.REPLY
 
@@ -27,13 +27,13 @@ def take_apart(payload: bytes) -> Part:
     value_bytes = np.dtype(wire.EVALUATOR_TYPES[fixed.evaluator]).itemsize
     arrays = fixed.channel_count * sum(1 for q in wire.ELEMENTWISE if fixed.wanted & q)
     arrays += bool(fixed.wanted & wire.QUANTITY_RADIUS)
-    start = wire.EVAL_REPLY.bytes + fixed.channel_count * wire.CHANNEL.bytes
-    used = fixed.radius_count * value_bytes
+    start = head_bytes(fixed.channel_count, fixed.wanted.bit_count())
+    used = fixed.count * value_bytes
     stride = wire.padded(used)
     assert len(payload) == start + arrays * stride
     rows = []
     for at in range(start, len(payload), stride or 1):
-        rows.append(np.frombuffer(payload, f"<u{value_bytes}", fixed.radius_count, at))
+        rows.append(np.frombuffer(payload, f"<u{value_bytes}", fixed.count, at))
         assert payload[at + used : at + stride] == bytes(stride - used)
     return Part(fixed, payload[wire.EVAL_REPLY.bytes : start], rows)
 
@@ -53,15 +53,15 @@ def put_together(parts: list[Part]) -> Part:
     first = parts[0]
     radii = 0
     for number, part in enumerate(parts):
-        assert part.fixed.part == number and part.fixed.radius_first == radii
-        radii += part.fixed.radius_count
-        alike = {"part": 0, "radius_first": 0, "radius_count": 0}
+        assert part.fixed.part == number and part.fixed.first == radii
+        radii += part.fixed.count
+        alike = {"part": 0, "first": 0, "count": 0}
         assert part.fixed._replace(**alike) == first.fixed._replace(**alike)
         assert part.channels == first.channels
-        assert part.fixed.radius_count > 0 or part.fixed.part_count == 1
+        assert part.fixed.count > 0 or part.fixed.part_count == 1
     assert len(parts) == first.fixed.part_count
     rows = [np.concatenate(row) for row in zip(*(part.rows for part in parts), strict=True)]
-    whole = {"part": 0, "part_count": 1, "radius_first": 0, "radius_count": radii}
+    whole = {"part": 0, "part_count": 1, "first": 0, "count": radii}
     return Part(first.fixed._replace(**whole), first.channels, rows)
 
 

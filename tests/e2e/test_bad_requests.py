@@ -10,8 +10,8 @@ import pytest
 from dipole import wire
 from frames import (
     ALBEDO, CDF, EVAL, F32, HELLO, LINEAR, LOGARITHMIC, MEDIA, PING, RADIUS, SKIN, STATISTICS, R,
-    ask, assert_daemon_serves, assert_error, assert_refused, assert_serves, eval_payload, header,
-    refused,
+    ask, assert_daemon_serves, assert_error, assert_refused, assert_serves, eval_payload,
+    head_bytes, header, refused,
 )
 from lists import EVALUATORS, MODELS, MOMENTS
 
@@ -256,8 +256,8 @@ def hello(version_min: int, version_max: int, zero: int = 0) -> bytes:
 
 # Maps names to invalid requests: (type, payload, status, field, allowed).
 OTHERS = {
-    "hello newer": (HELLO, hello(2, 9), "bad-version", "version_max", "1"),
-    "hello older": (HELLO, hello(0, 0), "bad-version", "version_max", "1"),
+    "hello newer": (HELLO, hello(3, 9), "bad-version", "version_max", "2"),
+    "hello older": (HELLO, hello(1, 1), "bad-version", "version_max", "2"),
     "hello range turned round": (HELLO, hello(2, 0), "bad-value", "version_min", "at most"),
     "hello zero field": (HELLO, hello(1, 1, 7), "bad-value", "zero", "0"),
     "hello empty": (HELLO, b"", "bad-length", "payload_bytes", "8"),
@@ -281,13 +281,13 @@ def test_other_message(shared, name):
 
 
 ALIGNED = "bad-length", "payload_bytes", "a multiple of 8"
-NO_SUCH_VERSION = "bad-version", "version", "1"
+NO_SUCH_VERSION = "bad-version", "version", "2"
 # Maps names to invalid headers: (header fields, payload, (status, field, allowed)).
 HEADERS = {
     "version 0": ({"version": 0}, b"", NO_SUCH_VERSION),
-    "version 2": ({"version": 2}, b"", NO_SUCH_VERSION),
-    "version 2 with a payload": ({"version": 2}, bytes(64), NO_SUCH_VERSION),
-    "version 2, odd payload": ({"version": 2}, bytes(13), NO_SUCH_VERSION),
+    "version 1": ({"version": 1}, b"", NO_SUCH_VERSION),
+    "version 1 with a payload": ({"version": 1}, bytes(64), NO_SUCH_VERSION),
+    "version 1, odd payload": ({"version": 1}, bytes(13), NO_SUCH_VERSION),
     "payload of 1": ({}, bytes(1), ALIGNED),
     "payload of 7": ({}, bytes(7), ALIGNED),
     "payload of 1025": ({}, bytes(1025), ALIGNED),
@@ -310,13 +310,13 @@ def test_a_skipped_payload_is_not_read_as_frames(connection):
     # The skipped payload looks like pings, which the daemon must not answer.
     inside = header(request_id=5) * 3
     connection.send_bytes(header(version=9, request_id=4, payload_bytes=len(inside)) + inside)
-    assert_error(connection.receive_frame(), "bad-version", "version", "1", request_id=4)
+    assert_error(connection.receive_frame(), "bad-version", "version", "2", request_id=4)
     assert_serves(connection)
 
 
 def test_wanted_quantities_are_what_is_sent(connection):
     # For comparison, this is the reply to R alone: no error, 2 radii, one array.
     reply = ask(connection, EVAL, eval_payload(wanted=R))
-    assert len(reply.payload) == wire.EVAL_REPLY.bytes + wire.CHANNEL.bytes + 2 * 8
+    assert len(reply.payload) == head_bytes(1, 1) + 2 * 8
     reply = ask(connection, EVAL, eval_payload(wanted=R | CDF | RADIUS, spacing=LINEAR, radii=None))
-    assert len(reply.payload) == wire.EVAL_REPLY.bytes + wire.CHANNEL.bytes + 3 * 2 * 8
+    assert len(reply.payload) == head_bytes(1, 3) + 3 * 2 * 8

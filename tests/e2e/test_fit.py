@@ -357,25 +357,25 @@ def test_answers_that_do_not_fit_are_not_taken():
     """A client refuses a reply that does not fit its request, because its caller relies on the
     shape."""
     right = {
-        "part": 0, "part_count": 2, "set_count": 3, "set_first": 0, "fitted_count": 1,
+        "part": 0, "part_count": 2, "count": 3, "first": 0, "fitted_count": 1,
         "reading_count": 2, "notes": 0,
     }  # fmt: skip
 
     def payload(**changes) -> bytes:
         fixed = {**right, **changes}
         each = wire.FITTED.bytes + 8 * fixed["reading_count"]
-        return wire.FIT_REPLY.pack(**fixed) + bytes(each * min(fixed["set_count"], 9))
+        return wire.FIT_REPLY.pack(**fixed) + bytes(each * min(fixed["count"], 9))
 
     def answer() -> fitting.Answer:
         return fitting.Answer(0, 4, 2)
 
-    last = {"part": 1, "set_count": 1, "set_first": 3}
-    wrong = [{"part": 1}, {"part_count": 1}, {"set_count": 4}, {"set_count": 0}, {"set_first": 1}]
+    last = {"part": 1, "count": 1, "first": 3}
+    wrong = [{"part": 1}, {"part_count": 1}, {"count": 4}, {"count": 0}, {"first": 1}]
     wrong += [{"fitted_count": 4}, {"reading_count": 3}, {"reading_count": 0}]
     for changes in wrong:
         with pytest.raises(dipole.ProtocolError):
             answer().add(payload(**changes))
-    for changes in ({"set_first": 2}, {"set_count": 2}, {"part": 0}):
+    for changes in ({"first": 2}, {"count": 2}, {"part": 0}):
         begun = answer()
         begun.add(payload())
         with pytest.raises(dipole.ProtocolError):

@@ -656,7 +656,7 @@ def test_a_sum_that_takes_seconds_by_itself(daemon):
             reply = large.receive_frame()
             parts.append(wire.GATHER_REPLY.unpack(reply.payload))
         print(f"{len(parts)} parts, {beside} evals meanwhile")
-        assert [part.query_count for part in parts] == [0] * (len(parts) - 1) + [1]
+        assert [part.count for part in parts] == [0] * (len(parts) - 1) + [1]
         assert [part.part for part in parts] == list(range(len(parts))) and len(parts) >= 2
         assert beside >= 40
         assert sum(part.points_visited for part in parts) == len(points)

@@ -17,19 +17,19 @@ def versions(low: int, high: int) -> bytes:
     return wire.HELLO_REQUEST.pack(version_min=low, version_max=high)
 
 
-@pytest.mark.parametrize("low, high", [(1, 1), (0, 1), (1, 9), (0, 65535)])
+@pytest.mark.parametrize("low, high", [(2, 2), (0, 2), (2, 9), (0, 65535)])
 def test_version_that_both_speak(connection, low, high):
     reply = ask(connection, HELLO, versions(low, high))
     assert reply.type == HELLO | wire.REPLY
     fixed = wire.HELLO_REPLY.unpack(reply.payload)
-    assert (fixed.version, fixed.version_min, fixed.version_max) == (1, 1, 1)
+    assert (fixed.version, fixed.version_min, fixed.version_max) == (2, 2, 2)
 
 
 def test_hello_is_optional_and_may_come_late_and_twice(connection):
     assert_serves(connection)
-    first = ask(connection, HELLO, versions(1, 1))
+    first = ask(connection, HELLO, versions(2, 2))
     assert_serves(connection)
-    assert ask(connection, HELLO, versions(1, 1)) == first
+    assert ask(connection, HELLO, versions(2, 2)) == first
 
 
 def test_the_lists(client):
@@ -82,20 +82,20 @@ def test_permanent_ids(client):
 def test_who_it_is(client):
     info = client.info
     assert info.software.startswith("dipoled ")
-    assert info.protocol_version == 1
+    assert info.protocol_version == 2
     assert info.workers == 2
     assert "1/mm^2" in info.R_unit and "entered" in info.R_unit
 
 
 REQUESTS = {
-    "requests_hello": (HELLO, versions(1, 1)),
+    "requests_hello": (HELLO, versions(2, 2)),
     "requests_eval": (EVAL, eval_payload()),
     "requests_media": (MEDIA, b""),
     "requests_ping": (PING, bytes(8)),
 }
 
 ERRORS = {
-    "answers_bad-version": (HELLO, versions(2, 2)),
+    "answers_bad-version": (HELLO, versions(1, 1)),
     "answers_bad-type": (99, b""),
     "answers_bad-length": (PING, bytes(2000)),
     "answers_bad-count": (EVAL, eval_payload(radius_count=7)),

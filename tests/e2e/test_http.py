@@ -116,8 +116,10 @@ def test_eval(served, evaluator, how):
             values = getattr(expected, "two_pi_r_R" if name == "2_pi_r_R" else name)[i]
             assert bits(channel[name], values) == values.tobytes(), name
         assert channel["albedo"] == expected.albedo[i]
-        error = expected.model_error[i]
-        assert bits(channel["model_error"], error) == error.tobytes()
+        assert list(channel["errors"]) == list(expected.errors)[:-1]
+        for name, stated in channel["errors"].items():
+            errors = np.array([one[i] for one in expected.errors[name]])
+            assert bits(list(stated.values()), errors) == errors.tobytes(), name
         assert channel["sigma_a"] == [0.032, 0.17, 0.48][i] and channel["eta"] == 1.3
 
 
@@ -291,7 +293,7 @@ def test_varying(served, how, evaluator):
                     assert name in answer["units"]
                 count = expected.statuses.size
                 assert answer["statuses"] == ["ok"] * count
-                assert answer["value_count"] == answer["answered_count"] == count
+                assert answer["count"] == answer["answered_count"] == count
                 error = np.float64(expected.numerical_error)
                 assert bits(answer["numerical_error"], error) == error.tobytes()
                 assert bits(answer["specular"], error) == np.float64(expected.specular).tobytes()
@@ -384,7 +386,7 @@ def test_gather(served, how, model, evaluator):
             assert one["sigma_s"] == TWO["sigma_s"][channel]
             error = expected.numerical_error[channel]
             assert bits(one["numerical_error"], error) == error.tobytes()
-        assert answer["units"]["M"] == "W/mm^2" and answer["query_count"] == 3
+        assert answer["units"]["M"] == "W/mm^2" and answer["count"] == 3
         assert (answer["model"], answer["evaluator"]) == (model, evaluator)
         assert answer["points_visited"] == expected.points_visited
 

@@ -164,8 +164,8 @@ def test_answers_that_do_not_fit_are_not_taken(client):
         "given": 1,
         "part": 0,
         "part_count": 2,
-        "medium_count": 3,
-        "medium_first": 0,
+        "count": 3,
+        "first": 0,
         "missing_count": 1,
         "albedo_least": 0.0,
         "albedo_most": 1.0,
@@ -173,15 +173,15 @@ def test_answers_that_do_not_fit_are_not_taken(client):
 
     def payload(**changes) -> bytes:
         fixed = {**right, **changes}
-        return wire.INVERT_REPLY.pack(**fixed) + bytes(24 * min(fixed["medium_count"], 9))
+        return wire.INVERT_REPLY.pack(**fixed) + bytes(24 * min(fixed["count"], 9))
 
-    last = {"part": 1, "medium_count": 1, "medium_first": 3}
+    last = {"part": 1, "count": 1, "first": 3}
     wrong = [{"model": 1}, {"moments": 2}, {"given": 2}, {"part": 1}, {"part_count": 1}]
-    wrong += [{"medium_count": 4}, {"medium_count": 0}, {"medium_first": 1}, {"missing_count": 4}]
+    wrong += [{"count": 4}, {"count": 0}, {"first": 1}, {"missing_count": 4}]
     for changes in wrong:
         with pytest.raises(dipole.ProtocolError):
             inversion.Answer(asked, (4,), client.info).add(payload(**changes))
-    for changes in ({"albedo_most": 0.5}, {"medium_first": 2}, {"medium_count": 2}, {"part": 0}):
+    for changes in ({"albedo_most": 0.5}, {"first": 2}, {"count": 2}, {"part": 0}):
         answer = inversion.Answer(asked, (4,), client.info)
         answer.add(payload())
         with pytest.raises(dipole.ProtocolError):

@@ -11,7 +11,7 @@ from daemons import Daemon, eventually, sanitized
 from dipole import Frame, wire
 from frames import (
     ALBEDO, EVAL, F32, PING, SKIN, STATISTICS, R, ask, assert_closed, assert_daemon_serves,
-    assert_error, assert_serves, eval_payload, frame, header, read_statistics, serves, statistics,
+    assert_error, assert_serves, eval_payload, frame, head_bytes, header, read_statistics, serves, statistics,
 )
 
 PONG = PING | wire.REPLY
@@ -61,7 +61,7 @@ def test_reply_beyond_the_largest_size_comes_in_parts(small_frames, fixed):
     first = ask(small_frames, EVAL, eval_payload(radii=None, wanted=R, **fixed))
     parts = [wire.EVAL_REPLY.unpack(one.payload) for one in (first, small_frames.receive_frame())]
     assert [(part.part, part.part_count) for part in parts] == [(0, 2), (1, 2)]
-    assert sum(part.radius_count for part in parts) == fixed["radius_count"]
+    assert sum(part.count for part in parts) == fixed["radius_count"]
     assert_serves(small_frames)
 
 
@@ -232,7 +232,7 @@ TOTAL_BYTES = 1 << 20
 
 def reply_payload_that_takes(free_bytes: int) -> bytes:
     """Makes an eval request whose answer's frame has this length."""
-    fixed_bytes = wire.HEADER.bytes + wire.EVAL_REPLY.bytes + wire.CHANNEL.bytes
+    fixed_bytes = wire.HEADER.bytes + head_bytes(1, 1)
     return eval_payload(radii=None, radius_count=(free_bytes - fixed_bytes) // 8, wanted=R)
 
 
@@ -291,7 +291,7 @@ def test_frame_timeout(daemon, name):
         assert_serves(late)
         late.send_bytes(PARTIAL[name])
         if "skipped" in name:
-            assert_error(late.receive_frame(), "bad-version", "version", "1", request_id=1)
+            assert_error(late.receive_frame(), "bad-version", "version", "2", request_id=1)
         reply = late.receive_frame()
         assert_error(reply, "timeout", "payload_bytes", "frame_timeout_ms", request_id=0)
         assert_closed(late)

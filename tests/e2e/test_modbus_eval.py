@@ -47,9 +47,10 @@ def assert_equal_answers(master: Tcp, unit: int, expected, count: int) -> None:
     assert albedo == expected.albedo[0]
     assert as_floats(master.read(AT["ALBEDO"], 2, unit))[0] == np.float32(albedo)
     errors = as_doubles(master.read(AT["NUMERICAL_ERROR_DOUBLE"], 12, unit))
-    wire = [expected.numerical_error_constant[0], expected.numerical_error_per_mm[0]]
+    of_R = expected.errors["R"]
+    wire = [of_R.numerical_error[0], of_R.numerical_error_per_mm[0]]
     assert errors[:2].tolist() == wire
-    assert np.array_equal(errors[2:], expected.model_error[:1], equal_nan=True)
+    assert np.array_equal(errors[2:], of_R.model_error[:1], equal_nan=True)
     bound = as_floats(master.read(AT["NUMERICAL_ERROR"], 2, unit))[0]
     r = as_floats(master.read(AT["DISTANCES"], 2 * count, unit))
     largest = float(r[np.isfinite(r)].max(initial=0))

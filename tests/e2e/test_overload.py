@@ -125,7 +125,7 @@ def test_the_default_takes_several(daemon):
     with one.connect() as busy, one.connect() as other:
         start(busy, other, LONG)
         assert ask(other, EVAL, LARGE).type == EVALUATED
-        assert receive_parts(busy)[0].fixed.radius_count == 1_000_000
+        assert receive_parts(busy)[0].fixed.count == 1_000_000
 
 
 def test_other_workers_have_less_to_do(daemon):
@@ -135,7 +135,7 @@ def test_other_workers_have_less_to_do(daemon):
     with one.connect() as busy, one.connect() as other:
         start(busy, other, LONG)
         assert ask(other, EVAL, LARGE).type == EVALUATED
-        assert receive_parts(busy)[0].fixed.radius_count == 1_000_000
+        assert receive_parts(busy)[0].fixed.count == 1_000_000
 
 
 @pytest.mark.parametrize("count", [2**31, 2**40])
@@ -157,7 +157,7 @@ def test_a_request_larger_than_the_backlog_is_taken_when_there_is_none(daemon):
             payload = eval_payload(radii=None, radius_count=2_000_000, wanted=R)
             connection.send_bytes(frame(EVAL, 77, payload) * 2)
             for _ in range(2):
-                assert put_together(receive_parts(connection)).fixed.radius_count == 2_000_000
+                assert put_together(receive_parts(connection)).fixed.count == 2_000_000
 
 
 # ---- samples, inversions and fits ----------------------------------------------------------------------

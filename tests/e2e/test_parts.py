@@ -13,7 +13,7 @@ from dipole import Connection, wire
 from frames import (
     ALBEDO, CDF, EVAL, F32, F64, LINEAR, LOGARITHMIC, RADIUS, SKIN, SPECTRALON, R, ask,
     assert_closed, assert_daemon_serves, assert_error, assert_serves, eval_payload, frame,
-    statistics,
+    head_bytes, statistics,
 )
 from lists import DIPOLES, MODELS, PARAMETERS, QUANTITIES, needs
 from parted import EVALUATED, Part, assert_same, put_together, receive_parts, take_apart
@@ -101,8 +101,8 @@ def test_lists(shared, small, name, media, wanted, evaluator):
         [whole] = answer(at_once, eval_payload(media, radii, **fields))
         assert_same(put_together(parts), whole)
         for part in (parts[0], parts[len(parts) // 2], parts[-1]):
-            first = part.fixed.radius_first
-            some = radii[first : first + part.fixed.radius_count]
+            first = part.fixed.first
+            some = radii[first : first + part.fixed.count]
             [alone] = answer(in_parts, eval_payload(media, some, **fields))
             for row, row_alone in zip(part.rows, alone.rows, strict=True):
                 np.testing.assert_array_equal(row, row_alone)
@@ -148,12 +148,12 @@ def test_sizes(daemon, frame_bytes, part_bytes):
     with one.connect() as connection:
         for evaluator, value_bytes in ((F64, 8), (F32, 4)):
             fields = {"radii": None, "wanted": R, "evaluator": evaluator}
-            head = wire.EVAL_REPLY.bytes + wire.CHANNEL.bytes
+            head = head_bytes(1, 1)
             fits = (frame_bytes - head) // value_bytes
             [only] = answer(connection, eval_payload(radius_count=fits, **fields))
             assert only.fixed.part_count == 1
             parts = answer(connection, eval_payload(radius_count=fits + 1, **fields))
-            counts = [part.fixed.radius_count for part in parts]
+            counts = [part.fixed.count for part in parts]
             assert len(parts) > 1 and sum(counts) == fits + 1
             # Parts are as large as possible, in steps of 256 radii.
             assert set(counts[:-1]) == {(most - head) // value_bytes // 256 * 256}
@@ -171,7 +171,7 @@ def test_answers_of_one_connection_follow_each_other(tiny):
             endings.append(put_together(receive_parts(connection, i)))
         assert_serves(connection)
     for ended in endings[2:]:
-        assert_same(ended, endings[ended.fixed.radius_count == 5000])
+        assert_same(ended, endings[ended.fixed.count == 5000])
 
 
 def test_an_answer_in_parts_counts_once(daemon):
@@ -241,7 +241,7 @@ def test_a_client_that_says_no_more_still_gets_all(tiny):
         connection.send_bytes(frame(EVAL, 77, payload))
         connection.half_close()
         whole = put_together(receive_parts(connection))
-        assert whole.fixed.radius_count == count
+        assert whole.fixed.count == count
         assert_closed(connection)
 
 
@@ -297,7 +297,7 @@ def test_stopping_lets_an_answer_end(daemon):
         parts = [wire.EVAL_REPLY.unpack(first.payload)]
         while parts[-1].part + 1 < parts[-1].part_count:
             parts.append(wire.EVAL_REPLY.unpack(connection.receive_frame().payload))
-        assert sum(part.radius_count for part in parts) == count
+        assert sum(part.count for part in parts) == count
         assert_error(connection.receive_frame(), "shutting-down", "daemon", "another one", request_id=0)
         assert_closed(connection)
     assert one.wait() == 0

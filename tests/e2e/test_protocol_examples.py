@@ -96,7 +96,7 @@ def check_hello(payload: bytes) -> None:
     fixed = wire.HELLO_REPLY.unpack(payload)
     lists_bytes = fixed.choice_count * wire.CHOICE.bytes + fixed.limit_count * wire.VALUE.bytes
     assert len(payload) == wire.HELLO_REPLY.bytes + lists_bytes
-    assert fixed.version == 1 and fixed.choice_count > 0 and fixed.limit_count > 0
+    assert fixed.version == wire.VERSION and fixed.choice_count > 0 and fixed.limit_count > 0
 
 
 def check_list(entry: wire.Structure):

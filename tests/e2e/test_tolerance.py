@@ -233,7 +233,10 @@ def test_the_choice_counts_preparing(connection, client):
     """A table is not made for a few radii, and many radii get one, however they come."""
     few = any_model(0.03, radii=(0.5, 5.0), evaluator=F32)
     many = any_model(0.03, radii=tuple(np.linspace(0.5, 5, 250_000)), evaluator=F32)
-    evaluators = [ask(connection, EVAL, payload).payload[2] for payload in (few, many)]
+    evaluators = [
+        wire.EVAL_REPLY.unpack(ask(connection, EVAL, payload).payload).evaluator
+        for payload in (few, many)
+    ]
     assert evaluators == [EVALUATORS["f32"], EVALUATORS["lut"]]
     how = {"tolerance": 0.03, "wanted": ["R"], "evaluator": "f32"}
     radii = np.linspace(0.5, 5.0, 250_000).astype(np.float32)

@@ -3,52 +3,27 @@
 from __future__ import annotations
 
 import re
+import shutil
+import subprocess
+from pathlib import Path
 
-import pytest
+from daemons import BUILD, REPOSITORY
 from dipole import wire
 from lists import choices, read_list
 
 
-def structures_of_the_list() -> dict[str, list[tuple[str, str, int]]]:
-    """Reads proto/messages.def: name -> [(kind, field, count)]."""
-    structures = {}
-    for name, body in re.findall(
-        r"#define WIRE_FIELDS_(\w+)\(F, A, T\)(.*)", read_list("proto/messages.def")
-    ):
-        fields = []
-        for macro, arguments in re.findall(r'\b([FAT])\(([^"]*),\s*"', body):
-            words = [word.strip() for word in arguments.split(",")]
-            if macro == "F":
-                fields.append((words[0], words[1], 1))
-            elif macro == "A":
-                fields.append((words[0], words[1], int(words[2])))
-            else:
-                fields.append(("text", words[0], int(words[1])))
-        structures[name] = fields
-    return structures
+def test_everything_made_from_the_lists_is_up_to_date(tmp_path):
+    paths = ("proto/PROTOCOL.md", "proto/REGISTERS.md", "clients/python/dipole/schema.py")
+    copies = [shutil.copy(REPOSITORY / path, tmp_path) for path in paths]
+    subprocess.run([BUILD / "wire-tables", *copies], check=True)
+    for path, copy in zip(paths, copies):
+        assert Path(copy).read_bytes() == (REPOSITORY / path).read_bytes(), f"{path}: run make docs"
 
 
-STRUCTURES = structures_of_the_list()
-
-
-def test_every_structure_is_known_on_both_sides():
-    assert set(STRUCTURES) == set(wire.STRUCTURES)
-    assert len(STRUCTURES) >= 12
-
-
-@pytest.mark.parametrize("name", STRUCTURES)
-def test_structure_field_by_field(name):
-    assert [tuple(field) for field in wire.STRUCTURES[name].fields] == STRUCTURES[name]
-    assert wire.STRUCTURES[name].bytes % wire.ALIGNMENT == 0
-
-
-def test_messages():
-    assert choices("WIRE_MESSAGE", "proto/messages.def") == wire.MESSAGES
-
-
-def test_statuses():
-    entries = choices("WIRE_STATUS", "proto/statuses.def")
-    assert {code: name for name, code in entries.items()} == wire.STATUSES
+def test_every_structure_has_a_table():
+    text = (REPOSITORY / "proto/PROTOCOL.md").read_text()
+    tables = re.findall(r"^```table (.+)", text, re.M)
+    assert set(" ".join(tables).split()) == {*wire.STRUCTURES, "statuses"}
 
 
 def test_constants_of_the_header():
@@ -62,12 +37,6 @@ def test_constants_of_the_header():
         ("WIRE_PING_MAX_BYTES", wire.PING_MAX_BYTES),
     ]:
         assert int(re.search(rf"{name} (\w+)", text)[1], 0) == value
-
-
-def test_kinds_of_choices():
-    body = re.search(r"enum wire_choice_kind \{(.*?)\}", read_list("proto/wire.h"), re.S)[1]
-    names = [name.lower() for name in re.findall(r"WIRE_CHOICE_(\w+)", body)]
-    assert dict(enumerate(names, start=1)) == wire.KINDS
 
 
 def test_ids_that_layouts_depend_on():

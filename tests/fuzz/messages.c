@@ -184,12 +184,14 @@ static void check_values(const uint8_t *values, uint64_t count, unsigned evaluat
 }
 
 /* Checks the albedo of a channel. It may exceed 1 for a published model, if the notes say so. */
-static void check_albedo(const wire_eval_reply *fixed, const uint8_t *at) {
-  wire_channel channel;
-  wire_get_channel(at, &channel);
+static void check_albedo(const wire_eval_reply *fixed, const uint8_t *payload,
+                         const eval_layout *layout, unsigned wanted, uint32_t channel) {
+  double albedo;
+  memcpy(&albedo, payload + eval_albedo_offset(channel), sizeof albedo);
+  const wire_quantity_error error = eval_largest_error(payload, layout, wanted, channel);
   CHECK(!(fixed->wanted & CORE_QUANTITY_ALBEDO) ||
-        (channel.albedo >= 0 && (fixed->notes & CORE_NOTE_ALBEDO_ABOVE_1 ||
-                                 channel.albedo <= 1 + channel.numerical_error)));
+        (albedo >= 0 &&
+         (fixed->notes & CORE_NOTE_ALBEDO_ABOVE_1 || albedo <= 1 + error.numerical_error)));
 }
 
 bool fuzz_decode_eval_reply(const uint8_t *payload, size_t size, bool drawn, bool honest) {
@@ -201,17 +203,18 @@ bool fuzz_decode_eval_reply(const uint8_t *payload, size_t size, bool drawn, boo
   const unsigned wanted = fixed.wanted | (drawn ? EVAL_DRAWN : 0);
   CHECK(layout.payload_bytes == size && fixed.part < fixed.part_count);
   for (uint32_t i = 0; i < fixed.channel_count; i++) {
-    read_array(payload, size, layout.channels_offset + i * (uint64_t)WIRE_BYTES_channel,
-               WIRE_BYTES_channel);
+    read_array(payload, size, eval_albedo_offset(i), sizeof(double));
+    read_array(payload, size, eval_error_offset(&layout, wanted, i, 1),
+               (uint64_t)layout.errors_per_channel * WIRE_BYTES_quantity_error);
     if (honest) {
-      check_albedo(&fixed, payload + layout.channels_offset + i * (size_t)WIRE_BYTES_channel);
+      check_albedo(&fixed, payload, &layout, wanted, i);
     }
     for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
       if (eval_is_array(wanted, quantity->id)) {
         const uint64_t at = eval_array_offset(&layout, wanted, i, (enum core_quantity)quantity->id);
         read_array(payload, size, at, layout.array_bytes);
         if (honest) {
-          check_values(payload + at, fixed.radius_count, fixed.evaluator, quantity->id);
+          check_values(payload + at, fixed.count, fixed.evaluator, quantity->id);
         }
       }
     }
@@ -226,8 +229,8 @@ bool fuzz_decode_invert_reply(const uint8_t *payload, size_t size) {
   wire_invert_reply fixed;
   const bool good = invert_reply_parse(payload, size, &fixed);
   for (int array = 0; good && array < INVERT_ARRAYS; array++) {
-    read_array(payload, size, invert_array_offset((enum invert_array)array, fixed.medium_count),
-               fixed.medium_count * sizeof(double));
+    read_array(payload, size, invert_array_offset((enum invert_array)array, fixed.count),
+               fixed.count * sizeof(double));
   }
   return good;
 }
@@ -236,10 +239,10 @@ bool fuzz_decode_fit_reply(const uint8_t *payload, size_t size) {
   wire_fit_reply fixed;
   const bool good = fit_reply_parse(payload, size, &fixed);
   if (good) {
-    CHECK(fit_reply_bytes(fixed.set_count, fixed.reading_count) == size);
-    read_array(payload, size, WIRE_BYTES_fit_reply, fixed.set_count * WIRE_BYTES_fitted);
-    read_array(payload, size, fit_residuals_offset(fixed.set_count),
-               fixed.set_count * fixed.reading_count * sizeof(double));
+    CHECK(fit_reply_bytes(fixed.count, fixed.reading_count) == size);
+    read_array(payload, size, WIRE_BYTES_fit_reply, fixed.count * WIRE_BYTES_fitted);
+    read_array(payload, size, fit_residuals_offset(fixed.count),
+               fixed.count * fixed.reading_count * sizeof(double));
   }
   return good;
 }
@@ -286,7 +289,7 @@ bool fuzz_decode_gather_reply(const uint8_t *payload, size_t size) {
     return false;
   }
   read_array(payload, size, gather_sums_offset(fixed.channel_count),
-             fixed.query_count * fixed.channel_count * sizeof(double));
+             fixed.count * fixed.channel_count * sizeof(double));
   return true;
 }
 
@@ -317,7 +320,7 @@ bool fuzz_decode_varying_reply(const uint8_t *payload, size_t size) {
       read_array(payload, size, varying_array_offset(&layout, array), layout.array_bytes);
     }
   }
-  read_array(payload, size, layout.status_offset, fixed.value_count);
+  read_array(payload, size, layout.status_offset, fixed.count);
   return true;
 }
 

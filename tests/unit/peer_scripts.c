@@ -118,8 +118,11 @@ void peer_must_not_come(int fd, void *context) {
 
 void peer_serve_other_lists(int fd, void *context) {
   uint8_t payload[WIRE_BYTES_hello_reply + WIRE_BYTES_choice];
-  wire_hello_reply reply = {
-      .version = 1, .version_min = 1, .version_max = 1, .workers = 1, .choice_count = 1};
+  wire_hello_reply reply = {.version = WIRE_VERSION,
+                            .version_min = WIRE_VERSION,
+                            .version_max = WIRE_VERSION,
+                            .workers = 1,
+                            .choice_count = 1};
   wire_choice model = {.kind = WIRE_CHOICE_MODEL, .id = 2};
   peer_frame request;
   (void)context;

@@ -103,8 +103,11 @@ bool peer_send(int fd, uint16_t type, uint64_t id, const void *payload, size_t p
 
 bool peer_say_hello(int fd) {
   uint8_t payload[WIRE_BYTES_hello_reply + 2 * WIRE_BYTES_choice];
-  wire_hello_reply reply = {
-      .version = 1, .version_min = 1, .version_max = 1, .workers = 1, .choice_count = 2};
+  wire_hello_reply reply = {.version = WIRE_VERSION,
+                            .version_min = WIRE_VERSION,
+                            .version_max = WIRE_VERSION,
+                            .workers = 1,
+                            .choice_count = 2};
   wire_choice model = {.kind = WIRE_CHOICE_MODEL, .id = 2};
   wire_choice status = {.kind = WIRE_CHOICE_STATUS, .id = WIRE_STATUS_BAD_VALUE};
   peer_frame request;
@@ -148,16 +151,17 @@ static void put_channel(uint8_t *payload, const eval_layout *layout, const eval_
                         const wire_eval_reply *reply, uint32_t index) {
   wire_medium medium;
   wire_get_medium(request->media + (size_t)index * WIRE_BYTES_medium, &medium);
-  const wire_channel channel = {.albedo = medium.sigma_a,
-                                .numerical_error = 1e-15,
-                                .model_error = request->parameters.value[CORE_PARAMETER_COS_IN]};
-  wire_put_channel(payload + layout->channels_offset + (size_t)index * WIRE_BYTES_channel,
-                   &channel);
+  const wire_quantity_error error = {
+      .numerical_error = 1e-15, .model_error = request->parameters.value[CORE_PARAMETER_COS_IN]};
+  memcpy(payload + eval_albedo_offset(index), &medium.sigma_a, sizeof medium.sigma_a);
+  for (unsigned left = reply->wanted; left != 0; left &= left - 1) {
+    wire_put_quantity_error(
+        payload + eval_error_offset(layout, reply->wanted, index, left & ~(left - 1)), &error);
+  }
   for (size_t i = 0; i < sizeof factors / sizeof factors[0]; i++) {
     if ((reply->wanted & factors[i].quantity) != 0) {
       const uint64_t at = eval_array_offset(layout, reply->wanted, index, factors[i].quantity);
-      put_values(payload + at, request, reply->radius_first, reply->radius_count,
-                 factors[i].factor);
+      put_values(payload + at, request, reply->first, reply->count, factors[i].factor);
     }
   }
 }
@@ -181,8 +185,8 @@ size_t peer_evaluate_part(const peer_frame *frame, uint64_t radius_first, uint64
                                  .wanted = fixed->wanted,
                                  .notes = fixed->parameter_count,
                                  .channel_count = fixed->medium_count,
-                                 .radius_count = radius_count,
-                                 .radius_first = radius_first,
+                                 .count = radius_count,
+                                 .first = radius_first,
                                  .part = part,
                                  .part_count = part_count};
   eval_layout layout;

@@ -302,7 +302,7 @@ static void tell_lie(int fd, void *context) {
 UNIT_TEST(test_lies_are_noticed) {
   one_lie lies[] = {
       {"magic", 0, 4, 0x12345678},
-      {"version", 4, 2, 2},
+      {"version", 4, 2, 1},
       {"another type", 6, 2, WIRE_TYPE_PING | WIRE_REPLY},
       {"a request instead of an answer", 6, 2, WIRE_TYPE_EVAL},
       {"an error of another length", 6, 2, WIRE_TYPE_ERROR},
@@ -310,19 +310,19 @@ UNIT_TEST(test_lies_are_noticed) {
       {"a payload of 4 GiB", 16, 4, 0xfffffff8},
       {"an empty payload", 16, 4, 0},
       {"a payload that is not padded", 16, 4, 3},
-      {"another evaluator", IN_PAYLOAD(2), 2, DIPOLE_F32},
-      {"no evaluator", IN_PAYLOAD(2), 2, 99},
-      {"fewer arrays", IN_PAYLOAD(6), 2, DIPOLE_R | DIPOLE_ALBEDO},
-      {"other arrays", IN_PAYLOAD(6), 2, DIPOLE_CDF | DIPOLE_ALBEDO | DIPOLE_RADIUS},
-      {"no channels", IN_PAYLOAD(8), 4, 0},
-      {"more channels", IN_PAYLOAD(8), 4, 0xffffffff},
+      {"another evaluator", IN_PAYLOAD(26), 2, DIPOLE_F32},
+      {"no evaluator", IN_PAYLOAD(26), 2, 99},
+      {"fewer arrays", IN_PAYLOAD(30), 2, DIPOLE_R | DIPOLE_ALBEDO},
+      {"other arrays", IN_PAYLOAD(30), 2, DIPOLE_CDF | DIPOLE_ALBEDO | DIPOLE_RADIUS},
+      {"no channels", IN_PAYLOAD(32), 4, 0},
+      {"more channels", IN_PAYLOAD(32), 4, 0xffffffff},
       {"fewer radii", IN_PAYLOAD(16), 8, 2},
       {"more radii", IN_PAYLOAD(16), 8, 4},
       {"so many radii that their bytes wrap", IN_PAYLOAD(16), 8, (UINT64_C(1) << 61) + 3},
-      {"other radii", IN_PAYLOAD(24), 8, 1},
-      {"a part that is not the first", IN_PAYLOAD(32), 4, 1},
-      {"a part of none", IN_PAYLOAD(36), 4, 0},
-      {"a first part with all radii", IN_PAYLOAD(36), 4, 2},
+      {"other radii", IN_PAYLOAD(8), 8, 1},
+      {"a part that is not the first", IN_PAYLOAD(0), 4, 1},
+      {"a part of none", IN_PAYLOAD(4), 4, 0},
+      {"a first part with all radii", IN_PAYLOAD(4), 4, 2},
   };
   for (size_t i = 0; i < sizeof lies / sizeof lies[0]; i++) {
     scripted_peer peer;
@@ -357,12 +357,12 @@ static void lie_in_hello(int fd, void *context) {
 
 UNIT_TEST(test_lies_in_hello_are_noticed) {
   wire_hello_reply lies[] = {
-      {.version = 1, .choice_count = 0},
-      {.version = 1, .choice_count = 2},
-      {.version = 1, .choice_count = 1, .limit_count = 1},
-      {.version = 1, .choice_count = 0x80000001},
-      {.version = 1, .limit_count = 0xffffffff},
-      {.version = 2, .version_min = 2, .version_max = 3, .choice_count = 1},
+      {.version = WIRE_VERSION, .choice_count = 0},
+      {.version = WIRE_VERSION, .choice_count = 2},
+      {.version = WIRE_VERSION, .choice_count = 1, .limit_count = 1},
+      {.version = WIRE_VERSION, .choice_count = 0x80000001},
+      {.version = WIRE_VERSION, .limit_count = 0xffffffff},
+      {.version = 1, .version_min = 1, .version_max = 1, .choice_count = 1},
   };
   for (size_t i = 0; i < sizeof lies / sizeof lies[0]; i++) {
     scripted_peer peer;

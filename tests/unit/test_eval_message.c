@@ -194,14 +194,16 @@ static unsigned array_count(unsigned wanted) {
 static void assert_layout(unsigned evaluator, unsigned wanted, uint32_t channels, uint64_t count) {
   eval_layout layout;
   const uint64_t array = (count * (evaluator == CORE_EVALUATOR_F64 ? 8 : 4) + 7) / 8 * 8;
-  uint64_t at = 40 + 32 * (uint64_t)channels;
+  const unsigned errors = (unsigned)__builtin_popcount(wanted);
+  uint64_t at = 40 + (8 + 24 * (uint64_t)errors) * channels;
   const uint64_t radii_at = at;
   const unsigned arrays = array_count(wanted);
   const uint64_t bytes = at + array * (has(wanted, CORE_QUANTITY_RADIUS) + arrays * channels);
 
   assert_true(eval_reply_layout(evaluator, wanted, channels, count, bytes, &layout));
   assert_int_equal(layout.payload_bytes, bytes);
-  assert_int_equal(layout.channels_offset, 40);
+  assert_int_equal(layout.errors_offset, 40 + 8 * channels);
+  assert_int_equal(eval_albedo_offset(2), 56);
   assert_int_equal(layout.arrays_per_channel, arrays);
   if (has(wanted, CORE_QUANTITY_RADIUS)) {
     assert_int_equal(layout.radius_offset, radii_at);
@@ -252,7 +254,7 @@ static bool fits(unsigned evaluator, unsigned wanted, uint32_t channels, uint64_
   const unsigned arrays = array_count(wanted);
   /* at most 2^35 arrays of 2^67 bytes: this fits into 128 bits */
   const unsigned __int128 bytes =
-      40 + 32 * (unsigned __int128)channels +
+      40 + (8 + 24 * (unsigned)__builtin_popcount(wanted)) * (unsigned __int128)channels +
       array * (has(wanted, CORE_QUANTITY_RADIUS) + (unsigned __int128)arrays * channels);
   return bytes <= max_bytes;
 }
@@ -290,8 +292,8 @@ UNIT_TEST(layouts_do_not_wrap) {
 
 static size_t build_reply(uint8_t *bytes, wire_eval_reply fixed) {
   eval_layout layout;
-  assert_true(eval_reply_layout(fixed.evaluator, fixed.wanted, fixed.channel_count,
-                                fixed.radius_count, PAYLOAD_MAX, &layout));
+  assert_true(eval_reply_layout(fixed.evaluator, fixed.wanted, fixed.channel_count, fixed.count,
+                                PAYLOAD_MAX, &layout));
   memset(bytes, 0, PAYLOAD_MAX);
   wire_put_eval_reply(bytes, &fixed);
   return (size_t)layout.payload_bytes;
@@ -304,8 +306,8 @@ static const wire_eval_reply good_reply = {
     .wanted = CORE_QUANTITY_R | CORE_QUANTITY_CDF | CORE_QUANTITY_RADIUS,
     .channel_count = 3,
     .notes = CORE_NOTE_SIMILARITY,
-    .radius_count = 7,
-    .radius_first = 256,
+    .count = 7,
+    .first = 256,
     .part = 1,
     .part_count = 3,
 };
@@ -338,9 +340,9 @@ UNIT_TEST(replies_of_another_shape_are_refused) {
   } while (0)
   REFUSED(channel_count, 4);
   REFUSED(channel_count, UINT32_MAX);
-  REFUSED(radius_count, 9);
-  REFUSED(radius_count, UINT64_MAX);
-  REFUSED(radius_count, (UINT64_C(1) << 62) + 7);
+  REFUSED(count, 9);
+  REFUSED(count, UINT64_MAX);
+  REFUSED(count, (UINT64_C(1) << 62) + 7);
   REFUSED(evaluator, 0);
   REFUSED(evaluator, CORE_EVALUATOR_F64);
   REFUSED(wanted, good_reply.wanted | 0x4000);

@@ -72,8 +72,7 @@ UNIT_TEST(replies_have_a_structure_and_residuals_for_each_set) {
   uint8_t payload[PAYLOAD_MAX] = {0};
   for (uint32_t residuals = 0; residuals < 5; residuals += 4) {
     for (uint64_t count = 0; count < 20; count++) {
-      const wire_fit_reply fixed = {
-          .part_count = 1, .set_count = count, .reading_count = residuals};
+      const wire_fit_reply fixed = {.part_count = 1, .count = count, .reading_count = residuals};
       const size_t whole = (size_t)fit_reply_bytes(count, residuals);
       wire_fit_reply got;
       wire_put_fit_reply(payload, &fixed);

@@ -1,5 +1,6 @@
 /* libdipole and answers into the caller's memory: the library writes the right values and no byte
  * beside them, for any shape, any cut into parts, and after errors. */
+#include "proto/eval.h"
 #include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
 
@@ -284,8 +285,7 @@ static void hang_up_before_the_end(int fd, void *context) {
   size_t count;
   peer_say_hello_or_abort(fd);
   peer_receive_or_abort(fd, &request);
-  uint8_t *bytes =
-      peer_make_answer(&request, WIRE_BYTES_eval_reply + MEDIA * WIRE_BYTES_channel, &count);
+  uint8_t *bytes = peer_make_answer(&request, eval_albedo_offset(MEDIA), &count);
   const size_t before = *(const size_t *)context;
   peer_send_bytes(fd, bytes, before < count ? count - before : 0);
   free(bytes);

@@ -38,13 +38,13 @@ typedef struct invert_script {
 static bool send_part(int fd, const peer_frame *frame, const invert_request *request,
                       wire_invert_reply fixed, const invert_script *script) {
   uint8_t payload[PAYLOAD_MAX] = {0};
-  size_t bytes = (size_t)invert_reply_bytes(fixed.medium_count);
-  for (uint64_t i = 0; i < fixed.medium_count; i++) {
-    const uint64_t at = (fixed.medium_first + i) % MEDIA; /* A wrong part may have too many. */
+  size_t bytes = (size_t)invert_reply_bytes(fixed.count);
+  for (uint64_t i = 0; i < fixed.count; i++) {
+    const uint64_t at = (fixed.first + i) % MEDIA; /* A wrong part may have too many. */
     const double albedo = request->albedos[at];
     const double values[INVERT_ARRAYS] = {albedo, request->lengths[at], 2 * albedo};
     for (enum invert_array a = INVERT_SIGMA_A; a < INVERT_ARRAYS; a++) {
-      memcpy(payload + invert_array_offset(a, fixed.medium_count) + i * sizeof(double), &values[a],
+      memcpy(payload + invert_array_offset(a, fixed.count) + i * sizeof(double), &values[a],
              sizeof(double));
     }
   }
@@ -72,8 +72,8 @@ static bool answer_invert(int fd, const peer_frame *frame, const invert_script *
                                      .given = request.fixed.given,
                                      .part = part,
                                      .part_count = parts,
-                                     .medium_count = script->counts[part],
-                                     .medium_first = first,
+                                     .count = script->counts[part],
+                                     .first = first,
                                      .missing_count = part % 2,
                                      .albedo_least = 0.125,
                                      .albedo_most = 0.875};
@@ -136,12 +136,12 @@ UNIT_TEST(inversions_of_any_number_of_parts_are_put_together) {
 }
 
 static void one_media_more(wire_invert_reply *fixed, size_t *bytes) {
-  fixed->medium_count++;
+  fixed->count++;
   *bytes += 24;
 }
 static void another_first(wire_invert_reply *fixed, size_t *bytes) {
   (void)bytes;
-  fixed->medium_first++;
+  fixed->first++;
 }
 static void another_part(wire_invert_reply *fixed, size_t *bytes) {
   (void)bytes;
@@ -162,7 +162,7 @@ static void too_short(wire_invert_reply *fixed, size_t *bytes) {
 }
 static void too_many_missing(wire_invert_reply *fixed, size_t *bytes) {
   (void)bytes;
-  fixed->missing_count = fixed->medium_count + 1;
+  fixed->missing_count = fixed->count + 1;
 }
 
 UNIT_TEST(inversions_with_another_shape_end_the_connection) {
@@ -198,21 +198,21 @@ static bool send_samples(int fd, const peer_frame *frame) {
                                    .moments = request.fixed.moments,
                                    .wanted = request.fixed.wanted,
                                    .channel_count = CHANNELS,
-                                   .radius_count = left < PART ? left : PART,
-                                   .radius_first = first,
+                                   .count = left < PART ? left : PART,
+                                   .first = first,
                                    .part = part,
                                    .part_count = PARTS};
     const unsigned wanted = fixed.wanted | EVAL_DRAWN;
     eval_layout layout;
     memset(payload, 0, sizeof payload);
-    if (!eval_reply_layout(fixed.evaluator, wanted, CHANNELS, fixed.radius_count, sizeof payload,
+    if (!eval_reply_layout(fixed.evaluator, wanted, CHANNELS, fixed.count, sizeof payload,
                            &layout)) {
       abort();
     }
     wire_put_eval_reply(payload, &fixed);
-    for (uint64_t i = 0; i < CHANNELS * fixed.radius_count; i++) {
-      const uint32_t channel = (uint32_t)(i / fixed.radius_count);
-      const uint64_t at = i % fixed.radius_count;
+    for (uint64_t i = 0; i < CHANNELS * fixed.count; i++) {
+      const uint32_t channel = (uint32_t)(i / fixed.count);
+      const uint64_t at = i % fixed.count;
       const double r = 1000.0 * channel + (double)(first + at), pdf = -r;
       memcpy(payload + eval_array_offset(&layout, wanted, channel, CORE_QUANTITY_RADIUS) + at * 8,
              &r, sizeof r);

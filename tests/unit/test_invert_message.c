@@ -40,7 +40,7 @@ UNIT_TEST(requests_are_taken_apart) {
 UNIT_TEST(replies_have_three_arrays) {
   uint8_t payload[PAYLOAD_MAX] = {0};
   for (uint64_t count = 0; count < 20; count++) {
-    const wire_invert_reply fixed = {.part_count = 1, .medium_count = count};
+    const wire_invert_reply fixed = {.part_count = 1, .count = count};
     const size_t whole = (size_t)invert_reply_bytes(count);
     wire_invert_reply got;
     wire_put_invert_reply(payload, &fixed);
@@ -61,10 +61,10 @@ UNIT_TEST(replies_that_contradict_themselves_are_refused) {
   uint8_t payload[PAYLOAD_MAX] = {0};
   wire_invert_reply got;
   const wire_invert_reply wrong[] = {
-      {.part_count = 0, .medium_count = 2},
-      {.part = 1, .part_count = 1, .medium_count = 2},
-      {.part_count = 1, .medium_count = 2, .missing_count = 3},
-      {.part_count = 1, .medium_count = UINT64_MAX / 24 + 3},
+      {.part_count = 0, .count = 2},
+      {.part = 1, .part_count = 1, .count = 2},
+      {.part_count = 1, .count = 2, .missing_count = 3},
+      {.part_count = 1, .count = UINT64_MAX / 24 + 3},
   };
   for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++) {
     wire_put_invert_reply(payload, &wrong[i]);

@@ -396,29 +396,29 @@ typedef struct lie {
   int64_t radii;  /* how many radii the part has beyond EACH */
 } lie;
 
-#define CHANNEL_OF(index) (WIRE_BYTES_eval_reply + (index)*WIRE_BYTES_channel)
+#define ALBEDO_OF(index) (WIRE_BYTES_eval_reply + (index)*8)
 
 static const lie lies[] = {
-    {"another model", 1, 0, 2, 3, 0},
-    {"another evaluator", 2, 2, 2, DIPOLE_F32, 0},
-    {"another evaluator of the same type", 2, 2, 2, 77, 0},
-    {"other moments", 1, 4, 2, DIPOLE_FIT, 0},
-    {"other quantities", 1, 6, 2, DIPOLE_R | DIPOLE_ALBEDO | DIPOLE_PDF | DIPOLE_S, 0},
-    {"fewer channels", 1, 8, 4, 1, 0},
-    {"other notes", 3, 12, 4, 1, 0},
+    {"another model", 1, 24, 2, 3, 0},
+    {"another evaluator", 2, 26, 2, DIPOLE_F32, 0},
+    {"another evaluator of the same type", 2, 26, 2, 77, 0},
+    {"other moments", 1, 28, 2, DIPOLE_FIT, 0},
+    {"other quantities", 1, 30, 2, DIPOLE_R | DIPOLE_ALBEDO | DIPOLE_PDF | DIPOLE_S, 0},
+    {"fewer channels", 1, 32, 4, 1, 0},
+    {"other notes", 3, 36, 4, 1, 0},
     {"fewer radii than it has", 1, 16, 8, EACH - 1, 0},
-    {"from another radius", 1, 24, 8, EACH + 1, 0},
-    {"from a radius far away", 1, 24, 8, UINT64_MAX, 0},
-    {"the first from another radius", 0, 24, 8, 1, 0},
-    {"another number", 1, 32, 4, 2, 0},
-    {"the number of the first", 1, 32, 4, 0, 0},
-    {"more parts", 1, 36, 4, 5, 0},
-    {"fewer parts", 2, 36, 4, 3, 0},
-    {"no parts", 0, 36, 4, 0, 0},
-    {"one part, of fewer radii", 0, 36, 4, 1, 0},
-    {"a later part of one", 1, 36, 4, 1, 0},
-    {"another albedo", 1, CHANNEL_OF(1), 8, 0, 0},
-    {"another error", 3, CHANNEL_OF(0) + 8, 8, 0, 0},
+    {"from another radius", 1, 8, 8, EACH + 1, 0},
+    {"from a radius far away", 1, 8, 8, UINT64_MAX, 0},
+    {"the first from another radius", 0, 8, 8, 1, 0},
+    {"another number", 1, 0, 4, 2, 0},
+    {"the number of the first", 1, 0, 4, 0, 0},
+    {"more parts", 1, 4, 4, 5, 0},
+    {"fewer parts", 2, 4, 4, 3, 0},
+    {"no parts", 0, 4, 4, 0, 0},
+    {"one part, of fewer radii", 0, 4, 4, 1, 0},
+    {"a later part of one", 1, 4, 4, 1, 0},
+    {"another albedo", 1, ALBEDO_OF(1), 8, 0, 0},
+    {"another error", 3, ALBEDO_OF(2), 8, 0, 0},
     {"left out", 1, 0, 0, 0, 0},
     {"the first left out", 0, 0, 0, 0, 0},
     {"sent twice", 1, 0, 0, 2, 0},
@@ -445,7 +445,7 @@ static void tell_lie(int fd, void *context) {
         peer_evaluate_part(&request, from, count, part, parts_of(PEER_RADII, EACH), &payload);
     wire_eval_reply fixed;
     wire_get_eval_reply(payload, &fixed);
-    fixed.radius_first = first;
+    fixed.first = first;
     wire_put_eval_reply(payload, &fixed);
     for (size_t i = 0; is_it && i < told->bytes; i++) {
       payload[told->offset + i] = (uint8_t)(told->value >> (8 * i));

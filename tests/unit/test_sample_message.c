@@ -83,7 +83,8 @@ UNIT_TEST(radii_are_an_array_of_each_channel) {
   assert_int_equal(drawn.arrays_per_channel, 3);
   assert_int_equal(once.arrays_per_channel, 2);
   assert_int_equal(drawn.payload_bytes, once.payload_bytes + 2 * 80);
-  assert_int_equal(drawn.arrays_offset, WIRE_BYTES_eval_reply + 3 * WIRE_BYTES_channel);
+  assert_int_equal(drawn.arrays_offset, eval_albedo_offset(3) + 3 * drawn.errors_per_channel *
+                                                                    WIRE_BYTES_quantity_error);
   const enum core_quantity order[] = {CORE_QUANTITY_R, CORE_QUANTITY_RADIUS, CORE_QUANTITY_PDF};
   for (uint32_t i = 0; i < 9; i++) {
     assert_int_equal(eval_array_offset(&drawn, wanted | EVAL_DRAWN, i / 3, order[i % 3]),
@@ -93,7 +94,7 @@ UNIT_TEST(radii_are_an_array_of_each_channel) {
   const wire_eval_reply fixed = {.evaluator = CORE_EVALUATOR_F64,
                                  .wanted = (uint16_t)wanted,
                                  .channel_count = 3,
-                                 .radius_count = 10,
+                                 .count = 10,
                                  .part_count = 1};
   wire_eval_reply got;
   eval_layout layout;

@@ -580,10 +580,10 @@ SPOIL(spoil_evaluator, 0, fixed.evaluator = 3)
 SPOIL(spoil_moments, 0, fixed.moments = DIPOLE_FIT)
 SPOIL(spoil_wanted, 0, fixed.wanted ^= DIPOLE_R | DIPOLE_RADIUS)
 SPOIL(spoil_coefficients, 0, fixed.coefficients = 3)
-SPOIL(spoil_first, 1, fixed.value_first++)
+SPOIL(spoil_first, 1, fixed.first++)
 SPOIL(spoil_part, 1, fixed.part++)
-SPOIL(spoil_count, 1, fixed.value_count--)
-SPOIL(spoil_answered, 1, fixed.answered_count = fixed.value_count + 1)
+SPOIL(spoil_count, 1, fixed.count--)
+SPOIL(spoil_answered, 1, fixed.answered_count = fixed.count + 1)
 SPOIL(spoil_end, 1, fixed.part_count = 2)
 
 UNIT_TEST(wrong_answers_are_refused) {

@@ -164,7 +164,7 @@ def _most_media(info: Info) -> int:
     256 radii of each medium."""
     limits = info.limits
     part_bytes = min(limits["max_part_bytes"], limits["max_frame_bytes"]) - wire.EVAL_REPLY.bytes
-    return max(min(limits["max_media"], part_bytes // (wire.CHANNEL.bytes + 256 * 8)), 1)
+    return max(min(limits["max_media"], part_bytes // (8 + 13 * wire.QUANTITY_ERROR.bytes + 256 * 8)), 1)
 
 
 def _most_radii(info: Info) -> int:

@@ -17,8 +17,8 @@ from .errors import ArgumentError, ProtocolError, TableError
 from .exchange import Answer, Once, Request
 from .surface import Surface
 from .table import Table
-from .values import Array, Draw, Grid, Info, Media, Medium, Offer, Offers, OffersOptions, Options
-from .values import Query, Result, SampleOptions, Samples, whole
+from .values import Array, Draw, Errors, Grid, Info, Media, Medium, Offer, Offers, OffersOptions
+from .values import Options, Query, Result, SampleOptions, Samples, whole
 
 T = TypeVar("T")
 
@@ -307,13 +307,14 @@ class Part(NamedTuple):
     """One part of an answer, or a whole answer."""
 
     fixed: Any  # the eval_reply structure
-    channels: Array  # [C, 4], the channel structures
+    albedos: Array  # [C]
+    errors: Array  # [C, K, 3], the quantity_error structures of the K wanted quantities
     arrays: dict[int, Array]  # by quantity: the radii [N] and values [C, N]
 
     def common(self) -> tuple[Any, bytes]:
         """Returns the fields that must be the same in all parts of an answer."""
-        fixed = self.fixed._replace(radius_count=0, radius_first=0, part=0)
-        return fixed, self.channels.tobytes()
+        fixed = self.fixed._replace(count=0, first=0, part=0)
+        return fixed, self.albedos.tobytes() + self.errors.tobytes()
 
 
 class EvalAnswer(Answer[Any]):
@@ -335,11 +336,11 @@ class EvalAnswer(Answer[Any]):
         self._check(part)
         fixed = part.fixed
         if self._first is None:
-            self._first = Part(fixed, part.channels.copy(), {})
+            self._first = Part(fixed, part.albedos.copy(), part.errors.copy(), {})
         if not self.is_streamed and fixed.part_count > 1:
             part = self._gather(part)
         self._next_part += 1
-        self._next_radius += fixed.radius_count
+        self._next_radius += fixed.count
         self.ended = self._next_part == fixed.part_count
         if self.is_streamed or self.ended:
             self.ready.append(self._read(part))
@@ -354,27 +355,27 @@ class EvalAnswer(Answer[Any]):
             raise ProtocolError("an eval reply that does not answer the query")
         left = shape.radius_count - self._next_radius
         is_last = fixed.part + 1 == fixed.part_count
-        if (fixed.part, fixed.radius_first) != (self._next_part, self._next_radius):
+        if (fixed.part, fixed.first) != (self._next_part, self._next_radius):
             raise ProtocolError("an eval reply that is not the next part")
-        if fixed.radius_count > left or is_last != (fixed.radius_count == left):
+        if fixed.count > left or is_last != (fixed.count == left):
             raise ProtocolError("an eval reply with another number of radii than the query")
-        if fixed.radius_count == 0 and fixed.part_count != 1:
+        if fixed.count == 0 and fixed.part_count != 1:
             raise ProtocolError("a part of an eval reply with no radii")
         if self._first is not None and part.common() != self._first.common():
             raise ProtocolError("parts of an eval reply that do not belong together")
 
     def _gather(self, part: Part) -> Part:
         """Copies a part to its place in the whole answer; returns the whole as a Part."""
-        count, begin = self._shape.radius_count, part.fixed.radius_first
+        count, begin = self._shape.radius_count, part.fixed.first
         for quantity, array in part.arrays.items():
             if begin == 0:
                 self._whole[quantity] = np.empty((*array.shape[:-1], count), array.dtype)
-            self._whole[quantity][..., begin : begin + part.fixed.radius_count] = array
+            self._whole[quantity][..., begin : begin + part.fixed.count] = array
             if part.fixed.part + 1 == part.fixed.part_count:
                 self._whole[quantity].setflags(write=False)
-        fixed = part.fixed._replace(radius_count=count, radius_first=0)
+        fixed = part.fixed._replace(count=count, first=0)
         assert self._first is not None
-        return Part(fixed, self._first.channels, self._whole)
+        return self._first._replace(fixed=fixed, arrays=self._whole)
 
 
 def _unpack(payload: bytes, drawn: bool) -> Part:
@@ -388,43 +389,46 @@ def _unpack(payload: bytes, drawn: bool) -> Part:
     value_type = np.dtype(wire.EVALUATOR_TYPES[fixed.evaluator])
     per_channel = [q for q in (wire.DRAWN if drawn else wire.ELEMENTWISE) if fixed.wanted & q]
     wanted_r = bool(fixed.wanted & wire.QUANTITY_RADIUS) and not drawn
-    channels_bytes = fixed.channel_count * wire.CHANNEL.bytes
-    stride = wire.padded(fixed.radius_count * value_type.itemsize)
+    error_count = fixed.wanted.bit_count()
+    channels_bytes = fixed.channel_count * (8 + error_count * wire.QUANTITY_ERROR.bytes)
+    stride = wire.padded(fixed.count * value_type.itemsize)
     array_count = fixed.channel_count * len(per_channel) + wanted_r
     at = wire.EVAL_REPLY.bytes
     if len(payload) != at + channels_bytes + array_count * stride:
         raise ProtocolError("an eval reply whose size does not fit its counts")
-    channels = np.frombuffer(payload, "<f8", channels_bytes // 8, at).reshape(-1, 4)
+    stated = np.frombuffer(payload, "<f8", channels_bytes // 8, at)
     values = np.frombuffer(payload, value_type, -1, at + channels_bytes)
-    rows = values.reshape(array_count, -1 if array_count else 0)[:, : fixed.radius_count]
+    rows = values.reshape(array_count, -1 if array_count else 0)[:, : fixed.count]
     arrays = {wire.QUANTITY_RADIUS: rows[0]} if wanted_r else {}
     for i, quantity in enumerate(per_channel):
         arrays[quantity] = rows[wanted_r + i :: len(per_channel)]
-    return Part(fixed, channels, arrays)
+    albedos, errors = np.split(stated, [fixed.channel_count])
+    return Part(fixed, albedos, errors.reshape(fixed.channel_count, error_count, 3), arrays)
 
 
 def _common_fields(part: Part, info: Info) -> dict[str, Any]:
     """Makes the fields that Result and Samples share."""
-    fixed, channels, arrays = part
+    fixed, albedos, errors, arrays = part
     if fixed.wanted & wire.QUANTITY_ALBEDO:
-        arrays[wire.QUANTITY_ALBEDO] = channels[:, 0]
-    quantities = info.choices["quantity"].values()
+        arrays[wire.QUANTITY_ALBEDO] = albedos
+    quantities = sorted(info.choices["quantity"].values())
     return {
         "model": name_of(info, "model", fixed.model),
         "evaluator": name_of(info, "evaluator", fixed.evaluator),
         "moments": name_of(info, "moments", fixed.moments),
-        "numerical_error_constant": channels[:, 1],
-        "numerical_error_per_mm": channels[:, 2],
-        "model_error": channels[:, 3],
+        "errors": {
+            one.name: Errors(*errors[:, i].T)
+            for i, one in enumerate(one for one in quantities if one.id & fixed.wanted)
+        },
         "notes": notes_of(info, fixed.notes),
         "quantities": {one.name: arrays[one.id] for one in quantities if one.id in arrays},
     }
 
 
 def _result(part: Part, shape: Shape, info: Info) -> Result:
-    first = part.fixed.radius_first
+    first = part.fixed.first
     if shape.radii is not None:
-        part.arrays[wire.QUANTITY_RADIUS] = shape.radii[first : first + part.fixed.radius_count]
+        part.arrays[wire.QUANTITY_RADIUS] = shape.radii[first : first + part.fixed.count]
     return Result(radius_first=first, **_common_fields(part, info))
 
 

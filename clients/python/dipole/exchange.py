@@ -77,14 +77,13 @@ class Once(Answer[T]):
 class InParts(Answer[T]):
     """An answer whose items come in parts, which this class checks and puts together.
 
-    structure: of the fixed part of each reply. item: begins the names of its fields ITEM_count and
-    ITEM_first. count: how many items were asked for. A subclass has _bytes_of(), _take() and
-    _whole().
+    structure: of the fixed part of each reply. count: how many items were asked for. A subclass has
+    _bytes_of(), _take() and _whole().
     """
 
-    def __init__(self, structure: wire.Structure, item: str, count: int):
+    def __init__(self, structure: wire.Structure, count: int):
         super().__init__()
-        self._structure, self._item, self._count = structure, item, count
+        self._structure, self._count = structure, count
         self._next_part = 0
         self._next = 0  # the first item of the next part
 
@@ -93,15 +92,14 @@ class InParts(Answer[T]):
         if len(payload) < fixed_bytes:
             raise ProtocolError(f"a {name} that is too short")
         fixed = self._structure.unpack(payload)
-        count, left = getattr(fixed, f"{self._item}_count"), self._count - self._next
+        first, count, left = fixed.first, fixed.count, self._count - self._next
         if len(payload) != fixed_bytes + self._bytes_of(fixed, count):
             raise ProtocolError(f"a {name} whose size does not fit its counts")
-        first = getattr(fixed, f"{self._item}_first")
         if (fixed.part, first) != (self._next_part, self._next):
             raise ProtocolError(f"a {name} that is not the next part")
         is_last = fixed.part + 1 == fixed.part_count
         if count > left or is_last != (count == left):
-            raise ProtocolError(f"a {name} with another {self._item}_count than was asked for")
+            raise ProtocolError(f"a {name} with another count than was asked for")
         self._take(fixed, payload, slice(first, first + count))
         self._next_part += 1
         self._next += count

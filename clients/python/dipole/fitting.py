@@ -30,7 +30,7 @@ class Answer(exchange.InParts[Part]):
     """The answer to one fit request. first: position of its first set."""
 
     def __init__(self, first: int, set_count: int, residuals: int):
-        super().__init__(wire.FIT_REPLY, "set", set_count)
+        super().__init__(wire.FIT_REPLY, set_count)
         self._sets = np.empty(set_count, _SETS)
         self._residuals = np.empty((set_count, residuals))
         self._first = first
@@ -42,7 +42,7 @@ class Answer(exchange.InParts[Part]):
         return int(count * (wire.FITTED.bytes + 8 * fixed.reading_count))
 
     def _take(self, fixed: Any, payload: bytes, items: slice) -> None:
-        at, count = wire.FIT_REPLY.bytes, fixed.set_count
+        at, count = wire.FIT_REPLY.bytes, fixed.count
         self._sets[items] = np.frombuffer(payload, _SETS, count, at)
         residuals = np.frombuffer(payload, "<f8", -1, at + count * wire.FITTED.bytes)
         self._residuals[items] = residuals.reshape(count, fixed.reading_count)

@@ -83,7 +83,7 @@ class Piece(NamedTuple):
     """The answer to one gather request."""
 
     replies: list[Any]  # the fixed parts of its parts
-    channels: list[list[Any]]  # the channel structures of its parts
+    channels: list[list[Any]]  # the quantity_error structures of its parts
     sums: Array  # [Q, C]
 
 
@@ -91,22 +91,22 @@ class _Sums(InParts[Piece]):
     """The answer to a gather request."""
 
     def __init__(self, count: int, channels: int):
-        super().__init__(wire.GATHER_REPLY, "query", count)
+        super().__init__(wire.GATHER_REPLY, count)
         self._piece = Piece([], [], np.empty((count, channels)))
 
     def _bytes_of(self, fixed: Any, count: int) -> int:
         width = self._piece.sums.shape[1]
         if fixed.channel_count != width:
             raise ProtocolError("a gather reply that does not answer the request")
-        return width * (wire.CHANNEL.bytes + 8 * count)
+        return width * (wire.QUANTITY_ERROR.bytes + 8 * count)
 
     def _take(self, fixed: Any, payload: bytes, items: slice) -> None:
         replies, channels, sums = self._piece
-        begin, each = wire.GATHER_REPLY.bytes, wire.CHANNEL.bytes
+        begin, each = wire.GATHER_REPLY.bytes, wire.QUANTITY_ERROR.bytes
         at = begin + each * fixed.channel_count
-        channels.append([wire.CHANNEL.unpack(payload, i) for i in range(begin, at, each)])
+        channels.append([wire.QUANTITY_ERROR.unpack(payload, i) for i in range(begin, at, each)])
         listed = np.frombuffer(payload, "<f8", -1, at)
-        sums[items] = listed.reshape(fixed.query_count, fixed.channel_count)
+        sums[items] = listed.reshape(fixed.count, fixed.channel_count)
         replies.append(fixed)
 
     def _whole(self) -> Piece:

@@ -20,7 +20,7 @@ class Answer(exchange.InParts[Inversion]):
     names the ids."""
 
     def __init__(self, fixed: dict[str, Any], shape: tuple[int, ...], info: Info):
-        super().__init__(wire.INVERT_REPLY, "medium", fixed["medium_count"])
+        super().__init__(wire.INVERT_REPLY, fixed["medium_count"])
         self._fixed, self._shape, self._info = fixed, shape, info
         self._arrays = np.empty((_ARRAYS, fixed["medium_count"]))
         self._reach: tuple[float, float] | None = None
@@ -34,7 +34,7 @@ class Answer(exchange.InParts[Inversion]):
 
     def _take(self, fixed: Any, payload: bytes, items: slice) -> None:
         reach = (fixed.albedo_least, fixed.albedo_most)
-        if fixed.missing_count > fixed.medium_count or self._reach not in (None, reach):
+        if fixed.missing_count > fixed.count or self._reach not in (None, reach):
             raise ProtocolError("parts of an invert reply that do not belong together")
         values = np.frombuffer(payload, "<f8", -1, wire.INVERT_REPLY.bytes)
         self._arrays[:, items] = values.reshape(_ARRAYS, -1)

@@ -189,6 +189,16 @@ class Info:
         )
 
 
+class Errors(NamedTuple):
+    """How far the values of a quantity may be off, for C channels."""
+
+    # A value at radius r is within numerical_error + numerical_error_per_mm r of the model's formula,
+    # relative, for ln R and its derivatives absolute.
+    numerical_error: Array  # [C]
+    numerical_error_per_mm: Array  # [C] 1/mm
+    model_error: Array  # [C] against transport at the radii of the query; NaN: not known
+
+
 class Offer(NamedTuple):
     """A model and an evaluator that could answer a query, with their error and their cost."""
 
@@ -252,11 +262,7 @@ class _Evaluated:
     model: str
     evaluator: str
     moments: str
-    numerical_error_constant: Array  # [C] numerical_error() adds this constant
-    numerical_error_per_mm: Array  # [C] 1/mm: and this number times the radius
-    # [C] error of the model against transport at these radii, relative; NaN if transport is not
-    # solved for the medium
-    model_error: Array
+    errors: dict[str, Errors]  # of each wanted quantity, by its name
     notes: tuple[str, ...]  # names of the notes, of info.choices["note"], that hold for any channel
     quantities: dict[str, Array]  # every quantity of the answer by the daemon's name
 
@@ -265,6 +271,13 @@ class _Evaluated:
         """The quantities that have a value for each channel and radius, [C, N], by the daemon's
         names, such as "2_pi_r_R"."""
         return {name: array for name, array in self.quantities.items() if array.ndim == 2}
+
+    @property
+    def model_error(self) -> Array:
+        """[C]: the largest error of the model against transport at these radii, of all quantities;
+        NaN if transport is not solved for the medium. `errors` has that of each quantity."""
+        worst: Array = np.fmax.reduce([one.model_error for one in self.errors.values()])
+        return worst
 
     pdf = _Quantity("pdf", "[C, N] 1/mm: density of radii, 2 pi r R over the albedo.")
     albedo = _Quantity("albedo", "[C] float64: integral of 2 pi r R(r).")
@@ -316,16 +329,21 @@ class Result(_Evaluated):
         "[C, N]: d ln R / d ln sigma_s, which is also that by ln sigma_s'.",
     )
 
-    def numerical_error(self, r: Array | float | None = None) -> Array:
+    def numerical_error(
+        self, r: Array | float | None = None, quantity: str | None = None
+    ) -> Array:
         """Returns how far a value at radius r may be from the model's exact formula: [C, N],
         relative, for ln R and its derivatives absolute. r: [N] mm; the default is the result's own
-        radii."""
+        radii. quantity: its name, such as "R"; None takes the largest of all wanted ones."""
+        chosen = [self.errors[quantity]] if quantity is not None else list(self.errors.values())
+        constants = np.max([one.numerical_error for one in chosen], axis=0)
+        per_mm = np.max([one.numerical_error_per_mm for one in chosen], axis=0)
         radii = np.asarray(self.r if r is None else r, dtype=np.float64)
         # At r = infinity, an error that does not grow with r gives 0 * inf, which is NaN: it is 0.
         with np.errstate(invalid="ignore"):
-            growth: Array = np.multiply.outer(self.numerical_error_per_mm, radii)
+            growth: Array = np.multiply.outer(per_mm, radii)
         growth[np.isnan(growth)] = 0
-        constant: Array = self.numerical_error_constant.reshape((-1,) + (1,) * radii.ndim)
+        constant: Array = constants.reshape((-1,) + (1,) * radii.ndim)
         return constant + growth
 
     def __repr__(self) -> str:

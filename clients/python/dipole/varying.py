@@ -93,7 +93,7 @@ class Answer(InParts[Piece]):
     """The answer to a varying request."""
 
     def __init__(self, plan: Plan, count: int):
-        super().__init__(wire.VARYING_REPLY, "value", count)
+        super().__init__(wire.VARYING_REPLY, count)
         self._plan = plan
         arrays = len(plan.wanted) + len(plan.coefficients)
         self._arrays = np.empty((arrays, count), plan.type)
@@ -108,7 +108,7 @@ class Answer(InParts[Piece]):
         return len(self._arrays) * array_bytes + wire.padded(count)
 
     def _take(self, fixed: Any, payload: bytes, items: slice) -> None:
-        at, count = wire.VARYING_REPLY.bytes, fixed.value_count
+        at, count = wire.VARYING_REPLY.bytes, fixed.count
         for array in self._arrays:
             array[items] = np.frombuffer(payload, self._plan.type, count, at)
             at += wire.padded(count * array.itemsize)

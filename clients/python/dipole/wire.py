@@ -13,10 +13,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from . import schema
 from .errors import ArgumentError, ProtocolError
+from .schema import KINDS as KINDS
+from .schema import MESSAGES as MESSAGES
+from .schema import STATUSES as STATUSES
 
 MAGIC = 0x4C504944
-VERSION = 1
+VERSION = 2
 REPLY = 0x8000  # The type of a reply is the type of its request plus this.
 TYPE_ERROR = 0xFFFF  # the type of an error frame, which is sent in place of a reply
 ALIGNMENT = 8  # bytes: payloads, structures and arrays start at multiples of this in a frame
@@ -27,26 +31,7 @@ def _numbered(names: str, first: int = 1) -> dict[int, str]:
     return dict(enumerate(names.split(), first))
 
 
-# Types of requests by name.
-_TYPES = _numbered(
-    "hello eval media statistics ping mc cancel table offers sample invert fit varying "
-    "points gather"
-)
-MESSAGES = {name: type for type, name in _TYPES.items()}
-
-# Maps the code of a status to its name.
-STATUSES = _numbered(
-    "ok bad-magic bad-version bad-type bad-length bad-count bad-value too-large truncated timeout "
-    "busy shutting-down deadline bad-address not-allowed unknown-points cancelled",
-    first=0,
-)
 STATUS_DEADLINE = 12
-
-# Maps the number of a kind of choices to its name.
-KINDS = _numbered(
-    "model evaluator moments quantity spacing status parameter note draw length phase scale axis "
-    "fit_status light value coefficient"
-)
 
 # Permanent ids that the layout of a payload depends on.
 EVALUATOR_TYPES = {1: "<f8", 2: "<f4", 3: "<f4"}  # by evaluator: the numpy type of its values
@@ -103,9 +88,6 @@ class Field(NamedTuple):
         return self.kind != "text" and self.count > 1
 
 
-STRUCTURES: dict[str, Structure] = {}
-
-
 class Structure:
     """A structure of fixed size, declared by a text like "f64 eta, f64 g[3], text name[16]"."""
 
@@ -117,7 +99,6 @@ class Structure:
         self._struct = struct.Struct("<" + "".join(formats))
         self._tuple = namedtuple(name, [field.name for field in self.fields])  # type: ignore[misc]
         self.bytes = self._struct.size  # its size on the wire
-        STRUCTURES[name] = self
 
     def pack(self, **values: Any) -> bytes:
         """Returns the structure's bytes. Values: every field except those called zero or
@@ -174,141 +155,43 @@ def padded(data_bytes: int) -> int:
     return -(-data_bytes // ALIGNMENT) * ALIGNMENT
 
 
-HEADER = Structure(
-    "header",
-    "u32 magic, u16 version, u16 type, u64 request_id, u32 payload_bytes, u32 deadline_ms",
-)
-HELLO_REQUEST = Structure("hello_request", "u16 version_min, u16 version_max, u32 zero")
-HELLO_REPLY = Structure(
-    "hello_reply",
-    "u16 version, u16 version_min, u16 version_max, u16 workers, u32 choice_count, "
-    "u32 limit_count, text software[32], text instruction_set[16], text R_unit[48]",
-)
-CHOICE = Structure("choice", "u16 kind, u16 id, text name[28], text about[96]")
-VALUE = Structure("value", "text name[40], u64 value")
-EVAL_REQUEST = Structure(
-    "eval_request",
-    "u16 model, u16 evaluator, u16 moments, u16 wanted, u32 medium_count, u16 spacing, "
-    "u16 parameter_count, u64 radius_count, f64 radius_start, f64 radius_stop",
-)
-MEDIUM = Structure("medium", "f64 sigma_a, f64 sigma_s, f64 g, f64 eta")
-PARAMETER = Structure("parameter", "u16 parameter, u16 zero, u32 zero_too, f64 value")
-EVAL_REPLY = Structure(
-    "eval_reply",
-    "u16 model, u16 evaluator, u16 moments, u16 wanted, u32 channel_count, u32 notes, "
-    "u64 radius_count, u64 radius_first, u32 part, u32 part_count",
-)
-CHANNEL = Structure(
-    "channel",
-    "f64 albedo, f64 numerical_error, f64 numerical_error_per_mm, f64 model_error",
-)
-LIST_REPLY = Structure("list_reply", "u32 count, u32 zero")
-MEASURED_MEDIUM = Structure(
-    "measured_medium",
-    "text name[16], f64 sigma_a[3], f64 sigma_s[3], f64 g, f64 eta",
-)
-MC_REQUEST = Structure(
-    "mc_request",
-    "u16 spacing, u16 albedo_count, u32 ring_count, f64 radius_start, f64 radius_stop, "
-    "f64 thickness, u64 seed, u64 photons, f64 error_total, f64 error_rings",
-)
-MC_REPLY = Structure(
-    "mc_reply",
-    "u16 state, u16 side_count, u16 albedo_count, u16 worst_side, u32 ring_count, "
-    "u16 worst_albedo, u16 zero, f64 worst_from, f64 worst_to, f64 error_total, "
-    "f64 error_rings, u64 number, u64 photons, u64 photons_expected",
-)
-MC_ENERGY = Structure(
-    "mc_energy",
-    "f64 albedo, f64 reflected, f64 reflected_error, f64 transmitted, f64 transmitted_error, "
-    "f64 absorbed, f64 absorbed_error, f64 unfinished, f64 unfinished_error, f64 roulette, "
-    "f64 roulette_error, f64 unscattered[2], f64 under[2], f64 under_error[2], f64 over[2], "
-    "f64 over_error[2], f64 imbalance",
-)
-CANCEL_REQUEST = Structure("cancel_request", "u64 job_id")
-CANCEL_REPLY = Structure("cancel_reply", "u32 found, u32 zero")
-TABLE_REQUEST = Structure("table_request", "u16 model, u16 moments, u16 parameter_count, u16 zero")
-TABLE_REPLY = Structure(
-    "table_reply",
-    "u16 layout, u16 model, u16 moments, u16 parameter_count, u32 word_count, u32 checksum, "
-    "u32 notes, u32 zero, f64 sigma_a, f64 sigma_s, f64 g, f64 eta, f64 albedo, "
-    "f64 numerical_error, f64 numerical_error_per_mm, f64 model_error, f64 pieces_from, "
-    "f64 pieces_to, f64 radius_least, f64 radius_most, f64 reach, f64 reach_growth, "
-    "f64 model_errors[11], f64 numerical_errors[11]",
-)
-OFFERS_REPLY = Structure("offers_reply", "u32 count, u32 taken")
-OFFER = Structure(
-    "offer",
-    "u16 model, u16 evaluator, u32 meets, f64 error, f64 numerical_error, f64 cost, "
-    "f64 prepare_cost",
-)
-SAMPLE_REQUEST = Structure(
-    "sample_request",
-    "u16 model, u16 evaluator, u16 moments, u16 wanted, u32 medium_count, u16 draw, "
-    "u16 parameter_count, u64 sample_count, u64 sample_first, u64 seed",
-)
-INVERT_REQUEST = Structure(
-    "invert_request",
-    "u16 model, u16 moments, u16 given, u16 zero, u64 medium_count, f64 g, f64 eta",
-)
-INVERT_REPLY = Structure(
-    "invert_reply",
-    "u16 model, u16 moments, u16 given, u16 zero, u32 part, u32 part_count, u64 medium_count, "
-    "u64 medium_first, u64 missing_count, f64 albedo_least, f64 albedo_most",
-)
-FIT_REQUEST = Structure("fit_request", "u64 set_count, u16 residuals, u16 zero, u32 zero_too")
-FIT_DESIGN = Structure(
-    "fit_design",
-    "u16 model, u16 moments, u16 axis, u16 scale, u32 reading_count, u16 parameter_count, "
-    "u16 zero, f64 g, f64 eta",
-)
-FIT_REPLY = Structure(
-    "fit_reply",
-    "u32 part, u32 part_count, u64 set_count, u64 set_first, u64 fitted_count, "
-    "u32 reading_count, u32 notes",
-)
-FITTED = Structure(
-    "fitted",
-    "u16 status, u16 bounds, u16 field, u16 zero, u32 index, u32 evaluations, f64 sigma_a, "
-    "f64 sigma_s_prime, f64 factor, f64 chi_squared, f64 reduced_chi_squared, f64 condition, "
-    "f64 variance_a, f64 covariance_a_s, f64 variance_s, f64 covariance_a_factor, "
-    "f64 covariance_s_factor, f64 variance_factor, f64 second_sigma_a, "
-    "f64 second_sigma_s_prime, f64 second_factor, f64 second_chi_squared, "
-    "f64 model_error",
-)
-VARYING_REQUEST = Structure(
-    "varying_request",
-    "u16 model, u16 evaluator, u16 moments, u16 wanted, u16 coefficients, u16 given, u16 light, "
-    "u16 specular, u16 numbers, u16 parameter_count, u32 zero, u64 value_count, f64 g, f64 eta",
-)
-VARYING_REPLY = Structure(
-    "varying_reply",
-    "u16 model, u16 evaluator, u16 moments, u16 wanted, u16 coefficients, u16 zero, u32 notes, "
-    "u64 value_count, u64 value_first, u32 part, u32 part_count, u64 answered_count, "
-    "f64 numerical_error, f64 model_error, f64 colour_least, f64 colour_most, f64 specular",
-)
-POINTS_REQUEST = Structure(
-    "points_request",
-    "u64 set[2], u32 channel_count, u32 zero, u64 point_count, u64 point_first, u64 part_points",
-)
-POINTS_REPLY = Structure(
-    "points_reply", "u64 set[2], u32 known, u32 zero, u64 point_next"
-)
-GATHER_REQUEST = Structure(
-    "gather_request",
-    "u16 model, u16 evaluator, u16 moments, u16 parameter_count, u32 medium_count, u32 zero, "
-    "u64 set[2], u64 query_count, f64 tolerance",
-)
-GATHER_REPLY = Structure(
-    "gather_reply",
-    "u16 model, u16 evaluator, u16 moments, u16 zero, u32 channel_count, u32 notes, "
-    "u64 query_count, u64 query_first, u32 part, u32 part_count, f64 bound, "
-    "u64 points_visited, u64 nodes_visited",
-)
-ERROR = Structure(
-    "error",
-    "u16 status, u16 zero, u32 retry_after_ms, u64 index, text field[32], text allowed[80]",
-)
+STRUCTURES = {name: Structure(name, text) for name, text in schema.STRUCTURES.items()}
+HEADER = STRUCTURES["header"]
+HELLO_REQUEST = STRUCTURES["hello_request"]
+HELLO_REPLY = STRUCTURES["hello_reply"]
+CHOICE = STRUCTURES["choice"]
+VALUE = STRUCTURES["value"]
+EVAL_REQUEST = STRUCTURES["eval_request"]
+MEDIUM = STRUCTURES["medium"]
+PARAMETER = STRUCTURES["parameter"]
+PART = STRUCTURES["part"]
+EVAL_REPLY = STRUCTURES["eval_reply"]
+QUANTITY_ERROR = STRUCTURES["quantity_error"]
+LIST_REPLY = STRUCTURES["list_reply"]
+MEASURED_MEDIUM = STRUCTURES["measured_medium"]
+MC_REQUEST = STRUCTURES["mc_request"]
+MC_REPLY = STRUCTURES["mc_reply"]
+MC_ENERGY = STRUCTURES["mc_energy"]
+CANCEL_REQUEST = STRUCTURES["cancel_request"]
+CANCEL_REPLY = STRUCTURES["cancel_reply"]
+TABLE_REQUEST = STRUCTURES["table_request"]
+TABLE_REPLY = STRUCTURES["table_reply"]
+OFFERS_REPLY = STRUCTURES["offers_reply"]
+OFFER = STRUCTURES["offer"]
+SAMPLE_REQUEST = STRUCTURES["sample_request"]
+INVERT_REQUEST = STRUCTURES["invert_request"]
+INVERT_REPLY = STRUCTURES["invert_reply"]
+FIT_REQUEST = STRUCTURES["fit_request"]
+FIT_DESIGN = STRUCTURES["fit_design"]
+FIT_REPLY = STRUCTURES["fit_reply"]
+FITTED = STRUCTURES["fitted"]
+VARYING_REQUEST = STRUCTURES["varying_request"]
+VARYING_REPLY = STRUCTURES["varying_reply"]
+POINTS_REQUEST = STRUCTURES["points_request"]
+POINTS_REPLY = STRUCTURES["points_reply"]
+GATHER_REQUEST = STRUCTURES["gather_request"]
+GATHER_REPLY = STRUCTURES["gather_reply"]
+ERROR = STRUCTURES["error"]
 
 
 def unpack_list(

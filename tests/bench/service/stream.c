@@ -69,7 +69,7 @@ static void receive_some(int fd, uint8_t *bytes, size_t count, struct stream_sha
 /* Reads a frame. Returns how many bytes of values it has. */
 static uint64_t receive_frame(int fd, uint8_t *buffer, struct stream_shared *shared) {
   wire_header header;
-  const uint64_t besides = WIRE_BYTES_eval_reply + WIRE_BYTES_channel;
+  const uint64_t besides = eval_albedo_offset(1) + 2 * WIRE_BYTES_quantity_error;
   receive_some(fd, buffer, WIRE_BYTES_header, shared);
   wire_get_header(buffer, &header);
   if (header.magic != WIRE_MAGIC || header.type != (WIRE_TYPE_EVAL | WIRE_REPLY) ||

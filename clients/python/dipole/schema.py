@@ -1,0 +1,200 @@
+"""The messages, structures and lists of dipoled's protocol. `make docs` makes this file from proto/."""
+
+MESSAGES = {
+    "hello": 1,
+    "eval": 2,
+    "media": 3,
+    "statistics": 4,
+    "ping": 5,
+    "mc": 6,
+    "cancel": 7,
+    "table": 8,
+    "offers": 9,
+    "sample": 10,
+    "invert": 11,
+    "fit": 12,
+    "varying": 13,
+    "points": 14,
+    "gather": 15,
+}
+
+# kinds of choices, by their number
+KINDS = {
+    1: "model",
+    2: "evaluator",
+    3: "moments",
+    4: "quantity",
+    5: "spacing",
+    6: "status",
+    7: "parameter",
+    8: "note",
+    9: "draw",
+    10: "length",
+    11: "phase",
+    12: "scale",
+    13: "axis",
+    14: "fit_status",
+    15: "light",
+    16: "value",
+    17: "coefficient",
+}
+
+STATUSES = {
+    0: "ok",
+    1: "bad-magic",
+    2: "bad-version",
+    3: "bad-type",
+    4: "bad-length",
+    5: "bad-count",
+    6: "bad-value",
+    7: "too-large",
+    8: "truncated",
+    9: "timeout",
+    10: "busy",
+    11: "shutting-down",
+    12: "deadline",
+    13: "bad-address",
+    14: "not-allowed",
+    15: "unknown-points",
+    16: "cancelled",
+}
+
+STRUCTURES = {
+    "header": (
+        "u32 magic, u16 version, u16 type, u64 request_id, u32 payload_bytes, u32 deadline_ms, "
+    ),
+    "hello_request": (
+        "u16 version_min, u16 version_max, u32 zero, "
+    ),
+    "hello_reply": (
+        "u16 version, u16 version_min, u16 version_max, u16 workers, u32 choice_count, "
+        "u32 limit_count, text software[32], text instruction_set[16], text R_unit[48], "
+    ),
+    "choice": (
+        "u16 kind, u16 id, text name[28], text about[96], "
+    ),
+    "value": (
+        "text name[40], u64 value, "
+    ),
+    "eval_request": (
+        "u16 model, u16 evaluator, u16 moments, u16 wanted, u32 medium_count, u16 spacing, "
+        "u16 parameter_count, u64 radius_count, f64 radius_start, f64 radius_stop, "
+    ),
+    "medium": (
+        "f64 sigma_a, f64 sigma_s, f64 g, f64 eta, "
+    ),
+    "parameter": (
+        "u16 parameter, u16 zero, u32 zero_too, f64 value, "
+    ),
+    "part": (
+        "u32 part, u32 part_count, u64 first, u64 count, "
+    ),
+    "eval_reply": (
+        "u32 part, u32 part_count, u64 first, u64 count, u16 model, u16 evaluator, u16 moments, "
+        "u16 wanted, u32 channel_count, u32 notes, "
+    ),
+    "quantity_error": (
+        "f64 numerical_error, f64 numerical_error_per_mm, f64 model_error, "
+    ),
+    "list_reply": (
+        "u32 count, u32 zero, "
+    ),
+    "measured_medium": (
+        "text name[16], f64 sigma_a[3], f64 sigma_s[3], f64 g, f64 eta, "
+    ),
+    "mc_request": (
+        "u16 spacing, u16 albedo_count, u32 ring_count, f64 radius_start, f64 radius_stop, "
+        "f64 thickness, u64 seed, u64 photons, f64 error_total, f64 error_rings, "
+    ),
+    "mc_reply": (
+        "u16 state, u16 side_count, u16 albedo_count, u16 worst_side, u32 ring_count, "
+        "u16 worst_albedo, u16 zero, f64 worst_from, f64 worst_to, f64 error_total, "
+        "f64 error_rings, u64 number, u64 photons, u64 photons_expected, "
+    ),
+    "mc_energy": (
+        "f64 albedo, f64 reflected, f64 reflected_error, f64 transmitted, f64 transmitted_error, "
+        "f64 absorbed, f64 absorbed_error, f64 unfinished, f64 unfinished_error, f64 roulette, "
+        "f64 roulette_error, f64 unscattered[2], f64 under[2], f64 under_error[2], f64 over[2], "
+        "f64 over_error[2], f64 imbalance, "
+    ),
+    "cancel_request": (
+        "u64 job_id, "
+    ),
+    "cancel_reply": (
+        "u32 found, u32 zero, "
+    ),
+    "table_request": (
+        "u16 model, u16 moments, u16 parameter_count, u16 zero, "
+    ),
+    "table_reply": (
+        "u16 layout, u16 model, u16 moments, u16 parameter_count, u32 word_count, u32 checksum, "
+        "u32 notes, u32 zero, f64 sigma_a, f64 sigma_s, f64 g, f64 eta, f64 albedo, "
+        "f64 numerical_error, f64 numerical_error_per_mm, f64 model_error, f64 pieces_from, "
+        "f64 pieces_to, f64 radius_least, f64 radius_most, f64 reach, f64 reach_growth, "
+        "f64 model_errors[11], f64 numerical_errors[11], "
+    ),
+    "offers_reply": (
+        "u32 count, u32 taken, "
+    ),
+    "offer": (
+        "u16 model, u16 evaluator, u32 meets, f64 error, f64 numerical_error, f64 cost, "
+        "f64 prepare_cost, "
+    ),
+    "sample_request": (
+        "u16 model, u16 evaluator, u16 moments, u16 wanted, u32 medium_count, u16 draw, "
+        "u16 parameter_count, u64 sample_count, u64 sample_first, u64 seed, "
+    ),
+    "invert_request": (
+        "u16 model, u16 moments, u16 given, u16 zero, u64 medium_count, f64 g, f64 eta, "
+    ),
+    "invert_reply": (
+        "u32 part, u32 part_count, u64 first, u64 count, u16 model, u16 moments, u16 given, "
+        "u16 zero, u64 missing_count, f64 albedo_least, f64 albedo_most, "
+    ),
+    "fit_request": (
+        "u64 set_count, u16 residuals, u16 zero, u32 zero_too, "
+    ),
+    "fit_design": (
+        "u16 model, u16 moments, u16 axis, u16 scale, u32 reading_count, u16 parameter_count, "
+        "u16 zero, f64 g, f64 eta, "
+    ),
+    "fit_reply": (
+        "u32 part, u32 part_count, u64 first, u64 count, u64 fitted_count, u32 reading_count, "
+        "u32 notes, "
+    ),
+    "fitted": (
+        "u16 status, u16 bounds, u16 field, u16 zero, u32 index, u32 evaluations, f64 sigma_a, "
+        "f64 sigma_s_prime, f64 factor, f64 chi_squared, f64 reduced_chi_squared, f64 condition, "
+        "f64 variance_a, f64 covariance_a_s, f64 variance_s, f64 covariance_a_factor, "
+        "f64 covariance_s_factor, f64 variance_factor, f64 second_sigma_a, "
+        "f64 second_sigma_s_prime, f64 second_factor, f64 second_chi_squared, f64 model_error, "
+    ),
+    "varying_request": (
+        "u16 model, u16 evaluator, u16 moments, u16 wanted, u16 coefficients, u16 given, "
+        "u16 light, u16 specular, u16 numbers, u16 parameter_count, u32 zero, u64 value_count, "
+        "f64 g, f64 eta, "
+    ),
+    "varying_reply": (
+        "u32 part, u32 part_count, u64 first, u64 count, u16 model, u16 evaluator, u16 moments, "
+        "u16 wanted, u16 coefficients, u16 zero, u32 notes, u64 answered_count, "
+        "f64 numerical_error, f64 model_error, f64 colour_least, f64 colour_most, f64 specular, "
+    ),
+    "points_request": (
+        "u64 set[2], u32 channel_count, u32 zero, u64 point_count, u64 point_first, "
+        "u64 part_points, "
+    ),
+    "points_reply": (
+        "u64 set[2], u32 known, u32 zero, u64 point_next, "
+    ),
+    "gather_request": (
+        "u16 model, u16 evaluator, u16 moments, u16 parameter_count, u32 medium_count, u32 zero, "
+        "u64 set[2], u64 query_count, f64 tolerance, "
+    ),
+    "gather_reply": (
+        "u32 part, u32 part_count, u64 first, u64 count, u16 model, u16 evaluator, u16 moments, "
+        "u16 zero, u32 channel_count, u32 notes, f64 bound, u64 points_visited, u64 nodes_visited, "
+    ),
+    "error": (
+        "u16 status, u16 zero, u32 retry_after_ms, u64 index, text field[32], text allowed[80], "
+    ),
+}
