@@ -282,13 +282,10 @@ static bool run_load(report *of, const load *asked, measured *result, dipole_err
   good = good && run_all(of, workers, result, error);
   of->requests += result->times.count;
   for (unsigned i = 0; i < asked->connections; i++) {
-    free(workers[i].values);
-    free(workers[i].slots);
     if (workers[i].client != of->client) {
       dipole_close(workers[i].client);
     }
   }
-  free(workers);
   return good;
 }
 
@@ -465,11 +462,7 @@ static int run(void *settings, dipole_client *client) {
   report *of = cli_allocate(1, sizeof *of);
   of->settings = settings;
   of->client = client;
-  const int status = measure_and_write(settings, of);
-  cli_profile_free(&of->profile);
-  free(of->radii);
-  free(of);
-  return status;
+  return measure_and_write(settings, of);
 }
 
 static const cli_option options[] = {

@@ -64,10 +64,58 @@ cli_terminal cli_terminal_look(void) {
   return terminal;
 }
 
+/* Each block lies behind one of these, which make a ring. */
+typedef struct chain {
+  _Alignas(max_align_t) struct chain *next;
+  struct chain *before;
+} chain;
+
+static chain ring = {&ring, &ring};
+
+static void unlink_block(chain *one) {
+  one->next->before = one->before;
+  one->before->next = one->next;
+}
+
+static void *link_block(chain *one) {
+  *one = (chain){ring.next, &ring};
+  one->next->before = one->before->next = one;
+  return one + 1;
+}
+
+/* Returns the size of a block with what lies before it; more than there is memory if it is too large. */
+static size_t size_of(size_t count, size_t size_bytes) {
+  size_t bytes;
+  return __builtin_mul_overflow(count, size_bytes, &bytes) || bytes > SIZE_MAX / 2
+             ? SIZE_MAX / 2
+             : sizeof(chain) + bytes;
+}
+
 void *cli_allocate(size_t count, size_t size_bytes) {
-  return checked(calloc(count > 0 ? count : 1, size_bytes));
+  return link_block(checked(calloc(1, size_of(count, size_bytes))));
 }
 
 void *cli_resize(void *block, size_t count, size_t size_bytes) {
-  return checked(reallocarray(block, count > 0 ? count : 1, size_bytes));
+  chain *one = block != NULL ? (chain *)block - 1 : NULL;
+  if (one != NULL) {
+    unlink_block(one);
+  }
+  return link_block(checked(realloc(one, size_of(count, size_bytes))));
+}
+
+char *cli_copy(const char *text, size_t length) {
+  return memcpy(cli_allocate(length + 1, 1), text, length);
+}
+
+void cli_free(void *block) {
+  if (block != NULL) {
+    unlink_block((chain *)block - 1);
+    free((chain *)block - 1);
+  }
+}
+
+void cli_free_all(void) {
+  while (ring.next != &ring) {
+    cli_free(ring.next + 1);
+  }
 }

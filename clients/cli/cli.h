@@ -140,9 +140,14 @@ typedef struct cli_terminal {
 /* Returns the terminal as it is now: the user may change its size. */
 cli_terminal cli_terminal_look(void);
 
-/* ---- memory: these functions end the program when no memory is left -------------------------- */
+/* ---- memory: all of it is freed when the command has ended ------------------------------------- */
 
-void *cli_allocate(size_t count, size_t size_bytes); /* zeroed */
-void *cli_resize(void *block, size_t count, size_t size_bytes);
+/* These functions end the program when no memory is left. Blocks need not be freed, but those of
+ * work that may go on for long are. */
+void *cli_allocate(size_t count, size_t size_bytes);            /* zeroed */
+void *cli_resize(void *block, size_t count, size_t size_bytes); /* block may be NULL */
+char *cli_copy(const char *text, size_t length);
+void cli_free(void *block);
+void cli_free_all(void);
 
 #endif

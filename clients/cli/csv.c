@@ -429,15 +429,15 @@ void cli_csv_reader_free(cli_csv_reader *reader) {
   while (reader->held_next < reader->held_count) {
     cli_csv_record_free(&reader->held[reader->held_next++].record);
   }
-  free(reader->held);
+  cli_free(reader->held);
   reader->held = NULL;
   reader->held_count = reader->held_next = 0;
 }
 
 void cli_csv_record_free(cli_csv_record *record) {
-  free(record->bytes);
-  free(record->texts);
-  free(record->cells);
+  cli_free(record->bytes);
+  cli_free(record->texts);
+  cli_free(record->cells);
   *record = (cli_csv_record){0};
 }
 

@@ -109,7 +109,6 @@ static int run(void *settings, dipole_client *client) {
   if (status == CLI_OK) {
     status = write_and_draw(settings, &report);
   }
-  cli_eval_free(&report);
   free(info);
   return status;
 }

@@ -24,7 +24,6 @@ typedef struct cli_eval_model {
   unsigned notes; /* ids of the daemon's notes */
 } cli_eval_model;
 
-/* Zero it first, and free it by cli_eval_free(). */
 typedef struct cli_eval_report {
   cli_profile profile; /* each model takes what it can of the parameters */
   cli_quantities quantities;
@@ -52,8 +51,6 @@ void cli_eval_keep(cli_eval_report *report, size_t model, size_t first, const di
 
 /* Writes the report to standard output. */
 void cli_eval_write(const cli_eval_report *report, enum cli_form form);
-
-void cli_eval_free(cli_eval_report *report);
 
 /* ---- asking ---------------------------------------------------------------------------------- */
 
@@ -88,8 +85,7 @@ int cli_eval_check(cli_eval_settings *settings);
  * query, with a line each on standard error. Says what is wrong and returns an exit status. */
 int cli_eval_ask(const cli_eval_settings *settings, dipole_client *client, cli_eval_report *report);
 
-/* Fills a zeroed report from the file of tables, without a daemon. The report refers to *info, so
- * free the report first. */
+/* Fills a zeroed report from the file of tables, without a daemon. */
 int cli_eval_table(const cli_eval_settings *settings, cli_eval_report *report, dipole_info **info);
 
 /* The radii of one query. */
@@ -98,7 +94,7 @@ typedef struct cli_eval_radii {
   uint64_t count;
   double start_mm, stop_mm;
   const double *f64; /* a list in either precision; NULL if there is none */
-  float *f32;        /* to be freed */
+  float *f32;
 } cli_eval_radii;
 
 /* Returns the radii that are asked for; none if no quantity has a value for each radius. */

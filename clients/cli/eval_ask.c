@@ -330,7 +330,6 @@ static int ask_all(asking *ask) {
   if (status == CLI_OK) {
     status = tell_left_out(out, out_count, answered == 0);
   }
-  free(out);
   return status;
 }
 
@@ -348,9 +347,7 @@ static int ask_with(const cli_eval_settings *settings, dipole_client *client,
                 .bad_value = dipole_id(client, DIPOLE_STATUS, "bad-value"),
                 .progress = &progress};
   cli_progress_start(&progress, "values");
-  const int status = ask_all(&ask);
-  free(radii.f32);
-  return status;
+  return ask_all(&ask);
 }
 
 int cli_eval_ask(const cli_eval_settings *settings, dipole_client *client,

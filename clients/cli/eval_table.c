@@ -80,7 +80,7 @@ static int describe(const char *path, const cli_tables *tables, cli_eval_report 
 
 /* ---- values ---------------------------------------------------------------------------------- */
 
-/* Takes the radii. Returns them in single precision, to be freed; says what is wrong and returns
+/* Takes the radii. Returns them in single precision; says what is wrong and returns
  * NULL if it cannot. */
 static float *take_radii(const cli_eval_settings *settings, cli_eval_report *report) {
   cli_eval_radii radii = cli_eval_make_radii(settings, report);
@@ -90,7 +90,6 @@ static float *take_radii(const cli_eval_settings *settings, cli_eval_report *rep
     if (!dipole_grid_radii((enum dipole_spacing)radii.spacing, radii.start_mm, radii.stop_mm,
                            radii.count, radii.f32, &error)) {
       cli_fail("%s", error.text);
-      free(radii.f32);
       return NULL;
     }
   }
@@ -140,7 +139,6 @@ static int evaluate(const dipole_table *table, const float *r, const cli_eval_re
       }
     }
   }
-  free(out);
   dipole_errors errors;
   if (status == CLI_OK &&
       !dipole_table_errors(table, report->quantities.wanted & ~(unsigned)DIPOLE_RADIUS, n, r,
@@ -163,7 +161,6 @@ static int evaluate_all(const cli_eval_settings *settings, const cli_tables *tab
   for (size_t i = 0; status == CLI_OK && i < tables->count; i++) {
     status = evaluate(tables->items[i], r, report, &report->values[i]);
   }
-  free(r);
   return status;
 }
 

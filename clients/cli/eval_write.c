@@ -21,20 +21,8 @@ void cli_eval_add_model(cli_eval_report *report, const dipole_choice *model, boo
 }
 
 void cli_eval_make_values(cli_eval_report *report) {
-  report->values_capacity = report->model_count * report->profile.channel_count;
-  report->values = cli_allocate(report->values_capacity, sizeof *report->values);
-}
-
-void cli_eval_free(cli_eval_report *report) {
-  for (size_t i = 0; i < report->values_capacity; i++) {
-    for (size_t q = 0; q < report->quantities.count; q++) {
-      free(report->values[i].arrays[q]);
-    }
-  }
-  free(report->values);
-  free(report->places);
-  free(report->models);
-  cli_profile_free(&report->profile);
+  report->values =
+      cli_allocate(report->model_count * report->profile.channel_count, sizeof *report->values);
 }
 
 /* Returns the larger number, or NaN if either is NaN. */

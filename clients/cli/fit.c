@@ -278,8 +278,6 @@ static bool ask_some(dipole_client *client, report *of, const batch *some, dipol
     tell_refused(of, first, some->count, error);
     good = true;
   }
-  free(values);
-  free(errors);
   return good;
 }
 
@@ -313,8 +311,6 @@ static bool ask(dipole_client *client, report *of, dipole_error *error) {
     cli_progress_show(&progress, (double)done / (double)count, (double)done);
   }
   cli_progress_wipe(&progress);
-  free(order);
-  free(ends);
   return good;
 }
 
@@ -471,8 +467,6 @@ static int draw(const report *of) {
     }
   }
   const int status = cli_picture_draw(&picture, &of->settings->plot);
-  free(fitted);
-  free(zeros);
   if (status == CLI_OK && readings->sample_count > DRAWN_MAX) {
     cli_say(CLI_OK, "the picture shows the first %d of %zu samples", DRAWN_MAX,
             readings->sample_count);
@@ -534,12 +528,7 @@ static int fit_and_write(dipole_client *client, report *of) {
 
 static int run(void *settings, dipole_client *client) {
   report of = {.settings = settings};
-  const int status = fit_and_write(client, &of);
-  cli_readings_free(&of.readings);
-  free(of.fitted);
-  free(of.changes);
-  free(of.residuals);
-  return status;
+  return fit_and_write(client, &of);
 }
 
 const cli_command cli_command_fit = {

@@ -88,7 +88,7 @@ static bool has_numbers(const cli_sheet *sheet, size_t row, size_t first, size_t
   return true;
 }
 
-/* Reads a file. Says what is wrong and returns false; free *of in any case. */
+/* Reads a file. Says what is wrong and returns false. */
 static bool read_cloud(const char *path, bool with_power, cloud *of) {
   cli_sheet *sheet = &of->sheet;
   if (!cli_sheet_read(path, NULL, names, COLUMNS, with_power ? has_powers : has_places, sheet)) {
@@ -115,12 +115,6 @@ static bool read_cloud(const char *path, bool with_power, cloud *of) {
     }
   }
   return true;
-}
-
-static void free_cloud(cloud *of) {
-  cli_sheet_free(&of->sheet);
-  free(of->xyz_mm);
-  free(of->power_W);
 }
 
 /* ---- asking ---------------------------------------------------------------------------------- */
@@ -239,8 +233,6 @@ static bool mend_near(work *of, double *M, dipole_error *error) {
            sum_directly(of, query_mm, r, M + q * of->points->channels, error);
     cli_progress_show(&of->progress, (double)q / count, (double)q);
   }
-  free(places);
-  free(r);
   return good;
 }
 
@@ -350,7 +342,6 @@ static int gather(const gather_settings *settings, dipole_client *client,
     const cli_report output = {.rows = queries->count, .put_row = put_query};
     cli_write(&output, settings->profile.common.form, &(const sums){queries, points->channels, M});
   }
-  free(M);
   return status;
 }
 
@@ -365,9 +356,6 @@ static int run(void *given, dipole_client *client) {
                  ? gather(settings, client, &profile, &points, &queries)
                  : CLI_FAILED;
   }
-  free_cloud(&points);
-  free_cloud(&queries);
-  cli_profile_free(&profile);
   return status;
 }
 

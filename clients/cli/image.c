@@ -175,7 +175,6 @@ static bool read_png(const char *file, FILE *from, size_t file_bytes, bool linea
   png_destroy_read_struct(&png, &info, NULL);
   free(reading->rows);
   free(reading->bytes);
-  free(reading);
   return good;
 }
 
@@ -211,7 +210,7 @@ static bool write_png(const char *file, FILE *to, const cli_image *image) {
     good = true;
   }
   png_destroy_write_struct(&png, &info);
-  free(row);
+  cli_free(row);
   return good;
 }
 

@@ -95,7 +95,6 @@ static int run(void *settings, dipole_client *client) {
   facts all = gather(dipole_get_info(client), statistics, count);
   const cli_report report = {.rows = all.count, .put_row = put_fact, .left = 3};
   cli_write(&report, common->form, &all);
-  free(all.items);
   free(statistics);
   return CLI_OK;
 }

@@ -114,8 +114,6 @@ static bool ask_some(dipole_client *client, const invert_settings *settings, rep
     take(of, settings, first, inversion);
     dipole_inversion_free(inversion);
   }
-  free(albedos);
-  free(lengths_mm);
   return good;
 }
 
@@ -268,9 +266,7 @@ static int ask_and_write(const invert_settings *settings, dipole_client *client,
 
 static int run(void *settings, dipole_client *client) {
   report of = {0};
-  const int status = ask_and_write(settings, client, &of);
-  free(of.items);
-  return status;
+  return ask_and_write(settings, client, &of);
 }
 
 const cli_command cli_command_invert = {

@@ -114,8 +114,6 @@ static int run_command(const cli_command *command, int argc, char **argv) {
       status = connect_and_run(command, settings);
     }
   }
-  cli_options_free(settings);
-  free(settings);
   return status;
 }
 
@@ -144,5 +142,6 @@ int main(int argc, char **argv) {
     return CLI_FAILED;
   }
   const int status = run(argc, argv);
+  cli_free_all();
   return standard_flush("dipole") ? status : CLI_FAILED;
 }

@@ -484,8 +484,6 @@ static int run(void *given, dipole_client *client) {
     status = status != CLI_OK ? status : judged;
     dipole_mc_result_free(all.items[i].result);
   }
-  free(all.items);
-  cli_profile_free(&profile);
   return status;
 }
 

@@ -164,23 +164,13 @@ bool cli_texts_have(const cli_texts *texts, const char *text) {
 /* ---- values ---------------------------------------------------------------------------------- */
 
 static void add_text(cli_texts *texts, const char *text, size_t length) {
-  char *copy = cli_allocate(length + 1, 1);
-  memcpy(copy, text, length);
   texts->items = cli_resize(texts->items, texts->count + 1, sizeof *texts->items);
-  texts->items[texts->count++] = copy;
-}
-
-static void free_texts(cli_texts *texts) {
-  for (size_t i = 0; i < texts->count; i++) {
-    free(texts->items[i]);
-  }
-  free(texts->items);
-  *texts = (cli_texts){0};
+  texts->items[texts->count++] = cli_copy(text, length);
 }
 
 /* Splits a text at its commas: "a,b" gives two parts, "" gives one empty part. */
 static void split(const char *text, cli_texts *parts) {
-  free_texts(parts);
+  parts->count = 0;
   for (const char *comma; (comma = strchr(text, ',')) != NULL; text = comma + 1) {
     add_text(parts, text, (size_t)(comma - text));
   }
@@ -201,7 +191,6 @@ static const char *read_numbers(const char *text, cli_numbers *numbers) {
       expected = "list of numbers: one of them starts with a 0; write a decimal point, as in 0.05";
     }
   }
-  free_texts(&parts);
   return expected;
 }
 
@@ -245,18 +234,6 @@ static const char *take_value(const cli_option *option, const char *text, bool g
     break;
   }
   return NULL;
-}
-
-void cli_options_free(void *settings) {
-  const cli_option *all[OPTIONS_MAX];
-  const size_t count = gather(cli_running(), all);
-  for (size_t i = 0; i < count; i++) {
-    if (all[i]->kind == CLI_NUMBERS) {
-      free(AT(settings, all[i], cli_numbers)->items);
-    } else if (all[i]->kind == CLI_NAMES || all[i]->kind == CLI_FILES) {
-      free_texts(AT(settings, all[i], cli_texts));
-    }
-  }
 }
 
 /* ---- the command line ------------------------------------------------------------------------ */

@@ -9,9 +9,6 @@
  * is 0 after --help. */
 bool cli_options_read(int argc, char **argv, void *settings, int *status);
 
-/* Frees the lists and texts that the settings hold. */
-void cli_options_free(void *settings);
-
 /* Returns the running command's option for a field of a request, such as --sigma-a for sigma_a or
  * --from for radius_start; NULL if there is none. */
 const cli_option *cli_options_find(const char *field);

@@ -277,6 +277,5 @@ int cli_picture_draw(cli_picture *picture, const cli_texts *paths) {
       }
     }
   }
-  free(picture->curves);
   return status;
 }

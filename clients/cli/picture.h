@@ -17,7 +17,7 @@ typedef struct cli_curve {
 
 enum { CLI_COLOUR_RED = 8 }; /* the colours from 0 on can be told apart; red, green, blue follow */
 
-/* Zero it first. cli_picture_draw() frees what is allocated. */
+/* Zero it first. */
 typedef struct cli_picture {
   char title[160], y_label[160];
   const char *x_label, *lower_label; /* NULL: there is no lower panel */

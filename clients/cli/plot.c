@@ -242,15 +242,6 @@ static rings make_rings(const cli_eval_settings *eval) {
   return of;
 }
 
-static void free_rings(rings *of) {
-  free(of->edges_mm);
-  free(of->nodes_mm);
-  free(of->weights_mm);
-  free(of->node_rings);
-  free(of->R);
-  free(of->R_error);
-}
-
 /* Turns a report of 2 pi r R at the nodes, its only quantity, into one of R over the rings, whose
  * places are the radii that halve the rings' areas. */
 static void take_means(const rings *of, cli_eval_report *report) {
@@ -264,7 +255,6 @@ static void take_means(const rings *of, cli_eval_report *report) {
           of->weights_mm[i] * (*values)[i] /
           (pi * (edges_mm[ring + 1] * edges_mm[ring + 1] - edges_mm[ring] * edges_mm[ring]));
     }
-    free(*values);
     *values = means;
   }
   report->place_count = of->count;
@@ -387,9 +377,7 @@ static int draw(const plot_settings *settings, const cli_eval_report *report, co
       set_deviation(curve, from, deviations + 2 * k * count);
     }
   }
-  const int status = cli_picture_draw(&picture, files->count > 0 ? files : &onto_terminal);
-  free(deviations);
-  return status;
+  return cli_picture_draw(&picture, files->count > 0 ? files : &onto_terminal);
 }
 
 /* Asks for one quantity at the radii of `eval`, which has to have a value at each. */
@@ -425,8 +413,6 @@ static int run(void *given, dipole_client *client) {
   if (status == CLI_OK) {
     status = draw(settings, &report, walks ? &of : NULL);
   }
-  free_rings(&of);
-  cli_eval_free(&report);
   return status;
 }
 

@@ -657,17 +657,7 @@ static int run(void *settings, dipole_client *client) {
       close(points->reader.fd);
     }
   }
-  for (size_t i = 0; i < WINDOW_ROWS; i++) {
-    cli_csv_record_free(&points->rows[i].record);
-    free(points->rows[i].values);
-  }
-  cli_csv_reader_free(&points->reader);
-  for (size_t i = 0; i < 3; i++) {
-    free(points->arrays[i]);
-  }
-  free(points->usual.r_f32);
   free(points->usual.media);
-  free(points);
   return status;
 }
 

@@ -350,11 +350,6 @@ int cli_profile_take(const cli_profile_settings *settings, dipole_client *client
   return status;
 }
 
-void cli_profile_free(cli_profile *profile) {
-  free(profile->channels);
-  free(profile->media);
-}
-
 /* Returns whether an id is that of one quantity. Sums of several quantities have no values of their
  * own. */
 static bool is_one_bit(unsigned id) {

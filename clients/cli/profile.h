@@ -135,7 +135,7 @@ typedef struct cli_profile {
   cli_parameters parameters;
   const char *medium; /* names of measured media, as given; NULL if there are none */
   size_t channel_count;
-  cli_channel *channels; /* [channel_count]; freed by cli_profile_free() */
+  cli_channel *channels; /* [channel_count] */
   dipole_medium *media;  /* [channel_count]: those of the channels */
 } cli_profile;
 
@@ -144,11 +144,9 @@ typedef struct cli_profile {
 bool cli_profile_take_names(const cli_profile_settings *settings, dipole_client *client,
                             cli_profile *profile);
 
-/* Does so, and reads the media. Says what is wrong and returns an exit status. Free *profile in any
- * case. */
+/* Does so, and reads the media. Says what is wrong and returns an exit status. */
 int cli_profile_take(const cli_profile_settings *settings, dipole_client *client,
                      cli_profile *profile);
-void cli_profile_free(cli_profile *profile);
 
 /* Sets the number of channels and allocates their arrays. */
 void cli_profile_set_channels(cli_profile *profile, size_t count);

@@ -21,28 +21,22 @@ static int compare(const void *a, const void *b) {
                                 : memcmp(x->bytes, y->bytes, x->length);
 }
 
-static void free_thing(void *one) {
-  free(((thing *)one)->bytes);
-  free(one);
+static void keep_thing(void *one) {
+  (void)one;
 }
 
 /* Returns the number of a thing, of which `*count` are in the tree already; *count - 1 if it is
  * new. */
 static size_t number_of(void **tree, size_t *count, const void *bytes, size_t length) {
   thing *one = cli_allocate(1, sizeof *one);
-  *one = (thing){cli_allocate(length + 1, 1), length, *count};
-  memcpy(one->bytes, bytes, length);
+  *one = (thing){cli_copy(bytes, length), length, *count};
   thing *const *found = tsearch(one, tree, compare);
   if (found == NULL) {
     fputs("dipole: out of memory\n", stderr);
     exit(CLI_FAILED);
   }
-  const size_t number = (*found)->number;
   *count += *found == one;
-  if (*found != one) {
-    free_thing(one);
-  }
-  return number;
+  return (*found)->number;
 }
 
 /* ---- columns --------------------------------------------------------------------------------- */
@@ -102,15 +96,17 @@ static bool list_samples(const cli_sheet *sheet, cli_readings *readings, size_t 
     cli_sample *sample = &readings->samples[number];
     if (number == readings->sample_count) {
       readings->sample_count++;
-      *sample = (cli_sample){
-          .name = strdup(label), .g = (double)NAN, .eta = (double)NAN, .detector_na = (double)NAN};
+      *sample = (cli_sample){.name = sheet->labels[row],
+                             .g = (double)NAN,
+                             .eta = (double)NAN,
+                             .detector_na = (double)NAN};
     }
     good = set_of_sample(sheet, row, G, &sample->g) &&
            set_of_sample(sheet, row, ETA, &sample->eta) &&
            set_of_sample(sheet, row, APERTURE, &sample->detector_na);
     sample->count++;
   }
-  tdestroy(tree, free_thing);
+  tdestroy(tree, keep_thing);
   return good;
 }
 
@@ -161,8 +157,7 @@ static void number_designs(cli_readings *readings) {
     sample->design =
         number_of(&tree, &readings->design_count, key, (OF_SAMPLE + 3 * n) * sizeof *key);
   }
-  free(key);
-  tdestroy(tree, free_thing);
+  tdestroy(tree, keep_thing);
 }
 
 int cli_readings_read(const char *path, cli_readings *readings) {
@@ -182,21 +177,5 @@ int cli_readings_read(const char *path, cli_readings *readings) {
   } else {
     good = false;
   }
-  free(numbers);
-  cli_sheet_free(&sheet);
   return good ? CLI_OK : CLI_FAILED;
-}
-
-void cli_readings_free(cli_readings *readings) {
-  for (size_t i = 0; i < readings->sample_count; i++) {
-    free(readings->samples[i].name);
-  }
-  free(readings->samples);
-  free(readings->at);
-  free(readings->values);
-  free(readings->errors);
-  free(readings->source_mm);
-  free(readings->detector_mm);
-  free(readings->lines);
-  *readings = (cli_readings){0};
 }

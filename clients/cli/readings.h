@@ -26,8 +26,7 @@ typedef struct cli_readings {
 } cli_readings;
 
 /* Reads a file; NULL or "-" stands for standard input. Says what is wrong and returns an exit
- * status. Free *readings in any case. */
+ * status. */
 int cli_readings_read(const char *path, cli_readings *readings);
-void cli_readings_free(cli_readings *readings);
 
 #endif

@@ -139,7 +139,7 @@ static bool keep_filled(cli_table *table, size_t first) {
     filled = filled || table->cells[i][0] != '\0';
   }
   while (!filled && table->cell_count > first) {
-    free(table->cells[--table->cell_count]);
+    cli_free(table->cells[--table->cell_count]);
   }
   return filled;
 }

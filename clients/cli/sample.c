@@ -128,7 +128,7 @@ static bool ask_pieces(const sample_settings *settings, dipole_client *client,
   return good;
 }
 
-/* Returns the listed numbers in the evaluator's precision, or room for drawn ones. Free it. */
+/* Returns the listed numbers in the evaluator's precision, or room for drawn ones. */
 static void *list_numbers(const cli_numbers *u, uint64_t count, bool single) {
   void *numbers = cli_allocate(count, single ? sizeof(float) : sizeof(double));
   for (size_t i = 0; i < u->count; i++) {
@@ -159,7 +159,6 @@ static int ask(const sample_settings *settings, dipole_client *client, cli_eval_
     report->places[i] =
         single ? cli_number_of_single(((const float *)numbers)[i]) : ((const double *)numbers)[i];
   }
-  free(numbers);
   return good ? CLI_OK : cli_fail_error(&error);
 }
 
@@ -183,7 +182,6 @@ static int run(void *given, dipole_client *client) {
   if (status == CLI_OK) {
     cli_eval_write(&report, settings->profile.common.form);
   }
-  cli_eval_free(&report);
   return status;
 }
 

@@ -76,7 +76,8 @@ static bool take_row(reading *of, const cli_csv_record *record) {
   sheet->labels[sheet->count] = NULL;
   if (of->has_labels) {
     const bool given = label < record->cell_count;
-    sheet->labels[sheet->count] = strdup(given ? cli_csv_cell_text(record, label, &length) : "1");
+    const char *text = given ? cli_csv_cell_text(record, label, &length) : "1";
+    sheet->labels[sheet->count] = cli_copy(text, strlen(text));
   }
   sheet->lines[sheet->count++] = record->line;
   return true;
@@ -129,17 +130,5 @@ bool cli_sheet_read(const char *path, const char *label, const char *const *name
   if (fd != STDIN_FILENO) {
     close(fd);
   }
-  free(of);
-  free(all);
   return good;
-}
-
-void cli_sheet_free(cli_sheet *sheet) {
-  for (size_t i = 0; i < sheet->count; i++) {
-    free(sheet->labels[i]);
-  }
-  free(sheet->at);
-  free(sheet->numbers);
-  free(sheet->labels);
-  free(sheet->lines);
 }

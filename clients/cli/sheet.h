@@ -16,12 +16,10 @@ typedef struct cli_sheet {
 
 /* Reads a file; NULL or "-" stands for standard input. names: of the columns; label: of one with
  * texts, or NULL. check() is called once, after the header, with at[] set, unless it is NULL; it
- * says what is wrong and returns false to end the reading. Says what is wrong and returns false; free
- * *sheet in any case. */
+ * says what is wrong and returns false to end the reading. Says what is wrong and returns false. */
 bool cli_sheet_read(const char *path, const char *label, const char *const *names, size_t columns,
                     bool (*check)(const cli_sheet *sheet, const cli_csv_record *header),
                     cli_sheet *sheet);
-void cli_sheet_free(cli_sheet *sheet);
 
 /* Returns a number of a row. */
 static inline double cli_sheet_number(const cli_sheet *sheet, size_t row, size_t column) {

@@ -73,9 +73,9 @@ void cli_table_print(cli_table *table, FILE *file) {
     print_row(table, table->cells + i, widths, file);
   }
   for (size_t i = 0; i < table->cell_count; i++) {
-    free(table->cells[i]);
+    cli_free(table->cells[i]);
   }
-  free(table->cells);
-  free(widths);
+  cli_free(table->cells);
+  cli_free(widths);
   *table = (cli_table){0};
 }

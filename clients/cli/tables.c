@@ -136,7 +136,6 @@ static int ask_and_write(const table_settings *settings, dipole_client *client, 
 static int run(void *settings, dipole_client *client) {
   report of = {0};
   const int status = ask_and_write(settings, client, &of);
-  cli_profile_free(&of.profile);
   cli_tables_free(&of.tables);
   return status;
 }

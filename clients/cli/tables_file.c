@@ -14,7 +14,6 @@ void cli_tables_free(cli_tables *tables) {
   for (size_t i = 0; i < tables->count; i++) {
     dipole_table_free(tables->items[i]);
   }
-  free(tables->items);
   *tables = (cli_tables){0};
 }
 
@@ -37,7 +36,6 @@ static char *read_whole(FILE *from, size_t *count) {
     }
   }
   if (ferror(from)) {
-    free(bytes);
     return NULL;
   }
   return bytes;
@@ -73,7 +71,6 @@ bool cli_tables_read(const char *path, cli_tables *tables) {
     return false;
   }
   const bool good = take_tables(path, bytes, count, tables);
-  free(bytes);
   return good;
 }
 

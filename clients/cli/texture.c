@@ -106,7 +106,7 @@ static bool take_wanted(texture_run *run, const dipole_info *info) {
 }
 
 /* Returns the file of a coefficient: OUT, or with several coefficients OUT with the name before the
- * ending, as in skin.sigma_a.pfm. The caller frees it. */
+ * ending, as in skin.sigma_a.pfm. */
 static char *file_of(const texture_run *run, size_t wanted) {
   const char *out = run->settings->profile.common.second_operand;
   const char *name = run->wanted[wanted]->name, *ending = strrchr(out, '.');
@@ -239,7 +239,6 @@ static int write_images(const texture_run *run) {
   for (size_t i = 0; good && i < run->wanted_count; i++) {
     char *file = file_of(run, i);
     good = cli_image_write(file, &run->images[i]);
-    free(file);
   }
   return good ? CLI_OK : CLI_FAILED;
 }
@@ -256,10 +255,6 @@ static int map_image(texture_run *run, const cli_image *image) {
   if (status == CLI_OK) {
     status = tell_missing(run, image);
   }
-  for (size_t i = 0; i < run->wanted_count; i++) {
-    free(run->images[i].values);
-  }
-  free(run->lengths_mm);
   return status;
 }
 
