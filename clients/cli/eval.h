@@ -33,8 +33,9 @@ typedef struct cli_eval_report {
   const char *place;         /* where values are: "r", "f" or, of drawn radii, "u" */
   size_t place_count;        /* 0 if there is only the albedo */
   double *places;            /* [place_count] as the daemon used them: mm, 1/mm or a number */
+  double least, most;        /* of the finite places, while the report is written */
+  bool diverges;             /* transport does at r = 0, which the model errors leave out */
   cli_eval_values *values;   /* [model_count * channel_count], model by model */
-  size_t values_capacity;    /* how many values may hold arrays */
   const dipole_choice *draw; /* of drawn radii; else NULL */
   uint64_t seed, first;      /* of drawn radii */
 } cli_eval_report;

@@ -97,45 +97,38 @@ static double numerical_error(const cli_eval_values *values, double r_mm) {
          (values->numerical_error_per_mm > 0 ? values->numerical_error_per_mm * r_mm : 0);
 }
 
-/* Returns the largest finite place of the report; 0 if there is none. */
-static double place_max(const cli_eval_report *report) {
-  double max = 0;
-  for (size_t i = 0; i < report->place_count; i++) {
-    max = isfinite(report->places[i]) ? fmax(max, report->places[i]) : max;
-  }
-  return max;
-}
-
 enum { RANGE_BYTES = 64 };
 
 /* Writes where the model error holds, such as "from 1 to 2 mm". */
 static const char *range_of(const cli_eval_report *report, char text[RANGE_BYTES]) {
-  double least = (double)INFINITY, most = 0;
-  for (size_t i = 0; i < report->place_count; i++) {
-    least = fmin(least, report->places[i]);
-    most = fmax(most, report->places[i]);
-  }
   if (report->draw != NULL) {
     return "at drawn radii";
   }
-  if (report->place[0] == 'f' || !(least <= most)) {
+  if (report->place[0] == 'f' || report->place_count == 0) {
     return "relative";
   }
-  snprintf(text, RANGE_BYTES, least < most ? "from %.6g to %.6g mm" : "at %.6g mm", least, most);
+  snprintf(text, RANGE_BYTES, report->least < report->most ? "from %.6g to %.6g mm" : "at %.6g mm",
+           report->least, report->most);
   return text;
 }
 
-/* Returns whether the model errors leave a radius out because transport diverges there: 0. */
-static bool diverges(const cli_eval_report *report) {
+/* Finds what rows say of all places. */
+static void survey(cli_eval_report *report) {
   const unsigned diverging = DIPOLE_R | DIPOLE_S | DIPOLE_SLOPE | DIPOLE_LN_R;
-  bool at_0 = false, compared = false;
+  bool compared = false, any = false;
   for (size_t i = 0; i < report->place_count; i++) {
-    at_0 = at_0 || (report->draw == NULL && report->places[i] == 0);
+    const double place = report->places[i];
+    if (isfinite(place)) {
+      report->least = any ? fmin(report->least, place) : place;
+      report->most = any ? fmax(report->most, place) : place;
+      any = true;
+    }
   }
   for (size_t i = 0; i < report->model_count * report->profile.channel_count; i++) {
     compared = compared || report->values[i].model_error != 0;
   }
-  return at_0 && compared && (report->quantities.wanted & diverging) != 0;
+  report->diverges = any && report->least == 0 && report->draw == NULL && compared &&
+                     (report->quantities.wanted & diverging) != 0;
 }
 
 /* ---- rows ------------------------------------------------------------------------------------ */
@@ -148,7 +141,7 @@ static const dipole_choice *evaluator_of(const cli_eval_report *report, size_t m
 static void put_errors(cli_rows *rows, const cli_eval_report *report, const cli_eval_values *values,
                        double r_mm) {
   char range[RANGE_BYTES];
-  const char *none = diverges(report) && !(place_max(report) > 0) ? "diverges" : "not solved";
+  const char *none = report->diverges && !(report->most > 0) ? "diverges" : "not solved";
   cli_put_number(rows,
                  CLI_COLUMN("numerical_error", "numerical error", kind_of_error(report), "%.1e"),
                  numerical_error(values, r_mm));
@@ -260,7 +253,7 @@ static void put_channel(cli_rows *rows, const void *context, size_t index) {
   if ((report->quantities.wanted & DIPOLE_ALBEDO) != 0) {
     cli_put_number(rows, CLI_COLUMN("albedo"), values->albedo);
   }
-  put_errors(rows, report, values, report->draw == NULL ? place_max(report) : 0);
+  put_errors(rows, report, values, report->draw == NULL ? report->most : 0);
 }
 
 /* Writes "note: NAME: what it says" for each note, and its models if those are not all. */
@@ -290,7 +283,6 @@ static void write_notes(const cli_eval_report *report) {
 static void write_table(const void *context) {
   const cli_eval_report *report = context;
   const cli_profile *profile = &report->profile;
-  const double most = place_max(report);
   for (size_t first = 0; report->place_count > 0 && first < report->model_count;) {
     const block models = block_from(report, first);
     cli_rows_print(stdout, 0, report->place_count, put_place, &models);
@@ -299,11 +291,11 @@ static void write_table(const void *context) {
   }
   cli_rows_print(stdout, 3, report->model_count * profile->channel_count, put_channel, report);
   fputs("numerical error: against the model's formula", stdout);
-  if (report->draw == NULL && most > 0) {
-    printf(", up to %s = %.6g %s", report->place, most, unit_of_places(report));
+  if (report->draw == NULL && report->most > 0) {
+    printf(", up to %s = %.6g %s", report->place, report->most, unit_of_places(report));
   }
   puts("\nmodel error: of the model against radiative transport, relative");
-  if (diverges(report)) {
+  if (report->diverges) {
     puts("             at r > 0: transport diverges at r = 0");
   }
   cli_write_launched(profile->media, profile->channel_count);
@@ -320,5 +312,7 @@ void cli_eval_write(const cli_eval_report *report, enum cli_form form) {
                                      rows_of_channel(report),
                              .put_row = put_value,
                              .table = write_table};
-  cli_write(&output, form, report);
+  cli_eval_report surveyed = *report;
+  survey(&surveyed);
+  cli_write(&output, form, &surveyed);
 }

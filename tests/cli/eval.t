@@ -51,7 +51,7 @@ $ dipole eval --medium skin1 --channel red --r 0,1,inf --wanted R,albedo,cdf --m
   "medium": "skin1",
   "moments": "exact",
   "R": "1/mm^2 per unit of power that entered",
-  "units": {"sigma_a": "1/mm", "sigma_s": "1/mm", "r": "mm", "R": "1/mm^2", "albedo": "1", "cdf": "1", "numerical_error": "relative, at most", "model_error": "from 0 to inf mm"},
+  "units": {"sigma_a": "1/mm", "sigma_s": "1/mm", "r": "mm", "R": "1/mm^2", "albedo": "1", "cdf": "1", "numerical_error": "relative, at most", "model_error": "from 0 to 1 mm"},
   "rows": [
     {"model": "better", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": 0, "R": 0.026396169457422243, "albedo": 0.4048076115742095, "cdf": 0, "numerical_error": 2.3901722738496005e-15, "model_error": 0.17190248081160078, "evaluator": "f64", "notes": ""},
     {"model": "better", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": 1, "R": 0.015481882273229152, "albedo": 0.4048076115742095, "cdf": 0.15524509398211575, "numerical_error": 2.8640377892444987e-15, "model_error": 0.17190248081160078, "evaluator": "f64", "notes": ""},
