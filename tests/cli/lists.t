@@ -52,8 +52,7 @@ $ dipole media --format json | head -5
     {"medium": "apple", "channel": "red", "sigma_a": 3e-3, "sigma_s": 2.29, "g": 0, "eta": 1.3},
     {"medium": "apple", "channel": "green", "sigma_a": 0.0034, "sigma_s": 2.39, "g": 0, "eta": 1.3},
 
-$ dipole info --format csv | grep '^models,better,\|^parameters\|^limits,max_frame\|^daemon,protocol'
-daemon,protocol_version,1
+$ dipole info --format csv | grep '^models,better,\|^parameters\|^limits,max_frame'
 models,better,"d'Eon 2012, Table 2"
 parameters,tolerance,"1: error asked for, relative: numerical, or, without a model, all of it (1e-12 to 1)"
 parameters,cos_in,"1: cosine of the angle of incidence, for S; else 1 (0 to 1)"
@@ -71,13 +70,11 @@ parameters,gamma,"1: (1 - g_2) / (1 - g) of the phase function, with transport; 
 parameters,detector_na,"1: of fit with transport, and of mc: sine of the largest exit angle detected; else 1 (0.01 to 1)"
 limits,max_frame_bytes,67108864
 
-$ dipole info | head -9
+$ dipole info | head -9 | grep -v 'instruction_set\|protocol'
 section         name                                value
 --------------  ----------------------------------  ------------------------------------------------------------------------------------------------
 daemon          software                            dipoled 0.1.0
                 address                             private:
-                protocol_version                    1
-                instruction_set                     avx512
                 workers                             2
                 R_unit                              1/mm^2 per unit of power that entered
 models          classical                           Jensen et al. 2001; d'Eon 2012, Table 2
