@@ -18,6 +18,7 @@
 
 enum {
   REGISTERS_RADII_MAX = 50,
+  REGISTERS_WANTED_MAX = 4, /* of an eval: R, albedo, cdf, S */
   REGISTERS_MIRROR = 2000, /* distance from a register to its mirror, if it has one */
   REGISTERS_FIT_READINGS_MAX = 25,
   REGISTERS_END = 10500, /* registers in an image */

@@ -327,15 +327,20 @@ static void set_errors(uint16_t image[REGISTERS_END], const wire_quantity_error 
   registers_set_f64(image, REGISTERS_AT_MODEL_ERROR_DOUBLE, error->model_error);
 }
 
-/* Returns the errors of a quantity, or the largest of all that are wanted if it is not. */
-static wire_quantity_error error_of(const uint8_t *reply, const eval_layout *layout,
-                                    unsigned wanted, enum core_quantity quantity) {
-  if ((wanted & quantity) == 0) {
-    return eval_largest_error(reply, layout, wanted, 0);
+/* Sets the errors of each quantity of its own; NaN for those that are not wanted. */
+static void set_errors_of_each(uint16_t image[REGISTERS_END], const uint8_t *reply,
+                               const eval_layout *layout, unsigned wanted, double r, bool rounded) {
+  static const unsigned quantities[REGISTERS_WANTED_MAX] = {CORE_QUANTITY_R, CORE_QUANTITY_ALBEDO,
+                                                            CORE_QUANTITY_CDF, CORE_QUANTITY_S};
+  for (unsigned i = 0; i < REGISTERS_WANTED_MAX; i++) {
+    wire_quantity_error error = {(double)NAN, (double)NAN, (double)NAN};
+    if ((wanted & quantities[i]) != 0) {
+      wire_get_quantity_error(reply + eval_error_offset(layout, wanted, 0, quantities[i]), &error);
+    }
+    registers_set_f32(image, REGISTERS_AT_NUMERICAL_ERRORS + 2 * i,
+                      stated_error(&error, r, rounded));
+    registers_set_f32(image, REGISTERS_AT_MODEL_ERRORS + 2 * i, rounded_up(error.model_error));
   }
-  wire_quantity_error error;
-  wire_get_quantity_error(reply + eval_error_offset(layout, wanted, 0, quantity), &error);
-  return error;
 }
 
 static struct values array_of(const uint8_t *reply, const eval_layout *layout,
@@ -371,8 +376,10 @@ static void take_eval(const uint8_t *question, const uint8_t *reply, size_t repl
   set_values(image, REGISTERS_AT_CDF, REGISTERS_AT_CDF_DOUBLE, &cdf, count, before);
   set_values(image, REGISTERS_AT_S, REGISTERS_AT_S_DOUBLE, &S, count, before);
   set_values(image, REGISTERS_AT_DISTANCES, 0, &radii, count, before);
-  const wire_quantity_error error = error_of(reply, &layout, start.wanted, CORE_QUANTITY_R);
-  set_errors(image, &error, largest(&radii, count), R.bytes == sizeof(double));
+  const wire_quantity_error error = eval_largest_error(reply, &layout, start.wanted, 0);
+  const double most_mm = largest(&radii, count);
+  set_errors(image, &error, most_mm, R.bytes == sizeof(double));
+  set_errors_of_each(image, reply, &layout, start.wanted, most_mm, R.bytes == sizeof(double));
   double albedo;
   memcpy(&albedo, reply + eval_albedo_offset(0), sizeof albedo);
   registers_set_f32(image, REGISTERS_AT_ALBEDO, (float)albedo);

@@ -47,14 +47,25 @@ def assert_equal_answers(master: Tcp, unit: int, expected, count: int) -> None:
     assert albedo == expected.albedo[0]
     assert as_floats(master.read(AT["ALBEDO"], 2, unit))[0] == np.float32(albedo)
     errors = as_doubles(master.read(AT["NUMERICAL_ERROR_DOUBLE"], 12, unit))
-    of_R = expected.errors["R"]
-    wire = [of_R.numerical_error[0], of_R.numerical_error_per_mm[0]]
+    stated = expected.errors.values()
+    wire = [max(one.numerical_error[0] for one in stated),
+            max(one.numerical_error_per_mm[0] for one in stated)]
     assert errors[:2].tolist() == wire
-    assert np.array_equal(errors[2:], of_R.model_error[:1], equal_nan=True)
+    assert np.array_equal(errors[2:], expected.model_error[:1], equal_nan=True)
     bound = as_floats(master.read(AT["NUMERICAL_ERROR"], 2, unit))[0]
     r = as_floats(master.read(AT["DISTANCES"], 2 * count, unit))
     largest = float(r[np.isfinite(r)].max(initial=0))
     assert bound >= wire[0] + wire[1] * largest
+    each = as_floats(master.read(AT["NUMERICAL_ERRORS"], 8, unit))
+    models = as_floats(master.read(AT["MODEL_ERRORS"], 8, unit))
+    for i, name in enumerate(("R", "albedo", "cdf", "S")):
+        if name not in expected.errors:
+            assert np.isnan([each[i], models[i]]).all()
+            continue
+        one = expected.errors[name]
+        exact = one.numerical_error[0] + one.numerical_error_per_mm[0] * largest
+        assert exact <= each[i] <= 1.001 * exact + 2.0**-23
+        assert models[i] == pytest.approx(one.model_error[0], rel=1e-6, nan_ok=True)
 
 
 # ---- the same bits -------------------------------------------------------------------------------
