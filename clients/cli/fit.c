@@ -474,32 +474,17 @@ static int draw(const report *of) {
   return status;
 }
 
-/* Until they are answered, samples are refused. */
+/* Until they are answered, samples are refused, and all numbers NaN, whose bytes may be 255 each. */
 static void refuse_all(report *of) {
-  const double nan = (double)NAN;
-  of->fitted = cli_allocate(of->readings.sample_count, sizeof *of->fitted);
-  of->changes = cli_allocate(of->readings.sample_count, sizeof *of->changes);
+  const size_t count = of->readings.sample_count;
+  of->fitted = cli_allocate(count, sizeof *of->fitted);
+  of->changes = cli_allocate(count, sizeof *of->changes);
   of->residuals = cli_allocate(of->readings.count, sizeof *of->residuals);
-  for (size_t i = 0; i < of->readings.sample_count; i++) {
-    of->fitted[i] = (dipole_fitted){.status = DIPOLE_FIT_REFUSED,
-                                    .sigma_a_per_mm = nan,
-                                    .sigma_s_prime_per_mm = nan,
-                                    .factor = nan,
-                                    .chi_squared = nan,
-                                    .reduced_chi_squared = nan,
-                                    .condition = nan,
-                                    .variance_a = nan,
-                                    .covariance_a_s = nan,
-                                    .variance_s = nan,
-                                    .variance_factor = nan,
-                                    .second_sigma_a_per_mm = nan,
-                                    .second_sigma_s_prime_per_mm = nan,
-                                    .second_factor = nan,
-                                    .second_chi_squared = nan,
-                                    .model_error = nan};
-  }
-  for (size_t i = 0; i < of->readings.count; i++) {
-    of->residuals[i] = nan;
+  memset(of->fitted, 0xff, count * sizeof *of->fitted);
+  memset(of->residuals, 0xff, of->readings.count * sizeof *of->residuals);
+  for (size_t i = 0; i < count; i++) {
+    of->fitted[i].status = DIPOLE_FIT_REFUSED;
+    of->fitted[i].field = 0;
   }
 }
 

@@ -114,6 +114,8 @@ static bool read_cloud(const char *path, bool with_power, cloud *of) {
       of->power_W[of->channels * i + c] = (float)cli_sheet_number(sheet, i, power + c);
     }
   }
+  cli_free(sheet->numbers); /* there may be millions */
+  sheet->numbers = NULL;
   return true;
 }
 

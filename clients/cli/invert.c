@@ -12,7 +12,7 @@
 typedef struct invert_settings {
   cli_profile_settings profile;
   cli_numbers albedo;
-  cli_lengths lengths;
+  cli_numbers lengths[CLI_LENGTHS];
   cli_number g, eta;
 } invert_settings;
 
@@ -23,7 +23,7 @@ static const cli_option options[] = {
     {"albedo", "X[,X...]",
      "diffuse albedo: the share of the power that leaves, 0 to 1; one value for each channel",
      CLI_NUMBERS, FIELD(albedo), NULL},
-    CLI_LENGTH_OPTIONS(invert_settings, lengths),
+    CLI_LENGTH_OPTIONS(invert_settings),
     {"g", "X", "mean cosine of the scattering angle (default: 0)", CLI_NUMBER, FIELD(g), NULL},
     {"eta", "X", "refractive index inside over outside", CLI_NUMBER, FIELD(eta), "1.3"},
     {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
@@ -48,9 +48,8 @@ typedef struct report {
   cli_profile profile;
   const dipole_choice *given;
   double albedo_least, albedo_most;
-  size_t count, missing;
+  size_t count, asked, missing;
   wanted *items;
-  cli_progress progress;
 } report;
 
 /* ---- the command line ------------------------------------------------------------------------ */
@@ -62,7 +61,7 @@ static int check(void *given) {
   if (albedos == 0) {
     return cli_fail_usage("give --albedo, and --mean-free-path in mm");
   }
-  const cli_numbers *lengths = cli_lengths_find(&settings->lengths, &name);
+  const cli_numbers *lengths = cli_lengths_find(settings->lengths, &name);
   if (lengths == NULL) {
     return CLI_USAGE;
   }
@@ -75,96 +74,64 @@ static int check(void *given) {
 
 /* ---- asking ---------------------------------------------------------------------------------- */
 
-static void take(report *of, const invert_settings *settings, size_t first,
-                 const dipole_inversion *inversion) {
-  of->albedo_least = inversion->albedo_least;
-  of->albedo_most = inversion->albedo_most;
-  of->missing += (size_t)inversion->missing_count;
-  for (size_t i = 0; i < inversion->medium_count; i++) {
-    wanted *one = &of->items[first + i];
-    one->found = !isnan(inversion->sigma_a_per_mm[i]);
-    one->medium = (dipole_medium){inversion->sigma_a_per_mm[i], inversion->sigma_s_per_mm[i],
-                                  settings->g.value, settings->eta.value};
-    one->albedo = (double)NAN;
-  }
-}
-
-/* Asks for `count` media from number `first` on. */
-static bool ask_some(dipole_client *client, const invert_settings *settings, report *of,
-                     size_t first, size_t count, dipole_error *error) {
-  double *albedos = cli_allocate(count, sizeof *albedos);
-  double *lengths_mm = cli_allocate(count, sizeof *lengths_mm);
-  for (size_t i = 0; i < count; i++) {
-    albedos[i] = of->items[first + i].wanted_albedo;
-    lengths_mm[i] = of->items[first + i].length_mm;
-  }
+/* Asks for the medium of an albedo, and as a check for the albedo of that medium. */
+static bool ask_one(dipole_client *client, const invert_settings *settings, report *of, wanted *one,
+                    dipole_error *error) {
   const dipole_invert_query query = {.model = of->profile.model->id,
                                      .moments = of->profile.moments->id,
                                      .given = of->given->id,
                                      .g = settings->g.value,
                                      .eta = settings->eta.value,
-                                     .albedos = albedos,
-                                     .lengths_mm = lengths_mm,
-                                     .medium_count = count,
+                                     .albedos = &one->wanted_albedo,
+                                     .lengths_mm = &one->length_mm,
+                                     .medium_count = 1,
                                      .deadline_ms = (unsigned)settings->profile.deadline_ms.value};
   dipole_inversion *inversion;
-  const bool good =
-      CLI_ASK(&settings->profile.common, error, dipole_invert(client, &query, &inversion, error));
-  if (good) {
-    take(of, settings, first, inversion);
-    dipole_inversion_free(inversion);
+  if (!CLI_ASK(&settings->profile.common, error,
+               dipole_invert(client, &query, &inversion, error))) {
+    return false;
   }
-  return good;
-}
-
-enum { SLOW_MEDIA = 64 };
-
-/* steps: of two for each medium, which is found and then evaluated. */
-static void show_progress(report *of, double steps) {
-  cli_progress_show(&of->progress, steps / (2 * (double)of->count), steps / 2);
-}
-
-/* Transport takes milliseconds for each medium, so it is asked for few at a time: the daemon is then
- * not silent for long, however many media there are. */
-static bool ask(dipole_client *client, const invert_settings *settings, report *of,
-                dipole_error *error) {
-  const bool slow = strcmp(of->profile.model->name, CLI_MODEL_DEFAULT) == 0;
-  const size_t each = slow ? SLOW_MEDIA : of->count;
-  bool good = true;
-  of->missing = 0;
-  cli_progress_start(&of->progress, "media");
-  for (size_t first = 0; good && first < of->count; first += each) {
-    const size_t left = of->count - first;
-    good = ask_some(client, settings, of, first, left < each ? left : each, error);
-    show_progress(of, fmin((double)(first + each), (double)of->count));
+  one->found = !isnan(inversion->sigma_a_per_mm[0]);
+  one->medium = (dipole_medium){inversion->sigma_a_per_mm[0], inversion->sigma_s_per_mm[0],
+                                settings->g.value, settings->eta.value};
+  one->albedo = (double)NAN;
+  of->albedo_least = inversion->albedo_least;
+  of->albedo_most = inversion->albedo_most;
+  of->missing += !one->found;
+  dipole_inversion_free(inversion);
+  const dipole_query check = {.model = query.model,
+                              .evaluator = DIPOLE_F64,
+                              .moments = query.moments,
+                              .wanted = DIPOLE_ALBEDO,
+                              .media = &one->medium,
+                              .medium_count = 1,
+                              .spacing = DIPOLE_LIST,
+                              .deadline_ms = query.deadline_ms};
+  dipole_result *result;
+  if (one->found &&
+      !CLI_ASK(&settings->profile.common, error, dipole_eval(client, &check, &result, error))) {
+    return false;
   }
-  return good;
-}
-
-/* Evaluates the albedos of the media that were found. */
-static bool verify(dipole_client *client, const invert_settings *settings, report *of,
-                   dipole_error *error) {
-  for (size_t i = 0; i < of->count; i++) {
-    if (!of->items[i].found) {
-      continue;
-    }
-    const dipole_query query = {.model = of->profile.model->id,
-                                .evaluator = DIPOLE_F64,
-                                .moments = of->profile.moments->id,
-                                .wanted = DIPOLE_ALBEDO,
-                                .media = &of->items[i].medium,
-                                .medium_count = 1,
-                                .spacing = DIPOLE_LIST,
-                                .deadline_ms = (unsigned)settings->profile.deadline_ms.value};
-    dipole_result *result;
-    if (!CLI_ASK(&settings->profile.common, error, dipole_eval(client, &query, &result, error))) {
-      return false;
-    }
-    of->items[i].albedo = result->channels[0].albedo;
+  if (one->found) {
+    one->albedo = result->channels[0].albedo;
     dipole_result_free(result);
-    show_progress(of, (double)of->count + (double)(i + 1));
   }
   return true;
+}
+
+/* Asks for one medium after the other, so that the daemon is not silent for long. */
+static bool ask(dipole_client *client, const invert_settings *settings, report *of,
+                dipole_error *error) {
+  cli_progress progress;
+  bool good = true;
+  cli_progress_start(&progress, "media");
+  for (size_t i = 0; good && i < of->count; i++) {
+    of->asked = i + 1;
+    good = ask_one(client, settings, of, &of->items[i], error);
+    cli_progress_show(&progress, (double)(i + 1) / (double)of->count, (double)(i + 1));
+  }
+  cli_progress_wipe(&progress);
+  return good;
 }
 
 /* ---- writing --------------------------------------------------------------------------------- */
@@ -238,7 +205,7 @@ static int write_and_judge(const invert_settings *settings, const report *of) {
 
 static int ask_and_write(const invert_settings *settings, dipole_client *client, report *of) {
   const char *length = NULL;
-  const cli_numbers *lengths = cli_lengths_find(&settings->lengths, &length);
+  const cli_numbers *lengths = cli_lengths_find(settings->lengths, &length);
   dipole_error error;
   of->count = settings->albedo.count > lengths->count ? settings->albedo.count : lengths->count;
   of->items = cli_allocate(of->count, sizeof *of->items);
@@ -253,15 +220,15 @@ static int ask_and_write(const invert_settings *settings, dipole_client *client,
   if (of->given == NULL) {
     return cli_fail("--%s: this daemon does not know it; name another length", length);
   }
-  const bool good = ask(client, settings, of, &error) && verify(client, settings, of, &error);
-  cli_progress_wipe(&of->progress);
-  if (good) {
+  if (ask(client, settings, of, &error)) {
     return write_and_judge(settings, of);
   }
-  if (strcmp(error.field, "length") == 0) {
-    return cli_fail("%s (--%s)", error.text, length);
+  char place[96] = "";
+  if (of->count > 1) {
+    snprintf(place, sizeof place, "channel %zu: ", of->asked);
   }
-  return cli_fail_error(&error);
+  return strcmp(error.field, "length") == 0 ? cli_fail("%s%s (--%s)", place, error.text, length)
+                                            : cli_fail_error_of(place, &error);
 }
 
 static int run(void *settings, dipole_client *client) {

@@ -42,28 +42,21 @@ const char *cli_usual_evaluator(const cli_profile_settings *settings, const char
 
 /* ---- lengths --------------------------------------------------------------------------------- */
 
-const cli_numbers *cli_lengths_find(const cli_lengths *lengths, const char **name) {
-  const struct {
-    const char *name;
-    const cli_numbers *numbers;
-  } all[] = {{"mean-free-path", &lengths->free_path},
-             {"diffuse-mean-free-path", &lengths->diffuse_path},
-             {"classical-diffuse-path", &lengths->classical_path}};
+const cli_numbers *cli_lengths_find(const cli_numbers lengths[CLI_LENGTHS], const char **name) {
   const cli_numbers *found = NULL;
   size_t given = 0;
-  for (size_t i = 0; i < sizeof all / sizeof all[0]; i++) {
-    if (all[i].numbers->count > 0) {
-      found = all[i].numbers;
-      *name = all[i].name;
+  for (size_t i = 0; i < CLI_LENGTHS; i++) {
+    if (lengths[i].count > 0) {
+      found = &lengths[i];
+      *name = core_lengths[i].name;
       given++;
     }
   }
   if (given != 1) {
     cli_fail_usage("give exactly one of --mean-free-path, --diffuse-mean-free-path and "
                    "--classical-diffuse-path, in mm");
-    return NULL;
   }
-  return found;
+  return given == 1 ? found : NULL;
 }
 
 /* ---- parameters ------------------------------------------------------------------------------ */

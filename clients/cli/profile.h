@@ -50,33 +50,24 @@ extern const cli_option cli_medium_options[];
   "--evaluator f64 takes .2 ms, and 30 times as long for each radius. --model\n"                   \
   "better, which many renderers use, takes microseconds.\n"
 
-/* The lengths by which a medium can be given with an albedo. */
-typedef struct cli_lengths {
-  cli_numbers free_path, diffuse_path, classical_path;
-} cli_lengths;
+/* The lengths by which a medium can be given with an albedo, in the order of core_lengths. */
+enum { CLI_LENGTHS = 3 };
 
-/* Their options, for settings of this type with this member. */
-#define CLI_LENGTH_OPTIONS(type, member)                                                           \
-  {"mean-free-path",                                                                               \
-   "X[,X...]",                                                                                     \
-   "1 / sigma_t', mm; a single value is for all channels",                                         \
-   CLI_NUMBERS,                                                                                    \
-   offsetof(type, member.free_path),                                                               \
-   NULL},                                                                                          \
-      {"diffuse-mean-free-path",                                                                   \
-       "X[,X...]",                                                                                 \
-       "instead: 1 / (sigma_t' sqrt(3 a / (1 + a))), a = sigma_a / sigma_t', mm",                  \
-       CLI_NUMBERS,                                                                                \
-       offsetof(type, member.diffuse_path),                                                        \
-       NULL},                                                                                      \
-  {                                                                                                \
-    "classical-diffuse-path", "X[,X...]", "instead: 1 / sqrt(3 sigma_a sigma_t'), mm",             \
-        CLI_NUMBERS, offsetof(type, member.classical_path), NULL                                   \
-  }
+/* Their options, for settings of this type with a member cli_numbers lengths[CLI_LENGTHS]. */
+#define CLI_LENGTH_OPTION(type, name, i, help)                                                     \
+  { name, "X[,X...]", help, CLI_NUMBERS, offsetof(type, lengths[i]), NULL }
+#define CLI_LENGTH_OPTIONS(type)                                                                   \
+  CLI_LENGTH_OPTION(type, "mean-free-path", 0,                                                     \
+                    "1 / sigma_t', mm; a single value is for all channels"),                       \
+      CLI_LENGTH_OPTION(                                                                           \
+          type, "diffuse-mean-free-path", 1,                                                       \
+          "instead: 1 / (sigma_t' sqrt(3 a / (1 + a))), a = sigma_a / sigma_t', mm"),              \
+      CLI_LENGTH_OPTION(type, "classical-diffuse-path", 2,                                         \
+                        "instead: 1 / sqrt(3 sigma_a sigma_t'), mm")
 
 /* Returns the one length that is given, and its name, which is that of the option and of the
  * daemon's choice. If none or several are given, says so and returns NULL. */
-const cli_numbers *cli_lengths_find(const cli_lengths *lengths, const char **name);
+const cli_numbers *cli_lengths_find(const cli_numbers lengths[CLI_LENGTHS], const char **name);
 
 /* Returns the evaluator that is taken if none is given: the table for transport, where it can be as
  * exact as the tolerance. model: NULL if none is named. */

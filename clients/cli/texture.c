@@ -11,7 +11,7 @@
 
 typedef struct texture_settings {
   cli_profile_settings profile;
-  cli_lengths lengths;
+  cli_numbers lengths[CLI_LENGTHS];
   cli_number g, eta;
   const char *light;
   bool specular, linear;
@@ -22,7 +22,7 @@ typedef struct texture_settings {
 
 static const cli_option options[] = {
     {"Media", NULL, NULL, CLI_HEADING, 0, NULL},
-    CLI_LENGTH_OPTIONS(texture_settings, lengths),
+    CLI_LENGTH_OPTIONS(texture_settings),
     {"g", "X", "mean cosine of the scattering angle (default: 0)", CLI_NUMBER, FIELD(g), NULL},
     {"eta", "X", "refractive index inside over outside", CLI_NUMBER, FIELD(eta), "1.3"},
     {"Colours", NULL, NULL, CLI_HEADING, 0, NULL},
@@ -75,7 +75,7 @@ static int check(void *given) {
   if (common->operand == NULL || common->second_operand == NULL) {
     return cli_fail_usage("name two files: the image that is read, and the image that is written");
   }
-  const cli_numbers *lengths = cli_lengths_find(&settings->lengths, &length);
+  const cli_numbers *lengths = cli_lengths_find(settings->lengths, &length);
   if (lengths == NULL) {
     return CLI_USAGE;
   }
@@ -125,7 +125,7 @@ static int take_settings(texture_run *run) {
   const cli_profile_settings *profile = &settings->profile;
   const char *length;
   cli_profile names = {0};
-  cli_lengths_find(&settings->lengths, &length);
+  cli_lengths_find(settings->lengths, &length);
   if (!cli_profile_take_names(profile, run->client, &names)) {
     return CLI_USAGE;
   }
@@ -160,7 +160,7 @@ static int take_settings(texture_run *run) {
 /* Fills the lengths of `count` values from number `first` on. */
 static void set_lengths(texture_run *run, uint64_t first, size_t count, size_t channels) {
   const char *name;
-  const cli_numbers *lengths = cli_lengths_find(&run->settings->lengths, &name);
+  const cli_numbers *lengths = cli_lengths_find(run->settings->lengths, &name);
   for (size_t i = 0; i < count; i++) {
     const size_t channel = lengths->count == 1 ? 0 : (size_t)((first + i) % channels);
     run->lengths_mm[i] = (float)lengths->items[channel];

@@ -98,7 +98,7 @@ $ dipole invert --albedo 0.5 --mean-free-path 1 --sigma-a 1
 ? 2
 
 $ dipole invert --albedo 0.1,1.5 --mean-free-path 1
-! dipole invert: bad-value: albedo number 2 of 2: allowed: 0 to 1 (--albedo)
+! dipole invert: channel 2: bad-value: albedo: allowed: 0 to 1 (--albedo)
 ? 1
 
 $ dipole invert --albedo 0.1 --mean-free-path 0
