@@ -116,7 +116,7 @@ $(OBJ)/core/models/gaussian_fit.o: EXTRA_CPPFLAGS = $(if $(filter yes,$(CMINPACK
 
 # Files that the assembler includes. A Content-Security-Policy names the script and the style of the
 # page of --http by the sums of what stands between the tags, in base64.
-$(OBJ)/core/transport/table_data.o: core/transport/transport.table
+$(OBJ)/core/transport/table.o: core/transport/transport.table
 $(OBJ)/core/fit/aperture.o: core/fit/aperture.table
 sum_of_tag = $(shell env printf "$$({ echo; sed -n '/^<$(1)>$$/,/^<\/$(1)>$$/{//!p}' server/http/page.html; } | sha256sum | cut -c 1-64 | sed 's/../\\x&/g')" | base64)
 $(OBJ)/server/http/page.o: server/http/page.html

@@ -175,13 +175,3 @@ double complex fn_cexpm1(double complex z) {
   }
   return sum * z;
 }
-
-/* For Re z >= 0 and m = e^z - 1, sinh z = (m + m / (1 + m)) / 2 and cosh z = 1 + m^2 / (2 (1 + m)).
- */
-void fn_csinhcosh(double complex z, double complex *sine, double complex *cosine) {
-  const double sign = creal(z) < 0 ? -1 : 1;
-  const double complex m = fn_cexpm1(sign * z);
-  const double complex quotient = m * fn_inverse(1 + m);
-  *sine = sign * 0.5 * (m + quotient);
-  *cosine = 1 + 0.5 * m * quotient;
-}

@@ -50,7 +50,4 @@ double complex fn_cexp(double complex z);
 /* Returns e^z - 1 without loss of digits near z = 0. */
 double complex fn_cexpm1(double complex z);
 
-/* Sets *sine to sinh z and *cosine to cosh z. sinh z loses no digits near z = 0. */
-void fn_csinhcosh(double complex z, double complex *sine, double complex *cosine);
-
 #endif

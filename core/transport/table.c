@@ -11,7 +11,6 @@
 
 #include "core/solver/solver.h"
 #include "core/transport/functions.h"
-#include "core/transport/table_data.h"
 
 enum {
   TERMS_MAX = TRANSPORT_TABLE_TERMS_MAX,
@@ -288,6 +287,18 @@ void transport_table_close(transport_table *table) {
   free(table->packed);
   table->packed = NULL;
 }
+
+__asm__(".pushsection .rodata\n"
+        ".balign 16\n"
+        ".globl transport_table_data, transport_table_data_end\n"
+        ".hidden transport_table_data, transport_table_data_end\n"
+        ".type transport_table_data, %object\n"
+        "transport_table_data:\n"
+        ".incbin \"core/transport/transport.table\"\n"
+        "transport_table_data_end:\n"
+        ".byte 0\n"
+        ".size transport_table_data, transport_table_data_end - transport_table_data\n"
+        ".popsection\n");
 
 static transport_table shipped;
 static bool shipped_is_good;

@@ -150,6 +150,11 @@ typedef struct transport_table {
 bool transport_table_open(transport_table *table, const uint8_t *bytes, size_t length);
 void transport_table_close(transport_table *table);
 
+/* The bytes of transport.table, which the assembler takes up into the program's read-only data. */
+#pragma GCC visibility push(hidden)
+extern const uint8_t transport_table_data[], transport_table_data_end[];
+#pragma GCC visibility pop
+
 /* Returns the table that is part of the program, or NULL if it is damaged. It is mapped read-only
  * with the program, and all processes share it. Any thread may call this at any time. */
 const transport_table *transport_table_shipped(void);

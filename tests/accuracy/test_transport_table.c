@@ -4,7 +4,6 @@
 #include "core/kernels.h"
 #include "core/solver/solver.h"
 #include "core/transport/table.h"
-#include "core/transport/table_data.h"
 #include "tests/accuracy/isotropic/isotropic.h"
 #include "tests/accuracy/vectors.h"
 #include "tests/unit/unit.h"

@@ -5,6 +5,16 @@
 
 #include "core/transport/functions.h"
 
+/* For Re z >= 0 and m = e^z - 1, sinh z = (m + m / (1 + m)) / 2 and cosh z = 1 + m^2 / (2 (1 + m)).
+ */
+void isotropic_sinhcosh(double complex z, double complex *sine, double complex *cosine) {
+  const double sign = creal(z) < 0 ? -1 : 1;
+  const double complex m = fn_cexpm1(sign * z);
+  const double complex quotient = m * fn_inverse(1 + m);
+  *sine = sign * 0.5 * (m + quotient);
+  *cosine = 1 + 0.5 * m * quotient;
+}
+
 /* Below this |k| the measure of the boundary is integrated along chords in the plane of p, which
  * are short then. Above it, it is integrated along the two arcs on which the chords end. */
 #define CHORDS_UP_TO 1.0
@@ -149,9 +159,9 @@ static struct angle angle_inside_denser(double eta, double t, double weight) {
   const double mu_c = critical_mu(eta);
   const double u = limit * (1 - t * t);
   double complex sinh_u, cosh_u, sum, difference, unused;
-  fn_csinhcosh(u, &sinh_u, &cosh_u);
-  fn_csinhcosh(0.5 * (limit + u), &sum, &unused);
-  fn_csinhcosh(0.5 * limit * t * t, &difference, &unused);
+  isotropic_sinhcosh(u, &sinh_u, &cosh_u);
+  isotropic_sinhcosh(0.5 * (limit + u), &sum, &unused);
+  isotropic_sinhcosh(0.5 * limit * t * t, &difference, &unused);
   const double mu = 1 / creal(cosh_u);
   const double beyond_critical = 2 * mu * mu_c * creal(sum) * creal(difference);
   const double mu_t = eta * sqrt(beyond_critical * (mu + mu_c));

@@ -21,6 +21,9 @@
 
 #include "core/transport/gauss.h"
 
+/* Sets *sine to sinh z and *cosine to cosh z. sinh z loses no digits near z = 0. */
+void isotropic_sinhcosh(double complex z, double complex *sine, double complex *cosine);
+
 /* Quadrature rules for one eta and accuracy. */
 typedef struct nodes_rules {
   double eta;

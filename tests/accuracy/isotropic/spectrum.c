@@ -63,7 +63,7 @@ double isotropic_spectrum_lambda(size_t level, double shrink) {
 
 static double complex wavenumber(const spectrum_grid *grid, size_t j, double complex *dk) {
   double complex sine, cosine;
-  fn_csinhcosh(CMPLX((double)j * grid->step, grid->mu), &sine, &cosine);
+  isotropic_sinhcosh(CMPLX((double)j * grid->step, grid->mu), &sine, &cosine);
   *dk = (j == 0 ? 0.5 : 1) * grid->step * grid->lambda * cosine;
   return grid->lambda * sine;
 }
