@@ -10,9 +10,9 @@
 /* The values of one model and channel. Single precision values are held as the doubles that they
  * equal. */
 typedef struct cli_eval_values {
-  double albedo; /* NaN if it is not wanted */
-  double numerical_error, numerical_error_per_mm;
-  double model_error;                 /* NaN if it is not known */
+  double albedo;                             /* NaN if it is not wanted */
+  dipole_errors errors;                      /* the largest of all quantities */
+  dipole_errors of_each[CLI_QUANTITIES_MAX]; /* of each of the report's quantities */
   double *arrays[CLI_QUANTITIES_MAX]; /* [place_count] for each of the report's quantities; NULL for
                                          the albedo */
 } cli_eval_values;

@@ -146,9 +146,10 @@ static int evaluate(const dipole_table *table, const float *r, const cli_eval_re
     status = fail_radius(info, report);
   }
   if (status == CLI_OK) {
-    values->numerical_error = errors.numerical_error;
-    values->numerical_error_per_mm = errors.numerical_error_per_mm;
-    values->model_error = errors.model_error;
+    values->errors = errors;
+  }
+  for (size_t q = 0; status == CLI_OK && q < report->quantities.count; q++) {
+    dipole_table_errors(table, report->quantities.items[q]->id, n, r, &values->of_each[q]);
   }
   return status;
 }

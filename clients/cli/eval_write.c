@@ -30,6 +30,13 @@ static double larger(double a, double b) {
   return isnan(a) || a > b ? a : b;
 }
 
+/* Keeps the errors of a part. A list that is asked for in pieces has the largest model error of all. */
+static void keep_errors(dipole_errors *kept, dipole_errors part, bool is_first) {
+  const double before = kept->model_error;
+  *kept = part;
+  kept->model_error = is_first ? part.model_error : larger(before, part.model_error);
+}
+
 /* Makes room for all places once the daemon has agreed to so many. */
 static double *make_room(double *values, size_t count) {
   return values != NULL ? values : cli_allocate(count, sizeof *values);
@@ -40,12 +47,12 @@ void cli_eval_keep(cli_eval_report *report, size_t model, size_t first, const di
     const dipole_channel *channel = &part->channels[i];
     cli_eval_values *values = &report->values[model * report->profile.channel_count + i];
     values->albedo = channel->albedo;
-    values->numerical_error = channel->numerical_error;
-    values->numerical_error_per_mm = channel->numerical_error_per_mm;
-    values->model_error =
-        first == 0 ? channel->model_error : larger(values->model_error, channel->model_error);
+    const dipole_errors all = {channel->numerical_error, channel->numerical_error_per_mm,
+                               channel->model_error};
+    keep_errors(&values->errors, all, first == 0);
     for (size_t q = 0; q < report->quantities.count; q++) {
       const unsigned id = report->quantities.items[q]->id;
+      keep_errors(&values->of_each[q], dipole_errors_of(part, i, id), first == 0);
       const double *f64 = dipole_values_f64(part, i, id);
       const float *f32 = dipole_values_f32(part, i, id);
       if (f64 == NULL && f32 == NULL) {
@@ -64,9 +71,8 @@ void cli_eval_keep(cli_eval_report *report, size_t model, size_t first, const di
 
 /* Returns what the numerical error of the wanted quantities is: that of ln R and its derivatives is
  * absolute. */
-static const char *kind_of_error(const cli_eval_report *report) {
+static const char *kind_of_error(const cli_eval_report *report, unsigned wanted) {
   const unsigned absolute = DIPOLE_LN_R | DIPOLE_BY_SIGMA_A | DIPOLE_BY_SIGMA_S;
-  const unsigned wanted = report->quantities.wanted;
   return report->place[0] == 'f'     ? "of the albedo, at most"
          : (wanted & absolute) == 0  ? "relative, at most"
          : (wanted & ~absolute) == 0 ? "absolute, at most"
@@ -91,10 +97,10 @@ static double radius_at(const cli_eval_report *report, const cli_eval_values *va
 }
 
 /* Returns the numerical error of the values at a radius. */
-static double numerical_error(const cli_eval_values *values, double r_mm) {
+static double numerical_error(const dipole_errors *errors, double r_mm) {
   /* 0 times infinity is not a number, but a rate of 0 adds nothing at any radius. */
-  return values->numerical_error +
-         (values->numerical_error_per_mm > 0 ? values->numerical_error_per_mm * r_mm : 0);
+  return errors->numerical_error +
+         (errors->numerical_error_per_mm > 0 ? errors->numerical_error_per_mm * r_mm : 0);
 }
 
 enum { RANGE_BYTES = 64 };
@@ -125,7 +131,7 @@ static void survey(cli_eval_report *report) {
     }
   }
   for (size_t i = 0; i < report->model_count * report->profile.channel_count; i++) {
-    compared = compared || report->values[i].model_error != 0;
+    compared = compared || report->values[i].errors.model_error != 0;
   }
   report->diverges = any && report->least == 0 && report->draw == NULL && compared &&
                      (report->quantities.wanted & diverging) != 0;
@@ -137,17 +143,39 @@ static const dipole_choice *evaluator_of(const cli_eval_report *report, size_t m
   return report->models[model].evaluator;
 }
 
-/* Puts the errors of a model and channel; in a table those of all radii, else those at r_mm. */
+/* Puts errors under these names, at r_mm. */
+static void put_errors_as(cli_rows *rows, const cli_eval_report *report,
+                          const dipole_errors *errors, double r_mm, unsigned forms, unsigned wanted,
+                          const char *of) {
+  char range[RANGE_BYTES], numerical[64], model[64];
+  const char *none = report->diverges && !(report->most > 0) ? "diverges" : "not solved";
+  snprintf(numerical, sizeof numerical, "numerical_error%s%s", of[0] != '\0' ? "_" : "", of);
+  snprintf(model, sizeof model, "model_error%s%s", of[0] != '\0' ? "_" : "", of);
+  cli_put_number(rows,
+                 CLI_COLUMN(numerical, "numerical error", kind_of_error(report, wanted), "%.1e",
+                            .over = of, .forms = forms),
+                 numerical_error(errors, r_mm));
+  cli_put_number(rows,
+                 CLI_COLUMN(model, "model error", range_of(report, range), "%.1e", none, .over = of,
+                            .forms = forms),
+                 errors->model_error);
+}
+
+/* Puts the errors of a model and channel; in a table those of all radii, else those at r_mm. Those of
+ * each quantity follow if several have values at places, and stand alone in a table. */
 static void put_errors(cli_rows *rows, const cli_eval_report *report, const cli_eval_values *values,
                        double r_mm) {
-  char range[RANGE_BYTES];
-  const char *none = report->diverges && !(report->most > 0) ? "diverges" : "not solved";
-  cli_put_number(rows,
-                 CLI_COLUMN("numerical_error", "numerical error", kind_of_error(report), "%.1e"),
-                 numerical_error(values, r_mm));
-  cli_put_number(rows,
-                 CLI_COLUMN("model_error", "model error", range_of(report, range), "%.1e", none),
-                 values->model_error);
+  const cli_quantities *quantities = &report->quantities;
+  const unsigned beside = DIPOLE_ALBEDO | DIPOLE_RADIUS;
+  const bool several = __builtin_popcount(quantities->wanted & ~beside) > 1;
+  put_errors_as(rows, report, &values->errors, r_mm, several ? CLI_IN_CSV | CLI_IN_JSON : 0,
+                quantities->wanted, "");
+  for (size_t q = 0; several && q < quantities->count; q++) {
+    if ((quantities->items[q]->id & DIPOLE_RADIUS) == 0) {
+      put_errors_as(rows, report, &values->of_each[q], r_mm, 0, quantities->items[q]->id,
+                    quantities->items[q]->name);
+    }
+  }
 }
 
 /* Puts what all reports of values begin with. */

@@ -311,7 +311,7 @@ static size_t find_reference(const cli_eval_report *report) {
   while (at-- > 0 && strcmp(report->models[at].choice->name, REFERENCE) != 0) {
   }
   for (size_t i = 0; at < report->model_count && i < channels; i++) {
-    const bool holds = report->values[at * channels + i].model_error == 0;
+    const bool holds = report->values[at * channels + i].errors.model_error == 0;
     held += holds;
     if (!holds) {
       cli_fail("--error: no deviation is shown of %s, because " REFERENCE
@@ -373,7 +373,7 @@ static int draw(const plot_settings *settings, const cli_eval_report *report, co
     curve->y = model < report->model_count ? report->values[k].arrays[0] : of->R + i * count;
     curve->error = model < report->model_count ? NULL : of->R_error + i * count;
     const cli_eval_values *from = &report->values[reference * channels + i];
-    if (settings->error && from->model_error == 0) {
+    if (settings->error && from->errors.model_error == 0) {
       set_deviation(curve, from, deviations + 2 * k * count);
     }
   }

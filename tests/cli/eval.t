@@ -51,14 +51,14 @@ $ dipole eval --medium skin1 --channel red --r 0,1,inf --wanted R,albedo,cdf --m
   "medium": "skin1",
   "moments": "exact",
   "R": "1/mm^2 per unit of power that entered",
-  "units": {"sigma_a": "1/mm", "sigma_s": "1/mm", "r": "mm", "R": "1/mm^2", "albedo": "1", "cdf": "1", "numerical_error": "relative, at most", "model_error": "from 0 to 1 mm"},
+  "units": {"sigma_a": "1/mm", "sigma_s": "1/mm", "r": "mm", "R": "1/mm^2", "albedo": "1", "cdf": "1", "numerical_error": "relative, at most", "model_error": "from 0 to 1 mm", "numerical_error_R": "relative, at most", "model_error_R": "from 0 to 1 mm", "numerical_error_albedo": "relative, at most", "model_error_albedo": "from 0 to 1 mm", "numerical_error_cdf": "relative, at most", "model_error_cdf": "from 0 to 1 mm"},
   "rows": [
-    {"model": "better", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": 0, "R": 0.026396169457422243, "albedo": 0.4048076115742095, "cdf": 0, "numerical_error": 2.3901722738496005e-15, "model_error": 0.17190248081160078, "evaluator": "f64", "notes": ""},
-    {"model": "better", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": 1, "R": 0.015481882273229152, "albedo": 0.4048076115742095, "cdf": 0.15524509398211575, "numerical_error": 2.8640377892444987e-15, "model_error": 0.17190248081160078, "evaluator": "f64", "notes": ""},
-    {"model": "better", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": "inf", "R": 0, "albedo": 0.4048076115742095, "cdf": 1, "numerical_error": "inf", "model_error": 0.17190248081160078, "evaluator": "f64", "notes": ""},
-    {"model": "transport", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": 0, "R": "inf", "albedo": 0.43945764501319085, "cdf": 0, "numerical_error": 8.30018799703575e-5, "model_error": 0, "evaluator": "lut", "notes": ""},
-    {"model": "transport", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": 1, "R": 0.01570149, "albedo": 0.43945764501319085, "cdf": 0.32714382, "numerical_error": 8.30018799703575e-5, "model_error": 0, "evaluator": "lut", "notes": ""},
-    {"model": "transport", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": "inf", "R": 0, "albedo": 0.43945764501319085, "cdf": 1, "numerical_error": 8.30018799703575e-5, "model_error": 0, "evaluator": "lut", "notes": ""}
+    {"model": "better", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": 0, "R": 0.026396169457422243, "albedo": 0.4048076115742095, "cdf": 0, "numerical_error": 2.3901722738496005e-15, "model_error": 0.17190248081160078, "numerical_error_R": 2.3901722738496005e-15, "model_error_R": 0.013989674510023978, "numerical_error_albedo": 2.3901722738496005e-15, "model_error_albedo": 0.07885072820519266, "numerical_error_cdf": 2.3901722738496005e-15, "model_error_cdf": 0.17190248081160078, "evaluator": "f64", "notes": ""},
+    {"model": "better", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": 1, "R": 0.015481882273229152, "albedo": 0.4048076115742095, "cdf": 0.15524509398211575, "numerical_error": 2.8640377892444987e-15, "model_error": 0.17190248081160078, "numerical_error_R": 2.8640377892444987e-15, "model_error_R": 0.013989674510023978, "numerical_error_albedo": 2.3901722738496005e-15, "model_error_albedo": 0.07885072820519266, "numerical_error_cdf": 2.8640377892444987e-15, "model_error_cdf": 0.17190248081160078, "evaluator": "f64", "notes": ""},
+    {"model": "better", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": "inf", "R": 0, "albedo": 0.4048076115742095, "cdf": 1, "numerical_error": "inf", "model_error": 0.17190248081160078, "numerical_error_R": "inf", "model_error_R": 0.013989674510023978, "numerical_error_albedo": 2.3901722738496005e-15, "model_error_albedo": 0.07885072820519266, "numerical_error_cdf": "inf", "model_error_cdf": 0.17190248081160078, "evaluator": "f64", "notes": ""},
+    {"model": "transport", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": 0, "R": "inf", "albedo": 0.43945764501319085, "cdf": 0, "numerical_error": 8.30018799703575e-5, "model_error": 0, "numerical_error_R": 8.30018799703575e-5, "model_error_R": 0, "numerical_error_albedo": 8.30018799703575e-5, "model_error_albedo": 0, "numerical_error_cdf": 8.30018799703575e-5, "model_error_cdf": 0, "evaluator": "lut", "notes": ""},
+    {"model": "transport", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": 1, "R": 0.01570149, "albedo": 0.43945764501319085, "cdf": 0.32714382, "numerical_error": 8.30018799703575e-5, "model_error": 0, "numerical_error_R": 8.30018799703575e-5, "model_error_R": 0, "numerical_error_albedo": 8.30018799703575e-5, "model_error_albedo": 0, "numerical_error_cdf": 8.30018799703575e-5, "model_error_cdf": 0, "evaluator": "lut", "notes": ""},
+    {"model": "transport", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": "inf", "R": 0, "albedo": 0.43945764501319085, "cdf": 1, "numerical_error": 8.30018799703575e-5, "model_error": 0, "numerical_error_R": 8.30018799703575e-5, "model_error_R": 0, "numerical_error_albedo": 8.30018799703575e-5, "model_error_albedo": 0, "numerical_error_cdf": 8.30018799703575e-5, "model_error_cdf": 0, "evaluator": "lut", "notes": ""}
   ]
 }
 
@@ -351,10 +351,11 @@ mm      1/mm^2        1/mm
  0         inf  3.6900e-01
  1  1.9787e-02  1.2433e-01
 
-model      evaluator  channel  sigma_a  sigma_s  g  eta    numerical error     model error
-                                  1/mm     1/mm          relative, at most  from 0 to 1 mm
----------  ---------  -------  -------  -------  -  ---  -----------------  --------------
-transport  lut        1           0.03        1  0  1.3            8.5e-05         0.0e+00
+                                                                         R               R           2_pi_r_R        2_pi_r_R
+model      evaluator  channel  sigma_a  sigma_s  g  eta    numerical error     model error    numerical error     model error
+                                  1/mm     1/mm          relative, at most  from 0 to 1 mm  relative, at most  from 0 to 1 mm
+---------  ---------  -------  -------  -------  -  ---  -----------------  --------------  -----------------  --------------
+transport  lut        1           0.03        1  0  1.3            8.5e-05         0.0e+00            8.5e-05         0.0e+00
 numerical error: against the model's formula, up to r = 1 mm
 model error: of the model against radiative transport, relative
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)

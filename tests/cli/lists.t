@@ -99,9 +99,9 @@ channel,sigma_a,sigma_s,g,eta,albedo,pieces_from,pieces_to,bytes,numerical_error
 1,0.032,0.74,0.97,1.3,0.01747984589212022,9.313225746154785e-10,2048,21632,8.439217715535063e-5,inf,
 
 $ dipole eval --table a.table --r 0.1,1 --wanted R,cdf --format csv
-model,channel,sigma_a,sigma_s,g,eta,r,R,cdf,numerical_error,model_error,evaluator,notes
-better,1,0.032,0.74,0.97,1.3,0.1,1.3394394e-5,2.4073828e-5,8.439217715536079e-5,,lut,similarity
-better,1,0.032,0.74,0.97,1.3,1,1.3333372e-5,0.0024018935,8.439217715545223e-5,,lut,similarity
+model,channel,sigma_a,sigma_s,g,eta,r,R,cdf,numerical_error,model_error,numerical_error_R,model_error_R,numerical_error_cdf,model_error_cdf,evaluator,notes
+better,1,0.032,0.74,0.97,1.3,0.1,1.3394394e-5,2.4073828e-5,8.439217715536079e-5,,8.439217715536079e-5,,8.439217715536079e-5,,lut,similarity
+better,1,0.032,0.74,0.97,1.3,1,1.3333372e-5,0.0024018935,8.439217715545223e-5,,8.439217715545223e-5,,8.439217715545223e-5,,lut,similarity
 
 $ dipole eval --table a.table --model better
 ! dipole eval: --table FILE says what is evaluated, and needs no daemon: of the options leave all out but radii, --wanted and output

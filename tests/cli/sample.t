@@ -44,9 +44,9 @@ $ dipole sample --sigma-a 0.032 --sigma-s 0.74 --count 2 --model better --format
 }
 
 $ dipole sample --sigma-a 0.032 --sigma-s 0.74 --count 2 --seed 7 --first 3 --wanted r,pdf,cdf,albedo --format csv
-model,channel,sigma_a,sigma_s,g,eta,u,albedo,cdf,r,pdf,numerical_error,model_error,evaluator,notes
-transport,1,0.032,0.74,0,1.3,0.58293027,0.43945764501319085,0.5829253,2.4647195,0.13625905,8.30018799703575e-5,0,lut,
-transport,1,0.032,0.74,0,1.3,0.45244187,0.43945764501319085,0.452437,1.6285086,0.17802525,8.30018799703575e-5,0,lut,
+model,channel,sigma_a,sigma_s,g,eta,u,albedo,cdf,r,pdf,numerical_error,model_error,numerical_error_albedo,model_error_albedo,numerical_error_cdf,model_error_cdf,numerical_error_pdf,model_error_pdf,evaluator,notes
+transport,1,0.032,0.74,0,1.3,0.58293027,0.43945764501319085,0.5829253,2.4647195,0.13625905,8.30018799703575e-5,0,8.30018799703575e-5,0,8.30018799703575e-5,0,8.30018799703575e-5,0,lut,
+transport,1,0.032,0.74,0,1.3,0.45244187,0.43945764501319085,0.452437,1.6285086,0.17802525,8.30018799703575e-5,0,8.30018799703575e-5,0,8.30018799703575e-5,0,8.30018799703575e-5,0,lut,
 
 $ dipole sample
 ! dipole sample: give --medium NAME, or --sigma-a and --sigma-s
