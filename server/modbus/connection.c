@@ -1,13 +1,9 @@
 #include "server/modbus/connection.h"
 
-#include <errno.h>
-#include <netinet/in.h>
-#include <netinet/tcp.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/ioctl.h>
 #include <sys/socket.h>
-#include <unistd.h>
 
 #include "server/net/tcp.h"
 #include "server/net/worker.h"
@@ -22,8 +18,6 @@ enum {
   SOCKET_BUFFER_BYTES = 65536,
   LINGER_MS = 1000, /* how long the peer may take to close after the last answer */
 };
-
-static void on_poll(uv_poll_t *poll, int status, int events);
 
 static struct modbus_connection *connection_of(struct client *client) {
   return (struct modbus_connection *)(void *)client;
@@ -55,14 +49,10 @@ static void log_refusal(const struct modbus_connection *c, const uint8_t *frame,
 
 /* ---- ending ---------------------------------------------------------------------------------- */
 
-static void on_closed(uv_handle_t *handle) {
-  struct modbus_connection *c = handle->data;
+static void on_closed(void *owner) {
+  struct modbus_connection *c = owner;
   stats_subtract(stats_of(c), STATS_MODBUS_CONNECTIONS_OPEN, 1);
-  if (c->tls != NULL) {
-    tls_session_free(c->tls);
-  }
   free(c->may.rights);
-  close(c->fd);
   worker_forget(&c->client);
   modbus_units_leave(c->units, &c->client);
   free(c);
@@ -75,19 +65,12 @@ static void abort_connection(struct modbus_connection *c) {
       modbus_unit_forget(c->waits_for, &c->client);
       c->waits_for = NULL;
     }
-    uv_close((uv_handle_t *)&c->poll, on_closed);
+    transport_close(&c->transport);
   }
 }
 
-/* Sets the events that the poll waits for. A change takes a system call. */
-static void set_events(struct modbus_connection *c, int events) {
-  if (c->closing || c->events == events) {
-    return;
-  }
-  c->events = events;
-  if (events == 0) {
-    uv_poll_stop(&c->poll);
-  } else if (uv_poll_start(&c->poll, events, on_poll) != 0) {
+static void set_reading(struct modbus_connection *c, bool wanted) {
+  if (!c->closing && !transport_set_reading(&c->transport, wanted)) {
     abort_connection(c);
   }
 }
@@ -96,36 +79,14 @@ static void set_events(struct modbus_connection *c, int events) {
  * would reset the connection, and the peer might lose that answer. So the connection reads and
  * drops bytes until the peer closes. */
 static void linger(struct modbus_connection *c) {
-  if (c->tls != NULL) {
-    tls_session_end(c->tls);
-  }
-  if (shutdown(c->fd, SHUT_WR) != 0) {
+  if (!transport_shut_down(&c->transport)) {
     abort_connection(c);
     return;
   }
   c->lingering = true;
+  c->begin = c->end = 0;
   c->active_ms = now_ms(c);
-  set_events(c, UV_READABLE);
-}
-
-/* ---- the socket: results are those of send() and recv(), and errors negative ------------------ */
-
-static ssize_t send_some(const struct modbus_connection *c, const uint8_t *from, size_t bytes) {
-  if (c->tls != NULL) {
-    return tls_session_write(c->tls, from, bytes);
-  }
-  const ssize_t sent = send(c->fd, from, bytes, MSG_NOSIGNAL);
-  return sent < 0 ? uv_translate_sys_error(errno) : sent;
-}
-
-static ssize_t receive_some(struct modbus_connection *c, uint8_t *to, size_t bytes) {
-  if (c->tls == NULL) {
-    const ssize_t got = recv(c->fd, to, bytes, 0);
-    return got < 0 ? uv_translate_sys_error(errno) : got;
-  }
-  const ssize_t got = tls_session_read(c->tls, to, bytes);
-  c->has_more = got >= 0;
-  return got == UV_EOF ? 0 : got == 0 ? UV_EAGAIN : got;
+  set_reading(c, true);
 }
 
 /* ---- writing --------------------------------------------------------------------------------- */
@@ -134,21 +95,39 @@ static bool has_unsent(const struct modbus_connection *c) {
   return c->unsent_begin < c->unsent_end;
 }
 
+static void wrote(struct modbus_connection *c, uint64_t bytes) {
+  c->unsent_begin += (unsigned)bytes;
+  c->active_ms = now_ms(c);
+  stats_add(stats_of(c), STATS_SENT_BYTES, bytes);
+}
+
 /* Writes as much of the answer as the socket takes. */
 static void write_unsent(struct modbus_connection *c) {
-  while (has_unsent(c)) {
-    const ssize_t sent =
-        send_some(c, c->unsent + c->unsent_begin, c->unsent_end - c->unsent_begin);
-    if (sent > 0) {
-      c->unsent_begin += (unsigned)sent;
-      c->active_ms = now_ms(c);
-      stats_add(stats_of(c), STATS_SENT_BYTES, (uint64_t)sent);
-    } else if (sent == UV_EAGAIN) {
-      return;
-    } else if (sent < 0 && sent != UV_EINTR) {
+  while (has_unsent(c) && !c->transport.writing) {
+    const uv_buf_t rest =
+        uv_buf_init((char *)c->unsent + c->unsent_begin, c->unsent_end - c->unsent_begin);
+    uint64_t written;
+    if (!transport_write(&c->transport, &rest, 1, &written)) {
       abort_connection(c);
       return;
     }
+    wrote(c, written);
+  }
+}
+
+static void on_sent(void *owner, uint64_t bytes, int status) {
+  struct modbus_connection *c = owner;
+  if (c->closing) {
+    return;
+  }
+  if (status != 0) {
+    abort_connection(c);
+    return;
+  }
+  wrote(c, bytes);
+  write_unsent(c);
+  if (!c->closing) {
+    worker_run_later(&c->client);
   }
 }
 
@@ -258,48 +237,53 @@ static void note_partial_frame(struct modbus_connection *c) {
 
 /* ---- reading --------------------------------------------------------------------------------- */
 
-static void discard(struct modbus_connection *c) {
-  const ssize_t got = recv(c->fd, c->input, sizeof c->input, 0);
-  if (got == 0 || (got < 0 && errno != EAGAIN && errno != EINTR)) {
-    abort_connection(c);
-  }
-}
-
-/* Reads as many bytes as the input has room for. It has room for the rest of any frame, because all
- * complete frames have been answered and removed. */
-static void read_more(struct modbus_connection *c) {
+/* The input has room for the rest of any frame when all complete frames have been answered. */
+static size_t find_room(void *owner, uint8_t **room) {
+  struct modbus_connection *c = owner;
   if (c->begin > 0) {
     memmove(c->input, c->input + c->begin, c->end - c->begin);
     c->end -= c->begin;
     c->begin = 0;
   }
-  const size_t room = sizeof c->input - c->end;
-  const size_t wanted = c->unread > 0 && c->unread < room ? c->unread : room;
-  const ssize_t got = receive_some(c, c->input + c->end, wanted);
-  c->unread -= got > 0 && (size_t)got < c->unread ? (unsigned)got : c->unread;
-  if (got > 0) {
-    c->end += (unsigned)got;
+  *room = c->input + c->end;
+  return sizeof c->input - c->end;
+}
+
+static void on_received(void *owner, ssize_t bytes) {
+  struct modbus_connection *c = owner;
+  if (c->closing || (c->lingering && bytes > 0)) {
+    return;
+  }
+  if (bytes == 0) {
+    c->unread = 0;
+  } else if (bytes > 0) {
+    c->end += (unsigned)bytes;
+    if (c->tls == NULL) {
+      c->unread -= (unsigned)bytes < c->unread ? (unsigned)bytes : c->unread;
+    }
     c->active_ms = now_ms(c);
-    stats_add(stats_of(c), STATS_RECEIVED_BYTES, (uint64_t)got);
-  } else if (got == 0) {
-    c->stopping = true;
-  } else if (got != UV_EAGAIN && got != UV_EINTR) {
+    stats_add(stats_of(c), STATS_RECEIVED_BYTES, (uint64_t)bytes);
+  } else if (bytes == UV_ENOBUFS || (bytes == UV_EOF && !c->lingering)) {
+    set_reading(c, false);
+    c->stopping |= bytes == UV_EOF;
+    c->unread = bytes == UV_EOF ? 0 : c->unread;
+  } else {
     abort_connection(c);
+  }
+  if (!c->closing) {
+    worker_run_later(&c->client);
   }
 }
 
-/* Sets the events that the poll waits for, after a turn has answered all frames that it can. */
-static void await_events(struct modbus_connection *c) {
+/* Reads on, or ends the connection, after a turn has answered all frames that it can. */
+static void read_on_or_end(struct modbus_connection *c) {
   if (has_unsent(c)) {
-    set_events(c, UV_WRITABLE);
-  } else if ((c->unread > 0 || c->has_more) && !c->ending) {
-    read_more(c);
-    worker_run_later(&c->client);
-  } else if (c->ending || c->stopping) {
+    set_reading(c, false);
+  } else if (c->ending || (c->stopping && c->unread == 0)) {
     linger(c);
   } else {
     note_partial_frame(c);
-    set_events(c, c->tls != NULL && tls_session_is_blocked(c->tls) ? UV_WRITABLE : UV_READABLE);
+    set_reading(c, true);
   }
 }
 
@@ -317,27 +301,7 @@ static void finish(struct client *client) {
     }
   }
   if (!c->closing && !c->lingering && client->run_queue == NULL) {
-    await_events(c);
-  }
-}
-
-static void on_poll(uv_poll_t *poll, int status, int events) {
-  struct modbus_connection *c = poll->data;
-  if (status < 0) {
-    abort_connection(c);
-  } else if (c->lingering) {
-    discard(c);
-  } else if (c->client.run_queue == NULL) {
-    if (events & UV_WRITABLE) {
-      c->has_more = c->tls != NULL; /* Reading may have had to answer an update of keys first. */
-      write_unsent(c);
-    }
-    if (!c->closing && (events & UV_READABLE)) {
-      read_more(c);
-    }
-    if (!c->closing) {
-      worker_run_later(&c->client);
-    }
+    read_on_or_end(c);
   }
 }
 
@@ -345,39 +309,37 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
 
 static void start(struct client *client) {
   struct modbus_connection *c = connection_of(client);
-  const int on = 1;
+  static const struct transport_calls calls = {
+      .room = find_room, .received = on_received, .sent = on_sent, .closed = on_closed};
   const int bytes = SOCKET_BUFFER_BYTES;
-  setsockopt(c->fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
   setsockopt(c->fd, SOL_SOCKET, SO_RCVBUF, &bytes, sizeof bytes);
   setsockopt(c->fd, SOL_SOCKET, SO_SNDBUF, &bytes, sizeof bytes);
   modbus_units_join(c->units);
-  const int polled = uv_poll_init(worker_loop(client->worker), &c->poll, c->fd);
-  c->poll.data = c;
   c->active_ms = now_ms(c);
-  if (polled != 0) {
-    log_line(LOG_LEVEL_ERROR, "event=modbus-connection-failed reason=%s", uv_strerror(polled));
-    c->closing = true;
-    on_closed((uv_handle_t *)&c->poll);
+  const int opened =
+      transport_open(&c->transport, worker_loop(client->worker), c->fd, c->tls, &calls, c);
+  if (opened != 0) {
+    log_line(LOG_LEVEL_ERROR, "event=modbus-connection-failed reason=%s", uv_strerror(opened));
+    abort_connection(c);
     return;
   }
-  set_events(c, UV_READABLE);
-  if (c->tls != NULL) { /* The handshake may have read the first request. */
-    c->has_more = true;
-    worker_run_later(client);
-  }
+  set_reading(c, true);
 }
 
+/* Bytes that have arrived by now are still read. */
 static void stop(struct client *client) {
   struct modbus_connection *c = connection_of(client);
-  int unread = 0;
-  if (c->tls != NULL) {
-    c->has_more = true;
-  } else if (!c->lingering && ioctl(c->fd, FIONREAD, &unread) == 0) {
+  int unread = 1; /* with TLS: until the transport tells that there is nothing */
+  if (c->closing) {
+    return;
+  }
+  if (!c->lingering && !c->stopping && (c->tls != NULL || ioctl(c->fd, FIONREAD, &unread) == 0)) {
     c->unread = (unsigned)unread;
   }
   c->stopping = true;
-  if (!c->closing) {
-    worker_run_later(client);
+  worker_run_later(client);
+  if (c->unread > 0 && !transport_tell_empty(&c->transport)) {
+    abort_connection(c);
   }
 }
 

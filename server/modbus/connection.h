@@ -11,7 +11,7 @@
 #include <uv.h>
 
 #include "server/modbus/answer.h"
-#include "server/net/tls.h"
+#include "server/net/transport.h"
 
 enum {
   MODBUS_FRAME_MAX = 260,    /* bytes of a frame over TCP */
@@ -23,10 +23,8 @@ struct modbus_connection {
   struct modbus_units *units;
   int fd;
   struct tls_session *tls; /* NULL: the bytes are plain */
-  bool has_more;           /* with TLS: whether OpenSSL may hold bytes that have not been read */
   struct modbus_permissions may;
-  uv_poll_t poll;
-  int events; /* the events that the poll waits for */
+  struct transport transport;
 
   struct modbus_unit *waits_for; /* the unit that evaluates the first frame; NULL: there is none */
   bool stopping;                 /* whether the peer has closed or the daemon stops */

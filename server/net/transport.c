@@ -126,6 +126,10 @@ static void read_tls(struct transport *t) {
     if (got == 0 || got == UV_EAGAIN) {
       t->has_more = got == 0;
       t->blocked = tls_session_is_blocked(t->tls);
+      if (!t->has_more && t->tells_empty) {
+        t->tells_empty = false;
+        t->calls->received(t->owner, 0);
+      }
       return;
     }
     left -= got > 0 ? (size_t)got : 0;
@@ -210,6 +214,11 @@ bool transport_write(struct transport *t, const uv_buf_t *buffers, unsigned coun
   *written = 0;
   return t->tls != NULL ? write_tls(t, buffers, count, written)
                         : write_plain(t, buffers, count, written);
+}
+
+bool transport_tell_empty(struct transport *t) {
+  t->has_more = t->tells_empty = t->tls != NULL;
+  return t->tls == NULL || set_events(t);
 }
 
 bool transport_shut_down(struct transport *t) {

@@ -1,5 +1,5 @@
 /* transport: the bytes of one connection on its socket, plain or by TLS. It is the only place where
- * the binary protocol is read from and written to a socket. A plain socket is a stream of libuv,
+ * the binary protocol and Modbus are read from and written to a socket. A plain socket is a stream of libuv,
  * which reads into the owner's memory and writes from it. With TLS, OpenSSL reads and writes the
  * socket itself, and libuv only says when it can.
  *
@@ -46,8 +46,9 @@ struct transport {
   bool writing;           /* whether sent() is still to be called */
   bool reading;
   bool has_more; /* with TLS: whether OpenSSL may hold bytes for which there was no time or room */
-  bool blocked;  /* with TLS: whether reading waits until the socket can be written to */
-  int events;    /* with TLS: the events that the poll waits for */
+  bool tells_empty; /* with TLS: see transport_tell_empty() */
+  bool blocked;     /* with TLS: whether reading waits until the socket can be written to */
+  int events;       /* with TLS: the events that the poll waits for */
 };
 
 /* Takes over a connected stream socket, and the session, which may be NULL. The result may be an
@@ -63,6 +64,10 @@ bool transport_set_reading(struct transport *transport, bool wanted);
  * the first bytes of the buffers must then stay where they are until sent() is called. */
 bool transport_write(struct transport *transport, const uv_buf_t *buffers, unsigned count,
                      uint64_t *written);
+
+/* With TLS, calls received() with 0 bytes when all is read that has arrived, and reading is wanted.
+ * Returns false if that fails. */
+bool transport_tell_empty(struct transport *transport);
 
 /* Tells the peer that nothing more is sent; called when nothing is being written. Returns false if
  * that fails. */
