@@ -74,9 +74,9 @@ def test_transport(client, g):
     wanted = [0.9999, 0.7, 0.3, 1e-3] if g < 0.95 else [0.7]  # each is solved
     found = client.invert("transport", wanted, 1.0, eta=1.4, g=g)
     np.testing.assert_allclose(found.albedo, wanted, rtol=1e-11)
-    if g < 0.95:  # beyond, evaluating solves each medium
-        judged = client.eval("transport", found.media, wanted=["albedo"])
-        np.testing.assert_array_equal(judged.albedo, found.albedo)
+    how = {"evaluator": "f64", "tolerance": 1e-2} if g > 0.95 else {}  # solved, which takes a second
+    judged = client.eval("transport", found.media, wanted=["albedo"], **how)
+    np.testing.assert_array_equal(judged.albedo, found.albedo)
 
 
 def test_a_palette_by_transport(client):
@@ -107,9 +107,9 @@ def test_transport_to_both_ends(client, g):
     wanted = [1.0, 1 - 1e-8, 0.99999996, 0.0] if g == 0 else [1.0, 0.0]
     found = client.invert("transport", wanted, 2.0, g=g)
     np.testing.assert_allclose(found.albedo, wanted, rtol=1e-12, atol=0)
-    if g < 0.95:  # beyond, evaluating solves each medium
-        judged = client.eval("transport", found.media, wanted=["albedo"])
-        np.testing.assert_array_equal(judged.albedo, found.albedo)
+    how = {"evaluator": "f64", "tolerance": 1e-2} if g > 0.95 else {}  # solved, which takes a second
+    judged = client.eval("transport", found.media, wanted=["albedo"], **how)
+    np.testing.assert_array_equal(judged.albedo, found.albedo)
     assert found.sigma_a[0] == found.sigma_s[-1] == 0 and found.sigma_a[-1] == 0.5
     assert found.albedo_most == 1 and found.missing == 0
     black = client.invert("better", [0.0], [1.0], given="diffuse-mean-free-path")
