@@ -45,9 +45,9 @@ enum {
 #define SOLVER_RADIUS_LEAST 0.01
 #define SOLVER_RADIUS_MOST 20.0
 
-/* The least relative errors that any solution states: at radii below SOLVER_NEAR, and beyond. Those of
+/* The least relative errors that any solution states: somewhere below SOLVER_NEAR, and beyond. Those of
  * one solution are about SOLVER_NEAR_FACTOR apart. */
-#define SOLVER_NEAR 0.3
+#define SOLVER_NEAR 2
 #define SOLVER_LEAST_NEAR 1e-4
 #define SOLVER_LEAST 2e-5
 #define SOLVER_NEAR_FACTOR 5

@@ -130,7 +130,7 @@ def test_a_medium_whose_error_nothing_bounds_is_named(client):
 
 def test_what_the_table_does_not_keep_is_solved(client):
     """A tolerance below the table's error, then a medium beyond the table."""
-    medium, radii, how = THREE[0], [0.5, 5.0], {"evaluator": "f64", "wanted": ["R", "albedo"]}
+    medium, radii, how = THREE[0], [2.5, 5.0], {"evaluator": "f64", "wanted": ["R", "albedo"]}
     table = client.eval("transport", medium, radii, **how)
     assert error_of(table) > 3e-4
     for answer in (client.eval(None, medium, radii, tolerance=3e-4, **how),
@@ -145,7 +145,7 @@ def test_what_the_table_does_not_keep_is_solved(client):
 
 
 def test_a_tolerance_that_the_solver_misses_is_refused(client):
-    narrow, how = [SKIN, (0.2, 100.0, 0.98, 2.0)], {"wanted": "R", "evaluator": "f64"}
+    narrow, how = [SKIN, (0.1, 33.0, 0.97, 1.4)], {"wanted": "R", "evaluator": "f64"}
     error = refusal(client, narrow, [0.02, 1.0], tolerance=2e-3, **how)
     least = re.fullmatch(r"at least (\S+) for medium 2 \(best: transport, solved\)", error.allowed)
     assert error.index == 1 and least is not None
