@@ -109,6 +109,7 @@ const core_choice core_value_statuses[] = {
 #define ELEMENTWISE true
 #define CHANNEL false
 #define RADII false
+#define COMPARED true
 bool core_quantity_elementwise(unsigned bit) {
   switch (bit) {
 #define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE)                                               \

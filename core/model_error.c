@@ -223,7 +223,8 @@ core_stated_errors core_profile_errors(const core_profile *profile, unsigned wan
                                        core_radii_range radii) {
   const bool derivatives = core_wants_derivatives(wanted);
   const unsigned others = wanted & ~(unsigned)(CORE_QUANTITY_BY_SIGMA_A | CORE_QUANTITY_BY_SIGMA_S |
-                                               CORE_QUANTITY_MODEL_ERROR | CORE_QUANTITY_RADIUS);
+                                               CORE_QUANTITY_MODEL_ERROR |
+                                               CORE_QUANTITY_MODEL_ERRORS | CORE_QUANTITY_RADIUS);
 
   const double most_mm = (wanted & FOLLOWS_R) != 0 ? radii.most_mm : 0;
   const double numerical = core_banded_error(profile->numerical_errors, profile->numerical_error,

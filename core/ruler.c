@@ -59,9 +59,18 @@ static double off_by(enum core_quantity quantity, double value, double truth, do
                                                                          : 0;
 }
 
-void core_model_errors_at(const core_profile *profile, const core_profile *transport,
+void core_model_errors_at(const core_profile *profile, const core_profile *transport, double gamma,
                           unsigned wanted, size_t n, const double *r, double *error) {
   assert(n <= CORE_RULER_RADII);
+  if (transport == NULL) {
+    const core_model_errors errors =
+        core_model_errors_stated(profile->model, gamma, &profile->medium);
+    for (size_t i = 0; i < n; i++) {
+      error[i] =
+          core_model_errors_of(&errors, &profile->medium, wanted, (core_radii_range){r[i], r[i]});
+    }
+    return;
+  }
   double value[CORE_RULER_RADII], truth[CORE_RULER_RADII];
   const double least =
       16 * (profile->evaluator == CORE_EVALUATOR_F64 ? DBL_TRUE_MIN : (double)FLT_TRUE_MIN);
@@ -182,7 +191,7 @@ double core_model_error(const core_profile *profile, const core_profile *transpo
   const bool at_radii = (wanted & (COMPARED | CORE_QUANTITY_S)) != 0 && asked->grid.count > 0;
   const bool single = profile->evaluator != CORE_EVALUATOR_F64;
   const size_t n = at_radii ? choose_radii(asked, single, r, &between) : 0;
-  core_model_errors_at(profile, transport, wanted, n, r, error);
+  core_model_errors_at(profile, transport, gamma, wanted, n, r, error);
   for (size_t i = 0; i < n; i++) {
     if (isinf(error[i])) {
       return (double)NAN;
@@ -192,7 +201,7 @@ double core_model_error(const core_profile *profile, const core_profile *transpo
   const double first_mm = asked->listed != NULL ? asked->range.least_mm : asked->grid.start_mm;
   if (between && !(first_mm > 0)) { /* some quantities are finite at r = 0 */
     const double source = 0;
-    core_model_errors_at(profile, transport, wanted, 1, &source, error);
+    core_model_errors_at(profile, transport, gamma, wanted, 1, &source, error);
     most = isinf(error[0]) ? (double)NAN : fmax(most, error[0]);
   }
   return most;

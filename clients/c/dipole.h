@@ -282,7 +282,11 @@ enum dipole_quantity {
   DIPOLE_BY_SIGMA_S = 2048,
   /* dipole_channel.model_error. Finding it takes a millisecond for each new medium, and microseconds
    * after that, which a query that leaves it out does not pay. */
-  DIPOLE_MODEL_ERROR = 4096
+  DIPOLE_MODEL_ERROR = 4096,
+  /* The model error at each radius, of the other quantities that are wanted (of R, if there is none).
+   * For a medium that transport solves, it has it solved, which takes seconds; dipole_channel.model_error
+   * is then known as well. */
+  DIPOLE_MODEL_ERRORS = 8192
 };
 enum dipole_spacing { DIPOLE_LIST = 1, DIPOLE_LINEAR = 2, DIPOLE_LOGARITHMIC = 3 };
 

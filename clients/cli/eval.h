@@ -64,6 +64,7 @@ typedef struct cli_eval_settings {
   cli_number from, to;
   cli_count count;
   bool logarithmic;
+  bool errors;
   cli_texts wanted;
   cli_texts plot;
 } cli_eval_settings;

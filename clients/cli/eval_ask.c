@@ -63,7 +63,13 @@ bool cli_eval_take_quantities(const cli_eval_settings *settings, cli_eval_report
                            &report->quantities)) {
     return false;
   }
-  const unsigned others = report->quantities.wanted & ~(unsigned)(DIPOLE_ALBEDO | DIPOLE_RADIUS);
+  if (settings->errors && (report->quantities.wanted & DIPOLE_MODEL_ERRORS) == 0) {
+    report->quantities.wanted |= DIPOLE_MODEL_ERRORS;
+    report->quantities.items[report->quantities.count++] =
+        cli_choice_of_id(report->profile.info, DIPOLE_QUANTITY, DIPOLE_MODEL_ERRORS);
+  }
+  const unsigned others =
+      report->quantities.wanted & ~(unsigned)(DIPOLE_ALBEDO | DIPOLE_RADIUS | DIPOLE_MODEL_ERRORS);
   report->place = others == DIPOLE_TRANSFER ? "f" : "r";
   if (at_f && others != DIPOLE_TRANSFER) {
     cli_fail_usage("--f gives spatial frequencies, which only R_f has: ask for R_f alone");

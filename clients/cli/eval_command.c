@@ -43,6 +43,10 @@ static const cli_option output_options[] = {
      "albedo within r; S: 1/(mm^2 sr); R_f: for striped light, at spatial frequencies in 1/mm; "
      "`dipole info` lists all (default: R,albedo; with --f R_f,albedo)",
      CLI_NAMES, FIELD(wanted), NULL},
+    {"errors", NULL,
+     "also write model_errors: how far the model is from transport at each radius. A medium for "
+     "which transport has no stored solution is solved, which takes seconds",
+     CLI_SWITCH, FIELD(errors), NULL},
     {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
     {"plot", "FILE",
      "also draw R over r into FILE.svg or FILE.png; -: as text below the table. May be repeated. "
@@ -57,7 +61,8 @@ static int check_table(const cli_eval_settings *settings) {
   const cli_profile_settings *profile = &settings->profile;
   if (cli_medium_given(profile) || settings->model.count > 0 || profile->moments != NULL ||
       profile->evaluator != NULL || cli_parameters_given(&profile->common) ||
-      profile->deadline_ms.given || profile->common.connect != NULL || settings->f.count > 0) {
+      profile->deadline_ms.given || profile->common.connect != NULL || settings->f.count > 0 ||
+      settings->errors) {
     return cli_fail_usage("--table FILE says what is evaluated, and needs no daemon: of "
                           "the options leave all out but radii, --wanted and output");
   }

@@ -116,7 +116,8 @@ static void write_units(struct http_text *text, const struct http_field *fields)
 
 /* With R_f alone, r holds spatial frequencies. */
 static void write_quantity_units(struct http_text *text, unsigned wanted) {
-  const unsigned by_r = CORE_QUANTITY_ALBEDO | CORE_QUANTITY_RADIUS | CORE_QUANTITY_MODEL_ERROR;
+  const unsigned by_r = CORE_QUANTITY_ALBEDO | CORE_QUANTITY_RADIUS | CORE_QUANTITY_MODEL_ERROR |
+                        CORE_QUANTITY_MODEL_ERRORS;
   const bool by_f = (wanted & ~by_r) == CORE_QUANTITY_TRANSFER;
   for (const core_choice *one = core_quantities; one->name != NULL; one++) {
     if ((one->id & wanted) != 0) {

@@ -61,7 +61,8 @@ static struct batch_group *find(struct batch *batch, struct stats *stats,
 
 bool batch_take(struct batch *batch, struct stats *stats, struct profiles_place place,
                 enum core_quantity quantity, size_t n, const void *r, void *to) {
-  if (quantity == CORE_QUANTITY_S || profiles_at(place) == NULL) {
+  if ((quantity & (CORE_QUANTITY_S | CORE_QUANTITY_MODEL_ERRORS)) != 0 ||
+      profiles_at(place) == NULL) {
     return false;
   }
   struct batch_group *group = find(batch, stats, place.slot, quantity);
@@ -210,15 +211,15 @@ void repeat_answer(const struct repeat_entry *entry, struct batch *batch, struct
 /* ---- remembering requests -------------------------------------------------------------------- */
 
 /* Returns whether repeat_learn() may keep a request, so that repeat_find() finds it when a client
- * sends it again. A request for RADIUS, S or MODEL_ERROR is not kept: no kernel evaluates RADIUS, S
- * depends on angles, which the profiles in the table do not have, and the model error on the profile
- * of transport. */
+ * sends it again. A request for RADIUS, S, MODEL_ERROR or MODEL_ERRORS is not kept: no kernel evaluates
+ * RADIUS, S depends on angles, which the profiles in the table do not have, and model errors on the
+ * profile of transport. */
 static bool can_repeat(const wire_eval_request *fixed, const eval_layout *layout,
                        struct profiles_place place) {
   return fixed->medium_count == 1 && fixed->radius_count > 0 &&
          fixed->radius_count <= BATCH_SHORT_RADII && layout->arrays_per_channel > 0 &&
-         (fixed->wanted & (CORE_QUANTITY_RADIUS | CORE_QUANTITY_S | CORE_QUANTITY_MODEL_ERROR)) ==
-             0 &&
+         (fixed->wanted & (CORE_QUANTITY_RADIUS | CORE_QUANTITY_S | CORE_QUANTITY_MODEL_ERROR |
+                           CORE_QUANTITY_MODEL_ERRORS)) == 0 &&
          eval_request_bytes(1, fixed->parameter_count, 0) <= REPEAT_REQUEST_BYTES &&
          profiles_at(place) != NULL;
 }

@@ -1,6 +1,7 @@
 #include "server/jobs/eval.h"
 
 #include <assert.h>
+#include <float.h>
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -370,13 +371,16 @@ static void start_profiles(struct eval_job *eval) {
                  &eval->request.parameters);
 }
 
-/* Gets the profile of transport for the current channel, if its model error needs it. */
+/* Gets the profile of transport for the current channel, if its model error needs it. MODEL_ERRORS
+ * asks for it even if it has to be solved. */
 static enum lookup_answer get_ruler(struct eval_job *eval, const core_medium *medium) {
   const wire_eval_request *fixed = &eval->request.fixed;
-  return (fixed->wanted & CORE_QUANTITY_MODEL_ERROR) == 0
+  const unsigned compares = CORE_QUANTITY_MODEL_ERROR | CORE_QUANTITY_MODEL_ERRORS;
+  return (fixed->wanted & compares) == 0
              ? LOOKUP_READY
              : profiles_get_ruler(&eval->job.context->profiles, &eval->ruler, fixed->model,
-                                  &eval->request.parameters, medium);
+                                  &eval->request.parameters, medium,
+                                  (fixed->wanted & CORE_QUANTITY_MODEL_ERRORS) != 0);
 }
 
 /* Begins the request again with the next best model for its tolerance. Returns false if there is no
@@ -429,6 +433,31 @@ void *eval_job_array(const struct eval_job *eval, enum core_quantity quantity) {
          (size_t)eval->index * eval_job_value_bytes(eval);
 }
 
+/* Writes the model errors at n radii. Single precision is rounded up. */
+static void compare(const struct eval_job *eval, size_t n, const void *r, void *to) {
+  const bool single = eval_job_value_bytes(eval) == sizeof(float);
+  const unsigned others = CORE_QUANTITY_MODEL_ERRORS | CORE_QUANTITY_MODEL_ERROR |
+                          CORE_QUANTITY_RADIUS | CORE_QUANTITY_ALBEDO;
+  const unsigned wanted = eval->request.fixed.wanted & ~others;
+  for (size_t first = 0; first < n; first += CORE_RULER_RADII) {
+    double at[CORE_RULER_RADII], error[CORE_RULER_RADII];
+    const size_t count = n - first < CORE_RULER_RADII ? n - first : CORE_RULER_RADII;
+    for (size_t i = 0; i < count; i++) {
+      at[i] = single ? (double)((const float *)r)[first + i] : ((const double *)r)[first + i];
+    }
+    core_model_errors_at(&eval->lookup.profile, eval->ruler.ready ? &eval->ruler.profile : NULL,
+                         eval->request.parameters.value[CORE_PARAMETER_GAMMA],
+                         wanted != 0 ? wanted : (unsigned)CORE_QUANTITY_R, count, at, error);
+    for (size_t i = 0; i < count; i++) {
+      if (single) {
+        ((float *)to)[first + i] = (float)(error[i] * (1 + (double)FLT_EPSILON));
+      } else {
+        ((double *)to)[first + i] = error[i];
+      }
+    }
+  }
+}
+
 /* Evaluates every wanted array at the n radii of a slice, or adds a short request to the batch. */
 static void evaluate(struct eval_job *eval, size_t n) {
   const bool is_short = eval->count == n && n <= BATCH_SHORT_RADII && n > 0;
@@ -443,7 +472,9 @@ static void evaluate(struct eval_job *eval, size_t n) {
                                quantity->id, n, r, to)) {
       continue;
     }
-    if (eval_job_value_bytes(eval) == sizeof(float)) {
+    if (quantity->id == CORE_QUANTITY_MODEL_ERRORS) {
+      compare(eval, n, r, to);
+    } else if (eval_job_value_bytes(eval) == sizeof(float)) {
       core_eval_f32(&eval->lookup.profile, quantity->id, n, r, to);
     } else {
       core_eval_f64(&eval->lookup.profile, quantity->id, n, r, to);
@@ -542,8 +573,13 @@ static double grid_cost(const struct eval_job *eval) {
 /* Returns the cost of one radius of the channel, in radii of a dipole. */
 static double cost_of(const struct eval_job *eval) {
   const core_profile *profile = &eval->lookup.profile;
+  const unsigned wanted = eval->request.fixed.wanted;
   const bool in_reply = eval_is_array(eval_job_wanted(eval), CORE_QUANTITY_RADIUS);
-  return core_radius_cost(profile, eval->request.fixed.wanted) +
+  const bool compares = (wanted & CORE_QUANTITY_MODEL_ERRORS) != 0 && eval->ruler.ready;
+  return core_radius_cost(profile, wanted) +
+         (compares ? core_radius_cost(profile, wanted) +
+                         core_radius_cost(&eval->ruler.profile, wanted) * __builtin_popcount(wanted)
+                   : 0) +
          (is_sample(eval) ? core_draw_cost(profile) : 0) + (in_reply ? 0 : grid_cost(eval));
 }
 

@@ -159,8 +159,8 @@ static enum job_outcome prepare_channel(struct gather_job *gather) {
   const core_medium *medium = &gather->request.media[work->ready];
   struct profiles_lookup *lookup = &work->channels[work->ready];
   struct profiles *profiles = &gather->job.context->profiles;
-  enum lookup_answer answer =
-      profiles_get_ruler(profiles, &work->ruler, fixed->model, &gather->request.parameters, medium);
+  enum lookup_answer answer = profiles_get_ruler(profiles, &work->ruler, fixed->model,
+                                                 &gather->request.parameters, medium, false);
   if (answer == LOOKUP_READY) {
     profiles_start(lookup, fixed->model, fixed->moments, fixed->evaluator,
                    &gather->request.parameters);

@@ -49,7 +49,8 @@ static enum lookup_answer get(struct offers_job *offers, unsigned model, const c
       !core_ruler_is_needed(model, &none, medium, false)) {
     return LOOKUP_FAULT;
   }
-  enum lookup_answer answer = profiles_get_ruler(profiles, &eval->ruler, model, &none, medium);
+  enum lookup_answer answer =
+      profiles_get_ruler(profiles, &eval->ruler, model, &none, medium, false);
   *fault = eval->ruler.fault;
   if (answer != LOOKUP_READY) {
     return answer;

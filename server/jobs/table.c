@@ -62,8 +62,9 @@ static enum lookup_answer get(struct table *table) {
     table->lookup.fault = table->surface.fault;
     return answer;
   }
-  const enum lookup_answer answer = profiles_get_ruler(
-      profiles, &table->ruler, table->request.fixed.model, &table->request.parameters, medium);
+  const enum lookup_answer answer =
+      profiles_get_ruler(profiles, &table->ruler, table->request.fixed.model,
+                         &table->request.parameters, medium, false);
   table->lookup.fault = table->ruler.fault;
   return answer == LOOKUP_READY ? profiles_get(profiles, &table->lookup, medium) : answer;
 }

@@ -257,8 +257,8 @@ enum lookup_answer profiles_get(struct profiles *profiles, struct profiles_looku
 
 enum lookup_answer profiles_get_ruler(struct profiles *profiles, struct profiles_lookup *lookup,
                                       unsigned model, const core_parameters *parameters,
-                                      const core_medium *medium) {
-  if (lookup->ready || !core_ruler_is_needed(model, parameters, medium, false)) {
+                                      const core_medium *medium, bool solves) {
+  if (lookup->ready || !core_ruler_is_needed(model, parameters, medium, solves)) {
     return LOOKUP_READY;
   }
   const core_parameters none = core_parameters_none();

@@ -133,11 +133,11 @@ enum lookup_answer profiles_get(struct profiles *profiles, struct profiles_looku
                                 const core_medium *medium);
 
 /* Gets the profile of transport that the model error of a model is computed from, if it needs one
- * (core/ruler.h); else the answer is READY, and lookup->ready is false. In place of profiles_start()
- * and profiles_get(). */
+ * (core/ruler.h); else the answer is READY, and lookup->ready is false. solves: it may be solved. In
+ * place of profiles_start() and profiles_get(). */
 enum lookup_answer profiles_get_ruler(struct profiles *profiles, struct profiles_lookup *lookup,
                                       unsigned model, const core_parameters *parameters,
-                                      const core_medium *medium);
+                                      const core_medium *medium, bool solves);
 
 /* Returns the profile to the store, or gives up waiting for it. Does nothing if there is neither.
  */

@@ -162,7 +162,7 @@ UNIT_TEST(errors_hold_against_the_solver) {
       for (size_t i = 0; i < LISTED; i++) {
         r[i] = 0.0101 * pow(19.9 / 0.0101, (double)i / (LISTED - 1));
       }
-      core_model_errors_at(&profile, &ruler, CORE_QUANTITY_R, LISTED, r, error);
+      core_model_errors_at(&profile, &ruler, (double)NAN, CORE_QUANTITY_R, LISTED, r, error);
       for (size_t i = 0; i < LISTED; i++) {
         const transport_number R = solver_at(solution, k, r[i]);
         const double off = fabs(value_at(&profile, CORE_QUANTITY_R, r[i]) / R.value - 1);
@@ -188,7 +188,7 @@ UNIT_TEST(a_list_has_the_largest_error_of_its_radii) {
   const double r[] = {3, 0, 0.5, (double)INFINITY, 1};
   const core_asked_radii asked = {{CORE_SPACING_LIST, 5, 0, 0}, r, {0, 3}};
   double error[5];
-  core_model_errors_at(&profile, &ruler, CORE_QUANTITY_R, 5, r, error);
+  core_model_errors_at(&profile, &ruler, (double)NAN, CORE_QUANTITY_R, 5, r, error);
   const double most = fmax(fmax(error[0], error[2]), error[4]);
   assert_true(isnan(error[1]));
   assert_true(core_model_error(&profile, &ruler, (double)NAN, CORE_QUANTITY_R, &asked) == most);

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from command_line import Proxy, dipole, eval_json, eval_rows, points, read_csv
 from dipole import Medium, Refused, wire
-from frames import changed_choices
+from frames import SKIN, changed_choices
 
 WANTED = ("R", "albedo", "cdf", "dR_dr", "ln_R", "pdf")
 
@@ -138,3 +138,45 @@ def test_a_daemon_whose_quantities_are_not_bits(daemon, want):
         rows = eval_rows(*arguments, "--wanted", want, "--connect", proxy.url)
     expected = eval_rows(*arguments, "--wanted", "R" if want == "R" else "R,cdf")
     assert rows == expected
+
+
+# ---- model errors at each radius -----------------------------------------------------------------
+
+
+def test_model_errors_are_those_of_each_radius(client):
+    """The largest is the model error of the channel, and each is that of the radius alone."""
+    r = np.geomspace(0.05, 20, 300)  # more than are compared together
+    wanted = ["R", "cdf", "model_errors"]
+    answer = client.eval("better", "skin1", r, wanted=wanted, evaluator="f64")
+    truth = client.eval("transport", "skin1", r, wanted=["R", "cdf"], evaluator="f64")
+    off = np.maximum(np.abs(answer.R / truth.R - 1), np.abs(answer.cdf - truth.cdf))
+    numerical = truth.numerical_error()
+    np.testing.assert_array_less(off, answer.model_errors + 1e-12)
+    np.testing.assert_array_less(answer.model_errors, (off + (1 + off) * numerical) * 1.01 + 1e-9)
+    few = client.eval("better", "skin1", r[100:110], wanted=wanted, evaluator="f64")
+    assert few.model_errors.tolist() == answer.model_errors[:, 100:110].tolist()
+    assert few.model_error.tolist() == few.model_errors.max(axis=1).tolist()
+    single = client.eval("better", "skin1", r[100:110], wanted=wanted, evaluator="f32")
+    np.testing.assert_allclose(single.model_errors, few.model_errors, rtol=1e-4)
+    alone = client.eval("better", "skin1", r[100:110], wanted="model_errors", evaluator="f64")
+    of_R = client.eval("better", "skin1", r[100:110], wanted=["R", "model_errors"], evaluator="f64")
+    assert alone.model_errors.tolist() == of_R.model_errors.tolist()
+    assert (client.eval("transport", "skin1", [1.0], wanted="model_errors").model_errors == 0).all()
+    at_0 = client.eval("better", SKIN, [0.0, 1.0], wanted=["R", "model_errors"]).model_errors[0]
+    assert np.isnan(at_0[0]) and at_0[1] > 0
+    slab = {"model": "multipole", "media": SKIN, "r": [1.0], "parameters": {"thickness": 5}}
+    assert np.isnan(client.eval(**slab, wanted="model_errors").model_errors).all()
+
+
+def test_model_errors_have_media_beyond_the_table_solved(client):
+    media, r = [Medium(0.1, 1.0, 0.0, 2.5), Medium(*SKIN)], [0.1, 1.0, 3.0]
+    assert np.isnan(client.eval("better", media, r).model_error).tolist() == [True, False]
+    answer = client.eval("better", media, r, wanted=["R", "model_errors"])
+    truth = client.eval("transport", media, r, wanted="R", evaluator="f64")
+    np.testing.assert_allclose(
+        answer.model_errors, np.abs(answer.R / truth.R - 1), atol=2 * truth.numerical_error().max()
+    )
+    assert answer.model_error.tolist() == answer.model_errors.max(axis=1).tolist()
+    rows = eval_rows("--sigma-a", ".1", "--sigma-s", "1", "--eta", "2.5", "--model", "better",
+                     "--r", "0.1,1,3", "--errors")  # fmt: skip
+    assert [float(row["model_errors"]) for row in rows] == answer.model_errors[0].tolist()

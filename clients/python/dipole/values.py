@@ -328,6 +328,10 @@ class Result(_Evaluated):
         "dlnR_dln_sigma_s",
         "[C, N]: d ln R / d ln sigma_s, which is also that by ln sigma_s'.",
     )
+    model_errors = _Quantity(
+        "model_errors",
+        "[C, N]: model_error at each radius; a medium that transport solves takes seconds.",
+    )
 
     def numerical_error(
         self, r: Array | float | None = None, quantity: str | None = None

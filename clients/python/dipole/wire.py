@@ -49,8 +49,9 @@ QUANTITY_TRANSFER = 512
 QUANTITY_BY_SIGMA_A = 1024
 QUANTITY_BY_SIGMA_S = 2048
 QUANTITY_MODEL_ERROR = 4096
+QUANTITY_MODEL_ERRORS = 8192
 # Quantities that have a value for each radius and channel, in the order of a reply's arrays.
-ELEMENTWISE = (1, 4, 16, 32, 64, 128, 256, 512, 1024, 2048)
+ELEMENTWISE = (1, 4, 16, 32, 64, 128, 256, 512, 1024, 2048, 8192)
 # Quantities that a sample has for each radius and channel: the radii are among them.
 DRAWN = tuple(sorted((*ELEMENTWISE, QUANTITY_RADIUS)))
 SPACING_LIST = 1

@@ -1,6 +1,6 @@
 /* tradeoff DIR: measures the speed of every model of a half space that needs only a medium, with each
  * evaluator, on one core with this machine's best instruction set, and its error against transport at
- * the media of Figures 1 to 16 of d'Eon 2012. It writes DIR/costs.def, which `make tradeoff` copies to
+ * the media of Figures 1 to 16 of d'Eon 2012, for three eta of their eleven: some minutes. It writes DIR/costs.def, which `make tradeoff` copies to
  * core/, and DIR/tradeoff.csv, which draw.py reads.
  */
 #include <math.h>
@@ -12,21 +12,18 @@
 #include "core/ruler.h"
 #include "core/tools/tools.h"
 
+static const double etas[] = {1, 1.4, 2};
 static const double ratios[] = {1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05,
                                 0.1,  0.2,  0.5,  1,    2,    5,    10}; /* sigma_a / sigma_s' */
 
 enum {
   RATIOS = sizeof ratios / sizeof ratios[0],
-  ETAS = 11, /* 1.0, 1.1, ..., 2.0 */
+  ETAS = sizeof etas / sizeof etas[0],
   MEDIA = RATIOS * ETAS,
   RADII = 128, /* from 0.01 to 20 mean free paths, in equal ratios */
   SUBJECTS_MAX = 128,
   PATH_BYTES = 4096
 };
-
-static double eta_of(size_t i) {
-  return (double)(10 + i) / 10;
-}
 
 /* Returns a medium with sigma_t' = 1 per mm, so that radii in mm are in mean free paths. */
 static core_medium medium_of(double ratio, double g, double eta) {
@@ -105,7 +102,7 @@ static void compare(const struct subject *subject, const core_medium *medium,
   if (!prepare(&profile, subject, medium, (double)NAN)) {
     return;
   }
-  core_model_errors_at(&profile, ruler, CORE_QUANTITY_R, RADII, r, error);
+  core_model_errors_at(&profile, ruler, (double)NAN, CORE_QUANTITY_R, RADII, r, error);
   to->worst = 0;
   for (size_t i = 0; i < RADII; i++) {
     to->worst = fmax(to->worst, error[i]);
@@ -116,7 +113,7 @@ static void compare(const struct subject *subject, const core_medium *medium,
 
 static void compare_all(void *context, size_t m) {
   (void)context;
-  const core_medium medium = medium_of(ratios[m / ETAS], 0, eta_of(m % ETAS));
+  const core_medium medium = medium_of(ratios[m / ETAS], 0, etas[m % ETAS]);
   const struct subject solved = {.model = core_choice_by_id(core_models, CORE_MODEL_TRANSPORT),
                                  .evaluator =
                                      core_choice_by_id(core_evaluators, CORE_EVALUATOR_F64)};
@@ -141,8 +138,9 @@ enum { ROUNDS = 31, LENGTH = 4096, EVALUATION_MEDIA = 3, PREPARATION_MEDIA = 12,
 
 /* A sample takes at least this: far longer than reading the clock, far shorter than a time slice.
  */
-#define TOLERANCE 1e-3 /* with which profiles are prepared that are timed */
-#define BEYOND_G 0.96  /* a g that the table of solutions does not cover */
+#define TOLERANCE                                                                                  \
+  1e-3 /* with which profiles are prepared that are timed, if they are not transport */
+#define BEYOND_G 0.96 /* a g that the table of solutions does not cover */
 #define SAMPLE_NS 100000.0
 #define PREPARING_NS 20e6 /* preparing is repeated for about this time */
 
@@ -249,10 +247,10 @@ static double prepare_ns(const struct subject *of, const core_medium *medium, do
 /* Returns the median over the twelve pairs of four ratios and three eta, with g other than 0, as
  * tissue has. */
 static double time_preparing(const struct subject *of, double g, double tolerance) {
-  static const double of_ratio[] = {1e-3, 1e-2, 0.1, 1}, etas[] = {1.1, 1.4, 1.8};
+  static const double of_ratio[] = {1e-3, 1e-2, 0.1, 1}, of_eta[] = {1.1, 1.4, 1.8};
   double ns[PREPARATION_MEDIA];
   for (size_t i = 0; i < PREPARATION_MEDIA; i++) {
-    const core_medium medium = medium_of(of_ratio[i % 4], g, etas[i / 4]);
+    const core_medium medium = medium_of(of_ratio[i % 4], g, of_eta[i / 4]);
     ns[i] = prepare_ns(of, &medium, tolerance);
   }
   return median_of_numbers(ns, PREPARATION_MEDIA);
@@ -280,7 +278,7 @@ static void write_csv(const char *folder) {
     const struct subject *of = &run.subject[s];
     for (size_t m = 0; m < MEDIA; m++) {
       fprintf(file, "%s,%s,%g,%.1f", of->model->name, of->evaluator->name, ratios[m / ETAS],
-              eta_of(m % ETAS));
+              etas[m % ETAS]);
       put_number(file, of->evaluate_ns);
       put_number(file, of->prepare_ns);
       put_number(file, of->error[m].worst);
@@ -341,9 +339,10 @@ int main(int argc, char **argv) {
   tools_progress_stage(&run.progress, "cost of preparing");
   for (size_t s = 0; s < run.count; s++) {
     struct subject *of = &run.subject[s];
-    of->prepare_ns = time_preparing(of, 0.9, TOLERANCE);
-    if (of->model->id == CORE_MODEL_TRANSPORT && of->evaluator->id == CORE_EVALUATOR_F64) {
-      solve_ns = time_preparing(of, BEYOND_G, TOLERANCE);
+    const bool transport = of->model->id == CORE_MODEL_TRANSPORT;
+    of->prepare_ns = time_preparing(of, 0.9, transport ? (double)NAN : TOLERANCE);
+    if (transport && of->evaluator->id == CORE_EVALUATOR_F64) {
+      solve_ns = time_preparing(of, BEYOND_G, (double)NAN);
     }
     tools_progress_add(&run.progress, 1);
   }
