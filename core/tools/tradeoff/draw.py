@@ -5,7 +5,7 @@ is a model with an evaluator. Written into the folder, as .svg and .png:
             for 1,000,000, 1,000 or 16 radii. Each family of models has a marker, which is open for
             tables; a line joins the precisions of a model. The Pareto front has names; a table has
             all numbers. The error is the median over radii, and over the media of Figures 1 to 16
-            of d'Eon 2012.
+            of d'Eon 2012 for three eta.
 
 Standard output lists the subjects on the fronts.
 """
