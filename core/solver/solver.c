@@ -519,7 +519,7 @@ double solver_single_at(const solver_solution *solution, size_t eta, double r) {
  * two grids agreed within 2e-4. */
 #define NEAR 0.4 /* scaled mean free paths */
 static double floor_at(const solver_solution *of, size_t eta, double r) {
-  const double near = NEAR * fmax(1, of->grid[0].scaled.unit), more = 1.25 * (of->eta[eta] - 1);
+  const double near = NEAR * fmax(1, of->grid[0].scaled.unit), more = 2 * (of->eta[eta] - 1);
   return fmax(of->floor[1], of->floor[0] * fmax(1, more) * fmin(1, near / r));
 }
 
