@@ -681,6 +681,7 @@ def test_a_hundred_clients_that_send_and_never_ask(daemon):
     payload_of = lambda seed: points_payload(scene(38_000, seed=seed), 0, 19_000)  # noqa: E731
     first = payload_of(0)
     connections = [one.connect() for _ in range(100)]
+    before = one.resident_bytes()
     try:
         with one.connect() as watcher:
             refused = 0
@@ -697,7 +698,8 @@ def test_a_hundred_clients_that_send_and_never_ask(daemon):
             assert refused > 50
             assert statistics(watcher)["points_sent_sets"] >= 8
             if not sanitized():
-                assert one.resident_bytes() < 10 * budget
+                # The allocator may keep what 100 frames of 0.57 MB took, beside the budget.
+                assert one.resident_bytes() - before < 10 * budget
             assert eventually(lambda: statistics(watcher)["points_sent_bytes"] == 0)
             assert statistics(watcher)["points_sent_sets"] == 0
             with one.client() as client:  # There is room again.
