@@ -8,6 +8,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "core/chebyshev.h"
 #include "core/transport/decay.h"
 #include "core/transport/functions.h"
 
@@ -96,15 +97,6 @@ double fit_aperture_x(size_t i, double ratio) {
 
 /* ---- the series ------------------------------------------------------------------------------ */
 
-/* Sets to[count] to Chebyshev's polynomials at x. */
-static void polynomials(size_t count, double x, double *to) {
-  to[0] = 1;
-  to[1] = x;
-  for (size_t i = 2; i < count; i++) {
-    to[i] = 2 * x * to[i - 1] - to[i - 2];
-  }
-}
-
 static int64_t read_integer(const uint8_t **next) {
   uint64_t zigzag = 0;
   for (int shift = 0;; shift += 7) {
@@ -123,13 +115,13 @@ void fit_aperture_prepare(fit_aperture *aperture, double g, double eta, double N
   const double v_most = v_of(eta < 1 ? FIT_APERTURE_ETA_LEAST : FIT_APERTURE_ETA_MOST);
   double by_eta[ETAS] = {0}, by_g[GS], by_u[CONES];
   if (eta < 1) {
-    polynomials(FIT_APERTURE_ETAS_BELOW, mapped(v_of(eta), 0, v_most), by_eta);
+    core_chebyshev_polynomials(FIT_APERTURE_ETAS_BELOW, mapped(v_of(eta), 0, v_most), by_eta);
   } else {
-    polynomials(FIT_APERTURE_ETAS_FROM, mapped(v_of(eta), 0, v_most),
-                by_eta + FIT_APERTURE_ETAS_BELOW);
+    core_chebyshev_polynomials(FIT_APERTURE_ETAS_FROM, mapped(v_of(eta), 0, v_most),
+                               by_eta + FIT_APERTURE_ETAS_BELOW);
   }
-  polynomials(GS, mapped(g, 0, FIT_APERTURE_G_MOST), by_g);
-  polynomials(CONES, mapped(ln(u), ln(FIT_APERTURE_U_LEAST), 0), by_u);
+  core_chebyshev_polynomials(GS, mapped(g, 0, FIT_APERTURE_G_MOST), by_g);
+  core_chebyshev_polynomials(CONES, mapped(ln(u), ln(FIT_APERTURE_U_LEAST), 0), by_u);
   *aperture = (fit_aperture){.u2 = u * u};
   const uint8_t *next = fit_aperture_data;
   for (size_t row = 0; row < (size_t)ETAS * GS * CONES * RATIOS; row++) {
@@ -147,7 +139,7 @@ void fit_aperture_medium(const fit_aperture *aperture, double ratio, fit_apertur
   double by_s[RATIOS];
   const double least = s_of(ratio_least), most = s_of(FIT_APERTURE_RATIO_MOST);
   const double kept = real_min(real_max(ratio, ratio_least), FIT_APERTURE_RATIO_MOST);
-  polynomials(RATIOS, mapped(s_of(kept), least, most), by_s);
+  core_chebyshev_polynomials(RATIOS, mapped(s_of(kept), least, most), by_s);
   *row = (fit_aperture_row){.u2 = aperture->u2, .ln_reach = ln_reach(kept)};
   for (size_t s = 0; s < RATIOS; s++) {
     for (size_t i = 0; i < PLACES; i++) {
@@ -158,13 +150,7 @@ void fit_aperture_medium(const fit_aperture *aperture, double ratio, fit_apertur
 
 double fit_aperture_share(const fit_aperture_row *row, double ln_x) {
   const double p = mapped(ln_x, ln(FIT_APERTURE_X_LEAST), row->ln_reach);
-  double one = 0, two = 0;
-  for (size_t i = PLACES - 1; i > 0; i--) { /* Clenshaw 1955 */
-    const double next = row->term[i] + 2 * p * one - two;
-    two = one;
-    one = next;
-  }
-  return row->u2 * real_exp_signed(row->term[0] + p * one - two);
+  return row->u2 * real_exp_signed(core_chebyshev_sum(PLACES, row->term, p));
 }
 
 /* ---- errors ---------------------------------------------------------------------------------- */

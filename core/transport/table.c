@@ -9,6 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "core/chebyshev.h"
 #include "core/solver/solver.h"
 #include "core/transport/functions.h"
 
@@ -121,15 +122,6 @@ void transport_table_edges(const double *field, bool of_difference, double kappa
 /* Returns the position of x in a range, mapped to -1 to 1 and clamped to that. */
 static double mapped(double x, double from, double to) {
   return fmin(fmax(2 * (x - from) / (to - from) - 1, -1), 1);
-}
-
-/* Sets values[k] to T_k(s) for k from 0 to TERMS_MAX - 1. */
-static void chebyshev(double s, double *values) {
-  values[0] = 1;
-  values[1] = s;
-  for (int k = 2; k < TERMS_MAX; k++) {
-    values[k] = 2 * s * values[k - 1] - values[k - 2];
-  }
 }
 
 /* ---- bytes ---------------------------------------------------------------------------------- */
@@ -379,26 +371,31 @@ double transport_table_diffuse_error(const transport_table *table, double albedo
 static void polynomials_of_v(const double *field, double eta, double *values) {
   double range[2];
   transport_table_v_range(field, transport_table_side(eta), range);
-  chebyshev(mapped(transport_table_v(eta), range[0], range[1]), values);
+  core_chebyshev_polynomials(TERMS_MAX, mapped(transport_table_v(eta), range[0], range[1]), values);
 }
 
 /* The same for the albedo, of isotropic scattering and of D, and for g. */
 static void polynomials_of_t(const double *field, double albedo, double *values) {
-  chebyshev(mapped(transport_table_t(albedo), transport_table_t(field[TRANSPORT_TABLE_ALBEDO_MOST]),
-                   transport_table_t(field[TRANSPORT_TABLE_ALBEDO_LEAST])),
-            values);
+  core_chebyshev_polynomials(TERMS_MAX,
+                             mapped(transport_table_t(albedo),
+                                    transport_table_t(field[TRANSPORT_TABLE_ALBEDO_MOST]),
+                                    transport_table_t(field[TRANSPORT_TABLE_ALBEDO_LEAST])),
+                             values);
 }
 
 static void polynomials_of_u(const double *field, double albedo, double *values) {
-  chebyshev(mapped(transport_table_u(albedo), transport_table_u(1),
-                   transport_table_u(field[TRANSPORT_TABLE_ALBEDO_LEAST])),
-            values);
+  core_chebyshev_polynomials(TERMS_MAX,
+                             mapped(transport_table_u(albedo), transport_table_u(1),
+                                    transport_table_u(field[TRANSPORT_TABLE_ALBEDO_LEAST])),
+                             values);
 }
 
 static void polynomials_of_w(const double *field, double g, double *values) {
-  chebyshev(mapped(transport_table_w(g), transport_table_w(field[TRANSPORT_TABLE_G_LEAST]),
-                   transport_table_w(field[TRANSPORT_TABLE_G_MOST])),
-            values);
+  core_chebyshev_polynomials(TERMS_MAX,
+                             mapped(transport_table_w(g),
+                                    transport_table_w(field[TRANSPORT_TABLE_G_LEAST]),
+                                    transport_table_w(field[TRANSPORT_TABLE_G_MOST])),
+                             values);
 }
 
 /* Ends a difference whose terms have been read. */
@@ -594,7 +591,7 @@ static void extend_to_white(const struct part *part, double albedo, transport_se
       const double y = series->edge[i] + 0.5 * (1 + s) * (series->edge[i + 1] - series->edge[i]);
       const double x = fn_exp(y), at_most = Q_of(&most, y), bend = bend_of(most.kappa, x);
       const double further = (bend - bend_of(kappa, x)) / (bend_of(series->kappa, x) - bend);
-      chebyshev(s, polynomial);
+      core_chebyshev_polynomials(count, s, polynomial);
       add_row(polynomial, count, (at_most + further * (at_most - Q_of(series, y))) / (double)count,
               terms);
     }
@@ -697,17 +694,6 @@ void transport_join_panels(size_t panels, size_t count, double *terms) {
   }
 }
 
-/* Returns the Chebyshev series at s, from -1 to 1, by Clenshaw's recurrence. */
-static double sum_of(const double *terms, size_t count, double s) {
-  double next = 0, after = 0;
-  for (size_t k = count - 1; k >= 1; k--) {
-    const double sum = terms[k] + 2 * s * next - after;
-    after = next;
-    next = sum;
-  }
-  return terms[0] + s * next - after;
-}
-
 /* Returns the panel that y is in. */
 static int panel_of(const double edge[PANELS + 1], double y) {
   int panel = 0;
@@ -721,7 +707,7 @@ static int panel_of(const double edge[PANELS + 1], double y) {
 static double sum_at(const double edge[PANELS + 1], const size_t terms[PANELS],
                      const double term[PANELS][TERMS_MAX], double y) {
   const int panel = panel_of(edge, y);
-  return sum_of(term[panel], terms[panel], mapped(y, edge[panel], edge[panel + 1]));
+  return core_chebyshev_sum(terms[panel], term[panel], mapped(y, edge[panel], edge[panel + 1]));
 }
 
 /* Returns what D gains beyond its reach. */

@@ -7,6 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "core/chebyshev.h"
 #include "core/transport/decay.h"
 #include "core/transport/functions.h"
 
@@ -50,12 +51,9 @@ static void set_points(rows *all) {
     double sine, cosine;
     fn_sincos(FN_PI * (i + 0.5) / TERMS, &sine, &cosine);
     all->point[i] = 0.5 * (1 - cosine);
-    double before = 1, now = -cosine;
+    core_chebyshev_polynomials(TERMS, -cosine, all->basis[i]);
     for (int k = 0; k < TERMS; k++) {
-      all->basis[i][k] = (k == 0 ? 1.0 : 2.0) / TERMS * before;
-      const double next = -2 * cosine * now - before;
-      before = now;
-      now = next;
+      all->basis[i][k] *= (k == 0 ? 1.0 : 2.0) / TERMS;
     }
   }
 }
@@ -162,12 +160,10 @@ static void set_kappa(rows *all) {
     const double albedo =
         transport_table_albedo_of_u(all->u[0] + 0.5 * (all->u[1] - all->u[0]) * (1 + cosine));
     const double value = solved_kappa(all, albedo) / sqrt(1 - albedo);
-    double before = 1, now = cosine;
+    double polynomial[N];
+    core_chebyshev_polynomials(N, cosine, polynomial);
     for (int k = 0; k < N; k++) {
-      all->kappa_per_s[k] += (k == 0 ? 1.0 : 2.0) / N * value * before;
-      const double next = 2 * cosine * now - before;
-      before = now;
-      now = next;
+      all->kappa_per_s[k] += (k == 0 ? 1.0 : 2.0) / N * value * polynomial[k];
     }
   }
 }
@@ -177,13 +173,7 @@ static double kappa_of(const rows *all, double albedo) {
     return solved_kappa(all, albedo);
   }
   const double s = 2 * (transport_table_u(albedo) - all->u[0]) / (all->u[1] - all->u[0]) - 1;
-  double next = 0, after = 0;
-  for (int k = KAPPA_TERMS - 1; k >= 1; k--) {
-    const double sum = all->kappa_per_s[k] + 2 * s * next - after;
-    after = next;
-    next = sum;
-  }
-  return (all->kappa_per_s[0] + s * next - after) * sqrt(1 - albedo);
+  return core_chebyshev_sum(KAPPA_TERMS, all->kappa_per_s, s) * sqrt(1 - albedo);
 }
 
 /* ---- one medium ------------------------------------------------------------------------------ */
