@@ -106,10 +106,10 @@ static int choose(const fit_settings *settings, dipole_client *client, report *o
   return of->scale != NULL && of->axis != NULL ? CLI_OK : CLI_USAGE;
 }
 
-/* Some samples of one design, in the order of the file. */
+/* Samples side by side that were taken at the same places of the same kind of medium, so that one
+ * request has them all. */
 typedef struct batch {
-  size_t count;
-  size_t *samples;
+  size_t first, count;
 } batch;
 
 /* Returns the parameters of a sample: those of the options, and the aperture of the file. */
@@ -176,12 +176,10 @@ static dipole_fit_query query_of(const report *of, const cli_sample *sample,
 }
 
 static void take(report *of, const batch *some, const dipole_fits *fits) {
-  for (size_t i = 0; i < some->count; i++) {
-    const cli_sample *sample = &of->readings.samples[some->samples[i]];
-    of->fitted[some->samples[i]] = fits->sets[i];
-    memcpy(of->residuals + sample->first, fits->residuals + i * sample->count,
-           sample->count * sizeof *of->residuals);
-  }
+  const cli_sample *first = &of->readings.samples[some->first];
+  memcpy(of->fitted + some->first, fits->sets, some->count * sizeof *of->fitted);
+  memcpy(of->residuals + first->first, fits->residuals,
+         some->count * first->count * sizeof *of->residuals);
   of->notes |= fits->notes;
 }
 
@@ -216,7 +214,7 @@ static bool ask_side(dipole_client *client, report *of, const batch *some, dipol
   const bool alike = similarity == NULL || strcmp(of->profile.model->name, "transport") != 0 ||
                      (fits->notes & ~notes & similarity->id) == 0;
   for (size_t i = 0; alike && i < some->count; i++) {
-    const size_t sample = some->samples[i];
+    const size_t sample = some->first + i;
     take_change(&of->changes[sample], side, &of->fitted[sample], &fits->sets[i]);
   }
   dipole_fits_free(fits);
@@ -249,22 +247,14 @@ static void tell_refused(const report *of, const cli_sample *first, size_t count
   cli_fail("sample %s%s%s: %s", first->name, count > 1 ? " and others" : "", line, error->text);
 }
 
-/* Asks for samples of one design. If the daemon refuses what the file says of them, they stay
- * refused. */
+/* Asks for a batch. If the daemon refuses what the file says of its samples, they stay refused. */
 static bool ask_some(dipole_client *client, report *of, const batch *some, dipole_error *error) {
-  const cli_sample *first = &of->readings.samples[some->samples[0]];
-  const size_t bytes = first->count * sizeof(double);
+  const cli_sample *first = &of->readings.samples[some->first];
   const cli_parameters parameters = parameters_of(of, first);
   dipole_fit_query query = query_of(of, first, &parameters);
-  double *values = cli_allocate(some->count, bytes), *errors = cli_allocate(some->count, bytes);
-  for (size_t i = 0; i < some->count; i++) {
-    const size_t from = of->readings.samples[some->samples[i]].first;
-    memcpy(values + i * first->count, of->readings.values + from, bytes);
-    memcpy(errors + i * first->count, of->readings.errors + from, bytes);
-  }
   query.set_count = some->count;
-  query.values = values;
-  query.errors = errors;
+  query.values = of->readings.values + first->first;
+  query.errors = of->readings.errors + first->first;
   dipole_fits *fits;
   bool good =
       CLI_ASK(&of->settings->profile.common, error, dipole_fit(client, &query, &fits, error));
@@ -281,34 +271,38 @@ static bool ask_some(dipole_client *client, report *of, const batch *some, dipol
   return good;
 }
 
+/* Returns whether two samples can be in one request. */
+static bool is_alike(const cli_readings *readings, const cli_sample *a, const cli_sample *b) {
+  const double *const places[] = {readings->at, readings->source_mm, readings->detector_mm};
+  bool alike = a->count == b->count && memcmp(&a->g, &b->g, sizeof a->g) == 0 &&
+               memcmp(&a->eta, &b->eta, sizeof a->eta) == 0 &&
+               memcmp(&a->detector_na, &b->detector_na, sizeof a->detector_na) == 0;
+  for (size_t i = 0; alike && i < 3; i++) {
+    alike = memcmp(places[i] + a->first, places[i] + b->first, a->count * sizeof(double)) == 0;
+  }
+  return alike;
+}
+
 /* Readings in one request: about a tenth of a second of work, so that the progress moves. */
 enum { BATCH_READINGS = 65536 };
 
-/* Asks for all samples, design by design. */
+/* Asks for all samples. */
 static bool ask(dipole_client *client, report *of, dipole_error *error) {
   const cli_readings *readings = &of->readings;
   const size_t count = readings->sample_count;
-  size_t *order = cli_allocate(count, sizeof *order);
-  size_t *ends = cli_allocate(readings->design_count + 1, sizeof *ends);
   cli_progress progress;
   bool good = true;
-  for (size_t i = 0; i < count; i++) {
-    ends[readings->samples[i].design + 1]++;
-  }
-  for (size_t d = 0; d < readings->design_count; d++) {
-    ends[d + 1] += ends[d];
-  }
-  for (size_t i = 0; i < count; i++) { /* ends[d] becomes the end of design d */
-    order[ends[readings->samples[i].design]++] = i;
-  }
   cli_progress_start(&progress, "samples");
-  for (size_t done = 0; good && done < count;) {
-    const cli_sample *first = &readings->samples[order[done]];
-    const size_t left = ends[first->design] - done, most = BATCH_READINGS / first->count + 1;
-    const batch some = {left < most ? left : most, order + done};
+  for (batch some = {0}; good && some.first < count; some.first += some.count) {
+    const cli_sample *first = &readings->samples[some.first];
+    some.count = 1;
+    while (some.first + some.count < count && some.count * first->count < BATCH_READINGS &&
+           is_alike(readings, first, first + some.count)) {
+      some.count++;
+    }
     good = ask_some(client, of, &some, error);
-    done += some.count;
-    cli_progress_show(&progress, (double)done / (double)count, (double)done);
+    const double done = (double)(some.first + some.count);
+    cli_progress_show(&progress, done / (double)count, done);
   }
   cli_progress_wipe(&progress);
   return good;

@@ -7,36 +7,31 @@
 
 #include "clients/cli/sheet.h"
 
-/* ---- numbering equal things ------------------------------------------------------------------ */
+/* ---- names ----------------------------------------------------------------------------------- */
 
-typedef struct thing {
-  void *bytes;
-  size_t length;
+typedef struct named {
+  const char *name;
   size_t number; /* from 0 on */
-} thing;
+} named;
 
 static int compare(const void *a, const void *b) {
-  const thing *x = a, *y = b;
-  return x->length != y->length ? (x->length > y->length) - (x->length < y->length)
-                                : memcmp(x->bytes, y->bytes, x->length);
+  return strcmp(((const named *)a)->name, ((const named *)b)->name);
 }
 
-static void keep_thing(void *one) {
-  (void)one;
-}
-
-/* Returns the number of a thing, of which `*count` are in the tree already; *count - 1 if it is
- * new. */
-static size_t number_of(void **tree, size_t *count, const void *bytes, size_t length) {
-  thing *one = cli_allocate(1, sizeof *one);
-  *one = (thing){cli_copy(bytes, length), length, *count};
-  thing *const *found = tsearch(one, tree, compare);
+/* Returns the number of a name, of which `count` are in the tree already; `count` if it is new. */
+static size_t number_of(void **tree, size_t count, const char *name) {
+  named *one = cli_allocate(1, sizeof *one);
+  *one = (named){name, count};
+  named *const *found = tsearch(one, tree, compare);
   if (found == NULL) {
     fputs("dipole: out of memory\n", stderr);
     exit(CLI_FAILED);
   }
-  *count += *found == one;
   return (*found)->number;
+}
+
+static void keep_named(void *one) {
+  (void)one;
 }
 
 /* ---- columns --------------------------------------------------------------------------------- */
@@ -87,12 +82,11 @@ static bool set_of_sample(const cli_sheet *sheet, size_t row, size_t column, dou
 /* Lists the samples, and counts their readings. numbers: [rows] those of the rows' samples */
 static bool list_samples(const cli_sheet *sheet, cli_readings *readings, size_t *numbers) {
   void *tree = NULL;
-  size_t count = 0;
   bool good = true;
   readings->samples = cli_allocate(sheet->count, sizeof *readings->samples);
   for (size_t row = 0; good && row < sheet->count; row++) {
-    const char *label = sheet->labels[row];
-    const size_t number = numbers[row] = number_of(&tree, &count, label, strlen(label));
+    const size_t number = numbers[row] =
+        number_of(&tree, readings->sample_count, sheet->labels[row]);
     cli_sample *sample = &readings->samples[number];
     if (number == readings->sample_count) {
       readings->sample_count++;
@@ -106,7 +100,7 @@ static bool list_samples(const cli_sheet *sheet, cli_readings *readings, size_t 
            set_of_sample(sheet, row, APERTURE, &sample->detector_na);
     sample->count++;
   }
-  tdestroy(tree, keep_thing);
+  tdestroy(tree, keep_named);
   return good;
 }
 
@@ -141,25 +135,6 @@ static void arrange(const cli_sheet *sheet, const size_t *numbers, cli_readings 
   }
 }
 
-/* Numbers the designs of samples: g, eta, the aperture, and where the readings were taken. */
-static void number_designs(cli_readings *readings) {
-  enum { OF_SAMPLE = 3 };
-  void *tree = NULL;
-  double *key = NULL;
-  for (size_t i = 0; i < readings->sample_count; i++) {
-    cli_sample *sample = &readings->samples[i];
-    const size_t n = sample->count, bytes = n * sizeof *key;
-    key = cli_resize(key, OF_SAMPLE + 3 * n, sizeof *key);
-    memcpy(key, (double[]){sample->g, sample->eta, sample->detector_na}, OF_SAMPLE * sizeof *key);
-    memcpy(key + OF_SAMPLE, readings->at + sample->first, bytes);
-    memcpy(key + OF_SAMPLE + n, readings->source_mm + sample->first, bytes);
-    memcpy(key + OF_SAMPLE + 2 * n, readings->detector_mm + sample->first, bytes);
-    sample->design =
-        number_of(&tree, &readings->design_count, key, (OF_SAMPLE + 3 * n) * sizeof *key);
-  }
-  tdestroy(tree, keep_thing);
-}
-
 int cli_readings_read(const char *path, cli_readings *readings) {
   cli_sheet sheet;
   *readings = (cli_readings){0};
@@ -173,7 +148,6 @@ int cli_readings_read(const char *path, cli_readings *readings) {
   if (good && list_samples(&sheet, readings, numbers)) {
     readings->frequency = sheet.at[FREQUENCY] != CLI_CSV_ABSENT;
     arrange(&sheet, numbers, readings);
-    number_designs(readings);
   } else {
     good = false;
   }

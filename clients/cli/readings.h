@@ -9,8 +9,6 @@ typedef struct cli_sample {
   char *name;
   double g, eta, detector_na; /* NAN if the file does not say */
   size_t first, count;
-  /* samples with the same number are taken at the same places, of equal g, eta and detector_na */
-  size_t design;
 } cli_sample;
 
 typedef struct cli_readings {
@@ -18,7 +16,6 @@ typedef struct cli_readings {
   bool frequency;     /* the places are spatial frequencies */
   size_t sample_count;
   cli_sample *samples; /* in the order of their first lines */
-  size_t design_count;
   size_t count;
   /* [count], by samples and within them in the order of the file. A cell that is empty is NAN. */
   double *at, *values, *errors, *source_mm, *detector_mm;
