@@ -359,9 +359,9 @@ bool cli_quantities_take(const dipole_info *info, const cli_texts *names, unsign
       return false;
     }
     if (quantity->id == DIPOLE_MODEL_ERROR) {
-      return cli_fail_usage(
-          "--wanted model_error: it is written beside the values; `dipole points` "
-          "has --errors for it");
+      cli_fail_usage("--wanted model_error: it is written beside the values; `dipole points` has "
+                     "--errors for it");
+      return false;
     }
     quantities->wanted |= quantity->id;
   }

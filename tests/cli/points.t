@@ -95,6 +95,11 @@ $ dipole points --wanted r one.csv
 ! `dipole points --help` tells more.
 ? 2
 
+$ dipole points --wanted model_error one.csv
+! dipole points: --wanted model_error: it is written beside the values; `dipole points` has --errors for it
+! `dipole points --help` tells more.
+? 2
+
 $ dipole points --r 1 one.csv
 ! dipole points: one.csv: the header has the column r: leave --r out, or rename the column
 ? 1
