@@ -106,11 +106,6 @@ static uint64_t photons_of(const mc_settings *settings, const dipole_info *info)
   return (uint64_t)settings->photons.value;
 }
 
-/* Returns the name of a parameter of the query. */
-static const char *parameter_name(const report *of, size_t i) {
-  return cli_choice_of_id(of->info, DIPOLE_PARAMETER, of->parameters.items[i].id)->name;
-}
-
 /* The rings that --r is read from are so wide. Their bias is some 2e-3 of R where R falls by e within
  * a tenth of the radius, and less elsewhere. */
 #define RING_WIDTH 0.03
@@ -309,9 +304,7 @@ static void put_walk(cli_rows *rows, const void *context, size_t index) {
   if (isfinite(query->thickness_mm)) { /* `dipole fit` refuses this column */
     cli_put_number(rows, CLI_COLUMN("thickness", .unit = "mm"), query->thickness_mm);
   }
-  for (size_t i = 0; i < of->parameters.count; i++) {
-    cli_put_number(rows, CLI_COLUMN(parameter_name(of, i)), of->parameters.items[i].value);
-  }
+  cli_put_parameters(rows, of->info, &of->parameters);
   cli_put_count(rows, CLI_COLUMN("seed", .forms = CLI_IN_TABLE | CLI_IN_JSON), query->seed);
   cli_put_count(rows, CLI_COLUMN("photons", .forms = CLI_IN_TABLE), of->result->last.photons);
 }

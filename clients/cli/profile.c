@@ -83,10 +83,15 @@ static enum dipole_kind kind_of(const dipole_choice *parameter) {
   return strcmp(parameter->name, "phase") == 0 ? DIPOLE_PHASE : DIPOLE_MODEL;
 }
 
+/* Returns whether its values are names, and not numbers. */
+static bool is_named(const dipole_choice *parameter) {
+  return strncmp(parameter->about, "id: ", strlen("id: ")) == 0;
+}
+
 bool cli_parameter_parse(const dipole_info *info, const dipole_choice *parameter, const char *text,
                          double *value) {
-  const bool named = strncmp(parameter->about, "id: ", strlen("id: ")) == 0;
-  const dipole_choice *choice = named ? cli_choice(info, kind_of(parameter), text) : NULL;
+  const dipole_choice *choice =
+      is_named(parameter) ? cli_choice(info, kind_of(parameter), text) : NULL;
   if (choice != NULL) {
     *value = choice->id;
   }
@@ -376,6 +381,20 @@ bool cli_quantities_take(const dipole_info *info, const cli_texts *names, unsign
 
 /* ---- what reports say of a profile ----------------------------------------------------------- */
 
+void cli_put_parameters(cli_rows *rows, const dipole_info *info, const cli_parameters *parameters) {
+  for (size_t i = 0; i < parameters->count; i++) {
+    const dipole_parameter *one = &parameters->items[i];
+    const dipole_choice *choice = cli_choice_of_id(info, DIPOLE_PARAMETER, one->id);
+    const dipole_choice *named =
+        is_named(choice) ? cli_choice_of_id(info, kind_of(choice), (unsigned)one->value) : NULL;
+    if (named != NULL) {
+      cli_put_text(rows, CLI_COLUMN(choice->name), named->name);
+    } else {
+      cli_put_number(rows, CLI_COLUMN(choice->name), one->value);
+    }
+  }
+}
+
 void cli_put_profile(cli_rows *rows, const cli_profile *profile) {
   const struct {
     const char *name;
@@ -391,11 +410,7 @@ void cli_put_profile(cli_rows *rows, const cli_profile *profile) {
       cli_put_text(rows, CLI_COLUMN(choices[i].name), choices[i].choice->name);
     }
   }
-  for (size_t i = 0; i < profile->parameters.count; i++) {
-    const dipole_parameter *one = &profile->parameters.items[i];
-    const dipole_choice *choice = cli_choice_of_id(profile->info, DIPOLE_PARAMETER, one->id);
-    cli_put_number(rows, CLI_COLUMN(choice != NULL ? choice->name : "?"), one->value);
-  }
+  cli_put_parameters(rows, profile->info, &profile->parameters);
 }
 
 void cli_put_notes(cli_rows *rows, const dipole_info *info, unsigned notes) {

@@ -163,6 +163,9 @@ bool cli_quantities_take(const dipole_info *info, const cli_texts *names, unsign
  * evaluator and moments that are set, and the parameters. */
 void cli_put_profile(cli_rows *rows, const cli_profile *profile);
 
+/* Puts parameters, which the daemon lists. */
+void cli_put_parameters(cli_rows *rows, const dipole_info *info, const cli_parameters *parameters);
+
 /* Puts the names of the notes in the sum `notes`, with blanks between them. */
 void cli_put_notes(cli_rows *rows, const dipole_info *info, unsigned notes);
 
