@@ -3,16 +3,14 @@
  * Passes. In each round of its loop a worker gathers the short requests of all its clients. It
  * evaluates them at the end of the round, before anything is written. The radii of a pass are
  * copied together, and its values are copied to where each request wants them. The values do not
- * depend on which requests share a pass. Measured as in server/store/profiles.h: without passes a
- * request of 4 radii takes 2.0 times as much of the daemon's processor time with single scattering,
- * 1.5 times with quantized diffusion, and the same with a dipole.
+ * depend on which requests share a pass. Without passes a request of 4 radii takes 2.0 times as much of
+ * the daemon's processor time with single scattering, and the same with a dipole.
  *
  * Repeated requests. Render farms send requests by the million that differ in their radii alone:
  * their payloads are equal byte by byte up to the radii. The worker remembers requests together
  * with the start of their replies. It does not check a repeated request again, and copies the start
- * of the reply, which gives the same bytes. Measured as
- * in server/store/profiles.h: without this, a request of 16 radii (service.redis) takes 2.8 times
- * as much of the daemon's processor time, and ratio.service.redis is half as high.
+ * of the reply, which gives the same bytes. Without this, a request of 16 radii (service.redis) takes
+ * 2.8 times as much of the daemon's processor time.
  */
 #ifndef DIPOLED_BATCH_H
 #define DIPOLED_BATCH_H

@@ -1,32 +1,5 @@
 /* worker: a thread with an event loop of its own, its clients, and their run queue.
  *
- * An eval that misses the cache enters 25 files by callgrind's count, in this order:
- *    1 server/net/worker.c       gives the connection a turn
- *    2 server/net/connection.c   has read the bytes, and writes the answer
- *    3 server/net/buffers.c      finds the frame, and has room for the reply
- *    4 server/jobs/requests.c    takes the request up and frames its reply
- *    5 server/jobs/run.c         drives its job from the start to the end
- *    6 proto/wire.c              reads and writes headers and structures
- *    7 server/observe/stats.c    counts
- *    8 server/jobs/job.c         starts the job of the message, admits and ends it
- *    9 server/jobs/batch.c       sees that it repeats no earlier request; gathers short requests
- *   10 server/jobs/eval.c        checks the request, works slice by slice, fills the reply in
- *   11 proto/eval.c              takes the payload apart and lays the reply out
- *   12 proto/channels.c          reads the media and parameters
- *   13 core/choice_lists.c       looks ids up
- *   14 core/profile.c            checks that there is such a profile, and prepares it
- *   15 core/medium.c             checks a medium
- *   16 core/radii.c              checks radii
- *   17 server/store/profiles.c   looks for the profile in the worker's store
- *   18 server/store/cache.c      computes its key
- *   19 core/models/dipole.c      prepares it (the file of its model)
- *   20 core/fresnel.c            computes its Fresnel moments
- *   21 core/model_error.c        looks up how far the model is from transport
- *   22 core/isa_kernels.c        chooses the kernels of the instruction set
- *   23 core/owned.c              tells how much memory the profile owns
- *   24 core/evaluate.c           calls the kernel
- *   25 server/observe/latency.c  notes how long the request took
- *
  * Threading: the main thread accepts each connection and gives it to the worker that has
  * the fewest. From then on that worker reads, evaluates and writes for it on its own thread, so a
  * request crosses no threads. In each round of its loop, a worker
@@ -38,20 +11,8 @@
  * A large request takes one slice in each turn. So a short request waits for one slice, and one
  * write of bounded size, of each client with a large one.
  *
- * The alternative is an I/O thread that passes requests to workers and takes the answers back.
- * Prototypes of both designs were measured on two cores; they are in the history, as
- * tests/bench/bench_threads.c. In each column the first figure is for connections that belong to a
- * worker, the second for an I/O thread in front:
- *
- *   request and in flight          requests/s     CPU, us      median round trip, us
- *   16 radii, one                  73k / 12k      5.9 / 33     11 / 48
- *   16 radii, 32 connections x 16  932k / 799k    0.28 / 0.35  265 / 305
- *   65,536 radii, one              3059 / 2898    89 / 113     164 / 177
- *   65,536 radii, 4 x 2            6968 / 6998    93 / 125     1120 / 1123
- *   65,536 radii, 1 x 4            3389 / 3437    78 / 89      612 / 605
- *
- * The way to another thread and back costs more than a small request. Large requests gain no more
- * than they do from a second connection. So each connection belongs to one worker.
+ * A thread for the sockets in front of the workers would cost more than a small request takes, and
+ * large requests would gain no more than by a second connection.
  */
 #ifndef DIPOLED_WORKER_H
 #define DIPOLED_WORKER_H
