@@ -272,7 +272,7 @@ wire_error choice_check_solved(const struct choice_state *state, const eval_requ
   if (isnan(state->left) || stated <= state->left) {
     return wire_error_none();
   }
-  char least[ROUNDED_BYTES], medium[32] = "", allowed[ALLOWED_BYTES];
+  char least[ROUNDED_BYTES], medium[31] = "", allowed[ALLOWED_BYTES];
   round_to(least, state->tolerance * stated / state->left, true);
   if (request->fixed.medium_count > 1) {
     snprintf(medium, sizeof medium, " for medium %" PRIu32, channel + 1);
