@@ -336,14 +336,6 @@ static uint8_t *reserve(void *owner, const struct job *job, wire_error *error) {
   return (uint8_t *)room;
 }
 
-static void commit(void *owner, bool last) {
-  (void)owner, (void)last;
-}
-
-static void cancel(void *owner) {
-  (void)owner;
-}
-
 static void wake(void *owner) {
   struct http_connection *c = owner;
   worker_run_later(&c->client);
@@ -355,16 +347,15 @@ static void drop_points(struct http_connection *c) {
   c->points = NULL;
 }
 
-static void end(void *owner, const wire_error *refusal) {
-  struct http_connection *c = owner;
+static void end(struct run *run, const wire_error *refusal) {
+  struct http_connection *c = run->owner;
   drop_points(c);
   c->error = refusal != NULL ? *refusal : wire_error_none();
   stats_count_answer(&c->host->server->stats, c->error.status);
-  latency_note(worker_context(c->host->worker)->latency, c->run.latency, c->arrived_ns);
+  latency_note(worker_context(c->host->worker)->latency, run->latency, c->arrived_ns);
 }
 
-static const struct run_sink sink = {
-    .reserve = reserve, .commit = commit, .cancel = cancel, .wake = wake, .end = end};
+static const struct run_sink sink = {.reserve = reserve, .wake = wake, .end = end};
 
 /* Makes the worker give the job its next turn, or wake it at its deadline. */
 static void go_on(struct http_connection *c) {

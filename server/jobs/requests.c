@@ -12,7 +12,6 @@
 
 /* A request that has left the input. */
 struct detached {
-  struct requests *requests;
   TAILQ_ENTRY(detached) in_requests;
   wire_header header;
   uint64_t arrived_ns;
@@ -47,15 +46,6 @@ static uint8_t *begin_frame(struct output *output, unsigned type, uint64_t reque
   return frame + WIRE_BYTES_header;
 }
 
-static uint8_t *begin_reply(struct requests *r, const struct job *job, wire_error *error) {
-  uint8_t *payload = begin_frame(r->output, job->header.type | WIRE_REPLY, job->header.request_id,
-                                 (size_t)job->part_bytes);
-  if (payload == NULL) {
-    *error = job_busy();
-  }
-  return payload;
-}
-
 bool requests_refuse(struct requests *r, uint64_t request_id, const wire_error *error) {
   stats_count_answer(stats_of(r), error->status);
   health_note_refusal(r->context->server, error);
@@ -79,40 +69,47 @@ static void answer(struct requests *r, const wire_header *header, uint64_t arriv
   }
 }
 
-/* ---- detached requests ----------------------------------------------------------------------- */
+/* ---- runs ------------------------------------------------------------------------------------ */
 
-static uint8_t *reserve_detached(void *owner, const struct job *job, wire_error *error) {
-  struct requests *r = ((struct detached *)owner)->requests;
-  return begin_reply(r, job, error);
+static uint8_t *reserve(void *owner, const struct job *job, wire_error *error) {
+  const struct requests *r = owner;
+  uint8_t *payload = begin_frame(r->output, job->header.type | WIRE_REPLY, job->header.request_id,
+                                 (size_t)job->part_bytes);
+  if (payload == NULL) {
+    *error = job_busy();
+  }
+  return payload;
 }
 
-static void commit_detached(void *owner, bool last) {
+static void commit(void *owner, bool last) {
   (void)last;
-  output_commit(((struct detached *)owner)->requests->output);
+  output_commit(((struct requests *)owner)->output);
 }
 
-static void cancel_detached(void *owner) {
-  output_cancel(((struct detached *)owner)->requests->output);
+static void give_part_up(void *owner) {
+  output_cancel(((struct requests *)owner)->output);
 }
 
-static void wake_detached(void *owner) {
-  const struct requests *r = ((struct detached *)owner)->requests;
+static void wake(void *owner) {
+  const struct requests *r = owner;
   r->wake(r->owner);
 }
 
+/* ---- detached requests ----------------------------------------------------------------------- */
+
 /* The refusal is written later: another request may have a part open in the output. */
-static void end_detached(void *owner, const wire_error *refusal) {
-  struct detached *detached = owner;
+static void end_detached(struct run *run, const wire_error *refusal) {
+  struct detached *detached = (void *)((char *)run - offsetof(struct detached, run));
   detached->refused = refusal != NULL;
   if (refusal != NULL) {
     detached->refusal = *refusal;
   }
 }
 
-static const struct run_sink detached_sink = {.reserve = reserve_detached,
-                                              .commit = commit_detached,
-                                              .cancel = cancel_detached,
-                                              .wake = wake_detached,
+static const struct run_sink detached_sink = {.reserve = reserve,
+                                              .commit = commit,
+                                              .cancel = give_part_up,
+                                              .wake = wake,
                                               .end = end_detached,
                                               .waits_for_room = true};
 
@@ -123,10 +120,9 @@ static struct detached *detach(struct requests *r) {
     free(detached);
     return NULL;
   }
-  detached->requests = r;
   detached->header = r->header;
   detached->arrived_ns = r->arrived_ns;
-  run_init(&detached->run, &detached_sink, detached);
+  run_init(&detached->run, &detached_sink, r);
   r->detached_count++;
   r->detached_bytes += r->header.payload_bytes;
   return detached;
@@ -225,30 +221,16 @@ bool requests_step_detached(struct requests *r, uint64_t *budget) {
 
 /* ---- the request that is answered in its turn ------------------------------------------------ */
 
-static uint8_t *reserve(void *owner, const struct job *job, wire_error *error) {
-  return begin_reply(owner, job, error);
-}
-
-static void commit(void *owner, bool last) {
-  (void)last;
-  output_commit(((struct requests *)owner)->output);
-}
-
-static void give_part_up(void *owner) {
-  output_cancel(((struct requests *)owner)->output);
-}
-
-static void wake(void *owner) {
-  const struct requests *r = owner;
-  r->wake(r->owner);
-}
-
-static void end(void *owner, const wire_error *refusal) {
-  struct requests *r = owner;
+/* Removes the request that has been dealt with from the input. */
+static void end_frame(struct requests *r, const wire_error *refusal) {
   answer(r, &r->header, r->arrived_ns, r->run.latency, refusal);
   if (!r->no_room) {
     input_next(r->input, &r->header);
   }
+}
+
+static void end(struct run *run, const wire_error *refusal) {
+  end_frame(run->owner, refusal);
 }
 
 void requests_init(struct requests *requests, struct input *input, struct output *output,
@@ -325,7 +307,7 @@ static bool is_allowed(const struct requests *r, const struct job_kind *kind, wi
 
 static void refuse(struct requests *r, wire_error error) {
   r->run.latency = LATENCY_REFUSED;
-  end(r, &error);
+  end_frame(r, &error);
 }
 
 static void start(struct requests *r, struct run *run, const wire_header *header,

@@ -19,7 +19,9 @@ void run_drop(struct run *run) {
   if (run->part_open) {
     struct job_context *context = run->job->context;
     batch_finish(&context->batch, &context->server->stats);
-    run->sink->cancel(run->owner);
+    if (run->sink->cancel != NULL) {
+      run->sink->cancel(run->owner);
+    }
     run->part_open = false;
   }
   job_end(run->job);
@@ -29,7 +31,7 @@ void run_drop(struct run *run) {
 static void finish(struct run *run, const wire_error *refusal) {
   run->latency = refusal != NULL ? LATENCY_REFUSED : run->job->latency;
   run_drop(run);
-  run->sink->end(run->owner, refusal);
+  run->sink->end(run, refusal);
 }
 
 void run_give_up(struct run *run, const wire_error *refusal) {
@@ -58,7 +60,9 @@ bool run_expire(struct run *run) {
 
 static void commit(struct run *run, bool last) {
   run->part_open = false;
-  run->sink->commit(run->owner, last);
+  if (run->sink->commit != NULL) {
+    run->sink->commit(run->owner, last);
+  }
 }
 
 static void begin_part(struct run *run) {
@@ -129,7 +133,7 @@ void run_start(struct run *run, struct job_request *request, uint64_t deadline_m
     return;
   }
   run->latency = LATENCY_REFUSED;
-  run->sink->end(run->owner, &run->job->refusal);
+  run->sink->end(run, &run->job->refusal);
 }
 
 void run_step(struct run *run, uint64_t *budget) {

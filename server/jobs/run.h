@@ -8,14 +8,16 @@
 
 #include "server/jobs/job.h"
 
+struct run;
+
 struct run_sink {
   /* Returns room for job->part_bytes at a multiple of 8, which stays valid until the part is complete
    * and the batch has been evaluated. Returns NULL and sets *error if there is none. */
   uint8_t *(*reserve)(void *owner, const struct job *job, wire_error *error);
-  void (*commit)(void *owner, bool last);              /* the part is complete */
-  void (*cancel)(void *owner);                         /* the part is given up */
-  void (*wake)(void *owner);                           /* a job that waited can go on */
-  void (*end)(void *owner, const wire_error *refusal); /* the last call; NULL: all is answered */
+  void (*commit)(void *owner, bool last);                  /* the part is complete; or NULL */
+  void (*cancel)(void *owner);                             /* the part is given up; or NULL */
+  void (*wake)(void *owner);                               /* a job that waited can go on */
+  void (*end)(struct run *run, const wire_error *refusal); /* NULL: all is answered */
   bool waits_for_room; /* whether a part without room is begun later; else the job is refused */
 };
 

@@ -102,22 +102,18 @@ static void commit(void *owner, bool last) {
   }
 }
 
-static void cancel(void *owner) {
-  (void)owner;
-}
-
 static void wake(void *owner) {
   enter(owner, MODBUS_TASK_RUNS);
 }
 
-static void end(void *owner, const wire_error *refusal) {
-  struct modbus_task *task = owner;
+static void end(struct run *run, const wire_error *refusal) {
+  struct modbus_task *task = run->owner;
   task->error = refusal != NULL ? *refusal : wire_error_none();
   health_note_refusal(task->queue->server, &task->error);
 }
 
 static const struct run_sink sink = {
-    .reserve = reserve, .commit = commit, .cancel = cancel, .wake = wake, .end = end};
+    .reserve = reserve, .commit = commit, .wake = wake, .end = end};
 
 /* Runs the job until the budget is spent, the job waits, or it ends. Returns the reason why it has
  * failed, or OK. */

@@ -69,15 +69,6 @@ enum lookup_answer lookup_get(struct lookups *lookups, struct lookup *lookup,
   return answer;
 }
 
-void lookup_return(struct lookup *lookup) {
-  if (lookup->entry != NULL) {
-    cache_release(lookup->entry);
-    lookup->entry = NULL;
-  }
-  cache_leave(&lookup->waiter);
-  lookup->woken = false;
-}
-
 bool lookup_is_busy(core_fault fault) {
   return strcmp(fault.field, CORE_FIELD_MEMORY) == 0 || strcmp(fault.field, LOOKUP_FIELD_BUSY) == 0;
 }

@@ -39,7 +39,16 @@ static inline const void *lookup_thing(const struct lookup *lookup) {
 }
 
 /* Releases the thing, or gives up waiting for it. Does nothing if there is neither. */
-void lookup_return(struct lookup *lookup);
+static inline void lookup_return(struct lookup *lookup) {
+  if (lookup->entry != NULL) {
+    cache_release(lookup->entry);
+    lookup->entry = NULL;
+  }
+  if (lookup->waiter.entry != NULL) {
+    cache_leave(&lookup->waiter);
+  }
+  lookup->woken = false;
+}
 
 /* Counts in the statistics of the cache. */
 void lookup_count(const struct lookups *lookups, bool hit);
