@@ -4,6 +4,7 @@
 #include <float.h>
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 JOB_FITS_SLOT(struct eval_job);
@@ -322,10 +323,33 @@ static double model_error(const struct eval_job *eval, unsigned wanted) {
                           eval->request.parameters.value[CORE_PARAMETER_GAMMA], wanted, &asked);
 }
 
+/* Where the albedos and errors begin, and their size. They are the same in each part. */
+static uint8_t *head_of(const struct eval_job *eval, size_t *bytes) {
+  const eval_layout *layout = &eval->layout;
+  const uint64_t errors = (uint64_t)eval->request.fixed.medium_count * layout->errors_per_channel;
+  *bytes =
+      (size_t)(layout->errors_offset + errors * WIRE_BYTES_quantity_error - eval_albedo_offset(0));
+  return eval->reply + eval_albedo_offset(0);
+}
+
+/* Keeps the albedos and errors of the first part for the others. If memory runs out, these find them
+ * again. */
+static void keep_head(struct eval_job *eval) {
+  size_t bytes;
+  const uint8_t *head = head_of(eval, &bytes);
+  eval->head = malloc(bytes);
+  if (eval->head != NULL) {
+    memcpy(eval->head, head, bytes);
+  }
+}
+
 /* Writes the channel's albedo and the errors of its quantities. */
 static void start_channel(struct eval_job *eval) {
   const core_profile *profile = &eval->lookup.profile;
   eval->notes |= profile->notes;
+  if (eval->head != NULL) {
+    return; /* start_part() has written them */
+  }
   const unsigned wanted = eval_job_wanted(eval);
   const unsigned listed = eval->request.fixed.wanted;
   const double albedo = (listed & CORE_QUANTITY_ALBEDO) != 0 ? profile->albedo : (double)NAN;
@@ -359,6 +383,11 @@ static void start_part(struct eval_job *eval) {
       .part_count = eval->part_count,
   };
   wire_put_eval_reply(eval->reply, &start);
+  if (eval->head != NULL) {
+    size_t bytes;
+    uint8_t *head = head_of(eval, &bytes);
+    memcpy(head, eval->head, bytes);
+  }
   eval->notes = 0;
   eval->channel = 0;
   eval->index = 0;
@@ -375,7 +404,8 @@ static void start_profiles(struct eval_job *eval) {
  * asks for it even if it has to be solved. */
 static enum lookup_answer get_ruler(struct eval_job *eval, const core_medium *medium) {
   const wire_eval_request *fixed = &eval->request.fixed;
-  const unsigned compares = CORE_QUANTITY_MODEL_ERROR | CORE_QUANTITY_MODEL_ERRORS;
+  const unsigned compares =
+      CORE_QUANTITY_MODEL_ERRORS | (eval->head == NULL ? (unsigned)CORE_QUANTITY_MODEL_ERROR : 0);
   return (fixed->wanted & compares) == 0
              ? LOOKUP_READY
              : profiles_get_ruler(&eval->job.context->profiles, &eval->ruler, fixed->model,
@@ -391,6 +421,8 @@ static bool start_again(struct eval_job *eval) {
   }
   /* Passes that still hold values for the old model must not write them over the new values. */
   batch_finish(&eval->job.context->batch, stats_of(eval));
+  free(eval->head);
+  eval->head = NULL;
   start_profiles(eval);
   start_part(eval);
   return true;
@@ -600,6 +632,7 @@ enum job_outcome eval_job_start(struct eval_job *eval, wire_error error,
     return job_refuse(&eval->job, error);
   }
   eval->repeated = NULL;
+  eval->head = NULL;
   job_init_lookup(&eval->job, &eval->ruler, request);
   job_init_lookup(&eval->job, &eval->lookup, request);
   start_profiles(eval);
@@ -643,6 +676,9 @@ static enum job_outcome end_part(struct eval_job *eval) {
   if (eval->part + 1 == eval->part_count) {
     return JOB_DONE;
   }
+  if (eval->part == 0) {
+    keep_head(eval);
+  }
   eval->first += eval->count;
   eval->part++;
   const bool fits = lay_out_part(eval, UINT64_MAX);
@@ -685,6 +721,7 @@ enum job_outcome eval_job_step(struct job *job, uint64_t *budget) {
 void eval_job_end(struct job *job) {
   struct eval_job *eval = of(job);
   if (eval->repeated == NULL) {
+    free(eval->head);
     profiles_return(&eval->lookup);
     profiles_return(&eval->ruler);
   }

@@ -28,6 +28,7 @@ struct eval_job {
   uint8_t *reply;      /* [layout.payload_bytes], payload of the current part */
   uint64_t part_radii; /* radii in each part except the last */
   uint32_t part;       /* number of the current part, from 0 */
+  uint8_t *head;       /* albedos and errors of a first part that is not the last; else NULL */
   uint32_t part_count;
   uint64_t first; /* position in the request of the current part's first radius */
   uint64_t count; /* how many radii the current part has */

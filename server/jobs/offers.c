@@ -123,6 +123,7 @@ static enum job_outcome start(struct job *job, const struct job_request *request
     return job_refuse(job, error);
   }
   offers->eval.repeated = NULL;
+  offers->eval.head = NULL;
   job_init_lookup(job, &offers->eval.ruler, request);
   job_init_lookup(job, &offers->eval.lookup, request);
   offers->medium = 0;

@@ -42,7 +42,7 @@ def tiny():
 @pytest.fixture(scope="module")
 def small():
     """Returns a daemon whose frames hold more than its parts."""
-    one = Daemon("--max-frame-bytes", "131072", "--max-part-bytes", "65536")
+    one = Daemon("--max-frame-bytes", "131072", "--max-part-bytes", "81920")
     yield one
     one.close()
 
