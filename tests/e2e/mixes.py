@@ -10,7 +10,7 @@ from lists import (
     DIPOLES, MODELS, MOMENTS, PARAMETERS, QUANTITIES, Moments, everywhere, needs, takes_media,
 )
 
-ALL_QUANTITIES = sum(QUANTITIES.values())
+ALL_QUANTITIES = sum(QUANTITIES.values()) - QUANTITIES["model_errors"]  # which solves media
 DERIVATIVES = QUANTITIES["dlnR_dln_sigma_a"] | QUANTITIES["dlnR_dln_sigma_s"]
 # Only the cheapest models are evaluated at this many radii: such requests do not test the models.
 MANY_RADII = 2000

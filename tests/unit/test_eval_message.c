@@ -168,13 +168,14 @@ UNIT_TEST(parameters_are_taken_apart) {
 
 /* ---- replies ------------------------------------------------------------------------------ */
 
-enum { ALL_QUANTITIES = 8191 };
+enum { ALL_QUANTITIES = 16383 };
 
 /* The quantities that have an array for each channel, in the order of the arrays. */
 static const enum core_quantity order[] = {
-    CORE_QUANTITY_R,          CORE_QUANTITY_CDF,       CORE_QUANTITY_SLOPE, CORE_QUANTITY_LN_R,
-    CORE_QUANTITY_PDF,        CORE_QUANTITY_RING,      CORE_QUANTITY_S,     CORE_QUANTITY_TRANSFER,
-    CORE_QUANTITY_BY_SIGMA_A, CORE_QUANTITY_BY_SIGMA_S};
+    CORE_QUANTITY_R,          CORE_QUANTITY_CDF,         CORE_QUANTITY_SLOPE,
+    CORE_QUANTITY_LN_R,       CORE_QUANTITY_PDF,         CORE_QUANTITY_RING,
+    CORE_QUANTITY_S,          CORE_QUANTITY_TRANSFER,    CORE_QUANTITY_BY_SIGMA_A,
+    CORE_QUANTITY_BY_SIGMA_S, CORE_QUANTITY_MODEL_ERRORS};
 enum { ORDER = sizeof order / sizeof order[0] };
 
 static bool has(unsigned wanted, enum core_quantity quantity) {
