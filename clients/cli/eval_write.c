@@ -166,12 +166,12 @@ static void put_errors_as(cli_rows *rows, const cli_eval_report *report,
 static void put_errors(cli_rows *rows, const cli_eval_report *report, const cli_eval_values *values,
                        double r_mm) {
   const cli_quantities *quantities = &report->quantities;
-  const unsigned beside = DIPOLE_ALBEDO | DIPOLE_RADIUS;
+  const unsigned beside = DIPOLE_ALBEDO | DIPOLE_RADIUS | DIPOLE_MODEL_ERRORS;
   const bool several = __builtin_popcount(quantities->wanted & ~beside) > 1;
   put_errors_as(rows, report, &values->errors, r_mm, several ? CLI_IN_CSV | CLI_IN_JSON : 0,
                 quantities->wanted, "");
   for (size_t q = 0; several && q < quantities->count; q++) {
-    if ((quantities->items[q]->id & DIPOLE_RADIUS) == 0) {
+    if ((quantities->items[q]->id & (DIPOLE_RADIUS | DIPOLE_MODEL_ERRORS)) == 0) {
       put_errors_as(rows, report, &values->of_each[q], r_mm, 0, quantities->items[q]->id,
                     quantities->items[q]->name);
     }

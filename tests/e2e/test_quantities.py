@@ -106,7 +106,7 @@ def test_derivatives_on_the_command_line(client):
     for name in BY:
         assert [float(row[name]) for row in rows] == list(getattr(answer, name)[0])
         assert [row[name] for row in report] == list(getattr(answer, name)[0])
-    for wanted, kind in (("R", "relative"), (BY[0], "absolute"), ("R," + BY[1], "relative, of log")):
+    for wanted, kind in (("R", "relative"), (BY[0], "absolute"), ("R," + BY[1], "relative")):
         shown = dipole("eval", *arguments, "--wanted", wanted).stdout
         assert f" {kind}" in shown and ("absolute" in shown) == (wanted != "R")
     row = "sigma_a,sigma_s,g,eta,r\n0.1,1,0,1.4,2\n"
