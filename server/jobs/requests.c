@@ -250,7 +250,7 @@ uint64_t requests_deadline_ms(const struct requests *r) {
   uint64_t first_ms = waits ? r->run.deadline_ms : 0;
   const struct detached *one;
   TAILQ_FOREACH(one, &r->detached, in_requests) {
-    const uint64_t at_ms = one->run.deadline_ms;
+    const uint64_t at_ms = one->run.state != RUN_IDLE ? one->run.deadline_ms : 0;
     first_ms = at_ms != 0 && (first_ms == 0 || at_ms < first_ms) ? at_ms : first_ms;
   }
   return first_ms;

@@ -249,13 +249,14 @@ static void on_deadline(uv_timer_t *timer) {
   for_each(worker, tell_deadline);
 }
 
+/* A timer of 0 ms that is set in the call of a timer is called again before libuv polls. */
 void worker_wake_at(struct worker *worker, uint64_t at_ms) {
   if (worker->wake_ms != 0 && worker->wake_ms <= at_ms) {
     return;
   }
   const uint64_t now_ms = uv_now(&worker->loop);
   worker->wake_ms = at_ms;
-  uv_timer_start(&worker->deadline, on_deadline, at_ms > now_ms ? at_ms - now_ms : 0, 0);
+  uv_timer_start(&worker->deadline, on_deadline, at_ms > now_ms ? at_ms - now_ms : 1, 0);
 }
 
 static uint64_t least(uint64_t a, uint64_t b) {

@@ -16,10 +16,11 @@ import pytest
 from daemons import Daemon, eventually, sanitized
 from dipole import Points, gathering, wire
 from frames import (
-    F64, SKIN, SPECTRALON, ask, assert_daemon_serves, assert_error, assert_serves, frame,
-    media_bytes, statistics,
+    EVAL, F64, SKIN, SPECTRALON, ask, assert_daemon_serves, assert_error, assert_serves,
+    eval_payload, frame, media_bytes, statistics,
 )
 from lists import MODELS
+from modbus_master import SLOW
 from test_same_bits import HAS
 
 POINTS = wire.MESSAGES["points"]
@@ -475,6 +476,26 @@ def test_deadline(shared):
     with shared.client() as client, pytest.raises(dipole.Refused) as refused:
         client.gather("better", [SKIN], points, positions(500_000), tolerance=1e-6, deadline_ms=1)
     assert refused.value.status == "deadline"
+
+
+def test_a_late_gather_whose_answer_waits_for_an_eval(daemon):
+    """The eval before it in the output has its part open until its profile is prepared. The worker
+    serves others meanwhile."""
+    one = daemon("--workers", "1")
+    points = scene(20_000)
+    late = gather_payload(points, queries=positions(40_000), tolerance=0.0)
+    with one.connect() as connection, one.connect() as other:
+        other.set_timeout_s(30.0)
+        connection.set_timeout_s(30.0)
+        send(connection, points)
+        for i in range(5):
+            slow = eval_payload([(0.0333 + i / 1e4, 0.74, 0.0, 1.3)], [1.0], **SLOW)
+            connection.send_bytes(frame(GATHER, 9, late, 1) + frame(EVAL, 5, slow))
+            assert_serves(other)
+            replies = [connection.receive_frame() for _ in range(2)]
+            by_id = {reply.request_id: reply for reply in replies}
+            assert_error(by_id[9], "deadline", "deadline_ms", "more", request_id=9)
+            assert by_id[5].type == EVAL | wire.REPLY
 
 
 def test_a_client_leaves_in_the_midst(daemon):
