@@ -57,7 +57,7 @@ struct job_context {
   struct batch batch;     /* short requests whose values batch_finish() writes */
   struct repeat repeat;   /* requests that later ones may repeat */
   uint64_t owed_radii;    /* work that all running jobs still have to do, in radii of a dipole */
-  LIST_HEAD(, job) large; /* the running large jobs: at most one of each client */
+  LIST_HEAD(, job) large; /* the running large jobs: at most two of each client */
   double radii[JOB_SLICE_RADII];  /* scratch for a slice's radii, if the reply does not hold them */
   double numbers[JOB_DRAW_RADII]; /* scratch for a slice's random numbers */
 };

@@ -17,6 +17,7 @@ struct detached {
   uint64_t arrived_ns;
   struct input_block block; /* the frame */
   struct run run;
+  bool waits;   /* for its start, as another one of its kind is under way */
   bool refused; /* after the run: whether it ended with this */
   wire_error refusal;
 };
@@ -95,6 +96,10 @@ static void wake(void *owner) {
   r->wake(r->owner);
 }
 
+static uint64_t deadline_of(const wire_header *header, uint64_t arrived_ns) {
+  return header->deadline_ms > 0 ? arrived_ns / 1000000 + header->deadline_ms : 0;
+}
+
 /* ---- detached requests ----------------------------------------------------------------------- */
 
 /* The refusal is written later: another request may have a part open in the output. */
@@ -122,10 +127,16 @@ static struct detached *detach(struct requests *r) {
   }
   detached->header = r->header;
   detached->arrived_ns = r->arrived_ns;
+  detached->waits = true;
   run_init(&detached->run, &detached_sink, r);
+  detached->run.deadline_ms = deadline_of(&r->header, r->arrived_ns);
   r->detached_count++;
   r->detached_bytes += r->header.payload_bytes;
   return detached;
+}
+
+static bool has_ended(const struct detached *detached) {
+  return !detached->waits && detached->run.state == RUN_IDLE;
 }
 
 static void remove_detached(struct requests *r, struct detached *detached) {
@@ -149,7 +160,7 @@ bool requests_stop_detached(struct requests *r, enum job_stop why) {
   struct detached *detached;
   TAILQ_FOREACH(detached, &r->detached, in_requests) {
     struct job *job = detached->run.job;
-    if (job->kind->stop != NULL && detached->run.state != RUN_IDLE) {
+    if (detached->run.state != RUN_IDLE && job->kind->stop != NULL) {
       job->kind->stop(job, why);
     }
   }
@@ -165,17 +176,43 @@ static bool cancel(void *canceller, uint64_t request_id) {
   struct detached *one;
   TAILQ_FOREACH(one, &r->detached, in_requests) {
     struct job *job = one->run.job;
-    if (one->header.request_id != request_id || one->run.state == RUN_IDLE) {
+    if (one->header.request_id != request_id || has_ended(one)) {
       continue;
     }
     found = true;
-    if (job->kind->stop != NULL) {
+    if (!one->waits && job->kind->stop != NULL) {
       job->kind->stop(job, JOB_CANCELLED);
     } else {
+      one->waits = false;
       run_give_up(&one->run, &error);
     }
   }
   return found;
+}
+
+static void start(struct requests *r, struct run *run, const wire_header *header,
+                  const uint8_t *payload, uint64_t arrived_ns) {
+  struct job_request request = {.header = header,
+                                .payload = payload,
+                                .context = r->context,
+                                .profiles = r->profiles,
+                                .points = &r->points,
+                                .cancel = cancel,
+                                .canceller = r};
+  run_start(run, &request, deadline_of(header, arrived_ns));
+}
+
+static void begin_detached(struct requests *r, struct detached *one) {
+  one->waits = false;
+  start(r, &one->run, &one->header, one->block.payload, one->arrived_ns);
+}
+
+static bool expire_detached(struct requests *r, struct detached *one) {
+  if (one->waits && run_is_late(&one->run, r->context)) {
+    begin_detached(r, one); /* which refuses it */
+    return true;
+  }
+  return run_expire(&one->run);
 }
 
 /* Begins the parts that wait for room, and answers the requests that have ended. Returns whether there
@@ -186,10 +223,15 @@ static bool write_detached(struct requests *r) {
   for (struct detached *one = TAILQ_FIRST(&r->detached); one != NULL; one = next) {
     uint64_t budget = 1;
     next = TAILQ_NEXT(one, in_requests);
-    if (one->run.state == RUN_HAS_PART && !output_is_full(r->output)) {
-      run_step(&one->run, &budget);
+    if (one->run.state == RUN_HAS_PART) {
+      job_resume(one->run.job);
+      if (!output_is_full(r->output)) {
+        run_step(&one->run, &budget);
+      }
     }
-    if (one->run.state == RUN_IDLE) {
+    if (one->run.state == RUN_HAS_PART) {
+      job_rest(one->run.job);
+    } else if (has_ended(one)) {
       answer(r, &one->header, one->arrived_ns, one->run.latency,
              one->refused ? &one->refusal : NULL);
       remove_detached(r, one);
@@ -201,14 +243,18 @@ static bool write_detached(struct requests *r) {
 
 bool requests_step_detached(struct requests *r, uint64_t *budget) {
   bool more = false;
+  bool under_way = false; /* a job that does its own work, and holds memory for it */
   struct detached *one;
   TAILQ_FOREACH(one, &r->detached, in_requests) {
     struct run *run = &one->run;
-    run_expire(run);
+    if (!expire_detached(r, one) && one->waits && !under_way) {
+      begin_detached(r, one);
+    }
     while (run->state == RUN_GOES_ON && *budget > 0) {
       run->job->reader_idle = r->output->ready_bytes == 0;
       run_step(run, budget);
     }
+    under_way |= run->state != RUN_IDLE && run->job->kind->stop == NULL;
   }
   if (!r->run.part_open && r->detached_count > 0) {
     more = write_detached(r);
@@ -250,7 +296,7 @@ uint64_t requests_deadline_ms(const struct requests *r) {
   uint64_t first_ms = waits ? r->run.deadline_ms : 0;
   const struct detached *one;
   TAILQ_FOREACH(one, &r->detached, in_requests) {
-    const uint64_t at_ms = one->run.state != RUN_IDLE ? one->run.deadline_ms : 0;
+    const uint64_t at_ms = has_ended(one) ? 0 : one->run.deadline_ms;
     first_ms = at_ms != 0 && (first_ms == 0 || at_ms < first_ms) ? at_ms : first_ms;
   }
   return first_ms;
@@ -261,7 +307,7 @@ bool requests_expire(struct requests *r) {
   bool any = waits && run_expire(&r->run);
   struct detached *one;
   TAILQ_FOREACH(one, &r->detached, in_requests) {
-    any |= run_expire(&one->run);
+    any |= expire_detached(r, one);
   }
   return any;
 }
@@ -310,34 +356,19 @@ static void refuse(struct requests *r, wire_error error) {
   end_frame(r, &error);
 }
 
-static void start(struct requests *r, struct run *run, const wire_header *header,
-                  const uint8_t *payload) {
-  struct job_request request = {.header = header,
-                                .payload = payload,
-                                .context = r->context,
-                                .profiles = r->profiles,
-                                .points = &r->points,
-                                .cancel = cancel,
-                                .canceller = r};
-  run_start(run, &request,
-            header->deadline_ms > 0 ? r->arrived_ns / 1000000 + header->deadline_ms : 0);
-}
-
-/* Starts a request that leaves the input. Those that threads of their own work on come first: their
- * steps cost nothing. */
+/* Starts a request that leaves the input, or lets it wait for its turn. Those that threads of their own
+ * work on come first and start at once: their steps cost nothing. */
 static void start_detached(struct requests *r, const struct job_kind *kind) {
   struct detached *one = detach(r);
   if (one == NULL) {
     refuse(r, job_busy());
-    return;
-  }
-  if (kind->stop != NULL) {
-    TAILQ_INSERT_HEAD(&r->detached, one, in_requests);
-  } else {
+  } else if (kind->stop == NULL) {
     TAILQ_INSERT_TAIL(&r->detached, one, in_requests);
+  } else {
+    TAILQ_INSERT_HEAD(&r->detached, one, in_requests);
+    begin_detached(r, one);
+    one->run.deadline_ms = 0; /* which limits the start */
   }
-  start(r, &one->run, &one->header, one->block.payload);
-  one->run.deadline_ms = kind->stop != NULL ? 0 : one->run.deadline_ms; /* a limit for the start */
 }
 
 /* Starts the request whose header is r->header. */
@@ -349,7 +380,7 @@ static void take(struct requests *r, const struct job_kind *kind, const uint8_t 
   } else if (kind != NULL && kind->detached) {
     start_detached(r, kind);
   } else {
-    start(r, &r->run, &r->header, payload);
+    start(r, &r->run, &r->header, payload, r->arrived_ns);
   }
 }
 

@@ -38,7 +38,7 @@ void run_give_up(struct run *run, const wire_error *refusal) {
   finish(run, refusal);
 }
 
-static bool is_late(const struct run *run, const struct job_context *context) {
+bool run_is_late(const struct run *run, const struct job_context *context) {
   return run->deadline_ms != 0 && uv_now(context->loop) >= run->deadline_ms;
 }
 
@@ -48,7 +48,7 @@ static wire_error late(void) {
 }
 
 bool run_expire(struct run *run) {
-  if (run->state == RUN_IDLE || !is_late(run, run->job->context)) {
+  if (run->state == RUN_IDLE || !run_is_late(run, run->job->context)) {
     return false;
   }
   const wire_error error = late();
@@ -126,8 +126,9 @@ void run_start(struct run *run, struct job_request *request, uint64_t deadline_m
   run->deadline_ms = deadline_ms;
   request->on_ready = on_ready;
   request->owner = run;
-  const enum job_outcome outcome = is_late(run, request->context) ? job_refuse(run->job, late())
-                                                                  : job_start(&run->slot, request);
+  const enum job_outcome outcome = run_is_late(run, request->context)
+                                       ? job_refuse(run->job, late())
+                                       : job_start(&run->slot, request);
   if (outcome != JOB_REFUSED) {
     follow(run, outcome);
     return;

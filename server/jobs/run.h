@@ -55,6 +55,9 @@ void run_on(struct run *run, uint64_t *budget);
 /* Ends the job with a refusal. */
 void run_give_up(struct run *run, const wire_error *refusal);
 
+/* Returns whether there is a deadline that has passed, also before the start. */
+bool run_is_late(const struct run *run, const struct job_context *context);
+
 /* If the deadline has passed, ends the job with DEADLINE and returns true. */
 bool run_expire(struct run *run);
 

@@ -16,7 +16,7 @@ import pytest
 from daemons import Daemon, eventually, sanitized
 from dipole import Points, gathering, wire
 from frames import (
-    EVAL, F64, SKIN, SPECTRALON, ask, assert_daemon_serves, assert_error, assert_serves,
+    EVAL, F64, SKIN, SPECTRALON, R, ask, assert_daemon_serves, assert_error, assert_serves,
     eval_payload, frame, media_bytes, statistics,
 )
 from lists import MODELS
@@ -534,6 +534,52 @@ def test_small_requests_are_answered_beside_a_large_sum(daemon):
             parts.append(large.receive_frame())
             fixed = wire.GATHER_REPLY.unpack(parts[-1].payload)
         assert len(parts) >= 3 and answered == 100
+
+
+def test_gathers_of_a_connection_wait_without_memory_of_their_own(daemon):
+    """A gather that is under way takes 1.7 MB. All are answered where there is room for few."""
+    one = daemon("--workers", "1", "--max-total-bytes", str(12 << 20))
+    points = scene(2000)
+    with one.connect() as connection:
+        send(connection, points)
+        payload = gather_payload(points, queries=positions(1000), tolerance=0.0)
+        for request_id in range(40):
+            connection.send_bytes(frame(GATHER, request_id, payload))
+        late = [frame(GATHER, 100 + i, payload, 1) for i in range(3)]
+        connection.send_bytes(b"".join(late))
+        replies = {reply.request_id: reply for reply in (connection.receive_frame() for _ in range(43))}
+        assert {replies[i].type for i in range(40)} == {GATHER | wire.REPLY}
+        for i in range(100, 103):
+            assert_error(replies[i], "deadline", "deadline_ms", "more", request_id=i)
+
+
+def test_gathers_whose_readers_have_stopped_refuse_nobody(daemon):
+    """Sixteen that go on would delay the eval by max_backlog_ms, as far as they count."""
+    one = daemon(
+        "--workers", "1", "--max-backlog-ms", "20", "--max-queued-bytes", "4096",
+        "--max-part-bytes", "16384",
+    )  # fmt: skip
+    points = scene(100)
+    payload = gather_payload(points, queries=positions(60_000), tolerance=0.0)
+    stopped = [one.connect() for _ in range(16)]
+    try:
+        for connection in stopped:
+            send(connection, points)
+        for connection in stopped:
+            connection.send_bytes(frame(GATHER, 1, payload))
+        with one.connect() as watcher:
+            assert eventually(lambda: statistics(watcher)["queries_gathered"] > 16 * 20_000)
+            large = eval_payload(radii=np.linspace(0.1, 9.0, 1_000_000), wanted=R)
+            assert eventually(lambda: ask(watcher, EVAL, large).type == EVAL | wire.REPLY)
+            assert statistics(watcher)["queries_gathered"] < 16 * 55_000
+        for connection in stopped:
+            while True:
+                fixed = wire.GATHER_REPLY.unpack(connection.receive_frame().payload)
+                if fixed.part + 1 == fixed.part_count:
+                    break
+    finally:
+        for connection in stopped:
+            connection.close()
 
 
 # ---- faults --------------------------------------------------------------------------------------
