@@ -434,9 +434,12 @@ bool requests_step(struct requests *r, uint64_t *budget) {
   bool more = false;
   if (r->run.state != RUN_IDLE) {
     more = step_run(r, budget);
-  } else if (!r->ended && !output_is_full(r->output)) {
-    *budget -= *budget < JOB_STEP_RADII ? *budget : JOB_STEP_RADII;
-    more = take_frame(r);
+  } else if (!r->ended) {
+    write_detached(r); /* before the next frame may have a part open */
+    if (!output_is_full(r->output)) {
+      *budget -= *budget < JOB_STEP_RADII ? *budget : JOB_STEP_RADII;
+      more = take_frame(r);
+    }
   }
   return more && !r->no_room;
 }

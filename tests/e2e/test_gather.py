@@ -582,6 +582,21 @@ def test_gathers_whose_readers_have_stopped_refuse_nobody(daemon):
             connection.close()
 
 
+def test_a_gather_is_answered_between_evals_that_wait(daemon):
+    one = daemon("--workers", "1")
+    points = scene(100)
+    with one.connect() as connection:
+        send(connection, points)
+        assert ask(connection, GATHER, gather_payload(points)).type == GATHER | wire.REPLY
+        slow = [eval_payload([(0.0343 + i / 1e4, 0.74, 0.0, 1.3)], [1.0], **SLOW) for i in range(4)]
+        connection.send_bytes(
+            frame(GATHER, 9, gather_payload(points))
+            + b"".join(frame(EVAL, i, payload) for i, payload in enumerate(slow))
+        )
+        order = [connection.receive_frame().request_id for _ in range(5)]
+        assert sorted(order) == [0, 1, 2, 3, 9] and order[-1] != 9
+
+
 # ---- faults --------------------------------------------------------------------------------------
 
 NAN, INF = float("nan"), float("inf")
