@@ -82,10 +82,6 @@ void batch_finish(struct batch *batch, struct stats *stats) {
   }
 }
 
-_Static_assert((int)REPEAT_REPLY_BYTES >= (int)WIRE_BYTES_eval_reply + (int)sizeof(double) +
-                                              10 * (int)WIRE_BYTES_quantity_error,
-               "all quantities that can_repeat() allows have room");
-
 /* ---- finding repeated requests --------------------------------------------------------------- */
 
 /* Returns the size of an eval request up to its radii, or 0 if it is a request that repeat_learn()
@@ -221,7 +217,7 @@ static bool can_repeat(const wire_eval_request *fixed, const eval_layout *layout
          (fixed->wanted & (CORE_QUANTITY_RADIUS | CORE_QUANTITY_S | CORE_QUANTITY_MODEL_ERROR |
                            CORE_QUANTITY_MODEL_ERRORS)) == 0 &&
          eval_request_bytes(1, fixed->parameter_count, 0) <= REPEAT_REQUEST_BYTES &&
-         profiles_at(place) != NULL;
+         layout->arrays_offset <= REPEAT_REPLY_BYTES && profiles_at(place) != NULL;
 }
 
 /* Returns the entry for a request: the one that already holds it, or else the one that is to be
