@@ -17,8 +17,9 @@ struct detached {
   uint64_t arrived_ns;
   struct input_block block; /* the frame */
   struct run run;
-  bool waits;   /* for its start, as another one of its kind is under way */
-  bool refused; /* after the run: whether it ended with this */
+  bool waits;    /* for its start, as another one of its kind is under way */
+  bool measured; /* whether its duration is a latency */
+  bool refused;  /* after the run: whether it ended with this */
   wire_error refusal;
 };
 
@@ -48,26 +49,25 @@ static uint8_t *begin_frame(struct output *output, unsigned type, uint64_t reque
 }
 
 bool requests_refuse(struct requests *r, uint64_t request_id, const wire_error *error) {
-  stats_count_answer(stats_of(r), error->status);
   health_note_refusal(r->context->server, error);
   uint8_t *at = begin_frame(r->output, WIRE_TYPE_ERROR, request_id, WIRE_BYTES_error);
   if (at == NULL) {
     return false;
   }
+  stats_count_answer(stats_of(r), error->status);
   wire_put_error(at, error);
   output_commit(r->output);
   return true;
 }
 
-/* Notes the end of a request. refusal: what is still to be written; NULL: all is. */
-static void answer(struct requests *r, const wire_header *header, uint64_t arrived_ns,
-                   enum latency_class latency, const wire_error *refusal) {
-  latency_note(r->context->latency, latency, arrived_ns);
+/* Notes the end of a request. refusal: what is still to be written; NULL: all is. Returns false if the
+ * output has no room for it. */
+static bool answer(struct requests *r, const wire_header *header, const wire_error *refusal) {
   if (refusal == NULL) {
     stats_count_answer(stats_of(r), WIRE_STATUS_OK);
-  } else {
-    r->no_room |= !requests_refuse(r, header->request_id, refusal);
+    return true;
   }
+  return requests_refuse(r, header->request_id, refusal);
 }
 
 /* ---- runs ------------------------------------------------------------------------------------ */
@@ -127,7 +127,7 @@ static struct detached *detach(struct requests *r) {
   }
   detached->header = r->header;
   detached->arrived_ns = r->arrived_ns;
-  detached->waits = true;
+  detached->waits = detached->measured = true;
   run_init(&detached->run, &detached_sink, r);
   detached->run.deadline_ms = deadline_of(&r->header, r->arrived_ns);
   r->detached_count++;
@@ -215,8 +215,8 @@ static bool expire_detached(struct requests *r, struct detached *one) {
   return run_expire(&one->run);
 }
 
-/* Begins the parts that wait for room, and answers the requests that have ended. Returns whether there
- * were any of these. */
+/* Begins the parts that wait for room, and answers the requests that have ended, as far as there is
+ * room. Returns whether there were any of these. */
 static bool write_detached(struct requests *r) {
   bool any = false;
   struct detached *next;
@@ -231,9 +231,10 @@ static bool write_detached(struct requests *r) {
     }
     if (one->run.state == RUN_HAS_PART) {
       job_rest(one->run.job);
-    } else if (has_ended(one)) {
-      answer(r, &one->header, one->arrived_ns, one->run.latency,
-             one->refused ? &one->refusal : NULL);
+    } else if (has_ended(one) && answer(r, &one->header, one->refused ? &one->refusal : NULL)) {
+      if (one->measured) {
+        latency_note(r->context->latency, one->run.latency, one->arrived_ns);
+      }
       remove_detached(r, one);
       any = true;
     }
@@ -269,7 +270,8 @@ bool requests_step_detached(struct requests *r, uint64_t *budget) {
 
 /* Removes the request that has been dealt with from the input. */
 static void end_frame(struct requests *r, const wire_error *refusal) {
-  answer(r, &r->header, r->arrived_ns, r->run.latency, refusal);
+  latency_note(r->context->latency, r->run.latency, r->arrived_ns);
+  r->no_room = !answer(r, &r->header, refusal);
   if (!r->no_room) {
     input_next(r->input, &r->header);
   }
@@ -368,6 +370,7 @@ static void start_detached(struct requests *r, const struct job_kind *kind) {
     TAILQ_INSERT_HEAD(&r->detached, one, in_requests);
     begin_detached(r, one);
     one->run.deadline_ms = 0; /* which limits the start */
+    one->measured = has_ended(one);
   }
 }
 

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import struct
 import time
 
+import dipole
 import pytest
 from daemons import eventually
-from dipole import Connection
+from dipole import Connection, wire
 from frames import (
     BETTER, CLASSICAL, EVAL, F32, HELLO, MEDIA, PING, R, SKIN, ask, eval_payload, frame,
 )
 from lists import MODELS
 
 KINDS = ["eval_short", "eval_long", "other", "refused"]
-PART, PART_AT = struct.Struct("<II"), 32  # the fields part and part_count of an eval_reply
 QUANTILES = ["p50", "p90", "p99", "p999", "max"]
 
 # Requests, and the class in which their latency is counted. An eval of 128 radii is short.
@@ -97,16 +96,30 @@ def test_a_slow_answer_is_slow(daemon):
     with daemon().client() as client, client_connection(client) as connection:
         connection.send_bytes(frame(EVAL, 1, payload))
         asked = time.monotonic()
-        parts = 1
-        while parts > 0:
-            part, part_count = PART.unpack_from(connection.receive_frame().payload, PART_AT)
-            parts = part_count - 1 - part
+        fixed = wire.EVAL_REPLY.unpack(connection.receive_frame().payload)
+        while fixed.part + 1 < fixed.part_count:
+            fixed = wire.EVAL_REPLY.unpack(connection.receive_frame().payload)
         waited_us = (time.monotonic() - asked) * 1e6
         now = look_when(client, lambda now: now["latency_eval_long_count"] >= 1)
-    assert part_count > 10
+    assert fixed.part_count > 10
     assert now["latency_eval_long_count"] == 1
     # Both ends measure until the same moment, except for bytes that lie in the socket.
     assert waited_us / 2 - 20_000 < now["latency_eval_long_p50_us"] < waited_us + 20_000
+
+
+def test_the_duration_of_a_walk_is_no_latency(daemon):
+    """Only that of a refusal at the start is one."""
+    grid = dipole.Grid(0.1, 3.0, 8)
+    with daemon().client() as client:
+        before = client.statistics()
+        client.mc(SKIN, grid, photons=100_000)
+        with pytest.raises(dipole.Refused):
+            client.mc((-1.0, 1.0, 0.0, 1.3), grid, photons=100_000)
+        after = look_when(client, lambda now: total(now) >= total(before) + 2)
+    expected = latency_counts(before)
+    expected["refused"] += 1
+    expected["other"] += after["requests_statistics"] - before["requests_statistics"]
+    assert latency_counts(after) == expected
 
 
 def test_the_wait_for_the_last_byte_does_not_count(daemon):
