@@ -136,12 +136,15 @@ static void set_numerical_error(core_candidate *candidate, const core_choose_req
                                 double left) {
   const bool lut = candidate->evaluator == CORE_EVALUATOR_LUT;
   const double rounding = request->single && !lut ? ROUNDING_F32 : 0;
-  const double least = fmax(CORE_LUT_TOLERANCE_MIN, 2 * table_error(request));
+  const double of_table = table_error(request);
+  const double least = fmax(CORE_LUT_TOLERANCE_MIN, 2 * of_table);
   const double tolerance = fmin(fmax(left * BELOW, least), LOOSE);
   const double of_slope = slope_error(request);
   candidate->looked_up = true;
   candidate->numerical_tolerance = lut ? tolerance : (double)NAN;
-  candidate->numerical_error = lut ? fmax(tolerance, of_slope)
+  candidate->numerical_error = isinf(of_table) ? (double)INFINITY
+                               : lut
+                                   ? fmax(tolerance, of_slope)
                                    : rounding + fmax(table_error(request) + DBL_EPSILON, of_slope);
 }
 
@@ -154,7 +157,7 @@ static void set_numerical_error(core_candidate *candidate, const core_choose_req
 static void set_solved(core_candidate *candidate, const core_choose_request *request, double left) {
   const bool follows_R = (request->wanted & FOLLOWS_R) != 0;
   const bool of_cdf = (request->wanted & (ELEMENTWISE & ~FOLLOWS_R)) != 0;
-  bool near = of_cdf;
+  bool near = of_cdf || (request->wanted & (CORE_QUANTITY_PDF | CORE_QUANTITY_SLOPE)) != 0;
   double beyond = 0;
   for (size_t i = 0; i < request->media_count && follows_R; i++) {
     const core_medium taken = taken_of(request, i);

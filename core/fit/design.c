@@ -426,6 +426,9 @@ core_fault core_fit_create(core_fit **made, const core_isa *isa, const core_fit_
                  .ln_at = numbers + NUMBERS * count + nodes,
                  .weight = numbers + NUMBERS * count + 2 * nodes},
   };
+  if (fit->model.model == CORE_MODEL_TRANSPORT) {
+    fit->model.parameters.value[CORE_PARAMETER_TOLERANCE] = (double)NAN;
+  }
   fault = fill(fit, design);
   if (fault.field != NULL) {
     core_fit_free(fit);
