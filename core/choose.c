@@ -178,7 +178,8 @@ static void set_solved(core_candidate *candidate, const core_choose_request *req
     candidate->numerical_error = left;
   } else if (isinf(candidate->numerical_error)) {
     candidate->looked_up = false;
-    candidate->numerical_error = errors * (least + beyond) + rounding;
+    const double missed = request->tolerance * (1 + 1e-6); /* besides R's there are other errors */
+    candidate->numerical_error = fmax(errors * (least + beyond) + rounding, missed);
   }
 }
 

@@ -108,9 +108,9 @@ static double error_of_albedo(const core_profile *profile, const core_profile *t
  * more than CORE_RULER_RADII. */
 #define RULER_STEP 0.125
 
-/* Sets *least and *most to the radii above 0 between which all of the request lie. */
-static void find_ends(const core_asked_radii *asked, bool single, core_radii_range *ends) {
+void core_asked_ends(core_asked_radii *asked, bool single) {
   const core_grid *grid = &asked->grid;
+  core_radii_range *ends = &asked->ends;
   *ends = (core_radii_range){grid->start_mm, grid->stop_mm};
   if (asked->listed == NULL && !(grid->start_mm > 0)) {
     core_grid_radii_f64(grid, 1, 1, &ends->least_mm);
@@ -133,8 +133,7 @@ static size_t choose_radii(const core_asked_radii *asked, bool single, double *r
   core_grid grid = asked->grid;
   *between = grid.count > CORE_RULER_RADII;
   if (*between) {
-    core_radii_range ends;
-    find_ends(asked, single, &ends);
+    core_radii_range ends = asked->ends;
     ends.least_mm = fmax(ends.least_mm, CORE_GRID_LOG_MIN_MM);
     if (!(ends.least_mm < ends.most_mm)) { /* no other radius than one, 0 and infinity */
       *r = ends.most_mm;
@@ -194,7 +193,7 @@ double core_model_error(const core_profile *profile, const core_profile *transpo
   core_model_errors_at(profile, transport, gamma, wanted, n, r, error);
   for (size_t i = 0; i < n; i++) {
     if (isinf(error[i])) {
-      return (double)NAN;
+      return (double)INFINITY;
     }
     most = fmax(most, with_margin(error, n, i, between)); /* passes NANs over */
   }
@@ -202,7 +201,7 @@ double core_model_error(const core_profile *profile, const core_profile *transpo
   if (between && !(first_mm > 0)) { /* some quantities are finite at r = 0 */
     const double source = 0;
     core_model_errors_at(profile, transport, gamma, wanted, 1, &source, error);
-    most = isinf(error[0]) ? (double)NAN : fmax(most, error[0]);
+    most = fmax(most, error[0]);
   }
   return most;
 }
@@ -219,8 +218,10 @@ core_model_errors core_model_errors_measure(const core_profile *profile,
     const core_asked_radii band = {
         {CORE_SPACING_LOGARITHMIC, CORE_GRID_COUNT_MAX, edge[0] * mfp_mm, edge[1] * mfp_mm},
         NULL,
+        {edge[0] * mfp_mm, edge[1] * mfp_mm},
         {edge[0] * mfp_mm, edge[1] * mfp_mm}};
-    errors.error[i] = core_model_error(profile, transport, gamma, CORE_QUANTITY_R, &band);
+    const double error = core_model_error(profile, transport, gamma, CORE_QUANTITY_R, &band);
+    errors.error[i] = isinf(error) ? (double)NAN : error;
   }
   errors.error[CORE_MODEL_ERROR_BANDS] = error_of_albedo(profile, transport);
   return errors;

@@ -25,19 +25,24 @@ typedef struct core_asked_radii {
   core_grid grid;
   const void *listed;     /* NULL: the grid */
   core_radii_range range; /* as core_radii_check_f64() sets it */
+  core_radii_range ends; /* as core_asked_ends() sets it; of CORE_RULER_RADII or less it may be 0 */
 } core_asked_radii;
+
+/* Sets asked->ends to the radii above 0 and below infinity between which all others of the request
+ * lie. single: they are of single precision. */
+void core_asked_ends(core_asked_radii *asked, bool single);
 
 /* Sets error[n], n up to CORE_RULER_RADII, to how far the wanted quantities of a profile are from
  * those of the ruler at radii r[n] in mm, in the precision of the profile's evaluator: the largest
  * one, relative, but absolute for ln R and the cdf, and over the albedo for TRANSFER. It is NAN where
  * transport diverges, at r = 0, and if none of the quantities can be compared, as the derivatives of
  * ln R; and INFINITY where nothing is known of transport. transport, gamma: as in core_model_error();
- * without transport the errors are those that the model states itself. */
+ * without transport the errors are those that the model states itself, NAN if it states none. */
 void core_model_errors_at(const core_profile *profile, const core_profile *transport, double gamma,
                           unsigned wanted, size_t n, const double *r, double *error);
 
 /* Returns the largest of these errors at the finite radii of a request, and of the albedo if it is
- * wanted; NAN if it is not known. transport: the ruler, or NULL if it is not needed or not at hand.
+ * wanted; NAN if there is none, and INFINITY where nothing is known of transport. transport: the ruler, or NULL if it is not needed or not at hand.
  * gamma: the parameter, NAN if it is not given. Of more than CORE_RULER_RADII radii, some are
  * compared that are at most e^(1/8) apart (more over ranges of more than e^32). Between them the
  * error is taken to be smooth: a quarter of the second differences around is added, which is twice

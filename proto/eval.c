@@ -153,6 +153,12 @@ wire_quantity_error eval_largest_error(const uint8_t *payload, const eval_layout
     most.numerical_error_per_mm = fmax(most.numerical_error_per_mm, one.numerical_error_per_mm);
     most.model_error = fmax(most.model_error, one.model_error); /* passes NANs over */
   }
+  if ((wanted & CORE_QUANTITY_MODEL_ERROR) != 0) { /* NAN if that of one quantity is not known */
+    wire_quantity_error all;
+    wire_get_quantity_error(
+        payload + eval_error_offset(layout, wanted, channel, CORE_QUANTITY_MODEL_ERROR), &all);
+    most.model_error = all.model_error;
+  }
   return most;
 }
 

@@ -392,6 +392,10 @@ static double find_errors(solver_solution *of) {
   return worst;
 }
 
+/* The factor by which the next difference of grids falls is at least this much of the last one's. In
+ * 12 media it was 0.6 or more of it wherever another grid reached the tolerance. */
+#define GAIN_GROWS 0.6
+
 static core_fault solve(solver_solution **solution, const core_isa *isa, double sigma_a_ratio,
                         const solver_phase *phase, const expansion_boundaries *boundaries,
                         size_t first, size_t last, double tolerance, struct way way) {
@@ -416,8 +420,11 @@ static core_fault solve(solver_solution **solution, const core_isa *isa, double 
                           sine_of(boundaries, i), SINGLE_STEP);
     weigh_single(&made->single[i], phase);
   }
-  double worst = (double)INFINITY;
-  for (size_t level = first; level <= last && worst > tolerance && ok; level++) {
+  double worst = (double)INFINITY, expected = 0;
+  /* The finest grid, which takes three times as long as the one before, has to promise success. */
+  for (size_t level = first; level <= last && worst > tolerance && ok &&
+                             (level + 1 < SOLVER_LEVELS || expected <= tolerance);
+       level++) {
     free(made->grid[1].exitance);
     made->grid[1] = made->grid[0];
     made->grid[0] = (struct grid){.exitance = NULL};
@@ -426,7 +433,9 @@ static core_fault solve(solver_solution **solution, const core_isa *isa, double 
     made->floor = levels[level].floor;
     made->level = level;
     if (ok && level > first) {
+      const double before = worst;
       worst = fmax(find_errors(made), made->floor[1]);
+      expected = isinf(before) ? 0 : worst * fmin(1, GAIN_GROWS * worst / before);
     }
   }
   if (!ok) {

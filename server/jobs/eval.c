@@ -296,7 +296,9 @@ static uint64_t least_cost(const struct eval_job *eval) {
 /* Returns the radii for which the channel's model error is stated. */
 static core_asked_radii asked_radii(const struct eval_job *eval) {
   if (!is_sample(eval)) {
-    return (core_asked_radii){eval->grid, eval->request.radii, eval->radii};
+    core_asked_radii asked = {eval->grid, eval->request.radii, eval->radii, {0, 0}};
+    core_asked_ends(&asked, eval_job_value_bytes(eval) == sizeof(float));
+    return asked;
   }
   const core_profile *profile = &eval->lookup.profile;
   double ends[] = {DRAWN_BEYOND, 1 - DRAWN_BEYOND};
@@ -311,16 +313,16 @@ static core_asked_radii asked_radii(const struct eval_job *eval) {
   const core_grid one = {CORE_SPACING_LINEAR, 1, 0, 0}; /* nothing scatters: all radii are 0 */
   const core_grid many = {CORE_SPACING_LOGARITHMIC, CORE_GRID_COUNT_MAX, ends[0], ends[1]};
   const bool spread = ends[0] > 0 && ends[1] < (double)INFINITY;
-  return (core_asked_radii){spread ? many : one, NULL, {0, 0}};
+  return (core_asked_radii){spread ? many : one, NULL, {0, 0}, {ends[0], ends[1]}};
 }
 
-static double model_error(const struct eval_job *eval, unsigned wanted) {
+static double model_error(const struct eval_job *eval, unsigned wanted,
+                          const core_asked_radii *asked) {
   if ((eval->request.fixed.wanted & CORE_QUANTITY_MODEL_ERROR) == 0) {
     return (double)NAN;
   }
-  const core_asked_radii asked = asked_radii(eval);
   return core_model_error(&eval->lookup.profile, eval->ruler.ready ? &eval->ruler.profile : NULL,
-                          eval->request.parameters.value[CORE_PARAMETER_GAMMA], wanted, &asked);
+                          eval->request.parameters.value[CORE_PARAMETER_GAMMA], wanted, asked);
 }
 
 /* Where the albedos and errors begin, and their size. They are the same in each part. */
@@ -343,6 +345,12 @@ static void keep_head(struct eval_job *eval) {
   }
 }
 
+#define CANNOT_BE_COMPARED                                                                         \
+  (unsigned)(CORE_QUANTITY_RADIUS | CORE_QUANTITY_BY_SIGMA_A | CORE_QUANTITY_BY_SIGMA_S |          \
+             CORE_QUANTITY_MODEL_ERROR | CORE_QUANTITY_MODEL_ERRORS)
+#define NOT_DRAWN                                                                                  \
+  (unsigned)(CORE_QUANTITY_ALBEDO | CORE_QUANTITY_MODEL_ERROR | CORE_QUANTITY_MODEL_ERRORS)
+
 /* Writes the channel's albedo and the errors of its quantities. */
 static void start_channel(struct eval_job *eval) {
   const core_profile *profile = &eval->lookup.profile;
@@ -354,15 +362,26 @@ static void start_channel(struct eval_job *eval) {
   const unsigned listed = eval->request.fixed.wanted;
   const double albedo = (listed & CORE_QUANTITY_ALBEDO) != 0 ? profile->albedo : (double)NAN;
   memcpy(eval->reply + eval_albedo_offset(eval->channel), &albedo, sizeof albedo);
+  core_asked_radii asked = {.listed = NULL};
+  if ((listed & CORE_QUANTITY_MODEL_ERROR) != 0) {
+    asked = asked_radii(eval);
+  }
   double worst = (double)NAN;
+  bool is_known = true;
   for (unsigned left = listed; left != 0; left &= left - 1) {
     const unsigned quantity = left & ~(left - 1);
+    const bool is_drawn = is_sample(eval) && (quantity & NOT_DRAWN) == 0;
     /* A sample's values are as exact as the cdf that gives the radii. */
-    const unsigned with = quantity | (is_sample(eval) ? (unsigned)CORE_QUANTITY_CDF : 0);
+    const unsigned with = quantity | (is_drawn ? (unsigned)CORE_QUANTITY_CDF : 0);
     const core_stated_errors stated = core_profile_errors(profile, with, eval->radii);
-    const double off = quantity == CORE_QUANTITY_MODEL_ERROR ? worst : model_error(eval, with);
-    const wire_quantity_error error = {stated.numerical, stated.numerical_per_mm, off};
-    worst = fmax(worst, off); /* passes NANs over */
+    double off = model_error(eval, with, &asked);
+    /* One that cannot be compared does not count, but one that is not known hides the largest. */
+    is_known = is_known && !isinf(off) &&
+               !(isnan(off) && !eval->ruler.ready && (quantity & CANNOT_BE_COMPARED) == 0);
+    worst = fmax(worst, off);
+    off = quantity != CORE_QUANTITY_MODEL_ERROR ? off : is_known ? worst : (double)NAN;
+    const wire_quantity_error error = {stated.numerical, stated.numerical_per_mm,
+                                       isinf(off) ? (double)NAN : off};
     wire_put_quantity_error(
         eval->reply + eval_error_offset(&eval->layout, wanted, eval->channel, quantity), &error);
   }

@@ -740,9 +740,10 @@ static void check_model_errors(uint64_t *random) {
       const core_asked_radii asked = {
           {CORE_SPACING_LOGARITHMIC, CORE_GRID_COUNT_MAX, range.least_mm, range.most_mm},
           NULL,
+          range,
           range};
       const double stated = core_model_error(profile, &ruler, (double)NAN, wanted, &asked);
-      if (!isnan(stated)) {
+      if (isfinite(stated)) {
         const double off = deviation(profile, &solved, wanted, first, last);
         const double share =
             off / (stated + core_profile_errors(profile, wanted, range).numerical + 1e-6);

@@ -193,6 +193,16 @@ def test_negative_readings_count_and_nothing_is_biased(client):
     assert all_dark.status != "fitted"
 
 
+def test_a_tolerance_does_not_solve_media(client):
+    """The search looks media up, whatever tolerance is asked of transport."""
+    r = np.array([0.5, 1.0, 2.0, 4.0])
+    R = client.eval("transport", Medium(0.05, 10.0, 0.9, 1.3), r, wanted="R").R[0]
+    how = {"g": 0.9, "eta": 1.3}
+    found = client.fit("transport", r, R, 0.01 * R, parameters={"tolerance": 1e-4}, **how)
+    expected = client.fit("transport", r, R, 0.01 * R, **how)
+    assert found.sigma_a == pytest.approx(expected.sigma_a, rel=1e-9)
+
+
 def test_a_bound_is_no_success(client):
     """No medium that is tried absorbs as little."""
     R = client.eval("better", Medium(0.0, 1.0, 0.0, 1.4), AT_MM).R[0]

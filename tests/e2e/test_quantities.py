@@ -89,6 +89,19 @@ def test_derivatives_are_slopes_of_ln_R(client, model, evaluator):
     assert np.isnan(answer.model_error[0]) == (model != "transport")
 
 
+def test_each_quantity_has_errors_of_its_own(client):
+    """Those of R do not depend on what else is wanted. The largest model error is not known where one
+    of them is not."""
+    many = ["R", "cdf", "dR_dr", "dlnR_dln_sigma_a", "albedo"]
+    for model, r in (("better", [0.5, 2.0]), ("transport", [0.5, 2.0]), ("better", [1.0, 1e5])):
+        alone = client.eval(model, SKIN, r, wanted="R").errors["R"]
+        among = client.eval(model, SKIN, r, wanted=many)
+        np.testing.assert_equal(among.errors["R"], alone)
+        of_each = [among.errors[name].model_error[0] for name in many if "dln" not in name]
+        np.testing.assert_equal(among.model_error[0], np.max(of_each))
+        assert np.isnan(among.model_error[0]) == (r[-1] > 1e4)
+
+
 def test_media_without_derivatives_are_refused(client):
     with pytest.raises(Refused) as caught:
         client.eval("gaussians", Medium(0.1, 1.0), [1.0], wanted=BY)

@@ -144,6 +144,18 @@ def test_what_the_table_does_not_keep_is_solved(client):
     assert answer.R.tobytes() == client.eval("transport", beyond, radii, **how).R.tobytes()
 
 
+@pytest.mark.parametrize("evaluator", ["f64", None])
+def test_media_beyond_the_table_keep_it_too(client, evaluator):
+    """They are solved in either precision, or refused with the least error."""
+    medium = Medium(0.05, 95.0, 0.99, 1.4)
+    how = {"wanted": ["R"], "evaluator": evaluator}
+    answer = client.eval(None, medium, [1.0], tolerance=0.03, **how)
+    assert answer.model == "transport" and error_of(answer) <= 0.03
+    with pytest.raises(python_client.Refused) as caught:
+        client.eval(None, medium, [0.1, 1.0], tolerance=1e-4, **how)
+    assert caught.value.field == "tolerance" and "at least" in caught.value.allowed
+
+
 def test_a_tolerance_that_the_solver_misses_is_refused(client):
     narrow, how = [SKIN, (0.1, 33.0, 0.97, 1.4)], {"wanted": "R", "evaluator": "f64"}
     error = refusal(client, narrow, [0.02, 1.0], tolerance=2e-3, **how)

@@ -276,6 +276,8 @@ class _Evaluated:
     def model_error(self) -> Array:
         """[C]: the largest error of the model against transport at these radii, of all quantities;
         NaN if transport is not solved for the medium. `errors` has that of each quantity."""
+        if "model_error" in self.errors:  # NaN if that of one quantity is not known
+            return self.errors["model_error"].model_error
         worst: Array = np.fmax.reduce([one.model_error for one in self.errors.values()])
         return worst
 
