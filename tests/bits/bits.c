@@ -19,6 +19,9 @@
 
 enum { MEDIA = 61, RADII = 257 };
 
+/* Exit status where this machine lacks the instructions. */
+enum { NOT_HERE = 77 };
+
 /* Limits for models whose radii or preparation cost many times a dipole's, and for these only one
  * kind of moments. */
 enum { COSTLY = 4, COSTLY_MEDIA = 8, SLOW_MEDIA = 1, TABLES = 2, COSTLY_RADII = 37 };
@@ -195,6 +198,11 @@ static bool is_due(const core_choice *model, const core_choice *evaluator,
          (evaluator->id == CORE_EVALUATOR_F64 && needed);
 }
 
+/* Whether core_eval_f64() has a quantity: model errors are computed from two profiles. */
+static bool is_evaluated(unsigned quantity) {
+  return core_quantity_elementwise(quantity) && quantity != CORE_QUANTITY_MODEL_ERRORS;
+}
+
 /* Prints a checksum for each evaluator of transport with tissue's g, from the table of
  * solutions. */
 static void print_transport_with_g(const core_isa *isa) {
@@ -214,7 +222,7 @@ static void print_transport_with_g(const core_isa *isa) {
       sum = checksum(sum, profile.numerical_errors, sizeof profile.numerical_errors);
       sum = checksum(sum, profile.lut, profile.lut_count * sizeof *profile.lut);
       for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-        if (core_quantity_elementwise(quantity->id)) {
+        if (is_evaluated(quantity->id)) {
           sum = add_quantity(sum, &profile, quantity->id, &state);
         }
       }
@@ -405,7 +413,7 @@ int main(int argc, char **argv) {
   const core_isa *isa = core_isa_select(argc > 1 ? argv[1] : "portable");
   if (isa == NULL) {
     fprintf(stderr, "bits: this machine cannot run %s\n", argv[1]);
-    return EXIT_FAILURE;
+    return NOT_HERE;
   }
   static const unsigned varied[] = {CORE_MODEL_BETTER, CORE_MODEL_BURLEY, CORE_MODEL_TRANSPORT};
   for (size_t i = 0; i < sizeof varied / sizeof varied[0]; i++) {
@@ -421,7 +429,7 @@ int main(int argc, char **argv) {
           continue;
         }
         for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-          if (core_quantity_elementwise(quantity->id) && is_due(model, evaluator, quantity)) {
+          if (is_evaluated(quantity->id) && is_due(model, evaluator, quantity)) {
             print_group(isa, model, evaluator, moments, quantity);
           }
         }
