@@ -113,7 +113,10 @@ void core_asked_ends(core_asked_radii *asked, bool single) {
   core_radii_range *ends = &asked->ends;
   *ends = (core_radii_range){grid->start_mm, grid->stop_mm};
   if (asked->listed == NULL && !(grid->start_mm > 0)) {
-    core_grid_radii_f64(grid, 1, 1, &ends->least_mm);
+    *ends = (core_radii_range){(double)INFINITY, grid->stop_mm};
+    if (grid->count > 1) {
+      core_grid_radii_f64(grid, 1, 1, &ends->least_mm);
+    }
   }
   if (asked->listed != NULL) {
     *ends = (core_radii_range){(double)INFINITY, 0};

@@ -9,7 +9,7 @@ import io
 import numpy as np
 import pytest
 from command_line import Proxy, dipole, eval_json, eval_rows, points, read_csv
-from dipole import Medium, Refused, wire
+from dipole import Grid, Medium, Refused, wire
 from frames import SKIN, changed_choices
 
 WANTED = ("R", "albedo", "cdf", "dR_dr", "ln_R", "pdf")
@@ -100,6 +100,18 @@ def test_each_quantity_has_errors_of_its_own(client):
         of_each = [among.errors[name].model_error[0] for name in many if "dln" not in name]
         np.testing.assert_equal(among.model_error[0], np.max(of_each))
         assert np.isnan(among.model_error[0]) == (r[-1] > 1e4)
+
+
+@pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
+def test_errors_of_one_radius_and_of_none(client, evaluator):
+    """A grid of one radius, 0, has the errors of the list; without radii there is the albedo's."""
+    for model in ("better", "transport", "multipole"):
+        how = {"evaluator": evaluator, "parameters": {"thickness": 5.0} if model == "multipole" else None}
+        listed = client.eval(model, SKIN, [0.0], wanted=["R", "cdf", "albedo"], **how)
+        grid = client.eval(model, SKIN, grid=Grid(0.0, 0.0, 1), wanted=["R", "cdf", "albedo"], **how)
+        np.testing.assert_equal(grid.errors, listed.errors)
+        alone = client.eval(model, SKIN, wanted="albedo", **how)
+        np.testing.assert_equal(alone.errors["albedo"], listed.errors["albedo"])
 
 
 def test_media_without_derivatives_are_refused(client):
