@@ -254,7 +254,7 @@ static void with_every_isa(size_t model, unsigned evaluator, size_t medium, oper
 static void with_every_medium(size_t model, unsigned evaluator, pair_test *test, uint64_t *random) {
   for (size_t medium = 0; medium < MEDIA; medium++) {
     for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-      if (core_quantity_elementwise(quantity->id)) {
+      if (core_quantity_elementwise(quantity->id) && quantity->id != CORE_QUANTITY_MODEL_ERRORS) {
         const operation todo = {quantity->id, quantity->name};
         with_every_isa(model, evaluator, medium, todo, test, random);
       }
