@@ -10,7 +10,6 @@ import os
 import pickle
 import re
 import shutil
-import signal
 import socket
 import subprocess
 import sys
@@ -751,10 +750,14 @@ def test_an_interrupt_in_the_middle_of_a_frame(shared, method, number, after, re
 
 def test_an_interrupt_while_the_client_waits(shared, monkeypatch):
     """Nothing is lost then: the connection stays."""
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
     with shared.client() as client:
         waiting = client.submit("better", SKIN, [1.0])
         with monkeypatch.context() as patch:
-            patch.setattr(connections, "_poll", lambda *_: signal.raise_signal(signal.SIGINT))
+            patch.setattr(connections, "_poll", interrupted)
             with pytest.raises(KeyboardInterrupt):
                 client.collect(waiting)
         before = client._connection

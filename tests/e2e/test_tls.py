@@ -854,6 +854,8 @@ def test_stopping_ends_handshakes_and_answers_what_is_in_flight(farm, ours):
     with dipole.Client(farm.url("tls"), **ours, retry_s=0) as client:
         under_way = [client.submit("better", SKIN, RADII[:16]) for _ in range(50)]
         first = client.collect(under_way[0])[1]
+        with dipole.Client(farm.url("tls"), **ours) as other:  # The daemon has read them all.
+            assert eventually(lambda: other.statistics()["requests_eval"] >= 50)
         farm.terminate()
         assert (first.R == right).all()
         for one in under_way[1:]:
