@@ -143,9 +143,8 @@ static void set_numerical_error(core_candidate *candidate, const core_choose_req
   candidate->looked_up = true;
   candidate->numerical_tolerance = lut ? tolerance : (double)NAN;
   candidate->numerical_error = isinf(of_table) ? (double)INFINITY
-                               : lut
-                                   ? fmax(tolerance, of_slope)
-                                   : rounding + fmax(table_error(request) + DBL_EPSILON, of_slope);
+                               : lut           ? fmax(tolerance, of_slope)
+                                               : rounding + fmax(of_table + DBL_EPSILON, of_slope);
 }
 
 /* The error of the cdf and what comes of it, and that of dR/dr, in errors of R: see

@@ -59,15 +59,27 @@ static double off_by(enum core_quantity quantity, double value, double truth, do
                                                                          : 0;
 }
 
+/* Returns the largest error that the model states itself; NAN if nothing is compared, INFINITY if one
+ * of the errors is not known. */
+static double stated_error(const core_profile *profile, double gamma, unsigned wanted,
+                           core_radii_range radii) {
+  const core_model_errors errors =
+      core_model_errors_stated(profile->model, gamma, &profile->medium);
+  const unsigned at_radii = radii.least_mm <= radii.most_mm ? COMPARED | CORE_QUANTITY_S : 0;
+  double worst = errors.exact ? 0 : (double)NAN;
+  for (unsigned left = wanted & (at_radii | CORE_QUANTITY_ALBEDO); left != 0; left &= left - 1) {
+    const double error = core_model_errors_of(&errors, &profile->medium, left & ~(left - 1), radii);
+    worst = isnan(error) ? (double)INFINITY : fmax(worst, error);
+  }
+  return worst;
+}
+
 void core_model_errors_at(const core_profile *profile, const core_profile *transport, double gamma,
                           unsigned wanted, size_t n, const double *r, double *error) {
   assert(n <= CORE_RULER_RADII);
   if (transport == NULL) {
-    const core_model_errors errors =
-        core_model_errors_stated(profile->model, gamma, &profile->medium);
     for (size_t i = 0; i < n; i++) {
-      error[i] =
-          core_model_errors_of(&errors, &profile->medium, wanted, (core_radii_range){r[i], r[i]});
+      error[i] = stated_error(profile, gamma, wanted, (core_radii_range){r[i], r[i]});
     }
     return;
   }
@@ -182,9 +194,7 @@ static double with_margin(const double *error, size_t n, size_t i, bool between)
 double core_model_error(const core_profile *profile, const core_profile *transport, double gamma,
                         unsigned wanted, const core_asked_radii *asked) {
   if (transport == NULL) {
-    const core_model_errors errors =
-        core_model_errors_stated(profile->model, gamma, &profile->medium);
-    return core_model_errors_of(&errors, &profile->medium, wanted, asked->range);
+    return stated_error(profile, gamma, wanted, asked->range);
   }
   double r[CORE_RULER_RADII], error[CORE_RULER_RADII];
   double most =

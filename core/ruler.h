@@ -37,7 +37,7 @@ void core_asked_ends(core_asked_radii *asked, bool single);
  * one, relative, but absolute for ln R and the cdf, and over the albedo for TRANSFER. It is NAN where
  * transport diverges, at r = 0, and if none of the quantities can be compared, as the derivatives of
  * ln R; and INFINITY where nothing is known of transport. transport, gamma: as in core_model_error();
- * without transport the errors are those that the model states itself, NAN if it states none. */
+ * without transport the errors are those that the model states itself. */
 void core_model_errors_at(const core_profile *profile, const core_profile *transport, double gamma,
                           unsigned wanted, size_t n, const double *r, double *error);
 

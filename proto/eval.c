@@ -151,7 +151,6 @@ wire_quantity_error eval_largest_error(const uint8_t *payload, const eval_layout
                             &one);
     most.numerical_error = fmax(most.numerical_error, one.numerical_error);
     most.numerical_error_per_mm = fmax(most.numerical_error_per_mm, one.numerical_error_per_mm);
-    most.model_error = fmax(most.model_error, one.model_error); /* passes NANs over */
   }
   if ((wanted & CORE_QUANTITY_MODEL_ERROR) != 0) { /* NAN if that of one quantity is not known */
     wire_quantity_error all;

@@ -105,7 +105,7 @@ static bool describe_one(const char *name, FILE *file) {
 }
 
 /* Writes the tables of all names, with blank lines between. */
-static bool describe(const char *names, FILE *file) {
+static bool describe_tables(const char *names, FILE *file) {
   char name[32];
   int length;
   for (const char *at = names; sscanf(at, "%31s%n", name, &length) == 1; at += length) {
@@ -192,7 +192,7 @@ static int rewrite_blocks(const char *path) {
     }
     fprintf(file, "%.*s\n", (int)(lines - rest), rest);
     *lines = '\0';
-    known = describe(begin, file) && known;
+    known = describe_tables(begin, file) && known;
     rest = end + 1;
   }
   fputs(rest, file);

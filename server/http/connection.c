@@ -324,7 +324,7 @@ static const char *size_field(const struct http_connection *c) {
 }
 
 /* A reply is one part, up to max_part_bytes. */
-static uint8_t *reserve(void *owner, const struct job *job, wire_error *error) {
+static uint8_t *reserve_reply(void *owner, const struct job *job, wire_error *error) {
   struct http_connection *c = owner;
   if (c->reply.count > 0 || job->part_bytes > options_of(c)->max_part_bytes) {
     *error = too_large(c, size_field(c));
@@ -336,7 +336,7 @@ static uint8_t *reserve(void *owner, const struct job *job, wire_error *error) {
   return (uint8_t *)room;
 }
 
-static void wake(void *owner) {
+static void wake_connection(void *owner) {
   struct http_connection *c = owner;
   worker_run_later(&c->client);
 }
@@ -347,7 +347,7 @@ static void drop_points(struct http_connection *c) {
   c->points = NULL;
 }
 
-static void end(struct run *run, const wire_error *refusal) {
+static void end_run(struct run *run, const wire_error *refusal) {
   struct http_connection *c = run->owner;
   drop_points(c);
   c->error = refusal != NULL ? *refusal : wire_error_none();
@@ -355,7 +355,8 @@ static void end(struct run *run, const wire_error *refusal) {
   latency_note(worker_context(c->host->worker)->latency, run->latency, c->arrived_ns);
 }
 
-static const struct run_sink sink = {.reserve = reserve, .wake = wake, .end = end};
+static const struct run_sink sink = {
+    .reserve = reserve_reply, .wake = wake_connection, .end = end_run};
 
 /* Makes the worker give the job its next turn, or wake it at its deadline. */
 static void go_on(struct http_connection *c) {

@@ -345,11 +345,13 @@ static void keep_head(struct eval_job *eval) {
   }
 }
 
-#define CANNOT_BE_COMPARED                                                                         \
-  (unsigned)(CORE_QUANTITY_RADIUS | CORE_QUANTITY_BY_SIGMA_A | CORE_QUANTITY_BY_SIGMA_S |          \
-             CORE_QUANTITY_MODEL_ERROR | CORE_QUANTITY_MODEL_ERRORS)
 #define NOT_DRAWN                                                                                  \
   (unsigned)(CORE_QUANTITY_ALBEDO | CORE_QUANTITY_MODEL_ERROR | CORE_QUANTITY_MODEL_ERRORS)
+
+/* Returns a model error as replies have it: NAN if it is not known, which is INFINITY here. */
+static double as_told(double model_error) {
+  return isinf(model_error) ? (double)NAN : model_error;
+}
 
 /* Writes the channel's albedo and the errors of its quantities. */
 static void start_channel(struct eval_job *eval) {
@@ -366,22 +368,17 @@ static void start_channel(struct eval_job *eval) {
   if ((listed & CORE_QUANTITY_MODEL_ERROR) != 0) {
     asked = asked_radii(eval);
   }
-  double worst = (double)NAN;
-  bool is_known = true;
+  double worst = (double)NAN; /* passes those over that cannot be compared */
   for (unsigned left = listed; left != 0; left &= left - 1) {
     const unsigned quantity = left & ~(left - 1);
     const bool is_drawn = is_sample(eval) && (quantity & NOT_DRAWN) == 0;
     /* A sample's values are as exact as the cdf that gives the radii. */
     const unsigned with = quantity | (is_drawn ? (unsigned)CORE_QUANTITY_CDF : 0);
     const core_stated_errors stated = core_profile_errors(profile, with, eval->radii);
-    double off = model_error(eval, with, &asked);
-    /* One that cannot be compared does not count, but one that is not known hides the largest. */
-    is_known = is_known && !isinf(off) &&
-               !(isnan(off) && !eval->ruler.ready && (quantity & CANNOT_BE_COMPARED) == 0);
+    const double off =
+        quantity == CORE_QUANTITY_MODEL_ERROR ? worst : model_error(eval, with, &asked);
+    const wire_quantity_error error = {stated.numerical, stated.numerical_per_mm, as_told(off)};
     worst = fmax(worst, off);
-    off = quantity != CORE_QUANTITY_MODEL_ERROR ? off : is_known ? worst : (double)NAN;
-    const wire_quantity_error error = {stated.numerical, stated.numerical_per_mm,
-                                       isinf(off) ? (double)NAN : off};
     wire_put_quantity_error(
         eval->reply + eval_error_offset(&eval->layout, wanted, eval->channel, quantity), &error);
   }
@@ -485,7 +482,7 @@ void *eval_job_array(const struct eval_job *eval, enum core_quantity quantity) {
 }
 
 /* Writes the model errors at n radii. Single precision is rounded up. */
-static void compare(const struct eval_job *eval, size_t n, const void *r, void *to) {
+static void compare_models(const struct eval_job *eval, size_t n, const void *r, void *to) {
   const bool single = eval_job_value_bytes(eval) == sizeof(float);
   const unsigned others = CORE_QUANTITY_MODEL_ERRORS | CORE_QUANTITY_MODEL_ERROR |
                           CORE_QUANTITY_RADIUS | CORE_QUANTITY_ALBEDO;
@@ -501,9 +498,9 @@ static void compare(const struct eval_job *eval, size_t n, const void *r, void *
                          wanted != 0 ? wanted : (unsigned)CORE_QUANTITY_R, count, at, error);
     for (size_t i = 0; i < count; i++) {
       if (single) {
-        ((float *)to)[first + i] = (float)(error[i] * (1 + (double)FLT_EPSILON));
+        ((float *)to)[first + i] = (float)(as_told(error[i]) * (1 + (double)FLT_EPSILON));
       } else {
-        ((double *)to)[first + i] = error[i];
+        ((double *)to)[first + i] = as_told(error[i]);
       }
     }
   }
@@ -524,7 +521,7 @@ static void evaluate(struct eval_job *eval, size_t n) {
       continue;
     }
     if (quantity->id == CORE_QUANTITY_MODEL_ERRORS) {
-      compare(eval, n, r, to);
+      compare_models(eval, n, r, to);
     } else if (eval_job_value_bytes(eval) == sizeof(float)) {
       core_eval_f32(&eval->lookup.profile, quantity->id, n, r, to);
     } else {

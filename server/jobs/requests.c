@@ -62,7 +62,8 @@ bool requests_refuse(struct requests *r, uint64_t request_id, const wire_error *
 
 /* Notes the end of a request. refusal: what is still to be written; NULL: all is. Returns false if the
  * output has no room for it. */
-static bool answer(struct requests *r, const wire_header *header, const wire_error *refusal) {
+static bool answer_request(struct requests *r, const wire_header *header,
+                           const wire_error *refusal) {
   if (refusal == NULL) {
     stats_count_answer(stats_of(r), WIRE_STATUS_OK);
     return true;
@@ -72,7 +73,7 @@ static bool answer(struct requests *r, const wire_header *header, const wire_err
 
 /* ---- runs ------------------------------------------------------------------------------------ */
 
-static uint8_t *reserve(void *owner, const struct job *job, wire_error *error) {
+static uint8_t *reserve_part(void *owner, const struct job *job, wire_error *error) {
   const struct requests *r = owner;
   uint8_t *payload = begin_frame(r->output, job->header.type | WIRE_REPLY, job->header.request_id,
                                  (size_t)job->part_bytes);
@@ -82,7 +83,7 @@ static uint8_t *reserve(void *owner, const struct job *job, wire_error *error) {
   return payload;
 }
 
-static void commit(void *owner, bool last) {
+static void commit_part(void *owner, bool last) {
   (void)last;
   output_commit(((struct requests *)owner)->output);
 }
@@ -91,7 +92,7 @@ static void give_part_up(void *owner) {
   output_cancel(((struct requests *)owner)->output);
 }
 
-static void wake(void *owner) {
+static void wake_connection(void *owner) {
   const struct requests *r = owner;
   r->wake(r->owner);
 }
@@ -111,15 +112,15 @@ static void end_detached(struct run *run, const wire_error *refusal) {
   }
 }
 
-static const struct run_sink detached_sink = {.reserve = reserve,
-                                              .commit = commit,
+static const struct run_sink detached_sink = {.reserve = reserve_part,
+                                              .commit = commit_part,
                                               .cancel = give_part_up,
-                                              .wake = wake,
+                                              .wake = wake_connection,
                                               .end = end_detached,
                                               .waits_for_room = true};
 
 /* Moves the first frame out of the input. Returns NULL if there is no memory. */
-static struct detached *detach(struct requests *r) {
+static struct detached *detach_request(struct requests *r) {
   struct detached *detached = malloc(sizeof *detached);
   if (detached == NULL || !input_take(r->input, &r->header, &detached->block)) {
     free(detached);
@@ -168,7 +169,7 @@ bool requests_stop_detached(struct requests *r, enum job_stop why) {
 }
 
 /* Ends those requests that have this id. */
-static bool cancel(void *canceller, uint64_t request_id) {
+static bool cancel_requests(void *canceller, uint64_t request_id) {
   struct requests *r = canceller;
   const wire_error error =
       wire_error_make(WIRE_STATUS_CANCELLED, "job_id", "no cancel request that names it");
@@ -190,21 +191,21 @@ static bool cancel(void *canceller, uint64_t request_id) {
   return found;
 }
 
-static void start(struct requests *r, struct run *run, const wire_header *header,
-                  const uint8_t *payload, uint64_t arrived_ns) {
+static void start_request(struct requests *r, struct run *run, const wire_header *header,
+                          const uint8_t *payload, uint64_t arrived_ns) {
   struct job_request request = {.header = header,
                                 .payload = payload,
                                 .context = r->context,
                                 .profiles = r->profiles,
                                 .points = &r->points,
-                                .cancel = cancel,
+                                .cancel = cancel_requests,
                                 .canceller = r};
   run_start(run, &request, deadline_of(header, arrived_ns));
 }
 
 static void begin_detached(struct requests *r, struct detached *one) {
   one->waits = false;
-  start(r, &one->run, &one->header, one->block.payload, one->arrived_ns);
+  start_request(r, &one->run, &one->header, one->block.payload, one->arrived_ns);
 }
 
 static bool expire_detached(struct requests *r, struct detached *one) {
@@ -231,7 +232,8 @@ static bool write_detached(struct requests *r) {
     }
     if (one->run.state == RUN_HAS_PART) {
       job_rest(one->run.job);
-    } else if (has_ended(one) && answer(r, &one->header, one->refused ? &one->refusal : NULL)) {
+    } else if (has_ended(one) &&
+               answer_request(r, &one->header, one->refused ? &one->refusal : NULL)) {
       if (one->measured) {
         latency_note(r->context->latency, one->run.latency, one->arrived_ns);
       }
@@ -271,20 +273,23 @@ bool requests_step_detached(struct requests *r, uint64_t *budget) {
 /* Removes the request that has been dealt with from the input. */
 static void end_frame(struct requests *r, const wire_error *refusal) {
   latency_note(r->context->latency, r->run.latency, r->arrived_ns);
-  r->no_room = !answer(r, &r->header, refusal);
+  r->no_room = !answer_request(r, &r->header, refusal);
   if (!r->no_room) {
     input_next(r->input, &r->header);
   }
 }
 
-static void end(struct run *run, const wire_error *refusal) {
+static void end_in_turn(struct run *run, const wire_error *refusal) {
   end_frame(run->owner, refusal);
 }
 
 void requests_init(struct requests *requests, struct input *input, struct output *output,
                    void (*wake_owner)(void *owner), void *owner) {
-  static const struct run_sink sink = {
-      .reserve = reserve, .commit = commit, .cancel = give_part_up, .wake = wake, .end = end};
+  static const struct run_sink sink = {.reserve = reserve_part,
+                                       .commit = commit_part,
+                                       .cancel = give_part_up,
+                                       .wake = wake_connection,
+                                       .end = end_in_turn};
   *requests = (struct requests){
       .input = input, .output = output, .wake = wake_owner, .owner = owner, .roles = ROLE_ALL};
   TAILQ_INIT(&requests->detached);
@@ -353,7 +358,7 @@ static bool is_allowed(const struct requests *r, const struct job_kind *kind, wi
   return false;
 }
 
-static void refuse(struct requests *r, wire_error error) {
+static void refuse_request(struct requests *r, wire_error error) {
   r->run.latency = LATENCY_REFUSED;
   end_frame(r, &error);
 }
@@ -361,9 +366,9 @@ static void refuse(struct requests *r, wire_error error) {
 /* Starts a request that leaves the input, or lets it wait for its turn. Those that threads of their own
  * work on come first and start at once: their steps cost nothing. */
 static void start_detached(struct requests *r, const struct job_kind *kind) {
-  struct detached *one = detach(r);
+  struct detached *one = detach_request(r);
   if (one == NULL) {
-    refuse(r, job_busy());
+    refuse_request(r, job_busy());
   } else if (kind->stop == NULL) {
     TAILQ_INSERT_TAIL(&r->detached, one, in_requests);
   } else {
@@ -375,15 +380,15 @@ static void start_detached(struct requests *r, const struct job_kind *kind) {
 }
 
 /* Starts the request whose header is r->header. */
-static void take(struct requests *r, const struct job_kind *kind, const uint8_t *payload) {
+static void take_request(struct requests *r, const struct job_kind *kind, const uint8_t *payload) {
   wire_error error;
   stats_count_request(stats_of(r), r->header.type);
   if (!is_allowed(r, kind, &error)) {
-    refuse(r, error);
+    refuse_request(r, error);
   } else if (kind != NULL && kind->detached) {
     start_detached(r, kind);
   } else {
-    start(r, &r->run, &r->header, payload, r->arrived_ns);
+    start_request(r, &r->run, &r->header, payload, r->arrived_ns);
   }
 }
 
@@ -409,9 +414,9 @@ static bool take_frame(struct requests *r) {
   r->arrived_ns = input_arrival_ns(r->input, &r->header);
   r->taken++;
   if (outcome == INPUT_FRAME) {
-    take(r, kind, payload);
+    take_request(r, kind, payload);
   } else {
-    refuse(r, error);
+    refuse_request(r, error);
   }
   return true;
 }

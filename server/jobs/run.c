@@ -28,21 +28,21 @@ void run_drop(struct run *run) {
   run->state = RUN_IDLE;
 }
 
-static void finish(struct run *run, const wire_error *refusal) {
+static void finish_run(struct run *run, const wire_error *refusal) {
   run->latency = refusal != NULL ? LATENCY_REFUSED : run->job->latency;
   run_drop(run);
   run->sink->end(run, refusal);
 }
 
 void run_give_up(struct run *run, const wire_error *refusal) {
-  finish(run, refusal);
+  finish_run(run, refusal);
 }
 
 bool run_is_late(const struct run *run, const struct job_context *context) {
   return run->deadline_ms != 0 && uv_now(context->loop) >= run->deadline_ms;
 }
 
-static wire_error late(void) {
+static wire_error late_error(void) {
   return wire_error_make(WIRE_STATUS_DEADLINE, "deadline_ms",
                          "more milliseconds, or 0 for no limit");
 }
@@ -51,14 +51,14 @@ bool run_expire(struct run *run) {
   if (run->state == RUN_IDLE || !run_is_late(run, run->job->context)) {
     return false;
   }
-  const wire_error error = late();
-  finish(run, &error);
+  const wire_error error = late_error();
+  finish_run(run, &error);
   return true;
 }
 
 /* ---- steps ----------------------------------------------------------------------------------- */
 
-static void commit(struct run *run, bool last) {
+static void commit_part(struct run *run, bool last) {
   run->part_open = false;
   if (run->sink->commit != NULL) {
     run->sink->commit(run->owner, last);
@@ -74,21 +74,21 @@ static void begin_part(struct run *run) {
     return;
   }
   if (payload == NULL) { /* the reply ends with the parts that are complete */
-    finish(run, &error);
+    finish_run(run, &error);
     return;
   }
   run->part_open = true;
   run->state = RUN_GOES_ON;
   const bool done = job->kind->begin_part(job, payload) == JOB_DONE;
   if (done || job->kind->detached) {
-    commit(run, done);
+    commit_part(run, done);
   }
   if (done) {
-    finish(run, NULL);
+    finish_run(run, NULL);
   }
 }
 
-static void follow(struct run *run, enum job_outcome outcome) {
+static void follow_outcome(struct run *run, enum job_outcome outcome) {
   run->state = outcome == JOB_WAITS ? RUN_WAITS : RUN_GOES_ON;
   switch (outcome) {
   case JOB_GOES_ON:
@@ -97,7 +97,7 @@ static void follow(struct run *run, enum job_outcome outcome) {
   case JOB_NEXT_PART:
     if (run->part_open) {
       run->state = RUN_HAS_PART;
-      commit(run, false);
+      commit_part(run, false);
     } else if (run->sink->waits_for_room) {
       run->state = RUN_HAS_PART;
     } else {
@@ -105,11 +105,11 @@ static void follow(struct run *run, enum job_outcome outcome) {
     }
     return;
   case JOB_DONE:
-    commit(run, true);
-    finish(run, NULL);
+    commit_part(run, true);
+    finish_run(run, NULL);
     return;
   case JOB_REFUSED:
-    finish(run, &run->job->refusal);
+    finish_run(run, &run->job->refusal);
     return;
   }
 }
@@ -127,10 +127,10 @@ void run_start(struct run *run, struct job_request *request, uint64_t deadline_m
   request->on_ready = on_ready;
   request->owner = run;
   const enum job_outcome outcome = run_is_late(run, request->context)
-                                       ? job_refuse(run->job, late())
+                                       ? job_refuse(run->job, late_error())
                                        : job_start(&run->slot, request);
   if (outcome != JOB_REFUSED) {
-    follow(run, outcome);
+    follow_outcome(run, outcome);
     return;
   }
   run->latency = LATENCY_REFUSED;
@@ -144,7 +144,7 @@ void run_step(struct run *run, uint64_t *budget) {
   if (run->state == RUN_HAS_PART) {
     begin_part(run);
   } else {
-    follow(run, run->job->kind->step(run->job, budget));
+    follow_outcome(run, run->job->kind->step(run->job, budget));
   }
 }
 

@@ -85,7 +85,7 @@ static void enter(struct modbus_task *task, enum modbus_task_state state) {
   }
 }
 
-static uint8_t *reserve(void *owner, const struct job *job, wire_error *error) {
+static uint8_t *reserve_reply(void *owner, const struct job *job, wire_error *error) {
   struct modbus_task *task = owner;
   (void)error;
   assert(job->part_bytes <= MODBUS_REPLY_BYTES);
@@ -94,7 +94,7 @@ static uint8_t *reserve(void *owner, const struct job *job, wire_error *error) {
 }
 
 /* A part that is not the last one is a report of progress. */
-static void commit(void *owner, bool last) {
+static void commit_reply(void *owner, bool last) {
   struct modbus_task *task = owner;
   if (!last) {
     modbus_translate_reply(task->kind, task->question, task->reply, task->reply_bytes,
@@ -102,22 +102,22 @@ static void commit(void *owner, bool last) {
   }
 }
 
-static void wake(void *owner) {
+static void wake_task(void *owner) {
   enter(owner, MODBUS_TASK_RUNS);
 }
 
-static void end(struct run *run, const wire_error *refusal) {
+static void end_run(struct run *run, const wire_error *refusal) {
   struct modbus_task *task = run->owner;
   task->error = refusal != NULL ? *refusal : wire_error_none();
   health_note_refusal(task->queue->server, &task->error);
 }
 
 static const struct run_sink sink = {
-    .reserve = reserve, .commit = commit, .wake = wake, .end = end};
+    .reserve = reserve_reply, .commit = commit_reply, .wake = wake_task, .end = end_run};
 
 /* Runs the job until the budget is spent, the job waits, or it ends. Returns the reason why it has
  * failed, or OK. */
-static wire_error follow(struct modbus_task *task, uint64_t *budget) {
+static wire_error run_job(struct modbus_task *task, uint64_t *budget) {
   run_on(&task->run, budget);
   if (task->run.state != RUN_IDLE) {
     enter(task, task->run.state == RUN_WAITS ? MODBUS_TASK_WAITS : MODBUS_TASK_RUNS);
@@ -180,7 +180,7 @@ wire_error modbus_task_commit(struct modbus_task *task, struct client *master) {
   run_init(&task->run, &sink, task);
   run_start(&task->run, &request, deadline_of(task));
   task->owed_radii = task->run.state != RUN_IDLE ? task->run.job->owed_radii : 0;
-  const wire_error error = follow(task, &budget);
+  const wire_error error = run_job(task, &budget);
   if (error.status != WIRE_STATUS_OK) {
     return error;
   }
@@ -230,7 +230,7 @@ void modbus_queue_run(struct modbus_queue *queue) {
   struct modbus_task *task;
   while (budget > 0 && (task = TAILQ_FIRST(&queue->tasks[MODBUS_TASK_RUNS])) != NULL) {
     budget -= budget < JOB_STEP_RADII ? budget : JOB_STEP_RADII;
-    const wire_error error = follow(task, &budget);
+    const wire_error error = run_job(task, &budget);
     if (error.status != WIRE_STATUS_OK) {
       fail_job(task, &error);
     }

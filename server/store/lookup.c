@@ -7,7 +7,7 @@ void lookup_count(const struct lookups *lookups, bool hit) {
 }
 
 /* Takes an entry that is prepared or has a fault, and the caller's reference to it. */
-static enum lookup_answer take(struct lookup *lookup, struct cache_entry *entry) {
+static enum lookup_answer take_entry(struct lookup *lookup, struct cache_entry *entry) {
   lookup->fault = cache_fault(entry);
   if (lookup->fault.field != NULL) {
     cache_release(entry);
@@ -17,8 +17,8 @@ static enum lookup_answer take(struct lookup *lookup, struct cache_entry *entry)
   return LOOKUP_READY;
 }
 
-static enum lookup_answer look(struct lookups *lookups, struct lookup *lookup,
-                               const struct cache_key *key, bool slow, bool counted) {
+static enum lookup_answer look_up(struct lookups *lookups, struct lookup *lookup,
+                                  const struct cache_key *key, bool slow, bool counted) {
   static const core_fault unknown = {LOOKUP_FIELD_UNKNOWN,
                                      "sets of points that were sent to this daemon and are kept",
                                      0},
@@ -34,9 +34,9 @@ static enum lookup_answer look(struct lookups *lookups, struct lookup *lookup,
   switch (answer) {
   case CACHE_NEW:
     cache_prepare(entry);
-    return take(lookup, entry);
+    return take_entry(lookup, entry);
   case CACHE_KEPT:
-    return take(lookup, entry);
+    return take_entry(lookup, entry);
   case CACHE_AWAITED:
     cache_prepare_in_pool(cache, lookups->loop);
     return LOOKUP_WAIT;
@@ -56,7 +56,7 @@ static enum lookup_answer take_awaited(struct lookup *lookup) {
   cache_hold(entry);
   cache_leave(&lookup->waiter);
   lookup->woken = false;
-  return take(lookup, entry);
+  return take_entry(lookup, entry);
 }
 
 enum lookup_answer lookup_get(struct lookups *lookups, struct lookup *lookup,
@@ -64,7 +64,7 @@ enum lookup_answer lookup_get(struct lookups *lookups, struct lookup *lookup,
   assert(lookup->entry == NULL);
   const enum lookup_answer answer = lookup->waiter.entry != NULL
                                         ? take_awaited(lookup)
-                                        : look(lookups, lookup, key, slow, counted);
+                                        : look_up(lookups, lookup, key, slow, counted);
   lookup->waiter.admitted |= answer != LOOKUP_FAULT;
   return answer;
 }

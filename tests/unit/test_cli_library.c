@@ -92,7 +92,7 @@ UNIT_TEST(test_parameters_and_notes) {
   dipole_result *result;
   dipole_query query = simple_query;
   query.evaluator = DIPOLE_F32;
-  query.wanted = DIPOLE_S;
+  query.wanted = DIPOLE_S | DIPOLE_MODEL_ERROR;
   query.radii = r;
   query.radius_count = 5;
   query.parameters = parameters;

@@ -275,11 +275,10 @@ class _Evaluated:
     @property
     def model_error(self) -> Array:
         """[C]: the largest error of the model against transport at these radii, of all quantities;
-        NaN if transport is not solved for the medium. `errors` has that of each quantity."""
-        if "model_error" in self.errors:  # NaN if that of one quantity is not known
+        NaN if that of one is not known, or if they were not wanted. `errors` has each."""
+        if "model_error" in self.errors:
             return self.errors["model_error"].model_error
-        worst: Array = np.fmax.reduce([one.model_error for one in self.errors.values()])
-        return worst
+        return np.full(len(next(iter(self.errors.values())).model_error), np.nan)
 
     pdf = _Quantity("pdf", "[C, N] 1/mm: density of radii, 2 pi r R over the albedo.")
     albedo = _Quantity("albedo", "[C] float64: integral of 2 pi r R(r).")
