@@ -203,6 +203,12 @@ static bool is_refusal(int reason) {
   return (alert >= 40 && alert <= 49) || alert == 116;
 }
 
+static bool is_of_unknown_ca(long verified) {
+  return verified == X509_V_ERR_SELF_SIGNED_CERT_IN_CHAIN ||
+         verified == X509_V_ERR_DEPTH_ZERO_SELF_SIGNED_CERT ||
+         verified == X509_V_ERR_UNABLE_TO_GET_ISSUER_CERT_LOCALLY;
+}
+
 static bool fail_handshake(const SSL *ssl, int result, const char *host, dipole_error *error) {
   const int number = errno;
   const long verified = SSL_get_verify_result(ssl);
@@ -221,7 +227,8 @@ static bool fail_handshake(const SSL *ssl, int result, const char *host, dipole_
                  verified != X509_V_OK ? X509_verify_cert_error_string(verified) : fault(),
                  is_refusal(ERR_GET_REASON(ERR_peek_last_error()))
                      ? " (it refuses this client's certificate)"
-                     : "");
+                 : is_of_unknown_ca(verified) ? " (give its CA, as with --ca)"
+                                              : "");
   return fail_for_good(error);
 }
 

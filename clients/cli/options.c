@@ -391,7 +391,8 @@ void cli_options_help(const cli_command *command) {
   const cli_option *all[OPTIONS_MAX];
   const size_t count = gather(command, all);
   char formats[96];
-  snprintf(formats, sizeof formats, "one of %s (default: %.*s)", command->formats,
+  snprintf(formats, sizeof formats, "%s %s (default: %.*s)",
+           strchr(command->formats, ',') != NULL ? "one of" : "only", command->formats,
            (int)strcspn(command->formats, ","), command->formats);
   printf("Usage: dipole %s [OPTION]...%s%s%s%s\n\n%s.\n%s", command->name,
          command->operand != NULL ? " " : "", command->operand != NULL ? command->operand : "",

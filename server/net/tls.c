@@ -114,11 +114,14 @@ static void describe_fault(char why[TLS_WHY_BYTES]) {
              (ERR_GET_REASON(error) == SSL_R_WRONG_VERSION_NUMBER ||
               ERR_GET_REASON(error) == SSL_R_HTTP_REQUEST)) {
     reason = "the peer does not speak TLS, or a balancer's PROXY header comes before it";
+  } else if (ERR_GET_LIB(error) == ERR_LIB_X509 &&
+             ERR_GET_REASON(error) == X509_R_KEY_VALUES_MISMATCH) {
+    reason = "this is not the key of --certificate";
   } else if (ERR_SYSTEM_ERROR(error)) {
     reason = strerror(ERR_GET_REASON(error));
   } else if (ERR_GET_REASON(error) == ERR_R_UNSUPPORTED ||
              (ERR_GET_LIB(error) == ERR_LIB_PEM && ERR_GET_REASON(error) == PEM_R_NO_START_LINE)) {
-    reason = "what it should hold is not there in PEM, which begins with -----BEGIN";
+    reason = "the file has no such content in PEM, which begins with -----BEGIN";
   }
   snprintf(why, TLS_WHY_BYTES, "%s", reason != NULL ? reason : "no reason is known");
   ERR_clear_error();

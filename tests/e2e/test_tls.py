@@ -271,11 +271,11 @@ def test_plain_and_tls_do_not_mix(farm, ours):
         (["--certificate", "{pem}"], "--listen tls:HOST:PORT needs --certificate FILE"),
         (["--certificate", "/none", "--key", "{key}"], "/none: No such file or directory"),
         (["--certificate", "{pem}", "--key", "/none"], "/none: No such file or directory"),
-        (["--certificate", "{pem}", "--key", "{other}"], "{other}: key values mismatch"),
+        (["--certificate", "{pem}", "--key", "{other}"], "{other}: this is not the key of --certificate"),
         (["--certificate", "{key}", "--key", "{key}"], "{key}: "),
         (["--certificate", "{pem}", "--key", "{key}", "--client-ca", "{key}"], "{key}: "),
-        (["--certificate", "/dev/null", "--key", "{key}"], "/dev/null: what it should hold is not there in PEM"),
-        (["--certificate", "{pem}", "--key", "{pem}"], "{pem}: what it should hold is not there in PEM"),
+        (["--certificate", "/dev/null", "--key", "{key}"], "/dev/null: the file has no such content in PEM"),
+        (["--certificate", "{pem}", "--key", "{pem}"], "{pem}: the file has no such content in PEM"),
     ],
 )
 def test_wrong_files(authority, server, ours, files, said):
