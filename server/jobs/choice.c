@@ -73,18 +73,11 @@ static core_candidate best_of(const core_choose_request *asked) {
   return candidates[0];
 }
 
-/* Whether the table of solutions keeps the tolerance. What a refusal quotes is answered, and nobody knows
- * that of a solution. */
-static bool is_kept(core_candidate best) {
-  return best.meets && best.looked_up;
-}
-
-/* Writes a positive number with three digits, rounded up or down. */
-static void round_to(char text[ROUNDED_BYTES], double value, bool up) {
+/* Writes a positive number with three digits, rounded up. */
+static void round_up(char text[ROUNDED_BYTES], double value) {
   snprintf(text, ROUNDED_BYTES, "%.3g", value);
-  const double step = (up ? 1e-3 : -1e-3) * value;
-  for (double from = value; up ? strtod(text, NULL) < value : strtod(text, NULL) > value;) {
-    from += step;
+  for (double from = value; strtod(text, NULL) < value;) {
+    from += 1e-3 * value;
     snprintf(text, ROUNDED_BYTES, "%.3g", from);
   }
 }
@@ -102,71 +95,6 @@ static size_t worst_medium(const core_choose_request *asked) {
     most = fmax(most, error);
   }
   return worst;
-}
-
-/* Writes the error without the quantity, other than R, that alone keeps the tolerance from being
- * met. Returns false if there is none. */
-static bool describe_quantity(const core_choose_request *asked, char *text, size_t bytes) {
-  for (unsigned left = asked->wanted & ~CORE_QUANTITY_R; left != 0; left &= left - 1) {
-    core_choose_request others = *asked;
-    const unsigned bit = left & ~(left - 1);
-    others.wanted &= ~bit;
-    const core_candidate best = best_of(&others);
-    if (others.wanted != 0 && is_kept(best)) {
-      char error[ROUNDED_BYTES];
-      round_to(error, best.error, true);
-      snprintf(text, bytes, "; %s without %s", error,
-               core_choice_by_id(core_quantities, bit)->name);
-      return true;
-    }
-  }
-  return false;
-}
-
-/* Returns up to which radius the tolerance is met, to 1 part in 1e3 or so, or less than the least
- * radius if that does not meet it. Errors only grow with the range of radii. */
-static double find_radius(const core_choose_request *asked) {
-  core_choose_request nearer = *asked;
-  double least_mm = fmax(asked->radii.least_mm, asked->radii.most_mm * 1e-6);
-  double most_mm = asked->radii.most_mm;
-  nearer.radii.most_mm = least_mm;
-  if (!(least_mm < most_mm && most_mm < (double)INFINITY && is_kept(best_of(&nearer)))) {
-    return -1;
-  }
-  for (int halving = 0; halving < 14; halving++) {
-    nearer.radii.most_mm = sqrt(least_mm) * sqrt(most_mm);
-    *(is_kept(best_of(&nearer)) ? &least_mm : &most_mm) = nearer.radii.most_mm;
-  }
-  return least_mm;
-}
-
-/* Writes up to which radius the tolerance is met, and the error there, if that can be found with
- * few media. Looks at the worst medium alone, because all of them take long. */
-static void describe_radius(const core_choose_request *asked, size_t worst, char *text,
-                            size_t bytes) {
-  core_choose_request all = *asked;
-  for (int round = 0; round < 3; round++) {
-    core_choose_request one = all;
-    one.media = &all.media[worst];
-    one.media_count = 1;
-    char radius_mm[ROUNDED_BYTES], error[ROUNDED_BYTES];
-    const double found_mm = find_radius(&one) * (1 - 1e-6); /* also if it is rounded to single */
-    if (found_mm < asked->radii.least_mm) {
-      return;
-    }
-    round_to(radius_mm, found_mm, false);
-    all.radii.most_mm = strtod(radius_mm, NULL);
-    if (all.radii.most_mm < asked->radii.least_mm) {
-      return;
-    }
-    const core_candidate best = best_of(&all);
-    if (is_kept(best)) {
-      round_to(error, best.error, true);
-      snprintf(text, bytes, "; %s up to %s mm", error, radius_mm);
-      return;
-    }
-    worst = worst_medium(&all);
-  }
 }
 
 /* Whether an error below 1 is known for a medium that is usual but for one coefficient. */
@@ -207,14 +135,14 @@ static void describe_cause(const core_choose_request *asked, size_t worst, char 
 
 /* Returns the refusal of a tolerance that no candidate keeps. */
 static wire_error none_meets(const core_choose_request *asked) {
-  char allowed[ALLOWED_BYTES], medium[32] = "", part[64] = "", least[ROUNDED_BYTES];
+  char allowed[ALLOWED_BYTES], medium[32] = "", least[ROUNDED_BYTES];
   const size_t worst = worst_medium(asked);
   const core_candidate best = best_of(asked);
   if (asked->media_count > 1) {
     snprintf(medium, sizeof medium, " for medium %zu", worst + 1);
   }
   if (best.error <= 1) { /* as large as the parameter may be */
-    round_to(least, best.error, true);
+    round_up(least, best.error);
     snprintf(allowed, sizeof allowed, "at least %s%s (best: %s, %s)", least, medium,
              core_choice_by_id(core_models, best.model)->name,
              core_choice_by_id(core_evaluators, best.evaluator)->name);
@@ -225,12 +153,6 @@ static wire_error none_meets(const core_choose_request *asked) {
     if (strlen(allowed) + strlen(medium) < sizeof allowed) {
       strcat(allowed, medium);
     }
-  }
-  if (!describe_quantity(asked, part, sizeof part)) {
-    describe_radius(asked, worst, part, sizeof part);
-  }
-  if (strlen(allowed) + strlen(part) < sizeof allowed) {
-    strcat(allowed, part);
   }
   wire_error error = wire_error_make(WIRE_STATUS_BAD_VALUE, "tolerance", allowed);
   error.index = worst;
@@ -273,7 +195,7 @@ wire_error choice_check_solved(const struct choice_state *state, const eval_requ
     return wire_error_none();
   }
   char least[ROUNDED_BYTES], medium[31] = "", allowed[ALLOWED_BYTES];
-  round_to(least, state->tolerance * stated / state->left, true);
+  round_up(least, state->tolerance * stated / state->left);
   if (request->fixed.medium_count > 1) {
     snprintf(medium, sizeof medium, " for medium %" PRIu32, channel + 1);
   }

@@ -96,27 +96,6 @@ def test_the_least_that_a_refusal_quotes_is_accepted(client, evaluator, toleranc
     assert lower.allowed.startswith(least[0])
 
 
-def test_a_refusal_says_up_to_which_radius_the_tolerance_is_kept(client):
-    how = {"wanted": ["R", "albedo"], "tolerance": 0.002}
-    error = refusal(client, THREE, [0.05, 20.0], **how)
-    nearer = re.fullmatch(REFUSAL % 2 + r"; (\S+) up to (\S+) mm", error.allowed)
-    assert nearer is not None and float(nearer[2]) <= 0.002
-    most_mm = float(nearer[3])
-    how["tolerance"] = float(nearer[2])
-    assert error_of(client.eval(None, THREE, [0.05, most_mm], **how)) <= 0.002
-    how["tolerance"] = 0.002
-    nothing = {"wanted": ["R", "albedo"], "tolerance": 9e-5}
-    assert "up to" not in refusal(client, THREE, [0.05, 1.0], **nothing).allowed
-
-
-def test_a_refusal_names_the_quantity_that_is_the_cause(client):
-    media, how = [SKIN, (0.17, 0.88, 0.0, 1.3)], {"tolerance": 1e-5, "wanted": ["R", "dR_dr"]}
-    error = refusal(client, media, [0.05, 5.0], **how)
-    without = re.fullmatch(REFUSAL % 1 + r"; (\S+) without dR_dr", error.allowed)
-    assert without is not None
-    client.eval(None, media, [0.05, 5.0], tolerance=float(without[2]), wanted="R", evaluator="f64")
-
-
 def test_a_medium_whose_error_nothing_bounds_is_named(client):
     error = refusal(client, [SKIN, (1e-3, 1e-3, 0.995, 2.5)], [1.0], tolerance=0.1, wanted="R")
     known = "a model instead: no error known"
