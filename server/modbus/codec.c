@@ -27,9 +27,9 @@ static const struct function {
     {MODBUS_FC_WRITE_SINGLE_COIL, 5, 0, 5, 0, WRITES},
     {MODBUS_FC_WRITE_SINGLE_REGISTER, 5, 0, 5, 0, WRITES},
     {MODBUS_FC_READ_EXCEPTION_STATUS, 1, 0, 2, 0, ELSEWHERE},
-    {MODBUS_FC_DIAGNOSTICS, 5, 0, 5, 0, ELSEWHERE}, /* lines answer it themselves */
-    {0x0b, 1, 0, 5, 0, ELSEWHERE},                  /* get comm event counter */
-    {0x0c, 1, 0, 2, 1, ELSEWHERE},                  /* get comm event log */
+    {MODBUS_FC_DIAGNOSTICS, 5, 0, 5, 0, ELSEWHERE},
+    {0x0b, 1, 0, 5, 0, ELSEWHERE}, /* get comm event counter */
+    {0x0c, 1, 0, 2, 1, ELSEWHERE}, /* get comm event log */
     {MODBUS_FC_WRITE_MULTIPLE_COILS, 6, 5, 5, 0, WRITES},
     {MODBUS_FC_WRITE_MULTIPLE_REGISTERS, 6, 5, 5, 0, WRITES},
     {MODBUS_FC_REPORT_SLAVE_ID, 1, 0, 2, 1, READS},

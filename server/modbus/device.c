@@ -170,14 +170,6 @@ void modbus_device_close(struct modbus_device *device) {
   }
 }
 
-uint64_t modbus_device_overruns(const struct modbus_device *device) {
-  struct serial_icounter_struct counted;
-  if (ioctl(modbus_device_fd(device), TIOCGICOUNT, &counted) != 0) {
-    return 0;
-  }
-  return (uint64_t)counted.overrun + (uint64_t)counted.buf_overrun;
-}
-
 uint64_t modbus_device_duration_ns(const struct modbus_device *device, uint64_t characters) {
   const uint64_t bits = 1 + 8 + (device->parity != 'N') + (uint64_t)device->stop_bits;
   return characters * bits * 1000000000 / (uint64_t)device->baud;

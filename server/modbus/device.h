@@ -44,10 +44,6 @@ int modbus_device_fd(const struct modbus_device *device);
 /* Sets RTS to its level while the daemon sends, or to the other level. Returns 0 or an errno. */
 int modbus_device_set_rts(struct modbus_device *device, bool sending);
 
-/* Returns how many characters the open device has lost so far because its driver or the daemon read
- * too late. Returns 0 if the driver does not count them. */
-uint64_t modbus_device_overruns(const struct modbus_device *device);
-
 /* Returns the time that the line needs for some characters. */
 uint64_t modbus_device_duration_ns(const struct modbus_device *device, uint64_t characters);
 

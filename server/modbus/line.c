@@ -173,25 +173,10 @@ static size_t request_pdu_bytes(const struct modbus_line *line) {
   return line->burst.bytes - 3;
 }
 
-/* Counts the answer whose PDU begins at output[1], and sends it unless the request is a broadcast.
- */
+/* Sends the answer whose PDU begins at output[1], unless the request is a broadcast. */
 static void finish_request(struct modbus_line *line, size_t pdu_bytes) {
-  if (line->burst.request[0] == MODBUS_BROADCAST_ADDRESS) {
-    line->diagnostics.counters[MODBUS_COUNTER_NO_RESPONSES]++;
-    return;
-  }
-  modbus_diagnostics_count(&line->diagnostics, line->output + 1);
-  send_answer(line, pdu_bytes);
-}
-
-static void answer_diagnostics(struct modbus_line *line) {
-  uint8_t *pdu = line->output + 1;
-  const size_t answered = modbus_diagnostics_answer(&line->diagnostics, line->burst.request + 1,
-                                                    request_pdu_bytes(line), pdu);
-  const bool refused = answered > 0 && pdu[0] >= 0x80;
-  stats_add(stats_of(line), refused ? STATS_MODBUS_EXCEPTIONS : STATS_MODBUS_TRANSACTIONS, 1);
-  if (answered > 0) {
-    finish_request(line, answered);
+  if (line->burst.request[0] != MODBUS_BROADCAST_ADDRESS) {
+    send_answer(line, pdu_bytes);
   }
 }
 
@@ -199,15 +184,7 @@ static void answer_diagnostics(struct modbus_line *line) {
 static void answer(struct modbus_line *line) {
   struct modbus_unit *unit = NULL;
   const uint8_t *pdu = line->burst.request + 1;
-  const bool is_broadcast = line->burst.request[0] == MODBUS_BROADCAST_ADDRESS;
-  line->diagnostics.counters[MODBUS_COUNTER_SERVER_MESSAGES]++;
-  if ((is_broadcast && !modbus_pdu_writes(pdu[0])) ||
-      !modbus_diagnostics_allows(&line->diagnostics, pdu, request_pdu_bytes(line))) {
-    line->diagnostics.counters[MODBUS_COUNTER_NO_RESPONSES]++;
-    return;
-  }
-  if (pdu[0] == MODBUS_FC_DIAGNOSTICS) {
-    answer_diagnostics(line);
+  if (line->burst.request[0] == MODBUS_BROADCAST_ADDRESS && !modbus_pdu_writes(pdu[0])) {
     return;
   }
   const struct modbus_permissions may = {.write = true};
@@ -232,18 +209,10 @@ static void answer_late(struct modbus_line *line) {
 
 static void note_burst(struct modbus_line *line) {
   const struct modbus_burst *burst = &line->burst;
-  const uint64_t overruns = modbus_device_overruns(&line->device);
-  line->diagnostics.counters[MODBUS_COUNTER_BUS_MESSAGES] += (uint16_t)burst->messages;
-  line->diagnostics.counters[MODBUS_COUNTER_BUS_ERRORS] += burst->bad;
-  line->diagnostics.counters[MODBUS_COUNTER_OVERRUNS] += overruns != line->overruns;
-  line->overruns = overruns;
   stats_add(stats_of(line), STATS_MODBUS_BAD_FRAMES, burst->bad);
-  if (burst->echoed) {
-    line->diagnostics.diagnostic_register |= MODBUS_DIAGNOSTIC_ECHO;
-    if (!line->echo_is_logged) {
-      line->echo_is_logged = true;
-      log_line(LOG_LEVEL_INFO, "event=modbus-echo device=%s", line->device.path);
-    }
+  if (burst->echoed && !line->echo_is_logged) {
+    line->echo_is_logged = true;
+    log_line(LOG_LEVEL_INFO, "event=modbus-echo device=%s", line->device.path);
   }
 }
 
@@ -365,7 +334,6 @@ static void reset(struct modbus_line *line) {
   modbus_receiver_reset(&line->receiver);
   line->probing = false;
   line->echo_is_logged = false;
-  line->overruns = modbus_device_overruns(&line->device);
 }
 
 /* ---- starting, losing, stopping -------------------------------------------------------------- */

@@ -16,7 +16,6 @@
 
 #include "server/modbus/answer.h"
 #include "server/modbus/device.h"
-#include "server/modbus/diagnostics.h"
 #include "server/modbus/receiver.h"
 
 struct modbus_line {
@@ -24,7 +23,6 @@ struct modbus_line {
   struct modbus_units *units;
   struct modbus_device device;
   struct modbus_receiver receiver;
-  struct modbus_diagnostics diagnostics;
 
   uv_poll_t poll;
   uv_timer_t timer; /* for the silence, for the end of a probe, or for the next attempt to open */
@@ -37,7 +35,6 @@ struct modbus_line {
   int open_error; /* errno of the last attempt to open the device; 0: it succeeded */
   uint64_t
       retry_ms; /* pause between the next loss of the device and the first attempt to open it */
-  uint64_t overruns; /* count of the device at the end of the last burst */
 
   struct modbus_unit *waits_for; /* the unit that evaluates the request; NULL: there is none */
   struct modbus_burst burst;     /* the last burst, with its request */

@@ -26,7 +26,7 @@ void modbus_receiver_reset(struct modbus_receiver *receiver) {
 
 /* Returns whether an answer has bytes that could also be a request. */
 static bool could_be_request(const uint8_t *frame, size_t bytes) {
-  return frame[1] == MODBUS_FC_DIAGNOSTICS || modbus_pdu_bytes(frame + 1, bytes - 3) == bytes - 3;
+  return modbus_pdu_bytes(frame + 1, bytes - 3) == bytes - 3;
 }
 
 bool modbus_receiver_sent(struct modbus_receiver *receiver, const uint8_t *frame, size_t bytes) {
@@ -138,7 +138,6 @@ static void keep_unfinished(struct modbus_receiver *receiver, struct modbus_burs
   const struct modbus_rtu_frames frames =
       modbus_rtu_split(receiver->bytes + receiver->fresh, receiver->count - receiver->fresh);
   const size_t begin = receiver->fresh + frames.bytes;
-  burst->messages = frames.count;
   burst->bad = true;
   drop(receiver, receiver->count - begin < MODBUS_RTU_MAX ? begin : receiver->count);
   receiver->fresh = receiver->late = receiver->count;
@@ -155,7 +154,6 @@ void modbus_receiver_end(struct modbus_receiver *receiver, struct modbus_burst *
     keep_unfinished(receiver, burst);
     return;
   }
-  burst->messages = frames.count;
   burst->bad |= begin > receiver->fresh;
   const uint8_t *last = receiver->bytes + begin + frames.last;
   if (begin + frames.last >= receiver->fresh && (last[0] == receiver->number || last[0] == 0) &&

@@ -44,10 +44,9 @@ struct modbus_receiver {
 
 /* What the receiver has found in the bytes before a silence. */
 struct modbus_burst {
-  unsigned messages; /* number of frames, from and to anybody, without the echo */
-  bool bad;          /* whether there was something other than frames */
-  bool echoed;       /* whether there was an echo */
-  size_t bytes;      /* length of the request; 0: there is none */
+  bool bad;     /* whether there was something other than frames */
+  bool echoed;  /* whether there was an echo */
+  size_t bytes; /* length of the request; 0: there is none */
   uint8_t request[MODBUS_RTU_MAX];
 };
 

@@ -117,29 +117,6 @@ def test_mbpoll_begins_with_function_6(tmp_path):
             assert f"[5]: \t{value}" in run("mbpoll", *options, "-1", str(far)).stdout
 
 
-def test_pymodbus_begins_with_function_6_and_reads_the_counters(tmp_path):
-    client_module = pytest.importorskip("pymodbus.client")
-    diagnostics = pytest.importorskip("pymodbus.diag_message")
-    with serial_line(tmp_path) as far:
-        client = client_module.ModbusSerialClient(str(far), baudrate=19200, parity="N", retries=0)
-        assert client.connect()
-
-        def ask(name: str) -> int:
-            answer = client.execute(getattr(diagnostics, f"{name}Request")(unit=1))
-            assert not answer.isError(), answer
-            return answer.message if isinstance(answer.message, int) else answer.message[0]
-
-        for value in (77, 77, 78):
-            assert not client.write_register(5, value, slave=1).isError()
-        assert client.read_holding_registers(60000, 1, slave=1).isError()
-        assert ask("ReturnSlaveMessageCount") == 5
-        assert ask("ReturnBusExceptionErrorCount") == 1
-        assert ask("ReturnBusCommunicationErrorCount") == 0
-        assert ask("ClearCounters") == 0
-        assert ask("ReturnBusMessageCount") == 1
-        client.close()
-
-
 @pytest.mark.parametrize("line", ["address", "serial"])
 def test_pymodbus(request, line, expected):
     pytest.importorskip("pymodbus")

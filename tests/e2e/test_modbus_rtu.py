@@ -1,5 +1,5 @@
 """Modbus RTU over a pseudo terminal: the same registers as over TCP, silence, noise, other devices,
-broadcasts, adapters with echo and RTS, diagnostics, and a device that is missing or goes away."""
+broadcasts, adapters with echo and RTS, and a device that is missing or goes away."""
 
 from __future__ import annotations
 
@@ -488,120 +488,6 @@ def test_a_master_that_repeats_its_request_is_no_echo(start, first):
     assert master.is_silent()
 
 
-# ---- diagnostics ---------------------------------------------------------------------------------
-
-RESTART, REGISTER, LISTEN_ONLY, CLEAR, CLEAR_OVERRUNS = 1, 2, 4, 10, 20
-MESSAGES, ERRORS, EXCEPTIONS, TO_US, UNANSWERED, NAKS, BUSIES, OVERRUNS = range(11, 19)
-
-
-def diagnose(master: Rtu, sub: int, data: int = 0) -> int:
-    """Sends function 8. Returns the word of its answer."""
-    answer = master.ask(struct.pack(">BHH", 8, sub, data), 7)
-    assert answer[:2] == struct.pack(">H", sub) and len(answer) == 4
-    return int.from_bytes(answer[2:], "big")
-
-
-def counters(master: Rtu) -> list[int]:
-    """Returns all counters, corrected for the requests that read them."""
-    values = [diagnose(master, sub) for sub in range(MESSAGES, OVERRUNS + 1)]
-    values[0] -= 1
-    values[TO_US - MESSAGES] -= 1 + TO_US - MESSAGES
-    return values
-
-
-def test_query_data_comes_back(start):
-    master, _ = start()
-    assert diagnose(master, 0, 0xA537) == 0xA537
-    for data in (b"\1\2\3\4", bytes(range(250))):
-        query = master.frame(7, b"\x08\0\0" + data)
-        master.send(query)
-        assert master.receive_bytes(len(query)) == query
-
-
-def test_diagnostics_that_do_not_exist(start):
-    master, one = start()
-    for sub in (3, 5, 9, 19, 21, 0xFFFF):
-        with exception(BAD_FUNCTION):
-            diagnose(master, sub)
-    for pdu in (b"\x08", b"\x08\0", b"\x08\0\x0b", b"\x08\0\x0b\0\1", b"\x08\0\x0a\xff\0",
-                b"\x08\0\1\0\1", b"\x08\0\x0b\0\0\0\0", b"\x08\0\0\1"):  # fmt: skip
-        with exception(BAD_VALUE):
-            master.ask(pdu, 7)
-    with Tcp(one) as tcp:
-        for pdu in (b"\x08\0\0\1\2", b"\x08", b"\x08\0\x0b\0\0"):
-            with exception(BAD_FUNCTION):  # Only serial lines have this function.
-                tcp.ask(pdu, 7)
-
-
-def test_counters(start):
-    master, _ = start()
-    assert counters(master) == [0] * 8
-    diagnose(master, CLEAR)
-    assert counters(master) == [0] * 8
-    diagnose(master, CLEAR)
-    expected = [0] * 8
-
-    def count(*names: int) -> None:
-        for name in names:
-            expected[name - MESSAGES] += 1
-
-    master.read(0, 1, 7)
-    count(MESSAGES, TO_US)
-    with exception(BAD_ADDRESS):
-        master.read(9000, 1, 7)
-    count(MESSAGES, TO_US, EXCEPTIONS)
-    request = master.frame(9, READ_ONE)
-    answer = master.frame(9, b"\3\2\0\0")
-    master.send(request)
-    assert master.is_silent(0.05)
-    master.send(answer)
-    assert master.is_silent(0.05)
-    count(MESSAGES, MESSAGES)
-    for broadcast in (struct.pack(">BHH", WRITE_REGISTER, 3, 99), READ_ONE):
-        master.send(master.frame(0, broadcast))
-        assert master.is_silent(0.05)
-        count(MESSAGES, TO_US, UNANSWERED)
-    master.send(request[:-1] + bytes([request[-1] ^ 1]))
-    assert master.is_silent(0.05)
-    count(ERRORS)
-    block = input_block(1, (0.0333, 0.74, 0, 1.3), [1.0], **SLOW)
-    master.write_read(100, block, 300, 2, 7)
-    with exception(BUSY):
-        master.write_one(AT["COMMIT"], 2, 7)
-    count(MESSAGES, MESSAGES, TO_US, TO_US, EXCEPTIONS, BUSIES)
-    assert counters(master) == expected
-    diagnose(master, CLEAR_OVERRUNS)
-    diagnose(master, CLEAR)
-    assert counters(master) == [0] * 8
-
-
-def test_listen_only(start):
-    """In listen-only mode, the unit carries out only the request to restart, and does not answer
-    it."""
-    master, one = start()
-    master.send(master.frame(7, struct.pack(">BHH", 8, LISTEN_ONLY, 0)))
-    assert master.is_silent()
-    write = struct.pack(">BHH", WRITE_REGISTER, 3, 99)
-    for unit, pdu in ((7, write), (0, write), (7, READ_ONE), (7, b"\x08\0\0\1\2"),
-                      (7, struct.pack(">BHH", 8, RESTART, 5))):  # fmt: skip
-        master.send(master.frame(unit, pdu))
-        assert master.is_silent(0.05)
-    with Tcp(one) as tcp:  # The unit is silent only on the line.
-        assert tcp.read(3, 1, 7) == words(0)
-    master.send(master.frame(7, struct.pack(">BHH", 8, RESTART, 0)))
-    assert master.is_silent()
-    assert counters(master) == [0] * 8
-    master.write_one(3, 98, 7)
-    assert diagnose(master, RESTART, 0xFF00) == 0xFF00
-    assert counters(master) == [0] * 8
-
-
-def test_the_diagnostic_register_tells_of_echo(echo):
-    adapter, _ = echo
-    assert diagnose(adapter, REGISTER) == 0
-    assert diagnose(adapter, REGISTER) == 1
-
-
 # ---- what drivers do -----------------------------------------------------------------------------
 
 # A pseudo terminal has neither RTS nor errors. This library between the daemon and the kernel notes
@@ -642,15 +528,6 @@ int ioctl(int fd, unsigned long request, ...) {
     note(request == TIOCMBIS ? "set" : "clear", *(const unsigned *)argument, gettid(), 0);
     return 0;
   }
-  if (request == TIOCGICOUNT) {
-    FILE *file = fopen(getenv("DRIVER_OVERRUNS"), "r");
-    memset(argument, 0, sizeof(struct serial_icounter_struct));
-    if (file != NULL) {
-      fscanf(file, "%d", &((struct serial_icounter_struct *)argument)->overrun);
-      fclose(file);
-    }
-    return 0;
-  }
   int (*next)(int, unsigned long, ...) = (int (*)(int, unsigned long, ...))dlsym(RTLD_NEXT, "ioctl");
   return next(fd, request, argument);
 }
@@ -662,13 +539,12 @@ class Driver:
     """The environment of a daemon that uses this driver, and the driver's notes."""
 
     def __init__(self, folder: Path):
-        self.notes, self.overruns = folder / "notes", folder / "overruns"
+        self.notes = folder / "notes"
         source, library = folder / "driver.c", folder / "driver.so"
         source.write_text(DRIVER)
         options = ["-shared", "-fPIC", "-o", str(library), str(source), "-ldl"]
         subprocess.run(["cc", *options], check=True)
         self.environment = {"LD_PRELOAD": str(library), "DRIVER_NOTES": str(self.notes)}
-        self.environment |= {"DRIVER_OVERRUNS": str(self.overruns)}
 
     def read(self) -> list[tuple[float, str, list[int]]]:
         """Returns the notes: time, request, and numbers."""
@@ -739,15 +615,3 @@ def test_a_line_without_rts(daemon, line):
     the daemon."""
     one = daemon("--modbus", f"rtu:{line.device},19200,E,7,rts=high")
     assert one.has_line("event=modbus-device-missing", 5)
-
-
-def test_lost_characters_are_counted(daemon, line, driver):
-    driver.overruns.write_text("3")
-    daemon("--modbus", f"rtu:{line.device},19200,E,7", env=driver.environment)
-    master = Rtu(line.fd)
-    assert diagnose(master, OVERRUNS) == 0
-    driver.overruns.write_text("5")
-    assert diagnose(master, OVERRUNS) == 1
-    assert diagnose(master, OVERRUNS) == 1
-    assert diagnose(master, CLEAR_OVERRUNS) == 0
-    assert diagnose(master, OVERRUNS) == 0

@@ -5,7 +5,6 @@
 #include <sys/socket.h>
 
 #include "server/modbus/connection.h"
-#include "server/modbus/diagnostics.h"
 #include "server/modbus/receiver.h"
 #include "tests/fuzz/daemon.h"
 
@@ -89,7 +88,6 @@ void fuzz_modbus(const uint8_t *data, size_t size) {
 struct serial {
   struct client client;
   struct modbus_receiver receiver;
-  struct modbus_diagnostics diagnostics;
   bool echoes; /* whether the adapter returns the bytes that are written to it */
   uint64_t now_ns;
 };
@@ -126,29 +124,22 @@ static void answer_serial(struct serial *line, const struct modbus_burst *burst)
   const size_t bytes = burst->bytes - 3;
   const struct modbus_permissions may = {.write = true};
   struct modbus_unit *unit = NULL;
-  size_t answered;
   CHECK(modbus_rtu_is_frame(burst->request, burst->bytes) && burst->request[0] <= 1);
   uint8_t *pdu = fuzz_copy(burst->request + 1, bytes);
-  if ((burst->request[0] == 0 && !modbus_pdu_writes(pdu[0])) ||
-      !modbus_diagnostics_allows(&line->diagnostics, pdu, bytes)) {
+  if (burst->request[0] == 0 && !modbus_pdu_writes(pdu[0])) {
     free(pdu);
     return;
   }
-  if (pdu[0] == MODBUS_FC_DIAGNOSTICS) {
-    answered = modbus_diagnostics_answer(&line->diagnostics, pdu, bytes, frame + 1);
-  } else {
-    answered = modbus_answer(units, &line->client, &may, 1, pdu, bytes, frame + 1, &unit);
-  }
+  size_t answered = modbus_answer(units, &line->client, &may, 1, pdu, bytes, frame + 1, &unit);
   if (unit != NULL && answered == 0) {
     batch_finish(&fuzz_worker.context.batch, &fuzz_server.stats);
     units->client.kind->finish(&units->client);
     CHECK(!unit->evaluating);
     answered = modbus_answer_late(unit, pdu, bytes, frame + 1);
   }
-  CHECK(answered > 0 || pdu[0] == MODBUS_FC_DIAGNOSTICS);
-  if (answered > 0 && burst->request[0] == 1) {
+  CHECK(answered > 0);
+  if (burst->request[0] == 1) {
     check_pdu(pdu, bytes, frame + 1, answered);
-    modbus_diagnostics_count(&line->diagnostics, frame + 1);
     send_serial(line, frame, answered);
   }
   free(pdu);
