@@ -169,18 +169,6 @@ static bool is_stale(const struct sockaddr_un *address) {
   return refused;
 }
 
-/* Returns the reason why a path that exists cannot be bound. */
-static const char *occupant(const struct sockaddr_un *address) {
-  struct stat status;
-  if (lstat(address->sun_path, &status) != 0) {
-    return "another process uses the path";
-  }
-  return S_ISSOCK(status.st_mode)  ? tcp_occupant((const struct sockaddr *)address, sizeof *address)
-         : S_ISDIR(status.st_mode) ? "the path is a folder"
-         : S_ISLNK(status.st_mode) ? "the path is a symbolic link"
-                                   : "the path is a file that is no socket";
-}
-
 /* Remembers the identity of the socket's file: another daemon may replace it by its own file. */
 static void note_file(struct listener *listener, const char *path) {
   struct stat status;
@@ -250,7 +238,7 @@ static bool open_unix(struct listener *listener, const char *url, const char *pa
     bound = bind(listener->fd, (struct sockaddr *)&address, sizeof address);
   }
   if (bound != 0) {
-    return complain(url, errno == EADDRINUSE ? occupant(&address) : strerror(errno));
+    return complain(url, strerror(errno));
   }
   note_file(listener, path);
   if (!set_permissions(&listener->server->options, url, path) ||

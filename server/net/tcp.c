@@ -10,15 +10,13 @@
 #include <string.h>
 #include <sys/resource.h>
 #include <sys/socket.h>
-#include <sys/stat.h>
 #include <sys/syscall.h>
 #include <unistd.h>
 
 enum {
   BACKLOG = 1024,
-  KEPT_MOST = 24,         /* descriptors that no client gets: */
-  KEPT_SHARE = 16,        /* at most one in so many */
-  OWN_DESCRIPTORS = 1024, /* more than a daemon has that begins to listen */
+  KEPT_MOST = 24,  /* descriptors that no client gets: */
+  KEPT_SHARE = 16, /* at most one in so many */
 };
 
 /* What an IPv4 address in IPv6 begins with (RFC 4291). */
@@ -71,61 +69,24 @@ void tcp_peer(int fd, char text[TCP_TEXT_BYTES]) {
   describe(fd, getpeername, text);
 }
 
-static bool is_any(const char *address) {
-  return strncmp(address, "0.0.0.0:", 8) == 0 || strncmp(address, "[::]:", 5) == 0;
-}
-
-/* Returns whether two addresses are the same, or paths that lead to the same socket. */
-static bool is_same(const char *a, const char *b) {
-  struct stat one, other;
-  return strcmp(a, b) == 0 ||
-         (strncmp(a, "unix:", 5) == 0 && strncmp(b, "unix:", 5) == 0 && stat(a + 5, &one) == 0 &&
-          stat(b + 5, &other) == 0 && one.st_dev == other.st_dev && one.st_ino == other.st_ino);
-}
-
-/* Returns whether an address takes in another, which may be a path. */
-static bool takes_in(const char *a, const char *b) {
-  return is_any(a) && strncmp(b, "unix:", 5) != 0 && strrchr(b, ':') != NULL &&
-         strcmp(strrchr(a, ':'), strrchr(b, ':')) == 0;
-}
-
-/* Returns whether this process listens at an address; unless that is to be exact, an address that
- * takes in the other counts, too. */
-static bool listens_at(const char *address, bool exact) {
-  bool found = false;
-  for (int fd = 0; fd < OWN_DESCRIPTORS && !found; fd++) {
-    char bound[TCP_TEXT_BYTES];
-    int listens = 0;
-    socklen_t length = sizeof listens;
-    if (getsockopt(fd, SOL_SOCKET, SO_ACCEPTCONN, &listens, &length) == 0 && listens != 0) {
-      tcp_bound(fd, bound);
-      found = is_same(bound, address) ||
-              (!exact && (takes_in(bound, address) || takes_in(address, bound)));
-    }
-  }
-  return found;
-}
-
-const char *tcp_occupant(const struct sockaddr *address, socklen_t length) {
-  char text[TCP_TEXT_BYTES];
-  write_address(address, length, text);
-  return listens_at(text, false) ? "this daemon listens there already: name each address once"
-                                 : "another process listens there: name another address";
+static bool is_every_ipv6(const struct sockaddr *address) {
+  return address->sa_family == AF_INET6 &&
+         IN6_IS_ADDR_UNSPECIFIED(&((const struct sockaddr_in6 *)(const void *)address)->sin6_addr);
 }
 
 static int bind_to(const struct addrinfo *address) {
   const int fd =
       socket(address->ai_family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, IPPROTO_TCP);
-  char text[TCP_TEXT_BYTES], every_ipv4[TCP_TEXT_BYTES + 8];
   const int on = 1;
   if (fd >= 0) {
     setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
-    write_address(address->ai_addr, address->ai_addrlen, text);
-    snprintf(every_ipv4, sizeof every_ipv4, "0.0.0.0:%s", text + strlen("[::]:"));
-    if (strncmp(text, "[::]:", 5) == 0 && listens_at(every_ipv4, true)) {
-      setsockopt(fd, IPPROTO_IPV6, IPV6_V6ONLY, &on, sizeof on); /* else it takes IPv4, too */
+    int bound = bind(fd, address->ai_addr, address->ai_addrlen);
+    if (bound != 0 && errno == EADDRINUSE && is_every_ipv6(address->ai_addr)) {
+      /* Somebody listens at the port for IPv4, maybe this daemon. */
+      setsockopt(fd, IPPROTO_IPV6, IPV6_V6ONLY, &on, sizeof on);
+      bound = bind(fd, address->ai_addr, address->ai_addrlen);
     }
-    if (bind(fd, address->ai_addr, address->ai_addrlen) == 0 && listen(fd, BACKLOG) == 0) {
+    if (bound == 0 && listen(fd, BACKLOG) == 0) {
       return fd;
     }
     const int error = errno;
@@ -177,7 +138,7 @@ static size_t listen_at_all(const struct addrinfo *list, int fds[TCP_ADDRESSES_M
       count++;
     } else if (!is_repeated(list, one)) {
       const int error = errno;
-      *why = error == EADDRINUSE ? tcp_occupant(one->ai_addr, one->ai_addrlen) : strerror(error);
+      *why = strerror(error);
       if (error != EADDRNOTAVAIL && error != EAFNOSUPPORT) {
         while (count > 0) {
           close(fds[--count]);

@@ -13,9 +13,6 @@ enum { TCP_ADDRESSES_MAX = 8 }; /* of one name */
  * are. On failure, returns 0 and sets *why to the reason. */
 size_t tcp_listen(const char *host_port, int fds[TCP_ADDRESSES_MAX], const char **why);
 
-/* Says who listens at an address that is in use. */
-const char *tcp_occupant(const struct sockaddr *address, socklen_t length);
-
 /* Returns the number that the next descriptor would get; -1 with errno if none is left. */
 int tcp_lowest_descriptor(void);
 

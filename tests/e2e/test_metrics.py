@@ -369,7 +369,7 @@ def test_not_unless_asked_for(shared):
 def test_wrong_addresses(watched):
     taken = address_of(watched)
     for value, said in {
-        taken: "another process listens there",
+        taken: "Address already in use",
         "127.0.0.1:": "HOST:PORT",
         "": "HOST:PORT",
         "127.0.0.1:x": "port",
