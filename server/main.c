@@ -47,17 +47,15 @@ struct daemon {
 
 /* ---- stopping -------------------------------------------------------------------------------- */
 
-/* Says how many requests the drain timeout has left without a complete answer. */
+/* Says how many clients the drain timeout has left without a complete answer. */
 static void log_abandoned(const struct server *server, uint64_t workers) {
-  unsigned requests = 0, clients = 0;
+  unsigned count = 0;
   for (uint64_t i = 0; i < workers; i++) {
-    requests += server->workers[i].abandoned_requests;
-    clients += server->workers[i].abandoned_clients;
+    count += server->workers[i].abandoned_count;
   }
-  if (requests > 0) {
-    log_line(LOG_LEVEL_ERROR,
-             "event=drain-timeout abandoned_requests=%u connections=%u drain_timeout_ms=%llu",
-             requests, clients, (unsigned long long)server->options.drain_timeout_ms);
+  if (count > 0) {
+    log_line(LOG_LEVEL_ERROR, "event=drain-timeout connections=%u drain_timeout_ms=%llu", count,
+             (unsigned long long)server->options.drain_timeout_ms);
   }
 }
 

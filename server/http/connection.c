@@ -718,9 +718,8 @@ static void abort_client(struct client *client) {
   }
 }
 
-static unsigned count_requests(const struct client *client) {
-  const struct http_connection *c = (const struct http_connection *)(const void *)client;
-  return c->state == RUNS;
+static bool is_busy(const struct client *client) {
+  return ((const struct http_connection *)(const void *)client)->state == RUNS;
 }
 
 static const struct client_kind kind = {
@@ -731,5 +730,5 @@ static const struct client_kind kind = {
     .deadline = deadline,
     .stop = stop,
     .abort = abort_client,
-    .count = count_requests,
+    .busy = is_busy,
 };

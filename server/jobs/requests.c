@@ -319,11 +319,6 @@ bool requests_expire(struct requests *r) {
   return any;
 }
 
-unsigned requests_count(const struct requests *r) {
-  const uint64_t except = r->run.state != RUN_IDLE ? r->header.request_id : 0;
-  return input_count(r->input) + output_count(r->output, except) + r->detached_count;
-}
-
 void requests_drop(struct requests *r) {
   drop_detached(r);
   run_drop(&r->run);

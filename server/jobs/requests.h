@@ -44,9 +44,11 @@ struct requests {
 void requests_init(struct requests *requests, struct input *input, struct output *output,
                    void (*wake)(void *owner), void *owner);
 
-/* Returns how many requests have arrived completely and are not answered, or whose answers are not
- * written completely. */
-unsigned requests_count(const struct requests *requests);
+/* Returns whether a request has arrived completely and is not answered. */
+static inline bool requests_wait(const struct requests *requests) {
+  return requests->run.state != RUN_IDLE || requests->detached_count > 0 ||
+         input_has_frame(requests->input);
+}
 
 /* Returns whether the first frame of the input is in use, or waits. */
 static inline bool requests_hold_input(const struct requests *requests) {

@@ -347,9 +347,9 @@ static void abort_client(struct client *client) {
   abort_connection(connection_of(client));
 }
 
-static unsigned count_requests(const struct client *client) {
+static bool is_busy(const struct client *client) {
   const struct modbus_connection *c = (const struct modbus_connection *)(const void *)client;
-  return !c->closing && (c->waits_for != NULL || has_unsent(c)) ? 1 : 0;
+  return !c->closing && (c->waits_for != NULL || has_unsent(c));
 }
 
 static void tick(struct client *client, uint64_t time_ms) {
@@ -379,7 +379,7 @@ struct modbus_connection *modbus_connection_new(struct modbus_units *units, int 
       .tick = tick,
       .stop = stop,
       .abort = abort_client,
-      .count = count_requests,
+      .busy = is_busy,
   };
   struct modbus_connection *c = calloc(1, sizeof *c);
   if (c != NULL) {

@@ -266,19 +266,13 @@ uint64_t input_partial_id(const struct input *input) {
   return header.request_id;
 }
 
-unsigned input_count(const struct input *input) {
-  unsigned count = 0;
+bool input_has_frame(const struct input *input) {
   wire_header header;
-  for (size_t at = input->begin; input->skip_bytes == 0 && input->end - at >= WIRE_BYTES_header;
-       count++) {
-    wire_get_header(input->bytes + at, &header);
-    at += WIRE_BYTES_header;
-    if (header.payload_bytes > input->end - at) {
-      break;
-    }
-    at += (size_t)header.payload_bytes;
+  if (input->skip_bytes > 0 || held(input) < WIRE_BYTES_header) {
+    return false;
   }
-  return count;
+  wire_get_header(input->bytes + input->begin, &header);
+  return held(input) - WIRE_BYTES_header >= header.payload_bytes;
 }
 
 /* ---- output ---------------------------------------------------------------------------------- */
@@ -444,26 +438,6 @@ size_t output_buffers(struct output *output, uv_buf_t *buffers, size_t count) {
     }
   }
   return used;
-}
-
-/* Chunks hold whole frames. The parts of an answer follow each other and have the same id. Errors
- * of the connection have the id 0. */
-unsigned output_count(const struct output *output, uint64_t except) {
-  unsigned count = 0;
-  uint64_t last = 0;
-  wire_header header;
-  for (const struct output_chunk *chunk = output->first; chunk != NULL; chunk = chunk->next) {
-    for (size_t at = 0; at < chunk->committed;) {
-      wire_get_header(chunk->bytes + at, &header);
-      at += WIRE_BYTES_header + (size_t)header.payload_bytes;
-      if (at > chunk->consumed && header.request_id != 0 && header.request_id != except &&
-          header.request_id != last) {
-        last = header.request_id;
-        count++;
-      }
-    }
-  }
-  return count;
 }
 
 /* Removes the first chunk, which has been written completely. If it is the only chunk and small, it

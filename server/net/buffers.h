@@ -109,8 +109,8 @@ bool input_partial(const struct input *input);
  * complete. */
 uint64_t input_partial_id(const struct input *input);
 
-/* Returns how many complete frames have not been dealt with. */
-unsigned input_count(const struct input *input);
+/* Returns whether a complete frame has not been dealt with. */
+bool input_has_frame(const struct input *input);
 
 /* ---- output ---------------------------------------------------------------------------------- */
 
@@ -157,10 +157,6 @@ void output_cancel(struct output *output);
 
 /* Sets up to count buffers to the first committed bytes. Returns how many it has set. */
 size_t output_buffers(struct output *output, uv_buf_t *buffers, size_t count);
-
-/* Returns how many requests have an answer that is not written completely, apart from the request
- * with the id `except`. */
-unsigned output_count(const struct output *output, uint64_t except);
 
 /* Removes the first bytes, which have been written. */
 void output_consume(struct output *output, uint64_t bytes);

@@ -41,7 +41,7 @@ struct client_kind {
   void (*deadline)(struct client *client);              /* at worker_wake_at()'s time; or NULL */
   void (*stop)(struct client *client);                  /* once, when the daemon stops */
   void (*abort)(struct client *client);                 /* once, after the drain timeout */
-  unsigned (*count)(const struct client *client); /* requests that abort() leaves unanswered */
+  bool (*busy)(const struct client *client);            /* whether abort() loses answers; or NULL */
   /* The listener gives a new connection to the worker with the fewest clients that count. */
   bool counts;
 };

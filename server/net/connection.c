@@ -485,9 +485,9 @@ static void abort_client(struct client *client) {
   abort_connection(of(client));
 }
 
-static unsigned count_requests(const struct client *client) {
+static bool is_busy(const struct client *client) {
   const struct connection *c = (const struct connection *)(const void *)client;
-  return c->closing ? 0 : requests_count(&c->requests);
+  return !c->closing && (c->output.ready_bytes > 0 || requests_wait(&c->requests));
 }
 
 static const struct client_kind kind = {
@@ -498,6 +498,6 @@ static const struct client_kind kind = {
     .deadline = deadline,
     .stop = stop,
     .abort = abort_client,
-    .count = count_requests,
+    .busy = is_busy,
     .counts = true,
 };

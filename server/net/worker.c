@@ -109,11 +109,9 @@ static void stop_client(struct client *client) {
   client->kind->stop(client);
 }
 
-/* Gives a client up after the drain timeout, and counts what it leaves behind. */
+/* Gives a client up after the drain timeout. */
 static void abort_client(struct client *client) {
-  const unsigned requests = client->kind->count != NULL ? client->kind->count(client) : 0;
-  client->worker->abandoned_requests += requests;
-  client->worker->abandoned_clients += requests > 0;
+  client->worker->abandoned_count += client->kind->busy != NULL && client->kind->busy(client);
   client->kind->abort(client);
 }
 

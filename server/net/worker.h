@@ -48,9 +48,9 @@ struct worker {
   uint64_t round_ns; /* when this round of the loop began to read; 0 if it has not read anything */
   unsigned stop_rounds; /* rounds of the loop since worker_stop(); 0 before */
   uint64_t stop_began_ms;
-  unsigned abandoned_requests, abandoned_clients; /* by the drain timeout; read after the join */
-  _Atomic uint64_t client_count;                  /* number of clients with kind->counts */
-  _Atomic uint64_t round_began_ms;                /* by uv_hrtime(); a round follows soon */
+  unsigned abandoned_count;        /* clients, by the drain timeout; read after the join */
+  _Atomic uint64_t client_count;   /* number of clients with kind->counts */
+  _Atomic uint64_t round_began_ms; /* by uv_hrtime(); a round follows soon */
   struct job_context context;
 };
 
