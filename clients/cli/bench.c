@@ -36,14 +36,8 @@ typedef struct measured {
 
 enum { CONNECTIONS_MAX = 256, RADII_MAX = 1 << 22, MEASUREMENTS = 3 };
 
-typedef struct bench_settings {
-  cli_profile_settings profile;
-  cli_number seconds;
-  cli_count connections, in_flight, radii, large_radii;
-} bench_settings;
-
 typedef struct report {
-  const bench_settings *settings;
+  const cli_settings *settings;
   dipole_client *client;
   cli_profile profile;
   void *radii;
@@ -191,11 +185,12 @@ static void make_slots(const report *of, worker *one) {
   }
 }
 
-static bool open_another(const cli_common *common, dipole_client **client, dipole_error *error) {
+static bool open_another(const cli_settings *settings, dipole_client **client,
+                         dipole_error *error) {
   dipole_options options;
-  cli_connection_options(common, &options);
+  cli_connection_options(settings, &options);
   options.in_flight_max = 0;
-  return dipole_open_with(common->connect, &options, client, error);
+  return dipole_open_with(settings->connect, &options, client, error);
 }
 
 /* Sends one request that is not counted, so that the daemon has prepared all it needs. */
@@ -276,8 +271,8 @@ static bool run_load(report *of, const load *asked, measured *result, dipole_err
     one->query = &query;
     one->in_flight = asked->in_flight;
     make_slots(of, one);
-    good = good && (i == 0 || open_another(&of->settings->profile.common, &one->client, error)) &&
-           warm_up(one, error);
+    good =
+        good && (i == 0 || open_another(of->settings, &one->client, error)) && warm_up(one, error);
   }
   good = good && run_all(of, workers, result, error);
   of->requests += result->times.count;
@@ -300,8 +295,7 @@ static bool run_load(report *of, const load *asked, measured *result, dipole_err
 /* How much memory the values under way may take on all connections. */
 #define VALUES_MAX_BYTES ((size_t)1 << 30)
 
-static int check(void *given) {
-  bench_settings *settings = given;
+static int check(cli_settings *settings) {
   const double seconds = settings->seconds.value;
   const struct {
     const char *option;
@@ -319,15 +313,16 @@ static int check(void *given) {
                             (unsigned long long)counts[i].most);
     }
   }
-  if (!cli_medium_given(&settings->profile)) {
-    settings->profile.medium = MEDIUM_DEFAULT;
+  if (!cli_medium_given(settings)) {
+    static char name[] = MEDIUM_DEFAULT, *names[] = {name};
+    settings->medium = (cli_texts){1, names, name};
   }
-  return cli_medium_check(&settings->profile);
+  return cli_medium_check(settings);
 }
 
 /* Checks those settings whose limits depend on the daemon. */
 static int check_with_daemon(const report *of) {
-  const bench_settings *settings = of->settings;
+  const cli_settings *settings = of->settings;
   const size_t bytes = (size_t)(settings->connections.value * settings->in_flight.value) *
                        (size_t)settings->radii.value * of->profile.channel_count * sizeof(double);
   const char *address = dipole_address(of->client);
@@ -375,7 +370,7 @@ static void make_query(report *of) {
 /* ---- measuring ------------------------------------------------------------------------------- */
 
 static int measure(report *of) {
-  const bench_settings *settings = of->settings;
+  const cli_settings *settings = of->settings;
   const load loads[MEASUREMENTS] = {
       {"small", 1, 1, settings->radii.value},
       {"pipelined", (unsigned)settings->connections.value, (unsigned)settings->in_flight.value,
@@ -441,8 +436,8 @@ static void put_facts(cli_rows *rows, const void *context, size_t index) {
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
-static int measure_and_write(const bench_settings *settings, report *of) {
-  int status = cli_profile_take(&settings->profile, of->client, &of->profile);
+static int measure_and_write(const cli_settings *settings, report *of) {
+  int status = cli_profile_take(settings, of->client, &of->profile);
   status = status == CLI_OK ? check_with_daemon(of) : status;
   if (status != CLI_OK) {
     return status;
@@ -454,11 +449,11 @@ static int measure_and_write(const bench_settings *settings, report *of) {
   }
   const cli_report output = {
       .facts = put_facts, .rows = MEASUREMENTS, .put_row = put_result, .left = 1};
-  cli_write(&output, settings->profile.common.form, of);
+  cli_write(&output, settings->form, of);
   return CLI_OK;
 }
 
-static int run(void *settings, dipole_client *client) {
+static int run(const cli_settings *settings, dipole_client *client) {
   report *of = cli_allocate(1, sizeof *of);
   of->settings = settings;
   of->client = client;
@@ -466,21 +461,14 @@ static int run(void *settings, dipole_client *client) {
 }
 
 static const cli_option options[] = {
-    {"Load", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"model", "NAME", "which model is evaluated", CLI_TEXT, offsetof(bench_settings, profile.model),
-     "better"},
-    {"evaluator", "NAME", "f64, f32 or lut", CLI_TEXT, offsetof(bench_settings, profile.evaluator),
-     "f32"},
-    {"seconds", "S", "how long each of the three is measured", CLI_NUMBER,
-     offsetof(bench_settings, seconds), "1"},
-    {"connections", "N", "how many connections the pipelined requests have", CLI_COUNT,
-     offsetof(bench_settings, connections), "1"},
-    {"in-flight", "N", "how many requests are under way on each connection", CLI_COUNT,
-     offsetof(bench_settings, in_flight), "64"},
-    {"radii", "N", "how many radii a small request has", CLI_COUNT, offsetof(bench_settings, radii),
-     "16"},
-    {"large-radii", "N", "how many radii a large request has", CLI_COUNT,
-     offsetof(bench_settings, large_radii), "65536"},
+    CLI_TITLE("Load"),
+    CLI_OPTION(NAME, model, "better", "which model is evaluated"),
+    CLI_OPTION(TEXT, evaluator, "f32", "f64, f32 or lut"),
+    CLI_OPTION(NUMBER, seconds, "1", "how long each of the three is measured"),
+    CLI_OPTION(COUNT, connections, "1", "how many connections the pipelined requests have"),
+    CLI_OPTION(COUNT, in_flight, "64", "how many requests are under way on each connection"),
+    CLI_OPTION(COUNT, radii, "16", "how many radii a small request has"),
+    CLI_OPTION(COUNT, large_radii, "65536", "how many radii a large request has"),
     {0},
 };
 
@@ -503,7 +491,6 @@ const cli_command cli_command_bench = {
                 "  dipole bench --connect tcp:farm7:4817 --connections 8 --in-flight 128\n"
                 "  dipole bench --model transport --evaluator lut --seconds 5 --format json\n",
     .shows_service = true,
-    .settings_bytes = sizeof(bench_settings),
     .check = check,
     .run = run,
 };

@@ -39,49 +39,75 @@ typedef struct cli_numbers {
 typedef struct cli_texts {
   size_t count; /* 0 if the option is not given */
   char **items;
+  const char *whole; /* of names: as they were given, with commas */
 } cli_texts;
 
 enum cli_option_kind {
   CLI_HEADING,   /* no option, but a heading for --help */
   CLI_SWITCH,    /* bool */
   CLI_TEXT,      /* const char * */
+  CLI_FILE,      /* the same */
   CLI_COUNT,     /* cli_count */
   CLI_COUNT32,   /* the same, up to UINT32_MAX */
   CLI_NUMBER,    /* cli_number */
+  CLI_ONE,       /* cli_numbers, but only one of them */
   CLI_NUMBERS,   /* cli_numbers, separated by commas */
+  CLI_NAME,      /* cli_texts, but only one of them */
   CLI_NAMES,     /* cli_texts, separated by commas */
   CLI_FILES,     /* cli_texts: each use of the option adds one */
   CLI_PARAMETER, /* cli_given */
 };
 
 typedef struct cli_option {
-  const char *name;     /* without the dashes; NULL ends a list */
-  const char *argument; /* what --help calls its value; NULL if it has none */
-  const char *help;     /* of any length; --help breaks it into lines */
+  const char *name; /* that of its member of cli_settings; on the command line it has - for _. NULL
+                       ends a list */
+  const char *help; /* of any length; --help breaks it into lines */
   enum cli_option_kind kind;
-  size_t offset;     /* where its value lies in the command's settings */
-  const char *usual; /* the value if the option is not given, for CLI_TEXT, CLI_COUNT, CLI_COUNT32
-                        and CLI_NUMBER, which --help tells; NULL stands for NULL or 0 */
+  size_t offset;        /* where its value lies in cli_settings */
+  const char *usual;    /* the value if the option is not given, which --help tells; NULL: none */
+  const char *argument; /* what --help calls its value; NULL for the usual name of its kind */
 } cli_option;
+
+/* Entries of a list of options. */
+#define CLI_TITLE(heading)                                                                         \
+  { heading, NULL, CLI_HEADING, 0, NULL, NULL }
+#define CLI_OPTION(kind, member, usual, help)                                                      \
+  { #member, help, CLI_##kind, offsetof(cli_settings, member), usual, NULL }
 
 /* What --format can say. CLI_NONE: the command writes no values, but for example a picture. */
 enum cli_form { CLI_NONE, CLI_TABLE, CLI_CSV, CLI_JSON };
 
-/* The settings of every command start with these. */
-typedef struct cli_common {
+/* What the options of all commands say. A command has options only for the members that it uses. */
+typedef struct cli_settings {
   const char *connect; /* one address or several; NULL for $DIPOLED or else a private daemon */
   bool is_service;     /* whether it is the installed service, which nobody has named */
-  const char *ca;      /* files for tls: addresses; NULL if they are not given */
-  const char *certificate;
-  const char *key;
-  const char *format; /* what --format says; NULL if it is not given */
-  enum cli_form form; /* what --format means, also if it is not given */
-  cli_count timeout_ms;
-  cli_count retry_ms;
+  const char *ca, *certificate, *key; /* files for tls: addresses; NULL if they are not given */
+  const char *format;                 /* what --format says; NULL if it is not given */
+  enum cli_form form;                 /* what --format means, also if it is not given */
+  cli_count timeout_ms, retry_ms, deadline_ms;
+  const char *operand, *second_operand;      /* NULL if they are not there */
   cli_given parameters[CORE_PARAMETERS_END]; /* those that the command takes, by their ids */
-  const char *operand;                       /* NULL if there is none */
-  const char *second_operand;                /* NULL if there is none */
-} cli_common;
+  cli_texts medium, channel;
+  cli_numbers sigma_a, sigma_s, g, eta;
+  cli_texts model;
+  const char *moments, *evaluator;
+  cli_numbers albedo, mean_free_path, diffuse_mean_free_path, classical_diffuse_path;
+  cli_numbers r, f, u;
+  cli_number from, to;
+  cli_count count, rings, seed, first;
+  bool log;
+  cli_texts wanted, plot;
+  const char *table, *output; /* files of tables */
+  bool errors, deviation;
+  const char *quantity, *axes, *draw, *scale, *light;
+  cli_numbers reference;
+  bool specular, linear;
+  cli_texts coefficients;
+  cli_number tolerance, least_distance;
+  cli_number photons, error, total_error;
+  cli_number interval, seconds;
+  cli_count connections, in_flight, radii, large_radii;
+} cli_settings;
 
 /* ---- commands -------------------------------------------------------------------------------- */
 
@@ -96,21 +122,20 @@ typedef struct cli_command {
   const char *examples;       /* example command lines; the text ends with a newline */
   const char *formats; /* the values of --format, separated by commas; the first is the default */
   const cli_option *options[CLI_LISTS_MAX]; /* lists of its options, in the order of --help */
-  unsigned parameters;   /* bit 1 << id for each parameter that it takes, which --help tells of */
-  size_t settings_bytes; /* size of its settings, which are zeroed first */
+  unsigned parameters; /* bit 1 << id for each parameter that it takes, which --help tells of */
 
   /* Checks and completes the settings before any daemon is asked. NULL if there is nothing to
    * check. Returns an exit status; the command goes on if that is CLI_OK. */
-  int (*check)(void *settings);
+  int (*check)(cli_settings *settings);
 
   /* Without --connect and $DIPOLED, the command is about the installed service if that is there. */
   bool shows_service;
 
   /* Returns whether the command needs no daemon. NULL if it always needs one. */
-  bool (*is_local)(const void *settings);
+  bool (*is_local)(const cli_settings *settings);
 
   /* Does the work and returns an exit status. client: NULL if is_local() said so. */
-  int (*run)(void *settings, dipole_client *client);
+  int (*run)(const cli_settings *settings, dipole_client *client);
 } cli_command;
 
 /* All commands, in the order of help; NULL ends the list. */

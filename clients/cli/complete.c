@@ -7,8 +7,6 @@
 #include "clients/cli/options.h"
 #include "clients/cli/profile.h"
 
-enum { OPTIONS_MAX = 64 };
-
 /* Writes a candidate if it begins with what is there: `before`, which is kept, and `start`. */
 static void offer(const char *before, const char *start, const char *name, const char *about) {
   if (strncmp(name, start, strlen(start)) == 0) {
@@ -99,28 +97,30 @@ static void offer_commands(const char *start) {
 
 /* Offers what may stand in the place of `last` behind `previous`, the word before it. */
 static void offer_words(const cli_command *command, const char *previous, const char *last) {
-  const cli_option *options[OPTIONS_MAX];
-  const size_t count = cli_options_list(command, options, OPTIONS_MAX);
   const char *equals = strncmp(last, "--", 2) == 0 ? strchr(last, '=') : NULL;
-  for (size_t i = 0; i < count; i++) {
-    const size_t length = strlen(options[i]->name);
+  const cli_option *option;
+  for (option = cli_options_of(command); option->name != NULL; option++) {
+    const size_t length = strlen(option->name);
     if (equals != NULL && equals == last + 2 + length &&
-        strncmp(last + 2, options[i]->name, length) == 0) {
+        strncmp(last + 2, option->name, length) == 0) {
       char before[64];
-      snprintf(before, sizeof before, "--%s=", options[i]->name);
-      offer_values(command, options[i], before, equals + 1);
+      snprintf(before, sizeof before, "--%s=", option->name);
+      offer_values(command, option, before, equals + 1);
       return;
     }
-    if (options[i]->kind != CLI_SWITCH && strncmp(previous, "--", 2) == 0 &&
-        strcmp(previous + 2, options[i]->name) == 0) {
-      offer_values(command, options[i], "", last);
+    if (option->kind != CLI_SWITCH && strncmp(previous, "--", 2) == 0 &&
+        strcmp(previous + 2, option->name) == 0) {
+      offer_values(command, option, "", last);
       return;
     }
   }
-  for (size_t i = 0; i < count && (last[0] == '-' || command->operand == NULL); i++) {
-    char name[64];
-    snprintf(name, sizeof name, "--%s", options[i]->name);
-    offer("", last, name, options[i]->help != NULL ? options[i]->help : command->formats);
+  const bool names = last[0] == '-' || command->operand == NULL;
+  for (option = cli_options_of(command); names && option->name != NULL; option++) {
+    if (option->kind != CLI_HEADING) {
+      char name[64];
+      snprintf(name, sizeof name, "--%s", option->name);
+      offer("", last, name, option->help != NULL ? option->help : command->formats);
+    }
   }
 }
 

@@ -6,8 +6,8 @@
 #include <string.h>
 #include <unistd.h>
 
-#include "clients/cli/number.h"
 #include "clients/cli/options.h"
+#include "proto/decimal.h"
 
 #define UTF8_MARK "\xef\xbb\xbf" /* a byte order mark, with which a file may begin */
 
@@ -122,7 +122,7 @@ bool cli_csv_number(const cli_csv_record *record, size_t index, double *value) {
   const cli_csv_cell *cell = &record->cells[index];
   const char *text = record->texts + cell->begin;
   return strlen(text) == cell->text_length && !decimal_starts_with_zero(text) &&
-         cli_number_parse(text, value);
+         decimal_read(text, value);
 }
 
 const char *cli_csv_number_hint(const char *text) {

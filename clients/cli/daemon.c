@@ -10,31 +10,31 @@
 /* A daemon that runs answers within this time. */
 #define AT_ONCE_MS 1000
 
-void cli_connection_options(const cli_common *common, dipole_options *options) {
+void cli_connection_options(const cli_settings *settings, dipole_options *options) {
   dipole_options_init(options);
-  options->timeout_ms = (unsigned)common->timeout_ms.value;
-  if (common->timeout_ms.given) {
+  options->timeout_ms = (unsigned)settings->timeout_ms.value;
+  if (settings->timeout_ms.given) {
     options->connect_timeout_ms = options->timeout_ms;
   }
-  if (common->retry_ms.given) {
-    options->retry_ms = (unsigned)common->retry_ms.value;
+  if (settings->retry_ms.given) {
+    options->retry_ms = (unsigned)settings->retry_ms.value;
   }
-  options->ca = common->ca;
-  options->certificate = common->certificate;
-  options->key = common->key;
+  options->ca = settings->ca;
+  options->certificate = settings->certificate;
+  options->key = settings->key;
 }
 
 /* Opens a client. A person at a terminal is told when no daemon has answered at once. */
-static bool open_client(const cli_common *common, const char *address, dipole_client **client,
+static bool open_client(const cli_settings *settings, const char *address, dipole_client **client,
                         dipole_error *error) {
   dipole_options options;
-  cli_connection_options(common, &options);
+  cli_connection_options(settings, &options);
   const bool is_private = address == NULL || strncmp(address, "private:", strlen("private:")) == 0;
   if (!is_private && options.retry_ms > 0 && isatty(STDERR_FILENO) == 1) {
     dipole_options at_once = options;
     at_once.retry_ms = 0;
     at_once.connect_timeout_ms = AT_ONCE_MS;
-    if (dipole_open_with(common->connect, &at_once, client, error)) {
+    if (dipole_open_with(settings->connect, &at_once, client, error)) {
       dipole_set_retry_ms(*client, options.retry_ms);
       return true;
     }
@@ -43,30 +43,30 @@ static bool open_client(const cli_common *common, const char *address, dipole_cl
               options.retry_ms / 1e3);
     }
   }
-  return dipole_open_with(common->connect, &options, client, error);
+  return dipole_open_with(settings->connect, &options, client, error);
 }
 
-dipole_client *cli_open(const cli_common *common) {
+dipole_client *cli_open(const cli_settings *settings) {
   dipole_client *client;
   dipole_error error;
-  const char *address = common->connect != NULL ? common->connect : getenv("DIPOLED");
-  if (open_client(common, address, &client, &error)) {
-    if (common->retry_ms.given) { /* dipole_open_with() does not do so for private: */
-      dipole_set_retry_ms(client, (unsigned)common->retry_ms.value);
+  const char *address = settings->connect != NULL ? settings->connect : getenv("DIPOLED");
+  if (open_client(settings, address, &client, &error)) {
+    if (settings->retry_ms.given) { /* dipole_open_with() does not do so for private: */
+      dipole_set_retry_ms(client, (unsigned)settings->retry_ms.value);
     }
     return client;
   }
   cli_fail("%s", error.text);
   if (error.kind == DIPOLE_ERROR_CONNECT && error.status == 0 && address != NULL &&
-      strncmp(address, "private:", strlen("private:")) != 0 && !common->is_service) {
+      strncmp(address, "private:", strlen("private:")) != 0 && !settings->is_service) {
     const bool several = strstr(address, ",unix:") != NULL || strstr(address, ",tcp:") != NULL ||
                          strstr(address, ",tls:") != NULL;
     fprintf(stderr,
             "The address is from %s. If no daemon runs there, start one with `dipoled --listen "
             "%s`. Or %s: dipole then starts a daemon for itself.\n",
-            common->connect != NULL ? "--connect" : "the environment variable DIPOLED",
+            settings->connect != NULL ? "--connect" : "the environment variable DIPOLED",
             several ? "ADDRESS" : address,
-            common->connect != NULL ? "leave --connect out" : "unset that variable");
+            settings->connect != NULL ? "leave --connect out" : "unset that variable");
   }
   return NULL;
 }
@@ -81,11 +81,11 @@ int64_t cli_now_ms(void) {
   return (int64_t)(cli_now_ns() / 1000000);
 }
 
-bool cli_try_again(const cli_common *common, int64_t start_ms, const dipole_error *error) {
+bool cli_try_again(const cli_settings *settings, int64_t start_ms, const dipole_error *error) {
   const uint64_t busy_ms = (uint64_t)(cli_now_ms() - start_ms);
-  const bool is_patient = common->retry_ms.given
-                              ? busy_ms < common->retry_ms.value
-                              : common->timeout_ms.value == 0 || busy_ms < common->timeout_ms.value;
+  const bool is_patient = settings->retry_ms.given ? busy_ms < settings->retry_ms.value
+                                                   : settings->timeout_ms.value == 0 ||
+                                                         busy_ms < settings->timeout_ms.value;
   if (error->retry_after_ms == 0 || !is_patient) {
     return false;
   }

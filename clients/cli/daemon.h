@@ -6,10 +6,10 @@
 #include "clients/cli/progress.h"
 
 /* Sets what --timeout-ms and --retry-ms say. */
-void cli_connection_options(const cli_common *common, dipole_options *options);
+void cli_connection_options(const cli_settings *settings, dipole_options *options);
 
 /* Connects to --connect, $DIPOLED or a private daemon. On failure, says why and returns NULL. */
-dipole_client *cli_open(const cli_common *common);
+dipole_client *cli_open(const cli_settings *settings);
 
 /* These return the time since some moment in the past. */
 uint64_t cli_now_ns(void);
@@ -18,19 +18,19 @@ int64_t cli_now_ms(void);
 /* Returns whether a call that failed is to be made again: the daemon was busy, and --retry-ms, or
  * else --timeout-ms, have not passed since start_ms. If so, waits first as long as the daemon asks
  * for, a second at most. */
-bool cli_try_again(const cli_common *common, int64_t start_ms, const dipole_error *error);
+bool cli_try_again(const cli_settings *settings, int64_t start_ms, const dipole_error *error);
 
 /* Makes a call of libdipole, again and again while cli_try_again() says so. Its value is that of
  * the last call. Example:
- *   good = CLI_ASK(common, &error, dipole_eval(client, &query, &result, &error)); */
-#define CLI_ASK(common, error, call)                                                               \
+ *   good = CLI_ASK(settings, &error, dipole_eval(client, &query, &result, &error)); */
+#define CLI_ASK(settings, error, call)                                                             \
   __extension__({                                                                                  \
     const int64_t ask_start_ms = cli_now_ms();                                                     \
     bool ask_good;                                                                                 \
     cli_progress_wait(true);                                                                       \
     do {                                                                                           \
       ask_good = (call);                                                                           \
-    } while (!ask_good && cli_try_again((common), ask_start_ms, (error)));                         \
+    } while (!ask_good && cli_try_again((settings), ask_start_ms, (error)));                       \
     cli_progress_wait(false);                                                                      \
     ask_good;                                                                                      \
   })

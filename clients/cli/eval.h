@@ -55,40 +55,23 @@ void cli_eval_write(const cli_eval_report *report, enum cli_form form);
 
 /* ---- asking ---------------------------------------------------------------------------------- */
 
-typedef struct cli_eval_settings {
-  cli_profile_settings profile; /* `model` is not used */
-  const char *table;            /* the file of tables to evaluate; NULL to ask a daemon */
-  cli_texts model;
-  const char *reference; /* a model that is asked too, with what it takes of the parameters */
-  cli_numbers r, f;
-  cli_number from, to;
-  cli_count count;
-  bool logarithmic;
-  bool errors;
-  cli_texts wanted;
-  cli_texts plot;
-} cli_eval_settings;
-
-/* The options of an evaluation, for settings that start with a cli_eval_settings. */
+/* The options of an evaluation. */
 extern const cli_option cli_eval_options[];
 
 /* The option --f. */
 #define CLI_EVAL_F_OPTION                                                                          \
-  {                                                                                                \
-    "f", "X[,X...]",                                                                               \
-        "in place of radii: these spatial frequencies of striped light, 1/mm, for R_f",            \
-        CLI_NUMBERS, offsetof(cli_eval_settings, f), NULL                                          \
-  }
+  CLI_OPTION(NUMBERS, f, NULL,                                                                     \
+             "in place of radii: these spatial frequencies of striped light, 1/mm, for R_f")
 
 /* Checks everything that can be checked without a daemon. Returns an exit status. */
-int cli_eval_check(cli_eval_settings *settings);
+int cli_eval_check(cli_settings *settings);
 
 /* Fills a zeroed report by asking a daemon. Of all models, those are left out that refuse the
  * query, with a line each on standard error. Says what is wrong and returns an exit status. */
-int cli_eval_ask(const cli_eval_settings *settings, dipole_client *client, cli_eval_report *report);
+int cli_eval_ask(const cli_settings *settings, dipole_client *client, cli_eval_report *report);
 
 /* Fills a zeroed report from the file of tables, without a daemon. */
-int cli_eval_table(const cli_eval_settings *settings, cli_eval_report *report, dipole_info **info);
+int cli_eval_table(const cli_settings *settings, cli_eval_report *report, dipole_info **info);
 
 /* The radii of one query. */
 typedef struct cli_eval_radii {
@@ -100,11 +83,10 @@ typedef struct cli_eval_radii {
 } cli_eval_radii;
 
 /* Returns the radii that are asked for; none if no quantity has a value for each radius. */
-cli_eval_radii cli_eval_make_radii(const cli_eval_settings *settings,
-                                   const cli_eval_report *report);
+cli_eval_radii cli_eval_make_radii(const cli_settings *settings, const cli_eval_report *report);
 
 /* Looks up the quantities, R and the albedo by default, and sets where values are. Says what is
  * wrong and returns false if that fails. */
-bool cli_eval_take_quantities(const cli_eval_settings *settings, cli_eval_report *report);
+bool cli_eval_take_quantities(const cli_settings *settings, cli_eval_report *report);
 
 #endif

@@ -5,7 +5,6 @@
 
 #include "clients/cli/daemon.h"
 #include "clients/cli/eval.h"
-#include "clients/cli/number.h"
 #include "clients/cli/progress.h"
 
 #define MODEL_ALL "all"
@@ -20,10 +19,9 @@ static bool choose_model(const char *name, cli_eval_report *report) {
   return model != NULL;
 }
 
-static bool choose_models(const cli_eval_settings *settings, cli_eval_report *report) {
+static bool choose_models(const cli_settings *settings, cli_eval_report *report) {
   const cli_texts *names = &settings->model;
-  if (names->count == 0 &&
-      settings->profile.common.parameters[CORE_PARAMETER_TOLERANCE].text != NULL) {
+  if (names->count == 0 && settings->parameters[CORE_PARAMETER_TOLERANCE].text != NULL) {
     cli_eval_add_model(report, NULL, true); /* the daemon chooses */
     return true;
   }
@@ -44,10 +42,10 @@ static bool choose_models(const cli_eval_settings *settings, cli_eval_report *re
 }
 
 /* Like one of all models, the reference takes what it can of the parameters. */
-static bool choose_reference(const char *name, cli_eval_report *report) {
-  const dipole_choice *model = cli_choice(report->profile.info, DIPOLE_MODEL, name);
+static bool choose_reference(cli_eval_report *report) {
+  const dipole_choice *model = cli_choice(report->profile.info, DIPOLE_MODEL, CLI_MODEL_DEFAULT);
   if (model == NULL) {
-    cli_fail("this daemon has no model %s to compare with: leave --error out", name);
+    cli_fail("this daemon has no model " CLI_MODEL_DEFAULT " to compare with: leave --error out");
     return false;
   }
   cli_eval_add_model(report, model, false);
@@ -56,7 +54,7 @@ static bool choose_reference(const char *name, cli_eval_report *report) {
 
 /* ---- quantities and radii ----------------------------------------------------------------------------------- */
 
-bool cli_eval_take_quantities(const cli_eval_settings *settings, cli_eval_report *report) {
+bool cli_eval_take_quantities(const cli_settings *settings, cli_eval_report *report) {
   const bool at_f = settings->f.count > 0;
   const unsigned usual = DIPOLE_ALBEDO | (at_f ? DIPOLE_TRANSFER : DIPOLE_R);
   if (!cli_quantities_take(report->profile.info, &settings->wanted, usual, DIPOLE_RADIUS,
@@ -78,15 +76,14 @@ bool cli_eval_take_quantities(const cli_eval_settings *settings, cli_eval_report
   return true;
 }
 
-cli_eval_radii cli_eval_make_radii(const cli_eval_settings *settings,
-                                   const cli_eval_report *report) {
+cli_eval_radii cli_eval_make_radii(const cli_settings *settings, const cli_eval_report *report) {
   cli_eval_radii radii = {.spacing = DIPOLE_LIST};
   if ((report->quantities.wanted & ~(unsigned)(DIPOLE_ALBEDO | DIPOLE_RADIUS)) == 0) {
     return radii;
   }
   const cli_numbers *list = settings->f.count > 0 ? &settings->f : &settings->r;
   if (list->count == 0) {
-    radii.spacing = settings->logarithmic ? DIPOLE_LOGARITHMIC : DIPOLE_LINEAR;
+    radii.spacing = settings->log ? DIPOLE_LOGARITHMIC : DIPOLE_LINEAR;
     radii.count = settings->count.value;
     radii.start_mm = settings->from.value;
     radii.stop_mm = settings->to.value;
@@ -104,7 +101,7 @@ cli_eval_radii cli_eval_make_radii(const cli_eval_settings *settings,
 /* ---- asking ---------------------------------------------------------------------------------- */
 
 typedef struct asking {
-  const cli_eval_settings *settings;
+  const cli_settings *settings;
   dipole_client *client;
   cli_eval_report *report;
   const cli_eval_radii *radii;
@@ -149,7 +146,7 @@ static dipole_query make_query(const asking *ask, size_t place, const cli_parame
                         .radius_stop_mm = radii->stop_mm,
                         .parameters = parameters->items,
                         .parameter_count = parameters->count,
-                        .deadline_ms = (uint32_t)ask->settings->profile.deadline_ms.value};
+                        .deadline_ms = (uint32_t)ask->settings->deadline_ms.value};
   if (radii->f64 != NULL && query.evaluator == DIPOLE_F64) {
     query.radii = radii->f64 + first;
   } else if (radii->f32 != NULL) {
@@ -211,8 +208,7 @@ static bool ask_piece(const asking *ask, size_t place, const cli_parameters *par
   const dipole_query query = make_query(ask, place, parameters, first, count);
   dipole_error unusable = {0};
   receiving to = {.ask = ask, .place = place, .first = first, .error = &unusable};
-  if (CLI_ASK(&ask->settings->profile.common, error,
-              dipole_eval_parts(ask->client, &query, receive, &to, error))) {
+  if (CLI_ASK(ask->settings, error, dipole_eval_parts(ask->client, &query, receive, &to, error))) {
     return true;
   }
   if (error->kind == DIPOLE_ERROR_STOPPED) {
@@ -239,7 +235,7 @@ static bool is_not_taken(const dipole_error *error) {
 static bool ask_any_model(const asking *ask, dipole_error *error) {
   cli_eval_model *model = &ask->report->models[0];
   ask->report->chosen = true;
-  if (ask->settings->profile.evaluator == NULL) {
+  if (ask->settings->evaluator == NULL) {
     model->evaluator = cli_choice_of_id(ask->report->profile.info, DIPOLE_EVALUATOR, DIPOLE_LUT);
     if (model->evaluator != NULL &&
         ask_piece(ask, 0, &ask->report->profile.parameters, 0, ask->radii->count, error)) {
@@ -341,8 +337,7 @@ static int ask_all(asking *ask) {
 
 /* ---- all of it ------------------------------------------------------------------------------- */
 
-static int ask_with(const cli_eval_settings *settings, dipole_client *client,
-                    cli_eval_report *report) {
+static int ask_with(const cli_settings *settings, dipole_client *client, cli_eval_report *report) {
   cli_eval_radii radii = cli_eval_make_radii(settings, report);
   cli_progress progress;
   asking ask = {.settings = settings,
@@ -356,14 +351,12 @@ static int ask_with(const cli_eval_settings *settings, dipole_client *client,
   return ask_all(&ask);
 }
 
-int cli_eval_ask(const cli_eval_settings *settings, dipole_client *client,
-                 cli_eval_report *report) {
-  const int status = cli_profile_take(&settings->profile, client, &report->profile);
+int cli_eval_ask(const cli_settings *settings, dipole_client *client, cli_eval_report *report) {
+  const int status = cli_profile_take(settings, client, &report->profile);
   if (status != CLI_OK) {
     return status;
   }
-  if (!choose_models(settings, report) ||
-      (settings->reference != NULL && !choose_reference(settings->reference, report)) ||
+  if (!choose_models(settings, report) || (settings->deviation && !choose_reference(report)) ||
       !cli_eval_take_quantities(settings, report)) {
     return CLI_USAGE;
   }
@@ -373,7 +366,7 @@ int cli_eval_ask(const cli_eval_settings *settings, dipole_client *client,
     model->evaluator = report->profile.evaluator != NULL
                            ? report->profile.evaluator
                            : cli_choice(report->profile.info, DIPOLE_EVALUATOR,
-                                        cli_usual_evaluator(&settings->profile, name));
+                                        cli_usual_evaluator(settings, name));
   }
   report->profile.evaluator = NULL; /* each row has its own */
   cli_eval_make_values(report);

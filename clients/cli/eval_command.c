@@ -6,62 +6,60 @@
 #include "clients/cli/picture.h"
 #include "clients/cli/plot.h"
 
-#define FIELD(name) offsetof(cli_eval_settings, name)
-
 static const cli_option radii_options[] = {
-    {"table", "FILE",
-     "evaluate the tables in a file of `dipole table`, without a daemon; -: standard input",
-     CLI_TEXT, FIELD(table), NULL},
-    {"Radii", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"r", "X[,X...]", "these radii, mm; one may be inf", CLI_NUMBERS, FIELD(r), NULL},
+    CLI_OPTION(
+        FILE, table, NULL,
+        "evaluate the tables in a file of `dipole table`, without a daemon; -: standard input"),
+    CLI_TITLE("Radii"),
+    CLI_OPTION(NUMBERS, r, NULL, "these radii, mm; one may be inf"),
     CLI_EVAL_F_OPTION,
-    {"from", "X", "the first radius of a grid, mm", CLI_NUMBER, FIELD(from), "0"},
-    {"to", "X", "the last radius of the grid, mm", CLI_NUMBER, FIELD(to), "10"},
-    {"count", "N", "how many radii the grid has", CLI_COUNT, FIELD(count), "21"},
-    {"log", NULL, "make the ratios between radii equal instead of the steps; needs --from",
-     CLI_SWITCH, FIELD(logarithmic), NULL},
+    CLI_OPTION(NUMBER, from, "0", "the first radius of a grid, mm"),
+    CLI_OPTION(NUMBER, to, "10", "the last radius of the grid, mm"),
+    CLI_OPTION(COUNT, count, "21", "how many radii the grid has"),
+    CLI_OPTION(SWITCH, log, NULL,
+               "make the ratios between radii equal instead of the steps; needs --from"),
     {0},
 };
 
 const cli_option cli_eval_options[] = {
-    {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"model", "NAME[,NAME...]",
-     "`dipole info` lists them; all: every model that accepts the query, while standard error "
-     "names "
-     "those that refuse it (default: transport; with --tolerance the cheapest that is so near to "
-     "it)",
-     CLI_NAMES, FIELD(model), NULL},
-    {CLI_MOMENTS_OPTION, NULL},
-    {CLI_EVALUATOR_OPTION, NULL},
-    {CLI_DEADLINE_OPTION, NULL},
+    CLI_TITLE("Evaluation"),
+    CLI_OPTION(
+        NAMES, model, NULL,
+        "`dipole info` lists them; all: every model that accepts the query, while standard error "
+        "names "
+        "those that refuse it (default: transport; with --tolerance the cheapest that is so near "
+        "to "
+        "it)"),
+    CLI_MOMENTS_OPTION,
+    CLI_EVALUATOR_OPTION,
+    CLI_DEADLINE_OPTION,
     {0},
 };
 
 static const cli_option output_options[] = {
-    {"wanted", "NAME[,NAME...]",
-     "what to evaluate. R: 1/mm^2 per unit of power that entered; albedo; cdf: the share of the "
-     "albedo within r; S: 1/(mm^2 sr); R_f: for striped light, at spatial frequencies in 1/mm; "
-     "`dipole info` lists all (default: R,albedo; with --f R_f,albedo)",
-     CLI_NAMES, FIELD(wanted), NULL},
-    {"errors", NULL,
-     "also write model_errors: how far the model is from transport at each radius. A medium for "
-     "which transport has no stored solution is solved, which takes seconds",
-     CLI_SWITCH, FIELD(errors), NULL},
-    {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"plot", "FILE",
-     "also draw R over r into FILE.svg or FILE.png; -: as text below the table. May be repeated. "
-     "`dipole plot` draws more",
-     CLI_FILES, FIELD(plot), NULL},
+    CLI_OPTION(
+        NAMES, wanted, NULL,
+        "what to evaluate. R: 1/mm^2 per unit of power that entered; albedo; cdf: the share of the "
+        "albedo within r; S: 1/(mm^2 sr); R_f: for striped light, at spatial frequencies in 1/mm; "
+        "`dipole info` lists all (default: R,albedo; with --f R_f,albedo)"),
+    CLI_OPTION(
+        SWITCH, errors, NULL,
+        "also write model_errors: how far the model is from transport at each radius. A medium for "
+        "which transport has no stored solution is solved, which takes seconds"),
+    CLI_TITLE("Output"),
+    CLI_OPTION(FILES, plot, NULL,
+               "also draw R over r into FILE.svg or FILE.png; -: as text below the table. May be "
+               "repeated. "
+               "`dipole plot` draws more"),
     {0},
 };
 
 /* A file of tables fixes the profile and needs no daemon, so this rejects options that concern
  * either. */
-static int check_table(const cli_eval_settings *settings) {
-  const cli_profile_settings *profile = &settings->profile;
-  if (cli_medium_given(profile) || settings->model.count > 0 || profile->moments != NULL ||
-      profile->evaluator != NULL || cli_parameters_given(&profile->common) ||
-      profile->deadline_ms.given || profile->common.connect != NULL || settings->f.count > 0 ||
+static int check_table(const cli_settings *settings) {
+  if (cli_medium_given(settings) || settings->model.count > 0 || settings->moments != NULL ||
+      settings->evaluator != NULL || cli_parameters_given(settings) ||
+      settings->deadline_ms.given || settings->connect != NULL || settings->f.count > 0 ||
       settings->errors) {
     return cli_fail_usage("--table FILE says what is evaluated, and needs no daemon: of "
                           "the options leave all out but radii, --wanted and output");
@@ -69,44 +67,39 @@ static int check_table(const cli_eval_settings *settings) {
   return CLI_OK;
 }
 
-int cli_eval_check(cli_eval_settings *settings) {
+int cli_eval_check(cli_settings *settings) {
   if (settings->f.count > 0 && settings->r.count > 0) {
     return cli_fail_usage("--f is for R_f, and --r for all else: leave one out");
   }
   const bool at_f = settings->f.count > 0;
-  const int status =
-      settings->table != NULL ? check_table(settings) : cli_medium_check(&settings->profile);
+  const int status = settings->table != NULL ? check_table(settings) : cli_medium_check(settings);
   if (status != CLI_OK) {
     return status;
   }
-  if ((at_f || settings->r.count > 0) && (settings->from.given || settings->to.given ||
-                                          settings->count.given || settings->logarithmic)) {
+  if ((at_f || settings->r.count > 0) &&
+      (settings->from.given || settings->to.given || settings->count.given || settings->log)) {
     return cli_fail_usage("--%s gives the %s one by one: leave --from, --to, --count and --log out",
                           at_f ? "f" : "r", at_f ? "frequencies" : "radii");
   }
-  if (settings->logarithmic && !settings->from.given) {
+  if (settings->log && !settings->from.given) {
     return cli_fail_usage("--log needs --from, above 0");
   }
-  return cli_picture_check(&settings->plot, &settings->profile.common);
+  return cli_picture_check(&settings->plot, settings);
 }
 
-static int check(void *settings) {
-  return cli_eval_check(settings);
+static bool is_local(const cli_settings *settings) {
+  return settings->table != NULL;
 }
 
-static bool is_local(const void *settings) {
-  return ((const cli_eval_settings *)settings)->table != NULL;
-}
-
-static int write_and_draw(const cli_eval_settings *settings, const cli_eval_report *report) {
+static int write_and_draw(const cli_settings *settings, const cli_eval_report *report) {
   if (settings->plot.count > 0 && (report->quantities.wanted & DIPOLE_R) == 0) {
     return cli_fail_usage("--plot draws R: add R to --wanted");
   }
-  cli_eval_write(report, settings->profile.common.form);
+  cli_eval_write(report, settings->form);
   return settings->plot.count > 0 ? cli_plot_R(report, &settings->plot) : CLI_OK;
 }
 
-static int run(void *settings, dipole_client *client) {
+static int run(const cli_settings *settings, dipole_client *client) {
   cli_eval_report report = {0};
   dipole_info *info = NULL;
   int status = is_local(settings) ? cli_eval_table(settings, &report, &info)
@@ -146,8 +139,7 @@ const cli_command cli_command_eval = {
                 "  dipole eval --sigma-a 0.05 --sigma-s 9.5 --g 0.9 --eta 1.4 --tolerance 0.01\n"
                 "  dipole eval --medium skin1 --model better --evaluator f32 --wanted R,cdf\n"
                 "  dipole eval --medium skin1 --model all --plot all.svg\n",
-    .settings_bytes = sizeof(cli_eval_settings),
-    .check = check,
+    .check = cli_eval_check,
     .is_local = is_local,
     .run = run,
 };

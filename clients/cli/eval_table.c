@@ -5,7 +5,6 @@
 
 #include "clients/cli/daemon.h"
 #include "clients/cli/eval.h"
-#include "clients/cli/number.h"
 #include "clients/cli/tables_file.h"
 #include "core/core.h"
 
@@ -82,7 +81,7 @@ static int describe(const char *path, const cli_tables *tables, cli_eval_report 
 
 /* Takes the radii. Returns them in single precision; says what is wrong and returns
  * NULL if it cannot. */
-static float *take_radii(const cli_eval_settings *settings, cli_eval_report *report) {
+static float *take_radii(const cli_settings *settings, cli_eval_report *report) {
   cli_eval_radii radii = cli_eval_make_radii(settings, report);
   dipole_error error;
   if (radii.spacing != DIPOLE_LIST) {
@@ -154,7 +153,7 @@ static int evaluate(const dipole_table *table, const float *r, const cli_eval_re
   return status;
 }
 
-static int evaluate_all(const cli_eval_settings *settings, const cli_tables *tables,
+static int evaluate_all(const cli_settings *settings, const cli_tables *tables,
                         cli_eval_report *report) {
   cli_eval_make_values(report);
   float *r = take_radii(settings, report);
@@ -165,7 +164,7 @@ static int evaluate_all(const cli_eval_settings *settings, const cli_tables *tab
   return status;
 }
 
-int cli_eval_table(const cli_eval_settings *settings, cli_eval_report *report, dipole_info **info) {
+int cli_eval_table(const cli_settings *settings, cli_eval_report *report, dipole_info **info) {
   cli_tables tables = {0};
   dipole_error error;
   if (!dipole_local_info(info, &error)) {

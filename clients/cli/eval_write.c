@@ -4,7 +4,6 @@
 
 #include "clients/cli/daemon.h"
 #include "clients/cli/eval.h"
-#include "clients/cli/number.h"
 #include "clients/cli/rows.h"
 
 /* ---- holding --------------------------------------------------------------------------------- */

@@ -12,44 +12,33 @@
 #include "clients/cli/readings.h"
 #include "clients/cli/rows.h"
 
-typedef struct fit_settings {
-  cli_profile_settings profile;
-  cli_number g, eta;
-  const char *scale;
-  cli_numbers reference;
-  cli_texts plot;
-} fit_settings;
-
-#define FIELD(name) offsetof(fit_settings, name)
-
 enum { REFERENCE_NUMBERS = 4 };
 
 static const cli_option options[] = {
-    {"Samples", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"eta", "X",
-     "refractive index inside over outside, where the file does not say: it has no default (tissue "
-     "in air has about 1.4)",
-     CLI_NUMBER, FIELD(eta), NULL},
-    {"g", "X", "mean cosine of the scattering angle, where the file does not say (default: 0)",
-     CLI_NUMBER, FIELD(g), NULL},
-    {"scale", "NAME",
-     "absolute: R is as the model has it; free: R of each sample is that times a factor, which is "
-     "fitted, too (default: absolute)",
-     CLI_TEXT, FIELD(scale), NULL},
-    {"reference", "A,S,G,ETA",
-     "R is divided by the reading of a known medium at the same place: sigma_a, sigma_s (1/mm), g "
-     "and eta of that medium",
-     CLI_NUMBERS, FIELD(reference), NULL},
-    {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"model", "NAME", "the model that is fitted; see `dipole info`", CLI_TEXT,
-     offsetof(cli_profile_settings, model), CLI_MODEL_DEFAULT},
-    {CLI_MOMENTS_OPTION, NULL},
-    {CLI_DEADLINE_OPTION, NULL},
-    {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"plot", "FILE",
-     "also draw readings, fit and residuals of the first samples into FILE.svg or FILE.png; -: as "
-     "text. May be repeated",
-     CLI_FILES, FIELD(plot), NULL},
+    CLI_TITLE("Samples"),
+    CLI_OPTION(ONE, eta, NULL,
+               "refractive index inside over outside, where the file does not say: it has no "
+               "default (tissue "
+               "in air has about 1.4)"),
+    CLI_OPTION(ONE, g, NULL,
+               "mean cosine of the scattering angle, where the file does not say (default: 0)"),
+    CLI_OPTION(TEXT, scale, NULL,
+               "absolute: R is as the model has it; free: R of each sample is that times a factor, "
+               "which is "
+               "fitted, too (default: absolute)"),
+    CLI_OPTION(NUMBERS, reference, NULL,
+               "R is divided by the reading of a known medium at the same place: sigma_a, sigma_s "
+               "(1/mm), g "
+               "and eta of that medium"),
+    CLI_TITLE("Evaluation"),
+    CLI_OPTION(NAME, model, CLI_MODEL_DEFAULT, "the model that is fitted; see `dipole info`"),
+    CLI_MOMENTS_OPTION,
+    CLI_DEADLINE_OPTION,
+    CLI_TITLE("Output"),
+    CLI_OPTION(FILES, plot, NULL,
+               "also draw readings, fit and residuals of the first samples into FILE.svg or "
+               "FILE.png; -: as "
+               "text. May be repeated"),
     {0},
 };
 
@@ -66,7 +55,7 @@ enum { G_BELOW = 1, G_ABOVE = 2 };
 static const char *const sides_of_g[] = {"none", "below", "above", "both"};
 
 typedef struct report {
-  const fit_settings *settings;
+  const cli_settings *settings;
   cli_profile profile;
   const dipole_choice *axis, *scale;
   cli_readings readings;
@@ -76,8 +65,7 @@ typedef struct report {
   unsigned notes;
 } report;
 
-static int check(void *given) {
-  const fit_settings *settings = given;
+static int check(cli_settings *settings) {
   const size_t numbers = settings->reference.count;
   if (numbers != 0 && numbers != REFERENCE_NUMBERS) {
     return cli_fail_usage("--reference: give four numbers: sigma_a, sigma_s, g and eta");
@@ -88,17 +76,17 @@ static int check(void *given) {
   if (settings->scale != NULL && strcmp(settings->scale, "reference") == 0) {
     return cli_fail_usage("--scale reference: give --reference A,S,G,ETA in its place");
   }
-  return cli_picture_check(&settings->plot, &settings->profile.common);
+  return cli_picture_check(&settings->plot, settings);
 }
 
 /* ---- asking ---------------------------------------------------------------------------------- */
 
 /* Looks up the names that options and the file give. */
-static int choose(const fit_settings *settings, dipole_client *client, report *of) {
+static int choose(const cli_settings *settings, dipole_client *client, report *of) {
   const char *scale = settings->reference.count > 0 ? "reference"
                       : settings->scale != NULL     ? settings->scale
                                                     : "absolute";
-  if (!cli_profile_take_names(&settings->profile, client, &of->profile)) {
+  if (!cli_profile_take_names(settings, client, &of->profile)) {
     return CLI_USAGE;
   }
   of->scale = cli_named(of->profile.info, DIPOLE_SCALE, "scale", scale);
@@ -124,21 +112,21 @@ static cli_parameters parameters_of(const report *of, const cli_sample *sample) 
 }
 
 static double g_of(const report *of, const cli_sample *sample) {
-  return isnan(sample->g) ? of->settings->g.value : sample->g;
+  return isnan(sample->g) ? cli_numbers_pick(&of->settings->g, 0, 0) : sample->g;
 }
 
 static double eta_of(const report *of, const cli_sample *sample) {
-  return isnan(sample->eta) ? of->settings->eta.value : sample->eta;
+  return isnan(sample->eta) ? cli_numbers_pick(&of->settings->eta, 0, (double)NAN) : sample->eta;
 }
 
 /* Returns where a sample's g comes from. */
 static const char *source_of_g(const report *of, const cli_sample *sample) {
-  return !isnan(sample->g) ? "file" : of->settings->g.given ? "option" : "default";
+  return !isnan(sample->g) ? "file" : of->settings->g.count > 0 ? "option" : "default";
 }
 
 /* A wrong eta gives wrong coefficients that fit as well, so none is assumed. */
 static int check_eta(const report *of) {
-  for (size_t i = 0; i < of->readings.sample_count && !of->settings->eta.given; i++) {
+  for (size_t i = 0; i < of->readings.sample_count && of->settings->eta.count == 0; i++) {
     const cli_sample *sample = &of->readings.samples[i];
     if (isnan(sample->eta)) {
       return cli_fail_usage("sample %s: its eta is not known: give --eta X (the refractive index "
@@ -151,7 +139,7 @@ static int check_eta(const report *of) {
 
 static dipole_fit_query query_of(const report *of, const cli_sample *sample,
                                  const cli_parameters *parameters) {
-  const fit_settings *settings = of->settings;
+  const cli_settings *settings = of->settings;
   const double *known = settings->reference.items;
   dipole_fit_query query = {
       .model = of->profile.model->id,
@@ -167,7 +155,7 @@ static dipole_fit_query query_of(const report *of, const cli_sample *sample,
       .source_mm = of->readings.source_mm + sample->first,
       .detector_mm = of->readings.detector_mm + sample->first,
       .residuals = true,
-      .deadline_ms = (unsigned)settings->profile.deadline_ms.value,
+      .deadline_ms = (unsigned)settings->deadline_ms.value,
   };
   if (settings->reference.count == REFERENCE_NUMBERS) {
     query.reference = (dipole_medium){known[0], known[1], known[2], known[3]};
@@ -207,7 +195,7 @@ static bool ask_side(dipole_client *client, report *of, const batch *some, dipol
   query.g = round(g * 1e9) / 1e9; /* .9 + .05 is .95, which transport's table holds */
   query.residuals = false;
   dipole_fits *fits;
-  if (!CLI_ASK(&of->settings->profile.common, error, dipole_fit(client, &query, &fits, error))) {
+  if (!CLI_ASK(of->settings, error, dipole_fit(client, &query, &fits, error))) {
     return error->kind == DIPOLE_ERROR_REFUSED &&
            (strcmp(error->field, "g") == 0 || strcmp(error->field, "detector_na") == 0);
   }
@@ -256,8 +244,7 @@ static bool ask_some(dipole_client *client, report *of, const batch *some, dipol
   query.values = of->readings.values + first->first;
   query.errors = of->readings.errors + first->first;
   dipole_fits *fits;
-  bool good =
-      CLI_ASK(&of->settings->profile.common, error, dipole_fit(client, &query, &fits, error));
+  bool good = CLI_ASK(of->settings, error, dipole_fit(client, &query, &fits, error));
   if (good) {
     const unsigned notes = fits->notes;
     take(of, some, fits);
@@ -484,7 +471,7 @@ static void refuse_all(report *of) {
 
 static int fit_and_write(dipole_client *client, report *of) {
   dipole_error error;
-  int status = cli_readings_read(of->settings->profile.common.operand, &of->readings);
+  int status = cli_readings_read(of->settings->operand, &of->readings);
   status = status == CLI_OK ? choose(of->settings, client, of) : status;
   status = status == CLI_OK ? check_eta(of) : status;
   if (status != CLI_OK) {
@@ -499,13 +486,13 @@ static int fit_and_write(dipole_client *client, report *of) {
                              .put_row = put_sample,
                              .left = 1,
                              .foot = write_foot};
-  cli_write(&output, of->settings->profile.common.form, of);
+  cli_write(&output, of->settings->form, of);
   status = of->settings->plot.count > 0 ? draw(of) : CLI_OK;
   const int judged = judge(of);
   return status != CLI_OK ? status : judged;
 }
 
-static int run(void *settings, dipole_client *client) {
+static int run(const cli_settings *settings, dipole_client *client) {
   report of = {.settings = settings};
   return fit_and_write(client, &of);
 }
@@ -546,7 +533,6 @@ const cli_command cli_command_fit = {
     .formats = "table,csv,json",
     .options = {options},
     .parameters = CLI_OF_MODELS | CLI_PARAMETER_BIT(DETECTOR_NA),
-    .settings_bytes = sizeof(fit_settings),
     .check = check,
     .run = run,
     .examples =

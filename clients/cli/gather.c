@@ -7,39 +7,33 @@
 #include "clients/cli/profile.h"
 #include "clients/cli/sheet.h"
 
-typedef struct gather_settings {
-  cli_profile_settings profile;
-  cli_number tolerance, least_distance;
-} gather_settings;
-
 static const cli_option options[] = {
-    {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"model", "NAME", "the model; `dipole info` lists them", CLI_TEXT,
-     offsetof(gather_settings, profile.model), CLI_MODEL_DEFAULT},
-    {"evaluator", "NAME", "f64 or f32: double or single precision; lut: single, by a table",
-     CLI_TEXT, offsetof(gather_settings, profile.evaluator), "lut"},
-    {CLI_MOMENTS_OPTION, NULL},
-    {"tolerance", "X",
-     "largest relative error, at each query, that groups of points may cause which stand for their "
-     "points: 1e-9 to .5, or 0 for none",
-     CLI_NUMBER, offsetof(gather_settings, tolerance), "0.01"},
-    {"least-distance", "X",
-     "no distance between a query and a point counts as less than X mm (default: 0). Where R grows "
-     "like 1/r, half the radius of a disc of a point's area is right: the mean of 1/r over the "
-     "disc",
-     CLI_NUMBER, offsetof(gather_settings, least_distance), NULL},
-    {CLI_DEADLINE_OPTION, NULL},
+    CLI_TITLE("Evaluation"),
+    CLI_OPTION(NAME, model, CLI_MODEL_DEFAULT, "the model; `dipole info` lists them"),
+    CLI_OPTION(TEXT, evaluator, "lut",
+               "f64 or f32: double or single precision; lut: single, by a table"),
+    CLI_MOMENTS_OPTION,
+    CLI_OPTION(NUMBER, tolerance, "0.01",
+               "largest relative error, at each query, that groups of points may cause which stand "
+               "for their "
+               "points: 1e-9 to .5, or 0 for none"),
+    CLI_OPTION(
+        NUMBER, least_distance, NULL,
+        "no distance between a query and a point counts as less than X mm (default: 0). Where R "
+        "grows "
+        "like 1/r, half the radius of a disc of a point's area is right: the mean of 1/r over the "
+        "disc"),
+    CLI_DEADLINE_OPTION,
     {0},
 };
 
-static int check(void *given) {
-  const gather_settings *settings = given;
+static int check(cli_settings *settings) {
   const double least_mm = settings->least_distance.value;
-  if (settings->profile.common.operand == NULL || settings->profile.common.second_operand == NULL) {
+  if (settings->operand == NULL || settings->second_operand == NULL) {
     return cli_fail_usage("name two files: the points, and the queries");
   }
   return least_mm >= 0 && least_mm < (double)INFINITY
-             ? cli_medium_check(&settings->profile)
+             ? cli_medium_check(settings)
              : cli_fail_usage("--least-distance: give a number of at least 0, in mm");
 }
 
@@ -142,7 +136,7 @@ static int fail_at(const dipole_error *error, const cloud *points, const cloud *
 
 /* What is asked. */
 typedef struct work {
-  const gather_settings *settings;
+  const cli_settings *settings;
   dipole_client *client;
   dipole_gather_query query;
   const cloud *points, *queries;
@@ -202,8 +196,7 @@ static bool sum_directly(const work *of, const double *query_mm, double *r, doub
                               .radius_count = points->count,
                               .deadline_ms = of->query.deadline_ms};
   dipole_result *result;
-  if (!CLI_ASK(&of->settings->profile.common, error,
-               dipole_eval(of->client, &query, &result, error))) {
+  if (!CLI_ASK(of->settings, error, dipole_eval(of->client, &query, &result, error))) {
     return false;
   }
   for (uint32_t c = 0; c < channels; c++) {
@@ -255,7 +248,7 @@ static int ask(work *of, double *M) {
   cli_catch_interrupt();
   cli_progress_start(&of->progress, "queries");
   const bool good =
-      CLI_ASK(&of->settings->profile.common, &error,
+      CLI_ASK(of->settings, &error,
               dipole_gather(of->client, &of->query, follow, &of->progress, M, &result, &error)) &&
       (!(of->settings->least_distance.value > 0) || mend_near(of, M, &error));
   cli_progress_wipe(&of->progress);
@@ -288,8 +281,8 @@ static void tell_infinite(const work *of, const double *M) {
 /* ---- the command ----------------------------------------------------------------------------- */
 
 /* Makes the query of the profile. Returns an exit status. */
-static int take_query(const gather_settings *settings, const cli_profile *profile,
-                      const cloud *points, const cloud *queries, dipole_gather_query *query) {
+static int take_query(const cli_settings *settings, const cli_profile *profile, const cloud *points,
+                      const cloud *queries, dipole_gather_query *query) {
   if (profile->channel_count != points->channels) {
     return cli_fail_usage("%s has %u powers for each point, and the medium %zu channels: give as "
                           "many media, or choose with --channel",
@@ -303,7 +296,7 @@ static int take_query(const gather_settings *settings, const cli_profile *profil
       .queries_mm = queries->xyz_mm,
       .query_count = queries->count,
       .tolerance = settings->tolerance.value,
-      .deadline_ms = (unsigned)settings->profile.deadline_ms.value,
+      .deadline_ms = (unsigned)settings->deadline_ms.value,
   };
   return CLI_OK;
 }
@@ -330,8 +323,8 @@ static void put_query(cli_rows *rows, const void *context, size_t index) {
   }
 }
 
-static int gather(const gather_settings *settings, dipole_client *client,
-                  const cli_profile *profile, const cloud *points, const cloud *queries) {
+static int gather(const cli_settings *settings, dipole_client *client, const cli_profile *profile,
+                  const cloud *points, const cloud *queries) {
   work of = {.settings = settings, .client = client, .points = points, .queries = queries};
   int status = take_query(settings, profile, points, queries, &of.query);
   if (status != CLI_OK) {
@@ -342,19 +335,18 @@ static int gather(const gather_settings *settings, dipole_client *client,
   if (status == CLI_OK) {
     tell_infinite(&of, M);
     const cli_report output = {.rows = queries->count, .put_row = put_query};
-    cli_write(&output, settings->profile.common.form, &(const sums){queries, points->channels, M});
+    cli_write(&output, settings->form, &(const sums){queries, points->channels, M});
   }
   return status;
 }
 
-static int run(void *given, dipole_client *client) {
-  const gather_settings *settings = given;
+static int run(const cli_settings *settings, dipole_client *client) {
   cli_profile profile = {0};
   cloud points = {0}, queries = {0};
-  int status = cli_profile_take(&settings->profile, client, &profile);
+  int status = cli_profile_take(settings, client, &profile);
   if (status == CLI_OK) {
-    status = read_cloud(settings->profile.common.operand, true, &points) &&
-                     read_cloud(settings->profile.common.second_operand, false, &queries)
+    status = read_cloud(settings->operand, true, &points) &&
+                     read_cloud(settings->second_operand, false, &queries)
                  ? gather(settings, client, &profile, &points, &queries)
                  : CLI_FAILED;
   }
@@ -379,7 +371,6 @@ const cli_command cli_command_gather = {
     .options = {cli_medium_options, options},
     .examples = "  dipole gather points.csv queries.csv --medium skin1 --tolerance 1e-3 > M.csv\n"
                 "  dipole gather points.csv queries.csv --medium marble --model better\n",
-    .settings_bytes = sizeof(gather_settings),
     .check = check,
     .run = run,
 };

@@ -84,8 +84,7 @@ static void put_fact(cli_rows *rows, const void *context, size_t index) {
   }
 }
 
-static int run(void *settings, dipole_client *client) {
-  const cli_common *common = settings;
+static int run(const cli_settings *settings, dipole_client *client) {
   dipole_value *statistics;
   dipole_error error;
   size_t count;
@@ -94,7 +93,7 @@ static int run(void *settings, dipole_client *client) {
   }
   facts all = gather(dipole_get_info(client), statistics, count);
   const cli_report report = {.rows = all.count, .put_row = put_fact, .left = 3};
-  cli_write(&report, common->form, &all);
+  cli_write(&report, settings->form, &all);
   free(statistics);
   return CLI_OK;
 }
@@ -104,7 +103,6 @@ const cli_command cli_command_info = {
     .about = "Show a daemon: models, evaluators, instruction set, limits, statistics",
     .formats = "table,csv,json",
     .shows_service = true,
-    .settings_bytes = sizeof(cli_common),
     .run = run,
     .examples = "  dipole info\n"
                 "  dipole info --connect tcp:farm7:4817 --format json\n",

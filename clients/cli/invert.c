@@ -9,30 +9,21 @@
 #include "clients/cli/progress.h"
 #include "clients/cli/rows.h"
 
-typedef struct invert_settings {
-  cli_profile_settings profile;
-  cli_numbers albedo;
-  cli_numbers lengths[CLI_LENGTHS];
-  cli_number g, eta;
-} invert_settings;
-
-#define FIELD(name) offsetof(invert_settings, name)
-
 static const cli_option options[] = {
-    {"Medium", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"albedo", "X[,X...]",
-     "diffuse albedo: the share of the power that leaves, 0 to 1; one value for each channel",
-     CLI_NUMBERS, FIELD(albedo), NULL},
-    CLI_LENGTH_OPTIONS(invert_settings),
-    {"g", "X", "mean cosine of the scattering angle (default: 0)", CLI_NUMBER, FIELD(g), NULL},
-    {"eta", "X", "refractive index inside over outside", CLI_NUMBER, FIELD(eta), "1.3"},
-    {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"model", "NAME",
-     "the model that gives the albedo; see `dipole info`. transport takes some 5 ms for each "
-     "medium, better microseconds",
-     CLI_TEXT, FIELD(profile.model), CLI_MODEL_DEFAULT},
-    {CLI_MOMENTS_OPTION, NULL},
-    {CLI_DEADLINE_OPTION, NULL},
+    CLI_TITLE("Medium"),
+    CLI_OPTION(
+        NUMBERS, albedo, NULL,
+        "diffuse albedo: the share of the power that leaves, 0 to 1; one value for each channel"),
+    CLI_LENGTH_OPTIONS,
+    CLI_OPTION(ONE, g, NULL, "mean cosine of the scattering angle (default: 0)"),
+    CLI_OPTION(ONE, eta, "1.3", "refractive index inside over outside"),
+    CLI_TITLE("Evaluation"),
+    CLI_OPTION(
+        NAME, model, CLI_MODEL_DEFAULT,
+        "the model that gives the albedo; see `dipole info`. transport takes some 5 ms for each "
+        "medium, better microseconds"),
+    CLI_MOMENTS_OPTION,
+    CLI_DEADLINE_OPTION,
     {0},
 };
 
@@ -54,14 +45,13 @@ typedef struct report {
 
 /* ---- the command line ------------------------------------------------------------------------ */
 
-static int check(void *given) {
-  const invert_settings *settings = given;
+static int check(cli_settings *settings) {
   const char *name;
   const size_t albedos = settings->albedo.count;
   if (albedos == 0) {
     return cli_fail_usage("give --albedo, and --mean-free-path in mm");
   }
-  const cli_numbers *lengths = cli_lengths_find(settings->lengths, &name);
+  const cli_numbers *lengths = cli_lengths_find(settings, &name);
   if (lengths == NULL) {
     return CLI_USAGE;
   }
@@ -75,25 +65,24 @@ static int check(void *given) {
 /* ---- asking ---------------------------------------------------------------------------------- */
 
 /* Asks for the medium of an albedo, and as a check for the albedo of that medium. */
-static bool ask_one(dipole_client *client, const invert_settings *settings, report *of, wanted *one,
+static bool ask_one(dipole_client *client, const cli_settings *settings, report *of, wanted *one,
                     dipole_error *error) {
   const dipole_invert_query query = {.model = of->profile.model->id,
                                      .moments = of->profile.moments->id,
                                      .given = of->given->id,
-                                     .g = settings->g.value,
-                                     .eta = settings->eta.value,
+                                     .g = cli_numbers_pick(&settings->g, 0, 0),
+                                     .eta = settings->eta.items[0],
                                      .albedos = &one->wanted_albedo,
                                      .lengths_mm = &one->length_mm,
                                      .medium_count = 1,
-                                     .deadline_ms = (unsigned)settings->profile.deadline_ms.value};
+                                     .deadline_ms = (unsigned)settings->deadline_ms.value};
   dipole_inversion *inversion;
-  if (!CLI_ASK(&settings->profile.common, error,
-               dipole_invert(client, &query, &inversion, error))) {
+  if (!CLI_ASK(settings, error, dipole_invert(client, &query, &inversion, error))) {
     return false;
   }
   one->found = !isnan(inversion->sigma_a_per_mm[0]);
   one->medium = (dipole_medium){inversion->sigma_a_per_mm[0], inversion->sigma_s_per_mm[0],
-                                settings->g.value, settings->eta.value};
+                                cli_numbers_pick(&settings->g, 0, 0), settings->eta.items[0]};
   one->albedo = (double)NAN;
   of->albedo_least = inversion->albedo_least;
   of->albedo_most = inversion->albedo_most;
@@ -108,8 +97,7 @@ static bool ask_one(dipole_client *client, const invert_settings *settings, repo
                               .spacing = DIPOLE_LIST,
                               .deadline_ms = query.deadline_ms};
   dipole_result *result;
-  if (one->found &&
-      !CLI_ASK(&settings->profile.common, error, dipole_eval(client, &check, &result, error))) {
+  if (one->found && !CLI_ASK(settings, error, dipole_eval(client, &check, &result, error))) {
     return false;
   }
   if (one->found) {
@@ -120,7 +108,7 @@ static bool ask_one(dipole_client *client, const invert_settings *settings, repo
 }
 
 /* Asks for one medium after the other, so that the daemon is not silent for long. */
-static bool ask(dipole_client *client, const invert_settings *settings, report *of,
+static bool ask(dipole_client *client, const cli_settings *settings, report *of,
                 dipole_error *error) {
   cli_progress progress;
   bool good = true;
@@ -187,10 +175,10 @@ static void write_foot(const void *context) {
 }
 
 /* Everything is written in any case; then the user is told which media there are not. */
-static int write_and_judge(const invert_settings *settings, const report *of) {
+static int write_and_judge(const cli_settings *settings, const report *of) {
   const cli_report output = {
       .facts = put_facts, .rows = of->count, .put_row = put_medium, .left = 1, .foot = write_foot};
-  cli_write(&output, settings->profile.common.form, of);
+  cli_write(&output, settings->form, of);
   if (of->missing == 0) {
     return CLI_OK;
   }
@@ -203,9 +191,9 @@ static int write_and_judge(const invert_settings *settings, const report *of) {
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
-static int ask_and_write(const invert_settings *settings, dipole_client *client, report *of) {
+static int ask_and_write(const cli_settings *settings, dipole_client *client, report *of) {
   const char *length = NULL;
-  const cli_numbers *lengths = cli_lengths_find(settings->lengths, &length);
+  const cli_numbers *lengths = cli_lengths_find(settings, &length);
   dipole_error error;
   of->count = settings->albedo.count > lengths->count ? settings->albedo.count : lengths->count;
   of->items = cli_allocate(of->count, sizeof *of->items);
@@ -213,7 +201,7 @@ static int ask_and_write(const invert_settings *settings, dipole_client *client,
     of->items[i].wanted_albedo = cli_numbers_pick(&settings->albedo, i, 0);
     of->items[i].length_mm = cli_numbers_pick(lengths, i, 0);
   }
-  if (!cli_profile_take_names(&settings->profile, client, &of->profile)) {
+  if (!cli_profile_take_names(settings, client, &of->profile)) {
     return CLI_USAGE;
   }
   of->given = cli_choice(of->profile.info, DIPOLE_LENGTH, length);
@@ -231,7 +219,7 @@ static int ask_and_write(const invert_settings *settings, dipole_client *client,
                                             : cli_fail_error_of(place, &error);
 }
 
-static int run(void *settings, dipole_client *client) {
+static int run(const cli_settings *settings, dipole_client *client) {
   report of = {0};
   return ask_and_write(settings, client, &of);
 }
@@ -246,7 +234,6 @@ const cli_command cli_command_invert = {
         "medium is evaluated. The exit status is 3 if there is no such medium for some channel.\n",
     .formats = "table,csv,json",
     .options = {options},
-    .settings_bytes = sizeof(invert_settings),
     .check = check,
     .run = run,
     .examples = "  dipole invert --albedo 0.44,0.22,0.13 --mean-free-path 1.3,0.95,0.67\n"

@@ -71,16 +71,16 @@ static int help(const char *name) {
 #define SERVICE "/run/dipoled.sock" /* as server/dipoled.socket has it */
 
 /* Names the installed service if no daemon is named and the service is there, and says so. */
-static void find_service(cli_common *common) {
+static void find_service(cli_settings *settings) {
   const struct sockaddr_un at = {.sun_family = AF_UNIX, .sun_path = SERVICE};
   const char *named = getenv("DIPOLED");
-  if (common->connect != NULL || (named != NULL && named[0] != '\0')) {
+  if (settings->connect != NULL || (named != NULL && named[0] != '\0')) {
     return;
   }
   const int fd = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
   if (fd >= 0 && connect(fd, (const struct sockaddr *)&at, sizeof at) == 0) {
-    common->connect = "unix:" SERVICE;
-    common->is_service = true;
+    settings->connect = "unix:" SERVICE;
+    settings->is_service = true;
     cli_say(CLI_OK, "this is the installed service, unix:" SERVICE "; --connect names others");
   } else if (errno == EACCES) {
     cli_say(CLI_OK, "this is a private daemon, since you may not connect to the installed service; "
@@ -91,7 +91,7 @@ static void find_service(cli_common *common) {
   }
 }
 
-static int connect_and_run(const cli_command *command, void *settings) {
+static int connect_and_run(const cli_command *command, cli_settings *settings) {
   if (command->shows_service) {
     find_service(settings);
   }
@@ -105,7 +105,7 @@ static int connect_and_run(const cli_command *command, void *settings) {
 }
 
 static int run_command(const cli_command *command, int argc, char **argv) {
-  void *settings = cli_allocate(1, command->settings_bytes);
+  cli_settings *settings = cli_allocate(1, sizeof *settings);
   int status;
   cli_start(command);
   if (cli_options_read(argc, argv, settings, &status)) {

@@ -4,51 +4,37 @@
 #include <string.h>
 
 #include "clients/cli/daemon.h"
-#include "clients/cli/number.h"
 #include "clients/cli/options.h"
 #include "clients/cli/profile.h"
 #include "clients/cli/progress.h"
 #include "clients/cli/rows.h"
-
-typedef struct mc_settings {
-  cli_profile_settings profile; /* the medium */
-  cli_numbers albedo;
-  cli_numbers r;
-  cli_number from, to;
-  cli_count rings;
-  bool logarithmic;
-  cli_number photons, error, total_error;
-  cli_count seed;
-} mc_settings;
-
-#define FIELD(name) offsetof(mc_settings, name)
+#include "proto/decimal.h"
 
 static const cli_option options[] = {
-    {"Walks", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"albedo", "X[,X...]",
-     "up to 16 single-scattering albedos in place of the medium's own; the same walks serve all",
-     CLI_NUMBERS, FIELD(albedo), NULL},
-    {"Rings", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"r", "X[,X...]",
-     "in place of rings: R at these radii above 0, mm, from rings 3 % wide. --format csv is then a "
-     "file that `dipole fit` reads",
-     CLI_NUMBERS, FIELD(r), NULL},
-    {"from", "X", "inner edge of the first ring, mm (default: 0)", CLI_NUMBER, FIELD(from), NULL},
-    {"to", "X", "outer edge of the last ring, mm", CLI_NUMBER, FIELD(to), "10"},
-    {"rings", "N", "how many rings there are", CLI_COUNT32, FIELD(rings), "20"},
-    {"log", NULL, "make the ratios between edges equal instead of the steps; needs --from",
-     CLI_SWITCH, FIELD(logarithmic), NULL},
-    {"Effort", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"photons", "N",
-     "how many photons walk, such as 2e6 (with --error or --total-error, as many as the daemon "
-     "allows)",
-     CLI_NUMBER, FIELD(photons), "1e6"},
-    {"error", "X", "end when the relative standard error of each ring with light is so small",
-     CLI_NUMBER, FIELD(error), NULL},
-    {"total-error", "X", "end when that of the total R is so small; with --error, when both are",
-     CLI_NUMBER, FIELD(total_error), NULL},
-    {"seed", "N", "seed of the random numbers; the same seed gives the same bits", CLI_COUNT,
-     FIELD(seed), "1"},
+    CLI_TITLE("Walks"),
+    CLI_OPTION(NUMBERS, albedo, NULL,
+               "up to 16 single-scattering albedos in place of the medium's own; the same walks "
+               "serve all"),
+    CLI_TITLE("Rings"),
+    CLI_OPTION(NUMBERS, r, NULL,
+               "in place of rings: R at these radii above 0, mm, from rings 3 % wide. --format csv "
+               "is then a "
+               "file that `dipole fit` reads"),
+    CLI_OPTION(NUMBER, from, NULL, "inner edge of the first ring, mm (default: 0)"),
+    CLI_OPTION(NUMBER, to, "10", "outer edge of the last ring, mm"),
+    CLI_OPTION(COUNT32, rings, "20", "how many rings there are"),
+    CLI_OPTION(SWITCH, log, NULL,
+               "make the ratios between edges equal instead of the steps; needs --from"),
+    CLI_TITLE("Effort"),
+    CLI_OPTION(
+        NUMBER, photons, "1e6",
+        "how many photons walk, such as 2e6 (with --error or --total-error, as many as the daemon "
+        "allows)"),
+    CLI_OPTION(NUMBER, error, NULL,
+               "end when the relative standard error of each ring with light is so small"),
+    CLI_OPTION(NUMBER, total_error, NULL,
+               "end when that of the total R is so small; with --error, when both are"),
+    CLI_OPTION(COUNT, seed, "1", "seed of the random numbers; the same seed gives the same bits"),
     {0},
 };
 
@@ -64,15 +50,14 @@ typedef struct report {
 
 /* ---- without a daemon ------------------------------------------------------------------------ */
 
-static int check(void *given) {
-  const mc_settings *settings = given;
+static int check(cli_settings *settings) {
   const double photons = settings->photons.value;
-  const int status = cli_medium_check(&settings->profile);
+  const int status = cli_medium_check(settings);
   if (status != CLI_OK) {
     return status;
   }
-  if (settings->r.count > 0 && (settings->from.given || settings->to.given ||
-                                settings->rings.given || settings->logarithmic)) {
+  if (settings->r.count > 0 &&
+      (settings->from.given || settings->to.given || settings->rings.given || settings->log)) {
     return cli_fail_usage("--r gives the radii one by one: leave --from, --to, --rings and --log "
                           "out");
   }
@@ -81,7 +66,7 @@ static int check(void *given) {
       return cli_fail_usage("--r: give radii above 0");
     }
   }
-  if (settings->logarithmic && !settings->from.given) {
+  if (settings->log && !settings->from.given) {
     return cli_fail_usage("--log needs --from, above 0");
   }
   if (!(photons >= 1 && photons <= 0x1p53 && photons == floor(photons))) {
@@ -96,7 +81,7 @@ static int check(void *given) {
 /* ---- the query ------------------------------------------------------------------------------- */
 
 /* Returns how many photons may walk. If an error is asked for, only the daemon limits them. */
-static uint64_t photons_of(const mc_settings *settings, const dipole_info *info) {
+static uint64_t photons_of(const cli_settings *settings, const dipole_info *info) {
   for (size_t i = 0; i < info->limit_count; i++) {
     if (!settings->photons.given && (settings->error.given || settings->total_error.given) &&
         strcmp(info->limits[i].name, "max_mc_photons") == 0) {
@@ -127,10 +112,10 @@ static void set_rings(const cli_numbers *r, dipole_mc_query *query) {
 }
 
 /* Makes the query of a channel. */
-static void make_query(const mc_settings *settings, const cli_profile *profile, size_t channel,
+static void make_query(const cli_settings *settings, const cli_profile *profile, size_t channel,
                        report *of) {
   const bool measured = profile->medium != NULL;
-  const cli_given *thickness = &settings->profile.common.parameters[CORE_PARAMETER_THICKNESS];
+  const cli_given *thickness = &settings->parameters[CORE_PARAMETER_THICKNESS];
   of->info = profile->info;
   of->medium = measured && strchr(profile->medium, ',') == NULL ? profile->medium : NULL;
   of->channel = profile->channels[channel].name;
@@ -143,7 +128,7 @@ static void make_query(const mc_settings *settings, const cli_profile *profile, 
       .thickness_mm = thickness->text != NULL ? thickness->value : (double)INFINITY,
       .parameters = of->parameters.items,
       .parameter_count = of->parameters.count,
-      .spacing = settings->logarithmic ? DIPOLE_LOGARITHMIC : DIPOLE_LINEAR,
+      .spacing = settings->log ? DIPOLE_LOGARITHMIC : DIPOLE_LINEAR,
       .ring_count = (uint32_t)settings->rings.value,
       .radius_start_mm = settings->from.value,
       .radius_stop_mm = settings->to.value,
@@ -175,7 +160,7 @@ static bool follow(void *context, const dipole_mc_progress *now) {
   return !cli_interrupted();
 }
 
-static bool run_job(dipole_client *client, const cli_common *common, report *of,
+static bool run_job(dipole_client *client, const cli_settings *settings, report *of,
                     dipole_error *error) {
   const int64_t start_ms = cli_now_ms();
   cli_progress progress;
@@ -184,7 +169,7 @@ static bool run_job(dipole_client *client, const cli_common *common, report *of,
   cli_progress_start(&progress, "photons");
   do {
     good = dipole_mc(client, &of->query, follow, &progress, &of->result, error);
-  } while (!good && !cli_interrupted() && cli_try_again(common, start_ms, error));
+  } while (!good && !cli_interrupted() && cli_try_again(settings, start_ms, error));
   cli_progress_wipe(&progress);
   return good;
 }
@@ -355,11 +340,11 @@ static size_t rows_of(const reports *all) {
 /* Puts a reading of --r, which `dipole fit` reads. */
 static void put_reading(cli_rows *rows, const one_albedo *of, size_t index) {
   const report *from = of->report;
-  char albedo[CLI_NUMBER_BYTES], sample[80];
+  char albedo[DECIMAL_BYTES], sample[80];
   double error;
   const bool several = from->result->albedo_count > 1;
   const double value = R_at(of, 0, from->r->items[index], &error);
-  cli_number_format(from->result->energies[of->albedo].albedo, albedo);
+  decimal_write(from->result->energies[of->albedo].albedo, albedo);
   snprintf(sample, sizeof sample, "%s%s%s", from->channel, several ? ", albedo " : "",
            several ? albedo : "");
   cli_put_text(rows, CLI_COLUMN("sample"), sample);
@@ -444,13 +429,13 @@ static int judge(const report *of) {
 }
 
 /* Runs the job of each channel. Ctrl-C ends the present one, and none is begun after it. */
-static int run_jobs(const mc_settings *settings, dipole_client *client, const cli_profile *profile,
+static int run_jobs(const cli_settings *settings, dipole_client *client, const cli_profile *profile,
                     reports *all) {
   dipole_error error;
   while (all->count < profile->channel_count && !cli_interrupted()) {
     report *of = &all->items[all->count];
     make_query(settings, profile, all->count, of);
-    if (!run_job(client, &settings->profile.common, of, &error)) {
+    if (!run_job(client, settings, of, &error)) {
       return cli_fail_error(&error);
     }
     all->count++;
@@ -458,10 +443,9 @@ static int run_jobs(const mc_settings *settings, dipole_client *client, const cl
   return CLI_OK;
 }
 
-static int run(void *given, dipole_client *client) {
-  const mc_settings *settings = given;
+static int run(const cli_settings *settings, dipole_client *client) {
   cli_profile profile = {0};
-  int status = cli_profile_take(&settings->profile, client, &profile);
+  int status = cli_profile_take(settings, client, &profile);
   reports all = {.items = cli_allocate(profile.channel_count, sizeof *all.items)};
   status = status == CLI_OK ? run_jobs(settings, client, &profile, &all) : status;
   if (all.count > 0) {
@@ -470,7 +454,7 @@ static int run(void *given, dipole_client *client) {
                                    all.count * all.items[0].result->albedo_count * rows_of(&all),
                                .put_row = put_row,
                                .table = write_table};
-    cli_write(&output, settings->profile.common.form, &all);
+    cli_write(&output, settings->form, &all);
   }
   for (size_t i = 0; i < all.count; i++) {
     const int judged = judge(&all.items[i]);
@@ -502,7 +486,6 @@ const cli_command cli_command_mc = {
                 "    --phase-share 0.889\n"
                 "  dipole mc --sigma-a 0.1 --sigma-s 1 --albedo 0.5,0.9,0.99 --from 0.01 --log\n"
                 "  dipole mc --medium skin1 --r 0.5,1,2,4 --format csv | dipole fit\n",
-    .settings_bytes = sizeof(mc_settings),
     .check = check,
     .run = run,
 };

@@ -15,8 +15,7 @@ static void put_channel(cli_rows *rows, const void *context, size_t index) {
   cli_put_medium(rows, &media[index / CLI_COLOURS].channel[channel]);
 }
 
-static int run(void *settings, dipole_client *client) {
-  const cli_common *common = settings;
+static int run(const cli_settings *settings, dipole_client *client) {
   dipole_measured_medium *media;
   dipole_error error;
   size_t count;
@@ -24,7 +23,7 @@ static int run(void *settings, dipole_client *client) {
     return cli_fail_error(&error);
   }
   const cli_report report = {.rows = count * CLI_COLOURS, .put_row = put_channel, .left = 2};
-  cli_write(&report, common->form, media);
+  cli_write(&report, settings->form, media);
   free(media);
   return CLI_OK;
 }
@@ -35,7 +34,6 @@ const cli_command cli_command_media = {
     .more = "\n"
             "Only sigma_s (1 - g) was measured. It is listed as sigma_s, with g = 0.\n",
     .formats = "table,csv,json",
-    .settings_bytes = sizeof(cli_common),
     .run = run,
     .examples = "  dipole media\n"
                 "  dipole media --format csv\n",

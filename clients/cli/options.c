@@ -1,116 +1,120 @@
 #include "clients/cli/options.h"
 
 #include <assert.h>
+#include <errno.h>
 #include <getopt.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "clients/cli/number.h"
 #include "core/core.h"
+#include "proto/decimal.h"
 
 #define AT(settings, option, type) ((type *)(void *)((char *)(settings) + (option)->offset))
 
 _Static_assert(DIPOLE_TIMEOUT_MS == 30000, "say so in the help of --timeout-ms");
 
 static const cli_option common_options[] = {
-    {"Options of all commands", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"connect", "ADDRESS",
+    CLI_TITLE("Options of all commands"),
+    {"connect",
      "unix:PATH, tcp:HOST:PORT or tls:HOST:PORT; private: for a daemon of its own. Several, "
      "separated by commas, are tried in turn (default: the environment variable DIPOLED, else "
      "private:; for info, top and bench the installed service before that, if it is there)",
-     CLI_TEXT, offsetof(cli_common, connect), NULL},
-    {"ca", "FILE",
-     "for tls: the certificates that sign the daemon's, PEM (default: the environment variable "
-     "DIPOLED_CA, else those of the system)",
-     CLI_TEXT, offsetof(cli_common, ca), NULL},
-    {"certificate", "FILE",
-     "for tls: the client's certificate, PEM, if the daemon asks for one (default: the environment "
-     "variable DIPOLED_CERTIFICATE)",
-     CLI_TEXT, offsetof(cli_common, certificate), NULL},
-    {"key", "FILE",
-     "for tls: its key (default: the environment variable DIPOLED_KEY, else in the file of the "
-     "certificate)",
-     CLI_TEXT, offsetof(cli_common, key), NULL},
-    {"format", "FORMAT", NULL, CLI_TEXT, offsetof(cli_common, format), NULL},
-    {"timeout-ms", "N", "give up if the daemon is silent for N ms; 0: never", CLI_COUNT32,
-     offsetof(cli_common, timeout_ms), CORE_TEXT(30000)},
-    {"retry-ms", "N",
-     "go on trying for N ms if no daemon is there, or if it is lost or busy; 0: do not (default: "
-     "5000; while it is busy: --timeout-ms, if that is more)",
-     CLI_COUNT32, offsetof(cli_common, retry_ms), NULL},
-    {"help", NULL, "print this text", CLI_SWITCH, 0, NULL},
+     CLI_TEXT, offsetof(cli_settings, connect), NULL, "ADDRESS"},
+    CLI_OPTION(FILE, ca, NULL,
+               "for tls: the certificates that sign the daemon's, PEM (default: the environment "
+               "variable DIPOLED_CA, else those of the system)"),
+    CLI_OPTION(FILE, certificate, NULL,
+               "for tls: the client's certificate, PEM, if the daemon asks for one (default: the "
+               "environment variable DIPOLED_CERTIFICATE)"),
+    CLI_OPTION(FILE, key, NULL,
+               "for tls: its key (default: the environment variable DIPOLED_KEY, else in the file "
+               "of the certificate)"),
+    {"format", NULL, CLI_TEXT, offsetof(cli_settings, format), NULL, "FORMAT"},
+    CLI_OPTION(COUNT32, timeout_ms, CORE_TEXT(30000),
+               "give up if the daemon is silent for N ms; 0: never"),
+    CLI_OPTION(COUNT32, retry_ms, NULL,
+               "go on trying for N ms if no daemon is there, or if it is lost or busy; 0: do not "
+               "(default: 5000; while it is busy: --timeout-ms, if that is more)"),
+    {"help", "print this text", CLI_SWITCH, 0, NULL, NULL},
     {0},
 };
 
 /* ---- the options of a command ---------------------------------------------------------------- */
+
+enum { OPTIONS_MAX = 64, NAME_BYTES = 32 };
 
 /* Returns whether a parameter is a name of a list, whose unit is "id". */
 static bool is_name(const core_choice *parameter) {
   return strncmp(parameter->about, "id: ", strlen("id: ")) == 0;
 }
 
-/* Makes an option of a parameter: its name with - for _, and its text without the unit 1 or id. */
-static void make_parameter(const core_choice *from, cli_option *option) {
-  static char names[CORE_PARAMETERS_END][32];
-  const char *about = strchr(from->about, ':') + 2;
-  snprintf(names[from->id], sizeof names[0], "%s", from->name);
-  for (char *dash; (dash = strchr(names[from->id], '_')) != NULL;) {
-    *dash = '-';
-  }
-  *option = (cli_option){.name = names[from->id],
-                         .argument = is_name(from) ? "NAME" : "X",
-                         .help = from->about[0] == '1' || is_name(from) ? about : from->about,
-                         .kind = CLI_PARAMETER,
-                         .offset = offsetof(cli_common, parameters[from->id])};
+/* Makes an option of a parameter: its text is without the unit 1 or id. */
+static cli_option option_of(const core_choice *parameter) {
+  const char *about = strchr(parameter->about, ':') + 2;
+  const bool bare = parameter->about[0] == '1' || is_name(parameter);
+  return (cli_option){.name = parameter->name,
+                      .argument = is_name(parameter) ? "NAME" : "X",
+                      .help = bare ? about : parameter->about,
+                      .kind = CLI_PARAMETER,
+                      .offset = offsetof(cli_settings, parameters[parameter->id])};
 }
 
-static const cli_option *parameter_option(unsigned id) {
-  static cli_option made[CORE_PARAMETERS_END];
-  if (made[id].name == NULL) {
-    make_parameter(core_choice_by_id(core_parameter_list, id), &made[id]);
+/* What is made of the lists of a command. */
+typedef struct option_list {
+  size_t count;
+  cli_option items[OPTIONS_MAX + 1];
+  char names[OPTIONS_MAX][NAME_BYTES];
+} option_list;
+
+/* Adds an option with - for _ in its name, and with the argument of its kind. */
+static void add_option(option_list *list, cli_option option) {
+  static const char *const arguments[] = {
+      [CLI_TEXT] = "NAME",  [CLI_FILE] = "FILE",         [CLI_COUNT] = "N",
+      [CLI_COUNT32] = "N",  [CLI_NUMBER] = "X",          [CLI_ONE] = "X",
+      [CLI_NAME] = "NAME",  [CLI_NUMBERS] = "X[,X...]",  [CLI_NAMES] = "NAME[,NAME...]",
+      [CLI_FILES] = "FILE", [CLI_PARAMETER] = "unknown",
+  };
+  assert(list->count < OPTIONS_MAX);
+  if (option.kind != CLI_HEADING) {
+    char *name = list->names[list->count];
+    snprintf(name, NAME_BYTES, "%s", option.name);
+    for (char *dash; (dash = strchr(name, '_')) != NULL;) {
+      *dash = '-';
+    }
+    option.name = name;
+    option.argument = option.argument != NULL ? option.argument : arguments[option.kind];
   }
-  return &made[id];
+  list->items[list->count++] = option;
 }
 
-enum { OPTIONS_MAX = 64 };
-
-static size_t add_list(const cli_option *option, const cli_option **all, size_t count) {
-  for (; option != NULL && option->name != NULL; option++) {
-    assert(count < OPTIONS_MAX);
-    all[count++] = option;
+static void add_list(option_list *list, const cli_option *options) {
+  for (; options != NULL && options->name != NULL; options++) {
+    add_option(list, *options);
   }
-  return count;
 }
 
-/* Fills `all` with the options of a command, headings included, in the order of --help. Returns how
- * many there are. */
-static size_t gather(const cli_command *command, const cli_option *all[OPTIONS_MAX]) {
-  static const cli_option heading[] = {
-      {"Parameters, for the models that take them", NULL, NULL, CLI_HEADING, 0, NULL}, {0}};
-  size_t count = 0;
+const cli_option *cli_options_of(const cli_command *command) {
+  static option_list list;
+  static const cli_command *listed;
+  if (command == listed) {
+    return list.items;
+  }
+  listed = command;
+  list.count = 0;
   for (size_t i = 0; i < CLI_LISTS_MAX; i++) {
-    count = add_list(command->options[i], all, count);
+    add_list(&list, command->options[i]);
   }
-  count = command->parameters != 0 ? add_list(heading, all, count) : count;
+  if (command->parameters != 0) {
+    add_option(&list, (cli_option)CLI_TITLE("Parameters, for the models that take them"));
+  }
   for (unsigned id = 1; id < CORE_PARAMETERS_END; id++) {
     if ((command->parameters & 1U << id) != 0) {
-      assert(count < OPTIONS_MAX);
-      all[count++] = parameter_option(id);
+      add_option(&list, option_of(core_choice_by_id(core_parameter_list, id)));
     }
   }
-  return add_list(common_options, all, count);
-}
-
-size_t cli_options_list(const cli_command *command, const cli_option **options, size_t most) {
-  const cli_option *all[OPTIONS_MAX];
-  const size_t count = gather(command, all);
-  size_t listed = 0;
-  for (size_t i = 0; i < count && listed < most; i++) {
-    if (all[i]->kind != CLI_HEADING) {
-      options[listed++] = all[i];
-    }
-  }
-  return listed;
+  add_list(&list, common_options);
+  list.items[list.count] = (cli_option){0};
+  return list.items;
 }
 
 /* ---- looking up ------------------------------------------------------------------------------ */
@@ -133,19 +137,17 @@ static bool is_same_name(const char *option, const char *field) {
 }
 
 const cli_option *cli_options_find(const char *field) {
-  const cli_option *all[OPTIONS_MAX];
-  const size_t count = gather(cli_running(), all);
+  const cli_option *option = cli_options_of(cli_running());
   for (size_t i = 0; i < sizeof renamed / sizeof renamed[0]; i++) {
     if (strcmp(renamed[i].field, field) == 0) {
       field = renamed[i].option;
     }
   }
-  for (size_t i = 0; i < count; i++) {
-    if (all[i]->kind != CLI_HEADING && is_same_name(all[i]->name, field)) {
-      return all[i];
-    }
+  while (option->name != NULL &&
+         (option->kind == CLI_HEADING || !is_same_name(option->name, field))) {
+    option++;
   }
-  return NULL;
+  return option->name != NULL ? option : NULL;
 }
 
 double cli_numbers_pick(const cli_numbers *numbers, size_t channel, double otherwise) {
@@ -171,13 +173,27 @@ static void add_text(cli_texts *texts, const char *text, size_t length) {
 /* Splits a text at its commas: "a,b" gives two parts, "" gives one empty part. */
 static void split(const char *text, cli_texts *parts) {
   parts->count = 0;
+  parts->whole = text;
   for (const char *comma; (comma = strchr(text, ',')) != NULL; text = comma + 1) {
     add_text(parts, text, (size_t)(comma - text));
   }
   add_text(parts, text, strlen(text));
 }
 
-/* Returns NULL, or what is expected if it is wrong. */
+/* Reads a whole text of decimal digits. */
+static bool read_count(const char *text, uint64_t *value) {
+  errno = 0;
+  *value = strtoull(text, NULL, 10);
+  return text[0] != '\0' && text[strspn(text, "0123456789")] == '\0' && errno == 0;
+}
+
+#define DECIMAL_POINT "number: write a decimal point, as in 0.05"
+
+/* These return NULL, or what is expected if it is wrong. */
+static const char *read_number(const char *text, double *number) {
+  return decimal_read(text, number) ? NULL : strchr(text, ',') != NULL ? DECIMAL_POINT : "number";
+}
+
 static const char *read_numbers(const char *text, cli_numbers *numbers) {
   cli_texts parts = {0};
   const char *expected = NULL;
@@ -185,7 +201,7 @@ static const char *read_numbers(const char *text, cli_numbers *numbers) {
   numbers->items = cli_resize(numbers->items, parts.count, sizeof *numbers->items);
   numbers->count = parts.count;
   for (size_t i = 0; i < parts.count; i++) {
-    if (!cli_number_parse(parts.items[i], &numbers->items[i])) {
+    if (!decimal_read(parts.items[i], &numbers->items[i])) {
       expected = "number (or several, separated by commas)";
     } else if (decimal_starts_with_zero(parts.items[i])) {
       expected = "list of numbers: one of them starts with a 0; write a decimal point, as in 0.05";
@@ -196,37 +212,40 @@ static const char *read_numbers(const char *text, cli_numbers *numbers) {
 
 /* Stores the value of an option. Returns NULL, or what kind of value is expected if it is wrong. */
 static const char *take_value(const cli_option *option, const char *text, bool given,
-                              void *settings) {
+                              cli_settings *settings) {
   switch (option->kind) {
   case CLI_SWITCH:
     *AT(settings, option, bool) = true;
     return NULL;
   case CLI_TEXT:
+  case CLI_FILE:
     *AT(settings, option, const char *) = text;
     return NULL;
   case CLI_COUNT:
   case CLI_COUNT32:
     AT(settings, option, cli_count)->given = given;
-    return !cli_count_parse(text, &AT(settings, option, cli_count)->value) ? "whole number"
+    return !read_count(text, &AT(settings, option, cli_count)->value) ? "whole number"
            : option->kind == CLI_COUNT32 && AT(settings, option, cli_count)->value > UINT32_MAX
                ? "whole number up to 4294967295"
                : NULL;
   case CLI_NUMBER:
     AT(settings, option, cli_number)->given = given;
-    return cli_number_parse(text, &AT(settings, option, cli_number)->value) ? NULL
-           : strchr(text, ',') != NULL ? "number: write a decimal point, as in 0.05"
-                                       : "number";
+    return read_number(text, &AT(settings, option, cli_number)->value);
   case CLI_PARAMETER:
     AT(settings, option, cli_given)->text = text;
-    return option->argument[0] == 'N' ||
-                   cli_number_parse(text, &AT(settings, option, cli_given)->value)
-               ? NULL
-               : "number";
+    return option->argument[0] == 'N' ? NULL
+                                      : read_number(text, &AT(settings, option, cli_given)->value);
+  case CLI_ONE:
+    return strchr(text, ',') != NULL ? DECIMAL_POINT
+                                     : read_numbers(text, AT(settings, option, cli_numbers));
   case CLI_NUMBERS:
     return read_numbers(text, AT(settings, option, cli_numbers));
   case CLI_NAMES:
     split(text, AT(settings, option, cli_texts));
     return NULL;
+  case CLI_NAME:
+    AT(settings, option, cli_texts)->count = 0;
+    __attribute__((fallthrough));
   case CLI_FILES:
     add_text(AT(settings, option, cli_texts), text, strlen(text));
     return NULL;
@@ -259,25 +278,25 @@ static enum cli_form form_of(const char *format) {
 }
 
 /* Reads the operand and the format, and checks what getopt does not. Returns an exit status. */
-static int finish(int argc, char **argv, cli_common *common) {
+static int finish(int argc, char **argv, cli_settings *settings) {
   const cli_command *command = cli_running();
   const int operands = (command->operand != NULL) + (command->second_operand != NULL);
-  common->operand = optind < argc ? argv[optind] : NULL;
-  common->second_operand = optind + 1 < argc ? argv[optind + 1] : NULL;
+  settings->operand = optind < argc ? argv[optind] : NULL;
+  settings->second_operand = optind + 1 < argc ? argv[optind + 1] : NULL;
   if (argc - optind > operands) {
     return cli_fail_usage("'%s' is one argument too many: leave it out", argv[optind + operands]);
   }
-  if (common->format != NULL && !in_list(command->formats, common->format)) {
-    return cli_fail_usage("--format %s: %s %s", common->format,
+  if (settings->format != NULL && !in_list(command->formats, settings->format)) {
+    return cli_fail_usage("--format %s: %s %s", settings->format,
                           strchr(command->formats, ',') != NULL ? "it is one of" : "only",
                           command->formats);
   }
-  common->form = form_of(common->format != NULL ? common->format : command->formats);
+  settings->form = form_of(settings->format != NULL ? settings->format : command->formats);
   return CLI_OK;
 }
 
 /* Returns false if the command ends here; *status is then its exit status. */
-static bool take_option(const cli_option *option, void *settings, int *status) {
+static bool take_option(const cli_option *option, cli_settings *settings, int *status) {
   if (strcmp(option->name, "help") == 0) {
     cli_options_help(cli_running());
     *status = CLI_OK;
@@ -298,14 +317,14 @@ void cli_nearest_try(cli_nearest *so_far, const char *name, const char *known, s
 }
 
 /* Refuses an option that the command does not have: --NAME or --NAME=VALUE. */
-static int fail_unknown(const char *given, const cli_option *const *all, size_t count) {
+static int fail_unknown(const char *given, const cli_option *options) {
   char name[64];
   cli_nearest nearest = {0};
   snprintf(name, sizeof name, "%.*s", (int)strcspn(given, "="), given);
-  for (size_t i = 0; i < count; i++) {
-    if (all[i]->kind != CLI_HEADING) {
-      cli_nearest_try(&nearest, name + strspn(name, "-"), all[i]->name,
-                      1 + strlen(all[i]->name) / 4);
+  for (; options->name != NULL; options++) {
+    if (options->kind != CLI_HEADING) {
+      cli_nearest_try(&nearest, name + strspn(name, "-"), options->name,
+                      1 + strlen(options->name) / 4);
     }
   }
   return nearest.name != NULL
@@ -316,17 +335,16 @@ static int fail_unknown(const char *given, const cli_option *const *all, size_t 
 /* getopt returns FIRST_RESULT + i for option i. No character has such a number. */
 enum { FIRST_RESULT = 256 };
 
-bool cli_options_read(int argc, char **argv, void *settings, int *status) {
+bool cli_options_read(int argc, char **argv, cli_settings *settings, int *status) {
   struct option list[OPTIONS_MAX + 1] = {0};
-  const cli_option *all[OPTIONS_MAX];
-  const size_t count = gather(cli_running(), all);
-  for (size_t i = 0, filled = 0; i < count; i++) {
-    if (all[i]->kind != CLI_HEADING) {
+  const cli_option *all = cli_options_of(cli_running());
+  for (size_t i = 0, filled = 0; all[i].name != NULL; i++) {
+    if (all[i].kind != CLI_HEADING) {
       list[filled++] =
-          (struct option){all[i]->name, all[i]->kind != CLI_SWITCH, NULL, FIRST_RESULT + (int)i};
+          (struct option){all[i].name, all[i].kind != CLI_SWITCH, NULL, FIRST_RESULT + (int)i};
     }
-    if (all[i]->usual != NULL) {
-      take_value(all[i], all[i]->usual, false, settings);
+    if (all[i].usual != NULL) {
+      take_value(&all[i], all[i].usual, false, settings);
     }
   }
   opterr = 0;
@@ -342,10 +360,10 @@ bool cli_options_read(int argc, char **argv, void *settings, int *status) {
     }
     if (result < FIRST_RESULT) {
       *status = result == ':' ? cli_fail_usage("%s: a value is missing", argv[optind - 1])
-                              : fail_unknown(argv[optind - 1], all, count);
+                              : fail_unknown(argv[optind - 1], all);
       return false;
     }
-    if (!take_option(all[result - FIRST_RESULT], settings, status)) {
+    if (!take_option(&all[result - FIRST_RESULT], settings, status)) {
       return false;
     }
   }
@@ -388,8 +406,6 @@ static void print_option(const cli_option *option, const char *formats) {
 }
 
 void cli_options_help(const cli_command *command) {
-  const cli_option *all[OPTIONS_MAX];
-  const size_t count = gather(command, all);
   char formats[96];
   snprintf(formats, sizeof formats, "%s %s (default: %.*s)",
            strchr(command->formats, ',') != NULL ? "one of" : "only", command->formats,
@@ -399,11 +415,11 @@ void cli_options_help(const cli_command *command) {
          command->second_operand != NULL ? " " : "",
          command->second_operand != NULL ? command->second_operand : "", command->about,
          command->more != NULL ? command->more : "");
-  for (size_t i = 0; i < count; i++) {
-    if (all[i]->kind == CLI_HEADING) {
-      printf("\n%s\n", all[i]->name);
+  for (const cli_option *option = cli_options_of(command); option->name != NULL; option++) {
+    if (option->kind == CLI_HEADING) {
+      printf("\n%s\n", option->name);
     } else {
-      print_option(all[i], formats);
+      print_option(option, formats);
     }
   }
   printf("\nExit status: 0 done, 1 failed, 2 wrong command line, 3 some rows or values are bad\n"

@@ -4,18 +4,17 @@
 
 #include "clients/cli/cli.h"
 
-/* Reads the command line of the running command into *settings, which starts with a cli_common and
- * is zero at first. Returns false if the command ends here; *status is then its exit status, which
- * is 0 after --help. */
-bool cli_options_read(int argc, char **argv, void *settings, int *status);
+/* Reads the command line of the running command into *settings, which is zero at first. Returns false
+ * if the command ends here; *status is then its exit status, which is 0 after --help. */
+bool cli_options_read(int argc, char **argv, cli_settings *settings, int *status);
 
 /* Returns the running command's option for a field of a request, such as --sigma-a for sigma_a or
  * --from for radius_start; NULL if there is none. */
 const cli_option *cli_options_find(const char *field);
 
-/* Fills `options` with those of a command, without headings, in the order of --help. Returns how
- * many there are, at most `most`. */
-size_t cli_options_list(const cli_command *command, const cli_option **options, size_t most);
+/* Returns the options and headings of a command, in the order of --help, with the names that they
+ * have on a command line; NULL as a name ends the list. It is valid until another command's is made. */
+const cli_option *cli_options_of(const cli_command *command);
 
 /* The known name that is the nearest to a name that is unknown: to ask whether that was meant.
  * Starts as {0}; its name is NULL as long as no known name is near enough. */
@@ -33,6 +32,11 @@ void cli_options_help(const cli_command *command);
 /* Returns the value for a channel: an option has one value for all channels, or one for each.
  * Returns `otherwise` if the option is not given. */
 double cli_numbers_pick(const cli_numbers *numbers, size_t channel, double otherwise);
+
+/* Returns the only text, or the first one; NULL if there is none. */
+static inline const char *cli_first(const cli_texts *texts) {
+  return texts->count > 0 ? texts->items[0] : NULL;
+}
 
 /* Returns whether `text` is one of the texts. */
 bool cli_texts_have(const cli_texts *texts, const char *text);

@@ -32,13 +32,13 @@ static bool ends_with(const char *path, const char *ending) {
   return length > end && strcmp(path + length - end, ending) == 0;
 }
 
-int cli_picture_check(const cli_texts *paths, const cli_common *common) {
+int cli_picture_check(const cli_texts *paths, const cli_settings *settings) {
   for (size_t i = 0; i < paths->count; i++) {
     const char *path = paths->items[i];
-    if (is_text(path) && common->form >= CLI_CSV) {
+    if (is_text(path) && settings->form >= CLI_CSV) {
       return cli_fail_usage("--plot - draws onto standard output, where the %s goes: name a file, "
                             "or leave --format out",
-                            common->format);
+                            settings->format);
     }
     if (!is_text(path) && !ends_with(path, ".svg") && !ends_with(path, ".png")) {
       return cli_fail_usage("--plot %s: the name must end in .svg or .png; - is the terminal",

@@ -28,7 +28,7 @@ typedef struct cli_picture {
 } cli_picture;
 
 /* Checks what --plot gives. Says what is wrong and returns an exit status. */
-int cli_picture_check(const cli_texts *paths, const cli_common *common);
+int cli_picture_check(const cli_texts *paths, const cli_settings *settings);
 
 /* Adds a zeroed curve, which lies there until the next is added. */
 cli_curve *cli_picture_add(cli_picture *picture);

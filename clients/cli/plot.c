@@ -10,85 +10,74 @@
 #include "clients/cli/picture.h"
 #include "core/gauss.h"
 
-#define REFERENCE "transport"
+#define REFERENCE CLI_MODEL_DEFAULT
 #define RINGS_DEFAULT 24 /* so many rings with --mc, without --count */
 #define FROM_SHARE 1e-3  /* on a logarithmic axis, --from is this share of --to by default */
 #define PERCENT_MAX 200  /* deviations beyond this are not drawn */
 
 enum { RINGS_MAX = 4096, FEW_MODELS = 4 };
 
-typedef struct plot_settings {
-  cli_eval_settings eval;
-  const char *axes, *quantity;
-  cli_number photons; /* for Monte Carlo beside the models */
-  bool error;
-} plot_settings;
-
-#define FIELD(name) offsetof(plot_settings, name)
-
 static const cli_option options[] = {
-    {"Radii", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"r", "X[,X...]", "these radii, mm", CLI_NUMBERS, FIELD(eval.r), NULL},
+    CLI_TITLE("Radii"),
+    CLI_OPTION(NUMBERS, r, NULL, "these radii, mm"),
     CLI_EVAL_F_OPTION,
-    {"from", "X", "the first radius, mm (default: 0; on a logarithmic axis --to / 1000)",
-     CLI_NUMBER, FIELD(eval.from), NULL},
-    {"to", "X", "the last radius, mm", CLI_NUMBER, FIELD(eval.to), "10"},
-    {"count", "N", "how many radii a curve has; with --mc, how many rings (then 24)", CLI_COUNT,
-     FIELD(eval.count), "401"},
-    {"log", NULL,
-     "make the ratios between radii equal instead of the steps (default: if r is on a logarithmic "
-     "axis and --from is above 0)",
-     CLI_SWITCH, FIELD(eval.logarithmic), NULL},
-    {"Picture", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"quantity", "NAME",
-     "what to draw: R, cdf, pdf, dR_dr, ln_R, 2_pi_r_R, S or, over spatial frequencies, R_f; see "
-     "`dipole info`",
-     CLI_TEXT, FIELD(quantity), "R"},
-    {"axes", "NAME", "linear; semilog: values are logarithmic; logarithmic: r is, too", CLI_TEXT,
-     FIELD(axes), "logarithmic"},
-    {"error", NULL, "add a panel with the relative deviation from " REFERENCE, CLI_SWITCH,
-     FIELD(error), NULL},
-    {"mc", "PHOTONS",
+    CLI_OPTION(NUMBER, from, NULL,
+               "the first radius, mm (default: 0; on a logarithmic axis --to / 1000)"),
+    CLI_OPTION(NUMBER, to, "10", "the last radius, mm"),
+    CLI_OPTION(COUNT, count, "401",
+               "how many radii a curve has; with --mc, how many rings (then 24)"),
+    CLI_OPTION(SWITCH, log, NULL,
+               "make the ratios between radii equal instead of the steps (default: if r is on a "
+               "logarithmic "
+               "axis and --from is above 0)"),
+    CLI_TITLE("Picture"),
+    CLI_OPTION(TEXT, quantity, "R",
+               "what to draw: R, cdf, pdf, dR_dr, ln_R, 2_pi_r_R, S or, over spatial frequencies, "
+               "R_f; see "
+               "`dipole info`"),
+    CLI_OPTION(TEXT, axes, "logarithmic",
+               "linear; semilog: values are logarithmic; logarithmic: r is, too"),
+    {"error", "add a panel with the relative deviation from " REFERENCE, CLI_SWITCH,
+     offsetof(cli_settings, deviation), NULL, NULL},
+    {"mc",
      "walk so many photons in each channel, such as 1e6, and draw means over rings: of Monte Carlo "
      "with standard errors, and of the models",
-     CLI_NUMBER, FIELD(photons), NULL},
-    {"plot", "FILE",
-     "draw into FILE.svg or FILE.png; -: as text on standard output. May be repeated (default: -)",
-     CLI_FILES, FIELD(eval.plot), NULL},
+     CLI_NUMBER, offsetof(cli_settings, photons), NULL, "PHOTONS"},
+    CLI_OPTION(FILES, plot, NULL,
+               "draw into FILE.svg or FILE.png; -: as text on standard output. May be repeated "
+               "(default: -)"),
     {0},
 };
 
 /* ---- the command line ------------------------------------------------------------------------ */
 
 /* Sets the defaults that differ from those of `dipole eval`. */
-static void set_defaults(plot_settings *settings) {
-  cli_eval_settings *eval = &settings->eval;
-  eval->reference = settings->error ? REFERENCE : NULL;
-  if (settings->photons.given && !eval->count.given) {
-    eval->count.value = RINGS_DEFAULT;
+static void set_defaults(cli_settings *settings) {
+  if (settings->photons.given && !settings->count.given) {
+    settings->count.value = RINGS_DEFAULT;
   }
-  if (eval->r.count == 0 && eval->f.count == 0 && strcmp(settings->axes, "logarithmic") == 0) {
-    if (!eval->from.given && eval->to.value > 0 && isfinite(eval->to.value)) {
-      eval->from = (cli_number){true, FROM_SHARE * eval->to.value};
+  if (settings->r.count == 0 && settings->f.count == 0 &&
+      strcmp(settings->axes, "logarithmic") == 0) {
+    if (!settings->from.given && settings->to.value > 0 && isfinite(settings->to.value)) {
+      settings->from = (cli_number){true, FROM_SHARE * settings->to.value};
     }
-    eval->logarithmic = eval->logarithmic || eval->from.value > 0;
+    settings->log = settings->log || settings->from.value > 0;
   }
 }
 
-static int check_walk(const plot_settings *settings) {
+static int check_walk(const cli_settings *settings) {
   const double photons = settings->photons.value;
   if (!(photons >= 1 && photons <= 0x1p53 && photons == floor(photons))) {
     return cli_fail_usage("--mc: give a whole number of photons from 1 to 9e15, such as 1e6");
   }
-  if (settings->eval.r.count > 0 || settings->eval.f.count > 0 ||
-      strcmp(settings->quantity, "R") != 0) {
+  if (settings->r.count > 0 || settings->f.count > 0 || strcmp(settings->quantity, "R") != 0) {
     return cli_fail_usage(
         "--mc draws means of R over rings: give --from, --to and --count in place "
         "of --r, --f and --quantity");
   }
-  if (settings->eval.count.value < 1 || settings->eval.count.value > RINGS_MAX ||
-      !(settings->eval.from.value >= 0 && settings->eval.to.value > settings->eval.from.value &&
-        isfinite(settings->eval.to.value))) {
+  if (settings->count.value < 1 || settings->count.value > RINGS_MAX ||
+      !(settings->from.value >= 0 && settings->to.value > settings->from.value &&
+        isfinite(settings->to.value))) {
     return cli_fail_usage("--mc: give 1 to %d rings, from --from, 0 or more, to --to, which is "
                           "larger",
                           RINGS_MAX);
@@ -96,10 +85,9 @@ static int check_walk(const plot_settings *settings) {
   return CLI_OK;
 }
 
-static int check(void *given) {
-  plot_settings *settings = given;
+static int check(cli_settings *settings) {
   set_defaults(settings);
-  const int status = cli_eval_check(&settings->eval);
+  const int status = cli_eval_check(settings);
   if (status != CLI_OK) {
     return status;
   }
@@ -108,8 +96,7 @@ static int check(void *given) {
     return cli_fail_usage("--axes: '%s' is unknown; they are linear, semilog and logarithmic",
                           settings->axes);
   }
-  if (settings->error &&
-      settings->eval.profile.common.parameters[CORE_PARAMETER_THICKNESS].text != NULL) {
+  if (settings->deviation && settings->parameters[CORE_PARAMETER_THICKNESS].text != NULL) {
     return cli_fail_usage("--error compares with " REFERENCE ", which has no slabs: leave "
                           "--thickness out");
   }
@@ -226,14 +213,14 @@ static void add_ring(rings *of, size_t ring) {
   }
 }
 
-static rings make_rings(const cli_eval_settings *eval) {
+static rings make_rings(const cli_settings *eval) {
   const double from_mm = eval->from.value, to_mm = eval->to.value;
   rings of = {.count = (size_t)eval->count.value};
   of.edges_mm = cli_allocate(of.count + 1, sizeof(double));
   for (size_t i = 0; i <= of.count; i++) {
     const double share = (double)i / (double)of.count;
-    of.edges_mm[i] = eval->logarithmic ? from_mm * pow(to_mm / from_mm, share)
-                                       : from_mm + (to_mm - from_mm) * share;
+    of.edges_mm[i] =
+        eval->log ? from_mm * pow(to_mm / from_mm, share) : from_mm + (to_mm - from_mm) * share;
   }
   of.edges_mm[of.count] = to_mm;
   for (size_t i = 0; i < of.count; i++) {
@@ -270,23 +257,23 @@ static bool follow(void *context, const dipole_mc_progress *now) {
 }
 
 /* Walks photons through the medium of each channel: a half space, or a slab of --thickness. */
-static int walk(const plot_settings *settings, dipole_client *client, const cli_profile *profile,
+static int walk(const cli_settings *settings, dipole_client *client, const cli_profile *profile,
                 rings *of) {
-  const cli_given *thickness = &settings->eval.profile.common.parameters[CORE_PARAMETER_THICKNESS];
+  const cli_given *thickness = &settings->parameters[CORE_PARAMETER_THICKNESS];
   dipole_error error;
   bool good = true;
   of->R = cli_allocate(profile->channel_count * of->count, sizeof(double));
   of->R_error = cli_allocate(profile->channel_count * of->count, sizeof(double));
   for (size_t i = 0; good && i < profile->channel_count; i++) {
-    const dipole_mc_query query = {
-        .medium = profile->media[i],
-        .thickness_mm = thickness->text != NULL ? thickness->value : (double)INFINITY,
-        .spacing = settings->eval.logarithmic ? DIPOLE_LOGARITHMIC : DIPOLE_LINEAR,
-        .ring_count = (uint32_t)of->count,
-        .radius_start_mm = of->edges_mm[0],
-        .radius_stop_mm = of->edges_mm[of->count],
-        .seed = 1,
-        .photons = (uint64_t)settings->photons.value};
+    const dipole_mc_query query = {.medium = profile->media[i],
+                                   .thickness_mm = thickness->text != NULL ? thickness->value
+                                                                           : (double)INFINITY,
+                                   .spacing = settings->log ? DIPOLE_LOGARITHMIC : DIPOLE_LINEAR,
+                                   .ring_count = (uint32_t)of->count,
+                                   .radius_start_mm = of->edges_mm[0],
+                                   .radius_stop_mm = of->edges_mm[of->count],
+                                   .seed = 1,
+                                   .photons = (uint64_t)settings->photons.value};
     dipole_mc_result *result = NULL;
     cli_progress progress;
     cli_progress_start(&progress, "photons");
@@ -337,20 +324,19 @@ static void set_deviation(cli_curve *curve, const cli_eval_values *reference, do
 /* ---- the command ----------------------------------------------------------------------------- */
 
 /* Returns whether a model was asked for to compare with it, and not by --model. */
-static bool is_unlisted(const plot_settings *settings, const cli_eval_report *report,
-                        size_t model) {
+static bool is_unlisted(const cli_settings *settings, const cli_eval_report *report, size_t model) {
   return model < report->model_count && !report->models[model].named &&
          strcmp(report->models[model].choice->name, REFERENCE) == 0 &&
-         !cli_texts_have(&settings->eval.model, "all");
+         !cli_texts_have(&settings->model, "all");
 }
 
 /* Draws the models of the report, and Monte Carlo. */
-static int draw(const plot_settings *settings, const cli_eval_report *report, const rings *of) {
+static int draw(const cli_settings *settings, const cli_eval_report *report, const rings *of) {
   static char text[] = "-";
   char *texts[] = {text};
-  const cli_texts onto_terminal = {1, texts}, *files = &settings->eval.plot;
+  const cli_texts onto_terminal = {1, texts, text}, *files = &settings->plot;
   const size_t channels = report->profile.channel_count, count = report->place_count;
-  const size_t reference = settings->error ? find_reference(report) : 0;
+  const size_t reference = settings->deviation ? find_reference(report) : 0;
   cli_picture picture = {.logarithmic_x = strcmp(settings->axes, "logarithmic") == 0,
                          .logarithmic_y = strcmp(settings->axes, "linear") != 0};
   if (reference == report->model_count) {
@@ -359,7 +345,7 @@ static int draw(const plot_settings *settings, const cli_eval_report *report, co
   set_labels(&picture, report,
              of != NULL ? cli_choice_of_id(report->profile.info, DIPOLE_QUANTITY, DIPOLE_R)
                         : report->quantities.items[0]);
-  picture.lower_label = settings->error ? "deviation from " REFERENCE " (%)" : NULL;
+  picture.lower_label = settings->deviation ? "deviation from " REFERENCE " (%)" : NULL;
   picture.lower_most = PERCENT_MAX;
   double *deviations =
       cli_allocate((report->model_count + 1) * channels * count, 2 * sizeof *deviations);
@@ -373,7 +359,7 @@ static int draw(const plot_settings *settings, const cli_eval_report *report, co
     curve->y = model < report->model_count ? report->values[k].arrays[0] : of->R + i * count;
     curve->error = model < report->model_count ? NULL : of->R_error + i * count;
     const cli_eval_values *from = &report->values[reference * channels + i];
-    if (settings->error && from->errors.model_error == 0) {
+    if (settings->deviation && from->errors.model_error == 0) {
       set_deviation(curve, from, deviations + 2 * k * count);
     }
   }
@@ -381,12 +367,12 @@ static int draw(const plot_settings *settings, const cli_eval_report *report, co
 }
 
 /* Asks for one quantity at the radii of `eval`, which has to have a value at each. */
-static int ask(cli_eval_settings eval, const char *name, dipole_client *client,
+static int ask(cli_settings eval, const char *name, dipole_client *client,
                cli_eval_report *report) {
   char quantity[64];
   char *wanted[] = {quantity};
   snprintf(quantity, sizeof quantity, "%s", name);
-  eval.wanted = (cli_texts){1, wanted};
+  eval.wanted = (cli_texts){1, wanted, quantity};
   const dipole_choice *choice =
       cli_named(dipole_get_info(client), DIPOLE_QUANTITY, "quantity", name);
   if (choice != NULL && (choice->id == DIPOLE_ALBEDO || choice->id == DIPOLE_RADIUS)) {
@@ -396,10 +382,9 @@ static int ask(cli_eval_settings eval, const char *name, dipole_client *client,
   return choice != NULL ? cli_eval_ask(&eval, client, report) : CLI_USAGE;
 }
 
-static int run(void *given, dipole_client *client) {
-  const plot_settings *settings = given;
+static int run(const cli_settings *settings, dipole_client *client) {
   const bool walks = settings->photons.given;
-  cli_eval_settings eval = settings->eval;
+  cli_settings eval = *settings;
   cli_eval_report report = {0};
   rings of = walks ? make_rings(&eval) : (rings){0};
   if (walks) {
@@ -441,7 +426,6 @@ const cli_command cli_command_plot = {
         "  dipole plot --sigma-a 0.01,0.1,1 --sigma-s 1 --eta 1.4 --quantity 2_pi_r_R \\\n"
         "    --axes linear --to 20 --plot a.png --plot a.svg\n"
         "  dipole plot --medium skin1 --channel red --model better,transport --mc 1e5 --error\n",
-    .settings_bytes = sizeof(plot_settings),
     .check = check,
     .run = run,
 };

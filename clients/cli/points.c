@@ -9,36 +9,36 @@
 #include <unistd.h>
 
 #include "clients/cli/daemon.h"
-#include "clients/cli/number.h"
 #include "clients/cli/points_row.h"
 #include "clients/cli/progress.h"
 #include "clients/cli/sheet.h"
 
 static const cli_option options[] = {
-    {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"model", "NAME",
-     "the model of the rows whose cell is empty or absent (default: transport; with a tolerance, "
-     "the cheapest that is so near to radiative transport)",
-     CLI_TEXT, offsetof(cli_profile_settings, model), NULL},
-    {"evaluator", "NAME",
-     "f64 or f32: double or single precision; lut: single, by a table (default: f64; for transport "
-     "lut where many rows share g and eta, else f32)",
-     CLI_TEXT, offsetof(points_settings, profile.evaluator), NULL},
-    {"r", "X[,X...]",
-     "for files without a column r: each row is written once for each of these radii, mm",
-     CLI_NUMBERS, offsetof(points_settings, r), NULL},
-    {"f", "X[,X...]",
-     "in place of radii: these spatial frequencies, 1/mm, for R_f, whose column is f in place of r",
-     CLI_NUMBERS, offsetof(points_settings, f), NULL},
-    {"wanted", "NAME[,NAME...]",
-     "the quantities to write; `dipole info` lists all (default: R,albedo,cdf; with --tolerance in "
-     "place of --model R,albedo, which keep more tolerances)",
-     CLI_NAMES, offsetof(points_settings, wanted), NULL},
-    {"errors", NULL,
-     "write numerical_error and model_error, too: how far the values may be from the model's "
-     "formula, and the model from radiative transport (empty: not solved). Rows that are answered "
-     "together have the largest error of all",
-     CLI_SWITCH, offsetof(points_settings, errors), NULL},
+    CLI_TITLE("Evaluation"),
+    CLI_OPTION(NAME, model, NULL,
+               "the model of the rows whose cell is empty or absent (default: transport; with a "
+               "tolerance, "
+               "the cheapest that is so near to radiative transport)"),
+    CLI_OPTION(TEXT, evaluator, NULL,
+               "f64 or f32: double or single precision; lut: single, by a table (default: f64; for "
+               "transport "
+               "lut where many rows share g and eta, else f32)"),
+    CLI_OPTION(
+        NUMBERS, r, NULL,
+        "for files without a column r: each row is written once for each of these radii, mm"),
+    CLI_OPTION(NUMBERS, f, NULL,
+               "in place of radii: these spatial frequencies, 1/mm, for R_f, whose column is f in "
+               "place of r"),
+    CLI_OPTION(NAMES, wanted, NULL,
+               "the quantities to write; `dipole info` lists all (default: R,albedo,cdf; with "
+               "--tolerance in "
+               "place of --model R,albedo, which keep more tolerances)"),
+    CLI_OPTION(
+        SWITCH, errors, NULL,
+        "write numerical_error and model_error, too: how far the values may be from the model's "
+        "formula, and the model from radiative transport (empty: not solved). Rows that are "
+        "answered "
+        "together have the largest error of all"),
     {0},
 };
 
@@ -52,7 +52,7 @@ static unsigned wanted_of(const points_usual *usual) {
  * are those of stored solutions as well, whatever tolerance a table would have had. */
 static bool takes_f32(const points_usual *usual, const points_row *row) {
   return row->model == usual->transport && row->evaluator == DIPOLE_LUT &&
-         usual->settings->profile.evaluator == NULL;
+         usual->settings->evaluator == NULL;
 }
 
 /* Sends the row's query; the row then waits for the answer. */
@@ -221,7 +221,7 @@ static bool take_refusal(points_run *points, uint64_t id, const dipole_error *er
     count_done(points, row);
     return true;
   }
-  return cli_try_again(&points->usual.settings->profile.common, points->answer_ms, error)
+  return cli_try_again(points->usual.settings, points->answer_ms, error)
              ? submit(points, row)
              : fail(points, "%s", error->text);
 }
@@ -363,8 +363,7 @@ static bool ask(points_run *points, points_row *const *rows, size_t count,
                                       .value_count = count * radii,
                                       .parameters = parameters.items,
                                       .parameter_count = parameters.count};
-  return CLI_ASK(&usual->settings->profile.common, error,
-                 dipole_varying(points->client, &query, result, error));
+  return CLI_ASK(usual->settings, error, dipole_varying(points->client, &query, result, error));
 }
 
 /* Numbers are rounded to single precision, and then to the fewest digits that are read as the same
@@ -576,9 +575,9 @@ static void take_usual(const cli_profile *profile, bool is_given, points_usual *
   usual->tolerance = cli_choice(info, DIPOLE_PARAMETER, "tolerance")->id;
 }
 
-static int take_quantities(const points_settings *settings, points_usual *usual) {
-  const bool any_model = usual->settings->profile.model == NULL &&
-                         settings->profile.common.parameters[CORE_PARAMETER_TOLERANCE].text != NULL;
+static int take_quantities(const cli_settings *settings, points_usual *usual) {
+  const bool any_model = usual->settings->model.count == 0 &&
+                         settings->parameters[CORE_PARAMETER_TOLERANCE].text != NULL;
   const unsigned wanted = settings->f.count > 0
                               ? DIPOLE_TRANSFER | DIPOLE_ALBEDO
                               : DIPOLE_R | DIPOLE_ALBEDO | (any_model ? 0 : DIPOLE_CDF);
@@ -601,13 +600,13 @@ static int take_quantities(const points_settings *settings, points_usual *usual)
 /* Reads the options, and asks for the measured media. Returns an exit status. */
 static int prepare(points_run *points) {
   points_usual *usual = &points->usual;
-  const points_settings *settings = usual->settings;
+  const cli_settings *settings = usual->settings;
   cli_profile profile = {0};
   dipole_error error;
-  if (!cli_profile_take_names(&settings->profile, points->client, &profile)) {
+  if (!cli_profile_take_names(settings, points->client, &profile)) {
     return CLI_USAGE;
   }
-  take_usual(&profile, settings->profile.evaluator != NULL, usual);
+  take_usual(&profile, settings->evaluator != NULL, usual);
   const int status = take_quantities(settings, usual);
   if (status != CLI_OK) {
     return status;
@@ -645,13 +644,13 @@ static int work(points_run *points) {
   return CLI_OK;
 }
 
-static int run(void *settings, dipole_client *client) {
+static int run(const cli_settings *settings, dipole_client *client) {
   points_run *points = cli_allocate(1, sizeof *points);
   points->usual.settings = settings;
   points->usual.options = options;
   points->client = client;
   int status = CLI_FAILED;
-  if (open_input(points, points->usual.settings->profile.common.operand)) {
+  if (open_input(points, points->usual.settings->operand)) {
     status = work(points);
     if (points->reader.fd != STDIN_FILENO) {
       close(points->reader.fd);
@@ -688,6 +687,5 @@ const cli_command cli_command_points = {
                 "  dipole invert --albedo 0.4,0.2 --mean-free-path 1 --format csv |\n"
                 "    dipole points --r 1 --model better\n"
                 "  printf 'sigma_a,sigma_s,g,eta,r\\n0.01,1,0,1.4,2\\n' | dipole points\n",
-    .settings_bytes = sizeof(points_settings),
     .run = run,
 };

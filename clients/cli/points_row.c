@@ -6,9 +6,9 @@
 #include <string.h>
 
 #include "clients/cli/daemon.h"
-#include "clients/cli/number.h"
 #include "clients/cli/options.h"
 #include "core/core.h"
+#include "proto/decimal.h"
 
 #define AT(row, offset) ((double *)(void *)((char *)(row) + (offset)))
 
@@ -132,8 +132,9 @@ static double numerical_error(const points_usual *usual, const points_row *row, 
 }
 
 static void write_number(double value, FILE *file) {
-  char text[CLI_NUMBER_BYTES];
-  fputs_unlocked(isnan(value) ? "" : cli_number_format(value, text), file);
+  char text[DECIMAL_BYTES];
+  decimal_write(value, text);
+  fputs_unlocked(isnan(value) ? "" : text, file);
 }
 
 /* A cell of the row's line for radius number `radius`. */
@@ -239,7 +240,7 @@ double points_tolerance(const points_usual *usual, const points_row *row) {
 /* Chooses the model and the evaluator. The parameters are known already. */
 static bool read_model(const points_usual *usual, const points_columns *columns, points_row *row) {
   const char *name = text_of(columns, row, MODEL);
-  const bool named = name != NULL || usual->settings->profile.model != NULL;
+  const bool named = name != NULL || usual->settings->model.count > 0;
   row->model = named || isnan(points_tolerance(usual, row)) ? usual->model : DIPOLE_ANY_MODEL;
   if (name != NULL && !find_id(usual, row, MODEL, DIPOLE_MODEL, name, &row->model)) {
     return false;

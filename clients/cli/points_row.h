@@ -6,13 +6,6 @@
 #include "clients/cli/csv.h"
 #include "clients/cli/profile.h"
 
-typedef struct points_settings {
-  cli_profile_settings profile;
-  cli_texts wanted;
-  cli_numbers r, f;
-  bool errors;
-} points_settings;
-
 enum {
   POINTS_INPUTS = 9,
   POINTS_NAMES_MAX = POINTS_INPUTS + CLI_PARAMETERS_MAX + CLI_QUANTITIES_MAX + 3
@@ -55,7 +48,7 @@ typedef struct points_row {
 
 /* What holds for all rows. */
 typedef struct points_usual {
-  const points_settings *settings;
+  const cli_settings *settings;
   const cli_option *options; /* of the command, as a column may have the name of one */
   const dipole_info *info;
   cli_parameters parameters; /* for rows whose cells are empty or absent */

@@ -4,50 +4,48 @@
 #include <string.h>
 
 #include "clients/cli/daemon.h"
-#include "clients/cli/number.h"
 #include "clients/cli/options.h"
 #include "core/core.h"
+#include "proto/decimal.h"
 
 #define G_DEFAULT 0.0
 #define ETA_DEFAULT 1.3
 
-#define FIELD(name) offsetof(cli_profile_settings, name)
-
 const cli_option cli_medium_options[] = {
-    {"Medium", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"medium", "NAME[,NAME...]",
-     "measured media: red, green and blue of each; `dipole media` lists them", CLI_TEXT,
-     FIELD(medium), NULL},
-    {"channel", "COLOUR[,...]", "red, green or blue. Only these channels are taken (default: all)",
-     CLI_NAMES, FIELD(channel), NULL},
-    {"sigma-a", "X[,X...]", "absorption coefficient, 1/mm; one value for each channel", CLI_NUMBERS,
-     FIELD(sigma_a), NULL},
-    {"sigma-s", "X[,X...]", "scattering coefficient, 1/mm; a single value is for all channels",
-     CLI_NUMBERS, FIELD(sigma_s), NULL},
-    {"g", "X[,X...]",
-     "mean cosine of the scattering angle (default: 0); sigma_s (1 - g) of a measured medium stays "
-     "as it was measured",
-     CLI_NUMBERS, FIELD(g), NULL},
-    {"eta", "X[,X...]",
-     "refractive index inside over outside (default: that of the measured medium, else 1.3)",
-     CLI_NUMBERS, FIELD(eta), NULL},
+    CLI_TITLE("Medium"),
+    CLI_OPTION(NAMES, medium, NULL,
+               "measured media: red, green and blue of each; `dipole media` lists them"),
+    CLI_OPTION(NAMES, channel, NULL,
+               "red, green or blue. Only these channels are taken (default: all)"),
+    CLI_OPTION(NUMBERS, sigma_a, NULL, "absorption coefficient, 1/mm; one value for each channel"),
+    CLI_OPTION(NUMBERS, sigma_s, NULL,
+               "scattering coefficient, 1/mm; a single value is for all channels"),
+    CLI_OPTION(NUMBERS, g, NULL,
+               "mean cosine of the scattering angle (default: 0); sigma_s (1 - g) of a measured "
+               "medium stays "
+               "as it was measured"),
+    CLI_OPTION(
+        NUMBERS, eta, NULL,
+        "refractive index inside over outside (default: that of the measured medium, else 1.3)"),
     {0},
 };
 
-const char *cli_usual_evaluator(const cli_profile_settings *settings, const char *model) {
-  const cli_given *tolerance = &settings->common.parameters[CORE_PARAMETER_TOLERANCE];
+const char *cli_usual_evaluator(const cli_settings *settings, const char *model) {
+  const cli_given *tolerance = &settings->parameters[CORE_PARAMETER_TOLERANCE];
   const bool tabled = tolerance->text == NULL || tolerance->value >= CORE_LUT_TOLERANCE_MIN;
   return tabled && (model == NULL || strcmp(model, CLI_MODEL_DEFAULT) == 0) ? "lut" : "f64";
 }
 
 /* ---- lengths --------------------------------------------------------------------------------- */
 
-const cli_numbers *cli_lengths_find(const cli_numbers lengths[CLI_LENGTHS], const char **name) {
-  const cli_numbers *found = NULL;
+const cli_numbers *cli_lengths_find(const cli_settings *settings, const char **name) {
+  const cli_numbers *found = NULL, *const lengths[] = {&settings->mean_free_path,
+                                                       &settings->diffuse_mean_free_path,
+                                                       &settings->classical_diffuse_path};
   size_t given = 0;
-  for (size_t i = 0; i < CLI_LENGTHS; i++) {
-    if (lengths[i].count > 0) {
-      found = &lengths[i];
+  for (size_t i = 0; i < sizeof lengths / sizeof lengths[0]; i++) {
+    if (lengths[i]->count > 0) {
+      found = lengths[i];
       *name = core_lengths[i].name;
       given++;
     }
@@ -95,12 +93,12 @@ bool cli_parameter_parse(const dipole_info *info, const dipole_choice *parameter
   if (choice != NULL) {
     *value = choice->id;
   }
-  return choice != NULL || cli_number_parse(text, value);
+  return choice != NULL || decimal_read(text, value);
 }
 
-bool cli_parameters_given(const cli_common *common) {
+bool cli_parameters_given(const cli_settings *settings) {
   size_t id = 0;
-  while (id < CORE_PARAMETERS_END && common->parameters[id].text == NULL) {
+  while (id < CORE_PARAMETERS_END && settings->parameters[id].text == NULL) {
     id++;
   }
   return id < CORE_PARAMETERS_END;
@@ -125,12 +123,12 @@ static bool take_parameter(const dipole_info *info, const cli_given *given, unsi
   return true;
 }
 
-static bool take_parameters(const dipole_info *info, const cli_common *common,
+static bool take_parameters(const dipole_info *info, const cli_settings *settings,
                             cli_parameters *parameters) {
   bool good = true;
   *parameters = (cli_parameters){0};
   for (unsigned id = 1; good && id < CORE_PARAMETERS_END; id++) {
-    const cli_given *given = &common->parameters[id];
+    const cli_given *given = &settings->parameters[id];
     good = given->text == NULL || take_parameter(info, given, id, parameters);
   }
   return good;
@@ -140,13 +138,13 @@ static bool take_parameters(const dipole_info *info, const cli_common *common,
 
 const char *const cli_colours[CLI_COLOURS] = {"red", "green", "blue"};
 
-bool cli_medium_given(const cli_profile_settings *settings) {
-  return settings->medium != NULL || settings->channel.count > 0 || settings->sigma_a.count > 0 ||
+bool cli_medium_given(const cli_settings *settings) {
+  return settings->medium.count > 0 || settings->channel.count > 0 || settings->sigma_a.count > 0 ||
          settings->sigma_s.count > 0 || settings->g.count > 0 || settings->eta.count > 0;
 }
 
 /* Returns whether a colour of a measured medium is asked for; all are if none is named. */
-static bool is_asked(const cli_profile_settings *settings, size_t colour) {
+static bool is_asked(const cli_settings *settings, size_t colour) {
   return settings->channel.count == 0 || cli_texts_have(&settings->channel, cli_colours[colour]);
 }
 
@@ -158,15 +156,16 @@ size_t cli_colour(const char *name) {
   return i;
 }
 
-int cli_medium_check(const cli_profile_settings *settings) {
-  if (settings->medium == NULL && (settings->sigma_a.count == 0 || settings->sigma_s.count == 0)) {
+int cli_medium_check(const cli_settings *settings) {
+  if (settings->medium.count == 0 &&
+      (settings->sigma_a.count == 0 || settings->sigma_s.count == 0)) {
     return cli_fail_usage("give --medium NAME, or --sigma-a and --sigma-s");
   }
-  if (settings->medium != NULL && (settings->sigma_a.count > 0 || settings->sigma_s.count > 0)) {
+  if (settings->medium.count > 0 && (settings->sigma_a.count > 0 || settings->sigma_s.count > 0)) {
     return cli_fail_usage("--medium NAME stands for --sigma-a and --sigma-s: leave these out; --g "
                           "and --eta may stay");
   }
-  if (settings->medium == NULL && settings->channel.count > 0) {
+  if (settings->medium.count == 0 && settings->channel.count > 0) {
     return cli_fail_usage("--channel is one of a measured medium: give --medium too");
   }
   for (size_t i = 0; i < settings->channel.count; i++) {
@@ -191,7 +190,8 @@ static int fail_unknown_medium(const char *name, const dipole_measured_medium *m
   return cli_fail_usage("--medium: '%s' is unknown; this daemon has %s", name, known);
 }
 
-int cli_find_medium(dipole_client *client, const char *name, dipole_measured_medium *medium) {
+/* Finds a measured medium by its name. Says what is wrong and returns an exit status. */
+static int find_medium(dipole_client *client, const char *name, dipole_measured_medium *medium) {
   dipole_measured_medium *media;
   dipole_error error;
   size_t count, at = 0;
@@ -211,7 +211,7 @@ int cli_find_medium(dipole_client *client, const char *name, dipole_measured_med
 
 /* Adds the channels of a measured medium that are asked for, from position *at on. If there are
  * several media, the names of the channels begin with that of the medium. */
-static void add_measured(const cli_profile_settings *settings, const dipole_measured_medium *medium,
+static void add_measured(const cli_settings *settings, const dipole_measured_medium *medium,
                          bool several, cli_profile *profile, size_t *at) {
   for (size_t i = 0; i < CLI_COLOURS; i++) {
     if (is_asked(settings, i)) {
@@ -228,27 +228,22 @@ static void add_measured(const cli_profile_settings *settings, const dipole_meas
   }
 }
 
-static int take_measured(const cli_profile_settings *settings, dipole_client *client,
+static int take_measured(const cli_settings *settings, dipole_client *client,
                          cli_profile *profile) {
-  const bool several = strchr(settings->medium, ',') != NULL;
   size_t at = 0;
   int status = CLI_OK;
-  profile->medium = settings->medium;
-  for (const char *names = settings->medium; status == CLI_OK && names != NULL;) {
+  profile->medium = settings->medium.whole;
+  for (size_t i = 0; status == CLI_OK && i < settings->medium.count; i++) {
     dipole_measured_medium medium;
-    char name[64];
-    const size_t length = strcspn(names, ",");
-    snprintf(name, sizeof name, "%.*s", (int)length, names);
-    names = names[length] == ',' ? names + length + 1 : NULL;
-    status = cli_find_medium(client, name, &medium);
+    status = find_medium(client, settings->medium.items[i], &medium);
     if (status == CLI_OK) {
-      add_measured(settings, &medium, several, profile, &at);
+      add_measured(settings, &medium, settings->medium.count > 1, profile, &at);
     }
   }
   return status;
 }
 
-static void take_given(const cli_profile_settings *settings, cli_profile *profile) {
+static void take_given(const cli_settings *settings, cli_profile *profile) {
   for (size_t i = 0; i < profile->channel_count; i++) {
     cli_channel *channel = &profile->channels[i];
     snprintf(channel->name, sizeof channel->name, "%zu", i + 1);
@@ -259,29 +254,26 @@ static void take_given(const cli_profile_settings *settings, cli_profile *profil
   }
 }
 
-static size_t count_measured(const cli_profile_settings *settings) {
-  size_t media = 1, asked = 0;
-  for (const char *comma = settings->medium; (comma = strchr(comma, ',')) != NULL; comma++) {
-    media++;
-  }
+static size_t count_measured(const cli_settings *settings) {
+  size_t asked = 0;
   for (size_t i = 0; i < CLI_COLOURS; i++) {
     asked += is_asked(settings, i);
   }
-  return media * asked;
+  return settings->medium.count * asked;
 }
 
 /* Counts the channels. All options that have more than one value must have the same number. */
-static bool count_channels(const cli_profile_settings *settings, size_t *count) {
+static bool count_channels(const cli_settings *settings, size_t *count) {
   const struct {
     const char *name;
     size_t count;
-  } options[] = {{"medium", settings->medium != NULL ? count_measured(settings) : 0},
+  } options[] = {{"medium", count_measured(settings)},
                  {"sigma-a", settings->sigma_a.count},
                  {"sigma-s", settings->sigma_s.count},
                  {"g", settings->g.count},
                  {"eta", settings->eta.count}};
-  const char *first = settings->medium != NULL ? "medium" : NULL;
-  *count = settings->medium != NULL ? options[0].count : 1;
+  const char *first = settings->medium.count > 0 ? "medium" : NULL;
+  *count = settings->medium.count > 0 ? options[0].count : 1;
   for (size_t i = 1; i < sizeof options / sizeof options[0]; i++) {
     if (options[i].count > 1 && first != NULL && options[i].count != *count) {
       cli_fail_usage("--%s has %zu values and --%s has %zu: give one value or as many",
@@ -298,14 +290,15 @@ static bool count_channels(const cli_profile_settings *settings, size_t *count) 
 
 /* ---- the whole profile ----------------------------------------------------------------------- */
 
-bool cli_profile_take_names(const cli_profile_settings *settings, dipole_client *client,
+bool cli_profile_take_names(const cli_settings *settings, dipole_client *client,
                             cli_profile *profile) {
   const struct {
     const dipole_choice **to;
     enum dipole_kind kind;
     const char *option, *name;
   } choices[] = {
-      {&profile->model, DIPOLE_MODEL, "model", settings->model},
+      {&profile->model, DIPOLE_MODEL, "model",
+       settings->model.whole == NULL ? cli_first(&settings->model) : NULL},
       {&profile->moments, DIPOLE_MOMENTS, "moments",
        settings->moments != NULL ? settings->moments : "exact"},
       {&profile->evaluator, DIPOLE_EVALUATOR, "evaluator", settings->evaluator},
@@ -320,7 +313,7 @@ bool cli_profile_take_names(const cli_profile_settings *settings, dipole_client 
       }
     }
   }
-  return take_parameters(profile->info, &settings->common, &profile->parameters);
+  return take_parameters(profile->info, settings, &profile->parameters);
 }
 
 void cli_profile_set_channels(cli_profile *profile, size_t count) {
@@ -329,15 +322,14 @@ void cli_profile_set_channels(cli_profile *profile, size_t count) {
   profile->media = cli_allocate(count, sizeof *profile->media);
 }
 
-int cli_profile_take(const cli_profile_settings *settings, dipole_client *client,
-                     cli_profile *profile) {
+int cli_profile_take(const cli_settings *settings, dipole_client *client, cli_profile *profile) {
   size_t count;
   if (!cli_profile_take_names(settings, client, profile) || !count_channels(settings, &count)) {
     return CLI_USAGE;
   }
   cli_profile_set_channels(profile, count);
   int status = CLI_OK;
-  if (settings->medium != NULL) {
+  if (settings->medium.count > 0) {
     status = take_measured(settings, client, profile);
   } else {
     take_given(settings, profile);

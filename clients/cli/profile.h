@@ -7,18 +7,6 @@
 
 /* ---- options --------------------------------------------------------------------------------- */
 
-/* A command has options only for the members that it uses. */
-typedef struct cli_profile_settings {
-  cli_common common;
-  const char *medium; /* names, separated by commas */
-  cli_texts channel;
-  cli_numbers sigma_a, sigma_s, g, eta;
-  const char *model, *moments, *evaluator;
-  cli_count deadline_ms;
-} cli_profile_settings;
-
-/* The options below are for settings that start with a cli_profile_settings. */
-
 /* For cli_command.parameters: those of the models, with their tolerances, and a bit of any. */
 #define CLI_PARAMETER_BIT(IDENT) (1U << CORE_PARAMETER_##IDENT)
 #define CLI_OF_MODELS                                                                              \
@@ -28,18 +16,15 @@ typedef struct cli_profile_settings {
 /* The options of the medium: the members from medium to eta. */
 extern const cli_option cli_medium_options[];
 
-/* Each macro gives the members of one cli_option except the last, `usual`. */
 #define CLI_MOMENTS_OPTION                                                                         \
-  "moments", "NAME", "Fresnel moments; `dipole info` lists them (default: exact)", CLI_TEXT,       \
-      offsetof(cli_profile_settings, moments)
+  CLI_OPTION(TEXT, moments, NULL, "Fresnel moments; `dipole info` lists them (default: exact)")
 #define CLI_DEADLINE_OPTION                                                                        \
-  "deadline-ms", "N", "ask the daemon to answer within N ms or to refuse; 0: no limit",            \
-      CLI_COUNT32, offsetof(cli_profile_settings, deadline_ms)
+  CLI_OPTION(COUNT32, deadline_ms, NULL,                                                           \
+             "ask the daemon to answer within N ms or to refuse; 0: no limit")
 #define CLI_EVALUATOR_OPTION                                                                       \
-  "evaluator", "NAME",                                                                             \
-      "f64 or f32: double or single precision; lut: single, by a table (default: f64; lut for "    \
-      "transport)",                                                                                \
-      CLI_TEXT, offsetof(cli_profile_settings, evaluator)
+  CLI_OPTION(TEXT, evaluator, NULL,                                                                \
+             "f64 or f32: double or single precision; lut: single, by a table (default: f64; lut " \
+             "for transport)")
 
 /* The model if none is given, and the reason, for --help. */
 #define CLI_MODEL_DEFAULT "transport"
@@ -50,35 +35,29 @@ extern const cli_option cli_medium_options[];
   "--evaluator f64 takes .2 ms, and 30 times as long for each radius. --model\n"                   \
   "better, which many renderers use, takes microseconds.\n"
 
-/* The lengths by which a medium can be given with an albedo, in the order of core_lengths. */
-enum { CLI_LENGTHS = 3 };
-
-/* Their options, for settings of this type with a member cli_numbers lengths[CLI_LENGTHS]. */
-#define CLI_LENGTH_OPTION(type, name, i, help)                                                     \
-  { name, "X[,X...]", help, CLI_NUMBERS, offsetof(type, lengths[i]), NULL }
-#define CLI_LENGTH_OPTIONS(type)                                                                   \
-  CLI_LENGTH_OPTION(type, "mean-free-path", 0,                                                     \
-                    "1 / sigma_t', mm; a single value is for all channels"),                       \
-      CLI_LENGTH_OPTION(                                                                           \
-          type, "diffuse-mean-free-path", 1,                                                       \
-          "instead: 1 / (sigma_t' sqrt(3 a / (1 + a))), a = sigma_a / sigma_t', mm"),              \
-      CLI_LENGTH_OPTION(type, "classical-diffuse-path", 2,                                         \
-                        "instead: 1 / sqrt(3 sigma_a sigma_t'), mm")
+/* The lengths by which a medium can be given with an albedo. */
+#define CLI_LENGTH_OPTIONS                                                                         \
+  CLI_OPTION(NUMBERS, mean_free_path, NULL,                                                        \
+             "1 / sigma_t', mm; a single value is for all channels"),                              \
+      CLI_OPTION(NUMBERS, diffuse_mean_free_path, NULL,                                            \
+                 "instead: 1 / (sigma_t' sqrt(3 a / (1 + a))), a = sigma_a / sigma_t', mm"),       \
+      CLI_OPTION(NUMBERS, classical_diffuse_path, NULL,                                            \
+                 "instead: 1 / sqrt(3 sigma_a sigma_t'), mm")
 
 /* Returns the one length that is given, and its name, which is that of the option and of the
  * daemon's choice. If none or several are given, says so and returns NULL. */
-const cli_numbers *cli_lengths_find(const cli_numbers lengths[CLI_LENGTHS], const char **name);
+const cli_numbers *cli_lengths_find(const cli_settings *settings, const char **name);
 
 /* Returns the evaluator that is taken if none is given: the table for transport, where it can be as
  * exact as the tolerance. model: NULL if none is named. */
-const char *cli_usual_evaluator(const cli_profile_settings *settings, const char *model);
+const char *cli_usual_evaluator(const cli_settings *settings, const char *model);
 
 /* Checks the options of the medium without a daemon, and returns an exit status. */
-int cli_medium_check(const cli_profile_settings *settings);
+int cli_medium_check(const cli_settings *settings);
 
 /* Returns whether any option of the medium, or of the parameters, is given. */
-bool cli_medium_given(const cli_profile_settings *settings);
-bool cli_parameters_given(const cli_common *common);
+bool cli_medium_given(const cli_settings *settings);
+bool cli_parameters_given(const cli_settings *settings);
 
 /* ---- parameters ------------------------------------------------------------------------------ */
 
@@ -110,9 +89,6 @@ extern const char *const cli_colours[CLI_COLOURS];
 /* Returns which of them has this name; CLI_COLOURS if none has, or if name is NULL. */
 size_t cli_colour(const char *name);
 
-/* Finds a measured medium by its name. Says what is wrong and returns an exit status. */
-int cli_find_medium(dipole_client *client, const char *name, dipole_measured_medium *medium);
-
 typedef struct cli_channel {
   char name[36];
   dipole_medium medium;
@@ -130,14 +106,13 @@ typedef struct cli_profile {
   dipole_medium *media;  /* [channel_count]: those of the channels */
 } cli_profile;
 
-/* Looks up the names in the settings, and reads the parameters. Says what is wrong and returns
+/* Looks up the names in the settings, but for a list of models, and reads the parameters. Says what is wrong and returns
  * false if the daemon does not know one of them. */
-bool cli_profile_take_names(const cli_profile_settings *settings, dipole_client *client,
+bool cli_profile_take_names(const cli_settings *settings, dipole_client *client,
                             cli_profile *profile);
 
 /* Does so, and reads the media. Says what is wrong and returns an exit status. */
-int cli_profile_take(const cli_profile_settings *settings, dipole_client *client,
-                     cli_profile *profile);
+int cli_profile_take(const cli_settings *settings, dipole_client *client, cli_profile *profile);
 
 /* Sets the number of channels and allocates their arrays. */
 void cli_profile_set_channels(cli_profile *profile, size_t count);

@@ -1,11 +1,12 @@
 #include "clients/cli/rows.h"
 
+#include <float.h>
 #include <math.h>
 #include <stdlib.h>
 
 #include "clients/c/error.h"
 #include "clients/cli/csv.h"
-#include "clients/cli/number.h"
+#include "proto/decimal.h"
 
 /* ---- JSON ------------------------------------------------------------------------------------ */
 
@@ -26,13 +27,27 @@ static void write_text(const char *text, FILE *file) {
 }
 
 static void write_number(double value, FILE *file) {
-  char text[CLI_NUMBER_BYTES];
-  cli_number_format(value, text);
+  char text[DECIMAL_BYTES];
+  decimal_write(value, text);
   if (isinf(value)) {
     write_text(text, file);
   } else {
     fputs(isnan(value) ? "null" : text, file);
   }
+}
+
+double cli_number_of_single(float value) {
+  char text[DECIMAL_BYTES];
+  double found = (double)value;
+  decimal_write_single(value, text);
+  return decimal_read(text, &found) ? found : (double)value;
+}
+
+double cli_number_rounded(double value) {
+  char text[DECIMAL_BYTES];
+  snprintf(text, sizeof text, "%.*e", DBL_DIG - 1, value);
+  const double rounded = strtod(text, NULL);
+  return isfinite(rounded) ? rounded : value;
 }
 
 /* ---- cells ----------------------------------------------------------------------------------- */
@@ -78,14 +93,15 @@ static bool begin_value(cli_rows *rows, const cli_column *column) {
 }
 
 void cli_put_shown(cli_rows *rows, const cli_column *column, double value, const char *text) {
-  char number[CLI_NUMBER_BYTES];
+  char number[DECIMAL_BYTES];
   if (!begin_value(rows, column)) {
     return;
   }
   if (rows->form == CLI_JSON) {
     write_number(value, rows->file);
   } else if (rows->form == CLI_CSV || rows->pass == CLI_ROWS_TITLE) {
-    fputs(isnan(value) ? "" : cli_number_format(value, number), rows->file);
+    decimal_write(value, number);
+    fputs(isnan(value) ? "" : number, rows->file);
   } else if (text != NULL) {
     cli_table_add(rows->table, "%s", text);
   } else {

@@ -53,6 +53,11 @@ void cli_put_text(cli_rows *rows, const cli_column *column, const char *text);
 /* Writes a number. A table shows `text` in its place, unless `text` is NULL. */
 void cli_put_shown(cli_rows *rows, const cli_column *column, double value, const char *text);
 
+/* Return the decimal number with the fewest digits that reads back to the same float, 0.1 for 0.1f;
+ * and the nearest one of 15 digits, 0.943 for 0.9430000000000001. Infinities and NaN stay. */
+double cli_number_of_single(float value);
+double cli_number_rounded(double value);
+
 /* Writes the four coefficients of a medium. */
 void cli_put_medium(cli_rows *rows, const dipole_medium *medium);
 

@@ -4,61 +4,49 @@
 
 #include "clients/cli/daemon.h"
 #include "clients/cli/eval.h"
-#include "clients/cli/number.h"
 
 #define DRAW_OF_A_LIST "list"
 
-typedef struct sample_settings {
-  cli_profile_settings profile;
-  cli_numbers u;
-  cli_count count, seed, first;
-  const char *draw;
-  cli_texts wanted;
-} sample_settings;
-
-#define FIELD(name) offsetof(sample_settings, name)
-
 static const cli_option options[] = {
-    {"Numbers", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"u", "X[,X...]", "take these numbers, from 0 (which gives 0 mm) to 1 (which gives inf)",
-     CLI_NUMBERS, FIELD(u), NULL},
-    {"count", "N", "how many numbers are drawn", CLI_COUNT, FIELD(count), "10"},
-    {"draw", "NAME",
-     "how to draw them. random; stratified: one in each of N equal intervals; regular: the middles "
-     "of the intervals (default: random)",
-     CLI_TEXT, FIELD(draw), NULL},
-    {"seed", "N", "for random and stratified; the same seed gives the same bits", CLI_COUNT,
-     FIELD(seed), "1"},
-    {"first", "N", "for random: start with number N of the seed (default: 0)", CLI_COUNT,
-     FIELD(first), NULL},
-    {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"model", "NAME", "a model that covers all radii; see `dipole info`", CLI_TEXT,
-     FIELD(profile.model), CLI_MODEL_DEFAULT},
-    {CLI_MOMENTS_OPTION, NULL},
-    {CLI_EVALUATOR_OPTION, NULL},
-    {"wanted", "NAME[,NAME...]",
-     "what to write. r: the radii; pdf: their density, 1/mm, which is 2 pi r times that of points "
-     "on "
-     "the surface; `dipole info` lists all, at these radii (default: r,pdf)",
-     CLI_NAMES, FIELD(wanted), NULL},
-    {CLI_DEADLINE_OPTION, NULL},
+    CLI_TITLE("Numbers"),
+    CLI_OPTION(NUMBERS, u, NULL,
+               "take these numbers, from 0 (which gives 0 mm) to 1 (which gives inf)"),
+    CLI_OPTION(COUNT, count, "10", "how many numbers are drawn"),
+    CLI_OPTION(TEXT, draw, NULL,
+               "how to draw them. random; stratified: one in each of N equal intervals; regular: "
+               "the middles "
+               "of the intervals (default: random)"),
+    CLI_OPTION(COUNT, seed, "1", "for random and stratified; the same seed gives the same bits"),
+    CLI_OPTION(COUNT, first, NULL, "for random: start with number N of the seed (default: 0)"),
+    CLI_TITLE("Evaluation"),
+    CLI_OPTION(NAME, model, CLI_MODEL_DEFAULT, "a model that covers all radii; see `dipole info`"),
+    CLI_MOMENTS_OPTION,
+    CLI_EVALUATOR_OPTION,
+    CLI_OPTION(NAMES, wanted, NULL,
+               "what to write. r: the radii; pdf: their density, 1/mm, which is 2 pi r times that "
+               "of points "
+               "on "
+               "the surface; `dipole info` lists all, at these radii (default: r,pdf)"),
+    CLI_DEADLINE_OPTION,
     {0},
 };
 
-static int check(void *given) {
-  const sample_settings *settings = given;
+static int check(cli_settings *settings) {
   if (settings->u.count > 0 && (settings->count.given || settings->draw != NULL ||
                                 settings->seed.given || settings->first.given)) {
     return cli_fail_usage("--u gives the numbers one by one: leave --count, --draw, "
                           "--seed and --first out");
   }
-  return cli_medium_check(&settings->profile);
+  if (settings->evaluator == NULL) {
+    settings->evaluator = cli_usual_evaluator(settings, settings->model.items[0]);
+  }
+  return cli_medium_check(settings);
 }
 
 /* ---- asking ---------------------------------------------------------------------------------- */
 
 /* Looks up the names of the draw and the quantities. */
-static int choose(const sample_settings *settings, cli_eval_report *report) {
+static int choose(const cli_settings *settings, cli_eval_report *report) {
   const char *draw = settings->draw != NULL ? settings->draw : "random";
   report->place = "u";
   report->draw = cli_named(report->profile.info, DIPOLE_DRAW, "draw",
@@ -75,8 +63,7 @@ static int choose(const sample_settings *settings, cli_eval_report *report) {
              : CLI_USAGE;
 }
 
-static dipole_sample_query make_query(const sample_settings *settings,
-                                      const cli_eval_report *report) {
+static dipole_sample_query make_query(const cli_settings *settings, const cli_eval_report *report) {
   const cli_profile *profile = &report->profile;
   const unsigned draw = report->draw->id;
   const bool seeded = draw == DIPOLE_DRAW_RANDOM || draw == DIPOLE_DRAW_STRATIFIED;
@@ -94,14 +81,14 @@ static dipole_sample_query make_query(const sample_settings *settings,
       .seed = seeded || settings->seed.given ? settings->seed.value : 0,
       .parameters = profile->parameters.items,
       .parameter_count = profile->parameters.count,
-      .deadline_ms = (unsigned)settings->profile.deadline_ms.value,
+      .deadline_ms = (unsigned)settings->deadline_ms.value,
   };
 }
 
 /* Random numbers are asked for in pieces, which shows how far the work is. */
 enum { PIECE_SAMPLES = 1 << 16 };
 
-static bool ask_pieces(const sample_settings *settings, dipole_client *client,
+static bool ask_pieces(const cli_settings *settings, dipole_client *client,
                        const dipole_sample_query *query, cli_eval_report *report,
                        dipole_error *error) {
   const uint64_t count = query->sample_count;
@@ -115,7 +102,7 @@ static bool ask_pieces(const sample_settings *settings, dipole_client *client,
     dipole_result *result;
     piece.sample_first += first;
     piece.sample_count = cut && count - first > PIECE_SAMPLES ? PIECE_SAMPLES : count - first;
-    good = CLI_ASK(&settings->profile.common, error, dipole_sample(client, &piece, &result, error));
+    good = CLI_ASK(settings, error, dipole_sample(client, &piece, &result, error));
     if (good) {
       report->place_count = (size_t)count;
       cli_eval_keep(report, 0, (size_t)first, result);
@@ -141,7 +128,7 @@ static void *list_numbers(const cli_numbers *u, uint64_t count, bool single) {
   return numbers;
 }
 
-static int ask(const sample_settings *settings, dipole_client *client, cli_eval_report *report) {
+static int ask(const cli_settings *settings, dipole_client *client, cli_eval_report *report) {
   const bool listed = settings->u.count > 0, single = report->profile.evaluator->id != DIPOLE_F64;
   dipole_sample_query query = make_query(settings, report);
   void *numbers = listed ? list_numbers(&settings->u, query.sample_count, single) : NULL;
@@ -164,14 +151,9 @@ static int ask(const sample_settings *settings, dipole_client *client, cli_eval_
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
-static int run(void *given, dipole_client *client) {
-  const sample_settings *settings = given;
-  cli_profile_settings profile = settings->profile;
+static int run(const cli_settings *settings, dipole_client *client) {
   cli_eval_report report = {0};
-  if (profile.evaluator == NULL) {
-    profile.evaluator = cli_usual_evaluator(&profile, profile.model);
-  }
-  int status = cli_profile_take(&profile, client, &report.profile);
+  int status = cli_profile_take(settings, client, &report.profile);
   status = status == CLI_OK ? choose(settings, &report) : status;
   if (status == CLI_OK) {
     cli_eval_add_model(&report, report.profile.model, true);
@@ -180,7 +162,7 @@ static int run(void *given, dipole_client *client) {
     status = ask(settings, client, &report);
   }
   if (status == CLI_OK) {
-    cli_eval_write(&report, settings->profile.common.form);
+    cli_eval_write(&report, settings->form);
   }
   return status;
 }
@@ -195,7 +177,6 @@ const cli_command cli_command_sample = {
     .formats = "table,csv,json",
     .options = {cli_medium_options, options},
     .parameters = CLI_OF_MODELS,
-    .settings_bytes = sizeof(sample_settings),
     .check = check,
     .run = run,
     .examples = "  dipole sample --medium skin1\n"

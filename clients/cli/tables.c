@@ -7,21 +7,15 @@
 #include "clients/cli/rows.h"
 #include "clients/cli/tables_file.h"
 
-typedef struct table_settings {
-  cli_profile_settings profile;
-  const char *output;
-} table_settings;
-
 static const cli_option options[] = {
-    {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"model", "NAME", "see `dipole info`", CLI_TEXT, offsetof(cli_profile_settings, model),
-     CLI_MODEL_DEFAULT},
-    {CLI_MOMENTS_OPTION, NULL},
-    {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"output", "FILE",
-     "write the tables into FILE, binary, one behind the other; -: only write them to standard "
-     "output",
-     CLI_TEXT, offsetof(table_settings, output), NULL},
+    CLI_TITLE("Evaluation"),
+    CLI_OPTION(NAME, model, CLI_MODEL_DEFAULT, "see `dipole info`"),
+    CLI_MOMENTS_OPTION,
+    CLI_TITLE("Output"),
+    CLI_OPTION(
+        FILE, output, NULL,
+        "write the tables into FILE, binary, one behind the other; -: only write them to standard "
+        "output"),
     {0},
 };
 
@@ -30,20 +24,19 @@ typedef struct report {
   cli_tables tables; /* one for each channel */
 } report;
 
-static bool is_to_standard(const table_settings *settings) {
+static bool is_to_standard(const cli_settings *settings) {
   return settings->output != NULL && strcmp(settings->output, "-") == 0;
 }
 
-static int check(void *given) {
-  const table_settings *settings = given;
-  if (is_to_standard(settings) && settings->profile.common.format != NULL) {
+static int check(cli_settings *settings) {
+  if (is_to_standard(settings) && settings->format != NULL) {
     return cli_fail_usage("--output - writes binary to standard output: leave --format "
                           "out, or name a file");
   }
-  return cli_medium_check(&settings->profile);
+  return cli_medium_check(settings);
 }
 
-static int fetch(const table_settings *settings, dipole_client *client, report *of) {
+static int fetch(const cli_settings *settings, dipole_client *client, report *of) {
   const cli_profile *profile = &of->profile;
   char place[48] = "";
   for (size_t i = 0; i < profile->channel_count; i++) {
@@ -54,8 +47,7 @@ static int fetch(const table_settings *settings, dipole_client *client, report *
                                       .parameter_count = profile->parameters.count};
     dipole_table *table;
     dipole_error error;
-    if (!CLI_ASK(&settings->profile.common, &error,
-                 dipole_table_fetch(client, &query, &table, &error))) {
+    if (!CLI_ASK(settings, &error, dipole_table_fetch(client, &query, &table, &error))) {
       if (profile->channel_count > 1) {
         snprintf(place, sizeof place, "channel %s: ", profile->channels[i].name);
       }
@@ -112,8 +104,8 @@ static void write_foot(const void *context) {
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
-static int ask_and_write(const table_settings *settings, dipole_client *client, report *of) {
-  int status = cli_profile_take(&settings->profile, client, &of->profile);
+static int ask_and_write(const cli_settings *settings, dipole_client *client, report *of) {
+  int status = cli_profile_take(settings, client, &of->profile);
   status = status == CLI_OK ? fetch(settings, client, of) : status;
   if (status != CLI_OK) {
     return status;
@@ -129,11 +121,11 @@ static int ask_and_write(const table_settings *settings, dipole_client *client, 
                              .put_row = put_table,
                              .left = 1,
                              .foot = write_foot};
-  cli_write(&output, settings->profile.common.form, of);
+  cli_write(&output, settings->form, of);
   return CLI_OK;
 }
 
-static int run(void *settings, dipole_client *client) {
+static int run(const cli_settings *settings, dipole_client *client) {
   report of = {0};
   const int status = ask_and_write(settings, client, &of);
   cli_tables_free(&of.tables);
@@ -155,7 +147,6 @@ const cli_command cli_command_table = {
     .examples = "  dipole table --medium skin1 --output skin1.table\n"
                 "  dipole eval --table skin1.table --r 0.1,1,10 --wanted R,cdf\n"
                 "  dipole table --sigma-a 0.01 --sigma-s 1 --tolerance 1e-5 --format json\n",
-    .settings_bytes = sizeof(table_settings),
     .check = check,
     .run = run,
 };

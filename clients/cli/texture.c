@@ -9,42 +9,27 @@
 #include "clients/cli/profile.h"
 #include "clients/cli/progress.h"
 
-typedef struct texture_settings {
-  cli_profile_settings profile;
-  cli_numbers lengths[CLI_LENGTHS];
-  cli_number g, eta;
-  const char *light;
-  bool specular, linear;
-  cli_texts wanted;
-} texture_settings;
-
-#define FIELD(name) offsetof(texture_settings, name)
-
 static const cli_option options[] = {
-    {"Media", NULL, NULL, CLI_HEADING, 0, NULL},
-    CLI_LENGTH_OPTIONS(texture_settings),
-    {"g", "X", "mean cosine of the scattering angle (default: 0)", CLI_NUMBER, FIELD(g), NULL},
-    {"eta", "X", "refractive index inside over outside", CLI_NUMBER, FIELD(eta), "1.3"},
-    {"Colours", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"light", "NAME",
-     "the light of the colours: beam, at normal incidence, or diffuse, the same "
-     "from all directions",
-     CLI_TEXT, FIELD(light), "beam"},
-    {"specular", NULL, "the colours contain what the surface itself reflects (Fresnel)", CLI_SWITCH,
-     FIELD(specular), NULL},
-    {"linear", NULL,
-     "the values of a PNG are linear, whatever it says (default: what it says, "
-     "by gAMA, else sRGB)",
-     CLI_SWITCH, FIELD(linear), NULL},
-    {"coefficients", "NAME[,NAME...]",
-     "what to write: sigma_a, sigma_s (1/mm), and scattered, the single-scattering "
-     "albedo for random walks (default: sigma_a,sigma_s)",
-     CLI_NAMES, FIELD(wanted), NULL},
-    {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"model", "NAME", "the model that the colours are right for", CLI_TEXT, FIELD(profile.model),
-     CLI_MODEL_DEFAULT},
-    {CLI_MOMENTS_OPTION, NULL},
-    {CLI_DEADLINE_OPTION, NULL},
+    CLI_TITLE("Media"),
+    CLI_LENGTH_OPTIONS,
+    CLI_OPTION(ONE, g, NULL, "mean cosine of the scattering angle (default: 0)"),
+    CLI_OPTION(ONE, eta, "1.3", "refractive index inside over outside"),
+    CLI_TITLE("Colours"),
+    CLI_OPTION(TEXT, light, "beam",
+               "the light of the colours: beam, at normal incidence, or diffuse, the same "
+               "from all directions"),
+    CLI_OPTION(SWITCH, specular, NULL,
+               "the colours contain what the surface itself reflects (Fresnel)"),
+    CLI_OPTION(SWITCH, linear, NULL,
+               "the values of a PNG are linear, whatever it says (default: what it says, "
+               "by gAMA, else sRGB)"),
+    CLI_OPTION(NAMES, coefficients, NULL,
+               "what to write: sigma_a, sigma_s (1/mm), and scattered, the single-scattering "
+               "albedo for random walks (default: sigma_a,sigma_s)"),
+    CLI_TITLE("Evaluation"),
+    CLI_OPTION(NAME, model, CLI_MODEL_DEFAULT, "the model that the colours are right for"),
+    CLI_MOMENTS_OPTION,
+    CLI_DEADLINE_OPTION,
     {0},
 };
 
@@ -52,7 +37,7 @@ static const cli_option options[] = {
 enum { REQUEST_VALUES = 262144, WANTED_MAX = 8 };
 
 typedef struct texture_run {
-  const texture_settings *settings;
+  const cli_settings *settings;
   dipole_client *client;
   cli_parameters parameters;
   dipole_varying_query query;
@@ -68,14 +53,12 @@ typedef struct texture_run {
 
 /* ---- the command line ------------------------------------------------------------------------ */
 
-static int check(void *given) {
-  const texture_settings *settings = given;
-  const cli_common *common = &settings->profile.common;
+static int check(cli_settings *settings) {
   const char *length;
-  if (common->operand == NULL || common->second_operand == NULL) {
+  if (settings->operand == NULL || settings->second_operand == NULL) {
     return cli_fail_usage("name two files: the image that is read, and the image that is written");
   }
-  const cli_numbers *lengths = cli_lengths_find(settings->lengths, &length);
+  const cli_numbers *lengths = cli_lengths_find(settings, &length);
   if (lengths == NULL) {
     return CLI_USAGE;
   }
@@ -89,7 +72,7 @@ static int check(void *given) {
 /* Finds the coefficients that are wanted. */
 static bool take_wanted(texture_run *run, const dipole_info *info) {
   static char *usual[] = {"sigma_a", "sigma_s"};
-  const cli_texts *names = &run->settings->wanted;
+  const cli_texts *names = &run->settings->coefficients;
   const size_t count = names->count > 0 ? names->count : 2;
   for (size_t i = 0; i < count && i < WANTED_MAX; i++) {
     const dipole_choice *found = cli_named(info, DIPOLE_COEFFICIENT, "coefficients",
@@ -108,7 +91,7 @@ static bool take_wanted(texture_run *run, const dipole_info *info) {
 /* Returns the file of a coefficient: OUT, or with several coefficients OUT with the name before the
  * ending, as in skin.sigma_a.pfm. */
 static char *file_of(const texture_run *run, size_t wanted) {
-  const char *out = run->settings->profile.common.second_operand;
+  const char *out = run->settings->second_operand;
   const char *name = run->wanted[wanted]->name, *ending = strrchr(out, '.');
   const size_t bytes = strlen(out) + strlen(name) + 2;
   char *file = cli_allocate(bytes, 1);
@@ -121,12 +104,11 @@ static char *file_of(const texture_run *run, size_t wanted) {
 }
 
 static int take_settings(texture_run *run) {
-  const texture_settings *settings = run->settings;
-  const cli_profile_settings *profile = &settings->profile;
+  const cli_settings *settings = run->settings;
   const char *length;
   cli_profile names = {0};
-  cli_lengths_find(settings->lengths, &length);
-  if (!cli_profile_take_names(profile, run->client, &names)) {
+  cli_lengths_find(settings, &length);
+  if (!cli_profile_take_names(settings, run->client, &names)) {
     return CLI_USAGE;
   }
   const dipole_choice *light = cli_named(names.info, DIPOLE_LIGHT, "light", settings->light);
@@ -136,10 +118,10 @@ static int take_settings(texture_run *run) {
   }
   run->parameters = names.parameters;
   const bool shares = run->query.coefficients == DIPOLE_SCATTERED;
-  if (!cli_image_can_write(profile->common.second_operand, shares)) {
+  if (!cli_image_can_write(settings->second_operand, shares)) {
     return cli_fail_usage("%s: the name of the image that is written ends with .pfm, or with .png "
                           "if --coefficients is scattered",
-                          profile->common.second_operand);
+                          settings->second_operand);
   }
   run->query.model = names.model->id;
   run->query.evaluator = DIPOLE_F32;
@@ -147,11 +129,11 @@ static int take_settings(texture_run *run) {
   run->query.light = light->id;
   run->query.given = given->id;
   run->query.specular = settings->specular;
-  run->query.g = settings->g.value;
-  run->query.eta = settings->eta.value;
+  run->query.g = cli_numbers_pick(&settings->g, 0, 0);
+  run->query.eta = settings->eta.items[0];
   run->query.parameters = run->parameters.items;
   run->query.parameter_count = run->parameters.count;
-  run->query.deadline_ms = (unsigned)profile->deadline_ms.value;
+  run->query.deadline_ms = (unsigned)settings->deadline_ms.value;
   return CLI_OK;
 }
 
@@ -160,7 +142,7 @@ static int take_settings(texture_run *run) {
 /* Fills the lengths of `count` values from number `first` on. */
 static void set_lengths(texture_run *run, uint64_t first, size_t count, size_t channels) {
   const char *name;
-  const cli_numbers *lengths = cli_lengths_find(run->settings->lengths, &name);
+  const cli_numbers *lengths = cli_lengths_find(run->settings, &name);
   for (size_t i = 0; i < count; i++) {
     const size_t channel = lengths->count == 1 ? 0 : (size_t)((first + i) % channels);
     run->lengths_mm[i] = (float)lengths->items[channel];
@@ -198,8 +180,7 @@ static bool map(texture_run *run, const cli_image *image, dipole_error *error) {
     run->query.colours = image->values + first;
     run->query.lengths_mm = run->lengths_mm;
     run->query.value_count = n;
-    good = CLI_ASK(&run->settings->profile.common, error,
-                   dipole_varying(run->client, &run->query, &result, error));
+    good = CLI_ASK(run->settings, error, dipole_varying(run->client, &run->query, &result, error));
     if (good) {
       take(run, first, result);
       dipole_varying_result_free(result);
@@ -226,7 +207,7 @@ static int tell_missing(const texture_run *run, const cli_image *image) {
           "%s: %llu of %llu values are NaN in what was written: no medium has their colour, which "
           "is from %.6g to %.6g, or their length; the first is %s of column %llu, row %llu: %s: "
           "allowed: %s",
-          run->settings->profile.common.operand, (unsigned long long)run->missing,
+          run->settings->operand, (unsigned long long)run->missing,
           (unsigned long long)(image->width * image->height * image->channels), run->colour_least,
           run->colour_most, channels[run->first_missing % image->channels],
           (unsigned long long)(pixel % image->width), (unsigned long long)(pixel / image->width),
@@ -258,15 +239,12 @@ static int map_image(texture_run *run, const cli_image *image) {
   return status;
 }
 
-static int run(void *given, dipole_client *client) {
-  const texture_settings *settings = given;
+static int run(const cli_settings *settings, dipole_client *client) {
   texture_run work = {.settings = settings, .client = client};
   cli_image image;
   int status = take_settings(&work);
   if (status == CLI_OK) {
-    status = cli_image_read(settings->profile.common.operand, settings->linear, &image)
-                 ? CLI_OK
-                 : CLI_FAILED;
+    status = cli_image_read(settings->operand, settings->linear, &image) ? CLI_OK : CLI_FAILED;
     if (status == CLI_OK) {
       status = map_image(&work, &image);
       free(image.values);
@@ -297,7 +275,6 @@ const cli_command cli_command_texture = {
     .examples =
         "  dipole texture skin.png skin.pfm --mean-free-path 1,.5,.3\n"
         "  dipole texture skin.png albedo.png --mean-free-path 1 --coefficients scattered\n",
-    .settings_bytes = sizeof(texture_settings),
     .check = check,
     .run = run,
 };

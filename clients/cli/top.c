@@ -12,12 +12,6 @@
 #define INTERVAL_LEAST_S 0.05
 #define INTERVAL_MOST_S 86400.0
 
-typedef struct top_settings {
-  cli_common common;
-  cli_number interval_s;
-  cli_count count;
-} top_settings;
-
 /* The statistics at one moment. */
 typedef struct top_look {
   dipole_value *values; /* to be freed */
@@ -277,7 +271,7 @@ static void show_beginning(top_record *record) {
 enum { ANSWER_MS = 2000 }; /* how long the daemon may take before the screen says that it is gone */
 
 typedef struct watched {
-  const top_settings *settings;
+  const cli_settings *settings;
   dipole_client *client; /* the present one; NULL while the daemon is gone */
   dipole_client *given;  /* the first one, which the caller closes */
   double gone_s;         /* since when the daemon is gone */
@@ -299,10 +293,10 @@ static void hurry(dipole_client *client) {
 
 static bool connect_again(watched *of, dipole_error *error) {
   dipole_options options;
-  cli_connection_options(&of->settings->common, &options);
+  cli_connection_options(of->settings, &options);
   options.retry_ms = 0;
   options.connect_timeout_ms = ANSWER_MS;
-  if (!dipole_open_with(of->settings->common.connect, &options, &of->client, error)) {
+  if (!dipole_open_with(of->settings->connect, &options, &of->client, error)) {
     return false;
   }
   hurry(of->client);
@@ -312,7 +306,7 @@ static bool connect_again(watched *of, dipole_error *error) {
 /* Replaces the numbers on the screen by the reason why there are none. */
 static void show_gone(const watched *of, const dipole_error *error) {
   char text[512];
-  const char *address = of->settings->common.connect;
+  const char *address = of->settings->connect;
   snprintf(text, sizeof text,
            "No answer from %s for %.0f s\n%s\n\nTrying again. Ctrl-C ends this.\n",
            address != NULL ? address : dipole_get_info(of->given)->address,
@@ -340,7 +334,7 @@ static bool look_or_tell(watched *of, top_look *now) {
 
 /* Shows one interval. Returns false if the command has to end. */
 static bool watch_once(watched *of, top_record *record, uint64_t number, double *next_s) {
-  const double interval_s = of->settings->interval_s.value;
+  const double interval_s = of->settings->interval.value;
   turn_over(record);
   block_end(SIG_UNBLOCK);
   sleep_until(*next_s);
@@ -349,14 +343,14 @@ static bool watch_once(watched *of, top_record *record, uint64_t number, double 
   *next_s = fmax(*next_s + interval_s, (double)cli_now_ns() / 1e9);
   if (looked && record->before.count > 0) {
     record->interval_s = record->now.at_s - record->before.at_s;
-    show(of->settings->common.form, record, number);
+    show(of->settings->form, record, number);
   } else if (looked) { /* It is back. */
     show_beginning(record);
   }
   return (looked || has_screen) && !ferror(stdout); /* main() will say why */
 }
 
-static int watch(const top_settings *settings, dipole_client *client, top_record *record) {
+static int watch(const cli_settings *settings, dipole_client *client, top_record *record) {
   watched of = {.settings = settings, .client = client, .given = client};
   bool good = true;
   if (has_screen) {
@@ -369,7 +363,7 @@ static int watch(const top_settings *settings, dipole_client *client, top_record
   if (record->now.count > 0) {
     show_beginning(record);
   }
-  double next_s = (double)cli_now_ns() / 1e9 + settings->interval_s.value;
+  double next_s = (double)cli_now_ns() / 1e9 + settings->interval.value;
   for (uint64_t i = 0; good && (!settings->count.given || i < settings->count.value); i++) {
     good = watch_once(&of, record, i, &next_s);
   }
@@ -379,9 +373,8 @@ static int watch(const top_settings *settings, dipole_client *client, top_record
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
-static int check(void *given) {
-  const top_settings *settings = given;
-  const double interval_s = settings->interval_s.value;
+static int check(cli_settings *settings) {
+  const double interval_s = settings->interval.value;
   if (!(interval_s >= INTERVAL_LEAST_S && interval_s <= INTERVAL_MOST_S)) {
     return cli_fail_usage("--interval: give a number from %g to %g seconds", INTERVAL_LEAST_S,
                           INTERVAL_MOST_S);
@@ -391,11 +384,10 @@ static int check(void *given) {
              : cli_fail_usage("--count: give at least 1");
 }
 
-static int run(void *given, dipole_client *client) {
-  const top_settings *settings = given;
+static int run(const cli_settings *settings, dipole_client *client) {
   top_record record = {.info = dipole_get_info(client)};
   end_on_signals();
-  if (settings->common.form == CLI_TABLE) {
+  if (settings->form == CLI_TABLE) {
     begin_screen();
   }
   const int status = watch(settings, client, &record);
@@ -406,11 +398,9 @@ static int run(void *given, dipole_client *client) {
 }
 
 static const cli_option options[] = {
-    {"How often", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"interval", "S", "seconds between two tables", CLI_NUMBER, offsetof(top_settings, interval_s),
-     "1"},
-    {"count", "N", "end after N intervals (default: only at Ctrl-C)", CLI_COUNT,
-     offsetof(top_settings, count), NULL},
+    CLI_TITLE("How often"),
+    CLI_OPTION(NUMBER, interval, "1", "seconds between two tables"),
+    CLI_OPTION(COUNT, count, NULL, "end after N intervals (default: only at Ctrl-C)"),
     {0},
 };
 
@@ -429,7 +419,6 @@ const cli_command cli_command_top = {
                 "  dipole top --connect tcp:farm7:4817 --interval 60 --format csv > farm7.csv\n"
                 "  dipole top --connect tcp:farm7:4817 --count 1 --format json\n",
     .shows_service = true,
-    .settings_bytes = sizeof(top_settings),
     .check = check,
     .run = run,
 };

@@ -8,7 +8,7 @@
 
 #include "clients/c/address.h"
 #include "clients/cli/csv.h"
-#include "clients/cli/number.h"
+#include "proto/decimal.h"
 #include "server/net/access.h"
 #include "server/options.h"
 #include "tests/fuzz/fuzz.h"
@@ -85,13 +85,12 @@ void fuzz_texts(const uint8_t *data, size_t size) {
       CHECK(access.count == 1 && access.networks[0].bits <= 128);
     }
     double value, again;
-    uint64_t number;
-    char text[CLI_NUMBER_BYTES];
-    if (cli_number_parse(word, &value)) {
-      CHECK(cli_number_parse(cli_number_format(value, text), &again));
+    char text[DECIMAL_BYTES];
+    if (decimal_read(word, &value)) {
+      decimal_write(value, text);
+      CHECK(decimal_read(text, &again));
       CHECK(again == value || value != value);
     }
-    cli_count_parse(word, &number);
   }
   struct options options;
   optind = 0; /* so that getopt_long() starts anew */
