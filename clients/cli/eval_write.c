@@ -151,12 +151,12 @@ static void put_errors_as(cli_rows *rows, const cli_eval_report *report,
   snprintf(numerical, sizeof numerical, "numerical_error%s%s", of[0] != '\0' ? "_" : "", of);
   snprintf(model, sizeof model, "model_error%s%s", of[0] != '\0' ? "_" : "", of);
   cli_put_number(rows,
-                 CLI_COLUMN(numerical, "numerical error", kind_of_error(report, wanted), "%.1e",
-                            .over = of, .forms = forms),
+                 CLI_COLUMN(numerical, "numerical error", NULL, "%.1e", .over = of,
+                            .below = kind_of_error(report, wanted), .forms = forms),
                  numerical_error(errors, r_mm));
   cli_put_number(rows,
-                 CLI_COLUMN(model, "model error", range_of(report, range), "%.1e", none, .over = of,
-                            .forms = forms),
+                 CLI_COLUMN(model, "model error", NULL, "%.1e", none, .over = of,
+                            .below = range_of(report, range), .forms = forms),
                  errors->model_error);
 }
 

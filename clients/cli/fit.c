@@ -325,22 +325,24 @@ static void put_sample(cli_rows *rows, const void *context, size_t index) {
                  change->sides != 0 ? change->a : (double)NAN);
   cli_put_number(rows, CLI_COLUMN("sigma_s_prime_by_g", "s' by g", "1/mm", "%.2g", "-"),
                  change->sides != 0 ? change->s : (double)NAN);
-  cli_put_number(rows, CLI_COLUMN("correlation", NULL, " ", "%.3f", "-"),
+  cli_put_number(rows, CLI_COLUMN("correlation", NULL, NULL, "%.3f", "-"),
                  one->covariance_a_s / (a * s));
-  cli_put_number(rows, CLI_COLUMN("scale", NULL, " ", "%.5g", "-", NULL, with_factor), one->factor);
-  cli_put_number(rows, CLI_COLUMN("scale_error", "its error", " ", "%.2g", "-", NULL, with_factor),
-                 scale_error);
-  cli_put_number(rows, CLI_COLUMN("chi2", NULL, " ", "%.4g", "-"), one->chi_squared);
-  cli_put_count(rows, CLI_COLUMN("readings", .unit = " "), sample->count);
+  cli_put_number(rows, CLI_COLUMN("scale", NULL, NULL, "%.5g", "-", .forms = with_factor),
+                 one->factor);
   cli_put_number(rows,
-                 CLI_COLUMN("model_error", "model error", "relative", "%.1e", "not known", NULL,
-                            CLI_IN_TABLE | CLI_IN_JSON),
+                 CLI_COLUMN("scale_error", "its error", NULL, "%.2g", "-", .forms = with_factor),
+                 scale_error);
+  cli_put_number(rows, CLI_COLUMN("chi2", NULL, NULL, "%.4g", "-"), one->chi_squared);
+  cli_put_count(rows, CLI_COLUMN("readings"), sample->count);
+  cli_put_number(rows,
+                 CLI_COLUMN("model_error", "model error", NULL, "%.1e", "not known",
+                            .below = "relative", .forms = CLI_IN_TABLE | CLI_IN_JSON),
                  one->model_error);
-  cli_put_number(rows, CLI_COLUMN("g", .unit = " "), g_of(of, sample));
-  cli_put_text(rows, CLI_COLUMN("g_from", "g from", " "), source_of_g(of, sample));
-  cli_put_text(rows, CLI_COLUMN("g_sides", "g sides", " "), sides_of_g[change->sides]);
-  cli_put_number(rows, CLI_COLUMN("eta", .unit = " "), eta_of(of, sample));
-  cli_put_text(rows, CLI_COLUMN("status", .unit = " "), status_of(of, one));
+  cli_put_number(rows, CLI_COLUMN("g"), g_of(of, sample));
+  cli_put_text(rows, CLI_COLUMN("g_from", "g from"), source_of_g(of, sample));
+  cli_put_text(rows, CLI_COLUMN("g_sides", "g sides"), sides_of_g[change->sides]);
+  cli_put_number(rows, CLI_COLUMN("eta"), eta_of(of, sample));
+  cli_put_text(rows, CLI_COLUMN("status"), status_of(of, one));
   const unsigned json = CLI_IN_JSON;
   cli_put_number(rows, CLI_COLUMN("reduced_chi2", .forms = json), one->reduced_chi_squared);
   cli_put_number(rows, CLI_COLUMN("condition", .forms = json), one->condition);

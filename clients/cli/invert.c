@@ -144,7 +144,8 @@ static void put_medium(cli_rows *rows, const void *context, size_t index) {
   const unsigned programs = CLI_IN_CSV | CLI_IN_JSON;
   cli_put_text(rows, CLI_COLUMN("model", .forms = programs), of->profile.model->name);
   cli_put_count(rows, CLI_COLUMN("channel"), index + 1);
-  cli_put_number(rows, CLI_COLUMN("wanted_albedo", "albedo", "wanted"), one->wanted_albedo);
+  cli_put_number(rows, CLI_COLUMN("wanted_albedo", "albedo", .below = "wanted"),
+                 one->wanted_albedo);
   cli_put_text(rows, CLI_COLUMN("given", .forms = programs), of->given->name);
   cli_put_number(rows, CLI_COLUMN("length", of->given->name, "mm"), one->length_mm);
   cli_put_shown(rows, CLI_COLUMN("sigma_a", NULL, "1/mm", "%.9g"), medium->sigma_a_per_mm, reason);

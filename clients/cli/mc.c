@@ -176,217 +176,152 @@ static bool run_job(dipole_client *client, const cli_settings *settings, report 
 
 /* ---- what was walked ------------------------------------------------------------------------- */
 
-/* The two sides of a slab. A half space has the first only. */
-static const char *const sides[DIPOLE_MC_SIDES] = {"R", "T"};
-
-/* A part of the power that entered. */
-typedef struct part {
-  const char *name;  /* for programs */
-  const char *about; /* for people; parts of the one before are indented */
-  dipole_mc_value value;
-} part;
-
-enum { PARTS_MAX = 11 };
-
-/* Lists where the power went, and returns the number of parts. */
-static size_t list_parts(const dipole_mc_result *result, size_t albedo, part parts[PARTS_MAX]) {
-  const dipole_mc_energy *energy = &result->energies[albedo];
-  const dipole_mc_value R0 = {energy->unscattered[0], 0}, T0 = {energy->unscattered[1], 0};
-  const part either[][4] = {
-      {{"R_total", "R, total", energy->R},
-       {"R_unscattered", "  never scattered, at r = 0", R0},
-       {"R_under", "  closer than the first ring", energy->under[0]},
-       {"R_over", "  beyond the last ring", energy->over[0]}},
-      {{"T_total", "T, total", energy->T},
-       {"T_unscattered", "  never scattered, at r = 0", T0},
-       {"T_under", "  closer than the first ring", energy->under[1]},
-       {"T_over", "  beyond the last ring", energy->over[1]}},
-  };
-  const part rest[] = {{"absorbed", "absorbed", energy->absorbed},
-                       {"unfinished", "unfinished walks", energy->unfinished},
-                       {"roulette", "added by roulette", energy->roulette}};
-  const size_t of_sides = 4 * (size_t)result->side_count;
-  memcpy(parts, either, of_sides * sizeof *parts);
-  memcpy(parts + of_sides, rest, sizeof rest);
-  return of_sides + sizeof rest / sizeof rest[0];
-}
-
-/* A result, and which of its albedos is written. */
-typedef struct one_albedo {
-  const report *report;
-  uint32_t albedo;
-} one_albedo;
-
-/* Returns R at a radius, between the middles of the two rings beside it: in proportion to a power of
- * r where both have light. *error: its standard error. */
-static double R_at(const one_albedo *of, uint32_t side, double r_mm, double *error) {
-  const dipole_mc_result *result = of->report->result;
-  const double *edges = result->edges_mm, *R = dipole_mc_values(result, of->albedo, side),
-               *errors = dipole_mc_errors(result, of->albedo, side);
-  const double width = log(edges[1] / edges[0]);
-  const double place = fmin(fmax(log(r_mm / edges[0]) / width - 0.5, 0), result->ring_count - 1);
-  const uint32_t low = (uint32_t)place;
-  const uint32_t high = low + 1 < result->ring_count ? low + 1 : low;
-  const double share = place - low;
-  *error = hypot((1 - share) * errors[low], share * errors[high]);
-  return R[low] > 0 && R[high] > 0 ? pow(R[low], 1 - share) * pow(R[high], share)
-                                   : (1 - share) * R[low] + share * R[high];
-}
-
-/* ---- for people ------------------------------------------------------------------------------ */
-
-/* Puts R or T, its error, and that relative; "-" for no light, which has no relative error. */
-static void put_value(cli_rows *rows, uint32_t side, double value, double error) {
-  char text[32];
-  snprintf(text, sizeof text, value > 0 && isfinite(error) ? "%.2g %%" : "-", 100 * error / value);
-  cli_put_number(rows, CLI_COLUMN(sides[side], NULL, "1/mm^2", "%.5e"), value);
-  cli_put_number(rows, CLI_COLUMN("standard error", NULL, "1/mm^2", "%.1e"), error);
-  cli_put_text(rows, CLI_COLUMN("relative", .unit = " "), text);
-}
-
-/* Puts a ring, or one of the radii of --r. */
-static void put_place(cli_rows *rows, const void *context, size_t index) {
-  const one_albedo *of = context;
-  const dipole_mc_result *result = of->report->result;
-  const bool at_r = of->report->r->count > 0;
-  if (at_r) {
-    cli_put_number(rows, CLI_COLUMN("r", .unit = "mm"), of->report->r->items[index]);
-  } else {
-    cli_put_number(rows, CLI_COLUMN("from", .unit = "mm"), result->edges_mm[index]);
-    cli_put_number(rows, CLI_COLUMN("to", .unit = "mm"), result->edges_mm[index + 1]);
-  }
-  for (uint32_t side = 0; side < result->side_count; side++) {
-    double error = at_r ? 0 : dipole_mc_errors(result, of->albedo, side)[index];
-    const double value = at_r ? R_at(of, side, of->report->r->items[index], &error)
-                              : dipole_mc_values(result, of->albedo, side)[index];
-    put_value(rows, side, value, error);
-    if (!at_r) {
-      cli_put_count(rows, CLI_COLUMN("photons", .unit = " "),
-                    dipole_mc_photons(result, side)[index]);
-    }
-  }
-}
-
-static void put_part(cli_rows *rows, const void *context, size_t index) {
-  const one_albedo *of = context;
-  part parts[PARTS_MAX];
-  list_parts(of->report->result, of->albedo, parts);
-  cli_put_text(rows, CLI_COLUMN("per unit of power that entered"), parts[index].about);
-  cli_put_number(rows, CLI_COLUMN("share"), parts[index].value.value);
-  cli_put_number(rows, CLI_COLUMN("standard error", .format = "%.1e"), parts[index].value.error);
-}
-
-/* Puts the medium of a channel and how its photons walked. */
-static void put_walk(cli_rows *rows, const void *context, size_t index) {
-  const report *of = context;
-  const dipole_mc_query *query = &of->query;
-  (void)index;
-  if (of->medium != NULL) {
-    cli_put_text(rows, CLI_COLUMN("medium", ""), of->medium);
-  }
-  cli_put_text(rows, CLI_COLUMN("channel"), of->channel);
-  cli_put_medium(rows, &query->medium);
-  if (isfinite(query->thickness_mm)) { /* `dipole fit` refuses this column */
-    cli_put_number(rows, CLI_COLUMN("thickness", .unit = "mm"), query->thickness_mm);
-  }
-  cli_put_parameters(rows, of->info, &of->parameters);
-  cli_put_count(rows, CLI_COLUMN("seed", .forms = CLI_IN_TABLE | CLI_IN_JSON), query->seed);
-  cli_put_count(rows, CLI_COLUMN("photons", .forms = CLI_IN_TABLE), of->result->last.photons);
-}
-
-/* All channels whose jobs have ended. */
+/* All channels whose jobs have ended, or one of them. */
 typedef struct reports {
   size_t count;
   report *items;
 } reports;
 
-static void write_channel(const report *of) {
-  part parts[PARTS_MAX];
-  cli_rows title = {.form = CLI_TABLE, .pass = CLI_ROWS_TITLE, .file = stdout, .between = ", "};
-  put_walk(&title, of, 0);
-  puts(of->result->end == DIPOLE_MC_CANCELLED || of->result->end == DIPOLE_MC_STOPPED
-           ? "\nCANCELLED: this is what had been walked by then"
-           : "");
-  for (uint32_t albedo = 0; albedo < of->result->albedo_count; albedo++) {
-    const one_albedo one = {of, albedo};
-    printf("\nsingle-scattering albedo %.6g\n\n", of->result->energies[albedo].albedo);
-    cli_rows_print(stdout, 0, of->r->count > 0 ? of->r->count : of->result->ring_count, put_place,
-                   &one);
-    putchar('\n');
-    cli_rows_print(stdout, 1, list_parts(of->result, albedo, parts), put_part, &one);
+/* Returns R or T at a radius, between the middles of the two rings beside it: in proportion to a
+ * power of r where both have light, with its standard error. */
+static dipole_mc_value value_at(const dipole_mc_result *result, uint32_t albedo, uint32_t side,
+                                double r_mm) {
+  const double *edges = result->edges_mm, *values = dipole_mc_values(result, albedo, side),
+               *errors = dipole_mc_errors(result, albedo, side);
+  const double width = log(edges[1] / edges[0]);
+  const double place = fmin(fmax(log(r_mm / edges[0]) / width - 0.5, 0), result->ring_count - 1);
+  const uint32_t low = (uint32_t)place;
+  const uint32_t high = low + 1 < result->ring_count ? low + 1 : low;
+  const double share = place - low, a = values[low], b = values[high];
+  return (dipole_mc_value){a > 0 && b > 0 ? pow(a, 1 - share) * pow(b, share)
+                                          : (1 - share) * a + share * b,
+                           hypot((1 - share) * errors[low], share * errors[high])};
+}
+
+enum { PARTS_OF_SIDE = 4, PARTS_OF_ALL = 3 };
+
+/* Returns how many rows an albedo has: the radii of --r, or the rings and then where the power went. */
+static size_t rows_of(const report *of) {
+  return of->r->count > 0
+             ? of->r->count
+             : of->result->side_count * (of->result->ring_count + PARTS_OF_SIDE) + PARTS_OF_ALL;
+}
+
+/* Puts a value and its error. A table has the error relative to it, too: "-" for no light. */
+static void put_value(cli_rows *rows, const char *name, const char *error, const char *unit,
+                      dipole_mc_value one) {
+  char text[32];
+  snprintf(text, sizeof text, one.value > 0 && isfinite(one.error) ? "%.2g %%" : "-",
+           100 * one.error / one.value);
+  cli_put_number(rows, CLI_COLUMN(name, NULL, unit, "%.5e", .below = "1/mm^2"), one.value);
+  cli_put_number(rows, CLI_COLUMN(error, NULL, unit, "%.1e", .below = "1/mm^2"), one.error);
+  cli_put_text(rows, CLI_COLUMN("relative", .forms = CLI_IN_TABLE), text);
+}
+
+/* Puts R, and of a slab T, at a radius of --r. */
+static void put_reading(cli_rows *rows, const report *of, uint32_t albedo, size_t index) {
+  const double r_mm = of->r->items[index];
+  cli_put_number(rows, CLI_COLUMN("r", .unit = "mm"), r_mm);
+  put_value(rows, "R", "error", "1/mm^2", value_at(of->result, albedo, DIPOLE_MC_REFLECTED, r_mm));
+  if (of->result->side_count > 1) {
+    put_value(rows, "T", "T_error", "1/mm^2",
+              value_at(of->result, albedo, DIPOLE_MC_TRANSMITTED, r_mm));
   }
-  cli_write_launched(&of->query.medium, 1);
+}
+
+/* Puts a ring of a side, or a part of the power, which has no radii and photons. */
+static void put_quantity(cli_rows *rows, const report *of, uint32_t albedo, size_t index) {
+  static const char *const sides[] = {"R", "T"};
+  const dipole_mc_result *result = of->result;
+  const dipole_mc_energy *energy = &result->energies[albedo];
+  const struct {
+    const char *name;
+    dipole_mc_value value;
+  } parts[] = {{"R_total", energy->R},         {"R_unscattered", {energy->unscattered[0], 0}},
+               {"R_under", energy->under[0]},  {"R_over", energy->over[0]},
+               {"T_total", energy->T},         {"T_unscattered", {energy->unscattered[1], 0}},
+               {"T_under", energy->under[1]},  {"T_over", energy->over[1]},
+               {"absorbed", energy->absorbed}, {"unfinished", energy->unfinished},
+               {"roulette", energy->roulette}};
+  const size_t rings = (size_t)result->side_count * result->ring_count;
+  const size_t part = index - rings, skipped = PARTS_OF_SIDE * (2 - (size_t)result->side_count);
+  const bool is_ring = index < rings;
+  const size_t ring = index % result->ring_count;
+  const uint32_t side = is_ring ? (uint32_t)(index / result->ring_count) : 0;
+  const size_t at = is_ring ? 0 : part < PARTS_OF_SIDE * result->side_count ? part : part + skipped;
+  const dipole_mc_value value = {dipole_mc_values(result, albedo, side)[ring],
+                                 dipole_mc_errors(result, albedo, side)[ring]};
+  const cli_column radius[] = {{.name = "from", .unit = "mm", .missing = ""},
+                               {.name = "to", .unit = "mm", .missing = ""}};
+  cli_put_text(rows, CLI_COLUMN("quantity"), is_ring ? sides[side] : parts[at].name);
+  for (size_t i = 0; i < 2; i++) {
+    cli_put_number(rows, &radius[i], is_ring ? result->edges_mm[ring + i] : (double)NAN);
+  }
+  put_value(rows, "value", "error", NULL, is_ring ? value : parts[at].value);
+  cli_put_number(rows, CLI_COLUMN("photons", .format = "%.0f", .missing = ""),
+                 is_ring ? (double)dipole_mc_photons(result, side)[ring] : (double)NAN);
+}
+
+/* Puts the medium of a channel and how its photons walked. */
+static void put_walk(cli_rows *rows, const void *context, size_t index) {
+  const report *of = context;
+  (void)index;
+  if (of->medium != NULL) {
+    cli_put_text(rows, CLI_COLUMN("medium", ""), of->medium);
+  }
+  cli_put_text(rows, CLI_COLUMN("channel"), of->channel);
+  cli_put_medium(rows, &of->query.medium);
+  if (isfinite(of->query.thickness_mm)) { /* `dipole fit` refuses this column */
+    cli_put_number(rows, CLI_COLUMN("thickness", .unit = "mm"), of->query.thickness_mm);
+  }
+  cli_put_parameters(rows, of->info, &of->parameters);
+  cli_put_count(rows, CLI_COLUMN("seed", .forms = CLI_IN_TABLE | CLI_IN_JSON), of->query.seed);
+  cli_put_count(rows, CLI_COLUMN("photons", .forms = CLI_IN_TABLE), of->result->last.photons);
+}
+
+/* Puts a row: channel by channel, albedo by albedo. A reading of --r is one that `dipole fit` reads. */
+static void put_row(cli_rows *rows, const void *context, size_t index) {
+  const reports *all = context;
+  const size_t each = rows_of(&all->items[0]), albedos = all->items[0].result->albedo_count;
+  const report *of = &all->items[index / (each * albedos)];
+  const uint32_t albedo = (uint32_t)(index / each % albedos);
+  const double value = of->result->energies[albedo].albedo;
+  const bool readings = of->r->count > 0;
+  char sample[80];
+  snprintf(sample, sizeof sample, albedos > 1 ? "%s, albedo %.9g" : "%s", of->channel, value);
+  if (readings) {
+    cli_put_text(rows, CLI_COLUMN("sample"), sample);
+  }
+  if (rows->form != CLI_TABLE) { /* whose titles say this */
+    put_walk(rows, of, 0);
+  }
+  if (!readings) {
+    cli_put_number(rows, CLI_COLUMN("albedo"), value);
+  }
+  (readings ? put_reading : put_quantity)(rows, of, albedo, index % each);
 }
 
 static void write_table(const void *context) {
   const reports *all = context;
   for (size_t i = 0; i < all->count; i++) {
+    report *of = &all->items[i];
+    cli_rows title = {.form = CLI_TABLE, .pass = CLI_ROWS_TITLE, .file = stdout, .between = ", "};
     fputs(i > 0 ? "\n" : "", stdout);
-    write_channel(&all->items[i]);
+    put_walk(&title, of, 0);
+    puts(of->result->end == DIPOLE_MC_CANCELLED || of->result->end == DIPOLE_MC_STOPPED
+             ? "\nCANCELLED: this is what had been walked by then\n"
+             : "\n");
+    cli_rows_print(stdout, 2, of->result->albedo_count * rows_of(of), put_row,
+                   &(const reports){1, of});
+    cli_write_launched(&of->query.medium, 1);
   }
-}
-
-/* ---- for programs: channel by channel, albedo by albedo, the rings and then where power went -- */
-
-/* Returns how many rows an albedo has. */
-static size_t rows_of(const reports *all) {
-  const report *of = &all->items[0];
-  part parts[PARTS_MAX];
-  return of->r->count > 0 ? of->r->count
-                          : (size_t)of->result->side_count * of->result->ring_count +
-                                list_parts(of->result, 0, parts);
-}
-
-/* Puts a reading of --r, which `dipole fit` reads. */
-static void put_reading(cli_rows *rows, const one_albedo *of, size_t index) {
-  const report *from = of->report;
-  char albedo[DECIMAL_BYTES], sample[80];
-  double error;
-  const bool several = from->result->albedo_count > 1;
-  const double value = R_at(of, 0, from->r->items[index], &error);
-  decimal_write(from->result->energies[of->albedo].albedo, albedo);
-  snprintf(sample, sizeof sample, "%s%s%s", from->channel, several ? ", albedo " : "",
-           several ? albedo : "");
-  cli_put_text(rows, CLI_COLUMN("sample"), sample);
-  put_walk(rows, from, 0);
-  cli_put_number(rows, CLI_COLUMN("r", .unit = "mm"), from->r->items[index]);
-  cli_put_number(rows, CLI_COLUMN("R", .unit = "1/mm^2"), value);
-  cli_put_number(rows, CLI_COLUMN("error", .unit = "1/mm^2"), error);
-}
-
-/* Puts a ring of a side, or a part of the power, which has no radii and photons. */
-static void put_quantity(cli_rows *rows, const one_albedo *of, size_t index) {
-  const dipole_mc_result *result = of->report->result;
-  const size_t ring_rows = (size_t)result->side_count * result->ring_count;
-  const bool is_ring = index < ring_rows;
-  const uint32_t side = is_ring ? (uint32_t)(index / result->ring_count) : 0;
-  const size_t ring = is_ring ? index % result->ring_count : 0;
-  part parts[PARTS_MAX];
-  list_parts(result, of->albedo, parts);
-  const part ring_part = {sides[side],
-                          NULL,
-                          {dipole_mc_values(result, of->albedo, side)[ring],
-                           dipole_mc_errors(result, of->albedo, side)[ring]}};
-  const part *one = is_ring ? &ring_part : &parts[index - ring_rows];
-  const double none = (double)NAN;
-  put_walk(rows, of->report, 0);
-  cli_put_number(rows, CLI_COLUMN("albedo"), result->energies[of->albedo].albedo);
-  cli_put_text(rows, CLI_COLUMN("quantity"), one->name);
-  cli_put_number(rows, CLI_COLUMN("from", .unit = "mm"), is_ring ? result->edges_mm[ring] : none);
-  cli_put_number(rows, CLI_COLUMN("to", .unit = "mm"), is_ring ? result->edges_mm[ring + 1] : none);
-  cli_put_number(rows, CLI_COLUMN("value", .unit = "of rings 1/mm^2, of others 1"),
-                 one->value.value);
-  cli_put_number(rows, CLI_COLUMN("error"), one->value.error);
-  cli_put_number(rows, CLI_COLUMN("photons"),
-                 is_ring ? (double)dipole_mc_photons(result, side)[ring] : none);
-}
-
-static void put_row(cli_rows *rows, const void *context, size_t index) {
-  const reports *all = context;
-  const size_t each = rows_of(all), albedos = all->items[0].result->albedo_count;
-  const one_albedo one = {&all->items[index / (each * albedos)],
-                          (uint32_t)(index / each % albedos)};
-  (one.report->r->count > 0 ? put_reading : put_quantity)(rows, &one, index % each);
+  if (all->items[0].r->count == 0) {
+    puts("under, over: within the first ring's inner edge, and beyond the last ring; unscattered: "
+         "at\n"
+         "r = 0; unfinished: walks that were cut off; roulette: added by it, about 0. These and "
+         "the\n"
+         "totals are shares of the power that entered.");
+  }
 }
 
 /* Puts what holds for all channels. */
@@ -401,9 +336,9 @@ static void put_facts(cli_rows *rows, const void *context, size_t index) {
   cli_put_text(rows, CLI_COLUMN("software", .forms = CLI_IN_JSON), last->info->software);
   cli_put_text(rows, CLI_COLUMN("ended_by", "Monte Carlo, ended by"), ends[last->result->end]);
   cli_put_count(rows, CLI_COLUMN("photons"), last->result->last.photons);
-  cli_put_number(rows, CLI_COLUMN("error_total", "error of the total R"),
+  cli_put_number(rows, CLI_COLUMN("error_total", "error of the total R", NULL, "%.2g"),
                  last->result->last.error_total);
-  cli_put_number(rows, CLI_COLUMN("error_rings", "largest error of a ring"),
+  cli_put_number(rows, CLI_COLUMN("error_rings", "largest error of a ring", NULL, "%.2g"),
                  last->result->last.error_rings);
 }
 
@@ -450,8 +385,8 @@ static int run(const cli_settings *settings, dipole_client *client) {
   status = status == CLI_OK ? run_jobs(settings, client, &profile, &all) : status;
   if (all.count > 0) {
     const cli_report output = {.facts = put_facts,
-                               .rows =
-                                   all.count * all.items[0].result->albedo_count * rows_of(&all),
+                               .rows = all.count * all.items[0].result->albedo_count *
+                                       rows_of(&all.items[0]),
                                .put_row = put_row,
                                .table = write_table};
     cli_write(&output, settings->form, &all);
@@ -471,8 +406,10 @@ const cli_command cli_command_mc = {
         "\n"
         "The daemon does this as jobs of low priority beside its other work, one a channel.\n"
         "Ctrl-C cancels the job and prints what has been walked by then. Values are means over\n"
-        "rings, in 1/mm^2 per unit of power that entered. A second table has the light beyond the\n"
-        "rings, the totals of R and T and what was absorbed. The exit status is 1 if the job was\n"
+        "rings, in 1/mm^2 per unit of power that entered; below them stand shares of that power: "
+        "the\n"
+        "light beside the rings, the totals of R and T and what was absorbed. The exit status is 1 "
+        "if the job was\n"
         "cancelled or missed the error that was asked for.\n",
     .formats = "table,csv,json",
     .options = {cli_medium_options, options},

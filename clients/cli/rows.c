@@ -2,11 +2,100 @@
 
 #include <float.h>
 #include <math.h>
+#include <stdarg.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "clients/c/error.h"
 #include "clients/cli/csv.h"
 #include "proto/decimal.h"
+
+/* ---- tables: cells in columns, each as wide as its widest cell ------------------------------- */
+
+typedef struct cli_table {
+  size_t columns;
+  size_t left;       /* the first so many columns are aligned left, the others right */
+  size_t heads;      /* the first so many rows are the header */
+  size_t cell_count; /* the cells are stored row by row */
+  size_t cell_capacity;
+  char **cells;
+} cli_table;
+
+/* Adds the next cell. */
+__attribute__((format(printf, 2, 3))) static void add_cell(cli_table *table, const char *format,
+                                                           ...) {
+  va_list arguments;
+  va_start(arguments, format);
+  const int length = vsnprintf(NULL, 0, format, arguments);
+  va_end(arguments);
+  char *cell = cli_allocate((size_t)length + 1, 1);
+  va_start(arguments, format);
+  vsnprintf(cell, (size_t)length + 1, format, arguments);
+  va_end(arguments);
+  libdipole_clean_text(cell); /* names come from files */
+  if (table->cell_count == table->cell_capacity) {
+    table->cell_capacity = table->cell_capacity == 0 ? 64 : 2 * table->cell_capacity;
+    table->cells = cli_resize(table->cells, table->cell_capacity, sizeof *table->cells);
+  }
+  table->cells[table->cell_count++] = cell;
+}
+
+/* Returns the number of characters: counts all bytes except the continuation bytes of UTF-8. */
+static size_t width_of(const char *text) {
+  size_t width = 0;
+  for (; *text != '\0'; text++) {
+    width += ((unsigned char)*text & 0xc0) != 0x80;
+  }
+  return width;
+}
+
+static void print_rule(const cli_table *table, const size_t *widths, FILE *file) {
+  for (size_t column = 0; column < table->columns; column++) {
+    fputs(column > 0 ? "  " : "", file);
+    for (size_t i = 0; i < widths[column]; i++) {
+      fputc('-', file);
+    }
+  }
+  fputc('\n', file);
+}
+
+/* Prints a row without the empty cells at its end, and without blanks there. */
+static void print_row(const cli_table *table, char *const *cells, const size_t *widths,
+                      FILE *file) {
+  size_t end = table->columns;
+  while (end > 1 && cells[end - 1][0] == '\0') {
+    end--;
+  }
+  for (size_t i = 0; i < end; i++) {
+    const bool left = i < table->left;
+    const int padding = (int)(widths[i] - width_of(cells[i]));
+    fprintf(file, "%s%*s%s%*s", i > 0 ? "  " : "", left ? 0 : padding, "", cells[i],
+            left && i + 1 < end ? padding : 0, "");
+  }
+  fputc('\n', file);
+}
+
+/* Prints the table, with a line under its header, and frees the cells. */
+static void print_table(cli_table *table, FILE *file) {
+  const size_t columns = table->columns;
+  size_t *widths = cli_allocate(columns, sizeof *widths);
+  for (size_t i = 0; i < table->cell_count; i++) {
+    const size_t width = width_of(table->cells[i]);
+    widths[i % columns] = width > widths[i % columns] ? width : widths[i % columns];
+  }
+  for (size_t i = 0; i + columns <= table->cell_count; i += columns) {
+    if (table->heads > 0 && i == table->heads * columns) {
+      print_rule(table, widths, file);
+    }
+    print_row(table, table->cells + i, widths, file);
+  }
+  for (size_t i = 0; i < table->cell_count; i++) {
+    cli_free(table->cells[i]);
+  }
+  cli_free(table->cells);
+  cli_free(widths);
+  *table = (cli_table){0};
+}
 
 /* ---- JSON ------------------------------------------------------------------------------------ */
 
@@ -73,15 +162,15 @@ static bool begin_value(cli_rows *rows, const cli_column *column) {
   if (rows->form == CLI_TABLE && !values) {
     const char *text = rows->pass == CLI_ROWS_OVER   ? column->over
                        : rows->pass == CLI_ROWS_HEAD ? head
+                       : column->below != NULL       ? column->below
                                                      : column->unit;
-    cli_table_add(rows->table, "%s", text != NULL ? text : "");
+    add_cell(rows->table, "%s", text != NULL ? text : "");
   } else if (rows->form == CLI_CSV) {
     write_between(rows);
     if (!values) {
       cli_csv_write_cell(column->name, rows->file);
     }
-  } else if (rows->form == CLI_JSON &&
-             (values || (column->unit != NULL && column->unit[0] != ' '))) {
+  } else if (rows->form == CLI_JSON && (values || column->unit != NULL)) {
     write_between(rows);
     write_text(column->name, rows->file);
     fputs(": ", rows->file);
@@ -99,13 +188,15 @@ void cli_put_shown(cli_rows *rows, const cli_column *column, double value, const
   }
   if (rows->form == CLI_JSON) {
     write_number(value, rows->file);
-  } else if (rows->form == CLI_CSV || rows->pass == CLI_ROWS_TITLE) {
+  } else if (rows->pass == CLI_ROWS_TITLE) {
+    fprintf(rows->file, column->format != NULL ? column->format : "%.6g", value);
+  } else if (rows->form == CLI_CSV) {
     decimal_write(value, number);
     fputs(isnan(value) ? "" : number, rows->file);
   } else if (text != NULL) {
-    cli_table_add(rows->table, "%s", text);
+    add_cell(rows->table, "%s", text);
   } else {
-    cli_table_add(rows->table, column->format != NULL ? column->format : "%.6g", value);
+    add_cell(rows->table, column->format != NULL ? column->format : "%.6g", value);
   }
 }
 
@@ -118,7 +209,7 @@ void cli_put_count(cli_rows *rows, const cli_column *column, uint64_t value) {
     return;
   }
   if (rows->form == CLI_TABLE && rows->pass == CLI_ROWS_VALUES) {
-    cli_table_add(rows->table, "%llu", (unsigned long long)value);
+    add_cell(rows->table, "%llu", (unsigned long long)value);
   } else {
     fprintf(rows->file, "%llu", (unsigned long long)value);
   }
@@ -135,7 +226,7 @@ void cli_put_text(cli_rows *rows, const cli_column *column, const char *text) {
   } else if (rows->pass == CLI_ROWS_TITLE) {
     fputs(text, rows->file);
   } else {
-    cli_table_add(rows->table, "%s", text);
+    add_cell(rows->table, "%s", text);
   }
 }
 
@@ -172,7 +263,7 @@ void cli_rows_print(FILE *file, size_t left, size_t count, cli_put_row *put, con
   for (size_t i = 0; i < count; i++) {
     put(&rows, context, i);
   }
-  cli_table_print(&table, file);
+  print_table(&table, file);
 }
 
 void cli_rows_csv(bool names, size_t count, cli_put_row *put, const void *context) {

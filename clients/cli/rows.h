@@ -4,7 +4,6 @@
 #define DIPOLE_CLI_ROWS_H
 
 #include "clients/cli/cli.h"
-#include "clients/cli/table.h"
 
 /* Bits for cli_column.forms. */
 enum { CLI_IN_TABLE = 1 << CLI_TABLE, CLI_IN_CSV = 1 << CLI_CSV, CLI_IN_JSON = 1 << CLI_JSON };
@@ -12,10 +11,11 @@ enum { CLI_IN_TABLE = 1 << CLI_TABLE, CLI_IN_CSV = 1 << CLI_CSV, CLI_IN_JSON = 1
 typedef struct cli_column {
   const char *name;    /* in CSV and JSON */
   const char *head;    /* for people; NULL for the name */
-  const char *unit;    /* below the head in a table; NULL for none */
+  const char *unit;    /* in JSON, and below the head in a table; NULL for none */
   const char *format;  /* of a number in a table; NULL for "%.6g" */
   const char *missing; /* what a table shows instead of NaN; NULL for "nan" */
   const char *over;    /* above the head in a table; NULL for none */
+  const char *below;   /* in place of the unit below the head in a table; NULL for that */
   unsigned forms;      /* output formats (CLI_IN_*) in which the column appears; 0: all */
 } cli_column;
 
@@ -35,7 +35,7 @@ typedef struct cli_rows {
   enum cli_form form;
   enum cli_pass pass;
   FILE *file;
-  cli_table *table;
+  struct cli_table *table;
   const char *between; /* of two cells on this line, or members of this object */
   bool filled;         /* it has one already */
 } cli_rows;

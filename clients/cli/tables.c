@@ -73,13 +73,15 @@ static void put_table(cli_rows *rows, const void *context, size_t index) {
                  info->pieces_from_mm);
   cli_put_number(rows, CLI_COLUMN("pieces_to", "to", "mm", "%.4g"), info->pieces_to_mm);
   cli_put_count(rows, CLI_COLUMN("bytes"), bytes);
-  cli_put_number(rows,
-                 CLI_COLUMN("numerical_error", "numerical error", "relative, at most", "%.1e"),
-                 info->numerical_error);
+  cli_put_number(
+      rows,
+      CLI_COLUMN("numerical_error", "numerical error", NULL, "%.1e", .below = "relative, at most"),
+      info->numerical_error);
   cli_put_number(rows, CLI_COLUMN("reach", "holds up to", "mm", "%.4g"), info->reach_mm);
-  cli_put_number(rows,
-                 CLI_COLUMN("model_error", "model error", "at all radii", "%.1e", "by radius"),
-                 info->model_error);
+  cli_put_number(
+      rows,
+      CLI_COLUMN("model_error", "model error", NULL, "%.1e", "by radius", .below = "at all radii"),
+      info->model_error);
 }
 
 static void put_facts(cli_rows *rows, const void *context, size_t index) {

@@ -51,7 +51,7 @@ $ dipole eval --medium skin1 --channel red --r 0,1,inf --wanted R,albedo,cdf --m
   "medium": "skin1",
   "moments": "exact",
   "R": "1/mm^2 per unit of power that entered",
-  "units": {"sigma_a": "1/mm", "sigma_s": "1/mm", "r": "mm", "R": "1/mm^2", "albedo": "1", "cdf": "1", "numerical_error": "relative, at most", "model_error": "from 0 to 1 mm", "numerical_error_R": "relative, at most", "model_error_R": "from 0 to 1 mm", "numerical_error_albedo": "relative, at most", "model_error_albedo": "from 0 to 1 mm", "numerical_error_cdf": "relative, at most", "model_error_cdf": "from 0 to 1 mm"},
+  "units": {"sigma_a": "1/mm", "sigma_s": "1/mm", "r": "mm", "R": "1/mm^2", "albedo": "1", "cdf": "1"},
   "rows": [
     {"model": "better", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": 0, "R": 0.026396169457422243, "albedo": 0.4048076115742095, "cdf": 0, "numerical_error": 2.3901722738496005e-15, "model_error": 0.17190248081160078, "numerical_error_R": 2.3901722738496005e-15, "model_error_R": 0.013989674510023978, "numerical_error_albedo": 2.3901722738496005e-15, "model_error_albedo": 0.07885072820519266, "numerical_error_cdf": 2.3901722738496005e-15, "model_error_cdf": 0.17190248081160078, "evaluator": "f64", "notes": ""},
     {"model": "better", "channel": "red", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": 1, "R": 0.015481882273229152, "albedo": 0.4048076115742095, "cdf": 0.15524509398211575, "numerical_error": 2.8640377892444987e-15, "model_error": 0.17190248081160078, "numerical_error_R": 2.8640377892444987e-15, "model_error_R": 0.013989674510023978, "numerical_error_albedo": 2.3901722738496005e-15, "model_error_albedo": 0.07885072820519266, "numerical_error_cdf": 2.8640377892444987e-15, "model_error_cdf": 0.17190248081160078, "evaluator": "f64", "notes": ""},
@@ -171,7 +171,7 @@ $ dipole eval --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --model better --f 0
   "software": "dipoled 0.1.0",
   "moments": "exact",
   "R_f": "R_f, the reflectance of striped light",
-  "units": {"sigma_a": "1/mm", "sigma_s": "1/mm", "f": "1/mm", "albedo": "1", "R_f": "1", "numerical_error": "of the albedo, at most", "model_error": "relative"},
+  "units": {"sigma_a": "1/mm", "sigma_s": "1/mm", "f": "1/mm", "albedo": "1", "R_f": "1"},
   "rows": [
     {"model": "better", "channel": "1", "sigma_a": 0.01, "sigma_s": 10, "g": 0.9, "eta": 1.4, "f": 0.1, "albedo": 0.605952712135344, "R_f": 0.21323395498981187, "numerical_error": 1.0000021117684354e-9, "model_error": 0.03450577547108367, "evaluator": "f64", "notes": "similarity"}
   ]
@@ -246,7 +246,7 @@ $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --wanted S --c
   "moments": "exact",
   "cos_in": 0.8,
   "R": "1/mm^2 per unit of power that entered",
-  "units": {"sigma_a": "1/mm", "sigma_s": "1/mm", "r": "mm", "S": "1/(mm^2 sr)", "numerical_error": "relative, at most", "model_error": "at 1 mm"},
+  "units": {"sigma_a": "1/mm", "sigma_s": "1/mm", "r": "mm", "S": "1/(mm^2 sr)"},
   "rows": [
     {"model": "better", "channel": "1", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "r": 1, "S": 0.005058993446080879, "numerical_error": 4.640394628644749e-15, "model_error": 0.013989674510023978, "evaluator": "f64", "notes": ""}
   ]

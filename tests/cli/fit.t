@@ -32,7 +32,7 @@ $ dipole fit skin.csv --model better --eta 1.4 --g 0.5 --format json
   "axis": "r",
   "scale": "absolute",
   "notes": "similarity",
-  "units": {"sigma_a": "1/mm", "sigma_s_prime": "1/mm", "sigma_a_error": "1/mm", "sigma_s_prime_error": "1/mm", "sigma_a_by_g": "1/mm", "sigma_s_prime_by_g": "1/mm", "model_error": "relative", "second_sigma_a": "1/mm", "second_sigma_s_prime": "1/mm"},
+  "units": {"sigma_a": "1/mm", "sigma_s_prime": "1/mm", "sigma_a_error": "1/mm", "sigma_s_prime_error": "1/mm", "sigma_a_by_g": "1/mm", "sigma_s_prime_by_g": "1/mm", "second_sigma_a": "1/mm", "second_sigma_s_prime": "1/mm"},
   "rows": [
     {"sample": "skin", "sigma_a": 0.0500000000000022, "sigma_s_prime": 0.9999999999999923, "sigma_a_error": 5.967816010685673e-4, "sigma_s_prime_error": 0.005204203545675181, "sigma_a_by_g": 2.0816681711721685e-17, "sigma_s_prime_by_g": 3.3306690738754696e-16, "correlation": 0.33461250620544125, "scale": 1, "scale_error": 0, "chi2": 2.120165308996693e-23, "readings": 4, "model_error": null, "g": 0.5, "g_from": "option", "g_sides": "both", "eta": 1.4, "status": "fitted", "reduced_chi2": 1.0600826544983466e-23, "condition": 2.4957671945558144, "second_sigma_a": null, "second_sigma_s_prime": null, "second_chi2": null}
   ]

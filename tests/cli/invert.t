@@ -24,7 +24,7 @@ $ dipole invert --albedo 0.5 --diffuse-mean-free-path 1 --model better --format 
   "formula": "1 / (sigma_t' sqrt(3 a / (1 + a))), a = sigma_a / sigma_t': Grosjean's",
   "albedo_least": 7.640417442483896e-62,
   "albedo_most": 1,
-  "units": {"wanted_albedo": "wanted", "length": "mm", "sigma_a": "1/mm", "sigma_s": "1/mm"},
+  "units": {"length": "mm", "sigma_a": "1/mm", "sigma_s": "1/mm"},
   "rows": [
     {"model": "better", "channel": 1, "wanted_albedo": 0.5, "given": "diffuse-mean-free-path", "length": 1, "sigma_a": 0.09130701779526736, "sigma_s": 3.648510779643632, "g": 0, "eta": 1.3, "albedo": 0.5, "status": "ok"}
   ]

@@ -1,79 +1,70 @@
 ## dipole mc: Monte Carlo.
 $ dipole mc --medium skin1 --channel red --photons 2e4 --to 4 --rings 4
-Monte Carlo, ended by photons, photons 20480, error of the total R 0.005596368798218589, largest error of a ring 0.04318910332627239
+Monte Carlo, ended by photons, photons 20480, error of the total R 0.0056, largest error of a ring 0.043
 
 skin1, channel red, sigma_a 0.032, sigma_s 0.74, g 0, eta 1.3, seed 1, photons 20480
 
-single-scattering albedo 0.958549
-
-from  to            R  standard error  relative  photons
-  mm  mm       1/mm^2          1/mm^2                   
-----  --  -----------  --------------  --------  -------
-   0   1  4.56523e-02         1.9e-04    0.42 %     3328
-   1   2  8.88924e-03         1.4e-04     1.6 %     2266
-   2   3  3.67740e-03         6.7e-05     1.8 %     1772
-   3   4  1.95821e-03         8.5e-05     4.3 %     1454
-
-per unit of power that entered        share  standard error
-------------------------------  -----------  --------------
-R, total                           0.435942         2.4e-03
-  never scattered, at r = 0               0         0.0e+00
-  closer than the first ring              0         0.0e+00
-  beyond the last ring             0.107914         1.6e-03
-absorbed                           0.562546         2.1e-03
-unfinished walks                          0         0.0e+00
-added by roulette               -0.00151178         6.9e-04
+albedo         quantity  from  to         value    error  relative  photons
+                           mm  mm        1/mm^2   1/mm^2
+--------  -------------  ----  --  ------------  -------  --------  -------
+0.958549              R     0   1   4.56523e-02  1.9e-04    0.42 %     3328
+0.958549              R     1   2   8.88924e-03  1.4e-04     1.6 %     2266
+0.958549              R     2   3   3.67740e-03  6.7e-05     1.8 %     1772
+0.958549              R     3   4   1.95821e-03  8.5e-05     4.3 %     1454
+0.958549        R_total             4.35942e-01  2.4e-03    0.56 %
+0.958549  R_unscattered             0.00000e+00  0.0e+00         -
+0.958549        R_under             0.00000e+00  0.0e+00         -
+0.958549         R_over             1.07914e-01  1.6e-03     1.5 %
+0.958549       absorbed             5.62546e-01  2.1e-03    0.37 %
+0.958549     unfinished             0.00000e+00  0.0e+00         -
+0.958549       roulette            -1.51178e-03  6.9e-04         -
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
+under, over: within the first ring's inner edge, and beyond the last ring; unscattered: at
+r = 0; unfinished: walks that were cut off; roulette: added by it, about 0. These and the
+totals are shares of the power that entered.
 
 $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --photons 2e4 --to 4 --rings 2 --thickness 2 --albedo 0.5,0.9
-Monte Carlo, ended by photons, photons 20480, error of the total R 0.009079125746386849, largest error of a ring 0.04024715524119119
+Monte Carlo, ended by photons, photons 20480, error of the total R 0.0091, largest error of a ring 0.04
 
 channel 1, sigma_a 0.1, sigma_s 0.9, g 0, eta 1.3, thickness 2, seed 1, photons 20480
 
-single-scattering albedo 0.5
-
-from  to            R  standard error  relative  photons            T  standard error  relative  photons
-  mm  mm       1/mm^2          1/mm^2                          1/mm^2          1/mm^2                   
-----  --  -----------  --------------  --------  -------  -----------  --------------  --------  -------
-   0   2  4.66371e-03         4.4e-05    0.95 %     6808  2.54056e-03         4.2e-05     1.6 %     4769
-   2   4  8.46565e-05         2.3e-06     2.7 %     2500  8.46636e-05         3.4e-06       4 %     2500
-
-per unit of power that entered         share  standard error
-------------------------------  ------------  --------------
-R, total                            0.062755         5.7e-04
-  never scattered, at r = 0      0.000306308         0.0e+00
-  closer than the first ring               0         0.0e+00
-  beyond the last ring           0.000651332         9.0e-05
-T, total                            0.168779         4.8e-04
-  never scattered, at r = 0         0.133033         0.0e+00
-  closer than the first ring               0         0.0e+00
-  beyond the last ring           0.000627877         3.8e-05
-absorbed                            0.768466         7.1e-04
-unfinished walks                           0         0.0e+00
-added by roulette               -7.70434e-10         5.1e-09
-
-single-scattering albedo 0.9
-
-from  to            R  standard error  relative  photons            T  standard error  relative  photons
-  mm  mm       1/mm^2          1/mm^2                          1/mm^2          1/mm^2                   
-----  --  -----------  --------------  --------  -------  -----------  --------------  --------  -------
-   0   2  1.57927e-02         1.1e-04    0.68 %     6808  1.03096e-02         1.0e-04    0.98 %     4769
-   2   4  1.25531e-03         2.3e-05     1.9 %     2500  1.23494e-03         2.9e-05     2.3 %     2500
-
-per unit of power that entered         share  standard error
-------------------------------  ------------  --------------
-R, total                             0.26535         1.3e-03
-  never scattered, at r = 0      0.000306308         0.0e+00
-  closer than the first ring               0         0.0e+00
-  beyond the last ring             0.0192629         3.1e-04
-T, total                             0.32945         1.0e-03
-  never scattered, at r = 0         0.133033         0.0e+00
-  closer than the first ring               0         0.0e+00
-  beyond the last ring              0.020305         3.4e-04
-absorbed                            0.405027         1.0e-03
-unfinished walks                           0         0.0e+00
-added by roulette               -0.000173285         3.5e-04
+albedo       quantity  from  to         value    error  relative  photons
+                         mm  mm        1/mm^2   1/mm^2
+------  -------------  ----  --  ------------  -------  --------  -------
+0.5                 R     0   2   4.66371e-03  4.4e-05    0.95 %     6808
+0.5                 R     2   4   8.46565e-05  2.3e-06     2.7 %     2500
+0.5                 T     0   2   2.54056e-03  4.2e-05     1.6 %     4769
+0.5                 T     2   4   8.46636e-05  3.4e-06       4 %     2500
+0.5           R_total             6.27550e-02  5.7e-04    0.91 %
+0.5     R_unscattered             3.06308e-04  0.0e+00       0 %
+0.5           R_under             0.00000e+00  0.0e+00         -
+0.5            R_over             6.51332e-04  9.0e-05      14 %
+0.5           T_total             1.68779e-01  4.8e-04    0.28 %
+0.5     T_unscattered             1.33033e-01  0.0e+00       0 %
+0.5           T_under             0.00000e+00  0.0e+00         -
+0.5            T_over             6.27877e-04  3.8e-05     6.1 %
+0.5          absorbed             7.68466e-01  7.1e-04   0.092 %
+0.5        unfinished             0.00000e+00  0.0e+00         -
+0.5          roulette            -7.70434e-10  5.1e-09         -
+0.9                 R     0   2   1.57927e-02  1.1e-04    0.68 %     6808
+0.9                 R     2   4   1.25531e-03  2.3e-05     1.9 %     2500
+0.9                 T     0   2   1.03096e-02  1.0e-04    0.98 %     4769
+0.9                 T     2   4   1.23494e-03  2.9e-05     2.3 %     2500
+0.9           R_total             2.65350e-01  1.3e-03    0.47 %
+0.9     R_unscattered             3.06308e-04  0.0e+00       0 %
+0.9           R_under             0.00000e+00  0.0e+00         -
+0.9            R_over             1.92629e-02  3.1e-04     1.6 %
+0.9           T_total             3.29450e-01  1.0e-03    0.31 %
+0.9     T_unscattered             1.33033e-01  0.0e+00       0 %
+0.9           T_under             0.00000e+00  0.0e+00         -
+0.9            T_over             2.03050e-02  3.4e-04     1.7 %
+0.9          absorbed             4.05027e-01  1.0e-03    0.26 %
+0.9        unfinished             0.00000e+00  0.0e+00         -
+0.9          roulette            -1.73285e-04  3.5e-04         -
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
+under, over: within the first ring's inner edge, and beyond the last ring; unscattered: at
+r = 0; unfinished: walks that were cut off; roulette: added by it, about 0. These and the
+totals are shares of the power that entered.
 
 $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --photons 2e4 --to 4 --rings 2 --format csv
 channel,sigma_a,sigma_s,g,eta,albedo,quantity,from,to,value,error,photons
@@ -94,7 +85,7 @@ $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --photons 2e4 --to 4 --rings 1 --g 0.5 -
   "photons": 20480,
   "error_total": 0.008743218792484419,
   "error_rings": 0.049223969385662224,
-  "units": {"sigma_a": "1/mm", "sigma_s": "1/mm", "from": "mm", "to": "mm", "value": "of rings 1/mm^2, of others 1"},
+  "units": {"sigma_a": "1/mm", "sigma_s": "1/mm", "from": "mm", "to": "mm"},
   "rows": [
     {"channel": "1", "sigma_a": 0.1, "sigma_s": 0.9, "g": 0.5, "eta": 1.3, "phase": "two-term", "phase_share": 0.8, "phase_g": -0.2, "detector_na": 0.5, "seed": 1, "albedo": 0.9, "quantity": "R", "from": 0, "to": 4, "value": 7.690786025338378e-4, "error": 3.7857101586293516e-5, "photons": 1428},
     {"channel": "1", "sigma_a": 0.1, "sigma_s": 0.9, "g": 0.5, "eta": 1.3, "phase": "two-term", "phase_share": 0.8, "phase_g": -0.2, "detector_na": 0.5, "seed": 1, "albedo": 0.9, "quantity": "R_total", "from": null, "to": null, "value": 0.18982922189587037, "error": 0.0016597184202426685, "photons": null},
@@ -147,27 +138,25 @@ channel,sigma_a,sigma_s,g,eta,albedo,quantity,from,to,value,error,photons
 1,0.1,0.9,0,1.3,0.9,roulette,,,-1.315567047330185e-4,2.1399659711909382e-4,
 
 $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --photons 2e4 --to 4 --rings 1 --error 0.001
-Monte Carlo, ended by photons, photons 20480, error of the total R 0.006805283388660986, largest error of a ring 0.008221610085640294
+Monte Carlo, ended by photons, photons 20480, error of the total R 0.0068, largest error of a ring 0.0082
 
 channel 1, sigma_a 0.1, sigma_s 0.9, g 0, eta 1.3, seed 1, photons 20480
 
-single-scattering albedo 0.9
-
-from  to            R  standard error  relative  photons
-  mm  mm       1/mm^2          1/mm^2                   
-----  --  -----------  --------------  --------  -------
-   0   4  5.23725e-03         4.3e-05    0.82 %     9254
-
-per unit of power that entered       share  standard error
-------------------------------  ----------  --------------
-R, total                          0.288779         2.0e-03
-  never scattered, at r = 0              0         0.0e+00
-  closer than the first ring             0         0.0e+00
-  beyond the last ring           0.0255264         3.0e-04
-absorbed                          0.709998         1.4e-03
-unfinished walks                         0         0.0e+00
-added by roulette               -0.0012226         7.3e-04
+albedo       quantity  from  to         value    error  relative  photons
+                         mm  mm        1/mm^2   1/mm^2
+------  -------------  ----  --  ------------  -------  --------  -------
+0.9                 R     0   4   5.23725e-03  4.3e-05    0.82 %     9254
+0.9           R_total             2.88779e-01  2.0e-03    0.68 %
+0.9     R_unscattered             0.00000e+00  0.0e+00         -
+0.9           R_under             0.00000e+00  0.0e+00         -
+0.9            R_over             2.55264e-02  3.0e-04     1.2 %
+0.9          absorbed             7.09998e-01  1.4e-03     0.2 %
+0.9        unfinished             0.00000e+00  0.0e+00         -
+0.9          roulette            -1.22260e-03  7.3e-04         -
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
+under, over: within the first ring's inner edge, and beyond the last ring; unscattered: at
+r = 0; unfinished: walks that were cut off; roulette: added by it, about 0. These and the
+totals are shares of the power that entered.
 ! dipole mc: 20480 photons were not enough for the error asked for: the worst ring has 0.0082, R has 0.0068: ask for more --photons
 ? 1
 

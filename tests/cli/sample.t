@@ -36,7 +36,7 @@ $ dipole sample --sigma-a 0.032 --sigma-s 0.74 --count 2 --model better --format
   "draw": "random",
   "seed": 1,
   "first": 0,
-  "units": {"sigma_a": "1/mm", "sigma_s": "1/mm", "u": "1", "r": "mm", "pdf": "1/mm", "numerical_error": "relative, at most", "model_error": "at drawn radii"},
+  "units": {"sigma_a": "1/mm", "sigma_s": "1/mm", "u": "1", "r": "mm", "pdf": "1/mm"},
   "rows": [
     {"model": "better", "channel": "1", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "u": 0.5665615751722809, "r": 3.00448705649246, "pdf": 0.15083573061717723, "numerical_error": 3.813895081371701e-15, "model_error": 0.9985358272614797, "evaluator": "f64", "notes": ""},
     {"model": "better", "channel": "1", "sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3, "u": 0.7457817572627011, "r": 4.53377092507696, "pdf": 0.08866992108543609, "numerical_error": 4.538569969943599e-15, "model_error": 0.9985358272614797, "evaluator": "f64", "notes": ""}
