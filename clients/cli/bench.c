@@ -11,30 +11,25 @@
 #include "clients/cli/progress.h"
 #include "clients/cli/rows.h"
 
-/* Counts durations in buckets of a 64th of an octave, so that a quantile is exact within 1 %. */
-enum { BENCH_OCTAVE = 64, BENCH_BUCKETS = 48 * BENCH_OCTAVE };
-typedef struct bench_times {
-  uint64_t count;
-  uint64_t most_ns;
-  uint32_t buckets[BENCH_BUCKETS];
-} bench_times;
+enum {
+  CONNECTIONS_MAX = 256,
+  RADII_MAX = 1 << 22,
+  MEASUREMENTS = 3,
+  BUCKETS_OF_OCTAVE = 64, /* of durations: so a quantile is exact within 1 % */
+  BUCKETS = 48 * BUCKETS_OF_OCTAVE
+};
 
-/* A load on a daemon. */
-typedef struct load {
+/* What was measured under a load. */
+typedef struct measured {
   const char *name;
   unsigned connections;
   unsigned in_flight; /* requests under way on each connection */
   uint64_t radii;     /* how many radii each request has */
-} load;
-
-/* What was measured under a load. */
-typedef struct measured {
-  load load;
-  bench_times times; /* how long each request took, from submitting it to having its answer */
-  double took_s;     /* from the first request to the last answer */
+  /* How long each request took, from submitting it to having its answer. */
+  uint64_t requests, most_ns;
+  uint32_t buckets[BUCKETS];
+  double took_s; /* from the first request to the last answer */
 } measured;
-
-enum { CONNECTIONS_MAX = 256, RADII_MAX = 1 << 22, MEASUREMENTS = 3 };
 
 typedef struct report {
   const cli_settings *settings;
@@ -43,47 +38,18 @@ typedef struct report {
   void *radii;
   dipole_query query;
   cli_progress progress;
-  uint64_t requests; /* how many requests have been made */
   measured results[MEASUREMENTS];
 } report;
 
-enum { SHOW_EVERY_MS = 50 };
-
-/* ---- durations ------------------------------------------------------------------------------- */
-
-static size_t bucket_of(uint64_t ns) {
-  const double bucket = BENCH_OCTAVE * log2((double)(ns > 0 ? ns : 1));
-  return bucket < BENCH_BUCKETS ? (size_t)bucket : BENCH_BUCKETS - 1;
-}
-
-/* Returns the middle of a bucket. */
-static double ns_of(size_t bucket) {
-  return exp2(((double)bucket + 0.5) / BENCH_OCTAVE);
-}
-
-static void add_time(bench_times *times, uint64_t ns) {
-  times->buckets[bucket_of(ns)]++;
-  times->count++;
-  times->most_ns = ns > times->most_ns ? ns : times->most_ns;
-}
-
-static void join_times(bench_times *times, const bench_times *more) {
-  for (size_t i = 0; i < BENCH_BUCKETS; i++) {
-    times->buckets[i] += more->buckets[i];
-  }
-  times->count += more->count;
-  times->most_ns = more->most_ns > times->most_ns ? more->most_ns : times->most_ns;
-}
-
-/* Returns the duration, in us, that this share of the durations did not exceed. Returns 0 if
- * nothing was counted. */
-static double quantile_us(const bench_times *times, double share) {
-  const double wanted = ceil(share * (double)times->count);
+/* Returns the duration, in us, that this share of the durations did not exceed: the middle of its
+ * bucket, or 0 if nothing was counted. */
+static double quantile_us(const measured *result, double share) {
+  const double wanted = ceil(share * (double)result->requests);
   double before = 0;
-  for (size_t i = 0; i < BENCH_BUCKETS; i++) {
-    before += times->buckets[i];
-    if (times->buckets[i] > 0 && before >= wanted) {
-      return fmin(ns_of(i), (double)times->most_ns) / 1000;
+  for (size_t i = 0; i < BUCKETS; i++) {
+    before += result->buckets[i];
+    if (result->buckets[i] > 0 && before >= wanted) {
+      return fmin(exp2(((double)i + 0.5) / BUCKETS_OF_OCTAVE), (double)result->most_ns) / 1000;
     }
   }
   return 0;
@@ -104,14 +70,13 @@ typedef struct worker {
   const dipole_query *query;
   unsigned in_flight;
   uint64_t until_ns, ended_ns;
-  uint8_t *values;
   slot *slots; /* [in_flight]; the first `used` are under way, oldest first */
   unsigned used;
   atomic_ullong answered;
-  atomic_bool done;
   bool failed;
   dipole_error error;
-  bench_times times;
+  uint64_t most_ns;
+  uint32_t buckets[BUCKETS];
 } worker;
 
 static bool submit(worker *of) {
@@ -130,7 +95,10 @@ static void take(worker *of, uint64_t id, uint64_t at_ns) {
   for (unsigned i = 0; i < of->used; i++) {
     if (of->slots[i].id == id) {
       const slot found = of->slots[i];
-      add_time(&of->times, at_ns - found.sent_ns);
+      const uint64_t ns = at_ns > found.sent_ns ? at_ns - found.sent_ns : 1;
+      const double bucket = BUCKETS_OF_OCTAVE * log2((double)ns);
+      of->buckets[(size_t)fmin(bucket, BUCKETS - 1)]++;
+      of->most_ns = ns > of->most_ns ? ns : of->most_ns;
       memmove(&of->slots[i], &of->slots[i + 1], (of->used - i - 1) * sizeof found);
       of->slots[--of->used] = found;
       return;
@@ -164,7 +132,6 @@ static void *work(void *argument) {
   }
   of->failed = !good;
   of->ended_ns = cli_now_ns();
-  atomic_store(&of->done, true);
   return NULL;
 }
 
@@ -178,65 +145,55 @@ static size_t value_bytes(const report *of) {
 static void make_slots(const report *of, worker *one) {
   const size_t bytes =
       (size_t)(of->query.medium_count * one->query->radius_count * value_bytes(of) + 7) / 8 * 8;
+  uint8_t *values = cli_allocate(one->in_flight, bytes);
   one->slots = cli_allocate(one->in_flight, sizeof *one->slots);
-  one->values = cli_allocate(one->in_flight, bytes);
   for (unsigned i = 0; i < one->in_flight; i++) {
-    one->slots[i].values = one->values + i * bytes;
+    one->slots[i].values = values + i * bytes;
   }
 }
 
-static bool open_another(const cli_settings *settings, dipole_client **client,
-                         dipole_error *error) {
+/* Opens another connection unless this is the first one, which is the client's own, and sends one
+ * request that is not counted, so that the daemon has prepared all it needs. */
+static bool open_and_warm_up(const report *of, worker *one, bool first, dipole_error *error) {
   dipole_options options;
-  cli_connection_options(settings, &options);
-  options.in_flight_max = 0;
-  return dipole_open_with(settings->connect, &options, client, error);
-}
-
-/* Sends one request that is not counted, so that the daemon has prepared all it needs. */
-static bool warm_up(worker *of, dipole_error *error) {
   dipole_result *result;
-  if (!dipole_eval(of->client, of->query, &result, error)) {
+  cli_connection_options(of->settings, &options);
+  options.in_flight_max = 0;
+  if ((!first && !dipole_open_with(of->settings->connect, &options, &one->client, error)) ||
+      !dipole_eval(one->client, one->query, &result, error)) {
     return false;
   }
   dipole_result_free(result);
   return true;
 }
 
-static uint64_t count_answers(worker *workers, unsigned count, bool *done) {
-  uint64_t answered = 0;
-  *done = true;
-  for (unsigned i = 0; i < count; i++) {
-    answered += atomic_load_explicit(&workers[i].answered, memory_order_relaxed);
-    *done = *done && atomic_load(&workers[i].done);
-  }
-  return answered;
-}
-
-/* Shows the progress until all workers are done. */
+/* Shows the progress while the workers of a measurement work. */
 static void watch(report *of, worker *workers, const measured *result, uint64_t start_ns) {
-  const struct timespec nap = {.tv_nsec = SHOW_EVERY_MS * 1000000L};
-  const double at = (double)(result - of->results);
-  for (bool done = false; !done;) {
-    const uint64_t answered = count_answers(workers, result->load.connections, &done);
-    const double share = (double)(cli_now_ns() - start_ns) / 1e9 / of->settings->seconds.value;
-    cli_progress_show(&of->progress, (at + fmin(share, 1)) / MEASUREMENTS,
-                      (double)(of->requests + answered));
-    if (!done) {
-      nanosleep(&nap, NULL);
+  const struct timespec nap = {.tv_nsec = 50 * 1000000L};
+  const double at = (double)(result - of->results), seconds = of->settings->seconds.value;
+  uint64_t before = 0;
+  for (const measured *one = of->results; one < result; one++) {
+    before += one->requests;
+  }
+  while (cli_now_ns() < start_ns + (uint64_t)(seconds * 1e9)) {
+    uint64_t answered = before;
+    for (unsigned i = 0; i < result->connections; i++) {
+      answered += atomic_load_explicit(&workers[i].answered, memory_order_relaxed);
     }
+    const double share = fmin((double)(cli_now_ns() - start_ns) / 1e9 / seconds, 1);
+    cli_progress_show(&of->progress, (at + share) / MEASUREMENTS, (double)answered);
+    nanosleep(&nap, NULL);
   }
 }
 
 /* Starts a thread for each worker and waits until they are done. */
 static bool run_all(report *of, worker *workers, measured *result, dipole_error *error) {
   const uint64_t start_ns = cli_now_ns();
-  const uint64_t until_ns = start_ns + (uint64_t)(of->settings->seconds.value * 1e9);
   uint64_t ended_ns = start_ns;
   unsigned running = 0;
   bool good = true;
-  for (; good && running < result->load.connections; running += good) {
-    workers[running].until_ns = until_ns;
+  for (; good && running < result->connections; running += good) {
+    workers[running].until_ns = start_ns + (uint64_t)(of->settings->seconds.value * 1e9);
     good = pthread_create(&workers[running].thread, NULL, work, &workers[running]) == 0;
   }
   if (good) {
@@ -245,11 +202,16 @@ static bool run_all(report *of, worker *workers, measured *result, dipole_error 
     *error = (dipole_error){.kind = DIPOLE_ERROR_MEMORY, .text = "cannot start a thread"};
   }
   for (unsigned i = 0; i < running; i++) {
-    pthread_join(workers[i].thread, NULL);
-    ended_ns = workers[i].ended_ns > ended_ns ? workers[i].ended_ns : ended_ns;
-    join_times(&result->times, &workers[i].times);
-    if (good && workers[i].failed) {
-      *error = workers[i].error;
+    worker *one = &workers[i];
+    pthread_join(one->thread, NULL);
+    ended_ns = one->ended_ns > ended_ns ? one->ended_ns : ended_ns;
+    result->requests += one->answered;
+    result->most_ns = one->most_ns > result->most_ns ? one->most_ns : result->most_ns;
+    for (size_t k = 0; k < BUCKETS; k++) {
+      result->buckets[k] += one->buckets[k];
+    }
+    if (good && one->failed) {
+      *error = one->error;
       good = false;
     }
   }
@@ -257,26 +219,22 @@ static bool run_all(report *of, worker *workers, measured *result, dipole_error 
   return good;
 }
 
-/* Asks under a load. The first connection is the client's own. Returns false, with *error, if a
- * request failed. */
-static bool run_load(report *of, const load *asked, measured *result, dipole_error *error) {
-  worker *workers = cli_allocate(asked->connections, sizeof *workers);
+/* Asks under a load. Returns false, with *error, if a request failed. */
+static bool run_load(report *of, measured *result, dipole_error *error) {
+  worker *workers = cli_allocate(result->connections, sizeof *workers);
   dipole_query query = of->query;
   bool good = true;
-  query.radius_count = asked->radii;
-  result->load = *asked;
-  for (unsigned i = 0; i < asked->connections; i++) {
+  query.radius_count = result->radii;
+  for (unsigned i = 0; i < result->connections; i++) {
     worker *one = &workers[i];
     one->client = of->client;
     one->query = &query;
-    one->in_flight = asked->in_flight;
+    one->in_flight = result->in_flight;
     make_slots(of, one);
-    good =
-        good && (i == 0 || open_another(of->settings, &one->client, error)) && warm_up(one, error);
+    good = good && open_and_warm_up(of, one, i == 0, error);
   }
   good = good && run_all(of, workers, result, error);
-  of->requests += result->times.count;
-  for (unsigned i = 0; i < asked->connections; i++) {
+  for (unsigned i = 0; i < result->connections; i++) {
     if (workers[i].client != of->client) {
       dipole_close(workers[i].client);
     }
@@ -371,17 +329,16 @@ static void make_query(report *of) {
 
 static int measure(report *of) {
   const cli_settings *settings = of->settings;
-  const load loads[MEASUREMENTS] = {
-      {"small", 1, 1, settings->radii.value},
-      {"pipelined", (unsigned)settings->connections.value, (unsigned)settings->in_flight.value,
-       settings->radii.value},
-      {"large", 1, 1, settings->large_radii.value},
-  };
+  const uint64_t radii = settings->radii.value;
+  of->results[0] = (measured){"small", 1, 1, radii, .took_s = 0};
+  of->results[1] = (measured){"pipelined", (unsigned)settings->connections.value,
+                              (unsigned)settings->in_flight.value, radii, .took_s = 0};
+  of->results[2] = (measured){"large", 1, 1, settings->large_radii.value, .took_s = 0};
   bool good = true;
   dipole_error error;
   cli_progress_start(&of->progress, "requests");
   for (size_t i = 0; good && i < MEASUREMENTS; i++) {
-    good = run_load(of, &loads[i], &of->results[i], &error);
+    good = run_load(of, &of->results[i], &error);
   }
   cli_progress_wipe(&of->progress);
   return good ? CLI_OK : cli_fail_error(&error);
@@ -402,20 +359,19 @@ static void put_figure(cli_rows *rows, const char *name, const char *head, doubl
 static void put_result(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
   const measured *result = &of->results[index];
-  const load *under = &result->load;
   const double channels = (double)of->profile.channel_count;
-  const double per_s = result->took_s > 0 ? (double)result->times.count / result->took_s : 0;
-  const double radii_per_s = per_s * (double)under->radii;
-  cli_put_text(rows, CLI_COLUMN("measurement", "requests"), under->name);
-  cli_put_number(rows, CLI_COLUMN("radii", .format = "%.0f"), (double)under->radii);
-  cli_put_number(rows, CLI_COLUMN("connections", .format = "%.0f"), under->connections);
-  cli_put_number(rows, CLI_COLUMN("in_flight", "in flight", .format = "%.0f"), under->in_flight);
+  const double per_s = result->took_s > 0 ? (double)result->requests / result->took_s : 0;
+  const double radii_per_s = per_s * (double)result->radii;
+  cli_put_text(rows, CLI_COLUMN("measurement", "requests"), result->name);
+  cli_put_number(rows, CLI_COLUMN("radii", .format = "%.0f"), (double)result->radii);
+  cli_put_number(rows, CLI_COLUMN("connections", .format = "%.0f"), result->connections);
+  cli_put_number(rows, CLI_COLUMN("in_flight", "in flight", .format = "%.0f"), result->in_flight);
   cli_put_number(rows, CLI_COLUMN("requests", .forms = CLI_IN_CSV | CLI_IN_JSON),
-                 (double)result->times.count);
+                 (double)result->requests);
   cli_put_number(rows, CLI_COLUMN("seconds", .forms = CLI_IN_CSV | CLI_IN_JSON), result->took_s);
-  put_figure(rows, "p50_us", "p50 us", 1, quantile_us(&result->times, 0.5));
-  put_figure(rows, "p99_us", "p99 us", 1, quantile_us(&result->times, 0.99));
-  put_figure(rows, "max_us", "max us", 1, (double)result->times.most_ns / 1000);
+  put_figure(rows, "p50_us", "p50 us", 1, quantile_us(result, 0.5));
+  put_figure(rows, "p99_us", "p99 us", 1, quantile_us(result, 0.99));
+  put_figure(rows, "max_us", "max us", 1, (double)result->most_ns / 1000);
   put_figure(rows, "requests_per_s", "requests/s", 1, per_s);
   put_figure(rows, "radii_per_s", "M radii/s", 1e6, radii_per_s * channels);
   put_figure(rows, "bytes_per_s", "MB/s", 1e6,
@@ -436,28 +392,21 @@ static void put_facts(cli_rows *rows, const void *context, size_t index) {
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
-static int measure_and_write(const cli_settings *settings, report *of) {
-  int status = cli_profile_take(settings, of->client, &of->profile);
-  status = status == CLI_OK ? check_with_daemon(of) : status;
-  if (status != CLI_OK) {
-    return status;
-  }
-  make_query(of);
-  status = measure(of);
-  if (status != CLI_OK) {
-    return status;
-  }
-  const cli_report output = {
-      .facts = put_facts, .rows = MEASUREMENTS, .put_row = put_result, .left = 1};
-  cli_write(&output, settings->form, of);
-  return CLI_OK;
-}
-
 static int run(const cli_settings *settings, dipole_client *client) {
   report *of = cli_allocate(1, sizeof *of);
-  of->settings = settings;
-  of->client = client;
-  return measure_and_write(settings, of);
+  *of = (report){.settings = settings, .client = client};
+  int status = cli_profile_take(settings, client, &of->profile);
+  status = status == CLI_OK ? check_with_daemon(of) : status;
+  if (status == CLI_OK) {
+    make_query(of);
+    status = measure(of);
+  }
+  if (status == CLI_OK) {
+    const cli_report output = {
+        .facts = put_facts, .rows = MEASUREMENTS, .put_row = put_result, .left = 1};
+    cli_write(&output, settings->form, of);
+  }
+  return status;
 }
 
 static const cli_option options[] = {

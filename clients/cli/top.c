@@ -19,14 +19,24 @@ typedef struct top_look {
   double at_s;          /* by a monotonic clock */
 } top_look;
 
-typedef struct top_record {
-  const dipole_info *info;
-  top_look before; /* not known: now is shown by itself, or since the daemon's start */
+enum { LISTED_MAX = 256 };
+
+typedef struct top_run {
+  const cli_settings *settings;
+  dipole_client *client; /* the present one; NULL while the daemon is gone */
+  dipole_client *given;  /* the first one, which the caller closes */
+  bool has_screen;       /* a terminal shows the table again and again in one place */
+  double gone_s;         /* since when the daemon is gone; 0 while it is there */
+  top_look before;       /* not known: now is shown by itself, or since the daemon's start */
   top_look now;
   double interval_s;
   size_t listed_count;
-  size_t listed[256]; /* positions of the statistics that are shown */
-} top_record;
+  size_t listed[LISTED_MAX]; /* positions of the statistics that are shown */
+} top_run;
+
+static double now_s(void) {
+  return (double)cli_now_ns() / 1e9;
+}
 
 /* ---- statistics ------------------------------------------------------------------------------ */
 
@@ -61,26 +71,26 @@ static bool is_state(const char *name) {
 }
 
 /* Returns by how much a statistic has risen each second; NaN if it is a state. */
-static double rate(const top_record *record, const dipole_value *now) {
-  const uint64_t before = find(&record->before, now->name);
-  return is_state(now->name)      ? (double)NAN
-         : now->value < before    ? 0
-         : record->interval_s > 0 ? (double)(now->value - before) / record->interval_s
-                                  : 0;
+static double rate(const top_run *of, const dipole_value *now) {
+  const uint64_t before = find(&of->before, now->name);
+  return is_state(now->name)   ? (double)NAN
+         : now->value < before ? 0
+         : of->interval_s > 0  ? (double)(now->value - before) / of->interval_s
+                               : 0;
 }
 
 /* Lists the statistics that people see: states, without quantiles that are 0 or of less interest,
  * and what has risen. Programs get all of them, always in the same order. */
-static void list(top_record *record, enum cli_form form) {
-  record->listed_count = 0;
-  for (size_t i = 0; i < record->now.count && record->listed_count < 256; i++) {
-    const dipole_value *one = &record->now.values[i];
+static void list(top_run *of) {
+  of->listed_count = 0;
+  for (size_t i = 0; i < of->now.count && of->listed_count < LISTED_MAX; i++) {
+    const dipole_value *one = &of->now.values[i];
     const bool quantile = ends_with(one->name, "_us"), latency = strncmp(one->name, "lat", 3) == 0;
     const bool shown = quantile ? one->value > 0 && (ends_with(one->name, "_p50_us") ||
                                                      ends_with(one->name, "_p99_us"))
-                                : !latency && !(rate(record, one) <= 0);
-    if (form != CLI_TABLE || shown) {
-      record->listed[record->listed_count++] = i;
+                                : !latency && !(rate(of, one) <= 0);
+    if (of->settings->form != CLI_TABLE || shown) {
+      of->listed[of->listed_count++] = i;
     }
   }
 }
@@ -102,45 +112,35 @@ static const char *figures(double value, bool is_count, char text[32]) {
 
 static void put_statistic(cli_rows *rows, const void *context, size_t index) {
   static const dipole_value none = {.name = ""};
-  const top_record *record = context;
-  const dipole_value *one =
-      index < record->listed_count ? &record->now.values[record->listed[index]] : &none;
-  const double now = (double)one->value, per_s = rate(record, one);
+  const top_run *of = context;
+  const dipole_value *one = index < of->listed_count ? &of->now.values[of->listed[index]] : &none;
+  const double now = (double)one->value, per_s = rate(of, one);
   const unsigned programs = CLI_IN_CSV | CLI_IN_JSON;
   char text[32];
   cli_put_number(rows, CLI_COLUMN("uptime_ms", .forms = programs),
-                 (double)find(&record->now, "uptime_ms"));
-  cli_put_number(rows, CLI_COLUMN("interval_s", .forms = programs), record->interval_s);
+                 (double)find(&of->now, "uptime_ms"));
+  cli_put_number(rows, CLI_COLUMN("interval_s", .forms = programs), of->interval_s);
   cli_put_text(rows, CLI_COLUMN("statistic"), one->name);
   cli_put_shown(rows, CLI_COLUMN("now"), now, figures(now, true, text));
   cli_put_shown(rows, CLI_COLUMN("per_s", "each second"), per_s, figures(per_s, false, text));
 }
 
 /* Writes a table for people. */
-static void write_table(const top_record *record, FILE *file) {
-  const dipole_info *info = record->info;
-  const uint64_t up_s = find(&record->now, "uptime_ms") / 1000;
+static void write_table(const top_run *of, FILE *file) {
+  const dipole_info *info = dipole_get_info(of->given);
+  const uint64_t up_s = find(&of->now, "uptime_ms") / 1000;
   fprintf(file, "%s at %s: up %llu:%02u:%02u, %u workers, %s\n", info->software, info->address,
           (unsigned long long)(up_s / 3600), (unsigned)(up_s / 60 % 60), (unsigned)(up_s % 60),
           info->workers, info->instruction_set);
-  if (record->before.count > 0) {
-    fprintf(file, "over the last %.1f s\n\n", record->interval_s);
+  if (of->before.count > 0) {
+    fprintf(file, "over the last %.1f s\n\n", of->interval_s);
   } else {
     fputs("since its start\n\n", file);
   }
-  cli_rows_print(file, 1, record->listed_count, put_statistic, record);
+  cli_rows_print(file, 1, of->listed_count, put_statistic, of);
 }
 
-/* ---- time ------------------------------------------------------------------------------------ */
-
-static void sleep_until(double at_s) {
-  const struct timespec at = {.tv_sec = (time_t)at_s,
-                              .tv_nsec = (long)((at_s - floor(at_s)) * 1e9)};
-  while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &at, NULL) != 0) {
-  }
-}
-
-/* ---- the screen: the terminal on which the table is shown again and again in one place ------- */
+/* ---- the screen ------------------------------------------------------------------------------ */
 
 #define CLEAR "\033[2J"
 #define HOME "\033[H"
@@ -150,25 +150,6 @@ static void sleep_until(double at_s) {
 #define SHOW_CURSOR "\033[?25h"
 #define BOLD "\033[1m"
 #define NOT_BOLD "\033[0m"
-
-static volatile sig_atomic_t has_screen;
-
-/* Clears the terminal and hides its cursor, if standard output is a terminal. */
-static void begin_screen(void) {
-  if (isatty(STDOUT_FILENO) == 1) {
-    has_screen = 1;
-    fputs(HIDE_CURSOR CLEAR, stdout);
-  }
-}
-
-/* Shows the cursor again and leaves the last table in place. A signal handler may call this. */
-static void restore_screen(void) {
-  if (has_screen) {
-    has_screen = 0;
-    const ssize_t written = write(STDOUT_FILENO, SHOW_CURSOR, strlen(SHOW_CURSOR));
-    (void)written; /* if it fails, the terminal is gone */
-  }
-}
 
 /* Draws as much of a text as the terminal has room for, from its upper left corner. Lines that are
  * too long go on in the next row. The first row is bold. The last row of the terminal is left for
@@ -187,12 +168,12 @@ static void draw(const char *text) {
   fputs(CLEAR_BELOW, stdout);
 }
 
-static void show_on_screen(const top_record *record) {
+static void show_on_screen(const top_run *of) {
   char *text = NULL;
   size_t bytes = 0;
   FILE *file = open_memstream(&text, &bytes);
   if (file != NULL) {
-    write_table(record, file);
+    write_table(of, file);
     if (fclose(file) == 0) {
       draw(text);
     }
@@ -200,175 +181,119 @@ static void show_on_screen(const top_record *record) {
   }
 }
 
-/* ---- signals that end the command ------------------------------------------------------------ */
-
-static void block_end(int how) {
-  sigset_t signals;
-  sigemptyset(&signals);
-  sigaddset(&signals, SIGINT);
-  sigaddset(&signals, SIGTERM);
-  sigprocmask(how, &signals, NULL);
+/* Replaces the numbers on the screen by the reason why there are none. */
+static void show_gone(const top_run *of, const dipole_error *error) {
+  char text[512];
+  const char *address = of->settings->connect;
+  snprintf(text, sizeof text,
+           "No answer from %s for %.0f s\n%s\n\nTrying again. Ctrl-C ends this.\n",
+           address != NULL ? address : dipole_get_info(of->given)->address, now_s() - of->gone_s,
+           error->text);
+  draw(text);
 }
 
-/* SIGINT and SIGTERM end the command at once. They are blocked while a table is written, so that
- * every table is whole. */
-static void on_end(int signal_number) {
-  (void)signal_number;
-  restore_screen();
-  _exit(CLI_OK);
-}
-
-static void end_on_signals(void) {
-  const struct sigaction action = {.sa_handler = on_end};
-  sigaction(SIGINT, &action, NULL);
-  sigaction(SIGTERM, &action, NULL);
+/* Shows one interval, or on a screen what was since the daemon's start. */
+static void show(top_run *of, bool first) {
+  list(of);
+  if (of->has_screen) {
+    show_on_screen(of);
+  } else if (of->settings->form == CLI_TABLE) {
+    fputs(first ? "" : "\n", stdout);
+    write_table(of, stdout);
+  } else if (of->settings->form == CLI_CSV) {
+    cli_rows_csv(first, of->listed_count, put_statistic, of);
+  }
+  for (size_t i = 0; of->settings->form == CLI_JSON && i < of->listed_count; i++) {
+    cli_rows_object(put_statistic, of, i);
+    putchar('\n');
+  }
 }
 
 /* ---- looking --------------------------------------------------------------------------------- */
 
-static bool look(dipole_client *client, top_look *one, dipole_error *error) {
-  if (!dipole_statistics(client, &one->values, &one->count, error)) {
-    return false;
-  }
-  one->at_s = (double)cli_now_ns() / 1e9;
-  return true;
-}
-
-/* Makes the statistics of now those of before. */
-static void turn_over(top_record *record) {
-  free(record->before.values);
-  record->before = record->now;
-  record->now = (top_look){0};
-}
-
-static void show(enum cli_form form, top_record *record, uint64_t number) {
-  list(record, form);
-  if (form == CLI_TABLE && has_screen) {
-    show_on_screen(record);
-  } else if (form == CLI_TABLE) {
-    fputs(number > 0 ? "\n" : "", stdout);
-    write_table(record, stdout);
-  } else if (form == CLI_CSV) {
-    cli_rows_csv(number == 0, record->listed_count, put_statistic, record);
-  }
-  for (size_t i = 0; form == CLI_JSON && i < record->listed_count; i++) {
-    cli_rows_object(put_statistic, record, i);
-    putchar('\n');
-  }
-  fflush(stdout);
-}
-
-/* On a terminal, shows the statistics since the daemon's start before the first interval ends. */
-static void show_beginning(top_record *record) {
-  if (has_screen) {
-    record->interval_s = (double)find(&record->now, "uptime_ms") / 1000;
-    show(CLI_TABLE, record, 0);
-  }
-}
-
-/* ---- a daemon that has gone ------------------------------------------------------------------ */
-
 enum { ANSWER_MS = 2000 }; /* how long the daemon may take before the screen says that it is gone */
 
-typedef struct watched {
-  const cli_settings *settings;
-  dipole_client *client; /* the present one; NULL while the daemon is gone */
-  dipole_client *given;  /* the first one, which the caller closes */
-  double gone_s;         /* since when the daemon is gone */
-} watched;
+static bool connect_again(top_run *of, dipole_error *error) {
+  dipole_options options;
+  cli_connection_options(of->settings, &options);
+  options.retry_ms = 0;
+  options.connect_timeout_ms = ANSWER_MS;
+  return dipole_open_with(of->settings->connect, &options, &of->client, error);
+}
 
-static void forget(watched *of) {
+static void forget(top_run *of) {
   if (of->client != of->given) {
     dipole_close(of->client);
   }
   of->client = NULL;
 }
 
-/* On a screen, answers are awaited for a short time only: numbers that are out of date must not
- * stay. */
-static void hurry(dipole_client *client) {
-  dipole_set_retry_ms(client, 0);
-  dipole_set_timeout_ms(client, ANSWER_MS);
-}
-
-static bool connect_again(watched *of, dipole_error *error) {
-  dipole_options options;
-  cli_connection_options(of->settings, &options);
-  options.retry_ms = 0;
-  options.connect_timeout_ms = ANSWER_MS;
-  if (!dipole_open_with(of->settings->connect, &options, &of->client, error)) {
-    return false;
-  }
-  hurry(of->client);
-  return true;
-}
-
-/* Replaces the numbers on the screen by the reason why there are none. */
-static void show_gone(const watched *of, const dipole_error *error) {
-  char text[512];
-  const char *address = of->settings->connect;
-  snprintf(text, sizeof text,
-           "No answer from %s for %.0f s\n%s\n\nTrying again. Ctrl-C ends this.\n",
-           address != NULL ? address : dipole_get_info(of->given)->address,
-           (double)cli_now_ns() / 1e9 - of->gone_s, error->text);
-  draw(text);
-  fflush(stdout);
-}
-
-/* Looks at the daemon. If it does not answer, returns false and, on a screen, says so. */
-static bool look_or_tell(watched *of, top_look *now) {
+/* Looks at the daemon. If it does not answer, says so and returns false; on a screen, numbers that
+ * are out of date do not stay. */
+static bool look(top_run *of) {
   dipole_error error;
-  if ((of->client != NULL || connect_again(of, &error)) && look(of->client, now, &error)) {
+  free(of->before.values);
+  of->before = of->now;
+  of->now = (top_look){0};
+  if (of->client != NULL && of->has_screen) {
+    dipole_set_retry_ms(of->client, 0);
+    dipole_set_timeout_ms(of->client, ANSWER_MS);
+  }
+  if ((of->client != NULL || connect_again(of, &error)) &&
+      dipole_statistics(of->client, &of->now.values, &of->now.count, &error)) {
     of->gone_s = 0;
+    of->now.at_s = now_s();
+    of->interval_s = of->before.count > 0 ? of->now.at_s - of->before.at_s
+                                          : (double)find(&of->now, "uptime_ms") / 1000;
     return true;
   }
-  if (!has_screen) {
+  if (!of->has_screen) {
     cli_fail_error(&error);
     return false;
   }
-  of->gone_s = of->gone_s > 0 ? of->gone_s : (double)cli_now_ns() / 1e9;
+  of->gone_s = of->gone_s > 0 ? of->gone_s : now_s();
   forget(of);
   show_gone(of, &error);
   return false;
 }
 
-/* Shows one interval. Returns false if the command has to end. */
-static bool watch_once(watched *of, top_record *record, uint64_t number, double *next_s) {
-  const double interval_s = of->settings->interval.value;
-  turn_over(record);
-  block_end(SIG_UNBLOCK);
-  sleep_until(*next_s);
-  block_end(SIG_BLOCK);
-  const bool looked = look_or_tell(of, &record->now);
-  *next_s = fmax(*next_s + interval_s, (double)cli_now_ns() / 1e9);
-  if (looked && record->before.count > 0) {
-    record->interval_s = record->now.at_s - record->before.at_s;
-    show(of->settings->form, record, number);
-  } else if (looked) { /* It is back. */
-    show_beginning(record);
-  }
-  return (looked || has_screen) && !ferror(stdout); /* main() will say why */
+/* Waits until a time. Returns whether SIGINT or SIGTERM, which are blocked, ended the waiting: they
+ * come between two tables, so that every table is whole. */
+static bool is_ended_until(double at_s) {
+  sigset_t ends;
+  sigemptyset(&ends);
+  sigaddset(&ends, SIGINT);
+  sigaddset(&ends, SIGTERM);
+  sigprocmask(SIG_BLOCK, &ends, NULL);
+  const double left_s = fmax(at_s - now_s(), 0);
+  const struct timespec left = {.tv_sec = (time_t)left_s,
+                                .tv_nsec = (long)((left_s - floor(left_s)) * 1e9)};
+  return sigtimedwait(&ends, NULL, &left) > 0;
 }
 
-static int watch(const cli_settings *settings, dipole_client *client, top_record *record) {
-  watched of = {.settings = settings, .client = client, .given = client};
-  bool good = true;
-  if (has_screen) {
-    hurry(client);
+/* Looks at the beginning and after each interval. Returns an exit status. */
+static int watch(top_run *of) {
+  const cli_settings *settings = of->settings;
+  bool looked, first = true;
+  double next_s = now_s();
+  for (uint64_t i = 0;; i++) {
+    looked = look(of);
+    if ((!looked && !of->has_screen) || ferror(stdout)) { /* main() will say why */
+      return CLI_FAILED;
+    }
+    if (looked && (of->has_screen || of->before.count > 0)) {
+      show(of, first);
+      first = false;
+    }
+    fflush(stdout);
+    next_s = fmax(next_s + settings->interval.value, now_s());
+    if (settings->count.given && i == settings->count.value) {
+      return looked ? CLI_OK : CLI_FAILED;
+    }
+    if (is_ended_until(next_s)) {
+      return CLI_OK;
+    }
   }
-  if (!look_or_tell(&of, &record->now) && !has_screen) {
-    return CLI_FAILED;
-  }
-  block_end(SIG_BLOCK);
-  if (record->now.count > 0) {
-    show_beginning(record);
-  }
-  double next_s = (double)cli_now_ns() / 1e9 + settings->interval.value;
-  for (uint64_t i = 0; good && (!settings->count.given || i < settings->count.value); i++) {
-    good = watch_once(&of, record, i, &next_s);
-  }
-  forget(&of);
-  return good && (record->now.count > 0 || !has_screen) ? CLI_OK : CLI_FAILED;
 }
 
 /* ---- the command ----------------------------------------------------------------------------- */
@@ -385,15 +310,19 @@ static int check(cli_settings *settings) {
 }
 
 static int run(const cli_settings *settings, dipole_client *client) {
-  top_record record = {.info = dipole_get_info(client)};
-  end_on_signals();
-  if (settings->form == CLI_TABLE) {
-    begin_screen();
+  top_run of = {.settings = settings,
+                .client = client,
+                .given = client,
+                .has_screen = settings->form == CLI_TABLE && isatty(STDOUT_FILENO) == 1};
+  if (of.has_screen) {
+    is_ended_until(0); /* from now on, the cursor is shown again in any case */
+    fputs(HIDE_CURSOR CLEAR, stdout);
   }
-  const int status = watch(settings, client, &record);
-  restore_screen();
-  free(record.before.values);
-  free(record.now.values);
+  const int status = watch(&of);
+  fputs(of.has_screen ? SHOW_CURSOR : "", stdout);
+  forget(&of);
+  free(of.before.values);
+  free(of.now.values);
   return status;
 }
 
