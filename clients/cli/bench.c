@@ -425,14 +425,13 @@ const cli_command cli_command_bench = {
     .name = "bench",
     .about = "Measure how fast a daemon answers: latency, pipelined requests, throughput",
     .more =
-        "\n"
-        "Requests are evaluations of R at listed radii, from 0.01 to 10 mm, of all channels of a\n"
-        "medium (default: --medium skin1). Three things are measured, one after the other: small\n"
-        "requests one at a time; small requests of which many are under way; and large requests\n"
-        "one at a time. A time is that from submitting a request to having its values, within\n"
-        "1 %; the time that this program takes is part of it. Radii and bytes count every\n"
-        "channel; bytes are those of radii sent and values received. If others use the daemon\n"
-        "at the same time, each of you gets a share of it.\n",
+        "Requests are evaluations of R at listed radii, from 0.01 to 10 mm, of all channels of "
+        "a medium (default: --medium skin1). Three things are measured, one after the other: "
+        "small requests one at a time; small requests of which many are under way; and large "
+        "requests one at a time. A time is that from submitting a request to having its values, "
+        "within 1 %; the time that this program takes is part of it. Radii and bytes count "
+        "every channel; bytes are those of radii sent and values received. If others use the "
+        "daemon at the same time, each of you gets a share of it.",
     .formats = "table,csv,json",
     .options = {cli_medium_options, options},
     .parameters = CLI_OF_MODELS,

@@ -118,9 +118,9 @@ typedef struct cli_command {
   const char *operand;        /* what --help calls it; NULL if the command takes none */
   const char *second_operand; /* the same for one that may follow */
   const char *about;          /* one line */
-  const char *more;           /* further text for --help, which ends with a newline; NULL if none */
-  const char *examples;       /* example command lines; the text ends with a newline */
-  const char *formats; /* the values of --format, separated by commas; the first is the default */
+  const char *more;     /* paragraphs for --help, with \n between them; NULL if there are none */
+  const char *examples; /* example command lines; the text ends with a newline */
+  const char *formats;  /* the values of --format, separated by commas; the first is the default */
   const cli_option *options[CLI_LISTS_MAX]; /* lists of its options, in the order of --help */
   unsigned parameters; /* bit 1 << id for each parameter that it takes, which --help tells of */
 

@@ -17,8 +17,9 @@
 
 /* What --help says about it. */
 #define CLI_CSV_TEXT                                                                               \
-  "CSV has a header, and commas, semicolons or tabs between its cells. Lines that start with #\n"  \
-  "are comments, but below the header only those with one cell.\n"
+  " CSV has a header, and commas, semicolons or tabs between its cells. Lines that start with # "  \
+  "are "                                                                                           \
+  "comments, but below the header only those with one cell."
 
 /* The size of the longest record, with the line breaks in its quotes. */
 #define CLI_CSV_RECORD_MAX_BYTES ((size_t)1 << 20)

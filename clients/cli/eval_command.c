@@ -115,18 +115,15 @@ const cli_command cli_command_eval = {
     .name = "eval",
     .about = "Evaluate a medium over a range of radii, as a table or a picture",
     .more =
-        "\n"
-        "The output has the values, their numerical error, the model's own error at these radii\n"
+        "The output has the values, their numerical error, the model's own error at these radii "
         "(against radiative transport, where that is solved), and notes on what the model does "
-        "not\n"
-        "do. A value is within the sum of both errors of transport. Some models are infinite at\n"
-        "r = 0: tables and CSV then say inf, JSON \"inf\". NaN is an empty cell or null.\n"
-        "\n"
-        "With --tolerance and without --model, the daemon takes transport in the cheapest\n"
-        "evaluator that keeps the tolerance for all channels and radii; the time to prepare a\n"
+        "not do. A value is within the sum of both errors of transport. Some models are "
+        "infinite at r = 0: tables and CSV then say inf, JSON \"inf\". NaN is an empty cell or "
+        "null.\n"
+        "With --tolerance and without --model, the daemon takes transport in the cheapest "
+        "evaluator that keeps the tolerance for all channels and radii; the time to prepare a "
         "medium counts, so that few radii may get another one than many. With --model, "
-        "--tolerance\n"
-        "is a bound on the numerical error.\n" CLI_DEFAULT_TEXT,
+        "--tolerance is a bound on the numerical error." CLI_DEFAULT_TEXT,
     .formats = "table,csv,json",
     .options = {cli_medium_options, radii_options, cli_eval_options, output_options},
     .parameters = CLI_OF_MODELS,

@@ -358,15 +358,12 @@ const cli_command cli_command_gather = {
     .operand = "POINTS",
     .second_operand = "QUERIES",
     .about = "Sum the light that points leave at other positions",
-    .more =
-        "\n"
-        "Each point holds power that entered the medium there: irradiance times area. Each query\n"
-        "gets the sum of R(distance) times power over all points, in W/mm^2, for each channel\n"
-        "(Jensen and Buhler 2002). POINTS and QUERIES are CSV with the columns x, y, z in mm, and\n"
-        "power, or power_1, power_2 and so on, in W; - is standard input. What is written has the\n"
-        "columns M_1, M_2 and so on. At a point's own position R is infinite for most models, and "
-        "so\n"
-        "is the sum: see --least-distance.\n" CLI_CSV_TEXT,
+    .more = "Each point holds power that entered the medium there: irradiance times area. Each "
+            "query gets the sum of R(distance) times power over all points, in W/mm^2, for each "
+            "channel (Jensen and Buhler 2002). POINTS and QUERIES are CSV with the columns x, y, z "
+            "in mm, and power, or power_1, power_2 and so on, in W; - is standard input. What is "
+            "written has the columns M_1, M_2 and so on. At a point's own position R is infinite "
+            "for most models, and so is the sum: see --least-distance." CLI_CSV_TEXT,
     .formats = "csv,table,json",
     .options = {cli_medium_options, options},
     .examples = "  dipole gather points.csv queries.csv --medium skin1 --tolerance 1e-3 > M.csv\n"

@@ -229,10 +229,9 @@ const cli_command cli_command_invert = {
     .name = "invert",
     .about = "Find the medium that has a given albedo: sigma_a and sigma_s",
     .more =
-        "\n"
-        "Takes a diffuse albedo and a length, and finds the coefficients of a medium that has\n"
-        "them by a model. sigma_t' is sigma_a + sigma_s (1 - g). As a check, the albedo of that\n"
-        "medium is evaluated. The exit status is 3 if there is no such medium for some channel.\n",
+        "Takes a diffuse albedo and a length, and finds the coefficients of a medium that has "
+        "them by a model. sigma_t' is sigma_a + sigma_s (1 - g). As a check, the albedo of that "
+        "medium is evaluated. The exit status is 3 if there is no such medium for some channel.",
     .formats = "table,csv,json",
     .options = {options},
     .check = check,

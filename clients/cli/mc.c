@@ -402,15 +402,11 @@ static int run(const cli_settings *settings, dipole_client *client) {
 const cli_command cli_command_mc = {
     .name = "mc",
     .about = "Walk photons through a medium (Monte Carlo): R(r) with standard errors",
-    .more =
-        "\n"
-        "The daemon does this as jobs of low priority beside its other work, one a channel.\n"
-        "Ctrl-C cancels the job and prints what has been walked by then. Values are means over\n"
-        "rings, in 1/mm^2 per unit of power that entered; below them stand shares of that power: "
-        "the\n"
-        "light beside the rings, the totals of R and T and what was absorbed. The exit status is 1 "
-        "if the job was\n"
-        "cancelled or missed the error that was asked for.\n",
+    .more = "The daemon does this as jobs of low priority beside its other work, one a channel. "
+            "Ctrl-C cancels the job and prints what has been walked by then. Values are means over "
+            "rings, in 1/mm^2 per unit of power that entered; below them stand shares of that "
+            "power: the light beside the rings, the totals of R and T and what was absorbed. The "
+            "exit status is 1 if the job was cancelled or missed the error that was asked for.",
     .formats = "table,csv,json",
     .options = {cli_medium_options, options},
     .parameters = CLI_PARAMETER_BIT(PHASE) | CLI_PARAMETER_BIT(PHASE_SHARE) |

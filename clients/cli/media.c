@@ -31,8 +31,7 @@ static int run(const cli_settings *settings, dipole_client *client) {
 const cli_command cli_command_media = {
     .name = "media",
     .about = "List the measured media and their coefficients",
-    .more = "\n"
-            "Only sigma_s (1 - g) was measured. It is listed as sigma_s, with g = 0.\n",
+    .more = "Only sigma_s (1 - g) was measured. It is listed as sigma_s, with g = 0.",
     .formats = "table,csv,json",
     .run = run,
     .examples = "  dipole media\n"

@@ -373,19 +373,30 @@ bool cli_options_read(int argc, char **argv, cli_settings *settings, int *status
 
 enum { HELP_COLUMN = 24, HELP_WIDTH = 98 };
 
-/* Prints words in lines that all start in HELP_COLUMN. column: that of the cursor */
-static void print_words(int column, const char *text) {
+/* Prints words in lines that all start at a column. cursor: the column where it is */
+static void print_words(int cursor, int column, const char *text) {
+  bool first = true;
   while (*text != '\0') {
     const int length = (int)strcspn(text, " ");
-    const bool first = column < HELP_COLUMN, fits = column + 1 + length <= HELP_WIDTH;
+    const bool fits = cursor + 1 + length <= HELP_WIDTH;
     if (!first && !fits) {
       putchar('\n');
     }
-    const int blanks = first ? HELP_COLUMN - column : fits ? 1 : HELP_COLUMN;
-    column = printf("%*s%.*s", blanks, "", length, text) + (first || fits ? column : 0);
+    const int blanks = first ? column - cursor : fits ? 1 : column;
+    cursor = printf("%*s%.*s", blanks, "", length, text) + (first || fits ? cursor : 0);
     text += length + (text[length] == ' ');
+    first = false;
   }
   putchar('\n');
+}
+
+/* Prints paragraphs, which end with a line end or the text, each behind an empty line. */
+static void print_paragraphs(const char *text) {
+  char *copy = cli_copy(text, strlen(text));
+  for (char *rest = copy, *one; (one = strsep(&rest, "\n")) != NULL;) {
+    putchar('\n');
+    print_words(0, 0, one);
+  }
 }
 
 /* Prints an option, its explanation and its default. */
@@ -401,7 +412,7 @@ static void print_option(const cli_option *option, const char *formats) {
   if (option->usual == NULL || asprintf(&text, "%s (default: %s)", help, option->usual) < 0) {
     text = NULL;
   }
-  print_words(column, text != NULL ? text : help);
+  print_words(column, HELP_COLUMN, text != NULL ? text : help);
   free(text);
 }
 
@@ -410,11 +421,13 @@ void cli_options_help(const cli_command *command) {
   snprintf(formats, sizeof formats, "%s %s (default: %.*s)",
            strchr(command->formats, ',') != NULL ? "one of" : "only", command->formats,
            (int)strcspn(command->formats, ","), command->formats);
-  printf("Usage: dipole %s [OPTION]...%s%s%s%s\n\n%s.\n%s", command->name,
+  printf("Usage: dipole %s [OPTION]...%s%s%s%s\n\n%s.\n", command->name,
          command->operand != NULL ? " " : "", command->operand != NULL ? command->operand : "",
          command->second_operand != NULL ? " " : "",
-         command->second_operand != NULL ? command->second_operand : "", command->about,
-         command->more != NULL ? command->more : "");
+         command->second_operand != NULL ? command->second_operand : "", command->about);
+  if (command->more != NULL) {
+    print_paragraphs(command->more);
+  }
   for (const cli_option *option = cli_options_of(command); option->name != NULL; option++) {
     if (option->kind == CLI_HEADING) {
       printf("\n%s\n", option->name);

@@ -404,18 +404,13 @@ static int run(const cli_settings *settings, dipole_client *client) {
 const cli_command cli_command_plot = {
     .name = "plot",
     .about = "Draw profiles over r, and how far they are from radiative transport",
-    .more =
-        "\n"
-        "Up to four models have a dash each and channels a colour; with more, or with a single\n"
-        "channel, models have a colour each. On a logarithmic axis, values below 1e-12 of the\n"
-        "largest are left out, and deviations beyond 200 %. `dipole eval` writes the numbers.\n"
-        "\n"
-        "With --mc, a value is the mean over a ring, and stands at the radius that halves the "
-        "ring's\n"
-        "area. Monte Carlo is drawn as points with their standard errors.\n"
-        "\n"
-        "gnuplot draws all pictures. Text has colours only on a terminal, unless NO_COLOR is "
-        "set.\n",
+    .more = "Up to four models have a dash each and channels a colour; with more, or with a single "
+            "channel, models have a colour each. On a logarithmic axis, values below 1e-12 of the "
+            "largest are left out, and deviations beyond 200 %. `dipole eval` writes the numbers.\n"
+            "With --mc, a value is the mean over a ring, and stands at the radius that halves the "
+            "ring's area. Monte Carlo is drawn as points with their standard errors.\n"
+            "gnuplot draws all pictures. Text has colours only on a terminal, unless NO_COLOR is "
+            "set.",
     .formats = "none",
     .options = {cli_medium_options, cli_eval_options, options},
     .parameters = CLI_OF_MODELS,

@@ -665,18 +665,16 @@ const cli_command cli_command_points = {
     .operand = "[FILE]",
     .about = "Evaluate each row of a CSV file (or of standard input)",
     .more =
-        "\n"
-        "The header names the columns, in any order. These are needed: sigma_a, sigma_s (1/mm),\n"
-        "g, eta and r (mm). In place of the coefficients, a row may name a measured medium in the\n"
-        "columns medium and channel (red, green, blue). These may be absent or empty: model,\n"
-        "moments (default: exact), and the parameters below, whose columns have _ where the\n"
-        "options have -. An option is for the rows whose cell is empty. A column whose name is\n"
-        "nearly one of these is an error; all others are copied.\n"
-        "\n"
-        "Each row is written as it is, with columns appended, or replaced if they exist: R\n"
-        "(1/mm^2 per unit of power that entered; it may be inf), albedo, cdf (the share of the\n"
-        "albedo within r) and status. status is ok or says what is wrong with the row; then the\n"
-        "exit status is 3, but the other rows are evaluated. Comments are copied.\n" CLI_CSV_TEXT
+        "The header names the columns, in any order. These are needed: sigma_a, sigma_s (1/mm), "
+        "g, eta and r (mm). In place of the coefficients, a row may name a measured medium in "
+        "the columns medium and channel (red, green, blue). These may be absent or empty: "
+        "model, moments (default: exact), and the parameters below, whose columns have _ where "
+        "the options have -. An option is for the rows whose cell is empty. A column whose name "
+        "is nearly one of these is an error; all others are copied.\n"
+        "Each row is written as it is, with columns appended, or replaced if they exist: R "
+        "(1/mm^2 per unit of power that entered; it may be inf), albedo, cdf (the share of the "
+        "albedo within r) and status. status is ok or says what is wrong with the row; then the "
+        "exit status is 3, but the other rows are evaluated. Comments are copied." CLI_CSV_TEXT
             CLI_DEFAULT_TEXT,
     .formats = "csv",
     .options = {options},

@@ -29,11 +29,12 @@ extern const cli_option cli_medium_options[];
 /* The model if none is given, and the reason, for --help. */
 #define CLI_MODEL_DEFAULT "transport"
 #define CLI_DEFAULT_TEXT                                                                           \
-  "\n"                                                                                             \
-  "If no model is named, it is transport by table: all other models approximate it, and by\n"      \
-  "table they cost the same. The table is within 1e-4 and takes milliseconds to prepare;\n"        \
-  "--evaluator f64 takes .2 ms, and 30 times as long for each radius. --model\n"                   \
-  "better, which many renderers use, takes microseconds.\n"
+  "\nIf no model is named, it is transport by table: all other models approximate it, and by "     \
+  "table "                                                                                         \
+  "they cost the same. The table is within 1e-4 and takes milliseconds to prepare; --evaluator "   \
+  "f64 "                                                                                           \
+  "takes .2 ms, and 30 times as long for each radius. --model better, which many renderers use, "  \
+  "takes microseconds."
 
 /* The lengths by which a medium can be given with an albedo. */
 #define CLI_LENGTH_OPTIONS                                                                         \

@@ -170,10 +170,9 @@ static int run(const cli_settings *settings, dipole_client *client) {
 const cli_command cli_command_sample = {
     .name = "sample",
     .about = "Draw radii in proportion to the light that leaves there",
-    .more = "\n"
-            "Each number u gives the radius within which the share u of the light leaves. So\n"
-            "uniform numbers give radii in proportion to r R(r). All channels get the same\n"
-            "numbers.\n" CLI_DEFAULT_TEXT,
+    .more = "Each number u gives the radius within which the share u of the light leaves. So "
+            "uniform numbers give radii in proportion to r R(r). All channels get the same "
+            "numbers." CLI_DEFAULT_TEXT,
     .formats = "table,csv,json",
     .options = {cli_medium_options, options},
     .parameters = CLI_OF_MODELS,

@@ -138,11 +138,10 @@ const cli_command cli_command_table = {
     .name = "table",
     .about = "Fetch tables of a medium, to be evaluated without a daemon",
     .more =
-        "\n"
-        "Each channel has a table, as the evaluator lut uses it. --tolerance says how exact it\n"
-        "is, from 1e-6 to 1 (default: 1e-4). A value above 0.1 counts as 0.1. `dipole eval\n"
-        "--table`, libdipole and the Python module evaluate a file of --output to the same bits\n"
-        "and errors as the daemon.\n",
+        "Each channel has a table, as the evaluator lut uses it. --tolerance says how exact it "
+        "is, from 1e-6 to 1 (default: 1e-4). A value above 0.1 counts as 0.1. `dipole eval "
+        "--table`, libdipole and the Python module evaluate a file of --output to the same bits "
+        "and errors as the daemon.",
     .formats = "table,csv,json",
     .options = {cli_medium_options, options},
     .parameters = CLI_OF_MODELS,

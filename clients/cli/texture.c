@@ -259,16 +259,14 @@ const cli_command cli_command_texture = {
     .second_operand = "OUT",
     .about = "Map an image of colours to images of the media that have them",
     .more =
-        "\n"
-        "IN is a PNG or a PFM (portable float map). Each of its values is a colour: the diffuse\n"
+        "IN is a PNG or a PFM (portable float map). Each of its values is a colour: the diffuse "
         "albedo, the share of the power that leaves of that which entered. OUT ends with .pfm; "
-        "with\n"
-        "several coefficients their names stand before the ending, as in skin.sigma_a.pfm. The\n"
-        "media have the colours under the model, to 1e-5 with transport. A colour that no medium\n"
-        "has becomes NaN; then the exit status is 3. An EXR goes through `ffmpeg -i skin.exr\n"
-        "skin.pfm` before, and what is written through `ffmpeg -i skin.sigma_a.pfm sigma_a.exr`.\n"
-        "Both keep the numbers. FFmpeg 5.1 turns a PFM upside down when it writes and reads one:\n"
-        "add `-vf vflip` if the image that went in was no EXR.\n",
+        "with several coefficients their names stand before the ending, as in skin.sigma_a.pfm. "
+        "The media have the colours under the model, to 1e-5 with transport. A colour that no "
+        "medium has becomes NaN; then the exit status is 3. An EXR goes through `ffmpeg -i "
+        "skin.exr skin.pfm` before, and what is written through `ffmpeg -i skin.sigma_a.pfm "
+        "sigma_a.exr`. Both keep the numbers. FFmpeg 5.1 turns a PFM upside down when it writes "
+        "and reads one: add `-vf vflip` if the image that went in was no EXR.",
     .formats = "none",
     .options = {options},
     .parameters = CLI_OF_MODELS,

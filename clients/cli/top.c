@@ -336,12 +336,11 @@ static const cli_option options[] = {
 const cli_command cli_command_top = {
     .name = "top",
     .about = "Watch a daemon: requests, radii and bytes each second, latencies, queues",
-    .more =
-        "\nOn a terminal, each table takes the place of the one before; Ctrl-C ends the command.\n"
-        "While the daemon does not answer, its reason stands there, and `top` tries again.\n"
-        "Elsewhere, each interval gives a table, or a line of CSV or JSON for each statistic.\n"
-        "Names end with their units; per_s is the rate over the interval. Latencies are those of\n"
-        "all requests since the daemon's start. Tables leave out what has not risen.\n",
+    .more = "On a terminal, each table takes the place of the one before; Ctrl-C ends the command. "
+            "While the daemon does not answer, its reason stands there, and `top` tries again. "
+            "Elsewhere, each interval gives a table, or a line of CSV or JSON for each statistic. "
+            "Names end with their units; per_s is the rate over the interval. Latencies are those "
+            "of all requests since the daemon's start. Tables leave out what has not risen.",
     .formats = "table,csv,json",
     .options = {options},
     .examples = "  dipole top --connect unix:/tmp/dipoled.sock\n"
