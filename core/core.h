@@ -208,7 +208,7 @@ const core_measured_medium *core_measured_medium_by_name(const char *name);
 /* ---- parameters ------------------------------------------------------------------------------ */
 
 /* Not of the wire: if it is given, core_profile_prepare() also prepares what the derivatives of ln
- * R need, unless the model does not have them. */
+ * R need, and refuses models that do not have them. */
 enum { CORE_PARAMETER_DERIVATIVES = 0 };
 
 /* Optional numbers of a request: value[CORE_PARAMETER_...], or NaN if it is not given. */
@@ -322,13 +322,8 @@ typedef struct core_profile {
   struct core_profile *parts;         /* [2], owned; NULL unless the profile is a sum */
   double *table;                      /* holds the coefficients if they need more room; owned */
   size_t table_bytes;
-  float *lut;       /* table of the evaluator lut (core/lut/lut.h); owned */
-  size_t lut_count; /* number of words of lut */
-  /* Neighbours of the medium in sigma_a, then in sigma_s (core/kernels.h); NULL if the kernels need
-   * none or the derivatives were not asked for; owned */
-  struct core_profile *near;
-  size_t near_count;
-  int near_first[2];           /* position of the first one of each coefficient */
+  float *lut;                  /* table of the evaluator lut (core/lut/lut.h); owned */
+  size_t lut_count;            /* number of words of lut */
   struct core_profile *source; /* from which lut was made, NULL if downloaded; owned */
   double scale_mm;             /* order of magnitude of the radii that matter */
   double cos_in;               /* cosines of the angles of S */
@@ -356,6 +351,9 @@ bool core_prepares_slowly(unsigned model, unsigned evaluator, const core_medium 
 
 /* Whether core_albedo() takes as long as preparing does, and that is long. */
 bool core_finds_albedo_slowly(unsigned model);
+
+/* Whether a model has the quantities BY_SIGMA_A and BY_SIGMA_S. */
+bool core_has_derivatives(unsigned model);
 
 /* Sets *albedo to what core_profile_prepare() would set core_profile.albedo to, for
  * CORE_EVALUATOR_F64 without parameters; NaN on a fault. Arguments and faults are those of
@@ -434,7 +432,7 @@ size_t core_profile_bytes(const core_profile *profile);
  *   TRANSFER the reflectance for striped light, the Hankel transform of R(r): the numbers r[n] are
  *          spatial frequencies f in 1/mm, and R(f) is int 2 pi r R(r) J0(2 pi f r) dr. R(0) is the
  *          albedo, R(infinity) 0. Its error is absolute: the numerical error times the albedo
- *   BY_SIGMA_A  d ln R / d ln sigma_a at fixed r, sigma_s, g and eta; 1
+ *   BY_SIGMA_A  d ln R / d ln sigma_a at fixed r, sigma_s, g and eta, if core_has_derivatives(); 1
  *   BY_SIGMA_S  d ln R / d ln sigma_s at fixed r, sigma_a, g and eta, which is also that by ln
  *          sigma_s'; 1. Both are 0 where ln R is -infinity, and at r = 0 they are the limit. Their
  *          error is absolute: derivative_error + derivative_error_per_mm r. The profile has to be

@@ -167,10 +167,9 @@ void core_evaluate(const core_profile *profile, enum core_quantity quantity, siz
   if (profile->parts == NULL) {
     if (profile->kernels->f64->evaluate[position(quantity)] != NULL) {
       core_run_kernel(profile, position(quantity), n, r, out);
-    } else if (quantity == CORE_QUANTITY_TRANSFER) {
-      core_transfer(profile, n, r, out);
     } else {
-      core_derivative(profile, quantity, n, r, out);
+      assert(quantity == CORE_QUANTITY_TRANSFER);
+      core_transfer(profile, n, r, out);
     }
     return;
   }

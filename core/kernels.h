@@ -74,9 +74,8 @@ typedef void core_varying_gradient_kernel_f64(const double *shared, const double
                                               double *by_ln_sigma_s);
 
 /* An entry is NULL where core has one method for all models: core/evaluate.c makes S, the pdf and
- * 2 pi r R from R, core/transfer.c transforms R, core/derivative.c takes differences of ln R, and core/sample.c
- * inverts the cdf. If all entries of an f32 table
- * are NULL, core evaluates in double precision and rounds. The entries for media that vary are NULL
+ * 2 pi r R from R, core/transfer.c transforms R, and core/sample.c inverts the cdf. Derivatives of ln R
+ * have no such method. If all entries of an f32 table are NULL, core evaluates in double precision and rounds. The entries for media that vary are NULL
  * too if a model has none. */
 typedef struct core_kernels_f64 {
   core_kernel_f64 *evaluate[CORE_ELEMENTWISE_COUNT]; /* in: radii in mm */
@@ -155,7 +154,7 @@ typedef struct core_preparation {
   core_added_errors added; /* further error by band of radii, 0 for every model but transport */
   double slope_error;      /* numerical error of dR/dr if it is larger than error, else 0 */
   double slope_epsilons;   /* what rounding adds to error_epsilons for dR/dr */
-  /* error of derivatives that have kernels, if it is not that of R, else 0 */
+  /* error of derivatives, if it is not that of R, else 0 */
   double derivative_error;
   double derivative_error_per_mm;
   double error_epsilons;        /* further error, in epsilons of the evaluator */
@@ -256,25 +255,6 @@ static inline void core_run_kernel(const core_profile *profile, enum core_elemen
 /* Does what core_evaluate() does for the quantity TRANSFER of models without a kernel for it. The
  * profile is not a sum. */
 void core_transfer(const core_profile *profile, size_t n, const double *f, double *out);
-
-/* The neighbours of a profile in one coefficient: the coefficient times e^(j STEP), where j counts
- * from the position of the first one, which is -3, or 0 or -6 where the model is another one on one
- * side. */
-enum { CORE_NEIGHBOURS = 7 };
-#define CORE_NEIGHBOUR_STEP 0x1p-6
-
-/* Returns e^(position STEP). */
-double core_neighbour_factor(int position);
-
-/* Returns by how much these differences are off for ln y, where y is the distance in mean free paths
- * 1 / sigma_t' from the source, which is one deep, to the far side of a slab. in_s: whether sigma_s
- * changes. first: the position of the first neighbour. y is positive in all of them. */
-double core_slab_truncation(const core_medium *medium, double thickness_mm, bool in_s, int first);
-
-/* Does what core_evaluate() does for BY_SIGMA_A and BY_SIGMA_S of models without kernels for them.
- * The profile is not a sum, and has neighbours or does not depend on the medium. */
-void core_derivative(const core_profile *profile, enum core_quantity quantity, size_t n,
-                     const double *r, double *out);
 
 /* Whether a profile has kernels and coefficients in single precision. */
 static inline bool core_is_narrow(const core_profile *profile) {

@@ -201,7 +201,7 @@ double core_banded_error(const double errors[CORE_MODEL_ERROR_BANDS + 1], double
  * them, because almost no energy is left there. */
 enum { FOLLOWS_R = AT_RADII | CORE_QUANTITY_SLOPE };
 
-/* The reach of neighbours, over that of the profile. */
+/* The reach of derivatives, over that of the profile. */
 #define NEAR_REACH 0.9
 
 /* Returns the error of the derivatives of ln R, absolute. Beyond the reach it is not known. */

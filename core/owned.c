@@ -9,9 +9,6 @@ size_t core_profile_bytes(const core_profile *profile) {
   if (profile->source != NULL) {
     bytes += sizeof *profile->source + core_profile_bytes(profile->source);
   }
-  for (size_t i = 0; i < profile->near_count; i++) {
-    bytes += sizeof profile->near[i] + core_profile_bytes(&profile->near[i]);
-  }
   for (int i = 0; i < 2 && profile->parts != NULL; i++) {
     bytes += sizeof profile->parts[i] + core_profile_bytes(&profile->parts[i]);
   }
@@ -28,12 +25,6 @@ void core_profile_free(core_profile *profile) {
     free(profile->source);
     profile->source = NULL;
   }
-  for (size_t i = 0; i < profile->near_count; i++) {
-    core_profile_free(&profile->near[i]);
-  }
-  free(profile->near);
-  profile->near = NULL;
-  profile->near_count = 0;
   if (profile->parts != NULL) {
     core_profile_free(&profile->parts[0]);
     core_profile_free(&profile->parts[1]);

@@ -24,9 +24,10 @@ struct model {
   unsigned parts[2];   /* ids of the two models of a sum */
 };
 
-#define SLOW 1u           /* the bit of id 0, which no parameter has */
-#define COSTLY (1u << 31) /* the bit of id 31, which no parameter has */
-#define SOLVES (1u << 30) /* the bit of id 30, which no parameter has */
+#define SLOW 1u            /* the bit of id 0, which no parameter has */
+#define COSTLY (1u << 31)  /* the bit of id 31, which no parameter has */
+#define SOLVES (1u << 30)  /* the bit of id 30, which no parameter has */
+#define DERIVES (1u << 29) /* the bit of id 29, which no parameter has */
 #define BIT(IDENT) (1u << CORE_PARAMETER_##IDENT)
 #define TAKEN_BY_ALL (BIT(TOLERANCE) | BIT(COS_IN) | BIT(COS_OUT))
 
@@ -53,6 +54,13 @@ static unsigned parameters_of(const struct model *model) {
   return model->check != NULL
              ? model->parameters | TAKEN_BY_ALL
              : parameters_of(find(model->parts[0])) | parameters_of(find(model->parts[1]));
+}
+
+bool core_has_derivatives(unsigned model) {
+  const struct model *found = find(model);
+  return found != NULL && (found->check != NULL ? (found->parameters & DERIVES) != 0
+                                                : core_has_derivatives(found->parts[0]) &&
+                                                      core_has_derivatives(found->parts[1]));
 }
 
 bool core_prepares_slowly(unsigned model, unsigned evaluator, const core_medium *medium,
@@ -135,10 +143,6 @@ static core_fault check_domain(const struct model *model, core_inputs inputs,
   return fault;
 }
 
-static bool wants_derivatives(const core_inputs *inputs) {
-  return !isnan(inputs->parameters->value[CORE_PARAMETER_DERIVATIVES]);
-}
-
 static core_fault check(const struct model *model, unsigned moments, unsigned evaluator,
                         const core_inputs *inputs, core_radii_range *radii) {
   if (model == NULL) {
@@ -161,8 +165,9 @@ static core_fault check(const struct model *model, unsigned moments, unsigned ev
       inputs->parameters->value[CORE_PARAMETER_TOLERANCE] < CORE_LUT_TOLERANCE_MIN) {
     fault = (core_fault){"tolerance", CORE_TEXT(CORE_LUT_TOLERANCE_MIN) " to 1 with lut", 0};
   }
-  if (fault.field == NULL && model->id == CORE_MODEL_GAUSSIANS && wants_derivatives(inputs)) {
-    fault = (core_fault){"wanted", "no derivatives: each medium has a fit of its own", 0};
+  if (fault.field == NULL && !isnan(inputs->parameters->value[CORE_PARAMETER_DERIVATIVES]) &&
+      !core_has_derivatives(model->id)) {
+    fault = (core_fault){"wanted", "no derivatives: this model does not have them", 0};
   }
   *radii = (core_radii_range){0, (double)INFINITY};
   return fault.field == NULL ? check_domain(model, *inputs, radii) : fault;
@@ -199,30 +204,15 @@ static void set_numerical_errors(core_profile *profile, double error,
   }
 }
 
-/* ---- neighbours ------------------------------------------------------------------------------ */
+/* ---- derivatives ----------------------------------------------------------------------------- */
 
-#define NEAR_TOLERANCE 1e-11
-
-/* Differences add up the errors of ln R with these weights, in the middle or at an end, and are
- * truncated by less than TRUNCATION (1 + rate r), where ln R changes by `rate` per mm. */
-#define NEAR_WEIGHTS (1.9 / CORE_NEIGHBOUR_STEP)
-#define NEAR_WEIGHTS_AT_END (28 / CORE_NEIGHBOUR_STEP)
-#define TRUNCATION 1e-10
-/* Behind a slab R is in proportion to y / (y^2 + r^2)^(3/2) where the distance y from the source to
- * the far side is small. So ln R has one ln y and three ln |y + i r|, whose differences are off by
- * no more than those of ln y. They make up for each other in part: 2.6 of them are left at most. */
-#define TRUNCATION_BEHIND_SLAB 3.0
-
-static core_fault prepare(core_profile *profile, const struct model *model, core_inputs inputs,
-                          core_radii_range radii);
-
-/* The error of derivatives that have kernels, in errors of R. */
+/* The error of derivatives, in errors of R, of models that state none of their own. */
 #define OWN_DERIVATIVE 4.0
 
 /* Adds the rounding to single precision of derivatives that are computed in double precision. rate:
- * by how much ln R changes per mm at most, of radius or thickness. */
-static void round_derivatives(core_profile *profile, double rate, double thickness_mm) {
-  profile->derivative_error += (8 + rate * thickness_mm) * (double)FLT_EPSILON;
+ * by how much ln R changes per mm at most. */
+static void round_derivatives(core_profile *profile, double rate) {
+  profile->derivative_error += 8 * (double)FLT_EPSILON;
   profile->derivative_error_per_mm += (double)FLT_EPSILON * rate;
 }
 
@@ -230,128 +220,20 @@ static bool rounds_derivatives(const core_profile *profile) {
   return profile->evaluator != CORE_EVALUATOR_F64 && !core_is_narrow(profile);
 }
 
-/* The medium at a position among the neighbours in sigma_a or sigma_s. */
-static core_medium neighbour_of(const core_medium *medium, bool in_s, int position) {
-  core_medium other = *medium;
-  *(in_s ? &other.sigma_s_per_mm : &other.sigma_a_per_mm) *= core_neighbour_factor(position);
-  return other;
-}
-
-/* Whether the model takes a neighbour. */
-static bool is_smooth(const struct model *model, const core_inputs *inputs, bool in_s,
-                      int position) {
-  const core_medium medium = neighbour_of(inputs->medium, in_s, position);
-  core_radii_range radii;
-  core_inputs other = *inputs;
-  other.medium = &medium;
-  return check(model, other.moments, CORE_EVALUATOR_F64, &other, &radii).field == NULL;
-}
-
-/* Sets *first to the position of the first neighbour. Returns whether all are smooth. */
-static bool find_first(const struct model *model, const core_inputs *inputs, bool in_s,
-                       const int firsts[], size_t count, int *first) {
-  for (size_t i = 0; i < count; i++) {
-    *first = firsts[i];
-    if (is_smooth(model, inputs, in_s, *first) &&
-        is_smooth(model, inputs, in_s, *first + CORE_NEIGHBOURS - 1)) {
-      return true;
-    }
-  }
-  return false;
-}
-
-/* Chooses the tolerance of the neighbours and the position of the first. */
-static core_fault choose_near(const struct model *model, core_inputs *inputs,
-                              core_parameters *parameters, bool in_s, int *first) {
-  static const int firsts[] = {-3, 0, 1 - CORE_NEIGHBOURS};
-  double *tolerance = &parameters->value[CORE_PARAMETER_TOLERANCE];
-  inputs->parameters = parameters;
-  inputs->accepted = 0;
-  *tolerance = NEAR_TOLERANCE;
-  return find_first(model, inputs, in_s, firsts, 3, first)
-             ? (core_fault){0}
-             : (core_fault){"wanted", "no derivatives: the model ends next to this medium", 0};
-}
-
-/* Prepares the neighbours in one coefficient. */
-static core_fault prepare_row(core_profile *profile, const struct model *model, core_inputs inputs,
-                              bool in_s) {
-  core_parameters parameters = *inputs.parameters;
-  parameters.value[CORE_PARAMETER_DERIVATIVES] = (double)NAN;
-  core_fault fault = choose_near(model, &inputs, &parameters, in_s, &profile->near_first[in_s]);
-  const core_medium medium = *inputs.medium;
-  for (int i = 0; i < CORE_NEIGHBOURS && fault.field == NULL; i++) {
-    const core_medium other = neighbour_of(&medium, in_s, profile->near_first[in_s] + i);
-    core_profile *neighbour = &profile->near[profile->near_count];
-    inputs.medium = &other;
-    neighbour->evaluator = CORE_EVALUATOR_F64;
-    fault = prepare(neighbour, model, inputs, profile->radii);
-    profile->near_count += fault.field == NULL;
-  }
-  return fault;
-}
-
-/* Sets the error of differences. rate: by how much ln R changes per mm, at most. */
-static void set_near_error(core_profile *profile, const core_inputs *inputs, double rate) {
-  const double thickness_mm = core_parameter_or(inputs, CORE_PARAMETER_THICKNESS, 0);
-  const core_profile *middle = &profile->near[-profile->near_first[0]];
-  const bool centred = profile->near_first[0] == -3 && profile->near_first[1] % 6 != 0;
-  const double weights = centred ? NEAR_WEIGHTS : NEAR_WEIGHTS_AT_END;
-  const double truncation = centred ? TRUNCATION : 20 * TRUNCATION;
-  const double error = middle->numerical_error;
-  const double through = rate * thickness_mm; /* the change of ln R through a slab */
+static void set_derivative_error(core_profile *profile, const core_preparation *preparation) {
+  const bool own = preparation->derivative_error > 0;
   profile->derivative_error =
-      weights * (error + (512 + 8 * through) * DBL_EPSILON) + truncation * (1 + through);
-  if (thickness_mm > 0 && (inputs->variant & CORE_SLAB_TRANSMITTED) != 0) {
-    const int *first = profile->near_first;
-    profile->derivative_error +=
-        TRUNCATION_BEHIND_SLAB *
-        fmax(core_slab_truncation(&profile->medium, thickness_mm, false, first[0]),
-             core_slab_truncation(&profile->medium, thickness_mm, true, first[1]));
-  }
+      own ? preparation->derivative_error : OWN_DERIVATIVE * profile->numerical_error;
   profile->derivative_error_per_mm =
-      weights * (middle->numerical_error_per_mm + 8 * DBL_EPSILON * rate) + truncation * rate;
-}
-
-/* Prepares the neighbours of a profile. */
-static core_fault prepare_near(core_profile *profile, const struct model *model,
-                               const core_inputs *inputs) {
-  const bool slab = !isnan(inputs->parameters->value[CORE_PARAMETER_THICKNESS]);
-  profile->near_first[0] = profile->near_first[1] = -3;
-  profile->near = calloc(2 * CORE_NEIGHBOURS, sizeof *profile->near);
-  if (profile->near == NULL) {
-    return CORE_OUT_OF_MEMORY;
-  }
-  const core_fault fault = prepare_row(profile, model, *inputs, false);
-  return fault.field == NULL && slab ? prepare_row(profile, model, *inputs, true) : fault;
-}
-
-/* Prepares the derivatives of a model, and sets their error. */
-static core_fault prepare_derivatives(core_profile *profile, const struct model *model,
-                                      const core_inputs *inputs,
-                                      const core_preparation *preparation) {
-  const double rate =
-      fmax(preparation->error_epsilons_per_mm, 2 * core_sigma_t_prime(&profile->medium));
-  const double thickness_mm = core_parameter_or(inputs, CORE_PARAMETER_THICKNESS, 0);
-  if (profile->kernels->f64->evaluate[CORE_ELEMENTWISE_BY_SIGMA_A] != NULL) {
-    const bool own = preparation->derivative_error > 0;
-    profile->derivative_error =
-        own ? preparation->derivative_error : OWN_DERIVATIVE * profile->numerical_error;
-    profile->derivative_error_per_mm = own ? preparation->derivative_error_per_mm
-                                           : OWN_DERIVATIVE * profile->numerical_error_per_mm;
-  } else if ((profile->notes & CORE_NOTE_MEDIUM_UNUSED) == 0) {
-    const core_fault fault = prepare_near(profile, model, inputs);
-    if (fault.field != NULL) {
-      core_profile_free(profile);
-      return fault;
-    }
-    set_near_error(profile, inputs, rate);
-  }
+      own ? preparation->derivative_error_per_mm : OWN_DERIVATIVE * profile->numerical_error_per_mm;
   if (rounds_derivatives(profile)) {
-    round_derivatives(profile, rate, thickness_mm);
+    round_derivatives(profile, fmax(preparation->error_epsilons_per_mm,
+                                    2 * core_sigma_t_prime(&profile->medium)));
   }
-  return (core_fault){0};
 }
+
+static core_fault prepare(core_profile *profile, const struct model *model, core_inputs inputs,
+                          core_radii_range radii);
 
 static core_fault prepare_model(core_profile *profile, const struct model *model,
                                 const core_inputs *inputs) {
@@ -392,8 +274,8 @@ static core_fault prepare_model(core_profile *profile, const struct model *model
       profile->coefficients.f64[i] = preparation.coefficients[i];
     }
   }
-  return wants_derivatives(inputs) ? prepare_derivatives(profile, model, inputs, &preparation)
-                                   : fault;
+  set_derivative_error(profile, &preparation);
+  return fault;
 }
 
 /* The mean of both parts' derivatives is weighted with R, whose errors count by how far the parts'
@@ -409,7 +291,7 @@ static void set_sum_derivative_error(core_profile *profile) {
       fmax(parts[0].derivative_error_per_mm, parts[1].derivative_error_per_mm) +
       4 * numerical * rate;
   if (rounds_derivatives(profile)) {
-    round_derivatives(profile, rate, 0);
+    round_derivatives(profile, rate);
   }
 }
 
@@ -546,8 +428,7 @@ static core_fault prepare_table(core_profile *profile, const struct model *model
   profile->derivative_error = source->derivative_error;
   profile->derivative_error_per_mm = source->derivative_error_per_mm;
   round_derivatives(profile,
-                    2 * fmax(medium->eta, 1) * (medium->sigma_a_per_mm + medium->sigma_s_per_mm),
-                    core_parameter_or(&inputs, CORE_PARAMETER_THICKNESS, 0));
+                    2 * fmax(medium->eta, 1) * (medium->sigma_a_per_mm + medium->sigma_s_per_mm));
   return fault;
 }
 

@@ -213,15 +213,10 @@ static bool transforms(const core_profile *profile, unsigned wanted) {
           profile->kernels->f64->evaluate[CORE_ELEMENTWISE_TRANSFER] == NULL);
 }
 
-/* Whether derivatives are differences of ln R of neighbours, up to 21 at each radius. */
-static bool differentiates(const core_profile *profile, unsigned wanted) {
-  return core_wants_derivatives(wanted) &&
-         (profile->parts != NULL || profile->lut != NULL || profile->near != NULL);
-}
-
 double core_radius_cost(const core_profile *profile, unsigned wanted) {
-  return profile->cost * (differentiates(profile, wanted) ? 21 : 1) +
-         (transforms(profile, wanted) ? 60 : 0);
+  const core_profile *derives =
+      core_wants_derivatives(wanted) && profile->source != NULL ? profile->source : profile;
+  return derives->cost + (transforms(profile, wanted) ? 60 : 0);
 }
 
 double core_call_cost(const core_profile *profile, unsigned wanted) {

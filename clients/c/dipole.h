@@ -277,7 +277,8 @@ enum dipole_quantity {
    * albedo. */
   DIPOLE_TRANSFER = 512,
   /* The derivatives of ln R by ln sigma_a and by ln sigma_s (or sigma_s') at fixed r, g and eta, for
-   * fits. Both are 0 where R is 0. Their errors are absolute. */
+   * fits. Both are 0 where R is 0. Their errors are absolute. Dipoles, Burley's models, single
+   * scattering, the sums of dipoles and it, and transport have them. */
   DIPOLE_BY_SIGMA_A = 1024,
   DIPOLE_BY_SIGMA_S = 2048,
   /* dipole_channel.model_error. Finding it takes a millisecond for each new medium, and microseconds

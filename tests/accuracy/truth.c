@@ -598,7 +598,7 @@ static void draw_subject(size_t model, bool slow, bool table, uint64_t *random) 
   s.moments = 1 + (unsigned)below(random, 4);
   s.moments =
       core_fresnel_check(s.moments, s.medium.eta).field == NULL ? s.moments : CORE_MOMENTS_EXACT;
-  s.derivatives = s.family != FORM_FIT && below(random, 4) == 0;
+  s.derivatives = core_has_derivatives(models[model]) && below(random, 4) == 0;
   if (s.derivatives) { /* form_neighbours_prepare() needs few bits */
     s.medium.sigma_a_per_mm = shortened(s.medium.sigma_a_per_mm);
     s.medium.sigma_s_per_mm = shortened(s.medium.sigma_s_per_mm);

@@ -189,6 +189,10 @@ static bool is_tabulated(const core_choice *model) {
  * are prepared only twice: for R and for the cdf. */
 static bool is_due(const core_choice *model, const core_choice *evaluator,
                    const core_choice *quantity) {
+  if (quantity != NULL && core_wants_derivatives(quantity->id) &&
+      !core_has_derivatives(model->id)) {
+    return false;
+  }
   const bool needed =
       quantity != NULL && (quantity->id == CORE_QUANTITY_R || quantity->id == CORE_QUANTITY_CDF);
   if (evaluator->id == CORE_EVALUATOR_LUT) {

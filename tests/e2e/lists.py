@@ -77,6 +77,19 @@ OTHER_PARAMETERS = {**MC_PARAMETERS, **FIT_PARAMETERS}
 PARAMETERS = {name: one for name, (one, _) in _PARAMETERS.items() if name not in OTHER_PARAMETERS}
 NOTES = choices("CORE_NOTE")
 QUANTITIES = choices("CORE_QUANTITY")
+DERIVATIVES = QUANTITIES["dlnR_dln_sigma_a"] | QUANTITIES["dlnR_dln_sigma_s"]
+
+
+def has_derivatives(model: str) -> bool:
+    """Whether the model has the quantities DERIVATIVES."""
+    return model.removesuffix("+single") in {
+        name
+        for name, about in re.findall(
+            r'^CORE_MODEL\(\d+, \w+, "(.*?)",([^"]*)', read_list("core/models.def"), re.M
+        )
+        if "DERIVES" in about
+    }
+
 
 
 # ---- what only a daemon can tell -----------------------------------------------------------------

@@ -7,11 +7,11 @@ import random
 import numpy as np
 from frames import F32, F64, LINEAR, LOGARITHMIC, eval_payload
 from lists import (
-    DIPOLES, MODELS, MOMENTS, PARAMETERS, QUANTITIES, Moments, everywhere, needs, takes_media,
+    DERIVATIVES, DIPOLES, MODELS, MOMENTS, PARAMETERS, QUANTITIES, Moments, everywhere,
+    has_derivatives, needs, takes_media,
 )
 
 ALL_QUANTITIES = sum(QUANTITIES.values()) - QUANTITIES["model_errors"]  # which solves media
-DERIVATIVES = QUANTITIES["dlnR_dln_sigma_a"] | QUANTITIES["dlnR_dln_sigma_s"]
 # Only the cheapest models are evaluated at this many radii: such requests do not test the models.
 MANY_RADII = 2000
 # Preparing one medium of this model takes a third of a second, so its requests have one medium
@@ -70,7 +70,7 @@ def random_payload(rng: random.Random, count: int) -> bytes:
         "moments": moments.id,
         "wanted": rng.randint(1, ALL_QUANTITIES),
     }
-    if model in ("gaussians", SLOW):  # fits have no derivatives, and those of solutions take long
+    if not has_derivatives(model) or model == SLOW:  # those of solutions take long
         fields["wanted"] = fields["wanted"] & ~DERIVATIVES or QUANTITIES["R"]
     given = random_parameters(rng, model)
     parameters = [(PARAMETERS[name].id, value) for name, value in given.items()]

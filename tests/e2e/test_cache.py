@@ -12,7 +12,7 @@ from frames import (
     ALBEDO, EVAL, F32, LOGARITHMIC, R, ask, assert_closed, assert_daemon_serves, assert_error,
     eval_payload, frame,
 )
-from lists import EVALUATORS, MODELS, PARAMETERS, QUANTITIES
+from lists import DERIVATIVES, EVALUATORS, MODELS, PARAMETERS, QUANTITIES, has_derivatives
 
 REPLY = EVAL | wire.REPLY
 MEDIA = [(0.032, 0.74, 0, 1.3), (0.17, 0.88, 0, 1.3), (0.48, 1.01, 0.3, 1.4)]
@@ -169,8 +169,8 @@ def test_answers_do_not_depend_on_the_cache(daemon, model):
     # Each preparation takes a tenth of a second.
     some = MEDIA[:1] if model == "transport" else MEDIA
     wanted = sum(QUANTITIES.values())
-    if model == "gaussians":  # a fit has no derivatives
-        wanted -= QUANTITIES["dlnR_dln_sigma_a"] + QUANTITIES["dlnR_dln_sigma_s"]
+    if not has_derivatives(model):
+        wanted -= DERIVATIVES
     requests = [
         payload(model, some, wanted=wanted),
         payload(model, some[::-1], wanted=R, evaluator=F32),

@@ -65,23 +65,20 @@ BY = ("dlnR_dln_sigma_a", "dlnR_dln_sigma_s")
 
 @pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
 @pytest.mark.parametrize(
-    "model", ["better", "burley", "better+single", "extended", "multipole", "transport"]
+    "model", ["better", "burley", "better+single", "transport"]
 )
 def test_derivatives_are_slopes_of_ln_R(client, model, evaluator):
     """They are those of differences of ln R, and of the same numbers alone as in company."""
-    given = {"thickness": 5} if model == "multipole" else {}
     medium, r = Medium(0.1, 1.0, 0.0, 1.4), np.array([0.25, 1.0, 4.0], np.float32)
-    answer = client.eval(model, medium, r, wanted=BY, evaluator=evaluator, parameters=given)
-    fine = {**given, "tolerance": 1e-7} if model == "transport" else given
+    answer = client.eval(model, medium, r, wanted=BY, evaluator=evaluator)
+    fine = {"tolerance": 1e-7} if model == "transport" else {}
     for i, name in enumerate(BY):
         steps = np.exp(0.02 * np.array([1, -1]))
         media = [Medium(0.1 * f if i == 0 else 0.1, f if i else 1.0, 0.0, 1.4) for f in steps]
         ln_R = client.eval(model, media, r, wanted="ln_R", parameters=fine).ln_R
         slope = (ln_R[0] - ln_R[1]) / 0.04
         assert getattr(answer, name)[0] == pytest.approx(slope, abs=2e-4)
-    both = client.eval(
-        model, medium, r, wanted=(*BY, "R", "albedo"), evaluator=evaluator, parameters=given
-    )
+    both = client.eval(model, medium, r, wanted=(*BY, "R", "albedo"), evaluator=evaluator)
     if model != "transport":
         for name in BY:
             np.testing.assert_array_equal(getattr(both, name), getattr(answer, name))
@@ -115,9 +112,10 @@ def test_errors_of_one_radius_and_of_none(client, evaluator):
 
 
 def test_media_without_derivatives_are_refused(client):
-    with pytest.raises(Refused) as caught:
-        client.eval("gaussians", Medium(0.1, 1.0), [1.0], wanted=BY)
-    assert caught.value.field == "wanted" and "fit" in caught.value.allowed
+    for model in ("gaussians", "extended", "quantized+single", "skin-red"):
+        with pytest.raises(Refused) as caught:
+            client.eval(model, Medium(0.1, 1.0), [1.0], wanted=BY)
+        assert caught.value.field == "wanted" and "this model" in caught.value.allowed
     with pytest.raises(Refused) as caught:
         client.eval(None, Medium(0.1, 1.0), [1.0], wanted=BY, tolerance=0.1)
     assert caught.value.field == "wanted" and "tolerance" in caught.value.allowed

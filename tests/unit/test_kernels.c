@@ -113,7 +113,7 @@ static pair_test compare_edges;
 static bool prepare(core_profile *profile, const char *isa, unsigned model, unsigned evaluator,
                     const core_medium *medium) {
   core_parameters parameters = unit_parameters(model, medium);
-  if (model != CORE_MODEL_GAUSSIANS) {
+  if (core_has_derivatives(model)) {
     parameters.value[CORE_PARAMETER_DERIVATIVES] = 1;
   }
   if (evaluator == CORE_EVALUATOR_LUT) { /* A coarse table tests the kernels as well. */
@@ -130,13 +130,13 @@ static bool prepare(core_profile *profile, const char *isa, unsigned model, unsi
   return false;
 }
 
-/* Returns whether a test compares a quantity. Fits have no derivatives. A quantity that a table does not hold is evaluated by
+/* Returns whether a test compares a quantity. Not all models have derivatives. A quantity that a table does not hold is evaluated by
  * the kernels of double precision, which are compared without a table: only its edges are tested. A
  * Hankel transform of R is the same code for all instruction sets: only its edges are tested,
  * once. */
 static bool is_compared(const kernel_pair *pair, unsigned quantity, pair_test *test) {
   const core_profile *profile = &pair->portable;
-  if (profile->model == CORE_MODEL_GAUSSIANS && core_wants_derivatives(quantity)) {
+  if (core_wants_derivatives(quantity) && !core_has_derivatives(profile->model)) {
     return false;
   }
   const bool transforms = core_call_cost(profile, quantity) > 0;
