@@ -5,7 +5,6 @@
 #include <math.h>
 
 #include "core/kernels.h"
-#include "core/model_error.h"
 #include "core/solver/solver.h"
 
 static const struct cost {
@@ -34,8 +33,6 @@ static const double solve_ns =
     ;
 
 enum {
-  UNMEASURED = CORE_QUANTITY_CDF | CORE_QUANTITY_SLOPE | CORE_QUANTITY_TRANSFER |
-               CORE_QUANTITY_BY_SIGMA_A | CORE_QUANTITY_BY_SIGMA_S,
   FOLLOWS_R = CORE_QUANTITY_R | CORE_QUANTITY_RING | CORE_QUANTITY_S | CORE_QUANTITY_SLOPE |
               CORE_QUANTITY_LN_R | CORE_QUANTITY_PDF,
   ELEMENTWISE = FOLLOWS_R | CORE_QUANTITY_CDF | CORE_QUANTITY_TRANSFER,
@@ -43,31 +40,15 @@ enum {
 
 /* ---- errors ---------------------------------------------------------------------------------- */
 
-/* Returns what `transport` makes of a medium. */
-static core_medium taken_of(const core_choose_request *request, size_t i) {
-  return core_transport_medium(&request->media[i],
-                               request->gamma > 0 ? request->gamma : (double)NAN);
-}
-
-/* Returns the model error of `transport`: 0, or that of gamma for the worst medium. It is INFINITY
- * where nothing was measured, or if transport does not take a medium. */
-static double model_error(const core_choose_request *request) {
-  double error = 0;
-  for (size_t i = 0; i < request->media_count && error < (double)INFINITY; i++) {
-    double here = 0;
-    if (request->gamma > 0) {
-      const core_model_errors errors = core_gamma_errors_find(request->gamma, &request->media[i]);
-      here =
-          (request->wanted & UNMEASURED) == 0
-              ? core_model_errors_of(&errors, &request->media[i], request->wanted, request->radii)
-              : (double)INFINITY;
-    }
-    const bool taken = core_profile_check(CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
-                                          CORE_EVALUATOR_F64, &request->media[i], NULL, NULL)
-                           .field == NULL;
-    error = taken && !isnan(here) ? fmax(error, here) : (double)INFINITY;
+/* Whether `transport` takes all media. */
+static bool is_taken(const core_choose_request *request) {
+  bool taken = true;
+  for (size_t i = 0; i < request->media_count && taken; i++) {
+    taken = core_profile_check(CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64,
+                               &request->media[i], NULL, NULL)
+                .field == NULL;
   }
-  return error;
+  return taken;
 }
 
 /* Returns the error that is added to the numerical error at radii beyond the reach and for
@@ -77,10 +58,9 @@ static double added_error(const core_choose_request *request) {
   for (size_t i = 0; i < request->media_count; i++) {
     const core_medium *medium = &request->media[i];
     const double most_mm = (request->wanted & FOLLOWS_R) != 0 ? request->radii.most_mm : 0;
-    const core_medium taken = taken_of(request, i);
     core_added_errors added;
-    core_transport_added_errors(&taken, &added);
-    error = fmax(error, core_error_beyond(core_transport_reach(&taken), most_mm) +
+    core_transport_added_errors(medium, &added);
+    error = fmax(error, core_error_beyond(core_transport_reach(medium), most_mm) +
                             core_banded_error(added.banded, added.all, medium, request->wanted,
                                               request->radii));
   }
@@ -106,8 +86,8 @@ static double logarithm_error(const core_choose_request *request) {
 static double table_error(const core_choose_request *request) {
   double error = 0;
   for (size_t i = 0; i < request->media_count; i++) {
-    const core_medium taken = taken_of(request, i);
-    error = fmax(error, core_transport_is_stored(&taken) ? core_transport_table_error(&taken)
+    const core_medium *medium = &request->media[i];
+    error = fmax(error, core_transport_is_stored(medium) ? core_transport_table_error(medium)
                                                          : (double)INFINITY);
   }
   return error;
@@ -118,7 +98,7 @@ static double slope_error(const core_choose_request *request) {
   double error = 0;
   for (size_t i = 0; i < request->media_count && (request->wanted & CORE_QUANTITY_SLOPE) != 0;
        i++) {
-    error = fmax(error, core_transport_slope_error(taken_of(request, i).g));
+    error = fmax(error, core_transport_slope_error(request->media[i].g));
   }
   return error > 0 ? error + DBL_EPSILON : 0;
 }
@@ -159,9 +139,9 @@ static void set_solved(core_candidate *candidate, const core_choose_request *req
   bool near = of_cdf || (request->wanted & (CORE_QUANTITY_PDF | CORE_QUANTITY_SLOPE)) != 0;
   double beyond = 0;
   for (size_t i = 0; i < request->media_count && follows_R; i++) {
-    const core_medium taken = taken_of(request, i);
-    near |= request->radii.least_mm * core_sigma_t_prime(&taken) < SOLVER_NEAR;
-    beyond = fmax(beyond, core_error_beyond(core_transport_reach(&taken), request->radii.most_mm));
+    const core_medium *medium = &request->media[i];
+    near |= request->radii.least_mm * core_sigma_t_prime(medium) < SOLVER_NEAR;
+    beyond = fmax(beyond, core_error_beyond(core_transport_reach(medium), request->radii.most_mm));
   }
   const bool doubled = of_cdf || (request->wanted & CORE_QUANTITY_PDF) != 0;
   const double errors = (request->wanted & CORE_QUANTITY_SLOPE) != 0 ? SLOPE_ERRORS
@@ -232,11 +212,10 @@ static core_candidate make_candidate(const core_choose_request *request,
                               .evaluator = evaluator,
                               .numerical_tolerance = (double)NAN,
                               .left = (double)NAN,
-                              .model_error = model_error(request),
                               .numerical_error = (double)INFINITY};
-  if (candidate.model_error < (double)INFINITY) {
+  if (is_taken(request)) {
     const double of_ln_R = logarithm_error(request), besides = of_ln_R + added_error(request);
-    const double left = (request->tolerance - candidate.model_error) / (1 + candidate.model_error);
+    const double left = request->tolerance;
     set_numerical_error(&candidate, request, left - besides);
     candidate.numerical_error += besides;
     finish(&candidate, request);

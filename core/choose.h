@@ -24,7 +24,6 @@ typedef struct core_choose_request {
   /* The largest accepted error of any value against radiative transport with Henyey-Greenstein
    * scattering and a Fresnel boundary. It is relative, but absolute for ln R. */
   double tolerance;
-  double gamma; /* the parameter gamma of all media, which only `transport` takes; 0: not given */
 } core_choose_request;
 
 /* A model with an evaluator, for a request. The errors are upper bounds, and INFINITY where nothing

@@ -91,70 +91,13 @@ double core_model_errors_of(const core_model_errors *errors, const core_medium *
   return error;
 }
 
-/* ---- the parameter gamma --------------------------------------------------------------------- */
-
-static const double gamma_least[] = {
-#define CORE_GAMMA_LEAST(gamma) gamma,
-#include "core/gamma_errors.def"
-};
-
-static const double gamma_ratios[] = {
-#define CORE_GAMMA_RATIO(ratio) ratio,
-#include "core/gamma_errors.def"
-};
-
-static const double gamma_etas[] = {
-#define CORE_GAMMA_ETA(least, most) least, most
-#include "core/gamma_errors.def"
-};
-
-enum { GAMMA_RATIOS = 2 };
-
-_Static_assert(sizeof gamma_ratios / sizeof gamma_ratios[0] == GAMMA_RATIOS, "a least and a most");
-
-static const struct gamma_errors {
-  double most;
-  double error[GAMMA_RATIOS][BANDS + 1];
-} gammas[] = {
-#define CORE_GAMMA_ERROR(gamma, ...) {gamma, {__VA_ARGS__}},
-#include "core/gamma_errors.def"
-};
-
-enum { GAMMAS = sizeof gammas / sizeof gammas[0] };
-
-/* Between the two ratios the error may be larger than at both, by up to this factor. */
-#define BETWEEN_RATIOS 1.08
-
-static bool is_within(double value, double least, double most) {
-  return value >= least * (1 - SLACK) && value <= most * (1 + SLACK);
-}
-
-core_model_errors core_gamma_errors_find(double gamma, const core_medium *medium) {
-  core_model_errors errors = core_model_errors_unknown();
-  size_t at = 0;
-  while (at < GAMMAS && gamma > gammas[at].most * (1 + SLACK)) {
-    at++;
-  }
-  if (at == GAMMAS || !(gamma >= gamma_least[0] * (1 - SLACK)) ||
-      !is_within(core_ratio_of(medium), gamma_ratios[0], gamma_ratios[1]) ||
-      !is_within(medium->eta, gamma_etas[0], gamma_etas[1])) {
-    return errors;
-  }
-  for (size_t i = 0; i <= BANDS; i++) {
-    errors.error[i] = BETWEEN_RATIOS * fmax(gammas[at].error[0][i], gammas[at].error[1][i]);
-  }
-  return errors;
-}
-
 double core_ratio_of(const core_medium *medium) {
   return medium->sigma_a_per_mm / (medium->sigma_s_per_mm * (1 - medium->g));
 }
 
-core_model_errors core_model_errors_stated(unsigned model, double gamma,
-                                           const core_medium *medium) {
-  return model != CORE_MODEL_TRANSPORT ? core_model_errors_unknown()
-         : isnan(gamma)                ? (core_model_errors){.exact = true}
-                                       : core_gamma_errors_find(gamma, medium);
+core_model_errors core_model_errors_stated(unsigned model, bool gamma) {
+  return model == CORE_MODEL_TRANSPORT && !gamma ? (core_model_errors){.exact = true}
+                                                 : core_model_errors_unknown();
 }
 
 /* ---- numerical errors ------------------------------------------------------------------------ */

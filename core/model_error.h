@@ -1,10 +1,4 @@
-/* model_error: model errors by band of radii, and those of the parameter gamma. core/ruler.h computes
- * the errors of models.
- *
- * Only the parameter gamma has errors that cannot be computed from a request: they depend on a
- * phase function of which it knows gamma alone. `make gamma-errors` has measured them
- * (core/gamma_errors.def).
- */
+/* model_error: model errors by band of radii. core/ruler.h computes them. */
 #ifndef DIPOLED_CORE_MODEL_ERROR_H
 #define DIPOLED_CORE_MODEL_ERROR_H
 
@@ -23,14 +17,9 @@ typedef struct core_model_errors {
   double error[CORE_MODEL_ERROR_BANDS + 1];
 } core_model_errors;
 
-/* Finds the errors of `transport` with the parameter gamma: the largest ones among modified and
- * two-term Henyey-Greenstein functions and those of spheres, with a gamma in the same range, times
- * 1.08. They are NAN where nothing was measured. */
-core_model_errors core_gamma_errors_find(double gamma, const core_medium *medium);
-
-/* Returns the errors that need no ruler: those of `transport`, which are 0 unless gamma is given. The
- * errors of all other models are unknown. */
-core_model_errors core_model_errors_stated(unsigned model, double gamma, const core_medium *medium);
+/* Returns the errors that need no ruler: 0 for `transport`, unless the parameter gamma is given, which
+ * does not tell the phase function. The errors of all other models are unknown. */
+core_model_errors core_model_errors_stated(unsigned model, bool gamma);
 
 /* Returns errors that are all NAN, which means not known. */
 core_model_errors core_model_errors_unknown(void);

@@ -61,10 +61,9 @@ static double off_by(enum core_quantity quantity, double value, double truth, do
 
 /* Returns the largest error that the model states itself; NAN if nothing is compared, INFINITY if one
  * of the errors is not known. */
-static double stated_error(const core_profile *profile, double gamma, unsigned wanted,
-                           core_radii_range radii) {
+static double stated_error(const core_profile *profile, unsigned wanted, core_radii_range radii) {
   const core_model_errors errors =
-      core_model_errors_stated(profile->model, gamma, &profile->medium);
+      core_model_errors_stated(profile->model, (profile->notes & CORE_NOTE_GAMMA) != 0);
   const unsigned at_radii = radii.least_mm <= radii.most_mm ? COMPARED | CORE_QUANTITY_S : 0;
   double worst = errors.exact ? 0 : (double)NAN;
   for (unsigned left = wanted & (at_radii | CORE_QUANTITY_ALBEDO); left != 0; left &= left - 1) {
@@ -74,12 +73,12 @@ static double stated_error(const core_profile *profile, double gamma, unsigned w
   return worst;
 }
 
-void core_model_errors_at(const core_profile *profile, const core_profile *transport, double gamma,
+void core_model_errors_at(const core_profile *profile, const core_profile *transport,
                           unsigned wanted, size_t n, const double *r, double *error) {
   assert(n <= CORE_RULER_RADII);
   if (transport == NULL) {
     for (size_t i = 0; i < n; i++) {
-      error[i] = stated_error(profile, gamma, wanted, (core_radii_range){r[i], r[i]});
+      error[i] = stated_error(profile, wanted, (core_radii_range){r[i], r[i]});
     }
     return;
   }
@@ -191,10 +190,10 @@ static double with_margin(const double *error, size_t n, size_t i, bool between)
   return error[i] + bend / 4;
 }
 
-double core_model_error(const core_profile *profile, const core_profile *transport, double gamma,
-                        unsigned wanted, const core_asked_radii *asked) {
+double core_model_error(const core_profile *profile, const core_profile *transport, unsigned wanted,
+                        const core_asked_radii *asked) {
   if (transport == NULL) {
-    return stated_error(profile, gamma, wanted, asked->range);
+    return stated_error(profile, wanted, asked->range);
   }
   double r[CORE_RULER_RADII], error[CORE_RULER_RADII];
   double most =
@@ -203,7 +202,7 @@ double core_model_error(const core_profile *profile, const core_profile *transpo
   const bool at_radii = (wanted & (COMPARED | CORE_QUANTITY_S)) != 0 && asked->grid.count > 0;
   const bool single = profile->evaluator != CORE_EVALUATOR_F64;
   const size_t n = at_radii ? choose_radii(asked, single, r, &between) : 0;
-  core_model_errors_at(profile, transport, gamma, wanted, n, r, error);
+  core_model_errors_at(profile, transport, wanted, n, r, error);
   for (size_t i = 0; i < n; i++) {
     if (isinf(error[i])) {
       return (double)INFINITY;
@@ -213,16 +212,16 @@ double core_model_error(const core_profile *profile, const core_profile *transpo
   const double first_mm = asked->listed != NULL ? asked->range.least_mm : asked->grid.start_mm;
   if (between && !(first_mm > 0)) { /* some quantities are finite at r = 0 */
     const double source = 0;
-    core_model_errors_at(profile, transport, gamma, wanted, 1, &source, error);
+    core_model_errors_at(profile, transport, wanted, 1, &source, error);
     most = fmax(most, error[0]);
   }
   return most;
 }
 
 core_model_errors core_model_errors_measure(const core_profile *profile,
-                                            const core_profile *transport, double gamma) {
+                                            const core_profile *transport) {
   if (transport == NULL) {
-    return core_model_errors_stated(profile->model, gamma, &profile->medium);
+    return core_model_errors_stated(profile->model, (profile->notes & CORE_NOTE_GAMMA) != 0);
   }
   core_model_errors errors = {.exact = false};
   const double mfp_mm = 1 / core_sigma_t_prime(&profile->medium);
@@ -233,7 +232,7 @@ core_model_errors core_model_errors_measure(const core_profile *profile,
         NULL,
         {edge[0] * mfp_mm, edge[1] * mfp_mm},
         {edge[0] * mfp_mm, edge[1] * mfp_mm}};
-    const double error = core_model_error(profile, transport, gamma, CORE_QUANTITY_R, &band);
+    const double error = core_model_error(profile, transport, CORE_QUANTITY_R, &band);
     errors.error[i] = isinf(error) ? (double)NAN : error;
   }
   errors.error[CORE_MODEL_ERROR_BANDS] = error_of_albedo(profile, transport);

@@ -36,22 +36,22 @@ void core_asked_ends(core_asked_radii *asked, bool single);
  * those of the ruler at radii r[n] in mm, in the precision of the profile's evaluator: the largest
  * one, relative, but absolute for ln R and the cdf, and over the albedo for TRANSFER. It is NAN where
  * transport diverges, at r = 0, and if none of the quantities can be compared, as the derivatives of
- * ln R; and INFINITY where nothing is known of transport. transport, gamma: as in core_model_error();
+ * ln R; and INFINITY where nothing is known of transport. transport: as in core_model_error();
  * without transport the errors are those that the model states itself. */
-void core_model_errors_at(const core_profile *profile, const core_profile *transport, double gamma,
+void core_model_errors_at(const core_profile *profile, const core_profile *transport,
                           unsigned wanted, size_t n, const double *r, double *error);
 
 /* Returns the largest of these errors at the finite radii of a request, and of the albedo if it is
  * wanted; NAN if there is none, and INFINITY where nothing is known of transport. transport: the ruler, or NULL if it is not needed or not at hand.
- * gamma: the parameter, NAN if it is not given. Of more than CORE_RULER_RADII radii, some are
+ * Of more than CORE_RULER_RADII radii, some are
  * compared that are at most e^(1/8) apart (more over ranges of more than e^32). Between them the
  * error is taken to be smooth: a quarter of the second differences around is added, which is twice
  * what a parabola rises above its points. */
-double core_model_error(const core_profile *profile, const core_profile *transport, double gamma,
-                        unsigned wanted, const core_asked_radii *asked);
+double core_model_error(const core_profile *profile, const core_profile *transport, unsigned wanted,
+                        const core_asked_radii *asked);
 
 /* Returns the errors of a profile in each band; the arguments are those of core_model_error(). */
 core_model_errors core_model_errors_measure(const core_profile *profile,
-                                            const core_profile *transport, double gamma);
+                                            const core_profile *transport);
 
 #endif

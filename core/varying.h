@@ -151,7 +151,7 @@ double core_varying_error(const core_varying *varying, unsigned wanted,
                           const core_varying_range *range);
 
 /* Returns the model error of such values where it needs no comparison: that of `transport`, which is
- * 0 unless gamma is given (core/model_error.h). It is NAN for other models. */
+ * 0. It is NAN with gamma, and for other models. */
 double core_varying_stated_error(const core_varying *varying, unsigned wanted,
                                  const core_varying_range *range);
 

@@ -85,7 +85,7 @@ static double with_shares(const struct fit_model *model, const core_medium *medi
 double fit_model_error(const struct fit_model *model, const core_medium *medium,
                        const struct fit_places *places) {
   const core_model_errors errors =
-      core_model_errors_stated(model->model, model->parameters.value[CORE_PARAMETER_GAMMA], medium);
+      core_model_errors_stated(model->model, !isnan(model->parameters.value[CORE_PARAMETER_GAMMA]));
   return with_shares(model, medium, places,
                      core_model_errors_of(&errors, medium, model->quantity, places->radii));
 }

@@ -10,14 +10,13 @@ $(BUILD)/trade-speed: $(call tool,tradeoff)
 $(BUILD)/transport-table: $(call tool,transport_table) $(ISOTROPIC)
 $(BUILD)/reference: $(call tool,reference)
 $(BUILD)/apertures: $(call tool,apertures)
-$(BUILD)/phases: $(call tool,phases) $(OBJ)/core/tools/reference/walks.o
-$(addprefix $(BUILD)/,trade-speed reference phases): LIBS = $(CORE_LIBS)
+$(addprefix $(BUILD)/,trade-speed reference): LIBS = $(CORE_LIBS)
 $(BUILD)/picture: $(OBJ)/clients/c/examples/picture.o $(BUILD)/libdipole.a
 $(BUILD)/picture: LIBS = $(call libs,libpng) $(TLS_LIBS)
 $(OBJ)/clients/c/examples/picture.o: EXTRA_CPPFLAGS = $(call cflags,libpng)
-PROGRAMS += $(addprefix $(BUILD)/,trade-speed transport-table reference apertures phases picture)
+PROGRAMS += $(addprefix $(BUILD)/,trade-speed transport-table reference apertures picture)
 
-.PHONY: gamma-errors tables reference tradeoff apertures figures picture gather-figure fit-bias
+.PHONY: tables reference tradeoff apertures figures picture gather-figure fit-bias
 
 # On a machine that does little else: it times what is chosen by cost.
 tradeoff: ## speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
@@ -39,9 +38,6 @@ apertures: $(BUILD)/apertures ## core/fit/aperture.table and its errors, solved 
 
 reference: $(BUILD)/reference ## core/transport/reference.csv, R(r) for many g, solved anew (an hour)
 	$(BUILD)/reference $(BUILD)/reference-parts core/transport/reference.csv
-
-gamma-errors: $(BUILD)/phases ## core/gamma_errors.def, transport with gamma for other phase functions
-	$(BUILD)/phases $(BUILD)/phases-parts core/gamma_errors.def
 
 figures: ## Figures 1 to 17 of d'Eon 2012 and one of tissue, in build/figures (ten minutes)
 	@sh .ci/install-packages demo figures

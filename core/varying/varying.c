@@ -282,7 +282,7 @@ double core_varying_stated_error(const core_varying *varying, unsigned wanted,
     const core_medium medium =
         medium_of(varying, varying->g, end == 0 ? range->albedo_least : range->albedo_most);
     const core_model_errors errors =
-        core_model_errors_stated(varying->model, varying->gamma, &medium);
+        core_model_errors_stated(varying->model, !isnan(varying->gamma));
     const double here = core_model_errors_of(&errors, &medium, wanted,
                                              (core_radii_range){range->mfp_least, range->mfp_most});
     error = isnan(error) || error > here ? error : here;

@@ -44,6 +44,10 @@ wire_error choice_check(const eval_request *request) {
     return wire_error_make(WIRE_STATUS_BAD_VALUE, "wanted",
                            "no derivatives with a tolerance in place of a model");
   }
+  if (!isnan(request->parameters.value[CORE_PARAMETER_GAMMA])) {
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, "gamma",
+                           "nothing without a model: its error is not known");
+  }
   const core_fault fault = core_parameter_check(CORE_PARAMETER_TOLERANCE, tolerance);
   return fault.field == NULL ? check_media(media_of(request), request->fixed.medium_count)
                              : wire_error_make(WIRE_STATUS_BAD_VALUE, fault.field, fault.allowed);
@@ -51,7 +55,6 @@ wire_error choice_check(const eval_request *request) {
 
 core_choose_request choice_asked(const eval_request *request, core_radii_range radii) {
   const wire_eval_request *fixed = &request->fixed;
-  const double gamma = request->parameters.value[CORE_PARAMETER_GAMMA];
   return (core_choose_request){
       .media = media_of(request),
       .media_count = fixed->medium_count,
@@ -60,7 +63,6 @@ core_choose_request choice_asked(const eval_request *request, core_radii_range r
       .radius_count = fixed->radius_count,
       .single = core_evaluator_bytes(fixed->evaluator) == sizeof(float),
       .tolerance = request->parameters.value[CORE_PARAMETER_TOLERANCE],
-      .gamma = isnan(gamma) ? 0 : gamma,
   };
 }
 

@@ -322,7 +322,7 @@ static double model_error(const struct eval_job *eval, unsigned wanted,
     return (double)NAN;
   }
   return core_model_error(&eval->lookup.profile, eval->ruler.ready ? &eval->ruler.profile : NULL,
-                          eval->request.parameters.value[CORE_PARAMETER_GAMMA], wanted, asked);
+                          wanted, asked);
 }
 
 /* Where the albedos and errors begin, and their size. They are the same in each part. */
@@ -494,7 +494,6 @@ static void compare_models(const struct eval_job *eval, size_t n, const void *r,
       at[i] = single ? (double)((const float *)r)[first + i] : ((const double *)r)[first + i];
     }
     core_model_errors_at(&eval->lookup.profile, eval->ruler.ready ? &eval->ruler.profile : NULL,
-                         eval->request.parameters.value[CORE_PARAMETER_GAMMA],
                          wanted != 0 ? wanted : (unsigned)CORE_QUANTITY_R, count, at, error);
     for (size_t i = 0; i < count; i++) {
       if (single) {

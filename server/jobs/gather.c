@@ -172,9 +172,8 @@ static enum job_outcome prepare_channel(struct gather_job *gather) {
   case LOOKUP_WAIT:
     return JOB_WAITS;
   case LOOKUP_READY: {
-    const core_model_errors errors =
-        core_model_errors_measure(&lookup->profile, work->ruler.ready ? &work->ruler.profile : NULL,
-                                  gather->request.parameters.value[CORE_PARAMETER_GAMMA]);
+    const core_model_errors errors = core_model_errors_measure(
+        &lookup->profile, work->ruler.ready ? &work->ruler.profile : NULL);
     work->model_error[work->ready++] = core_gather_model_error(&errors, medium);
     profiles_return(&work->ruler);
     return JOB_GOES_ON;

@@ -44,9 +44,7 @@ static enum lookup_answer get(struct offers_job *offers, unsigned model, const c
       core_profile_check(model, CORE_MOMENTS_EXACT, evaluator_of(offers), medium, &none, &range);
   const bool covers =
       eval->radii.least_mm >= range.least_mm && eval->radii.most_mm <= range.most_mm;
-  if (fault->field != NULL || !covers ||
-      !isnan(eval->request.parameters.value[CORE_PARAMETER_GAMMA]) ||
-      !core_ruler_is_needed(model, &none, medium, false)) {
+  if (fault->field != NULL || !covers || !core_ruler_is_needed(model, &none, medium, false)) {
     return LOOKUP_FAULT;
   }
   enum lookup_answer answer =
@@ -72,7 +70,7 @@ static void compare(struct offers_job *offers, bool known) {
     const core_stated_errors errors =
         core_profile_errors(&eval->lookup.profile, wanted, eval->radii);
     const double found =
-        core_model_error(&eval->lookup.profile, &eval->ruler.profile, (double)NAN, wanted, &asked);
+        core_model_error(&eval->lookup.profile, &eval->ruler.profile, wanted, &asked);
     const bool any = eval->grid.count > 0;
     model = isnan(found) ? (double)INFINITY : found;
     numerical = errors.numerical + (any ? errors.numerical_per_mm * eval->radii.most_mm : 0);

@@ -97,8 +97,7 @@ static enum job_outcome put(struct job *job, uint8_t *at) {
     table_reply_put_surface(at, surface, &table->request.parameters);
   } else {
     const core_model_errors errors = core_model_errors_measure(
-        &table->lookup.profile, table->ruler.ready ? &table->ruler.profile : NULL,
-        table->request.parameters.value[CORE_PARAMETER_GAMMA]);
+        &table->lookup.profile, table->ruler.ready ? &table->ruler.profile : NULL);
     table_reply_put(at, &table->lookup.profile, &table->request.parameters, &errors);
   }
   return JOB_DONE;

@@ -154,24 +154,6 @@ UNIT_TEST(the_choice_holds_for_all_channels) {
   assert_false(choose(&request).meets);
 }
 
-/* A phase function of which only gamma is known: it has the error that was measured for it, which no
- * small tolerance allows. */
-UNIT_TEST(gamma_has_an_error_of_its_own) {
-  const core_medium tissue = {0.05, 10, 0.9, 1.4};
-  core_choose_request request = easy(&tissue, 1);
-  request.gamma = 1.6;
-  request.tolerance = 0.5;
-  request.radii = (core_radii_range){1, 4};
-  core_candidate choice = choose(&request);
-  assert_true(choice.meets && choice.model_error > 0.01 && choice.model_error < 0.5);
-  request.tolerance = 0.01;
-  choice = choose(&request);
-  assert_true(!choice.meets && choice.error > 0.01);
-  request.gamma = 0.6; /* nothing was measured */
-  request.tolerance = 1;
-  assert_true(isinf(choose(&request).error));
-}
-
 /* Where the table of solutions has no medium, or is not exact enough, it is solved: with the tolerance
  * as the error, which the profile then states or misses. */
 UNIT_TEST(what_the_table_does_not_keep_is_solved) {

@@ -742,7 +742,7 @@ static void check_model_errors(uint64_t *random) {
           NULL,
           range,
           range};
-      const double stated = core_model_error(profile, &ruler, (double)NAN, wanted, &asked);
+      const double stated = core_model_error(profile, &ruler, wanted, &asked);
       if (isfinite(stated)) {
         const double off = deviation(profile, &solved, wanted, first, last);
         const double share =

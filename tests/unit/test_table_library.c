@@ -28,13 +28,13 @@ static core_model_errors measured(const core_profile *profile) {
   const core_parameters none = core_parameters_none();
   const core_medium *medium = &profile->medium;
   if (!core_ruler_is_needed(profile->model, &none, medium, false)) {
-    return core_model_errors_measure(profile, NULL, (double)NAN);
+    return core_model_errors_measure(profile, NULL);
   }
   core_profile ruler;
   unit_assert_fault(core_profile_prepare(&ruler, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
                                          CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, medium, &none),
                     NULL, 0);
-  const core_model_errors errors = core_model_errors_measure(profile, &ruler, (double)NAN);
+  const core_model_errors errors = core_model_errors_measure(profile, &ruler);
   core_profile_free(&ruler);
   return errors;
 }

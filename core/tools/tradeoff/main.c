@@ -102,7 +102,7 @@ static void compare(const struct subject *subject, const core_medium *medium,
   if (!prepare(&profile, subject, medium, (double)NAN)) {
     return;
   }
-  core_model_errors_at(&profile, ruler, (double)NAN, CORE_QUANTITY_R, RADII, r, error);
+  core_model_errors_at(&profile, ruler, CORE_QUANTITY_R, RADII, r, error);
   to->worst = 0;
   for (size_t i = 0; i < RADII; i++) {
     to->worst = fmax(to->worst, error[i]);
