@@ -21,6 +21,7 @@ enum {
   PARTS = 2000000, /* radii of an answer that is too large for one frame of the daemon under test */
   IN_FLIGHT = 24,
   RETRY_MS = 60000,
+  SILENCE_MS = 240000, /* a daemon with a sanitizer on a loaded machine may be slow */
 };
 
 /* A request and the bytes of its first answer. */
@@ -338,6 +339,7 @@ static dipole_client *open_client(const char *address) {
     fail("open", &error);
   }
   dipole_set_retry_ms(client, RETRY_MS);
+  dipole_set_timeout_ms(client, SILENCE_MS);
   return client;
 }
 
