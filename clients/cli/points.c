@@ -1,6 +1,5 @@
-/* dipole points: evaluates the rows of a CSV file. The rows that wait for an answer are kept in a
- * window of bounded size. So many queries are under way at a time, and rows are written in their
- * order. */
+/* dipole points: evaluates the rows of a CSV file. So many rows are read, asked for together, and
+ * written in their order. */
 #include <math.h>
 #include <stdarg.h>
 #include <stdlib.h>
@@ -9,9 +8,12 @@
 #include <unistd.h>
 
 #include "clients/cli/daemon.h"
-#include "clients/cli/points_row.h"
+#include "clients/cli/options.h"
+#include "clients/cli/profile.h"
 #include "clients/cli/progress.h"
 #include "clients/cli/sheet.h"
+#include "core/core.h"
+#include "proto/decimal.h"
 
 static const cli_option options[] = {
     CLI_TITLE("Evaluation"),
@@ -42,84 +44,64 @@ static const cli_option options[] = {
     {0},
 };
 
-/* ---- asking ---------------------------------------------------------------------------------- */
+/* ---- what is known --------------------------------------------------------------------------- */
 
-static unsigned wanted_of(const points_usual *usual) {
-  return usual->quantities.wanted | (usual->settings->errors ? (unsigned)DIPOLE_MODEL_ERROR : 0);
-}
+/* The columns that are read. Those with names come first. */
+enum { MODEL, MOMENTS, MEDIUM, CHANNEL, FIRST_NUMBER, RADIUS = FIRST_NUMBER + 4, INPUTS };
 
-/* Whether a row of transport takes f32 in place of a table of its own, which would cost 6 ms. Its values
- * are those of stored solutions as well, whatever tolerance a table would have had. */
-static bool takes_f32(const points_usual *usual, const points_row *row) {
-  return row->model == usual->transport && row->evaluator == DIPOLE_LUT &&
-         usual->settings->evaluator == NULL;
-}
+static const char *const inputs[INPUTS] = {"model",   "moments", "medium", "channel", "sigma_a",
+                                           "sigma_s", "g",       "eta",    "r"};
 
-/* Sends the row's query; the row then waits for the answer. */
-static bool submit_row(const points_usual *usual, dipole_client *client, points_row *row,
-                       dipole_error *error) {
-  const float r_f32_mm = (float)row->r_mm;
-  const void *f64 = points_has_radii(usual) ? usual->radii->items : &row->r_mm;
-  const void *f32 = points_has_radii(usual) ? usual->r_f32 : &r_f32_mm;
-  cli_parameters parameters = row->parameters;
-  unsigned evaluator = row->evaluator;
-  if (takes_f32(usual, row)) {
-    evaluator = DIPOLE_F32;
-    cli_parameters_remove(&parameters, usual->tolerance);
-  }
-  const dipole_query query = {.model = row->model,
-                              .evaluator = evaluator,
-                              .moments = row->moments,
-                              .wanted = wanted_of(usual),
-                              .media = &row->medium,
-                              .medium_count = 1,
-                              .spacing = DIPOLE_LIST,
-                              .radii = evaluator == DIPOLE_F64 ? f64 : f32,
-                              .radius_count = usual->radius_count,
-                              .parameters = parameters.items,
-                              .parameter_count = parameters.count};
-  row->state = POINTS_WAITING;
-  return dipole_submit(client, &query, &row->id, error);
-}
+enum { NAMES_MAX = INPUTS + CLI_PARAMETERS_MAX + CLI_QUANTITIES_MAX + 3 };
 
-static double *make_good(const points_usual *usual, points_row *row) {
-  row->state = POINTS_GOOD;
-  if (row->values == NULL) {
-    row->values = cli_allocate(usual->radius_count * usual->quantities.count, sizeof *row->values);
-  }
-  return row->values;
-}
+/* The columns that are read or written, and where they are in the header. */
+typedef struct columns {
+  size_t count; /* number of cells in the header */
+  size_t name_count;
+  const char *names[NAMES_MAX]; /* inputs, parameters, quantities, errors and the status */
+  size_t at[NAMES_MAX];         /* their positions, or CLI_CSV_ABSENT */
+  size_t parameter_count;       /* how many names, from INPUTS on, are parameters */
+  size_t output_count;          /* the radius of --r, the quantities, errors and the status */
+  size_t outputs[NAMES_MAX];    /* positions in names */
+  size_t first_output; /* position in the header of the first column that is replaced, or count */
+} columns;
 
-/* Takes the answer; the row is then good. */
-static void take_answer(const points_usual *usual, points_row *row, const dipole_result *result) {
-  const size_t count = usual->quantities.count;
-  double *values = make_good(usual, row);
-  row->numerical_error = result->channels[0].numerical_error;
-  row->numerical_error_per_mm = result->channels[0].numerical_error_per_mm;
-  row->model_error = result->channels[0].model_error;
-  for (size_t q = 0; q < count; q++) {
-    const unsigned id = usual->quantities.items[q]->id;
-    const double *f64 = dipole_values_f64(result, 0, id);
-    const float *f32 = dipole_values_f32(result, 0, id);
-    for (size_t i = 0; i < usual->radius_count; i++) {
-      values[i * count + q] = f64 != NULL   ? f64[i]
-                              : f32 != NULL ? cli_number_of_single(f32[i])
-                                            : result->channels[0].albedo;
-    }
-  }
-}
+enum row_state {
+  ROW_COPIED,  /* written as it was read */
+  ROW_READ,    /* its cells have been read */
+  ROW_GROUPED, /* so, and it may be asked for in a group */
+  ROW_WAITING, /* waits for the answer to query `id` */
+  ROW_GOOD,
+  ROW_BAD,
+};
 
-/* ---- the work -------------------------------------------------------------------------------- */
+typedef struct points_row {
+  cli_csv_record record;
+  enum row_state state;
+  unsigned model, evaluator, moments;
+  dipole_medium medium;
+  double r_mm; /* of its cell */
+  cli_parameters parameters;
+  uint64_t id;
+  double *values; /* [radii][quantities], set if the row is good */
+  dipole_errors errors;
+  char status[sizeof((dipole_error *)0)->text]; /* says what is wrong if the row is bad */
+} points_row;
 
-/* When the window is full, half of its rows are written before more are read. So many queries are
- * sent together. */
-enum { WINDOW_ROWS = 8192 };
+/* Where the numbers of inputs lie in a row. */
+static const size_t offsets[INPUTS] = {[FIRST_NUMBER] = offsetof(points_row, medium.sigma_a_per_mm),
+                                       [FIRST_NUMBER + 1] =
+                                           offsetof(points_row, medium.sigma_s_per_mm),
+                                       [FIRST_NUMBER + 2] = offsetof(points_row, medium.g),
+                                       [FIRST_NUMBER + 3] = offsetof(points_row, medium.eta),
+                                       [RADIUS] = offsetof(points_row, r_mm)};
+
+/* So many rows are asked for and written together, or less if their texts have so many bytes. */
+enum { ROWS = 8192 };
+#define ROWS_BYTES ((size_t)4 << 20)
 
 /* Ids of models are below this; the values of a group, unless one row has more. */
 enum { MODELS = 256, GROUP_VALUES = 65536 };
-
-/* How many bytes of text the rows of the window may hold together. */
-#define WINDOW_BYTES ((size_t)4 << 20)
 
 /* Media that share a model, g and eta. A surface for all of them takes the daemon as long as profiles
  * of the first SURFACE_MEDIA, which are asked for one by one. So neither a file of few media nor
@@ -127,48 +109,50 @@ enum { MODELS = 256, GROUP_VALUES = 65536 };
  * nothing but the rows above it. */
 enum { SURFACE_MEDIA = 256, FAMILIES = 512 };
 
-typedef struct points_family {
+typedef struct family {
   uint64_t hash; /* of what the media share; 0 if there are none */
   size_t count;
   uint64_t media[SURFACE_MEDIA]; /* hashes of the first ones */
-} points_family;
+} family;
 
 typedef struct points_run {
-  points_usual usual;
+  const cli_settings *settings;
   const char *source; /* name of the input, for messages */
   dipole_client *client;
+  cli_profile profile; /* what holds for rows whose cells are empty or absent */
+  cli_quantities quantities;
+  unsigned transport, tolerance; /* ids of this model and of this parameter */
+  bool by_f;                     /* R_f alone is wanted: radii are frequencies, 1/mm */
+  const cli_numbers *radii;      /* those of --r or --f */
+  size_t radius_count;           /* of each row: those of --r, or 1 */
+  float *r_f32;                  /* [radius_count]; NULL without --r */
+  dipole_measured_medium *media;
+  size_t medium_count;
   cli_csv_reader reader;
-  points_columns columns;
+  columns columns;
   cli_progress progress;
   uint64_t input_bytes; /* size of the input; 0 if it is unknown */
   uint64_t rows_written, rows_bad;
   uint64_t rows_done, bytes_done; /* of the rows that have been answered, and of the comments */
   int64_t answer_ms;              /* when the last answer came */
   bool failed;
-  size_t first, count; /* row i of the window is rows[(first + i) % WINDOW_ROWS] */
-  size_t window_bytes;
-  size_t read_count;    /* how many rows of the window wait to be asked for in a group */
+  size_t count, oldest; /* rows that have been read, and the first of them that may wait */
+  size_t row_bytes;
   bool refused[MODELS]; /* models, by id, whose media cannot vary */
   double *arrays[3];    /* sigma_a, sigma_s and radii of a group */
-  points_row *group[WINDOW_ROWS];
-  points_family families[FAMILIES]; /* by their hash; one takes the place of another */
-  points_row rows[WINDOW_ROWS];
+  points_row *group[ROWS];
+  family families[FAMILIES]; /* by their hash; one takes the place of another */
+  points_row rows[ROWS];
 } points_run;
 
-static points_row *row_at(points_run *points, size_t index) {
-  return &points->rows[(points->first + index) % WINDOW_ROWS];
+static bool has_radii(const points_run *points) {
+  return points->radii->count > 0;
 }
 
 /* Says what is wrong with the input or the connection, and ends the work. Returns false. */
-__attribute__((format(printf, 2, 3))) static bool fail(points_run *points, const char *format,
-                                                       ...) {
-  char text[512];
-  va_list arguments;
-  va_start(arguments, format);
-  vsnprintf(text, sizeof text, format, arguments);
-  va_end(arguments);
+static bool fail(points_run *points, const char *what) {
   cli_progress_wipe(&points->progress);
-  cli_fail("%s: %s", points->source, text);
+  cli_fail("%s: %s", points->source, what);
   points->failed = true;
   return false;
 }
@@ -176,23 +160,404 @@ __attribute__((format(printf, 2, 3))) static bool fail(points_run *points, const
 /* Counts a row that has been answered, refused or copied. */
 static void count_done(points_run *points, const points_row *row) {
   const double input_bytes = (double)points->input_bytes; /* 0 if it is unknown */
-  points->rows_done += row->state != POINTS_COPIED;
+  points->rows_done += row->state != ROW_COPIED;
   points->bytes_done += row->record.length;
   cli_progress_show(&points->progress,
                     input_bytes > 0 ? (double)points->bytes_done / input_bytes : (double)NAN,
                     (double)points->rows_done);
 }
 
-/* ---- answers --------------------------------------------------------------------------------- */
+/* ---- the header ------------------------------------------------------------------------------ */
 
-static points_row *find_row(points_run *points, uint64_t id) {
-  for (size_t i = 0; i < points->count; i++) {
-    points_row *row = row_at(points, i);
-    if (row->state == POINTS_WAITING && row->id == id) {
-      return row;
+static void add_names(const dipole_info *info, enum dipole_kind kind, columns *of) {
+  const dipole_choice *choice;
+  for (size_t from = 0;
+       of->name_count < NAMES_MAX - 3 && (choice = cli_next_choice(info, kind, &from)) != NULL;) {
+    of->names[of->name_count++] = choice->name;
+  }
+}
+
+/* Adds a column that is written. */
+static void add_output(columns *of, const char *name) {
+  size_t i = 0;
+  while (strcmp(of->names[i], name) != 0) {
+    i++;
+  }
+  of->outputs[of->output_count++] = i;
+}
+
+static void list_columns(const points_run *points, columns *of) {
+  *of = (columns){.name_count = INPUTS};
+  memcpy(of->names, inputs, sizeof inputs);
+  of->names[RADIUS] = points->by_f ? "f" : "r";
+  add_names(points->profile.info, DIPOLE_PARAMETER, of);
+  of->parameter_count = of->name_count - INPUTS;
+  add_names(points->profile.info, DIPOLE_QUANTITY, of);
+  of->names[of->name_count++] = "numerical_error";
+  of->names[of->name_count++] = "status";
+  if (has_radii(points)) {
+    add_output(of, of->names[RADIUS]);
+  }
+  for (size_t i = 0; i < points->quantities.count; i++) {
+    add_output(of, points->quantities.items[i]->name);
+  }
+  if (points->settings->errors) {
+    add_output(of, "numerical_error");
+    add_output(of, "model_error"); /* a quantity */
+  }
+  add_output(of, "status");
+}
+
+static bool is_required(const points_run *points, size_t input) {
+  return input == RADIUS ? !has_radii(points)
+                         : input >= FIRST_NUMBER && points->columns.at[MEDIUM] == CLI_CSV_ABSENT;
+}
+
+/* Finds the columns. Says what is wrong and returns false if one is missing, misspelt or stands
+ * there twice. */
+static bool find_columns(points_run *points, const cli_csv_record *header) {
+  columns *of = &points->columns;
+  list_columns(points, of);
+  of->count = of->first_output = header->cell_count;
+  if (!cli_csv_find(points->source, header, of->names, of->name_count, options, of->at)) {
+    return false;
+  }
+  if (has_radii(points) && of->at[RADIUS] != CLI_CSV_ABSENT) {
+    cli_fail("%s: the header has the column %s: leave --%s out, or rename the column",
+             points->source, of->names[RADIUS], of->names[RADIUS]);
+    return false;
+  }
+  for (size_t i = 0; i < of->output_count; i++) {
+    const size_t at = of->at[of->outputs[i]];
+    of->first_output = at < of->first_output ? at : of->first_output;
+  }
+  for (size_t i = 0; i < INPUTS; i++) {
+    if (is_required(points, i) && of->at[i] == CLI_CSV_ABSENT) {
+      return cli_csv_fail_missing(
+          points->source, header, of->names[i],
+          "sigma_a, sigma_s, g and eta, or medium and channel; and r unless --r is given; and may "
+          "have model, moments and parameters");
     }
   }
-  return NULL;
+  return true;
+}
+
+/* ---- writing --------------------------------------------------------------------------------- */
+
+/* Writes the end of the line as it was read. The last line of a file may lack one; then writes \n.
+ */
+static void write_ending(const cli_csv_record *record) {
+  if (record->ending_bytes == 0) {
+    putc_unlocked('\n', stdout);
+  } else {
+    fwrite_unlocked(record->bytes + record->length - record->ending_bytes, 1, record->ending_bytes,
+                    stdout);
+  }
+}
+
+/* Writes the header and appends the output columns that it lacks. */
+static void write_header(const columns *of, const cli_csv_record *header) {
+  fwrite(header->bytes, 1, header->length - header->ending_bytes, stdout);
+  for (size_t i = 0; i < of->output_count; i++) {
+    if (of->at[of->outputs[i]] == CLI_CSV_ABSENT) {
+      printf("%c%s", header->separator, of->names[of->outputs[i]]);
+    }
+  }
+  write_ending(header);
+}
+
+static void write_number(double value) {
+  char text[DECIMAL_BYTES];
+  decimal_write(value, text);
+  fputs_unlocked(isnan(value) ? "" : text, stdout);
+}
+
+/* Writes a cell of the row's line for radius number `radius`. */
+static void write_output(const points_run *points, const points_row *row, size_t radius,
+                         size_t output) {
+  const bool good = row->state == ROW_GOOD;
+  const size_t first = has_radii(points) ? 1 : 0, count = points->quantities.count;
+  const double r_mm = has_radii(points) ? points->radii->items[radius] : row->r_mm;
+  if (output == first + count + (points->settings->errors ? 2 : 0)) {
+    cli_csv_write_cell(good ? "ok" : row->status, stdout);
+  } else if (good && output >= first + count) {
+    write_number(output == first + count ? cli_numerical_error(&row->errors, r_mm)
+                                         : row->errors.model_error);
+  } else if (good) {
+    write_number(output < first ? r_mm : row->values[radius * count + output - first]);
+  }
+}
+
+/* Writes the line of a row, which is good or bad, for radius number `radius`. */
+static void write_line(const points_run *points, const points_row *row, size_t radius) {
+  const columns *of = &points->columns;
+  const cli_csv_record *record = &row->record;
+  /* The cells up to the first that is replaced are written as they were read. */
+  const size_t as_read =
+      of->first_output < record->cell_count ? of->first_output : record->cell_count;
+  if (as_read > 0) {
+    fwrite_unlocked(record->bytes, 1, record->cells[as_read - 1].end, stdout);
+  }
+  for (size_t i = as_read; i < of->count; i++) {
+    size_t output = 0;
+    while (output < of->output_count && of->at[of->outputs[output]] != i) {
+      output++;
+    }
+    if (i > 0) {
+      putc_unlocked(record->separator, stdout);
+    }
+    if (output < of->output_count) {
+      write_output(points, row, radius, output);
+    } else if (i < record->cell_count) {
+      cli_csv_copy_cell(record, i, stdout);
+    }
+  }
+  for (size_t output = 0; output < of->output_count; output++) {
+    if (of->at[of->outputs[output]] == CLI_CSV_ABSENT) {
+      putc_unlocked(record->separator, stdout);
+      write_output(points, row, radius, output);
+    }
+  }
+  for (size_t i = of->count; i < record->cell_count; i++) { /* cells beyond those of the header */
+    putc_unlocked(record->separator, stdout);
+    cli_csv_copy_cell(record, i, stdout);
+  }
+  write_ending(record);
+}
+
+static void write_row(points_run *points, points_row *row) {
+  if (row->state == ROW_COPIED) {
+    fwrite(row->record.bytes, 1, row->record.length, stdout);
+  } else {
+    const size_t lines = row->state == ROW_GOOD ? points->radius_count : 1;
+    for (size_t i = 0; i < lines; i++) {
+      write_line(points, row, i);
+    }
+    points->rows_written++;
+    points->rows_bad += row->state == ROW_BAD;
+  }
+  cli_csv_record_trim(&row->record);
+}
+
+/* ---- reading rows ---------------------------------------------------------------------------- */
+
+/* The status of a row shows at most so many bytes of a wrong cell. */
+enum { SHOWN_BYTES = 40 };
+
+__attribute__((format(printf, 2, 3))) static bool make_bad(points_row *row, const char *format,
+                                                           ...) {
+  va_list arguments;
+  va_start(arguments, format);
+  vsnprintf(row->status, sizeof row->status, format, arguments);
+  va_end(arguments);
+  row->state = ROW_BAD;
+  return false;
+}
+
+/* Returns the text of a cell; NULL if it is empty or absent. */
+static const char *text_of(const points_run *points, const points_row *row, size_t name) {
+  size_t length = 0;
+  const size_t at = points->columns.at[name];
+  const char *text = at == CLI_CSV_ABSENT ? NULL : cli_csv_cell_text(&row->record, at, &length);
+  return length == 0 ? NULL : text;
+}
+
+/* Reads the id of a model or a kind of moments, unless its cell is empty. */
+static bool read_id(const points_run *points, points_row *row, size_t input, enum dipole_kind kind,
+                    unsigned *id) {
+  char known[160];
+  const char *name = text_of(points, row, input);
+  const dipole_choice *choice = name != NULL ? cli_choice(points->profile.info, kind, name) : NULL;
+  if (choice != NULL) {
+    *id = choice->id;
+  } else if (name != NULL) {
+    cli_list_names(points->profile.info, kind, known, sizeof known);
+    make_bad(row, "%s: '%.*s' is unknown: allowed: %s", inputs[input], SHOWN_BYTES, name, known);
+  }
+  return choice != NULL || name == NULL;
+}
+
+/* Returns the row's parameter `tolerance`; NaN if it has none. */
+static double tolerance_of(const points_run *points, const points_row *row) {
+  for (size_t i = 0; i < row->parameters.count; i++) {
+    if (row->parameters.items[i].id == points->tolerance) {
+      return row->parameters.items[i].value;
+    }
+  }
+  return (double)NAN;
+}
+
+/* Chooses the model and the evaluator. The parameters are known already. */
+static bool read_model(const points_run *points, points_row *row) {
+  const cli_profile *profile = &points->profile;
+  const double tolerance = tolerance_of(points, row);
+  row->moments = profile->moments->id;
+  row->model = profile->model != NULL ? profile->model->id
+               : isnan(tolerance)     ? points->transport
+                                      : DIPOLE_ANY_MODEL;
+  if (!read_id(points, row, MODEL, DIPOLE_MODEL, &row->model)) {
+    return false;
+  }
+  const bool by_table = (row->model == points->transport || row->model == DIPOLE_ANY_MODEL) &&
+                        !(tolerance < CORE_LUT_TOLERANCE_MIN);
+  row->evaluator = profile->evaluator != NULL ? profile->evaluator->id
+                   : by_table                 ? DIPOLE_LUT
+                                              : DIPOLE_F64;
+  return true;
+}
+
+/* Reads a cell with a number into the row. */
+static bool read_number(const points_run *points, points_row *row, size_t input) {
+  size_t length;
+  const size_t at = points->columns.at[input];
+  const bool given = at != CLI_CSV_ABSENT;
+  const char *text = given ? cli_csv_cell_text(&row->record, at, &length) : "";
+  double *to = (double *)(void *)((char *)row + offsets[input]);
+  return (given && cli_csv_number(&row->record, at, to)) ||
+         make_bad(row,
+                  "%s: '%.*s' is no number: allowed: decimal numbers within the range of doubles%s",
+                  inputs[input], SHOWN_BYTES, text, cli_csv_number_hint(text));
+}
+
+/* Finds the coefficients of a channel of a measured medium. */
+static bool take_measured(const points_run *points, const char *name, const char *channel,
+                          points_row *row) {
+  size_t i = 0;
+  const size_t colour = cli_colour(channel);
+  while (i < points->medium_count && strcmp(points->media[i].name, name) != 0) {
+    i++;
+  }
+  if (i == points->medium_count) {
+    return make_bad(row,
+                    "medium: '%.*s' is unknown: allowed: those of `dipole media`, or any "
+                    "text with sigma_a and sigma_s",
+                    SHOWN_BYTES, name);
+  }
+  if (colour == CLI_COLOURS) {
+    return make_bad(row, "channel: '%.*s': allowed: red, green, blue", SHOWN_BYTES,
+                    channel != NULL ? channel : "");
+  }
+  row->medium = points->media[i].channel[colour];
+  return true;
+}
+
+/* Reads the medium and the radius. The coefficients are those in the cells or, if sigma_a and
+ * sigma_s are both empty, those of a measured medium, which the other cells override. */
+static bool read_medium(const points_run *points, points_row *row) {
+  const char *name = text_of(points, row, MEDIUM);
+  const bool measured = name != NULL && text_of(points, row, FIRST_NUMBER) == NULL &&
+                        text_of(points, row, FIRST_NUMBER + 1) == NULL;
+  bool good = !measured || take_measured(points, name, text_of(points, row, CHANNEL), row);
+  for (size_t i = FIRST_NUMBER; good && i < INPUTS; i++) {
+    const bool needed = i == RADIUS ? !has_radii(points) : !measured;
+    good = (!needed && text_of(points, row, i) == NULL) || read_number(points, row, i);
+  }
+  return good;
+}
+
+/* Sets the parameters of the row: first the usual ones, then those in its cells. */
+static bool read_parameters(const points_run *points, points_row *row) {
+  const dipole_info *info = points->profile.info;
+  row->parameters = points->profile.parameters;
+  for (size_t i = INPUTS; i < INPUTS + points->columns.parameter_count; i++) {
+    const char *text = text_of(points, row, i);
+    double value;
+    if (text == NULL) {
+      continue;
+    }
+    const dipole_choice *parameter = cli_choice(info, DIPOLE_PARAMETER, points->columns.names[i]);
+    if (strlen(text) != row->record.cells[points->columns.at[i]].text_length ||
+        decimal_starts_with_zero(text) || !cli_parameter_parse(info, parameter, text, &value)) {
+      return make_bad(row, "%s: '%.*s' is no value: allowed: %s", parameter->name, SHOWN_BYTES,
+                      text, parameter->about);
+    }
+    cli_parameters_set(&row->parameters, parameter->id, value);
+  }
+  return true;
+}
+
+/* Reads the row's cells. Returns false if the row is bad; its status then says why. */
+static bool read_row(const points_run *points, points_row *row) {
+  if (row->record.malformed) {
+    return make_bad(row, "the row: text after a closing quote: allowed: quotes around whole cells, "
+                         "doubled within");
+  }
+  if (row->record.cell_count != points->columns.count) {
+    return make_bad(row, "the row: %zu cells: allowed: %zu, as many as in the header",
+                    row->record.cell_count, points->columns.count);
+  }
+  return read_parameters(points, row) && read_model(points, row) &&
+         read_id(points, row, MOMENTS, DIPOLE_MOMENTS, &row->moments) && read_medium(points, row);
+}
+
+/* ---- rows that are asked for by themselves ---------------------------------------------------- */
+
+static unsigned wanted_of(const points_run *points) {
+  return points->quantities.wanted | (points->settings->errors ? (unsigned)DIPOLE_MODEL_ERROR : 0);
+}
+
+static double *make_good(const points_run *points, points_row *row) {
+  row->state = ROW_GOOD;
+  if (row->values == NULL) {
+    row->values =
+        cli_allocate(points->radius_count * points->quantities.count, sizeof *row->values);
+  }
+  return row->values;
+}
+
+/* Sends the row's query; the row then waits for the answer. A row of transport takes f32 in place of
+ * a table of its own, which would cost 6 ms: its values are those of stored solutions as well,
+ * whatever tolerance a table would have had. */
+static bool submit_row(const points_run *points, points_row *row, dipole_error *error) {
+  const float r_f32_mm = (float)row->r_mm;
+  const void *f64 = has_radii(points) ? points->radii->items : &row->r_mm;
+  const void *f32 = has_radii(points) ? points->r_f32 : &r_f32_mm;
+  cli_parameters parameters = row->parameters;
+  unsigned evaluator = row->evaluator;
+  if (row->model == points->transport && evaluator == DIPOLE_LUT &&
+      points->profile.evaluator == NULL) {
+    evaluator = DIPOLE_F32;
+    cli_parameters_remove(&parameters, points->tolerance);
+  }
+  const dipole_query query = {.model = row->model,
+                              .evaluator = evaluator,
+                              .moments = row->moments,
+                              .wanted = wanted_of(points),
+                              .media = &row->medium,
+                              .medium_count = 1,
+                              .spacing = DIPOLE_LIST,
+                              .radii = evaluator == DIPOLE_F64 ? f64 : f32,
+                              .radius_count = points->radius_count,
+                              .parameters = parameters.items,
+                              .parameter_count = parameters.count};
+  row->state = ROW_WAITING;
+  return dipole_submit(points->client, &query, &row->id, error);
+}
+
+/* Takes the answer; the row is then good. */
+static void take_answer(const points_run *points, points_row *row, const dipole_result *result) {
+  const size_t count = points->quantities.count;
+  double *values = make_good(points, row);
+  const dipole_channel *channel = &result->channels[0];
+  row->errors = (dipole_errors){channel->numerical_error, channel->numerical_error_per_mm,
+                                channel->model_error};
+  for (size_t q = 0; q < count; q++) {
+    for (size_t i = 0; i < points->radius_count; i++) {
+      values[i * count + q] = cli_value(result, 0, points->quantities.items[q]->id, i);
+    }
+  }
+}
+
+/* Returns the row that waits for an answer. Most answers come in the order of the rows. */
+static points_row *find_row(points_run *points, uint64_t id) {
+  while (points->oldest < points->count && points->rows[points->oldest].state != ROW_WAITING) {
+    points->oldest++;
+  }
+  size_t i = points->oldest;
+  while (i < points->count && (points->rows[i].state != ROW_WAITING || points->rows[i].id != id)) {
+    i++;
+  }
+  return i < points->count ? &points->rows[i] : NULL;
 }
 
 static bool collect(points_run *points);
@@ -205,28 +570,23 @@ static bool submit(points_run *points, points_row *row) {
       return false;
     }
   }
-  return submit_row(&points->usual, points->client, row, &error) || fail(points, "%s", error.text);
+  return submit_row(points, row, &error) || fail(points, error.text);
 }
 
 /* Handles an error: asks a busy daemon again, and marks the row as bad if the refusal names a
  * field. Any other error ends the work. */
 static bool take_refusal(points_run *points, uint64_t id, const dipole_error *error) {
   points_row *row = error->kind == DIPOLE_ERROR_REFUSED ? find_row(points, id) : NULL;
-  if (row == NULL || (error->retry_after_ms == 0 && error->field[0] == '\0')) {
-    return fail(points, "%s", error->text);
-  }
-  if (error->retry_after_ms == 0) {
-    row->state = POINTS_BAD;
+  if (row != NULL && error->retry_after_ms == 0 && error->field[0] != '\0') {
+    row->state = ROW_BAD;
     memcpy(row->status, error->text, sizeof row->status);
     count_done(points, row);
     return true;
   }
-  return cli_try_again(points->usual.settings, points->answer_ms, error)
+  return row != NULL && cli_try_again(points->settings, points->answer_ms, error)
              ? submit(points, row)
-             : fail(points, "%s", error->text);
+             : fail(points, error->text);
 }
-
-_Static_assert(sizeof((points_row *)0)->status == sizeof((dipole_error *)0)->text, "status");
 
 /* Waits for one answer. */
 static bool collect(points_run *points) {
@@ -239,7 +599,7 @@ static bool collect(points_run *points) {
   points->answer_ms = cli_now_ms();
   points_row *row = find_row(points, id);
   if (row != NULL) {
-    take_answer(&points->usual, row, result);
+    take_answer(points, row, result);
     count_done(points, row);
   }
   dipole_result_free(result);
@@ -269,17 +629,17 @@ static bool is_worth_a_surface(points_run *points, const points_row *row) {
     hash = hash_more(hash, &row->parameters.items[i].id, sizeof(unsigned));
     hash = hash_more(hash, &row->parameters.items[i].value, sizeof(double));
   }
-  points_family *family = &points->families[(hash ^ hash >> 32) % FAMILIES];
-  if (family->hash != hash) {
-    *family = (points_family){.hash = hash};
+  family *of = &points->families[(hash ^ hash >> 32) % FAMILIES];
+  if (of->hash != hash) {
+    *of = (family){.hash = hash};
   }
   const uint64_t medium = hash_more(hash, &row->medium, 2 * sizeof(double));
   size_t i = 0;
-  while (i < family->count && family->media[i] != medium) {
+  while (i < of->count && of->media[i] != medium) {
     i++;
   }
-  if (i == family->count && i < SURFACE_MEDIA) {
-    family->media[family->count++] = medium;
+  if (i == of->count && i < SURFACE_MEDIA) {
+    of->media[of->count++] = medium;
   }
   return i == SURFACE_MEDIA;
 }
@@ -287,10 +647,8 @@ static bool is_worth_a_surface(points_run *points, const points_row *row) {
 /* Returns whether the row may be asked for in a group. Transport needs a surface for it, whose values
  * are those of a table. */
 static bool is_for_group(points_run *points, const points_row *row) {
-  const points_usual *usual = &points->usual;
-  return (usual->quantities.wanted & ~(unsigned)GROUP_QUANTITIES) == 0 && row->model < MODELS &&
-         !points->refused[row->model] &&
-         (row->model != usual->transport ||
+  return (points->quantities.wanted & ~(unsigned)GROUP_QUANTITIES) == 0 && row->model < MODELS &&
+         (row->model != points->transport ||
           (row->evaluator == DIPOLE_LUT && is_worth_a_surface(points, row)));
 }
 
@@ -311,25 +669,11 @@ static int compare(const points_row *a, const points_row *b) {
 _Static_assert(offsetof(dipole_medium, eta) == offsetof(dipole_medium, g) + sizeof(double),
                "g and eta are compared together");
 
+/* Orders the rows of a group as they were read, so that its values do not depend on the sorting. */
 static int compare_places(const void *a, const void *b) {
-  return compare(*(points_row *const *)a, *(points_row *const *)b);
-}
-
-/* Lists the rows of the window that have only been read, those of a group side by side. */
-static size_t list_read(points_run *points) {
-  size_t count = 0;
-  bool sorted = true;
-  for (size_t i = 0; i < points->count; i++) {
-    points_row *row = row_at(points, i);
-    if (row->state == POINTS_READ) {
-      sorted = sorted && (count == 0 || compare(points->group[count - 1], row) == 0);
-      points->group[count++] = row;
-    }
-  }
-  if (!sorted) {
-    qsort(points->group, count, sizeof points->group[0], compare_places);
-  }
-  return count;
+  const points_row *left = *(points_row *const *)a, *right = *(points_row *const *)b;
+  const int order = compare(left, right);
+  return order != 0 ? order : (left > right) - (left < right);
 }
 
 /* Asks for the values of `count` rows that share what compare() compares. Evaluators in single
@@ -337,24 +681,23 @@ static size_t list_read(points_run *points) {
  * coefficients in single precision would put them off by more. */
 static bool ask(points_run *points, points_row *const *rows, size_t count,
                 dipole_varying_result **result, dipole_error *error) {
-  const points_usual *usual = &points->usual;
-  const size_t radii = usual->radius_count;
+  const size_t radii = points->radius_count;
   const bool single = rows[0]->evaluator != DIPOLE_F64;
   for (size_t i = 0; i < count * radii; i++) {
     const points_row *row = rows[i / radii];
-    const double r_mm = points_has_radii(usual) ? usual->radii->items[i % radii] : row->r_mm;
+    const double r_mm = has_radii(points) ? points->radii->items[i % radii] : row->r_mm;
     points->arrays[0][i] = row->medium.sigma_a_per_mm;
     points->arrays[1][i] = row->medium.sigma_s_per_mm;
     points->arrays[2][i] = single ? (double)(float)r_mm : r_mm;
   }
   cli_parameters parameters = rows[0]->parameters;
-  if (rows[0]->model == usual->transport && isnan(points_tolerance(usual, rows[0]))) {
-    cli_parameters_set(&parameters, usual->tolerance, TABLE_TOLERANCE);
+  if (rows[0]->model == points->transport && isnan(tolerance_of(points, rows[0]))) {
+    cli_parameters_set(&parameters, points->tolerance, TABLE_TOLERANCE);
   }
   const dipole_varying_query query = {.model = rows[0]->model,
                                       .evaluator = DIPOLE_F64,
                                       .moments = rows[0]->moments,
-                                      .wanted = wanted_of(usual),
+                                      .wanted = wanted_of(points),
                                       .g = rows[0]->medium.g,
                                       .eta = rows[0]->medium.eta,
                                       .sigma_a_per_mm = points->arrays[0],
@@ -363,7 +706,7 @@ static bool ask(points_run *points, points_row *const *rows, size_t count,
                                       .value_count = count * radii,
                                       .parameters = parameters.items,
                                       .parameter_count = parameters.count};
-  return CLI_ASK(usual->settings, error, dipole_varying(points->client, &query, result, error));
+  return CLI_ASK(points->settings, error, dipole_varying(points->client, &query, result, error));
 }
 
 /* Numbers are rounded to single precision, and then to the fewest digits that are read as the same
@@ -371,21 +714,20 @@ static bool ask(points_run *points, points_row *const *rows, size_t count,
 #define SINGLE_ERROR 0x1p-23
 
 /* Takes the values of row `index` of a group. Returns false if one of them was not answered. */
-static bool take_values(const points_usual *usual, points_row *row, size_t index,
+static bool take_values(const points_run *points, points_row *row, size_t index,
                         const dipole_varying_result *result) {
-  const size_t radii = usual->radius_count, count = usual->quantities.count;
+  const size_t radii = points->radius_count, count = points->quantities.count;
   const bool single = row->evaluator != DIPOLE_F64;
   for (size_t i = 0; i < radii; i++) {
     if (result->statuses[index * radii + i] != DIPOLE_VALUE_OK) {
       return false;
     }
   }
-  double *values = make_good(usual, row);
-  row->numerical_error = result->numerical_error + (single ? SINGLE_ERROR : 0);
-  row->numerical_error_per_mm = 0;
-  row->model_error = result->model_error;
+  double *values = make_good(points, row);
+  row->errors = (dipole_errors){result->numerical_error + (single ? SINGLE_ERROR : 0), 0,
+                                result->model_error};
   for (size_t q = 0; q < count; q++) {
-    const unsigned id = usual->quantities.items[q]->id;
+    const unsigned id = points->quantities.items[q]->id;
     const double *from = dipole_varying_f64(result, id) + index * radii;
     for (size_t i = 0; i < radii; i++) {
       values[i * count + q] =
@@ -400,30 +742,34 @@ static bool take_values(const points_usual *usual, points_row *row, size_t index
 static bool ask_group(points_run *points, points_row *const *rows, size_t count) {
   dipole_error error;
   dipole_varying_result *result = NULL;
-  if (!ask(points, rows, count, &result, &error)) {
+  if (!points->refused[rows[0]->model] && !ask(points, rows, count, &result, &error)) {
     if (error.kind != DIPOLE_ERROR_REFUSED || error.retry_after_ms != 0) {
-      return fail(points, "%s", error.text);
+      return fail(points, error.text);
     }
     points->refused[rows[0]->model] |= strcmp(error.field, "model") == 0;
   }
-  bool good = true;
-  for (size_t i = 0; good && i < count; i++) {
-    if (result != NULL && take_values(&points->usual, rows[i], i, result)) {
+  for (size_t i = 0; i < count; i++) {
+    if (result != NULL && take_values(points, rows[i], i, result)) {
       count_done(points, rows[i]);
     } else {
-      good = submit(points, rows[i]);
+      rows[i]->state = ROW_READ;
     }
   }
   dipole_varying_result_free(result);
-  return good;
+  return true;
 }
 
-/* Asks for all rows that have only been read, group by group. */
+/* Asks for the rows that may be asked for together, group by group. */
 static bool ask_groups(points_run *points) {
-  const size_t radii = points->usual.radius_count;
+  const size_t radii = points->radius_count;
   const size_t most = radii < GROUP_VALUES ? GROUP_VALUES / radii : 1;
-  const size_t count = points->read_count > 0 ? list_read(points) : 0;
-  points->read_count = 0;
+  size_t count = 0;
+  for (size_t i = 0; i < points->count; i++) {
+    if (points->rows[i].state == ROW_GROUPED) {
+      points->group[count++] = &points->rows[i];
+    }
+  }
+  qsort(points->group, count, sizeof points->group[0], compare_places);
   for (size_t first = 0, end; first < count; first = end) {
     end = first + 1;
     while (end < count && end - first < most &&
@@ -437,59 +783,43 @@ static bool ask_groups(points_run *points) {
   return true;
 }
 
-/* ---- the window ------------------------------------------------------------------------------ */
+/* ---- the work -------------------------------------------------------------------------------- */
 
-static void write_first(points_run *points) {
-  points_row *row = row_at(points, 0);
-  if (row->state == POINTS_COPIED) {
-    fwrite(row->record.bytes, 1, row->record.length, stdout);
-  } else {
-    const size_t lines = row->state == POINTS_GOOD ? points->usual.radius_count : 1;
-    for (size_t i = 0; i < lines; i++) {
-      points_write_line(&points->usual, &points->columns, row, i, stdout);
-    }
-    points->rows_written++;
-    points->rows_bad += row->state == POINTS_BAD;
+/* Asks for the rows that have been read, and writes them up to the first that has no answer. */
+static bool write_all(points_run *points) {
+  points->oldest = 0;
+  bool good = ask_groups(points);
+  for (size_t i = 0; good && i < points->count; i++) {
+    good = points->rows[i].state != ROW_READ || submit(points, &points->rows[i]);
   }
-  points->window_bytes -= row->record.length;
-  cli_csv_record_trim(&row->record);
-  points->first = (points->first + 1) % WINDOW_ROWS;
-  points->count--;
-}
-
-/* Writes the oldest rows, and waits for their answers, until at most `left` rows are in the window.
- */
-static bool write_down(points_run *points, size_t left) {
-  ask_groups(points);
-  while (!points->failed && points->count > left) {
-    if (row_at(points, 0)->state != POINTS_WAITING) {
-      write_first(points);
-    } else {
-      collect(points);
-    }
+  while (good && dipole_outstanding(points->client) > 0) {
+    good = collect(points);
   }
-  if (!points->failed && ferror(stdout)) {
-    points->failed = true; /* main() will say why */
+  for (size_t i = 0; i < points->count && (good || points->rows[i].state > ROW_WAITING ||
+                                           points->rows[i].state == ROW_COPIED);
+       i++) {
+    write_row(points, &points->rows[i]);
   }
+  points->count = points->row_bytes = 0;
+  points->failed = points->failed || ferror(stdout); /* main() will say why */
   return !points->failed;
 }
 
 /* Is called when the next read would wait. Answers all rows that have come, so that a program that
  * writes row by row gets each answer before it writes the next row. */
 static void write_before_wait(void *context) {
-  if (write_down(context, 0)) {
+  points_run *points = context;
+  if (!points->failed && write_all(points)) {
     fflush(stdout);
   }
 }
-
-/* ---- reading --------------------------------------------------------------------------------- */
 
 /* Returns whether a record or a comment was read. If not, this is the end of the input, or the work
  * has failed. */
 static bool read_record(points_run *points, cli_csv_record *record, enum cli_csv_kind *kind) {
   *kind = cli_csv_read(&points->reader, record);
-  if (*kind == CLI_CSV_FAILED && !points->failed && write_down(points, 0)) { /* the rows before */
-    return fail(points, "%s", points->reader.problem);
+  if (*kind == CLI_CSV_FAILED && !points->failed && write_all(points)) { /* the rows before */
+    return fail(points, points->reader.problem);
   }
   return !points->failed && (*kind == CLI_CSV_RECORD || *kind == CLI_CSV_COMMENT);
 }
@@ -502,9 +832,9 @@ static bool read_header(points_run *points) {
     fwrite(header.bytes, 1, header.length, stdout);
   }
   if (good) {
-    good = points_find_columns(&points->usual, points->source, &header, &points->columns);
+    good = find_columns(points, &header);
     if (good) {
-      points_write_header(&points->columns, &header, stdout);
+      write_header(&points->columns, &header);
     }
   } else if (!points->failed) {
     fail(points, "there is no header line; it names the columns: sigma_a, sigma_s, g, eta, r, if "
@@ -516,34 +846,25 @@ static bool read_header(points_run *points) {
 
 static bool read_rows(points_run *points) {
   enum cli_csv_kind kind;
-  for (;;) {
-    if (points->count == WINDOW_ROWS || points->window_bytes > WINDOW_BYTES) {
-      if (!write_down(points, points->count / 2)) {
-        return false;
-      }
-    }
-    /* Reading may write rows. That moves the start of the window, but not the place behind its end.
-     */
-    points_row *row = row_at(points, points->count);
-    if (!read_record(points, &row->record, &kind)) {
-      return !points->failed && write_down(points, 0);
-    }
-    points->count++;
-    points->window_bytes += row->record.length;
-    if (kind == CLI_CSV_COMMENT) {
-      row->state = POINTS_COPIED;
+  cli_csv_record record = {0};
+  while (read_record(points, &record, &kind)) {
+    points_row *row = &points->rows[points->count++]; /* reading may have written all rows */
+    const cli_csv_record before = row->record;
+    row->record = record;
+    record = before;
+    points->row_bytes += row->record.length;
+    row->state = kind == CLI_CSV_COMMENT ? ROW_COPIED : ROW_READ;
+    if (kind == CLI_CSV_COMMENT || !read_row(points, row)) {
       count_done(points, row);
-    } else if (points_read_row(&points->usual, &points->columns, row)) {
-      row->state = POINTS_READ;
-      if (is_for_group(points, row)) {
-        points->read_count++;
-      } else if (!submit(points, row)) {
-        return false;
-      }
-    } else {
-      count_done(points, row);
+    } else if (is_for_group(points, row)) {
+      row->state = ROW_GROUPED;
+    }
+    if ((points->count == ROWS || points->row_bytes > ROWS_BYTES) && !write_all(points)) {
+      return false;
     }
   }
+  cli_csv_record_free(&record);
+  return !points->failed && write_all(points);
 }
 
 /* ---- the command ----------------------------------------------------------------------------- */
@@ -563,68 +884,56 @@ static bool open_input(points_run *points, const char *operand) {
   return true;
 }
 
-/* Looks up what holds for rows whose cells are empty or absent. */
-static void take_usual(const cli_profile *profile, bool is_given, points_usual *usual) {
-  const dipole_info *info = usual->info = profile->info;
-  usual->parameters = profile->parameters;
-  usual->transport = cli_choice(info, DIPOLE_MODEL, CLI_MODEL_DEFAULT)->id;
-  usual->model = profile->model != NULL ? profile->model->id : usual->transport;
-  usual->moments = profile->moments->id;
-  usual->evaluator = is_given ? profile->evaluator->id : DIPOLE_F64;
-  usual->evaluator_of_transport = is_given ? profile->evaluator->id : DIPOLE_LUT;
-  usual->tolerance = cli_choice(info, DIPOLE_PARAMETER, "tolerance")->id;
-}
-
-static int take_quantities(const cli_settings *settings, points_usual *usual) {
-  const bool any_model = usual->settings->model.count == 0 &&
-                         settings->parameters[CORE_PARAMETER_TOLERANCE].text != NULL;
+static int take_quantities(points_run *points) {
+  const cli_settings *settings = points->settings;
+  const bool any_model =
+      settings->model.count == 0 && settings->parameters[CORE_PARAMETER_TOLERANCE].text != NULL;
   const unsigned wanted = settings->f.count > 0
                               ? DIPOLE_TRANSFER | DIPOLE_ALBEDO
                               : DIPOLE_R | DIPOLE_ALBEDO | (any_model ? 0 : DIPOLE_CDF);
-  if (!cli_quantities_take(usual->info, &settings->wanted, wanted, 0, &usual->quantities)) {
+  if (!cli_quantities_take(points->profile.info, &settings->wanted, wanted, 0,
+                           &points->quantities)) {
     return CLI_USAGE;
   }
-  if ((usual->quantities.wanted & DIPOLE_RADIUS) != 0) {
+  if ((points->quantities.wanted & DIPOLE_RADIUS) != 0) {
     return cli_fail_usage("--wanted r: r is a column of the input, or of --r: leave it out");
   }
-  usual->by_f = (usual->quantities.wanted & ~(unsigned)DIPOLE_ALBEDO) == DIPOLE_TRANSFER;
-  if (settings->f.count > 0 && (settings->r.count > 0 || !usual->by_f)) {
+  points->by_f = (points->quantities.wanted & ~(unsigned)DIPOLE_ALBEDO) == DIPOLE_TRANSFER;
+  if (settings->f.count > 0 && (settings->r.count > 0 || !points->by_f)) {
     return cli_fail_usage("--f gives spatial frequencies, which only R_f has: ask for R_f alone, "
                           "without --r");
   }
-  usual->radii = settings->f.count > 0 ? &settings->f : &settings->r;
-  usual->radius_count = points_has_radii(usual) ? usual->radii->count : 1;
+  points->radii = settings->f.count > 0 ? &settings->f : &settings->r;
+  points->radius_count = has_radii(points) ? points->radii->count : 1;
   return CLI_OK;
 }
 
 /* Reads the options, and asks for the measured media. Returns an exit status. */
 static int prepare(points_run *points) {
-  points_usual *usual = &points->usual;
-  const cli_settings *settings = usual->settings;
-  cli_profile profile = {0};
   dipole_error error;
-  if (!cli_profile_take_names(settings, points->client, &profile)) {
+  if (!cli_profile_take_names(points->settings, points->client, &points->profile)) {
     return CLI_USAGE;
   }
-  take_usual(&profile, settings->evaluator != NULL, usual);
-  const int status = take_quantities(settings, usual);
+  const int status = take_quantities(points);
   if (status != CLI_OK) {
     return status;
   }
+  points->transport = cli_choice(points->profile.info, DIPOLE_MODEL, CLI_MODEL_DEFAULT)->id;
+  points->tolerance = cli_choice(points->profile.info, DIPOLE_PARAMETER, "tolerance")->id;
   for (size_t i = 0; i < 3; i++) {
-    const size_t values = usual->radius_count + GROUP_VALUES;
+    const size_t values = points->radius_count + GROUP_VALUES;
     points->arrays[i] = cli_allocate(values, sizeof *points->arrays[i]);
   }
-  usual->r_f32 = cli_allocate(usual->radius_count, sizeof *usual->r_f32);
-  for (size_t i = 0; i < usual->radii->count; i++) {
-    usual->r_f32[i] = (float)usual->radii->items[i];
+  points->r_f32 = cli_allocate(points->radius_count, sizeof *points->r_f32);
+  for (size_t i = 0; i < points->radii->count; i++) {
+    points->r_f32[i] = (float)points->radii->items[i];
   }
-  return dipole_media(points->client, &usual->media, &usual->medium_count, &error)
+  return dipole_media(points->client, &points->media, &points->medium_count, &error)
              ? CLI_OK
              : cli_fail_error(&error);
 }
 
-static int work(points_run *points) {
+static int evaluate(points_run *points) {
   const int status = prepare(points);
   if (status != CLI_OK) {
     return status;
@@ -633,30 +942,26 @@ static int work(points_run *points) {
   cli_progress_start(&points->progress, "rows");
   const bool good = read_header(points) && read_rows(points);
   cli_progress_wipe(&points->progress);
-  if (!good) {
-    return CLI_FAILED;
+  if (good && points->rows_bad > 0) {
+    return cli_say(CLI_BAD_ROWS, "%s: %llu of %llu rows were bad: see the column status",
+                   points->source, (unsigned long long)points->rows_bad,
+                   (unsigned long long)points->rows_written);
   }
-  if (points->rows_bad > 0) {
-    cli_fail("%s: %llu of %llu rows were bad: see the column status", points->source,
-             (unsigned long long)points->rows_bad, (unsigned long long)points->rows_written);
-    return CLI_BAD_ROWS;
-  }
-  return CLI_OK;
+  return good ? CLI_OK : CLI_FAILED;
 }
 
 static int run(const cli_settings *settings, dipole_client *client) {
   points_run *points = cli_allocate(1, sizeof *points);
-  points->usual.settings = settings;
-  points->usual.options = options;
+  points->settings = settings;
   points->client = client;
   int status = CLI_FAILED;
-  if (open_input(points, points->usual.settings->operand)) {
-    status = work(points);
+  if (open_input(points, settings->operand)) {
+    status = evaluate(points);
     if (points->reader.fd != STDIN_FILENO) {
       close(points->reader.fd);
     }
   }
-  free(points->usual.media);
+  free(points->media);
   return status;
 }
 

@@ -132,6 +132,19 @@ double cli_number_of_single(float value) {
   return decimal_read(text, &found) ? found : (double)value;
 }
 
+double cli_value(const dipole_result *result, uint32_t channel, unsigned quantity, size_t i) {
+  const double *f64 = dipole_values_f64(result, channel, quantity);
+  const float *f32 = dipole_values_f32(result, channel, quantity);
+  return f64 != NULL   ? f64[i]
+         : f32 != NULL ? cli_number_of_single(f32[i])
+                       : result->channels[channel].albedo;
+}
+
+double cli_numerical_error(const dipole_errors *errors, double r_mm) {
+  const bool grows = errors->numerical_error_per_mm > 0 && r_mm < (double)INFINITY;
+  return errors->numerical_error + (grows ? errors->numerical_error_per_mm * r_mm : 0);
+}
+
 double cli_number_rounded(double value) {
   char text[DECIMAL_BYTES];
   snprintf(text, sizeof text, "%.*e", DBL_DIG - 1, value);

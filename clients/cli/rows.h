@@ -58,6 +58,13 @@ void cli_put_shown(cli_rows *rows, const cli_column *column, double value, const
 double cli_number_of_single(float value);
 double cli_number_rounded(double value);
 
+/* Returns value number i of a quantity of an answer, in the fewest digits of its precision; of the
+ * albedo, the only one. */
+double cli_value(const dipole_result *result, uint32_t channel, unsigned quantity, size_t i);
+
+/* Returns the numerical error of the values at a radius. */
+double cli_numerical_error(const dipole_errors *errors, double r_mm);
+
 /* Writes the four coefficients of a medium. */
 void cli_put_medium(cli_rows *rows, const dipole_medium *medium);
 
