@@ -73,20 +73,19 @@ int cli_eval_ask(const cli_settings *settings, dipole_client *client, cli_eval_r
 /* Fills a zeroed report from the file of tables, without a daemon. */
 int cli_eval_table(const cli_settings *settings, cli_eval_report *report, dipole_info **info);
 
-/* The radii of one query. */
-typedef struct cli_eval_radii {
-  unsigned spacing;
-  uint64_t count;
-  double start_mm, stop_mm;
-  const double *f64; /* a list in either precision; NULL if there is none */
-  float *f32;
-} cli_eval_radii;
-
-/* Returns the radii that are asked for; none if no quantity has a value for each radius. */
-cli_eval_radii cli_eval_make_radii(const cli_settings *settings, const cli_eval_report *report);
+/* Sets the radii of a query to those that are asked for, in single or double precision; to none if no
+ * quantity has a value for each radius. */
+void cli_eval_set_radii(const cli_settings *settings, const cli_eval_report *report, bool single,
+                        dipole_query *query);
 
 /* Looks up the quantities, R and the albedo by default, and sets where values are. Says what is
  * wrong and returns false if that fails. */
 bool cli_eval_take_quantities(const cli_settings *settings, cli_eval_report *report);
+
+/* ---- drawing, in plot.c ---------------------------------------------------------------------- */
+
+/* Draws R over r, which is one of the report's quantities, into the files; on a logarithmic axis if
+ * the ratios between radii are equal. Says what is wrong and returns an exit status. */
+int cli_plot_R(const cli_eval_report *report, const cli_texts *paths);
 
 #endif

@@ -154,6 +154,14 @@ double cli_numbers_pick(const cli_numbers *numbers, size_t channel, double other
   return numbers->count == 0 ? otherwise : numbers->items[numbers->count == 1 ? 0 : channel];
 }
 
+const void *cli_numbers_in(const cli_numbers *numbers, bool single) {
+  float *floats = single ? cli_allocate(numbers->count, sizeof *floats) : NULL;
+  for (size_t i = 0; single && i < numbers->count; i++) {
+    floats[i] = (float)numbers->items[i];
+  }
+  return single ? (const void *)floats : numbers->items;
+}
+
 bool cli_texts_have(const cli_texts *texts, const char *text) {
   for (size_t i = 0; i < texts->count; i++) {
     if (strcmp(texts->items[i], text) == 0) {

@@ -38,6 +38,9 @@ static inline const char *cli_first(const cli_texts *texts) {
   return texts->count > 0 ? texts->items[0] : NULL;
 }
 
+/* Returns the numbers as an array of double, or of float. */
+const void *cli_numbers_in(const cli_numbers *numbers, bool single);
+
 /* Returns whether `text` is one of the texts. */
 bool cli_texts_have(const cli_texts *texts, const char *text);
 

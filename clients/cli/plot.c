@@ -1,5 +1,5 @@
 /* dipole plot: pictures of profiles over r, and of how far they are from radiative transport. */
-#include "clients/cli/plot.h"
+#include "clients/cli/eval.h"
 
 #include <math.h>
 #include <stdlib.h>

@@ -125,7 +125,7 @@ typedef struct points_run {
   bool by_f;                     /* R_f alone is wanted: radii are frequencies, 1/mm */
   const cli_numbers *radii;      /* those of --r or --f */
   size_t radius_count;           /* of each row: those of --r, or 1 */
-  float *r_f32;                  /* [radius_count]; NULL without --r */
+  const float *r_f32;            /* [radius_count]; NULL without --r */
   dipole_measured_medium *media;
   size_t medium_count;
   cli_csv_reader reader;
@@ -924,10 +924,7 @@ static int prepare(points_run *points) {
     const size_t values = points->radius_count + GROUP_VALUES;
     points->arrays[i] = cli_allocate(values, sizeof *points->arrays[i]);
   }
-  points->r_f32 = cli_allocate(points->radius_count, sizeof *points->r_f32);
-  for (size_t i = 0; i < points->radii->count; i++) {
-    points->r_f32[i] = (float)points->radii->items[i];
-  }
+  points->r_f32 = cli_numbers_in(points->radii, true);
   return dipole_media(points->client, &points->media, &points->medium_count, &error)
              ? CLI_OK
              : cli_fail_error(&error);

@@ -1,11 +1,283 @@
-/* dipole table: fetches the tables that the evaluator lut uses, so that they can be evaluated
- * without a daemon. */
+/* dipole table: fetches the tables that the evaluator lut uses, and writes them one behind the other
+ * into a file, which `dipole eval` evaluates without a daemon. */
+#include <errno.h>
+#include <math.h>
+#include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "clients/cli/daemon.h"
-#include "clients/cli/profile.h"
-#include "clients/cli/rows.h"
-#include "clients/cli/tables_file.h"
+#include "clients/cli/eval.h"
+
+/* ---- files ----------------------------------------------------------------------------------- */
+
+typedef struct tables {
+  size_t count;
+  dipole_table **items; /* one for each channel */
+} tables;
+
+static void add_table(tables *of, dipole_table *table) {
+  of->items = cli_resize(of->items, of->count + 1, sizeof(dipole_table *));
+  of->items[of->count++] = table;
+}
+
+static void free_tables(tables *of) {
+  for (size_t i = 0; i < of->count; i++) {
+    dipole_table_free(of->items[i]);
+  }
+}
+
+static bool is_standard(const char *path) {
+  return path != NULL && strcmp(path, "-") == 0;
+}
+
+/* Returns the whole of a file; NULL if it cannot be read. */
+static char *read_whole(FILE *from, size_t *count) {
+  size_t capacity = 1 << 16, got;
+  char *bytes = cli_allocate(capacity, 1);
+  *count = 0;
+  while ((got = fread(bytes + *count, 1, capacity - *count, from)) > 0) {
+    *count += got;
+    if (*count == capacity) {
+      capacity *= 2;
+      bytes = cli_resize(bytes, capacity, 1);
+    }
+  }
+  return ferror(from) ? NULL : bytes;
+}
+
+static bool take_tables(const char *path, const char *bytes, size_t count, tables *of) {
+  size_t done = 0;
+  do {
+    dipole_table *table;
+    dipole_error error;
+    size_t table_bytes;
+    if (!dipole_table_load(bytes + done, count - done, &table, &error)) {
+      cli_fail("%s: table %zu: %s", path, of->count + 1, error.text);
+      return false;
+    }
+    add_table(of, table);
+    dipole_table_bytes(table, &table_bytes);
+    done += table_bytes;
+  } while (done < count);
+  return true;
+}
+
+/* Reads a file of one table or more. Says what is wrong and returns false. */
+static bool read_tables(const char *path, tables *of) {
+  FILE *from = is_standard(path) ? stdin : fopen(path, "rbe");
+  size_t count = 0;
+  char *bytes = from != NULL ? read_whole(from, &count) : NULL;
+  const int read_errno = errno;
+  if (from != NULL && from != stdin) {
+    fclose(from);
+  }
+  if (bytes == NULL) {
+    cli_fail("cannot read %s: %s", path, strerror(read_errno));
+  }
+  return bytes != NULL && take_tables(path, bytes, count, of);
+}
+
+/* Writes a file, but not onto a terminal. Says what is wrong and returns false. */
+static bool save_tables(const char *path, const tables *of) {
+  FILE *to = is_standard(path) ? stdout : fopen(path, "wbe");
+  if (to == NULL) {
+    cli_fail("cannot write %s: %s", path, strerror(errno));
+    return false;
+  }
+  const bool terminal = isatty(fileno(to)) == 1;
+  bool written = !terminal;
+  for (size_t i = 0; written && i < of->count; i++) {
+    size_t count;
+    const void *bytes = dipole_table_bytes(of->items[i], &count);
+    written = fwrite(bytes, 1, count, to) == count;
+  }
+  written = written && fflush(to) == 0;
+  const int write_errno = errno;
+  if (to != stdout && fclose(to) != 0) {
+    written = false;
+  }
+  if (terminal) {
+    cli_fail("--output %s: a terminal cannot show binary tables; name a file", path);
+  } else if (!written) {
+    cli_fail("cannot write %s: %s", path, strerror(write_errno));
+  }
+  return written;
+}
+
+/* ---- evaluating what the tables are --------------------------------------------------------------------- */
+
+static bool is_same_profile(const dipole_table_info *a, const dipole_table_info *b) {
+  bool same =
+      a->model == b->model && a->moments == b->moments && a->parameter_count == b->parameter_count;
+  for (size_t i = 0; same && i < a->parameter_count; i++) {
+    same = a->parameters[i].id == b->parameters[i].id &&
+           a->parameters[i].value == b->parameters[i].value;
+  }
+  return same;
+}
+
+static int check_same(const char *path, const tables *of) {
+  for (size_t i = 1; i < of->count; i++) {
+    if (!is_same_profile(dipole_table_get_info(of->items[0]),
+                         dipole_table_get_info(of->items[i]))) {
+      return cli_fail("%s: tables 1 and %zu differ in model, moments or parameters: put them into "
+                      "files of their own",
+                      path, i + 1);
+    }
+  }
+  return CLI_OK;
+}
+
+/* Writes the name of a table's medium: that of a measured medium if it is one, as in "skin1 red",
+ * else its number from 1. */
+static void name_channel(const dipole_medium *medium, size_t index, char *name, size_t bytes) {
+  snprintf(name, bytes, "%zu", index + 1);
+  for (size_t i = 0; i < core_measured_media_count; i++) {
+    for (size_t k = 0; k < CLI_COLOURS; k++) {
+      const core_medium *known = &core_measured_media[i].channel[k];
+      if (known->sigma_a_per_mm == medium->sigma_a_per_mm &&
+          known->sigma_s_per_mm == medium->sigma_s_per_mm && known->g == medium->g &&
+          known->eta == medium->eta) {
+        snprintf(name, bytes, "%s %s", core_measured_media[i].name, cli_colours[k]);
+        return;
+      }
+    }
+  }
+}
+
+/* Takes the model and the channels from the tables. */
+static int describe(const char *path, const tables *of, cli_eval_report *report) {
+  const dipole_table_info *first = dipole_table_get_info(of->items[0]);
+  const dipole_choice *model = cli_choice_of_id(report->profile.info, DIPOLE_MODEL, first->model);
+  report->profile.moments = cli_choice_of_id(report->profile.info, DIPOLE_MOMENTS, first->moments);
+  if (model == NULL || report->profile.moments == NULL) {
+    return cli_fail(
+        "%s: model %u or moments %u are not known to this program: use the version that wrote it",
+        path, first->model, first->moments);
+  }
+  cli_eval_add_model(report, model, true);
+  report->models[0].evaluator =
+      cli_choice_of_id(report->profile.info, DIPOLE_EVALUATOR, DIPOLE_LUT);
+  for (size_t i = 0; i < first->parameter_count; i++) {
+    cli_parameters_set(&report->profile.parameters, first->parameters[i].id,
+                       first->parameters[i].value);
+  }
+  cli_profile_set_channels(&report->profile, of->count);
+  for (size_t i = 0; i < of->count; i++) {
+    const dipole_table_info *info = dipole_table_get_info(of->items[i]);
+    cli_channel *channel = &report->profile.channels[i];
+    name_channel(&info->medium, i, channel->name, sizeof channel->name);
+    channel->medium = report->profile.media[i] = info->medium;
+    report->models[0].notes |= info->notes;
+  }
+  return CLI_OK;
+}
+
+/* ---- values ---------------------------------------------------------------------------------- */
+
+/* Takes the radii. Returns them in single precision; says what is wrong and returns NULL if it cannot. */
+static const float *take_radii(const cli_settings *settings, cli_eval_report *report) {
+  dipole_query query = {0};
+  dipole_error error;
+  cli_eval_set_radii(settings, report, true, &query);
+  const size_t count = report->place_count = (size_t)query.radius_count;
+  const float *r = query.radii;
+  if (query.radii == NULL) {
+    float *grid = cli_allocate(count, sizeof *grid);
+    if (count > 0 && !dipole_grid_radii((enum dipole_spacing)query.spacing, query.radius_start_mm,
+                                        query.radius_stop_mm, count, grid, &error)) {
+      cli_fail("%s", error.text);
+      return NULL;
+    }
+    r = grid;
+  }
+  report->places = cli_allocate(count, sizeof *report->places);
+  for (size_t i = 0; i < count; i++) {
+    report->places[i] = cli_number_of_single(r[i]);
+  }
+  return r;
+}
+
+/* Names the first radius that a table does not take. */
+static int fail_radius(const dipole_table_info *info, const cli_eval_report *report) {
+  size_t at = 0;
+  while (at + 1 < report->place_count && report->places[at] >= info->radius_least_mm &&
+         report->places[at] <= info->radius_most_mm) {
+    at++;
+  }
+  return cli_fail("r number %zu of %zu: allowed: %.6g to %.6g mm, which the model covers", at + 1,
+                  report->place_count, info->radius_least_mm, info->radius_most_mm);
+}
+
+/* Fills in the values of one table. */
+static int evaluate(const dipole_table *table, const float *r, const cli_eval_report *report,
+                    cli_eval_values *values) {
+  const dipole_table_info *info = dipole_table_get_info(table);
+  const size_t n = report->place_count;
+  float probe = 0;
+  values->albedo = (report->quantities.wanted & DIPOLE_ALBEDO) != 0 ? info->albedo : (double)NAN;
+  float *out = cli_allocate(n, sizeof *out);
+  int status = CLI_OK;
+  for (size_t q = 0; status == CLI_OK && q < report->quantities.count; q++) {
+    const enum dipole_quantity quantity = (enum dipole_quantity)report->quantities.items[q]->id;
+    if (quantity == DIPOLE_ALBEDO) {
+      continue;
+    }
+    if (!dipole_table_values(table, quantity, 0, &probe, &probe)) {
+      status = cli_fail("--wanted %s: a table does not hold it; it holds R, albedo, cdf, pdf, "
+                        "2_pi_r_R and S",
+                        report->quantities.items[q]->name);
+    } else if (!dipole_table_values(table, quantity, n, r, out)) {
+      status = fail_radius(info, report);
+    } else {
+      values->arrays[q] = cli_allocate(n, sizeof(double));
+      for (size_t i = 0; i < n; i++) {
+        values->arrays[q][i] = cli_number_of_single(out[i]);
+      }
+    }
+  }
+  dipole_errors errors;
+  if (status == CLI_OK &&
+      !dipole_table_errors(table, report->quantities.wanted & ~(unsigned)DIPOLE_RADIUS, n, r,
+                           &errors)) {
+    status = fail_radius(info, report);
+  }
+  if (status == CLI_OK) {
+    values->errors = errors;
+  }
+  for (size_t q = 0; status == CLI_OK && q < report->quantities.count; q++) {
+    dipole_table_errors(table, report->quantities.items[q]->id, n, r, &values->of_each[q]);
+  }
+  return status;
+}
+
+int cli_eval_table(const cli_settings *settings, cli_eval_report *report, dipole_info **info) {
+  tables of = {0};
+  dipole_error error;
+  if (!dipole_local_info(info, &error)) {
+    return cli_fail("%s", error.text);
+  }
+  report->profile.info = *info;
+  if (!cli_eval_take_quantities(settings, report)) {
+    return CLI_USAGE;
+  }
+  int status = read_tables(settings->table, &of) ? CLI_OK : CLI_FAILED;
+  status = status == CLI_OK ? check_same(settings->table, &of) : status;
+  status = status == CLI_OK ? describe(settings->table, &of, report) : status;
+  if (status == CLI_OK) {
+    const float *r = take_radii(settings, report);
+    cli_eval_make_values(report);
+    status = r != NULL ? CLI_OK : CLI_FAILED;
+    for (size_t i = 0; status == CLI_OK && i < of.count; i++) {
+      status = evaluate(of.items[i], r, report, &report->values[i]);
+    }
+  }
+  free_tables(&of);
+  return status;
+}
+
+/* ---- fetching -------------------------------------------------------------------------------- */
 
 static const cli_option options[] = {
     CLI_TITLE("Evaluation"),
@@ -21,15 +293,11 @@ static const cli_option options[] = {
 
 typedef struct report {
   cli_profile profile;
-  cli_tables tables; /* one for each channel */
+  tables tables;
 } report;
 
-static bool is_to_standard(const cli_settings *settings) {
-  return settings->output != NULL && strcmp(settings->output, "-") == 0;
-}
-
 static int check(cli_settings *settings) {
-  if (is_to_standard(settings) && settings->format != NULL) {
+  if (is_standard(settings->output) && settings->format != NULL) {
     return cli_fail_usage("--output - writes binary to standard output: leave --format "
                           "out, or name a file");
   }
@@ -53,7 +321,7 @@ static int fetch(const cli_settings *settings, dipole_client *client, report *of
       }
       return cli_fail_error_of(place, &error);
     }
-    cli_tables_add(&of->tables, table);
+    add_table(&of->tables, table);
   }
   return CLI_OK;
 }
@@ -112,10 +380,10 @@ static int ask_and_write(const cli_settings *settings, dipole_client *client, re
   if (status != CLI_OK) {
     return status;
   }
-  if (settings->output != NULL && !cli_tables_save(settings->output, &of->tables)) {
+  if (settings->output != NULL && !save_tables(settings->output, &of->tables)) {
     return CLI_FAILED;
   }
-  if (is_to_standard(settings)) {
+  if (is_standard(settings->output)) {
     return CLI_OK;
   }
   const cli_report output = {.facts = put_facts,
@@ -130,7 +398,7 @@ static int ask_and_write(const cli_settings *settings, dipole_client *client, re
 static int run(const cli_settings *settings, dipole_client *client) {
   report of = {0};
   const int status = ask_and_write(settings, client, &of);
-  cli_tables_free(&of.tables);
+  free_tables(&of.tables);
   return status;
 }
 

@@ -47,21 +47,6 @@ def test_points_says_the_same_as_eval(shared, evaluator, moments):
 # ---- daemons -------------------------------------------------------------------------------------
 
 
-def test_a_long_list_is_asked_for_in_parts(daemon):
-    small = daemon("--max-frame-bytes", "4096").url()
-    radii = ",".join(str(i / 16) for i in range(3000))
-    arguments = [*MEDIUM, "--wanted", "R,albedo,cdf", "--r", radii]
-    for evaluator in ("f64", "f32"):
-        whole = eval_rows(*arguments, "--evaluator", evaluator)
-        parts = eval_rows(*arguments, "--evaluator", evaluator, "--connect", small)
-        for row in (*whole, *parts):
-            # the largest of each part, which has its own comparison
-            for name in [name for name in row if name.startswith("model_error")]:
-                row.pop(name)
-        assert whole == parts
-    assert len(whole) == 6000
-
-
 @pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
 def test_a_large_grid_comes_in_parts(daemon, evaluator):
     small = daemon("--max-frame-bytes", "65536", "--max-part-bytes", "16384").url()

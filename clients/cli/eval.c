@@ -1,0 +1,738 @@
+/* dipole eval: profiles of a medium over a range of radii. Asks a daemon model by model, puts the
+ * answers together, and writes them; `dipole sample` and `dipole plot` use parts of it. */
+#include "clients/cli/eval.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "clients/cli/daemon.h"
+#include "clients/cli/options.h"
+#include "clients/cli/picture.h"
+#include "clients/cli/progress.h"
+
+#define MODEL_ALL "all"
+
+static const cli_option radii_options[] = {
+    CLI_OPTION(
+        FILE, table, NULL,
+        "evaluate the tables in a file of `dipole table`, without a daemon; -: standard input"),
+    CLI_TITLE("Radii"),
+    CLI_OPTION(NUMBERS, r, NULL, "these radii, mm; one may be inf"),
+    CLI_EVAL_F_OPTION,
+    CLI_OPTION(NUMBER, from, "0", "the first radius of a grid, mm"),
+    CLI_OPTION(NUMBER, to, "10", "the last radius of the grid, mm"),
+    CLI_OPTION(COUNT, count, "21", "how many radii the grid has"),
+    CLI_OPTION(SWITCH, log, NULL,
+               "make the ratios between radii equal instead of the steps; needs --from"),
+    {0},
+};
+
+const cli_option cli_eval_options[] = {
+    CLI_TITLE("Evaluation"),
+    CLI_OPTION(
+        NAMES, model, NULL,
+        "`dipole info` lists them; all: every model that accepts the query, while standard error "
+        "names "
+        "those that refuse it (default: transport; with --tolerance the cheapest that is so near "
+        "to "
+        "it)"),
+    CLI_MOMENTS_OPTION,
+    CLI_EVALUATOR_OPTION,
+    CLI_DEADLINE_OPTION,
+    {0},
+};
+
+static const cli_option output_options[] = {
+    CLI_OPTION(
+        NAMES, wanted, NULL,
+        "what to evaluate. R: 1/mm^2 per unit of power that entered; albedo; cdf: the share of the "
+        "albedo within r; S: 1/(mm^2 sr); R_f: for striped light, at spatial frequencies in 1/mm; "
+        "`dipole info` lists all (default: R,albedo; with --f R_f,albedo)"),
+    CLI_OPTION(
+        SWITCH, errors, NULL,
+        "also write model_errors: how far the model is from transport at each radius. A medium for "
+        "which transport has no stored solution is solved, which takes seconds"),
+    CLI_TITLE("Output"),
+    CLI_OPTION(FILES, plot, NULL,
+               "also draw R over r into FILE.svg or FILE.png; -: as text below the table. May be "
+               "repeated. "
+               "`dipole plot` draws more"),
+    {0},
+};
+
+/* ---- holding --------------------------------------------------------------------------------- */
+
+void cli_eval_add_model(cli_eval_report *report, const dipole_choice *model, bool named) {
+  for (size_t i = 0; i < report->model_count; i++) {
+    if (report->models[i].choice == model) {
+      report->models[i].named |= named;
+      return;
+    }
+  }
+  report->models = cli_resize(report->models, report->model_count + 1, sizeof *report->models);
+  report->models[report->model_count++] = (cli_eval_model){.choice = model, .named = named};
+}
+
+void cli_eval_make_values(cli_eval_report *report) {
+  report->values =
+      cli_allocate(report->model_count * report->profile.channel_count, sizeof *report->values);
+}
+
+/* Returns the larger number, or NaN if either is NaN. */
+static double larger(double a, double b) {
+  return isnan(a) || a > b ? a : b;
+}
+
+/* Keeps the errors of a part: the largest model error of all parts. */
+static void keep_errors(dipole_errors *kept, dipole_errors part, bool is_first) {
+  const double before = kept->model_error;
+  *kept = part;
+  kept->model_error = is_first ? part.model_error : larger(before, part.model_error);
+}
+
+void cli_eval_keep(cli_eval_report *report, size_t model, size_t first, const dipole_result *part) {
+  for (uint32_t i = 0; i < part->channel_count; i++) {
+    const dipole_channel *channel = &part->channels[i];
+    cli_eval_values *values = &report->values[model * report->profile.channel_count + i];
+    values->albedo = channel->albedo;
+    const dipole_errors all = {channel->numerical_error, channel->numerical_error_per_mm,
+                               channel->model_error};
+    keep_errors(&values->errors, all, first == 0);
+    for (size_t q = 0; q < report->quantities.count; q++) {
+      const unsigned id = report->quantities.items[q]->id;
+      keep_errors(&values->of_each[q], dipole_errors_of(part, i, id), first == 0);
+      if (id == DIPOLE_ALBEDO) {
+        continue;
+      }
+      if (values->arrays[q] == NULL) { /* now that the daemon has agreed to so many places */
+        values->arrays[q] = cli_allocate(report->place_count, sizeof(double));
+      }
+      for (size_t k = 0; k < part->radius_count; k++) {
+        values->arrays[q][first + k] = cli_value(part, i, id, k);
+      }
+    }
+  }
+  report->models[model].notes |= part->notes;
+}
+
+/* ---- models ---------------------------------------------------------------------------------- */
+
+static bool choose_model(const char *name, cli_eval_report *report) {
+  const dipole_choice *model = cli_named(report->profile.info, DIPOLE_MODEL, "model", name);
+  if (model != NULL) {
+    cli_eval_add_model(report, model, true);
+  }
+  return model != NULL;
+}
+
+static bool choose_models(const cli_settings *settings, cli_eval_report *report) {
+  const cli_texts *names = &settings->model;
+  if (names->count == 0 && settings->parameters[CORE_PARAMETER_TOLERANCE].text != NULL) {
+    cli_eval_add_model(report, NULL, true); /* the daemon chooses */
+    return true;
+  }
+  for (size_t i = 0; i < names->count; i++) {
+    const dipole_choice *model;
+    if (strcmp(names->items[i], MODEL_ALL) != 0) {
+      if (!choose_model(names->items[i], report)) {
+        return false;
+      }
+      continue;
+    }
+    for (size_t from = 0;
+         (model = cli_next_choice(report->profile.info, DIPOLE_MODEL, &from)) != NULL;) {
+      cli_eval_add_model(report, model, false);
+    }
+  }
+  return names->count > 0 || choose_model(CLI_MODEL_DEFAULT, report);
+}
+
+/* Like one of all models, the reference takes what it can of the parameters. */
+static bool choose_reference(cli_eval_report *report) {
+  const dipole_choice *model = cli_choice(report->profile.info, DIPOLE_MODEL, CLI_MODEL_DEFAULT);
+  if (model == NULL) {
+    cli_fail("this daemon has no model " CLI_MODEL_DEFAULT " to compare with: leave --error out");
+    return false;
+  }
+  cli_eval_add_model(report, model, false);
+  return true;
+}
+
+/* ---- quantities and radii -------------------------------------------------------------------- */
+
+bool cli_eval_take_quantities(const cli_settings *settings, cli_eval_report *report) {
+  const bool at_f = settings->f.count > 0;
+  const unsigned usual = DIPOLE_ALBEDO | (at_f ? DIPOLE_TRANSFER : DIPOLE_R);
+  if (!cli_quantities_take(report->profile.info, &settings->wanted, usual, DIPOLE_RADIUS,
+                           &report->quantities)) {
+    return false;
+  }
+  if (settings->errors && (report->quantities.wanted & DIPOLE_MODEL_ERRORS) == 0) {
+    report->quantities.wanted |= DIPOLE_MODEL_ERRORS;
+    report->quantities.items[report->quantities.count++] =
+        cli_choice_of_id(report->profile.info, DIPOLE_QUANTITY, DIPOLE_MODEL_ERRORS);
+  }
+  const unsigned others =
+      report->quantities.wanted & ~(unsigned)(DIPOLE_ALBEDO | DIPOLE_RADIUS | DIPOLE_MODEL_ERRORS);
+  report->place = others == DIPOLE_TRANSFER ? "f" : "r";
+  if (at_f && others != DIPOLE_TRANSFER) {
+    cli_fail_usage("--f gives spatial frequencies, which only R_f has: ask for R_f alone");
+    return false;
+  }
+  return true;
+}
+
+void cli_eval_set_radii(const cli_settings *settings, const cli_eval_report *report, bool single,
+                        dipole_query *query) {
+  const cli_numbers *list = settings->f.count > 0 ? &settings->f : &settings->r;
+  query->spacing = DIPOLE_LIST;
+  if ((report->quantities.wanted & ~(unsigned)(DIPOLE_ALBEDO | DIPOLE_RADIUS)) == 0) {
+    return;
+  }
+  if (list->count > 0) {
+    query->radius_count = list->count;
+    query->radii = cli_numbers_in(list, single);
+    return;
+  }
+  query->spacing = settings->log ? DIPOLE_LOGARITHMIC : DIPOLE_LINEAR;
+  query->radius_count = settings->count.value;
+  query->radius_start_mm = settings->from.value;
+  query->radius_stop_mm = settings->to.value;
+}
+
+/* ---- asking ---------------------------------------------------------------------------------- */
+
+typedef struct asking {
+  const cli_settings *settings;
+  dipole_client *client;
+  cli_eval_report *report;
+  unsigned bad_value; /* the daemon's status for a value that it, or the model, does not take */
+  size_t model;       /* position of the model that is asked */
+  size_t done, total; /* models */
+  dipole_query query;
+  cli_progress progress;
+} asking;
+
+/* Keeps a part of the answer, and the daemon's choice of model and evaluator if no model was named:
+ * returns false if it does not list them. */
+static bool receive(void *context, const dipole_result *part, uint64_t first) {
+  asking *ask = context;
+  cli_eval_report *report = ask->report;
+  cli_eval_model *model = &report->models[ask->model];
+  const bool is_grid = ask->query.spacing != DIPOLE_LIST;
+  if (model->choice == NULL) {
+    const dipole_info *info = report->profile.info;
+    model->choice = cli_choice_of_id(info, DIPOLE_MODEL, part->model);
+    model->evaluator = cli_choice_of_id(info, DIPOLE_EVALUATOR, part->evaluator);
+    if (model->choice == NULL || model->evaluator == NULL) {
+      return false;
+    }
+  }
+  if (report->places == NULL) {
+    report->place_count = (size_t)ask->query.radius_count;
+    report->places = cli_allocate(report->place_count, sizeof *report->places);
+  }
+  for (size_t i = 0; i < part->radius_count; i++) {
+    const double r =
+        part->radius_f64 != NULL ? part->radius_f64[i] : cli_number_of_single(part->radius_f32[i]);
+    report->places[first + i] = is_grid ? cli_number_rounded(r) : r;
+  }
+  cli_eval_keep(report, ask->model, (size_t)first, part);
+  if (report->place_count > 0) {
+    const double of_model = (double)report->place_count;
+    const double done = (double)ask->done * of_model + (double)(first + part->radius_count);
+    cli_progress_show(&ask->progress, done / ((double)ask->total * of_model),
+                      (double)report->profile.channel_count * done);
+  }
+  return true;
+}
+
+/* Asks the model. One of all models is asked without the parameters that it does not take; a named
+ * one has to take them. Where the daemon chooses the model, and no evaluator is named, single
+ * precision is taken, which is cheaper, unless only double precision keeps the tolerance. */
+static bool ask_model(asking *ask, dipole_error *error) {
+  const cli_eval_report *report = ask->report;
+  const dipole_info *info = report->profile.info;
+  cli_eval_model *model = &ask->report->models[ask->model];
+  cli_parameters parameters = report->profile.parameters;
+  const bool is_any = model->choice == NULL;
+  for (;;) {
+    ask->query =
+        (dipole_query){.model = is_any ? DIPOLE_ANY_MODEL : model->choice->id,
+                       .evaluator = model->evaluator->id,
+                       .moments = report->profile.moments->id,
+                       .wanted = report->quantities.wanted | DIPOLE_RADIUS | DIPOLE_MODEL_ERROR,
+                       .media = report->profile.media,
+                       .medium_count = (uint32_t)report->profile.channel_count,
+                       .parameters = parameters.items,
+                       .parameter_count = parameters.count,
+                       .deadline_ms = (uint32_t)ask->settings->deadline_ms.value};
+    cli_eval_set_radii(ask->settings, report, model->evaluator->id != DIPOLE_F64, &ask->query);
+    if (CLI_ASK(ask->settings, error,
+                dipole_eval_parts(ask->client, &ask->query, receive, ask, error))) {
+      return true;
+    }
+    const dipole_choice *refused = cli_choice(info, DIPOLE_PARAMETER, error->field);
+    if (is_any && error->kind == DIPOLE_ERROR_REFUSED && strcmp(error->field, "tolerance") == 0 &&
+        ask->settings->evaluator == NULL && model->evaluator->id != DIPOLE_F64) {
+      model->evaluator = cli_choice_of_id(info, DIPOLE_EVALUATOR, DIPOLE_F64);
+    } else if (model->named || error->kind != DIPOLE_ERROR_REFUSED ||
+               error->status != ask->bad_value || refused == NULL ||
+               strncmp(error->allowed, "nothing", strlen("nothing")) != 0 ||
+               !cli_parameters_remove(&parameters, refused->id)) {
+      return false; /* "nothing": the model does not take the parameter, whatever its value */
+    }
+  }
+}
+
+/* A model that `--model all` leaves out, and why. */
+typedef struct left_out {
+  const char *model;
+  dipole_error error;
+} left_out;
+
+/* Writes one line for each model that is left out. If every model is, the query is probably wrong:
+ * then each reason is given once. */
+static int tell_left_out(const left_out *models, size_t count, bool all) {
+  for (size_t i = 0; i < count; i++) {
+    char what[96];
+    bool told = false;
+    for (size_t k = 0; k < i; k++) {
+      told = told || strcmp(models[k].error.text, models[i].error.text) == 0;
+    }
+    snprintf(what, sizeof what, "%s is left out: ", models[i].model);
+    if (!all || !told) {
+      cli_fail_error_of(all ? "" : what, &models[i].error);
+    }
+  }
+  return all ? CLI_FAILED : CLI_OK;
+}
+
+/* Says why a model has not answered. Names it if another model might have, as with a parameter that
+ * this one needs or does not take. model: NULL if the daemon was to choose it. */
+static int fail_model(const asking *ask, const dipole_choice *model, const dipole_error *error) {
+  char what[96] = "";
+  if (model != NULL && error->kind == DIPOLE_ERROR_REFUSED && error->status == ask->bad_value &&
+      cli_choice(ask->report->profile.info, DIPOLE_PARAMETER, error->field) != NULL) {
+    snprintf(what, sizeof what, "model %s: ", model->name);
+  }
+  return cli_fail_error_of(what, error);
+}
+
+/* Asks model by model. Those that answer move up in the report to fill the gaps. */
+static int ask_all(asking *ask) {
+  cli_eval_report *report = ask->report;
+  left_out *out = cli_allocate(ask->total, sizeof *out);
+  size_t out_count = 0;
+  int status = CLI_OK;
+  for (; status == CLI_OK && ask->done < ask->total; ask->done++) {
+    dipole_error error;
+    cli_eval_model *asked = &report->models[ask->model];
+    *asked = report->models[ask->done];
+    if (ask_model(ask, &error)) {
+      ask->model++;
+    } else if (!asked->named && error.kind == DIPOLE_ERROR_REFUSED &&
+               error.status == ask->bad_value) {
+      out[out_count++] = (left_out){asked->choice->name, error};
+    } else {
+      cli_progress_wipe(&ask->progress);
+      status = error.kind == DIPOLE_ERROR_STOPPED
+                   ? cli_fail("the daemon chose a model or evaluator that it does not list")
+                   : fail_model(ask, asked->choice, &error);
+    }
+  }
+  cli_progress_wipe(&ask->progress);
+  report->model_count = ask->model;
+  return status == CLI_OK ? tell_left_out(out, out_count, ask->model == 0) : status;
+}
+
+int cli_eval_ask(const cli_settings *settings, dipole_client *client, cli_eval_report *report) {
+  const int status = cli_profile_take(settings, client, &report->profile);
+  if (status != CLI_OK) {
+    return status;
+  }
+  const dipole_info *info = report->profile.info;
+  if (!choose_models(settings, report) || (settings->deviation && !choose_reference(report)) ||
+      !cli_eval_take_quantities(settings, report)) {
+    return CLI_USAGE;
+  }
+  report->chosen = report->models[0].choice == NULL;
+  for (size_t i = 0; i < report->model_count; i++) {
+    cli_eval_model *model = &report->models[i];
+    const char *name = model->choice != NULL ? model->choice->name : NULL;
+    model->evaluator =
+        report->profile.evaluator != NULL
+            ? report->profile.evaluator
+            : cli_choice(info, DIPOLE_EVALUATOR, cli_usual_evaluator(settings, name));
+  }
+  report->profile.evaluator = NULL; /* each row has its own */
+  cli_eval_make_values(report);
+  asking ask = {.settings = settings,
+                .client = client,
+                .report = report,
+                .total = report->model_count,
+                .bad_value = dipole_id(client, DIPOLE_STATUS, "bad-value")};
+  cli_progress_start(&ask.progress, "values");
+  return ask_all(&ask);
+}
+
+/* ---- errors ---------------------------------------------------------------------------------- */
+
+/* Returns what the numerical error of the wanted quantities is: that of ln R and its derivatives is
+ * absolute. */
+static const char *kind_of_error(const cli_eval_report *report, unsigned wanted) {
+  const unsigned absolute = DIPOLE_LN_R | DIPOLE_BY_SIGMA_A | DIPOLE_BY_SIGMA_S;
+  return report->place[0] == 'f'     ? "of the albedo, at most"
+         : (wanted & absolute) == 0  ? "relative, at most"
+         : (wanted & ~absolute) == 0 ? "absolute, at most"
+                                     : "relative, of logarithms absolute, at most";
+}
+
+/* Returns the unit of the places. */
+static const char *unit_of_places(const cli_eval_report *report) {
+  return report->place[0] == 'r' ? "mm" : report->place[0] == 'f' ? "1/mm" : "1";
+}
+
+/* Returns the radius of a value, for its error: a place or, of drawn radii, the radius itself. */
+static double radius_at(const cli_eval_report *report, const cli_eval_values *values, size_t at) {
+  size_t q = 0;
+  if (report->draw == NULL) {
+    return report->place_count > 0 ? report->places[at] : 0;
+  }
+  while (q < report->quantities.count && report->quantities.items[q]->id != DIPOLE_RADIUS) {
+    q++;
+  }
+  return q < report->quantities.count ? values->arrays[q][at] : (double)NAN;
+}
+
+enum { RANGE_BYTES = 64 };
+
+/* Writes where the model error holds, such as "from 1 to 2 mm". */
+static const char *range_of(const cli_eval_report *report, char text[RANGE_BYTES]) {
+  if (report->draw != NULL) {
+    return "at drawn radii";
+  }
+  if (report->place[0] == 'f' || report->place_count == 0) {
+    return "relative";
+  }
+  snprintf(text, RANGE_BYTES, report->least < report->most ? "from %.6g to %.6g mm" : "at %.6g mm",
+           report->least, report->most);
+  return text;
+}
+
+/* Finds what rows say of all places. */
+static void survey(cli_eval_report *report) {
+  const unsigned diverging = DIPOLE_R | DIPOLE_S | DIPOLE_SLOPE | DIPOLE_LN_R;
+  bool compared = false, any = false;
+  for (size_t i = 0; i < report->place_count; i++) {
+    const double place = report->places[i];
+    if (isfinite(place)) {
+      report->least = any ? fmin(report->least, place) : place;
+      report->most = any ? fmax(report->most, place) : place;
+      any = true;
+    }
+  }
+  for (size_t i = 0; i < report->model_count * report->profile.channel_count; i++) {
+    compared = compared || report->values[i].errors.model_error != 0;
+  }
+  report->diverges = any && report->least == 0 && report->draw == NULL && compared &&
+                     (report->quantities.wanted & diverging) != 0;
+}
+
+/* ---- rows ------------------------------------------------------------------------------------ */
+
+static const dipole_choice *evaluator_of(const cli_eval_report *report, size_t model) {
+  return report->models[model].evaluator;
+}
+
+/* Puts errors under these names, at r_mm. */
+static void put_errors_as(cli_rows *rows, const cli_eval_report *report,
+                          const dipole_errors *errors, double r_mm, unsigned forms, unsigned wanted,
+                          const char *of) {
+  char range[RANGE_BYTES], numerical[64], model[64];
+  const char *none = report->diverges && !(report->most > 0) ? "diverges" : "not solved";
+  snprintf(numerical, sizeof numerical, "numerical_error%s%s", of[0] != '\0' ? "_" : "", of);
+  snprintf(model, sizeof model, "model_error%s%s", of[0] != '\0' ? "_" : "", of);
+  cli_put_number(rows,
+                 CLI_COLUMN(numerical, "numerical error", NULL, "%.1e", .over = of,
+                            .below = kind_of_error(report, wanted), .forms = forms),
+                 cli_numerical_error(errors, r_mm));
+  cli_put_number(rows,
+                 CLI_COLUMN(model, "model error", NULL, "%.1e", none, .over = of,
+                            .below = range_of(report, range), .forms = forms),
+                 errors->model_error);
+}
+
+/* Puts the errors of a model and channel; in a table those of all radii, else those at r_mm. Those of
+ * each quantity follow if several have values at places, and stand alone in a table. */
+static void put_errors(cli_rows *rows, const cli_eval_report *report, const cli_eval_values *values,
+                       double r_mm) {
+  const cli_quantities *quantities = &report->quantities;
+  const unsigned beside = DIPOLE_ALBEDO | DIPOLE_RADIUS | DIPOLE_MODEL_ERRORS;
+  const bool several = __builtin_popcount(quantities->wanted & ~beside) > 1;
+  put_errors_as(rows, report, &values->errors, r_mm, several ? CLI_IN_CSV | CLI_IN_JSON : 0,
+                quantities->wanted, "");
+  for (size_t q = 0; several && q < quantities->count; q++) {
+    if ((quantities->items[q]->id & (DIPOLE_RADIUS | DIPOLE_MODEL_ERRORS)) == 0) {
+      put_errors_as(rows, report, &values->of_each[q], r_mm, 0, quantities->items[q]->id,
+                    quantities->items[q]->name);
+    }
+  }
+}
+
+/* Puts what all reports of values begin with. */
+static void put_facts(cli_rows *rows, const void *context, size_t index) {
+  const cli_eval_report *report = context;
+  (void)index;
+  cli_put_profile(rows, &report->profile);
+  if (report->draw != NULL) {
+    cli_put_text(rows, CLI_COLUMN("draw"), report->draw->name);
+    cli_put_count(rows, CLI_COLUMN("seed"), report->seed);
+    cli_put_count(rows, CLI_COLUMN("first"), report->first);
+  } else if (report->place[0] == 'f') {
+    cli_put_text(rows, CLI_COLUMN("R_f", ""), "R_f, the reflectance of striped light");
+  } else {
+    cli_put_text(rows, CLI_COLUMN("R", "R in"), report->profile.info->R_unit);
+  }
+}
+
+/* Without places, when only the albedo was wanted, there is one row for each model and channel. */
+static size_t rows_of_channel(const cli_eval_report *report) {
+  return report->place_count > 0 ? report->place_count : 1;
+}
+
+/* Puts the values of a model and channel at a place, for programs. */
+static void put_value(cli_rows *rows, const void *context, size_t index) {
+  const cli_eval_report *report = context;
+  const size_t at = index % rows_of_channel(report), profile = index / rows_of_channel(report);
+  const size_t model = profile / report->profile.channel_count;
+  const cli_eval_values *values = &report->values[profile];
+  const cli_channel *channel = &report->profile.channels[profile % report->profile.channel_count];
+  cli_put_text(rows, CLI_COLUMN("model"), report->models[model].choice->name);
+  cli_put_text(rows, CLI_COLUMN("channel"), channel->name);
+  cli_put_medium(rows, &channel->medium);
+  if (report->place_count > 0) {
+    cli_put_number(rows, CLI_COLUMN(report->place, .unit = unit_of_places(report)),
+                   report->places[at]);
+  }
+  for (size_t q = 0; q < report->quantities.count; q++) {
+    const dipole_choice *quantity = report->quantities.items[q];
+    cli_put_number(rows, CLI_COLUMN(quantity->name, .unit = quantity->about),
+                   values->arrays[q] != NULL ? values->arrays[q][at] : values->albedo);
+  }
+  put_errors(rows, report, values, radius_at(report, values, at));
+  cli_put_text(rows, CLI_COLUMN("evaluator"), evaluator_of(report, model)->name);
+  cli_put_notes(rows, report->profile.info, report->models[model].notes);
+}
+
+/* ---- for people ------------------------------------------------------------------------------ */
+
+/* A run of models that are written side by side in one table. */
+typedef struct block {
+  const cli_eval_report *report;
+  size_t first, count; /* of models */
+} block;
+
+enum { BLOCK_COLUMNS = 12 };
+
+/* Takes as many models from `first` on as make a table that people can read. */
+static block block_from(const cli_eval_report *report, size_t first) {
+  const size_t columns = report->quantities.count * report->profile.channel_count;
+  const size_t count = columns < BLOCK_COLUMNS ? BLOCK_COLUMNS / columns : 1;
+  const size_t left = report->model_count - first;
+  return (block){report, first, left < count ? left : count};
+}
+
+/* Puts a place, and the values of all quantities, models and channels there. */
+static void put_place(cli_rows *rows, const void *context, size_t index) {
+  const block *of = context;
+  const cli_eval_report *report = of->report;
+  const size_t channels = report->profile.channel_count;
+  /* A share of 1, a radius and a logarithm are read best plainly; all else spans magnitudes. */
+  const unsigned plain =
+      DIPOLE_RADIUS | DIPOLE_CDF | DIPOLE_LN_R | DIPOLE_BY_SIGMA_A | DIPOLE_BY_SIGMA_S;
+  cli_put_number(rows, CLI_COLUMN(report->place, .unit = unit_of_places(report)),
+                 report->places[index]);
+  for (size_t k = 0; k < report->quantities.count * of->count * channels; k++) {
+    const size_t q = k / (of->count * channels), model = of->first + k / channels % of->count;
+    const dipole_choice *quantity = report->quantities.items[q];
+    const double *array = report->values[model * channels + k % channels].arrays[q];
+    char head[128];
+    snprintf(head, sizeof head, "%s %s", quantity->name,
+             report->profile.channels[k % channels].name);
+    if (array != NULL) {
+      cli_put_number(rows,
+                     CLI_COLUMN(head, .unit = quantity->about,
+                                .format = (quantity->id & plain) != 0 ? "%.6g" : "%.4e",
+                                .over = report->models[model].choice->name),
+                     array[index]);
+    }
+  }
+}
+
+/* Puts what holds for all places of a model and channel. */
+static void put_channel(cli_rows *rows, const void *context, size_t index) {
+  const cli_eval_report *report = context;
+  const size_t channels = report->profile.channel_count;
+  const cli_eval_values *values = &report->values[index];
+  const cli_channel *channel = &report->profile.channels[index % channels];
+  cli_put_text(rows, CLI_COLUMN("model"), report->models[index / channels].choice->name);
+  cli_put_text(rows, CLI_COLUMN("evaluator"), evaluator_of(report, index / channels)->name);
+  cli_put_text(rows, CLI_COLUMN("channel"), channel->name);
+  cli_put_medium(rows, &channel->medium);
+  if ((report->quantities.wanted & DIPOLE_ALBEDO) != 0) {
+    cli_put_number(rows, CLI_COLUMN("albedo"), values->albedo);
+  }
+  put_errors(rows, report, values, report->draw == NULL ? report->most : 0);
+}
+
+/* Writes "note: NAME: what it says" for each note, and its models if those are not all. */
+static void write_notes(const cli_eval_report *report) {
+  const dipole_choice *note;
+  for (size_t from = 0;
+       (note = cli_next_choice(report->profile.info, DIPOLE_NOTE, &from)) != NULL;) {
+    size_t noted = 0;
+    for (size_t i = 0; i < report->model_count; i++) {
+      noted += note->id != 0 && (report->models[i].notes & note->id) == note->id;
+    }
+    if (noted == 0) {
+      continue;
+    }
+    printf("note: %s: %s", note->name, note->about);
+    const char *before = " (";
+    for (size_t i = 0; noted < report->model_count && i < report->model_count; i++) {
+      if ((report->models[i].notes & note->id) == note->id) {
+        printf("%s%s", before, report->models[i].choice->name);
+        before = ", ";
+      }
+    }
+    puts(noted < report->model_count ? ")" : "");
+  }
+}
+
+static void write_table(const void *context) {
+  const cli_eval_report *report = context;
+  const cli_profile *profile = &report->profile;
+  for (size_t first = 0; report->place_count > 0 && first < report->model_count;) {
+    const block models = block_from(report, first);
+    cli_rows_print(stdout, 0, report->place_count, put_place, &models);
+    putchar('\n');
+    first += models.count;
+  }
+  cli_rows_print(stdout, 3, report->model_count * profile->channel_count, put_channel, report);
+  fputs("numerical error: against the model's formula", stdout);
+  if (report->draw == NULL && report->most > 0) {
+    printf(", up to %s = %.6g %s", report->place, report->most, unit_of_places(report));
+  }
+  puts("\nmodel error: of the model against radiative transport, relative");
+  if (report->diverges) {
+    puts("             at r > 0: transport diverges at r = 0");
+  }
+  cli_write_launched(profile->media, profile->channel_count);
+  write_notes(report);
+  if (report->chosen) {
+    printf("took %s (%s), the cheapest that keeps the tolerance\n", report->models[0].choice->name,
+           report->models[0].evaluator->name);
+  }
+}
+
+void cli_eval_write(const cli_eval_report *report, enum cli_form form) {
+  const cli_report output = {.facts = put_facts,
+                             .rows = report->model_count * report->profile.channel_count *
+                                     rows_of_channel(report),
+                             .put_row = put_value,
+                             .table = write_table};
+  cli_eval_report surveyed = *report;
+  survey(&surveyed);
+  cli_write(&output, form, &surveyed);
+}
+
+/* ---- the command ----------------------------------------------------------------------------- */
+
+/* A file of tables fixes the profile and needs no daemon, so this rejects options that concern
+ * either. */
+static int check_table(const cli_settings *settings) {
+  if (cli_medium_given(settings) || settings->model.count > 0 || settings->moments != NULL ||
+      settings->evaluator != NULL || cli_parameters_given(settings) ||
+      settings->deadline_ms.given || settings->connect != NULL || settings->f.count > 0 ||
+      settings->errors) {
+    return cli_fail_usage("--table FILE says what is evaluated, and needs no daemon: of "
+                          "the options leave all out but radii, --wanted and output");
+  }
+  return CLI_OK;
+}
+
+int cli_eval_check(cli_settings *settings) {
+  if (settings->f.count > 0 && settings->r.count > 0) {
+    return cli_fail_usage("--f is for R_f, and --r for all else: leave one out");
+  }
+  const bool at_f = settings->f.count > 0;
+  const int status = settings->table != NULL ? check_table(settings) : cli_medium_check(settings);
+  if (status != CLI_OK) {
+    return status;
+  }
+  if ((at_f || settings->r.count > 0) &&
+      (settings->from.given || settings->to.given || settings->count.given || settings->log)) {
+    return cli_fail_usage("--%s gives the %s one by one: leave --from, --to, --count and --log out",
+                          at_f ? "f" : "r", at_f ? "frequencies" : "radii");
+  }
+  if (settings->log && !settings->from.given) {
+    return cli_fail_usage("--log needs --from, above 0");
+  }
+  return cli_picture_check(&settings->plot, settings);
+}
+
+static bool is_local(const cli_settings *settings) {
+  return settings->table != NULL;
+}
+
+static int write_and_draw(const cli_settings *settings, const cli_eval_report *report) {
+  if (settings->plot.count > 0 && (report->quantities.wanted & DIPOLE_R) == 0) {
+    return cli_fail_usage("--plot draws R: add R to --wanted");
+  }
+  cli_eval_write(report, settings->form);
+  return settings->plot.count > 0 ? cli_plot_R(report, &settings->plot) : CLI_OK;
+}
+
+static int run(const cli_settings *settings, dipole_client *client) {
+  cli_eval_report report = {0};
+  dipole_info *info = NULL;
+  int status = is_local(settings) ? cli_eval_table(settings, &report, &info)
+                                  : cli_eval_ask(settings, client, &report);
+  if (status == CLI_OK) {
+    status = write_and_draw(settings, &report);
+  }
+  free(info);
+  return status;
+}
+
+const cli_command cli_command_eval = {
+    .name = "eval",
+    .about = "Evaluate a medium over a range of radii, as a table or a picture",
+    .more =
+        "The output has the values, their numerical error, the model's own error at these radii "
+        "(against radiative transport, where that is solved), and notes on what the model does "
+        "not do. A value is within the sum of both errors of transport. Some models are "
+        "infinite at r = 0: tables and CSV then say inf, JSON \"inf\". NaN is an empty cell or "
+        "null.\n"
+        "With --tolerance and without --model, the daemon takes transport in the cheapest "
+        "evaluator that keeps the tolerance for all channels and radii; the time to prepare a "
+        "medium counts, so that few radii may get another one than many. With --model, "
+        "--tolerance is a bound on the numerical error." CLI_DEFAULT_TEXT,
+    .formats = "table,csv,json",
+    .options = {cli_medium_options, radii_options, cli_eval_options, output_options},
+    .parameters = CLI_OF_MODELS,
+    .examples = "  dipole eval --medium skin1 --model classical,better --plot skin1.svg\n"
+                "  dipole eval --sigma-a 0.01,0.1 --sigma-s 10 --g 0.9 --eta 1.4 --r 0,0.5,1,2\n"
+                "  dipole eval --medium marble --from 0.01 --to 100 --count 41 --log --format csv\n"
+                "  dipole eval --medium skin2 --eta 1 --moments fit --wanted albedo\n"
+                "  dipole eval --medium skin1 --wanted S --cos-in 0.8 --cos-out 0.5 --r 0.5,1,2\n"
+                "  dipole eval --medium skin1 --tolerance 0.01\n"
+                "  dipole eval --sigma-a 0.05 --sigma-s 9.5 --g 0.9 --eta 1.4 --tolerance 0.01\n"
+                "  dipole eval --medium skin1 --model better --evaluator f32 --wanted R,cdf\n"
+                "  dipole eval --medium skin1 --model all --plot all.svg\n",
+    .check = cli_eval_check,
+    .is_local = is_local,
+    .run = run,
+};
