@@ -79,7 +79,6 @@ static void stop(struct daemon *daemon, int signal_number) {
   for (size_t i = 0; i < daemon->listener_count; i++) {
     listener_close(&daemon->listeners[i]);
   }
-  handshakes_stop(daemon->server.handshakes);
   uint64_t running = daemon->workers_started;
   if (daemon->server.tls != NULL && running == server_worker_count(&daemon->server)) {
     /* The last worker hands connections to the others: it ends before they do. */
@@ -344,8 +343,7 @@ static bool set_up_handshakes(struct daemon *daemon) {
   struct server *server = &daemon->server;
   if (server->tls != NULL) {
     struct worker *worker = &server->workers[server_worker_count(server) - 1];
-    server->handshakes =
-        handshakes_new(server, server->tls, &daemon->loop, worker, listener_admit_tls);
+    server->handshakes = handshakes_new(server, server->tls, worker, listener_admit_tls);
   }
   return (server->tls == NULL || server->handshakes != NULL) || complain("tls", "out of memory");
 }

@@ -50,9 +50,9 @@ TAILQ_HEAD(client_queue, client);
 
 struct client {
   const struct client_kind *kind;
-  struct worker *worker;        /* set before start() */
-  struct client *next_in_inbox; /* before start(): in the worker's inbox */
-  struct cache_owner profiles;  /* its slow profiles that wait to be prepared */
+  struct worker *worker;         /* set before start() */
+  STAILQ_ENTRY(client) in_inbox; /* before start() */
+  struct cache_owner profiles;   /* its slow profiles that wait to be prepared */
   LIST_ENTRY(client) in_clients;
   struct client_queue *run_queue; /* that the client waits in for a turn; NULL: in none */
   TAILQ_ENTRY(client) in_run_queue;

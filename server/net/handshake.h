@@ -3,7 +3,7 @@
  * is done goes on to the workers that evaluate.
  *
  * A handshake may take --tls-handshake-timeout-ms and 64 KiB, and begins when the client has sent
- * something; before that it costs no more than its socket, which the main thread watches. There may
+ * something; before that it costs no more than its socket, which the worker watches. There may
  * be --max-tls-handshakes under way, and as many clients that are silent: one more ends the oldest of
  * its kind. So handshakes that somebody leaves half open keep nobody out whose handshake takes
  * milliseconds.
@@ -20,16 +20,11 @@ struct handshakes;
  * worker's thread. */
 typedef void handshakes_done(struct server *server, int fd, struct tls_session *session);
 
-/* Makes the handshakes. loop: the main thread's. done: for the binary protocol. Returns NULL if there
- * is no memory. */
-struct handshakes *handshakes_new(struct server *server, struct tls *tls, uv_loop_t *loop,
-                                  struct worker *worker, handshakes_done *done);
+/* Makes the handshakes. done: for the binary protocol. Returns NULL if there is no memory. */
+struct handshakes *handshakes_new(struct server *server, struct tls *tls, struct worker *worker,
+                                  handshakes_done *done);
 
-/* Ends those of clients that have sent nothing. Call this when no more can begin. handshakes: may be
- * NULL, here and below. */
-void handshakes_stop(struct handshakes *handshakes);
-
-/* Frees it. Call this after the worker has ended and the loop has closed its handles. */
+/* Frees it. Call this after the worker has ended. handshakes: may be NULL. */
 void handshakes_free(struct handshakes *handshakes);
 
 /* Begins the handshake of a connected socket, which it then owns. The connection of a peer that is

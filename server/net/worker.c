@@ -160,14 +160,14 @@ static void stop_round(struct worker *worker) {
 
 static void take_from_inbox(struct worker *worker) {
   uv_mutex_lock(&worker->mutex);
-  struct client *given = worker->inbox;
-  worker->inbox = NULL;
+  STAILQ_HEAD(, client) given = STAILQ_HEAD_INITIALIZER(given);
+  STAILQ_CONCAT(&given, &worker->inbox);
   const bool stop_wanted = worker->stop_wanted;
   uv_mutex_unlock(&worker->mutex);
-  while (given != NULL) {
-    struct client *next = given->next_in_inbox;
-    worker_adopt(worker, given);
-    given = next;
+  struct client *client;
+  while ((client = STAILQ_FIRST(&given)) != NULL) {
+    STAILQ_REMOVE_HEAD(&given, in_inbox);
+    worker_adopt(worker, client);
   }
   if (stop_wanted && worker->stop_rounds == 0) {
     worker->stop_rounds = 1;
@@ -309,6 +309,7 @@ static int set_up_handles(struct worker *worker) {
 int worker_open(struct worker *worker, struct server *server) {
   memset(worker, 0, sizeof *worker);
   worker->server = server;
+  STAILQ_INIT(&worker->inbox);
   TAILQ_INIT(&worker->arrived);
   TAILQ_INIT(&worker->going_on[0]);
   TAILQ_INIT(&worker->going_on[1]);
@@ -335,8 +336,7 @@ int worker_start(struct worker *worker, struct server *server) {
 void worker_give(struct worker *worker, struct client *client) {
   atomic_fetch_add_explicit(&worker->client_count, client->kind->counts, memory_order_relaxed);
   uv_mutex_lock(&worker->mutex);
-  client->next_in_inbox = worker->inbox;
-  worker->inbox = client;
+  STAILQ_INSERT_TAIL(&worker->inbox, client, in_inbox);
   uv_mutex_unlock(&worker->mutex);
   uv_async_send(&worker->wake);
 }

@@ -33,7 +33,7 @@ struct worker {
   uint64_t wake_ms;    /* the next deadline of a client that waits; 0 if there is none */
 
   uv_mutex_t mutex; /* guards the inbox and stop_wanted */
-  struct client *inbox;
+  STAILQ_HEAD(, client) inbox;
   bool stop_wanted;
 
   LIST_HEAD(, client) clients;      /* all clients of this worker */
