@@ -121,10 +121,10 @@ int modbus_device_fd(const struct modbus_device *device) {
   return modbus_get_socket(device->context);
 }
 
-int modbus_device_set_rts(struct modbus_device *device, bool sending) {
+int modbus_device_set_rts(const struct modbus_device *device, int fd, bool sending) {
   const int rts = TIOCM_RTS;
   const bool high = sending == (device->rts == MODBUS_RTS_HIGH);
-  return ioctl(modbus_device_fd(device), high ? TIOCMBIS : TIOCMBIC, &rts) == 0 ? 0 : errno;
+  return ioctl(fd, high ? TIOCMBIS : TIOCMBIC, &rts) == 0 ? 0 : errno;
 }
 
 /* Decides who sets RTS. Returns 0 or an errno. */
@@ -137,7 +137,7 @@ static int set_direction(struct modbus_device *device) {
   };
   device->rts_by_hand =
       device->rts != MODBUS_RTS_UNUSED && ioctl(modbus_device_fd(device), TIOCSRS485, &rs485) != 0;
-  return device->rts_by_hand ? modbus_device_set_rts(device, false) : 0;
+  return device->rts_by_hand ? modbus_device_set_rts(device, modbus_device_fd(device), false) : 0;
 }
 
 int modbus_device_open(struct modbus_device *device) {
@@ -162,7 +162,7 @@ int modbus_device_open(struct modbus_device *device) {
 void modbus_device_close(struct modbus_device *device) {
   if (device->context != NULL) {
     if (device->rts_by_hand) { /* Otherwise RTS would keep other devices from sending. */
-      modbus_device_set_rts(device, false);
+      modbus_device_set_rts(device, modbus_device_fd(device), false);
     }
     modbus_close(device->context);
     modbus_free(device->context);

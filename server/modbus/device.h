@@ -41,8 +41,9 @@ void modbus_device_close(struct modbus_device *device);
 /* Returns the file descriptor of the open device. */
 int modbus_device_fd(const struct modbus_device *device);
 
-/* Sets RTS to its level while the daemon sends, or to the other level. Returns 0 or an errno. */
-int modbus_device_set_rts(struct modbus_device *device, bool sending);
+/* Sets RTS to its level while the daemon sends, or to the other level. fd: of the device, or a copy of
+ * it. Returns 0 or an errno. */
+int modbus_device_set_rts(const struct modbus_device *device, int fd, bool sending);
 
 /* Returns the time that the line needs for some characters. */
 uint64_t modbus_device_duration_ns(const struct modbus_device *device, uint64_t characters);

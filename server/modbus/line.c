@@ -40,10 +40,9 @@ static bool is_open(const struct modbus_line *line) {
 /* ---- sending --------------------------------------------------------------------------------- */
 
 /* Writes the output. Bytes that the device does not take are lost, as they could be on the line. */
-static void write_output(struct modbus_line *line) {
+static void write_output(struct modbus_line *line, int fd) {
   const size_t count = line->output_end - line->output_begin;
-  const ssize_t sent =
-      write(modbus_device_fd(&line->device), line->output + line->output_begin, count);
+  const ssize_t sent = write(fd, line->output + line->output_begin, count);
   line->output_begin = line->output_end;
   if (sent > 0) {
     stats_add(stats_of(line), STATS_SENT_BYTES, (uint64_t)sent);
@@ -54,79 +53,60 @@ static void write_output(struct modbus_line *line) {
   }
 }
 
-static void set_rts(struct modbus_line *line, bool sending) {
-  const int error = modbus_device_set_rts(&line->device, sending);
-  if (error != 0) {
+static void set_rts(const struct modbus_line *line, int fd, bool sending) {
+  if (modbus_device_set_rts(&line->device, fd, sending) != 0) {
     log_peer_line(LOG_LEVEL_ERROR, "event=modbus-rts-failed device=%s reason=%s", line->device.path,
-                  strerror(error));
+                  strerror(errno));
   }
 }
 
-/* The thread that sends with RTS by hand: RTS has to change soon after the last character, because
- * the master may begin 3.5 characters later, and the worker may be at other work for longer. */
-static void send_by_hand(void *context) {
-  struct modbus_line *line = context;
-  uv_mutex_lock(&line->mutex);
-  while (!line->ending) {
-    const bool writes = line->sending == BEFORE_WRITING;
-    const uint64_t now_ns = uv_hrtime(), due_ns = writes ? line->write_ns : line->sent_ns;
-    if (line->sending == NOT_SENDING) {
-      uv_cond_wait(&line->changed, &line->mutex);
-    } else if (now_ns < due_ns) {
-      uv_cond_timedwait(&line->changed, &line->mutex, due_ns - now_ns);
-    } else if (writes) {
-      write_output(line);
-      line->sending = AFTER_WRITING;
-    } else {
-      set_rts(line, false);
-      line->sending = NOT_SENDING;
-      uv_async_send(&line->sent);
-    }
-  }
-  uv_mutex_unlock(&line->mutex);
+/* Sends with RTS by hand, on a thread of the pool: RTS has to change soon after the last character,
+ * because the master may begin 3.5 characters later, and the worker may be at other work for longer. */
+static void send_by_hand(uv_work_t *work) {
+  struct modbus_line *line = work->data;
+  const size_t count = line->output_end - line->output_begin;
+  const unsigned delay_us = line->device.rts_delay_ms * 1000;
+  set_rts(line, line->sending_fd, true);
+  usleep(delay_us);
+  write_output(line, line->sending_fd);
+  usleep((useconds_t)(modbus_device_duration_ns(&line->device, count) / 1000) + delay_us);
+  set_rts(line, line->sending_fd, false);
 }
 
-/* Called when the thread has sent the output. */
-static void on_sent(uv_async_t *sent) {
-  struct modbus_line *line = sent->data;
-  if (line->stopping || !uv_is_active((uv_handle_t *)&line->timer)) {
+static void end_probe(struct modbus_line *line);
+static void note_closed(struct modbus_line *line);
+
+static void on_sent(uv_work_t *work, int status) {
+  struct modbus_line *line = work->data;
+  (void)status;
+  close(line->sending_fd);
+  line->sending = false;
+  if (line->probing && line->receiver.count > 0) {
+    end_probe(line);
+  } else if (line->stopping || !uv_is_active((uv_handle_t *)&line->timer)) {
     worker_run_later(&line->client); /* for what has arrived, if no timer waits for a silence */
   }
+  note_closed(line);
 }
 
-static enum modbus_sending sending_of(struct modbus_line *line) {
-  uv_mutex_lock(&line->mutex);
-  const enum modbus_sending sending = line->sending;
-  uv_mutex_unlock(&line->mutex);
-  return sending;
-}
-
-static void end_sending(struct modbus_line *line) {
-  uv_mutex_lock(&line->mutex);
-  line->sending = NOT_SENDING;
-  line->sent_ns = 0;
-  uv_mutex_unlock(&line->mutex);
-}
-
-/* Sends the output up to `end`. RTS may still be set for the bytes before it. */
+/* Sends the output up to `end`. */
 static void transmit(struct modbus_line *line, size_t end) {
   const struct modbus_device *device = &line->device;
+  const int fd = modbus_device_fd(device);
   const uint64_t delay_ns = device->rts_by_hand ? device->rts_delay_ms * UINT64_C(1000000) : 0;
-  uv_mutex_lock(&line->mutex);
-  const bool rts_is_set = line->sending == AFTER_WRITING;
-  assert(line->sending != BEFORE_WRITING && line->output_begin < end);
+  assert(!line->sending && line->output_begin < end);
   line->output_end = end;
-  line->write_ns = uv_hrtime() + (rts_is_set ? 0 : delay_ns);
   line->sent_ns =
-      line->write_ns + modbus_device_duration_ns(device, end - line->output_begin) + delay_ns;
-  if (device->rts_by_hand && !rts_is_set) {
-    set_rts(line, true);
-    line->sending = BEFORE_WRITING;
-    uv_cond_signal(&line->changed);
-  } else {
-    write_output(line);
+      uv_hrtime() + modbus_device_duration_ns(device, end - line->output_begin) + 2 * delay_ns;
+  if (!device->rts_by_hand) {
+    write_output(line, fd);
+    return;
   }
-  uv_mutex_unlock(&line->mutex);
+  line->sending_fd = dup(fd); /* The device may be lost meanwhile. */
+  line->sending = true;
+  line->open_handles++;
+  line->work.data = line;
+  uv_queue_work(worker_loop(line->client.worker), &line->work, send_by_hand, on_sent);
 }
 
 /* Returns for how long the line still sends the last answer, by its speed. */
@@ -219,8 +199,7 @@ static void note_burst(struct modbus_line *line) {
 /* Called after a silence: answers a request in the bytes that have arrived. */
 static void run(struct client *client) {
   struct modbus_line *line = line_of(client);
-  if (!is_open(line) || line->waits_for != NULL || line->probing ||
-      sending_of(line) != NOT_SENDING) {
+  if (!is_open(line) || line->waits_for != NULL || line->probing || line->sending) {
     return;
   }
   modbus_receiver_end(&line->receiver, &line->burst);
@@ -239,7 +218,10 @@ static void arrived(struct modbus_line *line, size_t bytes) {
   stats_add(stats_of(line), STATS_RECEIVED_BYTES, bytes);
   modbus_receiver_arrived(&line->receiver, bytes, uv_hrtime());
   line->retry_ms = RETRY_FIRST_MS;
-  if (line->probing && sending_of(line) != BEFORE_WRITING) {
+  if (line->probing && line->sending) {
+    return; /* The end of sending ends the probe. */
+  }
+  if (line->probing) {
     end_probe(line);
   }
   const uint64_t wait_ms = modbus_receiver_is_whole(&line->receiver)
@@ -282,7 +264,7 @@ static void on_silence(uv_timer_t *timer) {
 
 static void on_probe_over(uv_timer_t *timer) {
   struct modbus_line *line = timer->data;
-  if (sending_of(line) == BEFORE_WRITING) {
+  if (line->sending) {
     uv_timer_start(&line->timer, on_probe_over, PROBE_MS, 0);
   } else if (!read_unseen(line)) {
     end_probe(line);
@@ -387,7 +369,7 @@ static void on_retry(uv_timer_t *timer) {
 static void lose_device(struct modbus_line *line, const char *why) {
   log_peer_line(LOG_LEVEL_ERROR, "event=modbus-device-lost device=%s reason=%s", line->device.path,
                 why);
-  end_sending(line);
+  line->sent_ns = 0;
   line->probing = false;
   close_poll(line);
   if (line->stopping) {
@@ -402,9 +384,8 @@ static void start(struct client *client) {
   struct modbus_line *line = line_of(client);
   modbus_units_join(line->units);
   uv_timer_init(worker_loop(client->worker), &line->timer);
-  uv_async_init(worker_loop(client->worker), &line->sent, on_sent);
-  line->timer.data = line->sent.data = line;
-  line->open_handles = 2;
+  line->timer.data = line;
+  line->open_handles = 1;
   if (!is_open(line)) {
     uv_timer_start(&line->timer, on_retry, RETRY_MS, 0);
   } else if (!start_polling(line)) {
@@ -414,7 +395,6 @@ static void start(struct client *client) {
 
 static void close_all(struct modbus_line *line) {
   uv_close((uv_handle_t *)&line->timer, on_handle_closed);
-  uv_close((uv_handle_t *)&line->sent, on_handle_closed);
   close_poll(line);
 }
 
@@ -431,9 +411,9 @@ static void finish(struct client *client) {
     return;
   }
   const uint64_t left_ns = sending_ns(line);
-  if (left_ns > 0 || sending_of(line) != NOT_SENDING) { /* Closing now would cut the answer off. */
+  if (left_ns > 0) { /* Closing now would cut the answer off. */
     uv_timer_start(&line->timer, on_silence, to_ms_up(left_ns), 0);
-  } else {
+  } else if (!line->sending) {
     close_all(line);
   }
 }
@@ -453,7 +433,7 @@ static void stop(struct client *client) {
 static void abort_line(struct client *client) {
   struct modbus_line *line = line_of(client);
   line->stopping = true;
-  end_sending(line);
+  line->sent_ns = 0;
   line->probing = false;
   worker_run_later(client);
 }
@@ -477,27 +457,10 @@ bool modbus_line_open(struct modbus_line *line, struct modbus_units *units, cons
   const uint64_t silence_ns = modbus_device_duration_ns(&line->device, 7) / 2;
   line->receiver.number = line->device.number;
   line->receiver.silence_ns = silence_ns > SILENCE_LEAST_NS ? silence_ns : SILENCE_LEAST_NS;
-  uv_mutex_init(&line->mutex);
-  uv_cond_init(&line->changed);
-  line->has_thread = line->device.rts != MODBUS_RTS_UNUSED;
-  const int error = line->has_thread ? uv_thread_create(&line->thread, send_by_hand, line) : 0;
-  if (error != 0) {
-    line->has_thread = false;
-    fprintf(stderr, "dipoled: --modbus %s: no thread can be started: %s\n", url,
-            uv_strerror(error));
-    return false;
-  }
   open_device(line);
   return true;
 }
 
 void modbus_line_close(struct modbus_line *line) {
-  if (line->has_thread) {
-    uv_mutex_lock(&line->mutex);
-    line->ending = true;
-    uv_cond_signal(&line->changed);
-    uv_mutex_unlock(&line->mutex);
-    uv_thread_join(&line->thread);
-  }
   modbus_device_close(&line->device);
 }

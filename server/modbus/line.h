@@ -26,9 +26,8 @@ struct modbus_line {
 
   uv_poll_t poll;
   uv_timer_t timer; /* for the silence, for the end of a probe, or for the next attempt to open */
-  uv_async_t sent;  /* sent by the thread when it has sent the output */
-  unsigned open_handles;
-  bool polling; /* whether the poll is in use or is being closed */
+  unsigned open_handles; /* and work under way */
+  bool polling;          /* whether the poll is in use or is being closed */
   bool stopping;
   bool echo_is_logged;
   bool was_open;  /* whether the device could be opened at some time */
@@ -39,16 +38,12 @@ struct modbus_line {
   struct modbus_unit *waits_for; /* the unit that evaluates the request; NULL: there is none */
   struct modbus_burst burst;     /* the last burst, with its request */
 
-  /* The answer that is being sent. If RTS is set by hand, a thread sends it, and what it uses is
-   * changed under the mutex: `sending`, the two times and the output. */
-  uv_thread_t thread;
-  uv_mutex_t mutex;
-  uv_cond_t changed;
-  bool has_thread, ending;
-  enum modbus_sending { NOT_SENDING, BEFORE_WRITING, AFTER_WRITING } sending;
-  bool probing; /* whether the line probes for echo: only the first byte of the answer is sent */
-  uint64_t write_ns; /* when the bytes of the answer are written, after the delay of RTS */
-  uint64_t sent_ns;  /* when the last character of the answer, and the delay of RTS, will be over */
+  /* The answer that is being sent. If RTS is set by hand, a thread of the pool sends it. */
+  uv_work_t work;
+  int sending_fd;   /* of the thread */
+  bool sending;     /* whether the thread has still to end */
+  bool probing;     /* whether the line probes for echo: only the answer's first byte is sent */
+  uint64_t sent_ns; /* when the last character of the answer, and the delay of RTS, will be over */
   size_t output_begin; /* start of the bytes of the output that have not been written */
   size_t output_end;
   size_t frame_bytes; /* length of the answer's frame */

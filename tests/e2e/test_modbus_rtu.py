@@ -573,14 +573,14 @@ def test_rts_by_the_driver(daemon, line, driver, level):
 
 @pytest.mark.parametrize("level", ["high", "low"])
 def test_rts_by_hand(daemon, line, driver, level):
-    """RTS is on from before the first character of an answer until after the last. A thread takes it
-    back that does nothing else: the worker, which sets it, may be at other work, and never sleeps."""
+    """RTS is on from before the first character of an answer until after the last. A thread sets it and
+    takes it back that does nothing else: the worker may be at other work, and never sleeps."""
     one = daemon("--modbus", f"rtu:{line.device},1200,E,7,rts={level},rts-delay-ms=50",
                  env=driver.environment)  # fmt: skip
     assert one.has_line("rts=by-hand", 1)
     master = Rtu(line.fd)
     sends, listens = ("set", "clear") if level == "high" else ("clear", "set")
-    ((_, what, (rts, *_)),) = driver.read()[1:]
+    ((_, what, (rts, opener, *_)),) = driver.read()[1:]
     assert (what, rts) == (listens, termios.TIOCM_RTS)
     for _ in range(2):
         before = len(driver.read())
@@ -589,7 +589,7 @@ def test_rts_by_hand(daemon, line, driver, level):
         assert eventually(lambda: len(driver.read()) == before + 2)
         began, ended = driver.read()[before:]
         assert (began[1], ended[1]) == (sends, listens)
-        assert began[2][1] != ended[2][1]
+        assert began[2][1] == ended[2][1] != opener
         assert began[0] + 0.05 <= arrived
         wire_s = 9 * 11 / 1200
         assert ended[0] - began[0] >= 0.05 + wire_s + 0.05
