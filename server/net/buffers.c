@@ -278,7 +278,7 @@ bool input_has_frame(const struct input *input) {
 /* ---- output ---------------------------------------------------------------------------------- */
 
 /* A chunk holds a few hundred small answers, which one system call then writes. */
-enum { CHUNK_BYTES = 65536, SPARE_BYTES = 4194304 };
+enum { CHUNK_BYTES = 65536 };
 
 struct output_chunk {
   struct output_chunk *next;
@@ -292,74 +292,20 @@ void output_init(struct output *output, struct server *server) {
   *output = (struct output){.server = server, .budget = &server->buffers};
 }
 
-static void free_chunk(struct output *output, struct output_chunk *chunk) {
-  budget_return(output->budget, chunk->capacity);
-  free(chunk);
-}
-
-/* Removes the first chunk. Keeps it as a spare if SPARE_BYTES allow, so that the system does not
- * have to map its pages again. */
 static void release_first(struct output *output) {
   struct output_chunk *chunk = output->first;
   output->first = chunk->next;
   if (output->first == NULL) {
     output->last = NULL;
   }
-  if (chunk->capacity <= SPARE_BYTES - output->spare_bytes) {
-    chunk->next = output->spares;
-    output->spares = chunk;
-    output->spare_bytes += chunk->capacity;
-    output->spares_used = true;
-  } else {
-    free_chunk(output, chunk);
-  }
-}
-
-static void free_spares(struct output *output) {
-  while (output->spares != NULL) {
-    struct output_chunk *chunk = output->spares;
-    output->spares = chunk->next;
-    free_chunk(output, chunk);
-  }
-  output->spare_bytes = 0;
+  budget_return(output->budget, chunk->capacity);
+  free(chunk);
 }
 
 void output_free(struct output *output) {
   while (output->first != NULL) {
     release_first(output);
   }
-  free_spares(output);
-}
-
-void output_trim(struct output *output, uint64_t now_ms) {
-  if (output->spares_used) {
-    output->spares_ms = now_ms;
-    output->spares_used = false;
-  } else if (now_ms - output->spares_ms > TRIM_MS) {
-    free_spares(output);
-  }
-}
-
-/* Returns whether a spare suits an answer. A small answer does not get a large chunk, because it
- * would keep the chunk longer than necessary. */
-static bool is_fit(const struct output_chunk *chunk, size_t bytes) {
-  return chunk->capacity >= bytes && (chunk->capacity == CHUNK_BYTES || bytes > CHUNK_BYTES);
-}
-
-/* Takes the first spare that suits an answer. Returns NULL if there is none. */
-static struct output_chunk *take_spare(struct output *output, size_t bytes) {
-  struct output_chunk **link = &output->spares;
-  while (*link != NULL && !is_fit(*link, bytes)) {
-    link = &(*link)->next;
-  }
-  struct output_chunk *chunk = *link;
-  if (chunk != NULL) {
-    *link = chunk->next;
-    output->spare_bytes -= chunk->capacity;
-    output->spares_used = true;
-    *chunk = (struct output_chunk){.capacity = chunk->capacity};
-  }
-  return chunk;
 }
 
 static struct output_chunk *new_chunk(struct output *output, size_t bytes) {
@@ -379,14 +325,7 @@ static struct output_chunk *new_chunk(struct output *output, size_t bytes) {
 }
 
 static struct output_chunk *add_chunk(struct output *output, size_t bytes) {
-  struct output_chunk *chunk = take_spare(output, bytes);
-  if (chunk == NULL) {
-    chunk = new_chunk(output, bytes);
-  }
-  if (chunk == NULL && output->spares != NULL) { /* Free the spares, which use up the budget. */
-    free_spares(output);
-    chunk = new_chunk(output, bytes);
-  }
+  struct output_chunk *chunk = new_chunk(output, bytes);
   if (chunk == NULL) {
     return NULL;
   }

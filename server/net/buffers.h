@@ -121,10 +121,6 @@ struct output {
   struct budget *budget;
   struct output_chunk *first;
   struct output_chunk *last;
-  struct output_chunk *spares; /* chunks that have been written, kept for the next answers */
-  size_t spare_bytes;
-  bool spares_used;      /* whether a spare has been used since output_trim() */
-  uint64_t spares_ms;    /* when output_trim() last found spares_used set */
   uint64_t ready_bytes;  /* number of bytes that are committed and not yet consumed */
   size_t reserved_bytes; /* size of the reservation at the end of the last chunk */
 };
@@ -134,9 +130,6 @@ void output_free(struct output *output);
 
 /* Frees all memory if nothing waits to be written. */
 void output_release(struct output *output);
-
-/* Frees the spares when none has been used for a second. Call this several times a second. */
-void output_trim(struct output *output, uint64_t now_ms);
 
 /* Returns whether more than --max-queued-bytes wait to be written, so that further requests wait.
  */
