@@ -161,9 +161,9 @@ class Proxy:
     """A proxy between a client and a daemon. It can change the client's eval requests, or those of
     another type, and, if on_reply is given, the daemon's replies. on_eval(number, request_id) returns None to pass a
     request on, bytes to answer it in the daemon's place, or False to close the connection.
-    on_reply(type, payload) returns the payload that the client gets, of the same length."""
+    on_reply(type, payload) returns the payloads of the replies that the client gets."""
 
-    def __init__(self, url: str, on_eval, on_reply=lambda type, payload: payload, type: int = EVAL):
+    def __init__(self, url: str, on_eval, on_reply=lambda type, payload: [payload], type: int = EVAL):
         self._type = type
         self._daemon_path = url.removeprefix("unix:")
         self._on_eval = on_eval
@@ -227,9 +227,9 @@ class Proxy:
         try:
             while head := stream.read(wire.HEADER.bytes):
                 header = wire.HEADER.unpack(head)
-                payload = self._on_reply(header.type, stream.read(header.payload_bytes))
-                with lock:
-                    client.sendall(head + payload)
+                for payload in self._on_reply(header.type, stream.read(header.payload_bytes)):
+                    with lock:
+                        client.sendall(frame(header.type, header.request_id, payload))
         except OSError:
             pass  # the client is gone
 

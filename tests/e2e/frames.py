@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from dipole import Connection, ConnectionLost, Frame, wire
+from dipole import Connection, ConnectionLost, Frame, Points, wire
 
 SKIN = (0.032, 0.74, 0.0, 1.3)  # skin1, red
 SPECTRALON = (0.0, 11.6, 0.0, 1.3)  # no absorption: the better dipole's albedo is exactly 1
@@ -155,6 +155,71 @@ def varying_payload(media=((0.032, 0.74), (0.1, 1.0)), numbers=(0.5, 1.0), param
     return wire.VARYING_REQUEST.pack(**fields) + parameters_bytes(parameters) + listed
 
 
+def table_payload(medium=SKIN, parameters=(), **fixed: int) -> bytes:
+    """Makes the payload of a table request. Its count fits unless `fixed` has another."""
+    fields = {"model": BETTER, "moments": EXACT, "parameter_count": len(parameters), **fixed}
+    return wire.TABLE_REQUEST.pack(**fields) + media_bytes([medium]) + parameters_bytes(parameters)
+
+
+def mc_payload(medium=(0.1, 0.9, 0.3, 1.3), albedos=(), parameters=(), **fixed: float) -> bytes:
+    """Makes the payload of an mc request of two batches of photons and ten rings. Its counts fit
+    unless `fixed` has others."""
+    fields = {
+        "spacing": LINEAR,
+        "albedo_count": len(albedos),
+        "ring_count": 10,
+        "radius_start": 0.0,
+        "radius_stop": 5.0,
+        "thickness": np.inf,
+        "seed": 1,
+        "photons": 8192,
+        "error_total": 0.0,
+        "error_rings": 0.0,
+        **fixed,
+    }
+    listed = media_bytes([medium]) + np.asarray(albedos, "<f8").tobytes()
+    return wire.MC_REQUEST.pack(**fields) + listed + parameters_bytes(parameters)
+
+
+def points_payload(points: Points, first: int = 0, count: int | None = None, **fixed) -> bytes:
+    """Makes the payload of a part of a set. Its fields fit unless `fixed` has others."""
+    count = len(points) - first if count is None else count
+    power = points.power[first : first + count].tobytes()
+    fields = {
+        "set": words(points.name),
+        "channel_count": points.channels,
+        "point_count": len(points),
+        "point_first": first,
+        "part_points": count,
+        **fixed,
+    }
+    zeros = bytes(wire.padded(len(power)) - len(power))
+    listed = points.xyz[first : first + count].tobytes()
+    return wire.POINTS_REQUEST.pack(**fields) + listed + power + zeros
+
+
+def gather_payload(points: Points, media=(SKIN,), queries=((0.0, 0.0, 1.0),), **fixed) -> bytes:
+    """Makes the payload of a gather request. Its fields fit unless `fixed` has others."""
+    listed = np.asarray(queries, "<f8")
+    fields = {
+        "model": BETTER,
+        "evaluator": F64,
+        "moments": EXACT,
+        "parameter_count": 0,
+        "medium_count": len(media),
+        "set": words(points.name),
+        "query_count": len(listed),
+        "tolerance": 1e-3,
+        **fixed,
+    }
+    return wire.GATHER_REQUEST.pack(**fields) + media_bytes(media) + listed.tobytes()
+
+
+def words(name: bytes) -> tuple[int, ...]:
+    """Returns the name of a set of points as the fields `set` have it."""
+    return tuple(np.frombuffer(name, "<u8").tolist())
+
+
 READINGS = (0.0234, 0.00787, 0.00159)  # of sigma_a 0.03, sigma_s' 1.2 and eta 1.4 at 1, 2, 4 mm
 
 
@@ -273,15 +338,15 @@ def assert_daemon_serves(daemon) -> None:
         assert_serves(fresh)
 
 
-def changed_choices(type: int, payload: bytes, change: Callable[[Any], Any]) -> bytes:
+def changed_choices(type: int, payload: bytes, change: Callable[[Any], Any]) -> list[bytes]:
     """Returns a reply to hello with each choice changed, at least one of them, or another reply as it
     is."""
     if type != HELLO | wire.REPLY:
-        return payload
+        return [payload]
     data = bytearray(payload)
     for i in range(wire.HELLO_REPLY.unpack(payload).choice_count):
         at = wire.HELLO_REPLY.bytes + i * wire.CHOICE.bytes
         choice = change(wire.CHOICE.unpack(payload, at))
         data[at : at + wire.CHOICE.bytes] = wire.CHOICE.pack(**choice._asdict())
     assert data != payload
-    return bytes(data)
+    return [bytes(data)]

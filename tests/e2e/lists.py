@@ -43,13 +43,6 @@ class Moments(NamedTuple):
     eta_max: float
 
 
-# Models whose radii cost next to nothing.
-DIPOLES = {
-    name: int(number)
-    for number, name in re.findall(
-        r'^CORE_MODEL\((\d+), \w+, "(.*?)", dipole, dipole,', read_list("core/models.def"), re.M
-    )
-}
 MODELS = {**choices("CORE_MODEL", "core/models.def"), **choices("CORE_SUM", "core/models.def")}
 MOMENTS = {
     name: Moments(int(number), float(low), float(high))
@@ -146,16 +139,6 @@ def covers(model: str, r: float) -> bool:
         asked().eval(model, SKIN, [r], parameters=needs(model))
     except dipole.Refused as refusal:
         assert refusal.field == "r", refusal
-        return False
-    return True
-
-
-def takes_media(model: str, media, moments: int, parameters: dict[str, float]) -> bool:
-    """Returns whether all these media are in the domain of a model."""
-    try:
-        asked().eval(model, media, moments=moments, parameters=parameters, wanted=["albedo"])
-    except dipole.Refused as refusal:
-        assert refusal.field in ("sigma_a", "sigma_s", "g", "eta"), refusal
         return False
     return True
 

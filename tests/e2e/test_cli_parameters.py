@@ -63,7 +63,7 @@ def test_parameters_reach_the_model(client, model):
         assert float(row["albedo"]) == answer.albedo[0]
 
 
-def without_parameters(type: int, payload: bytes) -> bytes:
+def without_parameters(type: int, payload: bytes) -> list[bytes]:
     """Changes the reply to hello so that the daemon has no parameters: it turns them into
     statuses."""
 

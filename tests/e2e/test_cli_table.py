@@ -9,18 +9,13 @@ import subprocess
 import dipole as python_client
 import numpy as np
 import pytest
-from command_line import FAILED, PROGRAM, TIMEOUT_S, USAGE, Terminal, dipole, eval_json, eval_rows
+from command_line import FAILED, PROGRAM, TIMEOUT_S, Terminal, dipole, eval_json, eval_rows
 from command_line import points, read_csv, scratch
 from daemons import environment
 
 MEDIUM = ["--sigma-a", "0.032", "--sigma-s", "0.74"]  # SKIN
 MEDIA = ["--sigma-a", "0.032,0.17,0.48", "--sigma-s", "0.74,0.88,1.01"]
 RADII = ["--r", "0,1e-40,1e-12,0.001,0.1,1,2.5,30,1e4,1e30,inf"]
-
-
-def table_json(*arguments: str) -> dict:
-    """Returns the object of `dipole table --format json`."""
-    return json.loads(dipole("table", "--format", "json", *arguments).stdout)
 
 
 def save(tmp_path, *arguments: str) -> str:

@@ -11,7 +11,7 @@ from itertools import count
 import pytest
 from daemons import eventually
 from dipole import wire
-from frames import EVAL, ask, assert_error, assert_serves, eval_payload, frame
+from frames import EVAL, assert_error, assert_serves, eval_payload, frame
 from modbus_master import BUSY, SLOW, TCP, Exception_, Tcp, input_block
 from test_metrics import fetch
 

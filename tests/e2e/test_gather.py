@@ -6,9 +6,7 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import functools
-import select
 import threading
-import time
 
 import dipole
 import numpy as np
@@ -16,12 +14,11 @@ import pytest
 from daemons import Daemon, eventually, sanitized
 from dipole import Points, gathering, wire
 from frames import (
-    EVAL, F64, SKIN, SPECTRALON, R, ask, assert_daemon_serves, assert_error, assert_serves,
-    eval_payload, frame, media_bytes, statistics,
+    EVAL, F64, SKIN, R, ask, assert_daemon_serves, assert_error, assert_serves, eval_payload,
+    frame, media_bytes, statistics,
 )
 from lists import MODELS
 from modbus_master import SLOW
-from test_same_bits import HAS
 
 POINTS = wire.MESSAGES["points"]
 GATHER = wire.MESSAGES["gather"]
@@ -116,17 +113,6 @@ def test_sums_are_those_of_eval(client, model, evaluator):
         assert np.all(error <= found.bound + found.numerical_error + 1e-12), (tolerance, error.max())
 
 
-def test_channels_have_their_own_media_and_powers(client):
-    media = [SKIN, SPECTRALON, SKIN, (0.1, 2.0, 0.2, 1.4)] * 2
-    points, queries = scene(3000, 8), positions(25).reshape(5, 5, 3)
-    found = client.gather("better", media, points, queries, tolerance=1e-3, evaluator="f64")
-    exact = sums(client, "better", media, points, queries.reshape(-1, 3)).reshape(5, 5, 8)
-    assert found.M.shape == (5, 5, 8)
-    assert np.all(np.abs(found.M / exact - 1) <= 1e-3 + found.numerical_error)
-    assert found.numerical_error.shape == found.model_error.shape == (8,)
-    assert np.all(client.gather("transport", "skin1", scene(100, 3), queries).model_error == 0)
-
-
 def test_a_query_has_its_value_whatever_is_asked_beside_it(client):
     points, queries = scene(5000), positions(300)
     together = client.gather("better", [SKIN], points, queries).M
@@ -168,11 +154,6 @@ def bits(daemon: Daemon) -> bytes:
 @pytest.fixture(scope="module")
 def expected(shared) -> bytes:
     return bits(shared)
-
-
-@pytest.mark.parametrize("isa", HAS)
-def test_instruction_set(daemon, expected, isa):
-    assert bits(daemon("--isa", isa)) == expected
 
 
 @pytest.mark.parametrize("workers", ["1", "4"])
@@ -394,39 +375,6 @@ def test_cancel(shared):
         client.ping()
 
 
-def test_cancel_by_a_message(daemon):
-    """It ends the gather that runs, and those that wait behind it on the connection."""
-    one = daemon("--workers", "1")
-    points = scene(50_000, seed=11)
-    slow = gather_payload(points, queries=positions(16_384), model=MODELS["extended"], tolerance=0.0)
-    with one.connect() as connection:
-        send(connection, points)
-        for request_id in (21, 22, 23):
-            connection.send_bytes(frame(GATHER, request_id, slow))
-        connection.send_bytes(frame(GATHER, 24, gather_payload(points)))
-        for request_id in (22, 21, 23, 99):
-            payload = wire.CANCEL_REQUEST.pack(job_id=request_id)
-            connection.send_bytes(frame(CANCEL, 100 + request_id, payload))
-        found, refused, answered = {}, [], []
-        start = time.monotonic()
-        while len(found) < 4 or not answered:
-            reply = connection.receive_frame()
-            if reply.type == CANCEL | wire.REPLY:
-                found[reply.request_id - 100] = wire.CANCEL_REPLY.unpack(reply.payload).found
-            elif reply.type == wire.TYPE_ERROR:
-                assert_error(
-                    reply, "cancelled", "job_id", "no cancel", request_id=reply.request_id
-                )
-                refused.append(reply.request_id)
-            elif reply.request_id == 24:
-                answered.append(reply)
-        assert found == {21: 1, 22: 1, 23: 1, 99: 0}
-        assert sorted(refused) == [21, 22, 23]
-        assert time.monotonic() - start < 10
-        assert statistics(connection)["owed_radii"] == 0
-        assert_serves(connection)
-
-
 def test_requests_behind_a_gather_are_answered_meanwhile(daemon):
     one = daemon("--workers", "1")
     points = scene(50_000, seed=11)
@@ -461,23 +409,6 @@ def test_a_client_that_cancels_ends_the_daemons_work(daemon):
         assert watcher.statistics()["queries_gathered"] == done < 3 * 16_384
 
 
-def test_deadline(shared):
-    points = scene(100_000, seed=9)
-    with shared.connect() as connection:
-        send(connection, points)
-        payload = gather_payload(points, queries=positions(500_000), tolerance=1e-6)
-        start = time.monotonic()
-        connection.send_bytes(frame(GATHER, 77, payload, 300))
-        while (reply := connection.receive_frame()).type == GATHER | wire.REPLY:
-            pass
-        assert_error(reply, "deadline", "deadline_ms", "more", request_id=77)
-        assert time.monotonic() - start >= 0.29
-        assert_serves(connection)
-    with shared.client() as client, pytest.raises(dipole.Refused) as refused:
-        client.gather("better", [SKIN], points, positions(500_000), tolerance=1e-6, deadline_ms=1)
-    assert refused.value.status == "deadline"
-
-
 def test_a_late_gather_whose_answer_waits_for_an_eval(daemon):
     """The eval before it in the output has its part open until its profile is prepared. The worker
     serves others meanwhile."""
@@ -496,44 +427,6 @@ def test_a_late_gather_whose_answer_waits_for_an_eval(daemon):
             by_id = {reply.request_id: reply for reply in replies}
             assert_error(by_id[9], "deadline", "deadline_ms", "more", request_id=9)
             assert by_id[5].type == EVAL | wire.REPLY
-
-
-def test_a_client_leaves_in_the_midst(daemon):
-    one = daemon()
-    points = scene(50_000)
-    with one.connect() as connection:
-        send(connection, points)
-        connection.send_bytes(frame(GATHER, 1, gather_payload(points, queries=positions(100_000))))
-        connection.receive_frame()
-    with one.connect() as connection:
-        connection.send_bytes(frame(POINTS, 1, points_payload(scene(9999, seed=5), 0, 100)))
-        connection.receive_frame()
-    with one.connect() as watcher:
-        assert eventually(lambda: statistics(watcher)["points_sent_bytes"] == 0)
-        assert eventually(lambda: statistics(watcher)["owed_radii"] == 0)
-    assert_daemon_serves(one)
-
-
-def test_small_requests_are_answered_beside_a_large_sum(daemon):
-    """One worker does both. While it sums for one client, another gets hundreds of answers."""
-    one = daemon("--workers", "1")
-    points = scene(20_000)
-    with one.connect() as large, one.client() as small:
-        send(large, points)
-        payload = gather_payload(points, queries=positions(40_000), tolerance=1e-2)
-        large.send_bytes(frame(GATHER, 7, payload))
-        assert eventually(lambda: small.statistics()["queries_gathered"] > 0)
-        answered = 0
-        while answered < 100:
-            small.eval("better", SKIN, np.linspace(0.1, 5, 16))
-            answered += 1
-        assert small.statistics()["answers_ok"] < 1 << 30
-        parts = [large.receive_frame()]
-        fixed = wire.GATHER_REPLY.unpack(parts[0].payload)
-        while fixed.part + 1 < fixed.part_count:
-            parts.append(large.receive_frame())
-            fixed = wire.GATHER_REPLY.unpack(parts[-1].payload)
-        assert len(parts) >= 3 and answered == 100
 
 
 def test_gathers_of_a_connection_wait_without_memory_of_their_own(daemon):
@@ -630,33 +523,6 @@ def test_wrong_points(shared, index, xyz, power, field):
             assert_serves(connection)
 
 
-@pytest.mark.parametrize(
-    "status, field, changes",
-    [
-        ("bad-count", "channel_count", {"channel_count": 0}),
-        ("bad-count", "channel_count", {"channel_count": 9}),
-        ("bad-count", "channel_count", {"channel_count": 2**32 - 1}),
-        ("bad-value", "zero", {"zero": 1}),
-        ("bad-count", "point_count", {"point_count": 0}),
-        ("too-large", "point_count", {"point_count": 16777217}),
-        ("too-large", "point_count", {"point_count": 2**64 - 1}),
-        ("bad-count", "point_first", {"point_first": 11}),
-        ("bad-count", "part_points", {"part_points": 9}),
-        ("bad-count", "part_points", {"part_points": 11}),
-        ("bad-count", "part_points", {"part_points": 2**64 - 1}),
-        ("bad-count", "part_points", {"point_first": 1}),
-        ("bad-value", "set", {"set": (1, 2)}),
-        ("bad-value", "set", {"set": (0, 0)}),
-    ],
-)
-def test_wrong_sets(shared, status, field, changes):
-    with shared.connect() as connection:
-        payload = points_payload(scene(10), **changes)
-        assert_error(ask(connection, POINTS, payload), status, field, "")
-        assert_error(ask(connection, POINTS, payload[:40]), "bad-length", "payload_bytes", "48")
-        assert_serves(connection)
-
-
 def test_parts_that_do_not_follow(shared):
     points = scene(100, seed=21)
     with shared.connect() as connection:
@@ -672,83 +538,6 @@ def test_parts_that_do_not_follow(shared):
         ask(connection, POINTS, points_payload(points, 0, 60))  # It begins anew.
         reply = ask(connection, POINTS, points_payload(points, 60))
         assert wire.POINTS_REPLY.unpack(reply.payload).known == 1
-
-
-@pytest.mark.parametrize(
-    "status, field, changes",
-    [
-        ("bad-value", "model", {"model": 999}),
-        ("bad-value", "model", {"model": 0}),
-        ("bad-value", "evaluator", {"evaluator": 0}),
-        ("bad-value", "moments", {"moments": 9}),
-        ("bad-value", "zero", {"zero": 1}),
-        ("bad-count", "medium_count", {"medium_count": 0}),
-        ("bad-count", "medium_count", {"medium_count": 9}),
-        ("bad-count", "parameter_count", {"parameter_count": 9}),
-        ("bad-count", "query_count", {"query_count": 2}),
-        ("too-large", "query_count", {"query_count": 2**64 - 1}),
-        ("bad-value", "tolerance", {"tolerance": NAN}),
-        ("bad-value", "tolerance", {"tolerance": -1.0}),
-        ("bad-value", "tolerance", {"tolerance": 0.6}),
-        ("bad-value", "tolerance", {"tolerance": 1e-10}),
-        ("unknown-points", "set", {"set": (1, 2)}),
-        ("unknown-points", "set", {"set": (0, 0)}),
-    ],
-)
-def test_wrong_gathers(shared, status, field, changes):
-    points = scene(10)
-    with shared.connect() as connection:
-        send(connection, points)
-        assert_error(ask(connection, GATHER, gather_payload(points, **changes)), status, field, "")
-        assert_serves(connection)
-
-
-def test_faults_of_media_and_queries_have_an_index(shared):
-    points = scene(10, 2)
-    with shared.connect() as connection:
-        send(connection, points)
-        bad = gather_payload(points, [SKIN, (-1.0, 1.0, 0.0, 1.3)])
-        assert_error(ask(connection, GATHER, bad), "bad-value", "sigma_a", "", index=1)
-        bad = gather_payload(points, [SKIN])
-        assert_error(ask(connection, GATHER, bad), "bad-count", "medium_count", "")
-        queries = positions(40_000)
-        queries[33_333, 1] = NAN
-        bad = gather_payload(points, [SKIN] * 2, queries)
-        assert_error(ask(connection, GATHER, bad), "bad-value", "queries", "", index=33_333)
-        good = gather_payload(points, [SKIN] * 2)
-        assert ask(connection, GATHER, good).type == GATHER | wire.REPLY
-
-
-def test_a_sum_that_takes_seconds_by_itself(daemon):
-    """It is cut like any other: others are served meanwhile, and parts without a sum say that it goes
-    on."""
-    one = daemon("--workers", "1")
-    points = scene(80_000 if sanitized() else 800_000, 2)
-    with one.connect() as large, one.client() as small:
-        for first in range(0, len(points), 50_000):
-            ask(large, POINTS, points_payload(points, first, 50_000))
-        payload = gather_payload(points, [SKIN] * 2, model=MODELS["extended"], tolerance=0.0)
-        large.send_bytes(frame(GATHER, 7, payload))
-        parts, beside = [], 0
-        while not parts or parts[-1].part + 1 < parts[-1].part_count:
-            if not select.select([large.socket], [], [], 0)[0]:
-                small.eval("better", SKIN, np.linspace(0.1, 5, 16))
-                beside += 1
-                continue
-            reply = large.receive_frame()
-            parts.append(wire.GATHER_REPLY.unpack(reply.payload))
-        print(f"{len(parts)} parts, {beside} evals meanwhile")
-        assert [part.count for part in parts] == [0] * (len(parts) - 1) + [1]
-        assert [part.part for part in parts] == list(range(len(parts))) and len(parts) >= 2
-        assert beside >= 40
-        assert sum(part.points_visited for part in parts) == len(points)
-        found = np.frombuffer(reply.payload[-16:])
-        R = small.eval("extended", SKIN, np.linalg.norm(points.xyz - [0, 0, 1], axis=1)).R[0]
-        assert np.allclose(found, R @ points.power.astype(float), rtol=1e-10)
-        again = small.gather(
-            "extended", [SKIN] * 2, points, [0.0, 0.0, 1.0], tolerance=0, evaluator="f64"
-        )
-        assert np.array_equal(again.M, found)
 
 
 # ---- memory --------------------------------------------------------------------------------------

@@ -25,13 +25,6 @@ def test_version_that_both_speak(connection, low, high):
     assert (fixed.version, fixed.version_min, fixed.version_max) == (2, 2, 2)
 
 
-def test_hello_is_optional_and_may_come_late_and_twice(connection):
-    assert_serves(connection)
-    first = ask(connection, HELLO, versions(2, 2))
-    assert_serves(connection)
-    assert ask(connection, HELLO, versions(2, 2)) == first
-
-
 def test_the_lists(client):
     listed = client.info.choices
     ids = {kind: {name: one.id for name, one in some.items()} for kind, some in listed.items()}

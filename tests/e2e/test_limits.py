@@ -6,6 +6,7 @@ import os
 import select
 import socket
 
+import dipole
 import pytest
 from daemons import Daemon, eventually, sanitized
 from dipole import Frame, wire
@@ -109,6 +110,14 @@ def test_max_media(daemon):
         reply = ask(connection, EVAL, eval_payload([SKIN] * 4))
         assert_error(reply, "too-large", "medium_count", "at most 3")
         assert_serves(connection)
+
+
+def test_as_many_slow_ones_as_media_are_allowed(daemon):
+    with daemon("--max-media", "2").client() as client:
+        assert client.invert("beam", [0.5, 0.6], 1.0).missing == 0
+        with pytest.raises(dipole.Refused) as caught:
+            client.invert("beam", [0.5, 0.6, 0.7], 1.0)
+        assert caught.value.field == "medium_count" and "at most 2" in caught.value.allowed
 
 
 # ---- connections ---------------------------------------------------------------------------------

@@ -14,10 +14,9 @@ from daemons import eventually
 from dipole import Grid, Medium, wire
 from dipole.mc import McResult, pack_request, progress_of, unpack_fixed, unpack_result
 from frames import (
-    EVAL, LINEAR, LOGARITHMIC, PING, R, SKIN, ask, assert_closed, assert_error, assert_refused,
-    assert_serves, eval_payload, frame, parameters_bytes, refused,
+    EVAL, LINEAR, R, SKIN, ask, assert_closed, assert_error, assert_serves, eval_payload, frame,
 )
-from lists import MC_PARAMETERS, choices, everywhere
+from lists import everywhere
 
 MC, CANCEL = wire.MESSAGES["mc"], wire.MESSAGES["cancel"]
 BATCH = 4096
@@ -81,30 +80,6 @@ def test_same_bits_whoever_walks(daemon, how):
     assert expected == "errors" or tables[0].photons == 74 * BATCH  # 300,000, rounded up
 
 
-def test_rings_and_shares_add_up(client):
-    result = client.mc(TISSUE, Grid(0.1, 3.0, 8), thickness=1.0, photons=50_000, albedos=[1, 0.5])
-    areas = math.pi * np.diff(result.edges**2)
-    assert result.values.shape == result.errors.shape == (2, 2, 7)
-    assert result.ring_photons.shape == (2, 7) and (result.ring_photons > 0).all()
-    np.testing.assert_array_equal(result.edges[[0, -1]], [0.1, 3.0])
-    for i, energy in enumerate(result.energies):
-        whole = energy.R.value + energy.T.value + energy.absorbed.value + energy.unfinished.value
-        assert abs(whole - energy.roulette.value - 1 - energy.imbalance) < 1e-12
-        assert abs(energy.imbalance) < 1e-11
-        for side, total in enumerate((energy.R, energy.T)):
-            parts = energy.unscattered[side] + energy.under[side].value + energy.over[side].value
-            parts += areas @ result.values[i, side]
-            assert abs(parts - total.value) < 1e-12
-    assert result.energies[0].absorbed.value == 0
-
-
-def test_own_albedo_is_the_default(client):
-    own = client.mc(TISSUE, EDGES, photons=20_000)
-    given = client.mc(TISSUE, EDGES, photons=20_000, albedos=[0.9])
-    assert own.payload == given.payload
-    assert own.energies[0].albedo == 0.9 and own.values.shape == (1, 1, 10)
-
-
 def test_errors_end_it_early(client):
     total = client.mc(TISSUE, EDGES, error_total=0.01)
     # Standard errors need at least 32 batches.
@@ -120,12 +95,6 @@ def test_errors_end_it_early(client):
     assert both.payload == rings.payload
     short = client.mc(TISSUE, EDGES, error_rings=1e-6, photons=50_000)
     assert short.state == "photons" and short.photons == 13 * BATCH
-
-
-def test_an_error_that_no_light_can_reach(client):
-    """The job for a medium that does not scatter ends, although no light reaches a ring."""
-    energy = client.mc(Medium(1, 0, 0, 1.5), EDGES, error_rings=0.1, photons=2 * BATCH).energies[0]
-    assert energy.absorbed.value == 1 and energy.R.value == 0
 
 
 # ---- progress and the end ------------------------------------------------------------------------
@@ -146,22 +115,6 @@ def test_progress_is_numbered_and_grows(client):
     assert all(one.photons_expected >= one.photons for one in seen)
     assert all(one.worst_ring_mm[1] <= 5.0 for one in seen)
     assert client.ping() >= 0
-
-
-@pytest.mark.parametrize("threads", ["1", "2"])
-def test_cancelled_jobs_have_a_table(daemon, threads):
-    one = daemon("--mc-threads", threads)
-    with one.connect() as connection:
-        start_endless(connection)
-        assert cancel(connection, 77) == 1
-        result = receive_table(connection)
-        assert result.state == "cancelled" and result.photons < 10**9
-        energy = result.energies[0]
-        whole = energy.R.value + energy.absorbed.value + energy.unfinished.value
-        assert result.photons == 0 or abs(whole - energy.roulette.value - 1) < 1e-9
-        assert abs(energy.imbalance) < 1e-9
-        assert_serves(connection)
-        assert cancel(connection, 77) == 0
 
 
 def test_only_the_named_job_is_cancelled(daemon):
@@ -199,17 +152,6 @@ def one_job_open(one) -> bool:
 
 def no_job_open(one) -> bool:
     return statistic(one, "mc_jobs_open") == 0
-
-
-@pytest.mark.parametrize("scheme", ["unix", "tcp"])
-def test_closing_ends_the_job(daemon, scheme):
-    one = daemon()
-    before = statistic(one, "buffer_bytes")
-    with one.connect(scheme) as connection:
-        start_endless(connection)
-        assert one_job_open(one)
-    assert eventually(lambda: no_job_open(one))
-    assert eventually(lambda: statistic(one, "buffer_bytes") == before)
 
 
 def test_who_stops_sending_gets_what_there_is(daemon):
@@ -402,170 +344,6 @@ def test_memory_is_from_the_budget(daemon):
         assert_serves(connection)
 
 
-def test_the_largest_job(connection):
-    edges = Grid(1e-3, 5.0, 4097)
-    payload = mc_payload(edges=edges, spacing=LOGARITHMIC, albedos=[0.5] * 16, thickness=1.0)
-    connection.send_bytes(frame(MC, 77, payload))
-    result = receive_table(connection)
-    assert result.values.shape == (16, 2, 4096)
-    assert (result.values[0] == result.values[15]).all()
-
-
-def changed(**fields: int) -> bytes:
-    """Makes a reply with other numbers in its fixed part, which need not fit the rest."""
-    payload = mc_payload()
-    fixed = wire.MC_REQUEST.unpack(payload)._replace(**fields)
-    return wire.MC_REQUEST.pack(**fixed._asdict()) + payload[wire.MC_REQUEST.bytes :]
-
-
-def with_medium(*medium: float) -> bytes:
-    return mc_payload(medium=medium)
-
-
-def with_edges(start: float, stop: float) -> bytes:
-    return mc_payload(edges=Grid(start, stop, 11))
-
-
-PHASE, SHARE, PHASE_G = (choices("CORE_PARAMETER")[name] for name in MC_PARAMETERS)
-
-
-def with_parameters(*parameters: tuple[int, float]) -> bytes:
-    return mc_payload() + parameters_bytes(parameters)
-
-
-WRONG = {
-    **refused("bad-value", "sigma_a", "1e15", {"-1": with_medium(-1, 1, 0, 1.3)}),
-    **refused("bad-value", "sigma_s", "1e15", {"NaN": with_medium(1, math.nan, 0, 1.3)}),
-    **refused("bad-value", "sigma_s", "1e-15", {"no medium": with_medium(0, 0, 0, 1.3)}),
-    **refused("bad-value", "g", "0.9999", {
-        f"{g}": with_medium(1, 1, g, 1.3) for g in (0.99991, -0.99991)
-    }),
-    **refused("bad-value", "g", "", {f"{g}": with_medium(1, 1, g, 1.3) for g in (-1, math.nan)}),
-    **refused("bad-value", "eta", "0.001 to 1000", {
-        f"{eta}": with_medium(1, 1, 0, eta) for eta in (0, 1001, math.nan)
-    }),
-    **refused("bad-value", "thickness", "0, at least", {
-        f"{value}": mc_payload(thickness=value) for value in (-1.0, 1e-9, math.nan, -math.inf)
-    }),
-    **refused("bad-value", "albedo", "0 to 1", {
-        f"{albedo}": (mc_payload(albedos=[0.5] * 15 + [albedo]), 15)
-        for albedo in (-1e-300, 1.0000001, math.nan, math.inf)
-    }),
-    **refused("bad-count", "albedo_count", "0 to 16", {
-        "17": mc_payload(albedos=[0.5] * 17), "2^16 - 1": changed(albedo_count=2**16 - 1)
-    }),
-    **refused("bad-count", "ring_count", "1 to 4096", {
-        f"{count}": changed(ring_count=count) for count in (0, 4097, 2**32 - 1)
-    }),
-    **refused("bad-value", "spacing", "linear or logarithmic", {
-        f"{spacing}": mc_payload(spacing=spacing) for spacing in (1, 9)
-    }),
-    **refused("bad-value", "radius_start", "", {
-        **{f"{start}": with_edges(start, 5.0) for start in (-1.0, math.nan)},
-        "log of 0": mc_payload(spacing=LOGARITHMIC),
-        "log of 0.9e-8": mc_payload(edges=Grid(0.9e-8, 1.0, 2), spacing=LOGARITHMIC),
-    }),
-    **refused("bad-value", "radius_stop", "", {
-        **{f"{stop}": with_edges(1.0, stop) for stop in (0.5, 1e300, math.inf, math.nan)},
-        "0 to 0.9e-8": mc_payload(edges=Grid(0.0, 0.9e-8, 2)),
-    }),
-    **refused("bad-value", "radius_stop", "wider", {
-        "empty rings": with_edges(1.0, 1.0),
-        "narrow rings": mc_payload(edges=Grid(1.0, 1.00005, 101)),
-    }),
-    **refused("bad-value", "photons", "at least 1", {"0": mc_payload(photons=0)}),
-    **refused("too-large", "photons", "at most 10000000000", {
-        "2^64 - 1": mc_payload(photons=2**64 - 1),
-    }),
-    **refused("bad-value", "error_total", "0 (none)", {
-        f"{error}": mc_payload(error_total=error) for error in (-0.1, 1.1)
-    }),
-    **refused("bad-value", "error_rings", "0 (none)", {"NaN": mc_payload(error_rings=math.nan)}),
-    **refused("bad-value", "parameter", "one of", {
-        "unknown": with_parameters((99, 1.0)),
-        "of no use in another place": (with_parameters((PHASE, 1.0), (0, 1.0)), 1),
-    }),
-    **refused("bad-value", "parameter", "at most once", {
-        "twice": (with_parameters((PHASE, 1.0), (PHASE, 1.0)), 1),
-    }),
-    **refused("bad-value", "thickness", "nothing", {
-        "as a parameter": with_parameters((choices("CORE_PARAMETER")["thickness"], 1.0)),
-    }),
-    **refused("bad-value", "phase", "henyey-greenstein", {
-        f"{phase}": with_parameters((PHASE, phase)) for phase in (1.5, 4.0)
-    }),
-    **refused("bad-value", "phase", "", {
-        f"{phase}": with_parameters((PHASE, phase)) for phase in (0.0, -1.0, math.inf, math.nan)
-    }),
-    **refused("bad-value", "phase_share", "nothing", {"with HG": with_parameters((SHARE, 0.5))}),
-    **refused("bad-value", "phase_share", "need", {
-        f"{phase}": with_parameters((PHASE, phase)) for phase in (2.0, 3.0)
-    }),
-    **refused("bad-value", "phase_share", "1e-6 to 1", {
-        f"{share}": with_parameters((PHASE, 2.0), (SHARE, share)) for share in (0.0, 1.01)
-    }),
-    **refused("bad-value", "phase_share", "at least |g|", {
-        "smaller than g": with_parameters((PHASE, 2.0), (SHARE, 0.29)),
-    }),
-    **refused("bad-value", "phase_g", "nothing", {
-        "with modified": with_parameters((PHASE, 2.0), (SHARE, 0.5), (PHASE_G, 0.1)),
-    }),
-    **refused("bad-value", "phase_g", "need", {
-        "none": with_parameters((PHASE, 3.0), (SHARE, 0.5)),
-    }),
-    **refused("bad-value", "phase_g", "-0.9999 to 0.9999", {
-        "1": with_parameters((PHASE, 3.0), (SHARE, 0.5), (PHASE_G, 1.0)),
-    }),
-    **refused("bad-value", "phase_g", "first term's mean cosine", {
-        "what the first term cannot make up for":
-            with_parameters((PHASE, 3.0), (SHARE, 0.5), (PHASE_G, -0.5)),
-    }),
-    **refused("bad-length", "payload_bytes", "at least 96", {
-        "short": mc_payload()[:-8], "empty": b""
-    }),
-    **refused("bad-length", "payload_bytes", "nothing after", {
-        "long": mc_payload() + bytes(8), "albedos missing": changed(albedo_count=2)
-    }),
-}
-
-
-@pytest.mark.parametrize("name", WRONG)
-def test_bad_requests_name_the_field(connection, name):
-    assert_refused(connection, MC, *WRONG[name])
-
-
-@pytest.mark.parametrize("payload", [b"", bytes(16)])
-def test_bad_cancel_requests(connection, payload):
-    assert_error(ask(connection, CANCEL, payload), "bad-length", "payload_bytes", "8")
-    assert ask(connection, PING).type == PING | wire.REPLY
-
-
-# ---- phase functions -----------------------------------------------------------------------------
-
-
-def test_phase_functions_change_R_as_they_should(client):
-    """At the same sigma_s' more light comes back close to the source if the phase function has
-    backward scattering, and far away hardly anything changes. A share of 1 is Henyey and
-    Greenstein's function. The protocol's values by name and by id are the same."""
-    medium, edges = Medium(0.1, 50.0, 0.8, 1.4), Grid(0.0, 0.5, 11)
-    asked = {"medium": medium, "edges": edges, "photons": 40 * BATCH}
-    usual = client.mc(**asked)
-    named = client.mc(**asked, parameters={"phase": "henyey-greenstein"})
-    assert named.payload == usual.payload
-    modified = {"phase": "modified", "phase_share": 0.889}
-    one = client.mc(**asked, parameters=modified)
-    assert one.values[0][0][0] > 1.5 * usual.values[0][0][0]
-    assert one.payload == client.mc(**asked, parameters={**modified, "phase": 2}).payload
-    two = client.mc(**asked, parameters={"phase": "two-term", "phase_share": 0.9, "phase_g": -0.1})
-    assert two.values[0][0][0] > 1.2 * usual.values[0][0][0]
-    for other in (one, two):
-        assert abs(other.energies[0].R.value / usual.energies[0].R.value - 1) < 0.1
-        assert abs(other.energies[0].imbalance) < 1e-11
-    whole = client.mc(**asked, parameters={"phase": "modified", "phase_share": 1.0})
-    far = np.abs(whole.values - usual.values) / np.hypot(whole.errors, usual.errors)
-    assert far.max() < 4.5
-
-
 # ---- the Python client ---------------------------------------------------------------------------
 
 
@@ -640,24 +418,6 @@ def test_ring_means_are_within_their_errors(client, evaluator, most):
             R, error = means.R[0, 0], min(means.numerical_error[0, 0], 1e300)
             assert abs(R - right) <= error * R or R == 0 and error > most and right < 1e-35, (model, medium, a, b)
             assert error < most or R == 0
-
-
-def test_each_ring_has_its_own_error(client):
-    """Transport is known less well far away than near the entry point."""
-    edges = [0.05, 1, 5, 50]
-    medium = Medium(0.1, 10, 0.9, 1.4)
-    errors = client.ring_means("transport", medium, edges).numerical_error[0]
-    alone = [client.ring_means("transport", medium, [a, b]).numerical_error[0, 0] for a, b in zip(edges, edges[1:])]
-    assert (errors < 1e-3).all() and errors == pytest.approx(alone, rel=0.3)
-
-
-def test_the_rings_of_a_job_beside_means_of_transport(client):
-    rings = client.mc(SKIN, Grid(0.05, 8.0, 13, "logarithmic"), photons=400_000)
-    apart = (rings.R[0] - client.ring_means("transport", SKIN, rings.edges).R[0]) / rings.R_error[0]
-    assert np.abs(apart).max() < 4.5 and 0.2 < np.mean(apart**2) < 2.5
-    better = client.ring_means("better", SKIN, rings.edges)
-    assert np.abs((rings.R[0] - better.R[0]) / rings.R_error[0]).max() > 20
-    assert better.model_error[0] > 0.3
 
 
 @pytest.mark.parametrize("edges", [[1.0], [2.0, 1.0], [-1.0, 1.0], [1.0, np.inf], "ab", [[0.0, 1.0]]])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import command_line
 import dipole
@@ -41,6 +42,15 @@ OTHERS = [
     "version",
 ]
 NOWHERE = ["--listen", "tcp:127.0.0.1:0"]
+LEVELS = {
+    "portable": set(),
+    "sse2": {"sse2"},
+    "avx2": {"avx2", "fma"},
+    "avx512": {"avx2", "fma", "avx512f", "avx512dq", "avx512vl"},
+}
+FLAGS = re.search(r"^flags.*?: (.*)", Path("/proc/cpuinfo").read_text() + "flags: ", re.M)[1]
+HAS = [name for name, needed in LEVELS.items() if needed <= set(FLAGS.split())]
+LACKS = [name for name in LEVELS if name not in HAS]
 
 
 def variable(name: str) -> str:
@@ -53,6 +63,15 @@ def test_the_limits_in_hello_are_the_options(shared):
         limits = {name.replace("_", "-"): value for name, value in client.info.limits.items()}
     assert limits == {name: default for name, (default, _, _) in NUMBERS.items()}
     assert len(limits) >= 9
+
+
+def test_the_instruction_set_and_the_workers(daemon, shared):
+    with daemon("--isa", "portable", "--workers", "5").client() as client, shared.client() as usual:
+        assert (client.info.instruction_set, client.info.workers) == ("portable", 5)
+        assert usual.info.instruction_set == HAS[-1]
+    for isa in [*LACKS, "mmx", "AVX2", ""]:
+        ended = run("--isa", isa, *NOWHERE)
+        assert ended.returncode in (1, 2) and "isa" in ended.stderr
 
 
 def test_command_line(daemon):

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 
 import numpy as np
 import pytest
-from daemons import REPOSITORY
 from dipole import Table, wire
 from frames import SKIN, assert_serves, frame
 from lists import QUANTITIES
+from messages import EXAMPLES
 
 # The requests whose documented replies are compared byte by byte.
 DETERMINISTIC = {
@@ -19,17 +18,6 @@ DETERMINISTIC = {
 TYPES = {**wire.MESSAGES, "error": wire.MESSAGES["eval"]}
 
 
-def read_examples() -> dict[str, bytes]:
-    """Reads the frames in blocks ```hex NAME: digits, and comments from # to the end of the line."""
-    text = (REPOSITORY / "proto/PROTOCOL.md").read_text()
-    examples = {}
-    for name, body in re.findall(r"^```hex ([\w-]+)\n(.*?)^```", text, re.M | re.S):
-        assert name not in examples, name
-        examples[name] = bytes.fromhex(re.sub(r"#.*", "", body))
-    return examples
-
-
-EXAMPLES = read_examples()
 REQUESTS = sorted(name for name in EXAMPLES if name.endswith("-request"))
 
 

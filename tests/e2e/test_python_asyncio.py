@@ -14,9 +14,9 @@ import pytest
 from daemons import PROGRAM, eventually
 from dipole import AsyncClient, Grid, Medium
 from frames import SKIN
+from messages import CALLS, RADII, assert_same
 from test_retry import QUESTIONS, RETRY_S, holding_frame, restarted, result_bytes  # noqa: F401
 
-THREE = [Medium(0.032, 0.74), Medium(0.17, 0.88), Medium(0.48, 1.01)]
 LIMIT_S = 60
 
 
@@ -32,47 +32,6 @@ def run(coroutine):
 # ---- the same answers ----------------------------------------------------------------------------
 
 
-R = np.linspace(0.5, 3, 6)
-POINTS = dipole.Points(np.linspace(0, 1, 300).reshape(100, 3), np.ones(100))
-CALLS = {
-    "eval": (["better", THREE, [0.5, 1.0]], {"wanted": ["R", "cdf", "albedo"]}),
-    "values": (["better", Medium(np.linspace(0.01, 1, 5)[:, None], 1.0), np.linspace(0, 3, 4)],
-               {"quantity": "cdf", "evaluator": "f32"}),
-    "media": ([], {}),
-    "offers": ([SKIN, [1.0]], {"tolerance": 0.02}),
-    "table": (["better", SKIN], {"tolerance": 1e-3}),
-    "surface": (["transport", 0.3, 1.4], {"tolerance": 1e-2}),
-    "sample": (["better", "skin1"], {"draw": dipole.Draw(100)}),
-    "invert": (["better", [0.2, 0.8], 1.5], {}),
-    "fit": (["better", R, np.exp(-R), 0.01 * np.exp(-R)], {"eta": 1.4}),
-    "varying": (["better"], {"sigma_a": [0.1, 0.2], "sigma_s": 1.0, "r": [[0.5], [1.0]]}),
-    "gather": (["better", [SKIN], POINTS, np.ones((30, 3))], {}),
-    "mc": ([SKIN, Grid(0, 4, 5)], {"photons": 20000, "seed": 3}),
-    "ring_means": (["better", "skin1", Grid(0, 4, 5)], {}),
-}  # fmt: skip
-
-
-def assert_same(found, expected) -> None:
-    """Compares all that two answers hold."""
-    assert type(found) is type(expected)
-    if isinstance(found, dict):
-        assert found.keys() == expected.keys()
-        for name in found:
-            assert_same(found[name], expected[name])
-    elif isinstance(found, (dipole.Table, dipole.Surface)):
-        assert found.data == expected.data
-    elif isinstance(found, list):
-        for one, other in zip(found, expected, strict=True):
-            assert_same(one, other)
-    elif hasattr(found, "__dict__"):
-        assert_same(vars(found), vars(expected))
-    elif isinstance(found, np.ndarray):
-        assert (found.dtype, found.shape) == (expected.dtype, expected.shape)
-        assert found.tobytes() == expected.tobytes()
-    else:
-        np.testing.assert_equal(found, expected)
-
-
 def test_every_call_answers_as_the_other_client(shared):
     async def ask() -> None:
         async with AsyncClient(shared.url()) as client:
@@ -82,8 +41,8 @@ def test_every_call_answers_as_the_other_client(shared):
                 assert_same(found, getattr(known, name)(*arguments, **options))
             assert (await client.statistics()).keys() == known.statistics().keys()
             assert await client.ping(b"12345678") > 0
-            parts = [part async for part in client.eval_parts("better", SKIN, R)]
-            assert_same(parts, list(known.eval_parts("better", SKIN, R)))
+            parts = [part async for part in client.eval_parts("better", SKIN, RADII)]
+            assert_same(parts, list(known.eval_parts("better", SKIN, RADII)))
 
     with shared.client() as known:
         run(ask())

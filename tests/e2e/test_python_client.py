@@ -22,7 +22,6 @@ import pytest
 from daemons import BUILD, PROGRAM, REPOSITORY, environment
 from dipole import Grid, Medium, wire
 from dipole import connection as connections
-from dipole.connection import Incoming
 from frames import PING, SKIN, frame
 from lists import MODELS, takes
 
@@ -330,34 +329,6 @@ def assert_same_result(one: dipole.Result, other: dipole.Result, radii=slice(Non
         np.testing.assert_array_equal(one.r, other.r[radii])
 
 
-LARGE = {
-    "a grid": {"grid": Grid(0.0, 5.0, 20_001)},
-    "a grid without its radii": {"grid": Grid(0.0, 5.0, 20_001), "wanted": ["R", "pdf"]},
-    "single precision": {"grid": Grid(0.1, 5.0, 20_001, "logarithmic"), "evaluator": "f32"},
-    "a list": {"r": np.linspace(0, 3, 7000), "wanted": ["R", "cdf", "albedo"]},
-    "a list in single precision": {"r": np.linspace(0, 3, 9999), "evaluator": "lut"},
-}
-
-
-@pytest.mark.parametrize("name", LARGE)
-def test_parts(client, small, name):
-    whole = client.eval("better", THREE, **LARGE[name])
-    together = small.eval("better", THREE, **LARGE[name])
-    assert_same_result(together, whole)
-    assert together.radius_first == 0 and together.R.shape == whole.R.shape
-    assert together.R.dtype == whole.R.dtype
-    assert not together.R.flags.writeable
-    [only] = client.eval_parts("better", THREE, **LARGE[name])
-    assert_same_result(only, whole)
-    first = 0
-    for part in small.eval_parts("better", THREE, **LARGE[name]):
-        assert part.radius_first == first
-        end = first + part.R.shape[1]
-        assert_same_result(part, whole, slice(first, end))
-        first = end
-    assert first == whole.R.shape[1]
-
-
 def test_parts_among_others(small):
     """Answers in parts, some of which are read part by part, and short answers, all at once."""
     grid = Grid(0.0, 5.0, 10_000)
@@ -401,68 +372,6 @@ def test_parts_that_are_refused(small):
     assert len(list(small.eval_parts("better", SKIN, [1.0]))) == 1
     with pytest.raises(dipole.ArgumentError):
         small.eval_parts("worst", SKIN, [1.0])
-
-
-EVAL_REPLY = wire.MESSAGES["eval"] | wire.REPLY
-
-
-def part_payload(**changes: int) -> bytes:
-    """Makes a part of an answer for one medium: R in double precision, 10 radii in two parts."""
-    fields = {
-        "model": 2,
-        "evaluator": 1,
-        "moments": 1,
-        "wanted": 1,
-        "channel_count": 1,
-        "notes": 0,
-        "count": 5,
-        "first": 0,
-        "part": 0,
-        "part_count": 2,
-    }
-    fields |= changes
-    values = np.arange(fields["count"], dtype="<f8")
-    return wire.EVAL_REPLY.pack(**fields) + bytes(32) + values.tobytes()
-
-
-SECOND = {"first": 5, "part": 1}
-# By name: the payloads that come in place of the two parts.
-LIES = {
-    "the second first": [part_payload(**SECOND)],
-    "the first twice": [part_payload(), part_payload()],
-    "one part of fewer": [part_payload(part_count=1)],
-    "more radii": [part_payload(), part_payload(**SECOND | {"count": 6})],
-    "fewer radii": [part_payload(), part_payload(**SECOND | {"count": 4})],
-    "no radii": [part_payload(), part_payload(**SECOND | {"count": 0, "part_count": 3})],
-    "from elsewhere": [part_payload(), part_payload(**SECOND | {"first": 4})],
-    "another model": [part_payload(), part_payload(**SECOND | {"model": 1})],
-    "other notes": [part_payload(), part_payload(**SECOND | {"notes": 1})],
-    "more parts": [part_payload(), part_payload(**SECOND | {"part_count": 3})],
-    "another channel": [part_payload(), part_payload(**SECOND)[:40] + bytes(31) + b"1" + bytes(40)],
-    "other quantities": [part_payload(wanted=4)],
-    "another evaluator": [part_payload(evaluator=2)],
-    "an unknown evaluator": [part_payload(evaluator=9)],
-    "two channels": [part_payload(channel_count=2)],
-    "cut short": [part_payload()[:-8]],
-    "almost nothing": [part_payload()[:32]],
-}
-
-
-@pytest.mark.parametrize("name", LIES)
-def test_parts_that_do_not_belong_together(shared, name):
-    """Parts that do not belong together are refused. A socket pair sends them in place of the
-    daemon."""
-    ours, theirs = socket.socketpair()
-    with shared.client() as client, ours, theirs:
-        connection = client._connection
-        connection.socket.close()
-        connection.socket = ours
-        for how in (client.eval, lambda *query: list(client.eval_parts(*query))):
-            number = client._exchange.last_id + 1
-            theirs.sendall(b"".join(frame(EVAL_REPLY, number, payload) for payload in LIES[name]))
-            with pytest.raises(dipole.ProtocolError):
-                how("better", SKIN, np.arange(10.0))
-            connection.incoming, connection.torn = Incoming(), False
 
 
 def test_much_may_be_submitted_before_anything_is_collected(client):

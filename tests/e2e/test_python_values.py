@@ -1,11 +1,13 @@
-"""The Python client's values(): media and radii of any shapes, as numpy broadcasts them."""
+"""The Python client's values(), grids, samples and inversions: arrays of any shapes, as numpy
+broadcasts them."""
 
 from __future__ import annotations
 
 import dipole
 import numpy as np
 import pytest
-from dipole import Medium
+from dipole import Draw, Medium
+from frames import SKIN
 
 SKIN1 = [Medium(0.032, 0.74), Medium(0.17, 0.88), Medium(0.48, 1.01)]
 SIGMA_A = np.array([medium.sigma_a for medium in SKIN1])
@@ -143,3 +145,74 @@ def test_collecting_a_certain_one(client):
     assert rest == ids[1:5]
     with pytest.raises(dipole.ArgumentError, match="not outstanding"):
         client.collect(ids[0])
+
+
+# ---- grids, samples and inversions ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
+@pytest.mark.parametrize("spacing", ["linear", "logarithmic"])
+def test_a_grid_is_the_list_of_its_radii(client, spacing, evaluator):
+    """Its ends are rounded to the evaluator's precision before errors are stated."""
+    medium = Medium(0.35, 0.65, 0.0, 1.5)
+    for model in ("transport", "better"):
+        how = {"evaluator": evaluator, "wanted": ["R", "cdf", "albedo", "r"]}
+        grid = client.eval(model, medium, grid=dipole.Grid(0.01, 19.9, 11, spacing), **how)
+        listed = client.eval(model, medium, grid.r, **how)
+        for name in ("R", "cdf"):
+            assert grid.values[name].tobytes() == listed.values[name].tobytes()
+        assert (grid.r == listed.r).all() and grid.albedo == listed.albedo
+        np.testing.assert_equal(grid.errors, listed.errors)
+    albedo = client.eval("better", Medium(0, 1), grid=dipole.Grid(0.0, 1.0, 2**40), wanted=["albedo"])
+    assert albedo.albedo[0] == 1.0  # Any number of radii costs nothing then.
+
+
+def test_an_inversion_of_a_texture(client):
+    """The albedos are a texture, with one length for each of its channels."""
+    texture = np.random.default_rng(3).uniform(0.05, 0.95, (4, 5, 3))
+    found = client.invert("better", texture, [1.0, 0.5, 0.25], g=0.8)
+    assert found.sigma_a.shape == found.sigma_s.shape == found.albedo.shape == texture.shape
+    assert found.media.shape == (4, 5, 3, 4)
+    one = client.invert("better", texture[2, 3, 1], 0.5, g=0.8)
+    assert one.sigma_a.shape == ()
+    assert one.sigma_a == found.sigma_a[2, 3, 1] and one.sigma_s == found.sigma_s[2, 3, 1]
+    with pytest.raises(dipole.ArgumentError, match="albedo, length"):
+        client.invert("better", [0.1, 0.2], [1.0, 2.0, 3.0])
+    with pytest.raises(dipole.ArgumentError, match="length paths"):
+        client.invert("better", 0.1, 1.0, given="paths")
+
+
+OTHER = (0.3, 2.0, 0.0, 1.4)
+
+
+@pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
+@pytest.mark.parametrize("rule", ["random", "stratified", "regular"])
+def test_numbers_by_rule_are_those_that_the_client_makes(client, rule, evaluator):
+    """Numbers that the client makes by a rule, and then lists, give the same bits as the rule."""
+    draw = Draw(2311, rule, seed=12345678901234567890, first=10**15 if rule == "random" else 0)
+    by_rule = client.sample("better", [SKIN, OTHER], draw=draw, evaluator=evaluator)
+    listed = client.sample("better", [SKIN, OTHER], by_rule.u, evaluator=evaluator)
+    assert np.all((by_rule.u > 0) & (by_rule.u < 1))
+    np.testing.assert_array_equal(by_rule.r, listed.r)
+    np.testing.assert_array_equal(by_rule.pdf, listed.pdf)
+
+
+def test_samples_without_numbers(client):
+    sampled = client.sample("better", SKIN, [], wanted=["r", "pdf", "albedo"])
+    assert sampled.r.shape == (1, 0) and sampled.albedo[0] > 0
+    alone = client.sample("better", SKIN, draw=Draw(3), wanted=["albedo"])
+    assert not hasattr(alone, "r") and alone.albedo == sampled.albedo
+
+
+def test_samples_that_do_not_fit(client):
+    for arguments in (
+        {},
+        {"u": [0.5], "draw": Draw(3)},
+        {"u": [[0.5], [0.6]]},
+        {"draw": Draw(3, "lots")},
+        {"draw": Draw(-1)},
+        {"u": [0.5], "evaluator": 9},
+    ):
+        with pytest.raises(dipole.ArgumentError):
+            client.sample("better", SKIN, **arguments)
+    assert client.sample("better", SKIN, 0.5).r.shape == (1, 1)

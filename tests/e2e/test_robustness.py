@@ -24,7 +24,7 @@ from certificates import Authority
 from daemons import Daemon, eventually, read_log_line, sanitized
 from dipole import Connection, ConnectionLost, wire
 from frames import EVAL, F32, R, assert_daemon_serves, eval_payload, frame, serves, statistics
-from known import (
+from messages import (
     PARTS, Known, assert_answer, every_kind, known_answers, receive_answer, refusal, short_requests,
 )
 from modbus_master import AT, floats, words, write_read_pdu

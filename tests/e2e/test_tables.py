@@ -12,11 +12,9 @@ import numpy as np
 import pytest
 from daemons import REPOSITORY
 from dipole import Medium, Table, wire
-from frames import BETTER, EXACT, SKIN, ask, assert_refused, media_bytes, parameters_bytes, refused
-from lists import MODELS, NOTES, PARAMETERS, needs
+from frames import SKIN
+from lists import MODELS, NOTES
 
-TABLE = wire.MESSAGES["table"]
-TOLERANCE = PARAMETERS["tolerance"].id
 
 # Towards the source, R is constant or grows like -ln r or 1 / r. Far away, it falls like 1 / r^3 or
 # is 0.
@@ -97,36 +95,6 @@ def test_the_tolerances_of_the_header(client):
         ask(tolerance=0.99 * least)
 
 
-def test_a_tolerance_above_a_tenth_counts_as_a_tenth(client):
-    most, tenth = (client.table("better", SKIN, tolerance=value) for value in (1, 0.1))
-    assert 1e-3 < most.numerical_error_constant <= 0.1
-    r = np.float32([0.0, 0.01, 0.5, 1.0, 3.0, 50.0])
-    assert most.R(r).tobytes() == tenth.R(r).tobytes()
-
-
-@pytest.mark.parametrize("tolerance", [1e-6, 1e-3, 0.1])
-def test_same_bits_at_other_tolerances(client, tolerance):
-    table = client.table("better", SKIN, tolerance=tolerance)
-    assert table.parameters == {"tolerance": tolerance}
-    assert table.numerical_error_constant <= tolerance
-    assert_same_bits(table, client, "better", SKIN, tolerance=tolerance)
-
-
-@pytest.mark.parametrize("model", sorted(set(MODELS) - {"gaussians"}))
-def test_every_model_has_tables(client, model):
-    table = client.table(model, SKIN, parameters=needs(model), tolerance=1e-3)
-    assert table.model == model and table.model_id == MODELS[model]
-    r = np.float32([0.0, 0.01, 0.5, 1.0, 3.0, 50.0, math.inf])
-    answer = client.eval(
-        model, SKIN, r, evaluator="lut", parameters={**needs(model), "tolerance": 1e-3}
-    )
-    np.testing.assert_array_equal(table.R(r).view(np.uint32), answer.R[0].view(np.uint32))
-    np.testing.assert_array_equal(table.cdf(r).view(np.uint32), answer.cdf[0].view(np.uint32))
-    assert table.albedo == answer.albedo[0]
-    assert table.numerical_error_constant == answer.numerical_error(0.0)[0]
-    assert table.model_error == 0 if model == "transport" else math.isnan(table.model_error)
-
-
 @pytest.mark.skipif("gaussians" not in MODELS, reason="built without the model")
 def test_radii_that_a_model_does_not_cover(client):
     range_of = {"fit_from": 0.5, "fit_to": 8.0}
@@ -138,27 +106,6 @@ def test_radii_that_a_model_does_not_cover(client):
     with pytest.raises(dipole.ArgumentError) as caught:
         table.R(9.0)
     assert "to 8 mm" in str(caught.value)
-
-
-def test_radii_for_given_cdf(client, case):
-    """Radii for given u, from the smallest up and around the ends of octaves, have the cdf u."""
-    table = client.table(*case)
-    u = np.linspace(0, 1, 4001, dtype=np.float32)
-    ends = 2.0 ** np.arange(-149.0, 0.0)
-    u = np.concatenate([u, ends, 1 - ends[-30:], [np.nextafter(np.float32(1), np.float32(0))]])
-    u = u.astype(np.float32)
-    r = table.radius(u)
-    drawn = client.sample(*case, u, evaluator="lut", wanted=["r"]).r[0]
-    assert r.dtype == np.float32 and r.tobytes() == drawn.tobytes()
-    if table.albedo == 0:
-        assert not r.any()
-        return
-    order = np.argsort(u)
-    assert np.all(np.diff(r[order][np.isfinite(r[order])]) >= 0)
-    assert r[u == 0][0] == 0 and np.isposinf(r[u == 1][0])
-    middle = (u > 1e-6) & (u < 1 - 1e-5)
-    back = table.cdf(r[middle])
-    np.testing.assert_allclose(back, u[middle], rtol=5e-4)
 
 
 def test_shapes(client):
@@ -177,68 +124,6 @@ def test_shapes(client):
     for wrong in (-1e-40, 1.0000001, math.nan):
         with pytest.raises(dipole.ArgumentError):
             table.radius(wrong)
-
-
-# ---- the same errors -----------------------------------------------------------------------------
-
-
-def assert_same_errors(table: Table, client, model: str, medium: Medium, radii, wanted) -> None:
-    answer = client.eval(model, medium, radii, evaluator="lut", wanted=wanted)
-    errors = table.errors(radii, wanted)
-    expected = answer.numerical_error(0.0)[0]
-    assert errors.numerical_error_constant == pytest.approx(expected, rel=1e-12, abs=1e-14)
-    assert errors.numerical_error_per_mm == max(one.numerical_error_per_mm[0] for one in answer.errors.values())
-    # That of a table is the largest in bands of radii, of R, and says nothing of the cdf.
-    stated, exact = errors.model_error, answer.model_error[0]
-    if "cdf" not in wanted and not np.isnan(stated):
-        assert stated >= exact * (1 - 1e-6) - 2e-4
-
-
-@pytest.mark.parametrize(
-    "model, medium",
-    [
-        *CASES.values(),
-        ("transport", Medium(0.35, 0.65, 0.0, 1.5)),
-        ("transport", Medium(1.0, 9.0, 0.5, 1.4)),
-        ("transport", Medium(1.0, 30.0, 0.92, 1.4)),
-        ("transport", Medium(1.0, 90.0, 0.97, 1.4)),
-        ("classical", Medium(0.1, 5.0, 0.7, 1.4)),
-        ("better", Medium(0.1, 1.0, 0.0, 2.5)),
-    ],
-)
-def test_same_errors_as_the_daemon(client, model, medium):
-    """A table states the daemon's numerical errors at radii of all magnitudes, at the edges of bands
-    and far away, and for any quantities, and a model error that is no smaller."""
-    table = client.table(model, medium)
-    random = np.random.default_rng(1999)
-    mfp_mm = 1 / (medium.sigma_a + medium.sigma_s * (1 - medium.g))
-    lists = [[], [math.inf], [0.0, math.inf], [mfp_mm, math.inf]]
-    lists += [mfp_mm * np.array(edges) for edges in ([0.01, 20], [0.5, 0.5], [1, 2], [20, 20])]
-    lists += [mfp_mm * decays * np.array([0.1, 1.0]) for decays in (20, 40, 60, 100)]
-    lists += [mfp_mm * 10 ** random.uniform(-2, 1.3, random.integers(1, 4)) for _ in range(20)]
-    for r in lists:
-        names = ["R", "albedo", "cdf", "pdf", "2_pi_r_R", "S"]
-        wanted = random.choice(names, random.integers(1, 3), replace=False).tolist()
-        assert_same_errors(table, client, model, medium, np.float32(r), wanted)
-
-
-def test_errors_far_away(client):
-    """transport is solved up to 30 decay lengths. Beyond that, R has a larger error, which is
-    stated."""
-    table = client.table("transport", Medium(0.35, 0.65, 0.0, 1.5))
-    assert 25 < table.reach_mm < 60
-    near, far = table.errors(table.reach_mm), table.errors([0.0, 2 * table.reach_mm])
-    assert near.numerical_error_constant == table.numerical_error_constant < 1e-4
-    assert far.numerical_error_constant > 1e-2
-    assert table.errors(100.0, ["cdf", "albedo"]).numerical_error_constant < 1e-4
-    at_each = table.numerical_error([0.0, table.reach_mm, 2 * table.reach_mm, math.inf])
-    assert at_each[0] == at_each[1] == at_each[3] == table.numerical_error_constant
-    assert at_each[2] == pytest.approx(far.numerical_error_constant, rel=1e-6)
-    with pytest.raises(dipole.ArgumentError):
-        table.errors(-1.0)
-    with pytest.raises(dipole.ArgumentError) as caught:
-        table.errors(1.0, ["ln_R"])
-    assert "ln_R" in str(caught.value)
 
 
 # ---- facts and files -----------------------------------------------------------------------------
@@ -290,54 +175,6 @@ def test_damage_is_found(client):
 
 
 # ---- requests ------------------------------------------------------------------------------------
-
-
-def table_payload(medium=SKIN, parameters=(), **fixed: int) -> bytes:
-    """Makes the payload of a table request."""
-    fields = {"model": BETTER, "moments": EXACT, "parameter_count": len(parameters), "zero": 0}
-    fields.update(fixed)
-    return (
-        wire.TABLE_REQUEST.pack(**fields) + media_bytes([medium]) + parameters_bytes(parameters)
-    )
-
-
-THICKNESS = PARAMETERS["thickness"].id
-REFUSED = {
-    **refused("bad-value", "model", "", {f"{id}": table_payload(model=id) for id in (0, 999)}),
-    **refused("bad-value", "moments", "", {"99": table_payload(moments=99)}),
-    **refused("bad-value", "zero", "", {"1": table_payload(zero=1)}),
-    **refused("bad-value", "sigma_a", "", {"-1": table_payload((-1.0, 1.0, 0.0, 1.3))}),
-    **refused("bad-value", "eta", "", {"fit": table_payload((1.0, 1.0, 0.0, 3.0), moments=2)}),
-    **refused("bad-value", "tolerance", "", {"1e-9": table_payload(parameters=[(TOLERANCE, 1e-9)])}),
-    **refused("bad-value", "parameter", "", {"999": table_payload(parameters=[(999, 1.0)])}),
-    **refused("bad-value", "thickness", "", {"1": table_payload(parameters=[(THICKNESS, 1.0)])}),
-    **refused("bad-count", "parameter_count", "", {
-        "1": table_payload(parameter_count=1), "long": table_payload() + bytes(8)
-    }),
-    **refused("bad-length", "payload_bytes", "", {"": b"", "short": table_payload()[:-8]}),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_refused(connection, name):
-    assert_refused(connection, TABLE, *REFUSED[name])
-
-
-def test_the_same_request_has_the_same_bytes(shared, connection):
-    reply = ask(connection, TABLE, table_payload())
-    with shared.connect() as other:
-        assert ask(other, TABLE, table_payload()) == reply
-    assert reply.type == TABLE | wire.REPLY
-
-
-def test_the_same_bytes_from_every_instruction_set(daemon):
-    frames = set()
-    for isa in ("portable", "sse2"):
-        with daemon("--isa", isa).client() as client:
-            frames.add(client.table("better", SKIN).data)
-    with daemon().client() as client:
-        frames.add(client.table("better", SKIN).data)
-    assert len(frames) == 1
 
 
 def test_refusals_in_python(client):

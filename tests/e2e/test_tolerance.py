@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 from command_line import FAILED, dipole, eval_json, eval_rows, says
 from dipole import Grid, Medium, wire
-from frames import ALBEDO, EVAL, F32, F64, R, SKIN, ask, assert_refused, assert_serves
+from frames import ALBEDO, EVAL, F32, R, SKIN, ask
 from frames import eval_payload
-from lists import EVALUATORS, MODELS, PARAMETERS
+from lists import EVALUATORS, PARAMETERS
 
-OFFERS = wire.MESSAGES["offers"]
 TOLERANCE = PARAMETERS["tolerance"].id
 MEDIUM = ["--sigma-a", "0.032", "--sigma-s", "0.74"]  # SKIN
 RANGE = ["--from", "0.5", "--to", "8", "--count", "3"]
@@ -123,39 +122,6 @@ def test_what_the_table_does_not_keep_is_solved(client):
     assert answer.R.tobytes() == client.eval("transport", beyond, radii, **how).R.tobytes()
 
 
-@pytest.mark.parametrize("evaluator", ["f64", None])
-def test_media_beyond_the_table_keep_it_too(client, evaluator):
-    """They are solved in either precision, or refused with the least error."""
-    medium = Medium(0.05, 95.0, 0.99, 1.4)
-    how = {"wanted": ["R"], "evaluator": evaluator}
-    answer = client.eval(None, medium, [1.0], tolerance=0.03, **how)
-    assert answer.model == "transport" and error_of(answer) <= 0.03
-    with pytest.raises(python_client.Refused) as caught:
-        client.eval(None, medium, [0.1, 1.0], tolerance=1e-4, **how)
-    assert caught.value.field == "tolerance" and "at least" in caught.value.allowed
-
-
-def test_a_tolerance_that_the_solver_misses_is_refused(client):
-    narrow, how = [SKIN, (0.1, 33.0, 0.97, 1.4)], {"wanted": "R", "evaluator": "f64"}
-    error = refusal(client, narrow, [0.02, 1.0], tolerance=2e-3, **how)
-    least = re.fullmatch(r"at least (\S+) for medium 2 \(best: transport, solved\)", error.allowed)
-    assert error.index == 1 and least is not None
-    answer = client.eval(None, narrow, [0.02, 1.0], tolerance=float(least[1]), **how)
-    assert 2e-3 < error_of(answer) <= float(least[1])
-
-
-def test_grids_and_submitted_queries(client):
-    grid = Grid(0.5, 8.0, 5)
-    how = {"grid": grid, "tolerance": 0.01, "wanted": ["R", "r"]}
-    answer = client.eval(None, SKIN, **how)
-    assert answer.r.tolist() == [0.5, 2.375, 4.25, 6.125, 8.0]
-    request_id = client.submit(None, SKIN, **how)
-    found, again = client.collect()
-    assert found == request_id and again.model == answer.model
-    assert again.R.tobytes() == answer.R.tobytes()
-    assert client.offers(SKIN, grid=grid, tolerance=0.01, wanted=["R"]).taken is not None
-
-
 def test_wrong_arguments(client):
     refused = []
     for tolerance in (0.0, 2.0, -1.0):
@@ -190,36 +156,6 @@ def any_model(tolerance=0.01, **fixed) -> bytes:
     return eval_payload(parameters=parameters, **fields)
 
 
-def test_offers_on_the_wire(connection):
-    reply = ask(connection, OFFERS, any_model())
-    assert reply.type == OFFERS | wire.REPLY
-    fixed = wire.OFFERS_REPLY.unpack(reply.payload)
-    assert len(reply.payload) == wire.OFFERS_REPLY.bytes + fixed.count * wire.OFFER.bytes
-    assert fixed.taken < fixed.count
-    for i in range(fixed.count):
-        at = wire.OFFERS_REPLY.bytes + i * wire.OFFER.bytes
-        offer = wire.OFFER.unpack(reply.payload, at)
-        assert offer.model in MODELS.values() and offer.evaluator == EVALUATORS["f64"]
-        assert offer.meets in (0, 1) and offer.error >= offer.numerical_error > 0
-    assert_serves(connection)
-
-
-REFUSED = {
-    "a model": (any_model(model=1), "bad-value", "model"),
-    "no tolerance": (any_model(None), "bad-value", "model"),
-    "tolerance": (any_model(2.0), "bad-value", "tolerance"),
-    "evaluator": (any_model(evaluator=9), "bad-value", "evaluator"),
-    "medium": (any_model(media=[(1.0, 1.0, 0.0, 0.0)]), "bad-value", "eta"),
-    "media": (any_model(media=[]), "bad-count", "medium_count"),
-    "short": (any_model()[:-8], "bad-count", "radius_count"),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_offers_that_are_refused(connection, name):
-    assert_refused(connection, OFFERS, *REFUSED[name], "")
-
-
 def test_the_choice_counts_preparing(connection, client):
     """A table is not made for a few radii, and many radii get one, however they come."""
     few = any_model(0.03, radii=(0.5, 5.0), evaluator=F32)
@@ -248,56 +184,6 @@ def test_all_parts_have_one_choice(client):
     assert len(parts) > 1 and {(part.model, part.evaluator) for part in parts} == {
         (parts[0].model, "lut")
     }
-
-
-def test_a_loose_tolerance_builds_a_loose_table(client):
-    """A table is made to what the tolerance leaves, not to 1e-4."""
-    grid = Grid(0.5, 5.0, 1_000_000)
-    for tolerance, least, most in ((0.03, 1.1e-4, 1e-3), (2e-4, 0.0, 2e-4)):
-        how = {"grid": grid, "tolerance": tolerance, "wanted": ["R"], "evaluator": "f32"}
-        answer = client.eval(None, SKIN, **how)
-        assert answer.evaluator == "lut"
-        assert least < np.max(answer.numerical_error([5.0])) <= most
-
-
-def test_evaluators_of_a_precision_mean_the_same(connection):
-    same = {ask(connection, EVAL, any_model(evaluator=e)).payload for e in (F32, 3)}
-    assert len(same) == 1
-    assert ask(connection, EVAL, any_model(evaluator=F64)).payload not in same
-
-
-# ---- anisotropic scattering ----------------------------------------------------------------------
-
-TISSUE = (0.05, 9.5, 0.9, 1.4)
-
-
-def test_a_tolerance_is_answered_for_tissue(client):
-    """From .1 to 5 mm, 20 media of g from -.5 to .95 and all quantities with an error."""
-    radii = [0.1, 1.0, 5.0]
-    for g in np.linspace(-0.5, 0.95, 20):
-        medium = (0.05, 0.95 / (1 - g), float(g), 1.4)
-        for tolerance, wanted in ((0.02, ["R", "albedo"]), (0.05, ["cdf", "pdf"])):
-            answer = client.eval(None, medium, radii, tolerance=tolerance, wanted=wanted)
-            assert error_of(answer) <= tolerance
-    report = eval_json(*"--sigma-a .05 --sigma-s 9.5 --g .9 --eta 1.4 --tolerance .01".split(),
-                       *["--r", "0.1,1,5"])
-    for row in report["rows"]:
-        assert row["model"] == "transport" and row["numerical_error"] + row["model_error"] <= 0.01
-
-
-def test_other_models_are_offered_for_tissue(client):
-    """Their errors are computed for this medium, but a tolerance takes transport."""
-    how = {"evaluator": "f32", "wanted": ["R"]}
-    offers, taken = client.offers(TISSUE, [2.0, 3.0, 5.0], tolerance=0.5, **how)
-    assert taken.model == "transport" and all(np.isfinite(offer.error) for offer in offers)
-    assert {"single", "better+single", "better", "beam"} <= {offer.model for offer in offers}
-    truth = client.eval("transport", TISSUE, [2.0, 3.0, 5.0], evaluator="f64", wanted=["R"])
-    for model in {offer.model for offer in offers}:
-        answer = client.eval(model, TISSUE, [2.0, 3.0, 5.0], wanted=["R"])
-        off = np.abs(answer.R / truth.R - 1).max()
-        assert off <= answer.model_error[0] <= off * 1.05 + 0.005
-        offered = min(offer.error for offer in offers if offer.model == model)
-        assert answer.model_error[0] <= offered * (1 + 1e-6) + 1e-6
 
 
 # ---- dipole eval ---------------------------------------------------------------------------------
@@ -334,22 +220,3 @@ test_refusals_have_the_daemons_words = says(FAILED, ["eval", *MEDIUM], [
     (["--tolerance", "0.1", "--from", "3", "--to", "1"], "(--to)"),
     (["--tolerance", "1e-5", "--wanted", "ln_R", "--g", "0.9"], "bad-value: tolerance"),
 ])
-
-
-def test_model_errors_at_the_ends_of_what_may_be_asked(client):
-    """More radii than are compared one by one: all next to 0, and from 0 on, where 2 pi r R of
-    transport is finite and that of a dipole is 0."""
-    one = Medium(0.1, 10, 0, 1.4)
-    next_to_0 = client.eval("classical", one, grid=Grid(0, 1e-301, 300), wanted="R", evaluator="f64")
-    assert np.isnan(next_to_0.model_error).all()
-    ring = client.eval("classical", one, grid=Grid(0, 10, 257), wanted="2_pi_r_R")
-    assert 1 <= ring.model_error[0] < 1.001
-    listed = client.eval("classical", one, np.append(0, np.linspace(0, 10, 300)), wanted="R")
-    assert 0.4 < listed.model_error[0] < 1
-
-
-def test_a_white_medium_has_the_error_that_the_choice_counts(client):
-    white = {"media": Medium(1e-8, 1, 0, 1.3), "r": [1.0], "wanted": "R", "evaluator": "f64"}
-    with pytest.raises(python_client.Refused, match="at least 9.2"):
-        client.eval(None, tolerance=5e-6, **white)
-    assert error_of(client.eval(None, tolerance=1e-5, **white)) <= 1e-5
