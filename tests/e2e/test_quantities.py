@@ -65,9 +65,10 @@ def test_errors_of_one_radius_and_of_none(client, evaluator):
 
 
 def test_media_without_derivatives_are_refused(client):
-    with pytest.raises(Refused) as caught:
-        client.eval("gaussians", Medium(0.1, 1.0), [1.0], wanted=BY)
-    assert caught.value.field == "wanted" and "fit" in caught.value.allowed
+    for model in ("gaussians", "extended", "quantized+single", "skin-red"):
+        with pytest.raises(Refused) as caught:
+            client.eval(model, Medium(0.1, 1.0), [1.0], wanted=BY)
+        assert caught.value.field == "wanted" and "this model" in caught.value.allowed
     with pytest.raises(Refused) as caught:
         client.eval(None, Medium(0.1, 1.0), [1.0], wanted=BY, tolerance=0.1)
     assert caught.value.field == "wanted" and "tolerance" in caught.value.allowed
