@@ -22,8 +22,6 @@ import argparse
 import csv
 import itertools
 import math
-import shutil
-import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -35,6 +33,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "clients" / "python
 
 import dipole  # noqa: E402  (needs the path above)
 from dipole.mc import unpack_result  # noqa: E402
+from pictures import plt, save  # noqa: E402
 
 RATIOS = "0.0001 0.0002 0.0005 0.001 0.002 0.005 0.01 0.02 0.05 0.1 0.2 0.5 1 2 5 10".split()
 ETAS = [f"{1 + i / 10:.1f}" for i in range(11)]
@@ -253,45 +252,27 @@ def check_rows(panels: Sequence[Panel], photons: int) -> Iterator[Sequence[Any]]
         yield [p.ratio, p.eta, len(off), (off**2).sum(), np.abs(off).max(initial=0), sigmas]
 
 
-def print_summary(panels: Sequence[Panel], checks: Sequence[Sequence[Any]]) -> None:
-    if rings := sum(row[2] for row in checks):
-        chi2 = sum(row[3] for row in checks) / rings
-        worst, albedo = max(row[4] for row in checks), max(abs(row[5]) for row in checks)
-        print(
-            f"Monte Carlo against transport: {rings} rings known to 5 %, chi2 / rings {chi2:.3f}, "
-            f"worst {worst:.1f} standard errors; albedos, worst {albedo:.1f}"
-        )
-    print("nearer to transport, in panels; median factor by which they are off:")
-    for pair in PAIRS:
-        print(f"  {pair[0]}, not {pair[1]}:")
-        for radii in [*RANGES, ALBEDO]:
-            where = "albedo" if math.isnan(radii[0]) else f"r {radii[0]:g} to {radii[1]:g}"
-            count, nearer, *factors = verdict(panels, pair, radii)
-            print(f"    {where:14} {nearer:3} of {count:3}  {factors[0]:6.3f}  {factors[1]:6.3f}")
-
-
 # ---- pages ---------------------------------------------------------------------------------------
 
-WIDTH, HEIGHT = 1640, 1200
 PAGE_COLUMNS, PAGE_ROWS = 4, 3
 DOT_COLOUR = "#555555"
 DOT_ERROR_MOST = 0.25  # of R; dots with a larger error are left out
 
 # The curves of Figures 1 to 16, and those of Figure 17: column, title, colour, dash, width.
 MODEL_LINES = [
-    ("transport", "transport", "#000000", 1, 1.2),
-    ("classical", "classical dipole", "#d55e00", 1, 1.8),
-    ("better", "better dipole", "#0072b2", 1, 1.8),
-    ("quantized", "quantized diffusion", "#009e73", 2, 1.8),
-    ("quantized+single", "quantized + single", "#cc79a7", 2, 1.8),
+    ("transport", "transport", "#000000", "-", 1.2),
+    ("classical", "classical dipole", "#d55e00", "-", 1.8),
+    ("better", "better dipole", "#0072b2", "-", 1.8),
+    ("quantized", "quantized diffusion", "#009e73", "--", 1.8),
+    ("quantized+single", "quantized + single", "#cc79a7", "--", 1.8),
 ]
 SWITCH_LINES = [
-    ("transport", "transport", "#000000", 1, 1.2),
-    ("classical", "classical dipole", "#d55e00", 1, 1.8),
-    ("grosjean", "Grosjean D alone", "#56b4e9", 2, 1.8),
-    ("exitance", "exitance alone", "#009e73", 2, 1.8),
-    ("boundary", "boundary alone", "#e69f00", 2, 1.8),
-    ("better", "all: better dipole", "#0072b2", 1, 1.8),
+    ("transport", "transport", "#000000", "-", 1.2),
+    ("classical", "classical dipole", "#d55e00", "-", 1.8),
+    ("grosjean", "Grosjean D alone", "#56b4e9", "--", 1.8),
+    ("exitance", "exitance alone", "#009e73", "--", 1.8),
+    ("boundary", "boundary alone", "#e69f00", "--", 1.8),
+    ("better", "all: better dipole", "#0072b2", "-", 1.8),
 ]
 SWITCH_RATIOS, SWITCH_ETAS = ["0.01", "0.1", "1"], ["1.0", "1.3", "2.0"]
 
@@ -299,7 +280,7 @@ SWITCH_RATIOS, SWITCH_ETAS = ["0.01", "0.1", "1"], ["1.0", "1.3", "2.0"]
 class Page(NamedTuple):
     figure: int
     title: str
-    lines: list[tuple[str, str, str, int, float]]
+    lines: list[tuple[str, str, str, str, float]]
     cells: dict[int, Panel]  # by the cell, row by row; the legend has the last cell
 
 
@@ -316,17 +297,15 @@ def pages_of(panels: dict[tuple[str, str], Panel]) -> Iterator[Page]:
     yield Page(len(RATIOS) + 1, "Figure 17, the switches of the dipole", SWITCH_LINES, cells)
 
 
-def logarithmic_axes(page: Page) -> str:
+def set_logarithmic(page: Page, axes: plt.Axes) -> None:
     R = np.array([p.values["transport"] for p in page.cells.values()])
     top = math.ceil(math.log10(R.max()))
     bottom = max(math.floor(math.log10(R.min())), top - 14)
-    return (
-        f"set logscale xy\nset format y '%.0e'\nset yrange [1e{bottom}:1e{top}]\n"
-        f"set xrange [{EDGES.start_mm:g}:{EDGES.stop_mm:g}]\n"
-    )
+    axes.set(xscale="log", yscale="log", ylim=(10.0**bottom, 10.0**top))
+    axes.set_xlim(EDGES.start_mm, EDGES.stop_mm)
 
 
-def gamma_axes(page: Page) -> str:
+def set_gamma(page: Page, axes: plt.Axes) -> None:
     """The axis of values ends at transport's largest value at 0.2 mean free paths. The axis of
     radii ends where all of transport's values are so small that they look dark."""
 
@@ -334,12 +313,8 @@ def gamma_axes(page: Page) -> str:
         shown = ((gamma(p.values["transport"]), p.r) for p in page.cells.values())
         return max(R[np.searchsorted(radii, r)] for R, radii in shown)
 
-    end = EDGES.stop_mm
-    for shorter in (15, 10, 7, 5, 3, 2):
-        if brightest(shorter) >= 0.04:
-            break
-        end = shorter
-    return f"set format y '%g'\nset xrange [0:{end:g}]\nset yrange [0:{brightest(0.2):.3f}]\n"
+    dark = [r for r in (15, 10, 7, 5, 3, 2) if brightest(r) < 0.04]
+    axes.set(xlim=(0, min(dark, default=EDGES.stop_mm)), ylim=(0, brightest(0.2)))
 
 
 def gamma(R: np.ndarray) -> np.ndarray:
@@ -347,78 +322,53 @@ def gamma(R: np.ndarray) -> np.ndarray:
     return np.power(R, 1 / 2.2)
 
 
-def panel_script(page: Page, panel: Panel, form: str) -> str:
-    """A panel's albedos as text, its data and its curves."""
+def draw_dots(axes: plt.Axes, r: np.ndarray, values: np.ndarray, error: np.ndarray, shown: Any) -> None:
+    """Monte Carlo with its standard errors, where they are small enough."""
+    good = (values > 0) & (error < DOT_ERROR_MOST * values)
+    R, error = values[good], error[good]
+    ends = [shown(R) - shown(R - error), shown(R + error) - shown(R)]
+    axes.errorbar(
+        r[good], shown(R), ends, fmt=".", markersize=3, elinewidth=0.8, color=DOT_COLOUR,
+        label="Monte Carlo, ± 1 standard error",
+    )  # fmt: skip
+
+
+def draw_panel(axes: plt.Axes, page: Page, panel: Panel, form: str) -> None:
+    """A panel's curves, and its albedos as text."""
     shown = gamma if form == "gamma" else np.asarray
     labels = [(f"{line[1]} {panel.albedos[line[0]]:.4g}", line[2]) for line in page.lines]
-    columns = [panel.values[name] for name, *_ in page.lines]
-    dots = np.full((3, RINGS), math.nan)
+    (set_gamma if form == "gamma" else set_logarithmic)(page, axes)
+    for name, title, colour, dash, width in page.lines:
+        R = np.where(panel.values[name] > 0, panel.values[name], math.nan)
+        axes.plot(panel.r, shown(R), dash, lw=width, color=colour, label=title, gid=f"curve {name}")
     if "monte_carlo" in panel.values:
         total, error = panel.albedos["monte_carlo"], panel.albedos["monte_carlo_error"]
         labels.insert(0, (f"Monte Carlo {total:.4g} ± {error:.1g}", DOT_COLOUR))
         # Transport's ratio of the two turns ring means into values at the rings' middles.
         move = panel.values["transport"] / panel.values["transport_ring"]
         R, error = panel.values["monte_carlo"] * move, panel.values["monte_carlo_error"] * move
-        good = (R > 0) & (error < DOT_ERROR_MOST * R)
-        dots[:, good] = np.array([R, R - error, R + error])[:, good]
-    with np.errstate(invalid="ignore"):
-        data = [panel.r, *(shown(np.where(c > 0, c, math.nan)) for c in [*columns, *dots])]
-    title = f"η = {panel.eta}"
-    if page.lines is SWITCH_LINES:
-        title += f", σa / σs′ = {panel.ratio}"
-    script = f"unset label\nset title '{title}' offset 0,-0.6\n"
+        draw_dots(axes, panel.r, R, error, shown)
+    of_switches = f", σa / σs′ = {panel.ratio}" if page.lines is SWITCH_LINES else ""
+    axes.set_title(f"η = {panel.eta}{of_switches}")
     for row, (text, colour) in enumerate(labels):  # from the corner that the curves leave free
-        up = 0.93 - 0.055 * row if form == "gamma" else 0.05 + 0.055 * (len(labels) - 1 - row)
-        place = f"0.97,{up:g} right" if form == "gamma" else f"0.03,{up:g} left"
-        script += f"set label '{text}' at graph {place} tc rgb '{colour}' font ',11' front\n"
-    script += "$data << END\n"
-    script += "".join(" ".join(f"{x:.9g}" for x in row) + "\n" for row in zip(*data))
-    script += "END\nplot "
-    for i, (_, _, colour, dash, width) in enumerate(page.lines):
-        script += f"$data using 1:{i + 2} with lines lw {width} dt {dash} lc rgb '{colour}', "
-    dot = len(page.lines) + 2
-    # `with yerrorbars` would erase the lines around the dots.
-    return script + (
-        f"$data using 1:{dot + 1}:(0):(${dot + 2}-${dot + 1}) with vectors nohead lw 0.8 "
-        f"lc rgb '{DOT_COLOUR}', "
-        f"$data using 1:{dot} with points pt 7 ps 0.36 lc rgb '{DOT_COLOUR}'\n"
-    )
-
-
-def legend_script(page: Page) -> str:
-    script = (
-        "unset label\nunset title\nunset logscale\nunset border\nunset tics\nunset grid\n"
-        "unset xlabel\nset xrange [0:1]\nset yrange [0:1]\n"
-        "set key at graph 0.02,0.98 left top Left reverse samplen 3 spacing 1.5 font ',14'\nplot "
-    )
-    for _, title, colour, dash, width in page.lines:
-        script += f"NaN with lines lw {width} dt {dash} lc rgb '{colour}' title \"{title}\", "
-    dots = f"points pt 7 ps 0.5 lc rgb '{DOT_COLOUR}'"
-    return script + f"NaN with {dots} title 'Monte Carlo, ± 1 standard error'\n"
+        place = (0.97, 0.93 - 0.055 * row) if form == "gamma" else (0.03, 0.05 + 0.055 * row)
+        side = "right" if form == "gamma" else "left"
+        axes.text(*place, text, color=colour, ha=side, size=7, transform=axes.transAxes)
 
 
 def draw(path: Path, page: Page, form: str) -> None:
     what = "R to the power 1/2.2" if form == "gamma" else "R per squared mean free path"
-    script = (
-        f"set terminal svg size {WIDTH},{HEIGHT} dynamic background rgb 'white' font 'sans,14' "
-        "noenhanced\nset encoding utf8\nset grid lt 1 lw 0.7 lc rgb '#dddddd'\nunset key\n"
-        f"set multiplot layout {PAGE_ROWS},{PAGE_COLUMNS} margins 0.046,0.956,0.046,0.942 "
-        f"spacing 0.044,0.07 title '{page.title}: {what}' font ',17'\n"
-        "set xlabel 'r (mean free paths)' offset 0,0.6\n"
-    )
-    script += gamma_axes(page) if form == "gamma" else logarithmic_axes(page)
-    for cell in range(PAGE_ROWS * PAGE_COLUMNS - 1):
-        found = page.cells.get(cell)
-        script += panel_script(page, found, form) if found else "set multiplot next\n"
-    script += legend_script(page) + "unset multiplot\n"
-    plot(path, script)
-
-
-def plot(path: Path, script: str) -> None:
-    run = subprocess.run(["gnuplot"], input=script.encode(), capture_output=True, check=False)
-    if run.returncode != 0:
-        sys.exit(f"{path}: gnuplot failed: {run.stderr.decode()}")
-    path.write_bytes(run.stdout)
+    figure, grid = plt.subplots(PAGE_ROWS, PAGE_COLUMNS, figsize=(17, 12.5), layout="constrained")
+    figure.suptitle(f"{page.title}: {what}")
+    figure.supxlabel("r (mean free paths)")
+    for cell, axes in enumerate(grid.flat):
+        if cell in page.cells:
+            draw_panel(axes, page, page.cells[cell], form)
+        else:
+            axes.axis("off")
+    handles = grid.flat[min(page.cells)].get_legend_handles_labels()
+    grid.flat[-1].legend(*handles, loc="upper left", fontsize=11)
+    save(figure, path)
 
 
 # ---- tissue --------------------------------------------------------------------------------------
@@ -427,10 +377,10 @@ TISSUE = dipole.Medium(0.05, 10.0, 0.9, 1.4)
 TISSUE_EDGES = dipole.Grid(0.01, 20.0, 33, "logarithmic")  # mm
 SIMILAR = dipole.Medium(0.05, 10.0 * (1 - 0.9), 0.0, 1.4)
 TISSUE_LINES = [
-    ("transport", TISSUE, "transport", "#000000", 1),
-    ("transport", SIMILAR, "transport, isotropic with the same σs′", "#009e73", 2),
-    ("better", TISSUE, "better dipole", "#0072b2", 1),
-    ("classical", TISSUE, "classical dipole", "#d55e00", 1),
+    ("transport", TISSUE, "transport", "#000000", "-"),
+    ("transport", SIMILAR, "transport, isotropic with the same σs′", "#009e73", "--"),
+    ("better", TISSUE, "better dipole", "#0072b2", "-"),
+    ("classical", TISSUE, "classical dipole", "#d55e00", "-"),
 ]
 
 
@@ -449,126 +399,47 @@ def tissue_columns(client: dipole.Client, photons: int, kept: Path) -> dict[str,
 def draw_tissue(path: Path, columns: dict[str, np.ndarray]) -> None:
     """R, and below it the ratios to transport."""
     a, s, g, eta = TISSUE
-    title = f"σa {a:g}/mm, σs {s:g}/mm, g {g:g}, η {eta:g}"
-    lines = list(columns)[5:]
-    names = ["monte_carlo", *lines]
-    data = np.array([columns["r"], *(columns[name] for name in names)])
-    error = columns["monte_carlo_error"]
-    ratios = data[1:] / columns["transport"]
-    rows = np.vstack([data, error, ratios, error / columns["transport"]]).T
-    rows[error > DOT_ERROR_MOST * columns["monte_carlo"], 1] = math.nan
-    script = (
-        "set terminal svg size 900,820 dynamic background rgb 'white' font 'sans,14' noenhanced\n"
-        "set encoding utf8\nset grid lt 1 lw 0.7 lc rgb '#dddddd'\nset logscale xy\n"
-        f"set xrange [{TISSUE_EDGES.start_mm:g}:{TISSUE_EDGES.stop_mm:g}]\n$data << END\n"
-        + "".join(" ".join(f"{x:.9g}" for x in row) + "\n" for row in rows)
-        + f"END\nset multiplot title '{title}' font ',17'\nset lmargin at screen 0.13\n"
-        "set rmargin at screen 0.97\nset key bottom left Left reverse samplen 3 spacing 1.3\n"
-    )
-    panels = (
-        (0, "top", 0.93, 0.42, "R (1/mm² per power that entered)", "[1e-7:1e2]", "%.0e"),
-        (len(names) + 1, "bottom", 0.37, 0.08, "over transport", "[0.1:5]", "%g"),
-    )
-    for shift, where, top, bottom, label, span, form in panels:
-        script += (
-            f"set tmargin at screen {top}\nset bmargin at screen {bottom}\n"
-            f"set ylabel '{label}'\nset yrange {span}\nset format y '{form}'\n"
-            + ("set ytics (0.1, 0.2, 0.5, 1, 2, 5)\nunset key\nset xlabel 'r (mm)'\n"
-               if where == "bottom" else "")
-            + "plot "
-        )
-        for i, (_, _, name, colour, dash) in enumerate(TISSUE_LINES):
-            script += (
-                f"$data using 1:{shift + i + 3} with lines lw 2 dt {dash} lc rgb '{colour}' "
-                f"title '{name}', "
-            )
-        dot, end = shift + 2, shift + len(names) + 2
-        script += (
-            f"$data using 1:(${dot}-${end}):(0):(2*${end}) with vectors nohead lw 1 "
-            f"lc rgb '{DOT_COLOUR}' notitle, "
-            f"$data using 1:{dot} with points pt 7 ps 0.5 lc rgb '{DOT_COLOUR}' "
-            "title 'Monte Carlo, ± 1 standard error'\n"
-        )
-    plot(path, script + "unset multiplot\n")
+    figure, both = plt.subplots(2, sharex=True, figsize=(9, 8), layout="constrained")
+    figure.suptitle(f"σa {a:g}/mm, σs {s:g}/mm, g {g:g}, η {eta:g}")
+    for axes, over in zip(both, (1, columns["transport"])):
+        for name, (_, _, title, colour, dash) in zip(list(columns)[5:], TISSUE_LINES):
+            axes.plot(columns["r"], columns[name] / over, dash, color=colour, label=title)
+        walked = [columns[name] / over for name in ("monte_carlo", "monte_carlo_error")]
+        draw_dots(axes, columns["r"], *walked, np.asarray)
+        axes.set(xscale="log", yscale="log", xlim=(TISSUE_EDGES.start_mm, TISSUE_EDGES.stop_mm))
+    both[0].set(ylim=(1e-7, 1e2), ylabel="R (1/mm² per power that entered)")
+    both[1].set(ylim=(0.1, 5), ylabel="over transport", xlabel="r (mm)")
+    both[0].legend(loc="lower left")
+    save(figure, path)
 
 
 # ---- the index -----------------------------------------------------------------------------------
 
-STYLE = """
-:root { color-scheme: light dark }
-body { font: 16px/1.5 sans-serif; max-width: 75em; margin: auto; padding: 1em }
-img { max-width: 100%; background: white }
-table { border-collapse: collapse }
-th, td { text-align: right; padding: 0.1em 0.8em; font-variant-numeric: tabular-nums }
-th:first-child, td:first-child { text-align: left }
-"""
 
-
-def deviations(page: Page) -> list[tuple[str, list[float]]]:
-    """The title of each curve but transport's, and the factors by which it is off in each range of
-    radii, then in the albedo: the medians over the page's panels."""
-    panels = list(page.cells.values())
-
-    def factor(name: str, radii: tuple[float, float]) -> float:
-        return math.exp(float(np.median([deviation(p, name, radii) for p in panels])))
-
-    ranges = [*RANGES[1:], ALBEDO]
-    return [(title, [factor(name, r) for r in ranges]) for name, title, *_ in page.lines[1:]]
-
-
-def finding(page: Page) -> str:
-    """What a page says, in words: the models nearest to transport, and by how much they are off."""
-    found = deviations(page)
-    parts = []
-    for i, (start, stop) in enumerate(RANGES[1:]):
-        title, factors = min(found, key=lambda row: row[1][i])
-        parts.append(f"from {start:g} to {stop:g} the {title} (a factor of {factors[i]:.3g})")
-    worst, factors = max(found, key=lambda row: row[1][0])
+def section(name: str, title: str, drawn: str, links: dict[str, str]) -> str:
+    more = ", ".join(f'<a href="{target}">{text}</a>' for text, target in links.items())
     return (
-        f"Nearest to transport, in mean free paths: {', '.join(parts)}. Below {RANGES[1][1]:g}, "
-        f"the {worst} is off by a factor of {factors[0]:.3g}."
-    )
-
-
-def section(page: Page) -> str:
-    name = f"figure_{page.figure:02}"
-    heads = [f"{start:g} to {stop:g}" for start, stop in RANGES[1:]] + ["albedo"]
-    rows = [
-        "<tr>" + "".join(f"<td>{x}</td>" for x in [title, *(f"{f:.3g}" for f in factors)]) + "</tr>"
-        for title, factors in deviations(page)
-    ]
-    return (
-        f'<section id="{name}">\n<h2>{page.title}</h2>\n<p>{finding(page)}</p>\n'
-        f'<a href="{name}_log.svg"><img src="{name}_log.svg" loading="lazy" '
-        f'alt="R over the radius, both logarithmic, for {len(page.cells)} media. '
-        f'{finding(page)}"></a>\n'
-        "<table>\n<caption>Factor by which R is off, median over the media</caption>\n"
-        "<tr>" + "".join(f"<th>{x}</th>" for x in ["mean free paths", *heads]) + "</tr>\n"
-        + "\n".join(rows) + "\n</table>\n"
-        f'<p><a href="{name}_gamma.svg">As it looks on a screen</a>, '
-        f'<a href="{name}.csv">values</a>, <a href="{name}_albedos.csv">albedos</a></p>\n'
-        "</section>\n"
+        f'<section id="{name}">\n<h2>{title}</h2>\n<a href="{drawn}"><img src="{drawn}" '
+        f'loading="lazy" style="max-width: 100%" alt="R over the radius: {title}, by models, '
+        f'transport and Monte Carlo"></a>\n<p>{more}</p>\n</section>\n'
     )
 
 
 def write_index(path: Path, pages: Sequence[Page], tissue: bool) -> None:
-    links = "".join(f'<li><a href="#figure_{p.figure:02}">{p.title}</a></li>\n' for p in pages)
-    body = "".join(map(section, pages))
+    body = ""
+    for page in pages:
+        name = f"figure_{page.figure:02}"
+        links = {"as it looks on a screen": f"{name}_gamma.svg", "values": f"{name}.csv"}
+        links["albedos"] = f"{name}_albedos.csv"
+        body += section(name, page.title, f"{name}_log.svg", links)
     if tissue:
-        body += (
-            '<section>\n<h2>Tissue, which scatters forward</h2>\n<a href="tissue.svg"><img '
-            'src="tissue.svg" loading="lazy" alt="R of tissue over the radius by Monte Carlo, '
-            'transport and two dipoles, and their ratios to transport"></a>\n<p>Transport agrees '
-            'with Monte Carlo; <a href="tissue.csv">values</a></p>\n</section>\n'
-        )
+        body += section("tissue", "Tissue, which scatters forward", "tissue.svg", {"values": "tissue.csv"})
     path.write_text(
         '<!DOCTYPE html>\n<html lang="en">\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width">\n'
-        f"<title>A Better Dipole: figures</title>\n<style>{STYLE}</style>\n"
+        "<title>A Better Dipole: figures</title>\n"
         "<h1>Figures of d'Eon 2012, with Monte Carlo and transport</h1>\n"
-        "<p>A factor of 2 means half or double of transport's value. A page has a panel for each "
-        'eta. <a href="summary.csv">Which model is nearer</a>, for all pairs.</p>\n'
-        f"<ul>\n{links}</ul>\n{body}</html>\n"
+        '<p>A page has a panel for each eta. <a href="summary.csv">Which model is nearer</a>.</p>\n'
+        f"{body}</html>\n"
     )
 
 
@@ -608,8 +479,6 @@ def main() -> None:
         parser.add_argument(name, type=kind, default=usual, metavar=argument, help=text)
     parser.add_argument("--fresh", action="store_true", help="walk all photons anew")
     options = parser.parse_args()
-    if shutil.which("gnuplot") is None:
-        sys.exit("gnuplot is not installed; install the package gnuplot-nox")
     parts = options.output / "parts"
     parts.mkdir(parents=True, exist_ok=True)
     panels: dict[tuple[str, str], Panel] = {}
@@ -652,10 +521,9 @@ def main() -> None:
         "model_median against_median model_worst against_worst"
     ).split()
     write_csv(options.output / "summary.csv", names, summary_rows(wanted))
-    checks = list(check_rows(wanted, options.photons))
     names = "ratio eta rings chi2 worst_sigmas albedo_sigmas".split()
-    write_csv(options.output / "monte_carlo_check.csv", names, iter(checks))
-    print_summary(wanted, checks)
+    checks = check_rows(wanted, options.photons)
+    write_csv(options.output / "monte_carlo_check.csv", names, checks)
 
 
 if __name__ == "__main__":

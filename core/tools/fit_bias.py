@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import subprocess
 import sys
 from pathlib import Path
 
@@ -19,6 +18,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "clients" / "python"))
 
 import dipole  # noqa: E402  (needs the path above)
+from pictures import plt, save  # noqa: E402
 
 RATIOS = np.geomspace(1e-3, 1, 13)
 MODELS = ("transport", "better", "classical", "burley")
@@ -41,21 +41,17 @@ def rows(client: dipole.Client) -> list[tuple[float, str, str, float, float, flo
     return found
 
 
-def script(found: list[tuple[float, str, str, float, float, float]]) -> str:
+def draw(path: Path, found: list[tuple[float, str, str, float, float, float]]) -> None:
     """Two panels: sigma_a and sigma_s' over the true ones."""
-    text = (
-        "set terminal svg size 900,700 dynamic background rgb 'white' font 'sans,14' noenhanced\n"
-        "set encoding utf8\nset logscale xy\nset grid\n"
-    )
-    for model in MODELS:
-        text += f"${model} << END\n"
-        text += "".join(f"{r:.6g} {a:.6g} {s:.6g}\n" for r, m, _, a, s, _ in found if m == model)
-        text += "END\n"
-    text += "set multiplot layout 2,1 title 'Fitted over true, from readings of transport'\n"
-    for column, name in ((2, "sigma_a"), (3, "sigma_s (1 - g)")):
-        curves = ", ".join(f"${m} using 1:{column} with linespoints title '{m}'" for m in MODELS)
-        text += f"set ylabel '{name}'\nset xlabel 'sigma_a / sigma_s (1 - g)'\nplot {curves}\n"
-    return text + "unset multiplot\n"
+    figure, panels = plt.subplots(2, sharex=True, figsize=(9, 7), layout="constrained")
+    figure.suptitle("Fitted over true, from readings of transport")
+    for axes, column, name in zip(panels, (3, 4), ("sigma_a", "sigma_s (1 - g)")):
+        for model in MODELS:
+            curve = [row[column] for row in found if row[1] == model]
+            axes.loglog(RATIOS, curve, "o-", label=model)
+        axes.set(ylabel=name, xlabel="sigma_a / sigma_s (1 - g)")
+    panels[0].legend()
+    save(figure, path)
 
 
 def main() -> None:
@@ -72,8 +68,7 @@ def main() -> None:
         writer.writerow("ratio model status sigma_a sigma_s_prime reduced_chi_squared".split())
         for row in found:
             writer.writerow([f"{row[0]:.6g}", *row[1:3], *(f"{x:.6g}" for x in row[3:])])
-    with open(folder / "fit_bias.svg", "w") as picture:
-        subprocess.run(["gnuplot"], input=script(found), stdout=picture, text=True, check=True)
+    draw(folder / "fit_bias.svg", found)
     for ratio, model, status, a, s, chi in found:
         print(
             f"{ratio:8.4f} {model:10} {status:13} sigma_a {a:8.4f} sigma_s' {s:8.4f} of the truth, "

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from daemons import BUILD
-from pictures import svg_lines, svg_texts
+from pictures import svg_texts
 
 PROGRAM = Path(__file__).resolve().parents[2] / "core" / "tools" / "figures.py"
 TIMEOUT_S = 240
@@ -71,8 +71,7 @@ def test_pages(drawn):
         # The label of Monte Carlo and of transport has the albedo of the medium.
         for start in ("η = ", "Monte Carlo 0.", "transport 0."):
             assert sum(text.startswith(start) for text in texts) == panels
-        # Each panel also has dots and error bars; the legend follows.
-        assert svg_lines(drawn / name) == panels * (curves + 2) + curves + 1
+        assert (drawn / name).read_text().count('<g id="curve ') == panels * curves
 
 
 def test_tissue(drawn):
@@ -101,8 +100,6 @@ def test_index(drawn):
     assert {path.name for path in drawn.glob("*.svg")} <= set(targets)
     described = re.findall(r'<img [^>]*alt="(.*?)"', page, re.S)
     assert len(described) == 4 and all(len(text) > 50 for text in described)
-    said = re.findall(r">(Nearest to transport[^<]*)", page)
-    assert len(said) == 3 and all("quantized" in text or "better" in text for text in said)
 
 
 def test_tables(drawn):
