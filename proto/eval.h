@@ -6,11 +6,13 @@
 #ifndef DIPOLED_PROTO_EVAL_H
 #define DIPOLED_PROTO_EVAL_H
 
-#include "core/core.h"
-#include "proto/wire.h"
+#include "proto/schema.h"
 
 /* Model id of a request that gives a tolerance in place of a model. */
 #define EVAL_ANY_MODEL 0
+
+/* The parts of a request to eval, and to sample. */
+enum { EVAL_MEDIA, EVAL_PARAMETERS, EVAL_RADII };
 
 /* A parsed eval request. Its pointers point into the payload. */
 typedef struct eval_request {
@@ -20,12 +22,8 @@ typedef struct eval_request {
   const void *radii; /* [fixed.radius_count], double or float; NULL for a grid */
 } eval_request;
 
-/* Parses a payload. Checks its shape only: the ids and counts that the layout depends on, the ids
- * of the parameters, the exact length and the zero padding. Core checks the values. */
+/* Parses a payload: schema_check(), and the parameters. Core checks the values. */
 wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval_request *request);
-
-/* Returns the payload bytes of a request with radii_bytes of listed radii, 0 for a grid. */
-uint64_t eval_request_bytes(uint32_t medium_count, uint32_t parameter_count, uint64_t radii_bytes);
 
 /* Flag added to `wanted` for a sample (proto/sample.h): each channel has its own array of drawn
  * radii. The wire does not carry it. */
@@ -34,11 +32,11 @@ uint64_t eval_request_bytes(uint32_t medium_count, uint32_t parameter_count, uin
 /* Layout of a reply's payload. Offsets count from its start. */
 typedef struct eval_layout {
   uint64_t payload_bytes;
-  uint64_t radius_offset;   /* the radii, if they are wanted and not drawn */
-  uint64_t array_bytes;     /* length of one array with padding */
-  uint64_t errors_offset;   /* first channel's first quantity_error */
+  uint64_t radius_offset; /* the radii, if they are wanted and not drawn */
+  uint64_t array_bytes;   /* length of one array with padding */
+  uint64_t errors_offset; /* first channel's first quantity_error */
   unsigned errors_per_channel;
-  uint64_t arrays_offset;   /* first channel's first array */
+  uint64_t arrays_offset; /* first channel's first array */
   unsigned arrays_per_channel;
 } eval_layout;
 

@@ -3,7 +3,14 @@
 #define DIPOLED_PROTO_FIT_H
 
 #include "core/fit/fit.h"
-#include "proto/wire.h"
+#include "proto/schema.h"
+
+/* What a request begins with, and the parts that follow. */
+typedef struct fit_start {
+  wire_fit_request request;
+  wire_fit_design design;
+} fit_start;
+enum { FIT_PARAMETERS, FIT_REFERENCE, FIT_AT, FIT_SOURCE, FIT_DETECTOR, FIT_VALUES, FIT_ERRORS };
 
 /* The part of a request that says what an instrument is, and what is fitted. `design` points into
  * the bytes and to `parameters`. */
@@ -22,21 +29,11 @@ typedef struct fit_request {
   const double *errors; /* the same */
 } fit_request;
 
-/* Parses a payload. Checks its shape, the ids of lists, the counts and the padding. */
+/* Parses a payload: schema_check(), the count of readings, and the parameters. */
 wire_error fit_request_parse(const uint8_t *payload, size_t payload_bytes, fit_request *request);
 
 /* Reads the design of a request that was parsed; the bytes may be a copy at a multiple of 8. */
 void fit_design_read(const uint8_t *design_bytes, fit_design *design);
-
-/* Returns the payload bytes of a request. set_count is at most 2^40. */
-uint64_t fit_request_bytes(const wire_fit_design *design, uint64_t set_count);
-
-/* These write a request piece by piece, and return the address behind what they have written: the
- * two structures, which the parameters follow; then the reference medium, if the scale has one, and
- * where the readings were taken, which the values and the errors follow. */
-uint8_t *fit_request_put(uint8_t *payload, const wire_fit_request *request,
-                         const wire_fit_design *design);
-uint8_t *fit_places_put(uint8_t *at, const core_fit_design *design);
 
 /* Makes the structure of one result. */
 wire_fitted fit_result_encode(const core_fit_result *result);

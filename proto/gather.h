@@ -10,7 +10,7 @@
 
 #include "core/gather/gather.h"
 #include "proto/digest.h"
-#include "proto/wire.h"
+#include "proto/schema.h"
 
 enum { GATHER_AXES = 3 }; /* x, y, z */
 
@@ -45,12 +45,9 @@ typedef struct points_request {
   const float *power; /* [fixed.part_points][fixed.channel_count] */
 } points_request;
 
-/* Parses a payload. Checks its shape. core_gather_check_points() checks the values. */
+/* Parses a payload: schema_check(), and the counts. core_gather_check_points() checks the values. */
 wire_error points_request_parse(const uint8_t *payload, size_t payload_bytes,
                                 points_request *request);
-
-/* Returns the payload bytes of a request. part_points is at most CORE_GATHER_POINTS_MAX. */
-uint64_t points_request_bytes(uint32_t channel_count, uint64_t part_points);
 
 /* Parses the payload of a reply. Returns false if it has another length. */
 bool points_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_points_reply *fixed);
@@ -65,13 +62,9 @@ typedef struct gather_request {
   const double *queries;    /* [fixed.query_count][GATHER_AXES], mm */
 } gather_request;
 
-/* Parses a payload. Checks its shape, the ids and the tolerance. Core checks the other values. */
+/* Parses a payload: schema_check(), and the parameters. Core checks the values. */
 wire_error gather_request_parse(const uint8_t *payload, size_t payload_bytes,
                                 gather_request *request);
-
-/* Returns the payload bytes of a request. query_count is at most GATHER_QUERIES_MAX. */
-uint64_t gather_request_bytes(uint32_t medium_count, uint32_t parameter_count,
-                              uint64_t query_count);
 
 /* Layout of a reply's payload: the fixed part, a channel structure for each channel, then the sums,
  * double[query_count][channel_count], W/mm^2. The offset counts from the payload's start. */

@@ -2,8 +2,7 @@
 #ifndef DIPOLED_PROTO_INVERT_H
 #define DIPOLED_PROTO_INVERT_H
 
-#include "core/core.h"
-#include "proto/wire.h"
+#include "proto/schema.h"
 
 /* A parsed invert request. Its arrays point into the payload, which starts at a multiple of 8. */
 typedef struct invert_request {
@@ -12,12 +11,9 @@ typedef struct invert_request {
   const double *lengths; /* [fixed.medium_count], mm */
 } invert_request;
 
-/* Parses a payload. Checks its shape, the ids and the padding. Core checks the values. */
+/* Parses a payload: schema_check(). Core checks the values. */
 wire_error invert_request_parse(const uint8_t *payload, size_t payload_bytes,
                                 invert_request *request);
-
-/* Returns the payload bytes of a request. medium_count is at most 2^59. */
-uint64_t invert_request_bytes(uint64_t medium_count);
 
 /* The arrays of a reply, in their order. */
 enum invert_array {
@@ -32,9 +28,6 @@ uint64_t invert_reply_bytes(uint64_t medium_count);
 
 /* Returns the offset of an array of medium_count doubles in the payload of a reply. */
 uint64_t invert_array_offset(enum invert_array array, uint64_t medium_count);
-
-/* Returns how many media fit into a reply of max_payload_bytes. */
-uint64_t invert_part_media(uint64_t max_payload_bytes);
 
 /* Parses the fixed part of a reply. Returns false if the payload does not have the shape that its
  * fixed part announces. */

@@ -4,41 +4,18 @@
 
 #include "proto/channels.h"
 
-_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays need swapping");
-
-size_t mc_request_bytes(uint32_t albedo_count, uint32_t parameter_count) {
-  return WIRE_BYTES_mc_request + WIRE_BYTES_medium + albedo_count * sizeof(double) +
-         (size_t)parameter_count * WIRE_BYTES_parameter;
-}
-
-static const char nothing_after[] =
-    "nothing after the medium but albedo_count albedos and then parameters";
-
-/* All that is left after the albedos is parameters. */
-static wire_error parse_parameters(const uint8_t *at, size_t bytes, core_parameters *parameters) {
-  if (bytes % WIRE_BYTES_parameter != 0) {
-    return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes", nothing_after);
-  }
-  return channels_parse_parameters(at, (uint32_t)(bytes / WIRE_BYTES_parameter), parameters);
-}
-
 wire_error mc_request_parse(const uint8_t *payload, size_t payload_bytes, mc_request *request) {
-  if (payload_bytes < mc_request_bytes(0, 0)) {
-    return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes",
-                           "at least 96: an mc_request and a medium");
+  schema_layout layout;
+  const wire_error error = schema_check(&schema_mc_request, payload, payload_bytes, &layout);
+  if (error.status != WIRE_STATUS_OK) {
+    return error;
   }
   wire_get_mc_request(payload, &request->fixed);
   wire_get_medium(payload + WIRE_BYTES_mc_request, &request->medium);
-  if (request->fixed.albedo_count > CORE_MC_ALBEDOS_MAX) {
-    return wire_error_make(WIRE_STATUS_BAD_COUNT, "albedo_count", "0 to 16");
-  }
-  const size_t before = mc_request_bytes(request->fixed.albedo_count, 0);
-  if (payload_bytes < before) {
-    return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes", nothing_after);
-  }
-  memcpy(request->albedo, payload + mc_request_bytes(0, 0),
+  memcpy(request->albedo, payload + layout.parts[0].at,
          request->fixed.albedo_count * sizeof *request->albedo);
-  return parse_parameters(payload + before, payload_bytes - before, &request->parameters);
+  return channels_parse_parameters(payload + layout.parts[1].at, (uint32_t)layout.parts[1].count,
+                                   &request->parameters);
 }
 
 bool mc_reply_layout(uint32_t side_count, uint32_t albedo_count, uint32_t ring_count,
@@ -47,12 +24,17 @@ bool mc_reply_layout(uint32_t side_count, uint32_t albedo_count, uint32_t ring_c
       albedo_count > CORE_MC_ALBEDOS_MAX || ring_count < 1 || ring_count > CORE_MC_RINGS_MAX) {
     return false;
   }
-  const size_t sides = side_count, albedos = albedo_count, rings = ring_count;
-  layout->edges_offset = WIRE_BYTES_mc_reply;
-  layout->energies_offset = layout->edges_offset + (rings + 1) * sizeof(double);
-  layout->photons_offset = layout->energies_offset + albedos * WIRE_BYTES_mc_energy;
-  layout->rings_offset = layout->photons_offset + sides * rings * sizeof(uint64_t);
-  layout->payload_bytes = layout->rings_offset + albedos * sides * 2 * rings * sizeof(double);
+  const wire_mc_reply fixed = {.state = MC_PHOTONS_WALKED,
+                               .side_count = (uint16_t)side_count,
+                               .albedo_count = (uint16_t)albedo_count,
+                               .ring_count = ring_count};
+  schema_layout all;
+  schema_lay_out(&schema_mc_reply, &fixed, UINT64_MAX, &all, NULL);
+  *layout = (mc_layout){.payload_bytes = (size_t)all.payload_bytes,
+                        .edges_offset = (size_t)all.parts[0].at,
+                        .energies_offset = (size_t)all.parts[1].at,
+                        .photons_offset = (size_t)all.parts[2].at,
+                        .rings_offset = (size_t)all.parts[3].at};
   return true;
 }
 

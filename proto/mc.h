@@ -7,7 +7,7 @@
 #define DIPOLED_PROTO_MC_H
 
 #include "core/montecarlo/montecarlo.h"
-#include "proto/wire.h"
+#include "proto/schema.h"
 
 /* Values of mc_reply.state. */
 enum mc_state {
@@ -26,11 +26,8 @@ typedef struct mc_request {
   core_parameters parameters;
 } mc_request;
 
-/* Parses a payload. Checks its shape only. The server and core check the values. */
+/* Parses a payload: schema_check(), and the parameters. The server and core check the values. */
 wire_error mc_request_parse(const uint8_t *payload, size_t payload_bytes, mc_request *request);
-
-/* Returns the payload bytes of a request. */
-size_t mc_request_bytes(uint32_t albedo_count, uint32_t parameter_count);
 
 /* Layout of the last reply's payload. Offsets count from its start. */
 typedef struct mc_layout {

@@ -7,14 +7,9 @@
 #include "proto/eval.h"
 
 /* Parses a payload into an eval request in which the numbers u take the place of the radii:
- * request->radii is the list of numbers, or NULL if a rule makes them. Checks its shape only: the
- * ids and counts that the layout depends on, the ids of the parameters, the exact length and the
- * zero padding. Core checks the values. */
+ * request->radii is the list of numbers, or NULL if a rule makes them. Checks it as
+ * eval_request_parse() does. */
 wire_error sample_request_parse(const uint8_t *payload, size_t payload_bytes, core_draw *draw,
                                 eval_request *request);
-
-/* Returns the payload bytes of a request with number_bytes of listed numbers, 0 for a rule. */
-uint64_t sample_request_bytes(uint32_t medium_count, uint32_t parameter_count,
-                              uint64_t number_bytes);
 
 #endif

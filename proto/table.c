@@ -20,35 +20,24 @@ uint32_t table_checksum(const uint8_t *bytes, size_t count) {
   return ~crc;
 }
 
-size_t table_request_bytes(uint32_t parameter_count) {
-  return WIRE_BYTES_table_request + WIRE_BYTES_medium +
-         (size_t)parameter_count * WIRE_BYTES_parameter;
-}
-
 size_t table_reply_bytes(uint32_t parameter_count, size_t word_count) {
-  return WIRE_BYTES_table_reply + (size_t)parameter_count * WIRE_BYTES_parameter +
-         word_count * sizeof(float);
+  const wire_table_reply fixed = {.parameter_count = (uint16_t)parameter_count,
+                                  .word_count = (uint32_t)word_count};
+  return (size_t)schema_bytes(&schema_table_reply, &fixed);
 }
 
 wire_error table_request_parse(const uint8_t *payload, size_t payload_bytes,
                                table_request *request) {
-  if (payload_bytes < table_request_bytes(0)) {
-    return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes",
-                           "at least 40: a table_request and a medium");
+  schema_layout layout;
+  const wire_error error = schema_check(&schema_table_request, payload, payload_bytes, &layout);
+  if (error.status != WIRE_STATUS_OK) {
+    return error;
   }
   wire_get_table_request(payload, &request->fixed);
-  if (request->fixed.zero != 0) {
-    return wire_error_make(WIRE_STATUS_BAD_VALUE, "zero", "0");
-  }
-  if (payload_bytes - table_request_bytes(0) !=
-      (size_t)request->fixed.parameter_count * WIRE_BYTES_parameter) {
-    return wire_error_make(WIRE_STATUS_BAD_COUNT, "parameter_count",
-                           "as many parameters as the payload holds after the medium");
-  }
   wire_medium medium;
   wire_get_medium(payload + WIRE_BYTES_table_request, &medium);
   request->medium = (core_medium){medium.sigma_a, medium.sigma_s, medium.g, medium.eta};
-  return channels_parse_parameters(payload + table_request_bytes(0), request->fixed.parameter_count,
+  return channels_parse_parameters(payload + layout.parts[0].at, request->fixed.parameter_count,
                                    &request->parameters);
 }
 
@@ -131,19 +120,19 @@ void table_reply_put_surface(uint8_t *at, const core_varying *surface,
 
 bool table_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_table_reply *fixed,
                        core_parameters *parameters, const float **words) {
-  if (payload_bytes < WIRE_BYTES_table_reply) {
+  schema_layout layout;
+  if (!schema_is_whole(&schema_table_reply, payload, payload_bytes, &layout)) {
     return false;
   }
   wire_get_table_reply(payload, fixed);
-  if (fixed->layout != TABLE_LAYOUT || fixed->word_count % 4 != 0 ||
-      payload_bytes != table_reply_bytes(fixed->parameter_count, fixed->word_count)) {
+  if (fixed->layout != TABLE_LAYOUT || fixed->word_count % 4 != 0) {
     return false;
   }
-  const uint8_t *at = payload + WIRE_BYTES_table_reply;
+  const uint8_t *at = payload + layout.parts[0].at;
   if (channels_parse_parameters(at, fixed->parameter_count, parameters).status != WIRE_STATUS_OK) {
     return false;
   }
-  at += (size_t)fixed->parameter_count * WIRE_BYTES_parameter;
+  at = payload + layout.parts[1].at;
   *words = (const float *)(const void *)at;
   return table_checksum(at, fixed->word_count * sizeof(float)) == fixed->checksum;
 }

@@ -5,7 +5,7 @@
 
 #include "core/model_error.h"
 #include "core/varying.h"
-#include "proto/wire.h"
+#include "proto/schema.h"
 
 #define TABLE_LAYOUT 4 /* version of the layout of table_reply and the words (core/lut/lut.h) */
 
@@ -22,12 +22,9 @@ static inline bool table_is_surface(const core_medium *medium) {
   return medium->sigma_a_per_mm == 0 && medium->sigma_s_per_mm == 0;
 }
 
-/* Parses a payload. Checks its shape, the ids and the padding. Core checks the values. */
+/* Parses a payload: schema_check(), and the parameters. Core checks the values. */
 wire_error table_request_parse(const uint8_t *payload, size_t payload_bytes,
                                table_request *request);
-
-/* Returns the payload bytes of a request. */
-size_t table_request_bytes(uint32_t parameter_count);
 
 /* Returns the payload bytes of a reply with a table of word_count words. */
 size_t table_reply_bytes(uint32_t parameter_count, size_t word_count);

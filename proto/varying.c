@@ -6,9 +6,6 @@
 
 #include "proto/channels.h"
 
-/* Arrays are used in place, so this machine must be little-endian like the protocol. */
-_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays need swapping");
-
 /* The quantities that a value of its own medium may have. */
 #define QUANTITIES                                                                                 \
   (CORE_QUANTITY_R | CORE_QUANTITY_ALBEDO | CORE_QUANTITY_CDF | CORE_QUANTITY_RADIUS |             \
@@ -20,23 +17,7 @@ enum {
 #include "core/choices.def"
 };
 
-enum { MEDIUM_ARRAYS = 2 };
-
 /* ---- requests -------------------------------------------------------------------------------- */
-
-static unsigned array_count(const wire_varying_request *fixed) {
-  return MEDIUM_ARRAYS + (fixed->numbers != VARYING_NONE);
-}
-
-uint64_t varying_request_bytes(uint32_t parameter_count, unsigned evaluator, unsigned arrays,
-                               uint64_t value_count) {
-  return WIRE_BYTES_varying_request + (uint64_t)parameter_count * WIRE_BYTES_parameter +
-         arrays * wire_padded(value_count * core_evaluator_bytes(evaluator));
-}
-
-static wire_error bad_value(const char *field, const char *allowed) {
-  return wire_error_make(WIRE_STATUS_BAD_VALUE, field, allowed);
-}
 
 /* Checks which arrays are wanted. Without radii and numbers u, only the albedo is known. */
 static wire_error check_wanted(const wire_varying_request *fixed) {
@@ -44,109 +25,48 @@ static wire_error check_wanted(const wire_varying_request *fixed) {
                         : fixed->numbers == VARYING_RADII
                             ? (unsigned)QUANTITIES & ~(unsigned)CORE_QUANTITY_RADIUS
                             : (unsigned)(CORE_QUANTITY_ALBEDO | CORE_QUANTITY_MODEL_ERROR);
-  if (channels_has_others(fixed->wanted)) {
-    return wire_error_not_in_list("wanted", core_quantities, "a sum of");
-  }
   if ((fixed->wanted & ~most) != 0) {
-    return bad_value("wanted", "R, albedo, cdf, pdf, 2_pi_r_R, model_error of radii; "
-                               "r besides of numbers u; else albedo");
-  }
-  if ((fixed->coefficients & ~(unsigned)COEFFICIENTS) != 0) {
-    return wire_error_not_in_list("coefficients", core_coefficients, "a sum of");
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, "wanted",
+                           "R, albedo, cdf, pdf, 2_pi_r_R, model_error of radii; "
+                           "r besides of numbers u; else albedo");
   }
   return (fixed->wanted & ~CORE_QUANTITY_MODEL_ERROR) == 0 && fixed->coefficients == 0
-             ? bad_value("wanted", "at least one quantity or coefficient")
+             ? wire_error_make(WIRE_STATUS_BAD_VALUE, "wanted",
+                               "at least one quantity or coefficient")
              : wire_error_none();
 }
 
-/* Checks how the media are given. */
-static wire_error check_given(const wire_varying_request *fixed) {
-  if (fixed->given == 0) {
-    return fixed->light != 0      ? bad_value("light", "0 where sigma_a and sigma_s are given")
-           : fixed->specular != 0 ? bad_value("specular", "0 where sigma_a and sigma_s are given")
-                                  : wire_error_none();
-  }
-  if (core_choice_by_id(core_lengths, fixed->given) == NULL) {
-    return wire_error_not_in_list("given", core_lengths, "0 or one of");
-  }
-  if (core_choice_by_id(core_lights, fixed->light) == NULL) {
-    return wire_error_not_in_list("light", core_lights, "one of");
-  }
-  return fixed->specular > 1 ? bad_value("specular", "0 or 1") : wire_error_none();
-}
-
-static wire_error check_choices(const wire_varying_request *fixed) {
-  if (core_choice_by_id(core_models, fixed->model) == NULL) {
-    return wire_error_not_in_list("model", core_models, "one of");
-  }
-  if (fixed->evaluator != CORE_EVALUATOR_F64 && fixed->evaluator != CORE_EVALUATOR_F32) {
-    return bad_value("evaluator", "f64 or f32");
-  }
-  if (core_choice_by_id(core_moments_list, fixed->moments) == NULL) {
-    return wire_error_not_in_list("moments", core_moments_list, "one of");
-  }
-  if (fixed->numbers >= VARYING_NUMBERS) {
-    return bad_value("numbers", "0 (none), 1 (radii) or 2 (numbers u)");
-  }
-  wire_error error = check_given(fixed);
-  if (error.status == WIRE_STATUS_OK) {
-    error = check_wanted(fixed);
-  }
-  return error.status != WIRE_STATUS_OK || fixed->zero == 0 ? error : bad_value("zero", "0");
-}
-
-/* Finds the arrays in the `left` bytes at `at`, which they have to fill. */
-static wire_error find_arrays(const uint8_t *at, uint64_t left, varying_request *request) {
-  static const uint8_t zeros[WIRE_ALIGNMENT];
-  static const char *const names[] = {"sigma_a", "sigma_s", "colour", "length", "r", "u"};
-  const wire_varying_request *fixed = &request->fixed;
-  const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
-  const unsigned arrays = array_count(fixed);
-  if (fixed->value_count > left / arrays / value_bytes ||
-      arrays * wire_padded(fixed->value_count * value_bytes) != left) {
-    return wire_error_make(WIRE_STATUS_BAD_COUNT, "value_count",
-                           "as many numbers in each array, with its padding, as the payload holds");
-  }
-  const size_t used = (size_t)fixed->value_count * value_bytes;
-  const void *found[MEDIUM_ARRAYS + 1] = {NULL};
-  for (unsigned i = 0; i < arrays; i++, at += wire_padded(used)) {
-    found[i] = at;
-    if (memcmp(at + used, zeros, (size_t)wire_padded(used) - used) != 0) {
-      const unsigned name =
-          i < MEDIUM_ARRAYS ? i + (fixed->given != 0 ? 2 : 0) : 3U + fixed->numbers;
-      return bad_value(names[name], "zero bytes of padding behind the last number");
-    }
-  }
-  request->media[0] = found[0];
-  request->media[1] = found[1];
-  request->numbers = found[2];
-  return wire_error_none();
+/* Whether colours have what their light needs. */
+static wire_error check_colours(const wire_varying_request *fixed) {
+  return fixed->given != 0 && fixed->light == 0
+             ? wire_error_not_in_list("light", core_lights, "one of")
+             : wire_error_none();
 }
 
 wire_error varying_request_parse(const uint8_t *payload, size_t payload_bytes,
                                  varying_request *request) {
+  enum { PARAMETERS, SIGMA_A, COLOUR, SIGMA_S, LENGTH, R, U };
   wire_varying_request *fixed = &request->fixed;
-  if (payload_bytes < WIRE_BYTES_varying_request) {
-    return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes",
-                           "at least 48: a varying_request");
-  }
-  wire_get_varying_request(payload, fixed);
-  wire_error error = check_choices(fixed);
+  schema_layout layout;
+  wire_error error = schema_check(&schema_varying_request, payload, payload_bytes, &layout);
   if (error.status != WIRE_STATUS_OK) {
     return error;
   }
-  const uint64_t before = varying_request_bytes(fixed->parameter_count, fixed->evaluator, 0, 0);
-  if (before > payload_bytes) {
-    return wire_error_make(WIRE_STATUS_BAD_COUNT, "parameter_count",
-                           "no more parameters than the payload holds");
+  wire_get_varying_request(payload, fixed);
+  error = check_colours(fixed);
+  if (error.status == WIRE_STATUS_OK) {
+    error = check_wanted(fixed);
   }
-  error = channels_parse_parameters(payload + WIRE_BYTES_varying_request, fixed->parameter_count,
-                                    &request->parameters);
   request->colour = (core_colour){.light = (enum core_light)(fixed->light - 1),
                                   .specular = fixed->specular != 0,
                                   .length = (enum core_length)fixed->given};
+  /* A part that is not there has the offset of the next one. */
+  request->media[0] = payload + layout.parts[SIGMA_A].at;
+  request->media[1] = payload + layout.parts[SIGMA_S].at;
+  request->numbers = fixed->numbers != VARYING_NONE ? payload + layout.parts[R].at : NULL;
   return error.status == WIRE_STATUS_OK
-             ? find_arrays(payload + before, payload_bytes - before, request)
+             ? channels_parse_parameters(payload + layout.parts[PARAMETERS].at,
+                                         fixed->parameter_count, &request->parameters)
              : error;
 }
 
@@ -154,25 +74,25 @@ wire_error varying_request_parse(const uint8_t *payload, size_t payload_bytes,
 
 varying_layout varying_reply_layout(unsigned evaluator, unsigned wanted, unsigned coefficients,
                                     uint64_t count) {
-  varying_layout layout = {
-      .arrays = coefficients | VARYING_QUANTITY(wanted & ~(unsigned)CORE_QUANTITY_MODEL_ERROR),
-      .array_bytes = wire_padded(count * core_evaluator_bytes(evaluator)),
-  };
-  const uint64_t arrays = (uint64_t)__builtin_popcount(layout.arrays);
-  layout.status_offset = WIRE_BYTES_varying_reply + arrays * layout.array_bytes;
-  layout.payload_bytes = layout.status_offset + wire_padded(count);
-  return layout;
+  const wire_varying_reply fixed = {.count = count,
+                                    .evaluator = (uint16_t)evaluator,
+                                    .wanted = (uint16_t)wanted,
+                                    .coefficients = (uint16_t)coefficients};
+  schema_layout all;
+  schema_lay_out(&schema_varying_reply, &fixed, UINT64_MAX, &all, NULL);
+  return (varying_layout){.arrays = coefficients |
+                                    VARYING_QUANTITY(wanted & ~(unsigned)CORE_QUANTITY_MODEL_ERROR),
+                          .array_bytes = all.parts[0].array_bytes,
+                          .status_offset = all.parts[2].at,
+                          .payload_bytes = all.payload_bytes};
 }
 
 uint64_t varying_part_values(unsigned evaluator, unsigned wanted, unsigned coefficients,
                              uint64_t max_payload_bytes) {
-  /* Neither arrays nor statuses of so many values have padding. */
-  const varying_layout unit =
-      varying_reply_layout(evaluator, wanted, coefficients, VARYING_PART_VALUES);
-  const uint64_t unit_bytes = unit.payload_bytes - WIRE_BYTES_varying_reply;
-  return max_payload_bytes > WIRE_BYTES_varying_reply
-             ? (max_payload_bytes - WIRE_BYTES_varying_reply) / unit_bytes * VARYING_PART_VALUES
-             : 0;
+  const wire_varying_reply fixed = {.evaluator = (uint16_t)evaluator,
+                                    .wanted = (uint16_t)wanted,
+                                    .coefficients = (uint16_t)coefficients};
+  return schema_part_values(&schema_varying_reply, &fixed, VARYING_PART_VALUES, max_payload_bytes);
 }
 
 uint64_t varying_array_offset(const varying_layout *layout, uint32_t array) {
@@ -182,18 +102,16 @@ uint64_t varying_array_offset(const varying_layout *layout, uint32_t array) {
 
 bool varying_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_varying_reply *fixed,
                          varying_layout *layout) {
-  if (payload_bytes < WIRE_BYTES_varying_reply) {
+  schema_layout all;
+  if (!schema_is_whole(&schema_varying_reply, payload, payload_bytes, &all)) {
     return false;
   }
   wire_get_varying_reply(payload, fixed);
-  if ((fixed->evaluator != CORE_EVALUATOR_F64 && fixed->evaluator != CORE_EVALUATOR_F32) ||
-      (fixed->wanted & ~QUANTITIES) != 0 || (fixed->coefficients & ~(unsigned)COEFFICIENTS) != 0 ||
-      fixed->count > payload_bytes || fixed->answered_count > fixed->count) {
-    return false;
-  }
-  *layout = varying_reply_layout(fixed->evaluator, fixed->wanted, fixed->coefficients,
-                                 fixed->count);
-  return fixed->part < fixed->part_count && layout->payload_bytes == payload_bytes;
+  *layout =
+      varying_reply_layout(fixed->evaluator, fixed->wanted, fixed->coefficients, fixed->count);
+  return fixed->evaluator != CORE_EVALUATOR_LUT && (fixed->wanted & ~QUANTITIES) == 0 &&
+         (fixed->coefficients & ~(unsigned)COEFFICIENTS) == 0 &&
+         fixed->answered_count <= fixed->count && fixed->part < fixed->part_count;
 }
 
 /* ---- evaluating ------------------------------------------------------------------------------ */

@@ -9,7 +9,7 @@
 #define DIPOLED_PROTO_VARYING_H
 
 #include "core/varying.h"
-#include "proto/wire.h"
+#include "proto/schema.h"
 
 /* What the third array of a request holds. */
 enum varying_numbers { VARYING_NONE, VARYING_RADII, VARYING_DRAWN, VARYING_NUMBERS };
@@ -23,15 +23,9 @@ typedef struct varying_request {
   const void *numbers;  /* radii (mm) or numbers u; NULL if there are none */
 } varying_request;
 
-/* Parses a payload. Checks its shape, the ids that belong to this message and the padding. Core
- * checks the values. */
+/* Parses a payload: schema_check(), what is wanted, and the parameters. Core checks the values. */
 wire_error varying_request_parse(const uint8_t *payload, size_t payload_bytes,
                                  varying_request *request);
-
-/* Returns the payload bytes of a request with so many arrays: 2 or 3. value_count is at most 2^58.
- */
-uint64_t varying_request_bytes(uint32_t parameter_count, unsigned evaluator, unsigned arrays,
-                               uint64_t value_count);
 
 /* Layout of a reply's payload. Offsets count from its start. */
 typedef struct varying_layout {

@@ -73,14 +73,14 @@ static const uint8_t *get_text(const uint8_t *at, char *text, size_t bytes) {
   return at + bytes;
 }
 
-#define PUT_ONE(kind, field, meaning) at = put_##kind(at, from->field);
-#define PUT_ARRAY(kind, field, count, meaning)                                                     \
+#define PUT_ONE(kind, field, meaning, ...) at = put_##kind(at, from->field);
+#define PUT_ARRAY(kind, field, count, meaning, ...)                                                     \
   for (size_t i = 0; i < (count); i++) {                                                           \
     at = put_##kind(at, from->field[i]);                                                           \
   }
 #define PUT_TEXT(field, bytes, meaning) at = put_text(at, from->field, bytes);
-#define GET_ONE(kind, field, meaning) to->field = get_##kind(&at);
-#define GET_ARRAY(kind, field, count, meaning)                                                     \
+#define GET_ONE(kind, field, meaning, ...) to->field = get_##kind(&at);
+#define GET_ARRAY(kind, field, count, meaning, ...)                                                     \
   for (size_t i = 0; i < (count); i++) {                                                           \
     to->field[i] = get_##kind(&at);                                                                \
   }
@@ -197,7 +197,7 @@ const char *wire_type_name(unsigned type) {
     return "error";
   }
   switch (type & ~(unsigned)WIRE_REPLY) {
-#define WIRE_MESSAGE(type, IDENT, name)                                                            \
+#define WIRE_MESSAGE(type, IDENT, name, ...)                                                            \
   case type:                                                                                       \
     return name;
 #include "proto/messages.def"

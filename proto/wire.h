@@ -23,7 +23,7 @@ struct core_choice; /* declared in core/core.h */
 #define WIRE_R_UNIT "1/mm^2 per unit of power that entered"
 
 enum wire_type {
-#define WIRE_MESSAGE(type, IDENT, name) WIRE_TYPE_##IDENT = (type),
+#define WIRE_MESSAGE(type, IDENT, name, ...) WIRE_TYPE_##IDENT = (type),
 #include "proto/messages.def"
 };
 
@@ -47,8 +47,8 @@ enum wire_choice_kind {
 #define WIRE_CTYPE_u64 uint64_t
 #define WIRE_CTYPE_f64 double
 
-#define WIRE_DECLARE_ONE(kind, field, meaning) WIRE_CTYPE_##kind field;
-#define WIRE_DECLARE_ARRAY(kind, field, count, meaning) WIRE_CTYPE_##kind field[count];
+#define WIRE_DECLARE_ONE(kind, field, meaning, ...) WIRE_CTYPE_##kind field;
+#define WIRE_DECLARE_ARRAY(kind, field, count, meaning, ...) WIRE_CTYPE_##kind field[count];
 #define WIRE_DECLARE_TEXT(field, bytes, meaning) char field[(bytes) + 1];
 
 #define WIRE_STRUCTURE(name)                                                                       \
@@ -63,8 +63,8 @@ enum wire_choice_kind {
 #define WIRE_SIZE_u64 8
 #define WIRE_SIZE_f64 8
 
-#define WIRE_ADD_ONE(kind, field, meaning) +WIRE_SIZE_##kind
-#define WIRE_ADD_ARRAY(kind, field, count, meaning) +WIRE_SIZE_##kind *(count)
+#define WIRE_ADD_ONE(kind, field, meaning, ...) +WIRE_SIZE_##kind
+#define WIRE_ADD_ARRAY(kind, field, count, meaning, ...) +WIRE_SIZE_##kind *(count)
 #define WIRE_ADD_TEXT(field, bytes, meaning) +(bytes)
 
 #define WIRE_STRUCTURE(name)                                                                       \

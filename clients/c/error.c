@@ -46,7 +46,7 @@ static const char *status_name(const dipole_info *info, unsigned status) {
 }
 
 static bool is_medium_field(const char *field) {
-#define SAME_NAME(kind, name, meaning) || strcmp(field, #name) == 0
+#define SAME_NAME(kind, name, meaning, ...) || strcmp(field, #name) == 0
   return false WIRE_FIELDS_medium(SAME_NAME, , );
 #undef SAME_NAME
 }

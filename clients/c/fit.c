@@ -85,22 +85,17 @@ static bool check(const dipole_fit_query *query, dipole_error *error) {
   return true;
 }
 
-static uint8_t *put_design(uint8_t *payload, const dipole_fit_query *query,
-                           const wire_fit_design *fixed) {
-  const dipole_medium *reference = &query->reference;
-  const wire_fit_request request = {.set_count = query->set_count, .residuals = query->residuals};
-  const core_fit_design design = {
-      .count = (size_t)query->reading_count,
-      .at = query->at,
-      .source_mm = query->source_mm,
-      .detector_mm = query->detector_mm,
-      .scale = query->scale,
-      .reference = {reference->sigma_a_per_mm, reference->sigma_s_per_mm, reference->g,
-                    reference->eta},
-  };
-  uint8_t *at = fit_request_put(payload, &request, fixed);
-  at = libdipole_parameters_put(at, query->parameters, query->parameter_count);
-  return fit_places_put(at, &design);
+static void put_query(uint8_t *payload, const fit_start *start, const schema_layout *layout,
+                      const dipole_fit_query *query) {
+  memcpy(payload, start, sizeof *start);
+  libdipole_parameters_put(payload + layout->parts[FIT_PARAMETERS].at, query->parameters,
+                           query->parameter_count);
+  schema_put_part(payload, layout, FIT_REFERENCE, &query->reference);
+  schema_put_part(payload, layout, FIT_AT, query->at);
+  schema_put_part(payload, layout, FIT_SOURCE, query->source_mm);
+  schema_put_part(payload, layout, FIT_DETECTOR, query->detector_mm);
+  schema_put_part(payload, layout, FIT_VALUES, query->values);
+  schema_put_part(payload, layout, FIT_ERRORS, query->errors);
 }
 
 static bool send(dipole_client *client, const dipole_fit_query *query, libdipole_pending *pending,
@@ -108,25 +103,22 @@ static bool send(dipole_client *client, const dipole_fit_query *query, libdipole
   if (!check(query, error)) {
     return false;
   }
-  const wire_fit_design fixed = {.model = (uint16_t)query->model,
-                                 .moments = (uint16_t)query->moments,
-                                 .axis = (uint16_t)query->axis,
-                                 .scale = (uint16_t)query->scale,
-                                 .reading_count = (uint32_t)query->reading_count,
-                                 .parameter_count = (uint16_t)query->parameter_count,
-                                 .g = query->g,
-                                 .eta = query->eta};
-  const size_t bytes = (size_t)query->set_count * (size_t)query->reading_count * sizeof(double);
+  const fit_start start = {{.set_count = query->set_count, .residuals = query->residuals},
+                           {.model = (uint16_t)query->model,
+                            .moments = (uint16_t)query->moments,
+                            .axis = (uint16_t)query->axis,
+                            .scale = (uint16_t)query->scale,
+                            .reading_count = (uint32_t)query->reading_count,
+                            .parameter_count = (uint16_t)query->parameter_count,
+                            .g = query->g,
+                            .eta = query->eta}};
+  schema_layout layout;
   uint8_t *at;
-  if (!libdipole_request_begin(client, pending, fit_request_bytes(&fixed, query->set_count), &at,
-                               error)) {
+  schema_lay_out(&schema_fit_request, &start, UINT64_MAX, &layout, NULL);
+  if (!libdipole_request_begin(client, pending, layout.payload_bytes, &at, error)) {
     return false;
   }
-  at = put_design(at, query, &fixed);
-  if (bytes > 0) {
-    memcpy(at, query->values, bytes);
-    memcpy(at + bytes, query->errors, bytes);
-  }
+  put_query(at, &start, &layout, query);
   return libdipole_request_send(client, error);
 }
 

@@ -153,24 +153,21 @@ static bool send_points(struct run *run, dipole_error *error) {
                                .type = WIRE_TYPE_POINTS,
                                .reply_bytes_min = WIRE_BYTES_points_reply,
                                .reply_bytes_max = WIRE_BYTES_points_reply};
-  const uint64_t bytes = points_request_bytes(info->channel_count, n);
-  uint8_t *at;
-  if (!set_deadline(run, &pending, error) ||
-      !libdipole_request_begin(run->client, &pending, bytes, &at, error)) {
-    return false;
-  }
   const wire_points_request fixed = {.set = {points->set[0], points->set[1]},
                                      .channel_count = info->channel_count,
                                      .point_count = info->point_count,
                                      .point_first = run->next_point,
                                      .part_points = n};
-  const size_t xyz_bytes = (size_t)n * GATHER_AXES * sizeof(double);
-  const size_t power_bytes = (size_t)(n * info->channel_count) * sizeof(float);
-  memset(at + bytes - WIRE_ALIGNMENT, 0, WIRE_ALIGNMENT);
+  schema_layout layout;
+  uint8_t *at;
+  schema_lay_out(&schema_points_request, &fixed, UINT64_MAX, &layout, NULL);
+  if (!set_deadline(run, &pending, error) ||
+      !libdipole_request_begin(run->client, &pending, layout.payload_bytes, &at, error)) {
+    return false;
+  }
   wire_put_points_request(at, &fixed);
-  at += WIRE_BYTES_points_request;
-  memcpy(at, info->xyz_mm + run->next_point * GATHER_AXES, xyz_bytes);
-  memcpy(at + xyz_bytes, info->power_W + run->next_point * info->channel_count, power_bytes);
+  schema_put_part(at, &layout, 0, info->xyz_mm + run->next_point * GATHER_AXES);
+  schema_put_part(at, &layout, 1, info->power_W + run->next_point * info->channel_count);
   run->next_point += n;
   run->ids[run->under_way] = pending.id;
   run->counts[run->under_way++] = 0;
@@ -207,13 +204,6 @@ static bool ask(struct run *run, dipole_error *error) {
                                .model = query->model,
                                .medium_count = channels,
                                .radius_count = n};
-  uint8_t *at;
-  if (!set_deadline(run, &pending, error) ||
-      !libdipole_request_begin(run->client, &pending,
-                               gather_request_bytes(channels, (uint32_t)query->parameter_count, n),
-                               &at, error)) {
-    return false;
-  }
   const wire_gather_request fixed = {.model = (uint16_t)query->model,
                                      .evaluator = (uint16_t)query->evaluator,
                                      .moments = (uint16_t)query->moments,
@@ -222,6 +212,12 @@ static bool ask(struct run *run, dipole_error *error) {
                                      .set = {points->set[0], points->set[1]},
                                      .query_count = n,
                                      .tolerance = query->tolerance};
+  uint8_t *at;
+  if (!set_deadline(run, &pending, error) ||
+      !libdipole_request_begin(run->client, &pending, schema_bytes(&schema_gather_request, &fixed),
+                               &at, error)) {
+    return false;
+  }
   wire_put_gather_request(at, &fixed);
   at += WIRE_BYTES_gather_request;
   for (uint32_t i = 0; i < channels; i++) {

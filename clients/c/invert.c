@@ -89,7 +89,7 @@ static bool send(dipole_client *client, const dipole_invert_query *query,
                                      .g = query->g,
                                      .eta = query->eta};
   if (!check(query, error) ||
-      !libdipole_request_begin(client, pending, invert_request_bytes(query->medium_count), &at,
+      !libdipole_request_begin(client, pending, schema_bytes(&schema_invert_request, &fixed), &at,
                                error)) {
     return false;
   }

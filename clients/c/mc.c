@@ -39,18 +39,21 @@ static bool check_query(const dipole_mc_query *query, dipole_error *error) {
          libdipole_parameters_check(query->parameters, query->parameter_count, error);
 }
 
-static void put_query(uint8_t *at, const dipole_mc_query *query) {
-  const wire_mc_request fixed = {.spacing = (uint16_t)query->spacing,
-                                 .albedo_count = (uint16_t)query->albedo_count,
-                                 .ring_count = query->ring_count,
-                                 .radius_start = query->radius_start_mm,
-                                 .radius_stop = query->radius_stop_mm,
-                                 .thickness = query->thickness_mm,
-                                 .seed = query->seed,
-                                 .photons = query->photons,
-                                 .error_total = query->error_total,
-                                 .error_rings = query->error_rings};
-  wire_put_mc_request(at, &fixed);
+static wire_mc_request request_of(const dipole_mc_query *query) {
+  return (wire_mc_request){.spacing = (uint16_t)query->spacing,
+                           .albedo_count = (uint16_t)query->albedo_count,
+                           .ring_count = query->ring_count,
+                           .radius_start = query->radius_start_mm,
+                           .radius_stop = query->radius_stop_mm,
+                           .thickness = query->thickness_mm,
+                           .seed = query->seed,
+                           .photons = query->photons,
+                           .error_total = query->error_total,
+                           .error_rings = query->error_rings};
+}
+
+static void put_query(uint8_t *at, const wire_mc_request *fixed, const dipole_mc_query *query) {
+  wire_put_mc_request(at, fixed);
   at = libdipole_medium_put(at + WIRE_BYTES_mc_request, &query->medium);
   if (query->albedo_count > 0) {
     memcpy(at, query->albedos, query->albedo_count * sizeof *query->albedos);
@@ -96,12 +99,13 @@ static bool start(dipole_client *client, const dipole_mc_query *query, libdipole
   if (mc_reply_layout(sides_of(query), albedos_of(query), query->ring_count, &layout)) {
     pending->reply_bytes_max = layout.payload_bytes;
   }
-  const size_t payload_bytes =
-      mc_request_bytes(query->albedo_count, (uint32_t)query->parameter_count);
+  const wire_mc_request fixed = request_of(query);
+  const uint64_t payload_bytes = schema_bytes(&schema_mc_request, &fixed) +
+                                 query->parameter_count * (uint64_t)WIRE_BYTES_parameter;
   if (!libdipole_request_begin(client, pending, payload_bytes, &payload, error)) {
     return false;
   }
-  put_query(payload, query);
+  put_query(payload, &fixed, query);
   return libdipole_request_send(client, error);
 }
 

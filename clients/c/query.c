@@ -150,11 +150,6 @@ static bool send_query(dipole_client *client, const dipole_query *query, libdipo
   pending->deadline_ms = query->deadline_ms;
   pending->medium_count = query->medium_count;
   pending->radius_count = query->radius_count;
-  const uint64_t bytes =
-      eval_request_bytes(query->medium_count, (uint32_t)query->parameter_count, radii_bytes);
-  if (!libdipole_request_begin(client, pending, bytes, &at, error)) {
-    return false;
-  }
   const bool list = query->spacing == DIPOLE_LIST;
   const wire_eval_request fixed = {.model = (uint16_t)model_on_wire(query->model),
                                    .evaluator = (uint16_t)query->evaluator,
@@ -166,6 +161,10 @@ static bool send_query(dipole_client *client, const dipole_query *query, libdipo
                                    .radius_count = query->radius_count,
                                    .radius_start = list ? 0 : query->radius_start_mm,
                                    .radius_stop = list ? 0 : query->radius_stop_mm};
+  if (!libdipole_request_begin(client, pending, schema_bytes(&schema_eval_request, &fixed), &at,
+                               error)) {
+    return false;
+  }
   wire_put_eval_request(at, &fixed);
   put_lists(at + WIRE_BYTES_eval_request, query->media, query->medium_count, query->parameters,
             query->parameter_count, query->radii, (size_t)radii_bytes);
@@ -378,11 +377,6 @@ static bool send_sample(dipole_client *client, const dipole_sample_query *query,
   }
   libdipole_answer_expect(pending, query->model, query->evaluator, query->wanted,
                           query->medium_count, query->sample_count);
-  const uint64_t bytes =
-      sample_request_bytes(query->medium_count, (uint32_t)query->parameter_count, number_bytes);
-  if (!libdipole_request_begin(client, pending, bytes, &at, error)) {
-    return false;
-  }
   const wire_sample_request fixed = {.model = (uint16_t)query->model,
                                      .evaluator = (uint16_t)query->evaluator,
                                      .moments = (uint16_t)query->moments,
@@ -393,6 +387,10 @@ static bool send_sample(dipole_client *client, const dipole_sample_query *query,
                                      .sample_count = query->sample_count,
                                      .sample_first = query->sample_first,
                                      .seed = query->seed};
+  if (!libdipole_request_begin(client, pending, schema_bytes(&schema_sample_request, &fixed), &at,
+                               error)) {
+    return false;
+  }
   wire_put_sample_request(at, &fixed);
   put_lists(at + WIRE_BYTES_sample_request, query->media, query->medium_count, query->parameters,
             query->parameter_count, query->numbers, (size_t)number_bytes);

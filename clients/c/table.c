@@ -229,7 +229,8 @@ libdipole_frame *libdipole_table_ask(dipole_client *client, const dipole_table_q
                                .reply_bytes_min = WIRE_BYTES_table_reply,
                                .reply_bytes_max = table_reply_bytes(parameters, words_max)};
   uint8_t *at;
-  if (!libdipole_request_begin(client, &pending, table_request_bytes(parameters), &at, error)) {
+  if (!libdipole_request_begin(client, &pending, schema_bytes(&schema_table_request, &fixed), &at,
+                               error)) {
     return NULL;
   }
   wire_put_table_request(at, &fixed);

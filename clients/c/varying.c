@@ -125,43 +125,38 @@ static unsigned numbers_of(const dipole_varying_query *query) {
                                   : VARYING_NONE;
 }
 
-static uint64_t request_bytes(const dipole_varying_query *query) {
-  return varying_request_bytes((uint32_t)query->parameter_count, query->evaluator,
-                               numbers_of(query) == VARYING_NONE ? 2 : 3, query->value_count);
+static wire_varying_request request_of(const dipole_varying_query *query) {
+  return (wire_varying_request){.model = (uint16_t)query->model,
+                                .evaluator = (uint16_t)query->evaluator,
+                                .moments = (uint16_t)query->moments,
+                                .wanted = (uint16_t)query->wanted,
+                                .coefficients = (uint16_t)query->coefficients,
+                                .given = (uint16_t)query->given,
+                                .light = (uint16_t)query->light,
+                                .specular = query->specular,
+                                .numbers = (uint16_t)numbers_of(query),
+                                .parameter_count = (uint16_t)query->parameter_count,
+                                .value_count = query->value_count,
+                                .g = query->g,
+                                .eta = query->eta};
 }
 
-static uint8_t *put_array(uint8_t *at, const void *array, size_t used) {
-  const size_t padded = (size_t)wire_padded(used);
-  if (used > 0) {
-    memcpy(at, array, used);
-  }
-  memset(at + used, 0, padded - used);
-  return at + padded;
+static uint64_t request_bytes(const dipole_varying_query *query) {
+  const wire_varying_request fixed = request_of(query);
+  return schema_bytes(&schema_varying_request, &fixed);
 }
 
 static void put(const dipole_varying_query *query, uint8_t *at) {
-  const bool coloured = query->given != 0;
-  const wire_varying_request fixed = {.model = (uint16_t)query->model,
-                                      .evaluator = (uint16_t)query->evaluator,
-                                      .moments = (uint16_t)query->moments,
-                                      .wanted = (uint16_t)query->wanted,
-                                      .coefficients = (uint16_t)query->coefficients,
-                                      .given = (uint16_t)query->given,
-                                      .light = (uint16_t)query->light,
-                                      .specular = query->specular,
-                                      .numbers = (uint16_t)numbers_of(query),
-                                      .parameter_count = (uint16_t)query->parameter_count,
-                                      .value_count = query->value_count,
-                                      .g = query->g,
-                                      .eta = query->eta};
-  const size_t used = (size_t)query->value_count * core_evaluator_bytes(query->evaluator);
+  /* the parts of a request, in their order; those that are not there have no values */
+  const void *const values[] = {query->sigma_a_per_mm, query->colours, query->sigma_s_per_mm,
+                                query->lengths_mm,     query->radii,   query->numbers};
+  const wire_varying_request fixed = request_of(query);
+  schema_layout layout;
+  schema_lay_out(&schema_varying_request, &fixed, UINT64_MAX, &layout, NULL);
   wire_put_varying_request(at, &fixed);
-  at = libdipole_parameters_put(at + WIRE_BYTES_varying_request, query->parameters,
-                                query->parameter_count);
-  at = put_array(at, coloured ? query->colours : query->sigma_a_per_mm, used);
-  at = put_array(at, coloured ? query->lengths_mm : query->sigma_s_per_mm, used);
-  if (fixed.numbers != VARYING_NONE) {
-    put_array(at, query->radii != NULL ? query->radii : query->numbers, used);
+  libdipole_parameters_put(at + layout.parts[0].at, query->parameters, query->parameter_count);
+  for (unsigned i = 0; i < sizeof values / sizeof values[0]; i++) {
+    schema_put_part(at, &layout, 1 + i, values[i]);
   }
 }
 

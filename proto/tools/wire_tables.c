@@ -2,13 +2,14 @@
  * statuses into the blocks ```table NAMES of the first document, those of the register map between the
  * markers of the second, and the messages, structures and lists for Python into the third. It makes
  * them from the same lists as the code. */
+#include <math.h>
 #include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "proto/registers.h"
-#include "proto/wire.h"
+#include "proto/schema.h"
 
 #define BEGIN "<!-- tables: begin -->\n"
 #define END "<!-- tables: end -->\n"
@@ -43,62 +44,86 @@ static int fail(const char *path, const char *what) {
 
 /* ---- of structures --------------------------------------------------------------------------- */
 
-struct description {
-  FILE *file;
-  const char *structure;
-  bool in_part;
-  size_t offset_bytes;
-};
-
-static void describe_field(struct description *to, const char *kind, const char *field,
-                           size_t count, size_t size_bytes, const char *meaning) {
-  char type[32];
-  char row[256];
-  /* The table of `part` describes the fields with which others begin. */
-  const bool has_part = strcmp(to->structure, "part") != 0;
-  const bool begins = has_part && to->offset_bytes == 0 && strcmp(field, "part") == 0;
-  to->in_part = begins || (to->in_part && to->offset_bytes < WIRE_BYTES_part);
-  if (to->in_part) {
-    fputs(begins ? "part@0\n" : "", to->file);
-    to->offset_bytes += size_bytes;
-    return;
-  }
-  if (count == 1) {
-    snprintf(type, sizeof type, "%s@%zu", kind, to->offset_bytes);
-  } else {
-    snprintf(type, sizeof type, "%s[%zu]@%zu", kind, count, to->offset_bytes);
-  }
-  const bool alone = meaning[0] == '\0';
-  snprintf(row, sizeof row, alone ? "%-12s %s%s\n" : "%-12s %-22s  %s\n", type, field, meaning);
-  fputs(row, to->file);
-  to->offset_bytes += count * size_bytes;
+/* Adds a text to a row, behind what is there. */
+static void add(char *row, size_t room, const char *before, const char *text) {
+  const size_t length = strlen(row);
+  snprintf(row + length, room - length, "%s%s", length > 0 ? before : "", text);
 }
 
-#define DESCRIBE_ONE(kind, field, meaning)                                                         \
-  describe_field(&to, #kind, #field, 1, WIRE_SIZE_##kind, meaning);
-#define DESCRIBE_ARRAY(kind, field, count, meaning)                                                \
-  describe_field(&to, #kind, #field, count, WIRE_SIZE_##kind, meaning);
-#define DESCRIBE_TEXT(field, bytes, meaning) describe_field(&to, "text", #field, bytes, 1, meaning);
+/* Writes what a field means: its unit, its range, its meaning and, in brackets, its default. */
+static void describe_meaning(const schema_field *field, char *text, size_t room) {
+  char number[64];
+  text[0] = '\0';
+  add(text, room, "", field->unit != NULL ? field->unit : "");
+  const bool flag = field->least == 0 && field->most == 1; /* its meaning says so */
+  if (field->spans && field->list == NULL && field->most > 0 && !flag) {
+    if (isinf(field->most)) {
+      snprintf(number, sizeof number, ">=%g", field->least);
+    } else {
+      snprintf(number, sizeof number, "%g to %g", field->least, field->most);
+    }
+    add(text, room, "; ", number);
+  }
+  if (field->meaning[0] != '\0') {
+    add(text, room, "; ", field->meaning);
+  }
+  if (field->list != NULL && field->usual > 0 && !field->bits) {
+    snprintf(number, sizeof number, "[%s]",
+             core_choice_by_id(field->list, (unsigned)field->usual)->name);
+    add(text, room, " ", number);
+  } else if (field->list == NULL && field->usual > 0) {
+    snprintf(number, sizeof number, "[%g]", field->usual);
+    add(text, room, " ", number);
+  }
+}
 
-static void describe_status(struct description *to, int code, const char *ident, int http) {
-  fprintf(to->file, "%-4d %-14s %d\n", code, ident, http);
+/* Describes the fields of a structure. The table of `part` describes those with which others begin. */
+static void describe_fields(const schema_structure *structure, FILE *file) {
+  const schema_field *field = structure->fields;
+  size_t offset = 0;
+  if (strcmp(field->name, "part") == 0 && structure->bytes > WIRE_BYTES_part) {
+    fputs("part@0\n", file);
+    for (; offset < WIRE_BYTES_part; field++) {
+      offset += schema_field_bytes(field);
+    }
+  }
+  for (; field->name != NULL; offset += schema_field_bytes(field), field++) {
+    char type[32], meaning[256];
+    if (field->count == 1) {
+      snprintf(type, sizeof type, "%s@%zu", schema_kind_name(field->kind), offset);
+    } else {
+      snprintf(type, sizeof type, "%s[%u]@%zu", schema_kind_name(field->kind), field->count,
+               offset);
+    }
+    describe_meaning(field, meaning, sizeof meaning);
+    fprintf(file, meaning[0] == '\0' ? "%-12s %s%s\n" : "%-12s %-22s  %s\n", type, field->name,
+            meaning);
+  }
+}
+
+static const schema_structure *find_structure(const char *name) {
+  for (size_t i = 0; i < SCHEMA_STRUCTURES; i++) {
+    if (strcmp(schema_structures[i].name, name) == 0) {
+      return &schema_structures[i];
+    }
+  }
+  return NULL;
 }
 
 /* Writes a table. Returns false if there is neither a structure nor a list of this name. */
 static bool describe_one(const char *name, FILE *file) {
-  struct description to = {.file = file, .structure = name};
-#define WIRE_STRUCTURE(structure)                                                                  \
-  if (strcmp(name, #structure) == 0) {                                                             \
-    fprintf(file, "%s (%d)\n", name, WIRE_BYTES_##structure);                                      \
-    WIRE_FIELDS_##structure(DESCRIBE_ONE, DESCRIBE_ARRAY, DESCRIBE_TEXT) return true;              \
+  const schema_structure *structure = find_structure(name);
+  if (structure != NULL) {
+    fprintf(file, "%s (%zu)\n", name, structure->bytes);
+    describe_fields(structure, file);
+    return true;
   }
-#include "proto/messages.def"
   if (strcmp(name, "statuses") != 0) {
     return false;
   }
   fputs("code status         HTTP\n", file);
 #define WIRE_STATUS(code, IDENT, modbus_exception, http, text_name, text)                          \
-  describe_status(&to, code, #IDENT, http);
+  fprintf(file, "%-4d %-14s %d\n", code, #IDENT, http);
 #include "proto/statuses.def"
 #undef WIRE_STATUS
   return true;
@@ -124,21 +149,32 @@ static bool describe_tables(const char *names, FILE *file) {
 /* Lines of Python have at most so many columns. */
 enum { COLUMNS = 100 };
 
-static void write_field(FILE *file, size_t *column, const char *kind, const char *field,
-                        int count) {
-  char text[64];
-  const int bytes = count == 1 ? snprintf(text, sizeof text, "%s %s, ", kind, field)
-                               : snprintf(text, sizeof text, "%s %s[%d], ", kind, field, count);
-  if (*column + (size_t)bytes + 1 > COLUMNS) {
+/* Writes an item of a text, in the next line if it has no room in this one. */
+static void write_item(FILE *file, size_t *column, const char *item) {
+  const size_t length = strlen(item);
+  if (*column + length + 1 > COLUMNS) {
     fputs("\"\n        \"", file);
     *column = 9;
   }
-  *column += (size_t)fprintf(file, "%s", text);
+  fputs(item, file);
+  *column += length;
 }
 
-#define WRITE_ONE(kind, field, meaning) write_field(file, &column, #kind, #field, 1);
-#define WRITE_ARRAY(kind, field, count, meaning) write_field(file, &column, #kind, #field, count);
-#define WRITE_TEXT(field, bytes, meaning) write_field(file, &column, "text", #field, bytes);
+static void write_structure(FILE *file, const schema_structure *structure) {
+  size_t column = 9;
+  fprintf(file, "\n    \"%s\": (\n        \"", structure->name);
+  for (const schema_field *field = structure->fields; field->name != NULL; field++) {
+    char item[64];
+    const char *kind = schema_kind_name(field->kind);
+    if (field->count == 1) {
+      snprintf(item, sizeof item, "%s %s, ", kind, field->name);
+    } else {
+      snprintf(item, sizeof item, "%s %s[%u], ", kind, field->name, field->count);
+    }
+    write_item(file, &column, item);
+  }
+  fputs("\"\n    ),", file);
+}
 
 static int write_schema(const char *path) {
   FILE *file = fopen(path, "wb");
@@ -149,7 +185,7 @@ static int write_schema(const char *path) {
       "\"\"\"The messages, structures and lists of dipoled's protocol. `make docs` makes this file "
       "from proto/.\"\"\"\n\nMESSAGES = {\n",
       file);
-#define WIRE_MESSAGE(type, IDENT, name) fprintf(file, "    \"%s\": %d,\n", name, type);
+#define WIRE_MESSAGE(type, IDENT, name, ...) fprintf(file, "    \"%s\": %d,\n", name, type);
 #include "proto/messages.def"
   fputs("}\n\n# kinds of choices, by their number\nKINDS = {\n", file);
 #define WIRE_LIST(kind, IDENT, name, list) fprintf(file, "    %d: \"%s\",\n", kind, name);
@@ -160,13 +196,9 @@ static int write_schema(const char *path) {
 #include "proto/statuses.def"
 #undef WIRE_STATUS
   fputs("}\n\nSTRUCTURES = {", file);
-#define WIRE_STRUCTURE(structure)                                                                  \
-  {                                                                                                \
-    size_t column = 9;                                                                             \
-    fputs("\n    \"" #structure "\": (\n        \"", file);                                        \
-    WIRE_FIELDS_##structure(WRITE_ONE, WRITE_ARRAY, WRITE_TEXT) fputs("\"\n    ),", file);         \
+  for (size_t i = 0; i < SCHEMA_STRUCTURES; i++) {
+    write_structure(file, &schema_structures[i]);
   }
-#include "proto/messages.def"
   fputs("\n}\n", file);
   return fclose(file) == 0 ? EXIT_SUCCESS : fail(path, "cannot be written");
 }

@@ -7,10 +7,13 @@
 #include "proto/eval.h"
 #include "proto/fit.h"
 #include "proto/gather.h"
-#include "proto/invert.h"
 #include "proto/sample.h"
 #include "proto/table.h"
 #include "proto/varying.h"
+
+/* The fields of a structure, and the digits of the name of a set. */
+#define FIELDS(structure) (schema_structures[SCHEMA_STRUCTURE_##structure].fields)
+enum { NAME_DIGITS = 32 };
 
 /* ---- fields ---------------------------------------------------------------------------------- */
 
@@ -30,14 +33,14 @@ static double get_f64(const uint8_t *at) {
 }
 
 /* Writes a choice by its name, or the names of a sum of choices. */
-static void write_choice(struct http_text *text, const struct http_field *field, unsigned number) {
-  const core_choice *entry = field->bits ? NULL : core_choice_by_id(field->choices, number);
+static void write_choice(struct http_text *text, const schema_field *field, unsigned number) {
+  const core_choice *entry = field->bits ? NULL : core_choice_by_id(field->list, number);
   if (!field->bits) {
     http_text_string(text, field->name, entry != NULL ? entry->name : "");
     return;
   }
   http_text_begin(text, field->name, '[');
-  for (entry = field->choices; entry->name != NULL; entry++) {
+  for (entry = field->list; entry->name != NULL; entry++) {
     if ((entry->id & number) != 0) {
       http_text_string(text, NULL, entry->name);
     }
@@ -45,28 +48,28 @@ static void write_choice(struct http_text *text, const struct http_field *field,
   http_text_end(text, ']');
 }
 
-static void write_one(struct http_text *text, const char *key, enum http_kind kind,
+static void write_one(struct http_text *text, const char *key, enum schema_kind kind,
                       const uint8_t *at, size_t bytes) {
-  if (kind == HTTP_f64) {
+  if (kind == SCHEMA_f64) {
     http_text_number(text, key, get_f64(at));
   } else {
     http_text_count(text, key, get_le(at, bytes));
   }
 }
 
-static void write_field(struct http_text *text, const struct http_field *field, const uint8_t *at) {
-  const size_t bytes = field->bytes / field->count;
-  if (field->choices != NULL) {
+static void write_field(struct http_text *text, const schema_field *field, const uint8_t *at) {
+  const size_t bytes = schema_field_bytes(field) / field->count;
+  if (field->list != NULL) {
     write_choice(text, field, (unsigned)get_le(at, bytes));
-  } else if (field->kind == HTTP_text) {
+  } else if (field->kind == SCHEMA_text) {
     char string[129];
     assert(field->count < sizeof string);
     memcpy(string, at, field->count);
     string[field->count] = '\0';
     http_text_string(text, field->name, string);
-  } else if (http_field_is_name(field)) {
-    char digits[HTTP_NAME_DIGITS + 1];
-    for (size_t i = 0; i < field->bytes; i++) {
+  } else if (schema_is_name(field)) {
+    char digits[NAME_DIGITS + 1];
+    for (size_t i = 0; i < schema_field_bytes(field); i++) {
       snprintf(digits + 2 * i, 3, "%02x", at[i]);
     }
     http_text_string(text, field->name, digits);
@@ -82,21 +85,21 @@ static void write_field(struct http_text *text, const struct http_field *field, 
 }
 
 /* Writes the fields of a structure into an open object. Returns where the structure ends. */
-static const uint8_t *write_fields(struct http_text *text, const struct http_field *fields,
+static const uint8_t *write_fields(struct http_text *text, const schema_field *fields,
                                    const uint8_t *at) {
   for (; fields->name != NULL; fields++) {
-    if (fields->kind == HTTP_f64 && fields->count == 1) { /* never internal or a choice */
-      http_text_number_at(text, &fields->key, get_f64(at));
-    } else if (!fields->internal) {
+    if (fields->kind == SCHEMA_f64 && fields->count == 1) { /* never internal or a choice */
+      http_text_field(text, fields, get_f64(at));
+    } else if (!fields->hidden) {
       write_field(text, fields, at);
     }
-    at += fields->bytes;
+    at += schema_field_bytes(fields);
   }
   return at;
 }
 
 static const uint8_t *write_object(struct http_text *text, const char *key,
-                                   const struct http_field *fields, const uint8_t *at) {
+                                   const schema_field *fields, const uint8_t *at) {
   http_text_begin(text, key, '{');
   at = write_fields(text, fields, at);
   http_text_end(text, '}');
@@ -104,7 +107,7 @@ static const uint8_t *write_object(struct http_text *text, const char *key,
 }
 
 /* Writes the units of those fields that have one. */
-static void write_units(struct http_text *text, const struct http_field *fields) {
+static void write_units(struct http_text *text, const schema_field *fields) {
   for (; fields->name != NULL; fields++) {
     if (fields->unit != NULL) {
       http_text_string(text, fields->name, fields->unit);
@@ -134,12 +137,12 @@ static void write_channel(struct http_text *text, const uint8_t *payload, const 
                           unsigned wanted) {
   const bool single = core_evaluator_bytes(fixed->evaluator) == sizeof(float);
   http_text_begin(text, NULL, '{');
-  write_fields(text, http_fields_of_medium, media + (size_t)channel * WIRE_BYTES_medium);
+  write_fields(text, FIELDS(medium), media + (size_t)channel * WIRE_BYTES_medium);
   http_text_number(text, "albedo", get_f64(payload + eval_albedo_offset(channel)));
   http_text_begin(text, "errors", '{');
   for (const core_choice *one = core_quantities; one->name != NULL; one++) {
     if ((one->id & fixed->wanted & ~(unsigned)CORE_QUANTITY_MODEL_ERROR) != 0) {
-      write_object(text, one->name, http_fields_of_quantity_error,
+      write_object(text, one->name, FIELDS(quantity_error),
                    payload + eval_error_offset(layout, wanted, channel, one->id));
     }
   }
@@ -163,9 +166,9 @@ static void write_eval(struct http_text *text, const uint8_t *media, const uint8
   assert(parsed);
   (void)parsed;
   const unsigned wanted = fixed.wanted | (drawn ? EVAL_DRAWN : 0);
-  write_fields(text, http_fields_of_eval_reply, payload);
+  write_fields(text, FIELDS(eval_reply), payload);
   http_text_begin(text, "units", '{');
-  write_units(text, http_fields_of_medium);
+  write_units(text, FIELDS(medium));
   http_text_string(text, "numerical_error_per_mm", "1/mm");
   write_quantity_units(text, fixed.wanted);
   http_text_end(text, '}');
@@ -182,42 +185,43 @@ static void write_eval(struct http_text *text, const uint8_t *media, const uint8
 
 /* ---- the other replies ----------------------------------------------------------------------- */
 
-static void write_offers(struct http_text *text, const uint8_t *payload) {
-  wire_offers_reply fixed;
-  wire_get_offers_reply(payload, &fixed);
-  const uint8_t *at = write_fields(text, http_fields_of_offers_reply, payload);
+/* Writes the parts of a reply that have nothing of their own, and their units. */
+static void write_parts(struct http_text *text, const schema_payload *reply,
+                        const uint8_t *payload) {
+  schema_layout layout;
+  schema_lay_out(reply, payload, UINT64_MAX, &layout, NULL);
   http_text_begin(text, "units", '{');
-  write_units(text, http_fields_of_offer);
-  http_text_end(text, '}');
-  http_text_begin(text, "offers", '[');
-  for (uint32_t i = 0; i < fixed.count; i++) {
-    at = write_object(text, NULL, http_fields_of_offer, at);
+  write_units(text, reply->structures[0]->fields);
+  for (const schema_part *part = reply->parts; part->name != NULL; part++) {
+    if (part->kind == SCHEMA_LIST) {
+      write_units(text, part->structure->fields);
+    } else if (part->unit != NULL) {
+      http_text_string(text, part->name, part->unit);
+    }
   }
-  http_text_end(text, ']');
-}
-
-static void write_invert(struct http_text *text, const uint8_t *payload) {
-  static const char *const names[INVERT_ARRAYS] = {
-      [INVERT_SIGMA_A] = "sigma_a", [INVERT_SIGMA_S] = "sigma_s", [INVERT_ALBEDO] = "albedo"};
-  wire_invert_reply fixed;
-  wire_get_invert_reply(payload, &fixed);
-  write_fields(text, http_fields_of_invert_reply, payload);
-  http_text_begin(text, "units", '{');
-  write_units(text, http_fields_of_medium);
-  http_text_string(text, "albedo", "1");
   http_text_end(text, '}');
-  for (unsigned i = 0; i < INVERT_ARRAYS; i++) {
-    http_text_numbers(text, names[i], payload + invert_array_offset(i, fixed.count), fixed.count,
-                      false);
+  for (unsigned i = 0; reply->parts[i].name != NULL; i++) {
+    const schema_part *part = &reply->parts[i];
+    const uint8_t *at = payload + layout.parts[i].at;
+    if (part->kind != SCHEMA_LIST) {
+      http_text_numbers(text, part->name, at, layout.parts[i].count,
+                        layout.parts[i].bytes == sizeof(float));
+      continue;
+    }
+    http_text_begin(text, part->name, '[');
+    for (uint64_t n = 0; n < layout.parts[i].count; n++) {
+      at = write_object(text, NULL, part->structure->fields, at);
+    }
+    http_text_end(text, ']');
   }
 }
 
 static void write_table(struct http_text *text, const uint8_t *payload) {
   wire_table_reply fixed;
   wire_get_table_reply(payload, &fixed);
-  const uint8_t *at = write_fields(text, http_fields_of_table_reply, payload);
+  const uint8_t *at = write_fields(text, FIELDS(table_reply), payload);
   http_text_begin(text, "units", '{');
-  write_units(text, http_fields_of_table_reply);
+  write_units(text, FIELDS(table_reply));
   http_text_end(text, '}');
   http_text_begin(text, "parameters", '{');
   for (unsigned i = 0; i < fixed.parameter_count; i++, at += WIRE_BYTES_parameter) {
@@ -244,15 +248,15 @@ static void write_fit(struct http_text *text, const uint8_t *design, bool g_is_d
   http_text_bool(text, "g_is_default", g_is_default);
   http_text_number(text, "eta", asked.eta);
   wire_get_fit_reply(payload, &fixed);
-  const uint8_t *at = write_fields(text, http_fields_of_fit_reply, payload);
+  const uint8_t *at = write_fields(text, FIELDS(fit_reply), payload);
   const uint8_t *residuals = payload + fit_residuals_offset(fixed.count);
   http_text_begin(text, "units", '{');
-  write_units(text, http_fields_of_fitted);
+  write_units(text, FIELDS(fitted));
   http_text_end(text, '}');
   http_text_begin(text, "sets", '[');
   for (uint64_t i = 0; i < fixed.count; i++) {
     http_text_begin(text, NULL, '{');
-    at = write_fields(text, http_fields_of_fitted, at);
+    at = write_fields(text, FIELDS(fitted), at);
     if (fixed.reading_count > 0) {
       http_text_numbers(text, "residuals", residuals + i * fixed.reading_count * sizeof(double),
                         fixed.reading_count, false);
@@ -281,7 +285,7 @@ static void write_varying(struct http_text *text, const uint8_t *payload, size_t
   const bool parsed = varying_reply_parse(payload, payload_bytes, &fixed, &layout);
   assert(parsed);
   (void)parsed;
-  write_fields(text, http_fields_of_varying_reply, payload);
+  write_fields(text, FIELDS(varying_reply), payload);
   http_text_begin(text, "units", '{');
   for (const core_choice *one = core_coefficients; one->name != NULL; one++) {
     if ((one->id & fixed.coefficients) != 0) {
@@ -306,16 +310,16 @@ static void write_gather(struct http_text *text, const uint8_t *media, const uin
   wire_gather_reply fixed;
   wire_get_gather_reply(payload, &fixed);
   const uint8_t *sums = payload + gather_sums_offset(fixed.channel_count);
-  write_fields(text, http_fields_of_gather_reply, payload);
+  write_fields(text, FIELDS(gather_reply), payload);
   http_text_begin(text, "units", '{');
-  write_units(text, http_fields_of_medium);
+  write_units(text, FIELDS(medium));
   http_text_string(text, "M", "W/mm^2");
   http_text_end(text, '}');
   http_text_begin(text, "channels", '[');
   for (uint32_t channel = 0; channel < fixed.channel_count; channel++) {
     http_text_begin(text, NULL, '{');
-    write_fields(text, http_fields_of_medium, media + channel * (size_t)WIRE_BYTES_medium);
-    write_fields(text, http_fields_of_quantity_error,
+    write_fields(text, FIELDS(medium), media + channel * (size_t)WIRE_BYTES_medium);
+    write_fields(text, FIELDS(quantity_error),
                  payload + WIRE_BYTES_gather_reply + channel * (size_t)WIRE_BYTES_quantity_error);
     http_text_begin(text, "M", '[');
     for (uint64_t i = 0; i < fixed.count; i++) {
@@ -328,9 +332,8 @@ static void write_gather(struct http_text *text, const uint8_t *media, const uin
   http_text_end(text, ']');
 }
 
-void http_answer_write(const struct http_message *message, const uint8_t *question,
-                       bool g_is_default, const uint8_t *payload, size_t payload_bytes,
-                       struct http_text *text) {
+void http_answer_write(const schema_message *message, const uint8_t *question, bool g_is_default,
+                       const uint8_t *payload, size_t payload_bytes, struct http_text *text) {
   http_text_begin(text, NULL, '{');
   switch (message->type) {
   case WIRE_TYPE_EVAL:
@@ -338,12 +341,6 @@ void http_answer_write(const struct http_message *message, const uint8_t *questi
     break;
   case WIRE_TYPE_SAMPLE:
     write_eval(text, question + WIRE_BYTES_sample_request, payload, payload_bytes, true);
-    break;
-  case WIRE_TYPE_OFFERS:
-    write_offers(text, payload);
-    break;
-  case WIRE_TYPE_INVERT:
-    write_invert(text, payload);
     break;
   case WIRE_TYPE_FIT:
     write_fit(text, question + WIRE_BYTES_fit_request, g_is_default, payload);
@@ -354,14 +351,14 @@ void http_answer_write(const struct http_message *message, const uint8_t *questi
   case WIRE_TYPE_VARYING:
     write_varying(text, payload, payload_bytes);
     break;
-  case WIRE_TYPE_POINTS:
-    write_fields(text, http_fields_of_points_reply, payload);
-    break;
   case WIRE_TYPE_GATHER:
     write_gather(text, question + WIRE_BYTES_gather_request, payload);
     break;
   default:
-    assert(!"a message of http_messages");
+    write_fields(text, message->reply->structures[0]->fields, payload);
+    if (message->reply->parts[0].name != NULL) {
+      write_parts(text, message->reply, payload);
+    }
   }
   http_text_end(text, '}');
 }
@@ -394,7 +391,7 @@ void http_answer_write_models(const uint8_t *payload, struct http_text *text) {
   unsigned kind = 0;
   wire_get_hello_reply(payload, &fixed);
   http_text_begin(text, NULL, '{');
-  const uint8_t *at = write_fields(text, http_fields_of_hello_reply, payload);
+  const uint8_t *at = write_fields(text, FIELDS(hello_reply), payload);
   for (uint32_t i = 0; i < fixed.choice_count; i++, at += WIRE_BYTES_choice) {
     wire_choice choice;
     wire_get_choice(at, &choice);
@@ -424,18 +421,8 @@ void http_answer_write_models(const uint8_t *payload, struct http_text *text) {
 }
 
 void http_answer_write_media(const uint8_t *payload, struct http_text *text) {
-  wire_list_reply list;
-  wire_get_list_reply(payload, &list);
   http_text_begin(text, NULL, '{');
-  http_text_begin(text, "units", '{');
-  write_units(text, http_fields_of_measured_medium);
-  http_text_end(text, '}');
-  http_text_begin(text, "media", '[');
-  const uint8_t *at = payload + WIRE_BYTES_list_reply;
-  for (uint32_t i = 0; i < list.count; i++) {
-    at = write_object(text, NULL, http_fields_of_measured_medium, at);
-  }
-  http_text_end(text, ']');
+  write_parts(text, &schema_media_reply, payload);
   http_text_end(text, '}');
 }
 

@@ -2,14 +2,13 @@
 #ifndef DIPOLED_HTTP_ANSWER_H
 #define DIPOLED_HTTP_ANSWER_H
 
-#include "server/http/fields.h"
+#include "proto/schema.h"
 #include "server/http/text.h"
 
-/* Writes the reply to a request of http_messages. Both payloads are those of the daemon's own
+/* Writes the reply to a request that HTTP has. Both payloads are those of the daemon's own
  * frames: complete and valid. g_is_default: whether the request left g out. */
-void http_answer_write(const struct http_message *message, const uint8_t *question,
-                       bool g_is_default, const uint8_t *payload, size_t payload_bytes,
-                       struct http_text *text);
+void http_answer_write(const schema_message *message, const uint8_t *question, bool g_is_default,
+                       const uint8_t *payload, size_t payload_bytes, struct http_text *text);
 
 /* Writes the replies to the requests hello and media. */
 void http_answer_write_models(const uint8_t *payload, struct http_text *text);

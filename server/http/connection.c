@@ -26,7 +26,7 @@ enum {
 struct route {
   const char *path;
   enum route_kind { PAGE, HEALTH, READINESS, DOCUMENT, LISTS, MEDIA, MESSAGE } kind;
-  const struct http_message *message; /* MESSAGE */
+  const schema_message *message; /* MESSAGE */
 };
 
 enum state {
@@ -317,10 +317,17 @@ static enum MHD_Result send_answer(struct http_connection *c) {
 
 /* ---- the job --------------------------------------------------------------------------------- */
 
-/* Returns the field that makes a reply too large. */
+/* Returns the field that makes a reply too large: that counts the first list of the request. */
 static const char *size_field(const struct http_connection *c) {
-  const struct http_message *message = c->route.message;
-  return message != NULL && message->lists[0].name != NULL ? message->lists[0].count : "tolerance";
+  const schema_message *message = c->route.message;
+  const schema_part *part = message != NULL ? message->request->parts : NULL;
+  while (part != NULL && part->name != NULL &&
+         (part->about == NULL || part->count[0].name == NULL)) {
+    part++;
+  }
+  return part == NULL || part->name == NULL                ? "tolerance"
+         : strcmp(part->count[0].name, "part_points") == 0 ? "point_count"
+                                                           : part->count[0].name;
 }
 
 /* A reply is one part, up to max_part_bytes. */
@@ -428,8 +435,8 @@ static bool find_route(const char *url, struct route *route) {
       return true;
     }
   }
-  for (const struct http_message *one = http_messages; one->type != 0; one++) {
-    if (strncmp(url, "/v1/", 4) == 0 && strcmp(url + 4, wire_type_name(one->type)) == 0) {
+  for (const schema_message *one = schema_messages; one->type != 0; one++) {
+    if (one->about != NULL && strncmp(url, "/v1/", 4) == 0 && strcmp(url + 4, one->name) == 0) {
       *route = (struct route){url, MESSAGE, one};
       return true;
     }

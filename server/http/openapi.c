@@ -1,13 +1,17 @@
 #include "server/http/openapi.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 
 #include "core/varying.h"
-#include "server/http/fields.h"
+#include "server/http/question.h"
 
 #define REFERENCE(name) "{\"$ref\":\"#/components/schemas/" name "\"}"
 #define NUMBER REFERENCE("Number")
+#define FIELDS(structure) (schema_structures[SCHEMA_STRUCTURE_##structure].fields)
+
+static const schema_payload header = {.structures = {&schema_structures[SCHEMA_STRUCTURE_header]}};
 
 /* ---- schemas --------------------------------------------------------------------------------- */
 
@@ -32,34 +36,57 @@ static void write_choice(struct http_text *text, const core_choice *list, bool b
   }
 }
 
-static void write_scalar(struct http_text *text, enum http_kind kind) {
+static void write_scalar(struct http_text *text, enum schema_kind kind) {
   switch (kind) {
-  case HTTP_f64:
+  case SCHEMA_f64:
     http_text_raw(text, "allOf", "[" NUMBER "]");
     break;
-  case HTTP_u64:
+  case SCHEMA_u64:
     http_text_raw(text, "oneOf",
                   "[{\"type\":\"integer\",\"minimum\":0},{\"type\":\"string\",\"pattern\":"
                   "\"^[0-9]{1,20}$\"}]");
     break;
-  case HTTP_u16:
-  case HTTP_u32:
+  case SCHEMA_u16:
+  case SCHEMA_u32:
     http_text_string(text, "type", "integer");
-    http_text_count(text, "minimum", 0);
     break;
-  case HTTP_text:
+  default:
     http_text_string(text, "type", "string");
     break;
   }
 }
 
-static void write_members(struct http_text *text, const struct http_field *field) {
-  if (field->choices != NULL) {
-    write_choice(text, field->choices, field->bits);
-  } else if (http_field_is_name(field)) {
+static void write_description(struct http_text *text, const char *unit, const char *meaning) {
+  char both[256];
+  snprintf(both, sizeof both, "%s%s%s", unit != NULL ? unit : "",
+           unit != NULL && meaning[0] != '\0' ? "; " : "", meaning);
+  if (both[0] != '\0') {
+    http_text_string(text, "description", both);
+  }
+}
+
+/* Writes what holds for a field of a request. */
+static void write_attributes(struct http_text *text, const schema_field *field) {
+  if (field->list != NULL && !field->bits && field->usual > 0) {
+    http_text_string(text, "default", core_choice_by_id(field->list, (unsigned)field->usual)->name);
+  } else if (field->list == NULL && field->kind != SCHEMA_u64 && !field->required) {
+    http_text_number(text, "default", field->usual);
+  }
+  if (field->spans && field->list == NULL) {
+    http_text_number(text, "minimum", field->or_zero ? 0 : field->least);
+    if (isfinite(field->most)) {
+      http_text_number(text, "maximum", field->most);
+    }
+  }
+}
+
+static void write_members(struct http_text *text, const schema_field *field) {
+  if (field->list != NULL) {
+    write_choice(text, field->list, field->bits);
+  } else if (schema_is_name(field)) {
     http_text_string(text, "type", "string");
     http_text_string(text, "pattern", "^[0-9a-f]{32}$");
-  } else if (field->kind == HTTP_text || field->count == 1) {
+  } else if (field->kind == SCHEMA_text || field->count == 1) {
     write_scalar(text, field->kind);
   } else {
     http_text_string(text, "type", "array");
@@ -67,20 +94,18 @@ static void write_members(struct http_text *text, const struct http_field *field
     write_scalar(text, field->kind);
     http_text_end(text, '}');
   }
-  if (field->meaning[0] != '\0') {
-    http_text_string(text, "description", field->meaning);
-  }
+  write_description(text, field->unit, field->meaning);
 }
 
-static void write_property(struct http_text *text, const struct http_field *field) {
+static void write_property(struct http_text *text, const schema_field *field) {
   http_text_begin(text, field->name, '{');
   write_members(text, field);
   http_text_end(text, '}');
 }
 
-static void write_properties(struct http_text *text, const struct http_field *fields) {
+static void write_properties(struct http_text *text, const schema_field *fields) {
   for (; fields->name != NULL; fields++) {
-    if (!fields->internal) {
+    if (!fields->hidden) {
       write_property(text, fields);
     }
   }
@@ -119,30 +144,24 @@ static void write_units(struct http_text *text) {
  * be written by write_request_field(). */
 struct request_field {
   const char *name;
-  const struct http_field *field; /* a field of a structure, or NULL */
-  const core_choice *parameter;   /* else a parameter, or NULL */
-  const char *description;        /* else a list of numbers, or of media */
+  const schema_field *field;    /* a field of a structure, or NULL */
+  const core_choice *parameter; /* else a parameter, or NULL */
+  const char *description;      /* else a list of numbers, or of media */
 };
 
 enum { REQUEST_FIELDS_MAX = 64 };
 
-/* Returns whether a field is the length of lists that always have to be given. */
-static bool follows_from_list(const struct http_message *message, const char *field) {
-  for (int i = 0; i < HTTP_LISTS && message->lists[i].name != NULL; i++) {
-    if (message->lists[i].rule == NULL && strcmp(message->lists[i].count, field) == 0) {
-      return true;
-    }
-  }
-  return false;
-}
-
 /* Fills in the fields that a request may have. Returns how many there are. */
-static size_t list_request_fields(const struct http_message *message,
+static size_t list_request_fields(const schema_message *message,
                                   struct request_field fields[REQUEST_FIELDS_MAX]) {
+  const schema_payload *request = message->request;
+  const schema_field *field;
+  const schema_part *part;
+  const char *name;
   size_t count = 0;
-  for (int i = 0; i < HTTP_STRUCTURES && message->request[i] != NULL; i++) {
-    for (const struct http_field *field = message->request[i]; field->name != NULL; field++) {
-      if (!field->internal && !follows_from_list(message, field->name)) {
+  for (unsigned i = 0; (field = http_question_fields(request, i)) != NULL; i++) {
+    for (; field->name != NULL; field++) {
+      if (!field->hidden) {
         fields[count++] = (struct request_field){field->name, field, NULL, NULL};
       }
     }
@@ -151,32 +170,33 @@ static size_t list_request_fields(const struct http_message *message,
     fields[count++] =
         (struct request_field){"reference", NULL, NULL, "the known medium, with scale reference"};
   }
-  for (int i = 0; i < HTTP_LISTS && message->lists[i].name != NULL; i++) {
-    fields[count++] =
-        (struct request_field){message->lists[i].name, NULL, NULL, message->lists[i].meaning};
+  for (unsigned i = 0; (part = http_question_list(request, i, &name)) != NULL; i++) {
+    fields[count++] = (struct request_field){name, NULL, NULL, part->about};
   }
-  if (message->media_most > 0) {
+  if (http_question_media(request) > 0) {
     fields[count++] = (struct request_field){
         "medium", NULL, NULL, "names of /v1/media, of three channels each; else the coefficients"};
-    for (const struct http_field *field = http_fields_of_medium; field->name != NULL; field++) {
+    for (field = FIELDS(medium); field->name != NULL; field++) {
       fields[count++] = (struct request_field){field->name, NULL, NULL, field->meaning};
     }
   }
-  for (const core_choice *one = core_parameter_list; message->parameters && one->name != NULL;
-       one++) {
-    if (http_field_of(message, one->name) == NULL) {
+  for (const core_choice *one = core_parameter_list;
+       http_question_has_parameters(request) && one->name != NULL; one++) {
+    if (schema_field_of(request, one->name) == NULL) {
       fields[count++] = (struct request_field){one->name, NULL, one, NULL};
     }
   }
-  fields[count++] = (struct request_field){"deadline_ms", &http_fields_of_header[5], NULL, NULL};
+  fields[count++] =
+      (struct request_field){"deadline_ms", schema_field_of(&header, "deadline_ms"), NULL, NULL};
   return count;
 }
 
 static void write_request_field(struct http_text *text, const struct request_field *field) {
   if (field->field != NULL) {
     write_members(text, field->field);
+    write_attributes(text, field->field);
   } else if (field->parameter != NULL) {
-    write_scalar(text, HTTP_f64);
+    write_scalar(text, SCHEMA_f64);
     http_text_string(text, "description", field->parameter->about);
   } else {
     http_text_string(text, "type", "array");
@@ -212,12 +232,11 @@ static void write_responses(struct http_text *text, const char *schema) {
   http_text_end(text, '}');
 }
 
-static void write_get(struct http_text *text, const struct http_message *message,
-                      const char *schema) {
+static void write_get(struct http_text *text, const schema_message *message, const char *schema) {
   struct request_field fields[REQUEST_FIELDS_MAX];
   const size_t count = list_request_fields(message, fields);
   char id[32];
-  snprintf(id, sizeof id, "get_%s", wire_type_name(message->type));
+  snprintf(id, sizeof id, "get_%s", message->name);
   http_text_begin(text, "get", '{');
   http_text_string(text, "operationId", id);
   http_text_string(text, "summary", message->about);
@@ -242,8 +261,8 @@ static void write_get(struct http_text *text, const struct http_message *message
   http_text_end(text, '}');
 }
 
-static void write_message(struct http_text *text, const struct http_message *message) {
-  const char *name = wire_type_name(message->type);
+static void write_message(struct http_text *text, const schema_message *message) {
+  const char *name = message->name;
   char path[40], schema[80], body[80];
   snprintf(path, sizeof path, "/v1/%s", name);
   snprintf(schema, sizeof schema, REFERENCE("%s_reply"), name);
@@ -277,11 +296,11 @@ static void write_list_path(struct http_text *text, const char *path, const char
 
 /* ---- components ------------------------------------------------------------------------------ */
 
-static void write_request_schema(struct http_text *text, const struct http_message *message) {
+static void write_request_schema(struct http_text *text, const schema_message *message) {
   struct request_field fields[REQUEST_FIELDS_MAX];
   const size_t count = list_request_fields(message, fields);
   char name[32];
-  snprintf(name, sizeof name, "%s_request", wire_type_name(message->type));
+  snprintf(name, sizeof name, "%s_request", message->name);
   begin_object(text, name);
   for (size_t i = 0; i < count; i++) {
     http_text_begin(text, fields[i].name, '{');
@@ -300,33 +319,26 @@ static void write_choice_lists(struct http_text *text, const core_choice *list) 
   }
 }
 
-static void write_reply_schema(struct http_text *text, const struct http_message *message) {
+static void write_reply_schema(struct http_text *text, const schema_message *message) {
   char name[32];
-  snprintf(name, sizeof name, "%s_reply", wire_type_name(message->type));
+  snprintf(name, sizeof name, "%s_reply", message->name);
   begin_object(text, name);
-  write_properties(text, message->reply);
-  if (message->reply == http_fields_of_points_reply) {
-    end_object(text);
-    return;
+  const schema_field *fields = message->reply->structures[0]->fields;
+  write_properties(text, fields);
+  if (message->reply->parts[0].name != NULL) {
+    write_units(text);
   }
-  write_units(text);
-  if (message->reply == http_fields_of_eval_reply) {
+  if (fields == FIELDS(eval_reply)) {
     write_list(text, "r", NUMBER, "mm; the radii of an eval, if they are wanted");
     write_list(text, "channels", REFERENCE("Channel"), NULL);
-  } else if (message->reply == http_fields_of_gather_reply) {
+  } else if (fields == FIELDS(gather_reply)) {
     write_list(text, "channels", REFERENCE("Gathered"), NULL);
-  } else if (message->reply == http_fields_of_offers_reply) {
-    write_list(text, "offers", REFERENCE("Offer"), NULL);
-  } else if (message->reply == http_fields_of_invert_reply) {
-    write_list(text, "sigma_a", NUMBER, "1/mm");
-    write_list(text, "sigma_s", NUMBER, "1/mm");
-    write_list(text, "albedo", NUMBER, "of the medium that was found");
-  } else if (message->reply == http_fields_of_fit_reply) {
+  } else if (fields == FIELDS(fit_reply)) {
     http_text_raw(text, "g", NUMBER);
     http_text_raw(text, "g_is_default", "{\"type\":\"boolean\"}");
     http_text_raw(text, "eta", NUMBER);
     write_list(text, "sets", REFERENCE("Fitted"), NULL);
-  } else if (message->reply == http_fields_of_varying_reply) {
+  } else if (fields == FIELDS(varying_reply)) {
     write_choice_lists(text, core_coefficients);
     write_choice_lists(text, core_quantities);
     http_text_begin(text, "statuses", '{');
@@ -335,6 +347,11 @@ static void write_reply_schema(struct http_text *text, const struct http_message
     write_choice(text, core_value_statuses, false);
     http_text_end(text, '}');
     http_text_end(text, '}');
+  } else if (fields != FIELDS(table_reply)) {
+    for (const schema_part *part = message->reply->parts; part->name != NULL; part++) {
+      write_list(text, part->name, part->kind == SCHEMA_LIST ? REFERENCE("Offer") : NUMBER,
+                 part->about);
+    }
   } else {
     http_text_raw(text, "parameters", "{\"type\":\"object\"}");
     write_list(text, "words", "{\"type\":\"integer\"}", "32 bits each");
@@ -344,7 +361,7 @@ static void write_reply_schema(struct http_text *text, const struct http_message
 
 static void write_channel_schema(struct http_text *text) {
   begin_object(text, "Channel");
-  write_properties(text, http_fields_of_medium);
+  write_properties(text, FIELDS(medium));
   http_text_raw(text, "albedo", NUMBER);
   http_text_raw(text, "errors",
                 "{\"type\":\"object\",\"description\":\"of each wanted quantity\","
@@ -367,14 +384,14 @@ static void write_components(struct http_text *text) {
   http_text_raw(text, "Medium",
                 "{\"oneOf\":[{\"type\":\"string\"}," REFERENCE("Coefficients") "]}");
   begin_object(text, "Coefficients");
-  write_properties(text, http_fields_of_medium);
+  write_properties(text, FIELDS(medium));
   end_object(text);
   begin_object(text, "Error");
   http_text_raw(text, "text", "{\"type\":\"string\"}");
-  for (const struct http_field *field = http_fields_of_error; field->name != NULL; field++) {
+  for (const schema_field *field = FIELDS(error); field->name != NULL; field++) {
     if (strcmp(field->name, "status") == 0) {
       http_text_raw(text, "status", "{\"type\":\"string\"}");
-    } else if (!field->internal) {
+    } else if (!field->hidden) {
       write_property(text, field);
     }
   }
@@ -382,24 +399,26 @@ static void write_components(struct http_text *text) {
   http_text_raw(text, "Readings",
                 "{\"oneOf\":[" NUMBER ",{\"type\":\"array\",\"items\":" NUMBER "}]}");
   begin_object(text, "Fitted");
-  write_properties(text, http_fields_of_fitted);
+  write_properties(text, FIELDS(fitted));
   write_list(text, "residuals", NUMBER, "of the readings, if they are wanted");
   end_object(text);
   begin_object(text, "Errors");
-  write_properties(text, http_fields_of_quantity_error);
+  write_properties(text, FIELDS(quantity_error));
   end_object(text);
   begin_object(text, "Gathered");
-  write_properties(text, http_fields_of_medium);
-  write_properties(text, http_fields_of_quantity_error);
+  write_properties(text, FIELDS(medium));
+  write_properties(text, FIELDS(quantity_error));
   write_list(text, "M", NUMBER, "W/mm^2; the sums, in the order of the positions");
   end_object(text);
   begin_object(text, "Offer");
-  write_properties(text, http_fields_of_offer);
+  write_properties(text, FIELDS(offer));
   end_object(text);
   write_channel_schema(text);
-  for (const struct http_message *one = http_messages; one->type != 0; one++) {
-    write_request_schema(text, one);
-    write_reply_schema(text, one);
+  for (const schema_message *one = schema_messages; one->type != 0; one++) {
+    if (one->about != NULL) {
+      write_request_schema(text, one);
+      write_reply_schema(text, one);
+    }
   }
   http_text_end(text, '}');
   http_text_end(text, '}');
@@ -417,8 +436,10 @@ void http_openapi_write(struct http_text *text) {
   http_text_end(text, '}');
   http_text_raw(text, "servers", "[{\"url\":\"/\"}]");
   http_text_begin(text, "paths", '{');
-  for (const struct http_message *one = http_messages; one->type != 0; one++) {
-    write_message(text, one);
+  for (const schema_message *one = schema_messages; one->type != 0; one++) {
+    if (one->about != NULL) {
+      write_message(text, one);
+    }
   }
   write_list_path(text, "/v1/models", "models",
                   "Lists models, evaluators, parameters and the other choices, and the limits");

@@ -12,7 +12,6 @@
 
 /* As in all clients. */
 #define USUAL_ETA 1.3
-#define USUAL_GATHER_TOLERANCE 0.01
 
 WIRE_COLD static wire_error bad(const char *field, const char *allowed) {
   return wire_error_make(WIRE_STATUS_BAD_VALUE, field, allowed);
@@ -20,8 +19,41 @@ WIRE_COLD static wire_error bad(const char *field, const char *allowed) {
 
 /* ---- the payload ----------------------------------------------------------------------------- */
 
+const schema_part *http_question_list(const schema_payload *request, unsigned index,
+                                      const char **name) {
+  static const char *const axes[] = {"x", "y", "z"};
+  for (const schema_part *part = request->parts; part->name != NULL; part++) {
+    const bool positions = part->form == SCHEMA_POSITIONS;
+    const unsigned names = part->about == NULL || part->kind == SCHEMA_LIST ? 0 : positions ? 3 : 1;
+    if (index < names) {
+      *name = positions ? axes[index] : part->name;
+      return part;
+    }
+    index -= names;
+  }
+  return NULL;
+}
+
+unsigned http_question_media(const schema_payload *request) {
+  return request->structures[1] == &schema_structures[SCHEMA_STRUCTURE_medium] ? 1
+         : request->parts[0].name != NULL && strcmp(request->parts[0].name, "medium") == 0
+             ? UINT_MAX
+             : 0;
+}
+
+const schema_field *http_question_fields(const schema_payload *request, unsigned index) {
+  const schema_structure *structure = index < 2 ? request->structures[index] : NULL;
+  return structure != NULL && structure != &schema_structures[SCHEMA_STRUCTURE_medium]
+             ? structure->fields
+             : NULL;
+}
+
+bool http_question_has_parameters(const schema_payload *request) {
+  return schema_field_of(request, "parameter_count") != NULL;
+}
+
 struct question {
-  const struct http_message *message;
+  const schema_message *message;
   const struct http_values *values;
   struct http_text *payload;
   size_t bytes_max; /* of the payload */
@@ -80,7 +112,7 @@ static uint8_t *add(struct question *q, size_t bytes) {
 }
 
 static bool add_medium(struct question *q, const wire_medium *medium) {
-  if (q->medium_count == q->message->media_most) {
+  if (q->medium_count == http_question_media(q->message->request)) {
     return fail(q, wire_error_make(WIRE_STATUS_BAD_COUNT, "medium",
                                    "one medium: a measured one has three, so give coefficients"));
   }
@@ -107,6 +139,9 @@ static bool add_measured(struct question *q, const char *name, size_t index) {
 
 /* The coefficients of a medium, in the order of their fields. */
 enum { COEFFICIENTS = 4 };
+static const schema_payload medium_alone = {
+    .structures = {&schema_structures[SCHEMA_STRUCTURE_medium]}};
+#define medium_fields (schema_structures[SCHEMA_STRUCTURE_medium].fields)
 
 static wire_error eta_of_fit(void) {
   return bad("eta", "a number: the index inside over outside, which has no default in a fit");
@@ -117,7 +152,7 @@ static bool read_coefficients(struct question *q, struct http_elements elements[
                               size_t index, wire_medium *medium) {
   double *const to[COEFFICIENTS] = {&medium->sigma_a, &medium->sigma_s, &medium->g, &medium->eta};
   for (int i = 0; i < COEFFICIENTS; i++) {
-    const char *name = http_fields_of_medium[i].name;
+    const char *name = medium_fields[i].name;
     if (!http_value_given(elements[i].list)) {
       if (to[i] == &medium->sigma_a || to[i] == &medium->sigma_s) {
         return fail_at(
@@ -137,14 +172,14 @@ static bool read_coefficients(struct question *q, struct http_elements elements[
 static void find_coefficients(const struct http_values *values,
                               struct http_elements elements[COEFFICIENTS]) {
   for (int i = 0; i < COEFFICIENTS; i++) {
-    elements[i] = http_elements_of(http_values_get(values, http_fields_of_medium[i].name));
+    elements[i] = http_elements_of(http_values_get(values, medium_fields[i].name));
   }
 }
 
 static bool is_coefficient(const void *context, const char *name) {
   const struct http_values *values = context;
   for (int i = 0; i < COEFFICIENTS; i++) {
-    if (http_values_same(name, http_fields_of_medium[i].name)) {
+    if (http_values_same(name, medium_fields[i].name)) {
       return !json_is_array(http_values_get(values, name).json);
     }
   }
@@ -206,7 +241,7 @@ static bool add_lists(struct question *q) {
   for (int i = 0; i < COEFFICIENTS; i++) {
     const size_t length = http_value_count(elements[i].list);
     if (length == 0 || (count > 1 && length > 1 && length != count)) {
-      return fail(q, wire_error_make(WIRE_STATUS_BAD_COUNT, http_fields_of_medium[i].name,
+      return fail(q, wire_error_make(WIRE_STATUS_BAD_COUNT, medium_fields[i].name,
                                      "one value, or as many as the others"));
     }
     count = length > count ? length : count;
@@ -235,15 +270,15 @@ static bool add_named_media(struct question *q, struct http_value media) {
 
 static bool add_media(struct question *q) {
   const struct http_value media = get(q, "medium");
-  if (q->message->media_most == 0) {
+  if (http_question_media(q->message->request) == 0) {
     return true;
   }
   if (!http_value_given(media)) {
     return add_lists(q);
   }
   for (int i = 0; i < COEFFICIENTS; i++) {
-    if (http_value_given(get(q, http_fields_of_medium[i].name))) {
-      return fail(q, bad(http_fields_of_medium[i].name, "nothing beside medium"));
+    if (http_value_given(get(q, medium_fields[i].name))) {
+      return fail(q, bad(medium_fields[i].name, "nothing beside medium"));
     }
   }
   return add_named_media(q, media);
@@ -256,13 +291,26 @@ static const core_choice *choices_of_parameter(unsigned id) {
                                         : NULL;
 }
 
+/* Returns a request's field that JSON has, or NULL. */
+static const schema_field *shown_field(const schema_message *message, const char *name) {
+  const schema_field *field;
+  for (unsigned i = 0; (field = http_question_fields(message->request, i)) != NULL; i++) {
+    for (; field->name != NULL; field++) {
+      if (!field->hidden && http_values_same(field->name, name)) {
+        return field;
+      }
+    }
+  }
+  return NULL;
+}
+
 static bool add_parameters(struct question *q) {
   for (const core_choice *one = core_parameter_list; one->name != NULL; one++) {
     const struct http_value value = get(q, one->name);
     wire_parameter parameter = {.parameter = (uint16_t)one->id};
     const core_choice *list = choices_of_parameter(one->id);
-    if (!http_value_given(value) || !q->message->parameters ||
-        http_field_of(q->message, one->name) != NULL) {
+    if (!http_value_given(value) || !http_question_has_parameters(q->message->request) ||
+        shown_field(q->message, one->name) != NULL) {
       continue;
     }
     uint64_t id = 0;
@@ -346,13 +394,16 @@ static bool add_sets(struct question *q, const char *name, struct http_value lis
 
 /* ---- the fixed part -------------------------------------------------------------------------- */
 
-/* Returns the list that a field counts or whose rule the field is; NULL if there is none. */
-static const struct http_list *list_of(const struct http_message *message, const char *field) {
-  for (int i = 0; i < HTTP_LISTS && message->lists[i].name != NULL; i++) {
-    const struct http_list *list = &message->lists[i];
-    if (http_values_same(list->count, field) ||
-        (list->rule != NULL && http_values_same(list->rule, field))) {
-      return list;
+/* Returns the list that another field can replace by a rule, if this field says so or counts it; NULL
+ * if there is none. */
+static const schema_part *ruled_list(const schema_message *message, const char *field) {
+  const char *name;
+  const schema_part *part;
+  for (unsigned i = 0; (part = http_question_list(message->request, i, &name)) != NULL; i++) {
+    if (part->form == SCHEMA_GIVEN && part->when.name != NULL &&
+        (http_values_same(part->when.name, field) ||
+         http_values_same(part->count[0].name, field))) {
+      return part;
     }
   }
   return NULL;
@@ -387,38 +438,16 @@ static bool is_tabled(const struct question *q) {
   return id == CORE_MODEL_TRANSPORT && !(tolerance < CORE_LUT_TOLERANCE_MIN);
 }
 
-/* What holds for a choice that the request leaves out, as of the command line. "": none, and the
- * field is 0. */
-static const char *usual_choice(const struct question *q, const char *field) {
-  const struct http_list *list = list_of(q->message, field);
-  if (list != NULL) {
-    return http_value_given(get(q, list->name)) || strcmp(field, "draw") != 0 ? "list" : "random";
-  }
-  if (q->message->type == WIRE_TYPE_VARYING) { /* as in Python */
-    const char *usual = http_values_same(field, "evaluator") ? "f32"
-                        : http_values_same(field, "given")   ? "mean-free-path"
-                        : http_values_same(field, "light")   ? "beam"
-                                                             : NULL;
-    if (usual != NULL) {
-      return http_values_same(field, "evaluator") || is_coloured(q) ? usual : "";
-    }
-  }
-  return http_values_same(field, "model")       ? "transport"
-         : http_values_same(field, "evaluator") ? (is_gather(q) || is_tabled(q) ? "lut" : "f64")
-         : http_values_same(field, "moments")   ? "exact"
-         : http_values_same(field, "axis")      ? "r"
-         : http_values_same(field, "given")     ? "mean-free-path"
-         : http_values_same(field, "scale")     ? "absolute"
-                                                : NULL;
+/* Returns whether the request leaves the choice of the model to its tolerance. */
+static bool chooses_by_tolerance(const struct question *q) {
+  return q->message->type == WIRE_TYPE_OFFERS ||
+         (q->message->type == WIRE_TYPE_EVAL && http_value_given(get(q, "tolerance")));
 }
 
-/* What holds for a sum of choices that the request leaves out. */
-static unsigned usual_choices(const struct question *q, const char *field) {
+/* What holds for the quantities and coefficients of a varying request that leaves them out. */
+static unsigned usual_of_varying(const struct question *q, const char *field) {
   static const unsigned quantities[VARYING_NUMBERS] = {
       [VARYING_RADII] = CORE_QUANTITY_R, [VARYING_DRAWN] = CORE_QUANTITY_RADIUS};
-  if (q->message->type != WIRE_TYPE_VARYING) {
-    return q->message->wanted;
-  }
   const enum varying_numbers numbers = numbers_of(q);
   return http_values_same(field, "wanted") ? quantities[numbers]
          : is_coloured(q) && numbers == VARYING_NONE
@@ -426,78 +455,102 @@ static unsigned usual_choices(const struct question *q, const char *field) {
              : 0;
 }
 
-/* Returns whether the request leaves the choice of the model to its tolerance. */
-static bool chooses_by_tolerance(const struct question *q) {
-  return q->message->request[0] == http_fields_of_eval_request &&
-         (q->message->type == WIRE_TYPE_OFFERS || http_value_given(get(q, "tolerance")));
+/* What holds for a choice that the request leaves out, where it depends on others. */
+static unsigned usual_choice(const struct question *q, const schema_field *field) {
+  const bool varying = q->message->type == WIRE_TYPE_VARYING;
+  const schema_part *list = ruled_list(q->message, field->name);
+  if (list != NULL && http_value_given(get(q, list->name))) {
+    return (unsigned)list->is;
+  }
+  if (varying && field->bits) {
+    return usual_of_varying(q, field->name);
+  }
+  if ((varying && field->or_zero && !is_coloured(q)) ||
+      (http_values_same(field->name, "model") && chooses_by_tolerance(q))) {
+    return 0;
+  }
+  if (field->bits && q->message->type == WIRE_TYPE_OFFERS) {
+    return CORE_QUANTITY_R;
+  }
+  return http_values_same(field->name, "evaluator") && !varying && is_tabled(q)
+             ? CORE_EVALUATOR_LUT
+             : (unsigned)field->usual;
 }
 
-static bool read_choice(struct question *q, const struct http_field *field, uint64_t *number) {
+static bool read_choice(struct question *q, const schema_field *field, uint64_t *number) {
   const struct http_value value = get(q, field->name);
+  const schema_part *list = ruled_list(q->message, field->name);
   if (http_value_given(value)) {
-    const struct http_list *list = list_of(q->message, field->name);
-    return was_read(q, http_value_read_choice(value, field->name, field->choices, field->bits,
-                                              number)) &&
-           (list == NULL || !http_value_given(get(q, list->name)) ||
-            *number == core_choice_by_name(field->choices, "list")->id ||
+    return was_read(q,
+                    http_value_read_choice(value, field->name, field->list, field->bits, number)) &&
+           (list == NULL || !http_value_given(get(q, list->name)) || *number == list->is ||
             fail(q, bad(field->name, "list, beside a list of numbers")));
   }
-  if (http_values_same(field->name, "model") && chooses_by_tolerance(q)) {
-    *number = 0;
-    return true;
-  }
-  if (field->bits) {
-    *number = usual_choices(q, field->name);
-    return true;
-  }
-  const char *usual = usual_choice(q, field->name);
-  if (usual == NULL) {
-    return fail(q, wire_error_not_in_list(field->name, field->choices, "one of"));
-  }
-  *number = usual[0] != '\0' ? core_choice_by_name(field->choices, usual)->id : 0;
-  return true;
+  *number = usual_choice(q, field);
+  return *number != 0 || field->or_zero || field->bits ||
+         fail(q, wire_error_not_in_list(field->name, field->list, "one of"));
 }
 
-/* Reads a number that is no choice and no count of an array. One that is not given is 0. */
-static bool read_plain(struct question *q, const struct http_field *field, uint64_t *number) {
+/* Reads a number that is no choice and no count of an array. */
+static bool read_plain(struct question *q, const schema_field *field, uint64_t *number) {
   static const uint64_t most[] = {
-      [HTTP_u16] = UINT16_MAX, [HTTP_u32] = UINT32_MAX, [HTTP_u64] = UINT64_MAX};
+      [SCHEMA_u16] = UINT16_MAX, [SCHEMA_u32] = UINT32_MAX, [SCHEMA_u64] = UINT64_MAX};
   const struct http_value value = get(q, field->name);
-  double real = http_values_same(field->name, "eta") ? USUAL_ETA
-                : is_gather(q) && http_values_same(field->name, "tolerance")
-                    ? USUAL_GATHER_TOLERANCE
-                    : 0;
-  if (!http_value_given(value)) {
-    if (q->message->type == WIRE_TYPE_FIT && http_values_same(field->name, "eta")) {
-      return fail(q, eta_of_fit());
-    }
+  double real = field->usual;
+  bool good = true;
+  if (field->kind != SCHEMA_f64) {
+    *number = (uint64_t)real;
+    return !http_value_given(value) ||
+           was_read(q, http_value_read_count(value, field->name, most[field->kind], number));
+  }
+  if (http_value_given(value)) {
+    good = http_value_number(value, &real) || fail(q, not_a_number(field->name));
+  } else if (field->required) {
+    return fail(q, eta_of_fit());
+  } else {
     q->g_is_default |= http_values_same(field->name, "g");
-    memcpy(number, &real, sizeof real); /* 0 has the same bits in every kind */
-    return true;
   }
-  if (field->kind != HTTP_f64) {
-    return was_read(q, http_value_read_count(value, field->name, most[field->kind], number));
-  }
-  const bool good = http_value_number(value, &real) || fail(q, not_a_number(field->name));
   memcpy(number, &real, sizeof real);
   return good;
 }
 
 /* Returns the length of the longest list that is given, of those that may be one number for all. */
 static size_t longest(const struct question *q) {
+  const char *name;
+  const schema_part *part;
   size_t count = 0;
-  for (int i = 0; i < HTTP_LISTS && q->message->lists[i].name != NULL; i++) {
-    const struct http_list *list = &q->message->lists[i];
-    const bool counts = list->kind == HTTP_EACH || list->kind == HTTP_AXIS;
-    const struct http_value value = get(q, list->name);
+  for (unsigned i = 0; (part = http_question_list(q->message->request, i, &name)) != NULL; i++) {
+    const bool counts = part->form == SCHEMA_EACH || part->form == SCHEMA_POSITIONS;
+    const struct http_value value = get(q, name);
     const size_t length = counts && http_value_given(value) ? http_value_count(value) : 0;
     count = length > count ? length : count;
   }
   return count;
 }
 
-static bool read_field(struct question *q, const struct http_field *field, uint64_t *number) {
-  if (field->choices != NULL) {
+/* Returns a number that JSON does not have: it counts elements that follow, or is 0. */
+static uint64_t counted(const struct question *q, const schema_field *field) {
+  for (const schema_part *part = q->message->request->parts; part->name != NULL; part++) {
+    const char *first = part->count[0].name, *second = part->count[1].name;
+    if ((first == NULL || !http_values_same(first, field->name)) &&
+        (second == NULL || !http_values_same(second, field->name))) {
+      continue;
+    }
+    const struct http_value list = get(q, part->name);
+    return part->form == SCHEMA_EACH || part->form == SCHEMA_POSITIONS  ? longest(q)
+           : part->form == SCHEMA_CHANNELS || part->form == SCHEMA_SETS ? sets_of(list)
+           : part->kind != SCHEMA_LIST && http_value_given(list)        ? http_value_count(list)
+           : http_values_same(part->name, "medium")                     ? q->medium_count
+           : http_values_same(part->name, "parameter")                  ? q->parameter_count
+                                                                        : 0;
+  }
+  return http_values_same(field->name, "numbers")       ? numbers_of(q)
+         : http_values_same(field->name, "point_count") ? longest(q)
+                                                        : 0;
+}
+
+static bool read_field(struct question *q, const schema_field *field, uint64_t *number) {
+  if (field->list != NULL) {
     const bool read = read_choice(q, field, number);
     const unsigned type = q->message->type;
     if (http_values_same(field->name, "wanted") && *number != 0 &&
@@ -506,50 +559,34 @@ static bool read_field(struct question *q, const struct http_field *field, uint6
     }
     return read;
   }
-  const struct http_list *list = list_of(q->message, field->name);
-  const struct http_value values = get(q, list != NULL ? list->name : "");
-  if (list != NULL && (list->kind == HTTP_EACH || list->kind == HTTP_AXIS)) {
-    *number = longest(q);
+  if (field->hidden) {
+    *number = counted(q, field);
     return true;
   }
-  if (list != NULL && http_value_given(values)) {
-    *number = list->kind == HTTP_SETS ? sets_of(values) : http_value_count(values);
+  const schema_part *list = ruled_list(q->message, field->name);
+  const struct http_value values = get(q, list != NULL ? list->name : "");
+  if (http_value_given(values)) {
+    *number = http_value_count(values);
     return !http_value_given(get(q, field->name)) ||
            fail(q, bad(field->name, "nothing beside the list that it counts"));
-  }
-  if (list == NULL && field->internal) {
-    *number = http_values_same(field->name, "medium_count")      ? q->medium_count
-              : http_values_same(field->name, "parameter_count") ? q->parameter_count
-              : http_values_same(field->name, "numbers")         ? numbers_of(q)
-              : http_values_same(field->name, "part_points")     ? longest(q)
-                                                                 : 0;
-    return true;
   }
   return read_plain(q, field, number);
 }
 
-static size_t bytes_of(const struct http_message *message) {
-  size_t bytes = 0;
-  for (int i = 0; i < HTTP_STRUCTURES && message->request[i] != NULL; i++) {
-    for (const struct http_field *field = message->request[i]; field->name != NULL; field++) {
-      bytes += field->bytes;
-    }
-  }
-  return bytes;
-}
+enum { NAME_DIGITS = 32 };
 
 /* Reads the name of a set, which a request that sends the points may leave out. */
-static bool put_name(struct question *q, const struct http_field *field, uint8_t *at) {
+static bool put_name(struct question *q, const schema_field *field, uint8_t *at) {
   const struct http_value value = get(q, field->name);
   const char *digits = http_value_given(value) ? http_value_text(value) : "";
   const size_t count = digits != NULL ? strlen(digits) : 0;
   if (!http_value_given(value) && !is_gather(q)) {
     return true;
   }
-  if (count != HTTP_NAME_DIGITS || strspn(digits, "0123456789abcdef") != count) {
+  if (count != NAME_DIGITS || strspn(digits, "0123456789abcdef") != count) {
     return fail(q, bad(field->name, "32 hexadecimal digits: the `set` of /v1/points"));
   }
-  for (size_t i = 0; i < field->bytes; i++) {
+  for (size_t i = 0; i < schema_field_bytes(field); i++) {
     const char pair[3] = {digits[2 * i], digits[2 * i + 1], '\0'};
     at[i] = (uint8_t)strtoul(pair, NULL, 16);
   }
@@ -558,18 +595,18 @@ static bool put_name(struct question *q, const struct http_field *field, uint8_t
 
 /* Writes a structure of the fixed part at *offset, which it moves. Sets *single to whether the
  * evaluator has single precision. */
-static bool put_fixed(struct question *q, const struct http_field *fields, size_t *offset,
+static bool put_fixed(struct question *q, const schema_field *fields, size_t *offset,
                       bool *single) {
-  for (const struct http_field *field = fields; field->name != NULL; field++) {
+  for (const schema_field *field = fields; field->name != NULL; field++) {
     uint64_t number = 0;
     uint8_t *at = (uint8_t *)q->payload->bytes + *offset;
-    if (!(http_field_is_name(field) ? put_name(q, field, at) : read_field(q, field, &number))) {
+    if (!(schema_is_name(field) ? put_name(q, field, at) : read_field(q, field, &number))) {
       return false;
     }
-    if (!http_field_is_name(field)) {
-      put_le(at, number, field->bytes);
+    if (!schema_is_name(field)) {
+      put_le(at, number, schema_field_bytes(field));
     }
-    *offset += field->bytes;
+    *offset += schema_field_bytes(field);
     if (http_values_same(field->name, "evaluator")) {
       *single = core_evaluator_bytes((unsigned)number) == sizeof(float);
     }
@@ -580,25 +617,19 @@ static bool put_fixed(struct question *q, const struct http_field *fields, size_
 /* ---- all of it ------------------------------------------------------------------------------- */
 
 static bool is_known(const void *context, const char *key) {
-  const struct http_message *message = context;
-  if (http_field_of(message, key) != NULL) {
-    const struct http_list *list = list_of(message, key);
-    return list == NULL || list->rule != NULL;
-  }
-  for (int i = 0; i < HTTP_LISTS && message->lists[i].name != NULL; i++) {
-    if (http_values_same(message->lists[i].name, key)) {
+  const schema_message *message = context;
+  const char *name;
+  for (unsigned i = 0; http_question_list(message->request, i, &name) != NULL; i++) {
+    if (http_values_same(name, key)) {
       return true;
     }
   }
-  for (int i = 0; message->media_most > 0 && i < COEFFICIENTS; i++) {
-    if (http_values_same(http_fields_of_medium[i].name, key)) {
-      return true;
-    }
-  }
-  return strcmp(key, "deadline_ms") == 0 ||
-         (message->media_most > 0 && strcmp(key, "medium") == 0) ||
+  const bool media = http_question_media(message->request) > 0;
+  return shown_field(message, key) != NULL || strcmp(key, "deadline_ms") == 0 ||
+         (media && (strcmp(key, "medium") == 0 || schema_field_of(&medium_alone, key) != NULL)) ||
          (message->type == WIRE_TYPE_FIT && strcmp(key, "reference") == 0) ||
-         (message->parameters && core_choice_by_name(core_parameter_list, key) != NULL);
+         (http_question_has_parameters(message->request) &&
+          core_choice_by_name(core_parameter_list, key) != NULL);
 }
 
 /* Returns whether an error can name a key: a short text of printable ASCII. */
@@ -646,19 +677,22 @@ static bool add_each(struct question *q, const char *name, struct http_value val
                                        "one value, or as many as the others"));
 }
 
-static bool add_list(struct question *q, const struct http_list *list, bool single) {
-  const struct http_value value = get(q, list->name), first = get(q, q->message->lists[0].name);
+static bool add_list(struct question *q, const schema_part *list, bool single) {
+  const char *first_name;
+  const struct http_value value = get(q, list->name);
+  http_question_list(q->message->request, 0, &first_name);
+  const struct http_value first = get(q, first_name);
   const size_t count = http_value_given(first) ? http_value_count(first) : 0;
-  if (!http_value_given(value) && list->kind == HTTP_ZEROS) {
+  if (!http_value_given(value) && list->form == SCHEMA_ZEROS) {
     return add(q, count * sizeof(double)) != NULL;
   }
-  if (list->kind == HTTP_EACH) {
+  if (list->form == SCHEMA_EACH) {
     return add_each(q, list->name, value, single);
   }
   if (!http_value_given(value)) {
-    return list->rule != NULL || fail(q, bad(list->name, "a list: it has to be given"));
+    return list->when.name != NULL || fail(q, bad(list->name, "a list: it has to be given"));
   }
-  if (list->kind == HTTP_SETS) {
+  if (list->form == SCHEMA_SETS) {
     return add_sets(q, list->name, value, count);
   }
   return http_value_count(value) == count
@@ -674,8 +708,9 @@ static bool add_positions(struct question *q) {
   if (all == NULL) {
     return false;
   }
-  for (size_t axis = 0; axis < GATHER_AXES; axis++) {
-    const char *name = q->message->lists[axis].name;
+  for (unsigned axis = 0; axis < GATHER_AXES; axis++) {
+    const char *name;
+    http_question_list(q->message->request, axis, &name);
     const struct http_value value = get(q, name);
     struct http_elements elements = http_elements_of(value);
     if (!http_value_given(value)) {
@@ -753,12 +788,15 @@ static bool add_points(struct question *q) {
 }
 
 static bool add_all_lists(struct question *q, bool single) {
-  if (q->message->lists[0].kind == HTTP_AXIS) {
+  const char *name;
+  const schema_part *part = http_question_list(q->message->request, 0, &name);
+  if (part != NULL && part->form == SCHEMA_POSITIONS) {
     return q->message->type == WIRE_TYPE_POINTS ? add_points(q) : add_positions(q);
   }
   bool good = true;
-  for (int i = 0; good && i < HTTP_LISTS && q->message->lists[i].name != NULL; i++) {
-    good = add_list(q, &q->message->lists[i], single);
+  for (unsigned i = 0; good && (part = http_question_list(q->message->request, i, &name)) != NULL;
+       i++) {
+    good = add_list(q, part, single && part->kind == SCHEMA_REAL);
   }
   return good;
 }
@@ -774,22 +812,24 @@ static bool read_deadline(struct question *q, uint32_t *deadline_ms) {
 
 /* Writes the whole payload. */
 static bool put_all(struct question *q, uint32_t *deadline_ms) {
-  const struct http_message *message = q->message;
+  const schema_payload *request = q->message->request;
+  const size_t medium_bytes = http_question_media(request) == 1 ? WIRE_BYTES_medium : 0;
+  const schema_field *fields;
   size_t offset = 0;
   bool single = false;
   bool good = check_keys(q) && read_deadline(q, deadline_ms) &&
-              (message->type != WIRE_TYPE_VARYING || check_pairs(q)) &&
-              add(q, bytes_of(message)) != NULL && add_media(q) && add_parameters(q) &&
-              add_reference(q);
-  for (int i = 0; good && i < HTTP_STRUCTURES && message->request[i] != NULL; i++) {
-    good = put_fixed(q, message->request[i], &offset, &single);
+              (q->message->type != WIRE_TYPE_VARYING || check_pairs(q)) &&
+              add(q, request->fixed_bytes - medium_bytes) != NULL && add_media(q) &&
+              add_parameters(q) && add_reference(q);
+  for (unsigned i = 0; good && (fields = http_question_fields(request, i)) != NULL; i++) {
+    good = put_fixed(q, fields, &offset, &single);
   }
   return good && add_all_lists(q, single);
 }
 
-wire_error http_question_translate(const struct http_message *message,
-                                   const struct http_values *values, struct http_text *payload,
-                                   size_t bytes_max, uint32_t *deadline_ms, bool *g_is_default) {
+wire_error http_question_translate(const schema_message *message, const struct http_values *values,
+                                   struct http_text *payload, size_t bytes_max,
+                                   uint32_t *deadline_ms, bool *g_is_default) {
   struct question q = {
       .message = message, .values = values, .payload = payload, .bytes_max = bytes_max};
   *deadline_ms = 0;

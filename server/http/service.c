@@ -5,7 +5,6 @@
 #include <unistd.h>
 
 #include "server/http/connection.h"
-#include "server/http/fields.h"
 #include "server/net/tcp.h"
 #include "server/net/worker.h"
 #include "server/observe/log.h"
@@ -145,7 +144,6 @@ struct http_service *http_service_open(struct server *server, struct worker *wor
       .worker = worker,
       .buffers = {.most = server->options.max_total_bytes / 2, .whole = &server->buffers},
       .service = &service->client};
-  http_fields_init();
   service->count = http_library_listen("http", server->options.http, fds);
   bool good = service->count > 0;
   for (size_t i = 0; i < service->count; i++) {

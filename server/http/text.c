@@ -180,19 +180,11 @@ void http_text_number(struct http_text *text, const char *key, double value) {
   }
 }
 
-struct http_key http_key_of(const char *name) {
-  struct http_key key = {.text = ""};
-  const int length = snprintf(key.text, sizeof key.text, ",\"%s\":", name);
-  assert(length > 0 && (size_t)length < sizeof key.text);
-  key.count = (size_t)length;
-  return key;
-}
-
-void http_text_number_at(struct http_text *text, const struct http_key *key, double value) {
-  char *at = room(text, HTTP_KEY_BYTES + DECIMAL_BYTES);
+void http_text_field(struct http_text *text, const schema_field *field, double value) {
+  char *at = room(text, (size_t)field->key_bytes + DECIMAL_BYTES);
   if (at != NULL) {
-    memcpy(at, key->text + !text->filled, HTTP_KEY_BYTES - 1);
-    at += key->count - !text->filled;
+    memcpy(at, field->key + !text->filled, (size_t)field->key_bytes - !text->filled);
+    at += field->key_bytes - !text->filled;
     text->filled = true;
     end_value(text, at + write_number(value, at));
   }

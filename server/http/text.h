@@ -2,6 +2,7 @@
 #ifndef DIPOLED_HTTP_TEXT_H
 #define DIPOLED_HTTP_TEXT_H
 
+#include "proto/schema.h"
 #include "server/server.h"
 
 struct http_text {
@@ -11,13 +12,6 @@ struct http_text {
   size_t capacity;
   bool failed; /* whether there was no memory; what was written since is lost */
   bool filled; /* whether the innermost object or array is not empty */
-};
-
-/* A key as it stands in the text: a comma, the key in quotes and a colon. */
-enum { HTTP_KEY_BYTES = 40 };
-struct http_key {
-  char text[HTTP_KEY_BYTES];
-  size_t count;
 };
 
 void http_text_init(struct http_text *text, struct budget *budget);
@@ -46,14 +40,11 @@ void http_text_begin(struct http_text *text, const char *key, char bracket);
 void http_text_end(struct http_text *text, char bracket);
 void http_text_string(struct http_text *text, const char *key, const char *string);
 void http_text_number(struct http_text *text, const char *key, double value);
-void http_text_number_at(struct http_text *text, const struct http_key *key, double value);
+void http_text_field(struct http_text *text, const schema_field *field, double value);
 void http_text_numbers(struct http_text *text, const char *key, const void *values, uint64_t count,
                        bool single); /* values: float if `single`, else double */
 void http_text_count(struct http_text *text, const char *key, uint64_t value);
 void http_text_bool(struct http_text *text, const char *key, bool value);
-
-/* Makes a key of a name, which is short and needs no escapes. */
-struct http_key http_key_of(const char *name);
 
 /* Writes a value that is JSON already. */
 void http_text_raw(struct http_text *text, const char *key, const char *json);

@@ -84,6 +84,12 @@ void batch_finish(struct batch *batch, struct stats *stats) {
 
 /* ---- finding repeated requests --------------------------------------------------------------- */
 
+/* The size of an eval request of one medium up to its radii. */
+static size_t bytes_before_radii(const wire_eval_request *fixed) {
+  return WIRE_BYTES_eval_request + WIRE_BYTES_medium +
+         fixed->parameter_count * (size_t)WIRE_BYTES_parameter;
+}
+
 /* Returns the size of an eval request up to its radii, or 0 if it is a request that repeat_learn()
  * never remembers. */
 static size_t start_bytes(const uint8_t *payload, size_t payload_bytes) {
@@ -92,10 +98,9 @@ static size_t start_bytes(const uint8_t *payload, size_t payload_bytes) {
   }
   wire_eval_request fixed;
   wire_get_eval_request(payload, &fixed);
-  const uint64_t bytes = eval_request_bytes(fixed.medium_count, fixed.parameter_count, 0);
-  return fixed.medium_count == 1 && bytes <= REPEAT_REQUEST_BYTES && bytes <= payload_bytes
-             ? (size_t)bytes
-             : 0;
+  const size_t bytes = bytes_before_radii(&fixed);
+  return fixed.medium_count == 1 && bytes <= REPEAT_REQUEST_BYTES && bytes <= payload_bytes ? bytes
+                                                                                            : 0;
 }
 
 /* Returns a hash of a request up to its radii. It mixes words of 8 bytes as server/store/cache.c
@@ -216,7 +221,7 @@ static bool can_repeat(const wire_eval_request *fixed, const eval_layout *layout
          fixed->radius_count <= BATCH_SHORT_RADII && layout->arrays_per_channel > 0 &&
          (fixed->wanted & (CORE_QUANTITY_RADIUS | CORE_QUANTITY_S | CORE_QUANTITY_MODEL_ERROR |
                            CORE_QUANTITY_MODEL_ERRORS)) == 0 &&
-         eval_request_bytes(1, fixed->parameter_count, 0) <= REPEAT_REQUEST_BYTES &&
+         bytes_before_radii(fixed) <= REPEAT_REQUEST_BYTES &&
          layout->arrays_offset <= REPEAT_REPLY_BYTES && profiles_at(place) != NULL;
 }
 
@@ -241,7 +246,7 @@ void repeat_learn(struct repeat *repeat, const eval_request *request, const core
     return;
   }
   const uint8_t *payload = request->media - WIRE_BYTES_eval_request;
-  const size_t bytes = (size_t)eval_request_bytes(1, fixed->parameter_count, 0);
+  const size_t bytes = bytes_before_radii(fixed);
   const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
   const size_t listed = request->radii != NULL ? (size_t)fixed->radius_count * value_bytes : 0;
   struct repeat_entry *entry = make_room(repeat, payload, bytes);

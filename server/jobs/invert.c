@@ -64,7 +64,10 @@ static wire_error check_media(const invert_request *request) {
 static void cut(struct invert_job *invert, const struct options *options) {
   const uint64_t count = invert->request.fixed.medium_count;
   const bool fits = invert_reply_bytes(count) <= options->max_frame_bytes;
-  job_parts_cut(&invert->parts, count, fits ? count : invert_part_media(options->max_part_bytes));
+  const wire_invert_reply none = {.count = 0};
+  job_parts_cut(&invert->parts, count,
+                fits ? count
+                     : schema_part_values(&schema_invert_reply, &none, 1, options->max_part_bytes));
 }
 
 static wire_error check(struct invert_job *invert, const struct job_request *from) {

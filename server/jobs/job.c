@@ -8,7 +8,7 @@
 
 const struct job_kind *job_kind_of(unsigned type) {
   switch (type) {
-#define WIRE_MESSAGE(type, IDENT, name)                                                            \
+#define WIRE_MESSAGE(type, IDENT, name, ...)                                                            \
   case type:                                                                                       \
     return &job_kind_##IDENT;
 #include "proto/messages.def"

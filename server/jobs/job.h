@@ -210,7 +210,7 @@ wire_error job_bad_length(const char *allowed);
 /* Makes the error TOO_LARGE, whose `allowed` is the text "at most MOST WHAT". */
 wire_error job_too_large(const char *field, uint64_t most, const char *what);
 
-#define WIRE_MESSAGE(type, IDENT, name) extern const struct job_kind job_kind_##IDENT;
+#define WIRE_MESSAGE(type, IDENT, name, ...) extern const struct job_kind job_kind_##IDENT;
 #include "proto/messages.def"
 
 #endif

@@ -189,17 +189,17 @@ static void take_reading(const uint16_t image[REGISTERS_END], unsigned index, bo
 static size_t put_fit(const uint16_t image[REGISTERS_END], uint8_t *question) {
   const core_parameters parameters = parameters_of(image);
   const unsigned count = registers_u16(image, REGISTERS_AT_FIT_READING_COUNT);
-  const wire_fit_request request = {.set_count = 1, .residuals = 1};
-  const wire_fit_design fixed = {
-      .model = registers_u16(image, REGISTERS_AT_MODEL),
-      .moments = registers_u16(image, REGISTERS_AT_MOMENTS),
-      .axis = registers_u16(image, REGISTERS_AT_FIT_AXIS),
-      .scale = registers_u16(image, REGISTERS_AT_FIT_SCALE),
-      .reading_count = count,
-      .parameter_count = (uint16_t)channels_count_parameters(&parameters),
-      .g = registers_number(image, REGISTERS_AT_G),
-      .eta = registers_number(image, REGISTERS_AT_ETA),
-  };
+  const fit_start start = {{.set_count = 1, .residuals = 1},
+                           {
+                               .model = registers_u16(image, REGISTERS_AT_MODEL),
+                               .moments = registers_u16(image, REGISTERS_AT_MOMENTS),
+                               .axis = registers_u16(image, REGISTERS_AT_FIT_AXIS),
+                               .scale = registers_u16(image, REGISTERS_AT_FIT_SCALE),
+                               .reading_count = count,
+                               .parameter_count = (uint16_t)channels_count_parameters(&parameters),
+                               .g = registers_number(image, REGISTERS_AT_G),
+                               .eta = registers_number(image, REGISTERS_AT_ETA),
+                           }};
   double at[REGISTERS_FIT_READINGS_MAX];
   double source_mm[REGISTERS_FIT_READINGS_MAX], detector_mm[REGISTERS_FIT_READINGS_MAX];
   for (unsigned i = 0; i < count; i++) {
@@ -207,27 +207,26 @@ static size_t put_fit(const uint16_t image[REGISTERS_END], uint8_t *question) {
     source_mm[i] = registers_number(image, REGISTERS_AT_FIT_SOURCE);
     detector_mm[i] = registers_number(image, REGISTERS_AT_FIT_DETECTOR);
   }
-  const core_fit_design design = {
-      .count = count,
-      .at = at,
-      .source_mm = source_mm,
-      .detector_mm = detector_mm,
-      .scale = fixed.scale,
-      .reference = {registers_number(image, REGISTERS_AT_FIT_REFERENCE_SIGMA_A),
-                    registers_number(image, REGISTERS_AT_FIT_REFERENCE_SIGMA_S),
-                    registers_number(image, REGISTERS_AT_FIT_REFERENCE_G),
-                    registers_number(image, REGISTERS_AT_FIT_REFERENCE_ETA)},
-  };
-  uint8_t *to = fit_request_put(question, &request, &fixed);
-  to += channels_put_parameters(to, &parameters);
-  to = fit_places_put(to, &design);
+  const core_medium reference = {registers_number(image, REGISTERS_AT_FIT_REFERENCE_SIGMA_A),
+                                 registers_number(image, REGISTERS_AT_FIT_REFERENCE_SIGMA_S),
+                                 registers_number(image, REGISTERS_AT_FIT_REFERENCE_G),
+                                 registers_number(image, REGISTERS_AT_FIT_REFERENCE_ETA)};
+  schema_layout layout;
+  schema_lay_out(&schema_fit_request, &start, UINT64_MAX, &layout, NULL);
+  memcpy(question, &start, sizeof start);
+  channels_put_parameters(question + layout.parts[FIT_PARAMETERS].at, &parameters);
+  schema_put_part(question, &layout, FIT_REFERENCE, &reference);
+  schema_put_part(question, &layout, FIT_AT, at);
+  schema_put_part(question, &layout, FIT_SOURCE, source_mm);
+  schema_put_part(question, &layout, FIT_DETECTOR, detector_mm);
+  uint8_t *to = question + layout.parts[FIT_VALUES].at;
   for (unsigned i = 0; i < count; i++) {
     double reading[2];
-    take_reading(image, i, fixed.scale == CORE_FIT_SCALE_REFERENCE, reading);
+    take_reading(image, i, start.design.scale == CORE_FIT_SCALE_REFERENCE, reading);
     memcpy(to + i * sizeof(double), &reading[0], sizeof(double));
     memcpy(to + (count + i) * sizeof(double), &reading[1], sizeof(double));
   }
-  return (size_t)fit_request_bytes(&fixed, 1);
+  return (size_t)layout.payload_bytes;
 }
 
 size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image[REGISTERS_END],
@@ -288,7 +287,8 @@ static struct values radii_of(const uint8_t *question, const wire_eval_request *
                               double room[REGISTERS_RADII_MAX]) {
   const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
   if (fixed->spacing == CORE_SPACING_LIST) {
-    return (struct values){question + eval_request_bytes(1, fixed->parameter_count, 0),
+    return (struct values){question + WIRE_BYTES_eval_request + WIRE_BYTES_medium +
+                               fixed->parameter_count * WIRE_BYTES_parameter,
                            value_bytes};
   }
   const core_grid grid = {fixed->spacing, fixed->radius_count, fixed->radius_start,
@@ -510,11 +510,11 @@ static void take_mc(const uint8_t *question, const uint8_t *reply, size_t reply_
 /* Names the reading that is wrong. A ratio that is not finite was divided by a reference reading of
  * 0. */
 static wire_error wrong_reading(const uint8_t *question, const wire_fitted *fitted) {
-  wire_fit_design design;
   double asked;
-  wire_get_fit_design(question + WIRE_BYTES_fit_request, &design);
-  const size_t bytes = (size_t)fit_request_bytes(&design, 0); /* where the values begin */
-  memcpy(&asked, question + bytes + fitted->index * sizeof asked, sizeof asked);
+  schema_layout layout;
+  schema_lay_out(&schema_fit_request, question, UINT64_MAX, &layout, NULL);
+  memcpy(&asked, question + layout.parts[FIT_VALUES].at + fitted->index * sizeof asked,
+         sizeof asked);
   const bool value = fitted->field == 1;
   wire_error error;
   if (value && !isfinite(asked)) {

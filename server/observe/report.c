@@ -84,7 +84,7 @@ static void report_list(const struct reporter *to) {
 static void report_requests(const struct reporter *to) {
   static const struct report_family family = {"requests", REPORT_COUNTER,
                                               "requests received, by message"};
-#define WIRE_MESSAGE(type, IDENT, name)                                                            \
+#define WIRE_MESSAGE(type, IDENT, name, ...)                                                            \
   report(to, "requests_" name, &family, "_total", "message=\"" name "\"",                          \
          counted(to, STATS_REQUESTS_##IDENT));
 #include "proto/messages.def"

@@ -4,7 +4,7 @@ _Thread_local unsigned stats_shard;
 
 void stats_count_request(struct stats *stats, unsigned type) {
   switch (type) {
-#define WIRE_MESSAGE(type, IDENT, name)                                                            \
+#define WIRE_MESSAGE(type, IDENT, name, ...)                                                            \
   case type:                                                                                       \
     stats_add(stats, STATS_REQUESTS_##IDENT, 1);                                                   \
     break;

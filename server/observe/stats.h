@@ -13,7 +13,7 @@ enum { STATS_BATCH_SIZES = 10 };
 enum stats_index {
 #define SERVER_STATISTIC(IDENT, name, type, help) STATS_##IDENT,
 #include "server/observe/stats.def"
-#define WIRE_MESSAGE(type, IDENT, name) STATS_REQUESTS_##IDENT,
+#define WIRE_MESSAGE(type, IDENT, name, ...) STATS_REQUESTS_##IDENT,
 #include "proto/messages.def"
 #define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text) STATS_ANSWERS_##IDENT,
 #include "proto/statuses.def"

@@ -8,7 +8,6 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
-#include "server/http/fields.h"
 #include "server/jobs/mc_pool.h"
 #include "server/observe/log.h"
 
@@ -33,7 +32,6 @@ void fuzz_daemon_start(void) {
                                 fuzz_server.options.points_bytes,
                                 fuzz_server.options.max_waiting_profiles, &fuzz_server.stats);
   fuzz_server.mc = mc_pool_new(&fuzz_server);
-  http_fields_init();
   CHECK(worker_open(&fuzz_worker, &fuzz_server) == 0);
   stats_claim(1);
 }

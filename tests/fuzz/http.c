@@ -2,50 +2,20 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "proto/fit.h"
-#include "proto/invert.h"
-#include "proto/sample.h"
-#include "proto/table.h"
-#include "proto/varying.h"
 #include "server/http/answer.h"
 #include "server/http/question.h"
 #include "tests/fuzz/daemon.h"
 
 enum { BRACKETS = 1000, PAYLOAD = 65536, BODY = 1, MESSAGES_AT = 2 };
 
-static const struct http_message *choose(unsigned number) {
-  size_t count = 0;
-  while (http_messages[count].type != 0) {
-    count++;
+/* Returns a message that HTTP has. */
+static const schema_message *choose(unsigned number) {
+  const schema_message *message = schema_messages;
+  for (unsigned i = 0; i < number || message->about == NULL;) {
+    i += message->about != NULL;
+    message = message[1].type != 0 ? message + 1 : schema_messages;
   }
-  return &http_messages[number % count];
-}
-
-/* Parses a payload as the daemon does. */
-static wire_error parse(const struct http_message *message, const uint8_t *payload, size_t bytes) {
-  eval_request eval;
-  core_draw draw;
-  invert_request invert;
-  fit_request fit;
-  table_request table;
-  varying_request varying;
-  switch (message->type) {
-  case WIRE_TYPE_EVAL:
-  case WIRE_TYPE_OFFERS:
-    return eval_request_parse(payload, bytes, &eval);
-  case WIRE_TYPE_SAMPLE:
-    return sample_request_parse(payload, bytes, &draw, &eval);
-  case WIRE_TYPE_INVERT:
-    return invert_request_parse(payload, bytes, &invert);
-  case WIRE_TYPE_FIT:
-    return fit_request_parse(payload, bytes, &fit);
-  case WIRE_TYPE_TABLE:
-    return table_request_parse(payload, bytes, &table);
-  case WIRE_TYPE_VARYING:
-    return varying_request_parse(payload, bytes, &varying);
-  default:
-    fuzz_fail("http: a message without a parser\n");
-  }
+  return message;
 }
 
 /* Writes an error, and checks that it is JSON and names what is allowed. */
@@ -66,7 +36,7 @@ void fuzz_http(const uint8_t *data, size_t size) {
     return;
   }
   const bool is_body = (data[0] & BODY) != 0;
-  const struct http_message *message = choose(data[1]);
+  const schema_message *message = choose(data[1]);
   const uint64_t before = atomic_load(&fuzz_server.buffers.bytes);
   wire_error error = wire_error_none();
   struct http_text payload;
@@ -88,7 +58,8 @@ void fuzz_http(const uint8_t *data, size_t size) {
   if (error.status == WIRE_STATUS_OK) {
     CHECK(payload.count % WIRE_ALIGNMENT == 0 && payload.count <= PAYLOAD);
     uint8_t *copy = fuzz_copy((const uint8_t *)payload.bytes, payload.count);
-    error = parse(message, copy, payload.count);
+    schema_layout layout;
+    error = schema_check(message->request, copy, payload.count, &layout);
     free(copy);
   }
   if (error.status != WIRE_STATUS_OK) {

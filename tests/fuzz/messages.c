@@ -84,8 +84,7 @@ static void decode_eval(const uint8_t *payload, size_t size) {
     const wire_eval_request *fixed = &request.fixed;
     const uint64_t listed = fixed->spacing == CORE_SPACING_LIST ? fixed->radius_count : 0;
     check_lists(&request, payload, size, listed);
-    CHECK(eval_request_bytes(fixed->medium_count, fixed->parameter_count,
-                             listed * core_evaluator_bytes(fixed->evaluator)) == size);
+    CHECK(schema_bytes(&schema_eval_request, payload) == size);
     uint8_t again[WIRE_BYTES_eval_request];
     wire_put_eval_request(again, fixed);
     CHECK(memcmp(again, payload, sizeof again) == 0);
@@ -99,8 +98,7 @@ static void decode_sample(const uint8_t *payload, size_t size) {
   if (is_good(&error)) {
     const uint64_t listed = draw.rule == CORE_DRAW_LIST ? draw.count : 0;
     check_lists(&request, payload, size, listed);
-    CHECK(sample_request_bytes(request.fixed.medium_count, request.fixed.parameter_count,
-                               listed * core_evaluator_bytes(request.fixed.evaluator)) == size);
+    CHECK(schema_bytes(&schema_sample_request, payload) == size);
   }
 }
 
@@ -111,7 +109,7 @@ static void decode_invert(const uint8_t *payload, size_t size) {
     const uint64_t bytes = request.fixed.medium_count * sizeof(double);
     read_array(payload, size, (uint64_t)((const uint8_t *)request.albedos - payload), bytes);
     read_array(payload, size, (uint64_t)((const uint8_t *)request.lengths - payload), bytes);
-    CHECK(invert_request_bytes(request.fixed.medium_count) == size);
+    CHECK(schema_bytes(&schema_invert_request, payload) == size);
   }
 }
 
@@ -125,19 +123,24 @@ static void decode_fit(const uint8_t *payload, size_t size) {
   const uint64_t numbers = request.fixed.set_count * request.design.reading_count * sizeof(double);
   read_array(payload, size, (uint64_t)((const uint8_t *)request.values - payload), numbers);
   read_array(payload, size, (uint64_t)((const uint8_t *)request.errors - payload), numbers);
-  CHECK(fit_request_bytes(&request.design, request.fixed.set_count) == size);
+  CHECK(schema_bytes(&schema_fit_request, payload) == size);
   fit_design read;
   fit_design_read(request.design_bytes, &read);
   if (read.design.detector_na != 0) { /* a parameter on the wire, where 0 is one, too */
     const double aperture = read.design.detector_na;
     read.parameters.value[CORE_PARAMETER_DETECTOR_NA] = isnan(aperture) ? 0 : aperture;
   }
+  schema_layout layout;
   uint8_t *again = malloc(size);
-  CHECK(again != NULL);
-  uint8_t *at = fit_request_put(again, &request.fixed, &request.design);
-  at += channels_put_parameters(at, &read.parameters);
-  at = fit_places_put(at, &read.design);
-  CHECK((size_t)(at - again) == size - 2 * (size_t)numbers);
+  CHECK(again != NULL && schema_is_whole(&schema_fit_request, payload, size, &layout));
+  memcpy(again, payload, WIRE_BYTES_fit_request + WIRE_BYTES_fit_design);
+  channels_put_parameters(again + layout.parts[FIT_PARAMETERS].at, &read.parameters);
+  schema_put_part(again, &layout, FIT_REFERENCE, &read.design.reference);
+  schema_put_part(again, &layout, FIT_AT, read.design.at);
+  schema_put_part(again, &layout, FIT_SOURCE, read.design.source_mm);
+  schema_put_part(again, &layout, FIT_DETECTOR, read.design.detector_mm);
+  schema_put_part(again, &layout, FIT_VALUES, request.values);
+  CHECK(schema_put_part(again, &layout, FIT_ERRORS, request.errors) == again + size);
   free(again);
 }
 
@@ -146,8 +149,9 @@ static void decode_mc(const uint8_t *payload, size_t size) {
   const wire_error error = mc_request_parse(payload, size, &request);
   if (is_good(&error)) {
     CHECK(request.fixed.albedo_count <= CORE_MC_ALBEDOS_MAX);
-    CHECK(mc_request_bytes(request.fixed.albedo_count,
-                           channels_count_parameters(&request.parameters)) == size);
+    CHECK(schema_bytes(&schema_mc_request, payload) +
+              channels_count_parameters(&request.parameters) * (uint64_t)WIRE_BYTES_parameter ==
+          size);
   }
 }
 
@@ -156,7 +160,7 @@ static void decode_table(const uint8_t *payload, size_t size) {
   const wire_error error = table_request_parse(payload, size, &request);
   if (is_good(&error)) {
     check_parameters(&request.parameters, request.fixed.parameter_count);
-    CHECK(table_request_bytes(request.fixed.parameter_count) == size);
+    CHECK(schema_bytes(&schema_table_request, payload) == size);
   }
 }
 
@@ -259,7 +263,7 @@ static void decode_points(const uint8_t *payload, size_t size) {
              fixed->part_points * GATHER_AXES * sizeof(double));
   read_array(payload, size, (uint64_t)((const uint8_t *)request.power - payload),
              fixed->part_points * fixed->channel_count * sizeof(float));
-  CHECK(points_request_bytes(fixed->channel_count, fixed->part_points) == size);
+  CHECK(schema_bytes(&schema_points_request, payload) == size);
 }
 
 static void decode_gather(const uint8_t *payload, size_t size) {
@@ -274,8 +278,7 @@ static void decode_gather(const uint8_t *payload, size_t size) {
   read_array(payload, size, (uint64_t)((const uint8_t *)request.queries - payload),
              fixed->query_count * GATHER_AXES * sizeof(double));
   check_parameters(&request.parameters, fixed->parameter_count);
-  CHECK(gather_request_bytes(fixed->medium_count, fixed->parameter_count, fixed->query_count) ==
-        size);
+  CHECK(schema_bytes(&schema_gather_request, payload) == size);
 }
 
 bool fuzz_decode_points_reply(const uint8_t *payload, size_t size) {

@@ -70,8 +70,7 @@ static void assert_list_parsed(unsigned evaluator, uint32_t media, size_t count)
   const wire_eval_request fixed = request_of(evaluator, media, CORE_SPACING_LIST, count);
   build(&payload, &fixed, media, count);
   assert_int_equal(parse(&payload, &request).status, WIRE_STATUS_OK);
-  assert_int_equal(payload.length,
-                   eval_request_bytes(media, 0, count * core_evaluator_bytes(evaluator)));
+  assert_int_equal(payload.length, schema_bytes(&schema_eval_request, &fixed));
   assert_memory_equal(&request.fixed, &fixed, sizeof fixed);
   for (uint32_t i = 0; i < media; i++) {
     wire_medium medium;
@@ -107,7 +106,7 @@ UNIT_TEST(grids_are_taken_apart) {
     assert_null(request.radii);
     assert_ptr_equal(request.media, payload.bytes + WIRE_BYTES_eval_request);
     assert_true(request.fixed.radius_count == UINT64_MAX);
-    assert_int_equal(payload.length, eval_request_bytes(3, 0, 0));
+    assert_int_equal(payload.length, schema_bytes(&schema_eval_request, &fixed));
   }
 }
 
@@ -155,7 +154,7 @@ UNIT_TEST(parameters_are_taken_apart) {
                                        .value = i == 0 ? INFINITY : -0.25 * (double)i};
     }
     build_with_parameters(&payload, parameters, count);
-    assert_int_equal(payload.length, eval_request_bytes(2, (uint32_t)count, 3 * sizeof(float)));
+    assert_int_equal(payload.length, schema_bytes(&schema_eval_request, payload.bytes));
     assert_int_equal(parse(&payload, &request).status, WIRE_STATUS_OK);
     for (size_t i = 0; i < all; i++) {
       const double value = request.parameters.value[core_parameter_list[all - 1 - i].id];

@@ -11,26 +11,31 @@ enum { PAYLOAD_MAX = 8192 };
 
 /* Writes a request whose values and errors are 1, 2, 3, ... Returns its bytes. */
 static size_t build(uint8_t *payload, const core_fit_design *design, uint64_t set_count) {
-  const wire_fit_request request = {.set_count = set_count, .residuals = 1};
-  const wire_fit_design fixed = {.model = CORE_MODEL_BETTER,
-                                 .moments = CORE_MOMENTS_EXACT,
-                                 .axis = CORE_FIT_AXIS_RADIUS,
-                                 .scale = (uint16_t)design->scale,
-                                 .reading_count = (uint32_t)design->count,
-                                 .parameter_count = 2,
-                                 .g = 0.5,
-                                 .eta = 1.4};
+  const fit_start start = {{.set_count = set_count, .residuals = 1},
+                           {.model = CORE_MODEL_BETTER,
+                            .moments = CORE_MOMENTS_EXACT,
+                            .axis = CORE_FIT_AXIS_RADIUS,
+                            .scale = (uint16_t)design->scale,
+                            .reading_count = (uint32_t)design->count,
+                            .parameter_count = 2,
+                            .g = 0.5,
+                            .eta = 1.4}};
   core_parameters parameters = core_parameters_none();
   parameters.value[CORE_PARAMETER_TOLERANCE] = 0.25;
   parameters.value[CORE_PARAMETER_DETECTOR_NA] = 0.22;
-  uint8_t *at = fit_request_put(payload, &request, &fixed);
-  at += channels_put_parameters(at, &parameters);
-  at = fit_places_put(at, design);
+  schema_layout layout;
+  schema_lay_out(&schema_fit_request, &start, UINT64_MAX, &layout, NULL);
+  memcpy(payload, &start, sizeof start);
+  channels_put_parameters(payload + layout.parts[FIT_PARAMETERS].at, &parameters);
+  schema_put_part(payload, &layout, FIT_REFERENCE, &design->reference);
+  schema_put_part(payload, &layout, FIT_AT, design->at);
+  schema_put_part(payload, &layout, FIT_SOURCE, design->source_mm);
+  uint8_t *at = schema_put_part(payload, &layout, FIT_DETECTOR, design->detector_mm);
   for (uint64_t i = 0; i < 2 * set_count * design->count; i++) {
     const double number = (double)(i + 1);
     memcpy(at + i * sizeof number, &number, sizeof number);
   }
-  return (size_t)fit_request_bytes(&fixed, set_count);
+  return (size_t)layout.payload_bytes;
 }
 
 UNIT_TEST(requests_are_taken_apart) {

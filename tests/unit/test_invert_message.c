@@ -18,7 +18,7 @@ static size_t build(uint8_t *payload, uint64_t count) {
     const double number = 1.0 / (double)(i + 1);
     memcpy(payload + WIRE_BYTES_invert_request + i * sizeof number, &number, sizeof number);
   }
-  return (size_t)invert_request_bytes(count);
+  return (size_t)schema_bytes(&schema_invert_request, &fixed);
 }
 
 UNIT_TEST(requests_are_taken_apart) {
@@ -39,6 +39,7 @@ UNIT_TEST(requests_are_taken_apart) {
 
 UNIT_TEST(replies_have_three_arrays) {
   uint8_t payload[PAYLOAD_MAX] = {0};
+  const wire_invert_reply none = {.count = 0};
   for (uint64_t count = 0; count < 20; count++) {
     const wire_invert_reply fixed = {.part_count = 1, .count = count};
     const size_t whole = (size_t)invert_reply_bytes(count);
@@ -51,10 +52,10 @@ UNIT_TEST(replies_have_three_arrays) {
     for (size_t bytes = 0; bytes < whole + 48; bytes++) {
       assert_int_equal(invert_reply_parse(payload, bytes, &got), bytes == whole);
     }
-    assert_int_equal(invert_part_media(whole), count);
-    assert_int_equal(invert_part_media(whole + 23), count);
+    assert_int_equal(schema_part_values(&schema_invert_reply, &none, 1, whole), count);
+    assert_int_equal(schema_part_values(&schema_invert_reply, &none, 1, whole + 23), count);
   }
-  assert_int_equal(invert_part_media(0), 0);
+  assert_int_equal(schema_part_values(&schema_invert_reply, &none, 1, 0), 0);
 }
 
 UNIT_TEST(replies_that_contradict_themselves_are_refused) {

@@ -53,7 +53,7 @@ UNIT_TEST(requests_are_taken_apart) {
       core_draw made;
       eval_request request;
       const size_t bytes = build(payload, &of);
-      assert_int_equal(bytes, sample_request_bytes(2, 1, of.listed * sizeof(float)));
+      assert_int_equal(bytes, schema_bytes(&schema_sample_request, &of.fixed));
       assert_int_equal(sample_request_parse(payload, bytes, &made, &request).status,
                        WIRE_STATUS_OK);
       assert_true(made.rule == draw && made.count == count);

@@ -164,7 +164,7 @@ UNIT_TEST(statuses_and_types_have_names) {
   assert_string_equal(wire_status_text(code), text);
 #include "proto/statuses.def"
 #undef WIRE_STATUS
-#define WIRE_MESSAGE(type, IDENT, name)                                                            \
+#define WIRE_MESSAGE(type, IDENT, name, ...)                                                            \
   assert_string_equal(wire_type_name(type), name);                                                 \
   assert_string_equal(wire_type_name((type) | WIRE_REPLY), name);
 #include "proto/messages.def"

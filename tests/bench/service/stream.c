@@ -28,7 +28,7 @@ enum { BEGIN = 'b', PAUSED = 'p' };
 
 static size_t make_request(uint8_t *at) {
   const core_medium *medium = &core_measured_medium_by_name("skin1")->channel[0];
-  const size_t payload_bytes = (size_t)eval_request_bytes(1, 0, 0);
+  const size_t payload_bytes = WIRE_BYTES_eval_request + WIRE_BYTES_medium;
   const wire_header header = {
       .magic = WIRE_MAGIC,
       .version = WIRE_VERSION,

@@ -107,7 +107,7 @@ static void put_request(const struct target *target, size_t variant, size_t n, c
   wire_put_header(at, &header);
   wire_put_eval_request(at + WIRE_BYTES_header, &fixed);
   wire_put_medium(at + WIRE_BYTES_header + WIRE_BYTES_eval_request, &channel);
-  memcpy(at + WIRE_BYTES_header + eval_request_bytes(1, 0, 0), r, n * sizeof *r);
+  memcpy(at + WIRE_BYTES_header + WIRE_BYTES_eval_request + WIRE_BYTES_medium, r, n * sizeof *r);
 }
 
 static void put_reply(const struct target *target, size_t variant, size_t n, const float *r) {
@@ -148,7 +148,8 @@ void target_make_eval(struct target *target, size_t n) {
       .name = "dipoled",
       .framed = true,
       .variants = small ? SMALL_VARIANTS : 1,
-      .request_bytes = WIRE_BYTES_header + (size_t)eval_request_bytes(1, 0, bytes),
+      .request_bytes = WIRE_BYTES_header + WIRE_BYTES_eval_request + WIRE_BYTES_medium +
+                       (size_t)wire_padded(bytes),
       .reply_bytes = WIRE_BYTES_header + (size_t)layout.payload_bytes,
       .values_from = WIRE_BYTES_header + (size_t)layout.arrays_offset,
       .check_every = small ? 1 : CHECK_LARGE_EVERY,
@@ -215,8 +216,7 @@ void target_make_varying(struct target *target, const core_varying *varying, siz
       .name = "dipoled",
       .framed = true,
       .variants = 1,
-      .request_bytes =
-          WIRE_BYTES_header + (size_t)varying_request_bytes(0, CORE_EVALUATOR_F32, 3, n),
+      .request_bytes = WIRE_BYTES_header + (size_t)schema_bytes(&schema_varying_request, &fixed),
       .reply_bytes = WIRE_BYTES_header + (size_t)layout.payload_bytes,
       .values_from = WIRE_BYTES_header + WIRE_BYTES_varying_reply,
       .check_every = CHECK_LARGE_EVERY,

@@ -1,0 +1,186 @@
+/* schema: the messages, structures and payloads of messages.def as tables, and what walks over them:
+ * checks of requests, and the offsets and lengths of what follows a structure.
+ *
+ * The functions never read past the bytes that they are given, and no count overflows. They allocate
+ * nothing. */
+#ifndef DIPOLED_PROTO_SCHEMA_H
+#define DIPOLED_PROTO_SCHEMA_H
+
+#include "core/core.h"
+#include "proto/wire.h"
+
+/* Arrays are used in place, so this machine must be little-endian like the protocol. */
+_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays need swapping");
+
+/* ---- fields ---------------------------------------------------------------------------------- */
+
+enum schema_kind {
+  SCHEMA_NONE,
+  SCHEMA_u8,
+  SCHEMA_u16,
+  SCHEMA_u32,
+  SCHEMA_u64,
+  SCHEMA_f32,
+  SCHEMA_f64,
+  SCHEMA_text,
+  SCHEMA_REAL, /* of parts: a number in the precision of the evaluator */
+  SCHEMA_LIST, /* of parts: a structure */
+};
+
+/* A field of a structure. messages.def says what its attributes mean. */
+typedef struct schema_field {
+  const char *name; /* NULL ends a list of fields */
+  const char *key;  /* as it stands in JSON: a comma, the name in quotes and a colon */
+  uint8_t key_bytes;
+  enum schema_kind kind;
+  unsigned count; /* how many values, or bytes of text */
+  const char *meaning;
+  const char *unit;        /* NULL: none */
+  const core_choice *list; /* what the field chooses from; NULL: it is a number */
+  bool bits;               /* its value is a sum of entries of the list */
+  bool or_zero, hidden, required;
+  bool spans, ranged; /* least and most hold; they are checked */
+  double least, most;
+  double too_large;      /* 0: any value is small enough */
+  uint16_t status;       /* of a value that is out of range */
+  const char *allowed;   /* NULL: made from the range */
+  const char *zero_with; /* the field with which this one has to be 0; NULL: none */
+  uint16_t zero_at;
+  const char *zero_text;
+  double usual;
+} schema_field;
+
+/* Returns the name of a kind, as messages.def has it. */
+const char *schema_kind_name(enum schema_kind kind);
+
+/* Returns the bytes of all values of a field. */
+size_t schema_field_bytes(const schema_field *field);
+
+/* Returns whether a field names content by its hash, two numbers; in JSON it is one text. */
+static inline bool schema_is_name(const schema_field *field) {
+  return field->kind == SCHEMA_u64 && field->count == 2;
+}
+
+typedef struct schema_structure {
+  const char *name;
+  const schema_field *fields;
+  size_t bytes;
+} schema_structure;
+
+/* The structures: schema_structures[SCHEMA_STRUCTURE_medium] and so on. */
+enum {
+#define WIRE_STRUCTURE(name) SCHEMA_STRUCTURE_##name,
+#include "proto/messages.def"
+  SCHEMA_STRUCTURES
+};
+extern const schema_structure schema_structures[SCHEMA_STRUCTURES];
+
+/* ---- payloads -------------------------------------------------------------------------------- */
+
+/* A number in the first structures, or how many of its bits are in a mask. */
+typedef struct schema_number {
+  const char *name; /* NULL: the number 1 */
+  uint16_t offset;
+  uint8_t bytes;
+  uint32_t mask; /* 0: the number itself */
+} schema_number;
+
+/* How JSON gives a list of numbers. */
+enum schema_form {
+  SCHEMA_GIVEN,     /* has to be given, unless a rule can make it */
+  SCHEMA_ZEROS,     /* without it, all its numbers are 0 */
+  SCHEMA_EACH,      /* may be one number for all; which lists are given is checked elsewhere */
+  SCHEMA_SETS,      /* a list, or a list of lists: one for each set */
+  SCHEMA_POSITIONS, /* x, y and z, each a list, or one number for all */
+  SCHEMA_CHANNELS,  /* a list, or a list of lists: one for each channel; each may be one number */
+};
+
+enum { SCHEMA_FACTORS = 3, SCHEMA_PARTS = 8 };
+
+/* What follows the first structures, or what follows another part. */
+typedef struct schema_part {
+  const char *name;   /* in JSON, and in errors */
+  const char *plural; /* in errors */
+  enum schema_kind kind;
+  const schema_structure *structure; /* of SCHEMA_LIST */
+  schema_number evaluator;           /* of SCHEMA_REAL */
+  schema_number count[SCHEMA_FACTORS], arrays[SCHEMA_FACTORS];
+  unsigned times, more; /* times 0: 1 */
+  schema_number when;   /* of a part that is not always there: when.name is not NULL */
+  uint64_t is;
+  bool unless, never, exact, rest;
+  enum schema_form form;
+  const char *about; /* NULL: JSON has no list of this name */
+  const char *unit;  /* NULL: none */
+} schema_part;
+
+typedef struct schema_payload {
+  const char *name;
+  const schema_structure *structures[2]; /* the second one may be NULL, or both */
+  const schema_part *parts;              /* the last one has the name NULL */
+  size_t fixed_bytes;                    /* of the structures */
+} schema_payload;
+
+/* The payloads: schema_eval_request and so on. */
+#define WIRE_PAYLOAD(name, ...) extern const schema_payload schema_##name;
+#include "proto/messages.def"
+extern const schema_payload schema_nothing;
+
+typedef struct schema_message {
+  unsigned type; /* enum wire_type; 0 ends the list */
+  const char *name;
+  const schema_payload *request, *reply;
+  const char *about; /* NULL: HTTP does not have it */
+} schema_message;
+
+extern const schema_message schema_messages[];
+
+/* Returns the field of a payload's structures that has this name, or NULL. */
+const schema_field *schema_field_of(const schema_payload *payload, const char *name);
+
+/* Where the parts of a payload are. Offsets count from its start. */
+typedef struct schema_layout {
+  uint64_t payload_bytes;
+  struct {
+    uint64_t at;          /* the offset, also of a part that is not there */
+    uint64_t count;       /* elements of each array; 0: it is not there */
+    uint64_t bytes;       /* of one element */
+    uint64_t array_bytes; /* of each array, with its padding */
+  } parts[SCHEMA_PARTS];
+} schema_layout;
+
+/* Computes the layout of a payload that begins with these structures (bytes as on the wire). Returns
+ * false if it is longer than bytes_max; then *part is the first one that does not fit, if `part` is
+ * not NULL. */
+bool schema_lay_out(const schema_payload *payload, const void *start, uint64_t bytes_max,
+                    schema_layout *layout, const schema_part **part);
+
+/* Returns the bytes of a payload that begins with these structures; UINT64_MAX: more than can be. */
+uint64_t schema_bytes(const schema_payload *payload, const void *start);
+
+/* Returns how many elements a reply in parts may have, whose structure wire_part begins, so that it
+ * takes at most bytes_max: a multiple of `unit`, possibly 0. Returns UINT64_MAX if they take no
+ * bytes. */
+uint64_t schema_part_values(const schema_payload *payload, const void *start, unsigned unit,
+                            uint64_t bytes_max);
+
+/* Checks a request: its length, then its fields in their order, then the counts of its parts and
+ * their padding. Returns the first fault. */
+wire_error schema_check(const schema_payload *payload, const uint8_t *bytes, size_t count,
+                        schema_layout *layout);
+
+/* The two halves of that, for a message with more to check between them. */
+wire_error schema_check_fields(const schema_payload *payload, const uint8_t *bytes, size_t count);
+wire_error schema_check_parts(const schema_payload *payload, const uint8_t *bytes, size_t count,
+                              schema_layout *layout);
+
+/* Returns whether a reply has the length that its structures announce. */
+bool schema_is_whole(const schema_payload *payload, const uint8_t *bytes, uint64_t count,
+                     schema_layout *layout);
+
+/* Writes a part: its elements, or zeros if they are NULL, and the padding of one array. Returns where
+ * it ends. */
+uint8_t *schema_put_part(uint8_t *payload, const schema_layout *layout, unsigned part,
+                         const void *elements);
+
+#endif
