@@ -46,7 +46,7 @@ figures: ## Figures 1 to 17 of d'Eon 2012 and one of tissue, in build/figures (t
 	cp $(BUILD)/figures/tissue.svg core/tools/
 	$(BUILD)/dipole plot --medium skin1 --model classical,better,transport --error --plot clients/cli/skin1.svg
 
-picture: ## a mesh in marble, milk and skin by three models, clients/c/examples/picture.png
+picture: ## a rabbit in marble, milk and skin by three models, clients/c/examples/picture.png
 	@sh .ci/install-packages demo
 	@$(MAKE) --no-print-directory -j2 $(BUILD)/dipoled $(BUILD)/picture
 	DIPOLED=private:$(BUILD)/dipoled $(BUILD)/picture clients/c/examples/picture.png

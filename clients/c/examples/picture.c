@@ -1,10 +1,10 @@
-/* A picture of translucent things: a curved mesh, lit by one lamp with shadow, in measured marble,
+/* A picture of translucent things: a curved body, lit by one lamp with shadow, in measured marble,
  * milk and skin, by three models side by side, and what two of them differ from the third.
  *
  *   make picture
  *
- * The light that enters is sampled at points spread evenly over the mesh; the light that leaves is
- * gathered at each pixel (Jensen and Buhler 2002). The mesh is a rabbit made of ellipsoids that are
+ * Rays of the lamp say where light enters: each brings the same power. The light that leaves is
+ * gathered at each pixel (Jensen and Buhler 2002). The body is a rabbit made of ellipsoids that are
  * melted together, with a fine relief. Lengths are in mm. */
 #include <math.h>
 #include <png.h>
@@ -14,15 +14,12 @@
 
 #include "clients/c/dipole.h"
 
-enum { SIDE = 224, SHADOW = 1536, CHANNELS = 3, MODELS = 3, MEDIA = 3, COLUMNS = MODELS + 2 };
+enum { SIDE = 224, RAYS = 1200, CHANNELS = 3, MODELS = 3, MEDIA = 3, COLUMNS = MODELS + 2 };
 
-#define SIZE_MM 26.0    /* of the grid from which the mesh is made */
-#define VIEW_MM 23.5    /* the square that a picture shows */
-#define CELL_MM 0.2     /* of its cells */
-#define POINTS 1e6      /* about how many points are spread over the mesh */
-#define SHADOW_BIAS_MM 0.15
+#define VIEW_MM 23.5        /* the square that a view shows */
+#define DEPTH_MM 26.0       /* the range of heights in which a ray looks for the body */
+#define STEP_LEAST_MM 0.02  /* of a ray */
 #define DIFFERENCE_MOST 0.5 /* relative differences beyond this have the colour of this */
-#define PI 3.14159265358979323846
 
 static const char *const media[MEDIA] = {"marble", "wholemilk", "skin1"};
 static const char *const models[MODELS] = {"classical", "better", "transport"};
@@ -56,16 +53,16 @@ static void *allocate(size_t count, size_t bytes) {
   return memory;
 }
 
-/* ---- the mesh ---------------------------------------------------------------------------------- */
+/* ---- the body ---------------------------------------------------------------------------------- */
 
 /* Ellipsoids: centre, then half axes. */
 static const struct {
   vec at, axes;
 } parts[] = {
-    {{0.5, -4.5, 0}, {6.2, 5.6, 5.4}},     {{-3.6, 2.6, 1.4}, {3.7, 3.4, 3.3}},
-    {{-4.6, 7.6, -0.2}, {0.9, 3.9, 1.4}},  {{-1.6, 7.8, -0.6}, {0.9, 3.9, 1.4}},
-    {{6.4, -6.0, -1.4}, {1.9, 1.9, 1.9}},  {{-4.2, -8.6, 3.2}, {2.6, 1.5, 1.9}},
-    {{2.2, -9.0, 3.8}, {3.0, 1.5, 2.0}},   {{-6.2, 1.8, 3.2}, {1.5, 1.3, 1.5}},
+    {{0.5, -4.5, 0}, {6.2, 5.6, 5.4}},    {{-3.6, 2.6, 1.4}, {3.7, 3.4, 3.3}},
+    {{-4.6, 7.6, -0.2}, {0.9, 3.9, 1.4}}, {{-1.6, 7.8, -0.6}, {0.9, 3.9, 1.4}},
+    {{6.4, -6.0, -1.4}, {1.9, 1.9, 1.9}}, {{-4.2, -8.6, 3.2}, {2.6, 1.5, 1.9}},
+    {{2.2, -9.0, 3.8}, {3.0, 1.5, 2.0}},  {{-6.2, 1.8, 3.2}, {1.5, 1.3, 1.5}},
 };
 
 /* Returns a function that is negative inside, about the distance near the surface. */
@@ -84,199 +81,48 @@ static double field(vec p) {
   return -melt / 2 * log(sum + 1e-300) + 0.07 * relief;
 }
 
-static vec normal_at(vec p) {
-  const double h = 0.02;
-  return unit((vec){field((vec){p.x + h, p.y, p.z}) - field((vec){p.x - h, p.y, p.z}),
-                    field((vec){p.x, p.y + h, p.z}) - field((vec){p.x, p.y - h, p.z}),
-                    field((vec){p.x, p.y, p.z + h}) - field((vec){p.x, p.y, p.z - h})});
-}
-
-typedef struct mesh {
-  size_t count, capacity;
-  vec (*triangles)[3];
-} mesh;
-
-/* Returns where the surface crosses the edge between two corners of the grid. */
-static vec crossing(vec a, double fa, vec b, double fb) {
-  return add(a, fa / (fa - fb), add(b, -1, a));
-}
-
-static void add_triangle(mesh *to, vec a, vec b, vec c) {
-  if (to->count == to->capacity) {
-    to->capacity = 2 * to->capacity + 4096;
-    to->triangles = realloc(to->triangles, to->capacity * sizeof *to->triangles);
-    if (to->triangles == NULL) {
-      exit(1);
-    }
-  }
-  const vec triangle[3] = {a, b, c};
-  memcpy(to->triangles[to->count++], triangle, sizeof triangle);
-}
-
-/* Adds the part of the surface in a tetrahedron. */
-static void add_tetrahedron(mesh *to, const vec p[4], const double f[4]) {
-  unsigned in[4], out[4], ins = 0, outs = 0;
-  for (unsigned i = 0; i < 4; i++) {
-    if (f[i] < 0) {
-      in[ins++] = i;
-    } else {
-      out[outs++] = i;
-    }
-  }
-  vec cut[4];
-  unsigned n = 0;
-  for (unsigned i = 0; i < ins; i++) {
-    for (unsigned k = 0; k < outs; k++) {
-      const unsigned o = ins == 2 && i == 1 ? out[1 - k] : out[k]; /* around the quadrangle */
-      cut[n++] = crossing(p[in[i]], f[in[i]], p[o], f[o]);
-    }
-  }
-  if (n >= 3) {
-    add_triangle(to, cut[0], cut[1], cut[2]);
-  }
-  if (n == 4) {
-    add_triangle(to, cut[0], cut[2], cut[3]);
-  }
-}
-
-/* Marches tetrahedra (Doi and Koide 1991), six in each cell of a grid. */
-static mesh make_mesh(void) {
-  static const unsigned tetrahedra[6][4] = {{0, 1, 3, 7}, {0, 3, 2, 7}, {0, 2, 6, 7},
-                                            {0, 6, 4, 7}, {0, 4, 5, 7}, {0, 5, 1, 7}};
-  const size_t n = (size_t)(SIZE_MM / CELL_MM) + 1;
-  double *values = allocate(n * n * n, sizeof *values);
-  mesh made = {0};
-  for (size_t i = 0; i < n * n * n; i++) {
-    values[i] = field((vec){(double)(i % n) * CELL_MM - SIZE_MM / 2,
-                            (double)(i / n % n) * CELL_MM - SIZE_MM / 2,
-                            (double)(i / n / n) * CELL_MM - SIZE_MM / 2});
-  }
-  for (size_t i = 0; i < n * n * n; i++) {
-    const size_t x = i % n, y = i / n % n, z = i / n / n;
-    if (x + 1 == n || y + 1 == n || z + 1 == n) {
-      continue;
-    }
-    for (size_t t = 0; t < 6; t++) {
-      vec p[4];
-      double f[4];
-      for (size_t k = 0; k < 4; k++) {
-        const size_t corner = tetrahedra[t][k];
-        const size_t cx = x + (corner & 1), cy = y + (corner >> 1 & 1), cz = z + (corner >> 2);
-        p[k] = (vec){(double)cx * CELL_MM - SIZE_MM / 2, (double)cy * CELL_MM - SIZE_MM / 2,
-                     (double)cz * CELL_MM - SIZE_MM / 2};
-        f[k] = values[(cz * n + cy) * n + cx];
-      }
-      add_tetrahedron(&made, p, f);
-    }
-  }
-  free(values);
-  return made;
-}
-
 /* ---- views ------------------------------------------------------------------------------------- */
 
-/* An orthographic view along -w, and the height w of what it sees in each pixel. */
+/* What the parallel rays of a square meet, which go along -w from the middles of its pixels. */
 typedef struct view {
-  vec u, v, w;
   size_t side;
-  double *heights; /* [side][side], -INFINITY where there is nothing */
+  uint64_t count;
+  double *xyz;      /* [count][3] where rays meet the body */
+  uint32_t *pixels; /* [count] positions of these rays in the view */
 } view;
 
-static double pixel_mm(const view *of) {
-  return VIEW_MM / (double)of->side;
-}
-
-static void draw(view *to, const vec triangle[3]) {
-  const double mm = pixel_mm(to), half = (double)to->side / 2;
-  double x[3], y[3], h[3];
-  for (int i = 0; i < 3; i++) {
-    x[i] = dot(triangle[i], to->u) / mm + half;
-    y[i] = half - dot(triangle[i], to->v) / mm;
-    h[i] = dot(triangle[i], to->w);
-  }
-  const double area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]);
-  const long x0 = (long)fmax(0, floor(fmin(x[0], fmin(x[1], x[2]))));
-  const long y0 = (long)fmax(0, floor(fmin(y[0], fmin(y[1], y[2]))));
-  const long x1 = (long)fmin((double)to->side - 1, ceil(fmax(x[0], fmax(x[1], x[2]))));
-  const long y1 = (long)fmin((double)to->side - 1, ceil(fmax(y[0], fmax(y[1], y[2]))));
-  for (long j = y0; j <= y1 && area != 0; j++) {
-    for (long i = x0; i <= x1; i++) {
-      const double px = (double)i + 0.5, py = (double)j + 0.5;
-      const double b = ((px - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (py - y[0])) / area;
-      const double c = ((x[1] - x[0]) * (py - y[0]) - (px - x[0]) * (y[1] - y[0])) / area;
-      double *height = &to->heights[(size_t)j * to->side + (size_t)i];
-      if (b >= -1e-9 && c >= -1e-9 && b + c <= 1 + 1e-9) {
-        *height = fmax(*height, h[0] + b * (h[1] - h[0]) + c * (h[2] - h[0]));
-      }
+/* Moves p along -w to the body (sphere tracing, Hart 1996). Returns whether the ray meets it. */
+static bool trace(vec *p, vec w) {
+  double gone = 0, step = 0;
+  for (double f = field(*p); f > 0; f = field(*p)) {
+    step = fmax(f / 3, STEP_LEAST_MM);
+    gone += step;
+    *p = add(*p, -step, w);
+    if (gone > DEPTH_MM) {
+      return false;
     }
   }
+  for (; step > 1e-6; step /= 2) {
+    *p = add(*p, field(*p) > 0 ? -step / 2 : step / 2, w);
+  }
+  return true;
 }
 
-static view look(const mesh *at, vec towards, size_t side) {
-  view made = {.w = unit(towards), .side = side};
-  made.u = unit(cross((vec){0, 1, 0}, made.w));
-  made.v = cross(made.w, made.u);
-  made.heights = allocate(side * side, sizeof *made.heights);
+static view look(vec towards, size_t side) {
+  const vec w = unit(towards), u = unit(cross((vec){0, 1, 0}, w)), v = cross(w, u);
+  const double mm = VIEW_MM / (double)side, half = (double)side / 2;
+  view made = {.side = side};
+  made.xyz = allocate(side * side, 3 * sizeof *made.xyz);
+  made.pixels = allocate(side * side, sizeof *made.pixels);
   for (size_t i = 0; i < side * side; i++) {
-    made.heights[i] = (double)-INFINITY;
-  }
-  for (size_t i = 0; i < at->count; i++) {
-    draw(&made, at->triangles[i]);
-  }
-  return made;
-}
-
-static bool is_lit(const view *lamp, vec p) {
-  const double mm = pixel_mm(lamp), half = (double)lamp->side / 2;
-  const double x = floor(dot(p, lamp->u) / mm + half), y = floor(half - dot(p, lamp->v) / mm);
-  const double most = (double)lamp->side - 1;
-  return x < 0 || y < 0 || x > most || y > most ||
-         dot(p, lamp->w) >= lamp->heights[(size_t)y * lamp->side + (size_t)x] - SHADOW_BIAS_MM;
-}
-
-/* ---- light ------------------------------------------------------------------------------------- */
-
-typedef struct lights {
-  uint64_t count;
-  double *xyz;
-  float *power;
-} lights;
-
-/* Spreads points over the mesh, one for each equal piece of its area, at places of a sequence that
- * fills triangles evenly (Roberts 2018), and keeps those that the lamp reaches. Its light has 1
- * W/mm^2 across the beam. */
-static lights light(const mesh *at, const view *lamp) {
-  double total = 0, passed = 0, next = 0.5;
-  double *areas = allocate(at->count, sizeof *areas);
-  for (size_t i = 0; i < at->count; i++) {
-    const vec *t = at->triangles[i];
-    const vec n = cross(add(t[1], -1, t[0]), add(t[2], -1, t[0]));
-    areas[i] = sqrt(dot(n, n)) / 2;
-    total += areas[i];
-  }
-  lights made = {0};
-  made.xyz = allocate((size_t)POINTS + 2, 3 * sizeof *made.xyz);
-  made.power = allocate((size_t)POINTS + 2, CHANNELS * sizeof *made.power);
-  double a = 0, b = 0;
-  for (size_t i = 0; i < at->count; i++) {
-    const vec *t = at->triangles[i];
-    for (passed += areas[i] / total * POINTS; next < passed; next += 1) {
-      a = fmod(a + 0.7548776662466927, 1);
-      b = fmod(b + 0.5698402909980532, 1);
-      const bool far = a + b > 1;
-      const double s = far ? 1 - a : a, r = far ? 1 - b : b;
-      const vec p = add(add(t[0], s, add(t[1], -1, t[0])), r, add(t[2], -1, t[0]));
-      const double cosine = dot(normal_at(p), lamp->w);
-      if (cosine > 0 && is_lit(lamp, p)) {
-        memcpy(made.xyz + 3 * made.count, &p, sizeof p);
-        for (int c = 0; c < CHANNELS; c++) {
-          made.power[CHANNELS * made.count + (uint64_t)c] = (float)(cosine * total / POINTS);
-        }
-        made.count++;
-      }
+    const double x = ((double)(i % side) + 0.5 - half) * mm;
+    const double y = (half - (double)(i / side) - 0.5) * mm;
+    vec p = add(add(add((vec){0, 0, 0}, x, u), y, v), DEPTH_MM / 2, w);
+    if (trace(&p, w)) {
+      memcpy(made.xyz + 3 * made.count, &p, sizeof p);
+      made.pixels[made.count++] = (uint32_t)i;
     }
   }
-  free(areas);
   return made;
 }
 
@@ -284,29 +130,9 @@ static lights light(const mesh *at, const view *lamp) {
 
 typedef struct picture {
   view camera;
-  uint64_t count;
-  double *queries;  /* [count][3] */
-  uint32_t *pixels; /* [count] positions in the view */
-  double *M[MODELS];
-  uint8_t *rgb; /* [MEDIA * SIDE][COLUMNS * SIDE][3] */
+  double *M[MODELS]; /* [camera.count][CHANNELS] */
+  uint8_t *rgb;      /* [MEDIA * SIDE][COLUMNS * SIDE][3] */
 } picture;
-
-static void find_queries(picture *of) {
-  const size_t pixels = SIDE * SIDE;
-  const double mm = pixel_mm(&of->camera);
-  of->queries = allocate(pixels, 3 * sizeof *of->queries);
-  of->pixels = allocate(pixels, sizeof *of->pixels);
-  for (size_t i = 0; i < pixels; i++) {
-    if (of->camera.heights[i] > (double)-INFINITY) {
-      const double x = ((double)(i % SIDE) + 0.5 - SIDE / 2.0) * mm;
-      const double y = (SIDE / 2.0 - (double)(i / SIDE) - 0.5) * mm;
-      const vec p = add(add(add((vec){0, 0, 0}, x, of->camera.u), y, of->camera.v),
-                        of->camera.heights[i], of->camera.w);
-      memcpy(of->queries + 3 * of->count, &p, sizeof p);
-      of->pixels[of->count++] = (uint32_t)i;
-    }
-  }
-}
 
 static uint8_t srgb(double x) {
   x = fmin(fmax(x, 0), 1);
@@ -330,14 +156,14 @@ static uint8_t *cell_pixel(const picture *of, size_t row, size_t column, uint32_
 /* Colours a row: M of all models with one exposure, then the differences from the last model. */
 static void colour_row(picture *of, size_t row) {
   double sum = 0;
-  for (uint64_t i = 0; i < of->count * CHANNELS; i++) {
+  for (uint64_t i = 0; i < of->camera.count * CHANNELS; i++) {
     sum += of->M[MODELS - 1][i];
   }
-  const double exposure = 0.32 * (double)(of->count * CHANNELS) / sum;
-  for (uint64_t i = 0; i < of->count; i++) {
+  const double exposure = 0.32 * (double)(of->camera.count * CHANNELS) / sum;
+  for (uint64_t i = 0; i < of->camera.count; i++) {
     const double *best = of->M[MODELS - 1] + i * CHANNELS;
     for (size_t m = 0; m < MODELS; m++) {
-      uint8_t *to = cell_pixel(of, row, m, of->pixels[i]);
+      uint8_t *to = cell_pixel(of, row, m, of->camera.pixels[i]);
       double difference = 0;
       for (size_t c = 0; c < CHANNELS; c++) {
         const double M = of->M[m][i * CHANNELS + c];
@@ -345,7 +171,7 @@ static void colour_row(picture *of, size_t row) {
         difference += (M - best[c]) / best[c] / CHANNELS;
       }
       if (m + 1 < MODELS) {
-        false_colour(difference, cell_pixel(of, row, MODELS + m, of->pixels[i]));
+        false_colour(difference, cell_pixel(of, row, MODELS + m, of->camera.pixels[i]));
       }
     }
   }
@@ -366,8 +192,8 @@ static bool gather(dipole_client *client, const dipole_points *points,
                                      .moments = DIPOLE_EXACT,
                                      .points = points,
                                      .media = medium->channel,
-                                     .queries_mm = of->queries,
-                                     .query_count = of->count,
+                                     .queries_mm = of->camera.xyz,
+                                     .query_count = of->camera.count,
                                      .tolerance = 1e-2};
   snprintf(what, sizeof what, "%s, %s", medium->name, models[model]);
   const bool good = dipole_gather(client, &query, show, what, of->M[model], NULL, &error);
@@ -414,24 +240,24 @@ int main(int argc, char **argv) {
   dipole_client *client;
   dipole_points *points = NULL;
   picture of = {0};
-  const mesh object = make_mesh();
-  view lamp = look(&object, (vec){-0.75, 0.55, 0.6}, SHADOW);
-  const lights entering = light(&object, &lamp);
-  of.camera = look(&object, (vec){-0.35, 0.15, 1}, SIDE);
-  find_queries(&of);
-  fprintf(stderr, "%zu triangles, %llu points in the light, %llu pixels\n", object.count,
-          (unsigned long long)entering.count, (unsigned long long)of.count);
+  const view lamp = look((vec){-0.75, 0.55, 0.6}, RAYS);
+  of.camera = look((vec){-0.35, 0.15, 1}, SIDE);
+  float *power_W = allocate(lamp.count, CHANNELS * sizeof *power_W);
+  for (uint64_t i = 0; i < lamp.count * CHANNELS; i++) { /* 1 W/mm^2 across the beam */
+    power_W[i] = (float)(VIEW_MM * VIEW_MM / ((double)RAYS * RAYS));
+  }
+  fprintf(stderr, "%llu points in the light, %llu pixels\n", (unsigned long long)lamp.count,
+          (unsigned long long)of.camera.count);
   of.rgb = allocate((size_t)3 * MEDIA * SIDE, COLUMNS * SIDE);
   for (size_t i = 0; i < (size_t)3 * MEDIA * SIDE * COLUMNS * SIDE; i++) {
     of.rgb[i] = 16;
   }
   for (size_t m = 0; m < MODELS; m++) {
-    of.M[m] = allocate(of.count, CHANNELS * sizeof *of.M[m]);
+    of.M[m] = allocate(of.camera.count, CHANNELS * sizeof *of.M[m]);
   }
   bool good = dipole_open(NULL, &client, &error);
   if (good) {
-    good = dipole_points_make(entering.count, CHANNELS, entering.xyz, entering.power, &points,
-                              &error) &&
+    good = dipole_points_make(lamp.count, CHANNELS, lamp.xyz, power_W, &points, &error) &&
            paint(client, points, &of) && write_picture(&of, file);
     dipole_close(client);
   }
@@ -443,12 +269,10 @@ int main(int argc, char **argv) {
     free(of.M[m]);
   }
   free(of.rgb);
-  free(of.queries);
-  free(of.pixels);
-  free(of.camera.heights);
-  free(lamp.heights);
-  free(entering.xyz);
-  free(entering.power);
-  free(object.triangles);
+  free(of.camera.xyz);
+  free(of.camera.pixels);
+  free(lamp.xyz);
+  free(lamp.pixels);
+  free(power_W);
   return good ? 0 : 1;
 }
