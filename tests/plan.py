@@ -94,16 +94,16 @@ class Maker:
 
     def _make(self, kind: str) -> bytes:
         made: list[bytes] = []
-        begin = self._client._exchange.begin
+        begin = self._client._session.exchange.begin
 
         def kept(request) -> int:
             type = wire.MESSAGES[request.message]
             made.append(b"".join(frame_pieces(type, 7, request.payload, 0)))
             return begin(request)
 
-        self._client._exchange.begin = kept
+        self._client._session.exchange.begin = kept
         KINDS[kind](self._client, self._number)
-        self._client._exchange.begin = begin
+        self._client._session.exchange.begin = begin
         assert len(made) == 1
         return made[0]
 

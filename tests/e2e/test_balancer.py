@@ -252,13 +252,13 @@ class Python(User):
 
     def ask(self) -> None:
         with dipole.Client(self.address) as client:
-            restore = client._restore
+            restore = client._session._restore
 
-            def counted(lost):
+            async def counted(lost):
                 self.retries += 1
-                restore(lost)
+                await restore(lost)
 
-            client._restore = counted
+            client._session._restore = counted
             while not self.ended.is_set():
                 under_way = [client.submit(**question) for question in QUESTIONS[:-1]]
                 for number, one in enumerate(under_way):
@@ -280,7 +280,7 @@ class Asyncio(User):
 
     async def ask_async(self) -> None:
         async with dipole.AsyncClient(self.address) as client:
-            restore = client._restore
+            restore = client._session._restore
 
             async def counted(lost):
                 self.retries += 1
@@ -296,7 +296,7 @@ class Asyncio(User):
                 found = await client.gather("better", [SKIN], POINTS, POSITIONS)
                 self.check("gather", found.M.tobytes())
 
-            client._restore = counted
+            client._session._restore = counted
             while not self.ended.is_set():
                 await asyncio.gather(mc(), gather(), *map(eval, range(len(QUESTIONS))))
 

@@ -350,7 +350,7 @@ def test_the_oldest_sets_are_evicted_and_sent_again(daemon):
 def test_a_set_that_no_room_is_enough_for(daemon):
     one = daemon("--points-bytes", "100000", "--max-points", "10000")
     with one.client() as client:
-        client._exchange.retry_s = 0.0
+        client._session.exchange.retry_s = 0.0
         with pytest.raises(dipole.Refused) as refused:
             client.gather("better", [SKIN], scene(10_000), positions(1))
         assert (refused.value.status, refused.value.field) == ("busy", "points_bytes")
@@ -416,8 +416,8 @@ def test_a_late_gather_whose_answer_waits_for_an_eval(daemon):
     points = scene(20_000)
     late = gather_payload(points, queries=positions(40_000), tolerance=0.0)
     with one.connect() as connection, one.connect() as other:
-        other.set_timeout_s(30.0)
-        connection.set_timeout_s(30.0)
+        other.timeout_s = 30.0
+        connection.timeout_s = 30.0
         send(connection, points)
         for i in range(5):
             slow = eval_payload([(0.0333 + i / 1e4, 0.74, 0.0, 1.3)], [1.0], **SLOW)

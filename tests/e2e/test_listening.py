@@ -436,7 +436,7 @@ def test_private_daemon_of_the_python_client(monkeypatch):
     with dipole.Client() as client:
         assert client.info.address == f"private:{PROGRAM}"
         assert client.eval("better", dipole.Medium(0.0, 1.0), [1.0]).albedo[0] == 1.0
-        process = client._connection._process
+        process = client._session.connection._process
         assert process.poll() is None
     assert process.returncode == 0
     assert set(os.listdir("/proc/self/fd")) == before

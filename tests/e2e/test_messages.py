@@ -501,7 +501,7 @@ def test_cancelling(single, message):
 def test_a_client_asks_again_when_its_connection_is_lost(shared, name):
     with dipole.Client(shared.url(), retry_s=20.0) as client:
         before = call(client, name)
-        client._connection.socket.shutdown(2)
+        client._session.connection.socket.shutdown(2)
         assert_same(call(client, name), before)
 
 

@@ -48,7 +48,7 @@ def test_every_call_answers_as_the_other_client(shared):
         run(ask())
     own = {name for name in vars(dipole.Client) if not name.startswith("_")}
     both = own & {name for name in vars(AsyncClient) if not name.startswith("_")}
-    assert both == {*CALLS, "statistics", "ping", "eval_parts", "address", "close"}
+    assert both == {*CALLS, "statistics", "ping", "eval_parts", "address", "close", "info"}
 
 
 def test_many_at_a_time_are_told_apart(shared):
@@ -234,25 +234,22 @@ def test_an_exception_in_the_middle_of_a_frame(shared, monkeypatch, where):
 
     async def ask() -> None:
         async with AsyncClient(shared.url(), timeout_s=None) as client:
-            stream, real = client._stream, client._stream._send_all
+            before = client._session.connection
 
-            async def send(data) -> None:
-                await real(data[: len(data) // 2])
-                raise MemoryError
-
-            def take(frame) -> None:
+            def fail(*_) -> None:
                 raise MemoryError
 
             if where == "sending":
-                monkeypatch.setattr(stream, "_send_all", send)
-                with pytest.raises(MemoryError):
-                    await client.eval("better", SKIN, [1.0])
-                assert (await client.eval("better", SKIN, [1.0])).R > 0 and client._stream is not stream
+                monkeypatch.setattr(before, "_send", fail)
             else:
-                monkeypatch.setattr(client._exchange, "take", take)
-                for _ in range(2):
-                    with pytest.raises(dipole.ConnectionLost, match="MemoryError"):
-                        await client.eval("better", SKIN, [1.0])
+                take = client._session.exchange.take
+                monkeypatch.setattr(client._session.exchange, "take", fail)
+            with pytest.raises(MemoryError):
+                await client.eval("better", SKIN, [1.0])
+            if where == "receiving":
+                monkeypatch.setattr(client._session.exchange, "take", take)
+            assert (await client.eval("better", SKIN, [1.0])).R > 0
+            assert client._session.connection is not before
 
     run(ask())
 

@@ -641,7 +641,7 @@ def test_an_interrupt_in_the_middle_of_a_frame(shared, method, number, after, re
     with dipole.Client(shared.url(), retry_s=retry_s) as client:
         expected = client.eval("better", SKIN, r).R
         waiting = client.submit("better", SKIN, r[:3])
-        connection = client._connection
+        connection = client._session.connection
         taken = Interrupts(fileno=connection.socket.detach())
         connection.socket = taken.prepare(method, number, after)
         with pytest.raises(KeyboardInterrupt):
@@ -654,7 +654,7 @@ def test_an_interrupt_in_the_middle_of_a_frame(shared, method, number, after, re
                 np.testing.assert_array_equal(client.eval("better", SKIN, r[:5]).R, expected[:, :5])
         if retry_s > 0:
             np.testing.assert_array_equal(client.collect(waiting)[1].R, expected[:, :3])
-            assert not client._exchange._pending
+            assert not client._session.exchange._pending
 
 
 def test_an_interrupt_while_the_client_waits(shared, monkeypatch):
@@ -669,8 +669,8 @@ def test_an_interrupt_while_the_client_waits(shared, monkeypatch):
             patch.setattr(connections, "_poll", interrupted)
             with pytest.raises(KeyboardInterrupt):
                 client.collect(waiting)
-        before = client._connection
-        assert client.collect(waiting)[1].R > 0 and client._connection is before
+        before = client._session.connection
+        assert client.collect(waiting)[1].R > 0 and client._session.connection is before
 
 
 GOOD_CALLS = [

@@ -922,7 +922,7 @@ def test_a_forked_process_disturbs_nobody(monkeypatch, farm, ours, client, schem
         os.close(ends)
         os.read(ended, 1)
         os._exit(0)
-    private = ping.__self__._connection._process if client == "python" else None
+    private = ping.__self__._session.connection._process if client == "python" else None
     close()
     assert private is None or private.returncode == 0
     assert eventually(lambda: counters(farm)["connections_open"] == 1)

@@ -12,7 +12,7 @@ import numpy as np
 
 from . import evaluation, wire
 from .arguments import media_array
-from .calls import Calls, Steps
+from .session import Session
 from .errors import ArgumentError
 from .exchange import Request
 from .values import Array, EvaluatorOptions, Info, Media, Query, Result, counted, in_short, span
@@ -45,14 +45,14 @@ class _Media(NamedTuple):
     index: Array  # type: ignore[assignment]
 
 
-def values(
-    calls: Calls,
+async def values(
+    session: Session,
     model: str | int | None,
     media: Media,
     r: Any,
     quantity: str = "R",
     **options: Unpack[EvaluatorOptions],
-) -> Steps[Values]:
+) -> Values:
     """Evaluates one quantity for media and radii of any shapes, which are broadcast against each
     other as numpy's functions do.
 
@@ -67,8 +67,8 @@ def values(
     """
     template = Query(model, media, r, wanted=[quantity], **options)
     if isinstance(media, str):
-        media = _first_axis((yield from calls.media_of(media)), r)
-    shape, queries = _plan(calls.info, media, r)
+        media = _first_axis((await session.media_of(media)), r)
+    shape, queries = _plan(session.info, media, r)
     under_way: deque[Places] = deque()
     found: Array = np.empty(0)
     numerical_error, model_error = np.full((2, math.prod(shape)), np.nan)
@@ -78,7 +78,7 @@ def values(
         for one in queries:
             under_way.append(one)
             query = replace(template, media=one.media, r=one.radii)
-            yield evaluation.request(calls.info, query)
+            yield evaluation.request(session.info, query)
 
     def take(result: Result) -> None:
         nonlocal found
@@ -92,7 +92,7 @@ def values(
             model_error[places] = result.model_error[channel]
         models.add(result.model)
 
-    yield from calls.each(requests(), take, OUTSTANDING)
+    await session.each(requests(), take, OUTSTANDING)
     a, b, c = (array.reshape(shape) for array in (found, numerical_error, model_error))
     return Values(a, b, c, tuple(sorted(models)))
 

@@ -7,15 +7,15 @@ with dipole.Client() as client:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Coroutine, Iterator
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from . import broadcast, calls, evaluation, fitting, gathering, inversion, mc, rings, varying
-from .calls import Calls, Cancel, Steps, takes_query
+from .calls import takes_query
 from .connection import Frame, Tls
-from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
-from .exchange import Exchange, Request
+from .errors import ArgumentError
 from .opening import Opening
+from .session import Session, Waiting, run
 from .values import Info, Query, Result
 
 P = ParamSpec("P")
@@ -23,14 +23,14 @@ T = TypeVar("T")
 
 
 def _method(
-    call: Callable[Concatenate[Calls, P], Steps[T]]
+    call: Callable[Concatenate[Session, P], Coroutine[Any, Any, T]]
 ) -> Callable[Concatenate[Any, P], T]:
     """Makes a method of a call."""
     signature = calls.signature_of(call)
 
     def method(self: Client, *arguments: Any, **options: Any) -> T:
         signature.bind(self, *arguments, **options)
-        return self._drive(call(self._calls, *arguments, **options))
+        return run(call(self._session, *arguments, **options))
 
     made: Callable[Concatenate[Any, P], T] = calls.described(method, call, "Client")
     return made
@@ -70,12 +70,14 @@ class Client:
         certificate: str | None = None,
         key: str | None = None,
     ):
-        self.info: Info
-        self._opening = Opening(address, timeout_s, retry_s, calls.hello, Tls(ca, certificate, key))
-        self._connection, self.info = self._opening.open()
-        self._exchange = Exchange(self._opening.retry_s)
-        self._calls = Calls(self.info, self._exchange)
+        opening = Opening(address, timeout_s, retry_s, Tls(ca, certificate, key))
+        self._session = run(Session(opening, Waiting()).open())
         self._submitted: dict[int, None] = {}
+
+    @property
+    def info(self) -> Info:
+        """The daemon's description of itself."""
+        return self._session.info
 
     def __enter__(self) -> Client:
         return self
@@ -85,16 +87,16 @@ class Client:
 
     def close(self) -> None:
         """Closes the connection and ends a private daemon. Closing twice is fine."""
-        self._connection.close()
+        run(self._session.close())
 
     @property
     def address(self) -> str:
         """The address of the daemon that the client is connected to, or was last connected to. It
         changes when the client goes on with another daemon."""
-        return self._connection.address
+        return self._session.connection.address
 
     def __repr__(self) -> str:
-        closed = ", closed" if self._connection.is_closed else ""
+        closed = ", closed" if self._session.closed else ""
         return f"<Client: {self.info.software} at {self.address}{closed}>"
 
     # ---- calls -----------------------------------------------------------------------------------
@@ -116,16 +118,16 @@ class Client:
 
     @takes_query(Query, evaluation.eval)
     def eval(self, *query: Any, **options: Any) -> Result:
-        return self._drive(evaluation.eval(self._calls, Query.of(*query, **options)))
+        return run(evaluation.eval(self._session, Query.of(*query, **options)))
 
     @takes_query(Query, evaluation.eval_parts)
     def eval_parts(self, *query: Any, **options: Any) -> Parts:
         made = Query.of(*query, **options)
-        return Parts(self, self._drive(evaluation.eval_parts(self._calls, made)))
+        return Parts(self._session, run(evaluation.eval_parts(self._session, made)))
 
     @takes_query(Query, evaluation.submit)
     def submit(self, *query: Any, **options: Any) -> int:
-        request_id = self._drive(evaluation.submit(self._calls, Query.of(*query, **options)))
+        request_id = run(evaluation.submit(self._session, Query.of(*query, **options)))
         self._submitted[request_id] = None
         return request_id
 
@@ -138,10 +140,15 @@ class Client:
         if request_id is not None and request_id not in self._submitted:
             raise ArgumentError(f"request_id {request_id}: not outstanding")
         ids = self._submitted if request_id is None else (request_id,)
-        while (found := next((i for i in ids if self._exchange.ended(i)), None)) is None:
-            self._receive()
+        exchange = self._session.exchange
+
+        def find() -> int:
+            return next((i for i in ids if exchange.ended(i)), 0)
+
+        run(self._session.until(lambda: find() > 0, 0))
+        found = find()
         try:
-            return found, self._exchange.next(found)
+            return found, exchange.next(found)
         finally:
             self.forget(found)
 
@@ -149,98 +156,17 @@ class Client:
         """Gives up a submitted query. Does nothing if the query is not outstanding."""
         if request_id in self._submitted:
             del self._submitted[request_id]
-            self._exchange.drop(request_id)
+            self._session.exchange.drop(request_id)
 
     def send_frame(
         self, type: int, request_id: int, payload: bytes = b"", deadline_ms: int = 0
     ) -> None:
         """Sends a frame of any type without checking it. Use receive_frame() for the reply."""
-        self._connection.send_frame(type, request_id, payload, deadline_ms)
+        self._session.connection.send_frame(type, request_id, payload, deadline_ms)
 
     def receive_frame(self) -> Frame:
         """Waits for the next frame. Use it only with send_frame(): other calls take frames, too."""
-        return self._connection.receive_frame()
-
-    # ---- sending and receiving -------------------------------------------------------------------
-
-    def _drive(self, steps: Steps[T]) -> T:
-        """Does the steps of a call."""
-        try:
-            step = next(steps)
-            while True:
-                try:
-                    given = self._do(step)
-                except BaseException as error:
-                    step = steps.throw(error)
-                else:
-                    step = steps.send(given)
-        except StopIteration as end:
-            returned: T = end.value
-            return returned
-
-    def _do(self, step: Request[Any] | int | Cancel) -> Any:
-        if isinstance(step, Request):
-            return self._send(step)
-        if isinstance(step, int):
-            return self._next(step)
-        self._exchange.ask_once(step.request_id)
-        return self._exchange.drop(self._send(mc.cancellation(step.request_id)))
-
-    def _send(self, request: Request[Any]) -> int:
-        """Sends a request; returns its id."""
-        request_id = self._exchange.begin(request)
-        try:
-            try:
-                self._send_again([request_id])
-            except ConnectionLost as lost:
-                self._restore(lost)
-        except BaseException:
-            self._exchange.drop(request_id)
-            raise
-        return request_id
-
-    def _send_again(self, request_ids: Sequence[int]) -> None:
-        connection = self._connection
-        connection.check_usable()
-        connection.torn = True
-        for request_id in request_ids:
-            for data in self._exchange.frame(request_id):
-                connection.send_bytes(data)
-        connection.torn = False
-
-    def _next(self, request_id: int) -> Any:
-        """Waits for the next part of an answer. Returns None after the last one."""
-        while not self._exchange.is_ready(request_id):
-            self._receive()
-        return self._exchange.next(request_id)
-
-    def _receive(self) -> None:
-        """Waits for a frame and gives it to its request. A lost connection is restored."""
-        try:
-            due = self._exchange.due()
-            self._send_again(due)
-            next_s = self._exchange.next_due_s()
-            if due or (next_s is not None and not self._connection.arrives_by(next_s)):
-                return
-            self._connection.receive_frame(self._exchange.take)
-        except (ConnectionLost, Refused) as lost:  # Refused is the connection, not a request.
-            self._restore(lost)
-
-    def _restore(self, lost: DipoleError) -> None:
-        """Connects again and sends the requests without an answer again. Raises `lost` if that
-        fails."""
-        until_s = self._exchange.lost(lost)
-        self._connection.close()
-        self._connection.torn = True  # so that the next call goes on if this one is interrupted
-        try:
-            self._connection = self._opening.open_again(self.info, until_s, lost)
-        except DipoleError:
-            self._connection.torn = False
-            raise
-        try:
-            self._send_again(self._exchange.restored())
-        except ConnectionLost as again:
-            self._restore(again)
+        return self._session.connection.receive_frame()
 
 
 class Parts(Iterator[Result]):
@@ -248,14 +174,14 @@ class Parts(Iterator[Result]):
     other calls between two parts. To stop early, close the iterator or use it in a with statement:
     the client then throws the other parts away."""
 
-    def __init__(self, client: Client, request_id: int):
-        self._client = client
+    def __init__(self, session: Session, request_id: int):
+        self._session = session
         self._request_id = request_id
         self._open = True
 
     def __next__(self) -> Result:
         try:
-            part: Result | None = self._client._next(self._request_id) if self._open else None
+            part: Result | None = run(self._session.next(self._request_id)) if self._open else None
         except BaseException:
             self.close()
             raise
@@ -277,4 +203,4 @@ class Parts(Iterator[Result]):
         """Gives up the rest of the answer. Closing twice is fine."""
         if self._open:
             self._open = False
-            self._client._exchange.drop(self._request_id)
+            self._session.exchange.drop(self._request_id)

@@ -14,15 +14,18 @@ import ssl
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from . import wire
 from .errors import AddressError, ConnectError, ConnectionLost, ProtocolError
 from .values import Array
+
+T = TypeVar("T")
 
 LARGE_BYTES = 1 << 18  # A payload of this size or more is received and sent without a copy.
 _PRIVATE_EXIT_S = 10.0
@@ -148,10 +151,13 @@ class Connection:
         self.timeout_s = timeout_s
         self.is_one_of_several = False  # whether a client may leave a silent daemon for another
         self.incoming = Incoming()
-        self.torn = False  # True while a frame moves, and after an exception in the middle of one
+        self.unsent: deque[memoryview] = deque()
+        self.is_fresh = False  # whether nobody has tried yet to send the last of the unsent bytes
+        self.torn = False  # True while bytes move, and after an exception in the middle of that
         self._owner = os.getpid()
         self._process: subprocess.Popen[bytes] | None = None
         self.socket = self._open()
+        self.socket.setblocking(False)
 
     def __enter__(self) -> Connection:
         return self
@@ -164,11 +170,11 @@ class Connection:
         """The address as errors begin with it, before a colon."""
         return self.address.removesuffix(":")
 
-    def silent_text(self, timeout_s: float) -> str:
-        """Says that the daemon was silent for so long, and what can be done about it."""
-        return (
-            f"{self.name}: nothing moved for {timeout_s:g} s. The daemon may still be at work: "
-            "a larger timeout_s waits longer"
+    def silent(self) -> ConnectionLost:
+        """Says that the daemon was silent for timeout_s, and what can be done about it."""
+        text = f"{self.name}: nothing moved for {self.timeout_s:g} s. The daemon may still be at work"
+        return ConnectionLost(
+            f"{text}: a larger timeout_s waits longer", final=not self.is_one_of_several
         )
 
     @property
@@ -212,11 +218,6 @@ class Connection:
         if self.torn:
             text = "an exception, such as an interrupt, has ended a call in the middle of a frame"
             raise ConnectionLost(f"{self.name}: {text}")
-
-    def set_timeout_s(self, timeout_s: float | None) -> None:
-        self.timeout_s = timeout_s
-        if not isinstance(self.socket, ssl.SSLSocket):
-            self.socket.settimeout(timeout_s)
 
     # ---- connecting ------------------------------------------------------------------------------
 
@@ -262,7 +263,6 @@ class Connection:
         except OSError:
             connection.close()
             raise
-        wrapped.setblocking(False)  # A record may be incomplete when the socket can be read.
         return wrapped
 
     def _open_tcp(self, host_and_port: str) -> socket.socket:
@@ -297,112 +297,110 @@ class Connection:
         except BaseException:
             ours.close()
             raise
-        ours.settimeout(self.timeout_s)
         return ours
 
     # ---- bytes -----------------------------------------------------------------------------------
 
+    def put(self, pieces: Iterable[bytes | memoryview]) -> None:
+        """Adds bytes to those that move() sends."""
+        for data in pieces:
+            self.unsent.append(memoryview(data))
+            self.is_fresh = True
+
+    def events(self, wait_s: float | None) -> int:
+        """Waits until the socket can be read, or written to if there is something to send. Returns
+        its events, or 0 if there are none within wait_s."""
+        self.check_owner()
+        if self.is_closed:
+            raise ConnectionLost(f"{self.name}: this client is closed", final=True)
+        if self.has_read():
+            return select.POLLIN
+        return _poll(self.socket, self.wanted(), None if wait_s is None else wait_s * 1000)
+
+    def wanted(self) -> int:
+        """Returns the events that matter."""
+        return select.POLLIN | (select.POLLOUT if self.unsent else 0)
+
+    def has_read(self) -> bool:
+        """Returns whether TLS has read bytes that move() can take."""
+        return isinstance(self.socket, ssl.SSLSocket) and self.socket.pending() > 0
+
+    def move(self, events: int) -> None:
+        """Receives and sends what is possible at once, after these events."""
+        self.torn = True
+        try:
+            if events & ~select.POLLOUT:
+                self._receive()
+            if events & select.POLLOUT:
+                self._send()
+        except ConnectionLost:  # Frames that came before may still be taken.
+            self.torn = False
+            raise
+        self.torn = False
+
+    def _receive(self) -> None:
+        try:
+            count = self.socket.recv_into(self.incoming.room())
+        except WAITS:
+            return
+        except OSError as error:  # If the daemon refuses the certificate, that is final.
+            refused = isinstance(error, ssl.SSLError) and "ALERT" in (error.reason or "")
+            why = "the daemon refuses this client's certificate: " if refused else ""
+            raise ConnectionLost(f"{self.name}: {why}{error}", final=refused) from error
+        if count == 0:
+            raise ConnectionLost(f"{self.name}: the daemon closed the connection")
+        self.incoming.add(count)
+
+    def _send(self) -> None:
+        self.is_fresh = False
+        try:
+            while self.unsent:
+                sent = self.socket.send(self.unsent[0])
+                self.unsent[0] = self.unsent[0][sent:]
+                if self.unsent[0]:
+                    break
+                self.unsent.popleft()
+        except WAITS:
+            pass
+        except OSError as error:
+            self.unsent.clear()
+            with contextlib.suppress(ConnectionLost):
+                self._receive()  # A daemon sends the reason before it hangs up.
+            if not self.incoming:
+                raise ConnectionLost(f"{self.name}: {error}") from error
+
+    def _move_until(self, done: Callable[[], T | None]) -> T:
+        """Moves bytes until done() returns something."""
+        self.check_usable()
+        while (found := done()) is None:
+            events = self.events(self.timeout_s)
+            if not events:
+                raise self.silent()
+            self.move(events)
+        return found
+
     def send_bytes(self, data: bytes) -> None:
         """Sends all the bytes, and meanwhile buffers what arrives. If neither end read while it
         sends, both could wait for each other forever."""
-        view = memoryview(data)
-        try:
-            while view:
-                readable, writable = self._wait(writing=True)
-                if readable:
-                    self._receive_some()
-                if writable:
-                    view = view[self._send_some(view) :]
-        except ConnectionLost:
-            # A daemon sends the reason before it hangs up: the caller reads that first.
-            if not self.incoming:
-                raise
+        self.put([data])
+        self._move_until(lambda: None if self.unsent else True)
 
     def receive_bytes(self, count: int) -> bytes | memoryview:
         """Waits for exactly count bytes."""
-        while (data := self.incoming.take(count)) is None:
-            self._receive()
-        return data
+        return self._move_until(lambda: self.incoming.take(count))
 
     def receive_eof(self) -> bool:
         """Waits until the peer closes the connection (returns True) or sends a byte (False)."""
-        if self.incoming:
-            return False
         try:
-            self._receive()
+            return self._move_until(lambda: False if self.incoming else None)
         except ConnectionLost as lost:
             if lost.final:
                 raise
             return True
-        return False
-
-    def arrives_by(self, time_s: float) -> bool:
-        """Waits for a byte until the time time_s, as of time.monotonic(). Returns whether one
-        came."""
-        self.check_usable()
-        wait_ms = max(time_s - time.monotonic(), 0) * 1000
-        pending = isinstance(self.socket, ssl.SSLSocket) and self.socket.pending() > 0
-        return bool(self.incoming or pending or _poll(self.socket, select.POLLIN, wait_ms))
 
     def half_close(self) -> None:
         """Tells the peer that nothing more is sent. Its answers can still be read."""
         shut_down(self.socket, socket.SHUT_WR)
-
-    def _wait(self, writing: bool) -> tuple[bool, bool]:
-        self.check_owner()
-        if self.is_closed:
-            raise ConnectionLost(f"{self.name}: this client is closed", final=True)
-        if isinstance(self.socket, ssl.SSLSocket) and self.socket.pending() > 0:
-            return True, writing
-        wanted = select.POLLIN | (select.POLLOUT if writing else 0)
-        wait_ms = None if self.timeout_s is None else self.timeout_s * 1000
-        events = _poll(self.socket, wanted, wait_ms)
-        if not events:
-            text = self.silent_text(self.timeout_s or 0)
-            raise ConnectionLost(text, final=not self.is_one_of_several)
-        readable = select.POLLIN | select.POLLHUP | select.POLLERR
-        return bool(events & readable), bool(events & select.POLLOUT)
-
-    def _send_some(self, data: memoryview) -> int:
-        try:
-            if isinstance(self.socket, ssl.SSLSocket):
-                return self.socket.send(data)
-            return self.socket.send(data, socket.MSG_DONTWAIT)
-        except (BlockingIOError, *TLS_WAITS):
-            return 0
-        except OSError as error:
-            raise ConnectionLost(f"{self.name}: {error}") from error
-
-    def _receive(self) -> None:
-        self._wait(writing=False)
-        self._receive_some()
-
-    def _receive_some(self) -> None:
-        is_sending, self.torn = self.torn, True
-        try:
-            self.received(self.socket.recv_into(self.incoming.room()))
-        except TLS_WAITS:
-            pass
-        except ConnectionLost:  # Frames that came before may still be taken.
-            self.torn = is_sending
-            raise
-        except OSError as error:
-            self.torn = is_sending
-            raise self.lost(error) from error
-        self.torn = is_sending
-
-    def lost(self, error: OSError) -> ConnectionLost:
-        """Says that receiving has failed. If the daemon refuses the certificate, that is final."""
-        refused = isinstance(error, ssl.SSLError) and "ALERT" in (error.reason or "")
-        why = "the daemon refuses this client's certificate: " if refused else ""
-        return ConnectionLost(f"{self.name}: {why}{error}", final=refused)
-
-    def received(self, count: int) -> None:
-        """Buffers the first count bytes of incoming.room(). Raises ConnectionLost if count is 0:
-        the daemon has closed the connection."""
-        if count == 0:
-            raise ConnectionLost(f"{self.name}: the daemon closed the connection")
-        self.incoming.add(count)
 
     # ---- frames ----------------------------------------------------------------------------------
 
@@ -410,33 +408,26 @@ class Connection:
         self, type: int, request_id: int, payload: bytes = b"", deadline_ms: int = 0
     ) -> None:
         """Sends a header and a payload, whose length must be a multiple of 8."""
-        self.check_usable()
+        self.put(frame_pieces(type, request_id, payload, deadline_ms))
+        self._move_until(lambda: None if self.unsent else True)
+
+    def receive_frame(self) -> Frame:
+        """Waits for the next frame, whatever its type."""
+        return self._move_until(self.take_frame)
+
+    def take_frame(self, give: Callable[[Frame], object] | None = None) -> Frame | None:
+        """Returns the next frame, or None if it has not been received completely. give: is called
+        with it; if that raises an exception, the connection is given up."""
         self.torn = True
-        try:
-            for data in frame_pieces(type, request_id, payload, deadline_ms):
-                self.send_bytes(data)
-        except ConnectionLost:  # Frames that came before may still be received.
-            self.torn = False
-            raise
+        frame = self.incoming.take_frame()
+        if frame is not None and give is not None:
+            give(frame)
         self.torn = False
-
-    def receive_frame(self, give: Callable[[Frame], object] | None = None) -> Frame:
-        """Waits for the next frame, whatever its type. give: is called with it; if that raises an
-        exception, the connection is given up."""
-        self.check_usable()
-        while True:
-            self.torn = True
-            frame = self.incoming.take_frame()
-            if frame is not None and give is not None:
-                give(frame)
-            self.torn = False
-            if frame is not None:
-                return frame
-            self._receive()
+        return frame
 
 
-# What a socket with TLS raises when it has to wait.
-TLS_WAITS = (ssl.SSLWantReadError, ssl.SSLWantWriteError)
+# What a socket raises when it has to wait.
+WAITS = (BlockingIOError, ssl.SSLWantReadError, ssl.SSLWantWriteError)
 
 
 def frame_pieces(

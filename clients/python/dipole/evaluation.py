@@ -11,7 +11,7 @@ import numpy as np
 from . import wire
 from .arguments import id_of, in_precision, media_array, name_of, names_of, notes_of, one_medium
 from .arguments import parameters_list
-from .calls import Calls, Steps
+from .session import Session
 from .connection import frame_pieces
 from .errors import ArgumentError, ProtocolError, TableError
 from .exchange import Answer, Once, Request
@@ -114,46 +114,44 @@ def request(info: Info, query: Query, is_streamed: bool = False) -> Request[Resu
     return Request("eval", payload, answer, query.deadline_ms)
 
 
-def _named(calls: Calls, query: Query) -> Steps[Query]:
+async def _named(session: Session, query: Query) -> Query:
     """Returns a query of the channels of the medium that a query names."""
-    media = yield from calls.media_of(query.media)
+    media = await session.media_of(query.media)
     return query if media is query.media else replace(query, media=media)
 
 
-def eval(calls: Calls, query: Query) -> Steps[Result]:
+async def eval(session: Session, query: Query) -> Result:
     """Evaluates a Query, or its arguments: eval(model, media, r, tolerance=0.01). The options are
     grid, evaluator, moments, wanted, parameters, tolerance and deadline_ms; help(Query) describes
     them. Waits for the answer. Raises Refused, which names the field at fault, if the daemon
     refuses the query. Its status is "deadline" if the answer would be too late."""
-    query = yield from _named(calls, query)
-    return (yield from calls.ask(request(calls.info, query)))
+    query = await _named(session, query)
+    return await session.ask(request(session.info, query))
 
 
-def submit(calls: Calls, query: Query) -> Steps[int]:
+async def submit(session: Session, query: Query) -> int:
     """Sends a query like eval(), but does not wait. Returns the query's id for collect()."""
-    request_id: int = yield request(calls.info, (yield from _named(calls, query)))
-    return request_id
+    return await session.send(request(session.info, await _named(session, query)))
 
 
-def eval_parts(calls: Calls, query: Query) -> Steps[int]:
+async def eval_parts(session: Session, query: Query) -> int:
     """Evaluates like eval(), but returns an iterator that gives each part of the answer when it
     arrives, so that an answer may be larger than memory. A part is a Result that begins at radius
     number radius_first. The daemon chooses how many radii a part has. Any step of the iterator may
     raise Refused; the parts before that are valid. The iterator of an AsyncClient is an
-    asynchronous one. That client reads up to 16 parts ahead of the caller, or more while another
-    call waits for its own answer."""
-    query = yield from _named(calls, query)
-    request_id: int = yield request(calls.info, query, is_streamed=True)
-    return request_id
+    asynchronous one. A client reads the parts while it waits for one of them, or for the answer to
+    another call."""
+    query = await _named(session, query)
+    return await session.send(request(session.info, query, is_streamed=True))
 
 
-def offers(
-    calls: Calls, media: Media, r: Any = None, **options: Unpack[OffersOptions]
-) -> Steps[Offers]:
+async def offers(
+    session: Session, media: Media, r: Any = None, **options: Unpack[OffersOptions]
+) -> Offers:
     """Lists the models and evaluators that could answer eval(None, ...) with the same arguments,
     cheapest first, with the measured error and cost of each."""
-    info = calls.info
-    media = yield from calls.media_of(media)
+    info = session.info
+    media = await session.media_of(media)
     query = Query(None, media, r, **options)
 
     def read(reply: bytes) -> Offers:
@@ -176,39 +174,39 @@ def offers(
 
     payload = _eval_payload(info, query)[0]
     made = Request("offers", payload, lambda: Once(read), query.deadline_ms)
-    return (yield from calls.ask(made))
+    return await session.ask(made)
 
 
-def table(
-    calls: Calls, model: str | int, medium: Media, **options: Unpack[Options]
-) -> Steps[Table]:
+async def table(
+    session: Session, model: str | int, medium: Media, **options: Unpack[Options]
+) -> Table:
     """Fetches the table that the evaluator "lut" uses for a medium. The Table evaluates it in this
     process, with the daemon's bits. options: moments, parameters, deadline_ms and tolerance
     (relative, at least 1e-6, by default 1e-4), as of a Query."""
-    medium = yield from calls.media_of(medium)
+    medium = await session.media_of(medium)
     query = Query(model, one_medium(medium), **options)
-    return (yield from _table(calls, query, lambda data: Table(data, calls.info)))
+    return await _table(session, query, lambda data: Table(data, session.info))
 
 
-def surface(
-    calls: Calls,
+async def surface(
+    session: Session,
     model: str | int,
     g: float = 0.0,
     eta: float = 1.3,
     *,
     evaluator: str = "f32",
     **options: Unpack[Options],
-) -> Steps[Surface]:
+) -> Surface:
     """Fetches what all media with this g and eta share. The Surface evaluates transport with a
     medium for each value, and finds the media of colours, in this process and with the bits of
     varying(). options: evaluator, "f32" by default, or "f64"; moments, parameters, tolerance and
     deadline_ms, as of varying()."""
     query = Query(model, Medium(0.0, 0.0, g, eta), **options)
-    return (yield from _table(calls, query, lambda data: Surface(data, calls.info, evaluator)))
+    return await _table(session, query, lambda data: Surface(data, session.info, evaluator))
 
 
-def _table(calls: Calls, query: Query, make: Callable[[bytes], T]) -> Steps[T]:
-    info = calls.info
+async def _table(session: Session, query: Query, make: Callable[[bytes], T]) -> T:
+    info = session.info
     parameters = parameters_list(info, query.parameters, query.tolerance)
     fixed = wire.TABLE_REQUEST.pack(
         model=_model_id(info, query),
@@ -224,18 +222,18 @@ def _table(calls: Calls, query: Query, make: Callable[[bytes], T]) -> Steps[T]:
 
     payload = b"".join([fixed, media_array(query.media).tobytes(), *parameters])
     made = Request("table", payload, lambda: Once(read), query.deadline_ms)
-    return (yield from calls.ask(made))
+    return await session.ask(made)
 
 
-def sample(
-    calls: Calls,
+async def sample(
+    session: Session,
     model: str | int,
     media: Media,
     u: Any = None,
     *,
     draw: Draw | None = None,
     **options: Unpack[SampleOptions],
-) -> Steps[Samples]:
+) -> Samples:
     """Draws radii with a density in proportion to r R(r): the radius for a number u has cdf u.
 
     u: N numbers from 0 (0 mm) to 1 (infinity). draw: a rule that makes the numbers, in place of
@@ -243,8 +241,8 @@ def sample(
     Query, whose `wanted` is ("r", "pdf") by default. "r" is the drawn radii; all other
     quantities are evaluated at these. A model that does not cover all radii is refused.
     """
-    info = calls.info
-    media = yield from calls.media_of(media)
+    info = session.info
+    media = await session.media_of(media)
     query = Query(model, media, **options)
     _check_model(query)
     if (u is None) == (draw is None):
@@ -286,7 +284,7 @@ def sample(
         return EvalAnswer(shape, read)
 
     made: Request[Samples] = Request("sample", payload, answer, query.deadline_ms)
-    return (yield from calls.ask(made))
+    return await session.ask(made)
 
 
 # ---- answers -------------------------------------------------------------------------------------

@@ -1,5 +1,5 @@
-"""Requests and their answers, without any input, output or waiting. Client and AsyncClient share
-this module: they send the frames that it makes, give it the frames that arrive, and do the waiting.
+"""Requests and their answers, without any input, output or waiting. A session sends the
+frames that this module makes, gives it the frames that arrive, and does the waiting.
 
 A request that fails is sent again if every daemon gives the same answer to it, however often it is
 asked. The parts of an unfinished answer are thrown away before that.
@@ -208,11 +208,6 @@ class Exchange:
             self._pending[request_id].again_s = None
         return ids
 
-    def is_planned(self, request_id: int) -> bool:
-        """Returns whether a request waits to be sent again."""
-        entry = self._pending.get(request_id)
-        return entry is not None and entry.again_s is not None
-
     def next_due_s(self) -> float | None:
         """Returns when the next refused request may be sent again; None if there is none."""
         times = (entry.again_s for entry in self._pending.values() if entry.again_s is not None)
@@ -268,10 +263,6 @@ class Exchange:
             raise item
         return item
 
-    def ahead(self) -> int:
-        """Returns how many parts of answers have arrived that next() has not given out yet."""
-        return sum(len(entry.answer.ready) for entry in self._pending.values())
-
     def ask_once(self, request_id: int) -> None:
         """Lets a request that has been sent never be sent again."""
         entry = self._pending.get(request_id)
@@ -308,6 +299,13 @@ class Exchange:
             raise error
         began_s = [entry.failed_since_s() for entry in unanswered]
         return min(began_s, default=time.monotonic()) + self.retry_s
+
+    def fail(self, error: DipoleError) -> None:
+        """Ends all requests without an answer by an error."""
+        for entry in self._pending.values():
+            if not entry.answer.ended:
+                entry.again_s = None
+                entry.answer.refuse(error)
 
     def restored(self) -> list[int]:
         """Handles a new connection: returns the ids of the requests that are sent over it now."""

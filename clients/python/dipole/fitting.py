@@ -9,7 +9,7 @@ import numpy as np
 
 from . import exchange, wire
 from .arguments import id_of, media_array, parameters_list
-from .calls import Calls, Steps
+from .session import Session
 from .errors import ArgumentError, ProtocolError
 from .values import Array, Fits, Media
 
@@ -69,8 +69,8 @@ def _place(name: str, given: Any, readings: int) -> Array:
         raise ArgumentError(f"{name}: one number, or an array [{readings}]: {error}") from error
 
 
-def fit(
-    calls: Calls,
+async def fit(
+    session: Session,
     model: str | int,
     at: Any,
     values: Any,
@@ -87,7 +87,7 @@ def fit(
     parameters: Mapping[str, float | str] | None = None,
     residuals: bool = False,
     deadline_ms: int = 0,
-) -> Steps[Fits]:
+) -> Fits:
     """Finds the sigma_a and sigma_s' under a model that make readings most likely.
 
     at: [N] distances in mm or, with axis="f", spatial frequencies in 1/mm. values: [..., N]
@@ -105,7 +105,7 @@ def fit(
     and sigma_s_prime change; for 0.1 it is about twice that. moments, parameters, deadline_ms:
     as of a Query; large images are sent in several requests, and the deadline holds for each.
     """
-    info = calls.info
+    info = session.info
     if eta is None:
         raise ArgumentError("eta: give the refractive index inside over outside: it has no default")
     readings, spread = _arrays(values, errors)
@@ -143,7 +143,7 @@ def fit(
         if remainders is not None:
             remainders[part.first : end] = part.residuals
 
-    yield from calls.each(_requests(head, *lists, residuals, deadline_ms), add, OUTSTANDING)
+    await session.each(_requests(head, *lists, residuals, deadline_ms), add, OUTSTANDING)
     sets.setflags(write=False)
     shape = readings.shape[:-1]
     names = {choice.id: name for name, choice in info.choices["fit_status"].items()}

@@ -18,7 +18,7 @@ import numpy as np
 
 from . import wire
 from .arguments import id_of, media_array, name_of, notes_of, parameters_list
-from .calls import Calls, Steps
+from .session import Session
 from .errors import ArgumentError, ProtocolError, Refused
 from .exchange import InParts, Once, Request
 from .library import Handle, address, call
@@ -140,8 +140,8 @@ def _words(name: bytes) -> tuple[int, int]:
     return int.from_bytes(name[:8], "little"), int.from_bytes(name[8:], "little")
 
 
-def gather(
-    calls: Calls,
+async def gather(
+    session: Session,
     model: str | int,
     media: Media,
     points: Points,
@@ -153,7 +153,7 @@ def gather(
     moments: str | int = "exact",
     parameters: Mapping[str, float | str] | None = None,
     deadline_ms: int = 0,
-) -> Steps[Gathered]:
+) -> Gathered:
     """Sums, at each query position x, the light of all points: R(|x - x_i|) times the power of
     point i, for each channel.
 
@@ -169,8 +169,8 @@ def gather(
     numbers of points and queries of one daemon are its limits; queries are sent in several
     requests, whose number is not limited.
     """
-    info = calls.info
-    media = yield from calls.media_of(media)
+    info = session.info
+    media = await session.media_of(media)
     try:
         listed = np.asarray(queries, "<f8")
     except (TypeError, ValueError) as error:
@@ -225,13 +225,13 @@ def gather(
         while answered < len(places) or not pieces:
             before = answered
             try:  # Others than the first would be refused, too, if the daemon lacks the points.
-                yield from calls.each(requests(before + most), take, cancels=True)
-                yield from calls.each(requests(len(places)), take, OUTSTANDING, cancels=True)
+                await session.each(requests(before + most), take, cancels=True)
+                await session.each(requests(len(places)), take, OUTSTANDING, cancels=True)
             except Refused as error:
                 sent_times = 1 if answered > before else sent_times + 1
                 if error.status != "unknown-points" or sent_times > _SENT_MOST:
                     raise
-                yield from _send(calls, points, deadline_ms)
+                await _send(session, points, deadline_ms)
     except _Stopped:
         pass
     sums = np.full((len(places), channels), np.nan)
@@ -259,7 +259,7 @@ def gather(
     )
 
 
-def _send(calls: Calls, points: Points, deadline_ms: int) -> Steps[None]:
+async def _send(session: Session, points: Points, deadline_ms: int) -> None:
     """Sends points to a daemon that does not have them, until it has all of them."""
     known = False
 
@@ -286,7 +286,7 @@ def _send(calls: Calls, points: Points, deadline_ms: int) -> Steps[None]:
         if answer.point_next == len(points) and not known:
             raise ProtocolError("a points reply that does not know the set, with all its points")
 
-    yield from calls.each(requests(), take, OUTSTANDING)
+    await session.each(requests(), take, OUTSTANDING)
 
 
 # ---- at home -------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ import numpy as np
 
 from . import exchange, wire
 from .arguments import id_of, name_of
-from .calls import Calls, Steps
+from .session import Session
 from .errors import ArgumentError, ProtocolError
 from .values import Info, Inversion
 
@@ -60,8 +60,8 @@ class Answer(exchange.InParts[Inversion]):
         )
 
 
-def invert(
-    calls: Calls,
+async def invert(
+    session: Session,
     model: str | int,
     albedo: Any,
     length: Any,
@@ -71,7 +71,7 @@ def invert(
     eta: float = 1.3,
     moments: str | int = "exact",
     deadline_ms: int = 0,
-) -> Steps[Inversion]:
+) -> Inversion:
     """Finds media that have given diffuse albedos under a model.
 
     albedo: from 0 to 1, of any shape, such as a texture [H, W, 3]. length: mm, of a shape that
@@ -80,7 +80,7 @@ def invert(
     "mean-free-path", is 1 / (sigma_a + sigma_s (1 - g)). g=0.0 and eta=1.3 hold for all media.
     moments, deadline_ms: as of a Query.
     """
-    info = calls.info
+    info = session.info
     try:
         albedos, lengths = np.broadcast_arrays(np.asarray(albedo, "<f8"), np.asarray(length, "<f8"))
     except ValueError as error:
@@ -99,4 +99,4 @@ def invert(
     def answer() -> Answer:
         return Answer(fixed, albedos.shape, info)
 
-    return (yield from calls.ask(exchange.Request("invert", payload, answer, deadline_ms)))
+    return await session.ask(exchange.Request("invert", payload, answer, deadline_ms))

@@ -10,9 +10,9 @@ import numpy as np
 
 from . import wire
 from .arguments import id_of, one_medium, parameters_list
-from .calls import Calls, Cancel, Steps
+from .session import Session
 from .errors import ArgumentError, DipoleError, ProtocolError
-from .exchange import Answer, Once, Request
+from .exchange import Answer, Request
 from .values import Grid, McEnergy, McProgress, McResult, McValue, Media, whole
 
 
@@ -32,8 +32,8 @@ class _Answer(Answer[McProgress | McResult]):
         self.ready.append(unpack_result(payload) if self.ended else progress_of(fixed))
 
 
-def mc(
-    calls: Calls,
+async def mc(
+    session: Session,
     medium: Media,
     edges: Grid,
     *,
@@ -45,7 +45,7 @@ def mc(
     albedos: Iterable[float] = (),
     seed: int = 1,
     parameters: Mapping[str, float | str] | None = None,
-) -> Steps[McResult]:
+) -> McResult:
     """Runs a Monte Carlo job on the daemon and waits for its result.
 
     edges: the edges of the rings; n edges make n - 1 rings. progress: is called a few times a
@@ -60,8 +60,8 @@ def mc(
     {"phase": "two-term", "phase_share": 0.95, "phase_g": -0.3}; info.choices["phase"]
     describes them. The medium's g is their mean cosine.
     """
-    info = calls.info
-    medium = yield from calls.media_of(medium)
+    info = session.info
+    medium = await session.media_of(medium)
     if photons is None:
         wishes = error_total or error_rings
         photons = info.limits["max_mc_photons"] if wishes else 1_000_000
@@ -70,35 +70,30 @@ def mc(
     spacing = id_of(info, "spacing", edges.spacing)
     numbers = (photons, error_total, error_rings, thickness, albedos, seed)
     payload = pack_request(medium, edges, spacing, *numbers)
-    job = yield Request("mc", payload + b"".join(parameters_list(info, parameters)), _Answer)
+    payload += b"".join(parameters_list(info, parameters))
+    job = await session.send(Request("mc", payload, _Answer))
     cancelled = reporting = False
     try:
-        while not isinstance(report := (yield job), McResult):
+        while not isinstance(report := await session.next(job), McResult):
             reporting = True
             stop = progress is not None and progress(report) is False and not cancelled
             reporting = False
             if stop:
                 cancelled = True
-                yield Cancel(job)
+                await session.cancel([job])
         return report
     except GeneratorExit:
         raise
     except BaseException as error:
         if isinstance(error, DipoleError) and not reporting:  # the daemon's own
             raise
-        yield from calls.cancel([job])
+        await session.cancel([job])
         while isinstance(error, (Exception, KeyboardInterrupt)):  # A cancelled task does not wait.
-            if isinstance((yield job), McResult):
+            if isinstance(await session.next(job), McResult):
                 break
         raise
     finally:
-        calls.exchange.drop(job)
-
-
-def cancellation(job_id: int) -> Request[None]:
-    """Makes the request that cancels a job. Its reply is not read: the job's result follows."""
-    payload = wire.CANCEL_REQUEST.pack(job_id=job_id)
-    return Request("cancel", payload, lambda: Once(lambda _: None))
+        session.exchange.drop(job)
 
 
 def pack_request(

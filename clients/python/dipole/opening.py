@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable
 
+from . import wire
 from .connection import Connection, Tls, usual_address
 from .errors import AddressError, ConnectError, ConnectionLost, DipoleError
-from .exchange import PAUSE_FIRST_S, Exchange, Request, is_temporary, with_jitter
-from .values import Info
+from .exchange import PAUSE_FIRST_S, Exchange, Once, Request, is_temporary, with_jitter
+from .values import Choice, Info
 
 RETRY_S = 5.0  # how long a client of unix: or tcp: addresses goes on trying by default
 
@@ -20,7 +20,7 @@ _PAUSE_MOST_S = 1.0
 class Opening:
     """How a client opens its connections.
 
-    address, timeout_s, retry_s, tls: see Client. hello: makes the first request for an address.
+    address, timeout_s, retry_s, tls: see Client.
     """
 
     def __init__(
@@ -28,13 +28,11 @@ class Opening:
         address: str | None,
         timeout_s: float | None,
         retry_s: float | None,
-        hello: Callable[[str], Request[Info]],
         tls: Tls,
     ):
         self._addresses = _several(address or usual_address())
         self._at = 0  # number of the address that is in use, or that is tried next
         self._timeout_s = timeout_s
-        self._hello = hello
         self._tls = tls
         usual_s = 0.0 if self._addresses[0].startswith("private:") else RETRY_S
         self.retry_s = usual_s if retry_s is None else retry_s
@@ -120,14 +118,14 @@ class Opening:
                 hint = ": is it a tls: address?" if address.startswith("tcp:") else ""
                 raise ConnectError(f"{error} (before it said hello{hint})") from error
             raise
-        connection.set_timeout_s(self._timeout_s)
+        connection.timeout_s = self._timeout_s
         connection.is_one_of_several = len(self._addresses) > 1
         return connection, info
 
     def _greet(self, connection: Connection, address: str) -> Info:
         """Sends hello and waits for the reply."""
         exchange = Exchange(0.0)
-        request_id = exchange.begin(self._hello(address))
+        request_id = exchange.begin(_hello(address))
         connection.is_one_of_several = True  # A daemon that is silent now may answer later.
         for data in exchange.frame(request_id):
             connection.send_bytes(data)
@@ -135,6 +133,33 @@ class Opening:
             exchange.take(connection.receive_frame())
         info: Info = exchange.next(request_id)
         return info
+
+
+def _hello(address: str) -> Request[Info]:
+    """Makes the first request of a client. address: that of the connection, which Info repeats."""
+    request = wire.HELLO_REQUEST.pack(version_min=wire.VERSION, version_max=wire.VERSION)
+
+    def read(reply: bytes) -> Info:
+        fixed, (choices, limits) = wire.unpack_list(
+            reply, wire.HELLO_REPLY, choice_count=wire.CHOICE, limit_count=wire.VALUE
+        )
+        by_kind: dict[str, dict[str, Choice]] = {kind: {} for kind in wire.KINDS.values()}
+        for choice in choices:
+            kind = wire.KINDS.get(choice.kind)
+            if kind is not None:  # A newer daemon may list kinds that this client does not know.
+                by_kind[kind][choice.name] = Choice(choice.id, choice.name, choice.about)
+        return Info(
+            address=address,
+            software=fixed.software,
+            instruction_set=fixed.instruction_set,
+            R_unit=fixed.R_unit,
+            protocol_version=fixed.version,
+            workers=fixed.workers,
+            choices=by_kind,
+            limits={limit.name: limit.value for limit in limits},
+        )
+
+    return Request("hello", request, lambda: Once(read))
 
 
 def _several(text: str) -> list[str]:

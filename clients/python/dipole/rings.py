@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Unpack
 import numpy as np
 
 from .arguments import media_array
-from .calls import Calls, Steps
+from .session import Session
 from .errors import ArgumentError
 from .evaluation import eval
 from .values import Array, EvaluatorOptions, Grid, Media, Query, counted, in_short, span, whole
@@ -42,13 +42,13 @@ class RingMeans(NamedTuple):
 _Powers = tuple[Array, Array, Array]
 
 
-def ring_means(
-    calls: Calls,
+async def ring_means(
+    session: Session,
     model: str | int | None,
     media: Media,
     edges: Any,
     **options: Unpack[EvaluatorOptions],
-) -> Steps[RingMeans]:
+) -> RingMeans:
     """Returns a model's means of R over rings, to compare with those of mc().
 
     edges: mm, a Grid as for mc(), or the edges [N + 1] of its result. The means are integrals of
@@ -60,21 +60,21 @@ def ring_means(
     # A ring is cut into parts whose outer edge is at most twice the inner one, and each part is cut
     # into halves until that changes its power by less than the values' errors do. The sum of the
     # last changes is part of the error: it is far above that of the sum of the halves.
-    media = media_array((yield from calls.media_of(media)))
+    media = media_array((await session.media_of(media)))
     query = Query(model, media, wanted="2_pi_r_R", **options)
     edges = _edges(edges)
     low, high, ring = _cut(edges, media)
     if model is None:  # The first answer names the model for all others.
-        first = yield from eval(calls, replace(query, r=np.append(low[low > 0], high)))
+        first = await eval(session, replace(query, r=np.append(low[low > 0], high)))
         query = replace(query, model=first.model, evaluator=query.evaluator or "f64")
     power, error = np.zeros((2, len(media), len(edges) - 1))
-    whole, rounding, model_error = yield from _powers(calls, query, low, high)
+    whole, rounding, model_error = await _powers(session, query, low, high)
     small = np.zeros(len(low), bool)
     while len(low):
         middle = (low + high) / 2
         ends = np.stack([low, middle, high])
         low, high = ends[:2].T.reshape(-1), ends[1:].T.reshape(-1)
-        halves, rounding, worst = yield from _powers(calls, query, low, high)
+        halves, rounding, worst = await _powers(session, query, low, high)
         model_error = np.maximum(model_error, worst)
         sums, rounded = (x[:, 0::2] + x[:, 1::2] for x in (halves, rounding))
         change = np.abs(sums - whole)
@@ -110,7 +110,7 @@ def _cut(edges: Array, media: Array) -> tuple[Array, Array, Array]:
     return np.concatenate(low), np.concatenate(high), np.concatenate(ring)
 
 
-def _powers(calls: Calls, query: Query, low: Array, high: Array) -> Steps[_Powers]:
+async def _powers(session: Session, query: Query, low: Array, high: Array) -> _Powers:
     # A query states one error for all of its radii: so each has the parts of an octave.
     octaves = np.frexp(high)[1]
     channels = len(np.asarray(query.media))
@@ -118,16 +118,16 @@ def _powers(calls: Calls, query: Query, low: Array, high: Array) -> Steps[_Power
     model_errors = np.zeros(channels)
     for octave in np.unique(octaves):
         at = octaves == octave
-        powers[:, at], errors[:, at], one = yield from _powers_at(calls, query, low[at], high[at])
+        powers[:, at], errors[:, at], one = await _powers_at(session, query, low[at], high[at])
         model_errors = np.maximum(model_errors, one)
     return powers, errors, model_errors
 
 
-def _powers_at(calls: Calls, query: Query, low: Array, high: Array) -> Steps[_Powers]:
+async def _powers_at(session: Session, query: Query, low: Array, high: Array) -> _Powers:
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)  # type: ignore[no-untyped-call]
     width = (high - low)[:, None]
     r = low[:, None] + width * ((1 + nodes) / 2)
-    result = yield from eval(calls, replace(query, r=r.reshape(-1)))
+    result = await eval(session, replace(query, r=r.reshape(-1)))
     values = result.two_pi_r_R
     evaluated = r.astype(values.dtype)
     ring: Array = values.astype(np.float64).reshape(-1, *r.shape)

@@ -58,6 +58,7 @@ class Medium(NamedTuple):
 
 
 Media = Union[Medium, str, Iterable[Sequence[float]], Array]
+MeasuredMedia = dict[str, tuple[Medium, ...]]  # by name: the channels red, green and blue
 
 
 class Grid(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 
 from . import wire
 from .arguments import id_of, name_of, notes_of, parameters_list
-from .calls import Calls, Steps
+from .session import Session
 from .errors import ArgumentError, ProtocolError
 from .exchange import InParts, Request
 from .values import Array, Info, Varying
@@ -153,8 +153,8 @@ def _given(
     return ({**media, "u": u}, wire.VARYING_DRAWN) if u is not None else (media, wire.VARYING_NONE)
 
 
-def varying(
-    calls: Calls,
+async def varying(
+    session: Session,
     model: str | int,
     *,
     sigma_a: Any = None,
@@ -175,7 +175,7 @@ def varying(
     parameters: Mapping[str, float | str] | None = None,
     tolerance: float | None = None,
     deadline_ms: int = 0,
-) -> Steps[Varying]:
+) -> Varying:
     """Evaluates values each of which has a medium of its own, as the points of a texture have. A
     value costs some ten nanoseconds.
 
@@ -192,7 +192,7 @@ def varying(
     NaN; statuses says why. tolerance: of transport, 1e-5 or more, 1e-3 by default. moments,
     parameters, deadline_ms: as of a Query. The number of values is not limited.
     """
-    info = calls.info
+    info = session.info
     arrays, numbers = _given(sigma_a, sigma_s, colour, length, r, u)
     coloured = "colour" in arrays
     evaluator_id = id_of(info, "evaluator", evaluator)
@@ -233,5 +233,5 @@ def varying(
         deadline_ms=deadline_ms,
     )
     pieces: list[Piece] = []
-    yield from calls.each(plan.requests(), pieces.append)
+    await session.each(plan.requests(), pieces.append)
     return plan.join(pieces)
