@@ -1,16 +1,16 @@
 /* dipole fit: the coefficients of samples whose readings a CSV file holds. */
 #include <math.h>
+#include <search.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "clients/cli/csv.h"
 #include "clients/cli/daemon.h"
 #include "clients/cli/options.h"
 #include "clients/cli/picture.h"
 #include "clients/cli/profile.h"
 #include "clients/cli/progress.h"
-#include "clients/cli/readings.h"
 #include "clients/cli/rows.h"
+#include "clients/cli/sheet.h"
 
 enum { REFERENCE_NUMBERS = 4 };
 
@@ -54,14 +54,30 @@ enum { G_BELOW = 1, G_ABOVE = 2 };
 
 static const char *const sides_of_g[] = {"none", "below", "above", "both"};
 
+/* The readings of one medium: `count` of them from `first` on. */
+typedef struct fit_sample {
+  char *name;
+  double of_sample[3]; /* g, eta and the aperture; NAN if the file does not say */
+  double g, eta;       /* as taken */
+  const char *g_from;  /* where g comes from */
+  size_t first, count;
+} fit_sample;
+
 typedef struct report {
   const cli_settings *settings;
   cli_profile profile;
   const dipole_choice *axis, *scale;
-  cli_readings readings;
+  const char *source; /* name of the file, for messages */
+  bool frequency;     /* the places are spatial frequencies */
+  size_t sample_count;
+  fit_sample *samples; /* in the order of their first lines */
+  size_t count;
+  /* [count], by samples and within them in the order of the file. A cell that is empty is NAN. */
+  double *at, *values, *errors, *source_mm, *detector_mm;
+  uint64_t *lines;       /* of the file, from 1 on */
   dipole_fitted *fitted; /* [sample_count] */
   g_change *changes;     /* [sample_count] */
-  double *residuals;     /* [readings.count]; NAN where nothing was fitted */
+  double *residuals;     /* [count]; NAN where nothing was fitted */
   unsigned notes;
 } report;
 
@@ -79,6 +95,165 @@ static int check(cli_settings *settings) {
   return cli_picture_check(&settings->plot, settings);
 }
 
+/* ---- readings -------------------------------------------------------------------------------- */
+
+/* The columns: those of samples come first. */
+enum {
+  G,
+  ETA,
+  APERTURE,
+  OF_SAMPLE,
+  RADIUS = OF_SAMPLE,
+  FREQUENCY,
+  VALUE,
+  ERROR,
+  SOURCE,
+  DETECTOR,
+  COLUMNS
+};
+
+static const char *const names[COLUMNS] = {"g", "eta",   "detector_na", "r",          "f",
+                                           "R", "error", "source_mm",   "detector_mm"};
+
+static bool check_header(const cli_sheet *sheet, const cli_csv_record *header) {
+  size_t length;
+  for (size_t i = 0; i < header->cell_count; i++) {
+    const char *name = cli_csv_cell_text(header, i, &length);
+    if (strcmp(name, "thickness") == 0 || strncmp(name, "phase", strlen("phase")) == 0) {
+      cli_fail("%s: the column %s is of no medium that can be fitted: those are half spaces that "
+               "scatter by Henyey-Greenstein's function",
+               sheet->source, name);
+      return false;
+    }
+  }
+  const char *missing =
+      (sheet->at[RADIUS] == CLI_CSV_ABSENT) == (sheet->at[FREQUENCY] == CLI_CSV_ABSENT)
+          ? "r or f (one of both)"
+      : sheet->at[VALUE] == CLI_CSV_ABSENT ? "R"
+      : sheet->at[ERROR] == CLI_CSV_ABSENT ? "error"
+                                           : NULL;
+  return missing == NULL ||
+         cli_csv_fail_missing(
+             sheet->source, header, missing,
+             "r (distances in mm) or f (spatial frequencies in 1/mm), R and error, "
+             "and may have sample, g, eta, detector_na, source_mm and detector_mm");
+}
+
+/* Returns the number of the sample of this name, which is the next one if it is new. table: of
+ * names that have come */
+static size_t number_of(struct hsearch_data *table, char *name, size_t next) {
+  ENTRY *found;
+  if (hsearch_r((ENTRY){name, (void *)(uintptr_t)next}, ENTER, &found, table) == 0) {
+    fputs("dipole: out of memory\n", stderr);
+    exit(CLI_FAILED);
+  }
+  return (size_t)(uintptr_t)found->data;
+}
+
+/* Sets what all lines of a sample must agree about. */
+static bool take_of_sample(const cli_sheet *sheet, size_t row, fit_sample *of) {
+  for (size_t i = 0; i < OF_SAMPLE; i++) {
+    const double given = cli_sheet_number(sheet, row, i), kept = of->of_sample[i];
+    if (!isnan(given) && (kept < given || kept > given)) {
+      cli_fail("%s: line %llu: %s differs from that of the sample's other lines", sheet->source,
+               (unsigned long long)sheet->lines[row], names[i]);
+      return false;
+    }
+    of->of_sample[i] = isnan(given) ? kept : given;
+  }
+  return true;
+}
+
+/* Lists the samples, and counts their readings. numbers: [rows] those of the rows' samples */
+static bool list_samples(const cli_sheet *sheet, report *of, size_t *numbers) {
+  struct hsearch_data table = {0};
+  bool good = hcreate_r(2 * sheet->count + 1, &table) != 0;
+  of->samples = cli_allocate(sheet->count, sizeof *of->samples);
+  for (size_t row = 0; good && row < sheet->count; row++) {
+    char *name = sheet->labels[row];
+    fit_sample *one = &of->samples[numbers[row] = number_of(&table, name, of->sample_count)];
+    if (numbers[row] == of->sample_count) {
+      const double none = (double)NAN;
+      *one = (fit_sample){.name = name, .of_sample = {none, none, none}};
+      of->sample_count++;
+    }
+    good = take_of_sample(sheet, row, one);
+    one->count++;
+  }
+  hdestroy_r(&table);
+  return good;
+}
+
+/* Puts the readings into their arrays, sample by sample. */
+static void arrange(const cli_sheet *sheet, const size_t *numbers, report *of) {
+  const struct {
+    double **to;
+    size_t column;
+  } arrays[] = {{&of->at, of->frequency ? FREQUENCY : RADIUS},
+                {&of->values, VALUE},
+                {&of->errors, ERROR},
+                {&of->source_mm, SOURCE},
+                {&of->detector_mm, DETECTOR}};
+  size_t next = 0;
+  of->count = sheet->count;
+  of->lines = cli_allocate(of->count, sizeof *of->lines);
+  for (size_t i = 0; i < of->sample_count; i++) {
+    of->samples[i].first = next;
+    next += of->samples[i].count;
+    of->samples[i].count = 0;
+  }
+  for (size_t k = 0; k < sizeof arrays / sizeof arrays[0]; k++) {
+    *arrays[k].to = cli_allocate(of->count, sizeof(double));
+  }
+  for (size_t row = 0; row < of->count; row++) {
+    fit_sample *one = &of->samples[numbers[row]];
+    const size_t to = one->first + one->count++;
+    for (size_t k = 0; k < sizeof arrays / sizeof arrays[0]; k++) {
+      const double number = cli_sheet_number(sheet, row, arrays[k].column);
+      (*arrays[k].to)[to] = isnan(number) && arrays[k].column >= SOURCE ? 0 : number;
+    }
+    of->lines[to] = sheet->lines[row];
+  }
+}
+
+/* Sets g and eta where the file does not say them. A wrong eta gives wrong coefficients that fit as
+ * well, so none is assumed. */
+static int complete_samples(report *of) {
+  const cli_settings *settings = of->settings;
+  for (size_t i = 0; i < of->sample_count; i++) {
+    fit_sample *one = &of->samples[i];
+    const double g = one->of_sample[G], eta = one->of_sample[ETA];
+    one->g = isnan(g) ? cli_numbers_pick(&settings->g, 0, 0) : g;
+    one->g_from = !isnan(g) ? "file" : settings->g.count > 0 ? "option" : "default";
+    one->eta = isnan(eta) ? cli_numbers_pick(&settings->eta, 0, (double)NAN) : eta;
+    if (isnan(one->eta)) {
+      return cli_fail_usage("sample %s: its eta is not known: give --eta X (the refractive index "
+                            "inside over outside), or a column eta",
+                            one->name);
+    }
+  }
+  return CLI_OK;
+}
+
+/* Reads the file and groups its lines into samples. Says what is wrong and returns an exit status. */
+static int read_samples(report *of) {
+  cli_sheet sheet;
+  if (!cli_sheet_read(of->settings->operand, "sample", names, COLUMNS, check_header, &sheet)) {
+    return CLI_FAILED;
+  }
+  if (sheet.count == 0) {
+    return cli_fail("%s: there are no readings", sheet.source);
+  }
+  size_t *numbers = cli_allocate(sheet.count, sizeof *numbers);
+  of->source = sheet.source;
+  of->frequency = sheet.at[FREQUENCY] != CLI_CSV_ABSENT;
+  if (!list_samples(&sheet, of, numbers)) {
+    return CLI_FAILED;
+  }
+  arrange(&sheet, numbers, of);
+  return CLI_OK;
+}
+
 /* ---- asking ---------------------------------------------------------------------------------- */
 
 /* Looks up the names that options and the file give. */
@@ -90,7 +265,7 @@ static int choose(const cli_settings *settings, dipole_client *client, report *o
     return CLI_USAGE;
   }
   of->scale = cli_named(of->profile.info, DIPOLE_SCALE, "scale", scale);
-  of->axis = cli_named(of->profile.info, DIPOLE_AXIS, "axis", of->readings.frequency ? "f" : "r");
+  of->axis = cli_named(of->profile.info, DIPOLE_AXIS, "axis", of->frequency ? "f" : "r");
   return of->scale != NULL && of->axis != NULL ? CLI_OK : CLI_USAGE;
 }
 
@@ -101,59 +276,33 @@ typedef struct batch {
 } batch;
 
 /* Returns the parameters of a sample: those of the options, and the aperture of the file. */
-static cli_parameters parameters_of(const report *of, const cli_sample *sample) {
+static cli_parameters parameters_of(const report *of, const fit_sample *one) {
   const dipole_choice *aperture = cli_choice(of->profile.info, DIPOLE_PARAMETER, "detector_na");
   cli_parameters parameters = of->profile.parameters;
-  if (!isnan(sample->detector_na)) {
+  if (!isnan(one->of_sample[APERTURE])) {
     cli_parameters_set(&parameters, aperture != NULL ? aperture->id : CORE_PARAMETER_DETECTOR_NA,
-                       sample->detector_na);
+                       one->of_sample[APERTURE]);
   }
   return parameters;
 }
 
-static double g_of(const report *of, const cli_sample *sample) {
-  return isnan(sample->g) ? cli_numbers_pick(&of->settings->g, 0, 0) : sample->g;
-}
-
-static double eta_of(const report *of, const cli_sample *sample) {
-  return isnan(sample->eta) ? cli_numbers_pick(&of->settings->eta, 0, (double)NAN) : sample->eta;
-}
-
-/* Returns where a sample's g comes from. */
-static const char *source_of_g(const report *of, const cli_sample *sample) {
-  return !isnan(sample->g) ? "file" : of->settings->g.count > 0 ? "option" : "default";
-}
-
-/* A wrong eta gives wrong coefficients that fit as well, so none is assumed. */
-static int check_eta(const report *of) {
-  for (size_t i = 0; i < of->readings.sample_count && of->settings->eta.count == 0; i++) {
-    const cli_sample *sample = &of->readings.samples[i];
-    if (isnan(sample->eta)) {
-      return cli_fail_usage("sample %s: its eta is not known: give --eta X (the refractive index "
-                            "inside over outside), or a column eta",
-                            sample->name);
-    }
-  }
-  return CLI_OK;
-}
-
-static dipole_fit_query query_of(const report *of, const cli_sample *sample,
+static dipole_fit_query query_of(const report *of, const fit_sample *one,
                                  const cli_parameters *parameters) {
   const cli_settings *settings = of->settings;
   const double *known = settings->reference.items;
   dipole_fit_query query = {
       .model = of->profile.model->id,
       .moments = of->profile.moments->id,
-      .g = g_of(of, sample),
-      .eta = eta_of(of, sample),
+      .g = one->g,
+      .eta = one->eta,
       .parameters = parameters->items,
       .parameter_count = parameters->count,
       .axis = of->axis->id,
       .scale = of->scale->id,
-      .reading_count = sample->count,
-      .at = of->readings.at + sample->first,
-      .source_mm = of->readings.source_mm + sample->first,
-      .detector_mm = of->readings.detector_mm + sample->first,
+      .reading_count = one->count,
+      .at = of->at + one->first,
+      .source_mm = of->source_mm + one->first,
+      .detector_mm = of->detector_mm + one->first,
       .residuals = true,
       .deadline_ms = (unsigned)settings->deadline_ms.value,
   };
@@ -164,7 +313,7 @@ static dipole_fit_query query_of(const report *of, const cli_sample *sample,
 }
 
 static void take(report *of, const batch *some, const dipole_fits *fits) {
-  const cli_sample *first = &of->readings.samples[some->first];
+  const fit_sample *first = &of->samples[some->first];
   memcpy(of->fitted + some->first, fits->sets, some->count * sizeof *of->fitted);
   memcpy(of->residuals + first->first, fits->residuals,
          some->count * first->count * sizeof *of->residuals);
@@ -216,33 +365,33 @@ static bool is_of_reading(const dipole_error *error) {
 }
 
 /* Returns whether a refusal is about what the file says of a sample, and not about an option. */
-static bool is_of_file(const cli_sample *sample, const dipole_error *error) {
-  return error->kind == DIPOLE_ERROR_REFUSED &&
-         (is_of_reading(error) || strcmp(error->field, "reading_count") == 0 ||
-          (strcmp(error->field, "g") == 0 && !isnan(sample->g)) ||
-          (strcmp(error->field, "detector_na") == 0 && !isnan(sample->detector_na)) ||
-          (strcmp(error->field, "eta") == 0 && !isnan(sample->eta)));
+static bool is_of_file(const fit_sample *one, const dipole_error *error) {
+  bool found = is_of_reading(error) || strcmp(error->field, "reading_count") == 0;
+  for (size_t i = 0; i < OF_SAMPLE; i++) {
+    found = found || (strcmp(error->field, names[i]) == 0 && !isnan(one->of_sample[i]));
+  }
+  return error->kind == DIPOLE_ERROR_REFUSED && found;
 }
 
 /* Says what the daemon refuses of samples of one design, of which this is the first. */
-static void tell_refused(const report *of, const cli_sample *first, size_t count,
+static void tell_refused(const report *of, const fit_sample *first, size_t count,
                          const dipole_error *error) {
   char line[64] = "";
   if (error->index < first->count && is_of_reading(error)) {
     snprintf(line, sizeof line, ": reading %zu (line %llu)", (size_t)error->index + 1,
-             (unsigned long long)of->readings.lines[first->first + error->index]);
+             (unsigned long long)of->lines[first->first + error->index]);
   }
   cli_fail("sample %s%s%s: %s", first->name, count > 1 ? " and others" : "", line, error->text);
 }
 
 /* Asks for a batch. If the daemon refuses what the file says of its samples, they stay refused. */
 static bool ask_some(dipole_client *client, report *of, const batch *some, dipole_error *error) {
-  const cli_sample *first = &of->readings.samples[some->first];
+  const fit_sample *first = &of->samples[some->first];
   const cli_parameters parameters = parameters_of(of, first);
   dipole_fit_query query = query_of(of, first, &parameters);
   query.set_count = some->count;
-  query.values = of->readings.values + first->first;
-  query.errors = of->readings.errors + first->first;
+  query.values = of->values + first->first;
+  query.errors = of->errors + first->first;
   dipole_fits *fits;
   bool good = CLI_ASK(of->settings, error, dipole_fit(client, &query, &fits, error));
   if (good) {
@@ -259,11 +408,9 @@ static bool ask_some(dipole_client *client, report *of, const batch *some, dipol
 }
 
 /* Returns whether two samples can be in one request. */
-static bool is_alike(const cli_readings *readings, const cli_sample *a, const cli_sample *b) {
-  const double *const places[] = {readings->at, readings->source_mm, readings->detector_mm};
-  bool alike = a->count == b->count && memcmp(&a->g, &b->g, sizeof a->g) == 0 &&
-               memcmp(&a->eta, &b->eta, sizeof a->eta) == 0 &&
-               memcmp(&a->detector_na, &b->detector_na, sizeof a->detector_na) == 0;
+static bool is_alike(const report *of, const fit_sample *a, const fit_sample *b) {
+  const double *const places[] = {of->at, of->source_mm, of->detector_mm};
+  bool alike = a->count == b->count && memcmp(a->of_sample, b->of_sample, sizeof a->of_sample) == 0;
   for (size_t i = 0; alike && i < 3; i++) {
     alike = memcmp(places[i] + a->first, places[i] + b->first, a->count * sizeof(double)) == 0;
   }
@@ -275,16 +422,15 @@ enum { BATCH_READINGS = 65536 };
 
 /* Asks for all samples. */
 static bool ask(dipole_client *client, report *of, dipole_error *error) {
-  const cli_readings *readings = &of->readings;
-  const size_t count = readings->sample_count;
+  const size_t count = of->sample_count;
   cli_progress progress;
   bool good = true;
   cli_progress_start(&progress, "samples");
   for (batch some = {0}; good && some.first < count; some.first += some.count) {
-    const cli_sample *first = &readings->samples[some.first];
+    const fit_sample *first = &of->samples[some.first];
     some.count = 1;
     while (some.first + some.count < count && some.count * first->count < BATCH_READINGS &&
-           is_alike(readings, first, first + some.count)) {
+           is_alike(of, first, first + some.count)) {
       some.count++;
     }
     good = ask_some(client, of, &some, error);
@@ -309,7 +455,7 @@ static bool is_free(const report *of) {
 
 static void put_sample(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
-  const cli_sample *sample = &of->readings.samples[index];
+  const fit_sample *sample = &of->samples[index];
   const dipole_fitted *one = &of->fitted[index];
   const double a = sqrt(one->variance_a), s = sqrt(one->variance_s);
   const double scale_error = sqrt(one->variance_factor);
@@ -338,10 +484,10 @@ static void put_sample(cli_rows *rows, const void *context, size_t index) {
                  CLI_COLUMN("model_error", "model error", NULL, "%.1e", "not known",
                             .below = "relative", .forms = CLI_IN_TABLE | CLI_IN_JSON),
                  one->model_error);
-  cli_put_number(rows, CLI_COLUMN("g"), g_of(of, sample));
-  cli_put_text(rows, CLI_COLUMN("g_from", "g from"), source_of_g(of, sample));
+  cli_put_number(rows, CLI_COLUMN("g"), sample->g);
+  cli_put_text(rows, CLI_COLUMN("g_from", "g from"), sample->g_from);
   cli_put_text(rows, CLI_COLUMN("g_sides", "g sides"), sides_of_g[change->sides]);
-  cli_put_number(rows, CLI_COLUMN("eta"), eta_of(of, sample));
+  cli_put_number(rows, CLI_COLUMN("eta"), sample->eta);
   cli_put_text(rows, CLI_COLUMN("status"), status_of(of, one));
   const unsigned json = CLI_IN_JSON;
   cli_put_number(rows, CLI_COLUMN("reduced_chi2", .forms = json), one->reduced_chi_squared);
@@ -377,30 +523,30 @@ static void write_foot(const void *context) {
 enum { TOLD_MAX = 10 };
 
 /* Says which reading of a sample is wrong. */
-static void tell_reading(const report *of, const cli_sample *sample, const dipole_fitted *one) {
+static void tell_reading(const report *of, const fit_sample *sample, const dipole_fitted *one) {
   const size_t index = one->index < sample->count ? one->index : 0;
   const bool is_error = one->field == 2;
   cli_fail("sample %s: reading %zu (line %llu): its %s must be %sfinite", sample->name, index + 1,
-           (unsigned long long)of->readings.lines[sample->first + index], is_error ? "error" : "R",
+           (unsigned long long)of->lines[sample->first + index], is_error ? "error" : "R",
            is_error ? "above 0, and " : "");
 }
 
 /* Everything is written in any case; then the user is told what is no success. */
 static int judge(const report *of) {
   size_t bad = 0, told = 0;
-  for (size_t i = 0; i < of->readings.sample_count; i++) {
+  for (size_t i = 0; i < of->sample_count; i++) {
     const dipole_fitted *one = &of->fitted[i];
     bad += one->status != DIPOLE_FITTED;
     if (one->status == DIPOLE_FIT_REFUSED && one->field != 0 && told < TOLD_MAX) {
-      tell_reading(of, &of->readings.samples[i], one);
+      tell_reading(of, &of->samples[i], one);
       told++;
     }
   }
   if (bad == 0) {
     return CLI_OK;
   }
-  cli_fail("%s: %zu of %zu samples were not fitted: see the column status", of->readings.source,
-           bad, of->readings.sample_count);
+  cli_fail("%s: %zu of %zu samples were not fitted: see the column status", of->source, bad,
+           of->sample_count);
   return CLI_BAD_ROWS;
 }
 
@@ -408,95 +554,89 @@ static int judge(const report *of) {
 
 enum { DRAWN_MAX = 8 }; /* samples in a picture; the first ones of a file */
 
-static bool spans_decades(const cli_readings *readings) {
+static bool spans_decades(const report *of) {
   double least = (double)INFINITY, most = 0;
-  for (size_t i = 0; i < readings->count; i++) {
-    least = fmin(least, readings->at[i]);
-    most = fmax(most, readings->at[i]);
+  for (size_t i = 0; i < of->count; i++) {
+    least = fmin(least, of->at[i]);
+    most = fmax(most, of->at[i]);
   }
   return least > 0 && most >= 10 * least;
 }
 
 /* Draws readings and what was fitted to them, and below them the residuals. */
 static int draw(const report *of) {
-  const cli_readings *readings = &of->readings;
-  const size_t drawn = readings->sample_count < DRAWN_MAX ? readings->sample_count : DRAWN_MAX;
+  const size_t drawn = of->sample_count < DRAWN_MAX ? of->sample_count : DRAWN_MAX;
   cli_picture picture = {.x_label =
-                             readings->frequency ? "spatial frequency f (1/mm)" : "distance r (mm)",
+                             of->frequency ? "spatial frequency f (1/mm)" : "distance r (mm)",
                          .lower_label = "residual / error",
-                         .logarithmic_x = spans_decades(readings),
+                         .logarithmic_x = spans_decades(of),
                          .logarithmic_y = true};
-  double *fitted = cli_allocate(readings->count, sizeof *fitted);
-  double *zeros = cli_allocate(readings->count, sizeof *zeros);
+  double *fitted = cli_allocate(of->count, sizeof *fitted);
+  double *zeros = cli_allocate(of->count, sizeof *zeros);
   snprintf(picture.title, sizeof picture.title, "fit of %s, scale %s", of->profile.model->name,
            of->scale->name);
   snprintf(picture.y_label, sizeof picture.y_label, "%s: readings, fit (lines)",
-           readings->frequency ? "R(f)" : "R (1/mm^2)");
-  for (size_t i = 0; i < readings->count; i++) {
-    fitted[i] = readings->values[i] - of->residuals[i] * readings->errors[i];
+           of->frequency ? "R(f)" : "R (1/mm^2)");
+  for (size_t i = 0; i < of->count; i++) {
+    fitted[i] = of->values[i] - of->residuals[i] * of->errors[i];
   }
   for (size_t k = 0; k < 2 * drawn; k++) { /* first the lines */
-    const cli_sample *sample = &readings->samples[k % drawn];
+    const fit_sample *sample = &of->samples[k % drawn];
     cli_curve *curve = cli_picture_add(&picture);
     curve->colour = (unsigned)(k % drawn);
     curve->count = sample->count;
-    curve->x = readings->at + sample->first;
-    curve->y = (k < drawn ? fitted : readings->values) + sample->first;
+    curve->x = of->at + sample->first;
+    curve->y = (k < drawn ? fitted : of->values) + sample->first;
     curve->lower = zeros;
     if (k >= drawn) {
-      curve->error = readings->errors + sample->first;
+      curve->error = of->errors + sample->first;
       curve->lower = of->residuals + sample->first;
       snprintf(curve->title, sizeof curve->title, "%s", sample->name);
     }
   }
   const int status = cli_picture_draw(&picture, &of->settings->plot);
-  if (status == CLI_OK && readings->sample_count > DRAWN_MAX) {
-    cli_say(CLI_OK, "the picture shows the first %d of %zu samples", DRAWN_MAX,
-            readings->sample_count);
+  if (status == CLI_OK && of->sample_count > DRAWN_MAX) {
+    cli_say(CLI_OK, "the picture shows the first %d of %zu samples", DRAWN_MAX, of->sample_count);
   }
   return status;
 }
 
 /* Until they are answered, samples are refused, and all numbers NaN, whose bytes may be 255 each. */
 static void refuse_all(report *of) {
-  const size_t count = of->readings.sample_count;
+  const size_t count = of->sample_count;
   of->fitted = cli_allocate(count, sizeof *of->fitted);
   of->changes = cli_allocate(count, sizeof *of->changes);
-  of->residuals = cli_allocate(of->readings.count, sizeof *of->residuals);
+  of->residuals = cli_allocate(of->count, sizeof *of->residuals);
   memset(of->fitted, 0xff, count * sizeof *of->fitted);
-  memset(of->residuals, 0xff, of->readings.count * sizeof *of->residuals);
+  memset(of->residuals, 0xff, of->count * sizeof *of->residuals);
   for (size_t i = 0; i < count; i++) {
     of->fitted[i].status = DIPOLE_FIT_REFUSED;
     of->fitted[i].field = 0;
   }
 }
 
-static int fit_and_write(dipole_client *client, report *of) {
+static int run(const cli_settings *settings, dipole_client *client) {
+  report of = {.settings = settings};
   dipole_error error;
-  int status = cli_readings_read(of->settings->operand, &of->readings);
-  status = status == CLI_OK ? choose(of->settings, client, of) : status;
-  status = status == CLI_OK ? check_eta(of) : status;
+  int status = read_samples(&of);
+  status = status == CLI_OK ? choose(settings, client, &of) : status;
+  status = status == CLI_OK ? complete_samples(&of) : status;
   if (status != CLI_OK) {
     return status;
   }
-  refuse_all(of);
-  if (!ask(client, of, &error)) {
+  refuse_all(&of);
+  if (!ask(client, &of, &error)) {
     return cli_fail_error(&error);
   }
   const cli_report output = {.facts = put_facts,
-                             .rows = of->readings.sample_count,
+                             .rows = of.sample_count,
                              .put_row = put_sample,
                              .left = 1,
                              .foot = write_foot};
-  cli_write(&output, of->settings->form, of);
-  status = of->settings->plot.count > 0 ? draw(of) : CLI_OK;
-  const int judged = judge(of);
+  cli_write(&output, settings->form, &of);
+  status = settings->plot.count > 0 ? draw(&of) : CLI_OK;
+  const int judged = judge(&of);
   return status != CLI_OK ? status : judged;
-}
-
-static int run(const cli_settings *settings, dipole_client *client) {
-  report of = {.settings = settings};
-  return fit_and_write(client, &of);
 }
 
 const cli_command cli_command_fit = {

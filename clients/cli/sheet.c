@@ -7,32 +7,14 @@
 #include <string.h>
 #include <unistd.h>
 
-typedef struct reading {
-  cli_sheet *sheet;
-  const char *const *names; /* [columns + 1], the last one of the labels */
-  bool has_labels;
-  bool (*check)(const cli_sheet *sheet, const cli_csv_record *header);
-  size_t header_cells; /* 0 before the header */
-  size_t capacity;
-  cli_csv_reader reader;
-} reading;
-
 static bool fail_line(const cli_sheet *sheet, uint64_t line, const char *what) {
   cli_fail("%s: line %llu: %s", sheet->source, (unsigned long long)line, what);
   return false;
 }
 
-static bool take_header(reading *of, const cli_csv_record *header) {
-  of->header_cells = header->cell_count;
-  return cli_csv_find(of->sheet->source, header, of->names,
-                      of->sheet->columns + (of->has_labels ? 1 : 0), NULL, of->sheet->at) &&
-         (of->check == NULL || of->check(of->sheet, header));
-}
-
 /* Reads the number of a cell: NAN if it is empty or absent. */
-static bool take_number(const reading *of, const cli_csv_record *record, size_t column,
-                        double *number) {
-  const size_t at = of->sheet->at[column];
+static bool take_number(const cli_sheet *sheet, const cli_csv_record *record, const char *name,
+                        size_t at, double *number) {
   size_t length;
   char what[256];
   *number = (double)NAN;
@@ -40,66 +22,39 @@ static bool take_number(const reading *of, const cli_csv_record *record, size_t 
     return true;
   }
   const char *text = cli_csv_cell_text(record, at, &length);
-  if (length == 0 || cli_csv_number(record, at, number)) {
-    return true;
-  }
-  snprintf(what, sizeof what, "%s: '%.40s' is no number%s", of->names[column], text,
-           cli_csv_number_hint(text));
-  return fail_line(of->sheet, record->line, what);
+  snprintf(what, sizeof what, "%s: '%.40s' is no number%s", name, text, cli_csv_number_hint(text));
+  return length == 0 || cli_csv_number(record, at, number) || fail_line(sheet, record->line, what);
 }
 
-static void make_room(reading *of) {
-  cli_sheet *sheet = of->sheet;
-  if (sheet->count == of->capacity) {
-    of->capacity = of->capacity > 0 ? 2 * of->capacity : 256;
-    sheet->numbers =
-        cli_resize(sheet->numbers, of->capacity, (sheet->columns + 1) * sizeof *sheet->numbers);
-    sheet->lines = cli_resize(sheet->lines, of->capacity, sizeof *sheet->lines);
-    sheet->labels = cli_resize(sheet->labels, of->capacity, sizeof *sheet->labels);
+static void make_room(cli_sheet *sheet) {
+  if (sheet->count == sheet->capacity) {
+    const size_t rows = sheet->capacity = 2 * sheet->capacity + 256;
+    sheet->numbers = cli_resize(sheet->numbers, rows, (sheet->columns + 1) * sizeof(double));
+    sheet->lines = cli_resize(sheet->lines, rows, sizeof *sheet->lines);
+    sheet->labels = cli_resize(sheet->labels, rows, sizeof *sheet->labels);
   }
 }
 
-static bool take_row(reading *of, const cli_csv_record *record) {
-  cli_sheet *sheet = of->sheet;
+/* names: [columns + 1], the last one of the labels or NULL */
+static bool take_row(cli_sheet *sheet, const cli_csv_record *record, const char *const *names,
+                     size_t header_cells) {
+  const char *fault = cli_csv_fault(record, header_cells);
   const size_t label = sheet->at[sheet->columns];
   size_t length;
-  const char *fault = cli_csv_fault(record, of->header_cells);
   if (fault != NULL) {
     return fail_line(sheet, record->line, fault);
   }
-  make_room(of);
+  make_room(sheet);
   for (size_t i = 0; i < sheet->columns; i++) {
-    if (!take_number(of, record, i, &sheet->numbers[sheet->count * sheet->columns + i])) {
+    if (!take_number(sheet, record, names[i], sheet->at[i],
+                     &sheet->numbers[sheet->count * sheet->columns + i])) {
       return false;
     }
   }
-  sheet->labels[sheet->count] = NULL;
-  if (of->has_labels) {
-    const bool given = label < record->cell_count;
-    const char *text = given ? cli_csv_cell_text(record, label, &length) : "1";
-    sheet->labels[sheet->count] = cli_copy(text, strlen(text));
-  }
+  const char *text = label < record->cell_count ? cli_csv_cell_text(record, label, &length) : "1";
+  sheet->labels[sheet->count] = names[sheet->columns] != NULL ? cli_copy(text, strlen(text)) : NULL;
   sheet->lines[sheet->count++] = record->line;
   return true;
-}
-
-static bool read_all(reading *of) {
-  cli_csv_record record = {0};
-  bool good = true;
-  enum cli_csv_kind kind = CLI_CSV_COMMENT;
-  while (good && (kind == CLI_CSV_RECORD || kind == CLI_CSV_COMMENT)) {
-    kind = cli_csv_read(&of->reader, &record);
-    good = kind != CLI_CSV_RECORD ||
-           (of->header_cells > 0 ? take_row(of, &record) : take_header(of, &record));
-  }
-  cli_csv_record_free(&record);
-  cli_csv_reader_free(&of->reader);
-  if (good && kind == CLI_CSV_FAILED) {
-    cli_fail("%s: %s", of->sheet->source, of->reader.problem);
-  } else if (good && of->header_cells == 0) {
-    cli_fail("%s: it has no header, a line that names the columns", of->sheet->source);
-  }
-  return good && kind == CLI_CSV_END && of->header_cells > 0;
 }
 
 int cli_sheet_open(const char *path, const char **source) {
@@ -115,20 +70,37 @@ int cli_sheet_open(const char *path, const char **source) {
 bool cli_sheet_read(const char *path, const char *label, const char *const *names, size_t columns,
                     bool (*check)(const cli_sheet *sheet, const cli_csv_record *header),
                     cli_sheet *sheet) {
-  *sheet = (cli_sheet){.columns = columns, .at = cli_allocate(columns + 1, sizeof *sheet->at)};
-  const int fd = cli_sheet_open(path, &sheet->source);
-  if (fd < 0) {
-    return false;
-  }
   const char **all = cli_allocate(columns + 1, sizeof *all);
+  cli_csv_reader *reader = cli_allocate(1, sizeof *reader);
+  cli_csv_record record = {0};
+  size_t header_cells = 0;
+  enum cli_csv_kind kind = CLI_CSV_COMMENT;
+  *sheet = (cli_sheet){.columns = columns, .at = cli_allocate(columns + 1, sizeof *sheet->at)};
   memcpy(all, names, columns * sizeof *all);
   all[columns] = label;
-  reading *of = cli_allocate(1, sizeof *of);
-  *of = (reading){.sheet = sheet, .names = all, .has_labels = label != NULL, .check = check};
-  of->reader.fd = fd;
-  const bool good = read_all(of);
-  if (fd != STDIN_FILENO) {
-    close(fd);
+  sheet->at[columns] = CLI_CSV_ABSENT;
+  reader->fd = cli_sheet_open(path, &sheet->source);
+  bool good = reader->fd >= 0;
+  while (good && (kind == CLI_CSV_RECORD || kind == CLI_CSV_COMMENT)) {
+    kind = cli_csv_read(reader, &record);
+    if (kind == CLI_CSV_RECORD && header_cells > 0) {
+      good = take_row(sheet, &record, all, header_cells);
+    } else if (kind == CLI_CSV_RECORD) {
+      header_cells = record.cell_count;
+      good = cli_csv_find(sheet->source, &record, all, columns + (label != NULL ? 1 : 0), NULL,
+                          sheet->at) &&
+             check(sheet, &record);
+    }
   }
-  return good;
+  cli_csv_record_free(&record);
+  cli_csv_reader_free(reader);
+  if (reader->fd > STDIN_FILENO) {
+    close(reader->fd);
+  }
+  if (good && kind == CLI_CSV_FAILED) {
+    cli_fail("%s: %s", sheet->source, reader->problem);
+  } else if (good && header_cells == 0) {
+    cli_fail("%s: it has no header, a line that names the columns", sheet->source);
+  }
+  return good && kind == CLI_CSV_END && header_cells > 0;
 }
