@@ -353,7 +353,7 @@ static void put_figure(cli_rows *rows, const char *name, const char *head, doubl
   char text[64];
   const double shown = value / unit;
   snprintf(text, sizeof text, "%.*f", shown >= 99.95 ? 0 : shown >= 9.995 ? 1 : 2, shown);
-  cli_put_shown(rows, CLI_COLUMN(name, head), value, text);
+  cli_put_shown(rows, value, text, name, head);
 }
 
 static void put_result(cli_rows *rows, const void *context, size_t index) {
@@ -362,13 +362,12 @@ static void put_result(cli_rows *rows, const void *context, size_t index) {
   const double channels = (double)of->profile.channel_count;
   const double per_s = result->took_s > 0 ? (double)result->requests / result->took_s : 0;
   const double radii_per_s = per_s * (double)result->radii;
-  cli_put_text(rows, CLI_COLUMN("measurement", "requests"), result->name);
-  cli_put_number(rows, CLI_COLUMN("radii", .format = "%.0f"), (double)result->radii);
-  cli_put_number(rows, CLI_COLUMN("connections", .format = "%.0f"), result->connections);
-  cli_put_number(rows, CLI_COLUMN("in_flight", "in flight", .format = "%.0f"), result->in_flight);
-  cli_put_number(rows, CLI_COLUMN("requests", .forms = CLI_IN_CSV | CLI_IN_JSON),
-                 (double)result->requests);
-  cli_put_number(rows, CLI_COLUMN("seconds", .forms = CLI_IN_CSV | CLI_IN_JSON), result->took_s);
+  cli_put_text(rows, result->name, "measurement", "requests");
+  cli_put_number(rows, (double)result->radii, "radii", .format = "%.0f");
+  cli_put_number(rows, result->connections, "connections", .format = "%.0f");
+  cli_put_number(rows, result->in_flight, "in_flight", "in flight", .format = "%.0f");
+  cli_put_number(rows, (double)result->requests, "requests", .forms = CLI_IN_CSV | CLI_IN_JSON);
+  cli_put_number(rows, result->took_s, "seconds", .forms = CLI_IN_CSV | CLI_IN_JSON);
   put_figure(rows, "p50_us", "p50 us", 1, quantile_us(result, 0.5));
   put_figure(rows, "p99_us", "p99 us", 1, quantile_us(result, 0.99));
   put_figure(rows, "max_us", "max us", 1, (double)result->most_ns / 1000);
@@ -382,12 +381,12 @@ static void put_facts(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
   const dipole_info *info = of->profile.info;
   (void)index;
-  cli_put_text(rows, CLI_COLUMN("daemon"), info->software);
-  cli_put_text(rows, CLI_COLUMN("address", "at"), info->address);
-  cli_put_text(rows, CLI_COLUMN("instruction_set", ""), info->instruction_set);
-  cli_put_count(rows, CLI_COLUMN("workers"), info->workers);
+  cli_put_text(rows, info->software, "daemon");
+  cli_put_text(rows, info->address, "address", "at");
+  cli_put_text(rows, info->instruction_set, "instruction_set", "");
+  cli_put_count(rows, info->workers, "workers");
   cli_put_profile(rows, &of->profile);
-  cli_put_count(rows, CLI_COLUMN("channels"), of->profile.channel_count);
+  cli_put_count(rows, of->profile.channel_count, "channels");
 }
 
 /* ---- the command ----------------------------------------------------------------------------- */

@@ -454,14 +454,10 @@ static void put_errors_as(cli_rows *rows, const cli_eval_report *report,
   const char *none = report->diverges && !(report->most > 0) ? "diverges" : "not solved";
   snprintf(numerical, sizeof numerical, "numerical_error%s%s", of[0] != '\0' ? "_" : "", of);
   snprintf(model, sizeof model, "model_error%s%s", of[0] != '\0' ? "_" : "", of);
-  cli_put_number(rows,
-                 CLI_COLUMN(numerical, "numerical error", NULL, "%.1e", .over = of,
-                            .below = kind_of_error(report, wanted), .forms = forms),
-                 cli_numerical_error(errors, r_mm));
-  cli_put_number(rows,
-                 CLI_COLUMN(model, "model error", NULL, "%.1e", none, .over = of,
-                            .below = range_of(report, range), .forms = forms),
-                 errors->model_error);
+  cli_put_number(rows, cli_numerical_error(errors, r_mm), numerical, "numerical error", NULL,
+                 "%.1e", .over = of, .below = kind_of_error(report, wanted), .forms = forms);
+  cli_put_number(rows, errors->model_error, model, "model error", NULL, "%.1e", none, .over = of,
+                 .below = range_of(report, range), .forms = forms);
 }
 
 /* Puts the errors of a model and channel; in a table those of all radii, else those at r_mm. Those of
@@ -487,13 +483,13 @@ static void put_facts(cli_rows *rows, const void *context, size_t index) {
   (void)index;
   cli_put_profile(rows, &report->profile);
   if (report->draw != NULL) {
-    cli_put_text(rows, CLI_COLUMN("draw"), report->draw->name);
-    cli_put_count(rows, CLI_COLUMN("seed"), report->seed);
-    cli_put_count(rows, CLI_COLUMN("first"), report->first);
+    cli_put_text(rows, report->draw->name, "draw");
+    cli_put_count(rows, report->seed, "seed");
+    cli_put_count(rows, report->first, "first");
   } else if (report->place[0] == 'f') {
-    cli_put_text(rows, CLI_COLUMN("R_f", ""), "R_f, the reflectance of striped light");
+    cli_put_text(rows, "R_f, the reflectance of striped light", "R_f", "");
   } else {
-    cli_put_text(rows, CLI_COLUMN("R", "R in"), report->profile.info->R_unit);
+    cli_put_text(rows, report->profile.info->R_unit, "R", "R in");
   }
 }
 
@@ -509,20 +505,19 @@ static void put_value(cli_rows *rows, const void *context, size_t index) {
   const size_t model = profile / report->profile.channel_count;
   const cli_eval_values *values = &report->values[profile];
   const cli_channel *channel = &report->profile.channels[profile % report->profile.channel_count];
-  cli_put_text(rows, CLI_COLUMN("model"), report->models[model].choice->name);
-  cli_put_text(rows, CLI_COLUMN("channel"), channel->name);
+  cli_put_text(rows, report->models[model].choice->name, "model");
+  cli_put_text(rows, channel->name, "channel");
   cli_put_medium(rows, &channel->medium);
   if (report->place_count > 0) {
-    cli_put_number(rows, CLI_COLUMN(report->place, .unit = unit_of_places(report)),
-                   report->places[at]);
+    cli_put_number(rows, report->places[at], report->place, .unit = unit_of_places(report));
   }
   for (size_t q = 0; q < report->quantities.count; q++) {
     const dipole_choice *quantity = report->quantities.items[q];
-    cli_put_number(rows, CLI_COLUMN(quantity->name, .unit = quantity->about),
-                   values->arrays[q] != NULL ? values->arrays[q][at] : values->albedo);
+    cli_put_number(rows, values->arrays[q] != NULL ? values->arrays[q][at] : values->albedo,
+                   quantity->name, .unit = quantity->about);
   }
   put_errors(rows, report, values, radius_at(report, values, at));
-  cli_put_text(rows, CLI_COLUMN("evaluator"), evaluator_of(report, model)->name);
+  cli_put_text(rows, evaluator_of(report, model)->name, "evaluator");
   cli_put_notes(rows, report->profile.info, report->models[model].notes);
 }
 
@@ -552,8 +547,7 @@ static void put_place(cli_rows *rows, const void *context, size_t index) {
   /* A share of 1, a radius and a logarithm are read best plainly; all else spans magnitudes. */
   const unsigned plain =
       DIPOLE_RADIUS | DIPOLE_CDF | DIPOLE_LN_R | DIPOLE_BY_SIGMA_A | DIPOLE_BY_SIGMA_S;
-  cli_put_number(rows, CLI_COLUMN(report->place, .unit = unit_of_places(report)),
-                 report->places[index]);
+  cli_put_number(rows, report->places[index], report->place, .unit = unit_of_places(report));
   for (size_t k = 0; k < report->quantities.count * of->count * channels; k++) {
     const size_t q = k / (of->count * channels), model = of->first + k / channels % of->count;
     const dipole_choice *quantity = report->quantities.items[q];
@@ -562,11 +556,9 @@ static void put_place(cli_rows *rows, const void *context, size_t index) {
     snprintf(head, sizeof head, "%s %s", quantity->name,
              report->profile.channels[k % channels].name);
     if (array != NULL) {
-      cli_put_number(rows,
-                     CLI_COLUMN(head, .unit = quantity->about,
-                                .format = (quantity->id & plain) != 0 ? "%.6g" : "%.4e",
-                                .over = report->models[model].choice->name),
-                     array[index]);
+      cli_put_number(rows, array[index], head, .unit = quantity->about,
+                     .format = (quantity->id & plain) != 0 ? "%.6g" : "%.4e",
+                     .over = report->models[model].choice->name);
     }
   }
 }
@@ -577,12 +569,12 @@ static void put_channel(cli_rows *rows, const void *context, size_t index) {
   const size_t channels = report->profile.channel_count;
   const cli_eval_values *values = &report->values[index];
   const cli_channel *channel = &report->profile.channels[index % channels];
-  cli_put_text(rows, CLI_COLUMN("model"), report->models[index / channels].choice->name);
-  cli_put_text(rows, CLI_COLUMN("evaluator"), evaluator_of(report, index / channels)->name);
-  cli_put_text(rows, CLI_COLUMN("channel"), channel->name);
+  cli_put_text(rows, report->models[index / channels].choice->name, "model");
+  cli_put_text(rows, evaluator_of(report, index / channels)->name, "evaluator");
+  cli_put_text(rows, channel->name, "channel");
   cli_put_medium(rows, &channel->medium);
   if ((report->quantities.wanted & DIPOLE_ALBEDO) != 0) {
-    cli_put_number(rows, CLI_COLUMN("albedo"), values->albedo);
+    cli_put_number(rows, values->albedo, "albedo");
   }
   put_errors(rows, report, values, report->draw == NULL ? report->most : 0);
 }

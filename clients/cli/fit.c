@@ -461,50 +461,43 @@ static void put_sample(cli_rows *rows, const void *context, size_t index) {
   const double scale_error = sqrt(one->variance_factor);
   const g_change *change = &of->changes[index];
   const unsigned with_factor = is_free(of) ? 0u : CLI_IN_CSV | CLI_IN_JSON;
-  cli_put_text(rows, CLI_COLUMN("sample"), sample->name);
-  cli_put_number(rows, CLI_COLUMN("sigma_a", NULL, "1/mm", "%.5g", "-"), one->sigma_a_per_mm);
-  cli_put_number(rows, CLI_COLUMN("sigma_s_prime", "sigma_s'", "1/mm", "%.5g", "-"),
-                 one->sigma_s_prime_per_mm);
-  cli_put_number(rows, CLI_COLUMN("sigma_a_error", "error of a", "1/mm", "%.2g", "-"), a);
-  cli_put_number(rows, CLI_COLUMN("sigma_s_prime_error", "error of s'", "1/mm", "%.2g", "-"), s);
-  cli_put_number(rows, CLI_COLUMN("sigma_a_by_g", "a by g", "1/mm", "%.2g", "-"),
-                 change->sides != 0 ? change->a : (double)NAN);
-  cli_put_number(rows, CLI_COLUMN("sigma_s_prime_by_g", "s' by g", "1/mm", "%.2g", "-"),
-                 change->sides != 0 ? change->s : (double)NAN);
-  cli_put_number(rows, CLI_COLUMN("correlation", NULL, NULL, "%.3f", "-"),
-                 one->covariance_a_s / (a * s));
-  cli_put_number(rows, CLI_COLUMN("scale", NULL, NULL, "%.5g", "-", .forms = with_factor),
-                 one->factor);
-  cli_put_number(rows,
-                 CLI_COLUMN("scale_error", "its error", NULL, "%.2g", "-", .forms = with_factor),
-                 scale_error);
-  cli_put_number(rows, CLI_COLUMN("chi2", NULL, NULL, "%.4g", "-"), one->chi_squared);
-  cli_put_count(rows, CLI_COLUMN("readings"), sample->count);
-  cli_put_number(rows,
-                 CLI_COLUMN("model_error", "model error", NULL, "%.1e", "not known",
-                            .below = "relative", .forms = CLI_IN_TABLE | CLI_IN_JSON),
-                 one->model_error);
-  cli_put_number(rows, CLI_COLUMN("g"), sample->g);
-  cli_put_text(rows, CLI_COLUMN("g_from", "g from"), sample->g_from);
-  cli_put_text(rows, CLI_COLUMN("g_sides", "g sides"), sides_of_g[change->sides]);
-  cli_put_number(rows, CLI_COLUMN("eta"), sample->eta);
-  cli_put_text(rows, CLI_COLUMN("status"), status_of(of, one));
+  cli_put_text(rows, sample->name, "sample");
+  cli_put_number(rows, one->sigma_a_per_mm, "sigma_a", NULL, "1/mm", "%.5g", "-");
+  cli_put_number(rows, one->sigma_s_prime_per_mm, "sigma_s_prime", "sigma_s'", "1/mm", "%.5g", "-");
+  cli_put_number(rows, a, "sigma_a_error", "error of a", "1/mm", "%.2g", "-");
+  cli_put_number(rows, s, "sigma_s_prime_error", "error of s'", "1/mm", "%.2g", "-");
+  cli_put_number(rows, change->sides != 0 ? change->a : (double)NAN, "sigma_a_by_g", "a by g",
+                 "1/mm", "%.2g", "-");
+  cli_put_number(rows, change->sides != 0 ? change->s : (double)NAN, "sigma_s_prime_by_g",
+                 "s' by g", "1/mm", "%.2g", "-");
+  cli_put_number(rows, one->covariance_a_s / (a * s), "correlation", NULL, NULL, "%.3f", "-");
+  cli_put_number(rows, one->factor, "scale", NULL, NULL, "%.5g", "-", .forms = with_factor);
+  cli_put_number(rows, scale_error, "scale_error", "its error", NULL, "%.2g", "-",
+                 .forms = with_factor);
+  cli_put_number(rows, one->chi_squared, "chi2", NULL, NULL, "%.4g", "-");
+  cli_put_count(rows, sample->count, "readings");
+  cli_put_number(rows, one->model_error, "model_error", "model error", NULL, "%.1e", "not known",
+                 .below = "relative", .forms = CLI_IN_TABLE | CLI_IN_JSON);
+  cli_put_number(rows, sample->g, "g");
+  cli_put_text(rows, sample->g_from, "g_from", "g from");
+  cli_put_text(rows, sides_of_g[change->sides], "g_sides", "g sides");
+  cli_put_number(rows, sample->eta, "eta");
+  cli_put_text(rows, status_of(of, one), "status");
   const unsigned json = CLI_IN_JSON;
-  cli_put_number(rows, CLI_COLUMN("reduced_chi2", .forms = json), one->reduced_chi_squared);
-  cli_put_number(rows, CLI_COLUMN("condition", .forms = json), one->condition);
-  cli_put_number(rows, CLI_COLUMN("second_sigma_a", .unit = "1/mm", .forms = json),
-                 one->second_sigma_a_per_mm);
-  cli_put_number(rows, CLI_COLUMN("second_sigma_s_prime", .unit = "1/mm", .forms = json),
-                 one->second_sigma_s_prime_per_mm);
-  cli_put_number(rows, CLI_COLUMN("second_chi2", .forms = json), one->second_chi_squared);
+  cli_put_number(rows, one->reduced_chi_squared, "reduced_chi2", .forms = json);
+  cli_put_number(rows, one->condition, "condition", .forms = json);
+  cli_put_number(rows, one->second_sigma_a_per_mm, "second_sigma_a", .unit = "1/mm", .forms = json);
+  cli_put_number(rows, one->second_sigma_s_prime_per_mm, "second_sigma_s_prime", .unit = "1/mm",
+                 .forms = json);
+  cli_put_number(rows, one->second_chi_squared, "second_chi2", .forms = json);
 }
 
 static void put_facts(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
   (void)index;
   cli_put_profile(rows, &of->profile);
-  cli_put_text(rows, CLI_COLUMN("axis", .forms = CLI_IN_JSON), of->axis->name);
-  cli_put_text(rows, CLI_COLUMN("scale"), of->scale->name);
+  cli_put_text(rows, of->axis->name, "axis", .forms = CLI_IN_JSON);
+  cli_put_text(rows, of->scale->name, "scale");
   if (rows->form == CLI_JSON) {
     cli_put_notes(rows, of->profile.info, of->notes);
   }

@@ -55,13 +55,13 @@ typedef struct cloud {
 } cloud;
 
 static bool has_places(const cli_sheet *sheet, const cli_csv_record *header) {
-  for (size_t i = X; i <= Z; i++) {
-    if (sheet->at[i] == CLI_CSV_ABSENT) {
-      return cli_csv_fail_missing(sheet->source, header, names[i],
-                                  "x, y and z in mm, and points power, or power_1 and so on, in W");
-    }
+  size_t i = X;
+  while (i <= Z && sheet->at[i] != CLI_CSV_ABSENT) {
+    i++;
   }
-  return true;
+  return i > Z ||
+         cli_csv_fail_missing(sheet->source, header, names[i],
+                              "x, y and z in mm, and points power, or power_1 and so on, in W");
 }
 
 static bool has_powers(const cli_sheet *sheet, const cli_csv_record *header) {
@@ -70,47 +70,41 @@ static bool has_powers(const cli_sheet *sheet, const cli_csv_record *header) {
           cli_csv_fail_missing(sheet->source, header, "power or power_1", "it for each point"));
 }
 
-/* Returns whether the numbers of a row are there, from `first` column on; else says which is not. */
-static bool has_numbers(const cli_sheet *sheet, size_t row, size_t first, size_t count) {
-  for (size_t i = first; i < first + count; i++) {
-    if (isnan(cli_sheet_number(sheet, row, i))) {
-      cli_fail("%s: line %llu: %s: there is no number", sheet->source,
-               (unsigned long long)sheet->lines[row], names[i]);
-      return false;
-    }
+/* Reads the number of a row. If there is none, says so and returns false. */
+static bool take(const cli_sheet *sheet, size_t row, size_t column, double *number) {
+  *number = cli_sheet_number(sheet, row, column);
+  if (isnan(*number)) {
+    cli_fail("%s: line %llu: %s: there is no number", sheet->source,
+             (unsigned long long)sheet->lines[row], names[column]);
   }
-  return true;
+  return !isnan(*number);
 }
 
 /* Reads a file. Says what is wrong and returns false. */
 static bool read_cloud(const char *path, bool with_power, cloud *of) {
   cli_sheet *sheet = &of->sheet;
-  if (!cli_sheet_read(path, NULL, names, COLUMNS, with_power ? has_powers : has_places, sheet)) {
-    return false;
-  }
-  const size_t power = sheet->at[POWER] != CLI_CSV_ABSENT ? POWER : FIRST_POWER;
-  while (with_power && power + of->channels < COLUMNS &&
-         sheet->at[power + of->channels] != CLI_CSV_ABSENT &&
-         !(power == POWER && of->channels > 0)) {
+  bool good =
+      cli_sheet_read(path, NULL, names, COLUMNS, with_power ? has_powers : has_places, sheet);
+  const size_t power = good && sheet->at[POWER] != CLI_CSV_ABSENT ? POWER : FIRST_POWER;
+  const size_t most = !good || !with_power ? 0 : power == POWER ? 1 : POWERS_MAX;
+  while (of->channels < most && sheet->at[power + of->channels] != CLI_CSV_ABSENT) {
     of->channels++;
   }
   of->count = sheet->count;
   of->xyz_mm = cli_allocate(of->count, 3 * sizeof(double));
   of->power_W = cli_allocate(of->count, (of->channels + 1) * sizeof(float));
-  for (size_t i = 0; i < of->count; i++) {
-    if (!has_numbers(sheet, i, X, 3) || !has_numbers(sheet, i, power, of->channels)) {
-      return false;
+  for (size_t i = 0; good && i < of->count; i++) {
+    double W = 0;
+    for (size_t k = 0; good && k < 3; k++) {
+      good = take(sheet, i, k, &of->xyz_mm[3 * i + k]);
     }
-    for (size_t k = 0; k < 3; k++) {
-      of->xyz_mm[3 * i + k] = cli_sheet_number(sheet, i, k);
-    }
-    for (size_t c = 0; c < of->channels; c++) {
-      of->power_W[of->channels * i + c] = (float)cli_sheet_number(sheet, i, power + c);
+    for (size_t c = 0; good && c < of->channels; c++) {
+      good = take(sheet, i, power + c, &W);
+      of->power_W[of->channels * i + c] = (float)W;
     }
   }
   cli_free(sheet->numbers); /* there may be millions */
-  sheet->numbers = NULL;
-  return true;
+  return good;
 }
 
 /* ---- asking ---------------------------------------------------------------------------------- */
@@ -120,28 +114,30 @@ static bool follow(void *context, uint64_t answered, uint64_t count) {
   return !cli_interrupted();
 }
 
+/* What is asked, and the sums at the queries. */
+typedef struct work {
+  const cli_settings *settings;
+  dipole_client *client;
+  cli_profile profile;
+  dipole_gather_query query;
+  cloud points, queries;
+  double *M; /* [queries][channels] */
+  cli_progress progress;
+} work;
+
 /* Says what was refused, and where the point or query at fault stands. */
-static int fail_at(const dipole_error *error, const cloud *points, const cloud *queries) {
+static int fail_at(const work *of, const dipole_error *error) {
   char place[512];
   const bool of_queries = strcmp(error->field, "queries") == 0;
   const bool of_points = strcmp(error->field, "points") == 0 || strcmp(error->field, "power") == 0;
   if (error->kind != DIPOLE_ERROR_REFUSED || (!of_queries && !of_points)) {
     return cli_fail_error(error);
   }
-  const cli_sheet *sheet = of_queries ? &queries->sheet : &points->sheet;
+  const cli_sheet *sheet = of_queries ? &of->queries.sheet : &of->points.sheet;
   snprintf(place, sizeof place, "%s: line %llu: ", sheet->source,
            (unsigned long long)(error->index < sheet->count ? sheet->lines[error->index] : 0));
   return cli_fail_error_of(place, error);
 }
-
-/* What is asked. */
-typedef struct work {
-  const cli_settings *settings;
-  dipole_client *client;
-  dipole_gather_query query;
-  const cloud *points, *queries;
-  cli_progress progress;
-} work;
 
 static int compare_x(const void *a, const void *b) {
   const double x = **(const double *const *)a, y = **(const double *const *)b;
@@ -174,7 +170,7 @@ static bool is_near(const double *const *places, size_t count, const double *que
 static bool sum_directly(const work *of, const double *query_mm, double *r, double *M,
                          dipole_error *error) {
   const bool is_double = of->query.evaluator == DIPOLE_F64;
-  const cloud *points = of->points;
+  const cloud *points = &of->points;
   const uint32_t channels = points->channels;
   for (uint64_t i = 0; i < points->count; i++) {
     const double r_mm =
@@ -212,31 +208,31 @@ static bool sum_directly(const work *of, const double *query_mm, double *r, doub
 }
 
 /* Sums directly for the queries that are too near to a point. */
-static bool mend_near(work *of, double *M, dipole_error *error) {
+static bool mend_near(work *of, dipole_error *error) {
   const double least_mm = of->settings->least_distance.value;
-  const double count = (double)of->queries->count;
-  const double **places = cli_allocate(of->points->count, sizeof *places);
-  double *r = cli_allocate(of->points->count, sizeof *r);
-  for (uint64_t i = 0; i < of->points->count; i++) {
-    places[i] = of->points->xyz_mm + 3 * i;
+  const double count = (double)of->queries.count;
+  const double **places = cli_allocate(of->points.count, sizeof *places);
+  double *r = cli_allocate(of->points.count, sizeof *r);
+  for (uint64_t i = 0; i < of->points.count; i++) {
+    places[i] = of->points.xyz_mm + 3 * i;
   }
-  qsort(places, of->points->count, sizeof *places, compare_x);
+  qsort(places, of->points.count, sizeof *places, compare_x);
   bool good = true;
-  for (uint64_t q = 0; good && q < of->queries->count && !cli_interrupted(); q++) {
-    const double *query_mm = of->queries->xyz_mm + 3 * q;
-    good = !is_near(places, of->points->count, query_mm, least_mm) ||
-           sum_directly(of, query_mm, r, M + q * of->points->channels, error);
+  for (uint64_t q = 0; good && q < of->queries.count && !cli_interrupted(); q++) {
+    const double *query_mm = of->queries.xyz_mm + 3 * q;
+    good = !is_near(places, of->points.count, query_mm, least_mm) ||
+           sum_directly(of, query_mm, r, of->M + q * of->points.channels, error);
     cli_progress_show(&of->progress, (double)q / count, (double)q);
   }
   return good;
 }
 
 /* Sets M to the sums. Returns an exit status. */
-static int ask(work *of, double *M) {
+static int ask(work *of) {
   dipole_error error;
   dipole_points *set;
   dipole_gather_result result;
-  const cloud *points = of->points;
+  const cloud *points = &of->points;
   if (points->count == 0) {
     return cli_fail("%s: it has no points", points->sheet.source);
   }
@@ -244,28 +240,38 @@ static int ask(work *of, double *M) {
                           &error)) {
     return cli_fail("%s: %s", points->sheet.source, error.text);
   }
-  of->query.points = set;
+  of->query = (dipole_gather_query){
+      .model = of->profile.model->id,
+      .evaluator = of->profile.evaluator->id,
+      .moments = of->profile.moments->id,
+      .media = of->profile.media,
+      .points = set,
+      .queries_mm = of->queries.xyz_mm,
+      .query_count = of->queries.count,
+      .tolerance = of->settings->tolerance.value,
+      .deadline_ms = (unsigned)of->settings->deadline_ms.value,
+  };
   cli_catch_interrupt();
   cli_progress_start(&of->progress, "queries");
-  const bool good =
-      CLI_ASK(of->settings, &error,
-              dipole_gather(of->client, &of->query, follow, &of->progress, M, &result, &error)) &&
-      (!(of->settings->least_distance.value > 0) || mend_near(of, M, &error));
+  const bool good = CLI_ASK(of->settings, &error,
+                            dipole_gather(of->client, &of->query, follow, &of->progress, of->M,
+                                          &result, &error)) &&
+                    (!(of->settings->least_distance.value > 0) || mend_near(of, &error));
   cli_progress_wipe(&of->progress);
   dipole_points_free(set);
-  return !good               ? fail_at(&error, points, of->queries)
+  return !good               ? fail_at(of, &error)
          : cli_interrupted() ? cli_fail("interrupted; nothing was written")
                              : CLI_OK;
 }
 
 /* Says how many sums are infinite, and what helps. */
-static void tell_infinite(const work *of, const double *M) {
-  const uint32_t channels = of->points->channels;
+static void tell_infinite(const work *of) {
+  const uint32_t channels = of->points.channels;
   uint64_t found = 0;
-  for (uint64_t q = 0; q < of->queries->count; q++) {
+  for (uint64_t q = 0; q < of->queries.count; q++) {
     bool infinite = false;
     for (uint32_t c = 0; c < channels; c++) {
-      infinite = infinite || isinf(M[q * channels + c]);
+      infinite = infinite || isinf(of->M[q * channels + c]);
     }
     found += infinite;
   }
@@ -273,82 +279,48 @@ static void tell_infinite(const work *of, const double *M) {
     cli_say(CLI_OK,
             "%llu of %llu queries are at a point, where R of %s is infinite: M is inf there; give "
             "--least-distance, half the radius of a disc of a point's area",
-            (unsigned long long)found, (unsigned long long)of->queries->count,
-            cli_choice_of_id(dipole_get_info(of->client), DIPOLE_MODEL, of->query.model)->name);
+            (unsigned long long)found, (unsigned long long)of->queries.count,
+            of->profile.model->name);
   }
 }
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
-/* Makes the query of the profile. Returns an exit status. */
-static int take_query(const cli_settings *settings, const cli_profile *profile, const cloud *points,
-                      const cloud *queries, dipole_gather_query *query) {
-  if (profile->channel_count != points->channels) {
-    return cli_fail_usage("%s has %u powers for each point, and the medium %zu channels: give as "
-                          "many media, or choose with --channel",
-                          points->sheet.source, points->channels, profile->channel_count);
-  }
-  *query = (dipole_gather_query){
-      .model = profile->model->id,
-      .evaluator = profile->evaluator->id,
-      .moments = profile->moments->id,
-      .media = profile->media,
-      .queries_mm = queries->xyz_mm,
-      .query_count = queries->count,
-      .tolerance = settings->tolerance.value,
-      .deadline_ms = (unsigned)settings->deadline_ms.value,
-  };
-  return CLI_OK;
-}
-
-/* The sums at the queries. */
-typedef struct sums {
-  const cloud *queries;
-  uint32_t channels;
-  const double *M; /* [queries][channels] */
-} sums;
-
 static void put_query(cli_rows *rows, const void *context, size_t index) {
-  const sums *of = context;
-  const bool any = index < of->queries->count;
+  const work *of = context;
+  const bool any = index < of->queries.count;
   for (size_t k = 0; k < 3; k++) {
-    cli_put_number(rows, CLI_COLUMN(names[k], .unit = "mm"),
-                   any ? of->queries->xyz_mm[3 * index + k] : 0);
+    cli_put_number(rows, any ? of->queries.xyz_mm[3 * index + k] : 0, names[k], .unit = "mm");
   }
-  for (uint32_t c = 0; c < of->channels; c++) {
+  for (uint32_t c = 0; c < of->points.channels; c++) {
     char name[16];
     snprintf(name, sizeof name, "M_%u", c + 1);
-    cli_put_number(rows, CLI_COLUMN(name, NULL, "W/mm^2", "%.5e"),
-                   any ? of->M[index * of->channels + c] : 0);
+    cli_put_number(rows, any ? of->M[index * of->points.channels + c] : 0, name, NULL, "W/mm^2",
+                   "%.5e");
   }
-}
-
-static int gather(const cli_settings *settings, dipole_client *client, const cli_profile *profile,
-                  const cloud *points, const cloud *queries) {
-  work of = {.settings = settings, .client = client, .points = points, .queries = queries};
-  int status = take_query(settings, profile, points, queries, &of.query);
-  if (status != CLI_OK) {
-    return status;
-  }
-  double *M = cli_allocate((size_t)queries->count * points->channels + 1, sizeof *M);
-  status = ask(&of, M);
-  if (status == CLI_OK) {
-    tell_infinite(&of, M);
-    const cli_report output = {.rows = queries->count, .put_row = put_query};
-    cli_write(&output, settings->form, &(const sums){queries, points->channels, M});
-  }
-  return status;
 }
 
 static int run(const cli_settings *settings, dipole_client *client) {
-  cli_profile profile = {0};
-  cloud points = {0}, queries = {0};
-  int status = cli_profile_take(settings, client, &profile);
+  work of = {.settings = settings, .client = client};
+  int status = cli_profile_take(settings, client, &of.profile);
+  if (status != CLI_OK) {
+    return status;
+  }
+  if (!read_cloud(settings->operand, true, &of.points) ||
+      !read_cloud(settings->second_operand, false, &of.queries)) {
+    return CLI_FAILED;
+  }
+  if (of.profile.channel_count != of.points.channels) {
+    return cli_fail_usage("%s has %u powers for each point, and the medium %zu channels: give as "
+                          "many media, or choose with --channel",
+                          of.points.sheet.source, of.points.channels, of.profile.channel_count);
+  }
+  of.M = cli_allocate((size_t)of.queries.count * of.points.channels + 1, sizeof *of.M);
+  status = ask(&of);
   if (status == CLI_OK) {
-    status = read_cloud(settings->operand, true, &points) &&
-                     read_cloud(settings->second_operand, false, &queries)
-                 ? gather(settings, client, &profile, &points, &queries)
-                 : CLI_FAILED;
+    tell_infinite(&of);
+    const cli_report output = {.rows = of.queries.count, .put_row = put_query};
+    cli_write(&output, settings->form, &of);
   }
   return status;
 }

@@ -75,12 +75,12 @@ static void put_fact(cli_rows *rows, const void *context, size_t index) {
   const facts *all = context;
   const fact *one = &all->items[index];
   const bool again = rows->form == CLI_TABLE && index > 0 && one[-1].section == one->section;
-  cli_put_text(rows, CLI_COLUMN("section"), again ? "" : one->section);
-  cli_put_text(rows, CLI_COLUMN("name"), one->name);
+  cli_put_text(rows, again ? "" : one->section, "section");
+  cli_put_text(rows, one->name, "name");
   if (one->text != NULL) {
-    cli_put_text(rows, CLI_COLUMN("value"), one->text);
+    cli_put_text(rows, one->text, "value");
   } else {
-    cli_put_count(rows, CLI_COLUMN("value"), one->count);
+    cli_put_count(rows, one->count, "value");
   }
 }
 

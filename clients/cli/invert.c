@@ -142,31 +142,29 @@ static void put_medium(cli_rows *rows, const void *context, size_t index) {
   const double reduced = one->found ? sigma_s * (1 - medium->g) : (double)NAN;
   const char *reason = one->found ? NULL : status_of(of, one), *none = one->found ? NULL : "-";
   const unsigned programs = CLI_IN_CSV | CLI_IN_JSON;
-  cli_put_text(rows, CLI_COLUMN("model", .forms = programs), of->profile.model->name);
-  cli_put_count(rows, CLI_COLUMN("channel"), index + 1);
-  cli_put_number(rows, CLI_COLUMN("wanted_albedo", "albedo", .below = "wanted"),
-                 one->wanted_albedo);
-  cli_put_text(rows, CLI_COLUMN("given", .forms = programs), of->given->name);
-  cli_put_number(rows, CLI_COLUMN("length", of->given->name, "mm"), one->length_mm);
-  cli_put_shown(rows, CLI_COLUMN("sigma_a", NULL, "1/mm", "%.9g"), medium->sigma_a_per_mm, reason);
-  cli_put_shown(rows, CLI_COLUMN("sigma_s", NULL, "1/mm", "%.9g"), sigma_s, none);
-  cli_put_shown(rows, CLI_COLUMN("sigma_s'", NULL, "1/mm", "%.9g", .forms = CLI_IN_TABLE), reduced,
-                none);
-  cli_put_shown(rows, CLI_COLUMN("g"), medium->g, none);
-  cli_put_shown(rows, CLI_COLUMN("eta"), medium->eta, none);
-  cli_put_shown(rows, CLI_COLUMN("albedo", "check: albedo"), one->albedo, none);
-  cli_put_shown(rows, CLI_COLUMN("off by", .format = "%.1e", .forms = CLI_IN_TABLE), off, none);
-  cli_put_text(rows, CLI_COLUMN("status", .forms = programs), status_of(of, one));
+  cli_put_text(rows, of->profile.model->name, "model", .forms = programs);
+  cli_put_count(rows, index + 1, "channel");
+  cli_put_number(rows, one->wanted_albedo, "wanted_albedo", "albedo", .below = "wanted");
+  cli_put_text(rows, of->given->name, "given", .forms = programs);
+  cli_put_number(rows, one->length_mm, "length", of->given->name, "mm");
+  cli_put_shown(rows, medium->sigma_a_per_mm, reason, "sigma_a", NULL, "1/mm", "%.9g");
+  cli_put_shown(rows, sigma_s, none, "sigma_s", NULL, "1/mm", "%.9g");
+  cli_put_shown(rows, reduced, none, "sigma_s'", NULL, "1/mm", "%.9g", .forms = CLI_IN_TABLE);
+  cli_put_shown(rows, medium->g, none, "g");
+  cli_put_shown(rows, medium->eta, none, "eta");
+  cli_put_shown(rows, one->albedo, none, "albedo", "check: albedo");
+  cli_put_shown(rows, off, none, "off by", .format = "%.1e", .forms = CLI_IN_TABLE);
+  cli_put_text(rows, status_of(of, one), "status", .forms = programs);
 }
 
 static void put_facts(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
   (void)index;
   cli_put_profile(rows, &of->profile);
-  cli_put_text(rows, CLI_COLUMN("given"), of->given->name);
-  cli_put_text(rows, CLI_COLUMN("formula", "="), of->given->about);
-  cli_put_number(rows, CLI_COLUMN("albedo_least", "albedos from"), of->albedo_least);
-  cli_put_number(rows, CLI_COLUMN("albedo_most", "to"), of->albedo_most);
+  cli_put_text(rows, of->given->name, "given");
+  cli_put_text(rows, of->given->about, "formula", "=");
+  cli_put_number(rows, of->albedo_least, "albedo_least", "albedos from");
+  cli_put_number(rows, of->albedo_most, "albedo_most", "to");
 }
 
 static void write_foot(const void *context) {

@@ -213,15 +213,15 @@ static void put_value(cli_rows *rows, const char *name, const char *error, const
   char text[32];
   snprintf(text, sizeof text, one.value > 0 && isfinite(one.error) ? "%.2g %%" : "-",
            100 * one.error / one.value);
-  cli_put_number(rows, CLI_COLUMN(name, NULL, unit, "%.5e", .below = "1/mm^2"), one.value);
-  cli_put_number(rows, CLI_COLUMN(error, NULL, unit, "%.1e", .below = "1/mm^2"), one.error);
-  cli_put_text(rows, CLI_COLUMN("relative", .forms = CLI_IN_TABLE), text);
+  cli_put_number(rows, one.value, name, NULL, unit, "%.5e", .below = "1/mm^2");
+  cli_put_number(rows, one.error, error, NULL, unit, "%.1e", .below = "1/mm^2");
+  cli_put_text(rows, text, "relative", .forms = CLI_IN_TABLE);
 }
 
 /* Puts R, and of a slab T, at a radius of --r. */
 static void put_reading(cli_rows *rows, const report *of, uint32_t albedo, size_t index) {
   const double r_mm = of->r->items[index];
-  cli_put_number(rows, CLI_COLUMN("r", .unit = "mm"), r_mm);
+  cli_put_number(rows, r_mm, "r", .unit = "mm");
   put_value(rows, "R", "error", "1/mm^2", value_at(of->result, albedo, DIPOLE_MC_REFLECTED, r_mm));
   if (of->result->side_count > 1) {
     put_value(rows, "T", "T_error", "1/mm^2",
@@ -246,20 +246,20 @@ static void put_quantity(cli_rows *rows, const report *of, uint32_t albedo, size
   const size_t rings = (size_t)result->side_count * result->ring_count;
   const size_t part = index - rings, skipped = PARTS_OF_SIDE * (2 - (size_t)result->side_count);
   const bool is_ring = index < rings;
+  const double none = (double)NAN;
   const size_t ring = index % result->ring_count;
   const uint32_t side = is_ring ? (uint32_t)(index / result->ring_count) : 0;
   const size_t at = is_ring ? 0 : part < PARTS_OF_SIDE * result->side_count ? part : part + skipped;
   const dipole_mc_value value = {dipole_mc_values(result, albedo, side)[ring],
                                  dipole_mc_errors(result, albedo, side)[ring]};
-  const cli_column radius[] = {{.name = "from", .unit = "mm", .missing = ""},
-                               {.name = "to", .unit = "mm", .missing = ""}};
-  cli_put_text(rows, CLI_COLUMN("quantity"), is_ring ? sides[side] : parts[at].name);
-  for (size_t i = 0; i < 2; i++) {
-    cli_put_number(rows, &radius[i], is_ring ? result->edges_mm[ring + i] : (double)NAN);
-  }
+  cli_put_text(rows, is_ring ? sides[side] : parts[at].name, "quantity");
+  cli_put_number(rows, is_ring ? result->edges_mm[ring] : none, "from", .unit = "mm",
+                 .missing = "");
+  cli_put_number(rows, is_ring ? result->edges_mm[ring + 1] : none, "to", .unit = "mm",
+                 .missing = "");
   put_value(rows, "value", "error", NULL, is_ring ? value : parts[at].value);
-  cli_put_number(rows, CLI_COLUMN("photons", .format = "%.0f", .missing = ""),
-                 is_ring ? (double)dipole_mc_photons(result, side)[ring] : (double)NAN);
+  cli_put_number(rows, is_ring ? (double)dipole_mc_photons(result, side)[ring] : (double)NAN,
+                 "photons", .format = "%.0f", .missing = "");
 }
 
 /* Puts the medium of a channel and how its photons walked. */
@@ -267,16 +267,16 @@ static void put_walk(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
   (void)index;
   if (of->medium != NULL) {
-    cli_put_text(rows, CLI_COLUMN("medium", ""), of->medium);
+    cli_put_text(rows, of->medium, "medium", "");
   }
-  cli_put_text(rows, CLI_COLUMN("channel"), of->channel);
+  cli_put_text(rows, of->channel, "channel");
   cli_put_medium(rows, &of->query.medium);
   if (isfinite(of->query.thickness_mm)) { /* `dipole fit` refuses this column */
-    cli_put_number(rows, CLI_COLUMN("thickness", .unit = "mm"), of->query.thickness_mm);
+    cli_put_number(rows, of->query.thickness_mm, "thickness", .unit = "mm");
   }
   cli_put_parameters(rows, of->info, &of->parameters);
-  cli_put_count(rows, CLI_COLUMN("seed", .forms = CLI_IN_TABLE | CLI_IN_JSON), of->query.seed);
-  cli_put_count(rows, CLI_COLUMN("photons", .forms = CLI_IN_TABLE), of->result->last.photons);
+  cli_put_count(rows, of->query.seed, "seed", .forms = CLI_IN_TABLE | CLI_IN_JSON);
+  cli_put_count(rows, of->result->last.photons, "photons", .forms = CLI_IN_TABLE);
 }
 
 /* Puts a row: channel by channel, albedo by albedo. A reading of --r is one that `dipole fit` reads. */
@@ -290,13 +290,13 @@ static void put_row(cli_rows *rows, const void *context, size_t index) {
   char sample[80];
   snprintf(sample, sizeof sample, albedos > 1 ? "%s, albedo %.9g" : "%s", of->channel, value);
   if (readings) {
-    cli_put_text(rows, CLI_COLUMN("sample"), sample);
+    cli_put_text(rows, sample, "sample");
   }
   if (rows->form != CLI_TABLE) { /* whose titles say this */
     put_walk(rows, of, 0);
   }
   if (!readings) {
-    cli_put_number(rows, CLI_COLUMN("albedo"), value);
+    cli_put_number(rows, value, "albedo");
   }
   (readings ? put_reading : put_quantity)(rows, of, albedo, index % each);
 }
@@ -333,13 +333,13 @@ static void put_facts(cli_rows *rows, const void *context, size_t index) {
   const reports *all = context;
   const report *last = &all->items[all->count - 1];
   (void)index;
-  cli_put_text(rows, CLI_COLUMN("software", .forms = CLI_IN_JSON), last->info->software);
-  cli_put_text(rows, CLI_COLUMN("ended_by", "Monte Carlo, ended by"), ends[last->result->end]);
-  cli_put_count(rows, CLI_COLUMN("photons"), last->result->last.photons);
-  cli_put_number(rows, CLI_COLUMN("error_total", "error of the total R", NULL, "%.2g"),
-                 last->result->last.error_total);
-  cli_put_number(rows, CLI_COLUMN("error_rings", "largest error of a ring", NULL, "%.2g"),
-                 last->result->last.error_rings);
+  cli_put_text(rows, last->info->software, "software", .forms = CLI_IN_JSON);
+  cli_put_text(rows, ends[last->result->end], "ended_by", "Monte Carlo, ended by");
+  cli_put_count(rows, last->result->last.photons, "photons");
+  cli_put_number(rows, last->result->last.error_total, "error_total", "error of the total R", NULL,
+                 "%.2g");
+  cli_put_number(rows, last->result->last.error_rings, "error_rings", "largest error of a ring",
+                 NULL, "%.2g");
 }
 
 /* ---- the command ----------------------------------------------------------------------------- */

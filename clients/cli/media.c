@@ -10,8 +10,8 @@ static void put_channel(cli_rows *rows, const void *context, size_t index) {
   const dipole_measured_medium *media = context;
   const size_t channel = index % CLI_COLOURS;
   const bool again = rows->form == CLI_TABLE && channel > 0;
-  cli_put_text(rows, CLI_COLUMN("medium"), again ? "" : media[index / CLI_COLOURS].name);
-  cli_put_text(rows, CLI_COLUMN("channel"), cli_colours[channel]);
+  cli_put_text(rows, again ? "" : media[index / CLI_COLOURS].name, "medium");
+  cli_put_text(rows, cli_colours[channel], "channel");
   cli_put_medium(rows, &media[index / CLI_COLOURS].channel[channel]);
 }
 

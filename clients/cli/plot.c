@@ -173,58 +173,34 @@ int cli_plot_R(const cli_eval_report *report, const cli_texts *paths) {
 
 /* ---- means over rings, and Monte Carlo ------------------------------------------------------- */
 
-/* A ring is cut into parts whose outer edge is at most twice the inner one, since R may fall by
- * orders of magnitude within a ring. A ring that starts at 0 is cut into so many octaves and the
- * rest of it. */
-enum { OCTAVES_OF_DISC = 16, NODES = 2 * CORE_GAUSS_HALF };
+/* Nodes of a ring, which lie the closer the nearer to its inner edge, as R falls by orders of
+ * magnitude within a ring. */
+enum { NODES = 2 * CORE_GAUSS_HALF };
 
 typedef struct rings {
   size_t count;
-  double *edges_mm; /* [count + 1] */
-  size_t node_count;
-  double *nodes_mm, *weights_mm; /* [node_count], ring by ring, of integrals over r */
-  size_t *node_rings;            /* [node_count] */
+  double *edges_mm;              /* [count + 1] */
+  double *nodes_mm, *weights_mm; /* [count * NODES], ring by ring, of integrals over r */
   double *R, *R_error;           /* [channel_count][count] by Monte Carlo */
 } rings;
 
-static void add_part(rings *of, size_t ring, double from_mm, double to_mm) {
-  const size_t first = of->node_count;
-  of->node_count += NODES;
-  of->nodes_mm = cli_resize(of->nodes_mm, of->node_count, sizeof(double));
-  of->weights_mm = cli_resize(of->weights_mm, of->node_count, sizeof(double));
-  of->node_rings = cli_resize(of->node_rings, of->node_count, sizeof(size_t));
-  for (int i = 0; i < NODES; i++) {
-    of->nodes_mm[first + (size_t)i] = from_mm + (to_mm - from_mm) * core_gauss_node(i);
-    of->weights_mm[first + (size_t)i] = (to_mm - from_mm) * core_gauss_weight(i);
-    of->node_rings[first + (size_t)i] = ring;
-  }
-}
-
-static void add_ring(rings *of, size_t ring) {
-  const double from_mm = of->edges_mm[ring], to_mm = of->edges_mm[ring + 1];
-  const double first_mm = from_mm > 0 ? from_mm : ldexp(to_mm, -OCTAVES_OF_DISC);
-  const int octaves = 2 * (int)fmax(ceil(log2(to_mm / first_mm)), 1); /* in halves */
-  double low_mm = from_mm;
-  for (int i = from_mm > 0 ? 1 : 0; i <= octaves; i++) {
-    const double high_mm =
-        i < octaves ? first_mm * pow(to_mm / first_mm, (double)i / octaves) : to_mm;
-    add_part(of, ring, low_mm, high_mm);
-    low_mm = high_mm;
-  }
-}
-
-static rings make_rings(const cli_settings *eval) {
-  const double from_mm = eval->from.value, to_mm = eval->to.value;
-  rings of = {.count = (size_t)eval->count.value};
+static rings make_rings(const cli_settings *settings) {
+  const double from_mm = settings->from.value, to_mm = settings->to.value;
+  rings of = {.count = (size_t)settings->count.value};
   of.edges_mm = cli_allocate(of.count + 1, sizeof(double));
-  for (size_t i = 0; i <= of.count; i++) {
+  of.nodes_mm = cli_allocate(of.count * NODES, sizeof(double));
+  of.weights_mm = cli_allocate(of.count * NODES, sizeof(double));
+  for (size_t i = 0; i < of.count; i++) {
     const double share = (double)i / (double)of.count;
     of.edges_mm[i] =
-        eval->log ? from_mm * pow(to_mm / from_mm, share) : from_mm + (to_mm - from_mm) * share;
+        settings->log ? from_mm * pow(to_mm / from_mm, share) : from_mm + (to_mm - from_mm) * share;
   }
   of.edges_mm[of.count] = to_mm;
-  for (size_t i = 0; i < of.count; i++) {
-    add_ring(&of, i);
+  for (size_t i = 0; i < of.count * NODES; i++) {
+    const double *edges_mm = of.edges_mm + i / NODES, width_mm = edges_mm[1] - edges_mm[0];
+    const double node = core_gauss_node((int)(i % NODES));
+    of.nodes_mm[i] = edges_mm[0] + width_mm * node * node;
+    of.weights_mm[i] = width_mm * 2 * node * core_gauss_weight((int)(i % NODES));
   }
   return of;
 }
@@ -236,11 +212,11 @@ static void take_means(const rings *of, cli_eval_report *report) {
   for (size_t k = 0; k < report->model_count * report->profile.channel_count; k++) {
     double **values = &report->values[k].arrays[0];
     double *means = cli_allocate(of->count, sizeof *means);
-    for (size_t i = 0; i < of->node_count; i++) {
-      const size_t ring = of->node_rings[i];
-      means[ring] +=
-          of->weights_mm[i] * (*values)[i] /
-          (pi * (edges_mm[ring + 1] * edges_mm[ring + 1] - edges_mm[ring] * edges_mm[ring]));
+    for (size_t i = 0; i < of->count * NODES; i++) {
+      means[i / NODES] += of->weights_mm[i] * (*values)[i];
+    }
+    for (size_t i = 0; i < of->count; i++) {
+      means[i] /= pi * (edges_mm[i + 1] * edges_mm[i + 1] - edges_mm[i] * edges_mm[i]);
     }
     *values = means;
   }
@@ -388,7 +364,7 @@ static int run(const cli_settings *settings, dipole_client *client) {
   cli_eval_report report = {0};
   rings of = walks ? make_rings(&eval) : (rings){0};
   if (walks) {
-    eval.r = (cli_numbers){.count = of.node_count, .items = of.nodes_mm};
+    eval.r = (cli_numbers){.count = of.count * NODES, .items = of.nodes_mm};
   }
   int status = ask(eval, walks ? "2_pi_r_R" : settings->quantity, client, &report);
   if (status == CLI_OK && walks) {

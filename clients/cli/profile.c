@@ -190,25 +190,6 @@ static int fail_unknown_medium(const char *name, const dipole_measured_medium *m
   return cli_fail_usage("--medium: '%s' is unknown; this daemon has %s", name, known);
 }
 
-/* Finds a measured medium by its name. Says what is wrong and returns an exit status. */
-static int find_medium(dipole_client *client, const char *name, dipole_measured_medium *medium) {
-  dipole_measured_medium *media;
-  dipole_error error;
-  size_t count, at = 0;
-  if (!dipole_media(client, &media, &count, &error)) {
-    return cli_fail_error(&error);
-  }
-  while (at < count && strcmp(media[at].name, name) != 0) {
-    at++;
-  }
-  const int status = at < count ? CLI_OK : fail_unknown_medium(name, media, count);
-  if (status == CLI_OK) {
-    *medium = media[at];
-  }
-  free(media);
-  return status;
-}
-
 /* Adds the channels of a measured medium that are asked for, from position *at on. If there are
  * several media, the names of the channels begin with that of the medium. */
 static void add_measured(const cli_settings *settings, const dipole_measured_medium *medium,
@@ -230,16 +211,27 @@ static void add_measured(const cli_settings *settings, const dipole_measured_med
 
 static int take_measured(const cli_settings *settings, dipole_client *client,
                          cli_profile *profile) {
-  size_t at = 0;
+  dipole_measured_medium *media;
+  dipole_error error;
+  size_t count, at = 0;
   int status = CLI_OK;
+  if (!dipole_media(client, &media, &count, &error)) {
+    return cli_fail_error(&error);
+  }
   profile->medium = settings->medium.whole;
   for (size_t i = 0; status == CLI_OK && i < settings->medium.count; i++) {
-    dipole_measured_medium medium;
-    status = find_medium(client, settings->medium.items[i], &medium);
-    if (status == CLI_OK) {
-      add_measured(settings, &medium, settings->medium.count > 1, profile, &at);
+    const char *name = settings->medium.items[i];
+    size_t k = 0;
+    while (k < count && strcmp(media[k].name, name) != 0) {
+      k++;
+    }
+    if (k < count) {
+      add_measured(settings, &media[k], settings->medium.count > 1, profile, &at);
+    } else {
+      status = fail_unknown_medium(name, media, count);
     }
   }
+  free(media);
   return status;
 }
 
@@ -380,9 +372,9 @@ void cli_put_parameters(cli_rows *rows, const dipole_info *info, const cli_param
     const dipole_choice *named =
         is_named(choice) ? cli_choice_of_id(info, kind_of(choice), (unsigned)one->value) : NULL;
     if (named != NULL) {
-      cli_put_text(rows, CLI_COLUMN(choice->name), named->name);
+      cli_put_text(rows, named->name, choice->name);
     } else {
-      cli_put_number(rows, CLI_COLUMN(choice->name), one->value);
+      cli_put_number(rows, one->value, choice->name);
     }
   }
 }
@@ -393,13 +385,13 @@ void cli_put_profile(cli_rows *rows, const cli_profile *profile) {
     const dipole_choice *choice;
   } choices[] = {
       {"model", profile->model}, {"evaluator", profile->evaluator}, {"moments", profile->moments}};
-  cli_put_text(rows, CLI_COLUMN("software", .forms = CLI_IN_JSON), profile->info->software);
+  cli_put_text(rows, profile->info->software, "software", .forms = CLI_IN_JSON);
   if (profile->medium != NULL) {
-    cli_put_text(rows, CLI_COLUMN("medium", ""), profile->medium);
+    cli_put_text(rows, profile->medium, "medium", "");
   }
   for (size_t i = 0; i < sizeof choices / sizeof choices[0]; i++) {
     if (choices[i].choice != NULL) {
-      cli_put_text(rows, CLI_COLUMN(choices[i].name), choices[i].choice->name);
+      cli_put_text(rows, choices[i].choice->name, choices[i].name);
     }
   }
   cli_put_parameters(rows, profile->info, &profile->parameters);
@@ -414,7 +406,7 @@ void cli_put_notes(cli_rows *rows, const dipole_info *info, unsigned notes) {
     length += (size_t)snprintf(text + length, sizeof text - length, "%s%s", length > 0 ? " " : "",
                                note->name);
   }
-  cli_put_text(rows, CLI_COLUMN("notes"), text);
+  cli_put_text(rows, text, "notes");
 }
 
 void cli_write_launched(const dipole_medium *media, size_t count) {

@@ -194,7 +194,7 @@ static bool begin_value(cli_rows *rows, const cli_column *column) {
   return values;
 }
 
-void cli_put_shown(cli_rows *rows, const cli_column *column, double value, const char *text) {
+void cli_rows_shown(cli_rows *rows, double value, const char *text, const cli_column *column) {
   char number[DECIMAL_BYTES];
   if (!begin_value(rows, column)) {
     return;
@@ -213,11 +213,11 @@ void cli_put_shown(cli_rows *rows, const cli_column *column, double value, const
   }
 }
 
-void cli_put_number(cli_rows *rows, const cli_column *column, double value) {
-  cli_put_shown(rows, column, value, isnan(value) ? column->missing : NULL);
+void cli_rows_number(cli_rows *rows, double value, const cli_column *column) {
+  cli_rows_shown(rows, value, isnan(value) ? column->missing : NULL, column);
 }
 
-void cli_put_count(cli_rows *rows, const cli_column *column, uint64_t value) {
+void cli_rows_count(cli_rows *rows, uint64_t value, const cli_column *column) {
   if (!begin_value(rows, column)) {
     return;
   }
@@ -228,7 +228,7 @@ void cli_put_count(cli_rows *rows, const cli_column *column, uint64_t value) {
   }
 }
 
-void cli_put_text(cli_rows *rows, const cli_column *column, const char *text) {
+void cli_rows_text(cli_rows *rows, const char *text, const cli_column *column) {
   if (!begin_value(rows, column)) {
     return;
   }
@@ -244,10 +244,10 @@ void cli_put_text(cli_rows *rows, const cli_column *column, const char *text) {
 }
 
 void cli_put_medium(cli_rows *rows, const dipole_medium *medium) {
-  cli_put_number(rows, CLI_COLUMN("sigma_a", .unit = "1/mm"), medium->sigma_a_per_mm);
-  cli_put_number(rows, CLI_COLUMN("sigma_s", .unit = "1/mm"), medium->sigma_s_per_mm);
-  cli_put_number(rows, CLI_COLUMN("g"), medium->g);
-  cli_put_number(rows, CLI_COLUMN("eta"), medium->eta);
+  cli_put_number(rows, medium->sigma_a_per_mm, "sigma_a", .unit = "1/mm");
+  cli_put_number(rows, medium->sigma_s_per_mm, "sigma_s", .unit = "1/mm");
+  cli_put_number(rows, medium->g, "g");
+  cli_put_number(rows, medium->eta, "eta");
 }
 
 /* ---- all rows -------------------------------------------------------------------------------- */

@@ -19,8 +19,6 @@ typedef struct cli_column {
   unsigned forms;      /* output formats (CLI_IN_*) in which the column appears; 0: all */
 } cli_column;
 
-#define CLI_COLUMN(...) (&(const cli_column){.name = __VA_ARGS__})
-
 /* What is being written of a row. */
 enum cli_pass {
   CLI_ROWS_OVER,   /* the header's line above the names; see cli_column.over */
@@ -44,14 +42,21 @@ typedef struct cli_rows {
  * in the same order. For a line of the header, `index` is 0 and the values do not matter. */
 typedef void cli_put_row(cli_rows *rows, const void *context, size_t index);
 
-/* These write one cell. A number that is NaN is an empty cell in CSV and null in JSON, where
- * infinities are the texts "inf" and "-inf". */
-void cli_put_number(cli_rows *rows, const cli_column *column, double value);
-void cli_put_count(cli_rows *rows, const cli_column *column, uint64_t value);
-void cli_put_text(cli_rows *rows, const cli_column *column, const char *text);
-
-/* Writes a number. A table shows `text` in its place, unless `text` is NULL. */
-void cli_put_shown(cli_rows *rows, const cli_column *column, double value, const char *text);
+/* These write one cell: a value, and the members of its column from the name on. A number that is
+ * NaN is an empty cell in CSV and null in JSON, where infinities are the texts "inf" and "-inf".
+ * cli_put_shown() writes a number, in whose place a table shows `text`, unless that is NULL. */
+#define cli_put_number(rows, value, ...)                                                           \
+  cli_rows_number(rows, value, &(const cli_column){.name = __VA_ARGS__})
+#define cli_put_count(rows, value, ...)                                                            \
+  cli_rows_count(rows, value, &(const cli_column){.name = __VA_ARGS__})
+#define cli_put_text(rows, value, ...)                                                             \
+  cli_rows_text(rows, value, &(const cli_column){.name = __VA_ARGS__})
+#define cli_put_shown(rows, value, text, ...)                                                      \
+  cli_rows_shown(rows, value, text, &(const cli_column){.name = __VA_ARGS__})
+void cli_rows_number(cli_rows *rows, double value, const cli_column *column);
+void cli_rows_count(cli_rows *rows, uint64_t value, const cli_column *column);
+void cli_rows_text(cli_rows *rows, const char *value, const cli_column *column);
+void cli_rows_shown(cli_rows *rows, double value, const char *text, const cli_column *column);
 
 /* Return the decimal number with the fewest digits that reads back to the same float, 0.1 for 0.1f;
  * and the nearest one of 15 digits, 0.943 for 0.9430000000000001. Infinities and NaN stay. */

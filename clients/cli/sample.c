@@ -4,6 +4,8 @@
 
 #include "clients/cli/daemon.h"
 #include "clients/cli/eval.h"
+#include "clients/cli/options.h"
+#include "clients/cli/progress.h"
 
 #define DRAW_OF_A_LIST "list"
 
@@ -115,38 +117,30 @@ static bool ask_pieces(const cli_settings *settings, dipole_client *client,
   return good;
 }
 
-/* Returns the listed numbers in the evaluator's precision, or room for drawn ones. */
-static void *list_numbers(const cli_numbers *u, uint64_t count, bool single) {
-  void *numbers = cli_allocate(count, single ? sizeof(float) : sizeof(double));
-  for (size_t i = 0; i < u->count; i++) {
-    if (single) {
-      ((float *)numbers)[i] = (float)u->items[i];
-    } else {
-      ((double *)numbers)[i] = u->items[i];
-    }
-  }
-  return numbers;
-}
-
 static int ask(const cli_settings *settings, dipole_client *client, cli_eval_report *report) {
-  const bool listed = settings->u.count > 0, single = report->profile.evaluator->id != DIPOLE_F64;
+  const bool single = report->profile.evaluator->id != DIPOLE_F64;
   dipole_sample_query query = make_query(settings, report);
-  void *numbers = listed ? list_numbers(&settings->u, query.sample_count, single) : NULL;
   dipole_error error;
   report->seed = query.seed;
   report->first = query.sample_first;
-  query.numbers = numbers;
-  bool good = ask_pieces(settings, client, &query, report, &error);
-  if (good && !listed) {
-    numbers = list_numbers(&settings->u, query.sample_count, single);
-    good = dipole_sample_numbers(&query, 0, report->place_count, numbers, &error);
+  query.numbers = settings->u.count > 0 ? cli_numbers_in(&settings->u, single) : NULL;
+  if (!ask_pieces(settings, client, &query, report, &error)) {
+    return cli_fail_error(&error);
+  }
+  const void *u = query.numbers;
+  if (u == NULL) {
+    void *drawn = cli_allocate(report->place_count, sizeof(double));
+    if (!dipole_sample_numbers(&query, 0, report->place_count, drawn, &error)) {
+      return cli_fail_error(&error);
+    }
+    u = drawn;
   }
   report->places = cli_allocate(report->place_count, sizeof *report->places);
-  for (size_t i = 0; good && i < report->place_count; i++) {
+  for (size_t i = 0; i < report->place_count; i++) {
     report->places[i] =
-        single ? cli_number_of_single(((const float *)numbers)[i]) : ((const double *)numbers)[i];
+        single ? cli_number_of_single(((const float *)u)[i]) : ((const double *)u)[i];
   }
-  return good ? CLI_OK : cli_fail_error(&error);
+  return CLI_OK;
 }
 
 /* ---- the command ----------------------------------------------------------------------------- */

@@ -334,22 +334,17 @@ static void put_table(cli_rows *rows, const void *context, size_t index) {
   const dipole_table_info *info = dipole_table_get_info(of->tables.items[index]);
   size_t bytes;
   dipole_table_bytes(of->tables.items[index], &bytes);
-  cli_put_text(rows, CLI_COLUMN("channel"), of->profile.channels[index].name);
+  cli_put_text(rows, of->profile.channels[index].name, "channel");
   cli_put_medium(rows, &info->medium);
-  cli_put_number(rows, CLI_COLUMN("albedo"), info->albedo);
-  cli_put_number(rows, CLI_COLUMN("pieces_from", "pieces from", "mm", "%.4g"),
-                 info->pieces_from_mm);
-  cli_put_number(rows, CLI_COLUMN("pieces_to", "to", "mm", "%.4g"), info->pieces_to_mm);
-  cli_put_count(rows, CLI_COLUMN("bytes"), bytes);
-  cli_put_number(
-      rows,
-      CLI_COLUMN("numerical_error", "numerical error", NULL, "%.1e", .below = "relative, at most"),
-      info->numerical_error);
-  cli_put_number(rows, CLI_COLUMN("reach", "holds up to", "mm", "%.4g"), info->reach_mm);
-  cli_put_number(
-      rows,
-      CLI_COLUMN("model_error", "model error", NULL, "%.1e", "by radius", .below = "at all radii"),
-      info->model_error);
+  cli_put_number(rows, info->albedo, "albedo");
+  cli_put_number(rows, info->pieces_from_mm, "pieces_from", "pieces from", "mm", "%.4g");
+  cli_put_number(rows, info->pieces_to_mm, "pieces_to", "to", "mm", "%.4g");
+  cli_put_count(rows, bytes, "bytes");
+  cli_put_number(rows, info->numerical_error, "numerical_error", "numerical error", NULL, "%.1e",
+                 .below = "relative, at most");
+  cli_put_number(rows, info->reach_mm, "reach", "holds up to", "mm", "%.4g");
+  cli_put_number(rows, info->model_error, "model_error", "model error", NULL, "%.1e", "by radius",
+                 .below = "at all radii");
 }
 
 static void put_facts(cli_rows *rows, const void *context, size_t index) {

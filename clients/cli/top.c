@@ -117,12 +117,11 @@ static void put_statistic(cli_rows *rows, const void *context, size_t index) {
   const double now = (double)one->value, per_s = rate(of, one);
   const unsigned programs = CLI_IN_CSV | CLI_IN_JSON;
   char text[32];
-  cli_put_number(rows, CLI_COLUMN("uptime_ms", .forms = programs),
-                 (double)find(&of->now, "uptime_ms"));
-  cli_put_number(rows, CLI_COLUMN("interval_s", .forms = programs), of->interval_s);
-  cli_put_text(rows, CLI_COLUMN("statistic"), one->name);
-  cli_put_shown(rows, CLI_COLUMN("now"), now, figures(now, true, text));
-  cli_put_shown(rows, CLI_COLUMN("per_s", "each second"), per_s, figures(per_s, false, text));
+  cli_put_number(rows, (double)find(&of->now, "uptime_ms"), "uptime_ms", .forms = programs);
+  cli_put_number(rows, of->interval_s, "interval_s", .forms = programs);
+  cli_put_text(rows, one->name, "statistic");
+  cli_put_shown(rows, now, figures(now, true, text), "now");
+  cli_put_shown(rows, per_s, figures(per_s, false, text), "per_s", "each second");
 }
 
 /* Writes a table for people. */
