@@ -442,10 +442,6 @@ static void survey(cli_eval_report *report) {
 
 /* ---- rows ------------------------------------------------------------------------------------ */
 
-static const dipole_choice *evaluator_of(const cli_eval_report *report, size_t model) {
-  return report->models[model].evaluator;
-}
-
 /* Puts errors under these names, at r_mm. */
 static void put_errors_as(cli_rows *rows, const cli_eval_report *report,
                           const dipole_errors *errors, double r_mm, unsigned forms, unsigned wanted,
@@ -498,27 +494,35 @@ static size_t rows_of_channel(const cli_eval_report *report) {
   return report->place_count > 0 ? report->place_count : 1;
 }
 
-/* Puts the values of a model and channel at a place, for programs. */
+/* Puts the values of a model and channel at a place; in a table, what holds for all places. */
 static void put_value(cli_rows *rows, const void *context, size_t index) {
   const cli_eval_report *report = context;
-  const size_t at = index % rows_of_channel(report), profile = index / rows_of_channel(report);
-  const size_t model = profile / report->profile.channel_count;
+  const bool each = rows->form != CLI_TABLE;
+  const size_t at = each ? index % rows_of_channel(report) : 0;
+  const size_t profile = each ? index / rows_of_channel(report) : index;
+  const cli_eval_model *model = &report->models[profile / report->profile.channel_count];
   const cli_eval_values *values = &report->values[profile];
-  const cli_channel *channel = &report->profile.channels[profile % report->profile.channel_count];
-  cli_put_text(rows, report->models[model].choice->name, "model");
-  cli_put_text(rows, channel->name, "channel");
-  cli_put_medium(rows, &channel->medium);
-  if (report->place_count > 0) {
+  const size_t channel = profile % report->profile.channel_count;
+  cli_put_text(rows, model->choice->name, "model");
+  cli_put_text(rows, report->profile.names[channel], "channel");
+  cli_put_medium(rows, &report->profile.media[channel]);
+  if (each && report->place_count > 0) {
     cli_put_number(rows, report->places[at], report->place, .unit = unit_of_places(report));
   }
   for (size_t q = 0; q < report->quantities.count; q++) {
     const dipole_choice *quantity = report->quantities.items[q];
-    cli_put_number(rows, values->arrays[q] != NULL ? values->arrays[q][at] : values->albedo,
-                   quantity->name, .unit = quantity->about);
+    const bool is_albedo = quantity->id == DIPOLE_ALBEDO;
+    if (each || is_albedo) {
+      cli_put_number(rows, is_albedo ? values->albedo : values->arrays[q][at], quantity->name,
+                     .unit = quantity->about);
+    }
   }
-  put_errors(rows, report, values, radius_at(report, values, at));
-  cli_put_text(rows, evaluator_of(report, model)->name, "evaluator");
-  cli_put_notes(rows, report->profile.info, report->models[model].notes);
+  put_errors(rows, report, values,
+             each                   ? radius_at(report, values, at)
+             : report->draw == NULL ? report->most
+                                    : 0);
+  cli_put_text(rows, model->evaluator->name, "evaluator");
+  cli_put_notes(rows, report->profile.info, model->notes);
 }
 
 /* ---- for people ------------------------------------------------------------------------------ */
@@ -553,53 +557,12 @@ static void put_place(cli_rows *rows, const void *context, size_t index) {
     const dipole_choice *quantity = report->quantities.items[q];
     const double *array = report->values[model * channels + k % channels].arrays[q];
     char head[128];
-    snprintf(head, sizeof head, "%s %s", quantity->name,
-             report->profile.channels[k % channels].name);
+    snprintf(head, sizeof head, "%s %s", quantity->name, report->profile.names[k % channels]);
     if (array != NULL) {
       cli_put_number(rows, array[index], head, .unit = quantity->about,
                      .format = (quantity->id & plain) != 0 ? "%.6g" : "%.4e",
                      .over = report->models[model].choice->name);
     }
-  }
-}
-
-/* Puts what holds for all places of a model and channel. */
-static void put_channel(cli_rows *rows, const void *context, size_t index) {
-  const cli_eval_report *report = context;
-  const size_t channels = report->profile.channel_count;
-  const cli_eval_values *values = &report->values[index];
-  const cli_channel *channel = &report->profile.channels[index % channels];
-  cli_put_text(rows, report->models[index / channels].choice->name, "model");
-  cli_put_text(rows, evaluator_of(report, index / channels)->name, "evaluator");
-  cli_put_text(rows, channel->name, "channel");
-  cli_put_medium(rows, &channel->medium);
-  if ((report->quantities.wanted & DIPOLE_ALBEDO) != 0) {
-    cli_put_number(rows, values->albedo, "albedo");
-  }
-  put_errors(rows, report, values, report->draw == NULL ? report->most : 0);
-}
-
-/* Writes "note: NAME: what it says" for each note, and its models if those are not all. */
-static void write_notes(const cli_eval_report *report) {
-  const dipole_choice *note;
-  for (size_t from = 0;
-       (note = cli_next_choice(report->profile.info, DIPOLE_NOTE, &from)) != NULL;) {
-    size_t noted = 0;
-    for (size_t i = 0; i < report->model_count; i++) {
-      noted += note->id != 0 && (report->models[i].notes & note->id) == note->id;
-    }
-    if (noted == 0) {
-      continue;
-    }
-    printf("note: %s: %s", note->name, note->about);
-    const char *before = " (";
-    for (size_t i = 0; noted < report->model_count && i < report->model_count; i++) {
-      if ((report->models[i].notes & note->id) == note->id) {
-        printf("%s%s", before, report->models[i].choice->name);
-        before = ", ";
-      }
-    }
-    puts(noted < report->model_count ? ")" : "");
   }
 }
 
@@ -612,7 +575,7 @@ static void write_table(const void *context) {
     putchar('\n');
     first += models.count;
   }
-  cli_rows_print(stdout, 3, report->model_count * profile->channel_count, put_channel, report);
+  cli_rows_print(stdout, 2, report->model_count * profile->channel_count, put_value, report);
   fputs("numerical error: against the model's formula", stdout);
   if (report->draw == NULL && report->most > 0) {
     printf(", up to %s = %.6g %s", report->place, report->most, unit_of_places(report));
@@ -622,7 +585,11 @@ static void write_table(const void *context) {
     puts("             at r > 0: transport diverges at r = 0");
   }
   cli_write_launched(profile->media, profile->channel_count);
-  write_notes(report);
+  unsigned notes = 0;
+  for (size_t i = 0; i < report->model_count; i++) {
+    notes |= report->models[i].notes;
+  }
+  cli_write_notes(profile->info, notes);
   if (report->chosen) {
     printf("took %s (%s), the cheapest that keeps the tolerance\n", report->models[0].choice->name,
            report->models[0].evaluator->name);

@@ -118,7 +118,7 @@ static void make_query(const cli_settings *settings, const cli_profile *profile,
   const cli_given *thickness = &settings->parameters[CORE_PARAMETER_THICKNESS];
   of->info = profile->info;
   of->medium = measured && strchr(profile->medium, ',') == NULL ? profile->medium : NULL;
-  of->channel = profile->channels[channel].name;
+  of->channel = profile->names[channel];
   of->parameters = profile->parameters;
   cli_parameters_remove(&of->parameters, CORE_PARAMETER_THICKNESS); /* a field of its own */
   of->query = (dipole_mc_query){

@@ -111,7 +111,7 @@ static cli_curve *add_curve(cli_picture *picture, const cli_eval_report *report,
                             size_t channel) {
   const cli_profile *profile = &report->profile;
   const bool by_colour = profile->channel_count > 1 && report->model_count <= FEW_MODELS;
-  const size_t colour = cli_colour(profile->channels[channel].name);
+  const size_t colour = cli_colour(profile->names[channel]);
   const char *name = model < report->model_count ? report->models[model].choice->name : "mc";
   cli_curve *curve = cli_picture_add(picture);
   curve->colour = (unsigned)(!by_colour             ? model
@@ -122,7 +122,7 @@ static cli_curve *add_curve(cli_picture *picture, const cli_eval_report *report,
   curve->x = report->places;
   if (profile->channel_count > 1) {
     snprintf(curve->title, sizeof curve->title, "%s, %s%s", name,
-             profile->medium != NULL ? "" : "channel ", profile->channels[channel].name);
+             profile->medium != NULL ? "" : "channel ", profile->names[channel]);
   } else {
     snprintf(curve->title, sizeof curve->title, "%s", name);
   }
@@ -279,7 +279,7 @@ static size_t find_reference(const cli_eval_report *report) {
     if (!holds) {
       cli_fail("--error: no deviation is shown of %s, because " REFERENCE
                " is not known to hold for its g, eta and absorption",
-               report->profile.channels[i].name);
+               report->profile.names[i]);
     }
   }
   return held > 0 ? at : report->model_count;

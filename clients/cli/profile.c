@@ -143,9 +143,15 @@ bool cli_medium_given(const cli_settings *settings) {
          settings->sigma_s.count > 0 || settings->g.count > 0 || settings->eta.count > 0;
 }
 
-/* Returns whether a colour of a measured medium is asked for; all are if none is named. */
-static bool is_asked(const cli_settings *settings, size_t colour) {
-  return settings->channel.count == 0 || cli_texts_have(&settings->channel, cli_colours[colour]);
+/* Lists the colours of measured media that are asked for; all are if none is named. */
+static size_t list_colours(const cli_settings *settings, size_t colours[CLI_COLOURS]) {
+  size_t count = 0;
+  for (size_t i = 0; i < CLI_COLOURS; i++) {
+    if (settings->channel.count == 0 || cli_texts_have(&settings->channel, cli_colours[i])) {
+      colours[count++] = i;
+    }
+  }
+  return count;
 }
 
 size_t cli_colour(const char *name) {
@@ -190,76 +196,64 @@ static int fail_unknown_medium(const char *name, const dipole_measured_medium *m
   return cli_fail_usage("--medium: '%s' is unknown; this daemon has %s", name, known);
 }
 
-/* Adds the channels of a measured medium that are asked for, from position *at on. If there are
- * several media, the names of the channels begin with that of the medium. */
-static void add_measured(const cli_settings *settings, const dipole_measured_medium *medium,
-                         bool several, cli_profile *profile, size_t *at) {
-  for (size_t i = 0; i < CLI_COLOURS; i++) {
-    if (is_asked(settings, i)) {
-      cli_channel *channel = &profile->channels[*at];
-      snprintf(channel->name, sizeof channel->name, "%s%s%s", several ? medium->name : "",
-               several ? " " : "", cli_colours[i]);
-      channel->medium = medium->channel[i];
-      const double g = cli_numbers_pick(&settings->g, *at, channel->medium.g);
-      channel->medium.sigma_s_per_mm *= (1 - channel->medium.g) / (1 - g);
-      channel->medium.g = g;
-      channel->medium.eta = cli_numbers_pick(&settings->eta, *at, channel->medium.eta);
-      ++*at;
-    }
-  }
+/* Sets the medium of a channel: that of the options, or a colour of a measured medium, whose reduced
+ * scattering coefficient stays. */
+static void set_medium(const cli_settings *settings, size_t i, const dipole_medium *measured,
+                       dipole_medium *medium) {
+  *medium = measured != NULL ? *measured
+                             : (dipole_medium){cli_numbers_pick(&settings->sigma_a, i, 0),
+                                               cli_numbers_pick(&settings->sigma_s, i, 0),
+                                               G_DEFAULT, ETA_DEFAULT};
+  const double g = cli_numbers_pick(&settings->g, i, medium->g);
+  medium->sigma_s_per_mm *= measured != NULL ? (1 - medium->g) / (1 - g) : 1;
+  medium->g = g;
+  medium->eta = cli_numbers_pick(&settings->eta, i, medium->eta);
 }
 
-static int take_measured(const cli_settings *settings, dipole_client *client,
-                         cli_profile *profile) {
-  dipole_measured_medium *media;
+/* Sets the media of all channels. The name of a channel is its number, or its colour, behind the name
+ * of the measured medium if there are several of those. */
+static int take_media(const cli_settings *settings, dipole_client *client, cli_profile *profile) {
+  const cli_texts *names = &settings->medium;
+  dipole_measured_medium *known = NULL;
   dipole_error error;
-  size_t count, at = 0;
+  size_t colours[CLI_COLOURS], known_count = 0;
+  const size_t each = list_colours(settings, colours);
   int status = CLI_OK;
-  if (!dipole_media(client, &media, &count, &error)) {
+  if (names->count > 0 && !dipole_media(client, &known, &known_count, &error)) {
     return cli_fail_error(&error);
   }
-  profile->medium = settings->medium.whole;
-  for (size_t i = 0; status == CLI_OK && i < settings->medium.count; i++) {
-    const char *name = settings->medium.items[i];
-    size_t k = 0;
-    while (k < count && strcmp(media[k].name, name) != 0) {
-      k++;
+  profile->medium = names->whole;
+  for (size_t i = 0; status == CLI_OK && i < profile->channel_count; i++) {
+    char *to = profile->names[i];
+    const dipole_medium *measured = NULL;
+    snprintf(to, CLI_CHANNEL_BYTES, "%zu", i + 1);
+    if (names->count > 0) {
+      const char *name = names->items[i / each];
+      size_t k = 0;
+      while (k < known_count && strcmp(known[k].name, name) != 0) {
+        k++;
+      }
+      if (k == known_count) {
+        status = fail_unknown_medium(name, known, known_count);
+        continue;
+      }
+      measured = &known[k].channel[colours[i % each]];
+      snprintf(to, CLI_CHANNEL_BYTES, "%s%s%s", names->count > 1 ? name : "",
+               names->count > 1 ? " " : "", cli_colours[colours[i % each]]);
     }
-    if (k < count) {
-      add_measured(settings, &media[k], settings->medium.count > 1, profile, &at);
-    } else {
-      status = fail_unknown_medium(name, media, count);
-    }
+    set_medium(settings, i, measured, &profile->media[i]);
   }
-  free(media);
+  free(known);
   return status;
-}
-
-static void take_given(const cli_settings *settings, cli_profile *profile) {
-  for (size_t i = 0; i < profile->channel_count; i++) {
-    cli_channel *channel = &profile->channels[i];
-    snprintf(channel->name, sizeof channel->name, "%zu", i + 1);
-    channel->medium = (dipole_medium){.sigma_a_per_mm = cli_numbers_pick(&settings->sigma_a, i, 0),
-                                      .sigma_s_per_mm = cli_numbers_pick(&settings->sigma_s, i, 0),
-                                      .g = cli_numbers_pick(&settings->g, i, G_DEFAULT),
-                                      .eta = cli_numbers_pick(&settings->eta, i, ETA_DEFAULT)};
-  }
-}
-
-static size_t count_measured(const cli_settings *settings) {
-  size_t asked = 0;
-  for (size_t i = 0; i < CLI_COLOURS; i++) {
-    asked += is_asked(settings, i);
-  }
-  return settings->medium.count * asked;
 }
 
 /* Counts the channels. All options that have more than one value must have the same number. */
 static bool count_channels(const cli_settings *settings, size_t *count) {
+  size_t colours[CLI_COLOURS];
   const struct {
     const char *name;
     size_t count;
-  } options[] = {{"medium", count_measured(settings)},
+  } options[] = {{"medium", settings->medium.count * list_colours(settings, colours)},
                  {"sigma-a", settings->sigma_a.count},
                  {"sigma-s", settings->sigma_s.count},
                  {"g", settings->g.count},
@@ -310,7 +304,7 @@ bool cli_profile_take_names(const cli_settings *settings, dipole_client *client,
 
 void cli_profile_set_channels(cli_profile *profile, size_t count) {
   profile->channel_count = count;
-  profile->channels = cli_allocate(count, sizeof *profile->channels);
+  profile->names = cli_allocate(count, sizeof *profile->names);
   profile->media = cli_allocate(count, sizeof *profile->media);
 }
 
@@ -320,16 +314,7 @@ int cli_profile_take(const cli_settings *settings, dipole_client *client, cli_pr
     return CLI_USAGE;
   }
   cli_profile_set_channels(profile, count);
-  int status = CLI_OK;
-  if (settings->medium.count > 0) {
-    status = take_measured(settings, client, profile);
-  } else {
-    take_given(settings, profile);
-  }
-  for (size_t i = 0; i < count; i++) {
-    profile->media[i] = profile->channels[i].medium;
-  }
-  return status;
+  return take_media(settings, client, profile);
 }
 
 /* Returns whether an id is that of one quantity. Sums of several quantities have no values of their

@@ -90,10 +90,7 @@ extern const char *const cli_colours[CLI_COLOURS];
 /* Returns which of them has this name; CLI_COLOURS if none has, or if name is NULL. */
 size_t cli_colour(const char *name);
 
-typedef struct cli_channel {
-  char name[36];
-  dipole_medium medium;
-} cli_channel;
+enum { CLI_CHANNEL_BYTES = 36 };
 
 /* ---- the whole profile ----------------------------------------------------------------------- */
 
@@ -103,8 +100,8 @@ typedef struct cli_profile {
   cli_parameters parameters;
   const char *medium; /* names of measured media, as given; NULL if there are none */
   size_t channel_count;
-  cli_channel *channels; /* [channel_count] */
-  dipole_medium *media;  /* [channel_count]: those of the channels */
+  char (*names)[CLI_CHANNEL_BYTES]; /* [channel_count] of the channels */
+  dipole_medium *media;             /* [channel_count] */
 } cli_profile;
 
 /* Looks up the names in the settings, but for a list of models, and reads the parameters. Says what is wrong and returns

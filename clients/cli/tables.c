@@ -129,24 +129,7 @@ static int check_same(const char *path, const tables *of) {
   return CLI_OK;
 }
 
-/* Writes the name of a table's medium: that of a measured medium if it is one, as in "skin1 red",
- * else its number from 1. */
-static void name_channel(const dipole_medium *medium, size_t index, char *name, size_t bytes) {
-  snprintf(name, bytes, "%zu", index + 1);
-  for (size_t i = 0; i < core_measured_media_count; i++) {
-    for (size_t k = 0; k < CLI_COLOURS; k++) {
-      const core_medium *known = &core_measured_media[i].channel[k];
-      if (known->sigma_a_per_mm == medium->sigma_a_per_mm &&
-          known->sigma_s_per_mm == medium->sigma_s_per_mm && known->g == medium->g &&
-          known->eta == medium->eta) {
-        snprintf(name, bytes, "%s %s", core_measured_media[i].name, cli_colours[k]);
-        return;
-      }
-    }
-  }
-}
-
-/* Takes the model and the channels from the tables. */
+/* Takes the model and the channels from the tables: that of a measured medium has its name. */
 static int describe(const char *path, const tables *of, cli_eval_report *report) {
   const dipole_table_info *first = dipole_table_get_info(of->items[0]);
   const dipole_choice *model = cli_choice_of_id(report->profile.info, DIPOLE_MODEL, first->model);
@@ -166,9 +149,15 @@ static int describe(const char *path, const tables *of, cli_eval_report *report)
   cli_profile_set_channels(&report->profile, of->count);
   for (size_t i = 0; i < of->count; i++) {
     const dipole_table_info *info = dipole_table_get_info(of->items[i]);
-    cli_channel *channel = &report->profile.channels[i];
-    name_channel(&info->medium, i, channel->name, sizeof channel->name);
-    channel->medium = report->profile.media[i] = info->medium;
+    snprintf(report->profile.names[i], CLI_CHANNEL_BYTES, "%zu", i + 1);
+    for (size_t k = 0; k < core_measured_media_count * CLI_COLOURS; k++) {
+      const core_measured_medium *known = &core_measured_media[k / CLI_COLOURS];
+      if (memcmp(&known->channel[k % CLI_COLOURS], &info->medium, sizeof info->medium) == 0) {
+        snprintf(report->profile.names[i], CLI_CHANNEL_BYTES, "%s %s", known->name,
+                 cli_colours[k % CLI_COLOURS]);
+      }
+    }
+    report->profile.media[i] = info->medium;
     report->models[0].notes |= info->notes;
   }
   return CLI_OK;
@@ -317,7 +306,7 @@ static int fetch(const cli_settings *settings, dipole_client *client, report *of
     dipole_error error;
     if (!CLI_ASK(settings, &error, dipole_table_fetch(client, &query, &table, &error))) {
       if (profile->channel_count > 1) {
-        snprintf(place, sizeof place, "channel %s: ", profile->channels[i].name);
+        snprintf(place, sizeof place, "channel %s: ", profile->names[i]);
       }
       return cli_fail_error_of(place, &error);
     }
@@ -334,7 +323,7 @@ static void put_table(cli_rows *rows, const void *context, size_t index) {
   const dipole_table_info *info = dipole_table_get_info(of->tables.items[index]);
   size_t bytes;
   dipole_table_bytes(of->tables.items[index], &bytes);
-  cli_put_text(rows, of->profile.channels[index].name, "channel");
+  cli_put_text(rows, of->profile.names[index], "channel");
   cli_put_medium(rows, &info->medium);
   cli_put_number(rows, info->albedo, "albedo");
   cli_put_number(rows, info->pieces_from_mm, "pieces_from", "pieces from", "mm", "%.4g");

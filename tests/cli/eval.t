@@ -10,15 +10,15 @@ mm      1/mm^2      1/mm^2      1/mm^2      1/mm^2      1/mm^2      1/mm^2
  5  8.0218e-04  1.0260e-04  2.9839e-06  9.6938e-04  1.3361e-04  5.8228e-06
 10  7.4269e-05  1.0322e-06  7.6634e-10  8.4214e-05  1.6231e-06  3.6897e-09
 
-model      evaluator  channel  sigma_a  sigma_s  g  eta     albedo    numerical error      model error
-                                  1/mm     1/mm                     relative, at most  from 0 to 10 mm
----------  ---------  -------  -------  -------  -  ---  ---------  -----------------  ---------------
-classical  f64        red        0.032     0.74  0  1.3   0.436049            7.2e-15          6.4e-02
-classical  f64        green       0.17     0.88  0  1.3   0.227366            1.6e-14          3.5e-01
-classical  f64        blue        0.48     1.01  0  1.3    0.13101            3.0e-14          8.2e-01
-better     f64        red        0.032     0.74  0  1.3   0.404808            7.1e-15          1.6e-01
-better     f64        green       0.17     0.88  0  1.3   0.162793            1.5e-14          2.4e-01
-better     f64        blue        0.48     1.01  0  1.3  0.0701464            2.6e-14          3.9e-01
+model      channel  sigma_a  sigma_s  g  eta     albedo    numerical error      model error  evaluator  notes
+                       1/mm     1/mm                  1  relative, at most  from 0 to 10 mm
+---------  -------  -------  -------  -  ---  ---------  -----------------  ---------------  ---------  -----
+classical  red        0.032     0.74  0  1.3   0.436049            7.2e-15          6.4e-02        f64
+classical  green       0.17     0.88  0  1.3   0.227366            1.6e-14          3.5e-01        f64
+classical  blue        0.48     1.01  0  1.3    0.13101            3.0e-14          8.2e-01        f64
+better     red        0.032     0.74  0  1.3   0.404808            7.1e-15          1.6e-01        f64
+better     green       0.17     0.88  0  1.3   0.162793            1.5e-14          2.4e-01        f64
+better     blue        0.48     1.01  0  1.3  0.0701464            2.6e-14          3.9e-01        f64
 numerical error: against the model's formula, up to r = 10 mm
 model error: of the model against radiative transport, relative
              at r > 0: transport diverges at r = 0
@@ -71,11 +71,11 @@ mm         1         1
 --  --------  --------
  2  0.370764  0.620164
 
-model   evaluator  channel  sigma_a  sigma_s    g  eta    numerical error  model error
-                               1/mm     1/mm            relative, at most      at 2 mm
-------  ---------  -------  -------  -------  ---  ---  -----------------  -----------
-better  f64        1           0.01       10  0.9  1.4            2.7e-15      2.3e-02
-better  f64        2            0.1       10  0.9  1.4            4.6e-15      1.9e-02
+model   channel  sigma_a  sigma_s    g  eta    numerical error  model error  evaluator       notes
+                    1/mm     1/mm            relative, at most      at 2 mm
+------  -------  -------  -------  ---  ---  -----------------  -----------  ---------  ----------
+better  1           0.01       10  0.9  1.4            2.7e-15      2.3e-02        f64  similarity
+better  2            0.1       10  0.9  1.4            4.6e-15      1.9e-02        f64  similarity
 numerical error: against the model's formula, up to r = 2 mm
 model error: of the model against radiative transport, relative
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.972222 (eta 1.4)
@@ -152,10 +152,10 @@ moments exact, R_f, the reflectance of striped light
  0.1  2.1323e-01
    1  3.5160e-04
 
-model   evaluator  channel  sigma_a  sigma_s    g  eta    albedo         numerical error  model error
-                               1/mm     1/mm                      of the albedo, at most     relative
-------  ---------  -------  -------  -------  ---  ---  --------  ----------------------  -----------
-better  f64        1           0.01       10  0.9  1.4  0.605953                 1.0e-09      3.5e-02
+model   channel  sigma_a  sigma_s    g  eta    albedo         numerical error  model error  evaluator       notes
+                    1/mm     1/mm                   1  of the albedo, at most     relative
+------  -------  -------  -------  ---  ---  --------  ----------------------  -----------  ---------  ----------
+better  1           0.01       10  0.9  1.4  0.605953                 1.0e-09      3.5e-02        f64  similarity
 numerical error: against the model's formula, up to f = 1 1/mm
 model error: of the model against radiative transport, relative
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.972222 (eta 1.4)
@@ -203,12 +203,12 @@ mm      1/mm^2      1/mm^2      1/mm^2
  1  1.5701e-02  1.0142e-02  4.5069e-03
  2  5.5199e-03  2.4111e-03  5.9256e-04
 
-model      evaluator  channel  sigma_a  sigma_s  g  eta    albedo    numerical error     model error
-                                  1/mm     1/mm                    relative, at most  from 1 to 2 mm
----------  ---------  -------  -------  -------  -  ---  --------  -----------------  --------------
-transport  f32        red        0.032     0.74  0  1.3  0.439458            3.3e-06         0.0e+00
-transport  f32        green       0.17     0.88  0  1.3  0.213259            3.3e-06         0.0e+00
-transport  f32        blue        0.48     1.01  0  1.3  0.115435            3.3e-06         0.0e+00
+model      channel  sigma_a  sigma_s  g  eta    albedo    numerical error     model error  evaluator  notes
+                       1/mm     1/mm                 1  relative, at most  from 1 to 2 mm
+---------  -------  -------  -------  -  ---  --------  -----------------  --------------  ---------  -----
+transport  red        0.032     0.74  0  1.3  0.439458            3.3e-06         0.0e+00        f32
+transport  green       0.17     0.88  0  1.3  0.213259            3.3e-06         0.0e+00        f32
+transport  blue        0.48     1.01  0  1.3  0.115435            3.3e-06         0.0e+00        f32
 numerical error: against the model's formula, up to r = 2 mm
 model error: of the model against radiative transport, relative
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
@@ -232,10 +232,10 @@ mm  1/(mm^2 sr)
 --  -----------
  1   4.0547e-03
 
-model   evaluator  channel  sigma_a  sigma_s  g  eta    numerical error  model error
-                               1/mm     1/mm          relative, at most      at 1 mm
-------  ---------  -------  -------  -------  -  ---  -----------------  -----------
-better  f64        1          0.032     0.74  0  1.3            4.6e-15      1.4e-02
+model   channel  sigma_a  sigma_s  g  eta    numerical error  model error  evaluator  notes
+                    1/mm     1/mm          relative, at most      at 1 mm
+------  -------  -------  -------  -  ---  -----------------  -----------  ---------  -----
+better  1          0.032     0.74  0  1.3            4.6e-15      1.4e-02        f64
 numerical error: against the model's formula, up to r = 1 mm
 model error: of the model against radiative transport, relative
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
@@ -287,19 +287,21 @@ $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --tolerance 2
 ? 1
 
 $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --g 0.5 --r 1 --model single,better,classical | grep note
-note: similarity: g is not 0: the model sees isotropic scattering of sigma_s (1 - g) (better, classical)
+model      channel  sigma_a  sigma_s    g  eta     albedo    numerical error  model error  evaluator       notes
+note: similarity: g is not 0: the model sees isotropic scattering of sigma_s (1 - g)
 
 $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --g 0.5 --r 1 --model better | grep note
+model   channel  sigma_a  sigma_s    g  eta    albedo    numerical error  model error  evaluator       notes
 note: similarity: g is not 0: the model sees isotropic scattering of sigma_s (1 - g)
 
 ## Errors: not solved, and what diverges at r = 0.
 $ dipole eval --sigma-a 0.03 --sigma-s 1 --eta 5 --model classical --wanted albedo --r 1
 moments exact, R in 1/mm^2 per unit of power that entered
 
-model      evaluator  channel  sigma_a  sigma_s  g  eta    albedo    numerical error  model error
-                                  1/mm     1/mm                    relative, at most     relative
----------  ---------  -------  -------  -------  -  ---  --------  -----------------  -----------
-classical  f64        1           0.03        1  0    5  0.361207            2.8e-15   not solved
+model      channel  sigma_a  sigma_s  g  eta    albedo    numerical error  model error  evaluator  notes
+                       1/mm     1/mm                 1  relative, at most     relative
+---------  -------  -------  -------  -  ---  --------  -----------------  -----------  ---------  -----
+classical  1           0.03        1  0    5  0.361207            2.8e-15   not solved        f64
 numerical error: against the model's formula
 model error: of the model against radiative transport, relative
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.555556 (eta 5)
@@ -313,10 +315,10 @@ mm      1/mm^2
 --  ----------
  0  4.9723e-02
 
-model   evaluator  channel  sigma_a  sigma_s  g  eta    numerical error  model error
-                               1/mm     1/mm          relative, at most      at 0 mm
-------  ---------  -------  -------  -------  -  ---  -----------------  -----------
-better  f64        1           0.03        1  0  1.3            2.3e-15     diverges
+model   channel  sigma_a  sigma_s  g  eta    numerical error  model error  evaluator  notes
+                    1/mm     1/mm          relative, at most      at 0 mm
+------  -------  -------  -------  -  ---  -----------------  -----------  ---------  -----
+better  1           0.03        1  0  1.3            2.3e-15     diverges        f64
 numerical error: against the model's formula
 model error: of the model against radiative transport, relative
              at r > 0: transport diverges at r = 0
@@ -332,10 +334,10 @@ mm      1/mm^2
  0  4.9723e-02
  1  2.2375e-02
 
-model   evaluator  channel  sigma_a  sigma_s  g  eta    numerical error     model error
-                               1/mm     1/mm          relative, at most  from 0 to 1 mm
-------  ---------  -------  -------  -------  -  ---  -----------------  --------------
-better  f64        1           0.03        1  0  1.3            2.8e-15         1.3e-01
+model   channel  sigma_a  sigma_s  g  eta    numerical error     model error  evaluator  notes
+                    1/mm     1/mm          relative, at most  from 0 to 1 mm
+------  -------  -------  -------  -  ---  -----------------  --------------  ---------  -----
+better  1           0.03        1  0  1.3            2.8e-15         1.3e-01        f64
 numerical error: against the model's formula, up to r = 1 mm
 model error: of the model against radiative transport, relative
              at r > 0: transport diverges at r = 0
@@ -351,11 +353,11 @@ mm      1/mm^2        1/mm
  0         inf  3.6900e-01
  1  1.9787e-02  1.2433e-01
 
-                                                                         R               R           2_pi_r_R        2_pi_r_R
-model      evaluator  channel  sigma_a  sigma_s  g  eta    numerical error     model error    numerical error     model error
-                                  1/mm     1/mm          relative, at most  from 0 to 1 mm  relative, at most  from 0 to 1 mm
----------  ---------  -------  -------  -------  -  ---  -----------------  --------------  -----------------  --------------
-transport  lut        1           0.03        1  0  1.3            8.5e-05         0.0e+00            8.5e-05         0.0e+00
+                                                              R               R           2_pi_r_R        2_pi_r_R
+model      channel  sigma_a  sigma_s  g  eta    numerical error     model error    numerical error     model error  evaluator  notes
+                       1/mm     1/mm          relative, at most  from 0 to 1 mm  relative, at most  from 0 to 1 mm
+---------  -------  -------  -------  -  ---  -----------------  --------------  -----------------  --------------  ---------  -----
+transport  1           0.03        1  0  1.3            8.5e-05         0.0e+00            8.5e-05         0.0e+00        lut
 numerical error: against the model's formula, up to r = 1 mm
 model error: of the model against radiative transport, relative
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
