@@ -113,7 +113,7 @@ enum {
 const schema_payload schema_nothing = {.name = "nothing", .parts = &parts_of_hello_request[0]};
 
 const schema_message schema_messages[] = {
-#define WIRE_MESSAGE(type, IDENT, name, request, reply, about)                                     \
+#define WIRE_MESSAGE(type, IDENT, name, ROLE, LATENCY, request, reply, about)                      \
   {type, name, &schema_##request, &schema_##reply, about},
 #include "proto/messages.def"
     {0, NULL, NULL, NULL, NULL},

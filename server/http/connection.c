@@ -378,7 +378,9 @@ static void go_on(struct http_connection *c) {
 static enum MHD_Result ask(struct http_connection *c, enum wire_type type, uint32_t deadline_ms) {
   struct worker *worker = c->host->worker;
   const wire_header header = {.type = (uint16_t)type, .payload_bytes = (uint32_t)c->payload.count};
-  struct job_request request = {.header = &header,
+  const struct job_type *message = job_type_of(type);
+  struct job_request request = {.type = message,
+                                .header = &header,
                                 .payload = (const uint8_t *)c->payload.bytes,
                                 .context = worker_context(worker),
                                 .profiles = &c->client.profiles,
@@ -386,7 +388,7 @@ static enum MHD_Result ask(struct http_connection *c, enum wire_type type, uint3
                                 .points = &c->points};
   uint64_t budget = JOB_SLICE_RADII;
   c->arrived_ns = worker_round_ns(worker);
-  stats_count_request(&c->host->server->stats, type);
+  stats_add(&c->host->server->stats, message->requests, 1);
   run_start(&c->run, &request, deadline_ms > 0 ? c->arrived_ns / 1000000 + deadline_ms : 0);
   run_on(&c->run, &budget);
   if (c->run.state == RUN_IDLE) {
@@ -470,7 +472,7 @@ static enum MHD_Result answer_message(struct http_connection *c) {
   uint32_t deadline_ms = 0;
   const wire_error error = translate(c, &deadline_ms);
   if (error.status != WIRE_STATUS_OK) {
-    stats_count_request(&c->host->server->stats, c->route.message->type);
+    stats_add(&c->host->server->stats, job_type_of(c->route.message->type)->requests, 1);
     stats_count_answer(&c->host->server->stats, error.status);
     return send_error(c, &error, 0);
   }

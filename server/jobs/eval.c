@@ -7,11 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-JOB_FITS_SLOT(struct eval_job);
-
-static struct eval_job *of(struct job *job) {
-  return (struct eval_job *)(void *)job;
-}
+JOB_STRUCTURE(struct eval_job, of)
 
 static struct stats *stats_of(const struct eval_job *eval) {
   return &eval->job.context->server->stats;
@@ -63,7 +59,7 @@ static wire_error check_range(const struct eval_job *eval, const core_radii_rang
         core_evaluator_bytes(fixed->evaluator) == sizeof(float)
             ? core_radii_range_check_f32(range, fixed->radius_count, eval->request.radii)
             : core_radii_range_check_f64(range, fixed->radius_count, eval->request.radii);
-    return fault.field == NULL ? wire_error_none() : job_error(fault);
+    return job_error(fault);
   }
   char allowed[80];
   const bool low = fixed->radius_count > 0 && eval->grid.start_mm < range->least_mm;
@@ -91,7 +87,7 @@ static wire_error check_grid(const struct eval_job *eval) {
   if (fault.field != NULL && strcmp(fault.field, "radius_count") == 0) {
     return wire_error_make(WIRE_STATUS_BAD_COUNT, fault.field, fault.allowed);
   }
-  return fault.field == NULL ? wire_error_none() : job_error(fault);
+  return job_error(fault);
 }
 
 /* Checks the radii, and sets eval->radii: the least and the largest of the list, or the ends of the
@@ -103,7 +99,7 @@ static wire_error check_radii(struct eval_job *eval) {
     const core_fault fault =
         single ? core_radii_check_f32(fixed->radius_count, eval->request.radii, &eval->radii)
                : core_radii_check_f64(fixed->radius_count, eval->request.radii, &eval->radii);
-    return fault.field == NULL ? wire_error_none() : job_error(fault);
+    return job_error(fault);
   }
   const wire_error error = check_grid(eval);
   const double start = eval->grid.start_mm;
@@ -159,14 +155,11 @@ wire_error eval_job_offers(struct eval_job *eval, const struct job_request *requ
              : check_tolerance(eval);
 }
 
-/* Computes the layout of the part that begins at eval->first. Returns false if the part would
- * exceed max_bytes. */
+/* Computes the layout of the current part. Returns false if the part would exceed max_bytes. */
 static bool lay_out_part(struct eval_job *eval, uint64_t max_bytes) {
   const wire_eval_request *fixed = &eval->request.fixed;
-  const uint64_t left = fixed->radius_count - eval->first;
-  eval->count = left < eval->part_radii ? left : eval->part_radii;
   return eval_reply_layout(fixed->evaluator, eval_job_wanted(eval), fixed->medium_count,
-                           eval->count, max_bytes, &eval->layout);
+                           eval->parts.count, max_bytes, &eval->layout);
 }
 
 /* Returns the refusal of a request for which a part of most_bytes is too small. It says how many
@@ -191,25 +184,20 @@ static wire_error cut(struct eval_job *eval, const struct options *options) {
   if (fixed->radius_count > options->max_radii) {
     return job_too_large(count_field(eval), options->max_radii, "radii");
   }
-  eval->first = 0;
-  eval->part = 0;
-  eval->part_count = 1;
-  eval->part_radii = fixed->radius_count;
+  job_parts_cut(&eval->parts, fixed->radius_count, fixed->radius_count);
   if (lay_out_part(eval, options->max_frame_bytes)) {
     return wire_error_none();
   }
   const uint64_t most_bytes = options->max_part_bytes;
-  eval->part_radii =
+  const uint64_t most =
       eval_part_radii(fixed->evaluator, eval_job_wanted(eval), fixed->medium_count, most_bytes);
-  if (eval->part_radii == 0) {
+  if (most == 0) {
     return no_room_in_part(eval, most_bytes);
   }
-  const uint64_t parts = (fixed->radius_count - 1) / eval->part_radii + 1;
-  if (parts > UINT32_MAX) { /* for example 2^40 radii in parts of 256 */
-    return job_too_large(count_field(eval), UINT32_MAX * eval->part_radii,
-                         "radii in parts as small as these");
+  if ((fixed->radius_count - 1) / most >= UINT32_MAX) { /* 2^40 radii in parts of 256 */
+    return job_too_large(count_field(eval), UINT32_MAX * most, "radii in parts as small as these");
   }
-  eval->part_count = (uint32_t)parts;
+  job_parts_cut(&eval->parts, fixed->radius_count, most);
   const bool fits = lay_out_part(eval, most_bytes);
   assert(fits);
   return wire_error_none();
@@ -241,21 +229,21 @@ static wire_error check(struct eval_job *eval, const struct job_request *request
 
 /* Fills the end of an array, behind all its values, with zero bytes. */
 static void pad(const struct eval_job *eval, uint64_t array_offset) {
-  const size_t used = (size_t)eval->count * eval_job_value_bytes(eval);
+  const size_t used = (size_t)eval->parts.count * eval_job_value_bytes(eval);
   memset(eval->reply + array_offset + used, 0, (size_t)eval->layout.array_bytes - used);
 }
 
 static void expand_grid(const struct eval_job *eval, size_t n, void *radii) {
   if (eval_job_value_bytes(eval) == sizeof(float)) {
-    core_grid_radii_f32(&eval->grid, eval->first + eval->index, n, radii);
+    core_grid_radii_f32(&eval->grid, eval->parts.first + eval->index, n, radii);
   } else {
-    core_grid_radii_f64(&eval->grid, eval->first + eval->index, n, radii);
+    core_grid_radii_f64(&eval->grid, eval->parts.first + eval->index, n, radii);
   }
 }
 
 const uint8_t *eval_job_listed(const struct eval_job *eval) {
   return (const uint8_t *)eval->request.radii +
-         (size_t)(eval->first + eval->index) * eval_job_value_bytes(eval);
+         (size_t)(eval->parts.first + eval->index) * eval_job_value_bytes(eval);
 }
 
 static void copy_radii(const struct eval_job *eval, size_t n) {
@@ -393,10 +381,10 @@ static void start_part(struct eval_job *eval) {
       .moments = fixed->moments,
       .wanted = fixed->wanted,
       .channel_count = fixed->medium_count,
-      .count = eval->count,
-      .first = eval->first,
-      .part = eval->part,
-      .part_count = eval->part_count,
+      .count = eval->parts.count,
+      .first = eval->parts.first,
+      .part = eval->parts.part,
+      .part_count = eval->parts.part_count,
   };
   wire_put_eval_reply(eval->reply, &start);
   if (eval->head != NULL) {
@@ -447,22 +435,16 @@ static bool start_again(struct eval_job *eval) {
 /* Gets the profile of the current channel. */
 static enum job_outcome get_profile(struct eval_job *eval) {
   const core_medium medium = medium_of(eval, eval->channel);
-  switch (get_ruler(eval, &medium)) {
-  case LOOKUP_WAIT:
-    return JOB_WAITS;
-  case LOOKUP_FAULT:
-    return job_refuse(&eval->job, job_fault(eval->ruler.fault, eval->channel));
-  case LOOKUP_READY:
-    break;
+  enum lookup_answer answer = get_ruler(eval, &medium);
+  if (answer != LOOKUP_READY) {
+    return job_follow(&eval->job, answer, &eval->ruler.fault, eval->channel);
   }
-  switch (profiles_get(&eval->job.context->profiles, &eval->lookup, &medium)) {
-  case LOOKUP_WAIT:
-    return JOB_WAITS;
-  case LOOKUP_FAULT:
-    return start_again(eval) ? JOB_GOES_ON
-                             : job_refuse(&eval->job, job_fault(eval->lookup.fault, eval->channel));
-  case LOOKUP_READY:
-    break;
+  answer = profiles_get(&eval->job.context->profiles, &eval->lookup, &medium);
+  if (answer == LOOKUP_FAULT && start_again(eval)) {
+    return JOB_GOES_ON;
+  }
+  if (answer != LOOKUP_READY) {
+    return job_follow(&eval->job, answer, &eval->lookup.fault, eval->channel);
   }
   if (!isnan(eval->choice.tolerance)) {
     const wire_error error = choice_check_solved(&eval->choice, &eval->request, eval->radii,
@@ -507,7 +489,7 @@ static void compare_models(const struct eval_job *eval, size_t n, const void *r,
 
 /* Evaluates every wanted array at the n radii of a slice, or adds a short request to the batch. */
 static void evaluate(struct eval_job *eval, size_t n) {
-  const bool is_short = eval->count == n && n <= BATCH_SHORT_RADII && n > 0;
+  const bool is_short = eval->parts.count == n && n <= BATCH_SHORT_RADII && n > 0;
   const void *r = is_sample(eval) ? eval->draw_radii(eval, n) : slice_radii(eval, n);
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
     if (!core_quantity_elementwise(quantity->id) ||
@@ -542,7 +524,7 @@ static void pad_channel(const struct eval_job *eval) {
 /* Advances by a slice of n radii. Returns true if this was the last slice of its arrays. */
 static bool advance(struct eval_job *eval, size_t n) {
   eval->index += n;
-  if (eval->index < eval->count) {
+  if (eval->index < eval->parts.count) {
     return false;
   }
   eval->index = 0;
@@ -568,7 +550,7 @@ static void put_notes(const struct eval_job *eval) {
 /* Remembers the request, so that later requests can repeat it with other radii. A request whose
  * check depends on the radii cannot be repeated. */
 static void learn(const struct eval_job *eval) {
-  if (!is_sample(eval) && eval->part_count == 1 && eval->covers_all &&
+  if (!is_sample(eval) && eval->parts.part_count == 1 && eval->covers_all &&
       isnan(eval->choice.tolerance)) {
     repeat_learn(&eval->job.context->repeat, &eval->request, &eval->grid, &eval->layout,
                  eval->reply, eval->lookup.place);
@@ -600,7 +582,7 @@ enum { DRAW_VECTOR = 8 };
 
 /* fixed: what a slice costs besides its radii. If that is much, the radii may cost as much again. */
 static size_t slice_length(const struct eval_job *eval, double fixed, double cost) {
-  const uint64_t left = eval->count - eval->index;
+  const uint64_t left = eval->parts.count - eval->index;
   size_t most = (size_t)fmax(fmax(JOB_SLICE_RADII - fixed, fixed) / cost, 1);
   if (is_sample(eval)) {
     most = most < DRAW_VECTOR ? DRAW_VECTOR : most / DRAW_VECTOR * DRAW_VECTOR;
@@ -688,14 +670,13 @@ enum job_outcome eval_job_begin_part(struct job *job, uint8_t *payload) {
 
 /* Ends a part. If another part follows, computes its layout. */
 static enum job_outcome end_part(struct eval_job *eval) {
-  if (eval->part + 1 == eval->part_count) {
+  const bool is_first = eval->parts.part == 0;
+  if (!job_parts_next(&eval->parts)) {
     return JOB_DONE;
   }
-  if (eval->part == 0) {
+  if (is_first) {
     keep_head(eval);
   }
-  eval->first += eval->count;
-  eval->part++;
   const bool fits = lay_out_part(eval, UINT64_MAX);
   assert(fits);
   eval->job.part_bytes = eval->layout.payload_bytes;
@@ -742,8 +723,7 @@ void eval_job_end(struct job *job) {
   }
 }
 
-const struct job_kind job_kind_EVAL = {.role = ROLE_EVALUATE,
-                                       .start = start_eval,
+const struct job_kind job_kind_EVAL = {.start = start_eval,
                                        .begin_part = eval_job_begin_part,
                                        .step = eval_job_step,
                                        .end = eval_job_end};

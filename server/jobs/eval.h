@@ -24,14 +24,10 @@ struct eval_job {
   const void *(*draw_radii)(const struct eval_job *eval, size_t n);
   core_draw draw; /* the rule for the numbers of a sample */
 
-  eval_layout layout;  /* of the current part */
-  uint8_t *reply;      /* [layout.payload_bytes], payload of the current part */
-  uint64_t part_radii; /* radii in each part except the last */
-  uint32_t part;       /* number of the current part, from 0 */
-  uint8_t *head;       /* albedos and errors of a first part that is not the last; else NULL */
-  uint32_t part_count;
-  uint64_t first; /* position in the request of the current part's first radius */
-  uint64_t count; /* how many radii the current part has */
+  eval_layout layout;     /* of the current part */
+  uint8_t *reply;         /* [layout.payload_bytes], payload of the current part */
+  struct job_parts parts; /* of the radii */
+  uint8_t *head;          /* albedos and errors of a first part that is not the last; else NULL */
 
   uint32_t channel;              /* the channel that is being evaluated */
   uint64_t index;                /* position in the part of the channel's next radius */

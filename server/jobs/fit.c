@@ -41,11 +41,7 @@ struct fit_job {
   uint32_t notes;
 };
 
-JOB_FITS_SLOT(struct fit_job);
-
-static struct fit_job *of(struct job *job) {
-  return (struct fit_job *)(void *)job;
-}
+JOB_STRUCTURE(struct fit_job, of)
 
 /* ---- starting -------------------------------------------------------------------------------- */
 
@@ -140,14 +136,11 @@ static wire_error out_of_memory(void) {
 
 static enum job_outcome get_design(struct fit_job *fit) {
   struct job_context *context = fit->job.context;
-  switch (fits_get(&context->profiles.lookups, &fit->lookup, fit->request.design_bytes,
-                   fit->request.design_bytes_count)) {
-  case LOOKUP_WAIT:
-    return JOB_WAITS;
-  case LOOKUP_FAULT:
-    return job_refuse(&fit->job, job_fault(fit->lookup.fault, (uint32_t)fit->lookup.fault.index));
-  case LOOKUP_READY:
-    break;
+  const enum lookup_answer answer =
+      fits_get(&context->profiles.lookups, &fit->lookup, fit->request.design_bytes,
+               fit->request.design_bytes_count);
+  if (answer != LOOKUP_READY) {
+    return job_follow(&fit->job, answer, &fit->lookup.fault, fit->lookup.fault.index);
   }
   fit->search = core_fit_search_new();
   return fit->search != NULL ? JOB_GOES_ON : job_refuse(&fit->job, out_of_memory());
@@ -206,18 +199,15 @@ static enum job_outcome begin_refining(struct fit_job *fit, const core_fit_resul
 /* Does one step of refining the next set. */
 static enum job_outcome refine(struct fit_job *fit) {
   struct refining *refining = fit->refining;
-  switch (profiles_get(&fit->job.context->profiles, &refining->lookup, &refining->medium)) {
-  case LOOKUP_WAIT:
-    return JOB_WAITS;
-  case LOOKUP_FAULT:
-    if (lookup_is_busy(refining->lookup.fault)) {
-      return job_refuse(&fit->job, job_fault(refining->lookup.fault, 0));
-    }
+  const enum lookup_answer answer =
+      profiles_get(&fit->job.context->profiles, &refining->lookup, &refining->medium);
+  if (answer == LOOKUP_FAULT && !lookup_is_busy(refining->lookup.fault)) {
     refining->goes_on = false; /* the model takes the medium of the table, but not this one */
     put(fit, &refining->result);
     return JOB_GOES_ON;
-  case LOOKUP_READY:
-    break;
+  }
+  if (answer != LOOKUP_READY) {
+    return job_follow(&fit->job, answer, &refining->lookup.fault, 0);
   }
   const struct set set = next_set(fit);
   const bool more =
@@ -285,4 +275,4 @@ static void end(struct job *job) {
 }
 
 const struct job_kind job_kind_FIT = {
-    .role = ROLE_COMPUTE, .start = start, .begin_part = begin_part, .step = step, .end = end};
+    .start = start, .begin_part = begin_part, .step = step, .end = end};

@@ -43,17 +43,13 @@ struct gather_job {
   uint64_t index;       /* position in the part's order of the next query */
 };
 
-JOB_FITS_SLOT(struct gather_job);
+JOB_STRUCTURE(struct gather_job, of)
 
 /* What a part takes at most: a quarter of a second, as far as the cost of a query is known before. */
 #define PART_RADII (UINT64_C(1) << 27)
 
 /* The cost of so many queries is counted, at most; that of others is taken to be the same. */
 enum { COUNTED_MOST = 4 * GATHER_PART_QUERIES, COUNTED_AT_ONCE = 1024 };
-
-static struct gather_job *of(struct job *job) {
-  return (struct gather_job *)(void *)job;
-}
 
 static struct gather_work *new_work(struct gather_job *gather, const struct job_request *from) {
   struct gather_work *work = malloc(sizeof *work);
@@ -138,13 +134,10 @@ static enum job_outcome check_queries(struct gather_job *gather) {
 static enum job_outcome find_set(struct gather_job *gather) {
   struct lookup *lookup = &gather->work->set;
   const wire_gather_request *fixed = &gather->request.fixed;
-  switch (points_get(&gather->job.context->profiles.lookups, lookup, fixed->set, NULL)) {
-  case LOOKUP_WAIT:
-    return JOB_WAITS;
-  case LOOKUP_FAULT:
-    return job_refuse(&gather->job, job_fault(lookup->fault, 0));
-  case LOOKUP_READY:
-    break;
+  const enum lookup_answer answer =
+      points_get(&gather->job.context->profiles.lookups, lookup, fixed->set, NULL);
+  if (answer != LOOKUP_READY) {
+    return job_follow(&gather->job, answer, &lookup->fault, 0);
   }
   return core_gather_points_channels(points_found(lookup)) == fixed->medium_count
              ? JOB_GOES_ON
@@ -168,20 +161,13 @@ static enum job_outcome prepare_channel(struct gather_job *gather) {
   } else {
     lookup->fault = work->ruler.fault;
   }
-  switch (answer) {
-  case LOOKUP_WAIT:
-    return JOB_WAITS;
-  case LOOKUP_READY: {
+  if (answer == LOOKUP_READY) {
     const core_model_errors errors = core_model_errors_measure(
         &lookup->profile, work->ruler.ready ? &work->ruler.profile : NULL);
     work->model_error[work->ready++] = core_gather_model_error(&errors, medium);
     profiles_return(&work->ruler);
-    return JOB_GOES_ON;
   }
-  case LOOKUP_FAULT:
-    break;
-  }
-  return job_refuse(&gather->job, job_fault(lookup->fault, work->ready));
+  return job_follow(&gather->job, answer, &lookup->fault, work->ready);
 }
 
 /* Takes memory for the scratch, which points of this number need. */
@@ -242,7 +228,7 @@ static enum job_outcome prepare_sum(struct gather_job *gather) {
       core_gather_sum_prepare(&work->sum, gather->job.context->server->isa, work->ready, profiles,
                               gather->request.fixed.tolerance);
   wire_error error = fault.field == NULL ? open_scratch(gather) : job_fault(fault, 0);
-  return error.status == WIRE_STATUS_OK ? JOB_GOES_ON : job_refuse(&gather->job, error);
+  return job_check(&gather->job, error);
 }
 
 /* Counts what the next queries cost in the order in which a part takes them. */
@@ -434,9 +420,5 @@ static void end(struct job *job) {
   budget_return(job->context->buffers, gather->bytes);
 }
 
-const struct job_kind job_kind_GATHER = {.role = ROLE_COMPUTE,
-                                         .detached = true,
-                                         .start = start,
-                                         .begin_part = put,
-                                         .step = step,
-                                         .end = end};
+const struct job_kind job_kind_GATHER = {
+    .detached = true, .start = start, .begin_part = put, .step = step, .end = end};

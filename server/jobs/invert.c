@@ -31,11 +31,7 @@ struct invert_job {
   uint64_t missing;              /* how many media of the part before index do not exist */
 };
 
-JOB_FITS_SLOT(struct invert_job);
-
-static struct invert_job *of(struct job *job) {
-  return (struct invert_job *)(void *)job;
-}
+JOB_STRUCTURE(struct invert_job, of)
 
 /* ---- checking -------------------------------------------------------------------------------- */
 
@@ -180,27 +176,19 @@ static void put_medium(struct invert_job *invert) {
 static enum job_outcome probe(struct invert_job *invert, double *albedo) {
   struct job_context *context = invert->job.context;
   const wire_invert_request *fixed = &invert->request.fixed;
+  const uint64_t i = invert->parts.first + invert->index;
   if (!invert->slow) {
     const core_fault fault = core_albedo(context->server->isa, fixed->model, fixed->moments,
                                          &invert->inverter.medium, albedo);
-    if (fault.field != NULL) {
-      return job_refuse(&invert->job,
-                        job_fault(fault, (uint32_t)(invert->parts.first + invert->index)));
-    }
-    return JOB_GOES_ON;
+    return job_follow(&invert->job, fault.field == NULL ? LOOKUP_READY : LOOKUP_FAULT, &fault, i);
   }
-  switch (profiles_get(&context->profiles, &invert->lookup, &invert->inverter.medium)) {
-  case LOOKUP_WAIT:
-    return JOB_WAITS;
-  case LOOKUP_FAULT:
-    return job_refuse(&invert->job, job_fault(invert->lookup.fault,
-                                              (uint32_t)(invert->parts.first + invert->index)));
-  case LOOKUP_READY:
-    break;
+  const enum lookup_answer answer =
+      profiles_get(&context->profiles, &invert->lookup, &invert->inverter.medium);
+  if (answer == LOOKUP_READY) {
+    *albedo = invert->lookup.profile.albedo;
+    profiles_return(&invert->lookup);
   }
-  *albedo = invert->lookup.profile.albedo;
-  profiles_return(&invert->lookup);
-  return JOB_GOES_ON;
+  return job_follow(&invert->job, answer, &invert->lookup.fault, i);
 }
 
 /* Gives the albedo of a probe to the inverter. The first probes find out which albedos the model
@@ -215,7 +203,7 @@ static enum job_outcome take(struct invert_job *invert, double albedo) {
   }
   invert->reach_known = true;
   const core_fault fault = core_inverter_check(&invert->inverter);
-  return fault.field == NULL ? JOB_GOES_ON : job_refuse(&invert->job, job_error(fault));
+  return job_check(&invert->job, job_error(fault));
 }
 
 /* Does one step of the search: begins with the next medium, or probes once more. An albedo that the
@@ -261,4 +249,4 @@ static void end(struct job *job) {
 }
 
 const struct job_kind job_kind_INVERT = {
-    .role = ROLE_EVALUATE, .start = start, .begin_part = begin_part, .step = step, .end = end};
+    .start = start, .begin_part = begin_part, .step = step, .end = end};

@@ -6,31 +6,32 @@
 
 /* ---- starting and ending --------------------------------------------------------------------- */
 
-const struct job_kind *job_kind_of(unsigned type) {
-  switch (type) {
-#define WIRE_MESSAGE(type, IDENT, name, ...)                                                            \
-  case type:                                                                                       \
-    return &job_kind_##IDENT;
+const struct job_type *job_type_of(unsigned type) {
+  static const struct job_type types[] = {
+#define WIRE_MESSAGE(type, IDENT, name, ROLE, LATENCY, ...)                                        \
+  [type] = {&job_kind_##IDENT, ROLE_##ROLE, LATENCY_##LATENCY, STATS_REQUESTS_##IDENT},
 #include "proto/messages.def"
-  default:
-    return NULL;
-  }
+  };
+  const size_t count = sizeof types / sizeof types[0];
+  return type < count && types[type].kind != NULL ? &types[type] : NULL;
 }
 
 enum job_outcome job_start(struct job_slot *slot, const struct job_request *request) {
   struct job *job = (struct job *)(void *)slot->bytes;
-  job->kind = job_kind_of(request->header->type);
+  if (request->type == NULL) {
+    return job_refuse(job,
+                      wire_error_make(WIRE_STATUS_BAD_TYPE, "type", "a message of the protocol"));
+  }
+  job->kind = request->type->kind;
+  job->latency = request->type->latency;
   job->context = request->context;
   job->header = *request->header;
   job->owed_radii = 0;
   job->rests = false;
   job->large = false;
-  job->latency = LATENCY_OTHER;
   job->lookup = NULL;
   job->reader_idle = true;
-  return job->kind != NULL ? job->kind->start(job, request)
-                           : job_refuse(job, wire_error_make(WIRE_STATUS_BAD_TYPE, "type",
-                                                             "a message of the protocol"));
+  return job->kind->start(job, request);
 }
 
 void job_end(struct job *job) {
@@ -134,13 +135,27 @@ enum job_outcome job_refuse(struct job *job, wire_error refusal) {
   return JOB_REFUSED;
 }
 
+enum job_outcome job_check(struct job *job, wire_error error) {
+  return error.status == WIRE_STATUS_OK ? JOB_GOES_ON : job_refuse(job, error);
+}
+
+enum job_outcome job_follow(struct job *job, enum lookup_answer answer, const core_fault *fault,
+                            uint64_t channel) {
+  return answer == LOOKUP_READY  ? JOB_GOES_ON
+         : answer == LOOKUP_WAIT ? JOB_WAITS
+                                 : job_refuse(job, job_fault(*fault, channel));
+}
+
 wire_error job_error(core_fault fault) {
+  if (fault.field == NULL) {
+    return wire_error_none();
+  }
   wire_error error = wire_error_make(WIRE_STATUS_BAD_VALUE, fault.field, fault.allowed);
   error.index = fault.index;
   return error;
 }
 
-wire_error job_fault(core_fault fault, uint32_t channel) {
+wire_error job_fault(core_fault fault, uint64_t channel) {
   fault.index = channel;
   wire_error error = job_error(fault);
   if (lookup_is_busy(fault)) {

@@ -13,7 +13,7 @@
  * being prepared), step -> GOES_ON, step -> DONE, end.
  *
  * A new kind of job takes a line in proto/messages.def, its layout in proto/, and a file in
- * server/jobs/ that defines its structure and its job_kind_<IDENT>.
+ * server/jobs/ that defines its structure (JOB_STRUCTURE) and its job_kind_<IDENT>.
  */
 #ifndef DIPOLED_JOB_H
 #define DIPOLED_JOB_H
@@ -69,6 +69,7 @@ struct job;
 
 /* A request that has arrived. */
 struct job_request {
+  const struct job_type *type; /* of the header; NULL: it is unknown */
   const wire_header *header;
   const uint8_t *payload; /* header->payload_bytes, at a multiple of 8 */
   struct job_context *context;
@@ -106,8 +107,6 @@ struct job_kind {
 
   /* Whether such requests take long: a connection answers the requests behind them meanwhile. */
   bool detached;
-
-  enum role role; /* that a client with a certificate needs; 0: none */
 };
 
 /* The first member of each kind's own job structure. */
@@ -126,7 +125,7 @@ struct job {
   wire_error refusal;    /* set with JOB_REFUSED */
 };
 
-/* The parts of a reply that is a list of sets, media or values. */
+/* The parts of a reply that is a list of radii, sets, media or values. */
 struct job_parts {
   uint64_t most;  /* entries in each part except the last */
   uint64_t first; /* position in the list of the current part's first entry */
@@ -136,8 +135,7 @@ struct job_parts {
   uint32_t part_count;
 };
 
-/* Cuts a list of fewer than 2^32 entries, and begins with its first part. most is 0 only if total
- * is 0. */
+/* Cuts a list into fewer than 2^32 parts, and begins with the first. most is 0 only if total is 0. */
 void job_parts_cut(struct job_parts *parts, uint64_t total, uint64_t most);
 
 /* Goes on to the next part. Returns false if the current part is the last one. */
@@ -150,10 +148,23 @@ struct job_slot {
   _Alignas(16) uint8_t bytes[JOB_SLOT_BYTES];
 };
 
-#define JOB_FITS_SLOT(type) _Static_assert(sizeof(type) <= JOB_SLOT_BYTES, "a job fits its slot")
+/* The structure of a job, whose first member is a struct job, and the function that casts to it. */
+#define JOB_STRUCTURE(type, name)                                                                  \
+  _Static_assert(sizeof(type) <= JOB_SLOT_BYTES, "a job fits its slot");                           \
+  static inline type *name(struct job *job) {                                                      \
+    return (type *)(void *)job;                                                                    \
+  }
 
-/* Returns the kind of a message; NULL if there is no such message. */
-const struct job_kind *job_kind_of(unsigned type);
+/* A message, as proto/messages.def lists it. */
+struct job_type {
+  const struct job_kind *kind;
+  enum role role;             /* that a client needs */
+  enum latency_class latency; /* of its requests */
+  enum stats_index requests;  /* what counts them */
+};
+
+/* Returns the message of a type; NULL if there is none. */
+const struct job_type *job_type_of(unsigned type);
 
 /* Starts a job in a free slot. Returns what the kind's start() returns, or REFUSED for an unknown
  * message. */
@@ -194,12 +205,19 @@ void job_resume(struct job *job);
 /* Sets the refusal and returns JOB_REFUSED. */
 enum job_outcome job_refuse(struct job *job, wire_error refusal);
 
-/* Makes the error BAD_VALUE of a fault that core has found. */
+/* Returns JOB_GOES_ON if there is no error; else refuses the job with it. */
+enum job_outcome job_check(struct job *job, wire_error error);
+
+/* Follows a lookup for a channel: goes on with what is READY, WAITS, or refuses the job by *fault. */
+enum job_outcome job_follow(struct job *job, enum lookup_answer answer, const core_fault *fault,
+                            uint64_t channel);
+
+/* Makes the error BAD_VALUE of a fault that core has found, or no error. */
 wire_error job_error(core_fault fault);
 
 /* Makes the error of a fault in preparing a channel: BUSY if the preparation may succeed later,
  * else BAD_VALUE. */
-wire_error job_fault(core_fault fault, uint32_t channel);
+wire_error job_fault(core_fault fault, uint64_t channel);
 
 /* Makes the error BUSY for a budget of all buffers that is exhausted. */
 wire_error job_busy(void);

@@ -23,11 +23,7 @@ struct mc {
   wire_mc_reply progress;
 };
 
-JOB_FITS_SLOT(struct mc);
-
-static struct mc *of(struct job *job) {
-  return (struct mc *)(void *)job;
-}
+JOB_STRUCTURE(struct mc, of)
 
 static void on_wake(uv_async_t *handle) {
   const struct news *news = handle->data;
@@ -112,8 +108,7 @@ static void end(struct job *job) {
   uv_close((uv_handle_t *)&mc->news->wake, on_closed);
 }
 
-const struct job_kind job_kind_MC = {.role = ROLE_COMPUTE,
-                                     .detached = true,
+const struct job_kind job_kind_MC = {.detached = true,
                                      .start = start,
                                      .begin_part = begin_part,
                                      .step = step,

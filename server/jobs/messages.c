@@ -151,8 +151,7 @@ static enum job_outcome put_statistics(struct job *job, uint8_t *at) {
   return JOB_DONE;
 }
 
-const struct job_kind job_kind_STATS = {
-    .role = ROLE_OBSERVE, .start = start_statistics, .begin_part = put_statistics};
+const struct job_kind job_kind_STATS = {.start = start_statistics, .begin_part = put_statistics};
 
 /* ---- ping ------------------------------------------------------------------------------------ */
 
@@ -161,17 +160,17 @@ struct ping {
   const uint8_t *payload;
 };
 
-JOB_FITS_SLOT(struct ping);
+JOB_STRUCTURE(struct ping, ping_of)
 
 static enum job_outcome start_ping(struct job *job, const struct job_request *request) {
-  ((struct ping *)(void *)job)->payload = request->payload;
+  ping_of(job)->payload = request->payload;
   return request->header->payload_bytes > WIRE_PING_MAX_BYTES
              ? job_refuse(job, job_bad_length("at most 1024"))
              : reply_with(job, request->header->payload_bytes);
 }
 
 static enum job_outcome put_ping(struct job *job, uint8_t *at) {
-  memcpy(at, ((struct ping *)(void *)job)->payload, job->header.payload_bytes);
+  memcpy(at, ping_of(job)->payload, job->header.payload_bytes);
   return JOB_DONE;
 }
 
@@ -184,10 +183,10 @@ struct cancel {
   bool found;
 };
 
-JOB_FITS_SLOT(struct cancel);
+JOB_STRUCTURE(struct cancel, cancel_of)
 
 static enum job_outcome start_cancel(struct job *job, const struct job_request *from) {
-  struct cancel *cancel = (struct cancel *)(void *)job;
+  struct cancel *cancel = cancel_of(job);
   if (from->header->payload_bytes != WIRE_BYTES_cancel_request) {
     return job_refuse(job, job_bad_length("8"));
   }
@@ -198,7 +197,7 @@ static enum job_outcome start_cancel(struct job *job, const struct job_request *
 }
 
 static enum job_outcome put_cancel(struct job *job, uint8_t *at) {
-  const wire_cancel_reply reply = {.found = ((const struct cancel *)(const void *)job)->found};
+  const wire_cancel_reply reply = {.found = cancel_of(job)->found};
   wire_put_cancel_reply(at, &reply);
   return JOB_DONE;
 }

@@ -15,11 +15,7 @@ struct offers_job {
   } errors[CORE_CANDIDATES_MAX / 2];
 };
 
-JOB_FITS_SLOT(struct offers_job);
-
-static struct offers_job *of(struct job *job) {
-  return (struct offers_job *)(void *)job;
-}
+JOB_STRUCTURE(struct offers_job, of)
 
 static core_choose_request asked_of(const struct offers_job *offers) {
   return choice_asked(&offers->eval.request, offers->eval.radii);
@@ -194,4 +190,4 @@ static enum job_outcome put(struct job *job, uint8_t *at) {
 }
 
 const struct job_kind job_kind_OFFERS = {
-    .role = ROLE_EVALUATE, .start = start, .begin_part = put, .step = step, .end = eval_job_end};
+    .start = start, .begin_part = put, .step = step, .end = eval_job_end};

@@ -18,14 +18,10 @@ struct points_job {
   wire_points_reply reply;
 };
 
-JOB_FITS_SLOT(struct points_job);
+JOB_STRUCTURE(struct points_job, of)
 
 /* What a number of a point costs, in radii of a dipole: to check, to hash and to copy it. */
 enum { NUMBER_RADII = 10 };
-
-static struct points_job *of(struct job *job) {
-  return (struct points_job *)(void *)job;
-}
 
 static uint64_t row_radii(const struct points_job *points) {
   return (GATHER_AXES + (uint64_t)points->request.fixed.channel_count) * NUMBER_RADII;
@@ -182,4 +178,4 @@ static void end(struct job *job) {
 }
 
 const struct job_kind job_kind_POINTS = {
-    .role = ROLE_COMPUTE, .start = start, .begin_part = put, .step = step, .end = end};
+    .start = start, .begin_part = put, .step = step, .end = end};

@@ -13,13 +13,13 @@
 /* A request that has left the input. */
 struct detached {
   TAILQ_ENTRY(detached) in_requests;
+  const struct job_type *type;
   wire_header header;
   uint64_t arrived_ns;
   struct input_block block; /* the frame */
   struct run run;
-  bool waits;    /* for its start, as another one of its kind is under way */
-  bool measured; /* whether its duration is a latency */
-  bool refused;  /* after the run: whether it ended with this */
+  bool waits;   /* for its start, as another one of its kind is under way */
+  bool refused; /* after the run: whether it ended with this */
   wire_error refusal;
 };
 
@@ -120,15 +120,16 @@ static const struct run_sink detached_sink = {.reserve = reserve_part,
                                               .waits_for_room = true};
 
 /* Moves the first frame out of the input. Returns NULL if there is no memory. */
-static struct detached *detach_request(struct requests *r) {
+static struct detached *detach_request(struct requests *r, const struct job_type *type) {
   struct detached *detached = malloc(sizeof *detached);
   if (detached == NULL || !input_take(r->input, &r->header, &detached->block)) {
     free(detached);
     return NULL;
   }
+  detached->type = type;
   detached->header = r->header;
   detached->arrived_ns = r->arrived_ns;
-  detached->waits = detached->measured = true;
+  detached->waits = true;
   run_init(&detached->run, &detached_sink, r);
   detached->run.deadline_ms = deadline_of(&r->header, r->arrived_ns);
   r->detached_count++;
@@ -191,9 +192,10 @@ static bool cancel_requests(void *canceller, uint64_t request_id) {
   return found;
 }
 
-static void start_request(struct requests *r, struct run *run, const wire_header *header,
-                          const uint8_t *payload, uint64_t arrived_ns) {
-  struct job_request request = {.header = header,
+static void start_request(struct requests *r, struct run *run, const struct job_type *type,
+                          const wire_header *header, const uint8_t *payload, uint64_t arrived_ns) {
+  struct job_request request = {.type = type,
+                                .header = header,
                                 .payload = payload,
                                 .context = r->context,
                                 .profiles = r->profiles,
@@ -205,7 +207,7 @@ static void start_request(struct requests *r, struct run *run, const wire_header
 
 static void begin_detached(struct requests *r, struct detached *one) {
   one->waits = false;
-  start_request(r, &one->run, &one->header, one->block.payload, one->arrived_ns);
+  start_request(r, &one->run, one->type, &one->header, one->block.payload, one->arrived_ns);
 }
 
 static bool expire_detached(struct requests *r, struct detached *one) {
@@ -234,9 +236,7 @@ static bool write_detached(struct requests *r) {
       job_rest(one->run.job);
     } else if (has_ended(one) &&
                answer_request(r, &one->header, one->refused ? &one->refusal : NULL)) {
-      if (one->measured) {
-        latency_note(r->context->latency, one->run.latency, one->arrived_ns);
-      }
+      latency_note(r->context->latency, one->run.latency, one->arrived_ns);
       remove_detached(r, one);
       any = true;
     }
@@ -343,12 +343,12 @@ void requests_end(struct requests *r, uint64_t request_id, wire_error error) {
 /* ---- taking requests up ---------------------------------------------------------------------- */
 
 /* Returns whether the client has the role that a message needs. If not, sets *error. */
-static bool is_allowed(const struct requests *r, const struct job_kind *kind, wire_error *error) {
-  if (kind == NULL || (r->roles & kind->role) == kind->role) {
+static bool is_allowed(const struct requests *r, const struct job_type *type, wire_error *error) {
+  if (type == NULL || (r->roles & type->role) == type->role) {
     return true;
   }
   char allowed[sizeof error->allowed];
-  snprintf(allowed, sizeof allowed, "certificates with the role %s", roles_name(kind->role));
+  snprintf(allowed, sizeof allowed, "certificates with the role %s", roles_name(type->role));
   *error = wire_error_make(WIRE_STATUS_NOT_ALLOWED, "role", allowed);
   return false;
 }
@@ -360,30 +360,31 @@ static void refuse_request(struct requests *r, wire_error error) {
 
 /* Starts a request that leaves the input, or lets it wait for its turn. Those that threads of their own
  * work on come first and start at once: their steps cost nothing. */
-static void start_detached(struct requests *r, const struct job_kind *kind) {
-  struct detached *one = detach_request(r);
+static void start_detached(struct requests *r, const struct job_type *type) {
+  struct detached *one = detach_request(r, type);
   if (one == NULL) {
     refuse_request(r, job_busy());
-  } else if (kind->stop == NULL) {
+  } else if (type->kind->stop == NULL) {
     TAILQ_INSERT_TAIL(&r->detached, one, in_requests);
   } else {
     TAILQ_INSERT_HEAD(&r->detached, one, in_requests);
     begin_detached(r, one);
     one->run.deadline_ms = 0; /* which limits the start */
-    one->measured = has_ended(one);
   }
 }
 
 /* Starts the request whose header is r->header. */
-static void take_request(struct requests *r, const struct job_kind *kind, const uint8_t *payload) {
+static void take_request(struct requests *r, const struct job_type *type, const uint8_t *payload) {
   wire_error error;
-  stats_count_request(stats_of(r), r->header.type);
-  if (!is_allowed(r, kind, &error)) {
+  if (type != NULL) {
+    stats_add(stats_of(r), type->requests, 1);
+  }
+  if (!is_allowed(r, type, &error)) {
     refuse_request(r, error);
-  } else if (kind != NULL && kind->detached) {
-    start_detached(r, kind);
+  } else if (type != NULL && type->kind->detached) {
+    start_detached(r, type);
   } else {
-    start_request(r, &r->run, &r->header, payload, r->arrived_ns);
+    start_request(r, &r->run, type, &r->header, payload, r->arrived_ns);
   }
 }
 
@@ -399,8 +400,8 @@ static bool take_frame(struct requests *r) {
     requests_end(r, 0, error);
     return false;
   }
-  const struct job_kind *kind = outcome == INPUT_FRAME ? job_kind_of(r->header.type) : NULL;
-  r->blocked = kind != NULL && kind->detached && r->detached_count > 0 &&
+  const struct job_type *type = outcome == INPUT_FRAME ? job_type_of(r->header.type) : NULL;
+  r->blocked = type != NULL && type->kind->detached && r->detached_count > 0 &&
                (r->detached_count >= r->context->server->options.max_in_flight ||
                 r->detached_bytes + r->header.payload_bytes > DETACHED_BYTES);
   if (r->blocked) {
@@ -409,7 +410,7 @@ static bool take_frame(struct requests *r) {
   r->arrived_ns = input_arrival_ns(r->input, &r->header);
   r->taken++;
   if (outcome == INPUT_FRAME) {
-    take_request(r, kind, payload);
+    take_request(r, type, payload);
   } else {
     refuse_request(r, error);
   }

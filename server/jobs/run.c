@@ -29,7 +29,8 @@ void run_drop(struct run *run) {
 }
 
 static void finish_run(struct run *run, const wire_error *refusal) {
-  run->latency = refusal != NULL ? LATENCY_REFUSED : run->job->latency;
+  run->latency =
+      refusal != NULL && run->job->latency != LATENCY_NONE ? LATENCY_REFUSED : run->job->latency;
   run_drop(run);
   run->sink->end(run, refusal);
 }

@@ -18,7 +18,7 @@ static wire_error check_numbers(const struct eval_job *eval) {
                 ? core_numbers_check_f32(count, eval->request.radii)
                 : core_numbers_check_f64(count, eval->request.radii);
   }
-  return fault.field == NULL ? wire_error_none() : job_error(fault);
+  return job_error(fault);
 }
 
 /* Checks a sample request. Any radius may be drawn, so the model must cover all radii. */
@@ -45,9 +45,10 @@ static const void *draw_radii(const struct eval_job *eval, size_t n) {
   if (eval->request.radii != NULL) {
     u = eval_job_listed(eval);
   } else if (single) {
-    core_draw_f32(&eval->draw, eval->first + eval->index, n, (float *)(void *)scratch->numbers);
+    core_draw_f32(&eval->draw, eval->parts.first + eval->index, n,
+                  (float *)(void *)scratch->numbers);
   } else {
-    core_draw_f64(&eval->draw, eval->first + eval->index, n, scratch->numbers);
+    core_draw_f64(&eval->draw, eval->parts.first + eval->index, n, scratch->numbers);
   }
   if (single) {
     core_sample_f32(&eval->lookup.profile, n, u, r);
@@ -69,8 +70,5 @@ static enum job_outcome start(struct job *job, const struct job_request *request
   return eval_job_start(eval, error, request);
 }
 
-const struct job_kind job_kind_SAMPLE = {.role = ROLE_EVALUATE,
-                                         .start = start,
-                                         .begin_part = eval_job_begin_part,
-                                         .step = eval_job_step,
-                                         .end = eval_job_end};
+const struct job_kind job_kind_SAMPLE = {
+    .start = start, .begin_part = eval_job_begin_part, .step = eval_job_step, .end = eval_job_end};

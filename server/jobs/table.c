@@ -14,11 +14,7 @@ struct table {
   struct profiles_lookup ruler; /* transport, if the model errors need it */
 };
 
-JOB_FITS_SLOT(struct table);
-
-static struct table *of(struct job *job) {
-  return (struct table *)(void *)job;
-}
+JOB_STRUCTURE(struct table, of)
 
 /* Checks a request for a surface with a medium that every model takes. */
 static core_fault check(const table_request *request, unsigned evaluator) {
@@ -72,13 +68,9 @@ static enum lookup_answer get(struct table *table) {
 static enum job_outcome step(struct job *job, uint64_t *budget) {
   struct table *table = of(job);
   *budget -= *budget < JOB_STEP_RADII ? *budget : JOB_STEP_RADII;
-  switch (get(table)) {
-  case LOOKUP_WAIT:
-    return JOB_WAITS;
-  case LOOKUP_FAULT:
-    return job_refuse(job, job_fault(table->lookup.fault, 0));
-  case LOOKUP_READY:
-    break;
+  const enum job_outcome outcome = job_follow(job, get(table), &table->lookup.fault, 0);
+  if (outcome != JOB_GOES_ON) {
+    return outcome;
   }
   const core_varying *surface = varyings_found(&table->surface);
   job->part_bytes = table_reply_bytes(channels_count_parameters(&table->request.parameters),
@@ -110,4 +102,4 @@ static void end(struct job *job) {
 }
 
 const struct job_kind job_kind_TABLE = {
-    .role = ROLE_COMPUTE, .start = start, .begin_part = put, .step = step, .end = end};
+    .start = start, .begin_part = put, .step = step, .end = end};

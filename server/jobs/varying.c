@@ -17,14 +17,10 @@ struct varying_job {
   uint64_t index; /* position in the part of the next value */
 };
 
-JOB_FITS_SLOT(struct varying_job);
+JOB_STRUCTURE(struct varying_job, of)
 
 _Static_assert(VARYING_SCRATCH_ARRAYS *(int)VARYING_SLICE_VALUES <= (int)JOB_SLICE_RADII,
                "the worker's scratch holds that of a slice");
-
-static struct varying_job *of(struct job *job) {
-  return (struct varying_job *)(void *)job;
-}
 
 /* ---- checking -------------------------------------------------------------------------------- */
 
@@ -63,7 +59,7 @@ static wire_error check_model(const varying_request *request) {
   const core_medium medium = {1, 1, fixed->g, fixed->eta};
   const core_fault fault = core_profile_check(fixed->model, fixed->moments, fixed->evaluator,
                                               &medium, &request->parameters, NULL);
-  return fault.field == NULL ? wire_error_none() : job_error(fault);
+  return job_error(fault);
 }
 
 static void set_part_bytes(struct varying_job *varying) {
@@ -126,17 +122,12 @@ static enum job_outcome prepare_ruler(struct varying_job *varying) {
   struct job *job = &varying->job;
   const wire_varying_request *fixed = &varying->request.fixed;
   const core_parameters none = core_parameters_none();
-  switch (varyings_get(&job->context->profiles.lookups, &varying->ruler, CORE_MODEL_TRANSPORT,
-                       CORE_MOMENTS_EXACT, fixed->evaluator, &none, fixed->g, fixed->eta)) {
-  case LOOKUP_WAIT:
-    return JOB_WAITS;
-  case LOOKUP_FAULT:
-    if (lookup_is_busy(varying->ruler.fault)) {
-      return job_refuse(job, job_fault(varying->ruler.fault, 0));
-    }
-    break;
-  case LOOKUP_READY:
-    break;
+  const enum lookup_answer answer =
+      varyings_get(&job->context->profiles.lookups, &varying->ruler, CORE_MODEL_TRANSPORT,
+                   CORE_MOMENTS_EXACT, fixed->evaluator, &none, fixed->g, fixed->eta);
+  if (answer != LOOKUP_FAULT || lookup_is_busy(varying->ruler.fault)) {
+    varying->compares = answer == LOOKUP_WAIT;
+    return job_follow(job, answer, &varying->ruler.fault, 0);
   }
   varying->compares = false;
   return JOB_GOES_ON;
@@ -146,26 +137,22 @@ static enum job_outcome prepare_ruler(struct varying_job *varying) {
 static enum job_outcome prepare(struct varying_job *varying) {
   struct job *job = &varying->job;
   const varying_request *request = &varying->request;
-  const enum job_outcome outcome = varying->compares ? prepare_ruler(varying) : JOB_GOES_ON;
+  const wire_varying_request *fixed = &request->fixed;
+  enum job_outcome outcome = varying->compares ? prepare_ruler(varying) : JOB_GOES_ON;
+  if (outcome == JOB_GOES_ON) {
+    const enum lookup_answer answer =
+        varyings_get(&job->context->profiles.lookups, &varying->lookup, fixed->model,
+                     fixed->moments, fixed->evaluator, &request->parameters, fixed->g, fixed->eta);
+    outcome = job_follow(job, answer, &varying->lookup.fault, 0);
+  }
   if (outcome != JOB_GOES_ON) {
     return outcome;
-  }
-  const wire_varying_request *fixed = &request->fixed;
-  switch (varyings_get(&job->context->profiles.lookups, &varying->lookup, fixed->model,
-                       fixed->moments, fixed->evaluator, &request->parameters, fixed->g,
-                       fixed->eta)) {
-  case LOOKUP_WAIT:
-    return JOB_WAITS;
-  case LOOKUP_FAULT:
-    return job_refuse(job, job_fault(varying->lookup.fault, 0));
-  case LOOKUP_READY:
-    break;
   }
   const core_fault fault =
       request->fixed.given != 0
           ? core_colour_check(varyings_found(&varying->lookup), &request->colour)
           : (core_fault){NULL, NULL, 0};
-  return fault.field == NULL ? JOB_GOES_ON : job_refuse(job, job_error(fault));
+  return job_check(job, job_error(fault));
 }
 
 static size_t slice_length(const struct varying_job *varying) {
@@ -204,4 +191,4 @@ static void end(struct job *job) {
 }
 
 const struct job_kind job_kind_VARYING = {
-    .role = ROLE_EVALUATE, .start = start, .begin_part = begin_part, .step = step, .end = end};
+    .start = start, .begin_part = begin_part, .step = step, .end = end};

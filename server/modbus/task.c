@@ -170,6 +170,7 @@ wire_error modbus_task_commit(struct modbus_task *task, struct client *master) {
           (uint32_t)modbus_translate_input(task->kind, task->registers, task->question),
   };
   struct job_request request = {
+      .type = job_type_of(header.type),
       .header = &header,
       .payload = task->question,
       .context = worker_context(worker),

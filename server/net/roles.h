@@ -19,10 +19,11 @@
 #include <stddef.h>
 
 enum role {
-  ROLE_EVALUATE = 1, /* eval, offers, sample, invert and varying */
-  ROLE_COMPUTE = 2,  /* mc, table, fit, points and gather: what may take seconds */
-  ROLE_OBSERVE = 4,  /* statistics */
-  ROLE_ALL = 7,      /* what a client has where no file gives roles */
+  ROLE_ANYBODY = 0, /* what needs no role */
+  ROLE_EVALUATE = 1,
+  ROLE_COMPUTE = 2, /* what may take seconds */
+  ROLE_OBSERVE = 4,
+  ROLE_ALL = 7, /* what a client has where no file gives roles */
 };
 
 /* A right of Modbus masters, for the addresses of registers or bits from first to last. */

@@ -98,6 +98,9 @@ void latency_finish(struct latency *latency) {
 }
 
 void latency_note(struct latency *latency, enum latency_class kind, uint64_t arrived_ns) {
+  if (kind == LATENCY_NONE) {
+    return;
+  }
   for (unsigned i = 0; i < latency->group_count; i++) {
     if (latency->groups[i].arrived_ns == arrived_ns) {
       latency->groups[i].counts[kind]++;

@@ -61,7 +61,8 @@ uint64_t histogram_below(const struct histogram_sum *sum, unsigned octave);
 enum latency_class {
 #define LATENCY_CLASS(IDENT, name, about) LATENCY_##IDENT,
 #include "server/observe/stats.def"
-  LATENCY_CLASSES
+  LATENCY_CLASSES,
+  LATENCY_NONE = LATENCY_CLASSES
 };
 
 enum { LATENCY_GROUPS = 8 };
@@ -79,7 +80,8 @@ struct latency {
   struct histogram histograms[LATENCY_CLASSES];
 };
 
-/* Notes that a request that arrived at arrived_ns is answered in the current round. */
+/* Notes that a request that arrived at arrived_ns is answered in the current round, unless its class
+ * is NONE. */
 void latency_note(struct latency *latency, enum latency_class kind, uint64_t arrived_ns);
 
 /* Adds the latencies of the current round, whose answers have been written, to the histograms. */

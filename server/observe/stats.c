@@ -2,16 +2,6 @@
 
 _Thread_local unsigned stats_shard;
 
-void stats_count_request(struct stats *stats, unsigned type) {
-  switch (type) {
-#define WIRE_MESSAGE(type, IDENT, name, ...)                                                            \
-  case type:                                                                                       \
-    stats_add(stats, STATS_REQUESTS_##IDENT, 1);                                                   \
-    break;
-#include "proto/messages.def"
-  }
-}
-
 void stats_count_answer(struct stats *stats, unsigned status) {
   switch (status) {
 #define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \

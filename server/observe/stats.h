@@ -75,7 +75,6 @@ static inline uint64_t stats_get(const struct stats *stats, enum stats_index ind
   return sum;
 }
 
-void stats_count_request(struct stats *stats, unsigned type);  /* of proto/messages.def */
 void stats_count_answer(struct stats *stats, unsigned status); /* of proto/statuses.def */
 void stats_count_radii(struct stats *stats, unsigned model,
                        uint64_t radii);                         /* of core/models.def */
