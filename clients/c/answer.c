@@ -5,6 +5,8 @@
 #include <string.h>
 
 #include "clients/c/error.h"
+#include "clients/c/parts.h"
+#include "proto/eval.h"
 
 /* Returns the wanted quantities as proto/eval.h takes them: with a flag for a sample's radii. */
 static unsigned wanted_of(uint16_t type, unsigned wanted) {
@@ -31,22 +33,18 @@ void libdipole_answer_expect(libdipole_pending *pending, unsigned model, unsigne
 
 /* ---- checks -------------------------------------------------------------------------------- */
 
-/* Returns whether a reply has the model and the evaluator of the request. With DIPOLE_ANY_MODEL the
- * daemon chooses both, but not the type of the values. */
-static bool is_asked_for(const libdipole_pending *pending, const wire_eval_reply *fixed) {
-  return pending->model == DIPOLE_ANY_MODEL
-             ? core_evaluator_bytes(fixed->evaluator) == core_evaluator_bytes(pending->evaluator)
-             : fixed->evaluator == pending->evaluator;
-}
-
-/* Returns whether a part starts where the part before it ended, and has a valid number of radii. An
- * answer in one frame is one part. */
-static bool is_next_part(const libdipole_pending *pending, const wire_eval_reply *fixed) {
-  const uint64_t left = pending->radius_count - pending->next_radius;
-  const bool is_last = fixed->part + 1 == fixed->part_count;
-  return fixed->part == pending->next_part && fixed->first == pending->next_radius &&
-         fixed->count <= left && is_last == (fixed->count == left) &&
-         (fixed->count > 0 || fixed->part_count == 1);
+/* Returns whether a reply has what was asked for. With DIPOLE_ANY_MODEL the daemon chooses the model
+ * and the evaluator, but not the type of the values. All parts begin alike, up to their arrays. */
+static bool merge(const libdipole_pending *pending, const void *part, void *whole) {
+  const wire_eval_reply *fixed = part;
+  const size_t evaluator_bytes = core_evaluator_bytes(fixed->evaluator);
+  return (pending->model == DIPOLE_ANY_MODEL
+              ? evaluator_bytes == core_evaluator_bytes(pending->evaluator)
+              : fixed->evaluator == pending->evaluator) &&
+         fixed->wanted == pending->wanted && fixed->channel_count == pending->medium_count &&
+         (whole == NULL ||
+          memcmp((const uint8_t *)part + WIRE_BYTES_part, (const uint8_t *)whole + WIRE_BYTES_part,
+                 (size_t)pending->reply_bytes_min - WIRE_BYTES_part) == 0);
 }
 
 /* Checks that a frame is the next part of the answer and has the counts of the request, so that a
@@ -55,8 +53,8 @@ static bool parse(const libdipole_pending *pending, const libdipole_frame *frame
                   wire_eval_reply *fixed, eval_layout *layout, dipole_error *error) {
   return (eval_reply_parse(frame->payload, (size_t)frame->payload_bytes,
                            pending->type == WIRE_TYPE_SAMPLE, fixed, layout) &&
-          is_asked_for(pending, fixed) && fixed->wanted == pending->wanted &&
-          fixed->channel_count == pending->medium_count && is_next_part(pending, fixed)) ||
+          merge(pending, frame->payload, NULL) &&
+          libdipole_part_is_next(pending, (const void *)frame->payload)) ||
          libdipole_fail_protocol(error, "it answered an eval request with another shape than was "
                                         "asked for");
 }
@@ -190,127 +188,24 @@ void dipole_result_free(dipole_result *result) {
   free(result); /* The result is the first member of the frame, so this frees the whole frame. */
 }
 
-/* ---- parts --------------------------------------------------------------------------------- */
-
-/* Returns the size of an answer's head: the fixed part and the channels. All parts have this head.
- */
-static size_t head_bytes(const libdipole_pending *pending) {
-  const size_t errors = (size_t)__builtin_popcount(pending->wanted);
-  return WIRE_BYTES_eval_reply +
-         pending->medium_count * (sizeof(double) + errors * WIRE_BYTES_quantity_error);
-}
-
-/* Returns whether a part differs from the first one only in its radii and values. */
-static bool is_like_first(const libdipole_pending *pending, const libdipole_frame *frame,
-                          const wire_eval_reply *fixed) {
-  const libdipole_frame *gathered = pending->gathered;
-  wire_eval_reply first;
-  wire_get_eval_reply(gathered->payload, &first);
-  return fixed->model == first.model && fixed->evaluator == first.evaluator &&
-         fixed->moments == first.moments && fixed->notes == first.notes &&
-         fixed->part_count == first.part_count &&
-         memcmp(frame->payload + WIRE_BYTES_eval_reply, gathered->payload + WIRE_BYTES_eval_reply,
-                head_bytes(pending) - WIRE_BYTES_eval_reply) == 0;
-}
-
-/* Returns whether the arrays of a part went into the caller's memory, so that the frame holds only
- * the head. */
-static bool is_in_place(const libdipole_frame *part) {
-  return part->stored_bytes < part->payload_bytes;
-}
-
-/* Allocates the frame of the whole answer. If a reader gets the parts, it only holds the head. */
-static bool begin_gathering(libdipole_pending *pending, const libdipole_frame *first,
-                            const wire_eval_reply *fixed, dipole_error *error) {
-  const size_t head = head_bytes(pending);
-  eval_layout layout = {.payload_bytes = head};
-  /* Without a layout, the answer would not have passed check_header(). */
-  if (pending->reader == NULL &&
-      !eval_reply_layout(fixed->evaluator, wanted_of(pending->type, fixed->wanted),
-                         fixed->channel_count, pending->radius_count, UINT64_MAX, &layout)) {
-    return libdipole_fail_memory(error);
-  }
-  pending->gathered = libdipole_frame_new(&first->header, layout.payload_bytes,
-                                          is_in_place(first) ? head : layout.payload_bytes,
-                                          pending->medium_count, error);
-  if (pending->gathered == NULL) {
-    return false;
-  }
-  memcpy(pending->gathered->payload, first->payload, head);
-  return true;
-}
-
-/* Copies the values that a part has for one array to their place in the whole answer. */
-static void copy_array(libdipole_frame *to, uint64_t to_offset, const libdipole_frame *part,
-                       uint64_t part_offset, const wire_eval_reply *fixed) {
-  const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
-  memcpy(to->payload + to_offset + fixed->first * value_bytes, part->payload + part_offset,
-         (size_t)fixed->count * value_bytes);
-}
-
-static void copy_part(const libdipole_pending *pending, const libdipole_frame *part,
-                      const wire_eval_reply *fixed, const eval_layout *from) {
-  const unsigned wanted = wanted_of(pending->type, fixed->wanted);
-  libdipole_frame *whole = pending->gathered;
-  eval_layout to;
-  eval_reply_layout(fixed->evaluator, wanted, fixed->channel_count, pending->radius_count,
-                    whole->payload_bytes, &to);
-  if ((wanted & CORE_QUANTITY_RADIUS) != 0 && !eval_is_array(wanted, CORE_QUANTITY_RADIUS)) {
-    copy_array(whole, to.radius_offset, part, from->radius_offset, fixed);
-  }
-  for (uint32_t channel = 0; channel < fixed->channel_count; channel++) {
-    for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-      if (eval_is_array(wanted, quantity->id)) {
-        copy_array(whole, eval_array_offset(&to, wanted, channel, quantity->id), part,
-                   eval_array_offset(from, wanted, channel, quantity->id), fixed);
-      }
-    }
-  }
-}
-
-static void hand_on(libdipole_pending *pending, libdipole_frame *part, const wire_eval_reply *fixed,
-                    const eval_layout *layout) {
+static void hand_on(libdipole_pending *pending, libdipole_frame *part) {
   libdipole_reader *reader = pending->reader;
-  const dipole_result *result = make_result(part, fixed, layout);
-  reader->stopped = !reader->part(reader->context, result, fixed->first);
+  const wire_eval_reply *fixed = (const void *)part->payload;
+  eval_layout layout;
+  eval_reply_layout(fixed->evaluator, wanted_of(pending->type, fixed->wanted), fixed->channel_count,
+                    fixed->count, part->payload_bytes, &layout);
+  reader->stopped = !reader->part(reader->context, make_result(part, fixed, &layout), fixed->first);
   pending->dropped = reader->stopped && fixed->part + 1 < fixed->part_count;
 }
 
-static bool take_part(libdipole_pending *pending, libdipole_frame *part, dipole_error *error) {
-  wire_eval_reply fixed;
-  eval_layout layout;
-  if (!parse(pending, part, &fixed, &layout, error)) {
-    return false;
-  }
-  if (pending->gathered == NULL) {
-    if (!begin_gathering(pending, part, &fixed, error)) {
-      return false;
-    }
-  } else if (!is_like_first(pending, part, &fixed)) {
-    return libdipole_fail_protocol(error, "the parts of its answer do not belong together");
-  }
-  if (pending->reader == NULL && !is_in_place(part)) {
-    copy_part(pending, part, &fixed, &layout);
-  } else if (pending->reader != NULL && !pending->dropped) {
-    hand_on(pending, part, &fixed, &layout);
-  }
-  libdipole_part_end(pending, part);
-  return true;
-}
+const libdipole_kind libdipole_eval_kind = {.repeatable = true,
+                                            .reply = &schema_eval_reply,
+                                            .merge = merge,
+                                            .checked_later = true,
+                                            .hand_on = hand_on};
 
-static bool take(libdipole_pending *pending, libdipole_frame *frame, dipole_error *error) {
-  wire_eval_reply fixed;
-  wire_get_eval_reply(frame->payload, &fixed); /* check_header() has seen that it is long enough. */
-  if (pending->gathered == NULL && pending->reader == NULL && fixed.part_count == 1) {
-    pending->frame = frame;
-    return true;
-  }
-  const bool good = take_part(pending, frame, error);
-  free(frame);
-  return good;
-}
-
-const libdipole_kind libdipole_eval_kind = {.repeatable = true, .take = take};
+const libdipole_kind libdipole_sample_kind = {
+    .repeatable = true, .reply = &schema_sample_reply, .merge = merge, .checked_later = true};
 
 /* ---- into the caller's memory -------------------------------------------------------------- */
 
@@ -388,5 +283,9 @@ static void discard(dipole_client *client, libdipole_pending *pending) {
   }
 }
 
-const libdipole_kind libdipole_eval_into_kind = {
-    .repeatable = true, .take = take, .place = place, .discard = discard};
+const libdipole_kind libdipole_eval_into_kind = {.repeatable = true,
+                                                 .reply = &schema_eval_reply,
+                                                 .merge = merge,
+                                                 .checked_later = true,
+                                                 .place = place,
+                                                 .discard = discard};

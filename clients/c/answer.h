@@ -7,6 +7,7 @@
 #include "clients/c/request.h"
 
 extern const libdipole_kind libdipole_eval_kind;
+extern const libdipole_kind libdipole_sample_kind;
 extern const libdipole_kind libdipole_eval_into_kind; /* into the caller's memory */
 
 /* Sets the counts, evaluator and sizes that the answer to a request of pending->type may have. If

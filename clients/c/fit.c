@@ -8,55 +8,23 @@
 #include "clients/c/query.h"
 #include "clients/c/request.h"
 
-/* The fits that the caller gets, and the frame that holds their arrays. */
-struct fits {
-  dipole_fits public;
-  libdipole_frame *frame;
-};
-
 /* The caller's structure is that of the wire, so the arrays of a frame are used in place. */
 _Static_assert(sizeof(dipole_fitted) == WIRE_BYTES_fitted, "the structures are the same");
 _Static_assert(offsetof(dipole_fitted, sigma_a_per_mm) == 16, "the structures are the same");
 
 /* ---- parts --------------------------------------------------------------------------------- */
 
-static void copy_sets(const libdipole_pending *pending, const libdipole_frame *part,
-                      const wire_fit_reply *fixed) {
-  const size_t residuals_bytes = fixed->reading_count * sizeof(double);
-  uint8_t *whole = pending->gathered->payload;
-  memcpy(whole + fit_residuals_offset(fixed->first), part->payload + WIRE_BYTES_fit_reply,
-         (size_t)fixed->count * WIRE_BYTES_fitted);
-  memcpy(whole + fit_residuals_offset(pending->radius_count) + fixed->first * residuals_bytes,
-         part->payload + fit_residuals_offset(fixed->count),
-         (size_t)fixed->count * residuals_bytes);
+static bool merge(const libdipole_pending *pending, const void *part, void *whole) {
+  const wire_fit_reply *fixed = part;
+  wire_fit_reply *all = whole;
+  if (all != NULL) {
+    all->fitted_count += fixed->fitted_count;
+    all->notes |= fixed->notes;
+  }
+  return fixed->fitted_count <= fixed->count && fixed->reading_count == pending->medium_count;
 }
 
-static bool take_part(libdipole_pending *pending, const libdipole_frame *frame,
-                      dipole_error *error) {
-  wire_fit_reply fixed;
-  if (!fit_reply_parse(frame->payload, (size_t)frame->payload_bytes, &fixed) || fixed.count == 0 ||
-      fixed.reading_count != pending->medium_count) {
-    return libdipole_fail_protocol(error, "it answered a fit request with another shape than was "
-                                          "asked for");
-  }
-  wire_fit_reply whole = fixed;
-  if (pending->gathered != NULL) {
-    wire_fit_reply before;
-    wire_get_fit_reply(pending->gathered->payload, &before);
-    whole.fitted_count += before.fitted_count;
-    whole.notes |= before.notes;
-  }
-  if (!libdipole_gather(pending, frame, fit_reply_bytes(pending->radius_count, fixed.reading_count),
-                        error)) {
-    return false;
-  }
-  copy_sets(pending, frame, &fixed);
-  wire_put_fit_reply(pending->gathered->payload, &whole);
-  libdipole_part_end(pending, frame);
-  return true;
-}
-
-static const libdipole_kind kind = {.repeatable = true, .part = take_part};
+static const libdipole_kind kind = {.repeatable = true, .reply = &schema_fit_reply, .merge = merge};
 
 /* ---- asking -------------------------------------------------------------------------------- */
 
@@ -122,31 +90,6 @@ static bool send(dipole_client *client, const dipole_fit_query *query, libdipole
   return libdipole_request_send(client, error);
 }
 
-/* Makes fits of a frame, which they then own. */
-static bool take(libdipole_frame *frame, uint64_t count, dipole_fits **fits, dipole_error *error) {
-  struct fits *made = calloc(1, sizeof *made);
-  wire_fit_reply fixed;
-  if (made == NULL) {
-    free(frame);
-    return libdipole_fail_memory(error);
-  }
-  wire_get_fit_reply(frame->payload, &fixed);
-  made->frame = frame;
-  made->public = (dipole_fits){
-      .set_count = count,
-      .fitted_count = fixed.fitted_count,
-      .reading_count = fixed.reading_count,
-      .notes = fixed.notes,
-      .sets = (const dipole_fitted *)(const void *)(frame->payload + WIRE_BYTES_fit_reply),
-  };
-  if (fixed.reading_count > 0) {
-    made->public.residuals =
-        (const double *)(const void *)(frame->payload + fit_residuals_offset(count));
-  }
-  *fits = &made->public;
-  return true;
-}
-
 bool dipole_fit(dipole_client *client, const dipole_fit_query *query, dipole_fits **fits,
                 dipole_error *error) {
   const uint32_t residuals = query->residuals ? (uint32_t)query->reading_count : 0;
@@ -162,13 +105,23 @@ bool dipole_fit(dipole_client *client, const dipole_fit_query *query, dipole_fit
     return false;
   }
   libdipole_frame *frame = libdipole_reply(client, &pending, error);
-  return frame != NULL && take(frame, query->set_count, fits, error);
+  if (frame == NULL) {
+    return false;
+  }
+  const wire_fit_reply *fixed = (const void *)frame->payload;
+  const uint8_t *sets = frame->payload + WIRE_BYTES_fit_reply;
+  frame->fits = (dipole_fits){
+      .set_count = fixed->count,
+      .fitted_count = fixed->fitted_count,
+      .reading_count = fixed->reading_count,
+      .notes = fixed->notes,
+      .sets = (const void *)sets,
+      .residuals = residuals > 0 ? (const void *)(sets + fixed->count * WIRE_BYTES_fitted) : NULL,
+  };
+  *fits = &frame->fits;
+  return true;
 }
 
 void dipole_fits_free(dipole_fits *fits) {
-  struct fits *made = (struct fits *)(void *)fits;
-  if (made != NULL) {
-    free(made->frame);
-    free(made);
-  }
+  free(fits); /* with its frame */
 }

@@ -93,40 +93,20 @@ struct run {
 
 static const libdipole_kind points_kind = {.repeatable = true};
 
-static bool take_part(libdipole_pending *pending, const libdipole_frame *frame,
-                      dipole_error *error) {
-  wire_gather_reply fixed;
-  if (!gather_reply_parse(frame->payload, (size_t)frame->payload_bytes, &fixed) ||
-      fixed.channel_count != pending->medium_count || fixed.model != pending->model) {
-    return libdipole_fail_protocol(error, "it answered a gather request with another shape than "
-                                          "was asked for");
+static bool merge(const libdipole_pending *pending, const void *part, void *whole) {
+  const wire_gather_reply *fixed = part;
+  wire_gather_reply *all = whole;
+  if (all != NULL) {
+    all->bound = fmax(all->bound, fixed->bound);
+    all->points_visited += fixed->points_visited;
+    all->nodes_visited += fixed->nodes_visited;
+    all->notes |= fixed->notes;
   }
-  const size_t head_bytes = gather_sums_offset(fixed.channel_count);
-  const size_t row_bytes = fixed.channel_count * sizeof(double);
-  wire_gather_reply whole = fixed;
-  if (pending->gathered != NULL) {
-    wire_gather_reply before;
-    wire_get_gather_reply(pending->gathered->payload, &before);
-    whole.bound = fmax(whole.bound, before.bound);
-    whole.points_visited += before.points_visited;
-    whole.nodes_visited += before.nodes_visited;
-    whole.notes |= before.notes;
-  }
-  if (!libdipole_gather(pending, frame,
-                        gather_reply_bytes(fixed.channel_count, pending->radius_count), error)) {
-    return false;
-  }
-  uint8_t *payload = pending->gathered->payload;
-  memcpy(payload + WIRE_BYTES_gather_reply, frame->payload + WIRE_BYTES_gather_reply,
-         head_bytes - WIRE_BYTES_gather_reply);
-  memcpy(payload + head_bytes + fixed.first * row_bytes, frame->payload + head_bytes,
-         (size_t)fixed.count * row_bytes);
-  wire_put_gather_reply(payload, &whole);
-  libdipole_part_end(pending, frame);
-  return true;
+  return fixed->channel_count == pending->medium_count && fixed->model == pending->model;
 }
 
-static const libdipole_kind gather_kind = {.repeatable = true, .part = take_part};
+static const libdipole_kind gather_kind = {
+    .repeatable = true, .reply = &schema_gather_reply, .merge = merge};
 
 /* Sets the rest of the deadline. Returns false if it has passed. */
 static bool set_deadline(const struct run *run, libdipole_pending *pending, dipole_error *error) {

@@ -8,56 +8,29 @@
 #include "clients/c/query.h"
 #include "clients/c/request.h"
 
-/* The inversion that the caller gets, and the frame that holds its arrays. */
-struct inversion {
-  dipole_inversion public;
-  libdipole_frame *frame;
-};
-
 /* ---- parts --------------------------------------------------------------------------------- */
 
-/* Returns whether two parts may belong together: they have the same model, moments and range of
- * albedos. */
-static bool is_like(const wire_invert_reply *a, const wire_invert_reply *b) {
-  return a->model == b->model && a->moments == b->moments && a->given == b->given &&
-         !(a->albedo_least < b->albedo_least) && !(a->albedo_least > b->albedo_least) &&
-         !(a->albedo_most < b->albedo_most) && !(a->albedo_most > b->albedo_most);
+/* Two numbers that may be NaN. */
+static bool differ(double a, double b) {
+  return a < b || a > b;
 }
 
-static void copy_arrays(const libdipole_pending *pending, const libdipole_frame *part,
-                        const wire_invert_reply *fixed) {
-  for (enum invert_array i = INVERT_SIGMA_A; i < INVERT_ARRAYS; i++) {
-    uint8_t *to = pending->gathered->payload + invert_array_offset(i, pending->radius_count);
-    memcpy(to + fixed->first * sizeof(double), part->payload + invert_array_offset(i, fixed->count),
-           (size_t)fixed->count * sizeof(double));
+static bool merge(const libdipole_pending *pending, const void *part, void *whole) {
+  const wire_invert_reply *fixed = part;
+  wire_invert_reply *all = whole;
+  (void)pending;
+  if (all != NULL) {
+    all->missing_count += fixed->missing_count;
   }
+  return fixed->missing_count <= fixed->count &&
+         (all == NULL ||
+          (fixed->model == all->model && fixed->moments == all->moments &&
+           fixed->given == all->given && !differ(fixed->albedo_least, all->albedo_least) &&
+           !differ(fixed->albedo_most, all->albedo_most)));
 }
 
-static bool take_part(libdipole_pending *pending, const libdipole_frame *frame,
-                      dipole_error *error) {
-  wire_invert_reply fixed = {0}, before;
-  bool good =
-      invert_reply_parse(frame->payload, (size_t)frame->payload_bytes, &fixed) && fixed.count > 0;
-  wire_invert_reply whole = fixed;
-  if (good && pending->gathered != NULL) {
-    wire_get_invert_reply(pending->gathered->payload, &before);
-    whole.missing_count += before.missing_count;
-    good = is_like(&fixed, &before);
-  }
-  if (!good) {
-    return libdipole_fail_protocol(error, "it answered an invert request with another shape than "
-                                          "was asked for");
-  }
-  if (!libdipole_gather(pending, frame, invert_reply_bytes(pending->radius_count), error)) {
-    return false;
-  }
-  copy_arrays(pending, frame, &fixed);
-  wire_put_invert_reply(pending->gathered->payload, &whole);
-  libdipole_part_end(pending, frame);
-  return true;
-}
-
-static const libdipole_kind kind = {.repeatable = true, .part = take_part};
+static const libdipole_kind kind = {
+    .repeatable = true, .reply = &schema_invert_reply, .merge = merge};
 
 /* ---- asking -------------------------------------------------------------------------------- */
 
@@ -102,32 +75,6 @@ static bool send(dipole_client *client, const dipole_invert_query *query,
   return libdipole_request_send(client, error);
 }
 
-/* Makes an inversion of a frame, which the inversion then owns. */
-static bool take(libdipole_frame *frame, uint64_t count, dipole_inversion **inversion,
-                 dipole_error *error) {
-  struct inversion *made = calloc(1, sizeof *made);
-  wire_invert_reply fixed;
-  if (made == NULL) {
-    free(frame);
-    return libdipole_fail_memory(error);
-  }
-  wire_get_invert_reply(frame->payload, &fixed);
-  const double *arrays[INVERT_ARRAYS];
-  for (enum invert_array i = INVERT_SIGMA_A; i < INVERT_ARRAYS; i++) {
-    arrays[i] = (const double *)(const void *)(frame->payload + invert_array_offset(i, count));
-  }
-  made->frame = frame;
-  made->public = (dipole_inversion){.medium_count = count,
-                                    .missing_count = fixed.missing_count,
-                                    .sigma_a_per_mm = arrays[INVERT_SIGMA_A],
-                                    .sigma_s_per_mm = arrays[INVERT_SIGMA_S],
-                                    .albedos = arrays[INVERT_ALBEDO],
-                                    .albedo_least = fixed.albedo_least,
-                                    .albedo_most = fixed.albedo_most};
-  *inversion = &made->public;
-  return true;
-}
-
 bool dipole_invert(dipole_client *client, const dipole_invert_query *query,
                    dipole_inversion **inversion, dipole_error *error) {
   libdipole_pending pending = {.kind = &kind,
@@ -141,13 +88,22 @@ bool dipole_invert(dipole_client *client, const dipole_invert_query *query,
     return false;
   }
   libdipole_frame *frame = libdipole_reply(client, &pending, error);
-  return frame != NULL && take(frame, query->medium_count, inversion, error);
+  if (frame == NULL) {
+    return false;
+  }
+  const wire_invert_reply *fixed = (const void *)frame->payload;
+  const double *arrays = (const void *)(frame->payload + WIRE_BYTES_invert_reply);
+  frame->inversion = (dipole_inversion){.medium_count = fixed->count,
+                                        .missing_count = fixed->missing_count,
+                                        .sigma_a_per_mm = arrays + INVERT_SIGMA_A * fixed->count,
+                                        .sigma_s_per_mm = arrays + INVERT_SIGMA_S * fixed->count,
+                                        .albedos = arrays + INVERT_ALBEDO * fixed->count,
+                                        .albedo_least = fixed->albedo_least,
+                                        .albedo_most = fixed->albedo_most};
+  *inversion = &frame->inversion;
+  return true;
 }
 
 void dipole_inversion_free(dipole_inversion *inversion) {
-  struct inversion *made = (struct inversion *)(void *)inversion;
-  if (made != NULL) {
-    free(made->frame);
-    free(made);
-  }
+  free(inversion); /* with its frame */
 }

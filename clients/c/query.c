@@ -400,7 +400,7 @@ static bool send_sample(dipole_client *client, const dipole_sample_query *query,
 bool dipole_sample(dipole_client *client, const dipole_sample_query *query, dipole_result **result,
                    dipole_error *error) {
   libdipole_pending pending = {
-      .kind = &libdipole_eval_kind, .type = WIRE_TYPE_SAMPLE, .deadline_ms = query->deadline_ms};
+      .kind = &libdipole_sample_kind, .type = WIRE_TYPE_SAMPLE, .deadline_ms = query->deadline_ms};
   error = error != NULL ? error : &(dipole_error){0};
   if (!send_sample(client, query, &pending, error)) {
     return false;

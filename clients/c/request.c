@@ -10,6 +10,7 @@
 
 #include "clients/c/clock.h"
 #include "clients/c/error.h"
+#include "clients/c/parts.h"
 
 /* A call that sends waits until fewer bytes than this are unsent. */
 #define BACKLOG_MAX_BYTES ((size_t)1 << 20)
@@ -202,47 +203,6 @@ libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload
   return frame;
 }
 
-/* Throws away the parts of an answer that have come. */
-static void drop_parts(libdipole_pending *pending) {
-  free(pending->gathered);
-  pending->gathered = NULL;
-  pending->next_part = 0;
-  pending->next_radius = 0;
-}
-
-bool libdipole_gather(libdipole_pending *pending, const libdipole_frame *frame,
-                      uint64_t whole_bytes, dipole_error *error) {
-  wire_part part;
-  wire_get_part(frame->payload, &part);
-  const uint64_t left = pending->radius_count - pending->next_radius;
-  const bool is_last = part.part + 1 == part.part_count;
-  if (part.part != pending->next_part || part.first != pending->next_radius || part.count > left ||
-      is_last != (part.count == left) ||
-      (part.count == 0 && !is_last && pending->type != WIRE_TYPE_GATHER) ||
-      (pending->gathered != NULL && part.part_count != pending->part_count)) {
-    return libdipole_fail_protocol(error, "the parts of its answer do not belong together");
-  }
-  if (pending->gathered == NULL) {
-    pending->part_count = part.part_count;
-    pending->gathered = libdipole_frame_new(&frame->header, whole_bytes, whole_bytes, 0, error);
-  }
-  return pending->gathered != NULL;
-}
-
-void libdipole_part_end(libdipole_pending *pending, const libdipole_frame *frame) {
-  wire_part part;
-  wire_get_part(frame->payload, &part);
-  pending->next_part++;
-  pending->next_radius += part.count;
-  if (part.part + 1 == part.part_count) {
-    const wire_part whole = {.part_count = 1, .count = pending->radius_count};
-    wire_put_part(pending->gathered->payload, &whole);
-    pending->frame = pending->gathered;
-    pending->gathered = NULL;
-    drop_parts(pending);
-  }
-}
-
 static bool refused(const dipole_client *client, const libdipole_pending *pending,
                     const libdipole_frame *frame, dipole_error *error) {
   static const dipole_info empty;
@@ -388,7 +348,7 @@ static bool send_later(dipole_client *client, libdipole_pending *pending, libdip
     return false;
   }
   free(frame);
-  drop_parts(pending);
+  libdipole_parts_drop(pending);
   pending->again_ms = again_ms;
   client->retry.later_count++;
   return true;
@@ -408,19 +368,12 @@ static bool end_frame(dipole_client *client, dipole_error *error) {
   if (send_later(client, pending, frame)) {
     return true;
   }
-  if (frame->header.type == WIRE_TYPE_ERROR ||
-      (pending->kind->take == NULL && pending->kind->part == NULL)) {
+  if (frame->header.type == WIRE_TYPE_ERROR || pending->kind->reply == NULL) {
     pending->frame = frame;
-  } else if (pending->kind->part != NULL) {
-    const bool good = pending->kind->part(pending, frame, error);
-    free(frame);
-    if (!good) {
-      return false;
-    }
   } else {
     const bool was_dropped = pending->dropped;
-    client->frame = frame; /* dipole_close() frees it if a reader does not return. */
-    const bool good = pending->kind->take(pending, frame, error);
+    client->frame = pending->reader != NULL ? frame : NULL; /* if a reader does not return */
+    const bool good = libdipole_part_take(pending, frame, error);
     client->frame = NULL;
     if (!good) {
       return false;
@@ -649,7 +602,7 @@ static bool can_restore(dipole_client *client, int64_t *until_ms) {
     libdipole_pending *entry = &client->pending[client->pending_begin + i];
     if (entry->dropped) {
       client->dropped_count--;
-      drop_parts(entry);
+      libdipole_parts_drop(entry);
       remove_entry(client, entry); /* The next entry is at position i now. */
       continue;
     }
@@ -688,7 +641,7 @@ static bool send_all_again(dipole_client *client, dipole_error *error) {
       drop_report(client, &first[i]);
     }
     if (first[i].frame == NULL && first[i].again_ms == 0) {
-      drop_parts(&first[i]);
+      libdipole_parts_drop(&first[i]);
       if (!send_again(client, &first[i], error)) {
         return false;
       }

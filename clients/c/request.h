@@ -13,20 +13,22 @@
 
 #include "clients/c/address.h"
 #include "clients/c/stream.h"
-#include "proto/eval.h"
+#include "proto/schema.h"
 #include "proto/wire.h"
-
-/* Arrays are copied between frames and memory as they are. Frames are little-endian. */
-_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays need swapping");
 
 /* ---- what is asked and answered ------------------------------------------------------------ */
 
-/* A received frame, or an answer that was put together of several frames. The result is the first
- * member, so that freeing the caller's result frees the payload, too. Behind the payload there is
- * room for the channels of the result. If the arrays go into the caller's memory, the payload holds
+/* A received frame, or an answer that was put together of several frames. The caller's result is the
+ * first member, so that freeing it frees the payload, too. Behind the payload there is room for the
+ * channels of an eval. If the arrays go into the caller's memory, the payload holds
  * only the head: the fixed part and the channels. */
 typedef struct libdipole_frame {
-  dipole_result result;
+  union {
+    dipole_result result;
+    dipole_inversion inversion;
+    dipole_fits fits;
+    dipole_varying_result varying;
+  };
   wire_header header;
   uint64_t payload_bytes; /* may be more than a header can say if the answer had several parts */
   uint64_t stored_bytes;  /* the number of bytes in payload: all of them, or only the head */
@@ -50,11 +52,16 @@ typedef struct libdipole_kind {
   bool repeatable;
   /* The time limit of calls does not apply to this kind of request. */
   bool endless;
-  /* Takes the next frame of an answer, and owns it. After the last frame, the answer is in
-   * pending->frame. NULL: every answer is one frame. */
-  bool (*take)(libdipole_pending *pending, libdipole_frame *frame, dipole_error *error);
-  /* In place of `take`: puts a part of an answer into pending->gathered, by libdipole_gather(). */
-  bool (*part)(libdipole_pending *pending, const libdipole_frame *frame, dipole_error *error);
+  /* Of an answer in parts: what follows the structure of its reply; NULL: the answer is one frame.
+   * See clients/c/parts.h. */
+  const schema_payload *reply;
+  /* Returns whether a part answers the request, and belongs to `whole`: what has been merged from
+   * the parts before it, or NULL. Both are structures of the reply. Merges the part. */
+  bool (*merge)(const libdipole_pending *pending, const void *part, void *whole);
+  /* Whoever takes an answer in one part checks it. */
+  bool checked_later;
+  /* Gives a part to pending->reader. */
+  void (*hand_on)(libdipole_pending *pending, libdipole_frame *part);
   /* Returns whether this frame only reports progress, so that more frames follow. */
   bool (*is_progress)(const libdipole_frame *frame);
   /* Returns whether a daemon that stopped has cut this answer off, so that the client asks again. */
@@ -210,16 +217,6 @@ bool libdipole_refusal_check(const dipole_client *client, const libdipole_pendin
 libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload_bytes,
                                      uint64_t stored_bytes, uint32_t channel_count,
                                      dipole_error *error);
-
-/* Fails with kind PROTOCOL if a part is not the next one of the answer. Otherwise
- * pending->gathered has room for the whole answer, a payload of whole_bytes; it is allocated with
- * the first part. The caller copies the part to it and calls libdipole_part_end(). */
-bool libdipole_gather(libdipole_pending *pending, const libdipole_frame *frame,
-                      uint64_t whole_bytes, dipole_error *error);
-
-/* Notes that a part, a frame, has been taken. After the last one, the gathered parts become the answer, whose
- * head is that of an answer in one part. */
-void libdipole_part_end(libdipole_pending *pending, const libdipole_frame *frame);
 
 /* Fails with kind PROTOCOL, after which the client can only be closed. Returns false. */
 bool libdipole_bad_answer(dipole_client *client, const char *what, dipole_error *error);

@@ -11,71 +11,31 @@
 #include "clients/c/request.h"
 #include "clients/c/table.h"
 
-/* The result that the caller gets, and the frame that holds its arrays. */
-struct varying {
-  dipole_varying_result public;
-  varying_layout layout;
-  libdipole_frame *frame;
-};
-
 /* ---- parts --------------------------------------------------------------------------------- */
 
-/* Returns whether a part has what was asked for. */
-static bool is_wanted(const libdipole_pending *pending, const wire_varying_reply *fixed) {
-  return fixed->model == pending->model && fixed->moments == pending->moments &&
-         fixed->evaluator == pending->evaluator && fixed->wanted == pending->wanted &&
-         fixed->coefficients == pending->medium_count;
+static varying_layout layout_of(const wire_varying_reply *fixed) {
+  return varying_reply_layout(fixed->evaluator, fixed->wanted, fixed->coefficients, fixed->count);
 }
 
 static double largest(double a, double b) {
   return isnan(a) || isnan(b) ? (double)NAN : fmax(a, b);
 }
 
-static void copy_arrays(libdipole_pending *pending, const libdipole_frame *part,
-                        const wire_varying_reply *fixed, const varying_layout *from) {
-  const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
-  const varying_layout to = varying_reply_layout(fixed->evaluator, fixed->wanted,
-                                                 fixed->coefficients, pending->radius_count);
-  uint8_t *whole = pending->gathered->payload;
-  for (uint32_t array = 1; array != 0 && array <= to.arrays; array <<= 1) {
-    if ((to.arrays & array) != 0) {
-      memcpy(whole + varying_array_offset(&to, array) + fixed->first * value_bytes,
-             part->payload + varying_array_offset(from, array), (size_t)fixed->count * value_bytes);
-    }
+static bool merge(const libdipole_pending *pending, const void *part, void *whole) {
+  const wire_varying_reply *fixed = part;
+  wire_varying_reply *all = whole;
+  if (all != NULL) {
+    all->answered_count += fixed->answered_count;
+    all->numerical_error = largest(all->numerical_error, fixed->numerical_error);
+    all->model_error = largest(all->model_error, fixed->model_error);
   }
-  memcpy(whole + to.status_offset + fixed->first, part->payload + from->status_offset,
-         (size_t)fixed->count);
+  return fixed->answered_count <= fixed->count && fixed->model == pending->model &&
+         fixed->moments == pending->moments && fixed->evaluator == pending->evaluator &&
+         fixed->wanted == pending->wanted && fixed->coefficients == pending->medium_count;
 }
 
-static bool take_part(libdipole_pending *pending, const libdipole_frame *frame,
-                      dipole_error *error) {
-  wire_varying_reply fixed;
-  varying_layout layout;
-  if (!varying_reply_parse(frame->payload, (size_t)frame->payload_bytes, &fixed, &layout) ||
-      !is_wanted(pending, &fixed)) {
-    return libdipole_fail_protocol(error, "it answered a varying request with another shape than "
-                                          "was asked for");
-  }
-  wire_varying_reply whole = fixed;
-  if (pending->gathered != NULL) {
-    wire_varying_reply before;
-    wire_get_varying_reply(pending->gathered->payload, &before);
-    whole.answered_count += before.answered_count;
-    whole.numerical_error = largest(before.numerical_error, fixed.numerical_error);
-    whole.model_error = largest(before.model_error, fixed.model_error);
-  }
-  const varying_layout all = varying_reply_layout(fixed.evaluator, fixed.wanted, fixed.coefficients,
-                                                  pending->radius_count);
-  if (!libdipole_gather(pending, frame, all.payload_bytes, error)) {
-    return false;
-  }
-  copy_arrays(pending, frame, &fixed, &layout);
-  wire_put_varying_reply(pending->gathered->payload, &whole);
-  libdipole_part_end(pending, frame);
-  return true;
-}
-
-static const libdipole_kind kind = {.repeatable = true, .part = take_part};
+static const libdipole_kind kind = {
+    .repeatable = true, .reply = &schema_varying_reply, .merge = merge};
 
 /* ---- asking -------------------------------------------------------------------------------- */
 
@@ -160,35 +120,26 @@ static void put(const dipole_varying_query *query, uint8_t *at) {
   }
 }
 
-/* Makes a result of a frame that holds a whole reply, and that the result then owns. */
-static bool take(libdipole_frame *frame, dipole_varying_result **result, dipole_error *error) {
-  struct varying *made = calloc(1, sizeof *made);
-  wire_varying_reply fixed;
-  if (made == NULL) {
-    free(frame);
-    return libdipole_fail_memory(error);
-  }
-  wire_get_varying_reply(frame->payload, &fixed);
-  made->frame = frame;
-  made->layout =
-      varying_reply_layout(fixed.evaluator, fixed.wanted, fixed.coefficients, fixed.count);
-  made->public = (dipole_varying_result){
-      .model = fixed.model,
-      .evaluator = fixed.evaluator,
-      .moments = fixed.moments,
-      .wanted = fixed.wanted,
-      .coefficients = fixed.coefficients,
-      .notes = fixed.notes,
-      .value_count = fixed.count,
-      .answered_count = fixed.answered_count,
-      .statuses = frame->payload + made->layout.status_offset,
-      .numerical_error = fixed.numerical_error,
-      .model_error = fixed.model_error,
-      .colour_least = fixed.colour_least,
-      .colour_most = fixed.colour_most,
-      .specular = fixed.specular,
+/* Makes a result of a frame that holds a whole reply. */
+static bool take(libdipole_frame *frame, dipole_varying_result **result) {
+  const wire_varying_reply *fixed = (const void *)frame->payload;
+  frame->varying = (dipole_varying_result){
+      .model = fixed->model,
+      .evaluator = fixed->evaluator,
+      .moments = fixed->moments,
+      .wanted = fixed->wanted,
+      .coefficients = fixed->coefficients,
+      .notes = fixed->notes,
+      .value_count = fixed->count,
+      .answered_count = fixed->answered_count,
+      .statuses = frame->payload + layout_of(fixed).status_offset,
+      .numerical_error = fixed->numerical_error,
+      .model_error = fixed->model_error,
+      .colour_least = fixed->colour_least,
+      .colour_most = fixed->colour_most,
+      .specular = fixed->specular,
   };
-  *result = &made->public;
+  *result = &frame->varying;
   return true;
 }
 
@@ -220,7 +171,7 @@ bool dipole_varying(dipole_client *client, const dipole_varying_query *query,
     return false;
   }
   libdipole_frame *frame = libdipole_reply(client, &pending, error);
-  return frame != NULL && take(frame, result, error);
+  return frame != NULL && take(frame, result);
 }
 
 /* ---- at home ------------------------------------------------------------------------------- */
@@ -303,16 +254,17 @@ bool dipole_varying_at_home(const dipole_surface *surface, const dipole_varying_
   put(query, payload);
   libdipole_frame *frame = answer(surface, payload, bytes, error);
   free(payload);
-  return frame != NULL && take(frame, result, error);
+  return frame != NULL && take(frame, result);
 }
 
 /* ---- results ------------------------------------------------------------------------------- */
 
 static const void *array_of(const dipole_varying_result *result, bool single, uint32_t array) {
-  const struct varying *made = (const struct varying *)(const void *)result;
+  const libdipole_frame *frame = (const void *)result;
+  const varying_layout layout = layout_of((const void *)frame->payload);
   return (result->evaluator == DIPOLE_F32) == single && array != 0 && (array & (array - 1)) == 0 &&
-                 (made->layout.arrays & array) != 0
-             ? made->frame->payload + varying_array_offset(&made->layout, array)
+                 (layout.arrays & array) != 0
+             ? frame->payload + varying_array_offset(&layout, array)
              : NULL;
 }
 
@@ -333,9 +285,5 @@ const float *dipole_coefficients_f32(const dipole_varying_result *result, unsign
 }
 
 void dipole_varying_result_free(dipole_varying_result *result) {
-  struct varying *made = (struct varying *)(void *)result;
-  if (made != NULL) {
-    free(made->frame);
-    free(made);
-  }
+  free(result); /* with its frame */
 }
