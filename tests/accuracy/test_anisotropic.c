@@ -1,5 +1,5 @@
 /* The solver for any phase function against what it did not make: the solver for isotropic
- * scattering, totals by adding-doubling, values of another implementation, MCML's rings; and
+ * scattering, totals by adding-doubling, MCML's rings; and
  * against itself: a phase function given by its moments, several boundaries at once.
  */
 #include <float.h>
@@ -13,7 +13,6 @@
 #include "core/transport/single.h"
 #include "tests/accuracy/isotropic/isotropic.h"
 #include "tests/accuracy/montecarlo_run.h"
-#include "tests/accuracy/vectors.h"
 #include "tests/unit/unit.h"
 
 /* of the solver */
@@ -72,6 +71,9 @@ UNIT_TEST(isotropic_scattering_is_that_of_the_other_solver) {
     }
     const double total = isotropic_total(truth).value;
     hold("isotropic total", etas[i], totals[i].normal, total, 1e-7, 1e-6);
+    assert_true(isinf(solver_at(solution, i, 0).value));
+    assert_true(solver_at(solution, i, INFINITY).value == 0);
+    assert_true(solver_at(solution, i, 1e300).value == 0);
     isotropic_solution_free(truth);
     isotropic_boundary_free(boundary);
   }
@@ -265,31 +267,6 @@ UNIT_TEST(diffuse_totals_are_known_to_1e5) {
     for (size_t eta = 0; eta < 5; eta++) {
       assert_true(totals[eta].diffuse.error < 2e-6 * totals[eta].diffuse.value);
     }
-  }
-}
-
-/* Values of another implementation of the method, with their error bounds. The phase function is
- * given by its moments for small g, and by g for the others. Media 4 and 5 take the least time. */
-UNIT_TEST(values_of_another_implementation_hold) {
-  anisotropic_vector rows[ANISOTROPIC_MEDIA][ANISOTROPIC_RADII];
-  vectors_read_anisotropic(rows);
-  for (size_t i = 4; i < ANISOTROPIC_MEDIA; i++) {
-    const anisotropic_vector *known = rows[i];
-    enum { MOMENTS = 60 };
-    double moment[MOMENTS] = {1};
-    for (size_t l = 1; l < MOMENTS; l++) {
-      moment[l] = known->g * moment[l - 1];
-    }
-    const solver_phase phase = {known->g, known->g < 0.5 ? MOMENTS : 0, moment};
-    solver_solution *solution = solve(known->ratio, &phase, &known->eta, 1);
-    for (size_t row = 0; row < ANISOTROPIC_RADII; row++) {
-      hold("another implementation", known[row].x, solver_at(solution, 0, known[row].x),
-           known[row].R, known[row].error, 1e-3);
-    }
-    assert_true(isinf(solver_at(solution, 0, 0).value));
-    assert_true(solver_at(solution, 0, INFINITY).value == 0);
-    assert_true(solver_at(solution, 0, 1e300).value == 0);
-    solver_free(solution);
   }
 }
 

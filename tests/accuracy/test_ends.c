@@ -99,6 +99,20 @@ UNIT_TEST(the_cdf_of_beam_is_the_integral_of_its_pdf) {
   }
 }
 
+/* Where numbers on the way to a value underflow, also beside a radius of 0, no error is promised. */
+UNIT_TEST(next_to_the_source_the_error_is_not_known) {
+  static const double lists[][2] = {{0, 1e-310}, {1, 1e-270}, {0, 1e-200}, {0, 1e-20}};
+  core_profile profile = prepared(CORE_MODEL_BEAM, (core_medium){0.1, 1, 0, 1.4}, (double)NAN);
+  for (int i = 0; i < 4; i++) {
+    core_radii_range radii;
+    unit_assert_fault(core_radii_check_f64(2, lists[i], &radii), NULL, 0);
+    assert_int_equal(isinf(core_profile_errors(&profile, CORE_QUANTITY_R, radii).numerical), i < 2);
+    assert_int_equal(isinf(core_profile_errors(&profile, CORE_QUANTITY_SLOPE, radii).numerical),
+                     i < 3);
+  }
+  core_profile_free(&profile);
+}
+
 /* ---- extended ----------------------------------------------------------------------------- */
 
 UNIT_TEST(extended_without_absorption_goes_on_falling) {

@@ -2,7 +2,6 @@
 #include <math.h>
 
 #include "tests/accuracy/reference.h"
-#include "tests/accuracy/vectors.h"
 #include "tests/unit/unit.h"
 
 /* ---- Fresnel moments ---------------------------------------------------------------------- */
@@ -126,91 +125,6 @@ UNIT_TEST(fits_differ_from_exact_as_published) {
 
 /* ---- profiles ----------------------------------------------------------------------------- */
 
-/* How many doubles lie between two that are not negative. */
-static uint64_t ulps_between(double a, double b) {
-  uint64_t a_bits, b_bits;
-  memcpy(&a_bits, &a, sizeof a);
-  memcpy(&b_bits, &b, sizeof b);
-  return a_bits > b_bits ? a_bits - b_bits : b_bits - a_bits;
-}
-
-static void assert_within_an_ulp(const mpfr_t value, double expected, size_t row,
-                                 const char *what) {
-  const double rounded = mpfr_get_d(value, MPFR_RNDN);
-  if (!(rounded >= 0) || ulps_between(rounded, expected) > 1) {
-    fail_msg("row %zu, %s: %.17g, expected %.17g", row + 1, what, rounded, expected);
-  }
-}
-
-static void assert_equals_vectors(const vector *vectors, size_t count) {
-  reference_dipole dipole;
-  reference_values values;
-  reference_dipole_init(&dipole);
-  reference_values_init(&values);
-  for (size_t i = 0; i < count; i++) {
-    const vector *v = &vectors[i];
-    reference_dipole_prepare(&dipole, reference_switches(v->model), (enum core_moments)v->moments,
-                             &v->medium);
-    assert_within_an_ulp(dipole.albedo, v->albedo, i, "albedo");
-    reference_dipole_evaluate(&dipole, v->r_mm, &values);
-    assert_within_an_ulp(values.of[CORE_ELEMENTWISE_R], v->R, i, "R");
-    assert_within_an_ulp(values.of[CORE_ELEMENTWISE_CDF], v->cdf, i, "cdf");
-  }
-  reference_values_clear(&values);
-  reference_dipole_clear(&dipole);
-}
-
-UNIT_TEST(equals_selected_vectors) {
-  size_t count;
-  vector *vectors = vectors_read(VECTORS_FILE, &count);
-  assert_non_null(vectors);
-  assert_int_equal(count, 200);
-  assert_equals_vectors(vectors, count);
-  free(vectors);
-}
-
-UNIT_TEST(equals_all_vectors) {
-  size_t count;
-  vector *vectors = vectors_read(VECTORS_FILE_ALL, &count);
-  if (vectors == NULL) {
-    printf("skipped: there is no %s here; the selection of it was tested\n", VECTORS_FILE_ALL);
-    skip();
-  }
-  assert_equals_vectors(vectors, count);
-  printf("%zu vectors of %s\n", count, VECTORS_FILE_ALL);
-  free(vectors);
-}
-
-/* mu_a = 0.01 / mm, mu_s' = 1 / mm, n = 1.4, exact moments: Farrell's flux with A = (1 + 3 C2) /
- * (1 - 2 C1), and Kienle and Patterson's sum of fluence and flux; both are for one photon at z1,
- * without the prefactor alpha'. To their last digit. */
-UNIT_TEST(equals_published_fluence_and_flux) {
-  static const core_medium medium = {0.01, 1, 0, 1.4};
-  static const double alpha_prime = 1 / 1.01;
-  static const struct {
-    int switches;
-    double R[3];
-  } rows[] = {
-      {CORE_DIPOLE_BOUNDARY, {.030013187, .0037557889, 1.5646681e-4}},
-      {CORE_DIPOLE_BOUNDARY | CORE_DIPOLE_EXITANCE, {.022572461, .0045062827, 1.7148597e-4}},
-  };
-  static const double radii[] = {1, 3, 10};
-  reference_dipole dipole;
-  reference_values values;
-  reference_dipole_init(&dipole);
-  reference_values_init(&values);
-  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
-    reference_dipole_prepare(&dipole, rows[i].switches, CORE_MOMENTS_EXACT, &medium);
-    for (size_t j = 0; j < 3; j++) {
-      reference_dipole_evaluate(&dipole, radii[j], &values);
-      const double R = mpfr_get_d(values.of[CORE_ELEMENTWISE_R], MPFR_RNDN);
-      assert_close(R / alpha_prime, rows[i].R[j], 3e-8 * rows[i].R[j], "R");
-    }
-  }
-  reference_values_clear(&values);
-  reference_dipole_clear(&dipole);
-}
-
 /* One medium of each kind, with every setting of the switches. */
 typedef void member_test(const reference_dipole *dipole, reference_values *values);
 
@@ -234,29 +148,6 @@ static double value_at(const reference_dipole *dipole, double r, reference_value
                        enum core_elementwise quantity) {
   reference_dipole_evaluate(dipole, r, values);
   return mpfr_get_d(values->of[quantity], MPFR_RNDN);
-}
-
-/* The midpoint rule over log r of 2 pi r R(r), against the difference of the cdf times the albedo;
- * and of the pdf, against the difference alone. */
-static void compare_integrals(const reference_dipole *dipole, reference_values *values) {
-  enum { STEPS = 400 };
-  const double low = log(1e-3), high = log(10.0), step = (high - low) / STEPS;
-  double energy = 0, probability = 0;
-  for (int k = 0; k < STEPS; k++) {
-    const double r = exp(low + (k + 0.5) * step);
-    const double R = value_at(dipole, r, values, CORE_ELEMENTWISE_R);
-    energy += 2 * 3.14159265358979324 * r * r * step * R;
-    probability += r * step * mpfr_get_d(values->of[CORE_ELEMENTWISE_PDF], MPFR_RNDN);
-  }
-  const double within = value_at(dipole, exp(high), values, CORE_ELEMENTWISE_CDF) -
-                        value_at(dipole, exp(low), values, CORE_ELEMENTWISE_CDF);
-  const double expected = within * mpfr_get_d(dipole->albedo, MPFR_RNDN);
-  assert_close(energy, expected, 1e-4 * expected, "energy");
-  assert_close(probability, within, 1e-4 * within, "probability");
-}
-
-UNIT_TEST(cdf_is_the_integral_of_R) {
-  with_every_member(compare_integrals);
 }
 
 /* Differences of R over a step that is small, but of 384 bits: off from the derivative by the

@@ -1,13 +1,9 @@
-/* The transport solver against what it did not make: vectors of another implementation, totals by H
- * functions, MCML's tables, a plain random walk; and against itself where nothing else is as exact:
- * its error estimates at loose tolerances against its values at the tightest.
- */
-#include <float.h>
+/* The solver of tests/accuracy/isotropic/, which other tests take for the truth, against values of
+ * another implementation and totals by H functions, and its error estimates at loose tolerances
+ * against its values at the tightest. */
 #include <math.h>
-#include <pthread.h>
 
 #include "tests/accuracy/isotropic/isotropic.h"
-#include "tests/bench/plain_walk.h"
 #include "tests/unit/unit.h"
 
 #define PI 3.14159265358979323846
@@ -208,142 +204,9 @@ UNIT_TEST(media_without_a_boundary_hold) {
 #define MCML_SIGMAS 4.0
 #define MCML_SYSTEMATIC 0.003
 
-/* The isotropic media among them. */
-static const struct {
-  const char *file;
-  double ratio; /* sigma_a / sigma_s */
-  double eta;
-} mcml[] = {
-    {"r0.0001_n1.4_g0.0.csv", 0.0001, 1.4}, {"r0.001_n1.3_g0.0.csv", 0.001, 1.3},
-    {"r0.001_n2.0_g0.0.csv", 0.001, 2},     {"r0.01_n1.0_g0.0.csv", 0.01, 1},
-    {"r0.01_n1.5_g0.0.csv", 0.01, 1.5},     {"r0.1_n1.0_g0.0.csv", 0.1, 1},
-    {"r0.1_n1.4_g0.0.csv", 0.1, 1.4},       {"r0.2_n1.7_g0.0.csv", 0.2, 1.7},
-    {"r1_n1.3_g0.0.csv", 1, 1.3},           {"r10_n1.5_g0.0.csv", 10, 1.5},
-};
-
-/* Rings: r_from, r_to, mean R, its relative standard error. Returns how many were held. */
-static size_t hold_rings(const char *text, const isotropic_solution *solution) {
-  size_t rings = 0;
-  for (const char *line = strstr(text, "r_from"); line != NULL; line = strchr(line, '\n')) {
-    line += *line == '\n';
-    double from, to, mean, sigma;
-    if (sscanf(line, "%lf,%lf,%lf,%lf", &from, &to, &mean, &sigma) == 4 && sigma < MCML_SIGMA_MAX) {
-      const double energy =
-          isotropic_at(solution, to).within.value - isotropic_at(solution, from).within.value;
-      const double R = energy / (PI * (to * to - from * from));
-      if (fabs(mean / R - 1) > MCML_SIGMAS * sigma + MCML_SYSTEMATIC) {
-        fail_msg("ring from %g to %g: MCML %g, transport %g", from, to, mean, R);
-      }
-      rings++;
-    }
-  }
-  return rings;
-}
-
-UNIT_TEST(mcml_agrees) {
-  size_t rings = 0;
-  for (size_t i = 0; i < sizeof mcml / sizeof mcml[0]; i++) {
-    char path[256];
-    snprintf(path, sizeof path, MCML_FOLDER "%s", mcml[i].file);
-    char *text = unit_read_file(path);
-    if (text == NULL) {
-      printf("skipped: there is no %s\n", path);
-      skip();
-    }
-    isotropic_solution *solution = solve(mcml[i].eta, 1 / (1 + mcml[i].ratio), 1e-5);
-    rings += hold_rings(text, solution);
-    isotropic_solution_free(solution);
-    free(text);
-  }
-  printf("%zu rings of MCML\n", rings);
-  assert_true(rings > 1000);
-}
-
 /* ---- a plain walk ------------------------------------------------------------------------- */
 
 enum { WALK_EDGES = 6, WALK_PHOTONS = 200000 };
-static const double walk_edges[WALK_EDGES] = {0.03, 0.1, 0.3, 1, 3, 10};
-
-/* The energy within each edge and its standard error. */
-static void walk(double eta, double albedo, transport_number within[WALK_EDGES]) {
-  const plain_medium medium = {albedo, 0, eta, (double)INFINITY};
-  double sum[WALK_EDGES] = {0}, squares[WALK_EDGES] = {0};
-  uint64_t random = 2012;
-  for (int i = 0; i < WALK_PHOTONS; i++) {
-    const plain_photon p = plain_walk(&medium, &random);
-    const double r = sqrt(p.x * p.x + p.y * p.y);
-    for (size_t j = 0; p.fate == PLAIN_REFLECTED && p.scattered && j < WALK_EDGES; j++) {
-      sum[j] += r < walk_edges[j] ? p.weight : 0;
-      squares[j] += r < walk_edges[j] ? p.weight * p.weight : 0;
-    }
-  }
-  for (size_t j = 0; j < WALK_EDGES; j++) {
-    const double mean = sum[j] / WALK_PHOTONS;
-    const double variance = squares[j] / WALK_PHOTONS - mean * mean;
-    within[j] = (transport_number){mean, sqrt(variance / WALK_PHOTONS)};
-  }
-}
-
-/* Where the medium is thinner than its surroundings there are no other numbers; and for all. */
-UNIT_TEST(a_plain_walk_agrees) {
-  static const double media[][2] = {{0.7, 0.9}, {0.4, 0.99}, {0.97, 0.6}, {1.03, 0.95}, {3, 0.99}};
-  for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
-    transport_number walked[WALK_EDGES];
-    walk(media[i][0], media[i][1], walked);
-    isotropic_solution *solution = solve(media[i][0], media[i][1], 1e-5);
-    for (size_t j = 0; j < WALK_EDGES; j++) {
-      const double within = isotropic_at(solution, walk_edges[j]).within.value;
-      if (fabs(within - walked[j].value) > 4 * walked[j].error) {
-        fail_msg("eta %g, albedo %g, within %g: walk %g +- %g, transport %g", media[i][0],
-                 media[i][1], walk_edges[j], walked[j].value, walked[j].error, within);
-      }
-    }
-    isotropic_solution_free(solution);
-  }
-}
-
-/* ---- energy ------------------------------------------------------------------------------- */
-
-UNIT_TEST(all_energy_leaves_where_none_is_absorbed) {
-  static const double etas[] = {0.25,  0.5, 0.7, 0.9, 0.999, 1 - 1e-7, 1, 1 + 1e-7,
-                                1.001, 1.1, 1.3, 1.5, 1.8,   2.2,      3, 4};
-  struct worst worst = {.what = "totals without absorption"};
-  for (size_t i = 0; i < sizeof etas / sizeof etas[0]; i++) {
-    isotropic_solution *solution = solve(etas[i], 1, 1e-3);
-    compare(&worst, isotropic_total(solution), 1, 0);
-    assert_true(isotropic_at(solution, 100).within.value < 1);
-    isotropic_solution_free(solution);
-  }
-  assert_worst(&worst, 1e-11);
-}
-
-/* The energy between two radii, which comes from other integrals, is that of R; it never decreases,
- * and reaches the total. */
-UNIT_TEST(energy_is_the_integral_of_R) {
-  static const double media[][2] = {{0.8, 0.5}, {1, 0.99}, {1.4, 0.9}, {1.4, 1}, {2, 0.05}};
-  static const double gauss[][2] = {
-      {0.5, 4.0 / 9}, {0.11270166537925831, 5.0 / 18}, {0.88729833462074169, 5.0 / 18}};
-  for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
-    isotropic_solution *solution = solve(media[i][0], media[i][1], 1e-7);
-    double before = isotropic_at(solution, 1e-4).within.value;
-    for (double r = 1e-4; r < 20; r *= 1.05) {
-      double energy = 0;
-      for (size_t j = 0; j < 3; j++) {
-        const double at = r * (1 + 0.05 * gauss[j][0]);
-        energy += gauss[j][1] * 0.05 * r * 2 * PI * at * isotropic_at(solution, at).R.value;
-      }
-      const transport_number within = isotropic_at(solution, r * 1.05).within;
-      assert_true(within.value >= before - within.error);
-      assert_true(fabs(within.value - before - energy) <= 1e-7 * energy + 2 * within.error);
-      before = within.value;
-    }
-    const transport_number total = isotropic_total(solution);
-    assert_true(isotropic_at(solution, INFINITY).within.value == total.value);
-    const transport_number all = isotropic_at(solution, 1e5).within;
-    assert_true(fabs(all.value - total.value) <= 1e-4);
-    isotropic_solution_free(solution);
-  }
-}
 
 /* ---- error estimates ---------------------------------------------------------------------- */
 
@@ -430,75 +293,6 @@ UNIT_TEST(far_radii_are_honest) {
   assert_true(worst.count >= 40 && worst.ratio <= ESTIMATE_FACTOR);
 }
 
-/* Near the source R is a T / (4 pi r) of light scattered once; what is scattered more often grows
- * like ln(1 / r), down to radii far below the finest wavelength that is solved for. */
-UNIT_TEST(the_source_has_its_limits) {
-  isotropic_solution *solution = solve(1.4, 0.9, 1e-7);
-  const double near = isotropic_at(solution, 1e-12).single.value * 1e-12;
-  const double nearer = isotropic_at(solution, 1e-15).single.value * 1e-15;
-  assert_true(fabs(near / nearer - 1) < 1e-10);
-  double slope = 0;
-  for (double r = 1e-5; r > 1e-20; r /= 10) {
-    const double step =
-        isotropic_at(solution, r / 10).multiple.value - isotropic_at(solution, r).multiple.value;
-    assert_true(step > 0 && (slope == 0 || fabs(step / slope - 1) < 1e-3));
-    slope = step;
-  }
-  assert_true(isfinite(isotropic_at(solution, 1e-280).R.value));
-  isotropic_solution_free(solution);
-}
-
-/* ---- inputs ------------------------------------------------------------------------------- */
-
-UNIT_TEST(bad_inputs_are_named) {
-  isotropic_boundary *boundary = NULL;
-  static const double etas[] = {0, -1, 0.249, 4.01, NAN, INFINITY};
-  for (size_t i = 0; i < sizeof etas / sizeof etas[0]; i++) {
-    unit_assert_fault(isotropic_boundary_create(&boundary, etas[i], 1e-5), "eta", 0);
-    assert_null(boundary);
-  }
-  static const double bad_tolerances[] = {0, -1, 9e-10, 2e-3, NAN, INFINITY};
-  for (size_t i = 0; i < sizeof bad_tolerances / sizeof bad_tolerances[0]; i++) {
-    unit_assert_fault(isotropic_boundary_create(&boundary, 1.4, bad_tolerances[i]), "tolerance", 0);
-    assert_null(boundary);
-  }
-  boundary = boundary_for(1.4, 1e-3);
-  static const double albedos[] = {-1e-300, 1 + DBL_EPSILON, NAN, INFINITY, -INFINITY};
-  for (size_t i = 0; i < sizeof albedos / sizeof albedos[0]; i++) {
-    isotropic_solution *solution;
-    unit_assert_fault(isotropic_solve(&solution, boundary, albedos[i]), "albedo", 0);
-    assert_null(solution);
-  }
-  isotropic_boundary_free(boundary);
-  isotropic_boundary_free(NULL);
-  isotropic_solution_free(NULL);
-}
-
-UNIT_TEST(extremes_end) {
-  static const double etas[] = {TRANSPORT_ETA_MIN, 1, TRANSPORT_ETA_MAX};
-  static const double albedos[] = {
-      0, 5e-324, 1e-300, 1e-10, 1e-3, 1 - 1e-10, 1 - 1e-15, 1 - DBL_EPSILON / 2, 1};
-  static const double radii[] = {0, 5e-324, 1e-300, 1e-9, 1, 1e5, 1e8, 1e59, 1e61, DBL_MAX};
-  for (size_t i = 0; i < 3; i++) {
-    isotropic_boundary *boundary = boundary_for(etas[i], 1e-3);
-    for (size_t j = 0; j < sizeof albedos / sizeof albedos[0]; j++) {
-      isotropic_solution *solution = solve_with(boundary, albedos[j]);
-      const double total = isotropic_total(solution).value;
-      assert_true(total >= 0 && total <= 1 + 1e-11 && (total > 0 || albedos[j] < 1e-300));
-      for (size_t k = 0; k < sizeof radii / sizeof radii[0]; k++) {
-        const isotropic_values values = isotropic_at(solution, radii[k]);
-        assert_true(values.R.value >= 0 && values.R.error >= 0);
-        assert_true(values.within.value >= 0 && values.within.value <= total + values.within.error);
-      }
-      const isotropic_values nowhere = isotropic_at(solution, INFINITY);
-      assert_true(nowhere.R.value == 0 && nowhere.R.error == 0);
-      assert_true(nowhere.within.value == total);
-      isotropic_solution_free(solution);
-    }
-    isotropic_boundary_free(boundary);
-  }
-}
-
 /* ---- bits --------------------------------------------------------------------------------- */
 
 struct job {
@@ -506,57 +300,3 @@ struct job {
   double albedo;
   isotropic_solution *solution;
 };
-
-static void *run_job(void *argument) {
-  struct job *job = argument;
-  const core_fault fault = isotropic_solve(&job->solution, job->boundary, job->albedo);
-  return fault.field == NULL ? job : NULL;
-}
-
-static void assert_same_bits(const isotropic_solution *one, const isotropic_solution *other) {
-  for (double r = 1e-4; r < 100; r *= 3) {
-    const isotropic_values a = isotropic_at(one, r);
-    const isotropic_values b = isotropic_at(other, r);
-    assert_memory_equal(&a, &b, sizeof a);
-  }
-}
-
-/* Threads that share a boundary, in whatever order they come, and one that does not. */
-UNIT_TEST(threads_get_the_same_bits) {
-  enum { JOBS = 4 };
-  static const double albedos[JOBS] = {0.5, 0.9, 0.91, 0.5};
-  isotropic_boundary *shared = boundary_for(1.5, 1e-3);
-  struct job jobs[JOBS];
-  pthread_t threads[JOBS];
-  for (int i = 0; i < JOBS; i++) {
-    jobs[i] = (struct job){shared, albedos[i], NULL};
-    assert_int_equal(pthread_create(&threads[i], NULL, run_job, &jobs[i]), 0);
-  }
-  for (int i = 0; i < JOBS; i++) {
-    void *done;
-    assert_int_equal(pthread_join(threads[i], &done), 0);
-    assert_non_null(done);
-    isotropic_solution *alone = solve(1.5, albedos[i], 1e-3);
-    assert_same_bits(alone, jobs[i].solution);
-    isotropic_solution_free(alone);
-    isotropic_solution_free(jobs[i].solution);
-  }
-  isotropic_boundary_free(shared);
-}
-
-/* What this machine and compiler make is what any other made. */
-UNIT_TEST(bits_are_the_same_everywhere) {
-  static const double known[][3] = {
-      {0.01, 0x1.208c72834081ep+2, 0x1.7f4a2bec22f2dp-9},
-      {1, 0x1.7be9c17e90e1ep-7, 0x1.009e9811d0c1ep-3},
-      {20, 0x1.d2ac929e0a916p-27, 0x1.07f0516d1909ap-2},
-  };
-  isotropic_solution *solution = solve(1.4, 0.9, 1e-5);
-  for (size_t i = 0; i < sizeof known / sizeof known[0]; i++) {
-    const isotropic_values values = isotropic_at(solution, known[i][0]);
-    if (values.R.value != known[i][1] || values.within.value != known[i][2]) {
-      fail_msg("at r = %g: {%a, %a}", known[i][0], values.R.value, values.within.value);
-    }
-  }
-  isotropic_solution_free(solution);
-}

@@ -7,7 +7,6 @@
 #include "core/kernels.h"
 #include "core/solver/solver.h"
 #include "core/transport/table.h"
-#include "tests/accuracy/vectors.h"
 #include "tests/unit/unit.h"
 
 #define PI 3.14159265358979323846
@@ -43,38 +42,6 @@ struct worst {
   size_t count;
 };
 
-/* Each evaluator is within what it states for this radius. */
-static void compare_row(const anisotropic_vector *row, struct worst *worst) {
-  const core_medium medium = medium_of(row->ratio, row->g, row->eta);
-  for (size_t i = 0; i < sizeof evaluators / sizeof evaluators[0]; i++) {
-    core_profile profile = prepare(&medium, evaluators[i], (double)NAN);
-    assert_int_equal(profile.notes, 0);
-    const double allowed = stated(&profile, CORE_QUANTITY_R, row->x, row->x);
-    const double off = fabs(unit_value_at(&profile, CORE_QUANTITY_R, row->x) / row->R - 1);
-    if (!(off <= allowed + row->error)) {
-      fail_msg("ratio %g, g %g, eta %g, r %g, evaluator %u: off by %g, stated %g, the vector's %g",
-               row->ratio, row->g, row->eta, row->x, evaluators[i], off, allowed, row->error);
-    }
-    assert_true(allowed <= 0.008);
-    worst->off = fmax(worst->off, off);
-    worst->share = fmax(worst->share, off / (allowed + row->error));
-    worst->stated = fmax(worst->stated, allowed);
-    worst->count++;
-    core_profile_free(&profile);
-  }
-}
-
-UNIT_TEST(values_of_another_implementation_are_within_the_stated_error) {
-  anisotropic_vector rows[ANISOTROPIC_MEDIA][ANISOTROPIC_RADII];
-  vectors_read_anisotropic(rows);
-  struct worst worst = {0};
-  for (size_t i = 0; i < ANISOTROPIC_MEDIA * ANISOTROPIC_RADII; i++) {
-    compare_row(&rows[i / ANISOTROPIC_RADII][i % ANISOTROPIC_RADII], &worst);
-  }
-  printf("%zu values: off by at most %.1e, %.2f of what is allowed; stated at most %.1e\n",
-         worst.count, worst.off, worst.share, worst.stated);
-}
-
 /* R of a ring is the energy in it over its area. MCML counts 0.05 mean free paths a ring. */
 UNIT_TEST(rings_are_those_of_mcml) {
   char *text = unit_read_file("../shared/mcml/r0.05_n1.4_g0.9.csv");
@@ -106,25 +73,6 @@ UNIT_TEST(rings_are_those_of_mcml) {
   assert_true(fabs(profile.albedo - total) < 4.5 * sqrt(total / 3e6));
   core_profile_free(&profile);
   free(text);
-}
-
-/* Totals by adding-doubling, per launched power with the specular reflection, and how far their
- * last digit may be off. */
-UNIT_TEST(albedos_are_those_of_adding_doubling) {
-  static const double known[][5] = {{0.9, 0.9, 1.4, 0.0573000, 3e-7},
-                                    {0.95, 0.8, 1, 0.238946, 1e-6},
-                                    {0.998003992, 0.8, 1.4, 0.63166, 1e-5},
-                                    {0.99, 0.8, 1.4, 0.38586, 1e-5}};
-  for (size_t i = 0; i < sizeof known / sizeof known[0]; i++) {
-    const double albedo = known[i][0], g = known[i][1], eta = known[i][2];
-    const core_medium medium = {1 - albedo, albedo, g, eta};
-    core_profile profile = prepare(&medium, CORE_EVALUATOR_F64, (double)NAN);
-    const double specular = (eta - 1) / (eta + 1) * (eta - 1) / (eta + 1);
-    const double total = (known[i][3] - specular) / (1 - specular);
-    const double error = stated(&profile, CORE_QUANTITY_ALBEDO, 1, 0);
-    assert_true(fabs(profile.albedo / total - 1) <= error + 2 * known[i][4] / total);
-    core_profile_free(&profile);
-  }
 }
 
 /* ---- the solver ----------------------------------------------------------------------------- */

@@ -5,7 +5,6 @@
 #include "core/solver/solver.h"
 #include "core/transport/table.h"
 #include "tests/accuracy/isotropic/isotropic.h"
-#include "tests/accuracy/vectors.h"
 #include "tests/unit/unit.h"
 
 #define PI 3.14159265358979323846
@@ -172,24 +171,6 @@ static double hold_forward(const transport_series *series, double albedo, double
              stated);
   }
   return error;
-}
-
-UNIT_TEST(the_difference_agrees_with_another_implementation) {
-  anisotropic_vector rows[ANISOTROPIC_MEDIA][ANISOTROPIC_RADII];
-  vectors_read_anisotropic(rows);
-  double worst = 0;
-  for (size_t i = 0; i < ANISOTROPIC_MEDIA; i++) {
-    const anisotropic_vector *known = rows[i];
-    const double albedo = 1 / (1 + known->ratio);
-    transport_series series;
-    transport_table_look_up(transport_table_shipped(), albedo, known->g, known->eta, &series);
-    for (size_t row = 0; row < ANISOTROPIC_RADII; row++) {
-      worst = fmax(worst, hold_forward(&series, albedo, known->g, known->eta, known[row].x,
-                                       known[row].R, known[row].error));
-    }
-  }
-  printf("another implementation: off by at most %.2g\n", worst);
-  assert_true(worst <= 1e-3);
 }
 
 /* One random medium against the solver. */

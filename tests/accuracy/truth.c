@@ -20,6 +20,10 @@
  * samples (core_sample), inversions (invert_albedo), that a cdf never falls once it is 1, and
  * the stated errors of models against solutions of transport.
  *
+ * Before the rounds it replays tests/accuracy/known.csv: values that were once further off than
+ * their profile stated, and what a round is too rare to meet. A row has the request, its right value
+ * and how far off that may be; `cos` is both cos_in and cos_out.
+ *
  * Each processor runs rounds of its own. The program prints its seed, how many values of each class
  * it compared, and each class's largest error as a share of what was stated. Its exit status is 1
  * if one was larger than stated. The same seed and number of rounds give the same comparisons.
@@ -418,6 +422,134 @@ static void check_inversion(struct subject *s, uint64_t *random) {
   }
 }
 
+/* ---- known values -------------------------------------------------------------------------------- */
+
+#define KNOWN_FILE "tests/accuracy/known.csv"
+enum { KNOWN_COLUMNS = 15, KNOWN_BYTES = 512 };
+
+static unsigned id_of(const core_choice *list, const char *name) {
+  const core_choice *choice = core_choice_by_name(list, name);
+  if (choice == NULL) {
+    fprintf(stderr, "truth: %s: %s is unknown\n", KNOWN_FILE, name);
+    exit(2);
+  }
+  return choice->id;
+}
+
+static double number(const char *text, double otherwise) {
+  return *text != '\0' ? strtod(text, NULL) : otherwise;
+}
+
+/* Prepares the request of a row, whose columns stand in the file's first line, unless it is that of
+ * the row before. */
+static void prepare_known(struct subject *s, enum evaluator e, char *const column[KNOWN_COLUMNS]) {
+  static char before[KNOWN_BYTES];
+  const size_t bytes = (size_t)(column[11] - column[1]); /* of the names and numbers of a request */
+  core_profile *profile = &s->profiles[e];
+  if (s->ready[e] && memcmp(before, column[1], bytes) == 0) {
+    return;
+  }
+  memcpy(before, column[1], bytes);
+  for (int i = 0; i < EVALUATORS; i++) {
+    if (s->ready[i]) {
+      core_profile_free(&s->profiles[i]);
+      s->ready[i] = false;
+    }
+  }
+  const unsigned id = id_of(core_models, column[1]);
+  for (s->model = 0; models[s->model] != id; s->model++) {
+  }
+  s->moments = id_of(core_moments_list, column[2]);
+  s->medium = (core_medium){number(column[3], 0), number(column[4], 0), number(column[5], 0),
+                            number(column[6], 0)};
+  s->parameters = core_parameters_none();
+  s->parameters.value[CORE_PARAMETER_TOLERANCE] = number(column[7], (double)NAN);
+  s->parameters.value[CORE_PARAMETER_THICKNESS] = number(column[8], (double)NAN);
+  s->parameters.value[CORE_PARAMETER_COS_IN] = s->parameters.value[CORE_PARAMETER_COS_OUT] =
+      number(column[9], 1);
+  s->ready[e] = core_profile_prepare(profile, core_isa_select(NULL), id, s->moments,
+                                     evaluator_ids[e], &s->medium, &s->parameters)
+                    .field == NULL;
+  form_prepare(&s->form, id, s->moments, &s->medium, &s->parameters);
+}
+
+/* The cdf at the radius that is sampled for u; that of `beam` has no form. */
+static void compare_known_sample(const struct subject *s, enum evaluator e, double u, quad truth) {
+  const core_profile *profile = &s->profiles[e];
+  const float narrow_u = (float)u;
+  float narrow_r;
+  double r;
+  if (e == F64) {
+    core_sample_f64(profile, 1, &u, &r);
+  } else {
+    core_sample_f32(profile, 1, &narrow_u, &narrow_r);
+    r = (double)narrow_r;
+  }
+  double cdf = (double)form_truth(&s->form, form_at(&s->form, r, false), CORE_ELEMENTWISE_CDF, r);
+  if (isnan(cdf)) {
+    evaluate(profile, CORE_QUANTITY_CDF, 1, &r, &cdf);
+  }
+  const double allowed = (e == F64 ? CORE_SAMPLE_ERROR_F64 : CORE_SAMPLE_ERROR_F32) +
+                         profile->numerical_error + profile->numerical_error_per_mm * r;
+  const double off = fabs(cdf - (double)truth);
+  count(s, e, SAMPLE, off <= allowed, off / allowed, u, cdf, (double)truth);
+}
+
+static void compare_known(char *const column[KNOWN_COLUMNS]) {
+  static struct subject s;
+  const double at = number(column[12], 0);
+  const quad truth = (quad)strtold(column[13], NULL), size = fabsf128(truth);
+  const quad error = (quad)number(column[14], 0) * size;
+  int e = F64, q = 0;
+  while (strcmp(column[10], evaluator_names[e]) != 0) {
+    e++; /* a wrong name runs into the assertion */
+    assert(e <= LUT);
+  }
+  while (strcmp(column[11], check_names[q]) != 0) {
+    q++;
+    assert(q <= SAMPLE);
+  }
+  prepare_known(&s, e, column);
+  const core_profile *profile = &s.profiles[e];
+  if (!s.ready[e]) {
+    count(&s, e, q, false, (double)INFINITY, at, (double)NAN, (double)truth);
+  } else if (q == SAMPLE) {
+    compare_known_sample(&s, e, at, truth);
+  } else if (q == ALBEDO) {
+    compare(&s, e, q, 0, profile->albedo, truth, error);
+  } else {
+    double value;
+    evaluate(profile, quantities[q], 1, &at, &value);
+    const core_stated_errors stated =
+        core_profile_errors(profile, quantities[q], (core_radii_range){at, at});
+    const quad by_radius = form_allowed(profile, q, at, size);
+    const quad beyond = s.form.known ? 0 : fmaxf128((quad)stated.numerical * size - by_radius, 0);
+    compare(&s, e, q, at, value, truth, error + beyond);
+  }
+}
+
+/* Compares with the rows of each `step`th group, from group `first` on. */
+static void replay(size_t first, size_t step) {
+  enum { GROUP = 12 };
+  char line[KNOWN_BYTES];
+  FILE *file = fopen(KNOWN_FILE, "r");
+  if (file == NULL || fgets(line, sizeof line, file) == NULL) {
+    fprintf(stderr, "truth: %s is not here: run truth in the repository's root\n", KNOWN_FILE);
+    exit(2);
+  }
+  for (size_t row = 0; fgets(line, sizeof line, file) != NULL; row++) {
+    char *column[KNOWN_COLUMNS], *rest = line;
+    for (int i = 0; i < KNOWN_COLUMNS; i++) {
+      assert(rest != NULL);
+      column[i] = strsep(&rest, ",\n");
+    }
+    if (row / GROUP % step == first) {
+      compare_known(column);
+    }
+  }
+  fclose(file);
+}
+
 /* ---- drawing ------------------------------------------------------------------------------------ */
 
 enum { ETAS = 64 };
@@ -427,6 +559,8 @@ static double etas[ETAS];
 static void draw_etas(uint64_t *random) {
   for (int i = 0; i < ETAS; i++) {
     etas[i] = i == 0          ? 1
+              : i == ETAS - 2 ? CORE_ETA_MIN
+              : i == ETAS - 1 ? CORE_ETA_MAX
               : i < ETAS / 2  ? 1 + 0.02 * (double)below(random, 60)
               : i < ETAS - 24 ? log_between(random, CORE_ETA_MIN, CORE_ETA_MAX)
               : i < ETAS - 12 ? log_between(random, 5, CORE_ETA_MAX)
@@ -441,7 +575,21 @@ static void draw_etas(uint64_t *random) {
   }
 }
 
-static core_medium draw_medium(uint64_t *random) {
+/* A medium at the ends of the domain. */
+static core_medium draw_end(uint64_t *random) {
+  static const double sigmas[] = {1.1e-15, 1, 9e14}, gs[] = {0, -.99, .999};
+  static const double shares[] = {1, 1 / (1 + 1e-12), .5, 1 / (1 + 1e6), 0}; /* of sigma_s' */
+  static const size_t ends[] = {0, ETAS - 2, ETAS - 1};
+  const double sigma = sigmas[below(random, 3)], share = shares[below(random, 5)];
+  const double g = gs[below(random, 3)];
+  return (core_medium){sigma * (1 - share), fmin(sigma * share / (1 - g), CORE_SIGMA_MAX_PER_MM), g,
+                       etas[ends[below(random, 3)]]};
+}
+
+static core_medium draw_medium(enum form_family family, uint64_t *random) {
+  if (family == FORM_DIPOLE && below(random, 6) == 0) {
+    return draw_end(random);
+  }
   const bool usual = below(random, 3) > 0;
   const double sigma_t = usual ? log_between(random, 1e-2, 1e2) : log_between(random, 1e-14, 1e14);
   const size_t absorbs = below(random, 8);
@@ -484,10 +632,18 @@ static core_parameters draw_parameters(const struct subject *s, uint64_t *random
 }
 
 /* Radii around the medium's own scale and, one in ten, around its decay length, which counts up to
- * 1e26 mean free paths: the forms reach not much further. */
+ * 1e26 mean free paths: the forms reach not much further. Dipoles, whose forms reach anywhere, also
+ * get the ends of both number formats. */
 static double draw_radius(const struct subject *s, bool narrow, uint64_t *random) {
   static const double ends[][2] = {{1e-3, 1e2},   {1e-2, 1e3}, {1e-12, 1e6},
                                    {1e-30, 1e30}, {1e2, 1e4},  {1e-4, 1e2}};
+  static const double of_numbers[] = {-0.0,  5e-324, 1e-310, 1e-300, 1e-160, 1e-45, 1e-40,
+                                      1e-38, 1e-20,  1e18,   1e19,   1e20,   1e30,  1.7e38,
+                                      3e38,  1e75,   1e100,  1e150,  1e155,  1e300, DBL_MAX};
+  if (s->family == FORM_DIPOLE && below(random, 6) == 0) {
+    const double r = of_numbers[below(random, sizeof of_numbers / sizeof of_numbers[0])];
+    return narrow ? (double)(float)r : r;
+  }
   const form_part *part = &s->form.part[0];
   const double per_mm = fmax((double)part->mu, 1e-26) * (double)part->sigma_t_prime;
   const size_t kind = below(random, 66);
@@ -500,6 +656,21 @@ static double draw_radius(const struct subject *s, bool narrow, uint64_t *random
   const double scale_mm = range == 5 ? 1 / per_mm : s->profiles[FINE].scale_mm;
   const double r = scale_mm * log_between(random, ends[range][0], ends[range][1]);
   return kind == 59 ? 0 : kind == 58 ? (double)INFINITY : narrow ? (double)(float)r : r;
+}
+
+/* Returns a radius where R is next to the largest or smallest numbers of a precision. */
+static double draw_edge(const core_profile *fine, bool narrow, uint64_t *random) {
+  static const double ln_R[2][6] = {{709.79, 709.77, -708.3, -712, -730, -742},
+                                    {88.73, 88.71, -87.2, -90, -96, -102}};
+  const double wanted = ln_R[narrow][below(random, 6)];
+  const double mfp_mm = 1 / core_sigma_t_prime(&fine->medium);
+  double least = 1e-45 * mfp_mm, most = 1e6 * mfp_mm, found;
+  for (int i = 0; i < 80; i++) {
+    const double r = sqrt(least) * sqrt(most);
+    core_eval_f64(fine, CORE_QUANTITY_LN_R, 1, &r, &found);
+    *(found > wanted ? &least : &most) = r;
+  }
+  return narrow ? (double)(float)least : least;
 }
 
 static void prepare(struct subject *s, enum evaluator e, double tolerance) {
@@ -542,8 +713,9 @@ static void compare_subject(struct subject *s, uint64_t *random) {
   const size_t exact = s->form.known ? exact_radii(s->family) : 0;
   values.count = exact + DENSE;
   for (size_t i = 0; i < values.count; i++) {
-    const bool narrow = i >= exact || below(random, 4) > 0;
-    values.r[i] = draw_radius(s, narrow, random);
+    const bool narrow = i == 1 || i >= exact || below(random, 4) > 0;
+    values.r[i] = exact > 0 && i < 2 ? draw_edge(&s->profiles[FINE], i == 1, random)
+                                     : draw_radius(s, narrow, random);
     const double scale_mm = s->profiles[FINE].scale_mm;
     const double f = below(random, 8) ? values.r[i] / scale_mm / scale_mm
                                       : log_between(random, 1e-20, 1e-2) / scale_mm;
@@ -594,7 +766,7 @@ static void draw_subject(size_t model, bool slow, bool table, uint64_t *random) 
   static struct subject s;
   s.model = model;
   s.family = form_family_of(models[model]);
-  s.medium = draw_medium(random);
+  s.medium = draw_medium(s.family, random);
   s.moments = 1 + (unsigned)below(random, 4);
   s.moments =
       core_fresnel_check(s.moments, s.medium.eta).field == NULL ? s.moments : CORE_MOMENTS_EXACT;
@@ -1084,6 +1256,7 @@ int main(int argc, char **argv) {
     if (child == 0) {
       prctl(PR_SET_PDEATHSIG, SIGTERM);
       worker = &workers[w];
+      replay(w, options.workers);
       work(&options, start_s);
       _exit(0);
     }
