@@ -73,74 +73,7 @@ UNIT_TEST(the_better_dipole_is_off_by_what_is_said) {
   core_profile_free(&ruler);
 }
 
-static const unsigned wants[] = {CORE_QUANTITY_R,   CORE_QUANTITY_RING, CORE_QUANTITY_PDF,
-                                 CORE_QUANTITY_CDF, CORE_QUANTITY_LN_R, CORE_QUANTITY_SLOPE};
-
-/* How far a profile is off at a radius. */
-static double off_at(const core_profile *profile, const core_profile *truth,
-                     enum core_quantity quantity, double r) {
-  const double value = value_at(profile, quantity, r), right = value_at(truth, quantity, r);
-  return quantity == CORE_QUANTITY_LN_R || quantity == CORE_QUANTITY_CDF ? fabs(value - right)
-                                                                         : fabs(value / right - 1);
-}
-
 enum { RADII = 3000 };
-
-/* The bound of a grid holds between the radii that are compared, and is not much larger than what is
- * seen. */
-static void check_grid(const core_profile *profile, const core_profile *ruler, unsigned quantity,
-                       double from, double to, double *loosest) {
-  const double stated =
-      error_between(profile, ruler, quantity, CORE_SPACING_LOGARITHMIC, 1000000, from, to);
-  double most = 0;
-  for (size_t i = 0; i < RADII; i++) {
-    const double r = (double)(float)(from * pow(to / from, (double)i / (RADII - 1)));
-    most = fmax(most, off_at(profile, ruler, quantity, fmin(fmax(r, from), to)));
-  }
-  if (!(stated >= most)) {
-    fail_msg("model %u, quantity %u, %g to %g mm: stated %.8g, seen %.8g", profile->model, quantity,
-             from, to, stated, most);
-  }
-  const double own = core_profile_errors(ruler, quantity, (core_radii_range){from, to}).numerical;
-  *loosest = fmax(*loosest, stated / (most + (1 + most) * own + 0.003));
-}
-
-UNIT_TEST(a_grid_has_the_largest_error_between_its_ends) {
-  enum { MEDIA = 40 };
-  uint64_t random = unit_seed();
-  double loosest = 0;
-  size_t checked = 0;
-  for (size_t i = 0; i < MEDIA; i++) {
-    const core_medium medium = medium_of(unit_random_log(&random, 1e-4, 50),
-                                         i % 2 == 0 ? 0 : unit_random_between(&random, -0.45, 0.9),
-                                         unit_random_between(&random, 0.75, 2.1));
-    if (!core_transport_is_stored(&medium)) {
-      continue;
-    }
-    core_profile ruler = ruler_of(medium);
-    const double a = (double)(float)unit_random_log(&random, 0.01, 3);
-    const double b = (double)(float)(a * unit_random_log(&random, 1.01, 1000));
-    const double far = fmin(b, 0.9 * ruler.reach.most_mm);
-    for (const core_choice *model = core_models; model->name != NULL && a < far; model++) {
-      const unsigned evaluator = i % 4 < 3 ? CORE_EVALUATOR_F64 : CORE_EVALUATOR_F32;
-      const core_parameters none = core_parameters_none();
-      if (core_profile_check(model->id, CORE_MOMENTS_EXACT, evaluator, &medium, NULL, NULL).field !=
-              NULL ||
-          model->id == CORE_MODEL_GAUSSIANS ||
-          !core_ruler_is_needed(model->id, &none, &medium, false)) {
-        continue;
-      }
-      core_profile profile = prepared(model->id, evaluator, medium);
-      check_grid(&profile, &ruler, wants[checked % 6], a, far, &loosest);
-      checked++;
-      core_profile_free(&profile);
-    }
-    core_profile_free(&ruler);
-  }
-  printf("%zu grids; the loosest bound is %.3f of what is seen\n", checked, loosest);
-  assert_true(checked > 300);
-  assert_true(loosest < 1.5);
-}
 
 /* Against the solver, which knows no table: at each of a list's radii. */
 UNIT_TEST(errors_hold_against_the_solver) {

@@ -34,101 +34,6 @@ static void assert_within(double value, double truth, double allowed, const char
   }
 }
 
-/* Returns the error of a dipole's R(f) at one frequency against many digits, in epsilon. */
-static double epsilons_off(const core_medium *medium, unsigned model, bool single, double f,
-                           reference_dipole *dipole, reference_values *values) {
-  const core_profile profile =
-      prepared(model, single ? CORE_EVALUATOR_F32 : CORE_EVALUATOR_F64, *medium);
-  double value;
-  if (single) {
-    const float narrow_f = (float)f;
-    float narrow;
-    core_eval_f32(&profile, CORE_QUANTITY_TRANSFER, 1, &narrow_f, &narrow);
-    value = (double)narrow;
-    f = (double)narrow_f;
-  } else {
-    value = transfer(&profile, f);
-  }
-  reference_dipole_prepare(dipole, reference_switches(model), CORE_MOMENTS_EXACT, medium);
-  reference_dipole_evaluate(dipole, f, values);
-  const double truth = mpfr_get_d(values->of[CORE_ELEMENTWISE_TRANSFER], MPFR_RNDN);
-  const double least = single ? (double)FLT_MIN : DBL_MIN;
-  const double off = fabs(value - truth) - 4 * least * (single ? 0x1p-23 : 0x1p-52);
-  return off / truth / (single ? (double)FLT_EPSILON : DBL_EPSILON);
-}
-
-UNIT_TEST(dipoles_are_within_16_epsilon) {
-  uint64_t random = unit_seed();
-  reference_dipole dipole;
-  reference_values values;
-  reference_dipole_init(&dipole);
-  reference_values_init(&values);
-  double worst[2] = {0, 0};
-  for (size_t i = 0; i < 2000; i++) {
-    const double sigma = unit_random_log(&random, 1e-6, 1e6);
-    const double ratio = i % 7 == 0 ? 0 : unit_random_log(&random, 1e-12, 1e3);
-    const core_medium medium = {sigma * ratio, sigma, i % 3 == 0 ? 0.8 : 0,
-                                unit_random_between(&random, 0.5, 2.5)};
-    const unsigned model = CORE_MODEL_CLASSICAL + (unsigned)(i % 8);
-    const double f = i % 11 == 0 ? 0 : sigma * unit_random_log(&random, 1e-12, 5);
-    for (int single = 0; single < 2; single++) {
-      const double off = epsilons_off(&medium, model, single, f, &dipole, &values);
-      worst[single] = fmax(worst[single], off);
-      if (!(off <= 16)) {
-        fail_msg("model %u, single %d, sigma_a %.17g, sigma_s %.17g, g %g, eta %.17g, f %.17g: "
-                 "%.3g epsilon off",
-                 model, single, medium.sigma_a_per_mm, medium.sigma_s_per_mm, medium.g, medium.eta,
-                 f, off);
-      }
-    }
-  }
-  printf("%.2f epsilon (f64) and %.2f (f32) off at most\n", worst[0], worst[1]);
-  reference_dipole_clear(&dipole);
-  reference_values_clear(&values);
-  reference_fresnel_forget();
-}
-
-UNIT_TEST(closed_forms_and_the_transformation_agree) {
-  uint64_t random = unit_seed();
-  static const unsigned models[] = {CORE_MODEL_CLASSICAL, CORE_MODEL_BETTER, CORE_MODEL_BURLEY,
-                                    CORE_MODEL_BURLEY_DIFFUSE};
-  double worst = 0;
-  for (size_t i = 0; i < 80; i++) {
-    const double ratio = i % 10 == 0 && i % 4 < 2 ? 0 : unit_random_log(&random, 1e-6, 10);
-    const core_medium medium = {ratio, 1, 0, unit_random_between(&random, 0.8, 2)};
-    const core_profile profile = prepared(models[i % 4], CORE_EVALUATOR_F64, medium);
-    enum { MANY = 20 };
-    double f[MANY], transformed[MANY];
-    for (int k = 0; k < MANY; k++) {
-      f[k] = unit_random_log(&random, 1e-12, 1e3);
-    }
-    core_transfer(&profile, MANY, f, transformed);
-    for (int k = 0; k < MANY; k++) {
-      const double closed = transfer(&profile, f[k]);
-      worst = fmax(worst, fabs(closed - transformed[k]) / profile.albedo);
-      assert_within(transformed[k], closed, 1e-11 * profile.albedo, "the transform", f[k]);
-    }
-  }
-  printf("off by %.2g of the albedo at most\n", worst);
-}
-
-/* Six Gaussians w e^(-r^2 / (2 v)) / (2 pi v) have the transform w e^(-k^2 v / 2). They are as far as
- * any R is from what the filter resolves. */
-UNIT_TEST(gaussians_have_gaussian_transforms) {
-  static const double variance[] = {0.0064, 0.0484, 0.187, 0.567, 1.99, 7.41};
-  static const double red[] = {0.233, 0.100, 0.118, 0.113, 0.358, 0.078};
-  core_profile profile =
-      prepared(CORE_MODEL_SKIN_RED, CORE_EVALUATOR_F64, (core_medium){0.1, 1, 0, 1.3});
-  for (double f = 1e-9; f < 100; f *= 1.1) {
-    double sum = 0;
-    for (size_t i = 0; i < sizeof variance / sizeof variance[0]; i++) {
-      sum += red[i] * exp(-2 * pi * pi * f * f * variance[i]);
-    }
-    assert_within(transfer(&profile, f), sum, 1e-10, "R(f) of skin", f);
-  }
-  core_profile_free(&profile);
-}
-
 /* The filter is its formula: the sum of a smooth function whose ends are 0. */
 UNIT_TEST(the_filter_is_its_formula) {
   const double h = log(2) / CORE_FILTER_STEPS, step = 1e-4, s = CORE_FILTER_SHARPNESS;
@@ -142,43 +47,6 @@ UNIT_TEST(the_filter_is_its_formula) {
     const bool inside = i < CORE_FILTER_WAVES;
     assert_within(inside ? core_filter[i] : 0, sum, 1e-13, "the filter", i);
   }
-}
-
-/* With a large eta light leaves so seldom that it spreads over many mean free paths. */
-UNIT_TEST(light_that_spreads_far_has_its_transform) {
-  static form_model form;
-  static const unsigned models[] = {CORE_MODEL_EXTENDED, CORE_MODEL_QUANTIZED};
-  uint64_t random = unit_seed();
-  double worst = 0;
-  for (size_t i = 0; i < 24; i++) {
-    const double ratio = i % 3 == 0 ? 0 : unit_random_log(&random, 1e-30, 1e-6);
-    const double eta = i < 2 ? 1e3 : unit_random_log(&random, 5, 1e3);
-    const core_medium medium = {ratio, 1, 0, eta};
-    core_parameters parameters = core_parameters_none();
-    core_profile profile = prepared(models[i % 2], CORE_EVALUATOR_F64, medium);
-    parameters.value[CORE_PARAMETER_COS_IN] = parameters.value[CORE_PARAMETER_COS_OUT] = 1;
-    form_prepare(&form, models[i % 2], CORE_MOMENTS_EXACT, &medium, &parameters);
-    enum { MANY = 40 };
-    double frequency[MANY], values[MANY];
-    for (int k = 0; k < MANY; k++) {
-      frequency[k] = unit_random_log(&random, 1e-22, 1);
-    }
-    core_eval_f64(&profile, CORE_QUANTITY_TRANSFER, MANY, frequency, values);
-    for (int k = 0; k < MANY; k++) {
-      const double f = frequency[k], value = values[k];
-      const quad truth = form_truth(&form, (form_values){0}, CORE_ELEMENTWISE_TRANSFER, f);
-      const double share =
-          form_share(&form, &profile, CORE_ELEMENTWISE_TRANSFER, f, value, truth, 0);
-      worst = fmax(worst, share);
-      if (!(share <= 1)) {
-        fail_msg("model %u, sigma_a %g, eta %.17g: R(f) at %g is %.12g, not %.12g: %.3g of what is "
-                 "stated",
-                 models[i % 2], ratio, eta, f, value, (double)truth, share);
-      }
-    }
-    core_profile_free(&profile);
-  }
-  printf("at most %.2g of what is stated\n", worst);
 }
 
 /* The beam has no closed form, but a transform without steps: what it lacks to the albedo grows no
@@ -200,19 +68,6 @@ UNIT_TEST(the_transform_of_a_beam_has_no_step) {
       const double allowed = 0.0202 * (profile.albedo - values[i]) + 2e-9 * profile.albedo;
       assert_within(values[i], before, allowed, "R(f) of a beam", f[i]);
       before = values[i];
-    }
-    core_profile_free(&profile);
-  }
-}
-
-/* Where the transform begins, it is the albedo: no energy next to the source is left out. */
-UNIT_TEST(no_energy_is_lost_next_to_the_source) {
-  for (const core_choice *model = core_models; model->name != NULL; model++) {
-    core_profile profile = prepared(model->id, CORE_EVALUATOR_F64, (core_medium){0.2, 1, 0, 1.9});
-    for (double scaled = 1.1e-30; scaled < 3e-12; scaled *= 37) {
-      const double f = scaled / (2 * pi * profile.scale_mm);
-      assert_within(transfer(&profile, f), profile.albedo,
-                    (profile.numerical_error + 1e-10) * profile.albedo, model->name, f);
     }
     core_profile_free(&profile);
   }

@@ -64,6 +64,11 @@ static double log_between(uint64_t *state, double low, double high) {
   return exp(between(state, log(low), log(high)));
 }
 
+static int by_size(const void *a, const void *b) {
+  const double x = *(const double *)a, y = *(const double *)b;
+  return (x > y) - (x < y);
+}
+
 /* ---- what is counted ---------------------------------------------------------------------------- */
 
 /* The classes of checks: the elementwise quantities, then those below. */
@@ -73,6 +78,7 @@ enum check {
   SAMPLE,
   INVERSION,
   MODEL_ERROR,
+  TOLERANCE, /* a table states no more than was asked for */
   CHECKS
 };
 
@@ -80,11 +86,8 @@ static const char *const check_names[CHECKS] = {
 #define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE)                                               \
   CORE_IF_##SHAPE([CORE_ELEMENTWISE_##IDENT] = name, )
 #include "core/choices.def"
-    [ALBEDO] = "albedo",
-    [CDF_END] = "cdf stays 1",
-    [SAMPLE] = "sample",
-    [INVERSION] = "inversion",
-    [MODEL_ERROR] = "model error"};
+    [ALBEDO] = "albedo",       [CDF_END] = "cdf stays 1",     [SAMPLE] = "sample",
+    [INVERSION] = "inversion", [MODEL_ERROR] = "model error", [TOLERANCE] = "tolerance"};
 
 static const enum core_quantity quantities[CORE_ELEMENTWISE_COUNT] = {
 #define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE)                                               \
@@ -353,19 +356,27 @@ static void check_end(const struct subject *s, enum evaluator e, uint64_t *rando
 
 /* ---- samples and inversions ---------------------------------------------------------------------- */
 
-/* The cdf at a sampled radius is the number that it was sampled for. */
+/* The cdf at a sampled radius is the number that it was sampled for, and more of that is never a
+ * smaller radius, but for rounding: where little is left beyond r, that of 1 - u. */
 static void check_samples(const struct subject *s, enum evaluator e, uint64_t *random) {
   enum { SAMPLES = 64 };
   const core_profile *profile = &s->profiles[e], *fine = &s->profiles[FINE];
+  const double epsilon = e == F64 ? DBL_EPSILON : (double)FLT_EPSILON;
   double u[SAMPLES], r[SAMPLES], low[SAMPLES], high[SAMPLES], cdf_low[SAMPLES], cdf_high[SAMPLES];
   float narrow_u[SAMPLES], narrow_r[SAMPLES];
   for (int i = 0; i < SAMPLES; i++) {
-    const size_t kind = below(random, 4);
-    u[i] = kind == 0   ? log_between(random, 1e-30, 0.5)
-           : kind == 1 ? 1 - log_between(random, 1.2e-7, 0.5)
-                       : between(random, 0, 1);
+    const size_t kind = below(random, 5);
+    u[i] = i == 0               ? 0
+           : i == 1             ? 1
+           : kind == 0          ? log_between(random, 1e-30, 0.5)
+           : kind == 1          ? 1 - log_between(random, 1.2e-7, 0.5)
+           : kind == 2 && i > 2 ? fmin(u[i - 1] * (1 + epsilon), 1)
+                                : between(random, 0, 1);
+    u[i] = e == F64 ? u[i] : (double)(float)u[i];
+  }
+  qsort(u, SAMPLES, sizeof u[0], by_size);
+  for (int i = 0; i < SAMPLES; i++) {
     narrow_u[i] = (float)u[i];
-    u[i] = e == F64 ? u[i] : (double)narrow_u[i];
   }
   if (e == F64) {
     core_sample_f64(profile, SAMPLES, u, r);
@@ -374,6 +385,12 @@ static void check_samples(const struct subject *s, enum evaluator e, uint64_t *r
     for (int i = 0; i < SAMPLES; i++) {
       r[i] = (double)narrow_r[i];
     }
+  }
+  count(s, e, SAMPLE, r[0] == 0 && (isinf(r[SAMPLES - 1]) || profile->albedo == 0), 0, 0, r[0], 0);
+  for (int i = 1; i < SAMPLES; i++) {
+    const double slack = s->family == FORM_DIPOLE ? 64 * epsilon / fmax(1 - u[i], epsilon) : 1;
+    const bool back = slack < 1 && r[i] < r[i - 1] * (1 - slack);
+    count(s, e, SAMPLE, !back, 0, u[i], r[i], r[i - 1]);
   }
   const double off = e == LUT ? profile->numerical_error : 0;
   for (int i = 0; i < SAMPLES; i++) {
@@ -791,7 +808,13 @@ static void draw_subject(size_t model, bool slow, bool table, uint64_t *random) 
   }
   prepare(&s, F32, tolerance);
   if (table) {
-    prepare(&s, LUT, given ? log_between(random, 1e-5, 1e-2) : (double)NAN);
+    const double asked = given ? log_between(random, CORE_LUT_TOLERANCE_MIN, 1e-2) : (double)NAN;
+    const double most = given ? asked : CORE_LUT_TOLERANCE;
+    prepare(&s, LUT, asked);
+    if (s.ready[LUT] && !fit && !transport) { /* those state more of their own */
+      const double stated = s.profiles[LUT].numerical_error;
+      count(&s, LUT, TOLERANCE, stated <= most, stated / most, most, stated, most);
+    }
   }
   prepare(&s, FINE, transport || fit ? (double)NAN : 1e-12);
   form_prepare(&s.form, models[model], s.moments, &s.medium, &s.parameters);
@@ -818,11 +841,6 @@ enum { SOLVED = 60, RANGES = 40 };
 struct solved {
   double r[SOLVED], R[SOLVED], albedo;
 };
-
-static int by_size(const void *a, const void *b) {
-  const double x = *(const double *)a, y = *(const double *)b;
-  return (x > y) - (x < y);
-}
 
 static bool solve(struct solved *solved, const core_medium *medium, uint64_t *random) {
   isotropic_boundary *boundary;
@@ -1116,7 +1134,7 @@ static void run_round(uint64_t seed, unsigned only) {
     if (only == 0 || only == models[model]) {
       const double start_s = now_s();
       const bool slow = (round_now + model) % 16 == 0 || only != 0;
-      draw_subject(model, slow, (round_now + model) % 8 == 0, &own);
+      draw_subject(model, slow, (round_now + model) % 4 == 0, &own);
       worker->seconds[model] += now_s() - start_s;
     }
   }
