@@ -313,8 +313,7 @@ UNIT_TEST(flat_valleys_are_not_left_at_their_end) {
              4.3845154913532802, 0.62602462038294182}};
   subject.design.at = subject.at;
   core_fit *fit = created(&subject.design);
-  core_fit_model(fit, subject.medium.sigma_a_per_mm, subject.medium.sigma_s_per_mm,
-                 subject.values);
+  core_fit_model(fit, subject.medium.sigma_a_per_mm, subject.medium.sigma_s_per_mm, subject.values);
   set_errors(&subject, 0.01);
   core_fit_result result;
   core_fit_run(fit, subject.values, subject.errors, &result, NULL);
@@ -529,71 +528,6 @@ UNIT_TEST(a_disc_around_a_point_has_the_energy_within) {
 static double normal(uint64_t *random) {
   const double u = unit_random_between(random, 1e-300, 1), v = unit_random_between(random, 0, 1);
   return sqrt(-2 * log(u)) * cos(6.28318530717958647693 * v);
-}
-
-/* The mean over the rings of a Monte Carlo run, of photons that were walked with other code, as
- * readings of a model that is transport: the coefficients that the photons were walked with come
- * back within three of their standard errors. The files give lengths in mean free paths 1 /
- * sigma_t'. */
-static void expect_monte_carlo(const char *name, double ratio, double eta, double g) {
-  enum { RINGS = 400 };
-  static double at[RINGS], values[RINGS], errors[RINGS];
-  char path[100];
-  snprintf(path, sizeof path, "../shared/mcml/%s", name);
-  char *text = unit_read_file(path);
-  if (text == NULL) {
-    printf("skipped: %s is not there\n", path);
-    return;
-  }
-  size_t n = 0;
-  for (char *line = strtok(text, "\n"); line != NULL && n < RINGS; line = strtok(NULL, "\n")) {
-    double from, to, R, sigma;
-    /* In nearer rings R bends too much for the value in the middle to be the mean of the ring. */
-    if (sscanf(line, "%lf,%lf,%lf,%lf", &from, &to, &R, &sigma) == 4 && R > 0 && sigma > 0 &&
-        sigma < 0.3 && from > 10 * (to - from)) {
-      at[n] = 0.5 * (from + to);
-      values[n] = R;
-      errors[n++] = sigma * R;
-    }
-  }
-  free(text);
-  assert_true(n >= 3);
-  const core_fit_design design = {.model = CORE_MODEL_TRANSPORT,
-                                  .moments = CORE_MOMENTS_EXACT,
-                                  .g = g,
-                                  .eta = eta,
-                                  .axis = CORE_FIT_AXIS_RADIUS,
-                                  .count = n,
-                                  .at = at,
-                                  .scale = CORE_FIT_SCALE_ABSOLUTE};
-  core_fit *fit = created(&design);
-  core_fit_result result;
-  core_fit_run(fit, values, errors, &result, NULL);
-  core_fit_free(fit);
-  const double a = ratio / (1 + ratio), s = 1 / (1 + ratio);
-  const double off_a = (result.best.sigma_a_per_mm - a) / sqrt(result.covariance.a_a);
-  const double off_s = (result.best.sigma_s_prime_per_mm - s) / sqrt(result.covariance.s_s);
-  printf("%s: %zu rings, sigma_a %.3f %% (%.1f errors), sigma_s' %.3f %% (%.1f errors) off, "
-         "chi-squared %.2f, %s\n",
-         name, n, 100 * (result.best.sigma_a_per_mm / a - 1), off_a,
-         100 * (result.best.sigma_s_prime_per_mm / s - 1), off_s, result.reduced_chi_squared,
-         core_choice_by_id(core_fit_statuses, result.status)->name);
-  assert_int_equal(result.status, CORE_FIT_STATUS_FITTED);
-  assert_true(fabs(off_a) < 3 && fabs(off_s) < 3);
-}
-
-UNIT_TEST(monte_carlo_gives_back_its_coefficients) {
-  expect_monte_carlo("r0.0001_n1.4_g0.0.csv", 1e-4, 1.4, 0);
-  expect_monte_carlo("r0.001_n1.3_g0.0.csv", 1e-3, 1.3, 0);
-  expect_monte_carlo("r0.001_n2.0_g0.0.csv", 1e-3, 2, 0);
-  expect_monte_carlo("r0.01_n1.0_g0.0.csv", 0.01, 1, 0);
-  expect_monte_carlo("r0.01_n1.5_g0.0.csv", 0.01, 1.5, 0);
-  expect_monte_carlo("r0.05_n1.4_g0.9.csv", 0.05, 1.4, 0.9);
-  expect_monte_carlo("r0.1_n1.0_g0.0.csv", 0.1, 1, 0);
-  expect_monte_carlo("r0.1_n1.4_g0.0.csv", 0.1, 1.4, 0);
-  expect_monte_carlo("r0.2_n1.7_g0.0.csv", 0.2, 1.7, 0);
-  expect_monte_carlo("r1_n1.3_g0.0.csv", 1, 1.3, 0);
-  expect_monte_carlo("r10_n1.5_g0.0.csv", 10, 1.5, 0);
 }
 
 /* The spread of fits over the bound of Cramer and Rao, which is the covariance of the noiseless
@@ -818,10 +752,9 @@ UNIT_TEST(readings_that_rise_with_the_distance_are_implausible) {
   static const unsigned models[] = {CORE_MODEL_TRANSPORT, CORE_MODEL_BETTER, CORE_MODEL_BURLEY};
   static const double at[] = {2, 1, 4, 8}, discs[] = {0.4, 0.4, 0.4, 0.4};
   static const double rising[] = {0.01, 0.001, 0.1, 1}, falling[] = {0.01, 0.03, 0.002, 0.0002};
-  struct subject subject = {.design = {.moments = CORE_MOMENTS_EXACT,
-                                       .eta = 1.4,
-                                       .axis = CORE_FIT_AXIS_RADIUS,
-                                       .count = 4}};
+  struct subject subject = {
+      .design = {
+          .moments = CORE_MOMENTS_EXACT, .eta = 1.4, .axis = CORE_FIT_AXIS_RADIUS, .count = 4}};
   core_fit_design *design = &subject.design;
   design->at = at;
   for (size_t i = 0; i < sizeof models / sizeof models[0]; i++) {
@@ -950,61 +883,4 @@ UNIT_TEST(ten_readings_with_a_free_factor_come_to_the_bound_with_less_noise) {
   assert_true(full.a < 1.25 && full.s < 1.15);
   assert_true(half.a - 1 < (full.a - 1) / 4 + allowed && half.s - 1 < (full.s - 1) / 4 + allowed);
   assert_true(fabs(quarter.a - 1) < allowed && fabs(quarter.s - 1) < allowed);
-}
-
-/* Nor is the spread the search's fault: the medium of least chi-squared on nested grids is the
- * fit's. */
-UNIT_TEST(ten_readings_with_a_free_factor_have_the_greatest_likelihood) {
-  enum { COUNT = 10, STEPS = 20, LEVELS = 7, TRIES = 10 };
-  double at[COUNT], clean[COUNT], errors[COUNT], values[COUNT], model[COUNT];
-  uint64_t random = unit_seed();
-  for (int i = 0; i < COUNT; i++) {
-    at[i] = 0.3 * pow(20, i / (COUNT - 1.0));
-  }
-  const core_fit_design design = {.model = CORE_MODEL_TRANSPORT,
-                                  .moments = CORE_MOMENTS_EXACT,
-                                  .g = 0.8,
-                                  .eta = 1.4,
-                                  .axis = CORE_FIT_AXIS_RADIUS,
-                                  .count = COUNT,
-                                  .at = at,
-                                  .scale = CORE_FIT_SCALE_FREE};
-  core_fit *fit = created(&design);
-  core_fit_model(fit, 0.02, 1.1, clean);
-  for (int n = 0; n < TRIES; n++) {
-    core_fit_result result;
-    for (int i = 0; i < COUNT; i++) {
-      errors[i] = 0.02 * clean[i];
-      values[i] = clean[i] + errors[i] * normal(&random);
-    }
-    core_fit_run(fit, values, errors, &result, NULL);
-    double best = INFINITY, best_a = log(0.02), best_s = log(1.1), width_a = 3, width_s = 1.5;
-    for (int level = 0; level < LEVELS; level++) {
-      const double middle_a = best_a, middle_s = best_s;
-      for (int i = 0; i < (2 * STEPS + 1) * (2 * STEPS + 1); i++) {
-        const double a = middle_a + width_a * (i / (2 * STEPS + 1) - STEPS) / STEPS;
-        const double s = middle_s + width_s * (i % (2 * STEPS + 1) - STEPS) / STEPS;
-        double both = 0, square = 0, chi_squared = 0;
-        core_fit_model(fit, exp(a), exp(s), model);
-        for (int k = 0; k < COUNT; k++) {
-          both += model[k] * values[k] / (errors[k] * errors[k]);
-          square += model[k] * model[k] / (errors[k] * errors[k]);
-        }
-        for (int k = 0; k < COUNT; k++) {
-          chi_squared += pow((values[k] - both / square * model[k]) / errors[k], 2);
-        }
-        if (chi_squared < best) {
-          best = chi_squared;
-          best_a = a;
-          best_s = s;
-        }
-      }
-      width_a /= level < 2 ? 2 : 5;
-      width_s /= level < 2 ? 2 : 5;
-    }
-    assert_true(result.best.chi_squared < best + 1e-9);
-    assert_true(fabs(log(result.best.sigma_a_per_mm) - best_a) < 0.01);
-    assert_true(fabs(log(result.best.sigma_s_prime_per_mm) - best_s) < 0.01);
-  }
-  core_fit_free(fit);
 }

@@ -1,6 +1,6 @@
-/* The solver of tests/accuracy/isotropic/, which other tests take for the truth, against values of
- * another implementation and totals by H functions, and its error estimates at loose tolerances
- * against its values at the tightest. */
+/* The solver of tests/accuracy/isotropic/, which other tests take for the truth, against published
+ * values and totals by H functions, and its error estimates at loose tolerances against its values at
+ * the tightest. */
 #include <math.h>
 
 #include "tests/accuracy/isotropic/isotropic.h"
@@ -63,78 +63,6 @@ static void assert_worst(const struct worst *worst, double bound) {
   assert_true(worst->count > 0);
   assert_true(worst->error <= bound);
   assert_true(worst->ratio <= ESTIMATE_FACTOR);
-}
-
-/* ---- vectors of another implementation ---------------------------------------------------- */
-
-#define VECTORS "../shared/vectors/transport.csv"
-#define PRINTED_DIGITS 5.1e-11 /* 11 digits: half of the last one, relative */
-#define PRINTED_TOTAL 5.1e-12  /* 12 digits */
-
-/* One row: ratio, eta, albedo, total, r, R, single, multiple, error. */
-enum { RATIO, ETA, ALBEDO, TOTAL, RADIUS, VALUE, SINGLE, MULTIPLE, ERROR, COLUMNS };
-
-static bool read_row(char **text, double row[COLUMNS]) {
-  for (int i = 0; i < COLUMNS; i++) {
-    char *end;
-    row[i] = strtod(*text, &end);
-    if (end == *text) {
-      return false;
-    }
-    *text = end + 1;
-  }
-  return true;
-}
-
-struct vector_worst {
-  struct worst R, single, multiple, total;
-};
-
-static void compare_row(struct vector_worst *worst, const isotropic_solution *solution,
-                        const double row[COLUMNS]) {
-  const isotropic_values values = isotropic_at(solution, row[RADIUS]);
-  compare(&worst->R, values.R, row[VALUE], row[ERROR] + PRINTED_DIGITS * row[VALUE]);
-  compare(&worst->single, values.single, row[SINGLE], PRINTED_DIGITS * row[SINGLE]);
-  compare(&worst->multiple, values.multiple, row[MULTIPLE],
-          row[ERROR] + PRINTED_DIGITS * row[MULTIPLE]);
-  compare(&worst->total, isotropic_total(solution), row[TOTAL], PRINTED_TOTAL);
-}
-
-static void hold_vectors(const char *text, double tolerance) {
-  struct vector_worst worst = {{.what = "vectors: R"},
-                               {.what = "vectors: single"},
-                               {.what = "vectors: multiple"},
-                               {.what = "vectors: total"}};
-  char *copy = strdup(text);
-  char *at = strchr(copy, '\n') + 1;
-  double row[COLUMNS], before[COLUMNS] = {0};
-  isotropic_solution *solution = NULL;
-  while (read_row(&at, row)) {
-    if (row[ETA] != before[ETA] || row[ALBEDO] != before[ALBEDO]) {
-      isotropic_solution_free(solution);
-      solution = solve(row[ETA], row[ALBEDO], tolerance);
-    }
-    compare_row(&worst, solution, row);
-    memcpy(before, row, sizeof row);
-  }
-  isotropic_solution_free(solution);
-  free(copy);
-  printf("tolerance %g\n", tolerance);
-  assert_worst(&worst.R, tolerance);
-  assert_worst(&worst.multiple, tolerance);
-  assert_worst(&worst.single, 1e-11);
-  assert_worst(&worst.total, 1e-11);
-  assert_true(worst.R.count == 64 * 18);
-}
-
-UNIT_TEST(vectors_hold) {
-  char *text = unit_read_file(VECTORS);
-  if (text == NULL) {
-    printf("skipped: there is no %s\n", VECTORS);
-    skip();
-  }
-  hold_vectors(text, 1e-7);
-  free(text);
 }
 
 /* ---- published numbers -------------------------------------------------------------------- */
@@ -241,7 +169,7 @@ static void random_medium(uint64_t *random, int i, double *eta, double *albedo) 
                          : unit_random_between(random, 0.01, 1);
 }
 
-/* At the tightest tolerance the solver is right by the vectors above. */
+/* At the tightest tolerance the solver is right by the values above. */
 UNIT_TEST(estimates_are_honest) {
   struct worst worst[TOLERANCES][3];
   uint64_t random = unit_seed();

@@ -1,5 +1,5 @@
-/* The model transport for g other than 0: its values and stated errors against numbers that others
- * made (../shared) and against the solver, and its quantities and evaluators against each other. */
+/* The model transport for g other than 0: its values and stated errors against the solver, and its
+ * quantities and evaluators against each other. */
 #include <math.h>
 
 #include "core/choose.h"
@@ -41,39 +41,6 @@ struct worst {
   double off, share, stated;
   size_t count;
 };
-
-/* R of a ring is the energy in it over its area. MCML counts 0.05 mean free paths a ring. */
-UNIT_TEST(rings_are_those_of_mcml) {
-  char *text = unit_read_file("../shared/mcml/r0.05_n1.4_g0.9.csv");
-  if (text == NULL) {
-    printf("skipped: ../shared/mcml is not there\n");
-    skip();
-  }
-  const core_medium medium = medium_of(0.05, 0.9, 1.4);
-  core_profile profile = prepare(&medium, CORE_EVALUATOR_F64, (double)NAN);
-  double chi_squared = 0, largest = 0;
-  size_t rings = 0;
-  for (char *line = strtok(text, "\n"); line != NULL; line = strtok(NULL, "\n")) {
-    double from, to, R, sigma;
-    if (sscanf(line, "%lf,%lf,%lf,%lf", &from, &to, &R, &sigma) == 4 && sigma < 0.1) {
-      const double within = unit_value_at(&profile, CORE_QUANTITY_CDF, to) -
-                            unit_value_at(&profile, CORE_QUANTITY_CDF, from);
-      const double off = (R * PI * (to * to - from * from) / (within * profile.albedo) - 1) / sigma;
-      chi_squared += off * off;
-      largest = fmax(largest, fabs(off));
-      rings++;
-    }
-  }
-  const double total = 0.369692; /* of 3e6 photons */
-  printf(
-      "%zu rings, chi-squared per ring %.2f (sigma is an upper bound), largest %.1f sigma; albedo "
-      "%.6f, by MCML %.6f\n",
-      rings, chi_squared / (double)rings, largest, profile.albedo, total);
-  assert_true(rings > 80 && chi_squared < 1.2 * (double)rings && largest < 4.5);
-  assert_true(fabs(profile.albedo - total) < 4.5 * sqrt(total / 3e6));
-  core_profile_free(&profile);
-  free(text);
-}
 
 /* ---- the solver ----------------------------------------------------------------------------- */
 

@@ -158,50 +158,6 @@ UNIT_TEST(the_energy_is_the_albedo) {
 
 /* ---- scattering that is not isotropic ------------------------------------------------------- */
 
-/* Asserts that R of the table is as near to a true value as the table says. off: the relative error
- * of the true value itself. Returns the relative error. */
-static double hold_forward(const transport_series *series, double albedo, double g, double eta,
-                           double x, double R, double off) {
-  const double y = log(x);
-  const double error = fabs(exp(transport_series_at(series, y) - series->kappa * x - y) / R - 1);
-  const double stated =
-      transport_table_error(transport_table_shipped(), albedo, g, eta, x, x) + off;
-  if (!(error <= stated)) {
-    fail_msg("albedo %.9g, g %g, eta %g, x %g: off by %.2g, not %.2g", albedo, g, eta, x, error,
-             stated);
-  }
-  return error;
-}
-
-/* One random medium against the solver. */
-UNIT_TEST(the_difference_agrees_with_the_solver) {
-  enum { BOUNDARIES = 8 };
-  uint64_t random = unit_seed();
-  const double ratio = unit_random_log(&random, 1e-4, 5), albedo = 1 / (1 + ratio);
-  const solver_phase phase = {unit_random_between(&random, -0.5, 0.95), 0, NULL};
-  double etas[BOUNDARIES] = {0.7, 1, 2.2}, worst = 0;
-  for (size_t i = 3; i < BOUNDARIES; i++) {
-    etas[i] = unit_random_between(&random, 0.7, 2.2);
-  }
-  solver_solution *solution;
-  unit_assert_fault(
-      solver_solve(&solution, core_isa_select(NULL), ratio, &phase, etas, BOUNDARIES, 1e-3), NULL,
-      0);
-  for (size_t i = 0; i < BOUNDARIES; i++) {
-    transport_series series;
-    transport_table_look_up(transport_table_shipped(), albedo, phase.g, etas[i], &series);
-    for (double x = 1e-4; x < 30; x *= 1.3) {
-      const transport_number R = solver_at(solution, i, x);
-      if (R.value > TRANSPORT_TABLE_R_LEAST) {
-        worst = fmax(
-            worst, hold_forward(&series, albedo, phase.g, etas[i], x, R.value, R.error / R.value));
-      }
-    }
-  }
-  printf("ratio %g, g %g: off from the solver by at most %.2g\n", ratio, phase.g, worst);
-  solver_free(solution);
-}
-
 /* Between the smallest albedos that the table was made from, where series without the ends of the
  * range were up to 1.4e-2 off: whatever is stated, R is within 1e-3. */
 UNIT_TEST(media_without_absorption_are_exact) {

@@ -224,41 +224,6 @@ UNIT_TEST(transport_is_within_its_tolerance) {
   }
 }
 
-/* A surface with a small tolerance stands for what it is made of. */
-UNIT_TEST(surfaces_keep_each_tolerance) {
-  static const double gs[] = {0, 0.5, 0.93, -0.4};
-  static const double tolerances[] = {1e-5, 1e-4, 1e-3};
-  uint64_t random = unit_seed();
-  for (size_t i = 0; i < sizeof gs / sizeof gs[0]; i++) {
-    core_varying varying[3];
-    const double eta = unit_random_between(&random, 0.75, 2.1);
-    for (int k = 0; k < 3; k++) {
-      core_parameters parameters = core_parameters_none();
-      parameters.value[CORE_PARAMETER_TOLERANCE] = tolerances[k];
-      varying[k] = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, gs[i], eta, &parameters);
-      assert_true(varying[k].surface_error > 0 && varying[k].surface_error <= tolerances[k]);
-    }
-    for (int n = 0; n < 5000; n++) {
-      const struct value value = random_value(&random, gs[i], 50);
-      core_varying_range range;
-      if (check(&varying[0], &value, &range) != CORE_VALUE_OK) {
-        continue;
-      }
-      for (int k = 1; k < 3; k++) {
-        const double most = varying[0].surface_error + varying[k].surface_error + 1e-12;
-        for (int q = 0; q < QUANTITIES; q++) {
-          const double one = eval(&varying[0], quantities[q], &value);
-          const double other = eval(&varying[k], quantities[q], &value);
-          assert_true(fabs(other - one) <= most * fabs(one) * (q == 0 ? 1 : 2));
-        }
-      }
-    }
-    for (int k = 0; k < 3; k++) {
-      core_varying_free(&varying[k]);
-    }
-  }
-}
-
 /* The surface ends at its least albedo, within a cell. With a small tolerance it is what the profile
  * of a medium is, which comes from the same table. */
 UNIT_TEST(surfaces_are_right_at_the_least_albedo) {
@@ -541,28 +506,6 @@ UNIT_TEST(colours_lead_to_media_that_have_them_by_the_solver) {
   print_message("%zu colours, albedo by the solver off by %.2g at most\n", count, worst);
 }
 
-UNIT_TEST(colours_of_diffuse_light_lead_to_media_that_have_them) {
-  static const double gs[] = {0, 0.9, -0.4};
-  for (size_t k = 0; k < sizeof gs / sizeof gs[0]; k++) {
-    core_varying varying = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, gs[k], 1.5, NULL);
-    transport_slice *slice = transport_slice_create(transport_table_shipped(), gs[k], 1.5);
-    assert_non_null(slice);
-    const core_colour what = {CORE_LIGHT_DIFFUSE, false, CORE_LENGTH_FREE_PATH};
-    for (double colour = 0.01; colour < 1; colour += 0.03) {
-      const double length = 2;
-      double a, s, albedo;
-      uint8_t status;
-      core_varying_invert_f64(&varying, &what, 1, &colour, &length, &a, &s, &albedo, &status);
-      assert_int_equal(status, CORE_VALUE_OK);
-      const double found = transport_slice_total(slice, 1 - a / 0.5).diffuse;
-      assert_true(fabs(found - colour) < CORE_COLOUR_ERROR);
-      assert_true(fabs((a + s * (1 - gs[k])) * length - 1) < 1e-6);
-    }
-    free(slice);
-    core_varying_free(&varying);
-  }
-}
-
 UNIT_TEST(colours_that_no_medium_has_are_said_to_be_so) {
   core_varying varying = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F32, 0, 1.4, NULL);
   const core_colour what = {CORE_LIGHT_BEAM, true, CORE_LENGTH_FREE_PATH};
@@ -682,30 +625,6 @@ static void compare_bits(const core_varying *whole, const core_varying *pieces, 
       }
       assert_memory_equal(one, other, sizeof one);
     }
-  }
-}
-
-UNIT_TEST(each_instruction_set_and_each_slice_gives_the_same_bits) {
-  static const unsigned models[] = {CORE_MODEL_BETTER, CORE_MODEL_BURLEY, CORE_MODEL_TRANSPORT};
-  uint64_t random = unit_seed();
-  for (size_t m = 0; m < sizeof models / sizeof models[0]; m++) {
-    core_varying portable;
-    core_varying_prepare(&portable, core_isa_select("portable"), models[m], CORE_MOMENTS_EXACT,
-                         CORE_EVALUATOR_F32, 0, 1.4, NULL);
-    for (size_t i = 0; core_isa_listed(i) != NULL; i++) {
-      const core_isa *isa = core_isa_select(core_isa_listed(i));
-      core_varying other;
-      if (isa == NULL) {
-        continue;
-      }
-      core_varying_prepare(&other, isa, models[m], CORE_MOMENTS_EXACT, CORE_EVALUATOR_F32, 0, 1.4,
-                           NULL);
-      assert_int_equal(other.words_count, portable.words_count);
-      assert_memory_equal(other.words, portable.words, other.words_count * sizeof *other.words);
-      compare_bits(&portable, &other, 1, &random);
-      core_varying_free(&other);
-    }
-    core_varying_free(&portable);
   }
 }
 

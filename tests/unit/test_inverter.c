@@ -94,18 +94,6 @@ UNIT_TEST(listed_albedos_come_back) {
   with_every_member(try_listed_albedos);
 }
 
-static void try_random_albedos(unsigned model, unsigned moments, double eta, uint64_t *random) {
-  for (int i = 0; i < 40; i++) {
-    const double albedo =
-        i % 2 == 0 ? unit_random_log(random, 1e-8, 1) : 1 - unit_random_log(random, 1e-15, 1);
-    round_trip(model, moments, fmax(albedo, 1e-8), unit_random_log(random, 1e-6, 1e6), eta);
-  }
-}
-
-UNIT_TEST(random_albedos_come_back) {
-  with_every_member(try_random_albedos);
-}
-
 /* Inverting the albedo and the mean free path of a medium gives its coefficients. */
 UNIT_TEST(coefficients_come_back) {
   for (size_t i = 0; i < core_measured_media_count; i++) {
