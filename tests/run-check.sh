@@ -2,11 +2,13 @@
 # run-check.sh LOGS PART...: runs `make check-PART` for each part, one after the other. A+B,C runs B
 # and then C beside A, with the processor time that it leaves: tests that wait for daemons leave
 # much. Keeps what a part prints in LOGS/PART.log and shows it. At the end it prints how long each
-# part took, every test that was skipped or has failed, and how many tests passed, failed and were
-# skipped; LOGS/failed keeps the names of those that failed, and LOGS/total the numbers. Exits 1 when
-# a part has failed. Up to ten failed tests of pytest or cmocka programs run once more, each alone:
-# one that passes then is named by a line `flaky: NAME` and does not count as failed. With FORBID_SKIPS=yes it also exits 1 when a test was skipped for
-# another reason than that ../shared is missing.
+# part took, the twenty slowest tests, every test that was skipped or has failed, and how many tests
+# passed, failed and were skipped; LOGS/failed keeps the names of those that failed, LOGS/total the
+# numbers, and LOGS/ran a line for each part: when it ran last, on which commit, how long, and whether
+# it passed. Exits 1 when a part has failed. Up to ten failed tests of pytest or cmocka programs run
+# once more, each alone: one that passes then is named by a line `flaky: NAME` and does not count as
+# failed. With FORBID_SKIPS=yes it also exits 1 when a test was skipped for another reason than that
+# ../shared is missing.
 set -u
 logs=$1
 shift
@@ -64,6 +66,19 @@ all_are_flaky() { # PART
   sed 's/^/flaky: /' <<<"$names" >>"$logs/flaky"
 }
 
+# Puts the line of a part into LOGS/ran.
+note_run() { # PART SECONDS STATUS
+  local commit outcome=passed
+  [ "$3" -eq 0 ] || outcome=FAILED
+  commit=$(git describe --always --dirty 2>/dev/null || echo unknown)
+  touch "$logs/ran"
+  {
+    grep -v "^$1 " "$logs/ran"
+    echo "$1 $(date -u +%Y-%m-%dT%H:%MZ) $commit $2 s $outcome"
+  } >"$logs/ran.new"
+  mv "$logs/ran.new" "$logs/ran"
+}
+
 passed=0 failed=0 skipped=0 bad=
 : >"$logs/flaky"
 : >"$logs/skipped"
@@ -76,6 +91,7 @@ for part in $parts; do
     status=0
   fi
   printf '%-12s %4d s%s\n' "$part" "$seconds" "$([ "$status" -eq 0 ] || echo '  FAILED')"
+  note_run "$part" "$seconds" "$status"
   [ "$status" -eq 0 ] || bad="$bad $part"
   case $part in
   unit | units-long)
@@ -104,6 +120,13 @@ for part in $parts; do
     grep -E '^(FAILED|ERROR) ' "$logs/$part.log" >>"$logs/failed" ||
       tail -n 5 "$logs/$part.log" | sed "s/^/$part: /" >>"$logs/failed"
   fi
+done
+
+echo "---- the slowest tests"
+for part in $parts; do
+  sed -nE 's/^passed +([^ ]+) ([0-9.]+) s$/\2 \1/p; s/^([0-9.]+)s call +/\1 /p' "$logs/$part.log"
+done | sort -rn | head -n 20 | while read -r seconds name; do
+  printf '%7.1f s  %s\n' "$seconds" "$name"
 done
 
 cat "$logs/skipped" "$logs/failed" "$logs/flaky"

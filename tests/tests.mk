@@ -2,7 +2,7 @@
 
 BENCH := $(call objects,$(wildcard tests/bench/*.c tests/bench/*/*.c))
 # The longest ones come first, so that no processor waits for them at the end.
-TESTS := $(addprefix $(BUILD)/tests/,unit/test_kernels accuracy/test_choose)
+TESTS := $(addprefix $(BUILD)/tests/,accuracy/test_transport_g accuracy/test_anisotropic unit/test_kernels accuracy/test_montecarlo accuracy/test_models)
 TESTS += $(filter-out $(TESTS),$(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/accuracy/test_*.c tests/unit/test_*.c)))
 TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/accuracy/rings.c tests/accuracy/truth.c tests/bench/*.c tests/bits/*.c tests/e2e/*.c tests/fuzz/*.c tests/pipeline/*.c tests/soak/*.c),$(wildcard tests/*/*.c))) $(ISOTROPIC)
 
@@ -60,7 +60,7 @@ $(BUILD)/prometheus:
 
 # ---- what `make check` runs, and longer forms ------------------------------------------------------
 
-.PHONY: check-programs check-long check-structure check-types check-unit check-units-long check-bits \
+.PHONY: check-programs check-nightly check-ci check-structure check-types check-unit check-units-long check-bits \
 	check-bits-aarch64 check-e2e check-again check-packages check-soak check-soak-long check-tls-long \
 	check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz \
 	check-fuzz-long check-truth check-truth-long check-fits check-varying check-rings rings soak truth \
@@ -68,10 +68,18 @@ $(BUILD)/prometheus:
 
 check-programs: $(TESTS) $(addprefix $(BUILD)/,dipoled-counting wire-tables trade-speed soak-load pipeline tests/bits tests/accuracy/truth)
 
-check-long: ## the tests that take longer: packages in a new system, aarch64, long loads
+# What .ci/run runs after `make check`, and what else takes long. `make check-PART` runs one of them.
+CI_PARTS := bits-aarch64 soak-long tls-long pipeline packages deb
+NIGHTLY_PARTS := $(CI_PARTS) balancer-long+rings,truth-long plan fits+varying units-long fuzz-long
+check-ci: PARTS ?= $(CI_PARTS)
+check-nightly: PARTS ?= $(NIGHTLY_PARTS)
+check-ci: ## packages in a new system, aarch64, long loads
+check-nightly: ## all that takes long, or PARTS of it; build/logs-nightly/ran says what ran when
+check-ci check-nightly:
 	@sh .ci/install-packages demo check deb ci
 	@$(MAKE) --no-print-directory -j2 all $(BUILD)/tests/bits $(BUILD)/soak-load $(BUILD)/pipeline
-	+@bash tests/run-check.sh $(BUILD)/logs-long bits-aarch64 soak-long tls-long balancer-long+rings,truth-long plan pipeline fits+varying units-long fuzz-long packages deb
+	+@bash tests/run-check.sh $(BUILD)/logs-nightly $(PARTS); status=$$?; \
+	  echo "---- when each part ran last"; column -t $(BUILD)/logs-nightly/ran; exit $$status
 
 check-structure: ## circles of modules, words of documents
 	@$(PYTHON) tests/structure.py
@@ -84,9 +92,9 @@ check-unit: $(TESTS) ## tests in C
 	@UNIT_LIMIT_S=$(UNIT_LIMIT_S) bash tests/run-units.sh $(BUILD)/logs $(TESTS)
 
 # Those that have a long form.
-LONG_TESTS := $(addprefix $(BUILD)/tests/,unit/test_kernels accuracy/test_derivative accuracy/test_transport_g accuracy/test_transport_table)
+LONG_TESTS := $(addprefix $(BUILD)/tests/,unit/test_kernels unit/test_inverter accuracy/test_anisotropic accuracy/test_derivative accuracy/test_transport_g accuracy/test_transport_table)
 check-units-long: $(LONG_TESTS)
-	@UNIT_LONG=yes bash tests/run-units.sh $(BUILD)/logs-long $(LONG_TESTS)
+	@UNIT_LONG=yes bash tests/run-units.sh $(BUILD)/logs-nightly $(LONG_TESTS)
 
 check-bits: $(BUILD)/tests/bits ## the same bits from each instruction set
 	@sh tests/run-bits.sh $(BUILD) native

@@ -152,10 +152,10 @@ UNIT_TEST(the_reach_ends_where_R_is_negligible) {
 /* Where nearly nothing is absorbed, light leaves far away, and what is known of R there sets its scale
  * everywhere. The table is least exact for g near -0.5 and a large eta. */
 UNIT_TEST(media_without_absorption_are_within_what_is_stated) {
-  static const double media[][2] = {{1.5e-6, -0.498}, {1e-4, -0.498}, {4.7e-6, -0.2866}};
+  static const double media[][2] = {{1e-4, -0.498}, {1.5e-6, -0.498}, {4.7e-6, -0.2866}};
   const double etas[] = {1.45, 1.9, 2.195};
   uint64_t random = unit_seed();
-  for (size_t m = 0; m < sizeof media / sizeof media[0]; m++) {
+  for (size_t m = 0; m < (unit_is_long() ? sizeof media / sizeof media[0] : 1); m++) {
     const struct excess excess = compare_with_solver(media[m][0], media[m][1], etas, 1e-3,
                                                      (core_radii_range){0.02, 400}, 1e-12, &random);
     assert_true(excess.R > 0);
@@ -302,8 +302,8 @@ static void check_transform(const core_profile *profile, const solver_solution *
 }
 
 UNIT_TEST(quantities_are_integrals_of_the_solvers_R) {
-  static const double media[][3] = {{0.1, 0.9, 1.4}, {2, -0.4, 0.8}};
-  for (size_t m = 0; m < sizeof media / sizeof media[0]; m++) {
+  static const double media[][3] = {{2, -0.4, 0.8}, {0.1, 0.9, 1.4}};
+  for (size_t m = 0; m < (unit_is_long() ? sizeof media / sizeof media[0] : 1); m++) {
     const double ratio = media[m][0], g = media[m][1], eta = media[m][2];
     const solver_phase phase = {g, 0, NULL};
     const core_medium medium = medium_of(ratio, g, eta);
@@ -395,8 +395,8 @@ static void check_quantities(const core_profile *profile, double mfp_mm, uint64_
 
 UNIT_TEST(quantities_and_evaluators_agree) {
   uint64_t random = unit_seed();
-  int clear = 0; /* media without absorption, which take seconds to prepare: one is enough */
-  for (int m = 0; m < 40; m++) {
+  int clear = unit_is_long() ? 0 : 1; /* media without absorption take seconds to prepare */
+  for (int m = 0; m < 24; m++) {
     core_medium medium = random_medium(&random);
     if (!(medium.sigma_a_per_mm > 0) && clear++ > 0) {
       medium.sigma_a_per_mm = 0.01 * medium.sigma_s_per_mm * (1 - medium.g);

@@ -1,7 +1,7 @@
 """Three daemons behind HAProxy, with the configuration of clients/deploy: clients notice nothing
 when a daemon is killed, drained or stopped.
 
-BALANCER_S is for how long test_clients_of_all_kinds() kills and drains: 600 in `make check-long`."""
+BALANCER_S is for how long test_clients_of_all_kinds() kills and drains: 600 in `make check-nightly`."""
 
 from __future__ import annotations
 

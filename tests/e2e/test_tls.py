@@ -28,7 +28,7 @@ from frames import PING, SKIN, assert_serves, frame
 RADII = np.linspace(0.1, 5.0, 65536)
 TLS = "tls:127.0.0.1:0"
 
-# How many half-open handshakes, and fuzzed connections: 10000 in `make check-long`.
+# How many half-open handshakes, and fuzzed connections: 10000 in `make check-ci`.
 MANY = int(os.environ.get("TLS_HANDSHAKES", "600"))
 RECORDS = int(os.environ.get("TLS_RECORDS", "8000"))  # with faults: 1000000 there
 
