@@ -8,7 +8,7 @@
 #include <math.h>
 
 #include "tests/accuracy/montecarlo_run.h"
-#include "tests/bench/plain_walk.h"
+#include "tests/accuracy/plain_walk.h"
 #include "tests/unit/unit.h"
 
 #define DEVIATIONS_MAX 4.0

@@ -1,11 +1,11 @@
 /* plain_walk: Monte Carlo as a simple scalar program: one photon after the other, in double
  * precision, with weights and roulette as in MCML (L. Wang, S. Jacques, L. Zheng 1995). The tests
- * compare the results of core's walk with it, and the benchmark compares the speed.
+ * compare the results of core's walk with it.
  *
  * Lengths are in mean free paths.
  */
-#ifndef DIPOLED_BENCH_PLAIN_WALK_H
-#define DIPOLED_BENCH_PLAIN_WALK_H
+#ifndef DIPOLED_TESTS_PLAIN_WALK_H
+#define DIPOLED_TESTS_PLAIN_WALK_H
 
 #include <math.h>
 #include <stdbool.h>
