@@ -5,7 +5,6 @@
 #include <string.h>
 
 #include "clients/c/error.h"
-#include "clients/c/parts.h"
 #include "proto/eval.h"
 
 /* Returns the wanted quantities as proto/eval.h takes them: with a flag for a sample's radii. */

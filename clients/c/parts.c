@@ -9,6 +9,25 @@
 /* The longest structure of a reply in parts. */
 enum { START_MAX_BYTES = 256 };
 
+libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload_bytes,
+                                     uint64_t stored_bytes, uint32_t channel_count,
+                                     dipole_error *error) {
+  const uint64_t beside =
+      sizeof(libdipole_frame) + channel_count * (uint64_t)sizeof(dipole_channel);
+  libdipole_frame *frame =
+      stored_bytes <= SIZE_MAX - beside ? malloc((size_t)(stored_bytes + beside)) : NULL;
+  if (frame == NULL) {
+    libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory: %llu bytes for an answer",
+                   (unsigned long long)stored_bytes);
+    return NULL;
+  }
+  frame->header = *header;
+  frame->payload_bytes = payload_bytes;
+  frame->stored_bytes = stored_bytes;
+  frame->into_values = frame->into_radii = NULL;
+  return frame;
+}
+
 bool libdipole_part_is_next(const libdipole_pending *pending, const wire_part *part) {
   const uint64_t left = pending->radius_count - pending->next_radius;
   const bool is_last = part->part + 1 == part->part_count;

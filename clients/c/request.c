@@ -10,7 +10,6 @@
 
 #include "clients/c/clock.h"
 #include "clients/c/error.h"
-#include "clients/c/parts.h"
 
 /* A call that sends waits until fewer bytes than this are unsent. */
 #define BACKLOG_MAX_BYTES ((size_t)1 << 20)
@@ -183,25 +182,6 @@ void libdipole_requests_free(dipole_client *client) {
 }
 
 /* ---- answers ------------------------------------------------------------------------------- */
-
-libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload_bytes,
-                                     uint64_t stored_bytes, uint32_t channel_count,
-                                     dipole_error *error) {
-  const uint64_t beside =
-      sizeof(libdipole_frame) + channel_count * (uint64_t)sizeof(dipole_channel);
-  libdipole_frame *frame =
-      stored_bytes <= SIZE_MAX - beside ? malloc((size_t)(stored_bytes + beside)) : NULL;
-  if (frame == NULL) {
-    libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory: %llu bytes for an answer",
-                   (unsigned long long)stored_bytes);
-    return NULL;
-  }
-  frame->header = *header;
-  frame->payload_bytes = payload_bytes;
-  frame->stored_bytes = stored_bytes;
-  frame->into_values = frame->into_radii = NULL;
-  return frame;
-}
 
 static bool refused(const dipole_client *client, const libdipole_pending *pending,
                     const libdipole_frame *frame, dipole_error *error) {

@@ -12,101 +12,10 @@
 #include <sys/types.h>
 
 #include "clients/c/address.h"
+#include "clients/c/parts.h"
 #include "clients/c/stream.h"
-#include "proto/schema.h"
-#include "proto/wire.h"
 
-/* ---- what is asked and answered ------------------------------------------------------------ */
-
-/* A received frame, or an answer that was put together of several frames. The caller's result is the
- * first member, so that freeing it frees the payload, too. Behind the payload there is room for the
- * channels of an eval. If the arrays go into the caller's memory, the payload holds
- * only the head: the fixed part and the channels. */
-typedef struct libdipole_frame {
-  union {
-    dipole_result result;
-    dipole_inversion inversion;
-    dipole_fits fits;
-    dipole_varying_result varying;
-  };
-  wire_header header;
-  uint64_t payload_bytes; /* may be more than a header can say if the answer had several parts */
-  uint64_t stored_bytes;  /* the number of bytes in payload: all of them, or only the head */
-  void *into_values;      /* the caller's memory for the values; NULL if there is none */
-  void *into_radii;
-  _Alignas(8) uint8_t payload[];
-} libdipole_frame;
-
-/* The caller's function that gets each part of an answer when it arrives. */
-typedef struct libdipole_reader {
-  bool (*part)(void *context, const dipole_result *part, uint64_t radius_first);
-  void *context;
-  bool stopped; /* The function returned false. */
-} libdipole_reader;
-
-typedef struct libdipole_pending libdipole_pending;
-
-/* How the answers to one kind of request are read. A function may be NULL. */
-typedef struct libdipole_kind {
-  /* Every daemon gives the same answer to such a request, so the client may send it again. */
-  bool repeatable;
-  /* The time limit of calls does not apply to this kind of request. */
-  bool endless;
-  /* Of an answer in parts: what follows the structure of its reply; NULL: the answer is one frame.
-   * See clients/c/parts.h. */
-  const schema_payload *reply;
-  /* Returns whether a part answers the request, and belongs to `whole`: what has been merged from
-   * the parts before it, or NULL. Both are structures of the reply. Merges the part. */
-  bool (*merge)(const libdipole_pending *pending, const void *part, void *whole);
-  /* Whoever takes an answer in one part checks it. */
-  bool checked_later;
-  /* Gives a part to pending->reader. */
-  void (*hand_on)(libdipole_pending *pending, libdipole_frame *part);
-  /* Returns whether this frame only reports progress, so that more frames follow. */
-  bool (*is_progress)(const libdipole_frame *frame);
-  /* Returns whether a daemon that stopped has cut this answer off, so that the client asks again. */
-  bool (*is_cut_off)(const libdipole_frame *frame);
-  /* Called when the stream's target is full: sets the target for the next bytes of the frame. *more
-   * is false if the frame is complete. NULL: the whole payload is stored in the frame. */
-  bool (*place)(dipole_client *client, libdipole_pending *pending, bool *more, dipole_error *error);
-  /* Called when the request is dropped: keeps the rest of the frame out of the caller's memory. */
-  void (*discard)(dipole_client *client, libdipole_pending *pending);
-} libdipole_kind;
-
-/* A repeatable request whose answer is one frame. */
-extern const libdipole_kind libdipole_plain;
-
-/* A request whose answer has not been handed out. The function that begins the request sets the
- * first group of fields, which say what the answer may look like. */
-struct libdipole_pending {
-  const libdipole_kind *kind;
-  uint16_t type; /* enum wire_type */
-  uint32_t deadline_ms;
-  uint64_t reply_bytes_min, reply_bytes_max; /* limits for the payload of each frame */
-  unsigned model;                            /* of an eval or sample; may be DIPOLE_ANY_MODEL */
-  uint16_t evaluator, wanted;                /* of an eval or sample */
-  uint16_t moments;                          /* of a varying */
-  uint32_t medium_count; /* 0 if the request lists no media; for a fit: residuals of each set */
-  uint64_t radius_count; /* of an eval or sample; for an invert: its media; for a fit: its sets */
-  libdipole_reader *reader; /* gets each part when it arrives; NULL: the parts are put together */
-  void *into_values;        /* see dipole_query */
-  void *into_radii;
-
-  uint64_t id;
-  libdipole_frame *frame; /* the answer; NULL if it is not complete yet */
-  uint32_t next_part;     /* the number of the next part of the answer */
-  uint32_t part_count;    /* the number of parts, as the first one that was gathered says */
-  uint64_t next_radius;   /* the position of the first radius, medium or set of the next part */
-  /* The parts so far, as one answer. If there is a reader, this frame has no arrays. */
-  libdipole_frame *gathered;
-  bool dropped; /* The caller has dropped the request: do not use reader and into_*. */
-
-  size_t frame_bytes;
-  uint8_t *kept;     /* [frame_bytes] copy of the request; NULL: it cannot be sent again */
-  int64_t sent_ms;   /* when the request was first sent, if it has a deadline */
-  int64_t failed_ms; /* when the request first failed; 0 if it has not */
-  int64_t again_ms;  /* when to send the request again; 0 if it has been sent */
-};
+/* ---- a client ----------------------------------------------------------------------------------- */
 
 /* State of receiving the arrays of a frame into the caller's memory. */
 typedef struct libdipole_into {
@@ -210,13 +119,6 @@ bool libdipole_refusal_check(const dipole_client *client, const libdipole_pendin
                              dipole_error *error);
 
 /* ---- for kinds of answers ------------------------------------------------------------------ */
-
-/* Allocates a frame with this header, with room for stored_bytes of payload and for channel_count
- * channels. payload_bytes: the size of the payload in the answer. Returns NULL if there is no
- * memory. */
-libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload_bytes,
-                                     uint64_t stored_bytes, uint32_t channel_count,
-                                     dipole_error *error);
 
 /* Fails with kind PROTOCOL, after which the client can only be closed. Returns false. */
 bool libdipole_bad_answer(dipole_client *client, const char *what, dipole_error *error);
