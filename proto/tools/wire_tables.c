@@ -176,6 +176,55 @@ static void write_structure(FILE *file, const schema_structure *structure) {
   fputs("\"\n    ),", file);
 }
 
+static void write_number(FILE *file, const schema_number *number) {
+  fputs(number->name, file);
+  if (number->mask != 0) {
+    fprintf(file, "&%u", number->mask);
+  }
+}
+
+/* Writes a product in brackets, if there is one. */
+static void write_product(FILE *file, const schema_number *factors, unsigned times, unsigned more) {
+  if (factors[0].name == NULL) {
+    return;
+  }
+  fputc('[', file);
+  for (int i = 0; i < SCHEMA_FACTORS && factors[i].name != NULL; i++) {
+    fputs(i > 0 ? "*" : "", file);
+    write_number(file, &factors[i]);
+  }
+  fprintf(file, times > 1 ? "*%u" : "", times);
+  fprintf(file, more > 0 ? "+%u]" : "]", more);
+}
+
+static void write_part(FILE *file, const schema_part *part) {
+  fprintf(file, "        \"%s %s",
+          part->kind == SCHEMA_LIST ? part->structure->name : schema_kind_name(part->kind),
+          part->name);
+  write_product(file, part->arrays, 1, 0);
+  write_product(file, part->count, part->times, part->more);
+  fputs(part->rest ? "[]" : "", file);
+  if (part->when.name != NULL) {
+    fputs(part->unless ? " unless " : " if ", file);
+    write_number(file, &part->when);
+    fprintf(file, " is %llu", (unsigned long long)part->is);
+  }
+  fputs("\",\n", file);
+}
+
+static void write_payload(FILE *file, const schema_payload *payload) {
+  fprintf(file, "    \"%s\": (\n", payload->name);
+  for (int i = 0; i < 2 && payload->structures[i] != NULL; i++) {
+    fprintf(file, "        \"%s\",\n", payload->structures[i]->name);
+  }
+  for (const schema_part *part = payload->parts; part->name != NULL; part++) {
+    if (!part->never) {
+      write_part(file, part);
+    }
+  }
+  fputs("    ),\n", file);
+}
+
 static int write_schema(const char *path) {
   FILE *file = fopen(path, "wb");
   if (file == NULL) {
@@ -199,7 +248,16 @@ static int write_schema(const char *path) {
   for (size_t i = 0; i < SCHEMA_STRUCTURES; i++) {
     write_structure(file, &schema_structures[i]);
   }
-  fputs("\n}\n", file);
+  fputs("\n}\n\n"
+        "# The structures that a payload begins with, and its parts: element, name, number of "
+        "arrays, and\n"
+        "# of elements in each; wanted&12 is how many of these bits `wanted` has; [] is all that "
+        "is left.\n"
+        "PAYLOADS = {\n",
+        file);
+#define WIRE_PAYLOAD(name, ...) write_payload(file, &schema_##name);
+#include "proto/messages.def"
+  fputs("}\n", file);
   return fclose(file) == 0 ? EXIT_SUCCESS : fail(path, "cannot be written");
 }
 

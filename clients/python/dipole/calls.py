@@ -88,7 +88,7 @@ async def statistics(session: Session) -> dict[str, int]:
     """Returns the daemon's statistics by name. A name ends in the unit of its number."""
 
     def read(reply: bytes) -> dict[str, int]:
-        entries = wire.unpack_list(reply, wire.LIST_REPLY, count=wire.VALUE)[1][0]
+        entries = wire.PAYLOADS["statistics_reply"].unpack(reply)[1]["value"]
         return {entry.name: entry.value for entry in entries}
 
     return await session.ask(Request("statistics", b"", lambda: Once(read)))

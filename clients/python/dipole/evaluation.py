@@ -23,29 +23,30 @@ from .values import Options, Query, Result, SampleOptions, Samples, whole
 T = TypeVar("T")
 
 def _payload(
-    structure: wire.Structure,
+    message: str,
     info: Info,
     query: Query,
     shape: Shape,
     evaluator_id: int,
     media: Array,
-    listed: Array | None,
+    listed: dict[str, Array | None],
     **fields: Any,
 ) -> bytes:
-    """Packs an eval or sample request: the fixed part, media, parameters and listed numbers."""
+    """Packs an eval or sample request. listed: the numbers, if there is a list."""
     parameters = parameters_list(info, query.parameters, query.tolerance)
-    fixed = structure.pack(
-        model=_model_id(info, query),
-        evaluator=evaluator_id,
-        moments=id_of(info, "moments", query.moments),
-        wanted=shape.wanted,
-        medium_count=shape.medium_count,
-        parameter_count=len(parameters),
+    fixed = {
+        "model": _model_id(info, query),
+        "evaluator": evaluator_id,
+        "moments": id_of(info, "moments", query.moments),
+        "wanted": shape.wanted,
+        "medium_count": shape.medium_count,
+        "parameter_count": len(parameters),
         **fields,
+    }
+    lists = {name: array.data for name, array in listed.items() if array is not None and len(array)}
+    return wire.PAYLOADS[message].pack(
+        fixed, medium=media.tobytes(), parameter=b"".join(parameters), **lists
     )
-    numbers = memoryview(b"") if listed is None else listed.data
-    padding = bytes(wire.padded(numbers.nbytes) - numbers.nbytes)
-    return b"".join([fixed, media.tobytes(), *parameters, numbers, padding])
 
 
 def _model_id(info: Info, query: Query) -> int:
@@ -86,13 +87,13 @@ def _eval_payload(info: Info, query: Query) -> tuple[bytes, Shape]:
     )
     rule = grid or Grid(0.0, 0.0, shape.radius_count)
     payload = _payload(
-        wire.EVAL_REQUEST,
+        "eval_request",
         info,
         query,
         shape,
         evaluator_id,
         media,
-        radii,
+        {"r": radii},
         spacing=wire.SPACING_LIST if grid is None else id_of(info, "spacing", rule.spacing),
         radius_count=rule.count,
         radius_start=rule.start_mm,
@@ -155,20 +156,20 @@ async def offers(
     query = Query(None, media, r, **options)
 
     def read(reply: bytes) -> Offers:
-        fixed, (entries,) = wire.unpack_list(reply, wire.OFFERS_REPLY, count=wire.OFFER)
+        fixed, parts = wire.PAYLOADS["offers_reply"].unpack(reply)
         if fixed.taken > fixed.count:
             raise ProtocolError("an offers reply that takes what it does not offer")
         listed = tuple(
             Offer(
-                model=name_of(info, "model", entry.model),
-                evaluator=name_of(info, "evaluator", entry.evaluator),
-                meets=entry.meets != 0,
-                error=entry.error,
-                numerical_error=entry.numerical_error,
-                cost_ns=entry.cost,
-                prepare_ns=entry.prepare_cost,
+                model=name_of(info, "model", int(entry["model"])),
+                evaluator=name_of(info, "evaluator", int(entry["evaluator"])),
+                meets=bool(entry["meets"]),
+                error=float(entry["error"]),
+                numerical_error=float(entry["numerical_error"]),
+                cost_ns=float(entry["cost"]),
+                prepare_ns=float(entry["prepare_cost"]),
             )
-            for entry in entries
+            for entry in parts["offers"]
         )
         return Offers(listed, listed[fixed.taken] if fixed.taken < fixed.count else None)
 
@@ -208,11 +209,11 @@ async def surface(
 async def _table(session: Session, query: Query, make: Callable[[bytes], T]) -> T:
     info = session.info
     parameters = parameters_list(info, query.parameters, query.tolerance)
-    fixed = wire.TABLE_REQUEST.pack(
-        model=_model_id(info, query),
-        moments=id_of(info, "moments", query.moments),
-        parameter_count=len(parameters),
-    )
+    fixed = {
+        "model": _model_id(info, query),
+        "moments": id_of(info, "moments", query.moments),
+        "parameter_count": len(parameters),
+    }
 
     def read(reply: bytes) -> T:
         try:
@@ -220,7 +221,8 @@ async def _table(session: Session, query: Query, make: Callable[[bytes], T]) -> 
         except TableError as error:
             raise ProtocolError(f"a table reply that is not a table: {error}") from error
 
-    payload = b"".join([fixed, media_array(query.media).tobytes(), *parameters])
+    medium = one_medium(query.media)._asdict()
+    payload = wire.PAYLOADS["table_request"].pack(fixed, medium, parameter=b"".join(parameters))
     made = Request("table", payload, lambda: Once(read), query.deadline_ms)
     return await session.ask(made)
 
@@ -263,13 +265,13 @@ async def sample(
     draw_id = wire.DRAW_LIST if draw is None else id_of(info, "draw", draw.rule)
     seeded = draw_id in (wire.DRAW_STRATIFIED, wire.DRAW_RANDOM)
     payload = _payload(
-        wire.SAMPLE_REQUEST,
+        "sample_request",
         info,
         query,
         shape,
         evaluator_id,
         array,
-        listed,
+        {"u": listed},
         draw=draw_id,
         sample_count=shape.radius_count,
         sample_first=0 if draw is None else draw.first,
@@ -377,31 +379,16 @@ class EvalAnswer(Answer[Any]):
 
 
 def _unpack(payload: bytes, drawn: bool) -> Part:
-    """Finds the arrays in a reply: first the radii, unless it answers a sample, then the quantities
-    of each channel. Each array is padded to a multiple of 8 bytes."""
-    if len(payload) < wire.EVAL_REPLY.bytes:
-        raise ProtocolError("an eval reply that is too short")
-    fixed = wire.EVAL_REPLY.unpack(payload)
-    if fixed.evaluator not in wire.EVALUATOR_TYPES:
-        raise ProtocolError(f"an eval reply of evaluator {fixed.evaluator}, not known here")
-    value_type = np.dtype(wire.EVALUATOR_TYPES[fixed.evaluator])
+    """Finds the arrays in a reply: the radii, unless it answers a sample, and the quantities of each
+    channel."""
+    fixed, parts = wire.PAYLOADS["sample_reply" if drawn else "eval_reply"].unpack(payload)
     per_channel = [q for q in (wire.DRAWN if drawn else wire.ELEMENTWISE) if fixed.wanted & q]
     wanted_r = bool(fixed.wanted & wire.QUANTITY_RADIUS) and not drawn
-    error_count = fixed.wanted.bit_count()
-    channels_bytes = fixed.channel_count * (8 + error_count * wire.QUANTITY_ERROR.bytes)
-    stride = wire.padded(fixed.count * value_type.itemsize)
-    array_count = fixed.channel_count * len(per_channel) + wanted_r
-    at = wire.EVAL_REPLY.bytes
-    if len(payload) != at + channels_bytes + array_count * stride:
-        raise ProtocolError("an eval reply whose size does not fit its counts")
-    stated = np.frombuffer(payload, "<f8", channels_bytes // 8, at)
-    values = np.frombuffer(payload, value_type, -1, at + channels_bytes)
-    rows = values.reshape(array_count, -1 if array_count else 0)[:, : fixed.count]
-    arrays = {wire.QUANTITY_RADIUS: rows[0]} if wanted_r else {}
+    arrays = {wire.QUANTITY_RADIUS: parts["r"]} if wanted_r else {}
     for i, quantity in enumerate(per_channel):
-        arrays[quantity] = rows[wanted_r + i :: len(per_channel)]
-    albedos, errors = np.split(stated, [fixed.channel_count])
-    return Part(fixed, albedos, errors.reshape(fixed.channel_count, error_count, 3), arrays)
+        arrays[quantity] = parts["values"][i :: len(per_channel)]
+    errors = parts["errors"].view("<f8").reshape(fixed.channel_count, fixed.wanted.bit_count(), 3)
+    return Part(fixed, parts["albedo"], errors, arrays)
 
 
 def _common_fields(part: Part, info: Info) -> dict[str, Any]:

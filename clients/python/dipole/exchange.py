@@ -77,43 +77,38 @@ class Once(Answer[T]):
 class InParts(Answer[T]):
     """An answer whose items come in parts, which this class checks and puts together.
 
-    structure: of the fixed part of each reply. count: how many items were asked for. A subclass has
-    _bytes_of(), _take() and _whole().
+    payload: of each reply. count: how many items were asked for. A subclass has _take() and
+    _whole(), and may have _check().
     """
 
-    def __init__(self, structure: wire.Structure, count: int):
+    def __init__(self, payload: str, count: int):
         super().__init__()
-        self._structure, self._count = structure, count
+        self._payload, self._count = wire.PAYLOADS[payload], count
         self._next_part = 0
         self._next = 0  # the first item of the next part
 
     def _add(self, payload: bytes) -> None:
-        name, fixed_bytes = self._structure.name, self._structure.bytes
-        if len(payload) < fixed_bytes:
-            raise ProtocolError(f"a {name} that is too short")
-        fixed = self._structure.unpack(payload)
+        name = self._payload.name
+        fixed, parts = self._payload.unpack(payload)
+        self._check(fixed)
         first, count, left = fixed.first, fixed.count, self._count - self._next
-        if len(payload) != fixed_bytes + self._bytes_of(fixed, count):
-            raise ProtocolError(f"a {name} whose size does not fit its counts")
         if (fixed.part, first) != (self._next_part, self._next):
             raise ProtocolError(f"a {name} that is not the next part")
         is_last = fixed.part + 1 == fixed.part_count
         if count > left or is_last != (count == left):
             raise ProtocolError(f"a {name} with another count than was asked for")
-        self._take(fixed, payload, slice(first, first + count))
+        self._take(fixed, parts, slice(first, first + count))
         self._next_part += 1
         self._next += count
         self.ended = is_last
         if is_last:
             self.ready.append(self._whole())
 
-    def _bytes_of(self, fixed: Any, count: int) -> int:
-        """Returns the size of what is behind the fixed part. Raises ProtocolError if that is not
-        of this request."""
-        raise NotImplementedError
+    def _check(self, fixed: Any) -> None:
+        """Raises ProtocolError if a reply is not to this request."""
 
-    def _take(self, fixed: Any, payload: bytes, items: slice) -> None:
-        """Copies a part to its place."""
+    def _take(self, fixed: Any, parts: dict[str, Any], items: slice) -> None:
+        """Copies a part of the answer to its place."""
         raise NotImplementedError
 
     def _whole(self) -> T:

@@ -30,22 +30,19 @@ class Answer(exchange.InParts[Part]):
     """The answer to one fit request. first: position of its first set."""
 
     def __init__(self, first: int, set_count: int, residuals: int):
-        super().__init__(wire.FIT_REPLY, set_count)
+        super().__init__("fit_reply", set_count)
         self._sets = np.empty(set_count, _SETS)
         self._residuals = np.empty((set_count, residuals))
         self._first = first
 
-    def _bytes_of(self, fixed: Any, count: int) -> int:
-        fits = 0 < count >= fixed.fitted_count
+    def _check(self, fixed: Any) -> None:
+        fits = 0 < fixed.count >= fixed.fitted_count
         if fixed.reading_count != self._residuals.shape[1] or not fits:
             raise ProtocolError("a fit reply that does not answer the request")
-        return int(count * (wire.FITTED.bytes + 8 * fixed.reading_count))
 
-    def _take(self, fixed: Any, payload: bytes, items: slice) -> None:
-        at, count = wire.FIT_REPLY.bytes, fixed.count
-        self._sets[items] = np.frombuffer(payload, _SETS, count, at)
-        residuals = np.frombuffer(payload, "<f8", -1, at + count * wire.FITTED.bytes)
-        self._residuals[items] = residuals.reshape(count, fixed.reading_count)
+    def _take(self, fixed: Any, parts: dict[str, Any], items: slice) -> None:
+        self._sets[items] = parts["sets"]
+        self._residuals[items] = parts["residuals"].reshape(fixed.count, fixed.reading_count)
 
     def _whole(self) -> Part:
         return Part(self._first, self._sets, self._residuals)
@@ -112,16 +109,16 @@ async def fit(
     count = readings.shape[-1]
     scale_id = id_of(info, "scale", "reference" if reference is not None else scale)
     listed = parameters_list(info, parameters)
-    fixed = wire.FIT_DESIGN.pack(
-        model=id_of(info, "model", model),
-        moments=id_of(info, "moments", moments),
-        axis=id_of(info, "axis", axis),
-        scale=scale_id,
-        reading_count=count,
-        parameter_count=len(listed),
-        g=float(g or 0.0),
-        eta=float(eta),
-    )
+    design = {
+        "model": id_of(info, "model", model),
+        "moments": id_of(info, "moments", moments),
+        "axis": id_of(info, "axis", axis),
+        "scale": scale_id,
+        "reading_count": count,
+        "parameter_count": len(listed),
+        "g": float(g or 0.0),
+        "eta": float(eta),
+    }
     medium = b""
     if scale_id == wire.SCALE_REFERENCE:
         if reference is None:
@@ -131,8 +128,8 @@ async def fit(
             raise ArgumentError("reference: one Medium")
         medium = known.tobytes()
     given = {"at": at, "source": source, "detector": detector}
-    places = [_place(name, one, count).tobytes() for name, one in given.items()]
-    head = b"".join([fixed, *listed, medium, *places])
+    head = {name: _place(name, one, count).tobytes() for name, one in given.items()}
+    head |= {"parameter": b"".join(listed), "reference": medium}
     lists = (readings.reshape(-1, count), spread.reshape(-1, count))
     sets = np.empty(len(lists[0]), _SETS)
     remainders = np.empty_like(lists[0]) if residuals else None
@@ -143,7 +140,8 @@ async def fit(
         if remainders is not None:
             remainders[part.first : end] = part.residuals
 
-    await session.each(_requests(head, *lists, residuals, deadline_ms), add, OUTSTANDING)
+    requests = _requests(design, head, *lists, residuals, deadline_ms)
+    await session.each(requests, add, OUTSTANDING)
     sets.setflags(write=False)
     shape = readings.shape[:-1]
     names = {choice.id: name for name, choice in info.choices["fit_status"].items()}
@@ -158,18 +156,24 @@ async def fit(
 
 
 def _requests(
-    head: bytes, values: Array, errors: Array, wants_residuals: bool, deadline_ms: int
+    design: dict[str, Any],
+    head: dict[str, bytes],
+    values: Array,
+    errors: Array,
+    wants_residuals: bool,
+    deadline_ms: int,
 ) -> Iterator[exchange.Request[Part]]:
-    """Yields the requests for all sets, one after the other. head: the structures and arrays that
-    they share, from fit_design on. values, errors: [sets, readings]."""
+    """Yields the requests for all sets, one after the other. design, head: what they
+    share. values, errors: [sets, readings]."""
     total, readings = values.shape
     each = max(1, _REQUEST_BYTES // (16 * max(readings, 1)))
     for first in range(0, max(total, 1), each):
         end = min(first + each, total)
-        fixed = wire.FIT_REQUEST.pack(set_count=end - first, residuals=int(wants_residuals))
+        fixed = {"set_count": end - first, "residuals": int(wants_residuals)}
+        arrays = {"values": values[first:end].tobytes(), "errors": errors[first:end].tobytes()}
 
         def answer(first: int = first, count: int = end - first) -> Answer:
             return Answer(first, count, readings if wants_residuals else 0)
 
-        payload = b"".join([fixed, head, values[first:end].tobytes(), errors[first:end].tobytes()])
+        payload = wire.PAYLOADS["fit_request"].pack(fixed, design, **head, **arrays)
         yield exchange.Request("fit", payload, answer, deadline_ms)

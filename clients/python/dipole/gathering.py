@@ -83,7 +83,7 @@ class Piece(NamedTuple):
     """The answer to one gather request."""
 
     replies: list[Any]  # the fixed parts of its parts
-    channels: list[list[Any]]  # the quantity_error structures of its parts
+    channels: list[Array]  # the quantity_error structures of its parts
     sums: Array  # [Q, C]
 
 
@@ -91,22 +91,17 @@ class _Sums(InParts[Piece]):
     """The answer to a gather request."""
 
     def __init__(self, count: int, channels: int):
-        super().__init__(wire.GATHER_REPLY, count)
+        super().__init__("gather_reply", count)
         self._piece = Piece([], [], np.empty((count, channels)))
 
-    def _bytes_of(self, fixed: Any, count: int) -> int:
-        width = self._piece.sums.shape[1]
-        if fixed.channel_count != width:
+    def _check(self, fixed: Any) -> None:
+        if fixed.channel_count != self._piece.sums.shape[1]:
             raise ProtocolError("a gather reply that does not answer the request")
-        return width * (wire.QUANTITY_ERROR.bytes + 8 * count)
 
-    def _take(self, fixed: Any, payload: bytes, items: slice) -> None:
+    def _take(self, fixed: Any, parts: dict[str, Any], items: slice) -> None:
         replies, channels, sums = self._piece
-        begin, each = wire.GATHER_REPLY.bytes, wire.QUANTITY_ERROR.bytes
-        at = begin + each * fixed.channel_count
-        channels.append([wire.QUANTITY_ERROR.unpack(payload, i) for i in range(begin, at, each)])
-        listed = np.frombuffer(payload, "<f8", -1, at)
-        sums[items] = listed.reshape(fixed.count, fixed.channel_count)
+        channels.append(parts["errors"])
+        sums[items] = parts["M"].reshape(fixed.count, fixed.channel_count)
         replies.append(fixed)
 
     def _whole(self) -> Piece:
@@ -114,9 +109,7 @@ class _Sums(InParts[Piece]):
 
 
 def _read_sent(payload: bytes) -> Any:
-    if len(payload) != wire.POINTS_REPLY.bytes:
-        raise ProtocolError("a points reply of an unexpected size")
-    return wire.POINTS_REPLY.unpack(payload)
+    return wire.PAYLOADS["points_reply"].unpack(payload)[0]
 
 
 def _order(queries: Array) -> Any:
@@ -195,7 +188,7 @@ async def gather(
         "set": _words(points.name),
         "tolerance": float(tolerance),
     }
-    head = array.tobytes() + b"".join(structures)
+    head = {"medium": array.tobytes(), "parameter": b"".join(structures)}
     most = _PART_QUERIES
     if tolerance == 0:
         most = max(1, min(most, _PART_PAIRS // max(1, len(points) * channels)))
@@ -205,8 +198,8 @@ async def gather(
     def requests(end: int) -> Iterator[Request[Piece]]:
         for first in range(answered, end, most):
             part = places[first : min(first + most, end)]
-            request = wire.GATHER_REQUEST.pack(query_count=len(part), **fixed)
-            payload = b"".join([request, head, part.tobytes()])
+            request = {"query_count": len(part), **fixed}
+            payload = wire.PAYLOADS["gather_request"].pack(request, xyz=part.tobytes(), **head)
 
             def answer(count: int = len(part)) -> _Sums:
                 return _Sums(count, channels)
@@ -240,10 +233,7 @@ async def gather(
     sums = sums.reshape(*listed.shape[:-1], channels)
     sums.setflags(write=False)
     replies = [reply for piece in pieces for reply in piece.replies]
-    errors = np.max(
-        [[(c.numerical_error, c.model_error) for c in part]
-         for piece in pieces for part in piece.channels], axis=0,
-    )  # fmt: skip
+    stated = np.stack([part for piece in pieces for part in piece.channels])
     return Gathered(
         model=name_of(info, "model", fixed["model"]),
         moments=name_of(info, "moments", fixed["moments"]),
@@ -251,8 +241,8 @@ async def gather(
         tolerance=fixed["tolerance"],
         M=sums,
         bound=max(reply.bound for reply in replies),
-        numerical_error=errors[:, 0],
-        model_error=errors[:, 1],
+        numerical_error=stated["numerical_error"].max(axis=0),
+        model_error=stated["model_error"].max(axis=0),
         points_visited=sum(reply.points_visited for reply in replies),
         nodes_visited=sum(reply.nodes_visited for reply in replies),
         notes=notes_of(info, replies[-1].notes),
@@ -268,16 +258,17 @@ async def _send(session: Session, points: Points, deadline_ms: int) -> None:
             if known:
                 return
             xyz = points.xyz[first : first + _PART_POINTS]
-            power = points.power[first : first + _PART_POINTS].tobytes()
-            fixed = wire.POINTS_REQUEST.pack(
-                set=_words(points.name),
-                channel_count=points.channels,
-                point_count=len(points),
-                point_first=first,
-                part_points=len(xyz),
+            power = points.power[first : first + _PART_POINTS]
+            fixed = {
+                "set": _words(points.name),
+                "channel_count": points.channels,
+                "point_count": len(points),
+                "point_first": first,
+                "part_points": len(xyz),
+            }
+            payload = wire.PAYLOADS["points_request"].pack(
+                fixed, xyz=xyz.tobytes(), power=power.tobytes()
             )
-            padding = bytes(wire.padded(len(power)) - len(power))
-            payload = b"".join([fixed, xyz.tobytes(), power, padding])
             yield Request("points", payload, lambda: Once(_read_sent), deadline_ms)
 
     def take(answer: Any) -> None:

@@ -20,24 +20,22 @@ class Answer(exchange.InParts[Inversion]):
     names the ids."""
 
     def __init__(self, fixed: dict[str, Any], shape: tuple[int, ...], info: Info):
-        super().__init__(wire.INVERT_REPLY, fixed["medium_count"])
+        super().__init__("invert_reply", fixed["medium_count"])
         self._fixed, self._shape, self._info = fixed, shape, info
         self._arrays = np.empty((_ARRAYS, fixed["medium_count"]))
         self._reach: tuple[float, float] | None = None
         self._missing = 0
 
-    def _bytes_of(self, fixed: Any, count: int) -> int:
+    def _check(self, fixed: Any) -> None:
         asked = ("model", "moments", "given")
-        if count == 0 or any(getattr(fixed, name) != self._fixed[name] for name in asked):
+        if fixed.count == 0 or any(getattr(fixed, name) != self._fixed[name] for name in asked):
             raise ProtocolError("an invert reply that does not answer the request")
-        return _ARRAYS * 8 * count
 
-    def _take(self, fixed: Any, payload: bytes, items: slice) -> None:
+    def _take(self, fixed: Any, parts: dict[str, Any], items: slice) -> None:
         reach = (fixed.albedo_least, fixed.albedo_most)
         if fixed.missing_count > fixed.count or self._reach not in (None, reach):
             raise ProtocolError("parts of an invert reply that do not belong together")
-        values = np.frombuffer(payload, "<f8", -1, wire.INVERT_REPLY.bytes)
-        self._arrays[:, items] = values.reshape(_ARRAYS, -1)
+        self._arrays[:, items] = list(parts.values())
         self._reach = reach
         self._missing += fixed.missing_count
 
@@ -93,8 +91,8 @@ async def invert(
         "g": float(g),
         "eta": float(eta),
     }
-    arrays = [albedos.tobytes(), lengths.tobytes()]
-    payload = b"".join([wire.INVERT_REQUEST.pack(**fixed), *arrays])
+    arrays = {"albedo": albedos.tobytes(), "length": lengths.tobytes()}
+    payload = wire.PAYLOADS["invert_request"].pack(fixed, **arrays)
 
     def answer() -> Answer:
         return Answer(fixed, albedos.shape, info)

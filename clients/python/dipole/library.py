@@ -108,19 +108,17 @@ class Fetched:
             raise TableError(f"a {kind} with something behind it")
         self._info = info
         self.data: bytes = data  # the frame
-        self._fixed: Any = wire.TABLE_REPLY.unpack(data, wire.HEADER.bytes)
+        self._fixed: Any
+        self._fixed, parts = wire.PAYLOADS["table_reply"].unpack(data[wire.HEADER.bytes :])
+        self._listed = parts["parameter"]
         self.model_id: int = self._fixed.model
         self.moments_id: int = self._fixed.moments
         self.model: str | int = self._name("model", self.model_id)
         self.moments: str | int = self._name("moments", self.moments_id)
-        at = wire.HEADER.bytes + wire.TABLE_REPLY.bytes
-        each = wire.PARAMETER.bytes
-        self._listed = [
-            wire.PARAMETER.unpack(data, at + i * each) for i in range(self._fixed.parameter_count)
-        ]
         # The parameters of the request by name, or without the daemon's lists by id.
         self.parameters: dict[str | int, float] = {
-            self._name("parameter", one.parameter): one.value for one in self._listed
+            self._name("parameter", int(one["parameter"])): float(one["value"])
+            for one in self._listed
         }
 
     def __reduce__(self) -> tuple[Any, ...]:

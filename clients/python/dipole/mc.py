@@ -109,19 +109,20 @@ def pack_request(
 ) -> bytes:
     """Packs an mc request. The daemon checks the numbers."""
     listed = np.asarray(list(albedos), "<f8")
-    fixed = wire.MC_REQUEST.pack(
-        spacing=spacing,
-        albedo_count=len(listed),
-        ring_count=whole(edges.count) - 1,
-        radius_start=edges.start_mm,
-        radius_stop=edges.stop_mm,
-        thickness=math.inf if thickness is None else thickness,
-        seed=whole(seed),
-        photons=whole(photons),
-        error_total=error_total,
-        error_rings=error_rings,
-    )
-    return fixed + wire.MEDIUM.pack(**one_medium(medium)._asdict()) + listed.tobytes()
+    fixed = {
+        "spacing": spacing,
+        "albedo_count": len(listed),
+        "ring_count": whole(edges.count) - 1,
+        "radius_start": edges.start_mm,
+        "radius_stop": edges.stop_mm,
+        "thickness": math.inf if thickness is None else thickness,
+        "seed": whole(seed),
+        "photons": whole(photons),
+        "error_total": error_total,
+        "error_rings": error_rings,
+    }
+    known = one_medium(medium)._asdict()
+    return wire.PAYLOADS["mc_request"].pack(fixed, known, albedo=listed.tobytes())
 
 
 def unpack_fixed(payload: bytes) -> Any:
@@ -147,8 +148,7 @@ def _sides(values: Sequence[float], errors: Sequence[float]) -> tuple[McValue, M
     return McValue(values[0], errors[0]), McValue(values[1], errors[1])
 
 
-def _energy(payload: bytes, offset: int) -> McEnergy:
-    one = wire.MC_ENERGY.unpack(payload, offset)
+def _energy(one: Any) -> McEnergy:
     return McEnergy(
         albedo=one.albedo,
         R=McValue(one.reflected, one.reflected_error),
@@ -165,28 +165,20 @@ def _energy(payload: bytes, offset: int) -> McEnergy:
 
 def unpack_result(payload: bytes) -> McResult:
     """Makes the result of the last reply of a job."""
-    fixed = unpack_fixed(payload)
+    fixed, parts = wire.PAYLOADS["mc_reply"].unpack(payload)
     albedos, sides, rings = fixed.albedo_count, fixed.side_count, fixed.ring_count
-    energies_at = wire.MC_REPLY.bytes + 8 * (rings + 1)
-    photons_at = energies_at + albedos * wire.MC_ENERGY.bytes
-    values_at = photons_at + 8 * sides * rings
-    if len(payload) != values_at + 8 * albedos * sides * 2 * rings:
-        raise ProtocolError("an mc reply whose size does not fit its counts")
     if fixed.state not in wire.MC_STATES:
         raise ProtocolError(f"an mc reply in state {fixed.state}, which is not known here")
-    photons = np.frombuffer(payload, "<u8", sides * rings, photons_at)
-    values = np.frombuffer(payload, "<f8", -1, values_at).reshape(albedos, sides, 2, rings)
+    values = parts["rings"].reshape(albedos, sides, 2, rings)
     return McResult(
         state=wire.MC_STATES[fixed.state],
         photons=fixed.photons,
         error_total=fixed.error_total,
         error_rings=fixed.error_rings,
         worst_ring_mm=(fixed.worst_from, fixed.worst_to),
-        edges=np.frombuffer(payload, "<f8", rings + 1, wire.MC_REPLY.bytes),
-        energies=tuple(
-            _energy(payload, at) for at in range(energies_at, photons_at, wire.MC_ENERGY.bytes)
-        ),
-        ring_photons=photons.reshape(sides, rings),
+        edges=parts["edges"],
+        energies=tuple(_energy(one) for one in parts["energy"]),
+        ring_photons=parts["photons"].reshape(sides, rings),
         values=values[:, :, 0],
         errors=values[:, :, 1],
         payload=bytes(payload),

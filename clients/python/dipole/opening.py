@@ -140,11 +140,9 @@ def _hello(address: str) -> Request[Info]:
     request = wire.HELLO_REQUEST.pack(version_min=wire.VERSION, version_max=wire.VERSION)
 
     def read(reply: bytes) -> Info:
-        fixed, (choices, limits) = wire.unpack_list(
-            reply, wire.HELLO_REPLY, choice_count=wire.CHOICE, limit_count=wire.VALUE
-        )
+        fixed, parts = wire.PAYLOADS["hello_reply"].unpack(reply)
         by_kind: dict[str, dict[str, Choice]] = {kind: {} for kind in wire.KINDS.values()}
-        for choice in choices:
+        for choice in parts["choice"]:
             kind = wire.KINDS.get(choice.kind)
             if kind is not None:  # A newer daemon may list kinds that this client does not know.
                 by_kind[kind][choice.name] = Choice(choice.id, choice.name, choice.about)
@@ -156,7 +154,7 @@ def _hello(address: str) -> Request[Info]:
             protocol_version=fixed.version,
             workers=fixed.workers,
             choices=by_kind,
-            limits={limit.name: limit.value for limit in limits},
+            limits={limit.name: limit.value for limit in parts["limit"]},
         )
 
     return Request("hello", request, lambda: Once(read))

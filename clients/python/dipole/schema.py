@@ -198,3 +198,144 @@ STRUCTURES = {
         "u16 status, u16 zero, u32 retry_after_ms, u64 index, text field[32], text allowed[80], "
     ),
 }
+
+# The structures that a payload begins with, and its parts: element, name, number of arrays, and
+# of elements in each; wanted&12 is how many of these bits `wanted` has; [] is all that is left.
+PAYLOADS = {
+    "hello_request": (
+        "hello_request",
+    ),
+    "hello_reply": (
+        "hello_reply",
+        "choice choice[choice_count]",
+        "value limit[limit_count]",
+    ),
+    "eval_request": (
+        "eval_request",
+        "medium medium[medium_count]",
+        "parameter parameter[parameter_count]",
+        "real r[radius_count] if spacing is 1",
+    ),
+    "eval_reply": (
+        "eval_reply",
+        "f64 albedo[channel_count]",
+        "quantity_error errors[channel_count*wanted&65535]",
+        "real r[count] if wanted&8 is 1",
+        "real values[channel_count*wanted&12277][count]",
+    ),
+    "sample_reply": (
+        "eval_reply",
+        "f64 albedo[channel_count]",
+        "quantity_error errors[channel_count*wanted&65535]",
+        "real values[channel_count*wanted&12285][count]",
+    ),
+    "media_reply": (
+        "list_reply",
+        "measured_medium media[count]",
+    ),
+    "statistics_reply": (
+        "list_reply",
+        "value value[count]",
+    ),
+    "mc_request": (
+        "mc_request",
+        "medium",
+        "f64 albedo[albedo_count]",
+        "parameter parameter[]",
+    ),
+    "mc_reply": (
+        "mc_reply",
+        "f64 edges[ring_count+1] unless state is 0",
+        "mc_energy energy[albedo_count]",
+        "u64 photons[side_count*ring_count]",
+        "f64 rings[albedo_count*side_count*ring_count*2]",
+    ),
+    "cancel_request": (
+        "cancel_request",
+    ),
+    "cancel_reply": (
+        "cancel_reply",
+    ),
+    "table_request": (
+        "table_request",
+        "medium",
+        "parameter parameter[parameter_count]",
+    ),
+    "table_reply": (
+        "table_reply",
+        "parameter parameter[parameter_count]",
+        "u32 words[word_count]",
+    ),
+    "offers_reply": (
+        "offers_reply",
+        "offer offers[count]",
+    ),
+    "sample_request": (
+        "sample_request",
+        "medium medium[medium_count]",
+        "parameter parameter[parameter_count]",
+        "real u[sample_count] if draw is 1",
+    ),
+    "invert_request": (
+        "invert_request",
+        "f64 albedo[medium_count]",
+        "f64 length[medium_count]",
+    ),
+    "invert_reply": (
+        "invert_reply",
+        "f64 sigma_a[count]",
+        "f64 sigma_s[count]",
+        "f64 albedo[count]",
+    ),
+    "fit_request": (
+        "fit_request",
+        "fit_design",
+        "parameter parameter[parameter_count]",
+        "medium reference if scale is 3",
+        "f64 at[reading_count]",
+        "f64 source[reading_count]",
+        "f64 detector[reading_count]",
+        "f64 values[reading_count*set_count]",
+        "f64 errors[reading_count*set_count]",
+    ),
+    "fit_reply": (
+        "fit_reply",
+        "fitted sets[count]",
+        "f64 residuals[count*reading_count]",
+    ),
+    "varying_request": (
+        "varying_request",
+        "parameter parameter[parameter_count]",
+        "real sigma_a[value_count] if given is 0",
+        "real colour[value_count] unless given is 0",
+        "real sigma_s[value_count] if given is 0",
+        "real length[value_count] unless given is 0",
+        "real r[value_count] if numbers is 1",
+        "real u[value_count] if numbers is 2",
+    ),
+    "varying_reply": (
+        "varying_reply",
+        "real coefficients[coefficients&65535][count]",
+        "real values[wanted&61439][count]",
+        "u8 statuses[count]",
+    ),
+    "points_request": (
+        "points_request",
+        "f64 xyz[part_points*3]",
+        "f32 power[channel_count*part_points]",
+    ),
+    "points_reply": (
+        "points_reply",
+    ),
+    "gather_request": (
+        "gather_request",
+        "medium medium[medium_count]",
+        "parameter parameter[parameter_count]",
+        "f64 xyz[query_count*3]",
+    ),
+    "gather_reply": (
+        "gather_reply",
+        "quantity_error errors[channel_count]",
+        "f64 M[channel_count*count]",
+    ),
+}

@@ -147,7 +147,7 @@ class Session:
         """Returns the daemon's measured media."""
 
         def read(reply: bytes) -> MeasuredMedia:
-            entries = wire.unpack_list(reply, wire.LIST_REPLY, count=wire.MEASURED_MEDIUM)[1][0]
+            entries = wire.PAYLOADS["media_reply"].unpack(reply)[1]["media"]
             return {
                 one.name: tuple(map(Medium, one.sigma_a, one.sigma_s, [one.g] * 3, [one.eta] * 3))
                 for one in entries

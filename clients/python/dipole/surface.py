@@ -184,7 +184,7 @@ class Surface(Fetched):
             raise ArgumentError(f"{', '.join(arguments)}: {error}") from error
         shape = listed[0].shape
         arrays = [np.ascontiguousarray(one) for one in listed]
-        parameters = [_Parameter(one.parameter, one.value) for one in self._listed]
+        parameters = [_Parameter(int(one["parameter"]), float(one["value"])) for one in self._listed]
         query = _Query(
             model=self.model_id,
             evaluator=wire.EVALUATORS[self.evaluator],

@@ -26,7 +26,7 @@ class Plan(NamedTuple):
     shape: tuple[int, ...]
     fixed: dict[str, Any]  # the fields of the request but value_count
     parameters: list[bytes]
-    arrays: list[Array]
+    arrays: dict[str, Array]  # by the name of the part
     wanted: dict[int, str]  # names of quantities by bit, in the order of a reply's arrays
     coefficients: dict[int, str]
     type: str
@@ -39,9 +39,11 @@ class Plan(NamedTuple):
         return [self._request(first, min(count - first, VALUES_MOST)) for first in firsts]
 
     def _request(self, first: int, count: int) -> Request[Piece]:
-        fixed = wire.VARYING_REQUEST.pack(value_count=count, **self.fixed)
-        arrays = [_padded(array[first : first + count].tobytes()) for array in self.arrays]
-        payload = b"".join([fixed, *self.parameters, *arrays])
+        fixed = {"value_count": count, **self.fixed}
+        arrays = {name: one[first : first + count].tobytes() for name, one in self.arrays.items()}
+        payload = wire.PAYLOADS["varying_request"].pack(
+            fixed, parameter=b"".join(self.parameters), **arrays
+        )
         return Request("varying", payload, lambda: Answer(self, count), self.deadline_ms)
 
     def join(self, pieces: list[Piece]) -> Varying:
@@ -93,34 +95,25 @@ class Answer(InParts[Piece]):
     """The answer to a varying request."""
 
     def __init__(self, plan: Plan, count: int):
-        super().__init__(wire.VARYING_REPLY, count)
+        super().__init__("varying_reply", count)
         self._plan = plan
         arrays = len(plan.wanted) + len(plan.coefficients)
         self._arrays = np.empty((arrays, count), plan.type)
         self._statuses = np.empty(count, np.uint8)
         self._replies: list[Any] = []
 
-    def _bytes_of(self, fixed: Any, count: int) -> int:
+    def _check(self, fixed: Any) -> None:
         asked = ("model", "evaluator", "moments", "wanted", "coefficients")
         if any(getattr(fixed, name) != self._plan.fixed[name] for name in asked):
             raise ProtocolError("a varying reply that does not answer the request")
-        array_bytes = wire.padded(count * self._arrays.itemsize)
-        return len(self._arrays) * array_bytes + wire.padded(count)
 
-    def _take(self, fixed: Any, payload: bytes, items: slice) -> None:
-        at, count = wire.VARYING_REPLY.bytes, fixed.count
-        for array in self._arrays:
-            array[items] = np.frombuffer(payload, self._plan.type, count, at)
-            at += wire.padded(count * array.itemsize)
-        self._statuses[items] = np.frombuffer(payload, np.uint8, count, at)
+    def _take(self, fixed: Any, parts: dict[str, Any], items: slice) -> None:
+        self._arrays[:, items] = np.concatenate([parts["coefficients"], parts["values"]])
+        self._statuses[items] = parts["statuses"]
         self._replies.append(fixed)
 
     def _whole(self) -> Piece:
         return Piece(self._replies, list(self._arrays), self._statuses)
-
-
-def _padded(data: bytes) -> bytes:
-    return data + bytes(wire.padded(len(data)) - len(data))
 
 
 def _bits(info: Info, kind: str, names: str | Iterable[str]) -> dict[int, str]:
@@ -226,7 +219,9 @@ async def varying(
             "eta": float(eta),
         },
         parameters=parameter_structures,
-        arrays=[np.ascontiguousarray(array).ravel() for array in listed],
+        arrays={
+            name: np.ascontiguousarray(array).ravel() for name, array in zip(arrays, listed)
+        },
         wanted=wanted_bits,
         coefficients=coefficient_bits,
         type=type,

@@ -6,9 +6,11 @@ unpacks into a named tuple.
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from collections import namedtuple
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -131,6 +133,11 @@ class Structure:
             at += count
         return self.name
 
+    @property
+    def is_flat(self) -> bool:
+        """Whether it has no text and no arrays."""
+        return all(field.kind != "text" and not field.is_array for field in self.fields)
+
     def dtype(self) -> np.dtype[Any]:
         """Returns the type of numpy arrays of this structure, which has no text and no arrays."""
         numpy_kinds = {"u16": "<u2", "u32": "<u4", "u64": "<u8", "f64": "<f8"}
@@ -195,21 +202,90 @@ GATHER_REPLY = STRUCTURES["gather_reply"]
 ERROR = STRUCTURES["error"]
 
 
-def unpack_list(
-    payload: bytes, fixed_structure: Structure, **lists: Structure
-) -> tuple[Any, list[list[Any]]]:
-    """Unpacks a payload of a fixed part and then lists. For each list, `lists` maps the field of
-    the fixed part that holds its length to the structure of its entries."""
-    if len(payload) < fixed_structure.bytes:
-        raise ProtocolError(f"a {fixed_structure.name} that is too short")
-    fixed = fixed_structure.unpack(payload)
-    at = fixed_structure.bytes
-    expected = at + sum(getattr(fixed, count) * entry.bytes for count, entry in lists.items())
-    if len(payload) != expected:
-        raise ProtocolError(f"a {fixed_structure.name} of an unexpected size")
-    unpacked = []
-    for count, entry in lists.items():
-        end = at + getattr(fixed, count) * entry.bytes
-        unpacked.append([entry.unpack(payload, offset) for offset in range(at, end, entry.bytes)])
-        at = end
-    return fixed, unpacked
+_NUMBERS = {"u8": "u1", "u32": "<u4", "u64": "<u8", "f32": "<f4", "f64": "<f8"}
+_PART = re.compile(r"(\w+) (\w+)((?:\[[^\]]*\])*)(?: (if|unless) (\S+) is (\d+))?")
+
+
+def _factor(text: str, fixed: Any) -> int:
+    """Returns a number of a payload's structure, or how many of its bits are in a mask."""
+    name, _, mask = text.partition("&")
+    if name.isdecimal():
+        return int(name)
+    value = int(getattr(fixed, name))
+    return (value & int(mask)).bit_count() if mask else value
+
+
+def _product(text: str, fixed: Any) -> int:
+    product, _, more = text.partition("+")
+    return math.prod(_factor(one, fixed) for one in product.split("*")) + int(more or 0)
+
+
+class Part:
+    """A part of a payload, declared by a text of schema.PAYLOADS."""
+
+    def __init__(self, declaration: str):
+        match = _PART.fullmatch(declaration)
+        assert match is not None
+        self.element, self.name, products, self._how, self._if, self._is = match.groups()
+        self._products = re.findall(r"\[([^\]]*)\]", products)
+
+    def shape(self, fixed: Any) -> tuple[int, ...]:
+        """Returns the number of elements, or of arrays and of the elements of each."""
+        there = not self._how or (_factor(self._if, fixed) == int(self._is)) == (self._how == "if")
+        return tuple(_product(one, fixed) for one in self._products or ["1"]) if there else (0,)
+
+    def take(self, data: bytes, at: int, fixed: Any) -> tuple[Any, int]:
+        """Reads the part at an offset. Returns its elements, and where it ends."""
+        *arrays, count = self.shape(fixed)
+        structure = STRUCTURES.get(self.element)
+        if structure is not None and not structure.is_flat:
+            ends = range(at, at + count * structure.bytes, structure.bytes)
+            return [structure.unpack(data, i) for i in ends], at + count * structure.bytes
+        kind = EVALUATOR_TYPES[fixed.evaluator] if self.element == "real" else self.element
+        dtype = structure.dtype() if structure is not None else np.dtype(_NUMBERS.get(kind, kind))
+        each = padded(count * dtype.itemsize)
+        if not arrays:
+            return np.frombuffer(data, dtype, count, at), at + each
+        rows = np.frombuffer(data, dtype, arrays[0] * each // dtype.itemsize, at)
+        return rows.reshape(arrays[0], each // dtype.itemsize)[:, :count], at + arrays[0] * each
+
+
+class Payload:
+    """The payload of a message: one structure or two, and the parts that follow."""
+
+    def __init__(self, name: str, declarations: tuple[str, ...]):
+        self.name = name
+        self._structures = [STRUCTURES[one] for one in declarations if " " not in one]
+        self._parts = [Part(one) for one in declarations if " " in one]
+        self._bytes = sum(structure.bytes for structure in self._structures)
+
+    def pack(self, *fixed: Mapping[str, Any], **parts: Any) -> bytes:
+        """Returns the bytes of a payload. fixed: the fields of its structures. parts: bytes, or
+        arrays that hold them, by name; those that are not given have no elements."""
+        pieces = [one.pack(**given) for one, given in zip(self._structures, fixed, strict=True)]
+        for part in self._parts:
+            data = memoryview(parts.pop(part.name, b"")).cast("B")
+            pieces += [data, bytes(padded(len(data)) - len(data))]
+        assert not parts, parts
+        return b"".join(pieces)
+
+    def unpack(self, payload: bytes) -> tuple[Any, dict[str, Any]]:
+        """Returns the first structure, and the parts by name: arrays, or lists of structures that
+        hold text or arrays. Raises ProtocolError if the length does not fit the counts."""
+        if len(payload) < self._bytes:
+            raise ProtocolError(f"a {self.name} that is too short")
+        fixed, at = self._structures[0].unpack(payload), self._bytes
+        if getattr(fixed, "evaluator", 1) not in EVALUATOR_TYPES:
+            raise ProtocolError(f"a {self.name} of evaluator {fixed.evaluator}, not known here")
+        parts = {}
+        try:
+            for part in self._parts:
+                parts[part.name], at = part.take(payload, at, fixed)
+        except (ValueError, OverflowError, struct.error):
+            at = -1
+        if at != len(payload):
+            raise ProtocolError(f"a {self.name} whose size does not fit its counts")
+        return fixed, parts
+
+
+PAYLOADS = {name: Payload(name, parts) for name, parts in schema.PAYLOADS.items()}
