@@ -1,6 +1,7 @@
 #include "clients/cli/image.h"
 
 #include <errno.h>
+#include <lcms2.h>
 #include <math.h>
 #include <png.h>
 #include <stdint.h>
@@ -36,7 +37,7 @@ static void on_png_error(png_structp png, png_const_charp what) {
   png_longjmp(png, 1);
 }
 
-/* Says why a colour profile is not used; libpng then leaves it out. */
+/* Says why a colour profile is not used; libpng then leaves it out. One of sRGB is known without it. */
 static void on_png_warning(png_structp png, png_const_charp what) {
   if (strncmp(what, "iCCP", 4) == 0 && strstr(what, "known incorrect sRGB") == NULL) {
     cli_say(CLI_OK, "%s: its colour profile is not used: %s", (const char *)png_get_error_ptr(png),
@@ -44,51 +45,79 @@ static void on_png_warning(png_structp png, png_const_charp what) {
   }
 }
 
-/* Makes linear light of a share of the largest value. exponent: 0 for the curve of sRGB */
-static double decode(double share, double exponent) {
-  return exponent > 0       ? pow(share, exponent)
-         : share <= 0.04045 ? share / 12.92
-                            : pow((share + 0.055) / 1.055, 2.4); /* IEC 61966-2-1 */
+/* Makes the profile of grey values, or of those with the primaries of sRGB (ITU-R BT.709). Frees the
+ * curve. */
+static cmsHPROFILE make_profile(size_t channels, cmsToneCurve *curve) {
+  const cmsCIExyY white = {0.3127, 0.3290, 1};
+  const cmsCIExyYTRIPLE primaries = {{0.64, 0.33, 1}, {0.30, 0.60, 1}, {0.15, 0.06, 1}};
+  cmsToneCurve *const curves[] = {curve, curve, curve};
+  cmsHPROFILE made = channels == 3 ? cmsCreateRGBProfile(&white, &primaries, curves)
+                                   : cmsCreateGrayProfile(cmsD50_xyY(), curve);
+  cmsFreeToneCurve(curve);
+  return made;
 }
 
-static double refuse_curve(const char *file, const char *what) {
-  cli_fail("%s: its %s is none of sRGB that is known here: save it as sRGB without one, or add "
-           "--linear if its values are linear",
-           file, what);
-  return -1;
-}
-
-/* Finds out how a file says that its values become linear light: cICP goes first, then sRGB, iCCP
- * and gAMA (Portable Network Graphics, third edition). Without a word they are sRGB, and so they
- * are where gAMA is nearly 1 / 2.2, which files that are sRGB say, and where libpng knows the colour
- * profile. Returns the exponent, 0 for sRGB; or -1 after a message. */
-static double find_exponent(png_structp png, png_infop info, const char *file) {
-  enum { CICP_SRGB = 13 };
+/* Returns how a file says that its values become linear light: cICP goes first, then sRGB, iCCP and
+ * gAMA (Portable Network Graphics, third edition). Without a word they are sRGB, and so they are
+ * where gAMA is nearly 1 / 2.2, which files that are sRGB say. Returns NULL if that is not known. */
+static cmsHPROFILE profile_of(png_structp png, png_infop info, size_t channels) {
+  enum { CICP_SRGB = 13, OF_SRGB = 4 };
+  const double sRGB[] = {2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045}; /* IEC 61966-2-1 */
   png_unknown_chunkp chunks = NULL;
-  double gamma;
+  double gamma = 0;
+  png_charp name;
+  png_bytep bytes;
+  png_uint_32 count;
+  int method;
+  bool known = png_get_valid(png, info, PNG_INFO_sRGB) != 0;
   if (png_get_unknown_chunks(png, info, &chunks) > 0) { /* cICP alone is kept */
-    return chunks[0].size == 4 && chunks[0].data[1] == CICP_SRGB ? 0
-                                                                 : refuse_curve(file, "cICP chunk");
+    known = chunks[0].size == 4 && chunks[0].data[1] == CICP_SRGB;
+    if (!known) {
+      return NULL;
+    }
   }
-  if (png_get_valid(png, info, PNG_INFO_sRGB) != 0) {
-    return 0;
+  if (!known && png_get_iCCP(png, info, &name, &method, &bytes, &count) != 0) {
+    return cmsOpenProfileFromMem(bytes, count);
   }
-  if (png_get_valid(png, info, PNG_INFO_iCCP) != 0) {
-    return refuse_curve(file, "colour profile");
-  }
-  const bool tells = png_get_gAMA(png, info, &gamma) != 0 && gamma > 0;
-  return tells && fabs(gamma * 2.2 - 1) > 0.01 ? 1 / gamma : 0;
+  const bool tells = !known && png_get_gAMA(png, info, &gamma) != 0 && gamma > 0;
+  return make_profile(channels, tells && fabs(gamma * 2.2 - 1) > 0.01
+                                    ? cmsBuildGamma(NULL, 1 / gamma)
+                                    : cmsBuildParametricToneCurve(NULL, OF_SRGB, sRGB));
 }
 
-/* Computes the values of one row. table: [256] for 8 bits. Returns how many pixels are opaque. */
-static size_t take_row(const uint8_t *row, unsigned bits, size_t samples, const float table[256],
-                       double exponent, const cli_image *image, float *values) {
+/* Makes linear light of the primaries of sRGB of the values of an image. */
+static bool make_linear(png_structp png, png_infop info, const char *file, cli_image *image) {
+  const cmsUInt32Number type = image->channels == 3 ? TYPE_RGB_FLT : TYPE_GRAY_FLT;
+  cmsHPROFILE from = profile_of(png, info, image->channels);
+  cmsHPROFILE to = make_profile(image->channels, cmsBuildGamma(NULL, 1));
+  cmsHTRANSFORM made = from == NULL
+                           ? NULL
+                           : cmsCreateTransform(from, type, to, type, INTENT_RELATIVE_COLORIMETRIC,
+                                                cmsFLAGS_NOOPTIMIZE | cmsFLAGS_NOCACHE);
+  for (size_t y = 0; made != NULL && y < image->height; y++) {
+    float *row = image->values + y * image->width * image->channels;
+    cmsDoTransform(made, row, row, (cmsUInt32Number)image->width);
+  }
+  if (made != NULL) {
+    cmsDeleteTransform(made);
+  } else {
+    fail(file, "it says what its values are by a cICP chunk or a colour profile that is not known "
+               "here: save it as sRGB, or add --linear if its values are linear");
+  }
+  cmsCloseProfile(to);
+  cmsCloseProfile(from);
+  return made != NULL;
+}
+
+/* Takes the values of one row as shares of the largest. Returns how many pixels are opaque. */
+static size_t take_row(const uint8_t *row, unsigned bits, size_t samples, const cli_image *image,
+                       float *values) {
   const size_t bytes = bits / 8;
   size_t opaque = 0;
   for (size_t x = 0; x < image->width; x++, row += samples * bytes) {
     for (size_t c = 0; c < image->channels; c++) {
       const uint8_t *at = row + c * bytes;
-      *values++ = bits == 8 ? table[*at] : (float)decode((at[0] * 256 + at[1]) / 65535.0, exponent);
+      *values++ = (float)(bits == 8 ? *at / 255.0 : (at[0] * 256 + at[1]) / 65535.0);
     }
     const uint8_t *last = row + samples * bytes - bytes;
     opaque += samples == image->channels || (last[0] == 255 && last[bytes - 1] == 255);
@@ -125,12 +154,7 @@ struct png_reading {
 
 static bool read_png_rows(png_structp png, png_infop info, const char *file, size_t file_bytes,
                           bool linear, struct png_reading *reading, cli_image *image) {
-  float table[256];
   if (!start_png(png, info, file, file_bytes, image)) {
-    return false;
-  }
-  const double exponent = linear ? 1 : find_exponent(png, info, file);
-  if (exponent < 0) {
     return false;
   }
   const size_t row_bytes = png_get_rowbytes(png, info);
@@ -144,20 +168,17 @@ static bool read_png_rows(png_structp png, png_infop info, const char *file, siz
   }
   png_read_image(png, reading->rows);
   png_read_end(png, NULL);
-  for (unsigned i = 0; i < 256; i++) {
-    table[i] = (float)decode(i / 255.0, exponent);
-  }
   const size_t pixels = image->width * image->height;
   size_t opaque = 0;
   for (size_t y = 0; y < image->height; y++) {
     opaque += take_row(reading->rows[y], png_get_bit_depth(png, info), png_get_channels(png, info),
-                       table, exponent, image, image->values + y * image->width * image->channels);
+                       image, image->values + y * image->width * image->channels);
   }
   if (opaque < pixels) {
     cli_say(CLI_OK, "%s: %zu of %zu pixels are not opaque; their opacity (alpha) is left out", file,
             pixels - opaque, pixels);
   }
-  return true;
+  return linear || make_linear(png, info, file, image);
 }
 
 static bool read_png(const char *file, FILE *from, size_t file_bytes, bool linear,

@@ -1,4 +1,4 @@
-/* image: reads and writes pictures whose values are numbers: PNG (libpng) and the portable float
+/* image: reads and writes pictures whose values are numbers: PNG (libpng, and lcms2 for its colours) and the portable float
  * map PFM (Debevec 1998). */
 #ifndef DIPOLE_CLI_IMAGE_H
 #define DIPOLE_CLI_IMAGE_H
@@ -16,8 +16,8 @@ typedef struct cli_image {
 } cli_image;
 
 /* Reads a file: PNG or PFM, as its first bytes say. Says on standard error if an opacity is left
- * out. The values of a PNG are shares of the largest one; unless `linear`, they are decoded to
- * linear light as the file says by gAMA, else as sRGB. Says what is wrong and returns
+ * out. The values of a PNG are shares of the largest one; unless `linear`, they become linear light of
+ * the primaries of sRGB, as the file says by a colour profile or gAMA, else from sRGB. Says what is wrong and returns
  * false if it cannot be read. The caller frees image->values with free(). */
 bool cli_image_read(const char *file, bool linear, cli_image *image);
 

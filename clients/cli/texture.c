@@ -22,7 +22,7 @@ static const cli_option options[] = {
                "the colours contain what the surface itself reflects (Fresnel)"),
     CLI_OPTION(SWITCH, linear, NULL,
                "the values of a PNG are linear, whatever it says (default: what it says, "
-               "by gAMA, else sRGB)"),
+               "by a colour profile or gAMA, else sRGB)"),
     CLI_OPTION(NAMES, coefficients, NULL,
                "what to write: sigma_a, sigma_s (1/mm), and scattered, the single-scattering "
                "albedo for random walks (default: sigma_a,sigma_s)"),
