@@ -12,8 +12,7 @@ $(BUILD)/reference: $(call tool,reference)
 $(BUILD)/apertures: $(call tool,apertures)
 $(addprefix $(BUILD)/,trade-speed reference): LIBS = $(CORE_LIBS)
 $(BUILD)/picture: $(OBJ)/clients/c/examples/picture.o $(BUILD)/libdipole.a
-$(BUILD)/picture: LIBS = $(call libs,libpng) $(TLS_LIBS)
-$(OBJ)/clients/c/examples/picture.o: EXTRA_CPPFLAGS = $(call cflags,libpng)
+$(BUILD)/picture: LIBS = $(TLS_LIBS)
 PROGRAMS += $(addprefix $(BUILD)/,trade-speed transport-table reference apertures picture)
 
 .PHONY: tables reference tradeoff apertures figures picture gather-figure fit-bias
