@@ -247,7 +247,7 @@ def test_examples(daemon, name):
     with Tcp(daemon(*TCP)) as master:
         for one in [*before(name), name]:
             master.socket.sendall(EXAMPLES[f"{one}-request"])
-            expected = EXAMPLES[f"{one}-answer"]
+            expected = EXAMPLES[f"{one}-reply"]
             assert master.receive_bytes(len(expected)).hex() == expected.hex()
             for field in ("MC_STATUS", "FIT_STATUS"):
                 assert eventually(lambda field=field: not busy(master, field))
