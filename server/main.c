@@ -10,7 +10,7 @@
 #include <unistd.h>
 
 #include "proto/standard.h"
-#include "server/http/library.h"
+#include "server/http/header.h"
 #include "server/http/service.h"
 #include "server/jobs/mc_pool.h"
 #include "server/modbus/service.h"
@@ -390,7 +390,7 @@ static int run(struct daemon *daemon) {
   struct server *server = &daemon->server;
   if (!set_log_level(&server->options) || !choose_isa(server) ||
       !access_read_option("allow", &server->options.allow, &access_anyone, &server->allow) ||
-      !http_library_check_names(&server->options.http_name)) {
+      !http_header_check_names(&server->options.http_name)) {
     return 2;
   }
   server->buffers.most = server->options.max_total_bytes;

@@ -558,7 +558,7 @@ static unsigned check_header(struct http_connection *c, const char *url, const c
                              const char *version, wire_error *error) {
   const bool reads = strcmp(method, "GET") == 0 || strcmp(method, "HEAD") == 0;
   c->has_body = strcmp(method, "POST") == 0;
-  const unsigned misfit = http_library_check(c->handle, options_of(c), url, version, "/", error);
+  const unsigned misfit = http_header_check(c->handle, options_of(c), url, version, "/", error);
   c->unclear = misfit == MHD_HTTP_BAD_REQUEST;
   if (misfit != 0) {
     return misfit;

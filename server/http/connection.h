@@ -8,7 +8,7 @@
 #ifndef DIPOLED_HTTP_CONNECTION_H
 #define DIPOLED_HTTP_CONNECTION_H
 
-#include "server/http/library.h"
+#include "server/http/header.h"
 #include "server/net/client.h"
 #include "server/server.h"
 

@@ -113,7 +113,7 @@ static struct MHD_Daemon *start_daemon(struct http_host *host, int fd) {
       MHD_OPTION_LISTEN_SOCKET, fd, MHD_OPTION_CONNECTION_LIMIT,
       (unsigned)options->max_http_connections + REFUSALS_AT_ONCE, MHD_OPTION_CONNECTION_TIMEOUT,
       (unsigned)(options->frame_timeout_ms + 999) / 1000, MHD_OPTION_CONNECTION_MEMORY_LIMIT,
-      (size_t)HTTP_CONNECTION_BYTES, MHD_OPTION_UNESCAPE_CALLBACK, http_library_leave_escaped, NULL,
+      (size_t)HTTP_CONNECTION_BYTES, MHD_OPTION_UNESCAPE_CALLBACK, http_header_leave_escaped, NULL,
       MHD_OPTION_URI_LOG_CALLBACK, http_connection_begin, host, MHD_OPTION_NOTIFY_COMPLETED,
       http_connection_complete, host, MHD_OPTION_NOTIFY_CONNECTION, http_connection_notify, host,
       MHD_OPTION_END);
@@ -144,7 +144,7 @@ struct http_service *http_service_open(struct server *server, struct worker *wor
       .worker = worker,
       .buffers = {.most = server->options.max_total_bytes / 2, .whole = &server->buffers},
       .service = &service->client};
-  service->count = http_library_listen("http", server->options.http, fds);
+  service->count = tcp_listen_option("http", server->options.http, fds);
   bool good = service->count > 0;
   for (size_t i = 0; i < service->count; i++) {
     good &= open_port(service, &service->ports[i], fds[i]);

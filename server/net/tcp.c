@@ -174,6 +174,23 @@ size_t tcp_listen(const char *host_port, int fds[TCP_ADDRESSES_MAX], const char 
   return count;
 }
 
+size_t tcp_listen_option(const char *option, const char *address, int fds[TCP_ADDRESSES_MAX]) {
+  char local[64];
+  const char *port = strchr(address, ':') == NULL ? address
+                     : address[0] == ':'          ? address + 1
+                                                  : NULL;
+  const char *why;
+  if (port != NULL) {
+    snprintf(local, sizeof local, "127.0.0.1:%s", port);
+  }
+  const size_t count = tcp_listen(port != NULL ? local : address, fds, &why);
+  if (count == 0) {
+    fprintf(stderr, "dipoled: --%s %s: %s. Write HOST:PORT, or a PORT of this machine\n", option,
+            address, why);
+  }
+  return count;
+}
+
 int tcp_lowest_descriptor(void) {
   const int lowest = fcntl(STDERR_FILENO, F_DUPFD_CLOEXEC, 0);
   if (lowest >= 0) {

@@ -13,6 +13,11 @@ enum { TCP_ADDRESSES_MAX = 8 }; /* of one name */
  * are. On failure, returns 0 and sets *why to the reason. */
 size_t tcp_listen(const char *host_port, int fds[TCP_ADDRESSES_MAX], const char **why);
 
+/* Listens at [HOST]:PORT, where no HOST means the loopback interface: at each address of a name.
+ * Returns how many sockets it has opened. On failure, prints a message with the option's name to
+ * standard error and returns 0. */
+size_t tcp_listen_option(const char *option, const char *address, int fds[TCP_ADDRESSES_MAX]);
+
 /* Returns the number that the next descriptor would get; -1 with errno if none is left. */
 int tcp_lowest_descriptor(void);
 

@@ -10,7 +10,7 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "server/http/library.h"
+#include "server/http/header.h"
 #include "server/net/tcp.h"
 #include "server/net/worker.h"
 #include "server/observe/health.h"
@@ -232,7 +232,7 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *connecti
   wire_error error;
   (void)body, (void)body_bytes, (void)state;
   const unsigned refused =
-      http_library_check(connection, &metrics->server->options, url, version, NULL, &error);
+      http_header_check(connection, &metrics->server->options, url, version, NULL, &error);
   if (refused != 0) {
     char text[160];
     snprintf(text, sizeof text, "%s: %s\n", error.field, error.allowed);
@@ -282,7 +282,7 @@ static struct MHD_Daemon *start(struct port *port, int fd) {
       MHD_USE_AUTO | MHD_USE_INTERNAL_POLLING_THREAD | MHD_USE_ITC, 0, NULL, NULL, on_request, port,
       MHD_OPTION_LISTEN_SOCKET, fd, MHD_OPTION_CONNECTION_LIMIT, (unsigned)MOST_CONNECTIONS,
       MHD_OPTION_CONNECTION_TIMEOUT, (unsigned)SILENCE_S, MHD_OPTION_CONNECTION_MEMORY_LIMIT,
-      (size_t)CONNECTION_BYTES, MHD_OPTION_UNESCAPE_CALLBACK, http_library_leave_escaped, NULL,
+      (size_t)CONNECTION_BYTES, MHD_OPTION_UNESCAPE_CALLBACK, http_header_leave_escaped, NULL,
       MHD_OPTION_NOTIFY_CONNECTION, on_connection, port, MHD_OPTION_END);
 }
 
@@ -312,7 +312,7 @@ struct metrics *metrics_open(struct server *server, const char *address) {
   metrics->start_s = (double)now.tv_sec + (double)now.tv_nsec / 1e9 -
                      (double)(uv_hrtime() - server->started_ns) / 1e9;
   metrics->server = server;
-  const size_t count = http_library_listen("metrics", address, fds);
+  const size_t count = tcp_listen_option("metrics", address, fds);
   bool good = count > 0;
   for (size_t i = 0; i < count; i++) {
     good &= open_port(metrics, &metrics->ports[i], fds[i]);

@@ -1,11 +1,11 @@
-#include "server/http/library.h"
+#include "server/http/header.h"
 
 #include <arpa/inet.h>
 #include <stdio.h>
 #include <string.h>
 #include <strings.h>
 
-size_t http_library_leave_escaped(void *context, struct MHD_Connection *connection, char *text) {
+size_t http_header_leave_escaped(void *context, struct MHD_Connection *connection, char *text) {
   (void)context, (void)connection;
   return strlen(text);
 }
@@ -50,7 +50,7 @@ static enum MHD_Result note_field(void *context, enum MHD_ValueKind kind, const 
 /* What a name of a host consists of. */
 #define NAME_BYTES "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-._"
 
-bool http_library_check_names(const struct options_list *names) {
+bool http_header_check_names(const struct options_list *names) {
   for (size_t i = 0; i < names->count; i++) {
     const char *name = names->items[i];
     const size_t length = strlen(name);
@@ -99,9 +99,9 @@ static bool may_ask(const struct options *options, const struct header *header, 
                               (header->origin != NULL && strcmp(allowed, header->origin) == 0)));
 }
 
-unsigned http_library_check(struct MHD_Connection *connection, const struct options *options,
-                            const char *target, const char *version, const char *open_path,
-                            wire_error *error) {
+unsigned http_header_check(struct MHD_Connection *connection, const struct options *options,
+                           const char *target, const char *version, const char *open_path,
+                           wire_error *error) {
   struct header header = {0};
   const bool is_old = strcmp(version, MHD_HTTP_VERSION_1_0) == 0;
   MHD_get_connection_values(connection, MHD_HEADER_KIND, note_field, &header);
@@ -131,23 +131,4 @@ unsigned http_library_check(struct MHD_Connection *connection, const struct opti
     return MHD_HTTP_FORBIDDEN;
   }
   return 0;
-}
-
-/* ---- listening ------------------------------------------------------------------------------- */
-
-size_t http_library_listen(const char *option, const char *address, int fds[TCP_ADDRESSES_MAX]) {
-  char local[64];
-  const char *port = strchr(address, ':') == NULL ? address
-                     : address[0] == ':'          ? address + 1
-                                                  : NULL;
-  const char *why;
-  if (port != NULL) {
-    snprintf(local, sizeof local, "127.0.0.1:%s", port);
-  }
-  const size_t count = tcp_listen(port != NULL ? local : address, fds, &why);
-  if (count == 0) {
-    fprintf(stderr, "dipoled: --%s %s: %s. Write HOST:PORT, or a PORT of this machine\n", option,
-            address, why);
-  }
-  return count;
 }
