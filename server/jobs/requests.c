@@ -192,6 +192,23 @@ static bool cancel_requests(void *canceller, uint64_t request_id) {
   return found;
 }
 
+bool requests_give_up(struct requests *r) {
+  const wire_error error =
+      wire_error_make(WIRE_STATUS_CANCELLED, "connection", "one whose client may still send");
+  bool any = r->run.state == RUN_WAITS;
+  struct detached *one;
+  if (any) {
+    run_give_up(&r->run, &error);
+  }
+  TAILQ_FOREACH(one, &r->detached, in_requests) {
+    if (one->run.state == RUN_WAITS && one->type->kind->stop == NULL) {
+      run_give_up(&one->run, &error);
+      any = true;
+    }
+  }
+  return any;
+}
+
 static void start_request(struct requests *r, struct run *run, const struct job_type *type,
                           const wire_header *header, const uint8_t *payload, uint64_t arrived_ns) {
   struct job_request request = {.type = type,

@@ -75,6 +75,10 @@ uint64_t requests_deadline_ms(const struct requests *requests);
 /* Answers waiting requests whose deadline has passed with DEADLINE. Returns whether there were any. */
 bool requests_expire(struct requests *requests);
 
+/* Refuses the requests that wait for a preparation: their client seems to have gone. Returns whether
+ * there were any. */
+bool requests_give_up(struct requests *requests);
+
 /* Makes detached requests end soon that can end with a part of their results. Returns whether there
  * are any detached requests. */
 bool requests_stop_detached(struct requests *requests, enum job_stop why);

@@ -1,5 +1,6 @@
 #include "server/net/connection.h"
 
+#include <poll.h>
 #include <stdlib.h>
 
 #include "server/jobs/requests.h"
@@ -13,6 +14,7 @@ enum {
   WRITE_BUFFERS = 16,
   WRITE_BYTES = 262144, /* at most in one turn: about 60 microseconds */
   REST_MS = 1000,       /* the silence after which the connection releases its buffers */
+  HANG_UP_MS = 1000,    /* how long preparations go on for a peer that has ended its side */
   LINGER_MS = 1000,     /* how long the peer may take to close after the last answer */
 };
 
@@ -177,6 +179,13 @@ static void read_behind(struct connection *c) {
   set_reading(c, !c->peer_done && input_room_behind(&c->input, &room) > 0);
 }
 
+/* Returns whether the peer of a Unix socket has closed both of its sides: nobody reads the answers.
+ * TCP does not tell that from the end of the sending side. */
+static bool has_hung_up(const struct connection *c) {
+  struct pollfd peer = {.fd = c->fd};
+  return poll(&peer, 1, 0) > 0 && (peer.revents & (POLLHUP | POLLERR)) != 0;
+}
+
 /* Takes the bytes that have been read; the connection answers their requests in the same round of
  * the loop. It stops reading only if work is left after that, so that a client that waits for each
  * answer costs no calls to stop and start reading. */
@@ -204,8 +213,9 @@ static void on_received(void *owner, ssize_t bytes) {
     }
     if (bytes == UV_ENOBUFS) {
       refuse_for_memory(c);
-    } else if (bytes == UV_EOF && !c->lingering) {
+    } else if (bytes == UV_EOF && !c->lingering && !has_hung_up(c)) {
       c->peer_done = true;
+      c->active_ms = now_ms(c);
     } else {
       abort_connection(c);
     }
@@ -438,6 +448,9 @@ static void tick(struct client *client, uint64_t now_ms) {
     return;
   }
   requests_trim(&c->requests, now_ms);
+  if (c->peer_done && now_ms - c->active_ms > HANG_UP_MS && requests_give_up(&c->requests)) {
+    worker_run_later(&c->client);
+  }
   if (!requests_hold_input(&c->requests)) {
     input_trim(&c->input, now_ms);
   }

@@ -4,6 +4,7 @@ is bounded, and answers do not depend on the cache."""
 from __future__ import annotations
 
 import resource
+import socket
 
 import pytest
 from daemons import eventually
@@ -327,6 +328,32 @@ def test_stopping_while_nobody_waits(daemon):
         assert under_way(counted)
     one.terminate()
     assert one.wait() == 0
+
+
+SOLVED = [(0.001, 1.0, -0.9, 1.4)]  # for seconds, as it is beyond the table
+
+
+def test_a_solution_that_nobody_waits_for_stops(daemon):
+    one = daemon()
+    counted = Counted(one)
+    with one.connect() as connection:
+        connection.send_bytes(frame(EVAL, 77, payload("transport", SOLVED)))
+        assert under_way(counted)
+    one.terminate()
+    assert one.wait() == 0
+    assert not any("drain-timeout" in line for line in one.log)
+
+
+def test_a_client_that_ends_its_side_waits_for_no_solution(daemon):
+    one = daemon()
+    with one.connect("tcp") as connection:
+        connection.send_bytes(frame(EVAL, 76, payload("better")) + frame(EVAL, 77, payload("transport", SOLVED)))
+        connection.socket.shutdown(socket.SHUT_WR)
+        assert connection.receive_frame().type == REPLY
+        assert_error(connection.receive_frame(), "cancelled", "connection", "one whose client may still send",
+                     request_id=77)  # fmt: skip
+        assert_closed(connection)
+    assert_daemon_serves(one)
 
 
 def test_stopping_waits_for_what_has_begun_alone(daemon, connections):
