@@ -53,19 +53,6 @@ static bool check(const dipole_fit_query *query, dipole_error *error) {
   return true;
 }
 
-static void put_query(uint8_t *payload, const fit_start *start, const schema_layout *layout,
-                      const dipole_fit_query *query) {
-  memcpy(payload, start, sizeof *start);
-  libdipole_parameters_put(payload + layout->parts[FIT_PARAMETERS].at, query->parameters,
-                           query->parameter_count);
-  schema_put_part(payload, layout, FIT_REFERENCE, &query->reference);
-  schema_put_part(payload, layout, FIT_AT, query->at);
-  schema_put_part(payload, layout, FIT_SOURCE, query->source_mm);
-  schema_put_part(payload, layout, FIT_DETECTOR, query->detector_mm);
-  schema_put_part(payload, layout, FIT_VALUES, query->values);
-  schema_put_part(payload, layout, FIT_ERRORS, query->errors);
-}
-
 static bool send(dipole_client *client, const dipole_fit_query *query, libdipole_pending *pending,
                  dipole_error *error) {
   if (!check(query, error)) {
@@ -80,14 +67,10 @@ static bool send(dipole_client *client, const dipole_fit_query *query, libdipole
                             .parameter_count = (uint16_t)query->parameter_count,
                             .g = query->g,
                             .eta = query->eta}};
-  schema_layout layout;
-  uint8_t *at;
-  schema_lay_out(&schema_fit_request, &start, UINT64_MAX, &layout, NULL);
-  if (!libdipole_request_begin(client, pending, layout.payload_bytes, &at, error)) {
-    return false;
-  }
-  put_query(at, &start, &layout, query);
-  return libdipole_request_send(client, error);
+  const void *const parts[] = {query->parameters, &query->reference,  query->at,
+                               query->source_mm,  query->detector_mm, query->values,
+                               query->errors};
+  return libdipole_request_put(client, pending, &schema_fit_request, &start, parts, error);
 }
 
 bool dipole_fit(dipole_client *client, const dipole_fit_query *query, dipole_fits **fits,

@@ -138,20 +138,16 @@ static bool send_points(struct run *run, dipole_error *error) {
                                      .point_count = info->point_count,
                                      .point_first = run->next_point,
                                      .part_points = n};
-  schema_layout layout;
-  uint8_t *at;
-  schema_lay_out(&schema_points_request, &fixed, UINT64_MAX, &layout, NULL);
+  const void *const parts[] = {info->xyz_mm + run->next_point * GATHER_AXES,
+                               info->power_W + run->next_point * info->channel_count};
   if (!set_deadline(run, &pending, error) ||
-      !libdipole_request_begin(run->client, &pending, layout.payload_bytes, &at, error)) {
+      !libdipole_request_put(run->client, &pending, &schema_points_request, &fixed, parts, error)) {
     return false;
   }
-  wire_put_points_request(at, &fixed);
-  schema_put_part(at, &layout, 0, info->xyz_mm + run->next_point * GATHER_AXES);
-  schema_put_part(at, &layout, 1, info->power_W + run->next_point * info->channel_count);
   run->next_point += n;
   run->ids[run->under_way] = pending.id;
   run->counts[run->under_way++] = 0;
-  return libdipole_request_send(run->client, error);
+  return true;
 }
 
 /* Returns how many queries the next request has. */

@@ -54,25 +54,15 @@ static bool check(const dipole_invert_query *query, dipole_error *error) {
 
 static bool send(dipole_client *client, const dipole_invert_query *query,
                  libdipole_pending *pending, dipole_error *error) {
-  uint8_t *at;
+  const void *const parts[] = {query->albedos, query->lengths_mm};
   const wire_invert_request fixed = {.model = (uint16_t)query->model,
                                      .moments = (uint16_t)query->moments,
                                      .given = (uint16_t)query->given,
                                      .medium_count = query->medium_count,
                                      .g = query->g,
                                      .eta = query->eta};
-  if (!check(query, error) ||
-      !libdipole_request_begin(client, pending, schema_bytes(&schema_invert_request, &fixed), &at,
-                               error)) {
-    return false;
-  }
-  wire_put_invert_request(at, &fixed);
-  const size_t bytes = (size_t)query->medium_count * sizeof(double);
-  if (bytes > 0) {
-    memcpy(at + WIRE_BYTES_invert_request, query->albedos, bytes);
-    memcpy(at + WIRE_BYTES_invert_request + bytes, query->lengths_mm, bytes);
-  }
-  return libdipole_request_send(client, error);
+  return check(query, error) &&
+         libdipole_request_put(client, pending, &schema_invert_request, &fixed, parts, error);
 }
 
 bool dipole_invert(dipole_client *client, const dipole_invert_query *query,

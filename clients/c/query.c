@@ -96,18 +96,33 @@ static bool check_list(const void *list, uint64_t count, unsigned evaluator, con
   return true;
 }
 
-/* Writes media, parameters, and a list of numbers with padding. */
-static void put_lists(uint8_t *at, const dipole_medium *media, uint32_t medium_count,
-                      const dipole_parameter *parameters, size_t parameter_count, const void *list,
-                      size_t list_bytes) {
-  for (uint32_t i = 0; i < medium_count; i++) {
-    at = libdipole_medium_put(at, &media[i]);
+/* ---- payloads ------------------------------------------------------------------------------ */
+
+_Static_assert(sizeof(dipole_medium) == WIRE_BYTES_medium, "media are written as they are");
+
+void libdipole_payload_put(uint8_t *at, const schema_payload *payload, const schema_layout *layout,
+                           const void *start, const void *const parts[]) {
+  memcpy(at, start, payload->fixed_bytes);
+  for (unsigned i = 0; payload->parts[i].name != NULL; i++) {
+    if (payload->parts[i].structure == &schema_structures[SCHEMA_STRUCTURE_parameter]) {
+      libdipole_parameters_put(at + layout->parts[i].at, parts[i], layout->parts[i].count);
+    } else {
+      schema_put_part(at, layout, i, parts[i]);
+    }
   }
-  at = libdipole_parameters_put(at, parameters, parameter_count);
-  if (list_bytes > 0) {
-    memcpy(at, list, list_bytes);
-    memset(at + list_bytes, 0, (size_t)wire_padded(list_bytes) - list_bytes);
+}
+
+bool libdipole_request_put(dipole_client *client, libdipole_pending *pending,
+                           const schema_payload *payload, const void *start,
+                           const void *const parts[], dipole_error *error) {
+  schema_layout layout = {.payload_bytes = UINT64_MAX};
+  uint8_t *at;
+  schema_lay_out(payload, start, UINT64_MAX, &layout, NULL);
+  if (!libdipole_request_begin(client, pending, layout.payload_bytes, &at, error)) {
+    return false;
   }
+  libdipole_payload_put(at, payload, &layout, start, parts);
+  return libdipole_request_send(client, error);
 }
 
 /* ---- eval and offers ----------------------------------------------------------------------- */
@@ -143,7 +158,6 @@ static bool check_query(const dipole_query *query, uint64_t *radii_bytes, dipole
 static bool send_query(dipole_client *client, const dipole_query *query, libdipole_pending *pending,
                        dipole_error *error) {
   uint64_t radii_bytes;
-  uint8_t *at;
   if (!check_query(query, &radii_bytes, error)) {
     return false;
   }
@@ -161,14 +175,8 @@ static bool send_query(dipole_client *client, const dipole_query *query, libdipo
                                    .radius_count = query->radius_count,
                                    .radius_start = list ? 0 : query->radius_start_mm,
                                    .radius_stop = list ? 0 : query->radius_stop_mm};
-  if (!libdipole_request_begin(client, pending, schema_bytes(&schema_eval_request, &fixed), &at,
-                               error)) {
-    return false;
-  }
-  wire_put_eval_request(at, &fixed);
-  put_lists(at + WIRE_BYTES_eval_request, query->media, query->medium_count, query->parameters,
-            query->parameter_count, query->radii, (size_t)radii_bytes);
-  return libdipole_request_send(client, error);
+  const void *const parts[] = {query->media, query->parameters, query->radii};
+  return libdipole_request_put(client, pending, &schema_eval_request, &fixed, parts, error);
 }
 
 /* Checks that a caller who has given memory for the answer has given it for all wanted arrays. */
@@ -371,7 +379,6 @@ static bool check_sample(const dipole_sample_query *query, uint64_t *number_byte
 static bool send_sample(dipole_client *client, const dipole_sample_query *query,
                         libdipole_pending *pending, dipole_error *error) {
   uint64_t number_bytes;
-  uint8_t *at;
   if (!check_sample(query, &number_bytes, error)) {
     return false;
   }
@@ -387,14 +394,8 @@ static bool send_sample(dipole_client *client, const dipole_sample_query *query,
                                      .sample_count = query->sample_count,
                                      .sample_first = query->sample_first,
                                      .seed = query->seed};
-  if (!libdipole_request_begin(client, pending, schema_bytes(&schema_sample_request, &fixed), &at,
-                               error)) {
-    return false;
-  }
-  wire_put_sample_request(at, &fixed);
-  put_lists(at + WIRE_BYTES_sample_request, query->media, query->medium_count, query->parameters,
-            query->parameter_count, query->numbers, (size_t)number_bytes);
-  return libdipole_request_send(client, error);
+  const void *const parts[] = {query->media, query->parameters, query->numbers};
+  return libdipole_request_put(client, pending, &schema_sample_request, &fixed, parts, error);
 }
 
 bool dipole_sample(dipole_client *client, const dipole_sample_query *query, dipole_result **result,

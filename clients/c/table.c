@@ -219,24 +219,23 @@ libdipole_frame *libdipole_table_ask(dipole_client *client, const dipole_table_q
       !libdipole_parameters_check(query->parameters, query->parameter_count, error)) {
     return NULL;
   }
-  const wire_table_request fixed = {.model = (uint16_t)query->model,
-                                    .moments = (uint16_t)query->moments,
-                                    .parameter_count = (uint16_t)parameters};
+  const struct {
+    wire_table_request request;
+    dipole_medium medium;
+  } start = {{.model = (uint16_t)query->model,
+              .moments = (uint16_t)query->moments,
+              .parameter_count = (uint16_t)parameters},
+             query->medium};
+  const void *const parts[] = {query->parameters};
   libdipole_pending pending = {.kind = &libdipole_plain,
                                .type = WIRE_TYPE_TABLE,
                                .deadline_ms = query->deadline_ms,
                                .medium_count = 1,
                                .reply_bytes_min = WIRE_BYTES_table_reply,
                                .reply_bytes_max = table_reply_bytes(parameters, words_max)};
-  uint8_t *at;
-  if (!libdipole_request_begin(client, &pending, schema_bytes(&schema_table_request, &fixed), &at,
-                               error)) {
-    return NULL;
-  }
-  wire_put_table_request(at, &fixed);
-  at = libdipole_medium_put(at + WIRE_BYTES_table_request, &query->medium);
-  libdipole_parameters_put(at, query->parameters, query->parameter_count);
-  return libdipole_request_send(client, error) ? libdipole_reply(client, &pending, error) : NULL;
+  return libdipole_request_put(client, &pending, &schema_table_request, &start, parts, error)
+             ? libdipole_reply(client, &pending, error)
+             : NULL;
 }
 
 /* Makes a table of a daemon's reply, and keeps an unchanged copy of its frame. */

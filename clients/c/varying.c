@@ -101,24 +101,13 @@ static wire_varying_request request_of(const dipole_varying_query *query) {
                                 .eta = query->eta};
 }
 
-static uint64_t request_bytes(const dipole_varying_query *query) {
-  const wire_varying_request fixed = request_of(query);
-  return schema_bytes(&schema_varying_request, &fixed);
-}
-
-static void put(const dipole_varying_query *query, uint8_t *at) {
-  /* the parts of a request, in their order; those that are not there have no values */
-  const void *const values[] = {query->sigma_a_per_mm, query->colours, query->sigma_s_per_mm,
-                                query->lengths_mm,     query->radii,   query->numbers};
-  const wire_varying_request fixed = request_of(query);
-  schema_layout layout;
-  schema_lay_out(&schema_varying_request, &fixed, UINT64_MAX, &layout, NULL);
-  wire_put_varying_request(at, &fixed);
-  libdipole_parameters_put(at + layout.parts[0].at, query->parameters, query->parameter_count);
-  for (unsigned i = 0; i < sizeof values / sizeof values[0]; i++) {
-    schema_put_part(at, &layout, 1 + i, values[i]);
+/* The parts of a request: those that are not there have no values. */
+enum { PARTS = 7 };
+#define PARTS_OF(query)                                                                            \
+  {                                                                                                \
+    (query)->parameters, (query)->sigma_a_per_mm, (query)->colours, (query)->sigma_s_per_mm,       \
+        (query)->lengths_mm, (query)->radii, (query)->numbers                                      \
   }
-}
 
 /* Makes a result of a frame that holds a whole reply. */
 static bool take(libdipole_frame *frame, dipole_varying_result **result) {
@@ -145,7 +134,6 @@ static bool take(libdipole_frame *frame, dipole_varying_result **result) {
 
 bool dipole_varying(dipole_client *client, const dipole_varying_query *query,
                     dipole_varying_result **result, dipole_error *error) {
-  uint8_t *at;
   error = error != NULL ? error : &(dipole_error){0};
   if (!check(query, error)) {
     return false;
@@ -163,11 +151,9 @@ bool dipole_varying(dipole_client *client, const dipole_varying_query *query,
                                .moments = (uint16_t)query->moments,
                                .medium_count = query->coefficients,
                                .radius_count = query->value_count};
-  if (!libdipole_request_begin(client, &pending, request_bytes(query), &at, error)) {
-    return false;
-  }
-  put(query, at);
-  if (!libdipole_request_send(client, error)) {
+  const wire_varying_request fixed = request_of(query);
+  const void *const parts[PARTS] = PARTS_OF(query);
+  if (!libdipole_request_put(client, &pending, &schema_varying_request, &fixed, parts, error)) {
     return false;
   }
   libdipole_frame *frame = libdipole_reply(client, &pending, error);
@@ -246,13 +232,16 @@ bool dipole_varying_at_home(const dipole_surface *surface, const dipole_varying_
   if (!check(query, error)) {
     return false;
   }
-  const size_t bytes = (size_t)request_bytes(query);
-  uint8_t *payload = malloc(bytes);
+  const wire_varying_request fixed = request_of(query);
+  const void *const parts[PARTS] = PARTS_OF(query);
+  schema_layout layout = {.payload_bytes = UINT64_MAX};
+  schema_lay_out(&schema_varying_request, &fixed, UINT64_MAX, &layout, NULL);
+  uint8_t *payload = malloc((size_t)layout.payload_bytes);
   if (payload == NULL) {
     return libdipole_fail_memory(error);
   }
-  put(query, payload);
-  libdipole_frame *frame = answer(surface, payload, bytes, error);
+  libdipole_payload_put(payload, &schema_varying_request, &layout, &fixed, parts);
+  libdipole_frame *frame = answer(surface, payload, (size_t)layout.payload_bytes, error);
   free(payload);
   return frame != NULL && take(frame, result);
 }

@@ -1,6 +1,7 @@
 /* Messages whose reply is written in one step: hello, media, statistics, ping and cancel. */
 #include <string.h>
 
+#include "proto/schema.h"
 #include "server/jobs/job.h"
 #include "server/observe/report.h"
 
@@ -47,14 +48,14 @@ static wire_hello_reply describe_daemon(const struct server *server) {
 }
 
 static wire_error check_hello(const struct job_request *from) {
-  if (from->header->payload_bytes != WIRE_BYTES_hello_request) {
-    return job_bad_length("8");
+  schema_layout layout;
+  const wire_error error =
+      schema_check(&schema_hello_request, from->payload, from->header->payload_bytes, &layout);
+  if (error.status != WIRE_STATUS_OK) {
+    return error;
   }
   wire_hello_request request;
   wire_get_hello_request(from->payload, &request);
-  if (request.zero != 0) {
-    return wire_error_make(WIRE_STATUS_BAD_VALUE, "zero", "0");
-  }
   if (request.version_min > request.version_max) {
     return wire_error_make(WIRE_STATUS_BAD_VALUE, "version_min", "at most version_max");
   }
