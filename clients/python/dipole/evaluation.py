@@ -14,7 +14,7 @@ from .arguments import parameters_list
 from .session import Session
 from .connection import frame_pieces
 from .errors import ArgumentError, ProtocolError, TableError
-from .exchange import Answer, Once, Request
+from .exchange import InParts, Joined, Once, Request
 from .surface import Surface
 from .table import Table
 from .values import Array, Draw, Errors, Grid, Info, Media, Medium, Offer, Offers, OffersOptions
@@ -109,10 +109,10 @@ def request(info: Info, query: Query, is_streamed: bool = False) -> Request[Resu
         raise ArgumentError('r: give radii, or a grid. Only wanted=["albedo"] needs none')
     payload, shape = _eval_payload(info, query)
 
-    def answer() -> EvalAnswer:
-        return EvalAnswer(shape, lambda part: _result(part, shape, info), is_streamed)
+    def read(part: Joined) -> Result:
+        return Result(radius_first=part.replies[0].first, **_common_fields(part, shape, info))
 
-    return Request("eval", payload, answer, query.deadline_ms)
+    return Request("eval", payload, _answer(shape, read, is_streamed), query.deadline_ms)
 
 
 async def _named(session: Session, query: Query) -> Query:
@@ -278,15 +278,11 @@ async def sample(
         seed=draw.seed if draw is not None and seeded else 0,
     )
 
-    def read(part: Part) -> Samples:
+    def read(whole: Joined) -> Samples:
         numbers = listed if draw is None else numbers_of(draw, value_type)
-        return Samples(u=numbers, **_common_fields(part, info))
+        return Samples(u=numbers, **_common_fields(whole, shape, info))
 
-    def answer() -> EvalAnswer:
-        return EvalAnswer(shape, read)
-
-    made: Request[Samples] = Request("sample", payload, answer, query.deadline_ms)
-    return await session.ask(made)
+    return await session.ask(Request("sample", payload, _answer(shape, read), query.deadline_ms))
 
 
 # ---- answers -------------------------------------------------------------------------------------
@@ -303,99 +299,31 @@ class Shape(NamedTuple):
     drawn: bool = False  # whether this is a sample, in which each channel has its own radii
 
 
-class Part(NamedTuple):
-    """One part of an answer, or a whole answer."""
+def _answer(
+    shape: Shape, read: Callable[[Joined], T], is_streamed: bool = False
+) -> Callable[[], InParts[T]]:
+    """Makes what reads the answer to an eval or sample request."""
 
-    fixed: Any  # the eval_reply structure
-    albedos: Array  # [C]
-    errors: Array  # [C, K, 3], the quantity_error structures of the K wanted quantities
-    arrays: dict[int, Array]  # by quantity: the radii [N] and values [C, N]
+    def fits(fixed: Any) -> bool:
+        found = (wire.EVALUATOR_TYPES.get(fixed.evaluator), fixed.wanted, fixed.channel_count)
+        return found == (shape.value_type, shape.wanted, shape.medium_count)
 
-    def common(self) -> tuple[Any, bytes]:
-        """Returns the fields that must be the same in all parts of an answer."""
-        fixed = self.fixed._replace(count=0, first=0, part=0)
-        return fixed, self.albedos.tobytes() + self.errors.tobytes()
-
-
-class EvalAnswer(Answer[Any]):
-    """The answer to an eval or sample request. Unless is_streamed is set, the caller gets one
-    result of all parts. read: makes the caller's result of a Part."""
-
-    def __init__(self, shape: Shape, read: Any, is_streamed: bool = False):
-        super().__init__()
-        self.is_streamed = is_streamed
-        self._shape = shape
-        self._read = read
-        self._first: Part | None = None
-        self._next_part = 0
-        self._next_radius = 0
-        self._whole: dict[int, Array] = {}
-
-    def _add(self, payload: bytes) -> None:
-        part = _unpack(payload, self._shape.drawn)
-        self._check(part)
-        fixed = part.fixed
-        if self._first is None:
-            self._first = Part(fixed, part.albedos.copy(), part.errors.copy(), {})
-        if not self.is_streamed and fixed.part_count > 1:
-            part = self._gather(part)
-        self._next_part += 1
-        self._next_radius += fixed.count
-        self.ended = self._next_part == fixed.part_count
-        if self.is_streamed or self.ended:
-            self.ready.append(self._read(part))
-
-    def _check(self, part: Part) -> None:
-        """Checks that a part has the counts of the query, so that a caller who indexes the arrays
-        by these counts stays inside."""
-        fixed, shape = part.fixed, self._shape
-        value_type = wire.EVALUATOR_TYPES.get(fixed.evaluator)
-        found = (value_type, fixed.wanted, fixed.channel_count)
-        if value_type is None or found != (shape.value_type, shape.wanted, shape.medium_count):
-            raise ProtocolError("an eval reply that does not answer the query")
-        left = shape.radius_count - self._next_radius
-        is_last = fixed.part + 1 == fixed.part_count
-        if (fixed.part, fixed.first) != (self._next_part, self._next_radius):
-            raise ProtocolError("an eval reply that is not the next part")
-        if fixed.count > left or is_last != (fixed.count == left):
-            raise ProtocolError("an eval reply with another number of radii than the query")
-        if fixed.count == 0 and fixed.part_count != 1:
-            raise ProtocolError("a part of an eval reply with no radii")
-        if self._first is not None and part.common() != self._first.common():
-            raise ProtocolError("parts of an eval reply that do not belong together")
-
-    def _gather(self, part: Part) -> Part:
-        """Copies a part to its place in the whole answer; returns the whole as a Part."""
-        count, begin = self._shape.radius_count, part.fixed.first
-        for quantity, array in part.arrays.items():
-            if begin == 0:
-                self._whole[quantity] = np.empty((*array.shape[:-1], count), array.dtype)
-            self._whole[quantity][..., begin : begin + part.fixed.count] = array
-            if part.fixed.part + 1 == part.fixed.part_count:
-                self._whole[quantity].setflags(write=False)
-        fixed = part.fixed._replace(count=count, first=0)
-        assert self._first is not None
-        return self._first._replace(fixed=fixed, arrays=self._whole)
+    payload = "sample_reply" if shape.drawn else "eval_reply"
+    return lambda: InParts(payload, shape.radius_count, fits, read, is_streamed, alike=True)
 
 
-def _unpack(payload: bytes, drawn: bool) -> Part:
-    """Finds the arrays in a reply: the radii, unless it answers a sample, and the quantities of each
-    channel."""
-    fixed, parts = wire.PAYLOADS["sample_reply" if drawn else "eval_reply"].unpack(payload)
-    per_channel = [q for q in (wire.DRAWN if drawn else wire.ELEMENTWISE) if fixed.wanted & q]
-    wanted_r = bool(fixed.wanted & wire.QUANTITY_RADIUS) and not drawn
-    arrays = {wire.QUANTITY_RADIUS: parts["r"]} if wanted_r else {}
-    for i, quantity in enumerate(per_channel):
-        arrays[quantity] = parts["values"][i :: len(per_channel)]
-    errors = parts["errors"].view("<f8").reshape(fixed.channel_count, fixed.wanted.bit_count(), 3)
-    return Part(fixed, parts["albedo"], errors, arrays)
-
-
-def _common_fields(part: Part, info: Info) -> dict[str, Any]:
+def _common_fields(joined: Joined, shape: Shape, info: Info) -> dict[str, Any]:
     """Makes the fields that Result and Samples share."""
-    fixed, albedos, errors, arrays = part
+    fixed, values = joined.replies[0], joined.arrays["values"]
+    wanted = [q for q in (wire.DRAWN if shape.drawn else wire.ELEMENTWISE) if fixed.wanted & q]
+    arrays = {quantity: values[i :: len(wanted)] for i, quantity in enumerate(wanted)}
+    if shape.radii is not None:
+        arrays[wire.QUANTITY_RADIUS] = shape.radii[fixed.first :][: sum(one.count for one in joined.replies)]
+    elif fixed.wanted & wire.QUANTITY_RADIUS and not shape.drawn:
+        arrays[wire.QUANTITY_RADIUS] = joined.arrays["r"]
     if fixed.wanted & wire.QUANTITY_ALBEDO:
-        arrays[wire.QUANTITY_ALBEDO] = albedos
+        arrays[wire.QUANTITY_ALBEDO] = joined.heads[0]["albedo"]
+    errors = joined.heads[0]["errors"].view("<f8").reshape(shape.medium_count, -1, 3)
     quantities = sorted(info.choices["quantity"].values())
     return {
         "model": name_of(info, "model", fixed.model),
@@ -408,13 +336,6 @@ def _common_fields(part: Part, info: Info) -> dict[str, Any]:
         "notes": notes_of(info, fixed.notes),
         "quantities": {one.name: arrays[one.id] for one in quantities if one.id in arrays},
     }
-
-
-def _result(part: Part, shape: Shape, info: Info) -> Result:
-    first = part.fixed.first
-    if shape.radii is not None:
-        part.arrays[wire.QUANTITY_RADIUS] = shape.radii[first : first + part.fixed.count]
-    return Result(radius_first=first, **_common_fields(part, info))
 
 
 # ---- numbers for drawing -------------------------------------------------------------------------

@@ -12,11 +12,14 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import numpy as np
 
 from . import wire
 from .connection import Frame, frame_pieces
 from .errors import ArgumentError, ConnectError, ConnectionLost, DipoleError, ProtocolError, Refused
+from .values import Array
 
 T = TypeVar("T")
 
@@ -74,45 +77,79 @@ class Once(Answer[T]):
         self.ended = True
 
 
+class Joined(NamedTuple):
+    """An answer in parts, or one of its parts."""
+
+    replies: list[Any]  # the structures of the parts
+    heads: list[dict[str, Any]]  # what each part has but its items, by name
+    arrays: dict[str, Array]  # of all items: the last axis is theirs
+
+
 class InParts(Answer[T]):
     """An answer whose items come in parts, which this class checks and puts together.
 
-    payload: of each reply. count: how many items were asked for. A subclass has _take() and
-    _whole(), and may have _check().
+    payload: of each reply. count: how many items were asked for. fits: whether a structure may
+    answer the request. read: makes the caller's result of all, or if is_streamed of each part.
+    alike: whether parts may differ in nothing but their items.
     """
 
-    def __init__(self, payload: str, count: int):
+    def __init__(
+        self,
+        payload: str,
+        count: int,
+        fits: Callable[[Any], bool],
+        read: Callable[[Joined], T],
+        is_streamed: bool = False,
+        alike: bool = False,
+    ):
         super().__init__()
-        self._payload, self._count = wire.PAYLOADS[payload], count
-        self._next_part = 0
+        self.is_streamed = is_streamed
+        self._payload, self._count, self._fits = wire.PAYLOADS[payload], count, fits
+        self._read, self._alike = read, alike
+        self._parts: list[Joined] = []
         self._next = 0  # the first item of the next part
 
     def _add(self, payload: bytes) -> None:
-        name = self._payload.name
-        fixed, parts = self._payload.unpack(payload)
-        self._check(fixed)
-        first, count, left = fixed.first, fixed.count, self._count - self._next
-        if (fixed.part, first) != (self._next_part, self._next):
-            raise ProtocolError(f"a {name} that is not the next part")
-        is_last = fixed.part + 1 == fixed.part_count
-        if count > left or is_last != (count == left):
-            raise ProtocolError(f"a {name} with another count than was asked for")
-        self._take(fixed, parts, slice(first, first + count))
-        self._next_part += 1
-        self._next += count
-        self.ended = is_last
-        if is_last:
-            self.ready.append(self._whole())
+        fixed, heads = self._payload.unpack(payload)
+        arrays = {name: heads.pop(name) for name in self._payload.of_items}
+        part = Joined([fixed], [heads], arrays)
+        if not self._fits(fixed):
+            raise self._wrong("that does not answer the request")
+        if (fixed.part, fixed.first) != (len(self._parts), self._next):
+            raise self._wrong("that is not the next part")
+        left = self._count - self._next
+        self.ended = fixed.part + 1 == fixed.part_count
+        if fixed.count > left or self.ended != (fixed.count == left):
+            raise self._wrong("with another count than was asked for")
+        if self._parts and not self._is_like_first(part):
+            raise self._wrong("whose parts do not belong together")
+        self._parts.append(part._replace(arrays={}) if self.is_streamed else part)
+        self._next += fixed.count
+        if self.is_streamed:
+            self.ready.append(self._read(part))
+        elif self.ended:
+            self.ready.append(self._read(self._join()))
 
-    def _check(self, fixed: Any) -> None:
-        """Raises ProtocolError if a reply is not to this request."""
+    def _wrong(self, what: str) -> ProtocolError:
+        return ProtocolError(f"a {self._payload.name} {what}")
 
-    def _take(self, fixed: Any, parts: dict[str, Any], items: slice) -> None:
-        """Copies a part of the answer to its place."""
-        raise NotImplementedError
+    def _is_like_first(self, part: Joined) -> bool:
+        own, first = part.replies[0], self._parts[0].replies[0]
+        if not self._alike:
+            return bool(own.part_count == first.part_count)
+        same = own == first._replace(part=own.part, first=own.first, count=own.count)
+        heads = zip(part.heads[0].values(), self._parts[0].heads[0].values())
+        return same and all(one.tobytes() == other.tobytes() for one, other in heads)
 
-    def _whole(self) -> T:
-        raise NotImplementedError
+    def _join(self) -> Joined:
+        if len(self._parts) == 1:
+            return self._parts[0]
+        replies = [part.replies[0] for part in self._parts]
+        arrays = {}
+        for name in self._payload.of_items:
+            arrays[name] = np.concatenate([part.arrays[name] for part in self._parts], axis=-1)
+            arrays[name].setflags(write=False)
+        return Joined(replies, [part.heads[0] for part in self._parts], arrays)
 
 
 @dataclass(frozen=True)

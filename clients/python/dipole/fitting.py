@@ -3,49 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from . import exchange, wire
+from . import wire
 from .arguments import id_of, media_array, parameters_list
+from .errors import ArgumentError
+from .exchange import InParts, Joined, Request
 from .session import Session
-from .errors import ArgumentError, ProtocolError
 from .values import Array, Fits, Media
 
-_SETS = wire.FITTED.dtype()
 _REQUEST_BYTES = 16 << 20  # larger images are sent in several requests
 OUTSTANDING = 2  # requests under way at a time
-
-
-class Part(NamedTuple):
-    """What was found for some of the sets."""
-
-    first: int
-    sets: Array
-    residuals: Array
-
-
-class Answer(exchange.InParts[Part]):
-    """The answer to one fit request. first: position of its first set."""
-
-    def __init__(self, first: int, set_count: int, residuals: int):
-        super().__init__("fit_reply", set_count)
-        self._sets = np.empty(set_count, _SETS)
-        self._residuals = np.empty((set_count, residuals))
-        self._first = first
-
-    def _check(self, fixed: Any) -> None:
-        fits = 0 < fixed.count >= fixed.fitted_count
-        if fixed.reading_count != self._residuals.shape[1] or not fits:
-            raise ProtocolError("a fit reply that does not answer the request")
-
-    def _take(self, fixed: Any, parts: dict[str, Any], items: slice) -> None:
-        self._sets[items] = parts["sets"]
-        self._residuals[items] = parts["residuals"].reshape(fixed.count, fixed.reading_count)
-
-    def _whole(self) -> Part:
-        return Part(self._first, self._sets, self._residuals)
 
 
 def _arrays(values: Any, errors: Any) -> tuple[Array, Array]:
@@ -131,23 +101,18 @@ async def fit(
     head = {name: _place(name, one, count).tobytes() for name, one in given.items()}
     head |= {"parameter": b"".join(listed), "reference": medium}
     lists = (readings.reshape(-1, count), spread.reshape(-1, count))
-    sets = np.empty(len(lists[0]), _SETS)
-    remainders = np.empty_like(lists[0]) if residuals else None
-
-    def add(part: Part) -> None:
-        end = part.first + len(part.sets)
-        sets[part.first : end] = part.sets
-        if remainders is not None:
-            remainders[part.first : end] = part.residuals
-
+    pieces: list[Joined] = []
     requests = _requests(design, head, *lists, residuals, deadline_ms)
-    await session.each(requests, add, OUTSTANDING)
+    await session.each(requests, pieces.append, OUTSTANDING)
+    sets, remainders = (
+        np.concatenate([piece.arrays[name] for piece in pieces]) for name in ("sets", "residuals")
+    )
     sets.setflags(write=False)
     shape = readings.shape[:-1]
     names = {choice.id: name for name, choice in info.choices["fit_status"].items()}
     return Fits(
         sets=sets.reshape(shape),
-        residuals=None if remainders is None else remainders.reshape(readings.shape),
+        residuals=remainders.reshape(readings.shape) if residuals else None,
         status_names=names,
         g=float(g or 0.0),
         eta=float(eta),
@@ -162,18 +127,23 @@ def _requests(
     errors: Array,
     wants_residuals: bool,
     deadline_ms: int,
-) -> Iterator[exchange.Request[Part]]:
+) -> Iterator[Request[Joined]]:
     """Yields the requests for all sets, one after the other. design, head: what they
     share. values, errors: [sets, readings]."""
     total, readings = values.shape
+
+    def fits(reply: Any) -> bool:
+        listed = readings if wants_residuals else 0
+        return bool(reply.reading_count == listed and 0 < reply.count >= reply.fitted_count)
+
     each = max(1, _REQUEST_BYTES // (16 * max(readings, 1)))
     for first in range(0, max(total, 1), each):
         end = min(first + each, total)
         fixed = {"set_count": end - first, "residuals": int(wants_residuals)}
         arrays = {"values": values[first:end].tobytes(), "errors": errors[first:end].tobytes()}
 
-        def answer(first: int = first, count: int = end - first) -> Answer:
-            return Answer(first, count, readings if wants_residuals else 0)
+        def answer(count: int = end - first) -> InParts[Joined]:
+            return InParts("fit_reply", count, fits, lambda whole: whole)
 
         payload = wire.PAYLOADS["fit_request"].pack(fixed, design, **head, **arrays)
-        yield exchange.Request("fit", payload, answer, deadline_ms)
+        yield Request("fit", payload, answer, deadline_ms)

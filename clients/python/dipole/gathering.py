@@ -12,7 +12,7 @@ import ctypes
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from . import wire
 from .arguments import id_of, media_array, name_of, notes_of, parameters_list
 from .session import Session
 from .errors import ArgumentError, ProtocolError, Refused
-from .exchange import InParts, Once, Request
+from .exchange import InParts, Joined, Once, Request
 from .library import Handle, address, call
 from .library import library as load
 from .table import Table
@@ -77,35 +77,6 @@ class Points:
 
 def _hash(content: Any) -> bytes:
     return hashlib.blake2b(content, digest_size=16).digest()
-
-
-class Piece(NamedTuple):
-    """The answer to one gather request."""
-
-    replies: list[Any]  # the fixed parts of its parts
-    channels: list[Array]  # the quantity_error structures of its parts
-    sums: Array  # [Q, C]
-
-
-class _Sums(InParts[Piece]):
-    """The answer to a gather request."""
-
-    def __init__(self, count: int, channels: int):
-        super().__init__("gather_reply", count)
-        self._piece = Piece([], [], np.empty((count, channels)))
-
-    def _check(self, fixed: Any) -> None:
-        if fixed.channel_count != self._piece.sums.shape[1]:
-            raise ProtocolError("a gather reply that does not answer the request")
-
-    def _take(self, fixed: Any, parts: dict[str, Any], items: slice) -> None:
-        replies, channels, sums = self._piece
-        channels.append(parts["errors"])
-        sums[items] = parts["M"].reshape(fixed.count, fixed.channel_count)
-        replies.append(fixed)
-
-    def _whole(self) -> Piece:
-        return self._piece
 
 
 def _read_sent(payload: bytes) -> Any:
@@ -192,25 +163,29 @@ async def gather(
     most = _PART_QUERIES
     if tolerance == 0:
         most = max(1, min(most, _PART_PAIRS // max(1, len(points) * channels)))
-    pieces: list[Piece] = []
+    pieces: list[Joined] = []
     answered = 0
 
-    def requests(end: int) -> Iterator[Request[Piece]]:
+    def fits(reply: Any) -> bool:
+        return bool(reply.channel_count == channels)
+
+    def requests(end: int) -> Iterator[Request[Joined]]:
         for first in range(answered, end, most):
             part = places[first : min(first + most, end)]
             request = {"query_count": len(part), **fixed}
             payload = wire.PAYLOADS["gather_request"].pack(request, xyz=part.tobytes(), **head)
 
-            def answer(count: int = len(part)) -> _Sums:
-                return _Sums(count, channels)
+            def answer(count: int = len(part)) -> InParts[Joined]:
+                return InParts("gather_reply", count, fits, lambda whole: whole)
 
             yield Request("gather", payload, answer, deadline_ms)
 
-    def take(piece: Piece) -> None:
+    def take(piece: Joined) -> None:
         nonlocal answered
         pieces.append(piece)
-        answered += len(piece.sums)
-        if len(piece.sums) and progress is not None and progress(answered, len(places)) is False:
+        count = len(piece.arrays["M"]) // channels
+        answered += count
+        if count and progress is not None and progress(answered, len(places)) is False:
             raise _Stopped
 
     sent_times = 0
@@ -228,12 +203,12 @@ async def gather(
     except _Stopped:
         pass
     sums = np.full((len(places), channels), np.nan)
-    found = np.concatenate([piece.sums for piece in pieces])
+    found = np.concatenate([piece.arrays["M"] for piece in pieces]).reshape(-1, channels)
     sums[slice(answered) if order is None else order[:answered]] = found
     sums = sums.reshape(*listed.shape[:-1], channels)
     sums.setflags(write=False)
     replies = [reply for piece in pieces for reply in piece.replies]
-    stated = np.stack([part for piece in pieces for part in piece.channels])
+    stated = np.stack([head["errors"] for piece in pieces for head in piece.heads])
     return Gathered(
         model=name_of(info, "model", fixed["model"]),
         moments=name_of(info, "moments", fixed["moments"]),

@@ -6,56 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from . import exchange, wire
+from . import wire
 from .arguments import id_of, name_of
-from .session import Session
 from .errors import ArgumentError, ProtocolError
-from .values import Info, Inversion
+from .exchange import InParts, Joined, Request
+from .session import Session
+from .values import Inversion
 
-_ARRAYS = 3  # sigma_a, sigma_s, albedo
-
-
-class Answer(exchange.InParts[Inversion]):
-    """The answer to an invert request. fixed: the request's structure. shape: of the media. info:
-    names the ids."""
-
-    def __init__(self, fixed: dict[str, Any], shape: tuple[int, ...], info: Info):
-        super().__init__("invert_reply", fixed["medium_count"])
-        self._fixed, self._shape, self._info = fixed, shape, info
-        self._arrays = np.empty((_ARRAYS, fixed["medium_count"]))
-        self._reach: tuple[float, float] | None = None
-        self._missing = 0
-
-    def _check(self, fixed: Any) -> None:
-        asked = ("model", "moments", "given")
-        if fixed.count == 0 or any(getattr(fixed, name) != self._fixed[name] for name in asked):
-            raise ProtocolError("an invert reply that does not answer the request")
-
-    def _take(self, fixed: Any, parts: dict[str, Any], items: slice) -> None:
-        reach = (fixed.albedo_least, fixed.albedo_most)
-        if fixed.missing_count > fixed.count or self._reach not in (None, reach):
-            raise ProtocolError("parts of an invert reply that do not belong together")
-        self._arrays[:, items] = list(parts.values())
-        self._reach = reach
-        self._missing += fixed.missing_count
-
-    def _whole(self) -> Inversion:
-        fixed = self._fixed
-        assert self._reach is not None
-        self._arrays.setflags(write=False)
-        sigma_a, sigma_s, albedo = self._arrays.reshape(_ARRAYS, *self._shape)
-        return Inversion(
-            model=name_of(self._info, "model", fixed["model"]),
-            moments=name_of(self._info, "moments", fixed["moments"]),
-            sigma_a=sigma_a,
-            sigma_s=sigma_s,
-            g=fixed["g"],
-            eta=fixed["eta"],
-            albedo=albedo,
-            albedo_least=self._reach[0],
-            albedo_most=self._reach[1],
-            missing=self._missing,
-        )
 
 
 async def invert(
@@ -83,7 +40,7 @@ async def invert(
         albedos, lengths = np.broadcast_arrays(np.asarray(albedo, "<f8"), np.asarray(length, "<f8"))
     except ValueError as error:
         raise ArgumentError(f"albedo, length: {error}") from error
-    fixed = {
+    fixed: dict[str, Any] = {
         "model": id_of(info, "model", model),
         "moments": id_of(info, "moments", moments),
         "given": id_of(info, "length", given),
@@ -94,7 +51,29 @@ async def invert(
     arrays = {"albedo": albedos.tobytes(), "length": lengths.tobytes()}
     payload = wire.PAYLOADS["invert_request"].pack(fixed, **arrays)
 
-    def answer() -> Answer:
-        return Answer(fixed, albedos.shape, info)
+    def fits(reply: Any) -> bool:
+        asked = all(getattr(reply, name) == fixed[name] for name in ("model", "moments", "given"))
+        return asked and 0 < reply.count >= reply.missing_count
 
-    return await session.ask(exchange.Request("invert", payload, answer, deadline_ms))
+    def read(whole: Joined) -> Inversion:
+        reach, *others = {(one.albedo_least, one.albedo_most) for one in whole.replies}
+        if others:
+            raise ProtocolError("parts of an invert reply that do not belong together")
+        sigma_a, sigma_s, found = (one.reshape(albedos.shape) for one in whole.arrays.values())
+        return Inversion(
+            model=name_of(info, "model", fixed["model"]),
+            moments=name_of(info, "moments", fixed["moments"]),
+            sigma_a=sigma_a,
+            sigma_s=sigma_s,
+            g=fixed["g"],
+            eta=fixed["eta"],
+            albedo=found,
+            albedo_least=reach[0],
+            albedo_most=reach[1],
+            missing=sum(one.missing_count for one in whole.replies),
+        )
+
+    def answer() -> InParts[Inversion]:
+        return InParts("invert_reply", albedos.size, fits, read)
+
+    return await session.ask(Request("invert", payload, answer, deadline_ms))

@@ -10,8 +10,8 @@ import numpy as np
 from . import wire
 from .arguments import id_of, name_of, notes_of, parameters_list
 from .session import Session
-from .errors import ArgumentError, ProtocolError
-from .exchange import InParts, Request
+from .errors import ArgumentError
+from .exchange import InParts, Joined, Request
 from .values import Array, Info, Varying
 
 VALUES_MOST = 1 << 20  # of one request: some megabytes
@@ -32,30 +32,39 @@ class Plan(NamedTuple):
     type: str
     deadline_ms: int
 
-    def requests(self) -> list[Request[Piece]]:
+    def requests(self) -> list[Request[Joined]]:
         """The requests, each of at most VALUES_MOST values."""
         count = int(np.prod(self.shape))
         firsts = range(0, max(count, 1), VALUES_MOST)
         return [self._request(first, min(count - first, VALUES_MOST)) for first in firsts]
 
-    def _request(self, first: int, count: int) -> Request[Piece]:
+    def _request(self, first: int, count: int) -> Request[Joined]:
         fixed = {"value_count": count, **self.fixed}
         arrays = {name: one[first : first + count].tobytes() for name, one in self.arrays.items()}
         payload = wire.PAYLOADS["varying_request"].pack(
             fixed, parameter=b"".join(self.parameters), **arrays
         )
-        return Request("varying", payload, lambda: Answer(self, count), self.deadline_ms)
 
-    def join(self, pieces: list[Piece]) -> Varying:
+        def answer() -> InParts[Joined]:
+            return InParts("varying_reply", count, self._fits, lambda whole: whole)
+
+        return Request("varying", payload, answer, self.deadline_ms)
+
+    def _fits(self, reply: Any) -> bool:
+        asked = ("model", "evaluator", "moments", "wanted", "coefficients")
+        return all(getattr(reply, name) == self.fixed[name] for name in asked)
+
+    def join(self, pieces: list[Joined]) -> Varying:
         """Makes the result of the answers to all requests."""
         info, fixed = self.info, self.fixed
         replies = [reply for piece in pieces for reply in piece.replies]
         last = replies[-1]
-        arrays = [
-            np.concatenate(parts).reshape(self.shape)
-            for parts in zip(*(piece.arrays for piece in pieces), strict=True)
-        ]
-        statuses = np.concatenate([piece.statuses for piece in pieces]).reshape(self.shape)
+        media, values, statuses = (
+            np.concatenate([piece.arrays[name] for piece in pieces], axis=-1)
+            for name in ("coefficients", "values", "statuses")
+        )
+        arrays = [array.reshape(self.shape) for array in (*media, *values)]
+        statuses = statuses.reshape(self.shape)
         for array in (*arrays, statuses):
             array.setflags(write=False)
         coefficients = dict(zip(self.coefficients.values(), arrays, strict=False))
@@ -81,39 +90,6 @@ class Plan(NamedTuple):
             colour_most=last.colour_most,
             specular=last.specular,
         )
-
-
-class Piece(NamedTuple):
-    """The answer to one request."""
-
-    replies: list[Any]  # the fixed parts of its parts
-    arrays: list[Array]
-    statuses: Array
-
-
-class Answer(InParts[Piece]):
-    """The answer to a varying request."""
-
-    def __init__(self, plan: Plan, count: int):
-        super().__init__("varying_reply", count)
-        self._plan = plan
-        arrays = len(plan.wanted) + len(plan.coefficients)
-        self._arrays = np.empty((arrays, count), plan.type)
-        self._statuses = np.empty(count, np.uint8)
-        self._replies: list[Any] = []
-
-    def _check(self, fixed: Any) -> None:
-        asked = ("model", "evaluator", "moments", "wanted", "coefficients")
-        if any(getattr(fixed, name) != self._plan.fixed[name] for name in asked):
-            raise ProtocolError("a varying reply that does not answer the request")
-
-    def _take(self, fixed: Any, parts: dict[str, Any], items: slice) -> None:
-        self._arrays[:, items] = np.concatenate([parts["coefficients"], parts["values"]])
-        self._statuses[items] = parts["statuses"]
-        self._replies.append(fixed)
-
-    def _whole(self) -> Piece:
-        return Piece(self._replies, list(self._arrays), self._statuses)
 
 
 def _bits(info: Info, kind: str, names: str | Iterable[str]) -> dict[int, str]:
@@ -227,6 +203,6 @@ async def varying(
         type=type,
         deadline_ms=deadline_ms,
     )
-    pieces: list[Piece] = []
+    pieces: list[Joined] = []
     await session.each(plan.requests(), pieces.append)
     return plan.join(pieces)

@@ -228,6 +228,8 @@ class Part:
         assert match is not None
         self.element, self.name, products, self._how, self._if, self._is = match.groups()
         self._products = re.findall(r"\[([^\]]*)\]", products)
+        # Whether its elements are of the items that a reply in parts counts.
+        self.is_of_items = bool(self._products) and "count" in self._products[-1].split("*")
 
     def shape(self, fixed: Any) -> tuple[int, ...]:
         """Returns the number of elements, or of arrays and of the elements of each."""
@@ -258,6 +260,7 @@ class Payload:
         self._structures = [STRUCTURES[one] for one in declarations if " " not in one]
         self._parts = [Part(one) for one in declarations if " " in one]
         self._bytes = sum(structure.bytes for structure in self._structures)
+        self.of_items = [part.name for part in self._parts if part.is_of_items]
 
     def pack(self, *fixed: Mapping[str, Any], **parts: Any) -> bytes:
         """Returns the bytes of a payload. fixed: the fields of its structures. parts: bytes, or
