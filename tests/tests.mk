@@ -35,7 +35,7 @@ $(BUILD)/dipoled-counting: $(SERVER) $(OBJ)/tests/e2e/count_allocations.o $(BUIL
 $(BUILD)/dipoled-counting: LIBS = -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc $(SERVER_LIBS) $(CORE_LIBS)
 $(OBJ)/tests/e2e/count_allocations.o: EXTRA_CPPFLAGS = $(call cflags,libuv)
 
-$(BUILD)/tests/accuracy/truth: $(call objects,$(addprefix tests/accuracy/,truth.c forms.c reference.c reference_fresnel.c)) $(ISOTROPIC) $(BUILD)/libcore.a
+$(BUILD)/tests/accuracy/truth: $(call objects,$(addprefix tests/accuracy/,truth.c forms.c reference_fresnel.c)) $(ISOTROPIC) $(BUILD)/libcore.a
 $(BUILD)/tests/accuracy/truth: LIBS = -lmpfr -lgmp $(CORE_LIBS)
 $(BUILD)/tests/accuracy/rings: $(call objects,tests/accuracy/rings.c core/tools/reference/walks.c) $(TOOLS) $(BUILD)/libcore.a
 $(BUILD)/tests/bits: $(OBJ)/tests/bits/bits.o $(BUILD)/libcore.a

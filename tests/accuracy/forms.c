@@ -142,24 +142,6 @@ static form_values extended_at(const form_part *p, quad x, bool fast) {
                        beam ? (quad)NAN : sum.energy * (1 + p->mu) / energy_at_depth(p)};
 }
 
-form_values form_by_mpfr(const reference_dipole *dipole, double r) {
-  static reference_values values;
-  static bool ready;
-  if (!ready) {
-    reference_values_init(&values);
-    ready = true;
-  }
-  reference_dipole_evaluate(dipole, r, &values);
-  const quad ln_R = form_quad(values.of[CORE_ELEMENTWISE_LN_R]);
-  const quad shift = ln_R < -10000 && !isinf(ln_R) ? -ln_R : 0;
-  return (form_values){
-      .R = shift > 0 ? 1 : form_quad(values.of[CORE_ELEMENTWISE_R]),
-      .slope = shift > 0 ? 0 : -form_quad(values.of[CORE_ELEMENTWISE_SLOPE]),
-      .shift = shift,
-      .cdf = form_quad(values.of[CORE_ELEMENTWISE_CDF]),
-  };
-}
-
 /* ---- single scattering ------------------------------------------------------------------------- */
 
 /* The integral over u = u_c + ln(1 + e^s) by the trapezoidal rule; its nodes do not depend on r. */
@@ -210,18 +192,11 @@ static form_values single_at(const form_part *p, double r, bool fast) {
 
 /* ---- Burley's profile and skin ------------------------------------------------------------------ */
 
-static void prepare_burley(form_part *p, enum core_moments moments, double given) {
-  quad A = (quad)given;
-  if (isnan(given)) {
-    static reference_dipole better;
-    static bool ready;
-    if (!ready) {
-      reference_dipole_init(&better);
-      ready = true;
-    }
-    reference_dipole_prepare(&better, 7, moments, &p->medium);
-    A = fminf128(form_quad(better.albedo), 1);
-  }
+/* Unless the albedo is given, it is that of the better dipole, whose coefficients set_table_2() has
+ * set. */
+static void prepare_burley(form_part *p, double given) {
+  const quad better = p->prefactor / 2 * energy_at_depth(p) * expf128(-p->mu);
+  const quad A = isnan(given) ? fminf128(better, 1) : (quad)given;
   const quad away = A - 0.8Q, third = A - 0.33Q;
   const quad ratio =
       p->variant == CORE_BURLEY_SEARCHLIGHT ? 1.85Q - A + 7 * fabsf128(away * away * away)
@@ -385,7 +360,7 @@ static void prepare_part(form_part *p, const struct formula *formula, enum core_
     prepare_single(p);
     break;
   case FORM_BURLEY:
-    prepare_burley(p, moments, parameters->value[CORE_PARAMETER_SURFACE_ALBEDO]);
+    prepare_burley(p, parameters->value[CORE_PARAMETER_SURFACE_ALBEDO]);
     break;
   case FORM_SKIN:
     p->albedo = 0;

@@ -7,7 +7,7 @@
 #define DIPOLED_TESTS_FORMS_H
 
 #include "core/kernels.h"
-#include "tests/accuracy/reference.h"
+#include "tests/accuracy/reference_fresnel.h"
 
 typedef _Float128 quad;
 
@@ -114,10 +114,6 @@ void form_neighbours_prepare(form_neighbours *near, unsigned model, enum core_mo
  * to where R is not 0. Its error is below 1e-16 times its size for dipoles and Burley's profiles, else
  * below 1e-12 (1 + its size). */
 quad form_derivative(const form_neighbours *near, bool of_s, double r);
-
-/* Returns the values of a model of the dipole family at r mm by MPFR (tests/accuracy/reference.c),
- * as precise as the formula's differences need. `dipole` has been prepared. */
-form_values form_by_mpfr(const reference_dipole *dipole, double r);
 
 /* Converts with 113 bits. */
 quad form_quad(const mpfr_t x);

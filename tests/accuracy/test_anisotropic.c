@@ -1,5 +1,5 @@
 /* The solver for any phase function against what it did not make: the solver for isotropic
- * scattering, totals by adding-doubling, MCML's rings; and against itself: a phase function given by
+ * scattering, totals by adding-doubling, walks; and against itself: a phase function given by
  * its moments, several boundaries at once. The long form has more media. */
 #include <float.h>
 #include <math.h>
@@ -267,45 +267,6 @@ UNIT_TEST(diffuse_totals_are_known_to_1e5) {
       assert_true(totals[eta].diffuse.error < 2e-6 * totals[eta].diffuse.value);
     }
   }
-}
-
-/* The mean of R over a ring. */
-static double ring_mean(const solver_solution *solution, double from, double to) {
-  enum { POINTS = 8 };
-  double sum = 0;
-  for (int i = 0; i < POINTS; i++) {
-    const double r = sqrt(from * from + (to * to - from * from) * (i + 0.5) / POINTS);
-    sum += solver_at(solution, 0, r).value;
-  }
-  return sum / POINTS;
-}
-
-UNIT_TEST(rings_are_those_of_monte_carlo) {
-  char *text = unit_read_file("../shared/mcml/r0.05_n1.4_g0.9.csv");
-  if (text == NULL) {
-    printf("skipped: ../shared/mcml is not there\n");
-    skip();
-  }
-  const double eta = 1.4;
-  const solver_phase phase = {0.9, 0, NULL};
-  solver_solution *solution = solve(0.05, &phase, &eta, 1);
-  double chi_squared = 0, largest = 0;
-  size_t rings = 0;
-  for (char *line = strtok(text, "\n"); line != NULL; line = strtok(NULL, "\n")) {
-    double from, to, R, sigma;
-    if (sscanf(line, "%lf,%lf,%lf,%lf", &from, &to, &R, &sigma) == 4 && from >= 0.05 &&
-        sigma < 0.03) {
-      const double off = (R / ring_mean(solution, from, to) - 1) / sigma;
-      chi_squared += off * off;
-      largest = fmax(largest, fabs(off));
-      rings++;
-    }
-  }
-  printf("%zu rings, chi-squared per ring %.2f (sigma is an upper bound), largest %.1f sigma\n",
-         rings, chi_squared / (double)rings, largest);
-  assert_true(rings > 40 && chi_squared < 1.2 * (double)rings && largest < 4.5);
-  solver_free(solution);
-  free(text);
 }
 
 /* ---- cones of angles ------------------------------------------------------------------------- */

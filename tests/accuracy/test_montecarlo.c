@@ -1,10 +1,9 @@
-/* Monte Carlo against what this project did not make: MCML's tables, exact totals of radiative
- * transport, and a plain walk in double precision; and its standard errors against the scatter of
- * its results.
+/* Monte Carlo against what this project did not make, exact totals of radiative transport, against a
+ * plain walk in double precision, and its standard errors against the scatter of its results.
+ * tests/accuracy/rings.c compares profiles with the solver.
  *
  * Seeds are fixed. A bound of 4 standard errors is exceeded by chance once in 16,000 comparisons,
- * and here are some 2,500: of seeds chosen anew, one in five would fail.
- */
+ * and here are some 1,000. */
 #include <math.h>
 
 #include "tests/accuracy/montecarlo_run.h"
@@ -19,142 +18,6 @@ static double square(double x) {
 
 static double specular(double eta) {
   return square((eta - 1) / (eta + 1));
-}
-
-/* ---- MCML's tables ------------------------------------------------------------------------ */
-
-#define MCML_FOLDER "../shared/mcml/"
-
-/* Its own error, beyond that of chance: binning, single runs' bias. */
-#define MCML_SYSTEMATIC 0.003
-#define MCML_SIGMA_MAX 0.05
-
-static const struct mcml_table {
-  const char *file;
-  double ratio; /* sigma_a / sigma_s' */
-  double g;
-  double eta;
-  uint64_t batches;
-} mcml_tables[] = {
-    {"r0.0001_n1.4_g0.0.csv", 0.0001, 0, 1.4, 100}, {"r0.001_n1.3_g0.0.csv", 0.001, 0, 1.3, 150},
-    {"r0.001_n2.0_g0.0.csv", 0.001, 0, 2, 100},     {"r0.01_n1.0_g0.0.csv", 0.01, 0, 1, 250},
-    {"r0.01_n1.5_g0.0.csv", 0.01, 0, 1.5, 250},     {"r0.05_n1.4_g0.9.csv", 0.05, 0.9, 1.4, 150},
-    {"r0.1_n1.0_g0.0.csv", 0.1, 0, 1, 300},         {"r0.1_n1.4_g0.0.csv", 0.1, 0, 1.4, 300},
-    {"r0.2_n1.7_g0.0.csv", 0.2, 0, 1.7, 300},       {"r1_n1.3_g0.0.csv", 1, 0, 1.3, 300},
-    {"r10_n1.5_g0.0.csv", 10, 0, 1.5, 300},
-};
-
-struct ring {
-  double from;
-  double to;
-  double R;
-  double sigma; /* relative */
-};
-
-enum { MCML_RINGS_MAX = 1000 };
-
-/* The rings of a table; lines that begin with # and the names of columns are passed over. */
-static size_t read_mcml(char *text, struct ring *rings) {
-  size_t count = 0;
-  for (char *line = strtok(text, "\n"); line != NULL; line = strtok(NULL, "\n")) {
-    struct ring ring;
-    if (sscanf(line, "%lf,%lf,%lf,%lf", &ring.from, &ring.to, &ring.R, &ring.sigma) == 4) {
-      assert_true(count < MCML_RINGS_MAX);
-      rings[count++] = ring;
-    }
-  }
-  assert_true(count > 100);
-  return count;
-}
-
-/* Rings joined into one: sums over them. */
-struct joined {
-  double area;
-  double ours; /* light */
-  double ours_variance;
-  double theirs;
-  double theirs_variance;
-  uint64_t photons;
-};
-
-static void join(struct joined *sum, const core_mc_ring *ours, const struct ring *theirs) {
-  const double area = square(theirs->to) - square(theirs->from);
-  sum->area += area;
-  sum->ours += area * ours->R_per_mm2;
-  sum->ours_variance += square(area * ours->error_per_mm2);
-  sum->theirs += area * theirs->R;
-  sum->theirs_variance += square(area * theirs->R * theirs->sigma);
-  sum->photons += ours->photons;
-}
-
-/* Returns the squared deviation. */
-static double compare_joined(const struct mcml_table *table, double r, const struct joined *sum) {
-  const double difference = fabs(sum->ours - sum->theirs);
-  const double chance = sqrt(sum->ours_variance + sum->theirs_variance);
-  if (!(difference <= DEVIATIONS_MAX * chance + MCML_SYSTEMATIC * sum->theirs)) {
-    fail_msg("%s, up to %g: %g +- %g, MCML %g +- %g", table->file, r, sum->ours / sum->area,
-             sqrt(sum->ours_variance) / sum->area, sum->theirs / sum->area,
-             sqrt(sum->theirs_variance) / sum->area);
-  }
-  return square(difference / chance);
-}
-
-/* Every ring that MCML knows to 5 %; where few of our photons have left, and their standard error
- * is not well known, with the rings that follow. */
-static void compare_rings(const struct mcml_table *table, const core_mc_ring *ours,
-                          const struct ring *theirs, size_t count) {
-  enum { PHOTONS_MIN = 1000 };
-  struct joined sum = {0};
-  size_t rings = 0;
-  size_t compared = 0;
-  double squares = 0;
-  for (size_t i = 0; i < count; i++) {
-    assert_true(fabs(ours[i].from_mm - theirs[i].from) < 1e-9);
-    if (!(theirs[i].sigma < MCML_SIGMA_MAX)) {
-      continue;
-    }
-    rings++;
-    join(&sum, &ours[i], &theirs[i]);
-    if (sum.photons >= PHOTONS_MIN) {
-      squares += compare_joined(table, theirs[i].to, &sum);
-      compared++;
-      sum = (struct joined){0};
-    }
-  }
-  assert_true(compared > 10);
-  printf("MCML %-24s %3zu rings in %3zu, mean squared deviation %.2f\n", table->file, rings,
-         compared, squares / (double)compared);
-}
-
-static void compare_with_mcml(const struct mcml_table *table, const struct ring *theirs,
-                              size_t count) {
-  static core_mc_ring ours[MCML_RINGS_MAX];
-  const double sigma_s_prime = 1 / (1 + table->ratio);
-  const core_medium medium = {table->ratio * sigma_s_prime, sigma_s_prime / (1 - table->g),
-                              table->g, table->eta};
-  core_mc_request request = montecarlo_request(1, 0, 1);
-  core_mc_request_medium(&request, &medium);
-  request.edges = (core_grid){CORE_SPACING_LINEAR, count + 1, 0, theirs[count - 1].to};
-  montecarlo_run run = montecarlo_run_batches(&request, table->batches);
-  core_mc_total_rings(run.total, 0, CORE_MC_REFLECTED, ours);
-  montecarlo_run_free(&run);
-  compare_rings(table, ours, theirs, count);
-}
-
-UNIT_TEST(mcmls_tables_are_met) {
-  static struct ring rings[MCML_RINGS_MAX];
-  for (size_t i = 0; i < sizeof mcml_tables / sizeof mcml_tables[0]; i++) {
-    char path[128];
-    snprintf(path, sizeof path, MCML_FOLDER "%s", mcml_tables[i].file);
-    char *text = unit_read_file(path);
-    if (text == NULL) {
-      printf("skipped: %s is not there\n", path);
-      skip();
-    }
-    const size_t count = read_mcml(text, rings);
-    free(text);
-    compare_with_mcml(&mcml_tables[i], rings, count);
-  }
 }
 
 /* ---- exact totals ------------------------------------------------------------------------- */
@@ -225,29 +88,6 @@ UNIT_TEST(adding_doubling_is_met) {
     montecarlo_run_free(&run);
   }
 }
-
-/* ---- exact profiles ----------------------------------------------------------------------- */
-
-#define TRANSPORT_FILE "../shared/vectors/transport.csv"
-
-enum { TRANSPORT_RADII = 18, TRANSPORT_RATIOS = 16 };
-
-struct transport_medium {
-  double eta;
-  double albedo;
-  double total; /* per entered power */
-  double r[TRANSPORT_RADII];
-  double R[TRANSPORT_RADII];
-};
-
-enum { TERMS = 4 };
-
-/* What the interpolation may be off by, within a ring around a radius where it is exact. */
-#define INTERPOLATION_ERROR 0.001
-
-/* Larger standard errors are not well known themselves: far out, most light of a small albedo comes
- * by few and long flights, and hardly any photon flies so. */
-#define KNOWN_ERROR 0.07
 
 /* ---- a plain walk ------------------------------------------------------------------------- */
 

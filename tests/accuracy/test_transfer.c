@@ -1,13 +1,10 @@
-/* The transfer function R(f), the Hankel transform of R(r): closed forms against the
- * transformation, the transformation of transport against an integral by other means, and its
- * limits. That of dipoles is compared with many digits. */
-#include <float.h>
+/* The transfer function R(f), the Hankel transform of R(r): its filter, the transformation of
+ * transport against an integral by other means, and its limits. truth.c compares that of all other
+ * models with their forms. */
 #include <math.h>
 
 #include "core/filter.h"
 #include "core/kernels.h"
-#include "tests/accuracy/forms.h"
-#include "tests/accuracy/reference.h"
 #include "tests/unit/unit.h"
 
 static const double pi = 3.14159265358979323846;

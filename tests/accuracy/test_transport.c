@@ -125,17 +125,6 @@ UNIT_TEST(media_without_a_boundary_hold) {
   assert_worst(&worst, 1e-7);
 }
 
-/* ---- MCML --------------------------------------------------------------------------------- */
-
-#define MCML_FOLDER "../shared/mcml/"
-#define MCML_SIGMA_MAX 0.05
-#define MCML_SIGMAS 4.0
-#define MCML_SYSTEMATIC 0.003
-
-/* ---- a plain walk ------------------------------------------------------------------------- */
-
-enum { WALK_EDGES = 6, WALK_PHOTONS = 200000 };
-
 /* ---- error estimates ---------------------------------------------------------------------- */
 
 enum { MEDIA = 12, RADII = 150 };

@@ -7,8 +7,7 @@
  * with the model's formula and their difference with the error that the profile states:
  *
  * - f64 and f32 at a few radii with the formula in 113 bits, or in 64 bits where it is an integral
- *   (tests/accuracy/forms.c; one of 24 radii in 113 bits), and models of the dipole family at
- *   some radii also with MPFR (tests/accuracy/reference.c);
+ *   (tests/accuracy/forms.c; one of 24 radii in 113 bits);
  * - f32, lut, and an f64 to whose request a tolerance was added, at many radii with f64 at its
  *   tightest tolerance, which the first comparison checks in the same round. A value that differs
  *   by more than 0.9 of its stated error is compared with the formula itself.
@@ -725,8 +724,6 @@ static size_t exact_radii(enum form_family family) {
 
 static void compare_subject(struct subject *s, uint64_t *random) {
   static struct values values;
-  static reference_dipole dipole;
-  static bool ready;
   const size_t exact = s->form.known ? exact_radii(s->family) : 0;
   values.count = exact + DENSE;
   for (size_t i = 0; i < values.count; i++) {
@@ -750,16 +747,6 @@ static void compare_subject(struct subject *s, uint64_t *random) {
   }
   for (size_t i = 0; i < exact; i++) {
     compare_exactly(s, &values, i, form_at(&s->form, values.r[i], i % 24 > 0), -1, 0);
-  }
-  if (s->family == FORM_DIPOLE) {
-    if (!ready) {
-      reference_dipole_init(&dipole);
-      ready = true;
-    }
-    reference_dipole_prepare(&dipole, s->form.part[0].variant, s->moments, &s->medium);
-    for (size_t i = 0; i < exact; i += 8) {
-      compare_exactly(s, &values, i, form_by_mpfr(&dipole, values.r[i]), -1, 0);
-    }
   }
   if (s->derivatives && s->form.known) {
     compare_derivatives(s, &values, exact < 8 ? exact : 8);

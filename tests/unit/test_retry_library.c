@@ -24,46 +24,85 @@ static void break_rules(int fd, void *context) {
   peer_send_error(fd, 0, WIRE_STATUS_BAD_MAGIC, 0);
 }
 
-/* ---- lost and found ------------------------------------------------------------------------ */
-
-static void check_found(peer_script *const *scripts, void *context) {
-  scripted_peer peer;
-  dipole_client *client = peer_begin_scripts(&peer, scripts, context);
-  peer_check_eval(client, 5);
-  peer_check_eval(client, 6);
-  peer_finish(&peer, client);
+static void be_busy_and_hang_up(int fd, void *context) {
+  peer_frame request;
+  (void)context;
+  peer_say_hello_or_abort(fd);
+  peer_receive_or_abort(fd, &request);
+  peer_send_error(fd, request.header.request_id, WIRE_STATUS_BUSY, 100);
+  free(request.payload);
 }
 
-UNIT_TEST(test_lost_before_the_answer) {
-  check_found((peer_script *const[]){peer_hang_up_after_request, peer_serve, NULL}, NULL);
-}
-
-UNIT_TEST(test_lost_while_nothing_was_asked) {
-  check_found((peer_script *const[]){peer_hang_up_after_hello, peer_serve, NULL}, NULL);
-}
-
-UNIT_TEST(test_lost_anywhere_in_the_answer) {
-  static const size_t sent[] = {1, 23, 24, 25, 100, 135};
-  for (size_t i = 0; i < sizeof sent / sizeof sent[0]; i++) {
-    size_t bytes = sent[i];
-    check_found((peer_script *const[]){peer_hang_up_in_answer, peer_serve, NULL}, &bytes);
+static void stay_silent(int fd, void *context) {
+  peer_frame request;
+  peer_hang_up_after_request(fd, context);
+  if (peer_receive(fd, &request)) { /* waits until the client closes */
+    abort();
   }
 }
 
-UNIT_TEST(test_lost_again_and_again) {
-  check_found((peer_script *const[]){peer_hang_up_after_request, peer_hang_up_at_once,
-                                     peer_hang_up_after_request, peer_hang_up_after_hello,
-                                     peer_hang_up_at_once, peer_serve, NULL},
-              NULL);
-}
+/* ---- lost and found ------------------------------------------------------------------------ */
 
-UNIT_TEST(test_daemon_that_shuts_down) {
-  check_found((peer_script *const[]){shut_down, peer_serve, NULL}, NULL);
-}
+/* What the connections of a client do, and what comes of its queries. */
+static const struct lost {
+  peer_script *scripts[7];
+  size_t sent;                 /* bytes of the answer after which peer_hang_up_in_answer() ends */
+  bool once;                   /* no retries are wanted */
+  unsigned retry_ms;           /* 0: the usual */
+  unsigned timeout_ms;         /* 0: the usual */
+  enum dipole_error_kind kind; /* DIPOLE_ERROR_NONE: every query is answered */
+  unsigned status;
+  const char *text; /* what the error says; NULL: whatever */
+} losses[] = {
+    {.scripts = {peer_hang_up_after_request, peer_serve}},
+    {.scripts = {peer_hang_up_after_hello, peer_serve}},
+    {.scripts = {peer_hang_up_in_answer, peer_serve}, .sent = 1},
+    {.scripts = {peer_hang_up_in_answer, peer_serve}, .sent = 23},
+    {.scripts = {peer_hang_up_in_answer, peer_serve}, .sent = 24},
+    {.scripts = {peer_hang_up_in_answer, peer_serve}, .sent = 25},
+    {.scripts = {peer_hang_up_in_answer, peer_serve}, .sent = 100},
+    {.scripts = {peer_hang_up_in_answer, peer_serve}, .sent = 135},
+    {.scripts = {peer_hang_up_after_request, peer_hang_up_at_once, peer_hang_up_after_request,
+                 peer_hang_up_after_hello, peer_hang_up_at_once, peer_serve}},
+    {.scripts = {shut_down, peer_serve}},
+    {.scripts = {be_busy_and_hang_up, peer_serve}},
+    {.scripts = {peer_hang_up_after_request, peer_be_full, peer_serve}},
+#define NOT_AGAIN .kind = DIPOLE_ERROR_CONNECTION
+    {.scripts = {peer_hang_up_after_request, peer_must_not_come}, .once = true, NOT_AGAIN},
+    {.scripts = {break_rules, peer_must_not_come}, .status = WIRE_STATUS_BAD_MAGIC, NOT_AGAIN},
+    {.scripts = {stay_silent, peer_must_not_come}, .timeout_ms = 50, NOT_AGAIN},
+    {.scripts = {peer_hang_up_after_request}, .retry_ms = 200, .text = "again failed", NOT_AGAIN},
+    {.scripts = {peer_hang_up_after_request, peer_serve_other_lists},
+     .text = "other lists",
+     NOT_AGAIN},
+#undef NOT_AGAIN
+};
 
-UNIT_TEST(test_daemon_with_too_many_connections) {
-  check_found((peer_script *const[]){peer_hang_up_after_request, peer_be_full, peer_serve, NULL},
-              NULL);
+UNIT_TEST(test_lost_connections) {
+  for (size_t i = 0; i < sizeof losses / sizeof losses[0]; i++) {
+    const struct lost *row = &losses[i];
+    size_t sent = row->sent;
+    scripted_peer peer;
+    dipole_client *client = peer_begin_scripts(&peer, row->scripts, &sent);
+    if (row->once || row->retry_ms > 0) {
+      dipole_set_retry_ms(client, row->retry_ms);
+    }
+    if (row->timeout_ms > 0) {
+      dipole_set_timeout_ms(client, row->timeout_ms);
+    }
+    if (row->kind == DIPOLE_ERROR_NONE) {
+      peer_check_eval(client, 5);
+      peer_check_eval(client, 6);
+    } else {
+      const dipole_error error = peer_check_failure(client, row->kind);
+      assert_int_equal(error.status, row->status);
+      assert_true(row->text == NULL || strstr(error.text, row->text) != NULL);
+    }
+    if (row->kind != DIPOLE_ERROR_NONE && (row->once || row->retry_ms > 0)) { /* it stays so */
+      peer_check_failure(client, row->kind);
+    }
+    peer_finish(&peer, client);
+  }
 }
 
 UNIT_TEST(test_each_submitted_query_has_one_answer) {
@@ -96,65 +135,7 @@ UNIT_TEST(test_each_submitted_query_has_one_answer) {
   peer_finish(&peer, client);
 }
 
-/* ---- what is not tried again --------------------------------------------------------------- */
-
-UNIT_TEST(test_none_wanted) {
-  peer_script *const scripts[] = {peer_hang_up_after_request, peer_must_not_come, NULL};
-  scripted_peer peer;
-  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
-  dipole_set_retry_ms(client, 0);
-  peer_check_failure(client, DIPOLE_ERROR_CONNECTION);
-  peer_check_failure(client, DIPOLE_ERROR_CONNECTION);
-  peer_finish(&peer, client);
-}
-
-UNIT_TEST(test_a_fault_of_the_client_is_none_of_the_connection) {
-  peer_script *const scripts[] = {break_rules, peer_must_not_come, NULL};
-  scripted_peer peer;
-  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
-  assert_int_equal(peer_check_failure(client, DIPOLE_ERROR_CONNECTION).status,
-                   WIRE_STATUS_BAD_MAGIC);
-  peer_finish(&peer, client);
-}
-
-static void stay_silent(int fd, void *context) {
-  peer_frame request;
-  peer_hang_up_after_request(fd, context);
-  if (peer_receive(fd, &request)) { /* waits until the client closes */
-    abort();
-  }
-}
-
-UNIT_TEST(test_a_silent_daemon_is_not_asked_again) {
-  peer_script *const scripts[] = {stay_silent, peer_must_not_come, NULL};
-  scripted_peer peer;
-  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
-  dipole_set_timeout_ms(client, 50);
-  peer_check_failure(client, DIPOLE_ERROR_CONNECTION);
-  peer_finish(&peer, client);
-}
-
-UNIT_TEST(test_nobody_comes_back) {
-  peer_script *const scripts[] = {peer_hang_up_after_request, NULL};
-  scripted_peer peer;
-  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
-  dipole_set_retry_ms(client, 200);
-  const int64_t start_ms = peer_now_ms();
-  const dipole_error error = peer_check_failure(client, DIPOLE_ERROR_CONNECTION);
-  assert_non_null(strstr(error.text, "connecting again failed"));
-  assert_true(peer_now_ms() - start_ms < 5000);
-  peer_check_failure(client, DIPOLE_ERROR_CONNECTION);
-  peer_finish(&peer, client);
-}
-
-UNIT_TEST(test_a_daemon_with_other_lists_is_another) {
-  peer_script *const scripts[] = {peer_hang_up_after_request, peer_serve_other_lists, NULL};
-  scripted_peer peer;
-  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
-  const dipole_error error = peer_check_failure(client, DIPOLE_ERROR_CONNECTION);
-  assert_non_null(strstr(error.text, "other lists"));
-  peer_finish(&peer, client);
-}
+/* ---- jobs ---------------------------------------------------------------------------------- */
 
 static const dipole_mc_query job = {.medium = {.1, 1, 0, 1.3},
                                     .thickness_mm = (double)INFINITY,
@@ -363,19 +344,6 @@ UNIT_TEST(test_busy_for_longer_than_that) {
     peer_check_failure(client, DIPOLE_ERROR_REFUSED); /* The client goes on working. */
     peer_finish(&peer, client);
   }
-}
-
-static void be_busy_and_hang_up(int fd, void *context) {
-  peer_frame request;
-  (void)context;
-  peer_say_hello_or_abort(fd);
-  peer_receive_or_abort(fd, &request);
-  peer_send_error(fd, request.header.request_id, WIRE_STATUS_BUSY, 100);
-  free(request.payload);
-}
-
-UNIT_TEST(test_lost_while_waiting) {
-  check_found((peer_script *const[]){be_busy_and_hang_up, peer_serve, NULL}, NULL);
 }
 
 /* ---- deadlines ----------------------------------------------------------------------------- */

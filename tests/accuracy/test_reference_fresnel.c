@@ -1,10 +1,8 @@
-/* The reference itself, against numbers that this project did not make. */
+/* The reference of the Fresnel moments against numbers that this project did not make. */
 #include <math.h>
 
-#include "tests/accuracy/reference.h"
+#include "tests/accuracy/reference_fresnel.h"
 #include "tests/unit/unit.h"
-
-/* ---- Fresnel moments ---------------------------------------------------------------------- */
 
 static void assert_close(double value, double expected, double tolerance, const char *what) {
   if (!(fabs(value - expected) <= tolerance)) {
@@ -121,60 +119,6 @@ UNIT_TEST(fits_differ_from_exact_as_published) {
                      mpfr_get_d(fit->one_minus_3c2, MPFR_RNDN),
                  rows[i].three_c2, rows[i].unit, "3 C2 fit - exact");
   }
-}
-
-/* ---- profiles ----------------------------------------------------------------------------- */
-
-/* One medium of each kind, with every setting of the switches. */
-typedef void member_test(const reference_dipole *dipole, reference_values *values);
-
-static void with_every_member(member_test *test) {
-  static const core_medium media[] = {{0.02, 0.8, 0, 1.3}, {3, 1, 0.5, 0.7}, {0, 2, 0, 1.5}};
-  reference_dipole dipole;
-  reference_values values;
-  reference_dipole_init(&dipole);
-  reference_values_init(&values);
-  for (int switches = 0; switches < 8; switches++) {
-    for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
-      reference_dipole_prepare(&dipole, switches, CORE_MOMENTS_EXACT, &media[i]);
-      test(&dipole, &values);
-    }
-  }
-  reference_values_clear(&values);
-  reference_dipole_clear(&dipole);
-}
-
-static double value_at(const reference_dipole *dipole, double r, reference_values *values,
-                       enum core_elementwise quantity) {
-  reference_dipole_evaluate(dipole, r, values);
-  return mpfr_get_d(values->of[quantity], MPFR_RNDN);
-}
-
-/* Differences of R over a step that is small, but of 384 bits: off from the derivative by the
- * square of the step. */
-static void compare_slopes(const reference_dipole *dipole, reference_values *values) {
-  static const double radii[] = {0.0009765625, 0.125, 1, 3, 20};
-  mpfr_t difference;
-  mpfr_init2(difference, REFERENCE_BITS);
-  for (size_t i = 0; i < sizeof radii / sizeof radii[0]; i++) {
-    const double r = radii[i];
-    const double half_step = r * 0x1p-20;
-    reference_dipole_evaluate(dipole, r + half_step, values);
-    mpfr_set(difference, values->of[CORE_ELEMENTWISE_R], MPFR_RNDN);
-    reference_dipole_evaluate(dipole, r - half_step, values);
-    mpfr_sub(difference, difference, values->of[CORE_ELEMENTWISE_R], MPFR_RNDN);
-    mpfr_div_d(difference, difference, 2 * half_step, MPFR_RNDN);
-    const double slope = value_at(dipole, r, values, CORE_ELEMENTWISE_SLOPE);
-    assert_true(slope < 0);
-    assert_close(mpfr_get_d(difference, MPFR_RNDN), slope, 1e-8 * -slope, "slope");
-    const double R = mpfr_get_d(values->of[CORE_ELEMENTWISE_R], MPFR_RNDN);
-    assert_close(mpfr_get_d(values->of[CORE_ELEMENTWISE_LN_R], MPFR_RNDN), log(R), 1e-12, "ln R");
-  }
-  mpfr_clear(difference);
-}
-
-UNIT_TEST(slope_is_the_derivative_of_R) {
-  with_every_member(compare_slopes);
 }
 
 UNIT_TEARDOWN(forget) {
