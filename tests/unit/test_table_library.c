@@ -2,12 +2,9 @@
  * bytes are refused, and so are wrong answers of a peer. */
 #include <math.h>
 
-#include "core/lut/lut.h"
 #include "core/ruler.h"
-#include "core/transport/decay.h"
 #include "proto/channels.h"
 #include "proto/table.h"
-#include "tests/accuracy/isotropic/isotropic.h"
 #include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
 
@@ -188,44 +185,6 @@ UNIT_TEST(tables_state_the_errors_of_their_profiles) {
   }
 }
 
-/* Far away, where the stated error of transport grows, R is compared with a solution that reaches
- * further. */
-UNIT_TEST(errors_of_a_table_hold_far_away) {
-  static const double decays[] = {20, 40, 60, 100}, albedos[] = {0.1, 0.65, 0.95, 0.9999};
-  isotropic_boundary *boundary;
-  double most = 0;
-  unit_assert_fault(isotropic_boundary_create_far(&boundary, 1.5, 1e-6), NULL, 0);
-  for (size_t i = 0; i < sizeof albedos / sizeof albedos[0]; i++) {
-    made_table made = make("transport", (core_medium){1 - albedos[i], albedos[i], 0, 1.5});
-    dipole_table *table = load(&made);
-    isotropic_solution *solution;
-    unit_assert_fault(isotropic_solve(&solution, boundary, albedos[i]), NULL, 0);
-    for (size_t k = 0; k < sizeof decays / sizeof decays[0]; k++) {
-      const float r = (float)(decays[k] / transport_kappa(albedos[i]));
-      const transport_number R = isotropic_at(solution, (double)r).R;
-      float found;
-      dipole_errors errors;
-      assert_true(dipole_table_values(table, DIPOLE_R, 1, &r, &found));
-      assert_true(dipole_table_errors(table, DIPOLE_R, 1, &r, &errors));
-      const double stated = errors.numerical_error + errors.numerical_error_per_mm * (double)r;
-      const double allowed = fmax(stated * R.value, 16 * 0x1p-149) + R.error;
-      const double share = fabs((double)found - R.value) / allowed;
-      if (share > 1) {
-        print_error("albedo %g, %g decay lengths: %g, right is %g, states %g\n", albedos[i],
-                    decays[k], (double)found, R.value, stated);
-      }
-      most = fmax(most, share);
-      assert_true(errors.model_error == 0);
-    }
-    isotropic_solution_free(solution);
-    dipole_table_free(table);
-    unmake(&made);
-  }
-  isotropic_boundary_free(boundary);
-  printf("largest error %.3f of what was stated\n", most);
-  assert_true(most <= 1);
-}
-
 UNIT_TEST(tables_have_the_bits_of_their_profiles) {
   /* Towards the source, R is constant, or grows like -ln r or like 1 / r. Far away it falls like
    * 1 / r^3, or is 0. */
@@ -367,23 +326,6 @@ UNIT_TEST(radii_that_a_model_does_not_cover_are_refused) {
 
 /* ---- damage -------------------------------------------------------------------------------- */
 
-static void put_checksum(made_table *made) {
-  /* Recomputes the checksum, and the facts that follow from the profile, for changed words. */
-  core_profile changed = made->profile;
-  wire_table_reply fixed;
-  wire_get_table_reply(made->bytes + WIRE_BYTES_header, &fixed);
-  changed.lut = (float *)(void *)(made->bytes + made->count - 4 * (size_t)fixed.word_count);
-  const core_parameters none = core_parameters_none();
-  uint8_t *payload = malloc(made->count);
-  assert_non_null(payload);
-  table_reply_put(payload, &changed, &none, &made->errors);
-  wire_table_reply right;
-  wire_get_table_reply(payload, &right);
-  fixed.checksum = right.checksum;
-  wire_put_table_reply(made->bytes + WIRE_BYTES_header, &fixed);
-  free(payload);
-}
-
 static void assert_damaged(const made_table *made, size_t count) {
   dipole_table *table = NULL;
   dipole_error error = {0};
@@ -457,48 +399,6 @@ UNIT_TEST(impossible_facts_are_found) {
   }
   wire_put_header(made.bytes, &header);
   dipole_table_free(load(&made));
-  unmake(&made);
-}
-
-/* Entries that point outside are refused although the checksum is right. Any other words can be
- * evaluated without reading outside of the table. */
-UNIT_TEST(entries_outside_are_found) {
-  made_table made = make("better", skin);
-  uint64_t random = unit_seed();
-  uint32_t *words = (uint32_t *)(void *)(made.bytes + WIRE_BYTES_header + WIRE_BYTES_table_reply);
-  const size_t count = made.profile.lut_count;
-  const uint32_t pieces =
-      (uint32_t)(count - CORE_LUT_PIECES - CORE_LUT_SAMPLE_WORDS) / CORE_LUT_TERMS;
-  const uint32_t outside[] = {CORE_LUT_ENTRY(pieces, 23),
-                              CORE_LUT_ENTRY(pieces - 1, 22),
-                              CORE_LUT_ENTRY(pieces - 8191, 10) + 32,
-                              CORE_LUT_ENTRY(0, 24),
-                              CORE_LUT_ENTRY(0, 9),
-                              UINT32_MAX};
-  for (size_t i = 0; i < sizeof outside / sizeof outside[0]; i++) {
-    const size_t at = CORE_LUT_R_OCTAVES + unit_random_below(&random, CORE_LUT_PIECES - 16);
-    const uint32_t before = words[at];
-    words[at] = outside[i];
-    put_checksum(&made);
-    assert_damaged(&made, made.count);
-    words[at] = before;
-  }
-  for (int round = 0; round < 50; round++) {
-    for (size_t i = 2; i < 16; i++) { /* The fixed part repeats words 0 and 1. */
-      words[i] = (uint32_t)unit_random(&random);
-    }
-    for (size_t i = CORE_LUT_R_OCTAVES; i < CORE_LUT_PIECES; i++) {
-      words[i] = CORE_LUT_ENTRY(unit_random_below(&random, pieces), 23);
-    }
-    put_checksum(&made);
-    dipole_table *table = load(&made);
-    float r[] = {0, 1e-30f, 1e-3f, 1, 100, (float)INFINITY}, out[6];
-    assert_true(dipole_table_values(table, DIPOLE_R, 6, r, out));
-    assert_true(dipole_table_values(table, DIPOLE_CDF, 6, r, out));
-    float u[] = {0, 1e-30f, 0.25f, 0.5f, 0.75f, 1};
-    assert_true(dipole_table_radii(table, 6, u, out));
-    dipole_table_free(table);
-  }
   unmake(&made);
 }
 
