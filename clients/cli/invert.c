@@ -1,4 +1,4 @@
-/* dipole invert: the media that have given albedos, and a check that they do. */
+/* dipole invert: the media that have given albedos. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -30,9 +30,8 @@ static const cli_option options[] = {
 /* A medium that is asked for. */
 typedef struct wanted {
   double wanted_albedo, length_mm;
-  bool found;
-  dipole_medium medium;
-  double albedo; /* the albedo that the found medium has; NaN if no medium was found */
+  dipole_medium medium; /* its coefficients and albedo are NaN if there is none */
+  double albedo;
 } wanted;
 
 typedef struct report {
@@ -64,58 +63,35 @@ static int check(cli_settings *settings) {
 
 /* ---- asking ---------------------------------------------------------------------------------- */
 
-/* Asks for the medium of an albedo, and as a check for the albedo of that medium. */
-static bool ask_one(dipole_client *client, const cli_settings *settings, report *of, wanted *one,
-                    dipole_error *error) {
-  const dipole_invert_query query = {.model = of->profile.model->id,
-                                     .moments = of->profile.moments->id,
-                                     .given = of->given->id,
-                                     .g = cli_numbers_pick(&settings->g, 0, 0),
-                                     .eta = settings->eta.items[0],
-                                     .albedos = &one->wanted_albedo,
-                                     .lengths_mm = &one->length_mm,
-                                     .medium_count = 1,
-                                     .deadline_ms = (unsigned)settings->deadline_ms.value};
-  dipole_inversion *inversion;
-  if (!CLI_ASK(settings, error, dipole_invert(client, &query, &inversion, error))) {
-    return false;
-  }
-  one->found = !isnan(inversion->sigma_a_per_mm[0]);
-  one->medium = (dipole_medium){inversion->sigma_a_per_mm[0], inversion->sigma_s_per_mm[0],
-                                cli_numbers_pick(&settings->g, 0, 0), settings->eta.items[0]};
-  one->albedo = (double)NAN;
-  of->albedo_least = inversion->albedo_least;
-  of->albedo_most = inversion->albedo_most;
-  of->missing += !one->found;
-  dipole_inversion_free(inversion);
-  const dipole_query check = {.model = query.model,
-                              .evaluator = DIPOLE_F64,
-                              .moments = query.moments,
-                              .wanted = DIPOLE_ALBEDO,
-                              .media = &one->medium,
-                              .medium_count = 1,
-                              .spacing = DIPOLE_LIST,
-                              .deadline_ms = query.deadline_ms};
-  dipole_result *result;
-  if (one->found && !CLI_ASK(settings, error, dipole_eval(client, &check, &result, error))) {
-    return false;
-  }
-  if (one->found) {
-    one->albedo = result->channels[0].albedo;
-    dipole_result_free(result);
-  }
-  return true;
-}
-
 /* Asks for one medium after the other, so that the daemon is not silent for long. */
 static bool ask(dipole_client *client, const cli_settings *settings, report *of,
                 dipole_error *error) {
+  const double g = cli_numbers_pick(&settings->g, 0, 0), eta = settings->eta.items[0];
   cli_progress progress;
   bool good = true;
   cli_progress_start(&progress, "media");
   for (size_t i = 0; good && i < of->count; i++) {
+    wanted *one = &of->items[i];
+    dipole_inversion *found;
+    const dipole_invert_query query = {.model = of->profile.model->id,
+                                       .moments = of->profile.moments->id,
+                                       .given = of->given->id,
+                                       .g = g,
+                                       .eta = eta,
+                                       .albedos = &one->wanted_albedo,
+                                       .lengths_mm = &one->length_mm,
+                                       .medium_count = 1,
+                                       .deadline_ms = (unsigned)settings->deadline_ms.value};
     of->asked = i + 1;
-    good = ask_one(client, settings, of, &of->items[i], error);
+    good = CLI_ASK(settings, error, dipole_invert(client, &query, &found, error));
+    if (good) {
+      one->medium = (dipole_medium){found->sigma_a_per_mm[0], found->sigma_s_per_mm[0], g, eta};
+      one->albedo = found->albedos[0];
+      of->albedo_least = found->albedo_least;
+      of->albedo_most = found->albedo_most;
+      of->missing += found->missing_count;
+      dipole_inversion_free(found);
+    }
     cli_progress_show(&progress, (double)(i + 1) / (double)of->count, (double)(i + 1));
   }
   cli_progress_wipe(&progress);
@@ -125,10 +101,8 @@ static bool ask(dipole_client *client, const cli_settings *settings, report *of,
 /* ---- writing --------------------------------------------------------------------------------- */
 
 static const char *status_of(const report *of, const wanted *one) {
-  if (one->found) {
-    return "ok";
-  }
-  return one->wanted_albedo < of->albedo_least || one->wanted_albedo > of->albedo_most
+  return !isnan(one->medium.sigma_a_per_mm) ? "ok"
+         : one->wanted_albedo < of->albedo_least || one->wanted_albedo > of->albedo_most
              ? "out of reach"
              : "no such length";
 }
@@ -137,24 +111,20 @@ static void put_medium(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
   const wanted *one = &of->items[index];
   const dipole_medium *medium = &one->medium;
-  const double sigma_s = medium->sigma_s_per_mm;
-  const double off = fabs(one->albedo - one->wanted_albedo);
-  const double reduced = one->found ? sigma_s * (1 - medium->g) : (double)NAN;
-  const char *reason = one->found ? NULL : status_of(of, one), *none = one->found ? NULL : "-";
+  const double reduced = medium->sigma_s_per_mm * (1 - medium->g);
   const unsigned programs = CLI_IN_CSV | CLI_IN_JSON;
   cli_put_text(rows, of->profile.model->name, "model", .forms = programs);
   cli_put_count(rows, index + 1, "channel");
   cli_put_number(rows, one->wanted_albedo, "wanted_albedo", "albedo", .below = "wanted");
   cli_put_text(rows, of->given->name, "given", .forms = programs);
   cli_put_number(rows, one->length_mm, "length", of->given->name, "mm");
-  cli_put_shown(rows, medium->sigma_a_per_mm, reason, "sigma_a", NULL, "1/mm", "%.9g");
-  cli_put_shown(rows, sigma_s, none, "sigma_s", NULL, "1/mm", "%.9g");
-  cli_put_shown(rows, reduced, none, "sigma_s'", NULL, "1/mm", "%.9g", .forms = CLI_IN_TABLE);
-  cli_put_shown(rows, medium->g, none, "g");
-  cli_put_shown(rows, medium->eta, none, "eta");
-  cli_put_shown(rows, one->albedo, none, "albedo", "check: albedo");
-  cli_put_shown(rows, off, none, "off by", .format = "%.1e", .forms = CLI_IN_TABLE);
-  cli_put_text(rows, status_of(of, one), "status", .forms = programs);
+  cli_put_number(rows, medium->sigma_a_per_mm, "sigma_a", NULL, "1/mm", "%.9g", "-");
+  cli_put_number(rows, medium->sigma_s_per_mm, "sigma_s", NULL, "1/mm", "%.9g", "-");
+  cli_put_number(rows, reduced, "sigma_s'", NULL, "1/mm", "%.9g", "-", .forms = CLI_IN_TABLE);
+  cli_put_number(rows, medium->g, "g");
+  cli_put_number(rows, medium->eta, "eta");
+  cli_put_number(rows, one->albedo, "albedo", "its albedo", .missing = "-");
+  cli_put_text(rows, status_of(of, one), "status");
 }
 
 static void put_facts(cli_rows *rows, const void *context, size_t index) {
@@ -169,58 +139,51 @@ static void put_facts(cli_rows *rows, const void *context, size_t index) {
 
 static void write_foot(const void *context) {
   const report *of = context;
-  puts("check: an evaluation of the medium");
   cli_write_launched(&of->items[0].medium, of->count > 0 ? 1 : 0); /* all have one eta */
-}
-
-/* Everything is written in any case; then the user is told which media there are not. */
-static int write_and_judge(const cli_settings *settings, const report *of) {
-  const cli_report output = {
-      .facts = put_facts, .rows = of->count, .put_row = put_medium, .left = 1, .foot = write_foot};
-  cli_write(&output, settings->form, of);
-  if (of->missing == 0) {
-    return CLI_OK;
-  }
-  cli_fail(
-      "%zu of %zu: there is no such medium: with this model, g and eta albedos above 0 go from "
-      "%.3g to %.17g, and without absorption there is no diffuse path",
-      of->missing, of->count, of->albedo_least, of->albedo_most);
-  return CLI_BAD_ROWS;
 }
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
-static int ask_and_write(const cli_settings *settings, dipole_client *client, report *of) {
-  const char *length = NULL;
-  const cli_numbers *lengths = cli_lengths_find(settings, &length);
-  dipole_error error;
-  of->count = settings->albedo.count > lengths->count ? settings->albedo.count : lengths->count;
-  of->items = cli_allocate(of->count, sizeof *of->items);
-  for (size_t i = 0; i < of->count; i++) {
-    of->items[i].wanted_albedo = cli_numbers_pick(&settings->albedo, i, 0);
-    of->items[i].length_mm = cli_numbers_pick(lengths, i, 0);
-  }
-  if (!cli_profile_take_names(settings, client, &of->profile)) {
-    return CLI_USAGE;
-  }
-  of->given = cli_choice(of->profile.info, DIPOLE_LENGTH, length);
-  if (of->given == NULL) {
-    return cli_fail("--%s: this daemon does not know it; name another length", length);
-  }
-  if (ask(client, settings, of, &error)) {
-    return write_and_judge(settings, of);
-  }
+static int fail_asking(const report *of, const char *length, const dipole_error *error) {
   char place[96] = "";
   if (of->count > 1) {
     snprintf(place, sizeof place, "channel %zu: ", of->asked);
   }
-  return strcmp(error.field, "length") == 0 ? cli_fail("%s%s (--%s)", place, error.text, length)
-                                            : cli_fail_error_of(place, &error);
+  return strcmp(error->field, "length") == 0 ? cli_fail("%s%s (--%s)", place, error->text, length)
+                                             : cli_fail_error_of(place, error);
 }
 
 static int run(const cli_settings *settings, dipole_client *client) {
   report of = {0};
-  return ask_and_write(settings, client, &of);
+  const char *length = NULL;
+  const cli_numbers *lengths = cli_lengths_find(settings, &length);
+  dipole_error error;
+  of.count = settings->albedo.count > lengths->count ? settings->albedo.count : lengths->count;
+  of.items = cli_allocate(of.count, sizeof *of.items);
+  for (size_t i = 0; i < of.count; i++) {
+    of.items[i].wanted_albedo = cli_numbers_pick(&settings->albedo, i, 0);
+    of.items[i].length_mm = cli_numbers_pick(lengths, i, 0);
+  }
+  if (!cli_profile_take_names(settings, client, &of.profile)) {
+    return CLI_USAGE;
+  }
+  of.given = cli_choice(of.profile.info, DIPOLE_LENGTH, length);
+  if (of.given == NULL) {
+    return cli_fail("--%s: this daemon does not know it; name another length", length);
+  }
+  if (!ask(client, settings, &of, &error)) {
+    return fail_asking(&of, length, &error);
+  }
+  const cli_report output = {
+      .facts = put_facts, .rows = of.count, .put_row = put_medium, .left = 1, .foot = write_foot};
+  cli_write(&output, settings->form, &of);
+  return of.missing == 0
+             ? CLI_OK
+             : cli_say(CLI_BAD_ROWS,
+                       "%zu of %zu: there is no such medium: with this model, g and eta albedos "
+                       "above 0 go from %.3g to %.17g, and without absorption there is no diffuse "
+                       "path",
+                       of.missing, of.count, of.albedo_least, of.albedo_most);
 }
 
 const cli_command cli_command_invert = {
@@ -228,8 +191,8 @@ const cli_command cli_command_invert = {
     .about = "Find the medium that has a given albedo: sigma_a and sigma_s",
     .more =
         "Takes a diffuse albedo and a length, and finds the coefficients of a medium that has "
-        "them by a model. sigma_t' is sigma_a + sigma_s (1 - g). As a check, the albedo of that "
-        "medium is evaluated. The exit status is 3 if there is no such medium for some channel.",
+        "them by a model. sigma_t' is sigma_a + sigma_s (1 - g). The exit status is 3 if there is no "
+        "such medium for some channel.",
     .formats = "table,csv,json",
     .options = {options},
     .check = check,
