@@ -337,10 +337,9 @@ static char split_header(cli_csv_record *header) {
 static enum cli_csv_kind take_header(cli_csv_reader *reader, cli_csv_record *header) {
   const char separator = split_header(header);
   if (memchr(header->bytes, '\0', header->length) != NULL) {
-    return fail_at(
-        reader, header->line,
-        "the header has zero bytes, as UTF-16 has: save the file as UTF-8, or convert it "
-        "by iconv -f UTF-16 -t UTF-8");
+    return fail_at(reader, header->line,
+                   "the header has zero bytes, as UTF-16 has: save the file as UTF-8, or convert "
+                   "it by iconv -f UTF-16 -t UTF-8");
   }
   if (separator == 0) {
     return fail_at(reader, header->line,
@@ -439,13 +438,6 @@ void cli_csv_record_free(cli_csv_record *record) {
   cli_free(record->texts);
   cli_free(record->cells);
   *record = (cli_csv_record){0};
-}
-
-void cli_csv_record_trim(cli_csv_record *record) {
-  if (record->capacity > CLI_CSV_RECORD_KEPT_BYTES ||
-      record->cell_capacity * sizeof *record->cells > CLI_CSV_RECORD_KEPT_BYTES) {
-    cli_csv_record_free(record);
-  }
 }
 
 /* ---- writing --------------------------------------------------------------------------------- */

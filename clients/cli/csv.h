@@ -24,9 +24,6 @@
 /* The size of the longest record, with the line breaks in its quotes. */
 #define CLI_CSV_RECORD_MAX_BYTES ((size_t)1 << 20)
 
-/* How much memory cli_csv_record_trim() leaves to a record. */
-#define CLI_CSV_RECORD_KEPT_BYTES ((size_t)1 << 14)
-
 enum { CLI_CSV_INPUT_BYTES = 65536 };
 
 typedef struct cli_csv_cell {
@@ -113,8 +110,7 @@ const char *cli_csv_fault(const cli_csv_record *row, size_t header_cells);
 void cli_csv_copy_cell(const cli_csv_record *record, size_t index, FILE *file);
 void cli_csv_write_cell(const char *text, FILE *file);
 
-/* Free the memory of a record: always, or only if it is more than CLI_CSV_RECORD_KEPT_BYTES. */
+/* Frees the memory of a record. */
 void cli_csv_record_free(cli_csv_record *record);
-void cli_csv_record_trim(cli_csv_record *record);
 
 #endif

@@ -30,13 +30,10 @@ static const cli_option radii_options[] = {
 
 const cli_option cli_eval_options[] = {
     CLI_TITLE("Evaluation"),
-    CLI_OPTION(
-        NAMES, model, NULL,
-        "`dipole info` lists them; all: every model that accepts the query, while standard error "
-        "names "
-        "those that refuse it (default: transport; with --tolerance the cheapest that is so near "
-        "to "
-        "it)"),
+    CLI_OPTION(NAMES, model, NULL,
+               "`dipole info` lists them; all: every model that accepts the query, while standard "
+               "error names those that refuse it (default: transport; with --tolerance the "
+               "cheapest that is so near to it)"),
     CLI_MOMENTS_OPTION,
     CLI_EVALUATOR_OPTION,
     CLI_DEADLINE_OPTION,
@@ -49,15 +46,13 @@ static const cli_option output_options[] = {
         "what to evaluate. R: 1/mm^2 per unit of power that entered; albedo; cdf: the share of the "
         "albedo within r; S: 1/(mm^2 sr); R_f: for striped light, at spatial frequencies in 1/mm; "
         "`dipole info` lists all (default: R,albedo; with --f R_f,albedo)"),
-    CLI_OPTION(
-        SWITCH, errors, NULL,
-        "also write model_errors: how far the model is from transport at each radius. A medium for "
-        "which transport has no stored solution is solved, which takes seconds"),
+    CLI_OPTION(SWITCH, errors, NULL,
+               "also write model_errors: how far the model is from transport at each radius. A "
+               "medium for which transport has no stored solution is solved, which takes seconds"),
     CLI_TITLE("Output"),
     CLI_OPTION(FILES, plot, NULL,
                "also draw R over r into FILE.svg or FILE.png; -: as text below the table. May be "
-               "repeated. "
-               "`dipole plot` draws more"),
+               "repeated. `dipole plot` draws more"),
     {0},
 };
 
@@ -616,8 +611,8 @@ static int check_table(const cli_settings *settings) {
       settings->evaluator != NULL || cli_parameters_given(settings) ||
       settings->deadline_ms.given || settings->connect != NULL || settings->f.count > 0 ||
       settings->errors) {
-    return cli_fail_usage("--table FILE says what is evaluated, and needs no daemon: of "
-                          "the options leave all out but radii, --wanted and output");
+    return cli_fail_usage("--table FILE says what is evaluated, and needs no daemon: of the "
+                          "options leave all out but radii, --wanted and output");
   }
   return CLI_OK;
 }

@@ -18,18 +18,15 @@ static const cli_option options[] = {
     CLI_TITLE("Samples"),
     CLI_OPTION(ONE, eta, NULL,
                "refractive index inside over outside, where the file does not say: it has no "
-               "default (tissue "
-               "in air has about 1.4)"),
+               "default (tissue in air has about 1.4)"),
     CLI_OPTION(ONE, g, NULL,
                "mean cosine of the scattering angle, where the file does not say (default: 0)"),
     CLI_OPTION(TEXT, scale, NULL,
                "absolute: R is as the model has it; free: R of each sample is that times a factor, "
-               "which is "
-               "fitted, too (default: absolute)"),
+               "which is fitted, too (default: absolute)"),
     CLI_OPTION(NUMBERS, reference, NULL,
                "R is divided by the reading of a known medium at the same place: sigma_a, sigma_s "
-               "(1/mm), g "
-               "and eta of that medium"),
+               "(1/mm), g and eta of that medium"),
     CLI_TITLE("Evaluation"),
     CLI_OPTION(NAME, model, CLI_MODEL_DEFAULT, "the model that is fitted; see `dipole info`"),
     CLI_MOMENTS_OPTION,
@@ -37,8 +34,7 @@ static const cli_option options[] = {
     CLI_TITLE("Output"),
     CLI_OPTION(FILES, plot, NULL,
                "also draw readings, fit and residuals of the first samples into FILE.svg or "
-               "FILE.png; -: as "
-               "text. May be repeated"),
+               "FILE.png; -: as text. May be repeated"),
     {0},
 };
 
@@ -135,8 +131,8 @@ static bool check_header(const cli_sheet *sheet, const cli_csv_record *header) {
   return missing == NULL ||
          cli_csv_fail_missing(
              sheet->source, header, missing,
-             "r (distances in mm) or f (spatial frequencies in 1/mm), R and error, "
-             "and may have sample, g, eta, detector_na, source_mm and detector_mm");
+             "r (distances in mm) or f (spatial frequencies in 1/mm), R and error, and may have "
+             "sample, g, eta, detector_na, source_mm and detector_mm");
 }
 
 /* Returns the number of the sample of this name, which is the next one if it is new. table: of
@@ -639,18 +635,18 @@ const cli_command cli_command_fit = {
     .more =
         "FILE is CSV; without it, standard input is read. The header names the columns: r "
         "(distance from the light, mm) or f (spatial frequency of striped light, 1/mm), R (the "
-        "reading, 1/mm^2 per unit of power that entered; at f its share) and error (its "
-        "standard error). These may be absent: sample (a name; lines of the same name belong "
-        "together), eta, g, source_mm and detector_mm (diameters of the discs that light enters "
-        "through and is detected on), and detector_na (see --detector-na). Each sample has at "
-        "least as many readings as unknowns: 2, or 3 with --scale free. Without a column eta, "
-        "--eta has to be given. The output has the g and eta that were taken, and g_from, where "
-        "g comes from: file, option or default. Beyond two mean free paths readings hardly see "
-        "g: they are fitted with a wrong one, too. sigma_a_by_g and sigma_s_prime_by_g say how "
-        "much sigma_a and sigma_s' change at most for g +- .05 (about twice that for +- .1), "
-        "and g_sides which of these two g the model takes: both, below, above or none. They "
-        "have no value where one of the fits is no success. They are 0 where the model does not "
-        "see g (notes similarity and gamma), though the light does." CLI_CSV_TEXT "\n"
+        "reading, 1/mm^2 per unit of power that entered; at f its share) and error (its standard "
+        "error). These may be absent: sample (a name; lines of the same name belong together), "
+        "eta, g, source_mm and detector_mm (diameters of the discs that light enters through and "
+        "is detected on), and detector_na (see --detector-na). Each sample has at least as many "
+        "readings as unknowns: 2, or 3 with --scale free. Without a column eta, --eta has to be "
+        "given. The output has the g and eta that were taken, and g_from, where g comes from: "
+        "file, option or default. Beyond two mean free paths readings hardly see g: they are "
+        "fitted with a wrong one, too. sigma_a_by_g and sigma_s_prime_by_g say how much sigma_a "
+        "and sigma_s' change at most for g +- .05 (about twice that for +- .1), and g_sides which "
+        "of these two g the model takes: both, below, above or none. They have no value where one "
+        "of the fits is no success. They are 0 where the model does not see g (notes similarity "
+        "and gamma), though the light does." CLI_CSV_TEXT "\n"
         "status is fitted, or says why a sample is no success: at-bound, undetermined, "
         "implausible, ambiguous, unfinished or refused; `dipole info` describes them. The exit "
         "status is then 3, and all samples are written nevertheless. sigma_s' is sigma_s (1 - "

@@ -15,14 +15,11 @@ static const cli_option options[] = {
     CLI_MOMENTS_OPTION,
     CLI_OPTION(NUMBER, tolerance, "0.01",
                "largest relative error, at each query, that groups of points may cause which stand "
-               "for their "
-               "points: 1e-9 to .5, or 0 for none"),
-    CLI_OPTION(
-        NUMBER, least_distance, NULL,
-        "no distance between a query and a point counts as less than X mm (default: 0). Where R "
-        "grows "
-        "like 1/r, half the radius of a disc of a point's area is right: the mean of 1/r over the "
-        "disc"),
+               "for their points: 1e-9 to .5, or 0 for none"),
+    CLI_OPTION(NUMBER, least_distance, NULL,
+               "no distance between a query and a point counts as less than X mm (default: 0); all "
+               "points are then summed one by one. Where R grows like 1/r, half the radius of a "
+               "disc of a point's area is right: the mean of 1/r over the disc"),
     CLI_DEADLINE_OPTION,
     {0},
 };
@@ -139,42 +136,18 @@ static int fail_at(const work *of, const dipole_error *error) {
   return cli_fail_error_of(place, error);
 }
 
-static int compare_x(const void *a, const void *b) {
-  const double x = **(const double *const *)a, y = **(const double *const *)b;
-  return (x > y) - (x < y);
-}
-
-static double distance_mm(const double *a, const double *b) {
-  return sqrt((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) +
-              (a[2] - b[2]) * (a[2] - b[2]));
-}
-
-/* Returns whether a point is nearer to a query than least_mm. places: in the order of x. */
-static bool is_near(const double *const *places, size_t count, const double *query_mm,
-                    double least_mm) {
-  size_t low = 0, high = count;
-  while (low < high) {
-    const size_t middle = low + (high - low) / 2;
-    const bool before = places[middle][0] <= query_mm[0] - least_mm;
-    low = before ? middle + 1 : low;
-    high = before ? high : middle;
-  }
-  while (low < count && places[low][0] < query_mm[0] + least_mm &&
-         distance_mm(places[low], query_mm) >= least_mm) {
-    low++;
-  }
-  return low < count && places[low][0] < query_mm[0] + least_mm;
-}
-
-/* Sums the points one by one. r: room for a radius of each. */
+/* Sums the points one by one for a query, none of them nearer than --least-distance. r: room for a
+ * radius of each. */
 static bool sum_directly(const work *of, const double *query_mm, double *r, double *M,
                          dipole_error *error) {
   const bool is_double = of->query.evaluator == DIPOLE_F64;
   const cloud *points = &of->points;
   const uint32_t channels = points->channels;
   for (uint64_t i = 0; i < points->count; i++) {
+    const double *at = points->xyz_mm + 3 * i;
     const double r_mm =
-        fmax(distance_mm(points->xyz_mm + 3 * i, query_mm), of->settings->least_distance.value);
+        fmax(hypot(hypot(at[0] - query_mm[0], at[1] - query_mm[1]), at[2] - query_mm[2]),
+             of->settings->least_distance.value);
     if (is_double) {
       r[i] = r_mm;
     } else {
@@ -197,7 +170,6 @@ static bool sum_directly(const work *of, const double *query_mm, double *r, doub
   }
   for (uint32_t c = 0; c < channels; c++) {
     const dipole_channel *channel = &result->channels[c];
-    M[c] = 0;
     for (uint64_t i = 0; i < points->count; i++) {
       M[c] += (is_double ? channel->R_f64[i] : (double)channel->R_f32[i]) *
               (double)points->power_W[i * channels + c];
@@ -207,22 +179,14 @@ static bool sum_directly(const work *of, const double *query_mm, double *r, doub
   return true;
 }
 
-/* Sums directly for the queries that are too near to a point. */
-static bool mend_near(work *of, dipole_error *error) {
-  const double least_mm = of->settings->least_distance.value;
-  const double count = (double)of->queries.count;
-  const double **places = cli_allocate(of->points.count, sizeof *places);
+/* Sums directly for all queries. */
+static bool sum_all(work *of, dipole_error *error) {
+  const uint64_t count = of->queries.count;
   double *r = cli_allocate(of->points.count, sizeof *r);
-  for (uint64_t i = 0; i < of->points.count; i++) {
-    places[i] = of->points.xyz_mm + 3 * i;
-  }
-  qsort(places, of->points.count, sizeof *places, compare_x);
   bool good = true;
-  for (uint64_t q = 0; good && q < of->queries.count && !cli_interrupted(); q++) {
-    const double *query_mm = of->queries.xyz_mm + 3 * q;
-    good = !is_near(places, of->points.count, query_mm, least_mm) ||
-           sum_directly(of, query_mm, r, of->M + q * of->points.channels, error);
-    cli_progress_show(&of->progress, (double)q / count, (double)q);
+  for (uint64_t q = 0; good && q < count && !cli_interrupted(); q++) {
+    good = sum_directly(of, of->queries.xyz_mm + 3 * q, r, of->M + q * of->points.channels, error);
+    follow(&of->progress, q, count);
   }
   return good;
 }
@@ -253,10 +217,11 @@ static int ask(work *of) {
   };
   cli_catch_interrupt();
   cli_progress_start(&of->progress, "queries");
-  const bool good = CLI_ASK(of->settings, &error,
-                            dipole_gather(of->client, &of->query, follow, &of->progress, of->M,
-                                          &result, &error)) &&
-                    (!(of->settings->least_distance.value > 0) || mend_near(of, &error));
+  const bool good = of->settings->least_distance.value > 0
+                        ? sum_all(of, &error)
+                        : CLI_ASK(of->settings, &error,
+                                  dipole_gather(of->client, &of->query, follow, &of->progress,
+                                                of->M, &result, &error));
   cli_progress_wipe(&of->progress);
   dipole_points_free(set);
   return !good               ? fail_at(of, &error)

@@ -18,10 +18,9 @@ static const cli_option options[] = {
     CLI_OPTION(ONE, g, NULL, "mean cosine of the scattering angle (default: 0)"),
     CLI_OPTION(ONE, eta, "1.3", "refractive index inside over outside"),
     CLI_TITLE("Evaluation"),
-    CLI_OPTION(
-        NAME, model, CLI_MODEL_DEFAULT,
-        "the model that gives the albedo; see `dipole info`. transport takes some 5 ms for each "
-        "medium, better microseconds"),
+    CLI_OPTION(NAME, model, CLI_MODEL_DEFAULT,
+               "the model that gives the albedo; see `dipole info`. transport takes some 5 ms for "
+               "each medium, better microseconds"),
     CLI_MOMENTS_OPTION,
     CLI_DEADLINE_OPTION,
     {0},
@@ -179,20 +178,19 @@ static int run(const cli_settings *settings, dipole_client *client) {
   cli_write(&output, settings->form, &of);
   return of.missing == 0
              ? CLI_OK
-             : cli_say(CLI_BAD_ROWS,
-                       "%zu of %zu: there is no such medium: with this model, g and eta albedos "
-                       "above 0 go from %.3g to %.17g, and without absorption there is no diffuse "
-                       "path",
-                       of.missing, of.count, of.albedo_least, of.albedo_most);
+             : cli_say(
+                   CLI_BAD_ROWS,
+                   "%zu of %zu: there is no such medium: with this model, g and eta albedos above "
+                   "0 go from %.3g to %.17g, and without absorption there is no diffuse path",
+                   of.missing, of.count, of.albedo_least, of.albedo_most);
 }
 
 const cli_command cli_command_invert = {
     .name = "invert",
     .about = "Find the medium that has a given albedo: sigma_a and sigma_s",
-    .more =
-        "Takes a diffuse albedo and a length, and finds the coefficients of a medium that has "
-        "them by a model. sigma_t' is sigma_a + sigma_s (1 - g). The exit status is 3 if there is no "
-        "such medium for some channel.",
+    .more = "Takes a diffuse albedo and a length, and finds the coefficients of a medium that has "
+            "them by a model. sigma_t' is sigma_a + sigma_s (1 - g). The exit status is 3 if there "
+            "is no such medium for some channel.",
     .formats = "table,csv,json",
     .options = {options},
     .check = check,

@@ -18,18 +18,16 @@ static const cli_option options[] = {
     CLI_TITLE("Rings"),
     CLI_OPTION(NUMBERS, r, NULL,
                "in place of rings: R at these radii above 0, mm, from rings 3 % wide. --format csv "
-               "is then a "
-               "file that `dipole fit` reads"),
+               "is then a file that `dipole fit` reads"),
     CLI_OPTION(NUMBER, from, NULL, "inner edge of the first ring, mm (default: 0)"),
     CLI_OPTION(NUMBER, to, "10", "outer edge of the last ring, mm"),
     CLI_OPTION(COUNT32, rings, "20", "how many rings there are"),
     CLI_OPTION(SWITCH, log, NULL,
                "make the ratios between edges equal instead of the steps; needs --from"),
     CLI_TITLE("Effort"),
-    CLI_OPTION(
-        NUMBER, photons, "1e6",
-        "how many photons walk, such as 2e6 (with --error or --total-error, as many as the daemon "
-        "allows)"),
+    CLI_OPTION(NUMBER, photons, "1e6",
+               "how many photons walk, such as 2e6 (with --error or --total-error, as many as the "
+               "daemon allows)"),
     CLI_OPTION(NUMBER, error, NULL,
                "end when the relative standard error of each ring with light is so small"),
     CLI_OPTION(NUMBER, total_error, NULL,
@@ -58,8 +56,8 @@ static int check(cli_settings *settings) {
   }
   if (settings->r.count > 0 &&
       (settings->from.given || settings->to.given || settings->rings.given || settings->log)) {
-    return cli_fail_usage("--r gives the radii one by one: leave --from, --to, --rings and --log "
-                          "out");
+    return cli_fail_usage(
+        "--r gives the radii one by one: leave --from, --to, --rings and --log out");
   }
   for (size_t i = 0; i < settings->r.count; i++) {
     if (!(settings->r.items[i] > 0 && isfinite(settings->r.items[i]))) {

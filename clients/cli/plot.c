@@ -28,13 +28,11 @@ static const cli_option options[] = {
                "how many radii a curve has; with --mc, how many rings (then 24)"),
     CLI_OPTION(SWITCH, log, NULL,
                "make the ratios between radii equal instead of the steps (default: if r is on a "
-               "logarithmic "
-               "axis and --from is above 0)"),
+               "logarithmic axis and --from is above 0)"),
     CLI_TITLE("Picture"),
     CLI_OPTION(TEXT, quantity, "R",
                "what to draw: R, cdf, pdf, dR_dr, ln_R, 2_pi_r_R, S or, over spatial frequencies, "
-               "R_f; see "
-               "`dipole info`"),
+               "R_f; see `dipole info`"),
     CLI_OPTION(TEXT, axes, "logarithmic",
                "linear; semilog: values are logarithmic; logarithmic: r is, too"),
     {"error", "add a panel with the relative deviation from " REFERENCE, CLI_SWITCH,
@@ -71,16 +69,14 @@ static int check_walk(const cli_settings *settings) {
     return cli_fail_usage("--mc: give a whole number of photons from 1 to 9e15, such as 1e6");
   }
   if (settings->r.count > 0 || settings->f.count > 0 || strcmp(settings->quantity, "R") != 0) {
-    return cli_fail_usage(
-        "--mc draws means of R over rings: give --from, --to and --count in place "
-        "of --r, --f and --quantity");
+    return cli_fail_usage("--mc draws means of R over rings: give --from, --to and --count in "
+                          "place of --r, --f and --quantity");
   }
   if (settings->count.value < 1 || settings->count.value > RINGS_MAX ||
       !(settings->from.value >= 0 && settings->to.value > settings->from.value &&
         isfinite(settings->to.value))) {
-    return cli_fail_usage("--mc: give 1 to %d rings, from --from, 0 or more, to --to, which is "
-                          "larger",
-                          RINGS_MAX);
+    return cli_fail_usage(
+        "--mc: give 1 to %d rings, from --from, 0 or more, to --to, which is larger", RINGS_MAX);
   }
   return CLI_OK;
 }
@@ -97,8 +93,8 @@ static int check(cli_settings *settings) {
                           settings->axes);
   }
   if (settings->deviation && settings->parameters[CORE_PARAMETER_THICKNESS].text != NULL) {
-    return cli_fail_usage("--error compares with " REFERENCE ", which has no slabs: leave "
-                          "--thickness out");
+    return cli_fail_usage("--error compares with " REFERENCE
+                          ", which has no slabs: leave --thickness out");
   }
   return settings->photons.given ? check_walk(settings) : CLI_OK;
 }

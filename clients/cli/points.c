@@ -19,12 +19,10 @@ static const cli_option options[] = {
     CLI_TITLE("Evaluation"),
     CLI_OPTION(NAME, model, NULL,
                "the model of the rows whose cell is empty or absent (default: transport; with a "
-               "tolerance, "
-               "the cheapest that is so near to radiative transport)"),
+               "tolerance, the cheapest that is so near to radiative transport)"),
     CLI_OPTION(TEXT, evaluator, NULL,
                "f64 or f32: double or single precision; lut: single, by a table (default: f64; for "
-               "transport "
-               "lut where many rows share g and eta, else f32)"),
+               "transport lut where many rows share g and eta, else f32)"),
     CLI_OPTION(
         NUMBERS, r, NULL,
         "for files without a column r: each row is written once for each of these radii, mm"),
@@ -33,14 +31,11 @@ static const cli_option options[] = {
                "place of r"),
     CLI_OPTION(NAMES, wanted, NULL,
                "the quantities to write; `dipole info` lists all (default: R,albedo,cdf; with "
-               "--tolerance in "
-               "place of --model R,albedo, which keep more tolerances)"),
-    CLI_OPTION(
-        SWITCH, errors, NULL,
-        "write numerical_error and model_error, too: how far the values may be from the model's "
-        "formula, and the model from radiative transport (empty: not solved). Rows that are "
-        "answered "
-        "together have the largest error of all"),
+               "--tolerance in place of --model R,albedo, which keep more tolerances)"),
+    CLI_OPTION(SWITCH, errors, NULL,
+               "write numerical_error and model_error, too: how far the values may be from the "
+               "model's formula, and the model from radiative transport (empty: not solved). Rows "
+               "that are answered together have the largest error of all"),
     {0},
 };
 
@@ -336,7 +331,7 @@ static void write_row(points_run *points, points_row *row) {
     points->rows_written++;
     points->rows_bad += row->state == ROW_BAD;
   }
-  cli_csv_record_trim(&row->record);
+  cli_csv_record_free(&row->record);
 }
 
 /* ---- reading rows ---------------------------------------------------------------------------- */
@@ -429,8 +424,8 @@ static bool take_measured(const points_run *points, const char *name, const char
   }
   if (i == points->medium_count) {
     return make_bad(row,
-                    "medium: '%.*s' is unknown: allowed: those of `dipole media`, or any "
-                    "text with sigma_a and sigma_s",
+                    "medium: '%.*s' is unknown: allowed: those of `dipole media`, or any text with "
+                    "sigma_a and sigma_s",
                     SHOWN_BYTES, name);
   }
   if (colour == CLI_COLOURS) {
@@ -479,8 +474,9 @@ static bool read_parameters(const points_run *points, points_row *row) {
 /* Reads the row's cells. Returns false if the row is bad; its status then says why. */
 static bool read_row(const points_run *points, points_row *row) {
   if (row->record.malformed) {
-    return make_bad(row, "the row: text after a closing quote: allowed: quotes around whole cells, "
-                         "doubled within");
+    return make_bad(
+        row,
+        "the row: text after a closing quote: allowed: quotes around whole cells, doubled within");
   }
   if (row->record.cell_count != points->columns.count) {
     return make_bad(row, "the row: %zu cells: allowed: %zu, as many as in the header",
@@ -900,8 +896,8 @@ static int take_quantities(points_run *points) {
   }
   points->by_f = (points->quantities.wanted & ~(unsigned)DIPOLE_ALBEDO) == DIPOLE_TRANSFER;
   if (settings->f.count > 0 && (settings->r.count > 0 || !points->by_f)) {
-    return cli_fail_usage("--f gives spatial frequencies, which only R_f has: ask for R_f alone, "
-                          "without --r");
+    return cli_fail_usage(
+        "--f gives spatial frequencies, which only R_f has: ask for R_f alone, without --r");
   }
   points->radii = settings->f.count > 0 ? &settings->f : &settings->r;
   points->radius_count = has_radii(points) ? points->radii->count : 1;

@@ -22,8 +22,7 @@ const cli_option cli_medium_options[] = {
                "scattering coefficient, 1/mm; a single value is for all channels"),
     CLI_OPTION(NUMBERS, g, NULL,
                "mean cosine of the scattering angle (default: 0); sigma_s (1 - g) of a measured "
-               "medium stays "
-               "as it was measured"),
+               "medium stays as it was measured"),
     CLI_OPTION(
         NUMBERS, eta, NULL,
         "refractive index inside over outside (default: that of the measured medium, else 1.3)"),

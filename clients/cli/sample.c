@@ -16,19 +16,17 @@ static const cli_option options[] = {
     CLI_OPTION(COUNT, count, "10", "how many numbers are drawn"),
     CLI_OPTION(TEXT, draw, NULL,
                "how to draw them. random; stratified: one in each of N equal intervals; regular: "
-               "the middles "
-               "of the intervals (default: random)"),
+               "the middles of the intervals (default: random)"),
     CLI_OPTION(COUNT, seed, "1", "for random and stratified; the same seed gives the same bits"),
     CLI_OPTION(COUNT, first, NULL, "for random: start with number N of the seed (default: 0)"),
     CLI_TITLE("Evaluation"),
     CLI_OPTION(NAME, model, CLI_MODEL_DEFAULT, "a model that covers all radii; see `dipole info`"),
     CLI_MOMENTS_OPTION,
     CLI_EVALUATOR_OPTION,
-    CLI_OPTION(NAMES, wanted, NULL,
-               "what to write. r: the radii; pdf: their density, 1/mm, which is 2 pi r times that "
-               "of points "
-               "on "
-               "the surface; `dipole info` lists all, at these radii (default: r,pdf)"),
+    CLI_OPTION(
+        NAMES, wanted, NULL,
+        "what to write. r: the radii; pdf: their density, 1/mm, which is 2 pi r times that of "
+        "points on the surface; `dipole info` lists all, at these radii (default: r,pdf)"),
     CLI_DEADLINE_OPTION,
     {0},
 };
@@ -36,8 +34,8 @@ static const cli_option options[] = {
 static int check(cli_settings *settings) {
   if (settings->u.count > 0 && (settings->count.given || settings->draw != NULL ||
                                 settings->seed.given || settings->first.given)) {
-    return cli_fail_usage("--u gives the numbers one by one: leave --count, --draw, "
-                          "--seed and --first out");
+    return cli_fail_usage(
+        "--u gives the numbers one by one: leave --count, --draw, --seed and --first out");
   }
   if (settings->evaluator == NULL) {
     settings->evaluator = cli_usual_evaluator(settings, settings->model.items[0]);

@@ -105,8 +105,9 @@ static bool save_tables(const char *path, const tables *of) {
   return written;
 }
 
-/* ---- evaluating what the tables are --------------------------------------------------------------------- */
+/* ---- evaluating ------------------------------------------------------------------------------ */
 
+/* Returns whether two tables are of the same model, moments and parameters. */
 static bool is_same_profile(const dipole_table_info *a, const dipole_table_info *b) {
   bool same =
       a->model == b->model && a->moments == b->moments && a->parameter_count == b->parameter_count;
@@ -115,18 +116,6 @@ static bool is_same_profile(const dipole_table_info *a, const dipole_table_info 
            a->parameters[i].value == b->parameters[i].value;
   }
   return same;
-}
-
-static int check_same(const char *path, const tables *of) {
-  for (size_t i = 1; i < of->count; i++) {
-    if (!is_same_profile(dipole_table_get_info(of->items[0]),
-                         dipole_table_get_info(of->items[i]))) {
-      return cli_fail("%s: tables 1 and %zu differ in model, moments or parameters: put them into "
-                      "files of their own",
-                      path, i + 1);
-    }
-  }
-  return CLI_OK;
 }
 
 /* Takes the model and the channels from the tables: that of a measured medium has its name. */
@@ -149,6 +138,11 @@ static int describe(const char *path, const tables *of, cli_eval_report *report)
   cli_profile_set_channels(&report->profile, of->count);
   for (size_t i = 0; i < of->count; i++) {
     const dipole_table_info *info = dipole_table_get_info(of->items[i]);
+    if (!is_same_profile(first, info)) {
+      return cli_fail("%s: tables 1 and %zu differ in model, moments or parameters: put them into "
+                      "files of their own",
+                      path, i + 1);
+    }
     snprintf(report->profile.names[i], CLI_CHANNEL_BYTES, "%zu", i + 1);
     for (size_t k = 0; k < core_measured_media_count * CLI_COLOURS; k++) {
       const core_measured_medium *known = &core_measured_media[k / CLI_COLOURS];
@@ -162,8 +156,6 @@ static int describe(const char *path, const tables *of, cli_eval_report *report)
   }
   return CLI_OK;
 }
-
-/* ---- values ---------------------------------------------------------------------------------- */
 
 /* Takes the radii. Returns them in single precision; says what is wrong and returns NULL if it cannot. */
 static const float *take_radii(const cli_settings *settings, cli_eval_report *report) {
@@ -214,9 +206,9 @@ static int evaluate(const dipole_table *table, const float *r, const cli_eval_re
       continue;
     }
     if (!dipole_table_values(table, quantity, 0, &probe, &probe)) {
-      status = cli_fail("--wanted %s: a table does not hold it; it holds R, albedo, cdf, pdf, "
-                        "2_pi_r_R and S",
-                        report->quantities.items[q]->name);
+      status = cli_fail(
+          "--wanted %s: a table does not hold it; it holds R, albedo, cdf, pdf, 2_pi_r_R and S",
+          report->quantities.items[q]->name);
     } else if (!dipole_table_values(table, quantity, n, r, out)) {
       status = fail_radius(info, report);
     } else {
@@ -252,7 +244,6 @@ int cli_eval_table(const cli_settings *settings, cli_eval_report *report, dipole
     return CLI_USAGE;
   }
   int status = read_tables(settings->table, &of) ? CLI_OK : CLI_FAILED;
-  status = status == CLI_OK ? check_same(settings->table, &of) : status;
   status = status == CLI_OK ? describe(settings->table, &of, report) : status;
   if (status == CLI_OK) {
     const float *r = take_radii(settings, report);
@@ -273,10 +264,9 @@ static const cli_option options[] = {
     CLI_OPTION(NAME, model, CLI_MODEL_DEFAULT, "see `dipole info`"),
     CLI_MOMENTS_OPTION,
     CLI_TITLE("Output"),
-    CLI_OPTION(
-        FILE, output, NULL,
-        "write the tables into FILE, binary, one behind the other; -: only write them to standard "
-        "output"),
+    CLI_OPTION(FILE, output, NULL,
+               "write the tables into FILE, binary, one behind the other; -: only write them to "
+               "standard output"),
     {0},
 };
 
@@ -287,8 +277,8 @@ typedef struct report {
 
 static int check(cli_settings *settings) {
   if (is_standard(settings->output) && settings->format != NULL) {
-    return cli_fail_usage("--output - writes binary to standard output: leave --format "
-                          "out, or name a file");
+    return cli_fail_usage(
+        "--output - writes binary to standard output: leave --format out, or name a file");
   }
   return cli_medium_check(settings);
 }
@@ -389,11 +379,10 @@ static int run(const cli_settings *settings, dipole_client *client) {
 const cli_command cli_command_table = {
     .name = "table",
     .about = "Fetch tables of a medium, to be evaluated without a daemon",
-    .more =
-        "Each channel has a table, as the evaluator lut uses it. --tolerance says how exact it "
-        "is, from 1e-6 to 1 (default: 1e-4). A value above 0.1 counts as 0.1. `dipole eval "
-        "--table`, libdipole and the Python module evaluate a file of --output to the same bits "
-        "and errors as the daemon.",
+    .more = "Each channel has a table, as the evaluator lut uses it. --tolerance says how exact it "
+            "is, from 1e-6 to 1 (default: 1e-4). A value above 0.1 counts as 0.1. `dipole eval "
+            "--table`, libdipole and the Python module evaluate a file of --output to the same "
+            "bits and errors as the daemon.",
     .formats = "table,csv,json",
     .options = {cli_medium_options, options},
     .parameters = CLI_OF_MODELS,

@@ -16,13 +16,13 @@ static const cli_option options[] = {
     CLI_OPTION(ONE, eta, "1.3", "refractive index inside over outside"),
     CLI_TITLE("Colours"),
     CLI_OPTION(TEXT, light, "beam",
-               "the light of the colours: beam, at normal incidence, or diffuse, the same "
-               "from all directions"),
+               "the light of the colours: beam, at normal incidence, or diffuse, the same from all "
+               "directions"),
     CLI_OPTION(SWITCH, specular, NULL,
                "the colours contain what the surface itself reflects (Fresnel)"),
     CLI_OPTION(SWITCH, linear, NULL,
-               "the values of a PNG are linear, whatever it says (default: what it says, "
-               "by a colour profile or gAMA, else sRGB)"),
+               "the values of a PNG are linear, whatever it says (default: what it says, by a "
+               "colour profile or gAMA, else sRGB)"),
     CLI_OPTION(NAMES, coefficients, NULL,
                "what to write: sigma_a, sigma_s (1/mm), and scattered, the single-scattering "
                "albedo for random walks (default: sigma_a,sigma_s)"),
@@ -88,21 +88,6 @@ static bool take_wanted(texture_run *run, const dipole_info *info) {
   return true;
 }
 
-/* Returns the file of a coefficient: OUT, or with several coefficients OUT with the name before the
- * ending, as in skin.sigma_a.pfm. */
-static char *file_of(const texture_run *run, size_t wanted) {
-  const char *out = run->settings->second_operand;
-  const char *name = run->wanted[wanted]->name, *ending = strrchr(out, '.');
-  const size_t bytes = strlen(out) + strlen(name) + 2;
-  char *file = cli_allocate(bytes, 1);
-  if (run->wanted_count == 1 || ending == NULL) {
-    snprintf(file, bytes, "%s", out);
-  } else {
-    snprintf(file, bytes, "%.*s.%s%s", (int)(ending - out), out, name, ending);
-  }
-  return file;
-}
-
 static int take_settings(texture_run *run) {
   const cli_settings *settings = run->settings;
   const char *length;
@@ -123,17 +108,18 @@ static int take_settings(texture_run *run) {
                           "if --coefficients is scattered",
                           settings->second_operand);
   }
-  run->query.model = names.model->id;
-  run->query.evaluator = DIPOLE_F32;
-  run->query.moments = names.moments->id;
-  run->query.light = light->id;
-  run->query.given = given->id;
-  run->query.specular = settings->specular;
-  run->query.g = cli_numbers_pick(&settings->g, 0, 0);
-  run->query.eta = settings->eta.items[0];
-  run->query.parameters = run->parameters.items;
-  run->query.parameter_count = run->parameters.count;
-  run->query.deadline_ms = (unsigned)settings->deadline_ms.value;
+  run->query = (dipole_varying_query){.model = names.model->id,
+                                      .evaluator = DIPOLE_F32,
+                                      .moments = names.moments->id,
+                                      .coefficients = run->query.coefficients,
+                                      .light = light->id,
+                                      .given = given->id,
+                                      .specular = settings->specular,
+                                      .g = cli_numbers_pick(&settings->g, 0, 0),
+                                      .eta = settings->eta.items[0],
+                                      .parameters = run->parameters.items,
+                                      .parameter_count = run->parameters.count,
+                                      .deadline_ms = (unsigned)settings->deadline_ms.value};
   return CLI_OK;
 }
 
@@ -215,11 +201,18 @@ static int tell_missing(const texture_run *run, const cli_image *image) {
   return CLI_BAD_ROWS;
 }
 
+/* Writes OUT, or with several coefficients OUT with the name of each before the ending, as in
+ * skin.sigma_a.pfm. */
 static int write_images(const texture_run *run) {
+  const char *out = run->settings->second_operand, *ending = strrchr(out, '.');
   bool good = true;
   for (size_t i = 0; good && i < run->wanted_count; i++) {
-    char *file = file_of(run, i);
-    good = cli_image_write(file, &run->images[i]);
+    char *file = NULL;
+    good = run->wanted_count == 1 ? cli_image_write(out, &run->images[i])
+                                  : asprintf(&file, "%.*s.%s%s", (int)(ending - out), out,
+                                             run->wanted[i]->name, ending) > 0 &&
+                                        cli_image_write(file, &run->images[i]);
+    free(file);
   }
   return good ? CLI_OK : CLI_FAILED;
 }

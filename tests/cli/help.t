@@ -42,8 +42,8 @@ Usage: dipole invert [OPTION]...
 Find the medium that has a given albedo: sigma_a and sigma_s.
 
 Takes a diffuse albedo and a length, and finds the coefficients of a medium that has them by a
-model. sigma_t' is sigma_a + sigma_s (1 - g). As a check, the albedo of that medium is evaluated.
-The exit status is 3 if there is no such medium for some channel.
+model. sigma_t' is sigma_a + sigma_s (1 - g). The exit status is 3 if there is no such medium for
+some channel.
 
 Medium
   --albedo X[,X...]     diffuse albedo: the share of the power that leaves, 0 to 1; one value for
