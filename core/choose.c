@@ -132,7 +132,7 @@ static void set_numerical_error(core_candidate *candidate, const core_choose_req
 #define CDF_ERRORS 2
 #define SLOPE_ERRORS 8
 
-/* Sets the candidate to what the solver is asked for, where `left` is left for the numerical error. */
+/* Sets the candidate to a solution by the solver with numerical error `left`. */
 static void set_solved(core_candidate *candidate, const core_choose_request *request, double left) {
   const bool follows_R = (request->wanted & FOLLOWS_R) != 0;
   const bool of_cdf = (request->wanted & (ELEMENTWISE & ~FOLLOWS_R)) != 0;

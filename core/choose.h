@@ -20,7 +20,7 @@ typedef struct core_choose_request {
   unsigned wanted;          /* bits of enum core_quantity */
   core_radii_range radii;   /* read only if an elementwise quantity is wanted */
   uint64_t radius_count;    /* number of radii, the same for each medium */
-  bool single; /* true: values of single precision are asked for; false: double precision */
+  bool single; /* true: values of single precision are requested; false: double precision */
   /* The largest accepted error of any value against radiative transport with Henyey-Greenstein
    * scattering and a Fresnel boundary. It is relative, but absolute for ln R. */
   double tolerance;
@@ -51,12 +51,12 @@ enum {
 #include "core/costs.def"
 };
 
-/* Lists `transport` with every evaluator of the precision that is asked for and returns their number,
- * or 0 if there are no media. The first one is the choice: the one with the least total_ns of those
- * that meet the tolerance. The caller takes the next candidate if it cannot prepare one. If none
- * meets the tolerance, the candidate with the least error comes first. The errors of candidates that
- * do not meet the tolerance are the least that they can have: each meets any tolerance from there
- * on. The numerical error grows beyond the reach (core_reach). */
+/* Lists `transport` with every evaluator of the precision that is requested and returns their
+ * number, or 0 if there are no media. The first one is the choice: the one with the least total_ns
+ * of those that meet the tolerance. The caller takes the next candidate if it cannot prepare one.
+ * If none meets the tolerance, the candidate with the least error comes first. The errors of
+ * candidates that do not meet the tolerance are the least that they can have: each meets any
+ * tolerance from there on. The numerical error grows beyond the reach (core_reach). */
 size_t core_choose(const core_choose_request *request,
                    core_candidate candidates[CORE_TRANSPORT_CANDIDATES]);
 

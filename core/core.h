@@ -31,8 +31,8 @@ enum core_dipole_switch {
 /* The fit that gives the width of Burley's profile. */
 enum core_burley_fit { CORE_BURLEY_SEARCHLIGHT, CORE_BURLEY_DIFFUSE, CORE_BURLEY_DMFP };
 
-/* Switches of core/models/cloud.c besides those of the dipole. SLAB_TRANSMITTED asks for the
- * profile that a slab transmits in place of the reflected one; CLOUD_BEAM asks for a half space
+/* Switches of core/models/cloud.c besides those of the dipole. SLAB_TRANSMITTED requests the
+ * profile that a slab transmits in place of the reflected one; CLOUD_BEAM requests a half space
  * with the beam's source in place of a slab. */
 enum { CORE_SLAB_TRANSMITTED = 8, CORE_CLOUD_BEAM = 16 };
 
@@ -250,7 +250,7 @@ double core_fresnel_transmittance(double eta, double cos_outside);
 typedef struct core_isa core_isa;
 
 /* Returns the kernels for an instruction set: "portable"; "sse2", "avx2" or "avx512" on x86-64;
- * "neon" on aarch64. NULL as the name asks for the best set that this machine has. Returns NULL if
+ * "neon" on aarch64. NULL as the name requests the best set that this machine has. Returns NULL if
  * the name is unknown or this machine cannot run the set. */
 const core_isa *core_isa_select(const char *name);
 

@@ -75,7 +75,7 @@ core_fault core_inverter_check(const core_inverter *inverter);
  * Asserts that albedo is 0 to 1 and length_mm from CORE_MEAN_FREE_PATH_MIN_MM to ..._MAX_MM.
  * Returns true if the albedo is out of reach; found is then false. Otherwise the caller probes
  * until the search ends. At its end found is true and the medium's albedo has a relative error of
- * at most 1e-12, where the model's albedo has so many digits; or found is false, because a medium
+ * at most 1e-12, where the model's albedo has this many digits; or found is false, because a medium
  * of that length would have coefficients out of range. */
 bool core_inverter_seek(core_inverter *inverter, double albedo, enum core_length length,
                         double length_mm);

@@ -33,7 +33,7 @@ enum core_elementwise {
 typedef void core_kernel_f64(const double *coefficients, size_t n, const double *in, double *out);
 typedef void core_kernel_f32(const float *coefficients, size_t n, const float *in, float *out);
 
-/* The same where every value has a medium of its own (core/varying.h): sigma_a[n] and sigma_s[n] in
+/* The same where every value has its own medium (core/varying.h): sigma_a[n] and sigma_s[n] in
  * 1/mm. shared: numbers that all media share; words: tables that they share (core/cells/find.h).
  * Media and arguments outside of the domain give NaN. */
 typedef void core_varying_kernel_f64(const double *shared, const double *words, size_t n,
@@ -46,8 +46,8 @@ typedef void core_varying_kernel_f32(const float *shared, const float *words, si
 /* The argument of core_varying_check_kernel: radii up to infinity, or numbers u up to 1. */
 enum core_varying_argument { CORE_VARYING_RADII, CORE_VARYING_NUMBERS };
 
-/* Sets status[n] to the statuses (enum core_value_status) of n values, and *range; of numbers u only
- * the albedos in it have a meaning. */
+/* Sets status[n] to the statuses (enum core_value_status) of n values, and *range. With numbers u,
+ * only the albedos of *range have a meaning. */
 typedef void core_varying_check_kernel_f64(const double *shared, size_t n, const double *sigma_a,
                                            const double *sigma_s, const double *in,
                                            enum core_varying_argument argument, uint8_t *status,
@@ -130,7 +130,7 @@ typedef struct core_inputs {
   const core_isa *isa;
   /* If a table is to be made of the profile: the error that the profile may have; else 0. */
   double accepted;
-  /* Whether the albedo is all that is asked for. A formula may then leave out the rest. */
+  /* Whether the albedo is all that is requested. A formula may then leave out the rest. */
   bool only_albedo;
   const atomic_bool *stop; /* that of core_profile_prepare_until() */
 } core_inputs;

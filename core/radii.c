@@ -15,7 +15,7 @@ static core_fault radius_fault(size_t index) {
   return (core_fault){"r", RADIUS_ALLOWED, index};
 }
 
-/* Radii that are less may have errors of their own (core_profile_errors()), also beside 0. */
+/* Radii that are less may have their own errors (core_profile_errors()), also beside 0. */
 #define NEAREST_MM (CORE_RADIUS_SMALL_MFP / CORE_SIGMA_T_PRIME_MIN_PER_MM)
 
 #define LESS(a, b) ((a) < (b) ? (a) : (b))

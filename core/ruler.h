@@ -17,7 +17,7 @@
 bool core_ruler_is_needed(unsigned model, const core_parameters *parameters,
                           const core_medium *medium, bool solves);
 
-/* Up to so many radii are compared one by one. More of them are compared at this many at most. */
+/* The most radii at which models are compared; of more radii, this many are chosen. */
 enum { CORE_RULER_RADII = 256 };
 
 /* The radii of a request: a grid, or grid.count listed ones of the evaluator's type. */
@@ -25,7 +25,7 @@ typedef struct core_asked_radii {
   core_grid grid;
   const void *listed;     /* NULL: the grid */
   core_radii_range range; /* as core_radii_check_f64() sets it */
-  core_radii_range ends; /* as core_asked_ends() sets it; of CORE_RULER_RADII or less it may be 0 */
+  core_radii_range ends; /* as core_asked_ends() sets it; unused up to CORE_RULER_RADII radii */
 } core_asked_radii;
 
 /* Sets asked->ends to the radii above 0 and below infinity between which all others of the request

@@ -35,7 +35,7 @@ enum {
   WAVES = CORE_FILTER_WAVES,
   NEAR = 38 * STEPS,  /* steps below k r = 1, and below the profile's scale, where the sum begins */
   NEARER = 8 * STEPS, /* it begins as many steps earlier while there is energy, */
-  NEAREST = 10,       /* up to so many times */
+  NEAREST = 10,       /* at most this many times */
   ONES = 102 * STEPS + NEAREST * NEARER, /* the first node may lie as many steps below NEAR / k */
   POINTS = 16,                           /* of the interpolation in ln k */
   LANES = 8,                             /* partial sums */

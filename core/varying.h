@@ -1,4 +1,4 @@
-/* varying: evaluates profiles where every value has a medium of its own, as the shading points of a
+/* varying: evaluates profiles where every value has its own medium, as the shading points of a
  * texture do.
  *
  * Each value has its own sigma_a, sigma_s and radius (or u); model, moments, g and eta are those of

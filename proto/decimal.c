@@ -199,7 +199,7 @@ static uint64_t with_point(uint64_t word, unsigned at) {
   return (word & before) | point | (word & ~before) << 8;
 }
 
-/* Puts a point behind so many digits, 1 to 16. */
+/* Puts a point behind this many digits, 1 to 16. */
 static void add_point(struct text *text, unsigned digits) {
   const uint64_t first = text->words[0], second = text->words[1], third = text->words[2];
   text->words[0] = digits < 8 ? with_point(first, digits) : first;
@@ -312,7 +312,7 @@ size_t decimal_write_single(float value, char text[DECIMAL_BYTES]) {
 
 /* ---- reading --------------------------------------------------------------------------------- */
 
-/* The powers of ten that are doubles, as the first EXACT_POWERS are. */
+/* The powers of ten that doubles represent exactly. */
 enum { EXACT_POWERS = 23 };
 static const double exact_powers[EXACT_POWERS] = {1e0,  1e1,  1e2,  1e3,  1e4,  1e5,  1e6,  1e7,
                                                   1e8,  1e9,  1e10, 1e11, 1e12, 1e13, 1e14, 1e15,

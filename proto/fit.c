@@ -67,7 +67,7 @@ void fit_design_read(const uint8_t *bytes, fit_design *read) {
   };
   double *aperture = &read->parameters.value[CORE_PARAMETER_DETECTOR_NA];
   if (!isnan(*aperture)) { /* it is of the design, and not of the model */
-    /* 0 is out of its range, but would mean that there is none. */
+    /* fit_design uses 0 for `no aperture`; NaN makes the check refuse a 0 that was sent. */
     read->design.detector_na = *aperture == 0 ? (double)NAN : *aperture;
     *aperture = (double)NAN;
   }

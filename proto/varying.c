@@ -6,7 +6,7 @@
 
 #include "proto/channels.h"
 
-/* The quantities that a value of its own medium may have. */
+/* The quantities of a value that has its own medium. */
 #define QUANTITIES                                                                                 \
   (CORE_QUANTITY_R | CORE_QUANTITY_ALBEDO | CORE_QUANTITY_CDF | CORE_QUANTITY_RADIUS |             \
    CORE_QUANTITY_PDF | CORE_QUANTITY_RING | CORE_QUANTITY_MODEL_ERROR)

@@ -102,8 +102,8 @@ wire_error wire_error_none(void);
 WIRE_COLD wire_error wire_error_make(enum wire_status status, const char *field,
                                      const char *allowed);
 
-/* Returns BUSY. The field is that of the request which asks for too much, or the name of the limit
- * that is reached. */
+/* Returns BUSY. The field is the request's field that exceeds the capacity, or the name of the
+ * limit that is reached. */
 WIRE_COLD wire_error wire_error_busy(const char *field, const char *allowed,
                                      uint32_t retry_after_ms);
 

@@ -25,7 +25,7 @@ struct options {
 enum options_outcome { OPTIONS_RUN, OPTIONS_EXIT_OK, OPTIONS_EXIT_USAGE };
 
 /* Reads the environment and then the command line, which takes precedence. Prints the help or the
- * version if it is asked for, or an error. Texts point into argv and the environment. */
+ * version if it is requested, or an error. Texts point into argv and the environment. */
 enum options_outcome options_read(int argc, char **argv, struct options *options);
 
 void options_free(struct options *options);

@@ -46,7 +46,7 @@ struct server {
 };
 
 /* Returns the number of workers. Behind those that evaluate there is one that serves HTTP alone, if
- * that is asked for, and then one for the handshakes of TLS alone. */
+ * that is requested, and then one for the handshakes of TLS alone. */
 static inline uint64_t server_worker_count(const struct server *server) {
   return server->options.workers + (server->options.http != NULL) + (server->tls != NULL);
 }

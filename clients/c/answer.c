@@ -32,8 +32,9 @@ void libdipole_answer_expect(libdipole_pending *pending, unsigned model, unsigne
 
 /* ---- checks -------------------------------------------------------------------------------- */
 
-/* Returns whether a reply has what was asked for. With DIPOLE_ANY_MODEL the daemon chooses the model
- * and the evaluator, but not the type of the values. All parts begin alike, up to their arrays. */
+/* Returns whether a reply has what was requested. With DIPOLE_ANY_MODEL the daemon chooses the
+ * model and the evaluator, but not the type of the values. All parts begin alike, up to their
+ * arrays. */
 static bool merge(const libdipole_pending *pending, const void *part, void *whole) {
   const wire_eval_reply *fixed = part;
   const size_t evaluator_bytes = core_evaluator_bytes(fixed->evaluator);

@@ -29,7 +29,7 @@ unsigned libdipole_jitter(uint64_t *state, unsigned pause_ms);
  * until_ms. *pause_ms: the usual pause; set it to LIBDIPOLE_PAUSE_FIRST_MS before the first call,
  * and each call doubles it up to LIBDIPOLE_PAUSE_MOST_MS. A pause takes at most half of the time
  * that is left, so that the last attempts come close to until_ms; but it takes at least
- * retry_after_ms, which the daemon has asked for. */
+ * retry_after_ms, which the daemon has requested. */
 unsigned libdipole_pause(uint64_t *state, unsigned *pause_ms, uint32_t retry_after_ms,
                          int64_t until_ms);
 

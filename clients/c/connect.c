@@ -71,7 +71,7 @@ static int connect_tcp_address(const struct addrinfo *to, unsigned timeout_ms, i
     return errno;
   }
   int number = connect(fd, to->ai_addr, to->ai_addrlen) == 0 ? 0 : errno;
-  if (number == EINPROGRESS || number == EINTR) { /* The kernel goes on connecting. */
+  if (number == EINPROGRESS || number == EINTR) { /* The kernel continues to connect. */
     short ready;
     socklen_t bytes = sizeof number;
     if (!libdipole_wait(fd, POLLOUT, timeout_ms, &ready) ||
@@ -156,7 +156,7 @@ static int set_files(posix_spawn_file_actions_t *actions, int fd) {
   return fault != 0 ? fault : posix_spawn_file_actions_addclosefrom_np(actions, DAEMON_FD + 1);
 }
 
-/* Gives the daemon a process group of its own, so that the interrupt key does not end it before the
+/* Gives the daemon its own process group, so that the interrupt key does not end it before the
  * program. Resets blocked and ignored signals to their defaults. Returns 0 or an errno. */
 static int set_attributes(posix_spawnattr_t *attributes) {
   const short flags = POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF | POSIX_SPAWN_SETPGROUP;

@@ -44,7 +44,7 @@ typedef struct dipole_client dipole_client;
 enum dipole_error_kind {
   DIPOLE_ERROR_NONE = 0,
 
-  /* After an error of these kinds, the client goes on working. */
+  /* After an error of these kinds, the client continues to work. */
   DIPOLE_ERROR_ARGUMENT = 6, /* The call's arguments do not fit together. */
   DIPOLE_ERROR_REFUSED,      /* The daemon refused the request. */
   DIPOLE_ERROR_TABLE,        /* The bytes are damaged, or a table of an unknown layout. */
@@ -83,7 +83,7 @@ typedef struct dipole_error {
  *   NULL               $DIPOLED if that is set, else private:
  * Several addresses but private: may be given, separated by commas without blanks: see "Several
  * daemons" below. A comma that no unix:, tcp: or tls: follows is part of a path. The caller closes
- * *client with dipole_close(). While no daemon answers, the call goes on trying for
+ * *client with dipole_close(). While no daemon answers, the call retries for
  * DIPOLE_RETRY_MS. On failure *client is NULL; kind REFUSED then means that the daemon did not take
  * the connection, for example because it has too many. */
 bool dipole_open(const char *address, dipole_client **client, dipole_error *error);
@@ -104,11 +104,11 @@ typedef struct dipole_options {
    * sent; 0 is no limit. Default: 30000. */
   unsigned timeout_ms;
   /* The longest time for any call except dipole_mc(), reconnecting included; 0 is no limit. A call
-   * that takes longer fails with kind TIMEOUT, and the client goes on working. Submitted queries
+   * that takes longer fails with kind TIMEOUT, and the client continues to work. Submitted queries
    * stay outstanding; the answer to any other request is thrown away when it comes. The daemon is
    * not told this limit, only the deadline_ms of a query. Default: 0. */
   unsigned call_timeout_ms;
-  /* For how long the client goes on trying, here and in later calls: see dipole_set_retry_ms().
+  /* For how long the client retries, here and in later calls: see dipole_set_retry_ms().
    * dipole_open_with() tries all addresses in turn until one answers, and fails when no daemon has
    * answered for retry_ms; 0: it tries each address once. It is always 0 for private: addresses.
    * Default: 5000. */
@@ -121,7 +121,7 @@ typedef struct dipole_options {
   bool spread;
   /* For tls: addresses, names of files in PEM format, which the client reads whenever it connects.
    * ca: the certificates that sign the daemon's; NULL: $DIPOLED_CA if that is set, else those of the
-   * system. certificate, key: the client's own, for daemons that ask for one; NULL:
+   * system. certificate, key: the client's own, for daemons that request one; NULL:
    * $DIPOLED_CERTIFICATE and $DIPOLED_KEY. A missing key is in the certificate's file. The daemon's
    * certificate has to be good for the host in the address. If a certificate is at fault, opening
    * fails at once with kind CONNECT or CONNECTION. Default: NULL. */
@@ -168,7 +168,7 @@ void dipole_set_call_timeout_ms(dipole_client *client, unsigned call_timeout_ms)
  * When the connection is lost, all outstanding requests fail if the client cannot repeat one of
  * them: a job that the caller has cancelled; a request of dipole_eval_parts() that has handed on a
  * part; or one for which DIPOLE_RETRY_KEPT_BYTES had no room. They also fail if the new daemon has other lists than
- * the first one, which dipole_get_info() goes on to describe. If the list has a single address,
+ * the first one, which dipole_get_info() continues to describe. If the list has a single address,
  * requests fail when its daemon stays connected and silent for timeout_ms.
  *
  * Several daemons. The client connects to the first address that answers. When that connection is
@@ -362,7 +362,7 @@ typedef struct dipole_channel {
   double numerical_error;
   double numerical_error_per_mm;
   /* The largest error of the wanted quantities against radiative transport, at the radii that were
-   * asked for, or of a sample at those between which all but 2e-6 of the light leaves. It is
+   * requested, or of a sample at those between which all but 2e-6 of the light leaves. It is
    * relative, for ln R and the cdf absolute, for R_f over the albedo. NaN unless DIPOLE_MODEL_ERROR
    * was wanted, or if transport is not solved for the medium, or diverges at all radii (r = 0). */
   double model_error;
@@ -399,7 +399,7 @@ bool dipole_eval(dipole_client *client, const dipole_query *query, dipole_result
  *
  * Returns true when part() has got all parts. Returns false if an error ended the answer; the parts
  * before the error are valid. If part() returns false, the call fails with kind STOPPED. The client
- * goes on working, but its later calls still have to receive the other parts and throw them away:
+ * continues to work, but its later calls still have to receive the other parts and throw them away:
  * if many are left, it is better to close the client. */
 bool dipole_eval_parts(dipole_client *client, const dipole_query *query,
                        bool (*part)(void *context, const dipole_result *part,
@@ -760,10 +760,10 @@ bool dipole_local_info(dipole_info **info, dipole_error *error);
 
 /* ---- media that vary ----------------------------------------------------------------------- */
 
-/* A query in which every value has a medium of its own, as the shading points of a texture have.
+/* A query in which every value has its own medium, as the shading points of a texture have.
  * The model, g and eta are those of all values. A value costs some ten nanoseconds. */
 
-/* The coefficients of a medium that a query can ask for. */
+/* The coefficients of a medium that a query can request. */
 enum dipole_coefficient {
   DIPOLE_SIGMA_A = 1,  /* 1/mm */
   DIPOLE_SIGMA_S = 2,  /* 1/mm */
@@ -1022,7 +1022,7 @@ typedef struct dipole_mc_result {
 } dipole_mc_result;
 
 /* Starts a job and waits for its result. progress(), unless NULL, is called a few times a second;
- * it must not use the client. The count of photons begins anew if the client has to ask for the job
+ * it must not use the client. The count of photons begins anew if the client has to request the job
  * again: see dipole_set_retry_ms(). If progress() returns false, the job is cancelled, and the
  * result is of the photons walked by then. The caller frees *result with dipole_mc_result_free(). */
 bool dipole_mc(dipole_client *client, const dipole_mc_query *query,
@@ -1049,12 +1049,12 @@ typedef struct dipole_measured_medium {
   dipole_medium channel[3];
 } dipole_measured_medium;
 
-/* Asks for the daemon's measured media. *media is an array of *count, which the caller frees with
+/* Requests the daemon's measured media. *media is an array of *count, which the caller frees with
  * free(). */
 bool dipole_media(dipole_client *client, dipole_measured_medium **media, size_t *count,
                   dipole_error *error);
 
-/* Asks for the daemon's statistics. The caller frees *values, an array of *count, with free(). The
+/* Requests the daemon's statistics. The caller frees *values, an array of *count, with free(). The
  * names are in the same block. */
 bool dipole_statistics(dipole_client *client, dipole_value **values, size_t *count,
                        dipole_error *error);

@@ -1,6 +1,6 @@
 /* error: fills in errors. Names in the library's private headers start with libdipole_. The shared
  * library exports only dipole_*, and a program that links the static library is unlikely to have
- * names of its own that start with libdipole_. */
+ * its own names, which start with libdipole_. */
 #ifndef LIBDIPOLE_ERROR_H
 #define LIBDIPOLE_ERROR_H
 

@@ -77,7 +77,7 @@ struct run {
   dipole_client *client;
   const dipole_gather_query *query;
   double *M;
-  uint32_t *order; /* in which queries are asked for; NULL: as they come */
+  uint32_t *order; /* in which queries are requested; NULL: as they come */
   dipole_gather_result *result;
   uint64_t asked;    /* queries of the requests that have been sent */
   uint64_t answered; /* queries of the requests that are answered */
@@ -163,7 +163,7 @@ static uint64_t next_queries(const struct run *run) {
   return left < most ? left : most;
 }
 
-/* Returns which query is asked for at a position. */
+/* Returns the index of the query at a position of the order in which queries are sent. */
 static uint64_t place(const struct run *run, uint64_t position) {
   return run->order != NULL ? run->order[position] : position;
 }
@@ -425,7 +425,7 @@ bool dipole_gather(dipole_client *client, const dipole_gather_query *query,
 
 /* ---- at home ------------------------------------------------------------------------------- */
 
-/* Queries are copied so many at a time, at most. */
+/* Queries are copied this many at a time, at most. */
 enum { HOME_QUERIES = 4096 };
 
 /* What is done between two calls of progress(), in evaluations of a dipole: half a second's worth. */

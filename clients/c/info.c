@@ -163,7 +163,7 @@ unsigned dipole_id(const dipole_client *client, enum dipole_kind kind, const cha
 
 /* ---- lists --------------------------------------------------------------------------------- */
 
-/* Asks for a list of structures of one size. In the reply, *count structures follow list_reply. */
+/* Requests a list of structures of one size. In the reply, *count structures follow list_reply. */
 static libdipole_frame *ask_list(dipole_client *client, enum wire_type type, size_t structure_bytes,
                                  size_t *count, dipole_error *error) {
   wire_list_reply list;

@@ -83,7 +83,7 @@ static bool is_cut_off(const libdipole_frame *frame) {
   return reply.state == MC_STOPPED;
 }
 
-/* A job that is asked for again begins anew, and ends with the same bits. */
+/* A job that is requested again begins anew, and ends with the same bits. */
 static const libdipole_kind job_kind = {
     .repeatable = true, .endless = true, .is_progress = is_progress, .is_cut_off = is_cut_off};
 

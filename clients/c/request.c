@@ -299,7 +299,7 @@ static int64_t failed_since_ms(libdipole_pending *pending, int64_t now_ms) {
 }
 
 /* Returns whether a frame ends its request for a reason that passes: a temporary refusal, or an
- * answer that a daemon cut off when it stopped. *least_ms: the pause that the daemon asks for. */
+ * answer that a daemon cut off when it stopped. *least_ms: the pause that the daemon requests. */
 static bool is_passing(const libdipole_pending *pending, const libdipole_frame *frame,
                        uint32_t *least_ms) {
   wire_error why;
@@ -361,7 +361,7 @@ static bool end_frame(dipole_client *client, dipole_error *error) {
     client->dropped_count += pending->dropped && !was_dropped;
   }
   if (pending->frame != NULL && is_progress(pending)) {
-    pending->failed_ms = 0; /* The request goes on, so another failure is a new one. */
+    pending->failed_ms = 0; /* The request continues, so another failure is a new one. */
   }
   if (pending->frame != NULL) {
     end_answer(client, pending);
@@ -680,7 +680,7 @@ static bool may_be_restored(const dipole_client *client, const dipole_error *err
 
 /* Connects again after the loss that *error describes, and sends all outstanding requests again.
  * Fails with the reason for the loss. If the time of the call ends first, fails with kind TIMEOUT,
- * and the next call goes on. */
+ * and the next call continues. */
 static bool restore(dipole_client *client, dipole_error *error) {
   int64_t until_ms;
   if (!may_be_restored(client, error) || !can_restore(client, &until_ms)) {

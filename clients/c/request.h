@@ -84,7 +84,7 @@ bool libdipole_request_send(dipole_client *client, dipole_error *error);
 
 /* Waits for the answer to request id, or to any request if id is 0, and moves the request to
  * *pending. The caller frees pending->frame, which may be an error frame. If the frame is a report
- * of progress, the request goes on. */
+ * of progress, the request continues. */
 bool libdipole_request_wait(dipole_client *client, uint64_t id, libdipole_pending *pending,
                             dipole_error *error);
 

@@ -1,4 +1,4 @@
-/* Evaluates values each of which has a medium of its own: asks a daemon, or evaluates at home with
+/* Evaluates values each of which has its own medium: asks a daemon, or evaluates at home with
  * the daemon's own code. The parts of an answer are put together as they arrive. */
 #include "proto/varying.h"
 

@@ -55,7 +55,7 @@ static double quantile_us(const measured *result, double share) {
   return 0;
 }
 
-/* ---- a connection: a thread, which keeps so many requests under way -------------------------- */
+/* ---- a connection: a thread, which keeps this many requests under way ------------------------ */
 
 /* A request that is under way, or room for one. */
 typedef struct slot {

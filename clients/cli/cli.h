@@ -125,7 +125,7 @@ typedef struct cli_command {
   unsigned parameters; /* bit 1 << id for each parameter that it takes, which --help tells of */
 
   /* Checks and completes the settings before any daemon is asked. NULL if there is nothing to
-   * check. Returns an exit status; the command goes on if that is CLI_OK. */
+   * check. Returns an exit status; the command continues if that is CLI_OK. */
   int (*check)(cli_settings *settings);
 
   /* Without --connect and $DIPOLED, the command is about the installed service if that is there. */

@@ -100,7 +100,7 @@ void cli_eval_keep(cli_eval_report *report, size_t model, size_t first, const di
       if (id == DIPOLE_ALBEDO) {
         continue;
       }
-      if (values->arrays[q] == NULL) { /* now that the daemon has agreed to so many places */
+      if (values->arrays[q] == NULL) { /* now that the daemon has agreed to this many places */
         values->arrays[q] = cli_allocate(report->place_count, sizeof(double));
       }
       for (size_t k = 0; k < part->radius_count; k++) {

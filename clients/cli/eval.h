@@ -1,4 +1,4 @@
-/* eval: values of models at radii, as `dipole eval`, `plot` and `sample` ask for them and write
+/* eval: values of models at radii, as `dipole eval`, `plot` and `sample` request them and write
  * them. */
 #ifndef DIPOLE_CLI_EVAL_H
 #define DIPOLE_CLI_EVAL_H
@@ -47,7 +47,7 @@ void cli_eval_add_model(cli_eval_report *report, const dipole_choice *model, boo
 void cli_eval_make_values(cli_eval_report *report);
 
 /* Keeps the part of an answer that begins at place `first` of the model at a position. This is
- * where the errors of an answer come in; a list that is asked for in pieces has those of all. */
+ * where the errors of an answer come in; a list that is requested in pieces has those of all. */
 void cli_eval_keep(cli_eval_report *report, size_t model, size_t first, const dipole_result *part);
 
 /* Writes the report to standard output. */
@@ -73,8 +73,8 @@ int cli_eval_ask(const cli_settings *settings, dipole_client *client, cli_eval_r
 /* Fills a zeroed report from the file of tables, without a daemon. */
 int cli_eval_table(const cli_settings *settings, cli_eval_report *report, dipole_info **info);
 
-/* Sets the radii of a query to those that are asked for, in single or double precision; to none if no
- * quantity has a value for each radius. */
+/* Sets the radii of a query to those that are requested, in single or double precision; to none if
+ * no quantity has a value for each radius. */
 void cli_eval_set_radii(const cli_settings *settings, const cli_eval_report *report, bool single,
                         dipole_query *query);
 

@@ -380,7 +380,7 @@ static void tell_refused(const report *of, const fit_sample *first, size_t count
   cli_fail("sample %s%s%s: %s", first->name, count > 1 ? " and others" : "", line, error->text);
 }
 
-/* Asks for a batch. If the daemon refuses what the file says of its samples, they stay refused. */
+/* Requests a batch. If the daemon refuses what the file says of its samples, they stay refused. */
 static bool ask_some(dipole_client *client, report *of, const batch *some, dipole_error *error) {
   const fit_sample *first = &of->samples[some->first];
   const cli_parameters parameters = parameters_of(of, first);
@@ -416,7 +416,7 @@ static bool is_alike(const report *of, const fit_sample *a, const fit_sample *b)
 /* Readings in one request: about a tenth of a second of work, so that the progress moves. */
 enum { BATCH_READINGS = 65536 };
 
-/* Asks for all samples. */
+/* Requests all samples. */
 static bool ask(dipole_client *client, report *of, dipole_error *error) {
   const size_t count = of->sample_count;
   cli_progress progress;
@@ -503,7 +503,7 @@ static void write_foot(const void *context) {
   const report *of = context;
   puts("\nerrors are standard errors; chi2 is the sum of the squares of (reading - fit) / error");
   puts("model error: of R against radiative transport, which is not in the standard errors");
-  puts("by g: the largest change for g +- .05, which the readings may not tell apart");
+  puts("by g: the largest change for g +- .05, since the readings may not determine g");
   cli_write_notes(of->profile.info, of->notes);
 }
 

@@ -125,7 +125,7 @@ static size_t take_row(const uint8_t *row, unsigned bits, size_t samples, const 
   return opaque;
 }
 
-/* Deflate makes data at most so many times smaller. */
+/* Deflate makes data at most this many times smaller. */
 enum { DEFLATE_RATIO_MAX = 1032 };
 
 /* Reads the header and makes libpng give 8 or 16 bits of 1 or 3 channels, and maybe an opacity. */

@@ -26,7 +26,7 @@ static const cli_option options[] = {
     {0},
 };
 
-/* A medium that is asked for. */
+/* A medium that is requested. */
 typedef struct wanted {
   double wanted_albedo, length_mm;
   dipole_medium medium; /* its coefficients and albedo are NaN if there is none */

@@ -1,4 +1,4 @@
-/* dipole: the command line of dipoled. Each command is a file of its own. */
+/* dipole: the command line of dipoled. Each command has its own file. */
 #include <stdlib.h>
 #include <string.h>
 #include <sys/socket.h>

@@ -78,7 +78,7 @@ static int check(cli_settings *settings) {
 
 /* ---- the query ------------------------------------------------------------------------------- */
 
-/* Returns how many photons may walk. If an error is asked for, only the daemon limits them. */
+/* Returns how many photons may walk. If an error is requested, only the daemon limits them. */
 static uint64_t photons_of(const cli_settings *settings, const dipole_info *info) {
   for (size_t i = 0; i < info->limit_count; i++) {
     if (!settings->photons.given && (settings->error.given || settings->total_error.given) &&
@@ -118,7 +118,7 @@ static void make_query(const cli_settings *settings, const cli_profile *profile,
   of->medium = measured && strchr(profile->medium, ',') == NULL ? profile->medium : NULL;
   of->channel = profile->names[channel];
   of->parameters = profile->parameters;
-  cli_parameters_remove(&of->parameters, CORE_PARAMETER_THICKNESS); /* a field of its own */
+  cli_parameters_remove(&of->parameters, CORE_PARAMETER_THICKNESS); /* its own field */
   of->query = (dipole_mc_query){
       .medium = profile->media[channel],
       .albedos = settings->albedo.items,
@@ -342,7 +342,7 @@ static void put_facts(cli_rows *rows, const void *context, size_t index) {
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
-/* The table is written in any case; then the user is told if it is less than what was asked for. */
+/* The table is written in any case; then the user is told if it is less than what was requested. */
 static int judge(const report *of) {
   const unsigned long long photons = of->result->last.photons, asked = of->query.photons;
   if (of->result->end == DIPOLE_MC_CANCELLED) {

@@ -11,7 +11,7 @@
 #include "core/gauss.h"
 
 #define REFERENCE CLI_MODEL_DEFAULT
-#define RINGS_DEFAULT 24 /* so many rings with --mc, without --count */
+#define RINGS_DEFAULT 24 /* number of rings with --mc and without --count */
 #define FROM_SHARE 1e-3  /* on a logarithmic axis, --from is this share of --to by default */
 #define PERCENT_MAX 200  /* deviations beyond this are not drawn */
 
@@ -295,7 +295,7 @@ static void set_deviation(cli_curve *curve, const cli_eval_values *reference, do
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
-/* Returns whether a model was asked for to compare with it, and not by --model. */
+/* Returns whether a model was requested to compare with it, and not by --model. */
 static bool is_unlisted(const cli_settings *settings, const cli_eval_report *report, size_t model) {
   return model < report->model_count && !report->models[model].named &&
          strcmp(report->models[model].choice->name, REFERENCE) == 0 &&
@@ -338,7 +338,7 @@ static int draw(const cli_settings *settings, const cli_eval_report *report, con
   return cli_picture_draw(&picture, files->count > 0 ? files : &onto_terminal);
 }
 
-/* Asks for one quantity at the radii of `eval`, which has to have a value at each. */
+/* Requests one quantity at the radii of `eval`, which has to have a value at each. */
 static int ask(cli_settings eval, const char *name, dipole_client *client,
                cli_eval_report *report) {
   char quantity[64];

@@ -1,5 +1,5 @@
-/* dipole points: evaluates the rows of a CSV file. So many rows are read, asked for together, and
- * written in their order. */
+/* dipole points: evaluates the rows of a CSV file. It reads a number of rows, requests them
+ * together, and writes them in their order. */
 #include <math.h>
 #include <stdarg.h>
 #include <stdlib.h>
@@ -64,7 +64,7 @@ typedef struct columns {
 enum row_state {
   ROW_COPIED,  /* written as it was read */
   ROW_READ,    /* its cells have been read */
-  ROW_GROUPED, /* so, and it may be asked for in a group */
+  ROW_GROUPED, /* so, and it may be requested in a group */
   ROW_WAITING, /* waits for the answer to query `id` */
   ROW_GOOD,
   ROW_BAD,
@@ -91,7 +91,7 @@ static const size_t offsets[INPUTS] = {[FIRST_NUMBER] = offsetof(points_row, med
                                        [FIRST_NUMBER + 3] = offsetof(points_row, medium.eta),
                                        [RADIUS] = offsetof(points_row, r_mm)};
 
-/* So many rows are asked for and written together, or less if their texts have so many bytes. */
+/* Rows that are requested and written together; fewer if their texts reach this many bytes. */
 enum { ROWS = 8192 };
 #define ROWS_BYTES ((size_t)4 << 20)
 
@@ -99,7 +99,7 @@ enum { ROWS = 8192 };
 enum { MODELS = 256, GROUP_VALUES = 65536 };
 
 /* Media that share a model, g and eta. A surface for all of them takes the daemon as long as profiles
- * of the first SURFACE_MEDIA, which are asked for one by one. So neither a file of few media nor
+ * of the first SURFACE_MEDIA, which are requested one by one. So neither a file of few media nor
  * one of many takes more than twice the time of the better way, and a row's values depend on
  * nothing but the rows above it. */
 enum { SURFACE_MEDIA = 256, FAMILIES = 512 };
@@ -336,7 +336,7 @@ static void write_row(points_run *points, points_row *row) {
 
 /* ---- reading rows ---------------------------------------------------------------------------- */
 
-/* The status of a row shows at most so many bytes of a wrong cell. */
+/* The status of a row shows at most this many bytes of a wrong cell. */
 enum { SHOWN_BYTES = 40 };
 
 __attribute__((format(printf, 2, 3))) static bool make_bad(points_row *row, const char *format,
@@ -486,7 +486,7 @@ static bool read_row(const points_run *points, points_row *row) {
          read_id(points, row, MOMENTS, DIPOLE_MOMENTS, &row->moments) && read_medium(points, row);
 }
 
-/* ---- rows that are asked for by themselves ---------------------------------------------------- */
+/* ---- rows that are requested by themselves --------------------------------------------------- */
 
 static unsigned wanted_of(const points_run *points) {
   return points->quantities.wanted | (points->settings->errors ? (unsigned)DIPOLE_MODEL_ERROR : 0);
@@ -502,7 +502,7 @@ static double *make_good(const points_run *points, points_row *row) {
 }
 
 /* Sends the row's query; the row then waits for the answer. A row of transport takes f32 in place of
- * a table of its own, which would cost 6 ms: its values are those of stored solutions as well,
+ * its own table, which would cost 6 ms: its values are those of stored solutions as well,
  * whatever tolerance a table would have had. */
 static bool submit_row(const points_run *points, points_row *row, dipole_error *error) {
   const float r_f32_mm = (float)row->r_mm;
@@ -558,7 +558,7 @@ static points_row *find_row(points_run *points, uint64_t id) {
 
 static bool collect(points_run *points);
 
-/* Asks for the row by itself. Takes answers first if as many queries are outstanding as may be. */
+/* Requests the row by itself. Takes answers first if as many queries are outstanding as may be. */
 static bool submit(points_run *points, points_row *row) {
   dipole_error error;
   while (dipole_outstanding(points->client) >= DIPOLE_IN_FLIGHT_MAX) {
@@ -604,7 +604,7 @@ static bool collect(points_run *points) {
 
 /* ---- rows that share a model, g and eta -------------------------------------------------------- */
 
-/* The quantities that such rows can be asked for together. */
+/* The quantities that such rows can be requested together. */
 #define GROUP_QUANTITIES (DIPOLE_R | DIPOLE_ALBEDO | DIPOLE_CDF | DIPOLE_PDF | DIPOLE_RING)
 
 /* The error of a table if none is given, as that of the evaluator lut. */
@@ -640,8 +640,8 @@ static bool is_worth_a_surface(points_run *points, const points_row *row) {
   return i == SURFACE_MEDIA;
 }
 
-/* Returns whether the row may be asked for in a group. Transport needs a surface for it, whose values
- * are those of a table. */
+/* Returns whether the row may be requested in a group. Transport needs a surface for it, whose
+ * values are those of a table. */
 static bool is_for_group(points_run *points, const points_row *row) {
   return (points->quantities.wanted & ~(unsigned)GROUP_QUANTITIES) == 0 && row->model < MODELS &&
          (row->model != points->transport ||
@@ -672,7 +672,7 @@ static int compare_places(const void *a, const void *b) {
   return order != 0 ? order : (left > right) - (left < right);
 }
 
-/* Asks for the values of `count` rows that share what compare() compares. Evaluators in single
+/* Requests the values of `count` rows that share what compare() compares. Evaluators in single
  * precision get radii in single precision, and their values are those of double precision, rounded:
  * coefficients in single precision would put them off by more. */
 static bool ask(points_run *points, points_row *const *rows, size_t count,
@@ -733,7 +733,7 @@ static bool take_values(const points_run *points, points_row *row, size_t index,
   return true;
 }
 
-/* Asks for the rows of a group. A row that is not answered is then asked for by itself, so that it
+/* Requests the rows of a group. A row that is not answered is then requested by itself, so that it
  * is known what is wrong with it. */
 static bool ask_group(points_run *points, points_row *const *rows, size_t count) {
   dipole_error error;
@@ -755,7 +755,7 @@ static bool ask_group(points_run *points, points_row *const *rows, size_t count)
   return true;
 }
 
-/* Asks for the rows that may be asked for together, group by group. */
+/* Requests the rows that may be requested together, group by group. */
 static bool ask_groups(points_run *points) {
   const size_t radii = points->radius_count;
   const size_t most = radii < GROUP_VALUES ? GROUP_VALUES / radii : 1;
@@ -781,7 +781,7 @@ static bool ask_groups(points_run *points) {
 
 /* ---- the work -------------------------------------------------------------------------------- */
 
-/* Asks for the rows that have been read, and writes them up to the first that has no answer. */
+/* Requests the rows that have been read, and writes them up to the first that has no answer. */
 static bool write_all(points_run *points) {
   points->oldest = 0;
   bool good = ask_groups(points);
@@ -904,7 +904,7 @@ static int take_quantities(points_run *points) {
   return CLI_OK;
 }
 
-/* Reads the options, and asks for the measured media. Returns an exit status. */
+/* Reads the options, and requests the measured media. Returns an exit status. */
 static int prepare(points_run *points) {
   dipole_error error;
   if (!cli_profile_take_names(points->settings, points->client, &points->profile)) {

@@ -142,7 +142,7 @@ bool cli_medium_given(const cli_settings *settings) {
          settings->sigma_s.count > 0 || settings->g.count > 0 || settings->eta.count > 0;
 }
 
-/* Lists the colours of measured media that are asked for; all are if none is named. */
+/* Lists the colours of measured media that are requested; all are if none is named. */
 static size_t list_colours(const cli_settings *settings, size_t colours[CLI_COLOURS]) {
   size_t count = 0;
   for (size_t i = 0; i < CLI_COLOURS; i++) {

@@ -87,7 +87,7 @@ enum { CLI_COLOURS = 3 };
 /* The channels of a measured medium: red, green, blue. */
 extern const char *const cli_colours[CLI_COLOURS];
 
-/* Returns which of them has this name; CLI_COLOURS if none has, or if name is NULL. */
+/* Returns the index of the colour with this name; CLI_COLOURS if there is none or name is NULL. */
 size_t cli_colour(const char *name);
 
 enum { CLI_CHANNEL_BYTES = 36 };
@@ -115,7 +115,7 @@ int cli_profile_take(const cli_settings *settings, dipole_client *client, cli_pr
 /* Sets the number of channels and allocates their arrays. */
 void cli_profile_set_channels(cli_profile *profile, size_t count);
 
-/* The quantities that --wanted asks for. */
+/* The quantities that --wanted requests. */
 enum { CLI_QUANTITIES_MAX = 32 };
 
 typedef struct cli_quantities {

@@ -14,8 +14,8 @@
 
 typedef struct cli_table {
   size_t columns;
-  size_t left;       /* the first so many columns are aligned left, the others right */
-  size_t heads;      /* the first so many rows are the header */
+  size_t left;  /* number of leading columns that are aligned left; the others are aligned right */
+  size_t heads; /* number of leading rows that are the header */
   size_t cell_count; /* the cells are stored row by row */
   size_t cell_capacity;
   char **cells;

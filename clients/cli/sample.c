@@ -85,7 +85,7 @@ static dipole_sample_query make_query(const cli_settings *settings, const cli_ev
   };
 }
 
-/* Random numbers are asked for in pieces, which shows how far the work is. */
+/* Random numbers are requested in pieces, which shows how far the work is. */
 enum { PIECE_SAMPLES = 1 << 16 };
 
 static bool ask_pieces(const cli_settings *settings, dipole_client *client,

@@ -33,7 +33,7 @@ static const cli_option options[] = {
     {0},
 };
 
-/* How many values a request asks for: 2 MiB and some ten milliseconds. */
+/* Values of one request: 2 MiB and some ten milliseconds. */
 enum { REQUEST_VALUES = 262144, WANTED_MAX = 8 };
 
 typedef struct texture_run {

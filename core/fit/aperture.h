@@ -33,7 +33,7 @@
 #define FIT_APERTURE_U_LEAST 0.1
 #define FIT_APERTURE_QUANTUM 2e-5 /* of the table's numbers */
 
-/* Terms along each coordinate. Each side of eta = 1 has terms of its own. */
+/* Terms along each coordinate. Each side of eta = 1 has its own terms. */
 enum {
   FIT_APERTURE_PLACES = 32,
   FIT_APERTURE_RATIOS = 9,

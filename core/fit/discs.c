@@ -98,8 +98,8 @@ static double density(const struct discs *discs, double s) {
   return 2 * s * (covered + over_angles(discs, s, inner, outer));
 }
 
-/* Sets edges to where p(s) has kinks, in ascending order, between from and to, with both of these.
- * Returns their number. */
+/* Sets edges to `from`, the kinks of p(s) between `from` and `to` in ascending order, and `to`.
+ * Returns the number of edges. */
 enum { KINKS = 5 };
 static size_t find_kinks(const struct discs *discs, double from, double to,
                          double edges[KINKS + 2]) {

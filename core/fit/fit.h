@@ -176,10 +176,11 @@ void core_fit_run(const core_fit *fit, const double *values, const double *error
                   core_fit_result *result, double *residuals);
 
 /* The same in steps, for a caller that has other work beside: a set of 1024 readings takes up to 20
- * ms. core_fit_begin() returns whether the search goes on; if not, it has set the result of readings
- * that are refused. core_fit_step() does at most one evaluation of the model; it sets the result and
- * returns false when the search is done. Until then values and errors have to stay valid.
- * core_fit_search_new() returns NULL if memory runs out; a search serves one set after the other. */
+ * ms. core_fit_begin() returns whether the search continues; if not, it has set the result of
+ * readings that are refused. core_fit_step() does at most one evaluation of the model; it sets the
+ * result and returns false when the search is done. Until then values and errors have to stay
+ * valid. core_fit_search_new() returns NULL if memory runs out; a search serves one set after
+ * the other. */
 typedef struct core_fit_search core_fit_search;
 core_fit_search *core_fit_search_new(void);
 void core_fit_search_free(core_fit_search *search); /* accepts NULL */

@@ -5,7 +5,7 @@
 
 #include "core/fit/table.h"
 
-/* fit_loops_measure() takes so many media at a time. */
+/* fit_loops_measure() takes this many media at a time. */
 enum { FIT_LOOPS_MEDIA = 16 };
 
 /* Evaluates the quantity at[n], in mm above 0 or in 1/mm, for a medium by ln(sigma_a / sigma_s')

@@ -98,8 +98,9 @@ typedef struct core_gather_visits {
 typedef struct core_gather_scratch core_gather_scratch;
 
 /* For points that are built. Returns NULL if memory runs out. The scratch may be used with this sum
- * and these points alone, and they must live as long as it is used: a call goes on in the cell where
- * the one before ended. The caller frees it with core_gather_scratch_free(), which accepts NULL. */
+ * and these points alone, and they must live as long as it is used: a call continues in the cell
+ * where the one before ended. The caller frees it with core_gather_scratch_free(), which accepts
+ * NULL. */
 core_gather_scratch *core_gather_scratch_create(const core_gather_sum *sum,
                                                 const core_gather_points *points);
 void core_gather_scratch_free(core_gather_scratch *scratch);
@@ -124,7 +125,7 @@ void core_gather(const core_gather_sum *sum, const core_gather_points *points,
                  core_gather_scratch *scratch, size_t n, const uint32_t *order, const double *xyz,
                  double *M, float *bound, core_gather_visits *visits);
 
-/* Does a part of core_gather(): goes on where the call before stopped, and stops when *work, in
+/* Does a part of core_gather(): continues where the call before stopped, and stops when *work, in
  * evaluations of one quantity of a dipole, is used up. Returns how many of the n queries are done,
  * the first ones; the next call gets the queries behind them, with the same M and bound. It reduces
  * *work by what was done, which ends below 0 by at most one block of 512 points, or by the making of

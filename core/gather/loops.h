@@ -63,7 +63,8 @@ typedef struct gather_views {
   double twice[GATHER_LANES];  /* 2 h |e| / D^4, at most */
 } gather_views;
 
-/* Queries of one cell whose sums are under way, and at most so many radii for all of them at once. */
+/* Queries of one cell whose sums are under way, and at most this many radii for all of them at
+ * once. */
 enum { GATHER_QUERIES = 64, GATHER_RADII = 512 };
 
 /* The coefficients of a table of R side by side: those of piece i of the table are [i], [stride + i]

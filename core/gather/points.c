@@ -757,7 +757,7 @@ static bool holds(const double corner[3], double edge_mm, const double x[3]) {
   return held;
 }
 
-/* Cells and districts hold so many points or fewer. Smaller cells have shorter lists, which fewer
+/* Cells and districts hold this many points or fewer. Smaller cells have shorter lists, which fewer
  * queries share. */
 enum { CELL_POINTS = 80, DISTRICT_POINTS = 1024 };
 

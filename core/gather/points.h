@@ -8,7 +8,7 @@
 
 #include "core/gather/gather.h"
 
-/* Nodes of so many points or fewer have no children. */
+/* Nodes of this many points or fewer have no children. */
 enum { GATHER_LEAF = 24 };
 
 typedef struct gather_node {

@@ -581,7 +581,7 @@ static void add_rows(const walk *w, size_t n, size_t q, const double *x) {
   }
 }
 
-/* In a step all queries of the batch together take so many nodes or points of the block. */
+/* In a step all queries of the batch together take this many nodes or points of the block. */
 enum { STEP_NODES = 4, STEP_POINTS = GATHER_LANES }; /* rows of part */
 _Static_assert(2 * STEP_NODES * GATHER_QUERIES <= GATHER_RADII, "two radii of each");
 

@@ -60,7 +60,7 @@ core_fault core_gaussian_fit_prepare(const core_inputs *inputs, core_preparation
 
 #else
 
-/* ---- what is asked for ----------------------------------------------------------------------- */
+/* ---- what is requested ----------------------------------------------------------------------- */
 
 struct asked {
   unsigned model;

@@ -180,8 +180,8 @@ static double slowest_of(const core_gaussian *gaussians, size_t count) {
   return slowest < (double)INFINITY ? slowest : gaussians[0].rate;
 }
 
-/* Returns the energy beyond the least radius if R falls like 1 / r^3 from the largest one on: the
- * energy of the Gaussians up to there, and 2 pi R r^2 beyond. */
+/* Returns the energy beyond the least radius: that of the Gaussians up to the largest radius, plus
+ * 2 pi R r^2 there, the energy of a tail that falls like 1 / r^3. */
 static double energy_with_tail(const core_gaussian *gaussians, size_t count,
                                const core_gaussian_ends *ends) {
   const double pi = 3.14159265358979323846;

@@ -1,4 +1,4 @@
-/* lanes: what the kernels share where every value has a medium of its own (core/varying.h). A lane
+/* lanes: what the kernels share where every value has its own medium (core/varying.h). A lane
  * is the medium of one value. */
 #ifndef DIPOLED_CORE_MODELS_LANES_H
 #define DIPOLED_CORE_MODELS_LANES_H

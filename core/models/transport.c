@@ -17,7 +17,7 @@
  *   d ln R / d ln sigma_a = (1 - a) (2 + d ln R / d ln x) + d ln R / d ln rho,
  *   d ln R / d ln sigma_s = a (2 + d ln R / d ln x) - d ln R / d ln rho,
  *
- * with the albedo a = 1 / (1 + rho) of scattering. If they are asked for, the derivative of L by ln
+ * with the albedo a = 1 / (1 + rho) of scattering. If they are requested, the derivative of L by ln
  * rho is a second series: a central difference of two more media of the table or of the solver.
  *
  * Domain: g from -0.98 to 0.99, eta from 0.25 to 4, sigma_a up to 1000 sigma_s', and media that
@@ -514,7 +514,7 @@ struct panels {
   double y[PANELS_MAX][TERMS];
   double L[PANELS_MAX][TERMS];
   bool joined; /* to be joined, as the table is not smooth at its edges */
-  bool fades;  /* beyond the last radius R goes on like the diffusion of white media */
+  bool fades;  /* beyond the last radius R continues like the diffusion of white media */
 };
 
 /* Sets y to the Gauss points of a panel, in ascending order. */
@@ -653,7 +653,7 @@ static core_fault fill(const core_inputs *inputs, const core_medium *medium,
   const double energy =
       core_energy_build(R, c, first * mfp_mm, energy_last * mfp_mm, &c[before_energy]);
   if (scaled) {
-    /* The albedo has a table of its own, which is more exact than that of R. */
+    /* The albedo has its own table, which is more exact than that of R. */
     set_scales(c, sigma_t_prime, preparation->albedo / energy);
   }
   preparation->table = c;
@@ -727,7 +727,7 @@ static double albedo_of_total(const core_medium *medium, double known, double to
                                    : total;
 }
 
-/* Returns the albedo that the table is asked for. */
+/* Returns the albedo at which the table is evaluated. */
 static double known_albedo(const core_medium *medium) {
   return is_isotropic(medium) ? fmin(albedo_of(medium), 1 - 0x1p-53) : albedo_of(medium);
 }

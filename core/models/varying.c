@@ -1,4 +1,4 @@
-/* The kernels that all models share where every value has a medium of its own (core/varying.h): the
+/* The kernels that all models share where every value has its own medium (core/varying.h): the
  * statuses of values, and from colours to media. */
 #ifdef CORE_ISA
 
@@ -40,7 +40,7 @@ static inline struct checked check_value(const real *shared, real sigma_a, real 
   return (struct checked){status, a & range & ratio & in_range & near, lane.scattered, mfp};
 }
 
-/* Statuses are narrowed to bytes in a loop of their own, since compilers vectorize no loop with
+/* Statuses are narrowed to bytes in their own loop, since compilers vectorize no loop with
  * both. */
 enum { BLOCK = 64 };
 

@@ -25,8 +25,7 @@
 /* The part of the last panel over which a slope is taken. */
 #define NEARBY 1e-3
 
-/* The path rises up to this Im k, so that light of large wavenumbers counts near the source alone.
- */
+/* The integration path rises to this Im k, which damps large wavenumbers except near the source. */
 #define RISE 0.5
 #define RISE_MOST 0.35
 

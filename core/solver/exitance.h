@@ -18,7 +18,7 @@ enum {
 };
 
 /* The wavenumbers: Chebyshev's nodes on the straight pieces of a path. Each tier of them, up to
- * some |k|, is solved in one way, and has errors of its own. */
+ * some |k|, is solved in one way, and has its own errors. */
 typedef struct exitance_grid {
   const core_isa *isa;
   double tier_end

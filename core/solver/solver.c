@@ -13,7 +13,7 @@
  *   far = (2 pi a)^2 int_0^pi/2 T(mu) mu dtheta int_theta^pi p(cos t) p(-cos(t - theta)) dt,
  *
  * mu = cos(theta), theta the angle at which the light leaves, t the angle by which it is deflected
- * first. The light that leaves within a cone of angles has an X of its own, whose integral over
+ * first. The light that leaves within a cone of angles has its own X, whose integral over
  * theta ends at the cone's edge. */
 #include "core/solver/solver.h"
 
@@ -525,9 +525,9 @@ static double floor_at(const solver_solution *of, size_t eta, double r) {
   return fmax(of->floor[1], of->floor[0] * fmax(1, more) * fmin(1, near / r));
 }
 
-/* Beyond so many reduced mean free paths R is that of diffusion, within FARTHER_OFF, relative: a source
- * at a depth of some mean free paths changes it by kappa / r, and where that is larger nothing is
- * left of R. */
+/* Beyond this many reduced mean free paths R is that of diffusion, within FARTHER_OFF, relative: a
+ * source at a depth of some mean free paths changes it by kappa / r, and where that is larger
+ * nothing is left of R. */
 #define FARTHER 1e4
 #define FARTHER_OFF 1e-5
 

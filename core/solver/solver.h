@@ -59,7 +59,7 @@ typedef struct solver_solution solver_solution;
  * their values can have beyond SOLVER_NEAR, is at most the tolerance, at radii from SOLVER_RADIUS_LEAST to SOLVER_RADIUS_MOST as far as R has not decayed
  * by e^-20, but at most four of them, and the finest only if it
  * promises to reach the tolerance. What holds is the error that is stated beside each value,
- * which is larger than asked for where |g| is above 0.95 or g is below -0.5. One boundary and g up
+ * which is larger than requested where |g| is above 0.95 or g is below -0.5. One boundary and g up
  * to 0.9 take some 0.2 s of a processor for a tolerance of 1e-2, 0.6 to 2.5 s for 1e-3 and 9 s
  * or more for 1e-4; the most that they take is 3, 10 and 37 s. sigma_a_ratio: sigma_a / (sigma_s (1 - g)),
  * 0 to 1000. etas: index inside over index outside, TRANSPORT_ETA_MIN to TRANSPORT_ETA_MAX, 1 to
@@ -97,8 +97,8 @@ void solver_free(solver_solution *solution);
 size_t solver_level(const solver_solution *solution);
 
 /* Returns R at the radius r for the boundary etas[eta], with an estimate of its absolute error. r:
- * 0 (where R is infinite) to infinity; beyond 1e4 R goes on as diffusion, (1 + kappa r) e^(-kappa r)
- * / r^3. Where the grids do not find a positive R, the value is 0 and the error the size of what
+ * 0 (where R is infinite) to infinity; beyond 1e4 R continues as diffusion, (1 + kappa r) e^(-kappa
+ * r) / r^3. Where the grids do not find a positive R, the value is 0 and the error the size of what
  * they find. */
 transport_number solver_at(const solver_solution *solution, size_t eta, double r);
 

@@ -26,9 +26,9 @@ void tools_make_folder(const char *path);
 FILE *tools_open(const char *path);
 void tools_close(FILE *file, const char *path);
 
-/* Results that a folder keeps, so that a program which was interrupted goes on where it was. key: one
- * line, without its end, that names all that the result depends on. tools_kept() returns whether the
- * folder has it, and then fills it in. */
+/* Results that a folder keeps, so that a program which was interrupted continues where it was. key:
+ * one line, without its end, that names all that the result depends on. tools_kept() returns
+ * whether the folder has it, and then fills it in. */
 bool tools_kept(const char *folder, const char *key, void *result, size_t bytes);
 void tools_keep(const char *folder, const char *key, const void *result, size_t bytes);
 

@@ -374,7 +374,7 @@ static void polynomials_of_v(const double *field, double eta, double *values) {
   core_chebyshev_polynomials(TERMS_MAX, mapped(transport_table_v(eta), range[0], range[1]), values);
 }
 
-/* The same for the albedo, of isotropic scattering and of D, and for g. */
+/* Set values to the polynomials of the albedo (t for isotropic scattering, u for D), then of g. */
 static void polynomials_of_t(const double *field, double albedo, double *values) {
   core_chebyshev_polynomials(TERMS_MAX,
                              mapped(transport_table_t(albedo),

@@ -24,13 +24,13 @@
  *                                           where single scattering takes over;
  *   w = g + g^2 / 20                        for D;
  *   v = sqrt(1 - 1 / eta^2) for eta >= 1,   Fresnel's reflectance is not smooth at eta = 1, so each
- *       sqrt(1 - eta^2)     for eta < 1:    side has a table of its own;
+ *       sqrt(1 - eta^2)     for eta < 1:    side has its own table;
  *   y = ln x, in panels: each panel reaches from one edge to the next. The last edge, the reach, is
  *       x = 1 / (kappa / decays + 1 / most) with the kappa of isotropic scattering, so that panels
  *       end where R does, and Q with them is a smooth function of kappa. The panels between the last
  *       fixed edge and the reach have the same width in y. Each part has its own edges. Beyond its
- *       reach D goes on with its slope there, which fades within TRANSPORT_TABLE_D_FADES of y, like
- *       1 / x: R is diffusion there, or so small that the errors below do not hold for it.
+ *       reach D continues with its slope there, which fades within TRANSPORT_TABLE_D_FADES of y,
+ * like       1 / x: R is diffusion there, or so small that the errors below do not hold for it.
  *
  * For isotropic scattering the table holds the total (the energy that leaves per power that has
  * entered) as ln(total / a). For other media it holds ln(total / a) for a beam at right angles and

@@ -153,9 +153,8 @@ static double ln_albedo(const struct albedos *albedos, double most, bool rest, d
 }
 
 /* Returns the y at which ln_albedo() is `wanted`, by the secant method from y on: the function rises,
- * and is nearly a straight line of slope 1 or 2. What the albedo lacks hardly changes where the
- * albedo is small, as in dark media with a large eta: a step that leads out of the bracket halves
- * it. */
+ * and is nearly a straight line of slope 1 or 2. Where the albedo is small, as in dark media with a
+ * large eta, `most - albedo` hardly changes with y: a step that leaves the bracket halves it. */
 static double find_medium(const struct albedos *albedos, double most, bool rest, double wanted,
                           double y) {
   double before = y - 0.01, off_before = ln_albedo(albedos, most, rest, before) - wanted;
@@ -329,7 +328,8 @@ static void put_kappa(const rows *all, float *words) {
   }
 }
 
-/* Sets Q[i] to Q with the k of the words in place of the exact kappa. */
+/* Sets Q[i] to Q, computed with the rounded kappa of the table's words in place of the exact
+ * one. */
 static void Q_of_words(const float *words, const rows_row *row, size_t n, const double *x,
                        const double *ln_x, double *Q) {
   double k = 0;

@@ -238,7 +238,7 @@ static void panel_Q(const rows *all, const rows_row *row, int panel, double *Q) 
   }
 }
 
-/* Beyond so many decay lengths no energy is left. */
+/* Beyond this many decay lengths no energy is left. */
 #define DECAYS_MOST 80
 
 /* Sums the energy of a row from its Q. For g other than 0, R is scaled to the total as

@@ -1,4 +1,4 @@
-/* Prepares and evaluates where every value has a medium of its own. Kernels of a precision that a
+/* Prepares and evaluates where every value has its own medium. Kernels of a precision that a
  * model lacks are replaced by those of double precision, whose results are rounded. */
 #include "core/varying.h"
 
@@ -225,7 +225,8 @@ DEFINE_CHECK(float, f32)
 
 /* ---- errors ---------------------------------------------------------------------------------- */
 
-/* At most so many decay lengths 1 / mu are there to where a value underflows in each precision. */
+/* At most this many decay lengths 1 / mu are there to where a value underflows in each
+ * precision. */
 #define DECAYS_MOST_F32 140.0
 #define DECAYS_MOST_F64 800.0
 

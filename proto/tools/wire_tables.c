@@ -146,7 +146,7 @@ static bool describe_tables(const char *names, FILE *file) {
 
 /* ---- of the Python client -------------------------------------------------------------------- */
 
-/* Lines of Python have at most so many columns. */
+/* Lines of Python have at most this many columns. */
 enum { COLUMNS = 100 };
 
 /* Writes an item of a text, in the next line if it has no room in this one. */

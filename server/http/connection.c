@@ -19,10 +19,10 @@
 enum {
   HEADER_BYTES = 1024, /* of the library's memory for one connection, beside the URI */
   REST_MS = 1000,      /* the silence after which the connection releases its buffers */
-  BRACKET_BYTES = 16,  /* a body has at most one array or object for so many bytes it may have */
+  BRACKET_BYTES = 16,  /* of a body's limit, for each array or object that the body may have */
 };
 
-/* What a path asks for. */
+/* What a path requests. */
 struct route {
   const char *path;
   enum route_kind { PAGE, HEALTH, READINESS, DOCUMENT, LISTS, MEDIA, MESSAGE } kind;
@@ -374,7 +374,7 @@ static void go_on(struct http_connection *c) {
   }
 }
 
-/* Asks for what the payload says. Answers at once, or when the job is done. */
+/* Starts the job of the payload. The reply is sent at once, or when the job is done. */
 static enum MHD_Result ask(struct http_connection *c, enum wire_type type, uint32_t deadline_ms) {
   struct worker *worker = c->host->worker;
   const wire_header header = {.type = (uint16_t)type, .payload_bytes = (uint32_t)c->payload.count};

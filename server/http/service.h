@@ -1,4 +1,4 @@
-/* service: serves HTTP and JSON (--http) on a worker of its own, so that what it does with texts
+/* service: serves HTTP and JSON (--http) on its own worker, so that what it does with texts
  * delays no client of the binary protocol. */
 #ifndef DIPOLED_HTTP_SERVICE_H
 #define DIPOLED_HTTP_SERVICE_H

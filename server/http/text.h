@@ -25,7 +25,7 @@ void http_text_trim(struct http_text *text);
 /* Frees the bytes and returns their memory to the budget. */
 void http_text_free(struct http_text *text);
 
-/* Makes room for so many bytes behind those that are there, and returns where it begins. Returns
+/* Makes room for this many bytes behind those that are there, and returns where it begins. Returns
  * NULL if there is no memory. The caller adds to `count` what it writes. */
 char *http_text_room(struct http_text *text, size_t bytes);
 

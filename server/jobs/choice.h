@@ -18,11 +18,12 @@ struct choice_state {
 /* Checks the tolerance and the media of a request of model EVAL_ANY_MODEL. */
 wire_error choice_check(const eval_request *request);
 
-/* Returns what core/choose.h is asked for a request of model EVAL_ANY_MODEL, after choice_check() and
- * the check of its radii, which lie in the range `radii` unless they are infinite. */
+/* Returns the arguments of core/choose.h for a request of model EVAL_ANY_MODEL, after
+ * choice_check() and the check of its radii, which lie in the range `radii` unless they are
+ * infinite. */
 core_choose_request choice_asked(const eval_request *request, core_radii_range radii);
 
-/* Writes the best candidate into the request, as if the client had asked for it. Returns an error
+/* Writes the best candidate into the request, as if the client had requested it. Returns an error
  * if none keeps the tolerance; it says which tolerance the best one keeps. */
 wire_error choice_first(struct choice_state *state, eval_request *request, core_radii_range radii);
 

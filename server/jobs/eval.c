@@ -405,7 +405,7 @@ static void start_profiles(struct eval_job *eval) {
 }
 
 /* Gets the profile of transport for the current channel, if its model error needs it. MODEL_ERRORS
- * asks for it even if it has to be solved. */
+ * requests it even if it has to be solved. */
 static enum lookup_answer get_ruler(struct eval_job *eval, const core_medium *medium) {
   const wire_eval_request *fixed = &eval->request.fixed;
   const unsigned compares =

@@ -48,7 +48,7 @@ JOB_STRUCTURE(struct gather_job, of)
 /* What a part takes at most: a quarter of a second, as far as the cost of a query is known before. */
 #define PART_RADII (UINT64_C(1) << 27)
 
-/* The cost of so many queries is counted, at most; that of others is taken to be the same. */
+/* The cost of this many queries is counted, at most; that of others is taken to be the same. */
 enum { COUNTED_MOST = 4 * GATHER_PART_QUERIES, COUNTED_AT_ONCE = 1024 };
 
 static struct gather_work *new_work(struct gather_job *gather, const struct job_request *from) {

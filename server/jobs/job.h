@@ -195,7 +195,7 @@ wire_error job_admit(struct job *job, double radii, const char *field);
 /* Subtracts radii that the job has evaluated from the work that it owes. */
 void job_pay(struct job *job, uint64_t radii);
 
-/* Call these when a slow reader stops a job, and when the job goes on. The work of a stopped job
+/* Call these when a slow reader stops a job, and when the job continues. The work of a stopped job
  * does not count in admission control. */
 void job_rest(struct job *job);
 void job_resume(struct job *job);
@@ -208,7 +208,8 @@ enum job_outcome job_refuse(struct job *job, wire_error refusal);
 /* Returns JOB_GOES_ON if there is no error; else refuses the job with it. */
 enum job_outcome job_check(struct job *job, wire_error error);
 
-/* Follows a lookup for a channel: goes on with what is READY, WAITS, or refuses the job by *fault. */
+/* Follows a lookup for a channel: continues with what is READY, WAITS, or refuses the job by
+ * *fault. */
 enum job_outcome job_follow(struct job *job, enum lookup_answer answer, const core_fault *fault,
                             uint64_t channel);
 

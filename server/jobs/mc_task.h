@@ -17,8 +17,8 @@ enum { MC_TASK_SLICE_SCATTERINGS = 100000 };
 
 struct mc_task {
   core_mc_request request;
-  double error_total; /* the error of the total R that the client asked for; 0 if it named none */
-  double error_rings; /* the error of each ring that it asked for; 0 if it named none */
+  double error_total; /* the error of the total R that the client requested; 0 if it named none */
+  double error_rings; /* the error of each ring that it requested; 0 if it named none */
   uint64_t batches_max;
   uint32_t side_count;
   uint32_t ring_count;

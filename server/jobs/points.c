@@ -12,7 +12,7 @@ struct points_job {
   struct lookup lookup;
   struct points **sent;  /* the set that the connection is sending */
   struct points *points; /* the set that this part is of; a reference; NULL: none, or it is known */
-  bool asked;            /* whether the cache has been asked for the set */
+  bool asked;            /* whether the set has been requested from the cache */
   bool complete;         /* whether this part is the last one, and its points have been added */
   uint64_t done;         /* points of this part that have been added */
   wire_points_reply reply;

@@ -375,8 +375,8 @@ static void refuse_request(struct requests *r, wire_error error) {
   end_frame(r, &error);
 }
 
-/* Starts a request that leaves the input, or lets it wait for its turn. Those that threads of their own
- * work on come first and start at once: their steps cost nothing. */
+/* Starts a request that leaves the input, or lets it wait for its turn. Requests that their own
+ * threads work on come first and start at once: their steps cost nothing. */
 static void start_detached(struct requests *r, const struct job_type *type) {
   struct detached *one = detach_request(r, type);
   if (one == NULL) {

@@ -31,7 +31,7 @@ struct requests {
   struct run run; /* the request that is answered in its turn, which is the first in the input */
   wire_header header;              /* of this request */
   uint64_t arrived_ns;             /* when it had arrived */
-  TAILQ_HEAD(, detached) detached; /* the first one that goes on has the next slice */
+  TAILQ_HEAD(, detached) detached; /* the first one that continues has the next slice */
   unsigned detached_count;
   uint64_t detached_bytes; /* of their payloads */
   bool blocked;            /* whether the next frame waits until a detached request ends */
@@ -61,7 +61,7 @@ void requests_drop(struct requests *requests);
 /* Gives up the set of points that the client is sending, if it takes too long. */
 void requests_trim(struct requests *requests, uint64_t now_ms);
 
-/* Does one step: takes the next frame, or goes on with the request that is answered in its turn.
+/* Does one step: takes the next frame, or continues with the request that is answered in its turn.
  * Subtracts the cost of the step from *budget, down to 0. Returns false if there is nothing to do. */
 bool requests_step(struct requests *requests, uint64_t *budget);
 

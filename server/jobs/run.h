@@ -1,4 +1,4 @@
-/* run: one job under way, from its start to its last part or its refusal, whoever asks for it: a
+/* run: one job under way, from its start to its last part or its refusal, whoever requests it: a
  * connection of the binary protocol, an HTTP request or a Modbus unit. That one is the sink, which has
  * room for the parts and is told of the end. The run knows deadlines and how to give a job up; the
  * sink knows turns. Call all functions on the worker's thread.
@@ -24,7 +24,7 @@ struct run_sink {
 enum run_state {
   RUN_IDLE,    /* there is no job */
   RUN_GOES_ON, /* call run_step() */
-  RUN_WAITS,   /* for a profile or for threads: wake() tells when the job goes on */
+  RUN_WAITS,   /* for a profile or for threads: wake() tells when the job continues */
   RUN_HAS_PART /* between two parts, or before the first: call run_step() when there is room */
 };
 
@@ -46,7 +46,8 @@ void run_init(struct run *run, const struct run_sink *sink, void *owner);
  * the sink has been told of the end. */
 void run_start(struct run *run, struct job_request *request, uint64_t deadline_ms);
 
-/* Does one step of a job that goes on or has a part. Subtracts its cost from *budget, down to 0. */
+/* Does one step of a job that continues or has a part. Subtracts its cost from *budget, down to
+ * 0. */
 void run_step(struct run *run, uint64_t *budget);
 
 /* Does steps until the budget is spent, the job waits, or it has ended. */

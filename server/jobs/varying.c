@@ -1,4 +1,4 @@
-/* Varying: evaluates values each of which has a medium of its own, slice by slice. */
+/* Varying: evaluates values each of which has its own medium, slice by slice. */
 #include "proto/varying.h"
 
 #include "core/ruler.h"

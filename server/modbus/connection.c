@@ -143,7 +143,7 @@ static unsigned frame_bytes(const uint8_t *frame) {
   return 6 + ((unsigned)frame[4] << 8 | frame[5]);
 }
 
-/* Sends the answer, whose PDU is already in c->unsent, and goes on to the next frame. */
+/* Sends the answer, whose PDU is already in c->unsent, and moves on to the next frame. */
 static void send_answer(struct modbus_connection *c, size_t pdu_bytes) {
   const uint8_t *frame = c->input + c->begin;
   const size_t length = 1 + pdu_bytes;

@@ -5,7 +5,7 @@
  * right after another frame, because adapters deliver several frames together. Other bytes are
  * skipped up to the next silence. Adapters also deliver a frame in pieces, so a short silence may
  * be a pause within a frame. Only the caller's longer silence ends an unfinished frame. If the rest
- * of that frame arrives later, it is skipped, even if it looks like a frame of its own.
+ * of that frame arrives later, it is skipped, even if it looks like a frame.
  *
  * Some adapters return all bytes that the daemon writes to them: the echo. The receiver skips it.
  * It learns whether there is an echo from answers that cannot be requests, for example those of

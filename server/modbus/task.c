@@ -274,7 +274,7 @@ void modbus_queue_expire(struct modbus_queue *queue) {
     for (struct modbus_task *task = TAILQ_FIRST(&queue->tasks[states[i]]); task != NULL;
          task = next) {
       next = TAILQ_NEXT(task, in_queue);
-      /* A job that no master asks for any more keeps its place from others. */
+      /* A job that no master reads any more occupies a place that others could use. */
       if (may_stop(task) && !task->cancelled && now_ms(queue) >= abandoned_ms(task)) {
         modbus_task_cancel(task);
       }

@@ -103,7 +103,7 @@ static void take_skipped(struct input *input) {
 }
 
 /* Returns the number of bytes up to which marks are not needed. Marks inside the first frame are
- * not needed, because only the time of a frame's last byte is asked for. If there is no frame,
+ * not needed, because only the time of a frame's last byte is requested. If there is no frame,
  * marks of removed bytes are not needed. */
 static uint64_t useless_bytes(const struct input *input) {
   const uint64_t done = input->total_bytes - held(input);

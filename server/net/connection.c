@@ -246,7 +246,7 @@ static void on_sent(void *owner, uint64_t bytes, int status) {
   worker_run_later(&c->client); /* its turn writes more */
 }
 
-/* Cuts the buffers off after so many bytes. Returns how many buffers are left. */
+/* Cuts the buffers off after this many bytes. Returns how many buffers are left. */
 static unsigned cut_off(uv_buf_t *buffers, unsigned count, size_t bytes) {
   unsigned i = 0;
   for (; i < count && bytes > 0; i++) {
@@ -380,7 +380,7 @@ static void run(struct client *client) {
 
 static void finish(struct client *client) {
   struct connection *c = of(client);
-  /* Frames wait while the output is full. If writing makes room, the connection goes on. */
+  /* Frames wait while the output is full. If writing makes room, the connection continues. */
   const bool was_blocked = output_is_full(&c->output);
   if (!c->closing) {
     write_more(c);

@@ -1,6 +1,6 @@
 /* handshake: TLS handshakes. They run on a worker of their own, at low priority, so that a flood of
  * them costs other clients nothing but a small share of the processor. A connection whose handshake
- * is done goes on to the workers that evaluate.
+ * is done moves on to the workers that evaluate.
  *
  * A handshake may take --tls-handshake-timeout-ms and 64 KiB, and begins when the client has sent
  * something; before that it costs no more than its socket, which the worker watches. There may

@@ -115,7 +115,7 @@ static void admit(struct server *server, int fd) {
 
 static void on_pause_over(uv_timer_t *timer);
 
-/* Stops accepting for a while. The connection goes on waiting, so the poll would return at once
+/* Stops accepting for a while. The connection keeps waiting, so the poll would return at once
  * again and again. */
 static void pause_accepting(struct listener *listener, const char *reason) {
   const uint64_t now_ms = uv_now(listener->poll.loop);
@@ -313,7 +313,7 @@ bool listener_adopt(struct listener *listener, struct server *server, uv_loop_t 
   return watch(listener, loop);
 }
 
-/* Watches so many listeners that have been opened. */
+/* Watches this many listeners that have been opened. */
 static size_t start(struct listener *listeners, uv_loop_t *loop, size_t count) {
   for (size_t i = 0; i < count; i++) {
     watch(&listeners[i], loop);

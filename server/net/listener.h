@@ -18,9 +18,9 @@ struct listener {
   ino_t unix_inode;
 };
 
-/* Listens at unix:PATH, tcp:HOST:PORT or tls:HOST:PORT, a name's addresses each, and logs them.
- * Returns how many listeners it has opened. If it fails, prints a message to standard error and
- * returns 0. */
+/* Listens at unix:PATH, tcp:HOST:PORT or tls:HOST:PORT, at each address of HOST, and logs them.
+ * Returns the number of listeners that it opened. If it fails, prints a message to standard error
+ * and returns 0. */
 size_t listener_open(struct listener listeners[TCP_ADDRESSES_MAX], struct server *server,
                      uv_loop_t *loop, const char *url);
 

@@ -1,4 +1,4 @@
-/* roles: what clients with certificates may ask for. A file gives roles to them, one line each:
+/* roles: what clients with certificates may request. A file gives roles to them, one line each:
  *
  *   # roles             who
  *   evaluate,compute    subject:CN=node7,O=farm   whose certificate has this subject (RFC 2253)

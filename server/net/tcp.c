@@ -16,7 +16,7 @@
 enum {
   BACKLOG = 1024,
   KEPT_MOST = 24,  /* descriptors that no client gets: */
-  KEPT_SHARE = 16, /* at most one in so many */
+  KEPT_SHARE = 16, /* at most one in this many */
 };
 
 /* What an IPv4 address in IPv6 begins with (RFC 4291). */

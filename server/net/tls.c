@@ -89,8 +89,8 @@ void tls_session_end(struct tls_session *session) {
 
 #define ROLE_OID "1.3.6.1.4.1.50316.802.1"
 
-enum { CERTIFICATES_BYTES = 32768, CHAIN_LENGTH = 8 }; /* of what a client may send */
-enum { FEED_BYTES = 16384 }; /* at most that one call decrypts: about a whole record */
+enum { CERTIFICATES_BYTES = 32768, CHAIN_LENGTH = 8 }; /* limits of a client's certificates */
+enum { FEED_BYTES = 16384 }; /* that one call decrypts at most: about a record */
 enum { SUBJECT_BYTES = 1024, ROLE_BYTES = 128 };
 
 static int roles_index; /* of the context's roles, which are freed with it */
@@ -285,7 +285,7 @@ void tls_session_free(struct tls_session *session) {
   SSL_free(ssl_of(session));
 }
 
-/* Receives more for OpenSSL, unless it holds something yet. So no call of OpenSSL goes on for as
+/* Receives more for OpenSSL, unless it holds something yet. So no call of OpenSSL lasts for as
  * long as the peer sends. Returns false if the socket fails. */
 static bool feed(SSL *ssl) {
   char bytes[FEED_BYTES];

@@ -21,7 +21,7 @@ struct tls;
 /* One connection. Its socket must not block. */
 struct tls_session;
 
-/* Return whether an option asks for TLS, and for MODBUS/TCP Security. */
+/* Return whether an option requests TLS, and for MODBUS/TCP Security. */
 bool tls_is_wanted(const struct options *options);
 bool tls_is_wanted_for_modbus(const struct options *options);
 
@@ -61,8 +61,8 @@ uint64_t tls_session_received_bytes(const struct tls_session *session);
 
 /* These return a number of bytes above 0, or UV_EAGAIN, or UV_EOF (reading) when the peer has ended
  * its sending side, or UV_EPROTO. A read also returns 0 when it has met a record without content,
- * as an update of keys, which takes tens of microseconds: the next read goes on, and others ought to
- * be served before it. A write that has returned UV_EAGAIN is to be repeated with the same first
+ * as an update of keys, which takes tens of microseconds: the next read continues, and others ought
+ * to be served before it. A write that has returned UV_EAGAIN is to be repeated with the same first
  * bytes, which may have moved. */
 ssize_t tls_session_read(struct tls_session *session, void *to, size_t bytes);
 ssize_t tls_session_write(struct tls_session *session, const void *from, size_t bytes);

@@ -107,7 +107,8 @@ static int events_wanted(const struct transport *t) {
 }
 
 /* Sets the events that the poll waits for. A change takes two system calls, and connections often
- * cease to read for a moment: so the poll goes on to wait until bytes arrive that nobody wants. */
+ * cease to read for a moment: so the poll continues to wait until bytes arrive that nobody
+ * wants. */
 static bool set_events(struct transport *t) {
   return poll_for(t, events_wanted(t) | (t->events & UV_READABLE));
 }

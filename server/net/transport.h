@@ -19,11 +19,11 @@
 struct transport_calls {
   /* Sets *room to memory for the next bytes and returns how many fit; 0 if there is none. */
   size_t (*room)(void *owner, uint8_t **room);
-  /* So many bytes have arrived in that memory. Or, if negative: UV_EOF, the peer has shut down its
-   * sending side; UV_ENOBUFS, there was no room; any other error of libuv. */
+  /* This many bytes have arrived in that memory. Or, if negative: UV_EOF, the peer has shut down
+   * its sending side; UV_ENOBUFS, there was no room; any other error of libuv. */
   void (*received)(void *owner, ssize_t bytes);
-  /* The write that made transport_write() return true has ended: so many more bytes are written, or
-   * status is an error of libuv. */
+  /* The write that made transport_write() return true has ended: this many more bytes are written,
+   * or status is an error of libuv. */
   void (*sent)(void *owner, uint64_t bytes, int status);
   void (*closed)(void *owner); /* the last call, after transport_close() */
 };

@@ -1,4 +1,4 @@
-/* worker: a thread with an event loop of its own, its clients, and their run queue.
+/* worker: a thread with its own event loop, its clients, and their run queue.
  *
  * Threading: the main thread accepts each connection and gives it to the worker that has
  * the fewest. From then on that worker reads, evaluates and writes for it on its own thread, so a

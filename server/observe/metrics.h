@@ -1,5 +1,5 @@
 /* metrics: serves /metrics, in the text format of Prometheus, and /healthz and /readyz over HTTP.
- * The server has a thread of its own, which reads the workers' counters and never waits for a
+ * The server has its own thread, which reads the workers' counters and never waits for a
  * worker. */
 #ifndef DIPOLED_METRICS_H
 #define DIPOLED_METRICS_H

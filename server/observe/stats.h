@@ -28,7 +28,7 @@ enum stats_index {
   STATS_COUNT = STATS_BATCHES + STATS_BATCH_SIZES
 };
 
-/* Each worker has a shard of its own, which no other thread writes. All other threads share the
+/* Each worker has its own shard, which no other thread writes. All other threads share the
  * first shard. A counter's value is its sum over all shards. */
 enum { STATS_SHARDS = 67 };
 

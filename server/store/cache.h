@@ -1,15 +1,15 @@
 /* cache: keeps things that take time to prepare, such as profiles, found by what they are prepared
  * from. All workers share it, and its bytes are bounded. It knows no contents: a kind of things is a
- * struct cache_kind, in a file of its own in this folder (profiles.c, varyings.c, fits.c, points.c).
+ * struct cache_kind, in its own file in this folder (profiles.c, varyings.c, fits.c, points.c).
  *
  * An entry is a thing that is being prepared or has been prepared. After its preparation nothing
  * in it changes. The cache's table, the workers' local stores and the jobs each hold a reference to
  * the entries that they use. An entry is freed when the last reference is released, so an evicted
  * entry may still be in use; the cache then no longer counts its bytes.
  *
- * The first thread that asks for a thing prepares it, or has it prepared. All threads that ask in
- * the meantime wait for the same entry and are woken. If the preparation fails, all of them get the
- * fault, which the cache does not keep.
+ * The first thread that requests a thing prepares it, or has it prepared. All threads that request
+ * it in the meantime wait for the same entry and are woken. If the preparation fails, all of them
+ * get the fault, which the cache does not keep.
  *
  * Slow things are prepared on libuv's pool, one at a time, or two on a machine with four cores or
  * more. Each waiter waits in the queue of its owner, for example of a connection. Owners take
@@ -23,7 +23,7 @@
  *
  * Eviction: least recently used first, in lists. Things that are fast to prepare may take at
  * most a quarter of all bytes, so that a stream of them leaves three quarters to the slow ones. Kinds
- * that stand apart have a third list with a limit of its own, so that they evict nothing else. The
+ * that stand apart have a third list with its own limit, so that they evict nothing else. The
  * cache does not see when a worker finds an entry in its local store. The worker then sets a mark
  * in the entry. When a marked entry is the next to be evicted, it moves to the head of its list
  * instead.

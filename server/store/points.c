@@ -6,7 +6,7 @@
 #include <string.h>
 
 enum {
-  ROWS_MIN = 4096,       /* room for so many points is taken first, and then twice as much */
+  ROWS_MIN = 4096,       /* room for this many points is taken first, and then twice as much */
   RETRY_AFTER_MS = 1000, /* of BUSY: sets take seconds to send */
   BUILD_NS = 1000000000  /* how long one call builds the tree of a set */
 };

@@ -48,7 +48,7 @@ wire_error points_add(struct points *points, uint64_t n, const double *xyz, cons
 /* Returns whether the set, to which all points have been added, has the hash that it is named by. */
 bool points_has_its_name(struct points *points);
 
-/* Returns the memory that a point of a set with so many channels takes as it is sent. */
+/* Returns the memory that a point of a set with this many channels takes as it is sent. */
 static inline uint64_t points_row_bytes(uint32_t channel_count) {
   return GATHER_AXES * sizeof(double) + channel_count * sizeof(float);
 }

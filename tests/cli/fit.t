@@ -18,7 +18,7 @@ skin       0.05         1      0.0006       0.0052  1.4e-17  2.2e-16        0.33
 
 errors are standard errors; chi2 is the sum of the squares of (reading - fit) / error
 model error: of R against radiative transport, which is not in the standard errors
-by g: the largest change for g +- .05, which the readings may not tell apart
+by g: the largest change for g +- .05, since the readings may not determine g
 
 $ dipole fit skin.csv --model better --eta 1.4 --scale free --format csv
 sample,sigma_a,sigma_s_prime,sigma_a_error,sigma_s_prime_error,sigma_a_by_g,sigma_s_prime_by_g,correlation,scale,scale_error,chi2,readings,g,g_from,g_sides,eta,status
@@ -53,7 +53,7 @@ skin       0.05         1      0.0006       0.0052  4.2e-17  2.2e-16        0.33
 
 errors are standard errors; chi2 is the sum of the squares of (reading - fit) / error
 model error: of R against radiative transport, which is not in the standard errors
-by g: the largest change for g +- .05, which the readings may not tell apart
+by g: the largest change for g +- .05, since the readings may not determine g
 note: similarity: g is not 0: the model sees isotropic scattering of sigma_s (1 - g)
 
 $ dipole fit skin.csv --reference 1,2,3
@@ -98,7 +98,7 @@ skin          -         -           -            -       -        -            -
 
 errors are standard errors; chi2 is the sum of the squares of (reading - fit) / error
 model error: of R against radiative transport, which is not in the standard errors
-by g: the largest change for g +- .05, which the readings may not tell apart
+by g: the largest change for g +- .05, since the readings may not determine g
 ! dipole fit: sample skin: bad-value: detector_na: allowed: nothing but with transport and distances
 ! dipole fit: standard input: 1 of 1 samples were not fitted: see the column status
 ? 3
@@ -118,7 +118,7 @@ rising  6.8455e-07   0.68455     0.00069       0.0058       -        -        0.
 
 errors are standard errors; chi2 is the sum of the squares of (reading - fit) / error
 model error: of R against radiative transport, which is not in the standard errors
-by g: the largest change for g +- .05, which the readings may not tell apart
+by g: the largest change for g +- .05, since the readings may not determine g
 ! dipole fit: sample few: bad-count: reading_count: allowed: 2 to 1024, or 3 to 1024 with the scale free
 ! dipole fit: sample origin: reading 1 (line 7): bad-value: at: allowed: above 0 without fibres
 ! dipole fit: sample zero: reading 1 (line 3): its error must be above 0, and finite

@@ -67,7 +67,7 @@ class _Waiting(Waiting):
         if self._work is not None:
             self._work.cancel()
         self._ended = True
-        await asyncio.sleep(0)  # The task that waits goes on first.
+        await asyncio.sleep(0)  # The task that waits continues first.
         await self.work(connection.close)
 
     async def events(self, connection: Connection, wait_s: float | None) -> int:

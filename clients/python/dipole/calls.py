@@ -72,7 +72,7 @@ def described(method: Callable[..., Any], call: Callable[..., object], owner: st
 
 def _described(method: F, text: str | None, signature: inspect.Signature) -> F:
     method.__doc__ = text
-    setattr(method, "__signature__", signature)  # noqa: B010  (mypy does not know it)
+    setattr(method, "__signature__", signature)  # noqa: B010  (mypy rejects the attribute)
     return method
 
 

@@ -47,10 +47,10 @@ class Client:
     client.
 
     timeout_s: how long a call waits while no byte is sent or received, and how long an address may
-    take to answer; None means no limit. After that, the client goes on with the next of several
+    take to answer; None means no limit. After that, the client continues with the next of several
     addresses; with a single one, the call raises ConnectionLost.
 
-    retry_s: for how long the client goes on trying when no daemon is there, when the connection is
+    retry_s: for how long the client retries when no daemon is there, when the connection is
     lost, or when the daemon is busy or stops. The default is 5 s; for a private daemon it is 0,
     which means never. The client connects again and sends the requests without an answer again. A
     Monte Carlo job then begins anew. The client cannot repeat eval_parts() once a part has come,
@@ -92,7 +92,7 @@ class Client:
     @property
     def address(self) -> str:
         """The address of the daemon that the client is connected to, or was last connected to. It
-        changes when the client goes on with another daemon."""
+        changes when the client continues with another daemon."""
         return self._session.connection.address
 
     def __repr__(self) -> str:

@@ -103,7 +103,7 @@ class Tls(NamedTuple):
 
     ca: the certificates that sign the daemon's; None means $DIPOLED_CA if that is set, else those of
         the system.
-    certificate, key: the client's own, for daemons that ask for one; None means $DIPOLED_CERTIFICATE
+    certificate, key: the client's, if daemons request one; None means $DIPOLED_CERTIFICATE
         and $DIPOLED_KEY. A missing key is in the certificate's file.
     """
 
@@ -120,7 +120,7 @@ class Tls(NamedTuple):
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         if certificate is not None:
 
-            def refuse() -> str:  # Without this, OpenSSL would ask for a password at the terminal.
+            def refuse() -> str:  # Without this, OpenSSL would request a password at the terminal.
                 text = "has a password: give a key without one, as openssl pkey writes it"
                 raise ConnectError(f"the key {key or certificate} {text}", final=True)
 

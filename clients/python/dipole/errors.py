@@ -44,7 +44,7 @@ class TableError(DipoleError, ValueError):
 
 
 class Refused(DipoleError):
-    """The daemon refused a request. The client goes on working."""
+    """The daemon refused a request. The client continues to work."""
 
     def __init__(
         self,

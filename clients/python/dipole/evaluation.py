@@ -116,7 +116,7 @@ def request(info: Info, query: Query, is_streamed: bool = False) -> Request[Resu
 
 
 async def _named(session: Session, query: Query) -> Query:
-    """Returns a query of the channels of the medium that a query names."""
+    """Returns the query with the name of a medium replaced by the medium's channels."""
     media = await session.media_of(query.media)
     return query if media is query.media else replace(query, media=media)
 

@@ -88,7 +88,7 @@ class Joined(NamedTuple):
 class InParts(Answer[T]):
     """An answer whose items come in parts, which this class checks and puts together.
 
-    payload: of each reply. count: how many items were asked for. fits: whether a structure may
+    payload: of each reply. count: how many items were requested. fits: whether a structure may
     answer the request. read: makes the caller's result of all, or if is_streamed of each part.
     alike: whether parts may differ in nothing but their items.
     """
@@ -270,7 +270,7 @@ class Exchange:
             if entry.answer.cut_off:
                 self._retry_later(entry, 0)
             elif entry.answer.is_streamed and entry.answer.can_begin_again():
-                entry.failed_s = None  # The request goes on, so another failure is a new one.
+                entry.failed_s = None  # The request continues, so another failure is a new one.
         else:
             raise ProtocolError(
                 f"a reply of type {frame.type} to a request for {entry.request.message}"

@@ -22,7 +22,7 @@ class _Answer(Answer[McProgress | McResult]):
     is_streamed = True
 
     def can_begin_again(self) -> bool:
-        """A job that is asked for again begins anew, and ends with the same bits."""
+        """A job that is requested again begins anew, and ends with the same bits."""
         return True
 
     def _add(self, payload: bytes) -> None:
@@ -133,7 +133,7 @@ def unpack_fixed(payload: bytes) -> Any:
 
 
 def progress_of(fixed: Any) -> McProgress:
-    """Makes a report of a reply to a job that goes on."""
+    """Makes a report of a reply to a job that continues."""
     return McProgress(
         number=fixed.number,
         photons=fixed.photons,

@@ -12,7 +12,7 @@ from .errors import AddressError, ConnectError, ConnectionLost, DipoleError
 from .exchange import PAUSE_FIRST_S, Exchange, Once, Request, is_temporary, with_jitter
 from .values import Choice, Info
 
-RETRY_S = 5.0  # how long a client of unix: or tcp: addresses goes on trying by default
+RETRY_S = 5.0  # how long a client of unix: or tcp: addresses retries by default
 
 _PAUSE_MOST_S = 1.0
 

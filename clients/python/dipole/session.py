@@ -200,7 +200,7 @@ class Session:
                 finally:
                     self._moving = False
         finally:
-            if not self._moving:  # Another one goes on.
+            if not self._moving:  # Another one continues.
                 self._wake(next(iter(self._sleepers), 0))
 
     async def _sleep(self, request_id: int) -> None:
@@ -266,7 +266,7 @@ class Session:
         try:
             self._check()
             until_s = self.exchange.lost(lost)
-            self.connection.torn = True  # so that the next call goes on if this one is interrupted
+            self.connection.torn = True  # the next call continues if this one is interrupted
             await self._waiting.work(self.connection.close)
             self.connection = await self._waiting.work(lambda: self._open_again(until_s, lost))
             self._put(self.exchange.restored())

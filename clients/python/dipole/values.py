@@ -507,7 +507,7 @@ class Fits:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Varying:
-    """Values each of which has a medium of its own. The arrays have the shape of the arguments of
+    """Values each of which has its own medium. The arrays have the shape of the arguments of
     varying(), and NaN where there is no answer."""
 
     model: str

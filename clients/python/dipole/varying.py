@@ -1,4 +1,4 @@
-"""Client.varying(): values each of which has a medium of its own."""
+"""Client.varying(): values each of which has its own medium."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _WANTED = {wire.VARYING_NONE: (), wire.VARYING_RADII: ("R",), wire.VARYING_DRAWN
 
 
 class Plan(NamedTuple):
-    """What varying() asks for. The arrays have been broadcast and flattened."""
+    """What varying() requests. The arrays have been broadcast and flattened."""
 
     info: Info
     shape: tuple[int, ...]
@@ -172,7 +172,7 @@ async def varying(
         raise ArgumentError(f"{', '.join(arrays)}: {error}") from error
     usual = _WANTED[numbers]
     wanted_bits = _bits(info, "quantity", usual if wanted is None else wanted)
-    wanted_bits.pop(wire.QUANTITY_MODEL_ERROR, None)  # it has no array, and is always asked for
+    wanted_bits.pop(wire.QUANTITY_MODEL_ERROR, None)  # it has no array, and is always requested
     if coefficients is None:
         coefficients = ("sigma_a", "sigma_s") if coloured and numbers == wire.VARYING_NONE else ()
     coefficient_bits = _bits(info, "coefficient", coefficients)

@@ -28,7 +28,7 @@ typedef struct walks_result {
 void walks_run(walks_result *result, const walks_medium *medium, size_t rings, uint64_t photons,
                uint64_t seed);
 
-/* Returns which of the rings has a radius; one of them must have it. */
+/* Returns the index of the ring that contains radius r. There must be such a ring. */
 size_t walks_ring_of(size_t rings, double r);
 
 /* Returns the solver's mean of R over one of the rings, for boundary `eta` of the solution. If

@@ -104,7 +104,7 @@ class Point(NamedTuple):
 
 
 def points_of(subjects: list[Subject], radii: float) -> list[Point]:
-    """What a radius costs if the medium is prepared for so many."""
+    """What a radius costs if the medium is prepared for this many."""
     points = (Point(one, one.ns + one.prepare_ns / radii, one.median) for one in subjects)
     return [point for point in points if not math.isnan(point.ns + point.error)]
 

@@ -410,11 +410,12 @@ static double at_outer_end(const double *values, size_t p) {
 }
 
 /* Replaces D at the n radii of the last panel by a polynomial in 1 / x through it, by least squares:
- * there R is diffusion, whose terms these are, and the slope at the reach, with which D goes on, has
- * hardly any of the solver's noise. That noise grows with x. At x_begin, where the panel begins, D is
- * `begin`: if the two panels did not meet there, joining them (transport_join_panels()) would move both,
- * by up to 3e-3 where R is noise beyond x_begin. The polynomials are made orthogonal; one that the
- * radii hardly tell from those before it is left out, with all that follow. */
+ * there R is diffusion, whose terms these are, and the slope at the reach, with which D continues,
+ * has hardly any of the solver's noise. That noise grows with x. At x_begin, where the panel
+ * begins, D is `begin`: if the two panels did not meet there, joining them
+ * (transport_join_panels()) would move both, by up to 3e-3 where R is noise beyond x_begin. The
+ * polynomials are made orthogonal; one that the radii hardly tell from those before it is left
+ * out, with all that follow. */
 static void smooth_far(size_t n, double x_begin, double begin, const double *x, const double *R,
                        double *values) {
   enum { TERMS = 3 };
