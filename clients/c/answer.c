@@ -103,7 +103,7 @@ static dipole_result *make_result(libdipole_frame *frame, const wire_eval_reply 
                                   const eval_layout *layout) {
   const unsigned wanted = wanted_of(frame->header.type, fixed->wanted);
   const void *radii = frame->into_radii;
-  dipole_channel *channels = (dipole_channel *)(void *)(frame->payload + frame->stored_bytes);
+  dipole_channel *channels = (dipole_channel *)(void *)(frame->payload + frame->payload_bytes);
   if ((wanted & CORE_QUANTITY_RADIUS) == 0 || eval_is_array(wanted, CORE_QUANTITY_RADIUS)) {
     radii = NULL;
   } else if (radii == NULL) {
@@ -125,6 +125,22 @@ static dipole_result *make_result(libdipole_frame *frame, const wire_eval_reply 
   return &frame->result;
 }
 
+/* Copies the arrays into the caller's memory. */
+static void copy_into(const libdipole_pending *pending, libdipole_frame *frame,
+                      const wire_eval_reply *fixed, const eval_layout *layout) {
+  const size_t bytes = (size_t)fixed->count * core_evaluator_bytes(fixed->evaluator);
+  const uint64_t arrays = fixed->channel_count * (uint64_t)layout->arrays_per_channel;
+  for (uint64_t i = 0; i < arrays && bytes > 0; i++) {
+    memcpy((uint8_t *)pending->into_values + i * bytes,
+           frame->payload + layout->arrays_offset + i * layout->array_bytes, bytes);
+  }
+  if ((fixed->wanted & CORE_QUANTITY_RADIUS) != 0 && bytes > 0) {
+    memcpy(pending->into_radii, frame->payload + layout->radius_offset, bytes);
+  }
+  frame->into_values = pending->into_values;
+  frame->into_radii = pending->into_radii;
+}
+
 bool libdipole_result_take(dipole_client *client, libdipole_pending *pending,
                            dipole_result **result, dipole_error *error) {
   libdipole_frame *frame = pending->frame;
@@ -139,8 +155,9 @@ bool libdipole_result_take(dipole_client *client, libdipole_pending *pending,
     free(frame);
     return false;
   }
-  frame->into_values = pending->into_values;
-  frame->into_radii = pending->into_radii;
+  if (pending->into_values != NULL || pending->into_radii != NULL) {
+    copy_into(pending, frame, &fixed, &layout);
+  }
   *result = make_result(frame, &fixed, &layout);
   return true;
 }
@@ -206,86 +223,3 @@ const libdipole_kind libdipole_eval_kind = {.repeatable = true,
 
 const libdipole_kind libdipole_sample_kind = {
     .repeatable = true, .reply = &schema_sample_reply, .merge = merge, .checked_later = true};
-
-/* ---- into the caller's memory -------------------------------------------------------------- */
-
-/* Starts to receive arrays into the caller's memory: checks the head, which has arrived. */
-static bool begin_placing(dipole_client *client, const libdipole_pending *pending,
-                          dipole_error *error) {
-  libdipole_into *into = &client->into;
-  eval_layout layout;
-  if (!parse(pending, client->frame, &into->fixed, &layout, error)) {
-    return false;
-  }
-  const bool radii = (into->fixed.wanted & CORE_QUANTITY_RADIUS) != 0;
-  into->begun = true;
-  into->array_bytes = layout.array_bytes;
-  into->array_count = layout.array_bytes > 0
-                          ? radii + (uint64_t)into->fixed.channel_count * layout.arrays_per_channel
-                          : 0;
-  into->array = 0;
-  into->done_bytes = 0;
-  return true;
-}
-
-/* Returns the start, in the caller's memory, of the array that is being received. */
-static uint8_t *array_start(const libdipole_into *into, const libdipole_pending *pending,
-                            size_t value_bytes) {
-  const bool radii = (into->fixed.wanted & CORE_QUANTITY_RADIUS) != 0;
-  if (radii && into->array == 0) {
-    return pending->into_radii;
-  }
-  return (uint8_t *)pending->into_values +
-         (into->array - radii) * pending->radius_count * value_bytes;
-}
-
-/* Sets the memory that receives the next bytes. Returns false if the frame is complete. */
-static bool place_bytes(dipole_client *client, const libdipole_pending *pending) {
-  libdipole_into *into = &client->into;
-  libdipole_stream *stream = &client->stream;
-  if (into->array < into->array_count && into->done_bytes == into->array_bytes) {
-    into->array++;
-    into->done_bytes = 0;
-  }
-  if (into->array == into->array_count) {
-    return false;
-  }
-  const size_t value_bytes = core_evaluator_bytes(into->fixed.evaluator);
-  const uint64_t values_bytes =
-      into->fixed.count * value_bytes; /* After the values, the array has only padding. */
-  if (into->done_bytes < values_bytes && !pending->dropped) {
-    stream->target = array_start(into, pending, value_bytes) + into->fixed.first * value_bytes +
-                     into->done_bytes;
-    stream->target_bytes = (size_t)(values_bytes - into->done_bytes);
-  } else {
-    const uint64_t left = into->array_bytes - into->done_bytes;
-    stream->target = into->discarded;
-    stream->target_bytes = left < sizeof into->discarded ? (size_t)left : sizeof into->discarded;
-  }
-  into->done_bytes += stream->target_bytes;
-  return true;
-}
-
-static bool place(dipole_client *client, libdipole_pending *pending, bool *more,
-                  dipole_error *error) {
-  if (!client->into.begun && !begin_placing(client, pending, error)) {
-    return false;
-  }
-  *more = place_bytes(client, pending);
-  client->into.begun = *more;
-  return true;
-}
-
-static void discard(dipole_client *client, libdipole_pending *pending) {
-  if (client->into.begun) {
-    client->into.done_bytes -= client->stream.target_bytes;
-    place_bytes(client, pending);
-  }
-}
-
-const libdipole_kind libdipole_eval_into_kind = {.repeatable = true,
-                                                 .reply = &schema_eval_reply,
-                                                 .merge = merge,
-                                                 .checked_later = true,
-                                                 .place = place,
-                                                 .discard = discard};

@@ -1,6 +1,6 @@
 /* answer: checks the frames that answer eval and sample requests. The arrays of a frame stay where
- * they are, or are copied into an answer of several parts, passed to a reader, or received straight
- * into the caller's memory. */
+ * they are, or are copied into an answer of several parts or into the caller's memory, or passed to
+ * a reader. */
 #ifndef LIBDIPOLE_ANSWER_H
 #define LIBDIPOLE_ANSWER_H
 
@@ -8,7 +8,6 @@
 
 extern const libdipole_kind libdipole_eval_kind;
 extern const libdipole_kind libdipole_sample_kind;
-extern const libdipole_kind libdipole_eval_into_kind; /* into the caller's memory */
 
 /* Sets the counts, evaluator and sizes that the answer to a request of pending->type may have. If
  * no memory could hold the answer, only a refusal is accepted, which states the daemon's limit. */

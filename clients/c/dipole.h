@@ -137,11 +137,6 @@ void dipole_options_init(dipole_options *options);
 bool dipole_open_with(const char *address, const dipole_options *options, dipole_client **client,
                       dipole_error *error);
 
-/* Opens a client like dipole_open(), with the options timeout_ms and connect_timeout_ms both set to
- * timeout_ms. Opening takes no longer than that; later calls retry for DIPOLE_RETRY_MS. */
-bool dipole_open_within(const char *address, unsigned timeout_ms, dipole_client **client,
-                        dipole_error *error);
-
 /* These functions change an option of dipole_options for all later calls. */
 void dipole_set_timeout_ms(dipole_client *client, unsigned timeout_ms);
 void dipole_set_call_timeout_ms(dipole_client *client, unsigned call_timeout_ms);
@@ -871,14 +866,6 @@ void dipole_varying_result_free(dipole_varying_result *result); /* result may be
 /* A set of points that hold power, named by its content. */
 typedef struct dipole_points dipole_points;
 
-typedef struct dipole_points_info {
-  uint64_t point_count;
-  uint32_t channel_count;
-  const double *xyz_mm; /* the arrays of dipole_points_make() */
-  const float *power_W;
-  uint8_t name[16]; /* the hash of the content, the same everywhere */
-} dipole_points_info;
-
 /* Makes a set of points and computes its name, in about a second for 1 GB. xyz_mm:
  * [point_count][3], from -1e9 to 1e9. power_W: [point_count][channel_count], from 0 to 1e30:
  * irradiance times area. Both arrays stay the caller's, and must stay as they are until the caller
@@ -886,8 +873,6 @@ typedef struct dipole_points_info {
  * channels. */
 bool dipole_points_make(uint64_t point_count, uint32_t channel_count, const double *xyz_mm,
                         const float *power_W, dipole_points **points, dipole_error *error);
-
-const dipole_points_info *dipole_points_get_info(const dipole_points *points);
 
 void dipole_points_free(dipole_points *points); /* points may be NULL */
 

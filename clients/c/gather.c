@@ -23,8 +23,11 @@ enum {
 #define PART_PAIRS ((uint64_t)1 << 30)
 
 struct dipole_points {
-  dipole_points_info public;
-  uint64_t set[2];
+  uint64_t point_count;
+  uint32_t channel_count;
+  const double *xyz_mm; /* the arrays of dipole_points_make() */
+  const float *power_W;
+  uint64_t set[2]; /* the name of the content */
 };
 
 /* ---- points -------------------------------------------------------------------------------- */
@@ -50,21 +53,13 @@ bool dipole_points_make(uint64_t point_count, uint32_t channel_count, const doub
   if (made == NULL) {
     return libdipole_fail_memory(error);
   }
+  *made = (dipole_points){point_count, channel_count, xyz_mm, power_W, {0, 0}};
   gather_name name;
   gather_name_start(&name, channel_count, point_count);
   gather_name_add(&name, point_count, xyz_mm, power_W);
   gather_name_end(&name, made->set);
-  made->public = (dipole_points_info){.point_count = point_count,
-                                      .channel_count = channel_count,
-                                      .xyz_mm = xyz_mm,
-                                      .power_W = power_W};
-  memcpy(made->public.name, made->set, sizeof made->public.name);
   *points = made;
   return true;
-}
-
-const dipole_points_info *dipole_points_get_info(const dipole_points *points) {
-  return &points->public;
 }
 
 void dipole_points_free(dipole_points *points) {
@@ -125,8 +120,7 @@ static bool set_deadline(const struct run *run, libdipole_pending *pending, dipo
 }
 
 static bool send_points(struct run *run, dipole_error *error) {
-  const dipole_points *points = run->query->points;
-  const dipole_points_info *info = &points->public;
+  const dipole_points *points = run->query->points, *info = points;
   const uint64_t left = info->point_count - run->next_point;
   const uint64_t n = left < PART_POINTS ? left : PART_POINTS;
   libdipole_pending pending = {.kind = &points_kind,
@@ -153,7 +147,7 @@ static bool send_points(struct run *run, dipole_error *error) {
 /* Returns how many queries the next request has. */
 static uint64_t next_queries(const struct run *run) {
   const dipole_gather_query *query = run->query;
-  const dipole_points_info *info = &query->points->public;
+  const dipole_points *info = query->points;
   const uint64_t left = query->query_count - run->asked;
   uint64_t most = PART_QUERIES;
   if (query->tolerance <= 0) {
@@ -171,7 +165,7 @@ static uint64_t place(const struct run *run, uint64_t position) {
 static bool ask(struct run *run, dipole_error *error) {
   const dipole_gather_query *query = run->query;
   const dipole_points *points = query->points;
-  const uint32_t channels = points->public.channel_count;
+  const uint32_t channels = points->channel_count;
   const uint64_t n = next_queries(run);
   libdipole_pending pending = {.kind = &gather_kind,
                                .type = WIRE_TYPE_GATHER,
@@ -218,7 +212,7 @@ static bool send_next(struct run *run, bool *sent, dipole_error *error) {
     return true;
   }
   if (run->sending) {
-    *sent = run->next_point < run->query->points->public.point_count;
+    *sent = run->next_point < run->query->points->point_count;
     return !*sent || send_points(run, error);
   }
   const bool first = run->under_way == 0 && run->answered == 0 && run->asked == 0;
@@ -246,7 +240,7 @@ static void cancel_all(const struct run *run) {
 }
 
 static void take_sums(struct run *run, const libdipole_frame *frame, uint64_t n) {
-  const uint32_t channels = run->query->points->public.channel_count;
+  const uint32_t channels = run->query->points->channel_count;
   dipole_gather_result *result = run->result;
   wire_gather_reply fixed;
   wire_get_gather_reply(frame->payload, &fixed);
@@ -275,7 +269,7 @@ static void take_sums(struct run *run, const libdipole_frame *frame, uint64_t n)
 static bool take_points(struct run *run, const libdipole_frame *frame, dipole_error *error) {
   wire_points_reply fixed;
   if (!points_reply_parse(frame->payload, (size_t)frame->payload_bytes, &fixed) ||
-      (fixed.known == 0 && fixed.point_next >= run->query->points->public.point_count)) {
+      (fixed.known == 0 && fixed.point_next >= run->query->points->point_count)) {
     return libdipole_bad_answer(run->client, "it does not know a set with all its points", error);
   }
   if (fixed.known != 0) {
@@ -413,7 +407,7 @@ bool dipole_gather(dipole_client *client, const dipole_gather_query *query,
   set_order(&run);
   const bool good = gather(&run, progress, context, error);
   drop_all(&run);
-  const uint32_t channels = query->points->public.channel_count;
+  const uint32_t channels = query->points->channel_count;
   for (uint64_t i = good ? run.answered : UINT64_MAX; i < query->query_count; i++) {
     for (uint32_t c = 0; c < channels; c++) {
       M_W_per_mm2[place(&run, i) * channels + c] = (double)NAN;
@@ -433,7 +427,7 @@ enum { HOME_QUERIES = 4096 };
 
 /* What sums at home need. */
 struct home {
-  const dipole_points_info *info;
+  const dipole_points *info;
   core_gather_points *points;
   core_gather_sum *sum;
   core_gather_scratch *scratch;
@@ -450,8 +444,8 @@ static bool fail_fault(const core_fault *fault, dipole_error *error) {
   return false;
 }
 
-static bool check_home(const dipole_points_info *info, uint64_t query_count,
-                       const double *queries_mm, dipole_error *error) {
+static bool check_home(const dipole_points *info, uint64_t query_count, const double *queries_mm,
+                       dipole_error *error) {
   if (queries_mm == NULL && query_count > 0) {
     return fail_argument(error, "queries_mm is NULL, query_count is not 0");
   }
@@ -468,7 +462,7 @@ static bool check_home(const dipole_points_info *info, uint64_t query_count,
 
 static bool open_home(struct home *home, const core_profile *const *profiles, double tolerance,
                       uint64_t query_count, const double *queries_mm, dipole_error *error) {
-  const dipole_points_info *info = home->info;
+  const dipole_points *info = home->info;
   const core_fault fault = core_gather_sum_prepare(&home->sum, core_isa_select(NULL),
                                                    info->channel_count, profiles, tolerance);
   if (fault.field != NULL) {
@@ -539,7 +533,7 @@ bool dipole_gather_at_home(const dipole_table *const *tables, const dipole_point
                            bool (*progress)(void *context, uint64_t answered, uint64_t count),
                            void *context, double *M_W_per_mm2, dipole_gather_result *result,
                            dipole_error *error) {
-  const dipole_points_info *info = &points->public;
+  const dipole_points *info = points;
   const core_profile *profiles[CORE_GATHER_CHANNELS_MAX];
   dipole_gather_result unwanted;
   struct home *home = calloc(1, sizeof *home);

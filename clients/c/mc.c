@@ -15,14 +15,8 @@ _Static_assert((int)DIPOLE_MC_PHOTONS == (int)MC_PHOTONS_WALKED &&
                    (int)DIPOLE_MC_STOPPED == (int)MC_STOPPED,
                "ends");
 
-/* A result and the memory that it uses. The result is the first member, so a pointer to it is also
- * a pointer to the mc_table. */
-typedef struct mc_table {
-  dipole_mc_result result;
-  mc_layout layout;
-  libdipole_frame *frame;
-  dipole_mc_energy energies[];
-} mc_table;
+_Static_assert(sizeof(dipole_mc_energy) == WIRE_BYTES_mc_energy,
+               "one takes the place of the other");
 
 /* ---- asking -------------------------------------------------------------------------------- */
 
@@ -140,32 +134,23 @@ static dipole_mc_energy get_energy(const uint8_t *at) {
   return to;
 }
 
-/* Makes a result of the last frame of a job. The result then owns the frame. */
-static bool take_table(dipole_client *client, libdipole_frame *frame, const wire_mc_reply *fixed,
-                       const mc_layout *layout, dipole_mc_result **result, dipole_error *error) {
-  mc_table *table = malloc(sizeof *table + fixed->albedo_count * sizeof table->energies[0]);
-  if (table == NULL) {
-    free(frame);
-    libdipole_fail_memory(error);
-    client->broken = *error;
-    return false;
-  }
-  table->layout = *layout;
-  table->frame = frame;
+/* Makes the result of the last frame of a job. */
+static dipole_mc_result *take(libdipole_frame *frame, const wire_mc_reply *fixed,
+                              const mc_layout *layout) {
+  uint8_t *energies = frame->payload + layout->energies_offset;
   for (uint32_t i = 0; i < fixed->albedo_count; i++) {
-    table->energies[i] =
-        get_energy(frame->payload + layout->energies_offset + (size_t)i * WIRE_BYTES_mc_energy);
+    uint8_t *at = energies + (size_t)i * WIRE_BYTES_mc_energy;
+    const dipole_mc_energy energy = get_energy(at);
+    memcpy(at, &energy, sizeof energy);
   }
-  table->result = (dipole_mc_result){
-      .end = (enum dipole_mc_end)fixed->state,
-      .last = progress_of(fixed),
-      .side_count = fixed->side_count,
-      .albedo_count = fixed->albedo_count,
-      .ring_count = fixed->ring_count,
-      .edges_mm = (const double *)(const void *)(frame->payload + layout->edges_offset),
-      .energies = table->energies};
-  *result = &table->result;
-  return true;
+  frame->mc = (dipole_mc_result){.end = (enum dipole_mc_end)fixed->state,
+                                 .last = progress_of(fixed),
+                                 .side_count = fixed->side_count,
+                                 .albedo_count = fixed->albedo_count,
+                                 .ring_count = fixed->ring_count,
+                                 .edges_mm = (const void *)(frame->payload + layout->edges_offset),
+                                 .energies = (const void *)energies};
+  return &frame->mc;
 }
 
 static bool is_asked_for(const dipole_mc_query *query, const wire_mc_reply *fixed) {
@@ -197,7 +182,8 @@ static bool next_reply(dipole_client *client, const dipole_mc_query *query, uint
     return libdipole_bad_answer(
         client, "it answered an mc request with another shape than was asked for", error);
   }
-  return take_table(client, frame, &fixed, &layout, result, error);
+  *result = take(frame, &fixed, &layout);
+  return true;
 }
 
 /* ---- the public calls ---------------------------------------------------------------------- */
@@ -240,39 +226,40 @@ bool dipole_mc(dipole_client *client, const dipole_mc_query *query,
 }
 
 void dipole_mc_result_free(dipole_mc_result *result) {
-  mc_table *table = (mc_table *)(void *)result; /* The result is the first member of mc_table. */
-  if (table != NULL) {
-    free(table->frame);
-    free(table);
-  }
+  free(result); /* with its frame */
 }
 
-static const void *array(const dipole_mc_result *result, uint32_t albedo, enum dipole_mc_side side,
-                         bool error) {
-  const mc_table *table = (const mc_table *)(const void *)result;
-  if (albedo >= result->albedo_count || (uint32_t)side >= result->side_count) {
-    return NULL;
-  }
-  return table->frame->payload + mc_rings_offset(&table->layout, result->side_count,
-                                                 result->ring_count, albedo, side, error);
+static mc_layout layout_of(const dipole_mc_result *result) {
+  mc_layout layout;
+  mc_reply_layout(result->side_count, result->albedo_count, result->ring_count, &layout);
+  return layout;
+}
+
+static const double *rings(const dipole_mc_result *result, uint32_t albedo,
+                           enum dipole_mc_side side, bool error) {
+  const libdipole_frame *frame = (const void *)result;
+  const mc_layout layout = layout_of(result);
+  return albedo < result->albedo_count && (uint32_t)side < result->side_count
+             ? (const void *)(frame->payload + mc_rings_offset(&layout, result->side_count,
+                                                               result->ring_count, albedo, side,
+                                                               error))
+             : NULL;
 }
 
 const double *dipole_mc_values(const dipole_mc_result *result, uint32_t albedo,
                                enum dipole_mc_side side) {
-  return array(result, albedo, side, false);
+  return rings(result, albedo, side, false);
 }
 
 const double *dipole_mc_errors(const dipole_mc_result *result, uint32_t albedo,
                                enum dipole_mc_side side) {
-  return array(result, albedo, side, true);
+  return rings(result, albedo, side, true);
 }
 
 const uint64_t *dipole_mc_photons(const dipole_mc_result *result, enum dipole_mc_side side) {
-  const mc_table *table = (const mc_table *)(const void *)result;
-  if ((uint32_t)side >= result->side_count) {
-    return NULL;
-  }
-  return (
-      const uint64_t *)(const void *)(table->frame->payload +
-                                      mc_photons_offset(&table->layout, result->ring_count, side));
+  const libdipole_frame *frame = (const void *)result;
+  const mc_layout layout = layout_of(result);
+  return (uint32_t)side < result->side_count
+             ? (const void *)(frame->payload + mc_photons_offset(&layout, result->ring_count, side))
+             : NULL;
 }

@@ -214,23 +214,6 @@ bool dipole_open_with(const char *address, const dipole_options *options, dipole
   return true;
 }
 
-bool dipole_open_within(const char *address, unsigned timeout_ms, dipole_client **client,
-                        dipole_error *error) {
-  dipole_options options;
-  dipole_options_init(&options);
-  options.timeout_ms = options.connect_timeout_ms = timeout_ms;
-  if (timeout_ms != 0 && timeout_ms < options.retry_ms) {
-    options.retry_ms = timeout_ms;
-  }
-  if (!dipole_open_with(address, &options, client, error)) {
-    return false;
-  }
-  if ((*client)->retry.for_ms != 0) { /* 0: a private daemon */
-    dipole_set_retry_ms(*client, DIPOLE_RETRY_MS);
-  }
-  return true;
-}
-
 bool dipole_open(const char *address, dipole_client **client, dipole_error *error) {
   return dipole_open_with(address, NULL, client, error);
 }

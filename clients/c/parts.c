@@ -10,20 +10,18 @@
 enum { START_MAX_BYTES = 256 };
 
 libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload_bytes,
-                                     uint64_t stored_bytes, uint32_t channel_count,
-                                     dipole_error *error) {
+                                     uint32_t channel_count, dipole_error *error) {
   const uint64_t beside =
       sizeof(libdipole_frame) + channel_count * (uint64_t)sizeof(dipole_channel);
   libdipole_frame *frame =
-      stored_bytes <= SIZE_MAX - beside ? malloc((size_t)(stored_bytes + beside)) : NULL;
+      payload_bytes <= SIZE_MAX - beside ? malloc((size_t)(payload_bytes + beside)) : NULL;
   if (frame == NULL) {
     libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory: %llu bytes for an answer",
-                   (unsigned long long)stored_bytes);
+                   (unsigned long long)payload_bytes);
     return NULL;
   }
   frame->header = *header;
   frame->payload_bytes = payload_bytes;
-  frame->stored_bytes = stored_bytes;
   frame->into_values = frame->into_radii = NULL;
   return frame;
 }
@@ -59,9 +57,8 @@ static bool lay_out_whole(const libdipole_pending *pending, const libdipole_fram
 /* Allocates the frame of the whole answer. If the arrays go elsewhere, it holds only the head. */
 static bool begin(libdipole_pending *pending, const libdipole_frame *first,
                   const schema_layout *whole, bool only_head, dipole_error *error) {
-  const uint64_t stored = only_head ? pending->reply_bytes_min : whole->payload_bytes;
-  pending->gathered = libdipole_frame_new(&first->header, whole->payload_bytes, stored,
-                                          pending->medium_count, error);
+  const uint64_t bytes = only_head ? pending->reply_bytes_min : whole->payload_bytes;
+  pending->gathered = libdipole_frame_new(&first->header, bytes, pending->medium_count, error);
   if (pending->gathered != NULL) {
     memcpy(pending->gathered->payload, first->payload,
            only_head ? pending->reply_bytes_min : pending->kind->reply->fixed_bytes);
@@ -94,7 +91,7 @@ static void copy_arrays(const libdipole_pending *pending, const schema_layout *t
 /* Takes a part that has been checked. *whole: whether the answer is complete. */
 static bool add(libdipole_pending *pending, libdipole_frame *frame, const wire_part *part,
                 const schema_layout *layout, dipole_error *error) {
-  const bool only_head = pending->reader != NULL || frame->stored_bytes < frame->payload_bytes;
+  const bool only_head = pending->reader != NULL;
   schema_layout whole;
   if (!lay_out_whole(pending, frame, &whole)) {
     return libdipole_fail_memory(error);
@@ -104,7 +101,7 @@ static bool add(libdipole_pending *pending, libdipole_frame *frame, const wire_p
   }
   if (!only_head) {
     copy_arrays(pending, &whole, frame, layout);
-  } else if (pending->reader != NULL && !pending->dropped) {
+  } else if (!pending->dropped) {
     pending->kind->hand_on(pending, frame);
   }
   pending->part_count = part->part_count;

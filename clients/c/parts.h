@@ -10,18 +10,17 @@
 
 /* A received frame, or an answer that was put together of several frames. The caller's result is the
  * first member, so that freeing it frees the payload, too. Behind the payload there is room for the
- * channels of an eval. If the arrays go into the caller's memory, the payload holds
- * only the head: the fixed part and the channels. */
+ * channels of an eval. */
 typedef struct libdipole_frame {
   union {
     dipole_result result;
     dipole_inversion inversion;
     dipole_fits fits;
     dipole_varying_result varying;
+    dipole_mc_result mc;
   };
   wire_header header;
   uint64_t payload_bytes; /* may be more than a header can say if the answer had several parts */
-  uint64_t stored_bytes;  /* the number of bytes in payload: all of them, or only the head */
   void *into_values;      /* the caller's memory for the values; NULL if there is none */
   void *into_radii;
   _Alignas(8) uint8_t payload[];
@@ -55,11 +54,6 @@ typedef struct libdipole_kind {
   bool (*is_progress)(const libdipole_frame *frame);
   /* Returns whether a daemon that stopped has cut this answer off, so that the client asks again. */
   bool (*is_cut_off)(const libdipole_frame *frame);
-  /* Called when the stream's target is full: sets the target for the next bytes of the frame. *more
-   * is false if the frame is complete. NULL: the whole payload is stored in the frame. */
-  bool (*place)(dipole_client *client, libdipole_pending *pending, bool *more, dipole_error *error);
-  /* Called when the request is dropped: keeps the rest of the frame out of the caller's memory. */
-  void (*discard)(dipole_client *client, libdipole_pending *pending);
 } libdipole_kind;
 
 /* A repeatable request whose answer is one frame. */
@@ -99,12 +93,10 @@ struct libdipole_pending {
 
 /* ---- taking parts -------------------------------------------------------------------------------- */
 
-/* Allocates a frame with this header, with room for stored_bytes of payload and for channel_count
- * channels. payload_bytes: the size of the payload in the answer. Returns NULL if there is no
- * memory. */
+/* Allocates a frame with this header, with room for a payload of payload_bytes and for channel_count
+ * channels. Returns NULL if there is no memory. */
 libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload_bytes,
-                                     uint64_t stored_bytes, uint32_t channel_count,
-                                     dipole_error *error);
+                                     uint32_t channel_count, dipole_error *error);
 
 /* Returns whether a reply is the next part of the answer to a request, with a count that it may
  * have. */

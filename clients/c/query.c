@@ -214,7 +214,7 @@ static bool submit(dipole_client *client, const dipole_query *query, libdipole_r
   if ((into && !check_into(query, error)) || !check_choice(query, error)) {
     return false;
   }
-  libdipole_pending pending = {.kind = into ? &libdipole_eval_into_kind : &libdipole_eval_kind,
+  libdipole_pending pending = {.kind = &libdipole_eval_kind,
                                .type = WIRE_TYPE_EVAL,
                                .reader = reader,
                                .into_values = into ? query->into_values : NULL,

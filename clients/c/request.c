@@ -136,10 +136,6 @@ void libdipole_request_drop(dipole_client *client, uint64_t id) {
       entry->again_ms == 0) { /* The request has been sent, and its answer is still to come. */
     entry->dropped = true;
     client->dropped_count++;
-    if (entry->kind->discard != NULL && client->frame != NULL &&
-        client->frame->header.request_id == id) {
-      entry->kind->discard(client, entry);
-    }
     return;
   }
   client->arrived_count -= entry->frame != NULL;
@@ -245,17 +241,13 @@ static bool begin_frame(dipole_client *client, dipole_error *error) {
   if (!check_header(&header, pending, error)) {
     return false;
   }
-  const bool placed =
-      pending != NULL && pending->kind->place != NULL && header.type != WIRE_TYPE_ERROR;
-  const uint64_t stored_bytes = placed ? pending->reply_bytes_min : header.payload_bytes;
-  client->frame = libdipole_frame_new(&header, header.payload_bytes, stored_bytes,
+  client->frame = libdipole_frame_new(&header, header.payload_bytes,
                                       pending != NULL ? pending->medium_count : 0, error);
   if (client->frame == NULL) {
     return false;
   }
   stream->target = client->frame->payload;
-  stream->target_bytes = (size_t)stored_bytes;
-  client->into.begun = false;
+  stream->target_bytes = header.payload_bytes;
   return true;
 }
 
@@ -369,21 +361,9 @@ static bool end_frame(dipole_client *client, dipole_error *error) {
   return true;
 }
 
-/* Sets the memory that receives the next bytes of the frame. *more is false if it is complete. */
-static bool place_next(dipole_client *client, bool *more, dipole_error *error) {
-  const libdipole_frame *frame = client->frame;
-  *more = false;
-  if (frame->stored_bytes == frame->payload_bytes) {
-    return true;
-  }
-  libdipole_pending *pending = find(client, frame->header.request_id);
-  return pending->kind->place(client, pending, more, error);
-}
-
 /* Makes frames of the received bytes. */
 static bool receive(dipole_client *client, dipole_error *error) {
   libdipole_stream *stream = &client->stream;
-  bool more;
   for (;;) {
     if (client->frame == NULL) {
       if (stream->in_end - stream->in_begin < WIRE_BYTES_header) {
@@ -402,7 +382,7 @@ static bool receive(dipole_client *client, dipole_error *error) {
     if (stream->target_bytes > 0) {
       return true;
     }
-    if (!place_next(client, &more, error) || (!more && !end_frame(client, error))) {
+    if (!end_frame(client, error)) {
       return false;
     }
   }
@@ -492,7 +472,7 @@ static bool answer_late(dipole_client *client, libdipole_pending *pending, dipol
                               .request_id = pending->id,
                               .payload_bytes = WIRE_BYTES_error};
   wire_error late = {.status = WIRE_STATUS_DEADLINE};
-  pending->frame = libdipole_frame_new(&header, WIRE_BYTES_error, WIRE_BYTES_error, 0, error);
+  pending->frame = libdipole_frame_new(&header, WIRE_BYTES_error, 0, error);
   if (pending->frame == NULL) {
     return false;
   }

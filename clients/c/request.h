@@ -17,17 +17,6 @@
 
 /* ---- a client ----------------------------------------------------------------------------------- */
 
-/* State of receiving the arrays of a frame into the caller's memory. */
-typedef struct libdipole_into {
-  bool begun;            /* whether the head has arrived and is valid */
-  wire_eval_reply fixed; /* the start of the head */
-  uint64_t array_count;  /* number of arrays in the frame, radii included */
-  uint64_t array_bytes;  /* size of each array, padding included */
-  uint64_t array;        /* position of the array that is being received */
-  uint64_t done_bytes;   /* number of bytes of this array that have been given a place */
-  uint8_t discarded[16384];
-} libdipole_into;
-
 /* How a client retries: connects again, and sends requests again. */
 typedef struct libdipole_retry {
   unsigned for_ms;    /* for how long the client retries; 0 means never */
@@ -64,7 +53,6 @@ struct dipole_client {
   size_t dropped_count;   /* number of pending requests that the caller has dropped */
   size_t held_count;      /* number of requests begun since bytes were last sent */
   libdipole_frame *frame; /* the frame that is being received; NULL: a header comes next */
-  libdipole_into into;
 
   dipole_info *info; /* one block; NULL before the reply to hello */
 };

@@ -213,8 +213,7 @@ static libdipole_frame *answer(const dipole_surface *surface, const uint8_t *pay
       varying_reply_layout(fixed->evaluator, fixed->wanted, fixed->coefficients, fixed->value_count)
           .payload_bytes;
   double *scratch = malloc(VARYING_SCRATCH_ARRAYS * VARYING_SLICE_VALUES * sizeof *scratch);
-  libdipole_frame *frame =
-      libdipole_frame_new(&(wire_header){0}, reply_bytes, reply_bytes, 0, error);
+  libdipole_frame *frame = libdipole_frame_new(&(wire_header){0}, reply_bytes, 0, error);
   if (scratch != NULL && frame != NULL) {
     evaluate(&request, varying, scratch, frame);
   } else {

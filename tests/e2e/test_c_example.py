@@ -129,13 +129,6 @@ def test_the_example_gathers_irradiance(installed, irradiance, shared):
     places = [[float(row["x_mm"]), float(row["y_mm"])] for row in rows]
     np.testing.assert_allclose(places[1], [middles(pixels)[1], middles(pixels)[0]], rtol=1e-6)
 
-    picture = (irradiance.parent / "irradiance.ppm").read_bytes()
-    head, pixels_bytes = picture[: -pixels * pixels * 3], picture[-pixels * pixels * 3 :]
-    assert head == b"P6\n12 12\n255\n"
-    expected = 255 * np.sqrt(known / known.max())
-    shown = np.frombuffer(pixels_bytes, np.uint8).reshape(known.shape)
-    assert np.abs(shown - expected).max() <= 0.51
-
     lines = output.splitlines()
     assert lines[0].startswith("144 pixels, ") and lines[0].endswith(" points, 3 channels")
     assert lines[3] == "the largest relative difference is 0"

@@ -191,14 +191,6 @@ UNIT_TEST(test_opening_goes_on_until_the_time_is_over) {
   close(fd);
 }
 
-UNIT_TEST(test_opening_within) {
-  dipole_client *client;
-  dipole_error error;
-  const int64_t start_ms = peer_now_ms();
-  assert_false(dipole_open_within("unix:/nonexistent/a", 100, &client, &error));
-  assert_in_range(peer_now_ms() - start_ms, 90, DIPOLE_RETRY_MS - 1);
-}
-
 /* A daemon that hangs is left for the next one after its share of retry_ms. */
 UNIT_TEST(test_opening_beside_one_that_hangs) {
   dipole_options options = peer_options();

@@ -369,7 +369,8 @@ UNIT_TEST(test_lies_in_hello_are_noticed) {
     dipole_client *client;
     dipole_error error;
     peer_start(&peer, lie_in_hello, &lies[i]);
-    assert_false(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
+    const dipole_options options = peer_options();
+    assert_false(dipole_open_with(peer.address, &options, &client, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_PROTOCOL);
     peer_end(&peer);
   }

@@ -18,9 +18,8 @@
  * program's own memory. Then the program fetches a table for each channel, with one request, and
  * evaluates the tables itself. The bits are the same.
  *
- * It writes the picture irradiance.ppm and its numbers irradiance.csv to the current folder, and
- * prints the time of each way and the difference of their results. ADDRESS: see dipole_open(); ""
- * means the default. */
+ * It writes the numbers irradiance.csv to the current folder, and prints the time of each way and
+ * the difference of their results. ADDRESS: see dipole_open(); "" means the default. */
 #include <dipole.h>
 #include <math.h>
 #include <stdio.h>
@@ -221,34 +220,19 @@ static void look_up(const scene *of, dipole_client *client, double *exitance) {
 
 /* ---- results ------------------------------------------------------------------------------- */
 
-static FILE *create(const char *path) {
-  FILE *file = fopen(path, "wb");
+static void write_numbers(const scene *of, const double *exitance) {
+  FILE *file = fopen("irradiance.csv", "w");
   if (file == NULL) {
-    fail(path, NULL);
+    fail("irradiance.csv", NULL);
   }
-  return file;
-}
-
-/* Writes the picture, in which the brightest value is white and the gamma is 2, and the numbers. */
-static void write_files(const scene *of, const double *exitance) {
-  const size_t pixels = of->pixels, count = pixels * pixels;
-  FILE *picture = create("irradiance.ppm"), *numbers = create("irradiance.csv");
-  double most = 0;
-  for (size_t i = 0; i < count * CHANNELS; i++) {
-    most = exitance[i] > most ? exitance[i] : most;
-  }
-  fprintf(picture, "P6\n%zu %zu\n255\n", pixels, pixels);
-  fprintf(numbers, "x_mm,y_mm,red_w_per_mm2,green_w_per_mm2,blue_w_per_mm2\n");
-  for (size_t i = 0; i < count; i++) {
+  fputs("x_mm,y_mm,red_w_per_mm2,green_w_per_mm2,blue_w_per_mm2\n", file);
+  for (size_t i = 0; i < of->pixels * of->pixels; i++) {
     const double *M = exitance + i * CHANNELS;
-    for (size_t c = 0; c < CHANNELS; c++) {
-      fputc((int)(255 * sqrt(M[c] / most) + 0.5), picture);
-    }
-    fprintf(numbers, "%.9g,%.9g,%.9g,%.9g,%.9g\n", (double)middle(i % pixels, pixels),
-            (double)middle(i / pixels, pixels), M[0], M[1], M[2]);
+    fprintf(file, "%.9g,%.9g,%.9g,%.9g,%.9g\n", (double)middle(i % of->pixels, of->pixels),
+            (double)middle(i / of->pixels, of->pixels), M[0], M[1], M[2]);
   }
-  if ((fclose(picture) != 0) | (fclose(numbers) != 0)) {
-    fail("writing irradiance.ppm and irradiance.csv", NULL);
+  if (fclose(file) != 0) {
+    fail("writing irradiance.csv", NULL);
   }
 }
 
@@ -294,7 +278,7 @@ int main(int argc, char **argv) {
            values / took_s / 1e6);
   }
   compare(&skin, exitance[1], exitance[0]);
-  write_files(&skin, exitance[0]);
+  write_numbers(&skin, exitance[0]);
   dipole_close(client);
   free(exitance[0]);
   free(exitance[1]);
