@@ -278,7 +278,7 @@ bool input_has_frame(const struct input *input) {
 /* ---- output ---------------------------------------------------------------------------------- */
 
 /* A chunk holds a few hundred small answers, which one system call then writes. */
-enum { CHUNK_BYTES = 65536 };
+enum { CHUNK_BYTES = 65536, SPARES_MOST = 16 };
 
 struct output_chunk {
   struct output_chunk *next;
@@ -292,30 +292,54 @@ void output_init(struct output *output, struct server *server) {
   *output = (struct output){.server = server, .budget = &server->buffers};
 }
 
+static void free_chunk(struct output *output, struct output_chunk *chunk) {
+  budget_return(output->budget, chunk->capacity);
+  free(chunk);
+}
+
+/* Removes the first chunk. Keeps small ones for the next answers. */
 static void release_first(struct output *output) {
   struct output_chunk *chunk = output->first;
   output->first = chunk->next;
   if (output->first == NULL) {
     output->last = NULL;
   }
-  budget_return(output->budget, chunk->capacity);
-  free(chunk);
+  if (chunk->capacity == CHUNK_BYTES && output->spare_count < SPARES_MOST) {
+    chunk->next = output->spares;
+    output->spares = chunk;
+    output->spare_count++;
+  } else {
+    free_chunk(output, chunk);
+  }
 }
 
 void output_free(struct output *output) {
   while (output->first != NULL) {
     release_first(output);
   }
+  while (output->spares != NULL) {
+    struct output_chunk *chunk = output->spares;
+    output->spares = chunk->next;
+    free_chunk(output, chunk);
+  }
+  output->spare_count = 0;
 }
 
 static struct output_chunk *new_chunk(struct output *output, size_t bytes) {
   const size_t capacity = bytes > CHUNK_BYTES ? bytes : CHUNK_BYTES;
+  struct output_chunk *chunk = output->spares;
+  if (capacity == CHUNK_BYTES && chunk != NULL) {
+    output->spares = chunk->next;
+    output->spare_count--;
+    *chunk = (struct output_chunk){.capacity = capacity};
+    return chunk;
+  }
   if (output->first == NULL && capacity == CHUNK_BYTES) {
     budget_take_base(output->budget, capacity);
   } else if (!budget_take(output->budget, capacity)) {
     return NULL;
   }
-  struct output_chunk *chunk = malloc(sizeof *chunk + capacity);
+  chunk = malloc(sizeof *chunk + capacity);
   if (chunk == NULL) {
     budget_return(output->budget, capacity);
     return NULL;

@@ -121,6 +121,8 @@ struct output {
   struct budget *budget;
   struct output_chunk *first;
   struct output_chunk *last;
+  struct output_chunk *spares; /* small chunks that have been written */
+  unsigned spare_count;
   uint64_t ready_bytes;  /* number of bytes that are committed and not yet consumed */
   size_t reserved_bytes; /* size of the reservation at the end of the last chunk */
 };
