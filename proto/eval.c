@@ -43,8 +43,8 @@ bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_cou
                           .errors_offset = all.parts[ERRORS].at,
                           .errors_per_channel = (unsigned)__builtin_popcount(fixed.wanted),
                           .arrays_offset = all.parts[ARRAYS].at};
-  for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-    layout->arrays_per_channel += eval_is_array(wanted, quantity->id);
+  for (unsigned left = fixed.wanted; left != 0; left &= left - 1) {
+    layout->arrays_per_channel += eval_is_array(wanted, left & ~(left - 1));
   }
   layout->array_bytes =
       all.payload_bytes > layout->radius_offset ? all.parts[ARRAYS].array_bytes : 0;
@@ -61,8 +61,8 @@ uint64_t eval_part_radii(unsigned evaluator, unsigned wanted, uint32_t channel_c
 uint64_t eval_array_offset(const eval_layout *layout, unsigned wanted, uint32_t channel,
                            enum core_quantity quantity) {
   uint64_t array = (uint64_t)channel * layout->arrays_per_channel;
-  for (const core_choice *before = core_quantities; before->id != (unsigned)quantity; before++) {
-    array += eval_is_array(wanted, before->id);
+  for (unsigned left = wanted & (quantity - 1U); left != 0; left &= left - 1) {
+    array += eval_is_array(wanted, left & ~(left - 1));
   }
   return layout->arrays_offset + array * layout->array_bytes;
 }

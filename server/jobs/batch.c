@@ -103,22 +103,9 @@ static size_t start_bytes(const uint8_t *payload, size_t payload_bytes) {
                                                                                             : 0;
 }
 
-/* Returns a hash of a request up to its radii. It mixes words of 8 bytes as server/store/cache.c
- * does. */
-static uint64_t hash_of(const uint8_t *request, size_t bytes) {
-  uint64_t hash = 0;
-  for (size_t i = 0; i < bytes; i += 8) {
-    uint64_t word;
-    memcpy(&word, request + i, sizeof word);
-    hash = (hash ^ word) * UINT64_C(0x9e3779b97f4a7c15);
-    hash ^= hash >> 32;
-  }
-  return hash;
-}
-
 /* Finds the entry with the same bytes up to the radii. Returns NULL if there is none. */
 static struct repeat_entry *look_up(struct repeat *repeat, const uint8_t *request, size_t bytes) {
-  const uint64_t hash = hash_of(request, bytes);
+  const uint64_t hash = cache_hash(0, request, bytes);
   struct repeat_set *set = &repeat->sets[hash % REPEAT_SETS];
   for (size_t i = 0; i < REPEAT_WAYS; i++) {
     struct repeat_entry *entry = &set->entries[i];
@@ -196,9 +183,10 @@ void repeat_answer(const struct repeat_entry *entry, struct batch *batch, struct
     put_errors(entry, range, reply + eval_albedo_offset(1));
   }
   uint8_t *to = reply + entry->head_bytes;
-  for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-    if (eval_is_array(entry->wanted, quantity->id)) {
-      const bool taken = batch_take(batch, stats, entry->place, quantity->id, entry->count, r, to);
+  for (unsigned left = entry->wanted; left != 0; left &= left - 1) {
+    const unsigned quantity = left & ~(left - 1);
+    if (eval_is_array(entry->wanted, quantity)) {
+      const bool taken = batch_take(batch, stats, entry->place, quantity, entry->count, r, to);
       assert(taken);
       memset(to + used, 0, entry->array_bytes - used);
       to += entry->array_bytes;
@@ -230,7 +218,7 @@ static bool can_repeat(const wire_eval_request *fixed, const eval_layout *layout
 static struct repeat_entry *make_room(struct repeat *repeat, const uint8_t *request, size_t bytes) {
   struct repeat_entry *entry = look_up(repeat, request, bytes);
   if (entry == NULL) {
-    const uint64_t hash = hash_of(request, bytes);
+    const uint64_t hash = cache_hash(0, request, bytes);
     struct repeat_set *set = &repeat->sets[hash % REPEAT_SETS];
     entry = &set->entries[set->next];
     set->next = (set->next + 1) % REPEAT_WAYS;

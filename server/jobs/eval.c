@@ -56,7 +56,7 @@ static wire_error check_range(const struct eval_job *eval, const core_radii_rang
   const wire_eval_request *fixed = &eval->request.fixed;
   if (fixed->spacing == CORE_SPACING_LIST) {
     const core_fault fault =
-        core_evaluator_bytes(fixed->evaluator) == sizeof(float)
+        eval->value_bytes == sizeof(float)
             ? core_radii_range_check_f32(range, fixed->radius_count, eval->request.radii)
             : core_radii_range_check_f64(range, fixed->radius_count, eval->request.radii);
     return job_error(fault);
@@ -94,7 +94,7 @@ static wire_error check_grid(const struct eval_job *eval) {
  * grid, in the precision in which they are evaluated. */
 static wire_error check_radii(struct eval_job *eval) {
   const wire_eval_request *fixed = &eval->request.fixed;
-  const bool single = core_evaluator_bytes(fixed->evaluator) == sizeof(float);
+  const bool single = eval->value_bytes == sizeof(float);
   if (fixed->spacing == CORE_SPACING_LIST) {
     const core_fault fault =
         single ? core_radii_check_f32(fixed->radius_count, eval->request.radii, &eval->radii)
@@ -128,6 +128,7 @@ static wire_error parse(struct eval_job *eval, const struct job_request *request
   if (error.status == WIRE_STATUS_OK) {
     const wire_eval_request *fixed = &eval->request.fixed;
     eval->draw_radii = NULL;
+    eval->value_bytes = core_evaluator_bytes(fixed->evaluator);
     eval->choice.tolerance = (double)NAN;
     eval->grid =
         (core_grid){fixed->spacing, fixed->radius_count, fixed->radius_start, fixed->radius_stop};
@@ -491,22 +492,22 @@ static void compare_models(const struct eval_job *eval, size_t n, const void *r,
 static void evaluate(struct eval_job *eval, size_t n) {
   const bool is_short = eval->parts.count == n && n <= BATCH_SHORT_RADII && n > 0;
   const void *r = is_sample(eval) ? eval->draw_radii(eval, n) : slice_radii(eval, n);
-  for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-    if (!core_quantity_elementwise(quantity->id) ||
-        (eval->request.fixed.wanted & quantity->id) == 0) {
+  for (unsigned left = eval->request.fixed.wanted; left != 0; left &= left - 1) {
+    const unsigned quantity = left & ~(left - 1);
+    if (!core_quantity_elementwise(quantity)) {
       continue;
     }
-    void *to = eval_job_array(eval, quantity->id);
+    void *to = eval_job_array(eval, quantity);
     if (is_short && batch_take(&eval->job.context->batch, stats_of(eval), eval->lookup.place,
-                               quantity->id, n, r, to)) {
+                               quantity, n, r, to)) {
       continue;
     }
-    if (quantity->id == CORE_QUANTITY_MODEL_ERRORS) {
+    if (quantity == CORE_QUANTITY_MODEL_ERRORS) {
       compare_models(eval, n, r, to);
     } else if (eval_job_value_bytes(eval) == sizeof(float)) {
-      core_eval_f32(&eval->lookup.profile, quantity->id, n, r, to);
+      core_eval_f32(&eval->lookup.profile, quantity, n, r, to);
     } else {
-      core_eval_f64(&eval->lookup.profile, quantity->id, n, r, to);
+      core_eval_f64(&eval->lookup.profile, quantity, n, r, to);
     }
   }
 }

@@ -15,6 +15,7 @@ struct eval_job {
   const uint8_t *payload;              /* of the request, if it repeats another one */
 
   eval_request request; /* if the job is a sample: its radii are the numbers u */
+  size_t value_bytes;   /* of a radius and a value; a choice of the evaluator keeps it */
   core_grid grid;
   struct choice_state choice; /* for a request that names a tolerance in place of a model */
   bool covers_all;            /* whether the model covers all radii */
@@ -56,7 +57,7 @@ void eval_job_end(struct job *job);
 unsigned eval_job_wanted(const struct eval_job *eval);
 
 static inline size_t eval_job_value_bytes(const struct eval_job *eval) {
-  return core_evaluator_bytes(eval->request.fixed.evaluator);
+  return eval->value_bytes;
 }
 
 /* Returns the address of the next listed radius, or of the next listed number u of a sample. */

@@ -63,6 +63,7 @@ static enum job_outcome start(struct job *job, const struct job_request *request
   wire_error error = sample_request_parse(request->payload, request->header->payload_bytes,
                                           &eval->draw, &eval->request);
   eval->draw_radii = draw_radii;
+  eval->value_bytes = core_evaluator_bytes(eval->request.fixed.evaluator);
   eval->choice.tolerance = (double)NAN;
   if (error.status == WIRE_STATUS_OK) {
     error = check(eval);

@@ -64,17 +64,20 @@ struct cache_key {
   const struct cache_kind *kind;
   const void *content;
   size_t content_bytes;
-  uint64_t hash; /* of the content, see cache_mix() */
+  uint64_t hash; /* of the content, see cache_hash() */
   void *source;  /* what is needed besides to prepare it; NULL: cache_look() makes no new entry */
 };
 
-/* Adds one word to a hash: multiplies by 2^64 over the golden ratio (Knuth 1998, section 6.4), and
- * folds the high bits, which depend on all bits of the word, onto the low ones. */
-static inline uint64_t cache_mix(uint64_t hash, double word) {
-  uint64_t bits;
-  memcpy(&bits, &word, sizeof bits);
-  hash = (hash ^ bits) * UINT64_C(0x9e3779b97f4a7c15);
-  return hash ^ (hash >> 32);
+/* Adds words of 8 bytes to a hash: multiplies by 2^64 over the golden ratio (Knuth 1998, section 6.4),
+ * and folds the high bits, which depend on all bits of the word, onto the low ones. */
+static inline uint64_t cache_hash(uint64_t hash, const void *words, size_t bytes) {
+  for (size_t i = 0; i < bytes; i += sizeof hash) {
+    uint64_t word;
+    memcpy(&word, (const uint8_t *)words + i, sizeof word);
+    hash = (hash ^ word) * UINT64_C(0x9e3779b97f4a7c15);
+    hash ^= hash >> 32;
+  }
+  return hash;
 }
 
 struct cache;

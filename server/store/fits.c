@@ -23,11 +23,9 @@ static const struct cache_kind kind = {
 
 enum lookup_answer fits_get(struct lookups *lookups, struct lookup *lookup, const uint8_t *design,
                             size_t design_bytes) {
-  struct cache_key key = {.kind = &kind, .content = design, .content_bytes = design_bytes};
-  for (size_t i = 0; i < design_bytes; i += sizeof(double)) {
-    double word;
-    memcpy(&word, design + i, sizeof word);
-    key.hash = cache_mix(key.hash, word);
-  }
+  const struct cache_key key = {.kind = &kind,
+                                .content = design,
+                                .content_bytes = design_bytes,
+                                .hash = cache_hash(0, design, design_bytes)};
   return lookup_get(lookups, lookup, &key, true, true);
 }

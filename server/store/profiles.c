@@ -12,33 +12,25 @@ enum { CONTENT_BYTES = offsetof(struct profiles_key, hash_before_medium) };
 
 static_assert(CONTENT_BYTES == 16 + 8 * CORE_PARAMETERS_END + 32, "no padding");
 
-static double normalized(double value) {
-  if (isnan(value)) {
-    return (double)NAN;
+/* Copies numbers so that equal ones have the same bytes: there is one NaN, and 0 has no sign. */
+static void normalize(double *to, const double *from, size_t count) {
+  for (size_t i = 0; i < count; i++) {
+    to[i] = isnan(from[i]) ? (double)NAN : from[i] + 0.0;
   }
-  return value == 0 ? 0.0 : value;
 }
 
 void profiles_key_start(struct profiles_key *key, unsigned model, unsigned moments,
                         unsigned evaluator, const core_parameters *parameters) {
   *key = (struct profiles_key){.model = model, .moments = moments, .evaluator = evaluator};
-  key->hash_before_medium = model + ((uint64_t)moments << 16) + ((uint64_t)evaluator << 32);
-  for (size_t i = 0; i < CORE_PARAMETERS_END; i++) {
-    const bool angle = i == CORE_PARAMETER_COS_IN || i == CORE_PARAMETER_COS_OUT;
-    key->parameters[i] = angle ? (double)NAN : normalized(parameters->value[i]);
-    key->hash_before_medium = cache_mix(key->hash_before_medium, key->parameters[i]);
-  }
+  normalize(key->parameters, parameters->value, CORE_PARAMETERS_END);
+  key->parameters[CORE_PARAMETER_COS_IN] = key->parameters[CORE_PARAMETER_COS_OUT] = (double)NAN;
+  key->hash_before_medium = cache_hash(0, key, offsetof(struct profiles_key, medium));
 }
 
 void profiles_key_set_medium(struct profiles_key *key, const core_medium *medium) {
-  key->medium[0] = normalized(medium->sigma_a_per_mm);
-  key->medium[1] = normalized(medium->sigma_s_per_mm);
-  key->medium[2] = normalized(medium->g);
-  key->medium[3] = normalized(medium->eta);
-  key->hash = key->hash_before_medium;
-  for (size_t i = 0; i < 4; i++) {
-    key->hash = cache_mix(key->hash, key->medium[i]);
-  }
+  const double from[] = {medium->sigma_a_per_mm, medium->sigma_s_per_mm, medium->g, medium->eta};
+  normalize(key->medium, from, 4);
+  key->hash = cache_hash(key->hash_before_medium, key->medium, sizeof key->medium);
 }
 
 bool profiles_key_equal(const struct profiles_key *a, const struct profiles_key *b) {
