@@ -20,7 +20,7 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 # The files that take longest. They begin first, so that parallel processes end at about the same
 # time.
 SLOWEST = [
-    *("balancer", "same_bits", "page", "retry", "cli_plot", "modbus_jobs", "tls", "robustness"),
+    *("balancer", "page", "retry", "cli_plot", "modbus_jobs", "tls", "robustness"),
     *("figures", "gather", "mc", "fair_preparation", "overload"),
 ]
 

@@ -84,7 +84,6 @@ def has_derivatives(model: str) -> bool:
     }
 
 
-
 # ---- what only a daemon can tell -----------------------------------------------------------------
 
 

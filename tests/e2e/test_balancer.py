@@ -10,7 +10,6 @@ import contextlib
 import os
 import random
 import shutil
-import signal
 import socket
 import subprocess
 import threading
@@ -115,30 +114,6 @@ def farm(tmp_path):
             one.close()
 
 
-class Load(threading.Thread):
-    """A client that asks one question after the other, and compares the answers."""
-
-    def __init__(self, address: str, number: int):
-        super().__init__()
-        self.answers = 0
-        self.worst_s = 0.0
-        self.error: BaseException | None = None
-        self.ended = threading.Event()
-        self._address, self._r = address, np.linspace(0.1, 3.0 + number, 500)
-
-    def run(self) -> None:
-        try:
-            with dipole.Client(self._address) as client:
-                expected = client.eval("better", SKIN, self._r).R
-                while not self.ended.is_set():
-                    start_s = time.monotonic()
-                    assert (client.eval("better", SKIN, self._r).R == expected).all()
-                    self.worst_s = max(self.worst_s, time.monotonic() - start_s)
-                    self.answers += 1
-        except BaseException as error:
-            self.error = error
-
-
 def open_three(address: str) -> bool:
     """Opens three clients at a time, of which each daemon in rotation gets one. Returns whether
     none is refused."""
@@ -175,36 +150,6 @@ def test_an_overloaded_daemon_keeps_its_connections_and_gets_no_new_ones(farm):
             assert accepted() == before
         assert eventually(lambda: open_three(address) and accepted() > before, 10)
     watcher.close()
-
-
-@pytest.mark.parametrize("what", ["killed", "drained", "stopped"])
-def test_clients_do_not_notice_that_a_daemon_is(farm, what):
-    first = farm.daemons[0]
-    loads = [Load(farm.address, number) for number in range(6)]
-    for one in loads:
-        one.start()
-    try:
-        assert eventually(lambda: all(one.answers > 10 for one in loads), 10)
-        assert all(one.client("tcp").statistics()["connections_accepted"] > 1 for one in farm.daemons)
-        if what == "killed":
-            first.kill()
-        elif what == "drained":
-            first.terminate()
-        else:
-            first.pause()
-        before = [one.answers for one in loads]
-        assert eventually(
-            lambda: all(one.error or one.answers > n + 20 for one, n in zip(loads, before)), 15
-        )
-    finally:
-        for one in loads:
-            one.ended.set()
-        for one in loads:
-            one.join(15)
-        if what == "stopped":
-            first.process.send_signal(signal.SIGCONT)
-    assert [one.error for one in loads] == [None] * 6
-    assert max(one.worst_s for one in loads) < 8
 
 
 # ---- clients of all kinds ------------------------------------------------------------------------

@@ -147,23 +147,6 @@ def test_the_example_without_an_output(installed, irradiance, shared, closing, s
     assert done.returncode == 1 and ("standard output" in done.stderr or "2>" in closing)
 
 
-@pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed")
-def test_a_cpp_program(installed, tmp_path, shared):
-    program = tmp_path / "program"
-    warnings = ["-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic"]
-    source = REPOSITORY / "tests/e2e/program.cpp"
-    installed.compile(["g++", "-std=c++17", "-O1", *warnings], source, program)
-    printed = installed.run(program, shared.url()).split()
-    whole, in_place, table, varying = map(float, printed)
-    with shared.client() as client:
-        R = client.eval("better", (0.032, 0.74, 0, 1.3), [1.0], evaluator="f32").R[0, 0]
-        varied = client.varying("transport", sigma_a=0.125, sigma_s=9.0, r=0.5, g=0.8, eta=1.4,
-                                evaluator="f64")
-    assert np.float32(whole) == np.float32(in_place) == R
-    assert table == pytest.approx(R, rel=1.1e-4)
-    assert varying == varied["R"]
-
-
 def test_the_readme(installed, tmp_path, shared):
     (block,) = [block for block in blocks() if block.startswith("#include <dipole.h>")]
     block = re.sub(r'"unix:/run.*?"', "argv[1]", block)

@@ -10,8 +10,7 @@ import pytest
 from daemons import eventually
 from dipole import wire
 from frames import (
-    ALBEDO, EVAL, F32, LOGARITHMIC, R, ask, assert_closed, assert_daemon_serves, assert_error,
-    eval_payload, frame,
+    EVAL, F32, R, ask, assert_closed, assert_daemon_serves, assert_error, eval_payload, frame,
 )
 from lists import DERIVATIVES, EVALUATORS, MODELS, PARAMETERS, QUANTITIES, has_derivatives
 
@@ -19,7 +18,6 @@ REPLY = EVAL | wire.REPLY
 MEDIA = [(0.032, 0.74, 0, 1.3), (0.17, 0.88, 0, 1.3), (0.48, 1.01, 0.3, 1.4)]
 KINDS = ["better", "single", "quantized", "beam+single", "gaussians", "transport"]
 CLIENTS = 1000
-S = QUANTITIES["S"]
 
 
 def payload(model: str, media=MEDIA[:1], **fixed) -> bytes:
@@ -72,80 +70,6 @@ def test_the_same_twice_is_one_build(daemon, model):
     assert (counted["bytes"] > 0) == (kept > 0)
 
 
-def test_every_channel_is_a_hit_or_a_miss(daemon):
-    one = daemon()
-    counted = Counted(one)
-    with one.connect() as connection:
-        ask(connection, EVAL, payload("beam", MEDIA))
-        ask(connection, EVAL, payload("beam", [MEDIA[0], MEDIA[1], media(1)[0], MEDIA[1]]))
-        ask(connection, EVAL, payload("better", MEDIA * 2))
-    assert (counted["hits"], counted["misses"]) == (3 + 3, 4 + 3)
-    assert (counted["builds"], counted["entries"]) == (7, 4)
-
-
-def test_what_differs_is_not_the_same(daemon):
-    """Profiles are different if any part of their key differs. Requests that differ only in the
-    evaluation share a profile."""
-    one = daemon()
-    counted = Counted(one)
-    tolerance = PARAMETERS["tolerance"].id
-    with one.connect() as connection:
-        for different in (
-            payload("beam"),
-            payload("beam+single"),
-            payload("beam", moments=2),
-            payload("beam", radii=[1.0, 2.0], evaluator=F32),
-            payload("beam", [(0.032, 0.74, 0, 1.31)]),
-            payload("beam", [(0.032, 0.74, 0.1, 1.3)]),
-            payload("beam", parameters=[(tolerance, 1e-3)]),
-            payload("beam", parameters=[(tolerance, 1e-4)]),
-        ):
-            assert ask(connection, EVAL, different).type == REPLY
-        assert counted["builds"] == counted["entries"] == 8
-        for same in (
-            payload("beam", radii=[7.0]),
-            payload("beam", wanted=ALBEDO),
-            payload("beam", radii=None, spacing=LOGARITHMIC, radius_start=0.1),
-            payload("beam", [(0.032, 0.74, -0.0, 1.3)]),
-            payload("beam", parameters=[(PARAMETERS["cos_in"].id, 0.5)], wanted=R),
-        ):
-            assert ask(connection, EVAL, same).type == REPLY
-    assert (counted["builds"], counted["hits"]) == (8, 5)
-
-
-def test_the_bound_is_kept(daemon):
-    """A small cache keeps those of many profiles that were used last."""
-    one = daemon("--cache-bytes", "80000")
-    counted = Counted(one)
-    many = media(60)
-    with one.connect() as connection:
-        for medium in many:
-            assert ask(connection, EVAL, payload("beam", [medium])).type == REPLY
-            assert counted["bytes"] <= 80000
-        kept = counted["entries"]
-        assert 5 <= kept < 15
-        assert counted["evictions"] == 60 - kept
-        for medium in many[-kept:]:
-            ask(connection, EVAL, payload("beam", [medium]))
-        assert (counted["hits"], counted["builds"]) == (kept, 60)
-        ask(connection, EVAL, payload("beam", many[:1]))
-        assert counted["builds"] == 61
-
-
-def test_streams_of_cheap_media_evict_nothing(daemon):
-    one = daemon("--cache-bytes", "100000", "--max-media", "4096")
-    counted = Counted(one)
-    with one.connect() as connection:
-        first = ask(connection, EVAL, slow())
-        assert ask(connection, EVAL, payload("better", media(4096), radii=[1.0])).type == REPLY
-        assert counted["entries"] == 1
-        assert ask(connection, EVAL, payload("single", media(400), radii=[1.0])).type == REPLY
-        assert counted["bytes"] <= 100000
-        builds = counted["builds"]
-        assert ask(connection, EVAL, slow()) == first
-        assert counted["builds"] == builds
-
-
 def test_memory_is_returned(daemon):
     """An evicted profile is freed even if a worker's local cache had it. The test evicts 4000
     profiles of 17 KiB."""
@@ -193,19 +117,6 @@ def test_answers_do_not_depend_on_the_cache(daemon, model):
     assert all(answer == answers[0] for answer in answers)
 
 
-def test_angles_share_a_profile(daemon):
-    one = daemon()
-    cos_in = PARAMETERS["cos_in"].id
-    requests = [payload("beam", parameters=[(cos_in, c)], wanted=S) for c in (0.2, 0.9, 1.0)]
-    with one.connect() as connection, daemon("--cache-bytes", "0").connect() as fresh:
-        counted = Counted(one)
-        shared = [ask(connection, EVAL, request) for request in requests]
-        assert shared == [ask(fresh, EVAL, request) for request in requests]
-        assert ask(connection, EVAL, payload("beam", wanted=S)).payload == shared[2].payload
-        assert counted["builds"] == 1
-    assert len({reply.payload for reply in shared}) == 3
-
-
 # ---- many at once --------------------------------------------------------------------------------
 
 
@@ -243,19 +154,6 @@ def test_a_thousand_clients_cause_one_build(daemon, connections, workers):
     assert counted["builds"] == 1
     assert counted["hits"] + counted["misses"] == CLIENTS
     assert counted["misses"] > 1  # Some requests waited for the same profile.
-
-
-def test_simultaneous_askers_share_even_what_is_not_kept(daemon, connections):
-    one = daemon("--cache-bytes", "0")
-    counted = Counted(one)
-    clients = connections(one, 50)
-    request = frame(EVAL, 77, slow())
-    for client in clients:
-        client.send_bytes(request)
-    replies = [client.receive_frame() for client in clients]
-    assert replies == replies[:1] * 50 and replies[0].type == REPLY
-    assert counted["builds"] < 25  # one, or a few more if sending took longer than preparing
-    assert (counted["entries"], counted["bytes"], counted["hits"]) == (0, 0, 0)
 
 
 def test_a_fault_goes_to_all_who_wait(daemon, connections):
@@ -317,16 +215,6 @@ def test_stopping_answers_who_waits(daemon):
             assert connection.receive_frame().type == REPLY
             assert_error(connection.receive_frame(), "shutting-down", "daemon", "another one", request_id=0)
             assert_closed(connection)
-    assert one.wait() == 0
-
-
-def test_stopping_while_nobody_waits(daemon):
-    one = daemon()
-    counted = Counted(one)
-    with one.connect() as connection:
-        connection.send_bytes(frame(EVAL, 77, slow()))
-        assert under_way(counted)
-    one.terminate()
     assert one.wait() == 0
 
 

@@ -6,7 +6,7 @@ import json
 import re
 
 import pytest
-from command_line import FAILED, USAGE, Terminal, dipole, read_csv, says
+from command_line import Terminal, dipole
 
 SHORT = ("--seconds", "0.05")
 FIGURES = [
@@ -46,15 +46,6 @@ def test_json():
     assert loads == [[16, 1, 1], [16, 1, 64], [65536, 1, 1]]
 
 
-def test_csv():
-    text = dipole("bench", "--format", "csv", *SHORT, "--evaluator", "f64").stdout
-    rows = read_csv(text)
-    assert list(rows[0]) == ["measurement", *FIGURES]
-    assert [row.pop("measurement") for row in rows] == ["small", "pipelined", "large"]
-    for row in rows:
-        check_figures({name: float(value) for name, value in row.items()}, 3, 8)
-
-
 def test_the_load_is_the_one_that_was_asked_for(daemon):
     one = daemon()
     with one.client() as watcher:
@@ -77,13 +68,6 @@ def test_the_load_is_the_one_that_was_asked_for(daemon):
     assert evals == sum(requests) + 1 + 3 + 1
     radii = after["radii_transport"] - before["radii_transport"]
     assert radii == 3 * (7 * (requests[0] + requests[1] + 4) + 1000 * (requests[2] + 1))
-
-
-def test_models_with_parameters():
-    report = bench_json("--model", "multipole", "--thickness", "2", "--evaluator", "f64")
-    check_figures(report["rows"][0], channels=3, value_bytes=8)
-    error = dipole("bench", *SHORT, "--model", "multipole", status=FAILED).stderr
-    assert "thickness" in error
 
 
 def test_a_bar_when_it_takes_long():

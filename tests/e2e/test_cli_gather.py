@@ -114,30 +114,3 @@ def test_points_that_are_lost_again_and_again(shared, tmp_path, client):
             assert ended.returncode == 0, ended.stderr
             found = columns_of(ended.stdout, 1)
     assert np.isfinite(found).all() and len(found) == len(places)
-
-
-@pytest.mark.parametrize("model, evaluator", [("transport", "lut"), ("better+single", "f64")])
-def test_no_distance_counts_as_less(shared, tmp_path, model, evaluator):
-    """Queries at or near a point are summed directly."""
-    xyz, power = RNG.uniform(-5, 5, (2100, 3)), RNG.uniform(0, 1, (2100, 2)).astype("<f4")
-    queries = np.vstack([xyz[::300], xyz[::300] + 0.02, RNG.uniform(-5, 5, (10, 3))])
-    points = write_csv(tmp_path / "p.csv", names(2), [xyz, power])
-    asked = write_csv(tmp_path / "q.csv", ["x", "y", "z"], [queries])
-    words = [points, asked, "--sigma-a", "0.032,0.1", "--sigma-s", "0.74", "--tolerance", "1e-3",
-             "--model", model, "--evaluator", evaluator]  # fmt: skip
-    ended = gather(shared, *words)
-    assert ended.returncode == 0
-    assert f"7 of 24 queries are at a point, where R of {model} is infinite" in ended.stderr
-    assert np.isinf(columns_of(ended.stdout, 2)).any(axis=1).sum() == 7
-    ended = gather(shared, *words, "--least-distance", "0.1")
-    assert (ended.returncode, ended.stderr) == (0, "")
-    r = np.maximum(np.linalg.norm(queries[:, None] - xyz, axis=2), 0.1)
-    with shared.client() as client:
-        media = [(0.032, 0.74, 0, 1.3), (0.1, 0.74, 0, 1.3)]
-        R = client.eval(model, media, r.ravel(), evaluator=evaluator).R.reshape(2, *r.shape)
-    expected = np.einsum("cqp,pc->qc", R.astype(float), power.astype(float))
-    np.testing.assert_allclose(columns_of(ended.stdout, 2), expected, rtol=1.5e-3)
-    near = np.linalg.norm(queries[:, None] - xyz, axis=2).min(axis=1) < 0.1
-    assert 14 <= near.sum() < 24
-    ended = gather(shared, *words, "--least-distance", "-1")
-    assert ended.returncode == 2 and "--least-distance: give a number of at least 0" in ended.stderr

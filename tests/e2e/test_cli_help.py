@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import re
 import subprocess
 
 import pytest
-from command_line import FAILED, PROGRAM, TIMEOUT_S, USAGE, dipole, says
+from command_line import FAILED, PROGRAM, TIMEOUT_S, dipole
 from daemons import BUILD, environment
 
 COMMANDS = [

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from command_line import FAILED, TIMEOUT_S, Proxy, Terminal, busy, dipole, eval_rows, read_csv
 from daemons import BUILD, REPOSITORY, environment
-from lists import everywhere
 from pictures import check_png, script, svg_lines, svg_texts
 
 SKIN = ["plot", "--medium", "skin1"]
@@ -51,16 +50,6 @@ def test_curves_and_deviations(tmp_path):
     names, curves = script(tmp_path, *SKIN, "--model", "single", "--axes", "linear", "--f", "0,1",
                            "--quantity", "R_f")  # fmt: skip
     assert (names["x_label"], names["y_label"], names["log_y"]) == ("f (1/mm)", "R_f (1)", "0")
-
-
-def test_many_models_and_their_reference(tmp_path):
-    """All have a colour; transport is drawn if it is asked for, and compared with in any case."""
-    arguments = ["--channel", "red", "--error", "--count", "5"]
-    names, curves = script(tmp_path, *SKIN, *arguments, "--model", "all", quiet=False)
-    assert set(curves) <= set(everywhere()) and "transport" in curves and len(curves) > 8
-    assert len({names[f"C[{i + 1}]"] for i in range(8)}) == 8
-    _, curves = script(tmp_path, *SKIN, *arguments, "--model", "gaussians", "--from", "0.5")
-    assert list(curves) == ["gaussians"] and np.isfinite(curves["gaussians"][:, 3]).all()
 
 
 @pytest.mark.parametrize("scale", ["logarithmic", "linear"])

@@ -8,93 +8,15 @@ import select
 import subprocess
 import time
 
-import numpy as np
 import pytest
 from command_line import (
-    BAD_ROWS, FAILED, PROGRAM, TIMEOUT_S, USAGE, Proxy, Terminal, busy, dipole, eval_rows, points,
-    read_csv, scratch,
+    BAD_ROWS, FAILED, PROGRAM, TIMEOUT_S, Proxy, Terminal, busy, dipole, points, read_csv,
+    scratch,
 )
 from daemons import environment
 
 HEADER = "sigma_a,sigma_s,g,eta,r"
 ROW = "0.01,1,0,1.4,2"
-
-
-def columns(row: dict[str, str], *names: str) -> list[str]:
-    return [row[name] for name in names]
-
-
-# Rows that share a model, g and eta are evaluated together, each with a medium of its own. The
-# coefficients are then rounded otherwise than where one medium is prepared.
-ROUNDING = 3e-14
-
-
-def assert_near(row: dict[str, str], other: dict[str, str], *names: str) -> None:
-    for name in names:
-        assert float(row[name]) == pytest.approx(float(other[name]), rel=ROUNDING), name
-
-
-# ---- good rows -----------------------------------------------------------------------------------
-
-
-def test_errors_stand_in_each_row():
-    """A row that is asked for by itself has the errors of an eval, and those of a group share the
-    largest. What is not known is empty, and a column that exists is replaced."""
-    medium = ["--sigma-a", "0.01", "--sigma-s", "1", "--eta", "1.4", "--r", "2"]
-    text = points(f"{HEADER},model_error\n{ROW},9\n", "--errors", "--wanted", "R,dR_dr")
-    assert text.splitlines()[0] == f"{HEADER},model_error,R,dR_dr,numerical_error,status"
-    for model in ("transport", "better+single"):
-        row = read_csv(
-            points(f"{HEADER}\n{ROW}\n", "--errors", "--wanted", "R,ln_R", "--model", model,
-                   "--evaluator", "f64")
-        )[0]  # fmt: skip
-        expected = eval_rows(*medium, "--wanted", "R,ln_R", "--model", model, "--evaluator", "f64")[0]
-        assert columns(row, "numerical_error", "model_error") == columns(
-            expected, "numerical_error", "model_error"
-        )
-        assert float(row["model_error"]) == 0 or model == "better+single"
-    rows = read_csv(
-        points(f"{HEADER}\n{ROW}\n1,1,0,1.4,2\n0,-1,0,1.4,2\n", "--errors", "--model", "better",
-               "--wanted", "R", status=BAD_ROWS)
-    )
-    alone = [
-        eval_rows("--sigma-a", sigma_a, *medium[2:], "--wanted", "R", "--model", "better")[0]
-        for sigma_a in ("0.01", "1")
-    ]
-    worst = max(float(row["model_error"]) for row in alone)
-    assert rows[0]["model_error"] == rows[1]["model_error"]
-    assert worst <= float(rows[0]["model_error"]) < 1.1 * worst
-    assert 0 < float(rows[0]["numerical_error"]) == float(rows[1]["numerical_error"]) < 1e-12
-    assert columns(rows[2], "numerical_error", "model_error") == ["", ""]
-    skin = read_csv(points(f"{HEADER}\n{ROW}\n", "--errors", "--model", "skin-red"))[0]
-    assert float(skin["model_error"]) > 0 and skin["status"] == "ok"
-
-
-def test_single_precision_is_double_precision_rounded():
-    """Rows in single precision, too, are asked for in groups, each with a medium of its own."""
-    lines = [f"{0.001 * (i % 97)},1,{i % 5 / 10},1.4,{(1 + i % 613) / 64}" for i in range(20000)]
-    text = "\n".join([HEADER, *lines, ""])
-    single, double = (
-        read_csv(points(text, "--model", "better", "--wanted", "R", "--evaluator", one, "--errors"))
-        for one in ("f32", "f64")
-    )
-    for one, other in zip(single, double, strict=True):
-        error = float(one["numerical_error"])
-        assert 2.0**-23 <= error < 1.2e-7
-        assert abs(float(one["R"]) / float(other["R"]) - 1) <= error
-
-
-@pytest.mark.parametrize("evaluator, within", [("f32", 1e-5), ("lut", 1e-4)])
-def test_single_precision(evaluator, within):
-    text = f"{HEADER}\n{ROW}\n0.01,1,0,1.4,0.1\n"
-    double = read_csv(points(text))
-    single = read_csv(points(text, "--evaluator", evaluator))
-    for one, other in zip(double, single, strict=True):
-        assert one["r"] == other["r"]
-        assert_near(one, other, "albedo")
-        for column in ("R", "cdf"):
-            assert one[column] != other[column]
-            assert float(one[column]) == pytest.approx(float(other[column]), rel=within)
 
 
 # ---- what CSV can look like ----------------------------------------------------------------------
@@ -280,91 +202,6 @@ def test_a_daemon_that_goes_away(daemon):
     assert "connection" in run.stderr
     whole = points(text, "--wanted", "R,dR_dr")
     assert whole.startswith(run.stdout) and len(run.stdout) < len(whole)
-
-
-# ---- models, media, radii, quantities ------------------------------------------------------------
-
-
-def test_rows_of_transport_are_not_solved_one_by_one():
-    """Stored solutions are the default of every row of transport, whether its model is named or not,
-    and whatever its tolerance; no other row has them."""
-    text = f"{HEADER},model\n{ROW},\n{ROW},transport\n{ROW},better\n"
-
-    def read(*arguments):
-        return read_csv(dipole("points", "--errors", *arguments, stdin=text, usual=True).stdout)
-
-    unnamed, named, better = read()
-    option = read("--model", "transport")[0]
-    narrow = read_csv(dipole("points", "--errors", "--tolerance", "1e-3", usual=True,
-                             stdin=f"{HEADER},model\n0.01,10,0.9,1.4,1,transport\n").stdout)
-    assert 2e-4 < float(narrow[0]["numerical_error"]) < 1e-3
-    wanted = ("R", "cdf", "numerical_error")
-    assert columns(unnamed, *wanted) == columns(named, *wanted) == columns(option, *wanted)
-    assert float(named["numerical_error"]) < 2e-5
-    assert float(better["numerical_error"]) < 1e-12
-    assert all(float(row["numerical_error"]) < 2e-5 for row in read("--evaluator", "f64"))
-
-
-def test_few_media_of_transport_are_evaluated_one_by_one(client):
-    """A surface is made for a g and eta from their 257th medium on. Before that, each row has the
-    values of its medium in f32, in any order of rows."""
-    own = [(0.01 * (i + 1), 10.0, 0.04 * i, 1.3 + 0.01 * i) for i in range(20)]
-    one = [(0.002 * (i + 1), 10.0, 0.5, 1.4) for i in range(260)]
-    lines = [",".join(map(str, [*medium, r])) for r in (0.25, 1) for medium in own + one]
-    text = "\n".join([HEADER, *lines, ""])
-    rows = read_csv(dipole("points", "--errors", stdin=text, usual=True).stdout)
-    asked, how = own + one, {"evaluator": "f32", "wanted": ["R", "cdf"]}
-    exact = [client.eval("transport", asked[i : i + 1], [0.25, 1], **how) for i in range(280)]
-    for i, row in enumerate(rows):
-        medium, r = i % 280, i // 280
-        alone = (float(row["R"]), float(row["cdf"])) == (
-            pytest.approx(exact[medium].R[0, r], rel=1e-7),
-            pytest.approx(exact[medium].cdf[0, r], rel=1e-7),
-        )
-        assert alone or medium >= 276
-        assert float(row["R"]) == pytest.approx(exact[medium].R[0, r], rel=3e-4)
-    errors = [float(row["numerical_error"]) for row in rows[:280]]
-    assert len(set(errors[276:])) == 1 and errors[276] not in errors[:276]
-
-
-def test_transport_states_the_error_of_its_solutions_whatever_the_tolerance():
-    text = f"{HEADER},tolerance\n{ROW},1e-7\n{ROW},1e-6\n"
-    fine, tabled = read_csv(points(text, "--errors", "--model", "transport", "--wanted", "R,ln_R"))
-    assert fine["status"] == tabled["status"] == "ok"
-    assert 1e-7 < float(fine["numerical_error"]) < float(tabled["numerical_error"]) < 5e-6
-
-
-def test_a_bar_counts_the_rows_that_are_answered(daemon, tmp_path):
-    start = time.monotonic()
-    lines = [f"0.01,1,{i / 1000},1.4,2" for i in range(100)]
-    path = scratch(tmp_path, "rows.csv", "\n".join([HEADER, *lines, ""]))
-
-    def on_eval(number: int, request_id: int):
-        return busy(request_id, 50) if number > 40 and time.monotonic() - start < 2.1 else None
-
-    with Proxy(daemon().url(), on_eval) as proxy:
-        run = Terminal("points", path, "--model", "transport", "--connect", proxy.url, on=[2])
-        status, output = run.end()
-    assert status == 0 and output.count(",ok\n") == 100
-    shares = re.findall(r"\] +(\d+) %  \S+ rows", run.seen)
-    assert shares and 30 < int(shares[0]) < 100
-
-
-def test_a_tolerance_in_place_of_a_model(client):
-    (row,) = read_csv(points(f"{HEADER}\n{ROW}\n", "--tolerance", "0.01"))
-    exact = client.eval("transport", (0.01, 1, 0, 1.4), [2.0]).R[0, 0]
-    assert row["status"] == "ok" and float(row["R"]) == pytest.approx(exact, rel=0.01)
-    absorbing = f"{HEADER}\n0.4,11,0.85,1.4,0.5\n"
-    assert list(row) == [*HEADER.split(","), "R", "albedo", "status"]
-    (dark,) = read_csv(points(absorbing, "--tolerance", "0.01"))
-    assert dark["status"] == "ok"
-    (refused,) = read_csv(
-        dipole("points", "--tolerance", "1e-5", "--wanted", "R,dR_dr", stdin=f"{HEADER}\n{ROW}\n",
-               status=BAD_ROWS).stdout
-    )  # fmt: skip
-    assert "tolerance: allowed: at least " in refused["status"]
-    (model,) = read_csv(points(absorbing, "--tolerance", "0.01", "--model", "transport"))
-    assert "cdf" in model
 
 
 # ---- other forms of CSV, which all commands read -------------------------------------------------

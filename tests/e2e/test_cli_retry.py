@@ -4,7 +4,6 @@ or stay busy."""
 from __future__ import annotations
 
 import signal
-import socket
 import subprocess
 import threading
 import time
@@ -14,7 +13,6 @@ from command_line import FAILED, PROGRAM, TIMEOUT_S, Proxy, Terminal, busy, dipo
 from daemons import NOWHERE, Daemon, environment, eventually, nowhere
 
 ARGUMENTS = ("--sigma-a", "0.03", "--sigma-s", "1", "--r", "0.5,1,2")
-LONG = ("--retry-ms", "60000")
 
 
 @pytest.fixture
@@ -35,20 +33,6 @@ def test_the_next_address_is_taken(daemon, tmp_path, known):
     assert eval_rows("--connect", f"{url},unix:{tmp_path}/nobody", *ARGUMENTS) == known
 
 
-def test_addresses_come_from_the_environment_too(daemon, tmp_path, known):
-    several = f"unix:{tmp_path}/nobody,{daemon().url('tcp')}"
-    run = dipole("eval", "--format", "csv", *ARGUMENTS, env={"DIPOLED": several})
-    assert len(run.stdout.splitlines()) == len(known) + 1
-
-
-def test_nobody_is_there(tmp_path):
-    several = f"unix:{tmp_path}/a,unix:{tmp_path}/b"
-    now = ("--retry-ms", "0")
-    error = dipole("eval", "--connect", several, *now, *ARGUMENTS, status=FAILED).stderr
-    assert "tried for" not in error
-    assert f"{tmp_path}/a: No such file" in error and f"{tmp_path}/b: No such file" in error
-
-
 def test_a_person_is_told_at_once(tmp_path):
     with_wait = ("--connect", f"unix:{tmp_path}/a", "--retry-ms", "400", *ARGUMENTS)
     terminal = Terminal("eval", *with_wait, on=(2,))
@@ -57,37 +41,6 @@ def test_a_person_is_told_at_once(tmp_path):
     assert "Trying" not in dipole("eval", *with_wait, status=FAILED).stderr
     terminal = Terminal("eval", "--connect", "nowhere", *ARGUMENTS, on=(2,))
     assert terminal.end()[0] != 0 and "Trying" not in terminal.seen
-
-
-def test_zero_retries(daemon):
-    url = daemon().url()
-    with Proxy(url, ends_the_connection) as lost:
-        connect = ("--connect", f"{lost.url},{url}")
-        run = dipole("eval", *connect, "--retry-ms", "0", *ARGUMENTS, status=FAILED)
-    assert "closed the connection" in run.stderr
-
-
-def test_a_daemon_that_comes_later(tmp_path):
-    path = f"{tmp_path}/s"
-    with socket.socket(socket.AF_UNIX) as early:
-        early.bind(path)
-        early.listen()
-        early.settimeout(TIMEOUT_S)
-        with subprocess.Popen(
-            [str(PROGRAM), "eval", "--model", "better", "--connect", f"unix:{path}", *LONG, *ARGUMENTS],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env=environment(),
-            text=True,
-        ) as waiting:
-            early.accept()[0].close()  # The command's first attempt fails.
-            early.close()
-            (tmp_path / "s").unlink()
-            late = Daemon(listen=[f"unix:{path}"])
-            output, errors = waiting.communicate(timeout=TIMEOUT_S)
-            late.close()
-    assert (waiting.returncode, errors) == (0, "")
-    assert "better" in output
 
 
 @pytest.mark.parametrize("why", NOWHERE)

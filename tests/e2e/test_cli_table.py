@@ -7,10 +7,9 @@ import re
 import subprocess
 
 import dipole as python_client
-import numpy as np
 import pytest
-from command_line import FAILED, PROGRAM, TIMEOUT_S, Terminal, dipole, eval_json, eval_rows
-from command_line import points, read_csv, scratch
+from command_line import FAILED, PROGRAM, TIMEOUT_S, Terminal, dipole, eval_rows
+from command_line import scratch
 from daemons import environment
 
 MEDIUM = ["--sigma-a", "0.032", "--sigma-s", "0.74"]  # SKIN
@@ -83,44 +82,6 @@ def test_a_file_says_the_same_as_the_daemon(tmp_path, model):
         assert {row["channel"] for row in here} == {"skin1 red", "skin1 green", "skin1 blue"}
 
 
-def test_errors_of_a_file_are_for_the_radii(tmp_path):
-    """The stated errors are those for the radii of the command: transport is less exact far away,
-    and the model error of other models is known only near the source."""
-    medium = ["--sigma-a", "0.35", "--sigma-s", "0.65", "--eta", "1.5"]
-    path = save(tmp_path, *medium, "--model", "transport")
-    errors = [
-        float(eval_rows("--table", path, "--r", r, "--wanted", "R")[0]["numerical_error"])
-        for r in ("1", "60", "100")
-    ]
-    assert errors[0] < 1e-4 and 1e-2 < errors[1] < errors[2]
-    path = save(tmp_path, *medium)
-    assert eval_rows("--table", path, "--r", "100")[0]["model_error"] == ""
-    assert 0 < float(eval_rows("--table", path, "--r", "1,2")[0]["model_error"]) < 1
-
-
-def test_grids_from_a_file(tmp_path):
-    path = save(tmp_path, *MEDIUM)
-    for grid in (
-        [],
-        ["--from", "0.1", "--to", "3", "--count", "7"],
-        ["--from", "0.01", "--to", "100", "--count", "9", "--log"],
-        ["--wanted", "albedo"],
-    ):
-        here = eval_rows("--table", path, *grid)
-        assert_same_values(here, eval_rows(*MEDIUM, "--evaluator", "lut", *grid))
-
-
-def test_angles_of_a_file(tmp_path):
-    angles = ["--cos-in", "0.8", "--cos-out", "0.3"]
-    path = save(tmp_path, *MEDIUM, *angles)
-    want = ["--r", "0.5,1", "--wanted", "S,R"]
-    here = eval_json("--table", path, *want)
-    there = eval_json(*MEDIUM, *angles, "--evaluator", "lut", *want)
-    assert_same_values(here["rows"], there["rows"])
-    assert (here["cos_in"], here["cos_out"]) == (there["cos_in"], there["cos_out"]) == (0.8, 0.3)
-    assert here["software"].startswith("libdipole ") and here["units"] == there["units"]
-
-
 def test_a_file_needs_no_daemon(tmp_path):
     path = save(tmp_path, *MEDIUM)
     text = dipole("eval", "--table", path, "--r", "1", env={"DIPOLED": "unix:/nonexistent"}).stdout
@@ -158,23 +119,3 @@ def test_files_of_several_models(client, tmp_path):
     path = scratch(tmp_path, "both", both)
     run = dipole("eval", "--table", path, status=FAILED)
     assert "tables 1 and 2 differ in model, moments or parameters" in run.stderr
-
-
-# ---- evaluator lut -------------------------------------------------------------------------------
-
-
-def test_evaluator_lut_is_like_any_other(client):
-    rows = eval_rows(*MEDIUM, "--evaluator", "lut", "--tolerance", "1e-3", "--model", "better",
-                     "--r", "0.5,1,7", "--wanted", "R,cdf,ln_R,dR_dr,pdf")
-    r = np.float32([0.5, 1, 7])
-    answer = client.eval(
-        "better", (0.032, 0.74, 0, 1.3), r, evaluator="lut", tolerance=1e-3,
-        wanted=["R", "cdf", "ln_R", "dR_dr", "pdf"],
-    )
-    for name in ("R", "cdf", "ln_R", "dR_dr", "pdf"):
-        assert [np.float32(row[name]) for row in rows] == answer.values[name][0].tolist()
-    assert 1e-5 < float(rows[0]["numerical_error"]) <= 1e-3
-    text = "sigma_a,sigma_s,g,eta,r\n0.032,0.74,0,1.3,0.5\n0.032,0.74,0,1.3,1\n"
-    again = read_csv(points(text, "--model", "better", "--evaluator", "lut", "--tolerance", "1e-3"))
-    found = [float(row["R"]) for row in again]
-    assert found == pytest.approx(answer.R[0, :2].tolist(), rel=1e-3)

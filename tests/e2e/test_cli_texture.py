@@ -156,29 +156,6 @@ def test_float_images_and_random_walks(tmp_path, client):
         assert found == expected
 
 
-def test_transport(tmp_path, client):
-    """The usual model is transport; its media have the colours."""
-    colours = np.random.default_rng(2).uniform(0.02, 0.9, (8, 8, 3))
-    write_pfm(tmp_path / "in.pfm", colours)
-    texture(tmp_path / "in.pfm", tmp_path / "out.pfm", "--mean-free-path", "1")
-    sigma_a, sigma_s = (read_pfm(tmp_path / f"out.sigma_{name}.pfm") for name in "as")
-    for at in [(0, 0, 0), (3, 5, 1), (7, 2, 2)]:
-        medium = (float(sigma_a[at]), float(sigma_s[at]), 0.0, 1.3)
-        solved = client.eval("transport", medium, wanted=["albedo"], evaluator="lut")
-        assert abs(solved.albedo[0] - colours[at]) < 1e-5
-
-
-def test_colours_without_a_medium(tmp_path):
-    colours = np.full((2, 3, 3), 0.5)
-    colours[1, 2, 1] = 1.25
-    write_pfm(tmp_path / "in.pfm", colours)
-    run = texture(tmp_path / "in.pfm", tmp_path / "out.pfm", "--model", "better",
-                  "--mean-free-path", "1", status=BAD_ROWS)
-    assert "1 of 18 values" in run.stderr and "green of column 2, row 1" in run.stderr
-    sigma_a = read_pfm(tmp_path / "out.sigma_a.pfm")
-    assert np.count_nonzero(np.isnan(sigma_a)) == 1 and np.isnan(sigma_a[1, 2, 1])
-
-
 def test_what_is_wrong_is_said(tmp_path):
     write_pfm(tmp_path / "in.pfm", np.full((2, 2, 3), 0.5))
     good = (tmp_path / "in.pfm").read_bytes()
@@ -224,3 +201,14 @@ def test_what_is_wrong_is_said(tmp_path):
     assert "n.png: its colour profile is not used: iCCP" in run.stderr
     run = texture(tmp_path / "in.pfm", tmp_path / "no" / "out.pfm", *path, status=FAILED)
     assert "No such file" in run.stderr
+
+
+def test_colours_without_a_medium(tmp_path):
+    colours = np.full((2, 3, 3), 0.5)
+    colours[1, 2, 1] = 1.25
+    write_pfm(tmp_path / "in.pfm", colours)
+    run = texture(tmp_path / "in.pfm", tmp_path / "out.pfm", "--model", "better",
+                  "--mean-free-path", "1", status=BAD_ROWS)
+    assert "1 of 18 values" in run.stderr and "green of column 2, row 1" in run.stderr
+    sigma_a = read_pfm(tmp_path / "out.sigma_a.pfm")
+    assert np.count_nonzero(np.isnan(sigma_a)) == 1 and np.isnan(sigma_a[1, 2, 1])

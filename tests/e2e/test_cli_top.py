@@ -91,12 +91,6 @@ def test_tables(busy):
     assert max(map(len, text.splitlines())) <= 80
 
 
-def test_a_daemon_of_its_own():
-    text = dipole("top", "--count", "1", "--interval", "0.1", "--format", "json").stdout
-    (record,) = records([json.loads(line) for line in text.splitlines()])
-    assert record["connections_open"] == 1 and record["requests_statistics_per_s"] > 0
-
-
 @pytest.fixture
 def watching(daemon):
     """Returns a daemon, and a command that watches it and writes records of JSON."""
@@ -178,13 +172,6 @@ def test_on_a_small_terminal(daemon):
     for screen in screens(watch(terminal, 3))[:3]:
         lines = screen.partition("\033[J")[0].replace("\033[K", "").splitlines()
         assert len(lines) == 7 and max(map(len, lines)) <= 30
-
-
-def test_count_on_a_terminal(daemon):
-    terminal = Terminal("top", "--connect", daemon().url(), "--interval", "0.1", "--count", "2")
-    assert terminal.end()[0] == 0 and "\033[?25h" in terminal.seen
-    # One table since the start of the daemon, and two intervals.
-    assert len(screens(terminal.seen)) == 3
 
 
 def shown(seen: str) -> list[str]:

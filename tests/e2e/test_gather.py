@@ -6,16 +6,15 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import functools
-import threading
 
 import dipole
 import numpy as np
 import pytest
 from daemons import Daemon, eventually, sanitized
-from dipole import Points, gathering, wire
+from dipole import Points, wire
 from frames import (
-    EVAL, F64, SKIN, R, ask, assert_daemon_serves, assert_error, assert_serves, eval_payload,
-    frame, media_bytes, statistics,
+    EVAL, SKIN, R, ask, assert_daemon_serves, assert_error, assert_serves, eval_payload, frame,
+    gather_payload, points_payload, statistics, words,
 )
 from lists import MODELS
 from modbus_master import SLOW
@@ -23,7 +22,6 @@ from modbus_master import SLOW
 POINTS = wire.MESSAGES["points"]
 GATHER = wire.MESSAGES["gather"]
 CANCEL = wire.MESSAGES["cancel"]
-BETTER = MODELS["better"]
 
 
 def scene(count: int, channels: int = 1, seed: int = 1) -> Points:
@@ -40,53 +38,6 @@ def positions(count: int, seed: int = 2) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-12, 12, (count, 3))
 
 
-def sums(client, model: str, media, points: Points, queries: np.ndarray, **options) -> np.ndarray:
-    """Sums R at all distances, in double precision."""
-    distances = np.linalg.norm(points.xyz[:, None] - queries[None], axis=2)
-    R = client.eval(model, media, distances.ravel(), evaluator="f64", **options).R
-    return np.einsum("cpq,pc->qc", R.reshape(len(R), *distances.shape), points.power.astype(float))
-
-
-# ---- the payloads of frames ----------------------------------------------------------------------
-
-
-def words(name: bytes) -> tuple[int, ...]:
-    return tuple(np.frombuffer(name, "<u8").tolist())
-
-
-def points_payload(points: Points, first: int = 0, count: int | None = None, **fixed) -> bytes:
-    """Makes the payload of a part of a set. Its fields fit unless `fixed` has others."""
-    count = len(points) - first if count is None else count
-    power = points.power[first : first + count].tobytes()
-    fields = {
-        "set": words(points.name),
-        "channel_count": points.channels,
-        "point_count": len(points),
-        "point_first": first,
-        "part_points": count,
-        **fixed,
-    }
-    zeros = bytes(wire.padded(len(power)) - len(power))
-    listed = points.xyz[first : first + count].tobytes()
-    return wire.POINTS_REQUEST.pack(**fields) + listed + power + zeros
-
-
-def gather_payload(points: Points, media=(SKIN,), queries=((0.0, 0.0, 1.0),), **fixed) -> bytes:
-    listed = np.asarray(queries, "<f8")
-    fields = {
-        "model": BETTER,
-        "evaluator": F64,
-        "moments": 1,
-        "parameter_count": 0,
-        "medium_count": len(media),
-        "set": words(points.name),
-        "query_count": len(listed),
-        "tolerance": 1e-3,
-        **fixed,
-    }
-    return wire.GATHER_REQUEST.pack(**fields) + media_bytes(media) + listed.tobytes()
-
-
 def send(connection, points: Points) -> wire.Any:
     """Sends a whole set in one part; returns the reply."""
     reply = ask(connection, POINTS, points_payload(points))
@@ -95,30 +46,6 @@ def send(connection, points: Points) -> wire.Any:
 
 
 # ---- values --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
-@pytest.mark.parametrize("model", ["classical", "better", "transport", "burley"])
-def test_sums_are_those_of_eval(client, model, evaluator):
-    slow = model == "transport" and evaluator != "lut"  # some microseconds for a radius
-    points, queries = scene(300 if slow else 1500 if model == "transport" else 6000), positions(40)
-    exact = sums(client, model, [SKIN], points, queries)
-    for tolerance in (0.0, 1e-1, 1e-2, 1e-4, 1e-6):
-        found = client.gather(
-            model, [SKIN], points, queries, tolerance=tolerance, evaluator=evaluator
-        )
-        error = np.abs(found.M / exact - 1)
-        assert found.M.shape == exact.shape == (40, 1)
-        assert found.bound <= tolerance * (1 + 1e-6)
-        assert np.all(error <= found.bound + found.numerical_error + 1e-12), (tolerance, error.max())
-
-
-def test_a_query_has_its_value_whatever_is_asked_beside_it(client):
-    points, queries = scene(5000), positions(300)
-    together = client.gather("better", [SKIN], points, queries).M
-    for i in (0, 17, 299):
-        assert client.gather("better", [SKIN], points, queries[i : i + 1]).M == together[i]
-    assert np.array_equal(client.gather("better", [SKIN], points, queries[::-1]).M[::-1], together)
 
 
 def test_no_queries_and_many(client):
@@ -130,7 +57,6 @@ def test_no_queries_and_many(client):
         "better", [SKIN], points, queries, tolerance=0, progress=lambda *now: reports.append(now)
     )
     assert reports == [(16384, 40_000), (32768, 40_000), (40_000, 40_000)]
-    assert np.allclose(found.M[-5:], sums(client, "better", [SKIN], points, queries[-5:]), rtol=1e-3)
     assert np.all(found.M > 0)
 
 
@@ -154,27 +80,6 @@ def bits(daemon: Daemon) -> bytes:
 @pytest.fixture(scope="module")
 def expected(shared) -> bytes:
     return bits(shared)
-
-
-@pytest.mark.parametrize("workers", ["1", "4"])
-def test_workers_parts_and_other_load(daemon, expected, workers):
-    one = daemon("--workers", workers, "--max-part-bytes", "16384")
-    ended = threading.Event()
-
-    def load() -> None:
-        with one.client() as client:
-            while not ended.is_set():
-                client.gather("classical", "skin1", asked_for_bits()[0], positions(100, 5))
-
-    threads = [threading.Thread(target=load) for _ in range(2)]
-    for thread in threads:
-        thread.start()
-    try:
-        assert bits(one) == expected
-    finally:
-        ended.set()
-        for thread in threads:
-            thread.join()
 
 
 @pytest.mark.parametrize(
@@ -364,15 +269,6 @@ def test_a_set_that_no_room_is_enough_for(daemon):
 
 
 # ---- ending early --------------------------------------------------------------------------------
-
-
-def test_cancel(shared):
-    points, queries = scene(500), positions(1_000_000)
-    with shared.client() as client:
-        found = client.gather("better", [SKIN], points, queries, progress=lambda done, of: False)
-        answered = np.count_nonzero(~np.isnan(found.M))
-        assert 0 < answered <= gathering.OUTSTANDING * 16384
-        client.ping()
 
 
 def test_requests_behind_a_gather_are_answered_meanwhile(daemon):
@@ -578,18 +474,6 @@ def test_a_hundred_clients_that_send_and_never_ask(daemon):
     finally:
         for connection in connections:
             connection.close()
-
-
-def test_finished_sets_of_a_hundred_clients(daemon):
-    one = daemon("--points-bytes", "3000000")
-    for seed in range(100):
-        with one.connect() as connection:
-            assert send(connection, scene(8000, seed=seed)).known == 1
-    with one.connect() as watcher:
-        numbers = statistics(watcher)
-        assert numbers["points_bytes"] <= 3_000_000
-        assert numbers["points_evictions"] >= 80
-        assert numbers["points_sent_bytes"] == 0
 
 
 @pytest.mark.skipif(sanitized(), reason="a sanitizer's memory is another")

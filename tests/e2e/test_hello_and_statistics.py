@@ -116,17 +116,6 @@ def test_statistics_count(daemon, name):
     assert after["requests_statistics"] == before["requests_statistics"] + 1
 
 
-def test_statistics_of_work(daemon):
-    one = daemon()
-    with one.client() as client:
-        before = client.statistics()
-        client.eval("better", [SKIN] * 3, [1.0] * 1000)
-        client.eval("better", SKIN, wanted=["albedo"])
-        after = client.statistics()
-    assert after["radii_evaluated"] == before["radii_evaluated"] + 3000
-    assert after["slices_evaluated"] == before["slices_evaluated"] + 3
-
-
 def test_statistics_of_connections(daemon):
     one = daemon("--max-connections", "3")
     with one.client() as client:

@@ -11,8 +11,9 @@ import pytest
 from daemons import Daemon, eventually, sanitized
 from dipole import Frame, wire
 from frames import (
-    ALBEDO, EVAL, F32, PING, SKIN, STATISTICS, R, ask, assert_closed, assert_daemon_serves,
-    assert_error, assert_serves, eval_payload, frame, head_bytes, header, read_statistics, serves, statistics,
+    ALBEDO, EVAL, PING, SKIN, STATISTICS, R, ask, assert_closed, assert_daemon_serves,
+    assert_error, assert_serves, eval_payload, frame, head_bytes, header, read_statistics, serves,
+    statistics,
 )
 
 PONG = PING | wire.REPLY
@@ -48,22 +49,6 @@ def test_a_header_alone_is_enough_to_be_refused(small_frames):
     small_frames.send_bytes(header(request_id=6, payload_bytes=2**32 - 8))
     reply = small_frames.receive_frame()
     assert_error(reply, "too-large", "payload_bytes", "at most 4096", request_id=6)
-
-
-def test_reply_of_the_largest_size(small_frames):
-    reply = ask(small_frames, EVAL, eval_payload(radii=None, radius_count=503, wanted=R))
-    assert reply.type == EVALUATED and len(reply.payload) == 4096
-    single = eval_payload(radii=None, radius_count=1006, wanted=R, evaluator=F32)
-    assert len(ask(small_frames, EVAL, single).payload) == 4096
-
-
-@pytest.mark.parametrize("fixed", [{"radius_count": 504}, {"radius_count": 1007, "evaluator": F32}])
-def test_reply_beyond_the_largest_size_comes_in_parts(small_frames, fixed):
-    first = ask(small_frames, EVAL, eval_payload(radii=None, wanted=R, **fixed))
-    parts = [wire.EVAL_REPLY.unpack(one.payload) for one in (first, small_frames.receive_frame())]
-    assert [(part.part, part.part_count) for part in parts] == [(0, 2), (1, 2)]
-    assert sum(part.count for part in parts) == fixed["radius_count"]
-    assert_serves(small_frames)
 
 
 def test_max_radii(daemon):
@@ -269,18 +254,6 @@ def test_request_that_total_bytes_cannot_hold(daemon):
         assert_error(reply, "busy", "payload_bytes", "max_total_bytes")
         assert_serves(connection)
         assert ask(connection, EVAL, eval_payload(radii=[1.0] * 1000)).type == EVALUATED
-
-
-def test_total_bytes_are_given_back(daemon):
-    one = daemon("--max-total-bytes", str(TOTAL_BYTES))
-    for _ in range(30):
-        with one.connect() as connection:
-            connection.send_bytes(frame(EVAL, 1, eval_payload(radii=None, radius_count=50_000)))
-            connection.receive_bytes(1)
-    with one.connect() as connection:
-        assert_serves(connection)
-        assert eventually(lambda: statistics(connection)["connections_open"] == 1)
-        assert statistics(connection)["buffer_bytes"] < 256 << 10
 
 
 # ---- time ----------------------------------------------------------------------------------------

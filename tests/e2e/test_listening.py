@@ -3,7 +3,6 @@ inherits."""
 
 from __future__ import annotations
 
-import gc
 import os
 import re
 import socket
@@ -56,14 +55,6 @@ def test_stale_socket_file_is_replaced(daemon, folder):
     with socket.socket(socket.AF_UNIX) as dead:
         dead.bind(str(folder / "s"))
         dead.listen()
-    assert (folder / "s").is_socket()
-    with daemon(listen=[f"unix:{folder}/s"]).connect() as connection:
-        assert_serves(connection)
-
-
-def test_socket_of_a_killed_daemon_is_replaced(daemon, folder):
-    first = daemon(listen=[f"unix:{folder}/s"])
-    first.kill()
     assert (folder / "s").is_socket()
     with daemon(listen=[f"unix:{folder}/s"]).connect() as connection:
         assert_serves(connection)
@@ -220,14 +211,6 @@ def test_wrong_address(url):
     assert "event=stopping" not in ended.stderr  # it has not been ready
 
 
-def test_a_wrong_address_comes_with_an_example():
-    for url, said in {
-        "tcp:localhost": "write a host and a port, as in 127.0.0.1:4817",
-        "localhost:80": "write unix:PATH, tcp:HOST:PORT or tls:HOST:PORT, as in tcp:127.0.0.1:4817",
-    }.items():
-        assert said in run("--listen", url).stderr
-
-
 def test_all_addresses_or_none(folder):
     ended = run("--listen", f"unix:{folder}/s", "--listen", "tcp:127.0.0.1:nonsense")
     assert ended.returncode == 1
@@ -283,16 +266,6 @@ def test_a_client_that_is_not_allowed_does_not_try_again(daemon):
     with one.connect("tcp"):
         pass
     assert sum("event=connection-refused" in line for line in one.log) <= 3
-
-
-def test_an_ended_stranger_leaves_the_number_of_open_connections(daemon):
-    one = daemon("--allow", "127.0.0.8", "--max-connections", "2", listen=["tcp:127.0.0.1:0"])
-    for _ in range(50):
-        with From("127.0.0.1", one.url("tcp")) as connection:
-            connection.receive_frame()
-    with From("127.0.0.8", one.url("tcp")) as connection:
-        connection.receive_frame()
-        assert_serves(connection)
 
 
 @pytest.mark.parametrize("network", ["localhost", "10.0.0.0/33", "10.0.0.0/", ""])
@@ -391,18 +364,6 @@ def test_fd_answers_what_came_before_the_end():
     assert process.returncode == 0
 
 
-def test_fd_and_listen(folder):
-    ours, theirs = socket.socketpair()
-    with theirs:
-        process = start_with_fd(theirs, "--listen", f"unix:{folder}/s")
-    assert len(exchange(ours, frame(PING, 1), 24)) == 24
-    with dipole.Connection(f"unix:{folder}/s") as connection:
-        assert_serves(connection)
-    ours.close()
-    process.communicate(timeout=END_S)
-    assert process.returncode == 0
-
-
 def test_fd_of_a_tcp_connection():
     with socket.create_server(("127.0.0.1", 0)) as server:
         ours = socket.create_connection(server.getsockname())
@@ -427,19 +388,6 @@ def test_fd_of_a_datagram_socket():
         process = start_with_fd(wrong)
         _, log = process.communicate(timeout=END_S)
     assert process.returncode in (1, 2) and "--fd" in log
-
-
-def test_private_daemon_of_the_python_client(monkeypatch):
-    monkeypatch.setenv("DIPOLED", f"private:{PROGRAM}")
-    gc.collect()  # the pipes of earlier tests' daemons, so that they are not closed meanwhile
-    before = set(os.listdir("/proc/self/fd"))
-    with dipole.Client() as client:
-        assert client.info.address == f"private:{PROGRAM}"
-        assert client.eval("better", dipole.Medium(0.0, 1.0), [1.0]).albedo[0] == 1.0
-        process = client._session.connection._process
-        assert process.poll() is None
-    assert process.returncode == 0
-    assert set(os.listdir("/proc/self/fd")) == before
 
 
 @pytest.mark.parametrize("besides", [[], ["--modbus", "tcp:127.0.0.1:0"]])

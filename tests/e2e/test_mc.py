@@ -13,10 +13,7 @@ import pytest
 from daemons import eventually
 from dipole import Grid, Medium, wire
 from dipole.mc import McResult, pack_request, progress_of, unpack_fixed, unpack_result
-from frames import (
-    EVAL, LINEAR, R, SKIN, ask, assert_closed, assert_error, assert_serves, eval_payload, frame,
-)
-from lists import everywhere
+from frames import LINEAR, SKIN, ask, assert_closed, assert_error, assert_serves, frame
 
 MC, CANCEL = wire.MESSAGES["mc"], wire.MESSAGES["cancel"]
 BATCH = 4096
@@ -63,21 +60,6 @@ def cancel(connection: dipole.Connection, job_id: int, request_id: int = 500) ->
 
 
 # ---- tables --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "how", [{}, {"error_rings": 0.6}, {"error_total": 0.015}, {"thickness": 0.7}]
-)
-def test_same_bits_whoever_walks(daemon, how):
-    how = {"photons": 300_000, "seed": 7, "albedos": [0.2, 0.95], **how}
-    tables = []
-    for options in (["--mc-threads", "1"], ["--mc-threads", "3"], ["--isa", "portable"]):
-        with daemon(*options).client() as client:
-            tables += [client.mc(TISSUE, EDGES, **how) for _ in range(2)]
-    assert all(table.payload == tables[0].payload for table in tables)
-    expected = "errors" if "error_rings" in how or "error_total" in how else "photons"
-    assert tables[0].state == expected
-    assert expected == "errors" or tables[0].photons == 74 * BATCH  # 300,000, rounded up
 
 
 def test_errors_end_it_early(client):
@@ -200,27 +182,6 @@ def test_stopping_does_not_wait_for_who_does_not_read(daemon):
 
 
 # ---- beside other work ---------------------------------------------------------------------------
-
-
-def test_others_are_served_meanwhile(daemon):
-    one = daemon()
-    with one.connect() as busy, one.client() as client:
-        start_endless(busy)
-        expected = client.eval("better", SKIN, [0.5, 1.0])
-        for _ in range(200):
-            assert client.ping() < 5
-            assert (client.eval("better", SKIN, [0.5, 1.0]).R == expected.R).all()
-        assert client.statistics()["mc_jobs_open"] == 1
-        # Requests on the connection of the job are answered, too.
-        answered = 0
-        payload = eval_payload(wanted=R)
-        busy.send_bytes(b"".join(frame(EVAL, 1000 + i, payload) for i in range(50)))
-        while answered < 50:
-            reply = busy.receive_frame()
-            if reply.request_id != 77:
-                assert reply.type == EVAL | wire.REPLY
-                assert reply.request_id == 1000 + answered
-                answered += 1
 
 
 def test_jobs_take_turns(daemon):
@@ -401,12 +362,12 @@ def mean_of_ring(client, model: str, medium: Medium, a: float, b: float) -> floa
     return power / (np.pi * (b - a) * (b + a))
 
 
-@pytest.mark.parametrize("evaluator, most", [("f64", 2e-4), ("f32", 1e99), ("lut", 1e99)])
+@pytest.mark.parametrize("evaluator, most", [("f64", 2e-4), ("f32", 1e99)])
 def test_ring_means_are_within_their_errors(client, evaluator, most):
     """Also in wide rings and in dark media, where R falls by many orders of magnitude in a ring."""
     known = [(Medium(1, 1, 0, 1.4), 100, 200), (Medium(1, 1, 0, 1.4), 20, 40), (Medium(0.1, 10, 0.9, 1.4), 2, 4)]
     random = np.random.default_rng(20)
-    for model in sorted({*everywhere()} - {"transport"}):
+    for model in ("better", "burley", "beam"):
         cases = list(known)
         for _ in range(3):
             medium = Medium(*10 ** random.uniform(-3, 3, 2), random.uniform(-0.9, 0.95), random.uniform(0.8, 2))

@@ -7,12 +7,10 @@ import contextlib
 import os
 import re
 import shutil
-import struct
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import dipole
 import numpy as np
@@ -122,41 +120,6 @@ def test_pymodbus(request, line, expected):
     pytest.importorskip("pymodbus")
     script = str(EXAMPLES / "profile.py")
     check(run(sys.executable, script, request.getfixturevalue(line)), expected, 9)
-
-
-# pymodbus has had three names for the number of the unit. Each entry has the parameters of methods
-# that accept only one of the names: those of versions 2, 3.0 to 3.9, and 3.10 and later.
-GENERATIONS = {
-    "unit": "self, address, {}, **kwargs",
-    "slave": "self, address, {}, slave=0",
-    "device_id": "self, address, {}, *, device_id=1, no_response_expected=False",
-}
-NUMBERS = {"unit": "kwargs.pop('unit')", "slave": "slave", "device_id": "device_id"}
-SITE = """
-from pymodbus.client.mixin import ModbusClientMixin
-read, write = ModbusClientMixin.read_holding_registers, ModbusClientMixin.write_registers
-def read_holding_registers({reads}):
-    return read(self, address, count, slave={number})
-def write_registers({writes}):
-    return write(self, address, values, slave={number})
-ModbusClientMixin.read_holding_registers = read_holding_registers
-ModbusClientMixin.write_registers = write_registers
-"""
-
-
-@pytest.mark.parametrize("keyword", GENERATIONS)
-def test_pymodbus_of_every_generation(address, expected, tmp_path, keyword):
-    """Runs the example with the installed pymodbus, whose methods get the signatures of each
-    generation."""
-    pytest.importorskip("pymodbus")
-    form = GENERATIONS[keyword]
-    reads = form.format("*, count=1" if keyword == "device_id" else "count=1")
-    reads = reads.replace("*, count=1, *", "*, count=1")
-    site = SITE.format(reads=reads, writes=form.format("values"), number=NUMBERS[keyword])
-    (tmp_path / "sitecustomize.py").write_text(site)
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    script = str(EXAMPLES / "profile.py")
-    check(run(sys.executable, script, address, env=environment), expected, 9)
 
 
 @pytest.fixture(scope="module")
@@ -484,106 +447,3 @@ def test_nmap_prints_the_identification(slave, address):
     with slave.client() as client:
         version = client.info.software.split()[-1]
     assert "dipoled" in result.stdout and version in result.stdout, result.stdout
-
-
-_PCAP_MAGIC, _LINKTYPE_IPV4 = 0xA1B2C3D4, 228
-_CLIENT, _SERVER, _CLIENT_PORT = bytes([192, 0, 2, 1]), bytes([192, 0, 2, 2]), 49152
-_TCP, _ACK_AND_PUSH = 6, 0x18
-
-
-class Exchange(NamedTuple):
-    """A request of a client, and the answer."""
-
-    sent: bytes
-    received: bytes
-
-
-def write_capture(path: Path, exchanges: list[Exchange], port: int) -> None:
-    """Writes a capture of a TCP connection to the port, in which every message has its own
-    packet."""
-    packets = []
-    client_at = server_at = 1
-    for exchange in exchanges:
-        ports = (_CLIENT_PORT, port)
-        packets.append(_packet(_CLIENT, _SERVER, ports, client_at, server_at, exchange.sent))
-        client_at += len(exchange.sent)
-        ports = (port, _CLIENT_PORT)
-        packets.append(_packet(_SERVER, _CLIENT, ports, server_at, client_at, exchange.received))
-        server_at += len(exchange.received)
-    header = struct.pack("<IHHiIII", _PCAP_MAGIC, 2, 4, 0, 0, 65535, _LINKTYPE_IPV4)
-    records = [
-        struct.pack("<IIII", i // 1000, i % 1000 * 1000, len(packet), len(packet)) + packet
-        for i, packet in enumerate(packets)
-    ]
-    path.write_bytes(header + b"".join(records))
-
-
-def _packet(
-    source: bytes, target: bytes, ports: tuple[int, int], at: int, acknowledged: int, data: bytes
-) -> bytes:
-    tcp = struct.pack(">HHIIBBHHH", *ports, at, acknowledged, 5 << 4, _ACK_AND_PUSH, 65535, 0, 0)
-    length = 20 + len(tcp) + len(data)
-    ip = struct.pack(">BBHHHBBH4s4s", 0x45, 0, length, 0, 0, 64, _TCP, 0, source, target)
-    ip = ip[:10] + struct.pack(">H", _checksum(ip)) + ip[12:]
-    return ip + tcp + data
-
-
-def _checksum(header: bytes) -> int:
-    total = sum(struct.unpack(f">{len(header) // 2}H", header))
-    while total > 0xFFFF:
-        total = (total & 0xFFFF) + (total >> 16)
-    return ~total & 0xFFFF
-
-
-class Recorded(Tcp):
-    """A master that records its exchanges."""
-
-    def __init__(self, address: str):
-        super().__init__(address)
-        self.exchanges: list[Exchange] = []
-
-    def exchange(self, unit: int, pdu: bytes) -> bytes:
-        answer = super().exchange(unit, pdu)
-        sent = struct.pack(">HHHB", self.transaction, 0, 1 + len(pdu), unit) + pdu
-        received = struct.pack(">HHHB", self.transaction, 0, 1 + len(answer), unit) + answer
-        self.exchanges.append(Exchange(sent, received))
-        return answer
-
-
-def conversation(master: Recorded) -> None:
-    """Sends requests of every function, and three that get exceptions."""
-    master.write(0, words(1, 2, 3))
-    master.write_one(5, 7)
-    master.exchange(1, struct.pack(">BHHBB", 15, 0, 3, 1, 5))
-    master.exchange(1, struct.pack(">BHH", 5, 9, 0xFF00))
-    master.exchange(1, struct.pack(">BHHH", 22, 5, 0xF2, 0x25))
-    for function in (1, 2, 3, 4):
-        master.exchange(1, struct.pack(">BHH", function, 0, 16))
-    master.write_read(100, input_block(1, radii=RADII_MM), 300, 32)
-    master.exchange(1, bytes([17]))
-    for level in (1, 2):
-        master.exchange(1, bytes([43, 14, level, 0]))
-    master.exchange(1, struct.pack(">BHH", 3, 0xFFF0, 4))  # no such registers
-    master.exchange(1, bytes([99, 1, 2]))  # no such function
-    master.exchange(1, struct.pack(">BHH", 6, 106, 0))  # half a float
-
-
-@needs("tshark")
-def test_tshark_decodes_a_conversation(address, tmp_path):
-    with Recorded(address) as master:
-        conversation(master)
-    exchanges = master.exchanges
-    capture = tmp_path / "modbus.pcap"
-    write_capture(capture, exchanges, port=502)
-    fields = ["-T", "fields", "-e", "mbtcp.trans_id", "-e", "modbus.func_code"]
-    fields += ["-e", "modbus.exception_code", "-e", "_ws.malformed", "-e", "_ws.expert.message"]
-    result = run("tshark", "-r", str(capture), "-Y", "mbtcp", *fields)
-    assert result.returncode == 0, result.stderr
-    rows = [line.split("\t") for line in result.stdout.splitlines()]
-    assert len(rows) == 2 * len(exchanges)
-    for i, (asked, answered) in enumerate(zip(rows[::2], rows[1::2], strict=True)):
-        assert asked[0] == answered[0] == str(int.from_bytes(exchanges[i].sent[:2], "big"))
-        assert asked[3] == answered[3] == "", (asked, answered)
-    assert sum(row[2] != "" for row in rows) == 3
-    verbose = run("tshark", "-r", str(capture), "-V")
-    assert "Malformed" not in verbose.stdout

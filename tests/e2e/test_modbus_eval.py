@@ -8,7 +8,7 @@ import struct
 import numpy as np
 import pytest
 from daemons import eventually
-from dipole import Grid, Refused
+from dipole import Refused
 from lists import EVALUATORS, MODELS, MOMENTS, needs
 from modbus_master import (
     AT, BAD_ADDRESS, BAD_VALUE, BAD_VALUE_STATUS, BUSY, BUSY_STATUS, DONE, ERROR, IS_BUSY, MIRROR,
@@ -89,39 +89,6 @@ def test_every_model_has_the_wires_bits(master, client, model):
         job = run_job(master, unit, input_block(1, medium, radii, model=MODELS[model]))
         assert job.model == MODELS[model]
         assert_equal_answers(master, unit, expected, len(radii))
-
-
-@pytest.mark.parametrize("evaluator", EVALUATORS)
-@pytest.mark.parametrize("model", ["better", "transport"])
-def test_every_evaluator(master, client, model, evaluator):
-    radii = single([0.0, 0.1, 1.0, 10.0] if model == "better" else [0.1, 1.0, 10.0])
-    expected = client.eval(model, single(SKIN), radii, evaluator=evaluator)
-    block = input_block(1, SKIN, radii, model=MODELS[model], evaluator=EVALUATORS[evaluator])
-    job = run_job(master, 60, block)
-    assert job.evaluator == EVALUATORS[evaluator]
-    assert_equal_answers(master, 60, expected, len(radii))
-    assert as_floats(master.read(AT["DISTANCES"], 2 * len(radii), 60)).tolist() == list(radii)
-
-
-@pytest.mark.parametrize("moments", MOMENTS)
-def test_every_kind_of_moments(master, client, moments):
-    expected = client.eval("better", single(SKIN), [1.0], evaluator="f32", moments=moments)
-    run_job(master, 61, input_block(1, SKIN, [1.0], moments=MOMENTS[moments].id))
-    assert_equal_answers(master, 61, expected, 1)
-
-
-@pytest.mark.parametrize("spacing, number", [("linear", 2), ("logarithmic", 3)])
-@pytest.mark.parametrize("evaluator", EVALUATORS)
-@pytest.mark.parametrize("count", [1, 2, 7, 50])
-def test_grids(master, client, spacing, number, evaluator, count):
-    start, stop = single([0.1, 7.3])
-    grid = Grid(start, stop, count, spacing)
-    expected = client.eval("better", single(SKIN), grid=grid, evaluator=evaluator)
-    grid = (number, count, start, stop)
-    run_job(master, 62, input_block(1, SKIN, grid=grid, evaluator=EVALUATORS[evaluator]))
-    assert_equal_answers(master, 62, expected, count)
-    found = as_floats(master.read(AT["DISTANCES"], 2 * count, 62))
-    assert found.tobytes() == expected.r.astype("f4").tobytes()
 
 
 def test_a_list_of_the_most_distances_in_one_request(master, client):
@@ -379,23 +346,6 @@ def test_a_new_commit_clears_the_error_of_the_one_before(daemon):
         assert master.wait()[:3] == (DONE, 1, 0)
 
 
-def test_a_master_that_leaves_while_busy(daemon):
-    one = daemon(*TCP)
-    with Tcp(one) as master:
-        master.write(100, input_block(1, slow_medium(3), [1.0], **SLOW))
-    with Tcp(one) as master:
-        assert master.wait()[:2] == (DONE, 1)
-
-
-def test_stopping_while_busy(daemon):
-    one = daemon(*TCP)
-    with Tcp(one) as master:
-        for unit in range(1, 6):
-            master.write(100, input_block(1, slow_medium(10 + unit), [1.0], **SLOW), unit)
-        one.terminate()
-        assert master.is_closed()
-
-
 def test_preparing_that_fails(daemon):
     """A preparation may fail: that a fit does not reach its tolerance shows only then."""
     one = daemon(*TCP)
@@ -444,13 +394,3 @@ def test_answering_takes_nothing_from_the_heap(daemon):
         before = one.allocations()
         ask()
         assert one.allocations() == before
-
-
-def test_words_are_checked_before_anything_is_written(master):
-    """A commit with NaN in the input gets status 3, and the input is not changed."""
-    before = master.read(100, 120, 72)
-    with exception(BAD_VALUE):
-        master.write(100, input_block(1, (0.1, float("nan"), 0.0, 1.3), [1.0]), 72)
-    job = master.job(72)
-    assert (job.status, job.error_address) == (ERROR, AT["SIGMA_S"])
-    assert master.read(100, 120, 72) == before

@@ -176,20 +176,6 @@ def test_an_mc_has_the_wires_values(master, client, spacing, thickness):
     )
 
 
-def test_an_mc_takes_a_phase_function(master, client):
-    unit, medium = 133, single([0.125, 8.0, 0.75, 1.375])
-    set_medium(master, unit, medium)
-    setting(master, unit, RADIUS_START=floats(0, 1), MC_RING_COUNT=5, MC_PHOTONS=floats(20000))
-    setting(master, unit, PARAMETER_PHASE=floats(2), PARAMETER_PHASE_SHARE=floats(0.875))
-    setting(master, unit, MC_COMMIT=3)
-    assert ended(master, "MC", unit)[:3] == (DONE, 3, 0)
-    expected = client.mc(
-        medium, Grid(0, 1, 6), photons=20000, seed=0,
-        parameters={"phase": "modified", "phase_share": 0.875},
-    )
-    assert (numbers(master, "MC_R", 5, unit) == np.float32(expected.values[0][0])).all()
-
-
 def test_an_mc_takes_an_aperture(master, client):
     """Its rings are of the light within it alone."""
     unit, medium = 134, single([0.125, 1.0, 0.0, 1.375])
@@ -207,15 +193,6 @@ def test_an_mc_takes_an_aperture(master, client):
         seen[na] = numbers(master, "MC_R", 5, unit)
         assert (seen[na] == np.float32(expected.values[0][0])).all()
     assert (0 < seen[0.375]).all() and (seen[0.375] < 0.375 * seen[0.0]).all()
-
-
-def test_an_mc_ends_when_its_errors_are_small(master):
-    set_medium(master, 131, (0.1, 0.9, 0.0, 1.3))
-    setting(master, 131, MC_PHOTONS=floats(1e9), MC_ERROR_TOTAL=floats(0.02))
-    setting(master, 131, MC_COMMIT=1)
-    assert ended(master, "MC", 131).status == DONE
-    assert as_words(master.read(AT["MC_STATE"], 1, 131)) == [2]
-    assert 0 < numbers(master, "MC_ERROR_TOTAL_NOW", 1, 131)[0] <= np.float32(0.02)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -377,19 +354,6 @@ def test_values_of_jobs_out_of_range(master, field, data):
     assert master.job(160)[2:4] == (BAD_VALUE_STATUS, at)
 
 
-def test_limits_of_jobs_can_be_reached(master, client):
-    """1e14 and 1e-14 mm, and an error of 1e-9, have no float32."""
-    set_medium(master, 161, (0, 0, 0.0, 1.3))
-    setting(master, 161, INVERT_MEDIUM_COUNT=2, INVERT_LENGTH=floats(1e14, 1e-14), INVERT_COMMIT=1)
-    assert ended(master, "INVERT", 161)[:3] == (DONE, 1, 0)
-    expected = client.invert("better", [0.5, 0.5], [1e14, 1e-14], eta=single([1.3])[0])
-    found = numbers(master, "INVERT_SIGMA_S", 2, 161)
-    assert found.tolist() == expected.sigma_s.astype("f4").tolist()
-    set_medium(master, 161, (0.1, 0.9, 0.0, 1.3))
-    setting(master, 161, MC_PHOTONS=floats(1), MC_ERROR_RINGS=floats(1e-9), MC_COMMIT=2)
-    assert ended(master, "MC", 161)[:3] == (DONE, 2, 0)
-
-
 def test_one_monte_carlo_job_too_many(daemon):
     """The limit of the binary protocol holds for the jobs of both."""
     one = daemon(*TCP, "--max-mc-jobs", "2")
@@ -476,19 +440,6 @@ def test_stopping_while_jobs_of_all_kinds_run(daemon):
         assert eventually(lambda: numbers(master, "MC_PROGRESS", 1, 3)[0] > 0)
         one.terminate()
         assert master.is_closed()
-
-
-def test_slow_jobs_of_many_units_leave_others_their_turns(daemon):
-    """Inverts on ten units; an eval of the binary protocol is answered meanwhile."""
-    one = daemon(*TCP, "--workers", "1")
-    with Tcp(one) as master, one.client() as client:
-        for unit in range(1, 11):
-            set_medium(master, unit, SKIN, "quantized")
-            setting(master, unit, INVERT_MEDIUM_COUNT=20, INVERT_COMMIT=1)
-        assert client.eval("better", SKIN, [1.0]).R[0, 0] > 0
-        assert head(master, "INVERT", 10).status == IS_BUSY
-        for unit in range(1, 11):
-            assert ended(master, "INVERT", unit)[:3] == (DONE, 1, 0)
 
 
 # ---- fits ----------------------------------------------------------------------------------------

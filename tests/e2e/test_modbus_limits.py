@@ -15,8 +15,8 @@ import pytest
 from daemons import eventually, run
 from frames import assert_serves
 from modbus_master import (
-    AT, BAD_ADDRESS, BAD_FUNCTION, BAD_VALUE, READ_HOLDING, TCP, Exception_, Lost, Tcp, as_words, exception, floats,
-    input_block, words,
+    AT, BAD_ADDRESS, BAD_FUNCTION, BAD_VALUE, READ_HOLDING, TCP, Exception_, Tcp, as_words,
+    exception, floats, input_block, words,
 )
 
 READ_ONE = struct.pack(">BHH", READ_HOLDING, 0, 1)
@@ -265,20 +265,6 @@ def test_a_list_of_networks(daemon):
         assert master.is_closed()
 
 
-def test_loopback_by_default(slave):
-    with Tcp(slave, source="127.7.7.7") as master:
-        assert master.read(0, 1, 80) == b"\0\0"
-
-
-def test_ipv6(daemon):
-    try:
-        one = daemon("--modbus", "tcp:[::1]:0")
-    except AssertionError as failure:
-        pytest.skip(f"no IPv6 here: {failure}")
-    with Tcp(one) as master:
-        assert master.read(0, 1) == b"\0\0"
-
-
 def test_read_only(daemon):
     one = daemon(*TCP, "--modbus-read-only")
     with Tcp(one) as master:
@@ -397,12 +383,3 @@ def test_stopping_with_a_master_that_does_not_read(daemon):
         fill(master, b"".join(master.frame(1, READ_MOST) for _ in range(1000)))
         one.terminate()
         one.close()
-
-
-def test_a_daemon_that_is_killed(daemon):
-    one = daemon(*TCP)
-    with Tcp(one) as master:
-        master.read(0, 1)
-        one.kill()
-        with pytest.raises((Lost, BrokenPipeError)):
-            master.read(0, 1)

@@ -11,8 +11,7 @@ import pytest
 from daemons import REPOSITORY, eventually
 from modbus_master import (
     AT, BAD_ADDRESS, BAD_VALUE, BLOCKS, DEVICE_ID, MIRROR, NO_UNIT, READ_HOLDING, READ_INPUT,
-    REPORT_ID, TCP, Tcp, as_doubles, as_floats, as_words, exception, floats, input_block, swapped,
-    words,
+    REPORT_ID, TCP, Tcp, as_floats, as_words, exception, floats, input_block, swapped, words,
 )
 
 
@@ -105,17 +104,6 @@ def test_statistics_are_the_daemons(daemon):
 # ---- defaults and word orders --------------------------------------------------------------------
 
 
-def test_the_defaults_can_be_committed(master):
-    unit = 80  # test_modbus_eval.py uses 2 to 60 of the same daemon
-    assert master.job(unit) == (0,) * 8
-    assert np.isnan(as_floats(master.read(AT["R"], 100, unit))).all()
-    master.write_one(AT["COMMIT"], 5, unit)
-    job = master.job(unit)
-    assert job.status == 2 and job.done == 5 and job.count == 1 and job.model == 2
-    assert as_floats(master.read(AT["R"], 2, unit))[0] > 0
-    assert np.isnan(as_floats(master.read(AT["R"] + 2, 98, unit))).all()
-
-
 def test_both_sides_of_the_mirror(master):
     """A value that is written on one side can be read on the other: floats with their words
     swapped, all else alike."""
@@ -140,13 +128,6 @@ def test_a_job_through_the_mirror(master):
     for start in ("R", "CDF", "DISTANCES"):
         mirrored = master.read(MIRROR + AT[start], 100, 12)
         assert swapped(mirrored) == master.read(AT[start], 100, 12)
-
-
-def test_doubles_are_the_values(master):
-    master.write_read(100, input_block(1, radii=[0.5, 1.0, 2.0]), 300, 8, 14)
-    single = as_floats(master.read(AT["R"], 6, 14))
-    assert as_doubles(master.read(AT["R_DOUBLE"], 12, 14)).tolist() == single.tolist()
-    assert np.isnan(as_doubles(master.read(AT["R_DOUBLE"] + 12, 120, 14))).all()
 
 
 # ---- defaults ------------------------------------------------------------------------------------

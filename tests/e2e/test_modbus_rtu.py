@@ -22,8 +22,8 @@ from pathlib import Path
 import pytest
 from daemons import eventually, read_log_line, sanitized
 from modbus_master import (
-    AT, BAD_ADDRESS, BAD_FUNCTION, BAD_VALUE, BUSY, READ_HOLDING, SLOW, TCP, WRITE_REGISTER,
-    WRITE_REGISTERS, Rtu, Tcp, as_words, checksum, exception, input_block, words,
+    AT, BAD_ADDRESS, BAD_FUNCTION, READ_HOLDING, TCP, WRITE_REGISTER, WRITE_REGISTERS, Rtu, Tcp,
+    as_words, checksum, exception, input_block, words,
 )
 
 READ_ONE = struct.pack(">BHH", READ_HOLDING, 0, 1)
@@ -95,22 +95,6 @@ def test_exceptions(start):
     ]:
         with exception(code):
             master.ask(pdu, 7)
-
-
-def test_device_identification(start):
-    master, one = start()
-    pdu = bytes([43, 14, 4, 0])
-    master.send(master.frame(7, pdu))
-    with Tcp(one) as tcp:
-        expected = master.frame(7, bytes([43]) + tcp.ask(pdu, 7))
-    assert master.receive_bytes(len(expected)) == expected
-
-
-def test_a_slow_model(start):
-    master, _ = start()
-    block = input_block(1, (0.0333, 0.74, 0, 1.3), [1.0], **SLOW)
-    assert as_words(master.write_read(100, block, 300, 2, 7)) == [1, 0]
-    assert master.wait(7)[:2] == (2, 1)
 
 
 def test_unit_1_unless_it_is_said(start):
@@ -285,13 +269,6 @@ def test_wrong_checksums_and_what_is_unfinished(start):
             assert master.is_silent(0.05)
             assert master.read(0, 1, 7) == b"\0\0"
             assert tcp.statistic("modbus_bad_frames") >= number
-
-
-def test_read_only(start):
-    master, _ = start("19200,N,7", "--modbus-read-only")
-    with exception(BAD_FUNCTION):
-        master.write_one(0, 1, 7)
-    assert master.read(1200, 2, 7) == b"DIPL"
 
 
 # ---- devices that are missing --------------------------------------------------------------------

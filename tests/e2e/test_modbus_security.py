@@ -40,14 +40,12 @@ import socket
 import ssl
 import struct
 import subprocess
-import threading
 
 import pytest
-from certificates import EC, FLOODS, Authority, Recorder, openssl
-from daemons import REPOSITORY, eventually, run
+from certificates import EC, Authority, openssl
+from daemons import run
 from modbus_master import (
-    AT, BAD_ADDRESS, BAD_FUNCTION, Exception_, Lost, Tcp, as_floats, exception, input_block,
-    write_read_pdu,
+    AT, BAD_ADDRESS, BAD_FUNCTION, Exception_, Lost, Tcp, as_floats, input_block, write_read_pdu,
 )
 
 ROLE = "1.3.6.1.4.1.50316.802.1=ASN1:"
@@ -362,60 +360,6 @@ def test_rules_are_the_users_and_are_read_again(slave, authority, tmp_path):
         with Secure(one, authority, files) as after:
             assert asked(after) == [1, 0, 0, 0, 1, 0, 0]
         assert asked(before) == [0] * 7
-
-
-def test_masters_under_load_while_certificates_are_reloaded(slave, authority):
-    """No connection ends, and every answer is right."""
-    one = slave()
-    ended, faults, answers = threading.Event(), [], [0] * 3
-
-    def load(number: int) -> None:
-        try:
-            with Secure(one, authority, files) as master:
-                right = master.exchange(number + 1, EVERYTHING)
-                while not ended.is_set():
-                    assert master.exchange(number + 1, EVERYTHING) == right
-                    answers[number] += 1
-        except BaseException as fault:  # noqa: BLE001
-            faults.append(fault)
-
-    files = person(authority, "m", "Engineer")
-    threads = [threading.Thread(target=load, args=(number,)) for number in range(3)]
-    for thread in threads:
-        thread.start()
-    for turn in range(5):
-        before = list(answers)
-        one.process.send_signal(1)
-        assert eventually(lambda: sum("tls-reloaded" in x for x in one.log) == turn + 1)
-        assert eventually(lambda: faults or all(a > b for a, b in zip(answers, before)), 20)
-    ended.set()
-    for thread in threads:
-        thread.join(20)
-    assert faults == []
-
-
-def test_draining_answers_what_has_arrived(slave, authority):
-    one = slave()
-    with Secure(one, authority, person(authority, "m", "Engineer")) as master:
-        master.read(1200, 2)
-        frames = [master.frame(1, EVERYTHING) for _ in range(20)]
-        master.socket.sendall(b"".join(frames))
-        assert len(master.receive()[2]) == 82
-        one.terminate()
-        for _ in frames[1:]:
-            assert len(master.receive()[2]) == 82
-        assert master.is_closed()
-    assert one.wait() == 0
-
-
-# A request has too few bytes for the flood of those; test_tls.py has it, through the same transport.
-@pytest.mark.parametrize("how", [how for how in FLOODS if how != "bytes"])
-def test_a_flood_of_records_holds_nobody(slave, authority, tmp_path, how):
-    one = slave("--workers", "1", "--max-in-flight", "1", rules="")
-    context = context_of(authority, person(authority, "m"))
-    rude = Recorder(port_of(one), context, FLOODS[how], tmp_path)
-    request = b"\0\1\0\0\0\6\1" + READ_NAME
-    rude.assert_others_are_served(one, how, request, "modbus_transactions")
 
 
 # ---- what TLS has to be like ---------------------------------------------------------------------

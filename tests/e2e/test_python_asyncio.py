@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import asyncio
 import os
-import socket
 import time
 
 import dipole
 import numpy as np
 import pytest
-from daemons import PROGRAM, eventually
+from daemons import eventually
 from dipole import AsyncClient, Grid, Medium
 from frames import SKIN
 from messages import CALLS, RADII, assert_same
@@ -62,25 +61,6 @@ def test_many_at_a_time_are_told_apart(shared):
     run(ask())
 
 
-@pytest.mark.parametrize("count", [100, 3_000_000])
-def test_large_requests_and_replies(shared, count):
-    async def ask() -> None:
-        async with AsyncClient(shared.url()) as client:
-            radii = np.linspace(0.0, 9.0, count, dtype=np.float32)
-            listed, small, grid = await asyncio.gather(
-                client.eval("better", SKIN, radii, evaluator="f32"),
-                client.eval("better", SKIN, [1.0]),
-                client.eval("better", SKIN, grid=Grid(0.0, 9.0, count), evaluator="f32"),
-            )
-            assert listed.R.shape == grid.R.shape == (1, count)
-            np.testing.assert_array_equal(listed.r, radii)
-            again = await client.eval("better", SKIN, grid.r, evaluator="f32")
-            np.testing.assert_array_equal(again.R, grid.R)
-            assert small.R > 0
-
-    run(ask())
-
-
 def test_parts(daemon):
     """Other calls are made between two parts. Their answers come behind the parts."""
 
@@ -108,16 +88,6 @@ def test_parts_that_nobody_wants_more_of(daemon):
             assert (await client.eval("better", SKIN, [1.0])).R > 0
 
     one = daemon("--max-part-bytes", "16384", "--max-frame-bytes", "65536")
-    run(ask())
-
-
-def test_a_private_daemon(monkeypatch):
-    monkeypatch.delenv("DIPOLED", raising=False)
-
-    async def ask() -> None:
-        async with AsyncClient(f"private:{PROGRAM}") as client:
-            assert (await client.eval("better", SKIN, [1.0])).R > 0
-
     run(ask())
 
 
@@ -286,18 +256,6 @@ def test_a_silent_daemon(shared):
     run(ask())
 
 
-def test_nobody_is_there():
-    with socket.socket() as closed:
-        closed.bind(("127.0.0.1", 0))
-        port = closed.getsockname()[1]
-
-        async def ask() -> None:
-            with pytest.raises(dipole.ConnectError):
-                await AsyncClient(f"tcp:127.0.0.1:{port}", retry_s=0).open()
-
-        run(ask())
-
-
 # ---- a daemon that goes away ---------------------------------------------------------------------
 
 
@@ -340,19 +298,6 @@ def test_what_cannot_be_asked_again_is_lost(restarted):  # noqa: F811
             with pytest.raises(dipole.ConnectionLost):
                 async for _ in parts:
                     pass
-
-    run(ask())
-
-
-def test_deadlines_go_on_while_nobody_is_there(restarted):  # noqa: F811
-    async def ask() -> None:
-        async with AsyncClient(restarted.url, retry_s=RETRY_S) as client:
-            await client.ping()
-            restarted.pause_and_come_back()
-            with pytest.raises(dipole.Refused) as caught:
-                await client.eval("better", SKIN, [1.0], deadline_ms=1)
-            assert caught.value.status == "deadline"
-            assert (await client.eval("better", SKIN, [1.0])).R > 0
 
     run(ask())
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import copy
 import inspect
-import math
 import os
 import pickle
 import re
@@ -23,7 +22,6 @@ from daemons import BUILD, PROGRAM, REPOSITORY, environment
 from dipole import Grid, Medium, wire
 from dipole import connection as connections
 from frames import PING, SKIN, frame
-from lists import MODELS, takes
 
 THREE = [Medium(0.032, 0.74), Medium(0.17, 0.88), Medium(0.48, 1.01)]
 
@@ -71,12 +69,6 @@ def test_padded_arrays_are_cut_to_size(client, count):
     np.testing.assert_array_equal(result.R, np.hstack([one.R for one in one_by_one]))
     np.testing.assert_array_equal(result.cdf, np.hstack([one.cdf for one in one_by_one]))
     np.testing.assert_array_equal(result.r, r)
-
-
-def test_numerical_error_at_infinity(client):
-    result = client.eval("better", [Medium(0.0, 1.0), Medium(1.0, 1.0)], [0.0, math.inf])
-    assert np.all(result.numerical_error()[0] == result.numerical_error(0.0)[0])
-    assert result.numerical_error()[1, 1] == math.inf
 
 
 def test_media_may_be_given_in_many_ways(client):
@@ -161,12 +153,6 @@ def test_a_quantity_that_was_not_wanted_is_named(client):
         result.R
 
 
-def test_frequencies_are_printed_as_such(client):
-    shown = repr(client.eval("better", SKIN, [0.1, 1.0], wanted=["R_f", "albedo"]))
-    assert "2 frequencies, 0.1 to 1 1/mm" in shown
-    assert "2 radii, 0.1 to 1 mm" in repr(client.eval("better", SKIN, [0.1, 1.0], wanted=["R_f", "R"]))
-
-
 def test_what_is_printed_fits_three_lines(client):
     r = np.linspace(0.1, 9.0, 500)
     whole = [name for name in client.info.choices["quantity"] if name != "S"]
@@ -217,13 +203,6 @@ def test_an_unfit_python_is_told_what_to_do(before, said):
     assert re.match(f"ImportError: dipole needs {said}", run.stderr.splitlines()[-1])
 
 
-def test_ids_are_left_to_the_daemon(client):
-    with pytest.raises(dipole.Refused) as caught:
-        client.eval(999, SKIN, [1.0])
-    assert caught.value.field == "model"
-    assert client.eval(2, SKIN, [1.0]).model == "better"
-
-
 def test_parameters(client):
     angles = {"cos_in": 0.5, "cos_out": 0.25}
     answer = client.eval("better", THREE, [1.0], wanted=["S", "2_pi_r_R"], parameters=angles)
@@ -241,13 +220,6 @@ def test_parameters(client):
     assert not hasattr(client.eval("better", SKIN, [1.0], parameters={}), "S")
 
 
-def test_a_fit_model_by_name(client):
-    model = next(model for model in MODELS if "fit_model" in takes(model))
-    by_name = client.eval(model, SKIN, [1.0], parameters={"fit_model": "classical"})
-    by_id = client.eval(model, SKIN, [1.0], parameters={"fit_model": MODELS["classical"]})
-    assert by_name.R == by_id.R != client.eval(model, SKIN, [1.0]).R
-
-
 @pytest.mark.parametrize(
     "parameters, text",
     [
@@ -263,23 +235,6 @@ def test_parameters_that_do_not_fit(client, parameters, text):
         client.eval("better", SKIN, [1.0], parameters=parameters)
     assert text in str(caught.value)
     assert client.eval("better", SKIN, [1.0]).R.shape == (1, 1)
-
-
-def test_parameters_are_the_daemons_to_judge(client):
-    for parameters, field in [
-        ({"cos_in": 2}, "cos_in"),
-        ({"cos_in": math.nan}, "cos_in"),
-        ({"thickness": 1}, "thickness"),
-        ({999: 1}, "parameter"),
-    ]:
-        with pytest.raises(dipole.Refused) as caught:
-            client.eval("better", SKIN, [1.0], parameters=parameters)
-        assert caught.value.field == field
-
-
-def test_notes(client):
-    assert client.eval("better", SKIN, [1.0]).notes == ()
-    assert client.eval("better", Medium(0.1, 1.0, 0.5), [1.0]).notes == ("similarity",)
 
 
 def test_submit_and_collect(client):
@@ -363,17 +318,6 @@ def test_parts_that_are_not_wanted(small):
         small.collect()
 
 
-def test_parts_that_are_refused(small):
-    parts = small.eval_parts("better", SKIN, [1.0, -1.0])
-    with pytest.raises(dipole.Refused) as caught:
-        next(parts)
-    assert caught.value.field == "r"
-    assert list(parts) == []
-    assert len(list(small.eval_parts("better", SKIN, [1.0]))) == 1
-    with pytest.raises(dipole.ArgumentError):
-        small.eval_parts("worst", SKIN, [1.0])
-
-
 def test_much_may_be_submitted_before_anything_is_collected(client):
     """A client may submit megabytes of requests before it collects answers: neither end waits for
     the other forever."""
@@ -416,13 +360,6 @@ def test_addresses_where_nobody_answers(address):
     assert address in str(caught.value) and "tried for" not in str(caught.value)
 
 
-def test_port_where_nobody_answers():
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = server.getsockname()[1]
-    with pytest.raises(dipole.ConnectError):
-        dipole.Client(f"tcp:127.0.0.1:{port}", retry_s=0)
-
-
 def run_in_clone(folder: Path, has_build: bool, **variables: str):
     """Runs a program that imports the module of a fresh clone. PATH and DIPOLED are not set."""
     shutil.copytree(Path(dipole.__file__).parent, folder / "clients/python/dipole")
@@ -442,18 +379,6 @@ def test_daemon_of_a_clone(tmp_path):
     run = run_in_clone(tmp_path, True, DIPOLED_LISTEN=listen)
     assert (run.returncode, run.stdout, run.stderr) == (0, "private:\n", "")
     assert not (tmp_path / "s").exists()
-
-
-def test_pip_installs_it(tmp_path):
-    """pip installs the module, from a copy because pip leaves files in the source folder."""
-    source, target = tmp_path / "source", tmp_path / "target"
-    shutil.copytree(REPOSITORY / "clients/python", source)
-    options = ["--quiet", "--no-build-isolation", "--no-deps", "--no-index", "--target", target]
-    subprocess.run([sys.executable, "-m", "pip", "install", *options, source], check=True)
-    installed = sorted(path.name for path in (target / "dipole").iterdir() if path.is_file())
-    assert installed == sorted(path.name for path in (source / "dipole").iterdir())
-    version = re.search(r"^VERSION := (\S+)", (REPOSITORY / "Makefile").read_text(), re.M)[1]
-    assert (target / f"dipole-{version}.dist-info").is_dir()
 
 
 def test_the_environment_of_the_readme(tmp_path):

@@ -23,7 +23,7 @@ import pytest
 from certificates import Authority
 from daemons import Daemon, eventually, read_log_line, sanitized
 from dipole import Connection, ConnectionLost, wire
-from frames import EVAL, F32, R, assert_daemon_serves, eval_payload, frame, serves, statistics
+from frames import EVAL, F32, R, eval_payload, frame, serves, statistics
 from messages import (
     PARTS, Known, assert_answer, every_kind, known_answers, receive_answer, refusal, short_requests,
 )
@@ -85,14 +85,6 @@ class Others:
         assert eventually(lambda: self._failures or self.answered > until, 30)
 
 
-def reset(connection: Connection) -> None:
-    """Closes a connection like a host whose program has died: at once, over TCP with a reset."""
-    if connection.socket.family != socket.AF_UNIX:
-        linger = struct.pack("ii", 1, 0)
-        connection.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
-    connection.close()
-
-
 @pytest.fixture
 def descriptors():
     """Raises the limit of this process's file descriptors as far as possible."""
@@ -149,23 +141,6 @@ def test_a_flood_beyond_max_connections(daemon, descriptors):
     assert eventually(lambda: serves(one))
 
 
-def test_bytes_one_at_a_time_of_many(shared):
-    """Fifty connections each send a request, one byte at a time in turn."""
-    known = known_answers(shared, short_requests(50))
-    with contextlib.ExitStack() as all_of_them:
-        connections = [
-            all_of_them.enter_context(shared.connect(("unix", "tcp")[i % 2])) for i in range(50)
-        ]
-        requests = [one.frame(i) for i, one in enumerate(known)]
-        for at in range(max(map(len, requests))):
-            for connection, request in zip(connections, requests):
-                connection.send_bytes(request[at : at + 1])
-        for i, connection in enumerate(connections):
-            first, parts = receive_answer(connection)
-            assert first.request_id == i
-            assert_answer(known[i], first, parts)
-
-
 @pytest.mark.parametrize("scheme", ["unix", "tcp"])
 def test_half_close_with_everything_outstanding(daemon, scheme):
     one = daemon(*PARTS)
@@ -183,9 +158,6 @@ def test_half_close_with_everything_outstanding(daemon, scheme):
 
 # ---- clients that die, do not read, or talk nonsense ---------------------------------------------
 
-# A client sends some bytes of this request before it dies. The answer is large and in parts.
-LARGE = frame(EVAL, 1, eval_payload(radii=None, radius_count=400_000, evaluator=F32, wanted=R))
-
 
 def all_is_given_back(daemon: Daemon, idle_bytes: int) -> bool:
     """Returns whether the daemon has only the asking connection left, and has freed the buffers of
@@ -200,30 +172,6 @@ def idle_buffer_bytes(daemon: Daemon) -> int:
     with daemon.connect() as watcher:
         statistics(watcher)
         return statistics(watcher)["buffer_bytes"]
-
-
-@pytest.mark.parametrize("scheme", ["unix", "tcp"])
-def test_connections_that_break_anywhere(daemon, scheme):
-    """Connections break in the middle of a header, of a payload, of an answer and of a part of an
-    answer."""
-    one = daemon(*PARTS)
-    known = known_answers(one, every_kind())
-    idle_bytes = idle_buffer_bytes(one)
-    with Others(one, known) as others:
-        for sent, received in [(10, 0), (60, 0), (len(LARGE), 0), (len(LARGE), 1)] * 10:
-            with one.connect(scheme) as dying:
-                dying.send_bytes(LARGE[:sent])
-                dying.receive_bytes(received)
-                reset(dying)
-        for received in (100, 70_000, 500_000):
-            dying = [one.connect(scheme) for _ in range(10)]
-            for connection in dying:
-                connection.send_bytes(LARGE * 3)
-            for connection in dying:
-                connection.receive_bytes(received)
-                reset(connection)
-        others.have_gone_on()
-    assert eventually(lambda: all_is_given_back(one, idle_bytes))
 
 
 # This program sends its input over and over and reads the answers, until it is killed.
@@ -269,48 +217,6 @@ def test_processes_that_are_killed_at_full_speed(daemon):
                 victim.stdout.close()
             others.have_gone_on()
     assert eventually(lambda: all_is_given_back(one, idle_bytes))
-
-
-def test_twenty_clients_that_never_read(daemon):
-    """Twenty clients each ask several times for 64 million radii and never read. The others are
-    served."""
-    one = daemon("--max-part-bytes", "65536", "--max-queued-bytes", "65536")
-    known = known_answers(one, short_requests(40))
-    endless = eval_payload(radii=None, radius_count=64_000_000, evaluator=F32, wanted=R)
-    before_bytes = one.resident_bytes()
-    with contextlib.ExitStack() as all_of_them, Others(one, known) as others:
-        stuck = [all_of_them.enter_context(one.connect(("unix", "tcp")[i % 2])) for i in range(20)]
-        for connection in stuck:
-            connection.send_bytes(b"".join(frame(EVAL, k, endless) for k in range(4)))
-        with one.connect() as watcher:
-            for connection in stuck:  # When there is something to read, the answer has begun.
-                assert select.select([connection.socket], [], [], 30)[0]
-            others.have_gone_on(2000)
-            # A connection holds at most 512 KiB: its first 128 KiB, what may be queued, a part, and
-            # the rounding of a part.
-            assert statistics(watcher)["buffer_bytes"] < 23 * (512 << 10)
-        slack_bytes = (64 if sanitized() else 24) << 20
-        assert one.resident_bytes() < before_bytes + slack_bytes
-    assert_daemon_serves(one)
-
-
-def test_garbage_beside_good_work(daemon):
-    one = daemon(*PARTS)
-    known = known_answers(one, every_kind())
-    rng = random.Random(20)
-    with Others(one, known) as others:
-        for i in range(200):
-            with one.connect(("unix", "tcp")[i % 2]) as noisy:
-                garbage = rng.randbytes(rng.randrange(1, 5000))
-                good = known[i % 12].frame(7) if i % 3 == 0 else b""
-                with contextlib.suppress(ConnectionLost):
-                    noisy.send_bytes(good + garbage)
-                    noisy.half_close()
-                    if good:
-                        first, parts = receive_answer(noisy)
-                        assert_answer(known[i % 12], first, parts)
-        others.have_gone_on()
-    assert_daemon_serves(one)
 
 
 # ---- stopping under load -------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from pathlib import Path
 import dipole
 import pytest
 from daemons import END_S, PROGRAM, START_S, environment, run
-from frames import EVAL, PING, ask, assert_serves, eval_payload, frame
+from frames import PING, assert_serves, frame
 
 
 # This program passes sockets as a service manager does, from descriptor 3 on, and then becomes the
@@ -119,13 +119,6 @@ def test_passed_sockets_are_served(daemon, unix_listener, tcp_listener):
             assert client.eval("better", dipole.Medium(0.0, 1.0), [1.0]).albedo[0] == 1.0
 
 
-def test_who_came_before_the_daemon_is_served(daemon, unix_listener):
-    with dipole.Connection(url_of(unix_listener)) as early:
-        early.send_bytes(frame(EVAL, 7, eval_payload()))
-        daemon(**passing(unix_listener))
-        assert early.receive_frame().request_id == 7
-
-
 def test_passed_sockets_stay(daemon, unix_listener, tcp_listener):
     """Passed sockets stay open when the daemon ends: the manager still listens at them and can
     start another daemon."""
@@ -189,20 +182,6 @@ def test_a_wrong_number_of_sockets(count):
     assert ended.returncode == 1 and "LISTEN_FDS" in ended.stderr
 
 
-def test_as_many_sockets_as_are_taken(daemon, folder):
-    sockets = [socket.socket(socket.AF_UNIX) for _ in range(32)]
-    try:
-        for at, one in enumerate(sockets):
-            one.bind(f"{folder}/{at}")
-            one.listen()
-        for url in daemon(**passing(*sockets)).urls:
-            with dipole.Connection(url) as connection:
-                ask(connection, PING)
-    finally:
-        for one in sockets:
-            one.close()
-
-
 # ---- word ----------------------------------------------------------------------------------------
 
 
@@ -218,23 +197,11 @@ def test_word_of_readiness_and_of_stopping(daemon, manager, unix_listener):
     assert not manager.has_word()
 
 
-def test_word_to_an_abstract_socket(daemon):
-    manager = Manager(f"@dipoled-word-{os.getpid()}")
-    with manager.socket:
-        daemon(env={"NOTIFY_SOCKET": manager.name})
-        assert manager.hear()[0] == "READY=1"
-
-
 def test_no_word_of_readiness_without_it(manager, folder):
     ended = run("--listen", "nonsense", env={"NOTIFY_SOCKET": manager.name})
     assert ended.returncode == 1
     assert manager.hear()[0] == "STOPPING=1"
     assert not manager.has_word()
-
-
-def test_a_manager_that_is_gone_is_no_reason_to_stop(daemon, folder):
-    with daemon(env={"NOTIFY_SOCKET": f"{folder}/gone"}).connect() as connection:
-        assert_serves(connection)
 
 
 def test_a_private_daemon_has_no_word_for_its_users_manager(manager, monkeypatch):

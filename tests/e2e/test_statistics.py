@@ -7,14 +7,14 @@ import time
 import dipole
 import pytest
 from daemons import eventually
-from dipole import Connection, wire
+from dipole import Connection
 from frames import (
     BETTER, CLASSICAL, EVAL, F32, HELLO, MEDIA, PING, R, SKIN, ask, eval_payload, frame,
 )
 from lists import MODELS
+from messages import receive_answer
 
 KINDS = ["eval_short", "eval_long", "other", "refused"]
-QUANTILES = ["p50", "p90", "p99", "p999", "max"]
 
 # Requests, and the class in which their latency is counted. An eval of 128 radii is short.
 ASKED = {
@@ -73,38 +73,30 @@ def client_connection(client) -> Connection:
     return Connection(client.info.address)
 
 
-def test_latencies_are_plausible(daemon):
-    payload = eval_payload([SKIN], [1.0] * 16)
-    with daemon().client() as client, client_connection(client) as connection:
-        start = time.monotonic()
-        for _ in range(300):
-            ask(connection, EVAL, payload)
-        now = look_when(client, lambda now: now["latency_eval_short_count"] >= 300)
-        taken_us = (time.monotonic() - start) * 1e6
-    found = [now[f"latency_eval_short_{q}_us"] for q in QUANTILES]
-    assert found == sorted(found)
-    assert now["latency_eval_short_count"] == 300
-    # One request follows another, and each ends when its answer has been written, which the client
-    # may have read before.
-    assert 0 < found[-1] <= now["latency_eval_short_sum_us"] + 1 <= taken_us + 1
-    assert now["latency_eval_long_max_us"] == now["latency_refused_max_us"] == 0
-
-
-def test_a_slow_answer_is_slow(daemon):
-    """The latency of a grid that takes long to evaluate is the time until its last part."""
+def test_an_answer_lasts_until_its_last_part(daemon):
+    """And a request begins with its last byte: another latency is that of none that is sent slowly."""
     payload = eval_payload([SKIN], None, radius_count=20_000_000, wanted=R, evaluator=F32)
+    request = frame(EVAL, 1, eval_payload([SKIN], [1.0] * 16))
     with daemon().client() as client, client_connection(client) as connection:
         connection.send_bytes(frame(EVAL, 1, payload))
-        asked = time.monotonic()
-        fixed = wire.EVAL_REPLY.unpack(connection.receive_frame().payload)
-        while fixed.part + 1 < fixed.part_count:
-            fixed = wire.EVAL_REPLY.unpack(connection.receive_frame().payload)
-        waited_us = (time.monotonic() - asked) * 1e6
+        connection.receive_frame()
+        time.sleep(0.5)
+        _, parts = receive_answer(connection)
+        assert len(parts) > 10
         now = look_when(client, lambda now: now["latency_eval_long_count"] >= 1)
-    assert fixed.part_count > 10
-    assert now["latency_eval_long_count"] == 1
-    # Both ends measure until the same moment, except for bytes that lie in the socket.
-    assert waited_us / 2 - 20_000 < now["latency_eval_long_p50_us"] < waited_us + 20_000
+        assert now["latency_eval_long_max_us"] >= 500_000
+
+        def slowly() -> int:
+            before = client.statistics()
+            connection.send_bytes(request[:-8])
+            time.sleep(0.5)
+            connection.send_bytes(request[-8:])
+            connection.receive_frame()
+            name = "latency_eval_short_sum_us"
+            now = look_when(client, lambda now: now[name] > before[name])
+            return now[name] - before[name]
+
+        assert any(slowly() < 500_000 for _ in range(3))  # the machine may be busy
 
 
 def test_the_duration_of_a_walk_is_no_latency(daemon):
@@ -122,19 +114,6 @@ def test_the_duration_of_a_walk_is_no_latency(daemon):
     assert latency_counts(after) == expected
 
 
-def test_the_wait_for_the_last_byte_does_not_count(daemon):
-    """A request that the client sends slowly is not slow in the daemon."""
-    request = frame(EVAL, 1, eval_payload([SKIN], [1.0] * 16))
-    with daemon().client() as client, client_connection(client) as connection:
-        for at in range(0, len(request), 10):
-            connection.send_bytes(request[at : at + 10])
-            time.sleep(0.02)
-        connection.receive_frame()
-        now = look_when(client, lambda now: now["latency_eval_short_count"] >= 1)
-    assert now["latency_eval_short_count"] == 1
-    assert now["latency_eval_short_max_us"] < 20_000 * (len(request) // 10) / 2
-
-
 def test_radii_by_model(daemon):
     with daemon().client() as client, client_connection(client) as connection:
         ask(connection, EVAL, eval_payload([SKIN] * 3, [1.0] * 1000, model=BETTER))
@@ -146,23 +125,6 @@ def test_radii_by_model(daemon):
     assert radii.pop("classical") == 10
     assert set(radii.values()) == {0}
     assert now["radii_evaluated"] == 3010
-
-
-def test_batch_sizes(daemon):
-    sizes = [1 << i for i in range(9)]
-    request = frame(EVAL, 1, eval_payload([SKIN], [1.0] * 16, model=BETTER, wanted=R))
-    with daemon().client() as client, client_connection(client) as connection:
-        for count in (1, 1, 2, 5, 40):
-            connection.send_bytes(request * count)
-            for _ in range(count):
-                connection.receive_frame()
-        now = client.statistics()
-    upto = [now[f"batches_up_to_{size}_requests"] for size in sizes]
-    assert upto == sorted(upto)
-    assert upto[0] >= 2
-    assert upto[-1] == now["batches_evaluated"]
-    assert now["batched_requests"] == 49
-    assert 5 <= now["batches_evaluated"] <= 49
 
 
 def test_queues(daemon):

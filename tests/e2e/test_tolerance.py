@@ -9,7 +9,7 @@ from functools import partial
 import dipole as python_client
 import numpy as np
 import pytest
-from command_line import FAILED, dipole, eval_json, eval_rows, says
+from command_line import FAILED, says
 from dipole import Grid, Medium, wire
 from frames import ALBEDO, EVAL, F32, R, SKIN, ask
 from frames import eval_payload
@@ -17,7 +17,6 @@ from lists import EVALUATORS, PARAMETERS
 
 TOLERANCE = PARAMETERS["tolerance"].id
 MEDIUM = ["--sigma-a", "0.032", "--sigma-s", "0.74"]  # SKIN
-RANGE = ["--from", "0.5", "--to", "8", "--count", "3"]
 
 
 def error_of(answer: python_client.Result) -> float:
@@ -31,20 +30,6 @@ def total(offer: python_client.Offer, count: int) -> float:
 
 
 # ---- Python --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("tolerance", [0.5, 0.1, 0.01, 1e-3, 1e-5])
-@pytest.mark.parametrize("evaluator", ["f64", "f32", None])
-def test_the_answer_keeps_the_tolerance(client, tolerance, evaluator):
-    media = [SKIN, (0.17, 0.88, 0.0, 1.3)]
-    how = {"evaluator": evaluator, "tolerance": tolerance, "wanted": ["R", "albedo"]}
-    answer = client.eval(None, media, [0.5, 2.0, 6.0], **how)
-    assert error_of(answer) <= tolerance * (1 + 1e-6)
-    assert answer.R.dtype == (np.float64 if evaluator == "f64" else np.float32)
-    assert (answer.evaluator == "f64") == (evaluator == "f64")
-    exact = client.eval("transport", media, [0.5, 2.0, 6.0], tolerance=1e-8)
-    np.testing.assert_allclose(answer.R, exact.R, rtol=tolerance)
-    np.testing.assert_allclose(answer.albedo, exact.albedo, rtol=tolerance)
 
 
 def test_the_choice_is_that_of_the_offers(client):
@@ -104,22 +89,6 @@ def test_a_medium_whose_error_nothing_bounds_is_named(client):
                           ((1500.0, 1.0, 0.0, 1.4), "sigma_a/sigma_s' 1500 is above 1e+03")):
         error = refusal(client, [medium], [1.0], tolerance=0.1, wanted="R")
         assert error.allowed == f"{known}: {cause}"
-
-
-def test_what_the_table_does_not_keep_is_solved(client):
-    """A tolerance below the table's error, then a medium beyond the table."""
-    medium, radii, how = THREE[0], [2.5, 5.0], {"evaluator": "f64", "wanted": ["R", "albedo"]}
-    table = client.eval("transport", medium, radii, **how)
-    assert error_of(table) > 3e-4
-    for answer in (client.eval(None, medium, radii, tolerance=3e-4, **how),
-                   client.eval("transport", medium, radii, tolerance=3e-4, **how)):
-        assert answer.model == "transport" and error_of(answer) <= 3e-4
-        np.testing.assert_allclose(answer.R, table.R, rtol=error_of(answer) + error_of(table))
-        assert (answer.R != table.R).all()
-    beyond = [SKIN, (0.1, 1.0, 0.0, 2.5)]
-    answer = client.eval(None, beyond, radii, tolerance=0.01, **how)
-    assert error_of(answer) <= 0.01
-    assert answer.R.tobytes() == client.eval("transport", beyond, radii, **how).R.tobytes()
 
 
 def test_wrong_arguments(client):
@@ -187,29 +156,6 @@ def test_all_parts_have_one_choice(client):
 
 
 # ---- dipole eval ---------------------------------------------------------------------------------
-
-
-def test_all_formats_name_what_was_taken(client):
-    asked = [*MEDIUM, "--tolerance", "0.1", *RANGE]
-    rows, report = eval_rows(*asked), eval_json(*asked)
-    how = {"grid": Grid(0.5, 8.0, 3), "tolerance": 0.1, "wanted": ["R", "albedo"]}
-    taken = client.offers(SKIN, **how).taken
-    answer = client.eval(None, SKIN, **how)
-    assert np.array([row["R"] for row in rows], answer.R.dtype).tolist() == answer.R[0].tolist()
-    for row, same in zip(rows, report["rows"], strict=True):
-        assert (row["model"], row["evaluator"]) == (taken.model, taken.evaluator)
-        assert (same["evaluator"], same["R"]) == (row["evaluator"], float(row["R"]))
-        assert float(row["model_error"]) == answer.model_error[0] <= 0.1
-    text = dipole("eval", *asked).stdout
-    assert f"\ntook {taken.model} ({taken.evaluator}), the cheapest that keeps the tolerance\n" in text
-    assert "took" not in dipole("eval", *MEDIUM, "--r", "1").stdout
-
-
-def test_double_precision_where_only_that_will_do():
-    for tolerance, more in (("3.25e-6", []), ("0.01", ["--evaluator", "f64"])):
-        asked = [*MEDIUM, "--tolerance", tolerance, "--r", "1", "--wanted", "R", *more]
-        (row,) = eval_rows(*asked)
-        assert row["evaluator"] == "f64" and float(row["model_error"]) <= float(tolerance)
 
 
 test_refusals_have_the_daemons_words = says(FAILED, ["eval", *MEDIUM], [
