@@ -63,15 +63,11 @@ struct fuzz_bytes {
 /* Makes room for so many bytes behind those gathered, and returns where they begin. */
 uint8_t *fuzz_gather(struct fuzz_bytes *gathered, size_t bytes);
 
-/* These decode the payload of a reply and check it, and return whether it is one. drawn: whether it
- * answers a sample request. honest: whether it is the daemon's, so that its values must be valid,
- * too. */
-bool fuzz_decode_eval_reply(const uint8_t *payload, size_t size, bool drawn, bool honest);
-bool fuzz_decode_invert_reply(const uint8_t *payload, size_t size);
-bool fuzz_decode_fit_reply(const uint8_t *payload, size_t size);
-bool fuzz_decode_points_reply(const uint8_t *payload, size_t size);
-bool fuzz_decode_gather_reply(const uint8_t *payload, size_t size);
-bool fuzz_decode_varying_reply(const uint8_t *payload, size_t size);
-bool fuzz_decode_mc_reply(const uint8_t *payload, size_t size, bool *under_way);
+/* Takes the payload of a reply apart, reads all its bytes, and returns whether it is one. `type`: that
+ * of a reply in parts, of a table or of points. */
+bool fuzz_decode_reply(unsigned type, const uint8_t *payload, size_t size);
+
+/* Checks the values of a daemon's reply to eval or, if `drawn` is true, to sample. */
+void fuzz_check_evaluated(const uint8_t *payload, size_t size, bool drawn);
 
 #endif

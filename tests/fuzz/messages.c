@@ -1,5 +1,5 @@
-/* The target for messages: payloads are decoded, and what was decoded is encoded. The replies' part
- * serves the other targets, too. */
+/* The target for messages: payloads are checked and read to their last byte, and what was decoded is
+ * encoded. The replies' part serves the other targets, too. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -37,20 +37,42 @@ static void round_trips(const uint8_t *data, size_t size) {
 #include "proto/messages.def"
 }
 
+/* ---- parts ---------------------------------------------------------------------------------- */
+
+static const schema_payload *payload_of(unsigned type) {
+  for (const schema_message *message = schema_messages; message->type != 0; message++) {
+    if (message->type == (type & ~(unsigned)WIRE_REPLY)) {
+      return (type & WIRE_REPLY) != 0 ? message->reply : message->request;
+    }
+  }
+  return NULL;
+}
+
+/* Reads all parts, each from a block of its own. They lie one behind the other, and fill the
+ * payload. */
+static void read_parts(const schema_payload *schema, const schema_layout *layout,
+                       const uint8_t *payload, size_t size) {
+  uint64_t at = schema->fixed_bytes;
+  CHECK(at <= size);
+  for (size_t i = 0; schema->parts[i].name != NULL; i++) {
+    const uint64_t end = schema->parts[i + 1].name != NULL ? layout->parts[i + 1].at : size;
+    CHECK(layout->parts[i].at == at && at <= end && end <= size);
+    free(fuzz_copy(payload + at, (size_t)(end - at)));
+    at = end;
+  }
+  CHECK(at == size);
+}
+
+/* ---- requests ------------------------------------------------------------------------------- */
+
 static bool is_good(const wire_error *error) {
   if (error->status == WIRE_STATUS_OK) {
     return true;
   }
   CHECK(error->status == WIRE_STATUS_BAD_LENGTH || error->status == WIRE_STATUS_BAD_COUNT ||
-        error->status == WIRE_STATUS_BAD_VALUE);
+        error->status == WIRE_STATUS_BAD_VALUE || error->status == WIRE_STATUS_TOO_LARGE);
   CHECK(error->field[0] != '\0' && error->allowed[0] != '\0');
   return false;
-}
-
-/* Reads all bytes of an array, and checks that it lies in the payload. */
-static void read_array(const uint8_t *payload, size_t size, uint64_t offset, uint64_t bytes) {
-  CHECK(offset <= size && bytes <= size - offset);
-  free(fuzz_copy(payload + offset, (size_t)bytes));
 }
 
 /* Encodes and decodes parameters once more, and checks that they are the same. */
@@ -63,69 +85,10 @@ static void check_parameters(const core_parameters *parameters, uint32_t count) 
   CHECK(memcmp(again.value, parameters->value, sizeof again.value) == 0);
 }
 
-static void check_lists(const eval_request *request, const uint8_t *payload, size_t size,
-                        uint64_t listed) {
-  const uint64_t value_bytes = core_evaluator_bytes(request->fixed.evaluator);
-  CHECK(value_bytes == 4 || value_bytes == 8);
-  read_array(payload, size, (uint64_t)(request->media - payload),
-             request->fixed.medium_count * (uint64_t)WIRE_BYTES_medium);
-  CHECK((request->radii != NULL) == (listed > 0 || request->radii != NULL));
-  if (listed > 0) {
-    read_array(payload, size, (uint64_t)((const uint8_t *)request->radii - payload),
-               listed * value_bytes);
-  }
-  check_parameters(&request->parameters, request->fixed.parameter_count);
-}
-
-static void decode_eval(const uint8_t *payload, size_t size) {
-  eval_request request;
-  const wire_error error = eval_request_parse(payload, size, &request);
-  if (is_good(&error)) {
-    const wire_eval_request *fixed = &request.fixed;
-    const uint64_t listed = fixed->spacing == CORE_SPACING_LIST ? fixed->radius_count : 0;
-    check_lists(&request, payload, size, listed);
-    CHECK(schema_bytes(&schema_eval_request, payload) == size);
-    uint8_t again[WIRE_BYTES_eval_request];
-    wire_put_eval_request(again, fixed);
-    CHECK(memcmp(again, payload, sizeof again) == 0);
-  }
-}
-
-static void decode_sample(const uint8_t *payload, size_t size) {
-  core_draw draw;
-  eval_request request;
-  const wire_error error = sample_request_parse(payload, size, &draw, &request);
-  if (is_good(&error)) {
-    const uint64_t listed = draw.rule == CORE_DRAW_LIST ? draw.count : 0;
-    check_lists(&request, payload, size, listed);
-    CHECK(schema_bytes(&schema_sample_request, payload) == size);
-  }
-}
-
-static void decode_invert(const uint8_t *payload, size_t size) {
-  invert_request request;
-  const wire_error error = invert_request_parse(payload, size, &request);
-  if (is_good(&error)) {
-    const uint64_t bytes = request.fixed.medium_count * sizeof(double);
-    read_array(payload, size, (uint64_t)((const uint8_t *)request.albedos - payload), bytes);
-    read_array(payload, size, (uint64_t)((const uint8_t *)request.lengths - payload), bytes);
-    CHECK(schema_bytes(&schema_invert_request, payload) == size);
-  }
-}
-
 /* The design of a good request is written and read again. */
-static void decode_fit(const uint8_t *payload, size_t size) {
-  fit_request request;
-  const wire_error error = fit_request_parse(payload, size, &request);
-  if (!is_good(&error)) {
-    return;
-  }
-  const uint64_t numbers = request.fixed.set_count * request.design.reading_count * sizeof(double);
-  read_array(payload, size, (uint64_t)((const uint8_t *)request.values - payload), numbers);
-  read_array(payload, size, (uint64_t)((const uint8_t *)request.errors - payload), numbers);
-  CHECK(schema_bytes(&schema_fit_request, payload) == size);
+static void check_design(const fit_request *request, const uint8_t *payload, size_t size) {
   fit_design read;
-  fit_design_read(request.design_bytes, &read);
+  fit_design_read(request->design_bytes, &read);
   if (read.design.detector_na != 0) { /* a parameter on the wire, where 0 is one, too */
     const double aperture = read.design.detector_na;
     read.parameters.value[CORE_PARAMETER_DETECTOR_NA] = isnan(aperture) ? 0 : aperture;
@@ -139,30 +102,72 @@ static void decode_fit(const uint8_t *payload, size_t size) {
   schema_put_part(again, &layout, FIT_AT, read.design.at);
   schema_put_part(again, &layout, FIT_SOURCE, read.design.source_mm);
   schema_put_part(again, &layout, FIT_DETECTOR, read.design.detector_mm);
-  schema_put_part(again, &layout, FIT_VALUES, request.values);
-  CHECK(schema_put_part(again, &layout, FIT_ERRORS, request.errors) == again + size);
+  schema_put_part(again, &layout, FIT_VALUES, request->values);
+  CHECK(schema_put_part(again, &layout, FIT_ERRORS, request->errors) == again + size);
   free(again);
 }
 
-static void decode_mc(const uint8_t *payload, size_t size) {
-  mc_request request;
-  const wire_error error = mc_request_parse(payload, size, &request);
-  if (is_good(&error)) {
-    CHECK(request.fixed.albedo_count <= CORE_MC_ALBEDOS_MAX);
-    CHECK(schema_bytes(&schema_mc_request, payload) +
-              channels_count_parameters(&request.parameters) * (uint64_t)WIRE_BYTES_parameter ==
-          size);
+/* Takes a request apart as the daemon does. Returns whether it is a good one. */
+static bool decode_request(unsigned type, const uint8_t *payload, size_t size) {
+  union {
+    eval_request eval;
+    invert_request invert;
+    fit_request fit;
+    mc_request mc;
+    table_request table;
+    varying_request varying;
+    points_request points;
+    gather_request gather;
+  } request;
+  core_draw draw;
+  wire_error error = {.status = WIRE_STATUS_BAD_TYPE};
+#define PARSE(IDENT, name, ...)                                                                    \
+  case WIRE_TYPE_##IDENT:                                                                          \
+    error = name##_request_parse(payload, size, __VA_ARGS__);                                      \
+    break
+  switch (type) {
+    PARSE(EVAL, eval, &request.eval);
+    PARSE(OFFERS, eval, &request.eval);
+    PARSE(SAMPLE, sample, &draw, &request.eval);
+    PARSE(INVERT, invert, &request.invert);
+    PARSE(FIT, fit, &request.fit);
+    PARSE(MC, mc, &request.mc);
+    PARSE(TABLE, table, &request.table);
+    PARSE(VARYING, varying, &request.varying);
+    PARSE(POINTS, points, &request.points);
+    PARSE(GATHER, gather, &request.gather);
+  default:
+    return false;
   }
+#undef PARSE
+  if (!is_good(&error)) {
+    return false;
+  }
+  switch (type) {
+  case WIRE_TYPE_FIT:
+    check_design(&request.fit, payload, size);
+    break;
+  case WIRE_TYPE_TABLE:
+    check_parameters(&request.table.parameters, request.table.fixed.parameter_count);
+    break;
+  case WIRE_TYPE_VARYING:
+    check_parameters(&request.varying.parameters, request.varying.fixed.parameter_count);
+    break;
+  case WIRE_TYPE_GATHER:
+    check_parameters(&request.gather.parameters, request.gather.fixed.parameter_count);
+    break;
+  case WIRE_TYPE_EVAL:
+  case WIRE_TYPE_OFFERS:
+  case WIRE_TYPE_SAMPLE:
+    check_parameters(&request.eval.parameters, request.eval.fixed.parameter_count);
+    break;
+  default:
+    break;
+  }
+  return true;
 }
 
-static void decode_table(const uint8_t *payload, size_t size) {
-  table_request request;
-  const wire_error error = table_request_parse(payload, size, &request);
-  if (is_good(&error)) {
-    check_parameters(&request.parameters, request.fixed.parameter_count);
-    CHECK(schema_bytes(&schema_table_request, payload) == size);
-  }
-}
+/* ---- replies -------------------------------------------------------------------------------- */
 
 /* Checks that values are what their quantity can be: not NaN, not negative unless they are ln R or a
  * derivative, and a cdf is at most 1. */
@@ -198,171 +203,81 @@ static void check_albedo(const wire_eval_reply *fixed, const uint8_t *payload,
          (fixed->notes & CORE_NOTE_ALBEDO_ABOVE_1 || albedo <= 1 + error.numerical_error)));
 }
 
-bool fuzz_decode_eval_reply(const uint8_t *payload, size_t size, bool drawn, bool honest) {
+void fuzz_check_evaluated(const uint8_t *payload, size_t size, bool drawn) {
   wire_eval_reply fixed;
   eval_layout layout;
-  if (!eval_reply_parse(payload, size, drawn, &fixed, &layout)) {
-    return false;
-  }
+  CHECK(eval_reply_parse(payload, size, drawn, &fixed, &layout));
   const unsigned wanted = fixed.wanted | (drawn ? EVAL_DRAWN : 0);
-  CHECK(layout.payload_bytes == size && fixed.part < fixed.part_count);
   for (uint32_t i = 0; i < fixed.channel_count; i++) {
-    read_array(payload, size, eval_albedo_offset(i), sizeof(double));
-    read_array(payload, size, eval_error_offset(&layout, wanted, i, 1),
-               (uint64_t)layout.errors_per_channel * WIRE_BYTES_quantity_error);
-    if (honest) {
-      check_albedo(&fixed, payload, &layout, wanted, i);
-    }
+    check_albedo(&fixed, payload, &layout, wanted, i);
     for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
       if (eval_is_array(wanted, quantity->id)) {
         const uint64_t at = eval_array_offset(&layout, wanted, i, (enum core_quantity)quantity->id);
-        read_array(payload, size, at, layout.array_bytes);
-        if (honest) {
-          check_values(payload + at, fixed.count, fixed.evaluator, quantity->id);
-        }
+        check_values(payload + at, fixed.count, fixed.evaluator, quantity->id);
       }
     }
   }
-  if (!drawn && fixed.wanted & CORE_QUANTITY_RADIUS) {
-    read_array(payload, size, layout.radius_offset, layout.array_bytes);
-  }
-  return true;
 }
 
-bool fuzz_decode_invert_reply(const uint8_t *payload, size_t size) {
-  wire_invert_reply fixed;
-  const bool good = invert_reply_parse(payload, size, &fixed);
-  for (int array = 0; good && array < INVERT_ARRAYS; array++) {
-    read_array(payload, size, invert_array_offset((enum invert_array)array, fixed.count),
-               fixed.count * sizeof(double));
-  }
-  return good;
-}
-
-bool fuzz_decode_fit_reply(const uint8_t *payload, size_t size) {
-  wire_fit_reply fixed;
-  const bool good = fit_reply_parse(payload, size, &fixed);
-  if (good) {
-    CHECK(fit_reply_bytes(fixed.count, fixed.reading_count) == size);
-    read_array(payload, size, WIRE_BYTES_fit_reply, fixed.count * WIRE_BYTES_fitted);
-    read_array(payload, size, fit_residuals_offset(fixed.count),
-               fixed.count * fixed.reading_count * sizeof(double));
-  }
-  return good;
-}
-
-static void decode_points(const uint8_t *payload, size_t size) {
-  points_request request;
-  const wire_error error = points_request_parse(payload, size, &request);
-  if (error.status == WIRE_STATUS_TOO_LARGE || !is_good(&error)) {
-    return;
-  }
-  const wire_points_request *fixed = &request.fixed;
-  CHECK(fixed->part_points <= fixed->point_count - fixed->point_first);
-  read_array(payload, size, (uint64_t)((const uint8_t *)request.xyz - payload),
-             fixed->part_points * GATHER_AXES * sizeof(double));
-  read_array(payload, size, (uint64_t)((const uint8_t *)request.power - payload),
-             fixed->part_points * fixed->channel_count * sizeof(float));
-  CHECK(schema_bytes(&schema_points_request, payload) == size);
-}
-
-static void decode_gather(const uint8_t *payload, size_t size) {
-  gather_request request;
-  const wire_error error = gather_request_parse(payload, size, &request);
-  if (error.status == WIRE_STATUS_TOO_LARGE || !is_good(&error)) {
-    return;
-  }
-  const wire_gather_request *fixed = &request.fixed;
-  read_array(payload, size, (uint64_t)((const uint8_t *)request.media - payload),
-             fixed->medium_count * (uint64_t)WIRE_BYTES_medium);
-  read_array(payload, size, (uint64_t)((const uint8_t *)request.queries - payload),
-             fixed->query_count * GATHER_AXES * sizeof(double));
-  check_parameters(&request.parameters, fixed->parameter_count);
-  CHECK(schema_bytes(&schema_gather_request, payload) == size);
-}
-
-bool fuzz_decode_points_reply(const uint8_t *payload, size_t size) {
-  wire_points_reply fixed;
-  return points_reply_parse(payload, size, &fixed);
-}
-
-bool fuzz_decode_gather_reply(const uint8_t *payload, size_t size) {
-  wire_gather_reply fixed;
-  if (!gather_reply_parse(payload, size, &fixed)) {
-    return false;
-  }
-  read_array(payload, size, gather_sums_offset(fixed.channel_count),
-             fixed.count * fixed.channel_count * sizeof(double));
-  return true;
-}
-
-static void decode_varying(const uint8_t *payload, size_t size) {
-  varying_request request;
-  if (varying_request_parse(payload, size, &request).status != WIRE_STATUS_OK) {
-    return;
-  }
-  check_parameters(&request.parameters, request.fixed.parameter_count);
-  const size_t bytes =
-      (size_t)request.fixed.value_count * core_evaluator_bytes(request.fixed.evaluator);
-  const void *arrays[] = {request.media[0], request.media[1], request.numbers};
-  for (size_t i = 0; i < sizeof arrays / sizeof arrays[0]; i++) {
-    if (arrays[i] != NULL) {
-      read_array(payload, size, (uint64_t)((const uint8_t *)arrays[i] - payload), bytes);
-    }
-  }
-}
-
-bool fuzz_decode_varying_reply(const uint8_t *payload, size_t size) {
-  wire_varying_reply fixed;
-  varying_layout layout;
-  if (!varying_reply_parse(payload, size, &fixed, &layout)) {
-    return false;
-  }
-  for (uint32_t array = 1; array != 0 && array <= layout.arrays; array <<= 1) {
-    if ((layout.arrays & array) != 0) {
-      read_array(payload, size, varying_array_offset(&layout, array), layout.array_bytes);
-    }
-  }
-  read_array(payload, size, layout.status_offset, fixed.count);
-  return true;
-}
-
-bool fuzz_decode_mc_reply(const uint8_t *payload, size_t size, bool *under_way) {
-  wire_mc_reply fixed;
-  mc_layout layout;
-  if (!mc_reply_parse(payload, size, &fixed, &layout)) {
-    return false;
-  }
-  *under_way = fixed.state == MC_UNDER_WAY;
-  if (!*under_way) {
-    CHECK(layout.payload_bytes == size);
-    for (uint32_t side = 0; side < fixed.side_count; side++) {
-      read_array(payload, size, mc_photons_offset(&layout, fixed.ring_count, side),
-                 fixed.ring_count * sizeof(uint64_t));
-      for (uint32_t i = 0; i < 2 * fixed.albedo_count; i++) {
-        read_array(payload, size,
-                   mc_rings_offset(&layout, fixed.side_count, fixed.ring_count, i / 2, side, i % 2),
-                   fixed.ring_count * sizeof(double));
-      }
-    }
-  }
-  return true;
-}
-
-static void decode_table_reply(const uint8_t *payload, size_t size) {
-  wire_table_reply fixed;
+/* Takes a reply apart as the client library does. */
+static bool parse_reply(unsigned type, const uint8_t *payload, size_t size) {
+  union {
+    wire_eval_reply eval;
+    wire_invert_reply invert;
+    wire_fit_reply fit;
+    wire_points_reply points;
+    wire_gather_reply gather;
+    wire_varying_reply varying;
+    wire_mc_reply mc;
+    wire_table_reply table;
+  } fixed;
+  eval_layout evaluated;
+  varying_layout varying;
+  mc_layout walked;
   core_parameters parameters;
   const float *words;
-  if (table_reply_parse(payload, size, &fixed, &parameters, &words)) {
-    check_parameters(&parameters, fixed.parameter_count);
-    read_array(payload, size, (uint64_t)((const uint8_t *)words - payload),
-               fixed.word_count * sizeof *words);
+  switch (type & ~(unsigned)WIRE_REPLY) {
+  case WIRE_TYPE_EVAL:
+  case WIRE_TYPE_SAMPLE:
+    return eval_reply_parse(payload, size, type == (WIRE_TYPE_SAMPLE | WIRE_REPLY), &fixed.eval,
+                            &evaluated);
+  case WIRE_TYPE_INVERT:
+    return invert_reply_parse(payload, size, &fixed.invert);
+  case WIRE_TYPE_FIT:
+    return fit_reply_parse(payload, size, &fixed.fit);
+  case WIRE_TYPE_POINTS:
+    return points_reply_parse(payload, size, &fixed.points);
+  case WIRE_TYPE_GATHER:
+    return gather_reply_parse(payload, size, &fixed.gather);
+  case WIRE_TYPE_VARYING:
+    return varying_reply_parse(payload, size, &fixed.varying, &varying);
+  case WIRE_TYPE_MC:
+    return mc_reply_parse(payload, size, &fixed.mc, &walked);
+  case WIRE_TYPE_TABLE:
+    if (!table_reply_parse(payload, size, &fixed.table, &parameters, &words)) {
+      return false;
+    }
+    check_parameters(&parameters, fixed.table.parameter_count);
+    return true;
+  default:
+    return false;
   }
+}
+
+bool fuzz_decode_reply(unsigned type, const uint8_t *payload, size_t size) {
+  const schema_payload *schema = payload_of(type);
+  schema_layout layout;
+  if (!parse_reply(type, payload, size)) {
+    return false;
+  }
+  CHECK(schema_is_whole(schema, payload, size, &layout));
+  read_parts(schema, &layout, payload, size);
+  return true;
 }
 
 /* The target for messages. An input is the type of a message, in two bytes, and a payload. */
 void fuzz_messages(const uint8_t *data, size_t size) {
-  bool under_way;
+  schema_layout layout;
   if (size < 2) {
     return;
   }
@@ -370,64 +285,12 @@ void fuzz_messages(const uint8_t *data, size_t size) {
   size -= 2;
   uint8_t *payload = fuzz_copy(data + 2, size);
   round_trips(payload, size);
-  switch (type) {
-  case WIRE_TYPE_EVAL:
-  case WIRE_TYPE_OFFERS:
-    decode_eval(payload, size);
-    break;
-  case WIRE_TYPE_SAMPLE:
-    decode_sample(payload, size);
-    break;
-  case WIRE_TYPE_INVERT:
-    decode_invert(payload, size);
-    break;
-  case WIRE_TYPE_FIT:
-    decode_fit(payload, size);
-    break;
-  case WIRE_TYPE_POINTS:
-    decode_points(payload, size);
-    break;
-  case WIRE_TYPE_GATHER:
-    decode_gather(payload, size);
-    break;
-  case WIRE_TYPE_VARYING:
-    decode_varying(payload, size);
-    break;
-  case WIRE_TYPE_MC:
-    decode_mc(payload, size);
-    break;
-  case WIRE_TYPE_TABLE:
-    decode_table(payload, size);
-    break;
-  case WIRE_TYPE_EVAL | WIRE_REPLY:
-    fuzz_decode_eval_reply(payload, size, false, false);
-    break;
-  case WIRE_TYPE_SAMPLE | WIRE_REPLY:
-    fuzz_decode_eval_reply(payload, size, true, false);
-    break;
-  case WIRE_TYPE_INVERT | WIRE_REPLY:
-    fuzz_decode_invert_reply(payload, size);
-    break;
-  case WIRE_TYPE_FIT | WIRE_REPLY:
-    fuzz_decode_fit_reply(payload, size);
-    break;
-  case WIRE_TYPE_POINTS | WIRE_REPLY:
-    fuzz_decode_points_reply(payload, size);
-    break;
-  case WIRE_TYPE_GATHER | WIRE_REPLY:
-    fuzz_decode_gather_reply(payload, size);
-    break;
-  case WIRE_TYPE_VARYING | WIRE_REPLY:
-    fuzz_decode_varying_reply(payload, size);
-    break;
-  case WIRE_TYPE_MC | WIRE_REPLY:
-    fuzz_decode_mc_reply(payload, size, &under_way);
-    break;
-  case WIRE_TYPE_TABLE | WIRE_REPLY:
-    decode_table_reply(payload, size);
-    break;
-  default:
-    break;
+  if ((type & WIRE_REPLY) != 0) {
+    fuzz_decode_reply(type, payload, size);
+  } else if (decode_request(type, payload, size)) {
+    const schema_payload *schema = payload_of(type);
+    CHECK(schema_check(schema, payload, size, &layout).status == WIRE_STATUS_OK);
+    read_parts(schema, &layout, payload, size);
   }
   free(payload);
 }

@@ -89,58 +89,44 @@ static bool check_part(uint32_t part, uint32_t part_count, uint32_t *next_part) 
 /* Checks one frame of an answer. Returns whether it is the last one for its request. */
 static bool check_answer(const wire_header *header, const uint8_t *payload, size_t size,
                          uint32_t *next_part) {
-  bool under_way = false;
-  switch (header->type) {
-  case WIRE_TYPE_ERROR: {
-    wire_error error;
+  const bool refused = header->type == WIRE_TYPE_ERROR;
+  const unsigned type = refused ? WIRE_TYPE_ERROR : header->type & ~(unsigned)WIRE_REPLY;
+  wire_error error;
+  wire_mc_reply walked;
+  wire_part part;
+  CHECK(refused ||
+        (header->type & WIRE_REPLY && strcmp(wire_type_name(header->type), "unknown") != 0));
+  switch (type) {
+  case WIRE_TYPE_ERROR:
     CHECK(size == WIRE_BYTES_error);
     wire_get_error(payload, &error);
     CHECK(error.status != WIRE_STATUS_OK && strcmp(wire_status_name(error.status), "unknown") != 0);
     CHECK(error.allowed[0] != '\0');
     return true;
-  }
-  case WIRE_TYPE_EVAL | WIRE_REPLY:
-  case WIRE_TYPE_SAMPLE | WIRE_REPLY: {
-    wire_eval_reply fixed;
-    CHECK(fuzz_decode_eval_reply(payload, size, header->type == (WIRE_TYPE_SAMPLE | WIRE_REPLY),
-                                 true));
-    wire_get_eval_reply(payload, &fixed);
-    return check_part(fixed.part, fixed.part_count, next_part);
-  }
-  case WIRE_TYPE_INVERT | WIRE_REPLY: {
-    wire_invert_reply fixed;
-    CHECK(fuzz_decode_invert_reply(payload, size));
-    wire_get_invert_reply(payload, &fixed);
-    return check_part(fixed.part, fixed.part_count, next_part);
-  }
-  case WIRE_TYPE_FIT | WIRE_REPLY: {
-    wire_fit_reply fixed;
-    CHECK(fuzz_decode_fit_reply(payload, size));
-    wire_get_fit_reply(payload, &fixed);
-    return check_part(fixed.part, fixed.part_count, next_part);
-  }
-  case WIRE_TYPE_VARYING | WIRE_REPLY: {
-    wire_varying_reply fixed;
-    CHECK(fuzz_decode_varying_reply(payload, size));
-    wire_get_varying_reply(payload, &fixed);
-    return check_part(fixed.part, fixed.part_count, next_part);
-  }
-  case WIRE_TYPE_POINTS | WIRE_REPLY:
-    CHECK(fuzz_decode_points_reply(payload, size));
+  case WIRE_TYPE_EVAL:
+  case WIRE_TYPE_SAMPLE:
+    fuzz_check_evaluated(payload, size, type == WIRE_TYPE_SAMPLE);
+    break;
+  case WIRE_TYPE_INVERT:
+  case WIRE_TYPE_FIT:
+  case WIRE_TYPE_VARYING:
+  case WIRE_TYPE_GATHER:
+    break;
+  case WIRE_TYPE_POINTS:
+    CHECK(fuzz_decode_reply(header->type, payload, size));
     return true;
-  case WIRE_TYPE_GATHER | WIRE_REPLY: {
-    wire_gather_reply fixed;
-    CHECK(fuzz_decode_gather_reply(payload, size));
-    wire_get_gather_reply(payload, &fixed);
-    return fixed.part + 1 == fixed.part_count; /* Other answers may come between its parts. */
-  }
-  case WIRE_TYPE_MC | WIRE_REPLY:
-    CHECK(fuzz_decode_mc_reply(payload, size, &under_way));
-    return !under_way;
+  case WIRE_TYPE_MC:
+    CHECK(fuzz_decode_reply(header->type, payload, size));
+    wire_get_mc_reply(payload, &walked);
+    return walked.state != MC_UNDER_WAY;
   default:
-    CHECK(header->type & WIRE_REPLY && strcmp(wire_type_name(header->type), "unknown") != 0);
     return true;
   }
+  CHECK(fuzz_decode_reply(header->type, payload, size));
+  wire_get_part(payload, &part);
+  /* Other answers may come between the parts of a sum of light. */
+  return type == WIRE_TYPE_GATHER ? part.part + 1 == part.part_count
+                                  : check_part(part.part, part.part_count, next_part);
 }
 
 /* Checks all answers to a stream. Returns how many requests they have answered completely. */
