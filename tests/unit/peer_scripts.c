@@ -70,6 +70,40 @@ uint8_t *peer_make_answer(const peer_frame *request, size_t garbled, size_t *cou
   return bytes;
 }
 
+static uint64_t radii_of(const peer_frame *request) {
+  wire_eval_request fixed;
+  wire_get_eval_request(request->payload, &fixed);
+  return fixed.radius_count;
+}
+
+uint32_t peer_parts_of(const peer_frame *request, uint64_t each) {
+  const uint64_t count = radii_of(request);
+  return count > each ? (uint32_t)((count + each - 1) / each) : 1;
+}
+
+bool peer_send_part(int fd, const peer_frame *request, uint32_t part, uint64_t each) {
+  const uint64_t first = part * each, left = radii_of(request) - first;
+  uint8_t *payload;
+  const size_t bytes = peer_evaluate_part(request, first, left < each ? left : each, part,
+                                          peer_parts_of(request, each), &payload);
+  const bool good =
+      peer_send(fd, WIRE_TYPE_EVAL | WIRE_REPLY, request->header.request_id, payload, bytes);
+  free(payload);
+  return good;
+}
+
+void peer_serve_parts(int fd, void *context) {
+  const uint64_t each = *(const uint64_t *)context;
+  peer_frame request;
+  bool good = peer_say_hello(fd);
+  while (good && peer_receive(fd, &request)) {
+    for (uint32_t part = 0; good && part < peer_parts_of(&request, each); part++) {
+      good = peer_send_part(fd, &request, part, each);
+    }
+    free(request.payload);
+  }
+}
+
 void peer_hang_up_in_answer(int fd, void *context) {
   peer_frame request;
   size_t count;

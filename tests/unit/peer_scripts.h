@@ -13,6 +13,12 @@ void peer_say_hello_or_abort(int fd);
 void peer_send_error(int fd, uint64_t id, enum wire_status status, uint32_t retry_after_ms);
 void peer_answer(int fd, const peer_frame *request);
 
+/* Returns how many parts of `each` radii, or fewer in the last one, answer an eval request. */
+uint32_t peer_parts_of(const peer_frame *request, uint64_t each);
+
+/* Sends one of these parts. Returns false if the client is gone. */
+bool peer_send_part(int fd, const peer_frame *request, uint32_t part, uint64_t each);
+
 /* Makes the frame that answers a request, *count bytes, which the caller frees. The bytes of its
  * payload from position `garbled` on are overwritten with 0xff. */
 uint8_t *peer_make_answer(const peer_frame *request, size_t garbled, size_t *count);
@@ -20,8 +26,9 @@ uint8_t *peer_make_answer(const peer_frame *request, size_t garbled, size_t *cou
 /* Scripts: each closes the connection at its end. */
 peer_script peer_hang_up_at_once, peer_hang_up_after_hello, peer_hang_up_after_request;
 peer_script
-    peer_hang_up_in_answer; /* of which it sends as many bytes as the size_t *context says */
-peer_script peer_be_full;   /* refuses the connection for the next 30 ms */
+    peer_hang_up_in_answer;   /* of which it sends as many bytes as the size_t *context says */
+peer_script peer_serve_parts; /* answers in parts of as many radii as the uint64_t *context says */
+peer_script peer_be_full;     /* refuses the connection for the next 30 ms */
 
 /* ---- clients ------------------------------------------------------------------------------- */
 

@@ -156,39 +156,12 @@ UNIT_TEST(test_every_shape) {
   peer_finish(&peer, client);
 }
 
-static uint32_t parts_of(const peer_frame *request, uint64_t each) {
-  wire_eval_request fixed;
-  wire_get_eval_request(request->payload, &fixed);
-  const uint64_t count = fixed.radius_count;
-  return count > each ? (uint32_t)((count + each - 1) / each) : 1;
-}
-
-static void serve_parts(int fd, void *context) {
-  const uint64_t each = *(const uint64_t *)context;
-  peer_frame request;
-  peer_say_hello_or_abort(fd);
-  while (peer_receive(fd, &request)) {
-    const uint32_t parts = parts_of(&request, each);
-    wire_eval_request fixed;
-    wire_get_eval_request(request.payload, &fixed);
-    for (uint32_t part = 0; part < parts; part++) {
-      const uint64_t first = part * each, left = fixed.radius_count - first;
-      uint8_t *payload;
-      const size_t bytes =
-          peer_evaluate_part(&request, first, left < each ? left : each, part, parts, &payload);
-      peer_send(fd, WIRE_TYPE_EVAL | WIRE_REPLY, request.header.request_id, payload, bytes);
-      free(payload);
-    }
-    free(request.payload);
-  }
-}
-
 UNIT_TEST(test_parts) {
   static const uint64_t sizes[] = {1, 3, 64};
   for (size_t i = 0; i < sizeof sizes / sizeof sizes[0]; i++) {
     uint64_t each = sizes[i];
     scripted_peer peer;
-    dipole_client *client = peer_begin_with(&peer, serve_parts, &each, NULL);
+    dipole_client *client = peer_begin_with(&peer, peer_serve_parts, &each, NULL);
     ask_all(client);
     peer_finish(&peer, client);
   }

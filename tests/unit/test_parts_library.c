@@ -48,39 +48,8 @@ static const unsigned wanted_f32 = DIPOLE_R | DIPOLE_ALBEDO | DIPOLE_RADIUS;
 
 /* ---- honest parts -------------------------------------------------------------------------- */
 
-static uint64_t count_of(const peer_frame *request) {
-  wire_eval_request fixed;
-  wire_get_eval_request(request->payload, &fixed);
-  return fixed.radius_count;
-}
-
 static uint32_t parts_of(uint64_t radii, uint64_t each) {
   return (uint32_t)((radii + each - 1) / each);
-}
-
-static bool send_part(int fd, const peer_frame *request, uint32_t part, uint64_t each) {
-  const uint64_t all = count_of(request), first = part * each;
-  const uint64_t count = all - first < each ? all - first : each;
-  uint8_t *payload;
-  const size_t bytes =
-      peer_evaluate_part(request, first, count, part, parts_of(all, each), &payload);
-  const bool good =
-      peer_send(fd, WIRE_TYPE_EVAL | WIRE_REPLY, request->header.request_id, payload, bytes);
-  free(payload);
-  return good;
-}
-
-/* A script that answers every request in parts of *context radii. */
-static void serve_parts(int fd, void *context) {
-  const uint64_t each = *(const uint64_t *)context;
-  peer_frame request;
-  bool good = peer_say_hello(fd);
-  while (good && peer_receive(fd, &request)) {
-    for (uint32_t part = 0; good && part < parts_of(count_of(&request), each); part++) {
-      good = send_part(fd, &request, part, each);
-    }
-    free(request.payload);
-  }
 }
 
 static const uint64_t sizes[] = {1, 7, 256, 999, 1000, 5000};
@@ -93,7 +62,7 @@ UNIT_TEST(test_parts_are_put_together) {
       scripted_peer peer;
       dipole_error error;
       dipole_result *result;
-      dipole_client *client = peer_begin(&peer, serve_parts, (void *)&sizes[i]);
+      dipole_client *client = peer_begin(&peer, peer_serve_parts, (void *)&sizes[i]);
       for (int again = 0; again < 2; again++) {
         peer_expect(dipole_eval(client, &query, &result, &error), &error);
         assert_int_equal(result->radius_count, PEER_RADII);
@@ -128,7 +97,7 @@ UNIT_TEST(test_parts_are_handed_on) {
     scripted_peer peer;
     dipole_error error;
     reading so_far = {0};
-    dipole_client *client = peer_begin(&peer, serve_parts, (void *)&sizes[i]);
+    dipole_client *client = peer_begin(&peer, peer_serve_parts, (void *)&sizes[i]);
     peer_expect(dipole_eval_parts(client, &query, read_part, &so_far, &error), &error);
     assert_int_equal(so_far.next, PEER_RADII);
     assert_int_equal(so_far.parts, parts_of(PEER_RADII, sizes[i]));
@@ -162,10 +131,10 @@ static void mix(int fd, void *context) {
     peer_receive_or_abort(fd, &request[i]);
   }
   for (uint32_t part = 0; part < parts_of(PEER_RADII, EACH); part++) {
-    send_part(fd, &request[2], part, EACH);
-    send_part(fd, &request[0], part, EACH);
+    peer_send_part(fd, &request[2], part, EACH);
+    peer_send_part(fd, &request[0], part, EACH);
     if (part == 1) {
-      send_part(fd, &request[1], 0, PEER_RADII);
+      peer_send_part(fd, &request[1], 0, PEER_RADII);
     }
   }
   for (size_t i = 0; i < BETWEEN; i++) {
@@ -221,7 +190,7 @@ static void be_late(int fd, void *context) {
     peer_receive_or_abort(fd, &request);
     assert_int_equal(request.header.deadline_ms, 250 + i);
     for (uint32_t part = 0; part < (i < 2 ? 2 : parts_of(PEER_RADII, EACH)); part++) {
-      send_part(fd, &request, part, each);
+      peer_send_part(fd, &request, part, each);
     }
     if (i < 2) {
       peer_send_error(fd, request.header.request_id, WIRE_STATUS_DEADLINE, 0);
@@ -260,7 +229,7 @@ UNIT_TEST(test_a_reader_may_stop) {
   dipole_error error;
   dipole_result *result;
   uint64_t id;
-  dipole_client *client = peer_begin(&peer, serve_parts, (void *)&each);
+  dipole_client *client = peer_begin(&peer, peer_serve_parts, (void *)&each);
   for (unsigned stop_after = 1; stop_after <= parts_of(PEER_RADII, EACH); stop_after++) {
     reading so_far = {.stop_after = stop_after};
     assert_false(dipole_eval_parts(client, &query, read_part, &so_far, &error));
@@ -300,7 +269,7 @@ static void break_rules(bool (*reader)(void *, const dipole_result *, uint64_t))
   const dipole_query query = query_of(DIPOLE_F64, wanted_f64, PEER_RADII);
   scripted_peer peer;
   dipole_error error;
-  dipole_client *client = peer_begin(&peer, serve_parts, (void *)&each);
+  dipole_client *client = peer_begin(&peer, peer_serve_parts, (void *)&each);
   if (setjmp(left) == 0) {
     dipole_eval_parts(client, &query, reader, client, &error);
   }
@@ -323,8 +292,8 @@ static void break_off(int fd, void *context) {
   (void)context;
   peer_say_hello(fd);
   peer_receive_or_abort(fd, &request);
-  send_part(fd, &request, 0, EACH);
-  send_part(fd, &request, 1, EACH);
+  peer_send_part(fd, &request, 0, EACH);
+  peer_send_part(fd, &request, 1, EACH);
   free(request.payload);
 }
 

@@ -399,33 +399,21 @@ UNIT_TEST(test_deadlines_end) {
 
 enum { RADII = 64 };
 
-static void send_parts(int fd, const peer_frame *request, uint32_t count, uint64_t each) {
-  for (uint32_t part = 0; part < count; part++) {
-    uint8_t *payload;
-    const size_t bytes =
-        peer_evaluate_part(request, part * each, each, part, (uint32_t)(RADII / each), &payload);
-    peer_send(fd, WIRE_TYPE_EVAL | WIRE_REPLY, request->header.request_id, payload, bytes);
-    free(payload);
-  }
-}
-
 static void send_three_parts(int fd, void *context) {
   peer_frame request;
   (void)context;
   peer_say_hello_or_abort(fd);
   peer_receive_or_abort(fd, &request);
-  send_parts(fd, &request, 3, 8);
+  for (uint32_t part = 0; part < 3; part++) {
+    peer_send_part(fd, &request, part, 8);
+  }
   free(request.payload);
 }
 
 static void send_other_parts(int fd, void *context) {
-  peer_frame request;
+  uint64_t each = 16;
   (void)context;
-  peer_say_hello_or_abort(fd);
-  while (peer_receive(fd, &request)) {
-    send_parts(fd, &request, 4, 16);
-    free(request.payload);
-  }
+  peer_serve_parts(fd, &each);
 }
 
 UNIT_TEST(test_parts_are_put_together_anew) {
