@@ -47,13 +47,10 @@ static void expect(const core_profile *profile, enum core_quantity quantity, dou
   *worst = fmax(*worst, off / stated);
 }
 
-static isotropic_solution *solved(double ratio, double eta) {
-  isotropic_boundary *boundary;
+static isotropic_solution *solved(isotropic_boundary *boundary, double ratio) {
   isotropic_solution *solution;
-  unit_assert_fault(isotropic_boundary_create(&boundary, eta, 1e-8), NULL, 0);
   unit_assert_fault(isotropic_solve(&solution, boundary, fmin(1 / (1 + ratio), 1 - 0x1p-53)), NULL,
                     0);
-  isotropic_boundary_free(boundary);
   return solution;
 }
 
@@ -62,12 +59,15 @@ static double ln_R(const isotropic_solution *solution, double x) {
 }
 
 UNIT_TEST(isotropic_media_are_as_the_independent_solver_has_them) {
-  static const double media[][2] = {{0.1, 3}, {300, 1.4}, {0, 0.5}}; /* ratio, eta */
-  for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
+  static const double media[][2] = {{300, 1.4}, {0, 0.5}, {0.1, 3}}; /* ratio, eta */
+  for (size_t i = 0; i < (unit_is_long() ? 3 : 2); i++) {
     const double ratio = media[i][0], eta = media[i][1], albedo = 1 / (1 + ratio), h = 1e-3;
     core_profile profile = prepared(ratio, 0, eta, 1e-2);
-    isotropic_solution *truth = solved(ratio, eta);
-    isotropic_solution *above = solved(ratio * exp(h), eta), *below = solved(ratio * exp(-h), eta);
+    isotropic_boundary *boundary;
+    unit_assert_fault(isotropic_boundary_create(&boundary, eta, 1e-8), NULL, 0);
+    isotropic_solution *truth = solved(boundary, ratio);
+    isotropic_solution *above = solved(boundary, ratio * exp(h));
+    isotropic_solution *below = solved(boundary, ratio * exp(-h));
     double worst = 0;
     for (double x = 1e-6; x < 3 * profile.reach.most_mm; x *= 2.5) {
       const double R = isotropic_at(truth, x).R.value;
@@ -90,12 +90,13 @@ UNIT_TEST(isotropic_media_are_as_the_independent_solver_has_them) {
     isotropic_solution_free(truth);
     isotropic_solution_free(above);
     isotropic_solution_free(below);
+    isotropic_boundary_free(boundary);
     core_profile_free(&profile);
   }
 }
 
 UNIT_TEST(anisotropic_media_are_as_finer_grids_have_them) {
-  static const double media[][3] = {{0.05, 0.97, 1.4}, {200, 0.9, 2}, {1, -0.9, 0.5}, {0, 0.99, 3}};
+  static const double media[][3] = {{200, 0.9, 2}, {0.05, 0.97, 1.4}, {1, -0.9, 0.5}, {0, 0.99, 3}};
   const size_t count = unit_is_long() ? 4 : 1;
   for (size_t i = 0; i < count; i++) {
     const double ratio = media[i][0], g = media[i][1], eta = media[i][2];
