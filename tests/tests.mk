@@ -167,7 +167,7 @@ check-asan check-tsan: check-%:
 
 # With sanitizers, clang cannot vectorize each loop that is marked for it.
 BUILT_FUZZ = build-fuzz
-BUILD_FUZZ = $(MAKE) --no-print-directory -j2 BUILD=$(BUILT_FUZZ) CC=clang CFLAGS='-O1 -g -Wno-pass-failed' SANITIZE='-fsanitize=fuzzer-no-link -fsanitize=address,undefined -fno-sanitize-recover=all' $(BUILT_FUZZ)/fuzz
+BUILD_FUZZ = $(MAKE) --no-print-directory -j2 BUILD=$(BUILT_FUZZ) CC=clang CFLAGS='-O1 -gline-tables-only -Wno-pass-failed' SANITIZE='-fsanitize=fuzzer-no-link -fsanitize=address,undefined -fno-sanitize-recover=all' $(BUILT_FUZZ)/fuzz
 # The corpus, and so many seconds of other inputs for each target, at most. The short form builds
 # portable kernels alone, which takes half the time.
 check-fuzz: FUZZ_S = 4

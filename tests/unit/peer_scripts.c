@@ -303,3 +303,26 @@ uint64_t peer_submit(dipole_client *client, uint64_t count) {
   assert_true(id != 0);
   return id;
 }
+
+void peer_check_each(dipole_client *client, uint64_t count) {
+  uint64_t *ids = calloc(count + 1, sizeof *ids), id;
+  dipole_result *result;
+  dipole_error error;
+  assert_non_null(ids);
+  for (uint64_t i = 1; i <= count; i++) {
+    ids[i] = peer_submit(client, i);
+  }
+  for (uint64_t k = 0; k < count; k++) {
+    peer_expect(dipole_collect(client, &id, &result, &error), &error);
+    uint64_t i = 1;
+    while (i <= count && ids[i] != id) {
+      i++;
+    }
+    assert_true(i <= count);
+    ids[i] = 0; /* so that a second answer to this query is noticed */
+    peer_check_result(result, i);
+  }
+  assert_false(dipole_collect(client, &id, &result, &error));
+  assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
+  free(ids);
+}

@@ -95,6 +95,10 @@ dipole_error peer_check_failure(dipole_client *client, enum dipole_error_kind ki
 /* Submits peer_query(count) and returns the request's id. */
 uint64_t peer_submit(dipole_client *client, uint64_t count);
 
+/* Submits peer_query(1) to peer_query(count), collects the answers in any order, and checks that each
+ * query has exactly one, the right one. */
+void peer_check_each(dipole_client *client, uint64_t count);
+
 /* Scripts that receive until the client ends. peer_accept_only() answers nothing, and
  * peer_be_silent() answers only hello. */
 peer_script peer_accept_only, peer_be_silent;

@@ -66,15 +66,16 @@ UNIT_TEST(test_what_is_said_of_a_wrong_separator) {
 }
 
 UNIT_TEST(test_wrong_lists) {
-  static const char *const cases[] = {
-      "unix:/a,tcp:",     "unix:/a,unix:", ",unix:/a",         "unix:/a,private:",
-      "private:,unix:/a", "tls:h",         "tls:h:0",          "tls:h:1,private:",
-      "unix:/a,tcp:h",    "tcp:h:1,",      "tcp:h:1, unix:/a", "tcp:a:1,b:2",
-      "tcp:a:1;tcp:b:2",
-  };
+  char cases[] = "|localhost:4817|http://localhost:4817|unix:|tcp:|tcp:localhost|"
+                 "tcp:localhost:|tcp::4817|tcp:localhost:0|tcp:localhost:65536|"
+                 "tcp:localhost:48a|tcp:localhost:-1|tcp:::1:4817|tcp:[]:4817|unix:/a,tcp:|"
+                 "unix:/a,unix:|,unix:/a|unix:/a,private:|private:,unix:/a|tls:h|tls:h:0|"
+                 "tls:h:1,private:|unix:/a,tcp:h|tcp:h:1,|tcp:h:1, unix:/a|tcp:a:1,b:2|"
+                 "tcp:a:1;tcp:b:2";
+  char *rest = cases;
   const char *many[DIPOLE_ADDRESSES_MAX + 1];
-  for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
-    fail_open(cases[i]);
+  for (const char *one; (one = strsep(&rest, "|")) != NULL;) {
+    fail_open(one);
   }
   for (size_t i = 0; i <= DIPOLE_ADDRESSES_MAX; i++) {
     many[i] = "tcp:localhost:1";
@@ -263,43 +264,20 @@ static void end_pair(pair *both) {
 /* The second daemon answers what the first one did not; after the second is lost, the first again.
  */
 UNIT_TEST(test_round_and_round) {
-  enum { QUERIES = 25 };
   peer_script *const first[] = {peer_answer_seven, peer_hang_up_after_request, peer_serve, NULL};
   peer_script *const second[] = {peer_answer_seven, peer_hang_up_after_hello, NULL};
-  bool collected[QUERIES + 1] = {false};
-  uint64_t ids[QUERIES + 1] = {0};
-  dipole_error error;
   pair both;
   start_pair(&both, first, second);
   dipole_client *client = peer_open(both.list, NULL);
-  for (uint64_t i = 1; i <= QUERIES; i++) {
-    const dipole_query query = peer_query(i);
-    assert_true(dipole_submit(client, &query, &ids[i], &error));
-  }
-  for (unsigned k = 0; k < QUERIES; k++) {
-    uint64_t id = 0, i = 1;
-    dipole_result *result;
-    peer_expect(dipole_collect(client, &id, &result, &error), &error);
-    while (i <= QUERIES && ids[i] != id) {
-      i++;
-    }
-    assert_true(i <= QUERIES && !collected[i]);
-    collected[i] = true;
-    peer_check_result(result, i);
-  }
+  peer_check_each(client, 25);
   assert_string_equal(dipole_address(client), both.peers[0].address);
   assert_string_equal(dipole_get_info(client)->address, both.peers[0].address);
   dipole_close(client);
   end_pair(&both);
 }
 
-static void be_silent(int fd, void *context) {
-  peer_say_hello_or_abort(fd);
-  peer_accept_only(fd, context);
-}
-
 UNIT_TEST(test_a_silent_one_is_left) {
-  peer_script *const first[] = {be_silent, NULL};
+  peer_script *const first[] = {peer_be_silent, NULL};
   peer_script *const second[] = {peer_serve, NULL};
   pair both;
   start_pair(&both, first, second);

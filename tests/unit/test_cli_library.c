@@ -405,25 +405,11 @@ UNIT_TEST(test_silent_peer_times_out) {
   peer_finish(&peer, client);
 }
 
-UNIT_TEST(test_addresses) {
+UNIT_TEST(test_nobody_is_there) {
   static const struct {
     const char *address;
     enum dipole_error_kind kind;
   } cases[] = {
-      {"", DIPOLE_ERROR_ADDRESS},
-      {"localhost:4817", DIPOLE_ERROR_ADDRESS},
-      {"http://localhost:4817", DIPOLE_ERROR_ADDRESS},
-      {"unix:", DIPOLE_ERROR_ADDRESS},
-      {"tcp:", DIPOLE_ERROR_ADDRESS},
-      {"tcp:localhost", DIPOLE_ERROR_ADDRESS},
-      {"tcp:localhost:", DIPOLE_ERROR_ADDRESS},
-      {"tcp::4817", DIPOLE_ERROR_ADDRESS},
-      {"tcp:localhost:0", DIPOLE_ERROR_ADDRESS},
-      {"tcp:localhost:65536", DIPOLE_ERROR_ADDRESS},
-      {"tcp:localhost:48a", DIPOLE_ERROR_ADDRESS},
-      {"tcp:localhost:-1", DIPOLE_ERROR_ADDRESS},
-      {"tcp:::1:4817", DIPOLE_ERROR_ADDRESS},
-      {"tcp:[]:4817", DIPOLE_ERROR_ADDRESS},
       {"unix:/nonexistent/dipoled.sock", DIPOLE_ERROR_CONNECT},
       {"private:/nonexistent/dipoled", DIPOLE_ERROR_CONNECT},
       {"private:/dev/null", DIPOLE_ERROR_CONNECT},

@@ -106,32 +106,10 @@ UNIT_TEST(test_lost_connections) {
 }
 
 UNIT_TEST(test_each_submitted_query_has_one_answer) {
-  enum { QUERIES = 20 };
   peer_script *const scripts[] = {peer_answer_seven, peer_answer_seven, peer_serve, NULL};
-  uint64_t ids[QUERIES + 1] = {0};
   scripted_peer peer;
-  dipole_error error;
   dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
-  for (uint64_t i = 1; i <= QUERIES; i++) {
-    const dipole_query query = peer_query(i);
-    assert_true(dipole_submit(client, &query, &ids[i], &error));
-  }
-  for (unsigned k = 0; k < QUERIES; k++) {
-    uint64_t id;
-    dipole_result *result;
-    peer_expect(dipole_collect(client, &id, &result, &error), &error);
-    uint64_t i = 1;
-    while (i <= QUERIES && ids[i] != id) {
-      i++;
-    }
-    assert_true(i <= QUERIES);
-    ids[i] = 0; /* so that a second answer to this query is noticed */
-    peer_check_result(result, i);
-  }
-  uint64_t id;
-  dipole_result *result;
-  assert_false(dipole_collect(client, &id, &result, &error));
-  assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
+  peer_check_each(client, 20);
   peer_finish(&peer, client);
 }
 
