@@ -84,13 +84,3 @@ uint64_t gather_reply_bytes(uint32_t channel_count, uint64_t query_count) {
   const wire_gather_reply fixed = {.channel_count = channel_count, .count = query_count};
   return schema_bytes(&schema_gather_reply, &fixed);
 }
-
-bool gather_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_gather_reply *fixed) {
-  schema_layout layout;
-  if (!schema_is_whole(&schema_gather_reply, payload, payload_bytes, &layout)) {
-    return false;
-  }
-  wire_get_gather_reply(payload, fixed);
-  return fixed->channel_count >= 1 && fixed->channel_count <= CORE_GATHER_CHANNELS_MAX &&
-         fixed->count <= GATHER_QUERIES_MAX && fixed->part < fixed->part_count;
-}

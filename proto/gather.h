@@ -71,8 +71,4 @@ wire_error gather_request_parse(const uint8_t *payload, size_t payload_bytes,
 uint64_t gather_reply_bytes(uint32_t channel_count, uint64_t query_count);
 size_t gather_sums_offset(uint32_t channel_count);
 
-/* Parses the payload of a reply. Returns false if the payload does not have the shape that its
- * fixed part announces. */
-bool gather_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_gather_reply *fixed);
-
 #endif

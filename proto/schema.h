@@ -9,9 +9,6 @@
 #include "core/core.h"
 #include "proto/wire.h"
 
-/* Arrays are used in place, so this machine must be little-endian like the protocol. */
-_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays need swapping");
-
 /* ---- fields ---------------------------------------------------------------------------------- */
 
 enum schema_kind {

@@ -7,58 +7,7 @@
 
 /* ---- structures ------------------------------------------------------------------------------ */
 
-/* Writes an integer of `bytes` bytes. The loop is right for every byte order, and compilers turn
- * it, unrolled, into a single store. */
-static inline uint8_t *put_u64_bytes(uint8_t *at, uint64_t value, unsigned bytes) {
-#pragma GCC unroll 8
-  for (unsigned i = 0; i < bytes; i++) {
-    at[i] = (uint8_t)(value >> (8 * i));
-  }
-  return at + bytes;
-}
-
-static inline uint64_t get_u64_bytes(const uint8_t **at, unsigned bytes) {
-  uint64_t value = 0;
-#pragma GCC unroll 8
-  for (unsigned i = 0; i < bytes; i++) {
-    value |= (uint64_t)(*at)[i] << (8 * i);
-  }
-  *at += bytes;
-  return value;
-}
-
-static uint8_t *put_u16(uint8_t *at, uint16_t value) {
-  return put_u64_bytes(at, value, 2);
-}
-static uint8_t *put_u32(uint8_t *at, uint32_t value) {
-  return put_u64_bytes(at, value, 4);
-}
-static uint8_t *put_u64(uint8_t *at, uint64_t value) {
-  return put_u64_bytes(at, value, 8);
-}
-
-static uint8_t *put_f64(uint8_t *at, double value) {
-  uint64_t bits;
-  memcpy(&bits, &value, sizeof bits);
-  return put_u64(at, bits);
-}
-
-static uint16_t get_u16(const uint8_t **at) {
-  return (uint16_t)get_u64_bytes(at, 2);
-}
-static uint32_t get_u32(const uint8_t **at) {
-  return (uint32_t)get_u64_bytes(at, 4);
-}
-static uint64_t get_u64(const uint8_t **at) {
-  return get_u64_bytes(at, 8);
-}
-
-static double get_f64(const uint8_t **at) {
-  const uint64_t bits = get_u64(at);
-  double value;
-  memcpy(&value, &bits, sizeof value);
-  return value;
-}
+/* Numbers are in memory as on the wire. */
 
 static uint8_t *put_text(uint8_t *at, const char *text, size_t bytes) {
   const size_t length = strnlen(text, bytes);
@@ -73,17 +22,15 @@ static const uint8_t *get_text(const uint8_t *at, char *text, size_t bytes) {
   return at + bytes;
 }
 
-#define PUT_ONE(kind, field, meaning, ...) at = put_##kind(at, from->field);
-#define PUT_ARRAY(kind, field, count, meaning, ...)                                                     \
-  for (size_t i = 0; i < (count); i++) {                                                           \
-    at = put_##kind(at, from->field[i]);                                                           \
-  }
+#define PUT_ONE(kind, field, ...)                                                                  \
+  memcpy(at, &from->field, sizeof from->field);                                                    \
+  at += sizeof from->field;
+#define PUT_ARRAY(kind, field, count, ...) PUT_ONE(kind, field, )
 #define PUT_TEXT(field, bytes, meaning) at = put_text(at, from->field, bytes);
-#define GET_ONE(kind, field, meaning, ...) to->field = get_##kind(&at);
-#define GET_ARRAY(kind, field, count, meaning, ...)                                                     \
-  for (size_t i = 0; i < (count); i++) {                                                           \
-    to->field[i] = get_##kind(&at);                                                                \
-  }
+#define GET_ONE(kind, field, ...)                                                                  \
+  memcpy(&to->field, at, sizeof to->field);                                                        \
+  at += sizeof to->field;
+#define GET_ARRAY(kind, field, count, ...) GET_ONE(kind, field, )
 #define GET_TEXT(field, bytes, meaning) at = get_text(at, to->field, bytes);
 
 #define WIRE_STRUCTURE(name)                                                                       \
@@ -197,7 +144,7 @@ const char *wire_type_name(unsigned type) {
     return "error";
   }
   switch (type & ~(unsigned)WIRE_REPLY) {
-#define WIRE_MESSAGE(type, IDENT, name, ...)                                                            \
+#define WIRE_MESSAGE(type, IDENT, name, ...)                                                       \
   case type:                                                                                       \
     return name;
 #include "proto/messages.def"

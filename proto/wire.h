@@ -12,6 +12,9 @@
 
 struct core_choice; /* declared in core/core.h */
 
+/* Numbers are copied, and arrays used in place, so this machine must be little-endian like the protocol. */
+_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays need swapping");
+
 #define WIRE_MAGIC UINT32_C(0x4c504944)
 #define WIRE_VERSION 2
 #define WIRE_REPLY 0x8000      /* the type of a reply is that of its request plus this */

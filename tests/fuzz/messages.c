@@ -226,7 +226,6 @@ static bool parse_reply(unsigned type, const uint8_t *payload, size_t size) {
     wire_invert_reply invert;
     wire_fit_reply fit;
     wire_points_reply points;
-    wire_gather_reply gather;
     wire_varying_reply varying;
     wire_mc_reply mc;
     wire_table_reply table;
@@ -234,6 +233,7 @@ static bool parse_reply(unsigned type, const uint8_t *payload, size_t size) {
   eval_layout evaluated;
   varying_layout varying;
   mc_layout walked;
+  schema_layout layout;
   core_parameters parameters;
   const float *words;
   switch (type & ~(unsigned)WIRE_REPLY) {
@@ -248,7 +248,7 @@ static bool parse_reply(unsigned type, const uint8_t *payload, size_t size) {
   case WIRE_TYPE_POINTS:
     return points_reply_parse(payload, size, &fixed.points);
   case WIRE_TYPE_GATHER:
-    return gather_reply_parse(payload, size, &fixed.gather);
+    return schema_is_whole(&schema_gather_reply, payload, size, &layout);
   case WIRE_TYPE_VARYING:
     return varying_reply_parse(payload, size, &fixed.varying, &varying);
   case WIRE_TYPE_MC:
