@@ -244,7 +244,16 @@ static int write_schema(const char *path) {
   fprintf(file, "    %d: \"%s\",\n", code, name);
 #include "proto/statuses.def"
 #undef WIRE_STATUS
-  fputs("}\n\nSTRUCTURES = {", file);
+  fputs("}\n\n# quantities with a value for each radius and channel, in the order of a reply's "
+        "arrays\n"
+        "ELEMENTWISE = (",
+        file);
+  for (const core_choice *one = core_quantities; one->name != NULL; one++) {
+    if (core_quantity_elementwise(one->id)) {
+      fprintf(file, one == core_quantities ? "%u" : ", %u", one->id);
+    }
+  }
+  fputs(")\n\nSTRUCTURES = {", file);
   for (size_t i = 0; i < SCHEMA_STRUCTURES; i++) {
     write_structure(file, &schema_structures[i]);
   }

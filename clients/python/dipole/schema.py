@@ -59,6 +59,9 @@ STATUSES = {
     16: "cancelled",
 }
 
+# quantities with a value for each radius and channel, in the order of a reply's arrays
+ELEMENTWISE = (1, 4, 16, 32, 64, 128, 256, 512, 1024, 2048, 8192)
+
 STRUCTURES = {
     "header": (
         "u32 magic, u16 version, u16 type, u64 request_id, u32 payload_bytes, u32 deadline_ms, "

@@ -17,6 +17,7 @@ import numpy as np
 
 from . import schema
 from .errors import ArgumentError, ProtocolError
+from .schema import ELEMENTWISE as ELEMENTWISE
 from .schema import KINDS as KINDS
 from .schema import MESSAGES as MESSAGES
 from .schema import STATUSES as STATUSES
@@ -52,8 +53,6 @@ QUANTITY_BY_SIGMA_A = 1024
 QUANTITY_BY_SIGMA_S = 2048
 QUANTITY_MODEL_ERROR = 4096
 QUANTITY_MODEL_ERRORS = 8192
-# Quantities that have a value for each radius and channel, in the order of a reply's arrays.
-ELEMENTWISE = (1, 4, 16, 32, 64, 128, 256, 512, 1024, 2048, 8192)
 # Quantities that a sample has for each radius and channel: the radii are among them.
 DRAWN = tuple(sorted((*ELEMENTWISE, QUANTITY_RADIUS)))
 SPACING_LIST = 1
