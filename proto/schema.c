@@ -28,6 +28,9 @@
 #define REQUIRED .required = true
 #define HIDDEN .hidden = true
 #define STATUS(IDENT) .status = WIRE_STATUS_##IDENT
+#define MODEL ONE_OF(core_models), USUAL(CORE_MODEL_TRANSPORT)
+#define MOMENTS ONE_OF(core_moments_list), USUAL(CORE_MOMENTS_EXACT)
+#define ETA SPAN(CORE_ETA_MIN, CORE_ETA_MAX), USUAL(1.3)
 #define COUNT HIDDEN, STATUS(BAD_COUNT)
 
 #define KEY(field)                                                                                 \
