@@ -103,15 +103,15 @@ static double slope_error(const core_choose_request *request) {
   return error > 0 ? error + DBL_EPSILON : 0;
 }
 
-/* Rounding, besides the tolerance and the error of the table. */
+/* Rounding adds to the tolerance and to the error of the table. */
 #define ROUNDING_F32 1.3e-7
 
-/* The tolerances that are used if what is left allows them, so that requests share profiles. */
+/* Preferred tolerances: requests with the same one share profiles. */
 #define LOOSE 1e-3
 #define BELOW (1 - 1e-12) /* leaves room for rounding where errors are added */
 
-/* Sets the parameter `tolerance` to prepare with, and the numerical error, where `left` is left for
- * it. */
+/* Sets the parameter `tolerance` of the preparation, and the numerical error. left: the largest
+ * that this error may be. */
 static void set_numerical_error(core_candidate *candidate, const core_choose_request *request,
                                 double left) {
   const bool lut = candidate->evaluator == CORE_EVALUATOR_LUT;
@@ -127,7 +127,7 @@ static void set_numerical_error(core_candidate *candidate, const core_choose_req
                                                : rounding + fmax(of_table + DBL_EPSILON, of_slope);
 }
 
-/* The error of the cdf and what comes of it, and that of dR/dr, in errors of R: see
+/* Errors of the cdf, of the quantities that follow from it, and of dR/dr, over the error of R: see
  * core/models/transport.c. */
 #define CDF_ERRORS 2
 #define SLOPE_ERRORS 8
@@ -205,7 +205,7 @@ void core_offer(core_candidate *candidate, const core_choose_request *request, u
 
 /* ---- choosing -------------------------------------------------------------------------------- */
 
-/* Returns what is looked up, or what is solved if that misses the tolerance. */
+/* Returns the stored solution, or a new solution if the stored one misses the tolerance. */
 static core_candidate make_candidate(const core_choose_request *request,
                                      enum core_evaluator evaluator) {
   core_candidate candidate = {.model = CORE_MODEL_TRANSPORT,
@@ -228,7 +228,7 @@ static core_candidate make_candidate(const core_choose_request *request,
   return candidate;
 }
 
-/* Whether one candidate is to come before another. */
+/* Returns whether one candidate comes before another. */
 static bool is_better(const core_candidate *one, const core_candidate *other) {
   return one->meets != other->meets ? one->meets
          : one->meets               ? one->total_ns < other->total_ns

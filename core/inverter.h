@@ -15,7 +15,7 @@
 typedef struct core_inversion_point {
   double ratio;    /* sigma_a / sigma_s' */
   double albedo;   /* the ratio's albedo less the wanted one */
-  double distance; /* ln(a / (most - a)) less that of the wanted albedo, or NaN */
+  double distance; /* ln(a / (most - a)) minus the same of the wanted albedo, or NaN */
 } core_inversion_point;
 
 /* The purpose of a probe. */

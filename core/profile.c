@@ -278,8 +278,8 @@ static core_fault prepare_model(core_profile *profile, const struct model *model
   return fault;
 }
 
-/* The mean of both parts' derivatives is weighted with R, whose errors count by how far the parts'
- * derivatives are apart. */
+/* The derivative of a sum is the mean of its parts' derivatives, weighted with R. So errors of R
+ * contribute in proportion to the difference of the parts' derivatives. */
 static void set_sum_derivative_error(core_profile *profile) {
   const core_profile *parts = profile->parts;
   const core_medium *medium = &profile->medium;
@@ -351,7 +351,8 @@ static bool fits(const struct model *model) {
   return (model->parameters & BIT(GAUSSIANS)) != 0;
 }
 
-/* Whether the error of a profile is what it is: that of the table of solutions, or of a solution. */
+/* Returns whether the error of a profile does not follow the tolerance, but is that of the table of
+ * solutions or of a solution. */
 static bool keeps_error(const core_profile *source, double asked) {
   return source->numerical_errors[CORE_MODEL_ERROR_BANDS] < source->numerical_error ||
          source->numerical_error > ACCEPTED_SHARE * asked;

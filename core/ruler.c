@@ -180,8 +180,8 @@ static size_t choose_radii(const core_asked_radii *asked, bool single, double *r
   return n;
 }
 
-/* Returns the error at radius i and next to it: a curve is off from the line between two points by an
- * eighth of its second difference, of which twice as much is taken. */
+/* Returns the error at and around radius i. A curve deviates from the line between two points by an
+ * eighth of its second difference; the error includes twice this. */
 static double with_margin(const double *error, size_t n, size_t i, bool between) {
   double bend = 0;
   for (size_t k = i > 1 ? i - 1 : 1; between && k <= i + 1 && k + 1 < n; k++) {

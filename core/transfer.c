@@ -63,7 +63,7 @@ static double power(int i) {
   return ldexp(roots[i - octave * STEPS], octave);
 }
 
-/* What the frequencies of a call share. No value depends on what is already there. */
+/* The state that the frequencies of a call share. It changes no value. */
 struct shared {
   const core_profile *profile;
   double wave[ONES + NEAR + WAVES]; /* the filtered J0 at 2^((i - ONES - NEAR) / STEPS) */

@@ -91,7 +91,7 @@ struct digits {
   int exponent;
 };
 
-/* Without a type of 128 bits, which machines of 32 bits have not. */
+/* For 32-bit machines, which have no type of 128 bits. */
 static struct power multiply(uint64_t a, uint64_t b) {
   const uint64_t a_low = (uint32_t)a, b_low = (uint32_t)b, a_high = a >> 32, b_high = b >> 32;
   const uint64_t low = a_low * b_low, one = a_high * b_low + (low >> 32);

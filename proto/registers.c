@@ -347,7 +347,7 @@ wire_error registers_check(unsigned address, unsigned count, const uint8_t *valu
   unsigned width, wrong_at = 0;
   for (unsigned here = address; here < end; here += width) {
     const char *allowed = check_address(here, end, at, &field, &width);
-    if (allowed != NULL) { /* counts before any wrong value */
+    if (allowed != NULL) { /* counts are checked before values */
       return bad_address(allowed);
     }
     if (wrong == NULL &&

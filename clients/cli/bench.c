@@ -285,7 +285,7 @@ static int check_with_daemon(const report *of) {
                        (size_t)settings->radii.value * of->profile.channel_count * sizeof(double);
   const char *address = dipole_address(of->client);
   if (settings->connections.value > 1 && strncmp(address, "private:", strlen("private:")) == 0) {
-    return cli_fail_usage("--connections: a daemon of its own has one connection; "
+    return cli_fail_usage("--connections: a private daemon has one connection; "
                           "--connect names another");
   }
   if (bytes > VALUES_MAX_BYTES) {

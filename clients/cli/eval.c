@@ -33,7 +33,7 @@ const cli_option cli_eval_options[] = {
     CLI_OPTION(NAMES, model, NULL,
                "`dipole info` lists them; all: every model that accepts the query, while standard "
                "error names those that refuse it (default: transport; with --tolerance the "
-               "cheapest that is so near to it)"),
+               "cheapest that keeps it)"),
     CLI_MOMENTS_OPTION,
     CLI_EVALUATOR_OPTION,
     CLI_DEADLINE_OPTION,

@@ -25,9 +25,9 @@ const cli_command *const cli_commands[] = {
 static void print_help(FILE *file) {
   fputs(
       "Usage: dipole COMMAND [OPTION]...\n\n"
-      "Asks the daemon dipoled how much light leaves a translucent medium at distance r from\n"
+      "Queries the daemon dipoled: how much light leaves a translucent medium at distance r from\n"
       "where it entered: R(r) in 1/mm^2 per unit of power that entered. Unless --connect\n"
-      "or the environment variable DIPOLED names a daemon, it starts one of its own.\n\nCommands\n",
+      "or the environment variable DIPOLED names a daemon, it starts a private one.\n\nCommands\n",
       file);
   for (size_t i = 0; cli_commands[i] != NULL; i++) {
     fprintf(file, "  %-8s %s\n", cli_commands[i]->name, cli_commands[i]->about);

@@ -354,8 +354,8 @@ static int judge(const report *of) {
   }
   if (of->result->end == DIPOLE_MC_PHOTONS &&
       (of->query.error_rings > 0 || of->query.error_total > 0)) {
-    return cli_fail("%llu photons were not enough for the error asked for: the worst ring has "
-                    "%.2g, R has %.2g: ask for more --photons",
+    return cli_fail("%llu photons were too few for the requested error: the worst ring has "
+                    "%.2g, R has %.2g: give more --photons",
                     photons, of->result->last.error_rings, of->result->last.error_total);
   }
   return CLI_OK;
@@ -401,10 +401,10 @@ const cli_command cli_command_mc = {
     .name = "mc",
     .about = "Walk photons through a medium (Monte Carlo): R(r) with standard errors",
     .more = "The daemon does this as jobs of low priority beside its other work, one a channel. "
-            "Ctrl-C cancels the job and prints what has been walked by then. Values are means over "
+            "Ctrl-C cancels the job and prints the result so far. Values are means over "
             "rings, in 1/mm^2 per unit of power that entered; below them stand shares of that "
             "power: the light beside the rings, the totals of R and T and what was absorbed. The "
-            "exit status is 1 if the job was cancelled or missed the error that was asked for.",
+            "exit status is 1 if the job was cancelled or missed the requested error.",
     .formats = "table,csv,json",
     .options = {cli_medium_options, options},
     .parameters = CLI_PARAMETER_BIT(PHASE) | CLI_PARAMETER_BIT(PHASE_SHARE) |

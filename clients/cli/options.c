@@ -16,7 +16,7 @@ _Static_assert(DIPOLE_TIMEOUT_MS == 30000, "say so in the help of --timeout-ms")
 static const cli_option common_options[] = {
     CLI_TITLE("Options of all commands"),
     {"connect",
-     "unix:PATH, tcp:HOST:PORT or tls:HOST:PORT; private: for a daemon of its own. Several, "
+     "unix:PATH, tcp:HOST:PORT or tls:HOST:PORT; private: starts a private daemon. Several, "
      "separated by commas, are tried in turn (default: the environment variable DIPOLED, else "
      "private:; for info, top and bench the installed service before that, if it is there)",
      CLI_TEXT, offsetof(cli_settings, connect), NULL, "ADDRESS"},
@@ -24,7 +24,7 @@ static const cli_option common_options[] = {
                "for tls: the certificates that sign the daemon's, PEM (default: the environment "
                "variable DIPOLED_CA, else those of the system)"),
     CLI_OPTION(FILE, certificate, NULL,
-               "for tls: the client's certificate, PEM, if the daemon asks for one (default: the "
+               "for tls: the client's certificate, PEM, if the daemon requires one (default: the "
                "environment variable DIPOLED_CERTIFICATE)"),
     CLI_OPTION(FILE, key, NULL,
                "for tls: its key (default: the environment variable DIPOLED_KEY, else in the file "
@@ -33,7 +33,7 @@ static const cli_option common_options[] = {
     CLI_OPTION(COUNT32, timeout_ms, CORE_TEXT(30000),
                "give up if the daemon is silent for N ms; 0: never"),
     CLI_OPTION(COUNT32, retry_ms, NULL,
-               "go on trying for N ms if no daemon is there, or if it is lost or busy; 0: do not "
+               "retry for N ms if no daemon replies, or if it is lost or busy; 0: do not retry "
                "(default: 5000; while it is busy: --timeout-ms, if that is more)"),
     {"help", "print this text", CLI_SWITCH, 0, NULL, NULL},
     {0},

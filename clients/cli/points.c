@@ -19,7 +19,7 @@ static const cli_option options[] = {
     CLI_TITLE("Evaluation"),
     CLI_OPTION(NAME, model, NULL,
                "the model of the rows whose cell is empty or absent (default: transport; with a "
-               "tolerance, the cheapest that is so near to radiative transport)"),
+               "tolerance, the cheapest that keeps it)"),
     CLI_OPTION(TEXT, evaluator, NULL,
                "f64 or f32: double or single precision; lut: single, by a table (default: f64; for "
                "transport lut where many rows share g and eta, else f32)"),

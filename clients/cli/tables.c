@@ -140,7 +140,7 @@ static int describe(const char *path, const tables *of, cli_eval_report *report)
     const dipole_table_info *info = dipole_table_get_info(of->items[i]);
     if (!is_same_profile(first, info)) {
       return cli_fail("%s: tables 1 and %zu differ in model, moments or parameters: put them into "
-                      "files of their own",
+                      "separate files",
                       path, i + 1);
     }
     snprintf(report->profile.names[i], CLI_CHANNEL_BYTES, "%zu", i + 1);
@@ -338,7 +338,7 @@ static void write_foot(const void *context) {
   puts("numerical error: of R and cdf against the model's formula, as measured\n"
        "holds up to: the numerical error of R is larger at radii beyond this one\n"
        "model error: of the model against radiative transport\n"
-       "`dipole eval --table` states both errors for the radii that it is asked for");
+       "`dipole eval --table` states both errors for the requested radii");
   for (size_t i = 0; i < of->tables.count; i++) {
     notes |= dipole_table_get_info(of->tables.items[i])->notes;
   }

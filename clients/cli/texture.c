@@ -21,7 +21,7 @@ static const cli_option options[] = {
     CLI_OPTION(SWITCH, specular, NULL,
                "the colours contain what the surface itself reflects (Fresnel)"),
     CLI_OPTION(SWITCH, linear, NULL,
-               "the values of a PNG are linear, whatever it says (default: what it says, by a "
+               "treat the values of a PNG as linear (default: what the file says, by a "
                "colour profile or gAMA, else sRGB)"),
     CLI_OPTION(NAMES, coefficients, NULL,
                "what to write: sigma_a, sigma_s (1/mm), and scattered, the single-scattering "

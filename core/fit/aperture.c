@@ -164,7 +164,7 @@ static const struct region {
 #include "core/fit/aperture_errors.def"
 };
 
-/* Ends of ranges count as within them, also if they come rounded. */
+/* Ends of ranges are within them, even if the caller rounded them. */
 #define SLACK 1e-7
 
 double fit_aperture_error(const fit_aperture *aperture, double ratio, double x_least,

@@ -348,7 +348,7 @@ static void set_falling(core_fit *fit, const core_fit_design *design) {
   fit->falling = falls ? order : NULL;
 }
 
-/* Prepares what evaluates the model fast, if there is such a thing. */
+/* Prepares the fast evaluation of the model, if it has one. */
 static core_fault set_kernels(struct fit_model *model) {
   model->varies = model->model != CORE_MODEL_TRANSPORT && model->quantity == CORE_QUANTITY_R &&
                   core_varying_prepare(&model->varying, model->isa, model->model, model->moments,

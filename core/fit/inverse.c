@@ -44,7 +44,7 @@ struct node {
   int sign; /* of the determinant; 0 if it is about 0 */
 };
 
-/* What is needed while the table is made. */
+/* The state of the construction of the table. */
 struct mesh {
   struct fit_place least;
   struct fit_place step;
@@ -122,7 +122,7 @@ struct cells {
   size_t end[2];
 };
 
-/* Returns the cells of a rectangle that holds n points, widened by `more`. */
+/* Returns the cells of the bounding rectangle of n points, widened by `more`. */
 static struct cells cells_around(const struct node *const *nodes, size_t n, double more) {
   struct cells cells;
   for (int k = 0; k < 2; k++) {

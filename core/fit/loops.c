@@ -79,7 +79,7 @@ struct places {
   double by_ratio[BLOCK][ALONG];
 };
 
-/* first: of the table, less what the medium adds to the logarithms. */
+/* first: the table's first logarithm minus the medium's shift of the logarithms. */
 static void find_places(const fit_table *table, double first, size_t n, const double *ln_at,
                         struct places *places) {
   const double per_step = 1 / table->ln_step;

@@ -67,7 +67,7 @@ struct fit_place fit_grid_place(const core_fit *fit, size_t i) {
 
 /* ---- chi-squared ----------------------------------------------------------------------------- */
 
-/* What a residual is made of: (value - factor model) / error, or that of logarithms, with the
+/* The parts of a residual (value - factor model) / error, or of the same for logarithms, and the
  * model's derivatives. */
 struct residual {
   double value;
@@ -373,9 +373,9 @@ static enum core_fit_status status_of(const core_fit *fit, const core_fit_result
                                                                 : CORE_FIT_STATUS_FITTED;
 }
 
-/* Returns a chi-squared that no medium's is below: that of the readings against the values nearest
- * to them that never rise with the distance, where the model's cannot. They are found by pooling
- * neighbours that rise (Ayer, Brunk, Ewing, Reid, Silverman 1955). */
+/* Returns a lower bound of chi-squared over all media, for models that never rise with the
+ * distance: chi-squared of the readings against the nearest values that never rise. Pooling of
+ * adjacent violators finds these (Ayer, Brunk, Ewing, Reid, Silverman 1955). */
 static double least_chi_squared(const core_fit *fit, struct fit_readings readings) {
   double mean[CORE_FIT_READINGS_MAX], weight[CORE_FIT_READINGS_MAX], sum = 0;
   size_t pools = 0;

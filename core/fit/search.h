@@ -25,7 +25,7 @@ struct core_fit {
   struct fit_place most;
   size_t nodes; /* of all places */
   struct fit_places places;
-  double *weight;       /* [count]: what the model of each reading is multiplied by */
+  double *weight;       /* [count]: factor of each reading's model */
   double *grid;         /* [count][FIT_GRID]: ln of the model of each medium; NAN if it has none */
   fit_inverse *inverse; /* NULL unless there are two readings, a known factor, and a table */
   /* [count]: the readings' positions in the order of their distances, if those of any medium fall
@@ -33,7 +33,7 @@ struct core_fit {
   const size_t *falling;
 };
 
-/* Returns the number of readings less that of unknowns. */
+/* Returns the number of readings minus the number of unknowns. */
 size_t fit_spare(const core_fit *fit);
 
 /* Returns medium i of the grid. */

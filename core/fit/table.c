@@ -12,7 +12,7 @@
 
 enum { RATIOS = FIT_TABLE_RATIOS, PLACES = FIT_TABLE_PLACES };
 
-/* Below and beyond these, L is taken as constant. */
+/* L is constant outside of this range. */
 #define RADIUS_LEAST 1e-5
 #define RADIUS_MOST 3e3
 #define WAVE_LEAST 1e-7

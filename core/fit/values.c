@@ -7,8 +7,8 @@
 #define CORE_REAL 64
 #include "core/kernel.h"
 
-/* The step in a logarithm that derivatives are taken over: the third root of the model's error, by
- * which rounding and curvature count alike, between these two. */
+/* Limits of the step in a logarithm for differences. The step is the third root of the model's
+ * error, where rounding and curvature contribute equally. */
 #define STEP_LEAST 1e-4
 #define STEP_MOST 0.03
 
@@ -69,7 +69,7 @@ void fit_values_of_profile(const struct fit_model *model, const core_profile *pr
   }
 }
 
-/* Returns an error of R, with that of the shares that are detected. */
+/* Returns an error of R plus the error of the detected share. */
 static double with_shares(const struct fit_model *model, const core_medium *medium,
                           const struct fit_places *places, double error) {
   if (!model->narrow) {
@@ -136,7 +136,7 @@ static void look_up(const struct fit_model *model, struct fit_place place,
   }
 }
 
-/* Does what fit_values() does, where kernels take a medium for each value. */
+/* Does the same as fit_values(), by kernels that take a medium for each value. */
 static void vary(const struct fit_model *model, struct fit_place place,
                  const struct fit_places *places, double *value, double *by_ratio,
                  double *by_scattering) {

@@ -13,7 +13,7 @@ struct fit_model {
   const fit_loops *loops; /* of the instruction set */
   unsigned model;
   unsigned moments;
-  enum core_quantity quantity; /* what a reading is made of: R or TRANSFER */
+  enum core_quantity quantity; /* the quantity of a reading: R or TRANSFER */
   double g;
   double eta;
   core_parameters parameters;

@@ -22,7 +22,7 @@ _Static_assert(FIRST_SAMPLE + SAMPLE_STRIDE * (EDGES - 1) +
                    CORE_LUT_SAMPLES,
                "7/4 of it");
 
-/* What the values between the samples may add, relative. */
+/* The relative increase of the bound by values between the samples. */
 #define MARGIN 1.05
 
 /* cos((2 i + 1) pi / 12), and the relative difference of distances that 1 stands for */

@@ -15,7 +15,7 @@
 /* Spread i holds relative differences of distance up to (i + 1) / GATHER_SPREADS_PER_ONE. */
 enum { GATHER_BANDS = 16 * 26, GATHER_SPREADS = 12, GATHER_SPREADS_PER_ONE = 16 };
 
-/* Some more than there are, so that they can be read in blocks. */
+/* Rounded up, so that blocks can be read. */
 enum { GATHER_EDGES = GATHER_BANDS + 1 + 8 };
 
 /* About a distance r, R is a cubic polynomial of the squared distance s, plus g (s - r^2)^4, at all
@@ -33,7 +33,7 @@ typedef struct gather_bounds {
   double zero;                      /* the largest R at any distance */
   double R[GATHER_BANDS + 1];       /* at each edge */
   double top[GATHER_BANDS + 1];     /* the largest R from each edge on */
-  gather_near near[GATHER_SPREADS]; /* at each edge, and 0 behind the last one */
+  gather_near near[GATHER_SPREADS]; /* at each edge; 0 after the last one */
 } gather_bounds;
 
 /* Fills in the bounds of a profile. */

@@ -27,7 +27,7 @@ enum { CORE_GATHER_CHANNELS_MAX = 8 };
 #define CORE_GATHER_MOST_MM 1e9
 #define CORE_GATHER_MOST_POWER 1e30
 
-/* The least tolerance besides 0, and the largest. */
+/* The least tolerance above 0, and the largest. */
 #define CORE_GATHER_TOLERANCE_MIN 1e-9
 #define CORE_GATHER_TOLERANCE_MAX 0.5
 

@@ -44,9 +44,9 @@ enum {
   BINS = 1 << DIGIT_BITS
 };
 
-/* What is done one after the other. A part of the points (all of them at first) is boxed, gets keys
- * and is sorted; then its nodes are made. Where many points share a key, they become a part of their
- * own, and the nodes above them wait. */
+/* The phases of the construction. A part of the points (at first all) gets a bounding box and keys
+ * and is sorted; then its nodes are made. Many points with one key become a new part, and the nodes
+ * above them wait. */
 enum phase { BOX, KEYS, COUNT, MOVE, NODES, COLLECT, GROUPS, MOMENTS, PHASES };
 
 /* About how long an item of each phase takes: a point, a node or a pair of channels. */
@@ -650,7 +650,7 @@ static void keep_memory(core_gather_points *points) {
       shrunk(points->node_power, nodes * points->channels * sizeof *points->node_power);
 }
 
-/* Begins what follows the phase that has ended. Returns true if none does. */
+/* Begins the next phase. Returns true if there is none. */
 static bool next_phase(core_gather_points *points) {
   gather_build *b = points->build;
   b->at = 0;

@@ -41,7 +41,8 @@ struct core_gather_sum {
   double tolerance;
   core_profile profile[CORE_GATHER_CHANNELS_MAX]; /* copies that share the caller's memory */
   gather_bounds *bounds;                          /* [channels], NULL if the tolerance is 0 */
-  /* Of the tables of lut, or all NULL: all queries of a cell are summed together if they are there. */
+  /* The pieces of the tables of lut: with them, all queries of a cell are summed together. All are
+   * NULL for other evaluators. */
   gather_pieces pieces[CORE_GATHER_CHANNELS_MAX];
 };
 
@@ -183,7 +184,8 @@ enum { LIST_MAX = 1 << 16 };
 /* The lists of a cell get finer; from ALL_POINTS on, all points are summed. */
 enum { ALL_POINTS = 8 };
 
-/* Nodes that stand for their points in a cell, and leaves whose points are summed one by one. */
+/* The lists of a cell: nodes that replace their points, and leaves whose points are summed one by
+ * one. */
 typedef struct list {
   gather_cell cell;
   double estimate[CORE_GATHER_CHANNELS_MAX]; /* about M in the cell */
@@ -327,7 +329,7 @@ static void start_list(const walk *w, list *l) {
   find_errors(w, l, 1, (const uint32_t[1]){0});
 }
 
-/* Adds about what a node contributes to M in the cell. */
+/* Adds an estimate of a node's contribution to M in the cell. */
 static void add_estimate(const walk *w, list *l, uint32_t node) {
   const core_gather_points *points = w->points;
   const gather_moments *m = &points->moments[node * points->groups];
@@ -643,7 +645,8 @@ static void add_points_together(const walk *w) {
   }
 }
 
-/* Adds what the present block of a group, or of points, came to where all queries took it together. */
+/* Adds the sums of the present block of a group, or of points, which all queries evaluated
+ * together. */
 static void add_parts(const walk *w, bool all_groups) {
   core_gather_scratch *s = w->s;
   for (size_t c = 0; c < w->points->channels && s->together > 0; c++) {

@@ -339,7 +339,7 @@ static inline __attribute__((always_inline)) struct derivatives dipole_derivativ
   const real steeper = real_fma(mu * squares, t, t * d1 * real_fma(mu, d1, t) * gone);
   const real falls_phi = c[PHI] * t * real_fma(apart, 1 + t + t2, steeper);
   const real falls = sine2 * (falls_phi + real_fma(flux, bend1, mirror * z2 * t2 * t2 * bend2));
-  /* Q times the sum, less that of ln p: as mu, phi and z2 depend on a */
+  /* Q times the sum, without the term of ln p: mu, phi and z2 depend on a */
   const real by_mu = mu * d1 * c[BY_MU];
   const real of_mu = -by_mu * real_fma(c[PHI] * d1, gone, mu * real_fma(mirror * z2, t, flux));
   const real by_z2 = -c[BY_PHI] * c[Z2_LESS_Z1] * (1 / REAL_Z1);

@@ -108,8 +108,8 @@ core_fault core_gaussian_fit_check(const core_inputs *inputs, core_radii_range *
                             &asked.parameters, NULL);
 }
 
-/* Returns what the fitted model's own error adds where it is known to matter: for `transport` with
- * g other than 0, by table. */
+/* Returns the fitted model's own error if it matters: for `transport` from the table with g other
+ * than 0. */
 static double error_of_model(const core_inputs *inputs, const struct asked *asked) {
   core_added_errors added = {{0}, 0};
   if (asked->model == CORE_MODEL_TRANSPORT) {

@@ -37,8 +37,8 @@ typedef struct core_gaussian {
   double rate;
 } core_gaussian;
 
-/* Where the sum does not stand for R alone. Each field has the meaning of the table's field with
- * the same name: least_mm, most_mm and far_mm in mm. */
+/* The radii beyond which the sum is not R. The fields have the meanings of the table's fields of
+ * the same names; least_mm, most_mm and far_mm are in mm. */
 typedef struct core_gaussian_ends {
   double least_mm;
   double most_mm;

@@ -352,7 +352,7 @@ double core_transport_ratio_most(double g, double eta) {
 /* Errors of derivatives, in errors of R: those of a solution change slowly with the radius and with
  * the medium (tests/accuracy/test_transport_solved.c). */
 #define DERIVATIVE 4.0
-/* what a central difference leaves, by steps of LN_RATIO_STEP_SOLVED */
+/* error of a central difference with steps of LN_RATIO_STEP_SOLVED */
 #define DIFFERENCE_ERROR 1e-4
 
 /* Returns the radius, in mean free paths, where R of a medium that the table covers has fallen below
@@ -753,8 +753,8 @@ static void differentiate_table(const core_medium *medium, const struct panels *
   }
 }
 
-/* What a difference between neighbours leaves where they are nearly white, per mm: their albedos are
- * rounded, so that kappa's slope is off, and ln R far away is about ln(1 + kappa x) - kappa x. */
+/* Error of a difference between nearly white media, per mm: their albedos are rounded, which
+ * changes the slope of kappa, and far away ln R is about ln(1 + kappa x) - kappa x. */
 static double rounded_albedos_per_mm(const core_medium *medium, double kappa, double most_mm) {
   const double absorbed = absorbed_of(medium), per_mm = kappa * core_sigma_t_prime(medium);
   const double off = fmin(DBL_EPSILON / (absorbed * LN_RATIO_STEP), 1);
@@ -940,7 +940,7 @@ static core_fault prepare_solved(const core_inputs *inputs, const core_medium *m
 
 /* ---- preparing -------------------------------------------------------------------------------- */
 
-#define TOLERANCE 1e-3 /* with which a medium is solved if none is given */
+#define TOLERANCE 1e-3 /* default tolerance of the solver */
 
 core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *preparation) {
   const core_medium medium = medium_of(inputs);

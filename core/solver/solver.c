@@ -46,7 +46,7 @@ struct level {
   double moment_least; /* the series of the phase function ends at a moment as small as this */
   size_t moments_most;
   double floor[2];         /* least relative error that is stated: next to the source, far away */
-  double share;            /* of kappa, where the path of wavenumbers begins */
+  double share;            /* begin of the path of wavenumbers, in units of kappa */
   size_t nodes;            /* on each panel */
   struct tier tier[TIERS]; /* the last one's k_most is K */
 };
@@ -232,7 +232,7 @@ enum { PARTS_MAX = SOLVER_ETAS_MAX * (1 + SOLVER_CONES_MAX) };
 _Static_assert((int)EXITANCE_PANELS_MAX *EXITANCE_NODES_MAX == (int)SOLVER_WAVENUMBERS_MAX,
                "a caller keeps all wavenumbers");
 
-/* Where so much of the light has decayed, no tolerance holds. */
+/* Where this much of the light has decayed, no tolerance is kept. */
 #define DECAYS_MOST 20
 
 /* The radii at which two grids are compared. */

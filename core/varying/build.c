@@ -111,7 +111,7 @@ static size_t words_of(const float *words, enum core_surface_function function) 
 /* ---- colours --------------------------------------------------------------------------------- */
 
 enum {
-  COLOUR_FIRST = -20, /* octaves of the colour, and of what is left to the largest colour */
+  COLOUR_FIRST = -20, /* octaves of the colour, and of its distance from the largest colour */
   COLOUR_REST_FIRST = -24,
   COLOUR_END = -1,
   COLOUR_CUTS = 2,

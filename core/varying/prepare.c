@@ -10,7 +10,7 @@ core_fault core_varying_prepare(core_varying *varying, const core_isa *isa, unsi
                                 const core_parameters *parameters) {
   const core_parameters none = core_parameters_none();
   const core_parameters *given = parameters != NULL ? parameters : &none;
-  /* A medium that stands for all: its faults are those of the model, g, eta and parameters. */
+  /* A medium to check the model, g, eta and parameters with. */
   const core_medium medium = {1, g > -1 && g < 1 ? 1 / (1 - g) : 1, g, eta};
   core_fault fault = core_profile_check(model, moments, evaluator, &medium, given, NULL);
   if (fault.field == NULL) {

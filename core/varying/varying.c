@@ -38,8 +38,7 @@ static enum family family_of(unsigned model, int *variant) {
   }
 }
 
-/* Returns a medium that stands for all: its faults are those of the model, g, eta and
- * parameters. */
+/* Returns a medium to check the model, g, eta and parameters with. */
 static core_medium example(double g, double eta) {
   return (core_medium){1, g > -1 && g < 1 ? 1 / (1 - g) : 1, g, eta};
 }
@@ -304,7 +303,7 @@ double core_varying_error(const core_varying *varying, unsigned wanted,
 
 /* ---- evaluating ------------------------------------------------------------------------------ */
 
-/* Where R is infinite, next to the source, r R is constant: it is taken at this radius. */
+/* Next to the source r R is constant, so it is evaluated at this radius where R is infinite. */
 #define NEAREST_MM 1e-20
 
 /* DEFINE_EVALUATE() defines evaluate_f64() and evaluate_f32(): R, CDF, PDF, RING, ALBEDO, and

@@ -79,7 +79,7 @@ better  2            0.1       10  0.9  1.4            4.6e-15      1.9e-02     
 numerical error: against the model's formula, up to r = 2 mm
 model error: of the model against radiative transport, relative
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.972222 (eta 1.4)
-note: similarity: g is not 0: the model sees isotropic scattering of sigma_s (1 - g)
+note: similarity: g is not 0: the model uses isotropic scattering with sigma_s (1 - g)
 
 $ dipole eval --sigma-a 0.01,0.1 --sigma-s 10 --g 0.9 --eta 1.4 --model better --wanted albedo --format csv
 model,channel,sigma_a,sigma_s,g,eta,albedo,numerical_error,model_error,evaluator,notes
@@ -159,7 +159,7 @@ better  1           0.01       10  0.9  1.4  0.605953                 1.0e-09   
 numerical error: against the model's formula, up to f = 1 1/mm
 model error: of the model against radiative transport, relative
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.972222 (eta 1.4)
-note: similarity: g is not 0: the model sees isotropic scattering of sigma_s (1 - g)
+note: similarity: g is not 0: the model uses isotropic scattering with sigma_s (1 - g)
 
 $ dipole eval --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --model better --wanted R_f,albedo --r 0.1,1 --format csv
 model,channel,sigma_a,sigma_s,g,eta,f,albedo,R_f,numerical_error,model_error,evaluator,notes
@@ -288,11 +288,11 @@ $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --tolerance 2
 
 $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --g 0.5 --r 1 --model single,better,classical | grep note
 model      channel  sigma_a  sigma_s    g  eta     albedo    numerical error  model error  evaluator       notes
-note: similarity: g is not 0: the model sees isotropic scattering of sigma_s (1 - g)
+note: similarity: g is not 0: the model uses isotropic scattering with sigma_s (1 - g)
 
 $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --g 0.5 --r 1 --model better | grep note
 model   channel  sigma_a  sigma_s    g  eta    albedo    numerical error  model error  evaluator       notes
-note: similarity: g is not 0: the model sees isotropic scattering of sigma_s (1 - g)
+note: similarity: g is not 0: the model uses isotropic scattering with sigma_s (1 - g)
 
 ## Errors: not solved, and what diverges at r = 0.
 $ dipole eval --sigma-a 0.03 --sigma-s 1 --eta 5 --model classical --wanted albedo --r 1

@@ -47,14 +47,14 @@ $ sed '1s/$/,eta,g/; 2,$s/$/,1.4,0.8/' skin.csv | dipole fit --model better
 model better, moments exact, scale absolute
 
 sample  sigma_a  sigma_s'  error of a  error of s'   a by g  s' by g  correlation       chi2  readings  model error    g  g from  g sides  eta  status
-           1/mm      1/mm        1/mm         1/mm     1/mm     1/mm                                       relative                                   
+           1/mm      1/mm        1/mm         1/mm     1/mm     1/mm                                       relative
 ------  -------  --------  ----------  -----------  -------  -------  -----------  ---------  --------  -----------  ---  ------  -------  ---  ------
 skin       0.05         1      0.0006       0.0052  4.2e-17  2.2e-16        0.335  2.138e-23         4    not known  0.8    file     both  1.4  fitted
 
 errors are standard errors; chi2 is the sum of the squares of (reading - fit) / error
 model error: of R against radiative transport, which is not in the standard errors
 by g: the largest change for g +- .05, since the readings may not determine g
-note: similarity: g is not 0: the model sees isotropic scattering of sigma_s (1 - g)
+note: similarity: g is not 0: the model uses isotropic scattering with sigma_s (1 - g)
 
 $ dipole fit skin.csv --reference 1,2,3
 ! dipole fit: --reference: give four numbers: sigma_a, sigma_s, g and eta

@@ -5,9 +5,9 @@ dipole 0.1.0
 $ dipole help
 Usage: dipole COMMAND [OPTION]...
 
-Asks the daemon dipoled how much light leaves a translucent medium at distance r from
+Queries the daemon dipoled: how much light leaves a translucent medium at distance r from
 where it entered: R(r) in 1/mm^2 per unit of power that entered. Unless --connect
-or the environment variable DIPOLED names a daemon, it starts one of its own.
+or the environment variable DIPOLED names a daemon, it starts a private one.
 
 Commands
   eval     Evaluate a medium over a range of radii, as a table or a picture
@@ -64,20 +64,20 @@ Evaluation
   --deadline-ms N       ask the daemon to answer within N ms or to refuse; 0: no limit
 
 Options of all commands
-  --connect ADDRESS     unix:PATH, tcp:HOST:PORT or tls:HOST:PORT; private: for a daemon of its
-                        own. Several, separated by commas, are tried in turn (default: the
+  --connect ADDRESS     unix:PATH, tcp:HOST:PORT or tls:HOST:PORT; private: starts a private
+                        daemon. Several, separated by commas, are tried in turn (default: the
                         environment variable DIPOLED, else private:; for info, top and bench the
                         installed service before that, if it is there)
   --ca FILE             for tls: the certificates that sign the daemon's, PEM (default: the
                         environment variable DIPOLED_CA, else those of the system)
-  --certificate FILE    for tls: the client's certificate, PEM, if the daemon asks for one
+  --certificate FILE    for tls: the client's certificate, PEM, if the daemon requires one
                         (default: the environment variable DIPOLED_CERTIFICATE)
   --key FILE            for tls: its key (default: the environment variable DIPOLED_KEY, else in
                         the file of the certificate)
   --format FORMAT       one of table,csv,json (default: table)
   --timeout-ms N        give up if the daemon is silent for N ms; 0: never (default: 30000)
-  --retry-ms N          go on trying for N ms if no daemon is there, or if it is lost or busy; 0:
-                        do not (default: 5000; while it is busy: --timeout-ms, if that is more)
+  --retry-ms N          retry for N ms if no daemon replies, or if it is lost or busy; 0: do not
+                        retry (default: 5000; while it is busy: --timeout-ms, if that is more)
   --help                print this text
 
 Exit status: 0 done, 1 failed, 2 wrong command line, 3 some rows or values are bad

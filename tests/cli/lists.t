@@ -54,20 +54,20 @@ $ dipole media --format json | head -5
 
 $ dipole info --format csv | grep '^models,better,\|^parameters\|^limits,max_frame'
 models,better,"d'Eon 2012, Table 2"
-parameters,tolerance,"1: error asked for, relative: numerical, or, without a model, all of it (1e-12 to 1)"
+parameters,tolerance,"1: largest relative error: numerical with a model, total without one (1e-12 to 1)"
 parameters,cos_in,"1: cosine of the angle of incidence, for S; else 1 (0 to 1)"
 parameters,cos_out,"1: cosine of the angle of exit, for S; else 1 (0 to 1)"
-parameters,thickness,"mm: of a slab, which needs it (1e-15 to 1e30)"
+parameters,thickness,"mm: thickness of a slab; models of slabs require it (1e-15 to 1e30)"
 parameters,surface_albedo,"1: Burley's A; else the better dipole's albedo (0 to 1)"
-parameters,gaussians,"1: how many are fitted, an integer; else 6 (1 to 12)"
-parameters,fit_model,"id: model that is fitted; else better (1 to 65535)"
+parameters,gaussians,"1: number of Gaussians to fit, an integer; else 6 (1 to 12)"
+parameters,fit_model,"id: model to fit; else better (1 to 65535)"
 parameters,fit_from,"mm: least radius of a fit; else 0.1 mfp (0 to 1e30)"
 parameters,fit_to,"mm: largest radius of a fit; else 10 mfp (1e-30 to 1e30)"
-parameters,phase,"id: of mc: its phase function; else henyey-greenstein (1 to 65535)"
-parameters,phase_share,1: of mc: share of the first HG of phase modified or two-term (1e-6 to 1)
-parameters,phase_g,1: of mc: mean cosine of the second HG of phase two-term (-0.9999 to 0.9999)
+parameters,phase,"id: of mc: phase function; else henyey-greenstein (1 to 65535)"
+parameters,phase_share,1: of mc with phase modified or two-term: share of the first HG (1e-6 to 1)
+parameters,phase_g,1: of mc with phase two-term: mean cosine of the second HG (-0.9999 to 0.9999)
 parameters,gamma,"1: (1 - g_2) / (1 - g) of the phase function, with transport; else 1 + g (0.5 to 1.95)"
-parameters,detector_na,"1: of fit with transport, and of mc: sine of the largest exit angle detected; else 1 (0.01 to 1)"
+parameters,detector_na,"1: of fit with transport, and of mc: sine of the largest detected exit angle; else 1 (0.01 to 1)"
 limits,max_frame_bytes,67108864
 
 $ dipole info | head -9 | grep -v 'instruction_set\|protocol'
@@ -80,7 +80,7 @@ daemon          software                            dipoled 0.1.0
 models          classical                           Jensen et al. 2001; d'Eon 2012, Table 2
 
 $ dipole table --medium skin1 --model transport --tolerance 1e-3
-skin1, model transport, moments exact, tolerance 1e-3
+skin1, model transport, moments exact, tolerance 0.001
 
 channel  sigma_a  sigma_s  g  eta    albedo  pieces from   to  bytes    numerical error  holds up to   model error
             1/mm     1/mm                             mm   mm         relative, at most           mm  at all radii
@@ -91,7 +91,7 @@ blue        0.48     1.01  0  1.3  0.115435     2.91e-11  128  19104            
 numerical error: of R and cdf against the model's formula, as measured
 holds up to: the numerical error of R is larger at radii beyond this one
 model error: of the model against radiative transport
-`dipole eval --table` states both errors for the radii that it is asked for
+`dipole eval --table` states both errors for the requested radii
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 
 $ dipole table --sigma-a 0.032 --sigma-s 0.74 --model better --g 0.97 --output a.table --format csv
@@ -164,7 +164,7 @@ $ dipole bench --connections 257
 ? 2
 
 $ dipole bench --connections 2
-! dipole bench: --connections: a daemon of its own has one connection; --connect names another
+! dipole bench: --connections: a private daemon has one connection; --connect names another
 ! `dipole bench --help` tells more.
 ? 2
 

@@ -142,22 +142,22 @@ Monte Carlo, ended by photons, photons 20480, error of the total R 0.0068, large
 
 channel 1, sigma_a 0.1, sigma_s 0.9, g 0, eta 1.3, seed 1, photons 20480
 
-albedo       quantity  from  to         value    error  relative  photons
+albedo  quantity       from  to         value    error  relative  photons
                          mm  mm        1/mm^2   1/mm^2
 ------  -------------  ----  --  ------------  -------  --------  -------
-0.9                 R     0   4   5.23725e-03  4.3e-05    0.82 %     9254
-0.9           R_total             2.88779e-01  2.0e-03    0.68 %
+0.9     R                 0   4   5.23725e-03  4.3e-05    0.82 %     9254
+0.9     R_total                   2.88779e-01  2.0e-03    0.68 %
 0.9     R_unscattered             0.00000e+00  0.0e+00         -
-0.9           R_under             0.00000e+00  0.0e+00         -
-0.9            R_over             2.55264e-02  3.0e-04     1.2 %
-0.9          absorbed             7.09998e-01  1.4e-03     0.2 %
-0.9        unfinished             0.00000e+00  0.0e+00         -
-0.9          roulette            -1.22260e-03  7.3e-04         -
+0.9     R_under                   0.00000e+00  0.0e+00         -
+0.9     R_over                    2.55264e-02  3.0e-04     1.2 %
+0.9     absorbed                  7.09998e-01  1.4e-03     0.2 %
+0.9     unfinished                0.00000e+00  0.0e+00         -
+0.9     roulette                 -1.22260e-03  7.3e-04         -
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 under, over: within the first ring's inner edge, and beyond the last ring; unscattered: at
 r = 0; unfinished: walks that were cut off; roulette: added by it, about 0. These and the
 totals are shares of the power that entered.
-! dipole mc: 20480 photons were not enough for the error asked for: the worst ring has 0.0082, R has 0.0068: ask for more --photons
+! dipole mc: 20480 photons were too few for the requested error: the worst ring has 0.0082, R has 0.0068: give more --photons
 ? 1
 
 $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --thickness 4 --r 1,2 --photons 2e4 --format csv | dipole fit
