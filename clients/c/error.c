@@ -20,6 +20,10 @@ bool libdipole_fail_errno(dipole_error *error, enum dipole_error_kind kind, int 
   return libdipole_fail(error, kind, "%s: %s", what, strerror_r(number, buffer, sizeof buffer));
 }
 
+bool libdipole_fail_argument(dipole_error *error, const char *text) {
+  return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s", text);
+}
+
 bool libdipole_fail_memory(dipole_error *error) {
   return libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory");
 }

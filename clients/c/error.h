@@ -14,6 +14,9 @@ bool libdipole_fail(dipole_error *error, enum dipole_error_kind kind, const char
 bool libdipole_fail_errno(dipole_error *error, enum dipole_error_kind kind, int number,
                           const char *what);
 
+/* Fails with kind ARGUMENT. Returns false. */
+bool libdipole_fail_argument(dipole_error *error, const char *text);
+
 bool libdipole_fail_memory(dipole_error *error);
 
 /* Fails with kind PROTOCOL. what: completes "the peer does not speak this protocol: ...". */

@@ -29,10 +29,8 @@ static const libdipole_kind kind = {.repeatable = true, .reply = &schema_fit_rep
 /* ---- asking -------------------------------------------------------------------------------- */
 
 static bool check(const dipole_fit_query *query, dipole_error *error) {
-  if (!libdipole_model_check(query->model, error) ||
-      !libdipole_check_u16(query->model | query->moments | query->axis | query->scale,
-                           "model, moments, axis and scale", error) ||
-      !libdipole_parameters_check(query->parameters, query->parameter_count, error)) {
+  if (!libdipole_query_check(query->model, query->moments | query->axis | query->scale,
+                             query->parameters, query->parameter_count, error)) {
     return false;
   }
   if ((query->at == NULL && query->reading_count > 0) ||
@@ -43,12 +41,6 @@ static bool check(const dipole_fit_query *query, dipole_error *error) {
   if (query->reading_count > CORE_FIT_READINGS_MAX) {
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "reading_count is at most %d",
                           CORE_FIT_READINGS_MAX);
-  }
-  const uint64_t numbers = 2 * query->reading_count * sizeof(double);
-  if (numbers > 0 && query->set_count > UINT32_MAX / numbers) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "%llu sets are more than a frame holds: ask for fewer at a time",
-                          (unsigned long long)query->set_count);
   }
   return true;
 }

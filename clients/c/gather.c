@@ -32,22 +32,18 @@ struct dipole_points {
 
 /* ---- points -------------------------------------------------------------------------------- */
 
-static bool fail_argument(dipole_error *error, const char *text) {
-  return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s", text);
-}
-
 bool dipole_points_make(uint64_t point_count, uint32_t channel_count, const double *xyz_mm,
                         const float *power_W, dipole_points **points, dipole_error *error) {
   error = error != NULL ? error : &(dipole_error){0};
   *points = NULL;
   if (point_count < 1 || point_count > CORE_GATHER_POINTS_MAX) {
-    return fail_argument(error, "point_count is not from 1 to 16777216");
+    return libdipole_fail_argument(error, "point_count is not from 1 to 16777216");
   }
   if (channel_count < 1 || channel_count > CORE_GATHER_CHANNELS_MAX) {
-    return fail_argument(error, "channel_count is not from 1 to 8");
+    return libdipole_fail_argument(error, "channel_count is not from 1 to 8");
   }
   if (xyz_mm == NULL || power_W == NULL) {
-    return fail_argument(error, "xyz_mm or power_W is NULL");
+    return libdipole_fail_argument(error, "xyz_mm or power_W is NULL");
   }
   dipole_points *made = calloc(1, sizeof *made);
   if (made == NULL) {
@@ -357,18 +353,16 @@ static bool gather(struct run *run,
 
 static bool check(const dipole_gather_query *query, dipole_error *error) {
   if (query->points == NULL || query->media == NULL) {
-    return fail_argument(error, "points or media is NULL");
+    return libdipole_fail_argument(error, "points or media is NULL");
   }
   if (query->queries_mm == NULL && query->query_count > 0) {
-    return fail_argument(error, "queries_mm is NULL, query_count is not 0");
+    return libdipole_fail_argument(error, "queries_mm is NULL, query_count is not 0");
   }
   if (query->query_count > SIZE_MAX / (sizeof(double) * CORE_GATHER_CHANNELS_MAX)) {
-    return fail_argument(error, "query_count is more than memory holds");
+    return libdipole_fail_argument(error, "query_count is more than memory holds");
   }
-  return libdipole_model_check(query->model, error) &&
-         libdipole_check_u16(query->model | query->evaluator | query->moments,
-                             "model, evaluator and moments", error) &&
-         libdipole_parameters_check(query->parameters, query->parameter_count, error);
+  return libdipole_query_check(query->model, query->evaluator | query->moments, query->parameters,
+                               query->parameter_count, error);
 }
 
 /* Where there are several requests, neighbours are put into one, because the daemon shares between
@@ -447,10 +441,10 @@ static bool fail_fault(const core_fault *fault, dipole_error *error) {
 static bool check_home(const dipole_points *info, uint64_t query_count, const double *queries_mm,
                        dipole_error *error) {
   if (queries_mm == NULL && query_count > 0) {
-    return fail_argument(error, "queries_mm is NULL, query_count is not 0");
+    return libdipole_fail_argument(error, "queries_mm is NULL, query_count is not 0");
   }
   if (query_count > UINT32_MAX) {
-    return fail_argument(error, "query_count is not below 2^32");
+    return libdipole_fail_argument(error, "query_count is not below 2^32");
   }
   core_fault fault = core_gather_check_points((size_t)info->point_count, info->xyz_mm,
                                               info->channel_count, info->power_W);

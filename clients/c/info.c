@@ -91,12 +91,9 @@ static void get_value(const uint8_t *at, wire_value *text, dipole_value *value) 
 static bool take_hello(dipole_client *client, const libdipole_frame *frame, const char *address,
                        dipole_error *error) {
   wire_hello_reply hello;
-  const size_t bytes = frame->header.payload_bytes - WIRE_BYTES_hello_reply;
+  schema_layout layout;
   wire_get_hello_reply(frame->payload, &hello);
-  if (hello.choice_count > bytes / WIRE_BYTES_choice ||
-      hello.limit_count > bytes / WIRE_BYTES_value ||
-      bytes != (size_t)hello.choice_count * WIRE_BYTES_choice +
-                   (size_t)hello.limit_count * WIRE_BYTES_value) {
+  if (!schema_is_whole(&schema_hello_reply, frame->payload, frame->payload_bytes, &layout)) {
     return bad_list(client, "hello", error);
   }
   if (hello.version != WIRE_VERSION) {

@@ -35,21 +35,9 @@ static const libdipole_kind kind = {
 /* ---- asking -------------------------------------------------------------------------------- */
 
 static bool check(const dipole_invert_query *query, dipole_error *error) {
-  if (!libdipole_model_check(query->model, error) ||
-      !libdipole_check_u16(query->model | query->moments | query->given, "model, moments and given",
-                           error)) {
-    return false;
-  }
-  if ((query->albedos == NULL || query->lengths_mm == NULL) && query->medium_count > 0) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "albedos or lengths_mm is NULL, medium_count is not 0");
-  }
-  if (query->medium_count > UINT32_MAX / (2 * sizeof(double))) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "%llu media are more than a frame holds: ask for fewer at a time",
-                          (unsigned long long)query->medium_count);
-  }
-  return true;
+  return libdipole_query_check(query->model, query->moments | query->given, NULL, 0, error) &&
+         ((query->albedos != NULL && query->lengths_mm != NULL) || query->medium_count == 0 ||
+          libdipole_fail_argument(error, "albedos or lengths_mm is NULL, medium_count is not 0"));
 }
 
 static bool send(dipole_client *client, const dipole_invert_query *query,

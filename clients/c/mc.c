@@ -29,8 +29,7 @@ static bool check_query(const dipole_mc_query *query, dipole_error *error) {
   if (query->albedos == NULL && query->albedo_count > 0) {
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "albedos is NULL, albedo_count is not 0");
   }
-  return libdipole_check_u16(query->spacing, "spacing", error) &&
-         libdipole_parameters_check(query->parameters, query->parameter_count, error);
+  return libdipole_query_check(1, query->spacing, query->parameters, query->parameter_count, error);
 }
 
 static wire_mc_request request_of(const dipole_mc_query *query) {

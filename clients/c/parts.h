@@ -23,8 +23,14 @@ typedef struct libdipole_frame {
   uint64_t payload_bytes; /* may be more than a header can say if the answer had several parts */
   void *into_values;      /* the caller's memory for the values; NULL if there is none */
   void *into_radii;
+  _Alignas(8) uint8_t head[WIRE_BYTES_header]; /* see libdipole_frame_bytes() */
   _Alignas(8) uint8_t payload[];
 } libdipole_frame;
+
+/* Returns where the header has its place as on the wire: in front of the payload. */
+static inline uint8_t *libdipole_frame_bytes(libdipole_frame *frame) {
+  return (uint8_t *)frame + offsetof(libdipole_frame, head);
+}
 
 /* The caller's function that gets each part of an answer when it arrives. */
 typedef struct libdipole_reader {

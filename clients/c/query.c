@@ -12,25 +12,21 @@
 
 /* ---- parts of requests --------------------------------------------------------------------- */
 
-bool libdipole_check_u16(unsigned all, const char *names, dipole_error *error) {
-  return all <= UINT16_MAX ||
-         libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s: no id is above 65535", names);
-}
-
-bool libdipole_model_check(unsigned model, dipole_error *error) {
-  return model != 0 || libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                                      "model is 0, which is what dipole_id() returns for a name "
-                                      "that the daemon does not have");
-}
-
-bool libdipole_parameters_check(const dipole_parameter *parameters, size_t count,
-                                dipole_error *error) {
+bool libdipole_query_check(unsigned model, unsigned others, const dipole_parameter *parameters,
+                           size_t count, dipole_error *error) {
+  if (model == 0) {
+    return libdipole_fail_argument(error,
+                                   "model is 0, which is what dipole_id() returns for a name "
+                                   "that the daemon does not have");
+  }
+  if ((model | others) > UINT16_MAX) {
+    return libdipole_fail_argument(error, "model, moments and the like: no id is above 65535");
+  }
   if (parameters == NULL && count > 0) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "parameters is NULL, parameter_count is not 0");
+    return libdipole_fail_argument(error, "parameters is NULL, parameter_count is not 0");
   }
   if (count > UINT16_MAX) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "parameter_count is at most 65535");
+    return libdipole_fail_argument(error, "parameter_count is at most 65535");
   }
   for (size_t i = 0; i < count; i++) {
     if (parameters[i].id == 0) {
@@ -40,7 +36,7 @@ bool libdipole_parameters_check(const dipole_parameter *parameters, size_t count
                             i);
     }
     if (parameters[i].id > UINT16_MAX) {
-      return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "the id of a parameter is at most 65535");
+      return libdipole_fail_argument(error, "the id of a parameter is at most 65535");
     }
   }
   return true;
@@ -65,35 +61,20 @@ uint8_t *libdipole_medium_put(uint8_t *at, const dipole_medium *from) {
   return at + WIRE_BYTES_medium;
 }
 
-static bool check_media(const dipole_medium *media, uint32_t medium_count, unsigned evaluator,
-                        dipole_error *error) {
+/* Checks the media of a query, and the list of numbers, if there is one, whose type the evaluator
+ * says. */
+static bool check_lists(const dipole_medium *media, uint32_t medium_count, unsigned evaluator,
+                        const void *list, uint64_t count, dipole_error *error) {
   if (media == NULL && medium_count > 0) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "media is NULL, medium_count is not 0");
+    return libdipole_fail_argument(error, "media is NULL, medium_count is not 0");
   }
   if (core_evaluator_bytes(evaluator) == 0) {
     return libdipole_fail(
         error, DIPOLE_ERROR_ARGUMENT,
         "evaluator is %u: this library knows DIPOLE_F64, DIPOLE_F32 and DIPOLE_LUT", evaluator);
   }
-  return true;
-}
-
-/* Checks that a list of numbers is given and that its size, which goes to *bytes, is possible. The
- * evaluator, which must be known, says the precision. */
-static bool check_list(const void *list, uint64_t count, unsigned evaluator, const char *name,
-                       const char *count_name, uint64_t *bytes, dipole_error *error) {
-  const size_t value_bytes = core_evaluator_bytes(evaluator);
-  if (list == NULL && count > 0) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s is NULL, %s is not 0", name,
-                          count_name);
-  }
-  if (count > UINT32_MAX / value_bytes) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "%llu %s are more than a frame holds: ask for fewer at a time",
-                          (unsigned long long)count, name);
-  }
-  *bytes = count * value_bytes;
-  return true;
+  return list != NULL || count == 0 ||
+         libdipole_fail_argument(error, "radii or numbers is NULL, their count is not 0");
 }
 
 /* ---- payloads ------------------------------------------------------------------------------ */
@@ -140,31 +121,21 @@ static unsigned model_on_wire(unsigned model) {
   return model == DIPOLE_ANY_MODEL ? EVAL_ANY_MODEL : model;
 }
 
-static bool check_query(const dipole_query *query, uint64_t *radii_bytes, dipole_error *error) {
-  *radii_bytes = 0;
-  return libdipole_model_check(query->model, error) &&
-         libdipole_check_u16(model_on_wire(query->model) | query->evaluator | query->moments |
-                                 query->wanted | query->spacing,
-                             "model, evaluator, moments, wanted and spacing", error) &&
-         libdipole_parameters_check(query->parameters, query->parameter_count, error) &&
-         check_media(query->media, query->medium_count, query->evaluator, error) &&
-         (query->spacing != DIPOLE_LIST ||
-          check_list(query->radii, query->radius_count, query->evaluator, "radii", "radius_count",
-                     radii_bytes, error));
-}
-
 /* Checks a query and sends it as a request of pending->type. Sets pending's deadline, counts and
  * id. */
 static bool send_query(dipole_client *client, const dipole_query *query, libdipole_pending *pending,
                        dipole_error *error) {
-  uint64_t radii_bytes;
-  if (!check_query(query, &radii_bytes, error)) {
+  const bool list = query->spacing == DIPOLE_LIST;
+  if (!libdipole_query_check(query->model == DIPOLE_ANY_MODEL ? 1 : query->model,
+                             query->evaluator | query->moments | query->wanted | query->spacing,
+                             query->parameters, query->parameter_count, error) ||
+      !check_lists(query->media, query->medium_count, query->evaluator, query->radii,
+                   list ? query->radius_count : 0, error)) {
     return false;
   }
   pending->deadline_ms = query->deadline_ms;
   pending->medium_count = query->medium_count;
   pending->radius_count = query->radius_count;
-  const bool list = query->spacing == DIPOLE_LIST;
   const wire_eval_request fixed = {.model = (uint16_t)model_on_wire(query->model),
                                    .evaluator = (uint16_t)query->evaluator,
                                    .moments = (uint16_t)query->moments,
@@ -195,10 +166,7 @@ static bool check_into(const dipole_query *query, dipole_error *error) {
 
 /* Checks that a query that leaves the model to the daemon says how good it has to be. */
 static bool check_choice(const dipole_query *query, dipole_error *error) {
-  if (!libdipole_parameters_check(query->parameters, query->parameter_count, error)) {
-    return false;
-  }
-  for (size_t i = 0; i < query->parameter_count; i++) {
+  for (size_t i = 0; query->parameters != NULL && i < query->parameter_count; i++) {
     if (query->parameters[i].id == CORE_PARAMETER_TOLERANCE) {
       return true;
     }
@@ -307,39 +275,32 @@ bool dipole_collect_id(dipole_client *client, uint64_t id, dipole_result **resul
  * small enough that no product of counts overflows. */
 #define OFFERS_MAX_BYTES ((uint64_t)1 << 20)
 
-static dipole_offer get_offer(const uint8_t *at) {
-  wire_offer from;
-  wire_get_offer(at, &from);
-  return (dipole_offer){.model = from.model,
-                        .evaluator = from.evaluator,
-                        .meets = from.meets != 0,
-                        .error = from.error,
-                        .numerical_error = from.numerical_error,
-                        .cost_ns = from.cost,
-                        .prepare_ns = from.prepare_cost};
-}
-
 static bool get_offers(dipole_client *client, const libdipole_frame *frame, dipole_offer **offers,
                        size_t *count, size_t *taken, dipole_error *error) {
-  wire_offers_reply fixed;
-  const size_t bytes = frame->header.payload_bytes - WIRE_BYTES_offers_reply;
-  wire_get_offers_reply(frame->payload, &fixed);
-  if (bytes % WIRE_BYTES_offer != 0 || bytes / WIRE_BYTES_offer != fixed.count ||
-      fixed.taken > fixed.count) {
+  const wire_offers_reply *fixed = (const void *)frame->payload;
+  const wire_offer *from = (const void *)(frame->payload + WIRE_BYTES_offers_reply);
+  schema_layout layout;
+  if (!schema_is_whole(&schema_offers_reply, frame->payload, frame->payload_bytes, &layout) ||
+      fixed->taken > fixed->count) {
     return libdipole_bad_answer(client, "its offers do not have the length that they announce",
                                 error);
   }
-  *offers = calloc((size_t)fixed.count + 1,
-                   sizeof **offers); /* so that *offers is not NULL for an empty list */
+  *offers = calloc((size_t)fixed->count + 1, sizeof **offers); /* not NULL for an empty list */
   if (*offers == NULL) {
     return libdipole_fail_memory(error);
   }
-  for (size_t i = 0; i < fixed.count; i++) {
-    (*offers)[i] = get_offer(frame->payload + WIRE_BYTES_offers_reply + i * WIRE_BYTES_offer);
+  for (size_t i = 0; i < fixed->count; i++) {
+    (*offers)[i] = (dipole_offer){.model = from[i].model,
+                                  .evaluator = from[i].evaluator,
+                                  .meets = from[i].meets != 0,
+                                  .error = from[i].error,
+                                  .numerical_error = from[i].numerical_error,
+                                  .cost_ns = from[i].cost,
+                                  .prepare_ns = from[i].prepare_cost};
   }
-  *count = fixed.count;
+  *count = fixed->count;
   if (taken != NULL) {
-    *taken = fixed.taken;
+    *taken = fixed->taken;
   }
   return true;
 }
@@ -362,24 +323,13 @@ bool dipole_offers(dipole_client *client, const dipole_query *query, dipole_offe
 
 /* ---- sample -------------------------------------------------------------------------------- */
 
-static bool check_sample(const dipole_sample_query *query, uint64_t *number_bytes,
-                         dipole_error *error) {
-  *number_bytes = 0;
-  return libdipole_model_check(query->model, error) &&
-         libdipole_check_u16(query->model | query->evaluator | query->moments | query->wanted |
-                                 query->draw,
-                             "model, evaluator, moments, wanted and draw", error) &&
-         libdipole_parameters_check(query->parameters, query->parameter_count, error) &&
-         check_media(query->media, query->medium_count, query->evaluator, error) &&
-         (query->draw != DIPOLE_DRAW_LIST ||
-          check_list(query->numbers, query->sample_count, query->evaluator, "numbers",
-                     "sample_count", number_bytes, error));
-}
-
 static bool send_sample(dipole_client *client, const dipole_sample_query *query,
                         libdipole_pending *pending, dipole_error *error) {
-  uint64_t number_bytes;
-  if (!check_sample(query, &number_bytes, error)) {
+  if (!libdipole_query_check(query->model,
+                             query->evaluator | query->moments | query->wanted | query->draw,
+                             query->parameters, query->parameter_count, error) ||
+      !check_lists(query->media, query->medium_count, query->evaluator, query->numbers,
+                   query->draw == DIPOLE_DRAW_LIST ? query->sample_count : 0, error)) {
     return false;
   }
   libdipole_answer_expect(pending, query->model, query->evaluator, query->wanted,

@@ -6,12 +6,10 @@
 #include "clients/c/request.h"
 #include "proto/schema.h"
 
-/* Fails if dipole_id() did not find the model. */
-bool libdipole_model_check(unsigned model, dipole_error *error);
-
-/* Checks the count and the ids of parameters. */
-bool libdipole_parameters_check(const dipole_parameter *parameters, size_t count,
-                                dipole_error *error);
+/* Checks the model, which dipole_id() may not have found, and that of parameters the count and the
+ * ids. others: all other ids of a query, combined with |; they have to fit into 16 bits. */
+bool libdipole_query_check(unsigned model, unsigned others, const dipole_parameter *parameters,
+                           size_t count, dipole_error *error);
 
 /* These write bytes at `at` and return the address behind them. */
 uint8_t *libdipole_parameters_put(uint8_t *at, const dipole_parameter *parameters, size_t count);
@@ -27,9 +25,5 @@ void libdipole_payload_put(uint8_t *at, const schema_payload *payload, const sch
 bool libdipole_request_put(dipole_client *client, libdipole_pending *pending,
                            const schema_payload *payload, const void *start,
                            const void *const parts[], dipole_error *error);
-
-/* Fails unless each of several numbers fits into 16 bits. all: their bits, combined with |. names:
- * the names of the fields, for the error message. */
-bool libdipole_check_u16(unsigned all, const char *names, dipole_error *error);
 
 #endif

@@ -18,18 +18,6 @@ struct dipole_surface {
 /* The most words of a surface: a frame of the largest size holds no more. */
 #define WORDS_MAX ((UINT32_MAX - (size_t)WIRE_BYTES_table_reply) / sizeof(float) - 1024)
 
-/* Allocates a surface with room for a frame of frame_bytes, which the caller fills in. */
-static dipole_surface *make_room(size_t frame_bytes, dipole_error *error) {
-  dipole_surface *surface = malloc(sizeof *surface + frame_bytes);
-  if (surface == NULL) {
-    libdipole_fail_memory(error);
-    return NULL;
-  }
-  surface->frame_bytes = frame_bytes;
-  surface->f64 = surface->f32 = (core_varying){0};
-  return surface;
-}
-
 static core_fault prepare_one(dipole_surface *surface, enum core_evaluator evaluator,
                               const float *words, core_varying *varying) {
   core_varying opened;
@@ -82,10 +70,12 @@ bool dipole_surface_load(const void *bytes, size_t count, dipole_surface **surfa
   if (!libdipole_table_check(bytes, count, &frame_bytes, error)) {
     return false;
   }
-  dipole_surface *made = make_room(frame_bytes, error);
+  dipole_surface *made = malloc(sizeof *made + frame_bytes);
   if (made == NULL) {
-    return false;
+    return libdipole_fail_memory(error);
   }
+  made->frame_bytes = frame_bytes;
+  made->f64 = made->f32 = (core_varying){0};
   memcpy(made->frame, bytes, frame_bytes);
   return hand_out(made, surface, error);
 }
@@ -129,27 +119,17 @@ bool dipole_surface_fetch(dipole_client *client, const dipole_table_query *query
   if (frame == NULL) {
     return false;
   }
-  const size_t payload_bytes = frame->header.payload_bytes;
-  dipole_surface *made = make_room(WIRE_BYTES_header + payload_bytes, error);
-  if (made != NULL) {
-    wire_put_header(made->frame, &frame->header);
-    memcpy(made->frame + WIRE_BYTES_header, frame->payload, payload_bytes);
-  }
-  free(frame);
   dipole_surface *fetched = NULL;
-  const bool intact = made != NULL && hand_out(made, &fetched, error);
+  const bool intact =
+      dipole_surface_load(libdipole_frame_bytes(frame),
+                          WIRE_BYTES_header + (size_t)frame->payload_bytes, &fetched, error);
+  free(frame);
   if (intact && is_asked_for(fetched, query)) {
     *surface = fetched;
     return true;
   }
   dipole_surface_free(fetched);
-  if (intact || error->kind == DIPOLE_ERROR_TABLE) {
-    libdipole_bad_answer(client,
-                         intact ? "it answered with the surface of something else"
-                                : "it answered with what is not a surface",
-                         error);
-  }
-  return false;
+  return libdipole_table_refuse(client, intact, error);
 }
 
 const void *dipole_surface_bytes(const dipole_surface *surface, size_t *count) {

@@ -54,18 +54,6 @@ bool libdipole_table_check(const uint8_t *bytes, size_t count, size_t *frame_byt
   return true;
 }
 
-/* Allocates a table with room for a frame of frame_bytes, which the caller fills in. */
-static dipole_table *make_room(size_t frame_bytes, dipole_error *error) {
-  dipole_table *table = malloc(sizeof *table + frame_bytes);
-  if (table == NULL) {
-    libdipole_fail_memory(error);
-    return NULL;
-  }
-  table->frame_bytes = frame_bytes;
-  table->profile = (core_profile){0};
-  return table;
-}
-
 static void set_info(dipole_table *table, const wire_table_reply *fixed, const float *words) {
   const uint8_t *at = table->frame + WIRE_BYTES_header + WIRE_BYTES_table_reply;
   for (size_t i = 0; i < fixed->parameter_count;
@@ -176,28 +164,25 @@ static bool parse(dipole_table *table, dipole_error *error) {
   return set_profile(table, &fixed, &parameters, words, error);
 }
 
-/* Gives the caller a table whose frame is filled in, or frees it and fails if it is not intact. */
-static bool hand_out(dipole_table *made, dipole_table **table, dipole_error *error) {
-  if (!parse(made, error)) {
-    dipole_table_free(made);
-    return false;
-  }
-  *table = made;
-  return true;
-}
-
 bool dipole_table_load(const void *bytes, size_t count, dipole_table **table, dipole_error *error) {
   size_t frame_bytes;
   error = error != NULL ? error : &(dipole_error){0};
   if (!libdipole_table_check(bytes, count, &frame_bytes, error)) {
     return false;
   }
-  dipole_table *made = make_room(frame_bytes, error);
+  dipole_table *made = malloc(sizeof *made + frame_bytes);
   if (made == NULL) {
+    return libdipole_fail_memory(error);
+  }
+  made->frame_bytes = frame_bytes;
+  made->profile = (core_profile){0};
+  memcpy(made->frame, bytes, frame_bytes);
+  if (!parse(made, error)) {
+    dipole_table_free(made);
     return false;
   }
-  memcpy(made->frame, bytes, frame_bytes);
-  return hand_out(made, table, error);
+  *table = made;
+  return true;
 }
 
 /* ---- from a daemon ------------------------------------------------------------------------- */
@@ -214,9 +199,8 @@ static bool is_asked_for(const dipole_table *table, const dipole_table_query *qu
 libdipole_frame *libdipole_table_ask(dipole_client *client, const dipole_table_query *query,
                                      size_t words_max, dipole_error *error) {
   const uint32_t parameters = (uint32_t)query->parameter_count;
-  if (!libdipole_model_check(query->model, error) ||
-      !libdipole_check_u16(query->model | query->moments, "model and moments", error) ||
-      !libdipole_parameters_check(query->parameters, query->parameter_count, error)) {
+  if (!libdipole_query_check(query->model, query->moments, query->parameters,
+                             query->parameter_count, error)) {
     return NULL;
   }
   const struct {
@@ -233,22 +217,24 @@ libdipole_frame *libdipole_table_ask(dipole_client *client, const dipole_table_q
                                .medium_count = 1,
                                .reply_bytes_min = WIRE_BYTES_table_reply,
                                .reply_bytes_max = table_reply_bytes(parameters, words_max)};
-  return libdipole_request_put(client, &pending, &schema_table_request, &start, parts, error)
-             ? libdipole_reply(client, &pending, error)
-             : NULL;
+  libdipole_frame *frame =
+      libdipole_request_put(client, &pending, &schema_table_request, &start, parts, error)
+          ? libdipole_reply(client, &pending, error)
+          : NULL;
+  if (frame != NULL) {
+    wire_put_header(libdipole_frame_bytes(frame), &frame->header);
+  }
+  return frame;
 }
 
-/* Makes a table of a daemon's reply, and keeps an unchanged copy of its frame. */
-static bool take(const libdipole_frame *frame, dipole_table **table, dipole_error *error) {
-  uint8_t header[WIRE_BYTES_header];
-  const size_t payload_bytes = frame->header.payload_bytes;
-  dipole_table *made = make_room(sizeof header + payload_bytes, error);
-  if (made == NULL) {
-    return false;
-  }
-  wire_put_header(made->frame, &frame->header);
-  memcpy(made->frame + sizeof header, frame->payload, payload_bytes);
-  return hand_out(made, table, error);
+bool libdipole_table_refuse(dipole_client *client, bool intact, dipole_error *error) {
+  return intact || error->kind == DIPOLE_ERROR_TABLE
+             ? libdipole_bad_answer(client,
+                                    intact
+                                        ? "it answered a table request with that of something else"
+                                        : "it answered a table request with what is none",
+                                    error)
+             : false;
 }
 
 bool dipole_table_fetch(dipole_client *client, const dipole_table_query *query,
@@ -263,20 +249,16 @@ bool dipole_table_fetch(dipole_client *client, const dipole_table_query *query,
   if (frame == NULL) {
     return false;
   }
-  const bool intact = take(frame, &fetched, error);
+  const bool intact =
+      dipole_table_load(libdipole_frame_bytes(frame),
+                        WIRE_BYTES_header + (size_t)frame->payload_bytes, &fetched, error);
   free(frame);
   if (intact && is_asked_for(fetched, query)) {
     *table = fetched;
     return true;
   }
   dipole_table_free(fetched);
-  if (intact || error->kind == DIPOLE_ERROR_TABLE) {
-    libdipole_bad_answer(client,
-                         intact ? "it answered a table request with the table of something else"
-                                : "it answered a table request with what is not a table",
-                         error);
-  }
-  return false;
+  return libdipole_table_refuse(client, intact, error);
 }
 
 /* ---- using it ------------------------------------------------------------------------------ */
@@ -298,20 +280,11 @@ const dipole_table_info *dipole_table_get_info(const dipole_table *table) {
   return &table->info;
 }
 
-/* Values are checked in blocks of this constant length, without branches inside a block, so that
- * the compiler vectorizes the checks. */
-enum { BLOCK = 64 };
-
+/* It has no branch in the loop, so that the compiler vectorizes it. */
 static bool is_between(const float *x, size_t n, float least, float most) {
-  size_t done = 0;
   int out = 0;
-  for (; n - done >= BLOCK; done += BLOCK) {
-    for (size_t i = 0; i < BLOCK; i++) {
-      out |= !(x[done + i] >= least) | !(x[done + i] <= most);
-    }
-  }
-  for (; done < n; done++) {
-    out |= !(x[done] >= least) | !(x[done] <= most);
+  for (size_t i = 0; i < n; i++) {
+    out |= !(x[i] >= least) | !(x[i] <= most);
   }
   return out == 0;
 }

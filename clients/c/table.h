@@ -11,10 +11,14 @@
 bool libdipole_table_check(const uint8_t *bytes, size_t count, size_t *frame_bytes,
                            dipole_error *error);
 
-/* Sends a table request and waits for the reply, of at most words_max words. Returns NULL if it
- * failed or was refused. */
+/* Sends a table request and waits for the reply, of at most words_max words, whose
+ * libdipole_frame_bytes() are then set. Returns NULL if it failed or was refused. */
 libdipole_frame *libdipole_table_ask(dipole_client *client, const dipole_table_query *query,
                                      size_t words_max, dipole_error *error);
+
+/* Says that a daemon has answered with another table than was asked for, or if it is not intact, by
+ * an error of kind TABLE, with none. Returns false. */
+bool libdipole_table_refuse(dipole_client *client, bool intact, dipole_error *error);
 
 /* Returns the profile that a table evaluates, of evaluator lut. The table owns it. */
 const core_profile *libdipole_table_profile(const dipole_table *table);

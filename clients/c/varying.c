@@ -39,37 +39,32 @@ static const libdipole_kind kind = {
 
 /* ---- asking -------------------------------------------------------------------------------- */
 
-static bool fail_argument(dipole_error *error, const char *text) {
-  return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s", text);
-}
-
 static bool check(const dipole_varying_query *query, dipole_error *error) {
   const bool coloured = query->colours != NULL || query->lengths_mm != NULL;
   const void *first = coloured ? query->colours : query->sigma_a_per_mm;
   const void *second = coloured ? query->lengths_mm : query->sigma_s_per_mm;
-  if (!libdipole_model_check(query->model, error) ||
-      !libdipole_check_u16(query->model | query->evaluator | query->moments | query->wanted |
-                               query->coefficients | query->given | query->light,
-                           "model, evaluator, moments, wanted, coefficients, given and light",
-                           error) ||
-      !libdipole_parameters_check(query->parameters, query->parameter_count, error)) {
+  if (!libdipole_query_check(query->model,
+                             query->evaluator | query->moments | query->wanted |
+                                 query->coefficients | query->given | query->light,
+                             query->parameters, query->parameter_count, error)) {
     return false;
   }
   if (query->evaluator != DIPOLE_F64 && query->evaluator != DIPOLE_F32) {
-    return fail_argument(error, "evaluator is neither DIPOLE_F64 nor DIPOLE_F32");
+    return libdipole_fail_argument(error, "evaluator is neither DIPOLE_F64 nor DIPOLE_F32");
   }
   if ((first == NULL || second == NULL) && query->value_count > 0) {
-    return fail_argument(error, "sigma_a_per_mm and sigma_s_per_mm, or colours and lengths_mm, "
-                                "are NULL, value_count is not 0");
+    return libdipole_fail_argument(error,
+                                   "sigma_a_per_mm and sigma_s_per_mm, or colours and lengths_mm, "
+                                   "are NULL, value_count is not 0");
   }
   if (coloured && (query->sigma_a_per_mm != NULL || query->sigma_s_per_mm != NULL)) {
-    return fail_argument(error, "both coefficients and colours are given");
+    return libdipole_fail_argument(error, "both coefficients and colours are given");
   }
   if (coloured != (query->given != 0)) {
-    return fail_argument(error, "given is 0, although colours are given, or the reverse");
+    return libdipole_fail_argument(error, "given is 0, although colours are given, or the reverse");
   }
   if (query->radii != NULL && query->numbers != NULL) {
-    return fail_argument(error, "both radii and numbers are given");
+    return libdipole_fail_argument(error, "both radii and numbers are given");
   }
   if (query->value_count > UINT32_MAX / (2 * sizeof(float))) {
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
@@ -167,8 +162,9 @@ static const core_varying *prepared(const dipole_surface *surface, const varying
                                     dipole_error *error) {
   const core_varying *varying = libdipole_surface_varying(surface, request);
   if (varying == NULL) {
-    fail_argument(error, "the surface is not that of this query's model, moments, g, eta and "
-                         "parameters");
+    libdipole_fail_argument(error,
+                            "the surface is not that of this query's model, moments, g, eta and "
+                            "parameters");
     return NULL;
   }
   const core_fault wrong = request->fixed.given != 0 ? core_colour_check(varying, &request->colour)
