@@ -178,18 +178,16 @@ static bool ask(struct run *run, dipole_error *error) {
                                      .set = {points->set[0], points->set[1]},
                                      .query_count = n,
                                      .tolerance = query->tolerance};
+  const void *const parts[] = {query->media, query->parameters, NULL};
+  schema_layout layout = {.payload_bytes = UINT64_MAX};
   uint8_t *at;
+  schema_lay_out(&schema_gather_request, &fixed, UINT64_MAX, &layout, NULL);
   if (!set_deadline(run, &pending, error) ||
-      !libdipole_request_begin(run->client, &pending, schema_bytes(&schema_gather_request, &fixed),
-                               &at, error)) {
+      !libdipole_request_begin(run->client, &pending, layout.payload_bytes, &at, error)) {
     return false;
   }
-  wire_put_gather_request(at, &fixed);
-  at += WIRE_BYTES_gather_request;
-  for (uint32_t i = 0; i < channels; i++) {
-    at = libdipole_medium_put(at, &query->media[i]);
-  }
-  at = libdipole_parameters_put(at, query->parameters, query->parameter_count);
+  libdipole_payload_put(at, &schema_gather_request, &layout, &fixed, parts);
+  at += layout.parts[2].at;
   enum { QUERY_BYTES = GATHER_AXES * sizeof(double) };
   for (uint64_t i = 0; i < n; i++) {
     memcpy(at + i * QUERY_BYTES, query->queries_mm + place(run, run->asked + i) * GATHER_AXES,

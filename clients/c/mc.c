@@ -32,29 +32,6 @@ static bool check_query(const dipole_mc_query *query, dipole_error *error) {
   return libdipole_query_check(1, query->spacing, query->parameters, query->parameter_count, error);
 }
 
-static wire_mc_request request_of(const dipole_mc_query *query) {
-  return (wire_mc_request){.spacing = (uint16_t)query->spacing,
-                           .albedo_count = (uint16_t)query->albedo_count,
-                           .ring_count = query->ring_count,
-                           .radius_start = query->radius_start_mm,
-                           .radius_stop = query->radius_stop_mm,
-                           .thickness = query->thickness_mm,
-                           .seed = query->seed,
-                           .photons = query->photons,
-                           .error_total = query->error_total,
-                           .error_rings = query->error_rings};
-}
-
-static void put_query(uint8_t *at, const wire_mc_request *fixed, const dipole_mc_query *query) {
-  wire_put_mc_request(at, fixed);
-  at = libdipole_medium_put(at + WIRE_BYTES_mc_request, &query->medium);
-  if (query->albedo_count > 0) {
-    memcpy(at, query->albedos, query->albedo_count * sizeof *query->albedos);
-  }
-  libdipole_parameters_put(at + query->albedo_count * sizeof *query->albedos, query->parameters,
-                           query->parameter_count);
-}
-
 /* These return the number of sides and of albedos in the answer. */
 static uint32_t sides_of(const dipole_mc_query *query) {
   return isinf(query->thickness_mm) ? 1 : DIPOLE_MC_SIDES;
@@ -92,13 +69,29 @@ static bool start(dipole_client *client, const dipole_mc_query *query, libdipole
   if (mc_reply_layout(sides_of(query), albedos_of(query), query->ring_count, &layout)) {
     pending->reply_bytes_max = layout.payload_bytes;
   }
-  const wire_mc_request fixed = request_of(query);
-  const uint64_t payload_bytes = schema_bytes(&schema_mc_request, &fixed) +
-                                 query->parameter_count * (uint64_t)WIRE_BYTES_parameter;
-  if (!libdipole_request_begin(client, pending, payload_bytes, &payload, error)) {
+  const struct {
+    wire_mc_request request;
+    dipole_medium medium;
+  } start = {{.spacing = (uint16_t)query->spacing,
+              .albedo_count = (uint16_t)query->albedo_count,
+              .ring_count = query->ring_count,
+              .radius_start = query->radius_start_mm,
+              .radius_stop = query->radius_stop_mm,
+              .thickness = query->thickness_mm,
+              .seed = query->seed,
+              .photons = query->photons,
+              .error_total = query->error_total,
+              .error_rings = query->error_rings},
+             query->medium};
+  const void *const parts[] = {query->albedos, query->parameters};
+  schema_layout request;
+  schema_lay_out(&schema_mc_request, &start, UINT64_MAX, &request, NULL);
+  request.parts[1].count = query->parameter_count; /* The rest of the payload is theirs. */
+  request.payload_bytes += query->parameter_count * (uint64_t)WIRE_BYTES_parameter;
+  if (!libdipole_request_begin(client, pending, request.payload_bytes, &payload, error)) {
     return false;
   }
-  put_query(payload, &fixed, query);
+  libdipole_payload_put(payload, &schema_mc_request, &request, &start, parts);
   return libdipole_request_send(client, error);
 }
 

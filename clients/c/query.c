@@ -42,25 +42,6 @@ bool libdipole_query_check(unsigned model, unsigned others, const dipole_paramet
   return true;
 }
 
-uint8_t *libdipole_parameters_put(uint8_t *at, const dipole_parameter *parameters, size_t count) {
-  for (size_t i = 0; i < count; i++) {
-    const wire_parameter parameter = {.parameter = (uint16_t)parameters[i].id,
-                                      .value = parameters[i].value};
-    wire_put_parameter(at, &parameter);
-    at += WIRE_BYTES_parameter;
-  }
-  return at;
-}
-
-uint8_t *libdipole_medium_put(uint8_t *at, const dipole_medium *from) {
-  const wire_medium medium = {.sigma_a = from->sigma_a_per_mm,
-                              .sigma_s = from->sigma_s_per_mm,
-                              .g = from->g,
-                              .eta = from->eta};
-  wire_put_medium(at, &medium);
-  return at + WIRE_BYTES_medium;
-}
-
 /* Checks the media of a query, and the list of numbers, if there is one, whose type the evaluator
  * says. */
 static bool check_lists(const dipole_medium *media, uint32_t medium_count, unsigned evaluator,
@@ -81,12 +62,20 @@ static bool check_lists(const dipole_medium *media, uint32_t medium_count, unsig
 
 _Static_assert(sizeof(dipole_medium) == WIRE_BYTES_medium, "media are written as they are");
 
+static void put_parameters(uint8_t *at, const dipole_parameter *parameters, uint64_t count) {
+  for (uint64_t i = 0; i < count; i++) {
+    const wire_parameter parameter = {.parameter = (uint16_t)parameters[i].id,
+                                      .value = parameters[i].value};
+    wire_put_parameter(at + i * WIRE_BYTES_parameter, &parameter);
+  }
+}
+
 void libdipole_payload_put(uint8_t *at, const schema_payload *payload, const schema_layout *layout,
                            const void *start, const void *const parts[]) {
   memcpy(at, start, payload->fixed_bytes);
   for (unsigned i = 0; payload->parts[i].name != NULL; i++) {
     if (payload->parts[i].structure == &schema_structures[SCHEMA_STRUCTURE_parameter]) {
-      libdipole_parameters_put(at + layout->parts[i].at, parts[i], layout->parts[i].count);
+      put_parameters(at + layout->parts[i].at, parts[i], layout->parts[i].count);
     } else {
       schema_put_part(at, layout, i, parts[i]);
     }

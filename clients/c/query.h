@@ -11,10 +11,6 @@
 bool libdipole_query_check(unsigned model, unsigned others, const dipole_parameter *parameters,
                            size_t count, dipole_error *error);
 
-/* These write bytes at `at` and return the address behind them. */
-uint8_t *libdipole_parameters_put(uint8_t *at, const dipole_parameter *parameters, size_t count);
-uint8_t *libdipole_medium_put(uint8_t *at, const dipole_medium *medium);
-
 /* Writes a request: the structures that it begins with, of this layout, and its parts in the order of
  * proto/messages.def. Parameters are those of a query, media are dipole_medium. A part that is NULL, or
  * is not there, has no numbers but 0. */

@@ -18,14 +18,13 @@
  * program's own memory. Then the program fetches a table for each channel, with one request, and
  * evaluates the tables itself. The bits are the same.
  *
- * It writes the numbers irradiance.csv to the current folder, and prints the time of each way and
- * the difference of their results. ADDRESS: see dipole_open(); "" means the default. */
+ * It writes the numbers irradiance.csv to the current folder, and prints the difference of the two
+ * results. ADDRESS: see dipole_open(); "" means the default. */
 #include <dipole.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
 
 #define SIDE_MM 20.0f
 #define IRRADIANCE_W_PER_MM2 1.0f
@@ -54,12 +53,6 @@ static void *allocate(size_t count, size_t bytes) {
     fail("out of memory", NULL);
   }
   return memory;
-}
-
-static double now_s(void) {
-  struct timespec now;
-  timespec_get(&now, TIME_UTC);
-  return (double)now.tv_sec + (double)now.tv_nsec / 1e9;
 }
 
 /* ---- the scene ----------------------------------------------------------------------------- */
@@ -255,7 +248,6 @@ static size_t size_of(const char *text, size_t usual) {
 
 int main(int argc, char **argv) {
   static void (*const ways[2])(const scene *, dipole_client *, double *) = {ask, look_up};
-  static const char *const names[2] = {"by the daemon", "tables, evaluated here"};
   const char *address = argc > 1 && argv[1][0] != '\0' ? argv[1] : NULL;
   scene skin = {.pixels = size_of(argc > 2 ? argv[2] : NULL, PIXELS_DEFAULT)};
   double *exitance[2];
@@ -270,12 +262,7 @@ int main(int argc, char **argv) {
   printf("%zu pixels, %zu points, %d channels\n", pixels, skin.count, CHANNELS);
   for (size_t i = 0; i < 2; i++) {
     exitance[i] = allocate(pixels * CHANNELS, sizeof *exitance[i]);
-    const double start_s = now_s();
     ways[i](&skin, client, exitance[i]);
-    const double took_s = now_s() - start_s;
-    const double values = (double)(pixels * skin.count * CHANNELS);
-    printf("%-22s %7.3f s, %5.0f million values a second\n", names[i], took_s,
-           values / took_s / 1e6);
   }
   compare(&skin, exitance[1], exitance[0]);
   write_numbers(&skin, exitance[0]);
