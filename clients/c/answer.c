@@ -61,21 +61,12 @@ static bool parse(const libdipole_pending *pending, const libdipole_frame *frame
 
 /* ---- results ------------------------------------------------------------------------------- */
 
-/* Returns the array of a quantity, or NULL if there is none. In the caller's memory (into_values)
- * the arrays lie one behind the other without padding, and the radii are not among them. */
+/* Returns the array of a quantity, or NULL if there is none. */
 static const void *array_at(const libdipole_frame *frame, const eval_layout *layout,
-                            unsigned wanted, uint64_t values_bytes, uint32_t channel,
-                            enum core_quantity quantity) {
-  if ((wanted & quantity) == 0) {
-    return NULL;
-  }
-  const uint64_t offset = eval_array_offset(layout, wanted, channel, quantity);
-  if (frame->into_values == NULL) {
-    return frame->payload + offset;
-  }
-  const uint64_t before =
-      layout->array_bytes > 0 ? (offset - layout->arrays_offset) / layout->array_bytes : 0;
-  return (const uint8_t *)frame->into_values + before * values_bytes;
+                            unsigned wanted, uint32_t channel, enum core_quantity quantity) {
+  return (wanted & quantity) != 0
+             ? frame->payload + eval_array_offset(layout, wanted, channel, quantity)
+             : NULL;
 }
 
 static void get_channel(const libdipole_frame *frame, const eval_layout *layout,
@@ -86,9 +77,8 @@ static void get_channel(const libdipole_frame *frame, const eval_layout *layout,
                               .numerical_error_per_mm = most.numerical_error_per_mm,
                               .model_error = most.model_error};
   memcpy(&channel->albedo, frame->payload + eval_albedo_offset(index), sizeof channel->albedo);
-  const uint64_t bytes = fixed->count * core_evaluator_bytes(fixed->evaluator);
-  const void *R = array_at(frame, layout, wanted, bytes, index, CORE_QUANTITY_R);
-  const void *cdf = array_at(frame, layout, wanted, bytes, index, CORE_QUANTITY_CDF);
+  const void *R = array_at(frame, layout, wanted, index, CORE_QUANTITY_R);
+  const void *cdf = array_at(frame, layout, wanted, index, CORE_QUANTITY_CDF);
   if (fixed->evaluator == DIPOLE_F64) {
     channel->R_f64 = R;
     channel->cdf_f64 = cdf;
@@ -102,12 +92,10 @@ static void get_channel(const libdipole_frame *frame, const eval_layout *layout,
 static dipole_result *make_result(libdipole_frame *frame, const wire_eval_reply *fixed,
                                   const eval_layout *layout) {
   const unsigned wanted = wanted_of(frame->header.type, fixed->wanted);
-  const void *radii = frame->into_radii;
+  const void *radii = frame->payload + layout->radius_offset;
   dipole_channel *channels = (dipole_channel *)(void *)(frame->payload + frame->payload_bytes);
   if ((wanted & CORE_QUANTITY_RADIUS) == 0 || eval_is_array(wanted, CORE_QUANTITY_RADIUS)) {
     radii = NULL;
-  } else if (radii == NULL) {
-    radii = frame->payload + layout->radius_offset;
   }
   for (uint32_t i = 0; i < fixed->channel_count; i++) {
     get_channel(frame, layout, fixed, i, &channels[i]);
@@ -126,7 +114,7 @@ static dipole_result *make_result(libdipole_frame *frame, const wire_eval_reply 
 }
 
 /* Copies the arrays into the caller's memory. */
-static void copy_into(const libdipole_pending *pending, libdipole_frame *frame,
+static void copy_into(const libdipole_pending *pending, const libdipole_frame *frame,
                       const wire_eval_reply *fixed, const eval_layout *layout) {
   const size_t bytes = (size_t)fixed->count * core_evaluator_bytes(fixed->evaluator);
   const uint64_t arrays = fixed->channel_count * (uint64_t)layout->arrays_per_channel;
@@ -137,8 +125,6 @@ static void copy_into(const libdipole_pending *pending, libdipole_frame *frame,
   if ((fixed->wanted & CORE_QUANTITY_RADIUS) != 0 && bytes > 0) {
     memcpy(pending->into_radii, frame->payload + layout->radius_offset, bytes);
   }
-  frame->into_values = pending->into_values;
-  frame->into_radii = pending->into_radii;
 }
 
 bool libdipole_result_take(dipole_client *client, libdipole_pending *pending,
@@ -175,7 +161,7 @@ static const void *values(const dipole_result *result, uint32_t channel, unsigne
                          frame->payload_bytes, &layout)) {
     return NULL;
   }
-  return array_at(frame, &layout, wanted, result->radius_count * value_bytes, channel, quantity);
+  return array_at(frame, &layout, wanted, channel, quantity);
 }
 
 const double *dipole_values_f64(const dipole_result *result, uint32_t channel, unsigned quantity) {

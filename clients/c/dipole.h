@@ -323,7 +323,7 @@ typedef struct dipole_query {
   /* How long the answer may take from the arrival of the query, in ms; 0 is no limit. The daemon
    * refuses a query that it cannot answer in this time, with the status `deadline`. */
   unsigned deadline_ms;
-  /* The caller's memory for the arrays of the answer; NULL: the result holds its arrays itself.
+  /* Memory of the caller into which the arrays of the answer are copied as well; NULL: none.
    * into_values is [medium_count][wanted quantities that have an array][radius_count] of double or
    * float, with the quantities in the order of enum dipole_quantity. into_radii is [radius_count];
    * it is needed if DIPOLE_RADIUS is wanted. Do not touch this memory until the query is collected,

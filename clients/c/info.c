@@ -1,10 +1,11 @@
-#include "clients/c/info.h"
+/* Asks a daemon for its description of itself, its media and its statistics. */
 
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "clients/c/error.h"
+#include "clients/c/request.h"
 #include "core/core.h"
 
 /* The longest list that the library accepts. It is far more than a daemon has, and small enough
@@ -160,10 +161,10 @@ unsigned dipole_id(const dipole_client *client, enum dipole_kind kind, const cha
 
 /* ---- lists --------------------------------------------------------------------------------- */
 
-/* Requests a list of structures of one size. In the reply, *count structures follow list_reply. */
-static libdipole_frame *ask_list(dipole_client *client, enum wire_type type, size_t structure_bytes,
-                                 size_t *count, dipole_error *error) {
-  wire_list_reply list;
+/* Requests a list. In the reply, *count structures follow list_reply. */
+static libdipole_frame *ask_list(dipole_client *client, enum wire_type type,
+                                 const schema_payload *reply, size_t *count, dipole_error *error) {
+  schema_layout layout;
   libdipole_pending pending = {.kind = &libdipole_plain,
                                .type = (uint16_t)type,
                                .reply_bytes_min = WIRE_BYTES_list_reply,
@@ -172,14 +173,12 @@ static libdipole_frame *ask_list(dipole_client *client, enum wire_type type, siz
   if (frame == NULL) {
     return NULL;
   }
-  const size_t bytes = frame->header.payload_bytes - WIRE_BYTES_list_reply;
-  wire_get_list_reply(frame->payload, &list);
-  if (bytes % structure_bytes != 0 || bytes / structure_bytes != list.count) {
+  if (!schema_is_whole(reply, frame->payload, frame->payload_bytes, &layout)) {
     bad_list(client, wire_type_name(type), error);
     free(frame);
     return NULL;
   }
-  *count = list.count;
+  *count = layout.parts[0].count;
   return frame;
 }
 
@@ -200,8 +199,7 @@ static void get_measured_medium(const uint8_t *at, dipole_measured_medium *mediu
 bool dipole_media(dipole_client *client, dipole_measured_medium **media, size_t *count,
                   dipole_error *error) {
   error = error != NULL ? error : &(dipole_error){0};
-  libdipole_frame *frame =
-      ask_list(client, WIRE_TYPE_MEDIA, WIRE_BYTES_measured_medium, count, error);
+  libdipole_frame *frame = ask_list(client, WIRE_TYPE_MEDIA, &schema_media_reply, count, error);
   if (frame == NULL) {
     return false;
   }
@@ -217,7 +215,8 @@ bool dipole_media(dipole_client *client, dipole_measured_medium **media, size_t 
 bool dipole_statistics(dipole_client *client, dipole_value **values, size_t *count,
                        dipole_error *error) {
   error = error != NULL ? error : &(dipole_error){0};
-  libdipole_frame *frame = ask_list(client, WIRE_TYPE_STATS, WIRE_BYTES_value, count, error);
+  libdipole_frame *frame =
+      ask_list(client, WIRE_TYPE_STATS, &schema_statistics_reply, count, error);
   if (frame == NULL) {
     return false;
   }

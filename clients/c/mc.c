@@ -185,7 +185,7 @@ static bool next_reply(dipole_client *client, const dipole_mc_query *query, uint
 static void finish(dipole_client *client, uint64_t cancel_id) {
   libdipole_pending pending;
   dipole_error unwanted;
-  if (cancel_id != 0 && libdipole_request_wait(client, cancel_id, &pending, &unwanted)) {
+  if (cancel_id != 0 && libdipole_request_wait(client, cancel_id, NULL, &pending, &unwanted)) {
     free(pending.frame);
   }
 }

@@ -7,7 +7,7 @@
 #include "clients/c/clock.h"
 #include "clients/c/connect.h"
 #include "clients/c/error.h"
-#include "clients/c/info.h"
+#include "clients/c/request.h"
 
 /* ---- one ----------------------------------------------------------------------------------- */
 

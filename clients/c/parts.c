@@ -22,7 +22,6 @@ libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload
   }
   frame->header = *header;
   frame->payload_bytes = payload_bytes;
-  frame->into_values = frame->into_radii = NULL;
   return frame;
 }
 

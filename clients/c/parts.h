@@ -21,8 +21,6 @@ typedef struct libdipole_frame {
   };
   wire_header header;
   uint64_t payload_bytes; /* may be more than a header can say if the answer had several parts */
-  void *into_values;      /* the caller's memory for the values; NULL if there is none */
-  void *into_radii;
   _Alignas(8) uint8_t head[WIRE_BYTES_header]; /* see libdipole_frame_bytes() */
   _Alignas(8) uint8_t payload[];
 } libdipole_frame;

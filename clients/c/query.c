@@ -146,11 +146,9 @@ static bool check_into(const dipole_query *query, dipole_error *error) {
     arrays = arrays || eval_is_array(query->wanted, quantity->id);
   }
   const bool radii = (query->wanted & DIPOLE_RADIUS) != 0;
-  return (!arrays || query->into_values != NULL) && (!radii || query->into_radii != NULL)
-             ? true
-             : libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                              "into_values and into_radii are needed for all that is wanted, or "
-                              "for none of it");
+  return ((!arrays || query->into_values != NULL) && (!radii || query->into_radii != NULL)) ||
+         libdipole_fail_argument(error, "into_values and into_radii are needed for all that is "
+                                        "wanted, or for none of it");
 }
 
 /* Checks that a query that leaves the model to the daemon says how good it has to be. */
@@ -189,7 +187,7 @@ static bool submit(dipole_client *client, const dipole_query *query, libdipole_r
 static bool collect(dipole_client *client, uint64_t *id, dipole_result **result,
                     dipole_error *error) {
   libdipole_pending pending;
-  if (!libdipole_request_wait(client, *id, &pending, error)) {
+  if (!libdipole_request_wait(client, *id, NULL, &pending, error)) {
     return false;
   }
   *id = pending.id;
@@ -218,8 +216,11 @@ bool dipole_eval_parts(dipole_client *client, const dipole_query *query,
   libdipole_reader reader = {.part = part, .context = context};
   uint64_t id;
   error = error != NULL ? error : &(dipole_error){0};
-  if (!submit(client, query, &reader, &id, error) ||
-      !libdipole_request_read(client, id, &reader, &pending, error)) {
+  if (!submit(client, query, &reader, &id, error)) {
+    return false;
+  }
+  if (!libdipole_request_wait(client, id, &reader, &pending, error)) {
+    libdipole_request_drop(client, id);
     return false;
   }
   const bool good = reader.stopped ? libdipole_fail(error, DIPOLE_ERROR_STOPPED,
@@ -345,11 +346,12 @@ bool dipole_sample(dipole_client *client, const dipole_sample_query *query, dipo
   if (!send_sample(client, query, &pending, error)) {
     return false;
   }
-  const bool good = libdipole_request_wait(client, pending.id, &pending, error);
-  if (!good) {
-    libdipole_request_drop(client, pending.id); /* in case no answer came in time */
+  const uint64_t id = pending.id;
+  if (!libdipole_request_wait(client, id, NULL, &pending, error)) {
+    libdipole_request_drop(client, id); /* in case no answer came in time */
+    return false;
   }
-  return good && libdipole_result_take(client, &pending, result, error);
+  return libdipole_result_take(client, &pending, result, error);
 }
 
 bool dipole_sample_numbers(const dipole_sample_query *query, uint64_t begin, size_t n, void *u,

@@ -816,12 +816,16 @@ bool libdipole_request_send(dipole_client *client, dipole_error *error) {
   return true;
 }
 
-bool libdipole_request_wait(dipole_client *client, uint64_t id, libdipole_pending *pending,
-                            dipole_error *error) {
+bool libdipole_request_wait(dipole_client *client, uint64_t id, const libdipole_reader *reader,
+                            libdipole_pending *pending, dipole_error *error) {
   for (;;) {
     libdipole_pending *entry = id != 0 ? find(client, id) : find_arrived(client);
     if (entry != NULL && entry->frame != NULL) {
       hand_out(client, entry, pending);
+      return true;
+    }
+    if (reader != NULL && reader->stopped) {
+      pending->frame = NULL;
       return true;
     }
     const bool none = id != 0 ? entry == NULL || entry->dropped : dipole_outstanding(client) == 0;
@@ -836,29 +840,10 @@ bool libdipole_request_wait(dipole_client *client, uint64_t id, libdipole_pendin
   }
 }
 
-bool libdipole_request_read(dipole_client *client, uint64_t id, const libdipole_reader *reader,
-                            libdipole_pending *pending, dipole_error *error) {
-  for (;;) {
-    libdipole_pending *entry = find(client, id);
-    if (entry != NULL && entry->frame != NULL) {
-      hand_out(client, entry, pending);
-      return true;
-    }
-    if (reader->stopped) { /* If the last part has come already, the request has no entry now. */
-      pending->frame = NULL;
-      return true;
-    }
-    if (!step(client, error)) {
-      libdipole_request_drop(client, id);
-      return false;
-    }
-  }
-}
-
 libdipole_frame *libdipole_reply(dipole_client *client, libdipole_pending *pending,
                                  dipole_error *error) {
   const uint64_t id = pending->id;
-  if (!libdipole_request_wait(client, id, pending, error)) {
+  if (!libdipole_request_wait(client, id, NULL, pending, error)) {
     libdipole_request_drop(client, id);
     return NULL;
   }

@@ -72,14 +72,9 @@ bool libdipole_request_send(dipole_client *client, dipole_error *error);
 
 /* Waits for the answer to request id, or to any request if id is 0, and moves the request to
  * *pending. The caller frees pending->frame, which may be an error frame. If the frame is a report
- * of progress, the request continues. */
-bool libdipole_request_wait(dipole_client *client, uint64_t id, libdipole_pending *pending,
-                            dipole_error *error);
-
-/* Waits until a request's reader has got all parts of the answer, the reader has stopped, or an
- * error frame has ended the answer. The caller frees pending->frame, which is NULL if the reader
- * stopped before the last part. */
-bool libdipole_request_read(dipole_client *client, uint64_t id, const libdipole_reader *reader,
+ * of progress, the request continues. reader: that of the request, or NULL; if it has stopped before
+ * the last part, pending->frame is NULL. */
+bool libdipole_request_wait(dipole_client *client, uint64_t id, const libdipole_reader *reader,
                             libdipole_pending *pending, dipole_error *error);
 
 /* Waits for the answer to request pending->id. Returns the frame, which the caller frees. Returns
@@ -115,6 +110,9 @@ bool libdipole_bad_answer(dipole_client *client, const char *what, dipole_error 
 void libdipole_requests_free(dipole_client *client);
 
 /* ---- for connecting ------------------------------------------------------------------------ */
+
+/* Sends hello and makes client->info of the reply and a copy of the connection's address. */
+bool libdipole_hello(dipole_client *client, const char *address, dipole_error *error);
 
 /* Returns whether connecting again may help after this error. */
 bool libdipole_is_temporary(const dipole_error *error);

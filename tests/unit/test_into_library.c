@@ -86,13 +86,13 @@ static double value_at(const void *values, size_t value_bytes, uint64_t i) {
 }
 
 static void check_array(const question *of, const void *values, const void *place, double factor) {
-  assert_ptr_equal(values, place);
   for (uint64_t i = 0; i < of->query.radius_count; i++) {
     assert_true(value_at(values, of->value_bytes, i) == factor * peer_radii_f64[i]);
+    assert_true(value_at(place, of->value_bytes, i) == factor * peer_radii_f64[i]);
   }
 }
 
-/* Checks the address and the values of each array, and frees the result. */
+/* Checks the values of each array of the result and of the memory, and frees the result. */
 static void check_result(const question *of, dipole_result *result) {
   const bool single = of->value_bytes == sizeof(float);
   const size_t array_bytes = of->query.radius_count * of->value_bytes;
@@ -116,7 +116,7 @@ static void check_result(const question *of, dipole_result *result) {
                 inside(&of->radii), 1);
   }
   const void *R = single ? (const void *)result->channels[0].R_f32 : result->channels[0].R_f64;
-  assert_ptr_equal(R, (of->query.wanted & DIPOLE_R) != 0 ? inside(&of->values) : NULL);
+  assert_int_equal(R != NULL, (of->query.wanted & DIPOLE_R) != 0);
   dipole_result_free(result);
 }
 
@@ -221,7 +221,6 @@ UNIT_TEST(test_large_ones_both_ways) {
   for (size_t k = MANY; k-- > 0;) {
     assert_true(dipole_collect_id(client, ids[k], &result, &error));
     const double *R = inside(&places[k]);
-    assert_ptr_equal(result->channels[0].R_f64, R);
     for (size_t i = 0; i < LARGE - k; i++) {
       assert_true(R[i] == 2 * radii[i]);
     }

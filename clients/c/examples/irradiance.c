@@ -14,7 +14,7 @@
  * than that for a disk with the area A_i.
  *
  * The program computes M in two ways. First it sends a request for each pixel, with all distances.
- * Many requests are outstanding at the same time, and the library stores their values in the
+ * Many requests are outstanding at the same time, and the library copies their values into the
  * program's own memory. Then the program fetches a table for each channel, with one request, and
  * evaluates the tables itself. The bits are the same.
  *
@@ -154,9 +154,9 @@ static job *collect(const scene *of, dipole_client *client, job *jobs, double *e
     which++;
   }
   for (size_t c = 0; c < CHANNELS; c++) {
-    exitance[jobs[which].pixel * CHANNELS + c] = gather(of, result->channels[c].R_f32);
+    exitance[jobs[which].pixel * CHANNELS + c] = gather(of, jobs[which].R + c * of->count);
   }
-  dipole_result_free(result); /* The values stay valid: they are in the job's own memory. */
+  dipole_result_free(result);
   return &jobs[which];
 }
 
