@@ -85,7 +85,7 @@ typedef struct schema_number {
 /* How JSON gives a list of numbers. */
 enum schema_form {
   SCHEMA_GIVEN,     /* has to be given, unless a rule can make it */
-  SCHEMA_ZEROS,     /* without it, all its numbers are 0 */
+  SCHEMA_ZEROS,     /* may be absent: all its numbers are then 0 */
   SCHEMA_EACH,      /* may be one number for all; which lists are given is checked elsewhere */
   SCHEMA_SETS,      /* a list, or a list of lists: one for each set */
   SCHEMA_POSITIONS, /* x, y and z, each a list, or one number for all */

@@ -276,8 +276,8 @@ static int run(const cli_settings *settings, dipole_client *client) {
     return CLI_FAILED;
   }
   if (of.profile.channel_count != of.points.channels) {
-    return cli_fail_usage("%s has %u powers for each point, and the medium %zu channels: give as "
-                          "many media, or choose with --channel",
+    return cli_fail_usage("%s: powers of each point: %u, channels of the medium: %zu: give as "
+                          "many media as powers, or choose a channel with --channel",
                           of.points.sheet.source, of.points.channels, of.profile.channel_count);
   }
   of.M = cli_allocate((size_t)of.queries.count * of.points.channels + 1, sizeof *of.M);

@@ -22,7 +22,7 @@ REGULAR, FREE_PATH, LOGARITHMIC = 2, 1, 3
 TRANSPORT = 29
 READINGS = ["1,.02292,.00046", "2,.00781,.00016", "3,.00343,.00007", "5,.000775,.000016"]
 SCALES = {"absolute": 1, "free": 2}
-FIT = {"g": "0", "eta": "1.4", "scale": "absolute"}  # by name; eta: that of READINGS
+FIT = {"g": "0", "eta": "1.4", "scale": "absolute"}  # defaults of the arguments; eta is that of READINGS
 READINGS_MOST = 25
 SKIN = 0.032, 0.74, 0, 1.3  # sigma_a, sigma_s (1/mm), g, eta
 
@@ -43,8 +43,9 @@ def run(unit: Unit, commit: int, status: int, progress: int, error_text: int) ->
         unit.wait(token, status, error_text, show)
     except KeyboardInterrupt:
         unit.write(commit + 1, "H", 1)  # cancel
-        sys.exit("\ncancelled")
-    print("\r" + 30 * " " + "\r", end="", file=sys.stderr)
+        sys.exit("cancelled")
+    finally:
+        print("\r" + 30 * " " + "\r", end="", file=sys.stderr, flush=True)
 
 
 def sample(unit: Unit) -> None:

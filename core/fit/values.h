@@ -18,7 +18,7 @@ struct fit_model {
   double eta;
   core_parameters parameters;
   bool narrow;           /* whether only light within the aperture is detected */
-  fit_aperture aperture; /* of `g` and `eta`, if so */
+  fit_aperture aperture; /* for `g` and `eta`, if `narrow` is true */
   fit_table *table;      /* NULL if the model varies, or if a parameter is a length */
   bool varies;           /* whether `varying` evaluates the quantity for any medium */
   core_varying varying;  /* owned */

@@ -61,7 +61,7 @@ static struct modbus_task *committed_by(struct modbus_unit *unit, unsigned addre
   return NULL;
 }
 
-/* The eta of a fit's media, which has no default there: a wrong one fits as well. */
+/* The eta of a fit's media. It has no default, because a fit with a wrong eta looks as good. */
 enum { ETA_OF_MEDIA, ETA_OF_REFERENCE, ETAS };
 static const unsigned eta_at[ETAS] = {REGISTERS_AT_ETA, REGISTERS_AT_FIT_REFERENCE_ETA};
 

@@ -47,7 +47,7 @@ $ for text in '' 'x,y,z\n0,0,0\n' 'x,y,power\n' 'x,y,z,power\n' 'x,y,z,power\n0,
 ! dipole gather: standard input: line 4: bad-value: points: allowed: coordinates from -1e9 to 1e9 mm
 ! dipole gather: standard input: line 3: bad-value: power: allowed: 0 to 1e30
 ! dipole gather: standard input: line 2: z: there is no number
-! dipole gather: standard input has 2 powers for each point, and the medium 1 channels: give as many media, or choose with --channel
+! dipole gather: standard input: powers of each point: 2, channels of the medium: 1: give as many media as powers, or choose a channel with --channel
 ! `dipole gather --help` tells more.
 ? 2
 
@@ -66,7 +66,7 @@ $ dipole gather points.csv queries.csv
 ? 2
 
 $ dipole gather points.csv queries.csv --medium skin1
-! dipole gather: points.csv has 1 powers for each point, and the medium 3 channels: give as many media, or choose with --channel
+! dipole gather: points.csv: powers of each point: 1, channels of the medium: 3: give as many media as powers, or choose a channel with --channel
 ! `dipole gather --help` tells more.
 ? 2
 
