@@ -31,13 +31,11 @@ ALL_LDFLAGS = -pthread $(LDFLAGS) $(SANITIZE)
 PKG_CONFIG ?= pkg-config
 cflags = $(shell $(PKG_CONFIG) --cflags $(1))
 libs = $(shell $(PKG_CONFIG) --libs $(1))
-# TLS=no builds without OpenSSL, CMINPACK=no without the model `gaussians`.
-TLS ?= yes
+# CMINPACK=no builds without the model `gaussians`.
 CMINPACK ?= yes
-TLS_CFLAGS = $(if $(filter yes,$(TLS)),$(call cflags,openssl))
-TLS_LIBS = $(if $(filter yes,$(TLS)),$(call libs,openssl))
+TLS_CFLAGS = $(call cflags,openssl)
+TLS_LIBS = $(call libs,openssl)
 CORE_LIBS = $(if $(filter yes,$(CMINPACK)),$(call libs,cminpack))
-CPPFLAGS += $(if $(filter yes,$(TLS)),,-DDIPOLED_WITHOUT_TLS)
 CPPFLAGS += $(if $(filter yes,$(CMINPACK)),,-DCORE_WITHOUT_CMINPACK)
 SERVER_LIBS = $(call libs,libuv) $(TLS_LIBS) $(call libs,libmodbus) $(call libs,libmicrohttpd) $(call libs,jansson)
 

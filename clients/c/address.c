@@ -82,13 +82,6 @@ bool libdipole_address_parse(const char *text, libdipole_address *address, dipol
         error, DIPOLE_ERROR_ADDRESS,
         "address '%.80s': write unix:PATH, tcp:HOST:PORT, tls:HOST:PORT or private:", text);
   }
-#ifdef DIPOLED_WITHOUT_TLS
-  if (address->kind == LIBDIPOLE_TLS) {
-    return libdipole_fail(error, DIPOLE_ERROR_ADDRESS,
-                          "address '%.80s': this libdipole was built without OpenSSL (make TLS=no)",
-                          text);
-  }
-#endif
   if (address->kind == LIBDIPOLE_TCP || address->kind == LIBDIPOLE_TLS) {
     return parse_tcp(text, rest, address, error);
   }

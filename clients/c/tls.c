@@ -1,55 +1,20 @@
 #include "clients/c/tls.h"
 
-#include <errno.h>
-#include <stdlib.h>
-
-#include "clients/c/clock.h"
-#include "clients/c/error.h"
-#include "proto/wire.h"
-
-#ifdef DIPOLED_WITHOUT_TLS
-
-/* libdipole_address_parse() refuses the addresses: nothing of this is called with a connection. */
-
-libdipole_tls *libdipole_tls_open(int fd, const char *host, const libdipole_tls_files *files,
-                                  unsigned timeout_ms, dipole_error *error) {
-  (void)fd, (void)host, (void)files, (void)timeout_ms, (void)error;
-  return NULL;
-}
-
-void libdipole_tls_free(libdipole_tls *tls, bool tells) {
-  (void)tls, (void)tells;
-}
-ssize_t libdipole_tls_read(libdipole_tls *tls, void *to, size_t bytes) {
-  (void)tls, (void)to, (void)bytes;
-  errno = EPROTO;
-  return -1;
-}
-ssize_t libdipole_tls_write(libdipole_tls *tls, const void *from, size_t bytes) {
-  (void)tls, (void)from, (void)bytes;
-  errno = EPROTO;
-  return -1;
-}
-bool libdipole_tls_pending(const libdipole_tls *tls) {
-  (void)tls;
-  return false;
-}
-const char *libdipole_tls_refusal(const libdipole_tls *tls) {
-  (void)tls;
-  return NULL;
-}
-
-#else
-
 #include <arpa/inet.h>
+#include <errno.h>
 #include <limits.h>
 #include <openssl/err.h>
 #include <openssl/ssl.h>
 #include <poll.h>
 #include <pthread.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/socket.h>
+
+#include "clients/c/clock.h"
+#include "clients/c/error.h"
+#include "proto/wire.h"
 
 /* Fails in a way in which trying again does, too. */
 static bool fail_for_good(dipole_error *error) {
@@ -331,5 +296,3 @@ const char *libdipole_tls_refusal(const libdipole_tls *tls) {
              ? ERR_reason_error_string(ERR_PACK(ERR_LIB_SSL, 0, tls->reason))
              : NULL;
 }
-
-#endif

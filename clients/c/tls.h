@@ -1,5 +1,4 @@
-/* tls: TLS 1.2 and 1.3 by OpenSSL on a connected socket. With `make TLS=no` there is none, and
- * libdipole_tls_open() says so. */
+/* tls: TLS 1.2 and 1.3 by OpenSSL on a connected socket. */
 #ifndef LIBDIPOLE_TLS_H
 #define LIBDIPOLE_TLS_H
 

@@ -1,8 +1,14 @@
 #include "server/net/tls.h"
 
+#include <errno.h>
+#include <openssl/err.h>
+#include <openssl/pem.h>
+#include <openssl/ssl.h>
+#include <openssl/x509v3.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/socket.h>
 #include <uv.h>
 
 #include "server/observe/log.h"
@@ -23,69 +29,6 @@ bool tls_is_wanted_for_modbus(const struct options *options) {
 bool tls_is_wanted(const struct options *options) {
   return has_tls(&options->listen) || has_tls(&options->modbus);
 }
-
-#ifdef DIPOLED_WITHOUT_TLS
-
-struct tls *tls_new(const struct options *options) {
-  (void)options;
-  fprintf(stderr, "dipoled: tls: this dipoled was built without OpenSSL (make TLS=no)\n");
-  return NULL;
-}
-
-/* Nothing below is called, because nobody gets a `struct tls`. */
-void tls_free(struct tls *tls) {
-  (void)tls;
-}
-void tls_reload(struct tls *tls) {
-  (void)tls;
-}
-struct tls_session *tls_session_new(struct tls *tls, int fd) {
-  (void)tls, (void)fd;
-  return NULL;
-}
-void tls_session_free(struct tls_session *session) {
-  (void)session;
-}
-enum tls_progress tls_session_shake_hands(struct tls_session *session, char why[TLS_WHY_BYTES]) {
-  (void)session, (void)why;
-  return TLS_FAILED;
-}
-unsigned tls_session_roles(const struct tls_session *session) {
-  (void)session;
-  return 0;
-}
-bool tls_session_rights(const struct tls_session *session, struct roles_rights **rights) {
-  (void)session, (void)rights;
-  return false;
-}
-bool tls_session_is_blocked(const struct tls_session *session) {
-  (void)session;
-  return false;
-}
-uint64_t tls_session_received_bytes(const struct tls_session *session) {
-  (void)session;
-  return 0;
-}
-ssize_t tls_session_read(struct tls_session *session, void *to, size_t bytes) {
-  (void)session, (void)to, (void)bytes;
-  return UV_EPROTO;
-}
-ssize_t tls_session_write(struct tls_session *session, const void *from, size_t bytes) {
-  (void)session, (void)from, (void)bytes;
-  return UV_EPROTO;
-}
-void tls_session_end(struct tls_session *session) {
-  (void)session;
-}
-
-#else
-
-#include <errno.h>
-#include <openssl/err.h>
-#include <openssl/pem.h>
-#include <openssl/ssl.h>
-#include <openssl/x509v3.h>
-#include <sys/socket.h>
 
 #define ROLE_OID "1.3.6.1.4.1.50316.802.1"
 
@@ -459,5 +402,3 @@ void tls_session_end(struct tls_session *session) {
   SSL_shutdown(ssl_of(session));
   ERR_clear_error();
 }
-
-#endif

@@ -1,5 +1,4 @@
-/* tls: TLS 1.2 and 1.3 by OpenSSL: the daemon's certificate, and the sessions of connections. With
- * `make TLS=no` there is none, and tls_new() says so.
+/* tls: TLS 1.2 and 1.3 by OpenSSL: the daemon's certificate, and the sessions of connections.
  *
  * There is no renegotiation, no compression, no resumption and no early data; the ciphers have
  * forward secrecy and authenticate what they encrypt.

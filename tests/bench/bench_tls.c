@@ -15,6 +15,7 @@
 #include <arpa/inet.h>
 #include <netinet/in.h>
 #include <netinet/tcp.h>
+#include <openssl/ssl.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -23,17 +24,6 @@
 #include <unistd.h>
 
 #include "tests/bench/bench.h"
-
-#ifdef DIPOLED_WITHOUT_TLS
-
-void bench_tls(void) {
-  fprintf(stderr, "bench: tls: nothing is measured: it was built without OpenSSL\n");
-}
-
-#else
-
-#include <openssl/ssl.h>
-
 #include "tests/bench/service/child.h"
 #include "tests/bench/service/daemon.h"
 #include "tests/bench/service/samples.h"
@@ -298,5 +288,3 @@ void bench_tls(void) {
   child_end_all();
   samples_free(&samples);
 }
-
-#endif
