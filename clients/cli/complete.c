@@ -1,4 +1,4 @@
-#include "clients/cli/complete.h"
+/* What may stand next in a command line, for the shells. */
 
 #include <stdlib.h>
 #include <string.h>
@@ -15,68 +15,53 @@ static void offer(const char *before, const char *start, const char *name, const
   }
 }
 
-/* The options whose values are names of a list. */
+/* Values of options: the names of a list, or others, separated by commas. */
 static const struct {
   const char *option;
   enum dipole_kind kind;
-} named[] = {{"model", DIPOLE_MODEL},
-             {"fit-model", DIPOLE_MODEL},
-             {"evaluator", DIPOLE_EVALUATOR},
-             {"moments", DIPOLE_MOMENTS},
-             {"phase", DIPOLE_PHASE},
-             {"scale", DIPOLE_SCALE},
-             {"light", DIPOLE_LIGHT},
-             {"coefficients", DIPOLE_COEFFICIENT},
-             {"wanted", DIPOLE_QUANTITY},
-             {"quantity", DIPOLE_QUANTITY},
-             {"draw", DIPOLE_DRAW}};
+  const char *others;
+} values[] = {{"model", DIPOLE_MODEL, NULL},
+              {"evaluator", DIPOLE_EVALUATOR, NULL},
+              {"moments", DIPOLE_MOMENTS, NULL},
+              {"phase", DIPOLE_PHASE, NULL},
+              {"scale", DIPOLE_SCALE, NULL},
+              {"light", DIPOLE_LIGHT, NULL},
+              {"coefficients", DIPOLE_COEFFICIENT, NULL},
+              {"wanted", DIPOLE_QUANTITY, NULL},
+              {"quantity", DIPOLE_QUANTITY, NULL},
+              {"draw", DIPOLE_DRAW, NULL},
+              {"channel", 0, "red,green,blue"},
+              {"axes", 0, "linear,semilog,logarithmic"},
+              {"connect", 0, "unix:,tcp:,tls:,private:"}};
 
-/* Other values, separated by commas. */
-static const struct {
-  const char *option, *values;
-} others[] = {{"channel", "red,green,blue"},
-              {"axes", "linear,semilog,logarithmic"},
-              {"connect", "unix:,tcp:,tls:,private:"}};
-
-static void offer_list(const char *before, const char *start, const char *values) {
-  char *copy = strdup(values), *rest = copy;
-  for (const char *value; rest != NULL && (value = strsep(&rest, ",")) != NULL;) {
+static void offer_list(const char *before, const char *start, const char *list) {
+  char *copy = cli_copy(list, strlen(list));
+  for (const char *value; copy != NULL && (value = strsep(&copy, ",")) != NULL;) {
     offer(before, start, value, "");
-  }
-  free(copy);
-}
-
-static void offer_kind(const char *before, const char *start, enum dipole_kind kind) {
-  dipole_info *info;
-  dipole_error error;
-  const dipole_choice *choice;
-  if (dipole_local_info(&info, &error)) {
-    for (size_t from = 0; (choice = cli_next_choice(info, kind, &from)) != NULL;) {
-      offer(before, start, choice->name, "");
-    }
-    free(info);
   }
 }
 
 /* Offers values of an option. before: what stands before the value on its word */
 static void offer_values(const cli_command *command, const cli_option *option, const char *before,
                          const char *start) {
-  char *head = NULL;
   const char *comma = strrchr(start, ',');
   const bool many = option->argument != NULL && strstr(option->argument, "...") != NULL;
-  const int kept = many && comma != NULL ? (int)(comma + 1 - start) : 0;
-  if (asprintf(&head, "%s%.*s", before, kept, start) < 0) {
-    return;
-  }
+  const size_t kept = many && comma != NULL ? (size_t)(comma + 1 - start) : 0;
+  char *head = cli_allocate(strlen(before) + kept + 1, 1);
+  dipole_info *info = NULL;
+  dipole_error error;
+  memcpy(head, before, strlen(before));
+  memcpy(head + strlen(before), start, kept);
   start += kept;
-  for (size_t i = 0; i < sizeof named / sizeof named[0]; i++) {
-    if (strcmp(named[i].option, option->name) == 0) {
-      offer_kind(head, start, named[i].kind);
-    }
-  }
-  for (size_t i = 0; i < sizeof others / sizeof others[0]; i++) {
-    if (strcmp(others[i].option, option->name) == 0) {
-      offer_list(head, start, others[i].values);
+  for (size_t i = 0; i < sizeof values / sizeof values[0]; i++) {
+    const dipole_choice *choice;
+    const bool is_it = strcmp(values[i].option, option->name) == 0;
+    if (is_it && values[i].others != NULL) {
+      offer_list(head, start, values[i].others);
+    } else if (is_it && dipole_local_info(&info, &error)) {
+      for (size_t from = 0; (choice = cli_next_choice(info, values[i].kind, &from)) != NULL;) {
+        offer(head, start, choice->name, "");
+      }
     }
   }
   if (strcmp(option->name, "format") == 0) {
@@ -85,40 +70,29 @@ static void offer_values(const cli_command *command, const cli_option *option, c
   for (size_t i = 0; strcmp(option->name, "medium") == 0 && i < core_measured_media_count; i++) {
     offer(head, start, core_measured_media[i].name, "");
   }
-  free(head);
-}
-
-static void offer_commands(const char *start) {
-  for (size_t i = 0; cli_commands[i] != NULL; i++) {
-    offer("", start, cli_commands[i]->name, cli_commands[i]->about);
-  }
-  offer("", start, "help", "");
+  free(info);
 }
 
 /* Offers what may stand in the place of `last` behind `previous`, the word before it. */
 static void offer_words(const cli_command *command, const char *previous, const char *last) {
-  const char *equals = strncmp(last, "--", 2) == 0 ? strchr(last, '=') : NULL;
   const cli_option *option;
+  char name[64];
   for (option = cli_options_of(command); option->name != NULL; option++) {
-    const size_t length = strlen(option->name);
-    if (equals != NULL && equals == last + 2 + length &&
-        strncmp(last + 2, option->name, length) == 0) {
-      char before[64];
-      snprintf(before, sizeof before, "--%s=", option->name);
-      offer_values(command, option, before, equals + 1);
+    const int length = snprintf(name, sizeof name, "--%s=", option->name);
+    if (option->kind != CLI_HEADING && strncmp(last, name, (size_t)length) == 0) {
+      offer_values(command, option, name, last + length);
       return;
     }
-    if (option->kind != CLI_SWITCH && strncmp(previous, "--", 2) == 0 &&
-        strcmp(previous + 2, option->name) == 0) {
+    name[length - 1] = '\0';
+    if (option->kind != CLI_HEADING && option->kind != CLI_SWITCH && strcmp(previous, name) == 0) {
       offer_values(command, option, "", last);
       return;
     }
   }
   const bool names = last[0] == '-' || command->operand == NULL;
   for (option = cli_options_of(command); names && option->name != NULL; option++) {
+    snprintf(name, sizeof name, "--%s", option->name);
     if (option->kind != CLI_HEADING) {
-      char name[64];
-      snprintf(name, sizeof name, "--%s", option->name);
       offer("", last, name, option->help != NULL ? option->help : command->formats);
     }
   }
@@ -126,21 +100,23 @@ static void offer_words(const cli_command *command, const char *previous, const 
 
 int cli_complete(const char *line) {
   enum { WORDS_MAX = 256 };
-  char *words[WORDS_MAX + 1] = {0}, *copy = strdup(line), *rest = copy;
+  char *words[WORDS_MAX + 1] = {0}, *rest = cli_copy(line, strlen(line));
   size_t count = 0;
-  for (char *word; copy != NULL && count < WORDS_MAX && (word = strsep(&rest, " \t")) != NULL;) {
+  for (char *word; count < WORDS_MAX && (word = strsep(&rest, " \t")) != NULL;) {
     if (word[0] != '\0' || rest == NULL) {
       words[count++] = word;
     }
   }
-  if (count == 2 || (count == 3 && strcmp(words[1], "help") == 0)) {
-    offer_commands(words[count - 1]);
-  }
-  for (size_t i = 0; count > 2 && cli_commands[i] != NULL; i++) {
-    if (strcmp(cli_commands[i]->name, words[1]) == 0) {
+  const bool names = count == 2 || (count == 3 && strcmp(words[1], "help") == 0);
+  for (size_t i = 0; cli_commands[i] != NULL; i++) {
+    if (names) {
+      offer("", words[count - 1], cli_commands[i]->name, cli_commands[i]->about);
+    } else if (count > 2 && strcmp(cli_commands[i]->name, words[1]) == 0) {
       offer_words(cli_commands[i], words[count - 2], words[count - 1]);
     }
   }
-  free(copy);
+  if (names) {
+    offer("", words[count - 1], "help", "");
+  }
   return CLI_OK;
 }

@@ -5,7 +5,6 @@
 #include <sys/un.h>
 #include <unistd.h>
 
-#include "clients/cli/complete.h"
 #include "clients/cli/daemon.h"
 #include "clients/cli/options.h"
 #include "proto/standard.h"

@@ -16,6 +16,11 @@ const cli_option *cli_options_find(const char *field);
  * have on a command line; NULL as a name ends the list. It is valid until another command's is made. */
 const cli_option *cli_options_of(const cli_command *command);
 
+/* Writes what the last word of a command line of `dipole` may become, each on a line, with what
+ * --help says about commands and options behind a tab; nothing where it is the name of a file or a
+ * number. It asks no daemon. Returns an exit status. */
+int cli_complete(const char *line);
+
 /* The known name that is the nearest to a name that is unknown: to ask whether that was meant.
  * Starts as {0}; its name is NULL as long as no known name is near enough. */
 typedef struct cli_nearest {

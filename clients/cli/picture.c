@@ -271,10 +271,8 @@ int cli_picture_draw(cli_picture *picture, const cli_texts *paths) {
     status = open ? draw(picture, paths->items[i], files)
                   : cli_fail("--plot %s: cannot make a temporary file: %s", paths->items[i],
                              strerror(errno));
-    for (int k = 0; k < FILES; k++) {
-      if (files[k] != NULL) {
-        fclose(files[k]);
-      }
+    for (int k = 0; open && k < FILES; k++) {
+      fclose(files[k]);
     }
   }
   return status;

@@ -196,41 +196,32 @@ static int evaluate(const dipole_table *table, const float *r, const cli_eval_re
                     cli_eval_values *values) {
   const dipole_table_info *info = dipole_table_get_info(table);
   const size_t n = report->place_count;
-  float probe = 0;
-  values->albedo = (report->quantities.wanted & DIPOLE_ALBEDO) != 0 ? info->albedo : (double)NAN;
-  float *out = cli_allocate(n, sizeof *out);
-  int status = CLI_OK;
-  for (size_t q = 0; status == CLI_OK && q < report->quantities.count; q++) {
-    const enum dipole_quantity quantity = (enum dipole_quantity)report->quantities.items[q]->id;
-    if (quantity == DIPOLE_ALBEDO) {
+  const unsigned wanted = report->quantities.wanted;
+  float probe = 0, *out = cli_allocate(n, sizeof *out);
+  values->albedo = (wanted & DIPOLE_ALBEDO) != 0 ? info->albedo : (double)NAN;
+  for (size_t q = 0; q < report->quantities.count; q++) {
+    const dipole_choice *quantity = report->quantities.items[q];
+    const enum dipole_quantity id = (enum dipole_quantity)quantity->id;
+    dipole_table_errors(table, id, n, r, &values->of_each[q]);
+    if (id == DIPOLE_ALBEDO) {
       continue;
     }
-    if (!dipole_table_values(table, quantity, 0, &probe, &probe)) {
-      status = cli_fail(
-          "--wanted %s: a table does not hold it; it holds R, albedo, cdf, pdf, 2_pi_r_R and S",
-          report->quantities.items[q]->name);
-    } else if (!dipole_table_values(table, quantity, n, r, out)) {
-      status = fail_radius(info, report);
-    } else {
-      values->arrays[q] = cli_allocate(n, sizeof(double));
-      for (size_t i = 0; i < n; i++) {
-        values->arrays[q][i] = cli_number_of_single(out[i]);
-      }
+    if (!dipole_table_values(table, id, 0, &probe, &probe)) {
+      return cli_fail("--wanted %s: a table does not hold it; it holds R, albedo, cdf, pdf, "
+                      "2_pi_r_R and S",
+                      quantity->name);
+    }
+    if (!dipole_table_values(table, id, n, r, out)) {
+      return fail_radius(info, report);
+    }
+    values->arrays[q] = cli_allocate(n, sizeof(double));
+    for (size_t i = 0; i < n; i++) {
+      values->arrays[q][i] = cli_number_of_single(out[i]);
     }
   }
-  dipole_errors errors;
-  if (status == CLI_OK &&
-      !dipole_table_errors(table, report->quantities.wanted & ~(unsigned)DIPOLE_RADIUS, n, r,
-                           &errors)) {
-    status = fail_radius(info, report);
-  }
-  if (status == CLI_OK) {
-    values->errors = errors;
-  }
-  for (size_t q = 0; status == CLI_OK && q < report->quantities.count; q++) {
-    dipole_table_errors(table, report->quantities.items[q]->id, n, r, &values->of_each[q]);
-  }
-  return status;
+  return dipole_table_errors(table, wanted & ~(unsigned)DIPOLE_RADIUS, n, r, &values->errors)
+             ? CLI_OK
+             : fail_radius(info, report);
 }
 
 int cli_eval_table(const cli_settings *settings, cli_eval_report *report, dipole_info **info) {
