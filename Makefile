@@ -109,7 +109,7 @@ $(addprefix $(OBJ)/,core/transport/table.o core/evaluate.o proto/decimal.o $(add
 $(addprefix $(OBJ)/core/models/,surface.avx512.f32.o varying.avx512.f32.o): ISA_FLAGS_avx512 += -mprefer-vector-width=256
 $(SERVER): EXTRA_CPPFLAGS = $(call cflags,libuv libmicrohttpd libmodbus) $(TLS_CFLAGS)
 $(OBJ)/clients/c/tls.o: EXTRA_CPPFLAGS = $(TLS_CFLAGS)
-$(OBJ)/clients/cli/image.o: EXTRA_CPPFLAGS = $(call cflags,libpng lcms2)
+$(OBJ)/clients/cli/texture.o: EXTRA_CPPFLAGS = $(call cflags,libpng lcms2)
 $(OBJ)/core/models/gaussian_fit.o: EXTRA_CPPFLAGS = $(if $(filter yes,$(CMINPACK)),$(call cflags,cminpack))
 
 # Files that the assembler includes. A Content-Security-Policy names the script and the style of the

@@ -83,7 +83,8 @@ static void *link_block(chain *one) {
   return one + 1;
 }
 
-/* Returns the size of a block with what lies before it; more than there is memory if it is too large. */
+/* Returns the size of a block with what lies before it; more than there is memory if it is too
+ * large. */
 static size_t size_of(size_t count, size_t size_bytes) {
   size_t bytes;
   return __builtin_mul_overflow(count, size_bytes, &bytes) || bytes > SIZE_MAX / 2

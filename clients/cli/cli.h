@@ -165,7 +165,7 @@ typedef struct cli_terminal {
 /* Returns the terminal as it is now: the user may change its size. */
 cli_terminal cli_terminal_look(void);
 
-/* ---- memory: all of it is freed when the command has ended ------------------------------------- */
+/* ---- memory: all of it is freed when the command has ended ----------------------------------- */
 
 /* These functions end the program when no memory is left. Blocks need not be freed, but those of
  * work that may go on for long are. */

@@ -2,9 +2,10 @@
  * reads what cannot be misunderstood: cells between semicolons or tabs, as the header has them;
  * blanks around cells; lines that end with a carriage return; a first line sep=;.
  *
- * Comments are blank lines and lines that start with #, but no data is lost as one: above the header,
- * the last such line with as many cells as the first row, and names where that has a number, is the
- * header; below it, such a line with several cells is a row, as that of a sample called #1. */
+ * Comments are blank lines and lines that start with #, but no data is lost as one: above the
+ * header, the last such line with as many cells as the first row, and names where that has a
+ * number, is the header; below it, such a line with several cells is a row, as that of a sample
+ * called #1. */
 #ifndef DIPOLE_CLI_CSV_H
 #define DIPOLE_CLI_CSV_H
 
@@ -82,8 +83,8 @@ enum cli_csv_kind cli_csv_read(cli_csv_reader *reader, cli_csv_record *record);
 /* Frees what was read ahead; the caller closes fd. */
 void cli_csv_reader_free(cli_csv_reader *reader);
 
-/* Returns the text of a cell without its quotes and the blanks around it. It is valid until the next
- * record is read. The text may hold zero bytes; *length is its length with them. */
+/* Returns the text of a cell without its quotes and the blanks around it. It is valid until the
+ * next record is read. The text may hold zero bytes; *length is its length with them. */
 const char *cli_csv_cell_text(const cli_csv_record *record, size_t index, size_t *length);
 
 /* Reads a cell as a number. 05 is none, since 0,05 in two cells is meant as 0.05. */
@@ -92,9 +93,10 @@ bool cli_csv_number(const cli_csv_record *record, size_t index, double *value);
 /* Says what may help if a text is no number: starts with ": ", or is "". */
 const char *cli_csv_number_hint(const char *text);
 
-/* Finds the columns with these names in the header of `source`, a file's name: at[i] is the position
- * of names[i], or CLI_CSV_ABSENT. Says what is wrong and returns false if one stands there twice, or
- * a column is nearly called as one of them, or as one of the options, which may be NULL. */
+/* Finds the columns with these names in the header of `source`, a file's name: at[i] is the
+ * position of names[i], or CLI_CSV_ABSENT. Says what is wrong and returns false if one stands there
+ * twice, or a column is nearly called as one of them, or as one of the options, which may be
+ * NULL. */
 #define CLI_CSV_ABSENT SIZE_MAX
 bool cli_csv_find(const char *source, const cli_csv_record *header, const char *const *names,
                   size_t count, const cli_option *options, size_t *at);
@@ -112,5 +114,33 @@ void cli_csv_write_cell(const char *text, FILE *file);
 
 /* Frees the memory of a record. */
 void cli_csv_record_free(cli_csv_record *record);
+
+/* ---- sheets: the numbers of a file, by the names of their columns ---------------------------- */
+
+typedef struct cli_sheet {
+  const char *source; /* the file's name, for messages */
+  size_t columns;
+  size_t *at; /* [columns] positions in the header, or CLI_CSV_ABSENT */
+  size_t count, capacity;
+  double *numbers; /* [count][columns]; NAN where the cell is empty or absent */
+  char **labels;   /* [count] texts of the column of labels; "1" if it is absent */
+  uint64_t *lines; /* [count] of the file, from 1 on */
+} cli_sheet;
+
+/* Reads a file; NULL or "-" stands for standard input. names: of the columns; label: of one with
+ * texts, or NULL. check() is called once, after the header, with at[] set; it says what is wrong
+ * and returns false to end the reading. Says what is wrong and returns false. */
+bool cli_sheet_read(const char *path, const char *label, const char *const *names, size_t columns,
+                    bool (*check)(const cli_sheet *sheet, const cli_csv_record *header),
+                    cli_sheet *sheet);
+
+/* Returns a number of a row. */
+static inline double cli_sheet_number(const cli_sheet *sheet, size_t row, size_t column) {
+  return sheet->numbers[row * sheet->columns + column];
+}
+
+/* Opens a file; NULL or "-" stands for standard input. *source: its name, for messages. Says what
+ * is wrong and returns a negative number if it cannot. */
+int cli_sheet_open(const char *path, const char **source);
 
 #endif

@@ -374,16 +374,6 @@ int cli_eval_ask(const cli_settings *settings, dipole_client *client, cli_eval_r
 
 /* ---- errors ---------------------------------------------------------------------------------- */
 
-/* Returns what the numerical error of the wanted quantities is: that of ln R and its derivatives is
- * absolute. */
-static const char *kind_of_error(const cli_eval_report *report, unsigned wanted) {
-  const unsigned absolute = DIPOLE_LN_R | DIPOLE_BY_SIGMA_A | DIPOLE_BY_SIGMA_S;
-  return report->place[0] == 'f'     ? "of the albedo, at most"
-         : (wanted & absolute) == 0  ? "relative, at most"
-         : (wanted & ~absolute) == 0 ? "absolute, at most"
-                                     : "relative, of logarithms absolute, at most";
-}
-
 /* Returns the unit of the places. */
 static const char *unit_of_places(const cli_eval_report *report) {
   return report->place[0] == 'r' ? "mm" : report->place[0] == 'f' ? "1/mm" : "1";
@@ -399,21 +389,6 @@ static double radius_at(const cli_eval_report *report, const cli_eval_values *va
     q++;
   }
   return q < report->quantities.count ? values->arrays[q][at] : (double)NAN;
-}
-
-enum { RANGE_BYTES = 64 };
-
-/* Writes where the model error holds, such as "from 1 to 2 mm". */
-static const char *range_of(const cli_eval_report *report, char text[RANGE_BYTES]) {
-  if (report->draw != NULL) {
-    return "at drawn radii";
-  }
-  if (report->place[0] == 'f' || report->place_count == 0) {
-    return "relative";
-  }
-  snprintf(text, RANGE_BYTES, report->least < report->most ? "from %.6g to %.6g mm" : "at %.6g mm",
-           report->least, report->most);
-  return text;
 }
 
 /* Finds what rows say of all places. */
@@ -437,33 +412,31 @@ static void survey(cli_eval_report *report) {
 
 /* ---- rows ------------------------------------------------------------------------------------ */
 
-/* Puts errors under these names, at r_mm. */
-static void put_errors_as(cli_rows *rows, const cli_eval_report *report,
-                          const dipole_errors *errors, double r_mm, unsigned forms, unsigned wanted,
+/* Puts the errors of a quantity, or of all if `of` is "", at r_mm. */
+static void put_errors_of(cli_rows *rows, const cli_eval_report *report,
+                          const dipole_errors *errors, double r_mm, unsigned forms,
                           const char *of) {
-  char range[RANGE_BYTES], numerical[64], model[64];
+  char numerical[64], model[64];
   const char *none = report->diverges && !(report->most > 0) ? "diverges" : "not solved";
   snprintf(numerical, sizeof numerical, "numerical_error%s%s", of[0] != '\0' ? "_" : "", of);
   snprintf(model, sizeof model, "model_error%s%s", of[0] != '\0' ? "_" : "", of);
-  cli_put_number(rows, cli_numerical_error(errors, r_mm), numerical, "numerical error", NULL,
-                 "%.1e", .over = of, .below = kind_of_error(report, wanted), .forms = forms);
+  cli_put_number(rows, cli_numerical_error(errors, r_mm), numerical, "numerical error",
+                 .format = "%.1e", .over = of, .forms = forms);
   cli_put_number(rows, errors->model_error, model, "model error", NULL, "%.1e", none, .over = of,
-                 .below = range_of(report, range), .forms = forms);
+                 .forms = forms);
 }
 
-/* Puts the errors of a model and channel; in a table those of all radii, else those at r_mm. Those of
- * each quantity follow if several have values at places, and stand alone in a table. */
+/* Puts the errors of a model and channel; in a table those of all radii, else those at r_mm. Those
+ * of each quantity follow if several have values at places, and stand alone in a table. */
 static void put_errors(cli_rows *rows, const cli_eval_report *report, const cli_eval_values *values,
                        double r_mm) {
   const cli_quantities *quantities = &report->quantities;
   const unsigned beside = DIPOLE_ALBEDO | DIPOLE_RADIUS | DIPOLE_MODEL_ERRORS;
   const bool several = __builtin_popcount(quantities->wanted & ~beside) > 1;
-  put_errors_as(rows, report, &values->errors, r_mm, several ? CLI_IN_CSV | CLI_IN_JSON : 0,
-                quantities->wanted, "");
+  put_errors_of(rows, report, &values->errors, r_mm, several ? CLI_IN_CSV | CLI_IN_JSON : 0, "");
   for (size_t q = 0; several && q < quantities->count; q++) {
     if ((quantities->items[q]->id & (DIPOLE_RADIUS | DIPOLE_MODEL_ERRORS)) == 0) {
-      put_errors_as(rows, report, &values->of_each[q], r_mm, 0, quantities->items[q]->id,
-                    quantities->items[q]->name);
+      put_errors_of(rows, report, &values->of_each[q], r_mm, 0, quantities->items[q]->name);
     }
   }
 }
@@ -571,14 +544,15 @@ static void write_table(const void *context) {
     first += models.count;
   }
   cli_rows_print(stdout, 2, report->model_count * profile->channel_count, put_value, report);
-  fputs("numerical error: against the model's formula", stdout);
+  fputs("numerical error: at most, against the model's formula", stdout);
   if (report->draw == NULL && report->most > 0) {
     printf(", up to %s = %.6g %s", report->place, report->most, unit_of_places(report));
   }
-  puts("\nmodel error: of the model against radiative transport, relative");
-  if (report->diverges) {
-    puts("             at r > 0: transport diverges at r = 0");
-  }
+  printf("\nmodel error: the largest, of the model against radiative transport%s\n",
+         report->diverges ? ", at r > 0: transport diverges at r = 0" : "");
+  puts(
+      "errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, "
+      "and\nof R_f over the albedo");
   cli_write_launched(profile->media, profile->channel_count);
   unsigned notes = 0;
   for (size_t i = 0; i < report->model_count; i++) {

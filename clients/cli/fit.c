@@ -4,13 +4,13 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "clients/cli/csv.h"
 #include "clients/cli/daemon.h"
 #include "clients/cli/options.h"
 #include "clients/cli/picture.h"
 #include "clients/cli/profile.h"
 #include "clients/cli/progress.h"
 #include "clients/cli/rows.h"
-#include "clients/cli/sheet.h"
 
 enum { REFERENCE_NUMBERS = 4 };
 
@@ -231,7 +231,8 @@ static int complete_samples(report *of) {
   return CLI_OK;
 }
 
-/* Reads the file and groups its lines into samples. Says what is wrong and returns an exit status. */
+/* Reads the file and groups its lines into samples. Says what is wrong and returns an exit
+ * status. */
 static int read_samples(report *of) {
   cli_sheet sheet;
   if (!cli_sheet_read(of->settings->operand, "sample", names, COLUMNS, check_header, &sheet)) {
@@ -590,7 +591,8 @@ static int draw(const report *of) {
   return status;
 }
 
-/* Until they are answered, samples are refused, and all numbers NaN, whose bytes may be 255 each. */
+/* Until they are answered, samples are refused, and all numbers NaN, whose bytes may be 255
+ * each. */
 static void refuse_all(report *of) {
   const size_t count = of->sample_count;
   of->fitted = cli_allocate(count, sizeof *of->fitted);

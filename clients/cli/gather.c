@@ -3,9 +3,9 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "clients/cli/csv.h"
 #include "clients/cli/daemon.h"
 #include "clients/cli/profile.h"
-#include "clients/cli/sheet.h"
 
 static const cli_option options[] = {
     CLI_TITLE("Evaluation"),

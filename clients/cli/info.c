@@ -1,5 +1,5 @@
-/* dipole info: the daemon, what it offers, its limits and its statistics; dipole media: its measured
- * media. */
+/* dipole info: the daemon, what it offers, its limits and its statistics; dipole media: its
+ * measured media. */
 #include <stdlib.h>
 
 #include "clients/cli/daemon.h"

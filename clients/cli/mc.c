@@ -89,8 +89,8 @@ static uint64_t photons_of(const cli_settings *settings, const dipole_info *info
   return (uint64_t)settings->photons.value;
 }
 
-/* The rings that --r is read from are so wide. Their bias is some 2e-3 of R where R falls by e within
- * a tenth of the radius, and less elsewhere. */
+/* The rings that --r is read from are so wide. Their bias is some 2e-3 of R where R falls by e
+ * within a tenth of the radius, and less elsewhere. */
 #define RING_WIDTH 0.03
 
 /* Sets the rings: logarithmic ones, of which the first and the last lie around the smallest and the
@@ -198,7 +198,8 @@ static dipole_mc_value value_at(const dipole_mc_result *result, uint32_t albedo,
 
 enum { PARTS_OF_SIDE = 4, PARTS_OF_ALL = 3 };
 
-/* Returns how many rows an albedo has: the radii of --r, or the rings and then where the power went. */
+/* Returns how many rows an albedo has: the radii of --r, or the rings and then where the power
+ * went. */
 static size_t rows_of(const report *of) {
   return of->r->count > 0
              ? of->r->count
@@ -277,7 +278,8 @@ static void put_walk(cli_rows *rows, const void *context, size_t index) {
   cli_put_count(rows, of->result->last.photons, "photons", .forms = CLI_IN_TABLE);
 }
 
-/* Puts a row: channel by channel, albedo by albedo. A reading of --r is one that `dipole fit` reads. */
+/* Puts a row: channel by channel, albedo by albedo. A reading of --r is one that `dipole fit`
+ * reads. */
 static void put_row(cli_rows *rows, const void *context, size_t index) {
   const reports *all = context;
   const size_t each = rows_of(&all->items[0]), albedos = all->items[0].result->albedo_count;

@@ -4,8 +4,8 @@
 
 #include "clients/cli/cli.h"
 
-/* Reads the command line of the running command into *settings, which is zero at first. Returns false
- * if the command ends here; *status is then its exit status, which is 0 after --help. */
+/* Reads the command line of the running command into *settings, which is zero at first. Returns
+ * false if the command ends here; *status is then its exit status, which is 0 after --help. */
 bool cli_options_read(int argc, char **argv, cli_settings *settings, int *status);
 
 /* Returns the running command's option for a field of a request, such as --sigma-a for sigma_a or
@@ -13,7 +13,8 @@ bool cli_options_read(int argc, char **argv, cli_settings *settings, int *status
 const cli_option *cli_options_find(const char *field);
 
 /* Returns the options and headings of a command, in the order of --help, with the names that they
- * have on a command line; NULL as a name ends the list. It is valid until another command's is made. */
+ * have on a command line; NULL as a name ends the list. It is valid until another command's is
+ * made. */
 const cli_option *cli_options_of(const cli_command *command);
 
 /* Writes what the last word of a command line of `dipole` may become, each on a line, with what

@@ -50,9 +50,9 @@ int cli_picture_check(const cli_texts *paths, const cli_settings *settings) {
 
 /* ---- the script ------------------------------------------------------------------------------ */
 
-/* Writes a text as a string. No text can end it: all ASCII characters but letters, digits and blanks
- * are written as octal numbers, and control characters become question marks. Every text that a file
- * or a daemon says goes into the script through this. */
+/* Writes a text as a string. No text can end it: all ASCII characters but letters, digits and
+ * blanks are written as octal numbers, and control characters become question marks. Every text
+ * that a file or a daemon says goes into the script through this. */
 static void write_quoted(FILE *script, const char *text) {
   char clean[256];
   snprintf(clean, sizeof clean, "%s", text);

@@ -1,5 +1,5 @@
-/* picture: curves in one panel, or in two below each other, drawn by gnuplot into a file or as text.
- */
+/* picture: curves in one panel, or in two below each other, drawn by gnuplot into a file or as
+ * text. */
 #ifndef DIPOLE_CLI_PICTURE_H
 #define DIPOLE_CLI_PICTURE_H
 

@@ -7,11 +7,11 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "clients/cli/csv.h"
 #include "clients/cli/daemon.h"
 #include "clients/cli/options.h"
 #include "clients/cli/profile.h"
 #include "clients/cli/progress.h"
-#include "clients/cli/sheet.h"
 #include "core/core.h"
 #include "proto/decimal.h"
 
@@ -98,10 +98,10 @@ enum { ROWS = 8192 };
 /* Ids of models are below this; the values of a group, unless one row has more. */
 enum { MODELS = 256, GROUP_VALUES = 65536 };
 
-/* Media that share a model, g and eta. A surface for all of them takes the daemon as long as profiles
- * of the first SURFACE_MEDIA, which are requested one by one. So neither a file of few media nor
- * one of many takes more than twice the time of the better way, and a row's values depend on
- * nothing but the rows above it. */
+/* Media that share a model, g and eta. A surface for all of them takes the daemon as long as
+ * profiles of the first SURFACE_MEDIA, which are requested one by one. So neither a file of few
+ * media nor one of many takes more than twice the time of the better way, and a row's values depend
+ * on nothing but the rows above it. */
 enum { SURFACE_MEDIA = 256, FAMILIES = 512 };
 
 typedef struct family {
@@ -501,8 +501,8 @@ static double *make_good(const points_run *points, points_row *row) {
   return row->values;
 }
 
-/* Sends the row's query; the row then waits for the answer. A row of transport takes f32 in place of
- * its own table, which would cost 6 ms: its values are those of stored solutions as well,
+/* Sends the row's query; the row then waits for the answer. A row of transport takes f32 in place
+ * of its own table, which would cost 6 ms: its values are those of stored solutions as well,
  * whatever tolerance a table would have had. */
 static bool submit_row(const points_run *points, points_row *row, dipole_error *error) {
   const float r_f32_mm = (float)row->r_mm;
@@ -602,7 +602,7 @@ static bool collect(points_run *points) {
   return row != NULL || fail(points, "an answer came to a query that was not sent");
 }
 
-/* ---- rows that share a model, g and eta -------------------------------------------------------- */
+/* ---- rows that share a model, g and eta ------------------------------------------------------ */
 
 /* The quantities that such rows can be requested together. */
 #define GROUP_QUANTITIES (DIPOLE_R | DIPOLE_ALBEDO | DIPOLE_CDF | DIPOLE_PDF | DIPOLE_RING)

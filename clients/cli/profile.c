@@ -195,8 +195,8 @@ static int fail_unknown_medium(const char *name, const dipole_measured_medium *m
   return cli_fail_usage("--medium: '%s' is unknown; this daemon has %s", name, known);
 }
 
-/* Sets the medium of a channel: that of the options, or a colour of a measured medium, whose reduced
- * scattering coefficient stays. */
+/* Sets the medium of a channel: that of the options, or a colour of a measured medium, whose
+ * reduced scattering coefficient stays. */
 static void set_medium(const cli_settings *settings, size_t i, const dipole_medium *measured,
                        dipole_medium *medium) {
   *medium = measured != NULL ? *measured
@@ -209,8 +209,8 @@ static void set_medium(const cli_settings *settings, size_t i, const dipole_medi
   medium->eta = cli_numbers_pick(&settings->eta, i, medium->eta);
 }
 
-/* Sets the media of all channels. The name of a channel is its number, or its colour, behind the name
- * of the measured medium if there are several of those. */
+/* Sets the media of all channels. The name of a channel is its number, or its colour, behind the
+ * name of the measured medium if there are several of those. */
 static int take_media(const cli_settings *settings, dipole_client *client, cli_profile *profile) {
   const cli_texts *names = &settings->medium;
   dipole_measured_medium *known = NULL;

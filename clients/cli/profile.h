@@ -104,8 +104,8 @@ typedef struct cli_profile {
   dipole_medium *media;             /* [channel_count] */
 } cli_profile;
 
-/* Looks up the names in the settings, but for a list of models, and reads the parameters. Says what is wrong and returns
- * false if the daemon does not know one of them. */
+/* Looks up the names in the settings, but for a list of models, and reads the parameters. Says what
+ * is wrong and returns false if the daemon does not know one of them. */
 bool cli_profile_take_names(const cli_settings *settings, dipole_client *client,
                             cli_profile *profile);
 

@@ -41,7 +41,8 @@ static void write_time(double seconds) {
 
 /* ---- calls without a bar --------------------------------------------------------------------- */
 
-/* A bar was shown since the last second; seconds that are told; both are set in a signal handler. */
+/* A bar was shown since the last second; seconds that are told; both are set in a signal
+ * handler. */
 static volatile sig_atomic_t bar_moves, told_s;
 
 static void on_second(int signal_number) {

@@ -1,5 +1,5 @@
-/* dipole table: fetches the tables that the evaluator lut uses, and writes them one behind the other
- * into a file, which `dipole eval` evaluates without a daemon. */
+/* dipole table: fetches the tables that the evaluator lut uses, and writes them one behind the
+ * other into a file, which `dipole eval` evaluates without a daemon. */
 #include <errno.h>
 #include <math.h>
 #include <stdlib.h>
@@ -157,7 +157,8 @@ static int describe(const char *path, const tables *of, cli_eval_report *report)
   return CLI_OK;
 }
 
-/* Takes the radii. Returns them in single precision; says what is wrong and returns NULL if it cannot. */
+/* Takes the radii. Returns them in single precision; says what is wrong and returns NULL if it
+ * cannot. */
 static const float *take_radii(const cli_settings *settings, cli_eval_report *report) {
   dipole_query query = {0};
   dipole_error error;

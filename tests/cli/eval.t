@@ -10,18 +10,19 @@ mm      1/mm^2      1/mm^2      1/mm^2      1/mm^2      1/mm^2      1/mm^2
  5  8.0218e-04  1.0260e-04  2.9839e-06  9.6938e-04  1.3361e-04  5.8228e-06
 10  7.4269e-05  1.0322e-06  7.6634e-10  8.4214e-05  1.6231e-06  3.6897e-09
 
-model      channel  sigma_a  sigma_s  g  eta     albedo    numerical error      model error  evaluator  notes
-                       1/mm     1/mm                  1  relative, at most  from 0 to 10 mm
----------  -------  -------  -------  -  ---  ---------  -----------------  ---------------  ---------  -----
-classical  red        0.032     0.74  0  1.3   0.436049            7.2e-15          6.4e-02        f64
-classical  green       0.17     0.88  0  1.3   0.227366            1.6e-14          3.5e-01        f64
-classical  blue        0.48     1.01  0  1.3    0.13101            3.0e-14          8.2e-01        f64
-better     red        0.032     0.74  0  1.3   0.404808            7.1e-15          1.6e-01        f64
-better     green       0.17     0.88  0  1.3   0.162793            1.5e-14          2.4e-01        f64
-better     blue        0.48     1.01  0  1.3  0.0701464            2.6e-14          3.9e-01        f64
-numerical error: against the model's formula, up to r = 10 mm
-model error: of the model against radiative transport, relative
-             at r > 0: transport diverges at r = 0
+model      channel  sigma_a  sigma_s  g  eta     albedo  numerical error  model error  evaluator  notes
+                       1/mm     1/mm                  1
+---------  -------  -------  -------  -  ---  ---------  ---------------  -----------  ---------  -----
+classical  red        0.032     0.74  0  1.3   0.436049          7.2e-15      6.4e-02        f64
+classical  green       0.17     0.88  0  1.3   0.227366          1.6e-14      3.5e-01        f64
+classical  blue        0.48     1.01  0  1.3    0.13101          3.0e-14      8.2e-01        f64
+better     red        0.032     0.74  0  1.3   0.404808          7.1e-15      1.6e-01        f64
+better     green       0.17     0.88  0  1.3   0.162793          1.5e-14      2.4e-01        f64
+better     blue        0.48     1.01  0  1.3  0.0701464          2.6e-14      3.9e-01        f64
+numerical error: at most, against the model's formula, up to r = 10 mm
+model error: the largest, of the model against radiative transport, at r > 0: transport diverges at r = 0
+errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
+of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 
 $ dipole eval --medium skin1 --model classical,better --count 3 --format csv
@@ -71,13 +72,15 @@ mm         1         1
 --  --------  --------
  2  0.370764  0.620164
 
-model   channel  sigma_a  sigma_s    g  eta    numerical error  model error  evaluator       notes
-                    1/mm     1/mm            relative, at most      at 2 mm
-------  -------  -------  -------  ---  ---  -----------------  -----------  ---------  ----------
-better  1           0.01       10  0.9  1.4            2.7e-15      2.3e-02        f64  similarity
-better  2            0.1       10  0.9  1.4            4.6e-15      1.9e-02        f64  similarity
-numerical error: against the model's formula, up to r = 2 mm
-model error: of the model against radiative transport, relative
+model   channel  sigma_a  sigma_s    g  eta  numerical error  model error  evaluator       notes
+                    1/mm     1/mm
+------  -------  -------  -------  ---  ---  ---------------  -----------  ---------  ----------
+better  1           0.01       10  0.9  1.4          2.7e-15      2.3e-02        f64  similarity
+better  2            0.1       10  0.9  1.4          4.6e-15      1.9e-02        f64  similarity
+numerical error: at most, against the model's formula, up to r = 2 mm
+model error: the largest, of the model against radiative transport
+errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
+of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.972222 (eta 1.4)
 note: similarity: g is not 0: the model uses isotropic scattering with sigma_s (1 - g)
 
@@ -152,12 +155,14 @@ moments exact, R_f, the reflectance of striped light
  0.1  2.1323e-01
    1  3.5160e-04
 
-model   channel  sigma_a  sigma_s    g  eta    albedo         numerical error  model error  evaluator       notes
-                    1/mm     1/mm                   1  of the albedo, at most     relative
-------  -------  -------  -------  ---  ---  --------  ----------------------  -----------  ---------  ----------
-better  1           0.01       10  0.9  1.4  0.605953                 1.0e-09      3.5e-02        f64  similarity
-numerical error: against the model's formula, up to f = 1 1/mm
-model error: of the model against radiative transport, relative
+model   channel  sigma_a  sigma_s    g  eta    albedo  numerical error  model error  evaluator       notes
+                    1/mm     1/mm                   1
+------  -------  -------  -------  ---  ---  --------  ---------------  -----------  ---------  ----------
+better  1           0.01       10  0.9  1.4  0.605953          1.0e-09      3.5e-02        f64  similarity
+numerical error: at most, against the model's formula, up to f = 1 1/mm
+model error: the largest, of the model against radiative transport
+errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
+of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.972222 (eta 1.4)
 note: similarity: g is not 0: the model uses isotropic scattering with sigma_s (1 - g)
 
@@ -203,14 +208,16 @@ mm      1/mm^2      1/mm^2      1/mm^2
  1  1.5701e-02  1.0142e-02  4.5069e-03
  2  5.5199e-03  2.4111e-03  5.9256e-04
 
-model      channel  sigma_a  sigma_s  g  eta    albedo    numerical error     model error  evaluator  notes
-                       1/mm     1/mm                 1  relative, at most  from 1 to 2 mm
----------  -------  -------  -------  -  ---  --------  -----------------  --------------  ---------  -----
-transport  red        0.032     0.74  0  1.3  0.439458            3.3e-06         0.0e+00        f32
-transport  green       0.17     0.88  0  1.3  0.213259            3.3e-06         0.0e+00        f32
-transport  blue        0.48     1.01  0  1.3  0.115435            3.3e-06         0.0e+00        f32
-numerical error: against the model's formula, up to r = 2 mm
-model error: of the model against radiative transport, relative
+model      channel  sigma_a  sigma_s  g  eta    albedo  numerical error  model error  evaluator  notes
+                       1/mm     1/mm                 1
+---------  -------  -------  -------  -  ---  --------  ---------------  -----------  ---------  -----
+transport  red        0.032     0.74  0  1.3  0.439458          3.3e-06      0.0e+00        f32
+transport  green       0.17     0.88  0  1.3  0.213259          3.3e-06      0.0e+00        f32
+transport  blue        0.48     1.01  0  1.3  0.115435          3.3e-06      0.0e+00        f32
+numerical error: at most, against the model's formula, up to r = 2 mm
+model error: the largest, of the model against radiative transport
+errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
+of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 took transport (f32), the cheapest that keeps the tolerance
 
@@ -232,12 +239,14 @@ mm  1/(mm^2 sr)
 --  -----------
  1   4.0547e-03
 
-model   channel  sigma_a  sigma_s  g  eta    numerical error  model error  evaluator  notes
-                    1/mm     1/mm          relative, at most      at 1 mm
-------  -------  -------  -------  -  ---  -----------------  -----------  ---------  -----
-better  1          0.032     0.74  0  1.3            4.6e-15      1.4e-02        f64
-numerical error: against the model's formula, up to r = 1 mm
-model error: of the model against radiative transport, relative
+model   channel  sigma_a  sigma_s  g  eta  numerical error  model error  evaluator  notes
+                    1/mm     1/mm
+------  -------  -------  -------  -  ---  ---------------  -----------  ---------  -----
+better  1          0.032     0.74  0  1.3          4.6e-15      1.4e-02        f64
+numerical error: at most, against the model's formula, up to r = 1 mm
+model error: the largest, of the model against radiative transport
+errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
+of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 
 $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --wanted S --cos-in 0.8 --format json
@@ -298,12 +307,14 @@ note: similarity: g is not 0: the model uses isotropic scattering with sigma_s (
 $ dipole eval --sigma-a 0.03 --sigma-s 1 --eta 5 --model classical --wanted albedo --r 1
 moments exact, R in 1/mm^2 per unit of power that entered
 
-model      channel  sigma_a  sigma_s  g  eta    albedo    numerical error  model error  evaluator  notes
-                       1/mm     1/mm                 1  relative, at most     relative
----------  -------  -------  -------  -  ---  --------  -----------------  -----------  ---------  -----
-classical  1           0.03        1  0    5  0.361207            2.8e-15   not solved        f64
-numerical error: against the model's formula
-model error: of the model against radiative transport, relative
+model      channel  sigma_a  sigma_s  g  eta    albedo  numerical error  model error  evaluator  notes
+                       1/mm     1/mm                 1
+---------  -------  -------  -------  -  ---  --------  ---------------  -----------  ---------  -----
+classical  1           0.03        1  0    5  0.361207          2.8e-15   not solved        f64
+numerical error: at most, against the model's formula
+model error: the largest, of the model against radiative transport
+errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
+of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.555556 (eta 5)
 
 $ dipole eval --sigma-a 0.03 --sigma-s 1 --model better --wanted R --r 0
@@ -315,13 +326,14 @@ mm      1/mm^2
 --  ----------
  0  4.9723e-02
 
-model   channel  sigma_a  sigma_s  g  eta    numerical error  model error  evaluator  notes
-                    1/mm     1/mm          relative, at most      at 0 mm
-------  -------  -------  -------  -  ---  -----------------  -----------  ---------  -----
-better  1           0.03        1  0  1.3            2.3e-15     diverges        f64
-numerical error: against the model's formula
-model error: of the model against radiative transport, relative
-             at r > 0: transport diverges at r = 0
+model   channel  sigma_a  sigma_s  g  eta  numerical error  model error  evaluator  notes
+                    1/mm     1/mm
+------  -------  -------  -------  -  ---  ---------------  -----------  ---------  -----
+better  1           0.03        1  0  1.3          2.3e-15     diverges        f64
+numerical error: at most, against the model's formula
+model error: the largest, of the model against radiative transport, at r > 0: transport diverges at r = 0
+errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
+of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 
 $ dipole eval --sigma-a 0.03 --sigma-s 1 --model better --wanted R --r 0,1
@@ -334,13 +346,14 @@ mm      1/mm^2
  0  4.9723e-02
  1  2.2375e-02
 
-model   channel  sigma_a  sigma_s  g  eta    numerical error     model error  evaluator  notes
-                    1/mm     1/mm          relative, at most  from 0 to 1 mm
-------  -------  -------  -------  -  ---  -----------------  --------------  ---------  -----
-better  1           0.03        1  0  1.3            2.8e-15         1.3e-01        f64
-numerical error: against the model's formula, up to r = 1 mm
-model error: of the model against radiative transport, relative
-             at r > 0: transport diverges at r = 0
+model   channel  sigma_a  sigma_s  g  eta  numerical error  model error  evaluator  notes
+                    1/mm     1/mm
+------  -------  -------  -------  -  ---  ---------------  -----------  ---------  -----
+better  1           0.03        1  0  1.3          2.8e-15      1.3e-01        f64
+numerical error: at most, against the model's formula, up to r = 1 mm
+model error: the largest, of the model against radiative transport, at r > 0: transport diverges at r = 0
+errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
+of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 
 $ dipole eval --sigma-a 0.03 --sigma-s 1 --model transport --wanted R,2_pi_r_R --r 0,1
@@ -353,13 +366,15 @@ mm      1/mm^2        1/mm
  0         inf  3.6900e-01
  1  1.9787e-02  1.2433e-01
 
-                                                              R               R           2_pi_r_R        2_pi_r_R
-model      channel  sigma_a  sigma_s  g  eta    numerical error     model error    numerical error     model error  evaluator  notes
-                       1/mm     1/mm          relative, at most  from 0 to 1 mm  relative, at most  from 0 to 1 mm
----------  -------  -------  -------  -  ---  -----------------  --------------  -----------------  --------------  ---------  -----
-transport  1           0.03        1  0  1.3            8.5e-05         0.0e+00            8.5e-05         0.0e+00        lut
-numerical error: against the model's formula, up to r = 1 mm
-model error: of the model against radiative transport, relative
+                                                            R            R         2_pi_r_R     2_pi_r_R
+model      channel  sigma_a  sigma_s  g  eta  numerical error  model error  numerical error  model error  evaluator  notes
+                       1/mm     1/mm
+---------  -------  -------  -------  -  ---  ---------------  -----------  ---------------  -----------  ---------  -----
+transport  1           0.03        1  0  1.3          8.5e-05      0.0e+00          8.5e-05      0.0e+00        lut
+numerical error: at most, against the model's formula, up to r = 1 mm
+model error: the largest, of the model against radiative transport
+errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
+of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 
 ## What all models refuse is said once, and who refuses by itself is left out.

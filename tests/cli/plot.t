@@ -46,7 +46,7 @@ $ dipole plot --medium skin1 --channel red --model better,transport --count 60 -
                          +..*..+better    +..o..+transport
 
 $ dipole eval --medium skin1 --model better --r 0.1,1,2 --plot - | tail -24
-model error: of the model against radiative transport, relative
+of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 
                  skin1: R (1/mm^2 per unit of power that entered)

@@ -10,14 +10,16 @@ skin1, model better, evaluator f64, moments exact, draw stratified, seed 1, firs
 0.581927  3.10816   1.62878  0.959942  1.4561e-01  3.0265e-01  5.4145e-01
 0.990334  14.2919   6.71729    3.8004  3.0979e-03  7.1859e-03  1.2858e-02
 
-model   channel  sigma_a  sigma_s  g  eta    numerical error     model error  evaluator  notes
-                    1/mm     1/mm          relative, at most  at drawn radii
-------  -------  -------  -------  -  ---  -----------------  --------------  ---------  -----
-better  red        0.032     0.74  0  1.3            2.4e-15         1.0e+00        f64
-better  green       0.17     0.88  0  1.3            2.9e-15         1.0e+00        f64
-better  blue        0.48     1.01  0  1.3            3.3e-15         1.2e+00        f64
-numerical error: against the model's formula
-model error: of the model against radiative transport, relative
+model   channel  sigma_a  sigma_s  g  eta  numerical error  model error  evaluator  notes
+                    1/mm     1/mm
+------  -------  -------  -------  -  ---  ---------------  -----------  ---------  -----
+better  red        0.032     0.74  0  1.3          2.4e-15      1.0e+00        f64
+better  green       0.17     0.88  0  1.3          2.9e-15      1.0e+00        f64
+better  blue        0.48     1.01  0  1.3          3.3e-15      1.2e+00        f64
+numerical error: at most, against the model's formula
+model error: the largest, of the model against radiative transport
+errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
+of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 
 $ dipole sample --medium skin1 --channel red --u 0,0.25,0.5,1 --model better --format csv
