@@ -189,3 +189,8 @@ def test_refusals_in_python(client):
     with pytest.raises(dipole.ArgumentError):
         client.table("best", SKIN)
     assert client.table("better", SKIN).R(1.0) > 0
+
+
+def test_a_library_that_is_missing_is_named():
+    with pytest.raises(dipole.LibraryError, match="need libdipole: run make, or install it"):
+        dipole.library.library("/no/such/library")

@@ -30,7 +30,7 @@ from .broadcast import Values
 from .client import Client, Parts
 from .connection import Connection, Frame, Tls
 from .errors import AddressError, ArgumentError, ConnectError, ConnectionLost, DipoleError
-from .errors import ProtocolError, Refused, TableError
+from .errors import LibraryError, ProtocolError, Refused, TableError
 from .gathering import Points, gather_at_home
 from .rings import RingMeans
 from .surface import Coefficients, Surface
@@ -48,7 +48,8 @@ __all__ = [
     "Info",
     "Inversion",
     "McEnergy", "McProgress", "McResult", "McValue", "Medium", "Offer", "Offers", "Parts", "Points",
-    "ProtocolError", "Query", "Refused", "Result", "RingMeans", "Samples", "Surface", "Table",
+    "LibraryError", "ProtocolError",
+    "Query", "Refused", "Result", "RingMeans", "Samples", "Surface", "Table",
     "TableError",
     "TableErrors", "Tls", "Values", "Varying", "gather_at_home",
 ]

@@ -43,6 +43,10 @@ class TableError(DipoleError, ValueError):
     """The bytes are not an intact table of a layout that this module knows."""
 
 
+class LibraryError(DipoleError):
+    """libdipole, which evaluates tables, surfaces and the light of points at home, is missing."""
+
+
 class Refused(DipoleError):
     """The daemon refused a request. The client continues to work."""
 

@@ -289,7 +289,7 @@ def gather_at_home(
 
     tables: those of Client.table() or Table.load(), one for each power of a point. library: the
     path of the C library; else that of the clone that holds this module, or the installed one.
-    Raises OSError if there is none.
+    Raises LibraryError if there is none.
     """
     listed = np.asarray(queries, np.float64)
     if listed.ndim < 1 or listed.shape[-1] != 3:

@@ -11,7 +11,7 @@ from typing import Any
 
 from . import wire
 from .connection import built
-from .errors import ArgumentError, TableError
+from .errors import ArgumentError, LibraryError, TableError
 from .values import Array, Info
 
 _NAME = "libdipole.so.0"
@@ -38,14 +38,14 @@ PATH: str | None = None  # of the library; None: of the one that library() finds
 @functools.cache
 def library(path: str | None = None) -> ctypes.CDLL:
     """Loads the library at a path; or else that of the clone that holds this module, the one below
-    the same prefix, or the installed one. Raises OSError if there is none."""
+    the same prefix, or the installed one. Raises LibraryError if there is none."""
     below_prefix = Path(__file__).resolve().parents[3] / _NAME
     near = built(_NAME) or (below_prefix if below_prefix.exists() else _NAME)
     try:
         return ctypes.CDLL(path or PATH or str(near))
     except OSError as error:
         text = "tables, surfaces and gather_at_home() need libdipole: run make, or install it"
-        raise OSError(f"{error}: {text}") from error
+        raise LibraryError(f"{text} ({error})") from None
 
 
 def address(array: Array) -> ctypes.c_void_p:

@@ -1,5 +1,5 @@
-"""What Client and AsyncClient do alike: they send requests, receive answers and connect again. It is
-written once, in coroutines: those of a Client never suspend, because what they wait for blocks.
+"""What Client and AsyncClient do alike: they send requests, receive answers and connect again. It
+is written once, in coroutines: those of a Client never suspend, because what they wait for blocks.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Session:
         self.closed = True
         try:
             self._waiting.check(self.connection)
-        except ConnectionLost:  # Nothing may be waited for: a forked loop shares the parent's epoll.
+        except ConnectionLost:  # A forked loop shares its parent's epoll: it may wait for nothing.
             self.connection.close()
             return
         self.exchange.fail(self._closed())
@@ -165,7 +165,7 @@ class Session:
     # ---- sending and receiving -------------------------------------------------------------------
 
     async def send(self, request: Request[Any]) -> int:
-        """Sends a request; returns its id. What an exception leaves unsent is sent by later calls."""
+        """Sends a request; returns its id. Later calls send what an exception leaves unsent."""
         self._check()
         request_id = self.exchange.begin(request)
         self._sending.add(request_id)

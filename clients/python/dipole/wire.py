@@ -43,21 +43,14 @@ QUANTITY_R = 1
 QUANTITY_ALBEDO = 2
 QUANTITY_CDF = 4
 QUANTITY_RADIUS = 8
-QUANTITY_SLOPE = 16
-QUANTITY_LN_R = 32
 QUANTITY_PDF = 64
 QUANTITY_RING = 128
 QUANTITY_S = 256
-QUANTITY_TRANSFER = 512
-QUANTITY_BY_SIGMA_A = 1024
-QUANTITY_BY_SIGMA_S = 2048
 QUANTITY_MODEL_ERROR = 4096
-QUANTITY_MODEL_ERRORS = 8192
 # Quantities that a sample has for each radius and channel: the radii are among them.
 DRAWN = tuple(sorted((*ELEMENTWISE, QUANTITY_RADIUS)))
 SPACING_LIST = 1
 DRAW_LIST = 1
-DRAW_REGULAR = 2
 DRAW_STRATIFIED = 3
 DRAW_RANDOM = 4
 SCALE_REFERENCE = 3
@@ -163,42 +156,13 @@ def padded(data_bytes: int) -> int:
 
 
 STRUCTURES = {name: Structure(name, text) for name, text in schema.STRUCTURES.items()}
-HEADER = STRUCTURES["header"]
-HELLO_REQUEST = STRUCTURES["hello_request"]
-HELLO_REPLY = STRUCTURES["hello_reply"]
-CHOICE = STRUCTURES["choice"]
-VALUE = STRUCTURES["value"]
-EVAL_REQUEST = STRUCTURES["eval_request"]
-MEDIUM = STRUCTURES["medium"]
-PARAMETER = STRUCTURES["parameter"]
-PART = STRUCTURES["part"]
-EVAL_REPLY = STRUCTURES["eval_reply"]
-QUANTITY_ERROR = STRUCTURES["quantity_error"]
-LIST_REPLY = STRUCTURES["list_reply"]
-MEASURED_MEDIUM = STRUCTURES["measured_medium"]
-MC_REQUEST = STRUCTURES["mc_request"]
-MC_REPLY = STRUCTURES["mc_reply"]
-MC_ENERGY = STRUCTURES["mc_energy"]
-CANCEL_REQUEST = STRUCTURES["cancel_request"]
-CANCEL_REPLY = STRUCTURES["cancel_reply"]
-TABLE_REQUEST = STRUCTURES["table_request"]
-TABLE_REPLY = STRUCTURES["table_reply"]
-OFFERS_REPLY = STRUCTURES["offers_reply"]
-OFFER = STRUCTURES["offer"]
-SAMPLE_REQUEST = STRUCTURES["sample_request"]
-INVERT_REQUEST = STRUCTURES["invert_request"]
-INVERT_REPLY = STRUCTURES["invert_reply"]
-FIT_REQUEST = STRUCTURES["fit_request"]
-FIT_DESIGN = STRUCTURES["fit_design"]
-FIT_REPLY = STRUCTURES["fit_reply"]
-FITTED = STRUCTURES["fitted"]
-VARYING_REQUEST = STRUCTURES["varying_request"]
-VARYING_REPLY = STRUCTURES["varying_reply"]
-POINTS_REQUEST = STRUCTURES["points_request"]
-POINTS_REPLY = STRUCTURES["points_reply"]
-GATHER_REQUEST = STRUCTURES["gather_request"]
-GATHER_REPLY = STRUCTURES["gather_reply"]
-ERROR = STRUCTURES["error"]
+
+
+def __getattr__(name: str) -> Structure:
+    """Finds a structure: HEADER is STRUCTURES["header"], and so on."""
+    if name.lower() not in STRUCTURES or name != name.upper():
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return STRUCTURES[name.lower()]
 
 
 _NUMBERS = {"u8": "u1", "u32": "<u4", "u64": "<u8", "f32": "<f4", "f64": "<f8"}
