@@ -224,13 +224,9 @@ STEADY = {
         "media": [SKIN] * 3,
         "wanted": sum(QUANTITIES.values()),
     },
-    "better in single precision, by rule": {
-        "model": MODELS["better"], "evaluator": F32, "radii": None, "radius_count": 16
-    },
-    "by table": {"model": MODELS["better"], "evaluator": LUT},
+    "by rule": {"model": MODELS["better"], "evaluator": F32, "radii": None, "radius_count": 16},
     "transport by table": {"model": MODELS["transport"], "evaluator": LUT, "radii": [0.5] * 16},
     "single": {"model": MODELS["single"], "media": [(0.1, 1.0, 0.7, 1.3)]},
-    "single in single precision": {"model": MODELS["single"], "evaluator": F32},
     "two hundred radii": {"model": MODELS["better"], "radii": [0.5] * 200},
     "a tolerance": {
         "model": 0,

@@ -49,7 +49,7 @@ def test_opening_goes_on_until_the_time_is_over(tmp_path, why):
         began_s = time.monotonic()
         options = ("--connect", address, "--retry-ms", "300")
         error = dipole("eval", *options, *ARGUMENTS, status=FAILED).stderr
-    assert 0.28 <= time.monotonic() - began_s < 10
+    assert time.monotonic() - began_s >= 0.28
     assert "(tried for 0.3 s)" in error and "The address is from --connect." in error
 
 

@@ -115,23 +115,6 @@ def test_wrong_readings_are_named_and_others_are_fitted(client, readings):
     assert np.isnan(found.residuals[:7]).all() and np.isfinite(found.residuals[7]).all()
 
 
-def test_a_bound_is_no_success(client):
-    """No medium that is tried absorbs as little."""
-    R = client.eval("better", Medium(0.0, 1.0, 0.0, 1.4), AT_MM).R[0]
-    found = client.fit("better", AT_MM, R, 0.01 * R, eta=1.4)
-    assert found.status == "at-bound" and found.sets["bounds"] == 1 and not found.fitted
-
-
-def test_readings_that_rise_are_implausible(client):
-    """No medium gives more light far away than near."""
-    at, rising = [1.0, 2.0, 4.0], np.array([1e-3, 1e-2, 1e-1])
-    for model in "better", "transport":
-        for scale in "absolute", "free":
-            found = client.fit(model, at, rising, 0.01 * rising, scale=scale, eta=1.3)
-            assert found.status == "implausible" and found.chi_squared > 1e3 and not found.fitted
-    assert client.fit("better", at, rising, rising, eta=1.3).status != "implausible"
-
-
 # ---- large requests ------------------------------------------------------------------------------
 
 

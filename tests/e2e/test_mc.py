@@ -335,23 +335,6 @@ def test_a_refusal_in_the_python_client(client):
 # ---- beside models -------------------------------------------------------------------------------
 
 
-THREE = [Medium(0.032, 0.74), Medium(0.17, 0.88), Medium(0.48, 1.01)]
-
-
-@pytest.mark.parametrize("model", ["better", "transport", "burley", "quantized", "beam"])
-@pytest.mark.parametrize("edges", [Grid(0.0, 10.0, 21), Grid(0.01, 20.0, 8, "logarithmic"), [0, 4]])
-def test_ring_means_are_differences_of_the_cdf(client, model, edges):
-    means = client.ring_means(model, THREE, edges)
-    of_edges = client.eval(model, THREE, means.edges, wanted=["cdf", "albedo"])
-    powers = np.diff(of_edges.cdf, axis=1) * of_edges.albedo[:, None]
-    lost = 1e-15 * of_edges.albedo[:, None] / powers  # digits of the difference
-    assert means.R.shape == (3, len(means.edges) - 1)
-    error = np.abs(means.R * np.pi * np.diff(means.edges**2) / powers - 1)
-    # Transport's R is scaled to the total of its table.
-    assert (error <= (1e-6 if model == "transport" else 1e-8) + 10 * lost).all()
-    assert (means.numerical_error > 0).all() and means.model_error.shape == (3,)
-
-
 def mean_of_ring(client, model: str, medium: Medium, a: float, b: float) -> float:
     """Integrates in steps that double with the distance from the inner edge, eight to an octave."""
     x, weights = np.polynomial.legendre.leggauss(40)

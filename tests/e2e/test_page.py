@@ -546,22 +546,26 @@ def test_a_daemon_that_comes_back_is_used_again(browser):  # noqa: F811
 ELSEWHERE = "medium=skin1&models=transport+better+multipole&thickness=2.5&r=0.25,0.5,4"
 
 
-def test_python(page, served, tmp_path):
-    page.open(ELSEWHERE)
-    page.evaluate("document.getElementById('example').click()")
-    page.settle()
-    (tmp_path / "script.py").write_text(page.code("python"))
-    paths = [str(REPOSITORY / "clients/python"), os.environ.get("PYTHONPATH", "")]
-    done = subprocess.run(
-        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True,
-        env=environment(DIPOLED=served.url(), PYTHONPATH=os.pathsep.join(paths)),
-        timeout=LIMIT_S, check=False)
+def assert_says_what_is_shown(page, served, folder: Path, *command: str, **variables: str) -> None:
+    """Runs a program that was copied from the page; it prints the values of the page."""
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=LIMIT_S,
+                          env=environment(DIPOLED=served.url(), **variables), check=False)
     assert done.returncode == 0, done.stderr
     lines = {line.split()[0]: line.split()[1:] for line in done.stdout.splitlines()}
     for model, texts in page.values().items():
         single = model == "transport"
         assert bits(lines[model], single) == bits(texts, single), model
     assert [float(text) for text in lines["fit"]] == [float(row[1]) for row in fitted(page)]
+
+
+def test_python(page, served, tmp_path):
+    page.open(ELSEWHERE)
+    page.evaluate("document.getElementById('example').click()")
+    page.settle()
+    (tmp_path / "script.py").write_text(page.code("python"))
+    paths = [str(REPOSITORY / "clients/python"), os.environ.get("PYTHONPATH", "")]
+    assert_says_what_is_shown(page, served, tmp_path, sys.executable, "script.py",
+                              PYTHONPATH=os.pathsep.join(paths))
 
 
 def test_c(page, served, tmp_path):
@@ -575,14 +579,7 @@ def test_c(page, served, tmp_path):
          f"-I{REPOSITORY}/clients/c", f"-L{BUILD}", f"-Wl,-rpath,{BUILD}", "-ldipole"],
         cwd=tmp_path, capture_output=True, text=True, timeout=LIMIT_S, check=False)
     assert built.returncode == 0, built.stderr
-    done = subprocess.run(["./program"], cwd=tmp_path, capture_output=True, text=True,
-                          env=environment(DIPOLED=served.url()), timeout=LIMIT_S, check=False)
-    assert done.returncode == 0, done.stderr
-    lines = {line.split()[0]: line.split()[1:] for line in done.stdout.splitlines()}
-    for model, texts in page.values().items():
-        single = model == "transport"
-        assert bits(lines[model], single) == bits(texts, single), model
-    assert [float(text) for text in lines["fit"]] == [float(row[1]) for row in fitted(page)]
+    assert_says_what_is_shown(page, served, tmp_path, "./program")
 
 
 def fitted(page) -> list[list[str]]:

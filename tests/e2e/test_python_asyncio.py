@@ -10,11 +10,10 @@ import time
 import dipole
 import numpy as np
 import pytest
-from daemons import eventually
 from dipole import AsyncClient, Grid, Medium
 from frames import SKIN
 from messages import CALLS, RADII, assert_same
-from test_retry import QUESTIONS, RETRY_S, holding_frame, restarted, result_bytes  # noqa: F401
+from test_retry import RETRY_S, restarted  # noqa: F401
 
 LIMIT_S = 60
 
@@ -257,67 +256,6 @@ def test_a_silent_daemon(shared):
 
 
 # ---- a daemon that goes away ---------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("how", ["kill", "stop"])
-def test_it_outlives_its_daemon(restarted, how):  # noqa: F811
-    with dipole.Client(restarted.url) as known:
-        expected = [result_bytes(known.eval(**question)) for question in QUESTIONS]
-
-    async def ask() -> None:
-        answered = 0
-        ends = False
-
-        async def go_on(client: AsyncClient, first: int) -> None:
-            nonlocal answered
-            which = first
-            while not ends:
-                which = (which + 1) % len(QUESTIONS)
-                assert result_bytes(await client.eval(**QUESTIONS[which])) == expected[which]
-                answered += 1
-
-        async with AsyncClient(restarted.url, retry_s=RETRY_S) as client:
-            tasks = [asyncio.create_task(go_on(client, i)) for i in range(16)]
-            for _ in range(3):
-                before = answered
-                await asyncio.to_thread(getattr(restarted, how))
-                while answered <= before + 40 and not any(task.done() for task in tasks):
-                    await asyncio.sleep(0.005)
-            ends = True
-            await asyncio.gather(*tasks)
-
-    run(ask())
-
-
-def test_what_cannot_be_asked_again_is_lost(restarted):  # noqa: F811
-    async def ask() -> None:
-        async with AsyncClient(restarted.url, retry_s=RETRY_S) as client:
-            parts = client.eval_parts(**QUESTIONS[-1])
-            await parts.__anext__()
-            await asyncio.to_thread(restarted.kill)
-            with pytest.raises(dipole.ConnectionLost):
-                async for _ in parts:
-                    pass
-
-    run(ask())
-
-
-def test_busy_is_asked_again(daemon):
-    one = daemon("--max-total-bytes", "1048576")
-    grid = Grid(0.1, 10.0, 100_000)
-
-    async def ask() -> None:
-        async with AsyncClient(one.url(), retry_s=RETRY_S) as client:
-            before = await client.eval("better", SKIN, grid=grid, wanted=["R"])
-            with one.connect() as holder, one.client() as watcher:
-                holder.send_bytes(holding_frame())
-                assert eventually(lambda: watcher.statistics()["buffer_bytes"] > 500_000)
-                later = asyncio.create_task(client.eval("better", SKIN, grid=grid, wanted=["R"]))
-                while watcher.statistics()["answers_busy"] == 0:
-                    await asyncio.sleep(0.005)
-            assert ((await later).R == before.R).all()
-
-    run(ask())
 
 
 def test_a_loss_while_much_is_being_sent(restarted):  # noqa: F811

@@ -8,7 +8,6 @@ import pty
 import signal
 import socket
 import subprocess
-import time
 
 import pytest
 from certificates import Authority
@@ -81,12 +80,11 @@ def test_a_partial_frame_does_not_hold_it_up(daemon):
         connection.send_bytes(frame(PING, 4) + frame(EVAL, 5, LARGE)[:50])
         assert connection.receive_frame().request_id == 4
         one.terminate()
-        start = time.monotonic()
         last = connection.receive_frame()
         assert last.type == wire.TYPE_ERROR
         assert_closed(connection)
     assert one.wait() == 0
-    assert time.monotonic() - start < 5
+    assert not any("drain-timeout" in line for line in one.log)
 
 
 def test_a_drain_that_times_out_says_what_it_abandons(daemon):
