@@ -61,7 +61,7 @@ FEW = COLOURS[::450] - 0.001  # the first absorbs nothing
 # Requests that fit into a frame of SMALL, though their answers do not.
 PARTED = {
     "eval": eval_payload([SKIN] * 2, **GRID, radius_count=5000, wanted=R | RADIUS),
-    "sample": sample_payload([SKIN], None, sample_count=20_000, evaluator=LUT),
+    "sample": sample_payload([SKIN], None, sample_count=20_000),
     "invert": invert_payload(COLOURS[::300], np.ones(3334)),
     "fit": fit_payload(READINGS * NOISE[:500], residuals=1),
     "varying": varying_payload(np.full((2500, 2), (0.1, 1.0)), np.ones(2500), wanted=R | CDF | ALBEDO, coefficients=1),
