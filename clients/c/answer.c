@@ -56,7 +56,7 @@ static bool parse(const libdipole_pending *pending, const libdipole_frame *frame
           merge(pending, frame->payload, NULL) &&
           libdipole_part_is_next(pending, (const void *)frame->payload)) ||
          libdipole_fail_protocol(error, "it answered an eval request with another shape than was "
-                                        "asked for");
+                                        "requested");
 }
 
 /* ---- results ------------------------------------------------------------------------------- */

@@ -172,7 +172,7 @@ static bool next_reply(dipole_client *client, const dipole_mc_query *query, uint
   if (!shaped || !is_asked_for(query, &fixed)) {
     free(frame);
     return libdipole_bad_answer(
-        client, "it answered an mc request with another shape than was asked for", error);
+        client, "it answered an mc request with another shape than was requested", error);
   }
   *result = take(frame, &fixed, &layout);
   return true;

@@ -139,7 +139,7 @@ bool libdipole_part_take(libdipole_pending *pending, libdipole_frame *frame, dip
   } else {
     char what[96];
     snprintf(what, sizeof what,
-             "it answered a request of type %s with another shape than was asked for",
+             "it answered a request of type %s with another shape than was requested",
              wire_type_name(pending->type));
     libdipole_fail_protocol(error, what);
   }

@@ -763,7 +763,7 @@ bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
   }
   if (payload_bytes > UINT32_MAX - WIRE_BYTES_header) {
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "the request takes %llu bytes, more than a frame holds: ask for fewer "
+                          "the request takes %llu bytes, more than a frame holds: request fewer "
                           "radii or media at a time",
                           (unsigned long long)payload_bytes);
   }

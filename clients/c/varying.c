@@ -68,7 +68,7 @@ static bool check(const dipole_varying_query *query, dipole_error *error) {
   }
   if (query->value_count > UINT32_MAX / (2 * sizeof(float))) {
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "%llu values are more than a frame holds: ask for fewer at a time",
+                          "%llu values are more than a frame holds: request fewer at a time",
                           (unsigned long long)query->value_count);
   }
   return true;

@@ -172,7 +172,7 @@ bool cli_eval_take_quantities(const cli_settings *settings, cli_eval_report *rep
       report->quantities.wanted & ~(unsigned)(DIPOLE_ALBEDO | DIPOLE_RADIUS | DIPOLE_MODEL_ERRORS);
   report->place = others == DIPOLE_TRANSFER ? "f" : "r";
   if (at_f && others != DIPOLE_TRANSFER) {
-    cli_fail_usage("--f gives spatial frequencies, which only R_f has: ask for R_f alone");
+    cli_fail_usage("--f gives spatial frequencies, which only R_f has: request R_f alone");
     return false;
   }
   return true;

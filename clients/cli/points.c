@@ -897,7 +897,7 @@ static int take_quantities(points_run *points) {
   points->by_f = (points->quantities.wanted & ~(unsigned)DIPOLE_ALBEDO) == DIPOLE_TRANSFER;
   if (settings->f.count > 0 && (settings->r.count > 0 || !points->by_f)) {
     return cli_fail_usage(
-        "--f gives spatial frequencies, which only R_f has: ask for R_f alone, without --r");
+        "--f gives spatial frequencies, which only R_f has: request R_f alone, without --r");
   }
   points->radii = settings->f.count > 0 ? &settings->f : &settings->r;
   points->radius_count = has_radii(points) ? points->radii->count : 1;

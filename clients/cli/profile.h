@@ -20,7 +20,7 @@ extern const cli_option cli_medium_options[];
   CLI_OPTION(TEXT, moments, NULL, "Fresnel moments; `dipole info` lists them (default: exact)")
 #define CLI_DEADLINE_OPTION                                                                        \
   CLI_OPTION(COUNT32, deadline_ms, NULL,                                                           \
-             "ask the daemon to answer within N ms or to refuse; 0: no limit")
+             "the daemon replies within N ms or refuses; 0: no limit")
 #define CLI_EVALUATOR_OPTION                                                                       \
   CLI_OPTION(TEXT, evaluator, NULL,                                                                \
              "f64 or f32: double or single precision; lut: single, by a table (default: f64; lut " \

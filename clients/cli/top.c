@@ -27,8 +27,7 @@ typedef struct top_run {
   dipole_client *given;  /* the first one, which the caller closes */
   bool has_screen;       /* a terminal shows the table again and again in one place */
   double gone_s;         /* since when the daemon is gone; 0 while it is there */
-  top_look
-      before; /* unknown at first: the table then shows `now` alone, or since the daemon's start */
+  top_look before;       /* unknown at first: the table then shows `now` alone */
   top_look now;
   double interval_s;
   size_t listed_count;

@@ -89,8 +89,8 @@ typedef struct gather_loops {
                     const double x[3], double *r);
   void (*narrow)(size_t n, const double *in, float *out);
   void (*widen)(size_t n, const float *in, double *out);
-  /* Return the sum over all powers above 0 of power R, or of power (share R + (1 - share) R'). All R'
-   * follow all R in the array. */
+  /* Return the sum over all powers above 0 of power R, or of power (share R + (1 - share) R'). All
+   * R' follow all R in the array. */
   double (*sum)(size_t n, const double *power, const double *R);
   double (*sum_pairs)(size_t n, const double *power, const double *share, const double *R);
 

@@ -188,7 +188,7 @@ $ dipole eval --sigma-a 0.01 --sigma-s 10 --f 1 --r 1
 ? 2
 
 $ dipole eval --sigma-a 0.01 --sigma-s 10 --f 1 --wanted R
-! dipole eval: --f gives spatial frequencies, which only R_f has: ask for R_f alone
+! dipole eval: --f gives spatial frequencies, which only R_f has: request R_f alone
 ! `dipole eval --help` tells more.
 ? 2
 

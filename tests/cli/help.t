@@ -61,7 +61,7 @@ Evaluation
   --model NAME          the model that gives the albedo; see `dipole info`. transport takes some 5
                         ms for each medium, better microseconds (default: transport)
   --moments NAME        Fresnel moments; `dipole info` lists them (default: exact)
-  --deadline-ms N       ask the daemon to answer within N ms or to refuse; 0: no limit
+  --deadline-ms N       the daemon replies within N ms or refuses; 0: no limit
 
 Options of all commands
   --connect ADDRESS     unix:PATH, tcp:HOST:PORT or tls:HOST:PORT; private: starts a private

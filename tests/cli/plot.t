@@ -112,7 +112,7 @@ $ dipole plot --medium skin1 --axes linear --log
 ? 2
 
 $ dipole plot --medium skin1 --f 1
-! dipole plot: --f gives spatial frequencies, which only R_f has: ask for R_f alone
+! dipole plot: --f gives spatial frequencies, which only R_f has: request R_f alone
 ! `dipole plot --help` tells more.
 ? 2
 

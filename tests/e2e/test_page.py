@@ -526,7 +526,7 @@ def test_a_daemon_that_comes_back_is_used_again(browser):  # noqa: F811
     first.close()
     page.write("sigma_a", "0.07")
     page.run("await page.waitForFunction(() => "
-             "document.getElementById('away').textContent.includes('does not answer'))")
+             "document.getElementById('away').textContent.includes('does not reply'))")
     second = Daemon("--http", url.removeprefix("http://").rstrip("/"))
     try:
         page.settle()

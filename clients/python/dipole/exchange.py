@@ -120,7 +120,7 @@ class InParts(Answer[T]):
         left = self._count - self._next
         self.ended = fixed.part + 1 == fixed.part_count
         if fixed.count > left or self.ended != (fixed.count == left):
-            raise self._wrong("with another count than was asked for")
+            raise self._wrong("with another count than was requested")
         if self._parts and not self._is_like_first(part):
             raise self._wrong("whose parts do not belong together")
         self._parts.append(part._replace(arrays={}) if self.is_streamed else part)
