@@ -139,12 +139,6 @@ void tools_progress_start(tools_progress *progress, double total_us) {
   cli_progress_start(&progress->bar, NULL);
 }
 
-void tools_progress_stage(tools_progress *progress, const char *stage) {
-  pthread_mutex_lock(&progress->lock);
-  snprintf(progress->bar.note, sizeof progress->bar.note, "%s", stage);
-  pthread_mutex_unlock(&progress->lock);
-}
-
 void tools_progress_add(tools_progress *progress, double us) {
   pthread_mutex_lock(&progress->lock);
   progress->done_us += us;
@@ -155,16 +149,4 @@ void tools_progress_add(tools_progress *progress, double us) {
 void tools_progress_end(tools_progress *progress) {
   cli_progress_wipe(&progress->bar);
   pthread_mutex_destroy(&progress->lock);
-}
-
-/* ---- numbers --------------------------------------------------------------------------------- */
-
-static int compare(const void *a, const void *b) {
-  const double x = *(const double *)a, y = *(const double *)b;
-  return (x > y) - (x < y);
-}
-
-double tools_median(double *values, size_t n) {
-  qsort(values, n, sizeof *values, compare);
-  return n % 2 ? values[n / 2] : 0.5 * (values[n / 2 - 1] + values[n / 2]);
 }

@@ -53,18 +53,10 @@ typedef struct tools_progress {
 
 void tools_progress_start(tools_progress *progress, double total_us);
 
-/* Names the kind of work that begins now. */
-void tools_progress_stage(tools_progress *progress, const char *stage);
-
 /* Adds finished work, in the unit of total_us. */
 void tools_progress_add(tools_progress *progress, double us);
 
 /* Removes the bar. */
 void tools_progress_end(tools_progress *progress);
-
-/* ---- numbers --------------------------------------------------------------------------------- */
-
-/* Sorts n >= 1 numbers and returns their median. */
-double tools_median(double *values, size_t n);
 
 #endif

@@ -6,25 +6,25 @@ TOOLS := $(call objects,core/tools/tools.c clients/cli/progress.c)
 # An independent check of the solver and of the table, whose part for g = 0 comes from it.
 ISOTROPIC := $(call objects,$(wildcard tests/accuracy/isotropic/*.c))
 tool = $(call objects,$(wildcard core/tools/$(1)/*.c)) $(TOOLS) $(BUILD)/libcore.a
-$(BUILD)/trade-speed: $(call tool,tradeoff)
 $(BUILD)/transport-table: $(call tool,transport_table) $(ISOTROPIC)
 $(BUILD)/reference: $(call tool,reference)
 $(BUILD)/apertures: $(call tool,apertures)
-$(addprefix $(BUILD)/,trade-speed reference): LIBS = $(CORE_LIBS)
+$(BUILD)/reference: LIBS = $(CORE_LIBS)
 $(BUILD)/picture: $(OBJ)/clients/c/examples/picture.o $(BUILD)/libdipole.a
 $(BUILD)/picture: LIBS = $(TLS_LIBS)
-PROGRAMS += $(addprefix $(BUILD)/,trade-speed transport-table reference apertures picture)
+PROGRAMS += $(addprefix $(BUILD)/,transport-table reference apertures picture)
 
 .PHONY: tables reference tradeoff apertures figures picture gather-figure fit-bias
 
 # On a machine that does little else: it times what is chosen by cost.
 tradeoff: ## speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
 	@sh .ci/install-packages demo figures
-	@$(MAKE) --no-print-directory -j2 $(BUILD)/trade-speed
-	$(BUILD)/trade-speed $(BUILD)/tradeoff
-	$(PYTHON) core/tools/tradeoff/draw.py $(BUILD)/tradeoff
+	@$(MAKE) --no-print-directory -j2 $(BUILD)/bench $(BUILD)/dipoled
+	@mkdir -p $(BUILD)/tradeoff
+	$(BUILD)/bench kernel lut > $(BUILD)/tradeoff/bench.tsv
+	DIPOLED=private:$(BUILD)/dipoled $(PYTHON) core/tools/tradeoff.py $(BUILD)/tradeoff/bench.tsv $(BUILD)/tradeoff
 	cp $(BUILD)/tradeoff/costs.def core/
-	cp $(BUILD)/tradeoff/front.svg core/tools/tradeoff/
+	cp $(BUILD)/tradeoff/front.svg core/tools/
 
 tables: $(BUILD)/transport-table ## core/transport/transport.table, solved anew (2 hours)
 	$(BUILD)/transport-table $(BUILD)/tables core/transport/transport.table

@@ -4,12 +4,14 @@
  *
  *   lut.<model>.table, lut.<model>.f32    values/s
  *   lut.<model>.prepare                   s, to build the table
+ *   lut.<model>.prepare_f64               s, to prepare the model itself in double precision
  *   lut.<model>.bytes                     size of the table
  *   ratio.lut.<model>                     the table over the model itself
  *   ratio.lut.quantized_diffusion         ratio.lut of the model `quantized`
  *   ratio.lut.transport_over_better_dipole   the table of transport over the better dipole itself,
  *                                            both for tissue with g = 0.9
  *   lut.transport_with_g.prepare          s, to build that table
+ *   lut.transport_solved.prepare          s, to solve for g = 0.96
  *   lut.transport-g.prepare               us, a profile by the table of solutions and R at 16 radii,
  *                                         each of a medium with g and eta of its own
  */
@@ -30,26 +32,35 @@ static void run_R(const void *context) {
   core_eval_f32(context, CORE_QUANTITY_R, RADII, radii, values);
 }
 
-static core_profile tissue_profile(unsigned model, unsigned evaluator) {
-  const core_medium tissue = {0.05, 9.5, 0.9, 1.4};
+static core_profile profile_with_g(unsigned model, unsigned evaluator, double g) {
+  const core_medium tissue = {0.05, 0.95 / (1 - g), g, 1.4};
   core_profile profile;
   if (core_profile_prepare(&profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT, evaluator,
                            &tissue, NULL)
           .field != NULL) {
-    bench_fail("tissue with g = 0.9 was refused");
+    bench_fail("tissue was refused");
   }
   return profile;
+}
+
+static core_profile tissue_profile(unsigned model, unsigned evaluator) {
+  return profile_with_g(model, evaluator, 0.9);
+}
+
+static core_profile solved_profile(unsigned model, unsigned evaluator) {
+  return profile_with_g(model, evaluator, 0.96);
 }
 
 static core_profile measured_profile(unsigned model, unsigned evaluator) {
   return bench_profile(core_isa_select(NULL), model, evaluator);
 }
 
-static double median_s_to_prepare(unsigned model, core_profile (*prepare)(unsigned, unsigned)) {
+static double median_s_to_prepare(unsigned model, unsigned evaluator,
+                                  core_profile (*prepare)(unsigned, unsigned)) {
   double seconds[PREPARATIONS];
   for (int i = 0; i < PREPARATIONS; i++) {
     const uint64_t start = bench_now_ns();
-    core_profile profile = prepare(model, CORE_EVALUATOR_LUT);
+    core_profile profile = prepare(model, evaluator);
     seconds[i] = (double)(bench_now_ns() - start) * 1e-9;
     core_profile_free(&profile);
   }
@@ -76,8 +87,10 @@ static void measure_model(const core_choice *model) {
   const double ratio = compare(model->name, &table, &direct, contenders);
   bench_figure(RADII / contenders[0].ns * 1e9, "values/s", "lut.%s.table", model->name);
   bench_figure(RADII / contenders[1].ns * 1e9, "values/s", "lut.%s.f32", model->name);
-  bench_figure(median_s_to_prepare(model->id, measured_profile), "s", "lut.%s.prepare",
-               model->name);
+  bench_figure(median_s_to_prepare(model->id, CORE_EVALUATOR_F64, measured_profile), "s",
+               "lut.%s.prepare_f64", model->name);
+  bench_figure(median_s_to_prepare(model->id, CORE_EVALUATOR_LUT, measured_profile), "s",
+               "lut.%s.prepare", model->name);
   bench_figure((double)(table.lut_count * sizeof *table.lut), "bytes", "lut.%s.bytes", model->name);
   bench_figure(ratio, "times", "ratio.lut.%s", model->name);
   if (model->id == CORE_MODEL_QUANTIZED) {
@@ -93,8 +106,10 @@ static void measure_transport(void) {
   core_profile direct = tissue_profile(CORE_MODEL_BETTER, CORE_EVALUATOR_F32);
   const double ratio = compare("transport over better", &table, &direct, contenders);
   bench_figure(ratio, "times", "ratio.lut.transport_over_better_dipole");
-  bench_figure(median_s_to_prepare(CORE_MODEL_TRANSPORT, tissue_profile), "s",
+  bench_figure(median_s_to_prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_LUT, tissue_profile), "s",
                "lut.transport_with_g.prepare");
+  bench_figure(median_s_to_prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, solved_profile), "s",
+               "lut.transport_solved.prepare");
   core_profile_free(&table);
   core_profile_free(&direct);
 }

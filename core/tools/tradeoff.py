@@ -1,35 +1,40 @@
-"""Draws what `make tradeoff` has measured: draw.py FOLDER reads FOLDER/tradeoff.csv. A subject
-is a model with an evaluator. Written into the folder, as .svg and .png:
+"""Sets speed against error: tradeoff.py BENCH FOLDER reads the figures of `bench kernel lut` from
+the file BENCH, and asks a daemon for errors against transport. Written into the folder:
 
-    front   error against cost per radius, of a known medium, and of a new one that is prepared
-            for 1,000,000, 1,000 or 16 radii. Each family of models has a marker, which is open for
-            tables; a line joins the precisions of a model. The Pareto front has names; a table has
-            all numbers. The error is the median over radii, and over the media of Figures 1 to 16
-            of d'Eon 2012 for three eta.
+    costs.def   what core/choose.h chooses by
+    front       as .svg and .png: error against cost per radius, of a known medium, and of a new one
+                that is prepared for 1,000,000, 1,000 or 16 radii. Each family of models has a marker,
+                which is open for tables; a line joins the precisions of a model. The Pareto front
+                has names; a table has all numbers. The error is the median over radii, and over the
+                media of Figures 1 to 16 of d'Eon 2012 for three eta.
 
-Standard output lists the subjects on the fronts.
+A subject is a model with an evaluator. Standard output lists the subjects on the fronts.
 """
 
 from __future__ import annotations
 
-import csv
 import itertools
 import math
 import re
-import statistics
 import sys
 from pathlib import Path
 from typing import NamedTuple
 
-CORE = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(CORE / "tools"))
+import numpy as np
 
+CORE = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(CORE.parent / "clients" / "python"))
+
+import dipole  # noqa: E402  (needs the path above)
 from pictures import plt, save  # noqa: E402  (needs the path above)
 
 # Costs that differ by no more than this factor count as equal; then the error decides.
 COST_ALIKE = 1.1
 ERROR_ALIKE = 1.01
-ERROR_LEAST = 1e-7  # transport's own tolerance; smaller errors cannot be measured
+
+RATIOS = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10)
+MEDIA = [dipole.Medium(x / (1 + x), 1 / (1 + x), 0, e) for x in RATIOS for e in (1, 1.4, 2)]
+RADII = np.geomspace(0.01, 20, 128).astype(np.float32)  # mean free paths
 
 
 class Subject(NamedTuple):
@@ -43,21 +48,67 @@ class Subject(NamedTuple):
     median: float
 
 
-def read(path: Path) -> list[Subject]:
-    """The subjects in the file's order."""
-    with path.open(newline="") as file:
-        rows = list(csv.DictReader(file))
+# The id and the formula of each model that models.def lists; that of sums is "sum".
+MODELS = {
+    name: (number, formula or "sum")
+    for number, name, formula in re.findall(
+        r'^CORE_(?:MODEL|SUM)\((\d+), \w+, "([^"]+)",\s*([a-z_]*)',
+        (CORE / "models.def").read_text(),
+        re.MULTILINE,
+    )
+}
 
-    def typical(media: list[dict[str, str]], name: str) -> float:
-        known = [float(row[name]) for row in media if row[name]]
-        return max(statistics.median(known), ERROR_LEAST) if known else math.nan
 
+def costs_of(figures: dict[str, float], model: str) -> dict[str, tuple[float, float]]:
+    """What a radius and preparing cost by each evaluator, in ns."""
+    prepare = 1e9 * figures[f"lut.{model}.prepare_f64"]
+    name = re.compile(rf"kernel\.{re.escape(model)}\.f64\.(?!libm|memcpy)\w+\.4096")
+    f64 = max(value for key, value in figures.items() if name.fullmatch(key))
+    return {
+        "f64": (1e9 / f64, prepare),
+        "f32": (1e9 / figures[f"lut.{model}.f32"], prepare),
+        "lut": (1e9 / figures[f"lut.{model}.table"], 1e9 * figures[f"lut.{model}.prepare"]),
+    }
+
+
+def errors_of(client: dipole.Client, model: str, evaluator: str) -> tuple[float, float]:
+    """The largest and the median error over the radii, of the model and of its values together."""
+    found = []
+    for medium in MEDIA:
+        try:
+            answer = client.eval(
+                model, medium, RADII, wanted=["R", "model_errors"], evaluator=evaluator
+            )
+        except dipole.Refused:
+            continue
+        errors = answer.model_errors[0] + answer.numerical_error(quantity="R")[0]
+        found.append((float(errors.max()), float(np.median(errors))))
+    worst, median = np.median(found, axis=0) if found else (math.nan, math.nan)
+    return float(worst), float(median)
+
+
+def subjects_of(client: dipole.Client, figures: dict[str, float]) -> list[Subject]:
+    """All models of a half space that need a medium alone and have a formula of their own."""
     subjects = []
-    for key, group in itertools.groupby(rows, lambda row: (row["model"], row["evaluator"])):
-        media = list(group)
-        cost = [float(media[0][name] or "nan") for name in ("cost_ns", "prepare_ns")]
-        subjects.append(Subject(*key, *cost, typical(media, "worst"), typical(media, "median")))
-    return subjects
+    for model in MODELS:
+        if f"lut.{model}.f32" not in figures or family_of(model).title.startswith("Gaussians"):
+            continue
+        for evaluator, cost in costs_of(figures, model).items():
+            subjects.append(Subject(model, evaluator, *cost, *errors_of(client, model, evaluator)))
+    known = {one.model for one in subjects if not math.isnan(one.median)}
+    return [one for one in subjects if one.model in known]
+
+
+def write_costs(path: Path, subjects: list[Subject], solve_ns: float) -> None:
+    old = (CORE / "costs.def").read_text()
+    head, tail = old[: old.rindex("#endif") + 8], old[old.rindex("\n#undef CORE_COST\n") :]
+    of_lut = float(np.median([one.ns for one in subjects if one.evaluator == "lut"]))
+    text = f"{head}CORE_COST_LUT({of_lut:.3g})\nCORE_COST_SOLVE({solve_ns:.2g})\n"
+    for f64, f32, lut in zip(*(iter(subjects),) * 3):
+        numbers = (f64.ns, f32.ns, f64.prepare_ns, lut.prepare_ns)
+        listed = ", ".join(f"{x:.3g}" for x in numbers)
+        text += f"CORE_COST({MODELS[f64.model][0]}, {listed}) /* {f64.model} */\n"
+    path.write_text(text + tail)
 
 
 # ---- the front -----------------------------------------------------------------------------------
@@ -72,7 +123,7 @@ class Family(NamedTuple):
     colour: str
 
 
-# Of the formulas in models.def, and of sums.
+# By formula.
 FAMILIES = {
     "transport": Family("radiative transport", "o", "#000000"),
     "sum": Family("diffusion and single scattering", "D", "#cc79a7"),
@@ -87,14 +138,8 @@ FAMILIES = {
 OTHERS = Family("others", "D", "#7f7f7f")
 
 
-def families() -> dict[str, Family]:
-    """The family of each model that models.def lists."""
-    text = (CORE / "models.def").read_text()
-    models = re.findall(r'^CORE_MODEL\(\d+, \w+, "([^"]+)",\s*(\w+)', text, re.MULTILINE)
-    sums = re.findall(r'^CORE_SUM\(\d+, \w+, "([^"]+)"', text, re.MULTILINE)
-    return {name: FAMILIES.get(formula, OTHERS) for name, formula in models} | {
-        name: FAMILIES["sum"] for name in sums
-    }
+def family_of(model: str) -> Family:
+    return FAMILIES.get(MODELS.get(model, ("", ""))[1], OTHERS)
 
 
 class Point(NamedTuple):
@@ -125,7 +170,7 @@ def front_of(points: list[Point]) -> list[Point]:
     return sorted(front, key=lambda point: point.ns)
 
 
-def draw_panel(axes: plt.Axes, points: list[Point], title: str, of: dict[str, Family]) -> None:
+def draw_panel(axes: plt.Axes, points: list[Point], title: str) -> None:
     """Precisions of a model next to each other on the front share a name."""
     front = front_of(points)
     axes.set(title=title, xscale="log", yscale="log")
@@ -136,7 +181,7 @@ def draw_panel(axes: plt.Axes, points: list[Point], title: str, of: dict[str, Fa
     for _, group in itertools.groupby(precise, lambda point: point.subject.model):
         axes.plot(*zip(*((p.ns, p.error) for p in group)), lw=0.8, color="#aaaaaa")
     for subject, ns, error in points:
-        _, marker, colour = of.get(subject.model, OTHERS)
+        _, marker, colour = family_of(subject.model)
         filling = "none" if subject.evaluator == "lut" else colour
         axes.plot(ns, error, marker, ms=5, color=colour, markerfacecolor=filling)
     named = itertools.groupby(front, lambda p: (p.subject.model, p.subject.evaluator == "lut"))
@@ -165,11 +210,11 @@ def percent(error: float) -> str:
     return f"{100 * error:.2g} %" if error < 0.0995 else f"{100 * error:.0f} %"
 
 
-def draw_table(axes: plt.Axes, subjects: list[Subject], of: dict[str, Family]) -> None:
+def draw_table(axes: plt.Axes, subjects: list[Subject]) -> None:
     """All numbers, by family: ns per radius by evaluator, preparing, and the errors."""
     rows, colours = [HEADS], ["#000000"]
     for family in [*FAMILIES.values(), OTHERS]:
-        mine = [one for one in subjects if of.get(one.model, OTHERS) == family]
+        mine = [one for one in subjects if family_of(one.model) == family]
         rows += [[family.title, *[""] * 7]] if mine else []
         colours += [family.colour] if mine else []
         for model, group in itertools.groupby(mine, lambda one: one.model):
@@ -192,24 +237,33 @@ def draw_table(axes: plt.Axes, subjects: list[Subject], of: dict[str, Family]) -
 
 
 def draw_front(folder: Path, subjects: list[Subject]) -> None:
-    of = families()
     figure = plt.figure(figsize=(17, 11), layout="constrained")
     figure.suptitle(
         "Error against cost: |R / R_transport - 1|, median over radii and over the media of "
-        "Figures 1 to 16 (at least 1e-7)"
+        "Figures 1 to 16"
     )
     grid = figure.add_gridspec(2, 3, width_ratios=(3, 3, 3.6))
     for number, (title, radii) in enumerate(PANELS.items()):
         points = points_of(subjects, radii)
         axes = figure.add_subplot(grid[number // 2, number % 2])
-        draw_panel(axes, points, title, of)
+        draw_panel(axes, points, title)
         print(f"front, {title}:")
         for subject, ns, error in front_of(points):
             print(f"  {subject.model:18} {subject.evaluator:4} {ns:9.3g} ns {error:9.2g}")
-    draw_table(figure.add_subplot(grid[:, 2]), subjects, of)
+    draw_table(figure.add_subplot(grid[:, 2]), subjects)
     figure.savefig(folder / "front.png")
     save(figure, folder / "front.svg")
 
 
+def main() -> None:
+    bench, folder = (Path(argument) for argument in sys.argv[1:])
+    rows = (line.split("\t") for line in bench.read_text().splitlines())
+    figures = {row[0]: float(row[1]) for row in rows if len(row) == 3}
+    with dipole.Client(timeout_s=None) as client:
+        subjects = subjects_of(client, figures)
+    write_costs(folder / "costs.def", subjects, 1e9 * figures["lut.transport_solved.prepare"])
+    draw_front(folder, subjects)
+
+
 if __name__ == "__main__":
-    draw_front(Path(sys.argv[1]), read(Path(sys.argv[1]) / "tradeoff.csv"))
+    main()
