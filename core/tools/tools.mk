@@ -7,12 +7,10 @@ TOOLS := $(call objects,core/tools/tools.c clients/cli/progress.c)
 ISOTROPIC := $(call objects,$(wildcard tests/accuracy/isotropic/*.c))
 tool = $(call objects,$(wildcard core/tools/$(1)/*.c)) $(TOOLS) $(BUILD)/libcore.a
 $(BUILD)/transport-table: $(call tool,transport_table) $(ISOTROPIC)
-$(BUILD)/reference: $(call tool,reference)
 $(BUILD)/apertures: $(call tool,apertures)
-$(BUILD)/reference: LIBS = $(CORE_LIBS)
 $(BUILD)/picture: $(OBJ)/clients/c/examples/picture.o $(BUILD)/libdipole.a
 $(BUILD)/picture: LIBS = $(TLS_LIBS)
-PROGRAMS += $(addprefix $(BUILD)/,transport-table reference apertures picture)
+PROGRAMS += $(addprefix $(BUILD)/,transport-table apertures picture)
 
 .PHONY: tables reference tradeoff apertures figures picture gather-figure fit-bias
 
@@ -35,8 +33,8 @@ apertures: $(BUILD)/apertures ## core/fit/aperture.table and its errors, solved 
 	@$(MAKE) --no-print-directory $(BUILD)/apertures
 	$(BUILD)/apertures compare $(BUILD)/apertures-parts core/fit/aperture_errors.def
 
-reference: $(BUILD)/reference ## core/transport/reference.csv, R(r) for many g, solved anew (an hour)
-	$(BUILD)/reference $(BUILD)/reference-parts core/transport/reference.csv
+reference: $(BUILD)/dipoled ## core/transport/reference.csv, R(r) for many g, solved anew (an hour)
+	DIPOLED=private:$(BUILD)/dipoled $(PYTHON) core/tools/reference.py core/transport/reference.csv
 
 figures: ## Figures 1 to 17 of d'Eon 2012 and one of tissue, in build/figures (ten minutes)
 	@sh .ci/install-packages demo figures

@@ -28,9 +28,9 @@
 
 #include "core/kernels.h"
 #include "core/splitmix.h"
-#include "core/tools/reference/walks.h"
 #include "core/tools/tools.h"
 #include "core/transport/table.h"
+#include "tests/accuracy/walks.h"
 
 #define SIGMAS_MOST 4.5
 /* The standard errors of rings with few photons are known too badly. */

@@ -1,4 +1,4 @@
-#include "core/tools/reference/walks.h"
+#include "tests/accuracy/walks.h"
 
 #include <math.h>
 
@@ -51,18 +51,6 @@ void walks_run(walks_result *result, const walks_medium *medium, size_t rings, u
   core_mc_batch_free(batch);
   core_mc_total_free(total);
   core_mc_plan_free(plan);
-}
-
-size_t walks_ring_of(size_t rings, double r) {
-  const core_grid grid = edges_of(rings);
-  double edge[WALKS_RINGS_MAX + 1];
-  core_grid_radii_f64(&grid, 0, rings + 1, edge);
-  for (size_t i = 0; i < rings; i++) {
-    if (r >= edge[i] && r < edge[i + 1]) {
-      return i;
-    }
-  }
-  tools_fail("no ring has the radius %g", r);
 }
 
 /* By quadrature in r^2. */

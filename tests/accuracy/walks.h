@@ -1,8 +1,8 @@
 /* walks: Monte Carlo beside the solver of core/solver/solver.h, in reduced mean free paths,
  * for Henyey and Greenstein's phase function and mixtures with it. Rings are logarithmic, from
  * 10^-2.05 to 10^1.35 reduced mean free paths. */
-#ifndef DIPOLED_REFERENCE_WALKS_H
-#define DIPOLED_REFERENCE_WALKS_H
+#ifndef DIPOLED_TESTS_WALKS_H
+#define DIPOLED_TESTS_WALKS_H
 
 #include "core/montecarlo/montecarlo.h"
 #include "core/solver/solver.h"
@@ -27,9 +27,6 @@ typedef struct walks_result {
  * WALKS_RINGS_MAX. */
 void walks_run(walks_result *result, const walks_medium *medium, size_t rings, uint64_t photons,
                uint64_t seed);
-
-/* Returns the index of the ring that contains radius r. There must be such a ring. */
-size_t walks_ring_of(size_t rings, double r);
 
 /* Returns the solver's mean of R over one of the rings, for boundary `eta` of the solution. If
  * error is not NULL, sets *error to the mean of the error that the solver states. */
