@@ -146,46 +146,42 @@ static dd polynomial(dd x, const double *millionths, int count) {
   polynomial(x, (const double[]){__VA_ARGS__},                                                     \
              sizeof((const double[]){__VA_ARGS__}) / sizeof(double))
 
-static core_fresnel fitted_moments(double eta) {
-  const dd x = dd_from(eta);
-  dd first;
-  dd second;
-  if (eta < 1) {
-    first = POLYNOMIAL(x, -1368810, 4985540, -7809890, 6753350, -3479300, 919317);
-    second = POLYNOMIAL(x, 145787, 236494, -1952840, 3362310, -2620510, 828421);
-  } else {
-    first = POLYNOMIAL(x, 254913, -2543960, 10229100, -20929200, 22227200, -9233720);
-    const dd inverse = dd_div(dd_from(1), x);
-    second = dd_add(POLYNOMIAL(x, 1918260, -27018100, 164798e3, -568556e3, 1213670e3, -1641100e3),
-                    POLYNOMIAL(inverse, 135926e3, -656175e3, 1376530e3, 0));
-  }
+/* One minus polynomials in eta for 2 C1 and 3 C2, from 1 on with one in 1 / eta for the latter. */
+struct fit {
+  double first[2][6];  /* below 1, from 1 on */
+  double second[2][6]; /* the same */
+  double inverse[4];   /* from 1 on */
+  double times[2];     /* what the polynomials are multiplied by */
+};
+
+static core_fresnel moments_of(const struct fit *fit, double eta) {
+  const dd x = dd_from(eta), inverse = dd_div(dd_from(1), x);
+  const int from_1 = eta >= 1;
+  const dd first = polynomial(x, fit->first[from_1], 6);
+  const dd of_eta = polynomial(x, fit->second[from_1], 6);
+  const dd second = from_1 ? dd_add(of_eta, polynomial(inverse, fit->inverse, 4)) : of_eta;
   return (core_fresnel){
-      .one_minus_2c1 = dd_round(dd_sub(dd_from(1), first)),
-      .one_minus_3c2 = dd_round(dd_sub(dd_from(1), second)),
+      .one_minus_2c1 = dd_round(dd_sub(dd_from(1), dd_scale(first, fit->times[0]))),
+      .one_minus_3c2 = dd_round(dd_sub(dd_from(1), dd_mul(dd_from(fit->times[1]), second))),
   };
 }
 
-/* Computes 2 C1 and 3 C2 from the polynomials of C1 and C2 in "Physically Based Rendering" (Pharr,
- * Jakob, Humphreys, 3rd edition, section 11.4.2). These have fewer digits than d'Eon's, which
- * changes a profile by about 1e-4. */
-static core_fresnel pbrt_moments(double eta) {
-  const dd x = dd_from(eta);
-  dd first;
-  dd second;
-  if (eta < 1) {
-    first = POLYNOMIAL(x, -684410, 2492770, -3904945, 3376680, -1739650, 459660);
-    second = POLYNOMIAL(x, 48600, 78830, -650950, 1120770, -873500, 276140);
-  } else {
-    first = POLYNOMIAL(x, 127460, -1271980, 5114550, -10464600, 11113600, -4616860);
-    const dd inverse = dd_div(dd_from(1), x);
-    second = dd_add(POLYNOMIAL(x, 639420, -9006030, 54932700, -189519e3, 404557e3, -547033e3),
-                    POLYNOMIAL(inverse, 45308700, -218725e3, 458843e3, 0));
-  }
-  return (core_fresnel){
-      .one_minus_2c1 = dd_round(dd_sub(dd_from(1), dd_scale(first, 2))),
-      .one_minus_3c2 = dd_round(dd_sub(dd_from(1), dd_mul(dd_from(3), second))),
-  };
-}
+static const struct fit of_d_eon = {
+    {{-1368810, 4985540, -7809890, 6753350, -3479300, 919317},
+     {254913, -2543960, 10229100, -20929200, 22227200, -9233720}},
+    {{145787, 236494, -1952840, 3362310, -2620510, 828421},
+     {1918260, -27018100, 164798e3, -568556e3, 1213670e3, -1641100e3}},
+    {135926e3, -656175e3, 1376530e3, 0},
+    {1, 1}};
+
+/* The polynomials of C1 and C2 in "Physically Based Rendering" (Pharr, Jakob, Humphreys, 3rd edition,
+ * section 11.4.2). These have fewer digits than d'Eon's, which changes a profile by about 1e-4. */
+static const struct fit of_pbrt = {{{-684410, 2492770, -3904945, 3376680, -1739650, 459660},
+                                    {127460, -1271980, 5114550, -10464600, 11113600, -4616860}},
+                                   {{48600, 78830, -650950, 1120770, -873500, 276140},
+                                    {639420, -9006030, 54932700, -189519e3, 404557e3, -547033e3}},
+                                   {45308700, -218725e3, 458843e3, 0},
+                                   {2, 3}};
 
 /* Computes F_dr of Jensen's dipole as 2 C1; the classical boundary condition does not need C2. The
  * coefficients are Egan and Hilgeman's four digits, as Donner and Jensen 2005 print them for both
@@ -220,11 +216,11 @@ core_fresnel core_fresnel_moments(enum core_moments moments, double eta) {
   case CORE_MOMENTS_EXACT:
     return exact_moments(eta);
   case CORE_MOMENTS_FIT:
-    return fitted_moments(eta);
+    return moments_of(&of_d_eon, eta);
   case CORE_MOMENTS_JENSEN:
     return jensen_moments(eta);
   case CORE_MOMENTS_PBRT:
-    return pbrt_moments(eta);
+    return moments_of(&of_pbrt, eta);
   }
   assert(!"moments of the list");
   return (core_fresnel){0, 0};

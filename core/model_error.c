@@ -95,9 +95,8 @@ double core_ratio_of(const core_medium *medium) {
   return medium->sigma_a_per_mm / (medium->sigma_s_per_mm * (1 - medium->g));
 }
 
-core_model_errors core_model_errors_stated(unsigned model, bool gamma) {
-  return model == CORE_MODEL_TRANSPORT && !gamma ? (core_model_errors){.exact = true}
-                                                 : core_model_errors_unknown();
+bool core_is_exact(unsigned model, bool gamma) {
+  return model == CORE_MODEL_TRANSPORT && !gamma;
 }
 
 /* ---- numerical errors ------------------------------------------------------------------------ */

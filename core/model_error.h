@@ -17,9 +17,9 @@ typedef struct core_model_errors {
   double error[CORE_MODEL_ERROR_BANDS + 1];
 } core_model_errors;
 
-/* Returns the errors that need no ruler: 0 for `transport`, unless the parameter gamma is given, which
- * does not tell the phase function. The errors of all other models are unknown. */
-core_model_errors core_model_errors_stated(unsigned model, bool gamma);
+/* Whether the model error is 0: that of `transport`, unless the parameter gamma is given, which does not
+ * tell the phase function. */
+bool core_is_exact(unsigned model, bool gamma);
 
 /* Returns errors that are all NAN, which means not known. */
 core_model_errors core_model_errors_unknown(void);

@@ -59,18 +59,16 @@ static double off_by(enum core_quantity quantity, double value, double truth, do
                                                                          : 0;
 }
 
-/* Returns the largest error that the model states itself; NAN if nothing is compared, INFINITY if one
- * of the errors is not known. */
+static bool is_exact(const core_profile *profile) {
+  return core_is_exact(profile->model, (profile->notes & CORE_NOTE_GAMMA) != 0);
+}
+
+/* Returns the error without a ruler; NAN if nothing is compared, INFINITY if it is not known. */
 static double stated_error(const core_profile *profile, unsigned wanted, core_radii_range radii) {
-  const core_model_errors errors =
-      core_model_errors_stated(profile->model, (profile->notes & CORE_NOTE_GAMMA) != 0);
   const unsigned at_radii = radii.least_mm <= radii.most_mm ? COMPARED | CORE_QUANTITY_S : 0;
-  double worst = errors.exact ? 0 : (double)NAN;
-  for (unsigned left = wanted & (at_radii | CORE_QUANTITY_ALBEDO); left != 0; left &= left - 1) {
-    const double error = core_model_errors_of(&errors, &profile->medium, left & ~(left - 1), radii);
-    worst = isnan(error) ? (double)INFINITY : fmax(worst, error);
-  }
-  return worst;
+  return is_exact(profile)                                   ? 0
+         : (wanted & (at_radii | CORE_QUANTITY_ALBEDO)) != 0 ? (double)INFINITY
+                                                             : (double)NAN;
 }
 
 void core_model_errors_at(const core_profile *profile, const core_profile *transport,
@@ -220,10 +218,11 @@ double core_model_error(const core_profile *profile, const core_profile *transpo
 
 core_model_errors core_model_errors_measure(const core_profile *profile,
                                             const core_profile *transport) {
+  core_model_errors errors = core_model_errors_unknown();
   if (transport == NULL) {
-    return core_model_errors_stated(profile->model, (profile->notes & CORE_NOTE_GAMMA) != 0);
+    errors.exact = is_exact(profile);
+    return errors;
   }
-  core_model_errors errors = {.exact = false};
   const double mfp_mm = 1 / core_sigma_t_prime(&profile->medium);
   for (size_t i = 0; i < CORE_MODEL_ERROR_BANDS; i++) {
     const double *edge = &core_error_edges_mfp[i];

@@ -150,11 +150,6 @@ void core_varying_range_add(core_varying_range *range, const core_varying_range 
 double core_varying_error(const core_varying *varying, unsigned wanted,
                           const core_varying_range *range);
 
-/* Returns the model error of such values where it needs no comparison: that of `transport`, which is
- * 0. It is NAN with gamma, and for other models. */
-double core_varying_stated_error(const core_varying *varying, unsigned wanted,
-                                 const core_varying_range *range);
-
 /* ---- evaluating ------------------------------------------------------------------------------ */
 
 /* Evaluates R, CDF, PDF, RING (core.h) or ALBEDO, which does not need r, of a preparation of

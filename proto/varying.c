@@ -4,6 +4,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "core/model_error.h"
 #include "proto/channels.h"
 
 /* The quantities of a value that has its own medium. */
@@ -392,9 +393,12 @@ static double model_error(const varying_part *part, const core_varying *varying,
   if ((wanted & CORE_QUANTITY_MODEL_ERROR) == 0) {
     return (double)NAN;
   }
-  return ruler == NULL ? core_varying_stated_error(varying, wanted, &part->range)
-                       : part->model_error + (1 + part->model_error) *
-                                                 core_varying_error(ruler, wanted, &part->range);
+  if (ruler != NULL) {
+    return part->model_error +
+           (1 + part->model_error) * core_varying_error(ruler, wanted, &part->range);
+  }
+  const bool none = part->range.albedo_least > part->range.albedo_most;
+  return none || core_is_exact(varying->model, !isnan(varying->gamma)) ? 0 : (double)NAN;
 }
 
 void varying_part_end(const varying_part *part, const varying_request *request,

@@ -440,8 +440,8 @@ core_fault core_fit_create(core_fit **made, const core_isa *isa, const core_fit_
 
 void core_fit_free(core_fit *fit) {
   if (fit != NULL) {
-    fit_inverse_free(fit->inverse);
-    fit_table_free(fit->model.table);
+    free(fit->inverse);
+    free(fit->model.table);
     if (fit->model.varies) {
       core_varying_free(&fit->model.varying);
     }
@@ -453,7 +453,8 @@ void core_fit_free(core_fit *fit) {
 
 size_t core_fit_bytes(const core_fit *fit) {
   return sizeof *fit + (NUMBERS * fit->count + NODE_NUMBERS * fit->nodes) * sizeof(double) +
-         (2 * fit->count + 1) * sizeof(size_t) + fit_table_bytes(fit->model.table) +
+         (2 * fit->count + 1) * sizeof(size_t) +
+         (fit->model.table != NULL ? sizeof *fit->model.table : 0) +
          fit_inverse_bytes(fit->inverse) +
          (fit->model.varies ? core_varying_bytes(&fit->model.varying) : 0);
 }

@@ -23,7 +23,7 @@ enum {
 
 /* The square root of CORE_FIT_AMBIGUOUS: so far from a reading, in errors, another medium may be. */
 #define ERRORS 3.0
-_Static_assert((int)ERRORS * (int)ERRORS >= (int)CORE_FIT_AMBIGUOUS,
+_Static_assert((int)ERRORS *(int)ERRORS >= (int)CORE_FIT_AMBIGUOUS,
                "the rectangle holds all second media");
 
 struct fit_inverse {
@@ -271,10 +271,6 @@ bool fit_inverse_create(fit_inverse **made, const struct fit_model *model,
   sum_knots(mesh, inverse);
   free(mesh);
   return true;
-}
-
-void fit_inverse_free(fit_inverse *inverse) {
-  free(inverse);
 }
 
 size_t fit_inverse_bytes(const fit_inverse *inverse) {

@@ -21,11 +21,10 @@ typedef struct fit_inverse fit_inverse;
 
 /* Makes the table for two places, whose model is multiplied by weight[2], and for media between
  * `least` and `most`. Returns false if memory runs out; else the caller frees *inverse with
- * fit_inverse_free(), which accepts NULL. */
+ * free(). */
 bool fit_inverse_create(fit_inverse **inverse, const struct fit_model *model,
                         const struct fit_places *places, const double *weight,
                         struct fit_place least, struct fit_place most);
-void fit_inverse_free(fit_inverse *inverse);
 size_t fit_inverse_bytes(const fit_inverse *inverse);
 
 /* Sets *start to a medium near the one that two readings come from. Returns false unless it is shown

@@ -87,11 +87,3 @@ core_fault fit_table_create(fit_table **made, const struct fit_table_source *sou
   *made = table;
   return fault;
 }
-
-void fit_table_free(fit_table *table) {
-  free(table);
-}
-
-size_t fit_table_bytes(const fit_table *table) {
-  return table != NULL ? sizeof *table : 0;
-}

@@ -40,9 +40,7 @@ struct fit_table_source {
 };
 
 /* Makes a table. Faults are those of core_profile_prepare(). On a fault *table is NULL, else the
- * caller frees it with fit_table_free(), which accepts NULL. */
+ * caller frees it with free(). */
 core_fault fit_table_create(fit_table **table, const struct fit_table_source *source);
-void fit_table_free(fit_table *table);
-size_t fit_table_bytes(const fit_table *table);
 
 #endif

@@ -69,25 +69,16 @@ void fit_values_of_profile(const struct fit_model *model, const core_profile *pr
   }
 }
 
-/* Returns an error of R plus the error of the detected share. */
-static double with_shares(const struct fit_model *model, const core_medium *medium,
-                          const struct fit_places *places, double error) {
-  if (!model->narrow) {
-    return error;
-  }
-  const double sigma_t_prime = core_sigma_t_prime(medium);
-  return (1 + error) * (1 + fit_aperture_error(&model->aperture, core_ratio_of(medium),
-                                               places->radii.least_mm * sigma_t_prime,
-                                               places->radii.most_mm * sigma_t_prime)) -
-         1;
-}
-
 double fit_model_error(const struct fit_model *model, const core_medium *medium,
                        const struct fit_places *places) {
-  const core_model_errors errors =
-      core_model_errors_stated(model->model, !isnan(model->parameters.value[CORE_PARAMETER_GAMMA]));
-  return with_shares(model, medium, places,
-                     core_model_errors_of(&errors, medium, model->quantity, places->radii));
+  const double sigma_t_prime = core_sigma_t_prime(medium);
+  if (!core_is_exact(model->model, !isnan(model->parameters.value[CORE_PARAMETER_GAMMA]))) {
+    return (double)NAN;
+  }
+  return model->narrow ? fit_aperture_error(&model->aperture, core_ratio_of(medium),
+                                            places->radii.least_mm * sigma_t_prime,
+                                            places->radii.most_mm * sigma_t_prime)
+                       : 0;
 }
 
 /* error: NULL, or receives the numerical error at all radii. */

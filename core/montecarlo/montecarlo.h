@@ -125,9 +125,6 @@ typedef struct core_mc_plan core_mc_plan;
 core_mc_plan *core_mc_plan_create(const core_mc_request *request);
 void core_mc_plan_free(core_mc_plan *plan);
 
-/* Returns the plan's request, with its defaults filled in. The plan owns it. */
-const core_mc_request *core_mc_plan_request(const core_mc_plan *plan);
-
 /* A batch: CORE_MC_BATCH_PHOTONS photons that are being walked. */
 typedef struct core_mc_batch core_mc_batch;
 

@@ -267,7 +267,3 @@ core_mc_plan *core_mc_plan_create(const core_mc_request *request) {
 void core_mc_plan_free(core_mc_plan *plan) {
   free(plan);
 }
-
-const core_mc_request *core_mc_plan_request(const core_mc_plan *plan) {
-  return &plan->request;
-}

@@ -138,17 +138,14 @@ def panels_of(
 # ---- tables --------------------------------------------------------------------------------------
 
 
-def text_of(number: float) -> str:
-    """The fewest digits that read back to the number; nothing for NaN."""
-    return "" if math.isnan(number) else repr(float(number))
-
-
 def write_csv(path: Path, names: Sequence[str], rows: Iterator[Sequence[Any]]) -> None:
+    """Numbers have the fewest digits that read back to them; NaN is empty."""
     with path.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(names)
         for row in rows:
-            writer.writerow(text_of(x) if isinstance(x, float) else x for x in row)
+            shown = (float(x) if isinstance(x, float) else x for x in row)
+            writer.writerow("" if x != x else x for x in shown)
 
 
 def figure_rows(figure: int, panels: Sequence[Panel]) -> Iterator[Sequence[Any]]:

@@ -135,11 +135,10 @@ FAMILIES = {
     "gaussians": Family("Gaussians, fitted to skin", "s", "#8c564b"),
     "gaussian_fit": Family("Gaussians, fitted to a model", "^", "#9467bd"),
 }
-OTHERS = Family("others", "D", "#7f7f7f")
 
 
 def family_of(model: str) -> Family:
-    return FAMILIES.get(MODELS.get(model, ("", ""))[1], OTHERS)
+    return FAMILIES[MODELS[model][1]]
 
 
 class Point(NamedTuple):
@@ -213,7 +212,7 @@ def percent(error: float) -> str:
 def draw_table(axes: plt.Axes, subjects: list[Subject]) -> None:
     """All numbers, by family: ns per radius by evaluator, preparing, and the errors."""
     rows, colours = [HEADS], ["#000000"]
-    for family in [*FAMILIES.values(), OTHERS]:
+    for family in FAMILIES.values():
         mine = [one for one in subjects if family_of(one.model) == family]
         rows += [[family.title, *[""] * 7]] if mine else []
         colours += [family.colour] if mine else []

@@ -9,7 +9,6 @@
 #include <string.h>
 
 #include "core/kernels.h"
-#include "core/model_error.h"
 #include "core/transport/table.h"
 #include "core/varying/surface.h"
 
@@ -273,21 +272,6 @@ static double table_error(const core_varying *varying, unsigned wanted,
   /* Densities and the cdf have the error of R and that of the energy that they are divided by. */
   const core_medium grey = {1, 1, 0, varying->eta};
   return 2 * core_transport_table_error(&grey) + error;
-}
-
-double core_varying_stated_error(const core_varying *varying, unsigned wanted,
-                                 const core_varying_range *range) {
-  double error = 0;
-  for (int end = 0; end < 2 && range->albedo_least <= range->albedo_most; end++) {
-    const core_medium medium =
-        medium_of(varying, varying->g, end == 0 ? range->albedo_least : range->albedo_most);
-    const core_model_errors errors =
-        core_model_errors_stated(varying->model, !isnan(varying->gamma));
-    const double here = core_model_errors_of(&errors, &medium, wanted,
-                                             (core_radii_range){range->mfp_least, range->mfp_most});
-    error = isnan(error) || error > here ? error : here;
-  }
-  return error;
 }
 
 double core_varying_error(const core_varying *varying, unsigned wanted,

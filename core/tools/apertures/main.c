@@ -232,18 +232,10 @@ static bool is_within(const double *edges, double value) {
   return value >= edges[0] && value < edges[1];
 }
 
-static int by_size(const void *a, const void *b) {
-  const double x = *(const double *)a, y = *(const double *)b;
-  return (x > y) - (x < y);
-}
-
 /* The shares of a region. */
 struct region {
   const double *ratio, *x, *u; /* where each of its ranges begins; the next edge ends it */
-  size_t count;
-  double *off;   /* relative errors of the table's shares */
-  double *apart; /* the solver's two grids */
-  double most;   /* the largest sum of both */
+  double most; /* the largest relative error, with the difference of the solver's two grids */
 };
 
 /* Adds the shares of a medium that belong to the region. */
@@ -259,12 +251,7 @@ static void add_medium(struct region *to, const struct solved *medium, const dou
       const double x = fit_aperture_x(i, medium->ratio);
       const double truth = u[c] * u[c] * exp(medium->F[e][c][i]);
       const double off = fabs(fit_aperture_share(&row, log(x)) / truth - 1);
-      const double apart = medium->error[e][c][i];
-      if (is_within(to->x, x)) {
-        to->off[to->count] = off;
-        to->apart[to->count++] = apart;
-        to->most = fmax(to->most, off + apart);
-      }
+      to->most = is_within(to->x, x) ? fmax(to->most, off + medium->error[e][c][i]) : to->most;
     }
   }
 }
@@ -274,19 +261,14 @@ static void add_medium(struct region *to, const struct solved *medium, const dou
 #define MARGIN 1.5
 
 static void write_region(FILE *file, struct region *region) {
-  const size_t n = region->count;
-  if (n == 0) {
+  if (!(region->most > 0)) {
     tools_fail("no shares from sigma_a / sigma_s' %g, x %g, u %g", region->ratio[0], region->x[0],
                region->u[0]);
   }
-  qsort(region->off, n, sizeof *region->off, by_size);
-  qsort(region->apart, n, sizeof *region->apart, by_size);
   const double most = MARGIN * region->most, unit = pow(10, floor(log10(most)) - 1);
-  fprintf(file, "FIT_APERTURE_ERROR(%g, %g, %g, %g, %g, %g, %.1e)", region->ratio[0],
+  fprintf(file, "FIT_APERTURE_ERROR(%g, %g, %g, %g, %g, %g, %.1e)\n", region->ratio[0],
           region->ratio[1], region->x[0], region->x[1], region->u[0], region->u[1],
           ceil(most / unit) * unit);
-  fprintf(file, " /* %zu: %.1e, %.1e, %.1e; %.1e */\n", n, region->off[n / 2],
-          region->off[n * 95 / 100], region->off[n - 1], region->apart[n - 1]);
 }
 
 static const char head[] =
@@ -297,19 +279,11 @@ static const char head[] =
     "made\n"
     " *   from, with %d eta and %d apertures each, to which is added by how much the solver's own "
     "two\n"
-    " *   grids differ there\n"
-    " *   values: the median of the relative errors, 95 %% of them, the largest; the largest "
-    "difference\n"
-    " *   of the grids */\n"
+    " *   grids differ there */\n"
     "/* clang-format off */\n";
 
 static void compare(const struct solved *media, const char *path) {
-  const size_t room = (size_t)COMPARED * ETAS * CONES * PLACES;
-  struct region region = {.off = malloc(room * sizeof(double)),
-                          .apart = malloc(room * sizeof(double))};
-  if (region.off == NULL || region.apart == NULL) {
-    tools_fail("out of memory");
-  }
+  struct region region;
   FILE *file = tools_open(path);
   fprintf(file, head, MARGIN, COMPARED, ETAS, CONES);
   const size_t xs = RANGES(x_edges), us = RANGES(u_edges);
@@ -317,7 +291,6 @@ static void compare(const struct solved *media, const char *path) {
     region.ratio = &ratio_edges[at / us / xs];
     region.x = &x_edges[at / us % xs];
     region.u = &u_edges[at % us];
-    region.count = 0;
     region.most = 0;
     for (size_t m = MADE; m < MEDIA; m++) {
       struct solved copy;
@@ -331,8 +304,6 @@ static void compare(const struct solved *media, const char *path) {
   }
   fputs("#undef FIT_APERTURE_ERROR\n", file);
   tools_close(file, path);
-  free(region.off);
-  free(region.apart);
 }
 
 int main(int count, char **arguments) {
