@@ -40,21 +40,27 @@ static inline struct checked check_value(const real *shared, real sigma_a, real 
   return (struct checked){status, a & range & ratio & in_range & near, lane.scattered, mfp};
 }
 
-/* Statuses are narrowed to bytes in their own loop, since compilers vectorize no loop with
- * both. */
 enum { BLOCK = 64 };
 
-static inline void narrow(size_t n, const cells_integer *restrict wide, uint8_t *restrict status) {
+/* Narrows statuses to bytes, in their own loop, since compilers vectorize no loop with both.
+ * Returns how many of the whole block have an answer. */
+static inline size_t narrow(size_t n, const cells_integer *restrict wide,
+                            uint8_t *restrict status) {
+  cells_integer answered = 0;
   for (size_t i = 0; i < n; i++) {
     status[i] = (uint8_t)wide[i];
   }
+  for (size_t i = 0; i < BLOCK; i++) {
+    answered += wide[i] <= CORE_VALUE_FAR;
+  }
+  return (size_t)answered;
 }
 
 /* What the values have in common, in BLOCK places side by side, so that compilers vectorize. */
 struct extremes {
   real albedo_least[BLOCK], albedo_most[BLOCK];
   real mfp_least[BLOCK], mfp_most[BLOCK];
-  cells_integer answered[BLOCK];
+  size_t answered;
 };
 
 /* Adds the numbers that are not NaN to the least and the most of each place. */
@@ -80,23 +86,19 @@ check_block(const real *restrict shared, const real *restrict sigma_a, const rea
   }
   widen(albedo, seen->albedo_least, seen->albedo_most);
   widen(mfp, seen->mfp_least, seen->mfp_most);
-  for (size_t i = 0; i < BLOCK; i++) {
-    seen->answered[i] += status[i] <= CORE_VALUE_FAR;
-  }
 }
 
 /* Joins the places. */
 static void sum_up(struct extremes *seen, core_varying_range *range) {
   for (size_t half = BLOCK / 2; half > 0; half /= 2) {
     for (size_t i = 0; i < half; i++) {
-      seen->answered[i] += seen->answered[i + half];
       seen->albedo_least[i] = real_min(seen->albedo_least[i], seen->albedo_least[i + half]);
       seen->albedo_most[i] = real_max(seen->albedo_most[i], seen->albedo_most[i + half]);
       seen->mfp_least[i] = real_min(seen->mfp_least[i], seen->mfp_least[i + half]);
       seen->mfp_most[i] = real_max(seen->mfp_most[i], seen->mfp_most[i + half]);
     }
   }
-  *range = (core_varying_range){(size_t)seen->answered[0], (double)seen->albedo_least[0],
+  *range = (core_varying_range){seen->answered, (double)seen->albedo_least[0],
                                 (double)seen->albedo_most[0], (double)seen->mfp_least[0],
                                 (double)seen->mfp_most[0]};
 }
@@ -116,8 +118,8 @@ static void check(const real *restrict shared, size_t n, const real *restrict si
   const cells_integer out_of_range = numbers ? CORE_VALUE_NUMBER : CORE_VALUE_RADIUS;
   struct last_block last;
   struct extremes seen;
+  seen.answered = 0;
   for (size_t i = 0; i < BLOCK; i++) {
-    seen.answered[i] = 0;
     seen.albedo_least[i] = seen.mfp_least[i] = (real)INFINITY;
     seen.albedo_most[i] = seen.mfp_most[i] = 0;
   }
@@ -138,7 +140,7 @@ static void check(const real *restrict shared, size_t n, const real *restrict si
     } else {
       check_block(shared, a, s, x, most, out_of_range, 0, wide, &seen);
     }
-    narrow(count, wide, status + done);
+    seen.answered += narrow(count, wide, status + done);
   }
   sum_up(&seen, range);
 }
