@@ -86,16 +86,13 @@ def walk(
         return unpack_result(kept.read_bytes())
     except (FileNotFoundError, dipole.ProtocolError):
         pass
-    watched = sys.stderr.isatty()
 
     def progress(now: dipole.McProgress) -> None:
-        if watched:
-            share = 100 * now.photons / now.photons_expected
-            print(f"\rMonte Carlo, {name}: {share:3.0f} % ", end="", file=sys.stderr)
+        share = 100 * now.photons / now.photons_expected
+        print(f"\r\033[KMonte Carlo, {name}: {share:3.0f} % ", end="", file=sys.stderr)
 
-    found = client.mc(medium, edges, photons=photons, progress=progress, **how)
-    if watched:
-        print("\r\033[K", end="", file=sys.stderr)
+    watched = progress if sys.stderr.isatty() else None
+    found = client.mc(medium, edges, photons=photons, progress=watched, **how)
     part = kept.with_suffix(".part")
     part.write_bytes(found.payload)
     part.replace(kept)
@@ -474,7 +471,6 @@ def main() -> None:
     ):
         text += " (default: all)" if argument == "LIST" else " (default: %(default)s)"
         parser.add_argument(name, type=kind, default=usual, metavar=argument, help=text)
-    parser.add_argument("--fresh", action="store_true", help="walk all photons anew")
     options = parser.parse_args()
     parts = options.output / "parts"
     parts.mkdir(parents=True, exist_ok=True)
@@ -483,8 +479,6 @@ def main() -> None:
     with dipole.Client(timeout_s=None) as client:
         for eta in options.etas:
             kept = parts / f"walk_eta_{eta}_photons_{options.photons}_ratios_{which}"
-            if options.fresh:
-                kept.unlink(missing_ok=True)
             table = None
             if options.photons > 0:
                 first = media_of(options.ratios, eta)[0]
@@ -496,8 +490,6 @@ def main() -> None:
                 panels[panel.ratio, eta] = panel
         if options.tissue_photons > 0:
             kept = parts / f"walk_tissue_photons_{options.tissue_photons}"
-            if options.fresh:
-                kept.unlink(missing_ok=True)
             columns = tissue_columns(client, options.tissue_photons, kept)
             write_csv(options.output / "tissue.csv", list(columns), zip(*columns.values()))
             draw_tissue(options.output / "tissue.svg", columns)

@@ -8,7 +8,6 @@ chi-squared) and fit_bias.svg."""
 
 from __future__ import annotations
 
-import argparse
 import csv
 import sys
 from pathlib import Path
@@ -55,11 +54,7 @@ def draw(path: Path, found: list[tuple[float, str, str, float, float, float]]) -
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--output", type=Path, default=Path("build/figures"), metavar="DIR")
-    folder = parser.parse_args().output
+    folder = Path(sys.argv[1])
     folder.mkdir(parents=True, exist_ok=True)
     with dipole.Client(timeout_s=None) as client:
         found = rows(client)
@@ -69,11 +64,6 @@ def main() -> None:
         for row in found:
             writer.writerow([f"{row[0]:.6g}", *row[1:3], *(f"{x:.6g}" for x in row[3:])])
     draw(folder / "fit_bias.svg", found)
-    for ratio, model, status, a, s, chi in found:
-        print(
-            f"{ratio:8.4f} {model:10} {status:13} sigma_a {a:8.4f} sigma_s' {s:8.4f} of the truth, "
-            f"chi-squared {chi:.3g}"
-        )
 
 
 if __name__ == "__main__":

@@ -59,4 +59,4 @@ gather-figure: $(BUILD)/bench $(BUILD)/tests/accuracy/test_gather ## build/figur
 fit-bias: ## what diffusion models make of readings, beside transport: a table and a figure
 	@sh .ci/install-packages demo figures
 	@$(MAKE) --no-print-directory -j2 $(BUILD)/dipoled
-	DIPOLED=private:$(BUILD)/dipoled $(PYTHON) core/tools/fit_bias.py --output $(BUILD)/figures
+	DIPOLED=private:$(BUILD)/dipoled $(PYTHON) core/tools/fit_bias.py $(BUILD)/figures
