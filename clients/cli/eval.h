@@ -46,13 +46,6 @@ void cli_eval_add_model(cli_eval_report *report, const dipole_choice *model, boo
 /* Makes room for the values of all models and channels, which have no arrays yet. */
 void cli_eval_make_values(cli_eval_report *report);
 
-/* Keeps the part of an answer that begins at place `first` of the model at a position. This is
- * where the errors of an answer come in; a list that is requested in pieces has those of all. */
-void cli_eval_keep(cli_eval_report *report, size_t model, size_t first, const dipole_result *part);
-
-/* Writes the report to standard output. */
-void cli_eval_write(const cli_eval_report *report, enum cli_form form);
-
 /* ---- asking ---------------------------------------------------------------------------------- */
 
 /* The options of an evaluation. */
