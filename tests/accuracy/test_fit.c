@@ -868,19 +868,3 @@ UNIT_TEST(noise_of_2_percent_spreads_as_the_bound) {
   expect_noise(CORE_FIT_SCALE_ABSOLUTE, 10, 0.02);
   expect_noise(CORE_FIT_SCALE_FREE, 40, 0.02);
 }
-
-/* With an unknown factor, ten readings with 2 % noise leave sigma_a uncertain by 24 %, where the
- * problem is not linear: fits spread 1.18 and 1.07 times the bound, which holds for estimates without
- * bias, and are biased by 0.19 and -0.10 of it. Both come from the second order of the noise: a quarter
- * of it leaves nothing of the excess but the standard errors of the spread, three of which are
- * allowed. */
-UNIT_TEST(ten_readings_with_a_free_factor_come_to_the_bound_with_less_noise) {
-  enum { COUNT = 10, SETS = 8000 };
-  const double allowed = 3 / sqrt(2.0 * SETS);
-  const struct spread full = spread_of(CORE_FIT_SCALE_FREE, COUNT, 0.02, SETS);
-  const struct spread half = spread_of(CORE_FIT_SCALE_FREE, COUNT, 0.01, SETS);
-  const struct spread quarter = spread_of(CORE_FIT_SCALE_FREE, COUNT, 0.005, SETS);
-  assert_true(full.a < 1.25 && full.s < 1.15);
-  assert_true(half.a - 1 < (full.a - 1) / 4 + allowed && half.s - 1 < (full.s - 1) / 4 + allowed);
-  assert_true(fabs(quarter.a - 1) < allowed && fabs(quarter.s - 1) < allowed);
-}

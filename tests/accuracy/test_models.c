@@ -49,55 +49,6 @@ static core_medium medium_of_ratio(double ratio, double eta) {
 
 /* ---- slabs ------------------------------------------------------------------------------------ */
 
-UNIT_TEST(a_thick_slab_is_a_half_space) {
-  static const unsigned pairs[][2] = {{CORE_MODEL_MULTIPOLE, CORE_MODEL_CLASSICAL},
-                                      {CORE_MODEL_BETTER_MULTIPOLE, CORE_MODEL_BETTER}};
-  const core_parameters thick = with(CORE_PARAMETER_THICKNESS, 9.9e5);
-  for (size_t i = 0; i < 2; i++) {
-    for (double ratio = 0; ratio<20; ratio = ratio> 0 ? ratio * 100 : 1e-3) {
-      const core_medium medium = medium_of_ratio(ratio, 1.3);
-      core_profile slab = prepared(pairs[i][0], CORE_MOMENTS_EXACT, medium, &thick);
-      core_profile half = prepared(pairs[i][1], CORE_MOMENTS_EXACT, medium, NULL);
-      for (double r = 0; r < 100; r = 1.5 * r + 0.01) {
-        assert_near(value_of(&slab, CORE_QUANTITY_R, r), value_of(&half, CORE_QUANTITY_R, r),
-                    3e-12 * (1 + r), "a thick slab");
-      }
-      assert_near(slab.albedo, half.albedo, ratio > 0 ? 1e-11 : 1e-5, "its albedo");
-      core_profile_free(&slab);
-      core_profile_free(&half);
-    }
-  }
-}
-
-/* What is absorbed, from the diffusion equation across the slab, solved independently:
- * sigma_a int phi dz with phi = alpha' sinh(mu z<) sinh(mu (L - z>)) / (D mu sinh(mu L)). */
-static double absorbed_in_slab(core_medium medium, double thickness) {
-  const core_fresnel fresnel = core_fresnel_moments(CORE_MOMENTS_EXACT, medium.eta);
-  const double mu = sqrt(3 * medium.sigma_a_per_mm);
-  const double zb = 2 * (2 - fresnel.one_minus_2c1) / fresnel.one_minus_2c1 / 3;
-  const double length = thickness + 2 * zb;
-  const double at = 1 + zb;
-  const double front = cosh(mu * at) - cosh(mu * zb);
-  const double back = cosh(mu * (length - at)) - cosh(mu * zb);
-  return medium.sigma_s_per_mm * (sinh(mu * (length - at)) * front + sinh(mu * at) * back) /
-         sinh(mu * length);
-}
-
-UNIT_TEST(a_slab_balances) {
-  for (double ratio = 1e-4; ratio < 20; ratio *= 10) {
-    for (double thickness = 1.1; thickness < 40; thickness *= 2.3) {
-      for (double eta = 0.7; eta < 2.1; eta += 0.35) {
-        const core_medium medium = medium_of_ratio(ratio, eta);
-        const core_parameters parameters = with(CORE_PARAMETER_THICKNESS, thickness);
-        const double reflected = albedo_of(CORE_MODEL_MULTIPOLE, medium, &parameters);
-        const double transmitted = albedo_of(CORE_MODEL_MULTIPOLE_TRANSMITTED, medium, &parameters);
-        assert_near(reflected + transmitted + absorbed_in_slab(medium, thickness),
-                    medium.sigma_s_per_mm, 1e-11, "what leaves and is absorbed");
-      }
-    }
-  }
-}
-
 UNIT_TEST(a_slab_names_its_domain) {
   const core_medium medium = {0.1, 0.9, 0, 1.3};
   core_parameters parameters = core_parameters_none();

@@ -187,29 +187,6 @@ UNIT_TEST(estimates_are_honest) {
   }
 }
 
-/* Radii far outside, where digits must go: the value may, the honesty may not. */
-UNIT_TEST(far_radii_are_honest) {
-  static const double media[][2] = {{1.4, 0.2}, {1, 0.9}, {0.7, 0.999}};
-  struct worst worst = {.what = "far radii: R"};
-  for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
-    isotropic_solution *truth = solve(media[i][0], media[i][1], ISOTROPIC_TOLERANCE_MIN);
-    isotropic_solution *solution = solve(media[i][0], media[i][1], 1e-4);
-    for (double r = 30; r < 1e4; r *= 1.1) {
-      const transport_number value = isotropic_at(solution, r).R;
-      const transport_number close = isotropic_at(truth, r).R;
-      assert_true(isfinite(value.value) && value.value >= 0);
-      assert_true(fabs(value.value - close.value) <= ESTIMATE_FACTOR * value.error + close.error);
-      if (close.error < 1e-3 * close.value) {
-        compare(&worst, value, close.value, close.error);
-      }
-    }
-    isotropic_solution_free(solution);
-    isotropic_solution_free(truth);
-  }
-  report(&worst);
-  assert_true(worst.count >= 40 && worst.ratio <= ESTIMATE_FACTOR);
-}
-
 /* ---- bits --------------------------------------------------------------------------------- */
 
 struct job {

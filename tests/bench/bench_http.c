@@ -35,20 +35,6 @@ enum { ROUNDS = 15, LIMIT_S = 120, CONNECTIONS = 16, IDLE = 1000, SLOW = 50, REP
 
 static struct samples samples;
 
-static double median(const double *figures) {
-  double sorted[ROUNDS];
-  memcpy(sorted, figures, sizeof sorted);
-  return bench_median(sorted, ROUNDS);
-}
-
-static double median_ratio(const double *over, const double *under) {
-  double ratios[ROUNDS];
-  for (size_t i = 0; i < ROUNDS; i++) {
-    ratios[i] = over[i] / under[i];
-  }
-  return bench_median(ratios, ROUNDS);
-}
-
 /* ---- requests over HTTP ---------------------------------------------------------------------- */
 
 /* Reads an answer of HTTP. Returns its length, and sets *body to where its body begins. */
@@ -121,13 +107,14 @@ static void measure_rates(const struct daemon *daemon) {
     }
   }
   for (size_t i = 0; i < SIDES; i++) {
-    bench_figure(median(rates_per_s[i]), "requests/s", "http.%s.rate", requests[i].name);
+    bench_figure(bench_median_of(rates_per_s[i], ROUNDS), "requests/s", "http.%s.rate",
+                 requests[i].name);
     load_free(loads[i]);
     target_free(&targets[i]);
   }
   for (size_t i = 0; i + 1 < SIDES; i++) {
-    bench_figure(median_ratio(rates_per_s[i], rates_per_s[SIDES - 1]), "times", "ratio.http.%s",
-                 requests[i].name);
+    bench_figure(bench_median_ratio(rates_per_s[i], rates_per_s[SIDES - 1], ROUNDS), "times",
+                 "ratio.http.%s", requests[i].name);
   }
 }
 
@@ -215,10 +202,13 @@ static void measure_beside(const struct daemon *daemon) {
   ping_close(&ping);
   target_free(&eval);
   for (size_t i = 0; i < 2; i++) {
-    bench_figure(median(sides[i].p50_us), "us", "http.beside.%s.p50", sides[i].name);
-    bench_figure(median(sides[i].p99_us), "us", "http.beside.%s.p99", sides[i].name);
+    bench_figure(bench_median_of(sides[i].p50_us, ROUNDS), "us", "http.beside.%s.p50",
+                 sides[i].name);
+    bench_figure(bench_median_of(sides[i].p99_us, ROUNDS), "us", "http.beside.%s.p99",
+                 sides[i].name);
   }
-  bench_figure(median_ratio(sides[1].p99_us, sides[0].p99_us), "times", "ratio.http.beside");
+  bench_figure(bench_median_ratio(sides[1].p99_us, sides[0].p99_us, ROUNDS), "times",
+               "ratio.http.beside");
 }
 
 void bench_http(void) {

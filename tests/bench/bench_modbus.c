@@ -43,20 +43,6 @@ struct side {
   double p999_us[ROUNDS];
 };
 
-static double median(const double *figures) {
-  double sorted[ROUNDS];
-  memcpy(sorted, figures, sizeof sorted);
-  return bench_median(sorted, ROUNDS);
-}
-
-static double median_ratio(const double *over, const double *under) {
-  double ratios[ROUNDS];
-  for (size_t i = 0; i < ROUNDS; i++) {
-    ratios[i] = over[i] / under[i];
-  }
-  return bench_median(ratios, ROUNDS);
-}
-
 static void note_percentiles(struct side *side, size_t round) {
   side->p50_us[round] = samples_us(&samples, 0.5);
   side->p99_us[round] = samples_us(&samples, 0.99);
@@ -64,9 +50,10 @@ static void note_percentiles(struct side *side, size_t round) {
 }
 
 static void report_percentiles(const struct side *side, const char *what) {
-  bench_figure(median(side->p50_us), "us", "modbus.%s.%s.p50", what, side->name);
-  bench_figure(median(side->p99_us), "us", "modbus.%s.%s.p99", what, side->name);
-  bench_figure(median(side->p999_us), "us", "modbus.%s.%s.p99.9", what, side->name);
+  bench_figure(bench_median_of(side->p50_us, ROUNDS), "us", "modbus.%s.%s.p50", what, side->name);
+  bench_figure(bench_median_of(side->p99_us, ROUNDS), "us", "modbus.%s.%s.p99", what, side->name);
+  bench_figure(bench_median_of(side->p999_us, ROUNDS), "us", "modbus.%s.%s.p99.9", what,
+               side->name);
 }
 
 /* ---- many masters ------------------------------------------------------------------------- */
@@ -93,13 +80,14 @@ static void measure_load(const struct target *jobs, const struct target *echo, s
   }
   for (size_t i = 0; i < 2; i++) {
     load_free(sides[i].load);
-    bench_figure(median(sides[i].rate_per_s), "transactions/s", "modbus.%s.%s.rate", what,
-                 sides[i].name);
+    bench_figure(bench_median_of(sides[i].rate_per_s, ROUNDS), "transactions/s",
+                 "modbus.%s.%s.rate", what, sides[i].name);
     report_percentiles(&sides[i], what);
-    bench_figure(median(sides[i].cpu_us), "us", "modbus.%s.%s.cpu", what, sides[i].name);
+    bench_figure(bench_median_of(sides[i].cpu_us, ROUNDS), "us", "modbus.%s.%s.cpu", what,
+                 sides[i].name);
   }
-  bench_figure(median_ratio(sides[0].rate_per_s, sides[1].rate_per_s), "times", "ratio.modbus.%s",
-               what);
+  bench_figure(bench_median_ratio(sides[0].rate_per_s, sides[1].rate_per_s, ROUNDS), "times",
+               "ratio.modbus.%s", what);
 }
 
 /* ---- beside rude ones --------------------------------------------------------------------- */
@@ -130,7 +118,8 @@ static void measure_beside(const struct target *jobs) {
   ping_close(&ping);
   report_percentiles(&quiet, "beside");
   report_percentiles(&beside, "beside");
-  bench_figure(median_ratio(beside.p99_us, quiet.p99_us), "times", "ratio.modbus.beside");
+  bench_figure(bench_median_ratio(beside.p99_us, quiet.p99_us, ROUNDS), "times",
+               "ratio.modbus.beside");
 }
 
 /* ---- all of them -------------------------------------------------------------------------- */

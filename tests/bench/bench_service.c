@@ -123,27 +123,13 @@ static void note_percentiles(struct side *side) {
   side->max_us = fmax(side->max_us, samples_us(&samples, 1));
 }
 
-static double median(const double *figures, size_t rounds) {
-  double sorted[ROUNDS];
-  memcpy(sorted, figures, rounds * sizeof *sorted);
-  return bench_median(sorted, rounds);
-}
-
-static double median_ratio(const double *over, const double *under, size_t rounds) {
-  double ratios[ROUNDS];
-  for (size_t i = 0; i < rounds; i++) {
-    ratios[i] = over[i] / under[i];
-  }
-  return bench_median(ratios, rounds);
-}
-
 static void report_percentiles(const struct side *side, const char *what, const char *where) {
-  bench_figure(median(side->p50_us, side->rounds), "us", "service.%s%s.%s.p50", what, where,
-               side->name);
-  bench_figure(median(side->p99_us, side->rounds), "us", "service.%s%s.%s.p99", what, where,
-               side->name);
-  bench_figure(median(side->p999_us, side->rounds), "us", "service.%s%s.%s.p99.9", what, where,
-               side->name);
+  bench_figure(bench_median_of(side->p50_us, side->rounds), "us", "service.%s%s.%s.p50", what,
+               where, side->name);
+  bench_figure(bench_median_of(side->p99_us, side->rounds), "us", "service.%s%s.%s.p99", what,
+               where, side->name);
+  bench_figure(bench_median_of(side->p999_us, side->rounds), "us", "service.%s%s.%s.p99.9", what,
+               where, side->name);
 }
 
 static void open_pings(struct side *sides, size_t count) {
@@ -216,7 +202,7 @@ static double kernel_us(const struct kernel *kernel) {
 }
 
 static void report_bulk(const struct side *side, const char *name) {
-  const double us = median(side->p50_us, side->rounds);
+  const double us = bench_median_of(side->p50_us, side->rounds);
   const double bytes = (double)(side->target->request_bytes + side->target->reply_bytes);
   bench_figure(us, "us", "service.%s.%s", name, side->name);
   bench_figure(side->max_us, "us", "service.%s.%s.max", name, side->name);
@@ -240,8 +226,9 @@ static void measure_bulk(const struct target *bulk, const struct target *echo,
   close_pings(sides, 2);
   report_bulk(&sides[0], name);
   report_bulk(&sides[1], name);
-  bench_figure(median(kernels_us, ROUNDS), "us", "service.%s.kernel", name);
-  bench_figure(median_ratio(sides[0].p50_us, floor_us, ROUNDS), "times", "ratio.service.%s", name);
+  bench_figure(bench_median_of(kernels_us, ROUNDS), "us", "service.%s.kernel", name);
+  bench_figure(bench_median_ratio(sides[0].p50_us, floor_us, ROUNDS), "times", "ratio.service.%s",
+               name);
   core_profile_free(&kernel.profile);
   free(kernel.R);
 }
@@ -290,9 +277,9 @@ static void measure_rtt(const struct setting *setting, const char *where) {
   close_pings(sides, 2);
   report_percentiles(&sides[0], "rtt", where);
   report_percentiles(&sides[1], "rtt", where);
-  bench_figure(median_ratio(sides[0].p50_us, sides[1].p50_us, ROUNDS), "times",
+  bench_figure(bench_median_ratio(sides[0].p50_us, sides[1].p50_us, ROUNDS), "times",
                "ratio.service.rtt%s", where);
-  bench_figure(median_ratio(sides[0].p99_us, sides[1].p99_us, ROUNDS), "times",
+  bench_figure(bench_median_ratio(sides[0].p99_us, sides[1].p99_us, ROUNDS), "times",
                "ratio.service.rtt%s.p99", where);
 }
 
@@ -324,16 +311,17 @@ static double measure_redis(const struct setting *setting) {
   }
   for (size_t i = 0; i < count; i++) {
     load_free(sides[i].load);
-    bench_figure(median(sides[i].rate_per_s, ROUNDS), "requests/s", "service.redis.%s.rate",
-                 sides[i].name);
+    bench_figure(bench_median_of(sides[i].rate_per_s, ROUNDS), "requests/s",
+                 "service.redis.%s.rate", sides[i].name);
     report_percentiles(&sides[i], "redis", "");
-    bench_figure(median(sides[i].cpu_us, ROUNDS), "us", "service.redis.%s.cpu", sides[i].name);
+    bench_figure(bench_median_of(sides[i].cpu_us, ROUNDS), "us", "service.redis.%s.cpu",
+                 sides[i].name);
   }
   if (setting->has_redis) {
-    bench_figure(median_ratio(sides[0].rate_per_s, sides[2].rate_per_s, ROUNDS), "times",
+    bench_figure(bench_median_ratio(sides[0].rate_per_s, sides[2].rate_per_s, ROUNDS), "times",
                  "ratio.service.redis");
   }
-  return median(sides[0].rate_per_s, ROUNDS);
+  return bench_median_of(sides[0].rate_per_s, ROUNDS);
 }
 
 /* Measures one side at a fixed rate. prefix: of the names of its figures. */
@@ -418,9 +406,10 @@ static void measure_fairness(const struct setting *setting) {
   report_percentiles(&idle, "fair", "");
   report_percentiles(streaming, "fair", "");
   report_percentiles(echo, "fair", "");
-  bench_figure(median(streamed, rounds), "MB/s", "service.fair.streamed");
-  bench_figure(median_ratio(streaming->p99_us, idle.p99_us, rounds), "times", "ratio.service.fair");
-  bench_figure(median_ratio(streaming->p99_us, echo->p99_us, rounds), "times",
+  bench_figure(bench_median_of(streamed, rounds), "MB/s", "service.fair.streamed");
+  bench_figure(bench_median_ratio(streaming->p99_us, idle.p99_us, rounds), "times",
+               "ratio.service.fair");
+  bench_figure(bench_median_ratio(streaming->p99_us, echo->p99_us, rounds), "times",
                "ratio.service.fair.echo");
 }
 
@@ -478,10 +467,10 @@ static void measure_scale(const struct setting *setting) {
   }
   for (size_t i = 0; i < 2; i++) {
     daemon_end(&daemons[i]);
-    bench_figure(median(rates[i], ROUNDS), "requests/s", "service.scale.%s", names[i]);
+    bench_figure(bench_median_of(rates[i], ROUNDS), "requests/s", "service.scale.%s", names[i]);
   }
   bench_figure(counts[1], "workers", "service.scale.workers");
-  bench_figure(median_ratio(rates[1], rates[0], ROUNDS), "times", "ratio.service.scale");
+  bench_figure(bench_median_ratio(rates[1], rates[0], ROUNDS), "times", "ratio.service.scale");
 }
 
 /* ---- all of them -------------------------------------------------------------------------- */
