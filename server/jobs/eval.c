@@ -274,8 +274,11 @@ static const void *slice_radii(const struct eval_job *eval, size_t n) {
 /* Returns the cost of one radius of a channel with the cheapest model, in radii of a dipole. */
 static uint64_t least_cost(const struct eval_job *eval) {
   const unsigned arrays = eval->layout.arrays_per_channel;
+  if (arrays == 0 || !is_sample(eval)) {
+    return arrays;
+  }
   const core_profile dipole = {.evaluator = eval->request.fixed.evaluator, .cost = 1};
-  return arrays > 0 && is_sample(eval) ? arrays + (uint64_t)core_draw_cost(&dipole) : arrays;
+  return arrays + (uint64_t)core_draw_cost(&dipole);
 }
 
 /* Any radius may be drawn. All but this share of the light on either side leaves at the radii for
