@@ -29,8 +29,7 @@ def misfit_of(client: dipole.Client, x: Array) -> tuple[Array, Array]:
     """Returns the misfit [radius] at ln sigma_a, ln sigma_s and its slopes [radius, coefficient]."""
     sigma_a, sigma_s = np.exp(x)
     medium = dipole.Medium(sigma_a, sigma_s, G, ETA)
-    # With this tolerance the daemon looks transport up; else it would solve it for each medium.
-    found = client.eval("transport", medium, r, wanted=WANTED, tolerance=1e-3)
+    found = client.eval("transport", medium, r, wanted=WANTED)
     slopes = np.stack([found.dlnR_dln_sigma_a[0], found.dlnR_dln_sigma_s[0]], axis=1)
     return (found.ln_R[0] - np.log(readings)) / NOISE, slopes / NOISE
 
