@@ -376,6 +376,9 @@ def test_parts_are_numbered_and_small(small, message):
 def test_answers_in_parts_have_the_same_bits(small, whole, message):
     with small.client() as client, whole.client() as other:
         found, expected = (call(each, message, PARTED_CALLS) for each in (client, other))
+        if message == "sample":  # Doubles are drawn by other lines than floats.
+            draw = dipole.Draw(5000, "random", seed=5)
+            assert_same(*(each.sample("better", SKIN, draw=draw, evaluator="f64") for each in (client, other)))
         if message == "varying":  # The error of a part holds for its values alone.
             assert 0 < found.numerical_error <= expected.numerical_error
             found = dataclasses.replace(found, numerical_error=expected.numerical_error)
