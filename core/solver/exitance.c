@@ -41,13 +41,13 @@ static double last_of(const exitance_grid *of) {
 }
 
 void solver_exitance_place(exitance_grid *to, const core_isa *isa, double kappa, double share,
-                           size_t nodes, const double tier_end[EXITANCE_TIERS]) {
+                           double scale, size_t nodes, const double tier_end[EXITANCE_TIERS]) {
   assert(nodes <= EXITANCE_NODES_MAX && share >= 0 && share < 1);
-  const double low = share * kappa, high = fmax(low, RISE_MOST);
+  const double low = share * kappa, high = fmax(low, RISE_MOST * scale);
   *to = (exitance_grid){.isa = isa, .nodes = nodes, .point = {CMPLX(0, low)}};
   memcpy(to->tier_end, tier_end, sizeof to->tier_end);
   const double last = last_of(to);
-  double end = kappa > 0 ? fmin(last / 4, (1 - share) * kappa) : WIDTH_WHITE;
+  double end = kappa > 0 ? fmin(last / 4, (1 - share) * kappa) : WIDTH_WHITE * scale;
   while (creal(to->point[to->panels]) < last) {
     assert(to->panels < EXITANCE_PANELS_MAX);
     to->point[++to->panels] = CMPLX(end, fmin(low + RISE * end, high));

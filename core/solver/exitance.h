@@ -29,10 +29,10 @@ typedef struct exitance_grid {
 } exitance_grid;
 
 /* Sets *to, with panels that double in width. kappa: the decay rate of R far away, 0 or at least
- * 1e-9. share: Im k / kappa where the path begins, 0 to less than 1. nodes: 8 to
- * EXITANCE_NODES_MAX. tier_end: ascending. */
+ * 1e-9. share: Im k / kappa where the path begins, 0 to less than 1. scale: the least scaled extinction
+ * that light meets, which limits Im k. nodes: 8 to EXITANCE_NODES_MAX. tier_end: ascending. */
 void solver_exitance_place(exitance_grid *to, const core_isa *isa, double kappa, double share,
-                           size_t nodes, const double tier_end[EXITANCE_TIERS]);
+                           double scale, size_t nodes, const double tier_end[EXITANCE_TIERS]);
 
 /* Returns k of a node. Nodes count through all panels, in ascending order. */
 double complex solver_exitance_wavenumber(const exitance_grid *of, size_t node);

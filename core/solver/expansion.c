@@ -32,17 +32,9 @@ enum { FRESNEL_PANELS = 14, FRESNEL_NODES = 16 };
 
 /* ---- functions of angle --------------------------------------------------------------------- */
 
-/* The polynomials of one order: alpha and beta of their three-term recurrence, and the norm of the
- * first. */
-typedef struct recurrence {
-  double norm;
-  double alpha[EXPANSION_DEGREES_MAX];
-  double beta[EXPANSION_DEGREES_MAX];
-} recurrence;
-
 /* Sets values[j] to psi_mj(mu). sine: sqrt(1 - mu^2). */
-static void functions_at(const recurrence *of, size_t m, size_t degrees, double mu, double sine,
-                         double *values) {
+static void functions_at(const expansion_recurrence *of, size_t m, size_t degrees, double mu,
+                         double sine, double *values) {
   double before = 0, here = of->norm;
   for (size_t i = 0; i < m; i++) {
     here *= sine;
@@ -56,8 +48,22 @@ static void functions_at(const recurrence *of, size_t m, size_t degrees, double 
   }
 }
 
-/* Stieltjes' procedure with the weight mu (1 - mu^2)^m. */
-static void find_recurrence(recurrence *of, const gauss_rule *rule, size_t m, size_t degrees) {
+void solver_expansion_at(const expansion *of, size_t m, double mu, double sine, double *values) {
+  const size_t degrees = (of->first[m + 1] - of->first[m]) / of->panels;
+  size_t panel = 0;
+  while (panel + 1 < of->panels && mu > of->edge[panel + 1]) {
+    panel++;
+  }
+  for (size_t i = 0; of->panels > 1 && i < of->panels * degrees; i++) {
+    values[i] = 0;
+  }
+  functions_at(&of->recurrence[m * of->panels + panel], m, degrees, mu, sine,
+               values + panel * degrees);
+}
+
+/* Stieltjes' procedure with the weight mu (1 - mu^2)^m on a panel, whose nodes are those of *rule. */
+static void find_recurrence(expansion_recurrence *of, const gauss_rule *rule, size_t m,
+                            size_t degrees) {
   double before[GAUSS_MAX] = {0}, here[GAUSS_MAX], weight[GAUSS_MAX];
   double norm2 = 0;
   for (size_t i = 0; i < rule->n; i++) {
@@ -189,14 +195,25 @@ static struct crossing crossing_at(double eta, double x, double weight) {
   return (struct crossing){mu, sine, weight};
 }
 
+/* Returns the largest x below `upper` at which a panel ends, x being the variable of crossing_at();
+ * 0 if there is none. */
+static double next_edge(const expansion *of, double eta, double upper) {
+  double next = 0;
+  for (size_t i = 1; i < of->panels; i++) {
+    const double mu = of->edge[i], sine2 = eta * eta * (1 - mu) * (1 + mu);
+    const double x = eta > 1 ? sqrt(fmax(0, 1 - sine2)) : mu;
+    next = x < upper ? fmax(next, x) : next;
+  }
+  return next;
+}
+
 /* Adds to exit[boundary][part] what leaves below the angle whose cosine, outside for eta > 1 and
  * inside otherwise, is `least`. For light of all angles it fills the reflection, too: F = 1 - T,
  * and <psi mu psi> = 1. */
-static void integrate_boundary(expansion *to, const recurrence *by, size_t boundary, size_t part,
-                               double least) {
+static void integrate_boundary(expansion *to, size_t boundary, size_t part, double least) {
   gauss_rule rule;
   transport_gauss(&rule, FRESNEL_NODES);
-  double values[EXPANSION_DEGREES_MAX];
+  double values[EXPANSION_PANELS_MAX * EXPANSION_DEGREES_MAX];
   double *reflection = to->reflection[boundary];
   for (size_t i = 0; part == 0 && i < to->n; i++) {
     reflection[i * to->n + i] = 1;
@@ -204,23 +221,26 @@ static void integrate_boundary(expansion *to, const recurrence *by, size_t bound
   double upper = 1;
   for (size_t panel = 0; panel < FRESNEL_PANELS && upper > least; panel++) {
     const double lower = panel + 1 < FRESNEL_PANELS ? fmax(upper / 2, least) : least;
-    for (size_t i = 0; i < rule.n; i++) {
-      const struct crossing at =
-          crossing_at(to->boundaries.etas[boundary], lower + (upper - lower) * rule.x[i],
-                      (upper - lower) * rule.weight[i]);
-      to->entering[boundary] += part == 0 ? at.weight : 0;
-      for (size_t m = 0; m <= (part == 0 ? to->orders : 0); m++) {
-        const size_t first = to->first[m], n = to->first[m + 1] - first;
-        functions_at(&by[m], m, n, at.mu, at.sine, values);
-        for (size_t j = 0; m == 0 && j < n; j++) {
-          to->exit[boundary][part][j] += at.weight * values[j];
-        }
-        if (part == 0) {
-          add_outer(to, reflection, first, first, -at.weight, values, n, values, n);
+    while (upper > lower) {
+      const double from = fmax(lower, next_edge(to, to->boundaries.etas[boundary], upper));
+      for (size_t i = 0; i < rule.n; i++) {
+        const struct crossing at =
+            crossing_at(to->boundaries.etas[boundary], from + (upper - from) * rule.x[i],
+                        (upper - from) * rule.weight[i]);
+        to->entering[boundary] += part == 0 ? at.weight : 0;
+        for (size_t m = 0; m <= (part == 0 ? to->orders : 0); m++) {
+          const size_t first = to->first[m], n = to->first[m + 1] - first;
+          solver_expansion_at(to, m, at.mu, at.sine, values);
+          for (size_t j = 0; m == 0 && j < n; j++) {
+            to->exit[boundary][part][j] += at.weight * values[j];
+          }
+          if (part == 0) {
+            add_outer(to, reflection, first, first, -at.weight, values, n, values, n);
+          }
         }
       }
+      upper = from;
     }
-    upper = lower;
   }
 }
 
@@ -249,20 +269,29 @@ static double *reserve(expansion *to) {
   return to->unit;
 }
 
+/* Sets *mapped to the rule for integrals between two ends. */
+static void map_rule(gauss_rule *mapped, const gauss_rule *rule, double from, double to) {
+  mapped->n = rule->n;
+  for (size_t i = 0; i < rule->n; i++) {
+    mapped->x[i] = from + (to - from) * rule->x[i];
+    mapped->weight[i] = (to - from) * rule->weight[i];
+  }
+}
+
 expansion *solver_expansion_new(const core_isa *isa, const expansion_rules *rules,
                                 const expansion_medium *medium,
                                 const expansion_boundaries *boundaries) {
   assert(rules->orders <= EXPANSION_ORDERS_MAX && rules->degrees <= EXPANSION_DEGREES_MAX);
   assert(rules->degrees >= 2 && rules->degrees_least >= 2 &&
-         rules->degrees_least <= EXPANSION_DEGREES_MAX);
+         rules->degrees_least <= EXPANSION_DEGREES_MAX && boundaries->edges < EXPANSION_PANELS_MAX);
   assert(medium->moments >= 1 && medium->moments <= EXPANSION_MOMENTS_MAX);
-  assert(boundaries->count >= 1 && boundaries->count <= EXPANSION_ETAS_MAX &&
-         boundaries->cones <= EXPANSION_CONES_MAX);
+  assert(boundaries->count <= EXPANSION_ETAS_MAX && boundaries->cones <= EXPANSION_CONES_MAX);
+  const size_t panels = 1 + boundaries->edges;
   expansion *made = calloc(1, sizeof *made);
-  recurrence *by = calloc(rules->orders + 1, sizeof *by);
-  double *t = calloc(EXPANSION_MOMENTS_MAX * EXPANSION_DEGREES_MAX, sizeof *t);
+  expansion_recurrence *by = calloc((rules->orders + 1) * panels, sizeof *by);
+  double *t = calloc(EXPANSION_MOMENTS_MAX * panels * EXPANSION_DEGREES_MAX, sizeof *t);
   bool ok = made != NULL && by != NULL && t != NULL;
-  gauss_rule rule;
+  gauss_rule rule, panel_rule;
   const size_t nodes =
       rules->degrees + rules->degrees_least + rules->orders + medium->moments / 2 + 4;
   transport_gauss(&rule, nodes < GAUSS_MAX ? nodes : GAUSS_MAX);
@@ -270,26 +299,37 @@ expansion *solver_expansion_new(const core_isa *isa, const expansion_rules *rule
     *made = (expansion){.isa = isa,
                         .albedo = medium->albedo,
                         .orders = rules->orders,
-                        .nodes = rule.n,
+                        .nodes = panels * rule.n,
+                        .panels = panels,
+                        .recurrence = by,
                         .boundaries = *boundaries};
+    made->edge[panels] = 1;
+    for (size_t i = 0; i < boundaries->edges; i++) {
+      made->edge[1 + i] = boundaries->edge[i];
+    }
     for (size_t m = 0; m <= rules->orders; m++) {
       const bool many = rules->degrees >= m + rules->degrees_least;
       const size_t degrees = many ? rules->degrees - m : rules->degrees_least;
-      find_recurrence(&by[m], &rule, m, degrees);
-      made->n = made->first[m + 1] = made->first[m] + degrees;
+      const size_t each = panels == 1 ? degrees : (degrees + panels - 1) / panels + 1;
+      for (size_t panel = 0; panel < panels; panel++) {
+        map_rule(&panel_rule, &rule, made->edge[panel], made->edge[panel + 1]);
+        find_recurrence(&by[m * panels + panel], &panel_rule, m, each);
+      }
+      made->n = made->first[m + 1] = made->first[m] + panels * each;
     }
     ok = reserve(made) != NULL;
   }
   for (size_t node = 0; ok && node < made->nodes; node++) {
-    const double mu = rule.x[node];
-    const size_t last = rules->orders + 1;
+    const size_t panel = node / rule.n, last = rules->orders + 1;
+    map_rule(&panel_rule, &rule, made->edge[panel], made->edge[panel + 1]);
+    const double mu = panel_rule.x[node % rule.n];
     made->mu[node] = mu;
-    made->weight[node] = rule.weight[node];
+    made->weight[node] = panel_rule.weight[node % rule.n];
     made->alpha[node] =
         1 - (last < medium->moments ? medium->albedo * medium->moment[last] : 0) + 0.65 * mu;
     for (size_t m = 0; m < last; m++) {
-      functions_at(&by[m], m, made->first[m + 1] - made->first[m], mu, sqrt((1 - mu) * (1 + mu)),
-                   made->psi + node * made->n + made->first[m]);
+      solver_expansion_at(made, m, mu, sqrt((1 - mu) * (1 + mu)),
+                          made->psi + node * made->n + made->first[m]);
     }
   }
   for (size_t m = 0; ok && m <= rules->orders; m++) {
@@ -300,16 +340,16 @@ expansion *solver_expansion_new(const core_isa *isa, const expansion_rules *rule
     made->odd[i] += made->unit[i];
   }
   for (size_t i = 0; ok && i < boundaries->count; i++) {
-    integrate_boundary(made, by, i, 0, 0);
+    integrate_boundary(made, i, 0, 0);
     for (size_t cone = 0; cone < boundaries->cones; cone++) {
       /* For eta < 1 it is the sine inside that is at most 1: either way that of the variable. */
       const double sine = boundaries->sines[cone];
-      integrate_boundary(made, by, i, 1 + cone, sqrt((1 - sine) * (1 + sine)));
+      integrate_boundary(made, i, 1 + cone, sqrt((1 - sine) * (1 + sine)));
     }
   }
   free(t);
-  free(by);
   if (!ok) {
+    free(by);
     free(made);
     return NULL;
   }
@@ -319,6 +359,7 @@ expansion *solver_expansion_new(const core_isa *isa, const expansion_rules *rule
 void solver_expansion_free(expansion *of) {
   if (of != NULL) {
     free(of->unit);
+    free(of->recurrence);
     free(of);
   }
 }

@@ -17,6 +17,7 @@ enum {
   EXPANSION_DEGREES_MAX = 80,
   EXPANSION_ETAS_MAX = 32, /* largest number of boundaries that are solved together */
   EXPANSION_CONES_MAX = 8, /* largest number of cones of angles for each boundary */
+  EXPANSION_PANELS_MAX = 8,
 };
 
 /* A medium whose phase function has been truncated. */
@@ -34,7 +35,15 @@ typedef struct expansion_rules {
   size_t degrees_least;
 } expansion_rules;
 
-/* The boundaries of a medium, with cones of angles. */
+/* The polynomials of one order on one panel: alpha and beta of their three-term recurrence, and the
+ * norm of the first. */
+typedef struct expansion_recurrence {
+  double norm;
+  double alpha[EXPANSION_DEGREES_MAX];
+  double beta[EXPANSION_DEGREES_MAX];
+} expansion_recurrence;
+
+/* The boundaries of a medium, with cones of angles; count may be 0. */
 typedef struct expansion_boundaries {
   size_t count;
   const double *etas; /* index inside over index outside, each 0.2 to 5 */
@@ -42,6 +51,10 @@ typedef struct expansion_boundaries {
   /* that of the largest angle to the normal outside that a cone has, over min(1, eta), which is
    * that of all light; each above 0, up to 1 */
   const double *sines;
+  /* Cosines at which light has a kink, ascending, above 0 and below 1: the functions are then
+   * piecewise, an equal part of them, and one more, on each panel between two edges. */
+  size_t edges; /* 0 to EXPANSION_PANELS_MAX - 1 */
+  const double *edge;
 } expansion_boundaries;
 
 /* Matrices are [n][n] and symmetric: their rows of odd orders have the other sign than in the
@@ -51,10 +64,13 @@ typedef struct expansion {
   double albedo;
   size_t orders, n;
   size_t first[EXPANSION_ORDERS_MAX + 2]; /* the first function of each order, then n */
-  double *unit;                           /* <psi psi> */
-  double *even, *odd;                     /* E - a (P++ + P+-) and E - a (P++ - P+-), for k = 0 */
-  double *slant;                          /* C: what k is multiplied by in E */
-  double *source[2];                      /* b+, b-, for m = 0 alone */
+  size_t panels;
+  double edge[EXPANSION_PANELS_MAX + 1]; /* the panels' ends, from 0 to 1 */
+  expansion_recurrence *recurrence;      /* [order][panel] */
+  double *unit;                          /* <psi psi> */
+  double *even, *odd;                    /* E - a (P++ + P+-) and E - a (P++ - P+-), for k = 0 */
+  double *slant;                         /* C: what k is multiplied by in E */
+  double *source[2];                     /* b+, b-, for m = 0 alone */
   /* for the orders above M: [nodes] alpha, cosines and weights, [nodes][n] the functions */
   size_t nodes;
   double *alpha, *mu, *weight, *psi;
@@ -73,5 +89,9 @@ expansion *solver_expansion_new(const core_isa *isa, const expansion_rules *rule
                                 const expansion_medium *medium,
                                 const expansion_boundaries *boundaries);
 void solver_expansion_free(expansion *of);
+
+/* Sets values[] to the functions of order m at the cosine mu, first[m + 1] - first[m] of them. sine:
+ * sqrt(1 - mu^2). */
+void solver_expansion_at(const expansion *of, size_t m, double mu, double sine, double *values);
 
 #endif

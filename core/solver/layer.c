@@ -26,7 +26,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "core/solver/dense.h"
 #include "core/transport/functions.h"
 
 enum { DOUBLINGS_MAX = 60, ALIGNMENT_BYTES = 64, SPARE = 3 };
@@ -163,11 +162,11 @@ static bool mirror(const struct work *by, const dense *to, const layer *of, doub
   return solver_dense_congruence(to, a, b, &by->spare[2]);
 }
 
-/* Doubles a layer until nothing passes it. */
-static bool double_up(const struct work *by, layer *of) {
+/* Doubles a layer so many times, but only as long as more than `least` passes it. */
+static bool double_up(const struct work *by, layer *of, int times, double least) {
   const dense *r = &of->reflected, *t = &of->transmitted, *a = &by->alike, *o = &by->opposite;
   const size_t n = by->of->n;
-  for (int i = 0; i < DOUBLINGS_MAX && !(largest(t) < TRANSMISSION_LEAST); i++) {
+  for (int i = 0; i < times && !(largest(t) < least); i++) {
     if (!mirror(by, a, of, 1) || !mirror(by, o, of, -1)) {
       return false;
     }
@@ -179,7 +178,7 @@ static bool double_up(const struct work *by, layer *of) {
     combine(t, 0.5, a, 0.5, o);
     of->passed *= of->passed;
   }
-  return largest(t) < TRANSMISSION_LEAST;
+  return true;
 }
 
 static bool find_halfspace(const struct work *by, layer *to, double kappa) {
@@ -197,7 +196,7 @@ static bool find_halfspace(const struct work *by, layer *to, double kappa) {
   combine(r, 0.5, &by->alike, -0.5, &by->opposite);
   combine(t, 0.5, &by->alike, 0.5, &by->opposite);
   to->passed = (1 - beta) / (1 + beta);
-  return double_up(by, to);
+  return double_up(by, to, DOUBLINGS_MAX, TRANSMISSION_LEAST) && largest(t) < TRANSMISSION_LEAST;
 }
 
 /* Sets the light on its way up that a beam makes in one scattering: (E + 1) I- = a b-. */
@@ -235,44 +234,231 @@ static bool light_up(const struct work *by, const dense *to, const layer *half, 
   return solver_dense_solve(a, to);
 }
 
-bool solver_layer_halfspace(const expansion *of, double complex k, double kappa,
-                            layer_exitance *exitance) {
-  enum { MATRICES = 7 };
+/* Memory for one wavenumber. */
+enum { MATRICES = 7 };
+struct memory {
+  double *all;
+  struct work work;
+  layer half;
+  dense once, lit; /* [n][2] */
+};
+
+static bool reserve(struct memory *to, const expansion *of, double complex k) {
   const bool is_complex = cimag(k) != 0;
   const size_t n = of->n, last = n - of->first[of->orders];
   const size_t bytes = sizeof(double) * (MATRICES * 2 * solver_dense_size(n, n + 1) +
                                          4 * solver_dense_size(n, 2) + 2 * last * last);
-  double *memory = aligned_alloc(ALIGNMENT_BYTES,
-                                 (bytes + ALIGNMENT_BYTES - 1) / ALIGNMENT_BYTES * ALIGNMENT_BYTES);
-  if (memory == NULL) {
+  to->all = aligned_alloc(ALIGNMENT_BYTES,
+                          (bytes + ALIGNMENT_BYTES - 1) / ALIGNMENT_BYTES * ALIGNMENT_BYTES);
+  if (to->all == NULL) {
     return false;
   }
-  memset(memory, 0, bytes);
-  double *next = memory;
+  memset(to->all, 0, bytes);
+  double *next = to->all;
   dense matrix[MATRICES];
   for (size_t i = 0; i < MATRICES; i++) {
     matrix[i] = solver_dense_at(of->isa, &next, n, n + 1, is_complex);
   }
-  struct work by = {of, k, {matrix[0], matrix[1], matrix[2]}, matrix[3], matrix[4], NULL};
-  by.spare[0].columns = n;
-  layer half = {matrix[5], matrix[6], 0};
-  const dense once = solver_dense_at(of->isa, &next, n, 2, is_complex);
-  const dense lit = solver_dense_at(of->isa, &next, n, 2, is_complex);
-  by.closing = (double complex *)next;
-  close_orders(&by);
-  bool ok = find_halfspace(&by, &half, kappa) && scatter_once(&by, &once);
+  to->work = (struct work){of, k, {matrix[0], matrix[1], matrix[2]}, matrix[3], matrix[4], NULL};
+  to->work.spare[0].columns = n;
+  to->half = (layer){matrix[5], matrix[6], 0};
+  to->once = solver_dense_at(of->isa, &next, n, 2, is_complex);
+  to->lit = solver_dense_at(of->isa, &next, n, 2, is_complex);
+  to->work.closing = (double complex *)next;
+  close_orders(&to->work);
+  return true;
+}
+
+bool solver_layer_halfspace(const expansion *of, double complex k, double kappa,
+                            layer_exitance *exitance) {
+  struct memory memory;
+  if (!reserve(&memory, of, k)) {
+    return false;
+  }
+  const struct work *by = &memory.work;
+  const dense *once = &memory.once, *lit = &memory.lit;
+  bool ok = find_halfspace(by, &memory.half, kappa) && scatter_once(by, once);
   for (size_t i = 0; i < of->boundaries.count && ok; i++) {
-    ok = light_up(&by, &lit, &half, i);
+    ok = light_up(by, lit, &memory.half, i);
     exitance[i] = (layer_exitance){0};
     for (size_t row = 0; row < of->first[1] && ok; row++) {
-      exitance[i].single += of->exit[i][0][row] * number_at(&once, row, 0);
-      exitance[i].diffuse += of->exit[i][0][row] * number_at(&lit, row, 1);
+      exitance[i].single += of->exit[i][0][row] * number_at(once, row, 0);
+      exitance[i].diffuse += of->exit[i][0][row] * number_at(lit, row, 1);
       for (size_t part = 0; part <= of->boundaries.cones; part++) {
         exitance[i].part[part] +=
-            of->exit[i][part][row] * (number_at(&lit, row, 0) - number_at(&once, row, 0));
+            of->exit[i][part][row] * (number_at(lit, row, 0) - number_at(once, row, 0));
       }
     }
   }
-  free(memory);
+  free(memory.all);
+  return ok;
+}
+
+/* ---- layers of finite thickness ------------------------------------------------------------------ */
+
+static double sign_of_row(const expansion *of, size_t row) {
+  size_t m = 0;
+  while (m < of->orders && row >= of->first[m + 1]) {
+    m++;
+  }
+  return m % 2 == 0 ? 1 : -1;
+}
+
+/* Sets *to to step times the matrix of -v' = Xm u or -u' = Xp v: the base for k = 0 with k C and the
+ * closure, the beam's column -a (b+ + sign b-), and 1 in the corner. */
+static void fill_rates(const struct work *by, const dense *to, const double *base, double sign,
+                       double step) {
+  const expansion *of = by->of;
+  const size_t n = of->n, last = of->first[of->orders];
+  clear(to);
+  for (size_t i = 0; i < n; i++) {
+    const double factor = step * sign_of_row(of, i);
+    for (size_t j = 0; j < n; j++) {
+      double complex value = base[i * n + j] + by->k * of->slant[i * n + j];
+      if (i >= last && j >= last) {
+        value += by->closing[(i - last) * (n - last) + j - last];
+      }
+      put(to, i, j, factor * value);
+    }
+    put(to, i, n, -step * of->albedo * (of->source[0][i] + sign * of->source[1][i]));
+  }
+  put(to, n, n, step);
+}
+
+static void add_identity(const dense *to, double factor) {
+  for (size_t i = 0; i < to->rows; i++) {
+    to->re[i * to->stride + i] += factor;
+  }
+}
+
+/* Matrices [n + 1][n + 1] of a thin layer. */
+enum { THIN = 6 };
+
+/* Sets *to to (1 - K) / (1 + K), where K = (15 + Z) a / (15 + 6 Z), Z = a b: the [3/3] Pade
+ * approximant of the light that leaves a thin layer which is lit alike from both sides (opposite:
+ * a and b exchanged). a and b are half a thickness times Xm and Xp. */
+static bool pade(const dense *to, const dense *a, const dense *b, const dense *z,
+                 const dense *left) {
+  solver_dense_multiply(z, a, b);
+  solver_dense_multiply(to, z, a);
+  combine(to, 15, a, 1, to);  /* (15 + Z) a */
+  combine(left, 6, z, 1, to); /* 15 + 6 Z + (15 + Z) a, less 15 */
+  combine(to, 6, z, -1, to);
+  add_identity(left, 15);
+  add_identity(to, 15);
+  return solver_dense_solve(left, to);
+}
+
+/* How often a layer is halved until its start is exact: the stiffest modes, whose rate is G, are lost
+ * by repetition. */
+static int halvings_of(const expansion *of, double complex k, double depth) {
+  enum { LEAST = 4 };
+  const double functions = (double)of->first[1] / (double)of->panels;
+  const double rate =
+      (1 + fn_abs(k)) * fmax(100, 0.5 * functions * functions) / (of->edge[1] - of->edge[0]);
+  int halvings = LEAST;
+  while (ldexp(1, 2 * halvings) < 1.25 * rate * depth) {
+    halvings++;
+  }
+  return halvings;
+}
+
+/* Replaces Ts and s+ by those of two layers, and adds what a beam scatters back in the second one. */
+static void double_once(const layer_operators *to, const dense *spare) {
+  const size_t n = to->passed_once.rows - 1;
+  const double passed = creal(number_at(&to->passed_once, n, n));
+  dense back = to->reflected_once, more = *spare;
+  more.columns = 1;
+  more.stride = back.stride;
+  put(&back, n, 0, 0);
+  solver_dense_multiply(&more, &to->passed_once, &back);
+  combine(&back, 1, &back, passed, &more);
+  solver_dense_multiply(spare, &to->passed_once, &to->passed_once);
+  combine(&to->passed_once, 1, spare, 0, spare);
+}
+
+/* Takes R and T with the beam out of matrices with the signs of this file, or back. */
+static void exchange(const struct work *by, const dense *outer, const dense *inner, bool inwards) {
+  const size_t n = by->of->n;
+  for (size_t row = 0; row < n; row++) {
+    const double sign = sign_of_row(by->of, row);
+    for (size_t column = 0; column <= n; column++) {
+      const dense *from = inwards ? outer : inner, *to = inwards ? inner : outer;
+      put(to, row, column, sign * number_at(from, row, column));
+    }
+  }
+}
+
+#define PASSED_LEAST 1e-20
+
+static bool find_layer(const struct work *by, layer *half, const layer_operators *to,
+                       const dense *thin, double depth) {
+  const expansion *of = by->of;
+  const int halvings = halvings_of(of, by->k, depth);
+  const double step = 0.5 * ldexp(depth, -halvings);
+  const dense *alike = &thin[0], *opposite = &thin[1], *xm = &thin[2], *xp = &thin[3];
+  const size_t n = of->n;
+  /* once */
+  fill_rates(by, xm, of->unit, 1, step);
+  fill_rates(by, xp, of->unit, -1, step);
+  if (!pade(alike, xm, xp, &thin[4], &thin[5]) || !pade(opposite, xp, xm, &thin[4], &thin[5])) {
+    return false;
+  }
+  combine(&to->passed_once, 0.5, alike, 0.5, opposite);
+  for (size_t row = 0; row <= n; row++) {
+    put(&to->reflected_once, row, 0,
+        0.5 * (number_at(alike, row, n) - number_at(opposite, row, n)));
+  }
+  for (int i = 0; i < halvings; i++) {
+    double_once(to, &thin[0]);
+  }
+  /* all */
+  fill_rates(by, xm, of->even, 1, step);
+  fill_rates(by, xp, of->odd, -1, step);
+  if (!pade(alike, xm, xp, &thin[4], &thin[5]) || !pade(opposite, xp, xm, &thin[4], &thin[5])) {
+    return false;
+  }
+  combine(&to->reflected, 0.5, alike, -0.5, opposite);
+  combine(&to->transmitted, 0.5, alike, 0.5, opposite);
+  exchange(by, &to->reflected, &half->reflected, true);
+  exchange(by, &to->transmitted, &half->transmitted, true);
+  half->passed = creal(number_at(&to->transmitted, n, n));
+  if (!double_up(by, half, halvings, PASSED_LEAST)) {
+    return false;
+  }
+  exchange(by, &to->reflected, &half->reflected, false);
+  exchange(by, &to->transmitted, &half->transmitted, false);
+  put(&to->transmitted, n, n, half->passed);
+  return true;
+}
+
+bool solver_layer_operators(const layer_operators *to, const expansion *of, double complex k,
+                            double kappa, double depth) {
+  const size_t n = of->n, size = solver_dense_size(n + 1, n + 1);
+  struct memory memory;
+  double *more = NULL;
+  bool ok = reserve(&memory, of, k);
+  if (ok && isinf(depth)) {
+    clear(&to->reflected);
+    clear(&to->reflected_once);
+    ok = find_halfspace(&memory.work, &memory.half, kappa) &&
+         scatter_once(&memory.work, &memory.once);
+    exchange(&memory.work, &to->reflected, &memory.half.reflected, false);
+    for (size_t row = 0; row < n; row++) {
+      put(&to->reflected_once, row, 0, number_at(&memory.once, row, 0));
+    }
+  } else if (ok) {
+    more = aligned_alloc(ALIGNMENT_BYTES, (THIN * 2 * size * sizeof *more + ALIGNMENT_BYTES - 1) /
+                                              ALIGNMENT_BYTES * ALIGNMENT_BYTES);
+    ok = more != NULL;
+    dense thin[THIN];
+    double *next = more;
+    for (size_t i = 0; i < THIN && ok; i++) {
+      thin[i] = solver_dense_at(of->isa, &next, n + 1, n + 1, cimag(k) != 0);
+    }
+    ok = ok && find_layer(&memory.work, &memory.half, to, thin, depth);
+  }
+  free(more);
+  free(memory.all);
   return ok;
 }

@@ -5,6 +5,7 @@
 #include <complex.h>
 #include <stdbool.h>
 
+#include "core/solver/dense.h"
 #include "core/solver/expansion.h"
 
 /* The exitance at one wavenumber, per power that has entered, for one boundary. */
@@ -22,5 +23,24 @@ typedef struct layer_exitance {
  * and kappa are not both 0. Returns false if memory runs out or the equation is singular. */
 bool solver_layer_halfspace(const expansion *of, double complex k, double kappa,
                             layer_exitance *exitance);
+
+/* What a layer does to light that strikes it, for one wavenumber. Matrices are
+ * [n + 1][n + 1], with the signs of the formulas; the last row and column belong to the beam. Both
+ * faces are alike. */
+typedef struct layer_operators {
+  dense reflected;
+  dense transmitted; /* without meaning for a half space */
+  /* Of light that is scattered at most once: what passes, with what a beam scatters on; and what a
+   * beam scatters back, a column. */
+  dense passed_once;
+  dense reflected_once;
+} layer_operators;
+
+/* Sets the operators of a layer. depth: its thickness in scaled mean free paths, above 0; infinite
+ * for a half space, for which k and kappa are as for solver_layer_halfspace(). *to: its matrices
+ * have room, real if Im k is 0 and complex otherwise. Returns false if memory runs out or the
+ * equation is singular. */
+bool solver_layer_operators(const layer_operators *to, const expansion *of, double complex k,
+                            double kappa, double depth);
 
 #endif

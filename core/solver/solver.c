@@ -4,17 +4,7 @@
  *
  * where 0 <= c < kappa, so that R keeps its digits where it decays as e^(-kappa r). exitance.c has
  * the way from X to R. For wavenumbers above all that are solved it has to know `far`, the limit
- * of k^2 X.
- *
- * `far`: light that is scattered twice and comes back to where it entered runs along a triangle.
- * The number of triangles of size l is in proportion to dl / l, so that R2(r) = far / (2 pi) ln(1
- * / r) + ..., with
- *
- *   far = (2 pi a)^2 int_0^pi/2 T(mu) mu dtheta int_theta^pi p(cos t) p(-cos(t - theta)) dt,
- *
- * mu = cos(theta), theta the angle at which the light leaves, t the angle by which it is deflected
- * first. The light that leaves within a cone of angles has its own X, whose integral over
- * theta ends at the cone's edge. */
+ * of k^2 X. */
 #include "core/solver/solver.h"
 
 #include <assert.h>
@@ -24,71 +14,13 @@
 
 #include "core/solver/exitance.h"
 #include "core/solver/layer.h"
+#include "core/solver/level.h"
 #include "core/transport/decay.h"
 #include "core/transport/functions.h"
 #include "core/transport/gauss.h"
 #include "core/transport/single.h"
 
 #define SINGLE_STEP 0.3
-
-/* ---- how finely ----------------------------------------------------------------------------- */
-
-enum { TIERS = EXITANCE_TIERS };
-
-/* How wavenumbers up to k_most are solved. */
-struct tier {
-  double k_most;
-  expansion_rules rules;
-};
-
-/* A basis resolves a phase function of at most some three moments for each degree. */
-struct level {
-  double moment_least; /* the series of the phase function ends at a moment as small as this */
-  size_t moments_most;
-  double floor[2];         /* least relative error that is stated: next to the source, far away */
-  double share;            /* begin of the path of wavenumbers, in units of kappa */
-  size_t nodes;            /* on each panel */
-  struct tier tier[TIERS]; /* the last one's k_most is K */
-};
-
-static const struct level levels[SOLVER_LEVELS] = {
-    {1e-4,
-     30,
-     {2e-3, 1e-3},
-     0.80,
-     8,
-     {{0.3, {3, 7, 3}}, {1, {4, 8, 3}}, {3, {6, 9, 3}}, {4.5, {6, 10, 4}}}},
-    {1e-4,
-     40,
-     {1.2e-3, 3e-4},
-     0.80,
-     8,
-     {{0.3, {4, 9, 3}}, {1, {6, 10, 3}}, {3, {7, 12, 4}}, {5.5, {8, 14, 5}}}},
-    {1e-4,
-     48,
-     {8e-4, 1.6e-4},
-     0.85,
-     9,
-     {{0.3, {5, 11, 4}}, {1, {7, 12, 4}}, {3, {9, 15, 5}}, {6.5, {10, 18, 6}}}},
-    {1e-5,
-     64,
-     {4e-4, 8e-5},
-     0.85,
-     10,
-     {{0.3, {6, 13, 5}}, {1, {8, 14, 5}}, {3, {11, 18, 6}}, {8, {11, 22, 7}}}},
-    {1e-5,
-     80,
-     {2e-4, 4e-5},
-     0.88,
-     11,
-     {{0.3, {7, 15, 5}}, {1, {9, 17, 6}}, {3, {12, 22, 7}}, {10, {13, 28, 9}}}},
-    {1e-6,
-     96,
-     {SOLVER_LEAST_NEAR, SOLVER_LEAST},
-     0.86,
-     12,
-     {{0.3, {8, 20, 8}}, {1, {10, 22, 8}}, {3, {13, 26, 8}}, {12, {15, 34, 10}}}},
-};
 
 /* ---- the medium ----------------------------------------------------------------------------- */
 
@@ -101,51 +33,23 @@ struct scaled {
   double single; /* albedo by which light scattered once is in proportion, per scaled path */
 };
 
-static double moment_at(const solver_phase *phase, size_t l) {
-  if (phase->moments > 0) {
-    return l < phase->moments ? phase->moment[l] : 0;
-  }
-  double power = 1;
-  for (size_t i = 0; i < l; i++) {
-    power *= phase->g;
-  }
-  return power;
-}
-
-/* Returns the phase function, normalized to 1 over the sphere, times 4 pi. */
-static double phase_at(const solver_phase *phase, double cosine) {
-  if (phase->moments == 0) {
-    const double g = phase->g, base = 1 + g * g - 2 * g * cosine;
-    return (1 - g) * (1 + g) / (base * sqrt(base));
-  }
-  double before = 0, here = 1, sum = 0;
-  for (size_t l = 0; l < phase->moments; l++) {
-    sum += (double)(2 * l + 1) * phase->moment[l] * here;
-    const double next =
-        ((double)(2 * l + 1) * cosine * here - (double)l * before) / (double)(l + 1);
-    before = here;
-    here = next;
-  }
-  return sum;
-}
-
 /* Light that decays more slowly, per scaled mean free path, does not decay. */
 #define KAPPA_LEAST 1e-9
 
 static void truncate_phase(struct scaled *to, double ratio, const solver_phase *phase,
                            double moment_least, size_t moments_most) {
-  const double g = moment_at(phase, 1);
+  const double g = solver_moment_at(phase, 1);
   /* In reduced mean free paths sigma_a + sigma_s (1 - g) is 1. */
   const double sigma_s = 1 / (1 + ratio) / (1 - g), sigma_t = ratio / (1 + ratio) + sigma_s;
   const double albedo = sigma_s / sigma_t;
   size_t count = moments_most;
-  while (count > 2 && fabs(moment_at(phase, count - 1)) <= moment_least) {
+  while (count > 2 && fabs(solver_moment_at(phase, count - 1)) <= moment_least) {
     count--;
   }
   /* An odd moment of a backward phase function is negative, and nothing is left out then. */
-  const double forward = fmax(0, moment_at(phase, count));
+  const double forward = fmax(0, solver_moment_at(phase, count));
   for (size_t l = 0; l < count; l++) {
-    to->moment[l] = (moment_at(phase, l) - forward) / (1 - forward);
+    to->moment[l] = (solver_moment_at(phase, l) - forward) / (1 - forward);
   }
   const double kept = 1 - albedo * forward;
   to->medium = (expansion_medium){albedo * (1 - forward) / kept, count, to->moment};
@@ -154,58 +58,6 @@ static void truncate_phase(struct scaled *to, double ratio, const solver_phase *
   to->kappa = transport_decay_rate(to->medium.moment, to->medium.moments, to->medium.albedo,
                                    ratio / (1 + ratio) * to->unit);
   to->kappa = to->kappa < KAPPA_LEAST ? 0 : to->kappa;
-}
-
-/* ---- light that is scattered twice near the source --------------------------------------------
- */
-
-/* Returns arcsin(x) for 0 < x <= 1. */
-static double arcsine(double x) {
-  return cimag(fn_clog(CMPLX(sqrt((1 - x) * (1 + x)), x)));
-}
-
-/* Returns the integral over t from theta to pi of p(cos t) p(-cos(t - theta)) (4 pi)^2. The panels
- * halve towards both ends, where p may be narrow. */
-static double second_deflections(const solver_phase *phase, const gauss_rule *rule, double theta) {
-  enum { HALVINGS = 9 };
-  const double length = FN_PI - theta;
-  double sum = 0, end = 0.5;
-  for (size_t panel = 0; panel < HALVINGS; panel++) {
-    const double begin = panel + 1 < HALVINGS ? end / 2 : 0;
-    for (size_t i = 0; i < rule->n; i++) {
-      const double x = length * (begin + (end - begin) * rule->x[i]);
-      const double weight = length * (end - begin) * rule->weight[i];
-      for (int side = 0; side < 2; side++) {
-        double sine, first, second;
-        fn_sincos(side == 0 ? theta + x : FN_PI - x, &sine, &first);
-        fn_sincos(side == 0 ? x : length - x, &sine, &second);
-        sum += weight * phase_at(phase, first) * phase_at(phase, -second);
-      }
-    }
-    end = begin;
-  }
-  return sum;
-}
-
-/* edge: the sine of the cone's edge outside, 1 for light of all angles. */
-static double far_of(const struct scaled *scaled, const solver_phase *phase, double eta,
-                     double edge) {
-  enum { ANGLES = 40, DEFLECTIONS = 12 };
-  gauss_rule angles, deflections;
-  transport_gauss(&angles, ANGLES);
-  transport_gauss(&deflections, DEFLECTIONS);
-  const double most = edge < eta ? arcsine(edge / eta) : 0.5 * FN_PI;
-  double sum = 0;
-  for (size_t i = 0; i < angles.n; i++) {
-    const double v = angles.x[i];
-    double sine, mu;
-    fn_sincos(most * (1 - v * v), &sine, &mu);
-    const double mu_outside = sqrt(fmax(0, 1 - eta * eta * (1 - mu) * (1 + mu)));
-    const double t = eta == 1 ? 1 : transport_transmittance(eta, mu, mu_outside);
-    sum += 2 * v * most * angles.weight[i] * t * mu *
-           second_deflections(phase, &deflections, most * (1 - v * v));
-  }
-  return 0.25 * scaled->single * scaled->single * sum;
 }
 
 /* ---- one grid ------------------------------------------------------------------------------- */
@@ -296,7 +148,7 @@ static bool solve_grid(struct grid *to, const core_isa *isa, const struct level 
     tier_end[tier] = by->tier[tier].k_most;
   }
   truncate_phase(&to->scaled, ratio, phase, by->moment_least, by->moments_most);
-  solver_exitance_place(&to->wavenumbers, isa, to->scaled.kappa, by->share, by->nodes, tier_end);
+  solver_exitance_place(&to->wavenumbers, isa, to->scaled.kappa, by->share, 1, by->nodes, tier_end);
   to->exitance = calloc(parts, sizeof *to->exitance);
   double complex *values[PARTS_MAX];
   const size_t nodes = solver_exitance_end(&to->wavenumbers, TIERS - 1);
@@ -310,8 +162,9 @@ static bool solve_grid(struct grid *to, const core_isa *isa, const struct level 
     ok = solve_tier(to, isa, by, tier, boundaries, values, way);
   }
   for (size_t part = 0; part < parts && ok; part++) {
-    const double far = far_of(&to->scaled, phase, boundaries->etas[part % boundaries->count],
-                              sine_of(boundaries, part));
+    const double far =
+        solver_far(to->scaled.single, phase, boundaries->etas[part % boundaries->count],
+                   sine_of(boundaries, part));
     ok = solver_exitance_make(&to->exitance[part], &to->wavenumbers, far, values[part]);
   }
   free(memory);
@@ -325,7 +178,7 @@ static bool solve_grid(struct grid *to, const core_isa *isa, const struct level 
 static void weigh_single(single_rule *rule, const solver_phase *phase) {
   for (size_t i = 0; i < rule->n; i++) {
     const double e2 = rule->rate[i] * rule->rate[i];
-    rule->weight[i] *= phase_at(phase, -(e2 - 1) / (e2 + 1));
+    rule->weight[i] *= solver_phase_at(phase, -(e2 - 1) / (e2 + 1));
   }
 }
 
@@ -411,7 +264,7 @@ static core_fault solve(solver_solution **solution, const core_isa *isa, double 
   made->count = boundaries->count;
   made->parts = parts_of(boundaries);
   memcpy(made->eta, boundaries->etas, made->count * sizeof *made->eta);
-  made->margin = moment_at(phase, 1) < BACKWARD ? MARGIN_BACKWARD : MARGIN;
+  made->margin = solver_moment_at(phase, 1) < BACKWARD ? MARGIN_BACKWARD : MARGIN;
   made->single = malloc(made->parts * sizeof *made->single);
   made->error = calloc(made->count, sizeof *made->error);
   bool ok = made->single != NULL && made->error != NULL;
@@ -428,9 +281,10 @@ static core_fault solve(solver_solution **solution, const core_isa *isa, double 
     free(made->grid[1].exitance);
     made->grid[1] = made->grid[0];
     made->grid[0] = (struct grid){.exitance = NULL};
-    ok = solve_grid(&made->grid[0], isa, &levels[level], sigma_a_ratio, phase, boundaries, &way);
+    ok = solve_grid(&made->grid[0], isa, &solver_levels[level], sigma_a_ratio, phase, boundaries,
+                    &way);
     made->grids = level > first ? 2 : 1;
-    made->floor = levels[level].floor;
+    made->floor = solver_levels[level].floor;
     made->level = level;
     if (ok && level > first) {
       const double before = worst;
@@ -471,7 +325,8 @@ core_fault solver_solve_cones(solver_solution **solution, const core_isa *isa, d
   if (!(tolerance >= 0 && tolerance < (double)INFINITY)) {
     return (core_fault){"tolerance", "not negative, finite", 0};
   }
-  const expansion_boundaries boundaries = {count, etas, cones, sines};
+  const expansion_boundaries boundaries = {
+      .count = count, .etas = etas, .cones = cones, .sines = sines};
   const size_t first = first_level(tolerance);
   return solve(solution, isa, sigma_a_ratio, phase, &boundaries, first, first + 3, tolerance,
                (struct way){.stop = NULL});

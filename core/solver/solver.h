@@ -22,35 +22,14 @@
 #include <stdbool.h>
 
 #include "core/core.h"
+#include "core/solver/level.h"
 #include "core/transport/transport.h"
 
-/* How light is scattered. Either Henyey and Greenstein's function (1941) with the mean cosine g,
- * then moments is 0; or a function that is given by its Legendre moments: moment[l] is the mean of
- * P_l over directions, moment[0] is 1, and the moments from `moments` on are 0. */
-typedef struct solver_phase {
-  double g;       /* -0.99 to 0.99; without meaning if moments is not 0 */
-  size_t moments; /* 0, or 2 to SOLVER_MOMENTS_MAX */
-  const double *moment;
-} solver_phase;
-
-enum {
-  SOLVER_MOMENTS_MAX = 4096,
-  SOLVER_ETAS_MAX = 32,
-  SOLVER_CONES_MAX = 8,
-  SOLVER_WAVENUMBERS_MAX = 640,
-  SOLVER_LEVELS = 6
-};
+enum { SOLVER_ETAS_MAX = 32, SOLVER_CONES_MAX = 8, SOLVER_WAVENUMBERS_MAX = 640 };
 
 /* The radii, in reduced mean free paths, for which a tolerance is asked. */
 #define SOLVER_RADIUS_LEAST 0.01
 #define SOLVER_RADIUS_MOST 20.0
-
-/* The least relative errors that any solution states: somewhere below SOLVER_NEAR, and beyond. Those of
- * one solution are about SOLVER_NEAR_FACTOR apart. */
-#define SOLVER_NEAR 2
-#define SOLVER_LEAST_NEAR 1e-4
-#define SOLVER_LEAST 2e-5
-#define SOLVER_NEAR_FACTOR 5
 
 typedef struct solver_solution solver_solution;
 
@@ -124,5 +103,48 @@ typedef struct solver_total {
  * diffuse light are twice as large. */
 core_fault solver_totals(solver_total *totals, const core_isa *isa, double sigma_a_ratio,
                          const solver_phase *phase, const double *etas, size_t count);
+
+/* ---- layers ------------------------------------------------------------------------------------- */
+
+enum { SOLVER_LAYERS_MAX = 8, SOLVER_SIDES = 2 };
+
+/* A layer, or the half space below all layers. */
+typedef struct solver_layer {
+  double sigma_a_per_mm; /* not negative */
+  double sigma_s_per_mm; /* not negative; not both 0 */
+  double g;              /* -0.99 to 0.99, Henyey and Greenstein's function */
+  double eta;            /* index over that above the layers, TRANSPORT_ETA_MIN to _MAX */
+  double thickness_mm;   /* above 0; infinite for the last layer if it is a half space */
+} solver_layer;
+
+/* What becomes of the power that has entered. Side 0 is above the layers, side 1 is below. */
+typedef struct solver_balance {
+  transport_number out[SOLVER_SIDES]; /* light that was scattered and leaves */
+  double unscattered[SOLVER_SIDES];   /* light that leaves without having been scattered */
+  transport_number absorbed[SOLVER_LAYERS_MAX]; /* in each layer */
+} solver_balance;
+
+typedef struct solver_layers solver_layers;
+
+/* Solves layers, from the top down, on which a pencil beam falls at right angles. Finer and finer grids
+ * are solved until two of them agree within the tolerance, relative, as solver_solve() does. count: 1
+ * to SOLVER_LAYERS_MAX. eta_below: the index below a last layer of finite thickness over that above
+ * all, in the range of eta. stop: NULL, or set by any thread. Faults: `layer_count`, and with the index
+ * of the layer `sigma_a`, `sigma_s`, `g`, `eta` and `thickness`; `eta_below`, `tolerance`, `memory`,
+ * CORE_FIELD_STOPPED. On a fault *solution is NULL. Otherwise the caller owns it and frees it with
+ * solver_layers_free(), which accepts NULL. */
+core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
+                               const solver_layer *layer, size_t count, double eta_below,
+                               double tolerance, const atomic_bool *stop);
+void solver_layers_free(solver_layers *solution);
+
+/* Returns R (side 0) or T (side 1) at the radius r in mm, per mm^2 and per power that has entered, of
+ * light that was scattered, with an estimate of its absolute error. r: 0 (where both are infinite) to
+ * infinity. */
+transport_number solver_layers_at(const solver_layers *solution, size_t side, double r_mm);
+
+/* Sets *balance for the layers of a solution. It takes milliseconds. Fault: `memory`. */
+core_fault solver_layers_balance(const solver_layers *solution, const core_isa *isa,
+                                 solver_balance *balance);
 
 #endif

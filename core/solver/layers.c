@@ -1,0 +1,499 @@
+/* R and T of layers: see solver.c for the way from wavenumbers to radii, stack.c for one wavenumber and
+ * ways.c for light that was scattered once. Lengths are in scaled mean free paths of the first layer. */
+#include <assert.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/solver/solver.h"
+#include "core/solver/stack.h"
+#include "core/solver/ways.h"
+#include "core/transport/decay.h"
+#include "core/transport/functions.h"
+
+enum { SIDES = SOLVER_SIDES, GRIDS = 2, RADII = 36 };
+
+/* The radii at which two grids are compared, in reduced mean free paths of the first layer, and from
+ * where on a tolerance is kept. */
+#define RADIUS_LEAST 0.004
+#define RADIUS_RATIO 1.45
+#define RADIUS_COUNTS 0.05
+#define RADIUS_MOST 1e3
+#define DECAYS_MOST 20
+
+/* Stated errors over the grids' difference. Grids share more of their errors where little light is
+ * scattered: in a slab of 0.25 mean free paths T was off by 2.8 times the difference. */
+#define MARGIN 2.0
+#define MARGIN_THIN 4.0
+#define THIN_LAYERS 1.0 /* scaled mean free paths of all layers */
+
+/* X on the path is known so well, relative: in R, which has decayed further than e^(-SHARE rate r), this
+ * grows. */
+#define PATH_ERROR 5e-6
+#define NEAR 0.4
+
+/* One grid. */
+struct grid {
+  size_t moments;
+  double moment[SOLVER_LAYERS_MAX][EXPANSION_MOMENTS_MAX];
+  stack_layer layer[SOLVER_LAYERS_MAX];
+  ways_layer ways_layer[SOLVER_LAYERS_MAX];
+  ways ways;
+  double unit_mm; /* scaled mean free path of the first layer */
+  double rate;    /* at which light decays far away along the layers, per unit */
+  exitance_grid wavenumbers;
+  exitance_series exitance[SIDES];
+};
+
+struct solver_layers {
+  size_t count, sides;
+  solver_layer layer[SOLVER_LAYERS_MAX];
+  double eta_below;
+  double radius_mm;         /* reduced mean free path of the first layer */
+  struct grid *grid[GRIDS]; /* the finest, and the next coarser one */
+  const double *floor;      /* of relative errors: next to the source, far away */
+  double error[SIDES][RADII];
+};
+
+/* ---- the medium --------------------------------------------------------------------------------------- */
+
+static double power_of(double g, size_t l) {
+  double power = 1;
+  for (size_t i = 0; i < l; i++) {
+    power *= g;
+  }
+  return power;
+}
+
+static void truncate_layers(struct grid *to, const struct solver_layers *of, double moment_least,
+                            size_t moments_most) {
+  double g = 0;
+  for (size_t i = 0; i < of->count; i++) {
+    g = fmax(g, fabs(of->layer[i].g));
+  }
+  to->moments = moments_most;
+  while (to->moments > 2 && power_of(g, to->moments - 1) <= moment_least) {
+    to->moments--;
+  }
+  for (size_t i = 0; i < of->count; i++) {
+    const solver_layer *layer = &of->layer[i];
+    const double forward = fmax(0, power_of(layer->g, to->moments));
+    const double sigma_t = layer->sigma_a_per_mm + layer->sigma_s_per_mm;
+    const double albedo = layer->sigma_s_per_mm / sigma_t, kept = 1 - albedo * forward;
+    for (size_t l = 0; l < to->moments; l++) {
+      to->moment[i][l] = (power_of(layer->g, l) - forward) / (1 - forward);
+    }
+    to->layer[i] = (stack_layer){
+        .medium = {albedo * (1 - forward) / kept, to->moments, to->moment[i]},
+        .extinction = kept * sigma_t,
+        .thickness = layer->thickness_mm,
+        .index = layer->eta,
+    };
+    to->layer[i].kappa =
+        kept * sigma_t *
+        transport_decay_rate(to->moment[i], to->moments, to->layer[i].medium.albedo,
+                             layer->sigma_a_per_mm / (kept * sigma_t));
+  }
+  to->unit_mm = 1 / to->layer[0].extinction;
+  for (size_t i = 0; i < of->count; i++) {
+    to->layer[i].extinction *= to->unit_mm;
+    to->layer[i].kappa *= to->unit_mm;
+    to->layer[i].thickness /= to->unit_mm;
+    to->ways_layer[i] =
+        (ways_layer){to->layer[i].extinction, of->layer[i].sigma_s_per_mm * to->unit_mm,
+                     of->layer[i].g, to->layer[i].thickness, of->layer[i].eta};
+  }
+  solver_ways_find(&to->ways, to->ways_layer, of->count, of->eta_below, STACK_REFLECTIONS);
+}
+
+/* ---- decay far away ------------------------------------------------------------------------------------- */
+
+static double diffusion_of(const struct grid *of, const struct solver_layers *all, size_t i) {
+  const double absorbed = all->layer[i].sigma_a_per_mm * of->unit_mm;
+  const double kappa = of->layer[i].kappa;
+  const double reduced = of->layer[i].extinction *
+                         (1 - of->layer[i].medium.albedo * of->moment[i][of->moments > 1 ? 1 : 0]);
+  return kappa > 1e-6 ? absorbed / (kappa * kappa) : 1 / (3 * reduced);
+}
+
+/* Returns by how much diffusion theory misses a solution that decays at the rate c along the layers: the
+ * first zero is the least rate. */
+static double missed(const struct grid *of, const struct solver_layers *all, double c) {
+  const double index = all->layer[0].eta;
+  const double inside = index > 1 ? 1 - 1 / (index * index) : 0, d0 = diffusion_of(of, all, 0);
+  double u = 2 * d0 * (1 + inside) / (1 - inside), flux = d0; /* D u' */
+  for (size_t i = 0; i < all->count; i++) {
+    const double kappa = of->layer[i].kappa, d = diffusion_of(of, all, i);
+    const double square = kappa * kappa - c * c, depth = of->layer[i].thickness;
+    if (isinf(depth)) {
+      return flux + d * sqrt(fmax(0, square)) * u;
+    }
+    const double root = sqrt(fabs(square)), x = root * depth;
+    double cosine, sine;
+    if (square > 0) {
+      if (x > 600) {
+        return 1;
+      }
+      const double e = fn_exp(x);
+      cosine = 0.5 * (e + 1 / e);
+      sine = 0.5 * (e - 1 / e);
+    } else {
+      fn_sincos(fmin(x, 1e5), &sine, &cosine);
+    }
+    const double slope = root > 0 ? sine / root : depth;
+    const double next = u * cosine + flux / d * slope;
+    flux = flux * cosine + d * u * (square > 0 ? root * sine : -root * sine);
+    u = next;
+    if (u <= 0) {
+      return -1;
+    }
+  }
+  const size_t last = all->count - 1;
+  const double ratio = all->layer[last].eta / all->eta_below;
+  const double below = ratio > 1 ? 1 - 1 / (ratio * ratio) : 0, d = diffusion_of(of, all, last);
+  return u + 2 * d * (1 + below) / (1 - below) * flux / d;
+}
+
+static double rate_of(const struct grid *of, const struct solver_layers *all) {
+  const size_t last = all->count - 1;
+  double most = 1;
+  for (size_t i = 0; i < all->count; i++) {
+    most = fmin(most, 0.8 * of->layer[i].extinction);
+  }
+  most = isinf(of->layer[last].thickness) ? fmin(most, of->layer[last].kappa) : most;
+  enum { STEPS = 200, HALVINGS = 40 };
+  for (size_t i = 1; i <= STEPS; i++) {
+    double low = most * (double)(i - 1) / STEPS, high = most * (double)i / STEPS;
+    if (missed(of, all, high) > 0) {
+      continue;
+    }
+    for (size_t j = 0; j < HALVINGS; j++) {
+      const double middle = 0.5 * (low + high);
+      *(missed(of, all, middle) > 0 ? &low : &high) = middle;
+    }
+    return low;
+  }
+  return most;
+}
+
+/* ---- one grid ------------------------------------------------------------------------------------------- */
+
+/* Scaled mean free paths below which a first layer is thin; largest k over the scaled extinction that the
+ * functions of angle resolve in a layer that light crosses, and in the last one. */
+#define THIN 2.0
+#define RESOLVED 20
+#define RESOLVED_LAST 54
+#define SHARE 0.7
+#define PATH_RATE_LEAST 1e-9
+
+static bool stops(const atomic_bool *stop) {
+  return stop != NULL && atomic_load_explicit(stop, memory_order_relaxed);
+}
+
+/* Returns the thickness of the first layer with all that are like it. */
+static double first_depth(const struct grid *of, const struct solver_layers *all) {
+  const solver_layer *first = &all->layer[0];
+  double depth = 0;
+  for (size_t i = 0; i < all->count; i++) {
+    const solver_layer *here = &all->layer[i];
+    if (here->sigma_a_per_mm != first->sigma_a_per_mm ||
+        here->sigma_s_per_mm != first->sigma_s_per_mm || here->g != first->g ||
+        here->eta != first->eta) {
+      break;
+    }
+    depth += of->layer[i].thickness;
+  }
+  return depth;
+}
+
+static void place_wavenumbers(struct grid *to, const struct solver_layers *of,
+                              const struct level *by) {
+  /* Where the first layer is thin, X reaches its limit later. */
+  double last = (first_depth(to, of) < THIN ? 2 : 1) * by->tier[TIERS - 1].k_most;
+  double least = 1, depth = 0;
+  for (size_t i = 0; i < of->count; i++) {
+    const double s = to->layer[i].extinction;
+    const bool counts = i == 0 || (2 * depth < 7 && s * to->layer[i].thickness > 0.02);
+    if (counts) {
+      last = fmin(last, (i + 1 == of->count ? RESOLVED_LAST : RESOLVED) * s);
+      least = fmin(least, s);
+    }
+    depth += s * to->layer[i].thickness;
+  }
+  last = fmax(last, 4);
+  double end[TIERS];
+  for (size_t tier = 0; tier < TIERS; tier++) {
+    end[tier] = tier + 1 == TIERS ? last : fmin(by->tier[tier].k_most * least, last);
+  }
+  to->rate = rate_of(to, of);
+  to->rate = to->rate < PATH_RATE_LEAST ? 0 : to->rate;
+  solver_exitance_place(&to->wavenumbers, NULL, to->rate, SHARE, least, by->nodes, end);
+}
+
+static bool solve_grid(struct grid *to, const struct solver_layers *of, const core_isa *isa,
+                       const struct level *by, const atomic_bool *stop) {
+  truncate_layers(to, of, by->moment_least, by->moments_most);
+  place_wavenumbers(to, of, by);
+  to->wavenumbers.isa = isa;
+  const size_t nodes = solver_exitance_end(&to->wavenumbers, TIERS - 1);
+  double complex *values = calloc(SIDES * nodes, sizeof *values);
+  bool ok = values != NULL;
+  for (size_t tier = 0; tier < TIERS && ok; tier++) {
+    const size_t begin = tier == 0 ? 0 : solver_exitance_end(&to->wavenumbers, tier - 1);
+    const size_t end = solver_exitance_end(&to->wavenumbers, tier);
+    if (begin >= end) {
+      continue;
+    }
+    stack *expanded =
+        solver_stack_new(isa, &by->tier[tier].rules, to->layer, of->count, of->eta_below);
+    ok = expanded != NULL;
+    for (size_t node = begin; node < end && ok; node++) {
+      stack_exitance at;
+      ok = !stops(stop) &&
+           solver_stack_at(expanded, solver_exitance_wavenumber(&to->wavenumbers, node), &at);
+      for (size_t side = 0; side < SIDES && ok; side++) {
+        values[side * nodes + node] = at.all[side] - at.once[side];
+      }
+    }
+    solver_stack_free(expanded);
+  }
+  const solver_phase phase = {.g = of->layer[0].g};
+  const double single = of->layer[0].sigma_s_per_mm * to->unit_mm;
+  for (size_t side = 0; side < SIDES && ok; side++) {
+    const double far = side == 0 ? solver_far(single, &phase, of->layer[0].eta, 1) : 0;
+    ok = solver_exitance_make(&to->exitance[side], &to->wavenumbers, far, values + side * nodes);
+  }
+  free(values);
+  return ok;
+}
+
+static double value_at(const struct grid *of, size_t side, double r_mm) {
+  const double r = r_mm / of->unit_mm;
+  return (solver_ways_at(&of->ways, side, r) +
+          solver_exitance_at(&of->exitance[side], &of->wavenumbers, r)) /
+         (of->unit_mm * of->unit_mm);
+}
+
+/* ---- solutions -------------------------------------------------------------------------------------------- */
+
+static const core_fault no_fault = {NULL, NULL, 0};
+static const core_fault memory_fault = {CORE_FIELD_MEMORY, "enough for the solution", 0};
+
+static bool is_eta(double eta) {
+  return eta >= TRANSPORT_ETA_MIN && eta <= TRANSPORT_ETA_MAX;
+}
+
+static core_fault check_layer(const solver_layer *layer, size_t i, bool last) {
+  const double sigma_t = layer->sigma_a_per_mm + layer->sigma_s_per_mm;
+  const bool deep = last && isinf(layer->thickness_mm);
+  return !(layer->sigma_a_per_mm >= 0 && isfinite(layer->sigma_a_per_mm))
+             ? (core_fault){"sigma_a", "not negative, finite", i}
+         : !(layer->sigma_s_per_mm >= 0 && sigma_t > 0 && isfinite(sigma_t))
+             ? (core_fault){"sigma_s", "not negative, finite; not 0 where sigma_a is 0", i}
+         : !(fabs(layer->g) <= 0.99) ? (core_fault){"g", "-0.99 to 0.99", i}
+         : !is_eta(layer->eta)       ? (core_fault){"eta", "0.25 to 4", i}
+         : !(layer->thickness_mm > 0 && (deep || isfinite(layer->thickness_mm)))
+             ? (core_fault){"thickness", "above 0; infinite for the last layer alone", i}
+             : no_fault;
+}
+
+static core_fault check_layers(const solver_layer *layer, size_t count, double eta_below,
+                               double tolerance) {
+  if (count < 1 || count > SOLVER_LAYERS_MAX) {
+    return (core_fault){"layer_count", "1 to 8", 0};
+  }
+  for (size_t i = 0; i < count; i++) {
+    const core_fault fault = check_layer(&layer[i], i, i + 1 == count);
+    if (fault.field != NULL) {
+      return fault;
+    }
+  }
+  return !is_eta(eta_below) ? (core_fault){"eta_below", "0.25 to 4", 0}
+         : !(tolerance >= 0 && tolerance < (double)INFINITY)
+             ? (core_fault){"tolerance", "not negative, finite", 0}
+             : no_fault;
+}
+
+static double margin_of(const solver_layers *of) {
+  double depth = 0;
+  for (size_t i = 0; i < of->count; i++) {
+    depth += of->grid[0]->layer[i].thickness * of->grid[0]->layer[i].extinction;
+  }
+  return depth < THIN_LAYERS ? MARGIN_THIN : MARGIN;
+}
+
+/* Returns the relative error by which digits are lost far away. */
+static double path_error(const struct grid *of, double r_mm) {
+  const double decays = (1 - SHARE) * of->rate * r_mm / of->unit_mm;
+  return decays < 30 ? PATH_ERROR * fn_exp(decays) : (double)INFINITY;
+}
+
+/* Compares the two grids, and returns the largest relative error at radii that a tolerance is for. */
+static double find_errors(solver_layers *of) {
+  const double margin = margin_of(of);
+  double worst = 0;
+  for (size_t side = 0; side < of->sides; side++) {
+    double r = RADIUS_LEAST;
+    for (size_t i = 0; i < RADII; i++, r *= RADIUS_RATIO) {
+      const double fine = value_at(of->grid[0], side, r * of->radius_mm);
+      const double coarse = value_at(of->grid[1], side, r * of->radius_mm);
+      const double least = coarse > 0 ? 0 : 1; /* by which they differ */
+      const double error = fine > 0 ? margin * fmax(fabs(1 - coarse / fine), least) : 1;
+      of->error[side][i] = isfinite(error) ? error : (double)INFINITY;
+      const bool counts =
+          r >= RADIUS_COUNTS && r <= SOLVER_RADIUS_MOST &&
+          r * of->radius_mm / of->grid[0]->unit_mm * of->grid[0]->rate < DECAYS_MOST;
+      worst = counts ? fmax(worst, of->error[side][i]) : worst;
+    }
+  }
+  return worst;
+}
+
+core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
+                               const solver_layer *layer, size_t count, double eta_below,
+                               double tolerance, const atomic_bool *stop) {
+  *solution = NULL;
+  const core_fault fault = check_layers(layer, count, eta_below, tolerance);
+  if (fault.field != NULL) {
+    return fault;
+  }
+  solver_layers *made = calloc(1, sizeof *made);
+  bool ok = made != NULL;
+  if (ok) {
+    made->count = count;
+    memcpy(made->layer, layer, count * sizeof *layer);
+    made->eta_below = eta_below;
+    made->sides = isinf(layer[count - 1].thickness_mm) ? 1 : SOLVER_SIDES;
+    made->radius_mm = 1 / (layer[0].sigma_a_per_mm + layer[0].sigma_s_per_mm * (1 - layer[0].g));
+  }
+  const size_t first = tolerance < 2e-4 ? 2 : tolerance < 3e-3 ? 1 : 0;
+  double worst = (double)INFINITY;
+  for (size_t level = first; ok && level < first + 3 && worst > tolerance; level++) {
+    free(made->grid[1]);
+    made->grid[1] = made->grid[0];
+    made->grid[0] = calloc(1, sizeof *made->grid[0]);
+    ok = made->grid[0] != NULL && solve_grid(made->grid[0], made, isa, &solver_levels[level], stop);
+    made->floor = solver_levels[level].floor;
+    worst = ok && level > first ? fmax(find_errors(made), made->floor[1]) : worst;
+  }
+  if (!ok) {
+    solver_layers_free(made);
+    return stops(stop) ? (core_fault){CORE_FIELD_STOPPED, "to be waited for", 0} : memory_fault;
+  }
+  *solution = made;
+  return no_fault;
+}
+
+void solver_layers_free(solver_layers *solution) {
+  if (solution != NULL) {
+    free(solution->grid[0]);
+    free(solution->grid[1]);
+    free(solution);
+  }
+}
+
+/* ---- values ----------------------------------------------------------------------------------------------- */
+
+transport_number solver_layers_at(const solver_layers *solution, size_t side, double r_mm) {
+  enum { AROUND = 2 };
+  assert(side < SOLVER_SIDES && r_mm >= 0);
+  const double r = r_mm / solution->radius_mm;
+  if (side >= solution->sides || isinf(r_mm)) {
+    return (transport_number){0, 0};
+  }
+  if (r == 0) {
+    return (transport_number){INFINITY, INFINITY};
+  }
+  const double value =
+      value_at(solution->grid[0], side, fmin(r, RADIUS_MOST) * solution->radius_mm);
+  if (!(value > 0) || r > RADIUS_MOST) { /* it is not known but for its size */
+    return (transport_number){0, isnan(value) ? (double)INFINITY : fabs(value)};
+  }
+  const double place = fn_log(fmax(r, RADIUS_LEAST) / RADIUS_LEAST) / fn_log(RADIUS_RATIO) + 0.5;
+  const size_t middle = place < RADII - 1 ? (size_t)place : RADII - 1;
+  double error = fmax(solution->floor[1], solution->floor[0] * fmin(1, NEAR / r));
+  for (size_t i = middle > AROUND ? middle - AROUND : 0; i <= middle + AROUND && i < RADII; i++) {
+    error = fmax(error, solution->error[side][i]);
+  }
+  return (transport_number){value, (error + path_error(solution->grid[0], r_mm)) * value};
+}
+
+/* ---- balance ---------------------------------------------------------------------------------------------- */
+
+/* A half space that absorbs less than this part of what it scatters, reflects all light. */
+#define ABSORBED_LEAST 1e-14
+#define BALANCE_FLOOR 1e-9
+#define BALANCE_FLOOR_WHITE 2e-6
+
+/* Sets what leaves of a beam that is not scattered, above and below. */
+static void pass_beam(const solver_layers *of, double out[SOLVER_SIDES]) {
+  double rho[SOLVER_LAYERS_MAX + 1] = {0}, down[SOLVER_LAYERS_MAX + 1] = {0};
+  for (size_t i = of->count; i-- > 0;) {
+    const solver_layer *layer = &of->layer[i];
+    const double depth = layer->thickness_mm * (layer->sigma_a_per_mm + layer->sigma_s_per_mm);
+    const double passed = depth < 700 ? fn_exp(-depth) : 0;
+    const double next = i + 1 < of->count ? of->layer[i + 1].eta : of->eta_below;
+    const double root = (layer->eta - next) / (layer->eta + next), r0 = root * root;
+    const double below = 1 - r0 * rho[i + 1];
+    rho[i] = passed == 0 ? 0 : passed * passed * (r0 + (1 - r0) * (1 - r0) * rho[i + 1] / below);
+    down[i] = passed * (1 - r0) / below;
+  }
+  const double root = (of->layer[0].eta - 1) / (of->layer[0].eta + 1), r0 = root * root;
+  double entered = 1 / (1 - r0 * rho[0]);
+  out[0] = (1 - r0) * rho[0] * entered;
+  for (size_t i = 0; i < of->count; i++) {
+    entered *= down[i];
+  }
+  out[1] = entered;
+}
+
+static bool find_balance(const solver_layers *of, const core_isa *isa, size_t degrees,
+                         size_t moments, solver_balance *to) {
+  struct grid *grid = calloc(1, sizeof *grid);
+  stack_exitance at;
+  bool ok = grid != NULL;
+  if (ok) {
+    truncate_layers(grid, of, 0, moments);
+    stack_layer *last = &grid->layer[of->count - 1];
+    if (isinf(last->thickness) && last->medium.albedo > 1 - ABSORBED_LEAST) {
+      last->medium.albedo = 1 - ABSORBED_LEAST;
+      last->kappa = fmax(last->kappa, 1e-7 * last->extinction);
+    }
+    const expansion_rules rules = {0, degrees, 3};
+    stack *expanded = solver_stack_new(isa, &rules, grid->layer, of->count, of->eta_below);
+    ok = expanded != NULL && solver_stack_at(expanded, 0, &at);
+    solver_stack_free(expanded);
+  }
+  for (size_t side = 0; side < SOLVER_SIDES && ok; side++) {
+    to->out[side].value = creal(at.all[side] + at.beam[side]) - to->unscattered[side];
+  }
+  for (size_t i = 0; i < of->count && ok; i++) {
+    to->absorbed[i].value = creal(at.net[i][0] - at.net[i][1]);
+  }
+  free(grid);
+  return ok;
+}
+
+core_fault solver_layers_balance(const solver_layers *solution, const core_isa *isa,
+                                 solver_balance *balance) {
+  solver_balance coarse = {0};
+  *balance = (solver_balance){0};
+  pass_beam(solution, balance->unscattered);
+  pass_beam(solution, coarse.unscattered);
+  if (!find_balance(solution, isa, 36, 90, balance) ||
+      !find_balance(solution, isa, 28, 70, &coarse)) {
+    return memory_fault;
+  }
+  const solver_layer *last = &solution->layer[solution->count - 1];
+  const bool white = isinf(last->thickness_mm) && last->sigma_a_per_mm == 0;
+  const double least = white ? BALANCE_FLOOR_WHITE : BALANCE_FLOOR;
+  for (size_t side = 0; side < SOLVER_SIDES; side++) {
+    balance->out[side].error =
+        fmax(least, MARGIN * fabs(balance->out[side].value - coarse.out[side].value));
+  }
+  for (size_t i = 0; i < solution->count; i++) {
+    balance->absorbed[i].error =
+        fmax(least, MARGIN * fabs(balance->absorbed[i].value - coarse.absorbed[i].value));
+  }
+  return no_fault;
+}

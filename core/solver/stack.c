@@ -1,0 +1,645 @@
+/* Layers at one wavenumber, one above the other. J+ and J- are the light on its way down and up. With
+ * R and T of layer i (layer.c), and rb what is below it, as seen from its lower face,
+ *
+ *   M = (1 - R rb)^-1 T,   rho = R + T rb M
+ *
+ * pass its light down and reflect it. Where the index changes from n1 to n2, with mu2 from n1 sin1 =
+ * n2 sin2 and Fresnel's transmittance T(mu),
+ *
+ *   T11 = <psi1 mu1 T psi1>, T22 = <psi2 mu2 T psi2>, T12 = <psi2(mu2) mu1 T psi1(mu1)>,
+ *   R1 = 1 - T11, R2 = 1 - T22, down = T12, up = (n1 / n2)^2 T12^T,
+ *   Q = (1 - R2 rho)^-1 down,  rb = R1 + up rho Q.
+ *
+ * At the top J- = (1 - rho F)^-1 rho e, where e is the beam, and F is Fresnel's reflectance. */
+#include "core/solver/stack.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/solver/layer.h"
+#include "core/transport/gauss.h"
+#include "core/transport/single.h"
+
+enum { ALIGNMENT_BYTES = 64, SIDES = 2 };
+
+/* Where the index changes below a layer. The matrices have the beam's row and column; with equal
+ * indices `same` is true, and they are not used. */
+struct step {
+  bool same;
+  dense above, below; /* R1, R2 */
+  dense down, up;
+};
+
+struct stack {
+  const core_isa *isa;
+  size_t count;
+  const stack_layer *layers;
+  expansion *expanded[STACK_LAYERS_MAX];
+  struct step step[STACK_LAYERS_MAX];
+  dense outer[SIDES]; /* reflectance within the first and the last layer's boundary */
+  double *exit[SIDES];
+  double *flux[STACK_LAYERS_MAX]; /* <mu psi>, m = 0 */
+  double *memory;
+};
+
+/* ---- indices ------------------------------------------------------------------------------------ */
+
+/* Edges closer than this are one. */
+#define EDGES_APART 0.04
+
+static int compare_numbers(const void *a, const void *b) {
+  const double x = *(const double *)a, y = *(const double *)b;
+  return (x > y) - (x < y);
+}
+
+/* Sets edge[] to the cosines in a medium of index n beyond which light of this stack is totally
+ * reflected anywhere, and returns their number. */
+static size_t find_edges(const stack_layer *layers, size_t count, double below, double n,
+                         double edge[EXPANSION_PANELS_MAX - 1]) {
+  double all[STACK_LAYERS_MAX + 2];
+  size_t found = 0, kept = 0;
+  for (size_t i = 0; i < count + 2; i++) {
+    const double other = i < count ? layers[i].index : i == count ? 1 : below;
+    if (other < n) {
+      all[found++] = sqrt((1 - other / n) * (1 + other / n));
+    }
+  }
+  qsort(all, found, sizeof *all, compare_numbers);
+  for (size_t i = 0; i < found && kept < EXPANSION_PANELS_MAX - 1; i++) {
+    if (all[i] > (kept == 0 ? 0 : edge[kept - 1]) + EDGES_APART && all[i] < 1 - EDGES_APART) {
+      edge[kept++] = all[i];
+    }
+  }
+  return kept;
+}
+
+static double beam_reflectance(double n1, double n2) {
+  const double root = (n1 - n2) / (n1 + n2);
+  return root * root;
+}
+
+/* ---- where the index changes ---------------------------------------------------------------------- */
+
+enum { STEP_NODES = 40 };
+
+/* Adds to end[] the cosines in a medium of index `rare` at which the functions of `of`, in a medium of
+ * index n, have an edge. */
+static size_t add_ends(const expansion *of, double n, double rare, double *end) {
+  size_t count = 0;
+  for (size_t i = 1; i < of->panels; i++) {
+    const double ratio = n / rare, mu = of->edge[i];
+    const double sine2 = ratio * ratio * (1 - mu) * (1 + mu);
+    if (sine2 < 1) {
+      end[count++] = sqrt(1 - sine2);
+    }
+  }
+  return count;
+}
+
+static void add_product(const dense *to, size_t row, size_t column, double factor,
+                        const double *left, size_t rows, const double *right, size_t columns) {
+  for (size_t i = 0; i < rows; i++) {
+    for (size_t j = 0; j < columns; j++) {
+      to->re[(row + i) * to->stride + column + j] += factor * left[i] * right[j];
+    }
+  }
+}
+
+/* Integrates over the cosine in the rarer medium. */
+static void integrate_step(struct step *to, const expansion *one, const expansion *two, double n1,
+                           double n2) {
+  const double rare = fmin(n1, n2), thick = fmax(n1, n2), eta = thick / rare;
+  double end[2 * EXPANSION_PANELS_MAX + 2] = {0, 1};
+  double psi1[EXPANSION_PANELS_MAX * EXPANSION_DEGREES_MAX];
+  double psi2[EXPANSION_PANELS_MAX * EXPANSION_DEGREES_MAX];
+  size_t ends = 2;
+  ends += add_ends(one, n1, rare, end + ends);
+  ends += add_ends(two, n2, rare, end + ends);
+  qsort(end, ends, sizeof *end, compare_numbers);
+  gauss_rule rule;
+  transport_gauss(&rule, STEP_NODES);
+  for (size_t piece = 0; piece + 1 < ends; piece++) {
+    for (size_t node = 0; node < rule.n; node++) {
+      /* the first piece begins at grazing light */
+      const double v = rule.x[node], length = end[piece + 1] - end[piece];
+      const double mu = end[piece] + length * (piece == 0 ? v * v * v : v);
+      const double weight = length * rule.weight[node] * (piece == 0 ? 3 * v * v : 1);
+      const double sine = sqrt((1 - mu) * (1 + mu)), sine_thick = sine / eta;
+      const double mu_thick = sqrt((1 - sine_thick) * (1 + sine_thick));
+      const double flux = weight * mu * transport_transmittance(eta, mu_thick, mu);
+      const double mu1 = n1 < n2 ? mu : mu_thick, sine1 = n1 < n2 ? sine : sine_thick;
+      const double mu2 = n1 < n2 ? mu_thick : mu, sine2 = n1 < n2 ? sine_thick : sine;
+      const double flux1 = flux * (rare / n1) * (rare / n1);
+      const double flux2 = flux * (rare / n2) * (rare / n2);
+      for (size_t m = 0; m <= one->orders; m++) {
+        const size_t at1 = one->first[m], size1 = one->first[m + 1] - at1;
+        const size_t at2 = two->first[m], size2 = two->first[m + 1] - at2;
+        solver_expansion_at(one, m, mu1, sine1, psi1);
+        solver_expansion_at(two, m, mu2, sine2, psi2);
+        add_product(&to->above, at1, at1, -flux1, psi1, size1, psi1, size1);
+        add_product(&to->below, at2, at2, -flux2, psi2, size2, psi2, size2);
+        add_product(&to->down, at2, at1, flux1, psi2, size2, psi1, size1);
+        add_product(&to->up, at1, at2, flux2, psi1, size1, psi2, size2);
+      }
+    }
+  }
+  for (size_t i = 0; i < one->n; i++) {
+    to->above.re[i * to->above.stride + i] += 1;
+  }
+  for (size_t i = 0; i < two->n; i++) {
+    to->below.re[i * to->below.stride + i] += 1;
+  }
+  const double r0 = beam_reflectance(n1, n2);
+  to->above.re[one->n * to->above.stride + one->n] = r0;
+  to->below.re[two->n * to->below.stride + two->n] = r0;
+  to->down.re[two->n * to->down.stride + one->n] = 1 - r0;
+  to->up.re[one->n * to->up.stride + two->n] = 1 - r0;
+}
+
+/* ---- making --------------------------------------------------------------------------------------- */
+
+static dense matrix_at(const core_isa *isa, double **memory, size_t rows, size_t columns) {
+  return solver_dense_at(isa, memory, rows, columns, true);
+}
+
+static size_t numbers_of(size_t rows, size_t columns) {
+  return 2 * solver_dense_size(rows, columns);
+}
+
+static double *reserve(size_t numbers) {
+  const size_t bytes =
+      (numbers * sizeof(double) + ALIGNMENT_BYTES - 1) / ALIGNMENT_BYTES * ALIGNMENT_BYTES;
+  double *memory = aligned_alloc(ALIGNMENT_BYTES, bytes);
+  if (memory != NULL) {
+    memset(memory, 0, bytes);
+  }
+  return memory;
+}
+
+static bool expand(stack *to, const expansion_rules *rules, double below) {
+  for (size_t i = 0; i < to->count; i++) {
+    double edge[EXPANSION_PANELS_MAX - 1];
+    const double n = to->layers[i].index, etas[SIDES] = {n, n / below};
+    const bool first = i == 0, last = i + 1 == to->count && isfinite(to->layers[i].thickness);
+    const expansion_boundaries boundaries = {
+        .count = (size_t)first + (size_t)last,
+        .etas = first ? etas : etas + 1,
+        .edges = find_edges(to->layers, to->count, below, n, edge),
+        .edge = edge,
+    };
+    to->expanded[i] = solver_expansion_new(to->isa, rules, &to->layers[i].medium, &boundaries);
+    if (to->expanded[i] == NULL) {
+      return false;
+    }
+  }
+  return true;
+}
+
+/* Copies the reflectance and what leaves at the boundary of one side. */
+static void note_boundary(stack *to, size_t side, const expansion *of, size_t boundary,
+                          double eta) {
+  const size_t n = of->n;
+  for (size_t row = 0; row < n; row++) {
+    memcpy(to->outer[side].re + row * to->outer[side].stride, of->reflection[boundary] + row * n,
+           n * sizeof(double));
+    to->exit[side][row] = of->exit[boundary][0][row];
+  }
+  to->outer[side].re[n * to->outer[side].stride + n] = beam_reflectance(eta, 1);
+}
+
+static void note_flux(const expansion *of, double *flux) {
+  for (size_t node = 0; node < of->nodes; node++) {
+    for (size_t i = 0; i < of->first[1]; i++) {
+      flux[i] += of->weight[node] * of->mu[node] * of->psi[node * of->n + i];
+    }
+  }
+}
+
+stack *solver_stack_new(const core_isa *isa, const expansion_rules *rules,
+                        const stack_layer *layers, size_t count, double below) {
+  stack *made = calloc(1, sizeof *made);
+  if (made == NULL) {
+    return NULL;
+  }
+  *made = (stack){.isa = isa, .count = count, .layers = layers};
+  size_t numbers = 0;
+  bool ok = expand(made, rules, below);
+  for (size_t i = 0; i < count && ok; i++) {
+    const size_t n = made->expanded[i]->n + 1,
+                 next = i + 1 < count ? made->expanded[i + 1]->n + 1 : n;
+    numbers += numbers_of(n, n) + numbers_of(next, next) + 2 * numbers_of(n, next) +
+               2 * numbers_of(next, n) + 4 * n;
+  }
+  ok = ok && (made->memory = reserve(numbers)) != NULL;
+  double *at = made->memory;
+  for (size_t i = 0; i + 1 < count && ok; i++) {
+    struct step *step = &made->step[i];
+    const size_t n = made->expanded[i]->n + 1, next = made->expanded[i + 1]->n + 1;
+    step->same = layers[i].index == layers[i + 1].index;
+    if (!step->same) {
+      step->above = matrix_at(isa, &at, n, n);
+      step->below = matrix_at(isa, &at, next, next);
+      step->down = matrix_at(isa, &at, next, n);
+      step->up = matrix_at(isa, &at, n, next);
+      integrate_step(step, made->expanded[i], made->expanded[i + 1], layers[i].index,
+                     layers[i + 1].index);
+    }
+  }
+  for (size_t side = 0; side < SIDES && ok; side++) {
+    const size_t i = side == 0 ? 0 : count - 1, n = made->expanded[i]->n + 1;
+    made->outer[side] = matrix_at(isa, &at, n, n);
+    made->exit[side] = at;
+    at += (n + 7) / 8 * 8;
+    if (side == 0 || isfinite(layers[i].thickness)) {
+      const size_t boundary = side == 1 && count == 1 ? 1 : 0;
+      note_boundary(made, side, made->expanded[i], boundary,
+                    layers[i].index / (side == 0 ? 1 : below));
+    }
+  }
+  for (size_t i = 0; i < count && ok; i++) {
+    made->flux[i] = at;
+    at += (made->expanded[i]->n + 8) / 8 * 8;
+    note_flux(made->expanded[i], made->flux[i]);
+  }
+  if (!ok) {
+    solver_stack_free(made);
+    return NULL;
+  }
+  return made;
+}
+
+void solver_stack_free(stack *of) {
+  for (size_t i = 0; of != NULL && i < of->count; i++) {
+    solver_expansion_free(of->expanded[i]);
+  }
+  if (of != NULL) {
+    free(of->memory);
+    free(of);
+  }
+}
+
+/* ---- one wavenumber ------------------------------------------------------------------------------ */
+
+/* What a layer does, and all that is below it. */
+struct tower {
+  layer_operators own;
+  dense whole;   /* rho, as seen from the layer's head */
+  dense below;   /* rb; without meaning for a half space */
+  dense through; /* M */
+  dense next;    /* Q: from the foot to the next layer's head */
+};
+
+/* Columns: light at a head or a foot. */
+enum { GROUP = 8, COLUMNS = 4 };
+
+/* Light of one layer that was scattered once or not at all, with a number of reflections. What leaves
+ * the layer is kept for the next number. */
+struct once {
+  dense head_down, foot_up;
+  dense foot_down[2], head_up[2];
+};
+
+struct work {
+  const stack *of;
+  bool is_complex;
+  struct tower tower[STACK_LAYERS_MAX];
+  dense spare[2];        /* for the largest layer */
+  dense column[COLUMNS]; /* for the largest layer */
+  struct once once[STACK_LAYERS_MAX];
+};
+
+/* A view of a constant matrix, real if k is. */
+static dense view_of(const struct work *by, dense of) {
+  of.im = by->is_complex ? of.im : NULL;
+  return of;
+}
+
+/* The first rows and columns of a spare matrix. */
+static dense shaped(dense of, size_t rows, size_t columns) {
+  of.rows = rows;
+  of.columns = columns;
+  of.stride = (columns + GROUP - 1) / GROUP * GROUP;
+  return of;
+}
+
+static void copy_matrix(const dense *to, const dense *from) {
+  const size_t size = from->rows * from->stride;
+  memcpy(to->re, from->re, size * sizeof(double));
+  if (to->im != NULL) {
+    memcpy(to->im, from->im, size * sizeof(double));
+  }
+}
+
+static void add_matrix(const dense *to, const dense *from, double factor) {
+  for (size_t i = 0; i < to->rows * to->stride; i++) {
+    to->re[i] += factor * from->re[i];
+    if (to->im != NULL) {
+      to->im[i] += factor * from->im[i];
+    }
+  }
+}
+
+static void clear_matrix(const dense *to) {
+  memset(to->re, 0, to->rows * to->stride * sizeof(double));
+  if (to->im != NULL) {
+    memset(to->im, 0, to->rows * to->stride * sizeof(double));
+  }
+}
+
+/* Sets to = (1 - a b)^-1 right. to and right have one shape, and neither is spare[0]. */
+static bool resolve(const struct work *by, const dense *to, const dense *a, const dense *b,
+                    const dense *right) {
+  const dense left = shaped(by->spare[0], a->rows, a->rows);
+  solver_dense_multiply(&left, a, b);
+  add_matrix(&left, &left, -2);
+  for (size_t i = 0; i < left.rows; i++) {
+    left.re[i * left.stride + i] += 1;
+  }
+  copy_matrix(to, right);
+  return solver_dense_solve(&left, to);
+}
+
+/* Sets rho and M of layer i, whose rb is known. */
+static bool climb_layer(const struct work *by, size_t i) {
+  const struct tower *here = &by->tower[i];
+  const size_t n = here->own.reflected.rows;
+  copy_matrix(&here->whole, &here->own.reflected);
+  if (isinf(by->of->layers[i].thickness)) {
+    return true;
+  }
+  if (!resolve(by, &here->through, &here->own.reflected, &here->below, &here->own.transmitted)) {
+    return false;
+  }
+  const dense lit = shaped(by->spare[0], n, n), more = shaped(by->spare[1], n, n);
+  solver_dense_multiply(&lit, &here->below, &here->through);
+  solver_dense_multiply(&more, &here->own.transmitted, &lit);
+  add_matrix(&here->whole, &more, 1);
+  return true;
+}
+
+/* Sets rb and Q of layer i from rho of the next one. */
+static bool climb_step(const struct work *by, size_t i) {
+  const struct step *step = &by->of->step[i];
+  const struct tower *here = &by->tower[i];
+  const dense *rho = &by->tower[i + 1].whole;
+  if (step->same) {
+    copy_matrix(&here->below, rho);
+    return true;
+  }
+  const dense above = view_of(by, step->above), below = view_of(by, step->below);
+  const dense down = view_of(by, step->down), up = view_of(by, step->up);
+  if (!resolve(by, &here->next, &below, rho, &down)) {
+    return false;
+  }
+  const dense lit = shaped(by->spare[0], rho->rows, up.rows);
+  solver_dense_multiply(&lit, rho, &here->next);
+  solver_dense_multiply(&here->below, &up, &lit);
+  add_matrix(&here->below, &above, 1);
+  return true;
+}
+
+static double complex at_row(const dense *vector, size_t row) {
+  const size_t at = row * vector->stride;
+  return CMPLX(vector->re[at], vector->im == NULL ? 0 : vector->im[at]);
+}
+
+static double complex product_of(const double *left, const dense *vector, size_t count) {
+  double complex sum = 0;
+  for (size_t i = 0; i < count; i++) {
+    sum += left[i] * at_row(vector, i);
+  }
+  return sum;
+}
+
+static double complex net_of(const stack *of, size_t i, const dense *down, const dense *up) {
+  const size_t n = of->expanded[i]->first[1], beam = down->rows - 1;
+  return product_of(of->flux[i], down, n) - product_of(of->flux[i], up, n) + at_row(down, beam) -
+         at_row(up, beam);
+}
+
+static double corner_of(const dense *of) {
+  return of->re[(of->rows - 1) * of->stride + of->columns - 1];
+}
+
+static bool descend(const struct work *by, stack_exitance *exitance) {
+  const stack *of = by->of;
+  const dense top = view_of(by, of->outer[0]), bottom = view_of(by, of->outer[1]);
+  const dense *rho = &by->tower[0].whole;
+  const size_t beam = rho->rows - 1;
+  dense down = shaped(by->column[0], rho->rows, 1), up = shaped(by->column[1], rho->rows, 1);
+  /* J+ = (1 - F rho)^-1 e */
+  dense entering = shaped(by->column[2], rho->rows, 1);
+  clear_matrix(&entering);
+  entering.re[beam * GROUP] = 1;
+  if (!resolve(by, &down, &top, rho, &entering)) {
+    return false;
+  }
+  for (size_t i = 0; i < of->count; i++) {
+    const struct tower *here = &by->tower[i];
+    const size_t rows = here->whole.rows, n = of->expanded[i]->first[1];
+    down = shaped(down, rows, 1);
+    up = shaped(up, rows, 1);
+    solver_dense_multiply(&up, &here->whole, &down);
+    exitance->net[i][0] = net_of(of, i, &down, &up);
+    if (i == 0) {
+      exitance->all[0] = product_of(of->exit[0], &up, n);
+      exitance->beam[0] = (1 - corner_of(&top)) * at_row(&up, rows - 1);
+    }
+    exitance->net[i][1] = 0;
+    exitance->all[1] = exitance->beam[1] = 0;
+    if (isinf(of->layers[i].thickness)) {
+      return true;
+    }
+    const dense foot = shaped(by->column[2], rows, 1), back = shaped(by->column[3], rows, 1);
+    solver_dense_multiply(&foot, &here->through, &down);
+    solver_dense_multiply(&back, &here->below, &foot);
+    exitance->net[i][1] = net_of(of, i, &foot, &back);
+    if (i + 1 == of->count) {
+      exitance->all[1] = product_of(of->exit[1], &foot, n);
+      exitance->beam[1] = (1 - corner_of(&bottom)) * at_row(&foot, rows - 1);
+    } else if (of->step[i].same) {
+      copy_matrix(&down, &foot);
+    } else {
+      down = shaped(down, here->next.rows, 1);
+      solver_dense_multiply(&down, &here->next, &foot);
+    }
+  }
+  return true;
+}
+
+/* ---- light that was scattered once ----------------------------------------------------------------- */
+
+/* Sets the columns of light at the foot on its way down, or at the head on its way up (`up`), from
+ * those that enter the layer. Their beams are in their last rows. */
+static void pass_once(const struct work *by, size_t i, const dense *to, const dense *along,
+                      const dense *against) {
+  const layer_operators *own = &by->tower[i].own;
+  const double complex beam = at_row(against, against->rows - 1);
+  if (isinf(by->of->layers[i].thickness)) {
+    clear_matrix(to);
+  } else {
+    solver_dense_multiply(to, &own->passed_once, along);
+  }
+  for (size_t row = 0; row + 1 < to->rows; row++) {
+    const double complex more = beam * at_row(&own->reflected_once, row);
+    to->re[row * GROUP] += creal(more);
+    if (to->im != NULL) {
+      to->im[row * GROUP] += cimag(more);
+    }
+  }
+}
+
+/* Adds a b to `to`. */
+static void add_through(const struct work *by, const dense *to, const dense *a, const dense *b) {
+  const dense through = view_of(by, *a), more = shaped(by->column[0], to->rows, 1);
+  solver_dense_multiply(&more, &through, b);
+  add_matrix(to, &more, 1);
+}
+
+/* q: the number of reflections; now: which of two columns is of this number. */
+static void sweep_down(const struct work *by, size_t q, size_t now) {
+  const stack *of = by->of;
+  for (size_t i = 0; i < of->count; i++) {
+    const struct once *here = &by->once[i];
+    const struct step *step = i > 0 ? &of->step[i - 1] : NULL;
+    clear_matrix(&here->head_down);
+    if (i > 0 && step->same) {
+      add_matrix(&here->head_down, &by->once[i - 1].foot_down[now], 1);
+    } else if (i > 0) {
+      add_through(by, &here->head_down, &step->down, &by->once[i - 1].foot_down[now]);
+    }
+    if (q > 0 && (i == 0 || !step->same)) {
+      add_through(by, &here->head_down, i == 0 ? &of->outer[0] : &step->below,
+                  &here->head_up[1 - now]);
+    } else if (i == 0) {
+      here->head_down.re[(here->head_down.rows - 1) * GROUP] = 1;
+    }
+    pass_once(by, i, &here->foot_down[now], &here->head_down, &here->foot_up);
+  }
+}
+
+static void sweep_up(const struct work *by, size_t q, size_t now) {
+  const stack *of = by->of;
+  for (size_t i = of->count; i-- > 0;) {
+    const struct once *here = &by->once[i];
+    const bool last = i + 1 == of->count;
+    const struct step *step = last ? NULL : &of->step[i];
+    clear_matrix(&here->foot_up);
+    if (!last && step->same) {
+      add_matrix(&here->foot_up, &by->once[i + 1].head_up[now], 1);
+    } else if (!last) {
+      add_through(by, &here->foot_up, &step->up, &by->once[i + 1].head_up[now]);
+    }
+    if (q > 0 && !isinf(of->layers[i].thickness) && (last || !step->same)) {
+      add_through(by, &here->foot_up, last ? &of->outer[1] : &step->above,
+                  &here->foot_down[1 - now]);
+    }
+    pass_once(by, i, &here->head_up[now], &here->foot_up, &here->head_down);
+  }
+}
+
+/* Light at a head or a foot is what passes the step there and what the step reflects, which counts as
+ * one reflection more. Beams on their way up are known after the second sweep. */
+static void scatter_once(const struct work *by, stack_exitance *exitance) {
+  const stack *of = by->of;
+  const size_t last = of->count - 1;
+  exitance->once[0] = exitance->once[1] = 0;
+  for (size_t q = 0; q <= STACK_REFLECTIONS; q++) {
+    const size_t now = q % 2;
+    for (size_t i = 0; i < of->count; i++) {
+      clear_matrix(&by->once[i].foot_up);
+    }
+    sweep_down(by, q, now);
+    sweep_up(by, q, now);
+    sweep_down(by, q, now);
+    exitance->once[0] +=
+        product_of(of->exit[0], &by->once[0].head_up[now], of->expanded[0]->first[1]);
+    exitance->once[1] +=
+        isinf(of->layers[last].thickness)
+            ? 0
+            : product_of(of->exit[1], &by->once[last].foot_down[now], of->expanded[last]->first[1]);
+  }
+}
+
+/* ---- all ------------------------------------------------------------------------------------------- */
+
+static dense column_at(const stack *of, double **memory, size_t rows, bool is_complex) {
+  return solver_dense_at(of->isa, memory, rows, 1, is_complex);
+}
+
+/* Returns how many numbers lay_out() needs. */
+static size_t numbers_for(const stack *of) {
+  enum { SQUARES = 7, COLUMNS_OF_LAYER = 7, SPARES = 2 };
+  size_t most = 0, numbers = 0;
+  for (size_t i = 0; i < of->count; i++) {
+    const size_t n = of->expanded[i]->n + 1;
+    most = n > most ? n : most;
+  }
+  numbers += (SQUARES * of->count + SPARES) * numbers_of(most, most);
+  return numbers + (COLUMNS_OF_LAYER * of->count + COLUMNS) * numbers_of(most, 1);
+}
+
+/* Lays the matrices out from `at` on. */
+static void lay_out(struct work *to, const stack *of, double *at) {
+  size_t most = 0;
+  for (size_t i = 0; i < of->count; i++) {
+    struct tower *here = &to->tower[i];
+    struct once *once = &to->once[i];
+    const size_t n = of->expanded[i]->n + 1;
+    const size_t next = i + 1 < of->count ? of->expanded[i + 1]->n + 1 : n;
+    dense *const square[] = {&here->own.reflected, &here->own.transmitted, &here->own.passed_once,
+                             &here->whole,         &here->below,           &here->through};
+    dense *const column[] = {&here->own.reflected_once, &once->head_down,    &once->foot_up,
+                             &once->foot_down[0],       &once->foot_down[1], &once->head_up[0],
+                             &once->head_up[1]};
+    for (size_t j = 0; j < sizeof square / sizeof *square; j++) {
+      *square[j] = solver_dense_at(of->isa, &at, n, n, to->is_complex);
+    }
+    for (size_t j = 0; j < sizeof column / sizeof *column; j++) {
+      *column[j] = column_at(of, &at, n, to->is_complex);
+    }
+    here->next = solver_dense_at(of->isa, &at, next, n, to->is_complex);
+    most = n > most ? n : most;
+  }
+  for (size_t i = 0; i < sizeof to->spare / sizeof *to->spare; i++) {
+    to->spare[i] = solver_dense_at(of->isa, &at, most, most, to->is_complex);
+  }
+  for (size_t i = 0; i < COLUMNS; i++) {
+    to->column[i] = column_at(of, &at, most, to->is_complex);
+  }
+}
+
+bool solver_stack_at(const stack *of, double complex k, stack_exitance *exitance) {
+  struct work *work = calloc(1, sizeof *work);
+  double *memory = NULL;
+  bool ok = work != NULL;
+  if (ok) {
+    *work = (struct work){.of = of, .is_complex = cimag(k) != 0};
+    memory = reserve(numbers_for(of));
+    ok = memory != NULL;
+  }
+  if (ok) {
+    lay_out(work, of, memory);
+  }
+  for (size_t i = of->count; i-- > 0 && ok;) {
+    const stack_layer *layer = &of->layers[i];
+    const double unit = 1 / layer->extinction;
+    ok = solver_layer_operators(&work->tower[i].own, of->expanded[i], k * unit, layer->kappa * unit,
+                                layer->thickness * layer->extinction);
+    if (ok && i + 1 < of->count) {
+      ok = climb_step(work, i);
+    } else if (ok && !isinf(layer->thickness)) {
+      const dense bottom = view_of(work, of->outer[1]);
+      copy_matrix(&work->tower[i].below, &bottom);
+    }
+    ok = ok && climb_layer(work, i);
+  }
+  ok = ok && descend(work, exitance);
+  if (ok) {
+    scatter_once(work, exitance);
+  }
+  free(memory);
+  free(work);
+  return ok;
+}

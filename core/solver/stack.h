@@ -1,0 +1,43 @@
+/* stack: light in layers at one wavenumber. See stack.c for the formulas. Lengths are in any unit, and
+ * k, rates and indices are those of the caller. */
+#ifndef DIPOLED_CORE_SOLVER_STACK_H
+#define DIPOLED_CORE_SOLVER_STACK_H
+
+#include <complex.h>
+#include <stdbool.h>
+
+#include "core/solver/expansion.h"
+
+enum { STACK_LAYERS_MAX = 8, STACK_REFLECTIONS = 1 };
+
+/* One layer after its phase function has been truncated. */
+typedef struct stack_layer {
+  expansion_medium medium;
+  double extinction; /* scaled */
+  double thickness;  /* infinite for a half space, which is the last layer */
+  double index;      /* over that above the stack */
+  double kappa;      /* of a half space: the decay rate of diffuse light */
+} stack_layer;
+
+typedef struct stack stack;
+
+/* Returns the integrals for a stack, or NULL if memory runs out. The caller frees them with
+ * solver_stack_free(), which accepts NULL. layers: 1 to STACK_LAYERS_MAX, kept as they are until
+ * then. below: the index below over that above. */
+stack *solver_stack_new(const core_isa *isa, const expansion_rules *rules,
+                        const stack_layer *layers, size_t count, double below);
+void solver_stack_free(stack *of);
+
+/* What leaves a stack, Fourier transformed over the plane, per power that has entered. */
+typedef struct stack_exitance {
+  /* Above and below. all: light that was scattered; once: that part of it that was scattered once,
+   * and reflected inside at most STACK_REFLECTIONS times; beam: light that was not scattered. */
+  double complex all[2], once[2], beam[2];
+  double complex net[STACK_LAYERS_MAX][2]; /* the flux downwards at each layer's head and foot */
+} stack_exitance;
+
+/* Sets *exitance at one wavenumber k, which is not 0 if the last layer is a half space without
+ * absorption. Returns false if memory runs out or an equation is singular. */
+bool solver_stack_at(const stack *of, double complex k, stack_exitance *exitance);
+
+#endif

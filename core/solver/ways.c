@@ -1,0 +1,242 @@
+/* Light that is scattered at the distance h from the boundary that it meets first, at the angle theta
+ * in its layer, x = tan(theta), leaves at r = h x + sum of N_l d_l tan(theta_l), where N_l counts how
+ * often it crosses layer l. So, over all ways,
+ *
+ *   R1(r) = 1 / r sum int du cos^2(theta) sigma_s B p(cos) e^(-s h / mu) prod e^(-s_l N_l d_l / mu_l)
+ *           prod (T or 1 - T),   x = sinh u,
+ *
+ * where B is the beam at the place of scattering. h falls as x grows: from the layer's thickness to 0. */
+#include "core/solver/ways.h"
+
+#include <assert.h>
+#include <math.h>
+#include <string.h>
+
+#include "core/transport/functions.h"
+#include "core/transport/gauss.h"
+#include "core/transport/single.h"
+
+static double index_of(const ways *of, ptrdiff_t layer) {
+  return layer < 0 ? 1 : (size_t)layer >= of->layers ? of->index_below : of->layer[layer].index;
+}
+
+/* ---- which there are ------------------------------------------------------------------------------ */
+
+/* Follows light that meets the boundary above or below a layer. */
+static void follow(ways *to, ways_path at, size_t layer, bool upwards) {
+  const size_t boundary = layer + !upwards;
+  if (isinf(to->layer[layer].thickness) && !upwards) {
+    return; /* it never meets one */
+  }
+  const ptrdiff_t next = (ptrdiff_t)layer + (upwards ? -1 : 1);
+  ways_path passed = at;
+  passed.through[boundary]++;
+  if (next < 0 || (size_t)next == to->layers) {
+    assert(to->count < WAYS_MAX);
+    passed.side = next < 0 ? 0 : 1;
+    to->way[to->count++] = passed;
+  } else {
+    passed.full[next]++;
+    follow(to, passed, (size_t)next, upwards);
+  }
+  if (at.reflections < to->reflections_most &&
+      index_of(to, (ptrdiff_t)layer) != index_of(to, next)) {
+    at.reflections++;
+    at.back[boundary]++;
+    at.full[layer]++;
+    follow(to, at, layer, !upwards);
+  }
+}
+
+static double reflectance(const ways *of, size_t boundary) {
+  const double above = index_of(of, (ptrdiff_t)boundary - 1),
+               below = index_of(of, (ptrdiff_t)boundary);
+  const double root = (above - below) / (above + below);
+  return root * root;
+}
+
+static double passed_by_beam(const ways_layer *layer) {
+  return isinf(layer->thickness) ? 0 : fn_exp(-layer->extinction * layer->thickness);
+}
+
+static void find_beams(ways *to) {
+  for (unsigned q = 0; q <= to->reflections_most; q++) {
+    /* with exactly q reflections */
+    double down[WAYS_LAYERS_MAX] = {0}, up[WAYS_LAYERS_MAX] = {0};
+    for (size_t i = 0; i < to->layers; i++) {
+      down[i] = i > 0 ? down[i - 1] * passed_by_beam(&to->layer[i - 1]) * (1 - reflectance(to, i))
+                : q == 0 ? 1
+                         : 0;
+      down[i] += q > 0 ? to->up[i][q - 1] * passed_by_beam(&to->layer[i]) * reflectance(to, i) : 0;
+    }
+    for (size_t i = to->layers; i-- > 0;) {
+      up[i] = i + 1 < to->layers
+                  ? up[i + 1] * passed_by_beam(&to->layer[i + 1]) * (1 - reflectance(to, i + 1))
+                  : 0;
+      up[i] +=
+          q > 0 ? to->down[i][q - 1] * passed_by_beam(&to->layer[i]) * reflectance(to, i + 1) : 0;
+    }
+    for (size_t i = 0; i < to->layers; i++) {
+      to->down[i][q] = down[i];
+      to->up[i][q] = up[i];
+    }
+  }
+  for (size_t i = 0; i < to->layers && to->reflections_most > 0; i++) {
+    to->down[i][1] += to->down[i][0];
+    to->up[i][1] += to->up[i][0];
+  }
+}
+
+void solver_ways_find(ways *to, const ways_layer *layer, size_t layers, double below,
+                      unsigned reflections) {
+  assert(layers >= 1 && layers <= WAYS_LAYERS_MAX && reflections <= 1);
+  memset(to, 0, sizeof *to);
+  to->layer = layer;
+  to->layers = layers;
+  to->index_below = below;
+  to->reflections_most = reflections;
+  find_beams(to);
+  for (size_t i = 0; i < layers; i++) {
+    follow(to, (ways_path){.layer = i, .upwards = true}, i, true);
+    follow(to, (ways_path){.layer = i, .upwards = false}, i, false);
+  }
+}
+
+/* ---- values ----------------------------------------------------------------------------------------- */
+
+/* Directions of one ray in all layers. */
+struct ray {
+  double mu[WAYS_LAYERS_MAX + 2]; /* above, in each layer, below; 0 where it does not exist */
+};
+
+static struct ray ray_at(const ways *of, size_t layer, double x) {
+  struct ray ray;
+  const double sine = of->layer[layer].index * x / sqrt(1 + x * x);
+  for (size_t i = 0; i < of->layers + 2; i++) {
+    const double s = sine / index_of(of, (ptrdiff_t)i - 1);
+    ray.mu[i] = s < 1 ? sqrt((1 - s) * (1 + s)) : 0;
+  }
+  ray.mu[layer + 1] = 1 / sqrt(1 + x * x);
+  return ray;
+}
+
+/* Returns how far a way leads along the surface, its own part of a layer aside; infinite where light
+ * does not get through. */
+static double length_of(const ways *of, const ways_path *way, double x) {
+  const struct ray ray = ray_at(of, way->layer, x);
+  double sum = 0;
+  for (size_t i = 0; i < of->layers; i++) {
+    const double mu = ray.mu[i + 1];
+    if (way->full[i] > 0) {
+      sum += mu > 0 ? way->full[i] * of->layer[i].thickness * sqrt((1 - mu) * (1 + mu)) / mu
+                    : (double)INFINITY;
+    }
+  }
+  const bool leaves = ray.mu[way->side == 0 ? 0 : of->layers + 1] > 0;
+  return leaves ? sum : (double)INFINITY;
+}
+
+#define X_MOST 1e9
+
+/* Returns the x, up to X_MOST, at which length_of() + x own is r. */
+static double find_x(const ways *of, const ways_path *way, double own, double r) {
+  double low = 0, high = X_MOST;
+  if (length_of(of, way, high) + own * high <= r) {
+    return high;
+  }
+  for (int i = 0; i < 90; i++) {
+    const double middle = low > 1e-3 ? 0.5 * (low + high)
+                          : high > 1 ? sqrt(1e-6 * high)
+                                     : 0.5 * (low + high);
+    if (length_of(of, way, middle) + own * middle <= r) {
+      low = middle;
+    } else {
+      high = middle;
+    }
+  }
+  return low;
+}
+
+static double phase_at(double g, double cosine) {
+  const double base = 1 + g * g - 2 * g * cosine;
+  return (1 - g) * (1 + g) / (base * sqrt(base) * 4 * FN_PI);
+}
+
+/* Returns the integrand over u. */
+static double light_at(const ways *of, const ways_path *way, double u, double r) {
+  const double e = fn_exp(u), x = 0.5 * (e - 1 / e);
+  const ways_layer *own = &of->layer[way->layer];
+  const struct ray ray = ray_at(of, way->layer, x);
+  const double mu = ray.mu[way->layer + 1];
+  const double h = fmax(0, r - length_of(of, way, x)) / x;
+  const size_t left = of->reflections_most - way->reflections;
+  const double z = way->upwards ? h : own->thickness - h;
+  double lit = of->down[way->layer][left] > 0
+                   ? of->down[way->layer][left] * fn_exp(-own->extinction * z) *
+                         phase_at(own->g, way->upwards ? -mu : mu)
+                   : 0;
+  if (of->up[way->layer][left] > 0) {
+    lit += of->up[way->layer][left] * fn_exp(-own->extinction * (own->thickness - z)) *
+           phase_at(own->g, way->upwards ? mu : -mu);
+  }
+  double depth = own->extinction * h / mu;
+  for (size_t i = 0; i < of->layers; i++) {
+    depth += way->full[i] > 0
+                 ? way->full[i] * of->layer[i].extinction * of->layer[i].thickness / ray.mu[i + 1]
+                 : 0;
+  }
+  double passes = depth < 700 ? fn_exp(-depth) : 0;
+  for (size_t i = 0; i <= of->layers && passes > 0; i++) {
+    const double above = index_of(of, (ptrdiff_t)i - 1), below = index_of(of, (ptrdiff_t)i);
+    const double mu1 = ray.mu[i], mu2 = ray.mu[i + 1];
+    const double t = above == below       ? 1
+                     : mu1 > 0 && mu2 > 0 ? transport_transmittance(above / below, mu1, mu2)
+                                          : 0;
+    for (unsigned k = 0; k < way->through[i]; k++) {
+      passes *= t;
+    }
+    for (unsigned k = 0; k < way->back[i]; k++) {
+      passes *= 1 - t;
+    }
+  }
+  return mu * mu * own->sigma_s * lit * passes;
+}
+
+#define U_MOST 21.0
+#define PANEL_FIRST 0.02
+#define PANEL_MOST 0.3
+
+static double integrate(const ways *of, const ways_path *way, const gauss_rule *rule, double r) {
+  const ways_layer *own = &of->layer[way->layer];
+  const double first = isinf(own->thickness) ? 0 : find_x(of, way, own->thickness, r);
+  const double last = find_x(of, way, 0, r);
+  const double from = fn_log(first + sqrt(1 + first * first));
+  const double to = fmin(fn_log(last + sqrt(1 + last * last)), from + U_MOST);
+  double sum = 0, begin = from, width = PANEL_FIRST * (1 - fabs(own->g));
+  while (begin < to) {
+    /* the last panel ends at a root */
+    const bool ends = begin + 1.5 * width >= to;
+    const double end = ends ? to : begin + width;
+    for (size_t i = 0; i < rule->n; i++) {
+      const double v = rule->x[i], w = rule->weight[i];
+      const double u = ends ? end - (end - begin) * v * v : begin + (end - begin) * v;
+      sum += (end - begin) * w * (ends ? 2 * v : 1) * light_at(of, way, u, r);
+    }
+    begin = end;
+    width = fmin(PANEL_MOST, 2 * width);
+  }
+  return sum / r;
+}
+
+double solver_ways_at(const ways *of, size_t side, double r) {
+  enum { NODES = 16 };
+  gauss_rule rule;
+  transport_gauss(&rule, NODES);
+  double sum = 0;
+  for (size_t i = 0; i < of->count; i++) {
+    if (of->way[i].side == side) {
+      sum += integrate(of, &of->way[i], &rule, r);
+    }
+  }
+  return sum;
+}

@@ -1,0 +1,166 @@
+/* Layers, solved, beside an independent program (numpy, another language, another start of the
+ * doubling), and beside what has to hold: equal layers are one, energy is kept, deep slabs are half
+ * spaces. */
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "core/solver/solver.h"
+#include "tests/unit/unit.h"
+
+#define DEEP INFINITY
+
+static solver_layers *solved(const solver_layer *layer, size_t count, double eta_below) {
+  solver_layers *solution;
+  unit_assert_fault(
+      solver_layers_solve(&solution, core_isa_select(NULL), layer, count, eta_below, 1e-2, NULL),
+      NULL, 0);
+  return solution;
+}
+
+static solver_balance balance_of(const solver_layers *solution) {
+  solver_balance balance;
+  unit_assert_fault(solver_layers_balance(solution, core_isa_select(NULL), &balance), NULL, 0);
+  return balance;
+}
+
+/* Known R and T at radii, with the reference's own absolute errors. */
+struct known {
+  double r_mm, R, R_error, T, T_error;
+};
+
+static void expect_near(transport_number found, double truth, double error, double r_mm) {
+  if (!(fabs(found.value - truth) <= found.error + error)) {
+    fail_msg("%.9g at %g mm, not %.9g +- %.2g: stated %.2g", found.value, r_mm, truth, error,
+             found.error);
+  }
+  assert_true(r_mm < 0.05 || found.error <= 0.02 * found.value);
+}
+
+static void compare(const solver_layer *layer, size_t count, const struct known *known,
+                    size_t radii, const double total[2]) {
+  solver_layers *solution = solved(layer, count, 1);
+  for (size_t i = 0; i < radii; i++) {
+    expect_near(solver_layers_at(solution, 0, known[i].r_mm), known[i].R, known[i].R_error,
+                known[i].r_mm);
+    expect_near(solver_layers_at(solution, 1, known[i].r_mm), known[i].T, known[i].T_error,
+                known[i].r_mm);
+  }
+  const solver_balance balance = balance_of(solution);
+  double sum = balance.unscattered[0] + balance.unscattered[1];
+  for (size_t side = 0; side < SOLVER_SIDES; side++) {
+    assert_true(fabs(balance.out[side].value - total[side]) <= balance.out[side].error + 1e-9);
+    sum += balance.out[side].value;
+  }
+  for (size_t i = 0; i < count; i++) {
+    sum += balance.absorbed[i].value;
+  }
+  assert_true(fabs(sum - 1) < 1e-8);
+  solver_layers_free(solution);
+}
+
+UNIT_TEST(layers_are_those_of_another_program) {
+  static const solver_layer skin[] = {{1.5, 20, 0.8, 1.4, 0.06}, {0.03, 15, 0.8, 1.4, DEEP}};
+  static const struct known of_skin[] = {
+      {0.0036363636, 1.8170136e+01, 2.8e-03, 0.0000000e+00, 0.0e+00},
+      {0.0097636364, 6.2251434e+00, 6.2e-04, 0.0000000e+00, 0.0e+00},
+      {0.026163636, 2.0036995e+00, 3.6e-04, 0.0000000e+00, 0.0e+00},
+      {0.0702, 6.5189221e-01, 4.8e-05, 0.0000000e+00, 0.0e+00},
+      {0.18834545, 2.4696698e-01, 2.0e-05, 0.0000000e+00, 0.0e+00},
+      {0.50527273, 7.9480739e-02, 1.6e-06, 0.0000000e+00, 0.0e+00},
+      {1.3554909, 1.1924243e-02, 2.4e-07, 0.0000000e+00, 0.0e+00},
+      {3.6363636, 5.1972151e-04, 1.0e-08, 0.0000000e+00, 0.0e+00},
+  };
+  compare(skin, 2, of_skin, sizeof of_skin / sizeof *of_skin, (double[]){0.394703611, 0});
+  static const solver_layer slab[] = {{0.05, 10, 0.8, 1.4, 2}};
+  static const struct known of_slab[] = {
+      {0.0097560976, 3.5825235e+00, 6.5e-04, 2.7509688e-02, 2.8e-06},
+      {0.026195122, 1.3148200e+00, 2.1e-04, 2.7496168e-02, 2.7e-06},
+      {0.070195122, 4.8883748e-01, 4.9e-05, 2.7405768e-02, 2.7e-06},
+      {0.18834146, 1.9349813e-01, 3.9e-06, 2.6775163e-02, 5.4e-07},
+      {0.50531707, 7.5323295e-02, 1.5e-06, 2.2956896e-02, 4.6e-07},
+      {1.3556098, 1.7103826e-02, 3.4e-07, 1.0638516e-02, 2.1e-07},
+      {3.6366829, 9.2133818e-04, 1.8e-08, 8.7192335e-04, 1.7e-08},
+      {9.7560976, 1.2091787e-06, 2.4e-11, 1.2089533e-06, 2.4e-11},
+  };
+  compare(slab, 1, of_slab, sizeof of_slab / sizeof *of_slab, (double[]){0.456599963, 0.236586943});
+  static const solver_layer step[] = {{0.1, 10, 0.8, 1.4, 0.5}, {0.05, 8, 0.7, 1.33, 1.5}};
+  static const struct known of_step[] = {
+      {0.0095238095, 3.6614452e+00, 1.0e-03, 2.4406378e-02, 2.4e-06},
+      {0.025571429, 1.3422086e+00, 3.1e-04, 2.4386770e-02, 2.4e-06},
+      {0.06852381, 4.9948966e-01, 5.0e-05, 2.4308194e-02, 2.4e-06},
+      {0.18385714, 1.9977285e-01, 4.0e-06, 2.3781367e-02, 4.8e-07},
+      {0.49328571, 7.9701465e-02, 1.6e-06, 2.0553278e-02, 4.1e-07},
+      {1.3233333, 1.7436651e-02, 3.5e-07, 9.5192292e-03, 1.9e-07},
+      {3.5500952, 7.3845001e-04, 1.5e-08, 6.6340509e-04, 1.3e-08},
+      {9.5238095, 5.0950441e-07, 1.0e-11, 4.9789949e-07, 1.0e-11},
+  };
+  compare(step, 2, of_step, sizeof of_step / sizeof *of_step, (double[]){0.432884772, 0.192617432});
+}
+
+/* van de Hulst 1980: albedo 0.9, depth 2, g 0.75, equal indices. */
+UNIT_TEST(a_slab_is_that_of_van_de_hulst) {
+  static const solver_layer slab = {0.2, 1.8, 0.75, 1, 1};
+  solver_layers *solution = solved(&slab, 1, 1);
+  const solver_balance balance = balance_of(solution);
+  assert_true(fabs(balance.out[0].value - 0.09739) < 1e-5);
+  assert_true(fabs(balance.out[1].value + balance.unscattered[1] - 0.66096) < 1e-5);
+  assert_true(fabs(balance.unscattered[1] - exp(-2)) < 1e-12);
+  solver_layers_free(solution);
+}
+
+UNIT_TEST(a_half_space_may_be_cut_anywhere) {
+  static const solver_layer whole = {0.1, 8, 0.7, 1.4, DEEP};
+  solver_layer cut[3] = {whole, whole, whole};
+  cut[0].thickness_mm = 0.2;
+  cut[1].thickness_mm = 1;
+  solver_layers *one = solved(&whole, 1, 1), *three = solved(cut, 3, 1);
+  const solver_phase phase = {.g = whole.g};
+  const double reduced = 0.1 + 8 * (1 - 0.7), unit = 1 / reduced;
+  solver_solution *half;
+  unit_assert_fault(
+      solver_solve(&half, core_isa_select(NULL), 0.1 / (8 * 0.3), &phase, &whole.eta, 1, 1e-3),
+      NULL, 0);
+  for (double r = 0.02; r < 8; r *= 2) {
+    const transport_number R = solver_layers_at(one, 0, r), same = solver_layers_at(three, 0, r);
+    const transport_number known = solver_at(half, 0, r * reduced);
+    assert_true(fabs(same.value / R.value - 1) < 1e-6);
+    expect_near(R, known.value / (unit * unit), known.error / (unit * unit), r);
+  }
+  assert_true(fabs(balance_of(one).out[0].value - balance_of(three).out[0].value) < 1e-9);
+  solver_free(half);
+  solver_layers_free(one);
+  solver_layers_free(three);
+}
+
+UNIT_TEST(layers_out_of_range_are_refused) {
+  static const solver_layer good = {0.1, 10, 0.8, 1.4, 1};
+  const struct {
+    solver_layer layer[2];
+    double eta_below, tolerance;
+    size_t count, index;
+    const char *field;
+  } bad[] = {
+      {{good, good}, 1, 1e-2, 0, 0, "layer_count"},
+      {{good, good}, 1, 1e-2, SOLVER_LAYERS_MAX + 1, 0, "layer_count"},
+      {{good, {-0.1, 10, 0.8, 1.4, 1}}, 1, 1e-2, 2, 1, "sigma_a"},
+      {{good, {0, 0, 0.8, 1.4, 1}}, 1, 1e-2, 2, 1, "sigma_s"},
+      {{good, {0.1, 10, 0.995, 1.4, 1}}, 1, 1e-2, 2, 1, "g"},
+      {{{0.1, 10, 0.8, (double)NAN, 1}, good}, 1, 1e-2, 2, 0, "eta"},
+      {{{0.1, 10, 0.8, 1.4, DEEP}, good}, 1, 1e-2, 2, 0, "thickness"},
+      {{good, {0.1, 10, 0.8, 1.4, 0}}, 1, 1e-2, 2, 1, "thickness"},
+      {{good, good}, 5, 1e-2, 2, 0, "eta_below"},
+      {{good, good}, 1, -1, 2, 0, "tolerance"},
+  };
+  for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
+    solver_layers *solution;
+    unit_assert_fault(solver_layers_solve(&solution, core_isa_select(NULL), bad[i].layer,
+                                          bad[i].count, bad[i].eta_below, bad[i].tolerance, NULL),
+                      bad[i].field, bad[i].index);
+    assert_null(solution);
+  }
+  const atomic_bool stop = true;
+  solver_layers *solution;
+  unit_assert_fault(solver_layers_solve(&solution, core_isa_select(NULL), &good, 1, 1, 1e-2, &stop),
+                    CORE_FIELD_STOPPED, 0);
+}
