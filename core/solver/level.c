@@ -1,0 +1,137 @@
+/* `far`: light that is scattered twice and comes back to where it entered runs along a triangle.
+ * The number of triangles of size l is in proportion to dl / l, so that R2(r) = far / (2 pi) ln(1
+ * / r) + ..., with
+ *
+ *   far = (2 pi a)^2 int_0^pi/2 T(mu) mu dtheta int_theta^pi p(cos t) p(-cos(t - theta)) dt,
+ *
+ * mu = cos(theta), theta the angle at which the light leaves, t the angle by which it is deflected
+ * first. The light that leaves within a cone of angles has its own X, whose integral over
+ * theta ends at the cone's edge. */
+#include "core/solver/level.h"
+
+#include <math.h>
+
+#include "core/transport/functions.h"
+#include "core/transport/gauss.h"
+#include "core/transport/single.h"
+
+/* ---- how finely ----------------------------------------------------------------------------- */
+
+const struct level solver_levels[SOLVER_LEVELS] = {
+    {1e-4,
+     30,
+     {2e-3, 1e-3},
+     0.80,
+     8,
+     {{0.3, {3, 7, 3}}, {1, {4, 8, 3}}, {3, {6, 9, 3}}, {4.5, {6, 10, 4}}}},
+    {1e-4,
+     40,
+     {1.2e-3, 3e-4},
+     0.80,
+     8,
+     {{0.3, {4, 9, 3}}, {1, {6, 10, 3}}, {3, {7, 12, 4}}, {5.5, {8, 14, 5}}}},
+    {1e-4,
+     48,
+     {8e-4, 1.6e-4},
+     0.85,
+     9,
+     {{0.3, {5, 11, 4}}, {1, {7, 12, 4}}, {3, {9, 15, 5}}, {6.5, {10, 18, 6}}}},
+    {1e-5,
+     64,
+     {4e-4, 8e-5},
+     0.85,
+     10,
+     {{0.3, {6, 13, 5}}, {1, {8, 14, 5}}, {3, {11, 18, 6}}, {8, {11, 22, 7}}}},
+    {1e-5,
+     80,
+     {2e-4, 4e-5},
+     0.88,
+     11,
+     {{0.3, {7, 15, 5}}, {1, {9, 17, 6}}, {3, {12, 22, 7}}, {10, {13, 28, 9}}}},
+    {1e-6,
+     96,
+     {SOLVER_LEAST_NEAR, SOLVER_LEAST},
+     0.86,
+     12,
+     {{0.3, {8, 20, 8}}, {1, {10, 22, 8}}, {3, {13, 26, 8}}, {12, {15, 34, 10}}}},
+};
+
+/* ---- phase functions ------------------------------------------------------------------------- */
+
+double solver_moment_at(const solver_phase *phase, size_t l) {
+  if (phase->moments > 0) {
+    return l < phase->moments ? phase->moment[l] : 0;
+  }
+  double power = 1;
+  for (size_t i = 0; i < l; i++) {
+    power *= phase->g;
+  }
+  return power;
+}
+
+/* Returns the phase function, normalized to 1 over the sphere, times 4 pi. */
+double solver_phase_at(const solver_phase *phase, double cosine) {
+  if (phase->moments == 0) {
+    const double g = phase->g, base = 1 + g * g - 2 * g * cosine;
+    return (1 - g) * (1 + g) / (base * sqrt(base));
+  }
+  double before = 0, here = 1, sum = 0;
+  for (size_t l = 0; l < phase->moments; l++) {
+    sum += (double)(2 * l + 1) * phase->moment[l] * here;
+    const double next =
+        ((double)(2 * l + 1) * cosine * here - (double)l * before) / (double)(l + 1);
+    before = here;
+    here = next;
+  }
+  return sum;
+}
+
+/* ---- light that is scattered twice near the source --------------------------------------------
+ */
+
+/* Returns arcsin(x) for 0 < x <= 1. */
+static double arcsine(double x) {
+  return cimag(fn_clog(CMPLX(sqrt((1 - x) * (1 + x)), x)));
+}
+
+/* Returns the integral over t from theta to pi of p(cos t) p(-cos(t - theta)) (4 pi)^2. The panels
+ * halve towards both ends, where p may be narrow. */
+static double second_deflections(const solver_phase *phase, const gauss_rule *rule, double theta) {
+  enum { HALVINGS = 9 };
+  const double length = FN_PI - theta;
+  double sum = 0, end = 0.5;
+  for (size_t panel = 0; panel < HALVINGS; panel++) {
+    const double begin = panel + 1 < HALVINGS ? end / 2 : 0;
+    for (size_t i = 0; i < rule->n; i++) {
+      const double x = length * (begin + (end - begin) * rule->x[i]);
+      const double weight = length * (end - begin) * rule->weight[i];
+      for (int side = 0; side < 2; side++) {
+        double sine, first, second;
+        fn_sincos(side == 0 ? theta + x : FN_PI - x, &sine, &first);
+        fn_sincos(side == 0 ? x : length - x, &sine, &second);
+        sum += weight * solver_phase_at(phase, first) * solver_phase_at(phase, -second);
+      }
+    }
+    end = begin;
+  }
+  return sum;
+}
+
+double solver_far(double single, const solver_phase *phase, double eta, double edge) {
+  enum { ANGLES = 40, DEFLECTIONS = 12 };
+  gauss_rule angles, deflections;
+  transport_gauss(&angles, ANGLES);
+  transport_gauss(&deflections, DEFLECTIONS);
+  const double most = edge < eta ? arcsine(edge / eta) : 0.5 * FN_PI;
+  double sum = 0;
+  for (size_t i = 0; i < angles.n; i++) {
+    const double v = angles.x[i];
+    double sine, mu;
+    fn_sincos(most * (1 - v * v), &sine, &mu);
+    const double mu_outside = sqrt(fmax(0, 1 - eta * eta * (1 - mu) * (1 + mu)));
+    const double t = eta == 1 ? 1 : transport_transmittance(eta, mu, mu_outside);
+    sum += 2 * v * most * angles.weight[i] * t * mu *
+           second_deflections(phase, &deflections, most * (1 - v * v));
+  }
+  return 0.25 * single * single * sum;
+}
