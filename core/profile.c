@@ -119,7 +119,12 @@ static core_fault check_parameters(const struct model *model, const core_paramet
       continue;
     }
     if ((taken & 1u << parameter_ranges[i].id) == 0) {
-      return (core_fault){parameter_ranges[i].name, "nothing: this model does not take it", 0};
+      return (core_fault){
+          parameter_ranges[i].name,
+          parameter_ranges[i].id == CORE_PARAMETER_THICKNESS
+              ? "nothing: this model is of a half space; mc and multipole models take it"
+              : "nothing: this model does not take it",
+          0};
     }
     const core_fault fault = core_parameter_check(parameter_ranges[i].id, value);
     if (fault.field != NULL) {

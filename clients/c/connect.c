@@ -12,6 +12,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
 #include <sys/time.h>
 #include <sys/un.h>
 #include <sys/wait.h>
@@ -140,7 +141,8 @@ static void find_beside(char *path, size_t bytes) {
     return;
   }
   memcpy(slash + 1, PROGRAM, sizeof PROGRAM);
-  if (access(path, X_OK) != 0) {
+  struct stat file;
+  if (stat(path, &file) != 0 || !S_ISREG(file.st_mode) || access(path, X_OK) != 0) {
     path[0] = '\0';
   }
 }

@@ -31,9 +31,9 @@ static const cli_option radii_options[] = {
 const cli_option cli_eval_options[] = {
     CLI_TITLE("Evaluation"),
     CLI_OPTION(NAMES, model, NULL,
-               "`dipole info` lists them; all: every model that accepts the query, while standard "
-               "error names those that refuse it (default: transport; with --tolerance the "
-               "cheapest that keeps it)"),
+               "`dipole info` lists them; all: every model that accepts the query, with all its "
+               "parameters, while standard error names those that refuse it (default: transport; "
+               "with --tolerance the cheapest that keeps it)"),
     CLI_MOMENTS_OPTION,
     CLI_EVALUATOR_OPTION,
     CLI_DEADLINE_OPTION,
@@ -58,15 +58,17 @@ static const cli_option output_options[] = {
 
 /* ---- holding --------------------------------------------------------------------------------- */
 
-void cli_eval_add_model(cli_eval_report *report, const dipole_choice *model, bool named) {
+cli_eval_model *cli_eval_add_model(cli_eval_report *report, const dipole_choice *model,
+                                   bool named) {
   for (size_t i = 0; i < report->model_count; i++) {
     if (report->models[i].choice == model) {
       report->models[i].named |= named;
-      return;
+      return &report->models[i];
     }
   }
   report->models = cli_resize(report->models, report->model_count + 1, sizeof *report->models);
-  report->models[report->model_count++] = (cli_eval_model){.choice = model, .named = named};
+  report->models[report->model_count] = (cli_eval_model){.choice = model, .named = named};
+  return &report->models[report->model_count++];
 }
 
 void cli_eval_make_values(cli_eval_report *report) {
@@ -146,14 +148,13 @@ static bool choose_models(const cli_settings *settings, cli_eval_report *report)
   return names->count > 0 || choose_model(CLI_MODEL_DEFAULT, report);
 }
 
-/* Like one of all models, the reference takes what it can of the parameters. */
 static bool choose_reference(cli_eval_report *report) {
   const dipole_choice *model = cli_choice(report->profile.info, DIPOLE_MODEL, CLI_MODEL_DEFAULT);
   if (model == NULL) {
     cli_fail("this daemon has no model " CLI_MODEL_DEFAULT " to compare with: leave --error out");
     return false;
   }
-  cli_eval_add_model(report, model, false);
+  cli_eval_add_model(report, model, false)->is_reference = true;
   return true;
 }
 
@@ -246,9 +247,9 @@ static bool receive(void *context, const dipole_result *part, uint64_t first) {
   return true;
 }
 
-/* Asks the model. One of all models is asked without the parameters that it does not take; a named
- * one has to take them. Where the daemon chooses the model, and no evaluator is named, single
- * precision is taken, which is cheaper, unless only double precision keeps the tolerance. */
+/* Asks the model, which has to take the parameters, unless it is there only as the reference. Where
+ * the daemon chooses the model, and no evaluator is named, single precision is taken, which is
+ * cheaper, unless only double precision keeps the tolerance. */
 static bool ask_model(asking *ask, dipole_error *error) {
   const cli_eval_report *report = ask->report;
   const dipole_info *info = report->profile.info;
@@ -275,7 +276,7 @@ static bool ask_model(asking *ask, dipole_error *error) {
     if (is_any && error->kind == DIPOLE_ERROR_REFUSED && strcmp(error->field, "tolerance") == 0 &&
         ask->settings->evaluator == NULL && model->evaluator->id != DIPOLE_F64) {
       model->evaluator = cli_choice_of_id(info, DIPOLE_EVALUATOR, DIPOLE_F64);
-    } else if (model->named || error->kind != DIPOLE_ERROR_REFUSED ||
+    } else if (!model->is_reference || model->named || error->kind != DIPOLE_ERROR_REFUSED ||
                error->status != ask->bad_value || refused == NULL ||
                strncmp(error->allowed, "nothing", strlen("nothing")) != 0 ||
                !cli_parameters_remove(&parameters, refused->id)) {
@@ -650,7 +651,8 @@ const cli_command cli_command_eval = {
         "With --tolerance and without --model, the daemon takes transport in the cheapest "
         "evaluator that keeps the tolerance for all channels and radii; the time to prepare a "
         "medium counts, so that few radii may get another one than many. With --model, "
-        "--tolerance is a bound on the numerical error." CLI_DEFAULT_TEXT,
+        "--tolerance is a bound on the numerical error; where transport is solved, the error may "
+        "exceed it, and says so." CLI_DEFAULT_TEXT,
     .formats = "table,csv,json",
     .options = {cli_medium_options, radii_options, cli_eval_options, output_options},
     .parameters = CLI_OF_MODELS,

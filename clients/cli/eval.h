@@ -20,8 +20,9 @@ typedef struct cli_eval_values {
 typedef struct cli_eval_model {
   const dipole_choice *choice; /* NULL until the daemon has chosen it */
   const dipole_choice *evaluator;
-  bool named;     /* on the command line, and not only as one of all: its refusal is a failure */
-  unsigned notes; /* ids of the daemon's notes */
+  bool named;        /* on the command line, and not only as one of all: its refusal is a failure */
+  bool is_reference; /* of the others: it is asked without the parameters that it does not take */
+  unsigned notes;    /* ids of the daemon's notes */
 } cli_eval_model;
 
 typedef struct cli_eval_report {
@@ -40,8 +41,9 @@ typedef struct cli_eval_report {
   uint64_t seed, first;      /* of drawn radii */
 } cli_eval_report;
 
-/* Adds a model, or notes that it is named if it is there already. */
-void cli_eval_add_model(cli_eval_report *report, const dipole_choice *model, bool named);
+/* Adds a model, or notes that it is named if it is there already. Returns what the report has of
+ * it, until the next call. */
+cli_eval_model *cli_eval_add_model(cli_eval_report *report, const dipole_choice *model, bool named);
 
 /* Makes room for the values of all models and channels, which have no arrays yet. */
 void cli_eval_make_values(cli_eval_report *report);

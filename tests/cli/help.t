@@ -372,7 +372,7 @@ $ dipole eval --sigma-a 0.1 --sigma-s 1 --model better,multipole
 ? 1
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --model multipole,better --thickness 9
-! dipole eval: model better: bad-value: thickness: allowed: nothing: this model does not take it (--thickness)
+! dipole eval: model better: bad-value: thickness: allowed: nothing: this model is of a half space; mc and multipole models take it (--thickness)
 ? 1
 
 $ dipole media --connect localhost
@@ -388,6 +388,9 @@ $ DIPOLED=unix:/nonexistent/d dipole media --retry-ms 0
 ! dipole media: cannot connect to the socket /nonexistent/d: No such file or directory
 ! The address is from the environment variable DIPOLED. If no daemon runs there, start one with `dipoled --listen unix:/nonexistent/d`. Or unset that variable: dipole then starts a daemon for itself.
 ? 1
+
+$ cp "$(command -v dipole)" . && mkdir dipoled && ./dipole info | head -n 1 && rmdir dipoled && rm dipole
+section         name                                value
 
 $ dipole media --connect private:/nonexistent
 ! dipole media: cannot start a private daemon: there is no program /nonexistent beside this program or in PATH. Install dipoled, or name a running daemon, as in DIPOLED=tcp:HOST:PORT

@@ -57,7 +57,7 @@ models,better,"d'Eon 2012, Table 2"
 parameters,tolerance,"1: largest relative error: numerical with a model, total without one (1e-12 to 1)"
 parameters,cos_in,"1: cosine of the angle of incidence, for S; else 1 (0 to 1)"
 parameters,cos_out,"1: cosine of the angle of exit, for S; else 1 (0 to 1)"
-parameters,thickness,"mm: thickness of a slab; models of slabs require it (1e-15 to 1e30)"
+parameters,thickness,"mm: thickness of a slab; multipole models require it, mc takes it (1e-15 to 1e30)"
 parameters,surface_albedo,"1: Burley's A; else the better dipole's albedo (0 to 1)"
 parameters,gaussians,"1: number of Gaussians to fit, an integer; else 6 (1 to 12)"
 parameters,fit_model,"id: model to fit; else better (1 to 65535)"
@@ -150,7 +150,7 @@ $ dipole table --sigma-a 0.032 --sigma-s 0.74 --g 0,1
 ? 1
 
 $ dipole table --sigma-a 0.032 --sigma-s 0.74 --thickness 1 --model better
-! dipole table: bad-value: thickness: allowed: nothing: this model does not take it (--thickness)
+! dipole table: bad-value: thickness: allowed: nothing: this model is of a half space; mc and multipole models take it (--thickness)
 ? 1
 
 $ dipole bench --seconds 0

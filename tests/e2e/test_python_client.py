@@ -369,12 +369,15 @@ def run_in_clone(folder: Path, has_build: bool, **variables: str):
     program = "import dipole\nwith dipole.Client() as client: print(client.info.address)"
     env = environment(PYTHONPATH=str(folder / "clients/python"), PATH="", **variables)
     command = [sys.executable, "-c", program]
-    return subprocess.run(command, env=env, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        command, cwd=folder, env=env, capture_output=True, text=True, check=False
+    )
 
 
 def test_daemon_of_a_clone(tmp_path):
     """The module of a clone finds the daemon of that clone, which serves no other client and writes
-    nothing."""
+    nothing. A folder of that name beside the program is no daemon."""
+    (tmp_path / "dipoled").mkdir()
     listen = f"unix:{tmp_path}/s"
     run = run_in_clone(tmp_path, True, DIPOLED_LISTEN=listen)
     assert (run.returncode, run.stdout, run.stderr) == (0, "private:\n", "")

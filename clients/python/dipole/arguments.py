@@ -17,9 +17,12 @@ T = TypeVar("T")
 
 def id_of(info: Info, kind: str, name: str | int) -> int:
     """Finds the id of a choice by its name. Returns an id unchanged: the daemon checks it."""
-    if not isinstance(name, str):
-        return name
-    return known(kind, name, info.choices[kind]).id
+    if isinstance(name, str):
+        return known(kind, name, info.choices[kind]).id
+    if not hasattr(name, "__index__"):
+        first = next(iter(info.choices[kind]))
+        raise ArgumentError(f"{kind}: a name, such as {first}, or an id; not {name!r}")
+    return name
 
 
 def known(kind: str, name: str, choices: Mapping[str, T]) -> T:
@@ -52,15 +55,16 @@ def media_array(media: Media) -> Array:
             "media: the fields of this Medium are arrays: give a list of Medium, or call values(), "
             "which broadcasts them"
         )
+    asked = "media: dipole.Medium(sigma_a, sigma_s, g, eta), or several, or an array [C, 4]"
     try:
         listed = media if isinstance(media, (tuple, np.ndarray)) else list(media)
         array: Array = np.asarray(listed, "<f8")
     except (TypeError, ValueError) as error:
-        raise ArgumentError(f"media: a Medium, or several, or an array [C, 4]: {error}") from error
+        raise ArgumentError(f"{asked}: {error}") from error
     if array.ndim == 1:
         array = array[np.newaxis]
     if array.ndim != 2 or array.shape[1] != 4:
-        raise ArgumentError("media: a Medium, or several, or an array [C, 4]")
+        raise ArgumentError(asked)
     return array
 
 

@@ -488,7 +488,7 @@ def _find_daemon() -> str:
     of the repository that holds this module."""
     beside = Path(sys.argv[0] or ".").resolve().parent / "dipoled"
     for found in (beside, shutil.which("dipoled"), built("dipoled")):
-        if found is not None and os.access(found, os.X_OK):
+        if found is not None and os.path.isfile(found) and os.access(found, os.X_OK):
             return str(found)
     raise FileNotFoundError(
         "there is no dipoled beside this program, in $PATH, or in build/ of the module's repository"

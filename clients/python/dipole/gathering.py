@@ -118,8 +118,8 @@ async def gather(
     parameters: Mapping[str, float | str] | None = None,
     deadline_ms: int = 0,
 ) -> Gathered:
-    """Sums, at each query position x, the light of all points: R(|x - x_i|) times the power of
-    point i, for each channel.
+    """gather(model, media, points, queries) sums, at each query position x, the light of all
+    points: R(|x - x_i|) times the power of point i, for each channel.
 
     media: one for each power of a point. points: Points(xyz, power). queries: [..., 3] mm.
     progress: is called with the numbers of queries that are answered and that there are. If it
