@@ -660,7 +660,7 @@ const cli_command cli_command_fit = {
         "standard errors.",
     .formats = "table,csv,json",
     .options = {options},
-    .parameters = CLI_OF_MODELS | CLI_PARAMETER_BIT(DETECTOR_NA),
+    .parameters = CLI_OF_INVERTED | CLI_PARAMETER_BIT(DETECTOR_NA),
     .check = check,
     .run = run,
     .examples =

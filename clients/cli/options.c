@@ -48,13 +48,20 @@ static bool is_name(const core_choice *parameter) {
   return strncmp(parameter->about, "id: ", strlen("id: ")) == 0;
 }
 
-/* Makes an option of a parameter: its text is without the unit 1 or id. */
+/* Makes an option of a parameter: its text is without the unit 1 or id, and without a range of
+ * ids. */
 static cli_option option_of(const core_choice *parameter) {
+  static char without_range[CORE_PARAMETERS_END][64];
   const char *about = strchr(parameter->about, ':') + 2;
-  const bool bare = parameter->about[0] == '1' || is_name(parameter);
+  if (is_name(parameter)) {
+    char *text = without_range[parameter->id];
+    snprintf(text, sizeof without_range[0], "%.*s", (int)(strrchr(about, '(') - 1 - about), about);
+    about = text;
+  }
   return (cli_option){.name = parameter->name,
                       .argument = is_name(parameter) ? "NAME" : "X",
-                      .help = bare ? about : parameter->about,
+                      .help = is_name(parameter) || parameter->about[0] == '1' ? about
+                                                                               : parameter->about,
                       .kind = CLI_PARAMETER,
                       .offset = offsetof(cli_settings, parameters[parameter->id])};
 }
@@ -285,6 +292,20 @@ static enum cli_form form_of(const char *format) {
   return form;
 }
 
+enum { FORMATS_BYTES = 96 };
+
+/* Says which formats a command has. */
+static void say_formats(const cli_command *command, char text[FORMATS_BYTES]) {
+  const char *formats = command->formats;
+  if (strchr(formats, ',') != NULL) {
+    snprintf(text, FORMATS_BYTES, "one of %s (default: %.*s)", formats, (int)strcspn(formats, ","),
+             formats);
+  } else {
+    snprintf(text, FORMATS_BYTES, "only %s%s", formats,
+             strcmp(formats, "none") == 0 ? ", as images are written" : "");
+  }
+}
+
 /* Reads the operand and the format, and checks what getopt does not. Returns an exit status. */
 static int finish(int argc, char **argv, cli_settings *settings) {
   const cli_command *command = cli_running();
@@ -295,9 +316,9 @@ static int finish(int argc, char **argv, cli_settings *settings) {
     return cli_fail_usage("'%s' is one argument too many: leave it out", argv[optind + operands]);
   }
   if (settings->format != NULL && !in_list(command->formats, settings->format)) {
-    return cli_fail_usage("--format %s: %s %s", settings->format,
-                          strchr(command->formats, ',') != NULL ? "it is one of" : "only",
-                          command->formats);
+    char formats[FORMATS_BYTES];
+    say_formats(command, formats);
+    return cli_fail_usage("--format %s: %s", settings->format, formats);
   }
   settings->form = form_of(settings->format != NULL ? settings->format : command->formats);
   return CLI_OK;
@@ -425,10 +446,8 @@ static void print_option(const cli_option *option, const char *formats) {
 }
 
 void cli_options_help(const cli_command *command) {
-  char formats[96];
-  snprintf(formats, sizeof formats, "%s %s (default: %.*s)",
-           strchr(command->formats, ',') != NULL ? "one of" : "only", command->formats,
-           (int)strcspn(command->formats, ","), command->formats);
+  char formats[FORMATS_BYTES];
+  say_formats(command, formats);
   printf("Usage: dipole %s [OPTION]...%s%s%s%s\n\n%s.\n", command->name,
          command->operand != NULL ? " " : "", command->operand != NULL ? command->operand : "",
          command->second_operand != NULL ? " " : "",

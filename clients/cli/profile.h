@@ -13,14 +13,20 @@
   (~(CLI_PARAMETER_BIT(PHASE) | CLI_PARAMETER_BIT(PHASE_SHARE) | CLI_PARAMETER_BIT(PHASE_G) |      \
      CLI_PARAMETER_BIT(DETECTOR_NA)))
 
+/* Those of the models whose media are sought: neither R nor the albedo has directions, and Gaussians
+ * are fitted to a medium that is known. */
+#define CLI_OF_INVERTED                                                                            \
+  (CLI_OF_MODELS &                                                                                 \
+   ~(CLI_PARAMETER_BIT(COS_IN) | CLI_PARAMETER_BIT(COS_OUT) | CLI_PARAMETER_BIT(GAUSSIANS) |       \
+     CLI_PARAMETER_BIT(FIT_MODEL) | CLI_PARAMETER_BIT(FIT_FROM) | CLI_PARAMETER_BIT(FIT_TO)))
+
 /* The options of the medium: the members from medium to eta. */
 extern const cli_option cli_medium_options[];
 
 #define CLI_MOMENTS_OPTION                                                                         \
   CLI_OPTION(TEXT, moments, NULL, "Fresnel moments; `dipole info` lists them (default: exact)")
 #define CLI_DEADLINE_OPTION                                                                        \
-  CLI_OPTION(COUNT32, deadline_ms, NULL,                                                           \
-             "the daemon replies within N ms or refuses; 0: no limit")
+  CLI_OPTION(COUNT32, deadline_ms, NULL, "the daemon replies within N ms or refuses; 0: no limit")
 #define CLI_EVALUATOR_OPTION                                                                       \
   CLI_OPTION(TEXT, evaluator, NULL,                                                                \
              "f64 or f32: double or single precision; lut: single, by a table (default: f64; lut " \

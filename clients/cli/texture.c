@@ -587,8 +587,9 @@ const cli_command cli_command_texture = {
     .about = "Map an image of colours to images of the media that have them",
     .more =
         "IN is a PNG or a PFM (portable float map). Each of its values is a colour: the diffuse "
-        "albedo, the share of the power that leaves of that which entered. OUT ends with .pfm; "
-        "with several coefficients their names stand before the ending, as in skin.sigma_a.pfm. "
+        "albedo, the share of the power that leaves of that which entered. OUT ends with .pfm or, "
+        "with --coefficients scattered, with .png; with several coefficients their names stand "
+        "before the ending, as in skin.sigma_a.pfm. "
         "The media have the colours under the model, to 1e-5 with transport. A colour that no "
         "medium has becomes NaN; then the exit status is 3. An EXR goes through `ffmpeg -i "
         "skin.exr skin.pfm` before, and what is written through `ffmpeg -i skin.sigma_a.pfm "
@@ -596,7 +597,7 @@ const cli_command cli_command_texture = {
         "and reads one: add `-vf vflip` if the image that went in was no EXR.",
     .formats = "none",
     .options = {options},
-    .parameters = CLI_OF_MODELS,
+    .parameters = CLI_OF_INVERTED & ~CLI_PARAMETER_BIT(THICKNESS),
     .examples =
         "  dipole texture skin.png skin.pfm --mean-free-path 1,.5,.3\n"
         "  dipole texture skin.png albedo.png --mean-free-path 1 --coefficients scattered\n",

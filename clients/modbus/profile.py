@@ -4,6 +4,8 @@ DEVICE,BAUD [MODEL] for a serial line. MODEL is an id of the list of models in R
 One request writes the medium and the distances and commits them. The values are read when the job
 is done, which takes a while with the models whose tables have to be prepared, such as 29."""
 
+import struct
+
 from unit import DEFAULTS, Unit, arguments, refuse
 
 RADII_MM = [0.1, 0.2, 0.5, 1, 1.5, 2, 3, 4, 6, 8]
@@ -23,5 +25,7 @@ unit.write(
     token, int(model), F32, EXACT, 0, 0.032, 0.74, 0, 1.3, LIST, len(RADII_MM), 0, 0, *RADII_MM,
 )  # fmt: skip
 unit.wait(token)
+taken, _, error = struct.unpack(">2H4xf", unit.read(306, 6))
 for r, R in zip(RADII_MM, unit.floats(312, len(RADII_MM))):
     print(f"{r:g} mm: {R:.9g} 1/mm^2")
+print(f"model {taken}, model error {error:.2g} against radiative transport")

@@ -36,8 +36,8 @@ show() {
   mbpoll $line -r "$2" -c "$3" -t "$1" "$where"
 }
 
-number() { # the value of one register
-  show 4 "$1" 1 | sed -n 's/^\[[0-9]*\]:[[:space:]]*\([0-9]*\).*/\1/p'
+number() { # the value of one register, or of TYPE
+  show "${2-4}" "$1" 1 | sed -n 's/^\[[0-9]*\]:[[:space:]]*\([^[:space:]]*\).*/\1/p'
 }
 
 fail() { # error_text has two characters in each register
@@ -71,3 +71,4 @@ if [ "$(number 301)" != "$token" ]; then
   exit 1
 fi
 show 4:float 312 10 # R, 1/mm^2
+echo "model $(number 306), model error $(number 310 4:float) against radiative transport"

@@ -135,12 +135,12 @@ $ dipole eval --sigma-a
 ? 2
 
 $ dipole media --format xml
-! dipole media: --format xml: it is one of table,csv,json
+! dipole media: --format xml: one of table,csv,json (default: table)
 ! `dipole media --help` tells more.
 ? 2
 
 $ dipole media --format able
-! dipole media: --format able: it is one of table,csv,json
+! dipole media: --format able: one of table,csv,json (default: table)
 ! `dipole media --help` tells more.
 ? 2
 
@@ -388,6 +388,30 @@ $ DIPOLED=unix:/nonexistent/d dipole media --retry-ms 0
 ! dipole media: cannot connect to the socket /nonexistent/d: No such file or directory
 ! The address is from the environment variable DIPOLED. If no daemon runs there, start one with `dipoled --listen unix:/nonexistent/d`. Or unset that variable: dipole then starts a daemon for itself.
 ? 1
+
+## The help of a command lists what it takes.
+$ for command in eval fit texture; do echo "$command: $(dipole $command --help | grep -oE '^  --(cos-in|thickness|gaussians|fit-model|tolerance) ' | tr -d '\n')"; done
+eval:   --tolerance   --cos-in   --thickness   --gaussians   --fit-model 
+fit:   --tolerance   --thickness 
+texture:   --tolerance 
+
+$ dipole eval --help | grep -A 1 -e '--fit-model'
+  --fit-model NAME      model to fit; else better
+  --fit-from X          mm: least radius of a fit; else 0.1 mfp (0 to 1e30)
+
+$ dipole mc --help | grep -A 1 -e '--phase NAME'
+  --phase NAME          of mc: phase function; else henyey-greenstein
+  --phase-share X       of mc with phase modified or two-term: share of the first HG (1e-6 to 1)
+
+$ for command in eval points texture; do dipole $command --help | grep -e '^  --format'; done
+  --format FORMAT       one of table,csv,json (default: table)
+  --format FORMAT       only csv
+  --format FORMAT       only none, as images are written
+
+$ dipole plot --format csv
+! dipole plot: --format csv: only none, as images are written
+! `dipole plot --help` tells more.
+? 2
 
 $ cp "$(command -v dipole)" . && mkdir dipoled && ./dipole info | head -n 1 && rmdir dipoled && rm dipole
 section         name                                value

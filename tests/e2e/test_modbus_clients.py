@@ -94,13 +94,22 @@ def check(result: subprocess.CompletedProcess[str], expected: np.ndarray, digits
         assert [f"{x:.{digits}g}" for x in found] == [f"{x:.{digits}g}" for x in expected]
 
 
+def check_model(result: subprocess.CompletedProcess[str], model: int = 2) -> None:
+    """Checks the last line of an example: the model that was taken, and its error."""
+    last = result.stdout.splitlines()[-1]
+    found = re.fullmatch(r"model (\d+), model error (\S+) against radiative transport", last)
+    assert found is not None and int(found[1]) == model and 0 < float(found[2]) < 1, last
+
+
 # ---- reading R at ten distances ------------------------------------------------------------------
 
 
 @needs("mbpoll")
 @pytest.mark.parametrize("line", ["address", "serial"])
 def test_mbpoll(request, line, expected):
-    check(run(str(EXAMPLES / "profile.sh"), request.getfixturevalue(line)), expected, 6)
+    done = run(str(EXAMPLES / "profile.sh"), request.getfixturevalue(line))
+    check(done, expected, 6)
+    check_model(done)
 
 
 @needs("mbpoll")
@@ -119,7 +128,9 @@ def test_mbpoll_begins_with_function_6(tmp_path):
 def test_pymodbus(request, line, expected):
     pytest.importorskip("pymodbus")
     script = str(EXAMPLES / "profile.py")
-    check(run(sys.executable, script, request.getfixturevalue(line)), expected, 9)
+    done = run(sys.executable, script, request.getfixturevalue(line))
+    check(done, expected, 9)
+    check_model(done)
 
 
 @pytest.fixture(scope="module")
