@@ -162,15 +162,18 @@ help: ## lists the targets
 setup: ## installs the packages of .ci/packages, nothing else
 	@sh .ci/install-packages
 
+# Two jobs at once, unless make was told how many.
+JOBS = $(if $(filter -j%,$(MAKEFLAGS)),,-j2)
+
 demo: ## measured skin, two models, a table and two pictures
 	@sh .ci/install-packages demo
-	@$(MAKE) --no-print-directory -j2 all
+	@$(MAKE) --no-print-directory $(JOBS) all
 	@sh clients/demo.sh $(BUILD)
 
 check: ## all tests that take minutes
 	@sh .ci/install-packages
 	@$(MAKE) --no-print-directory $(BUILD)/prometheus
-	@$(MAKE) --no-print-directory -j2 all check-programs
+	@$(MAKE) --no-print-directory $(JOBS) all check-programs
 	+@bash tests/run-check.sh $(BUILD)/logs structure+types bits e2e+soak,fuzz,truth,unit
 
 clean: ## removes what was built
