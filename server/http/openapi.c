@@ -65,9 +65,15 @@ static void write_description(struct http_text *text, const char *unit, const ch
   }
 }
 
+/* Returns whether what holds for a choice that a request leaves out depends on others (question.c). */
+static bool depends_on_others(const schema_field *field) {
+  return field->bits || field->or_zero || field->list == core_models ||
+         field->list == core_evaluators || field->list == core_spacings;
+}
+
 /* Writes what holds for a field of a request. */
 static void write_attributes(struct http_text *text, const schema_field *field) {
-  if (field->list != NULL && !field->bits && field->usual > 0) {
+  if (field->list != NULL && field->usual > 0 && !depends_on_others(field)) {
     http_text_string(text, "default", core_choice_by_id(field->list, (unsigned)field->usual)->name);
   } else if (field->list == NULL && field->kind != SCHEMA_u64 && !field->required) {
     http_text_number(text, "default", field->usual);

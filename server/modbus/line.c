@@ -74,6 +74,7 @@ static void send_by_hand(uv_work_t *work) {
 }
 
 static void end_probe(struct modbus_line *line);
+static void await_silence(struct modbus_line *line);
 static void note_closed(struct modbus_line *line);
 
 static void on_sent(uv_work_t *work, int status) {
@@ -83,6 +84,7 @@ static void on_sent(uv_work_t *work, int status) {
   line->sending = false;
   if (line->probing && line->receiver.count > 0) {
     end_probe(line);
+    await_silence(line);
   } else if (line->stopping || !uv_is_active((uv_handle_t *)&line->timer)) {
     worker_run_later(&line->client); /* for what has arrived, if no timer waits for a silence */
   }
@@ -213,8 +215,14 @@ static void run(struct client *client) {
 
 static void on_silence(uv_timer_t *timer);
 
+static void await_silence(struct modbus_line *line) {
+  const uint64_t wait_ms = modbus_receiver_is_whole(&line->receiver)
+                               ? to_ms_up(line->receiver.silence_ns)
+                               : line->units->server->options.modbus_gap_ms;
+  uv_timer_start(&line->timer, on_silence, wait_ms, 0);
+}
+
 static void arrived(struct modbus_line *line, size_t bytes) {
-  const struct options *options = &line->units->server->options;
   stats_add(stats_of(line), STATS_RECEIVED_BYTES, bytes);
   modbus_receiver_arrived(&line->receiver, bytes, uv_hrtime());
   line->retry_ms = RETRY_FIRST_MS;
@@ -224,10 +232,7 @@ static void arrived(struct modbus_line *line, size_t bytes) {
   if (line->probing) {
     end_probe(line);
   }
-  const uint64_t wait_ms = modbus_receiver_is_whole(&line->receiver)
-                               ? to_ms_up(line->receiver.silence_ns)
-                               : options->modbus_gap_ms;
-  uv_timer_start(&line->timer, on_silence, wait_ms, 0);
+  await_silence(line);
 }
 
 static void read_more(struct modbus_line *line) {

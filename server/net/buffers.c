@@ -313,33 +313,49 @@ static void release_first(struct output *output) {
   }
 }
 
+static struct output_chunk *remove_spare(struct output *output) {
+  struct output_chunk *chunk = output->spares;
+  output->spares = chunk->next;
+  output->spare_count--;
+  output->spare_least =
+      output->spare_count < output->spare_least ? output->spare_count : output->spare_least;
+  return chunk;
+}
+
+static void free_spares(struct output *output, unsigned count) {
+  for (; count > 0; count--) {
+    free_chunk(output, remove_spare(output));
+  }
+}
+
+void output_trim(struct output *output) {
+  free_spares(output, output->spare_least);
+  output->spare_least = output->spare_count;
+}
+
 void output_free(struct output *output) {
   while (output->first != NULL) {
     release_first(output);
   }
-  while (output->spares != NULL) {
-    struct output_chunk *chunk = output->spares;
-    output->spares = chunk->next;
-    free_chunk(output, chunk);
-  }
-  output->spare_count = 0;
+  free_spares(output, output->spare_count);
 }
 
 static struct output_chunk *new_chunk(struct output *output, size_t bytes) {
   const size_t capacity = bytes > CHUNK_BYTES ? bytes : CHUNK_BYTES;
-  struct output_chunk *chunk = output->spares;
-  if (capacity == CHUNK_BYTES && chunk != NULL) {
-    output->spares = chunk->next;
-    output->spare_count--;
-    *chunk = (struct output_chunk){.capacity = capacity};
-    return chunk;
+  if (capacity == CHUNK_BYTES && output->spare_count > 0) {
+    struct output_chunk *spare = remove_spare(output);
+    *spare = (struct output_chunk){.capacity = capacity};
+    return spare;
   }
   if (output->first == NULL && capacity == CHUNK_BYTES) {
     budget_take_base(output->budget, capacity);
   } else if (!budget_take(output->budget, capacity)) {
-    return NULL;
+    free_spares(output, output->spare_count); /* which may use up the budget */
+    if (!budget_take(output->budget, capacity)) {
+      return NULL;
+    }
   }
-  chunk = malloc(sizeof *chunk + capacity);
+  struct output_chunk *chunk = malloc(sizeof *chunk + capacity);
   if (chunk == NULL) {
     budget_return(output->budget, capacity);
     return NULL;

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import select
 import socket
+import threading
 
 import dipole
 import pytest
@@ -332,3 +333,26 @@ def test_a_client_that_does_not_close_after_its_error(daemon):
         assert eventually(lambda: statistics(watcher)["connections_open"] == 1)
         rude.socket.setblocking(False)
         assert rude.socket.recv(1, socket.MSG_PEEK) == b""
+
+
+def test_a_burst_leaves_no_memory_with_a_client_that_goes_on(daemon):
+    """A client that is never silent for long keeps what its last answers needed, not what a burst did."""
+    one = daemon("--workers", "1")
+    payload = eval_payload(radii=[1.0] * 100)
+    burst = frame(EVAL, 1, payload) * 1500
+    with one.connect() as other, socket.socket(socket.AF_UNIX) as busy:
+        left = 1500 * (wire.HEADER.bytes + len(ask(other, EVAL, payload).payload))
+        busy.connect(one.url().removeprefix("unix:"))
+        sender = threading.Thread(target=busy.sendall, args=(burst,))
+        sender.start()
+        assert eventually(lambda: statistics(other)["buffer_bytes"] > 600_000)
+        while left > 0:
+            left -= len(busy.recv(left))
+        sender.join()
+
+        def is_trimmed() -> bool:
+            busy.sendall(frame(PING, 2, b""))
+            busy.recv(wire.HEADER.bytes, socket.MSG_WAITALL)
+            return statistics(other)["buffer_bytes"] < 300_000
+
+        assert eventually(is_trimmed, interval_s=0.3)

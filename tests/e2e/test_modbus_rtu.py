@@ -589,3 +589,20 @@ def test_a_line_without_rts(daemon, line):
     the daemon."""
     one = daemon("--modbus", f"rtu:{line.device},19200,E,7,rts=high")
     assert one.has_line("event=modbus-device-missing", 5)
+
+
+@pytest.mark.parametrize("more", ["one byte of the echo", "another request"])
+def test_bytes_arrive_while_rts_is_on(daemon, line, driver, more):
+    """The first byte of an answer that could be an echo is sent alone. What arrives meanwhile ends
+    that, once."""
+    one = daemon("--modbus", f"rtu:{line.device},1200,E,7,rts=high,rts-delay-ms=50",
+                 env=driver.environment)  # fmt: skip
+    master = Rtu(line.fd)
+    master.send(master.frame(7, b"\x06\x00\x05\x00\x4d"))
+    assert eventually(lambda: len(driver.read()) >= 3)
+    byte = os.read(line.fd, 1)
+    master.send(byte if more == "one byte of the echo" else master.frame(7, b"\x06\x00\x05\x00\x4e"))
+    assert eventually(lambda: len(driver.read()) >= 6)  # RTS is off, on for the rest, and off again
+    os.set_blocking(line.fd, False)
+    time.sleep(1)  # longer than any probe
+    assert one.process.poll() is None
