@@ -219,7 +219,8 @@ double core_banded_error(const double errors[CORE_MODEL_ERROR_BANDS + 1], double
  * reach. */
 double core_error_beyond(core_reach reach, double most_mm);
 
-#define CORE_OUT_OF_MEMORY ((core_fault){CORE_FIELD_MEMORY, "less than what is left: try again", 0})
+#define CORE_OUT_OF_MEMORY                                                                         \
+  ((core_fault){CORE_FIELD_MEMORY, "less than the memory that is free: try again", 0})
 
 /* Returns the value of a parameter, or `otherwise` if the parameter is not given. */
 static inline double core_parameter_or(const core_inputs *inputs, enum core_parameter parameter,

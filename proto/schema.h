@@ -103,9 +103,9 @@ typedef struct schema_part {
   schema_number evaluator;           /* of SCHEMA_REAL */
   schema_number count[SCHEMA_FACTORS], arrays[SCHEMA_FACTORS];
   unsigned times, more; /* times 0: 1 */
-  schema_number when;   /* of a part that is not always there: when.name is not NULL */
+  schema_number when;   /* the part exists only if this number is equal to `is`; no name: always */
   uint64_t is;
-  bool unless, never, exact, rest;
+  bool unless, never, exact, rest; /* unless: only if it is not equal to `is` */
   enum schema_form form;
   const char *about; /* NULL: JSON has no list of this name */
   const char *unit;  /* NULL: none */
@@ -155,9 +155,9 @@ bool schema_lay_out(const schema_payload *payload, const void *start, uint64_t b
 /* Returns the bytes of a payload that begins with these structures; UINT64_MAX: more than can be. */
 uint64_t schema_bytes(const schema_payload *payload, const void *start);
 
-/* Returns how many elements a reply in parts may have, whose structure wire_part begins, so that it
- * takes at most bytes_max: a multiple of `unit`, possibly 0. Returns UINT64_MAX if they take no
- * bytes. */
+/* Returns how many elements a part of a reply may have so that its payload takes at most bytes_max:
+ * a multiple of `unit`, possibly 0. The reply's structure starts with wire_part. Returns UINT64_MAX
+ * if elements take no bytes. */
 uint64_t schema_part_values(const schema_payload *payload, const void *start, unsigned unit,
                             uint64_t bytes_max);
 

@@ -249,7 +249,7 @@ static void take_media(struct slice *slice, const varying_part *part,
   }
 }
 
-/* Makes a value that is not answered NaN in every array. */
+/* Sets a value that has no answer to NaN in every array. */
 static void clear(const varying_part *part, uint64_t value, bool single) {
   for (uint32_t array = 1; array != 0 && array <= part->layout.arrays; array <<= 1) {
     void *at = place(part, array, value, single ? sizeof(float) : sizeof(double));
@@ -261,8 +261,9 @@ static void clear(const varying_part *part, uint64_t value, bool single) {
   }
 }
 
-/* Adds the statuses of the colours to those of the media. A colour without a medium has a NaN for
- * its medium, whose status is then no news. */
+/* Overwrites the statuses of media with those of their colours that are not *ok*: a colour without
+ * a medium has NaN coefficients, so the medium's status tells nothing. Sets values without an
+ * answer to NaN. */
 static void put_statuses(const varying_part *part, const varying_request *request, uint64_t begin,
                          const struct slice *slice, const struct scratch *scratch,
                          size_t answered) {

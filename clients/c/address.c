@@ -151,7 +151,7 @@ bool libdipole_addresses_is_private(const libdipole_addresses *addresses) {
   return strncmp(addresses->texts[0], "private:", strlen("private:")) == 0;
 }
 
-/* Copies a text; NULL is the variable's value, and an empty one is none. */
+/* Copies a text, or the variable's value if it is NULL. An empty text counts as not given. */
 static bool copy_text(const char *text, const char *variable, const char **copy) {
   text = text != NULL ? text : getenv(variable);
   if (text == NULL || text[0] == '\0') {

@@ -652,9 +652,9 @@ typedef struct dipole_fits {
 } dipole_fits;
 
 /* Finds the media whose readings are most likely, and waits for the answer. The daemon prepares
- * what all sets have in common once, and keeps it. Beyond two mean free paths readings hardly see g:
- * ask again with g - 0.05 and g + 0.05 to see how much the coefficients change. The caller frees
- * *fits with dipole_fits_free(). */
+ * what all sets have in common once, and keeps it. Beyond two mean free paths readings hardly
+ * depend on g: ask again with g - 0.05 and g + 0.05 to see how much the coefficients change. The
+ * caller frees *fits with dipole_fits_free(). */
 bool dipole_fit(dipole_client *client, const dipole_fit_query *query, dipole_fits **fits,
                 dipole_error *error);
 
@@ -748,9 +748,9 @@ void dipole_table_free(dipole_table *table); /* table may be NULL */
 bool dipole_grid_radii(enum dipole_spacing spacing, double start_mm, double stop_mm, uint64_t count,
                        float *r, dipole_error *error);
 
-/* Returns the lists that are built into the library, and the instruction set with which it
- * evaluates tables. No daemon is needed; address is "". The caller frees *info, which is one block,
- * with free(). */
+/* Returns the models, quantities and other choices that are built into the library, and the
+ * instruction set with which it evaluates tables. This needs no daemon; address is "". The caller
+ * frees *info, which is one block, with free(). */
 bool dipole_local_info(dipole_info **info, dipole_error *error);
 
 /* ---- media that vary ----------------------------------------------------------------------- */

@@ -383,7 +383,8 @@ static const char *unit_of_places(const cli_eval_report *report) {
   return report->place[0] == 'r' ? "mm" : report->place[0] == 'f' ? "1/mm" : "1";
 }
 
-/* Returns the radius of a value, for its error: a place or, of drawn radii, the radius itself. */
+/* Returns the radius at which the error of value `at` is stated: its place, or the radius that was
+ * drawn for it (NaN if radii are not wanted). */
 static double radius_at(const cli_eval_report *report, const cli_eval_values *values, size_t at) {
   size_t q = 0;
   if (report->draw == NULL) {
@@ -395,7 +396,8 @@ static double radius_at(const cli_eval_report *report, const cli_eval_values *va
   return q < report->quantities.count ? values->arrays[q][at] : (double)NAN;
 }
 
-/* Finds what rows say of all places. */
+/* Finds the least and the greatest finite place, and whether the rows state a model error at r = 0
+ * for a quantity that diverges there. */
 static void survey(cli_eval_report *report) {
   const unsigned diverging = DIPOLE_R | DIPOLE_S | DIPOLE_SLOPE | DIPOLE_LN_R;
   bool compared = false, any = false;

@@ -332,8 +332,9 @@ static void take_change(g_change *change, unsigned side, const dipole_fitted *on
   change->sides |= side;
 }
 
-/* Fits the samples of a query, which `notes` came with, with g by G_CHANGE less or more. A g that
- * the model does not take, or not as it takes the query's, is left out. */
+/* Fits the samples of a query again with g lower or higher by G_CHANGE, and takes the change of the
+ * coefficients. Leaves this side out if the daemon refuses its g, or if transport has the note
+ * *similarity* for it and not for the query's g. notes: those of the fit with the query's g. */
 static bool ask_side(dipole_client *client, report *of, const batch *some, dipole_fit_query query,
                      unsigned notes, unsigned side, dipole_error *error) {
   const dipole_choice *similarity = cli_choice(of->profile.info, DIPOLE_NOTE, "similarity");
@@ -643,7 +644,7 @@ const cli_command cli_command_fit = {
         "is detected on), and detector_na (see --detector-na). Each sample has at least as many "
         "readings as unknowns: 2, or 3 with --scale free. Without a column eta, --eta has to be "
         "given. The output has the g and eta that were taken, and g_from, where g comes from: "
-        "file, option or default. Beyond two mean free paths readings hardly see g: they are "
+        "file, option or default. Beyond two mean free paths readings hardly depend on g: they are "
         "fitted with a wrong one, too. sigma_a_by_g and sigma_s_prime_by_g say how much sigma_a "
         "and sigma_s' change at most for g +- .05 (about twice that for +- .1), and g_sides which "
         "of these two g the model takes: both, below, above or none. They have no value where one "

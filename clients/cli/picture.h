@@ -22,7 +22,7 @@ typedef struct cli_picture {
   char title[160], y_label[160];
   const char *x_label, *lower_label; /* NULL: there is no lower panel */
   bool logarithmic_x, logarithmic_y;
-  double lower_most; /* the lower panel ends at so much above and below 0; 0: at its values */
+  double lower_most; /* the lower panel shows -lower_most to lower_most; 0: all its values */
   size_t count;
   cli_curve *curves; /* allocated: first the lines, then the points */
 } cli_picture;

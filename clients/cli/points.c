@@ -29,9 +29,10 @@ static const cli_option options[] = {
     CLI_OPTION(NUMBERS, f, NULL,
                "in place of radii: these spatial frequencies, 1/mm, for R_f, whose column is f in "
                "place of r"),
-    CLI_OPTION(NAMES, wanted, NULL,
-               "the quantities to write; `dipole info` lists all (default: R,albedo,cdf; with "
-               "--tolerance in place of --model R,albedo, which keep more tolerances)"),
+    CLI_OPTION(
+        NAMES, wanted, NULL,
+        "the quantities to write; `dipole info` lists all (default: R,albedo,cdf; if --tolerance "
+        "replaces --model: R,albedo, for which more tolerances can be kept)"),
     CLI_OPTION(SWITCH, errors, NULL,
                "write numerical_error and model_error, too: how far the values may be from the "
                "model's formula, and the model from radiative transport (empty: not solved). Rows "
@@ -501,9 +502,9 @@ static double *make_good(const points_run *points, points_row *row) {
   return row->values;
 }
 
-/* Sends the row's query; the row then waits for the answer. A row of transport takes f32 in place
- * of its own table, which would cost 6 ms: its values are those of stored solutions as well,
- * whatever tolerance a table would have had. */
+/* Sends the row's query; the row then waits for the answer. For a row of transport, f32 replaces
+ * lut if --evaluator is not given: a table for one row would cost 6 ms. f32 evaluates stored
+ * solutions, too, so the tolerance, which would be the table's, is left out. */
 static bool submit_row(const points_run *points, points_row *row, dipole_error *error) {
   const float r_f32_mm = (float)row->r_mm;
   const void *f64 = has_radii(points) ? points->radii->items : &row->r_mm;

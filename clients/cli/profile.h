@@ -110,12 +110,13 @@ typedef struct cli_profile {
   dipole_medium *media;             /* [channel_count] */
 } cli_profile;
 
-/* Looks up the names in the settings, but for a list of models, and reads the parameters. Says what
- * is wrong and returns false if the daemon does not know one of them. */
+/* Looks up the names in the settings, except those of a list of models, and reads the parameters.
+ * Says what is wrong and returns false if the daemon does not know one of them. */
 bool cli_profile_take_names(const cli_settings *settings, dipole_client *client,
                             cli_profile *profile);
 
-/* Does so, and reads the media. Says what is wrong and returns an exit status. */
+/* Looks up the names and reads the parameters and the media. Says what is wrong and returns an exit
+ * status. */
 int cli_profile_take(const cli_settings *settings, dipole_client *client, cli_profile *profile);
 
 /* Sets the number of channels and allocates their arrays. */

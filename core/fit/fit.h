@@ -40,8 +40,9 @@
 
 /* A fit is `implausible` if noise with the stated errors would make chi-squared as large with less
  * than this probability, under the chi-squared distribution of readings less unknowns, or of one if
- * there are as many. So it is, even if the search does not settle or ends at a bound, if the readings
- * rise with the distance by so much that the chi-squared of any values that do not is as large. */
+ * there are as many. A fit is also `implausible`, even if the search does not settle or ends at a
+ * bound, if the readings rise with the distance so much that any values that do not rise would have
+ * a chi-squared as large. */
 #define CORE_FIT_PROBABILITY_LEAST 1e-6
 
 /* Models that take more than some microseconds for a medium are fitted by a table, which is up to some
@@ -82,9 +83,10 @@ typedef struct core_fit_design {
 /* A design, prepared. It is immutable. */
 typedef struct core_fit core_fit;
 
-/* Returns the fault that core_fit_create() would return, but for memory. Fields: those of
- * core_profile_check(); `axis`, `scale`, `count`; `detector_na`; `at`, `source`, `detector` with the
- * index of the reading; and `reference` if the model gives no light for it at the reading of that index. */
+/* Returns the fault that core_fit_create() would return, except `memory`. Fields: those of
+ * core_profile_check(); `axis`, `scale`, `count`; `detector_na`; `at`, `source`, `detector` with
+ * the index of the reading; and `reference` if the model gives no light for it at the reading of
+ * that index. */
 core_fault core_fit_check(const core_fit_design *design);
 
 /* Prepares a design; the arrays are copied. For most models this makes a table of ratios and
@@ -149,11 +151,11 @@ typedef struct core_fit_result {
    * INFINITY if a direction changes nothing. */
   double condition;
   /* The relative error of R of the best medium against radiative transport, at the distances of the
-   * readings and between them: that of the model (core/model_error.h), and with an aperture that of the
-   * shares. With scale REFERENCE it is that of the ratio. It is not part of the covariance. NAN: it was
-   * not measured, as for frequencies unless the model is exact. The numerical error of R
-   * (core_profile_errors()) is in neither: for TRANSPORT with g other than 0 it may be 1e-3,
-   * and more with sigma_a above sigma_s'. */
+   * readings and between them. For TRANSPORT without gamma it is 0, or with detector_na the error
+   * of the share that is detected. For all other models it is NAN: not known. With scale REFERENCE
+   * it is the error of the ratio. The covariance does not include it. Neither of them includes the
+   * numerical error of R (core_profile_errors()): for TRANSPORT with g other than 0 that may be
+   * 1e-3, and more with sigma_a above sigma_s'. */
   double model_error;
   /* Another local minimum whose chi-squared is less than CORE_FIT_AMBIGUOUS above that of the best;
    * all NAN if none was found. */

@@ -17,9 +17,9 @@ struct choosing {
 };
 static const struct choosing usual = {0.3, false, 4, 3};
 
-/* A second solution is looked for with more care if the readings are at most FIT_SPARSE more
- * than the unknowns, or if the best one is not a good fit or stands on a bound: where a model hardly
- * depends on sigma_a, a valley that ends at the bound is so flat that rounding of the model's table may
+/* The search for a second solution tries more starts if the readings exceed the unknowns by at most
+ * FIT_SPARSE, or if the best one is not a good fit or is at a bound: where a model hardly depends
+ * on sigma_a, a valley that ends at the bound is so flat that rounding of the model's table may
  * leave a minimum there. */
 static const struct choosing careful = {0.1, true, FIT_STARTS_MAX, 1e300};
 #define CAREFUL_REDUCED 3.0
@@ -441,7 +441,7 @@ static void end_inverse(core_fit_search *s) {
   }
 }
 
-/* Whether a second solution has to be looked for with more care. */
+/* Whether the search for a second solution has to try more starts. */
 static bool wants_care(const core_fit_search *s) {
   const size_t spare = fit_spare(s->fit);
   return spare <= FIT_SPARSE || !s->best.found || !s->best.settled ||

@@ -87,7 +87,8 @@ enum fit_stage {
 
 enum { FIT_STARTS_MAX = 16 };
 
-/* With at most this many readings more than unknowns, a second solution is looked for with care. */
+/* If the readings exceed the unknowns by at most this many, the search for a second solution tries
+ * more starts. */
 enum { FIT_SPARSE = 3 };
 
 struct core_fit_search {

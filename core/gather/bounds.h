@@ -19,7 +19,7 @@ enum { GATHER_BANDS = 16 * 26, GATHER_SPREADS = 12, GATHER_SPREADS_PER_ONE = 16 
 enum { GATHER_EDGES = GATHER_BANDS + 1 + 8 };
 
 /* About a distance r, R is a cubic polynomial of the squared distance s, plus g (s - r^2)^4, at all
- * distances that differ from r by up to so much. */
+ * distances that differ from r by up to the spread. */
 typedef struct gather_near {
   double range[GATHER_EDGES]; /* the largest g r^4 less the smallest, 1/mm^6 */
   double same[GATHER_EDGES];  /* the smallest |g| r^4, or 0 if the sign of g varies */
@@ -27,7 +27,7 @@ typedef struct gather_near {
 } gather_near;
 
 typedef struct gather_bounds {
-  int64_t first;   /* the first bits of the first edge */
+  int64_t first;   /* the top 16 bits of the first edge, a double */
   double least_mm; /* the first edge, and the last one */
   double most_mm;
   double zero;                      /* the largest R at any distance */

@@ -183,7 +183,7 @@ static inline double by_scale(const double *c, struct profile p) {
   return 1 + p.slope - c[KAPPA] * p.x;
 }
 
-/* Returns d ln R / d ln rho. */
+/* Returns d ln R / d ln rho, with rho = sigma_a / sigma_s'. */
 static inline double by_ratio(const double *c, struct profile p) {
   const double *series = &c[(size_t)c[BY_RATIO] + (size_t)p.panel * TERMS];
   const double last = c[LAST_X], beyond = real_max(p.x, last);

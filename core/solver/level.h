@@ -36,7 +36,7 @@ struct level {
   double moment_least; /* the series of the phase function ends at a moment as small as this */
   size_t moments_most;
   double floor[2];         /* least relative error that is stated: next to the source, far away */
-  double share;            /* of kappa, where the path of wavenumbers begins */
+  double share;            /* Im k / kappa where the path of wavenumbers starts */
   size_t nodes;            /* on each panel */
   struct tier tier[TIERS]; /* the last one's k_most is K */
 };

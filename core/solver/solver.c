@@ -417,7 +417,7 @@ transport_number solver_at(const solver_solution *solution, size_t eta, double r
   if (solution->grids == 1) {
     return (transport_number){fmax(value, 0), (double)NAN};
   }
-  if (!(value > 0)) { /* R is not known but for its size */
+  if (!(value > 0)) { /* the grids find no positive R */
     return (transport_number){0, isnan(value) ? (double)INFINITY : fabs(value)};
   }
   const double place = fn_log(fmax(r, RADIUS_LEAST) / RADIUS_LEAST) / fn_log(RADIUS_RATIO) + 0.5;

@@ -26,7 +26,7 @@ ETA = 1.4
 
 
 def rows(client: dipole.Client) -> list[tuple[float, str, str, float, float, float]]:
-    """Fits each model to the readings of each ratio; sigma_s' is 1 per mm."""
+    """Fits each model to the readings of each ratio sigma_a / sigma_s'; sigma_s' is 1 per mm."""
     found = []
     for ratio in RATIOS:
         at = AT_MFP / (1 + ratio)
@@ -41,7 +41,7 @@ def rows(client: dipole.Client) -> list[tuple[float, str, str, float, float, flo
 
 
 def draw(path: Path, found: list[tuple[float, str, str, float, float, float]]) -> None:
-    """Two panels: sigma_a and sigma_s' over the true ones."""
+    """Draws two panels: the fitted sigma_a and sigma_s' over the true ones."""
     figure, panels = plt.subplots(2, sharex=True, figsize=(9, 7), layout="constrained")
     figure.suptitle("Fitted over true, from readings of transport")
     for axes, column, name in zip(panels, (3, 4), ("sigma_a", "sigma_s (1 - g)")):

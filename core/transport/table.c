@@ -398,7 +398,7 @@ static void polynomials_of_w(const double *field, double g, double *values) {
                              values);
 }
 
-/* Ends a difference whose terms have been read. */
+/* Finishes a difference whose terms have been read: makes its panels meet and sets last_slope. */
 static void end_difference(transport_difference *difference) {
   for (size_t i = 0; i < PANELS; i++) {
     difference->terms[i] = difference->terms[i] < 2 ? 2 : difference->terms[i];

@@ -77,7 +77,7 @@
 /* smallest R that the field ERROR holds for, per squared mean free path */
 #define TRANSPORT_TABLE_R_LEAST 1e-12
 #define TRANSPORT_TABLE_MARGIN 1.5
-/* the same for regions of g other than 0, each of which has few media */
+/* the margin for regions of g other than 0, each of which has few media */
 #define TRANSPORT_TABLE_MARGIN_D 2.0
 
 #define TRANSPORT_TABLE_D_FADES 1.0
@@ -121,7 +121,7 @@ enum transport_table_field {
   TRANSPORT_TABLE_TOTALS_QUANTUM = TRANSPORT_TABLE_D_EDGES + TRANSPORT_TABLE_D_NEAR + 1,
   /* largest relative error of the total for g other than 0 */
   TRANSPORT_TABLE_TOTALS_ERROR,
-  /* the same for diffuse light, in each band of the albedo */
+  /* largest relative error of the total of diffuse light, in each band of the albedo */
   TRANSPORT_TABLE_DIFFUSE_ERRORS,
   /* first of TRANSPORT_TABLE_REGIONS largest relative errors of R for g other than 0 */
   TRANSPORT_TABLE_D_ERRORS = TRANSPORT_TABLE_DIFFUSE_ERRORS + TRANSPORT_TABLE_BANDS_ALBEDO,

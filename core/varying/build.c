@@ -347,7 +347,7 @@ static void Q_of_words(const float *words, const rows_row *row, size_t n, const 
 struct grid {
   size_t count[CORE_SURFACE_AXES];
   double *nodes[CORE_SURFACE_AXES];
-  double *ln_x; /* logarithms of those of radii */
+  double *ln_x; /* logarithms of nodes[CORE_SURFACE_RADIUS] */
   double *values[CORE_SURFACE_TOTAL + 1];
   double *owned;
 };

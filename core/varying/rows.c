@@ -149,7 +149,7 @@ static double solved_kappa(const rows *all, double albedo) {
   return all->g != 0 ? transport_anisotropic_kappa(albedo, all->g) : transport_kappa(albedo);
 }
 
-/* Sets the series of kappa / s between the albedos that the table covers. */
+/* Sets the series of kappa / s, with s = sqrt(1 - albedo), for all albedos of the table. */
 static void set_kappa(rows *all) {
   enum { N = KAPPA_TERMS };
   all->u[0] = transport_table_u(1);
@@ -196,7 +196,8 @@ static void set_source(const rows *all, double albedo, rows_source *source) {
   source->fading = fades ? -2 - slope : 0;
 }
 
-/* Sets Q[i] to Q of a source at y[i], in ascending order. */
+/* Sets Q[i] to the Q of a source (core/transport/table.h) at ln x = y[i]. The y are in ascending
+ * order. */
 static void source_Q(const rows_source *source, size_t n, const double *y, double *Q) {
   const double last = source->series.edge[TRANSPORT_TABLE_PANELS];
   transport_series_Q(&source->series, n, y, Q);
@@ -279,7 +280,7 @@ static void sum_energy(const rows *all, rows_row *row) {
   row->lift = all->g != 0 ? fn_log(row->total / energy) : 0;
 }
 
-/* Sets the weights of the parabola through three bases, as a function of s or w. */
+/* Sets the weights of the parabola through three bases where s (by_s), or else w, is `place`. */
 static void set_weights(const rows *all, bool by_s, double place, double weight[BASES]) {
   const double *at = all->base_at[by_s ? 0 : 1];
   for (int i = 0; i < BASES; i++) {

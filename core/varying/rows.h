@@ -38,8 +38,8 @@ typedef struct rows_row {
   const rows_source *base[ROWS_BASES]; /* Q is the sum of these with weights: the row's own */
   double weight[ROWS_BASES];           /* source, or those that it is extrapolated from */
   double lift;                         /* of Q, so that R integrates to the total */
-  /* For each panel the energy within, from its begin on, per total, as a Chebyshev series; the energy
-   * below its begin; and that from its begin on. */
+  /* For each panel, as shares of the total: the energy from its start to x, as a Chebyshev series;
+   * the energy below its start; and the energy above its start. */
   double within[ROWS_PANELS_MAX][ROWS_TERMS];
   double before[ROWS_PANELS_MAX + 1];
   double beyond[ROWS_PANELS_MAX + 1];

@@ -309,7 +309,8 @@ static enum MHD_Result send_answer(struct http_connection *c) {
   const bool refused = c->error.status != WIRE_STATUS_OK;
   if (!refused) {
     write_reply(c);
-    c->error = wire_error_busy("max_total_bytes", "less at a time", 1000); /* if that failed */
+    c->error = wire_error_busy("max_total_bytes", "less data at a time: the buffers are full",
+                               1000); /* if that failed */
   }
   free_payloads(c);
   return refused || c->answer.failed ? send_error(c, &c->error, 0) : send_text(c, MHD_HTTP_OK, 0);
@@ -339,7 +340,7 @@ static uint8_t *reserve_reply(void *owner, const struct job *job, wire_error *er
   }
   char *room = http_text_room(&c->reply, (size_t)job->part_bytes);
   c->reply.count = room != NULL ? (size_t)job->part_bytes : 0;
-  *error = wire_error_busy("max_total_bytes", "less at a time", 1000);
+  *error = wire_error_busy("max_total_bytes", "less data at a time: the buffers are full", 1000);
   return (uint8_t *)room;
 }
 
@@ -451,7 +452,7 @@ static wire_error translate(struct http_connection *c, uint32_t *deadline_ms) {
   static char none[1];
   struct http_values values;
   if (c->query.failed) {
-    return wire_error_busy("max_total_bytes", "less at a time", 1000);
+    return wire_error_busy("max_total_bytes", "less data at a time: the buffers are full", 1000);
   }
   wire_error error =
       c->has_body
@@ -613,7 +614,8 @@ static enum MHD_Result take_body(struct http_connection *c, const char *body, si
     http_text_free(&c->body);
   }
   if (c->body.failed) {
-    c->refusal = wire_error_busy("max_total_bytes", "less at a time", 1000);
+    c->refusal =
+        wire_error_busy("max_total_bytes", "less data at a time: the buffers are full", 1000);
     c->refused = wire_status_http(c->refusal.status);
   }
   *body_bytes = 0;

@@ -103,7 +103,8 @@ static uint8_t *add(struct question *q, size_t bytes) {
   }
   char *at = http_text_room(q->payload, bytes);
   if (at == NULL) {
-    fail(q, wire_error_busy("max_total_bytes", "less at a time: max_total_bytes are in use", 1000));
+    fail(q, wire_error_busy("max_total_bytes", "less data at a time: max_total_bytes are in use",
+                            1000));
     return NULL;
   }
   memset(at, 0, bytes);

@@ -68,7 +68,7 @@ wire_error http_values_parse(struct http_values *values, const char *bytes, size
   }
   if (lacks_memory) {
     json_decref(object);
-    return wire_error_busy("max_total_bytes", "less at a time: there is no memory", 1000);
+    return wire_error_busy("max_total_bytes", "less data at a time: there is no memory", 1000);
   }
   if (object != NULL) {
     json_decref(object);

@@ -46,7 +46,7 @@ wire_error choice_check(const eval_request *request) {
   }
   if (!isnan(request->parameters.value[CORE_PARAMETER_GAMMA])) {
     return wire_error_make(WIRE_STATUS_BAD_VALUE, "gamma",
-                           "nothing without a model: its error is not known");
+                           "nothing without a model: the error with gamma is not known");
   }
   const core_fault fault = core_parameter_check(CORE_PARAMETER_TOLERANCE, tolerance);
   return fault.field == NULL ? check_media(media_of(request), request->fixed.medium_count)
@@ -99,7 +99,7 @@ static size_t worst_medium(const core_choose_request *asked) {
   return worst;
 }
 
-/* Whether an error below 1 is known for a medium that is usual but for one coefficient. */
+/* Whether an error below 1 is known for a usual medium in which one coefficient has this value. */
 static bool is_known(const core_choose_request *asked, unsigned which, double value) {
   core_medium medium = {1, 1, 0, 1.3};
   core_choose_request one = *asked;

@@ -15,7 +15,7 @@ struct eval_job {
   const uint8_t *payload;              /* of the request, if it repeats another one */
 
   eval_request request; /* if the job is a sample: its radii are the numbers u */
-  size_t value_bytes;   /* of a radius and a value; a choice of the evaluator keeps it */
+  size_t value_bytes;   /* of a radius, and of a value; choosing an evaluator does not change it */
   core_grid grid;
   struct choice_state choice; /* for a request that names a tolerance in place of a model */
   bool covers_all;            /* whether the model covers all radii */

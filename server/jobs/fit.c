@@ -131,7 +131,8 @@ static enum job_outcome end_part(struct fit_job *fit) {
 /* ---- fitting --------------------------------------------------------------------------------- */
 
 static wire_error out_of_memory(void) {
-  return job_fault((core_fault){CORE_FIELD_MEMORY, "less than what is left: try again", 0}, 0);
+  return job_fault(
+      (core_fault){CORE_FIELD_MEMORY, "less than the memory that is free: try again", 0}, 0);
 }
 
 static enum job_outcome get_design(struct fit_job *fit) {

@@ -35,7 +35,7 @@ static void on_closed(uv_handle_t *handle) {
 }
 
 static wire_error no_memory(void) {
-  return wire_error_busy(CORE_FIELD_MEMORY, "less than what is left: try again",
+  return wire_error_busy(CORE_FIELD_MEMORY, "less than the memory that is free: try again",
                          JOB_RETRY_AFTER_MS);
 }
 

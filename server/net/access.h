@@ -19,7 +19,7 @@ struct access {
   size_t count;
 };
 
-/* What an option means that is not given. */
+/* The networks that replace an option that is not given. */
 extern const struct options_list access_this_machine; /* 127.0.0.0/8 and ::1/128 */
 extern const struct options_list access_anyone;       /* all of IPv4 and IPv6 */
 

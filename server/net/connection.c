@@ -158,7 +158,7 @@ static size_t find_room(void *owner, uint8_t **room) {
 static void refuse_for_memory(struct connection *c) {
   wire_header header;
   const wire_error error =
-      wire_error_busy("payload_bytes", "less at a time: max_total_bytes are in use", 1000);
+      wire_error_busy("payload_bytes", "less data at a time: max_total_bytes are in use", 1000);
   if (!input_refuse(&c->input, &header)) {
     abort_connection(c);
   } else if (!requests_refuse(&c->requests, header.request_id, &error)) {

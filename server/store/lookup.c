@@ -23,7 +23,8 @@ static enum lookup_answer look_up(struct lookups *lookups, struct lookup *lookup
                                      "sets of points that were sent to this daemon and are kept",
                                      0},
                           busy = {LOOKUP_FIELD_BUSY, "fewer profiles that wait at a time", 0},
-                          no_memory = {CORE_FIELD_MEMORY, "less than what is left: try again", 0};
+                          no_memory = {CORE_FIELD_MEMORY,
+                                       "less than the memory that is free: try again", 0};
   struct cache *cache = lookups->server->cache;
   struct cache_entry *entry;
   const enum cache_answer answer =

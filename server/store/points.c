@@ -173,8 +173,9 @@ static core_fault prepare(void *thing, const struct cache_key *key, const core_i
                                     points->power);
   while (*tree != NULL && !core_gather_points_build(*tree, BUILD_NS)) {
   }
-  return *tree != NULL ? (core_fault){NULL, NULL, 0}
-                       : (core_fault){CORE_FIELD_MEMORY, "less than what is left: try again", 0};
+  return *tree != NULL
+             ? (core_fault){NULL, NULL, 0}
+             : (core_fault){CORE_FIELD_MEMORY, "less than the memory that is free: try again", 0};
 }
 
 static uint64_t tree_bytes(const void *thing) {

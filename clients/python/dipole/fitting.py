@@ -67,8 +67,8 @@ async def fit(
     divided by. source, detector: diameters of the discs that emit and detect the light, mm, one
     for all readings or [N]; the detector sees light of all angles, unless parameters has
     {"detector_na": NA / the index outside}. residuals: whether they are wanted. eta, which has
-    to be given, and g=0.0 hold for all sets. Beyond two mean free paths readings hardly see g:
-    a wrong one is "fitted", too. Ask again with g - 0.05 and g + 0.05 to see how much sigma_a
+    to be given, and g=0.0 hold for all sets. Beyond two mean free paths readings hardly depend on
+    g: a wrong one is "fitted", too. Ask again with g - 0.05 and g + 0.05 to see how much sigma_a
     and sigma_s_prime change; for 0.1 it is about twice that. moments, parameters, deadline_ms:
     as of a Query; large images are sent in several requests, and the deadline holds for each.
     """
