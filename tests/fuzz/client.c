@@ -5,7 +5,6 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
-#include "clients/c/info.h"
 #include "clients/c/request.h"
 #include "core/lut/lut.h"
 #include "proto/table.h"
