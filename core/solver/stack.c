@@ -18,6 +18,7 @@
 #include <string.h>
 
 #include "core/solver/layer.h"
+#include "core/transport/functions.h"
 #include "core/transport/gauss.h"
 #include "core/transport/single.h"
 
