@@ -186,6 +186,14 @@ static bool has_hung_up(const struct connection *c) {
   return poll(&peer, 1, 0) > 0 && (peer.revents & (POLLHUP | POLLERR)) != 0;
 }
 
+/* Returns whether preparations for a peer that has ended its side end. */
+static bool is_gone(const struct connection *c, uint64_t now_ms) {
+  int domain = AF_UNIX;
+  socklen_t bytes = sizeof domain;
+  getsockopt(c->fd, SOL_SOCKET, SO_DOMAIN, &domain, &bytes);
+  return domain == AF_UNIX ? has_hung_up(c) : now_ms - c->active_ms > HANG_UP_MS;
+}
+
 /* Takes the bytes that have been read; the connection answers their requests in the same round of
  * the loop. It stops reading only if work is left after that, so that a client that waits for each
  * answer costs no calls to stop and start reading. */
@@ -448,7 +456,7 @@ static void tick(struct client *client, uint64_t now_ms) {
     return;
   }
   requests_trim(&c->requests, now_ms);
-  if (c->peer_done && now_ms - c->active_ms > HANG_UP_MS && requests_give_up(&c->requests)) {
+  if (c->peer_done && is_gone(c, now_ms) && requests_give_up(&c->requests)) {
     worker_run_later(&c->client);
   }
   if (!requests_hold_input(&c->requests)) {

@@ -244,6 +244,16 @@ def test_a_client_that_ends_its_side_waits_for_no_solution(daemon):
     assert_daemon_serves(one)
 
 
+def test_a_client_of_a_unix_socket_that_ends_its_side_gets_its_answer(daemon):
+    """There the daemon sees whether the other side, too, has ended."""
+    one = daemon()
+    with one.connect() as connection:
+        connection.send_bytes(frame(EVAL, 77, payload("transport", SOLVED)))
+        connection.socket.shutdown(socket.SHUT_WR)
+        connection.timeout_s = 300
+        assert connection.receive_frame().type == REPLY
+
+
 def test_stopping_waits_for_what_has_begun_alone(daemon, connections):
     """Clients ask for twenty seconds of preparations, twice the time that the daemon has for
     stopping. Those that have not begun by then never begin."""
