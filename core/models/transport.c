@@ -715,19 +715,6 @@ static void add_neighbour(const struct source *source, const struct panels *pane
 
 /* ---- by the table ----------------------------------------------------------------------------- */
 
-/* Where less than this share is absorbed, 1 less the albedo is in proportion to the root of it. */
-#define ABSORBED_FEW 0x1p-20
-
-/* Returns the albedo of a medium, for which the table has `total` at the albedo `known` of
- * scattering. All light leaves a medium that absorbs none. For g other than 0 the total has an
- * absolute error of 1e-8. */
-static double albedo_of_total(const core_medium *medium, double known, double total) {
-  const double absorbed = absorbed_of(medium);
-  return !is_isotropic(medium)     ? (absorbed > 0 ? fmin(total, 1) : 1)
-         : absorbed < ABSORBED_FEW ? 1 - (1 - total) * sqrt(absorbed / (1 - known))
-                                   : total;
-}
-
 /* Returns the albedo at which the table is evaluated. */
 static double known_albedo(const core_medium *medium) {
   return is_isotropic(medium) ? fmin(albedo_of(medium), 1 - 0x1p-53) : albedo_of(medium);
@@ -740,6 +727,24 @@ static void look_up(const core_medium *medium, transport_series *series, struct 
   const bool found = !is_isotropic(medium) && absorbed_of(medium) >= LEAST_ABSORBED;
   *source = (struct source){
       .medium = medium, .series = series, .kappa = found ? series->kappa : kappa_of(medium)};
+}
+
+/* Returns the albedo of a medium with this series. All light leaves a medium that absorbs none. The
+ * table does not hold the totals of isotropic media that absorb less than TABLE_IS_WHITE: there (1 -
+ * albedo) / albedo is in proportion to the root of what is absorbed, within 6e-6. For g other than 0
+ * the total has an absolute error of 1e-8. */
+static double albedo_of_series(const core_medium *medium, const transport_series *series) {
+  const double absorbed = absorbed_of(medium);
+  if (!is_isotropic(medium)) {
+    return absorbed > 0 ? fmin(series->total, 1) : 1;
+  }
+  if (absorbed >= TABLE_IS_WHITE) {
+    return series->total;
+  }
+  transport_series held;
+  transport_table_look_up(transport_table_shipped(), 1 - TABLE_IS_WHITE, 0, medium->eta, &held);
+  const double root = sqrt(absorbed / TABLE_IS_WHITE);
+  return held.total / (held.total + (1 - held.total) * root);
 }
 
 /* Sets *by_ratio by a difference between two media of the table. */
@@ -772,7 +777,7 @@ static core_fault prepare_stored(const core_inputs *inputs, const core_medium *m
   transport_series series;
   struct source source;
   look_up(medium, &series, &source);
-  preparation->albedo = albedo_of_total(medium, known_albedo(medium), series.total);
+  preparation->albedo = albedo_of_series(medium, &series);
   preparation->error = error_of_R(table, medium);
   preparation->slope_error = core_transport_slope_error(isotropic ? 0 : 1);
   core_transport_added_errors(medium, &preparation->added);
