@@ -60,7 +60,7 @@ static void add(const dense *to, const dense *a, const dense *b, double sign) {
   }
 }
 
-static void clear(const dense *of) {
+void solver_dense_clear(const dense *of) {
   for (size_t i = 0; i < of->rows * of->stride; i++) {
     of->re[i] = 0;
     if (of->im != NULL) {
@@ -69,8 +69,17 @@ static void clear(const dense *of) {
   }
 }
 
+void solver_dense_combine(const dense *to, double x, const dense *a, double y, const dense *b) {
+  for (size_t i = 0; i < to->rows * to->stride; i++) {
+    to->re[i] = x * a->re[i] + y * b->re[i];
+    if (to->im != NULL) {
+      to->im[i] = x * a->im[i] + y * b->im[i];
+    }
+  }
+}
+
 void solver_dense_multiply(const dense *to, const dense *a, const dense *b) {
-  clear(to);
+  solver_dense_clear(to);
   add(to, a, b, 1);
 }
 
@@ -267,7 +276,7 @@ bool solver_dense_congruence(const dense *to, const dense *a, const dense *b, co
       set(&left, column, row, product(get(b, row, column), get(a, row, row)));
     }
   }
-  clear(to);
+  solver_dense_clear(to);
   add_triangle(to, 0, &left, b, 1);
   for (size_t row = 0; row < n; row++) {
     for (size_t column = 0; column < row; column++) {

@@ -9,6 +9,7 @@
 #include <stddef.h>
 
 #include "core/core.h"
+#include "core/transport/functions.h"
 
 /* A matrix, row by row. The real and the imaginary parts are apart. im is NULL for a real matrix.
  * Rows are stride numbers apart, and stride is a multiple of 8. Numbers behind the last column
@@ -27,6 +28,24 @@ size_t solver_dense_size(size_t rows, size_t columns);
  * many for a complex matrix. */
 dense solver_dense_at(const core_isa *isa, double **memory, size_t rows, size_t columns,
                       bool is_complex);
+
+/* Returns one number of a matrix, and sets one; the imaginary part of a real matrix is left out. */
+static inline double complex solver_dense_get(const dense *of, size_t row, size_t column) {
+  const size_t at = row * of->stride + column;
+  return CMPLX(of->re[at], of->im == NULL ? 0 : of->im[at]);
+}
+
+static inline void solver_dense_put(const dense *to, size_t row, size_t column,
+                                    double complex value) {
+  to->re[row * to->stride + column] = creal(value);
+  if (to->im != NULL) {
+    to->im[row * to->stride + column] = cimag(value);
+  }
+}
+
+/* Sets all numbers to 0; sets to = x a + y b, where `to` may be a or b. Shapes are equal. */
+void solver_dense_clear(const dense *of);
+void solver_dense_combine(const dense *to, double x, const dense *a, double y, const dense *b);
 
 /* Sets to = a b. The three are all real or all complex, their shapes fit, and `to` is neither of
  * the others. */

@@ -122,15 +122,19 @@ static void legendre_at(size_t m, size_t moments, double mu, double sine, double
 
 /* ---- integrals ------------------------------------------------------------------------------ */
 
-/* Adds the product of two columns to the block of a matrix that begins at row `row`, column
- * `column`. */
-static void add_outer(const expansion *of, double *to, size_t row, size_t column, double factor,
-                      const double *left, size_t rows, const double *right, size_t columns) {
+void solver_expansion_add_outer(double *to, size_t stride, double factor, const double *left,
+                                size_t rows, const double *right, size_t columns) {
   for (size_t i = 0; i < rows; i++) {
     for (size_t j = 0; j < columns; j++) {
-      to[(row + i) * of->n + column + j] += factor * left[i] * right[j];
+      to[i * stride + j] += factor * left[i] * right[j];
     }
   }
+}
+
+/* The same to the block of a matrix that begins at row `row`, column `column`. */
+static void add_outer(const expansion *of, double *to, size_t row, size_t column, double factor,
+                      const double *left, size_t rows, const double *right, size_t columns) {
+  solver_expansion_add_outer(to + row * of->n + column, of->n, factor, left, rows, right, columns);
 }
 
 static double sign_of(size_t m) {

@@ -94,4 +94,9 @@ void solver_expansion_free(expansion *of);
  * sqrt(1 - mu^2). */
 void solver_expansion_at(const expansion *of, size_t m, double mu, double sine, double *values);
 
+/* Adds factor times the product of a column and a row to a block of a matrix, whose rows are `stride`
+ * numbers apart. */
+void solver_expansion_add_outer(double *to, size_t stride, double factor, const double *left,
+                                size_t rows, const double *right, size_t columns);
+
 #endif

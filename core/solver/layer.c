@@ -47,32 +47,6 @@ struct work {
   double complex *closing; /* what orders above M add to the block of order M */
 };
 
-static void put(const dense *to, size_t row, size_t column, double complex value) {
-  to->re[row * to->stride + column] = creal(value);
-  if (to->im != NULL) {
-    to->im[row * to->stride + column] = cimag(value);
-  }
-}
-
-static double complex number_at(const dense *of, size_t row, size_t column) {
-  const size_t at = row * of->stride + column;
-  return CMPLX(of->re[at], of->im == NULL ? 0 : of->im[at]);
-}
-
-/* Sets to = x a + y b. `to` may be a or b. */
-static void combine(const dense *to, double x, const dense *a, double y, const dense *b) {
-  for (size_t i = 0; i < to->rows * to->stride; i++) {
-    to->re[i] = x * a->re[i] + y * b->re[i];
-    if (to->im != NULL) {
-      to->im[i] = x * a->im[i] + y * b->im[i];
-    }
-  }
-}
-
-static void clear(const dense *of) {
-  combine(of, 0, of, 0, of);
-}
-
 /* Adds factor S. */
 static void add_signs(const expansion *of, const dense *to, double factor) {
   for (size_t m = 0; m <= of->orders; m++) {
@@ -86,7 +60,7 @@ static double largest(const dense *of) {
   double most = 0;
   for (size_t row = 0; row < of->rows; row++) {
     for (size_t i = 0; i < of->columns; i++) {
-      const double complex value = number_at(of, row, i);
+      const double complex value = solver_dense_get(of, row, i);
       most = fmax(most, fmax(fabs(creal(value)), fabs(cimag(value))));
     }
   }
@@ -122,7 +96,7 @@ static void fill(const struct work *by, const dense *to, const double *base, dou
       if (i >= last && j >= last) {
         value += by->closing[(i - last) * (n - last) + j - last];
       }
-      put(to, i, j, beta * value);
+      solver_dense_put(to, i, j, beta * value);
     }
   }
   add_signs(of, to, 1);
@@ -135,7 +109,7 @@ static bool transform(const struct work *by, const dense *to, const double *base
   const expansion *of = by->of;
   const dense *a = &by->spare[0], *b = &by->spare[1];
   fill(by, a, base, beta);
-  clear(b);
+  solver_dense_clear(b);
   add_signs(of, b, 1);
   for (size_t i = 0; i < of->n; i++) {
     const double source = of->source[0][i] + sign * of->source[1][i];
@@ -144,7 +118,7 @@ static bool transform(const struct work *by, const dense *to, const double *base
   if (!solver_dense_congruence(to, a, b, &by->spare[2])) {
     return false;
   }
-  combine(to, 2, to, 0, to);
+  solver_dense_combine(to, 2, to, 0, to);
   add_signs(of, to, -1);
   return true;
 }
@@ -153,11 +127,13 @@ static bool transform(const struct work *by, const dense *to, const double *base
 static bool mirror(const struct work *by, const dense *to, const layer *of, double sign) {
   const dense *a = &by->spare[0], *b = &by->spare[1];
   const size_t n = by->of->n;
-  combine(a, -sign, &of->reflected, 0, &of->reflected);
+  solver_dense_combine(a, -sign, &of->reflected, 0, &of->reflected);
   add_signs(by->of, a, 1);
-  combine(b, 1, &of->transmitted, 0, &of->transmitted);
+  solver_dense_combine(b, 1, &of->transmitted, 0, &of->transmitted);
   for (size_t row = 0; row < n; row++) {
-    put(b, row, n, number_at(b, row, n) + sign * of->passed * number_at(&of->reflected, row, n));
+    solver_dense_put(b, row, n,
+                     solver_dense_get(b, row, n) +
+                         sign * of->passed * solver_dense_get(&of->reflected, row, n));
   }
   return solver_dense_congruence(to, a, b, &by->spare[2]);
 }
@@ -170,12 +146,13 @@ static bool double_up(const struct work *by, layer *of, int times, double least)
     if (!mirror(by, a, of, 1) || !mirror(by, o, of, -1)) {
       return false;
     }
-    combine(r, 1, r, 0.5, a);
-    combine(r, 1, r, -0.5, o);
+    solver_dense_combine(r, 1, r, 0.5, a);
+    solver_dense_combine(r, 1, r, -0.5, o);
     for (size_t row = 0; row < n; row++) {
-      put(a, row, n, number_at(a, row, n) + 2 * of->passed * number_at(t, row, n));
+      solver_dense_put(a, row, n,
+                       solver_dense_get(a, row, n) + 2 * of->passed * solver_dense_get(t, row, n));
     }
-    combine(t, 0.5, a, 0.5, o);
+    solver_dense_combine(t, 0.5, a, 0.5, o);
     of->passed *= of->passed;
   }
   return true;
@@ -193,8 +170,8 @@ static bool find_halfspace(const struct work *by, layer *to, double kappa) {
       !transform(by, &by->opposite, of->odd, -1, beta)) {
     return false;
   }
-  combine(r, 0.5, &by->alike, -0.5, &by->opposite);
-  combine(t, 0.5, &by->alike, 0.5, &by->opposite);
+  solver_dense_combine(r, 0.5, &by->alike, -0.5, &by->opposite);
+  solver_dense_combine(t, 0.5, &by->alike, 0.5, &by->opposite);
   to->passed = (1 - beta) / (1 + beta);
   return double_up(by, to, DOUBLINGS_MAX, TRANSMISSION_LEAST) && largest(t) < TRANSMISSION_LEAST;
 }
@@ -204,9 +181,9 @@ static bool scatter_once(const struct work *by, const dense *to) {
   const expansion *of = by->of;
   const dense *a = &by->spare[0];
   fill(by, a, of->unit, 1);
-  clear(to);
+  solver_dense_clear(to);
   for (size_t i = 0; i < of->n; i++) {
-    put(to, i, 0, of->albedo * of->source[1][i]);
+    solver_dense_put(to, i, 0, of->albedo * of->source[1][i]);
   }
   return solver_dense_solve(a, to);
 }
@@ -216,20 +193,20 @@ static bool light_up(const struct work *by, const dense *to, const layer *half, 
   const expansion *of = by->of;
   const dense *a = &by->spare[0], *f = &by->spare[1];
   const double *exit = of->exit[boundary][0];
-  clear(f);
+  solver_dense_clear(f);
   for (size_t row = 0; row < of->n; row++) {
     double complex diffuse = 0;
     for (size_t i = 0; i < of->n; i++) {
       f->re[row * f->stride + i] = of->reflection[boundary][row * of->n + i];
-      diffuse += number_at(&half->reflected, row, i) * exit[i];
+      diffuse += solver_dense_get(&half->reflected, row, i) * exit[i];
     }
-    put(to, row, 0, number_at(&half->reflected, row, of->n));
-    put(to, row, 1, diffuse / of->entering[boundary]);
+    solver_dense_put(to, row, 0, solver_dense_get(&half->reflected, row, of->n));
+    solver_dense_put(to, row, 1, diffuse / of->entering[boundary]);
   }
   dense square = half->reflected;
   square.columns = of->n;
   solver_dense_multiply(a, &square, f);
-  combine(a, -1, a, 0, a);
+  solver_dense_combine(a, -1, a, 0, a);
   add_signs(of, a, 1);
   return solver_dense_solve(a, to);
 }
@@ -282,11 +259,11 @@ bool solver_layer_halfspace(const expansion *of, double complex k, double kappa,
     ok = light_up(by, lit, &memory.half, i);
     exitance[i] = (layer_exitance){0};
     for (size_t row = 0; row < of->first[1] && ok; row++) {
-      exitance[i].single += of->exit[i][0][row] * number_at(once, row, 0);
-      exitance[i].diffuse += of->exit[i][0][row] * number_at(lit, row, 1);
+      exitance[i].single += of->exit[i][0][row] * solver_dense_get(once, row, 0);
+      exitance[i].diffuse += of->exit[i][0][row] * solver_dense_get(lit, row, 1);
       for (size_t part = 0; part <= of->boundaries.cones; part++) {
-        exitance[i].part[part] +=
-            of->exit[i][part][row] * (number_at(lit, row, 0) - number_at(once, row, 0));
+        exitance[i].part[part] += of->exit[i][part][row] *
+                                  (solver_dense_get(lit, row, 0) - solver_dense_get(once, row, 0));
       }
     }
   }
@@ -310,7 +287,7 @@ static void fill_rates(const struct work *by, const dense *to, const double *bas
                        double step) {
   const expansion *of = by->of;
   const size_t n = of->n, last = of->first[of->orders];
-  clear(to);
+  solver_dense_clear(to);
   for (size_t i = 0; i < n; i++) {
     const double factor = step * sign_of_row(of, i);
     for (size_t j = 0; j < n; j++) {
@@ -318,11 +295,11 @@ static void fill_rates(const struct work *by, const dense *to, const double *bas
       if (i >= last && j >= last) {
         value += by->closing[(i - last) * (n - last) + j - last];
       }
-      put(to, i, j, factor * value);
+      solver_dense_put(to, i, j, factor * value);
     }
-    put(to, i, n, -step * of->albedo * (of->source[0][i] + sign * of->source[1][i]));
+    solver_dense_put(to, i, n, -step * of->albedo * (of->source[0][i] + sign * of->source[1][i]));
   }
-  put(to, n, n, step);
+  solver_dense_put(to, n, n, step);
 }
 
 static void add_identity(const dense *to, double factor) {
@@ -341,9 +318,9 @@ static bool pade(const dense *to, const dense *a, const dense *b, const dense *z
                  const dense *left) {
   solver_dense_multiply(z, a, b);
   solver_dense_multiply(to, z, a);
-  combine(to, 15, a, 1, to);  /* (15 + Z) a */
-  combine(left, 6, z, 1, to); /* 15 + 6 Z + (15 + Z) a, less 15 */
-  combine(to, 6, z, -1, to);
+  solver_dense_combine(to, 15, a, 1, to);  /* (15 + Z) a */
+  solver_dense_combine(left, 6, z, 1, to); /* 15 + 6 Z + (15 + Z) a, less 15 */
+  solver_dense_combine(to, 6, z, -1, to);
   add_identity(left, 15);
   add_identity(to, 15);
   return solver_dense_solve(left, to);
@@ -366,15 +343,15 @@ static int halvings_of(const expansion *of, double complex k, double depth) {
 /* Replaces Ts and s+ by those of two layers, and adds what a beam scatters back in the second one. */
 static void double_once(const layer_operators *to, const dense *spare) {
   const size_t n = to->passed_once.rows - 1;
-  const double passed = creal(number_at(&to->passed_once, n, n));
+  const double passed = creal(solver_dense_get(&to->passed_once, n, n));
   dense back = to->reflected_once, more = *spare;
   more.columns = 1;
   more.stride = back.stride;
-  put(&back, n, 0, 0);
+  solver_dense_put(&back, n, 0, 0);
   solver_dense_multiply(&more, &to->passed_once, &back);
-  combine(&back, 1, &back, passed, &more);
+  solver_dense_combine(&back, 1, &back, passed, &more);
   solver_dense_multiply(spare, &to->passed_once, &to->passed_once);
-  combine(&to->passed_once, 1, spare, 0, spare);
+  solver_dense_combine(&to->passed_once, 1, spare, 0, spare);
 }
 
 /* Takes R and T with the beam out of matrices with the signs of this file, or back. */
@@ -384,7 +361,7 @@ static void exchange(const struct work *by, const dense *outer, const dense *inn
     const double sign = sign_of_row(by->of, row);
     for (size_t column = 0; column <= n; column++) {
       const dense *from = inwards ? outer : inner, *to = inwards ? inner : outer;
-      put(to, row, column, sign * number_at(from, row, column));
+      solver_dense_put(to, row, column, sign * solver_dense_get(from, row, column));
     }
   }
 }
@@ -404,10 +381,10 @@ static bool find_layer(const struct work *by, layer *half, const layer_operators
   if (!pade(alike, xm, xp, &thin[4], &thin[5]) || !pade(opposite, xp, xm, &thin[4], &thin[5])) {
     return false;
   }
-  combine(&to->passed_once, 0.5, alike, 0.5, opposite);
+  solver_dense_combine(&to->passed_once, 0.5, alike, 0.5, opposite);
   for (size_t row = 0; row <= n; row++) {
-    put(&to->reflected_once, row, 0,
-        0.5 * (number_at(alike, row, n) - number_at(opposite, row, n)));
+    solver_dense_put(&to->reflected_once, row, 0,
+                     0.5 * (solver_dense_get(alike, row, n) - solver_dense_get(opposite, row, n)));
   }
   for (int i = 0; i < halvings; i++) {
     double_once(to, &thin[0]);
@@ -418,17 +395,17 @@ static bool find_layer(const struct work *by, layer *half, const layer_operators
   if (!pade(alike, xm, xp, &thin[4], &thin[5]) || !pade(opposite, xp, xm, &thin[4], &thin[5])) {
     return false;
   }
-  combine(&to->reflected, 0.5, alike, -0.5, opposite);
-  combine(&to->transmitted, 0.5, alike, 0.5, opposite);
+  solver_dense_combine(&to->reflected, 0.5, alike, -0.5, opposite);
+  solver_dense_combine(&to->transmitted, 0.5, alike, 0.5, opposite);
   exchange(by, &to->reflected, &half->reflected, true);
   exchange(by, &to->transmitted, &half->transmitted, true);
-  half->passed = creal(number_at(&to->transmitted, n, n));
+  half->passed = creal(solver_dense_get(&to->transmitted, n, n));
   if (!double_up(by, half, halvings, PASSED_LEAST)) {
     return false;
   }
   exchange(by, &to->reflected, &half->reflected, false);
   exchange(by, &to->transmitted, &half->transmitted, false);
-  put(&to->transmitted, n, n, half->passed);
+  solver_dense_put(&to->transmitted, n, n, half->passed);
   return true;
 }
 
@@ -439,13 +416,13 @@ bool solver_layer_operators(const layer_operators *to, const expansion *of, doub
   double *more = NULL;
   bool ok = reserve(&memory, of, k);
   if (ok && isinf(depth)) {
-    clear(&to->reflected);
-    clear(&to->reflected_once);
+    solver_dense_clear(&to->reflected);
+    solver_dense_clear(&to->reflected_once);
     ok = find_halfspace(&memory.work, &memory.half, kappa) &&
          scatter_once(&memory.work, &memory.once);
     exchange(&memory.work, &to->reflected, &memory.half.reflected, false);
     for (size_t row = 0; row < n; row++) {
-      put(&to->reflected_once, row, 0, number_at(&memory.once, row, 0));
+      solver_dense_put(&to->reflected_once, row, 0, solver_dense_get(&memory.once, row, 0));
     }
   } else if (ok) {
     more = aligned_alloc(ALIGNMENT_BYTES, (THIN * 2 * size * sizeof *more + ALIGNMENT_BYTES - 1) /

@@ -11,33 +11,26 @@
 #include "core/transport/decay.h"
 #include "core/transport/functions.h"
 
-enum { SIDES = SOLVER_SIDES, GRIDS = 2, RADII = 36 };
+enum { SIDES = SOLVER_SIDES, GRIDS = 2 };
 
-/* The radii at which two grids are compared, in reduced mean free paths of the first layer, and from
- * where on a tolerance is kept. */
-#define RADIUS_LEAST 0.004
-#define RADIUS_RATIO 1.45
+/* The reduced mean free paths of the first layer from where on a tolerance is kept, and up to which R
+ * and T are known. */
 #define RADIUS_COUNTS 0.05
 #define RADIUS_MOST 1e3
-#define DECAYS_MOST 20
 
-/* Stated errors over the grids' difference. Grids share more of their errors where little light is
- * scattered: in a slab of 0.25 mean free paths T was off by 2.8 times the difference. */
-#define MARGIN 2.0
-#define MARGIN_THIN 4.0
-#define THIN_LAYERS 1.0 /* scaled mean free paths of all layers */
+/* Stated errors over the grids' difference. Grids share their errors more than those of a half space:
+ * in a slab of 0.25 mean free paths T was off by 2.8 times the difference, in three layers R by 3.7. */
+#define MARGIN 4.0
 
-/* X on the path is known so well, relative: in R, which has decayed further than e^(-SHARE rate r), this
- * grows. */
+/* X on the path is known as well as this, relative: in R, which has decayed further than e^(-SHARE rate
+ * r), it grows. */
 #define PATH_ERROR 5e-6
-#define NEAR 0.4
 
 /* One grid. */
 struct grid {
   size_t moments;
   double moment[SOLVER_LAYERS_MAX][EXPANSION_MOMENTS_MAX];
   stack_layer layer[SOLVER_LAYERS_MAX];
-  ways_layer ways_layer[SOLVER_LAYERS_MAX];
   ways ways;
   double unit_mm; /* scaled mean free path of the first layer */
   double rate;    /* at which light decays far away along the layers, per unit */
@@ -52,58 +45,36 @@ struct solver_layers {
   double radius_mm;         /* reduced mean free path of the first layer */
   struct grid *grid[GRIDS]; /* the finest, and the next coarser one */
   const double *floor;      /* of relative errors: next to the source, far away */
-  double error[SIDES][RADII];
+  double error[SIDES][SOLVER_ERROR_RADII];
 };
 
 /* ---- the medium --------------------------------------------------------------------------------------- */
 
-static double power_of(double g, size_t l) {
-  double power = 1;
-  for (size_t i = 0; i < l; i++) {
-    power *= g;
-  }
-  return power;
-}
-
 static void truncate_layers(struct grid *to, const struct solver_layers *of, double moment_least,
                             size_t moments_most) {
-  double g = 0;
+  solver_phase phase = {.g = 0};
   for (size_t i = 0; i < of->count; i++) {
-    g = fmax(g, fabs(of->layer[i].g));
+    phase.g = fmax(phase.g, fabs(of->layer[i].g));
   }
-  to->moments = moments_most;
-  while (to->moments > 2 && power_of(g, to->moments - 1) <= moment_least) {
-    to->moments--;
-  }
+  to->moments = solver_moments_kept(&phase, moment_least, moments_most);
   for (size_t i = 0; i < of->count; i++) {
     const solver_layer *layer = &of->layer[i];
-    const double forward = fmax(0, power_of(layer->g, to->moments));
     const double sigma_t = layer->sigma_a_per_mm + layer->sigma_s_per_mm;
-    const double albedo = layer->sigma_s_per_mm / sigma_t, kept = 1 - albedo * forward;
-    for (size_t l = 0; l < to->moments; l++) {
-      to->moment[i][l] = (power_of(layer->g, l) - forward) / (1 - forward);
-    }
-    to->layer[i] = (stack_layer){
-        .medium = {albedo * (1 - forward) / kept, to->moments, to->moment[i]},
-        .extinction = kept * sigma_t,
-        .thickness = layer->thickness_mm,
-        .index = layer->eta,
-    };
-    to->layer[i].kappa =
-        kept * sigma_t *
-        transport_decay_rate(to->moment[i], to->moments, to->layer[i].medium.albedo,
-                             layer->sigma_a_per_mm / (kept * sigma_t));
+    stack_layer *here = &to->layer[i];
+    phase.g = layer->g;
+    const double scaled = sigma_t * solver_truncate(&here->medium, to->moment[i], &phase,
+                                                    to->moments, layer->sigma_s_per_mm / sigma_t);
+    to->unit_mm = i == 0 ? 1 / scaled : to->unit_mm;
+    here->extinction = scaled * to->unit_mm;
+    here->sigma_s = layer->sigma_s_per_mm * to->unit_mm;
+    here->g = layer->g;
+    here->thickness = layer->thickness_mm / to->unit_mm;
+    here->index = layer->eta;
+    here->kappa =
+        here->extinction * transport_decay_rate(to->moment[i], to->moments, here->medium.albedo,
+                                                layer->sigma_a_per_mm / scaled);
   }
-  to->unit_mm = 1 / to->layer[0].extinction;
-  for (size_t i = 0; i < of->count; i++) {
-    to->layer[i].extinction *= to->unit_mm;
-    to->layer[i].kappa *= to->unit_mm;
-    to->layer[i].thickness /= to->unit_mm;
-    to->ways_layer[i] =
-        (ways_layer){to->layer[i].extinction, of->layer[i].sigma_s_per_mm * to->unit_mm,
-                     of->layer[i].g, to->layer[i].thickness, of->layer[i].eta};
-  }
-  solver_ways_find(&to->ways, to->ways_layer, of->count, of->eta_below, STACK_REFLECTIONS);
+  solver_ways_find(&to->ways, to->layer, of->count, of->eta_below, STACK_REFLECTIONS);
 }
 
 /* ---- decay far away ------------------------------------------------------------------------------------- */
@@ -111,8 +82,8 @@ static void truncate_layers(struct grid *to, const struct solver_layers *of, dou
 static double diffusion_of(const struct grid *of, const struct solver_layers *all, size_t i) {
   const double absorbed = all->layer[i].sigma_a_per_mm * of->unit_mm;
   const double kappa = of->layer[i].kappa;
-  const double reduced = of->layer[i].extinction *
-                         (1 - of->layer[i].medium.albedo * of->moment[i][of->moments > 1 ? 1 : 0]);
+  const double reduced =
+      of->layer[i].extinction * (1 - of->layer[i].medium.albedo * of->moment[i][1]);
   return kappa > 1e-6 ? absorbed / (kappa * kappa) : 1 / (3 * reduced);
 }
 
@@ -186,10 +157,6 @@ static double rate_of(const struct grid *of, const struct solver_layers *all) {
 #define SHARE 0.7
 #define PATH_RATE_LEAST 1e-9
 
-static bool stops(const atomic_bool *stop) {
-  return stop != NULL && atomic_load_explicit(stop, memory_order_relaxed);
-}
-
 /* Returns the thickness of the first layer with all that are like it. */
 static double first_depth(const struct grid *of, const struct solver_layers *all) {
   const solver_layer *first = &all->layer[0];
@@ -249,7 +216,7 @@ static bool solve_grid(struct grid *to, const struct solver_layers *of, const co
     ok = expanded != NULL;
     for (size_t node = begin; node < end && ok; node++) {
       stack_exitance at;
-      ok = !stops(stop) &&
+      ok = !solver_stops(stop) &&
            solver_stack_at(expanded, solver_exitance_wavenumber(&to->wavenumbers, node), &at);
       for (size_t side = 0; side < SIDES && ok; side++) {
         values[side * nodes + node] = at.all[side] - at.once[side];
@@ -314,14 +281,6 @@ static core_fault check_layers(const solver_layer *layer, size_t count, double e
              : no_fault;
 }
 
-static double margin_of(const solver_layers *of) {
-  double depth = 0;
-  for (size_t i = 0; i < of->count; i++) {
-    depth += of->grid[0]->layer[i].thickness * of->grid[0]->layer[i].extinction;
-  }
-  return depth < THIN_LAYERS ? MARGIN_THIN : MARGIN;
-}
-
 /* Returns the relative error by which digits are lost far away. */
 static double path_error(const struct grid *of, double r_mm) {
   const double decays = (1 - SHARE) * of->rate * r_mm / of->unit_mm;
@@ -330,19 +289,16 @@ static double path_error(const struct grid *of, double r_mm) {
 
 /* Compares the two grids, and returns the largest relative error at radii that a tolerance is for. */
 static double find_errors(solver_layers *of) {
-  const double margin = margin_of(of);
   double worst = 0;
   for (size_t side = 0; side < of->sides; side++) {
-    double r = RADIUS_LEAST;
-    for (size_t i = 0; i < RADII; i++, r *= RADIUS_RATIO) {
+    double r = SOLVER_ERROR_LEAST;
+    for (size_t i = 0; i < SOLVER_ERROR_RADII; i++, r *= SOLVER_ERROR_RATIO) {
       const double fine = value_at(of->grid[0], side, r * of->radius_mm);
       const double coarse = value_at(of->grid[1], side, r * of->radius_mm);
-      const double least = coarse > 0 ? 0 : 1; /* by which they differ */
-      const double error = fine > 0 ? margin * fmax(fabs(1 - coarse / fine), least) : 1;
-      of->error[side][i] = isfinite(error) ? error : (double)INFINITY;
+      of->error[side][i] = solver_error_between(MARGIN, fine, coarse);
       const bool counts =
           r >= RADIUS_COUNTS && r <= SOLVER_RADIUS_MOST &&
-          r * of->radius_mm / of->grid[0]->unit_mm * of->grid[0]->rate < DECAYS_MOST;
+          r * of->radius_mm / of->grid[0]->unit_mm * of->grid[0]->rate < SOLVER_DECAYS_MOST;
       worst = counts ? fmax(worst, of->error[side][i]) : worst;
     }
   }
@@ -366,7 +322,7 @@ core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
     made->sides = isinf(layer[count - 1].thickness_mm) ? 1 : SOLVER_SIDES;
     made->radius_mm = 1 / (layer[0].sigma_a_per_mm + layer[0].sigma_s_per_mm * (1 - layer[0].g));
   }
-  const size_t first = tolerance < 2e-4 ? 2 : tolerance < 3e-3 ? 1 : 0;
+  const size_t first = solver_first_level(tolerance);
   double worst = (double)INFINITY;
   for (size_t level = first; ok && level < first + 3 && worst > tolerance; level++) {
     free(made->grid[1]);
@@ -378,7 +334,8 @@ core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
   }
   if (!ok) {
     solver_layers_free(made);
-    return stops(stop) ? (core_fault){CORE_FIELD_STOPPED, "to be waited for", 0} : memory_fault;
+    return solver_stops(stop) ? (core_fault){CORE_FIELD_STOPPED, "to be waited for", 0}
+                              : memory_fault;
   }
   *solution = made;
   return no_fault;
@@ -395,7 +352,6 @@ void solver_layers_free(solver_layers *solution) {
 /* ---- values ----------------------------------------------------------------------------------------------- */
 
 transport_number solver_layers_at(const solver_layers *solution, size_t side, double r_mm) {
-  enum { AROUND = 2 };
   assert(side < SOLVER_SIDES && r_mm >= 0);
   const double r = r_mm / solution->radius_mm;
   if (side >= solution->sides || isinf(r_mm)) {
@@ -409,12 +365,9 @@ transport_number solver_layers_at(const solver_layers *solution, size_t side, do
   if (!(value > 0) || r > RADIUS_MOST) { /* it is not known but for its size */
     return (transport_number){0, isnan(value) ? (double)INFINITY : fabs(value)};
   }
-  const double place = fn_log(fmax(r, RADIUS_LEAST) / RADIUS_LEAST) / fn_log(RADIUS_RATIO) + 0.5;
-  const size_t middle = place < RADII - 1 ? (size_t)place : RADII - 1;
-  double error = fmax(solution->floor[1], solution->floor[0] * fmin(1, NEAR / r));
-  for (size_t i = middle > AROUND ? middle - AROUND : 0; i <= middle + AROUND && i < RADII; i++) {
-    error = fmax(error, solution->error[side][i]);
-  }
+  const double unit = solution->grid[0]->unit_mm / solution->radius_mm;
+  const double error = fmax(solver_floor_at(solution->floor, unit, solution->layer[0].eta, r),
+                            solver_error_near(solution->error[side], r));
   return (transport_number){value, (error + path_error(solution->grid[0], r_mm)) * value};
 }
 
@@ -431,14 +384,14 @@ static void pass_beam(const solver_layers *of, double out[SOLVER_SIDES]) {
   for (size_t i = of->count; i-- > 0;) {
     const solver_layer *layer = &of->layer[i];
     const double depth = layer->thickness_mm * (layer->sigma_a_per_mm + layer->sigma_s_per_mm);
-    const double passed = depth < 700 ? fn_exp(-depth) : 0;
+    const double passed = fn_exp(-depth);
     const double next = i + 1 < of->count ? of->layer[i + 1].eta : of->eta_below;
-    const double root = (layer->eta - next) / (layer->eta + next), r0 = root * root;
+    const double r0 = solver_beam_reflectance(layer->eta, next);
     const double below = 1 - r0 * rho[i + 1];
     rho[i] = passed == 0 ? 0 : passed * passed * (r0 + (1 - r0) * (1 - r0) * rho[i + 1] / below);
     down[i] = passed * (1 - r0) / below;
   }
-  const double root = (of->layer[0].eta - 1) / (of->layer[0].eta + 1), r0 = root * root;
+  const double r0 = solver_beam_reflectance(of->layer[0].eta, 1);
   double entered = 1 / (1 - r0 * rho[0]);
   out[0] = (1 - r0) * rho[0] * entered;
   for (size_t i = 0; i < of->count; i++) {

@@ -56,6 +56,14 @@ const struct level solver_levels[SOLVER_LEVELS] = {
      {{0.3, {8, 20, 8}}, {1, {10, 22, 8}}, {3, {13, 26, 8}}, {12, {15, 34, 10}}}},
 };
 
+size_t solver_first_level(double tolerance) {
+  return tolerance < 2e-4 ? 2 : tolerance < 3e-3 ? 1 : 0;
+}
+
+bool solver_stops(const atomic_bool *stop) {
+  return stop != NULL && atomic_load_explicit(stop, memory_order_relaxed);
+}
+
 /* ---- phase functions ------------------------------------------------------------------------- */
 
 double solver_moment_at(const solver_phase *phase, size_t l) {
@@ -84,6 +92,57 @@ double solver_phase_at(const solver_phase *phase, double cosine) {
     here = next;
   }
   return sum;
+}
+
+size_t solver_moments_kept(const solver_phase *phase, double least, size_t most) {
+  while (most > 2 && fabs(solver_moment_at(phase, most - 1)) <= least) {
+    most--;
+  }
+  return most;
+}
+
+double solver_truncate(expansion_medium *to, double *moment, const solver_phase *phase,
+                       size_t count, double albedo) {
+  /* An odd moment of a backward phase function is negative, and nothing is left out then. */
+  const double forward = fmax(0, solver_moment_at(phase, count));
+  for (size_t l = 0; l < count; l++) {
+    moment[l] = (solver_moment_at(phase, l) - forward) / (1 - forward);
+  }
+  const double kept = 1 - albedo * forward;
+  *to = (expansion_medium){albedo * (1 - forward) / kept, count, moment};
+  return kept;
+}
+
+double solver_beam_reflectance(double one, double other) {
+  const double root = (one - other) / (one + other);
+  return root * root;
+}
+
+/* ---- errors by two grids ---------------------------------------------------------------------- */
+
+double solver_error_between(double margin, double fine, double coarse) {
+  const double least = coarse > 0 ? 0 : 1; /* by which they differ */
+  const double error = fine > 0 ? margin * fmax(fabs(1 - coarse / fine), least) : 1;
+  return isfinite(error) ? error : (double)INFINITY;
+}
+
+double solver_error_near(const double error[SOLVER_ERROR_RADII], double r) {
+  enum { SIDE = 2 };
+  const double place =
+      fn_log(fmax(r, SOLVER_ERROR_LEAST) / SOLVER_ERROR_LEAST) / fn_log(SOLVER_ERROR_RATIO) + 0.5;
+  const size_t middle = place < SOLVER_ERROR_RADII - 1 ? (size_t)place : SOLVER_ERROR_RADII - 1;
+  double most = 0;
+  for (size_t i = middle > SIDE ? middle - SIDE : 0; i <= middle + SIDE && i < SOLVER_ERROR_RADII;
+       i++) {
+    most = fmax(most, error[i]);
+  }
+  return most;
+}
+
+#define NEAR 0.4 /* scaled mean free paths */
+double solver_floor_at(const double floor[2], double unit, double eta, double r) {
+  const double near = NEAR * fmax(1, unit), more = 2 * (eta - 1);
+  return fmax(floor[1], floor[0] * fmax(1, more) * fmin(1, near / r));
 }
 
 /* ---- light that is scattered twice near the source --------------------------------------------

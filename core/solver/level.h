@@ -3,10 +3,13 @@
 #ifndef DIPOLED_CORE_SOLVER_LEVEL_H
 #define DIPOLED_CORE_SOLVER_LEVEL_H
 
+#include <stdatomic.h>
+#include <stdbool.h>
+
 #include "core/solver/exitance.h"
 #include "core/solver/expansion.h"
 
-enum { SOLVER_LEVELS = 6, SOLVER_MOMENTS_MAX = 4096 };
+enum { SOLVER_LEVELS = 6, SOLVER_MOMENTS_MAX = 4096, SOLVER_LAYERS_MAX = 8 };
 
 /* How light is scattered. Either Henyey and Greenstein's function (1941) with the mean cosine g,
  * then moments is 0; or a function that is given by its Legendre moments: moment[l] is the mean of
@@ -49,6 +52,48 @@ struct level {
 #define SOLVER_NEAR_FACTOR 5
 
 extern const struct level solver_levels[SOLVER_LEVELS];
+
+/* Returns the level that a solution for this tolerance starts from. */
+size_t solver_first_level(double tolerance);
+
+/* Returns whether somebody has set *stop, which may be NULL. */
+bool solver_stops(const atomic_bool *stop);
+
+/* Returns how many moments of a phase function are kept: up to `most`, those from the last one on that
+ * is larger than `least`. */
+size_t solver_moments_kept(const solver_phase *phase, double least, size_t most);
+
+/* Truncates a phase function to `count` moments, which are set, and sets *to for a medium with this
+ * albedo. Returns the scaled extinction over sigma_t. */
+double solver_truncate(expansion_medium *to, double *moment, const solver_phase *phase,
+                       size_t count, double albedo);
+
+/* Returns Fresnel's reflectance of light at right angles between two indices. */
+double solver_beam_reflectance(double one, double other);
+
+/* The reduced mean free paths at which two grids are compared: the least one, and how many there are,
+ * each of which is SOLVER_ERROR_RATIO times the one before. */
+enum { SOLVER_ERROR_RADII = 36 };
+#define SOLVER_ERROR_LEAST 0.004
+#define SOLVER_ERROR_RATIO 1.45
+
+/* Where this much of the light has decayed, by e to this power, no tolerance is kept. */
+#define SOLVER_DECAYS_MOST 20
+
+/* Returns the relative error of a value, from that of the next coarser grid; margin: of errors over the
+ * grids' difference. */
+double solver_error_between(double margin, double fine, double coarse);
+
+/* Returns the largest error at five neighbours of r: the grids' difference changes its sign here and
+ * there as r grows. */
+double solver_error_near(const double error[SOLVER_ERROR_RADII], double r);
+
+/* Returns the least relative error that is stated at the radius r, in reduced mean free paths. Grids
+ * share what they lack beyond K: waves that fade as r grows, and larger ones where eta is. Of 120 media
+ * against finer grids, R was off by up to 1.1e-3 at r = 0.024 (g 0.9, eta 3.3) and 5.8e-4 at 0.7 (g
+ * 0.84, eta 2.3, 16 sigma_s' absorbed), where two grids agreed within 2e-4. unit: the scaled mean free
+ * path over the reduced one. */
+double solver_floor_at(const double floor[2], double unit, double eta, double r);
 
 /* Returns the limit of k^2 X for large k, see solver.c. single: the albedo by which light scattered once
  * is in proportion. edge: the sine of the cone's edge outside, 1 for light of all angles. */

@@ -42,17 +42,8 @@ static void truncate_phase(struct scaled *to, double ratio, const solver_phase *
   /* In reduced mean free paths sigma_a + sigma_s (1 - g) is 1. */
   const double sigma_s = 1 / (1 + ratio) / (1 - g), sigma_t = ratio / (1 + ratio) + sigma_s;
   const double albedo = sigma_s / sigma_t;
-  size_t count = moments_most;
-  while (count > 2 && fabs(solver_moment_at(phase, count - 1)) <= moment_least) {
-    count--;
-  }
-  /* An odd moment of a backward phase function is negative, and nothing is left out then. */
-  const double forward = fmax(0, solver_moment_at(phase, count));
-  for (size_t l = 0; l < count; l++) {
-    to->moment[l] = (solver_moment_at(phase, l) - forward) / (1 - forward);
-  }
-  const double kept = 1 - albedo * forward;
-  to->medium = (expansion_medium){albedo * (1 - forward) / kept, count, to->moment};
+  const size_t count = solver_moments_kept(phase, moment_least, moments_most);
+  const double kept = solver_truncate(&to->medium, to->moment, phase, count, albedo);
   to->unit = 1 / (kept * sigma_t);
   to->single = albedo / kept;
   to->kappa = transport_decay_rate(to->medium.moment, to->medium.moments, to->medium.albedo,
@@ -84,25 +75,17 @@ enum { PARTS_MAX = SOLVER_ETAS_MAX * (1 + SOLVER_CONES_MAX) };
 _Static_assert((int)EXITANCE_PANELS_MAX *EXITANCE_NODES_MAX == (int)SOLVER_WAVENUMBERS_MAX,
                "a caller keeps all wavenumbers");
 
-/* Where this much of the light has decayed, no tolerance is kept. */
-#define DECAYS_MOST 20
-
-/* The radii at which two grids are compared. */
-enum { RADII = 36 };
-#define RADIUS_LEAST 0.004
-#define RADIUS_RATIO 1.45
-
 struct solver_solution {
   size_t count;
   size_t parts;
   double eta[SOLVER_ETAS_MAX];
-  size_t level;           /* of the finest grid */
-  size_t grids;           /* 1, or 2 if the next coarser one is known */
-  single_rule *single;    /* one for each part, with the phase function in its weights */
-  struct grid grid[2];    /* the finest, and the next coarser one */
-  const double *floor;    /* of relative errors: next to the source, far away */
-  double margin;          /* relative errors over the grids' difference */
-  double (*error)[RADII]; /* [boundary] relative, at each radius */
+  size_t level;        /* of the finest grid */
+  size_t grids;        /* 1, or 2 if the next coarser one is known */
+  single_rule *single; /* one for each part, with the phase function in its weights */
+  struct grid grid[2]; /* the finest, and the next coarser one */
+  const double *floor; /* of relative errors: next to the source, far away */
+  double margin;       /* relative errors over the grids' difference */
+  double (*error)[SOLVER_ERROR_RADII]; /* [boundary] relative, at each radius */
 };
 
 /* How a caller solves. */
@@ -111,10 +94,6 @@ struct way {
   bool known;                /* whether they are given, else they are set */
   const atomic_bool *stop;   /* NULL, or true as soon as the solution is not wanted any more */
 };
-
-static bool stops(const struct way *way) {
-  return way->stop != NULL && atomic_load_explicit(way->stop, memory_order_relaxed);
-}
 
 /* Solves the wavenumbers that belong to one tier. values: [part][node of all panels]. Returns
  * false if memory runs out, an equation is singular or the caller stops. */
@@ -128,7 +107,7 @@ static bool solve_tier(struct grid *of, const core_isa *isa, const struct level 
   for (size_t node = tier > 0 ? solver_exitance_end(&of->wavenumbers, tier - 1) : 0;
        node < end && ok; node++) {
     layer_exitance exitance[SOLVER_ETAS_MAX];
-    ok = !stops(way) &&
+    ok = !solver_stops(way->stop) &&
          solver_layer_halfspace(expanded, solver_exitance_wavenumber(&of->wavenumbers, node),
                                 of->scaled.kappa, exitance);
     for (size_t part = 0; part < parts_of(boundaries) && ok; part++) {
@@ -230,15 +209,14 @@ static double value_at(const solver_solution *of, const struct grid *grid, size_
 static double find_errors(solver_solution *of) {
   double worst = 0;
   for (size_t eta = 0; eta < of->count; eta++) {
-    double r = RADIUS_LEAST;
-    for (size_t i = 0; i < RADII; i++, r *= RADIUS_RATIO) {
+    double r = SOLVER_ERROR_LEAST;
+    for (size_t i = 0; i < SOLVER_ERROR_RADII; i++, r *= SOLVER_ERROR_RATIO) {
       const double fine = value_at(of, &of->grid[0], eta, r);
       const double coarse = value_at(of, &of->grid[1], eta, r);
-      const double least = coarse > 0 ? 0 : 1; /* by which they differ */
-      const double error = fine > 0 ? of->margin * fmax(fabs(1 - coarse / fine), least) : 1;
-      of->error[eta][i] = isfinite(error) ? error : (double)INFINITY;
-      const bool counts = r >= SOLVER_RADIUS_LEAST && r <= SOLVER_RADIUS_MOST &&
-                          r * of->grid[0].scaled.kappa / of->grid[0].scaled.unit < DECAYS_MOST;
+      of->error[eta][i] = solver_error_between(of->margin, fine, coarse);
+      const bool counts =
+          r >= SOLVER_RADIUS_LEAST && r <= SOLVER_RADIUS_MOST &&
+          r * of->grid[0].scaled.kappa / of->grid[0].scaled.unit < SOLVER_DECAYS_MOST;
       worst = counts ? fmax(worst, of->error[eta][i]) : worst;
     }
   }
@@ -294,14 +272,11 @@ static core_fault solve(solver_solution **solution, const core_isa *isa, double 
   }
   if (!ok) {
     solver_free(made);
-    return stops(&way) ? (core_fault){CORE_FIELD_STOPPED, "to be waited for", 0} : memory_fault;
+    return solver_stops(way.stop) ? (core_fault){CORE_FIELD_STOPPED, "to be waited for", 0}
+                                  : memory_fault;
   }
   *solution = made;
   return no_fault;
-}
-
-static size_t first_level(double tolerance) {
-  return tolerance < 2e-4 ? 2 : tolerance < 3e-3 ? 1 : 0;
 }
 
 core_fault solver_solve(solver_solution **solution, const core_isa *isa, double sigma_a_ratio,
@@ -327,7 +302,7 @@ core_fault solver_solve_cones(solver_solution **solution, const core_isa *isa, d
   }
   const expansion_boundaries boundaries = {
       .count = count, .etas = etas, .cones = cones, .sines = sines};
-  const size_t first = first_level(tolerance);
+  const size_t first = solver_first_level(tolerance);
   return solve(solution, isa, sigma_a_ratio, phase, &boundaries, first, first + 3, tolerance,
                (struct way){.stop = NULL});
 }
@@ -336,7 +311,7 @@ core_fault solver_solve_until(solver_solution **solution, const core_isa *isa, d
                               const solver_phase *phase, double eta, double tolerance,
                               const atomic_bool *stop) {
   const expansion_boundaries boundaries = {.count = 1, .etas = &eta};
-  const size_t first = first_level(tolerance);
+  const size_t first = solver_first_level(tolerance);
   return solve(solution, isa, sigma_a_ratio, phase, &boundaries, first, first + 3, tolerance,
                (struct way){.stop = stop});
 }
@@ -370,16 +345,6 @@ double solver_single_at(const solver_solution *solution, size_t eta, double r) {
   return reduced_single(solution, &solution->grid[0], eta, r);
 }
 
-/* The least relative error that is stated at a radius. Grids share what they lack beyond K: waves that
- * fade as r grows, and larger ones where eta is. Of 120 media against finer grids, R was off by up to
- * 1.1e-3 at r = 0.024 (g 0.9, eta 3.3) and 5.8e-4 at 0.7 (g 0.84, eta 2.3, 16 sigma_s' absorbed), where
- * two grids agreed within 2e-4. */
-#define NEAR 0.4 /* scaled mean free paths */
-static double floor_at(const solver_solution *of, size_t eta, double r) {
-  const double near = NEAR * fmax(1, of->grid[0].scaled.unit), more = 2 * (of->eta[eta] - 1);
-  return fmax(of->floor[1], of->floor[0] * fmax(1, more) * fmin(1, near / r));
-}
-
 /* Beyond this many reduced mean free paths R is that of diffusion, within FARTHER_OFF, relative: a
  * source at a depth of some mean free paths changes it by kappa / r, and where that is larger
  * nothing is left of R. */
@@ -398,11 +363,8 @@ static transport_number beyond(const solver_solution *solution, size_t eta, doub
   return (transport_number){last.value * fall, (last.error + FARTHER_OFF * last.value) * fall};
 }
 
-/* The grids' difference changes its sign here and there as r grows. The error is therefore the
- * largest relative difference at five neighbours of r. It is at least `floor`, since the two grids
- * share a part of their errors. */
+/* The error is at least that of the floor, since the two grids share a part of their errors. */
 transport_number solver_at(const solver_solution *solution, size_t eta, double r) {
-  enum { SIDE = 2 };
   assert(eta < solution->count && r >= 0);
   if (r == 0) {
     return (transport_number){INFINITY, INFINITY};
@@ -420,12 +382,9 @@ transport_number solver_at(const solver_solution *solution, size_t eta, double r
   if (!(value > 0)) { /* the grids find no positive R */
     return (transport_number){0, isnan(value) ? (double)INFINITY : fabs(value)};
   }
-  const double place = fn_log(fmax(r, RADIUS_LEAST) / RADIUS_LEAST) / fn_log(RADIUS_RATIO) + 0.5;
-  const size_t middle = place < RADII - 1 ? (size_t)place : RADII - 1;
-  double error = floor_at(solution, eta, r);
-  for (size_t i = middle > SIDE ? middle - SIDE : 0; i <= middle + SIDE && i < RADII; i++) {
-    error = fmax(error, solution->error[eta][i]);
-  }
+  const double unit = solution->grid[0].scaled.unit;
+  const double error = fmax(solver_floor_at(solution->floor, unit, solution->eta[eta], r),
+                            solver_error_near(solution->error[eta], r));
   return (transport_number){value, error * value};
 }
 

@@ -106,7 +106,7 @@ core_fault solver_totals(solver_total *totals, const core_isa *isa, double sigma
 
 /* ---- layers ------------------------------------------------------------------------------------- */
 
-enum { SOLVER_LAYERS_MAX = 8, SOLVER_SIDES = 2 };
+enum { SOLVER_SIDES = 2 };
 
 /* A layer, or the half space below all layers. */
 typedef struct solver_layer {

@@ -36,11 +36,11 @@ struct stack {
   const core_isa *isa;
   size_t count;
   const stack_layer *layers;
-  expansion *expanded[STACK_LAYERS_MAX];
-  struct step step[STACK_LAYERS_MAX];
+  expansion *expanded[SOLVER_LAYERS_MAX];
+  struct step step[SOLVER_LAYERS_MAX];
   dense outer[SIDES]; /* reflectance within the first and the last layer's boundary */
   double *exit[SIDES];
-  double *flux[STACK_LAYERS_MAX]; /* <mu psi>, m = 0 */
+  double *flux[SOLVER_LAYERS_MAX]; /* <mu psi>, m = 0 */
   double *memory;
 };
 
@@ -58,7 +58,7 @@ static int compare_numbers(const void *a, const void *b) {
  * reflected anywhere, and returns their number. */
 static size_t find_edges(const stack_layer *layers, size_t count, double below, double n,
                          double edge[EXPANSION_PANELS_MAX - 1]) {
-  double all[STACK_LAYERS_MAX + 2];
+  double all[SOLVER_LAYERS_MAX + 2];
   size_t found = 0, kept = 0;
   for (size_t i = 0; i < count + 2; i++) {
     const double other = i < count ? layers[i].index : i == count ? 1 : below;
@@ -73,11 +73,6 @@ static size_t find_edges(const stack_layer *layers, size_t count, double below, 
     }
   }
   return kept;
-}
-
-static double beam_reflectance(double n1, double n2) {
-  const double root = (n1 - n2) / (n1 + n2);
-  return root * root;
 }
 
 /* ---- where the index changes ---------------------------------------------------------------------- */
@@ -96,15 +91,6 @@ static size_t add_ends(const expansion *of, double n, double rare, double *end) 
     }
   }
   return count;
-}
-
-static void add_product(const dense *to, size_t row, size_t column, double factor,
-                        const double *left, size_t rows, const double *right, size_t columns) {
-  for (size_t i = 0; i < rows; i++) {
-    for (size_t j = 0; j < columns; j++) {
-      to->re[(row + i) * to->stride + column + j] += factor * left[i] * right[j];
-    }
-  }
 }
 
 /* Integrates over the cosine in the rarer medium. */
@@ -138,10 +124,14 @@ static void integrate_step(struct step *to, const expansion *one, const expansio
         const size_t at2 = two->first[m], size2 = two->first[m + 1] - at2;
         solver_expansion_at(one, m, mu1, sine1, psi1);
         solver_expansion_at(two, m, mu2, sine2, psi2);
-        add_product(&to->above, at1, at1, -flux1, psi1, size1, psi1, size1);
-        add_product(&to->below, at2, at2, -flux2, psi2, size2, psi2, size2);
-        add_product(&to->down, at2, at1, flux1, psi2, size2, psi1, size1);
-        add_product(&to->up, at1, at2, flux2, psi1, size1, psi2, size2);
+        solver_expansion_add_outer(to->above.re + at1 * to->above.stride + at1, to->above.stride,
+                                   -flux1, psi1, size1, psi1, size1);
+        solver_expansion_add_outer(to->below.re + at2 * to->below.stride + at2, to->below.stride,
+                                   -flux2, psi2, size2, psi2, size2);
+        solver_expansion_add_outer(to->down.re + at2 * to->down.stride + at1, to->down.stride,
+                                   flux1, psi2, size2, psi1, size1);
+        solver_expansion_add_outer(to->up.re + at1 * to->up.stride + at2, to->up.stride, flux2,
+                                   psi1, size1, psi2, size2);
       }
     }
   }
@@ -151,7 +141,7 @@ static void integrate_step(struct step *to, const expansion *one, const expansio
   for (size_t i = 0; i < two->n; i++) {
     to->below.re[i * to->below.stride + i] += 1;
   }
-  const double r0 = beam_reflectance(n1, n2);
+  const double r0 = solver_beam_reflectance(n1, n2);
   to->above.re[one->n * to->above.stride + one->n] = r0;
   to->below.re[two->n * to->below.stride + two->n] = r0;
   to->down.re[two->n * to->down.stride + one->n] = 1 - r0;
@@ -159,10 +149,6 @@ static void integrate_step(struct step *to, const expansion *one, const expansio
 }
 
 /* ---- making --------------------------------------------------------------------------------------- */
-
-static dense matrix_at(const core_isa *isa, double **memory, size_t rows, size_t columns) {
-  return solver_dense_at(isa, memory, rows, columns, true);
-}
 
 static size_t numbers_of(size_t rows, size_t columns) {
   return 2 * solver_dense_size(rows, columns);
@@ -206,7 +192,7 @@ static void note_boundary(stack *to, size_t side, const expansion *of, size_t bo
            n * sizeof(double));
     to->exit[side][row] = of->exit[boundary][0][row];
   }
-  to->outer[side].re[n * to->outer[side].stride + n] = beam_reflectance(eta, 1);
+  to->outer[side].re[n * to->outer[side].stride + n] = solver_beam_reflectance(eta, 1);
 }
 
 static void note_flux(const expansion *of, double *flux) {
@@ -239,17 +225,17 @@ stack *solver_stack_new(const core_isa *isa, const expansion_rules *rules,
     const size_t n = made->expanded[i]->n + 1, next = made->expanded[i + 1]->n + 1;
     step->same = layers[i].index == layers[i + 1].index;
     if (!step->same) {
-      step->above = matrix_at(isa, &at, n, n);
-      step->below = matrix_at(isa, &at, next, next);
-      step->down = matrix_at(isa, &at, next, n);
-      step->up = matrix_at(isa, &at, n, next);
+      step->above = solver_dense_at(isa, &at, n, n, true);
+      step->below = solver_dense_at(isa, &at, next, next, true);
+      step->down = solver_dense_at(isa, &at, next, n, true);
+      step->up = solver_dense_at(isa, &at, n, next, true);
       integrate_step(step, made->expanded[i], made->expanded[i + 1], layers[i].index,
                      layers[i + 1].index);
     }
   }
   for (size_t side = 0; side < SIDES && ok; side++) {
     const size_t i = side == 0 ? 0 : count - 1, n = made->expanded[i]->n + 1;
-    made->outer[side] = matrix_at(isa, &at, n, n);
+    made->outer[side] = solver_dense_at(isa, &at, n, n, true);
     made->exit[side] = at;
     at += (n + 7) / 8 * 8;
     if (side == 0 || isfinite(layers[i].thickness)) {
@@ -304,10 +290,10 @@ struct once {
 struct work {
   const stack *of;
   bool is_complex;
-  struct tower tower[STACK_LAYERS_MAX];
+  struct tower tower[SOLVER_LAYERS_MAX];
   dense spare[2];        /* for the largest layer */
   dense column[COLUMNS]; /* for the largest layer */
-  struct once once[STACK_LAYERS_MAX];
+  struct once once[SOLVER_LAYERS_MAX];
 };
 
 /* A view of a constant matrix, real if k is. */
@@ -325,27 +311,11 @@ static dense shaped(dense of, size_t rows, size_t columns) {
 }
 
 static void copy_matrix(const dense *to, const dense *from) {
-  const size_t size = from->rows * from->stride;
-  memcpy(to->re, from->re, size * sizeof(double));
-  if (to->im != NULL) {
-    memcpy(to->im, from->im, size * sizeof(double));
-  }
+  solver_dense_combine(to, 1, from, 0, from);
 }
 
-static void add_matrix(const dense *to, const dense *from, double factor) {
-  for (size_t i = 0; i < to->rows * to->stride; i++) {
-    to->re[i] += factor * from->re[i];
-    if (to->im != NULL) {
-      to->im[i] += factor * from->im[i];
-    }
-  }
-}
-
-static void clear_matrix(const dense *to) {
-  memset(to->re, 0, to->rows * to->stride * sizeof(double));
-  if (to->im != NULL) {
-    memset(to->im, 0, to->rows * to->stride * sizeof(double));
-  }
+static void add_matrix(const dense *to, const dense *from) {
+  solver_dense_combine(to, 1, to, 1, from);
 }
 
 /* Sets to = (1 - a b)^-1 right. to and right have one shape, and neither is spare[0]. */
@@ -353,7 +323,7 @@ static bool resolve(const struct work *by, const dense *to, const dense *a, cons
                     const dense *right) {
   const dense left = shaped(by->spare[0], a->rows, a->rows);
   solver_dense_multiply(&left, a, b);
-  add_matrix(&left, &left, -2);
+  solver_dense_combine(&left, -1, &left, 0, &left);
   for (size_t i = 0; i < left.rows; i++) {
     left.re[i * left.stride + i] += 1;
   }
@@ -375,7 +345,7 @@ static bool climb_layer(const struct work *by, size_t i) {
   const dense lit = shaped(by->spare[0], n, n), more = shaped(by->spare[1], n, n);
   solver_dense_multiply(&lit, &here->below, &here->through);
   solver_dense_multiply(&more, &here->own.transmitted, &lit);
-  add_matrix(&here->whole, &more, 1);
+  add_matrix(&here->whole, &more);
   return true;
 }
 
@@ -396,27 +366,22 @@ static bool climb_step(const struct work *by, size_t i) {
   const dense lit = shaped(by->spare[0], rho->rows, up.rows);
   solver_dense_multiply(&lit, rho, &here->next);
   solver_dense_multiply(&here->below, &up, &lit);
-  add_matrix(&here->below, &above, 1);
+  add_matrix(&here->below, &above);
   return true;
-}
-
-static double complex at_row(const dense *vector, size_t row) {
-  const size_t at = row * vector->stride;
-  return CMPLX(vector->re[at], vector->im == NULL ? 0 : vector->im[at]);
 }
 
 static double complex product_of(const double *left, const dense *vector, size_t count) {
   double complex sum = 0;
   for (size_t i = 0; i < count; i++) {
-    sum += left[i] * at_row(vector, i);
+    sum += left[i] * solver_dense_get(vector, i, 0);
   }
   return sum;
 }
 
 static double complex net_of(const stack *of, size_t i, const dense *down, const dense *up) {
   const size_t n = of->expanded[i]->first[1], beam = down->rows - 1;
-  return product_of(of->flux[i], down, n) - product_of(of->flux[i], up, n) + at_row(down, beam) -
-         at_row(up, beam);
+  return product_of(of->flux[i], down, n) - product_of(of->flux[i], up, n) +
+         solver_dense_get(down, beam, 0) - solver_dense_get(up, beam, 0);
 }
 
 static double corner_of(const dense *of) {
@@ -431,7 +396,7 @@ static bool descend(const struct work *by, stack_exitance *exitance) {
   dense down = shaped(by->column[0], rho->rows, 1), up = shaped(by->column[1], rho->rows, 1);
   /* J+ = (1 - F rho)^-1 e */
   dense entering = shaped(by->column[2], rho->rows, 1);
-  clear_matrix(&entering);
+  solver_dense_clear(&entering);
   entering.re[beam * GROUP] = 1;
   if (!resolve(by, &down, &top, rho, &entering)) {
     return false;
@@ -445,7 +410,7 @@ static bool descend(const struct work *by, stack_exitance *exitance) {
     exitance->net[i][0] = net_of(of, i, &down, &up);
     if (i == 0) {
       exitance->all[0] = product_of(of->exit[0], &up, n);
-      exitance->beam[0] = (1 - corner_of(&top)) * at_row(&up, rows - 1);
+      exitance->beam[0] = (1 - corner_of(&top)) * solver_dense_get(&up, rows - 1, 0);
     }
     exitance->net[i][1] = 0;
     exitance->all[1] = exitance->beam[1] = 0;
@@ -458,7 +423,7 @@ static bool descend(const struct work *by, stack_exitance *exitance) {
     exitance->net[i][1] = net_of(of, i, &foot, &back);
     if (i + 1 == of->count) {
       exitance->all[1] = product_of(of->exit[1], &foot, n);
-      exitance->beam[1] = (1 - corner_of(&bottom)) * at_row(&foot, rows - 1);
+      exitance->beam[1] = (1 - corner_of(&bottom)) * solver_dense_get(&foot, rows - 1, 0);
     } else if (of->step[i].same) {
       copy_matrix(&down, &foot);
     } else {
@@ -476,14 +441,14 @@ static bool descend(const struct work *by, stack_exitance *exitance) {
 static void pass_once(const struct work *by, size_t i, const dense *to, const dense *along,
                       const dense *against) {
   const layer_operators *own = &by->tower[i].own;
-  const double complex beam = at_row(against, against->rows - 1);
+  const double complex beam = solver_dense_get(against, against->rows - 1, 0);
   if (isinf(by->of->layers[i].thickness)) {
-    clear_matrix(to);
+    solver_dense_clear(to);
   } else {
     solver_dense_multiply(to, &own->passed_once, along);
   }
   for (size_t row = 0; row + 1 < to->rows; row++) {
-    const double complex more = beam * at_row(&own->reflected_once, row);
+    const double complex more = beam * solver_dense_get(&own->reflected_once, row, 0);
     to->re[row * GROUP] += creal(more);
     if (to->im != NULL) {
       to->im[row * GROUP] += cimag(more);
@@ -495,7 +460,7 @@ static void pass_once(const struct work *by, size_t i, const dense *to, const de
 static void add_through(const struct work *by, const dense *to, const dense *a, const dense *b) {
   const dense through = view_of(by, *a), more = shaped(by->column[0], to->rows, 1);
   solver_dense_multiply(&more, &through, b);
-  add_matrix(to, &more, 1);
+  add_matrix(to, &more);
 }
 
 /* q: the number of reflections; now: which of two columns is of this number. */
@@ -504,9 +469,9 @@ static void sweep_down(const struct work *by, size_t q, size_t now) {
   for (size_t i = 0; i < of->count; i++) {
     const struct once *here = &by->once[i];
     const struct step *step = i > 0 ? &of->step[i - 1] : NULL;
-    clear_matrix(&here->head_down);
+    solver_dense_clear(&here->head_down);
     if (i > 0 && step->same) {
-      add_matrix(&here->head_down, &by->once[i - 1].foot_down[now], 1);
+      add_matrix(&here->head_down, &by->once[i - 1].foot_down[now]);
     } else if (i > 0) {
       add_through(by, &here->head_down, &step->down, &by->once[i - 1].foot_down[now]);
     }
@@ -526,9 +491,9 @@ static void sweep_up(const struct work *by, size_t q, size_t now) {
     const struct once *here = &by->once[i];
     const bool last = i + 1 == of->count;
     const struct step *step = last ? NULL : &of->step[i];
-    clear_matrix(&here->foot_up);
+    solver_dense_clear(&here->foot_up);
     if (!last && step->same) {
-      add_matrix(&here->foot_up, &by->once[i + 1].head_up[now], 1);
+      add_matrix(&here->foot_up, &by->once[i + 1].head_up[now]);
     } else if (!last) {
       add_through(by, &here->foot_up, &step->up, &by->once[i + 1].head_up[now]);
     }
@@ -549,7 +514,7 @@ static void scatter_once(const struct work *by, stack_exitance *exitance) {
   for (size_t q = 0; q <= STACK_REFLECTIONS; q++) {
     const size_t now = q % 2;
     for (size_t i = 0; i < of->count; i++) {
-      clear_matrix(&by->once[i].foot_up);
+      solver_dense_clear(&by->once[i].foot_up);
     }
     sweep_down(by, q, now);
     sweep_up(by, q, now);
@@ -564,10 +529,6 @@ static void scatter_once(const struct work *by, stack_exitance *exitance) {
 }
 
 /* ---- all ------------------------------------------------------------------------------------------- */
-
-static dense column_at(const stack *of, double **memory, size_t rows, bool is_complex) {
-  return solver_dense_at(of->isa, memory, rows, 1, is_complex);
-}
 
 /* Returns how many numbers lay_out() needs. */
 static size_t numbers_for(const stack *of) {
@@ -598,7 +559,7 @@ static void lay_out(struct work *to, const stack *of, double *at) {
       *square[j] = solver_dense_at(of->isa, &at, n, n, to->is_complex);
     }
     for (size_t j = 0; j < sizeof column / sizeof *column; j++) {
-      *column[j] = column_at(of, &at, n, to->is_complex);
+      *column[j] = solver_dense_at(of->isa, &at, n, 1, to->is_complex);
     }
     here->next = solver_dense_at(of->isa, &at, next, n, to->is_complex);
     most = n > most ? n : most;
@@ -607,7 +568,7 @@ static void lay_out(struct work *to, const stack *of, double *at) {
     to->spare[i] = solver_dense_at(of->isa, &at, most, most, to->is_complex);
   }
   for (size_t i = 0; i < COLUMNS; i++) {
-    to->column[i] = column_at(of, &at, most, to->is_complex);
+    to->column[i] = solver_dense_at(of->isa, &at, most, 1, to->is_complex);
   }
 }
 

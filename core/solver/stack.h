@@ -6,14 +6,15 @@
 #include <complex.h>
 #include <stdbool.h>
 
-#include "core/solver/expansion.h"
+#include "core/solver/level.h"
 
-enum { STACK_LAYERS_MAX = 8, STACK_REFLECTIONS = 1 };
+enum { STACK_REFLECTIONS = 1 };
 
 /* One layer after its phase function has been truncated. */
 typedef struct stack_layer {
   expansion_medium medium;
-  double extinction; /* scaled */
+  double extinction; /* scaled, of the beam and of scattered light */
+  double sigma_s, g; /* of all light, with the true phase function */
   double thickness;  /* infinite for a half space, which is the last layer */
   double index;      /* over that above the stack */
   double kappa;      /* of a half space: the decay rate of diffuse light */
@@ -22,7 +23,7 @@ typedef struct stack_layer {
 typedef struct stack stack;
 
 /* Returns the integrals for a stack, or NULL if memory runs out. The caller frees them with
- * solver_stack_free(), which accepts NULL. layers: 1 to STACK_LAYERS_MAX, kept as they are until
+ * solver_stack_free(), which accepts NULL. layers: 1 to SOLVER_LAYERS_MAX, kept as they are until
  * then. below: the index below over that above. */
 stack *solver_stack_new(const core_isa *isa, const expansion_rules *rules,
                         const stack_layer *layers, size_t count, double below);
@@ -33,7 +34,7 @@ typedef struct stack_exitance {
   /* Above and below. all: light that was scattered; once: that part of it that was scattered once,
    * and reflected inside at most STACK_REFLECTIONS times; beam: light that was not scattered. */
   double complex all[2], once[2], beam[2];
-  double complex net[STACK_LAYERS_MAX][2]; /* the flux downwards at each layer's head and foot */
+  double complex net[SOLVER_LAYERS_MAX][2]; /* the flux downwards at each layer's head and foot */
 } stack_exitance;
 
 /* Sets *exitance at one wavenumber k, which is not 0 if the last layer is a half space without

@@ -49,20 +49,18 @@ static void follow(ways *to, ways_path at, size_t layer, bool upwards) {
 }
 
 static double reflectance(const ways *of, size_t boundary) {
-  const double above = index_of(of, (ptrdiff_t)boundary - 1),
-               below = index_of(of, (ptrdiff_t)boundary);
-  const double root = (above - below) / (above + below);
-  return root * root;
+  return solver_beam_reflectance(index_of(of, (ptrdiff_t)boundary - 1),
+                                 index_of(of, (ptrdiff_t)boundary));
 }
 
-static double passed_by_beam(const ways_layer *layer) {
-  return isinf(layer->thickness) ? 0 : fn_exp(-layer->extinction * layer->thickness);
+static double passed_by_beam(const stack_layer *layer) {
+  return fn_exp(-layer->extinction * layer->thickness);
 }
 
 static void find_beams(ways *to) {
   for (unsigned q = 0; q <= to->reflections_most; q++) {
     /* with exactly q reflections */
-    double down[WAYS_LAYERS_MAX] = {0}, up[WAYS_LAYERS_MAX] = {0};
+    double down[SOLVER_LAYERS_MAX] = {0}, up[SOLVER_LAYERS_MAX] = {0};
     for (size_t i = 0; i < to->layers; i++) {
       down[i] = i > 0 ? down[i - 1] * passed_by_beam(&to->layer[i - 1]) * (1 - reflectance(to, i))
                 : q == 0 ? 1
@@ -87,9 +85,9 @@ static void find_beams(ways *to) {
   }
 }
 
-void solver_ways_find(ways *to, const ways_layer *layer, size_t layers, double below,
+void solver_ways_find(ways *to, const stack_layer *layer, size_t layers, double below,
                       unsigned reflections) {
-  assert(layers >= 1 && layers <= WAYS_LAYERS_MAX && reflections <= 1);
+  assert(layers >= 1 && layers <= SOLVER_LAYERS_MAX && reflections <= 1);
   memset(to, 0, sizeof *to);
   to->layer = layer;
   to->layers = layers;
@@ -106,7 +104,7 @@ void solver_ways_find(ways *to, const ways_layer *layer, size_t layers, double b
 
 /* Directions of one ray in all layers. */
 struct ray {
-  double mu[WAYS_LAYERS_MAX + 2]; /* above, in each layer, below; 0 where it does not exist */
+  double mu[SOLVER_LAYERS_MAX + 2]; /* above, in each layer, below; 0 where it does not exist */
 };
 
 static struct ray ray_at(const ways *of, size_t layer, double x) {
@@ -157,27 +155,23 @@ static double find_x(const ways *of, const ways_path *way, double own, double r)
   return low;
 }
 
-static double phase_at(double g, double cosine) {
-  const double base = 1 + g * g - 2 * g * cosine;
-  return (1 - g) * (1 + g) / (base * sqrt(base) * 4 * FN_PI);
-}
-
 /* Returns the integrand over u. */
 static double light_at(const ways *of, const ways_path *way, double u, double r) {
   const double e = fn_exp(u), x = 0.5 * (e - 1 / e);
-  const ways_layer *own = &of->layer[way->layer];
+  const stack_layer *own = &of->layer[way->layer];
   const struct ray ray = ray_at(of, way->layer, x);
   const double mu = ray.mu[way->layer + 1];
   const double h = fmax(0, r - length_of(of, way, x)) / x;
+  const solver_phase phase = {.g = own->g};
   const size_t left = of->reflections_most - way->reflections;
   const double z = way->upwards ? h : own->thickness - h;
   double lit = of->down[way->layer][left] > 0
                    ? of->down[way->layer][left] * fn_exp(-own->extinction * z) *
-                         phase_at(own->g, way->upwards ? -mu : mu)
+                         solver_phase_at(&phase, way->upwards ? -mu : mu)
                    : 0;
   if (of->up[way->layer][left] > 0) {
     lit += of->up[way->layer][left] * fn_exp(-own->extinction * (own->thickness - z)) *
-           phase_at(own->g, way->upwards ? mu : -mu);
+           solver_phase_at(&phase, way->upwards ? mu : -mu);
   }
   double depth = own->extinction * h / mu;
   for (size_t i = 0; i < of->layers; i++) {
@@ -185,7 +179,7 @@ static double light_at(const ways *of, const ways_path *way, double u, double r)
                  ? way->full[i] * of->layer[i].extinction * of->layer[i].thickness / ray.mu[i + 1]
                  : 0;
   }
-  double passes = depth < 700 ? fn_exp(-depth) : 0;
+  double passes = fn_exp(-depth);
   for (size_t i = 0; i <= of->layers && passes > 0; i++) {
     const double above = index_of(of, (ptrdiff_t)i - 1), below = index_of(of, (ptrdiff_t)i);
     const double mu1 = ray.mu[i], mu2 = ray.mu[i + 1];
@@ -199,7 +193,7 @@ static double light_at(const ways *of, const ways_path *way, double u, double r)
       passes *= 1 - t;
     }
   }
-  return mu * mu * own->sigma_s * lit * passes;
+  return mu * mu * own->sigma_s / (4 * FN_PI) * lit * passes;
 }
 
 #define U_MOST 21.0
@@ -207,7 +201,7 @@ static double light_at(const ways *of, const ways_path *way, double u, double r)
 #define PANEL_MOST 0.3
 
 static double integrate(const ways *of, const ways_path *way, const gauss_rule *rule, double r) {
-  const ways_layer *own = &of->layer[way->layer];
+  const stack_layer *own = &of->layer[way->layer];
   const double first = isinf(own->thickness) ? 0 : find_x(of, way, own->thickness, r);
   const double last = find_x(of, way, 0, r);
   const double from = fn_log(first + sqrt(1 + first * first));

@@ -5,41 +5,35 @@
 #include <stdbool.h>
 #include <stddef.h>
 
-enum { WAYS_LAYERS_MAX = 8, WAYS_MAX = 512 };
+#include "core/solver/stack.h"
 
-/* A layer as single scattering needs it. */
-typedef struct ways_layer {
-  double extinction; /* of the beam and of scattered light */
-  double sigma_s;    /* of all light, with the true phase function */
-  double g;
-  double thickness; /* infinite for a half space, which is the last layer */
-  double index;     /* over that above the layers */
-} ways_layer;
+enum { WAYS_MAX = 512 };
 
 /* A way of light after its scattering in a layer until it leaves. */
 typedef struct ways_path {
   size_t layer;
-  bool upwards;                        /* how it leaves the place of its scattering */
-  size_t side;                         /* where it leaves: 0 above, 1 below */
-  unsigned reflections;                /* how often it was reflected */
-  unsigned char full[WAYS_LAYERS_MAX]; /* how often it crosses a layer after its own part of one */
-  unsigned char through[WAYS_LAYERS_MAX + 1], back[WAYS_LAYERS_MAX + 1]; /* at each boundary */
+  bool upwards;         /* how it leaves the place of its scattering */
+  size_t side;          /* where it leaves: 0 above, 1 below */
+  unsigned reflections; /* how often it was reflected */
+  unsigned char
+      full[SOLVER_LAYERS_MAX]; /* how often it crosses a layer after its own part of one */
+  unsigned char through[SOLVER_LAYERS_MAX + 1], back[SOLVER_LAYERS_MAX + 1]; /* at each boundary */
 } ways_path;
 
 typedef struct ways {
   size_t count, layers;
-  const ways_layer *layer;
+  const stack_layer *layer;
   double index_below;
   unsigned reflections_most;
   /* the beams on their way down at a layer's head, and up at its foot, with so many reflections or
    * fewer */
-  double down[WAYS_LAYERS_MAX][2], up[WAYS_LAYERS_MAX][2];
+  double down[SOLVER_LAYERS_MAX][2], up[SOLVER_LAYERS_MAX][2];
   ways_path way[WAYS_MAX];
 } ways;
 
 /* Sets *to to all ways with at most `reflections` of them, 0 or 1, together with the beam's. below: the
  * index below over that above. layer: kept as it is. */
-void solver_ways_find(ways *to, const ways_layer *layer, size_t layers, double below,
+void solver_ways_find(ways *to, const stack_layer *layer, size_t layers, double below,
                       unsigned reflections);
 
 /* Returns what leaves at the side after one scattering at the radius r, above 0, per square of the unit
