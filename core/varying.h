@@ -9,7 +9,7 @@
  * radius for one g and eta, from the table of solutions. Its error is measured after it is made,
  * and stated.
  *
- * A value that cannot be answered is NaN and has a status that says why; the others are answered.
+ * A value that cannot be computed is NaN, and its status says why.
  * The same value gets the same bits on every instruction set and in every slice of an array.
  *
  * Arrays need only their type's alignment; outputs must not overlap inputs or each other. Nothing
@@ -113,9 +113,9 @@ size_t core_varying_bytes(const core_varying *varying);
 
 /* ---- checking and errors --------------------------------------------------------------------- */
 
-/* What the answered values of an array have in common. */
+/* What the computed values of an array have in common. */
 typedef struct core_varying_range {
-  size_t answered;     /* number of values with a status OK or FAR; the rest is of those with OK */
+  size_t computed;     /* number of values with a status OK or FAR; the rest is of those with OK */
   double albedo_least; /* sigma_s' / sigma_t'; the least is above the most if there are none */
   double albedo_most;
   double mfp_least; /* r sigma_t', of finite radii */

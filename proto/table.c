@@ -85,7 +85,7 @@ size_t table_surface_words(const core_varying *surface) {
 void table_reply_put_surface(uint8_t *at, const core_varying *surface,
                              const core_parameters *parameters) {
   const size_t word_bytes = table_surface_words(surface) * sizeof(float);
-  const core_varying_range all = {.answered = 1,
+  const core_varying_range all = {.computed = 1,
                                   .albedo_least = 0, /* of media that do not scatter */
                                   .albedo_most = surface->albedo_most,
                                   .mfp_most = (double)INFINITY};

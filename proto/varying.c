@@ -112,7 +112,7 @@ bool varying_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_vary
       varying_reply_layout(fixed->evaluator, fixed->wanted, fixed->coefficients, fixed->count);
   return fixed->evaluator != CORE_EVALUATOR_LUT && (fixed->wanted & ~QUANTITIES) == 0 &&
          (fixed->coefficients & ~(unsigned)COEFFICIENTS) == 0 &&
-         fixed->answered_count <= fixed->count && fixed->part < fixed->part_count;
+         fixed->computed_count <= fixed->count && fixed->part < fixed->part_count;
 }
 
 /* ---- evaluating ------------------------------------------------------------------------------ */
@@ -249,7 +249,7 @@ static void take_media(struct slice *slice, const varying_part *part,
   }
 }
 
-/* Sets a value that has no answer to NaN in every array. */
+/* Sets a value that cannot be computed to NaN in every array. */
 static void clear(const varying_part *part, uint64_t value, bool single) {
   for (uint32_t array = 1; array != 0 && array <= part->layout.arrays; array <<= 1) {
     void *at = place(part, array, value, single ? sizeof(float) : sizeof(double));
@@ -262,13 +262,13 @@ static void clear(const varying_part *part, uint64_t value, bool single) {
 }
 
 /* Overwrites the statuses of media with those of their colours that are not *ok*: a colour without
- * a medium has NaN coefficients, so the medium's status tells nothing. Sets values without an
- * answer to NaN. */
+ * a medium has NaN coefficients, so the medium's status says nothing. Sets values that cannot
+ * be computed to NaN. */
 static void put_statuses(const varying_part *part, const varying_request *request, uint64_t begin,
                          const struct slice *slice, const struct scratch *scratch,
-                         size_t answered) {
+                         size_t computed) {
   uint8_t *status = part->payload + part->layout.status_offset + begin;
-  if (answered == slice->n) {
+  if (computed == slice->n) {
     return;
   }
   for (size_t i = 0; i < slice->n; i++) {
@@ -374,7 +374,7 @@ void varying_part_evaluate(varying_part *part, const varying_request *request,
       evaluate(&slice, quantity->id, numbers, to);
     }
   }
-  put_statuses(part, request, begin, &slice, &memory, range.answered);
+  put_statuses(part, request, begin, &slice, &memory, range.computed);
   if (ruler != NULL) {
     compare_all(part, &slice, ruler, &memory, fixed->numbers != VARYING_RADII, begin, given,
                 numbers);
@@ -419,7 +419,7 @@ void varying_part_end(const varying_part *part, const varying_request *request,
       .first = part->first,
       .part = number,
       .part_count = part_count,
-      .answered_count = part->range.answered,
+      .computed_count = part->range.computed,
       .numerical_error = core_varying_error(varying, fixed->wanted, &part->range),
       .model_error = model_error(part, varying, ruler, fixed->wanted),
       .colour_least = colours ? seen(request, varying, varying->colour_least[light]) : (double)NAN,

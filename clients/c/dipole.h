@@ -1,4 +1,4 @@
-/* libdipole: ask a dipoled for subsurface-scattering profiles R(r).
+/* libdipole: requests subsurface-scattering profiles R(r) from a dipoled.
  *
  *   dipole_client *client;
  *   dipole_error error;
@@ -48,13 +48,13 @@ enum dipole_error_kind {
   DIPOLE_ERROR_ARGUMENT = 6, /* The call's arguments do not fit together. */
   DIPOLE_ERROR_REFUSED,      /* The daemon refused the request. */
   DIPOLE_ERROR_TABLE,        /* The bytes are damaged, or a table of an unknown layout. */
-  DIPOLE_ERROR_STOPPED,      /* The caller's function returned false to end the answer. */
+  DIPOLE_ERROR_STOPPED,      /* The caller's function returned false to end the reply. */
   DIPOLE_ERROR_TIMEOUT,      /* The call took longer than call_timeout_ms. */
   DIPOLE_ERROR_FULL,         /* in_flight_max queries are outstanding. */
 
   /* After an error of these kinds, there is no client, or the client can only be closed. */
   DIPOLE_ERROR_ADDRESS = 1, /* The text of the address is malformed. */
-  DIPOLE_ERROR_CONNECT,     /* No daemon answers at the address. */
+  DIPOLE_ERROR_CONNECT,     /* No daemon replies at the address. */
   DIPOLE_ERROR_CONNECTION,  /* The connection was lost or timed out: see dipole_set_retry_ms(). */
   DIPOLE_ERROR_PROTOCOL,    /* The peer does not follow the protocol. */
   DIPOLE_ERROR_MEMORY,      /* Out of memory. The client works on unless it was receiving. */
@@ -83,7 +83,7 @@ typedef struct dipole_error {
  *   NULL               $DIPOLED if that is set, else private:
  * Several addresses but private: may be given, separated by commas without blanks: see "Several
  * daemons" below. A comma that no unix:, tcp: or tls: follows is part of a path. The caller closes
- * *client with dipole_close(). While no daemon answers, the call retries for
+ * *client with dipole_close(). While no daemon replies, the call retries for
  * DIPOLE_RETRY_MS. On failure *client is NULL; kind REFUSED then means that the daemon did not take
  * the connection, for example because it has too many. */
 bool dipole_open(const char *address, dipole_client **client, dipole_error *error);
@@ -105,12 +105,12 @@ typedef struct dipole_options {
   unsigned timeout_ms;
   /* The longest time for any call except dipole_mc(), reconnecting included; 0 is no limit. A call
    * that takes longer fails with kind TIMEOUT, and the client continues to work. Submitted queries
-   * stay outstanding; the answer to any other request is thrown away when it comes. The daemon is
-   * not told this limit, only the deadline_ms of a query. Default: 0. */
+   * stay outstanding; the reply to any other request is thrown away when it comes. The daemon is
+   * not given this limit, only the deadline_ms of a query. Default: 0. */
   unsigned call_timeout_ms;
   /* For how long the client retries, here and in later calls: see dipole_set_retry_ms().
-   * dipole_open_with() tries all addresses in turn until one answers, and fails when no daemon has
-   * answered for retry_ms; 0: it tries each address once. It is always 0 for private: addresses.
+   * dipole_open_with() tries all addresses in turn until one replies, and fails when no daemon has
+   * replied for retry_ms; 0: it tries each address once. It is always 0 for private: addresses.
    * Default: 5000. */
   unsigned retry_ms;
   /* The number of outstanding queries at which dipole_submit() fails with kind FULL; 0 is no limit.
@@ -141,22 +141,22 @@ bool dipole_open_with(const char *address, const dipole_options *options, dipole
 void dipole_set_timeout_ms(dipole_client *client, unsigned timeout_ms);
 void dipole_set_call_timeout_ms(dipole_client *client, unsigned call_timeout_ms);
 
-/* The most bytes of unanswered requests that a client keeps to send them again. */
+/* The most bytes of requests without a reply that a client keeps to send them again. */
 #define DIPOLE_RETRY_KEPT_BYTES ((size_t)64 << 20)
 
 /* Sets for how long the client retries a request that fails for a temporary reason. It holds for
  * all later requests. 0, the default of private: addresses, means that the client never retries.
  *
  * Temporary reasons are a lost connection, a daemon that ends the connection (SHUTTING_DOWN,
- * TIMEOUT), and the answers BUSY and SHUTTING_DOWN. The client connects again if it has to, and
+ * TIMEOUT), and the replies BUSY and SHUTTING_DOWN. The client connects again if it has to, and
  * sends the requests again, with the same ids and the rest of their deadlines, and not before the
  * daemon's retry_after_ms. The pauses between two attempts grow from 10 ms to 1 s: each is twice as
  * long as the one before, shortened at random by up to a half, and at most half of the time that is
- * left. A request that has no answer
+ * left. A request that has no reply
  * retry_ms after its first failure fails with the kind of that failure: CONNECTION or REFUSED.
  *
- * Every daemon gives the same answer to a request, so a repeated request never yields a wrong answer
- * or two answers. A Monte Carlo job whose daemon is lost or stops begins anew with the next daemon,
+ * Every daemon gives the same reply to a request, so a repeated request never yields a wrong reply
+ * or two replies. A Monte Carlo job whose daemon is lost or stops begins anew with the next daemon,
  * without the photons walked so far. A report of progress ends its failure: if the job fails again,
  * the client retries for retry_ms again.
  *
@@ -166,13 +166,13 @@ void dipole_set_call_timeout_ms(dipole_client *client, unsigned call_timeout_ms)
  * the first one, which dipole_get_info() continues to describe. If the list has a single address,
  * requests fail when its daemon stays connected and silent for timeout_ms.
  *
- * Several daemons. The client connects to the first address that answers. When that connection is
+ * Several daemons. The client connects to the first address that replies. When that connection is
  * lost, or its daemon is silent for timeout_ms, the client tries the next address in the list, and
  * so on in a circle. It pauses before each round. The rest of retry_ms is shared equally among the
  * addresses that are still to be tried, so that a daemon that hangs leaves time for the others.
  * Outstanding requests go to the new daemon: daemons of the same version give the same bits on
  * every machine.
- * The client skips a daemon with other lists. It stays with a daemon as long as that answers. */
+ * The client skips a daemon with other lists. It stays with a daemon as long as it replies. */
 void dipole_set_retry_ms(dipole_client *client, unsigned retry_ms);
 
 /* The largest number of addresses in a list. */
@@ -221,7 +221,7 @@ typedef struct dipole_value {
 
 /* A daemon's description of itself. */
 typedef struct dipole_info {
-  const char *address; /* the address at which this daemon answered */
+  const char *address; /* the address at which this daemon replied */
   const char *software;
   const char *instruction_set;
   const char *R_unit;
@@ -320,10 +320,10 @@ typedef struct dipole_query {
   double radius_stop_mm;              /* the last radius, for LINEAR and LOGARITHMIC */
   const dipole_parameter *parameters; /* [parameter_count], each id at most once; NULL for none */
   size_t parameter_count;
-  /* How long the answer may take from the arrival of the query, in ms; 0 is no limit. The daemon
-   * refuses a query that it cannot answer in this time, with the status `deadline`. */
+  /* How long the reply may take from the arrival of the query, in ms; 0 is no limit. The daemon
+   * refuses a query that it cannot serve in this time, with the status `deadline`. */
   unsigned deadline_ms;
-  /* Memory of the caller into which the arrays of the answer are copied as well; NULL: none.
+  /* Memory of the caller into which the arrays of the reply are copied as well; NULL: none.
    * into_values is [medium_count][wanted quantities that have an array][radius_count] of double or
    * float, with the quantities in the order of enum dipole_quantity. into_radii is [radius_count];
    * it is needed if DIPOLE_RADIUS is wanted. Do not touch this memory until the query is collected,
@@ -347,7 +347,7 @@ typedef struct dipole_errors {
   double model_error; /* of the model against radiative transport; NaN if it is not known */
 } dipole_errors;
 
-/* The answer for one medium. An array is NULL if its quantity was not wanted or if its type is not
+/* The reply for one medium. An array is NULL if its quantity was not wanted or if its type is not
  * that of the evaluator: DIPOLE_F64 sets the arrays *_f64, the other evaluators set *_f32. */
 typedef struct dipole_channel {
   double albedo; /* NaN if it was not wanted */
@@ -377,22 +377,22 @@ typedef struct dipole_result {
   const dipole_channel *channels; /* [channel_count], in the order of the query's media */
 } dipole_result;
 
-/* Evaluates a query and waits for the answer, which may have any size that fits into memory. The
- * caller frees *result with dipole_result_free(). The client keeps answers to submitted queries
+/* Evaluates a query and waits for the reply, which may have any size that fits into memory. The
+ * caller frees *result with dipole_result_free(). The client keeps replies to submitted queries
  * that arrive meanwhile. */
 bool dipole_eval(dipole_client *client, const dipole_query *query, dipole_result **result,
                  dipole_error *error);
 
-/* Evaluates like dipole_eval(), but passes each part of the answer to part() as soon as it arrives
- * and keeps none, so that an answer may be larger than memory. The daemon chooses how many radii a
- * part has. An answer that fits into a frame (limit max_frame_bytes) is one part; a larger answer
+/* Evaluates like dipole_eval(), but passes each part of the reply to part() as soon as it arrives
+ * and keeps none, so that a reply may be larger than memory. The daemon chooses how many radii a
+ * part has. A reply that fits into a frame (limit max_frame_bytes) is one part; a larger reply
  * has parts of up to max_part_bytes.
  *
  * *part is a result for part->radius_count radii, of which the first has position radius_first in
  * the query. All parts are alike except for their arrays. *part is valid until part() returns;
  * part() must neither free it nor use the client. The daemon waits while part() works.
  *
- * Returns true when part() has got all parts. Returns false if an error ended the answer; the parts
+ * Returns true when part() has got all parts. Returns false if an error ended the reply; the parts
  * before the error are valid. If part() returns false, the call fails with kind STOPPED. The client
  * continues to work, but its later calls still have to receive the other parts and throw them away:
  * if many are left, it is better to close the client. */
@@ -416,14 +416,14 @@ dipole_errors dipole_errors_of(const dipole_result *result, uint32_t channel, un
 
 /* ---- many at once -------------------------------------------------------------------------- */
 
-/* A program can submit queries without waiting for the answers to earlier ones, and collect the
- * answers in any order:
+/* A program can submit queries without waiting for the replies to earlier ones, and collect the
+ * replies in any order:
  *
  *   for (i = 0; i < n; i++) { dipole_submit(client, &queries[i], &ids[i], &error) ... }
  *   for (i = 0; i < n; i++) { dipole_collect(client, &id, &result, &error) ... }
  *
  * Every call that waits also receives, even dipole_submit() when the daemon does not read. So the
- * program and the daemon never wait for each other forever. The answers that are not collected take
+ * program and the daemon never wait for each other forever. The replies that are not collected take
  * memory; in_flight_max limits their number. The library receives only during calls, so the daemon
  * may have to wait for a program that makes none. */
 
@@ -438,9 +438,9 @@ bool dipole_submit(dipole_client *client, const dipole_query *query, uint64_t *i
  * program does other work for a while. */
 void dipole_flush(dipole_client *client);
 
-/* Waits for the answer to any outstanding query and sets *id to the id of that query. The caller
+/* Waits for the reply to any outstanding query and sets *id to the id of that query. The caller
  * frees *result with dipole_result_free(). Kind REFUSED: the daemon refused query *id; the others
- * go on. Kind TIMEOUT: no answer came within call_timeout_ms; all queries go on. Kind ARGUMENT: no
+ * go on. Kind TIMEOUT: no reply came within call_timeout_ms; all queries go on. Kind ARGUMENT: no
  * query is outstanding. */
 bool dipole_collect(dipole_client *client, uint64_t *id, dipole_result **result,
                     dipole_error *error);
@@ -455,7 +455,7 @@ size_t dipole_outstanding(const dipole_client *client);
 
 /* ---- the trade between speed and accuracy -------------------------------------------------- */
 
-/* A model and evaluator that could answer a query. */
+/* A model and evaluator that could evaluate a query. */
 typedef struct dipole_offer {
   unsigned model;         /* id, as in the daemon's list */
   unsigned evaluator;     /* enum dipole_evaluator */
@@ -467,7 +467,7 @@ typedef struct dipole_offer {
   double prepare_ns;      /* time to prepare one medium, as measured once on one machine */
 } dipole_offer;
 
-/* Lists the models and evaluators that could answer a query whose model is DIPOLE_ANY_MODEL,
+/* Lists the models and evaluators that could evaluate a query whose model is DIPOLE_ANY_MODEL,
  * cheapest first. The caller frees *offers, an array of *count, with free(). *taken is the position
  * of the offer that dipole_eval() would take, or *count if it would take none; taken may be NULL.
  * Cheapest are those with the least prepare_ns + cost_ns * radius_count * wanted quantities with a
@@ -504,7 +504,7 @@ typedef struct dipole_sample_query {
   unsigned deadline_ms; /* as of an eval */
 } dipole_sample_query;
 
-/* Draws radii with a density in proportion to r R(r), and waits for the answer. A number u gives
+/* Draws radii with a density in proportion to r R(r), and waits for the reply. A number u gives
  * the radius r with cdf(r) = u: 0 mm for u = 0, and INFINITY for u = 1. DIPOLE_PDF is in 1/mm;
  * pdf / (2 pi r) is the density of points per mm^2. In the result, radius_count is sample_count;
  * dipole_values_f64() or dipole_values_f32() give the radii of a channel for DIPOLE_RADIUS;
@@ -554,7 +554,7 @@ typedef struct dipole_inversion {
   double albedo_most;    /* the largest albedo that the model reaches with this g and eta */
 } dipole_inversion;
 
-/* Finds the media that have the given albedos and lengths, and waits for the answer. The caller
+/* Finds the media that have the given albedos and lengths, and waits for the reply. The caller
  * frees *inversion with dipole_inversion_free(). */
 bool dipole_invert(dipole_client *client, const dipole_invert_query *query,
                    dipole_inversion **inversion, dipole_error *error);
@@ -651,9 +651,9 @@ typedef struct dipole_fits {
   unsigned notes;          /* sum of the bits of the notes that hold */
 } dipole_fits;
 
-/* Finds the media whose readings are most likely, and waits for the answer. The daemon prepares
+/* Finds the media whose readings are most likely, and waits for the reply. The daemon prepares
  * what all sets have in common once, and keeps it. Beyond two mean free paths readings hardly
- * depend on g: ask again with g - 0.05 and g + 0.05 to see how much the coefficients change. The
+ * depend on g: repeat the call with g - 0.05 and g + 0.05 to see how much the coefficients change. The
  * caller frees *fits with dipole_fits_free(). */
 bool dipole_fit(dipole_client *client, const dipole_fit_query *query, dipole_fits **fits,
                 dipole_error *error);
@@ -775,8 +775,8 @@ enum dipole_light {
 /* What became of a value. The choices of kind DIPOLE_VALUE have all statuses: their names, and what
  * is allowed in the field that they name. */
 enum dipole_value_status {
-  DIPOLE_VALUE_OK = 0, /* answered, within the errors that the result states */
-  DIPOLE_VALUE_FAR = 1 /* answered, but at a radius beyond which no error is stated */
+  DIPOLE_VALUE_OK = 0, /* computed, within the errors that the result states */
+  DIPOLE_VALUE_FAR = 1 /* computed, but at a radius beyond which no error is stated */
 };
 
 /* All arrays are [value_count] of double (F64) or float (F32). */
@@ -809,7 +809,7 @@ typedef struct dipole_varying_result {
   unsigned model, evaluator, moments, wanted, coefficients; /* as in the query */
   unsigned notes; /* sum of the ids of the notes (kind DIPOLE_NOTE) that hold */
   uint64_t value_count;
-  uint64_t answered_count; /* number of values that are answered; the others are NaN */
+  uint64_t computed_count; /* number of values that were computed; the others are NaN */
   const uint8_t *statuses; /* [value_count]: enum dipole_value_status, or the id of a fault */
   double numerical_error;  /* relative, of all values whose status is DIPOLE_VALUE_OK */
   double model_error;  /* against radiative transport, relative; NaN unless DIPOLE_MODEL_ERROR was
@@ -819,9 +819,9 @@ typedef struct dipole_varying_result {
   double specular;     /* the share of the light that the surface reflects; NaN likewise */
 } dipole_varying_result;
 
-/* Evaluates a query and waits for the answer. The arrays of a request must fit into a frame (limit
- * max_frame_bytes); its answer may have any size. The caller frees *result with
- * dipole_varying_result_free(). A value that cannot be answered is no error of the query. */
+/* Evaluates a query and waits for the reply. The arrays of a request must fit into a frame (limit
+ * max_frame_bytes); its reply may have any size. The caller frees *result with
+ * dipole_varying_result_free(). A value that cannot be computed is no error of the query. */
 bool dipole_varying(dipole_client *client, const dipole_varying_query *query,
                     dipole_varying_result **result, dipole_error *error);
 
@@ -893,7 +893,7 @@ typedef struct dipole_gather_query {
 } dipole_gather_query;
 
 typedef struct dipole_gather_result {
-  uint64_t answered_count;   /* fewer than query_count only if progress() returned false */
+  uint64_t computed_count;   /* fewer than query_count only if progress() returned false */
   double bound;              /* the largest error that groups of points have caused, at most */
   double numerical_error[8]; /* of each channel: by the evaluator and by rounding, relative */
   double model_error[8];     /* of each channel: of R against radiative transport at 0.01 to 20 mean
@@ -904,7 +904,7 @@ typedef struct dipole_gather_result {
 } dipole_gather_result;
 
 /* Gathers light at all queries and waits for it. M_W_per_mm2: [query_count][channels]. progress(),
- * unless NULL, is called whenever some thousand more queries are answered; it must not use the
+ * unless NULL, is called whenever some thousand more queries are computed; it must not use the
  * client. If it returns false, the call ends, with what the daemon still does for it, and the sums
  * that are missing are NaN. result may be NULL.
  *
@@ -912,9 +912,8 @@ typedef struct dipole_gather_result {
  * that takes over from a daemon that has ended: neither is an error of the call. The number of
  * queries is not limited; that of points is the daemon's limit max_points. */
 bool dipole_gather(dipole_client *client, const dipole_gather_query *query,
-                   bool (*progress)(void *context, uint64_t answered, uint64_t count),
-                   void *context, double *M_W_per_mm2, dipole_gather_result *result,
-                   dipole_error *error);
+                   bool (*progress)(void *context, uint64_t done, uint64_t count), void *context,
+                   double *M_W_per_mm2, dipole_gather_result *result, dipole_error *error);
 
 /* Gathers in this process, without a daemon, on one thread: with the bits that a daemon gives with
  * DIPOLE_LUT, for the models, moments, media and parameters of the tables. tables: one for each
@@ -923,7 +922,7 @@ bool dipole_gather(dipole_client *client, const dipole_gather_query *query,
  * second for a million, and takes up to 300 bytes for each point of three channels meanwhile. */
 bool dipole_gather_at_home(const dipole_table *const *tables, const dipole_points *points,
                            double tolerance, uint64_t query_count, const double *queries_mm,
-                           bool (*progress)(void *context, uint64_t answered, uint64_t count),
+                           bool (*progress)(void *context, uint64_t done, uint64_t count),
                            void *context, double *M_W_per_mm2, dipole_gather_result *result,
                            dipole_error *error);
 
@@ -1044,7 +1043,7 @@ bool dipole_media(dipole_client *client, dipole_measured_medium **media, size_t 
 bool dipole_statistics(dipole_client *client, dipole_value **values, size_t *count,
                        dipole_error *error);
 
-/* Makes an empty round trip, which shows that the daemon answers. */
+/* Makes an empty round trip, which shows that the daemon replies. */
 bool dipole_ping(dipole_client *client, dipole_error *error);
 
 #ifdef __cplusplus

@@ -1,4 +1,4 @@
-/* Fits coefficients to readings. The parts of an answer are put together as they arrive. */
+/* Fits coefficients to readings. The parts of a reply are put together as they arrive. */
 #include "proto/fit.h"
 
 #include <stdlib.h>
@@ -26,7 +26,7 @@ static bool merge(const libdipole_pending *pending, const void *part, void *whol
 
 static const libdipole_kind kind = {.repeatable = true, .reply = &schema_fit_reply, .merge = merge};
 
-/* ---- asking -------------------------------------------------------------------------------- */
+/* ---- requests ------------------------------------------------------------------------------ */
 
 static bool check(const dipole_fit_query *query, dipole_error *error) {
   if (!libdipole_query_check(query->model, query->moments | query->axis | query->scale,

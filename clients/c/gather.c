@@ -1,4 +1,4 @@
-/* Gathers the light of points: asks a daemon for sums, in requests of some thousand queries, and
+/* Gathers the light of points: requests sums from a daemon, in requests of some thousand queries, and
  * sends it the points when it says that it does not have them. */
 #include "proto/gather.h"
 
@@ -70,10 +70,10 @@ struct run {
   double *M;
   uint32_t *order; /* in which queries are requested; NULL: as they come */
   dipole_gather_result *result;
-  uint64_t asked;    /* queries of the requests that have been sent */
-  uint64_t answered; /* queries of the requests that are answered */
-  bool known;        /* whether the daemon has shown that it has the points */
-  bool sending;      /* whether the points are being sent */
+  uint64_t requested; /* queries of the requests that have been sent */
+  uint64_t received;  /* queries whose sums have been received */
+  bool known;         /* whether the daemon has shown that it has the points */
+  bool sending;       /* whether the points are being sent */
   uint64_t next_point;
   unsigned sent_times;
   int64_t until_ms; /* the deadline; 0: none */
@@ -144,7 +144,7 @@ static bool send_points(struct run *run, dipole_error *error) {
 static uint64_t next_queries(const struct run *run) {
   const dipole_gather_query *query = run->query;
   const dipole_points *info = query->points;
-  const uint64_t left = query->query_count - run->asked;
+  const uint64_t left = query->query_count - run->requested;
   uint64_t most = PART_QUERIES;
   if (query->tolerance <= 0) {
     const uint64_t fits = PART_PAIRS / (info->point_count * info->channel_count);
@@ -158,7 +158,7 @@ static uint64_t place(const struct run *run, uint64_t position) {
   return run->order != NULL ? run->order[position] : position;
 }
 
-static bool ask(struct run *run, dipole_error *error) {
+static bool request_sums(struct run *run, dipole_error *error) {
   const dipole_gather_query *query = run->query;
   const dipole_points *points = query->points;
   const uint32_t channels = points->channel_count;
@@ -190,10 +190,10 @@ static bool ask(struct run *run, dipole_error *error) {
   at += layout.parts[2].at;
   enum { QUERY_BYTES = GATHER_AXES * sizeof(double) };
   for (uint64_t i = 0; i < n; i++) {
-    memcpy(at + i * QUERY_BYTES, query->queries_mm + place(run, run->asked + i) * GATHER_AXES,
+    memcpy(at + i * QUERY_BYTES, query->queries_mm + place(run, run->requested + i) * GATHER_AXES,
            QUERY_BYTES);
   }
-  run->asked += n;
+  run->requested += n;
   run->ids[run->under_way] = pending.id;
   run->counts[run->under_way++] = n;
   return libdipole_request_send(run->client, error);
@@ -209,9 +209,9 @@ static bool send_next(struct run *run, bool *sent, dipole_error *error) {
     *sent = run->next_point < run->query->points->point_count;
     return !*sent || send_points(run, error);
   }
-  const bool first = run->under_way == 0 && run->answered == 0 && run->asked == 0;
-  *sent = first || (run->known && run->asked < run->query->query_count);
-  return !*sent || ask(run, error);
+  const bool first = run->under_way == 0 && run->received == 0 && run->requested == 0;
+  *sent = first || (run->known && run->requested < run->query->query_count);
+  return !*sent || request_sums(run, error);
 }
 
 static void drop_all(struct run *run) {
@@ -240,7 +240,7 @@ static void take_sums(struct run *run, const libdipole_frame *frame, uint64_t n)
   wire_get_gather_reply(frame->payload, &fixed);
   const size_t row_bytes = channels * sizeof(double);
   for (uint64_t i = 0; i < n; i++) {
-    memcpy(run->M + place(run, run->answered + i) * channels,
+    memcpy(run->M + place(run, run->received + i) * channels,
            frame->payload + gather_sums_offset(channels) + i * row_bytes, row_bytes);
   }
   for (uint32_t i = 0; i < channels; i++) {
@@ -254,8 +254,8 @@ static void take_sums(struct run *run, const libdipole_frame *frame, uint64_t n)
   result->points_visited += fixed.points_visited;
   result->nodes_visited += fixed.nodes_visited;
   result->notes |= fixed.notes;
-  run->answered += n;
-  result->answered_count = run->answered;
+  run->received += n;
+  result->computed_count = run->received;
   run->known = true;
   run->sent_times = 0;
 }
@@ -264,7 +264,7 @@ static bool take_points(struct run *run, const libdipole_frame *frame, dipole_er
   wire_points_reply fixed;
   if (!points_reply_parse(frame->payload, (size_t)frame->payload_bytes, &fixed) ||
       (fixed.known == 0 && fixed.point_next >= run->query->points->point_count)) {
-    return libdipole_bad_answer(run->client, "it does not know a set with all its points", error);
+    return libdipole_bad_reply(run->client, "it does not know a set with all its points", error);
   }
   if (fixed.known != 0) {
     run->sending = false;
@@ -273,7 +273,7 @@ static bool take_points(struct run *run, const libdipole_frame *frame, dipole_er
   return true;
 }
 
-/* Waits for the answer to the oldest request. */
+/* Waits for the reply to the oldest request. */
 static bool take_next(struct run *run, dipole_error *error) {
   libdipole_pending pending = {.id = run->ids[0]};
   const uint64_t n = run->counts[0];
@@ -292,7 +292,7 @@ static bool take_next(struct run *run, dipole_error *error) {
     run->sending = true;
     run->known = false;
     run->next_point = 0;
-    run->asked = run->answered;
+    run->requested = run->received;
     return true;
   }
   bool good = true;
@@ -307,23 +307,21 @@ static bool take_next(struct run *run, dipole_error *error) {
 
 /* Returns whether the caller wants more. */
 static bool go_on(const struct run *run, uint64_t before,
-                  bool (*progress)(void *context, uint64_t answered, uint64_t count),
-                  void *context) {
-  if (progress == NULL || run->answered == before) {
+                  bool (*progress)(void *context, uint64_t done, uint64_t count), void *context) {
+  if (progress == NULL || run->received == before) {
     return true;
   }
   run->client->torn = true;
-  const bool goes_on = progress(context, run->answered, run->query->query_count);
+  const bool goes_on = progress(context, run->received, run->query->query_count);
   run->client->torn = false;
   return goes_on;
 }
 
 static bool is_done(const struct run *run) {
-  return run->known && !run->sending && run->answered == run->query->query_count;
+  return run->known && !run->sending && run->received == run->query->query_count;
 }
 
-static bool gather(struct run *run,
-                   bool (*progress)(void *context, uint64_t answered, uint64_t count),
+static bool gather(struct run *run, bool (*progress)(void *context, uint64_t done, uint64_t count),
                    void *context, dipole_error *error) {
   while (!is_done(run)) {
     bool sent = true;
@@ -332,10 +330,10 @@ static bool gather(struct run *run,
         return false;
       }
     }
-    if (run->under_way == 0) { /* The points were sent again, and there is nothing to ask. */
+    if (run->under_way == 0) { /* The points were sent again, and no request is to be sent. */
       return true;
     }
-    const uint64_t before = run->answered;
+    const uint64_t before = run->received;
     if (!take_next(run, error)) {
       return false;
     }
@@ -379,9 +377,8 @@ static void set_order(struct run *run) {
 }
 
 bool dipole_gather(dipole_client *client, const dipole_gather_query *query,
-                   bool (*progress)(void *context, uint64_t answered, uint64_t count),
-                   void *context, double *M_W_per_mm2, dipole_gather_result *result,
-                   dipole_error *error) {
+                   bool (*progress)(void *context, uint64_t done, uint64_t count), void *context,
+                   double *M_W_per_mm2, dipole_gather_result *result, dipole_error *error) {
   dipole_gather_result unwanted;
   error = error != NULL ? error : &(dipole_error){0};
   result = result != NULL ? result : &unwanted;
@@ -400,7 +397,7 @@ bool dipole_gather(dipole_client *client, const dipole_gather_query *query,
   const bool good = gather(&run, progress, context, error);
   drop_all(&run);
   const uint32_t channels = query->points->channel_count;
-  for (uint64_t i = good ? run.answered : UINT64_MAX; i < query->query_count; i++) {
+  for (uint64_t i = good ? run.received : UINT64_MAX; i < query->query_count; i++) {
     for (uint32_t c = 0; c < channels; c++) {
       M_W_per_mm2[place(&run, i) * channels + c] = (double)NAN;
     }
@@ -485,11 +482,11 @@ static void close_home(struct home *home) {
 
 /* Gathers at the next queries of the order. Returns false if the caller wants no more. */
 static bool gather_home(struct home *home, uint64_t query_count, const double *queries_mm,
-                        bool (*progress)(void *context, uint64_t answered, uint64_t count),
+                        bool (*progress)(void *context, uint64_t done, uint64_t count),
                         void *context, double *M, dipole_gather_result *result) {
   const uint32_t channels = home->info->channel_count;
-  const uint32_t *order = home->order + result->answered_count;
-  const uint64_t left = query_count - result->answered_count;
+  const uint32_t *order = home->order + result->computed_count;
+  const uint64_t left = query_count - result->computed_count;
   const size_t n = left < HOME_QUERIES ? (size_t)left : HOME_QUERIES;
   core_gather_visits visits = {0};
   bool wanted = true;
@@ -502,7 +499,7 @@ static bool gather_home(struct home *home, uint64_t query_count, const double *q
     double work = HOME_WORK;
     done += core_gather_on(home->sum, home->points, home->scratch, n - done, home->places + done,
                            home->queries[0], home->M, home->bound, &visits, &work);
-    wanted = progress == NULL || progress(context, result->answered_count + done, query_count);
+    wanted = progress == NULL || progress(context, result->computed_count + done, query_count);
   }
   for (size_t i = 0; i < done; i++) {
     memcpy(M + order[i] * (size_t)channels, home->M + i * channels, channels * sizeof *M);
@@ -514,7 +511,7 @@ static bool gather_home(struct home *home, uint64_t query_count, const double *q
     const double own = core_gather_error(home->sum, home->points, c, done, home->queries[0]);
     result->numerical_error[c] = fmax(result->numerical_error[c], own);
   }
-  result->answered_count += done;
+  result->computed_count += done;
   result->points_visited += visits.points;
   result->nodes_visited += visits.nodes;
   return wanted;
@@ -522,7 +519,7 @@ static bool gather_home(struct home *home, uint64_t query_count, const double *q
 
 bool dipole_gather_at_home(const dipole_table *const *tables, const dipole_points *points,
                            double tolerance, uint64_t query_count, const double *queries_mm,
-                           bool (*progress)(void *context, uint64_t answered, uint64_t count),
+                           bool (*progress)(void *context, uint64_t done, uint64_t count),
                            void *context, double *M_W_per_mm2, dipole_gather_result *result,
                            dipole_error *error) {
   const dipole_points *info = points;
@@ -545,10 +542,10 @@ bool dipole_gather_at_home(const dipole_table *const *tables, const dipole_point
   }
   const bool good = check_home(info, query_count, queries_mm, error) &&
                     open_home(home, profiles, tolerance, query_count, queries_mm, error);
-  while (good && wanted && result->answered_count < query_count) {
+  while (good && wanted && result->computed_count < query_count) {
     wanted = gather_home(home, query_count, queries_mm, progress, context, M_W_per_mm2, result);
   }
-  for (uint64_t i = result->answered_count; good && i < query_count; i++) {
+  for (uint64_t i = result->computed_count; good && i < query_count; i++) {
     for (uint32_t c = 0; c < info->channel_count; c++) {
       M_W_per_mm2[home->order[i] * (size_t)info->channel_count + c] = (double)NAN;
     }

@@ -1,4 +1,4 @@
-/* Asks a daemon for its description of itself, its media and its statistics. */
+/* Requests a daemon's description, its measured media and its statistics. */
 
 #include <stdio.h>
 #include <stdlib.h>
@@ -15,7 +15,7 @@
 static bool bad_list(dipole_client *client, const char *name, dipole_error *error) {
   char what[80];
   snprintf(what, sizeof what, "its %s does not have the length that it announces", name);
-  return libdipole_bad_answer(client, what, error);
+  return libdipole_bad_reply(client, what, error);
 }
 
 /* ---- lists of choices ---------------------------------------------------------------------- */
@@ -244,5 +244,5 @@ bool dipole_ping(dipole_client *client, dipole_error *error) {
   }
   const bool same = memcmp(frame->payload, payload, sizeof payload) == 0;
   free(frame);
-  return same || libdipole_bad_answer(client, "a ping came back changed", error);
+  return same || libdipole_bad_reply(client, "a ping came back changed", error);
 }

@@ -1,4 +1,4 @@
-/* Finds media for albedos. The parts of an answer are put together as they arrive. */
+/* Finds media for albedos. The parts of a reply are put together as they arrive. */
 #include "proto/invert.h"
 
 #include <stdlib.h>
@@ -32,7 +32,7 @@ static bool merge(const libdipole_pending *pending, const void *part, void *whol
 static const libdipole_kind kind = {
     .repeatable = true, .reply = &schema_invert_reply, .merge = merge};
 
-/* ---- asking -------------------------------------------------------------------------------- */
+/* ---- requests ------------------------------------------------------------------------------ */
 
 static bool check(const dipole_invert_query *query, dipole_error *error) {
   return libdipole_query_check(query->model, query->moments | query->given, NULL, 0, error) &&

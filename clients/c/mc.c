@@ -18,7 +18,7 @@ _Static_assert((int)DIPOLE_MC_PHOTONS == (int)MC_PHOTONS_WALKED &&
 _Static_assert(sizeof(dipole_mc_energy) == WIRE_BYTES_mc_energy,
                "one takes the place of the other");
 
-/* ---- asking -------------------------------------------------------------------------------- */
+/* ---- requests ------------------------------------------------------------------------------ */
 
 /* Checks the fields on which the layout of the frame depends. The daemon checks the others. */
 static bool check_query(const dipole_mc_query *query, dipole_error *error) {
@@ -32,7 +32,7 @@ static bool check_query(const dipole_mc_query *query, dipole_error *error) {
   return libdipole_query_check(1, query->spacing, query->parameters, query->parameter_count, error);
 }
 
-/* These return the number of sides and of albedos in the answer. */
+/* These return the number of sides and of albedos in the reply. */
 static uint32_t sides_of(const dipole_mc_query *query) {
   return isinf(query->thickness_mm) ? 1 : DIPOLE_MC_SIDES;
 }
@@ -95,7 +95,7 @@ static bool start(dipole_client *client, const dipole_mc_query *query, libdipole
   return libdipole_request_send(client, error);
 }
 
-/* ---- answers ------------------------------------------------------------------------------- */
+/* ---- replies ------------------------------------------------------------------------------- */
 
 static dipole_mc_progress progress_of(const wire_mc_reply *from) {
   return (dipole_mc_progress){.photons = from->photons,
@@ -171,8 +171,8 @@ static bool next_reply(dipole_client *client, const dipole_mc_query *query, uint
   }
   if (!shaped || !is_asked_for(query, &fixed)) {
     free(frame);
-    return libdipole_bad_answer(
-        client, "it answered an mc request with another shape than was requested", error);
+    return libdipole_bad_reply(
+        client, "it replied to an mc request with another shape than requested", error);
   }
   *result = take(frame, &fixed, &layout);
   return true;
@@ -180,8 +180,8 @@ static bool next_reply(dipole_client *client, const dipole_mc_query *query, uint
 
 /* ---- the public calls ---------------------------------------------------------------------- */
 
-/* Waits for the answer to a cancel request and ignores it: the result of the job says enough. There
- * may be no answer, because a daemon that stops sends the result and closes. */
+/* Waits for the reply to a cancel request and ignores it: the result of the job says enough. There
+ * may be no reply, because a daemon that stops sends the result and closes. */
 static void finish(dipole_client *client, uint64_t cancel_id) {
   libdipole_pending pending;
   dipole_error unwanted;

@@ -1,4 +1,4 @@
-/* Opens clients: connects to one address, or to the first of several that answers. */
+/* Opens clients: connects to one address, or to the first of several that replies. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -108,7 +108,7 @@ static void add_failure(dipole_error *all, const dipole_error *one, size_t tried
 }
 
 /* Tries each of the addresses once, starting at addresses->at, and sets addresses->at to the one
- * that answers. until_ms: when to stop; INT64_MAX is never. like: the client whose lists the daemon
+ * that replies. until_ms: when to stop; INT64_MAX is never. like: the client whose lists the daemon
  * must have, or NULL. Returns a client that has no addresses and options yet. Returns NULL if no
  * address works; *may_pass then says whether trying again may help. */
 static dipole_client *try_each(libdipole_addresses *addresses, unsigned connect_timeout_ms,
@@ -154,7 +154,7 @@ static void add_time(dipole_error *error, int64_t time_ms) {
            (double)time_ms / 1000);
 }
 
-/* Tries all addresses in rounds, until one answers or retry_ms has passed; 0 is one round. */
+/* Tries all addresses in rounds, until one replies or retry_ms has passed; 0 is one round. */
 static dipole_client *try_in_rounds(libdipole_addresses *addresses, unsigned limit_ms,
                                     unsigned retry_ms, uint64_t *random, dipole_error *error) {
   const int64_t start_ms = libdipole_now_ms(), until_ms = start_ms + retry_ms;

@@ -16,7 +16,7 @@ libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload
   libdipole_frame *frame =
       payload_bytes <= SIZE_MAX - beside ? malloc((size_t)(payload_bytes + beside)) : NULL;
   if (frame == NULL) {
-    libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory: %llu bytes for an answer",
+    libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory: %llu bytes for a reply",
                    (unsigned long long)payload_bytes);
     return NULL;
   }
@@ -42,7 +42,7 @@ void libdipole_parts_drop(libdipole_pending *pending) {
   pending->next_radius = 0;
 }
 
-/* Computes the layout of the whole answer, whose structure begins as that of a part. */
+/* Computes the layout of the whole reply, whose structure begins as that of a part. */
 static bool lay_out_whole(const libdipole_pending *pending, const libdipole_frame *part,
                           schema_layout *layout) {
   const schema_payload *reply = pending->kind->reply;
@@ -53,7 +53,7 @@ static bool lay_out_whole(const libdipole_pending *pending, const libdipole_fram
   return schema_lay_out(reply, start, SIZE_MAX, layout, NULL);
 }
 
-/* Allocates the frame of the whole answer. If the arrays go elsewhere, it holds only the head. */
+/* Allocates the frame of the whole reply. If the arrays go elsewhere, it holds only the head. */
 static bool begin(libdipole_pending *pending, const libdipole_frame *first,
                   const schema_layout *whole, bool only_head, dipole_error *error) {
   const uint64_t bytes = only_head ? pending->reply_bytes_min : whole->payload_bytes;
@@ -66,7 +66,7 @@ static bool begin(libdipole_pending *pending, const libdipole_frame *first,
 }
 
 /* Copies the arrays of a part to their places. Those that have no element for each item of the
- * answer are the same in all parts, or the last ones hold. */
+ * reply are the same in all parts, or the last ones hold. */
 static void copy_arrays(const libdipole_pending *pending, const schema_layout *to,
                         const libdipole_frame *part, const schema_layout *from) {
   const schema_part *parts = pending->kind->reply->parts;
@@ -87,7 +87,7 @@ static void copy_arrays(const libdipole_pending *pending, const schema_layout *t
   }
 }
 
-/* Takes a part that has been checked. *whole: whether the answer is complete. */
+/* Takes a part that has been checked. *whole: whether the reply is complete. */
 static bool add(libdipole_pending *pending, libdipole_frame *frame, const wire_part *part,
                 const schema_layout *layout, dipole_error *error) {
   const bool only_head = pending->reader != NULL;
@@ -139,7 +139,7 @@ bool libdipole_part_take(libdipole_pending *pending, libdipole_frame *frame, dip
   } else {
     char what[96];
     snprintf(what, sizeof what,
-             "it answered a request of type %s with another shape than was requested",
+             "it replied to a request of type %s with another shape than requested",
              wire_type_name(pending->type));
     libdipole_fail_protocol(error, what);
   }

@@ -1,4 +1,4 @@
-/* parts: requests that wait for their answers, and how the parts of an answer are put together. All
+/* parts: requests that wait for their replies, and how the parts of a reply are put together. All
  * replies in parts begin with a wire_part; what follows is as messages.def says. */
 #ifndef LIBDIPOLE_PARTS_H
 #define LIBDIPOLE_PARTS_H
@@ -6,9 +6,9 @@
 #include "clients/c/dipole.h"
 #include "proto/schema.h"
 
-/* ---- what is asked and answered ------------------------------------------------------------ */
+/* ---- requests and replies ------------------------------------------------------------------ */
 
-/* A received frame, or an answer that was put together of several frames. The caller's result is the
+/* A received frame, or a reply that was put together of several frames. The caller's result is the
  * first member, so that freeing it frees the payload, too. Behind the payload there is room for the
  * channels of an eval. */
 typedef struct libdipole_frame {
@@ -20,7 +20,7 @@ typedef struct libdipole_frame {
     dipole_mc_result mc;
   };
   wire_header header;
-  uint64_t payload_bytes; /* may be more than a header can say if the answer had several parts */
+  uint64_t payload_bytes; /* may be more than a header can say if the reply had several parts */
   _Alignas(8) uint8_t head[WIRE_BYTES_header]; /* see libdipole_frame_bytes() */
   _Alignas(8) uint8_t payload[];
 } libdipole_frame;
@@ -30,7 +30,7 @@ static inline uint8_t *libdipole_frame_bytes(libdipole_frame *frame) {
   return (uint8_t *)frame + offsetof(libdipole_frame, head);
 }
 
-/* The caller's function that gets each part of an answer when it arrives. */
+/* The caller's function that gets each part of a reply when it arrives. */
 typedef struct libdipole_reader {
   bool (*part)(void *context, const dipole_result *part, uint64_t radius_first);
   void *context;
@@ -39,32 +39,32 @@ typedef struct libdipole_reader {
 
 typedef struct libdipole_pending libdipole_pending;
 
-/* How the answers to one kind of request are read. A function may be NULL. */
+/* How the replies to one kind of request are read. A function may be NULL. */
 typedef struct libdipole_kind {
-  /* Every daemon gives the same answer to such a request, so the client may send it again. */
+  /* Every daemon gives the same reply to such a request, so the client may send it again. */
   bool repeatable;
   /* The time limit of calls does not apply to this kind of request. */
   bool endless;
-  /* Of an answer in parts: what follows the structure of its reply; NULL: the answer is one frame. */
+  /* Of a reply in parts: what follows the structure of a part; NULL: the reply is one frame. */
   const schema_payload *reply;
-  /* Returns whether a part answers the request, and belongs to `whole`: what has been merged from
+  /* Returns whether a part replies to the request, and belongs to `whole`: what has been merged from
    * the parts before it, or NULL. Both are structures of the reply. Merges the part. */
   bool (*merge)(const libdipole_pending *pending, const void *part, void *whole);
-  /* Whoever takes an answer in one part checks it. */
+  /* Whoever takes a reply in one part checks it. */
   bool checked_later;
   /* Gives a part to pending->reader. */
   void (*hand_on)(libdipole_pending *pending, libdipole_frame *part);
   /* Returns whether this frame only reports progress, so that more frames follow. */
   bool (*is_progress)(const libdipole_frame *frame);
-  /* Returns whether a daemon that stopped has cut this answer off, so that the client asks again. */
+  /* Returns whether a daemon that stopped has cut this reply off, so that the client requests it again. */
   bool (*is_cut_off)(const libdipole_frame *frame);
 } libdipole_kind;
 
-/* A repeatable request whose answer is one frame. */
+/* A repeatable request whose reply is one frame. */
 extern const libdipole_kind libdipole_plain;
 
-/* A request whose answer has not been handed out. The function that begins the request sets the
- * first group of fields, which say what the answer may look like. */
+/* A request whose reply has not been handed out. The function that begins the request sets the
+ * first group of fields, which say what the reply may look like. */
 struct libdipole_pending {
   const libdipole_kind *kind;
   uint16_t type; /* enum wire_type */
@@ -80,11 +80,11 @@ struct libdipole_pending {
   void *into_radii;
 
   uint64_t id;
-  libdipole_frame *frame; /* the answer; NULL if it is not complete yet */
-  uint32_t next_part;     /* the number of the next part of the answer */
+  libdipole_frame *frame; /* the reply; NULL if it is not complete yet */
+  uint32_t next_part;     /* the number of the next part of the reply */
   uint32_t part_count;    /* the number of parts, as the first one that was gathered says */
   uint64_t next_radius;   /* the position of the first radius, medium or set of the next part */
-  /* The parts so far, as one answer. If there is a reader, this frame has no arrays. */
+  /* The parts so far, as one reply. If there is a reader, this frame has no arrays. */
   libdipole_frame *gathered;
   bool dropped; /* The caller has dropped the request: do not use reader and into_*. */
 
@@ -102,16 +102,16 @@ struct libdipole_pending {
 libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload_bytes,
                                      uint32_t channel_count, dipole_error *error);
 
-/* Returns whether a reply is the next part of the answer to a request, with a count that it may
+/* Returns whether a frame is the next part of the reply to a request, with a count that it may
  * have. */
 bool libdipole_part_is_next(const libdipole_pending *pending, const wire_part *part);
 
-/* Takes a part of an answer, a frame, which it owns. After the last one, the whole answer is
+/* Takes a part of a reply, a frame, which it owns. After the last one, the whole reply is
  * pending->frame, as if it had come in one part. Fails with kind PROTOCOL if the part does not
  * belong to the request or to the parts before it. */
 bool libdipole_part_take(libdipole_pending *pending, libdipole_frame *frame, dipole_error *error);
 
-/* Throws away the parts of an answer that have come. */
+/* Throws away the parts of a reply that have come. */
 void libdipole_parts_drop(libdipole_pending *pending);
 
 #endif

@@ -1,11 +1,11 @@
-/* Sends the queries eval, sample and offers, and reads their answers. */
+/* Sends the queries eval, sample and offers, and reads their replies. */
 #include "clients/c/query.h"
 
 #include <stdlib.h>
 #include <string.h>
 
-#include "clients/c/answer.h"
 #include "clients/c/error.h"
+#include "clients/c/reply.h"
 #include "core/core.h"
 #include "core/draw.h"
 #include "proto/sample.h"
@@ -139,7 +139,7 @@ static bool send_query(dipole_client *client, const dipole_query *query, libdipo
   return libdipole_request_put(client, pending, &schema_eval_request, &fixed, parts, error);
 }
 
-/* Checks that a caller who has given memory for the answer has given it for all wanted arrays. */
+/* Checks that a caller who has given memory for the reply has given it for all wanted arrays. */
 static bool check_into(const dipole_query *query, dipole_error *error) {
   bool arrays = false;
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
@@ -174,8 +174,8 @@ static bool submit(dipole_client *client, const dipole_query *query, libdipole_r
                                .reader = reader,
                                .into_values = into ? query->into_values : NULL,
                                .into_radii = into ? query->into_radii : NULL};
-  libdipole_answer_expect(&pending, query->model, query->evaluator, query->wanted,
-                          query->medium_count, query->radius_count);
+  libdipole_reply_expect(&pending, query->model, query->evaluator, query->wanted,
+                         query->medium_count, query->radius_count);
   if (!send_query(client, query, &pending, error)) {
     return false;
   }
@@ -183,7 +183,7 @@ static bool submit(dipole_client *client, const dipole_query *query, libdipole_r
   return true;
 }
 
-/* Waits for the answer to request *id, or to any request if *id is 0. Sets *id. */
+/* Waits for the reply to request *id, or to any request if *id is 0. Sets *id. */
 static bool collect(dipole_client *client, uint64_t *id, dipole_result **result,
                     dipole_error *error) {
   libdipole_pending pending;
@@ -203,7 +203,7 @@ bool dipole_eval(dipole_client *client, const dipole_query *query, dipole_result
   }
   const bool good = collect(client, &id, result, error);
   if (!good) {
-    libdipole_request_drop(client, id); /* in case no answer came in time */
+    libdipole_request_drop(client, id); /* in case no reply came in time */
   }
   return good;
 }
@@ -224,7 +224,7 @@ bool dipole_eval_parts(dipole_client *client, const dipole_query *query,
     return false;
   }
   const bool good = reader.stopped ? libdipole_fail(error, DIPOLE_ERROR_STOPPED,
-                                                    "the rest of the answer was not wanted")
+                                                    "the rest of the reply was not wanted")
                                    : libdipole_refusal_check(client, &pending, error);
   free(pending.frame);
   return good;
@@ -272,8 +272,8 @@ static bool get_offers(dipole_client *client, const libdipole_frame *frame, dipo
   schema_layout layout;
   if (!schema_is_whole(&schema_offers_reply, frame->payload, frame->payload_bytes, &layout) ||
       fixed->taken > fixed->count) {
-    return libdipole_bad_answer(client, "its offers do not have the length that they announce",
-                                error);
+    return libdipole_bad_reply(client, "its offers do not have the length that they announce",
+                               error);
   }
   *offers = calloc((size_t)fixed->count + 1, sizeof **offers); /* not NULL for an empty list */
   if (*offers == NULL) {
@@ -322,8 +322,8 @@ static bool send_sample(dipole_client *client, const dipole_sample_query *query,
                    query->draw == DIPOLE_DRAW_LIST ? query->sample_count : 0, error)) {
     return false;
   }
-  libdipole_answer_expect(pending, query->model, query->evaluator, query->wanted,
-                          query->medium_count, query->sample_count);
+  libdipole_reply_expect(pending, query->model, query->evaluator, query->wanted,
+                         query->medium_count, query->sample_count);
   const wire_sample_request fixed = {.model = (uint16_t)query->model,
                                      .evaluator = (uint16_t)query->evaluator,
                                      .moments = (uint16_t)query->moments,
@@ -348,7 +348,7 @@ bool dipole_sample(dipole_client *client, const dipole_sample_query *query, dipo
   }
   const uint64_t id = pending.id;
   if (!libdipole_request_wait(client, id, NULL, &pending, error)) {
-    libdipole_request_drop(client, id); /* in case no answer came in time */
+    libdipole_request_drop(client, id); /* in case no reply came in time */
     return false;
   }
   return libdipole_result_take(client, &pending, result, error);

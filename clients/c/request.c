@@ -37,11 +37,11 @@ static libdipole_pending *find(dipole_client *client, uint64_t id) {
   return begin < client->pending_count && first[begin].id == id ? &first[begin] : NULL;
 }
 
-/* Returns the oldest request that has an answer, or NULL. */
+/* Returns the oldest request that has a reply, or NULL. */
 static libdipole_pending *find_arrived(dipole_client *client) {
   libdipole_pending *first = client->pending + client->pending_begin;
   for (size_t i = 0; client->arrived_count > 0 && i < client->pending_count; i++) {
-    if (first[i].frame != NULL) { /* Answers come nearly in order, so this loop is short. */
+    if (first[i].frame != NULL) { /* Replies come nearly in order, so this loop is short. */
       return &first[i];
     }
   }
@@ -100,7 +100,7 @@ static bool is_progress(const libdipole_pending *pending) {
          pending->kind->is_progress(pending->frame);
 }
 
-/* Copies an entry that has an answer to *out and removes it from the list. If the answer is a
+/* Copies an entry that has a reply to *out and removes it from the list. If the reply is a
  * report of progress, the entry stays in the list. */
 static void hand_out(dipole_client *client, libdipole_pending *entry, libdipole_pending *out) {
   *out = *entry;
@@ -133,7 +133,7 @@ void libdipole_request_drop(dipole_client *client, uint64_t id) {
     return;
   }
   if (entry->frame == NULL &&
-      entry->again_ms == 0) { /* The request has been sent, and its answer is still to come. */
+      entry->again_ms == 0) { /* The request has been sent, and its reply is still to come. */
     entry->dropped = true;
     client->dropped_count++;
     return;
@@ -177,7 +177,7 @@ void libdipole_requests_free(dipole_client *client) {
   free(client->frame);
 }
 
-/* ---- answers ------------------------------------------------------------------------------- */
+/* ---- replies ------------------------------------------------------------------------------- */
 
 static bool refused(const dipole_client *client, const libdipole_pending *pending,
                     const libdipole_frame *frame, dipole_error *error) {
@@ -193,7 +193,7 @@ bool libdipole_refusal_check(const dipole_client *client, const libdipole_pendin
          refused(client, pending, pending->frame, error);
 }
 
-bool libdipole_bad_answer(dipole_client *client, const char *what, dipole_error *error) {
+bool libdipole_bad_reply(dipole_client *client, const char *what, dipole_error *error) {
   libdipole_fail_protocol(error, what);
   client->broken = *error;
   return false;
@@ -204,7 +204,7 @@ static bool is_awaited(const libdipole_pending *pending) {
   return pending != NULL && (pending->frame == NULL || is_progress(pending));
 }
 
-/* Returns whether the header is of an error or of an answer that this request can have. pending:
+/* Returns whether the header is of an error or of a reply that this request can have. pending:
  * NULL if no request has the frame's id, as for an error that concerns the whole connection. */
 static bool check_header(const wire_header *header, const libdipole_pending *pending,
                          dipole_error *error) {
@@ -219,12 +219,12 @@ static bool check_header(const wire_header *header, const libdipole_pending *pen
     return true;
   }
   if (!is_awaited(pending)) {
-    return libdipole_fail_protocol(error, "it answered a request that was not sent");
+    return libdipole_fail_protocol(error, "it replied to a request that was not sent");
   }
   if (header->type != (pending->type | WIRE_REPLY) ||
       header->payload_bytes < pending->reply_bytes_min ||
       header->payload_bytes > pending->reply_bytes_max) {
-    snprintf(what, sizeof what, "it answered a request of type %s with type 0x%04x and %lu bytes",
+    snprintf(what, sizeof what, "it replied to a request of type %s with type 0x%04x and %lu bytes",
              wire_type_name(pending->type), header->type, (unsigned long)header->payload_bytes);
     return libdipole_fail_protocol(error, what);
   }
@@ -261,8 +261,8 @@ static bool fail_connection(dipole_client *client, libdipole_frame *frame, dipol
   return false;
 }
 
-/* Ends a request whose answer is complete or is an error: frees its parts and its copy. */
-static void end_answer(dipole_client *client, libdipole_pending *pending) {
+/* Ends a request whose reply is complete or is an error: frees its parts and its copy. */
+static void end_reply(dipole_client *client, libdipole_pending *pending) {
   free(pending->gathered); /* the parts before the error */
   pending->gathered = NULL;
   if (pending->dropped) {
@@ -275,7 +275,7 @@ static void end_answer(dipole_client *client, libdipole_pending *pending) {
 }
 
 /* Returns whether the request can be sent again: the client has a copy, and no reader has got a
- * part of the answer. */
+ * part of the reply. */
 static bool can_repeat(const libdipole_pending *pending) {
   return pending->kept != NULL && !pending->dropped &&
          (pending->reader == NULL || pending->next_part == 0);
@@ -291,7 +291,7 @@ static int64_t failed_since_ms(libdipole_pending *pending, int64_t now_ms) {
 }
 
 /* Returns whether a frame ends its request for a reason that passes: a temporary refusal, or an
- * answer that a daemon cut off when it stopped. *least_ms: the pause that the daemon requests. */
+ * reply that a daemon cut off when it stopped. *least_ms: the pause that the daemon requests. */
 static bool is_passing(const libdipole_pending *pending, const libdipole_frame *frame,
                        uint32_t *least_ms) {
   wire_error why;
@@ -356,7 +356,7 @@ static bool end_frame(dipole_client *client, dipole_error *error) {
     pending->failed_ms = 0; /* The request continues, so another failure is a new one. */
   }
   if (pending->frame != NULL) {
-    end_answer(client, pending);
+    end_reply(client, pending);
   }
   return true;
 }
@@ -465,7 +465,7 @@ static void keep_copy(dipole_client *client) {
 }
 
 /* Gives a request the error that a daemon sends after the deadline. */
-static bool answer_late(dipole_client *client, libdipole_pending *pending, dipole_error *error) {
+static bool reply_late(dipole_client *client, libdipole_pending *pending, dipole_error *error) {
   const wire_header header = {.magic = WIRE_MAGIC,
                               .version = WIRE_VERSION,
                               .type = WIRE_TYPE_ERROR,
@@ -490,7 +490,7 @@ static bool send_again(dipole_client *client, libdipole_pending *pending, dipole
   if (pending->deadline_ms != 0) {
     const int64_t left_ms = pending->sent_ms + pending->deadline_ms - libdipole_now_ms();
     if (left_ms <= 0) {
-      return answer_late(client, pending, error);
+      return reply_late(client, pending, error);
     }
     wire_header header;
     wire_get_header(pending->kept, &header);
@@ -519,7 +519,7 @@ static bool send_due(dipole_client *client, bool *moves, dipole_error *error) {
       if (!send_again(client, &first[i], error)) {
         return false;
       }
-      *moves = *moves && first[i].frame == NULL; /* send_again() may have answered it */
+      *moves = *moves && first[i].frame == NULL; /* send_again() may have ended it */
     } else if (first[i].again_ms != 0 && first[i].again_ms < next_ms) {
       next_ms = first[i].again_ms;
     }
@@ -566,8 +566,8 @@ static bool can_restore(dipole_client *client, int64_t *until_ms) {
       remove_entry(client, entry); /* The next entry is at position i now. */
       continue;
     }
-    const bool answered = entry->frame != NULL && !is_progress(entry);
-    if (!answered) {
+    const bool done = entry->frame != NULL && !is_progress(entry);
+    if (!done) {
       if (!can_repeat(entry)) {
         return false;
       }
@@ -704,7 +704,7 @@ static bool check_whole(dipole_client *client, dipole_error *error) {
   return client->broken.kind == DIPOLE_ERROR_NONE;
 }
 
-/* Does the same before bytes move. A forked process would take answers of the one that opened the
+/* Does the same before bytes move. A forked process would take replies of the one that opened the
  * client, so its copy of the client is broken. */
 static bool check_usable(dipole_client *client, dipole_error *error) {
   if (client->broken.kind == DIPOLE_ERROR_NONE && client->process != getpid()) {
@@ -748,7 +748,7 @@ static bool step(dipole_client *client, dipole_error *error) {
   return good;
 }
 
-/* ---- asking -------------------------------------------------------------------------------- */
+/* ---- requests ------------------------------------------------------------------------------ */
 
 bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
                              uint64_t payload_bytes, uint8_t **payload, dipole_error *error) {

@@ -1,11 +1,11 @@
-/* request: sends requests, receives answers, and repeats requests that failed. It does not know the
- * messages: a libdipole_kind says how the answers to one kind of request are read.
+/* request: sends requests, receives replies, and repeats requests that failed. It does not know the
+ * messages: a libdipole_kind says how the replies to one kind of request are read.
  *
- * A call begins and sends a request. The request stays in client->pending until its answer is
+ * A call begins and sends a request. The request stays in client->pending until its reply is
  * complete, and then goes to the call that waits for it. If retries are on, the client keeps a copy
  * of the request meanwhile. It sends the copy over a new connection when the old one is lost, or
- * over the same one when the daemon was busy. A new connection brings no answers of the old one,
- * and the parts of an unfinished answer are thrown away, so no answer comes twice. */
+ * over the same one when the daemon was busy. A new connection brings no replies of the old one,
+ * and the parts of an unfinished reply are thrown away, so no reply comes twice. */
 #ifndef LIBDIPOLE_REQUEST_H
 #define LIBDIPOLE_REQUEST_H
 
@@ -49,7 +49,7 @@ struct dipole_client {
   uint64_t last_id;
   libdipole_pending *pending;
   size_t pending_begin, pending_count, pending_capacity;
-  size_t arrived_count;   /* number of pending requests that have an answer */
+  size_t arrived_count;   /* number of pending requests that have a reply */
   size_t dropped_count;   /* number of pending requests that the caller has dropped */
   size_t held_count;      /* number of requests begun since bytes were last sent */
   libdipole_frame *frame; /* the frame that is being received; NULL: a header comes next */
@@ -70,19 +70,19 @@ bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
 /* Sends the request that was begun last. Waits only if too many bytes are unsent. */
 bool libdipole_request_send(dipole_client *client, dipole_error *error);
 
-/* Waits for the answer to request id, or to any request if id is 0, and moves the request to
+/* Waits for the reply to request id, or to any request if id is 0, and moves the request to
  * *pending. The caller frees pending->frame, which may be an error frame. If the frame is a report
  * of progress, the request continues. reader: that of the request, or NULL; if it has stopped before
  * the last part, pending->frame is NULL. */
 bool libdipole_request_wait(dipole_client *client, uint64_t id, const libdipole_reader *reader,
                             libdipole_pending *pending, dipole_error *error);
 
-/* Waits for the answer to request pending->id. Returns the frame, which the caller frees. Returns
+/* Waits for the reply to request pending->id. Returns the frame, which the caller frees. Returns
  * NULL if the request failed or was refused. */
 libdipole_frame *libdipole_reply(dipole_client *client, libdipole_pending *pending,
                                  dipole_error *error);
 
-/* Sends a request with this payload and waits for its answer like libdipole_reply(). */
+/* Sends a request with this payload and waits for its reply like libdipole_reply(). */
 libdipole_frame *libdipole_ask(dipole_client *client, libdipole_pending *pending,
                                const uint8_t *payload, size_t payload_bytes, dipole_error *error);
 
@@ -90,21 +90,21 @@ libdipole_frame *libdipole_ask(dipole_client *client, libdipole_pending *pending
 void libdipole_request_once(dipole_client *client, uint64_t id);
 
 /* Sends a cancel request for a Monte Carlo job or a gather, which is never sent again. Sets *cancel_id
- * to the id of the cancel request, whose answer is to be taken or dropped. */
+ * to the id of the cancel request, whose reply is to be taken or dropped. */
 bool libdipole_cancel(dipole_client *client, uint64_t job_id, uint64_t *cancel_id,
                       dipole_error *error);
 
-/* Gives up a request. If its answer is still to come, the client throws it away on arrival. */
+/* Gives up a request. If its reply is still to come, the client throws it away on arrival. */
 void libdipole_request_drop(dipole_client *client, uint64_t id);
 
-/* Returns true if the answer is a reply. If it is an error frame, sets *error and returns false. */
+/* Returns true unless the frame is an error frame. If it is, sets *error and returns false. */
 bool libdipole_refusal_check(const dipole_client *client, const libdipole_pending *pending,
                              dipole_error *error);
 
-/* ---- for kinds of answers ------------------------------------------------------------------ */
+/* ---- for kinds of replies ------------------------------------------------------------------ */
 
 /* Fails with kind PROTOCOL, after which the client can only be closed. Returns false. */
-bool libdipole_bad_answer(dipole_client *client, const char *what, dipole_error *error);
+bool libdipole_bad_reply(dipole_client *client, const char *what, dipole_error *error);
 
 /* Frees all requests and the frame that is being received. */
 void libdipole_requests_free(dipole_client *client);

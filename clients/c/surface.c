@@ -98,7 +98,7 @@ static bool is_of(const dipole_surface *surface, unsigned model, unsigned moment
 static bool is_asked_for(const dipole_surface *surface, const dipole_table_query *query) {
   core_parameters parameters = core_parameters_none();
   for (size_t i = 0; i < query->parameter_count; i++) {
-    /* A daemon that answers knows every parameter, but its list may be longer than this one. */
+    /* A daemon that replies knows every parameter, but its list may be longer than this one. */
     if (query->parameters[i].id >= CORE_PARAMETERS_END) {
       return false;
     }

@@ -229,11 +229,11 @@ libdipole_frame *libdipole_table_ask(dipole_client *client, const dipole_table_q
 
 bool libdipole_table_refuse(dipole_client *client, bool intact, dipole_error *error) {
   return intact || error->kind == DIPOLE_ERROR_TABLE
-             ? libdipole_bad_answer(client,
-                                    intact
-                                        ? "it answered a table request with that of something else"
-                                        : "it answered a table request with what is none",
-                                    error)
+             ? libdipole_bad_reply(client,
+                                   intact
+                                       ? "it replied to a table request with that of something else"
+                                       : "it replied to a table request with what is none",
+                                   error)
              : false;
 }
 

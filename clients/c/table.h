@@ -16,7 +16,7 @@ bool libdipole_table_check(const uint8_t *bytes, size_t count, size_t *frame_byt
 libdipole_frame *libdipole_table_ask(dipole_client *client, const dipole_table_query *query,
                                      size_t words_max, dipole_error *error);
 
-/* Says that a daemon has answered with another table than was asked for, or if it is not intact, by
+/* Says that a daemon has replied with another table than was requested, or if it is not intact, by
  * an error of kind TABLE, with none. Returns false. */
 bool libdipole_table_refuse(dipole_client *client, bool intact, dipole_error *error);
 

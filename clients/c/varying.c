@@ -1,5 +1,5 @@
-/* Evaluates values each of which has its own medium: asks a daemon, or evaluates at home with
- * the daemon's own code. The parts of an answer are put together as they arrive. */
+/* Evaluates values each of which has its own medium: requests them from a daemon, or evaluates at home with
+ * the daemon's own code. The parts of a reply are put together as they arrive. */
 #include "proto/varying.h"
 
 #include <math.h>
@@ -25,11 +25,11 @@ static bool merge(const libdipole_pending *pending, const void *part, void *whol
   const wire_varying_reply *fixed = part;
   wire_varying_reply *all = whole;
   if (all != NULL) {
-    all->answered_count += fixed->answered_count;
+    all->computed_count += fixed->computed_count;
     all->numerical_error = largest(all->numerical_error, fixed->numerical_error);
     all->model_error = largest(all->model_error, fixed->model_error);
   }
-  return fixed->answered_count <= fixed->count && fixed->model == pending->model &&
+  return fixed->computed_count <= fixed->count && fixed->model == pending->model &&
          fixed->moments == pending->moments && fixed->evaluator == pending->evaluator &&
          fixed->wanted == pending->wanted && fixed->coefficients == pending->medium_count;
 }
@@ -37,7 +37,7 @@ static bool merge(const libdipole_pending *pending, const void *part, void *whol
 static const libdipole_kind kind = {
     .repeatable = true, .reply = &schema_varying_reply, .merge = merge};
 
-/* ---- asking -------------------------------------------------------------------------------- */
+/* ---- requests ------------------------------------------------------------------------------ */
 
 static bool check(const dipole_varying_query *query, dipole_error *error) {
   const bool coloured = query->colours != NULL || query->lengths_mm != NULL;
@@ -115,7 +115,7 @@ static bool take(libdipole_frame *frame, dipole_varying_result **result) {
       .coefficients = fixed->coefficients,
       .notes = fixed->notes,
       .value_count = fixed->count,
-      .answered_count = fixed->answered_count,
+      .computed_count = fixed->computed_count,
       .statuses = frame->payload + layout_of(fixed).status_offset,
       .numerical_error = fixed->numerical_error,
       .model_error = fixed->model_error,
@@ -191,9 +191,9 @@ static void evaluate(const varying_request *request, const core_varying *varying
   varying_part_end(&part, request, varying, NULL, 0, 1);
 }
 
-/* Parses the request that a daemon would get, and answers it. */
-static libdipole_frame *answer(const dipole_surface *surface, const uint8_t *payload, size_t bytes,
-                               dipole_error *error) {
+/* Parses the request that a daemon would get, and makes the reply. */
+static libdipole_frame *reply_at_home(const dipole_surface *surface, const uint8_t *payload,
+                                      size_t bytes, dipole_error *error) {
   varying_request request;
   const wire_error wrong = varying_request_parse(payload, bytes, &request);
   if (wrong.status != WIRE_STATUS_OK) {
@@ -236,7 +236,7 @@ bool dipole_varying_at_home(const dipole_surface *surface, const dipole_varying_
     return libdipole_fail_memory(error);
   }
   libdipole_payload_put(payload, &schema_varying_request, &layout, &fixed, parts);
-  libdipole_frame *frame = answer(surface, payload, (size_t)layout.payload_bytes, error);
+  libdipole_frame *frame = reply_at_home(surface, payload, (size_t)layout.payload_bytes, error);
   free(payload);
   return frame != NULL && take(frame, result);
 }

@@ -1,4 +1,4 @@
-/* dipole bench: how fast a daemon answers. */
+/* dipole bench: how fast a daemon replies. */
 #include <math.h>
 #include <pthread.h>
 #include <stdatomic.h>
@@ -25,10 +25,10 @@ typedef struct measured {
   unsigned connections;
   unsigned in_flight; /* requests under way on each connection */
   uint64_t radii;     /* how many radii each request has */
-  /* How long each request took, from submitting it to having its answer. */
+  /* How long each request took, from submitting it to having its reply. */
   uint64_t requests, most_ns;
   uint32_t buckets[BUCKETS];
-  double took_s; /* from the first request to the last answer */
+  double took_s; /* from the first request to the last reply */
 } measured;
 
 typedef struct report {
@@ -61,7 +61,7 @@ static double quantile_us(const measured *result, double share) {
 typedef struct slot {
   uint64_t id;
   uint64_t sent_ns;
-  uint8_t *values; /* where its answer goes */
+  uint8_t *values; /* where its reply goes */
 } slot;
 
 typedef struct worker {
@@ -72,7 +72,7 @@ typedef struct worker {
   uint64_t until_ns, ended_ns;
   slot *slots; /* [in_flight]; the first `used` are under way, oldest first */
   unsigned used;
-  atomic_ullong answered;
+  atomic_ullong done;
   bool failed;
   dipole_error error;
   uint64_t most_ns;
@@ -89,8 +89,8 @@ static bool submit(worker *of) {
   return good;
 }
 
-/* Takes an answer: its slot moves behind those that are under way. The search starts with the
- * oldest request, whose answer is the likeliest to come. */
+/* Takes a reply: its slot moves behind those that are under way. The search starts with the
+ * oldest request, whose reply is the likeliest to come. */
 static void take(worker *of, uint64_t id, uint64_t at_ns) {
   for (unsigned i = 0; i < of->used; i++) {
     if (of->slots[i].id == id) {
@@ -114,7 +114,7 @@ static bool collect(worker *of) {
   }
   dipole_result_free(result);
   take(of, id, cli_now_ns());
-  atomic_fetch_add_explicit(&of->answered, 1, memory_order_relaxed);
+  atomic_fetch_add_explicit(&of->done, 1, memory_order_relaxed);
   return true;
 }
 
@@ -176,12 +176,12 @@ static void watch(report *of, worker *workers, const measured *result, uint64_t 
     before += one->requests;
   }
   while (cli_now_ns() < start_ns + (uint64_t)(seconds * 1e9)) {
-    uint64_t answered = before;
+    uint64_t done = before;
     for (unsigned i = 0; i < result->connections; i++) {
-      answered += atomic_load_explicit(&workers[i].answered, memory_order_relaxed);
+      done += atomic_load_explicit(&workers[i].done, memory_order_relaxed);
     }
     const double share = fmin((double)(cli_now_ns() - start_ns) / 1e9 / seconds, 1);
-    cli_progress_show(&of->progress, (at + share) / MEASUREMENTS, (double)answered);
+    cli_progress_show(&of->progress, (at + share) / MEASUREMENTS, (double)done);
     nanosleep(&nap, NULL);
   }
 }
@@ -205,7 +205,7 @@ static bool run_all(report *of, worker *workers, measured *result, dipole_error 
     worker *one = &workers[i];
     pthread_join(one->thread, NULL);
     ended_ns = one->ended_ns > ended_ns ? one->ended_ns : ended_ns;
-    result->requests += one->answered;
+    result->requests += one->done;
     result->most_ns = one->most_ns > result->most_ns ? one->most_ns : result->most_ns;
     for (size_t k = 0; k < BUCKETS; k++) {
       result->buckets[k] += one->buckets[k];
@@ -219,7 +219,7 @@ static bool run_all(report *of, worker *workers, measured *result, dipole_error 
   return good;
 }
 
-/* Asks under a load. Returns false, with *error, if a request failed. */
+/* Sends requests under a load. Returns false, with *error, if a request failed. */
 static bool run_load(report *of, measured *result, dipole_error *error) {
   worker *workers = cli_allocate(result->connections, sizeof *workers);
   dipole_query query = of->query;
@@ -297,7 +297,7 @@ static int check_with_daemon(const report *of) {
   return CLI_OK;
 }
 
-/* ---- what is asked --------------------------------------------------------------------------- */
+/* ---- what is requested --------------------------------------------------------------------------- */
 
 static void make_query(report *of) {
   const uint64_t small = of->settings->radii.value, large = of->settings->large_radii.value;
@@ -422,7 +422,7 @@ static const cli_option options[] = {
 
 const cli_command cli_command_bench = {
     .name = "bench",
-    .about = "Measure how fast a daemon answers: latency, pipelined requests, throughput",
+    .about = "Measure how fast a daemon replies: latency, pipelined requests, throughput",
     .more =
         "Requests are evaluations of R at listed radii, from 0.01 to 10 mm, of all channels of "
         "a medium (default: --medium skin1). Three things are measured, one after the other: "

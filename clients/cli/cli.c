@@ -39,7 +39,7 @@ int cli_say(enum cli_status status, const char *format, ...) {
   }
   free(text);
   if (status == CLI_USAGE) {
-    fprintf(stderr, "`dipole %s --help` tells more.\n", running->name);
+    fprintf(stderr, "`dipole %s --help` says more.\n", running->name);
   }
   return (int)status;
 }

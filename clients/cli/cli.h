@@ -64,7 +64,7 @@ typedef struct cli_option {
   const char *help; /* of any length; --help breaks it into lines */
   enum cli_option_kind kind;
   size_t offset;        /* where its value lies in cli_settings */
-  const char *usual;    /* the value if the option is not given, which --help tells; NULL: none */
+  const char *usual;    /* the value if the option is not given, which --help shows; NULL: none */
   const char *argument; /* what --help calls its value; NULL for the usual name of its kind */
 } cli_option;
 
@@ -122,9 +122,9 @@ typedef struct cli_command {
   const char *examples; /* example command lines; the text ends with a newline */
   const char *formats;  /* the values of --format, separated by commas; the first is the default */
   const cli_option *options[CLI_LISTS_MAX]; /* lists of its options, in the order of --help */
-  unsigned parameters; /* bit 1 << id for each parameter that it takes, which --help tells of */
+  unsigned parameters; /* bit 1 << id for each parameter that it takes, which --help lists */
 
-  /* Checks and completes the settings before any daemon is asked. NULL if there is nothing to
+  /* Checks and completes the settings before any request. NULL if there is nothing to
    * check. Returns an exit status; the command continues if that is CLI_OK. */
   int (*check)(cli_settings *settings);
 

@@ -242,7 +242,7 @@ static void take_run(cli_csv_reader *reader, cli_csv_record *record, bool commen
 }
 
 /* Takes the next byte. Returns whether it ends a line. Once a carriage return has ended one, it
- * does so at once: a program may wait for an answer before it continues. */
+ * does so at once: a program may wait for a reply before it continues. */
 static bool take_byte(cli_csv_reader *reader, cli_csv_record *record, bool quoted) {
   const unsigned char byte = reader->input[reader->begin++];
   keep(record, &byte, 1);

@@ -7,7 +7,7 @@
 
 #include "clients/cli/options.h"
 
-/* A daemon that runs answers within this time. */
+/* A daemon that runs replies within this time. */
 #define AT_ONCE_MS 1000
 
 void cli_connection_options(const cli_settings *settings, dipole_options *options) {
@@ -24,7 +24,7 @@ void cli_connection_options(const cli_settings *settings, dipole_options *option
   options->key = settings->key;
 }
 
-/* Opens a client. A person at a terminal is told when no daemon has answered at once. */
+/* Opens a client. Prints a message at a terminal when no daemon replies at once. */
 static bool open_client(const cli_settings *settings, const char *address, dipole_client **client,
                         dipole_error *error) {
   dipole_options options;

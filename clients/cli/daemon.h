@@ -1,4 +1,4 @@
-/* daemon: connecting, asking a busy daemon again, and the names of what a daemon offers. */
+/* daemon: connecting, repeating requests to a busy daemon, and the names of what a daemon offers. */
 #ifndef DIPOLE_CLI_DAEMON_H
 #define DIPOLE_CLI_DAEMON_H
 
@@ -16,14 +16,14 @@ uint64_t cli_now_ns(void);
 int64_t cli_now_ms(void);
 
 /* Returns whether a call that failed is to be made again: the daemon was busy, and --retry-ms, or
- * else --timeout-ms, have not passed since start_ms. If so, waits first as long as the daemon asks
+ * else --timeout-ms, have not passed since start_ms. If so, waits first as long as the daemon requests
  * for, a second at most. */
 bool cli_try_again(const cli_settings *settings, int64_t start_ms, const dipole_error *error);
 
 /* Makes a call of libdipole, again and again while cli_try_again() says so. Its value is that of
  * the last call. Example:
- *   good = CLI_ASK(settings, &error, dipole_eval(client, &query, &result, &error)); */
-#define CLI_ASK(settings, error, call)                                                             \
+ *   good = CLI_RETRY(settings, &error, dipole_eval(client, &query, &result, &error)); */
+#define CLI_RETRY(settings, error, call)                                                           \
   __extension__({                                                                                  \
     const int64_t ask_start_ms = cli_now_ms();                                                     \
     bool ask_good;                                                                                 \

@@ -1,5 +1,5 @@
-/* dipole eval: profiles of a medium over a range of radii; dipole sample: drawn radii. Asks a
- * daemon model by model, puts the answers together, and writes them. */
+/* dipole eval: profiles of a medium over a range of radii; dipole sample: drawn radii. Requests them from a
+ * daemon model by model, puts the replies together, and writes them. */
 #include "clients/cli/eval.h"
 
 #include <math.h>
@@ -88,7 +88,7 @@ static void keep_errors(dipole_errors *kept, dipole_errors part, bool is_first) 
   kept->model_error = is_first ? part.model_error : larger(before, part.model_error);
 }
 
-/* Keeps the part of an answer that begins at place `first` of the model at a position. A list that
+/* Keeps the part of a reply that begins at place `first` of the model at a position. A list that
  * is requested in pieces has the errors of all. */
 static void keep_part(cli_eval_report *report, size_t model, size_t first,
                       const dipole_result *part) {
@@ -200,26 +200,26 @@ void cli_eval_set_radii(const cli_settings *settings, const cli_eval_report *rep
   query->radius_stop_mm = settings->to.value;
 }
 
-/* ---- asking ---------------------------------------------------------------------------------- */
+/* ---- requests ---------------------------------------------------------------------------------- */
 
-typedef struct asking {
+typedef struct requests {
   const cli_settings *settings;
   dipole_client *client;
   cli_eval_report *report;
   unsigned bad_value; /* the daemon's status for a value that it, or the model, does not take */
-  size_t model;       /* position of the model that is asked */
+  size_t model;       /* position of the model that is requested */
   size_t done, total; /* models */
   dipole_query query;
   cli_progress progress;
-} asking;
+} requests;
 
-/* Keeps a part of the answer, and the daemon's choice of model and evaluator if no model was named:
+/* Keeps a part of the reply, and the daemon's choice of model and evaluator if no model was named:
  * returns false if it does not list them. */
 static bool receive(void *context, const dipole_result *part, uint64_t first) {
-  asking *ask = context;
-  cli_eval_report *report = ask->report;
-  cli_eval_model *model = &report->models[ask->model];
-  const bool is_grid = ask->query.spacing != DIPOLE_LIST;
+  requests *run = context;
+  cli_eval_report *report = run->report;
+  cli_eval_model *model = &report->models[run->model];
+  const bool is_grid = run->query.spacing != DIPOLE_LIST;
   if (model->choice == NULL) {
     const dipole_info *info = report->profile.info;
     model->choice = cli_choice_of_id(info, DIPOLE_MODEL, part->model);
@@ -229,7 +229,7 @@ static bool receive(void *context, const dipole_result *part, uint64_t first) {
     }
   }
   if (report->places == NULL) {
-    report->place_count = (size_t)ask->query.radius_count;
+    report->place_count = (size_t)run->query.radius_count;
     report->places = cli_allocate(report->place_count, sizeof *report->places);
   }
   for (size_t i = 0; i < part->radius_count; i++) {
@@ -237,27 +237,27 @@ static bool receive(void *context, const dipole_result *part, uint64_t first) {
         part->radius_f64 != NULL ? part->radius_f64[i] : cli_number_of_single(part->radius_f32[i]);
     report->places[first + i] = is_grid ? cli_number_rounded(r) : r;
   }
-  keep_part(report, ask->model, (size_t)first, part);
+  keep_part(report, run->model, (size_t)first, part);
   if (report->place_count > 0) {
     const double of_model = (double)report->place_count;
-    const double done = (double)ask->done * of_model + (double)(first + part->radius_count);
-    cli_progress_show(&ask->progress, done / ((double)ask->total * of_model),
+    const double done = (double)run->done * of_model + (double)(first + part->radius_count);
+    cli_progress_show(&run->progress, done / ((double)run->total * of_model),
                       (double)report->profile.channel_count * done);
   }
   return true;
 }
 
-/* Asks the model, which has to take the parameters, unless it is there only as the reference. Where
+/* Requests the model, which has to take the parameters, unless it is there only as the reference. Where
  * the daemon chooses the model, and no evaluator is named, single precision is taken, which is
  * cheaper, unless only double precision keeps the tolerance. */
-static bool ask_model(asking *ask, dipole_error *error) {
-  const cli_eval_report *report = ask->report;
+static bool request_model(requests *run, dipole_error *error) {
+  const cli_eval_report *report = run->report;
   const dipole_info *info = report->profile.info;
-  cli_eval_model *model = &ask->report->models[ask->model];
+  cli_eval_model *model = &run->report->models[run->model];
   cli_parameters parameters = report->profile.parameters;
   const bool is_any = model->choice == NULL;
   for (;;) {
-    ask->query =
+    run->query =
         (dipole_query){.model = is_any ? DIPOLE_ANY_MODEL : model->choice->id,
                        .evaluator = model->evaluator->id,
                        .moments = report->profile.moments->id,
@@ -266,18 +266,18 @@ static bool ask_model(asking *ask, dipole_error *error) {
                        .medium_count = (uint32_t)report->profile.channel_count,
                        .parameters = parameters.items,
                        .parameter_count = parameters.count,
-                       .deadline_ms = (uint32_t)ask->settings->deadline_ms.value};
-    cli_eval_set_radii(ask->settings, report, model->evaluator->id != DIPOLE_F64, &ask->query);
-    if (CLI_ASK(ask->settings, error,
-                dipole_eval_parts(ask->client, &ask->query, receive, ask, error))) {
+                       .deadline_ms = (uint32_t)run->settings->deadline_ms.value};
+    cli_eval_set_radii(run->settings, report, model->evaluator->id != DIPOLE_F64, &run->query);
+    if (CLI_RETRY(run->settings, error,
+                  dipole_eval_parts(run->client, &run->query, receive, run, error))) {
       return true;
     }
     const dipole_choice *refused = cli_choice(info, DIPOLE_PARAMETER, error->field);
     if (is_any && error->kind == DIPOLE_ERROR_REFUSED && strcmp(error->field, "tolerance") == 0 &&
-        ask->settings->evaluator == NULL && model->evaluator->id != DIPOLE_F64) {
+        run->settings->evaluator == NULL && model->evaluator->id != DIPOLE_F64) {
       model->evaluator = cli_choice_of_id(info, DIPOLE_EVALUATOR, DIPOLE_F64);
     } else if (!model->is_reference || model->named || error->kind != DIPOLE_ERROR_REFUSED ||
-               error->status != ask->bad_value || refused == NULL ||
+               error->status != run->bad_value || refused == NULL ||
                strncmp(error->allowed, "nothing", strlen("nothing")) != 0 ||
                !cli_parameters_remove(&parameters, refused->id)) {
       return false; /* "nothing": the model does not take the parameter, whatever its value */
@@ -293,57 +293,57 @@ typedef struct left_out {
 
 /* Writes one line for each model that is left out. If every model is, the query is probably wrong:
  * then each reason is given once. */
-static int tell_left_out(const left_out *models, size_t count, bool all) {
+static int report_left_out(const left_out *models, size_t count, bool all) {
   for (size_t i = 0; i < count; i++) {
     char what[96];
-    bool told = false;
+    bool reported = false;
     for (size_t k = 0; k < i; k++) {
-      told = told || strcmp(models[k].error.text, models[i].error.text) == 0;
+      reported = reported || strcmp(models[k].error.text, models[i].error.text) == 0;
     }
     snprintf(what, sizeof what, "%s is left out: ", models[i].model);
-    if (!all || !told) {
+    if (!all || !reported) {
       cli_fail_error_of(all ? "" : what, &models[i].error);
     }
   }
   return all ? CLI_FAILED : CLI_OK;
 }
 
-/* Says why a model has not answered. Names it if another model might have, as with a parameter that
+/* Reports why a model cannot evaluate the query. Names it if another model could, as with a parameter that
  * this one needs or does not take. model: NULL if the daemon was to choose it. */
-static int fail_model(const asking *ask, const dipole_choice *model, const dipole_error *error) {
+static int fail_model(const requests *run, const dipole_choice *model, const dipole_error *error) {
   char what[96] = "";
-  if (model != NULL && error->kind == DIPOLE_ERROR_REFUSED && error->status == ask->bad_value &&
-      cli_choice(ask->report->profile.info, DIPOLE_PARAMETER, error->field) != NULL) {
+  if (model != NULL && error->kind == DIPOLE_ERROR_REFUSED && error->status == run->bad_value &&
+      cli_choice(run->report->profile.info, DIPOLE_PARAMETER, error->field) != NULL) {
     snprintf(what, sizeof what, "model %s: ", model->name);
   }
   return cli_fail_error_of(what, error);
 }
 
-/* Asks model by model. Those that answer move up in the report to fill the gaps. */
-static int ask_all(asking *ask) {
-  cli_eval_report *report = ask->report;
-  left_out *out = cli_allocate(ask->total, sizeof *out);
+/* Sends a request for each model. Those that reply move up in the report to fill the gaps. */
+static int request_all(requests *run) {
+  cli_eval_report *report = run->report;
+  left_out *out = cli_allocate(run->total, sizeof *out);
   size_t out_count = 0;
   int status = CLI_OK;
-  for (; status == CLI_OK && ask->done < ask->total; ask->done++) {
+  for (; status == CLI_OK && run->done < run->total; run->done++) {
     dipole_error error;
-    cli_eval_model *asked = &report->models[ask->model];
-    *asked = report->models[ask->done];
-    if (ask_model(ask, &error)) {
-      ask->model++;
-    } else if (!asked->named && error.kind == DIPOLE_ERROR_REFUSED &&
-               error.status == ask->bad_value) {
-      out[out_count++] = (left_out){asked->choice->name, error};
+    cli_eval_model *requested = &report->models[run->model];
+    *requested = report->models[run->done];
+    if (request_model(run, &error)) {
+      run->model++;
+    } else if (!requested->named && error.kind == DIPOLE_ERROR_REFUSED &&
+               error.status == run->bad_value) {
+      out[out_count++] = (left_out){requested->choice->name, error};
     } else {
-      cli_progress_wipe(&ask->progress);
+      cli_progress_wipe(&run->progress);
       status = error.kind == DIPOLE_ERROR_STOPPED
                    ? cli_fail("the daemon chose a model or evaluator that it does not list")
-                   : fail_model(ask, asked->choice, &error);
+                   : fail_model(run, requested->choice, &error);
     }
   }
-  cli_progress_wipe(&ask->progress);
-  report->model_count = ask->model;
-  return status == CLI_OK ? tell_left_out(out, out_count, ask->model == 0) : status;
+  cli_progress_wipe(&run->progress);
+  report->model_count = run->model;
+  return status == CLI_OK ? report_left_out(out, out_count, run->model == 0) : status;
 }
 
 int cli_eval_ask(const cli_settings *settings, dipole_client *client, cli_eval_report *report) {
@@ -367,13 +367,13 @@ int cli_eval_ask(const cli_settings *settings, dipole_client *client, cli_eval_r
   }
   report->profile.evaluator = NULL; /* each row has its own */
   cli_eval_make_values(report);
-  asking ask = {.settings = settings,
-                .client = client,
-                .report = report,
-                .total = report->model_count,
-                .bad_value = dipole_id(client, DIPOLE_STATUS, "bad-value")};
-  cli_progress_start(&ask.progress, "values");
-  return ask_all(&ask);
+  requests run = {.settings = settings,
+                  .client = client,
+                  .report = report,
+                  .total = report->model_count,
+                  .bad_value = dipole_id(client, DIPOLE_STATUS, "bad-value")};
+  cli_progress_start(&run.progress, "values");
+  return request_all(&run);
 }
 
 /* ---- errors ---------------------------------------------------------------------------------- */
@@ -768,7 +768,7 @@ static bool ask_pieces(const cli_settings *settings, dipole_client *client,
     dipole_result *result;
     piece.sample_first += first;
     piece.sample_count = cut && count - first > PIECE_SAMPLES ? PIECE_SAMPLES : count - first;
-    good = CLI_ASK(settings, error, dipole_sample(client, &piece, &result, error));
+    good = CLI_RETRY(settings, error, dipole_sample(client, &piece, &result, error));
     if (good) {
       report->place_count = (size_t)count;
       keep_part(report, 0, (size_t)first, result);

@@ -5,7 +5,7 @@
 
 #include "clients/cli/profile.h"
 
-/* ---- what was answered ----------------------------------------------------------------------- */
+/* ---- replies ----------------------------------------------------------------------- */
 
 /* The values of one model and channel. Single precision values are held as the doubles that they
  * equal. */
@@ -20,15 +20,16 @@ typedef struct cli_eval_values {
 typedef struct cli_eval_model {
   const dipole_choice *choice; /* NULL until the daemon has chosen it */
   const dipole_choice *evaluator;
-  bool named;        /* on the command line, and not only as one of all: its refusal is a failure */
-  bool is_reference; /* of the others: it is asked without the parameters that it does not take */
-  unsigned notes;    /* ids of the daemon's notes */
+  bool named; /* on the command line, and not only as one of all: its refusal is a failure */
+  bool
+      is_reference; /* of the others: it is requested without the parameters that it does not take */
+  unsigned notes;   /* ids of the daemon's notes */
 } cli_eval_model;
 
 typedef struct cli_eval_report {
   cli_profile profile; /* each model takes what it can of the parameters */
   cli_quantities quantities;
-  size_t model_count; /* how many models answered */
+  size_t model_count; /* how many models replied */
   cli_eval_model *models;
   bool chosen;               /* the daemon has chosen the model */
   const char *place;         /* where values are: "r", "f" or, of drawn radii, "u" */
@@ -48,7 +49,7 @@ cli_eval_model *cli_eval_add_model(cli_eval_report *report, const dipole_choice 
 /* Makes room for the values of all models and channels, which have no arrays yet. */
 void cli_eval_make_values(cli_eval_report *report);
 
-/* ---- asking ---------------------------------------------------------------------------------- */
+/* ---- requests ---------------------------------------------------------------------------------- */
 
 /* The options of an evaluation. */
 extern const cli_option cli_eval_options[];
@@ -61,7 +62,7 @@ extern const cli_option cli_eval_options[];
 /* Checks everything that can be checked without a daemon. Returns an exit status. */
 int cli_eval_check(cli_settings *settings);
 
-/* Fills a zeroed report by asking a daemon. Of all models, those are left out that refuse the
+/* Fills a zeroed report by requests to a daemon. Of all models, those are left out that refuse the
  * query, with a line each on standard error. Says what is wrong and returns an exit status. */
 int cli_eval_ask(const cli_settings *settings, dipole_client *client, cli_eval_report *report);
 

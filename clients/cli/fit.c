@@ -251,7 +251,7 @@ static int read_samples(report *of) {
   return CLI_OK;
 }
 
-/* ---- asking ---------------------------------------------------------------------------------- */
+/* ---- requests ---------------------------------------------------------------------------------- */
 
 /* Looks up the names that options and the file give. */
 static int choose(const cli_settings *settings, dipole_client *client, report *of) {
@@ -342,7 +342,7 @@ static bool ask_side(dipole_client *client, report *of, const batch *some, dipol
   query.g = round(g * 1e9) / 1e9; /* .9 + .05 is .95, which transport's table holds */
   query.residuals = false;
   dipole_fits *fits;
-  if (!CLI_ASK(of->settings, error, dipole_fit(client, &query, &fits, error))) {
+  if (!CLI_RETRY(of->settings, error, dipole_fit(client, &query, &fits, error))) {
     return error->kind == DIPOLE_ERROR_REFUSED &&
            (strcmp(error->field, "g") == 0 || strcmp(error->field, "detector_na") == 0);
   }
@@ -391,7 +391,7 @@ static bool ask_some(dipole_client *client, report *of, const batch *some, dipol
   query.values = of->values + first->first;
   query.errors = of->errors + first->first;
   dipole_fits *fits;
-  bool good = CLI_ASK(of->settings, error, dipole_fit(client, &query, &fits, error));
+  bool good = CLI_RETRY(of->settings, error, dipole_fit(client, &query, &fits, error));
   if (good) {
     const unsigned notes = fits->notes;
     take(of, some, fits);
@@ -419,7 +419,7 @@ static bool is_alike(const report *of, const fit_sample *a, const fit_sample *b)
 enum { BATCH_READINGS = 65536 };
 
 /* Requests all samples. */
-static bool ask(dipole_client *client, report *of, dipole_error *error) {
+static bool request_fits(dipole_client *client, report *of, dipole_error *error) {
   const size_t count = of->sample_count;
   cli_progress progress;
   bool good = true;
@@ -511,7 +511,7 @@ static void write_foot(const void *context) {
 
 /* ---- what is no success ---------------------------------------------------------------------- */
 
-enum { TOLD_MAX = 10 };
+enum { REPORTED_MAX = 10 };
 
 /* Says which reading of a sample is wrong. */
 static void tell_reading(const report *of, const fit_sample *sample, const dipole_fitted *one) {
@@ -522,15 +522,15 @@ static void tell_reading(const report *of, const fit_sample *sample, const dipol
            is_error ? "above 0, and " : "");
 }
 
-/* Everything is written in any case; then the user is told what is no success. */
+/* Everything is written in any case; then reports what is no success. */
 static int judge(const report *of) {
-  size_t bad = 0, told = 0;
+  size_t bad = 0, reported = 0;
   for (size_t i = 0; i < of->sample_count; i++) {
     const dipole_fitted *one = &of->fitted[i];
     bad += one->status != DIPOLE_FITTED;
-    if (one->status == DIPOLE_FIT_REFUSED && one->field != 0 && told < TOLD_MAX) {
+    if (one->status == DIPOLE_FIT_REFUSED && one->field != 0 && reported < REPORTED_MAX) {
       tell_reading(of, &of->samples[i], one);
-      told++;
+      reported++;
     }
   }
   if (bad == 0) {
@@ -592,7 +592,7 @@ static int draw(const report *of) {
   return status;
 }
 
-/* Until they are answered, samples are refused, and all numbers NaN, whose bytes may be 255
+/* Until they have a reply, samples are refused, and all numbers NaN, whose bytes may be 255
  * each. */
 static void refuse_all(report *of) {
   const size_t count = of->sample_count;
@@ -617,7 +617,7 @@ static int run(const cli_settings *settings, dipole_client *client) {
     return status;
   }
   refuse_all(&of);
-  if (!ask(client, &of, &error)) {
+  if (!request_fits(client, &of, &error)) {
     return cli_fail_error(&error);
   }
   const cli_report output = {.facts = put_facts,

@@ -104,14 +104,14 @@ static bool read_cloud(const char *path, bool with_power, cloud *of) {
   return good;
 }
 
-/* ---- asking ---------------------------------------------------------------------------------- */
+/* ---- requests ---------------------------------------------------------------------------------- */
 
-static bool follow(void *context, uint64_t answered, uint64_t count) {
-  cli_progress_show(context, (double)answered / (double)count, (double)answered);
+static bool follow(void *context, uint64_t done, uint64_t count) {
+  cli_progress_show(context, (double)done / (double)count, (double)done);
   return !cli_interrupted();
 }
 
-/* What is asked, and the sums at the queries. */
+/* The request, and the sums at the queries. */
 typedef struct work {
   const cli_settings *settings;
   dipole_client *client;
@@ -165,7 +165,7 @@ static bool sum_directly(const work *of, const double *query_mm, double *r, doub
                               .radius_count = points->count,
                               .deadline_ms = of->query.deadline_ms};
   dipole_result *result;
-  if (!CLI_ASK(of->settings, error, dipole_eval(of->client, &query, &result, error))) {
+  if (!CLI_RETRY(of->settings, error, dipole_eval(of->client, &query, &result, error))) {
     return false;
   }
   for (uint32_t c = 0; c < channels; c++) {
@@ -192,7 +192,7 @@ static bool sum_all(work *of, dipole_error *error) {
 }
 
 /* Sets M to the sums. Returns an exit status. */
-static int ask(work *of) {
+static int request_sums(work *of) {
   dipole_error error;
   dipole_points *set;
   dipole_gather_result result;
@@ -219,9 +219,9 @@ static int ask(work *of) {
   cli_progress_start(&of->progress, "queries");
   const bool good = of->settings->least_distance.value > 0
                         ? sum_all(of, &error)
-                        : CLI_ASK(of->settings, &error,
-                                  dipole_gather(of->client, &of->query, follow, &of->progress,
-                                                of->M, &result, &error));
+                        : CLI_RETRY(of->settings, &error,
+                                    dipole_gather(of->client, &of->query, follow, &of->progress,
+                                                  of->M, &result, &error));
   cli_progress_wipe(&of->progress);
   dipole_points_free(set);
   return !good               ? fail_at(of, &error)
@@ -281,7 +281,7 @@ static int run(const cli_settings *settings, dipole_client *client) {
                           of.points.sheet.source, of.points.channels, of.profile.channel_count);
   }
   of.M = cli_allocate((size_t)of.queries.count * of.points.channels + 1, sizeof *of.M);
-  status = ask(&of);
+  status = request_sums(&of);
   if (status == CLI_OK) {
     tell_infinite(&of);
     const cli_report output = {.rows = of.queries.count, .put_row = put_query};

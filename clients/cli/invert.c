@@ -37,7 +37,7 @@ typedef struct report {
   cli_profile profile;
   const dipole_choice *given;
   double albedo_least, albedo_most;
-  size_t count, asked, missing;
+  size_t count, requested, missing;
   wanted *items;
 } report;
 
@@ -60,11 +60,11 @@ static int check(cli_settings *settings) {
   return CLI_OK;
 }
 
-/* ---- asking ---------------------------------------------------------------------------------- */
+/* ---- requests ---------------------------------------------------------------------------------- */
 
-/* Asks for one medium after the other, so that the daemon is not silent for long. */
-static bool ask(dipole_client *client, const cli_settings *settings, report *of,
-                dipole_error *error) {
+/* Requests one medium after the other, so that the daemon is not silent for long. */
+static bool request_media(dipole_client *client, const cli_settings *settings, report *of,
+                          dipole_error *error) {
   const double g = cli_numbers_pick(&settings->g, 0, 0), eta = settings->eta.items[0];
   cli_progress progress;
   bool good = true;
@@ -81,8 +81,8 @@ static bool ask(dipole_client *client, const cli_settings *settings, report *of,
                                        .lengths_mm = &one->length_mm,
                                        .medium_count = 1,
                                        .deadline_ms = (unsigned)settings->deadline_ms.value};
-    of->asked = i + 1;
-    good = CLI_ASK(settings, error, dipole_invert(client, &query, &found, error));
+    of->requested = i + 1;
+    good = CLI_RETRY(settings, error, dipole_invert(client, &query, &found, error));
     if (good) {
       one->medium = (dipole_medium){found->sigma_a_per_mm[0], found->sigma_s_per_mm[0], g, eta};
       one->albedo = found->albedos[0];
@@ -146,7 +146,7 @@ static void write_foot(const void *context) {
 static int fail_asking(const report *of, const char *length, const dipole_error *error) {
   char place[96] = "";
   if (of->count > 1) {
-    snprintf(place, sizeof place, "channel %zu: ", of->asked);
+    snprintf(place, sizeof place, "channel %zu: ", of->requested);
   }
   return strcmp(error->field, "length") == 0 ? cli_fail("%s%s (--%s)", place, error->text, length)
                                              : cli_fail_error_of(place, error);
@@ -170,7 +170,7 @@ static int run(const cli_settings *settings, dipole_client *client) {
   if (of.given == NULL) {
     return cli_fail("--%s: this daemon does not know it; name another length", length);
   }
-  if (!ask(client, settings, &of, &error)) {
+  if (!request_media(client, settings, &of, &error)) {
     return fail_asking(&of, length, &error);
   }
   const cli_report output = {

@@ -344,15 +344,15 @@ static void put_facts(cli_rows *rows, const void *context, size_t index) {
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
-/* The table is written in any case; then the user is told if it is less than what was requested. */
+/* The table is written in any case; then reports whether it has less than was requested. */
 static int judge(const report *of) {
-  const unsigned long long photons = of->result->last.photons, asked = of->query.photons;
+  const unsigned long long photons = of->result->last.photons, requested = of->query.photons;
   if (of->result->end == DIPOLE_MC_CANCELLED) {
-    return cli_fail("cancelled after %llu of %llu photons", photons, asked);
+    return cli_fail("cancelled after %llu of %llu photons", photons, requested);
   }
   if (of->result->end == DIPOLE_MC_STOPPED) {
     return cli_fail("the daemon stopped after %llu of %llu photons: start the job again", photons,
-                    asked);
+                    requested);
   }
   if (of->result->end == DIPOLE_MC_PHOTONS &&
       (of->query.error_rings > 0 || of->query.error_total > 0)) {

@@ -19,10 +19,10 @@ const cli_option *cli_options_of(const cli_command *command);
 
 /* Writes what the last word of a command line of `dipole` may become, each on a line, with what
  * --help says about commands and options behind a tab; nothing where it is the name of a file or a
- * number. It asks no daemon. Returns an exit status. */
+ * number. It needs no daemon. Returns an exit status. */
 int cli_complete(const char *line);
 
-/* The known name that is the nearest to a name that is unknown: to ask whether that was meant.
+/* The known name that is the nearest to a name that is unknown: to suggest it.
  * Starts as {0}; its name is NULL as long as no known name is near enough. */
 typedef struct cli_nearest {
   const char *name;

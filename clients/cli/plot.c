@@ -339,8 +339,8 @@ static int draw(const cli_settings *settings, const cli_eval_report *report, con
 }
 
 /* Requests one quantity at the radii of `eval`, which has to have a value at each. */
-static int ask(cli_settings eval, const char *name, dipole_client *client,
-               cli_eval_report *report) {
+static int request_curves(cli_settings eval, const char *name, dipole_client *client,
+                          cli_eval_report *report) {
   char quantity[64];
   char *wanted[] = {quantity};
   snprintf(quantity, sizeof quantity, "%s", name);
@@ -362,7 +362,7 @@ static int run(const cli_settings *settings, dipole_client *client) {
   if (walks) {
     eval.r = (cli_numbers){.count = of.count * NODES, .items = of.nodes_mm};
   }
-  int status = ask(eval, walks ? "2_pi_r_R" : settings->quantity, client, &report);
+  int status = request_curves(eval, walks ? "2_pi_r_R" : settings->quantity, client, &report);
   if (status == CLI_OK && walks) {
     take_means(&of, &report);
     status = walk(settings, client, &report.profile, &of);

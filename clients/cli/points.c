@@ -36,7 +36,7 @@ static const cli_option options[] = {
     CLI_OPTION(SWITCH, errors, NULL,
                "write numerical_error and model_error, too: how far the values may be from the "
                "model's formula, and the model from radiative transport (empty: not solved). Rows "
-               "that are answered together have the largest error of all"),
+               "that are evaluated together have the largest error of all"),
     {0},
 };
 
@@ -66,7 +66,7 @@ enum row_state {
   ROW_COPIED,  /* written as it was read */
   ROW_READ,    /* its cells have been read */
   ROW_GROUPED, /* so, and it may be requested in a group */
-  ROW_WAITING, /* waits for the answer to query `id` */
+  ROW_WAITING, /* waits for the reply to query `id` */
   ROW_GOOD,
   ROW_BAD,
 };
@@ -129,8 +129,8 @@ typedef struct points_run {
   cli_progress progress;
   uint64_t input_bytes; /* size of the input; 0 if it is unknown */
   uint64_t rows_written, rows_bad;
-  uint64_t rows_done, bytes_done; /* of the rows that have been answered, and of the comments */
-  int64_t answer_ms;              /* when the last answer came */
+  uint64_t rows_done, bytes_done; /* of the rows that have a result, and of the comments */
+  int64_t reply_ms;               /* when the last reply came */
   bool failed;
   size_t count, oldest; /* rows that have been read, and the first of them that may wait */
   size_t row_bytes;
@@ -153,7 +153,7 @@ static bool fail(points_run *points, const char *what) {
   return false;
 }
 
-/* Counts a row that has been answered, refused or copied. */
+/* Counts a row that has been evaluated, refused or copied. */
 static void count_done(points_run *points, const points_row *row) {
   const double input_bytes = (double)points->input_bytes; /* 0 if it is unknown */
   points->rows_done += row->state != ROW_COPIED;
@@ -502,7 +502,7 @@ static double *make_good(const points_run *points, points_row *row) {
   return row->values;
 }
 
-/* Sends the row's query; the row then waits for the answer. For a row of transport, f32 replaces
+/* Sends the row's query; the row then waits for the reply. For a row of transport, f32 replaces
  * lut if --evaluator is not given: a table for one row would cost 6 ms. f32 evaluates stored
  * solutions, too, so the tolerance, which would be the table's, is left out. */
 static bool submit_row(const points_run *points, points_row *row, dipole_error *error) {
@@ -531,8 +531,8 @@ static bool submit_row(const points_run *points, points_row *row, dipole_error *
   return dipole_submit(points->client, &query, &row->id, error);
 }
 
-/* Takes the answer; the row is then good. */
-static void take_answer(const points_run *points, points_row *row, const dipole_result *result) {
+/* Takes the reply; the row is then good. */
+static void take_reply(const points_run *points, points_row *row, const dipole_result *result) {
   const size_t count = points->quantities.count;
   double *values = make_good(points, row);
   const dipole_channel *channel = &result->channels[0];
@@ -545,7 +545,7 @@ static void take_answer(const points_run *points, points_row *row, const dipole_
   }
 }
 
-/* Returns the row that waits for an answer. Most answers come in the order of the rows. */
+/* Returns the row that waits for a reply. Most replies come in the order of the rows. */
 static points_row *find_row(points_run *points, uint64_t id) {
   while (points->oldest < points->count && points->rows[points->oldest].state != ROW_WAITING) {
     points->oldest++;
@@ -559,7 +559,7 @@ static points_row *find_row(points_run *points, uint64_t id) {
 
 static bool collect(points_run *points);
 
-/* Requests the row by itself. Takes answers first if as many queries are outstanding as may be. */
+/* Requests the row by itself. Takes replies first if as many queries are outstanding as may be. */
 static bool submit(points_run *points, points_row *row) {
   dipole_error error;
   while (dipole_outstanding(points->client) >= DIPOLE_IN_FLIGHT_MAX) {
@@ -570,7 +570,7 @@ static bool submit(points_run *points, points_row *row) {
   return submit_row(points, row, &error) || fail(points, error.text);
 }
 
-/* Handles an error: asks a busy daemon again, and marks the row as bad if the refusal names a
+/* Handles an error: repeats the request to a busy daemon, and marks the row as bad if the refusal names a
  * field. Any other error ends the work. */
 static bool take_refusal(points_run *points, uint64_t id, const dipole_error *error) {
   points_row *row = error->kind == DIPOLE_ERROR_REFUSED ? find_row(points, id) : NULL;
@@ -580,12 +580,12 @@ static bool take_refusal(points_run *points, uint64_t id, const dipole_error *er
     count_done(points, row);
     return true;
   }
-  return row != NULL && cli_try_again(points->settings, points->answer_ms, error)
+  return row != NULL && cli_try_again(points->settings, points->reply_ms, error)
              ? submit(points, row)
              : fail(points, error->text);
 }
 
-/* Waits for one answer. */
+/* Waits for one reply. */
 static bool collect(points_run *points) {
   dipole_error error;
   dipole_result *result;
@@ -593,14 +593,14 @@ static bool collect(points_run *points) {
   if (!dipole_collect(points->client, &id, &result, &error)) {
     return take_refusal(points, id, &error);
   }
-  points->answer_ms = cli_now_ms();
+  points->reply_ms = cli_now_ms();
   points_row *row = find_row(points, id);
   if (row != NULL) {
-    take_answer(points, row, result);
+    take_reply(points, row, result);
     count_done(points, row);
   }
   dipole_result_free(result);
-  return row != NULL || fail(points, "an answer came to a query that was not sent");
+  return row != NULL || fail(points, "a reply came to a query that was not sent");
 }
 
 /* ---- rows that share a model, g and eta ------------------------------------------------------ */
@@ -676,8 +676,8 @@ static int compare_places(const void *a, const void *b) {
 /* Requests the values of `count` rows that share what compare() compares. Evaluators in single
  * precision get radii in single precision, and their values are those of double precision, rounded:
  * coefficients in single precision would put them off by more. */
-static bool ask(points_run *points, points_row *const *rows, size_t count,
-                dipole_varying_result **result, dipole_error *error) {
+static bool request_group(points_run *points, points_row *const *rows, size_t count,
+                          dipole_varying_result **result, dipole_error *error) {
   const size_t radii = points->radius_count;
   const bool single = rows[0]->evaluator != DIPOLE_F64;
   for (size_t i = 0; i < count * radii; i++) {
@@ -703,14 +703,14 @@ static bool ask(points_run *points, points_row *const *rows, size_t count,
                                       .value_count = count * radii,
                                       .parameters = parameters.items,
                                       .parameter_count = parameters.count};
-  return CLI_ASK(points->settings, error, dipole_varying(points->client, &query, result, error));
+  return CLI_RETRY(points->settings, error, dipole_varying(points->client, &query, result, error));
 }
 
 /* Numbers are rounded to single precision, and then to the fewest digits that are read as the same
  * number of single precision. Each is off by at most 2^-24. */
 #define SINGLE_ERROR 0x1p-23
 
-/* Takes the values of row `index` of a group. Returns false if one of them was not answered. */
+/* Takes the values of row `index` of a group. Returns false if one of them was not computed. */
 static bool take_values(const points_run *points, points_row *row, size_t index,
                         const dipole_varying_result *result) {
   const size_t radii = points->radius_count, count = points->quantities.count;
@@ -734,12 +734,12 @@ static bool take_values(const points_run *points, points_row *row, size_t index,
   return true;
 }
 
-/* Requests the rows of a group. A row that is not answered is then requested by itself, so that it
+/* Requests the rows of a group. A row that is not computed is then requested by itself, so that it
  * is known what is wrong with it. */
 static bool ask_group(points_run *points, points_row *const *rows, size_t count) {
   dipole_error error;
   dipole_varying_result *result = NULL;
-  if (!points->refused[rows[0]->model] && !ask(points, rows, count, &result, &error)) {
+  if (!points->refused[rows[0]->model] && !request_group(points, rows, count, &result, &error)) {
     if (error.kind != DIPOLE_ERROR_REFUSED || error.retry_after_ms != 0) {
       return fail(points, error.text);
     }
@@ -782,7 +782,7 @@ static bool ask_groups(points_run *points) {
 
 /* ---- the work -------------------------------------------------------------------------------- */
 
-/* Requests the rows that have been read, and writes them up to the first that has no answer. */
+/* Requests the rows that have been read, and writes them up to the first that has no reply. */
 static bool write_all(points_run *points) {
   points->oldest = 0;
   bool good = ask_groups(points);
@@ -802,8 +802,8 @@ static bool write_all(points_run *points) {
   return !points->failed;
 }
 
-/* Is called when the next read would wait. Answers all rows that have come, so that a program that
- * writes row by row gets each answer before it writes the next row. */
+/* Is called when the next read would wait. Evaluates all rows that have come, so that a program that
+ * writes row by row gets each result before it writes the next row. */
 static void write_before_wait(void *context) {
   points_run *points = context;
   if (!points->failed && write_all(points)) {
@@ -932,7 +932,7 @@ static int evaluate(points_run *points) {
   if (status != CLI_OK) {
     return status;
   }
-  points->answer_ms = cli_now_ms();
+  points->reply_ms = cli_now_ms();
   cli_progress_start(&points->progress, "rows");
   const bool good = read_header(points) && read_rows(points);
   cli_progress_wipe(&points->progress);

@@ -396,11 +396,11 @@ void cli_put_notes(cli_rows *rows, const dipole_info *info, unsigned notes) {
 void cli_write_launched(const dipole_medium *media, size_t count) {
   const char *before = "per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 =";
   for (size_t i = 0; i < count; i++) {
-    bool told = false;
+    bool reported = false;
     for (size_t k = 0; k < i; k++) {
-      told = told || media[k].eta == media[i].eta;
+      reported = reported || media[k].eta == media[i].eta;
     }
-    if (!told) {
+    if (!reported) {
       const double share = (media[i].eta - 1) / (media[i].eta + 1);
       printf("%s %.6g (eta %.6g)", before, 1 - share * share, media[i].eta);
       before = ",";

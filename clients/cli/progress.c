@@ -41,7 +41,7 @@ static void write_time(double seconds) {
 
 /* ---- calls without a bar --------------------------------------------------------------------- */
 
-/* A bar was shown since the last second; seconds that are told; both are set in a signal
+/* A bar was shown since the last second; seconds that are shown; both are set in a signal
  * handler. */
 static volatile sig_atomic_t bar_moves, told_s;
 

@@ -63,7 +63,7 @@ void cli_rows_shown(cli_rows *rows, double value, const char *text, const cli_co
 double cli_number_of_single(float value);
 double cli_number_rounded(double value);
 
-/* Returns value number i of a quantity of an answer, in the fewest digits of its precision; of the
+/* Returns value number i of a quantity of a reply, in the fewest digits of its precision; of the
  * albedo, the only one. */
 double cli_value(const dipole_result *result, uint32_t channel, unsigned quantity, size_t i);
 

@@ -286,7 +286,7 @@ static int fetch(const cli_settings *settings, dipole_client *client, report *of
                                       .parameter_count = profile->parameters.count};
     dipole_table *table;
     dipole_error error;
-    if (!CLI_ASK(settings, &error, dipole_table_fetch(client, &query, &table, &error))) {
+    if (!CLI_RETRY(settings, &error, dipole_table_fetch(client, &query, &table, &error))) {
       if (profile->channel_count > 1) {
         snprintf(place, sizeof place, "channel %s: ", profile->names[i]);
       }

@@ -114,8 +114,8 @@ static cmsHPROFILE profile_of(png_structp png, png_infop info, size_t channels) 
   if (!known && png_get_iCCP(png, info, &name, &method, &bytes, &count) != 0) {
     return cmsOpenProfileFromMem(bytes, count);
   }
-  const bool tells = !known && png_get_gAMA(png, info, &gamma) != 0 && gamma > 0;
-  return make_profile(channels, tells && fabs(gamma * 2.2 - 1) > 0.01
+  const bool states = !known && png_get_gAMA(png, info, &gamma) != 0 && gamma > 0;
+  return make_profile(channels, states && fabs(gamma * 2.2 - 1) > 0.01
                                     ? cmsBuildGamma(NULL, 1 / gamma)
                                     : cmsBuildParametricToneCurve(NULL, OF_SRGB, sRGB));
 }
@@ -457,7 +457,7 @@ static int take_settings(texture_run *run) {
   return CLI_OK;
 }
 
-/* ---- asking ---------------------------------------------------------------------------------- */
+/* ---- requests ---------------------------------------------------------------------------------- */
 
 /* Fills the lengths of `count` values from number `first` on. */
 static void set_lengths(texture_run *run, uint64_t first, size_t count, size_t channels) {
@@ -476,7 +476,7 @@ static void take(texture_run *run, uint64_t first, const dipole_varying_result *
   }
   run->colour_least = result->colour_least;
   run->colour_most = result->colour_most;
-  if (run->missing == 0 && result->answered_count < result->value_count) {
+  if (run->missing == 0 && result->computed_count < result->value_count) {
     uint64_t i = 0;
     while (result->statuses[i] == DIPOLE_VALUE_OK || result->statuses[i] == DIPOLE_VALUE_FAR) {
       i++;
@@ -484,7 +484,7 @@ static void take(texture_run *run, uint64_t first, const dipole_varying_result *
     run->first_missing = first + i;
     run->missing_status = result->statuses[i];
   }
-  run->missing += result->value_count - result->answered_count;
+  run->missing += result->value_count - result->computed_count;
 }
 
 static bool map(texture_run *run, const image *in, dipole_error *error) {
@@ -500,7 +500,8 @@ static bool map(texture_run *run, const image *in, dipole_error *error) {
     run->query.colours = in->values + first;
     run->query.lengths_mm = run->lengths_mm;
     run->query.value_count = n;
-    good = CLI_ASK(run->settings, error, dipole_varying(run->client, &run->query, &result, error));
+    good =
+        CLI_RETRY(run->settings, error, dipole_varying(run->client, &run->query, &result, error));
     if (good) {
       take(run, first, result);
       dipole_varying_result_free(result);

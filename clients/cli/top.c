@@ -185,7 +185,7 @@ static void show_gone(const top_run *of, const dipole_error *error) {
   char text[512];
   const char *address = of->settings->connect;
   snprintf(text, sizeof text,
-           "No answer from %s for %.0f s\n%s\n\nTrying again. Ctrl-C ends this.\n",
+           "No reply from %s for %.0f s\n%s\n\nTrying again. Ctrl-C ends this.\n",
            address != NULL ? address : dipole_get_info(of->given)->address, now_s() - of->gone_s,
            error->text);
   draw(text);
@@ -210,13 +210,13 @@ static void show(top_run *of, bool first) {
 
 /* ---- looking --------------------------------------------------------------------------------- */
 
-enum { ANSWER_MS = 2000 }; /* how long the daemon may take before the screen says that it is gone */
+enum { REPLY_MS = 2000 }; /* how long the daemon may take before the screen says that it is gone */
 
 static bool connect_again(top_run *of, dipole_error *error) {
   dipole_options options;
   cli_connection_options(of->settings, &options);
   options.retry_ms = 0;
-  options.connect_timeout_ms = ANSWER_MS;
+  options.connect_timeout_ms = REPLY_MS;
   return dipole_open_with(of->settings->connect, &options, &of->client, error);
 }
 
@@ -227,7 +227,7 @@ static void forget(top_run *of) {
   of->client = NULL;
 }
 
-/* Looks at the daemon. If it does not answer, says so and returns false; on a screen, numbers that
+/* Looks at the daemon. If it does not reply, says so and returns false; on a screen, numbers that
  * are out of date do not stay. */
 static bool look(top_run *of) {
   dipole_error error;
@@ -236,7 +236,7 @@ static bool look(top_run *of) {
   of->now = (top_look){0};
   if (of->client != NULL && of->has_screen) {
     dipole_set_retry_ms(of->client, 0);
-    dipole_set_timeout_ms(of->client, ANSWER_MS);
+    dipole_set_timeout_ms(of->client, REPLY_MS);
   }
   if ((of->client != NULL || connect_again(of, &error)) &&
       dipole_statistics(of->client, &of->now.values, &of->now.count, &error)) {
@@ -336,7 +336,7 @@ const cli_command cli_command_top = {
     .name = "top",
     .about = "Watch a daemon: requests, radii and bytes each second, latencies, queues",
     .more = "On a terminal, each table takes the place of the one before; Ctrl-C ends the command. "
-            "While the daemon does not answer, its reason stands there, and `top` tries again. "
+            "While the daemon does not reply, its reason stands there, and `top` tries again. "
             "Elsewhere, each interval gives a table, or a line of CSV or JSON for each statistic. "
             "Names end with their units; per_s is the rate over the interval. Latencies are those "
             "of all requests since the daemon's start. Tables leave out what has not risen.",

@@ -46,21 +46,21 @@ enum { BLOCK = 64 };
  * Returns how many of the whole block have an answer. */
 static inline size_t narrow(size_t n, const cells_integer *restrict wide,
                             uint8_t *restrict status) {
-  cells_integer answered = 0;
+  cells_integer computed = 0;
   for (size_t i = 0; i < n; i++) {
     status[i] = (uint8_t)wide[i];
   }
   for (size_t i = 0; i < BLOCK; i++) {
-    answered += wide[i] <= CORE_VALUE_FAR;
+    computed += wide[i] <= CORE_VALUE_FAR;
   }
-  return (size_t)answered;
+  return (size_t)computed;
 }
 
 /* What the values have in common, in BLOCK places side by side, so that compilers vectorize. */
 struct extremes {
   real albedo_least[BLOCK], albedo_most[BLOCK];
   real mfp_least[BLOCK], mfp_most[BLOCK];
-  size_t answered;
+  size_t computed;
 };
 
 /* Adds the numbers that are not NaN to the least and the most of each place. */
@@ -98,7 +98,7 @@ static void sum_up(struct extremes *seen, core_varying_range *range) {
       seen->mfp_most[i] = real_max(seen->mfp_most[i], seen->mfp_most[i + half]);
     }
   }
-  *range = (core_varying_range){seen->answered, (double)seen->albedo_least[0],
+  *range = (core_varying_range){seen->computed, (double)seen->albedo_least[0],
                                 (double)seen->albedo_most[0], (double)seen->mfp_least[0],
                                 (double)seen->mfp_most[0]};
 }
@@ -118,7 +118,7 @@ static void check(const real *restrict shared, size_t n, const real *restrict si
   const cells_integer out_of_range = numbers ? CORE_VALUE_NUMBER : CORE_VALUE_RADIUS;
   struct last_block last;
   struct extremes seen;
-  seen.answered = 0;
+  seen.computed = 0;
   for (size_t i = 0; i < BLOCK; i++) {
     seen.albedo_least[i] = seen.mfp_least[i] = (real)INFINITY;
     seen.albedo_most[i] = seen.mfp_most[i] = 0;
@@ -140,7 +140,7 @@ static void check(const real *restrict shared, size_t n, const real *restrict si
     } else {
       check_block(shared, a, s, x, most, out_of_range, 0, wide, &seen);
     }
-    seen.answered += narrow(count, wide, status + done);
+    seen.computed += narrow(count, wide, status + done);
   }
   sum_up(&seen, range);
 }

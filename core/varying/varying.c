@@ -195,7 +195,7 @@ size_t core_varying_bytes(const core_varying *varying) {
 /* ---- checking -------------------------------------------------------------------------------- */
 
 void core_varying_range_add(core_varying_range *range, const core_varying_range *other) {
-  range->answered += other->answered;
+  range->computed += other->computed;
   range->albedo_least = fmin(range->albedo_least, other->albedo_least);
   range->albedo_most = fmax(range->albedo_most, other->albedo_most);
   range->mfp_least = fmin(range->mfp_least, other->mfp_least);

@@ -550,7 +550,7 @@ UNIT_TEST(wrong_values_have_a_status_and_the_others_are_answered) {
     assert_int_equal(status[i], expected[i]);
     assert_int_equal(isnan(out[i]), expected[i] > CORE_VALUE_FAR);
   }
-  assert_int_equal(range.answered, 2);
+  assert_int_equal(range.computed, 2);
   assert_true(range.albedo_least >= 0.5 && range.albedo_most <= 0.5 && range.mfp_most <= 2);
   const double us[3] = {0, 1.5, 1};
   core_varying_check_u_f64(&varying, 3, (double[]){1, 1, 1}, (double[]){1, 1, 1}, us, status,
@@ -585,7 +585,7 @@ UNIT_TEST(the_errors_of_a_range_are_the_largest_of_its_media) {
       const double most = 1 - unit_random_log(&random, 1e-3, 0.3);
       const double reach = unit_random_log(&random, 0.1, 19);
       compare_errors_of_range(&varying, quantities[k % QUANTITIES],
-                              (core_varying_range){.answered = 2,
+                              (core_varying_range){.computed = 2,
                                                    .albedo_least = most * (k < 3 ? 0.9 : 0.2),
                                                    .albedo_most = most,
                                                    .mfp_least = 0.011,

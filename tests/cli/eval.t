@@ -111,7 +111,7 @@ better,skin1 blue,0.48,1.01,0,1.4,1,0.004954157187455209,0.06038796649866023,5.5
 
 $ dipole eval --medium marble,skin1 --channel red,blue --eta 1,2,3
 ! dipole eval: --eta has 3 values and --medium has 4: give one value or as many
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 ## Grids: the shortest numbers.
@@ -184,17 +184,17 @@ $ dipole eval --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --model better --f 0
 
 $ dipole eval --sigma-a 0.01 --sigma-s 10 --f 1 --r 1
 ! dipole eval: --f is for R_f, and --r for all else: leave one out
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.01 --sigma-s 10 --f 1 --wanted R
 ! dipole eval: --f gives spatial frequencies, which only R_f has: request R_f alone
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.01 --sigma-s 10 --f 1 --to 2
 ! dipole eval: --f gives the frequencies one by one: leave --from, --to, --count and --log out
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 ## Tolerances in place of a model.
@@ -271,12 +271,12 @@ gaussians,1,0.032,0.74,0,1.3,1,0.022003446135484304,0.4351174018643613,0.0016572
 
 $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model gaussians --r 1 --fit-model best
 ! dipole eval: --fit-model: 'best' is unknown; this daemon has classical, better, grosjean, boundary, exitance, grosjean-boundary, grosjean-exitance, boundary-exitance, extended, quantized, beam, single, classical+single, better+single, extended+single, quantized+single, beam+single, burley, burley-diffuse, burley-dmfp, skin-red, skin-green, skin-blue, gaussians, multipole, multipole-transmitted, better-multipole, better-multipole-transmitted, transport. Is it beam?
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --cos-in x
 ! dipole eval: --cos-in: 'x' is no number
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --cos-in 1.5

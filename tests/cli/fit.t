@@ -40,7 +40,7 @@ $ dipole fit skin.csv --model better --eta 1.4 --g 0.5 --format json
 
 $ dipole fit skin.csv --model better
 ! dipole fit: sample skin: its eta is not known: give --eta X (the refractive index inside over outside), or a column eta
-! `dipole fit --help` tells more.
+! `dipole fit --help` says more.
 ? 2
 
 $ sed '1s/$/,eta,g/; 2,$s/$/,1.4,0.8/' skin.csv | dipole fit --model better
@@ -58,22 +58,22 @@ note: similarity: g is not 0: the model uses isotropic scattering with sigma_s (
 
 $ dipole fit skin.csv --reference 1,2,3
 ! dipole fit: --reference: give four numbers: sigma_a, sigma_s, g and eta
-! `dipole fit --help` tells more.
+! `dipole fit --help` says more.
 ? 2
 
 $ dipole fit skin.csv --reference 1,2,3,4 --scale free
 ! dipole fit: --reference says what the scale is: leave --scale out
-! `dipole fit --help` tells more.
+! `dipole fit --help` says more.
 ? 2
 
 $ dipole fit skin.csv --scale reference
 ! dipole fit: --scale reference: give --reference A,S,G,ETA in its place
-! `dipole fit --help` tells more.
+! `dipole fit --help` says more.
 ? 2
 
 $ dipole fit skin.csv --plot fit.pdf
 ! dipole fit: --plot fit.pdf: the name must end in .svg or .png; - is the terminal
-! `dipole fit --help` tells more.
+! `dipole fit --help` says more.
 ? 2
 
 $ dipole fit skin.csv --model better --eta 0

@@ -48,7 +48,7 @@ $ for text in '' 'x,y,z\n0,0,0\n' 'x,y,power\n' 'x,y,z,power\n' 'x,y,z,power\n0,
 ! dipole gather: standard input: line 3: bad-value: power: allowed: 0 to 1e30
 ! dipole gather: standard input: line 2: z: there is no number
 ! dipole gather: standard input: powers of each point: 2, channels of the medium: 1: give as many media as powers, or choose a channel with --channel
-! `dipole gather --help` tells more.
+! `dipole gather --help` says more.
 ? 2
 
 $ printf 'x,y,z\n0,0,0\n0,inf,0\n' | dipole gather points.csv - --sigma-a 0.032 --sigma-s 0.74
@@ -57,22 +57,22 @@ $ printf 'x,y,z\n0,0,0\n0,inf,0\n' | dipole gather points.csv - --sigma-a 0.032 
 
 $ dipole gather points.csv
 ! dipole gather: name two files: the points, and the queries
-! `dipole gather --help` tells more.
+! `dipole gather --help` says more.
 ? 2
 
 $ dipole gather points.csv queries.csv
 ! dipole gather: give --medium NAME, or --sigma-a and --sigma-s
-! `dipole gather --help` tells more.
+! `dipole gather --help` says more.
 ? 2
 
 $ dipole gather points.csv queries.csv --medium skin1
 ! dipole gather: points.csv: powers of each point: 1, channels of the medium: 3: give as many media as powers, or choose a channel with --channel
-! `dipole gather --help` tells more.
+! `dipole gather --help` says more.
 ? 2
 
 $ dipole gather points.csv queries.csv --medium skin1 --channel red --tolerance much
 ! dipole gather: --tolerance: 'much' is no number
-! `dipole gather --help` tells more.
+! `dipole gather --help` says more.
 ? 2
 
 $ dipole gather points.csv queries.csv --medium skin1 --channel red --tolerance 0.9
@@ -81,7 +81,7 @@ $ dipole gather points.csv queries.csv --medium skin1 --channel red --tolerance 
 
 $ dipole gather points.csv queries.csv --medium skin1 --channel red --least-distance -1
 ! dipole gather: --least-distance: give a number of at least 0, in mm
-! `dipole gather --help` tells more.
+! `dipole gather --help` says more.
 ? 2
 
 $ dipole gather none.csv queries.csv --medium skin1 --channel red

@@ -91,227 +91,227 @@ Examples
 
 $ dipole eval
 ! dipole eval: give --medium NAME, or --sigma-a and --sigma-s
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 1
 ! dipole eval: give --medium NAME, or --sigma-a and --sigma-s
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval skin1
 ! dipole eval: 'skin1' is one argument too many: leave it out
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole points a.csv b.csv
 ! dipole points: 'b.csv' is one argument too many: leave it out
-! `dipole points --help` tells more.
+! `dipole points --help` says more.
 ? 2
 
 $ dipole media --mediun
 ! dipole media: --mediun: no such option
-! `dipole media --help` tells more.
+! `dipole media --help` says more.
 ? 2
 
 $ dipole media -x
 ! dipole media: -x: no such option
-! `dipole media --help` tells more.
+! `dipole media --help` says more.
 ? 2
 
 $ dipole eval --meduim=skin1
 ! dipole eval: --meduim=skin1: no such option; the nearest is --medium
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --model bettr
 ! dipole eval: --model: 'bettr' is unknown; this daemon has classical, better, grosjean, boundary, exitance, grosjean-boundary, grosjean-exitance, boundary-exitance, extended, quantized, beam, single, classical+single, better+single, extended+single, quantized+single, beam+single, burley, burley-diffuse, burley-dmfp, skin-red, skin-green, skin-blue, gaussians, multipole, multipole-transmitted, better-multipole, better-multipole-transmitted, transport. Is it better?
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a
 ! dipole eval: --sigma-a: a value is missing
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole media --format xml
 ! dipole media: --format xml: one of table,csv,json (default: table)
-! `dipole media --help` tells more.
+! `dipole media --help` says more.
 ? 2
 
 $ dipole media --format able
 ! dipole media: --format able: one of table,csv,json (default: table)
-! `dipole media --help` tells more.
+! `dipole media --help` says more.
 ? 2
 
 $ dipole points --format json
 ! dipole points: --format json: only csv
-! `dipole points --help` tells more.
+! `dipole points --help` says more.
 ? 2
 
 $ dipole media --timeout-ms -1
 ! dipole media: --timeout-ms: '-1' is no whole number
-! `dipole media --help` tells more.
+! `dipole media --help` says more.
 ? 2
 
 $ dipole media --timeout-ms 4294967296
 ! dipole media: --timeout-ms: '4294967296' is no whole number up to 4294967295
-! `dipole media --help` tells more.
+! `dipole media --help` says more.
 ? 2
 
 $ dipole media --retry-ms 4294967296
 ! dipole media: --retry-ms: '4294967296' is no whole number up to 4294967295
-! `dipole media --help` tells more.
+! `dipole media --help` says more.
 ? 2
 
 $ dipole media --retry-ms soon
 ! dipole media: --retry-ms: 'soon' is no whole number
-! `dipole media --help` tells more.
+! `dipole media --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --g 0x1p-1
 ! dipole eval: --g: '0x1p-1' is no number (or several, separated by commas)
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --g 0,5,
 ! dipole eval: --g: '0,5,' is no number (or several, separated by commas)
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0,05
 ! dipole eval: --sigma-a: '0,05' is no list of numbers: one of them starts with a 0; write a decimal point, as in 0.05
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --r 1,-00.5
 ! dipole eval: --r: '1,-00.5' is no list of numbers: one of them starts with a 0; write a decimal point, as in 0.05
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole invert --albedo 07
 ! dipole invert: --albedo: '07' is no list of numbers: one of them starts with a 0; write a decimal point, as in 0.05
-! `dipole invert --help` tells more.
+! `dipole invert --help` says more.
 ? 2
 
 $ dipole invert --eta 1,4
 ! dipole invert: --eta: '1,4' is no number: write a decimal point, as in 0.05
-! `dipole invert --help` tells more.
+! `dipole invert --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --g ' 0'
 ! dipole eval: --g: ' 0' is no number (or several, separated by commas)
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --eta 1e999
 ! dipole eval: --eta: '1e999' is no number (or several, separated by commas)
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --to 1mm
 ! dipole eval: --to: '1mm' is no number
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --count 1e3
 ! dipole eval: --count: '1e3' is no whole number
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --count 18446744073709551616
 ! dipole eval: --count: '18446744073709551616' is no whole number
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --medium skin1
 ! dipole eval: --medium NAME stands for --sigma-a and --sigma-s: leave these out; --g and --eta may stay
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --r 1 --count 3
 ! dipole eval: --r gives the radii one by one: leave --from, --to, --count and --log out
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --log
 ! dipole eval: --log needs --from, above 0
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --g 0,0.5 --eta 1,1.2,1.4
 ! dipole eval: --eta has 3 values and --g has 2: give one value or as many
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --medium skin1 --eta 1,2
 ! dipole eval: --eta has 2 values and --medium has 3: give one value or as many
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --deadline-ms 4294967296
 ! dipole eval: --deadline-ms: '4294967296' is no whole number up to 4294967295
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --deadline-ms -1
 ! dipole eval: --deadline-ms: '-1' is no whole number
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --table a --deadline-ms 5
 ! dipole eval: --table FILE says what is evaluated, and needs no daemon: of the options leave all out but radii, --wanted and output
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --plot r.pdf
 ! dipole eval: --plot r.pdf: the name must end in .svg or .png; - is the terminal
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --plot .png
 ! dipole eval: --plot .png: the name must end in .svg or .png; - is the terminal
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --plot r.png --wanted albedo
 ! dipole eval: --plot draws R: add R to --wanted
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --plot - --format json
 ! dipole eval: --plot - draws onto standard output, where the json goes: name a file, or leave --format out
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --model better,
 ! dipole eval: --model: '' is unknown; this daemon has classical, better, grosjean, boundary, exitance, grosjean-boundary, grosjean-exitance, boundary-exitance, extended, quantized, beam, single, classical+single, better+single, extended+single, quantized+single, beam+single, burley, burley-diffuse, burley-dmfp, skin-red, skin-green, skin-blue, gaussians, multipole, multipole-transmitted, better-multipole, better-multipole-transmitted, transport
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --moments fat
 ! dipole eval: --moments: 'fat' is unknown; this daemon has exact, fit, jensen, pbrt. Is it fit?
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --evaluator f16
 ! dipole eval: --evaluator: 'f16' is unknown; this daemon has f64, f32, lut
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --wanted colour
 ! dipole eval: --wanted: 'colour' is unknown; this daemon has R, albedo, cdf, r, dR_dr, ln_R, pdf, 2_pi_r_R, S, R_f, dlnR_dln_sigma_a, dlnR_dln_sigma_s, model_error, model_errors
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --medium skin
 ! dipole eval: --medium: 'skin' is unknown; this daemon has apple, chicken1, chicken2, cream, ketchup, marble, potato, skimmilk, skin1, skin2, spectralon, wholemilk
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole points --evaluator f16
 ! dipole points: --evaluator: 'f16' is unknown; this daemon has f64, f32, lut
-! `dipole points --help` tells more.
+! `dipole points --help` says more.
 ? 2
 
 ## What the daemon refuses, and daemons that are not there.
@@ -410,7 +410,7 @@ $ for command in eval points texture; do dipole $command --help | grep -e '^  --
 
 $ dipole plot --format csv
 ! dipole plot: --format csv: only none, as images are written
-! `dipole plot --help` tells more.
+! `dipole plot --help` says more.
 ? 2
 
 $ cp "$(command -v dipole)" . && mkdir dipoled && ./dipole info | head -n 1 && rmdir dipoled && rm dipole

@@ -67,32 +67,32 @@ better,2,0.2,mean-free-path,1,0.12862311017013614,0.8713768898298638,0,1.3,0.199
 
 $ dipole invert
 ! dipole invert: give --albedo, and --mean-free-path in mm
-! `dipole invert --help` tells more.
+! `dipole invert --help` says more.
 ? 2
 
 $ dipole invert --albedo 0.5
 ! dipole invert: give exactly one of --mean-free-path, --diffuse-mean-free-path and --classical-diffuse-path, in mm
-! `dipole invert --help` tells more.
+! `dipole invert --help` says more.
 ? 2
 
 $ dipole invert --albedo 0.5 --mean-free-path 1 --diffuse-mean-free-path 1
 ! dipole invert: give exactly one of --mean-free-path, --diffuse-mean-free-path and --classical-diffuse-path, in mm
-! `dipole invert --help` tells more.
+! `dipole invert --help` says more.
 ? 2
 
 $ dipole invert --albedo 0.1,0.2 --mean-free-path 1,2,3
 ! dipole invert: --mean-free-path has 3 values and --albedo has 2: give one value or as many
-! `dipole invert --help` tells more.
+! `dipole invert --help` says more.
 ? 2
 
 $ dipole invert --albedo half --mean-free-path 1
 ! dipole invert: --albedo: 'half' is no number (or several, separated by commas)
-! `dipole invert --help` tells more.
+! `dipole invert --help` says more.
 ? 2
 
 $ dipole invert --albedo 0.5 --mean-free-path 1 --sigma-a 1
 ! dipole invert: --sigma-a: no such option
-! `dipole invert --help` tells more.
+! `dipole invert --help` says more.
 ? 2
 
 $ dipole invert --albedo 0.1,1.5 --mean-free-path 1

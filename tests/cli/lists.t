@@ -105,7 +105,7 @@ better,1,0.032,0.74,0.97,1.3,1,1.3333372e-5,0.0024018935,8.439217715545223e-5,,8
 
 $ dipole eval --table a.table --model better
 ! dipole eval: --table FILE says what is evaluated, and needs no daemon: of the options leave all out but radii, --wanted and output
-! `dipole eval --help` tells more.
+! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --table a.table --wanted dR_dr
@@ -130,7 +130,7 @@ $ head -c 100 a.table | dipole eval --table - --r 1
 
 $ dipole table --sigma-a 0.032 --sigma-s 0.74 --output - --format json
 ! dipole table: --output - writes binary to standard output: leave --format out, or name a file
-! `dipole table --help` tells more.
+! `dipole table --help` says more.
 ? 2
 
 $ dipole table --sigma-a 0.032 --sigma-s 0.74 --output /nonexistent/file
@@ -155,32 +155,32 @@ $ dipole table --sigma-a 0.032 --sigma-s 0.74 --thickness 1 --model better
 
 $ dipole bench --seconds 0
 ! dipole bench: --seconds: give a number from 0.01 to 3600
-! `dipole bench --help` tells more.
+! `dipole bench --help` says more.
 ? 2
 
 $ dipole bench --connections 257
 ! dipole bench: --connections: give a number from 1 to 256
-! `dipole bench --help` tells more.
+! `dipole bench --help` says more.
 ? 2
 
 $ dipole bench --connections 2
 ! dipole bench: --connections: a private daemon has one connection; --connect names another
-! `dipole bench --help` tells more.
+! `dipole bench --help` says more.
 ? 2
 
 $ dipole bench --in-flight 4097
 ! dipole bench: --in-flight: give a number from 1 to 4096
-! `dipole bench --help` tells more.
+! `dipole bench --help` says more.
 ? 2
 
 $ dipole bench --radii 0
 ! dipole bench: --radii: give a number from 1 to 4194304
-! `dipole bench --help` tells more.
+! `dipole bench --help` says more.
 ? 2
 
 $ dipole bench --in-flight 4096 --radii 65536
 ! dipole bench: --connections, --in-flight, --radii: give less: together they take more than 1024 MiB for values
-! `dipole bench --help` tells more.
+! `dipole bench --help` says more.
 ? 2
 
 $ dipole bench --seconds .01 --model multipole
@@ -189,17 +189,17 @@ $ dipole bench --seconds .01 --model multipole
 
 $ dipole top --interval 0
 ! dipole top: --interval: give a number from 0.05 to 86400 seconds
-! `dipole top --help` tells more.
+! `dipole top --help` says more.
 ? 2
 
 $ dipole top --interval soon
 ! dipole top: --interval: 'soon' is no number
-! `dipole top --help` tells more.
+! `dipole top --help` says more.
 ? 2
 
 $ dipole top --count 0
 ! dipole top: --count: give at least 1
-! `dipole top --help` tells more.
+! `dipole top --help` says more.
 ? 2
 
 $ dipole complete 'dipole '

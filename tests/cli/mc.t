@@ -170,52 +170,52 @@ $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --phase modified --phase-share 0.9 --r 1
 
 $ dipole mc
 ! dipole mc: give --medium NAME, or --sigma-a and --sigma-s
-! `dipole mc --help` tells more.
+! `dipole mc --help` says more.
 ? 2
 
 $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --r 1 --to 2
 ! dipole mc: --r gives the radii one by one: leave --from, --to, --rings and --log out
-! `dipole mc --help` tells more.
+! `dipole mc --help` says more.
 ? 2
 
 $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --r 0,1
 ! dipole mc: --r: give radii above 0
-! `dipole mc --help` tells more.
+! `dipole mc --help` says more.
 ? 2
 
 $ dipole mc --medium skin1 --channel pink
 ! dipole mc: --channel: 'pink' is unknown; it is red, green or blue
-! `dipole mc --help` tells more.
+! `dipole mc --help` says more.
 ? 2
 
 $ dipole mc --sigma-a 1,2 --sigma-s 1,2,3
 ! dipole mc: --sigma-s has 3 values and --sigma-a has 2: give one value or as many
-! `dipole mc --help` tells more.
+! `dipole mc --help` says more.
 ? 2
 
 $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --channel red
 ! dipole mc: --channel is one of a measured medium: give --medium too
-! `dipole mc --help` tells more.
+! `dipole mc --help` says more.
 ? 2
 
 $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --log
 ! dipole mc: --log needs --from, above 0
-! `dipole mc --help` tells more.
+! `dipole mc --help` says more.
 ? 2
 
 $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --photons 1.5
 ! dipole mc: --photons: give a whole number from 1 to 9e15, such as 2000000 or 2e6
-! `dipole mc --help` tells more.
+! `dipole mc --help` says more.
 ? 2
 
 $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --rings 99999999999
 ! dipole mc: --rings: '99999999999' is no whole number up to 4294967295
-! `dipole mc --help` tells more.
+! `dipole mc --help` says more.
 ? 2
 
 $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --phase mie
 ! dipole mc: --phase: 'mie' is unknown; this daemon has henyey-greenstein, modified, two-term
-! `dipole mc --help` tells more.
+! `dipole mc --help` says more.
 ? 2
 
 $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --phase two-term --phase-share 0.8

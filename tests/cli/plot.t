@@ -73,77 +73,77 @@ per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.98298
 
 $ dipole plot
 ! dipole plot: give --medium NAME, or --sigma-a and --sigma-s
-! `dipole plot --help` tells more.
+! `dipole plot --help` says more.
 ? 2
 
 $ dipole plot --medium skin1 --axes log
 ! dipole plot: --axes: 'log' is unknown; they are linear, semilog and logarithmic
-! `dipole plot --help` tells more.
+! `dipole plot --help` says more.
 ? 2
 
 $ dipole plot --medium skin1 --quantity colour
 ! dipole plot: --quantity: 'colour' is unknown; this daemon has R, albedo, cdf, r, dR_dr, ln_R, pdf, 2_pi_r_R, S, R_f, dlnR_dln_sigma_a, dlnR_dln_sigma_s, model_error, model_errors
-! `dipole plot --help` tells more.
+! `dipole plot --help` says more.
 ? 2
 
 $ dipole plot --medium skin1 --quantity albedo
 ! dipole plot: --quantity albedo: there is no curve of it over r; name another quantity
-! `dipole plot --help` tells more.
+! `dipole plot --help` says more.
 ? 2
 
 $ dipole plot --medium skin1 --error --thickness 1
 ! dipole plot: --error compares with transport, which has no slabs: leave --thickness out
-! `dipole plot --help` tells more.
+! `dipole plot --help` says more.
 ? 2
 
 $ dipole plot --medium skin1 --plot r.pdf
 ! dipole plot: --plot r.pdf: the name must end in .svg or .png; - is the terminal
-! `dipole plot --help` tells more.
+! `dipole plot --help` says more.
 ? 2
 
 $ dipole plot --medium skin1 --r 1 --to 3
 ! dipole plot: --r gives the radii one by one: leave --from, --to, --count and --log out
-! `dipole plot --help` tells more.
+! `dipole plot --help` says more.
 ? 2
 
 $ dipole plot --medium skin1 --axes linear --log
 ! dipole plot: --log needs --from, above 0
-! `dipole plot --help` tells more.
+! `dipole plot --help` says more.
 ? 2
 
 $ dipole plot --medium skin1 --f 1
 ! dipole plot: --f gives spatial frequencies, which only R_f has: request R_f alone
-! `dipole plot --help` tells more.
+! `dipole plot --help` says more.
 ? 2
 
 $ dipole plot --medium skin1 --mc 0
 ! dipole plot: --mc: give a whole number of photons from 1 to 9e15, such as 1e6
-! `dipole plot --help` tells more.
+! `dipole plot --help` says more.
 ? 2
 
 $ dipole plot --medium skin1 --mc 1e3 --r 1,2
 ! dipole plot: --mc draws means of R over rings: give --from, --to and --count in place of --r, --f and --quantity
-! `dipole plot --help` tells more.
+! `dipole plot --help` says more.
 ? 2
 
 $ dipole plot --medium skin1 --mc 1e3 --quantity cdf
 ! dipole plot: --mc draws means of R over rings: give --from, --to and --count in place of --r, --f and --quantity
-! `dipole plot --help` tells more.
+! `dipole plot --help` says more.
 ? 2
 
 $ dipole plot --medium skin1 --mc 1e3 --count 4097
 ! dipole plot: --mc: give 1 to 4096 rings, from --from, 0 or more, to --to, which is larger
-! `dipole plot --help` tells more.
+! `dipole plot --help` says more.
 ? 2
 
 $ dipole plot --medium skin1 --mc 1e3 --from 3 --to 2
 ! dipole plot: --mc: give 1 to 4096 rings, from --from, 0 or more, to --to, which is larger
-! `dipole plot --help` tells more.
+! `dipole plot --help` says more.
 ? 2
 
 $ dipole plot --medium skin1, --model better
 ! dipole plot: --medium: '' is unknown; this daemon has apple, chicken1, chicken2, cream, ketchup, marble, potato, skimmilk, skin1, skin2, spectralon, wholemilk
-! `dipole plot --help` tells more.
+! `dipole plot --help` says more.
 ? 2
 
 $ dipole plot --medium skin1 --to -1

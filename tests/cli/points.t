@@ -87,17 +87,17 @@ $ printf 'sigma_a,sigma_s,g,eta,f\n0.01,10,0.9,1.4,1\n' | dipole points --f 1
 
 $ dipole points --f 1 --wanted R one.csv
 ! dipole points: --f gives spatial frequencies, which only R_f has: request R_f alone, without --r
-! `dipole points --help` tells more.
+! `dipole points --help` says more.
 ? 2
 
 $ dipole points --wanted r one.csv
 ! dipole points: --wanted r: r is a column of the input, or of --r: leave it out
-! `dipole points --help` tells more.
+! `dipole points --help` says more.
 ? 2
 
 $ dipole points --wanted model_error one.csv
 ! dipole points: --wanted model_error: it is written beside the values; `dipole points` has --errors for it
-! `dipole points --help` tells more.
+! `dipole points --help` says more.
 ? 2
 
 $ dipole points --r 1 one.csv

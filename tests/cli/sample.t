@@ -52,32 +52,32 @@ transport,1,0.032,0.74,0,1.3,0.45244187,0.43945764501319085,0.452437,1.6285086,0
 
 $ dipole sample
 ! dipole sample: give --medium NAME, or --sigma-a and --sigma-s
-! `dipole sample --help` tells more.
+! `dipole sample --help` says more.
 ? 2
 
 $ dipole sample --medium skin1 --u 0.5 --count 3
 ! dipole sample: --u gives the numbers one by one: leave --count, --draw, --seed and --first out
-! `dipole sample --help` tells more.
+! `dipole sample --help` says more.
 ? 2
 
 $ dipole sample --medium skin1 --u half
 ! dipole sample: --u: 'half' is no number (or several, separated by commas)
-! `dipole sample --help` tells more.
+! `dipole sample --help` says more.
 ? 2
 
 $ dipole sample --medium skin1 --count -1
 ! dipole sample: --count: '-1' is no whole number
-! `dipole sample --help` tells more.
+! `dipole sample --help` says more.
 ? 2
 
 $ dipole sample --medium skin1 --draw lots
 ! dipole sample: --draw: 'lots' is unknown; this daemon has list, regular, stratified, random
-! `dipole sample --help` tells more.
+! `dipole sample --help` says more.
 ? 2
 
 $ dipole sample --medium skin1 --draw list
 ! dipole sample: --draw list: give the numbers with --u
-! `dipole sample --help` tells more.
+! `dipole sample --help` says more.
 ? 2
 
 $ dipole sample --medium skin1 --u 0.5,1.5

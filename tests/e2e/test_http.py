@@ -260,7 +260,7 @@ def test_fit(served, scale):
 def test_a_value_that_is_wrong_has_a_status(served):
     answer = good(post(served, "/v1/varying", model="better", sigma_a=[0.1, -1, 0.1],
                        sigma_s=[1, 1, 1], r=[1, 1, -1]))
-    assert answer["statuses"] == ["ok", "sigma_a", "radius"] and answer["answered_count"] == 1
+    assert answer["statuses"] == ["ok", "sigma_a", "radius"] and answer["computed_count"] == 1
     assert [value is None for value in answer["R"]] == [False, True, True]
 
 

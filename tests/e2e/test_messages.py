@@ -409,7 +409,7 @@ def test_sizes_of_parts(daemon, frame_bytes, part_bytes):
 
 # Fields that say something about the values, which no client can judge, and those that a client takes
 # as they come, if all parts have the same.
-OF_VALUES = {"notes", "points_visited", "nodes_visited", "answered_count", "zero", "fitted_count", "missing_count"}
+OF_VALUES = {"notes", "points_visited", "nodes_visited", "computed_count", "zero", "fitted_count", "missing_count"}
 CHOSEN = {"model", "evaluator", "moments", "taken"}
 
 

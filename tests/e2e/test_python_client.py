@@ -149,7 +149,7 @@ def test_a_quantity_that_was_not_wanted_is_named(client):
     assert list(result.values) == ["cdf"]
     assert list(client.eval("better", SKIN, [1.0]).values) == ["R", "cdf"]
     assert list(client.eval(None, SKIN, [1.0], tolerance=0.01).values) == ["R"]
-    with pytest.raises(AttributeError, match="R: was not wanted. The answer has: cdf, r"):
+    with pytest.raises(AttributeError, match="R: was not wanted. The result has: cdf, r"):
         result.R
 
 

@@ -56,7 +56,7 @@ def test_a_value_that_is_wrong_is_named_and_the_others_are_answered(client):
                                wanted=["R", "albedo"], coefficients="sigma_a", evaluator=evaluator)
         assert [statuses[name].id for name in names] == found.statuses.tolist()
         for array in (found["R"], found["albedo"], found["sigma_a"]):
-            np.testing.assert_array_equal(np.isnan(array), ~found.answered)
+            np.testing.assert_array_equal(np.isnan(array), ~found.computed)
         assert set(found.faults) == set(names) - {"ok"}
         alone = client.varying("better", sigma_a=0.1, sigma_s=1.0, r=1.0, evaluator=evaluator)
         assert found["R"][0] == alone["R"]
@@ -83,7 +83,7 @@ def test_no_values(connection):
     reply = ask(connection, VARYING, varying_payload((), ()))
     assert reply.type == REPLY
     fixed = wire.VARYING_REPLY.unpack(reply.payload)
-    assert (fixed.count, fixed.answered_count, fixed.part_count) == (0, 0, 1)
+    assert (fixed.count, fixed.computed_count, fixed.part_count) == (0, 0, 1)
     assert_serves(connection)
 
 

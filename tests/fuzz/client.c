@@ -195,7 +195,7 @@ static void check_values(const dipole_surface *surface, const core_varying *port
   dipole_error error;
   float expected[RADII];
   CHECK(dipole_varying_at_home(surface, query, &result, &error));
-  CHECK(result->value_count == RADII && result->answered_count <= RADII);
+  CHECK(result->value_count == RADII && result->computed_count <= RADII);
   for (unsigned bit = 1; bit <= query->wanted; bit <<= 1) {
     const float *found = dipole_varying_f32(result, bit);
     if (found == NULL || bit == CORE_QUANTITY_ALBEDO) {

@@ -226,7 +226,7 @@ static void assert_same_arrays(const dipole_varying_result *a, const dipole_vary
 static void assert_same_answers(const dipole_varying_result *a, const dipole_varying_result *b,
                                 bool whole) {
   assert_int_equal(a->value_count, b->value_count);
-  assert_int_equal(a->answered_count, b->answered_count);
+  assert_int_equal(a->computed_count, b->computed_count);
   assert_true(a->model == b->model && a->evaluator == b->evaluator && a->moments == b->moments &&
               a->wanted == b->wanted && a->coefficients == b->coefficients && a->notes == b->notes);
   assert_true(same(a->colour_least, b->colour_least) && same(a->colour_most, b->colour_most) &&
@@ -251,7 +251,7 @@ static void assert_answered(const dipole_varying_result *result) {
     answered += result->statuses[i] == DIPOLE_VALUE_OK || result->statuses[i] == DIPOLE_VALUE_FAR;
   }
   assert_int_equal(result->value_count, VALUES);
-  assert_int_equal(answered, result->answered_count);
+  assert_int_equal(answered, result->computed_count);
   assert_true(answered > VALUES / 4 && answered < VALUES);
 }
 
@@ -297,7 +297,7 @@ UNIT_TEST(no_values_are_an_answer) {
   dipole_varying_query query = make_query(&made[0], DIPOLE_F32, COEFFICIENTS);
   query.value_count = 0;
   dipole_varying_result *result = at_home(surface, &query);
-  assert_true(result->value_count == 0 && result->answered_count == 0);
+  assert_true(result->value_count == 0 && result->computed_count == 0);
   dipole_varying_result_free(result);
   dipole_varying_result_free(NULL);
   dipole_surface_free(surface);
@@ -505,7 +505,7 @@ SPOIL(spoil_coefficients, 0, fixed.coefficients = 3)
 SPOIL(spoil_first, 1, fixed.first++)
 SPOIL(spoil_part, 1, fixed.part++)
 SPOIL(spoil_count, 1, fixed.count--)
-SPOIL(spoil_answered, 1, fixed.answered_count = fixed.count + 1)
+SPOIL(spoil_answered, 1, fixed.computed_count = fixed.count + 1)
 SPOIL(spoil_end, 1, fixed.part_count = 2)
 
 UNIT_TEST(wrong_answers_are_refused) {

@@ -118,13 +118,13 @@ static double gather(const scene *of, const float *R) {
   return sum * (double)of->power;
 }
 
-/* ---- asking the daemon --------------------------------------------------------------------- */
+/* ---- with the daemon ----------------------------------------------------------------------- */
 
 /* The request for one pixel. */
 typedef struct job {
   uint64_t id;
   size_t pixel;
-  float *R; /* [CHANNELS][count], the memory for the answer */
+  float *R; /* [CHANNELS][count], the memory for the reply */
 } job;
 
 static void submit(const scene *of, dipole_client *client, size_t pixel, float *r, job *to) {
@@ -141,7 +141,7 @@ static void submit(const scene *of, dipole_client *client, size_t pixel, float *
   to->pixel = pixel;
 }
 
-/* Waits for the next answer and stores the pixel's exitance. Returns the job, which is free now. */
+/* Waits for the next reply and stores the pixel's exitance. Returns the job, which is free now. */
 static job *collect(const scene *of, dipole_client *client, job *jobs, double *exitance) {
   dipole_result *result;
   dipole_error error;
@@ -161,7 +161,7 @@ static job *collect(const scene *of, dipole_client *client, job *jobs, double *e
 }
 
 /* Computes all pixels by requests to the daemon. exitance: [pixels * pixels][CHANNELS], W/mm^2. */
-static void ask(const scene *of, dipole_client *client, double *exitance) {
+static void evaluate(const scene *of, dipole_client *client, double *exitance) {
   const size_t all = of->pixels * of->pixels;
   job jobs[IN_FLIGHT] = {0};
   float *r = allocate(of->count, sizeof *r);
@@ -247,7 +247,7 @@ static size_t size_of(const char *text, size_t usual) {
 }
 
 int main(int argc, char **argv) {
-  static void (*const ways[2])(const scene *, dipole_client *, double *) = {ask, look_up};
+  static void (*const ways[2])(const scene *, dipole_client *, double *) = {evaluate, look_up};
   const char *address = argc > 1 && argv[1][0] != '\0' ? argv[1] : NULL;
   scene skin = {.pixels = size_of(argc > 2 ? argv[2] : NULL, PIXELS_DEFAULT)};
   double *exitance[2];

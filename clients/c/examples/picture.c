@@ -180,9 +180,8 @@ static void colour_row(picture *of, size_t row) {
   }
 }
 
-static bool show(void *context, uint64_t answered, uint64_t count) {
-  fprintf(stderr, "\r%-30s %3.0f %%", (const char *)context,
-          100.0 * (double)answered / (double)count);
+static bool show(void *context, uint64_t done, uint64_t count) {
+  fprintf(stderr, "\r%-30s %3.0f %%", (const char *)context, 100.0 * (double)done / (double)count);
   return true;
 }
 

@@ -1,4 +1,4 @@
-"""dipole: ask a dipoled for subsurface-scattering profiles R(r).
+"""dipole: requests subsurface-scattering profiles R(r) from a dipoled.
 
     import dipole
 

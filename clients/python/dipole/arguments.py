@@ -55,16 +55,16 @@ def media_array(media: Media) -> Array:
             "media: the fields of this Medium are arrays: give a list of Medium, or call values(), "
             "which broadcasts them"
         )
-    asked = "media: dipole.Medium(sigma_a, sigma_s, g, eta), or several, or an array [C, 4]"
+    requested = "media: dipole.Medium(sigma_a, sigma_s, g, eta), or several, or an array [C, 4]"
     try:
         listed = media if isinstance(media, (tuple, np.ndarray)) else list(media)
         array: Array = np.asarray(listed, "<f8")
     except (TypeError, ValueError) as error:
-        raise ArgumentError(f"{asked}: {error}") from error
+        raise ArgumentError(f"{requested}: {error}") from error
     if array.ndim == 1:
         array = array[np.newaxis]
     if array.ndim != 2 or array.shape[1] != 4:
-        raise ArgumentError(asked)
+        raise ArgumentError(requested)
     return array
 
 

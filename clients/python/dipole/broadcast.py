@@ -17,7 +17,7 @@ from .errors import ArgumentError
 from .exchange import Request
 from .values import Array, EvaluatorOptions, Info, Media, Query, Result, counted, in_short, span
 
-# Number of queries that wait for answers at a time: enough to keep the daemon busy all the time.
+# Number of queries that wait for replies at a time: enough to keep the daemon busy all the time.
 OUTSTANDING = 64
 
 
@@ -82,11 +82,11 @@ async def values(
 
     def take(result: Result) -> None:
         nonlocal found
-        asked, values = under_way.popleft(), result.values[quantity]
+        requested, values = under_way.popleft(), result.values[quantity]
         if found.size == 0:
             found = np.empty(len(numerical_error), values.dtype)
-        errors = result.numerical_error(asked.radii)
-        for channel, places in asked.places:
+        errors = result.numerical_error(requested.radii)
+        for channel, places in requested.places:
             found[places] = values[channel]
             numerical_error[places] = errors[channel]
             model_error[places] = result.model_error[channel]
@@ -125,7 +125,7 @@ def _first_axis(media: Media, r: Any) -> Array:
     return array.reshape(len(array), *(1,) * np.ndim(r), 4)
 
 
-# ---- what is asked -------------------------------------------------------------------------------
+# ---- what is requested -------------------------------------------------------------------------------
 
 
 class Places(NamedTuple):
@@ -160,7 +160,7 @@ def _media(media: Media) -> _Media:
 
 
 def _most_media(info: Info) -> int:
-    """Returns how many media a request may have, so that a part of the answer has room for at least
+    """Returns how many media a request may have, so that a part of the reply has room for at least
     256 radii of each medium."""
     limits = info.limits
     part_bytes = min(limits["max_part_bytes"], limits["max_frame_bytes"]) - wire.EVAL_REPLY.bytes

@@ -91,7 +91,7 @@ async def statistics(session: Session) -> dict[str, int]:
         entries = wire.PAYLOADS["statistics_reply"].unpack(reply)[1]["value"]
         return {entry.name: entry.value for entry in entries}
 
-    return await session.ask(Request("statistics", b"", lambda: Once(read)))
+    return await session.call(Request("statistics", b"", lambda: Once(read)))
 
 
 async def ping(session: Session, payload: bytes = b"") -> float:
@@ -105,5 +105,5 @@ async def ping(session: Session, payload: bytes = b"") -> float:
             raise ProtocolError("the ping came back changed")
 
     start = time.perf_counter()
-    await session.ask(Request("ping", payload, lambda: Once(read)))
+    await session.call(Request("ping", payload, lambda: Once(read)))
     return time.perf_counter() - start

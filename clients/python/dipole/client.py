@@ -47,12 +47,12 @@ class Client:
     client.
 
     timeout_s: how long a call waits while no byte is sent or received, and how long an address may
-    take to answer; None means no limit. After that, the client continues with the next of several
+    take to reply; None means no limit. After that, the client continues with the next of several
     addresses; with a single one, the call raises ConnectionLost.
 
     retry_s: for how long the client retries when no daemon is there, when the connection is
     lost, or when the daemon is busy or stops. The default is 5 s; for a private daemon it is 0,
-    which means never. The client connects again and sends the requests without an answer again. A
+    which means never. The client connects again and sends the requests without a reply again. A
     Monte Carlo job then begins anew. The client cannot repeat eval_parts() once a part has come,
     mc() once it is cancelled, and requests beyond 64 MiB of waiting ones: these raise
     ConnectionLost. dipole_set_retry_ms() in dipole.h has the details.
@@ -132,7 +132,7 @@ class Client:
         return request_id
 
     def collect(self, request_id: int | None = None) -> tuple[int, Result]:
-        """Waits for the answer to a submitted query; None means any of them. Returns the query's id
+        """Waits for the reply to a submitted query; None means any of them. Returns the query's id
         and its result. If the daemon refuses the query, raises Refused, whose request_id is the
         query's id; the other queries go on."""
         if request_id is None and not self._submitted:
@@ -170,7 +170,7 @@ class Client:
 
 
 class Parts(Iterator[Result]):
-    """An iterator of the parts of an answer; Client.eval_parts() returns it. The client may make
+    """An iterator of the parts of a reply; Client.eval_parts() returns it. The client may make
     other calls between two parts. To stop early, close the iterator or use it in a with statement:
     the client then throws the other parts away."""
 
@@ -200,7 +200,7 @@ class Parts(Iterator[Result]):
         self.close()
 
     def close(self) -> None:
-        """Gives up the rest of the answer. Closing twice is fine."""
+        """Gives up the rest of the reply. Closing twice is fine."""
         if self._open:
             self._open = False
             self._session.exchange.drop(self._request_id)

@@ -207,7 +207,7 @@ class Connection:
         return self._owner == os.getpid()
 
     def check_owner(self) -> None:
-        """Raises ConnectionLost in a forked process, which would take answers of its parent."""
+        """Raises ConnectionLost in a forked process, which would take replies of its parent."""
         if not self.is_ours():
             text = f"process {self._owner} opened this client: after a fork, open one in each process"
             raise ConnectionLost(f"{self.name}: {text}", final=True)
@@ -399,7 +399,7 @@ class Connection:
             return True
 
     def half_close(self) -> None:
-        """Tells the peer that nothing more is sent. Its answers can still be read."""
+        """Ends the side that sends. Its replies can still be read."""
         shut_down(self.socket, socket.SHUT_WR)
 
     # ---- frames ----------------------------------------------------------------------------------

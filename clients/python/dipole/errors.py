@@ -14,7 +14,7 @@ class AddressError(DipoleError, ValueError):
 
 
 class ConnectError(DipoleError, ConnectionError):
-    """No daemon answers at any of the addresses, or the private daemon does not start. final: True
+    """No daemon replies at any of the addresses, or the private daemon does not start. final: True
     if trying again would not help, because certificates are at fault."""
 
     def __init__(self, text: str, final: bool = False):

@@ -112,7 +112,7 @@ def request(info: Info, query: Query, is_streamed: bool = False) -> Request[Resu
     def read(part: Joined) -> Result:
         return Result(radius_first=part.replies[0].first, **_common_fields(part, shape, info))
 
-    return Request("eval", payload, _answer(shape, read, is_streamed), query.deadline_ms)
+    return Request("eval", payload, _replies(shape, read, is_streamed), query.deadline_ms)
 
 
 async def _named(session: Session, query: Query) -> Query:
@@ -124,10 +124,10 @@ async def _named(session: Session, query: Query) -> Query:
 async def eval(session: Session, query: Query) -> Result:
     """Evaluates a Query, or its arguments: eval(model, media, r, tolerance=0.01). The options are
     grid, evaluator, moments, wanted, parameters, tolerance and deadline_ms; help(Query) describes
-    them. Waits for the answer. Raises Refused, which names the field at fault, if the daemon
-    refuses the query. Its status is "deadline" if the answer would be too late."""
+    them. Waits for the reply. Raises Refused, which names the field at fault, if the daemon
+    refuses the query. Its status is "deadline" if the reply would be too late."""
     query = await _named(session, query)
-    return await session.ask(request(session.info, query))
+    return await session.call(request(session.info, query))
 
 
 async def submit(session: Session, query: Query) -> int:
@@ -136,11 +136,11 @@ async def submit(session: Session, query: Query) -> int:
 
 
 async def eval_parts(session: Session, query: Query) -> int:
-    """Evaluates like eval(), but returns an iterator that gives each part of the answer when it
-    arrives, so that an answer may be larger than memory. A part is a Result that begins at radius
+    """Evaluates like eval(), but returns an iterator that gives each part of the reply when it
+    arrives, so that a reply may be larger than memory. A part is a Result that begins at radius
     number radius_first. The daemon chooses how many radii a part has. Any step of the iterator may
     raise Refused; the parts before that are valid. The iterator of an AsyncClient is an
-    asynchronous one. A client reads the parts while it waits for one of them, or for the answer to
+    asynchronous one. A client reads the parts while it waits for one of them, or for the reply to
     another call."""
     query = await _named(session, query)
     return await session.send(request(session.info, query, is_streamed=True))
@@ -149,7 +149,7 @@ async def eval_parts(session: Session, query: Query) -> int:
 async def offers(
     session: Session, media: Media, r: Any = None, **options: Unpack[OffersOptions]
 ) -> Offers:
-    """Lists the models and evaluators that could answer eval(None, ...) with the same arguments,
+    """Lists the models and evaluators that could serve eval(None, ...) with the same arguments,
     cheapest first, with the measured error and cost of each."""
     info = session.info
     media = await session.media_of(media)
@@ -175,7 +175,7 @@ async def offers(
 
     payload = _eval_payload(info, query)[0]
     made = Request("offers", payload, lambda: Once(read), query.deadline_ms)
-    return await session.ask(made)
+    return await session.call(made)
 
 
 async def table(
@@ -224,7 +224,7 @@ async def _table(session: Session, query: Query, make: Callable[[bytes], T]) -> 
     medium = one_medium(query.media)._asdict()
     payload = wire.PAYLOADS["table_request"].pack(fixed, medium, parameter=b"".join(parameters))
     made = Request("table", payload, lambda: Once(read), query.deadline_ms)
-    return await session.ask(made)
+    return await session.call(made)
 
 
 async def sample(
@@ -282,10 +282,10 @@ async def sample(
         numbers = listed if draw is None else numbers_of(draw, value_type)
         return Samples(u=numbers, **_common_fields(whole, shape, info))
 
-    return await session.ask(Request("sample", payload, _answer(shape, read), query.deadline_ms))
+    return await session.call(Request("sample", payload, _replies(shape, read), query.deadline_ms))
 
 
-# ---- answers -------------------------------------------------------------------------------------
+# ---- replies -------------------------------------------------------------------------------------
 
 
 class Shape(NamedTuple):
@@ -299,10 +299,10 @@ class Shape(NamedTuple):
     drawn: bool = False  # whether this is a sample, in which each channel has its own radii
 
 
-def _answer(
+def _replies(
     shape: Shape, read: Callable[[Joined], T], is_streamed: bool = False
 ) -> Callable[[], InParts[T]]:
-    """Makes what reads the answer to an eval or sample request."""
+    """Makes what reads the reply to an eval or sample request."""
 
     def fits(fixed: Any) -> bool:
         found = (wire.EVALUATOR_TYPES.get(fixed.evaluator), fixed.wanted, fixed.channel_count)

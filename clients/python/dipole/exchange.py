@@ -1,8 +1,8 @@
-"""Requests and their answers, without any input, output or waiting. A session sends the
+"""Requests and their replies, without any input, output or waiting. A session sends the
 frames that this module makes, gives it the frames that arrive, and does the waiting.
 
-A request that fails is sent again if every daemon gives the same answer to it, however often it is
-asked. The parts of an unfinished answer are thrown away before that.
+A request that fails is sent again if every daemon gives the same reply to it, however often it is
+sent. The parts of an unfinished reply are thrown away before that.
 """
 
 from __future__ import annotations
@@ -34,10 +34,11 @@ _REPEATABLE = (
 _TEMPORARY = ("busy", "shutting-down", "timeout")
 
 
-class Answer(Generic[T]):
-    """Reads the replies to one request. Each kind of answer is a subclass with its own _add()."""
+class Replies(Generic[T]):
+    """Reads the frames that reply to one request. A subclass for each kind of request has its own
+    _add()."""
 
-    is_streamed = False  # whether the caller gets each part of the answer as soon as it has come
+    is_streamed = False  # whether the caller gets each part of the reply as soon as it has come
 
     def __init__(self) -> None:
         self.ended = False  # whether the last reply has come
@@ -48,12 +49,12 @@ class Answer(Generic[T]):
     def add(self, payload: bytes) -> None:
         """Reads the payload of the next reply."""
         if self.ended:
-            raise ProtocolError("a second reply to a request that is answered")
+            raise ProtocolError("a second reply to one request")
         self.begun = True
         self._add(payload)
 
     def refuse(self, error: DipoleError) -> None:
-        """Ends the answer with an error in place of the next reply."""
+        """Ends the reply with an error in place of its next part."""
         self.ended = True
         self.ready.append(error)
 
@@ -65,8 +66,8 @@ class Answer(Generic[T]):
         raise NotImplementedError
 
 
-class Once(Answer[T]):
-    """An answer that is one reply. read: makes the caller's result of the reply's payload."""
+class Once(Replies[T]):
+    """A reply of one frame. read: makes the caller's result of its payload."""
 
     def __init__(self, read: Callable[[bytes], T]):
         super().__init__()
@@ -78,18 +79,18 @@ class Once(Answer[T]):
 
 
 class Joined(NamedTuple):
-    """An answer in parts, or one of its parts."""
+    """A reply in parts, or one of its parts."""
 
     replies: list[Any]  # the structures of the parts
     heads: list[dict[str, Any]]  # what each part has but its items, by name
     arrays: dict[str, Array]  # of all items: the last axis is theirs
 
 
-class InParts(Answer[T]):
-    """An answer whose items come in parts, which this class checks and puts together.
+class InParts(Replies[T]):
+    """A reply whose items come in parts, which this class checks and puts together.
 
     payload: of each reply. count: how many items were requested. fits: whether a structure may
-    answer the request. read: makes the caller's result of all, or if is_streamed of each part.
+    reply to the request. read: makes the caller's result of all, or if is_streamed of each part.
     alike: whether parts may differ in nothing but their items.
     """
 
@@ -114,7 +115,7 @@ class InParts(Answer[T]):
         arrays = {name: heads.pop(name) for name in self._payload.of_items}
         part = Joined([fixed], [heads], arrays)
         if not self._fits(fixed):
-            raise self._wrong("that does not answer the request")
+            raise self._wrong("that does not reply to the request")
         if (fixed.part, fixed.first) != (len(self._parts), self._next):
             raise self._wrong("that is not the next part")
         left = self._count - self._next
@@ -154,11 +155,11 @@ class InParts(Answer[T]):
 
 @dataclass(frozen=True)
 class Request(Generic[T]):
-    """One request. answer: makes the object that reads its replies."""
+    """One request. replies: makes the object that reads its replies."""
 
     message: str
     payload: bytes
-    answer: Callable[[], Answer[T]]
+    replies: Callable[[], Replies[T]]
     deadline_ms: int = 0
 
     def __post_init__(self) -> None:
@@ -167,12 +168,12 @@ class Request(Generic[T]):
 
 
 class _Pending:
-    """A request whose answer has not been handed out. Times are those of time.monotonic()."""
+    """A request whose reply has not been handed out. Times are those of time.monotonic()."""
 
     def __init__(self, request: Request[Any], kept: bool):
         self.request = request
         self.kept = kept  # whether the client keeps the request to send it again
-        self.answer = request.answer()
+        self.replies = request.replies()
         self.first_sent_s: float | None = None
         self.failed_s: float | None = None  # when the request first failed; None if it has not
         self.again_s: float | None = None  # when to send the request again; None if it is sent
@@ -183,10 +184,10 @@ class _Pending:
         return self.failed_s
 
     def can_repeat(self) -> bool:
-        return self.kept and self.answer.can_begin_again()
+        return self.kept and self.replies.can_begin_again()
 
     def begin_again(self) -> None:
-        self.answer = self.request.answer()
+        self.replies = self.request.replies()
 
 
 class Exchange:
@@ -214,7 +215,7 @@ class Exchange:
 
     def frame(self, request_id: int) -> list[bytes]:
         """Returns the pieces of a request's frame, which states the rest of the deadline. If the
-        deadline has passed, returns no pieces and ends the answer with the daemon's error."""
+        deadline has passed, returns no pieces and ends the reply with the daemon's error."""
         entry = self._pending.get(request_id)
         if entry is None:
             return []
@@ -225,7 +226,7 @@ class Exchange:
         elif deadline_ms:
             deadline_ms -= int((now_s - entry.first_sent_s) * 1000)
             if deadline_ms <= 0:
-                entry.answer.refuse(_too_late(request_id))
+                entry.replies.refuse(_too_late(request_id))
                 return []
         type = wire.MESSAGES[request.message]
         return frame_pieces(type, request_id, request.payload, deadline_ms)
@@ -245,10 +246,10 @@ class Exchange:
         times = (entry.again_s for entry in self._pending.values() if entry.again_s is not None)
         return min(times, default=None)
 
-    # ---- answers ---------------------------------------------------------------------------------
+    # ---- replies ---------------------------------------------------------------------------------
 
     def take(self, frame: Frame) -> int:
-        """Gives a frame to the request that it answers; returns the request's id. Raises an error
+        """Gives a frame to the request that it belongs to; returns the request's id. Raises an error
         frame that concerns the whole connection."""
         request_id = frame.request_id
         if frame.type == wire.TYPE_ERROR and request_id == 0:
@@ -264,12 +265,12 @@ class Exchange:
                 raise error
             passes = error.status in ("busy", "shutting-down")
             if not passes or not self._retry_later(entry, error.retry_after_ms):
-                entry.answer.refuse(error)
+                entry.replies.refuse(error)
         elif frame.type == wire.MESSAGES[entry.request.message] | wire.REPLY:
-            entry.answer.add(frame.payload)
-            if entry.answer.cut_off:
+            entry.replies.add(frame.payload)
+            if entry.replies.cut_off:
                 self._retry_later(entry, 0)
-            elif entry.answer.is_streamed and entry.answer.can_begin_again():
+            elif entry.replies.is_streamed and entry.replies.can_begin_again():
                 entry.failed_s = None  # The request continues, so another failure is a new one.
         else:
             raise ProtocolError(
@@ -278,24 +279,24 @@ class Exchange:
         return request_id
 
     def ended(self, request_id: int) -> bool:
-        """Returns whether the whole answer, or an error in its place, has arrived."""
-        return self._pending[request_id].answer.ended
+        """Returns whether the whole reply, or an error in its place, has arrived."""
+        return self._pending[request_id].replies.ended
 
     def is_ready(self, request_id: int) -> bool:
         """Returns whether next() has something to give."""
-        answer = self._pending[request_id].answer
-        return bool(answer.ready) or answer.ended
+        replies = self._pending[request_id].replies
+        return bool(replies.ready) or replies.ended
 
     def next(self, request_id: int) -> Any:
-        """Returns the next part of an answer, or None after the last one. Raises the daemon's error
+        """Returns the next part of a reply, or None after the last one. Raises the daemon's error
         if one has come instead."""
-        ready = self._pending[request_id].answer.ready
+        ready = self._pending[request_id].replies.ready
         item = ready.popleft() if ready else None
         if isinstance(item, DipoleError):
             raise item
         return item
 
-    def ask_once(self, request_id: int) -> None:
+    def send_once(self, request_id: int) -> None:
         """Lets a request that has been sent never be sent again."""
         entry = self._pending.get(request_id)
         if entry is not None and entry.kept:
@@ -303,7 +304,7 @@ class Exchange:
             self._kept_bytes -= len(entry.request.payload)
 
     def drop(self, request_id: int) -> None:
-        """Forgets a request that is answered, or whose answer the caller no longer wants."""
+        """Forgets a request that has its reply, or whose reply the caller no longer wants."""
         entry = self._pending.pop(request_id, None)
         if entry is not None and entry.kept:
             self._kept_bytes -= len(entry.request.payload)
@@ -324,24 +325,24 @@ class Exchange:
 
     def lost(self, error: DipoleError) -> float:
         """Handles the loss of the connection. Returns until when the client may try to connect
-        again. Raises the error if a request without an answer cannot be sent again."""
-        unanswered = [entry for entry in self._pending.values() if not entry.answer.ended]
-        may_ask_again = all(entry.can_repeat() for entry in unanswered)
-        if self.retry_s == 0 or not is_temporary(error) or not may_ask_again:
+        again. Raises the error if a request without a reply cannot be sent again."""
+        unfinished = [entry for entry in self._pending.values() if not entry.replies.ended]
+        may_repeat = all(entry.can_repeat() for entry in unfinished)
+        if self.retry_s == 0 or not is_temporary(error) or not may_repeat:
             raise error
-        began_s = [entry.failed_since_s() for entry in unanswered]
+        began_s = [entry.failed_since_s() for entry in unfinished]
         return min(began_s, default=time.monotonic()) + self.retry_s
 
     def fail(self, error: DipoleError) -> None:
-        """Ends all requests without an answer by an error."""
+        """Ends all requests without a reply by an error."""
         for entry in self._pending.values():
-            if not entry.answer.ended:
+            if not entry.replies.ended:
                 entry.again_s = None
-                entry.answer.refuse(error)
+                entry.replies.refuse(error)
 
     def restored(self) -> list[int]:
         """Handles a new connection: returns the ids of the requests that are sent over it now."""
-        ids = [i for i, entry in sorted(self._pending.items()) if not entry.answer.ended]
+        ids = [i for i, entry in sorted(self._pending.items()) if not entry.replies.ended]
         for request_id in ids:
             self._pending[request_id].begin_again()
         return [i for i in ids if self._pending[i].again_s is None]

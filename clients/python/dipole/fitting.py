@@ -68,7 +68,7 @@ async def fit(
     for all readings or [N]; the detector sees light of all angles, unless parameters has
     {"detector_na": NA / the index outside}. residuals: whether they are wanted. eta, which has
     to be given, and g=0.0 hold for all sets. Beyond two mean free paths readings hardly depend on
-    g: a wrong one is "fitted", too. Ask again with g - 0.05 and g + 0.05 to see how much sigma_a
+    g: a wrong one is "fitted", too. Repeat the call with g - 0.05 and g + 0.05 to see how much sigma_a
     and sigma_s_prime change; for 0.1 it is about twice that. moments, parameters, deadline_ms:
     as of a Query; large images are sent in several requests, and the deadline holds for each.
     """
@@ -142,8 +142,8 @@ def _requests(
         fixed = {"set_count": end - first, "residuals": int(wants_residuals)}
         arrays = {"values": values[first:end].tobytes(), "errors": errors[first:end].tobytes()}
 
-        def answer(count: int = end - first) -> InParts[Joined]:
+        def replies(count: int = end - first) -> InParts[Joined]:
             return InParts("fit_reply", count, fits, lambda whole: whole)
 
         payload = wire.PAYLOADS["fit_request"].pack(fixed, design, **head, **arrays)
-        yield Request("fit", payload, answer, deadline_ms)
+        yield Request("fit", payload, replies, deadline_ms)

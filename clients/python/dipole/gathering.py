@@ -3,7 +3,7 @@ which needs no daemon.
 
 The points are sent at most once to each daemon, which knows them by the hash of their content. A
 daemon that does not have them says so, and is then sent them; so it does not matter which daemon
-answers, or whether it has been started anew since.
+replies, or whether it has been started anew since.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _PART_QUERIES = 16384
 _PART_PAIRS = 1 << 30  # of a request with tolerance 0: the points that are summed one by one
 _SENT_MOST = 4  # how often the points are sent, at most, until sums come: daemons may lose them
 
-# Called with the numbers of queries that are answered and that there are; False ends the call.
+# Called with the numbers of queries that are computed and that there are; False ends the call.
 Progress = Callable[[int, int], bool | None] | None
 
 
@@ -122,7 +122,7 @@ async def gather(
     points: R(|x - x_i|) times the power of point i, for each channel.
 
     media: one for each power of a point. points: Points(xyz, power). queries: [..., 3] mm.
-    progress: is called with the numbers of queries that are answered and that there are. If it
+    progress: is called with the numbers of queries that are computed and that there are. If it
     returns False, the call ends, and the sums that are missing are NaN; what the daemon still does
     for it ends, too, as if it raises an exception. options: tolerance, 1e-2 by default: the largest
     relative error, at each query, that grouping points may cause; 0 sums each point by itself.
@@ -164,39 +164,39 @@ async def gather(
     if tolerance == 0:
         most = max(1, min(most, _PART_PAIRS // max(1, len(points) * channels)))
     pieces: list[Joined] = []
-    answered = 0
+    done = 0
 
     def fits(reply: Any) -> bool:
         return bool(reply.channel_count == channels)
 
     def requests(end: int) -> Iterator[Request[Joined]]:
-        for first in range(answered, end, most):
+        for first in range(done, end, most):
             part = places[first : min(first + most, end)]
             request = {"query_count": len(part), **fixed}
             payload = wire.PAYLOADS["gather_request"].pack(request, xyz=part.tobytes(), **head)
 
-            def answer(count: int = len(part)) -> InParts[Joined]:
+            def replies(count: int = len(part)) -> InParts[Joined]:
                 return InParts("gather_reply", count, fits, lambda whole: whole)
 
-            yield Request("gather", payload, answer, deadline_ms)
+            yield Request("gather", payload, replies, deadline_ms)
 
     def take(piece: Joined) -> None:
-        nonlocal answered
+        nonlocal done
         pieces.append(piece)
         count = len(piece.arrays["M"]) // channels
-        answered += count
-        if count and progress is not None and progress(answered, len(places)) is False:
+        done += count
+        if count and progress is not None and progress(done, len(places)) is False:
             raise _Stopped
 
     sent_times = 0
     try:
-        while answered < len(places) or not pieces:
-            before = answered
+        while done < len(places) or not pieces:
+            before = done
             try:  # Others than the first would be refused, too, if the daemon lacks the points.
                 await session.each(requests(before + most), take, cancels=True)
                 await session.each(requests(len(places)), take, OUTSTANDING, cancels=True)
             except Refused as error:
-                sent_times = 1 if answered > before else sent_times + 1
+                sent_times = 1 if done > before else sent_times + 1
                 if error.status != "unknown-points" or sent_times > _SENT_MOST:
                     raise
                 await _send(session, points, deadline_ms)
@@ -204,7 +204,7 @@ async def gather(
         pass
     sums = np.full((len(places), channels), np.nan)
     found = np.concatenate([piece.arrays["M"] for piece in pieces]).reshape(-1, channels)
-    sums[slice(answered) if order is None else order[:answered]] = found
+    sums[slice(done) if order is None else order[:done]] = found
     sums = sums.reshape(*listed.shape[:-1], channels)
     sums.setflags(write=False)
     replies = [reply for piece in pieces for reply in piece.replies]
@@ -246,10 +246,10 @@ async def _send(session: Session, points: Points, deadline_ms: int) -> None:
             )
             yield Request("points", payload, lambda: Once(_read_sent), deadline_ms)
 
-    def take(answer: Any) -> None:
+    def take(reply: Any) -> None:
         nonlocal known
-        known = known or bool(answer.known)
-        if answer.point_next == len(points) and not known:
+        known = known or bool(reply.known)
+        if reply.point_next == len(points) and not known:
             raise ProtocolError("a points reply that does not know the set, with all its points")
 
     await session.each(requests(), take, OUTSTANDING)
@@ -262,7 +262,7 @@ class _Result(ctypes.Structure):
     """struct dipole_gather_result of clients/c/dipole.h."""
 
     _fields_ = (
-        ("answered_count", ctypes.c_uint64),
+        ("computed_count", ctypes.c_uint64),
         ("bound", ctypes.c_double),
         ("numerical_error", ctypes.c_double * 8),
         ("model_error", ctypes.c_double * 8),
@@ -302,9 +302,9 @@ def gather_at_home(
     handle = ctypes.c_void_p()
     raised: list[BaseException] = []
 
-    def follow(_context: Any, answered: int, count: int) -> bool:
+    def follow(_context: Any, done: int, count: int) -> bool:
         try:
-            return progress is None or progress(answered, count) is not False
+            return progress is None or progress(done, count) is not False
         except BaseException as caught:  # It passes through C code, which knows no exceptions.
             raised.append(caught)
             return False

@@ -52,8 +52,8 @@ async def invert(
     payload = wire.PAYLOADS["invert_request"].pack(fixed, **arrays)
 
     def fits(reply: Any) -> bool:
-        asked = all(getattr(reply, name) == fixed[name] for name in ("model", "moments", "given"))
-        return asked and 0 < reply.count >= reply.missing_count
+        requested = all(getattr(reply, name) == fixed[name] for name in ("model", "moments", "given"))
+        return requested and 0 < reply.count >= reply.missing_count
 
     def read(whole: Joined) -> Inversion:
         reach, *others = {(one.albedo_least, one.albedo_most) for one in whole.replies}
@@ -73,7 +73,7 @@ async def invert(
             missing=sum(one.missing_count for one in whole.replies),
         )
 
-    def answer() -> InParts[Inversion]:
+    def replies() -> InParts[Inversion]:
         return InParts("invert_reply", albedos.size, fits, read)
 
-    return await session.ask(Request("invert", payload, answer, deadline_ms))
+    return await session.call(Request("invert", payload, replies, deadline_ms))

@@ -81,7 +81,7 @@ class Handle(ctypes.c_void_p):
             self._free(self)
 
 
-# ---- what a daemon answers to a table request ----------------------------------------------------
+# ---- what a daemon replies to a table request ----------------------------------------------------
 
 
 def frame_bytes(data: bytes) -> int:

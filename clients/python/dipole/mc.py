@@ -12,12 +12,12 @@ from . import wire
 from .arguments import id_of, one_medium, parameters_list
 from .session import Session
 from .errors import ArgumentError, DipoleError, ProtocolError
-from .exchange import Answer, Request
+from .exchange import Replies, Request
 from .values import Grid, McEnergy, McProgress, McResult, McValue, Media, whole
 
 
-class _Answer(Answer[McProgress | McResult]):
-    """The answer to an mc request: reports of progress, and at last the result."""
+class _McReplies(Replies[McProgress | McResult]):
+    """The reply to an mc request: reports of progress, and at last the result."""
 
     is_streamed = True
 
@@ -71,7 +71,7 @@ async def mc(
     numbers = (photons, error_total, error_rings, thickness, albedos, seed)
     payload = pack_request(medium, edges, spacing, *numbers)
     payload += b"".join(parameters_list(info, parameters))
-    job = await session.send(Request("mc", payload, _Answer))
+    job = await session.send(Request("mc", payload, _McReplies))
     cancelled = reporting = False
     try:
         while not isinstance(report := await session.next(job), McResult):

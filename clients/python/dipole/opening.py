@@ -1,4 +1,4 @@
-"""Opens connections to the first of several daemons that answers, at first and after a loss. It waits
+"""Opens connections to the first of several daemons that replies, at first and after a loss. It waits
 with time.sleep(): AsyncClient calls it in a thread."""
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Opening:
     def _try_in_rounds(
         self, until_s: float, like: Info | None, failures: list[DipoleError]
     ) -> tuple[Connection, Info] | None:
-        """Waits and tries all addresses, until one answers, the time is over, or another round
+        """Waits and tries all addresses, until one replies, the time is over, or another round
         cannot help. failures: of the latest round. A pause takes at most half of the time that is
         left, so that the last attempts come close to until_s."""
         pause_s = PAUSE_FIRST_S
@@ -126,7 +126,7 @@ class Opening:
         """Sends hello and waits for the reply."""
         exchange = Exchange(0.0)
         request_id = exchange.begin(_hello(address))
-        connection.is_one_of_several = True  # A daemon that is silent now may answer later.
+        connection.is_one_of_several = True  # A daemon that is silent now may reply later.
         for data in exchange.frame(request_id):
             connection.send_bytes(data)
         while not exchange.is_ready(request_id):

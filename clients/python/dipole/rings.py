@@ -64,7 +64,7 @@ async def ring_means(
     query = Query(model, media, wanted="2_pi_r_R", **options)
     edges = _edges(edges)
     low, high, ring = _cut(edges, media)
-    if model is None:  # The first answer names the model for all others.
+    if model is None:  # The first reply names the model for all others.
         first = await eval(session, replace(query, r=np.append(low[low > 0], high)))
         query = replace(query, model=first.model, evaluator=query.evaluator or "f64")
     power, error = np.zeros((2, len(media), len(edges) - 1))

@@ -179,7 +179,7 @@ STRUCTURES = {
     ),
     "varying_reply": (
         "u32 part, u32 part_count, u64 first, u64 count, u16 model, u16 evaluator, u16 moments, "
-        "u16 wanted, u16 coefficients, u16 zero, u32 notes, u64 answered_count, "
+        "u16 wanted, u16 coefficients, u16 zero, u32 notes, u64 computed_count, "
         "f64 numerical_error, f64 model_error, f64 colour_least, f64 colour_most, f64 specular, "
     ),
     "points_request": (

@@ -1,4 +1,4 @@
-"""What Client and AsyncClient do alike: they send requests, receive answers and connect again. It
+"""What Client and AsyncClient do alike: they send requests, receive replies and connect again. It
 is written once, in coroutines: those of a Client never suspend, because what they wait for blocks.
 """
 
@@ -90,12 +90,12 @@ class Session:
 
     # ---- for calls -------------------------------------------------------------------------------
 
-    async def ask(self, request: Request[T]) -> T:
-        """Sends a request and returns its answer."""
+    async def call(self, request: Request[T]) -> T:
+        """Sends a request and returns its reply."""
         request_id = await self.send(request)
         try:
-            answer: T = await self.next(request_id)
-            return answer
+            reply: T = await self.next(request_id)
+            return reply
         finally:
             self.exchange.drop(request_id)
 
@@ -106,9 +106,9 @@ class Session:
         most: int = 1,
         cancels: bool = False,
     ) -> None:
-        """Sends requests, of which at most `most` are under way, and gives the answers to take() in
-        their order. After an error, the other answers are no longer wanted. cancels: whether the
-        daemon is told so, unless the error is its own."""
+        """Sends requests, of which at most `most` are under way, and gives the replies to take() in
+        their order. After an error, the other replies are no longer wanted. cancels: whether the
+        daemon is informed, unless the error is its own."""
         waiting = iter(requests)
         under_way: list[int] = []
         taking = False
@@ -118,9 +118,9 @@ class Session:
                     under_way.append(await self.send(request))
                 if not under_way:
                     return
-                answer = await self.next(under_way[0])
+                reply = await self.next(under_way[0])
                 taking = True
-                take(answer)
+                take(reply)
                 taking = False
                 self.exchange.drop(under_way.pop(0))
         except GeneratorExit:
@@ -138,7 +138,7 @@ class Session:
         cancel is read: the job's result follows."""
         with contextlib.suppress(ConnectionLost):
             for request_id in request_ids:
-                self.exchange.ask_once(request_id)
+                self.exchange.send_once(request_id)
                 payload = wire.CANCEL_REQUEST.pack(job_id=request_id)
                 request = Request("cancel", payload, lambda: Once(lambda _: None))
                 self.exchange.drop(await self.send(request))
@@ -153,7 +153,7 @@ class Session:
                 for one in entries
             }
 
-        return await self.ask(Request("media", b"", lambda: Once(read)))
+        return await self.call(Request("media", b"", lambda: Once(read)))
 
     async def media_of(self, given: Media) -> Media:
         """Returns the channels of a measured medium for its name, and other media unchanged."""
@@ -182,7 +182,7 @@ class Session:
         return request_id
 
     async def next(self, request_id: int) -> Any:
-        """Waits for the next part of an answer. Returns None after the last one."""
+        """Waits for the next part of a reply. Returns None after the last one."""
         await self.until(lambda: self.exchange.is_ready(request_id), request_id)
         return self.exchange.next(request_id)
 
@@ -261,7 +261,7 @@ class Session:
             await self._restore(lost)
 
     async def _restore(self, lost: DipoleError) -> None:
-        """Connects again and sends the requests without an answer again. If that fails, all of them
+        """Connects again and sends the requests without a reply again. If that fails, all of them
         fail with `lost`."""
         try:
             self._check()

@@ -52,7 +52,7 @@ class _Result(ctypes.Structure):
         *((name, ctypes.c_uint) for name in
           ("model", "evaluator", "moments", "wanted", "coefficients", "notes")),
         ("value_count", ctypes.c_uint64),
-        ("answered_count", ctypes.c_uint64),
+        ("computed_count", ctypes.c_uint64),
         ("statuses", ctypes.c_void_p),
         *((name, ctypes.c_double) for name in
           ("numerical_error", "model_error", "colour_least", "colour_most", "specular")),
@@ -112,7 +112,7 @@ class Surface(Fetched):
     def R(self, sigma_a: Any, sigma_s: Any, r: Any) -> Array:
         """Returns R in 1/mm^2 at radii r (mm), from 0 to infinity, of media with sigma_a and
         sigma_s (1/mm). The arrays have any shapes that can be broadcast with each other. A value
-        that has no answer is NaN."""
+        that cannot be computed is NaN."""
         return self._values(wire.QUANTITY_R, sigma_a=sigma_a, sigma_s=sigma_s, r=r)
 
     def ring(self, sigma_a: Any, sigma_s: Any, r: Any) -> Array:
@@ -132,7 +132,7 @@ class Surface(Fetched):
         return self._values(wire.QUANTITY_RADIUS, sigma_a=sigma_a, sigma_s=sigma_s, u=u)
 
     def is_within_error(self, sigma_a: Any, sigma_s: Any, r: Any) -> Array:
-        """Returns whether an error is stated for each value: that it has an answer, and is not so
+        """Returns whether an error is stated for each value: that it was computed, and is not so
         far from the source that a daemon gives it the status "far"."""
         arrays = {"sigma_a": sigma_a, "sigma_s": sigma_s, "r": r}
         statuses = self._evaluate(arrays, wanted=wire.QUANTITY_R)[1]

@@ -101,7 +101,7 @@ class Query:
     tolerance: the parameter "tolerance", a relative error. If the model is None, it limits the
         deviation from transport. If a model is named, it limits the numerical error; for "lut",
         the daemon builds the table to this error.
-    deadline_ms: how long the answer may take from the arrival of the query; 0 means no limit.
+    deadline_ms: how long the reply may take from the arrival of the query; 0 means no limit.
     model_error: whether to compare the model with transport at these radii, which takes a
         millisecond for each new medium.
     """
@@ -201,7 +201,7 @@ class Errors(NamedTuple):
 
 
 class Offer(NamedTuple):
-    """A model and an evaluator that could answer a query, with their error and their cost."""
+    """A model and an evaluator that could evaluate a query, with their error and their cost."""
 
     model: str
     evaluator: str
@@ -213,7 +213,7 @@ class Offer(NamedTuple):
 
 
 class Offers(NamedTuple):
-    """The models and evaluators that could answer a query, cheapest first: by prepare_ns + cost_ns
+    """The models and evaluators that could evaluate a query, cheapest first: by prepare_ns + cost_ns
     for each radius and wanted quantity."""
 
     offers: tuple[Offer, ...]
@@ -232,23 +232,23 @@ class Offers(NamedTuple):
 
 
 class _Quantity(property):
-    """A property: the quantity of an answer that has a name, and what it is."""
+    """A property: the quantity with this name of a result, and its documentation."""
 
     def __init__(self, name: str, about: str):
-        super().__init__(lambda answer: answer._quantity(name))
+        super().__init__(lambda result: result._quantity(name))
         self.__doc__ = about
 
-    def __get__(self, answer: Any, owner: type | None = None) -> Array:
-        found: Array = super().__get__(answer, owner)
+    def __get__(self, result: Any, owner: type | None = None) -> Array:
+        found: Array = super().__get__(result, owner)
         return found
 
 
 class _Root(_Quantity):
     """A property: the root of a quantity."""
 
-    def __get__(self, answer: Any, owner: type | None = None) -> Array:
-        found = super().__get__(answer, owner)
-        return found if answer is None else np.asarray(np.sqrt(found))
+    def __get__(self, result: Any, owner: type | None = None) -> Array:
+        found = super().__get__(result, owner)
+        return found if result is None else np.asarray(np.sqrt(found))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -265,7 +265,7 @@ class _Evaluated:
     moments: str
     errors: dict[str, Errors]  # of each wanted quantity, by its name
     notes: tuple[str, ...]  # names of the notes, of info.choices["note"], that hold for any channel
-    quantities: dict[str, Array]  # every quantity of the answer by the daemon's name
+    quantities: dict[str, Array]  # every quantity of the result by the daemon's name
 
     @property
     def values(self) -> dict[str, Array]:
@@ -287,7 +287,7 @@ class _Evaluated:
     def _quantity(self, name: str) -> Array:
         if name not in self.quantities:
             found = ", ".join(self.quantities) or "none"
-            raise AttributeError(f"{name}: was not wanted. The answer has: {found}")
+            raise AttributeError(f"{name}: was not wanted. The result has: {found}")
         return self.quantities[name]
 
     def _in_short(self, radii: str) -> str:
@@ -303,7 +303,7 @@ class _Evaluated:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result(_Evaluated):
-    """The answer to one evaluation, or a part of it."""
+    """The result of one evaluation, or a part of it."""
 
     radius_first: int  # position in the query of the first radius of this part; 0 for the whole
 
@@ -508,7 +508,7 @@ class Fits:
 @dataclass(frozen=True, eq=False, repr=False)
 class Varying:
     """Values each of which has its own medium. The arrays have the shape of the arguments of
-    varying(), and NaN where there is no answer."""
+    varying(), and NaN where there is no value."""
 
     model: str
     moments: str
@@ -518,7 +518,7 @@ class Varying:
     quantities: dict[str, Array]  # those that were wanted, by name
     coefficients: dict[str, Array]  # those that were wanted: sigma_a, sigma_s, scattered
     statuses: Array  # numbers of uint8, ids of info.choices["value"]
-    faults: dict[str, str]  # what is allowed, for each status of a value that has no answer
+    faults: dict[str, str]  # what is allowed, for each status of a value that is NaN
     notes: tuple[str, ...]
     numerical_error: float  # relative, of all values whose status is "ok"
     model_error: float  # against radiative transport, relative; nan if that is not solved
@@ -531,12 +531,12 @@ class Varying:
         return self.quantities[name] if name in self.quantities else self.coefficients[name]
 
     @property
-    def answered(self) -> Array:
-        """Whether each value is answered."""
+    def computed(self) -> Array:
+        """Whether each value was computed."""
         return self.statuses <= 1
 
     def __repr__(self) -> str:
-        missing = int(np.count_nonzero(~self.answered))
+        missing = int(np.count_nonzero(~self.computed))
         arrays = {**self.quantities, **self.coefficients}
         return in_short(
             f"<Varying: {self.model}, {self.evaluator}; "

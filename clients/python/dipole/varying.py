@@ -45,17 +45,17 @@ class Plan(NamedTuple):
             fixed, parameter=b"".join(self.parameters), **arrays
         )
 
-        def answer() -> InParts[Joined]:
+        def replies() -> InParts[Joined]:
             return InParts("varying_reply", count, self._fits, lambda whole: whole)
 
-        return Request("varying", payload, answer, self.deadline_ms)
+        return Request("varying", payload, replies, self.deadline_ms)
 
     def _fits(self, reply: Any) -> bool:
-        asked = ("model", "evaluator", "moments", "wanted", "coefficients")
-        return all(getattr(reply, name) == self.fixed[name] for name in asked)
+        requested = ("model", "evaluator", "moments", "wanted", "coefficients")
+        return all(getattr(reply, name) == self.fixed[name] for name in requested)
 
     def join(self, pieces: list[Joined]) -> Varying:
-        """Makes the result of the answers to all requests."""
+        """Makes the result of the replies to all requests."""
         info, fixed = self.info, self.fixed
         replies = [reply for piece in pieces for reply in piece.replies]
         last = replies[-1]
@@ -68,7 +68,7 @@ class Plan(NamedTuple):
         for array in (*arrays, statuses):
             array.setflags(write=False)
         coefficients = dict(zip(self.coefficients.values(), arrays, strict=False))
-        found = set(np.unique(statuses).tolist()) - set(wire.VALUES_ANSWERED)
+        found = set(np.unique(statuses).tolist()) - set(wire.VALUES_COMPUTED)
         return Varying(
             model=name_of(info, "model", fixed["model"]),
             moments=name_of(info, "moments", fixed["moments"]),
@@ -157,7 +157,7 @@ async def varying(
 
     wanted: names of quantities. The default is R, or r for numbers u. coefficients: names from
     info.choices["coefficient"]; the default is sigma_a and sigma_s for colours without r and u.
-    evaluator: "f32" or "f64", also the precision of the arrays. A value that has no answer is
+    evaluator: "f32" or "f64", also the precision of the arrays. A value that cannot be computed is
     NaN; statuses says why. tolerance: of transport, 1e-5 or more, 1e-3 by default. moments,
     parameters, deadline_ms: as of a Query. The number of values is not limited.
     """

@@ -55,12 +55,12 @@ DRAW_STRATIFIED = 3
 DRAW_RANDOM = 4
 SCALE_REFERENCE = 3
 FIT_FITTED = 1  # the only status of a fit that is a success
-# Of varying: what the third array holds, and the statuses of values that are answered.
+# Of varying: what the third array holds, and the statuses of values that were computed.
 VARYING_NONE = 0
 VARYING_RADII = 1
 VARYING_DRAWN = 2
 VALUE_OK = 0
-VALUES_ANSWERED = (0, 1)
+VALUES_COMPUTED = (0, 1)
 ANY_MODEL = 0  # in place of a model: the daemon chooses one by the parameter tolerance
 
 # States of an mc job. MC_STATES holds the states in which a job has ended.

@@ -2,7 +2,7 @@
 
     python3 fit.py
 
-The program asks the dipoled that $DIPOLED names, or a private one. Lengths are in mm.
+The program uses the dipoled that $DIPOLED names, or a private one. Lengths are in mm.
 
 The slopes are quantities of their own: d ln R / d ln sigma_a and d ln R / d ln sigma_s come with ln R
 in one request. A loop that takes differences of values instead needs a step. In single precision

@@ -2,7 +2,7 @@
 
     python3 skin.py [PICTURE]
 
-The program asks the dipoled that $DIPOLED names, or a private one. It prints numbers and, if
+The program uses the dipoled that $DIPOLED names, or a private one. It prints numbers and, if
 matplotlib is installed, draws PICTURE, by default skin.png. Lengths are in mm.
 """
 

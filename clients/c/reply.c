@@ -1,4 +1,4 @@
-#include "clients/c/answer.h"
+#include "clients/c/reply.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -12,8 +12,8 @@ static unsigned wanted_of(uint16_t type, unsigned wanted) {
   return (type & ~WIRE_REPLY) == WIRE_TYPE_SAMPLE ? wanted | EVAL_DRAWN : wanted;
 }
 
-void libdipole_answer_expect(libdipole_pending *pending, unsigned model, unsigned evaluator,
-                             unsigned wanted, uint32_t medium_count, uint64_t radius_count) {
+void libdipole_reply_expect(libdipole_pending *pending, unsigned model, unsigned evaluator,
+                            unsigned wanted, uint32_t medium_count, uint64_t radius_count) {
   const bool drawn = pending->type == WIRE_TYPE_SAMPLE;
   eval_layout layout;
   pending->model = model;
@@ -47,7 +47,7 @@ static bool merge(const libdipole_pending *pending, const void *part, void *whol
                  (size_t)pending->reply_bytes_min - WIRE_BYTES_part) == 0);
 }
 
-/* Checks that a frame is the next part of the answer and has the counts of the request, so that a
+/* Checks that a frame is the next part of the reply and has the counts of the request, so that a
  * caller who indexes the arrays by these counts stays inside. */
 static bool parse(const libdipole_pending *pending, const libdipole_frame *frame,
                   wire_eval_reply *fixed, eval_layout *layout, dipole_error *error) {
@@ -55,7 +55,7 @@ static bool parse(const libdipole_pending *pending, const libdipole_frame *frame
                            pending->type == WIRE_TYPE_SAMPLE, fixed, layout) &&
           merge(pending, frame->payload, NULL) &&
           libdipole_part_is_next(pending, (const void *)frame->payload)) ||
-         libdipole_fail_protocol(error, "it answered an eval request with another shape than was "
+         libdipole_fail_protocol(error, "it replied to an eval request with another shape than was "
                                         "requested");
 }
 
