@@ -1,8 +1,9 @@
-/* Finds bounds from samples of R. core/gather/loops.h says what they bound.
+/* Computes bounds on how a profile R(r) varies with distance, from samples of R.
+ * core/gather/loops.h defines the bounded numbers g and c.
  *
- * At each edge of a band, a polynomial of the squared distance interpolates R close by. Its first
- * four terms are the cubic polynomial, from which R is off by g (s - r^2)^4 at further distances.
- */
+ * At each edge d of a band of distances, a polynomial in s = (r / d)^2 - 1 interpolates R near d.
+ * Its terms up to s^3 are the cubic polynomial p. Elsewhere g is (R - p) / s^4, evaluated at the
+ * samples. */
 #include "core/gather/bounds.h"
 
 #include <float.h>
@@ -12,7 +13,8 @@
 
 enum { NODES = 6, EDGES = GATHER_BANDS + 1 };
 
-/* Which sample is at the first edge, and how many samples further the next edge is. */
+/* The index of the sample at the first edge, and the number of samples from one edge to the
+ * next. */
 enum {
   FIRST_SAMPLE = 2 << CORE_LUT_OCTAVE_SAMPLES_LOG2,
   SAMPLE_STRIDE = (1 << CORE_LUT_OCTAVE_SAMPLES_LOG2) / 16
@@ -22,10 +24,11 @@ _Static_assert(FIRST_SAMPLE + SAMPLE_STRIDE * (EDGES - 1) +
                    CORE_LUT_SAMPLES,
                "7/4 of it");
 
-/* The relative increase of the bound by values between the samples. */
+/* Enlarges the bounds, because R is known only at the samples. */
 #define MARGIN 1.05
 
-/* cos((2 i + 1) pi / 12), and the relative difference of distances that 1 stands for */
+/* Chebyshev's nodes cos((2 i + 1) pi / 12). Node 1 stands for a relative distance of
+ * NODES_REACH. */
 static const double nodes[NODES] = {0.96592582628906829,  0.70710678118654752,
                                     0.25881904510252076,  -0.25881904510252076,
                                     -0.70710678118654752, -0.96592582628906829};
@@ -40,14 +43,14 @@ static double finite_or_infinite(double value) {
   return value <= DBL_MAX ? value : (double)INFINITY;
 }
 
-/* Returns the squared distance of a sample over that of the edge at d, less 1. */
+/* Returns (r / d)^2 - 1 for the distance r of a sample. */
 static double squared(const samples *of, size_t sample, double d) {
   const double off = (of->r[sample] - d) / d;
   return off * (2 + off);
 }
 
-/* Sets a[NODES] to the coefficients, by powers of s, of the polynomial through samples that are close
- * to those of Chebyshev. `at` is the sample at d. */
+/* Sets a[NODES] to the coefficients, in ascending powers of s = (r / d)^2 - 1, of the polynomial
+ * through the samples nearest to Chebyshev's nodes. `at`: the index of the sample at d. */
 static void interpolate(const samples *of, size_t at, double *a) {
   const double d = of->r[at];
   double s[NODES];
@@ -75,7 +78,8 @@ static void interpolate(const samples *of, size_t at, double *a) {
   }
 }
 
-/* Raises the range of g from *least to *most by that at a sample, unless it is too close. */
+/* Widens the range [*least, *most] of g to include g at a sample. Skips samples closer to d than d
+ * / GATHER_SPREADS_PER_ONE, where rounding would dominate. */
 static void widen(const samples *of, size_t sample, double d, const double *a, double *least,
                   double *most) {
   const double s = squared(of, sample, d);
@@ -87,13 +91,14 @@ static void widen(const samples *of, size_t sample, double d, const double *a, d
   }
 }
 
-/* Sets the bounds at an edge. */
+/* Sets the bounds near an edge, for every spread. */
 static void set_near(gather_bounds *bounds, const samples *of, size_t edge) {
   const size_t at = FIRST_SAMPLE + SAMPLE_STRIDE * edge;
   const double d = of->r[at];
   double a[NODES];
   interpolate(of, at, a);
-  /* From d^8 to d^4, and from d^6 to d, rounded up */
+  /* Converts from powers of s to lengths: g r^4 has the factor 1 / d^4, with a margin for
+   * rounding. */
   const double to_quartic = (1 + 0x1p-20) / (d * d) / (d * d);
   double least = a[4], most = a[4];
   size_t low = at, high = at;
@@ -133,7 +138,7 @@ void gather_bounds_prepare(gather_bounds *bounds, const core_profile *profile) {
   uint64_t bits;
   memcpy(&bits, &bounds->least_mm, sizeof bits);
   bounds->first = (int64_t)(bits >> 48);
-  /* R that single precision loses by underflow */
+  /* Single precision may lose R up to this value by underflow. */
   set_tops(bounds, &of, profile->evaluator != CORE_EVALUATOR_F64 ? 16 * 0x1p-149 : 0);
   memset(bounds->near, 0, sizeof bounds->near);
   for (size_t i = 0; i < EDGES; i++) {

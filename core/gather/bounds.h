@@ -1,9 +1,8 @@
-/* bounds: how far a pair of distances may be from the points that it stands for. Internal to
- * core/gather.
+/* bounds: numbers from which core/gather/loops.h computes the error of replacing points by a pair
+ * of distances. Internal to core/gather.
  *
- * Bands of distance are sixteenths of octaves, whose edges are 2^k (1 + i / 16), so that the first
- * bits of a distance are its band.
- */
+ * Distances are divided into bands. The edges of the bands are 2^k (1 + i / 16) mm, 16 for each
+ * octave, so the top 16 bits of a double give its band. */
 #ifndef DIPOLED_CORE_GATHER_BOUNDS_H
 #define DIPOLED_CORE_GATHER_BOUNDS_H
 
@@ -12,34 +11,36 @@
 
 #include "core/core.h"
 
-/* Spread i holds relative differences of distance up to (i + 1) / GATHER_SPREADS_PER_ONE. */
+/* A spread is a largest relative difference of distances: number i is (i + 1) /
+ * GATHER_SPREADS_PER_ONE. */
 enum { GATHER_BANDS = 16 * 26, GATHER_SPREADS = 12, GATHER_SPREADS_PER_ONE = 16 };
 
-/* Rounded up, so that blocks can be read. */
+/* The number of edges, plus padding so that a block of 8 that begins at any edge can be read. */
 enum { GATHER_EDGES = GATHER_BANDS + 1 + 8 };
 
-/* About a distance r, R is a cubic polynomial of the squared distance s, plus g (s - r^2)^4, at all
- * distances that differ from r by up to the spread. */
+/* Bounds near each edge r for one spread. Write R as a cubic polynomial in the squared distance s
+ * plus g (s - r^2)^4; the bounds hold for all distances within the spread of r. */
 typedef struct gather_near {
-  double range[GATHER_EDGES]; /* the largest g r^4 less the smallest, 1/mm^6 */
-  double same[GATHER_EDGES];  /* the smallest |g| r^4, or 0 if the sign of g varies */
+  double range[GATHER_EDGES]; /* upper bound of g r^4 minus lower bound, 1/mm^6 */
+  double same[GATHER_EDGES];  /* the least |g| r^4, or 0 if g changes sign; 1/mm^6 */
   double cubic[GATHER_EDGES]; /* |coefficient of s^3| r, 1/mm^7 */
 } gather_near;
 
 typedef struct gather_bounds {
-  int64_t first;   /* the top 16 bits of the first edge, a double */
-  double least_mm; /* the first edge, and the last one */
+  int64_t first;   /* the top 16 bits of least_mm as a double */
+  double least_mm; /* the first edge; most_mm is the last */
   double most_mm;
-  double zero;                      /* the largest R at any distance */
-  double R[GATHER_BANDS + 1];       /* at each edge */
-  double top[GATHER_BANDS + 1];     /* the largest R from each edge on */
-  gather_near near[GATHER_SPREADS]; /* at each edge; 0 after the last one */
+  double zero;                      /* the largest R at any distance, 1/mm^2 */
+  double R[GATHER_BANDS + 1];       /* R at each edge */
+  double top[GATHER_BANDS + 1];     /* the largest R at each edge and beyond */
+  gather_near near[GATHER_SPREADS]; /* for each spread; 0 after the last edge */
 } gather_bounds;
 
-/* Fills in the bounds of a profile. */
+/* Computes the bounds of a profile from 928 samples of R. */
 void gather_bounds_prepare(gather_bounds *bounds, const core_profile *profile);
 
-/* Returns the band of a distance from least_mm to below most_mm. */
+/* Returns the index of the band that holds the distance r in mm, which is in [least_mm,
+ * most_mm). */
 static inline size_t gather_band(const gather_bounds *bounds, double r) {
   uint64_t bits;
   memcpy(&bits, &r, sizeof bits);
@@ -53,7 +54,7 @@ static inline double gather_top(const gather_bounds *bounds, double r) {
                                : bounds->top[GATHER_BANDS];
 }
 
-/* Returns about R at r. */
+/* Returns an estimate of R at r: its value at the lower edge of r's band. */
 static inline double gather_about(const gather_bounds *bounds, double r) {
   return r < bounds->least_mm  ? bounds->R[0]
          : r < bounds->most_mm ? bounds->R[gather_band(bounds, r)]

@@ -1,4 +1,4 @@
-/* The innermost loops of gathering. core/gather/loops.h explains the pairs. */
+/* Implements the innermost loops of gathering. core/gather/loops.h derives their formulas. */
 #include "core/gather/loops.h"
 
 #include <math.h>
@@ -17,21 +17,20 @@ static inline double smaller(double a, double b) {
   return a < b ? a : b;
 }
 
-/* With D the vector from a node's centroid to x and d that to a point, s = |x - x_i|^2 is
- * |D - d|^2. Its mean is |D|^2 + E |d|^2, and its difference from it is y = -2 D.d + |d|^2 - E |d|^2.
- * The pair has the mean, E y^2 and nearly E y^3, and lies between the squares of the least and the
- * largest distance that a point may have. */
+/* Where the fields of gather_moments begin in a row: centroid, radius, second, fourth and third
+ * moments. */
 enum { AT, RADIUS = 3, SECOND, FOURTH = 10, THIRD = 16 };
 
 typedef struct squares {
   double square; /* |D|^2 */
-  double radius; /* the largest |d| */
+  double radius; /* a = largest |d|, mm */
   double mean;   /* E s */
-  double second; /* E y^2 up to rounding, 0 or more */
-  double third;  /* nearly E y^3 */
+  double second; /* E y^2, mm^4; at least 0 in spite of rounding */
+  double third;  /* E y^3 without its remainder e, mm^6 */
 } squares;
 
-/* Returns how s is spread. `row` is where the numbers of the node begin. */
+/* Returns the moments of s = |x - x_i|^2 for the query (qx, qy, qz) and one node. row: the node's
+ * first field; the others follow at distances of GATHER_ROW. */
 static inline __attribute__((always_inline)) squares squares_at(const double *row, double qx,
                                                                 double qy, double qz) {
 #define OF(field, i) row[((field) + (i)) * GATHER_ROW]
@@ -46,7 +45,7 @@ static inline __attribute__((always_inline)) squares squares_at(const double *ro
                             OF(THIRD, 5) * yy + OF(THIRD, 9) * (Y * Z)) +
                        Y * (OF(THIRD, 1) * yy + OF(THIRD, 6) * (Y * Z)) +
                        Z * (OF(THIRD, 2) * zz + OF(THIRD, 7) * (X * Z) + OF(THIRD, 8) * (Y * Z));
-  /* D . E |d|^2 d; what occurs three times is in the rows times 3 */
+  /* D . E |d|^2 d. The rows hold third moments times their multiplicity, which is 3 for these. */
   const double trace = X * (OF(THIRD, 0) + (OF(THIRD, 5) + OF(THIRD, 7)) * third) +
                        Y * (OF(THIRD, 1) + (OF(THIRD, 3) + OF(THIRD, 8)) * third) +
                        Z * (OF(THIRD, 2) + (OF(THIRD, 4) + OF(THIRD, 6)) * third);
@@ -84,8 +83,9 @@ static inline __attribute__((always_inline)) void pair_at(const double *row, dou
   *share = apart > 0 ? up / apart : 0.5;
 }
 
-/* Does what pair_at() does where the limits there change nothing, and returns a number below 0 unless
- * they surely do not. Roots and quotients take most of the time: this needs three fewer. */
+/* Computes the same as pair_at() without limiting the pair to possible distances. Returns a
+ * negative number if a limit might apply; the caller then calls pair_at(). It saves three roots and
+ * quotients, which take most of the time. */
 static inline __attribute__((always_inline)) double free_pair_at(const double *row, double qx,
                                                                  double qy, double qz,
                                                                  double *first, double *last,
@@ -99,13 +99,13 @@ static inline __attribute__((always_inline)) double free_pair_at(const double *r
   *first = sqrt(first_square);
   *last = sqrt(s.mean + up);
   *share = apart > 0 ? up / apart : 0.5;
-  /* The limits, a millionth closer */
+  /* The same limits, tightened by 1e-6 to allow for rounding. */
   const double rough = (double)sqrtf((float)s.square);
   const double least = larger(rough * (1 + 0x1p-20) - s.radius, 0);
   const double most = rough * (1 - 0x1p-20) + s.radius;
   const double below = (s.mean - least * least) * (1 - 0x1p-20);
   const double above = (most * most - s.mean) * (1 - 0x1p-20);
-  /* Numbers that are NaN come first and are left out: there is one below 0 besides. */
+  /* smaller() drops a first argument that is NaN. If one is NaN, another one is negative. */
   double spare = smaller(s.square - 1e-30, first_square - least * least);
   spare = smaller((skew + below) * below - variance, spare);
   spare = smaller((above - skew) * above - variance, spare);
@@ -121,8 +121,8 @@ static void pair(size_t n, const gather_rows *restrict rows, const double x[3], 
   }
 }
 
-/* Returns the square root of the norm of a symmetric tensor, which is at least the root of its
- * largest eigenvalue. */
+/* Returns the square root of the Frobenius norm of a symmetric tensor. It is an upper bound of the
+ * square root of the largest eigenvalue. */
 static inline double root_norm(double xx, double yy, double zz, double xy, double xz, double yz) {
   return sqrt(sqrt(xx * xx + yy * yy + zz * zz + 2 * (xy * xy + xz * xz + yz * yz)));
 }
@@ -144,7 +144,7 @@ static void view(const gather_seen *restrict seen, const double x[3], double cel
     const double fxx = f[0][i], fyy = f[1][i], fzz = f[2][i];
     const double spread = cxx + cyy + czz, fourths = fxx + fyy + fzz;
     const double mean_least = sqrt(least * least + spread);
-    /* Directions to queries differ from that to the cell's centre by a vector up to `turn`. */
+    /* The largest change of the unit direction from the node to a query of the cell. */
     const double turn = cell_mm / distance;
     const double z2 = larger(fourths - spread * spread, 0) + fourths * 0x1p-40;
     const double z_most = larger(radius * radius - spread, spread);
@@ -200,7 +200,7 @@ typedef long long lane_bits __attribute__((vector_size(GATHER_LANES * sizeof(dou
 typedef double loose_lanes
     __attribute__((vector_size(GATHER_LANES * sizeof(double)), may_alias, aligned(sizeof(double))));
 
-/* Raises a to b in each lane, unless b is NaN. */
+/* Sets each lane of a to the larger of a and b. A lane of b that is NaN changes nothing. */
 static inline __attribute__((always_inline)) void raise_to(lanes *a, const lanes *b) {
   const lane_bits which = *b > *a;
   *a = (lanes)(((lane_bits)*b & which) | ((lane_bits)*a & ~which));
@@ -219,7 +219,7 @@ static double error(const gather_bounds *bounds, const gather_views *views, size
   const double less = larger(fourth - second, 0);
   const double rest = views->rest[node], twice = views->twice[node];
   const size_t first = gather_band(bounds, least), last = gather_band(bounds, most) + 1;
-  /* Blocks may end behind the last edge: what is there only adds to the bound. */
+  /* The last block may extend beyond the last edge. Its further values can only raise the bound. */
   lanes most_of = {0};
   for (size_t i = first; i <= last; i += GATHER_LANES) {
     const lanes range = *(const loose_lanes *)(near->range + i);
@@ -241,8 +241,8 @@ static double total(const double sum[GATHER_LANES]) {
   return ((sum[0] + sum[4]) + (sum[2] + sum[6])) + ((sum[1] + sum[5]) + (sum[3] + sum[7]));
 }
 
-/* A radius of 0 may have an infinite R, which counts only where there is power: bits of other
- * products are cleared. */
+/* R may be infinite at r = 0. Products of points without power are masked, so that 0 * INFINITY
+ * does not become NaN. */
 
 static double sum(size_t n, const double *power, const double *R) {
   const lanes *powers = (const lanes *)power, *values = (const lanes *)R;
@@ -329,8 +329,8 @@ typedef float reals __attribute__((vector_size(4 * GATHER_CLOSE), may_alias));
 typedef int32_t ints __attribute__((vector_size(4 * GATHER_CLOSE), may_alias));
 typedef uint32_t naturals __attribute__((vector_size(4 * GATHER_CLOSE), may_alias));
 
-/* The entries of octaves and the pieces about those of the first radius are held in registers, from
- * where each radius takes its own. */
+/* Keeps the entries of the octaves and the pieces around the first radius in registers, and selects
+ * each radius's own from there. */
 static uint64_t look_up_close(const float *restrict table, const gather_pieces *pieces, size_t n,
                               const float *restrict in, float *restrict out) {
   uint64_t missed = 0;
@@ -353,7 +353,7 @@ static uint64_t look_up_close(const float *restrict table, const gather_pieces *
     const ints piece = (ints)((naturals)entry >> 5) + index;
     const int32_t first = piece[0] - GATHER_CLOSE;
     const ints own = piece - first;
-    /* Numbers below 0 are large without their sign. */
+    /* The comparison is unsigned: negative numbers become large. */
     const ints off = ((naturals)place >= GATHER_CLOSE) | ((naturals)own >= 2 * GATHER_CLOSE) |
                      (r < from) | (r >= to);
     if (_mm512_movepi32_mask((__m512i)off) != 0) {
@@ -380,7 +380,7 @@ static uint64_t look_up_close(const float *restrict table, const gather_pieces *
 #define PASTE_(a, b) a##b
 #define PASTE(a, b) PASTE_(a, b)
 
-/* The one symbol that this object exports. */
+/* The only symbol with external linkage, one for each instruction set. */
 extern const gather_loops PASTE(gather_loops_, CORE_ISA);
 const gather_loops PASTE(gather_loops_, CORE_ISA) = {
     view,      error, pair,        distances,       narrow,    widen,           sum,

@@ -37,38 +37,44 @@
 
 enum { GATHER_LANES = 8, GATHER_NODES = 256, GATHER_POINTS = 512 };
 
-/* Nodes side by side: the numbers of gather_moments, each times the number of times that it occurs in
- * a product with a symmetric tensor. The rows are not a power of two apart, so that they do not
- * compete for the same lines of the cache. */
+/* GATHER_NODES nodes in structure-of-arrays layout. A field is a number of gather_moments times its
+ * multiplicity: the number of times that it occurs in a product with a symmetric tensor. GATHER_ROW
+ * is not a power of two, so that rows do not compete for the same cache lines. */
 enum { GATHER_FIELDS = 26, GATHER_ROW = GATHER_NODES + GATHER_LANES };
 typedef struct gather_rows {
   _Alignas(64) double field[GATHER_FIELDS][GATHER_ROW];
 } gather_rows;
 
-/* GATHER_LANES nodes side by side: the first numbers of gather_moments. */
+/* GATHER_LANES nodes in the same layout, with the first GATHER_SEEN_FIELDS numbers of
+ * gather_moments. */
 enum { GATHER_SEEN_FIELDS = 16 };
 typedef struct gather_seen {
   _Alignas(64) double field[GATHER_SEEN_FIELDS][GATHER_LANES];
 } gather_seen;
 
-/* What nodes and all queries of a cell have in common: the comment at the head names these. */
+/* Bounds for each of GATHER_LANES nodes that hold for all queries of one cell. The comment at the
+ * head of this file defines the symbols. D is here the root of the mean squared distance. */
 typedef struct gather_views {
-  _Alignas(64) double nearest[GATHER_LANES]; /* of the distances between points and queries */
-  double ratio[GATHER_LANES];                /* of distances, below INFINITY if the rest is known */
-  double least[GATHER_LANES];                /* roots of mean squared distances */
+  /* least distance between a point of the node and a query, mm */
+  _Alignas(64) double nearest[GATHER_LANES];
+  /* largest relative difference between a point's distance and D; INFINITY: no bounds, use the
+   * largest R */
+  double ratio[GATHER_LANES];
+  double least[GATHER_LANES]; /* bounds of D in the cell, mm */
   double most[GATHER_LANES];
-  double fourth[GATHER_LANES]; /* E y^4 / D^4, at most */
-  double second[GATHER_LANES]; /* (E y^2)^2 / D^4, at least */
-  double rest[GATHER_LANES];   /* |e| / D, at most */
-  double twice[GATHER_LANES];  /* 2 h |e| / D^4, at most */
+  double fourth[GATHER_LANES]; /* upper bound of E y^4 / D^4 */
+  double second[GATHER_LANES]; /* lower bound of (E y^2)^2 / D^4 */
+  double rest[GATHER_LANES];   /* upper bound of |e| / D */
+  double twice[GATHER_LANES];  /* upper bound of 2 h |e| / D^4 */
 } gather_views;
 
-/* Queries of one cell whose sums are under way, and at most this many radii for all of them at
- * once. */
+/* The largest number of queries of one cell that are summed at once, and of radii that are
+ * evaluated at once. */
 enum { GATHER_QUERIES = 64, GATHER_RADII = 512 };
 
-/* The coefficients of a table of R side by side: those of piece i of the table are [i], [stride + i]
- * and so on. GATHER_CLOSE numbers before the first piece and behind the last one may be read. */
+/* A table of R whose coefficients are in structure-of-arrays layout: piece i has its coefficients
+ * at first[i], first[stride + i] and so on. GATHER_CLOSE numbers before the first piece and after
+ * the last one are readable. */
 enum { GATHER_CLOSE = 16 };
 typedef struct gather_pieces {
   float *memory; /* owned */
@@ -77,31 +83,34 @@ typedef struct gather_pieces {
 } gather_pieces;
 
 typedef struct gather_loops {
-  /* Sets the views of nodes from the cell about x. */
+  /* Computes the views of GATHER_LANES nodes from the cell: the ball with centre x and this
+   * radius. */
   void (*view)(const gather_seen *seen, const double x[3], double radius_mm, gather_views *views);
-  /* Returns the largest error that the node of a view causes, for each W of its power. */
+  /* Returns an upper bound of the error of R that node number `node` of the views causes for each W
+   * of its power, 1/mm^2. */
   double (*error)(const gather_bounds *bounds, const gather_views *views, size_t node);
-  /* For a query at x, sets r[2 n] to the first radii that stand for n nodes and then their second
-   * ones, and share[n] to the shares of power at the first ones. */
+  /* Computes the pairs that replace n nodes for a query at x. r[2 n]: the first distances of all
+   * nodes, then the second ones, in mm. share[n]: the share of the node's power at its first
+   * distance. */
   void (*pair)(size_t n, const gather_rows *rows, const double x[3], double *r, double *share);
-  /* Sets r[n] to the distances of points from x. */
+  /* Sets r[n] to the distances in mm between x and the points (px, py, pz)[n]. */
   void (*distances)(size_t n, const double *px, const double *py, const double *pz,
                     const double x[3], double *r);
   void (*narrow)(size_t n, const double *in, float *out);
   void (*widen)(size_t n, const float *in, double *out);
-  /* Return the sum over all powers above 0 of power R, or of power (share R + (1 - share) R'). All
-   * R' follow all R in the array. */
+  /* Return sums over all entries with power above 0. sum: of power R, with R[n]. sum_pairs: of
+   * power (share R[i] + (1 - share) R[n + i]), with R[2 n]. */
   double (*sum)(size_t n, const double *power, const double *R);
   double (*sum_pairs)(size_t n, const double *power, const double *share, const double *R);
 
-  /* Returns the sum of a sum's lanes. */
+  /* Adds up the lanes of a sum in a fixed order. */
   double (*total)(const double lanes[GATHER_LANES]);
 
-  /* The same for a few nodes or points and all queries of a cell, whose radii are close to each other.
-   * queries is a multiple of GATHER_CLOSE, and arrays have queries, or GATHER_QUERIES in x and part,
-   * numbers for each node or point. Each adds its products to its own row of part, in which a query
-   * has the numbers that the loops above have in their lanes.
-   * close_pairs: r has the first radii of a node and then its second ones. */
+  /* Variants for a few nodes or points and all queries of a cell at once. queries: a multiple of
+   * GATHER_CLOSE. Arrays hold one row for each node or point, of `queries` numbers, or of
+   * GATHER_QUERIES in x and part. The add functions add each product to part[lane][query], so that
+   * a query gets the same lane sums as by sum() and sum_pairs(). close_pairs: r holds a node's
+   * first distances, then its second ones. */
   void (*close_pairs)(size_t count, const gather_rows *rows, size_t from, size_t queries,
                       const double x[3][GATHER_QUERIES], float *r, double *share);
   void (*close_distances)(size_t count, const double *px, const double *py, const double *pz,
@@ -110,9 +119,10 @@ typedef struct gather_loops {
                     double part[][GATHER_QUERIES]);
   void (*add_close_pairs)(size_t count, const double *power, size_t queries, const double *share,
                           const float *R, double part[][GATHER_QUERIES]);
-  /* Sets R[n] to what the kernel of tables finds, with the same bits, for n up to GATHER_RADII.
-   * Returns bit i for each GATHER_CLOSE radii, from GATHER_CLOSE i on, that are not close enough to
-   * each other, whose R it does not set. NULL where an instruction set would not be faster. */
+  /* Looks up R[n] at the radii r[n] with the bits of the lut kernel; n is at most GATHER_RADII.
+   * Works on groups of GATHER_CLOSE radii. Returns a mask: bit i is set if the radii of group i are
+   * not close enough to each other; their R is not set. NULL on instruction sets where it would not
+   * be faster. */
   uint64_t (*look_up_close)(const float *table, const gather_pieces *pieces, size_t n,
                             const float *r, float *R);
 } gather_loops;

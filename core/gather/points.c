@@ -1,6 +1,5 @@
 /* Checks points and queries, and builds sets of points: sorts the points by Morton codes (Morton
- * 1966), makes the nodes from the root down, and their moments from the leaves up.
- */
+ * 1966), makes the nodes from the root down, and computes their moments from the leaves up. */
 #include <assert.h>
 #include <float.h>
 #include <math.h>
@@ -38,18 +37,18 @@ core_fault core_gather_check_queries(size_t n, const double *xyz) {
 /* ---- the state of building ------------------------------------------------------------------- */
 
 enum {
-  KEY_BITS = 21, /* of each coordinate */
+  KEY_BITS = 21, /* bits of the key for each coordinate */
   DIGIT_BITS = 11,
   DIGITS = (3 * KEY_BITS + DIGIT_BITS - 1) / DIGIT_BITS,
   BINS = 1 << DIGIT_BITS
 };
 
-/* The phases of the construction. A part of the points (at first all) gets a bounding box and keys
- * and is sorted; then its nodes are made. Many points with one key become a new part, and the nodes
- * above them wait. */
+/* The phases of construction. A part of the points, at first all of them, gets a bounding box and
+ * Morton keys and is sorted; then its nodes are made. Points with equal keys that are too many for
+ * a leaf become a new part. After the last part, channels are grouped and moments computed. */
 enum phase { BOX, KEYS, COUNT, MOVE, NODES, COLLECT, GROUPS, MOMENTS, PHASES };
 
-/* About how long an item of each phase takes: a point, a node or a pair of channels. */
+/* The time of one item of each phase in ns. An item is a point, a node or a pair of channels. */
 static const double phase_ns[PHASES] = {
     [BOX] = 6,     [KEYS] = 12,    [COUNT] = 2,    [MOVE] = 8,
     [NODES] = 100, [COLLECT] = 20, [GROUPS] = 1e6, [MOMENTS] = 500};
@@ -65,18 +64,19 @@ struct gather_build {
   double least[3], most[3];
   double corner[3]; /* the part's cube */
   double edge_mm;
-  size_t node; /* the next node whose children are made */
-  size_t head; /* the node that holds the part */
-  size_t tail; /* the first node below it */
+  size_t node; /* next node that gets its children */
+  size_t head; /* the node whose points are the part */
+  size_t tail; /* the number of nodes before those of the part */
   int digit;
   uint32_t bins[BINS];
   size_t pair[2];       /* of channels */
-  size_t node_capacity; /* nodes that fit */
+  size_t node_capacity; /* number of nodes that the array can hold */
 };
 
-/* A node needs two children or more, so there are fewer nodes than twice the leaves. Beyond this
- * number leaves stay larger, but for few points: of n < 32, at most n - GATHER_LEAF nodes, with 8
- * children each, are divided. */
+/* Returns the capacity of the array of nodes. A node that is not a leaf has at least two children,
+ * so there are fewer nodes than twice the number of leaves. When the array is full, further leaves
+ * hold more than GATHER_LEAF points. For n < 32, at most n - GATHER_LEAF nodes are divided, with 8
+ * children each. */
 static size_t node_capacity(size_t n) {
   return n < 32 ? 2 * n : n / 3 + 64;
 }
@@ -172,7 +172,7 @@ static const double *coordinates(const gather_build *b, size_t i) {
   return b->xyz + 3 * (size_t)b->index[0][i];
 }
 
-/* Widens the box of the part by some of its points. */
+/* Extends the part's bounding box by its next `count` points. */
 static void box(gather_build *b, size_t count) {
   if (b->at == 0) {
     memcpy(b->least, coordinates(b, b->begin), sizeof b->least);
@@ -187,10 +187,10 @@ static void box(gather_build *b, size_t count) {
   }
 }
 
-/* Points that are closer together are one leaf. */
+/* Parts with a smaller extent are not divided. */
 #define EXTENT_MIN_MM 1e-280
 
-/* Sets the cube of the part to one that holds its box, whose edge is a power of two. */
+/* Sets the part's cube: it contains the bounding box, and its edge is a power of two. */
 static void set_cube(gather_build *b) {
   double extent = 0;
   for (size_t k = 0; k < 3; k++) {
@@ -205,7 +205,7 @@ static void set_cube(gather_build *b) {
   }
 }
 
-/* Spreads the 21 low bits so that two zeros follow each. */
+/* Inserts two zero bits before each of the 21 low bits: one coordinate of a Morton code. */
 static uint64_t spread_bits(uint64_t x) {
   x = (x | x << 32) & UINT64_C(0x1f00000000ffff);
   x = (x | x << 16) & UINT64_C(0x1f0000ff0000ff);
@@ -257,7 +257,8 @@ static void count_digits(gather_build *b, size_t count) {
   }
 }
 
-/* Turns counts into the positions where the numbers with each digit begin. */
+/* Replaces the number of keys with each digit by the position of the first such key (radix
+ * sort). */
 static void start_moving(gather_build *b) {
   uint32_t at = (uint32_t)b->begin;
   for (size_t i = 0; i < BINS; i++) {
@@ -284,7 +285,8 @@ static void end_moving(gather_build *b) {
 
 /* ---- nodes ----------------------------------------------------------------------------------- */
 
-/* Returns the first point from `from` to `to` whose key is at least `key`, or `to`. */
+/* Returns the first position in [from, to) whose key is at least `key`, or `to` if there is
+ * none. */
 static size_t first_with(const gather_build *b, size_t from, size_t to, uint64_t key) {
   while (from < to) {
     const size_t middle = from + (to - from) / 2;
@@ -297,7 +299,8 @@ static size_t first_with(const gather_build *b, size_t from, size_t to, uint64_t
   return from;
 }
 
-/* The corner of a cube of 2^-level of the part's edge, with the bits of a key. */
+/* Sets the corner and edge of a node's cube. The edge is the part's edge times 2^-level; the corner
+ * is decoded from the key. */
 static void set_corner(const gather_build *b, gather_node *node, uint64_t key, int level) {
   node->edge_mm = ldexp(b->edge_mm, -level);
   for (size_t k = 0; k < 3; k++) {
@@ -306,10 +309,11 @@ static void set_corner(const gather_build *b, gather_node *node, uint64_t key, i
   }
 }
 
-/* Marks a leaf whose points share a key, until they are sorted as a part of their own. */
+/* The value of `children` that marks a leaf whose points share a key, until they are sorted as a
+ * part. */
 #define UNSORTED UINT32_MAX
 
-/* Makes the children of the next node. */
+/* Makes the children of the node b->node and moves on to the next node. */
 static void make_children(core_gather_points *points) {
   gather_build *b = points->build;
   gather_node *node = &points->nodes[b->node];
@@ -327,7 +331,7 @@ static void make_children(core_gather_points *points) {
   while (differ >> bits != 0) {
     bits += 3;
   }
-  const int level = KEY_BITS - bits / 3; /* where the keys are in one cube for the last time */
+  const int level = KEY_BITS - bits / 3; /* the deepest level at which all keys are in one cube */
   set_corner(b, node, b->keys[0][first], level);
   node->child = (uint32_t)points->node_count;
   const int shift = bits - 3;
@@ -341,7 +345,7 @@ static void make_children(core_gather_points *points) {
   }
 }
 
-/* Takes the next part. Returns false if all points are sorted. */
+/* Begins the next part. Returns false if there is none. */
 static bool next_part(core_gather_points *points) {
   gather_build *b = points->build;
   while (b->head < points->node_count && points->nodes[b->head].child != UNSORTED) {
@@ -357,7 +361,7 @@ static bool next_part(core_gather_points *points) {
   return true;
 }
 
-/* Sorts the points in the order of the tree. */
+/* Copies the next `count` points into the order of the tree. */
 static void collect(core_gather_points *points, size_t count) {
   const gather_build *b = points->build;
   for (size_t i = b->at; i < b->at + count; i++) {
@@ -373,10 +377,11 @@ static void collect(core_gather_points *points, size_t count) {
 
 /* ---- groups of channels ---------------------------------------------------------------------- */
 
-/* Products of the same numbers in single precision are proportional within this. */
+/* Two channels share moments if their powers are proportional up to this relative difference.
+ * Powers in single precision that are products with the same factors differ by less. */
 #define UNEVEN_MOST 0x1p-22
 
-/* Returns the largest relative deviation of one channel's powers from a multiple of another's, or
+/* Returns the largest relative deviation of one channel's powers from a multiple of the other's.
  * INFINITY if it is above UNEVEN_MOST. */
 static double deviation(const core_gather_points *points, const float *one, const float *other) {
   size_t brightest = 0;
@@ -396,7 +401,8 @@ static double deviation(const core_gather_points *points, const float *one, cons
   return most;
 }
 
-/* Finds the group of the channel pair[0], or takes another group to compare with. */
+/* Compares the channel pair[0] with the next group: adds the channel to that group if they are
+ * proportional. */
 static void find_group(core_gather_points *points) {
   gather_build *b = points->build;
   const size_t channel = b->pair[0], other = b->pair[1];
@@ -422,20 +428,20 @@ static void find_group(core_gather_points *points) {
 
 enum { XX, YY, ZZ, XY, XZ, YZ };
 
-/* The places of d_a d_b in `second`, and of d_a d_b d_c in `third`. */
+/* Indices of d_a d_b in `second`, and of d_a d_b d_c in `third`, for a, b and c of x, y, z. */
 static const int second_of[3][3] = {{XX, XY, XZ}, {XY, YY, YZ}, {XZ, YZ, ZZ}};
 static const int third_of[10][3] = {{0, 0, 0}, {1, 1, 1}, {2, 2, 2}, {0, 0, 1}, {0, 0, 2},
                                     {0, 1, 1}, {1, 1, 2}, {0, 2, 2}, {1, 2, 2}, {0, 1, 2}};
 
-/* Returns E |d|^2 d. */
+/* Sets trace[3] to the vector E |d|^2 d. */
 static void trace_third(const gather_moments *m, double trace[3]) {
   trace[0] = m->third[0] + m->third[5] + m->third[7];
   trace[1] = m->third[3] + m->third[1] + m->third[8];
   trace[2] = m->third[4] + m->third[6] + m->third[2];
 }
 
-/* Adds points of the weight `weight` with moments *part about their own centroid, which is d from
- * the centroid of the sum. */
+/* Adds points with the power `weight` and the moments *part to *sum. d: their centroid minus the
+ * centroid of the sum. */
 static void add_moments(gather_moments *sum, double weight, const gather_moments *part,
                         const double d[3]) {
   const double *c = part->second;
@@ -538,8 +544,8 @@ static void inner_moments(const core_gather_points *points, const gather_node *n
   divide_moments(m, weight);
 }
 
-/* Up to this number of points the radius of a node is found from its points, beyond from its
- * children. */
+/* Radii of nodes with up to this number of points are computed from their points; those of larger
+ * nodes, from their children. */
 enum { RADIUS_POINTS = 1 << 16 };
 
 static void set_radius(const core_gather_points *points, const gather_node *node,
@@ -557,7 +563,7 @@ static void set_radius(const core_gather_points *points, const gather_node *node
   m->radius_mm *= 1 + 0x1p-40;
 }
 
-/* Sets the power and moments of a node whose children have theirs. */
+/* Computes the power and moments of node `at`, whose children have theirs. */
 static void set_moments(core_gather_points *points, size_t at) {
   const gather_node *node = &points->nodes[at];
   double *power = &points->node_power[at * points->channels];
@@ -587,7 +593,8 @@ static void set_moments(core_gather_points *points, size_t at) {
 
 /* ---- building -------------------------------------------------------------------------------- */
 
-/* Sets leaf_mm. All edges are powers of two. */
+/* Sets leaf_mm to the median edge of the leaves. All edges are powers of two, so it counts
+ * exponents. */
 static void find_leaf_size(core_gather_points *points) {
   enum { EXPONENTS = 2200, MIDDLE = 1100 };
   uint32_t count[EXPONENTS] = {0};
@@ -617,7 +624,7 @@ static void finish(core_gather_points *points) {
   points->build = NULL;
 }
 
-/* The number of items of a phase. */
+/* Returns the number of items of the present phase. */
 static size_t items(const core_gather_points *points) {
   const gather_build *b = points->build;
   switch (b->phase) {
@@ -650,7 +657,7 @@ static void keep_memory(core_gather_points *points) {
       shrunk(points->node_power, nodes * points->channels * sizeof *points->node_power);
 }
 
-/* Begins the next phase. Returns true if there is none. */
+/* Begins the next phase. Returns true after the last one. */
 static bool next_phase(core_gather_points *points) {
   gather_build *b = points->build;
   b->at = 0;
@@ -693,7 +700,7 @@ static bool next_phase(core_gather_points *points) {
   return false;
 }
 
-/* Does `count` items of a phase. Returns whether the phase has ended. */
+/* Processes up to `count` items of the present phase. Returns whether the phase is complete. */
 static bool work(core_gather_points *points, size_t count) {
   gather_build *b = points->build;
   switch (b->phase) {
@@ -757,11 +764,12 @@ static bool holds(const double corner[3], double edge_mm, const double x[3]) {
   return held;
 }
 
-/* Cells and districts hold this many points or fewer. Smaller cells have shorter lists, which fewer
- * queries share. */
+/* The largest number of points in a node whose cube is a cell, and a district. Smaller cells have
+ * shorter lists, but fewer queries share each. */
 enum { CELL_POINTS = 80, DISTRICT_POINTS = 1024 };
 
-/* The cube of an edge up to leaf_mm in the octant of a node's cube that x is in. */
+/* Returns a cube for a query between small nodes. It is within the octant of the node's cube that
+ * contains x; its edge is at most leaf_mm. */
 static gather_cell cell_between(const core_gather_points *points, const gather_node *node,
                                 const double x[3]) {
   double corner[3], edge_mm = node->edge_mm;
@@ -779,7 +787,7 @@ static gather_cell cell_between(const core_gather_points *points, const gather_n
   return cell;
 }
 
-/* Turns a cube with its corner and edge into a cell with its centre and half the diagonal. */
+/* The ratio of half the diagonal of a cube to its edge, sqrt(3) / 2, rounded up. */
 #define HALF_DIAGONAL 0.8660254037844387
 static gather_cell cell_of_cube(gather_cell cube, const double x[3]) {
   if (!(cube.edge_mm > 0)) {
@@ -795,7 +803,7 @@ static gather_cell cell_of_cube(gather_cell cube, const double x[3]) {
 bool gather_cell_holds(const gather_cell *cell, const double x[3]) {
   bool held = cell->edge_mm > 0 && cell->radius_mm <= HALF_DIAGONAL * cell->edge_mm;
   for (int k = 0; k < 3; k++) {
-    /* Sides are off by rounding. */
+    /* Rounding displaces the sides, so queries near them do not count as inside. */
     held = held && fabs(x[k] - cell->at[k]) + 0x1p-48 * fabs(x[k]) < 0.499 * cell->edge_mm;
   }
   return held;

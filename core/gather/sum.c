@@ -1,19 +1,25 @@
-/* Gathers: finds the nodes that stand for their points, for each cell of queries, and sums.
+/* Gathers: selects, for each cell of queries, the nodes that replace their points, and computes the
+ * sums.
  *
- * Queries in one cell (the cube of a node of at most 80 points, or a cube of about a leaf's size
- * between nodes) share a list of nodes and of leaves whose points are summed one by one. The list
- * begins as that for the centre of the cube of a node of at most 1,024 points. That one is made from
- * the root on: with M estimated by a walk that opens nodes larger than half their distance, the nodes
- * with the largest bounds are opened, in any channel, until the sum B of all bounds is below 0.9
- * tolerance M. The cell estimates M by this list, computes the bounds again and opens further nodes.
+ * A cell is the cube of a node with at most 80 points, or a cube of about a leaf's size between
+ * such nodes. A district is the cube of a node with at most 1,024 points. All queries of a cell
+ * share a list: the nodes that replace their points, and the leaves whose points are summed one by
+ * one.
  *
- * Each query then has its own M, and B / (M - B) bounds its relative error. If that is above the
- * tolerance, the query takes the next list, for a quarter of the error; after eight lists it takes
- * all points. So a query's values depend on its cell and itself, and no order or slicing changes
- * them. Rounding of centroids, and of powers of channels that share moments, takes a 256th of the
- * tolerance, which the bound includes. What the profile is off from its model comes on top
- * (core_gather_error()).
- */
+ * The list of a district starts with the root. M is estimated by a walk that opens every node whose
+ * radius is larger than half its distance. Then the nodes with the largest bounds are opened until
+ * the sum B of all bounds is below 0.9 tolerance M in each channel. The list of a cell starts as a
+ * copy of its district's list. The cell estimates M with it, computes the bounds again and opens
+ * further nodes.
+ *
+ * Each query has its own M, and B / (M - B) bounds its relative error. If that exceeds the
+ * tolerance, the query uses the cell's next list, which has a quarter of the error. After eight
+ * lists it sums all points. The values of a query thus depend only on the query, the points and the
+ * profiles, and not on the order of queries.
+ *
+ * Rounding of centroids, and of powers of channels that share moments, takes up to 1/256 of the
+ * tolerance, which the bound includes. The error of the profile against its model adds to the bound
+ * (core_gather_error()). */
 #include <assert.h>
 #include <float.h>
 #include <math.h>
@@ -39,9 +45,10 @@ struct core_gather_sum {
   const gather_loops *loops;
   size_t channels;
   double tolerance;
-  core_profile profile[CORE_GATHER_CHANNELS_MAX]; /* copies that share the caller's memory */
-  gather_bounds *bounds;                          /* [channels], NULL if the tolerance is 0 */
-  /* The pieces of the tables of lut: with them, all queries of a cell are summed together. All are
+  /* shallow copies; the caller owns what they point to */
+  core_profile profile[CORE_GATHER_CHANNELS_MAX];
+  gather_bounds *bounds; /* [channels], NULL if the tolerance is 0 */
+  /* The tables of the evaluator lut. If they are there, all queries of a cell are summed together.
    * NULL for other evaluators. */
   gather_pieces pieces[CORE_GATHER_CHANNELS_MAX];
 };
@@ -114,8 +121,9 @@ void core_gather_sum_free(core_gather_sum *sum) {
   }
 }
 
-/* Returns about how many nodes and points a query takes. Measured with points on a sphere: from 600 to
- * 1,000 at 1e-2 for 1e4 to 1e6 points, and some twice as many for each tenth of the tolerance. */
+/* Returns about how many nodes and points each query visits. Fitted to points on a sphere: 600 to
+ * 1,000 visits at tolerance 1e-2 for 1e4 to 1e6 points, and about twice as many for a tenth of the
+ * tolerance. */
 static double visits_of(const core_gather_sum *sum, const core_gather_points *points) {
   const double n = (double)points->n;
   return sum->tolerance > 0 ? fmin(n, 50 * log2(n + 2) * pow(0.01 / sum->tolerance, 1.0 / 3)) : n;
@@ -125,8 +133,8 @@ static double test_cost(const core_gather_sum *sum) {
   return 20 + 20 * (double)sum->channels;
 }
 
-/* Returns the cost of making lists: about 0.7 nodes are tested for each visit of a cell's list, and
- * 0.9 for that of its district. */
+/* Returns the cost of making the lists of these numbers of cells and districts. Measured: for each
+ * visit of a query, making a cell's list tests 0.7 nodes and making a district's list 0.9. */
 static double lists_cost(const core_gather_sum *sum, const core_gather_points *points, double cells,
                          double districts) {
   return sum->tolerance > 0
@@ -138,7 +146,7 @@ static double channel_cost(const core_gather_sum *sum, size_t channel) {
   return core_radius_cost(&sum->profile[channel], CORE_QUANTITY_R);
 }
 
-/* Returns the cost of a query's own sums. */
+/* Returns the cost of one query's sums, in radii of a dipole. */
 static double sums_cost(const core_gather_sum *sum, const core_gather_points *points) {
   double each = 0;
   for (size_t c = 0; c < sum->channels; c++) {
@@ -172,24 +180,26 @@ double core_gather_cost(const core_gather_sum *sum, const core_gather_points *po
 
 /* ---- scratch --------------------------------------------------------------------------------- */
 
-/* A list that would be longer is replaced by all points. */
+/* The capacity of a list. If it is exceeded, all points are summed. */
 enum { LIST_MAX = 1 << 16 };
 
-/* The largest ratio of radius and distance of nodes that the estimate of M takes. */
+/* The first estimate of M uses nodes whose ratio of radius to distance is at most this. */
 #define ESTIMATE_ANGLE 0.5
 
-/* The share of the tolerance that a list may take: M may be less than its estimate. */
+/* The share of the tolerance that the bounds of a list may use. The rest allows for M below its
+ * estimate. */
 #define LIST_SHARE 0.9
 
-/* The lists of a cell get finer; from ALL_POINTS on, all points are summed. */
+/* The largest value of `fineness`, the number of finer lists that a cell has made. At this value
+ * all points are summed. */
 enum { ALL_POINTS = 8 };
 
-/* The lists of a cell: nodes that replace their points, and leaves whose points are summed one by
- * one. */
+/* The list of a cell or district: nodes that replace their points, and leaves whose points are
+ * summed one by one. */
 typedef struct list {
   gather_cell cell;
-  double estimate[CORE_GATHER_CHANNELS_MAX]; /* about M in the cell */
-  double error[CORE_GATHER_CHANNELS_MAX];    /* of the whole list */
+  double estimate[CORE_GATHER_CHANNELS_MAX]; /* estimate of M in the cell, W/mm^2 */
+  double error[CORE_GATHER_CHANNELS_MAX];    /* sum of the bounds of all nodes, W/mm^2 */
   size_t node_count, leaf_count;
   uint32_t node[LIST_MAX];
   uint32_t leaf[LIST_MAX];
@@ -199,34 +209,40 @@ typedef struct list {
 struct core_gather_scratch {
   const core_gather_sum *sum;
   const core_gather_points *points;
-  bool known;          /* whether the lists are those of a cell and its district */
-  list district, list; /* the list of a cell begins as that of its district */
+  bool known;          /* whether both lists are valid */
+  list district, list; /* `list` is of the present cell, and starts as a copy of `district` */
   int fineness;
-  /* Queries of one cell whose sums are under way, and where these stand: core_gather_on() stops
-   * between two blocks of any query. */
+  /* The batch: queries of one cell whose sums are under way. The members after it are its progress;
+   * core_gather_on() may stop between two steps. */
   uint32_t batch[GATHER_QUERIES];
-  size_t batch_count; /* 0: none is under way */
-  size_t left;        /* how many of them the present list has to sum; they come first */
+  size_t batch_count; /* 0: no batch is under way */
+  /* number of the batch's queries, the first ones, whose present list is not summed yet */
+  size_t left;
   size_t tried,
-      missed;         /* registers of radii in the district that were, and were not, close enough */
-  size_t together;    /* 0, or their number up to a multiple of GATHER_CLOSE: all take each step */
-  size_t step;        /* the next step of the present block: a query, or some of the block */
-  size_t node, group; /* the first node and the group of the present block */
-  size_t leaf, point; /* the leaf and its point behind the present block */
-  size_t filled;      /* points of the present block */
-  /* What is evaluated together */
+      /* of this district: registers of radii that look_up_close() tried, and could not evaluate */
+      missed;
+  /* `left` rounded up to a multiple of GATHER_CLOSE if all queries are summed together, else 0 */
+  size_t together;
+  size_t step; /* next step of the block: a query, or with `together` some of the nodes or points */
+  size_t node, group; /* the block's first node in the list, and the group of channels */
+  /* the position after the block: a leaf in the list, and a point in that leaf */
+  size_t leaf, point;
+  size_t filled; /* number of points in the block */
+  /* The arrays of one block, which are evaluated together: */
   gather_rows rows;
   _Alignas(64) double share[GATHER_NODES];
   double at[3][GATHER_POINTS + GATHER_LANES];
   double power[CORE_GATHER_CHANNELS_MAX][GATHER_POINTS + GATHER_LANES];
-  double r[GATHER_RADII]; /* of points, or of the pairs of half as many nodes */
+  double r[GATHER_RADII]; /* distances of points, or of nodes: two for each, mm */
   double R[GATHER_RADII];
   _Alignas(64) float narrow_r[GATHER_RADII];
   _Alignas(64) float narrow_R[GATHER_RADII];
-  _Alignas(64) double x[3][GATHER_QUERIES]; /* of queries that are summed together */
-  double part[CORE_GATHER_CHANNELS_MAX][GATHER_LANES][GATHER_QUERIES]; /* of the present block */
+  _Alignas(64) double x[3][GATHER_QUERIES]; /* the batch's queries, if they are summed together */
+  /* their lane sums over the block */
+  double part[CORE_GATHER_CHANNELS_MAX][GATHER_LANES][GATHER_QUERIES];
   double added[GATHER_QUERIES][CORE_GATHER_CHANNELS_MAX];
-  double lost[GATHER_QUERIES][CORE_GATHER_CHANNELS_MAX]; /* by rounding, for each sum */
+  /* compensation of each sum's rounding (Neumaier 1974) */
+  double lost[GATHER_QUERIES][CORE_GATHER_CHANNELS_MAX];
 };
 
 core_gather_scratch *core_gather_scratch_create(const core_gather_sum *sum,
@@ -258,13 +274,14 @@ typedef struct walk {
   const core_gather_points *points;
   core_gather_scratch *s;
   core_gather_visits *visits;
-  double *work; /* what may still be done, in radii of a dipole */
+  double *work; /* cost that is left until core_gather_on() returns, in radii of a dipole */
 } walk;
 
-/* Sets the errors of up to GATHER_LANES nodes of a list, by channel, for all queries of its cell. */
+/* Computes the bounds of up to GATHER_LANES nodes at these places of a list, for each channel. They
+ * hold for all queries of the list's cell. */
 static void find_errors(const walk *w, list *l, size_t count, const uint32_t *places) {
   const core_gather_points *points = w->points;
-  /* Rounding of centroids */
+  /* Closer nodes are opened: rounding of their centroid would exceed its share of the tolerance. */
   const double least_distance = points->reach_mm * 0x1p-41 / w->sum->tolerance;
   w->visits->tested += count;
   *w->work -= (double)count * test_cost(w->sum);
@@ -329,7 +346,7 @@ static void start_list(const walk *w, list *l) {
   find_errors(w, l, 1, (const uint32_t[1]){0});
 }
 
-/* Adds an estimate of a node's contribution to M in the cell. */
+/* Adds an estimate of a node's contribution to M to the list's estimate. */
 static void add_estimate(const walk *w, list *l, uint32_t node) {
   const core_gather_points *points = w->points;
   const gather_moments *m = &points->moments[node * points->groups];
@@ -343,7 +360,8 @@ static void add_estimate(const walk *w, list *l, uint32_t node) {
   }
 }
 
-/* Estimates M by nodes that look smaller than an angle. Returns false if there are too many. */
+/* Estimates M in the cell with nodes whose radius is at most ESTIMATE_ANGLE times their distance,
+ * and makes them the list. Returns false if they are too many. */
 static bool estimate_by_angle(const walk *w, list *l) {
   const core_gather_points *points = w->points;
   memset(l->estimate, 0, sizeof l->estimate);
@@ -369,7 +387,7 @@ static bool estimate_by_angle(const walk *w, list *l) {
   return true;
 }
 
-/* Estimates M by the nodes and leaves of the list. */
+/* Estimates M in the cell with the list's nodes and leaves. */
 static void estimate_by_list(const walk *w, list *l) {
   memset(l->estimate, 0, sizeof l->estimate);
   for (size_t i = 0; i < l->node_count; i++) {
@@ -391,7 +409,7 @@ static void add_errors(const walk *w, list *l) {
   memcpy(l->error, sum, sizeof sum);
 }
 
-/* Sets budget[channels] to a share of the error that the tolerance allows the list. */
+/* Sets budget[channels] to `share` times the largest error that the list may have, W/mm^2. */
 static void set_budget(const walk *w, const list *l, double share, double *budget) {
   for (size_t c = 0; c < w->points->channels; c++) {
     budget[c] = share * w->sum->tolerance * l->estimate[c];
@@ -406,8 +424,8 @@ static bool exceeds(const walk *w, const double *error, const double *limit) {
   return more;
 }
 
-/* Opens nodes of the list until its errors are within a share of what the tolerance allows. Returns
- * false if the list gets too long. */
+/* Opens nodes of the list until the sum of their bounds is within `share` of the tolerance. Returns
+ * false if the list is full. */
 static bool refine(const walk *w, list *l, double share) {
   double limit[CORE_GATHER_CHANNELS_MAX], budget[CORE_GATHER_CHANNELS_MAX];
   set_budget(w, l, share, budget);
@@ -434,7 +452,8 @@ static bool refine(const walk *w, list *l, double share) {
   return false;
 }
 
-/* Sets the errors of all nodes, or of those whose errors in the list are above the limit. */
+/* Computes the bounds of the list's nodes again. limit, unless NULL: only of nodes with a larger
+ * bound in a channel. */
 static void find_larger_errors(const walk *w, list *l, const double *limit) {
   uint32_t places[GATHER_LANES];
   size_t filled = 0;
@@ -449,8 +468,8 @@ static void find_larger_errors(const walk *w, list *l, const double *limit) {
   }
 }
 
-/* Makes the list that lists of the cells in a district begin with: one for the district's centre,
- * which has about as fine nodes as they need. Its errors are those for the whole district. */
+/* Makes the list of a district, with which the lists of its cells start. It is refined for the
+ * district's centre; then its bounds are computed for the whole district. */
 static void make_district(const walk *w, const gather_cell *district) {
   list *l = &w->s->district;
   l->cell = *district;
@@ -467,8 +486,8 @@ static void make_district(const walk *w, const gather_cell *district) {
   find_larger_errors(w, l, NULL);
 }
 
-/* Starts the list of the cell with that of its district. Errors that are small for the whole district
- * are not computed again. */
+/* Starts the cell's list as a copy of its district's list. Bounds that are small for the whole
+ * district are kept, and the others are computed again for the cell. */
 static void start_cell(const walk *w) {
   const list *from = &w->s->district;
   list *l = &w->s->list;
@@ -484,7 +503,7 @@ static void start_cell(const walk *w) {
   find_larger_errors(w, l, small);
 }
 
-/* Makes the next list of the cell. */
+/* Replaces the cell's list by the next finer one. */
 static void make_finer(const walk *w) {
   core_gather_scratch *s = w->s;
   list *l = &s->list;
@@ -502,7 +521,7 @@ static void make_finer(const walk *w) {
 
 /* ---- summing --------------------------------------------------------------------------------- */
 
-/* Adds without losing what rounding takes (Neumaier 1974). */
+/* Adds a value to a sum with compensation of rounding errors (Neumaier 1974). */
 static void add(double *sum, double *lost, double value) {
   const double more = *sum + value;
   if (more < (double)INFINITY) {
@@ -511,7 +530,8 @@ static void add(double *sum, double *lost, double value) {
   *sum = more;
 }
 
-/* Sets R[n] to R at s->r[n], a multiple of GATHER_LANES; `narrow_r` holds the radii, too. */
+/* Evaluates R[n] at the distances s->r[n]; n is a multiple of GATHER_LANES. The radii are also in
+ * s->narrow_r for the kernels in single precision. */
 static void evaluate(const core_gather_sum *sum, size_t channel, core_gather_scratch *s, size_t n) {
   const core_profile *profile = &sum->profile[channel];
   if (profile->evaluator == CORE_EVALUATOR_F64) {
@@ -526,12 +546,12 @@ static size_t padded(size_t n) {
   return (n + GATHER_LANES - 1) / GATHER_LANES * GATHER_LANES;
 }
 
-/* How often each number of gather_moments occurs. */
+/* The multiplicity of each field of gather_moments (see gather_rows). */
 static const double times[GATHER_FIELDS] = {1, 1, 1, 1, 1, 1, 1, 2, 2, 2, 1, 1, 1,
                                             2, 2, 2, 1, 1, 1, 3, 3, 3, 3, 3, 3, 6};
 _Static_assert(sizeof(gather_moments) == GATHER_FIELDS * sizeof(double), "all of them");
 
-/* Fetches the moments of a node, which are far apart from those of the next one of a list. */
+/* Prefetches the moments of a node: successive nodes of a list are far apart in memory. */
 static void fetch_moments(const core_gather_points *points, size_t node) {
   const char *moments = (const char *)&points->moments[node * points->groups];
   for (size_t i = 0; i < sizeof(gather_moments); i += 64) {
@@ -539,8 +559,9 @@ static void fetch_moments(const core_gather_points *points, size_t node) {
   }
 }
 
-/* Copies the moments of some nodes of the list to the rows, and the powers of the group's channels.
- * Returns the number of rows. The last rows are further ones without power. */
+/* Copies the moments of nodes first to first + count of the list to s->rows, and the powers of the
+ * group's channels to s->power. Pads with nodes without power to a multiple of GATHER_LANES, and
+ * returns that number. */
 static size_t fill_rows(const walk *w, size_t group, size_t first, size_t count) {
   const core_gather_points *points = w->points;
   const size_t n = padded(count);
@@ -567,7 +588,7 @@ static size_t fill_rows(const walk *w, size_t group, size_t first, size_t count)
   return n;
 }
 
-/* Adds the nodes of the present block to the sums of the query at x. */
+/* Adds the n nodes of the present block to the sums of query q, which is at x. */
 static void add_rows(const walk *w, size_t n, size_t q, const double *x) {
   core_gather_scratch *s = w->s;
   const gather_loops *loops = w->sum->loops;
@@ -583,23 +604,26 @@ static void add_rows(const walk *w, size_t n, size_t q, const double *x) {
   }
 }
 
-/* In a step all queries of the batch together take this many nodes or points of the block. */
+/* How many nodes or points of the block a step adds for all queries of the batch together. */
 enum { STEP_NODES = 4, STEP_POINTS = GATHER_LANES }; /* rows of part */
 _Static_assert(2 * STEP_NODES * GATHER_QUERIES <= GATHER_RADII, "two radii of each");
 
-/* Returns the number of steps of a block of n nodes or points. */
+/* Returns the number of steps for a block of n nodes or points. each: how many a step of a batch
+ * adds. */
 static size_t steps_of(const core_gather_scratch *s, size_t n, size_t each) {
   return s->together > 0 ? n / each : s->left;
 }
 
-/* Sets narrow_R[n] of the first radii, those of all queries of a cell. */
+/* Evaluates s->narrow_R[n] at the first n radii in s->narrow_r: by look_up_close() while most of
+ * its tries succeed, else by the kernel. */
 static void look_up(const walk *w, size_t channel, size_t n) {
   core_gather_scratch *s = w->s;
   const core_profile *profile = &w->sum->profile[channel];
   uint64_t missed = w->sum->loops->look_up_close(profile->lut, &w->sum->pieces[channel], n,
                                                  s->narrow_r, s->narrow_R);
   s->tried += n / GATHER_CLOSE;
-  for (size_t end = 0; missed != 0;) { /* runs of registers */
+  /* for each run of adjacent registers that look_up_close() left out */
+  for (size_t end = 0; missed != 0;) {
     size_t from = end;
     for (; (missed & 1) == 0; missed >>= 1) {
       from++;
@@ -613,7 +637,7 @@ static void look_up(const walk *w, size_t channel, size_t n) {
   }
 }
 
-/* Does a step of the present block of nodes. */
+/* Adds the next STEP_NODES nodes of the block to the lane sums of all queries of the batch. */
 static void add_rows_together(const walk *w) {
   core_gather_scratch *s = w->s;
   const gather_loops *loops = w->sum->loops;
@@ -630,7 +654,7 @@ static void add_rows_together(const walk *w) {
   }
 }
 
-/* Does a step of the present block of points. */
+/* Adds the next STEP_POINTS points of the block to the lane sums of all queries of the batch. */
 static void add_points_together(const walk *w) {
   core_gather_scratch *s = w->s;
   const gather_loops *loops = w->sum->loops;
@@ -645,8 +669,8 @@ static void add_points_together(const walk *w) {
   }
 }
 
-/* Adds the sums of the present block of a group, or of points, which all queries evaluated
- * together. */
+/* Adds the lane sums of the present block to the sums of the batch's queries. all_groups: of all
+ * channels; else only those of the present group. */
 static void add_parts(const walk *w, bool all_groups) {
   core_gather_scratch *s = w->s;
   for (size_t c = 0; c < w->points->channels && s->together > 0; c++) {
@@ -663,7 +687,8 @@ static void add_parts(const walk *w, bool all_groups) {
   }
 }
 
-/* Adds the nodes of the list to the sums of the batch. Returns false if the work is used up before. */
+/* Adds the list's nodes to the sums of the batch. Returns false if the work is used up before the
+ * end. */
 static bool add_nodes(const walk *w, const double *xyz) {
   core_gather_scratch *s = w->s;
   for (; s->node < s->list.node_count; s->node += GATHER_NODES) {
@@ -690,8 +715,8 @@ static bool add_nodes(const walk *w, const double *xyz) {
   return true;
 }
 
-/* Fills the block with the next points of the leaves, or of all points. The last ones are further
- * ones without power. */
+/* Fills the block with the next points of the list's leaves, or with the next of all points. Pads
+ * it with points without power to a multiple of GATHER_LANES. */
 static void fill_points(const walk *w) {
   core_gather_scratch *s = w->s;
   const core_gather_points *points = w->points;
@@ -724,7 +749,7 @@ static void fill_points(const walk *w) {
   }
 }
 
-/* Adds the n points of the present block to the sums of the query at x. */
+/* Adds the n points of the present block to the sums of query q, which is at x. */
 static void add_block(const walk *w, size_t n, size_t q, const double *x) {
   core_gather_scratch *s = w->s;
   const gather_loops *loops = w->sum->loops;
@@ -738,7 +763,8 @@ static void add_block(const walk *w, size_t n, size_t q, const double *x) {
   }
 }
 
-/* Adds the points of the leaves, or all points, as add_nodes() does. */
+/* Adds the points of the list's leaves, or all points, to the sums of the batch. Returns false if
+ * the work is used up. */
 static bool add_points(const walk *w, const double *xyz) {
   core_gather_scratch *s = w->s;
   for (;;) {
@@ -764,7 +790,8 @@ static bool add_points(const walk *w, const double *xyz) {
   }
 }
 
-/* Whether M is within the tolerance in each channel; sets the bounds. */
+/* Computes M and the bound of query q. Returns whether M is within the tolerance in each
+ * channel. */
 static bool finish_query(const walk *w, size_t q, double *M, float *bound) {
   const core_gather_scratch *s = w->s;
   bool within = true;
@@ -776,19 +803,21 @@ static bool finish_query(const walk *w, size_t q, double *M, float *bound) {
     within = within && value >= s->list.error[c] && error + spare <= w->sum->tolerance;
     M[c] = value;
     if (bound != NULL) {
-      bound[c] = (float)((error + spare) * (1 - 0x1p-22)); /* `spare` is more than this */
+      bound[c] = (float)((error + spare) * (1 - 0x1p-22)); /* rounds the bound up to a float */
     }
   }
   return within || s->fineness == ALL_POINTS;
 }
 
-/* Begins the sums of those queries of the batch that are left. */
+/* Clears the sums of the batch's first `left` queries and decides whether they are summed
+ * together. */
 static void begin_batch(const walk *w, const double *xyz) {
   core_gather_scratch *s = w->s;
   memset(s->added, 0, sizeof s->added);
   memset(s->lost, 0, sizeof s->lost);
   s->step = s->node = s->group = s->leaf = s->point = s->filled = 0;
-  /* The rest of a register works for nothing, and radii that are not close enough take longer. */
+  /* Summing together computes whole registers, and is slower for radii that are not close. It pays
+   * only if enough lanes are used. */
   const size_t lanes = (s->left + GATHER_CLOSE - 1) / GATHER_CLOSE * GATHER_CLOSE;
   const bool faster = 5 * s->left >= 3 * lanes && 5 * s->missed <= s->tried;
   s->together = w->sum->pieces[0].memory != NULL && faster ? lanes : 0;
@@ -801,7 +830,8 @@ static void begin_batch(const walk *w, const double *xyz) {
   memset(s->part, 0, sizeof s->part);
 }
 
-/* Gathers at the queries of the batch. Returns false if the work is used up before. */
+/* Gathers at the queries of the batch, with finer lists until all are within the tolerance. Returns
+ * false if the work is used up before the end. */
 static bool gather_batch(const walk *w, const double *xyz, double *M, float *bound) {
   core_gather_scratch *s = w->s;
   const size_t channels = w->points->channels;
@@ -823,7 +853,8 @@ static bool gather_batch(const walk *w, const double *xyz, double *M, float *bou
   return false;
 }
 
-/* Makes a batch of the first queries that are in one cell, and the cell's list. */
+/* Makes a batch of the next queries that share a cell, up to GATHER_QUERIES, and makes the cell's
+ * list. */
 static void take_batch(const walk *w, size_t n, const uint32_t *order, size_t from,
                        const double *xyz) {
   core_gather_scratch *s = w->s;
@@ -891,18 +922,19 @@ void core_gather(const core_gather_sum *sum, const core_gather_points *points,
 
 /* ---- errors ---------------------------------------------------------------------------------- */
 
-/* Rounding a distance to single precision changes R by this much, relative, at distances up to
- * most_mm where R has not underflowed. */
+/* Returns the largest relative change of R by rounding a distance to single precision. It considers
+ * distances up to most_mm at which R has not underflowed. */
 static double rounding_error(const core_profile *profile, double most_mm) {
   double steepest = 1;
-  /* A table that was downloaded knows the power of two alone. */
+  /* A downloaded table does not contain scale_mm exactly, only its power of two. */
   for (double r = 1e-4 * ldexp(1, ilogb(profile->scale_mm)); r < 1.05 * most_mm; r *= 1.05) {
     const double far = r < most_mm ? r : most_mm;
     const float radii[2] = {(float)(0.99 * far), (float)far};
     float R[2];
     core_eval_f32(profile, CORE_QUANTITY_R, 2, radii, R);
     if (R[1] > FLT_MIN && R[0] <= FLT_MAX) {
-      steepest = fmax(steepest, 100 * ((double)R[0] / (double)R[1] - 1)); /* at least the slope */
+      /* an upper bound of |dR/dr| r / R from two radii 1 % apart */
+      steepest = fmax(steepest, 100 * ((double)R[0] / (double)R[1] - 1));
     }
   }
   return 1.1 * steepest * 0x1p-24;
