@@ -28,11 +28,12 @@ enum core_value_status {
 #include "core/choices.def"
 };
 
-extern const core_choice core_value_statuses[]; /* `about` says what is allowed */
+/* of the kind of choice; `about` says what is allowed */
+extern const core_choice core_value_statuses[];
 
 /* ---- preparing ------------------------------------------------------------------------------- */
 
-#define CORE_VARYING_TOLERANCE 1e-3 /* of a surface, if the parameter `tolerance` is not given */
+#define CORE_VARYING_TOLERANCE 1e-3 /* default of the parameter `tolerance` of a surface */
 #define CORE_VARYING_TOLERANCE_MIN 1e-5
 /* sigma_t' = sigma_a + sigma_s (1 - g) of media that vary */
 #define CORE_VARYING_SIGMA_T_PRIME_MIN_PER_MM 1e-6
@@ -42,7 +43,7 @@ extern const core_choice core_value_statuses[]; /* `about` says what is allowed 
 
 enum { CORE_VARYING_SHARED_MAX = 32 };
 
-/* The light that a colour, an albedo painted by an artist, belongs to. */
+/* The illumination to which a colour, a diffuse albedo painted by an artist, refers. */
 enum core_light {
   CORE_LIGHT_BEAM,    /* a beam at normal incidence */
   CORE_LIGHT_DIFFUSE, /* the same radiance from all directions: a furnace */
@@ -57,7 +58,7 @@ typedef struct core_varying {
   enum core_evaluator evaluator; /* f64 or f32 */
   double g;
   double eta;
-  unsigned notes; /* bits of enum core_note */
+  unsigned notes; /* a mask of enum core_note */
   /* The media that the preparation serves have a ratio sigma_s' / sigma_t' from least to most.
    * sigma_s may also be 0, unless the model is `transport`. */
   double albedo_least;
@@ -66,18 +67,22 @@ typedef struct core_varying {
    * the least for light that the model does not know. */
   double colour_least[CORE_LIGHTS];
   double colour_most[CORE_LIGHTS];
-  /* The share of the light striking the surface that the surface itself reflects (Fresnel). */
+  /* Fresnel reflectance of the surface: the share of the incident light that does not enter. */
   double specular[CORE_LIGHTS];
-  double surface_error; /* measured error of the surface, relative; 0 for other models */
-  float *words;         /* of the surface and of colours, for core_varying_open(); owned */
+  /* largest relative error found when the surface was made; 0 for models without a surface */
+  double surface_error;
+  float *words; /* words of the surface and of the colours (core/varying/surface.h); owned */
   size_t words_count;
 
-  double table_g; /* with which the surface scatters: g, gamma - 1, or 0 by similarity */
-  double gamma;   /* the parameters, NAN if they are not given */
+  /* parameter of the scattering that the surface is made for: g, gamma - 1, or 0 for similarity */
+  double table_g;
+  double gamma; /* parameters of core_varying_prepare(); NAN if not given */
   double surface_albedo;
-  const struct core_kernels *kernels;       /* of the model */
-  const struct core_kernels *check_kernels; /* of all models: checks and colours */
-  double *wide_words; /* the words for kernels in double precision, or NULL; owned */
+  const struct core_kernels *kernels; /* kernels of the model */
+  /* kernels that every model uses, for checks and colours */
+  const struct core_kernels *check_kernels;
+  /* the same words in double precision; NULL if the evaluator does not need them; owned */
+  double *wide_words;
   struct {
     double f64[CORE_VARYING_SHARED_MAX];
     float f32[CORE_VARYING_SHARED_MAX];
@@ -115,10 +120,11 @@ size_t core_varying_bytes(const core_varying *varying);
 
 /* What the computed values of an array have in common. */
 typedef struct core_varying_range {
-  size_t computed;     /* number of values with a status OK or FAR; the rest is of those with OK */
-  double albedo_least; /* sigma_s' / sigma_t'; the least is above the most if there are none */
+  /* number of values with status OK or FAR; the members below cover only values with OK */
+  size_t computed;
+  double albedo_least; /* range of sigma_s' / sigma_t'; least > most if no value has OK */
   double albedo_most;
-  double mfp_least; /* r sigma_t', of finite radii */
+  double mfp_least; /* range of r sigma_t', of finite radii */
   double mfp_most;
 } core_varying_range;
 
@@ -140,7 +146,7 @@ void core_varying_check_u_f32(const core_varying *varying, size_t n, const float
                               const float *sigma_s, const float *u, uint8_t *status,
                               core_varying_range *range);
 
-/* Joins the ranges of two arrays into *range. */
+/* Extends *range to include *other. */
 void core_varying_range_add(core_varying_range *range, const core_varying_range *other);
 
 /* Returns the numerical error of the wanted quantities (bits) of values in a range whose status is
@@ -171,8 +177,9 @@ void core_varying_sample_f32(const core_varying *varying, size_t n, const float 
 /* The values of core_varying_gradient_f64(), each an array of n numbers, or NULL if not wanted. */
 typedef struct core_gradient {
   double *ln_R;
-  double *by_ln_sigma_a; /* d ln R / d ln sigma_a at fixed r and sigma_s */
-  double *by_ln_sigma_s; /* d ln R / d ln sigma_s at fixed r and sigma_a; for sigma_s' the same */
+  double *by_ln_sigma_a; /* d ln R / d ln sigma_a at constant r and sigma_s */
+  /* d ln R / d ln sigma_s at constant r and sigma_a; the derivative by ln sigma_s' is the same */
+  double *by_ln_sigma_s;
 } core_gradient;
 
 /* Sets ln R and its derivatives, for all models that core_varying_prepare() accepts, with evaluator
@@ -190,7 +197,8 @@ void core_varying_gradient_f64(const core_varying *varying, size_t n, const doub
 /* What a colour means. */
 typedef struct core_colour {
   enum core_light light;
-  bool specular; /* whether the colour contains what the surface itself reflects (Fresnel) */
+  /* whether the colour includes the light that the surface reflects without entering (Fresnel) */
+  bool specular;
   enum core_length length;
 } core_colour;
 

@@ -4,8 +4,7 @@ enum { TERMS = CORE_CELLS_TERMS, STEPS = CORE_CELLS_STEPS };
 
 const double core_cells_points[TERMS] = {0, 0.25, 0.75, 1};
 
-/* Coefficients of the powers of t for the value at each point, for each degree: Lagrange's
- * polynomials. */
+/* lagrange[degree - 1][i][k]: the coefficient of t^k in Lagrange's polynomial of point i. */
 static const double lagrange[3][TERMS][TERMS] = {
     {{1, -1}, {0, 1}},
     {{1, -3, 2}, {0, 4, -4}, {0, -1, 2}},
@@ -38,7 +37,7 @@ void core_cells_fit_patches(const double *values, size_t rows, size_t columns, f
   const size_t count = STEPS * columns + 1;
   for (size_t patch = 0; patch < rows * columns; patch++) {
     const double *corner = &values[STEPS * (patch / columns) * count + STEPS * (patch % columns)];
-    double along[TERMS][TERMS]; /* powers of t, at each point of the rows */
+    double along[TERMS][TERMS]; /* along[i][k]: coefficient of t^k at point i of the rows */
     for (int i = 0; i < TERMS; i++) {
       core_cells_through(STEPS, &corner[(size_t)i * count], 1, along[i]);
     }

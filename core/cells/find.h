@@ -1,5 +1,5 @@
-/* find: how kernels find and evaluate cells (core/cells/cells.h), and those of a surface in particular
- * (core/varying/surface.h). Each sum and product is rounded separately. */
+/* find: how kernels find and evaluate cells (core/cells/cells.h), in particular those of a surface
+ * (core/varying/surface.h). Each sum and product is rounded separately, never fused. */
 #ifndef DIPOLED_CORE_CELLS_FIND_H
 #define DIPOLED_CORE_CELLS_FIND_H
 
@@ -13,8 +13,8 @@ typedef int64_t cells_integer;
 typedef int32_t cells_integer;
 #endif
 
-/* Words are of the kernels' precision, integers as the bits of such a number, because compilers
- * gather only with indices of the same size. */
+/* Reads a word as an integer. In kernels of double precision words are doubles and integers have 64
+ * bits, because gather instructions need indices as wide as the data. */
 static inline cells_integer cells_word(const real *words, cells_integer at) {
   const real number = words[at];
   cells_integer word;
@@ -22,14 +22,15 @@ static inline cells_integer cells_word(const real *words, cells_integer at) {
   return word;
 }
 
-/* A cell of an octave or an axis, and the place in it, from 0 to 1. */
+/* A cell and the place in it, from 0 to 1. */
 struct cells_place {
   cells_integer cell;
   real t;
-  real per_unit; /* by how much t grows for each unit of the coordinate; not set in an octave */
+  real per_unit; /* dt / d(coordinate); cells_in_octave() leaves it unset */
 };
 
-/* Finds a number with these bits in its octave, which has 2^(REAL_MANTISSA_BITS - shift) cells. */
+/* Finds the cell of a number in its octave. bits: the number's bits. The octave has
+ * 2^(REAL_MANTISSA_BITS - shift) cells. */
 static inline struct cells_place cells_in_octave(cells_integer bits, cells_integer shift) {
   const cells_integer mantissa = bits & (((cells_integer)1 << REAL_MANTISSA_BITS) - 1);
   const cells_integer index = mantissa >> shift;
@@ -38,7 +39,8 @@ static inline struct cells_place cells_in_octave(cells_integer bits, cells_integ
   return (struct cells_place){.cell = index, .t = (real)rest * unit};
 }
 
-/* axis: of enum core_surface_axis; kept: the coordinate, clamped to the axis. */
+/* Finds the cell of a coordinate on an axis of a surface. axis: enum core_surface_axis; kept: the
+ * coordinate, limited to the axis's range. */
 static inline struct cells_place cells_find(const real *words, cells_integer axis, real kept) {
   const cells_integer bits = (cells_integer)real_to_bits(kept);
   const cells_integer octave =
@@ -58,17 +60,18 @@ static inline real cells_kept(const real *words, cells_integer axis, real x) {
   return real_min(real_max(x, words[CORE_SURFACE_LEAST + axis]), words[CORE_SURFACE_MOST + axis]);
 }
 
-/* Returns the polynomial at word `at`. */
+/* Returns the cubic polynomial whose coefficients begin at word `at`, at the place t. */
 static inline real cells_line(const real *words, cells_integer at, real t) {
   return words[at] + t * (words[at + 1] + t * (words[at + 2] + t * words[at + 3]));
 }
 
-/* Returns its derivative by t. */
+/* Returns the derivative by t of the polynomial of cells_line(). */
 static inline real cells_slope(const real *words, cells_integer at, real t) {
   return words[at + 1] + t * (2 * words[at + 2] + t * (3 * words[at + 3]));
 }
 
-/* Returns the polynomial of two coordinates at word `at`; p is that of the rows. */
+/* Returns the bicubic polynomial whose coefficients begin at word `at`. p: the place in the
+ * direction from row to row; t: within a row. */
 static inline real cells_patch(const real *words, cells_integer at, real p, real t) {
   return cells_line(words, at, t) +
          p * (cells_line(words, at + 4, t) +

@@ -153,13 +153,13 @@ static bool set_scale(struct build *b) {
   return true;
 }
 
-/* Whether R, 2 pi r R and the pdf have underflowed at a radius. */
+/* Returns whether R, 2 pi r R and the pdf have all underflowed at the radius r. */
 static bool is_nothing(const struct build *b, double r) {
   const double factor = fmax(1, 6.3 * r * fmax(1, 1 / b->source->albedo));
   return value(b, CORE_QUANTITY_R, r) * factor < 0x1p-150;
 }
 
-/* Finds the last octave. Returns false unless R has underflowed beyond it or falls like 1 / r^3. */
+/* Finds the last octave. Returns true if R beyond it has underflowed or falls like 1 / r^3. */
 static bool find_last(struct build *b) {
   b->last = b->first + 1;
   while (b->last < EXPONENT_MAX && !is_nothing(b, ldexp(1, b->last)) &&
@@ -213,7 +213,8 @@ static core_fault gather_R(struct build *b) {
       .function = scaled_R,
       .context = b,
       .tolerance = b->tolerance,
-      /* 8 of the smallest positive numbers in any quantity that is derived from R */
+      /* An absolute error is negligible below 8 times the smallest positive number in any quantity
+       * derived from R. */
       .negligible = 0x1p-146 / factor / b->scale,
   };
   return gather(b, &subject, CORE_LUT_R_OCTAVES, b->first, b->last);
@@ -224,7 +225,7 @@ static core_fault gather_cdf(struct build *b) {
       .function = cdf,
       .context = b,
       .tolerance = b->tolerance,
-      .negligible = 0x1p-146, /* 8 of the smallest positive numbers */
+      .negligible = 0x1p-146, /* 8 times the smallest positive number */
       .monotone = true,
   };
   return gather(b, &subject, CORE_LUT_CDF_OCTAVES, b->first, b->last);
@@ -248,7 +249,7 @@ static int first_u(const struct build *b) {
  * by as much, so that the last of them does not exceed the first piece. Nothing else depends on
  * these words then: the cdf itself has underflowed. */
 static void keep_order_at_first_u(struct build *b) {
-  const double slack = 0x1p-22; /* 2 units in the last place, relative */
+  const double slack = 0x1p-22; /* twice the unit in the last place, relative */
   if (b->word[CORE_LUT_NEAR_LOG] > 0 &&
       value(b, CORE_QUANTITY_CDF, b->word[CORE_LUT_FIRST_MM]) < 0x1p-150) {
     b->word[CORE_LUT_NEAR_CDF] *= 1 + 2 * slack;
@@ -337,8 +338,8 @@ static core_fault assemble(const struct build *b, core_lut *lut) {
 
 core_fault core_lut_build(core_lut *lut, const core_profile *source, double tolerance) {
   struct build b = {.source = source, .tolerance = tolerance};
-  /* Entries outside of the octaves point to the first piece. The kernels replace its values there
-   * by the asymptotes. */
+  /* Entries of octaves without pieces point to the first piece. The kernels then use the asymptotes
+   * in place of its values. */
   uint32_t outside;
   core_fault fault = lut_fit_constant(0, &b.pieces, &outside);
   for (size_t i = 0; i < sizeof b.entries / sizeof b.entries[0]; i++) {

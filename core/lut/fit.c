@@ -10,29 +10,29 @@
 
 #include "core/kernels.h"
 
-/* The places in a piece where the fit is compared, in 1/64 of its length. All are exact in single
- * precision. */
+/* The places in a piece at which fits are compared with the function, in 1/64 of its length. They
+ * are exact in single precision. */
 enum { PLACES = 11, STEP = 64, FOUND_PER_PIECE = 5, SCANNED_PER_PIECE = 16 };
 
-/* A piece whose error at its FOUND_PER_PIECE arguments is more than this share of the largest one
- * known is compared at SCANNED_PER_PIECE arguments more. */
+/* Each piece is checked at FOUND_PER_PIECE arguments. If its error exceeds this share of the
+ * largest error so far, it is checked at SCANNED_PER_PIECE further ones. */
 #define SCAN_SHARE 0.8
 
 static const int places[PLACES] = {0, 3, 9, 16, 24, 32, 40, 48, 55, 61, 64};
 
-/* points[degree - 1] lists the places through which a polynomial of degree 1, 2 or 3 goes, those of
- * core_cells_through(). */
+/* points[degree - 1]: indices of the places that a polynomial of degree 1, 2 or 3 interpolates, as
+ * by core_cells_through(). */
 static const int points[3][4] = {{0, 10}, {0, 5, 10}, {0, 3, 7, 10}};
 
-/* A term of the wrong sign is set to 0 if its size is at most this, relative to the first term. */
+/* A term of the wrong sign is set to 0 if it is at most this times the first term. */
 #define ALMOST_NONE 1e-9
 
 const core_fault lut_too_rough = {"tolerance", "larger: no table of this profile keeps it", 0};
 
 /* ---- candidates ------------------------------------------------------------------------------ */
 
-/* Computes the coefficients in w of the polynomial of this degree through the values y at its
- * points. These lie symmetrically, so from the right they are the same in reverse. */
+/* Sets c[] to the coefficients, in powers of w, of the polynomial of this degree that interpolates
+ * y at its points. The points are symmetric: from the right, their order is reversed. */
 static void interpolate(int degree, bool from_right, const double *y, double *c) {
   double through[CORE_LUT_TERMS];
   for (int i = 0; i <= degree; i++) {
@@ -41,8 +41,8 @@ static void interpolate(int degree, bool from_right, const double *y, double *c)
   core_cells_through(degree, through, 1, c);
 }
 
-/* Makes all terms have the sign of the whole change. Returns false if a term of the other sign is
- * larger than rounding errors. */
+/* Makes all terms after the first have the sign of the total change. Returns false if a term of the
+ * other sign is larger than rounding. */
 static bool one_sign(double *c) {
   const double change = c[1] + c[2] + c[3];
   for (int k = 1; k < CORE_LUT_TERMS; k++) {
@@ -56,8 +56,8 @@ static bool one_sign(double *c) {
   return true;
 }
 
-/* Whether all Bernstein coefficients of a polynomial are positive, so that it is positive on [0,
- * 1]. */
+/* Returns whether all Bernstein coefficients of a polynomial are positive, which makes it positive
+ * on [0, 1]. */
 static bool positive(const double *c) {
   return c[0] > 0 && c[0] + c[1] / 3 > 0 && c[0] + 2 * c[1] / 3 + c[2] / 3 > 0 &&
          c[0] + c[1] + c[2] + c[3] > 0;
@@ -73,8 +73,8 @@ static void round_piece(const double *c, bool from_right, float *piece) {
   }
 }
 
-/* Lowers a piece of one sign, if necessary, so that its far end does not pass the function's value
- * there. The next piece starts from that value, so the function as a whole stays monotone. */
+/* Lowers a monotone piece, if needed, so that its far end does not exceed the function's value
+ * there. The next piece starts from that value, so the whole function stays monotone. */
 static void stop_at(float *piece, bool from_right, double far_end) {
   const float limit = (float)far_end;
   const float t = from_right ? 0 : 1;
@@ -88,7 +88,7 @@ static void stop_at(float *piece, bool from_right, double far_end) {
     for (int k = 2; k < CORE_LUT_TERMS; k++) {
       largest = fabsf(piece[k]) > fabsf(*largest) ? &piece[k] : largest;
     }
-    /* Moves the largest term towards 0, by at least one unit of its last place. */
+    /* Reduces the largest term by at least one unit in its last place. */
     const float less = fmaxf(fabsf(end - limit), fabsf(*largest) * 0x1p-23f);
     *largest = copysignf(fmaxf(fabsf(*largest) - less, 0), *largest);
   }
@@ -111,8 +111,8 @@ static double worst_of(const struct lut_subject *subject, const float *piece, co
   return worst;
 }
 
-/* Finds the best piece for the values y at the places. Returns false if none keeps the tolerance.
- */
+/* Sets *best to the coefficients of the best piece for the function values y[] at the places.
+ * Returns false if none is within the tolerance. */
 static bool fit_piece(const struct lut_subject *subject, const double *y, float *best) {
   double least = (double)INFINITY;
   for (int degree = 3; degree >= 1; degree--) {
@@ -230,8 +230,7 @@ static double error_at(const struct lut_subject *subject, int exponent, unsigned
 
 double lut_fit_error(const struct lut_subject *subject, int exponent, uint32_t entry,
                      const struct lut_pieces *pieces, double known) {
-  /* Between the places, close to where polynomials through the points of degrees 3, 2 and 1 have
-   * their largest errors. */
+  /* Arguments between the places, near the largest errors of polynomials of degrees 3, 2 and 1. */
   static const double between[FOUND_PER_PIECE] = {6.5 / 64, 13.5 / 64, 31.5 / 64, 50.5 / 64,
                                                   57.5 / 64};
   const unsigned cuts = CORE_LUT_MANTISSA_BITS - CORE_LUT_ENTRY_SHIFT(entry);

@@ -7,23 +7,24 @@
 /* A function that writes its value at x[i] to y[i], for i from 0 to n - 1. */
 typedef void core_lut_function(const void *context, size_t n, const double *x, double *y);
 
-/* The function of a fit. Any value may also be off by `negligible`, absolute. */
+/* The function that is fitted. An absolute error up to `negligible` always counts as within the
+ * tolerance. */
 struct lut_subject {
   core_lut_function *function;
   const void *context;
-  double tolerance; /* relative, of each value */
+  double tolerance; /* largest relative error of each value */
   double negligible;
-  bool monotone; /* the function rises, and the rounded values must never fall */
+  bool monotone; /* the function rises, so the rounded values must not fall */
 };
 
 /* The pieces of all functions that have been fitted so far. */
 struct lut_pieces {
   float (*c)[CORE_LUT_TERMS]; /* malloc()ed */
   size_t count;
-  size_t room; /* pieces that c has memory for */
+  size_t room; /* number of pieces for which c has memory */
 };
 
-/* The fault if no table keeps the tolerance. */
+/* The fault if no table is within the tolerance: the tolerance is too small. */
 extern const core_fault lut_too_rough;
 
 /* Appends the pieces for [2^exponent, 2^(exponent + 1)). It begins with 2^*cuts equal pieces and

@@ -1,5 +1,5 @@
-/* Holds by instruction set the kernels that belong to no model. They are in a file of their own, so
- * that a program that only evaluates tables links no other kernels. */
+/* Defines, for each instruction set, the tables of kernels that belong to no model. They are in a
+ * file of their own, so a program that only evaluates tables links no other kernels. */
 #include "core/kernels.h"
 
 #define INDEX(level, unused) INDEX_##level,

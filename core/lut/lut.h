@@ -34,37 +34,40 @@
 
 /* Positions of the words. */
 enum core_lut_word {
-  CORE_LUT_FIRST_MM,   /* the first radius of the pieces of R and cdf, a power of two */
-  CORE_LUT_LAST_MM,    /* the radius where these pieces end, a power of two */
+  CORE_LUT_FIRST_MM,   /* radius where the pieces of R and cdf begin, mm, a power of two */
+  CORE_LUT_LAST_MM,    /* radius where these pieces end, mm, a power of two */
   CORE_LUT_SCALE,      /* 1/mm^2, a power of two: R is its piece times SCALE */
   CORE_LUT_RING_SCALE, /* 2 pi SCALE */
   CORE_LUT_PDF_SCALE,  /* 2 pi SCALE / albedo */
-  CORE_LUT_NEAR_POWER, /* if 1, R below FIRST_MM is SCALE NEAR_R / r, NEAR_R in mm; */
-  CORE_LUT_NEAR_R,     /* if 0, it is SCALE (NEAR_R + NEAR_LOG log2(FIRST_MM / r)) */
+  CORE_LUT_NEAR_POWER, /* R at r < FIRST_MM, if 1: SCALE NEAR_R / r, with NEAR_R in mm; */
+  CORE_LUT_NEAR_R,     /* if 0: SCALE (NEAR_R + NEAR_LOG log2(FIRST_MM / r)) */
   CORE_LUT_NEAR_LOG,
-  CORE_LUT_NEAR_CDF,     /* cdf below FIRST_MM = NEAR_CDF r if NEAR_POWER is 1, else */
-  CORE_LUT_NEAR_CDF_LOG, /* cdf = (NEAR_CDF + NEAR_CDF_LOG log2(FIRST_MM / r)) r^2 */
-  CORE_LUT_FAR,          /* from LAST_MM on, R is SCALE FAR (LAST_MM / r)^3, and the cdf is LIMIT */
+  CORE_LUT_NEAR_CDF,     /* cdf at r < FIRST_MM, if NEAR_POWER is 1: NEAR_CDF r; */
+  CORE_LUT_NEAR_CDF_LOG, /* if 0: (NEAR_CDF + NEAR_CDF_LOG log2(FIRST_MM / r)) r^2 */
+  CORE_LUT_FAR,          /* at r >= LAST_MM R is SCALE FAR (LAST_MM / r)^3, and the cdf is LIMIT */
   CORE_LUT_LIMIT,        /* the cdf's limit for large r: 1, or 0 if nothing scatters */
-  CORE_LUT_FIRST_U,      /* the least u that has a piece of the radius, a power of two */
+  CORE_LUT_FIRST_U,      /* smallest u that has a piece of the radius, a power of two */
   /* Below FIRST_U the radius in mm is NEAR_RADIUS u if NEAR_POWER is 1. Otherwise the formula of
  * NEAR_CDF is solved for it, starting from NEAR_RADIUS sqrt(u). */
   CORE_LUT_NEAR_RADIUS,
   CORE_LUT_SAMPLES_MM,     /* the least radius of the samples, a power of two */
   CORE_LUT_SPARE,          /* this word is 0 */
-  CORE_LUT_R_OCTAVES = 16, /* an entry of R for each exponent of r */
-  CORE_LUT_CDF_OCTAVES = CORE_LUT_R_OCTAVES + 256,             /* of cdf, also by exponent of r */
-  CORE_LUT_RADIUS_OCTAVES = CORE_LUT_CDF_OCTAVES + 256,        /* of the radius, by exponent of u */
-  CORE_LUT_COMPLEMENT_OCTAVES = CORE_LUT_RADIUS_OCTAVES + 128, /* the same by exponent of 1 - u */
-  CORE_LUT_PIECES = CORE_LUT_COMPLEMENT_OCTAVES + 128,         /* CORE_LUT_TERMS words each */
+  CORE_LUT_R_OCTAVES = 16, /* first entry of R; one for each exponent of r */
+  /* first entry of the cdf; one for each exponent of r */
+  CORE_LUT_CDF_OCTAVES = CORE_LUT_R_OCTAVES + 256,
+  /* first entry of the radius; one for each exponent of u */
+  CORE_LUT_RADIUS_OCTAVES = CORE_LUT_CDF_OCTAVES + 256,
+  /* first entry of the radius; one for each exponent of 1 - u */
+  CORE_LUT_COMPLEMENT_OCTAVES = CORE_LUT_RADIUS_OCTAVES + 128,
+  /* first piece; each has CORE_LUT_TERMS words */
+  CORE_LUT_PIECES = CORE_LUT_COMPLEMENT_OCTAVES + 128,
   CORE_LUT_TERMS = 4
 };
 
 #define CORE_LUT_PIECES_MAX 65536
 
-/* Behind the pieces are samples: R of the profile that the table was made from, in double precision.
- * They tell how R varies with the radius, which a sum over points within a tolerance needs
- * (core/gather). Each takes two words. */
+/* After the pieces there are samples: R of the profile in double precision, two words each. From
+ * them core/gather bounds how R varies with the radius. */
 enum {
   CORE_LUT_OCTAVE_SAMPLES_LOG2 = 5,
   CORE_LUT_SAMPLES = 29 << CORE_LUT_OCTAVE_SAMPLES_LOG2,
@@ -73,16 +76,16 @@ enum {
       CORE_LUT_PIECES + CORE_LUT_TERMS * CORE_LUT_PIECES_MAX + CORE_LUT_SAMPLE_WORDS
 };
 
-/* The octave of scale_mm is number CORE_LUT_SCALE_OCTAVE of the samples' octaves. */
+/* The number, among the samples' octaves, of the octave that contains scale_mm. */
 enum { CORE_LUT_SCALE_OCTAVE = 14 };
 
-/* Sets r[CORE_LUT_SAMPLES] to the radii of a profile's samples, and R[] to the samples: those of its
- * table, or R of any other profile. With n samples in an octave, radius i = k n + j is the least radius
- * times 2^k (1 + j / n), but the last radius is 0. */
+/* Sets R[CORE_LUT_SAMPLES] to samples of R in 1/mm^2 and r[] to their radii in mm. If the profile
+ * is a table, it reads the samples stored in it; else it evaluates R. With n samples in an octave,
+ * radius k n + j is the least radius times 2^k (1 + j / n); the last radius is 0. */
 void core_lut_samples(const core_profile *profile, double *r, double *R);
 
-/* An entry holds the number of its octave's first piece and a shift. The mantissa shifted right by
- * that many bits gives the position of a piece, counted from the first one. */
+/* An octave's entry: the index of its first piece, and a shift. An argument's mantissa shifted
+ * right by it is the number of its piece within the octave. */
 #define CORE_LUT_ENTRY(piece, shift) ((uint32_t)(piece) << 5 | (uint32_t)(shift))
 #define CORE_LUT_ENTRY_PIECE(entry) ((entry) >> 5)
 #define CORE_LUT_ENTRY_SHIFT(entry) ((entry)&31)
@@ -92,7 +95,8 @@ enum { CORE_LUT_MANTISSA_BITS = 23, CORE_LUT_CUTS_MAX = 11 };
 typedef struct core_lut {
   float *words; /* malloc()ed */
   size_t count; /* number of words, a multiple of 4 */
-  double error; /* largest relative error found in R and cdf between the nodes of the fits */
+  /* largest relative error found in R and cdf at arguments that the fits did not use */
+  double error;
 } core_lut;
 
 /* Makes the table of a profile in double precision. R, cdf and the radius for a cdf then have a

@@ -17,7 +17,7 @@ bool core_table_has(enum core_quantity quantity) {
          quantity == CORE_QUANTITY_S;
 }
 
-/* Sets R[n] in double precision. */
+/* Evaluates R[n] in double precision by the profile's kernel. */
 static void evaluate(const core_profile *profile, size_t n, const double *r, double *R) {
   if (profile->evaluator == CORE_EVALUATOR_F64) {
     core_eval_f64(profile, CORE_QUANTITY_R, n, r, R);
@@ -31,8 +31,8 @@ static void evaluate(const core_profile *profile, size_t n, const double *r, dou
   }
 }
 
-/* Returns the exponent of the least radius of the samples. It follows from any bits that a peer may
- * have sent. */
+/* Returns the exponent of the least radius of the samples. A peer may have sent any bits: the
+ * result is within the exponents of a double. */
 static int samples_exponent(const core_profile *profile) {
   return profile->evaluator != CORE_EVALUATOR_LUT
              ? ilogb(profile->scale_mm) - CORE_LUT_SCALE_OCTAVE

@@ -7,7 +7,7 @@
 #define EULER_GAMMA 0.57721566490153286061
 #define EPSILON 0x1p-52
 #define SERIES_UP_TO 2.0
-/* limit for the continued fraction, which needs 60 terms at |w| = 2 and fewer beyond */
+/* limit of the continued fraction's terms: it needs 60 at |w| = 2 and fewer for larger |w| */
 enum { TERMS_MAX = 200 };
 
 /* The ascending series (Abramowitz and Stegun, 9.6.10, 9.6.11 and 9.6.13). With t = w^2 / 4 and the

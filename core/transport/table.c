@@ -1,5 +1,5 @@
-/* The code reads tables byte by byte, so that they may have any alignment, on machines of any byte
- * order. */
+/* Reads and evaluates the table of solutions. It reads bytes one by one, so the table may have any
+ * alignment and the machine any byte order. */
 #include "core/transport/table.h"
 #include "core/transport/decay.h"
 
@@ -17,31 +17,31 @@ enum {
   TERMS_MAX = TRANSPORT_TABLE_TERMS_MAX,
   PANELS = TRANSPORT_TABLE_PANELS,
   SIDES = TRANSPORT_TABLE_SIDES,
-  TOTALS_MAX = 2,                   /* of one side */
-  SERIES_MAX = TOTALS_MAX + PANELS, /* of one side */
-  LANES = 4,                        /* coefficients that are added together */
+  TOTALS_MAX = 2,                   /* totals of one side of eta */
+  SERIES_MAX = TOTALS_MAX + PANELS, /* series of one side of eta */
+  LANES = 4,                        /* number of coefficients that are summed in parallel */
 };
 
-/* A block: coefficients with the same indices but for the innermost one, filled up with zeros to a
+/* A block: the coefficients that share all indices but the innermost, padded with zeros to a
  * multiple of LANES. */
 struct block {
-  uint32_t at; /* position of the first coefficient */
-  uint16_t
-      weight; /* the other indices but the albedo's: l TERMS_MAX + j for a panel, l for a total */
-  uint16_t groups; /* of LANES coefficients */
+  uint32_t at;     /* index of the first coefficient */
+  uint16_t weight; /* index of the block's weight: l TERMS_MAX + j for a panel, l for a total */
+  uint16_t groups; /* number of groups of LANES coefficients */
 };
 
-/* A series in the order in which it is summed: the albedo's index i is the outermost. The innermost
- * index is k for a panel, and j for a total. */
+/* A series in the order of summation. The outermost index i is that of the albedo. The innermost is
+ * k for a panel, and j for a total. */
 struct packed {
   size_t terms;                /* of k */
   size_t of_albedo;            /* of i */
-  size_t first[TERMS_MAX + 1]; /* position of the first block of each i */
+  size_t first[TERMS_MAX + 1]; /* index of the first block of each i */
   struct block *block;
   int32_t *coefficient;
 };
 
-/* The series of each side, isotropic scattering first, the totals before the panels. */
+/* All series of both sides of eta: of isotropic scattering, then of D; the totals before the
+ * panels. */
 struct transport_packed {
   struct packed series[2 * SIDES][SERIES_MAX];
 };
@@ -149,7 +149,8 @@ uint64_t transport_table_checksum(const uint8_t *bytes, size_t length) {
   return hash;
 }
 
-/* These read on at *at. The checksum has shown that the bytes are those of a table. */
+/* Read a number at *at and move *at behind it. The checksum guarantees that the bytes are a
+ * table. */
 static size_t read_count(const uint8_t **at) {
   return *(*at)++;
 }
@@ -169,9 +170,10 @@ static size_t number_of_totals(int side) {
   return side < SIDES ? 1 : TOTALS_MAX;
 }
 
-/* Reads a series of a side. count: the number of coefficients of the block that each combination of
- * the indices i, l and j (panels) or i and l (totals) has, which is set if `coefficient` is NULL;
- * otherwise, position: of the first coefficient of each block. */
+/* Reads a series of one side. count[]: the number of coefficients of the block with each
+ * combination of the indices i, l and j (panels) or i and l (totals). A call with position NULL
+ * sets count[]. Another call stores the coefficients, those of each block from its position[]
+ * on. */
 static void read_series(const uint8_t **at, bool of_g, bool is_total, struct packed *series,
                         uint8_t *count, const uint32_t *position) {
   series->terms = read_count(at);
@@ -197,7 +199,7 @@ static void read_series(const uint8_t **at, bool of_g, bool is_total, struct pac
   }
 }
 
-/* Lays the blocks of a series out. Returns whether there is memory. */
+/* Allocates a series and sets its blocks from count[]. Returns false if memory runs out. */
 static bool lay_blocks(struct packed *series, bool is_total, const uint8_t *count,
                        uint32_t *position) {
   const size_t of_one = (size_t)TERMS_MAX * TERMS_MAX;
@@ -225,7 +227,7 @@ static bool lay_blocks(struct packed *series, bool is_total, const uint8_t *coun
   return series->block != NULL && series->coefficient != NULL;
 }
 
-/* Reads one side of one part. Returns false if memory runs out. */
+/* Reads all series of one side. Returns false if memory runs out. */
 static bool pack_side(const uint8_t **at, int side, struct packed series[SERIES_MAX]) {
   const size_t most = (size_t)TERMS_MAX * TERMS_MAX * TERMS_MAX, totals = number_of_totals(side);
   uint8_t *count = malloc(most);
@@ -315,7 +317,7 @@ bool transport_table_covers(const transport_table *table, double albedo, double 
          eta >= field[TRANSPORT_TABLE_ETA_LEAST] && eta <= field[TRANSPORT_TABLE_ETA_MOST];
 }
 
-/* Returns the number of limits that a number has reached. */
+/* Returns how many of the ascending limits are at most x. */
 static size_t band(double x, const double *limits, size_t count) {
   size_t i = 0;
   while (i < count && x >= limits[i]) {
@@ -351,7 +353,7 @@ double transport_table_error(const transport_table *table, double albedo, double
   const double isotropic = table->field[TRANSPORT_TABLE_ERROR];
   double error = 0;
   const size_t first = transport_table_region(albedo, g, eta, x_least);
-  /* a range that ends where a band begins does not touch that band */
+  /* A range that ends where a band begins does not belong to that band. */
   const size_t last = transport_table_region(albedo, g, eta, fmax(x_least, x_most * (1 - 0x1p-40)));
   for (size_t i = first; i <= last && g != 0; i++) {
     error = fmax(error, table->field[TRANSPORT_TABLE_D_ERRORS + i]);
@@ -367,14 +369,15 @@ double transport_table_diffuse_error(const transport_table *table, double albedo
   return table->field[TRANSPORT_TABLE_DIFFUSE_ERRORS + transport_table_albedo_band(albedo)];
 }
 
-/* Sets values to the polynomials of v on the side of this eta. */
+/* Sets values[] to the polynomials of v at this eta, on its side. */
 static void polynomials_of_v(const double *field, double eta, double *values) {
   double range[2];
   transport_table_v_range(field, transport_table_side(eta), range);
   core_chebyshev_polynomials(TERMS_MAX, mapped(transport_table_v(eta), range[0], range[1]), values);
 }
 
-/* Set values to the polynomials of the albedo (t for isotropic scattering, u for D), then of g. */
+/* Set values[] to the polynomials of the albedo's coordinate: t for isotropic scattering, u for D;
+ * the third, to those of g. */
 static void polynomials_of_t(const double *field, double albedo, double *values) {
   core_chebyshev_polynomials(TERMS_MAX,
                              mapped(transport_table_t(albedo),
@@ -398,14 +401,14 @@ static void polynomials_of_w(const double *field, double g, double *values) {
                              values);
 }
 
-/* Finishes a difference whose terms have been read: makes its panels meet and sets last_slope. */
+/* Completes a difference whose terms have been set: joins its panels and sets last_slope. */
 static void end_difference(transport_difference *difference) {
   for (size_t i = 0; i < PANELS; i++) {
     difference->terms[i] = difference->terms[i] < 2 ? 2 : difference->terms[i];
   }
   transport_join_panels(PANELS, TERMS_MAX, difference->term[0]);
   const double *last = difference->term[PANELS - 1], *edge = difference->edge;
-  double slope = 0; /* that of T_k at 1 is k^2 */
+  double slope = 0; /* the derivative of T_k at 1 is k^2 */
   for (size_t k = 1; k < difference->terms[PANELS - 1]; k++) {
     slope += (double)(k * k) * last[k];
   }
@@ -414,7 +417,7 @@ static void end_difference(transport_difference *difference) {
 
 /* ---- summing -------------------------------------------------------------------------------- */
 
-/* The polynomials of g and v, of one part. */
+/* The polynomials of g and v at the medium: weights of the blocks of one part. */
 struct weights {
   double of_l[TERMS_MAX];
   double of_v[TERMS_MAX];
@@ -437,7 +440,7 @@ static void set_weights(const double *field, bool of_difference, double g, doubl
   }
 }
 
-/* Sets sum, from 0 to the largest number of terms of its blocks, to the sum of the blocks of i. */
+/* Sets sum[] to the weighted sum of all blocks with the albedo's index i. */
 static void sum_blocks(const struct packed *series, size_t i, const double *weight, double *sum) {
   memset(sum, 0, TERMS_MAX * sizeof *sum);
   for (size_t b = series->first[i]; b < series->first[i + 1]; b++) {
@@ -452,18 +455,19 @@ static void sum_blocks(const struct packed *series, size_t i, const double *weig
   }
 }
 
-/* The rows of a series, by the albedo's index. */
+/* The sums over all indices but the albedo's, by the albedo's index. */
 struct rows {
   double row[TERMS_MAX][TERMS_MAX];
 };
 
-/* One part of the table for a g and eta. */
+/* One part of the table (isotropic scattering, or D) for one g and eta. */
 struct part {
   const double *field;
   bool of_difference;
   size_t totals;
-  const struct packed *series; /* the totals before the panels */
-  const struct rows *rows;     /* of each series, or NULL: they are summed anew */
+  const struct packed *series; /* series of this side of eta, the totals before the panels */
+  /* rows of each series; NULL: not kept, so they are summed for each medium */
+  const struct rows *rows;
   struct weights weights;
 };
 
@@ -478,7 +482,7 @@ static void set_part(const transport_table *table, bool of_difference, double g,
   set_weights(table->field, of_difference, g, eta, &part->weights);
 }
 
-/* Sets row[k] to that of series n and the albedo's index i. */
+/* Sets row[k] to the row of series n for the albedo's index i. */
 static void sum_row(const struct part *part, size_t n, size_t i, double row[TERMS_MAX]) {
   const struct packed *series = &part->series[n];
   const struct weights *weights = &part->weights;
@@ -499,14 +503,14 @@ static void sum_row(const struct part *part, size_t n, size_t i, double row[TERM
   }
 }
 
-/* Sets terms[k] to the sum of the row of each i times of_albedo[i]. */
+/* Adds of_albedo times row to terms. */
 static void add_row(const double *row, size_t count, double of_albedo, double *terms) {
   for (size_t k = 0; k < count; k++) {
     terms[k] += of_albedo * row[k];
   }
 }
 
-/* Sets terms to the coefficients of T_k of series n, which a medium has. Returns their number. */
+/* Sets terms[] to the Chebyshev coefficients of series n for a medium. Returns their number. */
 static size_t sum_series(const struct part *part, size_t n, const double *of_albedo,
                          double terms[TERMS_MAX]) {
   const struct packed *series = &part->series[n];
@@ -534,7 +538,7 @@ static void sum_panels(const struct part *part, const double *of_albedo, size_t 
   }
 }
 
-/* Adds the difference to a series of isotropic scattering. kappa: that of the medium. */
+/* Sets series->difference, for g other than 0. kappa: the medium's decay rate. */
 static void add_difference(const struct part *part, double albedo, double g, double kappa,
                            transport_series *series) {
   transport_difference *difference = &series->difference;
@@ -549,7 +553,7 @@ static void add_difference(const struct part *part, double albedo, double g, dou
   series->total = sum_total(part, 0, of_u, albedo);
 }
 
-/* Sets the part of *series that is of isotropic scattering, for an albedo that the table has. */
+/* Sets the part of *series for isotropic scattering. The table covers the albedo. */
 static void sum_isotropic(const struct part *part, double albedo, transport_series *series) {
   double of_t[TERMS_MAX];
   polynomials_of_t(part->field, albedo, of_t);
@@ -622,7 +626,7 @@ void transport_table_look_up(const transport_table *table, double albedo, double
 
 /* ---- slices ---------------------------------------------------------------------------------- */
 
-/* The parts of a slice, with their rows: of isotropic scattering, then of D. */
+/* The two parts of a slice with their rows: isotropic scattering, then D. */
 struct transport_slice {
   const transport_table *table;
   double g, eta;
@@ -673,8 +677,7 @@ void transport_slice_look_up(const transport_slice *slice, double albedo, double
 
 /* ---- evaluating ------------------------------------------------------------------------------ */
 
-/* Returns the sum of a panel's terms at its beginning or its end, where each polynomial is -1 or
- * 1. */
+/* Returns a panel's series at its beginning, where T_k is (-1)^k, or at its end, where T_k is 1. */
 static double at_end(const double *term, size_t count, bool begin) {
   double sum = 0;
   for (size_t k = 0; k < count; k++) {
@@ -694,7 +697,7 @@ void transport_join_panels(size_t panels, size_t count, double *terms) {
   }
 }
 
-/* Returns the panel that y is in. */
+/* Returns the index of the panel that contains y. */
 static int panel_of(const double edge[PANELS + 1], double y) {
   int panel = 0;
   while (panel < PANELS - 1 && y > edge[panel + 1]) {
@@ -703,14 +706,14 @@ static int panel_of(const double edge[PANELS + 1], double y) {
   return panel;
 }
 
-/* Returns the series of the panel that y is in. Outside all panels it is constant. */
+/* Returns the series at y. Outside all panels it has the value of the nearest end. */
 static double sum_at(const double edge[PANELS + 1], const size_t terms[PANELS],
                      const double term[PANELS][TERMS_MAX], double y) {
   const int panel = panel_of(edge, y);
   return core_chebyshev_sum(terms[panel], term[panel], mapped(y, edge[panel], edge[panel + 1]));
 }
 
-/* Returns what D gains beyond its reach. */
+/* Returns by how much D at y exceeds D at its reach; 0 within the reach. */
 static double beyond_reach(const transport_difference *difference, double y) {
   const double beyond = (y - difference->edge[PANELS]) / TRANSPORT_TABLE_D_FADES;
   return beyond > 0
@@ -735,9 +738,9 @@ double transport_series_at(const transport_series *series, double y) {
   return isotropic ? sum : sum + transport_difference_at(&series->difference, y);
 }
 
-enum { TOGETHER = 8 }; /* sums side by side, which wait for each other less */
+enum { TOGETHER = 8 }; /* number of sums evaluated in parallel, to hide latency */
 
-/* Adds the series at each y, in ascending order. */
+/* Adds the series at each y[i] to the sums; the y ascend. */
 static void add_sums(const double edge[PANELS + 1], const size_t terms[PANELS],
                      const double term[PANELS][TERMS_MAX], size_t n, const double *y, double *out) {
   size_t i = 0;

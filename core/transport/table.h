@@ -77,7 +77,8 @@
 /* smallest R that the field ERROR holds for, per squared mean free path */
 #define TRANSPORT_TABLE_R_LEAST 1e-12
 #define TRANSPORT_TABLE_MARGIN 1.5
-/* the margin for regions of g other than 0, each of which has few media */
+/* factor of safety of the stated errors of regions with g other than 0, which few media were tested
+ * in */
 #define TRANSPORT_TABLE_MARGIN_D 2.0
 
 #define TRANSPORT_TABLE_D_FADES 1.0
@@ -88,7 +89,7 @@ enum {
   /* number of panels between fixed edges, for isotropic scattering and for D */
   TRANSPORT_TABLE_NEAR = 2,
   TRANSPORT_TABLE_D_NEAR = 3,
-  TRANSPORT_TABLE_TERMS_MAX = 96, /* largest number of terms in each direction */
+  TRANSPORT_TABLE_TERMS_MAX = 96, /* largest number of terms in each coordinate */
   /* numbers of bands whose errors are stated, for g other than 0: see transport_table_region() */
   TRANSPORT_TABLE_BANDS_G = 4,
   TRANSPORT_TABLE_BANDS_ALBEDO = 5,
@@ -99,8 +100,8 @@ enum {
 };
 
 enum transport_table_field {
-  TRANSPORT_TABLE_ERROR,        /* of isotropic scattering, largest relative error, see above */
-  TRANSPORT_TABLE_QUANTUM,      /* unit of the coefficients, of isotropic scattering */
+  TRANSPORT_TABLE_ERROR,   /* isotropic scattering: largest relative error of R and of the total */
+  TRANSPORT_TABLE_QUANTUM, /* isotropic scattering: unit of the integer coefficients */
   TRANSPORT_TABLE_ALBEDO_LEAST, /* smallest albedo that the table covers */
   TRANSPORT_TABLE_ALBEDO_MOST,
   TRANSPORT_TABLE_ETA_LEAST,
@@ -140,7 +141,7 @@ enum transport_table_side {
  * are summed. */
 typedef struct transport_table {
   double field[TRANSPORT_TABLE_FIELDS];
-  const uint8_t *difference; /* position among the bytes where D begins */
+  const uint8_t *difference; /* index of the byte where D begins */
   struct transport_packed *packed;
 } transport_table;
 
@@ -178,12 +179,12 @@ double transport_table_diffuse_error(const transport_table *table, double albedo
 /* By how much a medium differs from the one with the same albedo and eta that scatters
  * isotropically: Chebyshev series in ln x. */
 typedef struct transport_difference {
-  double kappa;                            /* of the medium */
-  double kappa_isotropic;                  /* of the isotropic one */
-  double edge[TRANSPORT_TABLE_PANELS + 1]; /* edges in ln x */
+  double kappa;                            /* decay rate of the medium, per mean free path */
+  double kappa_isotropic;                  /* decay rate of the isotropic medium */
+  double edge[TRANSPORT_TABLE_PANELS + 1]; /* edges of the panels, in ln x */
   size_t terms[TRANSPORT_TABLE_PANELS];
   double term[TRANSPORT_TABLE_PANELS][TRANSPORT_TABLE_TERMS_MAX];
-  double last_slope; /* by ln x, at the last edge */
+  double last_slope; /* slope by ln x at the last edge */
 } transport_difference;
 
 /* Returns what has to be added to L_0 = ln(x R_0) + kappa_isotropic x, where R_0 is of the isotropic
@@ -208,8 +209,8 @@ typedef struct transport_series {
 void transport_table_look_up(const transport_table *table, double albedo, double g, double eta,
                              transport_series *series);
 
-/* What the table holds for one g and eta, as series in the albedo's coordinate: looking up one
- * albedo after the other then takes microseconds. About a megabyte. */
+/* The table reduced to one g and eta: series in the albedo's coordinate alone. Looking up an albedo
+ * in it takes microseconds. About a megabyte. */
 typedef struct transport_slice transport_slice;
 
 /* Creates the slice of a g and eta, which the table has to cover (asserted). Returns NULL if memory

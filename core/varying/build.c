@@ -1,4 +1,5 @@
-/* Makes and checks the words of core/varying/surface.h. */
+/* Makes the words of a surface, and checks words that others have made. core/varying/surface.h
+ * describes them. */
 #include "core/varying/surface.h"
 
 #include <math.h>
@@ -26,7 +27,7 @@ static uint32_t integer_at(const float *words, size_t at) {
   return core_cells_bits(words[at]);
 }
 
-/* Returns the entry of octave i of an axis, counted from CORE_SURFACE_EXPONENT on. */
+/* Returns the entry of octave i of an axis. Octave 0 begins at 2^CORE_SURFACE_EXPONENT. */
 static uint32_t entry_of(const float *words, enum core_surface_axis axis, size_t i) {
   return integer_at(words, CORE_SURFACE_ENTRIES + CORE_SURFACE_AXIS * (size_t)axis + i);
 }
@@ -35,7 +36,8 @@ static size_t cells_of(const float *words, enum core_surface_axis axis) {
   return integer_at(words, (size_t)CORE_SURFACE_CELLS + axis);
 }
 
-/* Lays an axis from 2^first to 2^end, with 2^cuts[i] cells in octave i from `first` on. */
+/* Writes the entries of an axis that covers [2^first, 2^end). Octave first + i has 2^cuts[i]
+ * cells. */
 static void lay_axis(float *words, enum core_surface_axis axis, int first, int end,
                      const uint8_t *cuts) {
   size_t cell = 0;
@@ -51,8 +53,8 @@ static void lay_axis(float *words, enum core_surface_axis axis, int first, int e
   put_integer(words, (size_t)CORE_SURFACE_CELLS + axis, cell);
 }
 
-/* Sets nodes to the coordinates at `count` shares of the length of each cell of an axis, in ascending
- * order, and one more to the end of the axis. Returns their number without the last. */
+/* Sets nodes[] to coordinates in ascending order: `count` in each cell, at these shares of its
+ * length, and the end of the axis. Returns their number without the last one. */
 static size_t axis_nodes(const float *words, enum core_surface_axis axis, size_t count,
                          const double *shares, double *nodes) {
   const double least = (double)words[CORE_SURFACE_LEAST + axis];
@@ -70,7 +72,8 @@ static size_t axis_nodes(const float *words, enum core_surface_axis axis, size_t
   return node;
 }
 
-/* Sets *t to the place of a coordinate on an axis in its cell, which is returned. */
+/* Returns the index of the cell that contains the coordinate x on an axis. *t is set to the place
+ * in that cell. */
 static size_t cell_at(const float *words, enum core_surface_axis axis, double x, double *t) {
   const int octave = ilogb(x);
   const uint32_t entry = entry_of(words, axis, (size_t)(octave - CORE_SURFACE_EXPONENT));
@@ -80,7 +83,7 @@ static size_t cell_at(const float *words, enum core_surface_axis axis, double x,
   return (entry >> CORE_CELLS_ENTRY_BITS) + index;
 }
 
-/* The axes of each function; the first two share their rows. */
+/* The axes of each function; the first two functions have the same rows. */
 static const struct {
   bool of_transport;
   bool has_rows;
@@ -97,7 +100,7 @@ static const struct {
     [CORE_SURFACE_S_OF_REST + CORE_LIGHT_DIFFUSE] = {true, false, CORE_SURFACE_COLOUR_REST},
 };
 
-/* Returns the number of words of a function. */
+/* Returns the number of words that a function takes. */
 static size_t words_of(const float *words, enum core_surface_function function) {
   const size_t lines = shapes[function].has_rows
                            ? cells_of(words, CORE_SURFACE_S) + cells_of(words, CORE_SURFACE_W)
@@ -111,11 +114,13 @@ static size_t words_of(const float *words, enum core_surface_function function) 
 /* ---- colours --------------------------------------------------------------------------------- */
 
 enum {
-  COLOUR_FIRST = -20, /* octaves of the colour, and of its distance from the largest colour */
+  COLOUR_FIRST = -20, /* first octave of the colour, and of the largest colour minus the colour */
   COLOUR_REST_FIRST = -24,
   COLOUR_END = -1,
   COLOUR_CUTS = 2,
-  COLOUR_FINE = 2, /* octaves at the end, with more cuts: dark media of a large eta bend there */
+  /* the last octaves have more cuts, because the function bends there for dark media of a large
+   * eta */
+  COLOUR_FINE = 2,
   COLOUR_FINE_CUTS = 4,
   COLOUR_FINE_MORE = (COLOUR_FINE << COLOUR_FINE_CUTS) - (COLOUR_FINE << COLOUR_CUTS),
   COLOUR_CELLS = ((COLOUR_END - COLOUR_FIRST) << COLOUR_CUTS) + COLOUR_FINE_MORE,
@@ -124,11 +129,12 @@ enum {
   SECANTS = 40
 };
 
-/* Albedos as a function of s = sqrt(sigma_a / sigma_t'), of one light. */
+/* Albedos of one light as a function of s = sqrt(sigma_a / sigma_t'). */
 struct albedos {
-  double (*at)(const struct albedos *albedos, double s, double w); /* w = 1 - s; falls with s */
-  const double *shared;                                            /* of a dipole */
-  const rows *rows;                                                /* of transport */
+  /* returns the albedo; w = 1 - s; it falls as s grows */
+  double (*at)(const struct albedos *albedos, double s, double w);
+  const double *shared; /* constants of a dipole (core/models/lanes.h) */
+  const rows *rows;     /* rows of `transport` */
   enum core_light light;
 };
 
@@ -144,17 +150,18 @@ static double dipole_albedo(const struct albedos *albedos, double s, double w) {
   return 0.5 * dipole.power * dipole.sum;
 }
 
-/* Returns the logarithm of the albedo of the medium w = e^y, or of what it lacks to `most` if
- * `rest`, of the medium s = e^y. */
+/* Returns ln of the albedo of the medium with w = e^y. If `rest`: ln of (most - albedo) of the
+ * medium with s = e^y. */
 static double ln_albedo(const struct albedos *albedos, double most, bool rest, double y) {
   const double x = fn_exp(y);
   const double albedo = rest ? albedos->at(albedos, x, 1 - x) : albedos->at(albedos, 1 - x, x);
   return fn_log(fmax(rest ? most - albedo : albedo, 1e-300));
 }
 
-/* Returns the y at which ln_albedo() is `wanted`, by the secant method from y on: the function rises,
- * and is nearly a straight line of slope 1 or 2. Where the albedo is small, as in dark media with a
- * large eta, `most - albedo` hardly changes with y: a step that leaves the bracket halves it. */
+/* Solves ln_albedo(y) = wanted for y by the secant method, starting at y. The function rises and is
+ * nearly a straight line of slope 1 or 2. A step that leaves the bracket is replaced by halving the
+ * bracket: where the albedo is small, as in dark media with a large eta, most - albedo hardly
+ * changes with y. */
 static double find_medium(const struct albedos *albedos, double most, bool rest, double wanted,
                           double y) {
   double before = y - 0.01, off_before = ln_albedo(albedos, most, rest, before) - wanted;
@@ -162,7 +169,8 @@ static double find_medium(const struct albedos *albedos, double most, bool rest,
   for (int i = 0; i < SECANTS; i++) {
     const double off = ln_albedo(albedos, most, rest, y) - wanted;
     const double slope = (off - off_before) / (y - before);
-    if (fabs(off) < 1e-13 || (!rest && !(slope > 0.1))) { /* or below the least albedo */
+    /* stops also below the least albedo, where the function is flat */
+    if (fabs(off) < 1e-13 || (!rest && !(slope > 0.1))) {
       break;
     }
     low = off < 0 ? y : low;
@@ -181,7 +189,7 @@ static void fit_colours(const struct albedos *albedos, double most, float *words
     const size_t cells = rest ? COLOUR_REST_CELLS : COLOUR_CELLS;
     axis_nodes(words, rest ? CORE_SURFACE_COLOUR_REST : CORE_SURFACE_COLOUR, STEPS,
                core_cells_points, nodes);
-    double y = fn_log(0.7); /* of about half of the largest albedo */
+    double y = fn_log(0.7); /* starts near the medium with half of the largest albedo */
     for (size_t i = STEPS * cells + 1; i-- > 0;) {
       y = find_medium(albedos, most, rest, fn_log(most * nodes[i]), y);
       values[i] = fn_exp(y);
@@ -194,7 +202,8 @@ static void fit_colours(const struct albedos *albedos, double most, float *words
   }
 }
 
-/* Makes the functions of colours for the light of `albedos`. */
+/* Writes the functions from colours to media for the light of `albedos`. *at: position of the next
+ * word. */
 static void put_colours(const struct albedos *albedos, double most, float *words, size_t *at) {
   words[CORE_SURFACE_COLOUR_MOST + albedos->light] = (float)most;
   words[CORE_SURFACE_COLOUR_LEAST + albedos->light] = (float)(most * ldexp(1, COLOUR_FIRST));
@@ -214,20 +223,21 @@ static void lay_colour_axes(float *words) {
 /* ---- the surface ----------------------------------------------------------------------------- */
 
 enum {
-  S_FIRST = -17, /* octaves of each axis; that of s begins here or below: see first_of_s() */
+  S_FIRST = -17, /* first octave of each axis; the axis of s may begin lower: see first_of_s() */
   W_FIRST = -8,
   ALBEDO_END = -1,
   U_FIRST = -20,
   REST_FIRST = -24,
   U_END = -1,
-  FINE_LEVEL = 2, /* the first one for tolerances below 2e-5 */
+  FINE_LEVEL = 2, /* the first level for tolerances below 2e-5 */
   LEVELS = 4
 };
 
-/* The cells of an octave of radii, as powers of two. Q has a kink at each fixed edge of the table's
- * series: octaves whose cells do not meet there get narrow ones. */
+/* Returns the cuts of an octave of radii: log2 of its number of cells. Q has a kink at each fixed
+ * edge of the table's series. If no boundary of cells falls on it, the octave gets more cells. */
 static int cuts_of_radius(const transport_table *table, int octave, int level) {
-  /* Single scattering gives way to multiple near x = 8; the series for g end near x = 100. */
+  /* Multiple scattering overtakes single scattering near x = 8. The series for g end near x =
+   * 100. */
   const int base = octave < -1 ? 0 : octave == 0 ? 3 : octave > 0 && octave < 8 ? 2 : 1;
   const bool bends = octave == 3 || (octave > 4 && octave < 8 && level > 0);
   int cuts = base + (octave < -11 ? 0 : level) + bends;
@@ -235,13 +245,13 @@ static int cuts_of_radius(const transport_table *table, int octave, int level) {
     const double edge = table->field[i <= TRANSPORT_TABLE_NEAR
                                          ? TRANSPORT_TABLE_EDGES + i
                                          : TRANSPORT_TABLE_D_EDGES + i - TRANSPORT_TABLE_NEAR - 1];
-    const double place = ldexp(edge, -octave); /* in units of the octave's begin */
+    const double place = ldexp(edge, -octave); /* the edge relative to the octave's beginning */
     const double cell = ldexp(place - 1, cuts);
     if (place > 1 && place < 2 && fabs(cell - floor(cell + 0.5)) > 1e-6) {
       cuts = cuts > 1 + 3 * level ? cuts : 1 + 3 * level;
     }
   }
-  /* The reach of the difference moves with the albedo, from here on inwards, and has a kink, too. */
+  /* The reach of the difference D moves with the albedo, up to this radius. It is a kink too. */
   const double reach = table->field[TRANSPORT_TABLE_D_REACH_MOST];
   if (level >= FINE_LEVEL && ldexp(1, octave) < reach && reach <= ldexp(1, octave + 1)) {
     cuts = CORE_SURFACE_CUTS_MAX;
@@ -249,11 +259,11 @@ static int cuts_of_radius(const transport_table *table, int octave, int level) {
   return cuts < CORE_SURFACE_CUTS_MAX ? cuts : CORE_SURFACE_CUTS_MAX;
 }
 
-/* The same for the other axes. Each level has one cut more, which divides errors by 16. All that
- * media have up to 2^reach is nearly a straight line of s below 2^-reach. */
+/* Returns the cuts of an octave of another axis. Each level adds one cut, which divides errors by
+ * 16. Below s = 2^-reach every function is nearly a straight line in s. */
 static int cuts_of(enum core_surface_axis axis, int octave, int reach, int level) {
   int base;
-  if (axis == CORE_SURFACE_W) { /* the first octave is not full: see fill_rows() */
+  if (axis == CORE_SURFACE_W) { /* fill_rows() begins the first octave late */
     base = octave == W_FIRST || octave == ALBEDO_END - 1 ? 2 : 1;
   } else if (axis == CORE_SURFACE_S) {
     base = octave + reach < -2 ? 0 : octave < -4 ? 1 : 2;
@@ -264,8 +274,8 @@ static int cuts_of(enum core_surface_axis axis, int octave, int reach, int level
   return base + level;
 }
 
-/* Returns the first octave of s. Media that do not absorb, too, get the functions of the least s:
- * what they are off by is some 2 s x, at the reach x a small share of the tolerance. */
+/* Returns the first octave of s. Media that absorb less, down to none, get the functions of the
+ * least s. Their error is about 2 s x, which at the reach x is a small share of the tolerance. */
 static int first_of_s(double reach, double tolerance) {
   int end;
   frexp(0.03 * tolerance / reach, &end);
@@ -301,8 +311,8 @@ static void lay_axes(const core_surface_inputs *inputs, const transport_table *t
   }
 }
 
-/* Sets the words of k: the polynomial through kappa / s at Chebyshev points, by divided
- * differences. */
+/* Writes the words of kappa: the polynomial in s that interpolates kappa / s at Chebyshev points,
+ * by divided differences. */
 static void put_kappa(const rows *all, float *words) {
   enum { COUNT = CORE_SURFACE_KAPPA_TERMS };
   double at[COUNT], d[COUNT], c[COUNT] = {0};
@@ -317,7 +327,8 @@ static void put_kappa(const rows *all, float *words) {
       d[i] = (d[i] - d[i - 1]) / (at[i] - at[i - level]);
     }
   }
-  for (int i = COUNT - 1; i >= 0; i--) { /* c = d[i] + (s - at[i]) c */
+  /* Horner's scheme from Newton's form to powers: c = d[i] + (s - at[i]) c */
+  for (int i = COUNT - 1; i >= 0; i--) {
     for (int k = COUNT - 1; k > 0; k--) {
       c[k] = c[k - 1] - at[i] * c[k];
     }
@@ -328,8 +339,7 @@ static void put_kappa(const rows *all, float *words) {
   }
 }
 
-/* Sets Q[i] to Q, computed with the rounded kappa of the table's words in place of the exact
- * one. */
+/* Sets Q[i] to Q for the rounded kappa that the words hold, in place of the exact one. */
 static void Q_of_words(const float *words, const rows_row *row, size_t n, const double *x,
                        const double *ln_x, double *Q) {
   double k = 0;
@@ -343,23 +353,23 @@ static void Q_of_words(const float *words, const rows_row *row, size_t n, const 
   }
 }
 
-/* Points of the axes, and the values of the functions there, row by row. */
+/* Points on the axes, and the functions' values there, row by row. */
 struct grid {
   size_t count[CORE_SURFACE_AXES];
   double *nodes[CORE_SURFACE_AXES];
-  double *ln_x; /* logarithms of nodes[CORE_SURFACE_RADIUS] */
+  double *ln_x; /* ln of nodes[CORE_SURFACE_RADIUS] */
   double *values[CORE_SURFACE_TOTAL + 1];
   double *owned;
 };
 
-/* Returns the number of points that a function has in each row. */
+/* Returns how many points a function has in each row. */
 static size_t columns_of(const struct grid *grid, int function) {
   return shapes[function].columns == CORE_SURFACE_AXES ? 1 : grid->count[shapes[function].columns];
 }
 
-/* Makes a grid for `lines` rows, or for those of all nodes of albedos if that is 0. Each cell has points
- * at `count` shares of its length. ends: whether the ends of axes are points, too. Returns false if
- * memory runs out; else the caller frees grid->owned. */
+/* Makes a grid of `lines` rows; 0: one row for each node of the albedos' axes. Each cell has points
+ * at `count` shares of its length, and if `ends`, axes have points at their ends. Returns false if
+ * memory runs out; otherwise the caller frees grid->owned. */
 static bool make_grid(const float *words, size_t lines, size_t count, const double *shares,
                       bool ends, struct grid *grid) {
   size_t all = 0, places[CORE_SURFACE_AXES];

@@ -1,5 +1,6 @@
-/* The energy within is a Chebyshev series in x for each panel. Q is that of the table's series, some
- * of whose edges move with the albedo: panels do not end there. */
+/* Computes the rows of a surface. The energy within x is a Chebyshev series in x for each panel. Q
+ * comes from the table's series; some of their edges move with the albedo, and those are no edges
+ * of panels. */
 #include "core/varying/rows.h"
 
 #include <assert.h>
@@ -15,33 +16,34 @@ enum { TERMS = ROWS_TERMS, BASES = ROWS_BASES, STEPS = 40, KAPPA_TERMS = 32, TOG
 
 /* The series of kappa / s has a relative error of 1e-6, which puts R off by 25e-6 at 25 decay lengths;
  * for g above 0.5, and for albedos from 0.6 on, it is 5e-8. */
-#define INTERPOLATES_FROM 3e-4 /* tolerance for which the series serves all albedos */
+#define INTERPOLATES_FROM 3e-4 /* least tolerance for which the series serves all albedos */
 #define INTERPOLATES_ERROR 3e-5
-#define INTERPOLATES_ALBEDO 0.6 /* from which it serves smaller tolerances */
+#define INTERPOLATES_ALBEDO 0.6 /* least albedo for which the series serves smaller tolerances */
 #define INTERPOLATES_ALBEDO_ERROR 1.5e-6
 
 struct rows {
   const transport_table *table;
   transport_slice *slice;
   double g;
-  double s_least; /* of the largest albedo of the table */
+  double s_least; /* s of the largest albedo of the table */
   double w_least;
-  double point[TERMS]; /* Chebyshev points, from 0 to 1 */
+  double point[TERMS]; /* Chebyshev points, mapped to 0 to 1 */
   int panels;
   double edge[ROWS_PANELS_MAX + 1];
-  int panel_of_octave[ROWS_OCTAVES]; /* the first one */
+  int panel_of_octave[ROWS_OCTAVES]; /* index of the first panel of each octave */
   double x[ROWS_PANELS_MAX][TERMS], ln_x[ROWS_PANELS_MAX][TERMS];
-  double basis[TERMS][TERMS]; /* [i][k]: weight of the value at point i in term k */
-  /* If g is not 0: kappa / s as a Chebyshev series in the coordinate u of the table. Solving for
-   * kappa takes longer than all else. */
+  double basis[TERMS][TERMS]; /* basis[i][k]: the weight of the value at point i in term k */
+  /* If g is not 0: kappa / s as a Chebyshev series in the table's coordinate u, because solving for
+   * kappa takes longer than everything else. u: the range of the series. */
   double u[2];
   double kappa_per_s[KAPPA_TERMS];
   double interpolates_from; /* albedo */
   double error;
-  /* from which rows are extrapolated: to small s, and to small w */
+  /* [0]: values of s from which rows of smaller s are extrapolated; [1]: of w likewise */
   double base_at[2][BASES];
   rows_source base[2][BASES];
-  double base_Q[2][BASES][ROWS_PANELS_MAX][TERMS]; /* at the points of the panels */
+  /* Q of these media at the points of the panels */
+  double base_Q[2][BASES][ROWS_PANELS_MAX][TERMS];
 };
 
 /* ---- series ---------------------------------------------------------------------------------- */
@@ -58,7 +60,7 @@ static void set_points(rows *all) {
   }
 }
 
-/* Returns the table's fixed edge number i, in mean free paths. */
+/* Returns fixed edge number i of the table's series, in mean free paths. */
 static double fixed_edge(const transport_table *table, int i) {
   const int near = TRANSPORT_TABLE_NEAR + 1;
   return table->field[i < near ? TRANSPORT_TABLE_EDGES + i : TRANSPORT_TABLE_D_EDGES + i - near];
@@ -68,7 +70,7 @@ static void set_panels(rows *all) {
   for (int octave = 0; octave < ROWS_OCTAVES; octave++) {
     const double begin = ldexp(1, ROWS_FIRST + octave);
     all->panel_of_octave[octave] = all->panels;
-    /* Near the source and far away, where x R is a power of x, two octaves make a panel. */
+    /* Near the source and far away x R is a power of x, and two octaves are one panel. */
     const bool wide = ROWS_FIRST + octave < 0 || ROWS_FIRST + octave >= ROWS_END;
     if (wide && octave % 2 == 1) {
       all->panel_of_octave[octave] = all->panel_of_octave[octave - 1];
@@ -131,7 +133,8 @@ static void integrate(const double *terms, double *out) {
   out[0] = -begin;
 }
 
-/* Returns the panel of x, which is in an octave with rows, and sets *t. */
+/* Returns the panel that contains x, and sets *t to the place in it, 0 to 1. x is in an octave with
+ * rows. */
 static int panel_of(const rows *all, double x, double *t) {
   int exponent;
   frexp(x, &exponent);
@@ -149,7 +152,7 @@ static double solved_kappa(const rows *all, double albedo) {
   return all->g != 0 ? transport_anisotropic_kappa(albedo, all->g) : transport_kappa(albedo);
 }
 
-/* Sets the series of kappa / s, with s = sqrt(1 - albedo), for all albedos of the table. */
+/* Sets the series of kappa / s, where s = sqrt(1 - albedo), over all albedos of the table. */
 static void set_kappa(rows *all) {
   enum { N = KAPPA_TERMS };
   all->u[0] = transport_table_u(1);
@@ -196,8 +199,7 @@ static void set_source(const rows *all, double albedo, rows_source *source) {
   source->fading = fades ? -2 - slope : 0;
 }
 
-/* Sets Q[i] to the Q of a source (core/transport/table.h) at ln x = y[i]. The y are in ascending
- * order. */
+/* Sets Q[n] to the Q of a source (core/transport/table.h) at ln x = y[n], which ascends. */
 static void source_Q(const rows_source *source, size_t n, const double *y, double *Q) {
   const double last = source->series.edge[TRANSPORT_TABLE_PANELS];
   transport_series_Q(&source->series, n, y, Q);
@@ -226,7 +228,7 @@ void rows_Q(const rows_row *row, size_t n, const double *y, double *Q) {
   }
 }
 
-/* Sets Q[TERMS] to Q at the points of a panel, before it is lifted. */
+/* Sets Q[TERMS] to Q at the points of a panel, without the row's lift. */
 static void panel_Q(const rows *all, const rows_row *row, int panel, double *Q) {
   if (row->base[0] == &row->source) {
     source_Q(&row->source, TERMS, all->ln_x[panel], Q);
@@ -239,10 +241,10 @@ static void panel_Q(const rows *all, const rows_row *row, int panel, double *Q) 
   }
 }
 
-/* Beyond this many decay lengths no energy is left. */
+/* The energy beyond this many decay lengths is neglected. */
 #define DECAYS_MOST 80
 
-/* Sums the energy of a row from its Q. For g other than 0, R is scaled to the total as
+/* Integrates Q of a row to its energies. For g other than 0 it scales R to the total, as
  * core/models/transport.c does. */
 static void sum_energy(const rows *all, rows_row *row) {
   double part[ROWS_PANELS_MAX];
@@ -280,7 +282,7 @@ static void sum_energy(const rows *all, rows_row *row) {
   row->lift = all->g != 0 ? fn_log(row->total / energy) : 0;
 }
 
-/* Sets the weights of the parabola through three bases where s (by_s), or else w, is `place`. */
+/* Sets the weights of quadratic extrapolation from three bases to s = place, or to w = place. */
 static void set_weights(const rows *all, bool by_s, double place, double weight[BASES]) {
   const double *at = all->base_at[by_s ? 0 : 1];
   for (int i = 0; i < BASES; i++) {
@@ -303,8 +305,8 @@ double rows_kappa_per_s(const rows *all, double s, double w) {
   return kappa_of(all, s > all->s_least ? w * (1 + s) : (1 - least) * (1 + least)) / least;
 }
 
-/* Below the least albedo of the table a total is nearly in proportion to the albedo: their quotient
- * is the parabola through the bases. */
+/* Returns totals below the table's least albedo. There a total is nearly proportional to the
+ * albedo; the quotient is extrapolated quadratically. */
 static transport_slice_sums totals_below(const rows *all, double w) {
   double weight[BASES];
   transport_slice_sums sums = {0, 0};
@@ -379,7 +381,7 @@ rows *rows_create(const transport_table *table, double g, double eta, double tol
   all->table = table;
   all->slice = slice;
   all->g = g;
-  /* a little inside, so that rounding stays in the table */
+  /* A little inside the table, so that rounding cannot leave it. */
   all->s_least = sqrt(1 - table->field[TRANSPORT_TABLE_ALBEDO_MOST]) * (1 + 1e-9);
   all->w_least = least / (1 + sqrt(1 - least)) * (1 + 1e-9);
   all->interpolates_from = (double)INFINITY;
@@ -448,11 +450,12 @@ double rows_cdf(const rows_row *row, double x) {
   return row->before[panel] + sum_of(row->within[panel], t);
 }
 
-/* Newton's method squares its error: the step after one of this size is within some 1e-9. */
+/* Newton's method squares its error, so the step after one of this size leaves about 1e-9. */
 #define SEARCHED 3e-5
 
-/* Returns x in a panel where the energy within the panel is `wanted`: Newton's method in a bracket.
- * energy: u or -rest, whose differences count. */
+/* Solves for x in a panel: the energy from the panel's start to x is `wanted`. Newton's method in a
+ * bracket, started from *last. energy: u or -rest of this radius; differences to that of *last give
+ * the start. */
 static double search(const rows_row *row, int panel, double wanted, double energy,
                      rows_found *last) {
   const double *terms = row->within[panel], *edge = &row->all->edge[panel];
@@ -465,7 +468,8 @@ static double search(const rows_row *row, int panel, double wanted, double energ
     double next = 0, after = 0, next_slope = 0, after_slope = 0;
     for (int k = TERMS - 1; k >= 1; k--) {
       const double sum_slope = (2 * next - after_slope) + 2 * s * next_slope;
-      const double sum = (terms[k] - after) + 2 * s * next; /* in this order none waits long */
+      /* this order of operations has the shortest chain of dependencies */
+      const double sum = (terms[k] - after) + 2 * s * next;
       after = next;
       next = sum;
       after_slope = next_slope;

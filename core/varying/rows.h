@@ -1,31 +1,33 @@
-/* rows: the rows of a surface, each one medium of `transport` from the table of solutions: Q, the
- * cdf and the radius for a cdf (core/varying/surface.h). Lengths are in mean free paths. */
+/* rows: the rows of a surface. Each row is one medium of `transport`, evaluated from the table of
+ * solutions: Q, the cdf and its inverse (core/varying/surface.h). Lengths are in mean free
+ * paths. */
 #ifndef DIPOLED_CORE_VARYING_ROWS_H
 #define DIPOLED_CORE_VARYING_ROWS_H
 
 #include "core/transport/table.h"
 
 enum {
-  ROWS_FIRST = -20, /* octaves of x with rows; below, x R is constant */
+  ROWS_FIRST = -20, /* first octave of x with rows; at smaller x, x R is constant */
   ROWS_END = 14,
-  ROWS_FAR_END = 40, /* the energy is summed to here */
+  ROWS_FAR_END = 40, /* the energy is integrated up to 2^ROWS_FAR_END */
   ROWS_OCTAVES = ROWS_FAR_END - ROWS_FIRST,
-  /* Panels are octaves, which the fixed edges of the table cut, as Q has kinks there. */
+  /* A panel is an octave, or a part of one: fixed edges of the table, where Q has kinks, divide
+   * octaves. */
   ROWS_CUTS_MAX = TRANSPORT_TABLE_NEAR + 1 + TRANSPORT_TABLE_D_NEAR + 1,
   ROWS_PANELS_MAX = ROWS_OCTAVES + ROWS_CUTS_MAX,
-  ROWS_TERMS = 16 /* of a series in a panel */
+  ROWS_TERMS = 16 /* coefficients of a series in a panel */
 };
 
-/* Q of a medium of the table, and beyond its reach as core/models/transport.c continues R. */
+/* Q of one medium of the table. Beyond its reach R continues as in core/models/transport.c. */
 typedef struct rows_source {
   transport_series series;
-  double last_Q; /* at the reach */
+  double last_Q; /* Q at the reach */
   double steeper, fading;
 } rows_source;
 
 enum { ROWS_BASES = 3 };
 
-/* What all rows of one g and eta share. */
+/* What all rows of one g and eta have in common. */
 typedef struct rows rows;
 
 typedef struct rows_row {
@@ -35,9 +37,11 @@ typedef struct rows_row {
   double kappa;
   double total;
   rows_source source;
-  const rows_source *base[ROWS_BASES]; /* Q is the sum of these with weights: the row's own */
-  double weight[ROWS_BASES];           /* source, or those that it is extrapolated from */
-  double lift;                         /* of Q, so that R integrates to the total */
+  /* The row's Q is the sum over i of weight[i] times Q of base[i]: of the row's own medium alone,
+   * or of those that it is extrapolated from. */
+  const rows_source *base[ROWS_BASES];
+  double weight[ROWS_BASES]; /* source, or those that it is extrapolated from */
+  double lift;               /* added to Q, so that the integral of R equals the total */
   /* For each panel, as shares of the total: the energy from its start to x, as a Chebyshev series;
    * the energy below its start; and the energy above its start. */
   double within[ROWS_PANELS_MAX][ROWS_TERMS];
@@ -71,16 +75,17 @@ double rows_kappa_per_s(const rows *all, double s, double w);
 /* Sets Q[i] to Q with the exact kappa at y[i] = ln x, in ascending order. */
 void rows_Q(const rows_row *row, size_t n, const double *y, double *Q);
 
-/* Sets x to the radii, within the octaves that have rows, where the series of a row have edges and Q
- * a kink, in ascending order. Returns their number. */
+/* Sets x[] to the radii, in ascending order, at which Q of a row may have a kink: the edges of its
+ * series within the octaves that have rows. Returns their number. */
 enum { ROWS_EDGES_MAX = 2 * (TRANSPORT_TABLE_PANELS + 1) };
 size_t rows_edges(const rows_row *row, double x[ROWS_EDGES_MAX]);
 
-/* Where a radius was found, from which the next one is sought. Begins as zero. */
+/* The result of a search for a radius, where the next search of the row starts. All zero before the
+ * first. */
 typedef struct rows_found {
-  double energy; /* u or -rest */
+  double energy; /* u, or -rest */
   double x;
-  double per_energy; /* d x / d energy; 0 if nothing was found yet */
+  double per_energy; /* d x / d energy; 0 before the first search */
 } rows_found;
 
 /* Return the cdf at x, and the radius whose cdf is u, or 1 - rest. `last` is where the radius of the

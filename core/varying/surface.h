@@ -48,13 +48,15 @@ enum core_surface_function {
   CORE_SURFACE_X_OF_U,
   CORE_SURFACE_X_OF_REST,
   CORE_SURFACE_TOTAL,
-  CORE_SURFACE_W_OF_COLOUR,                                        /* for each light */
-  CORE_SURFACE_S_OF_REST = CORE_SURFACE_W_OF_COLOUR + CORE_LIGHTS, /* for each light */
+  CORE_SURFACE_W_OF_COLOUR, /* for each light: w as a function of the colour */
+  /* for each light: s as a function of the largest colour minus the colour */
+  CORE_SURFACE_S_OF_REST = CORE_SURFACE_W_OF_COLOUR + CORE_LIGHTS,
   CORE_SURFACE_FUNCTIONS = CORE_SURFACE_S_OF_REST + CORE_LIGHTS
 };
 
 enum {
-  CORE_SURFACE_EXPONENT = -40, /* of the first octave that an axis may have */
+  /* 2 to this power is where the first octave of every axis would begin */
+  CORE_SURFACE_EXPONENT = -40,
   CORE_SURFACE_AXIS = 64,
   CORE_SURFACE_CUTS_MAX = 7,
   CORE_SURFACE_KAPPA_TERMS = 5,
@@ -63,18 +65,19 @@ enum {
 
 /* Positions of the words. */
 enum core_surface_word {
-  CORE_SURFACE_VERSION_WORD,                                     /* integer */
-  CORE_SURFACE_LEAST,                                            /* of each axis */
-  CORE_SURFACE_MOST = CORE_SURFACE_LEAST + CORE_SURFACE_AXES,    /* of each axis */
-  CORE_SURFACE_CELLS = CORE_SURFACE_MOST + CORE_SURFACE_AXES,    /* integers */
-  CORE_SURFACE_AT = CORE_SURFACE_CELLS + CORE_SURFACE_AXES,      /* integers: where a */
+  CORE_SURFACE_VERSION_WORD,                                  /* integer */
+  CORE_SURFACE_LEAST,                                         /* least coordinate of each axis */
+  CORE_SURFACE_MOST = CORE_SURFACE_LEAST + CORE_SURFACE_AXES, /* largest coordinate of each axis */
+  CORE_SURFACE_CELLS = CORE_SURFACE_MOST + CORE_SURFACE_AXES, /* integers */
+  /* integers: position of each function's first word; 0: there is no such function */
+  CORE_SURFACE_AT = CORE_SURFACE_CELLS + CORE_SURFACE_AXES,
   CORE_SURFACE_KAPPA = CORE_SURFACE_AT + CORE_SURFACE_FUNCTIONS, /* function begins, 0: none */
-  CORE_SURFACE_COLOUR_MOST = /* for each light, 0 if it is not known */
+  CORE_SURFACE_COLOUR_MOST = /* largest colour for each light; 0 if the light is not known */
   CORE_SURFACE_KAPPA + CORE_SURFACE_KAPPA_TERMS,
   CORE_SURFACE_COLOUR_LEAST = CORE_SURFACE_COLOUR_MOST + CORE_LIGHTS,
   CORE_SURFACE_SCATTERED_LEAST = CORE_SURFACE_COLOUR_LEAST + CORE_LIGHTS,
-  CORE_SURFACE_FAR,                          /* three words, as LANES_FAR of core/models/lanes.h */
-  CORE_SURFACE_ERROR = CORE_SURFACE_FAR + 3, /* measured, of R, cdf and radius, relative */
+  CORE_SURFACE_FAR, /* three words: the coefficients LANES_FAR of core/models/lanes.h */
+  CORE_SURFACE_ERROR = CORE_SURFACE_FAR + 3, /* largest relative error found in R, cdf and radius */
   CORE_SURFACE_ENTRIES = 64,                 /* the axes */
   CORE_SURFACE_PATCHES = CORE_SURFACE_ENTRIES + CORE_SURFACE_AXES * CORE_SURFACE_AXIS
 };
@@ -82,21 +85,21 @@ _Static_assert((int)CORE_SURFACE_ERROR < CORE_SURFACE_ENTRIES, "the words do not
 
 /* The inputs of making the words. */
 typedef struct core_surface_inputs {
-  double g; /* that `transport` scatters with */
+  double g; /* parameter of the scattering of `transport` */
   double eta;
   double tolerance;
   bool is_transport;
-  const double *shared; /* of dipoles: see core/models/lanes.h */
+  const double *shared; /* constants of dipoles (core/models/lanes.h) */
 } core_surface_inputs;
 
-/* Prepares all but the words. The arguments are those of core_varying_prepare(), with parameters.
- * It checks what evaluating relies on, so that a client that has the words needs no preparation of
+/* Prepares everything but the words; the arguments are those of core_varying_prepare(). It checks
+ * what evaluation needs. A client that has the words can thus evaluate without preparing
  * profiles. */
 core_fault core_surface_begin(core_varying *varying, const core_isa *isa, unsigned model,
                               unsigned moments, unsigned evaluator, double g, double eta,
                               const core_parameters *parameters);
 
-/* Takes what all media share from varying->words, which are set. Fault: `memory`. */
+/* Derives what all media share from varying->words, which are set. Fault: `memory`. */
 core_fault core_surface_share(core_varying *varying);
 
 /* Makes the words; the caller frees them. Faults: `tolerance`, `memory`. */

@@ -1,5 +1,5 @@
-/* Prepares and evaluates where every value has its own medium. Kernels of a precision that a
- * model lacks are replaced by those of double precision, whose results are rounded. */
+/* Prepares models for media that vary, and evaluates them. If a model has no kernel in single
+ * precision, the kernel in double precision is used and its results are rounded. */
 #include "core/varying.h"
 
 #include <assert.h>
@@ -37,12 +37,12 @@ static enum family family_of(unsigned model, int *variant) {
   }
 }
 
-/* Returns a medium to check the model, g, eta and parameters with. */
+/* Returns a valid medium with this g and eta, for checks of the other arguments. */
 static core_medium example(double g, double eta) {
   return (core_medium){1, g > -1 && g < 1 ? 1 / (1 - g) : 1, g, eta};
 }
 
-/* Sets the numbers that follow from the model, g and eta alone. */
+/* Sets the constants of varying->shared that follow from the model, g and eta. */
 static void share(core_varying *varying, enum family family, int variant,
                   const core_parameters *parameters) {
   double *shared = varying->shared.f64;
@@ -60,7 +60,7 @@ static void share(core_varying *varying, enum family family, int variant,
   }
 }
 
-/* Sets what follows from the words. */
+/* Sets the members that follow from the words. */
 core_fault core_surface_share(core_varying *varying) {
   const float *words = varying->words;
   if (varying->evaluator == CORE_EVALUATOR_F64) {
@@ -223,18 +223,18 @@ DEFINE_CHECK(float, f32)
 
 /* ---- errors ---------------------------------------------------------------------------------- */
 
-/* At most this many decay lengths 1 / mu are there to where a value underflows in each
+/* The largest number of decay lengths 1 / mu at which a value has not underflowed, in each
  * precision. */
 #define DECAYS_MOST_F32 140.0
 #define DECAYS_MOST_F64 800.0
 
-/* Rounding of dipoles, in epsilons for each unit of the condition; see core/models/dipole.c. */
+/* Rounding error of dipoles in epsilons per unit of the condition number (core/models/dipole.c). */
 #define ROUNDING 16.0
 
-/* The largest s = l / d of Burley's fits, times that of mu_tr in units of sigma_t'. */
+/* An upper bound of 1 / d of Burley's fits, in units of sigma_t'. */
 #define BURLEY_MOST 44.0
 
-/* Returns the error by rounding of values in a range. */
+/* Returns the relative error by rounding of values in a range. */
 static double rounding(const core_varying *varying, enum family family,
                        const core_varying_range *range) {
   const bool f32 = varying->evaluator == CORE_EVALUATOR_F32;
@@ -247,7 +247,7 @@ static double rounding(const core_varying *varying, enum family family,
          (f32 && family == BURLEY ? (double)FLT_EPSILON : 0);
 }
 
-/* Returns a medium of a range, with sigma_t' = 1. */
+/* Returns a medium with this g and albedo and sigma_t' = 1 per mm. */
 static core_medium medium_of(const core_varying *varying, double g, double albedo) {
   return (core_medium){1 - albedo, albedo / (1 - g), g, varying->eta};
 }
@@ -269,7 +269,8 @@ static double table_error(const core_varying *varying, unsigned wanted,
     error = fmax(error, core_banded_error(added.banded, added.all, &medium, wanted,
                                           (core_radii_range){range->mfp_least, range->mfp_most}));
   }
-  /* Densities and the cdf have the error of R and that of the energy that they are divided by. */
+  /* Densities and the cdf have two errors: that of R and that of the energy by which they are
+   * divided. */
   const core_medium grey = {1, 1, 0, varying->eta};
   return 2 * core_transport_table_error(&grey) + error;
 }
@@ -287,7 +288,7 @@ double core_varying_error(const core_varying *varying, unsigned wanted,
 
 /* ---- evaluating ------------------------------------------------------------------------------ */
 
-/* Next to the source r R is constant, so it is evaluated at this radius where R is infinite. */
+/* Near the source r R is constant. Where R is infinite, it is evaluated at this radius instead. */
 #define NEAREST_MM 1e-20
 
 /* DEFINE_EVALUATE() defines evaluate_f64() and evaluate_f32(): R, CDF, PDF, RING, ALBEDO, and
@@ -329,7 +330,9 @@ double core_varying_error(const core_varying *varying, unsigned wanted,
     for (size_t done = 0; done < n; done += CHUNK) {                                               \
       const size_t count = n - done < CHUNK ? n - done : CHUNK;                                    \
       const type *a = sigma_a + done, *s = sigma_s + done;                                         \
-      const type *x = quantity == CORE_QUANTITY_ALBEDO ? a : in + done; /* any number from 0 on */ \
+      const type *x = quantity == CORE_QUANTITY_ALBEDO                                             \
+                          ? a                                                                      \
+                          : in + done; /* ALBEDO reads no radius: any numbers from 0 on serve */   \
       kernel(varying->shared.bits, varying->table, count, a, s, x, out + done);                    \
       if (ring) {                                                                                  \
         multiply_##bits(varying, density, count, a, s, x, out + done);                             \
@@ -371,7 +374,7 @@ void core_varying_sample_f64(const core_varying *varying, size_t n, const double
   core_varying_eval_f64(varying, CORE_QUANTITY_RADIUS, n, sigma_a, sigma_s, u, r);
 }
 
-/* Evaluates in double precision and rounds. A cdf below 1 stays so. */
+/* Evaluates in double precision and rounds. A cdf below 1 stays below 1. */
 static void widely(const core_varying *varying, enum core_quantity quantity, size_t n,
                    const float *sigma_a, const float *sigma_s, const float *in, float *out) {
   double wide[4][CHUNK];
