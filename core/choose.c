@@ -9,7 +9,7 @@
 
 static const struct cost {
   unsigned model;
-  double radius_ns[2]; /* by f64, by f32 */
+  double radius_ns[2]; /* time of one radius, in f64 and in f32 */
   double prepare_ns;
   double prepare_lut_ns;
 } costs[] = {
@@ -40,7 +40,7 @@ enum {
 
 /* ---- errors ---------------------------------------------------------------------------------- */
 
-/* Whether `transport` takes all media. */
+/* Returns whether `transport` is valid for all media of the request. */
 static bool is_taken(const core_choose_request *request) {
   bool taken = true;
   for (size_t i = 0; i < request->media_count && taken; i++) {
@@ -51,8 +51,8 @@ static bool is_taken(const core_choose_request *request) {
   return taken;
 }
 
-/* Returns the error that is added to the numerical error at radii beyond the reach and for
- * anisotropic scattering. */
+/* Returns the error that is added to the numerical error, beyond the reach and for anisotropic
+ * scattering. */
 static double added_error(const core_choose_request *request) {
   double error = 0;
   for (size_t i = 0; i < request->media_count; i++) {
@@ -81,8 +81,8 @@ static double logarithm_error(const core_choose_request *request) {
   return 8 * (request->single ? (double)FLT_EPSILON : DBL_EPSILON) * ln_R;
 }
 
-/* Returns the error of R in the table of solutions, for all media; INFINITY if it does not hold one of
- * them. */
+/* Returns the largest error of R in the table of solutions over all media; INFINITY if the table
+ * does not cover one of them. */
 static double table_error(const core_choose_request *request) {
   double error = 0;
   for (size_t i = 0; i < request->media_count; i++) {
@@ -106,12 +106,12 @@ static double slope_error(const core_choose_request *request) {
 /* Rounding adds to the tolerance and to the error of the table. */
 #define ROUNDING_F32 1.3e-7
 
-/* Preferred tolerances: requests with the same one share profiles. */
+/* Tolerances that are preferred: requests with equal tolerances share prepared profiles. */
 #define LOOSE 1e-3
-#define BELOW (1 - 1e-12) /* leaves room for rounding where errors are added */
+#define BELOW (1 - 1e-12) /* the margin for rounding where errors are added */
 
 /* Sets the parameter `tolerance` of the preparation, and the numerical error. left: the largest
- * that this error may be. */
+ * value allowed for that error. */
 static void set_numerical_error(core_candidate *candidate, const core_choose_request *request,
                                 double left) {
   const bool lut = candidate->evaluator == CORE_EVALUATOR_LUT;
@@ -132,7 +132,7 @@ static void set_numerical_error(core_candidate *candidate, const core_choose_req
 #define CDF_ERRORS 2
 #define SLOPE_ERRORS 8
 
-/* Sets the candidate to a solution by the solver with numerical error `left`. */
+/* Sets the candidate to the solver. left: the largest numerical error that its profile may have. */
 static void set_solved(core_candidate *candidate, const core_choose_request *request, double left) {
   const bool follows_R = (request->wanted & FOLLOWS_R) != 0;
   const bool of_cdf = (request->wanted & (ELEMENTWISE & ~FOLLOWS_R)) != 0;
@@ -157,7 +157,7 @@ static void set_solved(core_candidate *candidate, const core_choose_request *req
     candidate->numerical_error = left;
   } else if (isinf(candidate->numerical_error)) {
     candidate->looked_up = false;
-    const double missed = request->tolerance * (1 + 1e-6); /* besides R's there are other errors */
+    const double missed = request->tolerance * (1 + 1e-6); /* errors of quantities other than R */
     candidate->numerical_error = fmax(errors * (least + beyond) + rounding, missed);
   }
 }
@@ -173,12 +173,12 @@ static const struct cost *cost_of(unsigned model) {
   return cost;
 }
 
-/* Returns how many values a medium has: one for each radius and elementwise quantity. */
+/* Returns the number of values for one medium: one for each radius and elementwise quantity. */
 static double value_count(const core_choose_request *request) {
   return (double)request->radius_count * __builtin_popcount(request->wanted & ELEMENTWISE);
 }
 
-/* Sets the costs, and what follows from them and the errors. */
+/* Sets the costs of the candidate and its total error and time. */
 static void finish(core_candidate *candidate, const core_choose_request *request) {
   const struct cost *cost = cost_of(candidate->model);
   const bool lut = candidate->evaluator == CORE_EVALUATOR_LUT;
@@ -228,7 +228,7 @@ static core_candidate make_candidate(const core_choose_request *request,
   return candidate;
 }
 
-/* Returns whether one candidate comes before another. */
+/* Returns whether candidate `one` is preferred to `other`. */
 static bool is_better(const core_candidate *one, const core_candidate *other) {
   return one->meets != other->meets ? one->meets
          : one->meets               ? one->total_ns < other->total_ns

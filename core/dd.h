@@ -1,11 +1,8 @@
-/* dd: does double-double arithmetic with about 106 bits, for preparing profiles.
- *
- * A coefficient that is computed with these functions and then rounded once is off by half an ulp,
- * where a chain of double operations would leave several ulp. Only IEEE operations and fma are
- * used, so that the bits are the same on every machine. Sources: Dekker 1971; Knuth, TAOCP 2, 4.2.2
- * (two_sum); Joldes, Muller, Popescu 2017 (products and quotients). Relative error of each
- * operation: below 2^-100.
- */
+/* dd: double-double arithmetic, with about 106 bits, for preparing profiles. A coefficient computed
+ * so and then rounded once has an error of half an ulp; a chain of double operations would have
+ * several ulp. It uses only IEEE operations and fma, so results have the same bits on every
+ * machine. Sources: Dekker 1971; Knuth, TAOCP 2, 4.2.2 (two_sum); Joldes, Muller, Popescu 2017
+ * (products, quotients and roots). */
 #ifndef DIPOLED_CORE_DD_H
 #define DIPOLED_CORE_DD_H
 

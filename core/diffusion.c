@@ -12,10 +12,10 @@
 #define PI_SQUARED 9.86960440108935862
 #define SAFETY 8.0
 
-/* For p of at least this, e^(-p^2) is less than a rounding error. */
+/* e^(-p^2) is below a rounding error for p of at least this. */
 #define SADDLE_WIDTH 6.5
 
-/* Returns ln(1 + e^s). The rounding error of 1 + e is known and is corrected for. */
+/* Returns ln(1 + e^s). Corrects for the rounding of 1 + e^s. */
 static double softplus(double s) {
   const double e = real_exp(-fabs(s)).exp;
   const double sum = 1 + e;
@@ -44,8 +44,7 @@ core_times core_times_make(double rate, double earliest, double latest, double t
   times.step = PI_SQUARED / (SAFETY - real_log(tolerance, 0));
   times.first = s_of_time(rate * earliest);
   const double last = s_of_time(rate * latest);
-  /* If `latest` lies before `earliest`, the decay leaves nothing to integrate: one node is enough.
-   */
+  /* If `latest` is before `earliest`, the light has decayed and one node is enough. */
   times.count = (size_t)fmax(ceil((last - times.first) / times.step), 0) + 1;
   return times;
 }
@@ -70,7 +69,8 @@ enum { TERMS = 13 };
 #define LAST_POLE 6.28318530717958647693
 
 static double pole(double x) {
-  const double gone = real_exp(-(12.5663706143591729539 - x) * x).exp; /* e^(x^2 - 2 pi x / h) */
+  /* exponential factor of the pole's term: e^(x^2 - 2 pi x / h) */
+  const double gone = real_exp(-(12.5663706143591729539 - x) * x).exp;
   const double whole = real_exp(-12.5663706143591729539 * x).exp;
   return x < LAST_POLE ? 2 * gone / (1 + whole) : 0;
 }
@@ -124,7 +124,8 @@ double core_diffusion_ln(double rate, double diffusion, double rho, core_diffusi
   double sum = 0;
   for (size_t i = 0; i < sizeof hermite / sizeof hermite[0]; i++) {
     const double sinh = hermite[i][0] / (2 * sqrt(exponent));
-    const double e = sinh + sqrt(fma(sinh, sinh, 1)); /* e^(u / 2) */
+    /* e^(u / 2) at this node, where w = 2 sqrt(E) sinh(u / 2) */
+    const double e = sinh + sqrt(fma(sinh, sinh, 1));
     const double both = h(context, saddle * (e * e)) + h(context, saddle / (e * e));
     sum += hermite[i][1] / sqrt(fma(sinh, sinh, 1)) * both;
   }

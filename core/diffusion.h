@@ -18,7 +18,7 @@
 
 #include <stddef.h>
 
-/* Equally spaced nodes in s. */
+/* Nodes of the trapezoidal rule: equally spaced in s. */
 typedef struct core_times {
   double step;  /* distance of the nodes in s */
   double first; /* value of s at the first node */
@@ -31,13 +31,13 @@ typedef struct core_times {
  * sum, 1e-12 to 0.1. */
 core_times core_times_make(double rate, double earliest, double latest, double tolerance);
 
-/* The time after which all profiles e^(-rate t - r^2 / (4 D t)) with r sqrt(rate / D) up to
- * `exponent` are below a rounding error of their largest value. The saddle point of such a profile
- * lies at p + p^2 / 4 = exponent / 2, and around it the profile is e^(-(change of p)^2). */
+/* Returns a time. After it every profile e^(-rate t - r^2 / (4 D t)) with r sqrt(rate / D) up to
+ * `exponent` is below a rounding error of its largest value. The saddle point of such a profile is
+ * at p + p^2 / 4 = exponent / 2; around it the profile is e^(-(change of p)^2). */
 double core_times_latest(double rate, double exponent);
 
-/* Gives the time and the weight of node i: the sum of weight * f(time) over all nodes approximates
- * the integral of f over time. */
+/* Sets the time and weight of node i. The integral of f over time is about the sum over all nodes
+ * of weight f(time). */
 void core_times_node(const core_times *times, size_t i, double *time, double *weight);
 
 /* With E(x) = e^(x^2) erfc(x), these functions return E(x) for x >= 0, 1 / (sqrt(pi) x) - E(x) for

@@ -80,9 +80,9 @@ DEFINE_CHECK(core_numbers_check_f32, float)
 
 /* ---- cost ------------------------------------------------------------------------------------ */
 
-/* The costs were measured for all models. A table needs one more look-up. Otherwise the cdf is
- * inverted in about eight steps of at most two evaluations each, and 280 is the cost of the steps
- * without the evaluations. */
+/* The cost was measured for all models. A table needs one further look-up. Other evaluators invert
+ * the cdf in about eight steps of at most two evaluations each; 280 is the cost of the steps
+ * besides the evaluations. */
 double core_draw_cost(const core_profile *profile) {
   return profile->evaluator == CORE_EVALUATOR_LUT ? 3 : 280 + 16 * profile->cost;
 }

@@ -20,8 +20,8 @@ size_t core_energy_length(double first_mm, double last_mm) {
   return CORE_ENERGY_SERIES + panels_between(first_mm, last_mm) * CORE_ENERGY_TERMS;
 }
 
-/* Writes the Legendre series of the integral from -1 to s of a function that is given at the nodes:
- * int P_k = (P_(k+1) - P_(k-1)) / (2 k + 1). */
+/* Sets the Legendre series of the integral from -1 to s of a function given at the nodes of the
+ * Gauss rule: int P_k = (P_(k+1) - P_(k-1)) / (2 k + 1). */
 static void integrate_series(const double *g, double half_width, double *series) {
   double coefficients[NODES];
   core_legendre_fit(g, coefficients);
@@ -54,13 +54,13 @@ double core_energy_build(core_kernel_f64 *R, const double *c, double first_mm, d
                          double *table) {
   const size_t panels = panels_between(first_mm, last_mm);
   double ends[3] = {first_mm, first_mm * 1.0625, first_mm * 0x1p-64};
-  double density[3]; /* 2 pi r R */
+  double density[3]; /* 2 pi r R at these radii */
   R(c, 3, ends, density);
   for (int i = 0; i < 3; i++) {
     density[i] *= 6.28318530717958647693 * ends[i];
   }
-  /* Below the first radius R goes like 1 / r or like R0 + R1 ln(first / r). The energy within r of the
-   * latter is pi r^2 (R0 + R1 / 2 + R1 ln(first / r)). */
+  /* Below the first radius R is proportional to 1 / r, or it is R0 + R1 ln(first / r). In the
+   * second case the energy within r is pi r^2 (R0 + R1 / 2 + R1 ln(first / r)). */
   const bool steep = !(density[1] > 1.03 * density[0]);
   const double rise = (density[2] * 0x1p64 / density[0] - 1) / real_log(0x1p64, 0); /* R1 / R0 */
   const bool rises = !steep && rise > 0;

@@ -20,11 +20,11 @@ enum core_energy_field {
    * 0 unless R rises towards the source like a logarithm. */
   CORE_ENERGY_POWER,
   CORE_ENERGY_RISE,
-  CORE_ENERGY_SERIES, /* then CORE_ENERGY_TERMS Legendre coefficients for each panel */
+  CORE_ENERGY_SERIES, /* from here on: CORE_ENERGY_TERMS Legendre coefficients for each panel */
   CORE_ENERGY_TERMS = 17
 };
 
-/* How many numbers a table from first_mm to last_mm has. */
+/* Returns how many numbers a table for radii from first_mm to last_mm has. */
 size_t core_energy_length(double first_mm, double last_mm);
 
 /* Fills in a table of core_energy_length() numbers from the kernel of R. Returns

@@ -33,7 +33,7 @@ static size_t smaller(size_t a, size_t b) {
 
 /* ---- double precision ------------------------------------------------------------------------ */
 
-/* Returns ln(e^a + e^b); a and b may be -infinity. */
+/* Returns ln(e^a + e^b) without overflow; a and b may be -infinity. */
 static double ln_of_sum(double a, double b) {
   const double more = real_max(a, b);
   const double less = real_min(a, b);
@@ -66,12 +66,13 @@ static void add_chunk(const core_profile *profile, enum core_quantity quantity, 
   }
 }
 
-/* Sets out[n], n <= CHUNK, to the mean of the parts' derivatives of ln R, weighted with R. */
+/* Sets out[n] to the derivatives of ln R of a sum of two models: the mean of the parts'
+ * derivatives, weighted by their R. n is at most CHUNK. */
 static void average_chunk(const core_profile *profile, enum core_quantity quantity, size_t n,
                           const double *r, double *out) {
   double kept[CHUNK] = {0}, ln_R[2][CHUNK], second[CHUNK];
   for (size_t i = 0; i < n; i++) {
-    kept[i] = real_max(r[i], 1e-280); /* at 0 both may be infinite */
+    kept[i] = real_max(r[i], 1e-280); /* at r = 0 both R may be infinite */
   }
   core_evaluate(&profile->parts[0], CORE_QUANTITY_LN_R, n, kept, ln_R[0]);
   core_evaluate(&profile->parts[1], CORE_QUANTITY_LN_R, n, kept, ln_R[1]);
@@ -80,7 +81,8 @@ static void average_chunk(const core_profile *profile, enum core_quantity quanti
   for (size_t i = 0; i < n; i++) {
     const double more = real_max(ln_R[0][i], ln_R[1][i]), less = real_min(ln_R[0][i], ln_R[1][i]);
     const bool both = less > -(double)INFINITY;
-    const double lesser = both ? real_exp(less - more).exp : 0; /* R of the darker one in others' */
+    /* ratio of the smaller R to the larger */
+    const double lesser = both ? real_exp(less - more).exp : 0;
     const bool first_more = ln_R[0][i] >= ln_R[1][i];
     const double brighter = first_more ? out[i] : second[i],
                  darker = first_more ? second[i] : out[i];
@@ -96,7 +98,7 @@ static double S_per_R(const core_profile *profile) {
          core_fresnel_transmittance(eta, profile->cos_out) / (3.14159265358979323846 * lost);
 }
 
-/* A quantity that is R times up times `number`, and maybe times r. */
+/* A quantity that is R times up times `number`, and times r if by_radius. */
 struct multiple {
   double up; /* a power of two, so that R up does not underflow */
   double number;
@@ -119,15 +121,15 @@ static struct multiple multiple_of(const core_profile *profile, enum core_quanti
   return (struct multiple){up, albedo > 0 ? two_pi / (albedo * up) : 0, true};
 }
 
-/* Returns the multiple: 0 where R or the number is 0, also where r or R is infinite. r is the last
- * factor, as it may be subnormal. */
+/* Returns the quantity for R at r: 0 where R or the number is 0, even if r or R is infinite. r is
+ * multiplied last because it may be subnormal. */
 static inline double times_R(struct multiple of, double r, double R) {
   const double product = R * of.up * of.number;
   return product > 0 ? (of.by_radius ? r * product : product) : 0;
 }
 
-/* Returns the multiple by r where R is infinite: its limit at the source, where R is in proportion
- * to 1 / r, or to ln(1 / r). */
+/* Returns the quantity where R is infinite: its limit at the source, where R is proportional to 1 /
+ * r or to ln(1 / r). */
 static double at_source(const core_profile *profile, const struct multiple *of) {
   const double r[2] = {1e-200, 0.5e-200};
   double R[2];
@@ -135,7 +137,7 @@ static double at_source(const core_profile *profile, const struct multiple *of) 
   return R[1] > 1.5 * R[0] ? times_R(*of, r[1], R[1]) : 0;
 }
 
-/* Replaces R by a multiple of it. */
+/* Replaces out[n], which holds R, by the quantity. */
 static void multiply(const core_profile *profile, enum core_quantity quantity, size_t n,
                      const double *r, double *out) {
   const struct multiple of = multiple_of(profile, quantity);
@@ -143,13 +145,13 @@ static void multiply(const core_profile *profile, enum core_quantity quantity, s
   for (size_t i = 0; i < n; i++) {
     const double value = times_R(of, r[i], out[i]);
     out[i] = value;
-    /* the highest bit, of infinity and of 0 times it */
+    /* sets the highest bit if the value is infinite or NaN (0 times infinity) */
     infinite |= (real_to_bits(value) & (UINT64_MAX >> 1)) + (UINT64_C(1) << REAL_MANTISSA_BITS);
   }
   if (of.by_radius && infinite >> 63 != 0) {
     const double source = at_source(profile, &of);
     for (size_t i = 0; i < n; i++) {
-      out[i] = out[i] < (double)INFINITY ? out[i] : source; /* 0 times infinity is no number */
+      out[i] = out[i] < (double)INFINITY ? out[i] : source; /* a NaN comes from 0 times infinity */
     }
   }
 }
@@ -187,7 +189,8 @@ void core_eval_f64(const core_profile *profile, enum core_quantity quantity, siz
 
 /* ---- single precision ------------------------------------------------------------------------ */
 
-/* Evaluates in double precision and rounds, for profiles without single precision kernels. */
+/* Evaluates in double precision and rounds to single. For profiles without kernels in single
+ * precision. */
 static void widely(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const float *r, float *out) {
   double wide_r[CHUNK];
@@ -221,7 +224,7 @@ void core_eval_f32(const core_profile *profile, enum core_quantity quantity, siz
       out[i] = (float)times_R(of, (double)r[i], (double)out[i]);
     }
   } else {
-    /* The profile that a table was made from has the quantities that the table lacks. */
+    /* Quantities that the table lacks come from the profile that it was made from. */
     assert(profile->lut == NULL || profile->source != NULL);
     widely(profile->lut != NULL ? profile->source : profile, quantity, n, r, out);
   }

@@ -31,13 +31,13 @@
 /* Constants of the integrals. They are double-double, because their errors would not average out as
  * the nodes' rounding errors do. */
 struct boundary {
-  bool denser_inside; /* eta > 1 */
+  bool denser_inside; /* whether eta > 1 */
   dd eta_squared;
   dd v0;
 };
 
-/* Sums over nodes for the integrals of (1 - F) 2 mu dmu and (1 - F) 3 mu^2 dmu. Factors that are
- * the same for all nodes of a range are left out and applied later. */
+/* Sums over nodes for the integrals of (1 - F) 2 mu dmu and (1 - F) 3 mu^2 dmu, without the factors
+ * that are common to all nodes of a range. */
 struct moments {
   dd first;
   dd second;
@@ -133,7 +133,7 @@ static core_fresnel exact_moments(double eta) {
   };
 }
 
-/* Evaluates a polynomial whose coefficients are in millionths, from the highest power down. */
+/* Evaluates a polynomial. Its coefficients are in millionths, beginning with the highest power. */
 static dd polynomial(dd x, const double *millionths, int count) {
   dd sum = dd_from(0);
   for (int i = 0; i < count; i++) {
@@ -146,12 +146,13 @@ static dd polynomial(dd x, const double *millionths, int count) {
   polynomial(x, (const double[]){__VA_ARGS__},                                                     \
              sizeof((const double[]){__VA_ARGS__}) / sizeof(double))
 
-/* One minus polynomials in eta for 2 C1 and 3 C2, from 1 on with one in 1 / eta for the latter. */
+/* A published fit: one minus a polynomial in eta for 2 C1 and for 3 C2. From eta = 1 on, 3 C2 has
+ * also a polynomial in 1 / eta. */
 struct fit {
-  double first[2][6];  /* below 1, from 1 on */
-  double second[2][6]; /* the same */
-  double inverse[4];   /* from 1 on */
-  double times[2];     /* what the polynomials are multiplied by */
+  double first[2][6];  /* coefficients for 2 C1: [0] below eta = 1, [1] from 1 on */
+  double second[2][6]; /* coefficients for 3 C2, likewise */
+  double inverse[4];   /* coefficients in 1 / eta for 3 C2, from eta = 1 on */
+  double times[2];     /* factors of both polynomials */
 };
 
 static core_fresnel moments_of(const struct fit *fit, double eta) {

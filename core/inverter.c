@@ -19,21 +19,22 @@
 #define RATIO_MIN 1e-80
 #define RATIO_MAX 1e30
 
-/* Albedos and ratios with a relative difference up to this count as equal, because models round by
- * as much. */
+/* The relative difference up to which albedos and ratios count as equal: models round by as
+ * much. */
 #define ALIKE (32 * DBL_EPSILON)
 
 enum {
-  SECANTS_MAX = 24, /* the search only halves from then on, as albedos may be noise */
-  STEPS_MAX = 400,  /* halving the range in ln(rho) takes fewer steps */
+  /* number of secant steps after which the search only halves, because albedos may be noise */
+  SECANTS_MAX = 24,
+  STEPS_MAX = 400, /* halving the range in ln(rho) takes fewer steps */
 };
 
-/* Returns sigma_a / sigma_t'. */
+/* Returns sigma_a / sigma_t' for the ratio sigma_a / sigma_s'. */
 static double absorbed_share(double ratio) {
   return ratio < (double)INFINITY ? ratio / (1 + ratio) : 1;
 }
 
-/* Returns the medium whose sigma_a and sigma_s' have this sum and ratio. */
+/* Returns the medium with this ratio sigma_a / sigma_s' and this sum sigma_t'. */
 static core_medium medium_of_ratio(const core_inverter *inverter, double ratio,
                                    double sigma_t_prime) {
   return (core_medium){
@@ -49,8 +50,8 @@ static void probe(core_inverter *inverter, double ratio) {
   inverter->medium = medium_of_ratio(inverter, ratio, inverter->sigma_t_prime_per_mm);
 }
 
-/* Returns the fault of a medium. A fit is refused, as its albedo depends on the range of the fit
- * and is not monotone. */
+/* Returns the fault of a medium. Models that are fits have a fault: their albedo depends on the
+ * range of the fit and is not monotone. */
 static core_fault check_medium(const core_inverter *inverter, const core_medium *medium) {
   core_radii_range radii = {0, (double)INFINITY};
   core_fault fault = core_profile_check(inverter->model, inverter->moments, CORE_EVALUATOR_F64,
@@ -70,11 +71,11 @@ core_fault core_inverter_start(core_inverter *inverter, unsigned model, unsigned
       .moments = moments,
       .g = g,
       .eta = eta,
-      /* An albedo does not depend on this scale, which keeps sigma_s in range for g next to 1. */
+      /* The albedo does not depend on sigma_t'. This keeps sigma_s in range for g close to 1. */
       .sigma_t_prime_per_mm = real_min(sigma_t_prime_per_mm, 0.5 * CORE_SIGMA_MAX_PER_MM * (1 - g)),
       .phase = CORE_INVERTER_MOST,
   };
-  if (!(g > -1 && g < 1)) { /* sigma_s = sigma_s' / (1 - g) would be undefined */
+  if (!(g > -1 && g < 1)) { /* without this check sigma_s = sigma_s' / (1 - g) would be undefined */
     const core_medium wrong = {0, 1, g, eta};
     return check_medium(inverter, &wrong);
   }
@@ -114,7 +115,8 @@ static double kept(double x) {
   return real_min(real_max(x, 1e-300), 1e300);
 }
 
-/* Returns ln(albedo / (most - albedo)) less the same for the wanted albedo; NaN if undefined. */
+/* Returns ln(albedo / (most - albedo)) minus the same expression of the wanted albedo; NaN if
+ * undefined. */
 static double distance(const core_inverter *inverter, double albedo) {
   const double most = inverter->albedo_most;
   if (!(albedo > 0 && albedo < most && inverter->wanted > 0 && inverter->wanted < most)) {
@@ -138,8 +140,8 @@ static double scale(const core_inverter *inverter, double ratio) {
   }
 }
 
-/* Makes the medium from the ratio that was found. If the medium is valid, it is the last one to be
- * probed; otherwise returns true, because the search has ended without a medium. */
+/* Ends the search with this ratio. If its medium is valid, it is the last one to be probed.
+ * Otherwise returns true: there is no medium. */
 static bool settle(core_inverter *inverter, double ratio) {
   inverter->medium = medium_of_ratio(inverter, ratio, scale(inverter, ratio));
   inverter->found = check_medium(inverter, &inverter->medium).field == NULL;
@@ -202,7 +204,8 @@ static double next_ratio(const core_inverter *inverter) {
              : sqrt(inverter->low) * sqrt(inverter->high);
 }
 
-/* Takes the albedo of one probe. Returns true if no further probe could come nearer. */
+/* Updates the bracket by the albedo of one probe. Returns true if no further probe could be
+ * closer. */
 static bool narrow(core_inverter *inverter, double albedo) {
   core_inversion_point *now = &inverter->now;
   now->albedo = albedo - inverter->wanted;
@@ -213,7 +216,7 @@ static bool narrow(core_inverter *inverter, double albedo) {
   if (albedo >= inverter->wanted) {
     inverter->low = now->ratio;
   } else {
-    inverter->high = now->ratio; /* also taken if the albedo is NaN */
+    inverter->high = now->ratio; /* also if the albedo is NaN */
   }
   inverter->steps++;
   return fabs(now->albedo) <= ALIKE * inverter->wanted || inverter->steps == STEPS_MAX ||
@@ -225,7 +228,7 @@ static bool search(core_inverter *inverter, double albedo) {
     return settle(inverter, inverter->best.ratio);
   }
   const double next = next_ratio(inverter);
-  if (!(next > inverter->low && next < inverter->high)) { /* no number lies between low and high */
+  if (!(next > inverter->low && next < inverter->high)) { /* low and high are adjacent numbers */
     return settle(inverter, inverter->best.ratio);
   }
   inverter->before = inverter->now;

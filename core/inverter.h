@@ -11,11 +11,11 @@
 
 #include "core/core.h"
 
-/* A ratio that was probed, and the albedo there. */
+/* A ratio that was probed, and its albedo. */
 typedef struct core_inversion_point {
   double ratio;    /* sigma_a / sigma_s' */
-  double albedo;   /* the ratio's albedo less the wanted one */
-  double distance; /* ln(a / (most - a)) minus the same of the wanted albedo, or NaN */
+  double albedo;   /* albedo at the ratio minus the wanted albedo */
+  double distance; /* ln(a / (most - a)) minus the same of the wanted albedo; NaN if undefined */
 } core_inversion_point;
 
 /* The purpose of a probe. */
@@ -29,18 +29,20 @@ enum core_inverter_phase {
 /* Callers read medium, found, albedo, albedo_least and albedo_most. The inverter keeps the other
  * fields for itself. */
 typedef struct core_inverter {
-  core_medium medium;  /* the medium to probe next, or at the end of a search the one found */
-  bool found;          /* true if a medium has the wanted albedo and length */
-  double albedo;       /* albedo of the medium that was found */
-  double albedo_least; /* range of reachable albedos but 0, known before the first search */
+  core_medium medium; /* the medium to probe next, or at the end of a search the one found */
+  bool found;         /* true if a medium has the wanted albedo and length */
+  double albedo;      /* albedo of the medium that was found */
+  /* range of albedos that can be reached, apart from 0; known before the first search */
+  double albedo_least;
   double albedo_most;
 
   unsigned model;
   unsigned moments;
   double g;
   double eta;
-  double sigma_t_prime_per_mm; /* of the medium that is probed */
-  double ratio_least;          /* positive for models that need absorption, else 0 */
+  double sigma_t_prime_per_mm; /* sigma_t' of the medium that is probed */
+  /* least ratio sigma_a / sigma_s': positive for models that need absorption, else 0 */
+  double ratio_least;
   double ratio_most;
   enum core_inverter_phase phase;
   double wanted;

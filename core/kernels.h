@@ -33,9 +33,9 @@ enum core_elementwise {
 typedef void core_kernel_f64(const double *coefficients, size_t n, const double *in, double *out);
 typedef void core_kernel_f32(const float *coefficients, size_t n, const float *in, float *out);
 
-/* The same where every value has its own medium (core/varying.h): sigma_a[n] and sigma_s[n] in
- * 1/mm. shared: numbers that all media share; words: tables that they share (core/cells/find.h).
- * Media and arguments outside of the domain give NaN. */
+/* A kernel for media that vary (core/varying.h): value i has the medium sigma_a[i], sigma_s[i] in
+ * 1/mm. shared: constants of the model, g and eta (core/models/lanes.h); words: tables
+ * (core/cells/find.h). Values outside of the model's domain are NaN. */
 typedef void core_varying_kernel_f64(const double *shared, const double *words, size_t n,
                                      const double *sigma_a, const double *sigma_s, const double *in,
                                      double *out);
@@ -67,7 +67,7 @@ typedef void core_varying_invert_kernel_f32(const float *shared, const float *wo
                                             const float *length_mm, float *sigma_a, float *sigma_s,
                                             float *albedo, uint8_t *status);
 
-/* ln R and its derivatives by the logarithms of sigma_a and sigma_s. */
+/* A kernel that sets ln R and its derivatives by ln sigma_a and ln sigma_s. */
 typedef void core_varying_gradient_kernel_f64(const double *shared, const double *words, size_t n,
                                               const double *sigma_a, const double *sigma_s,
                                               const double *r, double *ln_R, double *by_ln_sigma_a,
@@ -82,9 +82,10 @@ typedef struct core_kernels_f64 {
   core_kernel_f64 *sample;                           /* in: cdf values; out: radii in mm */
   core_varying_kernel_f64 *varying[CORE_ELEMENTWISE_COUNT];
   core_varying_kernel_f64 *varying_sample;
-  core_varying_kernel_f64 *varying_albedo; /* in: any valid radii */
+  core_varying_kernel_f64 *varying_albedo; /* in: any valid radii, which are not used */
   core_varying_gradient_kernel_f64 *varying_gradient;
-  core_varying_check_kernel_f64 *varying_check; /* in core/models/varying.c alone, for all models */
+  /* only in core/models/varying.c, which serves all models */
+  core_varying_check_kernel_f64 *varying_check;
   core_varying_invert_kernel_f64 *varying_invert;
 } core_kernels_f64;
 
@@ -106,7 +107,7 @@ struct core_kernels {
 
 struct core_isa {
   const char *name;
-  bool (*supported)(void); /* whether this machine can run it */
+  bool (*supported)(void); /* returns whether this machine can run the instruction set */
   size_t index;            /* position in CORE_ISA_LEVELS, from 0 */
 };
 
@@ -128,16 +129,16 @@ typedef struct core_inputs {
   const core_medium *medium;
   const core_parameters *parameters;
   const core_isa *isa;
-  /* If a table is to be made of the profile: the error that the profile may have; else 0. */
+  /* the largest error of a profile that a table is made of; 0 if none is made */
   double accepted;
-  /* Whether the albedo is all that is requested. A formula may then leave out the rest. */
+  /* whether only the albedo is requested; a formula may then skip the rest */
   bool only_albedo;
   const atomic_bool *stop; /* that of core_profile_prepare_until() */
 } core_inputs;
 
-/* What the table of anisotropic scattering adds to the numerical error of `transport`, relative: to
- * that of R in each band of radii of core_model_errors, then of the albedo; and to that of any
- * other quantity at any radius. */
+/* Errors that the table of anisotropic scattering adds to the numerical error of `transport`,
+ * relative. banded: to R in each band of radii of core_model_errors, then to the albedo; all: to
+ * any other quantity at any radius. */
 typedef struct core_added_errors {
   double banded[CORE_MODEL_ERROR_BANDS + 1];
   double all; /* at least as large as each of `banded` */
@@ -147,7 +148,7 @@ typedef struct core_added_errors {
  * to "everywhere" (most_mm = INFINITY), and the other fields to 0. */
 typedef struct core_preparation {
   double coefficients[CORE_COEFFICIENTS_MAX];
-  double *table; /* malloc()ed, replaces coefficients if they need more room, else NULL */
+  double *table; /* malloc()ed; replaces coefficients if there is not enough room, else NULL */
   size_t table_bytes;
   double albedo;
   double error;            /* numerical error of all values, relative */
@@ -245,8 +246,8 @@ static inline unsigned core_similarity_note(const core_inputs *inputs) {
 void core_evaluate(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const double *r, double *out);
 
-/* Runs the kernel of a quantity that every model has one for: R, CDF, SLOPE or LN_R. The profile is
- * as that of core_evaluate(), and not a sum. */
+/* Evaluates a quantity for which every model has a kernel: R, CDF, SLOPE or LN_R. The profile is
+ * one that core_evaluate() accepts, and not a sum. */
 static inline void core_run_kernel(const core_profile *profile, enum core_elementwise quantity,
                                    size_t n, const double *r, double *out) {
   profile->kernels->f64->evaluate[quantity](
@@ -257,7 +258,7 @@ static inline void core_run_kernel(const core_profile *profile, enum core_elemen
  * profile is not a sum. */
 void core_transfer(const core_profile *profile, size_t n, const double *f, double *out);
 
-/* Whether a profile has kernels and coefficients in single precision. */
+/* Returns whether a profile has kernels and coefficients in single precision. */
 static inline bool core_is_narrow(const core_profile *profile) {
   return profile->parts == NULL && profile->kernels->f32->evaluate[0] != NULL;
 }

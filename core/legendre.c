@@ -5,7 +5,8 @@
 
 enum { TERMS = CORE_LEGENDRE_TERMS };
 
-static double share[TERMS][TERMS]; /* [i][k]: of the value at node i in the coefficient of P_k */
+/* share[i][k]: the weight of the value at node i in the coefficient of P_k */
+static double share[TERMS][TERMS];
 static pthread_once_t shares_once = PTHREAD_ONCE_INIT;
 
 static void set_shares(void) {

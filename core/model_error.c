@@ -24,10 +24,11 @@ core_model_errors core_model_errors_unknown(void) {
   return errors;
 }
 
-#define SLACK 1e-7 /* relative; rounding to single precision may move a radius this far */
+#define SLACK 1e-7 /* relative; rounding a radius to single precision changes it by less */
 
-/* Returns the band of a radius, 0 to BANDS - 1, or BANDS outside of all. A radius next to an edge is
- * in the band above it, or below it if `below`. */
+/* Returns the band of a radius in mean free paths: 0 to BANDS - 1, or BANDS if it is outside of
+ * all. A radius within SLACK of an edge is in the band above it, or if `below`, in the band below
+ * it. */
 static size_t band_of(double mfp, bool below) {
   const double *edges = core_error_edges_mfp;
   if (!(mfp >= edges[0] * (1 - SLACK) && mfp <= edges[BANDS] * (1 + SLACK))) {
@@ -82,10 +83,12 @@ double core_model_errors_of(const core_model_errors *errors, const core_medium *
   if ((wanted & CORE_QUANTITY_ALBEDO) != 0) {
     error = larger(error, albedo);
   }
-  if ((wanted & CORE_QUANTITY_LN_R) != 0) { /* ln R changes by < R / (1 - R) */
+  /* if R is off by the share R, ln R is off by at most R / (1 - R) */
+  if ((wanted & CORE_QUANTITY_LN_R) != 0) {
     error = larger(error, R < 1 ? R / (1 - R) : (double)NAN);
   }
-  if ((wanted & CORE_QUANTITY_PDF) != 0) { /* (1 + R) / (1 - albedo) - 1 */
+  /* the pdf is R over the albedo: the errors combine to (1 + R) / (1 - albedo) - 1 */
+  if ((wanted & CORE_QUANTITY_PDF) != 0) {
     error = larger(error, albedo < 1 ? (R + albedo) / (1 - albedo) : (double)NAN);
   }
   return error;
@@ -110,7 +113,7 @@ double core_error_beyond(core_reach reach, double most_mm) {
   return exponent < 7 ? real_exp_signed(exponent) - 1 : (double)INFINITY;
 }
 
-/* Returns how many edges between two bands lie below a radius in mean free paths. */
+/* Returns how many edges between bands are below a radius in mean free paths. */
 static size_t edges_below(double mfp) {
   size_t count = 0;
   for (size_t i = 1; i < BANDS; i++) {
@@ -143,7 +146,7 @@ double core_banded_error(const double errors[CORE_MODEL_ERROR_BANDS + 1], double
  * them, because almost no energy is left there. */
 enum { FOLLOWS_R = AT_RADII | CORE_QUANTITY_SLOPE };
 
-/* The reach of derivatives, over that of the profile. */
+/* The derivatives' reach, as a share of the profile's. */
 #define NEAR_REACH 0.9
 
 /* Returns the error of the derivatives of ln R, absolute. Beyond the reach it is not known. */
@@ -153,7 +156,7 @@ static double derivative_error(const core_profile *profile, core_radii_range rad
   return known ? profile->derivative_error : (double)INFINITY;
 }
 
-/* Returns whether values next to the source may have underflowed on the way. */
+/* Returns whether intermediate results of values close to the source may have underflowed. */
 static bool is_too_near(const core_profile *profile, unsigned wanted, double r_mm) {
   const double least_mm = CORE_RADIUS_SMALL_MFP / core_sigma_t_prime(&profile->medium);
   return r_mm > 0 &&

@@ -17,8 +17,8 @@ typedef struct core_model_errors {
   double error[CORE_MODEL_ERROR_BANDS + 1];
 } core_model_errors;
 
-/* Whether the model error is 0: that of `transport`, unless the parameter gamma is given, which does not
- * tell the phase function. */
+/* Returns whether the model error is 0. It is for `transport`, unless the parameter gamma is given:
+ * gamma does not determine the phase function. */
 bool core_is_exact(unsigned model, bool gamma);
 
 /* Returns errors that are all NAN, which means not known. */

@@ -17,17 +17,18 @@
 
 struct model {
   unsigned id;
-  core_check_function *check; /* NULL for a sum */
+  core_check_function *check; /* NULL for a sum of two models */
   core_prepare_function *prepare;
   int variant;
-  unsigned parameters; /* bits of the parameters that the model takes */
+  unsigned parameters; /* a mask of the parameters that the model takes, and of the flags below */
   unsigned parts[2];   /* ids of the two models of a sum */
 };
 
-#define SLOW 1u            /* the bit of id 0, which no parameter has */
-#define COSTLY (1u << 31)  /* the bit of id 31, which no parameter has */
-#define SOLVES (1u << 30)  /* the bit of id 30, which no parameter has */
-#define DERIVES (1u << 29) /* the bit of id 29, which no parameter has */
+/* preparing takes more than a millisecond; no parameter has the ids 0 and 29 to 31 */
+#define SLOW 1u
+#define COSTLY (1u << 31)  /* preparing takes more than some ten microseconds */
+#define SOLVES (1u << 30)  /* preparing may solve transport */
+#define DERIVES (1u << 29) /* the model has derivatives of ln R */
 #define BIT(IDENT) (1u << CORE_PARAMETER_##IDENT)
 #define TAKEN_BY_ALL (BIT(TOLERANCE) | BIT(COS_IN) | BIT(COS_OUT))
 
@@ -194,13 +195,13 @@ core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluat
 
 /* ---- preparing ------------------------------------------------------------------------------- */
 
-/* Notes an albedo above 1 by more than its error. This is that of double precision, in which every
- * evaluator computes the albedo, so that all evaluators note the same. */
+/* Sets the note of an albedo that exceeds 1 by more than its error. Every evaluator computes the
+ * albedo in double precision, so all evaluators set the same note. */
 static void note_albedo(core_profile *profile, double error) {
   profile->notes |= profile->albedo > 1 + error ? CORE_NOTE_ALBEDO_ABOVE_1 : 0u;
 }
 
-/* Sets the numerical errors to `error` and what the table of anisotropic scattering adds. */
+/* Sets the numerical errors: `error` plus what the table of anisotropic scattering adds. */
 static void set_numerical_errors(core_profile *profile, double error,
                                  const core_added_errors *added) {
   profile->numerical_error = error + added->all;
@@ -211,11 +212,11 @@ static void set_numerical_errors(core_profile *profile, double error,
 
 /* ---- derivatives ----------------------------------------------------------------------------- */
 
-/* The error of derivatives, in errors of R, of models that state none of their own. */
+/* The error of derivatives relative to that of R, for models that do not state it. */
 #define OWN_DERIVATIVE 4.0
 
-/* Adds the rounding to single precision of derivatives that are computed in double precision. rate:
- * by how much ln R changes per mm at most. */
+/* Adds the error of rounding derivatives, computed in double precision, to single. rate: the
+ * largest change of ln R per mm. */
 static void round_derivatives(core_profile *profile, double rate) {
   profile->derivative_error += 8 * (double)FLT_EPSILON;
   profile->derivative_error_per_mm += (double)FLT_EPSILON * rate;
@@ -348,16 +349,17 @@ static core_fault prepare_sum(core_profile *profile, const struct model *model,
 /* The same share for a profile whose error does not follow a tolerance. */
 #define ACCEPTED_SHARE 0.5
 
-/* The stated error is the one found between the nodes times this. */
+/* A table states the largest error found between the nodes of the fits, times this. */
 #define FOUND_MARGIN 1.1
 
-/* Whether the model is a fit to another model, whose tolerance is not derived from the table's. */
+/* Returns whether the model is fitted to another model. The tolerance of such a fit does not follow
+ * from the table's. */
 static bool fits(const struct model *model) {
   return (model->parameters & BIT(GAUSSIANS)) != 0;
 }
 
-/* Returns whether the error of a profile does not follow the tolerance, but is that of the table of
- * solutions or of a solution. */
+/* Returns whether the error of a profile does not shrink with the tolerance, because it comes from
+ * the table of solutions or from the solver. */
 static bool keeps_error(const core_profile *source, double asked) {
   return source->numerical_errors[CORE_MODEL_ERROR_BANDS] < source->numerical_error ||
          source->numerical_error > ACCEPTED_SHARE * asked;
@@ -420,8 +422,8 @@ static core_fault prepare_table(core_profile *profile, const struct model *model
   profile->cost = 1;
   profile->scale_mm = source->scale_mm;
   fault = build_table(profile, model, asked);
-  /* Where a part of the error does not depend on the tolerance, a table that misses it is still of
-   * use; it states its error. */
+  /* If a part of the error is independent of the tolerance, a table that misses the tolerance is
+   * still useful and states its error. */
   for (double looser = 4 * asked;
        is_tolerance(fault) && keeps_error(source, asked) && looser <= 0.01; looser *= 4) {
     fault = build_table(profile, model, looser);

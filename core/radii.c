@@ -15,7 +15,8 @@ static core_fault radius_fault(size_t index) {
   return (core_fault){"r", RADIUS_ALLOWED, index};
 }
 
-/* Radii that are less may have their own errors (core_profile_errors()), also beside 0. */
+/* If a list contains 0, the least radius of its range is the smallest positive one below this, if
+ * there is any: errors at such radii may be larger (core_profile_errors()). */
 #define NEAREST_MM (CORE_RADIUS_SMALL_MFP / CORE_SIGMA_T_PRIME_MIN_PER_MM)
 
 #define LESS(a, b) ((a) < (b) ? (a) : (b))
@@ -63,7 +64,8 @@ static core_fault radius_fault(size_t index) {
         most = r[i] > most && r[i] < (type)INFINITY ? r[i] : most;                                 \
       }                                                                                            \
     }                                                                                              \
-    for (size_t i = 0; !(least > 0) && i < n; i++) { /* the least positive one, if it is tiny */   \
+    for (size_t i = 0; !(least > 0) && i < n;                                                      \
+         i++) { /* the least positive radius, if it is tiny */                                     \
       tiny = r[i] > 0 && r[i] < tiny ? r[i] : tiny;                                                \
     }                                                                                              \
     least = !(least > 0) && tiny < (type)NEAREST_MM ? tiny : least;                                \
@@ -131,7 +133,7 @@ static double times_exp(double start, double x) {
   return fma(start, parts.m, start) * real_power_of_two(half) * real_power_of_two(parts.k - half);
 }
 
-/* A grid with its step. The step of a linear grid is computed from halves, so that a range near the
+/* A grid and its step. The step of a linear grid is computed from halves, so that a range up to the
  * largest double does not overflow. */
 struct rule {
   const core_grid *grid;
@@ -150,8 +152,8 @@ static struct rule make_rule(const core_grid *grid) {
   return rule;
 }
 
-/* Returns radius `index` of a grid. The ends are exact, and no other radius rounds to more than the
- * last. */
+/* Returns radius `index` of a grid. Both ends are exact, and no other radius exceeds the last one
+ * by rounding. */
 static double apply(const struct rule *rule, uint64_t index) {
   const core_grid *grid = rule->grid;
   if (index == 0) {

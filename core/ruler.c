@@ -26,7 +26,7 @@ enum {
              CORE_QUANTITY_PDF | CORE_QUANTITY_RING | CORE_QUANTITY_TRANSFER,
 };
 
-/* Evaluates a profile of any evaluator. Radii of one in single precision are rounded already. */
+/* Evaluates a profile of any evaluator. Radii are exact in the evaluator's precision. */
 static void evaluate(const core_profile *profile, enum core_quantity quantity, size_t n,
                      const double *r, double *out) {
   float near[CORE_RULER_RADII], value[CORE_RULER_RADII];
@@ -43,10 +43,11 @@ static void evaluate(const core_profile *profile, enum core_quantity quantity, s
   }
 }
 
-/* How far a value is off. least: what a value may lose by underflow. */
+/* Returns the relative error of a value. least: absolute differences below this count as
+ * underflow. */
 static double off_by(enum core_quantity quantity, double value, double truth, double albedo,
                      double least) {
-  if (value == truth) { /* infinities and zeros, too */
+  if (value == truth) { /* also for infinities and zeros */
     return 0;
   }
   if (isnan(value)) {
@@ -63,7 +64,8 @@ static bool is_exact(const core_profile *profile) {
   return core_is_exact(profile->model, (profile->notes & CORE_NOTE_GAMMA) != 0);
 }
 
-/* Returns the error without a ruler; NAN if nothing is compared, INFINITY if it is not known. */
+/* Returns the error as far as it is known without a ruler: NAN if nothing is compared, INFINITY if
+ * it is not known. */
 static double stated_error(const core_profile *profile, unsigned wanted, core_radii_range radii) {
   const unsigned at_radii = radii.least_mm <= radii.most_mm ? COMPARED | CORE_QUANTITY_S : 0;
   return is_exact(profile)                                   ? 0
@@ -105,7 +107,7 @@ void core_model_errors_at(const core_profile *profile, const core_profile *trans
   }
 }
 
-/* The error of the albedo. */
+/* Returns the relative error of the albedo. */
 static double error_of_albedo(const core_profile *profile, const core_profile *transport) {
   const double error =
       off_by(CORE_QUANTITY_ALBEDO, profile->albedo, transport->albedo, 0, 16 * DBL_TRUE_MIN);
@@ -113,8 +115,8 @@ static double error_of_albedo(const core_profile *profile, const core_profile *t
   return error + (1 + error) * core_profile_errors(transport, CORE_QUANTITY_ALBEDO, none).numerical;
 }
 
-/* Radii between which the error is taken to be smooth are apart by this in ln r, unless that takes
- * more than CORE_RULER_RADII. */
+/* The distance in ln r of radii that are compared. Between them the error is taken to be smooth. It
+ * grows if CORE_RULER_RADII are not enough. */
 #define RULER_STEP 0.125
 
 void core_asked_ends(core_asked_radii *asked, bool single) {
@@ -138,8 +140,8 @@ void core_asked_ends(core_asked_radii *asked, bool single) {
   }
 }
 
-/* Sets r[] to the radii to compare at, and *between to whether the request has others between them.
- * Returns their number. */
+/* Sets r[] to the radii at which models are compared. *between: whether the request has radii
+ * between them. Returns their number. */
 static size_t choose_radii(const core_asked_radii *asked, bool single, double *r, bool *between) {
   float near[CORE_RULER_RADII];
   core_grid grid = asked->grid;
@@ -147,7 +149,8 @@ static size_t choose_radii(const core_asked_radii *asked, bool single, double *r
   if (*between) {
     core_radii_range ends = asked->ends;
     ends.least_mm = fmax(ends.least_mm, CORE_GRID_LOG_MIN_MM);
-    if (!(ends.least_mm < ends.most_mm)) { /* no other radius than one, 0 and infinity */
+    /* the request has one positive, finite radius, or none */
+    if (!(ends.least_mm < ends.most_mm)) {
       *r = ends.most_mm;
       *between = false;
       return 1;
@@ -178,8 +181,8 @@ static size_t choose_radii(const core_asked_radii *asked, bool single, double *r
   return n;
 }
 
-/* Returns the error at and around radius i. A curve deviates from the line between two points by an
- * eighth of its second difference; the error includes twice this. */
+/* Returns the error at radius i, with a margin for radii around it. A curve deviates from the line
+ * between two points by an eighth of its second difference; the margin is twice that. */
 static double with_margin(const double *error, size_t n, size_t i, bool between) {
   double bend = 0;
   for (size_t k = i > 1 ? i - 1 : 1; between && k <= i + 1 && k + 1 < n; k++) {
@@ -205,7 +208,7 @@ double core_model_error(const core_profile *profile, const core_profile *transpo
     if (isinf(error[i])) {
       return (double)INFINITY;
     }
-    most = fmax(most, with_margin(error, n, i, between)); /* passes NANs over */
+    most = fmax(most, with_margin(error, n, i, between)); /* fmax() ignores a NAN */
   }
   const double first_mm = asked->listed != NULL ? asked->range.least_mm : asked->grid.start_mm;
   if (between && !(first_mm > 0)) { /* some quantities are finite at r = 0 */

@@ -11,21 +11,23 @@
 
 #include "core/model_error.h"
 
-/* Whether core_model_error() needs the ruler for a model and a medium, and may have it: the table
- * has it, or it may be solved (`solves`). There is none for slabs, for a surface albedo and for
- * gamma. */
+/* Returns whether core_model_error() needs the ruler for this model and medium and can get it: from
+ * the table of solutions, or by solving if `solves`. There is no ruler for slabs, for a surface
+ * albedo and for gamma. */
 bool core_ruler_is_needed(unsigned model, const core_parameters *parameters,
                           const core_medium *medium, bool solves);
 
-/* The most radii at which models are compared; of more radii, this many are chosen. */
+/* The largest number of radii at which models are compared. If a request has more, this many are
+ * chosen. */
 enum { CORE_RULER_RADII = 256 };
 
-/* The radii of a request: a grid, or grid.count listed ones of the evaluator's type. */
+/* The radii of a request: a grid, or a list of grid.count radii of the evaluator's type. */
 typedef struct core_asked_radii {
   core_grid grid;
-  const void *listed;     /* NULL: the grid */
+  const void *listed;     /* the list; NULL: the radii are the grid's */
   core_radii_range range; /* as core_radii_check_f64() sets it */
-  core_radii_range ends; /* as core_asked_ends() sets it; unused up to CORE_RULER_RADII radii */
+  /* as set by core_asked_ends(); not used if there are at most CORE_RULER_RADII radii */
+  core_radii_range ends;
 } core_asked_radii;
 
 /* Sets asked->ends to the radii above 0 and below infinity between which all others of the request

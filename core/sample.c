@@ -18,7 +18,7 @@ enum {
   STEPS_MAX = 400, /* halving ln r over all doubles takes fewer steps */
 };
 
-/* Smaller u are raised to this: the radius is then close to 0 for every model. */
+/* The least u; a smaller one is raised to it. The radius is close to 0 there for every model. */
 #define SMALL_U 1e-300
 
 /* A step in ln r of at most this size is the last one, because Newton's method squares the error.
@@ -37,7 +37,7 @@ static double logit(double u) {
   return real_log(u / real_max(1 - u, 0x1p-53), 0);
 }
 
-/* Makes one step of Newton's method from x, where cdf and density are known. */
+/* Makes a step of Newton's method from x. cdf and density: at x. */
 static void step(struct search *s, double cdf, double density) {
   const double excess = cdf > 0 ? logit(cdf) - logit(s->u) : -700;
   s->low = cdf < s->u ? s->x : s->low;

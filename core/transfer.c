@@ -25,20 +25,22 @@
 
 #define PI 3.14159265358979323846
 #define LN2 0.69314718055994530942
-/* For a smaller k, times the profile's scale, R(f) is the albedo. With the largest eta R(r) reaches
- * 1e13 mean free paths. */
+/* R(f) is the albedo where k times the profile's scale is below this. For the largest eta R(r)
+ * reaches to 1e13 mean free paths. */
 #define SLOWEST 1e-30
-#define FASTEST 1e100 /* for a larger one R(f) is 0 */
+#define FASTEST 1e100 /* R(f) is 0 where k times the scale is above this */
 
 enum {
   STEPS = CORE_FILTER_STEPS,
   WAVES = CORE_FILTER_WAVES,
-  NEAR = 38 * STEPS,  /* steps below k r = 1, and below the profile's scale, where the sum begins */
-  NEARER = 8 * STEPS, /* it begins as many steps earlier while there is energy, */
+  /* the sum begins this many steps below k r = 1 and below the profile's scale */
+  NEAR = 38 * STEPS,
+  NEARER = 8 * STEPS, /* number of steps by which it begins earlier while energy is left there, */
   NEAREST = 10,       /* at most this many times */
-  ONES = 102 * STEPS + NEAREST * NEARER, /* the first node may lie as many steps below NEAR / k */
-  POINTS = 16,                           /* of the interpolation in ln k */
-  LANES = 8,                             /* partial sums */
+  /* the largest number of steps from the first node to NEAR / k */
+  ONES = 102 * STEPS + NEAREST * NEARER,
+  POINTS = 16, /* points of the interpolation in ln k */
+  LANES = 8,   /* partial sums */
   NODES = 4096,
   SUMS = 1024,
 };
@@ -63,20 +65,21 @@ static double power(int i) {
   return ldexp(roots[i - octave * STEPS], octave);
 }
 
-/* The state that the frequencies of a call share. It changes no value. */
+/* What the frequencies of a call share, to compute it once. It does not change any value. */
 struct shared {
   const core_profile *profile;
-  double wave[ONES + NEAR + WAVES]; /* the filtered J0 at 2^((i - ONES - NEAR) / STEPS) */
-  double energy[NODES];             /* 2 pi h r^2 R at r = 2^((base + i) / STEPS), see is_faint() */
+  /* wave[i]: the filtered J0 at k r = 2^((i - ONES - NEAR) / STEPS) */
+  double wave[ONES + NEAR + WAVES];
+  double energy[NODES]; /* energy[i]: 2 pi h r^2 R at r = 2^((base + i) / STEPS), see is_faint() */
   int base;
-  int first, end;   /* the nodes whose energy is known */
-  int least;        /* the node from which on R matters if k is small */
-  double sum[SUMS]; /* R(f) at k = 2^(m / STEPS), each in position m modulo SUMS */
-  int sum_of[SUMS]; /* its m */
+  int first, end;   /* nodes from first to end - 1 have their energy */
+  int least;        /* the first node at which R matters for small k */
+  double sum[SUMS]; /* cache of R(f) at k = 2^(m / STEPS), at index m modulo SUMS */
+  int sum_of[SUMS]; /* the m of each cached sum */
 };
 
-/* Returns the node below which there is no energy that matters. Single scattering has much of it
- * next to the source where g is nearly -1. */
+/* Returns the node below which energy is negligible. Single scattering has much of its energy close
+ * to the source if g is near -1. */
 static int first_node(const core_profile *profile) {
   int node = (int)floor(real_log(profile->scale_mm, 0) * (STEPS / LN2)) - NEAR;
   for (int i = 0; i < NEAREST; i++) {
@@ -111,8 +114,8 @@ static void begin(struct shared *shared, const core_profile *profile) {
   shared->least = first_node(profile);
 }
 
-/* Whether R may have underflowed where the energy has not: it comes from ln R then, and is divided
- * by the albedo. */
+/* Returns whether R may have underflowed where its energy matters. The energy then comes from ln R
+ * and is divided by the albedo. */
 static bool is_faint(const core_profile *profile) {
   return profile->albedo < 1e-200;
 }
@@ -137,7 +140,8 @@ static void fill(struct shared *shared, int first, int end) {
   }
 }
 
-/* Makes the energies of nodes known, at most NODES. Forgets others if there is no room for all. */
+/* Computes the energies of nodes first to end - 1, at most NODES. Discards others if there is no
+ * room for all. */
 static void cover(struct shared *shared, int first, int end) {
   const int low = first < shared->first ? first : shared->first;
   const int high = end > shared->end ? end : shared->end;
@@ -181,7 +185,7 @@ static double sum_at(struct shared *shared, int m) {
   return sum;
 }
 
-/* Returns R(f) by Lagrange's polynomial through the POINTS nearest sums. */
+/* Returns R(f) by Lagrange's polynomial through the POINTS nearest values. */
 static double transform(struct shared *shared, double k) {
   const double place = real_log(k, 0) * (STEPS / LN2), start = floor(place) - (POINTS / 2 - 1);
   double value = 0;
