@@ -7,10 +7,10 @@
 #include <sys/socket.h>
 #include <sys/uio.h>
 
-#include "server/http/answer.h"
 #include "server/http/openapi.h"
 #include "server/http/page.h"
-#include "server/http/question.h"
+#include "server/http/reply.h"
+#include "server/http/request.h"
 #include "server/jobs/run.h"
 #include "server/net/worker.h"
 #include "server/observe/health.h"
@@ -33,9 +33,9 @@ enum state {
   AWAITS,   /* a request has still to arrive, or to arrive completely */
   RECEIVES, /* its header has arrived */
   RUNS,     /* its job runs, and the library leaves the connection alone */
-  READY,    /* the answer is in the output */
+  READY,    /* the reply is in the output */
   GIVEN_UP, /* the job was given up, and the connection is to be closed */
-  ANSWERED, /* the library has the answer */
+  REPLIED,  /* the library has the reply */
 };
 
 struct http_connection {
@@ -56,7 +56,7 @@ struct http_connection {
   struct http_text payload; /* of the message that asks the same */
   struct http_text reply;   /* the payload of its reply */
   bool g_is_default;        /* whether the request left g out */
-  struct http_text answer;  /* which the library sends from where it is */
+  struct http_text text;    /* which the library sends from where it is */
 
   struct run run;
   uint64_t arrived_ns;   /* when its request had arrived */
@@ -67,7 +67,7 @@ struct http_connection {
 static const struct client_kind kind;
 static const struct run_sink sink;
 
-static struct http_connection *of(struct client *client) {
+static struct http_connection *connection_of(struct client *client) {
   return (struct http_connection *)(void *)client;
 }
 
@@ -99,7 +99,7 @@ static void open_connection(struct http_host *host, struct MHD_Connection *handl
   http_text_init(&c->body, &host->buffers);
   http_text_init(&c->payload, &host->buffers);
   http_text_init(&c->reply, &host->buffers);
-  http_text_init(&c->answer, &host->buffers);
+  http_text_init(&c->text, &host->buffers);
   run_init(&c->run, &sink, c);
   host->connection_count++;
   worker_adopt(host->worker, &c->client);
@@ -111,14 +111,14 @@ static void forget_request(struct http_connection *c) {
   http_text_reset(&c->query);
   http_text_reset(&c->payload);
   http_text_reset(&c->reply);
-  http_text_reset(&c->answer);
+  http_text_reset(&c->text);
 }
 
 static void free_texts(struct http_connection *c) {
   http_text_free(&c->query);
   http_text_free(&c->payload);
   http_text_free(&c->reply);
-  http_text_free(&c->answer);
+  http_text_free(&c->text);
 }
 
 /* The library closes no connection whose job runs, so the client is in no queue of the worker. */
@@ -153,28 +153,28 @@ static size_t library_bytes(const char *uri) {
 
 /* Answers a request whose URI the library has too little memory for: it would close the connection
  * without a word. The rest of the request is thrown away, since the kernel resets a connection that
- * is closed with bytes to read, and the client might lose the answer. */
+ * is closed with bytes to read, and the client might lose the reply. */
 static void refuse_uri(struct http_connection *c) {
   const wire_error error = wire_error_make(
       WIRE_STATUS_TOO_LARGE, "query", "32 KiB with its names; the body of a POST may be larger");
   char head[160], rest[4096];
   health_note_refusal(c->host->server, &error);
-  http_text_reset(&c->answer);
-  http_answer_write_error(&error, &c->answer);
+  http_text_reset(&c->text);
+  http_reply_write_error(&error, &c->text);
   const int length = snprintf(head, sizeof head,
                               "HTTP/1.1 414 URI Too Long\r\nConnection: close\r\n"
                               "Content-Type: application/json\r\nContent-Length: %zu\r\n\r\n",
-                              c->answer.count);
-  struct iovec parts[] = {{head, (size_t)length}, {c->answer.bytes, c->answer.count}};
-  const struct msghdr answer = {.msg_iov = parts, .msg_iovlen = 2};
-  if (!c->answer.failed && sendmsg(c->fd, &answer, MSG_NOSIGNAL | MSG_DONTWAIT) > 0) {
+                              c->text.count);
+  struct iovec parts[] = {{head, (size_t)length}, {c->text.bytes, c->text.count}};
+  const struct msghdr head_and_body = {.msg_iov = parts, .msg_iovlen = 2};
+  if (!c->text.failed && sendmsg(c->fd, &head_and_body, MSG_NOSIGNAL | MSG_DONTWAIT) > 0) {
     shutdown(c->fd, SHUT_WR);
   }
   for (int i = 0; i < HTTP_CONNECTION_BYTES / (int)sizeof rest &&
                   recv(c->fd, rest, sizeof rest, MSG_DONTWAIT) == (ssize_t)sizeof rest;
        i++) {
   }
-  c->state = ANSWERED;
+  c->state = REPLIED;
 }
 
 void *http_connection_begin(void *context, const char *uri, struct MHD_Connection *connection) {
@@ -231,14 +231,14 @@ static void add_headers(const struct http_connection *c, struct MHD_Response *re
   }
 }
 
-/* Sends the answer that has been written. If there was no memory for it, closes the connection. */
+/* Sends the reply that has been written. If there was no memory for it, closes the connection. */
 static enum MHD_Result send_text(struct http_connection *c, unsigned status,
                                  uint32_t retry_after_ms) {
-  c->state = ANSWERED;
+  c->state = REPLIED;
   struct MHD_Response *response =
-      c->answer.failed ? NULL
-                       : MHD_create_response_from_buffer(c->answer.count, c->answer.bytes,
-                                                         MHD_RESPMEM_PERSISTENT);
+      c->text.failed
+          ? NULL
+          : MHD_create_response_from_buffer(c->text.count, c->text.bytes, MHD_RESPMEM_PERSISTENT);
   if (response == NULL) {
     return MHD_NO;
   }
@@ -250,7 +250,7 @@ static enum MHD_Result send_text(struct http_connection *c, unsigned status,
 
 static enum MHD_Result send_page(struct http_connection *c) {
   struct MHD_Response *response = http_page_response();
-  c->state = ANSWERED;
+  c->state = REPLIED;
   if (response == NULL) {
     return MHD_NO;
   }
@@ -266,46 +266,42 @@ static enum MHD_Result send_page(struct http_connection *c) {
 static enum MHD_Result send_error(struct http_connection *c, const wire_error *error,
                                   unsigned status) {
   health_note_refusal(c->host->server, error);
-  http_text_free(&c->answer); /* what was written so far */
-  const unsigned usual = http_answer_write_error(error, &c->answer);
+  http_text_free(&c->text); /* what was written so far */
+  const unsigned usual = http_reply_write_error(error, &c->text);
   return send_text(c, status != 0 ? status : usual, error->retry_after_ms);
 }
 
-static wire_error refuse(enum wire_status status, const char *field, const char *allowed) {
-  return wire_error_make(status, field, allowed);
-}
-
-/* ---- the answer ------------------------------------------------------------------------------ */
+/* ---- the reply ------------------------------------------------------------------------------- */
 
 static wire_error too_large(const struct http_connection *c, const char *field) {
   char allowed[81];
   snprintf(allowed, sizeof allowed, "over HTTP a request and a reply of max_part_bytes, %llu",
            (unsigned long long)options_of(c)->max_part_bytes);
-  return refuse(WIRE_STATUS_TOO_LARGE, field, allowed);
+  return wire_error_make(WIRE_STATUS_TOO_LARGE, field, allowed);
 }
 
-/* Frees what has become the text of an answer, if it is much, so that a slow reader holds the text
+/* Frees what has become the text of a reply, if it is much, so that a slow reader holds the text
  * alone. */
 static void free_payloads(struct http_connection *c) {
   http_text_reset(&c->payload);
   http_text_reset(&c->reply);
-  http_text_trim(&c->answer);
+  http_text_trim(&c->text);
 }
 
 static void write_reply(struct http_connection *c) {
   const uint8_t *payload = (const uint8_t *)c->reply.bytes;
   if (c->route.kind == LISTS) {
-    http_answer_write_models(payload, &c->answer);
+    http_reply_write_models(payload, &c->text);
   } else if (c->route.kind == MEDIA) {
-    http_answer_write_media(payload, &c->answer);
+    http_reply_write_media(payload, &c->text);
   } else {
-    http_answer_write(c->route.message, (const uint8_t *)c->payload.bytes, c->g_is_default, payload,
-                      c->reply.count, &c->answer);
+    http_reply_write(c->route.message, (const uint8_t *)c->payload.bytes, c->g_is_default, payload,
+                     c->reply.count, &c->text);
   }
 }
 
 /* Sends the reply, or the refusal, of a job that has ended. */
-static enum MHD_Result send_answer(struct http_connection *c) {
+static enum MHD_Result send_reply(struct http_connection *c) {
   const bool refused = c->error.status != WIRE_STATUS_OK;
   if (!refused) {
     write_reply(c);
@@ -313,7 +309,7 @@ static enum MHD_Result send_answer(struct http_connection *c) {
                                1000); /* if that failed */
   }
   free_payloads(c);
-  return refused || c->answer.failed ? send_error(c, &c->error, 0) : send_text(c, MHD_HTTP_OK, 0);
+  return refused || c->text.failed ? send_error(c, &c->error, 0) : send_text(c, MHD_HTTP_OK, 0);
 }
 
 /* ---- the job --------------------------------------------------------------------------------- */
@@ -376,7 +372,8 @@ static void go_on(struct http_connection *c) {
 }
 
 /* Starts the job of the payload. The reply is sent at once, or when the job is done. */
-static enum MHD_Result ask(struct http_connection *c, enum wire_type type, uint32_t deadline_ms) {
+static enum MHD_Result start_job(struct http_connection *c, enum wire_type type,
+                                 uint32_t deadline_ms) {
   struct worker *worker = c->host->worker;
   const wire_header header = {.type = (uint16_t)type, .payload_bytes = (uint32_t)c->payload.count};
   const struct job_type *message = job_type_of(type);
@@ -394,7 +391,7 @@ static enum MHD_Result ask(struct http_connection *c, enum wire_type type, uint3
   run_on(&c->run, &budget);
   if (c->run.state == RUN_IDLE) {
     batch_finish(&worker_context(worker)->batch, &c->host->server->stats);
-    return send_answer(c);
+    return send_reply(c);
   }
   c->state = RUNS;
   MHD_suspend_connection(c->handle);
@@ -460,16 +457,16 @@ static wire_error translate(struct http_connection *c, uint32_t *deadline_ms) {
                               (size_t)options_of(c)->max_part_bytes / BRACKET_BYTES)
           : http_values_parse_query(&values, c->query.count > 0 ? c->query.bytes : none);
   if (error.status == WIRE_STATUS_OK) {
-    error = http_question_translate(c->route.message, &values, &c->payload,
-                                    (size_t)options_of(c)->max_part_bytes, deadline_ms,
-                                    &c->g_is_default);
+    error = http_request_translate(c->route.message, &values, &c->payload,
+                                   (size_t)options_of(c)->max_part_bytes, deadline_ms,
+                                   &c->g_is_default);
     http_values_free(&values);
   }
   http_text_free(&c->body);
   return error;
 }
 
-static enum MHD_Result answer_message(struct http_connection *c) {
+static enum MHD_Result reply_to_message(struct http_connection *c) {
   uint32_t deadline_ms = 0;
   const wire_error error = translate(c, &deadline_ms);
   if (error.status != WIRE_STATUS_OK) {
@@ -477,20 +474,20 @@ static enum MHD_Result answer_message(struct http_connection *c) {
     stats_count_answer(&c->host->server->stats, error.status);
     return send_error(c, &error, 0);
   }
-  return ask(c, c->route.message->type, deadline_ms);
+  return start_job(c, c->route.message->type, deadline_ms);
 }
 
 static enum MHD_Result send_health(struct http_connection *c, enum health health) {
-  http_text_begin(&c->answer, NULL, '{');
-  http_text_string(&c->answer, "status", health_name(health));
+  http_text_begin(&c->text, NULL, '{');
+  http_text_string(&c->text, "status", health_name(health));
   if (health_reason(health)[0] != '\0') {
-    http_text_string(&c->answer, "reason", health_reason(health));
+    http_text_string(&c->text, "reason", health_reason(health));
   }
-  http_text_end(&c->answer, '}');
+  http_text_end(&c->text, '}');
   return send_text(c, health == HEALTH_OK ? MHD_HTTP_OK : MHD_HTTP_SERVICE_UNAVAILABLE, 0);
 }
 
-static enum MHD_Result answer(struct http_connection *c) {
+static enum MHD_Result handle_request(struct http_connection *c) {
   static const wire_hello_request hello = {WIRE_VERSION, WIRE_VERSION, 0};
   switch (c->route.kind) {
   case PAGE:
@@ -500,18 +497,18 @@ static enum MHD_Result answer(struct http_connection *c) {
   case READINESS:
     return send_health(c, health_readiness(c->host->server));
   case DOCUMENT:
-    http_openapi_write(&c->answer);
+    http_openapi_write(&c->text);
     return send_text(c, MHD_HTTP_OK, 0);
   case LISTS: {
     uint8_t bytes[WIRE_BYTES_hello_request];
     wire_put_hello_request(bytes, &hello);
     http_text_add(&c->payload, (const char *)bytes, sizeof bytes);
-    return ask(c, WIRE_TYPE_HELLO, 0);
+    return start_job(c, WIRE_TYPE_HELLO, 0);
   }
   case MEDIA:
-    return ask(c, WIRE_TYPE_MEDIA, 0);
+    return start_job(c, WIRE_TYPE_MEDIA, 0);
   case MESSAGE:
-    return answer_message(c);
+    return reply_to_message(c);
   }
   return MHD_NO;
 }
@@ -528,7 +525,7 @@ static unsigned check_body(struct http_connection *c, wire_error *error) {
   if (!c->has_body) {
     const bool has_bytes = chunks != NULL || (length != NULL && strtoull(length, NULL, 10) > 0);
     if (has_bytes && c->route.kind == MESSAGE) {
-      *error = refuse(WIRE_STATUS_BAD_VALUE, "body", "nothing: POST takes fields as JSON");
+      *error = wire_error_make(WIRE_STATUS_BAD_VALUE, "body", "nothing: POST takes fields as JSON");
       return wire_status_http(error->status);
     }
     return 0;
@@ -536,11 +533,11 @@ static unsigned check_body(struct http_connection *c, wire_error *error) {
   const char *type = header_of(c, MHD_HTTP_HEADER_CONTENT_TYPE);
   if (type == NULL || strncasecmp(type, "application/json", 16) != 0 ||
       strchr("; \t", type[16]) == NULL) {
-    *error = refuse(WIRE_STATUS_BAD_VALUE, "Content-Type", "application/json");
+    *error = wire_error_make(WIRE_STATUS_BAD_VALUE, "Content-Type", "application/json");
     return MHD_HTTP_UNSUPPORTED_MEDIA_TYPE;
   }
   if (coding != NULL && strcasecmp(coding, "identity") != 0) {
-    *error = refuse(WIRE_STATUS_BAD_VALUE, "Content-Encoding", "none: a body as it is");
+    *error = wire_error_make(WIRE_STATUS_BAD_VALUE, "Content-Encoding", "none: a body as it is");
     return MHD_HTTP_UNSUPPORTED_MEDIA_TYPE;
   }
   if (length != NULL && strtoull(length, NULL, 10) > options_of(c)->max_part_bytes) {
@@ -548,7 +545,7 @@ static unsigned check_body(struct http_connection *c, wire_error *error) {
     return wire_status_http(error->status);
   }
   if (c->query.count > 1) {
-    *error = refuse(WIRE_STATUS_BAD_VALUE, "query", "nothing beside a body");
+    *error = wire_error_make(WIRE_STATUS_BAD_VALUE, "query", "nothing beside a body");
     return wire_status_http(error->status);
   }
   return 0;
@@ -565,14 +562,14 @@ static unsigned check_header(struct http_connection *c, const char *url, const c
     return misfit;
   }
   if (!find_route(path_of(url), &c->route)) {
-    *error = refuse(WIRE_STATUS_BAD_TYPE, "path", "what /v1/openapi.json lists");
+    *error = wire_error_make(WIRE_STATUS_BAD_TYPE, "path", "what /v1/openapi.json lists");
     return MHD_HTTP_NOT_FOUND;
   }
   if (strcmp(method, "OPTIONS") == 0 && options_of(c)->http_allow_origin != NULL) {
     return MHD_HTTP_NO_CONTENT;
   }
   if (!reads && !(c->has_body && c->route.kind == MESSAGE)) {
-    *error = refuse(WIRE_STATUS_BAD_TYPE, "method", "GET and HEAD, and POST for requests");
+    *error = wire_error_make(WIRE_STATUS_BAD_TYPE, "method", "GET and HEAD, and POST for requests");
     return MHD_HTTP_METHOD_NOT_ALLOWED;
   }
   const unsigned refused = check_body(c, error);
@@ -580,7 +577,8 @@ static unsigned check_header(struct http_connection *c, const char *url, const c
     return refused;
   }
   if (c->host->stopping && c->route.kind != HEALTH && c->route.kind != READINESS) {
-    *error = refuse(WIRE_STATUS_SHUTTING_DOWN, "daemon", "another one, or this one started again");
+    *error = wire_error_make(WIRE_STATUS_SHUTTING_DOWN, "daemon",
+                             "another one, or this one started again");
     return wire_status_http(error->status);
   }
   return 0;
@@ -625,7 +623,7 @@ static enum MHD_Result take_body(struct http_connection *c, const char *body, si
 /* Answers a request that has arrived completely. */
 static enum MHD_Result take_end(struct http_connection *c) {
   if (c->refused == 0) {
-    return answer(c);
+    return handle_request(c);
   }
   return c->refused == MHD_HTTP_NO_CONTENT ? send_text(c, c->refused, 0)
                                            : send_error(c, &c->refusal, c->refused);
@@ -645,8 +643,8 @@ enum MHD_Result http_connection_take(void *context, struct MHD_Connection *conne
   case RECEIVES:
     return *body_bytes > 0 ? take_body(c, body, body_bytes) : take_end(c);
   case READY:
-    return send_answer(c);
-  case ANSWERED:
+    return send_reply(c);
+  case REPLIED:
   case RUNS:
   case GIVEN_UP:
     return MHD_NO;
@@ -656,20 +654,20 @@ enum MHD_Result http_connection_take(void *context, struct MHD_Connection *conne
 
 /* ---- the client of the worker ---------------------------------------------------------------- */
 
-static void start(struct client *client) {
+static void start_client(struct client *client) {
   (void)client; /* There is nothing to do: the library reads. */
 }
 
-static void run(struct client *client) {
-  struct http_connection *c = of(client);
+static void run_turn(struct client *client) {
+  struct http_connection *c = connection_of(client);
   uint64_t budget = JOB_SLICE_RADII;
   if (c->state == RUNS) {
     run_on(&c->run, &budget);
   }
 }
 
-static void finish(struct client *client) {
-  struct http_connection *c = of(client);
+static void finish_turn(struct client *client) {
+  struct http_connection *c = connection_of(client);
   if (c->state == RUNS && c->run.state == RUN_IDLE) {
     resume(c, READY);
   } else if (c->state == RUNS) {
@@ -677,8 +675,8 @@ static void finish(struct client *client) {
   }
 }
 
-static void deadline(struct client *client) {
-  struct http_connection *c = of(client);
+static void expire_request(struct client *client) {
+  struct http_connection *c = connection_of(client);
   if (c->state == RUNS && run_expire(&c->run)) {
     worker_run_later(client);
   } else if (c->state == RUNS) {
@@ -694,12 +692,12 @@ static bool is_abandoned(const struct http_connection *c) {
 
 /* A request has to arrive within frame_timeout_ms, counted from the last answer. So one rule bounds
  * slow clients and idle ones. */
-static void tick(struct client *client, uint64_t at_ms) {
-  struct http_connection *c = of(client);
+static void check_time(struct client *client, uint64_t at_ms) {
+  struct http_connection *c = connection_of(client);
   if (c->state == RUNS && is_abandoned(c)) {
     give_up(c);
   }
-  if (c->state == ANSWERED) { /* A slow reader has no use for them. */
+  if (c->state == REPLIED) { /* A slow reader has no use for them. */
     http_text_free(&c->payload);
     http_text_free(&c->reply);
   }
@@ -714,15 +712,15 @@ static void tick(struct client *client, uint64_t at_ms) {
 }
 
 /* The daemon stops: a connection without a request is closed. */
-static void stop(struct client *client) {
-  struct http_connection *c = of(client);
+static void stop_client(struct client *client) {
+  struct http_connection *c = connection_of(client);
   if (c->state == AWAITS || c->state == RECEIVES) {
     shutdown(c->fd, SHUT_RDWR);
   }
 }
 
 static void abort_client(struct client *client) {
-  struct http_connection *c = of(client);
+  struct http_connection *c = connection_of(client);
   shutdown(c->fd, SHUT_RDWR);
   if (c->state == RUNS) {
     give_up(c);
@@ -734,12 +732,12 @@ static bool is_busy(const struct client *client) {
 }
 
 static const struct client_kind kind = {
-    .start = start,
-    .run = run,
-    .finish = finish,
-    .tick = tick,
-    .deadline = deadline,
-    .stop = stop,
+    .start = start_client,
+    .run = run_turn,
+    .finish = finish_turn,
+    .tick = check_time,
+    .deadline = expire_request,
+    .stop = stop_client,
     .abort = abort_client,
     .busy = is_busy,
 };

@@ -1,460 +1,344 @@
 #include "server/http/openapi.h"
 
 #include <math.h>
+#include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
 
 #include "core/varying.h"
-#include "server/http/question.h"
+#include "server/http/request.h"
 
-#define REFERENCE(name) "{\"$ref\":\"#/components/schemas/" name "\"}"
+#define REFERENCE(name) "{'$ref':'#/components/schemas/" name "'}"
 #define NUMBER REFERENCE("Number")
+#define STRING "{'type':'string'}"
 #define FIELDS(structure) (schema_structures[SCHEMA_STRUCTURE_##structure].fields)
 
-static const schema_payload header = {.structures = {&schema_structures[SCHEMA_STRUCTURE_header]}};
+/* Adds JSON, where ' stands for ", %s for a name and %t for a text. A comma that would come first in
+ * an object or an array is left out. */
+static void put(struct http_text *text, const char *form, ...) {
+  va_list arguments;
+  va_start(arguments, form);
+  const char last = text->count > 0 ? text->bytes[text->count - 1] : '{';
+  form += form[0] == ',' && (last == '{' || last == '[');
+  for (; *form != '\0'; form++) {
+    if (*form != '%') {
+      http_text_add(text, *form == '\'' ? "\"" : form, 1);
+    } else if (*++form == 's') {
+      const char *name = va_arg(arguments, const char *);
+      http_text_add(text, name, strlen(name));
+    } else {
+      text->filled = false;
+      http_text_string(text, NULL, va_arg(arguments, const char *));
+    }
+  }
+  va_end(arguments);
+}
 
 /* ---- schemas --------------------------------------------------------------------------------- */
 
-static void write_names(struct http_text *text, const core_choice *list) {
-  http_text_begin(text, "enum", '[');
+/* Adds the members of the schema for the names of a list. */
+static void put_choice(struct http_text *text, const core_choice *list, bool bits) {
+  put(text,
+      bits ? ",'type':'array','items':{'type':'string','enum':[" : ",'type':'string','enum':[");
   for (; list->name != NULL; list++) {
-    http_text_string(text, NULL, list->name);
+    put(text, ",%t", list->name);
   }
-  http_text_end(text, ']');
+  put(text, bits ? "]}" : "]");
 }
 
-/* Writes the members of the schema for the names of a list. */
-static void write_choice(struct http_text *text, const core_choice *list, bool bits) {
-  http_text_string(text, "type", bits ? "array" : "string");
-  if (bits) {
-    http_text_begin(text, "items", '{');
-    http_text_string(text, "type", "string");
-    write_names(text, list);
-    http_text_end(text, '}');
-  } else {
-    write_names(text, list);
-  }
+static void put_kind(struct http_text *text, enum schema_kind kind) {
+  put(text, kind == SCHEMA_f64                         ? ",'allOf':[" NUMBER "]"
+            : kind == SCHEMA_u64                       ? ",'oneOf':[{'type':'integer','minimum':0},"
+                                                         "{'type':'string','pattern':'^[0-9]{1,20}$'}]"
+            : kind == SCHEMA_u16 || kind == SCHEMA_u32 ? ",'type':'integer'"
+                                                       : ",'type':'string'");
 }
 
-static void write_scalar(struct http_text *text, enum schema_kind kind) {
-  switch (kind) {
-  case SCHEMA_f64:
-    http_text_raw(text, "allOf", "[" NUMBER "]");
-    break;
-  case SCHEMA_u64:
-    http_text_raw(text, "oneOf",
-                  "[{\"type\":\"integer\",\"minimum\":0},{\"type\":\"string\",\"pattern\":"
-                  "\"^[0-9]{1,20}$\"}]");
-    break;
-  case SCHEMA_u16:
-  case SCHEMA_u32:
-    http_text_string(text, "type", "integer");
-    break;
-  default:
-    http_text_string(text, "type", "string");
-    break;
-  }
-}
-
-static void write_description(struct http_text *text, const char *unit, const char *meaning) {
-  char both[256];
-  snprintf(both, sizeof both, "%s%s%s", unit != NULL ? unit : "",
-           unit != NULL && meaning[0] != '\0' ? "; " : "", meaning);
-  if (both[0] != '\0') {
-    http_text_string(text, "description", both);
-  }
-}
-
-/* Returns whether what holds for a choice that a request leaves out depends on others (question.c). */
+/* Returns whether what holds for a choice that a request leaves out depends on others (request.c). */
 static bool depends_on_others(const schema_field *field) {
   return field->bits || field->or_zero || field->list == core_models ||
          field->list == core_evaluators || field->list == core_spacings;
 }
 
-/* Writes what holds for a field of a request. */
-static void write_attributes(struct http_text *text, const schema_field *field) {
+static void put_number(struct http_text *text, const char *key, double number) {
+  text->filled = true;
+  http_text_number(text, key, number);
+}
+
+/* Adds what holds for a field of a request. */
+static void put_attributes(struct http_text *text, const schema_field *field) {
   if (field->list != NULL && field->usual > 0 && !depends_on_others(field)) {
-    http_text_string(text, "default", core_choice_by_id(field->list, (unsigned)field->usual)->name);
+    put(text, ",'default':%t", core_choice_by_id(field->list, (unsigned)field->usual)->name);
   } else if (field->list == NULL && field->kind != SCHEMA_u64 && !field->required) {
-    http_text_number(text, "default", field->usual);
+    put_number(text, "default", field->usual);
   }
   if (field->spans && field->list == NULL) {
-    http_text_number(text, "minimum", field->or_zero ? 0 : field->least);
+    put_number(text, "minimum", field->or_zero ? 0 : field->least);
     if (isfinite(field->most)) {
-      http_text_number(text, "maximum", field->most);
+      put_number(text, "maximum", field->most);
     }
   }
 }
 
-static void write_members(struct http_text *text, const schema_field *field) {
+static void put_members(struct http_text *text, const schema_field *field) {
+  const bool is_array = field->count > 1 && field->kind != SCHEMA_text;
+  char description[256];
   if (field->list != NULL) {
-    write_choice(text, field->list, field->bits);
+    put_choice(text, field->list, field->bits);
   } else if (schema_is_name(field)) {
-    http_text_string(text, "type", "string");
-    http_text_string(text, "pattern", "^[0-9a-f]{32}$");
-  } else if (field->kind == SCHEMA_text || field->count == 1) {
-    write_scalar(text, field->kind);
+    put(text, ",'type':'string','pattern':'^[0-9a-f]{32}$'");
   } else {
-    http_text_string(text, "type", "array");
-    http_text_begin(text, "items", '{');
-    write_scalar(text, field->kind);
-    http_text_end(text, '}');
+    put(text, is_array ? ",'type':'array','items':{" : "");
+    put_kind(text, field->kind);
+    put(text, is_array ? "}" : "");
   }
-  write_description(text, field->unit, field->meaning);
+  snprintf(description, sizeof description, "%s%s%s", field->unit != NULL ? field->unit : "",
+           field->unit != NULL && field->meaning[0] != '\0' ? "; " : "", field->meaning);
+  if (description[0] != '\0') {
+    put(text, ",'description':%t", description);
+  }
 }
 
-static void write_property(struct http_text *text, const schema_field *field) {
-  http_text_begin(text, field->name, '{');
-  write_members(text, field);
-  http_text_end(text, '}');
-}
-
-static void write_properties(struct http_text *text, const schema_field *fields) {
+static void put_properties(struct http_text *text, const schema_field *fields) {
   for (; fields->name != NULL; fields++) {
     if (!fields->hidden) {
-      write_property(text, fields);
+      put(text, ",'%s':{", fields->name);
+      put_members(text, fields);
+      put(text, "}");
     }
   }
 }
 
-static void begin_object(struct http_text *text, const char *name) {
-  http_text_begin(text, name, '{');
-  http_text_string(text, "type", "object");
-  http_text_begin(text, "properties", '{');
+static void begin_object(struct http_text *text, const char *name, const char *suffix) {
+  put(text, ",'%s%s':{'type':'object','properties':{", name, suffix);
 }
 
-static void end_object(struct http_text *text) {
-  http_text_end(text, '}');
-  http_text_end(text, '}');
+static void put_object(struct http_text *text, const char *name, const schema_field *fields) {
+  begin_object(text, name, "");
+  put_properties(text, fields);
+  put(text, "}}");
 }
 
-static void write_list(struct http_text *text, const char *name, const char *items,
-                       const char *description) {
-  http_text_begin(text, name, '{');
-  http_text_string(text, "type", "array");
-  http_text_raw(text, "items", items);
-  if (description != NULL) {
-    http_text_string(text, "description", description);
-  }
-  http_text_end(text, '}');
-}
-
-static void write_units(struct http_text *text) {
-  http_text_raw(text, "units",
-                "{\"type\":\"object\",\"additionalProperties\":{\"type\":\"string\"}}");
+static void put_list(struct http_text *text, const char *name, const char *items,
+                     const char *description) {
+  put(text, ",'%s':{'type':'array','items':", name);
+  put(text, items);
+  put(text, ",'description':%t}", description);
 }
 
 /* ---- what a request says --------------------------------------------------------------------- */
 
-/* Calls write() for each field of a request, with its name, and with the members of its schema to
- * be written by write_request_field(). */
-struct request_field {
-  const char *name;
-  const schema_field *field;    /* a field of a structure, or NULL */
-  const core_choice *parameter; /* else a parameter, or NULL */
-  const char *description;      /* else a list of numbers, or of media */
-};
+/* Begins the schema of a request's field, or adds the parameter of a query that refers to it and returns
+ * false. */
+static bool begin_field(struct http_text *text, const schema_message *message, bool in_query,
+                        const char *name) {
+  if (!in_query) {
+    put(text, ",'%s':{", name);
+    return true;
+  }
+  put(text, ",{'name':'%s','in':'query','style':'form','explode':false,'schema':", name);
+  if (strcmp(name, "medium") == 0) {
+    put(text, "{'type':'array','items':" STRING "}}");
+  } else {
+    put(text, "{'$ref':'#/components/schemas/%s_request/properties/%s'}}", message->name, name);
+  }
+  return false;
+}
 
-enum { REQUEST_FIELDS_MAX = 64 };
+static void put_field(struct http_text *text, const schema_message *message, bool in_query,
+                      const schema_field *field) {
+  if (begin_field(text, message, in_query, field->name)) {
+    put_members(text, field);
+    put_attributes(text, field);
+    put(text, "}");
+  }
+}
 
-/* Fills in the fields that a request may have. Returns how many there are. */
-static size_t list_request_fields(const schema_message *message,
-                                  struct request_field fields[REQUEST_FIELDS_MAX]) {
+static void put_list_field(struct http_text *text, const schema_message *message, bool in_query,
+                           const char *name, const char *items, const char *description) {
+  if (begin_field(text, message, in_query, name)) {
+    put(text, "'type':'array','items':");
+    put(text, items);
+    put(text, ",'description':%t}", description);
+  }
+}
+
+/* Adds the fields that a request may have: to a body's schema, or as parameters of a query. */
+static void put_request(struct http_text *text, const schema_message *message, bool in_query) {
+  static const schema_payload header = {
+      .structures = {&schema_structures[SCHEMA_STRUCTURE_header]}};
   const schema_payload *request = message->request;
   const schema_field *field;
   const schema_part *part;
   const char *name;
-  size_t count = 0;
-  for (unsigned i = 0; (field = http_question_fields(request, i)) != NULL; i++) {
+  for (unsigned i = 0; (field = http_request_fields(request, i)) != NULL; i++) {
     for (; field->name != NULL; field++) {
       if (!field->hidden) {
-        fields[count++] = (struct request_field){field->name, field, NULL, NULL};
+        put_field(text, message, in_query, field);
       }
     }
   }
-  if (message->type == WIRE_TYPE_FIT) {
-    fields[count++] =
-        (struct request_field){"reference", NULL, NULL, "the known medium, with scale reference"};
+  if (message->type == WIRE_TYPE_FIT && begin_field(text, message, in_query, "reference")) {
+    put(text, "'allOf':[" REFERENCE(
+                  "Coefficients") "],"
+                                  "'description':'the known medium, with scale reference'}");
   }
-  for (unsigned i = 0; (part = http_question_list(request, i, &name)) != NULL; i++) {
-    fields[count++] = (struct request_field){name, NULL, NULL, part->about};
+  for (unsigned i = 0; (part = http_request_list(request, i, &name)) != NULL; i++) {
+    put_list_field(text, message, in_query, name, NUMBER, part->about);
   }
-  if (http_question_media(request) > 0) {
-    fields[count++] = (struct request_field){
-        "medium", NULL, NULL, "names of /v1/media, of three channels each; else the coefficients"};
+  if (http_request_media(request) > 0) {
+    put_list_field(text, message, in_query, "medium", REFERENCE("Medium"),
+                   "names of /v1/media, of three channels each; else the coefficients");
     for (field = FIELDS(medium); field->name != NULL; field++) {
-      fields[count++] = (struct request_field){field->name, NULL, NULL, field->meaning};
+      put_list_field(text, message, in_query, field->name, NUMBER, field->meaning);
     }
   }
   for (const core_choice *one = core_parameter_list;
-       http_question_has_parameters(request) && one->name != NULL; one++) {
-    if (schema_field_of(request, one->name) == NULL) {
-      fields[count++] = (struct request_field){one->name, NULL, one, NULL};
+       http_request_has_parameters(request) && one->name != NULL; one++) {
+    if (schema_field_of(request, one->name) == NULL &&
+        begin_field(text, message, in_query, one->name)) {
+      put_kind(text, SCHEMA_f64);
+      put(text, ",'description':%t}", one->about);
     }
   }
-  fields[count++] =
-      (struct request_field){"deadline_ms", schema_field_of(&header, "deadline_ms"), NULL, NULL};
-  return count;
+  put_field(text, message, in_query, schema_field_of(&header, "deadline_ms"));
 }
 
-static void write_request_field(struct http_text *text, const struct request_field *field) {
-  if (field->field != NULL) {
-    write_members(text, field->field);
-    write_attributes(text, field->field);
-  } else if (field->parameter != NULL) {
-    write_scalar(text, SCHEMA_f64);
-    http_text_string(text, "description", field->parameter->about);
-  } else {
-    http_text_string(text, "type", "array");
-    http_text_raw(text, "items", strcmp(field->name, "medium") == 0 ? REFERENCE("Medium") : NUMBER);
-    http_text_string(text, "description", field->description);
-  }
-}
+/* ---- paths and replies ----------------------------------------------------------------------- */
 
-/* ---- paths ----------------------------------------------------------------------------------- */
+#define ANSWERS(schema)                                                                            \
+  ",'responses':{'200':{'description':'the "                                                       \
+  "answer','content':{'application/json':{'schema':" schema                                        \
+  "}}},'default':{'$ref':'#/components/responses/Error'}}}"
 
-static void write_responses(struct http_text *text, const char *schema) {
-  static const struct {
-    const char *status;
-    const char *meaning;
-  } faults[] = {{"400", "a field is wrong"},
-                {"404", "the daemon does not have the set of points: send it to /v1/points"},
-                {"413", "the request or the reply is too large for HTTP"},
-                {"429", "the daemon is at a limit; Retry-After says when to try again"},
-                {"503", "the daemon stops, or the deadline has passed"}};
-  http_text_begin(text, "responses", '{');
-  http_text_begin(text, "200", '{');
-  http_text_string(text, "description", "the answer");
-  http_text_raw(text, "content", "{\"application/json\":{\"schema\":");
-  http_text_add(text, schema, strlen(schema));
-  http_text_add(text, "}}", 2);
-  http_text_end(text, '}');
-  for (size_t i = 0; i < sizeof faults / sizeof faults[0]; i++) {
-    http_text_begin(text, faults[i].status, '{');
-    http_text_string(text, "description", faults[i].meaning);
-    http_text_raw(text, "content", "{\"application/json\":{\"schema\":" REFERENCE("Error") "}}");
-    http_text_end(text, '}');
-  }
-  http_text_end(text, '}');
-}
-
-static void write_get(struct http_text *text, const schema_message *message, const char *schema) {
-  struct request_field fields[REQUEST_FIELDS_MAX];
-  const size_t count = list_request_fields(message, fields);
-  char id[32];
-  snprintf(id, sizeof id, "get_%s", message->name);
-  http_text_begin(text, "get", '{');
-  http_text_string(text, "operationId", id);
-  http_text_string(text, "summary", message->about);
-  http_text_begin(text, "parameters", '[');
-  for (size_t i = 0; i < count; i++) {
-    http_text_begin(text, NULL, '{');
-    http_text_string(text, "name", fields[i].name);
-    http_text_string(text, "in", "query");
-    http_text_string(text, "style", "form");
-    http_text_bool(text, "explode", false);
-    http_text_begin(text, "schema", '{');
-    if (strcmp(fields[i].name, "medium") == 0) {
-      http_text_raw(text, "type", "\"array\",\"items\":{\"type\":\"string\"}");
-    } else {
-      write_request_field(text, &fields[i]);
-    }
-    http_text_end(text, '}');
-    http_text_end(text, '}');
-  }
-  http_text_end(text, ']');
-  write_responses(text, schema);
-  http_text_end(text, '}');
-}
-
-static void write_message(struct http_text *text, const schema_message *message) {
+static void put_path(struct http_text *text, const schema_message *message) {
   const char *name = message->name;
-  char path[40], schema[80], body[80];
-  snprintf(path, sizeof path, "/v1/%s", name);
-  snprintf(schema, sizeof schema, REFERENCE("%s_reply"), name);
-  snprintf(body, sizeof body, REFERENCE("%s_request"), name);
-  http_text_begin(text, path, '{');
-  write_get(text, message, schema);
-  http_text_begin(text, "post", '{');
-  http_text_string(text, "operationId", name);
-  http_text_string(text, "summary", message->about);
-  http_text_begin(text, "requestBody", '{');
-  http_text_bool(text, "required", true);
-  http_text_raw(text, "content", "{\"application/json\":{\"schema\":");
-  http_text_add(text, body, strlen(body));
-  http_text_add(text, "}}", 2);
-  http_text_end(text, '}');
-  write_responses(text, schema);
-  http_text_end(text, '}');
-  http_text_end(text, '}');
+  put(text, ",'/v1/%s':{'get':{'operationId':'get_%s','summary':%t,'parameters':[", name, name,
+      message->about);
+  put_request(text, message, true);
+  put(text, "]" ANSWERS(REFERENCE("%s_reply")), name);
+  put(text,
+      ",'post':{'operationId':'%s','summary':%t,'requestBody':{'required':true,'content':"
+      "{'application/json':{'schema':" REFERENCE("%s_request") "}}}" ANSWERS(
+          REFERENCE("%s_reply")) "}",
+      name, message->about, name, name);
 }
 
-static void write_list_path(struct http_text *text, const char *path, const char *id,
-                            const char *summary) {
-  http_text_begin(text, path, '{');
-  http_text_begin(text, "get", '{');
-  http_text_string(text, "operationId", id);
-  http_text_string(text, "summary", summary);
-  write_responses(text, "{\"type\":\"object\"}");
-  http_text_end(text, '}');
-  http_text_end(text, '}');
+static void put_list_path(struct http_text *text, const char *path, const char *id,
+                          const char *summary) {
+  put(text, ",'%s':{'get':{'operationId':'%s','summary':%t" ANSWERS("{'type':'object'}") "}", path,
+      id, summary);
 }
 
-/* ---- components ------------------------------------------------------------------------------ */
-
-static void write_request_schema(struct http_text *text, const schema_message *message) {
-  struct request_field fields[REQUEST_FIELDS_MAX];
-  const size_t count = list_request_fields(message, fields);
-  char name[32];
-  snprintf(name, sizeof name, "%s_request", message->name);
-  begin_object(text, name);
-  for (size_t i = 0; i < count; i++) {
-    http_text_begin(text, fields[i].name, '{');
-    write_request_field(text, &fields[i]);
-    http_text_end(text, '}');
-  }
-  http_text_end(text, '}');
-  http_text_bool(text, "additionalProperties", false);
-  http_text_end(text, '}');
-}
-
-/* Writes the schemas of arrays of numbers, with the names of a list. */
-static void write_choice_lists(struct http_text *text, const core_choice *list) {
+/* Adds arrays of numbers with the names of a list. */
+static void put_arrays(struct http_text *text, const core_choice *list) {
   for (; list->name != NULL; list++) {
-    write_list(text, list->name, NUMBER, list->about);
+    put_list(text, list->name, NUMBER, list->about);
   }
 }
 
-static void write_reply_schema(struct http_text *text, const schema_message *message) {
-  char name[32];
-  snprintf(name, sizeof name, "%s_reply", message->name);
-  begin_object(text, name);
-  const schema_field *fields = message->reply->structures[0]->fields;
-  write_properties(text, fields);
-  if (message->reply->parts[0].name != NULL) {
-    write_units(text);
-  }
+/* Adds what a reply has besides its fields. */
+static void put_reply_parts(struct http_text *text, const schema_payload *reply) {
+  const schema_field *fields = reply->structures[0]->fields;
   if (fields == FIELDS(eval_reply)) {
-    write_list(text, "r", NUMBER, "mm; the radii of an eval, if they are wanted");
-    write_list(text, "channels", REFERENCE("Channel"), NULL);
+    put_list(text, "r", NUMBER, "mm; the radii of an eval, if they are wanted");
+    put_list(text, "channels", REFERENCE("Channel"), "one for each medium");
   } else if (fields == FIELDS(gather_reply)) {
-    write_list(text, "channels", REFERENCE("Gathered"), NULL);
+    put_list(text, "channels", REFERENCE("Gathered"), "one for each medium");
   } else if (fields == FIELDS(fit_reply)) {
-    http_text_raw(text, "g", NUMBER);
-    http_text_raw(text, "g_is_default", "{\"type\":\"boolean\"}");
-    http_text_raw(text, "eta", NUMBER);
-    write_list(text, "sets", REFERENCE("Fitted"), NULL);
+    put(text, ",'g':" NUMBER ",'g_is_default':{'type':'boolean'},'eta':" NUMBER);
+    put_list(text, "sets", REFERENCE("Fitted"), "one for each set of readings");
   } else if (fields == FIELDS(varying_reply)) {
-    write_choice_lists(text, core_coefficients);
-    write_choice_lists(text, core_quantities);
-    http_text_begin(text, "statuses", '{');
-    http_text_string(text, "type", "array");
-    http_text_begin(text, "items", '{');
-    write_choice(text, core_value_statuses, false);
-    http_text_end(text, '}');
-    http_text_end(text, '}');
-  } else if (fields != FIELDS(table_reply)) {
-    for (const schema_part *part = message->reply->parts; part->name != NULL; part++) {
-      write_list(text, part->name, part->kind == SCHEMA_LIST ? REFERENCE("Offer") : NUMBER,
-                 part->about);
-    }
+    put_arrays(text, core_coefficients);
+    put_arrays(text, core_quantities);
+    put(text, ",'statuses':{'type':'array','items':{");
+    put_choice(text, core_value_statuses, false);
+    put(text, "}}");
+  } else if (fields == FIELDS(table_reply)) {
+    put(text, ",'parameters':{'type':'object'}");
+    put_list(text, "words", "{'type':'integer'}", "32 bits each");
   } else {
-    http_text_raw(text, "parameters", "{\"type\":\"object\"}");
-    write_list(text, "words", "{\"type\":\"integer\"}", "32 bits each");
+    for (const schema_part *part = reply->parts; part->name != NULL; part++) {
+      put_list(text, part->name, part->kind == SCHEMA_LIST ? REFERENCE("Offer") : NUMBER,
+               part->about);
+    }
   }
-  end_object(text);
 }
 
-static void write_channel_schema(struct http_text *text) {
-  begin_object(text, "Channel");
-  write_properties(text, FIELDS(medium));
-  http_text_raw(text, "albedo", NUMBER);
-  http_text_raw(text, "errors",
-                "{\"type\":\"object\",\"description\":\"of each wanted quantity\","
-                "\"additionalProperties\":" REFERENCE("Errors") "}");
+static void put_message_schemas(struct http_text *text, const schema_message *message) {
+  begin_object(text, message->name, "_request");
+  put_request(text, message, false);
+  put(text, "},'additionalProperties':false}");
+  begin_object(text, message->name, "_reply");
+  put_properties(text, message->reply->structures[0]->fields);
+  if (message->reply->parts[0].name != NULL) {
+    put(text, ",'units':{'type':'object','additionalProperties':" STRING "}");
+    put_reply_parts(text, message->reply);
+  }
+  put(text, "}}");
+}
+
+static void put_schemas(struct http_text *text) {
+  put(text, ",'Number':{'nullable':true,'description':'A number; infinities are texts. In answers, "
+            "null is a number that is not known.','oneOf':[{'type':'number'},"
+            "{'type':'string','enum':['inf','-inf']}]},'Medium':{'oneOf':[" STRING
+            "," REFERENCE("Coefficients") "]}");
+  put_object(text, "Coefficients", FIELDS(medium));
+  begin_object(text, "Error", "");
+  put(text, "'status':" STRING ",'text':" STRING);
+  put_properties(text, FIELDS(error) + 1);
+  put(text, "}}");
+  begin_object(text, "Fitted", "");
+  put_properties(text, FIELDS(fitted));
+  put_list(text, "residuals", NUMBER, "of the readings, if they are wanted");
+  put(text, "}}");
+  put_object(text, "Errors", FIELDS(quantity_error));
+  begin_object(text, "Gathered", "");
+  put_properties(text, FIELDS(medium));
+  put_properties(text, FIELDS(quantity_error));
+  put_list(text, "M", NUMBER, "W/mm^2; the sums, in the order of the positions");
+  put(text, "}}");
+  put_object(text, "Offer", FIELDS(offer));
+  begin_object(text, "Channel", "");
+  put_properties(text, FIELDS(medium));
+  put(text, ",'errors':{'type':'object','description':'of each wanted quantity',"
+            "'additionalProperties':" REFERENCE("Errors") "},'albedo':" NUMBER);
   for (const core_choice *one = core_quantities; one->name != NULL; one++) {
     if (one->id != CORE_QUANTITY_ALBEDO && one->id != CORE_QUANTITY_MODEL_ERROR) {
-      write_list(text, one->name, NUMBER, one->about);
+      put_list(text, one->name, NUMBER, one->about);
     }
   }
-  end_object(text);
-}
-
-static void write_components(struct http_text *text) {
-  http_text_begin(text, "components", '{');
-  http_text_begin(text, "schemas", '{');
-  http_text_raw(text, "Number",
-                "{\"nullable\":true,\"description\":\"A number; infinities are texts. In answers, "
-                "null is a number that is not known.\",\"oneOf\":[{\"type\":\"number\"},"
-                "{\"type\":\"string\",\"enum\":[\"inf\",\"-inf\"]}]}");
-  http_text_raw(text, "Medium",
-                "{\"oneOf\":[{\"type\":\"string\"}," REFERENCE("Coefficients") "]}");
-  begin_object(text, "Coefficients");
-  write_properties(text, FIELDS(medium));
-  end_object(text);
-  begin_object(text, "Error");
-  http_text_raw(text, "text", "{\"type\":\"string\"}");
-  for (const schema_field *field = FIELDS(error); field->name != NULL; field++) {
-    if (strcmp(field->name, "status") == 0) {
-      http_text_raw(text, "status", "{\"type\":\"string\"}");
-    } else if (!field->hidden) {
-      write_property(text, field);
-    }
-  }
-  end_object(text);
-  http_text_raw(text, "Readings",
-                "{\"oneOf\":[" NUMBER ",{\"type\":\"array\",\"items\":" NUMBER "}]}");
-  begin_object(text, "Fitted");
-  write_properties(text, FIELDS(fitted));
-  write_list(text, "residuals", NUMBER, "of the readings, if they are wanted");
-  end_object(text);
-  begin_object(text, "Errors");
-  write_properties(text, FIELDS(quantity_error));
-  end_object(text);
-  begin_object(text, "Gathered");
-  write_properties(text, FIELDS(medium));
-  write_properties(text, FIELDS(quantity_error));
-  write_list(text, "M", NUMBER, "W/mm^2; the sums, in the order of the positions");
-  end_object(text);
-  begin_object(text, "Offer");
-  write_properties(text, FIELDS(offer));
-  end_object(text);
-  write_channel_schema(text);
-  for (const schema_message *one = schema_messages; one->type != 0; one++) {
-    if (one->about != NULL) {
-      write_request_schema(text, one);
-      write_reply_schema(text, one);
-    }
-  }
-  http_text_end(text, '}');
-  http_text_end(text, '}');
+  put(text, "}}");
 }
 
 void http_openapi_write(struct http_text *text) {
-  http_text_begin(text, NULL, '{');
-  http_text_string(text, "openapi", "3.0.3");
-  http_text_begin(text, "info", '{');
-  http_text_string(text, "title", "dipoled");
-  http_text_string(text, "version", DIPOLED_VERSION);
-  http_text_string(text, "description",
-                   "Evaluates subsurface-scattering profiles R(r). Fields, limits and errors are "
-                   "those of the binary protocol (PROTOCOL.md).");
-  http_text_end(text, '}');
-  http_text_raw(text, "servers", "[{\"url\":\"/\"}]");
-  http_text_begin(text, "paths", '{');
+  put(text, "{'openapi':'3.0.3','info':{'title':'dipoled','version':'" DIPOLED_VERSION
+            "','description':'Evaluates subsurface-scattering profiles R(r). Fields, limits and "
+            "errors are those of the binary protocol (PROTOCOL.md).'},'servers':[{'url':'/'}],"
+            "'paths':{");
   for (const schema_message *one = schema_messages; one->type != 0; one++) {
     if (one->about != NULL) {
-      write_message(text, one);
+      put_path(text, one);
     }
   }
-  write_list_path(text, "/v1/models", "models",
-                  "Lists models, evaluators, parameters and the other choices, and the limits");
-  write_list_path(text, "/v1/media", "media", "Lists the measured media");
-  write_list_path(text, "/v1/openapi.json", "openapi", "This document");
-  write_list_path(text, "/healthz", "health", "Whether the daemon serves; 503 if not");
-  write_list_path(text, "/readyz", "readiness",
-                  "Whether the daemon serves and has capacity for more clients; 503 if not");
-  http_text_end(text, '}');
-  write_components(text);
-  http_text_end(text, '}');
+  put_list_path(text, "/v1/models", "models",
+                "Lists models, evaluators, parameters and the other choices, and the limits");
+  put_list_path(text, "/v1/media", "media", "Lists the measured media");
+  put_list_path(text, "/v1/openapi.json", "openapi", "This document");
+  put_list_path(text, "/healthz", "health", "Whether the daemon serves; 503 if not");
+  put_list_path(text, "/readyz", "readiness",
+                "Whether the daemon serves and has capacity for more clients; 503 if not");
+  put(text,
+      "},'components':{'responses':{'Error':{'description':'400: a field is wrong. 404: the "
+      "daemon does not have the set of points: send it to /v1/points. 413: the request or the "
+      "reply is too large for HTTP. 429: the daemon is at a limit; Retry-After says when to "
+      "try again. 503: the daemon stops, or the deadline has passed.','content':"
+      "{'application/json':{'schema':" REFERENCE("Error") "}}}},'schemas':{");
+  put_schemas(text);
+  for (const schema_message *one = schema_messages; one->type != 0; one++) {
+    if (one->about != NULL) {
+      put_message_schemas(text, one);
+    }
+  }
+  put(text, "}}}");
 }

@@ -17,7 +17,7 @@ struct port {
   struct MHD_Daemon *daemon;
 };
 
-/* The service is a client of its worker: each turn lets the library read, answer and write. */
+/* The service is a client of its worker: each turn lets the library read, reply and write. */
 struct http_service {
   struct client client; /* first member: see client.h */
   struct http_host host;
@@ -26,7 +26,7 @@ struct http_service {
   bool ended;
 };
 
-static struct http_service *of(struct client *client) {
+static struct http_service *service_of(struct client *client) {
   return (struct http_service *)(void *)client;
 }
 
@@ -46,8 +46,8 @@ static void on_closed(uv_handle_t *handle) {
 
 /* ---- the client of the worker ---------------------------------------------------------------- */
 
-static void start(struct client *client) {
-  struct http_service *service = of(client);
+static void start_client(struct client *client) {
+  struct http_service *service = service_of(client);
   for (struct port *port = service->ports; port < service->ports + service->count; port++) {
     const int fd = MHD_get_daemon_info(port->daemon, MHD_DAEMON_INFO_EPOLL_FD)->epoll_fd;
     uv_poll_init(worker_loop(client->worker), &port->poll, fd);
@@ -57,8 +57,8 @@ static void start(struct client *client) {
   worker_context(client->worker)->buffers = &service->host.buffers;
 }
 
-static void run(struct client *client) {
-  struct http_service *service = of(client);
+static void run_turn(struct client *client) {
+  struct http_service *service = service_of(client);
   MHD_UNSIGNED_LONG_LONG wait_ms;
   if (service->ended) {
     return;
@@ -75,13 +75,13 @@ static void run(struct client *client) {
   }
 }
 
-static void tick(struct client *client, uint64_t now_ms) {
+static void check_time(struct client *client, uint64_t now_ms) {
   (void)now_ms;
   worker_run_later(client); /* The library looks for connections that are too silent. */
 }
 
-static void stop(struct client *client) {
-  struct http_service *service = of(client);
+static void stop_client(struct client *client) {
+  struct http_service *service = service_of(client);
   service->host.stopping = true;
   for (size_t i = 0; i < service->count; i++) {
     close(MHD_quiesce_daemon(service->ports[i].daemon));
@@ -93,8 +93,11 @@ static void abort_client(struct client *client) {
   worker_run_later(client);
 }
 
-static const struct client_kind kind = {
-    .start = start, .run = run, .tick = tick, .stop = stop, .abort = abort_client};
+static const struct client_kind kind = {.start = start_client,
+                                        .run = run_turn,
+                                        .tick = check_time,
+                                        .stop = stop_client,
+                                        .abort = abort_client};
 
 /* ---- opening --------------------------------------------------------------------------------- */
 

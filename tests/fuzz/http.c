@@ -2,8 +2,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "server/http/answer.h"
-#include "server/http/question.h"
+#include "server/http/reply.h"
+#include "server/http/request.h"
 #include "tests/fuzz/daemon.h"
 
 enum { BRACKETS = 1000, PAYLOAD = 65536, BODY = 1, MESSAGES_AT = 2 };
@@ -23,7 +23,7 @@ static void check_error(const wire_error *error) {
   struct http_text text;
   http_text_init(&text, &fuzz_server.buffers);
   CHECK(error->allowed[0] != '\0' && error->field[0] != '\0');
-  CHECK(http_answer_write_error(error, &text) >= 400);
+  CHECK(http_reply_write_error(error, &text) >= 400);
   json_t *object = json_loadb(text.bytes, text.count, JSON_REJECT_DUPLICATES, NULL);
   CHECK(json_is_object(object));
   json_decref(object);
@@ -52,7 +52,7 @@ void fuzz_http(const uint8_t *data, size_t size) {
                   : http_values_parse_query(&values, text);
   if (error.status == WIRE_STATUS_OK) {
     error =
-        http_question_translate(message, &values, &payload, PAYLOAD, &deadline_ms, &g_is_default);
+        http_request_translate(message, &values, &payload, PAYLOAD, &deadline_ms, &g_is_default);
     http_values_free(&values);
   }
   if (error.status == WIRE_STATUS_OK) {

@@ -1,7 +1,7 @@
-/* question: translates what a client asks over HTTP into the payload of a request, by the tables of
+/* request: translates a request over HTTP into the payload of a request, by the tables of
  * proto/schema.h. */
-#ifndef DIPOLED_HTTP_QUESTION_H
-#define DIPOLED_HTTP_QUESTION_H
+#ifndef DIPOLED_HTTP_REQUEST_H
+#define DIPOLED_HTTP_REQUEST_H
 
 #include "proto/schema.h"
 #include "server/http/text.h"
@@ -9,22 +9,22 @@
 
 /* Writes the payload of a request, of at most bytes_max bytes, its deadline, and whether its g is a
  * default. The daemon checks the values when it answers the request. */
-wire_error http_question_translate(const schema_message *message, const struct http_values *values,
+wire_error http_request_translate(const schema_message *message, const struct http_values *values,
                                    struct http_text *payload, size_t bytes_max,
                                    uint32_t *deadline_ms, bool *g_is_default);
 
 /* The lists of numbers of a request in JSON: one for each part that has an `about`, but x, y and z for
  * positions. Sets *name to the name of list `index`. Returns its part, or NULL behind the last. */
-const schema_part *http_question_list(const schema_payload *request, unsigned index,
+const schema_part *http_request_list(const schema_payload *request, unsigned index,
                                       const char **name);
 
 /* Returns how many media a request may have: 0, 1 or UINT_MAX. */
-unsigned http_question_media(const schema_payload *request);
+unsigned http_request_media(const schema_payload *request);
 
 /* Returns the fields of the first or second structure of a request, `index`, or NULL. */
-const schema_field *http_question_fields(const schema_payload *request, unsigned index);
+const schema_field *http_request_fields(const schema_payload *request, unsigned index);
 
 /* Returns whether a request takes parameters. */
-bool http_question_has_parameters(const schema_payload *request);
+bool http_request_has_parameters(const schema_payload *request);
 
 #endif

@@ -1,4 +1,4 @@
-#include "server/http/answer.h"
+#include "server/http/reply.h"
 
 #include <assert.h>
 #include <stdio.h>
@@ -332,18 +332,18 @@ static void write_gather(struct http_text *text, const uint8_t *media, const uin
   http_text_end(text, ']');
 }
 
-void http_answer_write(const schema_message *message, const uint8_t *question, bool g_is_default,
+void http_reply_write(const schema_message *message, const uint8_t *request, bool g_is_default,
                        const uint8_t *payload, size_t payload_bytes, struct http_text *text) {
   http_text_begin(text, NULL, '{');
   switch (message->type) {
   case WIRE_TYPE_EVAL:
-    write_eval(text, question + WIRE_BYTES_eval_request, payload, payload_bytes, false);
+    write_eval(text, request + WIRE_BYTES_eval_request, payload, payload_bytes, false);
     break;
   case WIRE_TYPE_SAMPLE:
-    write_eval(text, question + WIRE_BYTES_sample_request, payload, payload_bytes, true);
+    write_eval(text, request + WIRE_BYTES_sample_request, payload, payload_bytes, true);
     break;
   case WIRE_TYPE_FIT:
-    write_fit(text, question + WIRE_BYTES_fit_request, g_is_default, payload);
+    write_fit(text, request + WIRE_BYTES_fit_request, g_is_default, payload);
     break;
   case WIRE_TYPE_TABLE:
     write_table(text, payload);
@@ -352,7 +352,7 @@ void http_answer_write(const schema_message *message, const uint8_t *question, b
     write_varying(text, payload, payload_bytes);
     break;
   case WIRE_TYPE_GATHER:
-    write_gather(text, question + WIRE_BYTES_gather_request, payload);
+    write_gather(text, request + WIRE_BYTES_gather_request, payload);
     break;
   default:
     write_fields(text, message->reply->structures[0]->fields, payload);
@@ -386,7 +386,7 @@ static const char *const list_names[] = {
     [WIRE_CHOICE_COEFFICIENT] = "coefficients",
 };
 
-void http_answer_write_models(const uint8_t *payload, struct http_text *text) {
+void http_reply_write_models(const uint8_t *payload, struct http_text *text) {
   wire_hello_reply fixed;
   unsigned kind = 0;
   wire_get_hello_reply(payload, &fixed);
@@ -420,7 +420,7 @@ void http_answer_write_models(const uint8_t *payload, struct http_text *text) {
   http_text_end(text, '}');
 }
 
-void http_answer_write_media(const uint8_t *payload, struct http_text *text) {
+void http_reply_write_media(const uint8_t *payload, struct http_text *text) {
   http_text_begin(text, NULL, '{');
   write_parts(text, &schema_media_reply, payload);
   http_text_end(text, '}');
@@ -439,7 +439,7 @@ static void write_allowed(struct http_text *text, const char *allowed) {
   http_text_string(text, "allowed", here);
 }
 
-unsigned http_answer_write_error(const wire_error *error, struct http_text *text) {
+unsigned http_reply_write_error(const wire_error *error, struct http_text *text) {
   http_text_begin(text, NULL, '{');
   http_text_string(text, "status", wire_status_name(error->status));
   http_text_string(text, "text", wire_status_text(error->status));

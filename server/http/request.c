@@ -1,0 +1,750 @@
+#include "server/http/request.h"
+
+#include <limits.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "proto/channels.h"
+#include "proto/gather.h"
+#include "proto/varying.h"
+
+/* As in all clients. */
+#define USUAL_ETA 1.3
+
+WIRE_COLD static wire_error bad(const char *field, const char *allowed) {
+  return wire_error_make(WIRE_STATUS_BAD_VALUE, field, allowed);
+}
+
+/* ---- the payload ----------------------------------------------------------------------------- */
+
+const schema_part *http_request_list(const schema_payload *request, unsigned index,
+                                     const char **name) {
+  static const char *const axes[] = {"x", "y", "z"};
+  for (const schema_part *part = request->parts; part->name != NULL; part++) {
+    const bool positions = part->form == SCHEMA_POSITIONS;
+    const unsigned names = part->about == NULL || part->kind == SCHEMA_LIST ? 0 : positions ? 3 : 1;
+    if (index < names) {
+      *name = positions ? axes[index] : part->name;
+      return part;
+    }
+    index -= names;
+  }
+  return NULL;
+}
+
+unsigned http_request_media(const schema_payload *request) {
+  return request->structures[1] == &schema_structures[SCHEMA_STRUCTURE_medium] ? 1
+         : request->parts[0].name != NULL && strcmp(request->parts[0].name, "medium") == 0
+             ? UINT_MAX
+             : 0;
+}
+
+const schema_field *http_request_fields(const schema_payload *request, unsigned index) {
+  const schema_structure *structure = index < 2 ? request->structures[index] : NULL;
+  return structure != NULL && structure != &schema_structures[SCHEMA_STRUCTURE_medium]
+             ? structure->fields
+             : NULL;
+}
+
+bool http_request_has_parameters(const schema_payload *request) {
+  return schema_field_of(request, "parameter_count") != NULL;
+}
+
+struct translation {
+  const schema_message *message;
+  const struct http_values *values;
+  struct http_text *payload;
+  size_t bytes_max; /* of the payload */
+  uint32_t medium_count;
+  uint32_t parameter_count;
+  bool g_is_default;
+  wire_error error; /* what is wrong, after a function has returned false */
+};
+
+WIRE_COLD static bool fail(struct translation *t, wire_error error) {
+  t->error = error;
+  return false;
+}
+
+/* The fault is that of an element of a list. */
+WIRE_COLD static bool fail_at(struct translation *t, wire_error error, size_t index) {
+  error.index = index;
+  return fail(t, error);
+}
+
+/* Returns whether a value could be read. */
+static bool was_read(struct translation *t, wire_error error) {
+  return error.status == WIRE_STATUS_OK || fail(t, error);
+}
+
+static wire_error not_a_number(const char *field) {
+  return bad(field, "a number, with a point as in 0.05 (0,05 is two), or inf or -inf");
+}
+
+static struct http_value get(const struct translation *t, const char *name) {
+  return http_values_get(t->values, name);
+}
+
+/* Writes a number of so many bytes, the lowest first. */
+static void put_le(uint8_t *at, uint64_t number, size_t bytes) {
+  for (size_t i = 0; i < bytes; i++) {
+    at[i] = (uint8_t)(number >> (8 * i));
+  }
+}
+
+/* Adds bytes, which start as 0, to the payload. On failure returns NULL. */
+static uint8_t *add(struct translation *t, size_t bytes) {
+  if (bytes > t->bytes_max - t->payload->count) {
+    fail(t, wire_error_make(WIRE_STATUS_TOO_LARGE, "body",
+                            "over HTTP as many values as a frame of max_part_bytes holds"));
+    return NULL;
+  }
+  char *at = http_text_room(t->payload, bytes);
+  if (at == NULL) {
+    fail(t, wire_error_busy("max_total_bytes", "less data at a time: max_total_bytes are in use",
+                            1000));
+    return NULL;
+  }
+  memset(at, 0, bytes);
+  t->payload->count += bytes;
+  return (uint8_t *)at;
+}
+
+static bool add_medium(struct translation *t, const wire_medium *medium) {
+  if (t->medium_count == http_request_media(t->message->request)) {
+    return fail(t, wire_error_make(WIRE_STATUS_BAD_COUNT, "medium",
+                                   "one medium: a measured one has three, so give coefficients"));
+  }
+  uint8_t *at = add(t, WIRE_BYTES_medium);
+  if (at == NULL) {
+    return false;
+  }
+  wire_put_medium(at, medium);
+  t->medium_count++;
+  return true;
+}
+
+static bool add_measured(struct translation *t, const char *name, size_t index) {
+  const core_measured_medium *measured = core_measured_medium_by_name(name);
+  bool good =
+      measured != NULL || fail_at(t, bad("medium", "a name of /v1/media, or coefficients"), index);
+  for (int i = 0; good && i < 3; i++) {
+    const core_medium *from = &measured->channel[i];
+    const wire_medium medium = {from->sigma_a_per_mm, from->sigma_s_per_mm, from->g, from->eta};
+    good = add_medium(t, &medium);
+  }
+  return good;
+}
+
+/* The coefficients of a medium, in the order of their fields. */
+enum { COEFFICIENTS = 4 };
+static const schema_payload medium_alone = {
+    .structures = {&schema_structures[SCHEMA_STRUCTURE_medium]}};
+#define medium_fields (schema_structures[SCHEMA_STRUCTURE_medium].fields)
+
+static wire_error eta_of_fit(void) {
+  return bad("eta", "a number: the index inside over outside, which has no default in a fit");
+}
+
+/* Reads coefficients, the next element of each. */
+static bool read_coefficients(struct translation *t, struct http_elements elements[COEFFICIENTS],
+                              size_t index, wire_medium *medium) {
+  double *const to[COEFFICIENTS] = {&medium->sigma_a, &medium->sigma_s, &medium->g, &medium->eta};
+  for (int i = 0; i < COEFFICIENTS; i++) {
+    const char *name = medium_fields[i].name;
+    if (!http_value_given(elements[i].list)) {
+      if (to[i] == &medium->sigma_a || to[i] == &medium->sigma_s) {
+        return fail_at(
+            t, bad(name, "a number: a medium needs sigma_a and sigma_s, or a name as medium"),
+            index);
+      }
+      if (to[i] == &medium->eta && isnan(medium->eta)) {
+        return fail_at(t, eta_of_fit(), index);
+      }
+    } else if (!http_elements_number(&elements[i], to[i])) {
+      return fail_at(t, not_a_number(name), index);
+    }
+  }
+  return true;
+}
+
+static void find_coefficients(const struct http_values *values,
+                              struct http_elements elements[COEFFICIENTS]) {
+  for (int i = 0; i < COEFFICIENTS; i++) {
+    elements[i] = http_elements_of(http_values_get(values, medium_fields[i].name));
+  }
+}
+
+static bool is_coefficient(const void *context, const char *name) {
+  const struct http_values *values = context;
+  for (int i = 0; i < COEFFICIENTS; i++) {
+    if (http_values_same(name, medium_fields[i].name)) {
+      return !json_is_array(http_values_get(values, name).json);
+    }
+  }
+  return false;
+}
+
+/* Reads a medium from an object with its coefficients. usual_eta: NAN if there is none. */
+static bool read_medium(struct translation *t, const char *field, struct http_value value,
+                        size_t index, double usual_eta, wire_medium *medium) {
+  struct http_values values;
+  struct http_elements elements[COEFFICIENTS];
+  if (!http_values_of_object(&values, value)) {
+    return fail_at(t, bad(field, "names of /v1/media, or objects of coefficients"), index);
+  }
+  if (http_values_unknown(&values, is_coefficient, &values) != NULL) {
+    return fail_at(t, bad(field, "objects of sigma_a, sigma_s, g and eta, each one number"), index);
+  }
+  *medium = (wire_medium){.eta = usual_eta};
+  find_coefficients(&values, elements);
+  return read_coefficients(t, elements, index, medium);
+}
+
+/* Writes the known medium of a fit, which has one with scale `reference` alone. */
+static bool add_reference(struct translation *t) {
+  const struct http_value object = get(t, "reference"), scale = get(t, "scale");
+  uint64_t id = 0;
+  if (t->message->type != WIRE_TYPE_FIT) {
+    return true;
+  }
+  if (http_value_given(scale) &&
+      !was_read(t, http_value_read_choice(scale, "scale", core_fit_scales, false, &id))) {
+    return false;
+  }
+  if ((id == CORE_FIT_SCALE_REFERENCE) != json_is_object(object.json)) {
+    return fail(t,
+                bad("reference", "with scale reference an object of coefficients, else nothing"));
+  }
+  if (!http_value_given(object)) {
+    return true;
+  }
+  wire_medium medium;
+  if (!read_medium(t, "reference", object, 0, (double)NAN, &medium)) {
+    return false;
+  }
+  uint8_t *at = add(t, WIRE_BYTES_medium);
+  if (at == NULL) {
+    return false;
+  }
+  wire_put_medium(at, &medium);
+  return true;
+}
+
+/* Reads lists of coefficients. A list of one holds for all media. */
+static bool add_media_lists(struct translation *t) {
+  struct http_elements elements[COEFFICIENTS];
+  size_t count = 1;
+  bool good = true;
+  find_coefficients(t->values, elements);
+  for (int i = 0; i < COEFFICIENTS; i++) {
+    const size_t length = http_value_count(elements[i].list);
+    if (length == 0 || (count > 1 && length > 1 && length != count)) {
+      return fail(t, wire_error_make(WIRE_STATUS_BAD_COUNT, medium_fields[i].name,
+                                     "one value, or as many as the others"));
+    }
+    count = length > count ? length : count;
+  }
+  for (size_t i = 0; good && i < count; i++) {
+    wire_medium medium = {.eta = USUAL_ETA};
+    good = read_coefficients(t, elements, i, &medium) && add_medium(t, &medium);
+  }
+  return good;
+}
+
+static bool add_named_media(struct translation *t, struct http_value media) {
+  struct http_elements elements = http_elements_of(media);
+  const size_t count = http_value_count(media);
+  bool good = true;
+  for (size_t i = 0; good && i < count; i++) {
+    const struct http_value item = http_elements_next(&elements);
+    const char *name = http_value_text(item);
+    wire_medium medium;
+    good = name != NULL
+               ? add_measured(t, name, i)
+               : read_medium(t, "medium", item, i, USUAL_ETA, &medium) && add_medium(t, &medium);
+  }
+  return good;
+}
+
+static bool add_media(struct translation *t) {
+  const struct http_value media = get(t, "medium");
+  if (http_request_media(t->message->request) == 0) {
+    return true;
+  }
+  if (!http_value_given(media)) {
+    return add_media_lists(t);
+  }
+  for (int i = 0; i < COEFFICIENTS; i++) {
+    if (http_value_given(get(t, medium_fields[i].name))) {
+      return fail(t, bad(medium_fields[i].name, "nothing beside medium"));
+    }
+  }
+  return add_named_media(t, media);
+}
+
+/* The models whose names a parameter takes, besides their ids. */
+static const core_choice *choices_of_parameter(unsigned id) {
+  return id == CORE_PARAMETER_FIT_MODEL ? core_models
+         : id == CORE_PARAMETER_PHASE   ? core_phases
+                                        : NULL;
+}
+
+/* Returns a request's field that JSON has, or NULL. */
+static const schema_field *shown_field(const schema_message *message, const char *name) {
+  const schema_field *field;
+  for (unsigned i = 0; (field = http_request_fields(message->request, i)) != NULL; i++) {
+    for (; field->name != NULL; field++) {
+      if (!field->hidden && http_values_same(field->name, name)) {
+        return field;
+      }
+    }
+  }
+  return NULL;
+}
+
+static bool add_parameters(struct translation *t) {
+  for (const core_choice *one = core_parameter_list; one->name != NULL; one++) {
+    const struct http_value value = get(t, one->name);
+    wire_parameter parameter = {.parameter = (uint16_t)one->id};
+    const core_choice *list = choices_of_parameter(one->id);
+    if (!http_value_given(value) || !http_request_has_parameters(t->message->request) ||
+        shown_field(t->message, one->name) != NULL) {
+      continue;
+    }
+    uint64_t id = 0;
+    const bool named = list != NULL && http_value_text(value) != NULL;
+    if (named && !was_read(t, http_value_read_choice(value, one->name, list, false, &id))) {
+      return false;
+    }
+    if (!named && !http_value_number(value, &parameter.value)) {
+      return fail(t, not_a_number(one->name));
+    }
+    parameter.value = list != NULL && id > 0 ? (double)id : parameter.value;
+    uint8_t *at = add(t, WIRE_BYTES_parameter);
+    if (at == NULL) {
+      return false;
+    }
+    wire_put_parameter(at, &parameter);
+    t->parameter_count++;
+  }
+  return true;
+}
+
+/* ---- the fixed part -------------------------------------------------------------------------- */
+
+/* Returns the list that another field can replace by a rule, if this field says so or counts it; NULL
+ * if there is none. */
+static const schema_part *ruled_list(const schema_message *message, const char *field) {
+  const char *name;
+  const schema_part *part;
+  for (unsigned i = 0; (part = http_request_list(message->request, i, &name)) != NULL; i++) {
+    if (part->form == SCHEMA_GIVEN && part->when.name != NULL &&
+        (http_values_same(part->when.name, field) ||
+         http_values_same(part->count[0].name, field))) {
+      return part;
+    }
+  }
+  return NULL;
+}
+
+/* Returns whether the media of a varying request are given by colours. */
+static bool is_coloured(const struct translation *t) {
+  return http_value_given(get(t, "colour"));
+}
+
+/* Returns what the third array of a varying request holds. */
+static enum varying_numbers numbers_of(const struct translation *t) {
+  return http_value_given(get(t, "r"))   ? VARYING_RADII
+         : http_value_given(get(t, "u")) ? VARYING_DRAWN
+                                         : VARYING_NONE;
+}
+
+static bool is_gather(const struct translation *t) {
+  return t->message->type == WIRE_TYPE_GATHER;
+}
+
+/* Returns whether the usual evaluator is the table: for transport, named or not, where the table can
+ * be as exact as the tolerance. */
+static bool is_tabled(const struct translation *t) {
+  const struct http_value model = get(t, "model");
+  uint64_t id = CORE_MODEL_TRANSPORT;
+  double tolerance;
+  http_value_number(get(t, "tolerance"), &tolerance); /* NaN if it is not given */
+  if (http_value_given(model)) {
+    http_value_read_choice(model, "model", core_models, false, &id); /* one at fault is refused */
+  }
+  return id == CORE_MODEL_TRANSPORT && !(tolerance < CORE_LUT_TOLERANCE_MIN);
+}
+
+/* Returns whether the request leaves the choice of the model to its tolerance. */
+static bool chooses_by_tolerance(const struct translation *t) {
+  return t->message->type == WIRE_TYPE_OFFERS ||
+         (t->message->type == WIRE_TYPE_EVAL && http_value_given(get(t, "tolerance")));
+}
+
+/* What holds for the quantities and coefficients of a varying request that leaves them out. */
+static unsigned usual_of_varying(const struct translation *t, const char *field) {
+  static const unsigned quantities[VARYING_NUMBERS] = {
+      [VARYING_RADII] = CORE_QUANTITY_R, [VARYING_DRAWN] = CORE_QUANTITY_RADIUS};
+  const enum varying_numbers numbers = numbers_of(t);
+  return http_values_same(field, "wanted") ? quantities[numbers]
+         : is_coloured(t) && numbers == VARYING_NONE
+             ? (unsigned)CORE_COEFFICIENT_SIGMA_A | (unsigned)CORE_COEFFICIENT_SIGMA_S
+             : 0;
+}
+
+/* What holds for a choice that the request leaves out, where it depends on others. */
+static unsigned usual_choice(const struct translation *t, const schema_field *field) {
+  const bool varying = t->message->type == WIRE_TYPE_VARYING;
+  const schema_part *list = ruled_list(t->message, field->name);
+  if (list != NULL && http_value_given(get(t, list->name))) {
+    return (unsigned)list->is;
+  }
+  if (varying && field->bits) {
+    return usual_of_varying(t, field->name);
+  }
+  if ((varying && field->or_zero && !is_coloured(t)) ||
+      (http_values_same(field->name, "model") && chooses_by_tolerance(t))) {
+    return 0;
+  }
+  if (field->bits && t->message->type == WIRE_TYPE_OFFERS) {
+    return CORE_QUANTITY_R;
+  }
+  return http_values_same(field->name, "evaluator") && !varying && is_tabled(t)
+             ? CORE_EVALUATOR_LUT
+             : (unsigned)field->usual;
+}
+
+static bool read_choice(struct translation *t, const schema_field *field, uint64_t *number) {
+  const struct http_value value = get(t, field->name);
+  const schema_part *list = ruled_list(t->message, field->name);
+  if (http_value_given(value)) {
+    return was_read(t,
+                    http_value_read_choice(value, field->name, field->list, field->bits, number)) &&
+           (list == NULL || !http_value_given(get(t, list->name)) || *number == list->is ||
+            fail(t, bad(field->name, "list, beside a list of numbers")));
+  }
+  *number = usual_choice(t, field);
+  return *number != 0 || field->or_zero || field->bits ||
+         fail(t, wire_error_not_in_list(field->name, field->list, "one of"));
+}
+
+/* Reads a number that is no choice and no count of an array. */
+static bool read_plain(struct translation *t, const schema_field *field, uint64_t *number) {
+  static const uint64_t most[] = {
+      [SCHEMA_u16] = UINT16_MAX, [SCHEMA_u32] = UINT32_MAX, [SCHEMA_u64] = UINT64_MAX};
+  const struct http_value value = get(t, field->name);
+  double real = field->usual;
+  bool good = true;
+  if (field->kind != SCHEMA_f64) {
+    *number = (uint64_t)real;
+    return !http_value_given(value) ||
+           was_read(t, http_value_read_count(value, field->name, most[field->kind], number));
+  }
+  if (http_value_given(value)) {
+    good = http_value_number(value, &real) || fail(t, not_a_number(field->name));
+  } else if (field->required) {
+    return fail(t, eta_of_fit());
+  } else {
+    t->g_is_default |= http_values_same(field->name, "g");
+  }
+  memcpy(number, &real, sizeof real);
+  return good;
+}
+
+/* Returns whether a list of numbers is one of JSON, with a list for each set or channel. */
+static bool is_nested(struct http_value list) {
+  return json_is_array(json_array_get(list.json, 0));
+}
+
+/* Returns how many sets of readings, or channels, a list has. */
+static size_t sets_of(struct http_value list) {
+  return is_nested(list) ? http_value_count(list) : 1;
+}
+
+/* Returns the length of the longest list that is given, of those that may be one number for all. */
+static size_t longest(const struct translation *t) {
+  const char *name;
+  const schema_part *part;
+  size_t count = 0;
+  for (unsigned i = 0; (part = http_request_list(t->message->request, i, &name)) != NULL; i++) {
+    const bool counts = part->form == SCHEMA_EACH || part->form == SCHEMA_POSITIONS;
+    const struct http_value value = get(t, name);
+    const size_t length = counts && http_value_given(value) ? http_value_count(value) : 0;
+    count = length > count ? length : count;
+  }
+  return count;
+}
+
+/* Returns a number that JSON does not have: it counts elements that follow, or is 0. */
+static uint64_t counted(const struct translation *t, const schema_field *field) {
+  for (const schema_part *part = t->message->request->parts; part->name != NULL; part++) {
+    const char *first = part->count[0].name, *second = part->count[1].name;
+    if ((first == NULL || !http_values_same(first, field->name)) &&
+        (second == NULL || !http_values_same(second, field->name))) {
+      continue;
+    }
+    const struct http_value list = get(t, part->name);
+    return part->form == SCHEMA_EACH || part->form == SCHEMA_POSITIONS  ? longest(t)
+           : part->form == SCHEMA_CHANNELS || part->form == SCHEMA_SETS ? sets_of(list)
+           : part->kind != SCHEMA_LIST && http_value_given(list)        ? http_value_count(list)
+           : http_values_same(part->name, "medium")                     ? t->medium_count
+           : http_values_same(part->name, "parameter")                  ? t->parameter_count
+                                                                        : 0;
+  }
+  return http_values_same(field->name, "numbers")       ? numbers_of(t)
+         : http_values_same(field->name, "point_count") ? longest(t)
+                                                        : 0;
+}
+
+static bool read_field(struct translation *t, const schema_field *field, uint64_t *number) {
+  if (field->list != NULL) {
+    const bool read = read_choice(t, field, number);
+    const unsigned type = t->message->type;
+    if (http_values_same(field->name, "wanted") && *number != 0 &&
+        (type == WIRE_TYPE_EVAL || type == WIRE_TYPE_SAMPLE || type == WIRE_TYPE_VARYING)) {
+      *number |= CORE_QUANTITY_MODEL_ERROR; /* always, as in Python */
+    }
+    return read;
+  }
+  if (field->hidden) {
+    *number = counted(t, field);
+    return true;
+  }
+  const schema_part *list = ruled_list(t->message, field->name);
+  const struct http_value values = get(t, list != NULL ? list->name : "");
+  if (http_value_given(values)) {
+    *number = http_value_count(values);
+    return !http_value_given(get(t, field->name)) ||
+           fail(t, bad(field->name, "nothing beside the list that it counts"));
+  }
+  return read_plain(t, field, number);
+}
+
+enum { NAME_DIGITS = 32 };
+
+/* Reads the name of a set, which a request that sends the points may leave out. */
+static bool put_name(struct translation *t, const schema_field *field, uint8_t *at) {
+  const struct http_value value = get(t, field->name);
+  const char *digits = http_value_given(value) ? http_value_text(value) : "";
+  const size_t count = digits != NULL ? strlen(digits) : 0;
+  if (!http_value_given(value) && !is_gather(t)) {
+    return true;
+  }
+  if (count != NAME_DIGITS || strspn(digits, "0123456789abcdef") != count) {
+    return fail(t, bad(field->name, "32 hexadecimal digits: the `set` of /v1/points"));
+  }
+  for (size_t i = 0; i < schema_field_bytes(field); i++) {
+    const char pair[3] = {digits[2 * i], digits[2 * i + 1], '\0'};
+    at[i] = (uint8_t)strtoul(pair, NULL, 16);
+  }
+  return true;
+}
+
+/* Writes a structure of the fixed part at *offset, which it moves. Sets *single to whether the
+ * evaluator has single precision. */
+static bool put_fixed(struct translation *t, const schema_field *fields, size_t *offset,
+                      bool *single) {
+  for (const schema_field *field = fields; field->name != NULL; field++) {
+    uint64_t number = 0;
+    uint8_t *at = (uint8_t *)t->payload->bytes + *offset;
+    if (!(schema_is_name(field) ? put_name(t, field, at) : read_field(t, field, &number))) {
+      return false;
+    }
+    if (!schema_is_name(field)) {
+      put_le(at, number, schema_field_bytes(field));
+    }
+    *offset += schema_field_bytes(field);
+    if (http_values_same(field->name, "evaluator")) {
+      *single = core_evaluator_bytes((unsigned)number) == sizeof(float);
+    }
+  }
+  return true;
+}
+
+/* ---- all of it ------------------------------------------------------------------------------- */
+
+static bool is_known(const void *context, const char *key) {
+  const schema_message *message = context;
+  const char *name;
+  for (unsigned i = 0; http_request_list(message->request, i, &name) != NULL; i++) {
+    if (http_values_same(name, key)) {
+      return true;
+    }
+  }
+  const bool media = http_request_media(message->request) > 0;
+  return shown_field(message, key) != NULL || strcmp(key, "deadline_ms") == 0 ||
+         (media && (strcmp(key, "medium") == 0 || schema_field_of(&medium_alone, key) != NULL)) ||
+         (message->type == WIRE_TYPE_FIT && strcmp(key, "reference") == 0) ||
+         (http_request_has_parameters(message->request) &&
+          core_choice_by_name(core_parameter_list, key) != NULL);
+}
+
+/* Returns whether an error can name a key: a short text of printable ASCII. */
+static bool can_be_named(const char *key) {
+  size_t length = 0;
+  while (key[length] > ' ' && key[length] <= '~') {
+    length++;
+  }
+  return key[length] == '\0' && length > 0 && length < sizeof((wire_error *)NULL)->field;
+}
+
+static bool check_keys(struct translation *t) {
+  const char *key = http_values_unknown(t->values, is_known, t->message);
+  return key == NULL || fail(t, bad(can_be_named(key) ? key : "body",
+                                    "only fields that /v1/openapi.json lists for this request"));
+}
+
+/* Checks that a varying request has one pair of lists for its media, and at most one list of
+ * numbers. */
+static bool check_pairs(struct translation *t) {
+  const bool coloured = is_coloured(t) || http_value_given(get(t, "length"));
+  const char *const wanted[] = {coloured ? "colour" : "sigma_a", coloured ? "length" : "sigma_s"};
+  const char *const others[] = {coloured ? "sigma_a" : "given", coloured ? "sigma_s" : "light"};
+  for (int i = 0; i < 2; i++) {
+    if (http_value_given(get(t, others[i]))) {
+      return fail(t, bad(others[i], coloured ? "nothing beside colour and length"
+                                             : "nothing beside sigma_a and sigma_s"));
+    }
+    if (!http_value_given(get(t, wanted[i]))) {
+      return fail(t, bad(wanted[i], "numbers: give sigma_a and sigma_s, or colour and length"));
+    }
+  }
+  return !http_value_given(get(t, "r")) || !http_value_given(get(t, "u")) ||
+         fail(t, bad("u", "nothing beside r"));
+}
+
+/* Writes `count` numbers, each of them `step` bytes behind the last: those of a list, or, if `spreads`,
+ * its only one again and again. */
+static bool put_numbers(struct translation *t, const char *name, struct http_value list,
+                        size_t count, bool spreads, uint8_t *at, size_t step, bool single) {
+  const size_t length = http_value_count(list);
+  struct http_elements elements = http_elements_of(list);
+  if (!http_value_given(list)) {
+    return fail(t, bad(name, "numbers: it has to be given"));
+  }
+  if (length != count && !(spreads && length == 1)) {
+    return fail(t, wire_error_make(WIRE_STATUS_BAD_COUNT, name,
+                                   spreads ? "one value, or as many as the others"
+                                           : "as many as in the other lists"));
+  }
+  for (size_t i = 0; i < count; i++, at += step) {
+    double number;
+    if (!http_elements_number(&elements, &number)) {
+      return fail_at(t, not_a_number(name), i);
+    }
+    const float rounded = (float)number;
+    if (single && (isfinite(rounded) != isfinite(number) || (rounded == 0) != (number == 0))) {
+      return fail_at(t, bad(name, "1e-45 to 3.4e38, 0 or inf: single precision"), i);
+    }
+    memcpy(at, single ? (const void *)&rounded : (const void *)&number,
+           single ? sizeof rounded : sizeof number);
+  }
+  return true;
+}
+
+/* Returns how many numbers the first list of a request has, to which others are compared. */
+static size_t first_count(const struct translation *t) {
+  const char *name;
+  http_request_list(t->message->request, 0, &name);
+  const struct http_value first = get(t, name);
+  return http_value_given(first) ? http_value_count(first) : 0;
+}
+
+/* Writes a part that is lists of numbers: the sets of readings one after the other, the coordinates
+ * of a position, or the powers of a point, side by side. */
+static bool add_lists(struct translation *t, const schema_part *part, bool single) {
+  static const char *const axes[GATHER_AXES] = {"x", "y", "z"};
+  const bool positions = part->form == SCHEMA_POSITIONS;
+  const bool sides = positions || part->form == SCHEMA_CHANNELS;
+  const bool spreads = sides || part->form == SCHEMA_EACH;
+  const struct http_value value = get(t, part->name);
+  const bool given = positions || http_value_given(value);
+  if (!given && (part->form == SCHEMA_EACH || part->when.name != NULL)) {
+    return true;
+  }
+  const bool nests = part->form == SCHEMA_CHANNELS || part->form == SCHEMA_SETS;
+  const size_t sets = positions ? GATHER_AXES : nests ? sets_of(value) : 1;
+  const size_t count = spreads ? longest(t) : first_count(t);
+  const bool short_ones = part->kind == SCHEMA_f32 || (single && part->kind == SCHEMA_REAL);
+  const size_t bytes = short_ones ? sizeof(float) : sizeof(double);
+  uint8_t *at = add(t, (size_t)wire_padded(count * sets * bytes));
+  bool good = at != NULL;
+  for (size_t i = 0; good && i < sets && (given || part->form != SCHEMA_ZEROS); i++) {
+    const struct http_value list = positions ? get(t, axes[i])
+                                   : nests && is_nested(value)
+                                       ? (struct http_value){.json = json_array_get(value.json, i)}
+                                       : value;
+    good =
+        put_numbers(t, positions ? axes[i] : part->name, list, count, spreads,
+                    at + (sides ? i : i * count) * bytes, sides ? sets * bytes : bytes, short_ones);
+  }
+  return good;
+}
+
+/* Names the set that is written, unless the request does. */
+static void name_points(struct translation *t) {
+  wire_points_request fixed;
+  uint8_t *at = (uint8_t *)t->payload->bytes;
+  wire_get_points_request(at, &fixed);
+  if (!http_value_given(get(t, "set"))) {
+    const uint8_t *xyz = at + WIRE_BYTES_points_request;
+    const uint8_t *power = xyz + fixed.point_count * GATHER_AXES * sizeof(double);
+    gather_name name;
+    gather_name_start(&name, fixed.channel_count, fixed.point_count);
+    gather_name_add(&name, fixed.point_count, (const double *)(const void *)xyz,
+                    (const float *)(const void *)power);
+    gather_name_end(&name, fixed.set);
+    wire_put_points_request(at, &fixed);
+  }
+}
+
+static bool read_deadline(struct translation *t, uint32_t *deadline_ms) {
+  const struct http_value value = get(t, "deadline_ms");
+  uint64_t limit_ms = 0;
+  const bool good = !http_value_given(value) ||
+                    was_read(t, http_value_read_count(value, "deadline_ms", UINT32_MAX, &limit_ms));
+  *deadline_ms = (uint32_t)limit_ms;
+  return good;
+}
+
+/* Writes the whole payload. */
+static bool put_all(struct translation *t, uint32_t *deadline_ms) {
+  const schema_payload *request = t->message->request;
+  const size_t medium_bytes = http_request_media(request) == 1 ? WIRE_BYTES_medium : 0;
+  const schema_field *fields;
+  size_t offset = 0;
+  bool single = false;
+  bool good = check_keys(t) && read_deadline(t, deadline_ms) &&
+              (t->message->type != WIRE_TYPE_VARYING || check_pairs(t)) &&
+              add(t, request->fixed_bytes - medium_bytes) != NULL && add_media(t) &&
+              add_parameters(t) && add_reference(t);
+  for (unsigned i = 0; good && (fields = http_request_fields(request, i)) != NULL; i++) {
+    good = put_fixed(t, fields, &offset, &single);
+  }
+  _Static_assert(CORE_GATHER_CHANNELS_MAX == 8, "the error says so");
+  if (good && sets_of(get(t, "power")) > CORE_GATHER_CHANNELS_MAX) {
+    return fail(t, wire_error_make(WIRE_STATUS_BAD_COUNT, "channel_count", "1 to 8"));
+  }
+  for (const schema_part *part = request->parts; good && part->name != NULL; part++) {
+    good = part->about == NULL || part->kind == SCHEMA_LIST || add_lists(t, part, single);
+  }
+  if (good && t->message->type == WIRE_TYPE_POINTS) {
+    name_points(t);
+  }
+  return good;
+}
+
+wire_error http_request_translate(const schema_message *message, const struct http_values *values,
+                                  struct http_text *payload, size_t bytes_max,
+                                  uint32_t *deadline_ms, bool *g_is_default) {
+  struct translation t = {
+      .message = message, .values = values, .payload = payload, .bytes_max = bytes_max};
+  *deadline_ms = 0;
+  const bool good = put_all(&t, deadline_ms);
+  *g_is_default = t.g_is_default;
+  return good ? wire_error_none() : t.error;
+}
