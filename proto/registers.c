@@ -133,21 +133,24 @@ static bool is_input_block(unsigned block) {
   return block == block_at[REGISTERS_AT_COMMIT] || block == block_at[REGISTERS_AT_WANTED];
 }
 
-unsigned registers_of_field(const registers_job *job, const char *field, uint64_t index) {
-  const unsigned own = block_at[job->commit];
+const registers_field *registers_named(const registers_job *job, const char *name, bool is_result) {
+  const unsigned own = block_at[is_result ? job->status : job->commit];
   const registers_field *found = NULL;
   for (const registers_field *at = registers_fields; at->name != NULL; at++) {
     const unsigned block = block_at[at->address];
-    if (at->access != REGISTERS_RO && strcmp(at->name, field) == 0 &&
-        (block == own || (found == NULL && is_input_block(block)))) {
+    if ((at->access == REGISTERS_RO) == is_result && strcmp(at->name, name) == 0 &&
+        (block == own || (found == NULL && !is_result && is_input_block(block)))) {
       found = at;
     }
   }
-  if (found == NULL) {
-    return job->commit;
-  }
-  return found->address +
-         (unsigned)(index < found->count ? index : 0) * registers_width(found->type);
+  return found;
+}
+
+unsigned registers_of_field(const registers_job *job, const char *field, uint64_t index) {
+  const registers_field *found = registers_named(job, field, false);
+  return found == NULL ? job->commit
+                       : found->address + (unsigned)(index < found->count ? index : 0) *
+                                              registers_width(found->type);
 }
 
 /* ---- values ---------------------------------------------------------------------------------- */

@@ -153,9 +153,12 @@ void registers_write(uint16_t image[REGISTERS_END], unsigned address, unsigned c
  * mirror. */
 bool registers_include(unsigned address, unsigned count, unsigned another);
 
-/* Returns the register that a field of a job's request comes from: in the block of its commit, or
- * else in block 2 or 3. `index` is the position in an array. Returns the register of the commit if
- * the field has no register. */
+/* Returns the field of this name that a job's request comes from: in the block of its commit, or else
+ * in block 2 or 3. is_result: that its reply goes to, in the block of its status. NULL: there is none. */
+const registers_field *registers_named(const registers_job *job, const char *name, bool is_result);
+
+/* Returns the register that a field of a job's request comes from. `index` is the position in an
+ * array. Returns the register of the commit if the field has no register. */
 unsigned registers_of_field(const registers_job *job, const char *field, uint64_t index);
 
 /* These read one value of an image. */

@@ -97,7 +97,7 @@ static uint8_t *reserve_reply(void *owner, const struct job *job, wire_error *er
 static void commit_reply(void *owner, bool last) {
   struct modbus_task *task = owner;
   if (!last) {
-    modbus_translate_reply(task->kind, task->question, task->reply, task->reply_bytes,
+    modbus_translate_reply(task->kind, task->request, task->reply, task->reply_bytes,
                            task->registers, NULL);
   }
 }
@@ -167,12 +167,12 @@ wire_error modbus_task_commit(struct modbus_task *task, struct client *master) {
   const wire_header header = {
       .type = (uint16_t)fields_of(task)->message,
       .payload_bytes =
-          (uint32_t)modbus_translate_input(task->kind, task->registers, task->question),
+          (uint32_t)modbus_translate_input(task->kind, task->registers, task->request),
   };
   struct job_request request = {
       .type = job_type_of(header.type),
       .header = &header,
-      .payload = task->question,
+      .payload = task->request,
       .context = worker_context(worker),
       .profiles = &master->profiles,
   };
@@ -251,7 +251,7 @@ struct modbus_task *modbus_queue_finish(struct modbus_queue *queue) {
       registers_u16(task->registers, fields->status + REGISTERS_BEHIND_SEQUENCE);
   wire_error error;
   const enum registers_status status = modbus_translate_reply(
-      task->kind, task->question, task->reply, task->reply_bytes, task->registers, &error);
+      task->kind, task->request, task->reply, task->reply_bytes, task->registers, &error);
   if (status == REGISTERS_STATUS_ERROR) {
     fail_job(task, &error);
     enter(task, MODBUS_TASK_IDLE);

@@ -40,7 +40,7 @@ struct modbus_task {
   struct run run;
   wire_error error; /* after the run: why the job was refused; OK: it was not */
   size_t reply_bytes;
-  _Alignas(8) uint8_t question[MODBUS_QUESTION_BYTES];
+  _Alignas(8) uint8_t request[MODBUS_REQUEST_BYTES];
   _Alignas(8) uint8_t reply[MODBUS_REPLY_BYTES];
 };
 

@@ -1,174 +1,163 @@
 #include "server/modbus/translate.h"
 
 #include <assert.h>
+#include <stdio.h>
 #include <string.h>
 
 #include "proto/channels.h"
 
-_Static_assert(REGISTERS_RADII_MAX % 2 == 0, "arrays of the most radii need no padding");
-_Static_assert(WIRE_BYTES_eval_request + WIRE_BYTES_medium +
-                       CORE_PARAMETERS_END * WIRE_BYTES_parameter +
-                       REGISTERS_RADII_MAX * sizeof(double) <=
-                   MODBUS_QUESTION_BYTES,
-               "the request of an eval is shorter");
-_Static_assert(WIRE_BYTES_sample_request + WIRE_BYTES_medium +
-                       CORE_PARAMETERS_END * WIRE_BYTES_parameter +
-                       REGISTERS_RADII_MAX * sizeof(double) <=
-                   MODBUS_QUESTION_BYTES,
-               "the request of a sample is shorter");
-_Static_assert(WIRE_BYTES_invert_request + 2 * REGISTERS_RADII_MAX * sizeof(double) <=
-                   MODBUS_QUESTION_BYTES,
-               "the request of an invert is shorter");
+enum {
+  LINKS_MAX = 24,      /* fields of a structure that have registers */
+  STRUCTURES_MAX = 20, /* in requests and replies of all kinds of jobs */
+  NAME_BYTES = 64,
+};
+
 _Static_assert(WIRE_BYTES_eval_reply + sizeof(double) + 5 * WIRE_BYTES_quantity_error +
                        3 * REGISTERS_RADII_MAX * sizeof(double) <=
                    MODBUS_REPLY_BYTES,
                "the reply to an eval is shorter");
 
+/* ---- fields and their registers ---------------------------------------------------------------- */
+
+static const schema_message *message_of(enum registers_job_kind kind) {
+  const schema_message *message = schema_messages;
+  while (message->type != registers_jobs[kind].message) {
+    message++;
+  }
+  return message;
+}
+
+/* The fields of a structure that have registers of their names. */
+struct links {
+  enum registers_job_kind kind;
+  const schema_structure *structure;
+  const char *prefix; /* of the names of the registers */
+  bool are_results;
+  unsigned count;
+  struct link {
+    const schema_field *field;
+    size_t at; /* in the structure */
+    const registers_field *registers;
+  } items[LINKS_MAX];
+};
+
+/* Finds these links, once for each structure: all units belong to one thread. */
+static const struct links *links_of(enum registers_job_kind kind, const schema_structure *structure,
+                                    const char *prefix, bool are_results) {
+  static struct links all[STRUCTURES_MAX];
+  struct links *links = all;
+  for (; links->structure != NULL; links++) {
+    if (links->kind == kind && links->structure == structure && links->prefix == prefix) {
+      return links;
+    }
+  }
+  assert(links < all + STRUCTURES_MAX - 1);
+  *links = (struct links){kind, structure, prefix, are_results, 0, {{0}}};
+  size_t at = 0;
+  for (const schema_field *field = structure->fields; field->name != NULL; field++) {
+    char name[NAME_BYTES];
+    snprintf(name, sizeof name, "%s%s", prefix, field->name);
+    const registers_field *found = registers_named(&registers_jobs[kind], name, are_results);
+    if (found != NULL && found->address != registers_jobs[kind].status) {
+      assert(links->count < LINKS_MAX);
+      links->items[links->count++] = (struct link){field, at, found};
+    }
+    at += schema_field_bytes(field);
+  }
+  return links;
+}
+
 /* ---- input ----------------------------------------------------------------------------------- */
 
-static size_t put_medium(uint8_t *at, const uint16_t image[REGISTERS_END]) {
-  const wire_medium medium = {
-      .sigma_a = registers_number(image, REGISTERS_AT_SIGMA_A),
-      .sigma_s = registers_number(image, REGISTERS_AT_SIGMA_S),
-      .g = registers_number(image, REGISTERS_AT_G),
-      .eta = registers_number(image, REGISTERS_AT_ETA),
-  };
-  wire_put_medium(at, &medium);
-  return WIRE_BYTES_medium;
+static double number_of(const uint16_t image[REGISTERS_END], const registers_field *field) {
+  return field->type == REGISTERS_U32          ? (double)registers_u32(image, field->address)
+         : field->type != REGISTERS_F32        ? (double)registers_u16(image, field->address)
+         : field->access == REGISTERS_OPTIONAL ? registers_optional(image, field->address)
+                                               : registers_number(image, field->address);
 }
 
-static core_parameters parameters_of(const uint16_t image[REGISTERS_END]) {
-  core_parameters parameters;
-  for (unsigned id = 0; id < CORE_PARAMETERS_END; id++) {
-    parameters.value[id] =
-        id > 0 ? registers_optional(image, REGISTERS_PARAMETER_AT(id)) : (double)NAN;
+/* Writes those fields of a structure that have registers. */
+static void put_fields(enum registers_job_kind kind, const schema_structure *structure,
+                       const char *prefix, const uint16_t image[REGISTERS_END], uint8_t *to) {
+  const struct links *links = links_of(kind, structure, prefix, false);
+  for (unsigned i = 0; i < links->count; i++) {
+    const struct link *link = &links->items[i];
+    const double number = number_of(image, link->registers);
+    const uint64_t integer = link->field->kind == SCHEMA_f64 ? 0 : (uint64_t)number;
+    memcpy(to + link->at,
+           link->field->kind == SCHEMA_f64 ? (const void *)&number : (const void *)&integer,
+           schema_field_bytes(link->field));
   }
-  return parameters;
-}
-
-/* Writes `count` floats from an address on, in the precision of the evaluator, and padding. Returns
- * the bytes written. */
-static size_t put_list(uint8_t *at, const uint16_t image[REGISTERS_END], unsigned address,
-                       unsigned count, size_t value_bytes) {
-  for (unsigned i = 0; i < count; i++) {
-    const float r = registers_f32(image, address + 2 * i);
-    const double wide = (double)r;
-    memcpy(at + i * value_bytes, value_bytes == sizeof r ? (const void *)&r : (const void *)&wide,
-           value_bytes);
-  }
-  const size_t bytes = (size_t)wire_padded(count * value_bytes);
-  memset(at + count * value_bytes, 0, bytes - count * value_bytes);
-  return bytes;
-}
-
-static size_t put_eval(const uint16_t image[REGISTERS_END], uint8_t *question) {
-  const core_parameters parameters = parameters_of(image);
-  const unsigned spacing = registers_u16(image, REGISTERS_AT_SPACING);
-  const bool grid = spacing != CORE_SPACING_LIST;
-  const wire_eval_request fixed = {
-      .model = registers_u16(image, REGISTERS_AT_MODEL),
-      .evaluator = registers_u16(image, REGISTERS_AT_EVALUATOR),
-      .moments = registers_u16(image, REGISTERS_AT_MOMENTS),
-      .wanted = registers_u16(image, REGISTERS_AT_WANTED) | CORE_QUANTITY_MODEL_ERROR,
-      .medium_count = 1,
-      .spacing = (uint16_t)spacing,
-      .parameter_count = (uint16_t)channels_count_parameters(&parameters),
-      .radius_count = registers_u16(image, REGISTERS_AT_RADIUS_COUNT),
-      .radius_start = grid ? registers_number(image, REGISTERS_AT_RADIUS_START) : 0,
-      .radius_stop = grid ? registers_number(image, REGISTERS_AT_RADIUS_STOP) : 0,
-  };
-  wire_put_eval_request(question, &fixed);
-  size_t bytes = WIRE_BYTES_eval_request;
-  bytes += put_medium(question + bytes, image);
-  bytes += channels_put_parameters(question + bytes, &parameters);
-  if (!grid) {
-    bytes += put_list(question + bytes, image, REGISTERS_AT_RADII, (unsigned)fixed.radius_count,
-                      core_evaluator_bytes(fixed.evaluator));
-  }
-  return bytes;
 }
 
 /* The quantities of a sample that have registers. */
 #define SAMPLE_WANTED (CORE_QUANTITY_RADIUS | CORE_QUANTITY_PDF | CORE_QUANTITY_MODEL_ERROR)
 
-static size_t put_sample(const uint16_t image[REGISTERS_END], uint8_t *question) {
-  const core_parameters parameters = parameters_of(image);
-  const unsigned draw = registers_u16(image, REGISTERS_AT_SAMPLE_DRAW);
-  const bool seeded = draw == CORE_DRAW_RANDOM || draw == CORE_DRAW_STRATIFIED;
-  const wire_sample_request fixed = {
-      .model = registers_u16(image, REGISTERS_AT_MODEL),
-      .evaluator = registers_u16(image, REGISTERS_AT_EVALUATOR),
-      .moments = registers_u16(image, REGISTERS_AT_MOMENTS),
-      .wanted = SAMPLE_WANTED,
-      .medium_count = 1,
-      .draw = (uint16_t)draw,
-      .parameter_count = (uint16_t)channels_count_parameters(&parameters),
-      .sample_count = registers_u16(image, REGISTERS_AT_SAMPLE_SAMPLE_COUNT),
-      .sample_first =
-          draw == CORE_DRAW_RANDOM ? registers_u32(image, REGISTERS_AT_SAMPLE_SAMPLE_FIRST) : 0,
-      .seed = seeded ? registers_u32(image, REGISTERS_AT_SAMPLE_SEED) : 0,
-  };
-  wire_put_sample_request(question, &fixed);
-  size_t bytes = WIRE_BYTES_sample_request;
-  bytes += put_medium(question + bytes, image);
-  bytes += channels_put_parameters(question + bytes, &parameters);
-  if (draw == CORE_DRAW_LIST) {
-    bytes += put_list(question + bytes, image, REGISTERS_AT_SAMPLE_U, (unsigned)fixed.sample_count,
-                      core_evaluator_bytes(fixed.evaluator));
-  }
-  return bytes;
-}
-
-static size_t put_numbers(uint8_t *at, const uint16_t image[REGISTERS_END], unsigned address,
-                          unsigned count) {
-  for (unsigned i = 0; i < count; i++) {
-    const double value = registers_number(image, address + 2 * i);
-    memcpy(at + i * sizeof value, &value, sizeof value);
-  }
-  return count * sizeof(double);
-}
-
-static size_t put_invert(const uint16_t image[REGISTERS_END], uint8_t *question) {
-  const unsigned count = registers_u16(image, REGISTERS_AT_INVERT_MEDIUM_COUNT);
-  const wire_invert_request fixed = {
-      .model = registers_u16(image, REGISTERS_AT_MODEL),
-      .moments = registers_u16(image, REGISTERS_AT_MOMENTS),
-      .given = registers_u16(image, REGISTERS_AT_INVERT_GIVEN),
-      .medium_count = count,
-      .g = registers_number(image, REGISTERS_AT_G),
-      .eta = registers_number(image, REGISTERS_AT_ETA),
-  };
-  wire_put_invert_request(question, &fixed);
-  size_t bytes = WIRE_BYTES_invert_request;
-  bytes += put_numbers(question + bytes, image, REGISTERS_AT_INVERT_ALBEDO, count);
-  return bytes + put_numbers(question + bytes, image, REGISTERS_AT_INVERT_LENGTH, count);
-}
-
-static size_t put_mc(const uint16_t image[REGISTERS_END], uint8_t *question) {
-  const double thickness = registers_optional(image, REGISTERS_AT_PARAMETER_THICKNESS);
-  const double error_total = registers_optional(image, REGISTERS_AT_MC_ERROR_TOTAL);
-  const double error_rings = registers_optional(image, REGISTERS_AT_MC_ERROR_RINGS);
-  const wire_mc_request fixed = {
-      .spacing = registers_u16(image, REGISTERS_AT_MC_SPACING),
-      .ring_count = registers_u16(image, REGISTERS_AT_MC_RING_COUNT),
-      .radius_start = registers_number(image, REGISTERS_AT_RADIUS_START),
-      .radius_stop = registers_number(image, REGISTERS_AT_RADIUS_STOP),
-      .thickness = isnan(thickness) ? (double)INFINITY : thickness,
-      .seed = registers_u32(image, REGISTERS_AT_MC_SEED),
-      .photons = (uint64_t)registers_number(image, REGISTERS_AT_MC_PHOTONS),
-      .error_total = isnan(error_total) ? 0 : error_total,
-      .error_rings = isnan(error_rings) ? 0 : error_rings,
-  };
-  wire_put_mc_request(question, &fixed);
-  const size_t bytes = WIRE_BYTES_mc_request + put_medium(question + WIRE_BYTES_mc_request, image);
-  const core_parameters given = parameters_of(image);
-  core_parameters taken = core_parameters_none();
+/* Leaves those parameters that Monte Carlo takes. */
+static void keep_walks(core_parameters *parameters) {
   static const unsigned walks[] = {CORE_PARAMETER_PHASE, CORE_PARAMETER_PHASE_SHARE,
                                    CORE_PARAMETER_PHASE_G, CORE_PARAMETER_DETECTOR_NA};
+  const core_parameters given = *parameters;
+  *parameters = core_parameters_none();
   for (size_t i = 0; i < sizeof walks / sizeof walks[0]; i++) {
-    taken.value[walks[i]] = given.value[walks[i]];
+    parameters->value[walks[i]] = given.value[walks[i]];
   }
-  return bytes + channels_put_parameters(question + bytes, &taken);
+}
+
+/* Sets the fields of a request that have no registers, or that do not count. */
+static void complete(enum registers_job_kind kind, core_parameters *parameters, void *request) {
+  const uint16_t parameter_count = (uint16_t)channels_count_parameters(parameters);
+  wire_eval_request *eval = request;
+  wire_sample_request *sample = request;
+  wire_mc_request *mc = request;
+  fit_start *fit = request;
+  switch (kind) {
+  case REGISTERS_JOB_EVAL:
+    eval->medium_count = 1;
+    eval->parameter_count = parameter_count;
+    eval->wanted |= CORE_QUANTITY_MODEL_ERROR;
+    if (eval->spacing == CORE_SPACING_LIST) {
+      eval->radius_start = eval->radius_stop = 0;
+    }
+    break;
+  case REGISTERS_JOB_SAMPLE:
+    sample->medium_count = 1;
+    sample->parameter_count = parameter_count;
+    sample->wanted = SAMPLE_WANTED;
+    if (sample->draw != CORE_DRAW_RANDOM) {
+      sample->sample_first = 0;
+      sample->seed = sample->draw == CORE_DRAW_STRATIFIED ? sample->seed : 0;
+    }
+    break;
+  case REGISTERS_JOB_MC:
+    mc->thickness = isnan(mc->thickness) ? (double)INFINITY : mc->thickness;
+    mc->error_total = isnan(mc->error_total) ? 0 : mc->error_total;
+    mc->error_rings = isnan(mc->error_rings) ? 0 : mc->error_rings;
+    keep_walks(parameters);
+    break;
+  case REGISTERS_JOB_FIT:
+    fit->request.set_count = fit->request.residuals = 1;
+    fit->design.parameter_count = parameter_count;
+    break;
+  case REGISTERS_JOB_INVERT:
+  case REGISTERS_JOBS:
+    break;
+  }
+}
+
+/* Writes the numbers of a list, as floats or as doubles; a single register holds for all. */
+static void put_list(enum registers_job_kind kind, const schema_part *part,
+                     const uint16_t image[REGISTERS_END], unsigned count, size_t bytes,
+                     uint8_t *to) {
+  const registers_field *from = registers_named(&registers_jobs[kind], part->name, false);
+  for (unsigned i = 0; i < count; i++) {
+    const unsigned address = from->address + (from->count > 1 ? 2 * i : 0);
+    const double number = part->kind == SCHEMA_REAL ? (double)registers_f32(image, address)
+                                                    : registers_number(image, address);
+    const float single = (float)number;
+    memcpy(to + i * bytes, bytes == sizeof single ? (const void *)&single : (const void *)&number,
+           bytes);
+  }
 }
 
 /* Sets reading[] to value and standard error of a reading, or of its ratio to what was read of the
@@ -186,59 +175,51 @@ static void take_reading(const uint16_t image[REGISTERS_END], unsigned index, bo
   }
 }
 
-static size_t put_fit(const uint16_t image[REGISTERS_END], uint8_t *question) {
-  const core_parameters parameters = parameters_of(image);
-  const unsigned count = registers_u16(image, REGISTERS_AT_FIT_READING_COUNT);
-  const fit_start start = {{.set_count = 1, .residuals = 1},
-                           {
-                               .model = registers_u16(image, REGISTERS_AT_MODEL),
-                               .moments = registers_u16(image, REGISTERS_AT_MOMENTS),
-                               .axis = registers_u16(image, REGISTERS_AT_FIT_AXIS),
-                               .scale = registers_u16(image, REGISTERS_AT_FIT_SCALE),
-                               .reading_count = count,
-                               .parameter_count = (uint16_t)channels_count_parameters(&parameters),
-                               .g = registers_number(image, REGISTERS_AT_G),
-                               .eta = registers_number(image, REGISTERS_AT_ETA),
-                           }};
-  double at[REGISTERS_FIT_READINGS_MAX];
-  double source_mm[REGISTERS_FIT_READINGS_MAX], detector_mm[REGISTERS_FIT_READINGS_MAX];
-  for (unsigned i = 0; i < count; i++) {
-    at[i] = registers_number(image, REGISTERS_AT_FIT_AT + 2 * i);
-    source_mm[i] = registers_number(image, REGISTERS_AT_FIT_SOURCE);
-    detector_mm[i] = registers_number(image, REGISTERS_AT_FIT_DETECTOR);
-  }
-  const core_medium reference = {registers_number(image, REGISTERS_AT_FIT_REFERENCE_SIGMA_A),
-                                 registers_number(image, REGISTERS_AT_FIT_REFERENCE_SIGMA_S),
-                                 registers_number(image, REGISTERS_AT_FIT_REFERENCE_G),
-                                 registers_number(image, REGISTERS_AT_FIT_REFERENCE_ETA)};
-  schema_layout layout;
-  schema_lay_out(&schema_fit_request, &start, UINT64_MAX, &layout, NULL);
-  memcpy(question, &start, sizeof start);
-  channels_put_parameters(question + layout.parts[FIT_PARAMETERS].at, &parameters);
-  schema_put_part(question, &layout, FIT_REFERENCE, &reference);
-  schema_put_part(question, &layout, FIT_AT, at);
-  schema_put_part(question, &layout, FIT_SOURCE, source_mm);
-  schema_put_part(question, &layout, FIT_DETECTOR, detector_mm);
-  uint8_t *to = question + layout.parts[FIT_VALUES].at;
+/* Writes values, or their standard errors, of the readings of a fit. */
+static void put_readings(const uint16_t image[REGISTERS_END], unsigned count, bool errors,
+                         uint8_t *to) {
+  const bool ratio = registers_u16(image, REGISTERS_AT_FIT_SCALE) == CORE_FIT_SCALE_REFERENCE;
   for (unsigned i = 0; i < count; i++) {
     double reading[2];
-    take_reading(image, i, start.design.scale == CORE_FIT_SCALE_REFERENCE, reading);
-    memcpy(to + i * sizeof(double), &reading[0], sizeof(double));
-    memcpy(to + (count + i) * sizeof(double), &reading[1], sizeof(double));
+    take_reading(image, i, ratio, reading);
+    memcpy(to + i * sizeof(double), &reading[errors], sizeof(double));
   }
-  return (size_t)layout.payload_bytes;
 }
 
 size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image[REGISTERS_END],
-                              uint8_t *question) {
-  static size_t (*const put[REGISTERS_JOBS])(const uint16_t image[REGISTERS_END],
-                                             uint8_t *question) = {
-      [REGISTERS_JOB_EVAL] = put_eval,     [REGISTERS_JOB_SAMPLE] = put_sample,
-      [REGISTERS_JOB_INVERT] = put_invert, [REGISTERS_JOB_MC] = put_mc,
-      [REGISTERS_JOB_FIT] = put_fit,
-  };
-  const size_t bytes = put[kind](image, question);
-  assert(bytes <= MODBUS_QUESTION_BYTES);
+                              uint8_t *request) {
+  const schema_payload *payload = message_of(kind)->request;
+  core_parameters parameters = core_parameters_none();
+  schema_layout layout;
+  size_t bytes = 0;
+  memset(request, 0, MODBUS_REQUEST_BYTES);
+  for (int i = 0; i < 2 && payload->structures[i] != NULL; i++) {
+    put_fields(kind, payload->structures[i], "", image, request + bytes);
+    bytes += payload->structures[i]->bytes;
+  }
+  for (unsigned id = 1; id < CORE_PARAMETERS_END; id++) {
+    parameters.value[id] = registers_optional(image, REGISTERS_PARAMETER_AT(id));
+  }
+  complete(kind, &parameters, request);
+  schema_lay_out(payload, request, UINT64_MAX, &layout, NULL);
+  bytes = (size_t)layout.payload_bytes;
+  assert(bytes + CORE_PARAMETERS_END * WIRE_BYTES_parameter <= MODBUS_REQUEST_BYTES);
+  for (unsigned i = 0; payload->parts[i].name != NULL; i++) {
+    const schema_part *part = &payload->parts[i];
+    const unsigned count = (unsigned)layout.parts[i].count;
+    uint8_t *to = request + layout.parts[i].at;
+    if (strcmp(part->name, "parameter") == 0) {
+      const size_t put = channels_put_parameters(to, &parameters);
+      bytes += part->rest ? put : 0;
+    } else if (count > 0 && part->kind == SCHEMA_LIST) {
+      put_fields(kind, part->structure, strcmp(part->name, "medium") == 0 ? "" : "reference_",
+                 image, to);
+    } else if (count > 0 && kind == REGISTERS_JOB_FIT && part->form == SCHEMA_SETS) {
+      put_readings(image, count, i == FIT_ERRORS, to);
+    } else if (count > 0) {
+      put_list(kind, part, image, count, (size_t)layout.parts[i].bytes, to);
+    }
+  }
   return bytes;
 }
 
@@ -282,12 +263,37 @@ static float rounded_up(double bound) {
   return (double)nearest < bound ? nextafterf(nearest, INFINITY) : nearest;
 }
 
+#define STRUCTURE(name) (&schema_structures[SCHEMA_STRUCTURE_##name])
+
+/* Sets the registers of a structure's fields. Errors are rounded up. */
+static void set_fields(enum registers_job_kind kind, const schema_structure *structure,
+                       const uint8_t *from, uint16_t image[REGISTERS_END]) {
+  const struct links *links = links_of(kind, structure, "", true);
+  for (unsigned i = 0; i < links->count; i++) {
+    const struct link *link = &links->items[i];
+    const size_t bytes = schema_field_bytes(link->field) / link->field->count;
+    for (unsigned k = 0; k < link->field->count; k++) {
+      const uint8_t *at = from + link->at + k * bytes;
+      uint64_t integer = 0;
+      double number = 0;
+      memcpy(link->field->kind == SCHEMA_f64 ? (void *)&number : (void *)&integer, at, bytes);
+      if (link->registers->type != REGISTERS_F32) {
+        registers_set_u16(image, link->registers->address, (unsigned)integer);
+      } else {
+        registers_set_f32(image, link->registers->address + 2 * k,
+                          strstr(link->field->name, "error") != NULL ? rounded_up(number)
+                                                                     : (float)number);
+      }
+    }
+  }
+}
+
 /* Returns the radii of the request. Those of a grid are computed into `room`. */
-static struct values radii_of(const uint8_t *question, const wire_eval_request *fixed,
+static struct values radii_of(const uint8_t *request, const wire_eval_request *fixed,
                               double room[REGISTERS_RADII_MAX]) {
   const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
   if (fixed->spacing == CORE_SPACING_LIST) {
-    return (struct values){question + WIRE_BYTES_eval_request + WIRE_BYTES_medium +
+    return (struct values){request + WIRE_BYTES_eval_request + WIRE_BYTES_medium +
                                fixed->parameter_count * WIRE_BYTES_parameter,
                            value_bytes};
   }
@@ -353,12 +359,12 @@ static struct values array_of(const uint8_t *reply, const eval_layout *layout,
                          value_bytes};
 }
 
-static void take_eval(const uint8_t *question, const uint8_t *reply, size_t reply_bytes,
+static void take_eval(const uint8_t *request, const uint8_t *reply, size_t reply_bytes,
                       uint16_t image[REGISTERS_END]) {
   wire_eval_request asked;
   wire_eval_reply start;
   eval_layout layout;
-  wire_get_eval_request(question, &asked);
+  wire_get_eval_request(request, &asked);
   wire_get_eval_reply(reply, &start);
   const unsigned count = (unsigned)start.count;
   const bool fits =
@@ -367,7 +373,7 @@ static void take_eval(const uint8_t *question, const uint8_t *reply, size_t repl
 
   double room[REGISTERS_RADII_MAX];
   asked.evaluator = start.evaluator;
-  const struct values radii = radii_of(question, &asked, room);
+  const struct values radii = radii_of(request, &asked, room);
   const struct values R = array_of(reply, &layout, &start, CORE_QUANTITY_R);
   const struct values cdf = array_of(reply, &layout, &start, CORE_QUANTITY_CDF);
   const struct values S = array_of(reply, &layout, &start, CORE_QUANTITY_S);
@@ -390,9 +396,9 @@ static void take_eval(const uint8_t *question, const uint8_t *reply, size_t repl
   registers_set_u16(image, REGISTERS_AT_NOTES, start.notes);
 }
 
-static void take_sample(const uint8_t *question, const uint8_t *reply, size_t reply_bytes,
+static void take_sample(const uint8_t *request, const uint8_t *reply, size_t reply_bytes,
                         uint16_t image[REGISTERS_END]) {
-  (void)question;
+  (void)request;
   wire_eval_reply start;
   eval_layout layout;
   const bool whole = eval_reply_parse(reply, reply_bytes, true, &start, &layout);
@@ -415,11 +421,11 @@ static void take_sample(const uint8_t *question, const uint8_t *reply, size_t re
   registers_set_u16(image, REGISTERS_AT_SAMPLE_NOTES, start.notes);
 }
 
-static void take_invert(const uint8_t *question, const uint8_t *reply, size_t reply_bytes,
+static void take_invert(const uint8_t *request, const uint8_t *reply, size_t reply_bytes,
                         uint16_t image[REGISTERS_END]) {
   static const unsigned at[INVERT_ARRAYS] = {
       REGISTERS_AT_INVERT_SIGMA_A, REGISTERS_AT_INVERT_SIGMA_S, REGISTERS_AT_INVERT_ALBEDO_FOUND};
-  (void)question;
+  (void)request;
   wire_invert_reply start;
   const bool whole = invert_reply_parse(reply, reply_bytes, &start);
   assert(whole && start.part_count == 1 && start.count <= REGISTERS_RADII_MAX);
@@ -429,10 +435,7 @@ static void take_invert(const uint8_t *question, const uint8_t *reply, size_t re
     const struct values values = {reply + invert_array_offset(i, count), sizeof(double)};
     set_values(image, at[i], 0, &values, count, before);
   }
-  registers_set_u16(image, REGISTERS_AT_INVERT_COUNT, count);
-  registers_set_u16(image, REGISTERS_AT_INVERT_MISSING_COUNT, (unsigned)start.missing_count);
-  registers_set_f32(image, REGISTERS_AT_INVERT_ALBEDO_LEAST, (float)start.albedo_least);
-  registers_set_f32(image, REGISTERS_AT_INVERT_ALBEDO_MOST, (float)start.albedo_most);
+  set_fields(REGISTERS_JOB_INVERT, STRUCTURE(invert_reply), reply, image);
 }
 
 /* Writes the progress of an mc job, which every reply to its request has. */
@@ -446,41 +449,14 @@ static void set_progress(uint16_t image[REGISTERS_END], const wire_mc_reply *rep
   registers_set_f32(image, REGISTERS_AT_MC_ERROR_RINGS_NOW, rounded_up(reply->error_rings));
 }
 
-static void set_energy(uint16_t image[REGISTERS_END], const wire_mc_energy *energy) {
-  const struct {
-    unsigned at;
-    double value;
-  } numbers[] = {
-      {REGISTERS_AT_MC_REFLECTED, energy->reflected},
-      {REGISTERS_AT_MC_TRANSMITTED, energy->transmitted},
-      {REGISTERS_AT_MC_ABSORBED, energy->absorbed},
-      {REGISTERS_AT_MC_UNFINISHED, energy->unfinished},
-      {REGISTERS_AT_MC_IMBALANCE, energy->imbalance},
-      {REGISTERS_AT_MC_UNSCATTERED, energy->unscattered[0]},
-      {REGISTERS_AT_MC_UNSCATTERED + 2, energy->unscattered[1]},
-      {REGISTERS_AT_MC_UNDER, energy->under[0]},
-      {REGISTERS_AT_MC_UNDER + 2, energy->under[1]},
-      {REGISTERS_AT_MC_OVER, energy->over[0]},
-      {REGISTERS_AT_MC_OVER + 2, energy->over[1]},
-  };
-  for (size_t i = 0; i < sizeof numbers / sizeof numbers[0]; i++) {
-    registers_set_f32(image, numbers[i].at, (float)numbers[i].value);
-  }
-  registers_set_f32(image, REGISTERS_AT_MC_REFLECTED_ERROR, rounded_up(energy->reflected_error));
-  registers_set_f32(image, REGISTERS_AT_MC_TRANSMITTED_ERROR,
-                    rounded_up(energy->transmitted_error));
-  registers_set_f32(image, REGISTERS_AT_MC_ABSORBED_ERROR, rounded_up(energy->absorbed_error));
-}
-
-static void take_mc(const uint8_t *question, const uint8_t *reply, size_t reply_bytes,
+static void take_mc(const uint8_t *request, const uint8_t *reply, size_t reply_bytes,
                     uint16_t image[REGISTERS_END]) {
   static const unsigned at[CORE_MC_SIDES][2] = {
       {REGISTERS_AT_MC_R, REGISTERS_AT_MC_R_ERROR},
       {REGISTERS_AT_MC_T, REGISTERS_AT_MC_T_ERROR},
   };
-  (void)question;
+  (void)request;
   wire_mc_reply start;
-  wire_mc_energy energy;
   mc_layout layout;
   const bool whole = mc_reply_parse(reply, reply_bytes, &start, &layout);
   assert(whole);
@@ -488,8 +464,7 @@ static void take_mc(const uint8_t *question, const uint8_t *reply, size_t reply_
   if (start.state == MC_UNDER_WAY) {
     return;
   }
-  wire_get_mc_energy(reply + layout.energies_offset, &energy);
-  set_energy(image, &energy);
+  set_fields(REGISTERS_JOB_MC, STRUCTURE(mc_energy), reply + layout.energies_offset, image);
   const unsigned count = start.ring_count;
   const unsigned before = registers_u16(image, REGISTERS_AT_MC_COUNT);
   const struct values edges = {reply + layout.edges_offset, sizeof(double)};
@@ -509,11 +484,11 @@ static void take_mc(const uint8_t *question, const uint8_t *reply, size_t reply_
 
 /* Names the reading that is wrong. A ratio that is not finite was divided by a reference reading of
  * 0. */
-static wire_error wrong_reading(const uint8_t *question, const wire_fitted *fitted) {
+static wire_error wrong_reading(const uint8_t *request, const wire_fitted *fitted) {
   double asked;
   schema_layout layout;
-  schema_lay_out(&schema_fit_request, question, UINT64_MAX, &layout, NULL);
-  memcpy(&asked, question + layout.parts[FIT_VALUES].at + fitted->index * sizeof asked,
+  schema_lay_out(&schema_fit_request, request, UINT64_MAX, &layout, NULL);
+  memcpy(&asked, request + layout.parts[FIT_VALUES].at + fitted->index * sizeof asked,
          sizeof asked);
   const bool value = fitted->field == 1;
   wire_error error;
@@ -531,42 +506,28 @@ static float root(double variance) {
   return rounded_up(sqrt(variance));
 }
 
-static void set_fitted(uint16_t image[REGISTERS_END], const uint8_t *question,
+static void set_fitted(uint16_t image[REGISTERS_END], const uint8_t *request,
                        const wire_fitted *fitted) {
   wire_fit_design design;
-  wire_get_fit_design(question + WIRE_BYTES_fit_request, &design);
-  const struct {
-    unsigned at;
-    double value;
-  } numbers[] = {
-      {REGISTERS_AT_FIT_SIGMA_A, fitted->sigma_a},
-      {REGISTERS_AT_FIT_SIGMA_S_PRIME, fitted->sigma_s_prime},
-      {REGISTERS_AT_FIT_CORRELATION,
-       fitted->covariance_a_s / sqrt(fitted->variance_a * fitted->variance_s)},
-      {REGISTERS_AT_FIT_CHI_SQUARED, fitted->chi_squared},
-      {REGISTERS_AT_FIT_REDUCED, fitted->reduced_chi_squared},
-      {REGISTERS_AT_FIT_FACTOR, fitted->factor},
-      {REGISTERS_AT_FIT_CONDITION, fitted->condition},
-      {REGISTERS_AT_FIT_SECOND, fitted->second_sigma_a},
-      {REGISTERS_AT_FIT_SECOND + 2, fitted->second_sigma_s_prime},
-      {REGISTERS_AT_FIT_SECOND + 4, fitted->second_chi_squared},
-      {REGISTERS_AT_FIT_G, design.g},
-      {REGISTERS_AT_FIT_ETA, design.eta},
-  };
-  for (size_t i = 0; i < sizeof numbers / sizeof numbers[0]; i++) {
-    registers_set_f32(image, numbers[i].at, (float)numbers[i].value);
+  wire_get_fit_design(request + WIRE_BYTES_fit_request, &design);
+  const double correlation = fitted->covariance_a_s / sqrt(fitted->variance_a * fitted->variance_s);
+  const float second[] = {(float)fitted->second_sigma_a, (float)fitted->second_sigma_s_prime,
+                          (float)fitted->second_chi_squared};
+  for (unsigned i = 0; i < 3; i++) {
+    registers_set_f32(image, REGISTERS_AT_FIT_SECOND + 2 * i, second[i]);
   }
+  registers_set_f32(image, REGISTERS_AT_FIT_CORRELATION, (float)correlation);
+  registers_set_f32(image, REGISTERS_AT_FIT_G, (float)design.g);
+  registers_set_f32(image, REGISTERS_AT_FIT_ETA, (float)design.eta);
   registers_set_f32(image, REGISTERS_AT_FIT_SIGMA_A_ERROR, root(fitted->variance_a));
   registers_set_f32(image, REGISTERS_AT_FIT_SIGMA_S_PRIME_ERROR, root(fitted->variance_s));
   registers_set_f32(image, REGISTERS_AT_FIT_FACTOR_ERROR, root(fitted->variance_factor));
-  registers_set_f32(image, REGISTERS_AT_FIT_MODEL_ERROR, rounded_up(fitted->model_error));
   registers_set_u16(image, REGISTERS_AT_FIT_FIT_STATUS, fitted->status);
   registers_set_text(image, REGISTERS_AT_FIT_FIT_STATUS_NAME, REGISTERS_FIT_STATUS_NAME_BYTES / 2,
                      core_choice_by_id(core_fit_statuses, fitted->status)->name);
-  registers_set_u16(image, REGISTERS_AT_FIT_BOUNDS, fitted->bounds);
 }
 
-static enum registers_status take_fit(const uint8_t *question, const uint8_t *reply,
+static enum registers_status take_fit(const uint8_t *request, const uint8_t *reply,
                                       size_t reply_bytes, uint16_t image[REGISTERS_END],
                                       wire_error *error) {
   wire_fit_reply start;
@@ -575,10 +536,11 @@ static enum registers_status take_fit(const uint8_t *question, const uint8_t *re
   assert(whole && start.count == 1 && start.reading_count <= REGISTERS_FIT_READINGS_MAX);
   wire_get_fitted(reply + WIRE_BYTES_fit_reply, &fitted);
   if (fitted.status == CORE_FIT_STATUS_REFUSED) {
-    *error = wrong_reading(question, &fitted);
+    *error = wrong_reading(request, &fitted);
     return REGISTERS_STATUS_ERROR;
   }
-  set_fitted(image, question, &fitted);
+  set_fields(REGISTERS_JOB_FIT, STRUCTURE(fitted), reply + WIRE_BYTES_fit_reply, image);
+  set_fitted(image, request, &fitted);
   const struct values residuals = {reply + fit_residuals_offset(1), sizeof(double)};
   set_values(image, REGISTERS_AT_FIT_RESIDUAL, 0, &residuals, start.reading_count,
              registers_u16(image, REGISTERS_AT_FIT_COUNT));
@@ -588,10 +550,10 @@ static enum registers_status take_fit(const uint8_t *question, const uint8_t *re
                                                  : REGISTERS_STATUS_UNFITTED;
 }
 
-enum registers_status modbus_translate_reply(enum registers_job_kind kind, const uint8_t *question,
+enum registers_status modbus_translate_reply(enum registers_job_kind kind, const uint8_t *request,
                                              const uint8_t *reply, size_t reply_bytes,
                                              uint16_t image[REGISTERS_END], wire_error *error) {
-  static void (*const take[REGISTERS_JOBS])(const uint8_t *question, const uint8_t *reply,
+  static void (*const take[REGISTERS_JOBS])(const uint8_t *request, const uint8_t *reply,
                                             size_t reply_bytes, uint16_t image[REGISTERS_END]) = {
       [REGISTERS_JOB_EVAL] = take_eval,
       [REGISTERS_JOB_SAMPLE] = take_sample,
@@ -599,8 +561,8 @@ enum registers_status modbus_translate_reply(enum registers_job_kind kind, const
       [REGISTERS_JOB_MC] = take_mc,
   };
   if (kind == REGISTERS_JOB_FIT) {
-    return take_fit(question, reply, reply_bytes, image, error);
+    return take_fit(request, reply, reply_bytes, image, error);
   }
-  take[kind](question, reply, reply_bytes, image);
+  take[kind](request, reply, reply_bytes, image);
   return REGISTERS_STATUS_DONE;
 }

@@ -13,7 +13,7 @@
 
 enum {
   /* Bytes of the longest request, that of a fit: the design with its places, and the readings. */
-  MODBUS_QUESTION_BYTES = (int)WIRE_BYTES_fit_request + (int)WIRE_BYTES_fit_design +
+  MODBUS_REQUEST_BYTES = (int)WIRE_BYTES_fit_request + (int)WIRE_BYTES_fit_design +
                           CORE_PARAMETERS_END * (int)WIRE_BYTES_parameter + (int)WIRE_BYTES_medium +
                           5 * REGISTERS_FIT_READINGS_MAX * (int)sizeof(double),
   /* Bytes of the longest reply, that of an mc: edges, photons, and R with its errors. */
@@ -22,16 +22,16 @@ enum {
       (REGISTERS_RADII_MAX + 1 + 3 * CORE_MC_SIDES * REGISTERS_RADII_MAX) * (int)sizeof(double),
 };
 
-/* Writes the payload of the request to `question`, which is at a multiple of 8. Returns the length
- * of the payload, at most MODBUS_QUESTION_BYTES. */
+/* Writes the payload of the request to `request`, which is at a multiple of 8. Returns the length
+ * of the payload, at most MODBUS_REQUEST_BYTES. */
 size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image[REGISTERS_END],
-                              uint8_t *question);
+                              uint8_t *request);
 
-/* Writes the results of a reply into the output registers, or the progress of an mc job. question:
+/* Writes the results of a reply into the output registers, or the progress of an mc job. request:
  * the request. The caller sets the registers for status, done, sequence and the error. Returns the
  * status: DONE, UNFITTED for a fit that is no success, or ERROR if a reading is wrong; *error then
  * says which, and no results are written. */
-enum registers_status modbus_translate_reply(enum registers_job_kind kind, const uint8_t *question,
+enum registers_status modbus_translate_reply(enum registers_job_kind kind, const uint8_t *request,
                                              const uint8_t *reply, size_t reply_bytes,
                                              uint16_t image[REGISTERS_END], wire_error *error);
 
