@@ -204,9 +204,22 @@ static double value_at(const solver_solution *of, const struct grid *grid, size_
 #define MARGIN_BACKWARD 4.0
 #define BACKWARD (-0.3)
 
+/* A grid cuts off a phase function's moments from one on that is larger than this where its basis
+ * does not resolve them. Its error is taken to be in proportion to the first of them. */
+#define CUT_COUNTS 1e-3
+
+/* Returns the finer grid's error over the grids' difference, as far as moments are cut off; at least 1. */
+static double shared_by_cuts(const solver_solution *of, const solver_phase *phase) {
+  const double fine = solver_moment_at(phase, of->grid[0].scaled.medium.moments);
+  const double coarse = solver_moment_at(phase, of->grid[1].scaled.medium.moments);
+  return fine > CUT_COUNTS && coarse > fine ? fmax(1, fine / (coarse - fine)) : 1;
+}
+
 /* Compares the two grids, and returns the largest relative error at radii that a tolerance is for.
  */
-static double find_errors(solver_solution *of) {
+static double find_errors(solver_solution *of, const solver_phase *phase) {
+  of->margin = (solver_moment_at(phase, 1) < BACKWARD ? MARGIN_BACKWARD : MARGIN) *
+               shared_by_cuts(of, phase);
   double worst = 0;
   for (size_t eta = 0; eta < of->count; eta++) {
     double r = SOLVER_ERROR_LEAST;
@@ -242,7 +255,6 @@ static core_fault solve(solver_solution **solution, const core_isa *isa, double 
   made->count = boundaries->count;
   made->parts = parts_of(boundaries);
   memcpy(made->eta, boundaries->etas, made->count * sizeof *made->eta);
-  made->margin = solver_moment_at(phase, 1) < BACKWARD ? MARGIN_BACKWARD : MARGIN;
   made->single = malloc(made->parts * sizeof *made->single);
   made->error = calloc(made->count, sizeof *made->error);
   bool ok = made->single != NULL && made->error != NULL;
@@ -266,7 +278,7 @@ static core_fault solve(solver_solution **solution, const core_isa *isa, double 
     made->level = level;
     if (ok && level > first) {
       const double before = worst;
-      worst = fmax(find_errors(made), made->floor[1]);
+      worst = fmax(find_errors(made, phase), made->floor[1]);
       expected = isinf(before) ? 0 : worst * fmin(1, GAIN_GROWS * worst / before);
     }
   }
@@ -363,6 +375,8 @@ static transport_number beyond(const solver_solution *solution, size_t eta, doub
   return (transport_number){last.value * fall, (last.error + FARTHER_OFF * last.value) * fall};
 }
 
+#define NEARER 1.2
+
 /* The error is at least that of the floor, since the two grids share a part of their errors. */
 transport_number solver_at(const solver_solution *solution, size_t eta, double r) {
   assert(eta < solution->count && r >= 0);
@@ -379,13 +393,18 @@ transport_number solver_at(const solver_solution *solution, size_t eta, double r
   if (solution->grids == 1) {
     return (transport_number){fmax(value, 0), (double)NAN};
   }
-  if (!(value > 0)) { /* the grids find no positive R */
-    return (transport_number){0, isnan(value) ? (double)INFINITY : fabs(value)};
+  if (isnan(value)) {
+    return (transport_number){0, (double)INFINITY};
   }
   const double unit = solution->grid[0].scaled.unit;
   const double error = fmax(solver_floor_at(solution->floor, unit, solution->eta[eta], r),
                             solver_error_near(solution->error[eta], r));
-  return (transport_number){value, error * value};
+  if (value > 0 && error < 1) {
+    return (transport_number){value, error * value};
+  }
+  /* Without a digit, all that is known is that R falls. */
+  const transport_number nearer = solver_at(solution, eta, r / NEARER);
+  return (transport_number){fmax(value, 0), nearer.value + nearer.error};
 }
 
 transport_number solver_share_at(const solver_solution *solution, size_t eta, size_t cone,

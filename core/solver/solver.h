@@ -77,8 +77,8 @@ size_t solver_level(const solver_solution *solution);
 
 /* Returns R at the radius r for the boundary etas[eta], with an estimate of its absolute error. r:
  * 0 (where R is infinite) to infinity; beyond 1e4 R continues as diffusion, (1 + kappa r) e^(-kappa
- * r) / r^3. Where the grids do not find a positive R, the value is 0 and the error the size of what
- * they find. */
+ * r) / r^3. Where the grids do not find a digit of R, the error is what bounds R at a smaller
+ * radius, where R is larger. */
 transport_number solver_at(const solver_solution *solution, size_t eta, double r);
 
 /* Returns the share of R that leaves within the cone sines[cone], with an estimate of its absolute
