@@ -28,7 +28,6 @@ $(BUILD)/bench: $(BENCH) $(BUILD)/libdipole.a
 $(BUILD)/soak-load: $(call objects,$(wildcard tests/soak/*.c)) $(BUILD)/libdipole.a
 $(BUILD)/pipeline: $(call objects,$(wildcard tests/pipeline/*.c)) $(BUILD)/libdipole.a
 $(BUILD)/bench $(BUILD)/soak-load $(BUILD)/pipeline: LIBS = $(TLS_LIBS) $(CORE_LIBS)
-$(OBJ)/tests/bench/bench_tls.o: EXTRA_CPPFLAGS = $(TLS_CFLAGS)
 
 # The daemon, and a test can see how often it takes memory from the heap.
 $(BUILD)/dipoled-counting: $(SERVER) $(OBJ)/tests/e2e/count_allocations.o $(BUILD)/libproto.a $(BUILD)/libcore.a

@@ -1,4 +1,4 @@
-/* Compares dipoled as a service with an echo server and, if it is installed, redis-server. Servers
+/* Compares dipoled as a service with an echo server. Servers
  * run on one core and clients on another (service/child.h), each server in its own process. dipoled
  * has one worker, because it has one core; with two workers on that core, the processor time of a
  * request is the same within 2 %. All sides take turns, a fraction of a second each. A figure is
@@ -13,11 +13,10 @@
  *   ratio.service.bulk[.tcp]           dipoled over the sum of echo and kernel
  *   service.rtt.<side>.p50 ...         round trip of 16 radii, one at a time                  us
  *   ratio.service.rtt[.p99]            dipoled over echo
- *   service.redis.<side>.rate          requests of 16 radii, or GETs of 64 bytes that exist, over
- *                                      32 connections with 16 in flight on each       requests/s
- *   service.redis.<side>.p50 ...       latency of these requests                              us
- *   service.redis.<side>.cpu           processor time of the server for one request           us
- *   ratio.service.redis                dipoled's rate over redis's
+ *   service.many.<side>.rate           requests of 16 radii over 32 connections with 16 in flight on
+ *                                      each                                           requests/s
+ *   service.many.<side>.p50 ...        latency of these requests                              us
+ *   service.many.<side>.cpu            processor time of the server for one request           us
  *   service.fair.<idle or streaming>.p50 ...   round trip of 16 radii beside two other clients that
  *                                      are silent, or stream the largest possible answers     us
  *   service.fair.echo.p50 ...          the same round trip to the echo server, beside the same
@@ -27,7 +26,7 @@
  *   ratio.service.fair                 the 99th percentile beside streaming over beside silent ones
  *   ratio.service.fair.echo            dipoled's 99th percentile beside streams over the echo's
  *   service.open.<n>.rate, .p50 ...    requests of 16 radii that are due at n % of the rate of
- *                                      service.redis.dipoled: rate, latency from when they were due
+ *                                      service.many.dipoled: rate, latency from when they were due
  *   service.open.<n>.cpu               processor time of the server for one of these requests; times
  *                                      the rate it is the part of a core that it needs       us
  *   service.open.<n>.echo.p50 ...      the same of the echo server, at the same rate
@@ -58,7 +57,6 @@
 #include "tests/bench/service/echo.h"
 #include "tests/bench/service/load.h"
 #include "tests/bench/service/ping.h"
-#include "tests/bench/service/redis.h"
 #include "tests/bench/service/stream.h"
 
 enum {
@@ -88,8 +86,6 @@ struct setting {
   struct target echo;
   struct target bulk;
   struct target bulk_echo;
-  struct target redis;
-  bool has_redis;
 };
 
 static struct samples samples;
@@ -295,11 +291,10 @@ static void load_round(struct side *side) {
 }
 
 /* Measures many requests. Returns dipoled's rate. */
-static double measure_redis(const struct setting *setting) {
+static double measure_many(const struct setting *setting) {
   bench_progress("service: many requests");
-  struct side sides[] = {side_of(&setting->eval), side_of(&setting->echo),
-                         side_of(&setting->redis)};
-  const size_t count = setting->has_redis ? 3 : 2;
+  struct side sides[] = {side_of(&setting->eval), side_of(&setting->echo)};
+  const size_t count = sizeof sides / sizeof sides[0];
   for (size_t i = 0; i < count; i++) {
     sides[i].load = load_new(sides[i].target, CONNECTIONS, IN_FLIGHT);
     load_closed(sides[i].load, WARM_UP_NS, &samples);
@@ -311,15 +306,11 @@ static double measure_redis(const struct setting *setting) {
   }
   for (size_t i = 0; i < count; i++) {
     load_free(sides[i].load);
-    bench_figure(bench_median_of(sides[i].rate_per_s, ROUNDS), "requests/s",
-                 "service.redis.%s.rate", sides[i].name);
-    report_percentiles(&sides[i], "redis", "");
-    bench_figure(bench_median_of(sides[i].cpu_us, ROUNDS), "us", "service.redis.%s.cpu",
+    bench_figure(bench_median_of(sides[i].rate_per_s, ROUNDS), "requests/s", "service.many.%s.rate",
                  sides[i].name);
-  }
-  if (setting->has_redis) {
-    bench_figure(bench_median_ratio(sides[0].rate_per_s, sides[2].rate_per_s, ROUNDS), "times",
-                 "ratio.service.redis");
+    report_percentiles(&sides[i], "many", "");
+    bench_figure(bench_median_of(sides[i].cpu_us, ROUNDS), "us", "service.many.%s.cpu",
+                 sides[i].name);
   }
   return bench_median_of(sides[0].rate_per_s, ROUNDS);
 }
@@ -487,7 +478,6 @@ static void start_servers(struct setting *setting) {
   setting->bulk_echo.address = target_unix(child_path("bulk-echo"));
   echo_start(&setting->echo);
   echo_start(&setting->bulk_echo);
-  setting->has_redis = redis_start(&setting->redis);
 }
 
 void bench_service(void) {
@@ -500,7 +490,7 @@ void bench_service(void) {
   measure_varying(&setting, CORE_MODEL_BETTER, "varying.better");
   measure_varying(&setting, CORE_MODEL_TRANSPORT, "varying.transport");
   measure_rtt(&setting, "");
-  measure_open(&setting, measure_redis(&setting));
+  measure_open(&setting, measure_many(&setting));
   measure_fairness(&setting);
   child_pin(CHILD_SERVER);
   measure_bulk(&setting.bulk, &setting.bulk_echo, NULL, "bulk.onecore");
@@ -512,6 +502,5 @@ void bench_service(void) {
   target_free(&setting.echo);
   target_free(&setting.bulk);
   target_free(&setting.bulk_echo);
-  target_free(&setting.redis);
   samples_free(&samples);
 }

@@ -58,8 +58,7 @@ static struct target_address find_port(const char *log, const char *scheme) {
   return target_tcp((unsigned)strtoul(port + strlen(text), NULL, 10));
 }
 
-static void start_daemon(struct daemon *daemon, enum child_side side, const char *name,
-                         unsigned workers, const char *certificate, const char *key) {
+void daemon_start(struct daemon *daemon, enum child_side side, const char *name, unsigned workers) {
   char program[PATH_MAX], listen[PATH_MAX], log_name[64], count[16], log[LOG_BYTES];
   const char *path = child_path(name);
   find_beside(program, sizeof program, "dipoled");
@@ -67,42 +66,12 @@ static void start_daemon(struct daemon *daemon, enum child_side side, const char
   snprintf(log_name, sizeof log_name, "%s.log", name);
   snprintf(count, sizeof count, "%u", workers);
   const char *log_path = child_path(log_name);
-  char *arguments[] = {program,
-                       "--listen",
-                       listen,
-                       "--listen",
-                       "tcp:127.0.0.1:0",
-                       "--modbus",
-                       "tcp:127.0.0.1:0",
-                       "--http",
-                       "127.0.0.1:0",
-                       "--workers",
-                       count,
-                       certificate != NULL ? "--listen" : NULL, /* NULL: the end */
-                       "tls:127.0.0.1:0",
-                       "--certificate",
-                       (char *)certificate,
-                       "--key",
-                       (char *)key,
-                       NULL};
+  char *arguments[] = {program,           "--listen",  listen, "--listen",
+                       "tcp:127.0.0.1:0", "--workers", count,  NULL};
   daemon->child = child_run(side, arguments, log_path);
   wait_until_ready(daemon->child, log_path, log, sizeof log);
   daemon->at_unix = target_unix(path);
   daemon->at_tcp = find_port(log, "tcp:");
-  daemon->at_modbus = find_port(log, "modbus-tcp:");
-  daemon->at_http = find_port(log, "http://");
-  if (certificate != NULL) {
-    daemon->at_tls = find_port(log, "tls:");
-  }
-}
-
-void daemon_start(struct daemon *daemon, enum child_side side, const char *name, unsigned workers) {
-  start_daemon(daemon, side, name, workers, NULL, NULL);
-}
-
-void daemon_start_tls(struct daemon *daemon, const char *name, unsigned workers,
-                      const char *certificate, const char *key) {
-  start_daemon(daemon, CHILD_SERVER, name, workers, certificate, key);
 }
 
 void daemon_end(struct daemon *daemon) {

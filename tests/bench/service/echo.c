@@ -74,9 +74,7 @@ static bool answer(struct peer *peer, const struct target *target) {
   while (alive && peer->to_write == 0 && peer->have - at >= target->request_bytes) {
     size_t replies = 0;
     for (; replies < peer->output_replies && peer->have - at >= target->request_bytes; replies++) {
-      if (target->framed) {
-        target_set_id(peer->output + replies * target->reply_bytes, target_id(peer->input + at));
-      }
+      target_set_id(peer->output + replies * target->reply_bytes, target_id(peer->input + at));
       at += target->request_bytes;
     }
     peer->to_write = replies * target->reply_bytes;

@@ -37,7 +37,6 @@ struct connection {
   uint8_t *requests; /* [in_flight][request_bytes] */
   struct queue free;
   struct queue to_send; /* slots that wait to be sent; sent_bytes of the first have been sent */
-  struct queue order;   /* slots in flight in the order of sending, if the target is not framed */
   size_t sent_bytes;
   uint64_t sequence;
   uint8_t *input;
@@ -98,7 +97,7 @@ static void open_connection(struct load *load, size_t index) {
   c->fd = target_connect(&target->address);
   c->slots = allocate(n, sizeof *c->slots);
   c->requests = allocate(n, target->request_bytes);
-  struct queue *queues[] = {&c->free, &c->to_send, &c->order};
+  struct queue *queues[] = {&c->free, &c->to_send};
   for (size_t i = 0; i < sizeof queues / sizeof queues[0]; i++) {
     *queues[i] = (struct queue){.at = allocate(n, sizeof(uint16_t)), .room = n};
   }
@@ -141,7 +140,6 @@ void load_free(struct load *load) {
     free(c->requests);
     free(c->free.at);
     free(c->to_send.at);
-    free(c->order.at);
     free(c->input);
   }
   close(load->epoll);
@@ -159,11 +157,7 @@ static void issue(struct load *load, struct connection *c, uint64_t due_ns) {
   slot->id = (++c->sequence * IN_FLIGHT_MAX) + number;
   slot->due_ns = due_ns;
   slot->under_way = true;
-  if (load->target->framed) {
-    target_set_id(c->requests + number * load->target->request_bytes, slot->id);
-  } else {
-    push(&c->order, number);
-  }
+  target_set_id(c->requests + number * load->target->request_bytes, slot->id);
   push(&c->to_send, number);
   load->under_way++;
 }
@@ -222,8 +216,7 @@ static void send_more(struct load *load, struct connection *c) {
 
 /* Returns the slot of the request that a reply, whose header has arrived, answers. */
 static size_t slot_of(const struct load *load, const struct connection *c, const uint8_t *reply) {
-  const uint64_t id = target_id(reply);
-  const size_t number = load->target->framed ? id % IN_FLIGHT_MAX : peek(&c->order, 0);
+  const size_t number = target_id(reply) % IN_FLIGHT_MAX;
   if (number >= load->in_flight || !c->slots[number].under_way) {
     bench_fail("an answer to a question that was not asked, or answered before");
   }
@@ -234,9 +227,6 @@ static void take_answer(struct load *load, struct connection *c, size_t number, 
   struct slot *slot = &c->slots[number];
   samples_add(load->samples, now_ns - slot->due_ns);
   slot->under_way = false;
-  if (!load->target->framed) {
-    pop(&c->order);
-  }
   push(&c->free, number);
   load->under_way--;
   load->answered++;
@@ -247,9 +237,8 @@ static void take_answer(struct load *load, struct connection *c, size_t number, 
 
 static void take_answers(struct load *load, struct connection *c, uint64_t now_ns) {
   const struct target *target = load->target;
-  const size_t enough = target->framed ? WIRE_BYTES_header : target->reply_bytes;
   size_t at = 0;
-  while (c->have - at >= enough) {
+  while (c->have - at >= WIRE_BYTES_header) {
     const uint8_t *reply = c->input + at;
     const size_t number = slot_of(load, c, reply);
     const struct slot *slot = &c->slots[number];

@@ -39,7 +39,7 @@ static void send_all(int fd, const uint8_t *bytes, size_t count) {
 static void receive(const struct ping *ping, size_t variant) {
   const struct target *target = ping->target;
   size_t have = 0;
-  bool looked_at = !target->framed;
+  bool looked_at = false;
   while (have < target->reply_bytes) {
     const ssize_t got = read(ping->fd, ping->reply + have, target->reply_bytes - have);
     if (got <= 0) {
@@ -58,9 +58,7 @@ static uint64_t ask(struct ping *ping) {
   const size_t variant = ping->count % target->variants;
   uint8_t *request = ping->requests + variant * target->request_bytes;
   ping->count++;
-  if (target->framed) {
-    target_set_id(request, ping->count);
-  }
+  target_set_id(request, ping->count);
   const uint64_t start_ns = bench_now_ns();
   send_all(ping->fd, request, target->request_bytes);
   receive(ping, variant);

@@ -146,7 +146,6 @@ void target_make_eval(struct target *target, size_t n) {
   const bool small = bytes <= SMALL_BYTES;
   *target = (struct target){
       .name = "dipoled",
-      .framed = true,
       .variants = small ? SMALL_VARIANTS : 1,
       .request_bytes = WIRE_BYTES_header + WIRE_BYTES_eval_request + WIRE_BYTES_medium +
                        (size_t)wire_padded(bytes),
@@ -214,7 +213,6 @@ void target_make_varying(struct target *target, const core_varying *varying, siz
   const varying_layout layout = varying_reply_layout(CORE_EVALUATOR_F32, CORE_QUANTITY_R, 0, n);
   *target = (struct target){
       .name = "dipoled",
-      .framed = true,
       .variants = 1,
       .request_bytes = WIRE_BYTES_header + (size_t)schema_bytes(&schema_varying_request, &fixed),
       .reply_bytes = WIRE_BYTES_header + (size_t)layout.payload_bytes,
@@ -269,7 +267,7 @@ static _Noreturn void wrong(const struct target *target, const uint8_t *reply, c
   wire_header header;
   wire_get_header(reply, &header);
   fprintf(stderr, "bench: %s: %s\n", target->name, why);
-  if (target->framed && header.magic == WIRE_MAGIC && header.type == WIRE_TYPE_ERROR) {
+  if (header.magic == WIRE_MAGIC && header.type == WIRE_TYPE_ERROR) {
     wire_error error;
     wire_get_error(reply + WIRE_BYTES_header, &error);
     fprintf(stderr, "bench: it says %s, field %s: %s\n", wire_status_name(error.status),
@@ -286,7 +284,7 @@ static bool header_is_right(const uint8_t *expected, uint64_t id, const uint8_t 
 void target_check(const struct target *target, size_t variant, uint64_t id, const uint8_t *reply,
                   bool values) {
   const uint8_t *expected = target->replies + variant * target->reply_bytes;
-  if (target->framed && !header_is_right(expected, id, reply)) {
+  if (!header_is_right(expected, id, reply)) {
     wrong(target, reply, "a reply has another header than it should have");
   }
   if (values && memcmp(reply + target->values_from, expected + target->values_from,

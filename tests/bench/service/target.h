@@ -2,8 +2,8 @@
  * one size and all replies have one size. The replies are known beforehand, and each reply is
  * checked.
  *
- * If a target is framed as in proto/PROTOCOL.md, a reply names its request and replies may come in
- * any order. Otherwise they come in the order of the requests.
+ * Frames are those of proto/PROTOCOL.md: a reply names its request, and replies may come in any
+ * order.
  */
 #ifndef DIPOLED_BENCH_SERVICE_TARGET_H
 #define DIPOLED_BENCH_SERVICE_TARGET_H
@@ -24,12 +24,11 @@ struct target {
   const char *name;
   pid_t server; /* the process of the server */
   struct target_address address;
-  bool framed;
   size_t variants; /* number of different requests, which are sent in turn */
   size_t request_bytes;
   size_t reply_bytes;
-  uint8_t *requests;  /* [variants][request_bytes]; request ids are 0 if framed */
-  uint8_t *replies;   /* [variants][reply_bytes]; request ids are 0 if framed */
+  uint8_t *requests;  /* [variants][request_bytes]; request ids are 0 */
+  uint8_t *replies;   /* [variants][reply_bytes]; request ids are 0 */
   size_t values_from; /* offset of the first byte of a reply that is compared, after the header */
   size_t check_every; /* values are compared in one of this many replies, headers in all replies */
 };
@@ -61,7 +60,7 @@ void target_make_echo(struct target *target, const struct target *eval);
 
 void target_free(struct target *target);
 
-/* These write and read the request id of a frame, for framed targets only. */
+/* These write and read the request id of a frame. */
 void target_set_id(uint8_t *request, uint64_t id);
 uint64_t target_id(const uint8_t *reply);
 
