@@ -232,6 +232,41 @@ PARTED_CALLS: dict[str, tuple[list[Any], dict[str, Any]]] = {
 }  # fmt: skip
 
 
+# ---- the command line, which is libdipole --------------------------------------------------------
+
+
+def csv_of(header: str, rows) -> bytes:
+    """Makes a CSV file."""
+    lines = [header, *(",".join(map(str, row)) for row in np.asarray(rows).tolist()), ""]
+    return "\n".join(lines).encode()
+
+
+# The files that commands read, by name.
+FILES = {
+    "colours.pfm": b"Pf\n95 80\n-1.0\n" + COLOURS[:760_000:100].astype("<f4").tobytes(),
+    "readings.csv": csv_of("sample,r,R,error", [
+        (i, r, R * noise, 0.02 * R) for i, one in enumerate(NOISE[:500]) for r, R, noise in zip((1, 2, 4), READINGS, one)
+    ]),
+    "points.csv": csv_of("x,y,z,power", np.hstack([POINTS_SENT.xyz, POINTS_SENT.power[:, :1]])),
+    "places.csv": csv_of("x,y,z", PLACES[:2500]),
+}
+BETTER_SKIN = ("--model", "better", "--medium", "skin1", "--channel", "red", "--format", "csv")
+# By message: a command, whose answer comes in parts as far as there are any. `dipole invert` asks for
+# one medium at a time.
+COMMANDS = {
+    "eval": ["eval", *BETTER_SKIN, "--count", "5000"],
+    "sample": ["sample", *BETTER_SKIN, "--count", "5000"],
+    "fit": ["fit", "--model", "better", "--eta", "1.4", "--format", "csv", "readings.csv"],
+    "varying": ["texture", "--model", "better", "--mean-free-path", "1", "colours.pfm", "media.pfm"],
+    "gather": ["gather", *BETTER_SKIN, "points.csv", "places.csv"],
+    "mc": ["mc", "--medium", "skin1", "--channel", "red", "--photons", "20000", "--format", "csv"],
+    "table": ["table", *BETTER_SKIN],
+    "media": ["media"],
+    "statistics": ["info"],
+    "hello": ["media"],
+}
+
+
 def call(client: dipole.Client, name: str, calls=None) -> Any:
     """Makes a call of CALLS or of others."""
     arguments, options = (calls or CALLS)[name]

@@ -73,11 +73,12 @@ def assert_same_values(here: list[dict], there: list[dict]) -> None:
 
 @pytest.mark.parametrize("model", ["better", "better+single", "transport"])
 def test_a_file_says_the_same_as_the_daemon(tmp_path, model):
-    path = save(tmp_path, *MEDIA, "--model", model)
+    angles = ["--cos-in", "0.8", "--cos-out", "0.1"]
+    path = save(tmp_path, *MEDIA, "--model", model, *angles)
     wanted = ["--wanted", "R,cdf,pdf,2_pi_r_R,S,albedo"]
     for radii in (RADII, ["--r", "0.1,1,3"], ["--r", "300"], ["--from", "20", "--to", "70.3"]):
         here = eval_rows("--table", path, *radii, *wanted)
-        there = eval_rows(*MEDIA, "--model", model, "--evaluator", "lut", *radii, *wanted)
+        there = eval_rows(*MEDIA, "--model", model, "--evaluator", "lut", *radii, *wanted, *angles)
         assert_same_values(here, there)
         assert {row["channel"] for row in here} == {"skin1 red", "skin1 green", "skin1 blue"}
 

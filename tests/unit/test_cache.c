@@ -176,34 +176,6 @@ UNIT_TEST(keys_that_differ_anywhere_are_not) {
   }
 }
 
-UNIT_TEST(kept_profiles_are_those_that_core_prepares) {
-  struct fixture f;
-  open_cache(&f, 1 << 20);
-  core_profile direct;
-  const double r[] = {0, 0.1, 1, 10, INFINITY};
-  double expected[5];
-  double values[5];
-  const core_parameters none = core_parameters_none();
-  for (unsigned i = 0; i < 3; i++) {
-    const struct profiles_key key = key_number(i);
-    const core_medium medium = {key.medium[0], key.medium[1], key.medium[2], key.medium[3]};
-    unit_assert_fault(core_profile_prepare(&direct, core_isa_select(NULL), CORE_MODEL_SINGLE,
-                                           CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium, &none),
-                      NULL, 0);
-    core_eval_f64(&direct, CORE_QUANTITY_R, 5, r, expected);
-    for (int time = 0; time < 2; time++) {
-      bool was_there;
-      struct cache_entry *entry = ask(&f, &key, true, &was_there);
-      assert_true(was_there == (time == 1));
-      core_eval_f64(profile_of(entry), CORE_QUANTITY_R, 5, r, values);
-      assert_memory_equal(values, expected, sizeof values);
-      cache_release(entry);
-    }
-    core_profile_free(&direct);
-  }
-  cache_free(f.cache);
-}
-
 /* ---- what is kept ---------------------------------------------------------------------------- */
 
 UNIT_TEST(the_least_recently_used_goes_first) {
@@ -265,26 +237,6 @@ UNIT_TEST(the_bound_holds_to_the_byte) {
   }
 }
 
-UNIT_TEST(what_is_in_use_survives_its_eviction) {
-  struct fixture f;
-  open_cache(&f, entry_bytes());
-  const struct profiles_key key = key_number(0);
-  const double r[] = {0.1, 1, 10};
-  double before[3];
-  double after[3];
-  bool was_there;
-  struct cache_entry *entry = ask(&f, &key, true, &was_there);
-  core_eval_f64(profile_of(entry), CORE_QUANTITY_R, 3, r, before);
-  visit(&f, 1);
-  assert_false(cache_keeps(entry));
-  core_eval_f64(profile_of(entry), CORE_QUANTITY_R, 3, r, after);
-  assert_memory_equal(before, after, sizeof before);
-  assert_false(visit(&f, 0)); /* makes a second entry with the same content */
-  cache_release(entry);
-  assert_true(visit(&f, 0));
-  cache_free(f.cache);
-}
-
 UNIT_TEST(a_stream_of_fast_ones_leaves_the_slow_ones) {
   enum { ROOM = 40, SLOW = 3 * ROOM / 4, STREAM = 1000 };
   struct fixture f;
@@ -326,39 +278,6 @@ UNIT_TEST(many_entries_are_all_found) {
 
 /* ---- waiting --------------------------------------------------------------------------------- */
 
-UNIT_TEST(all_wait_for_one) {
-  enum { WAITERS = 100 };
-  struct fixture f;
-  open_cache(&f, 0); /* The cache keeps nothing, and yet all waiters get the entry. */
-  struct cache_waiter waiters[WAITERS] = {{0}};
-  for (size_t i = 0; i < WAITERS; i++) {
-    wait_for(&f, &f.owner, 0, &waiters[i]);
-  }
-  struct cache_entry *entry = cache_begin_turn(f.cache);
-  assert_ptr_equal(entry, waiters[0].entry);
-  assert_null(cache_next_woken(f.cache, &f.queue));
-  cache_leave(&waiters[0]); /* The first waiter leaves; the others still wait. */
-  cache_leave(&waiters[50]);
-  cache_prepare(entry);
-  assert_false(cache_keeps(entry));
-  cache_release(entry);
-  cache_end_turn(f.cache);
-  cache_leave(&waiters[99]); /* This waiter is woken, but cache_next_woken() has not returned it. */
-  size_t woken = 0;
-  struct cache_waiter *waiter;
-  while ((waiter = cache_next_woken(f.cache, &f.queue)) != NULL) {
-    assert_ptr_equal(waiter->entry, entry);
-    assert_null(cache_fault(waiter->entry).field);
-    assert_true(profile_of(waiter->entry)->albedo > 0);
-    cache_leave(waiter);
-    assert_null(waiter->entry);
-    woken++;
-  }
-  assert_int_equal(woken, WAITERS - 3);
-  assert_int_equal(count(&f, STATS_CACHE_BUILDS), 1);
-  cache_free(f.cache);
-}
-
 UNIT_TEST(what_nobody_waits_for_is_not_prepared) {
   struct fixture f;
   open_cache(&f, 1 << 20);
@@ -378,97 +297,7 @@ UNIT_TEST(what_nobody_waits_for_is_not_prepared) {
   cache_free(f.cache);
 }
 
-static void prepare_on_thread(void *entry) {
-  cache_prepare(entry);
-}
-
-/* Of a preparation that has begun, too, if transport is solved. */
-UNIT_TEST(what_nobody_waits_for_any_more_stops) {
-  struct fixture f;
-  open_cache(&f, 1 << 20);
-  const core_parameters none = core_parameters_none();
-  const struct profiles_key key =
-      key_of(CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64,
-             (core_medium){0.01, 100, 0.98, 3}, none);
-  struct cache_waiter waiter = {0};
-  struct cache_entry *entry = NULL;
-  assert_true(look(f.cache, &key, true, &f.owner, &f.queue, &waiter, &entry) == CACHE_AWAITED);
-  entry = cache_begin_turn(f.cache);
-  uv_thread_t thread;
-  assert_int_equal(uv_thread_create(&thread, prepare_on_thread, entry), 0);
-  while (count(&f, STATS_CACHE_BUILDS) == 0) {
-    uv_sleep(1);
-  }
-  cache_leave(&waiter);
-  uv_thread_join(&thread);
-  cache_end_turn(f.cache);
-  assert_string_equal(cache_fault(entry).field, CORE_FIELD_STOPPED);
-  assert_false(cache_keeps(entry));
-  cache_release(entry);
-  cache_free(f.cache);
-}
-
-UNIT_TEST(a_fault_goes_to_all_and_is_not_kept) {
-  struct fixture f;
-  open_cache(&f, 1 << 20);
-  core_parameters parameters = core_parameters_none();
-  parameters.value[CORE_PARAMETER_TOLERANCE] = 1e-11; /* which no fit of Gaussians can meet */
-  const struct profiles_key key =
-      key_of(CORE_MODEL_GAUSSIANS, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, SKIN, parameters);
-  for (uint64_t time = 1; time <= 2; time++) {
-    struct cache_waiter waiters[2] = {{0}};
-    struct cache_entry *none = NULL;
-    for (int i = 0; i < 2; i++) {
-      assert_true(look(f.cache, &key, true, &f.owner, &f.queue, &waiters[i], &none) ==
-                  CACHE_AWAITED);
-    }
-    assert_int_equal(take_turns(f.cache, 2), 1);
-    for (int i = 0; i < 2; i++) {
-      struct cache_waiter *waiter = cache_next_woken(f.cache, &f.queue);
-      assert_non_null(waiter);
-      unit_assert_fault(cache_fault(waiter->entry), "tolerance", 0);
-      cache_leave(waiter);
-    }
-    assert_int_equal(count(&f, STATS_CACHE_BUILDS), time);
-    assert_int_equal(count(&f, STATS_CACHE_ENTRIES), 0);
-  }
-  cache_free(f.cache);
-}
-
 /* ---- turns ----------------------------------------------------------------------------------- */
-
-UNIT_TEST(owners_take_turns) {
-  enum { MANY = 100 };
-  struct fixture f;
-  open_cache(&f, 1 << 20);
-  struct cache_owner other = {0};
-  struct cache_waiter waiters[MANY] = {{0}}, others[3] = {{0}};
-  for (size_t i = 0; i < MANY; i++) {
-    wait_for(&f, &f.owner, i, &waiters[i]);
-  }
-  wait_for(&f, &other, MANY, &others[0]);
-  wait_for(&f, &other, MANY - 1, &others[1]); /* also the last entry of the first owner */
-  wait_for(&f, &other, MANY + 1, &others[2]);
-  const struct cache_waiter *order[] = {&waiters[0], &others[0],  &waiters[1],
-                                        &others[1],  &waiters[2], &others[2]};
-  for (size_t i = 0; i < sizeof order / sizeof order[0]; i++) {
-    assert_non_null(order[i]->owner);
-    assert_int_equal(take_turns(f.cache, 1), 1);
-    assert_ptr_equal(order[i]->list, &f.queue.woken);
-  }
-  assert_ptr_equal(waiters[MANY - 1].list, &f.queue.woken);
-  cache_move_waiters(f.cache, &f.owner, &other);
-  assert_int_equal(f.owner.count, 0);
-  assert_int_equal(other.count, MANY - 4);
-  cache_leave(&waiters[3]); /* No other waiter waits for this entry. */
-  assert_int_equal(take_turns(f.cache, UINT_MAX), MANY - 5);
-  assert_int_equal(count(&f, STATS_CACHE_BUILDS), MANY + 1);
-  struct cache_waiter *waiter;
-  while ((waiter = cache_next_woken(f.cache, &f.queue)) != NULL) {
-    cache_leave(waiter);
-  }
-  cache_free(f.cache);
-}
 
 /* Three owners have 6, 3 and 1 waiters. The place of a waiter is the number of turns that come
  * before its own. */
@@ -507,55 +336,6 @@ UNIT_TEST(a_place_is_the_number_of_preparations_before) {
   for (size_t i = 0; i < MANY; i++) {
     cache_leave(&waiters[i]);
   }
-  cache_free(f.cache);
-}
-
-UNIT_TEST(who_comes_during_a_turn_has_the_next) {
-  struct fixture f;
-  open_cache(&f, 1 << 20);
-  struct cache_owner other = {0};
-  struct cache_waiter waiters[3] = {{0}}, one = {0};
-  for (size_t i = 0; i < 3; i++) {
-    wait_for(&f, &f.owner, i, &waiters[i]);
-  }
-  assert_int_equal(take_turns(f.cache, 1), 1);
-  for (unsigned i = 1; i < 3; i++) {
-    wait_for(&f, &other, 10 + i, &one);
-    assert_int_equal(take_turns(f.cache, 1), 1);
-    assert_ptr_equal(one.list, &f.queue.woken);
-    cache_leave(&one);
-    assert_non_null(waiters[i].owner);
-    assert_int_equal(take_turns(f.cache, 1), 1);
-    assert_null(waiters[i].owner);
-  }
-  for (size_t i = 0; i < 3; i++) {
-    cache_leave(&waiters[i]);
-  }
-  cache_free(f.cache);
-}
-
-UNIT_TEST(an_owner_has_a_limit) {
-  struct fixture f;
-  open_cache(&f, 1 << 20);
-  struct cache_owner other = {0};
-  struct cache_waiter waiters[MAX_WAITING] = {{0}}, one = {0};
-  struct cache_entry *none = NULL;
-  for (size_t i = 0; i < MAX_WAITING; i++) {
-    wait_for(&f, &f.owner, i, &waiters[i]);
-  }
-  for (uint64_t i = 0; i <= MAX_WAITING; i += MAX_WAITING) { /* a known entry, and a new one */
-    const struct profiles_key key = key_number(i);
-    assert_true(look(f.cache, &key, true, &f.owner, &f.queue, &one, &none) == CACHE_BUSY);
-    assert_null(one.entry);
-  }
-  wait_for(&f, &other, MAX_WAITING, &one);
-  cache_leave(&one);
-  cache_leave(&waiters[7]);
-  wait_for(&f, &f.owner, MAX_WAITING, &waiters[7]);
-  for (size_t i = 0; i < MAX_WAITING; i++) {
-    cache_leave(&waiters[i]);
-  }
-  assert_int_equal(take_turns(f.cache, UINT_MAX), 0);
   cache_free(f.cache);
 }
 

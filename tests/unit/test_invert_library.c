@@ -180,63 +180,6 @@ UNIT_TEST(inversions_with_another_shape_end_the_connection) {
 
 enum { SAMPLES = 600, CHANNELS = 2 };
 
-/* Sends samples in parts of 256: radius i of channel c is 1000 c + i, and its pdf is minus that. */
-static bool send_samples(int fd, const peer_frame *frame) {
-  enum { PART = 256, PARTS = 3 };
-  static uint8_t payload[CHANNELS * 2 * PART * sizeof(double) + 512];
-  core_draw draw;
-  eval_request request;
-  if (sample_request_parse(frame->payload, frame->header.payload_bytes, &draw, &request).status !=
-          WIRE_STATUS_OK ||
-      draw.count != SAMPLES || draw.seed != 7) {
-    abort(); /* The library makes only well-formed requests. */
-  }
-  for (uint32_t part = 0; part < PARTS; part++) {
-    const uint64_t first = part * PART, left = SAMPLES - first;
-    const wire_eval_reply fixed = {.model = request.fixed.model,
-                                   .evaluator = request.fixed.evaluator,
-                                   .moments = request.fixed.moments,
-                                   .wanted = request.fixed.wanted,
-                                   .channel_count = CHANNELS,
-                                   .count = left < PART ? left : PART,
-                                   .first = first,
-                                   .part = part,
-                                   .part_count = PARTS};
-    const unsigned wanted = fixed.wanted | EVAL_DRAWN;
-    eval_layout layout;
-    memset(payload, 0, sizeof payload);
-    if (!eval_reply_layout(fixed.evaluator, wanted, CHANNELS, fixed.count, sizeof payload,
-                           &layout)) {
-      abort();
-    }
-    wire_put_eval_reply(payload, &fixed);
-    for (uint64_t i = 0; i < CHANNELS * fixed.count; i++) {
-      const uint32_t channel = (uint32_t)(i / fixed.count);
-      const uint64_t at = i % fixed.count;
-      const double r = 1000.0 * channel + (double)(first + at), pdf = -r;
-      memcpy(payload + eval_array_offset(&layout, wanted, channel, CORE_QUANTITY_RADIUS) + at * 8,
-             &r, sizeof r);
-      memcpy(payload + eval_array_offset(&layout, wanted, channel, CORE_QUANTITY_PDF) + at * 8,
-             &pdf, sizeof pdf);
-    }
-    if (!peer_send(fd, WIRE_TYPE_SAMPLE | WIRE_REPLY, frame->header.request_id, payload,
-                   (size_t)layout.payload_bytes)) {
-      return false;
-    }
-  }
-  return true;
-}
-
-static void serve_samples(int fd, void *context) {
-  peer_frame request;
-  (void)context;
-  bool good = peer_say_hello(fd);
-  while (good && peer_receive(fd, &request)) {
-    good = send_samples(fd, &request);
-    free(request.payload);
-  }
-}
-
 static dipole_sample_query sample_query(const dipole_medium *media) {
   return (dipole_sample_query){.model = 2,
                                .evaluator = DIPOLE_F64,
@@ -247,30 +190,6 @@ static dipole_sample_query sample_query(const dipole_medium *media) {
                                .draw = DIPOLE_DRAW_RANDOM,
                                .sample_count = SAMPLES,
                                .seed = 7};
-}
-
-UNIT_TEST(samples_in_parts_are_put_together) {
-  const dipole_medium media[CHANNELS] = {medium, medium};
-  const dipole_sample_query query = sample_query(media);
-  scripted_peer peer;
-  dipole_result *result;
-  dipole_error error = {0};
-  dipole_client *client = peer_begin(&peer, serve_samples, NULL);
-  assert_true(dipole_sample(client, &query, &result, &error));
-  assert_int_equal(result->radius_count, SAMPLES);
-  assert_null(result->radius_f64);
-  for (uint32_t channel = 0; channel < CHANNELS; channel++) {
-    const double *r = dipole_values_f64(result, channel, DIPOLE_RADIUS);
-    const double *pdf = dipole_values_f64(result, channel, DIPOLE_PDF);
-    for (size_t i = 0; i < SAMPLES; i++) {
-      assert_true(r[i] == 1000.0 * channel + (double)i && pdf[i] == -r[i]);
-    }
-    assert_null(dipole_values_f64(result, channel, DIPOLE_R));
-    assert_null(dipole_values_f32(result, channel, DIPOLE_RADIUS));
-  }
-  assert_null(dipole_values_f64(result, CHANNELS, DIPOLE_RADIUS));
-  dipole_result_free(result);
-  peer_finish(&peer, client);
 }
 
 /* ---- without a daemon ---------------------------------------------------------------------- */

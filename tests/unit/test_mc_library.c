@@ -1,5 +1,5 @@
-/* dipole_mc() against a peer that follows a script: any number of progress reports at any time, and
- * answers that do not fit the request. */
+/* dipole_mc() against a peer that follows a script: the table, progress after the end, and arguments
+ * that are not sent. */
 #include <math.h>
 
 #include "proto/mc.h"
@@ -18,7 +18,6 @@ static const dipole_mc_query query = {.medium = {0.1, 1, 0, 1.3},
 /* The behaviour of the peer. */
 struct script {
   uint64_t progress; /* number of progress replies before the table */
-  bool waits;        /* whether the peer waits for a cancel request before it sends the table */
   bool after;        /* whether the peer wrongly sends progress after the table */
   wire_mc_reply last;
   size_t last_bytes;
@@ -61,20 +60,6 @@ static bool send_table(int fd, uint64_t id, const struct script *script) {
   return peer_send(fd, WIRE_TYPE_MC | WIRE_REPLY, id, payload, script->last_bytes);
 }
 
-static bool answer_cancel(int fd) {
-  peer_frame cancel;
-  uint8_t payload[WIRE_BYTES_cancel_reply];
-  const wire_cancel_reply found = {.found = 1};
-  if (!peer_receive(fd, &cancel)) {
-    return false;
-  }
-  wire_put_cancel_reply(payload, &found);
-  const bool sent = peer_send(fd, WIRE_TYPE_CANCEL | WIRE_REPLY, cancel.header.request_id, payload,
-                              sizeof payload);
-  free(cancel.payload);
-  return sent;
-}
-
 static void follow_script(int fd, void *context) {
   const struct script *script = context;
   peer_frame request;
@@ -86,9 +71,6 @@ static void follow_script(int fd, void *context) {
   for (uint64_t i = 1; i <= script->progress; i++) {
     send_progress(fd, id, i);
   }
-  if (script->waits) {
-    answer_cancel(fd);
-  }
   send_table(fd, id, script);
   if (script->after) {
     send_progress(fd, id, script->progress + 1);
@@ -98,19 +80,6 @@ static void follow_script(int fd, void *context) {
               request.payload, request.header.payload_bytes);
     free(request.payload);
   }
-}
-
-/* Counts the calls of progress(), and says after how many to cancel. */
-struct listener {
-  uint64_t told, photons, enough;
-};
-
-static bool listen_to(void *context, const dipole_mc_progress *now) {
-  struct listener *listener = context;
-  assert_true(now->photons > listener->photons);
-  listener->photons = now->photons;
-  listener->told++;
-  return listener->told < listener->enough;
 }
 
 static void assert_table(const dipole_mc_result *result) {
@@ -125,68 +94,6 @@ static void assert_table(const dipole_mc_result *result) {
   assert_null(dipole_mc_values(result, 0, DIPOLE_MC_TRANSMITTED));
   assert_null(dipole_mc_errors(result, 1, DIPOLE_MC_REFLECTED));
   assert_null(dipole_mc_photons(result, DIPOLE_MC_TRANSMITTED));
-}
-
-/* Runs a job against a script. expected: DIPOLE_ERROR_NONE for a correct table, or the kind of the
- * error. */
-static void run(struct script script, struct listener *listener, enum dipole_error_kind expected) {
-  scripted_peer peer;
-  dipole_mc_result *result = NULL;
-  dipole_error error = {0};
-  dipole_client *client = peer_begin(&peer, follow_script, &script);
-  const bool good =
-      dipole_mc(client, &query, listener != NULL ? listen_to : NULL, listener, &result, &error);
-  assert_int_equal(good, expected == DIPOLE_ERROR_NONE);
-  if (good) {
-    assert_table(result);
-    assert_true(dipole_ping(client, &error));
-  } else {
-    assert_int_equal(error.kind, expected);
-    assert_false(dipole_ping(client, &error));
-  }
-  dipole_mc_result_free(result);
-  peer_finish(&peer, client);
-}
-
-UNIT_TEST(tables_come_after_any_progress) {
-  static const uint64_t counts[] = {0, 1, 2, 5000};
-  for (size_t i = 0; i < sizeof counts / sizeof counts[0]; i++) {
-    struct listener listener = {.enough = UINT64_MAX};
-    run(honest(counts[i]), NULL, DIPOLE_ERROR_NONE);
-    run(honest(counts[i]), &listener, DIPOLE_ERROR_NONE);
-    assert_true(listener.told <= counts[i]); /* Older reports may be skipped. */
-  }
-}
-
-UNIT_TEST(callers_can_cancel) {
-  struct script script = honest(1);
-  struct listener listener = {.enough = 1};
-  script.waits = true;
-  run(script, &listener, DIPOLE_ERROR_NONE);
-  assert_int_equal(listener.told, 1);
-}
-
-UNIT_TEST(other_answers_are_refused) {
-  struct script script = honest(0);
-  script.last.albedo_count = 2;
-  run(script, NULL, DIPOLE_ERROR_PROTOCOL);
-  script = honest(0);
-  script.last.ring_count = 1;
-  run(script, NULL, DIPOLE_ERROR_PROTOCOL);
-  script = honest(0);
-  script.last.side_count = 2;
-  run(script, NULL, DIPOLE_ERROR_PROTOCOL);
-  script = honest(1);
-  script.last.state = MC_STOPPED + 1;
-  run(script, NULL, DIPOLE_ERROR_PROTOCOL);
-  script = honest(1);
-  script.last.state = MC_UNDER_WAY;
-  run(script, NULL, DIPOLE_ERROR_PROTOCOL);
-  for (size_t bytes = 0; bytes <= TABLE_BYTES + 64; bytes += 8) {
-    script = honest(1);
-    script.last_bytes = bytes;
-    run(script, NULL, bytes == TABLE_BYTES ? DIPOLE_ERROR_NONE : DIPOLE_ERROR_PROTOCOL);
-  }
 }
 
 UNIT_TEST(progress_after_the_end_is_a_fault) {

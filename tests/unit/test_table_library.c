@@ -1,9 +1,8 @@
-/* Tables of libdipole: they are loaded, saved and evaluated with the bits of their profile, damaged
- * bytes are refused, and so are wrong answers of a peer. */
+/* Tables of libdipole: the errors that they state, what they do not hold, impossible facts and wrong
+ * answers of a peer. test_tables.py and test_cli_table.py have their values, files and damage. */
 #include <math.h>
 
 #include "core/ruler.h"
-#include "proto/channels.h"
 #include "proto/table.h"
 #include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
@@ -36,16 +35,15 @@ static core_model_errors measured(const core_profile *profile) {
   return errors;
 }
 
-static made_table make_with(const char *model, core_medium medium,
-                            const core_parameters *parameters) {
+static made_table make(const char *model, core_medium medium) {
+  const core_parameters none = core_parameters_none();
   made_table made;
   const unsigned id = core_choice_by_name(core_models, model)->id;
   const core_fault fault =
       core_profile_prepare(&made.profile, core_isa_select(NULL), id, CORE_MOMENTS_EXACT,
-                           CORE_EVALUATOR_LUT, &medium, parameters);
+                           CORE_EVALUATOR_LUT, &medium, &none);
   unit_assert_fault(fault, NULL, 0);
-  const size_t payload_bytes =
-      table_reply_bytes(channels_count_parameters(parameters), made.profile.lut_count);
+  const size_t payload_bytes = table_reply_bytes(0, made.profile.lut_count);
   const wire_header header = {.magic = WIRE_MAGIC,
                               .version = WIRE_VERSION,
                               .type = WIRE_TYPE_TABLE | WIRE_REPLY,
@@ -56,13 +54,8 @@ static made_table make_with(const char *model, core_medium medium,
   assert_non_null(made.bytes);
   wire_put_header(made.bytes, &header);
   made.errors = measured(&made.profile);
-  table_reply_put(made.bytes + WIRE_BYTES_header, &made.profile, parameters, &made.errors);
+  table_reply_put(made.bytes + WIRE_BYTES_header, &made.profile, &none, &made.errors);
   return made;
-}
-
-static made_table make(const char *model, core_medium medium) {
-  const core_parameters none = core_parameters_none();
-  return make_with(model, medium, &none);
 }
 
 static void unmake(made_table *made) {
@@ -75,55 +68,6 @@ static dipole_table *load(const made_table *made) {
   dipole_error error;
   peer_expect(dipole_table_load(made->bytes, made->count, &table, &error), &error);
   return table;
-}
-
-/* ---- the same bits ------------------------------------------------------------------------- */
-
-enum { RADII = 6000 };
-
-/* Chooses radii of all magnitudes, and radii around the ends of the pieces. */
-static void choose_radii(const core_profile *profile, float *r) {
-  uint64_t random = unit_seed();
-  const core_radii_range pieces = core_table_pieces(profile);
-  const float edges[] = {0,
-                         -0.0f,
-                         (float)INFINITY,
-                         0x1p-149f,
-                         0x1p-126f,
-                         0x1.fffffep127f,
-                         (float)pieces.least_mm,
-                         nextafterf((float)pieces.least_mm, 0),
-                         (float)pieces.most_mm,
-                         nextafterf((float)pieces.most_mm, 0)};
-  for (size_t i = 0; i < RADII; i++) {
-    const double low = i % 2 == 0 ? 1e-45 : 1e-4, high = i % 2 == 0 ? 3e38 : 1e3;
-    r[i] = (float)unit_random_log(&random, low, high);
-  }
-  memcpy(r, edges, sizeof edges);
-}
-
-static void assert_same_values(const dipole_table *table, const core_profile *profile) {
-  static const struct {
-    enum dipole_quantity asked;
-    enum core_quantity quantity;
-  } held[] = {{DIPOLE_R, CORE_QUANTITY_R},
-              {DIPOLE_CDF, CORE_QUANTITY_CDF},
-              {DIPOLE_PDF, CORE_QUANTITY_PDF},
-              {DIPOLE_RING, CORE_QUANTITY_RING},
-              {DIPOLE_S, CORE_QUANTITY_S}};
-  static float in[RADII], expected[RADII], found[RADII];
-  choose_radii(profile, in);
-  for (size_t i = 0; i < sizeof held / sizeof held[0]; i++) {
-    core_eval_f32(profile, held[i].quantity, RADII, in, expected);
-    assert_true(dipole_table_values(table, held[i].asked, RADII, in, found));
-    assert_memory_equal(found, expected, sizeof found);
-  }
-  for (size_t i = 0; i < RADII; i++) {
-    in[i] = i < RADII / 2 ? (float)i / (RADII / 2 - 1) : 0x1p-149f * (float)(1u << i % 24);
-  }
-  core_sample_f32(profile, RADII, in, expected);
-  assert_true(dipole_table_radii(table, RADII, in, found));
-  assert_memory_equal(found, expected, sizeof found);
 }
 
 /* ---- errors -------------------------------------------------------------------------------- */
@@ -185,88 +129,7 @@ UNIT_TEST(tables_state_the_errors_of_their_profiles) {
   }
 }
 
-UNIT_TEST(tables_have_the_bits_of_their_profiles) {
-  /* Towards the source, R is constant, or grows like -ln r or like 1 / r. Far away it falls like
-   * 1 / r^3, or is 0. */
-  static const struct {
-    const char *model;
-    core_medium medium;
-  } cases[] = {{"better", {0.032, 0.74, 0, 1.3}},   {"beam", {0.1, 5, 0.7, 1.4}},
-               {"better+single", {1, 1, 0.5, 1.5}}, {"burley", {0.01, 1, 0, 1.3}},
-               {"classical", {0, 1, 0, 1.3}},       {"better", {1, 0, 0, 1.3}}};
-  for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
-    made_table made = make(cases[i].model, cases[i].medium);
-    dipole_table *table = load(&made);
-    assert_same_values(table, &made.profile);
-    dipole_table_free(table);
-    unmake(&made);
-  }
-}
-
-UNIT_TEST(angles_of_S_are_those_of_the_request) {
-  core_parameters parameters = core_parameters_none();
-  parameters.value[CORE_PARAMETER_COS_IN] = 0.8;
-  parameters.value[CORE_PARAMETER_COS_OUT] = 0;
-  made_table made = make_with("better", skin, &parameters);
-  dipole_table *table = load(&made);
-  assert_same_values(table, &made.profile);
-  const dipole_table_info *info = dipole_table_get_info(table);
-  assert_int_equal(info->parameter_count, 2);
-  assert_int_equal(info->parameters[0].id, CORE_PARAMETER_COS_IN);
-  assert_true(info->parameters[0].value == 0.8 && info->parameters[1].value == 0);
-  dipole_table_free(table);
-  unmake(&made);
-}
-
 /* ---- facts, files -------------------------------------------------------------------------- */
-
-UNIT_TEST(tables_tell_what_they_are) {
-  made_table made = make("better", (core_medium){0.1, 2, 0.5, 1.4});
-  dipole_table *table = load(&made);
-  const dipole_table_info *info = dipole_table_get_info(table);
-  const core_profile *profile = &made.profile;
-  assert_int_equal(info->layout, TABLE_LAYOUT);
-  assert_int_equal(info->model, profile->model);
-  assert_int_equal(info->moments, CORE_MOMENTS_EXACT);
-  assert_int_equal(info->notes, CORE_NOTE_SIMILARITY);
-  assert_true(info->medium.sigma_a_per_mm == 0.1 && info->medium.sigma_s_per_mm == 2 &&
-              info->medium.g == 0.5 && info->medium.eta == 1.4);
-  assert_int_equal(info->parameter_count, 0);
-  assert_true(info->albedo == profile->albedo);
-  assert_true(info->numerical_error == profile->numerical_error);
-  assert_true(info->numerical_error > 0 && info->numerical_error <= CORE_LUT_TOLERANCE);
-  assert_true(info->pieces_from_mm == core_table_pieces(profile).least_mm);
-  assert_true(info->pieces_to_mm == core_table_pieces(profile).most_mm);
-  assert_true(info->radius_least_mm == 0 && info->radius_most_mm == (double)INFINITY);
-  assert_int_equal(info->word_count, profile->lut_count);
-  assert_memory_equal(info->words, profile->lut, profile->lut_count * sizeof(float));
-  dipole_table_free(table);
-  unmake(&made);
-}
-
-UNIT_TEST(saved_tables_are_loaded_one_behind_the_other) {
-  made_table first = make("better", skin), second = make("burley", skin);
-  uint8_t *file = malloc(1 + first.count + second.count);
-  size_t count;
-  dipole_error error;
-  dipole_table *table;
-  assert_non_null(file);
-  uint8_t *at = file + 1; /* so that no table is aligned */
-  memcpy(at, first.bytes, first.count);
-  memcpy(at + first.count, second.bytes, second.count);
-  assert_true(dipole_table_load(at, first.count + second.count, &table, &error));
-  assert_memory_equal(dipole_table_bytes(table, &count), first.bytes, first.count);
-  assert_int_equal(count, first.count);
-  assert_same_values(table, &first.profile);
-  dipole_table_free(table);
-  assert_true(dipole_table_load(at + count, second.count, &table, NULL));
-  assert_same_values(table, &second.profile);
-  dipole_table_free(table);
-  dipole_table_free(NULL);
-  free(file);
-  unmake(&first);
-  unmake(&second);
-}
 
 UNIT_TEST(what_a_table_does_not_hold_is_refused) {
   static const float bad[] = {-1, (float)NAN, -0x1p-149f};
@@ -303,27 +166,6 @@ UNIT_TEST(what_a_table_does_not_hold_is_refused) {
   unmake(&made);
 }
 
-UNIT_TEST(radii_that_a_model_does_not_cover_are_refused) {
-  core_parameters parameters = core_parameters_none();
-  parameters.value[CORE_PARAMETER_FIT_FROM] = 0.5;
-  parameters.value[CORE_PARAMETER_FIT_TO] = 8;
-  if (core_choice_by_name(core_models, "gaussians") == NULL) {
-    skip(); /* built without cminpack */
-  }
-  made_table made = make_with("gaussians", skin, &parameters);
-  dipole_table *table = load(&made);
-  const dipole_table_info *info = dipole_table_get_info(table);
-  const float least = (float)info->radius_least_mm, most = (float)info->radius_most_mm;
-  float out;
-  assert_true(info->radius_most_mm < (double)INFINITY);
-  assert_true(dipole_table_values(table, DIPOLE_R, 1, &most, &out));
-  assert_true(dipole_table_values(table, DIPOLE_R, 1, &least, &out));
-  const float beyond = nextafterf(most, (float)INFINITY);
-  assert_false(dipole_table_values(table, DIPOLE_R, 1, &beyond, &out));
-  dipole_table_free(table);
-  unmake(&made);
-}
-
 /* ---- damage -------------------------------------------------------------------------------- */
 
 static void assert_damaged(const made_table *made, size_t count) {
@@ -333,26 +175,6 @@ static void assert_damaged(const made_table *made, size_t count) {
   assert_int_equal(error.kind, DIPOLE_ERROR_TABLE);
   assert_string_not_equal(error.text, "");
   assert_null(table);
-}
-
-/* A change of any bit of the words breaks the checksum, and any wrong length is refused. */
-UNIT_TEST(damaged_bytes_are_found) {
-  made_table made = make("better", skin);
-  uint64_t random = unit_seed();
-  for (size_t count = 0; count < made.count; count += 1 + unit_random_below(&random, 64)) {
-    assert_damaged(&made, count);
-  }
-  for (int i = 0; i < 200; i++) {
-    const size_t at =
-        WIRE_BYTES_header + WIRE_BYTES_table_reply +
-        unit_random_below(&random, made.count - WIRE_BYTES_header - WIRE_BYTES_table_reply);
-    const uint8_t bit = (uint8_t)(1u << unit_random_below(&random, 8));
-    made.bytes[at] ^= bit;
-    assert_damaged(&made, made.count);
-    made.bytes[at] ^= bit;
-  }
-  dipole_table_free(load(&made));
-  unmake(&made);
 }
 
 /* Impossible values in the fixed part are refused. */
@@ -447,22 +269,6 @@ static dipole_table *fetch(const dipole_table_query *query, const uint8_t *paylo
   assert_int_equal(error.kind, good ? DIPOLE_ERROR_NONE : DIPOLE_ERROR_PROTOCOL);
   peer_finish(&peer, client);
   return table;
-}
-
-UNIT_TEST(tables_are_fetched) {
-  made_table made = make("better", skin);
-  dipole_table *table =
-      fetch(&skin_query, made.bytes + WIRE_BYTES_header, made.count - WIRE_BYTES_header);
-  size_t count;
-  assert_non_null(table);
-  assert_same_values(table, &made.profile);
-  dipole_table *again;
-  assert_true(dipole_table_load(dipole_table_bytes(table, &count), made.count, &again, NULL));
-  assert_same_values(again, &made.profile);
-  assert_int_equal(count, made.count);
-  dipole_table_free(again);
-  dipole_table_free(table);
-  unmake(&made);
 }
 
 UNIT_TEST(other_answers_are_refused) {
