@@ -202,7 +202,4 @@ int registers_digits(enum registers_type type);
 /* Writes the bits that a field of type BITS may be a sum of, for example "a sum of 1, 2, 4". */
 void registers_bits_text(const registers_field *field, char *text, size_t room);
 
-/* Writes the tables of REGISTERS.md as Markdown. Calls print(context, text) for each piece. */
-void registers_describe(void (*print)(void *context, const char *text), void *context);
-
 #endif

@@ -23,14 +23,14 @@ MAKES_GROUP = [ "$$(id -u),$(DESTDIR),$(filter $(PREFIX),$(SYSTEM_PREFIXES))" = 
 GROUP_MADE = $(PREFIX)/lib/sysusers.d/dipoled.made
 
 # The tables in proto/*.md, from proto/*.def.
-$(BUILD)/wire-tables: $(OBJ)/proto/tools/wire_tables.o $(BUILD)/libproto.a $(BUILD)/libcore.a
-PROGRAMS += $(BUILD)/wire-tables
+$(BUILD)/wire-lists: $(OBJ)/proto/tools/wire_lists.o $(BUILD)/libproto.a $(BUILD)/libcore.a
+PROGRAMS += $(BUILD)/wire-lists
 
 .PHONY: docs manuals install uninstall deb check-deb container
 
-docs: $(BUILD)/wire-tables ## the tables in proto/*.md, from proto/*.def, and the manual pages
+docs: $(BUILD)/wire-lists ## the tables in proto/*.md, from proto/*.def, and the manual pages
 	@sh .ci/install-packages docs
-	$(BUILD)/wire-tables proto/PROTOCOL.md proto/REGISTERS.md clients/python/dipole/schema.py
+	$(BUILD)/wire-lists | $(PYTHON) proto/tools/wire_tables.py proto/PROTOCOL.md proto/REGISTERS.md clients/python/dipole/schema.py
 	@$(MAKE) --no-print-directory -j2 manuals
 
 # The manual pages stand among the sources, so that installing runs none of the built programs.

@@ -102,6 +102,3 @@ UNIT_TEST(inclusion_sees_the_mirror) {
   assert_false(registers_include(0, 100, REGISTERS_AT_COMMIT));
 }
 
-UNIT_TEST(the_maps_tables_are_those_of_the_list) {
-  unit_assert_tables("proto/REGISTERS.md", registers_describe);
-}

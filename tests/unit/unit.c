@@ -162,32 +162,3 @@ char *unit_read_file(const char *path) {
   fclose(file);
   return text;
 }
-
-#define TABLES_BEGIN "<!-- tables: begin -->\n"
-#define TABLES_END "<!-- tables: end -->\n"
-
-static void append_to_stream(void *stream, const char *text) {
-  fputs(text, stream);
-}
-
-void unit_assert_tables(const char *path,
-                        void (*describe)(void (*append)(void *context, const char *text),
-                                         void *context)) {
-  char *document = unit_read_file(path);
-  assert_non_null(document);
-  char *begin = strstr(document, TABLES_BEGIN);
-  assert_non_null(begin);
-  begin += strlen(TABLES_BEGIN);
-  char *end = strstr(begin, TABLES_END);
-  assert_non_null(end);
-  *end = '\0';
-  char *described = NULL;
-  size_t bytes;
-  FILE *stream = open_memstream(&described, &bytes);
-  assert_non_null(stream);
-  describe(append_to_stream, stream);
-  assert_int_equal(fclose(stream), 0);
-  assert_string_equal(begin, described);
-  free(described);
-  free(document);
-}

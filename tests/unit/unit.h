@@ -72,10 +72,4 @@ double unit_value_at(const core_profile *profile, enum core_quantity quantity, d
 /* Reads a whole file as text, which the caller frees. Returns NULL if there is no such file. */
 char *unit_read_file(const char *path);
 
-/* Checks that the tables in a document are current, that is, what describe() appends now. `make
- * docs` writes them. */
-void unit_assert_tables(const char *path,
-                        void (*describe)(void (*append)(void *context, const char *text),
-                                         void *context));
-
 #endif

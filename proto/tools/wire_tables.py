@@ -1,0 +1,230 @@
+"""Writes the tables of the wire's structures and statuses into the blocks ```table NAMES of
+PROTOCOL.md, those of the register map between the markers of REGISTERS.md, and the messages,
+structures and lists for Python into schema.py, all from what wire-lists prints.
+
+usage: wire-lists | wire_tables.py PROTOCOL.md REGISTERS.md schema.py
+"""
+
+import json
+import math
+import re
+import sys
+from pathlib import Path
+
+LISTS = json.load(sys.stdin)
+STRUCTURES = LISTS["structures"]
+STATUSES = LISTS["statuses"][:-1]
+PART_FIELDS = len(STRUCTURES["part"])
+
+
+def named(entries: dict) -> dict:
+    return {name: entry for name, entry in entries.items() if name}
+
+
+# ---- structures ----------------------------------------------------------------------------------
+
+
+def type_of(field: dict) -> str:
+    return field["kind"] + (f"[{field['count']}]" if field["count"] != 1 else "")
+
+
+def meaning_of(field: dict) -> str:
+    """Returns what a field means: its unit, its range, its meaning and, in brackets, its default."""
+    least, most = field["least"], field["most"]
+    span = f">={least:g}" if math.isinf(most) else f"{least:g} to {most:g}"
+    flag = (least, most) == (0, 1)  # its meaning says so
+    parts = [field["unit"], span if most > 0 and not flag else "", field["meaning"]]
+    number = field["usual_number"]
+    usual = field["usual"] or (f"{number:g}" if number > 0 else "")
+    return " ".join(filter(None, ["; ".join(filter(None, parts)), usual and f"[{usual}]"]))
+
+
+def table_of(name: str) -> str:
+    if name == "statuses":
+        rows = [f"{code:<4} {ident:<14} {http}" for code, ident, _, http, _ in STATUSES]
+        return "\n".join(["code status         HTTP", *rows])
+    fields = STRUCTURES[name]
+    rows = [f"{name} ({sum(field['bytes'] for field in fields)})"]
+    begins_alike = fields[0]["name"] == "part" and len(fields) > PART_FIELDS
+    rows += ["part@0"] if begins_alike else []
+    at = 0
+    for i, field in enumerate(fields):
+        if i >= PART_FIELDS or not begins_alike:
+            row = f"{f'{type_of(field)}@{at}':<12} {field['name']:<22}  {meaning_of(field)}"
+            rows.append(row.rstrip())
+        at += field["bytes"]
+    return "\n".join(rows)
+
+
+def write_protocol(path: Path) -> None:
+    def fill(match: re.Match) -> str:
+        tables = "\n\n".join(table_of(name) for name in match[1].split())
+        return f"\n```table {match[1]}\n{tables}\n```"
+
+    text = path.read_text()
+    path.write_text(re.sub(r"\n```table ([^\n]*)\n.*?\n```", fill, text, flags=re.S))
+
+
+# ---- registers -----------------------------------------------------------------------------------
+
+JOB_COLUMNS = "name | eval | sample | invert | mc | fit | meaning"
+BLOCKS = {first: block for block in LISTS["blocks"] for first in [block[1]]}
+MIRROR = LISTS["mirror"]
+
+
+def section(title: str, columns: str, rows: list[str]) -> str:
+    rule = "|" + "---|" * (columns.count("|") + 1)
+    return "\n".join([f"### {title}", f"| {columns} |", rule, *rows, "", ""])
+
+
+def originals() -> list:
+    return [block for block in LISTS["blocks"] if block[1] // MIRROR % 2 == 0]
+
+
+def blocks_text() -> str:
+    rows = []
+    for id, first, length, name, about in originals():
+        mirror = BLOCKS.get(first + MIRROR)
+        swapped = f"{mirror[0]}, {mirror[1]}" if mirror else ""
+        rows.append(f"| {id} | {first} to {first + length - 1} | {swapped} | {name} | {about} |")
+    return section("Blocks", "id | PDU | CDAB: id, PDU | name | what it is", rows)
+
+
+def jobs_text() -> str:
+    fields = {field["address"]: field for field in LISTS["registers"]}
+    rows = []
+    for addresses in zip(*LISTS["jobs"]):
+        field = fields[next(filter(None, addresses))]
+        cells = "".join(f" {address} |" if address else " |" for address in addresses)
+        rows.append(f"| {field['name']} |{cells} {field['about']} |")
+    return section("Registers of jobs", JOB_COLUMNS, rows)
+
+
+def range_of(field: dict) -> str:
+    least, most, digits = field["least"], field["most"], field["digits"]
+    if field["list"]:
+        return f"{'0, ' if least == 0 else ''}[{field['list']}](#lists)"
+    if field["bits"]:
+        return field["bits"]
+    if least == most == 0:
+        return ""
+    if most == LISTS["most"]:
+        return f"{least:.8g}, finite"
+    return f"{least:.{digits}g} to {most:.{digits}g}"
+
+
+def initial_of(field: dict) -> str:
+    initial = field["initial"]
+    if field["access"] == 2:
+        return f"{initial:g}, not given"
+    return "NaN" if math.isnan(initial) else f"{initial:.10g}"
+
+
+def field_row(field: dict) -> str:
+    count = f"[{field['count']}]" if field["count"] > 1 else ""
+    unit = f", {field['unit']}" if field["unit"] not in ("", "1") else ""
+    written = f"{range_of(field)} ({initial_of(field)})" if field["access"] else ""
+    cells = [field["address"], field["name"], field["type"] + count + unit, written, field["about"]]
+    return "| " + " | ".join(map(str, cells)) + " |"
+
+
+def fields_text() -> str:
+    of_jobs = {address for job in LISTS["jobs"] for address in job if address}
+    text = ""
+    for id, first, length, name, _ in originals():
+        fields = [
+            field for field in LISTS["registers"]
+            if first <= field["address"] < first + length and field["address"] not in of_jobs
+        ]
+        rows = [field_row(field) for field in sorted(fields, key=lambda field: field["address"])]
+        columns = "PDU | name | type, unit | range (default) | meaning"
+        text += section(f"Block {id}: {name}", columns, rows)
+    return text
+
+
+def lists_text() -> str:
+    rows = [
+        f"| {name} | " + ", ".join(f"{id} {choice}" for id, choice in entries) + " |"
+        for name, entries in LISTS["lists"].items()
+    ]
+    errors = ", ".join(f"{code} {name} ({exception:02x})" for code, _, exception, _, name in STATUSES)
+    return section("Lists", "list | ids and names", [*rows, f"| errors (exceptions) | {errors} |"])
+
+
+def write_registers(path: Path) -> None:
+    begin, end = "<!-- tables: begin -->\n", "<!-- tables: end -->\n"
+    before, _, rest = path.read_text().partition(begin)
+    tables = blocks_text() + jobs_text() + fields_text() + lists_text()
+    path.write_text(before + begin + tables + end + rest.partition(end)[2])
+
+
+# ---- Python --------------------------------------------------------------------------------------
+
+
+def number_text(number: list) -> str:
+    return number[0] + (f"&{number[1]}" if number[1] else "")
+
+
+def product(part: dict, numbers: str, times: int, more: int) -> str:
+    text = "*".join(number_text(number) for number in part[numbers])
+    return f"[{text}{f'*{times}' if times > 1 else ''}{f'+{more}' if more else ''}]" if text else ""
+
+
+def part_text(part: dict) -> str:
+    text = f"{part['element']} {part['name']}" + product(part, "arrays", 1, 0)
+    text += product(part, "count", part["times"], part["more"]) + ("[]" if part["rest"] else "")
+    for number in part["when"]:
+        word = "unless" if part["unless"] else "if"
+        text += f" {word} {number_text(number)} is {part['is']}"
+    return text
+
+
+def dictionary(name: str, entries: dict, comment: str = "") -> str:
+    rows = "".join(f"    {key}: {value},\n" for key, value in entries.items())
+    return f"{comment}{name} = {{\n{rows}}}\n"
+
+
+def lines_of(texts: list[str]) -> str:
+    return "(\n" + "".join(f'        "{text}",\n' for text in texts) + "    )"
+
+
+def structure_text(fields: list[dict]) -> str:
+    lines = [""]
+    for field in fields:
+        count = type_of(field)[len(field["kind"]):]
+        item = f"{field['kind']} {field['name']}{count}, "
+        if len(lines[-1]) + len(item) > 90:
+            lines.append("")
+        lines[-1] += item
+    return "(\n" + "".join(f'        "{line}"\n' for line in lines) + "    )"
+
+
+def write_schema(path: Path) -> None:
+    quoted = lambda entries: {f'"{name}"': value for name, value in entries.items()}
+    payloads = {
+        name: lines_of(payload["structures"]
+                       + [part_text(part) for part in payload["parts"] if not part["never"]])
+        for name, payload in named(LISTS["payloads"]).items()
+    }
+    path.write_text("\n".join([
+        '"""The messages, structures and lists of dipoled\'s protocol. `make docs` makes this file '
+        'from proto/."""\n',
+        dictionary("MESSAGES", quoted(named(LISTS["messages"]))),
+        dictionary("KINDS", {kind: f'"{name}"' for kind, name in named(LISTS["kinds"]).items()},
+                   "# kinds of choices, by their number\n"),
+        dictionary("STATUSES", {code: f'"{name}"' for code, *_, name in STATUSES}),
+        "# quantities with a value for each radius and channel, in the order of a reply's arrays\n"
+        f"ELEMENTWISE = {tuple(LISTS['elementwise'][:-1])}\n",
+        dictionary("STRUCTURES", quoted({name: structure_text(fields)
+                                         for name, fields in STRUCTURES.items()})),
+        dictionary("PAYLOADS", quoted(payloads),
+                   "# The structures that a payload begins with, and its parts: element, name, "
+                   "number of arrays, and\n# of elements in each; wanted&12 is how many of these "
+                   "bits `wanted` has; [] is all that is left.\n"),
+    ]))
+
+
+if __name__ == "__main__":
+    write_protocol(Path(sys.argv[1]))
+    write_registers(Path(sys.argv[2]))
+    write_schema(Path(sys.argv[3]))
