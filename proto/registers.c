@@ -113,6 +113,12 @@ static bool is_mirrored(unsigned address) {
   return !is_mirror(address) && mirror < REGISTERS_END && block_at[mirror] > 0;
 }
 
+/* Returns where the image has a register, or that of a mirror. */
+static unsigned image_index(unsigned address) {
+  const unsigned base = unmirrored(address);
+  return base == address ? address : base ^ swap_at[base];
+}
+
 bool registers_readable(unsigned address, unsigned count) {
   const unsigned end = address + count;
   while (address < end) {
@@ -162,22 +168,17 @@ static float float_of(uint16_t high, uint16_t low) {
   return value;
 }
 
+uint16_t registers_word(const uint16_t image[REGISTERS_END], unsigned address) {
+  return image[image_index(address)];
+}
+
 void registers_set_u16(uint16_t image[REGISTERS_END], unsigned address, unsigned value) {
   image[address] = (uint16_t)value;
-  if (is_mirrored(address)) {
-    image[address + REGISTERS_MIRROR] = (uint16_t)value;
-  }
 }
 
 void registers_set_u32(uint16_t image[REGISTERS_END], unsigned address, uint32_t value) {
-  const uint16_t high = (uint16_t)(value >> 16);
-  const uint16_t low = (uint16_t)value;
-  image[address] = high;
-  image[address + 1] = low;
-  if (is_mirrored(address)) {
-    image[address + REGISTERS_MIRROR] = low;
-    image[address + REGISTERS_MIRROR + 1] = high;
-  }
+  image[address] = (uint16_t)(value >> 16);
+  image[address + 1] = (uint16_t)value;
 }
 
 void registers_set_f32(uint16_t image[REGISTERS_END], unsigned address, float value) {
@@ -384,15 +385,7 @@ void registers_write(uint16_t image[REGISTERS_END], unsigned address, unsigned c
     }
   }
   for (unsigned i = 0; i < count; i++) {
-    const unsigned here = address + i;
-    const unsigned base = unmirrored(here);
-    const uint16_t word = word_at(values, i);
-    image[here] = word;
-    if (here != base) {
-      image[base ^ swap_at[base]] = word;
-    } else if (is_mirrored(base)) {
-      image[(base ^ swap_at[base]) + REGISTERS_MIRROR] = word;
-    }
+    image[image_index(address + i)] = word_at(values, i);
   }
   registers_set_u16(image, REGISTERS_AT_DEFAULTS, 0);
 }

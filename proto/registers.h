@@ -1,7 +1,7 @@
 /* registers: the Modbus register map, which REGISTERS.md describes.
  *
  * An image of the map is an array of REGISTERS_END registers in the machine's byte order. Its index
- * is the PDU address. Nothing here uses a socket or allocates memory.
+ * is the PDU address; mirrors have no values of their own. Nothing here uses a socket or allocates memory.
  */
 #ifndef DIPOLED_REGISTERS_H
 #define DIPOLED_REGISTERS_H
@@ -19,7 +19,7 @@
 enum {
   REGISTERS_RADII_MAX = 50,
   REGISTERS_WANTED_MAX = 4, /* of an eval: R, albedo, cdf, S */
-  REGISTERS_MIRROR = 2000, /* distance from a register to its mirror, if it has one */
+  REGISTERS_MIRROR = 2000,  /* distance from a register to its mirror, if it has one */
   REGISTERS_FIT_READINGS_MAX = 25,
   REGISTERS_END = 10500, /* registers in an image */
   REGISTERS_COILS = 100, /* coils, from address 0 on */
@@ -144,7 +144,7 @@ bool registers_readable(unsigned address, unsigned count);
  * the value at fault, not its mirror. */
 wire_error registers_check(unsigned address, unsigned count, const uint8_t *values, unsigned *at);
 
-/* Writes registers that registers_check() has passed, and their mirrors. If that sets `defaults`,
+/* Writes registers that registers_check() has passed, or that are restored. If that sets `defaults`,
  * all other registers that can be written get their defaults before. */
 void registers_write(uint16_t image[REGISTERS_END], unsigned address, unsigned count,
                      const uint8_t *values);
@@ -177,7 +177,10 @@ static inline uint32_t registers_u32(const uint16_t image[REGISTERS_END], unsign
   return (uint32_t)image[address] << 16 | image[address + 1];
 }
 
-/* These set one value, and its mirror if it has one. */
+/* Returns the register at any address, of a mirror too. */
+uint16_t registers_word(const uint16_t image[REGISTERS_END], unsigned address);
+
+/* These set one value. */
 void registers_set_u16(uint16_t image[REGISTERS_END], unsigned address, unsigned value);
 void registers_set_u32(uint16_t image[REGISTERS_END], unsigned address, uint32_t value);
 void registers_set_f32(uint16_t image[REGISTERS_END], unsigned address, float value);

@@ -58,7 +58,7 @@ static unsigned read_registers(struct modbus_unit *unit, const struct modbus_req
 static unsigned mask_register(struct modbus_unit *unit, const struct modbus_request *request,
                               struct client *client) {
   const unsigned address = request->write_address;
-  const unsigned before = address < REGISTERS_END ? unit->registers[address] : 0;
+  const unsigned before = address < REGISTERS_END ? registers_word(unit->registers, address) : 0;
   const unsigned after =
       (before & request->and_mask) | (request->or_mask & ~request->and_mask & 0xffff);
   const uint8_t value[] = {(uint8_t)(after >> 8), (uint8_t)after};
@@ -130,7 +130,7 @@ static size_t put_registers(const struct modbus_unit *unit, const struct modbus_
   answer[0] = (uint8_t)request->function;
   answer[1] = (uint8_t)(2 * request->count);
   for (unsigned i = 0; i < request->count; i++) {
-    const uint16_t word = unit->registers[request->address + i];
+    const uint16_t word = registers_word(unit->registers, request->address + i);
     answer[2 + 2 * i] = (uint8_t)(word >> 8);
     answer[3 + 2 * i] = (uint8_t)word;
   }

@@ -95,8 +95,9 @@ static unsigned commit(struct modbus_unit *unit, struct modbus_task *task, unsig
                        unsigned count, const uint8_t *values, struct client *client) {
   uint8_t before[2 * WRITE_MAX];
   for (unsigned i = 0; i < count; i++) {
-    before[2 * i] = (uint8_t)(unit->registers[address + i] >> 8);
-    before[2 * i + 1] = (uint8_t)unit->registers[address + i];
+    const uint16_t word = registers_word(unit->registers, address + i);
+    before[2 * i] = (uint8_t)(word >> 8);
+    before[2 * i + 1] = (uint8_t)word;
   }
   registers_write(unit->registers, address, count, values);
   const unsigned etas = etas_after(unit, address, count, values);

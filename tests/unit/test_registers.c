@@ -81,7 +81,8 @@ UNIT_TEST(doubles_and_text) {
   assert_int_equal(image[REGISTERS_AT_ERROR_TEXT], 'a' << 8 | 'b');
   assert_int_equal(image[REGISTERS_AT_ERROR_TEXT + 1], 'c' << 8);
   assert_int_equal(image[REGISTERS_AT_ERROR_TEXT + 2], 0);
-  assert_int_equal(image[REGISTERS_AT_ERROR_TEXT + REGISTERS_MIRROR], 'a' << 8 | 'b');
+  assert_int_equal(registers_word(image, REGISTERS_AT_ERROR_TEXT + REGISTERS_MIRROR),
+                   'a' << 8 | 'b');
 }
 
 UNIT_TEST(fields_of_requests_have_registers) {
@@ -101,4 +102,3 @@ UNIT_TEST(inclusion_sees_the_mirror) {
   assert_false(registers_include(101, 14, REGISTERS_AT_COMMIT));
   assert_false(registers_include(0, 100, REGISTERS_AT_COMMIT));
 }
-
