@@ -42,7 +42,7 @@ static const struct model models[] = {
 
 enum { MODELS = sizeof models / sizeof models[0] };
 
-static const struct model *find(unsigned id) {
+static const struct model *find_model(unsigned id) {
   for (size_t i = 0; i < MODELS; i++) {
     if (models[i].id == id) {
       return &models[i];
@@ -52,13 +52,13 @@ static const struct model *find(unsigned id) {
 }
 
 static unsigned parameters_of(const struct model *model) {
-  return model->check != NULL
-             ? model->parameters | TAKEN_BY_ALL
-             : parameters_of(find(model->parts[0])) | parameters_of(find(model->parts[1]));
+  return model->check != NULL ? model->parameters | TAKEN_BY_ALL
+                              : parameters_of(find_model(model->parts[0])) |
+                                    parameters_of(find_model(model->parts[1]));
 }
 
 bool core_has_derivatives(unsigned model) {
-  const struct model *found = find(model);
+  const struct model *found = find_model(model);
   return found != NULL && (found->check != NULL ? (found->parameters & DERIVES) != 0
                                                 : core_has_derivatives(found->parts[0]) &&
                                                       core_has_derivatives(found->parts[1]));
@@ -66,7 +66,7 @@ bool core_has_derivatives(unsigned model) {
 
 bool core_prepares_slowly(unsigned model, unsigned evaluator, const core_medium *medium,
                           const core_parameters *parameters) {
-  const struct model *found = find(model);
+  const struct model *found = find_model(model);
   const bool solves = found != NULL && (parameters_of(found) & SOLVES) != 0;
   const core_medium taken =
       medium != NULL ? core_transport_medium(medium, parameters->value[CORE_PARAMETER_GAMMA])
@@ -78,12 +78,12 @@ bool core_prepares_slowly(unsigned model, unsigned evaluator, const core_medium 
 }
 
 bool core_finds_albedo_slowly(unsigned model) {
-  const struct model *found = find(model);
+  const struct model *found = find_model(model);
   return found != NULL && (parameters_of(found) & SLOW) != 0;
 }
 
 bool core_worth_keeping(unsigned model, unsigned evaluator) {
-  const struct model *found = find(model);
+  const struct model *found = find_model(model);
   return found != NULL &&
          (evaluator == CORE_EVALUATOR_LUT || (parameters_of(found) & (SLOW | COSTLY)) != 0);
 }
@@ -142,9 +142,9 @@ static core_fault check_domain(const struct model *model, core_inputs inputs,
   if (model->check != NULL) {
     return model->check(&inputs, radii);
   }
-  core_fault fault = check_domain(find(model->parts[0]), inputs, radii);
+  core_fault fault = check_domain(find_model(model->parts[0]), inputs, radii);
   if (fault.field == NULL) {
-    fault = check_domain(find(model->parts[1]), inputs, radii);
+    fault = check_domain(find_model(model->parts[1]), inputs, radii);
   }
   return fault;
 }
@@ -186,7 +186,7 @@ core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluat
   const core_inputs inputs = {
       .moments = moments, .medium = medium, .parameters = parameters != NULL ? parameters : &none};
   core_radii_range range;
-  const core_fault fault = check(find(model), moments, evaluator, &inputs, &range);
+  const core_fault fault = check(find_model(model), moments, evaluator, &inputs, &range);
   if (fault.field == NULL && radii != NULL) {
     *radii = range;
   }
@@ -310,7 +310,7 @@ static core_fault prepare_sum(core_profile *profile, const struct model *model,
   }
   for (int i = 0; i < 2; i++) {
     parts[i] = (core_profile){.evaluator = CORE_EVALUATOR_F64};
-    const core_fault fault = prepare(&parts[i], find(model->parts[i]), *inputs, radii);
+    const core_fault fault = prepare(&parts[i], find_model(model->parts[i]), *inputs, radii);
     if (fault.field != NULL) {
       if (i == 1) {
         core_profile_free(&parts[0]);
@@ -473,7 +473,7 @@ static core_fault prepare(core_profile *profile, const struct model *model, core
 
 static core_fault check_and_prepare(core_profile *profile, unsigned model, unsigned evaluator,
                                     const core_inputs *inputs) {
-  const struct model *found = find(model);
+  const struct model *found = find_model(model);
   core_radii_range radii;
   const core_fault fault = check(found, inputs->moments, evaluator, inputs, &radii);
   if (fault.field != NULL) {

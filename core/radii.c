@@ -154,7 +154,7 @@ static struct rule make_rule(const core_grid *grid) {
 
 /* Returns radius `index` of a grid. Both ends are exact, and no other radius exceeds the last one
  * by rounding. */
-static double apply(const struct rule *rule, uint64_t index) {
+static double radius_of_rule(const struct rule *rule, uint64_t index) {
   const core_grid *grid = rule->grid;
   if (index == 0) {
     return grid->start_mm;
@@ -172,7 +172,7 @@ void core_grid_radii_f64(const core_grid *grid, uint64_t first, size_t n, double
   assert(core_grid_check(grid).field == NULL && n <= grid->count && first <= grid->count - n);
   const struct rule rule = make_rule(grid);
   for (size_t i = 0; i < n; i++) {
-    r[i] = apply(&rule, first + i);
+    r[i] = radius_of_rule(&rule, first + i);
   }
 }
 
@@ -180,6 +180,6 @@ void core_grid_radii_f32(const core_grid *grid, uint64_t first, size_t n, float 
   assert(core_grid_check(grid).field == NULL && n <= grid->count && first <= grid->count - n);
   const struct rule rule = make_rule(grid);
   for (size_t i = 0; i < n; i++) {
-    r[i] = (float)apply(&rule, first + i);
+    r[i] = (float)radius_of_rule(&rule, first + i);
   }
 }

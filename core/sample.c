@@ -38,7 +38,7 @@ static double logit(double u) {
 }
 
 /* Makes a step of Newton's method from x. cdf and density: at x. */
-static void step(struct search *s, double cdf, double density) {
+static void step_newton(struct search *s, double cdf, double density) {
   const double excess = cdf > 0 ? logit(cdf) - logit(s->u) : -700;
   s->low = cdf < s->u ? s->x : s->low;
   s->high = cdf < s->u ? s->high : s->x;
@@ -79,7 +79,7 @@ static void invert_chunk(const core_profile *profile, size_t n, const double *u,
     all = true;
     for (size_t i = 0; i < n; i++) {
       if (!search[i].arrived) {
-        step(&search[i], cdf[i], pdf[i]);
+        step_newton(&search[i], cdf[i], pdf[i]);
         all = all && search[i].arrived;
       }
     }

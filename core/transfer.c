@@ -94,7 +94,7 @@ static int first_node(const core_profile *profile) {
   return node;
 }
 
-static void begin(struct shared *shared, const core_profile *profile) {
+static void begin_transform(struct shared *shared, const core_profile *profile) {
   shared->profile = profile;
   for (int i = 0; i < ONES + NEAR; i++) {
     const double t = power(i - ONES - NEAR), quarter = 0.25 * t * t;
@@ -120,7 +120,7 @@ static bool is_faint(const core_profile *profile) {
   return profile->albedo < 1e-200;
 }
 
-static void fill(struct shared *shared, int first, int end) {
+static void fill_energies(struct shared *shared, int first, int end) {
   enum { CHUNK = 256 };
   const bool faint = is_faint(shared->profile);
   const double ln_albedo = real_log(real_max(shared->profile->albedo, 0x1p-1074) * 0x1p200, -200);
@@ -149,11 +149,11 @@ static void cover(struct shared *shared, int first, int end) {
     shared->base = first - (NODES - (end - first)) / 2;
     shared->first = first;
     shared->end = end;
-    fill(shared, first, end);
+    fill_energies(shared, first, end);
     return;
   }
-  fill(shared, low, shared->first);
-  fill(shared, shared->end, high);
+  fill_energies(shared, low, shared->first);
+  fill_energies(shared, shared->end, high);
   shared->first = low;
   shared->end = high;
 }
@@ -202,7 +202,7 @@ static double transform(struct shared *shared, double k) {
 void core_transfer(const core_profile *profile, size_t n, const double *f, double *out) {
   struct shared shared;
   const double unit = is_faint(profile) ? profile->albedo : 1;
-  begin(&shared, profile);
+  begin_transform(&shared, profile);
   for (size_t i = 0; i < n; i++) {
     const double k = 2 * PI * f[i], scaled = k * profile->scale_mm;
     out[i] = scaled <= SLOWEST                         ? profile->albedo

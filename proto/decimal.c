@@ -13,9 +13,10 @@
 /* ---- powers of ten --------------------------------------------------------------------------- */
 
 enum {
-  POWER_MIN = -292, /* the powers of ten that a double needs */
+  POWER_MIN = -292, /* range of exponents k of the powers 10^k that doubles need */
   POWER_MAX = 324,
-  LIMBS = 40, /* of 32 bits: 10^324 takes 1077 bits, and 2^1279 / 10^292 leaves 309 */
+  /* words of 32 bits of a power: 10^324 has 1077 bits, and 2^1279 / 10^292 leaves 309 */
+  LIMBS = 40,
 };
 
 /* The 128 leading bits of 10^k, rounded up. */
@@ -85,7 +86,7 @@ static int log2_of_power_of_10(int e) {
 
 /* ---- digits ---------------------------------------------------------------------------------- */
 
-/* An integer times ten to an exponent. */
+/* The decimal number integer * 10^exponent. */
 struct digits {
   uint64_t integer;
   int exponent;
@@ -120,7 +121,7 @@ static struct digits shortest(uint64_t significand, int exponent, bool power_of_
   const uint64_t vbl = product(g, (c - (power_of_two ? 1 : 2)) << h) + odd;
   const uint64_t vbr = product(g, (c + 2) << h) - odd;
   const uint64_t s = vb >> 2, ten = s / 10;
-  if (s >= 10) { /* one digit less */
+  if (s >= 10) { /* tries one digit less */
     const bool below = vbl <= 40 * ten, above = 40 * ten + 40 <= vbr;
     if (below != above) {
       return (struct digits){ten + above, k + 1};
@@ -151,9 +152,9 @@ static inline uint64_t eight_digits(uint64_t number) {
 /* 17 digits, as many as a shortest decimal has at most, the first of which is not 0. They stay in
  * registers until they have their places: a load that spans two stores would wait for both. */
 struct text {
-  uint64_t words[3]; /* characters, the first in the lowest byte, with zeros behind */
-  size_t count;      /* digits up to the last that is not 0 */
-  int exponent;      /* the first digit stands for 10^exponent */
+  uint64_t words[3]; /* the digits as characters, the first one in the lowest byte; zeros follow */
+  size_t count;      /* number of digits up to the last one that is not 0 */
+  int exponent;      /* power of ten of the first digit */
 };
 
 /* decimal: of a positive integer below 10^17 */
@@ -214,7 +215,8 @@ static size_t write_scientific(struct text *from, char *text) {
   const int exponent = from->exponent;
   unsigned size = (unsigned)(exponent < 0 ? -exponent : exponent);
   size_t length = from->count + (from->count > 1);
-  memcpy(text + 1, from->words, sizeof from->words); /* the first digit's place is the point's */
+  /* moves the digits one place up: the point takes the place of the first one */
+  memcpy(text + 1, from->words, sizeof from->words);
   text[0] = (char)from->words[0];
   text[1] = '.';
   text[length++] = 'e';
@@ -242,7 +244,7 @@ static size_t write_small(const struct text *from, char *text) {
 
 /* Writes 123000 or 12.3 of an exponent from 0 to 15. Returns its length. */
 static size_t write_plain(struct text *from, char *text) {
-  const size_t whole = (size_t)from->exponent + 1; /* digits before the point */
+  const size_t whole = (size_t)from->exponent + 1; /* number of digits before the point */
   const bool has_point = from->count > whole;
   if (has_point) {
     add_point(from, (unsigned)whole);
@@ -266,7 +268,7 @@ static inline size_t write_decimal(struct digits decimal, char *text) {
              : write_scientific(&made, text);
 }
 
-/* Writes a value that is no number, infinite or 0. */
+/* Writes a NaN, an infinity or a zero. */
 static size_t write_name(double value, char text[DECIMAL_BYTES]) {
   const char *name = isnan(value) ? "nan" : isinf(value) ? "inf" : "0";
   const size_t sign = signbit(value) && !isnan(value), length = strlen(name);

@@ -9,9 +9,9 @@ _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's words 
 enum { ROUNDS = 12, WORDS = 16 };
 
 /* The square roots of the first primes, as in SHA-512 (RFC 7693, section 2.6). */
-static const uint64_t initial[8] = {
-    0x6a09e667f3bcc908, 0xbb67ae8584caa73b, 0x3c6ef372fe94f82b, 0xa54ff53a5f1d36f1,
-    0x510e527fade682d1, 0x9b05688c2b3e6c1f, 0x1f83d9abfb41bd6b, 0x5be0cd19137e2179};
+static const uint64_t initial[8] = {0x6a09e667f3bcc908, 0xbb67ae8584caa73b, 0x3c6ef372fe94f82b,
+                                    0xa54ff53a5f1d36f1, 0x510e527fade682d1, 0x9b05688c2b3e6c1f,
+                                    0x1f83d9abfb41bd6b, 0x5be0cd19137e2179};
 
 /* The order of the words in each round (section 2.7). Rounds 10 and 11 repeat 0 and 1. */
 static const uint8_t order[ROUNDS][WORDS] = {
@@ -70,7 +70,8 @@ static void hash_block(digest_state *digest, const uint8_t *block, bool last) {
 
 void digest_start(digest_state *digest) {
   memcpy(digest->state, initial, sizeof initial);
-  digest->state[0] ^= 0x01010000 ^ DIGEST_BYTES; /* no key, no tree */
+  /* the parameter block without key and tree (section 2.8) */
+  digest->state[0] ^= 0x01010000 ^ DIGEST_BYTES;
   digest->hashed_bytes = 0;
   digest->block_bytes = 0;
 }
@@ -78,7 +79,8 @@ void digest_start(digest_state *digest) {
 void digest_add(digest_state *digest, const void *bytes, size_t count) {
   const uint8_t *at = bytes;
   while (count > 0) {
-    if (digest->block_bytes == DIGEST_BLOCK_BYTES) { /* more follows, so it is not the last */
+    /* more bytes follow, so this is not the last block */
+    if (digest->block_bytes == DIGEST_BLOCK_BYTES) {
       digest->hashed_bytes += DIGEST_BLOCK_BYTES;
       hash_block(digest, digest->block, false);
       digest->block_bytes = 0;

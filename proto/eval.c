@@ -89,7 +89,8 @@ wire_quantity_error eval_largest_error(const uint8_t *payload, const eval_layout
     most.numerical_error = fmax(most.numerical_error, one.numerical_error);
     most.numerical_error_per_mm = fmax(most.numerical_error_per_mm, one.numerical_error_per_mm);
   }
-  if ((wanted & CORE_QUANTITY_MODEL_ERROR) != 0) { /* NAN if that of one quantity is not known */
+  /* the largest of all quantities; NAN if one of them is not known */
+  if ((wanted & CORE_QUANTITY_MODEL_ERROR) != 0) {
     wire_quantity_error all;
     wire_get_quantity_error(
         payload + eval_error_offset(layout, wanted, channel, CORE_QUANTITY_MODEL_ERROR), &all);

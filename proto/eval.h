@@ -17,7 +17,7 @@ enum { EVAL_MEDIA, EVAL_PARAMETERS, EVAL_RADII };
 /* A parsed eval request. Its pointers point into the payload. */
 typedef struct eval_request {
   wire_eval_request fixed;
-  const uint8_t *media; /* fixed.medium_count structures: wire_get_medium(media + i * 32, ...) */
+  const uint8_t *media; /* [fixed.medium_count] as on the wire: see wire_get_medium() */
   core_parameters parameters;
   const void *radii; /* [fixed.radius_count], double or float; NULL for a grid */
 } eval_request;
@@ -32,11 +32,11 @@ wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval
 /* Layout of a reply's payload. Offsets count from its start. */
 typedef struct eval_layout {
   uint64_t payload_bytes;
-  uint64_t radius_offset; /* the radii, if they are wanted and not drawn */
+  uint64_t radius_offset; /* the array of radii, if they are wanted and not drawn */
   uint64_t array_bytes;   /* length of one array with padding */
-  uint64_t errors_offset; /* first channel's first quantity_error */
+  uint64_t errors_offset; /* quantity_error of the first channel's first quantity */
   unsigned errors_per_channel;
-  uint64_t arrays_offset; /* first channel's first array */
+  uint64_t arrays_offset; /* the first channel's first array */
   unsigned arrays_per_channel;
 } eval_layout;
 

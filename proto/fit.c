@@ -5,7 +5,7 @@
 
 #include "proto/channels.h"
 
-/* The counts have what the scale and the readings need. */
+/* Checks the counts that the scale and the readings need. */
 static wire_error check_readings(const wire_fit_design *design) {
   const uint32_t unknowns = design->scale == CORE_FIT_SCALE_FREE ? 3 : 2;
   wire_error error = wire_error_none();
@@ -47,10 +47,10 @@ void fit_design_read(const uint8_t *bytes, fit_design *read) {
   wire_get_fit_design(bytes, &fixed);
   const fit_start start = {{.set_count = 0}, fixed};
   schema_lay_out(&schema_fit_request, &start, UINT64_MAX, &layout, NULL);
-  bytes -= WIRE_BYTES_fit_request; /* the layout counts from the request */
+  bytes -= WIRE_BYTES_fit_request; /* offsets of the layout count from the start of the request */
   const wire_error error = channels_parse_parameters(bytes + layout.parts[FIT_PARAMETERS].at,
                                                      fixed.parameter_count, &read->parameters);
-  (void)error; /* fit_request_parse() has found none */
+  (void)error; /* fit_request_parse() has checked the parameters */
   const double *places = (const double *)(const void *)(bytes + layout.parts[FIT_AT].at);
   read->design = (core_fit_design){
       .model = fixed.model,
@@ -66,7 +66,7 @@ void fit_design_read(const uint8_t *bytes, fit_design *read) {
       .scale = fixed.scale,
   };
   double *aperture = &read->parameters.value[CORE_PARAMETER_DETECTOR_NA];
-  if (!isnan(*aperture)) { /* it is of the design, and not of the model */
+  if (!isnan(*aperture)) { /* detector_na belongs to the design, not to the model */
     /* fit_design uses 0 for `no aperture`; NaN makes the check refuse a 0 that was sent. */
     read->design.detector_na = *aperture == 0 ? (double)NAN : *aperture;
     *aperture = (double)NAN;

@@ -19,7 +19,7 @@ wire_error invert_request_parse(const uint8_t *payload, size_t payload_bytes,
 enum invert_array {
   INVERT_SIGMA_A, /* 1/mm */
   INVERT_SIGMA_S, /* 1/mm */
-  INVERT_ALBEDO,  /* the albedo of the medium that was found */
+  INVERT_ALBEDO,  /* the albedo of the medium found */
   INVERT_ARRAYS
 };
 

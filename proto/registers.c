@@ -71,7 +71,7 @@ static const uint8_t field_at[REGISTERS_END] = {
 _Static_assert(FIELDS < UINT8_MAX, "one byte holds each");
 
 /* Returns the field of a register outside the mirror, or NULL if the register has none. */
-static const registers_field *find(unsigned address) {
+static const registers_field *find_field(unsigned address) {
   return address < REGISTERS_END && field_at[address] > 0 ? &registers_fields[field_at[address] - 1]
                                                           : NULL;
 }
@@ -224,7 +224,7 @@ static const struct limit {
 };
 
 double registers_number(const uint16_t image[REGISTERS_END], unsigned address) {
-  const registers_field *field = find(address);
+  const registers_field *field = find_field(address);
   const float value = registers_f32(image, address);
   const double ends[] = {field->least, field->most};
   for (size_t i = 0; i < sizeof ends / sizeof ends[0]; i++) {
@@ -241,7 +241,7 @@ double registers_number(const uint16_t image[REGISTERS_END], unsigned address) {
 }
 
 double registers_optional(const uint16_t image[REGISTERS_END], unsigned address) {
-  return is_given(find(address), (double)registers_f32(image, address))
+  return is_given(find_field(address), (double)registers_f32(image, address))
              ? registers_number(image, address)
              : (double)NAN;
 }
@@ -309,7 +309,7 @@ static wire_error out_of_range(const registers_field *field) {
  * *at is the register outside the mirror. */
 static const registers_field *find_writable(unsigned address, unsigned *at) {
   *at = unmirrored(address);
-  const registers_field *field = address == *at || is_mirrored(*at) ? find(*at) : NULL;
+  const registers_field *field = address == *at || is_mirrored(*at) ? find_field(*at) : NULL;
   if (field == NULL) {
     *at = address;
     return NULL;

@@ -78,7 +78,7 @@ enum {
 #define BEGINS_OF(one, two, name, ...) name
 #define BEGINS(...) BEGINS_OF(__VA_ARGS__, BEGINS_TWO, BEGINS_ONE, )(__VA_ARGS__)
 
-/* Members of the structs before any text have the offsets that they have on the wire. */
+/* Before any text, members of a struct have the same offsets as on the wire. */
 #define NUMBER(structure, field, before, bits)                                                     \
   {                                                                                                \
 #field, (uint16_t)((before) + offsetof(wire_##structure, field)),                              \
@@ -261,7 +261,7 @@ wire_error schema_check_fields(const schema_payload *payload, const uint8_t *byt
 
 /* ---- layouts --------------------------------------------------------------------------------- */
 
-/* These end at UINT64_MAX in place of wrapping. */
+/* These return UINT64_MAX in place of wrapping around. */
 static inline uint64_t product(uint64_t a, uint64_t b) {
   uint64_t result;
   return __builtin_mul_overflow(a, b, &result) ? UINT64_MAX : result;
@@ -383,7 +383,8 @@ WIRE_COLD static wire_error too_long(const schema_payload *payload, const uint8_
   return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes", allowed);
 }
 
-/* The last part of some payloads is all that is left. */
+/* Counts the elements of a last part that takes all bytes that are left. Returns false if they are
+ * no whole number. */
 static bool take_rest(const schema_payload *payload, size_t count, schema_layout *layout) {
   for (int i = 0; i < SCHEMA_PARTS && payload->parts[i].name != NULL; i++) {
     if (payload->parts[i].rest) {

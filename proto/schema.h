@@ -20,28 +20,29 @@ enum schema_kind {
   SCHEMA_f32,
   SCHEMA_f64,
   SCHEMA_text,
-  SCHEMA_REAL, /* of parts: a number in the precision of the evaluator */
-  SCHEMA_LIST, /* of parts: a structure */
+  SCHEMA_REAL, /* kind of a part: numbers in the evaluator's precision */
+  SCHEMA_LIST, /* kind of a part: structures */
 };
 
 /* A field of a structure. messages.def says what its attributes mean. */
 typedef struct schema_field {
   const char *name; /* NULL ends a list of fields */
-  const char *key;  /* as it stands in JSON: a comma, the name in quotes and a colon */
+  const char *key;  /* the name in JSON: a comma, the name in quotes and a colon */
   uint8_t key_bytes;
   enum schema_kind kind;
-  unsigned count; /* how many values, or bytes of text */
+  unsigned count; /* number of values, or bytes of a text */
   const char *meaning;
   const char *unit;        /* NULL: none */
-  const core_choice *list; /* what the field chooses from; NULL: it is a number */
-  bool bits;               /* its value is a sum of entries of the list */
+  const core_choice *list; /* the list whose ids are valid; NULL: the field is a number */
+  bool bits;               /* whether the value is a mask of ids of the list */
   bool or_zero, hidden, required;
-  bool spans, ranged; /* least and most hold; they are checked */
+  bool spans, ranged; /* spans: least and most are set; ranged: they are checked */
   double least, most;
-  double too_large;      /* 0: any value is small enough */
-  uint16_t status;       /* of a value that is out of range */
-  const char *allowed;   /* NULL: made from the range */
-  const char *zero_with; /* the field with which this one has to be 0; NULL: none */
+  double too_large;    /* values from this on are TOO_LARGE; 0: no such limit */
+  uint16_t status;     /* the status if a value is out of range */
+  const char *allowed; /* text for the error; NULL: made from the range */
+  /* name of a field: where that is zero_at, this one must be 0; NULL: none */
+  const char *zero_with;
   uint16_t zero_at;
   const char *zero_text;
   double usual;
@@ -74,19 +75,20 @@ extern const schema_structure schema_structures[SCHEMA_STRUCTURES];
 
 /* ---- payloads -------------------------------------------------------------------------------- */
 
-/* A number in the first structures, or how many of its bits are in a mask. */
+/* A number that is read from the first structures: a field, or the number of its bits that are in a
+ * mask. */
 typedef struct schema_number {
   const char *name; /* NULL: the number 1 */
   uint16_t offset;
   uint8_t bytes;
-  uint32_t mask; /* 0: the number itself */
+  uint32_t mask; /* 0: the field itself; else its bits in this mask are counted */
 } schema_number;
 
 /* How JSON gives a list of numbers. */
 enum schema_form {
-  SCHEMA_GIVEN,     /* has to be given, unless a rule can make it */
-  SCHEMA_ZEROS,     /* may be absent: all its numbers are then 0 */
-  SCHEMA_EACH,      /* may be one number for all; which lists are given is checked elsewhere */
+  SCHEMA_GIVEN,     /* a list is required unless a rule makes its numbers */
+  SCHEMA_ZEROS,     /* a list is optional; its numbers are then 0 */
+  SCHEMA_EACH,      /* a list, or one number for all; which ones are given is checked elsewhere */
   SCHEMA_SETS,      /* a list, or a list of lists: one for each set */
   SCHEMA_POSITIONS, /* x, y and z, each a list, or one number for all */
   SCHEMA_CHANNELS,  /* a list, or a list of lists: one for each channel; each may be one number */
@@ -94,28 +96,30 @@ enum schema_form {
 
 enum { SCHEMA_FACTORS = 3, SCHEMA_PARTS = 8 };
 
-/* What follows the first structures, or what follows another part. */
+/* An array, or several of equal length, that follows the first structures or another part. */
 typedef struct schema_part {
-  const char *name;   /* in JSON, and in errors */
-  const char *plural; /* in errors */
+  const char *name;   /* its name in JSON and in errors */
+  const char *plural; /* its name in errors */
   enum schema_kind kind;
   const schema_structure *structure; /* of SCHEMA_LIST */
   schema_number evaluator;           /* of SCHEMA_REAL */
   schema_number count[SCHEMA_FACTORS], arrays[SCHEMA_FACTORS];
-  unsigned times, more; /* times 0: 1 */
-  schema_number when;   /* the part exists only if this number is equal to `is`; no name: always */
+  /* number of elements: the product of count[], times `times` (0 means 1), plus `more` */
+  unsigned times, more;
+  schema_number when; /* the part exists only if this number is equal to `is`; no name: always */
   uint64_t is;
-  bool unless, never, exact, rest; /* unless: only if it is not equal to `is` */
+  /* unless: the part exists only if the number differs from `is` */
+  bool unless, never, exact, rest;
   enum schema_form form;
-  const char *about; /* NULL: JSON has no list of this name */
+  const char *about; /* NULL: it is no list of JSON */
   const char *unit;  /* NULL: none */
 } schema_part;
 
 typedef struct schema_payload {
   const char *name;
-  const schema_structure *structures[2]; /* the second one may be NULL, or both */
-  const schema_part *parts;              /* the last one has the name NULL */
-  size_t fixed_bytes;                    /* of the structures */
+  const schema_structure *structures[2]; /* the structures at its start; NULL after the last */
+  const schema_part *parts;              /* ends with an entry whose name is NULL */
+  size_t fixed_bytes;                    /* bytes of the structures */
 } schema_payload;
 
 /* The payloads: schema_eval_request and so on. */
@@ -124,10 +128,10 @@ typedef struct schema_payload {
 extern const schema_payload schema_nothing;
 
 typedef struct schema_message {
-  unsigned type; /* enum wire_type; 0 ends the list */
+  unsigned type; /* enum wire_type; 0 ends the list of messages */
   const char *name;
   const schema_payload *request, *reply;
-  const char *about; /* NULL: HTTP does not have it */
+  const char *about; /* description for HTTP; NULL: HTTP does not serve it */
 } schema_message;
 
 extern const schema_message schema_messages[];
@@ -139,10 +143,10 @@ const schema_field *schema_field_of(const schema_payload *payload, const char *n
 typedef struct schema_layout {
   uint64_t payload_bytes;
   struct {
-    uint64_t at;          /* the offset, also of a part that is not there */
-    uint64_t count;       /* elements of each array; 0: it is not there */
-    uint64_t bytes;       /* of one element */
-    uint64_t array_bytes; /* of each array, with its padding */
+    uint64_t at;          /* offset of the part, or where it would be */
+    uint64_t count;       /* elements of each array; 0: the part does not exist */
+    uint64_t bytes;       /* bytes of one element */
+    uint64_t array_bytes; /* bytes of each array with its padding */
   } parts[SCHEMA_PARTS];
 } schema_layout;
 

@@ -6,7 +6,7 @@
 #include "proto/channels.h"
 
 uint32_t table_checksum(const uint8_t *bytes, size_t count) {
-  /* the change of the checksum for each value of four bits */
+  /* The CRC of each value of four bits. */
   static const uint32_t steps[] = {0x00000000, 0x1db71064, 0x3b6e20c8, 0x26d930ac,
                                    0x76dc4190, 0x6b6b51f4, 0x4db26158, 0x5005713c,
                                    0xedb88320, 0xf00f9344, 0xd6d6a3e8, 0xcb61b38c,
@@ -86,7 +86,7 @@ void table_reply_put_surface(uint8_t *at, const core_varying *surface,
                              const core_parameters *parameters) {
   const size_t word_bytes = table_surface_words(surface) * sizeof(float);
   const core_varying_range all = {.computed = 1,
-                                  .albedo_least = 0, /* of media that do not scatter */
+                                  .albedo_least = 0, /* 0 for media that do not scatter */
                                   .albedo_most = surface->albedo_most,
                                   .mfp_most = (double)INFINITY};
   const unsigned wanted = CORE_QUANTITY_R | CORE_QUANTITY_CDF | CORE_QUANTITY_RADIUS;

@@ -37,7 +37,7 @@ static wire_error check_wanted(const wire_varying_request *fixed) {
              : wire_error_none();
 }
 
-/* Whether colours have what their light needs. */
+/* Checks that a request with colours has a light and lengths. */
 static wire_error check_colours(const wire_varying_request *fixed) {
   return fixed->given != 0 && fixed->light == 0
              ? wire_error_not_in_list("light", core_lights, "one of")
@@ -61,7 +61,7 @@ wire_error varying_request_parse(const uint8_t *payload, size_t payload_bytes,
   request->colour = (core_colour){.light = (enum core_light)(fixed->light - 1),
                                   .specular = fixed->specular != 0,
                                   .length = (enum core_length)fixed->given};
-  /* A part that is not there has the offset of the next one. */
+  /* The offset of a part that does not exist is that of the next one. */
   request->media[0] = payload + layout.parts[SIGMA_A].at;
   request->media[1] = payload + layout.parts[SIGMA_S].at;
   request->numbers = fixed->numbers != VARYING_NONE ? payload + layout.parts[R].at : NULL;
@@ -117,7 +117,7 @@ bool varying_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_vary
 
 /* ---- evaluating ------------------------------------------------------------------------------ */
 
-/* One slice: its arrays and the precision of all of them. */
+/* A slice of the values: its arrays and their precision. */
 struct slice {
   const core_varying *varying;
   bool single;
@@ -126,8 +126,8 @@ struct slice {
   const void *sigma_s;
 };
 
-static void evaluate(const struct slice *slice, enum core_quantity quantity, const void *r,
-                     void *out) {
+static void evaluate_slice(const struct slice *slice, enum core_quantity quantity, const void *r,
+                           void *out) {
   if (slice->single) {
     core_varying_eval_f32(slice->varying, quantity, slice->n, slice->sigma_a, slice->sigma_s, r,
                           out);
@@ -180,7 +180,7 @@ static void copy_coefficient(const struct slice *slice, unsigned coefficient, vo
 }
 
 /* Fills an array of the slice with one number. */
-static void fill(const struct slice *slice, double value, void *out) {
+static void fill_slice(const struct slice *slice, double value, void *out) {
   for (size_t i = 0; i < slice->n; i++) {
     if (slice->single) {
       ((float *)out)[i] = (float)value;
@@ -205,8 +205,10 @@ static struct scratch divide(double *scratch) {
       arrays[0], arrays[1], arrays[2], arrays[3], (uint8_t *)arrays[4], (uint8_t *)arrays[5]};
 }
 
-/* Returns where the part's values from `begin` on of an array go; NULL if it is not wanted. */
-static void *place(const varying_part *part, uint32_t array, uint64_t begin, size_t value_bytes) {
+/* Returns where the values of an array of the part go, from value `begin` on; NULL if the array is
+ * not wanted. */
+static void *array_at(const varying_part *part, uint32_t array, uint64_t begin,
+                      size_t value_bytes) {
   return (part->layout.arrays & array) != 0
              ? part->payload + varying_array_offset(&part->layout, array) + begin * value_bytes
              : NULL;
@@ -216,9 +218,9 @@ static void *place(const varying_part *part, uint32_t array, uint64_t begin, siz
 static void invert(struct slice *slice, const varying_part *part, const varying_request *request,
                    uint64_t begin, const void *const media[2], const struct scratch *scratch) {
   const size_t bytes = slice->single ? sizeof(float) : sizeof(double);
-  void *sigma_a = place(part, CORE_COEFFICIENT_SIGMA_A, begin, bytes);
-  void *sigma_s = place(part, CORE_COEFFICIENT_SIGMA_S, begin, bytes);
-  void *scattered = place(part, CORE_COEFFICIENT_SCATTERED, begin, bytes);
+  void *sigma_a = array_at(part, CORE_COEFFICIENT_SIGMA_A, begin, bytes);
+  void *sigma_s = array_at(part, CORE_COEFFICIENT_SIGMA_S, begin, bytes);
+  void *scattered = array_at(part, CORE_COEFFICIENT_SCATTERED, begin, bytes);
   sigma_a = sigma_a != NULL ? sigma_a : scratch->sigma_a;
   sigma_s = sigma_s != NULL ? sigma_s : scratch->sigma_s;
   if (slice->single) {
@@ -242,7 +244,7 @@ static void take_media(struct slice *slice, const varying_part *part,
   slice->sigma_a = media[0];
   slice->sigma_s = media[1];
   for (const core_choice *each = core_coefficients; each->name != NULL; each++) {
-    void *to = place(part, each->id, begin, slice->single ? sizeof(float) : sizeof(double));
+    void *to = array_at(part, each->id, begin, slice->single ? sizeof(float) : sizeof(double));
     if (to != NULL) {
       copy_coefficient(slice, each->id, to);
     }
@@ -252,7 +254,7 @@ static void take_media(struct slice *slice, const varying_part *part,
 /* Sets a value that cannot be computed to NaN in every array. */
 static void clear(const varying_part *part, uint64_t value, bool single) {
   for (uint32_t array = 1; array != 0 && array <= part->layout.arrays; array <<= 1) {
-    void *at = place(part, array, value, single ? sizeof(float) : sizeof(double));
+    void *at = array_at(part, array, value, single ? sizeof(float) : sizeof(double));
     if (at != NULL && single) {
       *(float *)at = NAN;
     } else if (at != NULL) {
@@ -297,7 +299,7 @@ void varying_part_start(varying_part *part, const varying_request *request, uint
   memset(payload + part->layout.status_offset + count, 0, (size_t)(wire_padded(count) - count));
 }
 
-/* Raises the part's model error to that of an array of the slice. */
+/* Raises the part's model error to that of one array of the slice. */
 static void compare(varying_part *part, const struct slice *slice, const struct scratch *scratch,
                     unsigned quantity, const uint8_t *status, const void *values) {
   for (size_t i = 0; i < slice->n; i++) {
@@ -324,14 +326,14 @@ static void compare_all(varying_part *part, const struct slice *slice, const cor
   truth.varying = ruler;
   check(&truth, drawn, given, scratch->known, &unused);
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-    const void *values = place(part, VARYING_QUANTITY(quantity->id), begin, bytes);
+    const void *values = array_at(part, VARYING_QUANTITY(quantity->id), begin, bytes);
     if (values == NULL) {
       continue;
     }
     if (quantity->id == CORE_QUANTITY_RADIUS) {
       sample(&truth, given, scratch->truth);
     } else {
-      evaluate(&truth, quantity->id, r, scratch->truth);
+      evaluate_slice(&truth, quantity->id, r, scratch->truth);
     }
     compare(part, slice, scratch, quantity->id, status, values);
   }
@@ -351,7 +353,7 @@ void varying_part_evaluate(varying_part *part, const varying_request *request,
   take_media(&slice, part, request, begin, media, &memory);
   const void *numbers = memory.r;
   if (fixed->numbers == VARYING_NONE) { /* any number u: the albedo has no radius */
-    fill(&slice, 0.5, memory.r);
+    fill_slice(&slice, 0.5, memory.r);
   } else {
     numbers = (const uint8_t *)request->numbers + offset;
   }
@@ -361,17 +363,17 @@ void varying_part_evaluate(varying_part *part, const varying_request *request,
   core_varying_range_add(&part->range, &range);
   const void *given = numbers;
   if (drawn && (fixed->wanted & ~(CORE_QUANTITY_ALBEDO | CORE_QUANTITY_MODEL_ERROR)) != 0) {
-    void *r = place(part, VARYING_QUANTITY(CORE_QUANTITY_RADIUS), begin, bytes);
+    void *r = array_at(part, VARYING_QUANTITY(CORE_QUANTITY_RADIUS), begin, bytes);
     r = r != NULL ? r : memory.r;
     sample(&slice, numbers, r);
     numbers = r;
   }
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-    void *to = place(part, VARYING_QUANTITY(quantity->id), begin, bytes);
+    void *to = array_at(part, VARYING_QUANTITY(quantity->id), begin, bytes);
     if (to != NULL && quantity->id == CORE_QUANTITY_ALBEDO) {
-      evaluate(&slice, CORE_QUANTITY_ALBEDO, NULL, to);
+      evaluate_slice(&slice, CORE_QUANTITY_ALBEDO, NULL, to);
     } else if (to != NULL && quantity->id != CORE_QUANTITY_RADIUS) {
-      evaluate(&slice, quantity->id, numbers, to);
+      evaluate_slice(&slice, quantity->id, numbers, to);
     }
   }
   put_statuses(part, request, begin, &slice, &memory, range.computed);
@@ -381,14 +383,14 @@ void varying_part_evaluate(varying_part *part, const varying_request *request,
   }
 }
 
-/* Returns colours of the light of a request: what a medium reflects per power that entered, and,
- * if the request's colours contain it, what the surface reflects. */
+/* Returns a colour as the request counts it: relative to the power that entered, or with specular
+ * 1, to the incident power, the surface's reflection included. */
 static double seen(const varying_request *request, const core_varying *varying, double colour) {
   const double surface = varying->specular[request->colour.light];
   return request->colour.specular ? surface + (1 - surface) * colour : colour;
 }
 
-/* Returns the model error of a part; that of transport itself counts, too. */
+/* Returns the model error of a part, including the numerical error of transport. */
 static double model_error(const varying_part *part, const core_varying *varying,
                           const core_varying *ruler, unsigned wanted) {
   if ((wanted & CORE_QUANTITY_MODEL_ERROR) == 0) {

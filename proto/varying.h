@@ -18,7 +18,7 @@ enum varying_numbers { VARYING_NONE, VARYING_RADII, VARYING_DRAWN, VARYING_NUMBE
 typedef struct varying_request {
   wire_varying_request fixed;
   core_parameters parameters;
-  core_colour colour;   /* what the colours mean, if fixed.given is not 0 */
+  core_colour colour;   /* meaning of the colours, if fixed.given is not 0 */
   const void *media[2]; /* sigma_a and sigma_s (1/mm), or colours and lengths (mm) */
   const void *numbers;  /* radii (mm) or numbers u; NULL if there are none */
 } varying_request;
@@ -29,7 +29,7 @@ wire_error varying_request_parse(const uint8_t *payload, size_t payload_bytes,
 
 /* Layout of a reply's payload. Offsets count from its start. */
 typedef struct varying_layout {
-  uint32_t arrays;        /* bits of the arrays: see VARYING_QUANTITY */
+  uint32_t arrays;        /* mask of the arrays: see VARYING_QUANTITY */
   uint64_t array_bytes;   /* length of one array with padding */
   uint64_t status_offset; /* the statuses: one byte for each value, then padding */
   uint64_t payload_bytes;
@@ -68,11 +68,11 @@ enum { VARYING_SLICE_VALUES = 2048, VARYING_SCRATCH_ARRAYS = 6 };
 
 /* A reply, or a part of one, that is being filled in. */
 typedef struct varying_part {
-  uint8_t *payload; /* at a multiple of 8 */
+  uint8_t *payload; /* aligned to 8 */
   varying_layout layout;
-  uint64_t first; /* position in the request of the part's first value */
+  uint64_t first; /* index in the request of the part's first value */
   uint64_t count;
-  core_varying_range range; /* of all values so far */
+  core_varying_range range; /* range of all values so far */
   double model_error;       /* the largest so far against `ruler`; NAN: nothing was compared */
 } varying_part;
 

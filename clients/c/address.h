@@ -11,9 +11,10 @@ enum libdipole_address_kind { LIBDIPOLE_UNIX, LIBDIPOLE_TCP, LIBDIPOLE_TLS, LIBD
 
 typedef struct libdipole_address {
   enum libdipole_address_kind kind;
-  char host[256];      /* of TCP and TLS */
-  char port[6];        /* of TCP and TLS */
-  char path[PATH_MAX]; /* Unix: of the socket. Private: of the program, or "" for the default. */
+  char host[256]; /* TCP and TLS only */
+  char port[6];   /* TCP and TLS only */
+  /* of the Unix socket; or of the private daemon's program, "" for the default */
+  char path[PATH_MAX];
 } libdipole_address;
 
 /* Parses one address. Failures are of kind ADDRESS. */
@@ -21,11 +22,11 @@ bool libdipole_address_parse(const char *text, libdipole_address *address, dipol
 
 /* The addresses of a client, at least one. */
 typedef struct libdipole_addresses {
-  char *whole; /* the memory of all texts */
+  char *whole; /* one block that holds all texts */
   size_t count;
-  size_t at; /* position of the address that the client is connected to or tries first */
+  size_t at; /* index of the address that the client is connected to or tries first */
   const char *texts[DIPOLE_ADDRESSES_MAX];
-  libdipole_tls_files tls; /* of all tls: addresses; the texts belong to the addresses */
+  libdipole_tls_files tls; /* files for tls: addresses, which this structure owns */
 } libdipole_addresses;
 
 /* Parses a list of addresses. If text is NULL, takes $DIPOLED, or else a private daemon. The

@@ -14,7 +14,7 @@ _Static_assert(offsetof(dipole_fitted, sigma_a_per_mm) == 16, "the structures ar
 
 /* ---- parts --------------------------------------------------------------------------------- */
 
-static bool merge(const libdipole_pending *pending, const void *part, void *whole) {
+static bool merge_part(const libdipole_pending *pending, const void *part, void *whole) {
   const wire_fit_reply *fixed = part;
   wire_fit_reply *all = whole;
   if (all != NULL) {
@@ -24,7 +24,8 @@ static bool merge(const libdipole_pending *pending, const void *part, void *whol
   return fixed->fitted_count <= fixed->count && fixed->reading_count == pending->medium_count;
 }
 
-static const libdipole_kind kind = {.repeatable = true, .reply = &schema_fit_reply, .merge = merge};
+static const libdipole_kind kind = {
+    .repeatable = true, .reply = &schema_fit_reply, .merge = merge_part};
 
 /* ---- requests ------------------------------------------------------------------------------ */
 
@@ -45,8 +46,8 @@ static bool check(const dipole_fit_query *query, dipole_error *error) {
   return true;
 }
 
-static bool send(dipole_client *client, const dipole_fit_query *query, libdipole_pending *pending,
-                 dipole_error *error) {
+static bool send_query(dipole_client *client, const dipole_fit_query *query,
+                       libdipole_pending *pending, dipole_error *error) {
   if (!check(query, error)) {
     return false;
   }
@@ -76,7 +77,7 @@ bool dipole_fit(dipole_client *client, const dipole_fit_query *query, dipole_fit
                                .medium_count = residuals,
                                .radius_count = query->set_count};
   error = error != NULL ? error : &(dipole_error){0};
-  if (!send(client, query, &pending, error)) {
+  if (!send_query(client, query, &pending, error)) {
     return false;
   }
   libdipole_frame *frame = libdipole_reply(client, &pending, error);

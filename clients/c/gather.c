@@ -13,21 +13,22 @@
 #include "clients/c/table.h"
 
 enum {
-  OUTSTANDING = 4, /* requests under way at a time */
+  OUTSTANDING = 4, /* the largest number of requests under way */
   PART_POINTS = 65536,
   PART_QUERIES = GATHER_PART_QUERIES,
-  SENT_MOST = 4, /* how often the points are sent, at most, until sums come */
+  SENT_MOST = 4, /* the largest number of times that the points are sent before any sum arrives */
 };
 
-/* Of a request with tolerance 0: the points that are summed one by one, about two seconds' worth. */
+/* With tolerance 0: the largest number of pairs of query and point in one request, about two
+ * seconds of work. */
 #define PART_PAIRS ((uint64_t)1 << 30)
 
 struct dipole_points {
   uint64_t point_count;
   uint32_t channel_count;
-  const double *xyz_mm; /* the arrays of dipole_points_make() */
+  const double *xyz_mm; /* the caller's arrays, see dipole_points_make() */
   const float *power_W;
-  uint64_t set[2]; /* the name of the content */
+  uint64_t set[2]; /* hash of the content, see PROTOCOL.md G2 */
 };
 
 /* ---- points -------------------------------------------------------------------------------- */
@@ -68,7 +69,7 @@ struct run {
   dipole_client *client;
   const dipole_gather_query *query;
   double *M;
-  uint32_t *order; /* in which queries are requested; NULL: as they come */
+  uint32_t *order; /* the order in which queries are requested; NULL: as given */
   dipole_gather_result *result;
   uint64_t requested; /* queries of the requests that have been sent */
   uint64_t received;  /* queries whose sums have been received */
@@ -76,15 +77,16 @@ struct run {
   bool sending;       /* whether the points are being sent */
   uint64_t next_point;
   unsigned sent_times;
-  int64_t until_ms; /* the deadline; 0: none */
+  int64_t until_ms; /* when the deadline ends, in ms of libdipole_now_ms(); 0: none */
   uint64_t ids[OUTSTANDING];
-  uint64_t counts[OUTSTANDING]; /* queries of these requests; 0 for parts of points */
+  /* number of queries in each of these requests; 0 for a part of the points */
+  uint64_t counts[OUTSTANDING];
   unsigned under_way;
 };
 
 static const libdipole_kind points_kind = {.repeatable = true};
 
-static bool merge(const libdipole_pending *pending, const void *part, void *whole) {
+static bool merge_part(const libdipole_pending *pending, const void *part, void *whole) {
   const wire_gather_reply *fixed = part;
   wire_gather_reply *all = whole;
   if (all != NULL) {
@@ -97,9 +99,9 @@ static bool merge(const libdipole_pending *pending, const void *part, void *whol
 }
 
 static const libdipole_kind gather_kind = {
-    .repeatable = true, .reply = &schema_gather_reply, .merge = merge};
+    .repeatable = true, .reply = &schema_gather_reply, .merge = merge_part};
 
-/* Sets the rest of the deadline. Returns false if it has passed. */
+/* Sets pending's deadline to the time that is left. Returns false if none is. */
 static bool set_deadline(const struct run *run, libdipole_pending *pending, dipole_error *error) {
   if (run->until_ms == 0) {
     return true;
@@ -140,7 +142,7 @@ static bool send_points(struct run *run, dipole_error *error) {
   return true;
 }
 
-/* Returns how many queries the next request has. */
+/* Returns the number of queries in the next request. */
 static uint64_t next_queries(const struct run *run) {
   const dipole_gather_query *query = run->query;
   const dipole_points *info = query->points;
@@ -154,7 +156,7 @@ static uint64_t next_queries(const struct run *run) {
 }
 
 /* Returns the index of the query at a position of the order in which queries are sent. */
-static uint64_t place(const struct run *run, uint64_t position) {
+static uint64_t query_at(const struct run *run, uint64_t position) {
   return run->order != NULL ? run->order[position] : position;
 }
 
@@ -190,8 +192,8 @@ static bool request_sums(struct run *run, dipole_error *error) {
   at += layout.parts[2].at;
   enum { QUERY_BYTES = GATHER_AXES * sizeof(double) };
   for (uint64_t i = 0; i < n; i++) {
-    memcpy(at + i * QUERY_BYTES, query->queries_mm + place(run, run->requested + i) * GATHER_AXES,
-           QUERY_BYTES);
+    memcpy(at + i * QUERY_BYTES,
+           query->queries_mm + query_at(run, run->requested + i) * GATHER_AXES, QUERY_BYTES);
   }
   run->requested += n;
   run->ids[run->under_way] = pending.id;
@@ -199,7 +201,7 @@ static bool request_sums(struct run *run, dipole_error *error) {
   return libdipole_request_send(run->client, error);
 }
 
-/* Sends the next request, if there is one now. *sent: whether there was. */
+/* Sends the next request unless it has to wait. *sent: whether one was sent. */
 static bool send_next(struct run *run, bool *sent, dipole_error *error) {
   *sent = false;
   if (run->under_way == OUTSTANDING) {
@@ -221,7 +223,8 @@ static void drop_all(struct run *run) {
   run->under_way = 0;
 }
 
-/* Ends what the daemon still does for the caller. If the connection is lost, it has ended with it. */
+/* Cancels the requests that are under way. Errors are ignored: with the connection, requests end
+ * too. */
 static void cancel_all(const struct run *run) {
   for (unsigned i = 0; i < run->under_way; i++) {
     uint64_t cancel_id;
@@ -240,7 +243,7 @@ static void take_sums(struct run *run, const libdipole_frame *frame, uint64_t n)
   wire_get_gather_reply(frame->payload, &fixed);
   const size_t row_bytes = channels * sizeof(double);
   for (uint64_t i = 0; i < n; i++) {
-    memcpy(run->M + place(run, run->received + i) * channels,
+    memcpy(run->M + query_at(run, run->received + i) * channels,
            frame->payload + gather_sums_offset(channels) + i * row_bytes, row_bytes);
   }
   for (uint32_t i = 0; i < channels; i++) {
@@ -305,7 +308,7 @@ static bool take_next(struct run *run, dipole_error *error) {
   return good;
 }
 
-/* Returns whether the caller wants more. */
+/* Reports progress. Returns whether the caller wants to continue. */
 static bool go_on(const struct run *run, uint64_t before,
                   bool (*progress)(void *context, uint64_t done, uint64_t count), void *context) {
   if (progress == NULL || run->received == before) {
@@ -361,8 +364,9 @@ static bool check(const dipole_gather_query *query, dipole_error *error) {
                                query->parameter_count, error);
 }
 
-/* Where there are several requests, neighbours are put into one, because the daemon shares between
- * them what it finds. Bad queries, which the daemon names by their index, stay where they are. */
+/* Sorts queries of several requests so that neighbours are in one request: the daemon shares work
+ * between them. If there is a bad query, the order stays as given, because the daemon names it by
+ * its index. */
 static void set_order(struct run *run) {
   const dipole_gather_query *query = run->query;
   const uint64_t n = query->query_count;
@@ -399,7 +403,7 @@ bool dipole_gather(dipole_client *client, const dipole_gather_query *query,
   const uint32_t channels = query->points->channel_count;
   for (uint64_t i = good ? run.received : UINT64_MAX; i < query->query_count; i++) {
     for (uint32_t c = 0; c < channels; c++) {
-      M_W_per_mm2[place(&run, i) * channels + c] = (double)NAN;
+      M_W_per_mm2[query_at(&run, i) * channels + c] = (double)NAN;
     }
   }
   free(run.order);
@@ -408,20 +412,20 @@ bool dipole_gather(dipole_client *client, const dipole_gather_query *query,
 
 /* ---- at home ------------------------------------------------------------------------------- */
 
-/* Queries are copied this many at a time, at most. */
+/* The largest number of queries that are copied at a time. */
 enum { HOME_QUERIES = 4096 };
 
-/* What is done between two calls of progress(), in evaluations of a dipole: half a second's worth. */
+/* Work between two calls of progress(), in evaluations of a dipole: about half a second. */
 #define HOME_WORK 1e8
 
-/* What sums at home need. */
+/* What dipole_gather_at_home() needs besides the result. */
 struct home {
   const dipole_points *info;
   core_gather_points *points;
   core_gather_sum *sum;
   core_gather_scratch *scratch;
   uint32_t *order;
-  double queries[HOME_QUERIES][GATHER_AXES]; /* the next ones */
+  double queries[HOME_QUERIES][GATHER_AXES]; /* coordinates of the next queries */
   uint32_t places[HOME_QUERIES];             /* 0, 1, ... */
   double M[HOME_QUERIES * CORE_GATHER_CHANNELS_MAX];
   float bound[HOME_QUERIES * CORE_GATHER_CHANNELS_MAX];

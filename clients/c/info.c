@@ -139,7 +139,7 @@ bool libdipole_hello(dipole_client *client, const char *address, dipole_error *e
                                .reply_bytes_min = WIRE_BYTES_hello_reply,
                                .reply_bytes_max = LIST_MAX_BYTES};
   wire_put_hello_request(payload, &hello);
-  libdipole_frame *frame = libdipole_ask(client, &pending, payload, sizeof payload, error);
+  libdipole_frame *frame = libdipole_call(client, &pending, payload, sizeof payload, error);
   const bool understood = frame != NULL && take_hello(client, frame, address, error);
   free(frame);
   return understood;
@@ -162,14 +162,15 @@ unsigned dipole_id(const dipole_client *client, enum dipole_kind kind, const cha
 /* ---- lists --------------------------------------------------------------------------------- */
 
 /* Requests a list. In the reply, *count structures follow list_reply. */
-static libdipole_frame *ask_list(dipole_client *client, enum wire_type type,
-                                 const schema_payload *reply, size_t *count, dipole_error *error) {
+static libdipole_frame *request_list(dipole_client *client, enum wire_type type,
+                                     const schema_payload *reply, size_t *count,
+                                     dipole_error *error) {
   schema_layout layout;
   libdipole_pending pending = {.kind = &libdipole_plain,
                                .type = (uint16_t)type,
                                .reply_bytes_min = WIRE_BYTES_list_reply,
                                .reply_bytes_max = LIST_MAX_BYTES};
-  libdipole_frame *frame = libdipole_ask(client, &pending, NULL, 0, error);
+  libdipole_frame *frame = libdipole_call(client, &pending, NULL, 0, error);
   if (frame == NULL) {
     return NULL;
   }
@@ -199,7 +200,7 @@ static void get_measured_medium(const uint8_t *at, dipole_measured_medium *mediu
 bool dipole_media(dipole_client *client, dipole_measured_medium **media, size_t *count,
                   dipole_error *error) {
   error = error != NULL ? error : &(dipole_error){0};
-  libdipole_frame *frame = ask_list(client, WIRE_TYPE_MEDIA, &schema_media_reply, count, error);
+  libdipole_frame *frame = request_list(client, WIRE_TYPE_MEDIA, &schema_media_reply, count, error);
   if (frame == NULL) {
     return false;
   }
@@ -216,7 +217,7 @@ bool dipole_statistics(dipole_client *client, dipole_value **values, size_t *cou
                        dipole_error *error) {
   error = error != NULL ? error : &(dipole_error){0};
   libdipole_frame *frame =
-      ask_list(client, WIRE_TYPE_STATS, &schema_statistics_reply, count, error);
+      request_list(client, WIRE_TYPE_STATS, &schema_statistics_reply, count, error);
   if (frame == NULL) {
     return false;
   }
@@ -238,7 +239,7 @@ bool dipole_ping(dipole_client *client, dipole_error *error) {
                                .reply_bytes_min = sizeof payload,
                                .reply_bytes_max = sizeof payload};
   error = error != NULL ? error : &(dipole_error){0};
-  libdipole_frame *frame = libdipole_ask(client, &pending, payload, sizeof payload, error);
+  libdipole_frame *frame = libdipole_call(client, &pending, payload, sizeof payload, error);
   if (frame == NULL) {
     return false;
   }

@@ -15,7 +15,7 @@ static bool differ(double a, double b) {
   return a < b || a > b;
 }
 
-static bool merge(const libdipole_pending *pending, const void *part, void *whole) {
+static bool merge_part(const libdipole_pending *pending, const void *part, void *whole) {
   const wire_invert_reply *fixed = part;
   wire_invert_reply *all = whole;
   (void)pending;
@@ -30,7 +30,7 @@ static bool merge(const libdipole_pending *pending, const void *part, void *whol
 }
 
 static const libdipole_kind kind = {
-    .repeatable = true, .reply = &schema_invert_reply, .merge = merge};
+    .repeatable = true, .reply = &schema_invert_reply, .merge = merge_part};
 
 /* ---- requests ------------------------------------------------------------------------------ */
 
@@ -40,8 +40,8 @@ static bool check(const dipole_invert_query *query, dipole_error *error) {
           libdipole_fail_argument(error, "albedos or lengths_mm is NULL, medium_count is not 0"));
 }
 
-static bool send(dipole_client *client, const dipole_invert_query *query,
-                 libdipole_pending *pending, dipole_error *error) {
+static bool send_query(dipole_client *client, const dipole_invert_query *query,
+                       libdipole_pending *pending, dipole_error *error) {
   const void *const parts[] = {query->albedos, query->lengths_mm};
   const wire_invert_request fixed = {.model = (uint16_t)query->model,
                                      .moments = (uint16_t)query->moments,
@@ -62,7 +62,7 @@ bool dipole_invert(dipole_client *client, const dipole_invert_query *query,
                                .reply_bytes_max = invert_reply_bytes(query->medium_count),
                                .radius_count = query->medium_count};
   error = error != NULL ? error : &(dipole_error){0};
-  if (!send(client, query, &pending, error)) {
+  if (!send_query(client, query, &pending, error)) {
     return false;
   }
   libdipole_frame *frame = libdipole_reply(client, &pending, error);

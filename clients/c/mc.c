@@ -43,7 +43,7 @@ static uint32_t albedos_of(const dipole_mc_query *query) {
 
 static bool is_progress(const libdipole_frame *frame) {
   wire_mc_reply reply;
-  wire_get_mc_reply(frame->payload, &reply); /* start() set reply_bytes_min to its size. */
+  wire_get_mc_reply(frame->payload, &reply); /* begin_job() set reply_bytes_min to its size. */
   return reply.state == MC_UNDER_WAY;
 }
 
@@ -53,19 +53,19 @@ static bool is_cut_off(const libdipole_frame *frame) {
   return reply.state == MC_STOPPED;
 }
 
-/* A job that is requested again begins anew, and ends with the same bits. */
+/* Sending a job again starts it anew; its result has the same bits. */
 static const libdipole_kind job_kind = {
     .repeatable = true, .endless = true, .is_progress = is_progress, .is_cut_off = is_cut_off};
 
-static bool start(dipole_client *client, const dipole_mc_query *query, libdipole_pending *pending,
-                  dipole_error *error) {
+static bool begin_job(dipole_client *client, const dipole_mc_query *query,
+                      libdipole_pending *pending, dipole_error *error) {
   mc_layout layout;
   uint8_t *payload;
   *pending = (libdipole_pending){.kind = &job_kind,
                                  .type = WIRE_TYPE_MC,
                                  .reply_bytes_min = WIRE_BYTES_mc_reply,
                                  .reply_bytes_max = WIRE_BYTES_mc_reply};
-  /* If there is no layout, the daemon refuses the request and says why. */
+  /* Without a layout the numbers are out of range: the daemon refuses them with a message. */
   if (mc_reply_layout(sides_of(query), albedos_of(query), query->ring_count, &layout)) {
     pending->reply_bytes_max = layout.payload_bytes;
   }
@@ -127,8 +127,8 @@ static dipole_mc_energy get_energy(const uint8_t *at) {
 }
 
 /* Makes the result of the last frame of a job. */
-static dipole_mc_result *take(libdipole_frame *frame, const wire_mc_reply *fixed,
-                              const mc_layout *layout) {
+static dipole_mc_result *make_result(libdipole_frame *frame, const wire_mc_reply *fixed,
+                                     const mc_layout *layout) {
   uint8_t *energies = frame->payload + layout->energies_offset;
   for (uint32_t i = 0; i < fixed->albedo_count; i++) {
     uint8_t *at = energies + (size_t)i * WIRE_BYTES_mc_energy;
@@ -174,7 +174,7 @@ static bool next_reply(dipole_client *client, const dipole_mc_query *query, uint
     return libdipole_bad_reply(
         client, "it replied to an mc request with another shape than requested", error);
   }
-  *result = take(frame, &fixed, &layout);
+  *result = make_result(frame, &fixed, &layout);
   return true;
 }
 
@@ -182,7 +182,7 @@ static bool next_reply(dipole_client *client, const dipole_mc_query *query, uint
 
 /* Waits for the reply to a cancel request and ignores it: the result of the job says enough. There
  * may be no reply, because a daemon that stops sends the result and closes. */
-static void finish(dipole_client *client, uint64_t cancel_id) {
+static void drop_cancel(dipole_client *client, uint64_t cancel_id) {
   libdipole_pending pending;
   dipole_error unwanted;
   if (cancel_id != 0 && libdipole_request_wait(client, cancel_id, NULL, &pending, &unwanted)) {
@@ -197,7 +197,7 @@ bool dipole_mc(dipole_client *client, const dipole_mc_query *query,
   dipole_mc_progress now;
   uint64_t cancel_id = 0;
   error = error != NULL ? error : &(dipole_error){0};
-  if (!check_query(query, error) || !start(client, query, &job, error)) {
+  if (!check_query(query, error) || !begin_job(client, query, &job, error)) {
     return false;
   }
   for (;;) {
@@ -205,7 +205,7 @@ bool dipole_mc(dipole_client *client, const dipole_mc_query *query,
       return false;
     }
     if (*result != NULL) {
-      finish(client, cancel_id);
+      drop_cancel(client, cancel_id);
       return true;
     }
     client->torn = true;

@@ -6,7 +6,7 @@
 
 #include "clients/c/error.h"
 
-/* The longest structure of a reply in parts. */
+/* The largest size of the first structure of a reply in parts. */
 enum { START_MAX_BYTES = 256 };
 
 libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload_bytes,
@@ -54,8 +54,8 @@ static bool lay_out_whole(const libdipole_pending *pending, const libdipole_fram
 }
 
 /* Allocates the frame of the whole reply. If the arrays go elsewhere, it holds only the head. */
-static bool begin(libdipole_pending *pending, const libdipole_frame *first,
-                  const schema_layout *whole, bool only_head, dipole_error *error) {
+static bool begin_whole(libdipole_pending *pending, const libdipole_frame *first,
+                        const schema_layout *whole, bool only_head, dipole_error *error) {
   const uint64_t bytes = only_head ? pending->reply_bytes_min : whole->payload_bytes;
   pending->gathered = libdipole_frame_new(&first->header, bytes, pending->medium_count, error);
   if (pending->gathered != NULL) {
@@ -65,8 +65,8 @@ static bool begin(libdipole_pending *pending, const libdipole_frame *first,
   return pending->gathered != NULL;
 }
 
-/* Copies the arrays of a part to their places. Those that have no element for each item of the
- * reply are the same in all parts, or the last ones hold. */
+/* Copies the arrays of a part to their places in the whole reply. Arrays without an element for
+ * each item are the same in all parts, or only those of the last part count. */
 static void copy_arrays(const libdipole_pending *pending, const schema_layout *to,
                         const libdipole_frame *part, const schema_layout *from) {
   const schema_part *parts = pending->kind->reply->parts;
@@ -87,15 +87,15 @@ static void copy_arrays(const libdipole_pending *pending, const schema_layout *t
   }
 }
 
-/* Takes a part that has been checked. *whole: whether the reply is complete. */
-static bool add(libdipole_pending *pending, libdipole_frame *frame, const wire_part *part,
-                const schema_layout *layout, dipole_error *error) {
+/* Adds a checked part to the reply, and owns its frame. *whole: whether the reply is complete. */
+static bool add_part(libdipole_pending *pending, libdipole_frame *frame, const wire_part *part,
+                     const schema_layout *layout, dipole_error *error) {
   const bool only_head = pending->reader != NULL;
   schema_layout whole;
   if (!lay_out_whole(pending, frame, &whole)) {
     return libdipole_fail_memory(error);
   }
-  if (pending->gathered == NULL && !begin(pending, frame, &whole, only_head, error)) {
+  if (pending->gathered == NULL && !begin_whole(pending, frame, &whole, only_head, error)) {
     return false;
   }
   if (!only_head) {
@@ -135,7 +135,7 @@ bool libdipole_part_take(libdipole_pending *pending, libdipole_frame *frame, dip
     return true;
   }
   if (good) {
-    good = add(pending, frame, &part, &layout, error);
+    good = add_part(pending, frame, &part, &layout, error);
   } else {
     char what[96];
     snprintf(what, sizeof what,

@@ -43,20 +43,21 @@ typedef struct libdipole_pending libdipole_pending;
 typedef struct libdipole_kind {
   /* Every daemon gives the same reply to such a request, so the client may send it again. */
   bool repeatable;
-  /* The time limit of calls does not apply to this kind of request. */
+  /* Whether the time limit of calls does not apply. */
   bool endless;
-  /* Of a reply in parts: what follows the structure of a part; NULL: the reply is one frame. */
+  /* The reply in parts: its arrays after the first structure. NULL: the reply is one frame. */
   const schema_payload *reply;
   /* Returns whether a part replies to the request, and belongs to `whole`: what has been merged from
    * the parts before it, or NULL. Both are structures of the reply. Merges the part. */
   bool (*merge)(const libdipole_pending *pending, const void *part, void *whole);
-  /* Whoever takes a reply in one part checks it. */
+  /* Whether a reply of one part is checked later, by its caller, in place of here. */
   bool checked_later;
   /* Gives a part to pending->reader. */
   void (*hand_on)(libdipole_pending *pending, libdipole_frame *part);
-  /* Returns whether this frame only reports progress, so that more frames follow. */
+  /* Returns whether this frame is a report of progress, which more frames follow. */
   bool (*is_progress)(const libdipole_frame *frame);
-  /* Returns whether a daemon that stopped has cut this reply off, so that the client requests it again. */
+  /* Returns whether this reply was cut off by a daemon that stops. The client then sends the
+   * request again. */
   bool (*is_cut_off)(const libdipole_frame *frame);
 } libdipole_kind;
 
@@ -69,12 +70,12 @@ struct libdipole_pending {
   const libdipole_kind *kind;
   uint16_t type; /* enum wire_type */
   uint32_t deadline_ms;
-  uint64_t reply_bytes_min, reply_bytes_max; /* limits for the payload of each frame */
-  unsigned model;                            /* of an eval or sample; may be DIPOLE_ANY_MODEL */
-  uint16_t evaluator, wanted;                /* of an eval or sample */
-  uint16_t moments;                          /* of a varying */
-  uint32_t medium_count; /* 0 if the request lists no media; for a fit: residuals of each set */
-  uint64_t radius_count; /* of an eval or sample; for an invert: its media; for a fit: its sets */
+  uint64_t reply_bytes_min, reply_bytes_max; /* range of a frame's payload */
+  unsigned model;                            /* eval and sample; may be DIPOLE_ANY_MODEL */
+  uint16_t evaluator, wanted;                /* eval and sample */
+  uint16_t moments;                          /* varying */
+  uint32_t medium_count;    /* eval, sample: number of media; fit: residuals of each set; else 0 */
+  uint64_t radius_count;    /* eval, sample: radii; invert: media; fit: sets */
   libdipole_reader *reader; /* gets each part when it arrives; NULL: the parts are put together */
   void *into_values;        /* see dipole_query */
   void *into_radii;
@@ -82,8 +83,8 @@ struct libdipole_pending {
   uint64_t id;
   libdipole_frame *frame; /* the reply; NULL if it is not complete yet */
   uint32_t next_part;     /* the number of the next part of the reply */
-  uint32_t part_count;    /* the number of parts, as the first one that was gathered says */
-  uint64_t next_radius;   /* the position of the first radius, medium or set of the next part */
+  uint32_t part_count;    /* the number of parts, from the first part */
+  uint64_t next_radius;   /* number of radii, media or sets in the parts so far */
   /* The parts so far, as one reply. If there is a reader, this frame has no arrays. */
   libdipole_frame *gathered;
   bool dropped; /* The caller has dropped the request: do not use reader and into_*. */

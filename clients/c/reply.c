@@ -35,7 +35,7 @@ void libdipole_reply_expect(libdipole_pending *pending, unsigned model, unsigned
 /* Returns whether a reply has what was requested. With DIPOLE_ANY_MODEL the daemon chooses the
  * model and the evaluator, but not the type of the values. All parts begin alike, up to their
  * arrays. */
-static bool merge(const libdipole_pending *pending, const void *part, void *whole) {
+static bool merge_part(const libdipole_pending *pending, const void *part, void *whole) {
   const wire_eval_reply *fixed = part;
   const size_t evaluator_bytes = core_evaluator_bytes(fixed->evaluator);
   return (pending->model == DIPOLE_ANY_MODEL
@@ -53,7 +53,7 @@ static bool parse(const libdipole_pending *pending, const libdipole_frame *frame
                   wire_eval_reply *fixed, eval_layout *layout, dipole_error *error) {
   return (eval_reply_parse(frame->payload, (size_t)frame->payload_bytes,
                            pending->type == WIRE_TYPE_SAMPLE, fixed, layout) &&
-          merge(pending, frame->payload, NULL) &&
+          merge_part(pending, frame->payload, NULL) &&
           libdipole_part_is_next(pending, (const void *)frame->payload)) ||
          libdipole_fail_protocol(error, "it replied to an eval request with another shape than was "
                                         "requested");
@@ -203,9 +203,9 @@ static void hand_on(libdipole_pending *pending, libdipole_frame *part) {
 
 const libdipole_kind libdipole_eval_kind = {.repeatable = true,
                                             .reply = &schema_eval_reply,
-                                            .merge = merge,
+                                            .merge = merge_part,
                                             .checked_later = true,
                                             .hand_on = hand_on};
 
 const libdipole_kind libdipole_sample_kind = {
-    .repeatable = true, .reply = &schema_sample_reply, .merge = merge, .checked_later = true};
+    .repeatable = true, .reply = &schema_sample_reply, .merge = merge_part, .checked_later = true};

@@ -23,7 +23,7 @@ const libdipole_kind libdipole_plain = {.repeatable = true};
 
 /* ---- pending requests ---------------------------------------------------------------------- */
 
-static libdipole_pending *find(dipole_client *client, uint64_t id) {
+static libdipole_pending *find_pending(dipole_client *client, uint64_t id) {
   libdipole_pending *first = client->pending + client->pending_begin;
   size_t begin = 0, end = client->pending_count;
   while (begin < end) {
@@ -113,7 +113,7 @@ static void hand_out(dipole_client *client, libdipole_pending *entry, libdipole_
 }
 
 void libdipole_request_once(dipole_client *client, uint64_t id) {
-  libdipole_pending *entry = find(client, id);
+  libdipole_pending *entry = find_pending(client, id);
   if (entry != NULL) {
     assert(entry->again_ms == 0);
     forget_copy(client, entry);
@@ -128,7 +128,7 @@ static void drop_report(dipole_client *client, libdipole_pending *entry) {
 }
 
 void libdipole_request_drop(dipole_client *client, uint64_t id) {
-  libdipole_pending *entry = find(client, id);
+  libdipole_pending *entry = find_pending(client, id);
   if (entry == NULL || entry->dropped) {
     return;
   }
@@ -237,7 +237,7 @@ static bool begin_frame(dipole_client *client, dipole_error *error) {
   wire_header header;
   wire_get_header(stream->in + stream->in_begin, &header);
   stream->in_begin += WIRE_BYTES_header;
-  const libdipole_pending *pending = find(client, header.request_id);
+  const libdipole_pending *pending = find_pending(client, header.request_id);
   if (!check_header(&header, pending, error)) {
     return false;
   }
@@ -329,7 +329,7 @@ static bool send_later(dipole_client *client, libdipole_pending *pending, libdip
 /* Gives a complete frame to its request. A report of progress replaces the one before it. */
 static bool end_frame(dipole_client *client, dipole_error *error) {
   libdipole_frame *frame = client->frame;
-  libdipole_pending *pending = find(client, frame->header.request_id);
+  libdipole_pending *pending = find_pending(client, frame->header.request_id);
   client->frame = NULL;
   if (!is_awaited(pending)) {
     return fail_connection(client, frame, error);
@@ -738,7 +738,7 @@ static bool advance_or_restore(dipole_client *client, dipole_error *error) {
 
 /* Waits until bytes are received or sent, and reads the received frames. After a failure that
  * another connection cannot repair, every later call fails in the same way. */
-static bool step(dipole_client *client, dipole_error *error) {
+static bool move_bytes(dipole_client *client, dipole_error *error) {
   if (!check_usable(client, error)) {
     return false;
   }
@@ -757,7 +757,7 @@ bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
     return false;
   }
   while (client->lost.kind != DIPOLE_ERROR_NONE || client->dropped_count >= DIPOLE_IN_FLIGHT_MAX) {
-    if (!step(client, error)) {
+    if (!move_bytes(client, error)) {
       return false;
     }
   }
@@ -808,7 +808,7 @@ bool libdipole_request_send(dipole_client *client, dipole_error *error) {
     dipole_flush(client);
   }
   while (stream->out_end - stream->out_begin > BACKLOG_MAX_BYTES) {
-    if (!step(client, error)) {
+    if (!move_bytes(client, error)) {
       libdipole_request_drop(client, id);
       return false;
     }
@@ -819,7 +819,7 @@ bool libdipole_request_send(dipole_client *client, dipole_error *error) {
 bool libdipole_request_wait(dipole_client *client, uint64_t id, const libdipole_reader *reader,
                             libdipole_pending *pending, dipole_error *error) {
   for (;;) {
-    libdipole_pending *entry = id != 0 ? find(client, id) : find_arrived(client);
+    libdipole_pending *entry = id != 0 ? find_pending(client, id) : find_arrived(client);
     if (entry != NULL && entry->frame != NULL) {
       hand_out(client, entry, pending);
       return true;
@@ -834,7 +834,7 @@ bool libdipole_request_wait(dipole_client *client, uint64_t id, const libdipole_
                             id != 0 ? "no query with this id is outstanding"
                                     : "no query is outstanding");
     }
-    if (!step(client, error)) {
+    if (!move_bytes(client, error)) {
       return false;
     }
   }
@@ -854,8 +854,8 @@ libdipole_frame *libdipole_reply(dipole_client *client, libdipole_pending *pendi
   return pending->frame;
 }
 
-libdipole_frame *libdipole_ask(dipole_client *client, libdipole_pending *pending,
-                               const uint8_t *payload, size_t payload_bytes, dipole_error *error) {
+libdipole_frame *libdipole_call(dipole_client *client, libdipole_pending *pending,
+                                const uint8_t *payload, size_t payload_bytes, dipole_error *error) {
   uint8_t *at;
   if (!libdipole_request_begin(client, pending, payload_bytes, &at, error)) {
     return NULL;

@@ -28,12 +28,13 @@ typedef struct libdipole_retry {
 
 struct dipole_client {
   libdipole_stream stream;
-  pid_t process; /* the one that opened the client; a forked one may only close it */
-  pid_t daemon;  /* a private daemon, or 0 */
+  /* the process that opened the client; in a forked process the client can only be closed */
+  pid_t process;
+  pid_t daemon; /* a private daemon, or 0 */
   unsigned connect_timeout_ms, timeout_ms, call_timeout_ms, in_flight_max;
-  int64_t until_ms;    /* when the running call has to end; 0 means never */
-  unsigned waited_ms;  /* how long earlier calls, whose time ended, saw no byte of the daemon */
-  dipole_error lost;   /* why there is no connection; kind NONE if there is one */
+  int64_t until_ms;   /* end of the running call's time, in ms of libdipole_now_ms(); 0: no limit */
+  unsigned waited_ms; /* ms for which earlier calls that ran out of time received no byte */
+  dipole_error lost;  /* why there is no connection; kind NONE if there is one */
   dipole_error broken; /* why the client can never connect again; kind NONE if it can */
   bool torn;           /* true while bytes move, a request is made, or a caller's function runs */
   libdipole_addresses addresses;
@@ -83,8 +84,8 @@ libdipole_frame *libdipole_reply(dipole_client *client, libdipole_pending *pendi
                                  dipole_error *error);
 
 /* Sends a request with this payload and waits for its reply like libdipole_reply(). */
-libdipole_frame *libdipole_ask(dipole_client *client, libdipole_pending *pending,
-                               const uint8_t *payload, size_t payload_bytes, dipole_error *error);
+libdipole_frame *libdipole_call(dipole_client *client, libdipole_pending *pending,
+                                const uint8_t *payload, size_t payload_bytes, dipole_error *error);
 
 /* Lets a request that has been sent never be sent again. */
 void libdipole_request_once(dipole_client *client, uint64_t id);

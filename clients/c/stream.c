@@ -48,7 +48,7 @@ static bool fail_lost(const libdipole_stream *stream, int number, dipole_error *
   return libdipole_fail_errno(error, DIPOLE_ERROR_CONNECTION, number, what);
 }
 
-/* The only two places where bytes go through the socket. */
+/* These two functions alone move bytes through the socket. */
 static ssize_t send_some(libdipole_stream *stream, const uint8_t *from, size_t bytes) {
   return stream->tls != NULL ? libdipole_tls_write(stream->tls, from, bytes)
                              : send(stream->fd, from, bytes, MSG_NOSIGNAL);
@@ -68,7 +68,8 @@ bool libdipole_stream_wait(const libdipole_stream *stream, short events, unsigne
   return libdipole_wait(stream->fd, events, timeout_ms, ready);
 }
 
-/* Reading failed: the connection is lost, or the daemon refuses the client's certificate. */
+/* Fails after reading failed: the connection is lost, or the daemon has refused the client's
+ * certificate. */
 static bool fail_received(const libdipole_stream *stream, dipole_error *error) {
   const int number = errno;
   const char *refusal =

@@ -10,12 +10,12 @@ enum { LIBDIPOLE_INPUT_BYTES = 65536 };
 /* Received bytes go to `target` while target_bytes > 0, and else to the buffer `in`, of which bytes
  * in_begin to in_end - 1 are in use. The caller empties the buffer before it sets a target. */
 typedef struct libdipole_stream {
-  int fd;             /* -1 if there is no connection */
+  int fd;             /* the socket; -1: no connection */
   libdipole_tls *tls; /* NULL: the bytes are plain */
   char address[128];  /* of the peer, for messages; "" if it is not known */
-  int send_errno;     /* why sending failed, or 0; reported after all received bytes are read */
-  bool heard;         /* whether a byte has come */
-  bool silent;        /* whether the last step ended because timeout_ms was over */
+  int send_errno;     /* errno of a failed send, or 0; reported after all received bytes are read */
+  bool heard;         /* whether any byte has been received */
+  bool silent;        /* whether the last step ended by timeout_ms */
   uint8_t *out;       /* bytes out_begin to out_end - 1 are still to be sent */
   size_t out_begin, out_end, out_capacity;
   uint8_t *target;

@@ -10,9 +10,9 @@
 struct dipole_surface {
   wire_table_reply fixed;
   core_parameters parameters;
-  core_varying f64, f32; /* prepared with the frame's words */
+  core_varying f64, f32; /* prepared models with these words */
   size_t frame_bytes;
-  _Alignas(8) uint8_t frame[]; /* header and payload */
+  _Alignas(8) uint8_t frame[]; /* the frame of the reply: header and payload */
 };
 
 /* The most words of a surface: a frame of the largest size holds no more. */
@@ -84,7 +84,7 @@ static bool is_same(double a, double b) {
   return a == b || (isnan(a) && isnan(b));
 }
 
-/* Returns whether a surface is that of this model, moments, g, eta and parameters. */
+/* Returns whether the surface is for this model, moments, g, eta and parameters. */
 static bool is_of(const dipole_surface *surface, unsigned model, unsigned moments, double g,
                   double eta, const core_parameters *parameters) {
   const wire_table_reply *own = &surface->fixed;

@@ -18,7 +18,7 @@ struct dipole_table {
   float radius_most_mm;
   dipole_parameter parameters[CORE_PARAMETERS_END];
   size_t frame_bytes;
-  _Alignas(8) uint8_t frame[]; /* header and payload */
+  _Alignas(8) uint8_t frame[]; /* the frame of the reply: header and payload */
 };
 
 /* ---- from bytes ---------------------------------------------------------------------------- */

@@ -21,7 +21,7 @@ static double largest(double a, double b) {
   return isnan(a) || isnan(b) ? (double)NAN : fmax(a, b);
 }
 
-static bool merge(const libdipole_pending *pending, const void *part, void *whole) {
+static bool merge_part(const libdipole_pending *pending, const void *part, void *whole) {
   const wire_varying_reply *fixed = part;
   wire_varying_reply *all = whole;
   if (all != NULL) {
@@ -35,7 +35,7 @@ static bool merge(const libdipole_pending *pending, const void *part, void *whol
 }
 
 static const libdipole_kind kind = {
-    .repeatable = true, .reply = &schema_varying_reply, .merge = merge};
+    .repeatable = true, .reply = &schema_varying_reply, .merge = merge_part};
 
 /* ---- requests ------------------------------------------------------------------------------ */
 
@@ -105,7 +105,7 @@ enum { PARTS = 7 };
   }
 
 /* Makes a result of a frame that holds a whole reply. */
-static bool take(libdipole_frame *frame, dipole_varying_result **result) {
+static bool make_result(libdipole_frame *frame, dipole_varying_result **result) {
   const wire_varying_reply *fixed = (const void *)frame->payload;
   frame->varying = (dipole_varying_result){
       .model = fixed->model,
@@ -152,7 +152,7 @@ bool dipole_varying(dipole_client *client, const dipole_varying_query *query,
     return false;
   }
   libdipole_frame *frame = libdipole_reply(client, &pending, error);
-  return frame != NULL && take(frame, result);
+  return frame != NULL && make_result(frame, result);
 }
 
 /* ---- at home ------------------------------------------------------------------------------- */
@@ -177,8 +177,8 @@ static const core_varying *prepared(const dipole_surface *surface, const varying
 }
 
 /* Evaluates all values of a request into the frame of a reply. */
-static void evaluate(const varying_request *request, const core_varying *varying, double *scratch,
-                     libdipole_frame *frame) {
+static void evaluate_at_home(const varying_request *request, const core_varying *varying,
+                             double *scratch, libdipole_frame *frame) {
   varying_part part;
   const uint64_t count = request->fixed.value_count;
   varying_part_start(&part, request, frame->payload, 0, count);
@@ -211,7 +211,7 @@ static libdipole_frame *reply_at_home(const dipole_surface *surface, const uint8
   double *scratch = malloc(VARYING_SCRATCH_ARRAYS * VARYING_SLICE_VALUES * sizeof *scratch);
   libdipole_frame *frame = libdipole_frame_new(&(wire_header){0}, reply_bytes, 0, error);
   if (scratch != NULL && frame != NULL) {
-    evaluate(&request, varying, scratch, frame);
+    evaluate_at_home(&request, varying, scratch, frame);
   } else {
     libdipole_fail_memory(error);
     free(frame);
@@ -238,7 +238,7 @@ bool dipole_varying_at_home(const dipole_surface *surface, const dipole_varying_
   libdipole_payload_put(payload, &schema_varying_request, &layout, &fixed, parts);
   libdipole_frame *frame = reply_at_home(surface, payload, (size_t)layout.payload_bytes, error);
   free(payload);
-  return frame != NULL && take(frame, result);
+  return frame != NULL && make_result(frame, result);
 }
 
 /* ---- results ------------------------------------------------------------------------------- */

@@ -15,7 +15,8 @@ enum {
   CONNECTIONS_MAX = 256,
   RADII_MAX = 1 << 22,
   MEASUREMENTS = 3,
-  BUCKETS_OF_OCTAVE = 64, /* of durations: so a quantile is exact within 1 % */
+  /* buckets of durations for each factor of two: quantiles are exact within 1 % */
+  BUCKETS_OF_OCTAVE = 64,
   BUCKETS = 48 * BUCKETS_OF_OCTAVE
 };
 
@@ -61,7 +62,7 @@ static double quantile_us(const measured *result, double share) {
 typedef struct slot {
   uint64_t id;
   uint64_t sent_ns;
-  uint8_t *values; /* where its reply goes */
+  uint8_t *values; /* the buffer for its reply */
 } slot;
 
 typedef struct worker {
@@ -91,7 +92,7 @@ static bool submit(worker *of) {
 
 /* Takes a reply: its slot moves behind those that are under way. The search starts with the
  * oldest request, whose reply is the likeliest to come. */
-static void take(worker *of, uint64_t id, uint64_t at_ns) {
+static void take_reply(worker *of, uint64_t id, uint64_t at_ns) {
   for (unsigned i = 0; i < of->used; i++) {
     if (of->slots[i].id == id) {
       const slot found = of->slots[i];
@@ -113,12 +114,12 @@ static bool collect(worker *of) {
     return false;
   }
   dipole_result_free(result);
-  take(of, id, cli_now_ns());
+  take_reply(of, id, cli_now_ns());
   atomic_fetch_add_explicit(&of->done, 1, memory_order_relaxed);
   return true;
 }
 
-static void *work(void *argument) {
+static void *run_worker(void *argument) {
   worker *of = argument;
   bool good = true;
   do {
@@ -137,7 +138,7 @@ static void *work(void *argument) {
 
 /* ---- all of them ----------------------------------------------------------------------------- */
 
-/* Returns the size of a radius and of a value. */
+/* Returns the size in bytes of a radius, which is that of a value. */
 static size_t value_bytes(const report *of) {
   return of->query.evaluator == DIPOLE_F64 ? sizeof(double) : sizeof(float);
 }
@@ -168,7 +169,7 @@ static bool open_and_warm_up(const report *of, worker *one, bool first, dipole_e
 }
 
 /* Shows the progress while the workers of a measurement work. */
-static void watch(report *of, worker *workers, const measured *result, uint64_t start_ns) {
+static void watch_workers(report *of, worker *workers, const measured *result, uint64_t start_ns) {
   const struct timespec nap = {.tv_nsec = 50 * 1000000L};
   const double at = (double)(result - of->results), seconds = of->settings->seconds.value;
   uint64_t before = 0;
@@ -194,10 +195,10 @@ static bool run_all(report *of, worker *workers, measured *result, dipole_error 
   bool good = true;
   for (; good && running < result->connections; running += good) {
     workers[running].until_ns = start_ns + (uint64_t)(of->settings->seconds.value * 1e9);
-    good = pthread_create(&workers[running].thread, NULL, work, &workers[running]) == 0;
+    good = pthread_create(&workers[running].thread, NULL, run_worker, &workers[running]) == 0;
   }
   if (good) {
-    watch(of, workers, result, start_ns);
+    watch_workers(of, workers, result, start_ns);
   } else {
     *error = (dipole_error){.kind = DIPOLE_ERROR_MEMORY, .text = "cannot start a thread"};
   }
@@ -391,7 +392,7 @@ static void put_facts(cli_rows *rows, const void *context, size_t index) {
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
-static int run(const cli_settings *settings, dipole_client *client) {
+static int run_bench(const cli_settings *settings, dipole_client *client) {
   report *of = cli_allocate(1, sizeof *of);
   *of = (report){.settings = settings, .client = client};
   int status = cli_profile_take(settings, client, &of->profile);
@@ -439,5 +440,5 @@ const cli_command cli_command_bench = {
                 "  dipole bench --model transport --evaluator lut --seconds 5 --format json\n",
     .shows_service = true,
     .check = check,
-    .run = run,
+    .run = run_bench,
 };

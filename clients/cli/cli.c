@@ -34,7 +34,7 @@ int cli_say(enum cli_status status, const char *format, ...) {
   va_end(arguments);
   fprintf(stderr, "dipole %s: ", running->name);
   for (char *rest = text, *line; (line = strsep(&rest, "\n")) != NULL;) {
-    libdipole_clean_text(line); /* it may quote a file */
+    libdipole_clean_text(line); /* a message may quote a file */
     fprintf(stderr, "%s\n", line);
   }
   free(text);
@@ -64,7 +64,7 @@ cli_terminal cli_terminal_look(void) {
   return terminal;
 }
 
-/* Each block lies behind one of these, which make a ring. */
+/* A header before each block of memory. The headers are a ring, so that all blocks can be freed. */
 typedef struct chain {
   _Alignas(max_align_t) struct chain *next;
   struct chain *before;
@@ -83,8 +83,7 @@ static void *link_block(chain *one) {
   return one + 1;
 }
 
-/* Returns the size of a block with what lies before it; more than there is memory if it is too
- * large. */
+/* Returns the size of a block and its header; SIZE_MAX if it is too large. */
 static size_t size_of(size_t count, size_t size_bytes) {
   size_t bytes;
   return __builtin_mul_overflow(count, size_bytes, &bytes) || bytes > SIZE_MAX / 2

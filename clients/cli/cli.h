@@ -25,10 +25,10 @@ typedef struct cli_number {
   double value;
 } cli_number;
 
-/* A parameter of core/choices.def. */
+/* The value of an option that is a parameter of core/choices.def. */
 typedef struct cli_given {
-  const char *text; /* NULL if the option is not given */
-  double value;     /* of a number; not that of a name */
+  const char *text; /* the value as given; NULL: the option is not given */
+  double value;     /* the value of a parameter that is a number */
 } cli_given;
 
 typedef struct cli_numbers {
@@ -39,33 +39,33 @@ typedef struct cli_numbers {
 typedef struct cli_texts {
   size_t count; /* 0 if the option is not given */
   char **items;
-  const char *whole; /* of names: as they were given, with commas */
+  const char *whole; /* the names as given, separated by commas */
 } cli_texts;
 
 enum cli_option_kind {
-  CLI_HEADING,   /* no option, but a heading for --help */
+  CLI_HEADING,   /* a heading of --help, and no option */
   CLI_SWITCH,    /* bool */
   CLI_TEXT,      /* const char * */
   CLI_FILE,      /* the same */
   CLI_COUNT,     /* cli_count */
-  CLI_COUNT32,   /* the same, up to UINT32_MAX */
+  CLI_COUNT32,   /* cli_count, up to UINT32_MAX */
   CLI_NUMBER,    /* cli_number */
-  CLI_ONE,       /* cli_numbers, but only one of them */
+  CLI_ONE,       /* cli_numbers with one number */
   CLI_NUMBERS,   /* cli_numbers, separated by commas */
-  CLI_NAME,      /* cli_texts, but only one of them */
+  CLI_NAME,      /* cli_texts with one name */
   CLI_NAMES,     /* cli_texts, separated by commas */
   CLI_FILES,     /* cli_texts: each use of the option adds one */
   CLI_PARAMETER, /* cli_given */
 };
 
 typedef struct cli_option {
-  const char *name; /* that of its member of cli_settings; on the command line it has - for _. NULL
-                       ends a list */
+  /* the member of cli_settings, with _ replaced by - on the command line; NULL ends a list */
+  const char *name;
   const char *help; /* of any length; --help breaks it into lines */
   enum cli_option_kind kind;
-  size_t offset;        /* where its value lies in cli_settings */
-  const char *usual;    /* the value if the option is not given, which --help shows; NULL: none */
-  const char *argument; /* what --help calls its value; NULL for the usual name of its kind */
+  size_t offset;        /* offset of its value in cli_settings */
+  const char *usual;    /* the default, which --help shows; NULL: none */
+  const char *argument; /* placeholder for its value in --help; NULL: the usual one of its kind */
 } cli_option;
 
 /* Entries of a list of options. */
@@ -80,12 +80,12 @@ enum cli_form { CLI_NONE, CLI_TABLE, CLI_CSV, CLI_JSON };
 /* What the options of all commands say. A command has options only for the members that it uses. */
 typedef struct cli_settings {
   const char *connect; /* one address or several; NULL for $DIPOLED or else a private daemon */
-  bool is_service;     /* whether it is the installed service, which nobody has named */
+  bool is_service;     /* whether the daemon is the installed service, without being named */
   const char *ca, *certificate, *key; /* files for tls: addresses; NULL if they are not given */
   const char *format;                 /* what --format says; NULL if it is not given */
   enum cli_form form;                 /* what --format means, also if it is not given */
   cli_count timeout_ms, retry_ms, deadline_ms;
-  const char *operand, *second_operand;      /* NULL if they are not there */
+  const char *operand, *second_operand;      /* NULL if they are not given */
   cli_given parameters[CORE_PARAMETERS_END]; /* those that the command takes, by their ids */
   cli_texts medium, channel;
   cli_numbers sigma_a, sigma_s, g, eta;
@@ -115,9 +115,10 @@ enum { CLI_LISTS_MAX = 6 };
 
 typedef struct cli_command {
   const char *name;
-  const char *operand;        /* what --help calls it; NULL if the command takes none */
-  const char *second_operand; /* the same for one that may follow */
-  const char *about;          /* one line */
+  const char *operand; /* name of the operand in --help; NULL if the command takes none */
+  /* name of an optional second operand; NULL if the command takes none */
+  const char *second_operand;
+  const char *about;    /* one line */
   const char *more;     /* paragraphs for --help, with \n between them; NULL if there are none */
   const char *examples; /* example command lines; the text ends with a newline */
   const char *formats;  /* the values of --format, separated by commas; the first is the default */
@@ -128,7 +129,7 @@ typedef struct cli_command {
    * check. Returns an exit status; the command continues if that is CLI_OK. */
   int (*check)(cli_settings *settings);
 
-  /* Without --connect and $DIPOLED, the command is about the installed service if that is there. */
+  /* Without --connect and $DIPOLED, the command uses the installed service if it runs. */
   bool shows_service;
 
   /* Returns whether the command needs no daemon. NULL if it always needs one. */

@@ -1,4 +1,4 @@
-/* What may stand next in a command line, for the shells. */
+/* Lists completions of a command line for shells. */
 
 #include <stdlib.h>
 #include <string.h>
@@ -7,7 +7,8 @@
 #include "clients/cli/options.h"
 #include "clients/cli/profile.h"
 
-/* Writes a candidate if it begins with what is there: `before`, which is kept, and `start`. */
+/* Prints a candidate if it begins with `start`. before: text in front of `start` in the same word,
+ * which is kept. */
 static void offer(const char *before, const char *start, const char *name, const char *about) {
   if (strncmp(name, start, strlen(start)) == 0) {
     printf("%s%s%s%.*s\n", before, name, about[0] != '\0' ? "\t" : "", (int)strcspn(about, ";."),
@@ -41,7 +42,7 @@ static void offer_list(const char *before, const char *start, const char *list) 
   }
 }
 
-/* Offers values of an option. before: what stands before the value on its word */
+/* Lists values of an option. before: what precedes the value in its word. */
 static void offer_values(const cli_command *command, const cli_option *option, const char *before,
                          const char *start) {
   const char *comma = strrchr(start, ',');
@@ -73,7 +74,7 @@ static void offer_values(const cli_command *command, const cli_option *option, c
   free(info);
 }
 
-/* Offers what may stand in the place of `last` behind `previous`, the word before it. */
+/* Lists what may replace `last`, the last word. previous: the word before it. */
 static void offer_words(const cli_command *command, const char *previous, const char *last) {
   const cli_option *option;
   char name[64];

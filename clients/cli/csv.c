@@ -15,7 +15,7 @@
 
 /* ---- bytes ----------------------------------------------------------------------------------- */
 
-static bool fill(cli_csv_reader *reader) {
+static bool read_bytes(cli_csv_reader *reader) {
   struct pollfd wait = {.fd = reader->fd, .events = POLLIN};
   ssize_t got;
   if (reader->before_wait != NULL && poll(&wait, 1, 0) == 0) {
@@ -32,15 +32,15 @@ static bool fill(cli_csv_reader *reader) {
   return got > 0;
 }
 
-/* Returns the next byte without taking it; -1 at the end of the input. */
+/* Returns the next byte without consuming it, or -1 at the end of the input. */
 static int peek(cli_csv_reader *reader) {
-  if (reader->begin == reader->end && (reader->at_end || !fill(reader))) {
+  if (reader->begin == reader->end && (reader->at_end || !read_bytes(reader))) {
     return -1;
   }
   return reader->input[reader->begin];
 }
 
-static void keep(cli_csv_record *record, const void *bytes, size_t count) {
+static void keep_bytes(cli_csv_record *record, const void *bytes, size_t count) {
   if (count > record->capacity - record->length) {
     record->capacity = 2 * (record->capacity + count) + 128;
     record->bytes = cli_resize(record->bytes, record->capacity, 1);
@@ -52,7 +52,7 @@ static void keep(cli_csv_record *record, const void *bytes, size_t count) {
 
 /* ---- cells ----------------------------------------------------------------------------------- */
 
-/* separator: 0 stands for all of them. */
+/* Returns whether a byte separates cells. separator 0: any of comma, semicolon and tab. */
 static bool is_separator(int byte, char separator) {
   return separator != 0 ? byte == separator : byte == ',' || byte == ';' || byte == '\t';
 }
@@ -70,7 +70,8 @@ static void add_cell(cli_csv_record *record, cli_csv_cell cell) {
   record->cells[record->cell_count++] = cell;
 }
 
-/* Copies the text of a quoted cell; *at is behind its first quote, and then behind its last. */
+/* Copies the text of a quoted cell. *at: the position after its first quote; set to that after its
+ * last quote. */
 static void copy_quoted(cli_csv_record *record, cli_csv_cell *cell, size_t *at, size_t end) {
   for (; *at < end; (*at)++) {
     if (record->bytes[*at] == '"' && (++*at == end || record->bytes[*at] != '"')) {
@@ -213,7 +214,7 @@ bool cli_csv_fail_missing(const char *source, const cli_csv_record *header, cons
 
 enum state { CELL_START, IN_CELL, IN_QUOTES, QUOTE_IN_QUOTES, IN_COMMENT };
 
-/* Returns the state after a byte that ends no line outside of quotes. */
+/* Returns the state after a byte. The byte does not end a line outside of quotes. */
 static enum state next_state(enum state state, int byte, char separator) {
   if (state == IN_QUOTES || state == IN_COMMENT) {
     return state == IN_QUOTES && byte == '"' ? QUOTE_IN_QUOTES : state;
@@ -224,8 +225,8 @@ static enum state next_state(enum state state, int byte, char separator) {
   return byte == '"' && state != IN_CELL ? IN_QUOTES : IN_CELL;
 }
 
-/* Takes further bytes of a cell that began without a quote, or of a comment: those that have been
- * read and end neither. */
+/* Reads on through bytes that are already buffered, in a comment or in a cell that does not begin
+ * with a quote, until one may end it. */
 static void take_run(cli_csv_reader *reader, cli_csv_record *record, bool comment) {
   const unsigned char *from = reader->input + reader->begin;
   size_t most = reader->end - reader->begin;
@@ -237,7 +238,7 @@ static void take_run(cli_csv_reader *reader, cli_csv_record *record, bool commen
          (comment || !is_separator(from[count], reader->separator))) {
     count++;
   }
-  keep(record, from, count);
+  keep_bytes(record, from, count);
   reader->begin += count;
 }
 
@@ -245,7 +246,7 @@ static void take_run(cli_csv_reader *reader, cli_csv_record *record, bool commen
  * does so at once: a program may wait for a reply before it continues. */
 static bool take_byte(cli_csv_reader *reader, cli_csv_record *record, bool quoted) {
   const unsigned char byte = reader->input[reader->begin++];
-  keep(record, &byte, 1);
+  keep_bytes(record, &byte, 1);
   if (byte == '\r' && !quoted && !reader->lone_return) {
     reader->lone_return = peek(reader) != '\n';
   }
@@ -282,7 +283,7 @@ static enum cli_csv_kind read_line(cli_csv_reader *reader, cli_csv_record *recor
   const bool marked = record->line == 1 && reader->end - reader->begin >= strlen(UTF8_MARK) &&
                       memcmp(reader->input + reader->begin, UTF8_MARK, strlen(UTF8_MARK)) == 0;
   if (marked) {
-    keep(record, UTF8_MARK, strlen(UTF8_MARK));
+    keep_bytes(record, UTF8_MARK, strlen(UTF8_MARK));
     reader->begin += strlen(UTF8_MARK);
     byte = peek(reader);
   }
@@ -314,7 +315,7 @@ static enum cli_csv_kind read_line(cli_csv_reader *reader, cli_csv_record *recor
   if (record->length == 0) {
     return CLI_CSV_END;
   }
-  keep(record, "", 1); /* room for the zero byte of the last text */
+  keep_bytes(record, "", 1); /* room for the zero byte of the last text */
   const char *end = record->bytes + --record->length;
   record->ending_bytes = (size_t)ends + (record->length > 1 && end[-1] == '\n' && end[-2] == '\r');
   return comment || is_empty(record) || (record->line == 1 && names_separator(record))
@@ -322,8 +323,7 @@ static enum cli_csv_kind read_line(cli_csv_reader *reader, cli_csv_record *recor
              : CLI_CSV_RECORD;
 }
 
-/* Returns what separates the columns of a header; 0 if that could be commas or semicolons. Splits
- * the header. */
+/* Splits the header. Returns its separator; 0 if it could be comma or semicolon. */
 static char split_header(cli_csv_record *header) {
   bool commas = false, semicolons = false;
   split(header, 0);
@@ -377,14 +377,14 @@ static bool is_header(cli_csv_record *comment, cli_csv_record *first) {
   return false;
 }
 
-/* Makes the cells of a line below the header. */
+/* Splits a line after the header into cells. Returns what kind of line it is. */
 static enum cli_csv_kind take_line(const cli_csv_reader *reader, cli_csv_record *record) {
   split(record, reader->separator);
   const bool is_comment = record->bytes[record->begin] == '#' && record->cell_count == 1;
   return is_comment && reader->header_cells > 1 ? CLI_CSV_COMMENT : CLI_CSV_RECORD;
 }
 
-/* Reads the comments above the first record, and that, and finds the header among them. */
+/* Reads the comments before the first record, and that record, and finds the header among them. */
 static void read_ahead(cli_csv_reader *reader) {
   struct cli_csv_held *last;
   do {
@@ -473,7 +473,8 @@ static bool fail_line(const cli_sheet *sheet, uint64_t line, const char *what) {
   return false;
 }
 
-/* Reads the number of a cell: NAN if it is empty or absent. */
+/* Reads a cell as a number: NAN if it is empty or absent. Reports an error and returns false if it
+ * is neither. */
 static bool take_number(const cli_sheet *sheet, const cli_csv_record *record, const char *name,
                         size_t at, double *number) {
   size_t length;
@@ -496,7 +497,8 @@ static void make_room(cli_sheet *sheet) {
   }
 }
 
-/* names: [columns + 1], the last one of the labels or NULL */
+/* Adds a row to the sheet. names: [columns + 1] of the columns; the last one is the column of
+ * labels, or NULL. */
 static bool take_row(cli_sheet *sheet, const cli_csv_record *record, const char *const *names,
                      size_t header_cells) {
   const char *fault = cli_csv_fault(record, header_cells);

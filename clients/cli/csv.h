@@ -16,33 +16,33 @@
 
 #include "clients/cli/cli.h"
 
-/* What --help says about it. */
+/* The description of CSV input in --help. */
 #define CLI_CSV_TEXT                                                                               \
   " CSV has a header, and commas, semicolons or tabs between its cells. Lines that start with # "  \
   "are "                                                                                           \
   "comments, but below the header only those with one cell."
 
-/* The size of the longest record, with the line breaks in its quotes. */
+/* Largest size of a record, including line breaks within quotes. */
 #define CLI_CSV_RECORD_MAX_BYTES ((size_t)1 << 20)
 
 enum { CLI_CSV_INPUT_BYTES = 65536 };
 
 typedef struct cli_csv_cell {
-  size_t begin, end;  /* where the cell lies in the record's bytes, with its quotes and blanks */
-  size_t text_length; /* of the cell without these */
+  size_t begin, end;  /* position of the cell in the record's bytes, with its quotes and blanks */
+  size_t text_length; /* length of its text without quotes and blanks */
 } cli_csv_cell;
 
 typedef struct cli_csv_record {
   char *bytes; /* the record as it was read, with the line's end */
-  char *texts; /* the texts of the cells, see cli_csv_cell_text() */
+  char *texts; /* texts of the cells: see cli_csv_cell_text() */
   size_t length, capacity;
   size_t begin;        /* where the first cell begins */
-  size_t ending_bytes; /* how many bytes the line's end has: 0, 1 or 2 */
+  size_t ending_bytes; /* size of the line's end: 0, 1 or 2 */
   uint64_t line;       /* number of its first line, from 1 on */
   cli_csv_cell *cells;
   size_t cell_count, cell_capacity;
-  bool malformed; /* text stands after a closing quote */
-  char separator; /* of its cells */
+  bool malformed; /* whether text follows a closing quote */
+  char separator; /* separator of its cells */
 } cli_csv_record;
 
 enum cli_csv_kind {
@@ -67,7 +67,7 @@ typedef struct cli_csv_reader {
   struct cli_csv_held {
     cli_csv_record record;
     enum cli_csv_kind kind;
-  } * held; /* what was read ahead for the header's sake */
+  } * held; /* records that were read ahead to find the header */
   size_t held_count, held_next;
   bool at_end;
   int read_errno;
@@ -90,7 +90,7 @@ const char *cli_csv_cell_text(const cli_csv_record *record, size_t index, size_t
 /* Reads a cell as a number. 05 is none, since 0,05 in two cells is meant as 0.05. */
 bool cli_csv_number(const cli_csv_record *record, size_t index, double *value);
 
-/* Says what may help if a text is no number: starts with ": ", or is "". */
+/* Returns a hint if a text is no number: it begins with ": ", or is "". */
 const char *cli_csv_number_hint(const char *text);
 
 /* Finds the columns with these names in the header of `source`, a file's name: at[i] is the

@@ -7,7 +7,7 @@
 
 #include "clients/cli/options.h"
 
-/* A daemon that runs replies within this time. */
+/* The time within which a running daemon replies. */
 #define AT_ONCE_MS 1000
 
 void cli_connection_options(const cli_settings *settings, dipole_options *options) {

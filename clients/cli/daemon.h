@@ -38,7 +38,8 @@ bool cli_try_again(const cli_settings *settings, int64_t start_ms, const dipole_
 /* Says what a call failed with and, if its field has one, by which option that is given: for
  * example "bad-value: radius_stop: allowed: 0 to 1e6 (--to)". Returns CLI_FAILED. */
 int cli_fail_error(const dipole_error *error);
-int cli_fail_error_of(const char *what, const dipole_error *error); /* puts "WHAT: " first */
+/* like cli_fail_error(), with "WHAT: " in front */
+int cli_fail_error_of(const char *what, const dipole_error *error);
 
 /* ---- names ----------------------------------------------------------------------------------- */
 

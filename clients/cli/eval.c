@@ -105,7 +105,8 @@ static void keep_part(cli_eval_report *report, size_t model, size_t first,
       if (id == DIPOLE_ALBEDO) {
         continue;
       }
-      if (values->arrays[q] == NULL) { /* now that the daemon has agreed to this many places */
+      /* allocated now, because the daemon accepts this many places */
+      if (values->arrays[q] == NULL) {
         values->arrays[q] = cli_allocate(report->place_count, sizeof(double));
       }
       for (size_t k = 0; k < part->radius_count; k++) {
@@ -129,7 +130,7 @@ static bool choose_model(const char *name, cli_eval_report *report) {
 static bool choose_models(const cli_settings *settings, cli_eval_report *report) {
   const cli_texts *names = &settings->model;
   if (names->count == 0 && settings->parameters[CORE_PARAMETER_TOLERANCE].text != NULL) {
-    cli_eval_add_model(report, NULL, true); /* the daemon chooses */
+    cli_eval_add_model(report, NULL, true); /* NULL: the daemon chooses the model */
     return true;
   }
   for (size_t i = 0; i < names->count; i++) {
@@ -206,8 +207,8 @@ typedef struct requests {
   const cli_settings *settings;
   dipole_client *client;
   cli_eval_report *report;
-  unsigned bad_value; /* the daemon's status for a value that it, or the model, does not take */
-  size_t model;       /* position of the model that is requested */
+  unsigned bad_value; /* id of the status bad-value */
+  size_t model;       /* index of the model that is requested */
   size_t done, total; /* models */
   dipole_query query;
   cli_progress progress;
@@ -346,7 +347,7 @@ static int request_all(requests *run) {
   return status == CLI_OK ? report_left_out(out, out_count, run->model == 0) : status;
 }
 
-int cli_eval_ask(const cli_settings *settings, dipole_client *client, cli_eval_report *report) {
+int cli_eval_request(const cli_settings *settings, dipole_client *client, cli_eval_report *report) {
   const int status = cli_profile_take(settings, client, &report->profile);
   if (status != CLI_OK) {
     return status;
@@ -365,7 +366,7 @@ int cli_eval_ask(const cli_settings *settings, dipole_client *client, cli_eval_r
             ? report->profile.evaluator
             : cli_choice(info, DIPOLE_EVALUATOR, cli_usual_evaluator(settings, name));
   }
-  report->profile.evaluator = NULL; /* each row has its own */
+  report->profile.evaluator = NULL; /* the table's own evaluator is in each row */
   cli_eval_make_values(report);
   requests run = {.settings = settings,
                   .client = client,
@@ -378,7 +379,7 @@ int cli_eval_ask(const cli_settings *settings, dipole_client *client, cli_eval_r
 
 /* ---- errors ---------------------------------------------------------------------------------- */
 
-/* Returns the unit of the places. */
+/* Returns the unit of the places: mm, 1/mm or 1. */
 static const char *unit_of_places(const cli_eval_report *report) {
   return report->place[0] == 'r' ? "mm" : report->place[0] == 'f' ? "1/mm" : "1";
 }
@@ -396,8 +397,8 @@ static double radius_at(const cli_eval_report *report, const cli_eval_values *va
   return q < report->quantities.count ? values->arrays[q][at] : (double)NAN;
 }
 
-/* Finds the least and the greatest finite place, and whether the rows state a model error at r = 0
- * for a quantity that diverges there. */
+/* Finds the smallest and largest finite place. Sets `diverges` if rows at r = 0 state a model error
+ * of a quantity that diverges there. */
 static void survey(cli_eval_report *report) {
   const unsigned diverging = DIPOLE_R | DIPOLE_S | DIPOLE_SLOPE | DIPOLE_LN_R;
   bool compared = false, any = false;
@@ -418,7 +419,7 @@ static void survey(cli_eval_report *report) {
 
 /* ---- rows ------------------------------------------------------------------------------------ */
 
-/* Puts the errors of a quantity, or of all if `of` is "", at r_mm. */
+/* Writes the errors of a quantity, or of all if `of` is "", at r_mm. */
 static void put_errors_of(cli_rows *rows, const cli_eval_report *report,
                           const dipole_errors *errors, double r_mm, unsigned forms,
                           const char *of) {
@@ -432,7 +433,7 @@ static void put_errors_of(cli_rows *rows, const cli_eval_report *report,
                  .forms = forms);
 }
 
-/* Puts the errors of a model and channel; in a table those of all radii, else those at r_mm. Those
+/* Writes the errors of a model and channel; in a table those of all radii, else those at r_mm. Those
  * of each quantity follow if several have values at places, and stand alone in a table. */
 static void put_errors(cli_rows *rows, const cli_eval_report *report, const cli_eval_values *values,
                        double r_mm) {
@@ -447,7 +448,7 @@ static void put_errors(cli_rows *rows, const cli_eval_report *report, const cli_
   }
 }
 
-/* Puts what all reports of values begin with. */
+/* Writes the facts with which every report of values begins. */
 static void put_facts(cli_rows *rows, const void *context, size_t index) {
   const cli_eval_report *report = context;
   (void)index;
@@ -463,12 +464,13 @@ static void put_facts(cli_rows *rows, const void *context, size_t index) {
   }
 }
 
-/* Without places, when only the albedo was wanted, there is one row for each model and channel. */
+/* Returns the number of rows of a model and channel: one for each place, or one if only the albedo
+ * is wanted. */
 static size_t rows_of_channel(const cli_eval_report *report) {
   return report->place_count > 0 ? report->place_count : 1;
 }
 
-/* Puts the values of a model and channel at a place; in a table, what holds for all places. */
+/* Writes the values of a model and channel at a place; in a table, what holds for all places. */
 static void put_value(cli_rows *rows, const void *context, size_t index) {
   const cli_eval_report *report = context;
   const bool each = rows->form != CLI_TABLE;
@@ -501,7 +503,7 @@ static void put_value(cli_rows *rows, const void *context, size_t index) {
 
 /* ---- for people ------------------------------------------------------------------------------ */
 
-/* A run of models that are written side by side in one table. */
+/* Models that are in adjacent columns of one table. */
 typedef struct block {
   const cli_eval_report *report;
   size_t first, count; /* of models */
@@ -509,7 +511,7 @@ typedef struct block {
 
 enum { BLOCK_COLUMNS = 12 };
 
-/* Takes as many models from `first` on as make a table that people can read. */
+/* Returns the models from `first` on that fit into a readable table. */
 static block block_from(const cli_eval_report *report, size_t first) {
   const size_t columns = report->quantities.count * report->profile.channel_count;
   const size_t count = columns < BLOCK_COLUMNS ? BLOCK_COLUMNS / columns : 1;
@@ -517,12 +519,12 @@ static block block_from(const cli_eval_report *report, size_t first) {
   return (block){report, first, left < count ? left : count};
 }
 
-/* Puts a place, and the values of all quantities, models and channels there. */
+/* Writes a place, and the values of all quantities, models and channels there. */
 static void put_place(cli_rows *rows, const void *context, size_t index) {
   const block *of = context;
   const cli_eval_report *report = of->report;
   const size_t channels = report->profile.channel_count;
-  /* A share of 1, a radius and a logarithm are read best plainly; all else spans magnitudes. */
+  /* Shares of 1, radii and logarithms are written without exponent; other values may have one. */
   const unsigned plain =
       DIPOLE_RADIUS | DIPOLE_CDF | DIPOLE_LN_R | DIPOLE_BY_SIGMA_A | DIPOLE_BY_SIGMA_S;
   cli_put_number(rows, report->places[index], report->place, .unit = unit_of_places(report));
@@ -629,11 +631,11 @@ static int write_and_draw(const cli_settings *settings, const cli_eval_report *r
   return settings->plot.count > 0 ? cli_plot_R(report, &settings->plot) : CLI_OK;
 }
 
-static int run(const cli_settings *settings, dipole_client *client) {
+static int run_eval(const cli_settings *settings, dipole_client *client) {
   cli_eval_report report = {0};
   dipole_info *info = NULL;
   int status = is_local(settings) ? cli_eval_table(settings, &report, &info)
-                                  : cli_eval_ask(settings, client, &report);
+                                  : cli_eval_request(settings, client, &report);
   if (status == CLI_OK) {
     status = write_and_draw(settings, &report);
   }
@@ -669,7 +671,7 @@ const cli_command cli_command_eval = {
                 "  dipole eval --medium skin1 --model all --plot all.svg\n",
     .check = cli_eval_check,
     .is_local = is_local,
-    .run = run,
+    .run = run_eval,
 };
 
 /* ---- dipole sample: radii in proportion to the light that leaves there ----------------------- */
@@ -751,7 +753,7 @@ static dipole_sample_query make_sample_query(const cli_settings *settings,
   };
 }
 
-/* Random numbers are requested in pieces, which shows how far the work is. */
+/* Random numbers are requested in pieces of this size, to show progress. */
 enum { PIECE_SAMPLES = 1 << 16 };
 
 static bool ask_pieces(const cli_settings *settings, dipole_client *client,

@@ -11,8 +11,8 @@
  * equal. */
 typedef struct cli_eval_values {
   double albedo;                             /* NaN if it is not wanted */
-  dipole_errors errors;                      /* the largest of all quantities */
-  dipole_errors of_each[CLI_QUANTITIES_MAX]; /* of each of the report's quantities */
+  dipole_errors errors;                      /* the largest errors of all quantities */
+  dipole_errors of_each[CLI_QUANTITIES_MAX]; /* the errors of each of the report's quantities */
   double *arrays[CLI_QUANTITIES_MAX]; /* [place_count] for each of the report's quantities; NULL for
                                          the albedo */
 } cli_eval_values;
@@ -20,33 +20,34 @@ typedef struct cli_eval_values {
 typedef struct cli_eval_model {
   const dipole_choice *choice; /* NULL until the daemon has chosen it */
   const dipole_choice *evaluator;
-  bool named; /* on the command line, and not only as one of all: its refusal is a failure */
+  bool named; /* named on the command line, not only by `all`: its refusal is a failure */
   bool
-      is_reference; /* of the others: it is requested without the parameters that it does not take */
-  unsigned notes;   /* ids of the daemon's notes */
+      /* only a reference for the others: requested without parameters that it does not take */
+      is_reference;
+  unsigned notes; /* mask of the daemon's notes */
 } cli_eval_model;
 
 typedef struct cli_eval_report {
-  cli_profile profile; /* each model takes what it can of the parameters */
+  cli_profile profile; /* `parameters` are for all models; each gets those that it takes */
   cli_quantities quantities;
   size_t model_count; /* how many models replied */
   cli_eval_model *models;
-  bool chosen;               /* the daemon has chosen the model */
+  bool chosen;               /* whether the daemon chose the model */
   const char *place;         /* where values are: "r", "f" or, of drawn radii, "u" */
   size_t place_count;        /* 0 if there is only the albedo */
   double *places;            /* [place_count] as the daemon used them: mm, 1/mm or a number */
-  double least, most;        /* of the finite places, while the report is written */
-  bool diverges;             /* transport does at r = 0, which the model errors leave out */
+  double least, most;        /* range of the finite places, set while the report is written */
+  bool diverges;             /* a quantity diverges at r = 0, which model errors exclude */
   cli_eval_values *values;   /* [model_count * channel_count], model by model */
-  const dipole_choice *draw; /* of drawn radii; else NULL */
-  uint64_t seed, first;      /* of drawn radii */
+  const dipole_choice *draw; /* rule of drawn radii; else NULL */
+  uint64_t seed, first;      /* of drawn radii: seed and position of the first number */
 } cli_eval_report;
 
 /* Adds a model, or notes that it is named if it is there already. Returns what the report has of
  * it, until the next call. */
 cli_eval_model *cli_eval_add_model(cli_eval_report *report, const dipole_choice *model, bool named);
 
-/* Makes room for the values of all models and channels, which have no arrays yet. */
+/* Allocates the values of all models and channels. Their arrays are NULL. */
 void cli_eval_make_values(cli_eval_report *report);
 
 /* ---- requests ---------------------------------------------------------------------------------- */
@@ -64,7 +65,7 @@ int cli_eval_check(cli_settings *settings);
 
 /* Fills a zeroed report by requests to a daemon. Of all models, those are left out that refuse the
  * query, with a line each on standard error. Says what is wrong and returns an exit status. */
-int cli_eval_ask(const cli_settings *settings, dipole_client *client, cli_eval_report *report);
+int cli_eval_request(const cli_settings *settings, dipole_client *client, cli_eval_report *report);
 
 /* Fills a zeroed report from the file of tables, without a daemon. */
 int cli_eval_table(const cli_settings *settings, cli_eval_report *report, dipole_info **info);

@@ -180,7 +180,7 @@ static bool list_samples(const cli_sheet *sheet, report *of, size_t *numbers) {
   return good;
 }
 
-/* Puts the readings into their arrays, sample by sample. */
+/* Writes the readings into their arrays, sample by sample. */
 static void arrange(const cli_sheet *sheet, const size_t *numbers, report *of) {
   const struct {
     double **to;
@@ -309,7 +309,7 @@ static dipole_fit_query query_of(const report *of, const fit_sample *one,
   return query;
 }
 
-static void take(report *of, const batch *some, const dipole_fits *fits) {
+static void take_fits(report *of, const batch *some, const dipole_fits *fits) {
   const fit_sample *first = &of->samples[some->first];
   memcpy(of->fitted + some->first, fits->sets, some->count * sizeof *of->fitted);
   memcpy(of->residuals + first->first, fits->residuals,
@@ -394,7 +394,7 @@ static bool ask_some(dipole_client *client, report *of, const batch *some, dipol
   bool good = CLI_RETRY(of->settings, error, dipole_fit(client, &query, &fits, error));
   if (good) {
     const unsigned notes = fits->notes;
-    take(of, some, fits);
+    take_fits(of, some, fits);
     dipole_fits_free(fits);
     good = ask_side(client, of, some, query, notes, G_BELOW, error) &&
            ask_side(client, of, some, query, notes, G_ABOVE, error);
@@ -555,7 +555,7 @@ static bool spans_decades(const report *of) {
 }
 
 /* Draws readings and what was fitted to them, and below them the residuals. */
-static int draw(const report *of) {
+static int draw_fit(const report *of) {
   const size_t drawn = of->sample_count < DRAWN_MAX ? of->sample_count : DRAWN_MAX;
   cli_picture picture = {.x_label =
                              of->frequency ? "spatial frequency f (1/mm)" : "distance r (mm)",
@@ -607,7 +607,7 @@ static void refuse_all(report *of) {
   }
 }
 
-static int run(const cli_settings *settings, dipole_client *client) {
+static int run_fit(const cli_settings *settings, dipole_client *client) {
   report of = {.settings = settings};
   dipole_error error;
   int status = read_samples(&of);
@@ -626,7 +626,7 @@ static int run(const cli_settings *settings, dipole_client *client) {
                              .left = 1,
                              .foot = write_foot};
   cli_write(&output, settings->form, &of);
-  status = settings->plot.count > 0 ? draw(&of) : CLI_OK;
+  status = settings->plot.count > 0 ? draw_fit(&of) : CLI_OK;
   const int judged = judge(&of);
   return status != CLI_OK ? status : judged;
 }
@@ -663,7 +663,7 @@ const cli_command cli_command_fit = {
     .options = {options},
     .parameters = CLI_OF_INVERTED | CLI_PARAMETER_BIT(DETECTOR_NA),
     .check = check,
-    .run = run,
+    .run = run_fit,
     .examples =
         "  dipole fit readings.csv --eta 1.4\n"
         "  dipole fit readings.csv --model better --eta 1.4 --scale free --format csv > found.csv\n"

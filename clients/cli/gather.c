@@ -68,7 +68,7 @@ static bool has_powers(const cli_sheet *sheet, const cli_csv_record *header) {
 }
 
 /* Reads the number of a row. If there is none, says so and returns false. */
-static bool take(const cli_sheet *sheet, size_t row, size_t column, double *number) {
+static bool read_number(const cli_sheet *sheet, size_t row, size_t column, double *number) {
   *number = cli_sheet_number(sheet, row, column);
   if (isnan(*number)) {
     cli_fail("%s: line %llu: %s: there is no number", sheet->source,
@@ -93,10 +93,10 @@ static bool read_cloud(const char *path, bool with_power, cloud *of) {
   for (size_t i = 0; good && i < of->count; i++) {
     double W = 0;
     for (size_t k = 0; good && k < 3; k++) {
-      good = take(sheet, i, k, &of->xyz_mm[3 * i + k]);
+      good = read_number(sheet, i, k, &of->xyz_mm[3 * i + k]);
     }
     for (size_t c = 0; good && c < of->channels; c++) {
-      good = take(sheet, i, power + c, &W);
+      good = read_number(sheet, i, power + c, &W);
       of->power_W[of->channels * i + c] = (float)W;
     }
   }
@@ -106,7 +106,7 @@ static bool read_cloud(const char *path, bool with_power, cloud *of) {
 
 /* ---- requests ---------------------------------------------------------------------------------- */
 
-static bool follow(void *context, uint64_t done, uint64_t count) {
+static bool show_queries(void *context, uint64_t done, uint64_t count) {
   cli_progress_show(context, (double)done / (double)count, (double)done);
   return !cli_interrupted();
 }
@@ -186,7 +186,7 @@ static bool sum_all(work *of, dipole_error *error) {
   bool good = true;
   for (uint64_t q = 0; good && q < count && !cli_interrupted(); q++) {
     good = sum_directly(of, of->queries.xyz_mm + 3 * q, r, of->M + q * of->points.channels, error);
-    follow(&of->progress, q, count);
+    show_queries(&of->progress, q, count);
   }
   return good;
 }
@@ -220,8 +220,8 @@ static int request_sums(work *of) {
   const bool good = of->settings->least_distance.value > 0
                         ? sum_all(of, &error)
                         : CLI_RETRY(of->settings, &error,
-                                    dipole_gather(of->client, &of->query, follow, &of->progress,
-                                                  of->M, &result, &error));
+                                    dipole_gather(of->client, &of->query, show_queries,
+                                                  &of->progress, of->M, &result, &error));
   cli_progress_wipe(&of->progress);
   dipole_points_free(set);
   return !good               ? fail_at(of, &error)
@@ -265,7 +265,7 @@ static void put_query(cli_rows *rows, const void *context, size_t index) {
   }
 }
 
-static int run(const cli_settings *settings, dipole_client *client) {
+static int run_gather(const cli_settings *settings, dipole_client *client) {
   work of = {.settings = settings, .client = client};
   int status = cli_profile_take(settings, client, &of.profile);
   if (status != CLI_OK) {
@@ -306,5 +306,5 @@ const cli_command cli_command_gather = {
     .examples = "  dipole gather points.csv queries.csv --medium skin1 --tolerance 1e-3 > M.csv\n"
                 "  dipole gather points.csv queries.csv --medium marble --model better\n",
     .check = check,
-    .run = run,
+    .run = run_gather,
 };

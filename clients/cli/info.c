@@ -42,29 +42,29 @@ typedef struct facts {
   fact *items;
 } facts;
 
-static void add(facts *all, fact one) {
+static void add_fact(facts *all, fact one) {
   all->items = cli_resize(all->items, all->count + 1, sizeof *all->items);
   all->items[all->count++] = one;
 }
 
 static void add_values(facts *all, const char *section, const dipole_value *values, size_t count) {
   for (size_t i = 0; i < count; i++) {
-    add(all, (fact){section, values[i].name, .count = values[i].value});
+    add_fact(all, (fact){section, values[i].name, .count = values[i].value});
   }
 }
 
 static facts gather(const dipole_info *info, const dipole_value *statistics, size_t count) {
   facts all = {0};
-  add(&all, (fact){"daemon", "software", .text = info->software});
-  add(&all, (fact){"daemon", "address", .text = info->address});
-  add(&all, (fact){"daemon", "protocol_version", .count = info->protocol_version});
-  add(&all, (fact){"daemon", "instruction_set", .text = info->instruction_set});
-  add(&all, (fact){"daemon", "workers", .count = info->workers});
-  add(&all, (fact){"daemon", "R_unit", .text = info->R_unit});
+  add_fact(&all, (fact){"daemon", "software", .text = info->software});
+  add_fact(&all, (fact){"daemon", "address", .text = info->address});
+  add_fact(&all, (fact){"daemon", "protocol_version", .count = info->protocol_version});
+  add_fact(&all, (fact){"daemon", "instruction_set", .text = info->instruction_set});
+  add_fact(&all, (fact){"daemon", "workers", .count = info->workers});
+  add_fact(&all, (fact){"daemon", "R_unit", .text = info->R_unit});
   for (size_t i = 0; i < sizeof lists / sizeof lists[0]; i++) {
     const dipole_choice *choice;
     for (size_t from = 0; (choice = cli_next_choice(info, lists[i].kind, &from)) != NULL;) {
-      add(&all, (fact){lists[i].plural, choice->name, choice->about, 0});
+      add_fact(&all, (fact){lists[i].plural, choice->name, choice->about, 0});
     }
   }
   add_values(&all, "limits", info->limits, info->limit_count);
@@ -72,7 +72,7 @@ static facts gather(const dipole_info *info, const dipole_value *statistics, siz
   return all;
 }
 
-/* Puts a fact; people see the name of its section once. */
+/* Writes a fact; people see the name of its section once. */
 static void put_fact(cli_rows *rows, const void *context, size_t index) {
   const facts *all = context;
   const fact *one = &all->items[index];
@@ -86,7 +86,7 @@ static void put_fact(cli_rows *rows, const void *context, size_t index) {
   }
 }
 
-static int run(const cli_settings *settings, dipole_client *client) {
+static int run_info(const cli_settings *settings, dipole_client *client) {
   dipole_value *statistics;
   dipole_error error;
   size_t count;
@@ -105,14 +105,14 @@ const cli_command cli_command_info = {
     .about = "Show a daemon: models, evaluators, instruction set, limits, statistics",
     .formats = "table,csv,json",
     .shows_service = true,
-    .run = run,
+    .run = run_info,
     .examples = "  dipole info\n"
                 "  dipole info --connect tcp:farm7:4817 --format json\n",
 };
 
 /* ---- media ----------------------------------------------------------------------------------- */
 
-/* Puts one channel of a medium, whose name people see once. */
+/* Writes one channel of a medium, whose name people see once. */
 static void put_channel(cli_rows *rows, const void *context, size_t index) {
   const dipole_measured_medium *media = context;
   const size_t channel = index % CLI_COLOURS;

@@ -152,7 +152,7 @@ static int fail_asking(const report *of, const char *length, const dipole_error 
                                              : cli_fail_error_of(place, error);
 }
 
-static int run(const cli_settings *settings, dipole_client *client) {
+static int run_invert(const cli_settings *settings, dipole_client *client) {
   report of = {0};
   const char *length = NULL;
   const cli_numbers *lengths = cli_lengths_find(settings, &length);
@@ -194,7 +194,7 @@ const cli_command cli_command_invert = {
     .formats = "table,csv,json",
     .options = {options},
     .check = check,
-    .run = run,
+    .run = run_invert,
     .examples = "  dipole invert --albedo 0.44,0.22,0.13 --mean-free-path 1.3,0.95,0.67\n"
                 "  dipole invert --albedo 0.8 --diffuse-mean-free-path 2 --g 0.9 --eta 1.4\n"
                 "  dipole invert --albedo 0.1,0.5,0.9 --mean-free-path 1 --model classical "

@@ -116,7 +116,7 @@ static int run_command(const cli_command *command, int argc, char **argv) {
   return status;
 }
 
-static int run(int argc, char **argv) {
+static int run_arguments(int argc, char **argv) {
   if (argc == 3 && strcmp(argv[1], "complete") == 0) { /* for shells, and not in any help */
     return cli_complete(argv[2]);
   }
@@ -140,7 +140,7 @@ int main(int argc, char **argv) {
     perror("dipole: /dev/null");
     return CLI_FAILED;
   }
-  const int status = run(argc, argv);
+  const int status = run_arguments(argc, argv);
   cli_free_all();
   return standard_flush("dipole") ? status : CLI_FAILED;
 }

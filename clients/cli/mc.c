@@ -143,7 +143,7 @@ static void make_query(const cli_settings *settings, const cli_profile *profile,
 
 /* ---- following the job ----------------------------------------------------------------------- */
 
-static bool follow(void *context, const dipole_mc_progress *now) {
+static bool show_photons(void *context, const dipole_mc_progress *now) {
   cli_progress *progress = context;
   const double share = now->photons_expected > 0
                            ? (double)now->photons / (double)now->photons_expected
@@ -166,7 +166,7 @@ static bool run_job(dipole_client *client, const cli_settings *settings, report 
   cli_catch_interrupt();
   cli_progress_start(&progress, "photons");
   do {
-    good = dipole_mc(client, &of->query, follow, &progress, &of->result, error);
+    good = dipole_mc(client, &of->query, show_photons, &progress, &of->result, error);
   } while (!good && !cli_interrupted() && cli_try_again(settings, start_ms, error));
   cli_progress_wipe(&progress);
   return good;
@@ -206,7 +206,7 @@ static size_t rows_of(const report *of) {
              : of->result->side_count * (of->result->ring_count + PARTS_OF_SIDE) + PARTS_OF_ALL;
 }
 
-/* Puts a value and its error. A table has the error relative to it, too: "-" for no light. */
+/* Writes a value and its error. A table has the error relative to it, too: "-" for no light. */
 static void put_value(cli_rows *rows, const char *name, const char *error, const char *unit,
                       dipole_mc_value one) {
   char text[32];
@@ -217,7 +217,7 @@ static void put_value(cli_rows *rows, const char *name, const char *error, const
   cli_put_text(rows, text, "relative", .forms = CLI_IN_TABLE);
 }
 
-/* Puts R, and of a slab T, at a radius of --r. */
+/* Writes R, and of a slab T, at a radius of --r. */
 static void put_reading(cli_rows *rows, const report *of, uint32_t albedo, size_t index) {
   const double r_mm = of->r->items[index];
   cli_put_number(rows, r_mm, "r", .unit = "mm");
@@ -228,7 +228,7 @@ static void put_reading(cli_rows *rows, const report *of, uint32_t albedo, size_
   }
 }
 
-/* Puts a ring of a side, or a part of the power, which has no radii and photons. */
+/* Writes a ring of a side, or a part of the power, which has no radii and photons. */
 static void put_quantity(cli_rows *rows, const report *of, uint32_t albedo, size_t index) {
   static const char *const sides[] = {"R", "T"};
   const dipole_mc_result *result = of->result;
@@ -261,7 +261,7 @@ static void put_quantity(cli_rows *rows, const report *of, uint32_t albedo, size
                  "photons", .format = "%.0f", .missing = "");
 }
 
-/* Puts the medium of a channel and how its photons walked. */
+/* Writes the medium of a channel and how its photons walked. */
 static void put_walk(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
   (void)index;
@@ -278,7 +278,7 @@ static void put_walk(cli_rows *rows, const void *context, size_t index) {
   cli_put_count(rows, of->result->last.photons, "photons", .forms = CLI_IN_TABLE);
 }
 
-/* Puts a row: channel by channel, albedo by albedo. A reading of --r is one that `dipole fit`
+/* Writes a row: channel by channel, albedo by albedo. A reading of --r is one that `dipole fit`
  * reads. */
 static void put_row(cli_rows *rows, const void *context, size_t index) {
   const reports *all = context;
@@ -324,7 +324,7 @@ static void write_table(const void *context) {
   }
 }
 
-/* Puts what holds for all channels. */
+/* Writes what holds for all channels. */
 static void put_facts(cli_rows *rows, const void *context, size_t index) {
   static const char *const ends[] = {[DIPOLE_MC_PHOTONS] = "photons",
                                      [DIPOLE_MC_ERRORS] = "errors",
@@ -378,7 +378,7 @@ static int run_jobs(const cli_settings *settings, dipole_client *client, const c
   return CLI_OK;
 }
 
-static int run(const cli_settings *settings, dipole_client *client) {
+static int run_mc(const cli_settings *settings, dipole_client *client) {
   cli_profile profile = {0};
   int status = cli_profile_take(settings, client, &profile);
   reports all = {.items = cli_allocate(profile.channel_count, sizeof *all.items)};
@@ -420,5 +420,5 @@ const cli_command cli_command_mc = {
                 "  dipole mc --sigma-a 0.1 --sigma-s 1 --albedo 0.5,0.9,0.99 --from 0.01 --log\n"
                 "  dipole mc --medium skin1 --r 0.5,1,2,4 --format csv | dipole fit\n",
     .check = check,
-    .run = run,
+    .run = run_mc,
 };

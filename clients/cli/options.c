@@ -43,7 +43,7 @@ static const cli_option common_options[] = {
 
 enum { OPTIONS_MAX = 64, NAME_BYTES = 32 };
 
-/* Returns whether a parameter is a name of a list, whose unit is "id". */
+/* Returns whether a parameter is the name of a choice: its unit is "id". */
 static bool is_name(const core_choice *parameter) {
   return strncmp(parameter->about, "id: ", strlen("id: ")) == 0;
 }
@@ -66,7 +66,7 @@ static cli_option option_of(const core_choice *parameter) {
                       .offset = offsetof(cli_settings, parameters[parameter->id])};
 }
 
-/* What is made of the lists of a command. */
+/* A list of options that is being made. */
 typedef struct option_list {
   size_t count;
   cli_option items[OPTIONS_MAX + 1];
@@ -126,7 +126,7 @@ const cli_option *cli_options_of(const cli_command *command) {
 
 /* ---- looking up ------------------------------------------------------------------------------ */
 
-/* Fields of requests whose options have another name. */
+/* Fields of requests whose options have other names. */
 static const struct {
   const char *field, *option;
 } renamed[] = {
@@ -294,7 +294,7 @@ static enum cli_form form_of(const char *format) {
 
 enum { FORMATS_BYTES = 96 };
 
-/* Says which formats a command has. */
+/* Writes the formats of a command as a sentence. */
 static void say_formats(const cli_command *command, char text[FORMATS_BYTES]) {
   const char *formats = command->formats;
   if (strchr(formats, ',') != NULL) {
@@ -307,7 +307,7 @@ static void say_formats(const cli_command *command, char text[FORMATS_BYTES]) {
 }
 
 /* Reads the operand and the format, and checks what getopt does not. Returns an exit status. */
-static int finish(int argc, char **argv, cli_settings *settings) {
+static int finish_options(int argc, char **argv, cli_settings *settings) {
   const cli_command *command = cli_running();
   const int operands = (command->operand != NULL) + (command->second_operand != NULL);
   settings->operand = optind < argc ? argv[optind] : NULL;
@@ -380,7 +380,7 @@ bool cli_options_read(int argc, char **argv, cli_settings *settings, int *status
   for (;;) {
     int result = getopt_long(argc, argv, ":", list, NULL);
     if (result == -1) {
-      *status = finish(argc, argv, settings);
+      *status = finish_options(argc, argv, settings);
       return *status == CLI_OK;
     }
     if (result == '?' && optopt != 0 && optopt < FIRST_RESULT) {
@@ -402,7 +402,7 @@ bool cli_options_read(int argc, char **argv, cli_settings *settings, int *status
 
 enum { HELP_COLUMN = 24, HELP_WIDTH = 98 };
 
-/* Prints words in lines that all start at a column. cursor: the column where it is */
+/* Prints words in lines that begin at `column`. cursor: the present column. */
 static void print_words(int cursor, int column, const char *text) {
   bool first = true;
   while (*text != '\0') {

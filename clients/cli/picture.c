@@ -50,9 +50,9 @@ int cli_picture_check(const cli_texts *paths, const cli_settings *settings) {
 
 /* ---- the script ------------------------------------------------------------------------------ */
 
-/* Writes a text as a string. No text can end it: all ASCII characters but letters, digits and
- * blanks are written as octal numbers, and control characters become question marks. Every text
- * that a file or a daemon says goes into the script through this. */
+/* Writes a text as a string of gnuplot. All ASCII characters except letters, digits and blanks
+ * become octal numbers, and control characters question marks, so that no text of a file or a
+ * daemon can end the string. */
 static void write_quoted(FILE *script, const char *text) {
   char clean[256];
   snprintf(clean, sizeof clean, "%s", text);
@@ -145,7 +145,7 @@ static const char template[] =
     "}\n"
     "if (!text) { unset multiplot }\n";
 
-/* Values on a logarithmic axis that are less than this share of the largest are left out. */
+/* On a logarithmic axis, values below this share of the largest are omitted. */
 #define LEAST_SHARE 1e-12
 
 enum { WIDTH = 900, HEIGHT = 540, HEIGHT_OF_TWO = 860, LEGEND_SAMPLE = 60, LEGEND_CHARACTER = 8 };
@@ -209,7 +209,7 @@ static int run_program(FILE *const files[FILES]) {
     for (int i = 0; i < FILES; i++) {
       dup2(fileno(files[i]), i);
     }
-    execlp(PROGRAM, PROGRAM, "-d", "-", (char *)NULL); /* -d: no settings of the user's own */
+    execlp(PROGRAM, PROGRAM, "-d", "-", (char *)NULL); /* -d: without the user's settings */
     _exit(NOT_THERE);
   }
   while (pid > 0 && waitpid(pid, &outcome, 0) < 0 && errno == EINTR) {
@@ -239,7 +239,7 @@ static bool copy_picture(FILE *from, const char *path) {
   return (to == stdout || fclose(to) == 0) && good;
 }
 
-static int draw(const cli_picture *picture, const char *path, FILE *const files[FILES]) {
+static int draw_file(const cli_picture *picture, const char *path, FILE *const files[FILES]) {
   char complaints[512] = "";
   write_script(files[SCRIPT], picture, path);
   rewind(files[SCRIPT]); /* this flushes it as well */
@@ -268,7 +268,7 @@ int cli_picture_draw(cli_picture *picture, const cli_texts *paths) {
   for (size_t i = 0; status == CLI_OK && i < paths->count; i++) {
     FILE *files[FILES] = {tmpfile(), tmpfile(), tmpfile()};
     const bool open = files[0] != NULL && files[1] != NULL && files[2] != NULL;
-    status = open ? draw(picture, paths->items[i], files)
+    status = open ? draw_file(picture, paths->items[i], files)
                   : cli_fail("--plot %s: cannot make a temporary file: %s", paths->items[i],
                              strerror(errno));
     for (int k = 0; open && k < FILES; k++) {

@@ -6,25 +6,25 @@
 #include "clients/cli/cli.h"
 
 typedef struct cli_curve {
-  char title[80]; /* in the legend; "" if it is not there */
+  char title[80]; /* text in the legend; "": none */
   unsigned colour, dash;
   size_t count;
   const double *x, *y;       /* [count]; a line, or points if there are errors */
-  const double *error;       /* [count] standard errors; NULL for a line */
-  const double *lower;       /* [count] what the lower panel shows; NULL for nothing */
-  const double *lower_error; /* the same of its errors; NULL for none */
+  const double *error;       /* [count] standard errors, drawn as bars; NULL: a line */
+  const double *lower;       /* [count] values in the lower panel; NULL: none */
+  const double *lower_error; /* [count] their standard errors; NULL: none */
 } cli_curve;
 
-enum { CLI_COLOUR_RED = 8 }; /* the colours from 0 on can be told apart; red, green, blue follow */
+enum { CLI_COLOUR_RED = 8 }; /* Colours 0 to 7 are distinct; then come red, green and blue. */
 
-/* Zero it first. */
+/* Set all to zero first. */
 typedef struct cli_picture {
   char title[160], y_label[160];
   const char *x_label, *lower_label; /* NULL: there is no lower panel */
   bool logarithmic_x, logarithmic_y;
   double lower_most; /* the lower panel shows -lower_most to lower_most; 0: all its values */
   size_t count;
-  cli_curve *curves; /* allocated: first the lines, then the points */
+  cli_curve *curves; /* [count], owned; lines first, then points */
 } cli_picture;
 
 /* Checks what --plot gives. Says what is wrong and returns an exit status. */

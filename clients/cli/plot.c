@@ -49,7 +49,7 @@ static const cli_option options[] = {
 
 /* ---- the command line ------------------------------------------------------------------------ */
 
-/* Sets the defaults that differ from those of `dipole eval`. */
+/* Sets the defaults in which `dipole plot` differs from `dipole eval`. */
 static void set_defaults(cli_settings *settings) {
   if (settings->photons.given && !settings->count.given) {
     settings->count.value = RINGS_DEFAULT;
@@ -222,7 +222,7 @@ static void take_means(const rings *of, cli_eval_report *report) {
   }
 }
 
-static bool follow(void *context, const dipole_mc_progress *now) {
+static bool show_photons(void *context, const dipole_mc_progress *now) {
   const double expected = (double)now->photons_expected, done = (double)now->photons;
   cli_progress_show(context, done / fmax(expected, done), done);
   return true;
@@ -249,7 +249,7 @@ static int walk(const cli_settings *settings, dipole_client *client, const cli_p
     dipole_mc_result *result = NULL;
     cli_progress progress;
     cli_progress_start(&progress, "photons");
-    good = dipole_mc(client, &query, follow, &progress, &result, &error);
+    good = dipole_mc(client, &query, show_photons, &progress, &result, &error);
     cli_progress_wipe(&progress);
     for (size_t k = 0; good && k < of->count; k++) {
       of->R[i * of->count + k] = dipole_mc_values(result, 0, DIPOLE_MC_REFLECTED)[k];
@@ -303,7 +303,7 @@ static bool is_unlisted(const cli_settings *settings, const cli_eval_report *rep
 }
 
 /* Draws the models of the report, and Monte Carlo. */
-static int draw(const cli_settings *settings, const cli_eval_report *report, const rings *of) {
+static int draw_plot(const cli_settings *settings, const cli_eval_report *report, const rings *of) {
   static char text[] = "-";
   char *texts[] = {text};
   const cli_texts onto_terminal = {1, texts, text}, *files = &settings->plot;
@@ -351,10 +351,10 @@ static int request_curves(cli_settings eval, const char *name, dipole_client *cl
     return cli_fail_usage("--quantity %s: there is no curve of it over r; name another quantity",
                           name);
   }
-  return choice != NULL ? cli_eval_ask(&eval, client, report) : CLI_USAGE;
+  return choice != NULL ? cli_eval_request(&eval, client, report) : CLI_USAGE;
 }
 
-static int run(const cli_settings *settings, dipole_client *client) {
+static int run_plot(const cli_settings *settings, dipole_client *client) {
   const bool walks = settings->photons.given;
   cli_settings eval = *settings;
   cli_eval_report report = {0};
@@ -368,7 +368,7 @@ static int run(const cli_settings *settings, dipole_client *client) {
     status = walk(settings, client, &report.profile, &of);
   }
   if (status == CLI_OK) {
-    status = draw(settings, &report, walks ? &of : NULL);
+    status = draw_plot(settings, &report, walks ? &of : NULL);
   }
   return status;
 }
@@ -394,5 +394,5 @@ const cli_command cli_command_plot = {
         "    --axes linear --to 20 --plot a.png --plot a.svg\n"
         "  dipole plot --medium skin1 --channel red --model better,transport --mc 1e5 --error\n",
     .check = check,
-    .run = run,
+    .run = run_plot,
 };

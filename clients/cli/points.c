@@ -42,7 +42,7 @@ static const cli_option options[] = {
 
 /* ---- what is known --------------------------------------------------------------------------- */
 
-/* The columns that are read. Those with names come first. */
+/* The input columns; those with names as cells come first. */
 enum { MODEL, MOMENTS, MEDIUM, CHANNEL, FIRST_NUMBER, RADIUS = FIRST_NUMBER + 4, INPUTS };
 
 static const char *const inputs[INPUTS] = {"model",   "moments", "medium", "channel", "sigma_a",
@@ -50,22 +50,24 @@ static const char *const inputs[INPUTS] = {"model",   "moments", "medium", "chan
 
 enum { NAMES_MAX = INPUTS + CLI_PARAMETERS_MAX + CLI_QUANTITIES_MAX + 3 };
 
-/* The columns that are read or written, and where they are in the header. */
+/* The columns that are read or written, and their positions in the header. */
 typedef struct columns {
   size_t count; /* number of cells in the header */
   size_t name_count;
-  const char *names[NAMES_MAX]; /* inputs, parameters, quantities, errors and the status */
-  size_t at[NAMES_MAX];         /* their positions, or CLI_CSV_ABSENT */
-  size_t parameter_count;       /* how many names, from INPUTS on, are parameters */
-  size_t output_count;          /* the radius of --r, the quantities, errors and the status */
-  size_t outputs[NAMES_MAX];    /* positions in names */
-  size_t first_output; /* position in the header of the first column that is replaced, or count */
+  /* names of all: inputs, parameters, quantities, errors and the status */
+  const char *names[NAMES_MAX];
+  size_t at[NAMES_MAX];      /* positions in the header, or CLI_CSV_ABSENT */
+  size_t parameter_count;    /* number of parameters among the names, from INPUTS on */
+  size_t output_count;       /* the radius of --r, the quantities, errors and the status */
+  size_t outputs[NAMES_MAX]; /* indices of the outputs in `names` */
+  /* position in the header of the first column that is replaced; `count` if none is */
+  size_t first_output;
 } columns;
 
 enum row_state {
   ROW_COPIED,  /* written as it was read */
-  ROW_READ,    /* its cells have been read */
-  ROW_GROUPED, /* so, and it may be requested in a group */
+  ROW_READ,    /* its cells are read */
+  ROW_GROUPED, /* its cells are read, and a request may unite it with others */
   ROW_WAITING, /* waits for the reply to query `id` */
   ROW_GOOD,
   ROW_BAD,
@@ -79,9 +81,9 @@ typedef struct points_row {
   double r_mm; /* of its cell */
   cli_parameters parameters;
   uint64_t id;
-  double *values; /* [radii][quantities], set if the row is good */
+  double *values; /* [radii][quantities]; valid if the row is good */
   dipole_errors errors;
-  char status[sizeof((dipole_error *)0)->text]; /* says what is wrong if the row is bad */
+  char status[sizeof((dipole_error *)0)->text]; /* the error's text if the row is bad */
 } points_row;
 
 /* Where the numbers of inputs lie in a row. */
@@ -927,7 +929,7 @@ static int prepare(points_run *points) {
              : cli_fail_error(&error);
 }
 
-static int evaluate(points_run *points) {
+static int evaluate_rows(points_run *points) {
   const int status = prepare(points);
   if (status != CLI_OK) {
     return status;
@@ -944,13 +946,13 @@ static int evaluate(points_run *points) {
   return good ? CLI_OK : CLI_FAILED;
 }
 
-static int run(const cli_settings *settings, dipole_client *client) {
+static int run_points(const cli_settings *settings, dipole_client *client) {
   points_run *points = cli_allocate(1, sizeof *points);
   points->settings = settings;
   points->client = client;
   int status = CLI_FAILED;
   if (open_input(points, settings->operand)) {
-    status = evaluate(points);
+    status = evaluate_rows(points);
     if (points->reader.fd != STDIN_FILENO) {
       close(points->reader.fd);
     }
@@ -984,5 +986,5 @@ const cli_command cli_command_points = {
                 "  dipole invert --albedo 0.4,0.2 --mean-free-path 1 --format csv |\n"
                 "    dipole points --r 1 --model better\n"
                 "  printf 'sigma_a,sigma_s,g,eta,r\\n0.01,1,0,1.4,2\\n' | dipole points\n",
-    .run = run,
+    .run = run_points,
 };

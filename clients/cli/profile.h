@@ -139,14 +139,14 @@ bool cli_quantities_take(const dipole_info *info, const cli_texts *names, unsign
 
 /* ---- what reports say of a profile ----------------------------------------------------------- */
 
-/* Puts what all reports begin with: the software in JSON, the medium if it is measured, the model,
+/* Writes what all reports begin with: the software in JSON, the medium if it is measured, the model,
  * evaluator and moments that are set, and the parameters. */
 void cli_put_profile(cli_rows *rows, const cli_profile *profile);
 
-/* Puts parameters, which the daemon lists. */
+/* Writes parameters, which the daemon lists. */
 void cli_put_parameters(cli_rows *rows, const dipole_info *info, const cli_parameters *parameters);
 
-/* Puts the names of the notes in the sum `notes`, with blanks between them. */
+/* Writes the names of the notes in the sum `notes`, with blanks between them. */
 void cli_put_notes(cli_rows *rows, const dipole_info *info, unsigned notes);
 
 /* How to get from power that entered to power that was launched, for each eta of the media: rule E8

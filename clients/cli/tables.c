@@ -193,8 +193,8 @@ static int fail_radius(const dipole_table_info *info, const cli_eval_report *rep
 }
 
 /* Fills in the values of one table. */
-static int evaluate(const dipole_table *table, const float *r, const cli_eval_report *report,
-                    cli_eval_values *values) {
+static int evaluate_table(const dipole_table *table, const float *r, const cli_eval_report *report,
+                          cli_eval_values *values) {
   const dipole_table_info *info = dipole_table_get_info(table);
   const size_t n = report->place_count;
   const unsigned wanted = report->quantities.wanted;
@@ -242,7 +242,7 @@ int cli_eval_table(const cli_settings *settings, cli_eval_report *report, dipole
     cli_eval_make_values(report);
     status = r != NULL ? CLI_OK : CLI_FAILED;
     for (size_t i = 0; status == CLI_OK && i < of.count; i++) {
-      status = evaluate(of.items[i], r, report, &report->values[i]);
+      status = evaluate_table(of.items[i], r, report, &report->values[i]);
     }
   }
   free_tables(&of);
@@ -299,7 +299,7 @@ static int fetch(const cli_settings *settings, dipole_client *client, report *of
 
 /* ---- writing --------------------------------------------------------------------------------- */
 
-/* Puts the table of a channel. */
+/* Writes the table of a channel. */
 static void put_table(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
   const dipole_table_info *info = dipole_table_get_info(of->tables.items[index]);
@@ -361,7 +361,7 @@ static int ask_and_write(const cli_settings *settings, dipole_client *client, re
   return CLI_OK;
 }
 
-static int run(const cli_settings *settings, dipole_client *client) {
+static int run_table(const cli_settings *settings, dipole_client *client) {
   report of = {0};
   const int status = ask_and_write(settings, client, &of);
   free_tables(&of.tables);
@@ -382,5 +382,5 @@ const cli_command cli_command_table = {
                 "  dipole eval --table skin1.table --r 0.1,1,10 --wanted R,cdf\n"
                 "  dipole table --sigma-a 0.01 --sigma-s 1 --tolerance 1e-5 --format json\n",
     .check = check,
-    .run = run,
+    .run = run_table,
 };

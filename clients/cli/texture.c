@@ -469,7 +469,7 @@ static void set_lengths(texture_run *run, uint64_t first, size_t count, size_t c
   }
 }
 
-static void take(texture_run *run, uint64_t first, const dipole_varying_result *result) {
+static void take_values(texture_run *run, uint64_t first, const dipole_varying_result *result) {
   for (size_t i = 0; i < run->wanted_count; i++) {
     memcpy(run->images[i].values + first, dipole_coefficients_f32(result, run->wanted[i]->id),
            (size_t)result->value_count * sizeof(float));
@@ -503,7 +503,7 @@ static bool map(texture_run *run, const image *in, dipole_error *error) {
     good =
         CLI_RETRY(run->settings, error, dipole_varying(run->client, &run->query, &result, error));
     if (good) {
-      take(run, first, result);
+      take_values(run, first, result);
       dipole_varying_result_free(result);
       cli_progress_show(&progress, (double)(first + n) / (double)count, (double)(first + n));
     }
@@ -515,7 +515,7 @@ static bool map(texture_run *run, const image *in, dipole_error *error) {
 /* ---- the command ----------------------------------------------------------------------------- */
 
 /* Says how many values have no medium, and where the first one is. Returns an exit status. */
-static int tell_missing(const texture_run *run, const image *in) {
+static int report_missing(const texture_run *run, const image *in) {
   static const char *const grey[] = {"grey"};
   if (run->missing == 0) {
     return CLI_OK;
@@ -562,12 +562,12 @@ static int map_image(texture_run *run, const image *in) {
   run->lengths_mm = cli_allocate(REQUEST_VALUES, sizeof *run->lengths_mm);
   int status = map(run, in, &error) ? write_images(run) : cli_fail_error(&error);
   if (status == CLI_OK) {
-    status = tell_missing(run, in);
+    status = report_missing(run, in);
   }
   return status;
 }
 
-static int run(const cli_settings *settings, dipole_client *client) {
+static int run_texture(const cli_settings *settings, dipole_client *client) {
   texture_run work = {.settings = settings, .client = client};
   image in;
   int status = take_settings(&work);
@@ -603,5 +603,5 @@ const cli_command cli_command_texture = {
         "  dipole texture skin.png skin.pfm --mean-free-path 1,.5,.3\n"
         "  dipole texture skin.png albedo.png --mean-free-path 1 --coefficients scattered\n",
     .check = check,
-    .run = run,
+    .run = run_texture,
 };

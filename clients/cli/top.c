@@ -40,7 +40,7 @@ static double now_s(void) {
 
 /* ---- statistics ------------------------------------------------------------------------------ */
 
-static uint64_t find(const top_look *look, const char *name) {
+static uint64_t find_value(const top_look *look, const char *name) {
   for (size_t i = 0; i < look->count; i++) {
     if (strcmp(look->values[i].name, name) == 0) {
       return look->values[i].value;
@@ -72,7 +72,7 @@ static bool is_state(const char *name) {
 
 /* Returns by how much a statistic has risen each second; NaN if it is a state. */
 static double rate(const top_run *of, const dipole_value *now) {
-  const uint64_t before = find(&of->before, now->name);
+  const uint64_t before = find_value(&of->before, now->name);
   return is_state(now->name)   ? (double)NAN
          : now->value < before ? 0
          : of->interval_s > 0  ? (double)(now->value - before) / of->interval_s
@@ -117,7 +117,7 @@ static void put_statistic(cli_rows *rows, const void *context, size_t index) {
   const double now = (double)one->value, per_s = rate(of, one);
   const unsigned programs = CLI_IN_CSV | CLI_IN_JSON;
   char text[32];
-  cli_put_number(rows, (double)find(&of->now, "uptime_ms"), "uptime_ms", .forms = programs);
+  cli_put_number(rows, (double)find_value(&of->now, "uptime_ms"), "uptime_ms", .forms = programs);
   cli_put_number(rows, of->interval_s, "interval_s", .forms = programs);
   cli_put_text(rows, one->name, "statistic");
   cli_put_shown(rows, now, figures(now, true, text), "now");
@@ -127,7 +127,7 @@ static void put_statistic(cli_rows *rows, const void *context, size_t index) {
 /* Writes a table for people. */
 static void write_table(const top_run *of, FILE *file) {
   const dipole_info *info = dipole_get_info(of->given);
-  const uint64_t up_s = find(&of->now, "uptime_ms") / 1000;
+  const uint64_t up_s = find_value(&of->now, "uptime_ms") / 1000;
   fprintf(file, "%s at %s: up %llu:%02u:%02u, %u workers, %s\n", info->software, info->address,
           (unsigned long long)(up_s / 3600), (unsigned)(up_s / 60 % 60), (unsigned)(up_s % 60),
           info->workers, info->instruction_set);
@@ -153,7 +153,7 @@ static void write_table(const top_run *of, FILE *file) {
 /* Draws as much of a text as the terminal has room for, from its upper left corner. Lines that are
  * too long go on in the next row. The first row is bold. The last row of the terminal is left for
  * the cursor. */
-static void draw(const char *text) {
+static void draw_screen(const char *text) {
   const cli_terminal terminal = cli_terminal_look();
   const size_t columns = terminal.columns, rows = terminal.rows > 1 ? terminal.rows - 1 : 1;
   fputs(HOME, stdout);
@@ -174,7 +174,7 @@ static void show_on_screen(const top_run *of) {
   if (file != NULL) {
     write_table(of, file);
     if (fclose(file) == 0) {
-      draw(text);
+      draw_screen(text);
     }
     free(text);
   }
@@ -188,11 +188,11 @@ static void show_gone(const top_run *of, const dipole_error *error) {
            "No reply from %s for %.0f s\n%s\n\nTrying again. Ctrl-C ends this.\n",
            address != NULL ? address : dipole_get_info(of->given)->address, now_s() - of->gone_s,
            error->text);
-  draw(text);
+  draw_screen(text);
 }
 
 /* Shows one interval, or on a screen what was since the daemon's start. */
-static void show(top_run *of, bool first) {
+static void show_look(top_run *of, bool first) {
   list(of);
   if (of->has_screen) {
     show_on_screen(of);
@@ -243,7 +243,7 @@ static bool look(top_run *of) {
     of->gone_s = 0;
     of->now.at_s = now_s();
     of->interval_s = of->before.count > 0 ? of->now.at_s - of->before.at_s
-                                          : (double)find(&of->now, "uptime_ms") / 1000;
+                                          : (double)find_value(&of->now, "uptime_ms") / 1000;
     return true;
   }
   if (!of->has_screen) {
@@ -271,7 +271,7 @@ static bool is_ended_until(double at_s) {
 }
 
 /* Looks at the beginning and after each interval. Returns an exit status. */
-static int watch(top_run *of) {
+static int watch_daemon(top_run *of) {
   const cli_settings *settings = of->settings;
   bool looked, first = true;
   double next_s = now_s();
@@ -281,7 +281,7 @@ static int watch(top_run *of) {
       return CLI_FAILED;
     }
     if (looked && (of->has_screen || of->before.count > 0)) {
-      show(of, first);
+      show_look(of, first);
       first = false;
     }
     fflush(stdout);
@@ -308,7 +308,7 @@ static int check(cli_settings *settings) {
              : cli_fail_usage("--count: give at least 1");
 }
 
-static int run(const cli_settings *settings, dipole_client *client) {
+static int run_top(const cli_settings *settings, dipole_client *client) {
   top_run of = {.settings = settings,
                 .client = client,
                 .given = client,
@@ -317,7 +317,7 @@ static int run(const cli_settings *settings, dipole_client *client) {
     is_ended_until(0); /* from now on, the cursor is shown again in any case */
     fputs(HIDE_CURSOR CLEAR, stdout);
   }
-  const int status = watch(&of);
+  const int status = watch_daemon(&of);
   fputs(of.has_screen ? SHOW_CURSOR : "", stdout);
   forget(&of);
   free(of.before.values);
@@ -347,5 +347,5 @@ const cli_command cli_command_top = {
                 "  dipole top --connect tcp:farm7:4817 --count 1 --format json\n",
     .shows_service = true,
     .check = check,
-    .run = run,
+    .run = run_top,
 };

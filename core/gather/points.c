@@ -618,7 +618,7 @@ static void *shrunk(void *memory, size_t bytes) {
   return moved != NULL ? moved : memory;
 }
 
-static void finish(core_gather_points *points) {
+static void finish_points(core_gather_points *points) {
   find_leaf_size(points);
   free_build(points->build);
   points->build = NULL;
@@ -701,7 +701,7 @@ static bool next_phase(core_gather_points *points) {
 }
 
 /* Processes up to `count` items of the present phase. Returns whether the phase is complete. */
-static bool work(core_gather_points *points, size_t count) {
+static bool process_items(core_gather_points *points, size_t count) {
   gather_build *b = points->build;
   switch (b->phase) {
   case BOX:
@@ -747,8 +747,8 @@ bool core_gather_points_build(core_gather_points *points, uint64_t work_ns) {
     const double fit = fmin(left_ns / cost + 1, 0x1p30);
     const size_t count = fit < (double)rest ? (size_t)fit : rest;
     left_ns -= (double)count * cost;
-    if (work(points, count) && next_phase(points)) {
-      finish(points);
+    if (process_items(points, count) && next_phase(points)) {
+      finish_points(points);
     }
   }
   return points->build == NULL;

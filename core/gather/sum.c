@@ -522,7 +522,7 @@ static void make_finer(const walk *w) {
 /* ---- summing --------------------------------------------------------------------------------- */
 
 /* Adds a value to a sum with compensation of rounding errors (Neumaier 1974). */
-static void add(double *sum, double *lost, double value) {
+static void add_compensated(double *sum, double *lost, double value) {
   const double more = *sum + value;
   if (more < (double)INFINITY) {
     *lost += fabs(*sum) >= fabs(value) ? (*sum - more) + value : (value - more) + *sum;
@@ -532,7 +532,8 @@ static void add(double *sum, double *lost, double value) {
 
 /* Evaluates R[n] at the distances s->r[n]; n is a multiple of GATHER_LANES. The radii are also in
  * s->narrow_r for the kernels in single precision. */
-static void evaluate(const core_gather_sum *sum, size_t channel, core_gather_scratch *s, size_t n) {
+static void evaluate_R(const core_gather_sum *sum, size_t channel, core_gather_scratch *s,
+                       size_t n) {
   const core_profile *profile = &sum->profile[channel];
   if (profile->evaluator == CORE_EVALUATOR_F64) {
     core_eval_f64(profile, CORE_QUANTITY_R, n, s->r, s->R);
@@ -597,8 +598,9 @@ static void add_rows(const walk *w, size_t n, size_t q, const double *x) {
   *w->work -= (double)n;
   for (size_t c = 0; c < w->points->channels; c++) {
     if (w->points->group[c] == s->group) {
-      evaluate(w->sum, c, s, 2 * n);
-      add(&s->added[q][c], &s->lost[q][c], loops->sum_pairs(n, s->power[c], s->share, s->R));
+      evaluate_R(w->sum, c, s, 2 * n);
+      add_compensated(&s->added[q][c], &s->lost[q][c],
+                      loops->sum_pairs(n, s->power[c], s->share, s->R));
       *w->work -= 2 * (double)n * channel_cost(w->sum, c);
     }
   }
@@ -680,7 +682,7 @@ static void add_parts(const walk *w, bool all_groups) {
         for (size_t k = 0; k < GATHER_LANES; k++) {
           lanes[k] = s->part[c][k][q];
         }
-        add(&s->added[q][c], &s->lost[q][c], w->sum->loops->total(lanes));
+        add_compensated(&s->added[q][c], &s->lost[q][c], w->sum->loops->total(lanes));
       }
       memset(s->part[c], 0, sizeof s->part[c]);
     }
@@ -757,8 +759,8 @@ static void add_block(const walk *w, size_t n, size_t q, const double *x) {
   loops->narrow(n, s->r, s->narrow_r);
   *w->work -= 2 * (double)n;
   for (size_t c = 0; c < w->points->channels; c++) {
-    evaluate(w->sum, c, s, n);
-    add(&s->added[q][c], &s->lost[q][c], loops->sum(n, s->power[c], s->R));
+    evaluate_R(w->sum, c, s, n);
+    add_compensated(&s->added[q][c], &s->lost[q][c], loops->sum(n, s->power[c], s->R));
     *w->work -= (double)n * channel_cost(w->sum, c);
   }
 }

@@ -34,7 +34,7 @@ static inline double term(const double *c, size_t k, int field) {
 
 /* Returns r kept between the least and the largest radius, and at most 1e150, where r^2 does not
  * overflow but every Gaussian has underflowed. */
-static inline double begin(const double *c, double r) {
+static inline double radius_in_range(const double *c, double r) {
   return real_min(real_min(real_max(r, c[GAUSSIANS_LEAST_MM]), c[GAUSSIANS_MOST_MM]), 1e150);
 }
 
@@ -118,11 +118,11 @@ static inline double finish_steep(const double *c, double r, double x, double su
   return R > 0 ? -R / r : 0;
 }
 
-BLOCK_KERNEL(eval_R, begin, sum_R, finish_R)
-BLOCK_KERNEL(eval_ln_sum, begin, sum_R, finish_ln_R)
-BLOCK_KERNEL(eval_cdf, begin, sum_energy, finish_cdf)
-BLOCK_KERNEL(eval_sum_slope, begin, sum_slope, finish_slope)
-BLOCK_KERNEL(eval_steep, begin, sum_R, finish_steep)
+BLOCK_KERNEL(eval_R, radius_in_range, sum_R, finish_R)
+BLOCK_KERNEL(eval_ln_sum, radius_in_range, sum_R, finish_ln_R)
+BLOCK_KERNEL(eval_cdf, radius_in_range, sum_energy, finish_cdf)
+BLOCK_KERNEL(eval_sum_slope, radius_in_range, sum_slope, finish_slope)
+BLOCK_KERNEL(eval_steep, radius_in_range, sum_R, finish_steep)
 
 static void eval_ln_R(const double *restrict c, size_t n, const double *restrict r,
                       double *restrict out) {

@@ -121,7 +121,7 @@ BLOCK_SUM(sum_energy, node_count, energy_term)
 
 /* Returns tau = sigma_t r, at most 1e100: there every term has underflowed and no product
  * overflows. */
-static inline double begin(const double *c, double r) {
+static inline double optical_radius(const double *c, double r) {
   return real_min(r * c[SIGMA_T], 1e100);
 }
 
@@ -170,10 +170,10 @@ static inline double finish_cdf(const double *c, double r, double tau, double su
   return c[EXPONENT] * tau > 40 ? c[CDF_LIMIT] : inside;
 }
 
-BLOCK_KERNEL(eval_R, begin, sum_R, finish_R)
-BLOCK_KERNEL(eval_slope, begin, sum_slope, finish_slope)
+BLOCK_KERNEL(eval_R, optical_radius, sum_R, finish_R)
+BLOCK_KERNEL(eval_slope, optical_radius, sum_slope, finish_slope)
 BLOCK_KERNEL(eval_ln_R, begin_ln_R, sum_R, finish_ln_R)
-BLOCK_KERNEL(eval_cdf, begin, sum_energy, finish_cdf)
+BLOCK_KERNEL(eval_cdf, optical_radius, sum_energy, finish_cdf)
 
 /* R is sigma_s times a function of sigma_t and r, and that is 1 / r times a function of tau. Sets
  * out[n] to the derivative d of the latter's logarithm by ln tau, and then to offset + share d. */
@@ -188,7 +188,7 @@ static void eval_derivative(const double *c, size_t n, const double *r, double o
     sum_R(c, count, near, sum);
     sum_fall(c, count, near, fall);
     for (size_t i = 0; i < count; i++) {
-      const double tau = begin(c, r[done + i] + 0);
+      const double tau = optical_radius(c, r[done + i] + 0);
       const double falls = real_fma(c[EXPONENT], tau, fall[i] / sum[i]);
       /* where R is 0 it does not change */
       out[done + i] = ((c[CDF_LIMIT] > 0) & (tau < 1e100)) ? real_fma(-share, falls, offset) : 0;

@@ -42,7 +42,7 @@ def test_example_is_one_whole_frame(name):
     assert header.request_id == wire.HEADER.unpack(EXAMPLES[f"{message}-request"]).request_id
 
 
-def test_requests_ask_for_what_the_text_says():
+def test_requests_are_what_the_text_says():
     request = wire.EVAL_REQUEST.unpack(payload_of("eval-request"))
     assert (request.evaluator, request.spacing, request.medium_count) == (1, wire.SPACING_LIST, 1)
     assert wire.MEDIUM.unpack(payload_of("eval-request"), wire.EVAL_REQUEST.bytes) == SKIN

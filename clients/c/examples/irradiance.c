@@ -161,7 +161,7 @@ static job *collect(const scene *of, dipole_client *client, job *jobs, double *e
 }
 
 /* Computes all pixels by requests to the daemon. exitance: [pixels * pixels][CHANNELS], W/mm^2. */
-static void evaluate(const scene *of, dipole_client *client, double *exitance) {
+static void evaluate_R(const scene *of, dipole_client *client, double *exitance) {
   const size_t all = of->pixels * of->pixels;
   job jobs[IN_FLIGHT] = {0};
   float *r = allocate(of->count, sizeof *r);
@@ -247,7 +247,7 @@ static size_t size_of(const char *text, size_t usual) {
 }
 
 int main(int argc, char **argv) {
-  static void (*const ways[2])(const scene *, dipole_client *, double *) = {evaluate, look_up};
+  static void (*const ways[2])(const scene *, dipole_client *, double *) = {evaluate_R, look_up};
   const char *address = argc > 1 && argv[1][0] != '\0' ? argv[1] : NULL;
   scene skin = {.pixels = size_of(argc > 2 ? argv[2] : NULL, PIXELS_DEFAULT)};
   double *exitance[2];

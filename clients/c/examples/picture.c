@@ -30,7 +30,7 @@ typedef struct vec {
   double x, y, z;
 } vec;
 
-static vec add(vec a, double t, vec b) {
+static vec plus_times(vec a, double t, vec b) {
   return (vec){a.x + t * b.x, a.y + t * b.y, a.z + t * b.z};
 }
 
@@ -43,7 +43,7 @@ static vec cross(vec a, vec b) {
 }
 
 static vec unit(vec a) {
-  return add((vec){0, 0, 0}, 1 / sqrt(dot(a, a)), a);
+  return plus_times((vec){0, 0, 0}, 1 / sqrt(dot(a, a)), a);
 }
 
 static void *allocate(size_t count, size_t bytes) {
@@ -72,7 +72,7 @@ static double field(vec p) {
   const double melt = 1.1;
   double sum = 0;
   for (size_t i = 0; i < sizeof parts / sizeof parts[0]; i++) {
-    const vec d = add(p, -1, parts[i].at), a = parts[i].axes;
+    const vec d = plus_times(p, -1, parts[i].at), a = parts[i].axes;
     const vec s = {d.x / a.x, d.y / a.y, d.z / a.z};
     const vec g = {s.x / a.x, s.y / a.y, s.z / a.z};
     const double k0 = sqrt(dot(s, s)), k1 = sqrt(dot(g, g)) + 1e-9;
@@ -99,13 +99,13 @@ static bool trace(vec *p, vec w) {
   for (double f = field(*p); f > 0; f = field(*p)) {
     step = fmax(f / 3, STEP_LEAST_MM);
     gone += step;
-    *p = add(*p, -step, w);
+    *p = plus_times(*p, -step, w);
     if (gone > DEPTH_MM) {
       return false;
     }
   }
   for (; step > 1e-6; step /= 2) {
-    *p = add(*p, field(*p) > 0 ? -step / 2 : step / 2, w);
+    *p = plus_times(*p, field(*p) > 0 ? -step / 2 : step / 2, w);
   }
   return true;
 }
@@ -119,9 +119,9 @@ static view look(vec towards, size_t side, double above_mm) {
   for (size_t i = 0; i < side * side; i++) {
     const double x = ((double)(i % side) + 0.5 - half) * mm;
     const double y = (half - (double)(i / side) - 0.5) * mm;
-    vec p = add(add(add((vec){0, 0, 0}, x, u), y, v), DEPTH_MM / 2, w);
+    vec p = plus_times(plus_times(plus_times((vec){0, 0, 0}, x, u), y, v), DEPTH_MM / 2, w);
     if (trace(&p, w)) {
-      p = add(p, above_mm, w);
+      p = plus_times(p, above_mm, w);
       memcpy(made.xyz + 3 * made.count, &p, sizeof p);
       made.pixels[made.count++] = (uint32_t)i;
     }
@@ -180,7 +180,7 @@ static void colour_row(picture *of, size_t row) {
   }
 }
 
-static bool show(void *context, uint64_t done, uint64_t count) {
+static bool show_progress(void *context, uint64_t done, uint64_t count) {
   fprintf(stderr, "\r%-30s %3.0f %%", (const char *)context, 100.0 * (double)done / (double)count);
   return true;
 }
@@ -198,7 +198,7 @@ static bool gather(dipole_client *client, const dipole_points *points,
                                      .query_count = of->camera.count,
                                      .tolerance = 1e-2};
   snprintf(what, sizeof what, "%s, %s", medium->name, models[model]);
-  const bool good = dipole_gather(client, &query, show, what, of->M[model], NULL, &error);
+  const bool good = dipole_gather(client, &query, show_progress, what, of->M[model], NULL, &error);
   fprintf(stderr, "%s", good ? "\n" : "");
   if (!good) {
     fprintf(stderr, "\npicture: %s\n", error.text);

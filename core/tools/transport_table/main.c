@@ -246,7 +246,7 @@ typedef struct checks_result {
   worst_error D[TRANSPORT_TABLE_REGIONS], D_total, D_diffuse[TRANSPORT_TABLE_BANDS_ALBEDO];
 } checks_result;
 
-static void take(worst_error *worst, worst_error found) {
+static void keep_worst(worst_error *worst, worst_error found) {
   found.values = worst->values + 1;
   if (!(found.error <= worst->error)) {
     *worst = found;
@@ -277,10 +277,10 @@ static void compare_radii(const table_sample *sample, size_t i, const transport_
       const double ln_xR = transport_series_at(series, fn_log(x)) - series->kappa * x;
       const double error = fabs(scale * fn_exp(ln_xR - fn_log(x * R)) - 1);
       const double albedo = sample->albedo[i];
-      take(sample->g == 0
-               ? &result->R
-               : &result->D[transport_table_region(albedo, sample->g, sample->eta[i], x)],
-           (worst_error){error, albedo, sample->g, sample->eta[i], x, R, 0});
+      keep_worst(sample->g == 0
+                     ? &result->R
+                     : &result->D[transport_table_region(albedo, sample->g, sample->eta[i], x)],
+                 (worst_error){error, albedo, sample->g, sample->eta[i], x, R, 0});
     }
   }
 }
@@ -299,9 +299,9 @@ static checks_result checks_compare(const transport_table *table, const table_sa
       transport_series series;
       transport_table_look_up(table, sample->albedo[i], sample->g, sample->eta[i], &series);
       if (sample->g == 0) {
-        take(&result.total,
-             (worst_error){fabs(series.total / sample->total[i] - 1), sample->albedo[i], 0,
-                           sample->eta[i], (double)NAN, (double)NAN, 0});
+        keep_worst(&result.total,
+                   (worst_error){fabs(series.total / sample->total[i] - 1), sample->albedo[i], 0,
+                                 sample->eta[i], (double)NAN, (double)NAN, 0});
       }
       compare_radii(sample, i, &series, &result);
       check_reach(sample, i);
@@ -313,7 +313,7 @@ static checks_result checks_compare(const transport_table *table, const table_sa
 static void compare_total(worst_error *worst, double value, transport_number truth, double albedo,
                           double g, double eta) {
   const double error = (fabs(value - truth.value) + truth.error) / truth.value;
-  take(worst, (worst_error){error, albedo, g, eta, (double)NAN, (double)NAN, 0});
+  keep_worst(worst, (worst_error){error, albedo, g, eta, (double)NAN, (double)NAN, 0});
 }
 
 /* Compares the totals of random media with g other than 0 with the solver, which takes milliseconds
