@@ -4,7 +4,7 @@ BENCH := $(call objects,$(wildcard tests/bench/*.c tests/bench/*/*.c))
 # The longest ones come first, so that no processor waits for them at the end.
 TESTS := $(addprefix $(BUILD)/tests/,accuracy/test_transport_g accuracy/test_anisotropic unit/test_kernels accuracy/test_montecarlo accuracy/test_models)
 TESTS += $(filter-out $(TESTS),$(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/accuracy/test_*.c tests/unit/test_*.c)))
-TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/accuracy/rings.c tests/accuracy/walks.c tests/accuracy/truth.c tests/bench/*.c tests/bits/*.c tests/e2e/*.c tests/fuzz/*.c tests/pipeline/*.c tests/soak/*.c),$(wildcard tests/*/*.c))) $(ISOTROPIC)
+TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/accuracy/rings.c tests/accuracy/walks.c tests/accuracy/truth.c tests/bench/*.c tests/bits/*.c tests/e2e/*.c tests/fuzz/*.c tests/soak/*.c),$(wildcard tests/*/*.c))) $(ISOTROPIC)
 
 # ---- programs ------------------------------------------------------------------------------------
 
@@ -26,8 +26,7 @@ $(OBJ)/tests/unit/test_modbus.o: EXTRA_CPPFLAGS = $(call cflags,libmodbus)
 
 $(BUILD)/bench: $(BENCH) $(BUILD)/libdipole.a
 $(BUILD)/soak-load: $(call objects,$(wildcard tests/soak/*.c)) $(BUILD)/libdipole.a
-$(BUILD)/pipeline: $(call objects,$(wildcard tests/pipeline/*.c)) $(BUILD)/libdipole.a
-$(BUILD)/bench $(BUILD)/soak-load $(BUILD)/pipeline: LIBS = $(TLS_LIBS) $(CORE_LIBS)
+$(BUILD)/bench $(BUILD)/soak-load: LIBS = $(TLS_LIBS) $(CORE_LIBS)
 
 # The daemon, and a test can see how often it takes memory from the heap.
 $(BUILD)/dipoled-counting: $(SERVER) $(OBJ)/tests/e2e/count_allocations.o $(BUILD)/libproto.a $(BUILD)/libcore.a
@@ -46,7 +45,7 @@ $(FUZZ): EXTRA_CPPFLAGS = $(call cflags,libuv libmodbus)
 $(BUILD)/fuzz: $(FUZZ) $(filter-out %/main.o %/cli/complete.o,$(SERVER) $(CLI)) $(BUILD)/libdipole.a
 $(BUILD)/fuzz: LIBS = -fsanitize=fuzzer $(SERVER_LIBS) $(call libs,libpng lcms2) $(CORE_LIBS)
 
-PROGRAMS += $(TESTS) $(addprefix $(BUILD)/,bench soak-load pipeline dipoled-counting fuzz tests/bits tests/accuracy/truth tests/accuracy/rings)
+PROGRAMS += $(TESTS) $(addprefix $(BUILD)/,bench soak-load dipoled-counting fuzz tests/bits tests/accuracy/truth tests/accuracy/rings)
 
 # Debian's prometheus and promtool, taken out of the package: installing that would start a server.
 # The tests that need them say so if they are not to be had.
@@ -65,7 +64,7 @@ $(BUILD)/prometheus:
 	check-fuzz-long check-truth check-truth-long check-fits check-varying check-rings rings soak truth \
 	fuzz fuzz-merge bench
 
-check-programs: $(TESTS) $(addprefix $(BUILD)/,dipoled-counting wire-lists soak-load pipeline tests/bits tests/accuracy/truth)
+check-programs: $(TESTS) $(addprefix $(BUILD)/,dipoled-counting wire-lists soak-load tests/bits tests/accuracy/truth)
 
 # What .ci/run runs after `make check`, and what else takes long. `make check-PART` runs one of them.
 CI_PARTS := bits-aarch64 soak-long tls-long pipeline packages deb
@@ -76,7 +75,7 @@ check-ci: ## packages in a new system, aarch64, long loads
 check-nightly: ## all that takes long, or PARTS of it; build/logs-nightly/ran says what ran when
 check-ci check-nightly:
 	@sh .ci/install-packages demo check deb ci
-	@$(MAKE) --no-print-directory -j2 all $(BUILD)/tests/bits $(BUILD)/soak-load $(BUILD)/pipeline
+	@$(MAKE) --no-print-directory -j2 all $(BUILD)/tests/bits $(BUILD)/soak-load
 	+@bash tests/run-check.sh $(BUILD)/logs-nightly $(PARTS); status=$$?; \
 	  echo "---- when each part ran last"; column -t $(BUILD)/logs-nightly/ran; exit $$status
 
@@ -103,7 +102,7 @@ check-bits-aarch64: $(BUILD)/tests/bits
 
 PYTEST = env TESTED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python:tests/e2e PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -rfEs -p no:cacheprovider
 
-check-e2e: all $(BUILD)/dipoled-counting $(BUILD)/soak-load $(BUILD)/pipeline ## tests of the programs
+check-e2e: all $(BUILD)/dipoled-counting $(BUILD)/soak-load ## tests of the programs
 	$(PYTEST) -n 2 --dist loadfile --durations=20 --ignore=tests/e2e/test_packages.py tests/e2e
 
 # Runs the one test of tests/e2e that the variable TEST of the environment names.
@@ -146,7 +145,7 @@ check-plan: all
 PIPELINE_REQUESTS ?= 10000000
 check-pipeline: ## 10 million requests from eight threads, each answer compared
 	@sh .ci/install-packages
-	@$(MAKE) --no-print-directory -j2 all $(BUILD)/pipeline
+	@$(MAKE) --no-print-directory -j2 all $(BUILD)/soak-load
 	PIPELINE_REQUESTS=$(PIPELINE_REQUESTS) $(PYTEST) -s tests/e2e/test_pipeline.py
 
 SOAK_S ?= 600

@@ -1,11 +1,11 @@
-/* The derivatives of ln R by ln sigma_a and ln sigma_s: against differences of the formulas in 113
- * bits, of solutions of transport at its tightest tolerance, and at the ends of the domain. */
+/* The derivatives of ln R by ln sigma_a and ln sigma_s of transport: against differences of solutions
+ * for isotropic scattering, and at the ends of the domain. truth.c has those of the formulas, and of
+ * solutions with another g. */
 #include <float.h>
 #include <math.h>
 #include <string.h>
 
 #include "core/kernels.h"
-#include "core/solver/solver.h"
 #include "tests/accuracy/forms.h"
 #include "tests/accuracy/isotropic/isotropic.h"
 #include "tests/unit/unit.h"
@@ -103,67 +103,6 @@ UNIT_TEST(derivatives_of_transport_are_those_of_its_solutions) {
     printf("sigma_a %g, eta %g: stated %.2g, %.3f of it\n", media[m].sigma_a_per_mm, media[m].eta,
            profile.derivative_error, worst);
     core_profile_free(&profile);
-  }
-}
-
-/* By differences of order 4 from ln R of five media, and of the middle one at five radii. */
-static double difference(const double ln_R[5], double h) {
-  return (8 * (ln_R[3] - ln_R[1]) - (ln_R[4] - ln_R[0])) / (12 * h);
-}
-
-/* The table of solutions has edges at 1 and 14 mean free paths, where the slope of its R jumps. */
-UNIT_TEST(derivatives_of_transport_with_g_are_those_of_the_solver) {
-  enum { ETAS = 3, RADII = 48 };
-  static const double media[][2] = {{0.04, 0.03085}, {-0.45, 4}}; /* g and sigma_a / sigma_s' */
-  static const double etas[ETAS] = {0.95, 1.168, 1.896};
-  const double h = 0.08;
-  core_parameters parameters = core_parameters_none();
-  for (size_t m = 0; m < (unit_is_long() ? sizeof media / sizeof media[0] : 1); m++) {
-    const double g = media[m][0], ratio = media[m][1];
-    const solver_phase phase = {g, 0, NULL};
-    solver_solution *solutions[5];
-    for (int k = 0; k < 5; k++) {
-      unit_assert_fault(solver_solve(&solutions[k], core_isa_select(NULL), ratio * exp((k - 2) * h),
-                                     &phase, etas, ETAS, 1e-3),
-                        NULL, 0);
-    }
-    for (size_t e = 0; e < ETAS; e++) {
-      const core_medium medium = {ratio / (1 + ratio), 1 / (1 + ratio) / (1 - g), g, etas[e]};
-      core_profile profile;
-      double worst = 0;
-      unit_assert_fault(
-          prepare(&profile, CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, &medium, &parameters), NULL,
-          0);
-      for (int i = 0; i < RADII; i++) {
-        const double r = i == 0 ? 14.2 : i == 1 ? 1.02 : 0.01 * pow(2000, (double)i / RADII);
-        double by_a[5], by_r[5], unsure = 0;
-        for (int k = 0; k < 5; k++) {
-          const double sigma_t = (1 + ratio * exp((k - 2) * h)) / (1 + ratio);
-          const transport_number R = solver_at(solutions[k], e, r * sigma_t);
-          by_a[k] = log(R.value * sigma_t * sigma_t);
-          by_r[k] = log(solver_at(solutions[2], e, r * exp((k - 2) * h)).value);
-          unsure = fmax(unsure, R.value > 1e-12 ? R.error / R.value : 1);
-        }
-        if (unsure > 2e-3) {
-          continue;
-        }
-        const double truth_a = difference(by_a, h), truth_s = 2 + difference(by_r, h) - truth_a;
-        const double off = fmax(fabs(value_of(&profile, CORE_QUANTITY_BY_SIGMA_A, r) - truth_a),
-                                fabs(value_of(&profile, CORE_QUANTITY_BY_SIGMA_S, r) - truth_s));
-        const double allowed = stated(&profile, r) + unsure;
-        worst = fmax(worst, off / allowed);
-        if (!(off <= allowed)) {
-          fail_msg("g %g, sigma_a %g, eta %g at %g: off by %.3g, stated %.3g, the solver %.3g", g,
-                   medium.sigma_a_per_mm, etas[e], r, off, stated(&profile, r), unsure);
-        }
-      }
-      printf("g %g, sigma_a / sigma_s' %g, eta %g: stated %.2g, %.3f of it\n", g, ratio, etas[e],
-             profile.derivative_error, worst);
-      core_profile_free(&profile);
-    }
-    for (int k = 0; k < 5; k++) {
-      solver_free(solutions[k]);
-    }
   }
 }
 

@@ -1,6 +1,5 @@
-/* Every model's density of radii, its cdf and its sampler, against each other: the density
- * integrates to 1 and to the cdf, drawn radii follow it, and single precision agrees with double.
- */
+/* Every model's density of radii and its cdf against each other, and its slope against differences.
+ * truth.c has samples, and single precision. */
 #include <math.h>
 
 #include "tests/unit/unit.h"
@@ -9,40 +8,37 @@ static const core_medium media[] = {
     {0.032, 0.74, 0, 1.3}, {0.02, 2, 0.5, 1}, {1, 1.5, -0.3, 0.8}, {1e-4, 0.3, 0.9, 1.7}};
 enum { MEDIA = sizeof media / sizeof media[0] };
 
-/* The profiles of all models and media, prepared once for all tests. */
-static struct pair { core_profile f64, f32; } pairs[UNIT_ROWS_MAX * MEDIA];
-static size_t pair_count;
+/* Those of all models and media, prepared once for all tests. */
+static core_profile profiles[UNIT_ROWS_MAX * MEDIA];
+static size_t profile_count;
 
-static void prepare(core_profile *profile, unsigned model, unsigned evaluator,
-                    const core_medium *medium) {
+static void prepare(core_profile *profile, unsigned model, const core_medium *medium) {
   const core_parameters parameters = unit_parameters(model, medium);
   unit_assert_fault(core_profile_prepare(profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
-                                         evaluator, medium, &parameters),
+                                         CORE_EVALUATOR_F64, medium, &parameters),
                     NULL, 0);
 }
 
 UNIT_SETUP(prepare_all) {
   for (const core_choice *model = core_models; model->name != NULL; model++) {
     for (size_t i = 0; i < MEDIA; i++) {
-      prepare(&pairs[pair_count].f64, model->id, CORE_EVALUATOR_F64, &media[i]);
-      prepare(&pairs[pair_count++].f32, model->id, CORE_EVALUATOR_F32, &media[i]);
+      prepare(&profiles[profile_count++], model->id, &media[i]);
     }
   }
 }
 
 UNIT_TEARDOWN(free_all) {
-  while (pair_count > 0) {
-    core_profile_free(&pairs[--pair_count].f64);
-    core_profile_free(&pairs[pair_count].f32);
+  while (profile_count > 0) {
+    core_profile_free(&profiles[--profile_count]);
   }
 }
 
-typedef void profile_test(const core_profile *f64, const core_profile *f32, uint64_t *random);
+typedef void profile_test(const core_profile *profile, uint64_t *random);
 
 static void with_every_model(profile_test *test) {
   uint64_t random = unit_seed();
-  for (size_t i = 0; i < pair_count; i++) {
-    test(&pairs[i].f64, &pairs[i].f32, &random);
+  for (size_t i = 0; i < profile_count; i++) {
+    test(&profiles[i], &random);
   }
 }
 
@@ -56,8 +52,7 @@ static const char *name_of(const core_profile *profile) {
  */
 enum { STEPS = 6000 };
 
-static void check_density(const core_profile *f64, const core_profile *f32, uint64_t *random) {
-  (void)f32;
+static void check_density(const core_profile *f64, uint64_t *random) {
   (void)random;
   static double r[STEPS + 1], R[STEPS + 1], cdf[STEPS + 1], pdf[STEPS + 1], ring[STEPS + 1];
   const double step = 60.0 / STEPS;
@@ -93,8 +88,7 @@ UNIT_TEST(every_density_integrates_to_1_and_to_the_cdf) {
 }
 
 /* The derivative by central differences, where R is smooth and neither end is near. */
-static void check_slope(const core_profile *f64, const core_profile *f32, uint64_t *random) {
-  (void)f32;
+static void check_slope(const core_profile *f64, uint64_t *random) {
   enum { RADII = 40, STENCIL = 5 };
   double r[RADII][STENCIL], R[RADII][STENCIL], value[RADII][STENCIL], ln_R[RADII][STENCIL];
   for (int i = 0; i < RADII; i++) {
@@ -123,11 +117,3 @@ static void check_slope(const core_profile *f64, const core_profile *f32, uint64
 UNIT_TEST(every_slope_is_the_derivative) {
   with_every_model(check_slope);
 }
-
-/* ---- the sampler ------------------------------------------------------------------------------ */
-
-/* The numbers are stratified. A sampler that inverts the cdf at all of them, to 1e-12, draws from
- * the density above. A test of random samples would only see errors of 1e-2. */
-enum { ROUND_TRIPS = 1500 };
-
-/* ---- single precision ------------------------------------------------------------------------- */

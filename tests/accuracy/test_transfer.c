@@ -1,9 +1,8 @@
-/* The transfer function R(f), the Hankel transform of R(r): its filter, the transformation of
- * transport against an integral by other means, and its limits. truth.c compares that of all other
- * models with their forms. */
+/* The transfer function R(f), the Hankel transform of R(r): that of a beam has no step, that of
+ * transport is an integral by other means. truth.c compares those of all other models with their
+ * forms, and its filter with them; test_kernels.c has slices. */
 #include <math.h>
 
-#include "core/filter.h"
 #include "core/kernels.h"
 #include "tests/unit/unit.h"
 
@@ -31,21 +30,6 @@ static void assert_within(double value, double truth, double allowed, const char
   }
 }
 
-/* The filter is its formula: the sum of a smooth function whose ends are 0. */
-UNIT_TEST(the_filter_is_its_formula) {
-  const double h = log(2) / CORE_FILTER_STEPS, step = 1e-4, s = CORE_FILTER_SHARPNESS;
-  for (int i = 0; i < CORE_FILTER_WAVES + 12; i++) {
-    double sum = 0;
-    for (int n = -(int)(8.2 / s / step); n * step < 8.2 / s; n++) {
-      const double x = n * step;
-      const double wave = n != 0 ? sin(pi * x / h) / (pi * x) : 1 / h;
-      sum += step * j0(exp(i * h + x)) * wave * exp(-0.5 * s * s * x * x);
-    }
-    const bool inside = i < CORE_FILTER_WAVES;
-    assert_within(inside ? core_filter[i] : 0, sum, 1e-13, "the filter", i);
-  }
-}
-
 /* The beam has no closed form, but a transform without steps: what it lacks to the albedo grows no
  * faster than k^2. */
 UNIT_TEST(the_transform_of_a_beam_has_no_step) {
@@ -66,29 +50,6 @@ UNIT_TEST(the_transform_of_a_beam_has_no_step) {
       assert_within(values[i], before, allowed, "R(f) of a beam", f[i]);
       before = values[i];
     }
-    core_profile_free(&profile);
-  }
-}
-
-/* A value is the same alone and among others, whatever their order and range. */
-UNIT_TEST(values_do_not_depend_on_their_neighbours) {
-  enum { MANY = 600 };
-  static const unsigned models[] = {CORE_MODEL_SINGLE, CORE_MODEL_TRANSPORT, CORE_MODEL_MULTIPOLE,
-                                    CORE_MODEL_QUANTIZED_SINGLE};
-  uint64_t random = unit_seed();
-  for (size_t i = 0; i < sizeof models / sizeof models[0]; i++) {
-    core_profile profile = prepared(models[i], CORE_EVALUATOR_F64, (core_medium){0.02, 1, 0, 1.4});
-    double f[MANY], all[MANY], some[MANY];
-    for (size_t k = 0; k < MANY; k++) {
-      f[k] = k % 3 == 0 ? unit_random_log(&random, 1e-12, 1e90) : unit_random_log(&random, 0.1, 1);
-    }
-    core_eval_f64(&profile, CORE_QUANTITY_TRANSFER, MANY, f, all);
-    for (size_t k = 0, n; k < MANY; k += n) {
-      const size_t wanted = 1 + (size_t)unit_random_between(&random, 0, k < 40 ? 2 : 200);
-      n = wanted < MANY - k ? wanted : MANY - k;
-      core_eval_f64(&profile, CORE_QUANTITY_TRANSFER, n, &f[k], &some[k]);
-    }
-    assert_memory_equal(all, some, sizeof all);
     core_profile_free(&profile);
   }
 }
@@ -139,31 +100,4 @@ UNIT_TEST(transport_has_the_transform_of_its_R) {
     core_profile_free(&profile);
   }
   printf("off by %.2g at most\n", worst);
-}
-
-/* Every model gives its albedo for f = 0, and less for larger f, in every precision. */
-UNIT_TEST(the_albedo_is_the_transform_at_0) {
-  for (const core_choice *model = core_models; model->name != NULL; model++) {
-    for (const core_choice *e = core_evaluators; e->name != NULL; e++) {
-      if (model->id == CORE_MODEL_GAUSSIANS || e->id == CORE_EVALUATOR_LUT) {
-        continue;
-      }
-      core_profile profile = prepared(model->id, e->id, (core_medium){0.1, 1, 0, 1.3});
-      double f[] = {0, 1e-3, 0.1, 1, 10}, value[5];
-      float narrow_f[] = {0, 1e-3f, 0.1f, 1, 10}, narrow[5];
-      if (e->id == CORE_EVALUATOR_F64) {
-        core_eval_f64(&profile, CORE_QUANTITY_TRANSFER, 5, f, value);
-      } else {
-        core_eval_f32(&profile, CORE_QUANTITY_TRANSFER, 5, narrow_f, narrow);
-        for (int i = 0; i < 5; i++) {
-          value[i] = (double)narrow[i];
-        }
-      }
-      assert_within(value[0], profile.albedo, 1e-6 * profile.albedo, model->name, 0);
-      for (int i = 1; i < 5; i++) {
-        assert_true(value[i] < value[i - 1] && value[i] >= 0);
-      }
-      core_profile_free(&profile);
-    }
-  }
 }

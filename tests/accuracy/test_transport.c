@@ -186,11 +186,3 @@ UNIT_TEST(estimates_are_honest) {
     assert_true(worst[t][0].estimate <= tolerances[t]);
   }
 }
-
-/* ---- bits --------------------------------------------------------------------------------- */
-
-struct job {
-  isotropic_boundary *boundary;
-  double albedo;
-  isotropic_solution *solution;
-};

@@ -107,7 +107,7 @@ def farm(tmp_path):
     command = ["haproxy", "-db", "-f", str(tmp_path / "haproxy.cfg")]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as proxy:
         try:
-            assert eventually(one.answers, 10)
+            assert eventually(one.answers)
             yield one
         finally:
             proxy.terminate()
@@ -139,8 +139,8 @@ def test_an_overloaded_daemon_keeps_its_connections_and_gets_no_new_ones(farm):
             while watcher.statistics()["connections_open"] < MOST:
                 full.enter_context(first.connect("tcp"))
             before = accepted()
-            assert eventually(lambda: not open_three(address), 10)
-            assert eventually(lambda: open_three(address), 10)
+            assert eventually(lambda: not open_three(address))
+            assert eventually(lambda: open_three(address))
             for _ in range(20):  # More connections are refused meanwhile, but not these.
                 with first.connect("tcp") as one, contextlib.suppress(OSError, EOFError):
                     one.receive_frame()
@@ -148,7 +148,7 @@ def test_an_overloaded_daemon_keeps_its_connections_and_gets_no_new_ones(farm):
                 for client in earlier:
                     client.ping()
             assert accepted() == before
-        assert eventually(lambda: open_three(address) and accepted() > before, 10)
+        assert eventually(lambda: open_three(address) and accepted() > before)
     watcher.close()
 
 

@@ -137,7 +137,7 @@ def test_memory_is_bounded(tmp_path):
 # ---- while it runs -------------------------------------------------------------------------------
 
 
-def read_until(stream: int, text: bytes, timeout_s: float = 30.0) -> bytes:
+def read_until(stream: int, text: bytes, timeout_s: float = TIMEOUT_S) -> bytes:
     """Reads from a file descriptor until a text comes. Returns all that was read."""
     deadline = time.monotonic() + timeout_s
     got = b""
@@ -172,7 +172,7 @@ def test_a_bar_is_shown_on_a_terminal_when_it_takes_long():
     run.process.stdin.write(HEADER.encode() + b"\n")
     start = time.monotonic()
     while " rows" not in run.seen:
-        assert time.monotonic() - start < 30
+        assert time.monotonic() - start < TIMEOUT_S
         run.process.stdin.write(ROW.encode() + b"\n")
         read_until(run.process.stdout.fileno(), b"\n")
         run.read()

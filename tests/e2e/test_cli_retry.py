@@ -3,14 +3,12 @@ or stay busy."""
 
 from __future__ import annotations
 
-import signal
 import subprocess
 import threading
-import time
 
 import pytest
 from command_line import FAILED, PROGRAM, TIMEOUT_S, Proxy, Terminal, busy, dipole, eval_rows
-from daemons import NOWHERE, Daemon, environment, eventually, nowhere
+from daemons import Daemon, environment, eventually
 
 ARGUMENTS = ("--sigma-a", "0.03", "--sigma-s", "1", "--r", "0.5,1,2")
 
@@ -43,16 +41,6 @@ def test_a_person_is_told_at_once(tmp_path):
     assert terminal.end()[0] != 0 and "Trying" not in terminal.seen
 
 
-@pytest.mark.parametrize("why", NOWHERE)
-def test_opening_goes_on_until_the_time_is_over(tmp_path, why):
-    with nowhere(why, tmp_path) as address:
-        began_s = time.monotonic()
-        options = ("--connect", address, "--retry-ms", "300")
-        error = dipole("eval", *options, *ARGUMENTS, status=FAILED).stderr
-    assert time.monotonic() - began_s >= 0.28
-    assert "(tried for 0.3 s)" in error and "The address is from --connect." in error
-
-
 def test_the_usual_time_is_enough_for_a_restart(tmp_path, known):
     """The daemon comes .3 s later than the command."""
     path, late = f"unix:{tmp_path}/s", []
@@ -63,30 +51,6 @@ def test_the_usual_time_is_enough_for_a_restart(tmp_path, known):
     finally:
         begin.join()
         late[0].close()
-
-
-def test_a_daemon_that_hangs_before_hello(daemon, known):
-    hung, good = daemon(), daemon()
-    hung.pause()
-    began_s = time.monotonic()
-    try:
-        rows = eval_rows("--connect", f"{hung.url()},{good.url()}", "--retry-ms", "600", *ARGUMENTS)
-        run = dipole(
-            "eval", "--connect", hung.url(), "--retry-ms", "200", *ARGUMENTS, status=FAILED
-        )
-    finally:
-        hung.process.send_signal(signal.SIGCONT)
-    assert rows == known and "does not say hello" in run.stderr
-    assert time.monotonic() - began_s < 10
-
-
-def test_a_daemon_that_hangs_later(daemon, known):
-    ends = threading.Event()
-    url = daemon().url()
-    with Proxy(url, lambda *_: not ends.wait(TIMEOUT_S)) as hung:
-        rows = eval_rows("--connect", f"{hung.url},{url}", "--timeout-ms", "300", *ARGUMENTS)
-        ends.set()
-    assert rows == known
 
 
 @pytest.mark.parametrize("how", ["kill", "terminate"])

@@ -71,7 +71,7 @@ def test_the_files_are_enough(root):
     assert not is_healthy()
     with subprocess.Popen([*inside, *entry], env=env, stderr=subprocess.DEVNULL) as daemon:
         try:
-            assert eventually(is_healthy, 20)
+            assert eventually(is_healthy)
             status = Path(f"/proc/{daemon.pid}/status").read_text()
             assert f"Uid:\t{NOBODY}\t{NOBODY}\t{NOBODY}\t{NOBODY}\n" in status
             with dipole.Client(place) as client, dipole.Client(f"private:{PROGRAM}") as other:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
-import functools
 
 import dipole
 import numpy as np
@@ -59,27 +58,6 @@ def test_no_queries_and_many(client):
     assert reports == [(16384, 40_000), (32768, 40_000), (40_000, 40_000)]
     assert np.all(found.M > 0)
 
-
-# ---- the same bits -------------------------------------------------------------------------------
-
-
-@functools.cache
-def asked_for_bits() -> tuple[Points, np.ndarray]:
-    return scene(10_000, 3), positions(2000)
-
-
-def bits(daemon: Daemon) -> bytes:
-    points, queries = asked_for_bits()
-    with daemon.client() as client:
-        return b"".join(
-            client.gather("better", "skin1", points, few, evaluator=evaluator).M.tobytes()
-            for evaluator, few in (("lut", queries), ("f32", queries[:100]), ("f64", queries[:100]))
-        )
-
-
-@pytest.fixture(scope="module")
-def expected(shared) -> bytes:
-    return bits(shared)
 
 
 @pytest.mark.parametrize(

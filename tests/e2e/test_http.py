@@ -18,7 +18,7 @@ from pathlib import Path
 import dipole
 import numpy as np
 import pytest
-from daemons import BUILD, Daemon, eventually, run, sanitized
+from daemons import BUILD, HANG_S, Daemon, eventually, sanitized
 from installing import npm_install
 
 TIMEOUT_S = 30
@@ -547,12 +547,6 @@ def test_a_name_that_is_not_the_daemons_is_421(served, daemon, port):
     assert status(served, "localhost", "GET http://evil.example/healthz") == 421
 
 
-@pytest.mark.parametrize("name", ["", "*", "farm7:8017", "farm7.", "http://farm7", "[::1]"])
-def test_names_that_no_request_can_have(name):
-    ended = run("--http", "127.0.0.1:0", "--http-name", name)
-    assert ended.returncode == 2 and f"--http-name is a name alone, as farm7.example, not '{name}'" in ended.stderr
-
-
 def test_other_sites_ask_nothing(served, daemon):
     """A browser says which site a page is of. A query would store points without a word."""
     path = "/v1/points?x=1&y=1&z=1&power=1"
@@ -719,7 +713,7 @@ def test_slow_readers_have_half_of_the_memory_for_a_time(daemon):
         many = client.eval("better", [dipole.Medium(**SKIN)] * 45, np.linspace(0, 9, 40_000))
         assert many.R.shape == (45, 40_000)  # 28 MB
         # They read nothing for frame_timeout_ms, and are closed.
-        assert eventually(lambda: client.statistics()["buffer_bytes"] < most / 16, 30)
+        assert eventually(lambda: client.statistics()["buffer_bytes"] < most / 16)
         readers.close()
         assert good(get(one, LARGE))
 
@@ -745,8 +739,8 @@ def test_busy_is_429_with_retry_after(daemon):
                 assert answer.json["status"] == "busy"
             return answer.status == 429
 
-        assert eventually(is_busy, 10)
-    assert eventually(lambda: get(one, "/v1/eval?model=better&medium=skin1&r=1").status == 200, 10)
+        assert eventually(is_busy)
+    assert eventually(lambda: get(one, "/v1/eval?model=better&medium=skin1&r=1").status == 200)
 
 
 @pytest.mark.skipif(sanitized(), reason="a sanitizer's memory is another")
@@ -805,7 +799,7 @@ def test_one_more_connection_is_closed(daemon):
         except ConnectionError:
             pass
     held.pop().close()
-    assert eventually(lambda: _serves(one), 10)
+    assert eventually(lambda: _serves(one))
     for sock in held:
         sock.close()
 
@@ -832,7 +826,7 @@ def test_slow_and_idle_clients_are_closed(daemon, beginning):
         sock.sendall(beginning)
         sock.settimeout(0.1)
         while True:
-            assert time.monotonic() - began < 10
+            assert time.monotonic() - began < HANG_S
             try:
                 if sock.recv(1000) == b"":
                     break
@@ -897,7 +891,7 @@ def test_a_running_request_is_answered_when_the_daemon_stops(daemon):
     connection = http.client.HTTPConnection(*address(one), timeout=TIMEOUT_S)
     connection.request("GET", path)
     with one.client() as client:
-        assert eventually(lambda: client.statistics()["requests_eval"] >= 1, 10)
+        assert eventually(lambda: client.statistics()["requests_eval"] >= 1)
     one.terminate()
     answer = connection.getresponse()
     assert answer.status == 200 and json.loads(answer.read())["channels"][0]["R"]

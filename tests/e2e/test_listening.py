@@ -185,32 +185,6 @@ def test_one_address_where_one_is_taken(name):
     assert ended.returncode == 2 and f"--{name} is given twice, and takes one HOST:PORT" in ended.stderr
 
 
-WRONG = [
-    "nonsense",
-    "",
-    "http://localhost:80",
-    "unix:",
-    "unix:/no/such/folder/s",
-    "unix:/" + "x" * 200,
-    "tcp:",
-    "tcp:127.0.0.1",
-    "tcp:127.0.0.1:",
-    "tcp:127.0.0.1:65536",
-    "tcp:127.0.0.1:-1",
-    "tcp:127.0.0.1:port",
-    "tcp::0",
-    "tcp:256.1.1.1:0",
-]
-
-
-@pytest.mark.parametrize("url", WRONG)
-def test_wrong_address(url):
-    ended = run("--listen", url)
-    assert ended.returncode == 1
-    assert "cannot listen at" in ended.stderr and url in ended.stderr
-    assert "event=stopping" not in ended.stderr  # it has not been ready
-
-
 def test_all_addresses_or_none(folder):
     ended = run("--listen", f"unix:{folder}/s", "--listen", "tcp:127.0.0.1:nonsense")
     assert ended.returncode == 1
@@ -245,7 +219,7 @@ def test_who_is_allowed_over_tcp(daemon, folder):
             refused = dipole.wire.ERROR.unpack(connection.receive_frame().payload)
             assert refused.status == 14 and refused.field == "allow"
             assert connection.receive_eof()
-        assert one.has_line(f"event=connection-refused status=not-allowed field=allow peer={source}", 5)
+        assert one.has_line(f"event=connection-refused status=not-allowed field=allow peer={source}")
     with one.connect("unix") as connection:
         assert_serves(connection)
     with one.client("unix") as client:
@@ -268,15 +242,6 @@ def test_a_client_that_is_not_allowed_does_not_try_again(daemon):
     assert sum("event=connection-refused" in line for line in one.log) <= 3
 
 
-@pytest.mark.parametrize("network", ["localhost", "10.0.0.0/33", "10.0.0.0/", ""])
-def test_what_is_no_network(network):
-    ended = run("--listen", "tcp:127.0.0.1:0", "--allow", network)
-    assert ended.returncode == 2
-    assert f"--allow takes numeric addresses, as 192.0.2.7 or 192.0.2.0/24, not '{network}'" in (
-        ended.stderr
-    )
-
-
 @pytest.mark.parametrize("mode", [0o600, 0o660, 0o666, 0o000])
 def test_mode_of_the_socket(daemon, folder, mode):
     one = daemon("--socket-mode", f"{mode:04o}", listen=[f"unix:{folder}/{mode:o}"])
@@ -291,20 +256,6 @@ def test_group_of_the_socket(daemon, folder):
     daemon("--socket-group", str(group), "--socket-mode", "0660", listen=[f"unix:{folder}/g"])
     made = (folder / "g").stat()
     assert made.st_gid == group and stat.S_IMODE(made.st_mode) == 0o660
-
-
-@pytest.mark.parametrize(
-    "options, said",
-    [
-        (["--socket-mode", "888"], "--socket-mode is an octal number up to 0777, not '888'"),
-        (["--socket-mode", "1777"], "--socket-mode is an octal number up to 0777, not '1777'"),
-        (["--socket-group", "no such group"], "there is no group 'no such group'"),
-    ],
-)
-def test_wrong_permissions(folder, options, said):
-    ended = run("--listen", f"unix:{folder}/w", *options)
-    assert ended.returncode == 1 and said in ended.stderr
-    assert not (folder / "w").exists()
 
 
 # ---- an inherited connection ---------------------------------------------------------------------
@@ -376,13 +327,6 @@ def test_fd_of_a_tcp_connection():
     assert process.returncode == 0
 
 
-@pytest.mark.parametrize("fd", ["x", "-1", "", "999", "1", "0x3"])
-def test_fd_that_is_no_connection(fd):
-    ended = run("--fd", fd)
-    assert ended.returncode in (1, 2)
-    assert "--fd" in ended.stderr
-
-
 def test_fd_of_a_datagram_socket():
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as wrong:
         process = start_with_fd(wrong)
@@ -433,7 +377,7 @@ def test_closed_standard_streams_are_nobody_elses(folder, closing):
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment(),
     )  # fmt: skip
     try:
-        assert eventually(lambda: accepts(folder / "s"), END_S)
+        assert eventually(lambda: accepts(folder / "s"))
         links = [os.readlink(f"/proc/{process.pid}/fd/{fd}") for fd in range(3)]
         assert links.count("/dev/null") == len(closing.split()) + ("2>" not in closing), links
         assert all(link == "/dev/null" or link.startswith("pipe:") for link in links), links

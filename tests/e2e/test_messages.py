@@ -199,8 +199,10 @@ HEADERS = {
 def test_wrong_headers(shared, name):
     changes, payload, error = HEADERS[name]
     with shared.connect() as connection:
+        before = statistics(connection)[f"answers_{error[0]}"]
         connection.send_bytes(header(**changes, request_id=2**64 - 1, payload_bytes=len(payload)) + payload)
         assert_error(connection.receive_frame(), *error, request_id=2**64 - 1)
+        assert statistics(connection)[f"answers_{error[0]}"] == before + 1
         assert_serves(connection)
 
 
@@ -571,7 +573,7 @@ def test_leaving(single, message, scheme):
                     leaving.send_bytes(frame(wire.MESSAGES[message], 1, payload))
                     leaving.receive_bytes(read)
         idle = ("owed_radii", "mc_jobs_open", "points_sent_bytes")
-        assert eventually(lambda: not any(statistics(watcher)[name] for name in idle), 30)
+        assert eventually(lambda: not any(statistics(watcher)[name] for name in idle))
         assert eventually(lambda: statistics(watcher)["connections_open"] == 1)
         assert eventually(lambda: statistics(watcher)["buffer_bytes"] < 1 << 20)
         assert_serves(watcher)

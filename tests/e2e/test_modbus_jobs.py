@@ -46,7 +46,7 @@ def head(master: Tcp, kind: str, unit: int = 1) -> Head:
 
 def ended(master: Tcp, kind: str, unit: int = 1) -> Head:
     """Waits until the job is not busy. Returns the head of its output block."""
-    assert eventually(lambda: head(master, kind, unit).status != IS_BUSY, 60)
+    assert eventually(lambda: head(master, kind, unit).status != IS_BUSY)
     return head(master, kind, unit)
 
 
@@ -225,7 +225,7 @@ def test_a_slow_job_says_how_far_it_is_and_can_be_cancelled(daemon, kind):
         with exception(BUSY):
             master.write_one(AT[f"{kind}_COMMIT"], 8)
         if kind != "SAMPLE":  # A sample prepares one profile, and is then done.
-            assert eventually(lambda: 0 < numbers(master, f"{kind}_PROGRESS", 1)[0] < 1, 60)
+            assert eventually(lambda: 0 < numbers(master, f"{kind}_PROGRESS", 1)[0] < 1)
         # The running job does not delay this one.
         assert run_job(master, 1, input_block(3, SKIN, [1.0]))[:2] == (DONE, 3)
         assert head(master, kind)[:2] == (IS_BUSY, 0)
@@ -271,7 +271,7 @@ def test_a_job_has_a_place_in_the_queue(daemon, kind):
         first = head(master, kind).place
         assert 20 < first <= 28
         assert as_words(master.read(AT["PLACE"], 1, 28))[0] < 28
-        assert eventually(lambda: head(master, kind).place < first, 60)
+        assert eventually(lambda: head(master, kind).place < first)
         master.write_one(AT[f"{kind}_CANCEL"], 1)
         assert head(master, kind).place == 0
 
@@ -385,7 +385,7 @@ def test_a_job_goes_on_when_its_master_leaves(daemon, kind):
             assert ended(master, kind)[:2] == (DONE, 7)
         else:
             progress = numbers(master, f"{kind}_PROGRESS", 1)[0]
-            assert eventually(lambda: numbers(master, f"{kind}_PROGRESS", 1)[0] > progress, 60)
+            assert eventually(lambda: numbers(master, f"{kind}_PROGRESS", 1)[0] > progress)
 
 
 def test_an_mc_ends_when_no_request_names_its_unit(daemon):
@@ -397,11 +397,11 @@ def test_an_mc_ends_when_no_request_names_its_unit(daemon):
         begun = time.monotonic()
         while time.monotonic() < begun + 2.5:
             assert head(master, "MC").status == IS_BUSY
-        assert eventually(lambda: numbers(master, "MC_PROGRESS", 1)[0] > 0, 60)
+        assert eventually(lambda: numbers(master, "MC_PROGRESS", 1)[0] > 0)
         commit_slow(master, "INVERT")  # jobs that keep no place from others go on
     with one.client() as client:
         medium = (0.1, 0.9, 0.0, 1.3)
-        assert eventually(lambda: client.statistics()["mc_jobs_open"] == 0, 20)
+        assert eventually(lambda: client.statistics()["mc_jobs_open"] == 0)
         client.mc(medium, Grid(0.0, 1.0, 3), photons=1)
     with Tcp(one) as master:
         assert ended(master, "MC").status == CANCELLED
@@ -429,7 +429,7 @@ def test_a_job_is_not_refused_halfway(daemon):
                 break
         assert refusals > 20
         progress = numbers(master, "INVERT_PROGRESS", 1)[0]
-        assert eventually(lambda: numbers(master, "INVERT_PROGRESS", 1)[0] > progress, 60)
+        assert eventually(lambda: numbers(master, "INVERT_PROGRESS", 1)[0] > progress)
 
 
 def test_stopping_while_jobs_of_all_kinds_run(daemon):

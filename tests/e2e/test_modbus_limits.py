@@ -3,7 +3,6 @@ connections."""
 
 from __future__ import annotations
 
-import re
 import resource
 import select
 import socket
@@ -12,7 +11,7 @@ import time
 
 import numpy as np
 import pytest
-from daemons import eventually, run
+from daemons import eventually
 from frames import assert_serves
 from modbus_master import (
     AT, BAD_ADDRESS, BAD_FUNCTION, BAD_VALUE, READ_HOLDING, TCP, Exception_, Tcp, as_words,
@@ -71,7 +70,7 @@ def test_frames_that_close_the_connection(daemon, name):
         assert master.receive()[2] == b"\3\2\0\0"
         peer = master.own_address()
         assert master.is_closed()
-    assert one.has_line(f"event=modbus-closed reason=bad-frame peer={peer}", 10)
+    assert one.has_line(f"event=modbus-closed reason=bad-frame peer={peer}")
     with Tcp(one) as master:
         assert master.statistic("modbus_bad_frames") == 1
 
@@ -99,7 +98,7 @@ def test_a_frame_that_does_not_arrive(daemon):
             master.socket.sendall(master.frame(1, READ_ONE)[:length])
             peer = master.own_address()
             assert master.is_closed()
-        assert one.has_line(f"event=modbus-closed reason=frame-timeout peer={peer}", 10)
+        assert one.has_line(f"event=modbus-closed reason=frame-timeout peer={peer}")
 
 
 def test_a_slow_frame_delays_nobody_and_has_no_more_time(daemon):
@@ -108,13 +107,11 @@ def test_a_slow_frame_delays_nobody_and_has_no_more_time(daemon):
     one = daemon(*TCP, "--modbus-frame-timeout-ms", "200")
     with Tcp(one) as slow, Tcp(one) as fast:
         frame = slow.frame(1, struct.pack(">BHHB", 16, 0, 100, 200) + bytes(200))
-        deadline = time.monotonic() + 20
         with pytest.raises((BrokenPipeError, ConnectionResetError)):
             for byte in frame:
                 slow.socket.sendall(bytes([byte]))
                 assert fast.read(0, 1) == b"\0\0"
                 assert fast.exchange(1, bytes([99, 0, 0])) == bytes([99 | 0x80, BAD_FUNCTION])
-                assert time.monotonic() < deadline
                 time.sleep(0.02)
 
 
@@ -169,7 +166,7 @@ def test_a_master_that_never_reads_is_closed(daemon):
             while True:
                 fill(master, frames)
         with Tcp(one) as other:
-            assert eventually(lambda: other.statistic("modbus_connections_open") == 1, 20)
+            assert eventually(lambda: other.statistic("modbus_connections_open") == 1)
 
 
 # ---- many ----------------------------------------------------------------------------------------
@@ -205,7 +202,7 @@ def test_one_too_many(daemon):
         peer = late.own_address()
         assert late.is_closed()
     assert masters[0].statistic("modbus_connections_refused") == 1
-    assert one.has_line(f"reason=max-modbus-connections peer={peer}", 10)
+    assert one.has_line(f"reason=max-modbus-connections peer={peer}")
     masters[2].socket.close()
     assert eventually(lambda: masters[0].statistic("modbus_connections_open") <= 2)
     with Tcp(one) as again:
@@ -219,20 +216,12 @@ def test_one_too_many(daemon):
 # tests/unit/test_modbus.c tries more networks.
 
 
-@pytest.mark.parametrize("network", ["127.0.0.1", "126.0.0.0/7"])
-def test_who_is_allowed(daemon, network):
-    one = daemon(*TCP, "--modbus-allow", network)
-    with Tcp(one) as master:
-        assert master.read(0, 1) == b"\0\0"
-
-
-@pytest.mark.parametrize("network", ["10.0.0.0/8", "::1", "127.0.0.0/32"])
-def test_who_is_not(daemon, network):
-    one = daemon(*TCP, "--modbus-allow", network)
+def test_who_is_not_allowed(daemon):
+    one = daemon(*TCP, "--modbus-allow", "10.0.0.0/8")
     with Tcp(one) as master:
         peer = master.own_address()
         assert master.is_closed()
-    assert one.has_line(f"event=modbus-refused reason=not-allowed peer={peer}", 5)
+    assert one.has_line(f"event=modbus-refused reason=not-allowed peer={peer}")
     with one.connect() as connection:
         assert_serves(connection)
 
@@ -251,7 +240,7 @@ def test_a_refused_request_is_in_the_log(daemon):
             with exception(code):
                 master.ask(pdu, 9)
             asked = f"function={pdu[0]} exception={code} address={at} unit=9 peer={peer}"
-            assert one.has_line(f"event=modbus-request-refused {asked}", 5)
+            assert one.has_line(f"event=modbus-request-refused {asked}")
     assert sum("event=modbus-request-refused" in line for line in one.log) == 3
 
 
@@ -265,18 +254,18 @@ def test_a_list_of_networks(daemon):
         assert master.is_closed()
 
 
+WRITES = [
+    struct.pack(">BHH", 5, 0, 0), struct.pack(">BHH", 6, 0, 0), struct.pack(">BHHBB", 15, 0, 1, 1, 0),
+    struct.pack(">BHHBH", 16, 0, 1, 2, 0), struct.pack(">BHHH", 22, 0, 0, 0),
+    struct.pack(">BHHHHBH", 23, 0, 1, 0, 1, 2, 0),
+]  # fmt: skip
+
+
 def test_read_only(daemon):
     one = daemon(*TCP, "--modbus-read-only")
     with Tcp(one) as master:
         assert master.read(1200, 2) == b"DIPL"
-        for pdu in (
-            struct.pack(">BHH", 5, 0, 0),
-            struct.pack(">BHH", 6, 0, 0),
-            struct.pack(">BHHBB", 15, 0, 1, 1, 0),
-            struct.pack(">BHHBH", 16, 0, 1, 2, 0),
-            struct.pack(">BHHH", 22, 0, 0, 0),
-            struct.pack(">BHHHHBH", 23, 0, 1, 0, 1, 2, 0),
-        ):
+        for pdu in WRITES:
             with exception(BAD_FUNCTION):
                 master.ask(pdu)
         assert master.ask(b"\x11")[1:3] == b"\x01\xff"
@@ -292,17 +281,10 @@ def test_who_may_write(daemon):
                 master.write(AT["ETA"], floats(1.25), 9)
                 assert master.read(AT["ETA"], 2, 9) == floats(1.25)
                 continue
-            for pdu in (
-                struct.pack(">BHH", 5, 0, 0),
-                struct.pack(">BHH", 6, 0, 0),
-                struct.pack(">BHHBB", 15, 0, 1, 1, 0),
-                struct.pack(">BHHBH", 16, 0, 1, 2, 0),
-                struct.pack(">BHHH", 22, 0, 0, 0),
-                struct.pack(">BHHHHBH", 23, 0, 1, 0, 1, 2, 0),
-            ):
+            for pdu in WRITES:
                 with exception(BAD_FUNCTION):
                     master.ask(pdu)
-            assert one.has_line("event=modbus-request-refused function=23 exception=1", 5)
+            assert one.has_line("event=modbus-request-refused function=23 exception=1")
 
 
 def test_read_only_holds_for_those_who_may_write(daemon):
@@ -311,7 +293,7 @@ def test_read_only_holds_for_those_who_may_write(daemon):
         master.write_one(0, 1)
 
 
-# ---- options -------------------------------------------------------------------------------------
+# ---- addresses -------------------------------------------------------------------------------------
 
 
 def test_addresses_from_the_environment(daemon):
@@ -331,34 +313,6 @@ def test_two_addresses_have_the_same_registers(daemon):
     with Tcp(first) as one_master, Tcp(second) as other:
         one_master.write(AT["ETA"], floats(1.25), 9)
         assert other.read(AT["ETA"], 2, 9) == floats(1.25)
-
-
-WRONG = {
-    "no scheme": ["--modbus", "127.0.0.1:502"],
-    "no port": ["--modbus", "tcp:127.0.0.1"],
-    "unix": ["--modbus", "unix:/nonexistent"],
-    "rtu without device": ["--modbus", "rtu:,9600"],
-    "baud": ["--modbus", "rtu:/dev/null,9601,N"],
-    "parity": ["--modbus", "rtu:/dev/null,9600,X"],
-    "unit 0": ["--modbus", "rtu:/dev/null,9600,N,0"],
-    "unit 248": ["--modbus", "rtu:/dev/null,9600,N,248"],
-    "more": ["--modbus", "rtu:/dev/null,9600,N,1,2"],
-    "stop bits": ["--modbus", "rtu:/dev/null,9600,N3"],
-    "rts": ["--modbus", "rtu:/dev/null,9600,N,rts=up"],
-    "rts delay": ["--modbus", "rtu:/dev/null,9600,N,1,rts=high,rts-delay-ms=1001"],
-    "rts delay alone": ["--modbus", "rtu:/dev/null,9600,N,1,rts-delay-ms=1"],
-    "allow": ["--modbus", "tcp:127.0.0.1:0", "--modbus-allow", "localhost"],
-    "allow write": ["--modbus", "tcp:127.0.0.1:0", "--modbus-allow-write", "localhost"],
-    "bits": ["--modbus", "tcp:127.0.0.1:0", "--modbus-allow", "10.0.0.0/33"],
-    "no bits": ["--modbus", "tcp:127.0.0.1:0", "--modbus-allow", "10.0.0.0/"],
-}
-
-
-@pytest.mark.parametrize("name", WRONG)
-def test_wrong_options(name):
-    ended = run("--listen", "tcp:127.0.0.1:0", *WRONG[name])
-    assert ended.returncode != 0
-    assert re.search(r"^dipoled: .*(modbus|cannot listen)", ended.stderr, re.M), ended.stderr
 
 
 # ---- the end -------------------------------------------------------------------------------------

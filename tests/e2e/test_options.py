@@ -106,23 +106,6 @@ def test_addresses_from_the_environment(daemon, tmp_path_factory):
     assert [url[:4] for url in two.urls] == ["tcp:"]
 
 
-@pytest.mark.parametrize(
-    "name, nearest",
-    [
-        ("DIPOLED_WORKER", "DIPOLED_WORKERS"),
-        ("DIPOLED_LOGLEVEL", "DIPOLED_LOG_LEVEL"),
-        ("DIPOLED_max_media", "DIPOLED_MAX_MEDIA"),
-        ("DIPOLED_", "DIPOLED_FD"),
-        ("DIPOLED_PORT", "DIPOLED_KEY"),
-        ("DIPOLED_SERVICE_HOSTS", "DIPOLED_CERTIFICATE"),
-    ],
-)
-def test_an_unknown_variable_is_refused_with_the_nearest_name(name, nearest):
-    ended = run(*NOWHERE, env={name: "3", "DIPOLED_WORKERS": "2"})
-    assert ended.returncode == 2 and ended.stdout == ""
-    assert f"environment variable {name} is no option; the nearest is {nearest}." in ended.stderr
-
-
 SERVICE = {
     "SERVICE_HOST": "10.96.0.7",
     "SERVICE_PORT": "4817",
@@ -176,49 +159,6 @@ def test_numbers_at_the_ends_of_their_range(name):
         assert "no-such-option" in ended.stderr and f"--{name}" not in ended.stderr
 
 
-NO_NUMBERS = ["", " 5", "5 ", "-5", "+5", "1.5", "1e3", "0x10", "five", "9" * 30]
-
-
-@pytest.mark.parametrize("value", NO_NUMBERS)
-def test_not_a_number(value):
-    ended = run(*NOWHERE, "--max-media", value)
-    assert ended.returncode == 2 and "--max-media" in ended.stderr
-    assert ended.stdout == ""
-
-
-WRONG = {
-    "unknown option": ["--max-medium", "5"],
-    "no value": ["--max-media"],
-    "argument": ["tcp:127.0.0.1:0"],
-    "log level": ["--log-level", "loud"],
-    "isa": ["--isa", "pentium"],
-}
-
-
-@pytest.mark.parametrize("name", WRONG)
-def test_wrong_usage(name):
-    ended = run(*NOWHERE, *WRONG[name])
-    assert ended.returncode == 2
-    assert WRONG[name][0].lstrip("-") in ended.stderr
-
-
-def test_a_misspelt_option_gets_the_nearest():
-    for wrong in ("--wrokers", "--wrokers=3", "--worker-s"):
-        assert "the nearest option is --workers\n" in run(*NOWHERE, wrong).stderr
-    for other in ("--nothing-like-it", "--max-media"):  # the second one lacks its value
-        said = run(*NOWHERE, other).stderr
-        assert "nearest" not in said and "dipoled --help lists the options" in said
-
-
-def test_a_wrong_value_is_quoted():
-    for arguments in (WRONG["log level"], WRONG["isa"], ["--fd", "99"]):
-        assert arguments[1] in run(*NOWHERE, *arguments).stderr
-    allow = ["--modbus", "tcp:127.0.0.1:0", "--modbus-allow", "10.0.0.0/33"]
-    said = run("--listen", "tcp:127.0.0.1:0", *allow).stderr.splitlines()[-1]
-    assert said.startswith("dipoled: --modbus-allow takes numeric addresses")
-    assert said.endswith("not '10.0.0.0/33'")
-
-
 def test_help():
     ended = run("--help")
     assert ended.returncode == 0 and ended.stderr == ""
@@ -249,23 +189,3 @@ def test_log_level_error_is_quiet(daemon, tmp_path_factory):
         client.ping()
     assert quiet.log == []
 
-
-def test_a_flag_in_the_environment(daemon):
-    for value in ("0", "1"):
-        with daemon(env={"DIPOLED_MODBUS_READ_ONLY": value}).client() as client:
-            client.ping()
-    ended = run(*NOWHERE, env={"DIPOLED_MODBUS_READ_ONLY": "yes"})
-    assert ended.returncode == 2 and "modbus-read-only" in ended.stderr
-
-
-def test_two_lists_from_the_environment(daemon, tmp_path_factory):
-    """Two options that are lists each get their own items from the environment."""
-    folder = tmp_path_factory.mktemp("l")
-    env = {
-        "DIPOLED_LISTEN": f"unix:{folder}/a,unix:{folder}/b",
-        "DIPOLED_MODBUS": "tcp:127.0.0.1:0;tcp:127.0.0.1:0",
-        "DIPOLED_MODBUS_ALLOW": "127.0.0.0/8,::1",
-    }
-    one = daemon(env=env, listen=[])
-    assert f"unix:{folder}/a" in one.urls and f"unix:{folder}/b" in one.urls
-    assert len(one.urls) == 4

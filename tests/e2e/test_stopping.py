@@ -174,14 +174,14 @@ def test_a_log_that_nobody_reads_holds_nobody_up(tmp_path, kind):
     options += [f"--certificate={pem}", f"--key={key}"]
     process = subprocess.Popen([PROGRAM, *options], stderr=theirs, env=environment())
     try:
-        assert eventually(lambda: not refused(f"unix:{tmp_path}/s"), END_S)
+        assert eventually(lambda: not refused(f"unix:{tmp_path}/s"))
         with Client(f"unix:{tmp_path}/s") as client:
 
             def dropped() -> int:
                 process.send_signal(signal.SIGHUP)  # which reads the certificates, and logs that
                 return client.statistics()["log_lines_dropped"]
 
-            assert eventually(lambda: dropped() >= 5, END_S)
+            assert eventually(lambda: dropped() >= 5)
             told, text = 0, ""
             os.set_blocking(ours, False)
 
@@ -195,7 +195,7 @@ def test_a_log_that_nobody_reads_holds_nobody_up(tmp_path, kind):
                 told = sum(int(read_log_line(line).get("dropped", 0)) for line in text.split("\n"))
                 return count == told
 
-            assert eventually(all_told, END_S)
+            assert eventually(all_told)
             assert "event=ready" in text and told >= 5
         fill()
         process.terminate()

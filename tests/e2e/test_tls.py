@@ -143,7 +143,7 @@ def test_allow_holds_for_tls(daemon, server, ours):
     one = daemon("--allow", "10.0.0.0/8", *options(server), listen=["tls:127.0.0.1:0"])
     with pytest.raises(dipole.ConnectError):
         dipole.Client(one.url("tls"), ca=ours["ca"], retry_s=0)
-    assert one.has_line("event=tls-refused peer=127.0.0.1", 5) and "not-allowed" in one.log[-1]
+    assert one.has_line("event=tls-refused peer=127.0.0.1") and "not-allowed" in one.log[-1]
 
 
 # ---- certificates --------------------------------------------------------------------------------
@@ -167,7 +167,7 @@ def test_clients_that_are_not_believed(farm, authority, ours, tmp_path, who):
         capture_output=True, text=True, timeout=END_S, check=False,
     )  # fmt: skip
     assert said.returncode == 1 and "refuses this client's certificate" in said.stderr
-    assert farm.has_line("event=tls-refused peer=127.0.0.1", 5)
+    assert farm.has_line("event=tls-refused peer=127.0.0.1")
     with dipole.Client(farm.url("tls"), **ours) as client:
         client.ping()
 
@@ -207,11 +207,11 @@ def test_plain_and_tls_do_not_mix(farm, ours):
     with pytest.raises(dipole.ConnectError, match="is it a tcp: address"):
         dipole.Client(plain, **ours)
     assert "is it a tcp: address" in media(plain, ours)
-    assert farm.has_line("this is TLS, which needs a tls: address", 5)
+    assert farm.has_line("this is TLS, which needs a tls: address")
     with pytest.raises(dipole.DipoleError, match="is it a tls: address"):
         dipole.Client(secure, retry_s=0)
     assert "is it a tls: address" in media(secure, {})
-    assert farm.has_line("the peer does not speak TLS", 5)
+    assert farm.has_line("the peer does not speak TLS")
 
 
 @pytest.mark.parametrize(
@@ -298,12 +298,12 @@ def test_roles_by_subject_and_by_extension(daemon, authority, server, ours, tmp_
                 client.eval("better", SKIN, [1.0])
                 file.write_text("compute *\n")
                 one.process.send_signal(signal.SIGHUP)
-                assert one.has_line("event=tls-reloaded", 5)
+                assert one.has_line("event=tls-reloaded")
                 client.eval("better", SKIN, [1.0])
                 assert roles_of(one.url("tls"), ours) == {"compute"}
                 file.write_text("observe *\nnonsense\n")
                 one.process.send_signal(signal.SIGHUP)
-                assert one.has_line("event=tls-not-reloaded", 5) and "line 2" in one.log[-1]
+                assert one.has_line("event=tls-not-reloaded") and "line 2" in one.log[-1]
                 file.write_text(
                     "observe subject:CN=clock\nevaluate,compute,observe role:Engineer\n"
                 )
@@ -403,11 +403,11 @@ def test_certificates_are_reloaded_under_load(daemon, authority, ours, tmp_path)
         one.process.send_signal(signal.SIGHUP)
         assert eventually(lambda: sum("event=tls-reloaded" in x for x in one.log) == turn + 1)
         serials.append(serial_of(one, ours))
-        assert eventually(lambda: faults or all(a > b for a, b in zip(answers, before)), 20)
+        assert eventually(lambda: faults or all(a > b for a, b in zip(answers, before)))
     assert len(set(serials)) == 6
     key.write_text("nonsense")
     one.process.send_signal(signal.SIGHUP)
-    assert one.has_line(f"event=tls-not-reloaded file={key}", 5)
+    assert one.has_line(f"event=tls-not-reloaded file={key}")
     assert serial_of(one, ours) == serials[-1]
     ended.set()
     for thread in threads:
@@ -504,7 +504,7 @@ def test_a_handshake_may_not_take_long(daemon, server, ours):
             for byte in hello_bytes(ours):
                 slow.send(bytes([byte]))
                 time.sleep(0.01)
-    assert one.has_line("the handshake takes too long", 5)
+    assert one.has_line("the handshake takes too long")
 
 
 def test_a_handshake_may_not_have_many_bytes(farm, ours):
@@ -514,7 +514,7 @@ def test_a_handshake_may_not_have_many_bytes(farm, ours):
             one.sendall(b"\x16\x03\x01\x40\x00\x01\x0f\xff\xff" + bytes(16379))
             for _ in range(1000):
                 one.sendall(b"\x16\x03\x01\x40\x00" + bytes(16384))
-    assert farm.has_line("event=tls-refused", 5)
+    assert farm.has_line("event=tls-refused")
 
 
 def test_byte_by_byte(farm, ours):

@@ -1,11 +1,15 @@
-/* soak-load ADDRESS SEED all|evals: sends a dipoled every kind of request through libdipole, as
- * fast as it answers, until standard input ends. It first sends each request alone, and compares
- * every later answer with that first one, bit for bit. It prints "answered=N" from time to time and
- * all counts at the end. It exits with 1 at the first answer that is wrong, doubled or missing. The
- * daemon may be killed and started again meanwhile. With `evals` it sends no Monte Carlo jobs,
- * breaks off no answer, and uses only models that prepare quickly. */
+/* soak-load ADDRESS SEED all|evals|short [REQUESTS]: sends a dipoled every kind of request through
+ * libdipole, as fast as it answers, until standard input ends. It first sends each request alone, and
+ * compares every later answer with that first one, bit for bit; answers are collected in random order,
+ * some by id, some in the order of arrival, some into memory of their own. It prints "answered=N" from
+ * time to time and all counts at the end. It exits with 1 at the first answer that is wrong, doubled or
+ * missing. The daemon may be killed and started again meanwhile, and ADDRESS may name several. With
+ * `evals` it sends no Monte Carlo jobs, breaks off no answer, and uses only models that prepare
+ * quickly. With `short` eight threads, each with a connection and 256 requests outstanding, send
+ * REQUESTS evals of a few radii. */
 #include <math.h>
 #include <poll.h>
+#include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -16,10 +20,13 @@
 enum {
   QUESTIONS_MAX = 512,
   VARIANTS = 3, /* how many media each model gets */
+  VARIANTS_SHORT = 80,
   FEW = 16,
   MANY = 65536,
   PARTS = 2000000, /* radii of an answer that is too large for one frame of the daemon under test */
   IN_FLIGHT = 24,
+  IN_FLIGHT_SHORT = 256,
+  THREADS_SHORT = 8,
   RETRY_MS = 60000,
   SILENCE_MS = 240000, /* a daemon with a sanitizer on a loaded machine may be slow */
 };
@@ -37,7 +44,26 @@ static float radii_f32[FEW];
 static double radii_f64[FEW];
 static question questions[QUESTIONS_MAX];
 static size_t question_count;
-static uint64_t answered, late, tables, jobs, broken_off;
+static bool is_short;
+
+/* A request that is outstanding. */
+typedef struct slot {
+  uint64_t id; /* 0: free */
+  const question *question;
+  bool may_be_late, in_place;
+  _Alignas(double) uint8_t values[2 * 2 * FEW * sizeof(double)]; /* in_place: its arrays */
+} slot;
+
+/* What a thread does over its connection. */
+typedef struct worker {
+  pthread_t thread;
+  dipole_client *client;
+  uint64_t random, submitted, requests; /* requests: how many it sends; 0: until input ends */
+  uint64_t answered, late, tables, jobs, broken_off;
+  size_t in_flight;
+  bool all;
+  slot slots[IN_FLIGHT_SHORT];
+} worker;
 
 static _Noreturn void fail(const char *what, const dipole_error *error) {
   fprintf(stderr, "soak-load: %s%s%s\n", what, error != NULL ? ": " : "",
@@ -84,15 +110,34 @@ static uint8_t *bytes_of(const dipole_result *result, size_t *count) {
   return bytes;
 }
 
-static void check(const question *asked, dipole_result *result) {
+/* Whether the arrays of a result stand in the caller's memory, too. */
+static bool is_in_place(const slot *from, const dipole_result *result) {
+  const unsigned quantities[] = {DIPOLE_R, DIPOLE_CDF};
+  const uint8_t *at = from->values;
+  for (uint32_t c = 0; c < result->channel_count; c++) {
+    for (size_t q = 0; q < sizeof quantities / sizeof quantities[0]; q++) {
+      const void *f64 = dipole_values_f64(result, c, quantities[q]);
+      const void *values = f64 != NULL ? f64 : dipole_values_f32(result, c, quantities[q]);
+      const size_t bytes = result->radius_count * (f64 != NULL ? sizeof(double) : sizeof(float));
+      if (values != NULL && memcmp(at, values, bytes) != 0) {
+        return false;
+      }
+      at += values != NULL ? bytes : 0;
+    }
+  }
+  return true;
+}
+
+static void check(worker *of, const slot *from, dipole_result *result) {
   size_t count;
   uint8_t *bytes = bytes_of(result, &count);
-  if (count != asked->known_bytes || memcmp(bytes, asked->known, count) != 0) {
+  if (count != from->question->known_bytes || memcmp(bytes, from->question->known, count) != 0 ||
+      (from->in_place && !is_in_place(from, result))) {
     fail("a wrong answer", NULL);
   }
   free(bytes);
   dipole_result_free(result);
-  answered++;
+  of->answered++;
 }
 
 /* ---- questions ----------------------------------------------------------------------------- */
@@ -140,17 +185,18 @@ static dipole_medium medium_number(size_t variant) {
 
 static void learn_model(dipole_client *client, unsigned model, unsigned evaluator) {
   const bool single = evaluator != DIPOLE_F64;
-  for (size_t variant = 0; variant < (evaluator == DIPOLE_LUT ? 1 : VARIANTS); variant++) {
+  const size_t variants = evaluator == DIPOLE_LUT ? 1 : is_short ? VARIANTS_SHORT : VARIANTS;
+  for (size_t variant = 0; variant < variants; variant++) {
     const question asked = {
         .media = {medium_number(variant), medium_number(variant + 1)},
         .query = {.model = model,
                   .evaluator = evaluator,
                   .moments = DIPOLE_EXACT,
-                  .wanted = DIPOLE_R | DIPOLE_ALBEDO | (variant == 1 ? DIPOLE_CDF : 0),
-                  .medium_count = 1 + (variant == 2),
+                  .wanted = DIPOLE_R | DIPOLE_ALBEDO | (variant % 3 == 1 ? DIPOLE_CDF : 0),
+                  .medium_count = 1 + (variant % 3 == 2),
                   .spacing = DIPOLE_LIST,
                   .radii = single ? (const void *)radii_f32 : radii_f64,
-                  .radius_count = FEW - variant}};
+                  .radius_count = FEW - variant % FEW}};
     learn(client, &asked);
   }
 }
@@ -188,19 +234,13 @@ static void learn_all(dipole_client *client, bool quick_only) {
       }
     }
   }
-  for (unsigned evaluator = DIPOLE_F64; evaluator <= DIPOLE_LUT; evaluator++) {
+  for (unsigned evaluator = DIPOLE_F64; !is_short && evaluator <= DIPOLE_LUT; evaluator++) {
     learn_grid(client, "better", evaluator, MANY);
   }
-  learn_grid(client, "classical", DIPOLE_F32, PARTS);
+  learn_grid(client, "classical", DIPOLE_F32, is_short ? FEW : PARTS);
 }
 
 /* ---- asking -------------------------------------------------------------------------------- */
-
-typedef struct slot {
-  uint64_t id; /* 0: free */
-  const question *question;
-  bool may_be_late;
-} slot;
 
 static const question *choose(uint64_t *random) {
   /* The last question is large. If it were as frequent as the others, it would take all the time.
@@ -209,57 +249,69 @@ static const question *choose(uint64_t *random) {
   return which == 0 ? &questions[question_count - 1] : &questions[which % (question_count - 1)];
 }
 
-static void submit(dipole_client *client, slot *to, uint64_t *random) {
+static void submit(worker *of, slot *to) {
   dipole_error error;
-  to->question = choose(random);
-  to->may_be_late = core_splitmix(random) % 8 == 0;
+  to->question = choose(&of->random);
+  to->may_be_late = !is_short && core_splitmix(&of->random) % 8 == 0;
   dipole_query query = to->question->query;
-  query.deadline_ms = to->may_be_late ? 1 + (uint32_t)(core_splitmix(random) % 20) : 0;
-  if (!dipole_submit(client, &query, &to->id, &error)) {
+  query.deadline_ms = to->may_be_late ? 1 + (uint32_t)(core_splitmix(&of->random) % 20) : 0;
+  to->in_place = query.radius_count <= FEW && core_splitmix(&of->random) % 2 != 0;
+  query.into_values = to->in_place ? to->values : NULL;
+  memset(to->values, 0xff, sizeof to->values);
+  if (!dipole_submit(of->client, &query, &to->id, &error)) {
     fail("submit", &error);
+  }
+  of->submitted++;
+}
+
+/* Submits requests until in_flight are outstanding, or all have been sent. */
+static void fill(worker *of) {
+  for (size_t i = 0; i < of->in_flight; i++) {
+    if (of->slots[i].id == 0 && (of->requests == 0 || of->submitted < of->requests)) {
+      submit(of, &of->slots[i]);
+    }
   }
 }
 
-static void collect(dipole_client *client, slot slots[IN_FLIGHT]) {
-  static unsigned deadline_status;
+/* Collects and checks one answer: half of the time that with a random id, else any. */
+static void collect(worker *of) {
   dipole_result *result;
   dipole_error error;
-  uint64_t id = 0;
-  const bool good = dipole_collect(client, &id, &result, &error);
+  const uint64_t random = core_splitmix(&of->random);
+  uint64_t id = of->slots[random / 2 % of->in_flight].id;
+  const bool good = random % 2 == 0 && id != 0 ? dipole_collect_id(of->client, id, &result, &error)
+                                               : dipole_collect(of->client, &id, &result, &error);
   if (!good && error.kind != DIPOLE_ERROR_REFUSED) {
     fail("collect", &error);
   }
-  slot *from = slots;
-  while (from < slots + IN_FLIGHT && from->id != id) {
+  slot *from = of->slots;
+  while (from < of->slots + of->in_flight && from->id != id) {
     from++;
   }
-  if (from == slots + IN_FLIGHT) {
-    fail("an answer to nothing", NULL);
+  if (from == of->slots + of->in_flight) {
+    fail("an answer to nothing, or a second one", NULL);
   }
   from->id = 0;
   if (good) {
-    check(from->question, result);
+    check(of, from, result);
     return;
   }
-  if (deadline_status == 0) {
-    deadline_status = dipole_id(client, DIPOLE_STATUS, "deadline");
-  }
-  if (error.status != deadline_status || !from->may_be_late) {
+  if (error.status != dipole_id(of->client, DIPOLE_STATUS, "deadline") || !from->may_be_late) {
     fail("refused", &error);
   }
-  late++;
+  of->late++;
 }
 
 /* Fetches a table, and compares it with the first one that was fetched. */
-static void fetch_table(dipole_client *client) {
+static void fetch_table(worker *of) {
   static uint8_t *known;
   static size_t known_bytes;
-  const dipole_table_query query = {.model = dipole_id(client, DIPOLE_MODEL, "better"),
+  const dipole_table_query query = {.model = dipole_id(of->client, DIPOLE_MODEL, "better"),
                                     .moments = DIPOLE_EXACT,
                                     .medium = medium_number(7)};
   dipole_table *table;
   dipole_error error;
-  if (!dipole_table_fetch(client, &query, &table, &error)) {
+  if (!dipole_table_fetch(of->client, &query, &table, &error)) {
     fail("table", &error);
   }
   const dipole_table_info *info = dipole_table_get_info(table);
@@ -270,12 +322,12 @@ static void fetch_table(dipole_client *client) {
     fail("a wrong table", NULL);
   }
   dipole_table_free(table);
-  tables++;
+  of->tables++;
 }
 
 /* Runs a Monte Carlo job, and compares its result with that of the first job. libdipole does not
  * repeat jobs, so a temporary refusal is no failure. */
-static void walk(dipole_client *client) {
+static void walk(worker *of) {
   static double known[8];
   const dipole_mc_query query = {.medium = medium_number(0),
                                  .thickness_mm = INFINITY,
@@ -286,7 +338,7 @@ static void walk(dipole_client *client) {
                                  .photons = 20000};
   dipole_mc_result *result;
   dipole_error error;
-  if (!dipole_mc(client, &query, NULL, NULL, &result, &error)) {
+  if (!dipole_mc(of->client, &query, NULL, NULL, &result, &error)) {
     if (error.kind != DIPOLE_ERROR_REFUSED || error.retry_after_ms == 0) {
       fail("mc", &error);
     }
@@ -299,7 +351,7 @@ static void walk(dipole_client *client) {
     fail("a wrong table of photons", NULL);
   }
   dipole_mc_result_free(result);
-  jobs++;
+  of->jobs++;
 }
 
 /* Compares the first two parts of a long answer, and then ends the answer. */
@@ -316,15 +368,15 @@ static bool read_two_parts(void *context, const dipole_result *part, uint64_t ra
   return ++*parts < 2;
 }
 
-static void break_off(dipole_client *client) {
+static void break_off(worker *of) {
   unsigned parts = 0;
   dipole_error error;
-  if (dipole_eval_parts(client, &questions[question_count - 1].query, read_two_parts, &parts,
+  if (dipole_eval_parts(of->client, &questions[question_count - 1].query, read_two_parts, &parts,
                         &error) ||
       error.kind != DIPOLE_ERROR_STOPPED) {
     fail("parts", &error);
   }
-  broken_off++;
+  of->broken_off++;
 }
 
 static bool input_ended(void) {
@@ -334,50 +386,91 @@ static bool input_ended(void) {
 
 static dipole_client *open_client(const char *address) {
   dipole_client *client;
+  dipole_options options;
   dipole_error error;
-  if (!dipole_open(address, &client, &error)) {
+  dipole_options_init(&options);
+  options.retry_ms = RETRY_MS;
+  options.timeout_ms = SILENCE_MS;
+  options.in_flight_max = IN_FLIGHT_SHORT;
+  options.spread = true;
+  if (!dipole_open_with(address, &options, &client, &error)) {
     fail("open", &error);
   }
-  dipole_set_retry_ms(client, RETRY_MS);
-  dipole_set_timeout_ms(client, SILENCE_MS);
   return client;
 }
 
-int main(int argc, char **argv) {
-  if (argc != 4) {
-    fail("soak-load ADDRESS SEED all|evals", NULL);
+static void do_other_things(worker *of, uint64_t round) {
+  if (round % 64 == 1) {
+    fetch_table(of);
+    printf("answered=%llu\n", (unsigned long long)of->answered);
+    fflush(stdout);
   }
-  uint64_t random = strtoull(argv[2], NULL, 10);
-  const bool all = strcmp(argv[3], "all") == 0;
-  slot slots[IN_FLIGHT] = {0};
+  if (of->all && round % 256 == 2) {
+    walk(of);
+  }
+  if (of->all && round % 256 == 3) {
+    break_off(of);
+  }
+}
+
+/* Again and again submits requests until in_flight are outstanding, and collects some answers; at the
+ * end those of all requests, if their number is given. */
+static void *work(void *argument) {
+  worker *of = argument;
+  for (uint64_t round = 0; of->requests != 0 ? of->answered < of->requests : !input_ended();
+       round++) {
+    fill(of);
+    const uint64_t some =
+        is_short ? 1 + core_splitmix(&of->random) % of->in_flight : of->in_flight / 2;
+    for (uint64_t i = 0; i < some && dipole_outstanding(of->client) > 0; i++) {
+      collect(of);
+    }
+    if (!is_short) {
+      do_other_things(of, round);
+    }
+  }
+  if (of->requests != 0 && (of->answered != of->requests || dipole_outstanding(of->client) != 0)) {
+    fail("more answers than requests", NULL);
+  }
+  dipole_close(of->client);
+  return NULL;
+}
+
+int main(int argc, char **argv) {
+  is_short = argc == 5 && strcmp(argv[3], "short") == 0;
+  if (argc != 4 && !is_short) {
+    fail("soak-load ADDRESS SEED all|evals|short [REQUESTS]", NULL);
+  }
+  static worker workers[THREADS_SHORT];
+  const uint64_t threads = is_short ? THREADS_SHORT : 1;
+  const uint64_t requests = is_short ? strtoull(argv[4], NULL, 10) : 0;
+  worker sum = {.all = strcmp(argv[3], "all") == 0};
   dipole_client *client = open_client(argv[1]);
-  learn_all(client, !all);
+  learn_all(client, !sum.all);
+  dipole_close(client);
   printf("questions=%zu\n", question_count);
   fflush(stdout);
-  for (uint64_t round = 0; !input_ended(); round++) {
-    for (size_t i = 0; i < IN_FLIGHT; i++) {
-      if (slots[i].id == 0) {
-        submit(client, &slots[i], &random);
-      }
-    }
-    for (unsigned i = 0; i < IN_FLIGHT / 2; i++) {
-      collect(client, slots);
-    }
-    if (round % 64 == 1) {
-      fetch_table(client);
-      printf("answered=%llu\n", (unsigned long long)answered);
-      fflush(stdout);
-    }
-    if (all && round % 256 == 2) {
-      walk(client);
-    }
-    if (all && round % 256 == 3) {
-      break_off(client);
+  for (uint64_t i = 0; i < threads; i++) {
+    workers[i] = (worker){.client = open_client(argv[1]),
+                          .random = strtoull(argv[2], NULL, 10) + i,
+                          .requests = requests * (i + 1) / threads - requests * i / threads,
+                          .in_flight = is_short ? IN_FLIGHT_SHORT : IN_FLIGHT,
+                          .all = sum.all};
+    if (pthread_create(&workers[i].thread, NULL, work, &workers[i]) != 0) {
+      fail("no thread", NULL);
     }
   }
-  dipole_close(client);
+  for (uint64_t i = 0; i < threads; i++) {
+    pthread_join(workers[i].thread, NULL);
+    sum.answered += workers[i].answered;
+    sum.late += workers[i].late;
+    sum.tables += workers[i].tables;
+    sum.jobs += workers[i].jobs;
+    sum.broken_off += workers[i].broken_off;
+  }
   printf("answered=%llu late=%llu tables=%llu jobs=%llu broken_off=%llu\n",
-         (unsigned long long)answered, (unsigned long long)late, (unsigned long long)tables,
-         (unsigned long long)jobs, (unsigned long long)broken_off);
+         (unsigned long long)sum.answered, (unsigned long long)sum.late,
+         (unsigned long long)sum.tables, (unsigned long long)sum.jobs,
+         (unsigned long long)sum.broken_off);
   return 0;
 }
