@@ -1,10 +1,10 @@
-/* Compares dipoled as a service with an echo server. Servers
- * run on one core and clients on another (service/child.h), each server in its own process. dipoled
- * has one worker, because it has one core; with two workers on that core, the processor time of a
- * request is the same within 2 %. All sides take turns, a fraction of a second each. A figure is
- * the median over the rounds, a ratio the median of the rounds' ratios. Requests evaluate R by the
- * better dipole in single precision at listed radii, over a Unix socket unless a name has tcp. The
- * header of each answer is checked, and all its values (of large answers, those of every 16th).
+/* Compares dipoled as a service with an echo server. Servers run on one core and clients on another
+ * (service/child.h), each server in its own process. dipoled has one worker, because it has one core;
+ * with two workers on that core, the processor time of a request is the same within 2 %. All sides
+ * take turns, a fraction of a second each. A figure is the median over the rounds, a ratio the median
+ * of the rounds' ratios. Requests evaluate R by the better dipole in single precision at listed radii,
+ * over a Unix socket unless a name has tcp. The header of each answer is checked, and all its values
+ * (of large answers, those of every 16th).
  *
  *   service.bulk[.tcp].<side>          round trip of 65,536 radii, one at a time; the side kernel
  *                                      is the evaluation alone, in this process               us
@@ -17,20 +17,6 @@
  *                                      each                                           requests/s
  *   service.many.<side>.p50 ...        latency of these requests                              us
  *   service.many.<side>.cpu            processor time of the server for one request           us
- *   service.fair.<idle or streaming>.p50 ...   round trip of 16 radii beside two other clients that
- *                                      are silent, or stream the largest possible answers     us
- *   service.fair.echo.p50 ...          the same round trip to the echo server, beside the same
- *                                      streams in the same seconds: what the machine adds,
- *                                      because both servers share a core                      us
- *   service.fair.streamed              rate of the streaming clients                        MB/s
- *   ratio.service.fair                 the 99th percentile beside streaming over beside silent ones
- *   ratio.service.fair.echo            dipoled's 99th percentile beside streams over the echo's
- *   service.open.<n>.rate, .p50 ...    requests of 16 radii that are due at n % of the rate of
- *                                      service.many.dipoled: rate, latency from when they were due
- *   service.open.<n>.cpu               processor time of the server for one of these requests; times
- *                                      the rate it is the part of a core that it needs       us
- *   service.open.<n>.echo.p50 ...      the same of the echo server, at the same rate
- *
  *   service.varying.<model>.<side>     round trip of 65,536 values, each with a medium of its own
  *   ratio.service.varying.<model>      dipoled over the sum of echo and kernel
  *
@@ -57,7 +43,6 @@
 #include "tests/bench/service/echo.h"
 #include "tests/bench/service/load.h"
 #include "tests/bench/service/ping.h"
-#include "tests/bench/service/stream.h"
 
 enum {
   SMALL_RADII = 16,
@@ -65,9 +50,6 @@ enum {
   ROUNDS = 15,
   CONNECTIONS = 32,
   IN_FLIGHT = 16,
-  OPEN_IN_FLIGHT = 256,
-  STREAMERS = 2,
-  FAIR_ROUNDS_MIN = 3,
   SCALE_MOST = 16,
   LIMIT_S = 300, /* five times as long as the group takes on a machine that does nothing else */
 };
@@ -75,9 +57,6 @@ enum {
 #define ROUND_NS (150 * MS)
 #define WARM_UP_NS (20 * MS)
 #define KERNEL_NS (20 * MS)
-#define OPEN_NS (1000 * MS)
-#define FAIR_NS                                                                                    \
-  (15000 * MS) /* no new round begins after this time; one that has begun is finished */
 
 /* All servers, and the requests that they get. */
 struct setting {
@@ -290,8 +269,7 @@ static void load_round(struct side *side) {
   note_percentiles(side);
 }
 
-/* Measures many requests. Returns dipoled's rate. */
-static double measure_many(const struct setting *setting) {
+static void measure_many(const struct setting *setting) {
   bench_progress("service: many requests");
   struct side sides[] = {side_of(&setting->eval), side_of(&setting->echo)};
   const size_t count = sizeof sides / sizeof sides[0];
@@ -312,96 +290,6 @@ static double measure_many(const struct setting *setting) {
     bench_figure(bench_median_of(sides[i].cpu_us, ROUNDS), "us", "service.many.%s.cpu",
                  sides[i].name);
   }
-  return bench_median_of(sides[0].rate_per_s, ROUNDS);
-}
-
-/* Measures one side at a fixed rate. prefix: of the names of its figures. */
-static void measure_at(const struct target *target, double rate_per_s, const char *prefix) {
-  struct load *load = load_new(target, CONNECTIONS, OPEN_IN_FLIGHT);
-  const uint64_t cpu_ns = child_cpu_ns(target->server);
-  load_open(load, rate_per_s, OPEN_NS, &samples);
-  const double cpu_us = (double)(child_cpu_ns(target->server) - cpu_ns) * 1e-3;
-  bench_figure(samples_us(&samples, 0.5), "us", "%s.p50", prefix);
-  bench_figure(samples_us(&samples, 0.99), "us", "%s.p99", prefix);
-  bench_figure(samples_us(&samples, 0.999), "us", "%s.p99.9", prefix);
-  bench_figure(cpu_us / (double)samples.count, "us", "%s.cpu", prefix);
-  load_free(load);
-}
-
-static void measure_open(const struct setting *setting, double most_per_s) {
-  static const int percents[] = {25, 50, 75};
-  bench_progress("service: requests at fixed rates");
-  for (size_t i = 0; i < sizeof percents / sizeof percents[0]; i++) {
-    char prefix[64];
-    const double rate_per_s = most_per_s * percents[i] / 100;
-    snprintf(prefix, sizeof prefix, "service.open.%d", percents[i]);
-    bench_figure(rate_per_s, "requests/s", "%s.rate", prefix);
-    measure_at(&setting->eval, rate_per_s, prefix);
-    snprintf(prefix, sizeof prefix, "service.open.%d.echo", percents[i]);
-    measure_at(&setting->echo, rate_per_s, prefix);
-  }
-}
-
-/* ---- fairness ----------------------------------------------------------------------------- */
-
-static uint64_t all_streamed(const struct streamer *streamers) {
-  uint64_t bytes = 0;
-  for (size_t i = 0; i < STREAMERS; i++) {
-    bytes += stream_bytes(&streamers[i]);
-  }
-  return bytes;
-}
-
-/* Measures a round of each side beside streaming clients. Returns the megabytes per second that these
- * got. */
-static double streaming_round(struct side *sides, size_t count, struct streamer *streamers) {
-  for (size_t i = 0; i < STREAMERS; i++) {
-    stream_begin(&streamers[i]);
-  }
-  const uint64_t start_ns = bench_now_ns();
-  const uint64_t start_bytes = all_streamed(streamers);
-  ping_round(sides, count);
-  const double bytes = (double)(all_streamed(streamers) - start_bytes);
-  const double taken_us = (double)(bench_now_ns() - start_ns) * 1e-3;
-  for (size_t i = 0; i < STREAMERS; i++) {
-    stream_pause(&streamers[i]);
-  }
-  return bytes / taken_us;
-}
-
-static void measure_fairness(const struct setting *setting) {
-  bench_progress("service: fairness");
-  struct side idle = side_of(&setting->eval);
-  struct side beside[] = {side_of(&setting->eval), side_of(&setting->echo)};
-  struct side *streaming = &beside[0], *echo = &beside[1];
-  struct streamer streamers[STREAMERS];
-  double streamed[ROUNDS];
-  idle.name = "idle";
-  streaming->name = "streaming";
-  for (size_t i = 0; i < STREAMERS; i++) {
-    stream_start(&streamers[i], &setting->eval.address);
-  }
-  open_pings(&idle, 1);
-  open_pings(echo, 1);
-  streaming->ping = idle.ping;
-  const uint64_t end_ns = bench_now_ns() + FAIR_NS;
-  size_t rounds = 0;
-  while (rounds < FAIR_ROUNDS_MIN || (rounds < ROUNDS && bench_now_ns() < end_ns)) {
-    ping_round(&idle, 1);
-    streaming->ping.count = idle.ping.count; /* both pings share a connection and its request ids */
-    streamed[rounds++] = streaming_round(beside, 2, streamers);
-    idle.ping.count = streaming->ping.count;
-  }
-  close_pings(&idle, 1);
-  close_pings(echo, 1);
-  report_percentiles(&idle, "fair", "");
-  report_percentiles(streaming, "fair", "");
-  report_percentiles(echo, "fair", "");
-  bench_figure(bench_median_of(streamed, rounds), "MB/s", "service.fair.streamed");
-  bench_figure(bench_median_ratio(streaming->p99_us, idle.p99_us, rounds), "times",
-               "ratio.service.fair");
-  bench_figure(bench_median_ratio(streaming->p99_us, echo->p99_us, rounds), "times",
-               "ratio.service.fair.echo");
 }
 
 /* ---- scaling ------------------------------------------------------------------------------ */
@@ -490,8 +378,7 @@ void bench_service(void) {
   measure_varying(&setting, CORE_MODEL_BETTER, "varying.better");
   measure_varying(&setting, CORE_MODEL_TRANSPORT, "varying.transport");
   measure_rtt(&setting, "");
-  measure_open(&setting, measure_many(&setting));
-  measure_fairness(&setting);
+  measure_many(&setting);
   child_pin(CHILD_SERVER);
   measure_bulk(&setting.bulk, &setting.bulk_echo, NULL, "bulk.onecore");
   measure_rtt(&setting, ".onecore");

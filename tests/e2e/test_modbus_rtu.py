@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import os
 import pty
-import random
 import select
 import shutil
 import socket
@@ -129,21 +128,6 @@ def test_a_refused_request_is_in_the_log(start):
     assert one.has_line(f"event=modbus-request-refused {asked}")
 
 
-def test_behind_the_traffic_of_others(start):
-    """A request is found behind the traffic of other devices, when an adapter delivers all in one
-    piece."""
-    master, _ = start()
-    request = master.frame(9, struct.pack(">BHH", READ_HOLDING, 0, 2))
-    answer = master.frame(9, bytes([READ_HOLDING, 4]) + bytes(4))
-    refusal = master.frame(9, bytes([0x83, 2]))
-    echo = master.frame(9, struct.pack(">BHH", WRITE_REGISTER, 1, 2))
-    # The daemon does not serve this function.
-    event = master.frame(9, b"\x0b") + master.frame(9, b"\x0b\0\0\0\0")
-    for before in (request + answer, request + refusal, echo + echo, event, request):
-        master.send(before + master.frame(7, READ_ONE))
-        assert master.receive() == (7, b"\3\2\0\0")
-
-
 # ---- where a frame begins ------------------------------------------------------------------------
 
 
@@ -192,45 +176,6 @@ def test_the_tail_of_a_frame_of_another_is_no_frame(start):
     assert as_words(master.read(3, 1, 7)) == [99]
 
 
-def test_a_request_behind_noise_and_silence(start):
-    """A request behind noise is found if the silence between them is longer than 3.5 characters,
-    even if it is shorter than --modbus-gap-ms."""
-    master, _ = start("19200,N,7", "--modbus-gap-ms", "1000")
-    master.send(b"\xff\x00\x17")
-    time.sleep(0.1)
-    master.send(master.frame(7, READ_ONE))
-    assert master.receive() == (7, b"\3\2\0\0")
-
-
-def test_a_request_to_this_unit_with_a_long_pause_in_it_is_dropped(start):
-    master, _ = start()
-    write = master.frame(7, struct.pack(">BHH", WRITE_REGISTER, 3, 99))
-    master.send(write[:5])
-    assert master.is_silent(0.1)
-    master.send(write[5:])
-    assert master.is_silent()
-    assert as_words(master.read(3, 1, 7)) == [0]
-
-
-def test_garbage_between_frames(start):
-    """Noise, parts of frames, and frames of others with a write to this unit in them. None of it is
-    carried out, and the request behind each is answered."""
-    master, _ = start()
-    rng = random.Random(2026)
-    write = master.frame(7, struct.pack(">BHH", WRITE_REGISTER, 3, 99))
-    whole = b"".join(frame_of_another_with_one_in_it(write))
-    for _ in range(60):
-        garbage = rng.choice([rng.randbytes(rng.randint(1, 60)), b"\x55", whole, write[:-1]])
-        cut = rng.randrange(len(garbage))
-        garbage = rng.choice([garbage, garbage[:cut] + b"\x55" + garbage[cut:], garbage[cut:]])
-        if garbage in (write, b""):
-            continue
-        master.send(garbage)
-        # Long enough for a daemon that has to wait for a processor to see the silence.
-        assert master.is_silent(0.1), garbage.hex()
-        assert as_words(master.read(3, 1, 7)) == [0], garbage.hex()
-
-
 # ---- broadcasts and other forms of requests ------------------------------------------------------
 
 
@@ -248,15 +193,6 @@ def test_broadcasts_are_carried_out_and_not_answered(start):
     for pdu in (READ_ONE, struct.pack(">BHH", WRITE_REGISTER, 9000, 1), b"\x11"):
         master.send(master.frame(0, pdu))
         assert master.is_silent(0.05)
-
-
-def test_a_request_in_pieces(start):
-    """The pieces of a request that come within the gap belong together."""
-    master, _ = start("19200,N,7", "--modbus-gap-ms", "1000")
-    frame = master.frame(7, struct.pack(">BHHB", 16, 0, 3, 6) + words(1, 2, 3))
-    for byte in frame:
-        master.send(bytes([byte]))
-    assert master.receive() == (7, struct.pack(">BHH", 16, 0, 3))
 
 
 def test_wrong_checksums_and_what_is_unfinished(start):

@@ -1,23 +1,7 @@
-/* The payloads of eval requests and replies: the offsets of their parts, and that no count can
- * wrap. tests/e2e/test_bad_requests.py tests which status refuses an invalid request. */
-#include <math.h>
-
+/* The payloads of eval replies: no count wraps, and parts are as large as they may be. test_messages.py
+ * has wrong requests and replies. */
 #include "proto/eval.h"
 #include "tests/unit/unit.h"
-
-enum { PAYLOAD_MAX = 4096 };
-
-/* ---- requests ----------------------------------------------------------------------------- */
-
-/* A request that a test builds. */
-struct payload {
-  _Alignas(8) uint8_t bytes[PAYLOAD_MAX];
-  size_t length;
-};
-
-/* ---- parameters --------------------------------------------------------------------------- */
-
-enum { PARAMETERS_MAX = CORE_PARAMETERS_END };
 
 /* ---- replies ------------------------------------------------------------------------------ */
 
@@ -86,53 +70,6 @@ UNIT_TEST(layouts_do_not_wrap) {
     const uint64_t count = bases[i % 4] + unit_random_below(&random, 40) - 20;
     assert_fits_as_it_should(evaluator, wanted, channel_count, count, limit);
   }
-}
-
-static size_t build_reply(uint8_t *bytes, wire_eval_reply fixed) {
-  eval_layout layout;
-  assert_true(eval_reply_layout(fixed.evaluator, fixed.wanted, fixed.channel_count, fixed.count,
-                                PAYLOAD_MAX, &layout));
-  memset(bytes, 0, PAYLOAD_MAX);
-  wire_put_eval_reply(bytes, &fixed);
-  return (size_t)layout.payload_bytes;
-}
-
-static const wire_eval_reply good_reply = {
-    .model = CORE_MODEL_BETTER,
-    .evaluator = CORE_EVALUATOR_F32,
-    .moments = CORE_MOMENTS_EXACT,
-    .wanted = CORE_QUANTITY_R | CORE_QUANTITY_CDF | CORE_QUANTITY_RADIUS,
-    .channel_count = 3,
-    .notes = CORE_NOTE_SIMILARITY,
-    .count = 7,
-    .first = 256,
-    .part = 1,
-    .part_count = 3,
-};
-
-/* A client must not trust a daemon's counts: it refuses replies of another shape. */
-UNIT_TEST(replies_of_another_shape_are_refused) {
-  uint8_t bytes[PAYLOAD_MAX];
-  eval_layout layout;
-  const size_t right = build_reply(bytes, good_reply);
-#define REFUSED(member, value)                                                                     \
-  do {                                                                                             \
-    wire_eval_reply fixed = good_reply;                                                            \
-    fixed.member = (value);                                                                        \
-    wire_put_eval_reply(bytes, &fixed);                                                            \
-    assert_false(eval_reply_parse(bytes, right, false, &fixed, &layout));                          \
-  } while (0)
-  REFUSED(channel_count, 4);
-  REFUSED(channel_count, UINT32_MAX);
-  REFUSED(count, 9);
-  REFUSED(count, UINT64_MAX);
-  REFUSED(count, (UINT64_C(1) << 62) + 7);
-  REFUSED(evaluator, 0);
-  REFUSED(evaluator, CORE_EVALUATOR_F64);
-  REFUSED(wanted, good_reply.wanted | 0x4000);
-  REFUSED(part, 3);
-  REFUSED(part_count, 0);
-#undef REFUSED
 }
 
 /* eval_part_radii() returns the largest multiple of EVAL_PART_RADII that fits. */

@@ -1,5 +1,5 @@
 /* Media: which ones are valid, the measured ones, and what the preparation of a profile refuses.
- * More refused media are in tests/e2e/test_bad_requests.py. */
+ * More refused media, and what is in no list, are in tests/e2e/wrong.txt. */
 #include <math.h>
 
 #include "tests/unit/unit.h"
@@ -42,48 +42,7 @@ UNIT_TEST(refuses_media_that_scatter_next_to_nothing) {
   assert_medium(1, 5e-324, 0, 1.3, "sigma_s");
 }
 
-/* If a medium has several faults, the error names the first field in the order of the structure. */
-UNIT_TEST(reports_the_first_field) {
-  assert_medium(-1, -1, 2, 0, "sigma_a");
-  assert_medium(1, -1, 2, 0, "sigma_s");
-  assert_medium(1, 1, 2, 0, "g");
-  assert_medium(0, 0, 0, 0, "eta");
-}
-
 /* ---- profiles ----------------------------------------------------------------------------- */
-
-UNIT_TEST(preparing_refuses_what_is_not_in_the_lists) {
-  const core_isa *isa = core_isa_select("portable");
-  core_profile profile;
-  static const unsigned unknown[] = {0, 4711, 65535, UINT32_MAX};
-  for (size_t i = 0; i < sizeof unknown / sizeof unknown[0]; i++) {
-    unit_assert_fault(core_profile_prepare(&profile, isa, unknown[i], CORE_MOMENTS_EXACT,
-                                           CORE_EVALUATOR_F64, &good, NULL),
-                      "model", 0);
-    unit_assert_fault(core_profile_prepare(&profile, isa, CORE_MODEL_BETTER, unknown[i],
-                                           CORE_EVALUATOR_F64, &good, NULL),
-                      "moments", 0);
-    unit_assert_fault(core_profile_prepare(&profile, isa, CORE_MODEL_BETTER, CORE_MOMENTS_EXACT,
-                                           unknown[i], &good, NULL),
-                      "evaluator", 0);
-  }
-}
-
-UNIT_TEST(preparing_refuses_bad_media) {
-  const core_medium bad = {0.02, 0.8, 1, 1.3};
-  const core_medium beyond_the_fit = {0.02, 0.8, 0, 2.6};
-  core_profile profile;
-  const core_isa *isa = core_isa_select("portable");
-  unit_assert_fault(core_profile_prepare(&profile, isa, CORE_MODEL_CLASSICAL, CORE_MOMENTS_EXACT,
-                                         CORE_EVALUATOR_F32, &bad, NULL),
-                    "g", 0);
-  unit_assert_fault(core_profile_prepare(&profile, isa, CORE_MODEL_CLASSICAL, CORE_MOMENTS_FIT,
-                                         CORE_EVALUATOR_F64, &beyond_the_fit, NULL),
-                    "eta", 0);
-  unit_assert_fault(core_profile_prepare(&profile, isa, CORE_MODEL_CLASSICAL, CORE_MOMENTS_EXACT,
-                                         CORE_EVALUATOR_F64, &beyond_the_fit, NULL),
-                    NULL, 0);
-}
 
 UNIT_TEST(a_profile_says_what_it_was_made_from) {
   for (const core_choice *model = core_models; model->name != NULL; model++) {

@@ -55,7 +55,7 @@ struct load {
   uint64_t under_way;
   uint64_t answered;       /* number of answers so far */
   uint64_t heard_ns;       /* when the last answer arrived, or the run began */
-  uint64_t issue_until_ns; /* closed loop: later answers are not followed by a request; else 0 */
+  uint64_t issue_until_ns; /* later answers are not followed by a request */
 };
 
 /* ---- queues ------------------------------------------------------------------------------- */
@@ -313,39 +313,4 @@ double load_closed(struct load *load, uint64_t duration_ns, struct samples *samp
   }
   samples_sort(samples);
   return per_s;
-}
-
-/* Issues the requests that are due. If all requests of a connection are in flight, those behind it
- * wait, but keep the times at which they were due. */
-static uint64_t issue_due(struct load *load, uint64_t issued, uint64_t total, double interval_ns,
-                          uint64_t start_ns) {
-  const double now_ns = (double)(bench_now_ns() - start_ns);
-  for (; issued < total && (double)issued * interval_ns <= now_ns; issued++) {
-    struct connection *c = &load->connections[issued % load->count];
-    if (c->free.count == 0) {
-      break;
-    }
-    issue(load, c, start_ns + (uint64_t)((double)issued * interval_ns));
-  }
-  for (size_t i = 0; i < load->count; i++) {
-    if (load->connections[i].to_send.count > 0 && !load->connections[i].blocked) {
-      send_more(load, &load->connections[i]);
-    }
-  }
-  return issued;
-}
-
-void load_open(struct load *load, double rate_per_s, uint64_t duration_ns,
-               struct samples *samples) {
-  const double interval_ns = 1e9 / rate_per_s;
-  const uint64_t total = (uint64_t)((double)duration_ns / interval_ns) + 1;
-  const uint64_t start_ns = bench_now_ns();
-  uint64_t issued = 0;
-  begin(load, samples, start_ns);
-  load->issue_until_ns = 0;
-  while (issued < total || load->under_way > 0) {
-    issued = issue_due(load, issued, total, interval_ns, start_ns);
-    pump(load, 0); /* does not sleep, because a sleep would end late */
-  }
-  samples_sort(samples);
 }

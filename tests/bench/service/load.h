@@ -1,11 +1,6 @@
 /* load: sends requests over many connections, with many requests in flight on each. It uses
- * non-blocking sockets and epoll.
- *
- * In a closed loop each answer is followed by a new request, which measures how many requests a
- * server can answer. In an open loop requests are due at a fixed rate, whatever the server does. A
- * latency then counts from the time at which the request was due, and not from the time at which it
- * was sent. If a server stops for one second, all requests that were due in that second are late.
- */
+ * non-blocking sockets and epoll. Each answer is followed by a new request, which measures how many
+ * requests a server can answer. */
 #ifndef DIPOLED_BENCH_SERVICE_LOAD_H
 #define DIPOLED_BENCH_SERVICE_LOAD_H
 
@@ -23,9 +18,5 @@ void load_free(struct load *load);
  * one is answered. Replaces the contents of *samples by the sorted latencies. Returns the number of
  * answers per second that arrived within duration_ns. */
 double load_closed(struct load *load, uint64_t duration_ns, struct samples *samples);
-
-/* Sends requests at an even rate for duration_ns, over the connections in turn, and returns when
- * the last one is answered. Replaces the contents of *samples by the sorted latencies. */
-void load_open(struct load *load, double rate_per_s, uint64_t duration_ns, struct samples *samples);
 
 #endif
