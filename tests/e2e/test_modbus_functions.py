@@ -121,8 +121,12 @@ def test_lengths(master, function):
     "function, most", [(READ_COILS, 2000), (READ_INPUTS, 2000), (READ_HOLDING, 125), (4, 125)]
 )
 def test_counts_to_read(master, function, most):
-    for count in (0, most + 1, 65535):
+    for count in (0, most + 1, most + 2, 65535):
         assert code_of(master, struct.pack(">BHH", function, 0, count)) == BAD_VALUE
+    if most == 125:
+        assert len(master.ask(struct.pack(">BHH", function, 0, most))) == 1 + 2 * most
+    else:  # There are 100 coils.
+        assert code_of(master, struct.pack(">BHH", function, 0, most)) == BAD_ADDRESS
 
 
 def test_counts_to_write(master):
@@ -135,6 +139,13 @@ def test_counts_to_write(master):
     for read, write in [(0, 1), (126, 1), (1, 0), (1, 122)]:
         pdu = struct.pack(">BHHHHB", WRITE_READ, 0, read, 0, write, min(2 * write, 242))
         assert code_of(master, pdu + bytes(min(2 * write, 242))) == BAD_VALUE
+    # A count that its bytes do not hold.
+    for count, size in [(2, 2), (2, 6), (2, 8), (4, 4)]:
+        held = bytes(size)
+        assert code_of(master, struct.pack(">BHHB", WRITE_REGISTERS, 0, count, size) + held) == BAD_VALUE
+        assert code_of(master, struct.pack(">BHHHHB", WRITE_READ, 0, 1, 0, count, size) + held) == BAD_VALUE
+        bits_of = struct.pack(">BHHB", WRITE_COILS, 0, 8 * count + 8, size) + held
+        assert code_of(master, bits_of) == BAD_VALUE
     # The most that a request can have: zeros into scratch, and 21 registers of the input.
     data = bytes(2 * 121)
     assert code_of(master, struct.pack(">BHHHHB", WRITE_READ, 0, 125, 0, 121, 242) + data) != 1

@@ -312,6 +312,13 @@ UNIT_TEST(what_there_is_not_is_not_found) {
   assert_false(core_inverter_seek(&inverter, 0, CORE_LENGTH_FREE_PATH, 1));
   probe_to_the_end(&inverter);
   assert_true(inverter.found && inverter.medium.sigma_s_per_mm == 0 && inverter.albedo == 0);
+  /* A medium that scatters nothing has no other albedo than 0, nor one that is not known. */
+  const double others[] = {1e-9, (double)NAN};
+  for (size_t i = 0; i < 2; i++) {
+    assert_false(core_inverter_seek(&inverter, 0, CORE_LENGTH_FREE_PATH, 1));
+    assert_true(core_inverter_take(&inverter, others[i]));
+    assert_false(inverter.found);
+  }
   /* Without absorption, both diffuse lengths are infinite. */
   assert_true(core_inverter_seek(&inverter, 1, CORE_LENGTH_DIFFUSE, 1));
   assert_true(core_inverter_seek(&inverter, 1, CORE_LENGTH_CLASSICAL_DIFFUSE, 1));
