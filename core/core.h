@@ -355,11 +355,19 @@ bool core_finds_albedo_slowly(unsigned model);
 /* Whether a model has the quantities BY_SIGMA_A and BY_SIGMA_S. */
 bool core_has_derivatives(unsigned model);
 
-/* Sets *albedo to what core_profile_prepare() would set core_profile.albedo to, for
- * CORE_EVALUATOR_F64 without parameters; NaN on a fault. Arguments and faults are those of
- * core_profile_prepare(). It takes as long as preparing, or some ten milliseconds where
- * core_finds_albedo_slowly() is false. */
-core_fault core_albedo(const core_isa *isa, unsigned model, unsigned moments,
+/* The illumination to which a colour, a diffuse albedo painted by an artist, refers. */
+enum core_light {
+  CORE_LIGHT_BEAM,    /* a beam at normal incidence */
+  CORE_LIGHT_DIFFUSE, /* the same radiance from all directions: a furnace */
+  CORE_LIGHTS
+};
+
+/* Sets *albedo to the share of the power that has entered which leaves; NaN on a fault. For a beam
+ * it is what core_profile_prepare() would set core_profile.albedo to, for CORE_EVALUATOR_F64 without
+ * parameters. Diffuse light needs `transport` (asserted), and has an error of 1e-6. Arguments and
+ * faults are those of core_profile_prepare(). It takes as long as preparing, or some ten
+ * milliseconds where core_finds_albedo_slowly() is false. */
+core_fault core_albedo(const core_isa *isa, unsigned model, unsigned moments, enum core_light light,
                        const core_medium *medium, double *albedo);
 
 /* Whether preparing takes longer than some ten microseconds, so that caching the profile pays. It

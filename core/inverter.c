@@ -64,13 +64,15 @@ static core_fault check_medium(const core_inverter *inverter, const core_medium 
 
 /* ---- the reach ------------------------------------------------------------------------------- */
 
-core_fault core_inverter_start(core_inverter *inverter, unsigned model, unsigned moments, double g,
-                               double eta, double sigma_t_prime_per_mm) {
+core_fault core_inverter_start(core_inverter *inverter, unsigned model, unsigned moments,
+                               enum core_light light, bool specular, double g, double eta,
+                               double sigma_t_prime_per_mm) {
   *inverter = (core_inverter){
       .model = model,
       .moments = moments,
       .g = g,
       .eta = eta,
+      .light = light,
       /* The albedo does not depend on sigma_t'. This keeps sigma_s in range for g close to 1. */
       .sigma_t_prime_per_mm = real_min(sigma_t_prime_per_mm, 0.5 * CORE_SIGMA_MAX_PER_MM * (1 - g)),
       .phase = CORE_INVERTER_MOST,
@@ -90,7 +92,13 @@ core_fault core_inverter_start(core_inverter *inverter, unsigned model, unsigned
     const core_fault absorbing = check_medium(inverter, &inverter->medium);
     fault = absorbing.field == NULL ? absorbing : fault;
   }
+  fault = fault.field == NULL ? core_light_check(model, light) : fault;
+  inverter->specular = specular && fault.field == NULL ? core_specular(light, eta) : 0;
   return fault;
+}
+
+double core_inverter_seen(const core_inverter *inverter, double albedo) {
+  return inverter->specular + (1 - inverter->specular) * albedo;
 }
 
 core_fault core_inverter_check(const core_inverter *inverter) {
@@ -135,6 +143,8 @@ static double scale(const core_inverter *inverter, double ratio) {
     return 1 / (inverter->length_mm * sqrt(3 * absorbed / (1 + absorbed)));
   case CORE_LENGTH_CLASSICAL_DIFFUSE:
     return 1 / (inverter->length_mm * sqrt(3 * absorbed));
+  case CORE_LENGTH_EXTINCTION:
+    return (1 - inverter->g) / (inverter->length_mm * (1 - inverter->g * absorbed));
   default:
     return 1 / inverter->length_mm;
   }
@@ -160,16 +170,16 @@ bool core_inverter_seek(core_inverter *inverter, double albedo, enum core_length
                         double length_mm) {
   assert(core_inversion_check(albedo, length_mm).field == NULL);
   inverter->found = false;
-  inverter->wanted = albedo;
+  inverter->wanted = (albedo - inverter->specular) / (1 - inverter->specular);
   inverter->length = length;
   inverter->length_mm = length_mm;
-  if (!(albedo > 0)) {
+  if (!(fabs(inverter->wanted) > 0)) {
     return settle(inverter, (double)INFINITY); /* a medium that does not scatter */
   }
-  if (!(albedo >= inverter->albedo_least && albedo <= inverter->albedo_most)) {
+  if (!(inverter->wanted >= inverter->albedo_least && inverter->wanted <= inverter->albedo_most)) {
     return true;
   }
-  if (!(albedo < inverter->albedo_most)) {
+  if (!(inverter->wanted < inverter->albedo_most)) {
     return settle(inverter, inverter->ratio_least);
   }
   inverter->phase = CORE_INVERTER_SEARCH;

@@ -1,5 +1,5 @@
-/* inverter: finds the medium that has a given diffuse albedo and a given length, which is what
- * artists know. The search goes probe by probe: the inverter names a medium, and the caller
+/* inverter: finds the medium that has a given diffuse albedo, in one of two lights, and a given
+ * length, which is what artists know. The search goes probe by probe: the inverter names a medium, and the caller
  * prepares it and passes its albedo to core_inverter_take(). So the caller decides where and when
  * to prepare, and may stop at any probe.
  *
@@ -9,7 +9,7 @@
 #ifndef DIPOLED_CORE_INVERTER_H
 #define DIPOLED_CORE_INVERTER_H
 
-#include "core/core.h"
+#include "core/varying.h"
 
 /* A ratio that was probed, and its albedo. */
 typedef struct core_inversion_point {
@@ -40,6 +40,8 @@ typedef struct core_inverter {
   unsigned moments;
   double g;
   double eta;
+  enum core_light light;
+  double specular; /* what albedos contain of the surface's own reflection */
   double sigma_t_prime_per_mm; /* sigma_t' of the medium that is probed */
   /* least ratio sigma_a / sigma_s': positive for models that need absorption, else 0 */
   double ratio_least;
@@ -56,13 +58,19 @@ typedef struct core_inverter {
   unsigned steps;
 } core_inverter;
 
-/* Begins to find the reach of a model: its albedos without absorption and without scattering. The
- * probes have this sigma_t', which must be one that a medium with g = 0 may have; for g next to 1
- * it is smaller, so that sigma_s is in range. Returns the faults of core_profile_check() without
- * parameters, and a fault of `model` for a fit, because its albedo depends on the range of the
- * fit. */
-core_fault core_inverter_start(core_inverter *inverter, unsigned model, unsigned moments, double g,
-                               double eta, double sigma_t_prime_per_mm);
+/* Begins to find the reach of a model: its albedos, of a light, without absorption and without
+ * scattering. specular: whether the albedos to seek contain core_specular(). The probes have this
+ * sigma_t', which must be one that a medium with g = 0 may have; for g close to 1 it is smaller, so
+ * that sigma_s is in range. Returns the faults of core_profile_check() without parameters and of
+ * core_light_check(), and a fault of `model` for a fit, because its albedo depends on the range of
+ * the fit. */
+core_fault core_inverter_start(core_inverter *inverter, unsigned model, unsigned moments,
+                               enum core_light light, bool specular, double g, double eta,
+                               double sigma_t_prime_per_mm);
+
+/* Returns the sum of an albedo per power that entered, such as albedo_most, and what the surface
+ * reflects, if the albedos to seek contain that. */
+double core_inverter_seen(const core_inverter *inverter, double albedo);
 
 /* Takes the albedo of inverter->medium, prepared with the evaluator f64 and no parameters. Returns
  * true when the reach or the search has ended, and false when inverter->medium is to be probed

@@ -505,11 +505,16 @@ core_fault core_profile_prepare_until(core_profile *profile, const core_isa *isa
   return check_and_prepare(profile, model, evaluator, &inputs);
 }
 
-core_fault core_albedo(const core_isa *isa, unsigned model, unsigned moments,
+core_fault core_albedo(const core_isa *isa, unsigned model, unsigned moments, enum core_light light,
                        const core_medium *medium, double *albedo) {
+  assert(light == CORE_LIGHT_BEAM || model == CORE_MODEL_TRANSPORT);
   const core_parameters none = core_parameters_none();
-  const core_inputs inputs = {
-      .moments = moments, .medium = medium, .parameters = &none, .isa = isa, .only_albedo = true};
+  const core_inputs inputs = {.moments = moments,
+                              .medium = medium,
+                              .parameters = &none,
+                              .isa = isa,
+                              .only_albedo = true,
+                              .light = light};
   core_profile profile;
   const core_fault fault = check_and_prepare(&profile, model, CORE_EVALUATOR_F64, &inputs);
   *albedo = (double)NAN;

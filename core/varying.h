@@ -43,13 +43,6 @@ extern const core_choice core_value_statuses[];
 
 enum { CORE_VARYING_SHARED_MAX = 32 };
 
-/* The illumination to which a colour, a diffuse albedo painted by an artist, refers. */
-enum core_light {
-  CORE_LIGHT_BEAM,    /* a beam at normal incidence */
-  CORE_LIGHT_DIFFUSE, /* the same radiance from all directions: a furnace */
-  CORE_LIGHTS
-};
-
 /* A model with g, eta and an evaluator, prepared. Callers read the fields down to `words_count`;
  * the others belong to core. Copies share the owned memory, which is freed once. */
 typedef struct core_varying {
@@ -201,6 +194,13 @@ typedef struct core_colour {
   bool specular;
   enum core_length length;
 } core_colour;
+
+/* Returns a fault, `light`, if a model does not know the light: all know a beam, and transport also
+ * diffuse light. */
+core_fault core_light_check(unsigned model, enum core_light light);
+
+/* Returns the share of the light striking the surface that the surface itself reflects (Fresnel). */
+double core_specular(enum core_light light, double eta);
 
 /* Returns a fault if the model does not know this light (`light`) or length (`length`). */
 core_fault core_colour_check(const core_varying *varying, const core_colour *what);

@@ -523,16 +523,25 @@ bool dipole_sample_numbers(const dipole_sample_query *query, uint64_t begin, siz
 enum dipole_length {
   DIPOLE_MEAN_FREE_PATH = 1, /* 1 / sigma_t' */
   DIPOLE_DIFFUSE_MEAN_FREE_PATH =
-      2,                            /* 1 / (sigma_t' sqrt(3 a / (1 + a))), a = sigma_a / sigma_t' */
-  DIPOLE_CLASSICAL_DIFFUSE_PATH = 3 /* 1 / sqrt(3 sigma_a sigma_t') */
+      2, /* 1 / (sigma_t' sqrt(3 a / (1 + a))), a = sigma_a / sigma_t' */
+  DIPOLE_CLASSICAL_DIFFUSE_PATH = 3, /* 1 / sqrt(3 sigma_a sigma_t') */
+  DIPOLE_EXTINCTION_PATH = 4         /* 1 / (sigma_a + sigma_s), that of a random walk */
+};
+
+/* The light of a colour, which is a diffuse albedo. */
+enum dipole_light {
+  DIPOLE_BEAM = 1,   /* a beam at normal incidence */
+  DIPOLE_DIFFUSE = 2 /* the same radiance from all directions, as in a furnace */
 };
 
 typedef struct dipole_invert_query {
-  unsigned model;           /* the model of the albedos; its R must depend on the medium */
-  unsigned moments;         /* enum dipole_moments */
-  unsigned given;           /* enum dipole_length: the kind of lengths_mm */
-  double g, eta;            /* of all media */
-  const double *albedos;    /* [medium_count], 0 to 1: the integral of 2 pi r R(r) */
+  unsigned model;   /* the model of the albedos; its R must depend on the medium */
+  unsigned moments; /* enum dipole_moments */
+  unsigned given;   /* enum dipole_length: the kind of lengths_mm */
+  unsigned light;   /* enum dipole_light of the albedos; 0 for DIPOLE_BEAM */
+  bool specular;    /* whether the albedos contain what the surface itself reflects (Fresnel) */
+  double g, eta;    /* of all media */
+  const double *albedos;    /* [medium_count], 0 to 1: for a beam the integral of 2 pi r R(r) */
   const double *lengths_mm; /* [medium_count], 1e-14 to 1e14 */
   uint64_t medium_count; /* At least 1. The lists must fit into a frame (limit max_frame_bytes). For
                            a model that takes seconds to prepare, such as transport, the limit
@@ -764,12 +773,6 @@ enum dipole_coefficient {
   DIPOLE_SIGMA_S = 2,  /* 1/mm */
   DIPOLE_SCATTERED = 4 /* sigma_s / (sigma_a + sigma_s): the single-scattering albedo, which random
                           walks use */
-};
-
-/* The light of a colour, which is a diffuse albedo. */
-enum dipole_light {
-  DIPOLE_BEAM = 1,   /* a beam at normal incidence */
-  DIPOLE_DIFFUSE = 2 /* the same radiance from all directions, as in a furnace */
 };
 
 /* What became of a value. The choices of kind DIPOLE_VALUE have all statuses: their names, and what

@@ -35,7 +35,10 @@ static const libdipole_kind kind = {
 /* ---- requests ------------------------------------------------------------------------------ */
 
 static bool check(const dipole_invert_query *query, dipole_error *error) {
-  return libdipole_query_check(query->model, query->moments | query->given, NULL, 0, error) &&
+  return libdipole_query_check(query->model, query->moments | query->given | query->light, NULL, 0,
+                               error) &&
+         (query->medium_count <= UINT32_MAX ||
+          libdipole_fail_argument(error, "medium_count is above 4294967295")) &&
          ((query->albedos != NULL && query->lengths_mm != NULL) || query->medium_count == 0 ||
           libdipole_fail_argument(error, "albedos or lengths_mm is NULL, medium_count is not 0"));
 }
@@ -46,7 +49,9 @@ static bool send_query(dipole_client *client, const dipole_invert_query *query,
   const wire_invert_request fixed = {.model = (uint16_t)query->model,
                                      .moments = (uint16_t)query->moments,
                                      .given = (uint16_t)query->given,
-                                     .medium_count = query->medium_count,
+                                     .light = (uint16_t)query->light,
+                                     .specular = query->specular,
+                                     .medium_count = (uint32_t)query->medium_count,
                                      .g = query->g,
                                      .eta = query->eta};
   return check(query, error) &&

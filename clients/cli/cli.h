@@ -91,7 +91,8 @@ typedef struct cli_settings {
   cli_numbers sigma_a, sigma_s, g, eta;
   cli_texts model;
   const char *moments, *evaluator;
-  cli_numbers albedo, mean_free_path, diffuse_mean_free_path, classical_diffuse_path;
+  cli_numbers albedo, mean_free_path, diffuse_mean_free_path, classical_diffuse_path,
+      extinction_path;
   cli_numbers r, f, u;
   cli_number from, to;
   cli_count count, rings, seed, first;
@@ -101,7 +102,7 @@ typedef struct cli_settings {
   bool errors, deviation;
   const char *quantity, *axes, *draw, *scale, *light;
   cli_numbers reference;
-  bool specular, linear;
+  bool specular, linear, srgb;
   cli_texts coefficients;
   cli_number tolerance, least_distance;
   cli_number photons, error, total_error;

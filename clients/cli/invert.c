@@ -13,10 +13,13 @@ static const cli_option options[] = {
     CLI_TITLE("Medium"),
     CLI_OPTION(
         NUMBERS, albedo, NULL,
-        "diffuse albedo: the share of the power that leaves, 0 to 1; one value for each channel"),
+        "diffuse albedo: the share of the power that entered which leaves, 0 to 1, linear; one "
+        "value for each channel"),
+    CLI_OPTION(SWITCH, srgb, NULL, "the albedos are sRGB values, 0 to 1"),
+    CLI_COLOUR_OPTIONS,
     CLI_LENGTH_OPTIONS,
     CLI_OPTION(ONE, g, NULL, "mean cosine of the scattering angle (default: 0)"),
-    CLI_OPTION(ONE, eta, "1.3", "refractive index inside over outside"),
+    CLI_OPTION(ONE, eta, "1.3", "refractive index inside over outside; 1: no interface"),
     CLI_TITLE("Evaluation"),
     CLI_OPTION(NAME, model, CLI_MODEL_DEFAULT,
                "the model that gives the albedo; see `dipole info`. transport takes some 5 ms for "
@@ -35,7 +38,7 @@ typedef struct wanted {
 
 typedef struct report {
   cli_profile profile;
-  const dipole_choice *given;
+  const dipole_choice *given, *light;
   double albedo_least, albedo_most;
   size_t count, requested, missing;
   wanted *items;
@@ -75,6 +78,8 @@ static bool request_media(dipole_client *client, const cli_settings *settings, r
     const dipole_invert_query query = {.model = of->profile.model->id,
                                        .moments = of->profile.moments->id,
                                        .given = of->given->id,
+                                       .light = of->light->id,
+                                       .specular = settings->specular,
                                        .g = g,
                                        .eta = eta,
                                        .albedos = &one->wanted_albedo,
@@ -160,10 +165,15 @@ static int run_invert(const cli_settings *settings, dipole_client *client) {
   of.count = settings->albedo.count > lengths->count ? settings->albedo.count : lengths->count;
   of.items = cli_allocate(of.count, sizeof *of.items);
   for (size_t i = 0; i < of.count; i++) {
-    of.items[i].wanted_albedo = cli_numbers_pick(&settings->albedo, i, 0);
+    const double albedo = cli_numbers_pick(&settings->albedo, i, 0);
+    of.items[i].wanted_albedo = settings->srgb ? cli_srgb_to_linear(albedo) : albedo;
     of.items[i].length_mm = cli_numbers_pick(lengths, i, 0);
   }
   if (!cli_profile_take_names(settings, client, &of.profile)) {
+    return CLI_USAGE;
+  }
+  of.light = cli_named(of.profile.info, DIPOLE_LIGHT, "light", settings->light);
+  if (of.light == NULL) {
     return CLI_USAGE;
   }
   of.given = cli_choice(of.profile.info, DIPOLE_LENGTH, length);
@@ -197,6 +207,7 @@ const cli_command cli_command_invert = {
     .run = run_invert,
     .examples = "  dipole invert --albedo 0.44,0.22,0.13 --mean-free-path 1.3,0.95,0.67\n"
                 "  dipole invert --albedo 0.8 --diffuse-mean-free-path 2 --g 0.9 --eta 1.4\n"
+                "  dipole invert --albedo 0.8,0.5,0.2 --srgb --extinction-path 1 --light diffuse\n"
                 "  dipole invert --albedo 0.1,0.5,0.9 --mean-free-path 1 --model classical "
                 "--format csv\n"
                 "  dipole invert --albedo 0.8 --mean-free-path 1 --model quantized --format json\n",

@@ -1,5 +1,6 @@
 #include "clients/cli/profile.h"
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -35,12 +36,17 @@ const char *cli_usual_evaluator(const cli_settings *settings, const char *model)
   return tabled && (model == NULL || strcmp(model, CLI_MODEL_DEFAULT) == 0) ? "lut" : "f64";
 }
 
-/* ---- lengths --------------------------------------------------------------------------------- */
+/* ---- colours and lengths --------------------------------------------------------------------- */
+
+double cli_srgb_to_linear(double value) {
+  return value <= 0.04045 ? value / 12.92 : pow((value + 0.055) / 1.055, 2.4);
+}
 
 const cli_numbers *cli_lengths_find(const cli_settings *settings, const char **name) {
   const cli_numbers *found = NULL, *const lengths[] = {&settings->mean_free_path,
                                                        &settings->diffuse_mean_free_path,
-                                                       &settings->classical_diffuse_path};
+                                                       &settings->classical_diffuse_path,
+                                                       &settings->extinction_path};
   size_t given = 0;
   for (size_t i = 0; i < sizeof lengths / sizeof lengths[0]; i++) {
     if (lengths[i]->count > 0) {
@@ -50,8 +56,8 @@ const cli_numbers *cli_lengths_find(const cli_settings *settings, const char **n
     }
   }
   if (given != 1) {
-    cli_fail_usage("give exactly one of --mean-free-path, --diffuse-mean-free-path and "
-                   "--classical-diffuse-path, in mm");
+    cli_fail_usage("give exactly one of --mean-free-path, --diffuse-mean-free-path, "
+                   "--classical-diffuse-path and --extinction-path, in mm");
   }
   return given == 1 ? found : NULL;
 }

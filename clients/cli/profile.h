@@ -49,7 +49,20 @@ extern const cli_option cli_medium_options[];
       CLI_OPTION(NUMBERS, diffuse_mean_free_path, NULL,                                            \
                  "instead: 1 / (sigma_t' sqrt(3 a / (1 + a))), a = sigma_a / sigma_t', mm"),       \
       CLI_OPTION(NUMBERS, classical_diffuse_path, NULL,                                            \
-                 "instead: 1 / sqrt(3 sigma_a sigma_t'), mm")
+                 "instead: 1 / sqrt(3 sigma_a sigma_t'), mm"),                                     \
+      CLI_OPTION(NUMBERS, extinction_path, NULL,                                                   \
+                 "instead: 1 / (sigma_a + sigma_s), mm, which most renderers mean")
+
+/* What the colours of an inversion mean. */
+#define CLI_COLOUR_OPTIONS                                                                         \
+  CLI_OPTION(TEXT, light, "beam",                                                                  \
+             "the light of the colours: beam, at normal incidence, or diffuse, the same from all " \
+             "directions"),                                                                        \
+      CLI_OPTION(SWITCH, specular, NULL,                                                           \
+                 "the colours contain what the surface itself reflects (Fresnel)")
+
+/* Returns the linear value of an sRGB value from 0 to 1 (IEC 61966-2-1). */
+double cli_srgb_to_linear(double value);
 
 /* Returns the one length that is given, and its name, which is that of the option and of the
  * daemon's choice. If none or several are given, says so and returns NULL. */

@@ -18,11 +18,7 @@ static const cli_option options[] = {
     CLI_OPTION(ONE, g, NULL, "mean cosine of the scattering angle (default: 0)"),
     CLI_OPTION(ONE, eta, "1.3", "refractive index inside over outside"),
     CLI_TITLE("Colours"),
-    CLI_OPTION(TEXT, light, "beam",
-               "the light of the colours: beam, at normal incidence, or diffuse, the same from all "
-               "directions"),
-    CLI_OPTION(SWITCH, specular, NULL,
-               "the colours contain what the surface itself reflects (Fresnel)"),
+    CLI_COLOUR_OPTIONS,
     CLI_OPTION(SWITCH, linear, NULL,
                "treat the values of a PNG as linear (default: what the file says, by a "
                "colour profile or gAMA, else sRGB)"),

@@ -905,9 +905,9 @@ static core_fault find_albedo(const core_inputs *inputs, const core_medium *medi
   const core_fault fault =
       solver_totals(&total, inputs->isa, ratio_of(medium), &phase, &medium->eta, 1);
   if (fault.field == NULL) {
-    preparation->albedo = medium->sigma_a_per_mm > 0 ? fmin(total.normal.value, 1) : 1;
-    preparation->added.banded[CORE_MODEL_ERROR_BANDS] =
-        2 * total.normal.error / fmax(total.normal.value, 1e-300);
+    const transport_number found = inputs->light == CORE_LIGHT_BEAM ? total.normal : total.diffuse;
+    preparation->albedo = medium->sigma_a_per_mm > 0 ? fmin(found.value, 1) : 1;
+    preparation->added.banded[CORE_MODEL_ERROR_BANDS] = 2 * found.error / fmax(found.value, 1e-300);
   }
   return fault;
 }
@@ -962,7 +962,8 @@ core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *p
                                ? fmax(inputs->accepted, TOLERANCE)
                                : inputs->parameters->value[CORE_PARAMETER_TOLERANCE];
   const bool any = inputs->accepted > 0 || inputs->only_albedo; /* the albedo's error is small */
-  return core_transport_is_looked_up(&medium, any ? (double)NAN : tolerance)
+  return inputs->light == CORE_LIGHT_BEAM &&
+                 core_transport_is_looked_up(&medium, any ? (double)NAN : tolerance)
              ? prepare_stored(inputs, &medium, preparation)
              : prepare_solved(inputs, &medium, isnan(tolerance) ? TOLERANCE : tolerance,
                               preparation);

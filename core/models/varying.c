@@ -165,13 +165,16 @@ static inline real invert_colour(const real *words, enum core_light light, real 
 /* Returns sigma_t' times the length, for s = sqrt(sigma_a / sigma_t'). The shares are 1 for the
  * kind of length, and else 0. */
 struct lengths {
-  real free_path, diffuse, classical;
+  real free_path, diffuse, classical, extinction;
 };
 
-static inline real free_paths(struct lengths of, real s) {
+/* scatter: 1 - g */
+static inline real free_paths(struct lengths of, real s, real scatter) {
   const real grosjean = s * real_sqrt(3 / (1 + s * s));
   const real classical = s * REAL(1.7320508075688772);
-  return 1 / (of.free_path + of.diffuse * grosjean + of.classical * classical);
+  const real extinction = s * s + (1 - s * s) / scatter;
+  return 1 / (of.free_path + of.diffuse * grosjean + of.classical * classical +
+              of.extinction * extinction);
 }
 
 static void invert(const real *restrict shared, const real *restrict words, const core_colour *what,
@@ -179,9 +182,9 @@ static void invert(const real *restrict shared, const real *restrict words, cons
                    real *restrict sigma_a, real *restrict sigma_s, real *restrict albedo,
                    uint8_t *restrict status) {
   const enum core_light light = what->light;
-  const struct lengths lengths = {what->length == CORE_LENGTH_FREE_PATH,
-                                  what->length == CORE_LENGTH_DIFFUSE,
-                                  what->length == CORE_LENGTH_CLASSICAL_DIFFUSE};
+  const struct lengths lengths = {
+      what->length == CORE_LENGTH_FREE_PATH, what->length == CORE_LENGTH_DIFFUSE,
+      what->length == CORE_LENGTH_CLASSICAL_DIFFUSE, what->length == CORE_LENGTH_EXTINCTION};
   const real least = shared[LANES_COLOUR_LEAST + light];
   const real most = shared[LANES_COLOUR_MOST + light];
   const real specular = what->specular ? shared[LANES_SPECULAR + light] : 0;
@@ -195,7 +198,7 @@ static void invert(const real *restrict shared, const real *restrict words, cons
           (entered <= most) & ((entered >= least) | !((entered < 0) | (entered > 0)));
       real w;
       const real s = invert_colour(words, light, real_max(entered, 0) / most, &w);
-      const real sigma_t = free_paths(lengths, s) / length_mm[i];
+      const real sigma_t = free_paths(lengths, s, scatter) / length_mm[i];
       const real scattered = w * (1 + s) / scatter;
       const real absorbed = s * s;
       const int has_length = (length_mm[i] > 0) & (sigma_t >= shared[LANES_SIGMA_T_LEAST]) &

@@ -77,16 +77,12 @@ core_fault core_surface_share(core_varying *varying) {
   for (int i = 0; i < 3; i++) {
     shared[LANES_FAR + i] = (double)words[CORE_SURFACE_FAR + i];
   }
-  const double normal = (varying->eta - 1) / (varying->eta + 1);
-  varying->specular[CORE_LIGHT_BEAM] = normal * normal;
-  varying->specular[CORE_LIGHT_DIFFUSE] =
-      1 - core_fresnel_moments(CORE_MOMENTS_EXACT, 1 / varying->eta).one_minus_2c1;
   for (int light = 0; light < CORE_LIGHTS; light++) {
     varying->colour_least[light] = (double)words[CORE_SURFACE_COLOUR_LEAST + light];
     varying->colour_most[light] = (double)words[CORE_SURFACE_COLOUR_MOST + light];
     shared[LANES_COLOUR_LEAST + light] = varying->colour_least[light];
     shared[LANES_COLOUR_MOST + light] = varying->colour_most[light];
-    shared[LANES_SPECULAR + light] = varying->specular[light];
+    shared[LANES_SPECULAR + light] = varying->specular[light] = core_specular(light, varying->eta);
   }
   varying->surface_error = (double)words[CORE_SURFACE_ERROR];
   varying->albedo_least = shared[LANES_SCATTERED_LEAST];
@@ -408,11 +404,25 @@ void core_varying_sample_f32(const core_varying *varying, size_t n, const float 
 
 /* ---- from colours to media ------------------------------------------------------------------- */
 
+core_fault core_light_check(unsigned model, enum core_light light) {
+  const bool known =
+      (unsigned)light < (model == CORE_MODEL_TRANSPORT ? CORE_LIGHTS : CORE_LIGHT_BEAM + 1);
+  return known ? (core_fault){0}
+               : (core_fault){"light",
+                              "light that the model knows: a beam, or diffuse with transport", 0};
+}
+
+double core_specular(enum core_light light, double eta) {
+  const double normal = (eta - 1) / (eta + 1);
+  return light == CORE_LIGHT_BEAM
+             ? normal * normal
+             : 1 - core_fresnel_moments(CORE_MOMENTS_EXACT, 1 / eta).one_minus_2c1;
+}
+
 core_fault core_colour_check(const core_varying *varying, const core_colour *what) {
-  if ((unsigned)what->light >= CORE_LIGHTS ||
-      !(varying->colour_least[what->light] < varying->colour_most[what->light])) {
-    return (core_fault){"light", "light that the model knows: a beam, or diffuse with transport",
-                        0};
+  const core_fault fault = core_light_check(varying->model, what->light);
+  if (fault.field != NULL) {
+    return fault;
   }
   if (core_choice_by_id(core_lengths, what->length) == NULL) {
     return (core_fault){"length", "a length of the list", 0};

@@ -75,7 +75,9 @@ static wire_error check(struct invert_job *invert, const struct job_request *fro
   }
   const wire_invert_request *fixed = &invert->request.fixed;
   const core_fault fault =
-      core_inverter_start(&invert->inverter, fixed->model, fixed->moments, fixed->g, fixed->eta, 1);
+      core_inverter_start(&invert->inverter, fixed->model, fixed->moments,
+                          fixed->light == 0 ? CORE_LIGHT_BEAM : fixed->light - 1,
+                          fixed->specular != 0, fixed->g, fixed->eta, 1);
   if (fault.field != NULL) {
     return job_error(fault);
   }
@@ -98,7 +100,8 @@ static enum job_outcome start(struct job *job, const struct job_request *request
   if (error.status == WIRE_STATUS_OK) {
     const core_medium medium = {1, 1 / (1 - fixed->g), fixed->g, fixed->eta};
     const core_parameters none = core_parameters_none();
-    const bool solved = core_prepares_slowly(fixed->model, CORE_EVALUATOR_F64, &medium, &none);
+    const bool solved = invert->inverter.light != CORE_LIGHT_BEAM ||
+                        core_prepares_slowly(fixed->model, CORE_EVALUATOR_F64, &medium, &none);
     const bool costly = core_worth_keeping(fixed->model, CORE_EVALUATOR_F64);
     invert->probe_radii = invert->slow ? SLOW_PROBE_RADII
                           : solved     ? SOLVED_PROBE_RADII
@@ -141,8 +144,8 @@ static enum job_outcome end_part(struct invert_job *invert) {
       .count = invert->parts.count,
       .first = invert->parts.first,
       .missing_count = invert->missing,
-      .albedo_least = invert->inverter.albedo_least,
-      .albedo_most = invert->inverter.albedo_most,
+      .albedo_least = core_inverter_seen(&invert->inverter, invert->inverter.albedo_least),
+      .albedo_most = core_inverter_seen(&invert->inverter, invert->inverter.albedo_most),
   };
   wire_put_invert_reply(invert->reply, &start);
   if (!job_parts_next(&invert->parts)) {
@@ -166,7 +169,8 @@ static void put_medium(struct invert_job *invert) {
       found ? inverter->medium.sigma_a_per_mm : (double)NAN;
   array(invert, INVERT_SIGMA_S)[invert->index] =
       found ? inverter->medium.sigma_s_per_mm : (double)NAN;
-  array(invert, INVERT_ALBEDO)[invert->index] = found ? inverter->albedo : (double)NAN;
+  array(invert, INVERT_ALBEDO)[invert->index] =
+      found ? core_inverter_seen(inverter, inverter->albedo) : (double)NAN;
   invert->missing += !found;
   invert->index++;
   invert->seeking = false;
@@ -179,7 +183,7 @@ static enum job_outcome probe(struct invert_job *invert, double *albedo) {
   const uint64_t i = invert->parts.first + invert->index;
   if (!invert->slow) {
     const core_fault fault = core_albedo(context->server->isa, fixed->model, fixed->moments,
-                                         &invert->inverter.medium, albedo);
+                                         invert->inverter.light, &invert->inverter.medium, albedo);
     return job_follow(&invert->job, fault.field == NULL ? LOOKUP_READY : LOOKUP_FAULT, &fault, i);
   }
   const enum lookup_answer answer =

@@ -17,7 +17,8 @@ static inline void inversion_run(core_inverter *inverter) {
   const core_isa *isa = core_isa_select("portable");
   double albedo;
   do {
-    core_albedo(isa, inverter->model, inverter->moments, &inverter->medium, &albedo);
+    core_albedo(isa, inverter->model, inverter->moments, inverter->light, &inverter->medium,
+                &albedo);
   } while (!core_inverter_take(inverter, albedo));
 }
 
@@ -27,8 +28,8 @@ static inline inversion invert_albedo(unsigned model, unsigned moments, double a
     return (inversion){.fault = core_inversion_check(0, mean_free_path_mm)};
   }
   core_inverter inverter;
-  inversion found = {
-      .fault = core_inverter_start(&inverter, model, moments, 0, eta, 1 / mean_free_path_mm)};
+  inversion found = {.fault = core_inverter_start(&inverter, model, moments, CORE_LIGHT_BEAM, false,
+                                                  0, eta, 1 / mean_free_path_mm)};
   if (found.fault.field != NULL) {
     return found;
   }

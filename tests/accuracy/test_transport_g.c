@@ -557,9 +557,9 @@ static double probe(const core_medium *medium) {
 /* An inversion stays where the table holds. */
 UNIT_TEST(albedos_are_inverted_with_g) {
   core_inverter inverter;
-  unit_assert_fault(
-      core_inverter_start(&inverter, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, 0.9, 1.4, 1), NULL,
-      0);
+  unit_assert_fault(core_inverter_start(&inverter, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, 0,
+                                        false, 0.9, 1.4, 1),
+                    NULL, 0);
   while (!core_inverter_take(&inverter, probe(&inverter.medium))) {
   }
   assert_true(inverter.albedo_least > 1e-6 && inverter.albedo_least < 1e-3);

@@ -486,7 +486,7 @@ UNIT_TEST(colours_lead_to_media_that_have_them_by_the_solver) {
     const double eta = unit_random_between(&random, 0.7, 2.2), length = 0.3;
     const double colour = unit_random_between(&random, 0.01, 0.97);
     const core_colour what = {i % 4 < 2 ? CORE_LIGHT_BEAM : CORE_LIGHT_DIFFUSE, false,
-                              CORE_LENGTH_FREE_PATH};
+                              CORE_LENGTH_EXTINCTION};
     const solver_phase phase = {g, 0, NULL};
     core_varying varying = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, g, eta, NULL);
     solver_total totals;
@@ -496,6 +496,7 @@ UNIT_TEST(colours_lead_to_media_that_have_them_by_the_solver) {
     assert_int_equal(status, CORE_VALUE_OK);
     unit_assert_fault(
         solver_totals(&totals, core_isa_select(NULL), a / (s * (1 - g)), &phase, &eta, 1), NULL, 0);
+    assert_true(fabs((a + s) * length - 1) < 1e-6);
     const double found = what.light == CORE_LIGHT_BEAM ? totals.normal.value : totals.diffuse.value;
     if (!(fabs(found - colour) < CORE_COLOUR_ERROR)) {
       fail_msg("g %g eta %g light %d: %g for %g", g, eta, (int)what.light, found, colour);

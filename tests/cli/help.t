@@ -46,16 +46,22 @@ model. sigma_t' is sigma_a + sigma_s (1 - g). The exit status is 3 if there is n
 some channel.
 
 Medium
-  --albedo X[,X...]     diffuse albedo: the share of the power that leaves, 0 to 1; one value for
-                        each channel
+  --albedo X[,X...]     diffuse albedo: the share of the power that entered which leaves, 0 to 1,
+                        linear; one value for each channel
+  --srgb                the albedos are sRGB values, 0 to 1
+  --light NAME          the light of the colours: beam, at normal incidence, or diffuse, the same
+                        from all directions (default: beam)
+  --specular            the colours contain what the surface itself reflects (Fresnel)
   --mean-free-path X[,X...]
                         1 / sigma_t', mm; a single value is for all channels
   --diffuse-mean-free-path X[,X...]
                         instead: 1 / (sigma_t' sqrt(3 a / (1 + a))), a = sigma_a / sigma_t', mm
   --classical-diffuse-path X[,X...]
                         instead: 1 / sqrt(3 sigma_a sigma_t'), mm
+  --extinction-path X[,X...]
+                        instead: 1 / (sigma_a + sigma_s), mm, which most renderers mean
   --g X                 mean cosine of the scattering angle (default: 0)
-  --eta X               refractive index inside over outside (default: 1.3)
+  --eta X               refractive index inside over outside; 1: no interface (default: 1.3)
 
 Evaluation
   --model NAME          the model that gives the albedo; see `dipole info`. transport takes some 5
@@ -86,6 +92,7 @@ Exit status: 0 done, 1 failed, 2 wrong command line, 3 some rows or values are b
 Examples
   dipole invert --albedo 0.44,0.22,0.13 --mean-free-path 1.3,0.95,0.67
   dipole invert --albedo 0.8 --diffuse-mean-free-path 2 --g 0.9 --eta 1.4
+  dipole invert --albedo 0.8,0.5,0.2 --srgb --extinction-path 1 --light diffuse
   dipole invert --albedo 0.1,0.5,0.9 --mean-free-path 1 --model classical --format csv
   dipole invert --albedo 0.8 --mean-free-path 1 --model quantized --format json
 

@@ -65,18 +65,26 @@ better,1,0.4,mean-free-path,1,0.04254523875590417,0.9574547612440959,0,1.3,0.4,o
 better,2,0.2,mean-free-path,1,0.12862311017013614,0.8713768898298638,0,1.3,0.1999999999999999,ok,0.5,0.02330424401517404,0.10536196096925443
 better,2,0.2,mean-free-path,1,0.12862311017013614,0.8713768898298638,0,1.3,0.1999999999999999,ok,2,0.0037990923562216837,0.6282713999554665
 
+$ dipole invert --albedo 0.735357 --srgb --extinction-path 1 --g 0.9 --eta 1.5 --light diffuse --format csv
+model,channel,wanted_albedo,given,length,sigma_a,sigma_s,g,eta,albedo,status
+transport,1,0.5000000257314877,extinction-path,1,0.001899372734686475,0.9981006272653135,0.9,1.5,0.5000000257314591,ok
+
+$ dipole invert --albedo 0.5 --extinction-path 1 --model better --specular --format csv
+model,channel,wanted_albedo,given,length,sigma_a,sigma_s,g,eta,albedo,status
+better,1,0.5,extinction-path,1,0.02565594071782214,0.9743440592821778,0,1.3,0.49999999999999967,ok
+
 $ dipole invert
 ! dipole invert: give --albedo, and --mean-free-path in mm
 ! `dipole invert --help` says more.
 ? 2
 
 $ dipole invert --albedo 0.5
-! dipole invert: give exactly one of --mean-free-path, --diffuse-mean-free-path and --classical-diffuse-path, in mm
+! dipole invert: give exactly one of --mean-free-path, --diffuse-mean-free-path, --classical-diffuse-path and --extinction-path, in mm
 ! `dipole invert --help` says more.
 ? 2
 
 $ dipole invert --albedo 0.5 --mean-free-path 1 --diffuse-mean-free-path 1
-! dipole invert: give exactly one of --mean-free-path, --diffuse-mean-free-path and --classical-diffuse-path, in mm
+! dipole invert: give exactly one of --mean-free-path, --diffuse-mean-free-path, --classical-diffuse-path and --extinction-path, in mm
 ! `dipole invert --help` says more.
 ? 2
 

@@ -118,7 +118,9 @@ def invert_payload(albedos=(0.5, 0.9), lengths=(1.0, 2.0), **fixed: float) -> by
         "model": BETTER,
         "moments": EXACT,
         "given": 1,
+        "light": 0,
         "medium_count": len(albedos),
+        "specular": 0,
         "g": 0.0,
         "eta": 1.3,
     }

@@ -58,7 +58,8 @@ def test_permanent_ids(client):
         "note": {"similarity": 1, "albedo-above-1": 2},
         "spacing": {"list": 1, "linear": 2, "logarithmic": 3},
         "draw": {"list": 1, "regular": 2, "stratified": 3, "random": 4},
-        "length": {"mean-free-path": 1, "diffuse-mean-free-path": 2, "classical-diffuse-path": 3},
+        "length": {"mean-free-path": 1, "diffuse-mean-free-path": 2, "classical-diffuse-path": 3,
+                   "extinction-path": 4},
         "scale": {"absolute": 1, "free": 2, "reference": 3},
         "axis": {"r": 1, "f": 2},
         "fit_status": {

@@ -190,6 +190,25 @@ def test_an_inversion_of_a_texture(client):
         client.invert("better", 0.1, 1.0, given="paths")
 
 
+@pytest.mark.parametrize("light", ["beam", "diffuse"])
+@pytest.mark.parametrize("specular", [False, True])
+def test_an_inversion_means_what_varying_means(client, light, specular):
+    colours, lengths = np.array([0.3, 0.5, 0.9]), np.array([1.0, 0.5, 0.25])
+    asked = {"given": "extinction-path", "light": light, "specular": specular, "g": 0.9, "eta": 1.5}
+    found = client.invert("transport", colours, lengths, **asked)
+    other = client.varying("transport", colour=colours, length=lengths, evaluator="f64", **asked)
+    assert np.allclose(found.albedo, colours, rtol=1e-9, atol=0)
+    assert np.allclose(1 / (found.sigma_a + found.sigma_s), lengths, rtol=1e-12, atol=0)
+    for name in ("sigma_a", "sigma_s"):
+        assert np.allclose(getattr(found, name), other.coefficients[name], rtol=1e-3, atol=0)
+    assert (found.albedo_least > 0.02) == specular
+
+
+def test_a_dipole_knows_no_diffuse_light(client):
+    with pytest.raises(dipole.Refused, match="light"):
+        client.invert("better", 0.5, 1.0, light="diffuse")
+
+
 OTHER = (0.3, 2.0, 0.0, 1.4)
 
 

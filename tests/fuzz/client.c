@@ -224,7 +224,7 @@ static void check_colours(const dipole_surface *surface, dipole_varying_query qu
   query.lengths_mm = values->r;
   query.wanted = 0;
   query.coefficients = CORE_COEFFICIENT_SIGMA_A | CORE_COEFFICIENT_SIGMA_S;
-  for (query.given = 1; query.given <= 3; query.given++) {
+  for (query.given = 1; query.given <= 4; query.given++) {
     for (query.light = 1; query.light <= 2; query.light++) {
       if (dipole_varying_at_home(surface, &query, &result, &error)) {
         dipole_varying_result_free(result);

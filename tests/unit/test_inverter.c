@@ -225,6 +225,8 @@ static double length_of(const core_medium *medium, enum core_length length) {
     return 1 / (sigma_t_prime * sqrt(3 * absorbed / (1 + absorbed)));
   case CORE_LENGTH_CLASSICAL_DIFFUSE:
     return 1 / sqrt(3 * medium->sigma_a_per_mm * sigma_t_prime);
+  case CORE_LENGTH_EXTINCTION:
+    return 1 / (medium->sigma_a_per_mm + medium->sigma_s_per_mm);
   default:
     return 1 / sigma_t_prime;
   }
@@ -239,7 +241,7 @@ static bool is_searched(const core_choice *model) {
 static void seek_albedos(core_inverter *inverter, unsigned usual) {
   static const double albedos[] = {1e-6, .003, .05, .2, .5, .8, .97, .9999};
   for (size_t i = 0; i < sizeof albedos / sizeof albedos[0]; i++) {
-    const enum core_length length = CORE_LENGTH_FREE_PATH + i % 3;
+    const enum core_length length = CORE_LENGTH_FREE_PATH + i % 4;
     const double length_mm = i % 2 ? .7 : 13;
     if (core_inverter_seek(inverter, albedos[i], length, length_mm)) {
       assert_false(inverter->found);
@@ -260,8 +262,8 @@ UNIT_TEST(every_model_is_inverted_for_every_length) {
   for (const core_choice *model = core_models; model->name != NULL; model++) {
     for (unsigned i = 0; i < 6 && is_searched(model); i++) {
       core_inverter inverter;
-      const core_fault fault = core_inverter_start(&inverter, model->id, CORE_MOMENTS_EXACT,
-                                                   i % 2 ? .8 : 0, 1 + .4 * (i / 2), 1);
+      const core_fault fault = core_inverter_start(&inverter, model->id, CORE_MOMENTS_EXACT, 0,
+                                                   false, i % 2 ? .8 : 0, 1 + .4 * (i / 2), 1);
       if (fault.field != NULL) {
         assert_string_equal(fault.field, "thickness"); /* A slab needs a thickness. */
         continue;
@@ -284,14 +286,14 @@ UNIT_TEST(every_model_is_inverted_for_every_length) {
 UNIT_TEST(searches_do_not_depend_on_each_other) {
   uint64_t random = unit_seed();
   core_inverter one, other;
-  core_inverter_start(&one, CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, .3, 1.4, 1);
+  core_inverter_start(&one, CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, 0, false, .3, 1.4, 1);
   probe_to_the_end(&one);
   for (int i = 0; i < 200; i++) {
     const double albedo = unit_random_between(&random, 0, 1);
     const double length_mm = unit_random_log(&random, .01, 100);
     assert_false(core_inverter_seek(&one, albedo, CORE_LENGTH_DIFFUSE, length_mm));
     probe_to_the_end(&one);
-    core_inverter_start(&other, CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, .3, 1.4, 1);
+    core_inverter_start(&other, CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, 0, false, .3, 1.4, 1);
     probe_to_the_end(&other);
     assert_false(core_inverter_seek(&other, albedo, CORE_LENGTH_DIFFUSE, length_mm));
     probe_to_the_end(&other);
@@ -302,12 +304,12 @@ UNIT_TEST(searches_do_not_depend_on_each_other) {
 
 UNIT_TEST(what_there_is_not_is_not_found) {
   core_inverter inverter;
-  core_inverter_start(&inverter, CORE_MODEL_SINGLE, CORE_MOMENTS_EXACT, 0, 1.3, 1);
+  core_inverter_start(&inverter, CORE_MODEL_SINGLE, CORE_MOMENTS_EXACT, 0, false, 0, 1.3, 1);
   probe_to_the_end(&inverter);
   assert_true(inverter.albedo_most < .1);
   assert_true(core_inverter_seek(&inverter, .5, CORE_LENGTH_FREE_PATH, 1));
   assert_false(inverter.found);
-  core_inverter_start(&inverter, CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, 0, 1.3, 1);
+  core_inverter_start(&inverter, CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, 0, false, 0, 1.3, 1);
   probe_to_the_end(&inverter);
   assert_false(core_inverter_seek(&inverter, 0, CORE_LENGTH_FREE_PATH, 1));
   probe_to_the_end(&inverter);
@@ -328,6 +330,31 @@ UNIT_TEST(what_there_is_not_is_not_found) {
   assert_true(inverter.found && inverter.medium.sigma_a_per_mm == 0 && inverter.albedo == 1);
 }
 
+/* The medium of a colour of 0.5, g 0.9, eta 1.5 in diffuse light has this albedo of single scattering:
+ * that of a walk (see core/varying.h for the light). */
+UNIT_TEST(colours_of_diffuse_light_are_inverted) {
+  for (int specular = 0; specular < 2; specular++) {
+    core_inverter inverter;
+    unit_assert_fault(core_inverter_start(&inverter, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
+                                          CORE_LIGHT_DIFFUSE, specular, .9, 1.5, 1),
+                      NULL, 0);
+    inversion_run(&inverter);
+    const double share = specular ? core_specular(CORE_LIGHT_DIFFUSE, 1.5) : 0;
+    assert_true(core_inverter_seen(&inverter, inverter.albedo_most) == 1);
+    assert_false(
+        core_inverter_seek(&inverter, share + (1 - share) * .5, CORE_LENGTH_EXTINCTION, 2));
+    inversion_run(&inverter);
+    const core_medium *found = &inverter.medium;
+    assert_true(fabs((found->sigma_a_per_mm + found->sigma_s_per_mm) * 2 - 1) < 1e-13);
+    assert_true(fabs(found->sigma_s_per_mm * 2 - .9981006) < 1e-7);
+    assert_true(!specular || core_inverter_seek(&inverter, .05, CORE_LENGTH_EXTINCTION, 2));
+  }
+  core_inverter dipole;
+  unit_assert_fault(core_inverter_start(&dipole, CORE_MODEL_BETTER, CORE_MOMENTS_EXACT,
+                                        CORE_LIGHT_DIFFUSE, false, 0, 1.4, 1),
+                    "light", 0);
+}
+
 /* Every way in which a model may leave out what is not the albedo. */
 UNIT_TEST(an_albedo_by_itself_has_the_bits_of_a_profile) {
   static const core_medium media[] = {{.05, 9.5, .9, 1.4}, {.3, 1, 0, 1.3},   {1e-13, 1, .3, 1.5},
@@ -342,8 +369,8 @@ UNIT_TEST(an_albedo_by_itself_has_the_bits_of_a_profile) {
           core_prepares_slowly(model->id, CORE_EVALUATOR_F64, &media[i], &none)) {
         continue;
       }
-      const core_fault fault =
-          core_albedo(core_isa_select(NULL), model->id, CORE_MOMENTS_EXACT, &media[i], &albedo);
+      const core_fault fault = core_albedo(core_isa_select(NULL), model->id, CORE_MOMENTS_EXACT,
+                                           CORE_LIGHT_BEAM, &media[i], &albedo);
       const core_fault whole =
           core_profile_prepare(&profile, core_isa_select(NULL), model->id, CORE_MOMENTS_EXACT,
                                CORE_EVALUATOR_F64, &media[i], NULL);

@@ -22,6 +22,8 @@ async def invert(
     length: Any,
     *,
     given: str | int = "mean-free-path",
+    light: str | int = "beam",
+    specular: bool = False,
     g: float = 0.0,
     eta: float = 1.3,
     moments: str | int = "exact",
@@ -32,8 +34,9 @@ async def invert(
     albedo: from 0 to 1, of any shape, such as a texture [H, W, 3]. length: mm, of a shape that
     can be broadcast with that of albedo. Where the model cannot reach an albedo, the medium is
     NaN. options: given names the kind of length, from info.choices["length"]. The default,
-    "mean-free-path", is 1 / (sigma_a + sigma_s (1 - g)). g=0.0 and eta=1.3 hold for all media.
-    moments, deadline_ms: as of a Query.
+    "mean-free-path", is 1 / (sigma_a + sigma_s (1 - g)). light: "beam" or, with transport,
+    "diffuse". specular: whether the albedos, which are linear, contain what the surface itself
+    reflects. g=0.0 and eta=1.3 hold for all media. moments, deadline_ms: as of a Query.
     """
     info = session.info
     try:
@@ -44,6 +47,8 @@ async def invert(
         "model": id_of(info, "model", model),
         "moments": id_of(info, "moments", moments),
         "given": id_of(info, "length", given),
+        "light": id_of(info, "light", light),
+        "specular": bool(specular),
         "medium_count": albedos.size,
         "g": float(g),
         "eta": float(eta),

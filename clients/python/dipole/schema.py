@@ -148,7 +148,8 @@ STRUCTURES = {
         "u16 parameter_count, u64 sample_count, u64 sample_first, u64 seed, "
     ),
     "invert_request": (
-        "u16 model, u16 moments, u16 given, u16 zero, u64 medium_count, f64 g, f64 eta, "
+        "u16 model, u16 moments, u16 given, u16 light, u32 medium_count, u16 specular, u16 zero, "
+        "f64 g, f64 eta, "
     ),
     "invert_reply": (
         "u32 part, u32 part_count, u64 first, u64 count, u16 model, u16 moments, u16 given, "

@@ -14,7 +14,10 @@ from .errors import ArgumentError
 from .library import Fetched, address, bytes_of, call, library
 from .values import Array, Info, in_short
 
-_LENGTHS = {"mean-free-path": 1, "diffuse-mean-free-path": 2, "classical-diffuse-path": 3}
+_LENGTHS = {
+    "mean-free-path": 1, "diffuse-mean-free-path": 2, "classical-diffuse-path": 3,
+    "extinction-path": 4,
+}  # fmt: skip
 _LIGHTS = {"beam": 1, "diffuse": 2}
 
 
