@@ -23,7 +23,7 @@ Commands
   media    List the measured media and their coefficients
   info     Show a daemon: models, evaluators, instruction set, limits, statistics
   top      Watch a daemon: requests, radii and bytes each second, latencies, queues
-  bench    Measure how fast a daemon answers: latency, pipelined requests, throughput
+  bench    Measure how fast a daemon replies: latency, pipelined requests, throughput
   help     This text, or `dipole help COMMAND`
 
 `dipole COMMAND --help` describes a command; `dipole --version` prints the version.

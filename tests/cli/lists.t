@@ -216,7 +216,7 @@ mc	Walk photons through a medium (Monte Carlo): R(r) with standard errors
 media	List the measured media and their coefficients
 info	Show a daemon: models, evaluators, instruction set, limits, statistics
 top	Watch a daemon: requests, radii and bytes each second, latencies, queues
-bench	Measure how fast a daemon answers: latency, pipelined requests, throughput
+bench	Measure how fast a daemon replies: latency, pipelined requests, throughput
 help
 
 $ dipole complete 'dipole help ta'
