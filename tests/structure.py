@@ -1,5 +1,6 @@
 """structure.py [FOLDER]: fails, and names what is wrong, when modules include each other in a circle,
-when a document has too many words, and when a rule of the protocol is too long or there twice.
+when a document has too many words, and when a rule of the protocol is too long or there twice. Says,
+too, which rules, statuses and limits no line of tests/promises.txt holds.
 
 A module is a .c file with the .h and .def files of the same name in the same folder. Only includes
 that the sources of FOLDER (by default this repository) write with quotes count."""
@@ -105,6 +106,27 @@ def wordy(root: Path) -> list[str]:
     ]
 
 
+def without_a_test(root: Path) -> list[str]:
+    """Returns the rules of the protocol, statuses and limits that no line of tests/promises.txt holds,
+    and the tests that it names and nobody has."""
+    listed = root / "tests/promises.txt"
+    if not listed.exists():
+        return []
+    lines = [line for line in listed.read_text().splitlines() if line and line[0] != "#"]
+    rows = [(held.split(), tests.split()) for held, _, tests in (line.partition(":") for line in lines)]
+    promised = [number for number, _ in RULE.findall((root / "proto/PROTOCOL.md").read_text())]
+    promised += re.findall(r'^WIRE_STATUS\([1-9]\d*, .*?"(.*?)"', (root / "proto/statuses.def").read_text(), re.M)
+    promised += re.findall(r'^SERVER_NUMBER\(\w+, "(.*?)"', (root / "server/options.def").read_text(), re.M)
+    files = [path for path in (root / "tests").rglob("*") if path.suffix in (".c", ".py", ".t", ".sh")]
+    tests = {name for path in files for name in (path.name, path.stem)}
+    for path in files:
+        tests.update(re.findall(r"^(?:UNIT_TEST\(|def |test_)(\w+)", path.read_text(), re.M))
+    held = {one for row, _ in rows for one in row}
+    return [f"no test is named for {one}" for one in promised if one not in held] + [
+        f"there is no test {one}" for one in sorted({one for _, row in rows for one in row} - tests)
+    ]
+
+
 def main() -> int:
     root = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parents[1]).resolve()
     graph = modules(root)
@@ -114,7 +136,7 @@ def main() -> int:
     if not found:
         print(f"structure: {len(graph)} modules, none includes itself through others")
     too_long = wordy(root)
-    for fault in too_long:
+    for fault in [*too_long, *(f"tests/promises.txt: {one}" for one in without_a_test(root))]:
         print(fault)
     return 1 if found or too_long else 0
 

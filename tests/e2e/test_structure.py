@@ -101,3 +101,13 @@ def test_what_is_too_long_is_named(tmp_path):
         "rule A1 is there twice",
         "rule A2b has 31 words, more than 30",
     ]
+
+
+def test_a_promise_without_a_test_is_named(tmp_path):
+    for path, text in {
+        "proto/PROTOCOL.md": "**A1** One.\n\n**A2** Two.\n", "proto/statuses.def": "", "server/options.def": "",
+        "tests/promises.txt": "# comment\nA1: test_one test_gone\n", "tests/test_it.py": "def test_one():\n",
+    }.items():  # fmt: skip
+        (tmp_path / path).parent.mkdir(exist_ok=True)
+        (tmp_path / path).write_text(text)
+    assert structure.without_a_test(tmp_path) == ["no test is named for A2", "there is no test test_gone"]
