@@ -1,5 +1,5 @@
-/* Fits: coefficients from readings of the model itself, with noise and without, and what is
- * refused. $FIT_SETS is the number of random sets for each test. */
+/* Fits: coefficients from readings of the model itself, with noise and without. wrong.txt and
+ * test_fit.py have what is refused. $FIT_SETS is the number of random sets for each test. */
 #include "core/fit/fit.h"
 
 #include <math.h>
@@ -162,80 +162,6 @@ UNIT_TEST(dipoles_come_back) {
   expect_recovery(CORE_MODEL_CLASSICAL, CORE_FIT_SCALE_ABSOLUTE);
   expect_recovery(CORE_MODEL_BETTER, CORE_FIT_SCALE_FREE);
   expect_recovery(CORE_MODEL_BURLEY, CORE_FIT_SCALE_ABSOLUTE);
-}
-
-/* ---- refusals -------------------------------------------------------------------------------- */
-
-UNIT_TEST(wrong_readings_are_refused_with_their_index) {
-  uint64_t random = unit_seed();
-  struct subject subject;
-  draw(&subject, CORE_MODEL_BETTER, CORE_FIT_SCALE_ABSOLUTE, &random);
-  set_errors(&subject, 0.01);
-  static const struct {
-    double value, error;
-    const char *field;
-  } rows[] = {{-(double)INFINITY, 1, "value"},
-              {(double)NAN, 1, "value"},
-              {(double)INFINITY, 1, "value"},
-              {1, 0, "error"},
-              {1, -1, "error"},
-              {1, (double)NAN, "error"},
-              {0, 0, "error"},
-              {1, (double)INFINITY, "error"},
-              {-1, 0, "error"}};
-  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
-    struct subject wrong = subject;
-    wrong.design.at = wrong.at;
-    wrong.values[2] = rows[i].value;
-    wrong.errors[2] = rows[i].error;
-    const core_fit_result result = fitted(&wrong);
-    assert_int_equal(result.status, CORE_FIT_STATUS_REFUSED);
-    unit_assert_fault(result.fault, rows[i].field, 2);
-    assert_true(isnan(result.best.sigma_a_per_mm));
-  }
-}
-
-UNIT_TEST(wrong_designs_are_refused) {
-  uint64_t random = unit_seed();
-  struct subject subject;
-  draw(&subject, CORE_MODEL_BETTER, CORE_FIT_SCALE_ABSOLUTE, &random);
-  core_fit_design design = subject.design;
-  design.count = 1;
-  unit_assert_fault(core_fit_check(&design), "count", 1);
-  design.count = 2;
-  unit_assert_fault(core_fit_check(&design), NULL, 0);
-  design.scale = CORE_FIT_SCALE_FREE;
-  unit_assert_fault(core_fit_check(&design), "count", 2);
-  design.scale = 9;
-  unit_assert_fault(core_fit_check(&design), "scale", 0);
-  design = subject.design;
-  design.axis = 9;
-  unit_assert_fault(core_fit_check(&design), "axis", 0);
-  design = subject.design;
-  design.g = 1;
-  unit_assert_fault(core_fit_check(&design), "g", 0);
-  design = subject.design;
-  design.detector_na = 0.22;
-  unit_assert_fault(core_fit_check(&design), "detector_na", 0);
-  design.model = CORE_MODEL_TRANSPORT;
-  unit_assert_fault(core_fit_check(&design), NULL, 0);
-  static const struct {
-    double na, g, eta;
-    unsigned axis;
-  } wrong[] = {{-0.1, 0, 1.4, CORE_FIT_AXIS_RADIUS},        {1.1, 0, 1.4, CORE_FIT_AXIS_RADIUS},
-               {(double)NAN, 0, 1.4, CORE_FIT_AXIS_RADIUS}, {0.2, -0.1, 1.4, CORE_FIT_AXIS_RADIUS},
-               {0.2, 0.96, 1.4, CORE_FIT_AXIS_RADIUS},      {0.2, 0, 0.69, CORE_FIT_AXIS_RADIUS},
-               {0.2, 0, 2.3, CORE_FIT_AXIS_RADIUS},         {0.2, 0, 1.4, CORE_FIT_AXIS_FREQUENCY}};
-  for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++) {
-    design.detector_na = wrong[i].na;
-    design.g = wrong[i].g;
-    design.eta = wrong[i].eta;
-    design.axis = wrong[i].axis;
-    unit_assert_fault(core_fit_check(&design), "detector_na", 0);
-  }
-  design = subject.design;
-  subject.at[3] = 0;
-  unit_assert_fault(core_fit_check(&design), "at", 3);
 }
 
 /* ---- what a design models -------------------------------------------------------------------- */

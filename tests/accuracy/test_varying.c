@@ -507,60 +507,7 @@ UNIT_TEST(colours_lead_to_media_that_have_them_by_the_solver) {
   print_message("%zu colours, albedo by the solver off by %.2g at most\n", count, worst);
 }
 
-UNIT_TEST(colours_that_no_medium_has_are_said_to_be_so) {
-  core_varying varying = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F32, 0, 1.4, NULL);
-  const core_colour what = {CORE_LIGHT_BEAM, true, CORE_LENGTH_FREE_PATH};
-  const float colours[] = {0.5f, 0.01f, 1.01f, NAN, -1, 0.5f, 0.5f, 0.5f, 1};
-  const float lengths[] = {1, 1, 1, 1, 1, 0, NAN, 1e-9f, 1};
-  const uint8_t expected[] = {CORE_VALUE_OK,     CORE_VALUE_COLOUR, CORE_VALUE_COLOUR,
-                              CORE_VALUE_COLOUR, CORE_VALUE_COLOUR, CORE_VALUE_LENGTH,
-                              CORE_VALUE_LENGTH, CORE_VALUE_LENGTH, CORE_VALUE_OK};
-  enum { COUNT = sizeof colours / sizeof colours[0] };
-  float a[COUNT], s[COUNT];
-  uint8_t status[COUNT];
-  core_varying_invert_f32(&varying, &what, COUNT, colours, lengths, a, s, NULL, status);
-  for (size_t i = 0; i < COUNT; i++) {
-    assert_int_equal(status[i], expected[i]);
-    assert_int_equal(isnan(a[i]) && isnan(s[i]), expected[i] != CORE_VALUE_OK);
-  }
-  assert_true(a[8] == 0 && s[8] == 1);
-  core_varying dipole = prepare(CORE_MODEL_BETTER, CORE_EVALUATOR_F32, 0, 1.4, NULL);
-  const core_colour diffuse = {CORE_LIGHT_DIFFUSE, false, CORE_LENGTH_FREE_PATH};
-  unit_assert_fault(core_colour_check(&dipole, &diffuse), "light", 0);
-  core_varying_free(&varying);
-  core_varying_free(&dipole);
-}
-
-/* ---- statuses, bits, words ------------------------------------------------------------------- */
-
-UNIT_TEST(wrong_values_have_a_status_and_the_others_are_answered) {
-  core_varying varying = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, 0, 1.4, NULL);
-  enum { COUNT = 9 };
-  const double a[COUNT] = {1, -1, NAN, 1, 1, 1, 1, 0.1, 1e7};
-  const double s[COUNT] = {1, 1, 1, NAN, 1e-3, 1, 1, 9, 1};
-  const double r[COUNT] = {1, 1, 1, 1, 1, -1, NAN, 1e4, 1};
-  const uint8_t expected[COUNT] = {CORE_VALUE_OK,      CORE_VALUE_SIGMA_A, CORE_VALUE_SIGMA_A,
-                                   CORE_VALUE_SIGMA_S, CORE_VALUE_RATIO,   CORE_VALUE_RADIUS,
-                                   CORE_VALUE_RADIUS,  CORE_VALUE_FAR,     CORE_VALUE_SIGMA_A};
-  uint8_t status[COUNT];
-  double out[COUNT];
-  core_varying_range range;
-  core_varying_check_f64(&varying, COUNT, a, s, r, status, &range);
-  core_varying_eval_f64(&varying, CORE_QUANTITY_R, COUNT, a, s, r, out);
-  for (size_t i = 0; i < COUNT; i++) {
-    assert_int_equal(status[i], expected[i]);
-    assert_int_equal(isnan(out[i]), expected[i] > CORE_VALUE_FAR);
-  }
-  assert_int_equal(range.computed, 2);
-  assert_true(range.albedo_least >= 0.5 && range.albedo_most <= 0.5 && range.mfp_most <= 2);
-  const double us[3] = {0, 1.5, 1};
-  core_varying_check_u_f64(&varying, 3, (double[]){1, 1, 1}, (double[]){1, 1, 1}, us, status,
-                           &range);
-  assert_int_equal(status[1], CORE_VALUE_NUMBER);
-  core_varying_sample_f64(&varying, 3, (double[]){1, 1, 1}, (double[]){1, 1, 1}, us, out);
-  assert_true(!(out[0] > 0) && isnan(out[1]) && isinf(out[2]));
-  core_varying_free(&varying);
-}
+/* ---- bits and words -------------------------------------------------------------------------- */
 
 /* Asserts that the errors of a range of albedos are the largest ones of media in it. */
 static void compare_errors_of_range(const core_varying *varying, enum core_quantity quantity,
@@ -662,7 +609,7 @@ UNIT_TEST(copied_words_give_the_same_bits_and_wrong_ones_are_refused) {
   core_varying_free(&made);
 }
 
-/* ---- derivatives and faults ------------------------------------------------------------------ */
+/* ---- derivatives ----------------------------------------------------------------------------- */
 
 UNIT_TEST(derivatives_are_those_of_ln_R) {
   static const unsigned models[] = {CORE_MODEL_BETTER, CORE_MODEL_BURLEY, CORE_MODEL_TRANSPORT};
@@ -691,32 +638,4 @@ UNIT_TEST(derivatives_are_those_of_ln_R) {
     }
     core_varying_free(&varying);
   }
-}
-
-UNIT_TEST(preparing_refuses_what_cannot_vary) {
-  core_varying varying;
-  core_parameters parameters = core_parameters_none();
-  const core_isa *isa = core_isa_select(NULL);
-  unit_assert_fault(core_varying_prepare(&varying, isa, CORE_MODEL_MULTIPOLE, CORE_MOMENTS_EXACT,
-                                         CORE_EVALUATOR_F64, 0, 1.4, NULL),
-                    "thickness", 0);
-  unit_assert_fault(core_varying_prepare(&varying, isa, CORE_MODEL_EXTENDED, CORE_MOMENTS_EXACT,
-                                         CORE_EVALUATOR_F64, 0, 1.4, NULL),
-                    "model", 0);
-  unit_assert_fault(core_varying_prepare(&varying, isa, CORE_MODEL_BETTER, CORE_MOMENTS_EXACT,
-                                         CORE_EVALUATOR_LUT, 0, 1.4, NULL),
-                    "evaluator", 0);
-  unit_assert_fault(core_varying_prepare(&varying, isa, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
-                                         CORE_EVALUATOR_F64, 0.97, 1.4, NULL),
-                    "g", 0);
-  unit_assert_fault(core_varying_prepare(&varying, isa, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
-                                         CORE_EVALUATOR_F64, 0, 3, NULL),
-                    "eta", 0);
-  parameters.value[CORE_PARAMETER_TOLERANCE] = 1e-6;
-  unit_assert_fault(core_varying_prepare(&varying, isa, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
-                                         CORE_EVALUATOR_F64, 0, 1.4, &parameters),
-                    "tolerance", 0);
-  unit_assert_fault(core_varying_prepare(&varying, isa, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
-                                         CORE_EVALUATOR_F64, 1, 1.4, NULL),
-                    "g", 0);
 }

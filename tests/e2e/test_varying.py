@@ -60,6 +60,8 @@ def test_a_value_that_is_wrong_is_named_and_the_others_are_answered(client):
         assert set(found.faults) == set(names) - {"ok"}
         alone = client.varying("better", sigma_a=0.1, sigma_s=1.0, r=1.0, evaluator=evaluator)
         assert found["R"][0] == alone["R"]
+    solved = client.varying("transport", sigma_a=[1.0, 1.0, 0.1], sigma_s=[1.0, 1e-3, 9.0], r=[1.0, 1.0, 1e4])
+    assert [statuses[name].id for name in ("ok", "ratio", "far")] == solved.statuses.tolist()
     drawn = client.varying("better", sigma_a=0.1, sigma_s=1.0, u=[0.5, -0.1, 1.1, nan])
     assert drawn.statuses.tolist() == [0, *[statuses["number"].id] * 3]
 

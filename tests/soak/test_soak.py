@@ -22,8 +22,8 @@ from pathlib import Path
 import dipole
 from certificates import Authority, Recorder
 from daemons import BUILD, Daemon, sanitized
-from dipole import DipoleError, wire
-from frames import EVAL, F32, SKIN, STATISTICS, R, ask, eval_payload, frame
+from dipole import DipoleError
+from frames import EVAL, F32, SKIN, R, eval_payload, frame, statistics
 from modbus_master import AT, Lost, Tcp, input_block
 from test_http import address
 
@@ -270,14 +270,6 @@ def watch_canaries(beside: Beside) -> None:
 
 
 PLAYS = (babble, leave, leave, read_slowly, hang_halfway, update_keys, watch_canaries)
-
-
-def statistics(connection) -> dict[str, int]:
-    """Reads the daemon's statistics over this connection."""
-    payload = ask(connection, STATISTICS).payload
-    count = wire.LIST_REPLY.unpack(payload).count
-    offsets = (wire.LIST_REPLY.bytes + i * wire.VALUE.bytes for i in range(count))
-    return dict(wire.VALUE.unpack(payload, offset) for offset in offsets)
 
 
 def watch(daemon: Daemon) -> list[int]:
