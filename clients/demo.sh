@@ -43,7 +43,7 @@ address=unix:$folder/dipoled.sock
 "$build/dipoled" --listen "$address" 2>"$folder/dipoled.log" &
 daemon=$!
 
-# Ready when it answers; it has ten seconds to get there.
+# Ready when it replies; it has ten seconds to get there.
 tries=100
 until "$build/dipole" info --connect "$address" --retry-ms 0 >/dev/null 2>&1; do
   kill -0 "$daemon" 2>/dev/null || fail "the daemon ended before it was ready"
@@ -61,7 +61,7 @@ say "\$ $build/dipole eval --medium $medium --channel red --model $models $radii
 
 say "\$ $build/dipole eval --sigma-a 0.05 --sigma-s 9.5 --g 0.9 --eta 1.4 --tolerance 0.01 --r 0.1,1,5"
 "$build/dipole" eval --connect "$address" --sigma-a 0.05 --sigma-s 9.5 --g 0.9 --eta 1.4 \
-  --tolerance 0.01 --r 0.1,1,5 || fail "tissue with g = 0.9 was not answered"
+  --tolerance 0.01 --r 0.1,1,5 || fail "tissue with g = 0.9 got no reply"
 
 # The pictures have more radii than a table that people read.
 # shellcheck disable=SC2086

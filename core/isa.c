@@ -11,7 +11,7 @@ static bool portable_supported(void) {
 }
 
 #if defined(__x86_64__) && !defined(CORE_PORTABLE_ALONE)
-/* __builtin_cpu_supports() asks CPUID and, for the wide registers, XGETBV. */
+/* __builtin_cpu_supports() uses CPUID and, for the wide registers, XGETBV. */
 static bool sse2_supported(void) {
   return true;
 }

@@ -360,20 +360,20 @@ static bool fits(const struct model *model) {
 
 /* Returns whether the error of a profile does not shrink with the tolerance, because it comes from
  * the table of solutions or from the solver. */
-static bool keeps_error(const core_profile *source, double asked) {
+static bool keeps_error(const core_profile *source, double tolerance) {
   return source->numerical_errors[CORE_MODEL_ERROR_BANDS] < source->numerical_error ||
-         source->numerical_error > ACCEPTED_SHARE * asked;
+         source->numerical_error > ACCEPTED_SHARE * tolerance;
 }
 
-static core_fault build_table(core_profile *profile, const struct model *model, double asked) {
+static core_fault build_table(core_profile *profile, const struct model *model, double tolerance) {
   /* lut.error includes all rounding except that of the factors of 2 pi r R and the pdf. */
   const double rounding = 2 * (double)FLT_EPSILON;
   const core_profile *source = profile->source;
-  const double spent = rounding + (fits(model)                  ? 0
-                                   : keeps_error(source, asked) ? SOURCE_SHARE * asked
-                                                                : source->numerical_error);
+  const double spent = rounding + (fits(model)                      ? 0
+                                   : keeps_error(source, tolerance) ? SOURCE_SHARE * tolerance
+                                                                    : source->numerical_error);
   core_lut lut;
-  const core_fault fault = core_lut_build(&lut, source, (asked - spent) / FOUND_MARGIN);
+  const core_fault fault = core_lut_build(&lut, source, (tolerance - spent) / FOUND_MARGIN);
   if (fault.field == NULL) {
     profile->lut = lut.words;
     profile->lut_count = lut.count;
@@ -397,13 +397,13 @@ static bool is_tolerance(core_fault fault) {
 static core_fault prepare_table(core_profile *profile, const struct model *model,
                                 core_inputs inputs, core_radii_range radii) {
   core_parameters parameters = *inputs.parameters;
-  const double asked =
+  const double tolerance =
       fmin(core_parameter_or(&inputs, CORE_PARAMETER_TOLERANCE, CORE_LUT_TOLERANCE),
            CORE_LUT_TOLERANCE_MAX);
   parameters.value[CORE_PARAMETER_TOLERANCE] =
-      fits(model) ? (double)NAN : fmin(SOURCE_SHARE * asked, CORE_LUT_TOLERANCE);
+      fits(model) ? (double)NAN : fmin(SOURCE_SHARE * tolerance, CORE_LUT_TOLERANCE);
   inputs.parameters = &parameters;
-  inputs.accepted = ACCEPTED_SHARE * asked;
+  inputs.accepted = ACCEPTED_SHARE * tolerance;
   core_profile *source = malloc(sizeof *source);
   if (source == NULL) {
     return CORE_OUT_OF_MEMORY;
@@ -421,11 +421,11 @@ static core_fault prepare_table(core_profile *profile, const struct model *model
   profile->notes = source->notes;
   profile->cost = 1;
   profile->scale_mm = source->scale_mm;
-  fault = build_table(profile, model, asked);
+  fault = build_table(profile, model, tolerance);
   /* If a part of the error is independent of the tolerance, a table that misses the tolerance is
    * still useful and states its error. */
-  for (double looser = 4 * asked;
-       is_tolerance(fault) && keeps_error(source, asked) && looser <= 0.01; looser *= 4) {
+  for (double looser = 4 * tolerance;
+       is_tolerance(fault) && keeps_error(source, tolerance) && looser <= 0.01; looser *= 4) {
     fault = build_table(profile, model, looser);
   }
   if (fault.field != NULL) {

@@ -119,21 +119,21 @@ static double error_of_albedo(const core_profile *profile, const core_profile *t
  * grows if CORE_RULER_RADII are not enough. */
 #define RULER_STEP 0.125
 
-void core_asked_ends(core_asked_radii *asked, bool single) {
-  const core_grid *grid = &asked->grid;
-  core_radii_range *ends = &asked->ends;
+void core_requested_ends(core_requested_radii *requested, bool single) {
+  const core_grid *grid = &requested->grid;
+  core_radii_range *ends = &requested->ends;
   *ends = (core_radii_range){grid->start_mm, grid->stop_mm};
-  if (asked->listed == NULL && !(grid->start_mm > 0)) {
+  if (requested->listed == NULL && !(grid->start_mm > 0)) {
     *ends = (core_radii_range){(double)INFINITY, grid->stop_mm};
     if (grid->count > 1) {
       core_grid_radii_f64(grid, 1, 1, &ends->least_mm);
     }
   }
-  if (asked->listed != NULL) {
+  if (requested->listed != NULL) {
     *ends = (core_radii_range){(double)INFINITY, 0};
     for (uint64_t i = 0; i < grid->count; i++) {
-      const double r =
-          single ? (double)((const float *)asked->listed)[i] : ((const double *)asked->listed)[i];
+      const double r = single ? (double)((const float *)requested->listed)[i]
+                              : ((const double *)requested->listed)[i];
       ends->least_mm = r > 0 ? fmin(ends->least_mm, r) : ends->least_mm;
       ends->most_mm = r < (double)INFINITY ? fmax(ends->most_mm, r) : ends->most_mm;
     }
@@ -142,12 +142,13 @@ void core_asked_ends(core_asked_radii *asked, bool single) {
 
 /* Sets r[] to the radii at which models are compared. *between: whether the request has radii
  * between them. Returns their number. */
-static size_t choose_radii(const core_asked_radii *asked, bool single, double *r, bool *between) {
+static size_t choose_radii(const core_requested_radii *requested, bool single, double *r,
+                           bool *between) {
   float near[CORE_RULER_RADII];
-  core_grid grid = asked->grid;
+  core_grid grid = requested->grid;
   *between = grid.count > CORE_RULER_RADII;
   if (*between) {
-    core_radii_range ends = asked->ends;
+    core_radii_range ends = requested->ends;
     ends.least_mm = fmax(ends.least_mm, CORE_GRID_LOG_MIN_MM);
     /* the request has one positive, finite radius, or none */
     if (!(ends.least_mm < ends.most_mm)) {
@@ -162,10 +163,10 @@ static size_t choose_radii(const core_asked_radii *asked, bool single, double *r
   }
   const size_t n = (size_t)grid.count;
   size_t kept = 0;
-  if (!*between && asked->listed != NULL) {
+  if (!*between && requested->listed != NULL) {
     for (size_t i = 0; i < n; i++) {
-      r[kept] =
-          single ? (double)((const float *)asked->listed)[i] : ((const double *)asked->listed)[i];
+      r[kept] = single ? (double)((const float *)requested->listed)[i]
+                       : ((const double *)requested->listed)[i];
       kept += r[kept] < (double)INFINITY;
     }
     return kept;
@@ -192,17 +193,17 @@ static double with_margin(const double *error, size_t n, size_t i, bool between)
 }
 
 double core_model_error(const core_profile *profile, const core_profile *transport, unsigned wanted,
-                        const core_asked_radii *asked) {
+                        const core_requested_radii *requested) {
   if (transport == NULL) {
-    return stated_error(profile, wanted, asked->range);
+    return stated_error(profile, wanted, requested->range);
   }
   double r[CORE_RULER_RADII], error[CORE_RULER_RADII];
   double most =
       (wanted & CORE_QUANTITY_ALBEDO) != 0 ? error_of_albedo(profile, transport) : (double)NAN;
   bool between = false;
-  const bool at_radii = (wanted & (COMPARED | CORE_QUANTITY_S)) != 0 && asked->grid.count > 0;
+  const bool at_radii = (wanted & (COMPARED | CORE_QUANTITY_S)) != 0 && requested->grid.count > 0;
   const bool single = profile->evaluator != CORE_EVALUATOR_F64;
-  const size_t n = at_radii ? choose_radii(asked, single, r, &between) : 0;
+  const size_t n = at_radii ? choose_radii(requested, single, r, &between) : 0;
   core_model_errors_at(profile, transport, wanted, n, r, error);
   for (size_t i = 0; i < n; i++) {
     if (isinf(error[i])) {
@@ -210,7 +211,8 @@ double core_model_error(const core_profile *profile, const core_profile *transpo
     }
     most = fmax(most, with_margin(error, n, i, between)); /* fmax() ignores a NAN */
   }
-  const double first_mm = asked->listed != NULL ? asked->range.least_mm : asked->grid.start_mm;
+  const double first_mm =
+      requested->listed != NULL ? requested->range.least_mm : requested->grid.start_mm;
   if (between && !(first_mm > 0)) { /* some quantities are finite at r = 0 */
     const double source = 0;
     core_model_errors_at(profile, transport, wanted, 1, &source, error);
@@ -229,7 +231,7 @@ core_model_errors core_model_errors_measure(const core_profile *profile,
   const double mfp_mm = 1 / core_sigma_t_prime(&profile->medium);
   for (size_t i = 0; i < CORE_MODEL_ERROR_BANDS; i++) {
     const double *edge = &core_error_edges_mfp[i];
-    const core_asked_radii band = {
+    const core_requested_radii band = {
         {CORE_SPACING_LOGARITHMIC, CORE_GRID_COUNT_MAX, edge[0] * mfp_mm, edge[1] * mfp_mm},
         NULL,
         {edge[0] * mfp_mm, edge[1] * mfp_mm},

@@ -22,17 +22,17 @@ bool core_ruler_is_needed(unsigned model, const core_parameters *parameters,
 enum { CORE_RULER_RADII = 256 };
 
 /* The radii of a request: a grid, or a list of grid.count radii of the evaluator's type. */
-typedef struct core_asked_radii {
+typedef struct core_requested_radii {
   core_grid grid;
   const void *listed;     /* the list; NULL: the radii are the grid's */
   core_radii_range range; /* as core_radii_check_f64() sets it */
-  /* as set by core_asked_ends(); not used if there are at most CORE_RULER_RADII radii */
+  /* as set by core_requested_ends(); not used if there are at most CORE_RULER_RADII radii */
   core_radii_range ends;
-} core_asked_radii;
+} core_requested_radii;
 
-/* Sets asked->ends to the radii above 0 and below infinity between which all others of the request
+/* Sets requested->ends to the radii above 0 and below infinity between which all others of the request
  * lie. single: they are of single precision. */
-void core_asked_ends(core_asked_radii *asked, bool single);
+void core_requested_ends(core_requested_radii *requested, bool single);
 
 /* Sets error[n], n up to CORE_RULER_RADII, to how far the wanted quantities of a profile are from
  * those of the ruler at radii r[n] in mm, in the precision of the profile's evaluator: the largest
@@ -50,7 +50,7 @@ void core_model_errors_at(const core_profile *profile, const core_profile *trans
  * error is taken to be smooth: a quarter of the second differences around is added, which is twice
  * what a parabola rises above its points. */
 double core_model_error(const core_profile *profile, const core_profile *transport, unsigned wanted,
-                        const core_asked_radii *asked);
+                        const core_requested_radii *requested);
 
 /* Returns the errors of a profile in each band; the arguments are those of core_model_error(). */
 core_model_errors core_model_errors_measure(const core_profile *profile,

@@ -145,7 +145,7 @@ static dipole_mc_result *make_result(libdipole_frame *frame, const wire_mc_reply
   return &frame->mc;
 }
 
-static bool is_asked_for(const dipole_mc_query *query, const wire_mc_reply *fixed) {
+static bool is_requested(const dipole_mc_query *query, const wire_mc_reply *fixed) {
   return fixed->state <= MC_STOPPED && fixed->side_count == sides_of(query) &&
          fixed->albedo_count == albedos_of(query) && fixed->ring_count == query->ring_count;
 }
@@ -169,7 +169,7 @@ static bool next_reply(dipole_client *client, const dipole_mc_query *query, uint
     free(frame);
     return true;
   }
-  if (!shaped || !is_asked_for(query, &fixed)) {
+  if (!shaped || !is_requested(query, &fixed)) {
     free(frame);
     return libdipole_bad_reply(
         client, "it replied to an mc request with another shape than requested", error);

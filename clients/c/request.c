@@ -307,13 +307,13 @@ static bool is_passing(const libdipole_pending *pending, const libdipole_frame *
 /* If the frame ends the request for a reason that passes, plans to send the request again, frees
  * the frame and returns true. */
 static bool send_later(dipole_client *client, libdipole_pending *pending, libdipole_frame *frame) {
-  uint32_t asked_ms;
-  if (!can_repeat(pending) || !is_passing(pending, frame, &asked_ms)) {
+  uint32_t retry_after_ms;
+  if (!can_repeat(pending) || !is_passing(pending, frame, &retry_after_ms)) {
     return false;
   }
   const int64_t now_ms = libdipole_now_ms();
   const unsigned least_ms =
-      asked_ms > LIBDIPOLE_PAUSE_FIRST_MS ? asked_ms : LIBDIPOLE_PAUSE_FIRST_MS;
+      retry_after_ms > LIBDIPOLE_PAUSE_FIRST_MS ? retry_after_ms : LIBDIPOLE_PAUSE_FIRST_MS;
   const int64_t again_ms =
       now_ms + least_ms + libdipole_jitter(&client->retry.random, LIBDIPOLE_PAUSE_FIRST_MS);
   if (again_ms > failed_since_ms(pending, now_ms) + client->retry.for_ms) {

@@ -95,7 +95,7 @@ static bool is_of(const dipole_surface *surface, unsigned model, unsigned moment
   return same;
 }
 
-static bool is_asked_for(const dipole_surface *surface, const dipole_table_query *query) {
+static bool is_requested(const dipole_surface *surface, const dipole_table_query *query) {
   core_parameters parameters = core_parameters_none();
   for (size_t i = 0; i < query->parameter_count; i++) {
     /* A daemon that replies knows every parameter, but its list may be longer than this one. */
@@ -115,7 +115,7 @@ bool dipole_surface_fetch(dipole_client *client, const dipole_table_query *query
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
                           "sigma_a and sigma_s of a surface's query are 0: it is for all media");
   }
-  libdipole_frame *frame = libdipole_table_ask(client, query, WORDS_MAX, error);
+  libdipole_frame *frame = libdipole_table_request(client, query, WORDS_MAX, error);
   if (frame == NULL) {
     return false;
   }
@@ -124,7 +124,7 @@ bool dipole_surface_fetch(dipole_client *client, const dipole_table_query *query
       dipole_surface_load(libdipole_frame_bytes(frame),
                           WIRE_BYTES_header + (size_t)frame->payload_bytes, &fetched, error);
   free(frame);
-  if (intact && is_asked_for(fetched, query)) {
+  if (intact && is_requested(fetched, query)) {
     *surface = fetched;
     return true;
   }

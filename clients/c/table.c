@@ -187,7 +187,7 @@ bool dipole_table_load(const void *bytes, size_t count, dipole_table **table, di
 
 /* ---- from a daemon ------------------------------------------------------------------------- */
 
-static bool is_asked_for(const dipole_table *table, const dipole_table_query *query) {
+static bool is_requested(const dipole_table *table, const dipole_table_query *query) {
   const dipole_table_info *info = &table->info;
   return info->model == query->model && info->moments == query->moments &&
          info->medium.sigma_a_per_mm == query->medium.sigma_a_per_mm &&
@@ -196,8 +196,8 @@ static bool is_asked_for(const dipole_table *table, const dipole_table_query *qu
          info->parameter_count == query->parameter_count;
 }
 
-libdipole_frame *libdipole_table_ask(dipole_client *client, const dipole_table_query *query,
-                                     size_t words_max, dipole_error *error) {
+libdipole_frame *libdipole_table_request(dipole_client *client, const dipole_table_query *query,
+                                         size_t words_max, dipole_error *error) {
   const uint32_t parameters = (uint32_t)query->parameter_count;
   if (!libdipole_query_check(query->model, query->moments, query->parameters,
                              query->parameter_count, error)) {
@@ -245,7 +245,7 @@ bool dipole_table_fetch(dipole_client *client, const dipole_table_query *query,
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
                           "sigma_a and sigma_s are 0: dipole_surface_fetch() is for all media");
   }
-  libdipole_frame *frame = libdipole_table_ask(client, query, CORE_LUT_WORDS_MAX, error);
+  libdipole_frame *frame = libdipole_table_request(client, query, CORE_LUT_WORDS_MAX, error);
   if (frame == NULL) {
     return false;
   }
@@ -253,7 +253,7 @@ bool dipole_table_fetch(dipole_client *client, const dipole_table_query *query,
       dipole_table_load(libdipole_frame_bytes(frame),
                         WIRE_BYTES_header + (size_t)frame->payload_bytes, &fetched, error);
   free(frame);
-  if (intact && is_asked_for(fetched, query)) {
+  if (intact && is_requested(fetched, query)) {
     *table = fetched;
     return true;
   }

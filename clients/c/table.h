@@ -13,8 +13,8 @@ bool libdipole_table_check(const uint8_t *bytes, size_t count, size_t *frame_byt
 
 /* Sends a table request and waits for the reply, of at most words_max words, whose
  * libdipole_frame_bytes() are then set. Returns NULL if it failed or was refused. */
-libdipole_frame *libdipole_table_ask(dipole_client *client, const dipole_table_query *query,
-                                     size_t words_max, dipole_error *error);
+libdipole_frame *libdipole_table_request(dipole_client *client, const dipole_table_query *query,
+                                         size_t words_max, dipole_error *error);
 
 /* Says that a daemon has replied with another table than was requested, or if it is not intact, by
  * an error of kind TABLE, with none. Returns false. */

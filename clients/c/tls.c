@@ -238,11 +238,11 @@ libdipole_tls *libdipole_tls_open(int fd, const char *host, const libdipole_tls_
   return tls;
 }
 
-void libdipole_tls_free(libdipole_tls *tls, bool tells) {
+void libdipole_tls_free(libdipole_tls *tls, bool is_sent) {
   if (tls != NULL) {
     ERR_clear_error();
-    if (tells && tls->ssl != NULL && SSL_is_init_finished(tls->ssl) && tls->reason == 0) {
-      SSL_shutdown(tls->ssl); /* tells the peer, if the socket takes it */
+    if (is_sent && tls->ssl != NULL && SSL_is_init_finished(tls->ssl) && tls->reason == 0) {
+      SSL_shutdown(tls->ssl); /* informs the peer, if the socket takes it */
     }
     SSL_free(tls->ssl);
     SSL_CTX_free(tls->context);

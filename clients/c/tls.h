@@ -22,8 +22,8 @@ typedef struct libdipole_tls libdipole_tls;
 libdipole_tls *libdipole_tls_open(int fd, const char *host, const libdipole_tls_files *files,
                                   unsigned timeout_ms, dipole_error *error);
 
-/* tells: whether the peer is told that the connection ends. tls may be NULL. */
-void libdipole_tls_free(libdipole_tls *tls, bool tells);
+/* is_sent: whether to send the peer the end of the connection. tls may be NULL. */
+void libdipole_tls_free(libdipole_tls *tls, bool is_sent);
 
 /* These return a number of bytes above 0; or 0 (reading) if the peer sends no more; or -1 and set
  * errno: to EAGAIN if the socket is not ready, and to EPROTO if TLS has failed. */

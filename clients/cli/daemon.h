@@ -25,14 +25,14 @@ bool cli_try_again(const cli_settings *settings, int64_t start_ms, const dipole_
  *   good = CLI_RETRY(settings, &error, dipole_eval(client, &query, &result, &error)); */
 #define CLI_RETRY(settings, error, call)                                                           \
   __extension__({                                                                                  \
-    const int64_t ask_start_ms = cli_now_ms();                                                     \
-    bool ask_good;                                                                                 \
+    const int64_t retry_start_ms = cli_now_ms();                                                   \
+    bool retry_good;                                                                               \
     cli_progress_wait(true);                                                                       \
     do {                                                                                           \
-      ask_good = (call);                                                                           \
-    } while (!ask_good && cli_try_again((settings), ask_start_ms, (error)));                       \
+      retry_good = (call);                                                                         \
+    } while (!retry_good && cli_try_again((settings), retry_start_ms, (error)));                   \
     cli_progress_wait(false);                                                                      \
-    ask_good;                                                                                      \
+    retry_good;                                                                                    \
   })
 
 /* Says what a call failed with and, if its field has one, by which option that is given: for

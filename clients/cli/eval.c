@@ -756,9 +756,9 @@ static dipole_sample_query make_sample_query(const cli_settings *settings,
 /* Random numbers are requested in pieces of this size, to show progress. */
 enum { PIECE_SAMPLES = 1 << 16 };
 
-static bool ask_pieces(const cli_settings *settings, dipole_client *client,
-                       const dipole_sample_query *query, cli_eval_report *report,
-                       dipole_error *error) {
+static bool request_pieces(const cli_settings *settings, dipole_client *client,
+                           const dipole_sample_query *query, cli_eval_report *report,
+                           dipole_error *error) {
   const uint64_t count = query->sample_count;
   const bool cut = query->draw == DIPOLE_DRAW_RANDOM && count > PIECE_SAMPLES;
   cli_progress progress;
@@ -783,15 +783,15 @@ static bool ask_pieces(const cli_settings *settings, dipole_client *client,
   return good;
 }
 
-static int sample_ask(const cli_settings *settings, dipole_client *client,
-                      cli_eval_report *report) {
+static int request_samples(const cli_settings *settings, dipole_client *client,
+                           cli_eval_report *report) {
   const bool single = report->profile.evaluator->id != DIPOLE_F64;
   dipole_sample_query query = make_sample_query(settings, report);
   dipole_error error;
   report->seed = query.seed;
   report->first = query.sample_first;
   query.numbers = settings->u.count > 0 ? cli_numbers_in(&settings->u, single) : NULL;
-  if (!ask_pieces(settings, client, &query, report, &error)) {
+  if (!request_pieces(settings, client, &query, report, &error)) {
     return cli_fail_error(&error);
   }
   const void *u = query.numbers;
@@ -818,7 +818,7 @@ static int sample_run(const cli_settings *settings, dipole_client *client) {
     cli_eval_add_model(&report, report.profile.model, true);
     report.models[0].evaluator = report.profile.evaluator;
     cli_eval_make_values(&report);
-    status = sample_ask(settings, client, &report);
+    status = request_samples(settings, client, &report);
   }
   if (status == CLI_OK) {
     write_report(&report, settings->form);

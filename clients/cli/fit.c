@@ -335,8 +335,9 @@ static void take_change(g_change *change, unsigned side, const dipole_fitted *on
 /* Fits the samples of a query again with g lower or higher by G_CHANGE, and takes the change of the
  * coefficients. Leaves this side out if the daemon refuses its g, or if transport has the note
  * *similarity* for it and not for the query's g. notes: those of the fit with the query's g. */
-static bool ask_side(dipole_client *client, report *of, const batch *some, dipole_fit_query query,
-                     unsigned notes, unsigned side, dipole_error *error) {
+static bool request_side(dipole_client *client, report *of, const batch *some,
+                         dipole_fit_query query, unsigned notes, unsigned side,
+                         dipole_error *error) {
   const dipole_choice *similarity = cli_choice(of->profile.info, DIPOLE_NOTE, "similarity");
   const double g = query.g + (side == G_BELOW ? -G_CHANGE : G_CHANGE);
   query.g = round(g * 1e9) / 1e9; /* .9 + .05 is .95, which transport's table holds */
@@ -372,8 +373,8 @@ static bool is_of_file(const fit_sample *one, const dipole_error *error) {
 }
 
 /* Says what the daemon refuses of samples of one design, of which this is the first. */
-static void tell_refused(const report *of, const fit_sample *first, size_t count,
-                         const dipole_error *error) {
+static void report_refused(const report *of, const fit_sample *first, size_t count,
+                           const dipole_error *error) {
   char line[64] = "";
   if (error->index < first->count && is_of_reading(error)) {
     snprintf(line, sizeof line, ": reading %zu (line %llu)", (size_t)error->index + 1,
@@ -383,7 +384,8 @@ static void tell_refused(const report *of, const fit_sample *first, size_t count
 }
 
 /* Requests a batch. If the daemon refuses what the file says of its samples, they stay refused. */
-static bool ask_some(dipole_client *client, report *of, const batch *some, dipole_error *error) {
+static bool request_batch(dipole_client *client, report *of, const batch *some,
+                          dipole_error *error) {
   const fit_sample *first = &of->samples[some->first];
   const cli_parameters parameters = parameters_of(of, first);
   dipole_fit_query query = query_of(of, first, &parameters);
@@ -396,10 +398,10 @@ static bool ask_some(dipole_client *client, report *of, const batch *some, dipol
     const unsigned notes = fits->notes;
     take_fits(of, some, fits);
     dipole_fits_free(fits);
-    good = ask_side(client, of, some, query, notes, G_BELOW, error) &&
-           ask_side(client, of, some, query, notes, G_ABOVE, error);
+    good = request_side(client, of, some, query, notes, G_BELOW, error) &&
+           request_side(client, of, some, query, notes, G_ABOVE, error);
   } else if (is_of_file(first, error)) {
-    tell_refused(of, first, some->count, error);
+    report_refused(of, first, some->count, error);
     good = true;
   }
   return good;
@@ -431,7 +433,7 @@ static bool request_fits(dipole_client *client, report *of, dipole_error *error)
            is_alike(of, first, first + some.count)) {
       some.count++;
     }
-    good = ask_some(client, of, &some, error);
+    good = request_batch(client, of, &some, error);
     const double done = (double)(some.first + some.count);
     cli_progress_show(&progress, done / (double)count, done);
   }
@@ -514,7 +516,7 @@ static void write_foot(const void *context) {
 enum { REPORTED_MAX = 10 };
 
 /* Says which reading of a sample is wrong. */
-static void tell_reading(const report *of, const fit_sample *sample, const dipole_fitted *one) {
+static void report_reading(const report *of, const fit_sample *sample, const dipole_fitted *one) {
   const size_t index = one->index < sample->count ? one->index : 0;
   const bool is_error = one->field == 2;
   cli_fail("sample %s: reading %zu (line %llu): its %s must be %sfinite", sample->name, index + 1,
@@ -529,7 +531,7 @@ static int judge(const report *of) {
     const dipole_fitted *one = &of->fitted[i];
     bad += one->status != DIPOLE_FITTED;
     if (one->status == DIPOLE_FIT_REFUSED && one->field != 0 && reported < REPORTED_MAX) {
-      tell_reading(of, &of->samples[i], one);
+      report_reading(of, &of->samples[i], one);
       reported++;
     }
   }

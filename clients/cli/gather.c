@@ -230,7 +230,7 @@ static int request_sums(work *of) {
 }
 
 /* Says how many sums are infinite, and what helps. */
-static void tell_infinite(const work *of) {
+static void report_infinite(const work *of) {
   const uint32_t channels = of->points.channels;
   uint64_t found = 0;
   for (uint64_t q = 0; q < of->queries.count; q++) {
@@ -283,7 +283,7 @@ static int run_gather(const cli_settings *settings, dipole_client *client) {
   of.M = cli_allocate((size_t)of.queries.count * of.points.channels + 1, sizeof *of.M);
   status = request_sums(&of);
   if (status == CLI_OK) {
-    tell_infinite(&of);
+    report_infinite(&of);
     const cli_report output = {.rows = of.queries.count, .put_row = put_query};
     cli_write(&output, settings->form, &of);
   }

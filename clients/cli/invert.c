@@ -148,7 +148,7 @@ static void write_foot(const void *context) {
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
-static int fail_asking(const report *of, const char *length, const dipole_error *error) {
+static int fail_request(const report *of, const char *length, const dipole_error *error) {
   char place[96] = "";
   if (of->count > 1) {
     snprintf(place, sizeof place, "channel %zu: ", of->requested);
@@ -181,7 +181,7 @@ static int run_invert(const cli_settings *settings, dipole_client *client) {
     return cli_fail("--%s: this daemon does not know it; name another length", length);
   }
   if (!request_media(client, settings, &of, &error)) {
-    return fail_asking(&of, length, &error);
+    return fail_request(&of, length, &error);
   }
   const cli_report output = {
       .facts = put_facts, .rows = of.count, .put_row = put_medium, .left = 1, .foot = write_foot};

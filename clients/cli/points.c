@@ -738,7 +738,7 @@ static bool take_values(const points_run *points, points_row *row, size_t index,
 
 /* Requests the rows of a group. A row that is not computed is then requested by itself, so that it
  * is known what is wrong with it. */
-static bool ask_group(points_run *points, points_row *const *rows, size_t count) {
+static bool request_rows(points_run *points, points_row *const *rows, size_t count) {
   dipole_error error;
   dipole_varying_result *result = NULL;
   if (!points->refused[rows[0]->model] && !request_group(points, rows, count, &result, &error)) {
@@ -759,7 +759,7 @@ static bool ask_group(points_run *points, points_row *const *rows, size_t count)
 }
 
 /* Requests the rows that may be requested together, group by group. */
-static bool ask_groups(points_run *points) {
+static bool request_groups(points_run *points) {
   const size_t radii = points->radius_count;
   const size_t most = radii < GROUP_VALUES ? GROUP_VALUES / radii : 1;
   size_t count = 0;
@@ -775,7 +775,7 @@ static bool ask_groups(points_run *points) {
            compare(points->group[first], points->group[end]) == 0) {
       end++;
     }
-    if (!ask_group(points, points->group + first, end - first)) {
+    if (!request_rows(points, points->group + first, end - first)) {
       return false;
     }
   }
@@ -787,7 +787,7 @@ static bool ask_groups(points_run *points) {
 /* Requests the rows that have been read, and writes them up to the first that has no reply. */
 static bool write_all(points_run *points) {
   points->oldest = 0;
-  bool good = ask_groups(points);
+  bool good = request_groups(points);
   for (size_t i = 0; good && i < points->count; i++) {
     good = points->rows[i].state != ROW_READ || submit(points, &points->rows[i]);
   }

@@ -43,20 +43,20 @@ static void write_time(double seconds) {
 
 /* A bar was shown since the last second; seconds that are shown; both are set in a signal
  * handler. */
-static volatile sig_atomic_t bar_moves, told_s;
+static volatile sig_atomic_t bar_moves, shown_s;
 
 static void on_second(int signal_number) {
   (void)signal_number;
   const int kept = errno;
   char text[] = "\rwaiting for the daemon:       s\033[K";
   if (bar_moves == 0) {
-    told_s = told_s == 0 ? SHOW_AFTER_MS / 1000 : told_s + 1;
+    shown_s = shown_s == 0 ? SHOW_AFTER_MS / 1000 : shown_s + 1;
     char *digit = strrchr(text, 's') - 2;
-    for (int left = told_s; left > 0 && *digit == ' '; left /= 10) {
+    for (int left = shown_s; left > 0 && *digit == ' '; left /= 10) {
       *digit-- = (char)('0' + left % 10);
     }
     if (write(STDERR_FILENO, text, sizeof text - 1) < 0) {
-      told_s = 0;
+      shown_s = 0;
     }
   }
   bar_moves = 0;
@@ -72,10 +72,10 @@ void cli_progress_wait(bool waits) {
   sigemptyset(&action.sa_mask);
   sigaction(SIGALRM, &action, NULL);
   setitimer(ITIMER_REAL, &timer, NULL);
-  if (!waits && told_s > 0) {
+  if (!waits && shown_s > 0) {
     fputs("\r\033[K", stderr);
   }
-  told_s = 0;
+  shown_s = 0;
 }
 
 /* ---- the bar --------------------------------------------------------------------------------- */

@@ -340,7 +340,7 @@ static void write_foot(const void *context) {
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
-static int ask_and_write(const cli_settings *settings, dipole_client *client, report *of) {
+static int request_and_write(const cli_settings *settings, dipole_client *client, report *of) {
   int status = cli_profile_take(settings, client, &of->profile);
   status = status == CLI_OK ? fetch(settings, client, of) : status;
   if (status != CLI_OK) {
@@ -363,7 +363,7 @@ static int ask_and_write(const cli_settings *settings, dipole_client *client, re
 
 static int run_table(const cli_settings *settings, dipole_client *client) {
   report of = {0};
-  const int status = ask_and_write(settings, client, &of);
+  const int status = request_and_write(settings, client, &of);
   free_tables(&of.tables);
   return status;
 }

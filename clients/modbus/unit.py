@@ -61,7 +61,7 @@ class Unit:
             host, _, port = where.rpartition(":")
             self.client = ModbusTcpClient(host, port=int(port))
         if not self.client.connect():
-            sys.exit(f"nobody answers at {where}")
+            sys.exit(f"nothing replies at {where}")
         # pymodbus has called the number of the unit first unit, then slave, then device_id.
         names = inspect.signature(self.client.read_holding_registers).parameters
         keyword = next((name for name in ("device_id", "slave") if name in names), "unit")
@@ -72,10 +72,10 @@ class Unit:
         data = b""
         for first in range(0, count, 124):
             some = min(124, count - first)
-            answer = self.client.read_holding_registers(address + first, count=some, **self.number)
-            if answer.isError():
-                sys.exit(f"registers {address + first} and up cannot be read: {answer}")
-            data += struct.pack(f">{some}H", *answer.registers)
+            reply = self.client.read_holding_registers(address + first, count=some, **self.number)
+            if reply.isError():
+                sys.exit(f"registers {address + first} and up cannot be read: {reply}")
+            data += struct.pack(f">{some}H", *reply.registers)
         return data
 
     def floats(self, address: int, count: int) -> tuple[float, ...]:
@@ -98,10 +98,10 @@ class Unit:
         data = struct.pack(f">{form}", *values)
         registers = list(struct.unpack(f">{len(data) // 2}H", data))
         give_up = time.monotonic() + PATIENCE_S
-        while (answer := self.client.write_registers(address, registers, **self.number)).isError():
-            if getattr(answer, "exception_code", 0) != BUSY or time.monotonic() > give_up:
-                if not hasattr(answer, "exception_code"):
-                    sys.exit(str(answer))  # nothing came back
+        while (reply := self.client.write_registers(address, registers, **self.number)).isError():
+            if getattr(reply, "exception_code", 0) != BUSY or time.monotonic() > give_up:
+                if not hasattr(reply, "exception_code"):
+                    sys.exit(str(reply))  # nothing came back
                 self.fail()
             time.sleep(0.05)
 

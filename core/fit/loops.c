@@ -84,13 +84,13 @@ static void find_places(const fit_table *table, double first, size_t n, const do
                         struct places *places) {
   const double per_step = 1 / table->ln_step;
   for (size_t i = 0; i < n; i++) {
-    const double asked = (ln_at[i] + first) * per_step;
-    const double position = real_min(real_max(asked, 0), PLACES - 1);
+    const double unlimited = (ln_at[i] + first) * per_step;
+    const double position = real_min(real_max(unlimited, 0), PLACES - 1);
     const int32_t begin =
         (int32_t)real_min(real_max(position - (ALONG / 2 - 1), 0), PLACES - ALONG);
     const double a = position - begin, b = a - 1, c = a - 2, d = a - 3, ab = a * b, cd = c * d;
     places->first[i] = begin;
-    places->inside[i] = asked == position ? 1 : 0;
+    places->inside[i] = unlimited == position ? 1 : 0;
     places->value[0][i] = -1.0 / 6 * (b * cd);
     places->value[1][i] = 0.5 * (a * cd);
     places->value[2][i] = -0.5 * (ab * d);

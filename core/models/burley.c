@@ -95,8 +95,8 @@ static inline void lane_fill(const double *shared, struct lane lane, double *c) 
   const struct lane_choice choice = lane_choice_of(shared);
   const struct lane_dipole better = lane_dipole_of(shared, lane);
   const double own = real_min(0.5 * better.power * better.sum, 1);
-  const double asked = choice.given + choice.own * own;
-  const double albedo = asked >= ALBEDO_LEAST ? asked : 0;
+  const double chosen = choice.given + choice.own * own;
+  const double albedo = chosen >= ALBEDO_LEAST ? chosen : 0;
   const double mu_tr =
       real_sqrt(lane.sigma_a) * real_sqrt(lane.sigma_t) * real_sqrt(3 / (1 + lane.absorbed));
   const double divisor = lane_divisor(choice, albedo);

@@ -62,17 +62,17 @@ core_fault core_gaussian_fit_prepare(const core_inputs *inputs, core_preparation
 
 /* ---- what is requested ----------------------------------------------------------------------- */
 
-struct asked {
+struct fitted {
   unsigned model;
   core_parameters parameters; /* parameters of the model that is fitted */
   double from_mm;
   double to_mm;
 };
 
-static struct asked asked_of(const core_inputs *inputs) {
+static struct fitted fitted_of(const core_inputs *inputs) {
   const core_medium *medium = inputs->medium;
   const double mfp_mm = 1 / core_sigma_t_prime(medium);
-  struct asked asked = {
+  struct fitted fitted = {
       .model = (unsigned)core_parameter_or(inputs, CORE_PARAMETER_FIT_MODEL, CORE_MODEL_BETTER),
       .parameters = *inputs->parameters,
       .from_mm = core_parameter_or(inputs, CORE_PARAMETER_FIT_FROM, FROM * mfp_mm),
@@ -82,9 +82,9 @@ static struct asked asked_of(const core_inputs *inputs) {
                                             CORE_PARAMETER_FIT_MODEL, CORE_PARAMETER_FIT_FROM,
                                             CORE_PARAMETER_FIT_TO};
   for (size_t i = 0; i < sizeof own / sizeof own[0]; i++) {
-    asked.parameters.value[own[i]] = (double)NAN;
+    fitted.parameters.value[own[i]] = (double)NAN;
   }
-  return asked;
+  return fitted;
 }
 
 static bool is_whole(double value) {
@@ -92,31 +92,32 @@ static bool is_whole(double value) {
 }
 
 core_fault core_gaussian_fit_check(const core_inputs *inputs, core_radii_range *radii) {
-  const struct asked asked = asked_of(inputs);
+  const struct fitted fitted = fitted_of(inputs);
   if (!is_whole(inputs->parameters->value[CORE_PARAMETER_GAUSSIANS])) {
     return (core_fault){"gaussians", "an integer from 1 to 12", 0};
   }
   if (!is_whole(inputs->parameters->value[CORE_PARAMETER_FIT_MODEL]) ||
-      asked.model == CORE_MODEL_GAUSSIANS || core_choice_by_id(core_models, asked.model) == NULL) {
+      fitted.model == CORE_MODEL_GAUSSIANS ||
+      core_choice_by_id(core_models, fitted.model) == NULL) {
     return (core_fault){"fit_model", "the id of another model of the list", 0};
   }
-  if (!(asked.from_mm < asked.to_mm)) {
+  if (!(fitted.from_mm < fitted.to_mm)) {
     return (core_fault){"fit_from", "less than fit_to", 0};
   }
-  *radii = (core_radii_range){asked.from_mm, asked.to_mm};
-  return core_profile_check(asked.model, inputs->moments, CORE_EVALUATOR_F64, inputs->medium,
-                            &asked.parameters, NULL);
+  *radii = (core_radii_range){fitted.from_mm, fitted.to_mm};
+  return core_profile_check(fitted.model, inputs->moments, CORE_EVALUATOR_F64, inputs->medium,
+                            &fitted.parameters, NULL);
 }
 
 /* Returns the fitted model's own error if it matters: for `transport` from the table with g other
  * than 0. */
-static double error_of_model(const core_inputs *inputs, const struct asked *asked) {
+static double error_of_model(const core_inputs *inputs, const struct fitted *fitted) {
   core_added_errors added = {{0}, 0};
-  if (asked->model == CORE_MODEL_TRANSPORT) {
+  if (fitted->model == CORE_MODEL_TRANSPORT) {
     core_transport_added_errors(inputs->medium, &added);
   }
   return core_banded_error(added.banded, added.all, inputs->medium, CORE_QUANTITY_R,
-                           (core_radii_range){asked->from_mm, asked->to_mm});
+                           (core_radii_range){fitted->from_mm, fitted->to_mm});
 }
 
 /* ---- the model's values ---------------------------------------------------------------------- */
@@ -130,13 +131,13 @@ struct samples {
 /* Evaluates the model at `count` radii in equal ratios over the range. If the range begins at 0,
  * the first radius is 0 and the others cover three decades. Returns false if R is 0 or infinite
  * somewhere. */
-static bool sample_model(const core_profile *profile, const struct asked *asked, size_t count,
+static bool sample_model(const core_profile *profile, const struct fitted *fitted, size_t count,
                          struct samples *samples) {
-  const bool from_zero = !(asked->from_mm > 0);
-  const double start = from_zero ? asked->to_mm * 1e-3 : asked->from_mm;
-  const core_grid grid = {CORE_SPACING_LOGARITHMIC, count, start, asked->to_mm};
+  const bool from_zero = !(fitted->from_mm > 0);
+  const double start = from_zero ? fitted->to_mm * 1e-3 : fitted->from_mm;
+  const core_grid grid = {CORE_SPACING_LOGARITHMIC, count, start, fitted->to_mm};
   core_grid_radii_f64(&grid, 0, count, samples->r);
-  samples->r[0] = asked->from_mm;
+  samples->r[0] = fitted->from_mm;
   samples->count = count;
   core_eval_f64(profile, CORE_QUANTITY_R, count, samples->r, samples->R);
   for (size_t i = 0; i < count; i++) {
@@ -242,26 +243,26 @@ static double fit(struct samples *points, const struct samples *checks, size_t c
 }
 
 static core_fault fit_profile(const core_inputs *inputs, const core_profile *profile,
-                              const struct asked *asked, core_preparation *preparation) {
+                              const struct fitted *fitted, core_preparation *preparation) {
   struct samples points;
   struct samples checks;
-  if (!sample_model(profile, asked, POINTS, &points) ||
-      !sample_model(profile, asked, CHECKS, &checks)) {
+  if (!sample_model(profile, fitted, POINTS, &points) ||
+      !sample_model(profile, fitted, CHECKS, &checks)) {
     return (core_fault){"fit_from", "a range where the model is neither 0 nor infinite", 0};
   }
   const double tolerance = inputs->parameters->value[CORE_PARAMETER_TOLERANCE];
-  const bool asks = !isnan(tolerance);
+  const bool has_tolerance = !isnan(tolerance);
   const size_t most = (size_t)core_parameter_or(inputs, CORE_PARAMETER_GAUSSIANS,
-                                                asks ? GAUSSIANS_MOST : GAUSSIANS);
+                                                has_tolerance ? GAUSSIANS_MOST : GAUSSIANS);
   core_gaussian gaussians[GAUSSIANS_MOST];
-  size_t count = asks ? 1 : most;
-  const double of_model = error_of_model(inputs, asked);
+  size_t count = has_tolerance ? 1 : most;
+  const double of_model = error_of_model(inputs, fitted);
   double error = MARGIN * fit(&points, &checks, count, gaussians) + of_model;
-  while (asks && error > tolerance && count < most) {
+  while (has_tolerance && error > tolerance && count < most) {
     count++;
     error = MARGIN * fit(&points, &checks, count, gaussians) + of_model;
   }
-  if (asks && error > tolerance) {
+  if (has_tolerance && error > tolerance) {
     return (core_fault){"tolerance", "what a fit reaches: more gaussians or a shorter range", 0};
   }
   const core_fault fault = core_gaussians_table(gaussians, count, NULL, preparation);
@@ -270,15 +271,15 @@ static core_fault fit_profile(const core_inputs *inputs, const core_profile *pro
 }
 
 core_fault core_gaussian_fit_prepare(const core_inputs *inputs, core_preparation *preparation) {
-  const struct asked asked = asked_of(inputs);
+  const struct fitted fitted = fitted_of(inputs);
   core_profile profile;
-  core_fault fault = core_profile_prepare_until(&profile, inputs->isa, asked.model, inputs->moments,
-                                                CORE_EVALUATOR_F64, inputs->medium,
-                                                &asked.parameters, inputs->stop);
+  core_fault fault = core_profile_prepare_until(&profile, inputs->isa, fitted.model,
+                                                inputs->moments, CORE_EVALUATOR_F64, inputs->medium,
+                                                &fitted.parameters, inputs->stop);
   if (fault.field != NULL) {
     return fault;
   }
-  fault = fit_profile(inputs, &profile, &asked, preparation);
+  fault = fit_profile(inputs, &profile, &fitted, preparation);
   preparation->scale_mm = profile.scale_mm;
   preparation->notes = profile.notes & ~(unsigned)CORE_NOTE_ALBEDO_ABOVE_1;
   core_profile_free(&profile);

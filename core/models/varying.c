@@ -36,7 +36,7 @@ static inline struct checked check_value(const real *shared, real sigma_a, real 
   status = ratio ? status : CORE_VALUE_RATIO;
   status = range ? status : CORE_VALUE_SIGMA_S;
   status = a ? status : CORE_VALUE_SIGMA_A;
-  /* asked of the conditions, since a question to the status becomes branches */
+  /* computed from the conditions: comparing the status would make compilers branch */
   return (struct checked){status, a & range & ratio & in_range & near, lane.scattered, mfp};
 }
 

@@ -286,10 +286,10 @@ static uint64_t least_cost(const struct eval_job *eval) {
 #define DRAWN_BEYOND 1e-6
 
 /* Returns the radii for which the channel's model error is stated. */
-static core_asked_radii asked_radii(const struct eval_job *eval) {
+static core_requested_radii asked_radii(const struct eval_job *eval) {
   if (!is_sample(eval)) {
-    core_asked_radii asked = {eval->grid, eval->request.radii, eval->radii, {0, 0}};
-    core_asked_ends(&asked, eval_job_value_bytes(eval) == sizeof(float));
+    core_requested_radii asked = {eval->grid, eval->request.radii, eval->radii, {0, 0}};
+    core_requested_ends(&asked, eval_job_value_bytes(eval) == sizeof(float));
     return asked;
   }
   const core_profile *profile = &eval->lookup.profile;
@@ -305,11 +305,11 @@ static core_asked_radii asked_radii(const struct eval_job *eval) {
   const core_grid one = {CORE_SPACING_LINEAR, 1, 0, 0}; /* nothing scatters: all radii are 0 */
   const core_grid many = {CORE_SPACING_LOGARITHMIC, CORE_GRID_COUNT_MAX, ends[0], ends[1]};
   const bool spread = ends[0] > 0 && ends[1] < (double)INFINITY;
-  return (core_asked_radii){spread ? many : one, NULL, {0, 0}, {ends[0], ends[1]}};
+  return (core_requested_radii){spread ? many : one, NULL, {0, 0}, {ends[0], ends[1]}};
 }
 
 static double model_error(const struct eval_job *eval, unsigned wanted,
-                          const core_asked_radii *asked) {
+                          const core_requested_radii *asked) {
   if ((eval->request.fixed.wanted & CORE_QUANTITY_MODEL_ERROR) == 0) {
     return (double)NAN;
   }
@@ -356,7 +356,7 @@ static void start_channel(struct eval_job *eval) {
   const unsigned listed = eval->request.fixed.wanted;
   const double albedo = (listed & CORE_QUANTITY_ALBEDO) != 0 ? profile->albedo : (double)NAN;
   memcpy(eval->reply + eval_albedo_offset(eval->channel), &albedo, sizeof albedo);
-  core_asked_radii asked = {.listed = NULL};
+  core_requested_radii asked = {.listed = NULL};
   if ((listed & CORE_QUANTITY_MODEL_ERROR) != 0) {
     asked = asked_radii(eval);
   }

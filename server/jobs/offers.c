@@ -58,8 +58,8 @@ static enum lookup_answer get(struct offers_job *offers, unsigned model, const c
 /* Raises the errors of the model to those for this medium. */
 static void compare(struct offers_job *offers, bool known) {
   const struct eval_job *eval = &offers->eval;
-  core_asked_radii asked = {eval->grid, eval->request.radii, eval->radii, {0, 0}};
-  core_asked_ends(&asked, eval_job_value_bytes(eval) == sizeof(float));
+  core_requested_radii asked = {eval->grid, eval->request.radii, eval->radii, {0, 0}};
+  core_requested_ends(&asked, eval_job_value_bytes(eval) == sizeof(float));
   const unsigned wanted = asked_of(offers).wanted;
   double model = (double)INFINITY, numerical = (double)INFINITY;
   if (known) {

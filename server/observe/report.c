@@ -84,17 +84,17 @@ static void report_list(const struct reporter *to) {
 static void report_requests(const struct reporter *to) {
   static const struct report_family family = {"requests", REPORT_COUNTER,
                                               "requests received, by message"};
-#define WIRE_MESSAGE(type, IDENT, name, ...)                                                            \
+#define WIRE_MESSAGE(type, IDENT, name, ...)                                                       \
   report(to, "requests_" name, &family, "_total", "message=\"" name "\"",                          \
          counted(to, STATS_REQUESTS_##IDENT));
 #include "proto/messages.def"
 }
 
-static void report_answers(const struct reporter *to) {
-  static const struct report_family family = {"answers", REPORT_COUNTER,
-                                              "requests answered, by status; ok or an error"};
+static void report_replies(const struct reporter *to) {
+  static const struct report_family family = {"replies", REPORT_COUNTER,
+                                              "replies, by status; ok or an error"};
 #define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
-  report(to, "answers_" name, &family, "_total", "status=\"" name "\"",                            \
+  report(to, "replies_" name, &family, "_total", "status=\"" name "\"",                            \
          counted(to, STATS_ANSWERS_##IDENT));
 #include "proto/statuses.def"
 #undef WIRE_STATUS
@@ -197,7 +197,7 @@ void report_each(const struct server *server,
   const struct reporter to = {server, each, context};
   report_list(&to);
   report_requests(&to);
-  report_answers(&to);
+  report_replies(&to);
   report_models(&to);
   report_batches(&to);
   report_latencies(&to);

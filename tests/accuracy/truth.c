@@ -914,7 +914,7 @@ static void check_model_errors(uint64_t *random) {
       const size_t a = below(random, SOLVED), b = below(random, SOLVED);
       const size_t first = a < b ? a : b, last = a < b ? b : a;
       const core_radii_range range = {solved.r[first], solved.r[last]};
-      const core_asked_radii asked = {
+      const core_requested_radii asked = {
           {CORE_SPACING_LOGARITHMIC, CORE_GRID_COUNT_MAX, range.least_mm, range.most_mm},
           NULL,
           range,

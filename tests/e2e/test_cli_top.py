@@ -57,7 +57,7 @@ def records(rows: list[dict]) -> list[dict[str, float]]:
 def check_record(record: dict[str, float]) -> None:
     """Checks a record of the statistics while the busy client asks."""
     assert 0.15 < record["interval_s"] < 5
-    evals, errors = record["requests_eval_per_s"], record["answers_bad-value_per_s"]
+    evals, errors = record["requests_eval_per_s"], record["replies_bad-value_per_s"]
     assert evals > 10 and errors == pytest.approx(evals / 10, rel=0.3, abs=20)
     radii = record["radii_better_per_s"]
     assert radii == pytest.approx(evals * 90, rel=0.3)
@@ -86,7 +86,7 @@ def test_tables(busy):
     assert len(re.findall(r"^over the last \d+\.\d s$", text, re.M)) == 2
     assert len(re.findall(r"^latency_eval_short_p99_us +\d+", text, re.M)) == 2
     assert len(re.findall(r"^radii_better +[\d.]+( k| M)? +[\d.]+( k| M)?$", text, re.M)) == 2
-    assert len(re.findall(r"^answers_bad-value +\d", text, re.M)) == 2
+    assert len(re.findall(r"^replies_bad-value +\d", text, re.M)) == 2
     assert "classical" not in text
     assert max(map(len, text.splitlines())) <= 80
 
@@ -188,9 +188,9 @@ def test_a_daemon_that_goes_and_comes_back(daemon):
     screen = Terminal("top", "--connect", url, "--interval", "0.1")
     screen.read_until(lambda seen: "owed_radii" in seen)
     one.kill()
-    screen.read_until(lambda seen: "No answer from " in (shown(seen) or [""])[0])
+    screen.read_until(lambda seen: "No reply from " in (shown(seen) or [""])[0])
     gone = shown(screen.seen)
-    assert re.match(rf"No answer from {re.escape(url)} for \d+ s", gone[0])
+    assert re.match(rf"No reply from {re.escape(url)} for \d+ s", gone[0])
     assert gone[-1].startswith("Trying again")
     assert not any("owed_radii" in row for row in gone)
     other = daemon(listen=[url])
@@ -205,7 +205,7 @@ def test_a_daemon_that_hangs(daemon):
     screen = Terminal("top", "--connect", one.url(), "--interval", "0.1")
     screen.read_until(lambda seen: "owed_radii" in seen)
     one.pause()
-    screen.read_until(lambda seen: "No answer from " in (shown(seen) or [""])[0])
+    screen.read_until(lambda seen: "No reply from " in (shown(seen) or [""])[0])
     one.process.send_signal(signal.SIGCONT)
     screen.read_until(lambda seen: any("owed_radii" in row for row in shown(seen)))
     screen.process.send_signal(signal.SIGINT)

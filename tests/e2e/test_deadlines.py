@@ -97,7 +97,7 @@ def test_while_nobody_reads(daemon):
         connection.send_bytes(frame(EVAL, 77, payload, 100))
         time.sleep(0.5)
         evaluated = statistics(other)["radii_evaluated"]
-        assert statistics(other)["answers_deadline"] == 1
+        assert statistics(other)["replies_deadline"] == 1
         number = 0
         while (reply := connection.receive_frame()).type == EVALUATED:
             assert wire.PART.unpack(reply.payload).part == number
@@ -180,4 +180,4 @@ def test_python(daemon):
             client.collect()
         assert (caught.value.status, caught.value.request_id) == ("deadline", request_id)
         assert client.eval("better", SKIN, wanted=["albedo"]).albedo[0] > 0
-        assert client.statistics()["answers_deadline"] == 4
+        assert client.statistics()["replies_deadline"] == 4

@@ -93,7 +93,7 @@ def test_statistics_of_connections(daemon):
             assert there["connections_open"] == 3
             assert there["connections_accepted"] == 3
             assert there["connections_refused"] == 1
-            assert there["answers_busy"] == 1
+            assert there["replies_busy"] == 1
         assert eventually(lambda: client.statistics()["connections_open"] == 1)
         assert client.statistics()["connections_accepted"] == 3
 

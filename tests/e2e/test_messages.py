@@ -367,7 +367,7 @@ def test_parts_are_numbered_and_small(small, message):
         connection.send_bytes(frame(wire.MESSAGES[message], 77, PARTED[message]))
         first, parts = receive_answer(connection)
         assert first.type == wire.MESSAGES[message] | wire.REPLY, refusal(first)
-        assert statistics(connection)["answers_ok"] == before["answers_ok"] + 2
+        assert statistics(connection)["replies_ok"] == before["replies_ok"] + 2
         assert_serves(connection)
     fixed = [wire.PART.unpack(part) for part in parts]
     assert [one.part for one in fixed] == list(range(len(parts))) and len(parts) > 1

@@ -135,8 +135,8 @@ def test_counters_rise(watched):
         after = scrape_when(watched, 'dipoled_latency_seconds_count{class="refused"}', 3)
     rises = {key: value - before[key] for key, value in after.items() if value != before[key]}
     assert rises['dipoled_requests_total{message="eval"}'] == 8
-    assert rises['dipoled_answers_total{status="ok"}'] == 5
-    assert rises['dipoled_answers_total{status="bad-value"}'] == 3
+    assert rises['dipoled_replies_total{status="ok"}'] == 5
+    assert rises['dipoled_replies_total{status="bad-value"}'] == 3
     assert rises['dipoled_model_radii_total{model="better"}'] == 80
     assert rises["dipoled_radii_evaluated_total"] == 80
     assert rises['dipoled_latency_seconds_count{class="eval_short"}'] == 5

@@ -90,7 +90,7 @@ def test_large_requests_are_refused_while_many_connections_have_much_to_do(daemo
             assert ask(other, EVAL, LARGEST_SMALL).type == EVALUATED
             for _ in range(20):
                 assert_serves(other)
-            assert statistics(other)["answers_busy"] == 2
+            assert statistics(other)["replies_busy"] == 2
 
 
 def test_a_few_connections_with_endless_work_keep_nobody_out(daemon):

@@ -312,7 +312,7 @@ def test_busy_is_asked_again(daemon):
             collected_id, result = client.collect()
             assert collected_id == request_id
             assert (result.R == before.R).all()
-            assert client.statistics()["answers_busy"] >= 1
+            assert client.statistics()["replies_busy"] >= 1
 
 
 def holding_frame() -> bytes:

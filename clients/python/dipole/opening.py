@@ -74,11 +74,11 @@ class Opening:
         pause_s = PAUSE_FIRST_S
         opened = None
         while opened is None and any(map(is_temporary, failures)):
-            asked_s = min(getattr(failure, "retry_after_ms", 0) for failure in failures) / 1000
+            retry_after_s = min(getattr(failure, "retry_after_ms", 0) for failure in failures) / 1000
             left_s = until_s - time.monotonic()
-            if left_s < max(PAUSE_FIRST_S, asked_s):
+            if left_s < max(PAUSE_FIRST_S, retry_after_s):
                 break
-            time.sleep(max(min(with_jitter(pause_s), left_s / 2), asked_s))
+            time.sleep(max(min(with_jitter(pause_s), left_s / 2), retry_after_s))
             pause_s = min(2 * pause_s, _PAUSE_MOST_S)
             failures.clear()
             opened = self._try_each(until_s, like, failures)
