@@ -199,10 +199,10 @@ HEADERS = {
 def test_wrong_headers(shared, name):
     changes, payload, error = HEADERS[name]
     with shared.connect() as connection:
-        before = statistics(connection)[f"answers_{error[0]}"]
+        before = statistics(connection)[f"replies_{error[0]}"]
         connection.send_bytes(header(**changes, request_id=2**64 - 1, payload_bytes=len(payload)) + payload)
         assert_error(connection.receive_frame(), *error, request_id=2**64 - 1)
-        assert statistics(connection)[f"answers_{error[0]}"] == before + 1
+        assert statistics(connection)[f"replies_{error[0]}"] == before + 1
         assert_serves(connection)
 
 
