@@ -46,23 +46,29 @@ struct ended {
   double power[CORE_MC_ALBEDOS_MAX];
 };
 
-static struct ended end_of(core_mc_batch *batch, uint32_t collisions, size_t stage) {
-  struct ended ended = {.plan = batch->plan, .tally = batch->tally, .stage = stage};
+static struct ended end_of(core_mc_batch *batch, size_t lane, size_t stage) {
+  struct ended ended = {.plan = batch->plan, .tally = batch->tally, .stage = stage, .gain = 1};
+  if (mc_is_layered(batch->plan)) {
+    ended.power[0] = batch->lanes.weight[lane];
+    return ended;
+  }
   ended.gain = batch->plan->stage[stage].gain;
-  mc_powers(batch->plan, collisions, ended.power);
+  mc_powers(batch->plan, batch->lanes.collisions[lane], ended.power);
   return ended;
 }
 
 /* Adds an ended photon to the tally for each albedo: what was absorbed up to here, what roulette
  * has added, and `times` the remaining weight to `row`. times: 1, or -1 where the row counts the
- * weight as taken away. */
+ * weight as taken away. For layers, weigh() has put down the first two. */
 static void put_down(const struct ended *ended, enum mc_row row, double times) {
   const size_t albedos = ended->plan->albedos;
   const mc_stage_energy *at_stage = ended->plan->stage_energy[ended->stage];
-  for (size_t k = 0; k < albedos; k++) {
+  for (size_t k = 0; k < albedos && !mc_is_layered(ended->plan); k++) {
     const double absorbed_since = ended->gain * (at_stage[k].weight - ended->power[k]);
     ended->tally[MC_ROW_ABSORBED * albedos + k] += at_stage[k].absorbed + absorbed_since;
     ended->tally[MC_ROW_ROULETTE * albedos + k] += at_stage[k].added;
+  }
+  for (size_t k = 0; k < albedos; k++) {
     ended->tally[row * albedos + k] += times * (ended->gain * ended->power[k]);
   }
 }
@@ -76,20 +82,25 @@ static double exit_r_squared(const walk_lanes *lanes, size_t lane) {
   return x * x + y * y;
 }
 
-/* Whether rings count the light of this photon. */
-static bool is_seen(const core_mc_batch *batch, size_t lane) {
+/* Whether rings count the light of this photon. In layers its direction is that outside. */
+static bool is_seen(const core_mc_batch *batch, size_t lane, size_t side) {
   const core_mc_request *request = &batch->plan->request;
   const double ux = batch->lanes.ux[lane], uy = batch->lanes.uy[lane];
-  const double sine2 = request->eta * request->eta * (ux * ux + uy * uy);
+  const bool layered = mc_is_layered(batch->plan);
+  const double eta = !layered ? request->eta : side == CORE_MC_REFLECTED ? 1 : request->eta_below;
+  const double sine2 = eta * eta * (ux * ux + uy * uy);
+  if (layered && batch->lanes.weight[lane] == 0) {
+    return false;
+  }
   return request->aperture == 0 || sine2 <= request->aperture * request->aperture;
 }
 
 static void score_exit(core_mc_batch *batch, size_t lane, size_t side) {
   const core_mc_plan *plan = batch->plan;
-  const uint32_t collisions = batch->lanes.collisions[lane];
-  const struct ended ended = end_of(batch, collisions, mc_stage_of(plan, collisions));
+  const size_t stage = mc_stage_of(plan, batch->lanes.collisions[lane]);
+  const struct ended ended = end_of(batch, lane, stage);
   put_down(&ended, (enum mc_row)side, 1);
-  if (!is_seen(batch, lane)) {
+  if (!is_seen(batch, lane, side)) {
     return;
   }
   const size_t slot = mc_slot_of(plan, exit_r_squared(&batch->lanes, lane));
@@ -106,8 +117,8 @@ static void score_inside(core_mc_batch *batch, size_t lane) {
   const core_mc_plan *plan = batch->plan;
   const uint32_t collisions = batch->lanes.collisions[lane];
   const size_t stage = mc_stage_of(plan, collisions);
-  const bool unfinished = collisions == plan->request.scatterings_max;
-  const struct ended ended = end_of(batch, collisions, unfinished ? stage : stage - 1);
+  const bool unfinished = mc_is_layered(plan) || collisions == plan->request.scatterings_max;
+  const struct ended ended = end_of(batch, lane, unfinished ? stage : stage - 1);
   put_down(&ended, unfinished ? MC_ROW_UNFINISHED : MC_ROW_ROULETTE, unfinished ? 1 : -1);
 }
 
@@ -126,6 +137,15 @@ static void score(core_mc_batch *batch, size_t lane) {
     break;
   }
   assert(!"a photon that has ended");
+}
+
+/* Adds to the tally what the last step of a photon in layers left in its layer, and what roulette
+ * added. */
+static void weigh(core_mc_batch *batch, size_t lane) {
+  const walk_lanes *lanes = &batch->lanes;
+  const double after = lanes->after[lane];
+  batch->tally[MC_ROW_LAYERS + lanes->layer[lane]] += lanes->before[lane] - after;
+  batch->tally[MC_ROW_ROULETTE] += lanes->weight[lane] - after;
 }
 
 /* ---- lanes ----------------------------------------------------------------------------------- */
@@ -148,6 +168,14 @@ static void launch_into(core_mc_batch *batch, const walk_functions *functions, s
   lanes->last[lane] = mc_last_collision(plan, batch->launch.chance[at]);
   lanes->photon[lane] = (uint32_t)photon;
   lanes->fate[lane] = WALK_GOES_ON;
+  if (mc_is_layered(plan)) {
+    const int32_t layer = batch->launch.layer[at];
+    lanes->last[lane] = plan->request.scatterings_max;
+    lanes->layer[lane] = layer;
+    lanes->collided[lane] = ~UINT32_C(0);
+    lanes->weight[lane] = plan->walk.albedo[layer];
+    batch->tally[MC_ROW_LAYERS + layer] += 1 - (double)lanes->weight[lane];
+  }
   batch->launched++;
 }
 
@@ -162,6 +190,9 @@ static void move_lane(walk_lanes *lanes, size_t to, size_t from) {
   lanes->last[to] = lanes->last[from];
   lanes->photon[to] = lanes->photon[from];
   lanes->fate[to] = lanes->fate[from];
+  lanes->layer[to] = lanes->layer[from];
+  lanes->collided[to] = lanes->collided[from];
+  lanes->weight[to] = lanes->weight[from];
 }
 
 /* Moves the lanes still in use to the front. This happens when no photons are left to launch, so
@@ -178,6 +209,9 @@ static void close_ranks(core_mc_batch *batch) {
 
 static void settle(core_mc_batch *batch, const walk_functions *functions) {
   bool emptied = false;
+  for (size_t lane = 0; lane < batch->active && mc_is_layered(batch->plan); lane++) {
+    weigh(batch, lane);
+  }
   for (size_t lane = 0; lane < batch->active; lane++) {
     if (batch->lanes.fate[lane] == WALK_GOES_ON) {
       continue;
@@ -255,6 +289,13 @@ bool core_mc_batch_walk(core_mc_batch *batch, const core_isa *isa, uint64_t scat
     functions->step(medium, high, lanes, &batch->lanes);
     settle(batch, functions);
     done += lanes;
+  }
+  if (batch->active == 0 && mc_is_layered(batch->plan)) {
+    double *absorbed = &batch->tally[MC_ROW_ABSORBED];
+    *absorbed = 0;
+    for (size_t i = 0; i < CORE_MC_LAYERS_MAX; i++) {
+      *absorbed += batch->tally[MC_ROW_LAYERS + i];
+    }
   }
   return batch->active == 0;
 }

@@ -1,5 +1,5 @@
 /* montecarlo: radiative transport by random walks: the profile R(r) of the light that leaves a
- * homogeneous half space or slab, with standard errors.
+ * homogeneous half space or slab, or a stack of layers, with standard errors.
  *
  * A pencil beam is launched inside, straight down. All results are per unit of power that has
  * entered the medium, which excludes the specular reflection of the beam on its way in: of each
@@ -42,7 +42,17 @@ enum {
   CORE_MC_ALBEDOS_MAX = 16,
   CORE_MC_RINGS_MAX = 4096,
   CORE_MC_BATCH_PHOTONS = 4096, /* number of photons in each batch */
+  CORE_MC_LAYERS_MAX = 8,
 };
+
+/* A layer, or the half space below all layers. */
+typedef struct core_mc_layer {
+  double sigma_a_per_mm; /* not negative */
+  double sigma_s_per_mm; /* not negative */
+  double g;              /* -CORE_MC_G_MAX to CORE_MC_G_MAX, Henyey and Greenstein's function */
+  double eta;            /* index over that above all layers, CORE_ETA_MIN to CORE_ETA_MAX */
+  double thickness_mm;   /* above 0; INFINITY for the last layer if it is a half space */
+} core_mc_layer;
 
 /* limit of |g|, because directions are in single precision */
 #define CORE_MC_G_MAX 0.9999
@@ -56,18 +66,25 @@ enum {
 #define CORE_MC_SCATTERINGS_MAX (UINT32_C(1) << 30)
 #define CORE_MC_ROULETTE_WEIGHT_MIN 1e-6
 
-/* What to simulate. */
+/* What to simulate. Without `below` and eta_below, this is a homogeneous medium. Otherwise it is a stack,
+ * whose first layer the fields down to `albedo` describe, with one albedo and Henyey and Greenstein's
+ * function. A stack's photons carry weights: the roulette weight is relative to 1, and boundaries
+ * count as collisions for scatterings_max. */
 typedef struct core_mc_request {
   double sigma_t_per_mm; /* sigma_a + sigma_s: CORE_SIGMA_T_PRIME_MIN_PER_MM to twice
                             CORE_SIGMA_MAX_PER_MM */
   double g;              /* mean cosine of the phase function: -CORE_MC_G_MAX to CORE_MC_G_MAX */
-  double eta;            /* index inside over outside, the same on both sides of a slab:
-                            CORE_ETA_MIN to CORE_ETA_MAX */
-  /* thickness of a slab: 0, or at least CORE_MC_THICKNESS_MIN_MFP mean free paths; INFINITY means a
+  double eta;            /* index inside over that above: CORE_ETA_MIN to CORE_ETA_MAX */
+  /* thickness of a slab or of the first layer: 0 (a slab), or at least CORE_MC_THICKNESS_MIN_MFP mean free paths; INFINITY means a
    * half space */
   double thickness_mm;
-  size_t albedo_count;                /* number of albedos: 1 to CORE_MC_ALBEDOS_MAX */
-  double albedo[CORE_MC_ALBEDOS_MAX]; /* sigma_s / sigma_t: 0 to 1 */
+  size_t albedo_count;                         /* number of albedos: 1 to CORE_MC_ALBEDOS_MAX */
+  double albedo[CORE_MC_ALBEDOS_MAX];          /* sigma_s / sigma_t: 0 to 1 */
+  size_t below_count;                          /* number of layers below the first */
+  core_mc_layer below[CORE_MC_LAYERS_MAX - 1]; /* from the top down */
+  /* index below a slab or a last layer of finite thickness over that above: CORE_ETA_MIN to
+   * CORE_ETA_MAX, or 0 for 1 */
+  double eta_below;
   /* 2 to CORE_MC_RINGS_MAX + 1 edges of rings, linear or logarithmic: ring i lies between edges i
    * and i + 1 */
   core_grid edges;
@@ -102,6 +119,10 @@ typedef struct core_mc_request {
  * (asserted). The other fields of the request do not change. */
 void core_mc_request_medium(core_mc_request *request, const core_medium *medium);
 
+/* Sets sigma_t, g, eta, one albedo, the thickness and `below` of the request from layers from the top
+ * down, 1 to CORE_MC_LAYERS_MAX (asserted). */
+void core_mc_request_layers(core_mc_request *request, const core_mc_layer *layer, size_t count);
+
 /* Sets the phase function from the parameters phase, phase_share and phase_g, and the aperture from
  * detector_na. Returns a fault, whose field is a parameter's name, if one is out of its range, is not
  * taken by the phase function or is missing, or if any other parameter is given. */
@@ -112,8 +133,9 @@ core_fault core_mc_request_parameters(core_mc_request *request, const core_param
 double core_mc_first_g(const core_mc_request *request);
 
 /* Returns the first fault of the request. Its field is one of sigma_t, g, phase, phase_share,
- * phase_g, eta, thickness, albedo_count, albedo (with its index), radius_spacing, radius_count,
- * radius_start, radius_stop, roulette_weight, scatterings_max, aperture. */
+ * phase_g, eta, thickness, albedo_count, albedo (with its index), layer_count, eta_below,
+ * radius_spacing, radius_count, radius_start, radius_stop, roulette_weight, scatterings_max, aperture.
+ * Those of layers have the layer's number, from 0, as their index. */
 core_fault core_mc_check(const core_mc_request *request);
 
 /* The data that all batches of a request share. */
@@ -168,6 +190,7 @@ typedef struct core_mc_energy {
   /* all light that left through each side, unscattered light included */
   core_mc_value left[CORE_MC_SIDES];
   core_mc_value absorbed;
+  core_mc_value in_layer[CORE_MC_LAYERS_MAX]; /* the part of `absorbed` in each layer */
   core_mc_value unfinished; /* light still inside after scatterings_max collisions */
   /* weight that roulette has added less weight that it has taken; its expectation is 0 */
   core_mc_value roulette;

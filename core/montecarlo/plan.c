@@ -10,35 +10,62 @@
 
 /* ---- the unscattered light ------------------------------------------------------------------- */
 
-/* Computes the unscattered light and the distribution of the first collision. Straight down a slab
- * of optical thickness tau, light is weakened by e^-tau on each passage and reflected with F at
- * each end, any number of times:
- *
- *   transmitted  (1 - F) e^-tau / (1 - q^2),  q = F e^-tau
- *   reflected    (1 - F) F e^-2tau / (1 - q^2)
- *   collides     (1 - e^-tau) / (1 - q), of this q / (1 + q) on ways up
- *
- * These are exact; the walk begins at the first collision. In a half space all light collides.
- */
-static void prepare_first_flight(core_mc_plan *plan, double tau) {
-  const double eta = plan->request.eta;
-  const double amplitude = (eta - 1) / (eta + 1);
-  const double F = amplitude * amplitude;
-  const real_exp_values decay = real_exp(-tau);
-  const double left = plan->walk.slab ? decay.exp : 0;
-  const double gone = plan->walk.slab ? decay.one_minus_exp : 1;
-  const double q = F * left;
-  const double leaves = (1 - F) * left / (1 - q * q);
-  plan->unscattered[CORE_MC_TRANSMITTED] = leaves;
-  plan->unscattered[CORE_MC_REFLECTED] = leaves * q;
-  plan->scattered_or_absorbed = gone / (1 - q);
-  plan->walk.first_share = (float)gone;
-  plan->walk.first_rest = (float)left;
-  plan->walk.first_turned = (float)(q / (1 + q));
+/* A thicker layer is taken as a half space: no photon of single precision comes so deep. */
+#define THICKNESS_MAX_MFP 1e30
+
+/* A layer for the unscattered light. */
+struct passage {
+  double eta;       /* index over that above all layers */
+  double left;      /* share of light that crosses the layer without a collision */
+  double gone;      /* 1 - left */
+  double reflected; /* share of light at the foot, going down, that comes back there */
+};
+
+static double reflectance(double inside, double outside) {
+  const double amplitude = (inside - outside) / (inside + outside);
+  return amplitude * amplitude;
 }
 
-/* A thicker slab is taken as a half space: no photon of single precision comes so deep. */
-#define THICKNESS_MAX_MFP 1e30
+/* Computes the unscattered light and the distribution of the first collision. Straight down and up,
+ * light is weakened by `left` on each passage of a layer and reflected with F at each boundary, any
+ * number of times. With B_i the share that comes back at the foot of layer i, and Q_i = F_i
+ * B_(i+1) left_(i+1)^2, F_i between layers i and i + 1,
+ *
+ *   B_i = F_i + (1 - F_i)^2 B_(i+1) left_(i+1)^2 / (1 - Q_i)
+ *   light down at the head of i + 1 = (1 - F_i) light down at the foot of i / (1 - Q_i)
+ *
+ * These are exact; the walk begins at the first collision. In a half space all light collides. */
+static void prepare_first_flight(core_mc_plan *plan, struct passage *in, size_t count,
+                                 double eta_below) {
+  double collides[2 * CORE_MC_LAYERS_MAX];
+  double again = 0; /* share of light down at the head of the layer below that comes back there */
+  for (size_t i = count; i-- > 0;) {
+    const double F = reflectance(in[i].eta, i + 1 < count ? in[i + 1].eta : eta_below);
+    in[i].reflected = F + (1 - F) * (1 - F) * again / (1 - F * again);
+    again = in[i].reflected * in[i].left * in[i].left;
+  }
+  double above = reflectance(in[0].eta, 1);
+  double down = 1 / (1 - above * again);
+  plan->unscattered[CORE_MC_REFLECTED] = (1 - above) * again * down;
+  plan->scattered_or_absorbed = 0;
+  for (size_t i = 0; i < count; i++) {
+    const double foot = down * in[i].left;
+    collides[2 * i] = foot * in[i].reflected * in[i].gone;
+    collides[2 * i + 1] = down * in[i].gone;
+    plan->scattered_or_absorbed += collides[2 * i] + collides[2 * i + 1];
+    above = reflectance(in[i].eta, i + 1 < count ? in[i + 1].eta : eta_below);
+    again = i + 1 < count ? in[i + 1].reflected * in[i + 1].left * in[i + 1].left : 0;
+    down = (1 - above) * foot / (1 - above * again);
+    plan->walk.first_share[i] = (float)in[i].gone;
+    plan->walk.first_rest[i] = (float)in[i].left;
+  }
+  plan->unscattered[CORE_MC_TRANSMITTED] = down;
+  double sum = 0;
+  for (size_t j = 0; j + 1 < 2 * count; j++) {
+    sum += collides[j];
+    plan->walk.first_sum[j] = (float)(sum / plan->scattered_or_absorbed);
+  }
+}
 
 static walk_hg hg_of(double g) {
   return (walk_hg){
@@ -47,6 +74,25 @@ static walk_hg hg_of(double g) {
       .one_minus = (float)(1 - fabs(g)),
       .one_plus = (float)(1 + fabs(g)),
   };
+}
+
+static void set_hg(walk_medium *walk, size_t layer, double g) {
+  const walk_hg hg = hg_of(g);
+  walk->g_sign[layer] = hg.sign;
+  walk->g_size[layer] = hg.size;
+  walk->g_one_minus[layer] = hg.one_minus;
+  walk->g_one_plus[layer] = hg.one_plus;
+}
+
+/* Snell's law gives ct^2 = 1 - eta^2 (1 - ci^2). With the squared cosine ci^2, light near the
+ * normal loses digits if eta is large; with the squared sine 1 - ci^2, grazing light loses digits
+ * if eta is near 1. */
+static void set_face(walk_medium *walk, size_t face, double eta) {
+  const bool by_sine = eta > 1.2;
+  walk->eta[face] = (float)eta;
+  walk->by_sine[face] = by_sine ? ~UINT32_C(0) : 0;
+  walk->cosine_constant[face] = (float)(by_sine ? 1 : 1 - eta * eta);
+  walk->cosine_factor[face] = (float)(by_sine ? -eta * eta : eta * eta);
 }
 
 static enum walk_phase walk_phase_of(const core_mc_request *request) {
@@ -59,33 +105,48 @@ static enum walk_phase walk_phase_of(const core_mc_request *request) {
 static void prepare_phase(walk_medium *walk, const core_mc_request *request) {
   const uint32_t share = (uint32_t)(request->phase_share * WALK_POINTS);
   walk->phase = walk_phase_of(request);
-  walk->hg[0] = hg_of(core_mc_first_g(request));
-  walk->hg[1] = hg_of(request->phase_g);
+  walk->second = hg_of(request->phase_g);
   walk->share = share;
   walk->share_inverse = (float)(1 / fmax(share, 1));
   walk->rest_inverse = (float)(share < WALK_POINTS ? 1.0 / (WALK_POINTS - share) : 0);
 }
 
+/* Lengths are in mean free paths of the top layer. */
 static void prepare_walk(core_mc_plan *plan) {
   const core_mc_request *request = &plan->request;
   walk_medium *walk = &plan->walk;
-  const double eta_squared = request->eta * request->eta;
-  const double tau = request->thickness_mm * request->sigma_t_per_mm;
-  /* Snell's law gives ct^2 = 1 - eta^2 (1 - ci^2). With the squared cosine ci^2, light near the
-   * normal loses digits if eta is large; with the squared sine 1 - ci^2, grazing light loses digits
-   * if eta is near 1. */
-  const bool by_sine = request->eta > 1.2;
+  const size_t count = request->below_count + 1;
+  const double eta_below = request->eta_below;
+  double above = 1; /* index */
+  struct passage in[CORE_MC_LAYERS_MAX];
   *walk = (walk_medium){
-      .slab = tau < THICKNESS_MAX_MFP,
       .key = {(uint32_t)request->seed, (uint32_t)(request->seed >> 32)},
-      .thickness = (float)tau,
-      .eta = (float)request->eta,
-      .by_sine = by_sine ? ~UINT32_C(0) : 0,
-      .cosine_constant = (float)(by_sine ? 1 : 1 - eta_squared),
-      .cosine_factor = (float)(by_sine ? -eta_squared : eta_squared),
+      .last = (uint32_t)request->below_count,
   };
+  for (size_t i = 0; i < count; i++) {
+    const core_mc_layer *below = &request->below[i > 0 ? i - 1 : 0];
+    const double sigma_t =
+        i > 0 ? below->sigma_a_per_mm + below->sigma_s_per_mm : request->sigma_t_per_mm;
+    const double tau = sigma_t * (i > 0 ? below->thickness_mm : request->thickness_mm);
+    const double mfp = request->sigma_t_per_mm / sigma_t;
+    const bool finite = tau < THICKNESS_MAX_MFP;
+    const real_exp_values decay = real_exp(finite ? -tau : 0);
+    const double eta = i > 0 ? below->eta : request->eta;
+    const double beyond = i + 1 < count ? request->below[i].eta : eta_below;
+    in[i] = (struct passage){eta, finite ? decay.exp : 0, finite ? decay.one_minus_exp : 1, 0};
+    set_hg(walk, i, i > 0 ? below->g : core_mc_first_g(request));
+    set_face(walk, 2 * i, eta / above);
+    set_face(walk, 2 * i + 1, eta / beyond);
+    walk->mfp[i] = (float)mfp;
+    walk->thickness[i] = finite ? (float)(tau * mfp) : INFINITY;
+    walk->albedo[i] = (float)(i > 0 ? below->sigma_s_per_mm / sigma_t : request->albedo[0]);
+    above = eta;
+  }
+  walk->geometry = request->below_count > 0 || eta_below != 1 ? WALK_LAYERS
+                   : walk->thickness[0] < INFINITY            ? WALK_SLAB
+                                                              : WALK_HALF_SPACE;
   prepare_phase(walk, request);
-  prepare_first_flight(plan, walk->slab ? tau : 0);
+  prepare_first_flight(plan, in, count, eta_below);
 }
 
 /* ---- roulette -------------------------------------------------------------------------------- */
@@ -100,7 +161,11 @@ static void prepare_walk(core_mc_plan *plan) {
 #define LONG_PATH 1024.0
 
 static double forward_scatterings(const core_mc_request *request) {
-  return request->g > 0 ? 1 / (1 - request->g) : 1;
+  double g = real_max(request->g, 0);
+  for (size_t i = 0; i < request->below_count; i++) {
+    g = real_max(g, request->below[i].g);
+  }
+  return 1 / (1 - g);
 }
 
 static void fill_in_defaults(core_mc_request *request) {
@@ -110,6 +175,9 @@ static void fill_in_defaults(core_mc_request *request) {
   if (request->scatterings_max == 0) {
     const double scatterings = SCATTERINGS_MAX_DEFAULT * forward_scatterings(request);
     request->scatterings_max = (uint32_t)real_min(scatterings, (double)CORE_MC_SCATTERINGS_MAX);
+  }
+  if (request->eta_below == 0) {
+    request->eta_below = 1;
   }
 }
 
@@ -136,6 +204,16 @@ static double largest_albedo(const core_mc_plan *plan, const double *values) {
  * the path so far. */
 static uint32_t next_stage(uint32_t first) {
   return first + (first < 64 ? 1 : first / 32);
+}
+
+/* Roulette in layers, where weights depend on the way: it takes place at each collision. */
+static void prepare_layered_roulette(core_mc_plan *plan) {
+  const core_mc_request *request = &plan->request;
+  const double long_path = LONG_PATH * forward_scatterings(request);
+  const double longest = sqrt(request->scatterings_max / long_path);
+  plan->walk.roulette_weight = (float)request->roulette_weight;
+  plan->walk.long_path_inverse = (float)(1 / long_path);
+  plan->weight_max[0] = real_max(1, request->roulette_weight * longest);
 }
 
 static void prepare_stages(core_mc_plan *plan) {
@@ -261,6 +339,10 @@ core_mc_plan *core_mc_plan_create(const core_mc_request *request) {
   prepare_stage_table(plan);
   prepare_edges(plan);
   plan->walks = plan->scattered_or_absorbed > 0 && largest_albedo(plan, plan->request.albedo) > 0;
+  if (mc_is_layered(plan)) {
+    prepare_layered_roulette(plan);
+    plan->walks = true;
+  }
   return plan;
 }
 

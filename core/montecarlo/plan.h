@@ -44,7 +44,8 @@ enum mc_row {
   MC_ROW_ABSORBED,
   MC_ROW_UNFINISHED,
   MC_ROW_ROULETTE, /* power that roulette added less power that it took */
-  MC_ROW_SLOTS
+  MC_ROW_LAYERS,   /* power absorbed in each of the layers of a stack */
+  MC_ROW_SLOTS = MC_ROW_LAYERS + CORE_MC_LAYERS_MAX
 };
 _Static_assert((int)MC_ROW_REFLECTED == (int)CORE_MC_REFLECTED &&
                    (int)MC_ROW_TRANSMITTED == (int)CORE_MC_TRANSMITTED,
@@ -68,6 +69,12 @@ struct core_mc_plan {
   double weight_max[CORE_MC_ALBEDOS_MAX];
   double edges_squared_mfp2[CORE_MC_RINGS_MAX + 1];
 };
+
+/* Whether photons carry weights of their own, because albedos differ from layer to layer, and stop at
+ * each boundary. */
+static inline bool mc_is_layered(const core_mc_plan *plan) {
+  return plan->walk.geometry == WALK_LAYERS;
+}
 
 static inline size_t mc_slot_row(const core_mc_plan *plan, size_t side, size_t slot) {
   return MC_ROW_SLOTS + side * plan->slots + slot;

@@ -1,6 +1,7 @@
 /* Monte Carlo requests: their phase functions and their checks. */
 #include <assert.h>
 #include <math.h>
+#include <string.h>
 
 #include "core/montecarlo/montecarlo.h"
 
@@ -19,6 +20,18 @@ void core_mc_request_medium(core_mc_request *request, const core_medium *medium)
   request->eta = medium->eta;
   request->albedo_count = 1;
   request->albedo[0] = medium->sigma_s_per_mm / request->sigma_t_per_mm;
+}
+
+void core_mc_request_layers(core_mc_request *request, const core_mc_layer *layer, size_t count) {
+  assert(count >= 1 && count <= CORE_MC_LAYERS_MAX);
+  request->sigma_t_per_mm = layer->sigma_a_per_mm + layer->sigma_s_per_mm;
+  request->g = layer->g;
+  request->eta = layer->eta;
+  request->thickness_mm = layer->thickness_mm;
+  request->albedo_count = 1;
+  request->albedo[0] = layer->sigma_s_per_mm / request->sigma_t_per_mm;
+  request->below_count = count - 1;
+  memcpy(request->below, layer + 1, (count - 1) * sizeof *layer);
 }
 
 /* ---- the phase function ----------------------------------------------------------------------- */
@@ -97,20 +110,65 @@ static core_fault check_phase(const core_mc_request *request) {
 
 /* ---- checks ----------------------------------------------------------------------------------- */
 
+static core_fault check_layer(size_t i, double sigma_t_per_mm, double g, double eta,
+                              double thickness_mm) {
+  if (!in_range(sigma_t_per_mm, CORE_SIGMA_T_PRIME_MIN_PER_MM, 2 * CORE_SIGMA_MAX_PER_MM)) {
+    return (core_fault){"sigma_t", "1e-15 to 2e15 per mm", i};
+  }
+  if (!in_range(g, -CORE_MC_G_MAX, CORE_MC_G_MAX)) {
+    return (core_fault){"g", "-0.9999 to 0.9999: directions are in single precision", i};
+  }
+  if (!in_range(eta, CORE_ETA_MIN, CORE_ETA_MAX)) {
+    return (core_fault){"eta", "0.001 to 1000", i};
+  }
+  if (!(thickness_mm == 0 || thickness_mm * sigma_t_per_mm >= CORE_MC_THICKNESS_MIN_MFP)) {
+    return (core_fault){"thickness", "0, at least 1e-6 mean free paths, or infinity", i};
+  }
+  return (core_fault){0};
+}
+
+/* What layers need beyond their own ranges. */
+static core_fault check_stack(const core_mc_request *request) {
+  const double eta_below = request->eta_below;
+  const bool layered = request->below_count > 0 || (eta_below != 0 && eta_below != 1);
+  double thickness_mm = request->thickness_mm;
+  if (request->below_count >= CORE_MC_LAYERS_MAX) {
+    return (core_fault){"layer_count", "1 to 8", 0};
+  }
+  if (eta_below != 0 && !in_range(eta_below, CORE_ETA_MIN, CORE_ETA_MAX)) {
+    return (core_fault){"eta_below", "0.001 to 1000", 0};
+  }
+  if (layered && request->albedo_count != 1) {
+    return (core_fault){"albedo_count", "1: layers have an albedo each", 0};
+  }
+  if (layered && request->phase > CORE_PHASE_HENYEY_GREENSTEIN) {
+    return (core_fault){"phase", "1 henyey-greenstein: layers have no other", 0};
+  }
+  for (size_t i = 0; i < request->below_count; i++) {
+    const core_mc_layer *below = &request->below[i];
+    if (!(thickness_mm > 0 && isfinite(thickness_mm))) {
+      return (core_fault){"thickness", "above 0, and finite above another layer", i};
+    }
+    if (!(below->sigma_a_per_mm >= 0 && below->sigma_s_per_mm >= 0)) {
+      return (core_fault){below->sigma_a_per_mm >= 0 ? "sigma_s" : "sigma_a", "0 to 1e15 per mm",
+                          i + 1};
+    }
+    const core_fault fault = check_layer(i + 1, below->sigma_a_per_mm + below->sigma_s_per_mm,
+                                         below->g, below->eta, below->thickness_mm);
+    if (fault.field != NULL) {
+      return fault;
+    }
+    thickness_mm = below->thickness_mm;
+  }
+  return layered && thickness_mm == 0 ? (core_fault){"thickness", "above 0", request->below_count}
+                                      : (core_fault){0};
+}
+
 static core_fault check_medium(const core_mc_request *request) {
-  if (!in_range(request->sigma_t_per_mm, CORE_SIGMA_T_PRIME_MIN_PER_MM,
-                2 * CORE_SIGMA_MAX_PER_MM)) {
-    return (core_fault){"sigma_t", "1e-15 to 2e15 per mm", 0};
-  }
-  if (!in_range(request->g, -CORE_MC_G_MAX, CORE_MC_G_MAX)) {
-    return (core_fault){"g", "-0.9999 to 0.9999: directions are in single precision", 0};
-  }
-  if (!in_range(request->eta, CORE_ETA_MIN, CORE_ETA_MAX)) {
-    return (core_fault){"eta", "0.001 to 1000", 0};
-  }
-  const double thickness_mfp = request->thickness_mm * request->sigma_t_per_mm;
-  if (!(request->thickness_mm == 0 || thickness_mfp >= CORE_MC_THICKNESS_MIN_MFP)) {
-    return (core_fault){"thickness", "0, at least 1e-6 mean free paths, or infinity", 0};
+  const core_fault fault =
+      check_layer(0, request->sigma_t_per_mm, request->g, request->eta, request->thickness_mm);
+  if (fault.field != NULL) {
+    return fault;
   }
   if (request->albedo_count < 1 || request->albedo_count > CORE_MC_ALBEDOS_MAX) {
     return (core_fault){"albedo_count", "1 to 16", 0};
@@ -120,7 +178,7 @@ static core_fault check_medium(const core_mc_request *request) {
       return (core_fault){"albedo", "0 to 1", i};
     }
   }
-  return (core_fault){0};
+  return check_stack(request);
 }
 
 /* Checks the width of each ring, computed from the rounded edges, so that no ring is empty. */

@@ -4,7 +4,8 @@
  * A photon that a plane boundary reflects flies on as its mirror image; in a half space it cannot
  * come back to the boundary in the same flight. In a slab all reflections of one flight are at the
  * same angle. So the code draws the number of reflections that the photon survives at once, from
- * the geometric distribution, and unfolds the path into a straight line.
+ * the geometric distribution, and unfolds the path into a straight line. In layers a step ends at
+ * the first boundary: reflectances differ from one to the next.
  *
  * Each step draws four words from Philox: for deflection, azimuth, path and reflection. The counter
  * is (collisions, photon index, kind of event).
@@ -41,6 +42,10 @@ struct deflection {
   float cosine;
   float sine;
 };
+
+static inline walk_hg hg_of(const walk_medium *m, int32_t layer) {
+  return (walk_hg){m->g_sign[layer], m->g_size[layer], m->g_one_minus[layer], m->g_one_plus[layer]};
+}
 
 static inline struct deflection deflect(walk_hg by, lane_uniform u) {
   const float inverse = 1.0f / (by.one_minus + 2.0f * by.size * u.w);
@@ -87,12 +92,12 @@ static inline struct drawn draw_function(const walk_medium *m, uint32_t bits) {
 
 static inline struct deflection deflect_two_term(const walk_medium *m, uint32_t bits) {
   const struct drawn drawn = draw_function(m, bits);
-  const walk_hg *a = &m->hg[0], *b = &m->hg[1];
+  const walk_hg a = hg_of(m, 0), b = m->second;
   const walk_hg by = {
-      .sign = lane_select(drawn.first, a->sign, b->sign),
-      .size = lane_select(drawn.first, a->size, b->size),
-      .one_minus = lane_select(drawn.first, a->one_minus, b->one_minus),
-      .one_plus = lane_select(drawn.first, a->one_plus, b->one_plus),
+      .sign = lane_select(drawn.first, a.sign, b.sign),
+      .size = lane_select(drawn.first, a.size, b.size),
+      .one_minus = lane_select(drawn.first, a.one_minus, b.one_minus),
+      .one_plus = lane_select(drawn.first, a.one_plus, b.one_plus),
   };
   return deflect(by, lane_uniform_within(drawn.i, drawn.count, drawn.inverse));
 }
@@ -101,7 +106,7 @@ static inline struct deflection deflect_modified(const walk_medium *m, uint32_t 
   const struct drawn drawn = draw_function(m, bits);
   const lane_uniform u = lane_uniform_within(drawn.i, drawn.count, drawn.inverse);
   const int32_t twice = (int32_t)(2 * drawn.i + 1 - drawn.count);
-  const struct deflection one = deflect(m->hg[0], u);
+  const struct deflection one = deflect(hg_of(m, 0), u);
   const struct deflection other = deflect_by_square((float)twice * drawn.inverse, u);
   return (struct deflection){
       .cosine = lane_select(drawn.first, one.cosine, other.cosine),
@@ -141,21 +146,28 @@ struct fresnel {
   float s_sum;
   float p_difference;
   float p_sum;
+  float ct;
   lane_mask total; /* all bits are set for total reflection */
 };
 
-static inline struct fresnel fresnel_amplitudes(const walk_medium *m, struct vector u) {
+static inline walk_boundary boundary_of(const walk_medium *m, int32_t face) {
+  return (walk_boundary){m->eta[face], m->by_sine[face], m->cosine_constant[face],
+                         m->cosine_factor[face]};
+}
+
+static inline struct fresnel fresnel_amplitudes(walk_boundary b, struct vector u) {
   const float sine_squared = u.x * u.x + u.y * u.y;
-  const float measured = lane_select(m->by_sine, sine_squared, u.z * u.z);
-  const float ct_squared = m->cosine_constant + m->cosine_factor * measured;
+  const float measured = lane_select(b.by_sine, sine_squared, u.z * u.z);
+  const float ct_squared = b.cosine_constant + b.cosine_factor * measured;
   const lane_mask total = lane_mask_if(ct_squared <= 0.0f);
   const float ct = sqrtf(lane_select(total, 0.0f, ct_squared));
   const float ci = fabsf(u.z);
   return (struct fresnel){
-      .s_difference = m->eta * ci - ct,
-      .s_sum = m->eta * ci + ct,
-      .p_difference = m->eta * ct - ci,
-      .p_sum = m->eta * ct + ci,
+      .s_difference = b.eta * ci - ct,
+      .s_sum = b.eta * ci + ct,
+      .p_difference = b.eta * ct - ci,
+      .p_sum = b.eta * ct + ci,
+      .ct = ct,
       .total = total,
   };
 }
@@ -181,12 +193,16 @@ static inline float minus_log_reflectance(struct fresnel f) {
 
 /* ---- flights --------------------------------------------------------------------------------- */
 
-/* The end of a flight: the photon's next collision, or the boundary through which it leaves. */
+/* The end of a flight: the photon's next collision, or the boundary through which it leaves. In
+ * layers, the next boundary, too. */
 struct landing {
   float z;
-  float uz;
-  float way; /* path to the boundary, if the photon leaves */
+  struct vector u;
+  float flown; /* path from the last place to this one */
+  float way;   /* path to the boundary, if the photon leaves */
   lane_mask leaves;
+  lane_mask collides;
+  int32_t layer;
   uint32_t fate; /* fate of the photon, if it leaves */
 };
 
@@ -196,11 +212,12 @@ static inline struct landing land_in_half_space(const walk_medium *m, float z, s
                                                 float path, lane_uniform chance) {
   const float below = z + u.z * path;
   const lane_mask crosses = lane_mask_if(below < 0.0f);
-  const lane_mask reflected = is_reflected(fresnel_amplitudes(m, u), chance.v);
+  const lane_mask reflected = is_reflected(fresnel_amplitudes(boundary_of(m, 0), u), chance.v);
   const lane_mask leaves = crosses & ~reflected;
   return (struct landing){
       .z = lane_select(leaves, z, fabsf(below)),
-      .uz = lane_select(crosses, fabsf(u.z), u.z),
+      .u = {u.x, u.y, lane_select(crosses, fabsf(u.z), u.z)},
+      .flown = lane_select(leaves, 0.0f, path),
       .way = -z / u.z,
       .leaves = leaves,
       .fate = WALK_REFLECTED,
@@ -211,7 +228,7 @@ static inline struct landing land_in_half_space(const walk_medium *m, float z, s
  * leaves: n or more times with the probability F^n. */
 static inline int32_t reflections(const walk_medium *m, struct vector u, lane_uniform chance) {
   const float log_chance = lane_minus_log(chance.w, chance.v);
-  const float log_reflectance = minus_log_reflectance(fresnel_amplitudes(m, u));
+  const float log_reflectance = minus_log_reflectance(fresnel_amplitudes(boundary_of(m, 0), u));
   const lane_mask endless = lane_mask_if(log_chance >= REFLECTIONS_MAX * log_reflectance);
   return (int32_t)lane_select(endless, REFLECTIONS_MAX, log_chance / log_reflectance);
 }
@@ -220,30 +237,59 @@ static inline int32_t reflections(const walk_medium *m, struct vector u, lane_un
  * continues `beyond` that boundary, and meets the boundaries in turn `turns` times more. */
 static inline struct landing land_in_slab(const walk_medium *m, float z, struct vector u,
                                           float path, lane_uniform chance) {
+  const float thickness = m->thickness[0];
   const float speed = fabsf(u.z);
   const lane_mask up = lane_mask_if(u.z < 0.0f);
-  const float ahead = lane_select(up, z, m->thickness - z);
+  const float ahead = lane_select(up, z, thickness - z);
   const float beyond = speed * path - ahead;
   const lane_mask crosses = lane_mask_if(beyond > 0.0f);
   const float beyond_it = lane_select(crosses, beyond, 0.0f);
-  const uint32_t turns = (uint32_t)(int32_t)(beyond_it / m->thickness);
+  const uint32_t turns = (uint32_t)(int32_t)(beyond_it / thickness);
   const uint32_t survived = (uint32_t)reflections(m, u, chance);
   const lane_mask leaves = crosses & lane_mask_if((int32_t)survived <= (int32_t)turns);
 
   const lane_mask even_turns = (turns & 1) - 1;
   const lane_mask last_above = up ^ ~even_turns;
   const lane_mask leaves_above = up ^ -(survived & 1);
-  const float rest = beyond_it - (float)(int32_t)turns * m->thickness;
+  const float rest = beyond_it - (float)(int32_t)turns * thickness;
   const float least = lane_select(lane_mask_if(rest > 0.0f), rest, 0.0f);
-  const float inside = lane_select(lane_mask_if(least < m->thickness), least, m->thickness);
-  const float folded = lane_select(last_above, inside, m->thickness - inside);
+  const float inside = lane_select(lane_mask_if(least < thickness), least, thickness);
+  const float folded = lane_select(last_above, inside, thickness - inside);
   const float landed = lane_select(crosses, folded, z + u.z * path);
   return (struct landing){
       .z = lane_select(leaves, z, landed),
-      .uz = lane_select(crosses & even_turns, -u.z, u.z),
-      .way = (ahead + (float)(int32_t)survived * m->thickness) / speed,
+      .u = {u.x, u.y, lane_select(crosses & even_turns, -u.z, u.z)},
+      .flown = lane_select(leaves, 0.0f, path),
+      .way = (ahead + (float)(int32_t)survived * thickness) / speed,
       .leaves = leaves,
       .fate = lane_choose(leaves_above, WALK_REFLECTED, WALK_TRANSMITTED),
+  };
+}
+
+static inline struct landing land_in_layers(const walk_medium *m, int32_t layer, float z,
+                                            struct vector u, float path, lane_uniform chance) {
+  const lane_mask up = lane_mask_if(u.z < 0.0f);
+  const float flight = path * m->mfp[layer];
+  const float way = lane_select(up, z, m->thickness[layer] - z) / fabsf(u.z);
+  const lane_mask meets = lane_mask_if(way <= flight);
+  const walk_boundary boundary = boundary_of(m, (int32_t)lane_choose(up, 0, 1) + 2 * layer);
+  const struct fresnel fresnel = fresnel_amplitudes(boundary, u);
+  const lane_mask passes = meets & ~is_reflected(fresnel, chance.v);
+  const lane_mask outermost = lane_mask_if(layer == (int32_t)lane_choose(up, 0, m->last));
+  const lane_mask enters = passes & ~outermost;
+  const int32_t next = layer + (int32_t)(enters & (up | 1));
+  const float turn = lane_select(passes, boundary.eta, 1.0f);
+  const float speed = lane_select(passes, fresnel.ct, fabsf(u.z));
+  const float head = lane_select(up ^ passes, 0.0f, m->thickness[next]);
+  return (struct landing){
+      .z = lane_select(meets, head, z + u.z * flight),
+      .u = {u.x * turn, u.y * turn, lane_select(up ^ (meets & ~passes), -speed, speed)},
+      .flown = lane_select(meets, way, flight),
+      .way = 0.0f,
+      .leaves = passes & outermost,
+      .collides = ~meets,
+      .layer = next,
+      .fate = lane_choose(up, WALK_REFLECTED, WALK_TRANSMITTED),
   };
 }
 
@@ -270,24 +316,40 @@ static inline void draw(const walk_medium *m, size_t lanes, const uint32_t *rest
 }
 
 /* Returns the direction u after a scattering. phase: the medium's, as a constant. */
-static inline struct vector scatter(const walk_medium *m, struct vector u, uint32_t bits,
-                                    lane_direction azimuth, enum walk_phase phase) {
+static inline struct vector scatter(const walk_medium *m, int32_t layer, struct vector u,
+                                    uint32_t bits, lane_direction azimuth, enum walk_phase phase) {
   if (phase == WALK_ISOTROPIC) {
     return isotropic(lane_uniform_from(bits), azimuth);
   }
   const struct deflection by = phase == WALK_MODIFIED ? deflect_modified(m, bits)
                                : phase == WALK_TWO_TERM
                                    ? deflect_two_term(m, bits)
-                                   : deflect(m->hg[0], lane_uniform_from(bits));
+                                   : deflect(hg_of(m, layer), lane_uniform_from(bits));
   return turn(u, by, azimuth);
 }
 
-/* Walks the lanes one step. phase and is_slab repeat the medium's fields as constants, so that the
+/* The weight of a photon in layers at the end of a flight. */
+static inline void weigh(const walk_medium *m, walk_lanes *restrict w, size_t i,
+                         struct landing landing, uint32_t flights, lane_uniform chance) {
+  const float albedo = m->albedo[landing.layer];
+  const float after = w->weight[i] * lane_select(landing.collides, albedo, 1.0f);
+  const float longer = sqrtf((float)(int32_t)flights * m->long_path_inverse);
+  const float least = m->roulette_weight * lane_select(lane_mask_if(longer > 1.0f), longer, 1.0f);
+  const lane_mask light = landing.collides & lane_mask_if(after < least);
+  const lane_mask dies = light & lane_mask_if(chance.v * least >= after);
+  w->before[i] = w->weight[i];
+  w->after[i] = after;
+  w->weight[i] = lane_select(dies, 0.0f, lane_select(light, least, after));
+  w->layer[i] = landing.layer;
+  w->collided[i] = landing.collides;
+  w->fate[i] |= dies & WALK_ENDED;
+}
+
+/* Walks the lanes one step. phase and geometry repeat the medium's fields as constants, so that the
  * compiler makes a separate loop for each combination. */
-static inline __attribute__((always_inline)) void step(const walk_medium *medium,
-                                                       const random_words *restrict random,
-                                                       size_t lanes, walk_lanes *restrict w,
-                                                       enum walk_phase phase, bool is_slab) {
+static inline __attribute__((always_inline)) void
+step(const walk_medium *medium, const random_words *restrict random, size_t lanes,
+     walk_lanes *restrict w, enum walk_phase phase, enum walk_geometry geometry) {
   const walk_medium m = *medium;
   const size_t whole_groups = lanes & ~(size_t)(WALK_GROUP - 1);
   for (size_t i = 0; i < whole_groups; i++) {
@@ -296,36 +358,51 @@ static inline __attribute__((always_inline)) void step(const walk_medium *medium
     const lane_uniform chance = lane_uniform_from(random->word[3][i]);
 
     const struct vector before = {w->ux[i], w->uy[i], w->uz[i]};
-    const struct vector u = scatter(&m, before, random->word[0][i], azimuth, phase);
+    const int32_t layer = geometry == WALK_LAYERS ? w->layer[i] : 0;
+    const lane_mask collided = geometry == WALK_LAYERS ? w->collided[i] : ~UINT32_C(0);
+    const struct vector scattered = scatter(&m, layer, before, random->word[0][i], azimuth, phase);
+    const struct vector u = {lane_select(collided, scattered.x, before.x),
+                             lane_select(collided, scattered.y, before.y),
+                             lane_select(collided, scattered.z, before.z)};
     const float path = lane_minus_log(flight.v, flight.w);
-    const struct landing landing = is_slab ? land_in_slab(&m, w->z[i], u, path, chance)
-                                           : land_in_half_space(&m, w->z[i], u, path, chance);
-    const float flown = lane_select(landing.leaves, 0.0f, path);
+    const struct landing landing =
+        geometry == WALK_LAYERS ? land_in_layers(&m, layer, w->z[i], u, path, chance)
+        : geometry == WALK_SLAB ? land_in_slab(&m, w->z[i], u, path, chance)
+                                : land_in_half_space(&m, w->z[i], u, path, chance);
     const uint32_t collisions = w->collisions[i] + (~landing.leaves & 1);
     const lane_mask ended = lane_mask_if(collisions == w->last[i]);
-    w->x[i] += u.x * flown;
-    w->y[i] += u.y * flown;
+    w->x[i] += u.x * landing.flown;
+    w->y[i] += u.y * landing.flown;
     w->z[i] = landing.z;
-    w->ux[i] = u.x;
-    w->uy[i] = u.y;
-    w->uz[i] = landing.uz;
+    w->ux[i] = landing.u.x;
+    w->uy[i] = landing.u.y;
+    w->uz[i] = landing.u.z;
     w->way[i] = landing.way;
     w->collisions[i] = collisions;
     w->fate[i] = lane_choose(landing.leaves, landing.fate, ended & WALK_ENDED);
+    if (geometry == WALK_LAYERS) {
+      weigh(&m, w, i, landing, collisions, chance);
+    }
   }
 }
 
-static void step_any(const walk_medium *medium, uint32_t high, size_t lanes, walk_lanes *walk) {
+/* flatten: a call that is not inlined would keep its loop from being vectorized. */
+static __attribute__((flatten)) void step_any(const walk_medium *medium, uint32_t high,
+                                              size_t lanes, walk_lanes *walk) {
   random_words random;
   const size_t whole_groups = lanes & ~(size_t)(WALK_GROUP - 1);
   draw(medium, whole_groups, walk->collisions, walk->photon, high, EVENT_SCATTERING, &random);
+  if (medium->geometry == WALK_LAYERS) {
+    step(medium, &random, lanes, walk, WALK_HENYEY_GREENSTEIN, WALK_LAYERS);
+    return;
+  }
   switch (medium->phase) {
 #define STEPS(phase)                                                                               \
   case phase:                                                                                      \
-    if (medium->slab) {                                                                            \
-      step(medium, &random, lanes, walk, phase, true);                                             \
+    if (medium->geometry == WALK_SLAB) {                                                           \
+      step(medium, &random, lanes, walk, phase, WALK_SLAB);                                        \
     } else {                                                                                       \
-      step(medium, &random, lanes, walk, phase, false);                                            \
+      step(medium, &random, lanes, walk, phase, WALK_HALF_SPACE);                                  \
     }                                                                                              \
     break;
     STEPS(WALK_ISOTROPIC)
@@ -348,10 +425,18 @@ static void launch(const walk_medium *medium, uint64_t first, walk_launch *restr
   for (size_t i = 0; i < WALK_LANES; i++) {
     const lane_uniform depth = lane_uniform_from(random.word[0][i]);
     const lane_uniform side = lane_uniform_from(random.word[1][i]);
-    const float z = lane_minus_log(depth.v * m.first_share, m.first_rest + depth.w * m.first_share);
-    const lane_mask turned = lane_mask_if(side.v < m.first_turned);
-    launched->z[i] = lane_select(turned, m.thickness - z, z);
-    launched->uz[i] = lane_select(turned, -1.0f, 1.0f);
+    uint32_t way = 0; /* up in layer 0, down in it, up in layer 1, ... */
+    for (uint32_t j = 0; j <= 2 * m.last; j++) {
+      way += lane_mask_if(side.v >= m.first_sum[j]) & 1;
+    }
+    const int32_t layer = (int32_t)(way / 2);
+    const float share = m.first_share[layer];
+    const float z =
+        m.mfp[layer] * lane_minus_log(depth.v * share, m.first_rest[layer] + depth.w * share);
+    const lane_mask down = -(way & 1);
+    launched->layer[i] = layer;
+    launched->z[i] = lane_select(down, z, m.thickness[layer] - z);
+    launched->uz[i] = lane_select(down, 1.0f, -1.0f);
     launched->chance[i] = random.word[2][i] >> 1;
   }
 }
