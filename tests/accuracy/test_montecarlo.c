@@ -6,11 +6,14 @@
  * and here are some 1,000. */
 #include <math.h>
 
+#include "core/solver/solver.h"
 #include "tests/accuracy/montecarlo_run.h"
 #include "tests/accuracy/plain_walk.h"
 #include "tests/unit/unit.h"
 
 #define DEVIATIONS_MAX 4.0
+
+enum { PLAIN_RINGS = 30, PLAIN_SLOTS = PLAIN_RINGS + 2 };
 
 static double square(double x) {
   return x * x;
@@ -89,9 +92,142 @@ UNIT_TEST(adding_doubling_is_met) {
   }
 }
 
-/* ---- a plain walk ------------------------------------------------------------------------- */
+/* ---- layers --------------------------------------------------------------------------------- */
 
-enum { PLAIN_RINGS = 30, PLAIN_SLOTS = PLAIN_RINGS + 2 };
+static void assert_near(const char *what, core_mc_value ours, double theirs, double error) {
+  const double deviation = (ours.value - theirs) / hypot(ours.error, error);
+  if (!(fabs(deviation) <= DEVIATIONS_MAX)) {
+    fail_msg("%s: %.6f +- %.6f, not %.6f: %.1f standard errors off", what, ours.value, ours.error,
+             theirs, deviation);
+  }
+}
+
+static montecarlo_run walk_layers(const core_mc_layer *layers, size_t count, double eta_below,
+                                  uint64_t batches, uint64_t seed) {
+  core_mc_request request = {.eta_below = eta_below, .seed = seed};
+  core_mc_request_layers(&request, layers, count);
+  montecarlo_rings(&request, PLAIN_RINGS, 0.003, 10);
+  return montecarlo_run_batches(&request, batches);
+}
+
+/* The three layers that MCML's authors publish (Wang, Jacques, Zheng 1995, sample.mco), per launched
+ * power. */
+UNIT_TEST(mcml_is_met) {
+  const core_mc_layer layers[] = {
+      {1, 100, 0.9, 1.37, 0.1}, {1, 10, 0, 1.37, 0.1}, {2, 10, 0.7, 1.37, 0.2}};
+  montecarlo_run run = walk_layers(layers, 3, 0, 200, MONTECARLO_SEED);
+  const core_mc_energy energy = montecarlo_energy(&run, 0);
+  const double entered = 1 - specular(1.37);
+  assert_near("R", energy.left[0], 0.237859 / entered, 0.000312);
+  assert_near("T", energy.left[1], 0.096220 / entered, 0.000186);
+  assert_near("A", energy.absorbed, 0.641547 / entered, 0.000293);
+  montecarlo_run_free(&run);
+}
+
+/* A slab is the same slab when it is cut, and a film of nothing on top of it changes nothing. The two
+ * are walked by different loops. */
+UNIT_TEST(cut_slabs_are_walked_as_one) {
+  static const core_mc_layer whole = {0.2, 8, 0.7, 1.4, 1.2};
+  const core_mc_layer cut[] = {{0.2, 8, 0.7, 1.4, 0.05},
+                               {0.2, 8, 0.7, 1.4, 0.35},
+                               {0.2, 8, 0.7, 1.4, 0.8},
+                               {1e-9, 0, 0, 1, 1e4}};
+  montecarlo_run one = walk_layers(&whole, 1, 0, 150, 1);
+  montecarlo_run other = walk_layers(cut, 4, 1, 150, 2);
+  const core_mc_energy a = montecarlo_energy(&one, 0), b = montecarlo_energy(&other, 0);
+  double squares = 0;
+  size_t compared = 0;
+  for (size_t side = 0; side < CORE_MC_SIDES; side++) {
+    core_mc_ring ours[PLAIN_RINGS], theirs[PLAIN_RINGS];
+    assert_near("total", a.left[side], b.left[side].value, b.left[side].error);
+    assert_true(fabs(a.unscattered[side] - b.unscattered[side]) <= 1e-5);
+    core_mc_total_rings(one.total, 0, side, ours);
+    core_mc_total_rings(other.total, 0, side, theirs);
+    for (size_t i = 0; i < PLAIN_RINGS && side == CORE_MC_REFLECTED; i++) {
+      if (ours[i].photons > 200 && theirs[i].photons > 200) {
+        squares += square(ours[i].R_per_mm2 - theirs[i].R_per_mm2) /
+                   (square(ours[i].error_per_mm2) + square(theirs[i].error_per_mm2));
+        compared++;
+      }
+    }
+  }
+  printf("cut slab: %zu rings, chi-squared %.1f\n", compared, squares);
+  assert_true(compared >= 20);
+  assert_true(squares <= (double)compared + DEVIATIONS_MAX * sqrt(2 * (double)compared));
+  montecarlo_run_free(&one);
+  montecarlo_run_free(&other);
+}
+
+/* Returns the mean of what the solver has over a ring, and adds its error's mean to *error. */
+static double solved_ring(const solver_layers *solution, size_t side, const core_mc_ring *ring,
+                          double *error) {
+  static const double place[] = {0.0694318442029737, 0.3300094782075719}; /* Gauss, 4 points */
+  static const double weight[] = {0.1739274225687269, 0.3260725774312731};
+  const double from = square(ring->from_mm), to = square(ring->to_mm);
+  double sum = 0;
+  for (size_t i = 0; i < 4; i++) {
+    const double at = i < 2 ? place[i] : 1 - place[3 - i];
+    const transport_number R = solver_layers_at(solution, side, sqrt(from + (to - from) * at));
+    sum += weight[i < 2 ? i : 3 - i] * R.value;
+    *error += weight[i < 2 ? i : 3 - i] * R.error;
+  }
+  return sum;
+}
+
+/* Beside the solver of core/solver, ring by ring, within what it states; its totals are exact. */
+UNIT_TEST(layers_are_walked_as_they_are_solved) {
+  static const struct {
+    size_t count;
+    double eta_below;
+    core_mc_layer layer[2];
+  } stacks[] = {
+      {2, 1, {{2, 40, 0.9, 1.4, 0.06}, {0.05, 20, 0.85, 1.4, (double)INFINITY}}},
+      {2, 1.5, {{5, 5, 0.5, 1.5, 0.05}, {0.1, 15, -0.4, 1.33, 0.6}}},
+      {1, 0.75, {{0.1, 3, 0.8, 1.3, 1}}},
+  };
+  const core_isa *isa = core_isa_select(NULL);
+  for (size_t i = 0; i < sizeof stacks / sizeof stacks[0]; i++) {
+    solver_layer layers[2];
+    for (size_t k = 0; k < stacks[i].count; k++) {
+      const core_mc_layer *of = &stacks[i].layer[k];
+      layers[k] =
+          (solver_layer){of->sigma_a_per_mm, of->sigma_s_per_mm, of->g, of->eta, of->thickness_mm};
+    }
+    solver_layers *solution;
+    solver_balance balance;
+    unit_assert_fault(solver_layers_solve(&solution, isa, layers, stacks[i].count,
+                                          stacks[i].eta_below, 0.1, NULL),
+                      NULL, 0);
+    unit_assert_fault(solver_layers_balance(solution, isa, &balance), NULL, 0);
+    montecarlo_run run =
+        walk_layers(stacks[i].layer, stacks[i].count, stacks[i].eta_below, 60, MONTECARLO_SEED);
+    const core_mc_energy energy = montecarlo_energy(&run, 0);
+    const size_t sides = isinf(layers[stacks[i].count - 1].thickness_mm) ? 1 : CORE_MC_SIDES;
+    for (size_t k = 0; k < stacks[i].count; k++) {
+      assert_near("absorbed", energy.in_layer[k], balance.absorbed[k].value, 0);
+    }
+    for (size_t side = 0; side < sides; side++) {
+      core_mc_ring rings[PLAIN_RINGS];
+      const double out = balance.out[side].value + balance.unscattered[side];
+      assert_near("total", energy.left[side], out, balance.out[side].error);
+      assert_true(fabs(energy.unscattered[side] - balance.unscattered[side]) <= 1e-12);
+      core_mc_total_rings(run.total, 0, side, rings);
+      for (size_t k = 0; k < PLAIN_RINGS; k++) {
+        double stated = 0;
+        const double R = solved_ring(solution, side, &rings[k], &stated);
+        const double bound = stated + 1.1 * DEVIATIONS_MAX * rings[k].error_per_mm2;
+        if (rings[k].photons > 200 && !(fabs(rings[k].R_per_mm2 - R) <= bound)) {
+          fail_msg("stack %zu side %zu, %g mm: %g +- %g, solved %g +- %g", i, side,
+                   rings[k].from_mm, rings[k].R_per_mm2, rings[k].error_per_mm2, R, stated);
+        }
+      }
+    }
+    montecarlo_run_free(&run);
+    solver_layers_free(solution);
+  }
+}
+
+/* ---- a plain walk ------------------------------------------------------------------------- */
 
 struct plain_sums {
   double light;

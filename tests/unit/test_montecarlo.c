@@ -47,6 +47,36 @@ UNIT_TEST(requests_are_taken_up_to_their_limits) {
 #undef CHECK
 }
 
+UNIT_TEST(layers_are_taken_up_to_their_limits) {
+#define CHECK(member, value, field, index)                                                         \
+  do {                                                                                             \
+    core_mc_request changed = montecarlo_request(0.9, 0, 1.4);                                     \
+    changed.thickness_mm = 1;                                                                      \
+    changed.below_count = 2;                                                                       \
+    changed.below[0] = (core_mc_layer){1, 2, 0.5, 1.3, 2};                                         \
+    changed.below[1] = (core_mc_layer){1, 2, 0.5, 1.3, (double)INFINITY};                          \
+    changed.member = (value);                                                                      \
+    unit_assert_fault(core_mc_check(&changed), (field), (index));                                  \
+  } while (0)
+  CHECK(eta_below, 0, NULL, 0);
+  CHECK(eta_below, CORE_ETA_MAX, NULL, 0);
+  CHECK(eta_below, 2e3, "eta_below", 0);
+  CHECK(thickness_mm, 0, "thickness", 0);
+  CHECK(thickness_mm, (double)INFINITY, "thickness", 0);
+  CHECK(below[0].thickness_mm, (double)INFINITY, "thickness", 1);
+  CHECK(below[1].thickness_mm, 3, NULL, 0);
+  CHECK(below[1].thickness_mm, 0, "thickness", 2);
+  CHECK(below[0].sigma_a_per_mm, -1, "sigma_a", 1);
+  CHECK(below[1].sigma_s_per_mm, -1, "sigma_s", 2);
+  CHECK(below[1].sigma_s_per_mm, (double)INFINITY, "sigma_t", 2);
+  CHECK(below[0].g, 1, "g", 1);
+  CHECK(below[0].eta, 0, "eta", 1);
+  CHECK(albedo_count, 2, "albedo_count", 0);
+  CHECK(phase, CORE_PHASE_MODIFIED, "phase", 0);
+  CHECK(below_count, CORE_MC_LAYERS_MAX, "layer_count", 0);
+#undef CHECK
+}
+
 UNIT_TEST(media_become_requests) {
   const core_medium medium = {0.5, 1.5, 0.25, 1.3};
   core_mc_request request = montecarlo_request(0.9, 0, 1);
@@ -216,7 +246,7 @@ UNIT_TEST(deflections_have_the_phase_functions_distribution) {
 
 /* ---- the same bits ------------------------------------------------------------------------ */
 
-enum { RINGS = 30, BIT_BATCHES = 3, BIT_REQUESTS_HG = 18, BIT_REQUESTS = BIT_REQUESTS_HG + 12 };
+enum { RINGS = 30, BIT_BATCHES = 3, BIT_REQUESTS_HG = 18, BIT_REQUESTS = BIT_REQUESTS_HG + 12 + 5 };
 
 /* All results of a run for one albedo. */
 struct answer {
@@ -243,12 +273,29 @@ static void assert_same(const core_mc_request *request, const core_mc_total *a,
   }
 }
 
+/* An absorbing film, a guide that scatters backwards, and a foot of either kind. */
+static core_mc_request layered_request(size_t i) {
+  const core_mc_layer layers[] = {{30, 0.1, 0.5, 1.5, 0.002},
+                                  {0.01, 15, -0.4, 1.33, 0.6},
+                                  {0, 8, 0, 1.33, 0.1},
+                                  {0.2, 9, 0.9, 1.6, i % 2 == 0 ? 0.3 : (double)INFINITY}};
+  core_mc_request request = {.edges = {CORE_SPACING_LOGARITHMIC, 31, 0.01, 30}, .seed = i};
+  core_mc_request_layers(&request, layers + i % 4, 4 - i % 4);
+  request.eta_below = 0.75;
+  request.aperture = i % 3 == 0 ? 0.5 : 0;
+  request.scatterings_max = i == 1 ? 50 : 0;
+  return request;
+}
+
 /* Returns request number i. Together they run every loop of the walk: each phase function, in a
- * half space or a slab. */
+ * half space or a slab, and layers. */
 static core_mc_request bit_request(size_t i) {
   static const double g[] = {0, 0.85, -0.4};
   static const double thickness_mm[] = {(double)INFINITY, 1.5, 0.001};
   static const double eta[] = {1.4, 0.8};
+  if (i >= BIT_REQUESTS - 5) {
+    return layered_request(i - (BIT_REQUESTS - 5));
+  }
   core_mc_request request = montecarlo_request(0.95, g[i % 3], eta[i % 2]);
   request.thickness_mm = thickness_mm[i / 3 % 3];
   request.albedo_count = 1 + i % 5;
@@ -413,6 +460,7 @@ UNIT_TEST(empty_rings_have_errors) {
 UNIT_TEST(rings_add_up_to_the_total) {
   for (size_t i = 0; i < BIT_REQUESTS; i++) {
     core_mc_request request = bit_request(i);
+    request.aperture = 0;
     montecarlo_rings(&request, RINGS, 0.3, 2);
     montecarlo_run run = montecarlo_run_batches(&request, 2);
     for (size_t k = 0; k < request.albedo_count; k++) {
