@@ -102,7 +102,9 @@ typedef struct cli_settings {
   bool errors, deviation;
   const char *quantity, *axes, *draw, *scale, *light;
   cli_numbers reference;
-  bool specular, linear, srgb;
+  bool specular, linear, srgb, typed;
+  const char *source, *target, *unit; /* of conventions, and of scene units */
+  cli_numbers colour, length;
   cli_texts coefficients;
   cli_number tolerance, least_distance;
   cli_number photons, error, total_error;

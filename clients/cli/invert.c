@@ -207,7 +207,8 @@ const cli_command cli_command_invert = {
     .run = run_invert,
     .examples = "  dipole invert --albedo 0.44,0.22,0.13 --mean-free-path 1.3,0.95,0.67\n"
                 "  dipole invert --albedo 0.8 --diffuse-mean-free-path 2 --g 0.9 --eta 1.4\n"
-                "  dipole invert --albedo 0.8,0.5,0.2 --srgb --extinction-path 1 --light diffuse\n"
+                "  dipole invert --albedo 0.8,0.5,0.2 --srgb --extinction-path 1 --light diffuse "
+                "--model transport\n"
                 "  dipole invert --albedo 0.1,0.5,0.9 --mean-free-path 1 --model classical "
                 "--format csv\n"
                 "  dipole invert --albedo 0.8 --mean-free-path 1 --model quantized --format json\n",

@@ -17,6 +17,7 @@ Commands
   invert   Find the medium that has a given albedo: sigma_a and sigma_s
   fit      Find sigma_a and sigma_s' of samples from readings of their reflectance
   texture  Map an image of colours to images of the media that have them
+  convert  Convert colours and lengths between renderers, and to coefficients
   gather   Sum the light that points leave at other positions
   table    Fetch tables of a medium, to be evaluated without a daemon
   mc       Walk photons through a medium (Monte Carlo): R(r) with standard errors
@@ -29,11 +30,11 @@ Commands
 `dipole COMMAND --help` describes a command; `dipole --version` prints the version.
 
 $ dipole help evaluate
-! dipole: there is no command 'evaluate'; the commands are eval, plot, points, sample, invert, fit, texture, gather, table, mc, media, info, top, bench, help
+! dipole: there is no command 'evaluate'; the commands are eval, plot, points, sample, invert, fit, texture, convert, gather, table, mc, media, info, top, bench, help
 ? 2
 
 $ dipole evaluate
-! dipole: there is no command 'evaluate'; the commands are eval, plot, points, sample, invert, fit, texture, gather, table, mc, media, info, top, bench, help
+! dipole: there is no command 'evaluate'; the commands are eval, plot, points, sample, invert, fit, texture, convert, gather, table, mc, media, info, top, bench, help
 ? 2
 
 $ dipole invert --help
@@ -92,7 +93,7 @@ Exit status: 0 done, 1 failed, 2 wrong command line, 3 some rows or values are b
 Examples
   dipole invert --albedo 0.44,0.22,0.13 --mean-free-path 1.3,0.95,0.67
   dipole invert --albedo 0.8 --diffuse-mean-free-path 2 --g 0.9 --eta 1.4
-  dipole invert --albedo 0.8,0.5,0.2 --srgb --extinction-path 1 --light diffuse
+  dipole invert --albedo 0.8,0.5,0.2 --srgb --extinction-path 1 --light diffuse --model transport
   dipole invert --albedo 0.1,0.5,0.9 --mean-free-path 1 --model classical --format csv
   dipole invert --albedo 0.8 --mean-free-path 1 --model quantized --format json
 

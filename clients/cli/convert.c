@@ -1,0 +1,539 @@
+/* dipole convert: from what one renderer means by a colour and a length to coefficients, or to what
+ * another one means. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "clients/cli/edge.h"
+#include "clients/cli/options.h"
+#include "clients/cli/profile.h"
+#include "clients/cli/rows.h"
+
+enum colour_kind { SMOOTH, CLASSICAL, HULST, HULST_G0 };
+enum length_kind { EXTINCTION, CLASSICAL_LENGTH, BURLEY, BLENDER, UNREAL };
+
+/* How a form writes the numbers of a material: what comes first, three numbers and one number of a
+ * name, and what comes last. */
+typedef struct native_form {
+  const char *first, *three, *one, *last;
+} native_form;
+
+#define MTLX_HEAD "<?xml version=\"1.0\"?>\n<materialx version=\"1.39\">\n"
+#define MTLX_THREE "    <input name=\"%s\" type=\"color3\" value=\"%.9g, %.9g, %.9g\" />\n"
+#define MTLX_ONE "    <input name=\"%s\" type=\"float\" value=\"%.9g\" />\n"
+
+static const native_form form_NONE = {0};
+static const native_form form_OPENPBR = {
+    MTLX_HEAD "  <open_pbr_surface name=\"subsurface\" type=\"surfaceshader\">\n"
+              "    <input name=\"subsurface_weight\" type=\"float\" value=\"1\" />\n",
+    MTLX_THREE, MTLX_ONE, "  </open_pbr_surface>\n</materialx>\n"};
+static const native_form form_STANDARD_SURFACE = {
+    MTLX_HEAD "  <standard_surface name=\"surface\" type=\"surfaceshader\">\n"
+              "    <input name=\"subsurface\" type=\"float\" value=\"1\" />\n",
+    MTLX_THREE, MTLX_ONE, "  </standard_surface>\n</materialx>\n"};
+static const native_form form_MATERIALX = {
+    MTLX_HEAD "  <subsurface_bsdf name=\"subsurface\" type=\"BSDF\">\n", MTLX_THREE, MTLX_ONE,
+    "  </subsurface_bsdf>\n</materialx>\n"};
+static const native_form form_BLENDER = {
+    "# bsdf: the node Principled BSDF\n"
+    "bsdf.inputs[\"Subsurface Weight\"].default_value = 1\n",
+    "bsdf.inputs[\"%s\"].default_value[:3] = (%.9g, %.9g, %.9g)\n",
+    "bsdf.inputs[\"%s\"].default_value = %.9g\n", ""};
+static const native_form form_PBRT = {"Material \"subsurface\"", " \"rgb %s\" [ %.9g %.9g %.9g ]",
+                                      " \"float %s\" [ %.9g ]", "\n"};
+static const native_form form_UNREAL = {
+    "# profile: an unreal.SubsurfaceProfileStruct\n",
+    "profile.set_editor_property(\"%s\", unreal.LinearColor(%.9g, %.9g, %.9g, 1))\n",
+    "profile.set_editor_property(\"%s\", %.9g)\n", ""};
+static const native_form form_UNITY = {"", "%s: {r: %.9g, g: %.9g, b: %.9g, a: 1}\n", "%s: %.9g\n",
+                                       ""};
+static const native_form form_GLTF = {0}; /* write_gltf() */
+
+enum { NAME_COLOUR, NAME_LENGTHS, NAME_FACTOR, NAME_G, NAME_ETA, NAMES };
+
+typedef struct convention {
+  const char *name;
+  enum colour_kind colour;
+  enum length_kind length;
+  double unit_mm; /* 0: --unit */
+  const native_form *form;
+  const char *names, *source, *note;
+} convention;
+
+#define LENGTH_EXTINCTION EXTINCTION
+#define LENGTH_CLASSICAL CLASSICAL_LENGTH
+#define LENGTH_BURLEY BURLEY
+#define LENGTH_BLENDER BLENDER
+#define LENGTH_UNREAL UNREAL
+#define CONVENTION(name, COLOUR, LENGTH, unit_mm, FORM, names, source, note)                       \
+  {name, COLOUR, LENGTH_##LENGTH, unit_mm, &form_##FORM, names, source, note},
+static const convention conventions[] = {
+#include "clients/cli/conventions.def"
+};
+enum { CONVENTIONS = sizeof conventions / sizeof conventions[0] };
+
+#define COEFFICIENTS "coefficients"
+
+static const cli_option options[] = {
+    CLI_TITLE("Conventions"),
+    {"from", "what the numbers below mean: a convention, or coefficients", CLI_TEXT,
+     offsetof(cli_settings, source), NULL, "NAME"},
+    {"to", "what the numbers that are written mean", CLI_TEXT, offsetof(cli_settings, target),
+     COEFFICIENTS, "NAME"},
+    CLI_OPTION(SWITCH, typed, NULL,
+               "write the colour to type into a renderer that makes an albedo of it by van de "
+               "Hulst's formula, whatever the convention says"),
+    CLI_OPTION(NUMBERS, colour, NULL, "colour, 0 to 1, linear; one value for each channel"),
+    CLI_OPTION(SWITCH, srgb, NULL, "the colours are sRGB values"),
+    CLI_OPTION(NUMBERS, length, NULL,
+               "the length that the convention names, in its unit, scale included; a single value "
+               "is for all channels"),
+    CLI_OPTION(TEXT, unit, "mm",
+               "unit of lengths in scene units: mm, cm, m, or the millimetres of one"),
+    {0},
+};
+
+/* A material of up to three channels or more, while it is converted. */
+typedef struct material {
+  const cli_settings *settings;
+  dipole_client *client;
+  const convention *from, *to; /* NULL: coefficients */
+  double unit_mm;              /* of scene units */
+  size_t count;
+  dipole_medium *media;           /* [count] */
+  double *colours, *lengths;      /* [count] what is written; lengths in the target's unit */
+  double *typed;                  /* [count] the colours that were given; NAN: none */
+  double *shown, *shown_as_given; /* [count] colours of a beam under transport */
+} material;
+
+/* ---- formulas -------------------------------------------------------------------------------- */
+
+/* van de Hulst's reflectance of an index-matched half space in diffuse light, C = (1 - s) (1 - .139
+ * s) / (1 + 1.17 s), s^2 = (1 - a) / (1 - g a), a = sigma_s / (sigma_a + sigma_s) (van de Hulst
+ * 1980; Kulla, Conty 2017). */
+#define HULST_A 0.139
+#define HULST_B 1.17
+
+/* Returns 1 - a of a colour. */
+static double hulst_absorbed(double colour, double g) {
+  const double u = 1 + HULST_A + HULST_B * colour;
+  const double s = (u - sqrt(u * u - 4 * HULST_A * (1 - colour))) / (2 * HULST_A);
+  return s * s * (1 - g) / (1 - g * s * s);
+}
+
+static double hulst_colour(double absorbed, double g) {
+  const double s = sqrt(absorbed / (1 - g * (1 - absorbed)));
+  return (1 - s) * (1 - HULST_A * s) / (1 + HULST_B * s);
+}
+
+/* Returns the length of a convention over d of Burley's profile (Christensen, Burley 2015). */
+static double per_burley(enum length_kind kind, double colour) {
+  const double off = fabs(colour - 0.8);
+  return kind == BLENDER  ? 4 * acos(-1) * (1.9 - colour + 3.5 * off * off)
+         : kind == UNREAL ? 0.6 * (1.85 - colour + 7 * off * off * off)
+                          : 1;
+}
+
+static double absorbed_of(const dipole_medium *medium) {
+  return medium->sigma_a_per_mm / (medium->sigma_a_per_mm + medium->sigma_s_per_mm);
+}
+
+/* ---- asking ---------------------------------------------------------------------------------- */
+
+/* Sets colours[count] to the albedos of a beam that media have. */
+static bool find_colours(const material *of, unsigned model, const dipole_medium *media,
+                         double *colours) {
+  dipole_result *result;
+  dipole_error error;
+  dipole_query query;
+  dipole_query_init(&query);
+  query.model = model;
+  query.evaluator = DIPOLE_F64;
+  query.wanted = DIPOLE_ALBEDO;
+  query.media = media;
+  query.medium_count = (uint32_t)of->count;
+  if (!CLI_RETRY(of->settings, &error, dipole_eval(of->client, &query, &result, &error))) {
+    cli_fail_error(&error);
+    return false;
+  }
+  for (size_t i = 0; i < of->count; i++) {
+    colours[i] = result->channels[i].albedo;
+  }
+  dipole_result_free(result);
+  return true;
+}
+
+/* Sets media from colours and lengths that a model and a kind of length define; g and eta are
+ * there. */
+static bool find_media(material *of, unsigned model, unsigned given, const double *lengths_mm) {
+  for (size_t i = 0; i < of->count; i++) {
+    dipole_inversion *found;
+    dipole_error error;
+    const dipole_invert_query query = {.model = model,
+                                       .moments = DIPOLE_EXACT,
+                                       .given = given,
+                                       .g = of->media[i].g,
+                                       .eta = of->media[i].eta,
+                                       .albedos = &of->typed[i],
+                                       .lengths_mm = &lengths_mm[i],
+                                       .medium_count = 1};
+    if (!CLI_RETRY(of->settings, &error, dipole_invert(of->client, &query, &found, &error))) {
+      cli_fail_error(&error);
+      return false;
+    }
+    of->media[i].sigma_a_per_mm = found->sigma_a_per_mm[0];
+    of->media[i].sigma_s_per_mm = found->sigma_s_per_mm[0];
+    const bool missing = found->missing_count > 0;
+    dipole_inversion_free(found);
+    if (missing) {
+      cli_fail("--colour: channel %zu: no medium has the colour %g and the length", i + 1,
+               of->typed[i]);
+      return false;
+    }
+  }
+  return true;
+}
+
+/* Sets media of the extinction 1 / mm from colours by van de Hulst's formula. */
+static void apply_hulst(const material *of, bool knows_g, const double *colours,
+                        dipole_medium *media) {
+  for (size_t i = 0; i < of->count; i++) {
+    const double absorbed = hulst_absorbed(colours[i], knows_g ? of->media[i].g : 0);
+    media[i] = (dipole_medium){absorbed, 1 - absorbed, of->media[i].g, of->media[i].eta};
+  }
+}
+
+/* Multiplies all coefficients of a medium, which divides its lengths. */
+static void scale_medium(dipole_medium *medium, double by) {
+  medium->sigma_a_per_mm *= by;
+  medium->sigma_s_per_mm *= by;
+}
+
+/* ---- from a convention ----------------------------------------------------------------------- */
+
+static bool read_numbers(material *of) {
+  const cli_settings *settings = of->settings;
+  const cli_numbers *lengths = &settings->length;
+  const double unit_mm = of->from->unit_mm > 0 ? of->from->unit_mm : of->unit_mm;
+  double *lengths_mm = cli_allocate(of->count, sizeof *lengths_mm);
+  for (size_t i = 0; i < of->count; i++) {
+    const double colour = settings->colour.items[i];
+    of->typed[i] = settings->srgb ? cli_srgb_to_linear(colour) : colour;
+    lengths_mm[i] = unit_mm * lengths->items[lengths->count == 1 ? 0 : i];
+    of->media[i].g = cli_numbers_pick(&settings->g, i, 0);
+    of->media[i].eta = cli_numbers_pick(&settings->eta, i, 1.5);
+  }
+  switch (of->from->colour) {
+  case CLASSICAL:
+    return find_media(of, CORE_MODEL_CLASSICAL, DIPOLE_CLASSICAL_DIFFUSE_PATH, lengths_mm);
+  case SMOOTH:
+    if (of->from->length == EXTINCTION) {
+      return find_media(of, CORE_MODEL_TRANSPORT, DIPOLE_EXTINCTION_PATH, lengths_mm);
+    }
+    break;
+  default:
+    apply_hulst(of, of->from->colour == HULST, of->typed, of->media);
+    for (size_t i = 0; i < of->count; i++) {
+      scale_medium(&of->media[i], 1 / lengths_mm[i]);
+    }
+    return true;
+  }
+  /* A length of Burley's profile: that of the medium with the extinction 1 / mm says the scale. */
+  double *one_mm = cli_allocate(of->count, sizeof *one_mm), *r_mm = NULL;
+  for (size_t i = 0; i < of->count; i++) {
+    one_mm[i] = 1;
+  }
+  if (!find_media(of, CORE_MODEL_TRANSPORT, DIPOLE_EXTINCTION_PATH, one_mm) ||
+      !cli_edge_radii(settings, of->client, of->media, of->count, &r_mm)) {
+    return false;
+  }
+  for (size_t i = 0; i < of->count; i++) {
+    const double d_mm = lengths_mm[i] / per_burley(of->from->length, of->typed[i]);
+    scale_medium(&of->media[i], cli_edge_burley(r_mm + i * CLI_EDGE_RADII, NULL) / d_mm);
+  }
+  return true;
+}
+
+/* ---- to a convention ------------------------------------------------------------------------- */
+
+static bool set_colours(material *of) {
+  const enum colour_kind kind = of->settings->typed ? HULST : of->to->colour;
+  for (size_t i = 0; i < of->count && kind >= HULST; i++) {
+    const dipole_medium *medium = &of->media[i];
+    of->colours[i] = hulst_colour(absorbed_of(medium), kind == HULST ? medium->g : 0);
+  }
+  return kind >= HULST ||
+         find_colours(of, kind == SMOOTH ? CORE_MODEL_TRANSPORT : CORE_MODEL_CLASSICAL, of->media,
+                      of->colours);
+}
+
+static bool set_lengths(material *of) {
+  const double unit_mm = of->to->unit_mm > 0 ? of->to->unit_mm : of->unit_mm;
+  double *r_mm = NULL;
+  if (of->to->length >= BURLEY) {
+    dipole_medium *of_one_mm = cli_allocate(of->count, sizeof *of_one_mm);
+    for (size_t i = 0; i < of->count; i++) {
+      const double absorbed = absorbed_of(&of->media[i]);
+      of_one_mm[i] = (dipole_medium){absorbed, 1 - absorbed, of->media[i].g, of->media[i].eta};
+    }
+    if (!cli_edge_radii(of->settings, of->client, of_one_mm, of->count, &r_mm)) {
+      return false;
+    }
+  }
+  for (size_t i = 0; i < of->count; i++) {
+    const dipole_medium *medium = &of->media[i];
+    const double path_mm = 1 / (medium->sigma_a_per_mm + medium->sigma_s_per_mm);
+    const double reduced = medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g);
+    const double length_mm = of->to->length == EXTINCTION ? path_mm
+                             : of->to->length == CLASSICAL_LENGTH
+                                 ? 1 / sqrt(3 * medium->sigma_a_per_mm * reduced)
+                                 : path_mm * cli_edge_burley(r_mm + i * CLI_EDGE_RADII, NULL) *
+                                       per_burley(of->to->length, of->colours[i]);
+    of->lengths[i] = length_mm / unit_mm;
+  }
+  return true;
+}
+
+/* Sets what light at normal incidence shows of the media, and of the media that the target makes of
+ * the colours as they were given. */
+static bool set_shown(material *of) {
+  bool good = find_colours(of, CORE_MODEL_TRANSPORT, of->media, of->shown);
+  const bool by_formula = of->to != NULL && (of->settings->typed || of->to->colour >= HULST);
+  if (good && by_formula && of->from != NULL) {
+    dipole_medium *media = cli_allocate(of->count, sizeof *media);
+    apply_hulst(of, of->settings->typed || of->to->colour == HULST, of->typed, media);
+    good = find_colours(of, CORE_MODEL_TRANSPORT, media, of->shown_as_given);
+  }
+  return good;
+}
+
+/* ---- writing --------------------------------------------------------------------------------- */
+
+static const char *name_of(const convention *of) {
+  return of != NULL ? of->name : COEFFICIENTS;
+}
+
+static void put_facts(cli_rows *rows, const void *context, size_t index) {
+  const material *of = context;
+  (void)index;
+  cli_put_text(rows, name_of(of->from), "from");
+  cli_put_text(rows, name_of(of->to), "to");
+  if (of->to != NULL) {
+    cli_put_text(rows, of->to->source, "source", "as in");
+  }
+  if (of->to != NULL && of->to->note[0] != '\0') {
+    cli_put_text(rows, of->to->note, "note");
+  }
+}
+
+static void put_channel(cli_rows *rows, const void *context, size_t i) {
+  const material *of = context;
+  const dipole_medium *medium = &of->media[i];
+  cli_put_count(rows, i + 1, "channel");
+  if (of->to != NULL) {
+    cli_put_number(rows, of->colours[i], "colour");
+    cli_put_number(rows, of->lengths[i], "length");
+  }
+  cli_put_medium(rows, medium);
+  cli_put_number(rows, 1 - absorbed_of(medium), "scattered");
+  cli_put_number(rows, of->shown[i], "shown", "shows");
+  cli_put_number(rows, of->shown_as_given[i], "shown_as_given", "as given", .missing = "-");
+}
+
+static void write_three(const native_form *form, const char *name, const double *values) {
+  printf(form->three, name, values[0], values[1], values[2]);
+}
+
+/* The extensions of glTF: a transmitted colour at a distance says the extinction. */
+static void write_gltf(const material *of, const char *scatter, double factor,
+                       const double *lengths) {
+  const bool draft = strcmp(scatter, "KHR_materials_volume_scatter") == 0;
+  printf("{\"extensions\": {\n  \"%s\": {\"%s\": [%.9g, %.9g, %.9g], \"scatterAnisotropy\": "
+         "%.9g%s},\n",
+         scatter, draft ? "multiscatterColor" : "multiscatterColorFactor", of->colours[0],
+         of->colours[1], of->colours[2], of->media[0].g,
+         draft ? "" : ", \"scatterStrengthFactor\": 1");
+  printf("  \"KHR_materials_volume\": {\"attenuationDistance\": %.9g, \"attenuationColor\": [%.9g, "
+         "%.9g, %.9g]},\n  \"KHR_materials_ior\": {\"ior\": %.9g}}}\n",
+         factor, exp(-1 / lengths[0]), exp(-1 / lengths[1]), exp(-1 / lengths[2]),
+         of->media[0].eta);
+}
+
+/* Sets the names of the parameters of a convention; "" where it has none. */
+static void take_names(const convention *of, const char *names[NAMES]) {
+  char *list = cli_copy(of->names, strlen(of->names));
+  for (size_t i = 0; i < NAMES; i++) {
+    names[i] = strsep(&list, ",");
+  }
+}
+
+/* Writes the parameters as the target's users enter them. */
+static int write_native(const material *of) {
+  const native_form *form = of->to != NULL ? of->to->form : &form_NONE;
+  if (form == &form_NONE || of->count != CLI_COLOURS) {
+    return cli_fail_usage("--format native: %s has none, or there are not three channels",
+                          name_of(of->to));
+  }
+  const char *names[NAMES];
+  take_names(of->to, names);
+  const bool split = names[NAME_FACTOR][0] != '\0';
+  const double most = fmax(of->lengths[0], fmax(of->lengths[1], of->lengths[2]));
+  const double factor = split ? most : 1;
+  const double lengths[] = {of->lengths[0] / factor, of->lengths[1] / factor,
+                            of->lengths[2] / factor};
+  if (form == &form_GLTF) {
+    write_gltf(of, names[NAME_COLOUR], factor, lengths);
+    return CLI_OK;
+  }
+  printf("%s", form->first);
+  write_three(form, names[NAME_COLOUR], of->colours);
+  write_three(form, names[NAME_LENGTHS], lengths);
+  const double numbers[] = {
+      [NAME_FACTOR] = factor, [NAME_G] = of->media[0].g, [NAME_ETA] = of->media[0].eta};
+  for (size_t i = NAME_FACTOR; i < NAMES; i++) {
+    if (names[i][0] != '\0') {
+      printf(form->one, names[i], numbers[i]);
+    }
+  }
+  printf("%s", form->last);
+  return CLI_OK;
+}
+
+/* Says what the source leaves open, and what the target cannot say. */
+static void tell_notes(const material *of) {
+  const char *names[NAMES];
+  if (of->from != NULL && of->from->note[0] != '\0') {
+    cli_say(CLI_OK, "--from %s: %s", of->from->name, of->from->note);
+  }
+  if (of->to == NULL) {
+    return;
+  }
+  take_names(of->to, names);
+  if (names[NAME_G][0] == '\0' && fabs(of->media[0].g) > 0) {
+    cli_say(CLI_OK, "%s cannot say g: its length is that of g %g", of->to->name, of->media[0].g);
+  }
+  if (names[NAME_ETA][0] == '\0') {
+    cli_say(CLI_OK, "%s cannot say the index, %g", of->to->name, of->media[0].eta);
+  }
+  if (of->to->length >= BURLEY) {
+    cli_say(CLI_OK,
+            "%s has Burley's profile alone: the length is that whose shadow edge is the nearest",
+            of->to->name);
+  }
+}
+
+/* ---- the command ----------------------------------------------------------------------------- */
+
+/* Sets *found; NULL for coefficients. Says what is wrong and returns false if there is none. */
+static bool find_convention(const char *option, const char *name, const convention **found) {
+  char known[512] = COEFFICIENTS;
+  *found = NULL;
+  for (size_t i = 0; i < CONVENTIONS; i++) {
+    if (strcmp(conventions[i].name, name) == 0) {
+      *found = &conventions[i];
+    }
+    snprintf(known + strlen(known), sizeof known - strlen(known), ", %s", conventions[i].name);
+  }
+  if (*found == NULL && strcmp(name, COEFFICIENTS) != 0) {
+    cli_fail_usage("--%s: '%s' is unknown; there are %s", option, name, known);
+    return false;
+  }
+  return true;
+}
+
+static int check(cli_settings *settings) {
+  const convention *from, *to;
+  if (settings->source == NULL) {
+    return cli_fail_usage("give --from: a convention, or " COEFFICIENTS);
+  }
+  if (!find_convention("from", settings->source, &from) ||
+      !find_convention("to", settings->target, &to)) {
+    return CLI_USAGE;
+  }
+  if (from == NULL) {
+    return cli_medium_check(settings);
+  }
+  if (settings->colour.count == 0 ||
+      (settings->length.count != 1 && settings->length.count != settings->colour.count)) {
+    return cli_fail_usage("give --colour, and --length for all or each of its channels");
+  }
+  for (size_t i = 0; i < settings->colour.count; i++) {
+    if (!(settings->colour.items[i] >= 0 && settings->colour.items[i] <= 1)) {
+      return cli_fail_usage("--colour: %g is not from 0 to 1", settings->colour.items[i]);
+    }
+  }
+  return settings->medium.count > 0 || settings->sigma_a.count > 0 || settings->sigma_s.count > 0
+             ? cli_fail_usage("--medium, --sigma-a, --sigma-s: these are of --from " COEFFICIENTS)
+             : CLI_OK;
+}
+
+/* Returns the millimetres of a unit; NAN if it is none. */
+static double unit_of(const char *unit) {
+  char *end;
+  const double value = strcmp(unit, "mm") == 0   ? 1
+                       : strcmp(unit, "cm") == 0 ? 10
+                       : strcmp(unit, "m") == 0  ? 1000
+                                                 : strtod(unit, &end);
+  return value > 0 && value < INFINITY ? value : NAN;
+}
+
+static int run(const cli_settings *settings, dipole_client *client) {
+  material of = {.settings = settings, .client = client, .unit_mm = unit_of(settings->unit)};
+  cli_profile profile = {0};
+  find_convention("from", settings->source, &of.from);
+  find_convention("to", settings->target, &of.to);
+  if (!(of.unit_mm > 0)) {
+    return cli_fail_usage("--unit: mm, cm, m, or a number of millimetres");
+  }
+  if (of.from == NULL) {
+    const int status = cli_profile_take(settings, client, &profile);
+    if (status != CLI_OK) {
+      return status;
+    }
+  }
+  of.count = of.from == NULL ? profile.channel_count : settings->colour.count;
+  of.media = of.from == NULL ? profile.media : cli_allocate(of.count, sizeof *of.media);
+  double **const arrays[] = {&of.colours, &of.lengths, &of.typed, &of.shown, &of.shown_as_given};
+  for (size_t k = 0; k < sizeof arrays / sizeof arrays[0]; k++) {
+    *arrays[k] = cli_allocate(of.count, sizeof **arrays[k]);
+    for (size_t i = 0; i < of.count; i++) {
+      (*arrays[k])[i] = NAN;
+    }
+  }
+  if ((of.from != NULL && !read_numbers(&of)) ||
+      (of.to != NULL && !(set_colours(&of) && set_lengths(&of))) || !set_shown(&of)) {
+    return CLI_FAILED;
+  }
+  tell_notes(&of);
+  if (settings->format != NULL && strcmp(settings->format, "native") == 0) {
+    return write_native(&of);
+  }
+  const cli_report output = {.facts = put_facts, .rows = of.count, .put_row = put_channel};
+  cli_write(&output, settings->form, &of);
+  return CLI_OK;
+}
+
+const cli_command cli_command_convert = {
+    .name = "convert",
+    .about = "Convert colours and lengths between renderers, and to coefficients",
+    .more =
+        "A renderer makes a medium of a colour and a length; each means something else by them. "
+        "`shows` is the colour that light at normal incidence gets back from the medium through "
+        "its interface, per power that entered; `as given` is the same if the colours are typed "
+        "into the target unconverted. Colours that are written are linear. native writes .mtlx, "
+        "JSON of glTF, a line of pbrt, lines of Python for Blender and Unreal, or values of a "
+        "Unity "
+        "asset. The conventions:"
+#undef CONVENTION
+#define CONVENTION(name, COLOUR, LENGTH, unit_mm, FORM, names, source, note) "\n" name ": " source
+#include "clients/cli/conventions.def"
+    ,
+    .formats = "table,csv,json,native",
+    .options = {options, cli_medium_options},
+    .check = check,
+    .run = run,
+    .examples =
+        "  dipole convert --from openpbr --colour .8,.5,.3 --length 1,.5,.25 --eta 1.5\n"
+        "  dipole convert --from openpbr --colour .8,.5,.3 --length 1,.5,.25 --to openpbr --typed\n"
+        "  dipole convert --from coefficients --medium skin1 --to unity --format native\n",
+};
