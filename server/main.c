@@ -338,7 +338,7 @@ static bool set_up_tls(struct server *server) {
   return !wanted || server->tls != NULL;
 }
 
-/* Called when the workers have started. */
+/* Called after the workers have started. */
 static bool set_up_handshakes(struct daemon *daemon) {
   struct server *server = &daemon->server;
   if (server->tls != NULL) {

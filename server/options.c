@@ -21,7 +21,7 @@ struct description {
   const char *separators;
   const char *help;
   enum kind kind;
-  size_t offset; /* of its member in struct options */
+  size_t offset; /* offset of its member in struct options */
   uint64_t least;
   uint64_t most;
   uint64_t default_value;
@@ -114,7 +114,7 @@ static const struct description *nearest_to(const char *name, unsigned *distance
 
 /* ---- environment ----------------------------------------------------------------------------- */
 
-enum { VARIABLE_BYTES = 64, DISTANCE_MOST = 2 }; /* Names further apart are nothing alike. */
+enum { VARIABLE_BYTES = 64, DISTANCE_MOST = 2 }; /* Names that differ by more are not similar. */
 #define VARIABLE_PREFIX "DIPOLED_"
 
 /* Writes the name of an option's environment variable: DIPOLED_ and its field in capitals. */
@@ -169,7 +169,7 @@ static bool check_variables(void) {
       continue;
     }
     snprintf(name, sizeof name, "%.*s", (int)strcspn(*variable, "="), *variable);
-    if (strcmp(name, VARIABLE_PREFIX "CA") == 0) { /* the clients' variable */
+    if (strcmp(name, VARIABLE_PREFIX "CA") == 0) { /* DIPOLED_CA is a variable of clients */
       continue;
     }
     name_variable(nearest_to(name + strlen(VARIABLE_PREFIX), &distance), known);
@@ -345,7 +345,8 @@ enum options_outcome options_read(int argc, char **argv, struct options *options
   }
   const enum options_outcome outcome = read_command_line(argc, argv, options);
   if (options->max_part_bytes > options->max_frame_bytes) {
-    options->max_part_bytes = options->max_frame_bytes; /* A part is a frame, too. */
+    /* A part is a frame: it cannot be larger. */
+    options->max_part_bytes = options->max_frame_bytes;
   }
   return outcome;
 }

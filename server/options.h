@@ -11,7 +11,7 @@ enum { OPTIONS_LIST_MAX = 32 };
 struct options_list {
   const char *items[OPTIONS_LIST_MAX];
   size_t count;
-  char *copy; /* the text that holds the items from the environment */
+  char *copy; /* copy of the environment's text, which holds the items */
 };
 
 #define SERVER_NUMBER(field, name, default_value, least, most, help) uint64_t field;

@@ -22,23 +22,23 @@ struct worker;
 struct budget {
   _Atomic uint64_t bytes; /* in use */
   uint64_t most;
-  struct budget *whole; /* where the bytes count too; NULL: this is no share */
+  struct budget *whole; /* the budget that this one is a share of; NULL: none */
 };
 
 struct server {
   struct options options;
-  struct access allow; /* who may use the binary protocol over TCP */
+  struct access allow; /* addresses that may use the binary protocol over TCP */
   const core_isa *isa;
   struct stats stats;
-  struct budget buffers;   /* of all connections (--max-total-bytes) */
-  _Atomic uint64_t points_sent_bytes; /* memory of sets of points that are still being sent */
+  struct budget buffers;              /* budget of all connections (--max-total-bytes) */
+  _Atomic uint64_t points_sent_bytes; /* bytes of sets of points that are not complete yet */
   uint64_t started_ns;
-  _Atomic bool draining;         /* whether the daemon stops and takes no new clients */
-  _Atomic uint64_t refused_ms;   /* when capacity last lacked, by uv_hrtime(); 0: never */
+  _Atomic bool draining;         /* whether the daemon stops and accepts no clients */
+  _Atomic uint64_t refused_ms;   /* when capacity was last lacking, by uv_hrtime(); 0: never */
   struct worker *workers;        /* [server_worker_count()] */
-  struct latency *latencies;     /* [server_worker_count()]; each worker writes its own */
+  struct latency *latencies;     /* [server_worker_count()]; each worker writes its own element */
   struct cache *cache;           /* prepared profiles */
-  struct mc_pool *mc;            /* Monte Carlo jobs */
+  struct mc_pool *mc;            /* pool of threads for Monte Carlo jobs */
   struct modbus_service *modbus; /* NULL without --modbus */
   struct tls *tls;               /* NULL without --listen tls: */
   struct handshakes *handshakes; /* NULL without --listen tls: */

@@ -41,12 +41,12 @@ static double ln(double x) {
   return real_log(x, 0);
 }
 
-/* Returns x of [least, most] mapped to [-1, 1], and kept there. */
+/* Maps x from [least, most] to [-1, 1], and limits it to that. */
 static double mapped(double x, double least, double most) {
   return real_min(real_max((2 * x - least - most) / (most - least), -1), 1);
 }
 
-/* Returns node i of `count`, from `least` for i = 0 to `most`. */
+/* Returns Chebyshev node i of `count` in [least, most]; node 0 is `least`. */
 static double node(size_t i, size_t count, double least, double most) {
   double sine, cosine;
   fn_sincos(FN_PI * (double)i / (double)(count - 1), &sine, &cosine);
@@ -155,7 +155,7 @@ double fit_aperture_share(const fit_aperture_row *row, double ln_x) {
 
 /* ---- errors ---------------------------------------------------------------------------------- */
 
-/* A range of media, places and apertures, and the largest error in it. */
+/* A region of media, distances and apertures, and the largest error found in it. */
 static const struct region {
   double ratio_from, ratio_to, x_from, x_to, u_from, u_to;
   double error;
@@ -164,7 +164,7 @@ static const struct region {
 #include "core/fit/aperture_errors.def"
 };
 
-/* Ends of ranges are within them, even if the caller rounded them. */
+/* Relative tolerance for values at the end of a range, which callers may have rounded. */
 #define SLACK 1e-7
 
 double fit_aperture_error(const fit_aperture *aperture, double ratio, double x_least,

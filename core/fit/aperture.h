@@ -31,9 +31,9 @@
 #define FIT_APERTURE_ETA_MOST 2.2
 #define FIT_APERTURE_G_MOST 0.95
 #define FIT_APERTURE_U_LEAST 0.1
-#define FIT_APERTURE_QUANTUM 2e-5 /* of the table's numbers */
+#define FIT_APERTURE_QUANTUM 2e-5 /* unit of the table's integers */
 
-/* Terms along each coordinate. Each side of eta = 1 has its own terms. */
+/* Number of terms in each coordinate, for each side of eta = 1. */
 enum {
   FIT_APERTURE_PLACES = 32,
   FIT_APERTURE_RATIOS = 9,
@@ -43,7 +43,7 @@ enum {
   FIT_APERTURE_CONES = 7,
 };
 
-/* F for one g, eta and NA. */
+/* F for one g, eta and numerical aperture. */
 typedef struct fit_aperture {
   double u2;
   double term[FIT_APERTURE_RATIOS][FIT_APERTURE_PLACES];
@@ -53,17 +53,17 @@ typedef struct fit_aperture {
  * FIT_APERTURE_ETA_MOST; NA: above 0, up to 1 (all asserted). */
 void fit_aperture_prepare(fit_aperture *aperture, double g, double eta, double NA);
 
-/* The same for one medium. */
+/* F for one medium, as a function of ln x. */
 typedef struct fit_aperture_row {
   double u2;
   double ln_reach;
   double term[FIT_APERTURE_PLACES];
 } fit_aperture_row;
 
-/* ratio: sigma_a / sigma_s', at least 0. */
+/* Sets *row for the medium with this ratio sigma_a / sigma_s', at least 0. */
 void fit_aperture_medium(const fit_aperture *aperture, double ratio, fit_aperture_row *row);
 
-/* Returns the share at ln x. */
+/* Returns the share of R that leaves within the aperture, at ln x. */
 double fit_aperture_share(const fit_aperture_row *row, double ln_x);
 
 /* Returns the relative error of shares from x_least to x_most, as `make apertures` has measured it. It

@@ -29,14 +29,14 @@ _Static_assert((int)PER_PANEL *PANELS_MOST <= (int)FIT_DISC_NODES, "the nodes ha
 #define NEAREST                                                                                    \
   0.0019 /* start of the first panel if the discs overlap, over the largest distance */
 
-/* Two discs: the radii, from large to small, and the distance of their centres. */
+/* Two discs: their radii, the larger first, and the distance of their centres. */
 struct discs {
   double large;
   double small;
   double apart;
 };
 
-/* Returns arccos x, with x kept between -1 and 1. */
+/* Returns arccos x, with x limited to [-1, 1]. */
 static double arccos(double x) {
   const double kept = real_min(real_max(x, -1), 1);
   return cimag(fn_clog(CMPLX(kept, sqrt((1 - kept) * (1 + kept)))));
@@ -72,7 +72,7 @@ static double ease_slope(double x) {
   return 6 * x * (1 - x);
 }
 
-/* Returns the integral of C over the angles from `from` to `to`. */
+/* Returns the integral of C over the angle phi in [from, to]. */
 static double over_angles(const struct discs *discs, double s, double from, double to) {
   double sum = 0;
   for (int i = 0; i < POINTS && to > from; i++) {

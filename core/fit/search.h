@@ -17,17 +17,21 @@ enum {
 struct core_fit {
   struct fit_model model;
   bool free_factor;
-  double chi_squared_most; /* the largest that is plausible */
+  double chi_squared_most; /* chi-squared above this is implausible */
   unsigned notes;
-  double reference_error; /* model error of the reference medium's readings; 0 without one */
+  /* model error of the readings of the reference medium; 0: there is none */
+  double reference_error;
   size_t count;
-  struct fit_place least; /* bounds of the search */
+  struct fit_place least; /* bounds of the search, with `most` */
   struct fit_place most;
-  size_t nodes; /* of all places */
+  size_t nodes; /* number of nodes of all readings */
   struct fit_places places;
-  double *weight;       /* [count]: factor of each reading's model */
-  double *grid;         /* [count][FIT_GRID]: ln of the model of each medium; NAN if it has none */
-  fit_inverse *inverse; /* NULL unless there are two readings, a known factor, and a table */
+  double *weight; /* [count]: the factor of each reading's model */
+  /* [count][FIT_GRID]: ln of the reading of each medium of the grid; NAN: the model does not cover
+   * it */
+  double *grid;
+  /* NULL unless the set has two readings and a known factor, and the model a table */
+  fit_inverse *inverse;
   /* [count]: the readings' positions in the order of their distances, if those of any medium fall
    * with the distance; else NULL. It points into places.first. */
   const size_t *falling;
@@ -41,23 +45,26 @@ struct fit_place fit_grid_place(const core_fit *fit, size_t i);
 
 _Static_assert(FIT_GRID % FIT_LOOPS_MEDIA == 0, "the loops take all media of the grid");
 
-/* The readings of a set. */
+/* A set of readings. */
 struct fit_readings {
   const double *values;
   const double *errors;
-  const double *logarithms; /* of values above 0: others do not count; NULL if none are needed */
+  /* ln of the values above 0; other values are not used; NULL if not needed */
+  const double *logarithms;
 };
 
 /* Chi-squared at a medium as far as it is quadratic: information and gradient by (ln_ratio,
  * ln_scattering), with the factor eliminated. */
 struct fit_quadratic {
   struct fit_place place;
-  bool logarithms; /* whether the residuals are those of logarithms */
+  bool logarithms; /* whether the residuals are logarithmic */
   double factor;
   double chi_squared;
   double rr, rs, ss; /* information */
-  double to_r, to_s; /* half of the descent of chi-squared by each logarithm */
-  double fr, fs, ff; /* information of ln factor with the two and by itself; 0 if it is known */
+  /* minus half the derivatives of chi-squared by ln_ratio and by ln_scattering */
+  double to_r, to_s;
+  /* information of ln factor: with the two, and with itself; 0 if the factor is known */
+  double fr, fs, ff;
 };
 
 /* A minimum that the search has found, or descends to. */
@@ -69,19 +76,19 @@ struct fit_minimum {
 
 struct fit_descent {
   double damping;
-  double end; /* a step that is shorter than this is the last */
-  int left;   /* steps that may still be tried */
+  double end; /* a step shorter than this is the last one */
+  int left;   /* number of steps that are left */
 };
 
 /* What a search does next. */
 enum fit_stage {
   FIT_BEGINS,
-  FIT_INVERTS,        /* descends from the inverse's medium */
-  FIT_BEGINS_ROUND,   /* chooses starts of the grid */
-  FIT_BEGINS_START,   /* begins with the next of them */
-  FIT_COMES_NEAR,     /* descends with logarithms */
-  FIT_BEGINS_MINIMUM, /* begins without logarithms */
-  FIT_SETTLES,        /* descends to a minimum */
+  FIT_INVERTS,        /* descends from the medium of the inverse */
+  FIT_BEGINS_ROUND,   /* selects starts from the grid */
+  FIT_BEGINS_START,   /* begins with the next start */
+  FIT_COMES_NEAR,     /* descends with logarithmic residuals */
+  FIT_BEGINS_MINIMUM, /* begins with linear residuals */
+  FIT_SETTLES,        /* descends to a minimum with linear residuals */
   FIT_IS_DONE,
 };
 
@@ -96,25 +103,25 @@ struct core_fit_search {
   struct fit_readings readings;
   enum fit_stage stage;
   unsigned evaluations;
-  struct fit_minimum best, second; /* of those that were found */
-  bool is_careful;                 /* of the two rounds of starts it is the second */
-  size_t starts[FIT_STARTS_MAX];   /* positions in the grid */
+  struct fit_minimum best, second; /* the best two minima found */
+  bool is_careful;                 /* whether this is the second of two rounds of starts */
+  size_t starts[FIT_STARTS_MAX];   /* indices of media of the grid */
   size_t start_count;
   size_t next_start;
-  struct fit_place place; /* where the descent without logarithms begins */
+  struct fit_place place; /* where the descent with linear residuals begins */
   struct fit_minimum now;
   struct fit_descent descent;
-  double logarithms[CORE_FIT_READINGS_MAX]; /* of the readings */
+  double logarithms[CORE_FIT_READINGS_MAX]; /* ln of the readings */
 };
 
 /* Begins a search for readings that have been checked. */
 void fit_search_begin(core_fit_search *search, const core_fit *fit, const double *values,
                       const double *errors);
 
-/* Goes on by at most one evaluation of the model. Returns whether the search is done. */
+/* Continues by at most one evaluation of the model. Returns whether the search is done. */
 bool fit_search_step(core_fit_search *search);
 
-/* Sets the result of a search that is done. */
+/* Sets the result, after the search is done. */
 void fit_search_result(const core_fit_search *search, core_fit_result *result, double *residuals);
 
 #endif

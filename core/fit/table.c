@@ -23,7 +23,7 @@ enum { RATIOS = FIT_TABLE_RATIOS, PLACES = FIT_TABLE_PLACES };
 
 /* ---- making ---------------------------------------------------------------------------------- */
 
-/* Sets row i from the profile of its medium with sigma_t' = 1 per mm. */
+/* Computes row i from the profile of its medium, with sigma_t' = 1 per mm. */
 static core_fault fill_row(fit_table *table, size_t i, const struct fit_table_source *source,
                            const core_parameters *parameters) {
   const double ratio = real_exp_signed(table->ratio_least + table->ratio_step * (double)i);

@@ -13,11 +13,11 @@
 #include "core/core.h"
 #include "core/fit/aperture.h"
 
-/* Steps in ln_ratio and in ln x or ln q, and one. */
+/* Number of steps in ln_ratio, and in ln x or ln q, plus one. */
 enum { FIT_TABLE_RATIOS = 46, FIT_TABLE_PLACES = 220 };
 
 typedef struct fit_table {
-  bool waves;         /* whether the quantity is TRANSFER */
+  bool waves;         /* whether the table is of TRANSFER */
   double ratio_least; /* ln */
   double ratio_step;
   double ln_least;
@@ -36,7 +36,8 @@ struct fit_table_source {
   double g;
   double eta;
   const core_parameters *parameters;
-  const fit_aperture *aperture; /* NULL, or of `g` and `eta`: R has the share of this light alone */
+  /* NULL, or an aperture of `g` and `eta`: R is then multiplied by its share */
+  const fit_aperture *aperture;
 };
 
 /* Makes a table. Faults are those of core_profile_prepare(). On a fault *table is NULL, else the

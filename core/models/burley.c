@@ -29,10 +29,10 @@ enum coefficient {
   D,       /* mm */
   ALBEDO,  /* A */
   R_SCALE, /* A / (8 pi d), in 1/mm; R is this times the exponentials, divided by r */
-  /* derivatives by ln sigma_a and by ln sigma_s' */
-  A_BY_A, /* of ln A */
+  /* derivatives by ln sigma_a (_BY_A) and by ln sigma_s' (_BY_S) */
+  A_BY_A, /* derivatives of ln A */
   A_BY_S,
-  PER_D_BY_A, /* of ln(1 / d) */
+  PER_D_BY_A, /* derivatives of ln(1 / d) */
   PER_D_BY_S,
   COEFFICIENTS
 };
@@ -44,7 +44,7 @@ enum coefficient {
 
 #if CORE_REAL == 64
 
-/* A surface albedo below this is taken as 0. */
+/* A profile with a smaller surface albedo is 0. */
 #define ALBEDO_LEAST 1e-250
 
 /* Sets the last four, from the derivative of ln A by ln sigma_a: that by ln sigma_s' is the
@@ -54,7 +54,7 @@ static inline void set_derivatives(double *c, double fit, double absorbed, doubl
   const double away = albedo - 0.8, off = albedo - 0.33;
   const double cubic = 21 * (away < 0 ? -away : away) * away - 1, square = 7 * away - 1;
   const double fourth = 400 * (off * off) * off;
-  const bool diffuse = fit > CORE_BURLEY_DIFFUSE; /* 1 / l is mu_tr */
+  const bool diffuse = fit > CORE_BURLEY_DIFFUSE; /* for this fit the length l is 1 / mu_tr */
   const double slope = diffuse ? fourth : fit > CORE_BURLEY_SEARCHLIGHT ? square : cubic;
   const double by_albedo = albedo * slope / divisor * by_a;
   const double by_mu = diffuse ? 0.5 * scattered / (1 + absorbed) : 0;
@@ -68,8 +68,8 @@ static inline void set_derivatives(double *c, double fit, double absorbed, doubl
  * from vectorizing; so products with it are exact. */
 struct lane_choice {
   double cubic, square, fourth; /* the fit */
-  double given;                 /* the parameter, or 0 */
-  double own;                   /* 1 if the medium's own albedo is taken */
+  double given;                 /* the parameter `surface_albedo`, or 0 */
+  double own;                   /* 1 to use the medium's own albedo, else 0 */
 };
 
 static inline struct lane_choice lane_choice_of(const double *shared) {
@@ -171,7 +171,8 @@ static inline double burley_ln_R(const double *c, double r) {
   const double x = burley_x(c, r);
   const double third = x * (1.0 / 3);
   const double q2 = real_exp(-2 * third).exp;
-  const double kept = real_min(r, 1e250) * UP; /* a normal number */
+  /* the radius, limited so that the product is a normal number */
+  const double kept = real_min(r, 1e250) * UP;
   /* Near R = 1 the difference of two logarithms would cancel, so the logarithm of the quotient is
    * taken wherever the quotient is a normal number. */
   const double scale = c[R_SCALE] * (1 + q2);
@@ -195,7 +196,7 @@ static inline struct derivatives burley_derivatives(const double *c, double r) {
   const double x = burley_x(c, r + 0);
   const double q2 = real_exp(-x * (2.0 / 3)).exp;
   const double by_per_d = 1 - x * (q2 + 1.0 / 3) / (1 + q2);
-  /* where R is 0 it does not change */
+  /* where R is 0, its derivatives are 0 */
   const bool shines = c[ALBEDO] > 0 && x < FAR;
   return (struct derivatives){
       .by_a = shines ? real_fma(c[PER_D_BY_A], by_per_d, c[A_BY_A]) : 0,

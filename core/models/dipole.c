@@ -57,7 +57,7 @@ enum coefficient {
    * 2^R_EXPONENT */
   R_FLUX_2,
   R_EXPONENT,
-  SLOPE_PHI, /* the next four are the same for dR/dr, in 1/mm^3 */
+  SLOPE_PHI, /* these four weights are for dR/dr, in 1/mm^3, in the same order */
   SLOPE_FLUX_1,
   SLOPE_FLUX_2,
   SLOPE_EXPONENT,
@@ -76,17 +76,17 @@ enum coefficient {
   WAVE_LO,
   MU_SQUARED_HI,
   MU_SQUARED_LO,
-  TRANSFER_FLUX, /* p C_E / 2 */
-  TRANSFER_PHI,  /* p C_phi / (2 D) (z2 - z1) */
+  TRANSFER_FLUX, /* p C_E / 2: the flux's weight in R(f) */
+  TRANSFER_PHI,  /* p C_phi / (2 D) (z2 - z1): the fluence's weight in R(f) */
   /* the derivatives of ln R, in units of z1; BY_... are derivatives by ln a, times 1 - a, where a =
    * sigma_a / sigma_t' */
   ABSORBED,  /* a */
   SCATTERED, /* 1 - a */
   PHI,       /* C_phi / D */
   FLUX,      /* C_E */
-  BY_MU,     /* of ln mu */
+  BY_MU,     /* derivative of ln mu */
   BY_PHI,    /* of ln(C_phi / D); those of ln D and of ln(z2 - z1) are the opposite */
-  BY_POWER,  /* of ln p */
+  BY_POWER,  /* derivative of ln p */
   COEFFICIENTS
 };
 _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room for them");
@@ -129,7 +129,7 @@ static inline void lane_fill(const real *shared, struct lane lane, real *c) {
   c[Z2_SQUARED] = z2 * z2 * (REAL_Z1 * REAL_Z1);
   c[Z2_SQUARED_LESS_Z1_SQUARED] = d.z2_less_1 * (2 + d.z2_less_1) * (REAL_Z1 * REAL_Z1);
 
-  const real up = REAL(0x1p40); /* half of LANE_R_UP */
+  const real up = REAL(0x1p40); /* 2^(LANE_R_UP / 2): the factor is applied twice */
   const real scale =
       (lane.sigma_t * up) * (lane.sigma_t * up) * d.power * REAL(0.0795774715459476679);
   const real near_scale = scale * (REAL_Z1 * REAL_Z1 * REAL_Z1);
@@ -210,7 +210,7 @@ struct view {
   real_exp_values mirror; /* e^(-mu (d2 - d1)) */
 };
 
-/* The part of a view that takes square roots and divisions. */
+/* The distances of a view, which need square roots and divisions. */
 struct distances {
   real d1;
   real d2;
@@ -297,7 +297,8 @@ struct raised {
 
 static inline struct raised raise_x(const real *c, real r, struct view v) {
   const int low = v.x < REAL_Z1 * REAL(0x1p-64);
-  const real raised = real_nearer_zero(r + 0, 1) * REAL(0x1p64) * c[UNITS_PER_MM]; /* +0: no -0 */
+  /* adding +0 turns -0 into +0 */
+  const real raised = real_nearer_zero(r + 0, 1) * REAL(0x1p64) * c[UNITS_PER_MM];
   return (struct raised){low ? raised : v.x, low ? 64 : 0};
 }
 
@@ -328,7 +329,8 @@ static inline __attribute__((always_inline)) struct derivatives dipole_derivativ
   const real sine = v.x / v.d1, sine2 = sine * sine, high = z2 * i2;
   const real apart = v.apart * (1 / REAL_Z1), gone = v.mirror.one_minus_exp;
   const real squares =
-      c[Z2_SQUARED_LESS_Z1_SQUARED] * (1 / REAL_Z1) * (1 / REAL_Z1); /* z2^2 - z1^2 */
+      /* z2^2 - z1^2 in units of z1 */
+      c[Z2_SQUARED_LESS_Z1_SQUARED] * (1 / REAL_Z1) * (1 / REAL_Z1);
   const real flux = c[FLUX], mirror = flux * v.mirror.exp;
   const real near1 = i1 + mu, near2 = t2 * (i2 + mu); /* (1 + mu d) / d^3 */
   const real bend1 = real_fma(mu, real_fma(mu, d1, 3), 3 * i1);
@@ -347,7 +349,7 @@ static inline __attribute__((always_inline)) struct derivatives dipole_derivativ
                                       mirror * (near2 - t2 * (high * high) * bend2));
   const real of_a = real_fma(c[BY_PHI], fluence, of_mu + of_z2) / sum + c[BY_POWER];
   const real scaled = 2 - falls / sum;
-  /* where R is 0 it does not change */
+  /* where R is 0, its derivatives are 0 */
   const int shines = (c[CDF_LIMIT] > 0) & (v.x < LN_R_FAR);
   /* No compiler vectorizes a loop that reads under a condition. */
   const real absorbed = c[ABSORBED], scattered = c[SCATTERED];

@@ -72,7 +72,7 @@ enum { LANES = 32, PANELS = 5 };
 /* A block of radii x in mean free paths, and for each radius the ends in t = asinh(z / x) of the
  * panels over the depth z. */
 struct block {
-  double x[LANES]; /* kept between LEAST and FAR */
+  double x[LANES]; /* radii, limited to LEAST to FAR */
   double edge[PANELS + 1][LANES];
 };
 
@@ -98,7 +98,7 @@ static void set_block(const double *c, size_t n, const double *r, struct block *
  * image. */
 struct view {
   double e;    /* e^(-t) */
-  double sine; /* x / d1 */
+  double sine; /* sine of the angle at the source: x / d1 */
   double z;
   double d1;
   double z2;

@@ -64,7 +64,7 @@ core_fault core_gaussian_fit_prepare(const core_inputs *inputs, core_preparation
 
 struct fitted {
   unsigned model;
-  core_parameters parameters; /* parameters of the model that is fitted */
+  core_parameters parameters; /* parameters of the fitted model */
   double from_mm;
   double to_mm;
 };

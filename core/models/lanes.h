@@ -11,8 +11,8 @@ enum lane_shared {
   /* the domain */
   LANES_SIGMA_T_LEAST,
   LANES_SIGMA_T_MOST,
-  LANES_SCATTERED_LEAST, /* of sigma_s' / sigma_t', unless it is 0 */
-  LANES_ABSORBS,         /* 1 if sigma_a must be more than 0, else 0 */
+  LANES_SCATTERED_LEAST, /* least sigma_s' / sigma_t' where sigma_s' is not 0 */
+  LANES_ABSORBS,         /* 1 if the model requires sigma_a > 0, else 0 */
   /* Up to x (FAR + FAR_S s + FAR_S2 s^2) = 1 errors are stated, s = sqrt(sigma_a / sigma_t'). */
   LANES_FAR,
   LANES_FAR_S,
@@ -24,10 +24,10 @@ enum lane_shared {
   LANES_C_FLUX,
   LANES_C_BETWEEN, /* 4 A C_phi, which is 1 less a moment exactly */
   /* Burley's profile */
-  LANES_SURFACE_ALBEDO, /* the parameter, or -1 if the better dipole's albedo is taken */
-  LANES_FIT,            /* of enum core_burley_fit, and the switches of the better dipole above */
+  LANES_SURFACE_ALBEDO, /* the parameter `surface_albedo`; -1: the better dipole's albedo is used */
+  LANES_FIT,            /* enum core_burley_fit; its better dipole has the switches above */
   /* colours */
-  LANES_SPECULAR, /* for each light */
+  LANES_SPECULAR, /* for each light: the share that the surface reflects */
   LANES_COLOUR_LEAST = LANES_SPECULAR + CORE_LIGHTS,
   LANES_COLOUR_MOST = LANES_COLOUR_LEAST + CORE_LIGHTS,
   LANES_SHARED = LANES_COLOUR_MOST + CORE_LIGHTS
@@ -69,7 +69,7 @@ static inline int lane_good(const real *shared, real sigma_a, real sigma_s) {
 
 /* A dipole in units of z1 = 1 / sigma_t', as in core/models/dipole.c. */
 struct lane_dipole {
-  real power; /* alpha' or its square */
+  real power; /* alpha' or alpha'^2, by the model */
   real mu;
   real diffusion; /* D */
   real z2_less_1;
@@ -77,7 +77,7 @@ struct lane_dipole {
   real real_share;   /* e^(-mu z1) */
   real mirror_share; /* e^(-mu z2) */
   real between;      /* phi (e^(-mu z1) - e^(-mu z2)) / mu */
-  real sum;          /* power times half of it is the albedo */
+  real sum;          /* the albedo is power * sum / 2 */
 };
 
 static inline struct lane_dipole lane_dipole_of(const real *shared, struct lane lane) {
@@ -93,7 +93,7 @@ static inline struct lane_dipole lane_dipole_of(const real *shared, struct lane 
   const real_exp_values mirror = real_exp(-dipole.mu * dipole.z2_less_1);
   dipole.real_share = real_exp(-dipole.mu).exp;
   dipole.mirror_share = dipole.real_share * mirror.exp;
-  /* With sigma_a = 0 the better dipole's sum is 2 to the last bit. */
+  /* For sigma_a = 0 the better dipole's sum is exactly 2. */
   dipole.between = shared[LANES_C_BETWEEN] * dipole.real_share * mirror.quotient;
   dipole.sum =
       real_fma(shared[LANES_C_FLUX], dipole.real_share + dipole.mirror_share, dipole.between);

@@ -55,7 +55,7 @@ enum coefficient {
   NODES_BEGIN,      /* first of NODE_FIELDS numbers for each node */
   NODE_FURTHER = 0, /* E - e^(u_c) */
   NODE_WEIGHT,      /* weight w of the node */
-  NODE_ENERGY,      /* w / E of the node */
+  NODE_ENERGY,      /* w / E of the node, for the energy */
   NODE_FIELDS
 };
 
@@ -190,7 +190,7 @@ static void eval_derivative(const double *c, size_t n, const double *r, double o
     for (size_t i = 0; i < count; i++) {
       const double tau = optical_radius(c, r[done + i] + 0);
       const double falls = real_fma(c[EXPONENT], tau, fall[i] / sum[i]);
-      /* where R is 0 it does not change */
+      /* where R is 0, its derivatives are 0 */
       out[done + i] = ((c[CDF_LIMIT] > 0) & (tau < 1e100)) ? real_fma(-share, falls, offset) : 0;
     }
   }

@@ -25,7 +25,7 @@ enum { EXP_TERMS = 8 };
  * long before. */
 #define X_MOST REAL(1e15)
 
-/* The series of e^f, 1 / k!, from the last term to the first. */
+/* Taylor coefficients 1 / k! of e^f, highest power first. */
 static const real series[] = {
 #if CORE_REAL == 64
     1 / 6227020800.0,
@@ -54,14 +54,14 @@ static inline real times_exp(real scale, real z) {
   for (int i = 1; i < EXP_TERMS; i++) {
     e = series[i] + f * e;
   }
-  /* two powers of two, since 2^k alone may underflow */
+  /* 2^k as two factors, since 2^k alone may underflow */
   const real_bits both = real_to_bits(k + (2 * REAL_EXPONENT_BIAS + REAL_ROUND_MAGIC));
   const real_bits half = both >> 1;
   return scale * e * real_from_bits(half << REAL_MANTISSA_BITS) *
          real_from_bits((both - half) << REAL_MANTISSA_BITS);
 }
 
-/* A medium and where it is on the axis of albedos. */
+/* A medium, and its place on the axis of albedos. */
 struct row {
   struct lane lane;
   real s;
@@ -77,7 +77,7 @@ static inline struct row row_of(const real *shared, const real *words, real sigm
   const cells_integer by_w = row.s < REAL(0.5) ? 0 : 1;
   const cells_integer axis = CORE_SURFACE_S + by_w;
   row.place = cells_find(words, axis, cells_kept(words, axis, row.s < REAL(0.5) ? row.s : w));
-  /* a product in place of a choice, for vectors */
+  /* a product in place of a branch, so that the loop is vectorized */
   row.place.cell += by_w * cells_word(words, CORE_SURFACE_CELLS + CORE_SURFACE_S);
   real k = words[CORE_SURFACE_KAPPA + CORE_SURFACE_KAPPA_TERMS - 1];
   for (int i = CORE_SURFACE_KAPPA_TERMS - 2; i >= 0; i--) {
@@ -87,14 +87,14 @@ static inline struct row row_of(const real *shared, const real *words, real sigm
   return row;
 }
 
-/* Returns the position of a patch. */
+/* Returns the position of a function's patch among the words. */
 static inline cells_integer patch_at(const real *words, cells_integer function, cells_integer axis,
                                      cells_integer row, cells_integer column) {
   return cells_word(words, CORE_SURFACE_AT + function) +
          16 * (row * cells_word(words, CORE_SURFACE_CELLS + axis) + column);
 }
 
-/* Returns scale x R / sigma_t'^2. */
+/* Returns scale times x R / sigma_t'^2. */
 static inline real x_R(const real *words, struct row row, real true_x, real scale) {
   const real x = real_min(true_x, X_MOST);
   const real kept = cells_kept(words, CORE_SURFACE_RADIUS, x);
@@ -205,16 +205,17 @@ static inline struct gradient surface_gradient(const double *shared, const doubl
       cells_slope(words, at, place.t) +
       p * (cells_slope(words, at + 4, place.t) +
            p * (cells_slope(words, at + 8, place.t) + p * cells_slope(words, at + 12, place.t)));
-  /* Outside the axis of radii Q falls like 2 ln x, or is constant. */
+  /* Outside the axis of radii, Q falls like 2 ln x at large x and is constant at small x. */
   const double by_ln_x = x > kept ? -2 : x < kept ? 0 : by_t * place.per_unit * x;
-  const double s_sign = row.s < 0.5 ? 1 : -1; /* the axis is that of w = 1 - s beyond */
+  /* for s of at least 0.5 the axis is that of w = 1 - s */
+  const double s_sign = row.s < 0.5 ? 1 : -1;
   const double by_ln_s = by_p * row.place.per_unit * s_sign * row.s;
-  double k_slope = 0; /* d k / d s */
+  double k_slope = 0; /* derivative of k by s */
   for (int i = CORE_SURFACE_KAPPA_TERMS - 1; i >= 0; i--) {
     k_slope = (i + 1) * words[CORE_SURFACE_KAPPA + i] + row.s * k_slope;
   }
   const double kx = row.k * x;
-  const double by_kx = -kx / (1 + kx); /* of ln(1 + k x) - k x, times k x: d / d (k x) */
+  const double by_kx = -kx / (1 + kx); /* k x times the derivative of ln(1 + k x) - k x by k x */
   const double beyond = x > kept ? 2 * (real_log(kept, 0) - real_log(x, 0)) : 0;
   const double ln_st = real_log(row.lane.sigma_t, 0);
   const double through_s = by_ln_s + by_kx * k_slope * row.s * x;

@@ -11,11 +11,11 @@
 #include "core/core.h"
 #include "core/transport/functions.h"
 
-/* A matrix, row by row. The real and the imaginary parts are apart. im is NULL for a real matrix.
- * Rows are stride numbers apart, and stride is a multiple of 8. Numbers behind the last column
- * exist and have no meaning. */
+/* A matrix in row-major order. Real and imaginary parts are separate arrays; im is NULL for a real
+ * matrix. Rows are `stride` numbers apart, a multiple of 8; numbers after the last column are
+ * padding. */
 typedef struct dense {
-  const core_isa *isa; /* the instruction set that products with this result use */
+  const core_isa *isa; /* the instruction set for products whose result this is */
   size_t rows, columns, stride;
   double *re, *im;
 } dense;
@@ -23,13 +23,14 @@ typedef struct dense {
 /* Returns the number of doubles that one part of a matrix takes. */
 size_t solver_dense_size(size_t rows, size_t columns);
 
-/* Returns a matrix whose parts lie at *memory, and moves *memory behind them. The matrix is not
- * filled. *memory: 64-byte aligned, with room for solver_dense_size() numbers, or for twice as
- * many for a complex matrix. */
+/* Returns a matrix with its parts at *memory, and moves *memory past them. Its numbers are not set.
+ * *memory: aligned to 64 bytes, with room for solver_dense_size() numbers; twice as many for a
+ * complex matrix. */
 dense solver_dense_at(const core_isa *isa, double **memory, size_t rows, size_t columns,
                       bool is_complex);
 
-/* Returns one number of a matrix, and sets one; the imaginary part of a real matrix is left out. */
+/* Get and set one number of a matrix. For a real matrix the imaginary part is 0, and is ignored
+ * when setting. */
 static inline double complex solver_dense_get(const dense *of, size_t row, size_t column) {
   const size_t at = row * of->stride + column;
   return CMPLX(of->re[at], of->im == NULL ? 0 : of->im[at]);
@@ -43,12 +44,12 @@ static inline void solver_dense_put(const dense *to, size_t row, size_t column,
   }
 }
 
-/* Sets all numbers to 0; sets to = x a + y b, where `to` may be a or b. Shapes are equal. */
+/* clear: sets all numbers to 0. combine: sets to = x a + y b; all have one shape, and `to` may be a
+ * or b. */
 void solver_dense_clear(const dense *of);
 void solver_dense_combine(const dense *to, double x, const dense *a, double y, const dense *b);
 
-/* Sets to = a b. The three are all real or all complex, their shapes fit, and `to` is neither of
- * the others. */
+/* Sets to = a b. Either all are real or all complex. `to` is neither a nor b. */
 void solver_dense_multiply(const dense *to, const dense *a, const dense *b);
 
 /* Replaces b by the solution x of a x = b, by elimination with partial pivoting in blocks. The
@@ -64,7 +65,7 @@ bool solver_dense_congruence(const dense *to, const dense *a, const dense *b, co
 
 /* ---- dense_product.c, for dense.c alone ----------------------------------------------------- */
 
-/* A rectangle of the real or the imaginary part of a matrix. */
+/* A rectangle of the real part, or of the imaginary part, of a matrix. */
 typedef struct dense_part {
   double *at;
   size_t stride;
@@ -75,7 +76,7 @@ typedef struct dense_loops {
    * multiple of 8. b and `to`: 16-byte aligned. */
   void (*add_product)(dense_part to, dense_part a, dense_part b, size_t rows, size_t inner,
                       size_t columns, double sign);
-  /* Subtracts a factor times one row from another one, for real and for complex rows. */
+  /* Subtract factor times one row from another row: of real numbers, and of complex ones. */
   void (*subtract_real)(double *restrict to, const double *restrict from, double factor,
                         size_t columns);
   void (*subtract_complex)(double *restrict to_re, double *restrict to_im,

@@ -1,9 +1,9 @@
-/* The innermost loops of dense.c, compiled once for each instruction set. All have the same bits,
- * because no product is contracted with a sum, and each number's sum has the same order. */
+/* The innermost loops of dense.c, compiled for each instruction set. Results have the same bits on
+ * all: products and sums are rounded separately, and each sum has the same order. */
 #include "core/solver/dense.h"
 
-/* A tile of TILE_ROWS by TILE_LANES groups of LANES numbers stays in registers. With eight groups
- * or more, the sums do not wait for one another. */
+/* TILE_ROWS by TILE_LANES groups of LANES numbers are kept in registers. With at least eight
+ * groups, latencies of sums overlap. */
 #if defined __AVX512F__
 enum { LANES = 8, TILE_ROWS = 8, TILE_LANES = 2 };
 #elif defined __AVX__
@@ -13,7 +13,7 @@ enum { LANES = 2, TILE_ROWS = 4, TILE_LANES = 2 };
 #endif
 typedef double lanes __attribute__((vector_size(LANES * sizeof(double)), aligned(16)));
 
-/* Adds sign times a b to `to`, for TILE_ROWS rows or fewer and a few groups of columns. */
+/* Adds sign * a b to `to` for at most TILE_ROWS rows and a few groups of columns. */
 static inline __attribute__((always_inline)) void add_tile(dense_part to, dense_part a,
                                                            dense_part b, size_t rows, size_t groups,
                                                            size_t inner, double sign) {
@@ -83,7 +83,7 @@ static void subtract_complex(double *restrict to_re, double *restrict to_im,
   }
 }
 
-/* The one symbol that this object exports. */
+/* The only symbol with external linkage. */
 #define PASTE_(a, b) a##b
 #define PASTE(a, b) PASTE_(a, b)
 extern const dense_loops PASTE(solver_dense_loops_, CORE_ISA);

@@ -22,9 +22,9 @@ enum {
 
 /* A medium whose phase function has been truncated. */
 typedef struct expansion_medium {
-  double albedo;        /* of single scattering, after the truncation */
-  size_t moments;       /* number of moments, 1 to EXPANSION_MOMENTS_MAX */
-  const double *moment; /* moment[l] for l from 0, with moment[0] = 1 */
+  double albedo;        /* albedo of single scattering, after the truncation */
+  size_t moments;       /* 1 to EXPANSION_MOMENTS_MAX */
+  const double *moment; /* [moments]; moment[0] = 1 */
 } expansion_medium;
 
 /* The functions: for each hemisphere and each m from 0 to `orders`, cos(m phi) sin^m(theta) times
@@ -46,14 +46,14 @@ typedef struct expansion_recurrence {
 /* The boundaries of a medium, with cones of angles; count may be 0. */
 typedef struct expansion_boundaries {
   size_t count;
-  const double *etas; /* index inside over index outside, each 0.2 to 5 */
+  const double *etas; /* [count] index inside over index outside, each 0.2 to 5 */
   size_t cones;
   /* that of the largest angle to the normal outside that a cone has, over min(1, eta), which is
    * that of all light; each above 0, up to 1 */
   const double *sines;
   /* Cosines at which light has a kink, ascending, above 0 and below 1: the functions are then
    * piecewise, an equal part of them, and one more, on each panel between two edges. */
-  size_t edges; /* 0 to EXPANSION_PANELS_MAX - 1 */
+  size_t edges; /* 0 to EXPANSION_PANELS_MAX - 1: number of edges */
   const double *edge;
 } expansion_boundaries;
 
@@ -63,20 +63,21 @@ typedef struct expansion {
   const core_isa *isa;
   double albedo;
   size_t orders, n;
-  size_t first[EXPANSION_ORDERS_MAX + 2]; /* the first function of each order, then n */
+  /* first[m]: index of the first function of order m; then n */
+  size_t first[EXPANSION_ORDERS_MAX + 2];
   size_t panels;
-  double edge[EXPANSION_PANELS_MAX + 1]; /* the panels' ends, from 0 to 1 */
+  double edge[EXPANSION_PANELS_MAX + 1]; /* ends of the panels of mu, from 0 to 1 */
   expansion_recurrence *recurrence;      /* [order][panel] */
   double *unit;                          /* <psi psi> */
   double *even, *odd;                    /* E - a (P++ + P+-) and E - a (P++ - P+-), for k = 0 */
-  double *slant;                         /* C: what k is multiplied by in E */
-  double *source[2];                     /* b+, b-, for m = 0 alone */
+  double *slant;                         /* C: the matrix whose product with k is added to E */
+  double *source[2];                     /* b+ and b-, which exist for m = 0 only */
   /* for the orders above M: [nodes] alpha, cosines and weights, [nodes][n] the functions */
   size_t nodes;
   double *alpha, *mu, *weight, *psi;
   expansion_boundaries boundaries;
-  double *reflection[EXPANSION_ETAS_MAX]; /* F = <psi mu F psi>, with the formulas' signs */
-  double *entering;                       /* [boundary] <mu T> */
+  double *reflection[EXPANSION_ETAS_MAX]; /* F = <psi mu F psi>, with the signs of the formulas */
+  double *entering;                       /* [boundary] <mu T>: light that enters */
   /* [boundary][1 + cone] <mu T psi>, m = 0, over all angles, then over those of a cone */
   double *exit[EXPANSION_ETAS_MAX][1 + EXPANSION_CONES_MAX];
 } expansion;
@@ -90,8 +91,8 @@ expansion *solver_expansion_new(const core_isa *isa, const expansion_rules *rule
                                 const expansion_boundaries *boundaries);
 void solver_expansion_free(expansion *of);
 
-/* Sets values[] to the functions of order m at the cosine mu, first[m + 1] - first[m] of them. sine:
- * sqrt(1 - mu^2). */
+/* Sets values[first[m + 1] - first[m]] to the functions of order m at the cosine mu. sine: sqrt(1 -
+ * mu^2). */
 void solver_expansion_at(const expansion *of, size_t m, double mu, double sine, double *values);
 
 /* Adds factor times the product of a column and a row to a block of a matrix, whose rows are `stride`

@@ -10,11 +10,11 @@
 
 /* The exitance at one wavenumber, per power that has entered, for one boundary. */
 typedef struct layer_exitance {
-  double complex single; /* of light of all angles that was scattered once */
-  /* all that leaves, then what leaves within each cone, each less what was scattered once */
+  double complex single; /* light of all angles that was scattered once */
+  /* [0]: all light that leaves; [1 + i]: light within cone i; both without light scattered once */
   double complex part[1 + EXPANSION_CONES_MAX];
   double complex
-      diffuse; /* all, if diffuse light (of the same radiance from all directions) enters */
+      diffuse; /* like part[0] for diffuse incident light: the same radiance from all directions */
 } layer_exitance;
 
 /* Sets exitance[i] for boundary i of a half space. k: Re k >= 0, Im k >= 0, in reciprocal scaled
@@ -29,7 +29,7 @@ bool solver_layer_halfspace(const expansion *of, double complex k, double kappa,
  * faces are alike. */
 typedef struct layer_operators {
   dense reflected;
-  dense transmitted; /* without meaning for a half space */
+  dense transmitted; /* not set for a half space */
   /* Of light that is scattered at most once: what passes, with what a beam scatters on; and what a
    * beam scatters back, a column. */
   dense passed_once;

@@ -24,8 +24,8 @@
 
 enum { ALIGNMENT_BYTES = 64, SIDES = 2 };
 
-/* Where the index changes below a layer. The matrices have the beam's row and column; with equal
- * indices `same` is true, and they are not used. */
+/* A step: the boundary below a layer, where the index may change. Matrices have the beam's row and
+ * column. `same`: the indices are equal, and the matrices are not used. */
 struct step {
   bool same;
   dense above, below; /* R1, R2 */
@@ -38,15 +38,16 @@ struct stack {
   const stack_layer *layers;
   expansion *expanded[SOLVER_LAYERS_MAX];
   struct step step[SOLVER_LAYERS_MAX];
-  dense outer[SIDES]; /* reflectance within the first and the last layer's boundary */
+  /* reflectance matrix of the first layer's upper boundary, and of the last layer's lower one */
+  dense outer[SIDES];
   double *exit[SIDES];
-  double *flux[SOLVER_LAYERS_MAX]; /* <mu psi>, m = 0 */
+  double *flux[SOLVER_LAYERS_MAX]; /* <mu psi> for m = 0 */
   double *memory;
 };
 
 /* ---- indices ------------------------------------------------------------------------------------ */
 
-/* Edges closer than this are one. */
+/* Edges that are closer together are united. */
 #define EDGES_APART 0.04
 
 static int compare_numbers(const void *a, const void *b) {
@@ -79,8 +80,8 @@ static size_t find_edges(const stack_layer *layers, size_t count, double below, 
 
 enum { STEP_NODES = 40 };
 
-/* Adds to end[] the cosines in a medium of index `rare` at which the functions of `of`, in a medium of
- * index n, have an edge. */
+/* Adds to end[] the cosines, in a medium of index `rare`, of the edges of the functions `of`, which
+ * are in a medium of index n. */
 static size_t add_ends(const expansion *of, double n, double rare, double *end) {
   size_t count = 0;
   for (size_t i = 1; i < of->panels; i++) {
@@ -108,7 +109,7 @@ static void integrate_step(struct step *to, const expansion *one, const expansio
   transport_gauss(&rule, STEP_NODES);
   for (size_t piece = 0; piece + 1 < ends; piece++) {
     for (size_t node = 0; node < rule.n; node++) {
-      /* the first piece begins at grazing light */
+      /* the first piece begins at the grazing angle */
       const double v = rule.x[node], length = end[piece + 1] - end[piece];
       const double mu = end[piece] + length * (piece == 0 ? v * v * v : v);
       const double weight = length * rule.weight[node] * (piece == 0 ? 3 * v * v : 1);
@@ -183,7 +184,7 @@ static bool expand(stack *to, const expansion_rules *rules, double below) {
   return true;
 }
 
-/* Copies the reflectance and what leaves at the boundary of one side. */
+/* Copies the reflectance, and the functionals of light that leaves, at the boundary of one side. */
 static void note_boundary(stack *to, size_t side, const expansion *of, size_t boundary,
                           double eta) {
   const size_t n = of->n;
@@ -268,13 +269,13 @@ void solver_stack_free(stack *of) {
 
 /* ---- one wavenumber ------------------------------------------------------------------------------ */
 
-/* What a layer does, and all that is below it. */
+/* The matrices of a layer and of everything below it. */
 struct tower {
   layer_operators own;
-  dense whole;   /* rho, as seen from the layer's head */
-  dense below;   /* rb; without meaning for a half space */
+  dense whole;   /* rho, seen from the layer's upper face */
+  dense below;   /* rb; not set for a half space */
   dense through; /* M */
-  dense next;    /* Q: from the foot to the next layer's head */
+  dense next;    /* Q: from the layer's lower face to the next layer's upper face */
 };
 
 /* Columns: light at a head or a foot. */
@@ -291,8 +292,8 @@ struct work {
   const stack *of;
   bool is_complex;
   struct tower tower[SOLVER_LAYERS_MAX];
-  dense spare[2];        /* for the largest layer */
-  dense column[COLUMNS]; /* for the largest layer */
+  dense spare[2];        /* sized for the largest layer */
+  dense column[COLUMNS]; /* sized for the largest layer */
   struct once once[SOLVER_LAYERS_MAX];
 };
 
@@ -302,7 +303,7 @@ static dense view_of(const struct work *by, dense of) {
   return of;
 }
 
-/* The first rows and columns of a spare matrix. */
+/* Returns a view of the first rows and columns of a spare matrix. */
 static dense shaped(dense of, size_t rows, size_t columns) {
   of.rows = rows;
   of.columns = columns;
@@ -318,7 +319,7 @@ static void add_matrix(const dense *to, const dense *from) {
   solver_dense_combine(to, 1, to, 1, from);
 }
 
-/* Sets to = (1 - a b)^-1 right. to and right have one shape, and neither is spare[0]. */
+/* Sets to = (1 - a b)^-1 right. `to` and `right` have one shape; neither may be spare[0]. */
 static bool resolve(const struct work *by, const dense *to, const dense *a, const dense *b,
                     const dense *right) {
   const dense left = shaped(by->spare[0], a->rows, a->rows);
@@ -331,7 +332,7 @@ static bool resolve(const struct work *by, const dense *to, const dense *a, cons
   return solver_dense_solve(&left, to);
 }
 
-/* Sets rho and M of layer i, whose rb is known. */
+/* Sets rho and M of layer i from its rb. */
 static bool climb_layer(const struct work *by, size_t i) {
   const struct tower *here = &by->tower[i];
   const size_t n = here->own.reflected.rows;
@@ -530,7 +531,7 @@ static void scatter_once(const struct work *by, stack_exitance *exitance) {
 
 /* ---- all ------------------------------------------------------------------------------------------- */
 
-/* Returns how many numbers lay_out() needs. */
+/* Returns how many numbers lay_out() needs for one wavenumber. */
 static size_t numbers_for(const stack *of) {
   enum { SQUARES = 7, COLUMNS_OF_LAYER = 7, SPARES = 2 };
   size_t most = 0, numbers = 0;
@@ -542,7 +543,7 @@ static size_t numbers_for(const stack *of) {
   return numbers + (COLUMNS_OF_LAYER * of->count + COLUMNS) * numbers_of(most, 1);
 }
 
-/* Lays the matrices out from `at` on. */
+/* Places the matrices in memory from `at` on. */
 static void lay_out(struct work *to, const stack *of, double *at) {
   size_t most = 0;
   for (size_t i = 0; i < of->count; i++) {

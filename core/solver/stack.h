@@ -13,11 +13,11 @@ enum { STACK_REFLECTIONS = 1 };
 /* One layer after its phase function has been truncated. */
 typedef struct stack_layer {
   expansion_medium medium;
-  double extinction; /* scaled, of the beam and of scattered light */
-  double sigma_s, g; /* of all light, with the true phase function */
-  double thickness;  /* infinite for a half space, which is the last layer */
-  double index;      /* over that above the stack */
-  double kappa;      /* of a half space: the decay rate of diffuse light */
+  double extinction; /* scaled extinction coefficient, of the beam and of scattered light */
+  double sigma_s, g; /* of the true phase function, without truncation */
+  double thickness;  /* infinite for a half space, which is then the last layer */
+  double index;      /* refractive index over that above the stack */
+  double kappa;      /* for a half space: decay rate of diffuse light */
 } stack_layer;
 
 typedef struct stack stack;
@@ -34,7 +34,8 @@ typedef struct stack_exitance {
   /* Above and below. all: light that was scattered; once: that part of it that was scattered once,
    * and reflected inside at most STACK_REFLECTIONS times; beam: light that was not scattered. */
   double complex all[2], once[2], beam[2];
-  double complex net[SOLVER_LAYERS_MAX][2]; /* the flux downwards at each layer's head and foot */
+  /* net downward flux at the upper and the lower face of each layer */
+  double complex net[SOLVER_LAYERS_MAX][2];
 } stack_exitance;
 
 /* Sets *exitance at one wavenumber k, which is not 0 if the last layer is a half space without

@@ -22,11 +22,12 @@ static double index_of(const ways *of, ptrdiff_t layer) {
 
 /* ---- which there are ------------------------------------------------------------------------------ */
 
-/* Follows light that meets the boundary above or below a layer. */
+/* Follows light upwards or downwards from a boundary of a layer, and records each way by which it
+ * leaves. */
 static void follow(ways *to, ways_path at, size_t layer, bool upwards) {
   const size_t boundary = layer + !upwards;
   if (isinf(to->layer[layer].thickness) && !upwards) {
-    return; /* it never meets one */
+    return; /* it meets no further boundary */
   }
   const ptrdiff_t next = (ptrdiff_t)layer + (upwards ? -1 : 1);
   ways_path passed = at;
@@ -102,9 +103,10 @@ void solver_ways_find(ways *to, const stack_layer *layer, size_t layers, double 
 
 /* ---- values ----------------------------------------------------------------------------------------- */
 
-/* Directions of one ray in all layers. */
+/* A ray's directions in all layers, by Snell's law. */
 struct ray {
-  double mu[SOLVER_LAYERS_MAX + 2]; /* above, in each layer, below; 0 where it does not exist */
+  /* cosines: above the stack, in each layer, below; 0 where total reflection leaves no ray */
+  double mu[SOLVER_LAYERS_MAX + 2];
 };
 
 static struct ray ray_at(const ways *of, size_t layer, double x) {
@@ -118,8 +120,8 @@ static struct ray ray_at(const ways *of, size_t layer, double x) {
   return ray;
 }
 
-/* Returns how far a way leads along the surface, its own part of a layer aside; infinite where light
- * does not get through. */
+/* Returns the lateral distance of a way, except in its own part of its layer. Infinite if light is
+ * totally reflected. */
 static double length_of(const ways *of, const ways_path *way, double x) {
   const struct ray ray = ray_at(of, way->layer, x);
   double sum = 0;
@@ -136,7 +138,7 @@ static double length_of(const ways *of, const ways_path *way, double x) {
 
 #define X_MOST 1e9
 
-/* Returns the x, up to X_MOST, at which length_of() + x own is r. */
+/* Solves length_of() + x own = r for x, up to X_MOST. */
 static double find_x(const ways *of, const ways_path *way, double own, double r) {
   double low = 0, high = X_MOST;
   if (length_of(of, way, high) + own * high <= r) {
@@ -155,7 +157,7 @@ static double find_x(const ways *of, const ways_path *way, double own, double r)
   return low;
 }
 
-/* Returns the integrand over u. */
+/* Returns the integrand of R1 at u. */
 static double light_at(const ways *of, const ways_path *way, double u, double r) {
   const double e = fn_exp(u), x = 0.5 * (e - 1 / e);
   const stack_layer *own = &of->layer[way->layer];
@@ -208,7 +210,7 @@ static double integrate(const ways *of, const ways_path *way, const gauss_rule *
   const double to = fmin(fn_log(last + sqrt(1 + last * last)), from + U_MOST);
   double sum = 0, begin = from, width = PANEL_FIRST * (1 - fabs(own->g));
   while (begin < to) {
-    /* the last panel ends at a root */
+    /* the last panel ends at a root of the integrand */
     const bool ends = begin + 1.5 * width >= to;
     const double end = ends ? to : begin + width;
     for (size_t i = 0; i < rule->n; i++) {

@@ -12,12 +12,12 @@ enum { WAYS_MAX = 512 };
 /* A way of light after its scattering in a layer until it leaves. */
 typedef struct ways_path {
   size_t layer;
-  bool upwards;         /* how it leaves the place of its scattering */
-  size_t side;          /* where it leaves: 0 above, 1 below */
-  unsigned reflections; /* how often it was reflected */
-  unsigned char
-      full[SOLVER_LAYERS_MAX]; /* how often it crosses a layer after its own part of one */
-  unsigned char through[SOLVER_LAYERS_MAX + 1], back[SOLVER_LAYERS_MAX + 1]; /* at each boundary */
+  bool upwards;                          /* whether light goes upwards after its scattering */
+  size_t side;                           /* side where it leaves: 0 above, 1 below */
+  unsigned reflections;                  /* number of reflections */
+  unsigned char full[SOLVER_LAYERS_MAX]; /* how often it crosses each layer completely */
+  /* how often it passes, and is reflected by, each boundary */
+  unsigned char through[SOLVER_LAYERS_MAX + 1], back[SOLVER_LAYERS_MAX + 1];
 } ways_path;
 
 typedef struct ways {
@@ -36,8 +36,8 @@ typedef struct ways {
 void solver_ways_find(ways *to, const stack_layer *layer, size_t layers, double below,
                       unsigned reflections);
 
-/* Returns what leaves at the side after one scattering at the radius r, above 0, per square of the unit
- * and per power that has entered. */
+/* Returns R (side 0) or T (side 1) of light scattered once, at the radius r > 0, per squared unit
+ * of length and per power that entered. */
 double solver_ways_at(const ways *of, size_t side, double r);
 
 #endif

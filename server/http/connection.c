@@ -22,7 +22,7 @@ enum {
   BRACKET_BYTES = 16,  /* of a body's limit, for each array or object that the body may have */
 };
 
-/* What a path requests. */
+/* What a path serves. */
 struct route {
   const char *path;
   enum route_kind { PAGE, HEALTH, READINESS, DOCUMENT, LISTS, MEDIA, MESSAGE } kind;
@@ -31,11 +31,11 @@ struct route {
 
 enum state {
   AWAITS,   /* a request has still to arrive, or to arrive completely */
-  RECEIVES, /* its header has arrived */
+  RECEIVES, /* the header has arrived */
   RUNS,     /* its job runs, and the library leaves the connection alone */
-  READY,    /* the reply is in the output */
+  READY,    /* the reply is complete in the output */
   GIVEN_UP, /* the job was given up, and the connection is to be closed */
-  REPLIED,  /* the library has the reply */
+  REPLIED,  /* libmicrohttpd has the reply */
 };
 
 struct http_connection {
@@ -45,22 +45,22 @@ struct http_connection {
   int fd;
 
   enum state state;
-  uint64_t since_ms; /* when the connection began to wait for a request */
+  uint64_t since_ms; /* when it began to wait for a request */
   bool has_body;     /* whether the request is a POST */
   bool unclear;      /* whether it is unclear where the request ends, so that it is the last one */
   unsigned refused;  /* the status of HTTP by which the header or the body is refused; 0: none */
   wire_error refusal;
   struct route route;
   struct http_text query;   /* of the URI, with a zero byte behind it; empty if there is none */
-  struct http_text body;    /* of the request, as far as it has arrived */
-  struct http_text payload; /* of the message that asks the same */
-  struct http_text reply;   /* the payload of its reply */
+  struct http_text body;    /* body of the request, as far as it has arrived */
+  struct http_text payload; /* payload of the same request in the binary protocol */
+  struct http_text reply;   /* payload of its reply */
   bool g_is_default;        /* whether the request left g out */
-  struct http_text text;    /* which the library sends from where it is */
+  struct http_text text;    /* the body of the reply, which libmicrohttpd sends from here */
 
   struct run run;
-  uint64_t arrived_ns;   /* when its request had arrived */
-  struct points *points; /* the set that it sends; NULL: none */
+  uint64_t arrived_ns;   /* when the request had arrived */
+  struct points *points; /* the set that this connection sends; NULL: none */
   wire_error error;      /* by which the job was refused; OK: the reply is complete */
 };
 
@@ -266,7 +266,7 @@ static enum MHD_Result send_page(struct http_connection *c) {
 static enum MHD_Result send_error(struct http_connection *c, const wire_error *error,
                                   unsigned status) {
   health_note_refusal(c->host->server, error);
-  http_text_free(&c->text); /* what was written so far */
+  http_text_free(&c->text); /* discards what was written before the error */
   const unsigned usual = http_reply_write_error(error, &c->text);
   return send_text(c, status != 0 ? status : usual, error->retry_after_ms);
 }
@@ -306,7 +306,7 @@ static enum MHD_Result send_reply(struct http_connection *c) {
   if (!refused) {
     write_reply(c);
     c->error = wire_error_busy("max_total_bytes", "less data at a time: the buffers are full",
-                               1000); /* if that failed */
+                               1000); /* if writing the reply failed */
   }
   free_payloads(c);
   return refused || c->text.failed ? send_error(c, &c->error, 0) : send_text(c, MHD_HTTP_OK, 0);
@@ -655,7 +655,7 @@ enum MHD_Result http_connection_take(void *context, struct MHD_Connection *conne
 /* ---- the client of the worker ---------------------------------------------------------------- */
 
 static void start_client(struct client *client) {
-  (void)client; /* There is nothing to do: the library reads. */
+  (void)client; /* nothing to do: libmicrohttpd reads */
 }
 
 static void run_turn(struct client *client) {
@@ -697,7 +697,7 @@ static void check_time(struct client *client, uint64_t at_ms) {
   if (c->state == RUNS && is_abandoned(c)) {
     give_up(c);
   }
-  if (c->state == REPLIED) { /* A slow reader has no use for them. */
+  if (c->state == REPLIED) { /* Releases them: a slow reader does not need them. */
     http_text_free(&c->payload);
     http_text_free(&c->reply);
   }

@@ -19,10 +19,10 @@ enum { HTTP_CONNECTION_BYTES = 32768 };
 struct http_host {
   struct server *server;
   struct worker *worker;
-  struct budget buffers; /* half of the server's */
+  struct budget buffers; /* half of the server's budget */
   uint64_t connection_count;
   bool stopping;          /* whether the daemon stops */
-  struct client *service; /* whose turns let the library go on */
+  struct client *service; /* client in whose turns libmicrohttpd works */
 };
 
 /* The functions that the library calls; `context` is the struct http_host. */

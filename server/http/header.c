@@ -82,7 +82,7 @@ static enum whose whose_host(const struct options *options, const char *host) {
     return inet_pton(AF_INET6, name, address) == 1 ? OURS : MALFORMED;
   }
   if (length > 0 && name[length - 1] == '.') {
-    name[length - 1] = '\0'; /* the root of all names */
+    name[length - 1] = '\0'; /* removes the dot that ends an absolute name */
   }
   bool ours = strcasecmp(name, "localhost") == 0 || inet_pton(AF_INET, name, address) == 1;
   for (size_t i = 0; i < options->http_name.count; i++) {

@@ -13,7 +13,7 @@ enum { REFUSALS_AT_ONCE = 64 };
 
 /* One address: the library has one listening socket for each of its daemons. */
 struct port {
-  uv_poll_t poll; /* on the library's epoll descriptor */
+  uv_poll_t poll; /* polls libmicrohttpd's epoll descriptor */
   struct MHD_Daemon *daemon;
 };
 
@@ -125,7 +125,7 @@ static struct MHD_Daemon *start_daemon(struct http_host *host, int fd) {
 static bool open_port(struct http_service *service, struct port *port, int fd) {
   char bound[TCP_TEXT_BYTES];
   tcp_bound(fd, bound);
-  port->daemon = start_daemon(&service->host, fd); /* which owns the socket from here on */
+  port->daemon = start_daemon(&service->host, fd); /* start_daemon() owns the socket from here on */
   if (port->daemon == NULL) {
     fprintf(stderr, "dipoled: --http %s: the HTTP server does not start\n", bound);
     close(fd);

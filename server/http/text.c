@@ -190,7 +190,7 @@ void http_text_field(struct http_text *text, const schema_field *field, double v
   }
 }
 
-/* Room for this many numbers is made at a time. */
+/* Number of values for which room is made at a time. */
 enum { NUMBERS_AT_ONCE = 256 };
 
 void http_text_numbers(struct http_text *text, const char *key, const void *values, uint64_t count,

@@ -19,7 +19,7 @@ void http_text_init(struct http_text *text, struct budget *budget);
 /* Empties the text. Keeps its memory for the next one if that is not much. */
 void http_text_reset(struct http_text *text);
 
-/* Frees the memory behind the text, if that is much. */
+/* Frees unused memory, if it is much. */
 void http_text_trim(struct http_text *text);
 
 /* Frees the bytes and returns their memory to the budget. */
@@ -42,7 +42,7 @@ void http_text_string(struct http_text *text, const char *key, const char *strin
 void http_text_number(struct http_text *text, const char *key, double value);
 void http_text_field(struct http_text *text, const schema_field *field, double value);
 void http_text_numbers(struct http_text *text, const char *key, const void *values, uint64_t count,
-                       bool single); /* values: float if `single`, else double */
+                       bool single); /* values are float if `single`, else double */
 void http_text_count(struct http_text *text, const char *key, uint64_t value);
 void http_text_bool(struct http_text *text, const char *key, bool value);
 

@@ -9,7 +9,7 @@
 #include "core/core.h"
 #include "proto/wire.h"
 
-enum { HTTP_QUERY_NAMES = 64 }; /* the most names in a query */
+enum { HTTP_QUERY_NAMES = 64 }; /* most names in a query */
 
 /* Either a value of JSON, or one text or more of a query, each of which ends with a zero byte.
  * Neither if it was not given. */
@@ -20,9 +20,9 @@ struct http_value {
 };
 
 struct http_values {
-  const json_t *object; /* NULL for a query */
+  const json_t *object; /* NULL: the value is a query */
   uint64_t initials; /* of the names in the query: bit i is set if the first byte modulo 64 is i */
-  size_t name_count; /* in the query */
+  size_t name_count; /* number of names in the query */
   struct {
     const char *name;
     struct http_value value;

@@ -18,8 +18,8 @@ struct mc {
   struct job job;
   struct news *news;
   struct mc_job *walk;
-  uint64_t progress_count; /* number of progress replies so far */
-  bool complete;           /* the next part is the table, and not: */
+  uint64_t progress_count; /* number of progress replies sent */
+  bool complete;           /* whether the next part is the table and not a report of progress */
   wire_mc_reply progress;
 };
 

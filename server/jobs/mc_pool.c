@@ -14,15 +14,15 @@ enum {
   THREADS_MAX = 64,       /* the limit of --mc-threads in options.def */
   LOW_PRIORITY = 10,      /* nice value, which gives a tenth of the share of a worker on its core */
   BATCHES_PER_THREAD = 2, /* per job: one batch can be walked while another waits to be merged */
-  RETRY_AFTER_MS = 1000,  /* of BUSY; jobs take seconds */
+  RETRY_AFTER_MS = 1000,  /* retry_after_ms of BUSY: jobs take seconds */
 };
 
-/* One batch of a job. */
+/* State of one batch of a job. */
 enum batch_state {
   BATCH_FREE,
-  BATCH_BEGUN, /* it is partly walked and waits for a thread */
+  BATCH_BEGUN, /* partly walked, waits for a thread */
   BATCH_HELD,  /* a thread is walking it */
-  BATCH_DONE,  /* it is walked and waits to be merged */
+  BATCH_DONE,  /* walked, waits to be merged */
 };
 
 struct batch {
@@ -33,19 +33,19 @@ struct batch {
 
 struct mc_job {
   struct mc_pool *pool;
-  TAILQ_ENTRY(mc_job) in_pool; /* the first job of the list has the next turn */
+  TAILQ_ENTRY(mc_job) in_pool; /* the first job in the list has the next turn */
   uv_async_t *wake;            /* NULL after mc_job_drop() */
   struct mc_task task;
   uint64_t bytes; /* the job's memory, as counted in the server's budget */
 
   uint64_t next_start; /* index of the next batch to begin */
   uint64_t next_merge; /* index of the next batch to merge */
-  unsigned turns;      /* how many threads work on the job now */
+  unsigned turns;      /* number of threads that work on the job */
   bool totalling;      /* a thread opens the job, merges a batch, or writes the table */
   bool open;           /* the job's memory has been allocated */
   bool failed;         /* the job's memory could not be allocated */
   enum mc_state state; /* why the job has ended; MC_UNDER_WAY if it has not */
-  bool complete;       /* the table is written */
+  bool complete;       /* whether the table is complete */
 
   wire_mc_reply progress; /* copy of task.progress */
   bool progress_new;
@@ -287,7 +287,7 @@ static struct mc_job *end_turn(struct mc_pool *pool, struct turn *turn) {
     wake(job);
   }
   if (turn->kind != TURN_WALK || turn->done) {
-    uv_cond_broadcast(&pool->changed); /* there may be work for other threads now */
+    uv_cond_broadcast(&pool->changed); /* wakes other threads, for which there may be work */
   }
   return take_if_unused(job);
 }

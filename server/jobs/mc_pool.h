@@ -37,7 +37,7 @@ void mc_job_drop(struct mc_job *job);
 
 enum mc_news {
   MC_NOTHING_NEW,
-  MC_PROGRESS,  /* *progress is set */
+  MC_PROGRESS,  /* *progress has been set */
   MC_TABLE,     /* the table is complete; mc_job_table() returns it */
   MC_NO_MEMORY, /* the job has ended because there was no memory for it */
 };

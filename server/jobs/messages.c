@@ -5,7 +5,7 @@
 #include "server/jobs/job.h"
 #include "server/observe/report.h"
 
-/* Accepts a request whose reply has part_bytes. */
+/* Accepts a request whose reply is one part of part_bytes. */
 static enum job_outcome reply_with(struct job *job, size_t part_bytes) {
   job->part_bytes = part_bytes;
   return JOB_NEXT_PART;

@@ -10,7 +10,7 @@
  * socket. */
 #define DETACHED_BYTES ((uint64_t)4 << 20)
 
-/* A request that has left the input. */
+/* A detached request: it has left the input and runs beside others. */
 struct detached {
   TAILQ_ENTRY(detached) in_requests;
   const struct job_type *type;
@@ -19,7 +19,7 @@ struct detached {
   struct input_block block; /* the frame */
   struct run run;
   bool waits;   /* for its start, as another one of its kind is under way */
-  bool refused; /* after the run: whether it ended with this */
+  bool refused; /* set after the run: whether it was refused */
   wire_error refusal;
 };
 
@@ -229,7 +229,7 @@ static void begin_detached(struct requests *r, struct detached *one) {
 
 static bool expire_detached(struct requests *r, struct detached *one) {
   if (one->waits && run_is_late(&one->run, r->context)) {
-    begin_detached(r, one); /* which refuses it */
+    begin_detached(r, one); /* begin_detached() refuses it */
     return true;
   }
   return run_expire(&one->run);
@@ -386,7 +386,7 @@ static void start_detached(struct requests *r, const struct job_type *type) {
   } else {
     TAILQ_INSERT_HEAD(&r->detached, one, in_requests);
     begin_detached(r, one);
-    one->run.deadline_ms = 0; /* which limits the start */
+    one->run.deadline_ms = 0; /* the deadline limits only the start of the job */
   }
 }
 
@@ -438,7 +438,7 @@ static bool take_frame(struct requests *r) {
  * or for the reader, who does not keep up with its parts. */
 static bool step_run(struct requests *r, uint64_t *budget) {
   if (r->run.state == RUN_HAS_PART) {
-    write_detached(r); /* so that they need not wait for the last part */
+    write_detached(r); /* detached replies need not wait for the last part */
     if (output_is_full(r->output)) {
       job_rest(r->run.job);
       return run_expire(&r->run);
@@ -456,7 +456,7 @@ bool requests_step(struct requests *r, uint64_t *budget) {
   if (r->run.state != RUN_IDLE) {
     more = step_run(r, budget);
   } else if (!r->ended) {
-    write_detached(r); /* before the next frame may have a part open */
+    write_detached(r); /* the next frame may begin a part */
     if (!output_is_full(r->output)) {
       *budget -= *budget < JOB_STEP_RADII ? *budget : JOB_STEP_RADII;
       more = take_frame(r);

@@ -17,7 +17,7 @@ struct detached;
 /* The requests of one connection. The owner sets all members to 0 and calls requests_init(). Before
  * the first step, it sets `context` and `profiles`. */
 struct requests {
-  struct job_context *context;  /* of the worker */
+  struct job_context *context;  /* context of the worker */
   struct cache_owner *profiles; /* the client, whose turns are used to prepare slow profiles */
   struct input *input;
   struct output *output;
@@ -26,17 +26,17 @@ struct requests {
   /* Is called when requests_end() ends the connection with an error. */
   void (*tell_end)(void *owner, const wire_error *error);
 
-  unsigned roles; /* of the client (server/net/roles.h) */
+  unsigned roles; /* roles of the client (server/net/roles.h) */
 
   struct run run; /* the request that is answered in its turn, which is the first in the input */
-  wire_header header;              /* of this request */
-  uint64_t arrived_ns;             /* when it had arrived */
-  TAILQ_HEAD(, detached) detached; /* the first one that continues has the next slice */
+  wire_header header;              /* header of the request that is being served */
+  uint64_t arrived_ns;             /* when that request had arrived */
+  TAILQ_HEAD(, detached) detached; /* in the order of their turns */
   unsigned detached_count;
-  uint64_t detached_bytes; /* of their payloads */
+  uint64_t detached_bytes; /* bytes of their payloads */
   bool blocked;            /* whether the next frame waits until a detached request ends */
   struct points *points;   /* the set of points that the client is sending; NULL if there is none */
-  bool ended;              /* whether no more frames are taken */
+  bool ended;              /* whether frames are no longer accepted */
   bool no_room;   /* whether not even an error fitted into the output: abort the connection */
   uint64_t taken; /* number of frames taken so far */
 };
@@ -55,7 +55,7 @@ static inline bool requests_hold_input(const struct requests *requests) {
   return requests->run.state != RUN_IDLE || requests->blocked;
 }
 
-/* Gives up all jobs at once, without answers. */
+/* Drops all jobs at once, without replies. */
 void requests_drop(struct requests *requests);
 
 /* Gives up the set of points that the client is sending, if it takes too long. */

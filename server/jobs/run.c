@@ -74,7 +74,7 @@ static void begin_part(struct run *run) {
     run->state = RUN_HAS_PART;
     return;
   }
-  if (payload == NULL) { /* the reply ends with the parts that are complete */
+  if (payload == NULL) { /* the reply ends after the complete parts */
     finish_run(run, &error);
     return;
   }

@@ -14,10 +14,11 @@ struct run_sink {
   /* Returns room for job->part_bytes at a multiple of 8, which stays valid until the part is complete
    * and the batch has been evaluated. Returns NULL and sets *error if there is none. */
   uint8_t *(*reserve)(void *owner, const struct job *job, wire_error *error);
-  void (*commit)(void *owner, bool last);                  /* the part is complete; or NULL */
-  void (*cancel)(void *owner);                             /* the part is given up; or NULL */
-  void (*wake)(void *owner);                               /* a job that waited can go on */
-  void (*end)(struct run *run, const wire_error *refusal); /* NULL: all is answered */
+  void (*commit)(void *owner, bool last); /* called when a part is complete; or NULL */
+  void (*cancel)(void *owner);            /* called when a part is given up; or NULL */
+  void (*wake)(void *owner);              /* called when a job that waited can continue */
+  /* called at the end; refusal NULL: the reply is complete */
+  void (*end)(struct run *run, const wire_error *refusal);
   bool waits_for_room; /* whether a part without room is begun later; else the job is refused */
 };
 
@@ -33,9 +34,9 @@ struct run {
   void *owner;
   enum run_state state;
   bool part_open;             /* whether a part has been reserved and is not complete */
-  uint64_t deadline_ms;       /* on the loop's clock; 0: there is none */
-  enum latency_class latency; /* after the end */
-  struct job *job;            /* in the slot */
+  uint64_t deadline_ms;       /* on the loop's clock, in ms; 0: none */
+  enum latency_class latency; /* class in the statistics of latency; set at the end */
+  struct job *job;            /* the job in the slot; NULL: none */
   struct job_slot slot;
 };
 

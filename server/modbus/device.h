@@ -19,12 +19,12 @@ struct modbus_device {
   int baud;
   char parity; /* 'N', 'E' or 'O' */
   int stop_bits;
-  unsigned number; /* number of the unit that the line serves */
+  unsigned number; /* number of the unit on this line */
   enum modbus_rts rts;
   /* Delay between RTS and the first character, and between the last character and RTS. */
   unsigned rts_delay_ms;
 
-  modbus_t *context; /* of libmodbus; NULL while the device is not open */
+  modbus_t *context; /* context of libmodbus; NULL while the device is closed */
   bool rts_by_hand;  /* whether the caller has to set RTS */
 };
 

@@ -350,7 +350,7 @@ static struct output_chunk *new_chunk(struct output *output, size_t bytes) {
   if (output->first == NULL && capacity == CHUNK_BYTES) {
     budget_take_base(output->budget, capacity);
   } else if (!budget_take(output->budget, capacity)) {
-    free_spares(output, output->spare_count); /* which may use up the budget */
+    free_spares(output, output->spare_count); /* the spares may use up the budget */
     if (!budget_take(output->budget, capacity)) {
       return NULL;
     }

@@ -32,13 +32,13 @@ struct input {
   uint8_t *bytes;
   size_t capacity;
   size_t begin;         /* where the first frame begins that has not been dealt with */
-  size_t end;           /* where the bytes that have arrived end */
+  size_t end;           /* end of the bytes that have arrived */
   bool large;           /* whether it has needed more than its first size since input_trim() */
   uint64_t large_ms;    /* when input_trim() last found `large` set */
   uint64_t skip_bytes;  /* bytes of a refused payload that have still to arrive */
-  uint64_t skip_id;     /* request id of that payload */
+  uint64_t skip_id;     /* request id of the refused payload */
   uint64_t total_bytes; /* number of bytes that have arrived so far */
-  struct input_mark marks[INPUT_MARKS]; /* when the bytes in the buffer arrived, in order */
+  struct input_mark marks[INPUT_MARKS]; /* arrival times of the bytes in the buffer, in order */
   unsigned mark_count;
 };
 

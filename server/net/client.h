@@ -34,14 +34,15 @@ struct worker;
 /* The functions of clients of one kind. The worker calls them on its own thread only. A member may
  * be NULL where its comment says so. */
 struct client_kind {
-  void (*start)(struct client *client);                 /* once, after worker_give() */
+  void (*start)(struct client *client);                 /* called once after worker_give() */
   void (*run)(struct client *client);                   /* one turn of bounded length */
   void (*finish)(struct client *client);                /* see 3 and 4 above; or NULL */
-  void (*tick)(struct client *client, uint64_t now_ms); /* several times a second; or NULL */
-  void (*deadline)(struct client *client);              /* at worker_wake_at()'s time; or NULL */
-  void (*stop)(struct client *client);                  /* once, when the daemon stops */
-  void (*abort)(struct client *client);                 /* once, after the drain timeout */
-  bool (*busy)(const struct client *client);            /* whether abort() loses answers; or NULL */
+  void (*tick)(struct client *client, uint64_t now_ms); /* called several times a second; or NULL */
+  void (*deadline)(struct client *client); /* called at the time of worker_wake_at(); or NULL */
+  void (*stop)(struct client *client);     /* called once when the daemon stops */
+  void (*abort)(struct client *client);    /* called once after the drain timeout */
+  /* returns whether abort() would lose replies; or NULL */
+  bool (*busy)(const struct client *client);
   /* The listener gives a new connection to the worker with the fewest clients that count. */
   bool counts;
 };
@@ -50,9 +51,9 @@ TAILQ_HEAD(client_queue, client);
 
 struct client {
   const struct client_kind *kind;
-  struct worker *worker;         /* set before start() */
+  struct worker *worker;         /* set before start() is called */
   STAILQ_ENTRY(client) in_inbox; /* before start() */
-  struct cache_owner profiles;   /* its slow profiles that wait to be prepared */
+  struct cache_owner profiles;   /* its profiles that wait for slow preparation */
   LIST_ENTRY(client) in_clients;
   struct client_queue *run_queue; /* that the client waits in for a turn; NULL: in none */
   TAILQ_ENTRY(client) in_run_queue;

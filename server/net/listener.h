@@ -14,7 +14,7 @@ struct listener {
   uint64_t pause_logged_ms; /* when a pause was last logged; 0 if never */
   int fd;
   char *unix_path;   /* the socket file to remove in the end; NULL for TCP and adopted sockets */
-  dev_t unix_device; /* of the socket file */
+  dev_t unix_device; /* identity of the socket file */
   ino_t unix_inode;
 };
 

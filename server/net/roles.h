@@ -19,17 +19,17 @@
 #include <stddef.h>
 
 enum role {
-  ROLE_ANYBODY = 0, /* what needs no role */
+  ROLE_ANYBODY = 0, /* for messages that need no role */
   ROLE_EVALUATE = 1,
-  ROLE_COMPUTE = 2, /* what may take seconds */
+  ROLE_COMPUTE = 2, /* for messages that may take seconds */
   ROLE_OBSERVE = 4,
-  ROLE_ALL = 7, /* what a client has where no file gives roles */
+  ROLE_ALL = 7, /* roles of a client if no file limits them */
 };
 
 /* A right of Modbus masters, for the addresses of registers or bits from first to last. */
 struct roles_right {
-  bool reads, writes; /* by any function that does so */
-  unsigned function;  /* by this function; 0: there is none */
+  bool reads, writes; /* whether any reading, or any writing, function is allowed */
+  unsigned function;  /* the only function that is allowed; 0: see above */
   unsigned first, last;
 };
 
@@ -58,6 +58,6 @@ struct roles_rights *roles_rights_of(const struct roles *roles, const char *subj
 bool roles_allow(const struct roles_rights *rights, unsigned function, bool writes, unsigned first,
                  unsigned count);
 
-const char *roles_name(unsigned role); /* of one role: evaluate, compute or observe */
+const char *roles_name(unsigned role); /* name of a single role: evaluate, compute or observe */
 
 #endif

@@ -15,8 +15,8 @@
 
 enum {
   BACKLOG = 1024,
-  KEPT_MOST = 24,  /* descriptors that no client gets: */
-  KEPT_SHARE = 16, /* at most one in this many */
+  KEPT_MOST = 24,  /* largest number of descriptors kept free of clients */
+  KEPT_SHARE = 16, /* at most one in this many is kept */
 };
 
 /* What an IPv4 address in IPv6 begins with (RFC 4291). */

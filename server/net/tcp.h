@@ -6,7 +6,7 @@
 #include <stddef.h>
 #include <sys/socket.h>
 
-enum { TCP_ADDRESSES_MAX = 8 }; /* of one name */
+enum { TCP_ADDRESSES_MAX = 8 }; /* most addresses of one host name */
 
 /* Listens at HOST:PORT, or [HOST]:PORT for a host with colons; port 0 means any free port. A name may
  * have several addresses: sets fds to non-blocking sockets at each of them, and returns how many there

@@ -33,10 +33,10 @@ bool tls_is_wanted(const struct options *options) {
 #define ROLE_OID "1.3.6.1.4.1.50316.802.1"
 
 enum { CERTIFICATES_BYTES = 32768, CHAIN_LENGTH = 8 }; /* limits of a client's certificates */
-enum { FEED_BYTES = 16384 }; /* that one call decrypts at most: about a record */
+enum { FEED_BYTES = 16384 }; /* most bytes that one call decrypts: about a record */
 enum { SUBJECT_BYTES = 1024, ROLE_BYTES = 128 };
 
-static int roles_index; /* of the context's roles, which are freed with it */
+static int roles_index; /* index of the roles in an SSL_CTX, which frees them */
 
 struct tls {
   const struct options *options;
@@ -45,10 +45,11 @@ struct tls {
 
 /* ---- certificates ---------------------------------------------------------------------------- */
 
-static _Thread_local bool password_wanted; /* whether OpenSSL has met a key with a password */
+static _Thread_local bool password_wanted; /* whether this thread has met a key with a password */
 
 static void describe_fault(char why[TLS_WHY_BYTES]) {
-  const unsigned long error = ERR_peek_error(); /* later ones say where it was noticed */
+  /* later errors of the queue say where the first was noticed */
+  const unsigned long error = ERR_peek_error();
   const char *reason = ERR_reason_error_string(error);
   if (password_wanted) {
     reason = "the key has a password: give a key without one, as openssl pkey writes it";
@@ -86,7 +87,8 @@ static void set_manners(SSL_CTX *context) {
   SSL_CTX_set_num_tickets(context, 0);
   SSL_CTX_set_max_cert_list(context, CERTIFICATES_BYTES);
   SSL_CTX_set_verify_depth(context, CHAIN_LENGTH);
-  SSL_CTX_clear_mode(context, SSL_MODE_AUTO_RETRY); /* A read ends at a record without content. */
+  /* a read returns also after a record without content */
+  SSL_CTX_clear_mode(context, SSL_MODE_AUTO_RETRY);
   SSL_CTX_set_mode(context, SSL_MODE_ENABLE_PARTIAL_WRITE | SSL_MODE_ACCEPT_MOVING_WRITE_BUFFER |
                                 SSL_MODE_RELEASE_BUFFERS);
   SSL_CTX_set_default_passwd_cb(context, no_password);
@@ -196,7 +198,7 @@ void tls_reload(struct tls *tls) {
              LOG_FIELD(" reason=", why));
     return;
   }
-  SSL_CTX_free(tls->context); /* Sessions hold it as long as they need it. */
+  SSL_CTX_free(tls->context); /* open sessions keep their own reference */
   tls->context = fresh;
   log_line(LOG_LEVEL_INFO, "event=tls-reloaded%s%s",
            LOG_FIELD(" certificate=", tls->options->certificate));
@@ -238,7 +240,7 @@ static bool feed(SSL *ssl) {
   }
   const ssize_t got = recv(SSL_get_wfd(ssl), bytes, sizeof bytes, 0);
   if (got == 0) {
-    BIO_set_mem_eof_return(arrived, 0); /* the end, and no longer "try again" */
+    BIO_set_mem_eof_return(arrived, 0); /* reads report the end of the stream, not "try again" */
   }
   return got > 0 ? BIO_write(arrived, bytes, (int)got) == got
                  : got == 0 || errno == EAGAIN || errno == EINTR;
@@ -393,7 +395,7 @@ ssize_t tls_session_write(struct tls_session *session, const void *from, size_t 
   const int sent = SSL_write(ssl_of(session), from, bytes < INT32_MAX ? (int)bytes : INT32_MAX);
   return sent > 0 ? sent
          : SSL_want_read(ssl_of(session))
-             ? UV_EPROTO /* half a message of a handshake came before */
+             ? UV_EPROTO /* the stream ends within a message of a handshake */
              : outcome(ssl_of(session), sent);
 }
 

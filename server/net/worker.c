@@ -49,7 +49,7 @@ static void serve(struct worker *worker, struct client_queue *queue) {
     leave_run_queue(client);
     worker->running = client;
     client->kind->run(client);
-    if (worker->running != NULL) { /* The client was not forgotten in its turn. */
+    if (worker->running != NULL) { /* The client still exists after its turn. */
       worker_finish_later(client);
     }
   }
@@ -109,7 +109,7 @@ static void stop_client(struct client *client) {
   client->kind->stop(client);
 }
 
-/* Gives a client up after the drain timeout. */
+/* Aborts a client after the drain timeout. */
 static void abort_client(struct client *client) {
   client->worker->abandoned_count += client->kind->busy != NULL && client->kind->busy(client);
   client->kind->abort(client);
@@ -281,7 +281,7 @@ static void close_handle(uv_handle_t *handle, void *unused) {
 static void thread_main(void *argument) {
   struct worker *worker = argument;
   stats_claim((unsigned)(worker - worker->server->workers) + 1);
-  prctl(PR_SET_NAME, "worker"); /* top -H and debuggers show it */
+  prctl(PR_SET_NAME, "worker"); /* name of the thread, for top -H and debuggers */
   uv_run(&worker->loop, UV_RUN_DEFAULT);
   assert(LIST_EMPTY(&worker->clients));
   uv_walk(&worker->loop, close_handle, NULL);

@@ -27,7 +27,7 @@ struct worker {
   uv_async_t wake;
   uv_prepare_t before_poll;
   uv_check_t after_poll;
-  uv_idle_t stay_awake; /* active in a poll that must not sleep */
+  uv_idle_t stay_awake; /* active while the next poll must not sleep */
   uv_timer_t clock;
   uv_timer_t deadline; /* fires at wake_ms */
   uint64_t wake_ms;    /* the next deadline of a client that waits; 0 if there is none */
@@ -36,21 +36,22 @@ struct worker {
   STAILQ_HEAD(, client) inbox;
   bool stop_wanted;
 
-  LIST_HEAD(, client) clients;      /* all clients of this worker */
-  struct client *next_client;       /* the next one that for_each() visits */
-  struct client *running;           /* whose turn it is; NULL if it was forgotten in its turn */
-  struct client_queue arrived;      /* clients to run that something has arrived for */
-  struct client_queue going_on[2];  /* clients to run that came back in a round: work is left */
-  unsigned next_going_on;           /* which of these the next round serves */
-  struct client_queue finish_queue; /* clients whose finish() is called in this round */
-  uint64_t run_count;               /* clients in the queues of clients to run */
-  bool in_round;                    /* clients are having their turns */
+  LIST_HEAD(, client) clients;     /* all clients of this worker */
+  struct client *next_client;      /* the next one that for_each() visits */
+  struct client *running;          /* whose turn it is; NULL if it was forgotten in its turn */
+  struct client_queue arrived;     /* clients whose turn comes because something arrived for them */
+  struct client_queue going_on[2]; /* clients to run that came back in a round: work is left */
+  unsigned next_going_on;          /* which of the two queues the next round serves */
+  struct client_queue finish_queue; /* clients whose finish() is called at the end of this round */
+  uint64_t run_count;               /* number of clients in the queues of turns */
+  bool in_round;                    /* whether clients are having their turns */
   uint64_t round_ns; /* when this round of the loop began to read; 0 if it has not read anything */
   unsigned stop_rounds; /* rounds of the loop since worker_stop(); 0 before */
   uint64_t stop_began_ms;
-  unsigned abandoned_count;        /* clients, by the drain timeout; read after the join */
-  _Atomic uint64_t client_count;   /* number of clients with kind->counts */
-  _Atomic uint64_t round_began_ms; /* by uv_hrtime(); a round follows soon */
+  /* number of clients aborted by the drain timeout; read after the join */
+  unsigned abandoned_count;
+  _Atomic uint64_t client_count;   /* number of clients whose kind counts */
+  _Atomic uint64_t round_began_ms; /* start of this round, by uv_hrtime(), in ms */
   struct job_context context;
 };
 

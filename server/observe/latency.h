@@ -39,7 +39,7 @@ struct histogram_sum {
   uint64_t counts[HISTOGRAM_BUCKETS];
   uint64_t count;
   uint64_t sum_ns;
-  uint64_t most_ns; /* the longest duration, exactly */
+  uint64_t most_ns; /* the longest duration, exact */
 };
 
 /* Adds `count` durations of `ns` each. */

@@ -10,7 +10,7 @@
 #include <unistd.h>
 
 enum {
-  LINES = 128, /* that may wait for standard error */
+  LINES = 128, /* most lines that may wait for standard error */
   LINE_BYTES = 1024,
   LAST_LINES_S = 1, /* time that the last lines may take when the daemon ends */
 };
@@ -22,7 +22,7 @@ static const char *const level_names[] = {"error", "info"};
 struct line {
   char text[LINE_BYTES];
   size_t length;
-  uint64_t dropped; /* what it says about lines before it */
+  uint64_t dropped; /* number of dropped lines that this line reports */
 };
 
 /* Lines wait for a thread that does nothing but write them, since standard error may hold it up: a
@@ -32,11 +32,11 @@ static struct {
   pthread_cond_t changed;
   struct line lines[LINES];
   size_t first, count;
-  uint64_t dropped;        /* lines so far that could not wait or be written */
-  uint64_t dropped_before; /* those of them that no line has told yet */
+  uint64_t dropped;        /* number of lines that were dropped in all */
+  uint64_t dropped_before; /* number of those that no line has reported yet */
   uint64_t suppressed;     /* peer lines beyond LOG_PEER_LINES_PER_SECOND, likewise */
   time_t second;
-  unsigned printed; /* peer lines in this second */
+  unsigned printed; /* number of peer lines in this second */
 } queue = {.mutex = PTHREAD_MUTEX_INITIALIZER, .changed = PTHREAD_COND_INITIALIZER};
 
 void log_set_level(enum log_level level) {

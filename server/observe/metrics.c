@@ -90,7 +90,7 @@ static void write_memory(FILE *file) {
 static void write_descriptors(FILE *file) {
   struct rlimit limit;
   DIR *folder = opendir("/proc/self/fd");
-  int count = -3; /* without ".", ".." and the folder itself */
+  int count = -3; /* not counting ".", ".." and the folder itself */
   while (folder != NULL && readdir(folder) != NULL) {
     count++;
   }
@@ -164,7 +164,7 @@ struct port {
 
 struct metrics {
   const struct server *server;
-  double start_s; /* when the daemon started, since 1970 */
+  double start_s; /* start of the daemon in s since 1970 */
   struct port ports[TCP_ADDRESSES_MAX];
 };
 
@@ -291,7 +291,7 @@ static bool open_port(struct metrics *metrics, struct port *port, int fd) {
   tcp_bound(fd, bound);
   port->metrics = metrics;
   TAILQ_INIT(&port->holders);
-  port->daemon = start(port, fd); /* The library owns the socket from here on. */
+  port->daemon = start(port, fd); /* libmicrohttpd owns the socket from here on. */
   if (port->daemon == NULL) {
     fprintf(stderr, "dipoled: --metrics %s: the HTTP server does not start\n", bound);
     close(fd);

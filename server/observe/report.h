@@ -13,7 +13,7 @@ enum report_type {
   REPORT_COUNTER,
   REPORT_GAUGE,
   REPORT_HISTOGRAM,
-  REPORT_NO_METRIC, /* only the statistics have these values */
+  REPORT_NO_METRIC, /* for values of the statistics only */
 };
 
 /* The properties that several values share. The values of a family are reported in a row. */

@@ -18,13 +18,13 @@ enum stats_index {
 #define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text) STATS_ANSWERS_##IDENT,
 #include "proto/statuses.def"
 #undef WIRE_STATUS
-  STATS_RADII, /* the first of the radii by model */
+  STATS_RADII, /* first counter of the radii by model */
   STATS_RADII_BEFORE = STATS_RADII - 1,
 #define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
   STATS_RADII_##IDENT,
 #define CORE_SUM(id, IDENT, name, FIRST, SECOND, source) STATS_RADII_##IDENT,
 #include "core/models.def"
-  STATS_BATCHES, /* the first of the batches by size */
+  STATS_BATCHES, /* first counter of the batches by size */
   STATS_COUNT = STATS_BATCHES + STATS_BATCH_SIZES
 };
 

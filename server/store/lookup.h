@@ -21,7 +21,7 @@ struct lookup {
   void *context;
   struct cache_owner *owner; /* the owner whose turns are used to prepare slow things */
   struct cache_entry *entry; /* after LOOKUP_READY: a reference, until lookup_return() */
-  core_fault fault;          /* after LOOKUP_FAULT: why there is nothing */
+  core_fault fault;          /* after LOOKUP_FAULT: the fault */
   struct cache_waiter waiter;
   bool woken;
 };

@@ -20,15 +20,15 @@
 struct points {
   struct server *server;
   _Atomic unsigned references;
-  uint64_t set[2]; /* the name that the client gives it */
+  uint64_t set[2]; /* name of the set: the hash of its content */
   uint32_t channel_count;
   uint64_t count;    /* number of points of the whole set */
-  uint64_t next;     /* how many of them have been added */
-  uint64_t capacity; /* how many the arrays have room for */
+  uint64_t next;     /* number of points added so far */
+  uint64_t capacity; /* number of points that fit into the arrays */
   double *xyz;       /* [next][GATHER_AXES] */
   float *power;      /* [next][channel_count] */
-  gather_name name;  /* of the points that have been added */
-  uint64_t begun_ms; /* when the first part arrived, on the loop's clock */
+  gather_name name;  /* hash of the points added so far */
+  uint64_t begun_ms; /* arrival of the first part, on the loop's clock, in ms */
 };
 
 /* Makes a set without points, with one reference, for a request that has been parsed. Returns NULL

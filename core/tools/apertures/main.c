@@ -51,7 +51,7 @@ static void solve(struct solved *to, const double etas[ETAS], const double u[CON
         to->error[e][c][i] = share.error / share.value;
       }
     }
-    /* Where nearly all light is absorbed, narrow cones may come out without any. */
+    /* Where nearly all light is absorbed, no light may be found in a narrow cone. */
     for (size_t i = 0; i < PLACES * (CONES - 1); i++) {
       const size_t c = CONES - 2 - i / PLACES, at = i % PLACES;
       to->F[e][c][at] = isfinite(to->F[e][c][at]) ? to->F[e][c][at] : to->F[e][c + 1][at];
@@ -102,7 +102,7 @@ static void set_medium(size_t i, struct solved *to, double etas[ETAS], double u[
 
 struct run {
   const char *folder;
-  size_t first; /* of the media that are solved */
+  size_t first; /* index of the first medium to solve */
   struct solved *media;
   tools_progress progress;
 };
@@ -234,11 +234,11 @@ static bool is_within(const double *edges, double value) {
 
 /* The shares of a region. */
 struct region {
-  const double *ratio, *x, *u; /* where each of its ranges begins; the next edge ends it */
-  double most; /* the largest relative error, with the difference of the solver's two grids */
+  const double *ratio, *x, *u; /* start of each of its ranges; the next edge is the end */
+  double most; /* largest relative error, including the difference of the solver's two grids */
 };
 
-/* Adds the shares of a medium that belong to the region. */
+/* Adds to the region those shares of a medium that are in it. */
 static void add_medium(struct region *to, const struct solved *medium, const double etas[ETAS],
                        const double u[CONES]) {
   for (size_t at = 0; at < (size_t)ETAS * CONES; at++) {

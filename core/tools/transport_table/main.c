@@ -104,7 +104,8 @@ static void checks_make(const double *field, table_sample samples[CHECKS]) {
   }
 }
 
-#define OF_RATIO(ratio) (1.0 / (1 + (ratio))) /* the albedo; ratio: sigma_a / (sigma_s (1 - g)) */
+/* albedo of the medium with this ratio sigma_a / (sigma_s (1 - g)) */
+#define OF_RATIO(ratio) (1.0 / (1 + (ratio)))
 
 /* The media of the checks: drawn from a range of g and of the albedo, or, where both ends of g are
  * equal, this one. The first ranges are the bands of transport_table_region(). Then, because bands are
@@ -237,12 +238,12 @@ static void checks_make_difference(const double *field, table_sample samples[CHE
 /* The largest relative error and the place where it was found. */
 typedef struct worst_error {
   double error;
-  double albedo, g, eta, x, R; /* where the error was found; x is NAN for the total */
+  double albedo, g, eta, x, R; /* where it was found; x is NAN for totals */
   size_t values;               /* number of values that were compared */
 } worst_error;
 
 typedef struct checks_result {
-  worst_error R, total; /* of isotropic scattering */
+  worst_error R, total; /* of isotropic scattering: of R, and of the total */
   worst_error D[TRANSPORT_TABLE_REGIONS], D_total, D_diffuse[TRANSPORT_TABLE_BANDS_ALBEDO];
 } checks_result;
 
@@ -382,7 +383,8 @@ static struct bands bands_of(size_t region) {
 static double solver_error(size_t region) {
   const struct bands at = bands_of(region);
   const bool near = at.x == 0;
-  const bool dark = at.albedo<2, bright = at.albedo> 2; /* below 0.5, from 0.9 on */
+  /* dark: albedo below 0.5; bright: from 0.9 on */
+  const bool dark = at.albedo<2, bright = at.albedo> 2;
   const double forward = near || dark ? 7e-4 : bright ? 2e-4 : 5e-4;
   return at.g + 1 == TRANSPORT_TABLE_BANDS_G ? forward : at.g > 0 && at.eta > 0 ? 3e-4 : 1e-4;
 }
@@ -393,7 +395,7 @@ static double solver_error(size_t region) {
  * counts. Far from the source the series in u set the error, which all g have in common; only for the
  * lowest g it is twice as large. */
 static bool is_like(size_t i, size_t region, size_t values) {
-  enum { FEW = 20, NEAR = 2, FAR = 3 /* bands of x */ };
+  enum { FEW = 20, NEAR = 2, FAR = 3 /* indices of bands of x, and a small number of values */ };
   const struct bands at = bands_of(i), of = bands_of(region);
   const bool far = of.x >= FAR && of.x + 1 < TRANSPORT_TABLE_BANDS_X;
   const bool all_g = (far || of.albedo == 0 || values < FEW) && (at.g > 0 || of.g == 0);
@@ -461,7 +463,7 @@ static void open_bytes(transport_table *table, table_bytes bytes) {
   }
 }
 
-/* Makes a table from solutions, but for the errors of its totals. */
+/* Makes a table from solutions, without the errors of its totals. */
 static table_bytes make_all(const char *folder) {
   enum { ALL = NODES + CHECKS + NODES_D + CHECKS_D };
   static table_sample samples[ALL];

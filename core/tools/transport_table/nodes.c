@@ -24,7 +24,7 @@ enum {
   NODES_D_V = NODES_D_BELOW_1 + NODES_D_FROM_1,
   TOTALS_G = 18,
   TOTALS_U = 31,
-  TOTALS_V = 32, /* on each side */
+  TOTALS_V = 32, /* points of v on each side of eta = 1 */
   DIMENSIONS_MAX = 4,
   BYTES_MAX = 1 << 22
 };
@@ -81,7 +81,7 @@ static size_t first_radius(size_t p) {
   return first;
 }
 
-/* Sets x to the points of all panels. */
+/* Sets x to the radii of all panels. */
 static void make_radii(const double *field, bool of_difference, double albedo, double *x) {
   double edge[PANELS + 1];
   transport_table_edges(field, of_difference, transport_kappa(albedo), edge);
@@ -93,7 +93,7 @@ static void make_radii(const double *field, bool of_difference, double albedo, d
   }
 }
 
-/* Sets etas to the points of one side. */
+/* Sets etas to the points of one side of eta = 1. */
 static void make_etas(const double *field, enum transport_table_side side, size_t n, double *etas) {
   double range[2];
   transport_table_v_range(field, side, range);
@@ -151,7 +151,7 @@ double nodes_albedo_between(const double *field, size_t i) {
   return transport_table_albedo_of_u(u + 0.5 * (next - u));
 }
 
-/* The sample of point l of g and point i of u, where g is not 0. */
+/* Returns the index of the sample at point l of g and point i of u; g is not 0. */
 static size_t sample_of(size_t l, size_t i) {
   return (l > NODES_D_G_ZERO ? l - 1 : l) * NODES_D_U + i;
 }
@@ -249,7 +249,7 @@ static void put_integer(table_bytes *writer, int64_t value) {
   put_byte(writer, zigzag);
 }
 
-/* Returns the length of a row without the zeros at its end. */
+/* Returns the length of a row without its trailing zeros. */
 static size_t used(const int64_t *row, size_t n) {
   while (n > 0 && row[n - 1] == 0) {
     n--;
@@ -534,7 +534,7 @@ static void put_differences(table_bytes *writer, const transport_table *isotropi
   const size_t radii = first_radius(PANELS), media = NODES_D_G * NODES_D_U * nv;
   double *values = allocate(radii * media, sizeof *values);
   for (size_t l = 0; l < NODES_D_G; l++) {
-    if (l != NODES_D_G_ZERO) { /* D is 0 for g = 0 */
+    if (l != NODES_D_G_ZERO) { /* D is 0 if g is 0 */
       add_differences(isotropic, samples, l, first, nv, values);
     }
   }

@@ -15,7 +15,7 @@ enum {
   NODES = NODES_BELOW_1 + NODES_FROM_1,
   /* samples of the difference D: one for each g, of which 0 needs none, and each albedo */
   NODES_D_G = 19,
-  NODES_D_G_ZERO = 11, /* the point of g that is 0; those of g above 0 come before it */
+  NODES_D_G_ZERO = 11, /* index of the point of g that is 0; points of g above 0 precede it */
   NODES_D_U = 29,
   NODES_D = (NODES_D_G - 1) * NODES_D_U
 };
@@ -33,10 +33,10 @@ typedef struct table_bytes {
   size_t length;
 } table_bytes;
 
-/* Makes a table with the part for isotropic scattering. In it, D is 0. */
+/* Makes a table with the part for isotropic scattering; D is 0. */
 table_bytes nodes_encode(const double *field, const table_sample samples[NODES]);
 
-/* Replaces D, and solves for the totals. */
+/* Adds D to the table, and the totals, which it solves for. */
 void nodes_encode_difference(table_bytes *table, const table_sample samples[NODES_D]);
 
 /* Writes the fields and the checksum into a table's bytes. */

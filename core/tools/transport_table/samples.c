@@ -11,7 +11,7 @@
 
 enum { KEY_BYTES = 256 };
 
-#define TOLERANCE 1e-8 /* of the solver for isotropic scattering */
+#define TOLERANCE 1e-8 /* tolerance of the solver for isotropic scattering */
 
 /* estimated work, for the progress bar only: of a medium that scatters isotropically, and of a
  * sample of others */
@@ -19,7 +19,7 @@ enum { KEY_BYTES = 256 };
 #define SAMPLE_COST_US 6e6
 #define FINEST_COST_US 25e6
 
-/* From this g on, the normal grids are up to 3e-3 off near the source. */
+/* For g from here on, normal grids have errors up to 3e-3 near the source. */
 #define FINEST_FROM 0.85
 
 /* ---- samples --------------------------------------------------------------------------------- */
@@ -108,7 +108,7 @@ static void free_results(double *results, const table_sample *sample) {
   }
 }
 
-/* Solves, unless the results are known. */
+/* Computes the results of a sample, unless they are known. */
 static void solve(table_sample *sample, double *results, bool known) {
   if (sample->g != 0) {
     solve_anisotropic(sample, (double complex *)results, known);

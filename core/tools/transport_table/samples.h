@@ -13,14 +13,14 @@
  * or of one albedo and g with several eta. The sample owns all arrays. */
 typedef struct table_sample {
   double g;
-  size_t level; /* of the solver's grids, without meaning for isotropic scattering */
+  size_t level; /* level of the solver's grid; not used for isotropic scattering */
   size_t media, radii;
   double *albedo;  /* [media] */
   double *eta;     /* [media] */
   double *x;       /* [media][radii], reduced mean free paths */
-  double *total;   /* [media], solved: the energy that leaves in all, of isotropic scattering */
+  double *total;   /* [media]: energy that leaves, for isotropic scattering; set by solving */
   double *R;       /* [media][radii], solved */
-  double *numbers; /* memory that holds the five arrays */
+  double *numbers; /* the memory of the five arrays */
 } table_sample;
 
 /* Levels of the solver's grids. */
