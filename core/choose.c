@@ -153,10 +153,14 @@ static void set_solved(core_candidate *candidate, const core_choose_request *req
     const double tolerance = of_R * BELOW / (near ? SOLVER_NEAR_FACTOR : 1);
     candidate->looked_up = false;
     candidate->left = left;
-    candidate->numerical_tolerance = tolerance < LOOSE ? tolerance : (double)NAN;
+    candidate->numerical_tolerance = tolerance >= LOOSE               ? (double)NAN
+                                     : tolerance >= SOLVER_NOT_FINEST ? tolerance
+                                                                      : CORE_TOLERANCE_FINEST;
     candidate->numerical_error = left;
   } else if (isinf(candidate->numerical_error)) {
     candidate->looked_up = false;
+    candidate->left = left;
+    candidate->numerical_tolerance = CORE_TOLERANCE_FINEST;
     const double missed = request->tolerance * (1 + 1e-6); /* errors of quantities other than R */
     candidate->numerical_error = fmax(errors * (least + beyond) + rounding, missed);
   }
@@ -205,27 +209,37 @@ void core_offer(core_candidate *candidate, const core_choose_request *request, u
 
 /* ---- choosing -------------------------------------------------------------------------------- */
 
-/* Returns the stored solution, or a new solution if the stored one misses the tolerance. */
-static core_candidate make_candidate(const core_choose_request *request,
-                                     enum core_evaluator evaluator) {
+/* Returns transport by the table of solutions, whose error is INFINITY if that lacks a medium. */
+static core_candidate look_up(const core_choose_request *request, enum core_evaluator evaluator) {
   core_candidate candidate = {.model = CORE_MODEL_TRANSPORT,
                               .evaluator = evaluator,
                               .numerical_tolerance = (double)NAN,
                               .left = (double)NAN,
                               .numerical_error = (double)INFINITY};
   if (is_taken(request)) {
-    const double of_ln_R = logarithm_error(request), besides = of_ln_R + added_error(request);
-    const double left = request->tolerance;
-    set_numerical_error(&candidate, request, left - besides);
+    const double besides = logarithm_error(request) + added_error(request);
+    set_numerical_error(&candidate, request, request->tolerance - besides);
     candidate.numerical_error += besides;
-    finish(&candidate, request);
-    if (!candidate.meets && evaluator != CORE_EVALUATOR_LUT) {
-      set_solved(&candidate, request, left * BELOW - of_ln_R);
-      candidate.numerical_error += candidate.looked_up ? 0 : of_ln_R;
-    }
   }
   finish(&candidate, request);
   return candidate;
+}
+
+/* Returns transport by the table, or solved if the table misses the tolerance. */
+static core_candidate make_candidate(const core_choose_request *request,
+                                     enum core_evaluator evaluator) {
+  core_candidate candidate = look_up(request, evaluator);
+  if (!candidate.meets && evaluator != CORE_EVALUATOR_LUT && is_taken(request)) {
+    const double of_ln_R = logarithm_error(request);
+    set_solved(&candidate, request, request->tolerance * BELOW - of_ln_R);
+    candidate.numerical_error += candidate.looked_up ? 0 : of_ln_R;
+    finish(&candidate, request);
+  }
+  return candidate;
+}
+
+double core_choose_stored_error(const core_choose_request *request) {
+  return look_up(request, request->single ? CORE_EVALUATOR_F32 : CORE_EVALUATOR_F64).error;
 }
 
 /* Returns whether candidate `one` is preferred to `other`. */

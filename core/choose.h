@@ -27,8 +27,8 @@ typedef struct core_choose_request {
 } core_choose_request;
 
 /* A model with an evaluator, for a request. The errors are upper bounds, and INFINITY where nothing
- * can be promised. The error of what is solved is the tolerance itself: only the prepared profile
- * states whether the solver has reached it. */
+ * can be promised. The error of what is solved is the tolerance itself, or an estimate if that is
+ * less than any solution states: only the prepared profile states what the solver has reached. */
 typedef struct core_candidate {
   enum core_model model;
   enum core_evaluator evaluator;
@@ -59,6 +59,11 @@ enum {
  * tolerance from there on. The numerical error grows beyond the reach (core_reach). */
 size_t core_choose(const core_choose_request *request,
                    core_candidate candidates[CORE_TRANSPORT_CANDIDATES]);
+
+/* Returns the error that the table of solutions keeps for all media of a request at its radii, in
+ * double precision or by f32: an upper bound of what profiles state that are prepared without the
+ * parameter `tolerance`. It is INFINITY if the table lacks a medium. The tolerance is not read. */
+double core_choose_stored_error(const core_choose_request *request);
 
 /* The models whose costs are known, ascending; an id of 0 ends the list. */
 extern const unsigned core_costed_models[];

@@ -77,6 +77,8 @@ enum core_length {
 #define CORE_LUT_TOLERANCE_MIN 1e-6
 #define CORE_LUT_TOLERANCE_MAX 0.1 /* larger values are clamped to this limit */
 #define CORE_LUT_TOLERANCE 1e-4    /* used if a request gives none */
+/* The least tolerance of `transport`, which is then solved on the solver's finest grid. */
+#define CORE_TOLERANCE_FINEST 1e-8
 #define CORE_TEXT_(number) #number
 #define CORE_TEXT(number) CORE_TEXT_(number)
 

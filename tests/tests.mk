@@ -15,13 +15,14 @@ $(TESTS): LIBS = -lcmocka -lmpfr -lgmp $(TLS_LIBS) $(CORE_LIBS) $(TEST_LIBS)
 # of the test's own.
 unit = $(addprefix $(BUILD)/tests/unit/,$(1))
 $(call unit,test_cache test_profiles): $(call objects,$(wildcard server/store/*.c) server/observe/stats.c)
+$(call unit,test_choice): $(call objects,server/jobs/choice.c $(wildcard server/store/*.c) server/observe/stats.c)
 $(call unit,test_histogram): $(call objects,server/observe/latency.c)
 $(call unit,test_input): $(call objects,server/net/buffers.c)
 $(call unit,test_modbus): $(call objects,server/net/access.c $(addprefix server/modbus/,codec.c receiver.c))
 $(call unit,test_worker): $(filter-out $(OBJ)/server/main.o,$(SERVER))
-$(call unit,test_cache test_profiles test_histogram test_input): TEST_LIBS = $(call libs,libuv)
+$(call unit,test_cache test_choice test_profiles test_histogram test_input): TEST_LIBS = $(call libs,libuv)
 $(call unit,test_worker): TEST_LIBS = $(SERVER_LIBS)
-$(patsubst %,$(OBJ)/tests/unit/test_%.o,cache profiles input worker): EXTRA_CPPFLAGS = $(call cflags,libuv)
+$(patsubst %,$(OBJ)/tests/unit/test_%.o,cache choice profiles input worker): EXTRA_CPPFLAGS = $(call cflags,libuv)
 $(OBJ)/tests/unit/test_modbus.o: EXTRA_CPPFLAGS = $(call cflags,libmodbus)
 
 $(BUILD)/bench: $(BENCH) $(BUILD)/libdipole.a

@@ -236,7 +236,6 @@ CORE_KERNEL_TABLE_NONE(transport);
 #include "core/transport/decay.h"
 #include "core/transport/table.h"
 
-#define TOLERANCE_LEAST 1e-8
 #define FIRST 1e-10
 #define LAST 1e4
 #define ENERGY_FIRST 1e-8 /* below it R is in proportion to 1 / x for the energy within */
@@ -291,7 +290,7 @@ core_fault core_transport_check(const core_inputs *inputs, core_radii_range *rad
   if (!(medium.eta >= TRANSPORT_ETA_MIN && medium.eta <= TRANSPORT_ETA_MAX)) {
     return (core_fault){"eta", "0.25 to 4 with transport", 0};
   }
-  if (core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, 1) < TOLERANCE_LEAST) {
+  if (core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, 1) < CORE_TOLERANCE_FINEST) {
     return (core_fault){"tolerance", "1e-8 to 1 with transport", 0};
   }
   if (!(medium.sigma_s_per_mm > 0)) {

@@ -50,6 +50,7 @@ struct level {
 #define SOLVER_LEAST_NEAR 1e-4
 #define SOLVER_LEAST 2e-5
 #define SOLVER_NEAR_FACTOR 5
+#define SOLVER_NOT_FINEST 4e-5 /* the least that the grid before the finest states */
 
 extern const struct level solver_levels[SOLVER_LEVELS];
 

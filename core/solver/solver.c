@@ -264,9 +264,11 @@ static core_fault solve(solver_solution **solution, const core_isa *isa, double 
     weigh_single(&made->single[i], phase);
   }
   double worst = (double)INFINITY, expected = 0;
-  /* The finest grid, which takes three times as long as the one before, has to promise success. */
-  for (size_t level = first; level <= last && worst > tolerance && ok &&
-                             (level + 1 < SOLVER_LEVELS || expected <= tolerance);
+  /* The finest grid, which takes three times as long as the one before, has to promise success,
+   * unless it is requested. */
+  for (size_t level = first;
+       level <= last && worst > tolerance && ok &&
+       (level + 1 < SOLVER_LEVELS || expected <= tolerance || tolerance <= CORE_TOLERANCE_FINEST);
        level++) {
     free(made->grid[1].exitance);
     made->grid[1] = made->grid[0];

@@ -37,7 +37,7 @@ typedef struct solver_solution solver_solution;
  * and finer grids are solved until the relative error that two of them show, and the least that
  * their values can have beyond SOLVER_NEAR, is at most the tolerance, at radii from SOLVER_RADIUS_LEAST to SOLVER_RADIUS_MOST as far as R has not decayed
  * by e^-20, but at most four of them, and the finest only if it
- * promises to reach the tolerance. What holds is the error that is stated beside each value,
+ * promises to reach the tolerance or that is CORE_TOLERANCE_FINEST or less. What holds is the error that is stated beside each value,
  * which is larger than requested where |g| is above 0.95 or g is below -0.5. One boundary and g up
  * to 0.9 take some 0.2 s of a processor for a tolerance of 1e-2, 0.6 to 2.5 s for 1e-3 and 9 s
  * or more for 1e-4; the most that they take is 3, 10 and 37 s. sigma_a_ratio: sigma_a / (sigma_s (1 - g)),

@@ -163,16 +163,19 @@ static wire_error none_meets(const core_choose_request *asked) {
 
 /* ---- taking ---------------------------------------------------------------------------------- */
 
-/* Writes the next candidate into the request. Returns false if there is none left, or if it does
- * not keep the tolerance. */
+/* Writes the next candidate into the request. Returns false if there is none left, or if it cannot
+ * keep the tolerance. What only the solver has is solved, whatever the tolerance is, so that a refusal
+ * can say what it reaches. */
 static bool take_next(struct choice_state *state, const core_choose_request *asked,
                       eval_request *request) {
   core_candidate candidates[CORE_TRANSPORT_CANDIDATES];
   const size_t count = core_choose(asked, candidates);
-  if (state->tried >= count || !candidates[state->tried].meets) {
+  const core_candidate *candidate = &candidates[state->tried];
+  if (state->tried >= count ||
+      !(candidate->meets || (!candidate->looked_up && candidate->error <= 1))) {
     return false;
   }
-  const core_candidate *candidate = &candidates[state->tried++];
+  state->tried++;
   request->fixed.model = (uint16_t)candidate->model;
   request->fixed.evaluator = (uint16_t)candidate->evaluator;
   request->parameters.value[CORE_PARAMETER_TOLERANCE] = candidate->numerical_tolerance;
@@ -182,28 +185,76 @@ static bool take_next(struct choice_state *state, const core_choose_request *ask
 
 wire_error choice_first(struct choice_state *state, eval_request *request, core_radii_range radii) {
   const core_choose_request asked = choice_asked(request, radii);
-  state->tolerance = asked.tolerance;
-  state->tried = 0;
+  *state = (struct choice_state){.tolerance = asked.tolerance};
   return take_next(state, &asked, request) ? wire_error_none() : none_meets(&asked);
 }
 
-wire_error choice_check_solved(const struct choice_state *state, const eval_request *request,
-                               core_radii_range radii, const core_profile *profile,
-                               uint32_t channel) {
+/* ---- preparing ------------------------------------------------------------------------------- */
+
+bool choice_heeds_radii(const struct choice_state *state, const eval_request *request) {
+  const double *value = request->parameters.value;
+  return !isnan(state->tolerance) ||
+         (request->fixed.model == CORE_MODEL_TRANSPORT &&
+          request->fixed.evaluator != CORE_EVALUATOR_LUT &&
+          !isnan(value[CORE_PARAMETER_TOLERANCE]) && isnan(value[CORE_PARAMETER_GAMMA]) &&
+          !core_wants_derivatives(request->fixed.wanted));
+}
+
+/* Returns the error of the table of solutions for a medium. */
+static double stored_error(const eval_request *request, const core_medium *medium,
+                           core_radii_range radii) {
+  core_choose_request asked = choice_asked(request, radii);
+  asked.media = medium;
+  asked.media_count = 1;
+  return core_choose_stored_error(&asked);
+}
+
+core_parameters choice_parameters(const struct choice_state *state, const eval_request *request,
+                                  const core_medium *medium, core_radii_range radii) {
+  core_parameters parameters = request->parameters;
+  double *tolerance = &parameters.value[CORE_PARAMETER_TOLERANCE];
+  const double most = isnan(state->tolerance) ? *tolerance : state->tolerance;
+  if (request->fixed.evaluator != CORE_EVALUATOR_LUT &&
+      stored_error(request, medium, radii) < most * (1 - 1e-9)) {
+    *tolerance = (double)NAN;
+  } else if (state->finest) {
+    *tolerance = CORE_TOLERANCE_FINEST;
+  }
+  return parameters;
+}
+
+bool choice_keeps(struct choice_state *state, const eval_request *request, core_radii_range radii,
+                  const core_profile *profile, const core_medium *medium, uint32_t channel) {
   const core_stated_errors errors = core_profile_errors(profile, wanted_of(&request->fixed), radii);
   const double stated = errors.numerical +
                         (errors.numerical_per_mm > 0 ? errors.numerical_per_mm * radii.most_mm : 0);
-  if (isnan(state->left) || stated <= state->left) {
+  const bool keeps = isnan(state->left) || stated <= state->left;
+  if (!keeps && !state->finest) {
+    state->finest = true;
+    return false;
+  }
+  state->finest = false;
+  if (!keeps) {
+    const double solved = (stated + state->tolerance - state->left) * (1 + 1e-9);
+    const double least = fmin(solved, stored_error(request, medium, radii) * (1 + 1e-8));
+    state->worst = least > state->least ? channel : state->worst;
+    state->least = fmax(least, state->least);
+  }
+  return true;
+}
+
+wire_error choice_refusal(const struct choice_state *state, const eval_request *request) {
+  if (!(state->least > 0)) {
     return wire_error_none();
   }
   char least[ROUNDED_BYTES], medium[31] = "", allowed[ALLOWED_BYTES];
-  round_up(least, state->tolerance * stated / state->left);
+  round_up(least, state->least);
   if (request->fixed.medium_count > 1) {
-    snprintf(medium, sizeof medium, " for medium %" PRIu32, channel + 1);
+    snprintf(medium, sizeof medium, " for medium %" PRIu32, state->worst + 1);
   }
   snprintf(allowed, sizeof allowed, "at least %s%s (best: transport, solved)", least, medium);
   wire_error error = wire_error_make(WIRE_STATUS_BAD_VALUE, "tolerance", allowed);
-  error.index = channel;
+  error.index = state->worst;
   return error;
 }
 

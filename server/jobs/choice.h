@@ -11,8 +11,11 @@
 struct choice_state {
   double tolerance; /* of the request; NAN if the request names a model */
   size_t tried;     /* how many candidates have been chosen so far */
-  double
-      left; /* the numerical error that a profile may state if it is solved for the tolerance, else NAN */
+  /* the numerical error that a profile may state if it is solved for the tolerance, else NAN */
+  double left;
+  bool finest;    /* whether the channel is solved as exactly as the solver can */
+  double least;   /* the least tolerance of the channels that miss it; 0 while none does */
+  uint32_t worst; /* the channel that it is of */
 };
 
 /* Checks the tolerance and the media of a request of model EVAL_ANY_MODEL. */
@@ -27,10 +30,23 @@ core_choose_request choice_asked(const eval_request *request, core_radii_range r
  * if none keeps the tolerance; it says which tolerance the best one keeps. */
 wire_error choice_first(struct choice_state *state, eval_request *request, core_radii_range radii);
 
-/* Returns the refusal of a tolerance that the solver has not reached for a channel, or no error. */
-wire_error choice_check_solved(const struct choice_state *state, const eval_request *request,
-                               core_radii_range radii, const core_profile *profile,
-                               uint32_t channel);
+/* Whether the parameters to prepare a channel with depend on the radii: with a tolerance in place of a
+ * model, and with one of transport, which is solved only where its table misses the tolerance there. */
+bool choice_heeds_radii(const struct choice_state *state, const eval_request *request);
+
+/* Returns the parameters to prepare a channel with this medium with, if choice_heeds_radii(). */
+core_parameters choice_parameters(const struct choice_state *state, const eval_request *request,
+                                  const core_medium *medium, core_radii_range radii);
+
+/* Checks the channel's profile, which was prepared for a tolerance in place of a model. Returns false
+ * if it misses that: the channel has to be prepared again, as choice_parameters() says from then on.
+ * If that misses it, too, choice_refusal() will say so. */
+bool choice_keeps(struct choice_state *state, const eval_request *request, core_radii_range radii,
+                  const core_profile *profile, const core_medium *medium, uint32_t channel);
+
+/* Returns the refusal of a tolerance that a channel misses, or no error. All channels have been
+ * checked: the tolerance that it names is kept. */
+wire_error choice_refusal(const struct choice_state *state, const eval_request *request);
 
 /* Writes the next candidate that keeps the tolerance into the request, after the preparation of a
  * candidate has failed with this fault. Returns false if there is none, if the request names a

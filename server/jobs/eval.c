@@ -443,6 +443,12 @@ static enum job_outcome get_profile(struct eval_job *eval) {
   if (answer != LOOKUP_READY) {
     return job_follow(&eval->job, answer, &eval->ruler.fault, eval->channel);
   }
+  if (choice_heeds_radii(&eval->choice, &eval->request)) {
+    const wire_eval_request *fixed = &eval->request.fixed;
+    const core_parameters parameters =
+        choice_parameters(&eval->choice, &eval->request, &medium, eval->radii);
+    profiles_start(&eval->lookup, fixed->model, fixed->moments, fixed->evaluator, &parameters);
+  }
   answer = profiles_get(&eval->job.context->profiles, &eval->lookup, &medium);
   if (answer == LOOKUP_FAULT && start_again(eval)) {
     return JOB_GOES_ON;
@@ -450,12 +456,11 @@ static enum job_outcome get_profile(struct eval_job *eval) {
   if (answer != LOOKUP_READY) {
     return job_follow(&eval->job, answer, &eval->lookup.fault, eval->channel);
   }
-  if (!isnan(eval->choice.tolerance)) {
-    const wire_error error = choice_check_solved(&eval->choice, &eval->request, eval->radii,
-                                                 &eval->lookup.profile, eval->channel);
-    if (error.status != WIRE_STATUS_OK) {
-      return job_refuse(&eval->job, error);
-    }
+  if (!isnan(eval->choice.tolerance) &&
+      !choice_keeps(&eval->choice, &eval->request, eval->radii, &eval->lookup.profile, &medium,
+                    eval->channel)) {
+    profiles_return(&eval->lookup);
+    return JOB_GOES_ON;
   }
   start_channel(eval);
   return JOB_GOES_ON;
@@ -555,7 +560,7 @@ static void put_notes(const struct eval_job *eval) {
  * check depends on the radii cannot be repeated. */
 static void learn(const struct eval_job *eval) {
   if (!is_sample(eval) && eval->parts.part_count == 1 && eval->covers_all &&
-      isnan(eval->choice.tolerance)) {
+      !choice_heeds_radii(&eval->choice, &eval->request)) {
     repeat_learn(&eval->job.context->repeat, &eval->request, &eval->grid, &eval->layout,
                  eval->reply, eval->lookup.place);
   }
@@ -715,7 +720,16 @@ enum job_outcome eval_job_step(struct job *job, uint64_t *budget) {
   }
   const uint64_t spent = (uint64_t)((double)n * cost + fixed) + prepared + JOB_STEP_RADII;
   *budget -= spent < *budget ? spent : *budget;
-  return eval->channel < eval->request.fixed.medium_count ? JOB_GOES_ON : end_part(eval);
+  if (eval->channel < eval->request.fixed.medium_count) {
+    return JOB_GOES_ON;
+  }
+  const wire_error error = choice_refusal(&eval->choice, &eval->request);
+  if (error.status != WIRE_STATUS_OK) {
+    /* Passes that still hold values for the reply must not write them into freed memory. */
+    batch_finish(&eval->job.context->batch, stats_of(eval));
+    return job_refuse(&eval->job, error);
+  }
+  return end_part(eval);
 }
 
 void eval_job_end(struct job *job) {
