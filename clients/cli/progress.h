@@ -7,9 +7,9 @@
 #include <stdint.h>
 
 typedef struct cli_progress {
-  bool watched;     /* standard error is a terminal */
-  bool shown;       /* a bar stands there now */
-  const char *unit; /* what is counted, such as "rows"; NULL if nothing is */
+  bool watched;     /* whether standard error is a terminal */
+  bool shown;       /* whether a bar is on the screen */
+  const char *unit; /* what is counted, such as "rows"; NULL: nothing */
   char note[96];    /* stands behind the bar; the caller may change it at any time */
   int64_t start_ms, last_ms;
 } cli_progress;
