@@ -12,7 +12,7 @@ enum { LIBDIPOLE_INPUT_BYTES = 65536 };
 typedef struct libdipole_stream {
   int fd;             /* the socket; -1: no connection */
   libdipole_tls *tls; /* NULL: the bytes are plain */
-  char address[128];  /* of the peer, for messages; "" if it is not known */
+  char address[128];  /* address of the peer, for messages; "" if it is not known */
   int send_errno;     /* errno of a failed send, or 0; reported after all received bytes are read */
   bool heard;         /* whether any byte has been received */
   bool silent;        /* whether the last step ended by timeout_ms */

@@ -16,7 +16,7 @@
 #include "clients/c/error.h"
 #include "proto/wire.h"
 
-/* Fails in a way in which trying again does, too. */
+/* Fails with an error that is final: trying again would fail in the same way. */
 static bool fail_for_good(dipole_error *error) {
   error->status = WIRE_STATUS_NOT_ALLOWED;
   return false;
@@ -25,7 +25,7 @@ static bool fail_for_good(dipole_error *error) {
 struct libdipole_tls {
   SSL_CTX *context;
   SSL *ssl;
-  int reason; /* of the last fault: a reason code of OpenSSL */
+  int reason; /* OpenSSL's reason code of the last fault; 0: none */
 };
 
 /* ---- the socket ------------------------------------------------------------------------------ */
@@ -242,7 +242,7 @@ void libdipole_tls_free(libdipole_tls *tls, bool is_sent) {
   if (tls != NULL) {
     ERR_clear_error();
     if (is_sent && tls->ssl != NULL && SSL_is_init_finished(tls->ssl) && tls->reason == 0) {
-      SSL_shutdown(tls->ssl); /* informs the peer, if the socket takes it */
+      SSL_shutdown(tls->ssl); /* sends the end of the session, if the socket accepts it */
     }
     SSL_free(tls->ssl);
     SSL_CTX_free(tls->context);

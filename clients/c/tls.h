@@ -9,7 +9,7 @@
 /* Files in PEM format; each may be NULL. */
 typedef struct libdipole_tls_files {
   const char *ca; /* whose certificates the daemon's is checked against; NULL: the system's */
-  const char *certificate; /* the client's, and its key */
+  const char *certificate; /* the client's certificate; `key` is its private key */
   const char *key;
 } libdipole_tls_files;
 

@@ -48,21 +48,21 @@ typedef struct cli_csv_record {
 enum cli_csv_kind {
   CLI_CSV_END,
   CLI_CSV_RECORD,
-  CLI_CSV_COMMENT, /* see above; it has no cells */
+  CLI_CSV_COMMENT, /* a comment line: it has no cells */
   CLI_CSV_FAILED,  /* see problem */
 };
 
 typedef struct cli_csv_reader {
   int fd;
-  uint64_t lines;      /* how many lines have been read */
-  uint64_t bytes_read; /* how many bytes have been read */
+  uint64_t lines;      /* number of lines read so far */
+  uint64_t bytes_read; /* number of bytes read so far */
   /* If not NULL, is called before a read that would have to wait for input. */
   void (*before_wait)(void *context);
   void *context;
   char problem[160]; /* after CLI_CSV_FAILED: what is wrong, and where */
   /* The rest belongs to the functions below. */
-  char separator;      /* 0 before the header */
-  size_t header_cells; /* 0 before the header */
+  char separator;      /* separator of cells; 0 until the header is read */
+  size_t header_cells; /* number of cells in the header; 0 until it is read */
   bool lone_return;    /* a line has ended with a carriage return alone */
   struct cli_csv_held {
     cli_csv_record record;
@@ -124,7 +124,7 @@ typedef struct cli_sheet {
   size_t count, capacity;
   double *numbers; /* [count][columns]; NAN where the cell is empty or absent */
   char **labels;   /* [count] texts of the column of labels; "1" if it is absent */
-  uint64_t *lines; /* [count] of the file, from 1 on */
+  uint64_t *lines; /* [count] line numbers in the file, from 1 on */
 } cli_sheet;
 
 /* Reads a file; NULL or "-" stands for standard input. names: of the columns; label: of one with

@@ -51,7 +51,8 @@ dipole_client *cli_open(const cli_settings *settings) {
   dipole_error error;
   const char *address = settings->connect != NULL ? settings->connect : getenv("DIPOLED");
   if (open_client(settings, address, &client, &error)) {
-    if (settings->retry_ms.given) { /* dipole_open_with() does not do so for private: */
+    /* for private: addresses, dipole_open_with() ignores retry_ms */
+    if (settings->retry_ms.given) {
       dipole_set_retry_ms(client, (unsigned)settings->retry_ms.value);
     }
     return client;

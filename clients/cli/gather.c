@@ -46,7 +46,7 @@ static const char *const names[COLUMNS] = {"x",       "y",       "z",       "pow
 typedef struct cloud {
   cli_sheet sheet;
   uint64_t count;
-  uint32_t channels; /* powers of each point */
+  uint32_t channels; /* number of powers of each point */
   double *xyz_mm;    /* [count][3] */
   float *power_W;    /* [count][channels] */
 } cloud;
@@ -100,7 +100,7 @@ static bool read_cloud(const char *path, bool with_power, cloud *of) {
       of->power_W[of->channels * i + c] = (float)W;
     }
   }
-  cli_free(sheet->numbers); /* there may be millions */
+  cli_free(sheet->numbers); /* freed now, because there may be millions of points */
   return good;
 }
 
@@ -179,7 +179,7 @@ static bool sum_directly(const work *of, const double *query_mm, double *r, doub
   return true;
 }
 
-/* Sums directly for all queries. */
+/* Computes the sums of all queries point by point. */
 static bool sum_all(work *of, dipole_error *error) {
   const uint64_t count = of->queries.count;
   double *r = cli_allocate(of->points.count, sizeof *r);
@@ -229,7 +229,7 @@ static int request_sums(work *of) {
                              : CLI_OK;
 }
 
-/* Says how many sums are infinite, and what helps. */
+/* Reports how many sums are infinite, and how to avoid it. */
 static void report_infinite(const work *of) {
   const uint32_t channels = of->points.channels;
   uint64_t found = 0;

@@ -29,10 +29,10 @@ static const cli_option options[] = {
     {0},
 };
 
-/* A medium that is requested. */
+/* A medium to find. */
 typedef struct wanted {
   double wanted_albedo, length_mm;
-  dipole_medium medium; /* its coefficients and albedo are NaN if there is none */
+  dipole_medium medium; /* coefficients and albedo; NaN if there is no such medium */
   double albedo;
 } wanted;
 
@@ -143,7 +143,7 @@ static void put_facts(cli_rows *rows, const void *context, size_t index) {
 
 static void write_foot(const void *context) {
   const report *of = context;
-  cli_write_launched(&of->items[0].medium, of->count > 0 ? 1 : 0); /* all have one eta */
+  cli_write_launched(&of->items[0].medium, of->count > 0 ? 1 : 0); /* all media have one eta */
 }
 
 /* ---- the command ----------------------------------------------------------------------------- */

@@ -10,32 +10,32 @@ enum { CLI_IN_TABLE = 1 << CLI_TABLE, CLI_IN_CSV = 1 << CLI_CSV, CLI_IN_JSON = 1
 
 typedef struct cli_column {
   const char *name;    /* in CSV and JSON */
-  const char *head;    /* for people; NULL for the name */
-  const char *unit;    /* in JSON, and below the head in a table; NULL for none */
-  const char *format;  /* of a number in a table; NULL for "%.6g" */
-  const char *missing; /* what a table shows instead of NaN; NULL for "nan" */
-  const char *over;    /* above the head in a table; NULL for none */
+  const char *head;    /* title of the column for people; NULL: the name */
+  const char *unit;    /* unit of the column, in JSON and below the title in a table; NULL: none */
+  const char *format;  /* printf format of numbers in a table; NULL: "%.6g" */
+  const char *missing; /* text for NaN in a table; NULL: "nan" */
+  const char *over;    /* text above the title in a table; NULL: none */
   const char *below;   /* in place of the unit below the head in a table; NULL for that */
   unsigned forms;      /* output formats (CLI_IN_*) in which the column appears; 0: all */
 } cli_column;
 
-/* What is being written of a row. */
+/* Which part of a row is written. */
 enum cli_pass {
-  CLI_ROWS_OVER,   /* the header's line above the names; see cli_column.over */
-  CLI_ROWS_HEAD,   /* the header's line of names */
+  CLI_ROWS_OVER,   /* the line above the titles; see cli_column.over */
+  CLI_ROWS_HEAD,   /* the line of names or titles */
   CLI_ROWS_UNIT,   /* the header's line of units; in JSON the members of "units" */
   CLI_ROWS_VALUES, /* a row of values */
   CLI_ROWS_TITLE,  /* for people: names and values on one line */
 };
 
-/* What a row is written to. */
+/* The output of rows, and its state. */
 typedef struct cli_rows {
   enum cli_form form;
   enum cli_pass pass;
   FILE *file;
   struct cli_table *table;
-  const char *between; /* of two cells on this line, or members of this object */
-  bool filled;         /* it has one already */
+  const char *between; /* separator of cells of this line, or of members of this object */
+  bool filled;         /* whether the line or object has a cell or member */
 } cli_rows;
 
 /* Writes row `index`: calls one of the functions below for each column, always for the same columns
@@ -85,11 +85,12 @@ void cli_rows_object(cli_put_row *put, const void *context, size_t index);
  * "units" and "rows", which has an object for each row; CSV has the rows; people get a line of the
  * facts, and the rows unless there is table(). */
 typedef struct cli_report {
-  cli_put_row *facts; /* one row, of what holds for all; NULL for none */
+  cli_put_row *facts; /* row with what holds for all rows; NULL: none */
   size_t rows;
   cli_put_row *put_row;
-  size_t left;                        /* see cli_rows_print() */
-  void (*table)(const void *context); /* NULL for the rows, and then foot(), unless that is NULL */
+  size_t left; /* see cli_rows_print() */
+  /* writes the table for people; NULL: rows are written, and then foot() */
+  void (*table)(const void *context);
   void (*foot)(const void *context);
 } cli_report;
 

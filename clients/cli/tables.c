@@ -13,7 +13,7 @@
 
 typedef struct tables {
   size_t count;
-  dipole_table **items; /* one for each channel */
+  dipole_table **items; /* [count], one for each channel */
 } tables;
 
 static void add_table(tables *of, dipole_table *table) {
@@ -181,7 +181,7 @@ static const float *take_radii(const cli_settings *settings, cli_eval_report *re
   return r;
 }
 
-/* Names the first radius that a table does not take. */
+/* Reports the first radius that a table does not cover. */
 static int fail_radius(const dipole_table_info *info, const cli_eval_report *report) {
   size_t at = 0;
   while (at + 1 < report->place_count && report->places[at] >= info->radius_least_mm &&
@@ -192,7 +192,7 @@ static int fail_radius(const dipole_table_info *info, const cli_eval_report *rep
                   report->place_count, info->radius_least_mm, info->radius_most_mm);
 }
 
-/* Fills in the values of one table. */
+/* Sets the values of one table. */
 static int evaluate_table(const dipole_table *table, const float *r, const cli_eval_report *report,
                           cli_eval_values *values) {
   const dipole_table_info *info = dipole_table_get_info(table);

@@ -16,22 +16,22 @@
 typedef struct top_look {
   dipole_value *values; /* to be freed */
   size_t count;         /* 0: not known */
-  double at_s;          /* by a monotonic clock */
+  double at_s;          /* time of a monotonic clock in s */
 } top_look;
 
 enum { LISTED_MAX = 256 };
 
 typedef struct top_run {
   const cli_settings *settings;
-  dipole_client *client; /* the present one; NULL while the daemon is gone */
-  dipole_client *given;  /* the first one, which the caller closes */
-  bool has_screen;       /* a terminal shows the table again and again in one place */
-  double gone_s;         /* since when the daemon is gone; 0 while it is there */
-  top_look before;       /* unknown at first: the table then shows `now` alone */
+  dipole_client *client; /* the present client; NULL while the daemon is gone */
+  dipole_client *given;  /* the first client, which the caller closes */
+  bool has_screen;       /* whether the table is redrawn in one place of a terminal */
+  double gone_s;         /* when the daemon was lost, in s; 0 while it is there */
+  top_look before; /* the statistics before; unknown at first: the table then shows `now` only */
   top_look now;
   double interval_s;
   size_t listed_count;
-  size_t listed[LISTED_MAX]; /* positions of the statistics that are shown */
+  size_t listed[LISTED_MAX]; /* indices of the statistics that are shown */
 } top_run;
 
 static double now_s(void) {
@@ -277,7 +277,7 @@ static int watch_daemon(top_run *of) {
   double next_s = now_s();
   for (uint64_t i = 0;; i++) {
     looked = look(of);
-    if ((!looked && !of->has_screen) || ferror(stdout)) { /* main() will say why */
+    if ((!looked && !of->has_screen) || ferror(stdout)) { /* main() reports the error */
       return CLI_FAILED;
     }
     if (looked && (of->has_screen || of->before.count > 0)) {
@@ -314,7 +314,7 @@ static int run_top(const cli_settings *settings, dipole_client *client) {
                 .given = client,
                 .has_screen = settings->form == CLI_TABLE && isatty(STDOUT_FILENO) == 1};
   if (of.has_screen) {
-    is_ended_until(0); /* from now on, the cursor is shown again in any case */
+    is_ended_until(0); /* from here on, the cursor is restored at any exit */
     fputs(HIDE_CURSOR CLEAR, stdout);
   }
   const int status = watch_daemon(&of);
