@@ -22,7 +22,7 @@ REGULAR, FREE_PATH, LOGARITHMIC = 2, 1, 3
 TRANSPORT = 29
 READINGS = ["1,.02292,.00046", "2,.00781,.00016", "3,.00343,.00007", "5,.000775,.000016"]
 SCALES = {"absolute": 1, "free": 2}
-FIT = {"g": "0", "eta": "1.4", "scale": "absolute"}  # defaults; eta is that of READINGS
+FIT = {"g": "0", "eta": "1.4", "scale": "absolute"}  # defaults of a fit; eta is that of READINGS
 READINGS_MOST = 25
 SKIN = 0.032, 0.74, 0, 1.3  # sigma_a, sigma_s (1/mm), g, eta
 

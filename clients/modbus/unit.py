@@ -19,8 +19,10 @@ except ImportError:
     ModbusTcpClient = None
 
 ERROR, ERROR_TEXT, TEXT_REGISTERS, DEFAULTS = 302, 620, 40, 251
-BUSY, IS_BUSY, DONE, UNFITTED = 6, 1, 2, 5  # an exception, and values of the register `status`
-FIT_STATUS_NAME, NAME_REGISTERS = 8460, 8  # why a fit is no success
+# the exception BUSY, and values of the register `status`
+BUSY, IS_BUSY, DONE, UNFITTED = 6, 1, 2, 5
+# the register with the name of fit_status, and its length
+FIT_STATUS_NAME, NAME_REGISTERS = 8460, 8
 PATIENCE_S = 60
 
 

@@ -24,9 +24,9 @@ OUTSTANDING = 64
 class Values(NamedTuple):
     """The values of one quantity. All arrays have the broadcast shape of media and radii."""
 
-    values: Array  # of the evaluator's precision; units as in Result
-    numerical_error: Array  # of each value against the model's exact formula, relative
-    model_error: Array  # of the model against transport, relative; NaN: not solved
+    values: Array  # values in the evaluator's precision; units as in Result
+    numerical_error: Array  # relative error of each value against the model's exact formula
+    model_error: Array  # relative error of the model against transport; NaN: not solved
     models: tuple[str, ...]  # the models used: one, unless the tolerance chose several
 
     def __repr__(self) -> str:
@@ -41,7 +41,7 @@ class _Media(NamedTuple):
     """The distinct media of a call, and which of them each medium of the call is."""
 
     distinct: Array  # [C, 4]
-    # [...] of each medium in the call: its position in `distinct`
+    # [...] index in `distinct` of each medium of the call
     index: Array  # type: ignore[assignment]
 
 
@@ -125,7 +125,7 @@ def _first_axis(media: Media, r: Any) -> Array:
     return array.reshape(len(array), *(1,) * np.ndim(r), 4)
 
 
-# ---- what is requested -------------------------------------------------------------------------------
+# ---- what is requested ---------------------------------------------------------------------------
 
 
 class Places(NamedTuple):
@@ -133,7 +133,8 @@ class Places(NamedTuple):
 
     media: Array  # [C, 4]
     radii: Array  # [N]
-    places: tuple[tuple[int, Array], ...]  # (channel, positions [N]); channels may repeat
+    # (channel, positions [N] in the flattened result); channels may repeat
+    places: tuple[tuple[int, Array], ...]
 
 
 def _media(media: Media) -> _Media:

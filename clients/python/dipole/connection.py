@@ -48,7 +48,7 @@ class Incoming:
         self._spare = memoryview(bytearray(LARGE_BYTES))
         self._large: Array | None = None  # the large piece that is being received
         self._large_bytes = 0  # how many bytes of the large piece have been received
-        self._header: Any = None  # of the frame whose payload comes next
+        self._header: Any = None  # header of the frame whose payload is awaited
 
     def __bool__(self) -> bool:
         return len(self._bytes) > 0 or self._large is not None
@@ -234,7 +234,8 @@ class Connection:
                 return self._open_private(rest or _find_daemon())
         except (OSError, subprocess.SubprocessError) as error:
             ended = isinstance(error, (ssl.SSLZeroReturnError, ssl.SSLEOFError))
-            final = isinstance(error, ssl.SSLError) and not ended  # certificates, or no TLS there
+            # bad certificates, or a peer without TLS
+            final = isinstance(error, ssl.SSLError) and not ended
             final |= isinstance(error, ConnectError) and error.final
             plain = isinstance(error, ssl.SSLError) and error.reason == "WRONG_VERSION_NUMBER"
             text = "no TLS is spoken at this port: is it a tcp: address?" if plain else error
@@ -292,7 +293,7 @@ class Connection:
                     pass_fds=[theirs.fileno()],
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,
-                    process_group=0,  # so that the interrupt key does not end the daemon first
+                    process_group=0,  # the interrupt key then does not end the daemon first
                 )
         except BaseException:
             ours.close()
@@ -333,7 +334,7 @@ class Connection:
                 self._receive()
             if events & select.POLLOUT:
                 self._send()
-        except ConnectionLost:  # Frames that came before may still be taken.
+        except ConnectionLost:  # Frames received before the loss can still be read.
             self.torn = False
             raise
         self.torn = False
@@ -426,7 +427,7 @@ class Connection:
         return frame
 
 
-# What a socket raises when it has to wait.
+# Exceptions of a socket that has to wait.
 WAITS = (BlockingIOError, ssl.SSLWantReadError, ssl.SSLWantWriteError)
 
 

@@ -66,7 +66,7 @@ class Refused(DipoleError):
         self.allowed = allowed  # what is allowed in that field, or ""
         self.index = index  # position of the value at fault in its array
         self.retry_after_ms = retry_after_ms  # how long to wait if the daemon is busy; else 0
-        self.request_id = request_id  # of the request that was refused
+        self.request_id = request_id  # id of the request that was refused
         text = status
         if field:
             text += f": {field}[{index}]" if index else f": {field}"

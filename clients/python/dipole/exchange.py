@@ -23,7 +23,7 @@ from .values import Array
 
 T = TypeVar("T")
 
-KEPT_BYTES = 64 << 20  # the most payload bytes that a client keeps to send them again
+KEPT_BYTES = 64 << 20  # most bytes of payloads that a client keeps for sending again
 
 PAUSE_FIRST_S = 0.010
 # Requests that may be sent again: all but a cancel, which concerns one connection.
@@ -43,8 +43,8 @@ class Replies(Generic[T]):
     def __init__(self) -> None:
         self.ended = False  # whether the last reply has come
         self.begun = False  # whether the first reply has come
-        self.cut_off = False  # whether a daemon that stopped has ended it too early
-        self.ready: deque[T | DipoleError] = deque()  # what next() gives to the caller
+        self.cut_off = False  # whether a daemon that stopped has cut it off
+        self.ready: deque[T | DipoleError] = deque()  # parts and errors that next() returns
 
     def add(self, payload: bytes) -> None:
         """Reads the payload of the next reply."""
@@ -81,9 +81,9 @@ class Once(Replies[T]):
 class Joined(NamedTuple):
     """A reply in parts, or one of its parts."""
 
-    replies: list[Any]  # the structures of the parts
-    heads: list[dict[str, Any]]  # what each part has but its items, by name
-    arrays: dict[str, Array]  # of all items: the last axis is theirs
+    replies: list[Any]  # structures of the parts
+    heads: list[dict[str, Any]]  # values of each part besides its items, by name
+    arrays: dict[str, Array]  # arrays over all items, by name; items are the last axis
 
 
 class InParts(Replies[T]):
@@ -108,7 +108,7 @@ class InParts(Replies[T]):
         self._payload, self._count, self._fits = wire.PAYLOADS[payload], count, fits
         self._read, self._alike = read, alike
         self._parts: list[Joined] = []
-        self._next = 0  # the first item of the next part
+        self._next = 0  # index of the first item of the next part
 
     def _add(self, payload: bytes) -> None:
         fixed, heads = self._payload.unpack(payload)

@@ -14,8 +14,8 @@ from .exchange import InParts, Joined, Request
 from .session import Session
 from .values import Array, Fits, Media
 
-_REQUEST_BYTES = 16 << 20  # larger images are sent in several requests
-OUTSTANDING = 2  # requests under way at a time
+_REQUEST_BYTES = 16 << 20  # most bytes of a request; larger images need several
+OUTSTANDING = 2  # number of requests under way at a time
 
 
 def _arrays(values: Any, errors: Any) -> tuple[Array, Array]:
@@ -68,7 +68,7 @@ async def fit(
     for all readings or [N]; the detector sees light of all angles, unless parameters has
     {"detector_na": NA / the index outside}. residuals: whether they are wanted. eta, which has
     to be given, and g=0.0 hold for all sets. Beyond two mean free paths readings hardly depend on
-    g: a wrong one is "fitted", too. Repeat the call with g - 0.05 and g + 0.05 to see how much sigma_a
+    g: a wrong one is "fitted", too. Repeat the call with g -+ 0.05 to see how much sigma_a
     and sigma_s_prime change; for 0.1 it is about twice that. moments, parameters, deadline_ms:
     as of a Query; large images are sent in several requests, and the deadline holds for each.
     """

@@ -26,11 +26,11 @@ from .library import library as load
 from .table import Table
 from .values import Array, Gathered, Media
 
-OUTSTANDING = 4  # requests under way at a time
+OUTSTANDING = 4  # number of requests under way at a time
 _PART_POINTS = 65536
 _PART_QUERIES = 16384
-_PART_PAIRS = 1 << 30  # of a request with tolerance 0: the points that are summed one by one
-_SENT_MOST = 4  # how often the points are sent, at most, until sums come: daemons may lose them
+_PART_PAIRS = 1 << 30  # tolerance 0: most pairs of query and point in a request
+_SENT_MOST = 4  # most times that points are sent until sums come: daemons may lose them
 
 # Called with the numbers of queries that are computed and that there are; False ends the call.
 Progress = Callable[[int, int], bool | None] | None
@@ -142,8 +142,8 @@ async def gather(
     if listed.ndim < 1 or listed.shape[-1] != 3:
         raise ArgumentError("queries: an array [..., 3]")
     places = np.ascontiguousarray(listed.reshape(-1, 3))
-    # Where there are several requests, neighbours are put into one, because the daemon shares
-    # between them what it finds. Bad queries, which it names by index, stay where they are.
+    # If several requests are needed, neighbours share one: the daemon shares work
+    # between them. Invalid queries stay in place, because errors name them by index.
     order: Any = None
     if len(places) > _PART_QUERIES and tolerance > 0 and np.all(np.abs(places) <= 1e9):
         order = _order(places)
@@ -305,7 +305,7 @@ def gather_at_home(
     def follow(_context: Any, done: int, count: int) -> bool:
         try:
             return progress is None or progress(done, count) is not False
-        except BaseException as caught:  # It passes through C code, which knows no exceptions.
+        except BaseException as caught:  # C code is between, and cannot pass exceptions.
             raised.append(caught)
             return False
 

@@ -32,7 +32,7 @@ class _Error(ctypes.Structure):
     )
 
 
-PATH: str | None = None  # of the library; None: of the one that library() finds
+PATH: str | None = None  # path of the library; None: library() finds it
 
 
 @functools.cache

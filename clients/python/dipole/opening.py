@@ -1,4 +1,4 @@
-"""Opens connections to the first of several daemons that replies, at first and after a loss. It waits
+"""Opens a connection to the first of several daemons that replies, at first and after a loss. Waits
 with time.sleep(): AsyncClient calls it in a thread."""
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Opening:
         tls: Tls,
     ):
         self._addresses = _several(address or usual_address())
-        self._at = 0  # number of the address that is in use, or that is tried next
+        self._at = 0  # index of the address that is in use, or is tried next
         self._timeout_s = timeout_s
         self._tls = tls
         usual_s = 0.0 if self._addresses[0].startswith("private:") else RETRY_S

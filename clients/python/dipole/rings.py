@@ -13,8 +13,8 @@ from .errors import ArgumentError
 from .evaluation import eval
 from .values import Array, EvaluatorOptions, Grid, Media, Query, counted, in_short, span, whole
 
-_NODES = 16  # of Gauss and Legendre in each part of a ring
-_PARTS_MOST = 1 << 18  # of all media: the parts are cut no more when there are more of them
+_NODES = 16  # number of Gauss-Legendre nodes in each part of a ring
+_PARTS_MOST = 1 << 18  # most parts of the rings of all media: from then on none is divided
 _EPSILON = np.finfo(np.float64).eps
 
 

@@ -66,7 +66,8 @@ class Session:
         self.info: Info
         self.closed = False
         self._moving = False  # whether a task waits for the connection; others wait for this one
-        self._sleepers: dict[int, Event] = {}  # of the others, by the request that they wait for
+        # events of the other tasks, by the request that they wait for
+        self._sleepers: dict[int, Event] = {}
         self._sending: set[int] = set()  # requests whose callers wait until they are sent
         self._measured: MeasuredMedia = {}
 
@@ -257,7 +258,8 @@ class Session:
             if events & select.POLLOUT and not connection.unsent:
                 for request_id in self._sending:
                     self._wake(request_id)
-        except (ConnectionLost, Refused) as lost:  # Refused is the connection, not a request.
+        # Here Refused concerns the connection, not a request.
+        except (ConnectionLost, Refused) as lost:
             await self._restore(lost)
 
     async def _restore(self, lost: DipoleError) -> None:

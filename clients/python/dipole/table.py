@@ -40,7 +40,7 @@ class TableErrors(NamedTuple):
 
     numerical_error_constant: float  # constant part of the numerical error
     numerical_error_per_mm: float  # this number times r is added to the constant part
-    model_error: float  # of the model against radiative transport; NaN if it is not known
+    model_error: float  # error of the model against radiative transport; NaN if not known
 
 
 class Table(Fetched):
@@ -61,12 +61,15 @@ class Table(Fetched):
         # numerical_error() and errors() have the errors at given radii.
         self.numerical_error_constant: float = fixed.numerical_error
         self.numerical_error_per_mm: float = fixed.numerical_error_per_mm
-        self.reach_mm: float = fixed.reach  # Further away R is less exact than the two above say.
-        self.model_error: float = fixed.model_error  # at all radii; 0 or, if not known, NaN
-        self.pieces_from_mm: float = fixed.pieces_from  # below this radius: an asymptotic formula
-        self.pieces_to_mm: float = fixed.pieces_to  # from this radius on: an asymptotic formula
+        self.reach_mm: float = fixed.reach  # the two errors above hold for R up to this radius
+        # model error at all radii: 0, or NaN if not known
+        self.model_error: float = fixed.model_error
+        # below this radius an asymptotic formula holds
+        self.pieces_from_mm: float = fixed.pieces_from
+        # from this radius on an asymptotic formula holds
+        self.pieces_to_mm: float = fixed.pieces_to
         self.radius_least_mm: float = fixed.radius_least  # the least radius that the model covers
-        self.radius_most_mm: float = fixed.radius_most  # the largest radius that it covers
+        self.radius_most_mm: float = fixed.radius_most  # the largest radius that the model covers
         self.words: Array = np.frombuffer(data, "<u4", -1, len(data) - 4 * fixed.word_count)
 
     def __repr__(self) -> str:

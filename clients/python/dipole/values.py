@@ -58,7 +58,8 @@ class Medium(NamedTuple):
 
 
 Media = Union[Medium, str, Iterable[Sequence[float]], Array]
-MeasuredMedia = dict[str, tuple[Medium, ...]]  # by name: the channels red, green and blue
+# media by name, each with the channels red, green and blue
+MeasuredMedia = dict[str, tuple[Medium, ...]]
 
 
 class Grid(NamedTuple):
@@ -170,14 +171,14 @@ class Choice(NamedTuple):
 class Info:
     """A daemon's description of itself: its reply to hello."""
 
-    address: str  # of the daemon that said this first; Client.address is the one in use
+    address: str  # address of the first daemon; Client.address is the one in use
     software: str
     instruction_set: str
     R_unit: str
     protocol_version: int
     workers: int
-    choices: dict[str, dict[str, Choice]]  # by kind and name: choices["model"]["better"]
-    limits: dict[str, int]  # by name; a name ends in the unit, for example max_frame_bytes
+    choices: dict[str, dict[str, Choice]]  # by kind and name, as choices["model"]["better"]
+    limits: dict[str, int]  # limits by name; a name ends in its unit, as max_frame_bytes
 
     def __repr__(self) -> str:
         lists = ", ".join(f"{kind} {len(names)}" for kind, names in self.choices.items())
@@ -197,7 +198,8 @@ class Errors(NamedTuple):
     # relative, for ln R and its derivatives absolute.
     numerical_error: Array  # [C]
     numerical_error_per_mm: Array  # [C] 1/mm
-    model_error: Array  # [C] against transport at the radii of the query; NaN: not known
+    # [C] error of the model against transport at the query's radii; NaN: not known
+    model_error: Array
 
 
 class Offer(NamedTuple):
@@ -263,7 +265,7 @@ class _Evaluated:
     model: str
     evaluator: str
     moments: str
-    errors: dict[str, Errors]  # of each wanted quantity, by its name
+    errors: dict[str, Errors]  # errors of each wanted quantity, by its name
     notes: tuple[str, ...]  # names of the notes, of info.choices["note"], that hold for any channel
     quantities: dict[str, Array]  # every quantity of the result by the daemon's name
 
@@ -515,13 +517,13 @@ class Varying:
     evaluator: str
     g: float
     eta: float
-    quantities: dict[str, Array]  # those that were wanted, by name
-    coefficients: dict[str, Array]  # those that were wanted: sigma_a, sigma_s, scattered
+    quantities: dict[str, Array]  # arrays of the wanted quantities, by name
+    coefficients: dict[str, Array]  # arrays of the wanted coefficients: sigma_a, sigma_s, scattered
     statuses: Array  # numbers of uint8, ids of info.choices["value"]
     faults: dict[str, str]  # what is allowed, for each status of a value that is NaN
     notes: tuple[str, ...]
-    numerical_error: float  # relative, of all values whose status is "ok"
-    model_error: float  # against radiative transport, relative; nan if that is not solved
+    numerical_error: float  # largest relative error of values whose status is "ok"
+    model_error: float  # relative error against transport; nan if that is not solved
     colour_least: float  # the range of colours that media have, if colours were given; else nan
     colour_most: float
     specular: float  # the share of the light that the surface reflects; nan without colours
@@ -550,7 +552,7 @@ class Varying:
 class Gathered:
     """Sums of the light of points, for C channels."""
 
-    model: str | int  # a table that was loaded without a daemon's lists knows ids
+    model: str | int  # name; an id if a table was loaded without a daemon's lists
     moments: str | int
     evaluator: str
     tolerance: float
@@ -560,7 +562,7 @@ class Gathered:
     model_error: Array  # [C] of R against radiative transport, relative, from 0.01 to 20 mean free
     # paths; nan if transport is not solved
     points_visited: int  # points that were summed one by one
-    nodes_visited: int  # groups that stood for their points
+    nodes_visited: int  # groups of points that were summed as one
     notes: tuple[str | int, ...]
 
     def __repr__(self) -> str:
@@ -619,8 +621,8 @@ class McResult:
     energies: tuple[McEnergy, ...]  # [K]
     ring_photons: Array  # [S, N] number of photons that left in each ring
     values: Array  # [K, S, N]
-    errors: Array  # [K, S, N] standard errors
-    payload: bytes  # of the reply. Equal requests give equal bytes unless a job is ended early.
+    errors: Array  # [K, S, N] standard errors of the values
+    payload: bytes  # payload of the reply; equal for equal requests unless a job ends early
 
     def __repr__(self) -> str:
         albedos, sides, rings = self.values.shape

@@ -14,7 +14,7 @@ from .errors import ArgumentError
 from .exchange import InParts, Joined, Request
 from .values import Array, Info, Varying
 
-VALUES_MOST = 1 << 20  # of one request: some megabytes
+VALUES_MOST = 1 << 20  # most values of one request: some megabytes
 
 _WANTED = {wire.VARYING_NONE: (), wire.VARYING_RADII: ("R",), wire.VARYING_DRAWN: ("r",)}
 
@@ -24,9 +24,9 @@ class Plan(NamedTuple):
 
     info: Info
     shape: tuple[int, ...]
-    fixed: dict[str, Any]  # the fields of the request but value_count
+    fixed: dict[str, Any]  # fields of the request, except value_count
     parameters: list[bytes]
-    arrays: dict[str, Array]  # by the name of the part
+    arrays: dict[str, Array]  # arrays by the name of their part
     wanted: dict[int, str]  # names of quantities by bit, in the order of a reply's arrays
     coefficients: dict[int, str]
     type: str
@@ -172,7 +172,8 @@ async def varying(
         raise ArgumentError(f"{', '.join(arrays)}: {error}") from error
     usual = _WANTED[numbers]
     wanted_bits = _bits(info, "quantity", usual if wanted is None else wanted)
-    wanted_bits.pop(wire.QUANTITY_MODEL_ERROR, None)  # it has no array, and is always requested
+    # model_error has no array, and is always requested
+    wanted_bits.pop(wire.QUANTITY_MODEL_ERROR, None)
     if coefficients is None:
         coefficients = ("sigma_a", "sigma_s") if coloured and numbers == wire.VARYING_NONE else ()
     coefficient_bits = _bits(info, "coefficient", coefficients)

@@ -37,7 +37,7 @@ def _numbered(names: str, first: int = 1) -> dict[int, str]:
 STATUS_DEADLINE = 12
 
 # Permanent ids that the layout of a payload depends on.
-EVALUATOR_TYPES = {1: "<f8", 2: "<f4", 3: "<f4"}  # by evaluator: the numpy type of its values
+EVALUATOR_TYPES = {1: "<f8", 2: "<f4", 3: "<f4"}  # numpy's type of the values of each evaluator
 EVALUATORS = {"f64": 1, "f32": 2}
 QUANTITY_R = 1
 QUANTITY_ALBEDO = 2
@@ -55,13 +55,13 @@ DRAW_STRATIFIED = 3
 DRAW_RANDOM = 4
 SCALE_REFERENCE = 3
 FIT_FITTED = 1  # the only status of a fit that is a success
-# Of varying: what the third array holds, and the statuses of values that were computed.
+# For varying: contents of the third array, and statuses of values that were computed.
 VARYING_NONE = 0
 VARYING_RADII = 1
 VARYING_DRAWN = 2
 VALUE_OK = 0
 VALUES_COMPUTED = (0, 1)
-ANY_MODEL = 0  # in place of a model: the daemon chooses one by the parameter tolerance
+ANY_MODEL = 0  # model id: the daemon chooses a model by the parameter tolerance
 
 # States of an mc job. MC_STATES holds the states in which a job has ended.
 MC_UNDER_WAY = 0
@@ -93,7 +93,7 @@ class Structure:
         formats = (f"{field.count}{_FORMATS[field.kind]}" for field in self.fields)
         self._struct = struct.Struct("<" + "".join(formats))
         self._tuple = namedtuple(name, [field.name for field in self.fields])  # type: ignore[misc]
-        self.bytes = self._struct.size  # its size on the wire
+        self.bytes = self._struct.size  # size of the structure in bytes
 
     def pack(self, **values: Any) -> bytes:
         """Returns the structure's bytes. Values: every field except those called zero or

@@ -49,7 +49,8 @@ with dipole.Client() as client:
         if np.abs(step).max() < 1e-6:
             break
 
-errors = np.sqrt(np.diag(np.linalg.inv(square)))  # of the logarithms: they are relative
+# standard errors of the logarithms, that is relative ones
+errors = np.sqrt(np.diag(np.linalg.inv(square)))
 for name, value, error in zip(("sigma_a", "sigma_s"), np.exp(x), errors):
     print(f"{name} {value:.4f} 1/mm, +- {error:.1%}")
 print(f"chi squared {misfit @ misfit:.1f} for {len(r)} readings and {len(x)} coefficients")
