@@ -122,11 +122,6 @@ uint64_t fit_reply_bytes(uint64_t set_count, uint32_t residuals) {
   return schema_bytes(&schema_fit_reply, &fixed);
 }
 
-uint64_t fit_part_sets(uint32_t residuals, uint64_t max_payload_bytes) {
-  const wire_fit_reply fixed = {.reading_count = residuals};
-  return schema_part_values(&schema_fit_reply, &fixed, 1, max_payload_bytes);
-}
-
 bool fit_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_fit_reply *fixed) {
   schema_layout layout;
   if (!schema_is_whole(&schema_fit_reply, payload, payload_bytes, &layout)) {

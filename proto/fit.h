@@ -45,9 +45,6 @@ uint64_t fit_reply_bytes(uint64_t set_count, uint32_t residuals);
 /* Returns the offset of the residuals, [set_count][residuals], in the payload of a reply. */
 uint64_t fit_residuals_offset(uint64_t set_count);
 
-/* Returns how many sets fit into a reply of max_payload_bytes. */
-uint64_t fit_part_sets(uint32_t residuals, uint64_t max_payload_bytes);
-
 /* Parses the fixed part of a reply. Returns false if the payload does not have the shape that its
  * fixed part announces. */
 bool fit_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_fit_reply *fixed);

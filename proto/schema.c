@@ -331,20 +331,20 @@ uint64_t schema_bytes(const schema_payload *payload, const void *start) {
                                                                    : UINT64_MAX;
 }
 
+uint64_t schema_part_bytes(const schema_payload *payload, const void *start, uint64_t count) {
+  uint8_t fixed[2 * WIRE_BYTES_varying_reply];
+  memcpy(fixed, start, payload->fixed_bytes);
+  memcpy(fixed + offsetof(wire_part, count), &count, sizeof count);
+  return schema_bytes(payload, fixed);
+}
+
 uint64_t schema_part_values(const schema_payload *payload, const void *start, unsigned unit,
                             uint64_t bytes_max) {
-  uint8_t fixed[2 * WIRE_BYTES_varying_reply];
-  const uint64_t counts[] = {0, unit};
-  uint64_t bytes[2];
-  memcpy(fixed, start, payload->fixed_bytes);
-  for (int i = 0; i < 2; i++) {
-    memcpy(fixed + offsetof(wire_part, count), &counts[i], sizeof counts[i]);
-    bytes[i] = schema_bytes(payload, fixed);
-  }
-  if (bytes[1] == bytes[0]) {
-    return bytes_max >= bytes[0] ? UINT64_MAX : 0;
-  }
-  return bytes_max > bytes[0] ? (bytes_max - bytes[0]) / (bytes[1] - bytes[0]) * unit : 0;
+  const uint64_t none = schema_part_bytes(payload, start, 0);
+  const uint64_t each = schema_part_bytes(payload, start, unit) - none;
+  return each == 0          ? (bytes_max >= none ? UINT64_MAX : 0)
+         : bytes_max > none ? (bytes_max - none) / each * unit
+                            : 0;
 }
 
 /* ---- checking -------------------------------------------------------------------------------- */

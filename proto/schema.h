@@ -159,9 +159,12 @@ bool schema_lay_out(const schema_payload *payload, const void *start, uint64_t b
 /* Returns the bytes of a payload that begins with these structures; UINT64_MAX: more than can be. */
 uint64_t schema_bytes(const schema_payload *payload, const void *start);
 
+/* Returns the bytes of a part of a reply with this many elements. The reply's structure starts with
+ * wire_part, whose count does not matter. */
+uint64_t schema_part_bytes(const schema_payload *payload, const void *start, uint64_t count);
+
 /* Returns how many elements a part of a reply may have so that its payload takes at most bytes_max:
- * a multiple of `unit`, possibly 0. The reply's structure starts with wire_part. Returns UINT64_MAX
- * if elements take no bytes. */
+ * a multiple of `unit`, possibly 0. Returns UINT64_MAX if elements take no bytes. */
 uint64_t schema_part_values(const schema_payload *payload, const void *start, unsigned unit,
                             uint64_t bytes_max);
 

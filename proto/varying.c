@@ -88,14 +88,6 @@ varying_layout varying_reply_layout(unsigned evaluator, unsigned wanted, unsigne
                           .payload_bytes = all.payload_bytes};
 }
 
-uint64_t varying_part_values(unsigned evaluator, unsigned wanted, unsigned coefficients,
-                             uint64_t max_payload_bytes) {
-  const wire_varying_reply fixed = {.evaluator = (uint16_t)evaluator,
-                                    .wanted = (uint16_t)wanted,
-                                    .coefficients = (uint16_t)coefficients};
-  return schema_part_values(&schema_varying_reply, &fixed, VARYING_PART_VALUES, max_payload_bytes);
-}
-
 uint64_t varying_array_offset(const varying_layout *layout, uint32_t array) {
   return WIRE_BYTES_varying_reply +
          (uint64_t)__builtin_popcount(layout->arrays & (array - 1)) * layout->array_bytes;

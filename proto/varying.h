@@ -45,11 +45,6 @@ typedef struct varying_layout {
 varying_layout varying_reply_layout(unsigned evaluator, unsigned wanted, unsigned coefficients,
                                     uint64_t count);
 
-/* Returns how many values fit into a reply of max_payload_bytes, rounded down to a multiple of
- * VARYING_PART_VALUES, possibly 0. */
-uint64_t varying_part_values(unsigned evaluator, unsigned wanted, unsigned coefficients,
-                             uint64_t max_payload_bytes);
-
 /* Parts end at multiples of this number of values, so that kernels work on whole vectors. */
 #define VARYING_PART_VALUES 256
 

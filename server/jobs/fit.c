@@ -34,9 +34,7 @@ struct fit_job {
   uint64_t evaluation_radii; /* the cost of an evaluation, in radii of a dipole */
   uint64_t set_radii;        /* that of a set, on average */
   uint32_t residuals;        /* how many the reply has for each set: 0, or one for a reading */
-  uint8_t *reply;            /* payload of the current part */
   struct job_parts parts;    /* of the sets */
-  uint64_t index;            /* position in the part of the next set */
   uint64_t fitted;           /* how many sets of the part before index are a success */
   uint32_t notes;
 };
@@ -44,15 +42,6 @@ struct fit_job {
 JOB_STRUCTURE(struct fit_job, of)
 
 /* ---- starting -------------------------------------------------------------------------------- */
-
-/* Cuts the reply into parts: one if it fits into a frame, else parts of max_part_bytes. A reply is
- * larger than its request only if a set has few readings, so that many sets fit into a part. */
-static void cut(struct fit_job *fit, const struct options *options) {
-  const uint64_t count = fit->request.fixed.set_count;
-  const bool fits = fit_reply_bytes(count, fit->residuals) <= options->max_frame_bytes;
-  job_parts_cut(&fit->parts, count,
-                fits ? count : fit_part_sets(fit->residuals, options->max_part_bytes));
-}
 
 static wire_error check(struct fit_job *fit, const struct job_request *from) {
   const wire_error error =
@@ -70,7 +59,6 @@ static wire_error check(struct fit_job *fit, const struct job_request *from) {
   fit->evaluation_radii = (uint64_t)cost.evaluation;
   fit->set_radii = cost.evaluations * fit->evaluation_radii;
   fit->residuals = fit->request.fixed.residuals != 0 ? fit->request.design.reading_count : 0;
-  cut(fit, &fit->job.context->server->options);
   return wire_error_none();
 }
 
@@ -96,7 +84,9 @@ static enum job_outcome start(struct job *job, const struct job_request *request
   fit->search = NULL;
   fit->searches = false;
   job_init_other(job, &fit->lookup, request);
-  job->part_bytes = fit_reply_bytes(fit->parts.count, fit->residuals);
+  /* A reply is larger than its request only if a set has few readings: many sets fit into a part. */
+  const wire_fit_reply start = {.reading_count = fit->residuals};
+  job_parts_fit(&fit->parts, job, &schema_fit_reply, &start, 1, fit->request.fixed.set_count);
   return JOB_NEXT_PART;
 }
 
@@ -104,28 +94,18 @@ static enum job_outcome start(struct job *job, const struct job_request *request
 
 static enum job_outcome begin_part(struct job *job, uint8_t *payload) {
   struct fit_job *fit = of(job);
-  fit->reply = payload;
-  fit->index = 0;
+  job_part_begin(&fit->parts, payload);
   fit->fitted = 0;
   return JOB_GOES_ON;
 }
 
 static enum job_outcome end_part(struct fit_job *fit) {
   const wire_fit_reply start = {
-      .part = fit->parts.part,
-      .part_count = fit->parts.part_count,
-      .count = fit->parts.count,
-      .first = fit->parts.first,
       .fitted_count = fit->fitted,
       .reading_count = fit->residuals,
       .notes = fit->notes,
   };
-  wire_put_fit_reply(fit->reply, &start);
-  if (!job_parts_next(&fit->parts)) {
-    return JOB_DONE;
-  }
-  fit->job.part_bytes = fit_reply_bytes(fit->parts.count, fit->residuals);
-  return JOB_NEXT_PART;
+  return job_part_end(&fit->parts, &fit->job, &schema_fit_reply, &start);
 }
 
 /* ---- fitting --------------------------------------------------------------------------------- */
@@ -156,21 +136,23 @@ struct set {
 
 static struct set next_set(const struct fit_job *fit) {
   const size_t readings = fit->request.design.reading_count;
-  const size_t at = (size_t)(fit->parts.first + fit->index) * readings;
+  const size_t at = (size_t)(fit->parts.first + fit->parts.index) * readings;
   struct set set = {fit->request.values + at, fit->request.errors + at, NULL};
   if (fit->residuals > 0) {
-    set.residuals = (double *)(void *)(fit->reply + fit_residuals_offset(fit->parts.count)) +
-                    (size_t)fit->index * readings;
+    set.residuals =
+        (double *)(void *)(fit->parts.payload + fit_residuals_offset(fit->parts.count)) +
+        (size_t)fit->parts.index * readings;
   }
   return set;
 }
 
 static void put(struct fit_job *fit, const core_fit_result *result) {
   const wire_fitted fitted = fit_result_encode(result);
-  wire_put_fitted(fit->reply + WIRE_BYTES_fit_reply + fit->index * WIRE_BYTES_fitted, &fitted);
+  wire_put_fitted(fit->parts.payload + WIRE_BYTES_fit_reply + fit->parts.index * WIRE_BYTES_fitted,
+                  &fitted);
   fit->fitted += result->status == CORE_FIT_STATUS_FITTED;
   fit->notes |= result->notes;
-  fit->index++;
+  fit->parts.index++;
 }
 
 /* Begins to refine the next set from a result. */
@@ -253,16 +235,16 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
     return outcome;
   }
   uint64_t spent = JOB_STEP_RADII;
-  const uint64_t begun = fit->index;
-  while (outcome == JOB_GOES_ON && fit->index < fit->parts.count && spent < JOB_SLICE_RADII) {
+  const uint64_t begun = fit->parts.index;
+  while (outcome == JOB_GOES_ON && fit->parts.index < fit->parts.count && spent < JOB_SLICE_RADII) {
     outcome = fit_next(fit, &spent);
   }
-  stats_add(&job->context->server->stats, STATS_SETS_FITTED, fit->index - begun);
-  job_pay(job, (fit->index - begun) * fit->set_radii);
+  stats_add(&job->context->server->stats, STATS_SETS_FITTED, fit->parts.index - begun);
+  job_pay(job, (fit->parts.index - begun) * fit->set_radii);
   *budget -= spent < *budget ? spent : *budget;
-  return outcome != JOB_GOES_ON           ? outcome
-         : fit->index == fit->parts.count ? end_part(fit)
-                                          : JOB_GOES_ON;
+  return outcome != JOB_GOES_ON                 ? outcome
+         : fit->parts.index == fit->parts.count ? end_part(fit)
+                                                : JOB_GOES_ON;
 }
 
 static void end(struct job *job) {

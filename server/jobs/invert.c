@@ -25,9 +25,7 @@ struct invert_job {
   bool slow;                     /* whether the profiles of probes are prepared on another thread */
   struct profiles_lookup lookup; /* gets the profiles of slow probes */
   uint64_t probe_radii;          /* the cost of a probe, in radii of a dipole */
-  uint8_t *reply;                /* payload of the current part */
   struct job_parts parts;        /* of the media */
-  uint64_t index;                /* position in the part of the medium that is searched for */
   uint64_t missing;              /* how many media of the part before index do not exist */
 };
 
@@ -54,16 +52,6 @@ static wire_error check_media(const invert_request *request) {
     }
   }
   return wire_error_none();
-}
-
-/* Cuts the reply into parts: one if it fits into a frame, else parts of max_part_bytes. */
-static void cut(struct invert_job *invert, const struct options *options) {
-  const uint64_t count = invert->request.fixed.medium_count;
-  const bool fits = invert_reply_bytes(count) <= options->max_frame_bytes;
-  const wire_invert_reply none = {.count = 0};
-  job_parts_cut(&invert->parts, count,
-                fits ? count
-                     : schema_part_values(&schema_invert_reply, &none, 1, options->max_part_bytes));
 }
 
 static wire_error check(struct invert_job *invert, const struct job_request *from) {
@@ -118,8 +106,8 @@ static enum job_outcome start(struct job *job, const struct job_request *request
   const core_parameters none = core_parameters_none();
   job_init_lookup(job, &invert->lookup, request);
   profiles_start(&invert->lookup, fixed->model, fixed->moments, CORE_EVALUATOR_F64, &none);
-  cut(invert, &job->context->server->options);
-  job->part_bytes = invert_reply_bytes(invert->parts.count);
+  const wire_invert_reply start = {.count = 0};
+  job_parts_fit(&invert->parts, job, &schema_invert_reply, &start, 1, fixed->medium_count);
   return JOB_NEXT_PART;
 }
 
@@ -127,8 +115,7 @@ static enum job_outcome start(struct job *job, const struct job_request *request
 
 static enum job_outcome begin_part(struct job *job, uint8_t *payload) {
   struct invert_job *invert = of(job);
-  invert->reply = payload;
-  invert->index = 0;
+  job_part_begin(&invert->parts, payload);
   invert->missing = 0;
   return JOB_GOES_ON;
 }
@@ -139,40 +126,32 @@ static enum job_outcome end_part(struct invert_job *invert) {
       .model = fixed->model,
       .moments = fixed->moments,
       .given = fixed->given,
-      .part = invert->parts.part,
-      .part_count = invert->parts.part_count,
-      .count = invert->parts.count,
-      .first = invert->parts.first,
       .missing_count = invert->missing,
       .albedo_least = core_inverter_seen(&invert->inverter, invert->inverter.albedo_least),
       .albedo_most = core_inverter_seen(&invert->inverter, invert->inverter.albedo_most),
   };
-  wire_put_invert_reply(invert->reply, &start);
-  if (!job_parts_next(&invert->parts)) {
-    return JOB_DONE;
-  }
-  invert->job.part_bytes = invert_reply_bytes(invert->parts.count);
-  return JOB_NEXT_PART;
+  return job_part_end(&invert->parts, &invert->job, &schema_invert_reply, &start);
 }
 
 /* ---- looking for media ----------------------------------------------------------------------- */
 
 static double *array(const struct invert_job *invert, enum invert_array which) {
-  return (double *)(void *)(invert->reply + invert_array_offset(which, invert->parts.count));
+  return (double *)(void *)(invert->parts.payload +
+                            invert_array_offset(which, invert->parts.count));
 }
 
 /* Writes the medium at index, for which the search has ended. */
 static void put_medium(struct invert_job *invert) {
   const core_inverter *inverter = &invert->inverter;
   const bool found = inverter->found;
-  array(invert, INVERT_SIGMA_A)[invert->index] =
+  array(invert, INVERT_SIGMA_A)[invert->parts.index] =
       found ? inverter->medium.sigma_a_per_mm : (double)NAN;
-  array(invert, INVERT_SIGMA_S)[invert->index] =
+  array(invert, INVERT_SIGMA_S)[invert->parts.index] =
       found ? inverter->medium.sigma_s_per_mm : (double)NAN;
-  array(invert, INVERT_ALBEDO)[invert->index] =
+  array(invert, INVERT_ALBEDO)[invert->parts.index] =
       found ? core_inverter_seen(inverter, inverter->albedo) : (double)NAN;
   invert->missing += !found;
-  invert->index++;
+  invert->parts.index++;
   invert->seeking = false;
 }
 
@@ -180,7 +159,7 @@ static void put_medium(struct invert_job *invert) {
 static enum job_outcome probe(struct invert_job *invert, double *albedo) {
   struct job_context *context = invert->job.context;
   const wire_invert_request *fixed = &invert->request.fixed;
-  const uint64_t i = invert->parts.first + invert->index;
+  const uint64_t i = invert->parts.first + invert->parts.index;
   if (!invert->slow) {
     const core_fault fault = core_albedo(context->server->isa, fixed->model, fixed->moments,
                                          invert->inverter.light, &invert->inverter.medium, albedo);
@@ -213,7 +192,7 @@ static enum job_outcome take(struct invert_job *invert, double albedo) {
 /* Does one step of the search: begins with the next medium, or probes once more. An albedo that the
  * model cannot reach needs no probe. */
 static enum job_outcome seek(struct invert_job *invert) {
-  const uint64_t i = invert->parts.first + invert->index;
+  const uint64_t i = invert->parts.first + invert->parts.index;
   if (invert->reach_known && !invert->seeking) {
     invert->seeking = true;
     if (core_inverter_seek(&invert->inverter, invert->request.albedos[i],
@@ -235,17 +214,18 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
   struct invert_job *invert = of(job);
   uint64_t spent = JOB_STEP_RADII;
   enum job_outcome outcome = JOB_GOES_ON;
-  const uint64_t begun = invert->index;
-  while (outcome == JOB_GOES_ON && invert->index < invert->parts.count && spent < JOB_SLICE_RADII) {
+  const uint64_t begun = invert->parts.index;
+  while (outcome == JOB_GOES_ON && invert->parts.index < invert->parts.count &&
+         spent < JOB_SLICE_RADII) {
     outcome = seek(invert);
     spent += invert->probe_radii;
   }
-  const uint64_t done = invert->index - begun;
+  const uint64_t done = invert->parts.index - begun;
   stats_add(&job->context->server->stats, STATS_MEDIA_INVERTED, done);
   job_pay(job, done * medium_radii(invert));
   *budget -= spent < *budget ? spent : *budget;
-  return outcome == JOB_GOES_ON && invert->index == invert->parts.count ? end_part(invert)
-                                                                        : outcome;
+  return outcome == JOB_GOES_ON && invert->parts.index == invert->parts.count ? end_part(invert)
+                                                                              : outcome;
 }
 
 static void end(struct job *job) {

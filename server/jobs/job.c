@@ -204,3 +204,30 @@ bool job_parts_next(struct job_parts *parts) {
   parts->part++;
   return true;
 }
+
+bool job_parts_fit(struct job_parts *parts, struct job *job, const schema_payload *reply,
+                   const void *start, unsigned unit, uint64_t total) {
+  const struct options *options = &job->context->server->options;
+  uint64_t most = total;
+  if (schema_part_bytes(reply, start, total) > options->max_frame_bytes) {
+    most = schema_part_values(reply, start, unit, options->max_part_bytes);
+    if (most == 0) {
+      return false;
+    }
+  }
+  job_parts_cut(parts, total, most);
+  job->part_bytes = schema_part_bytes(reply, start, parts->count);
+  return true;
+}
+
+enum job_outcome job_part_end(struct job_parts *parts, struct job *job, const schema_payload *reply,
+                              const void *start) {
+  const wire_part head = {parts->part, parts->part_count, parts->first, parts->count};
+  memmove(parts->payload, start, reply->fixed_bytes); /* it may be written already */
+  wire_put_part(parts->payload, &head);
+  if (!job_parts_next(parts)) {
+    return JOB_DONE;
+  }
+  job->part_bytes = schema_part_bytes(reply, start, parts->count);
+  return JOB_NEXT_PART;
+}

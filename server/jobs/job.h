@@ -18,7 +18,7 @@
 #ifndef DIPOLED_JOB_H
 #define DIPOLED_JOB_H
 
-#include "proto/wire.h"
+#include "proto/schema.h"
 #include "server/jobs/batch.h"
 #include "server/net/roles.h"
 #include "server/observe/latency.h"
@@ -133,7 +133,26 @@ struct job_parts {
   uint64_t left;  /* how many follow it */
   uint32_t part;  /* number of the current part, from 0 */
   uint32_t part_count;
+  uint8_t *payload; /* of the current part */
+  uint64_t index;   /* position in the part of the entry that is next */
 };
+
+/* Cuts a reply into parts: one if it fits into a frame, else parts of up to max_part_bytes, which have
+ * a multiple of `unit` entries; sets job->part_bytes. start: the reply's structure, which begins with
+ * wire_part. Returns false if not even one unit fits. */
+bool job_parts_fit(struct job_parts *parts, struct job *job, const schema_payload *reply,
+                   const void *start, unsigned unit, uint64_t total);
+
+/* Begins to write the current part there. */
+static inline void job_part_begin(struct job_parts *parts, uint8_t *payload) {
+  parts->payload = payload;
+  parts->index = 0;
+}
+
+/* Writes the structure with which the current part begins, and goes on to the next part: sets
+ * job->part_bytes, or returns DONE. */
+enum job_outcome job_part_end(struct job_parts *parts, struct job *job, const schema_payload *reply,
+                              const void *start);
 
 /* Cuts a list into fewer than 2^32 parts, and begins with the first. most is 0 only if total is 0. */
 void job_parts_cut(struct job_parts *parts, uint64_t total, uint64_t most);

@@ -14,7 +14,6 @@ struct varying_job {
   uint64_t value_radii; /* the cost of a value, in radii of a dipole */
   struct job_parts parts;
   varying_part part;
-  uint64_t index; /* position in the part of the next value */
 };
 
 JOB_STRUCTURE(struct varying_job, of)
@@ -33,25 +32,6 @@ static uint64_t value_cost(const wire_varying_request *fixed) {
          (fixed->numbers == VARYING_DRAWN ? DRAW_RADII : 0);
 }
 
-/* Cuts the reply into parts: one if it fits into a frame, else parts of max_part_bytes. */
-static wire_error cut(struct varying_job *varying, const struct options *options) {
-  const wire_varying_request *fixed = &varying->request.fixed;
-  const varying_layout whole = varying_reply_layout(fixed->evaluator, fixed->wanted,
-                                                    fixed->coefficients, fixed->value_count);
-  uint64_t most = fixed->value_count;
-  if (whole.payload_bytes > options->max_frame_bytes) {
-    most = varying_part_values(fixed->evaluator, fixed->wanted, fixed->coefficients,
-                               options->max_part_bytes);
-    if (most == 0) {
-      return wire_error_make(WIRE_STATUS_TOO_LARGE, "wanted",
-                             "fewer quantities, or values: they do not fit into a part "
-                             "(max_part_bytes)");
-    }
-  }
-  job_parts_cut(&varying->parts, fixed->value_count, most);
-  return wire_error_none();
-}
-
 /* Checks the model, g, eta and the parameters with a medium that every model takes. What depends on
  * more than that is found when they are prepared. */
 static wire_error check_model(const varying_request *request) {
@@ -62,13 +42,6 @@ static wire_error check_model(const varying_request *request) {
   return job_error(fault);
 }
 
-static void set_part_bytes(struct varying_job *varying) {
-  const wire_varying_request *fixed = &varying->request.fixed;
-  varying->job.part_bytes = varying_reply_layout(fixed->evaluator, fixed->wanted,
-                                                 fixed->coefficients, varying->parts.count)
-                                .payload_bytes;
-}
-
 static enum job_outcome start(struct job *job, const struct job_request *from) {
   struct varying_job *varying = of(job);
   varying_request *request = &varying->request;
@@ -77,8 +50,14 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
   if (error.status == WIRE_STATUS_OK) {
     error = check_model(request);
   }
-  if (error.status == WIRE_STATUS_OK) {
-    error = cut(varying, &job->context->server->options);
+  const wire_varying_reply start = {
+      .evaluator = fixed->evaluator, .wanted = fixed->wanted, .coefficients = fixed->coefficients};
+  if (error.status == WIRE_STATUS_OK &&
+      !job_parts_fit(&varying->parts, job, &schema_varying_reply, &start, VARYING_PART_VALUES,
+                     fixed->value_count)) {
+    error = wire_error_make(WIRE_STATUS_TOO_LARGE, "wanted",
+                            "fewer quantities, or values: they do not fit into a part "
+                            "(max_part_bytes)");
   }
   if (error.status == WIRE_STATUS_OK) {
     varying->compares = (fixed->wanted & CORE_QUANTITY_MODEL_ERROR) != 0 &&
@@ -93,7 +72,6 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
   }
   job_init_other(job, &varying->ruler, from);
   job_init_other(job, &varying->lookup, from);
-  set_part_bytes(varying);
   return JOB_NEXT_PART;
 }
 
@@ -103,18 +81,15 @@ static enum job_outcome begin_part(struct job *job, uint8_t *payload) {
   struct varying_job *varying = of(job);
   varying_part_start(&varying->part, &varying->request, payload, varying->parts.first,
                      varying->parts.count);
-  varying->index = 0;
+  job_part_begin(&varying->parts, payload);
   return JOB_GOES_ON;
 }
 
 static enum job_outcome end_part(struct varying_job *varying) {
+  struct job_parts *parts = &varying->parts;
   varying_part_end(&varying->part, &varying->request, varyings_found(&varying->lookup),
-                   varyings_found(&varying->ruler), varying->parts.part, varying->parts.part_count);
-  if (!job_parts_next(&varying->parts)) {
-    return JOB_DONE;
-  }
-  set_part_bytes(varying);
-  return JOB_NEXT_PART;
+                   varyings_found(&varying->ruler), parts->part, parts->part_count);
+  return job_part_end(parts, &varying->job, &schema_varying_reply, parts->payload);
 }
 
 /* Prepares transport for the comparison. If no surface of it can be made, there is none. */
@@ -156,7 +131,7 @@ static enum job_outcome prepare(struct varying_job *varying) {
 }
 
 static size_t slice_length(const struct varying_job *varying) {
-  const uint64_t left = varying->part.count - varying->index;
+  const uint64_t left = varying->part.count - varying->parts.index;
   uint64_t most =
       JOB_SLICE_RADII / varying->value_radii / VARYING_PART_VALUES * VARYING_PART_VALUES;
   most = most < VARYING_PART_VALUES ? VARYING_PART_VALUES : most;
@@ -172,14 +147,15 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
   if (outcome == JOB_GOES_ON) {
     const size_t n = slice_length(varying);
     varying_part_evaluate(&varying->part, &varying->request, varyings_found(&varying->lookup),
-                          varyings_found(&varying->ruler), varying->index, n, job->context->radii);
-    varying->index += n;
+                          varyings_found(&varying->ruler), varying->parts.index, n,
+                          job->context->radii);
+    varying->parts.index += n;
     spent += n * varying->value_radii;
     job_pay(job, n * varying->value_radii);
     struct stats *stats = &job->context->server->stats;
     stats_count_radii(stats, varying->request.fixed.model, n);
     stats_add(stats, STATS_SLICES_EVALUATED, 1);
-    outcome = varying->index < varying->part.count ? JOB_GOES_ON : end_part(varying);
+    outcome = varying->parts.index < varying->part.count ? JOB_GOES_ON : end_part(varying);
   }
   *budget -= spent < *budget ? spent : *budget;
   return outcome;
