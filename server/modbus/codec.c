@@ -15,8 +15,8 @@ static const struct function {
   uint8_t number;
   uint8_t request;        /* length of a request, without the values that it counts */
   uint8_t request_values; /* position of the byte that counts the bytes of values, or 0 */
-  uint8_t answer; /* length of an answer, without the values that it counts; 0: it is not known */
-  uint8_t answer_values;
+  uint8_t reply; /* length of a reply, without the values that it counts; 0: it is not known */
+  uint8_t reply_values;
   /* What the daemon does for this function. ELSEWHERE: the daemon does not serve it. */
   enum { ELSEWHERE, READS, WRITES } here;
 } functions[] = {
@@ -159,15 +159,15 @@ bool modbus_rtu_is_frame(const uint8_t *bytes, size_t count) {
              (bytes[count - 2] | bytes[count - 1] << 8);
 }
 
-/* Returns the length of the answer's PDU that begins with these bytes, or 0 if they do not say. */
-static size_t answer_bytes(const uint8_t *pdu, size_t bytes) {
+/* Returns the length of the reply's PDU that begins with these bytes, or 0 if they do not say. */
+static size_t reply_pdu_bytes(const uint8_t *pdu, size_t bytes) {
   if (bytes > 0 && pdu[0] >= 0x80) {
     return 2;
   }
   const struct function *function = bytes > 0 ? find(pdu[0]) : NULL;
-  return function == NULL || function->answer == 0
+  return function == NULL || function->reply == 0
              ? 0
-             : counted(pdu, bytes, function->answer, function->answer_values);
+             : counted(pdu, bytes, function->reply, function->reply_values);
 }
 
 static bool begins_with_frame(const uint8_t *bytes, size_t count, size_t pdu_bytes) {
@@ -175,14 +175,14 @@ static bool begins_with_frame(const uint8_t *bytes, size_t count, size_t pdu_byt
   return pdu_bytes > 0 && length <= count && modbus_rtu_is_frame(bytes, length);
 }
 
-/* Returns the length of the frame, a request or an answer, at the start of the bytes. Returns 0 if
+/* Returns the length of the frame, a request or a reply, at the start of the bytes. Returns 0 if
  * there is none. If two lengths are possible, the shorter one is right: a frame followed by a zero,
  * which starts a broadcast, also passes the checksum. */
 static size_t first_frame(const uint8_t *bytes, size_t count) {
   const size_t request = count > 1 ? modbus_pdu_bytes(bytes + 1, count - 1) : 0;
-  const size_t answer = count > 1 ? answer_bytes(bytes + 1, count - 1) : 0;
-  const size_t shorter = request < answer ? request : answer;
-  const size_t longer = request < answer ? answer : request;
+  const size_t reply = count > 1 ? reply_pdu_bytes(bytes + 1, count - 1) : 0;
+  const size_t shorter = request < reply ? request : reply;
+  const size_t longer = request < reply ? reply : request;
   const size_t pdu = begins_with_frame(bytes, count, shorter)  ? shorter
                      : begins_with_frame(bytes, count, longer) ? longer
                                                                : 0;
@@ -232,12 +232,12 @@ static size_t put_text(uint8_t *at, const char *text) {
   return length;
 }
 
-size_t modbus_identity_report(unsigned unit, uint8_t *answer) {
-  answer[0] = MODBUS_FC_REPORT_SLAVE_ID;
-  answer[2] = (uint8_t)unit;
-  answer[3] = 0xff; /* run indicator: on */
-  const size_t bytes = 4 + put_text(answer + 4, "dipoled " DIPOLED_VERSION);
-  answer[1] = (uint8_t)(bytes - 2);
+size_t modbus_identity_report(unsigned unit, uint8_t *reply) {
+  reply[0] = MODBUS_FC_REPORT_SLAVE_ID;
+  reply[2] = (uint8_t)unit;
+  reply[3] = 0xff; /* run indicator: on */
+  const size_t bytes = 4 + put_text(reply + 4, "dipoled " DIPOLED_VERSION);
+  reply[1] = (uint8_t)(bytes - 2);
   return bytes;
 }
 
@@ -250,7 +250,7 @@ static bool is_there(unsigned id) {
   return false;
 }
 
-/* Returns whether an object goes into the answer. A request for all objects of a kind gets those
+/* Returns whether an object goes into the reply. A request for all objects of a kind gets those
  * from object `id` on, or all if there is no object `id`. */
 static bool is_asked_for(const struct object *object, unsigned code, unsigned id) {
   if (code == INDIVIDUAL) {
@@ -260,7 +260,7 @@ static bool is_asked_for(const struct object *object, unsigned code, unsigned id
   return object->id <= last && (object->id >= id || !is_there(id) || id > last);
 }
 
-size_t modbus_identity_read(const uint8_t *pdu, uint8_t *answer, unsigned *exception) {
+size_t modbus_identity_read(const uint8_t *pdu, uint8_t *reply, unsigned *exception) {
   const unsigned code = pdu[2];
   const unsigned id = pdu[3];
   if (code < BASIC || code > INDIVIDUAL) {
@@ -271,16 +271,16 @@ size_t modbus_identity_read(const uint8_t *pdu, uint8_t *answer, unsigned *excep
     *exception = MODBUS_EXCEPTION_ILLEGAL_DATA_ADDRESS;
     return 0;
   }
-  /* The zeros say that no more objects follow: all fit into one answer. */
+  /* The zeros say that no more objects follow: all fit into one reply. */
   const uint8_t head[] = {pdu[0], pdu[1], (uint8_t)code, CONFORMITY, 0, 0, 0};
-  memcpy(answer, head, sizeof head);
+  memcpy(reply, head, sizeof head);
   size_t bytes = sizeof head;
   for (size_t i = 0; i < OBJECTS; i++) {
     if (is_asked_for(&objects[i], code, id)) {
-      answer[6]++;
-      answer[bytes++] = (uint8_t)objects[i].id;
-      const size_t length = put_text(answer + bytes + 1, objects[i].value);
-      answer[bytes++] = (uint8_t)length;
+      reply[6]++;
+      reply[bytes++] = (uint8_t)objects[i].id;
+      const size_t length = put_text(reply + bytes + 1, objects[i].value);
+      reply[bytes++] = (uint8_t)length;
       bytes += length;
     }
   }

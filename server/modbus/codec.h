@@ -49,7 +49,7 @@ uint16_t modbus_rtu_checksum(const uint8_t *bytes, size_t count);
 /* Returns whether the bytes are exactly one frame. */
 bool modbus_rtu_is_frame(const uint8_t *bytes, size_t count);
 
-/* The frames, requests and answers, at the start of some bytes. They follow each other without
+/* The frames, requests and replies, at the start of some bytes. They follow each other without
  * anything between them. */
 struct modbus_rtu_frames {
   unsigned count;
@@ -63,13 +63,13 @@ struct modbus_rtu_frames modbus_rtu_split(const uint8_t *bytes, size_t count);
 
 /* ---- identification -------------------------------------------------------------------------- */
 
-/* Function 17, report server id: writes the answer's PDU, at most MODBUS_PDU_MAX bytes, and returns
+/* Function 17, report server id: writes the reply's PDU, at most MODBUS_PDU_MAX bytes, and returns
  * its length. */
-size_t modbus_identity_report(unsigned unit, uint8_t *answer);
+size_t modbus_identity_report(unsigned unit, uint8_t *reply);
 
-/* Function 43/14, read device identification: writes the answer's PDU, at most MODBUS_PDU_MAX
+/* Function 43/14, read device identification: writes the reply's PDU, at most MODBUS_PDU_MAX
  * bytes, and returns its length. The request's PDU has 4 bytes. Returns 0 if *exception is the
- * answer. */
-size_t modbus_identity_read(const uint8_t *pdu, uint8_t *answer, unsigned *exception);
+ * reply. */
+size_t modbus_identity_read(const uint8_t *pdu, uint8_t *reply, unsigned *exception);
 
 #endif

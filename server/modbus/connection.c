@@ -16,7 +16,7 @@ enum {
   /* The kernel's buffer in each direction. Without a limit, it grows to megabytes for a master that
    * does not read. With a limit far below the size of a segment, the kernel drops segments. */
   SOCKET_BUFFER_BYTES = 65536,
-  LINGER_MS = 1000, /* how long the peer may take to close after the last answer */
+  LINGER_MS = 1000, /* how long the peer may take to close after the last reply */
 };
 
 static struct modbus_connection *connection_of(struct client *client) {
@@ -39,11 +39,11 @@ static void log_closed(const struct modbus_connection *c, const char *reason) {
 }
 
 static void log_refusal(const struct modbus_connection *c, const uint8_t *frame, size_t bytes) {
-  const uint8_t *answer = c->unsent + HEADER_BYTES;
-  if (answer[0] >= 0x80) { /* tcp_peer() takes a system call */
+  const uint8_t *reply = c->unsent + HEADER_BYTES;
+  if (reply[0] >= 0x80) { /* tcp_peer() takes a system call */
     char peer[TCP_TEXT_BYTES];
     tcp_peer(c->fd, peer);
-    modbus_answer_log(frame + HEADER_BYTES, bytes - HEADER_BYTES, answer, frame[6], "peer", peer);
+    modbus_log_refusal(frame + HEADER_BYTES, bytes - HEADER_BYTES, reply, frame[6], "peer", peer);
   }
 }
 
@@ -69,24 +69,14 @@ static void abort_connection(struct modbus_connection *c) {
   }
 }
 
-static void set_reading(struct modbus_connection *c, bool wanted) {
-  if (!c->closing && !transport_set_reading(&c->transport, wanted)) {
-    abort_connection(c);
-  }
+static void on_failed(void *owner) {
+  abort_connection(owner);
 }
 
-/* Ends the connection so that the peer can read the last answer. Closing a socket with unread bytes
- * would reset the connection, and the peer might lose that answer. So the connection reads and
- * drops bytes until the peer closes. */
+/* Ends the connection so that the peer can read the last reply. */
 static void linger(struct modbus_connection *c) {
-  if (!transport_shut_down(&c->transport)) {
-    abort_connection(c);
-    return;
-  }
-  c->lingering = true;
-  c->begin = c->end = 0;
   c->active_ms = now_ms(c);
-  set_reading(c, true);
+  transport_linger(&c->transport);
 }
 
 /* ---- writing --------------------------------------------------------------------------------- */
@@ -101,34 +91,20 @@ static void wrote(struct modbus_connection *c, uint64_t bytes) {
   stats_add(stats_of(c), STATS_SENT_BYTES, bytes);
 }
 
-/* Writes as much of the answer as the socket takes. */
+/* Writes as much of the reply as the socket takes. */
 static void write_unsent(struct modbus_connection *c) {
-  while (has_unsent(c) && !c->transport.writing) {
+  while (has_unsent(c) && !c->transport.writing && !c->closing) {
     const uv_buf_t rest =
         uv_buf_init((char *)c->unsent + c->unsent_begin, c->unsent_end - c->unsent_begin);
-    uint64_t written;
-    if (!transport_write(&c->transport, &rest, 1, &written)) {
-      abort_connection(c);
-      return;
-    }
-    wrote(c, written);
+    wrote(c, transport_write(&c->transport, &rest, 1));
   }
 }
 
-static void on_sent(void *owner, uint64_t bytes, int status) {
+static void on_sent(void *owner, uint64_t bytes) {
   struct modbus_connection *c = owner;
-  if (c->closing) {
-    return;
-  }
-  if (status != 0) {
-    abort_connection(c);
-    return;
-  }
   wrote(c, bytes);
   write_unsent(c);
-  if (!c->closing) {
-    worker_run_later(&c->client);
-  }
+  worker_run_later(&c->client);
 }
 
 /* ---- answering ------------------------------------------------------------------------------- */
@@ -143,8 +119,8 @@ static unsigned frame_bytes(const uint8_t *frame) {
   return 6 + ((unsigned)frame[4] << 8 | frame[5]);
 }
 
-/* Sends the answer, whose PDU is already in c->unsent, and moves on to the next frame. */
-static void send_answer(struct modbus_connection *c, size_t pdu_bytes) {
+/* Sends the reply, whose PDU is already in c->unsent, and moves on to the next frame. */
+static void send_reply(struct modbus_connection *c, size_t pdu_bytes) {
   const uint8_t *frame = c->input + c->begin;
   const size_t length = 1 + pdu_bytes;
   memcpy(c->unsent, frame, HEADER_BYTES);
@@ -160,27 +136,27 @@ static void send_answer(struct modbus_connection *c, size_t pdu_bytes) {
   write_unsent(c);
 }
 
-static void answer_frame(struct modbus_connection *c, const uint8_t *frame, size_t bytes) {
+static void handle_frame(struct modbus_connection *c, const uint8_t *frame, size_t bytes) {
   struct modbus_unit *unit = NULL;
-  const size_t answered =
-      modbus_answer(c->units, &c->client, &c->may, unit_of(frame[6]), frame + HEADER_BYTES,
-                    bytes - HEADER_BYTES, c->unsent + HEADER_BYTES, &unit);
-  if (answered > 0) {
+  const size_t replied_bytes =
+      modbus_carry_out(c->units, &c->client, &c->may, unit_of(frame[6]), frame + HEADER_BYTES,
+                       bytes - HEADER_BYTES, c->unsent + HEADER_BYTES, &unit);
+  if (replied_bytes > 0) {
     log_refusal(c, frame, bytes);
-    send_answer(c, answered);
+    send_reply(c, replied_bytes);
   } else {
     c->waits_for = unit;
   }
 }
 
 /* Answers the frame whose commit has been evaluated. */
-static void answer_late(struct modbus_connection *c) {
+static void reply_late(struct modbus_connection *c) {
   const uint8_t *frame = c->input + c->begin;
-  const size_t answered =
-      modbus_answer_late(c->waits_for, frame + HEADER_BYTES, frame_bytes(frame) - HEADER_BYTES,
-                         c->unsent + HEADER_BYTES);
+  const size_t replied_bytes =
+      modbus_late_reply(c->waits_for, frame + HEADER_BYTES, frame_bytes(frame) - HEADER_BYTES,
+                        c->unsent + HEADER_BYTES);
   c->waits_for = NULL;
-  send_answer(c, answered);
+  send_reply(c, replied_bytes);
 }
 
 /* Ends the connection after bytes that are no frame: where the next frame begins is unknown. */
@@ -213,12 +189,12 @@ static bool take_frame(struct modbus_connection *c) {
   if (bytes < 6 || bytes < frame_bytes(frame)) {
     return false;
   }
-  answer_frame(c, frame, frame_bytes(frame));
+  handle_frame(c, frame, frame_bytes(frame));
   return true;
 }
 
 /* One turn: answers the frames that have arrived, up to the first whose job goes into the batch. */
-static void run(struct client *client) {
+static void run_turn(struct client *client) {
   struct modbus_connection *c = connection_of(client);
   while (!c->closing && !c->ending && c->waits_for == NULL && !has_unsent(c) && c->begin < c->end &&
          take_frame(c)) {
@@ -237,7 +213,7 @@ static void note_partial_frame(struct modbus_connection *c) {
 
 /* ---- reading --------------------------------------------------------------------------------- */
 
-/* The input has room for the rest of any frame when all complete frames have been answered. */
+/* The input has room for the rest of any frame when all complete frames have been replied_bytes. */
 static size_t find_room(void *owner, uint8_t **room) {
   struct modbus_connection *c = owner;
   if (c->begin > 0) {
@@ -251,9 +227,6 @@ static size_t find_room(void *owner, uint8_t **room) {
 
 static void on_received(void *owner, ssize_t bytes) {
   struct modbus_connection *c = owner;
-  if (c->closing || (c->lingering && bytes > 0)) {
-    return;
-  }
   if (bytes == 0) {
     c->unread = 0;
   } else if (bytes > 0) {
@@ -263,54 +236,53 @@ static void on_received(void *owner, ssize_t bytes) {
     }
     c->active_ms = now_ms(c);
     stats_add(stats_of(c), STATS_RECEIVED_BYTES, (uint64_t)bytes);
-  } else if (bytes == UV_ENOBUFS || (bytes == UV_EOF && !c->lingering)) {
-    set_reading(c, false);
+  } else {
+    transport_set_reading(&c->transport, false);
     c->stopping |= bytes == UV_EOF;
     c->unread = bytes == UV_EOF ? 0 : c->unread;
-  } else {
-    abort_connection(c);
   }
-  if (!c->closing) {
-    worker_run_later(&c->client);
-  }
+  worker_run_later(&c->client);
 }
 
-/* Reads on, or ends the connection, after a turn has answered all frames that it can. */
+/* Reads on, or ends the connection, after a turn has replied_bytes all frames that it can. */
 static void read_on_or_end(struct modbus_connection *c) {
   if (has_unsent(c)) {
-    set_reading(c, false);
+    transport_set_reading(&c->transport, false);
   } else if (c->ending || (c->stopping && c->unread == 0)) {
     linger(c);
   } else {
     note_partial_frame(c);
-    set_reading(c, true);
+    transport_set_reading(&c->transport, true);
   }
 }
 
 /* Called after a turn, and when the unit for which the first frame waits has its results. Both may
  * happen in the same round. */
-static void finish(struct client *client) {
+static void finish_turn(struct client *client) {
   struct modbus_connection *c = connection_of(client);
   if (c->waits_for != NULL) {
     if (c->waits_for->evaluating) {
       return;
     }
-    answer_late(c);
+    reply_late(c);
     if (!c->closing && c->begin < c->end) {
       worker_run_later(client);
     }
   }
-  if (!c->closing && !c->lingering && client->run_queue == NULL) {
+  if (!c->closing && !c->transport.lingering && client->run_queue == NULL) {
     read_on_or_end(c);
   }
 }
 
 /* ---- starting, stopping, time ---------------------------------------------------------------- */
 
-static void start(struct client *client) {
+static void start_client(struct client *client) {
   struct modbus_connection *c = connection_of(client);
-  static const struct transport_calls calls = {
-      .room = find_room, .received = on_received, .sent = on_sent, .closed = on_closed};
+  static const struct transport_calls calls = {.room = find_room,
+                                               .received = on_received,
+                                               .sent = on_sent,
+                                               .failed = on_failed,
+                                               .closed = on_closed};
   const int bytes = SOCKET_BUFFER_BYTES;
   setsockopt(c->fd, SOL_SOCKET, SO_RCVBUF, &bytes, sizeof bytes);
   setsockopt(c->fd, SOL_SOCKET, SO_SNDBUF, &bytes, sizeof bytes);
@@ -323,23 +295,24 @@ static void start(struct client *client) {
     abort_connection(c);
     return;
   }
-  set_reading(c, true);
+  transport_set_reading(&c->transport, true);
 }
 
 /* Bytes that have arrived by now are still read. */
-static void stop(struct client *client) {
+static void stop_client(struct client *client) {
   struct modbus_connection *c = connection_of(client);
   int unread = 1; /* with TLS: until the transport tells that there is nothing */
   if (c->closing) {
     return;
   }
-  if (!c->lingering && !c->stopping && (c->tls != NULL || ioctl(c->fd, FIONREAD, &unread) == 0)) {
+  if (!c->transport.lingering && !c->stopping &&
+      (c->tls != NULL || ioctl(c->fd, FIONREAD, &unread) == 0)) {
     c->unread = (unsigned)unread;
   }
   c->stopping = true;
   worker_run_later(client);
-  if (c->unread > 0 && !transport_tell_empty(&c->transport)) {
-    abort_connection(c);
+  if (c->unread > 0) {
+    transport_tell_empty(&c->transport);
   }
 }
 
@@ -352,7 +325,7 @@ static bool is_busy(const struct client *client) {
   return !c->closing && (c->waits_for != NULL || has_unsent(c));
 }
 
-static void tick(struct client *client, uint64_t time_ms) {
+static void check_time(struct client *client, uint64_t time_ms) {
   struct modbus_connection *c = connection_of(client);
   const struct options *options = &c->units->server->options;
   if (c->closing) {
@@ -360,9 +333,9 @@ static void tick(struct client *client, uint64_t time_ms) {
   }
   const bool late =
       c->frame_started_ms != 0 && time_ms - c->frame_started_ms > options->modbus_frame_timeout_ms;
-  const uint64_t silence_ms = c->lingering ? LINGER_MS : options->modbus_idle_timeout_ms;
+  const uint64_t silence_ms = c->transport.lingering ? LINGER_MS : options->modbus_idle_timeout_ms;
   if (late || time_ms - c->active_ms > silence_ms) {
-    if (!c->lingering) {
+    if (!c->transport.lingering) {
       log_closed(c, late ? "frame-timeout" : "idle");
     }
     abort_connection(c);
@@ -373,11 +346,11 @@ struct modbus_connection *modbus_connection_new(struct modbus_units *units, int 
                                                 struct tls_session *session,
                                                 const struct modbus_permissions *may) {
   static const struct client_kind kind = {
-      .start = start,
-      .run = run,
-      .finish = finish,
-      .tick = tick,
-      .stop = stop,
+      .start = start_client,
+      .run = run_turn,
+      .finish = finish_turn,
+      .tick = check_time,
+      .stop = stop_client,
       .abort = abort_client,
       .busy = is_busy,
   };

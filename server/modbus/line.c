@@ -92,7 +92,7 @@ static void on_sent(uv_work_t *work, int status) {
 }
 
 /* Sends the output up to `end`. */
-static void transmit(struct modbus_line *line, size_t end) {
+static void send_up_to(struct modbus_line *line, size_t end) {
   const struct modbus_device *device = &line->device;
   const int fd = modbus_device_fd(device);
   const uint64_t delay_ns = device->rts_by_hand ? device->rts_delay_ms * UINT64_C(1000000) : 0;
@@ -111,7 +111,7 @@ static void transmit(struct modbus_line *line, size_t end) {
   uv_queue_work(worker_loop(line->client.worker), &line->work, send_by_hand, on_sent);
 }
 
-/* Returns for how long the line still sends the last answer, by its speed. */
+/* Returns for how long the line still sends the last reply, by its speed. */
 static uint64_t sending_ns(const struct modbus_line *line) {
   const uint64_t now_ns = uv_hrtime();
   return is_open(line) && line->sent_ns > now_ns ? line->sent_ns - now_ns : 0;
@@ -119,8 +119,8 @@ static uint64_t sending_ns(const struct modbus_line *line) {
 
 static void on_probe_over(uv_timer_t *timer);
 
-/* Sends the answer whose PDU begins at output[1]. */
-static void send_answer(struct modbus_line *line, size_t pdu_bytes) {
+/* Sends the reply whose PDU begins at output[1]. */
+static void send_reply(struct modbus_line *line, size_t pdu_bytes) {
   uint8_t *frame = line->output;
   frame[0] = (uint8_t)line->device.number;
   const uint16_t sum = modbus_rtu_checksum(frame, 1 + pdu_bytes);
@@ -132,20 +132,20 @@ static void send_answer(struct modbus_line *line, size_t pdu_bytes) {
   line->output_begin = 0;
   line->frame_bytes = 3 + pdu_bytes;
   line->probing = modbus_receiver_sent(&line->receiver, frame, line->frame_bytes);
-  transmit(line, line->probing ? 1 : line->frame_bytes);
+  send_up_to(line, line->probing ? 1 : line->frame_bytes);
   if (line->probing) {
     const uint64_t left_ms = to_ms_up(sending_ns(line));
     uv_timer_start(&line->timer, on_probe_over, left_ms + PROBE_MS, 0);
   }
 }
 
-/* Ends a probe: called when bytes have arrived after the first byte of the answer, or when its echo
- * would have arrived. Sends the rest of the answer. */
+/* Ends a probe: called when bytes have arrived after the first byte of the reply, or when its echo
+ * would have arrived. Sends the rest of the reply. */
 static void end_probe(struct modbus_line *line) {
   line->probing = false;
   modbus_receiver_probed(&line->receiver);
   if (is_open(line)) {
-    transmit(line, line->frame_bytes);
+    send_up_to(line, line->frame_bytes);
   }
 }
 
@@ -155,38 +155,39 @@ static size_t request_pdu_bytes(const struct modbus_line *line) {
   return line->burst.bytes - 3;
 }
 
-/* Sends the answer whose PDU begins at output[1], unless the request is a broadcast. */
+/* Sends the reply whose PDU begins at output[1], unless the request is a broadcast. */
 static void finish_request(struct modbus_line *line, size_t pdu_bytes) {
   if (line->burst.request[0] != MODBUS_BROADCAST_ADDRESS) {
-    send_answer(line, pdu_bytes);
+    send_reply(line, pdu_bytes);
   }
 }
 
 /* Carries out the request of the last burst. */
-static void answer(struct modbus_line *line) {
+static void handle_request(struct modbus_line *line) {
   struct modbus_unit *unit = NULL;
   const uint8_t *pdu = line->burst.request + 1;
   if (line->burst.request[0] == MODBUS_BROADCAST_ADDRESS && !modbus_pdu_writes(pdu[0])) {
     return;
   }
   const struct modbus_permissions may = {.write = true};
-  const size_t answered = modbus_answer(line->units, &line->client, &may, line->device.number, pdu,
-                                        request_pdu_bytes(line), line->output + 1, &unit);
-  if (answered > 0) {
-    modbus_answer_log(pdu, request_pdu_bytes(line), line->output + 1, line->burst.request[0],
-                      "device", line->device.path);
-    finish_request(line, answered);
+  const size_t replied_bytes =
+      modbus_carry_out(line->units, &line->client, &may, line->device.number, pdu,
+                       request_pdu_bytes(line), line->output + 1, &unit);
+  if (replied_bytes > 0) {
+    modbus_log_refusal(pdu, request_pdu_bytes(line), line->output + 1, line->burst.request[0],
+                       "device", line->device.path);
+    finish_request(line, replied_bytes);
   } else {
     line->waits_for = unit;
   }
 }
 
 /* Answers the request whose commit has been evaluated. */
-static void answer_late(struct modbus_line *line) {
-  const size_t answered = modbus_answer_late(line->waits_for, line->burst.request + 1,
-                                             request_pdu_bytes(line), line->output + 1);
+static void reply_late(struct modbus_line *line) {
+  const size_t replied_bytes = modbus_late_reply(line->waits_for, line->burst.request + 1,
+                                                 request_pdu_bytes(line), line->output + 1);
   line->waits_for = NULL;
-  finish_request(line, answered);
+  finish_request(line, replied_bytes);
 }
 
 static void note_burst(struct modbus_line *line) {
@@ -199,7 +200,7 @@ static void note_burst(struct modbus_line *line) {
 }
 
 /* Called after a silence: answers a request in the bytes that have arrived. */
-static void run(struct client *client) {
+static void run_turn(struct client *client) {
   struct modbus_line *line = line_of(client);
   if (!is_open(line) || line->waits_for != NULL || line->probing || line->sending) {
     return;
@@ -207,7 +208,7 @@ static void run(struct client *client) {
   modbus_receiver_end(&line->receiver, &line->burst);
   note_burst(line);
   if (line->burst.bytes > 0) {
-    answer(line);
+    handle_request(line);
   }
 }
 
@@ -222,7 +223,7 @@ static void await_silence(struct modbus_line *line) {
   uv_timer_start(&line->timer, on_silence, wait_ms, 0);
 }
 
-static void arrived(struct modbus_line *line, size_t bytes) {
+static void note_arrival(struct modbus_line *line, size_t bytes) {
   stats_add(stats_of(line), STATS_RECEIVED_BYTES, bytes);
   modbus_receiver_arrived(&line->receiver, bytes, uv_hrtime());
   line->retry_ms = RETRY_FIRST_MS;
@@ -240,7 +241,7 @@ static void read_more(struct modbus_line *line) {
   uint8_t *bytes = modbus_receiver_room(&line->receiver, &room);
   const ssize_t got = read(modbus_device_fd(&line->device), bytes, room);
   if (got > 0) {
-    arrived(line, (size_t)got);
+    note_arrival(line, (size_t)got);
   } else if (got == 0) {
     lose_device(line, "end-of-file");
   } else if (errno != EAGAIN && errno != EINTR) {
@@ -317,7 +318,7 @@ static bool open_device(struct modbus_line *line) {
 }
 
 /* Starts anew with a device that has been opened. */
-static void reset(struct modbus_line *line) {
+static void reset_line(struct modbus_line *line) {
   modbus_receiver_reset(&line->receiver);
   line->probing = false;
   line->echo_is_logged = false;
@@ -359,7 +360,7 @@ static bool start_polling(struct modbus_line *line) {
   line->poll.data = line;
   line->polling = true;
   line->open_handles++;
-  reset(line);
+  reset_line(line);
   return uv_poll_start(&line->poll, UV_READABLE, on_poll) == 0;
 }
 
@@ -385,7 +386,7 @@ static void lose_device(struct modbus_line *line, const char *why) {
   line->retry_ms = line->retry_ms * 2 < RETRY_MOST_MS ? line->retry_ms * 2 : RETRY_MOST_MS;
 }
 
-static void start(struct client *client) {
+static void start_client(struct client *client) {
   struct modbus_line *line = line_of(client);
   modbus_units_join(line->units);
   uv_timer_init(worker_loop(client->worker), &line->timer);
@@ -404,28 +405,28 @@ static void close_all(struct modbus_line *line) {
 }
 
 /* Called after a turn, and when the unit for which the line waits has its results. */
-static void finish(struct client *client) {
+static void finish_turn(struct client *client) {
   struct modbus_line *line = line_of(client);
   if (line->waits_for != NULL) {
     if (line->waits_for->evaluating) {
       return;
     }
-    answer_late(line);
+    reply_late(line);
   }
   if (!line->stopping || line->probing || uv_is_closing((uv_handle_t *)&line->timer)) {
     return;
   }
   const uint64_t left_ns = sending_ns(line);
-  if (left_ns > 0) { /* Closing now would cut the answer off. */
+  if (left_ns > 0) { /* Closing now would cut the reply off. */
     uv_timer_start(&line->timer, on_silence, to_ms_up(left_ns), 0);
   } else if (!line->sending) {
     close_all(line);
   }
 }
 
-/* Stops the line. A request that has been sent is still answered, after a silence, because a device
+/* Stops the line. A request that has been sent is still replied_bytes, after a silence, because a device
  * may deliver its bytes late. */
-static void stop(struct client *client) {
+static void stop_client(struct client *client) {
   struct modbus_line *line = line_of(client);
   if (!line->stopping) {
     line->stopping = true;
@@ -445,10 +446,10 @@ static void abort_line(struct client *client) {
 
 bool modbus_line_open(struct modbus_line *line, struct modbus_units *units, const char *url) {
   static const struct client_kind kind = {
-      .start = start,
-      .run = run,
-      .finish = finish,
-      .stop = stop,
+      .start = start_client,
+      .run = run_turn,
+      .finish = finish_turn,
+      .stop = stop_client,
       .abort = abort_line,
   };
   *line = (struct modbus_line){

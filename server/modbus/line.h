@@ -1,7 +1,7 @@
 /* line: a serial line on which a master speaks Modbus RTU to one unit. It is a client of the
  * worker. Other devices may be on the same line.
  *
- * If whole frames have arrived, the request among them is answered after a silence of 3.5
+ * If whole frames have arrived, the request among them is replied_bytes after a silence of 3.5
  * characters, as the standard says. An unfinished frame gets more time, because adapters deliver
  * bytes in pieces (server/modbus/receiver.h).
  *
@@ -14,9 +14,9 @@
 
 #include <uv.h>
 
-#include "server/modbus/answer.h"
 #include "server/modbus/device.h"
 #include "server/modbus/receiver.h"
+#include "server/modbus/reply.h"
 
 struct modbus_line {
   struct client client; /* first member: see client.h */
@@ -38,15 +38,15 @@ struct modbus_line {
   struct modbus_unit *waits_for; /* the unit that evaluates the request; NULL: there is none */
   struct modbus_burst burst;     /* the last burst, with its request */
 
-  /* The answer that is being sent. If RTS is set by hand, a thread of the pool sends it. */
+  /* The reply that is being sent. If RTS is set by hand, a thread of the pool sends it. */
   uv_work_t work;
   int sending_fd;   /* of the thread */
   bool sending;     /* whether the thread has still to end */
-  bool probing;     /* whether the line probes for echo: only the answer's first byte is sent */
-  uint64_t sent_ns; /* when the last character of the answer, and the delay of RTS, will be over */
+  bool probing;     /* whether the line probes for echo: only the reply's first byte is sent */
+  uint64_t sent_ns; /* when the last character of the reply, and the delay of RTS, will be over */
   size_t output_begin; /* start of the bytes of the output that have not been written */
   size_t output_end;
-  size_t frame_bytes; /* length of the answer's frame */
+  size_t frame_bytes; /* length of the reply's frame */
   uint8_t output[MODBUS_RTU_MAX];
 };
 

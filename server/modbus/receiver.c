@@ -3,7 +3,7 @@
 #include <assert.h>
 #include <string.h>
 
-/* After this many equal answers, the receiver learns again whether there is an echo. If it were
+/* After this many equal replies, the receiver learns again whether there is an echo. If it were
  * wrong about the echo, the daemon could answer itself forever. */
 enum { REPEATS_MOST = 64 };
 
@@ -24,7 +24,7 @@ void modbus_receiver_reset(struct modbus_receiver *receiver) {
 
 /* ---- echo ------------------------------------------------------------------------------------ */
 
-/* Returns whether an answer has bytes that could also be a request. */
+/* Returns whether a reply has bytes that could also be a request. */
 static bool could_be_request(const uint8_t *frame, size_t bytes) {
   return modbus_pdu_bytes(frame + 1, bytes - 3) == bytes - 3;
 }

@@ -8,9 +8,9 @@
  * of that frame arrives later, it is skipped, even if it looks like a frame.
  *
  * Some adapters return all bytes that the daemon writes to them: the echo. The receiver skips it.
- * It learns whether there is an echo from answers that cannot be requests, for example those of
- * function 3. An answer of function 6 has the same bytes as its request, so that its echo looks
- * like a request that the master repeats. If the first answer is such a one, the sender probes: it
+ * It learns whether there is an echo from replies that cannot be requests, for example those of
+ * function 3. A reply of function 6 has the same bytes as its request, so that its echo looks
+ * like a request that the master repeats. If the first reply is such a one, the sender probes: it
  * sends the first byte alone and looks whether that comes back.
  */
 #ifndef DIPOLED_MODBUS_RECEIVER_H
@@ -36,7 +36,7 @@ struct modbus_receiver {
   size_t count;        /* number of bytes that are kept */
   size_t fresh;        /* start of the bytes that arrived after the last modbus_receiver_end() */
   size_t late;         /* start of the bytes after the last short silence, if later than fresh */
-  unsigned repeats;    /* number of answers in a row that were equal */
+  unsigned repeats;    /* number of replies in a row that were equal */
   size_t sent_count;   /* length of the frame that was sent and may come back; 0: none may */
   uint8_t sent[MODBUS_RTU_MAX];
   uint8_t bytes[MODBUS_RECEIVER_BYTES];

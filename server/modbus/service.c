@@ -22,8 +22,8 @@ struct modbus_service {
   size_t line_count;
 };
 
-static struct modbus_service *fail(struct modbus_service *service, const char *what,
-                                   const char *why) {
+static struct modbus_service *fail_to_start(struct modbus_service *service, const char *what,
+                                            const char *why) {
   fprintf(stderr, "dipoled: %s: %s\n", what, why);
   modbus_service_free(service);
   return NULL;
@@ -32,12 +32,12 @@ static struct modbus_service *fail(struct modbus_service *service, const char *w
 struct modbus_service *modbus_service_new(struct server *server) {
   struct modbus_service *service = calloc(1, sizeof *service);
   if (service == NULL) {
-    return fail(NULL, "--modbus", "out of memory");
+    return fail_to_start(NULL, "--modbus", "out of memory");
   }
   service->server = server;
   service->units = modbus_units_new(server);
   if (service->units == NULL) {
-    return fail(service, "--modbus", "out of memory");
+    return fail_to_start(service, "--modbus", "out of memory");
   }
   const struct options *options = &server->options;
   if (!access_read_option("modbus-allow", &options->modbus_allow, &access_this_machine,
@@ -92,7 +92,7 @@ static const char *refusal(const struct modbus_service *service, int fd) {
              : NULL;
 }
 
-static void refuse(struct server *server, int fd, const char *why) {
+static void refuse_socket(struct server *server, int fd, const char *why) {
   char peer[TCP_TEXT_BYTES];
   tcp_peer(fd, peer);
   log_peer_line(LOG_LEVEL_INFO, "event=modbus-refused reason=%s%s%s", why,
@@ -102,7 +102,7 @@ static void refuse(struct server *server, int fd, const char *why) {
 }
 
 /* Gives a connection to the worker. session: NULL if its bytes are plain. */
-static void give(struct server *server, int fd, struct tls_session *session) {
+static void give_to_worker(struct server *server, int fd, struct tls_session *session) {
   struct modbus_service *service = server->modbus;
   struct modbus_permissions may = {.write = access_allows_peer(&service->write, fd)};
   const char *why = refusal(service, fd);
@@ -115,7 +115,7 @@ static void give(struct server *server, int fd, struct tls_session *session) {
     if (session != NULL) {
       tls_session_free(session);
     }
-    refuse(server, fd, why != NULL ? why : "out-of-memory");
+    refuse_socket(server, fd, why != NULL ? why : "out-of-memory");
     return;
   }
   stats_add(&server->stats, STATS_MODBUS_CONNECTIONS_ACCEPTED, 1);
@@ -124,14 +124,14 @@ static void give(struct server *server, int fd, struct tls_session *session) {
 }
 
 void modbus_service_admit(struct server *server, int fd) {
-  give(server, fd, NULL);
+  give_to_worker(server, fd, NULL);
 }
 
 void modbus_service_admit_tls(struct server *server, int fd) {
   const char *why = refusal(server->modbus, fd);
   if (why != NULL) {
-    refuse(server, fd, why);
+    refuse_socket(server, fd, why);
   } else {
-    handshakes_begin(server, fd, give);
+    handshakes_begin(server, fd, give_to_worker);
   }
 }

@@ -166,8 +166,7 @@ wire_error modbus_task_commit(struct modbus_task *task, struct client *master) {
   struct worker *worker = task->queue->client->worker;
   const wire_header header = {
       .type = (uint16_t)fields_of(task)->message,
-      .payload_bytes =
-          (uint32_t)modbus_translate_input(task->kind, task->registers, task->request),
+      .payload_bytes = (uint32_t)modbus_translate_input(task->kind, task->registers, task->request),
   };
   struct job_request request = {
       .type = job_type_of(header.type),

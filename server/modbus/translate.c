@@ -242,7 +242,7 @@ static double value_at(const struct values *values, unsigned index) {
   return value;
 }
 
-/* Writes the values into registers. Registers that held values of the previous answer, and get none
+/* Writes the values into registers. Registers that held values of the previous reply, and get none
  * now, become NaN. */
 static void set_values(uint16_t image[REGISTERS_END], unsigned single_at, unsigned double_at,
                        const struct values *values, unsigned count, unsigned count_before) {

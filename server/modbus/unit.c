@@ -28,8 +28,8 @@ void modbus_unit_note_refusal(struct modbus_unit *unit, const wire_error *error,
 
 /* Writes the reason why a write was refused into the error registers, and those of the task that it
  * would have committed. Returns the exception. */
-static unsigned refuse(struct modbus_unit *unit, struct modbus_task *committed,
-                       const wire_error *error, unsigned at) {
+static unsigned refuse_write(struct modbus_unit *unit, struct modbus_task *committed,
+                             const wire_error *error, unsigned at) {
   modbus_unit_note_refusal(unit, error, at);
   if (committed != NULL && !modbus_task_busy(committed)) {
     modbus_task_fail(committed, error, at);
@@ -42,7 +42,7 @@ static unsigned refuse(struct modbus_unit *unit, struct modbus_task *committed,
 enum { WRITE_MAX = 123 }; /* the most registers in one request, by the limit of Modbus */
 
 /* Returns the value that a write gives to a register; 0 if it does not write there. */
-static uint16_t written(unsigned address, unsigned count, const uint8_t *values, unsigned at) {
+static uint16_t written_word(unsigned address, unsigned count, const uint8_t *values, unsigned at) {
   if (!registers_include(address, count, at)) {
     return 0;
   }
@@ -54,7 +54,7 @@ static uint16_t written(unsigned address, unsigned count, const uint8_t *values,
 static struct modbus_task *committed_by(struct modbus_unit *unit, unsigned address, unsigned count,
                                         const uint8_t *values) {
   for (unsigned kind = 0; kind < REGISTERS_JOBS; kind++) {
-    if (written(address, count, values, registers_jobs[kind].commit) != 0) {
+    if (written_word(address, count, values, registers_jobs[kind].commit) != 0) {
       return &unit->tasks[kind];
     }
   }
@@ -68,7 +68,7 @@ static const unsigned eta_at[ETAS] = {REGISTERS_AT_ETA, REGISTERS_AT_FIT_REFEREN
 /* Returns which of them have been written, by this write or before. */
 static unsigned etas_after(const struct modbus_unit *unit, unsigned address, unsigned count,
                            const uint8_t *values) {
-  unsigned etas = written(address, count, values, REGISTERS_AT_DEFAULTS) != 0 ? 0 : unit->etas;
+  unsigned etas = written_word(address, count, values, REGISTERS_AT_DEFAULTS) != 0 ? 0 : unit->etas;
   for (unsigned i = 0; i < ETAS; i++) {
     etas |= registers_include(address, count, eta_at[i]) ? 1u << i : 0;
   }
@@ -91,8 +91,8 @@ static wire_error start_task(struct modbus_unit *unit, struct modbus_task *task,
 }
 
 /* Writes the registers and starts the job. If the job cannot be started, restores the registers. */
-static unsigned commit(struct modbus_unit *unit, struct modbus_task *task, unsigned address,
-                       unsigned count, const uint8_t *values, struct client *client) {
+static unsigned commit_task(struct modbus_unit *unit, struct modbus_task *task, unsigned address,
+                            unsigned count, const uint8_t *values, struct client *client) {
   uint8_t before[2 * WRITE_MAX];
   for (unsigned i = 0; i < count; i++) {
     const uint16_t word = registers_word(unit->registers, address + i);
@@ -104,14 +104,14 @@ static unsigned commit(struct modbus_unit *unit, struct modbus_task *task, unsig
   const wire_error error = start_task(unit, task, etas, client);
   if (error.status != WIRE_STATUS_OK) {
     registers_write(unit->registers, address, count, before);
-    return refuse(unit, task, &error,
-                  registers_of_field(&registers_jobs[task->kind], error.field, error.index));
+    return refuse_write(unit, task, &error,
+                        registers_of_field(&registers_jobs[task->kind], error.field, error.index));
   }
   unit->fits = task->kind == REGISTERS_JOB_FIT && task->state == MODBUS_TASK_RUNS;
   if (unit->fits) {
     struct worker *worker = client->worker;
-    unit->answer_ms = uv_now(worker_loop(worker)) + MODBUS_FIT_MS;
-    worker_wake_at(worker, unit->answer_ms);
+    unit->reply_ms = uv_now(worker_loop(worker)) + MODBUS_FIT_MS;
+    worker_wake_at(worker, unit->reply_ms);
     LIST_INSERT_HEAD(&unit->units->fitting, unit, in_fitting);
   }
   unit->evaluating = unit->fits || task->state == MODBUS_TASK_EVALUATED;
@@ -121,10 +121,10 @@ static unsigned commit(struct modbus_unit *unit, struct modbus_task *task, unsig
 }
 
 /* Ends the jobs whose register `cancel` a write sets, and sets these registers to 0. */
-static void cancel(struct modbus_unit *unit, unsigned address, unsigned count,
-                   const uint8_t *values) {
+static void cancel_tasks(struct modbus_unit *unit, unsigned address, unsigned count,
+                         const uint8_t *values) {
   for (unsigned kind = 0; kind < REGISTERS_JOBS; kind++) {
-    if (written(address, count, values, registers_jobs[kind].cancel) != 0) {
+    if (written_word(address, count, values, registers_jobs[kind].cancel) != 0) {
       modbus_task_cancel(&unit->tasks[kind]);
       registers_set_u16(unit->registers, registers_jobs[kind].cancel, 0);
     }
@@ -142,17 +142,17 @@ unsigned modbus_unit_write(struct modbus_unit *unit, unsigned address, unsigned 
     at = registers_jobs[task->kind].commit;
   }
   if (error.status != WIRE_STATUS_OK) {
-    return refuse(unit, task, &error, at);
+    return refuse_write(unit, task, &error, at);
   }
   unsigned exception = 0;
   if (task != NULL) {
-    exception = commit(unit, task, address, count, values, client);
+    exception = commit_task(unit, task, address, count, values, client);
   } else {
     registers_write(unit->registers, address, count, values);
   }
   if (exception == 0) {
     unit->etas = etas_after(unit, address, count, values);
-    cancel(unit, address, count, values);
+    cancel_tasks(unit, address, count, values);
   }
   return exception;
 }
@@ -174,15 +174,15 @@ static struct modbus_units *units_of(struct client *client) {
   return (struct modbus_units *)(void *)client;
 }
 
-static void start(struct client *client) {
+static void start_client(struct client *client) {
   (void)client; /* There is nothing to do: the first request to a unit sets up its registers. */
 }
 
-static void run(struct client *client) {
+static void run_turn(struct client *client) {
   modbus_queue_run(&units_of(client)->queue);
 }
 
-/* Notes that the answer to the unit's last commit waits no longer, and lets its client answer. */
+/* Notes that the reply to the unit's last commit waits no longer, and lets its client answer. */
 static void finish_unit(struct modbus_unit *unit) {
   struct client *waits = unit->client;
   if (unit->fits) {
@@ -203,18 +203,18 @@ static void finish_late_fits(struct modbus_units *units) {
   struct modbus_unit *next;
   for (struct modbus_unit *unit = LIST_FIRST(&units->fitting); unit != NULL; unit = next) {
     const enum modbus_task_state state = unit->awaited->state;
-    const bool late = uv_now(worker_loop(worker)) >= unit->answer_ms;
+    const bool late = uv_now(worker_loop(worker)) >= unit->reply_ms;
     next = LIST_NEXT(unit, in_fitting);
     if (state != MODBUS_TASK_EVALUATED && (state != MODBUS_TASK_RUNS || late)) {
       finish_unit(unit);
     } else {
-      worker_wake_at(worker, unit->answer_ms);
+      worker_wake_at(worker, unit->reply_ms);
     }
   }
 }
 
 /* Called when the batch has been evaluated: writes the results of all tasks that were in it. */
-static void finish(struct client *client) {
+static void finish_turn(struct client *client) {
   struct modbus_task *task;
   while ((task = modbus_queue_finish(&units_of(client)->queue)) != NULL) {
     struct modbus_unit *unit = task->owner;
@@ -225,7 +225,7 @@ static void finish(struct client *client) {
   finish_late_fits(units_of(client));
 }
 
-static void deadline(struct client *client) {
+static void check_deadlines(struct client *client) {
   modbus_queue_expire(&units_of(client)->queue);
   finish_late_fits(units_of(client));
 }
@@ -238,7 +238,7 @@ static void end_after_last_user(struct modbus_units *units) {
   worker_forget(&units->client);
 }
 
-static void stop(struct client *client) {
+static void stop_client(struct client *client) {
   struct modbus_units *units = units_of(client);
   units->stopping = true;
   end_after_last_user(units);
@@ -250,11 +250,11 @@ static void abort_units(struct client *client) {
 
 struct modbus_units *modbus_units_new(struct server *server) {
   static const struct client_kind kind = {
-      .start = start,
-      .run = run,
-      .finish = finish,
-      .deadline = deadline,
-      .stop = stop,
+      .start = start_client,
+      .run = run_turn,
+      .finish = finish_turn,
+      .deadline = check_deadlines,
+      .stop = stop_client,
       .abort = abort_units,
   };
   struct modbus_units *units = calloc(1, sizeof *units);
@@ -291,7 +291,7 @@ struct modbus_unit *modbus_units_get(struct modbus_units *units, unsigned number
     }
   } else if (unit->evaluating) {
     batch_finish(&worker_context(units->client.worker)->batch, &units->server->stats);
-    finish(&units->client);
+    finish_turn(&units->client);
     if (unit->evaluating) {
       finish_unit(unit);
     }

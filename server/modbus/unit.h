@@ -7,9 +7,9 @@
  *
  * Writing to a register `commit` starts a job (server/modbus/task.h). If the job takes longer than
  * a slice, its register `status` says busy meanwhile, and the master asks again. Otherwise the
- * values are in the worker's batch, and the master gets its answer when the worker has evaluated
+ * values are in the worker's batch, and the master gets its reply when the worker has evaluated
  * the batch. A fit takes some slices, but instruments ask once: if its design is prepared, the
- * answer waits for it, up to MODBUS_FIT_MS and until another request names the unit.
+ * reply waits for it, up to MODBUS_FIT_MS and until another request names the unit.
  */
 #ifndef DIPOLED_MODBUS_UNIT_H
 #define DIPOLED_MODBUS_UNIT_H
@@ -18,16 +18,16 @@
 
 enum { MODBUS_UNITS = 247 }; /* numbers of units go from 1 to this */
 
-/* How long an answer waits for a fit: masters often wait for 0.2 s or more. */
+/* How long a reply waits for a fit: masters often wait for 0.2 s or more. */
 enum { MODBUS_FIT_MS = 100 };
 
 struct modbus_unit {
   struct modbus_units *units;  /* NULL: the unit has not been used yet */
-  bool evaluating;             /* whether the answer to the last commit waits for its task */
+  bool evaluating;             /* whether the reply to the last commit waits for its task */
   struct modbus_task *awaited; /* that task: its values are in the batch, or it fits */
   struct client *client;       /* its finish() is called after that; NULL: there is none */
   bool fits;                   /* evaluating: whether the unit is in units->fitting */
-  uint64_t answer_ms;          /* fits: when the answer waits no longer, on the loop's clock */
+  uint64_t reply_ms;           /* fits: when the reply waits no longer, on the loop's clock */
   LIST_ENTRY(modbus_unit) in_fitting;
   unsigned etas; /* bits: which eta was written since the registers had their defaults */
   struct modbus_task tasks[REGISTERS_JOBS];
@@ -43,7 +43,7 @@ struct modbus_units {
   unsigned users; /* number of connections and lines */
   bool stopping;
   struct modbus_queue queue;
-  LIST_HEAD(, modbus_unit) fitting; /* those whose answer waits for a fit that takes slices */
+  LIST_HEAD(, modbus_unit) fitting; /* those whose reply waits for a fit that takes slices */
   struct modbus_unit units[MODBUS_UNITS + 1];
 };
 
@@ -60,7 +60,7 @@ void modbus_units_join(struct modbus_units *units);
 void modbus_units_leave(struct modbus_units *units, struct client *client);
 
 /* Returns the unit of a number from 1 to MODBUS_UNITS. If a job of this unit is in the batch, first
- * evaluates the batch, so that requests take effect in their order. If an answer waits for a fit, it
+ * evaluates the batch, so that requests take effect in their order. If a reply waits for a fit, it
  * waits no longer. */
 struct modbus_unit *modbus_units_get(struct modbus_units *units, unsigned number);
 

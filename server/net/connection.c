@@ -35,7 +35,6 @@ struct connection {
   bool detached_more; /* whether work of detached requests was left */
   bool stopping;      /* whether the daemon stops: the connection then ends after its last answer */
   bool peer_done;     /* whether the peer has shut down its side, so that nothing more arrives */
-  bool lingering;     /* whether this side is shut down and the peer has still to close */
   bool closing;       /* whether uv_close() has been called */
 
   uint64_t active_ms;        /* when bytes were last received or sent */
@@ -47,7 +46,7 @@ static const struct client_kind kind;
 
 static void write_more(struct connection *c);
 
-static struct connection *of(struct client *client) {
+static struct connection *connection_of(struct client *client) {
   return (struct connection *)(void *)client;
 }
 
@@ -100,7 +99,7 @@ struct client *connection_new(struct server *server, int fd, struct tls_session 
 }
 
 /* Frees the connection, whose handle has been closed. */
-static void dispose(struct connection *c) {
+static void free_connection(struct connection *c) {
   struct server *server = c->server;
   const enum connection_purpose purpose = c->purpose;
   const bool was_open = !is_refused(c);
@@ -117,7 +116,13 @@ static void dispose(struct connection *c) {
 }
 
 static void on_closed(void *owner) {
-  dispose(owner);
+  free_connection(owner);
+}
+
+static void abort_connection(struct connection *c);
+
+static void on_failed(void *owner) {
+  abort_connection(owner);
 }
 
 static uint64_t now_ms(const struct connection *c) {
@@ -133,17 +138,14 @@ static void abort_connection(struct connection *c) {
   }
 }
 
-/* Ends the connection so that the peer can read all answers. Closing a socket that has unread bytes
- * would reset the connection, and the peer might lose answers. So this shuts down the sending side
- * only, and then reads and drops bytes until the peer closes. */
+/* Ends the connection so that the peer can read all replies. */
 static void linger(struct connection *c) {
-  if (c->peer_done || !transport_shut_down(&c->transport)) {
+  if (c->peer_done) {
     abort_connection(c);
-    return;
+  } else {
+    c->lingering_ms = now_ms(c);
+    transport_linger(&c->transport);
   }
-  c->lingering = true;
-  c->lingering_ms = now_ms(c);
-  input_discard(&c->input);
 }
 
 /* ---- reading --------------------------------------------------------------------------------- */
@@ -166,17 +168,11 @@ static void refuse_for_memory(struct connection *c) {
   }
 }
 
-static void set_reading(struct connection *c, bool wanted) {
-  if (!transport_set_reading(&c->transport, wanted)) {
-    abort_connection(c);
-  }
-}
-
 /* Reads while a job uses its request in place: only into the free memory behind that request. So the
  * arrival times of the next requests are known, and their deadlines count from then. */
 static void read_behind(struct connection *c) {
   uint8_t *room = NULL;
-  set_reading(c, !c->peer_done && input_room_behind(&c->input, &room) > 0);
+  transport_set_reading(&c->transport, !c->peer_done && input_room_behind(&c->input, &room) > 0);
 }
 
 /* Returns whether the peer of a Unix socket has closed both of its sides: nobody reads the answers.
@@ -199,17 +195,10 @@ static bool is_gone(const struct connection *c, uint64_t now_ms) {
  * answer costs no calls to stop and start reading. */
 static void on_received(void *owner, ssize_t bytes) {
   struct connection *c = owner;
-  if (c->closing) {
-    return;
-  }
   if (bytes > 0) {
     stats_add(&c->server->stats, STATS_RECEIVED_BYTES, (uint64_t)bytes);
     c->active_ms = now_ms(c);
     input_arrived(&c->input, (size_t)bytes, worker_round_ns(c->client.worker));
-    if (c->lingering) {
-      input_discard(&c->input);
-      return;
-    }
     if (requests_hold_input(&c->requests)) {
       read_behind(c);
       return; /* The job will wake the connection. */
@@ -221,7 +210,7 @@ static void on_received(void *owner, ssize_t bytes) {
     }
     if (bytes == UV_ENOBUFS) {
       refuse_for_memory(c);
-    } else if (bytes == UV_EOF && !c->lingering && !has_hung_up(c)) {
+    } else if (!has_hung_up(c)) {
       c->peer_done = true;
       c->active_ms = now_ms(c);
     } else {
@@ -241,15 +230,8 @@ static void wrote(struct connection *c, uint64_t bytes) {
   c->active_ms = now_ms(c);
 }
 
-static void on_sent(void *owner, uint64_t bytes, int status) {
+static void on_sent(void *owner, uint64_t bytes) {
   struct connection *c = owner;
-  if (c->closing) {
-    return;
-  }
-  if (status != 0) {
-    abort_connection(c);
-    return;
-  }
   wrote(c, bytes);
   worker_run_later(&c->client); /* its turn writes more */
 }
@@ -269,15 +251,11 @@ static unsigned cut_off(uv_buf_t *buffers, unsigned count, size_t bytes) {
  * nothing, the transport tells when it does. */
 static void write_more(struct connection *c) {
   size_t left = WRITE_BYTES;
-  while (!c->transport.writing && c->output.ready_bytes > 0 && left > 0) {
+  while (!c->closing && !c->transport.writing && c->output.ready_bytes > 0 && left > 0) {
     uv_buf_t buffers[WRITE_BUFFERS];
     const unsigned count =
         cut_off(buffers, (unsigned)output_buffers(&c->output, buffers, WRITE_BUFFERS), left);
-    uint64_t written;
-    if (!transport_write(&c->transport, buffers, count, &written)) {
-      abort_connection(c);
-      return;
-    }
+    const uint64_t written = transport_write(&c->transport, buffers, count);
     if (written > 0) {
       wrote(c, written);
       left -= written;
@@ -330,16 +308,13 @@ static void read_on_or_end(struct connection *c) {
     return;
   }
   end_if_done(c);
-  if (c->closing || c->lingering) {
+  if (c->closing || c->transport.lingering) {
     return;
   }
   if (c->requests.ended) {
-    set_reading(c, false);
+    transport_set_reading(&c->transport, false);
     if (c->output.ready_bytes == 0) {
       linger(c);
-    }
-    if (c->lingering) {
-      set_reading(c, true);
     }
     return;
   }
@@ -348,8 +323,10 @@ static void read_on_or_end(struct connection *c) {
     return;
   }
   note_partial_frame(c);
-  set_reading(c, !output_is_full(&c->output) &&
-                     !c->peer_done); /* Without this it would read the end of the stream again. */
+  transport_set_reading(
+      &c->transport,
+      !output_is_full(&c->output) &&
+          !c->peer_done); /* Without this it would read the end of the stream again. */
 }
 
 /* Makes the worker wake the connection at the deadline of a request that waits. */
@@ -360,8 +337,8 @@ static void watch_deadline(struct connection *c) {
   }
 }
 
-static void run(struct client *client) {
-  struct connection *c = of(client);
+static void run_turn(struct client *client) {
+  struct connection *c = connection_of(client);
   struct requests *r = &c->requests;
   const uint64_t share = r->detached_count > 0 ? TURN_RADII / 2 : 0;
   uint64_t budget = TURN_RADII - share;
@@ -386,8 +363,8 @@ static void run(struct client *client) {
   c->more_to_do = more;
 }
 
-static void finish(struct client *client) {
-  struct connection *c = of(client);
+static void finish_turn(struct client *client) {
+  struct connection *c = connection_of(client);
   /* Frames wait while the output is full. If writing makes room, the connection continues. */
   const bool was_blocked = output_is_full(&c->output);
   if (!c->closing) {
@@ -400,7 +377,7 @@ static void finish(struct client *client) {
     if (requests_hold_input(&c->requests)) {
       read_behind(c);
     } else {
-      set_reading(c, false);
+      transport_set_reading(&c->transport, false);
     }
     worker_run_later(&c->client);
   } else {
@@ -415,14 +392,17 @@ static void finish(struct client *client) {
 
 /* ---- starting, stopping, time ---------------------------------------------------------------- */
 
-static void start(struct client *client) {
-  struct connection *c = of(client);
+static void start_client(struct client *client) {
+  struct connection *c = connection_of(client);
   uv_loop_t *loop = worker_loop(client->worker);
   c->requests.context = worker_context(client->worker);
   c->requests.profiles = &client->profiles;
   c->active_ms = uv_now(loop);
-  static const struct transport_calls calls = {
-      .room = find_room, .received = on_received, .sent = on_sent, .closed = on_closed};
+  static const struct transport_calls calls = {.room = find_room,
+                                               .received = on_received,
+                                               .sent = on_sent,
+                                               .failed = on_failed,
+                                               .closed = on_closed};
   const int opened = transport_open(&c->transport, loop, c->fd, c->tls, &calls, c);
   if (opened != 0) {
     log_line(LOG_LEVEL_ERROR, "event=connection-failed reason=%s", uv_strerror(opened));
@@ -435,21 +415,21 @@ static void start(struct client *client) {
   worker_run_later(&c->client);
 }
 
-static void stop(struct client *client) {
-  struct connection *c = of(client);
+static void stop_client(struct client *client) {
+  struct connection *c = connection_of(client);
   c->stopping = true;
   if (!c->closing) {
     worker_run_later(&c->client);
   }
 }
 
-static void tick(struct client *client, uint64_t now_ms) {
-  struct connection *c = of(client);
+static void check_time(struct client *client, uint64_t now_ms) {
+  struct connection *c = connection_of(client);
   const struct options *options = &c->server->options;
   if (c->closing) {
     return;
   }
-  if (c->lingering) {
+  if (c->transport.lingering) {
     if (now_ms - c->lingering_ms > LINGER_MS) {
       abort_connection(c);
     }
@@ -490,8 +470,8 @@ static void tick(struct client *client, uint64_t now_ms) {
   }
 }
 
-static void deadline(struct client *client) {
-  struct connection *c = of(client);
+static void check_deadlines(struct client *client) {
+  struct connection *c = connection_of(client);
   if (c->closing) {
     return;
   }
@@ -503,7 +483,7 @@ static void deadline(struct client *client) {
 }
 
 static void abort_client(struct client *client) {
-  abort_connection(of(client));
+  abort_connection(connection_of(client));
 }
 
 static bool is_busy(const struct client *client) {
@@ -512,12 +492,12 @@ static bool is_busy(const struct client *client) {
 }
 
 static const struct client_kind kind = {
-    .start = start,
-    .run = run,
-    .finish = finish,
-    .tick = tick,
-    .deadline = deadline,
-    .stop = stop,
+    .start = start_client,
+    .run = run_turn,
+    .finish = finish_turn,
+    .tick = check_time,
+    .deadline = check_deadlines,
+    .stop = stop_client,
     .abort = abort_client,
     .busy = is_busy,
     .counts = true,

@@ -45,7 +45,7 @@ struct handshake {
   bool is_done; /* the socket and the session go on to the workers */
 };
 
-static struct handshake *of(struct client *client) {
+static struct handshake *handshake_of(struct client *client) {
   return (struct handshake *)(void *)client;
 }
 
@@ -71,7 +71,7 @@ static void on_closed(uv_handle_t *handle) {
   free(h);
 }
 
-static void end(struct handshake *h) {
+static void end_handshake(struct handshake *h) {
   if (!h->closing) {
     h->closing = true;
     leave_queue(h);
@@ -86,11 +86,11 @@ static void log_refusal(int fd, const char *reason) {
                 LOG_FIELD(" reason=", reason));
 }
 
-static void fail(struct handshake *h, const char *reason) {
+static void fail_handshake(struct handshake *h, const char *reason) {
   if (!h->closing) {
     log_refusal(h->fd, reason);
     stats_add(&h->all->server->stats, STATS_TLS_HANDSHAKES_FAILED, 1);
-    end(h);
+    end_handshake(h);
   }
 }
 
@@ -100,15 +100,15 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
   (void)events;
   struct handshake *h = poll->data;
   if (status < 0) { /* libuv says EBADF for a reset. */
-    fail(h, "the peer has closed the connection");
+    fail_handshake(h, "the peer has closed the connection");
   } else {
     worker_run_later(&h->client);
   }
 }
 
-static void await(struct handshake *h, int event) {
+static void await_event(struct handshake *h, int event) {
   if (uv_poll_start(&h->poll, event, on_poll) != 0) {
-    fail(h, "the socket cannot be polled");
+    fail_handshake(h, "the socket cannot be polled");
   }
 }
 
@@ -117,7 +117,7 @@ static bool has_sent(const struct handshake *h) {
   return ioctl(h->fd, FIONREAD, &bytes) == 0 && bytes > 0;
 }
 
-static void begin(struct handshake *h);
+static void begin_handshake(struct handshake *h);
 
 /* Joins a queue, in which one more than may be there ends the oldest of them. */
 static void join_queue(struct handshake *h) {
@@ -126,9 +126,9 @@ static void join_queue(struct handshake *h) {
   while (all->counts[begun] >= all->server->options.max_tls_handshakes) {
     struct handshake *oldest = TAILQ_FIRST(&all->queues[begun]);
     if (!begun && has_sent(oldest)) {
-      begin(oldest);
+      begin_handshake(oldest);
     } else {
-      fail(oldest, "max_tls_handshakes newer ones have begun");
+      fail_handshake(oldest, "max_tls_handshakes newer ones have begun");
     }
   }
   TAILQ_INSERT_TAIL(&all->queues[begun], h, in_queue);
@@ -138,10 +138,10 @@ static void join_queue(struct handshake *h) {
 }
 
 /* Begins the handshake of a client that has sent something. */
-static void begin(struct handshake *h) {
+static void begin_handshake(struct handshake *h) {
   struct tls_session *session = tls_session_new(h->all->tls, h->fd);
   if (session == NULL) {
-    fail(h, "out of memory");
+    fail_handshake(h, "out of memory");
     return;
   }
   leave_queue(h);
@@ -151,17 +151,17 @@ static void begin(struct handshake *h) {
 }
 
 /* One turn: what OpenSSL computes for one message of the client, at most a signature or two. */
-static void run(struct client *client) {
-  struct handshake *h = of(client);
+static void run_turn(struct client *client) {
+  struct handshake *h = handshake_of(client);
   char why[TLS_WHY_BYTES];
   if (h->closing) {
     return;
   }
   if (h->session == NULL) {
     if (has_sent(h)) {
-      begin(h);
+      begin_handshake(h);
     } else {
-      fail(h, "the peer has closed the connection");
+      fail_handshake(h, "the peer has closed the connection");
     }
     return;
   }
@@ -169,27 +169,27 @@ static void run(struct client *client) {
   if (progress == TLS_DONE) {
     stats_add(&h->all->server->stats, STATS_TLS_HANDSHAKES, 1);
     h->is_done = true;
-    end(h);
+    end_handshake(h);
   } else if (progress == TLS_FAILED) {
-    fail(h, why);
+    fail_handshake(h, why);
   } else if (tls_session_received_bytes(h->session) > MOST_BYTES) {
-    fail(h, "the handshake has too many bytes");
+    fail_handshake(h, "the handshake has too many bytes");
   } else {
-    await(h, progress == TLS_WANTS_WRITE ? UV_WRITABLE : UV_READABLE);
+    await_event(h, progress == TLS_WANTS_WRITE ? UV_WRITABLE : UV_READABLE);
   }
 }
 
-static void tick(struct client *client, uint64_t now_ms) {
-  struct handshake *h = of(client);
+static void check_time(struct client *client, uint64_t now_ms) {
+  struct handshake *h = handshake_of(client);
   if (now_ms - h->began_ms > h->all->server->options.tls_handshake_timeout_ms) {
-    fail(h, "the handshake takes too long");
+    fail_handshake(h, "the handshake takes too long");
   }
 }
 
 /* ---- beginning ------------------------------------------------------------------------------- */
 
-static void start(struct client *client) {
-  struct handshake *h = of(client);
+static void start_client(struct client *client) {
+  struct handshake *h = handshake_of(client);
   struct handshakes *all = h->all;
   atomic_fetch_sub(&all->waiting, 1);
   if (!all->has_low_priority) {
@@ -204,22 +204,23 @@ static void start(struct client *client) {
   }
   h->poll.data = h;
   join_queue(h);
-  await(h, UV_READABLE);
+  await_event(h, UV_READABLE);
 }
 
-static void stop(struct client *client) {
-  end(of(client));
+static void stop_client(struct client *client) {
+  end_handshake(handshake_of(client));
 }
 
 static const struct client_kind kind = {
-    .start = start,
-    .run = run,
-    .tick = tick,
-    .stop = stop,
-    .abort = stop,
+    .start = start_client,
+    .run = run_turn,
+    .tick = check_time,
+    .stop = stop_client,
+    .abort = stop_client,
 };
 
-static void refuse(struct server *server, int fd, const char *why, enum stats_index counter) {
+static void refuse_socket(struct server *server, int fd, const char *why,
+                          enum stats_index counter) {
   log_refusal(fd, why);
   stats_add(&server->stats, counter, 1);
   close(fd);
@@ -229,7 +230,7 @@ void handshakes_admit(struct server *server, int fd) {
   if (access_allows_peer(&server->allow, fd)) {
     handshakes_begin(server, fd, server->handshakes->done);
   } else {
-    refuse(server, fd, "not-allowed", STATS_CONNECTIONS_REFUSED);
+    refuse_socket(server, fd, "not-allowed", STATS_CONNECTIONS_REFUSED);
   }
 }
 
@@ -239,8 +240,8 @@ void handshakes_begin(struct server *server, int fd, handshakes_done *done) {
   struct handshake *h = full ? NULL : calloc(1, sizeof *h);
   const int on = 1;
   if (h == NULL) {
-    refuse(server, fd, full ? "too many have begun at once" : "out of memory",
-           STATS_TLS_HANDSHAKES_FAILED);
+    refuse_socket(server, fd, full ? "too many have begun at once" : "out of memory",
+                  STATS_TLS_HANDSHAKES_FAILED);
     return;
   }
   setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);

@@ -77,7 +77,8 @@ static void refuse_at_once(struct server *server, int fd, struct tls_session *se
   close(fd);
 }
 
-static void give(struct server *server, int fd, struct tls_session *session, bool inherited) {
+static void give_to_worker(struct server *server, int fd, struct tls_session *session,
+                           bool inherited) {
   struct stats *stats = &server->stats;
   const bool full = stats_get(stats, STATS_CONNECTIONS_OPEN) >= server->options.max_connections;
   const bool forbidden = !inherited && !access_allows_peer(&server->allow, fd);
@@ -102,14 +103,14 @@ static void give(struct server *server, int fd, struct tls_session *session, boo
 }
 
 void listener_admit(struct server *server, int fd, bool inherited) {
-  give(server, fd, NULL, inherited);
+  give_to_worker(server, fd, NULL, inherited);
 }
 
 void listener_admit_tls(struct server *server, int fd, struct tls_session *session) {
-  give(server, fd, session, false);
+  give_to_worker(server, fd, session, false);
 }
 
-static void admit(struct server *server, int fd) {
+static void admit_socket(struct server *server, int fd) {
   listener_admit(server, fd, false);
 }
 
@@ -283,7 +284,7 @@ static void log_adopted(int fd) {
            socket_option(fd, SO_DOMAIN) != AF_UNIX ? "tcp:" : "", bound);
 }
 
-static bool adopt(int fd) {
+static bool check_adopted(int fd) {
   const int domain = socket_option(fd, SO_DOMAIN);
   if (socket_option(fd, SO_TYPE) != SOCK_STREAM || socket_option(fd, SO_ACCEPTCONN) != 1 ||
       (domain != AF_UNIX && domain != AF_INET && domain != AF_INET6)) {
@@ -296,7 +297,7 @@ static bool adopt(int fd) {
 
 /* ---- public ---------------------------------------------------------------------------------- */
 
-static bool watch(struct listener *listener, uv_loop_t *loop) {
+static bool watch_listener(struct listener *listener, uv_loop_t *loop) {
   uv_poll_init(loop, &listener->poll, listener->fd);
   uv_timer_init(loop, &listener->pause);
   listener->poll.data = listener->pause.data = listener;
@@ -304,19 +305,19 @@ static bool watch(struct listener *listener, uv_loop_t *loop) {
 }
 
 bool listener_adopt(struct listener *listener, struct server *server, uv_loop_t *loop, int fd) {
-  *listener = (struct listener){.server = server, .admit = admit, .fd = fd};
-  if (!adopt(fd)) {
+  *listener = (struct listener){.server = server, .admit = admit_socket, .fd = fd};
+  if (!check_adopted(fd)) {
     close(fd);
     return false;
   }
   log_adopted(fd);
-  return watch(listener, loop);
+  return watch_listener(listener, loop);
 }
 
 /* Watches this many listeners that have been opened. */
-static size_t start(struct listener *listeners, uv_loop_t *loop, size_t count) {
+static size_t watch_all(struct listener *listeners, uv_loop_t *loop, size_t count) {
   for (size_t i = 0; i < count; i++) {
-    watch(&listeners[i], loop);
+    watch_listener(&listeners[i], loop);
   }
   if (count == 0 && listeners[0].fd >= 0) {
     close(listeners[0].fd);
@@ -326,7 +327,7 @@ static size_t start(struct listener *listeners, uv_loop_t *loop, size_t count) {
 
 size_t listener_open(struct listener listeners[TCP_ADDRESSES_MAX], struct server *server,
                      uv_loop_t *loop, const char *url) {
-  listeners[0] = (struct listener){.server = server, .admit = admit, .fd = -1};
+  listeners[0] = (struct listener){.server = server, .admit = admit_socket, .fd = -1};
   size_t count;
   if (strncmp(url, "unix:", 5) == 0) {
     count = open_unix(&listeners[0], url, url + 5);
@@ -339,7 +340,7 @@ size_t listener_open(struct listener listeners[TCP_ADDRESSES_MAX], struct server
     count =
         complain(url, "write unix:PATH, tcp:HOST:PORT or tls:HOST:PORT, as in tcp:127.0.0.1:4817");
   }
-  return start(listeners, loop, count);
+  return watch_all(listeners, loop, count);
 }
 
 size_t listener_open_modbus(struct listener listeners[TCP_ADDRESSES_MAX], struct server *server,
@@ -352,7 +353,7 @@ size_t listener_open_modbus(struct listener listeners[TCP_ADDRESSES_MAX], struct
                                      : complain(url, "Modbus is served at tcp:HOST:PORT, "
                                                      "tls:HOST:PORT or "
                                                      "rtu:DEVICE[,BAUD[,PARITY[,UNIT]]]");
-  return start(listeners, loop, count);
+  return watch_all(listeners, loop, count);
 }
 
 void listener_close(struct listener *listener) {

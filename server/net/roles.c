@@ -5,7 +5,13 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { LINE_BYTES = 1024, ENTRIES_MAX = 1000, RIGHTS_MAX = 16, ADDRESS_MAX = 65535 };
+enum {
+  LINE_BYTES = 1024,
+  ENTRIES_MAX = 1000,
+  RIGHTS_MAX = 16,
+  ADDRESS_MAX = 65535,
+  FUNCTION_MAX = 127
+};
 
 enum kind { EVERYBODY, SUBJECT, ROLE };
 
@@ -39,42 +45,23 @@ const char *roles_name(unsigned role) {
 
 /* ---- the file -------------------------------------------------------------------------------- */
 
-/* Reads a whole number of at most `most` at *text, and moves *text behind it. */
-static bool read_number(char **text, unsigned most, unsigned *number) {
-  char *end = *text;
-  *number = 0;
-  while (*end >= '0' && *end <= '9' && *number <= most) {
-    *number = 10 * *number + (unsigned)(*end++ - '0');
-  }
-  const bool good = end > *text && *number <= most;
-  *text = end;
-  return good;
-}
-
 /* Reads a right of Modbus masters: read, write or fcN, and behind a colon the addresses. */
-static bool read_right(char *text, struct roles_right *right) {
-  char *colon = strchr(text, ':');
+static bool read_right(const char *text, struct roles_right *right) {
+  char what[8] = "";
+  int end = 0;
   *right = (struct roles_right){.last = ADDRESS_MAX};
-  if (colon != NULL) {
-    char *at = colon + 1;
-    *colon = '\0';
-    bool good = read_number(&at, ADDRESS_MAX, &right->first);
-    right->last = right->first;
-    if (good && *at == '-') {
-      at++;
-      good = read_number(&at, ADDRESS_MAX, &right->last);
-    }
-    if (!good || *at != '\0' || right->last < right->first) {
-      return false;
-    }
+  if (text[strspn(text, "abcdefghijklmnopqrstuvwxyz0123456789:-")] != '\0') {
+    return false;
   }
-  right->reads = strcmp(text, "read") == 0;
-  right->writes = strcmp(text, "write") == 0;
-  if (strncmp(text, "fc", 2) == 0) {
-    text += 2;
-    return read_number(&text, 127, &right->function) && *text == '\0' && right->function > 0;
-  }
-  return right->reads || right->writes;
+  const int read =
+      sscanf(text, "%7[a-z0-9]%n:%5u%n-%5u%n", what, &end, &right->first, &end, &right->last, &end);
+  right->last = read == 2 ? right->first : right->last;
+  right->reads = strcmp(what, "read") == 0;
+  right->writes = strcmp(what, "write") == 0;
+  return text[end] == '\0' && right->first <= right->last && right->last <= ADDRESS_MAX &&
+         (right->reads || right->writes ||
+          (sscanf(what, "fc%3u%n", &right->function, &end) == 1 && what[end] == '\0' &&
+           right->function > 0 && right->function <= FUNCTION_MAX));
 }
 
 /* Reads a list of roles and rights, as "evaluate,observe,read". Returns what is wrong, or NULL. */

@@ -6,6 +6,7 @@
 enum {
   TLS_READ_BYTES = 524288, /* at most in one call of the poll: some 200 microseconds */
   TLS_RECORD_BYTES = 2048, /* what a read takes beside its bytes, as small as a record may be */
+  DROPPED_BYTES = 4096,    /* at a time, of a peer that has the last reply */
 };
 
 static void close_and_tell(uv_handle_t *handle) {
@@ -22,13 +23,36 @@ void transport_close(struct transport *t) {
   uv_close(&t->uv.handle, close_and_tell);
 }
 
+/* ---- what the owner is told ------------------------------------------------------------------ */
+
+static bool fail(struct transport *t) {
+  if (!uv_is_closing(&t->uv.handle)) {
+    t->calls->failed(t->owner);
+  }
+  return false;
+}
+
+static void tell_received(struct transport *t, ssize_t bytes) {
+  if (bytes < 0 && bytes != UV_ENOBUFS && (bytes != UV_EOF || t->lingering)) {
+    fail(t);
+  } else if (!t->lingering && !uv_is_closing(&t->uv.handle)) {
+    t->calls->received(t->owner, bytes);
+  }
+}
+
+static size_t find_room(struct transport *t, uint8_t **room) {
+  static _Thread_local uint8_t dropped[DROPPED_BYTES];
+  *room = dropped;
+  return t->lingering ? sizeof dropped : t->calls->room(t->owner, room);
+}
+
 /* ---- plain sockets --------------------------------------------------------------------------- */
 
 static void on_room_wanted(uv_handle_t *handle, size_t suggested, uv_buf_t *buffer) {
   (void)suggested;
   struct transport *t = handle->data;
   uint8_t *room = NULL;
-  const size_t bytes = t->calls->room(t->owner, &room);
+  const size_t bytes = find_room(t, &room);
   *buffer = uv_buf_init((char *)room, (unsigned)bytes);
 }
 
@@ -36,7 +60,7 @@ static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer) 
   (void)buffer;
   struct transport *t = stream->data;
   if (bytes != 0) {
-    t->calls->received(t->owner, bytes);
+    tell_received(t, bytes);
   }
 }
 
@@ -45,7 +69,11 @@ static void on_written(uv_write_t *request, int status) {
   const uint64_t bytes = t->writing_bytes;
   t->writing_bytes = 0;
   t->writing = false;
-  t->calls->sent(t->owner, bytes, status);
+  if (status != 0) {
+    fail(t);
+  } else {
+    t->calls->sent(t->owner, bytes);
+  }
 }
 
 static bool write_plain(struct transport *t, const uv_buf_t *buffers, unsigned count,
@@ -65,8 +93,8 @@ static bool write_plain(struct transport *t, const uv_buf_t *buffers, unsigned c
 
 static void on_shut_down(uv_shutdown_t *request, int status) {
   struct transport *t = request->handle->data;
-  if (status != 0 && !uv_is_closing(&t->uv.handle)) {
-    t->calls->received(t->owner, status);
+  if (status != 0) {
+    fail(t);
   }
 }
 
@@ -121,7 +149,7 @@ static void read_tls(struct transport *t) {
   while (t->reading && left > TLS_RECORD_BYTES && !uv_is_closing(&t->uv.handle)) {
     left -= TLS_RECORD_BYTES;
     uint8_t *room = NULL;
-    const size_t bytes = t->calls->room(t->owner, &room);
+    const size_t bytes = find_room(t, &room);
     const ssize_t got =
         bytes > 0 ? tls_session_read(t->tls, room, bytes < left ? bytes : left) : UV_ENOBUFS;
     if (got == 0 || got == UV_EAGAIN) {
@@ -129,19 +157,19 @@ static void read_tls(struct transport *t) {
       t->blocked = tls_session_is_blocked(t->tls);
       if (!t->has_more && t->tells_empty) {
         t->tells_empty = false;
-        t->calls->received(t->owner, 0);
+        tell_received(t, 0);
       }
       return;
     }
     left -= got > 0 ? (size_t)got : 0;
-    t->calls->received(t->owner, got);
+    tell_received(t, got);
   }
 }
 
 static void on_poll(uv_poll_t *poll, int status, int events) {
   struct transport *t = poll->data;
   if (status < 0) {
-    t->calls->received(t->owner, status);
+    fail(t);
     return;
   }
   if ((events & UV_WRITABLE) != 0) {
@@ -150,7 +178,7 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
   }
   if (t->writing && (events & UV_WRITABLE) != 0) {
     t->writing = false;
-    t->calls->sent(t->owner, 0, 0);
+    t->calls->sent(t->owner, 0);
   }
   if ((events & UV_READABLE) != 0 || t->has_more) {
     read_tls(t);
@@ -194,38 +222,46 @@ int transport_open(struct transport *t, uv_loop_t *loop, int fd, struct tls_sess
   return opened;
 }
 
-bool transport_set_reading(struct transport *t, bool wanted) {
-  if (t->reading == wanted) {
-    return true;
+void transport_set_reading(struct transport *t, bool wanted) {
+  if (t->reading == wanted || uv_is_closing(&t->uv.handle)) {
+    return;
   }
   t->reading = wanted;
-  if (t->tls != NULL) {
-    return set_events(t);
-  }
-  if (!wanted) {
+  if (t->tls == NULL && !wanted) {
     uv_read_stop(&t->uv.stream);
-    return true;
+  } else if (t->tls != NULL ? !set_events(t)
+                            : uv_read_start(&t->uv.stream, on_room_wanted, on_read) != 0) {
+    t->reading = false;
+    fail(t);
   }
-  t->reading = uv_read_start(&t->uv.stream, on_room_wanted, on_read) == 0;
-  return t->reading;
 }
 
-bool transport_write(struct transport *t, const uv_buf_t *buffers, unsigned count,
-                     uint64_t *written) {
-  *written = 0;
-  return t->tls != NULL ? write_tls(t, buffers, count, written)
-                        : write_plain(t, buffers, count, written);
+uint64_t transport_write(struct transport *t, const uv_buf_t *buffers, unsigned count) {
+  uint64_t written = 0;
+  const bool good = t->tls != NULL ? write_tls(t, buffers, count, &written)
+                                   : write_plain(t, buffers, count, &written);
+  return good || fail(t) ? written : 0;
 }
 
-bool transport_tell_empty(struct transport *t) {
+void transport_tell_empty(struct transport *t) {
   t->has_more = t->tells_empty = t->tls != NULL;
-  return t->tls == NULL || set_events(t);
+  if (t->tls != NULL && !set_events(t)) {
+    fail(t);
+  }
 }
 
-bool transport_shut_down(struct transport *t) {
+void transport_linger(struct transport *t) {
+  bool good;
   if (t->tls != NULL) {
     tls_session_end(t->tls);
-    return shutdown(t->fd, SHUT_WR) == 0;
+    good = shutdown(t->fd, SHUT_WR) == 0;
+  } else {
+    good = uv_shutdown(&t->shutdown, &t->uv.stream, on_shut_down) == 0;
   }
-  return uv_shutdown(&t->shutdown, &t->uv.stream, on_shut_down) == 0;
+  t->lingering = true;
+  if (good) {
+    transport_set_reading(t, true);
+  } else {
+    fail(t);
+  }
 }

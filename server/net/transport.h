@@ -20,11 +20,11 @@ struct transport_calls {
   /* Sets *room to memory for the next bytes and returns how many fit; 0 if there is none. */
   size_t (*room)(void *owner, uint8_t **room);
   /* This many bytes have arrived in that memory. Or, if negative: UV_EOF, the peer has shut down
-   * its sending side; UV_ENOBUFS, there was no room; any other error of libuv. */
+   * its sending side; UV_ENOBUFS, there was no room. */
   void (*received)(void *owner, ssize_t bytes);
-  /* The write that made transport_write() return true has ended: this many more bytes are written,
-   * or status is an error of libuv. */
-  void (*sent)(void *owner, uint64_t bytes, int status);
+  /* The write that transport_write() has begun has ended: this many more bytes are written. */
+  void (*sent)(void *owner, uint64_t bytes);
+  void (*failed)(void *owner); /* nothing can be sent or received; calls transport_close() */
   void (*closed)(void *owner); /* the last call, after transport_close() */
 };
 
@@ -45,7 +45,8 @@ struct transport {
   uint64_t writing_bytes; /* number of bytes given to libuv and not yet written */
   bool writing;           /* whether sent() is still to be called */
   bool reading;
-  bool has_more; /* with TLS: whether OpenSSL may hold bytes for which there was no time or room */
+  bool lingering; /* see transport_linger() */
+  bool has_more;  /* with TLS: whether OpenSSL may hold bytes for which there was no time or room */
   bool tells_empty; /* with TLS: see transport_tell_empty() */
   bool blocked;     /* with TLS: whether reading waits until the socket can be written to */
   int events;       /* with TLS: the events that the poll waits for */
@@ -56,22 +57,22 @@ struct transport {
 int transport_open(struct transport *transport, uv_loop_t *loop, int fd,
                    struct tls_session *session, const struct transport_calls *calls, void *owner);
 
-/* Begins or ceases to call received(). Returns false if that fails. */
-bool transport_set_reading(struct transport *transport, bool wanted);
+/* Begins or ceases to call received(). */
+void transport_set_reading(struct transport *transport, bool wanted);
 
-/* Writes as much of the buffers as the socket takes at once, and sets *written to the number of
- * bytes. Returns false if that fails. If the socket takes nothing, transport->writing becomes true;
- * the first bytes of the buffers must then stay where they are until sent() is called. */
-bool transport_write(struct transport *transport, const uv_buf_t *buffers, unsigned count,
-                     uint64_t *written);
+/* Writes as much of the buffers as the socket takes at once, and returns the number of bytes. If the
+ * socket takes nothing, transport->writing becomes true; the first bytes of the buffers must then stay
+ * where they are until sent() is called. */
+uint64_t transport_write(struct transport *transport, const uv_buf_t *buffers, unsigned count);
 
-/* With TLS, calls received() with 0 bytes when all is read that has arrived, and reading is wanted.
- * Returns false if that fails. */
-bool transport_tell_empty(struct transport *transport);
+/* With TLS, calls received() with 0 bytes when all is read that has arrived, and reading is wanted. */
+void transport_tell_empty(struct transport *transport);
 
-/* Tells the peer that nothing more is sent; called when nothing is being written. Returns false if
- * that fails. */
-bool transport_shut_down(struct transport *transport);
+/* Ends the connection so that the peer can read the last reply. Closing a socket that has unread bytes
+ * would reset the connection, and the peer might lose that reply. So this shuts down the sending side
+ * only, when nothing is being written, and drops bytes until the peer closes: failed() is then called.
+ * The owner closes after a while in any case. */
+void transport_linger(struct transport *transport);
 
 /* Closes the socket, and frees the session. */
 void transport_close(struct transport *transport);

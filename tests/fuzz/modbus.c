@@ -29,27 +29,27 @@ static void reset_units(void) {
   }
 }
 
-static void check_pdu(const uint8_t *request, size_t request_bytes, const uint8_t *answer,
+static void check_pdu(const uint8_t *request, size_t request_bytes, const uint8_t *reply,
                       size_t bytes) {
   static const uint8_t exact_bytes[] = {[1] = 5, 5, 5, 5, 5, 5, [17] = 1, [22] = 7};
   CHECK(bytes >= 2 && bytes <= MODBUS_PDU_MAX);
-  CHECK(answer[0] == request[0] || (answer[0] == (request[0] | 0x80) && bytes == 2));
-  CHECK(answer[0] >= sizeof exact_bytes || exact_bytes[answer[0]] == 0 ||
-        exact_bytes[answer[0]] == request_bytes);
+  CHECK(reply[0] == request[0] || (reply[0] == (request[0] | 0x80) && bytes == 2));
+  CHECK(reply[0] >= sizeof exact_bytes || exact_bytes[reply[0]] == 0 ||
+        exact_bytes[reply[0]] == request_bytes);
 }
 
-/* Checks the answers to a stream, which come in its order. The daemon closes the connection after
+/* Checks the replies to a stream, which come in its order. The daemon closes the connection after
  * bytes that are no frame. */
 static void check_modbus(const uint8_t *at, size_t left, const struct fuzz_bytes *answers) {
-  const uint8_t *answer = answers->bytes;
+  const uint8_t *reply = answers->bytes;
   size_t rest = answers->count;
   while (left >= 8 && at[2] == 0 && at[3] == 0 && at[4] == 0 && at[5] >= 2 && at[5] <= 254 &&
          at[7] < 0x80 && left >= 6u + at[5]) {
-    CHECK(rest >= 8 && memcmp(answer, at, 2) == 0 && answer[6] == at[6] && answer[4] == 0);
-    const size_t bytes = 6 + (size_t)answer[5];
+    CHECK(rest >= 8 && memcmp(reply, at, 2) == 0 && reply[6] == at[6] && reply[4] == 0);
+    const size_t bytes = 6 + (size_t)reply[5];
     CHECK(rest >= bytes);
-    check_pdu(at + 7, at[5] - 1u, answer + 7, bytes - 7);
-    answer += bytes;
+    check_pdu(at + 7, at[5] - 1u, reply + 7, bytes - 7);
+    reply += bytes;
     rest -= bytes;
     left -= 6u + at[5];
     at += 6 + at[5];
@@ -130,17 +130,17 @@ static void answer_serial(struct serial *line, const struct modbus_burst *burst)
     free(pdu);
     return;
   }
-  size_t answered = modbus_answer(units, &line->client, &may, 1, pdu, bytes, frame + 1, &unit);
-  if (unit != NULL && answered == 0) {
+  size_t replied_bytes = modbus_carry_out(units, &line->client, &may, 1, pdu, bytes, frame + 1, &unit);
+  if (unit != NULL && replied_bytes == 0) {
     batch_finish(&fuzz_worker.context.batch, &fuzz_server.stats);
     units->client.kind->finish(&units->client);
     CHECK(!unit->evaluating);
-    answered = modbus_answer_late(unit, pdu, bytes, frame + 1);
+    replied_bytes = modbus_late_reply(unit, pdu, bytes, frame + 1);
   }
-  CHECK(answered > 0);
+  CHECK(replied_bytes > 0);
   if (burst->request[0] == 1) {
-    check_pdu(pdu, bytes, frame + 1, answered);
-    send_serial(line, frame, answered);
+    check_pdu(pdu, bytes, frame + 1, replied_bytes);
+    send_serial(line, frame, replied_bytes);
   }
   free(pdu);
 }

@@ -1,4 +1,4 @@
-#include "server/modbus/answer.h"
+#include "server/modbus/reply.h"
 
 #include <modbus.h>
 #include <stdio.h>
@@ -105,52 +105,52 @@ static unsigned carry_out(struct modbus_unit *unit, const struct modbus_request 
   }
 }
 
-/* ---- answers: their lengths ------------------------------------------------------------------ */
+/* ---- replies: their lengths ------------------------------------------------------------------ */
 
-static size_t put_exception(unsigned function, unsigned exception, uint8_t *answer) {
-  answer[0] = (uint8_t)(function | 0x80);
-  answer[1] = (uint8_t)exception;
+static size_t put_exception(unsigned function, unsigned exception, uint8_t *reply) {
+  reply[0] = (uint8_t)(function | 0x80);
+  reply[1] = (uint8_t)exception;
   return 2;
 }
 
 static size_t put_bits(const struct modbus_unit *unit, const struct modbus_request *request,
-                       uint8_t *answer) {
+                       uint8_t *reply) {
   const unsigned bytes = (request->count + 7) / 8;
-  answer[0] = (uint8_t)request->function;
-  answer[1] = (uint8_t)bytes;
-  memset(answer + 2, 0, bytes);
+  reply[0] = (uint8_t)request->function;
+  reply[1] = (uint8_t)bytes;
+  memset(reply + 2, 0, bytes);
   for (unsigned i = 0; i < request->count; i++) {
-    answer[2 + i / 8] |= (uint8_t)(unit->coils[request->address + i] << i % 8);
+    reply[2 + i / 8] |= (uint8_t)(unit->coils[request->address + i] << i % 8);
   }
   return 2 + bytes;
 }
 
 static size_t put_registers(const struct modbus_unit *unit, const struct modbus_request *request,
-                            uint8_t *answer) {
-  answer[0] = (uint8_t)request->function;
-  answer[1] = (uint8_t)(2 * request->count);
+                            uint8_t *reply) {
+  reply[0] = (uint8_t)request->function;
+  reply[1] = (uint8_t)(2 * request->count);
   for (unsigned i = 0; i < request->count; i++) {
     const uint16_t word = registers_word(unit->registers, request->address + i);
-    answer[2 + 2 * i] = (uint8_t)(word >> 8);
-    answer[3 + 2 * i] = (uint8_t)word;
+    reply[2 + 2 * i] = (uint8_t)(word >> 8);
+    reply[3 + 2 * i] = (uint8_t)word;
   }
   return 2 + 2 * (size_t)request->count;
 }
 
-/* Writes the answer to a valid request. The answer to a write repeats the start of the request. */
+/* Writes the reply to a valid request. The reply to a write repeats the start of the request. */
 static size_t put_result(const struct modbus_unit *unit, const struct modbus_request *request,
-                         const uint8_t *pdu, uint8_t *answer) {
+                         const uint8_t *pdu, uint8_t *reply) {
   switch (request->function) {
   case MODBUS_FC_READ_COILS:
   case MODBUS_FC_READ_DISCRETE_INPUTS:
-    return put_bits(unit, request, answer);
+    return put_bits(unit, request, reply);
   case MODBUS_FC_READ_HOLDING_REGISTERS:
   case MODBUS_FC_READ_INPUT_REGISTERS:
   case MODBUS_FC_WRITE_AND_READ_REGISTERS:
-    return put_registers(unit, request, answer);
+    return put_registers(unit, request, reply);
   default: {
     const size_t bytes = request->function == MODBUS_FC_MASK_WRITE_REGISTER ? 7 : 5;
-    memcpy(answer, pdu, bytes);
+    memcpy(reply, pdu, bytes);
     return bytes;
   }
   }
@@ -158,9 +158,9 @@ static size_t put_result(const struct modbus_unit *unit, const struct modbus_req
 
 /* ---- public ---------------------------------------------------------------------------------- */
 
-static void count(const struct modbus_units *units, const uint8_t *answer, size_t bytes) {
+static void count_reply(const struct modbus_units *units, const uint8_t *reply, size_t bytes) {
   struct worker *worker = units->client.worker;
-  const bool refused = bytes > 0 && answer[0] >= 0x80;
+  const bool refused = bytes > 0 && reply[0] >= 0x80;
   stats_add(&units->server->stats, refused ? STATS_MODBUS_EXCEPTIONS : STATS_MODBUS_TRANSACTIONS,
             1);
   latency_note(worker_context(worker)->latency,
@@ -170,13 +170,13 @@ static void count(const struct modbus_units *units, const uint8_t *answer, size_
                worker_round_ns(worker));
 }
 
-static size_t answer_unit(struct modbus_unit *unit, struct client *client, const uint8_t *pdu,
-                          const struct modbus_request *request, uint8_t *answer) {
+static size_t handle_at_unit(struct modbus_unit *unit, struct client *client, const uint8_t *pdu,
+                             const struct modbus_request *request, uint8_t *reply) {
   const unsigned exception = carry_out(unit, request, client);
   if (exception != 0) {
-    return put_exception(pdu[0], exception, answer);
+    return put_exception(pdu[0], exception, reply);
   }
-  return unit->evaluating ? 0 : put_result(unit, request, pdu, answer);
+  return unit->evaluating ? 0 : put_result(unit, request, pdu, reply);
 }
 
 /* Returns whether the rights of a master's certificate allow a request. Functions 17 and 43 name no
@@ -196,9 +196,9 @@ static bool is_authorized(const struct roles_rights *rights, const struct modbus
           roles_allow(rights, function, false, request->address, request->count));
 }
 
-static size_t answer_request(struct modbus_units *units, struct client *client,
+static size_t handle_request(struct modbus_units *units, struct client *client,
                              const struct modbus_permissions *may, unsigned number,
-                             const uint8_t *pdu, size_t bytes, uint8_t *answer,
+                             const uint8_t *pdu, size_t bytes, uint8_t *reply,
                              struct modbus_unit **waits_for) {
   struct modbus_request request;
   unsigned exception = modbus_pdu_parse(pdu, bytes, &request);
@@ -211,39 +211,40 @@ static size_t answer_request(struct modbus_units *units, struct client *client,
   }
   size_t length = 0;
   if (exception == 0 && pdu[0] == MODBUS_FC_READ_DEVICE_ID) {
-    length = modbus_identity_read(pdu, answer, &exception);
+    length = modbus_identity_read(pdu, reply, &exception);
   }
   if (exception != 0) {
-    return put_exception(pdu[0], exception, answer);
+    return put_exception(pdu[0], exception, reply);
   }
   if (length > 0) {
     return length;
   }
   if (pdu[0] == MODBUS_FC_REPORT_SLAVE_ID) {
-    return modbus_identity_report(number, answer);
+    return modbus_identity_report(number, reply);
   }
   *waits_for = modbus_units_get(units, number);
-  return answer_unit(*waits_for, client, pdu, &request, answer);
+  return handle_at_unit(*waits_for, client, pdu, &request, reply);
 }
 
-size_t modbus_answer(struct modbus_units *units, struct client *client,
-                     const struct modbus_permissions *may, unsigned number, const uint8_t *pdu,
-                     size_t bytes, uint8_t answer[MODBUS_PDU_MAX], struct modbus_unit **waits_for) {
-  const size_t length = answer_request(units, client, may, number, pdu, bytes, answer, waits_for);
-  count(units, answer, length);
+size_t modbus_carry_out(struct modbus_units *units, struct client *client,
+                        const struct modbus_permissions *may, unsigned number, const uint8_t *pdu,
+                        size_t bytes, uint8_t reply[MODBUS_PDU_MAX],
+                        struct modbus_unit **waits_for) {
+  const size_t length = handle_request(units, client, may, number, pdu, bytes, reply, waits_for);
+  count_reply(units, reply, length);
   return length;
 }
 
-size_t modbus_answer_late(const struct modbus_unit *unit, const uint8_t *pdu, size_t bytes,
-                          uint8_t answer[MODBUS_PDU_MAX]) {
+size_t modbus_late_reply(const struct modbus_unit *unit, const uint8_t *pdu, size_t bytes,
+                         uint8_t reply[MODBUS_PDU_MAX]) {
   struct modbus_request request;
   modbus_pdu_parse(pdu, bytes, &request);
-  return put_result(unit, &request, pdu, answer);
+  return put_result(unit, &request, pdu, reply);
 }
 
-void modbus_answer_log(const uint8_t *pdu, size_t bytes, const uint8_t *answer, unsigned number,
-                       const char *key, const char *from) {
-  if (answer[0] < 0x80) { /* no exception */
+void modbus_log_refusal(const uint8_t *pdu, size_t bytes, const uint8_t *reply, unsigned number,
+                        const char *key, const char *from) {
+  if (reply[0] < 0x80) { /* no exception */
     return;
   }
   char address[8] = "-"; /* the first register or bit that the request names */
@@ -252,5 +253,5 @@ void modbus_answer_log(const uint8_t *pdu, size_t bytes, const uint8_t *answer, 
   }
   log_peer_line(LOG_LEVEL_INFO,
                 "event=modbus-request-refused function=%u exception=%u address=%s unit=%u %s=%s",
-                pdu[0], answer[1], address, number, key, from);
+                pdu[0], reply[1], address, number, key, from);
 }
