@@ -15,7 +15,7 @@
 
 /* Adds JSON, where ' stands for ", %s for a name and %t for a text. A comma that would come first in
  * an object or an array is left out. */
-static void put(struct http_text *text, const char *form, ...) {
+static void put_json(struct http_text *text, const char *form, ...) {
   va_list arguments;
   va_start(arguments, form);
   const char last = text->count > 0 ? text->bytes[text->count - 1] : '{';
@@ -38,20 +38,20 @@ static void put(struct http_text *text, const char *form, ...) {
 
 /* Adds the members of the schema for the names of a list. */
 static void put_choice(struct http_text *text, const core_choice *list, bool bits) {
-  put(text,
-      bits ? ",'type':'array','items':{'type':'string','enum':[" : ",'type':'string','enum':[");
+  put_json(text, bits ? ",'type':'array','items':{'type':'string','enum':["
+                      : ",'type':'string','enum':[");
   for (; list->name != NULL; list++) {
-    put(text, ",%t", list->name);
+    put_json(text, ",%t", list->name);
   }
-  put(text, bits ? "]}" : "]");
+  put_json(text, bits ? "]}" : "]");
 }
 
 static void put_kind(struct http_text *text, enum schema_kind kind) {
-  put(text, kind == SCHEMA_f64                         ? ",'allOf':[" NUMBER "]"
-            : kind == SCHEMA_u64                       ? ",'oneOf':[{'type':'integer','minimum':0},"
-                                                         "{'type':'string','pattern':'^[0-9]{1,20}$'}]"
-            : kind == SCHEMA_u16 || kind == SCHEMA_u32 ? ",'type':'integer'"
-                                                       : ",'type':'string'");
+  put_json(text, kind == SCHEMA_f64   ? ",'allOf':[" NUMBER "]"
+                 : kind == SCHEMA_u64 ? ",'oneOf':[{'type':'integer','minimum':0},"
+                                        "{'type':'string','pattern':'^[0-9]{1,20}$'}]"
+                 : kind == SCHEMA_u16 || kind == SCHEMA_u32 ? ",'type':'integer'"
+                                                            : ",'type':'string'");
 }
 
 /* Returns whether what holds for a choice that a request leaves out depends on others (request.c). */
@@ -68,7 +68,7 @@ static void put_number(struct http_text *text, const char *key, double number) {
 /* Adds what holds for a field of a request. */
 static void put_attributes(struct http_text *text, const schema_field *field) {
   if (field->list != NULL && field->usual > 0 && !depends_on_others(field)) {
-    put(text, ",'default':%t", core_choice_by_id(field->list, (unsigned)field->usual)->name);
+    put_json(text, ",'default':%t", core_choice_by_id(field->list, (unsigned)field->usual)->name);
   } else if (field->list == NULL && field->kind != SCHEMA_u64 && !field->required) {
     put_number(text, "default", field->usual);
   }
@@ -86,44 +86,44 @@ static void put_members(struct http_text *text, const schema_field *field) {
   if (field->list != NULL) {
     put_choice(text, field->list, field->bits);
   } else if (schema_is_name(field)) {
-    put(text, ",'type':'string','pattern':'^[0-9a-f]{32}$'");
+    put_json(text, ",'type':'string','pattern':'^[0-9a-f]{32}$'");
   } else {
-    put(text, is_array ? ",'type':'array','items':{" : "");
+    put_json(text, is_array ? ",'type':'array','items':{" : "");
     put_kind(text, field->kind);
-    put(text, is_array ? "}" : "");
+    put_json(text, is_array ? "}" : "");
   }
   snprintf(description, sizeof description, "%s%s%s", field->unit != NULL ? field->unit : "",
            field->unit != NULL && field->meaning[0] != '\0' ? "; " : "", field->meaning);
   if (description[0] != '\0') {
-    put(text, ",'description':%t", description);
+    put_json(text, ",'description':%t", description);
   }
 }
 
 static void put_properties(struct http_text *text, const schema_field *fields) {
   for (; fields->name != NULL; fields++) {
     if (!fields->hidden) {
-      put(text, ",'%s':{", fields->name);
+      put_json(text, ",'%s':{", fields->name);
       put_members(text, fields);
-      put(text, "}");
+      put_json(text, "}");
     }
   }
 }
 
 static void begin_object(struct http_text *text, const char *name, const char *suffix) {
-  put(text, ",'%s%s':{'type':'object','properties':{", name, suffix);
+  put_json(text, ",'%s%s':{'type':'object','properties':{", name, suffix);
 }
 
 static void put_object(struct http_text *text, const char *name, const schema_field *fields) {
   begin_object(text, name, "");
   put_properties(text, fields);
-  put(text, "}}");
+  put_json(text, "}}");
 }
 
 static void put_list(struct http_text *text, const char *name, const char *items,
                      const char *description) {
-  put(text, ",'%s':{'type':'array','items':", name);
-  put(text, items);
-  put(text, ",'description':%t}", description);
+  put_json(text, ",'%s':{'type':'array','items':", name);
+  put_json(text, items);
+  put_json(text, ",'description':%t}", description);
 }
 
 /* ---- what a request says --------------------------------------------------------------------- */
@@ -133,14 +133,15 @@ static void put_list(struct http_text *text, const char *name, const char *items
 static bool begin_field(struct http_text *text, const schema_message *message, bool in_query,
                         const char *name) {
   if (!in_query) {
-    put(text, ",'%s':{", name);
+    put_json(text, ",'%s':{", name);
     return true;
   }
-  put(text, ",{'name':'%s','in':'query','style':'form','explode':false,'schema':", name);
+  put_json(text, ",{'name':'%s','in':'query','style':'form','explode':false,'schema':", name);
   if (strcmp(name, "medium") == 0) {
-    put(text, "{'type':'array','items':" STRING "}}");
+    put_json(text, "{'type':'array','items':" STRING "}}");
   } else {
-    put(text, "{'$ref':'#/components/schemas/%s_request/properties/%s'}}", message->name, name);
+    put_json(text, "{'$ref':'#/components/schemas/%s_request/properties/%s'}}", message->name,
+             name);
   }
   return false;
 }
@@ -150,16 +151,16 @@ static void put_field(struct http_text *text, const schema_message *message, boo
   if (begin_field(text, message, in_query, field->name)) {
     put_members(text, field);
     put_attributes(text, field);
-    put(text, "}");
+    put_json(text, "}");
   }
 }
 
 static void put_list_field(struct http_text *text, const schema_message *message, bool in_query,
                            const char *name, const char *items, const char *description) {
   if (begin_field(text, message, in_query, name)) {
-    put(text, "'type':'array','items':");
-    put(text, items);
-    put(text, ",'description':%t}", description);
+    put_json(text, "'type':'array','items':");
+    put_json(text, items);
+    put_json(text, ",'description':%t}", description);
   }
 }
 
@@ -179,9 +180,9 @@ static void put_request(struct http_text *text, const schema_message *message, b
     }
   }
   if (message->type == WIRE_TYPE_FIT && begin_field(text, message, in_query, "reference")) {
-    put(text, "'allOf':[" REFERENCE(
-                  "Coefficients") "],"
-                                  "'description':'the known medium, with scale reference'}");
+    put_json(text, "'allOf':[" REFERENCE(
+                       "Coefficients") "],"
+                                       "'description':'the known medium, with scale reference'}");
   }
   for (unsigned i = 0; (part = http_request_list(request, i, &name)) != NULL; i++) {
     put_list_field(text, message, in_query, name, NUMBER, part->about);
@@ -198,7 +199,7 @@ static void put_request(struct http_text *text, const schema_message *message, b
     if (schema_field_of(request, one->name) == NULL &&
         begin_field(text, message, in_query, one->name)) {
       put_kind(text, SCHEMA_f64);
-      put(text, ",'description':%t}", one->about);
+      put_json(text, ",'description':%t}", one->about);
     }
   }
   put_field(text, message, in_query, schema_field_of(&header, "deadline_ms"));
@@ -213,21 +214,21 @@ static void put_request(struct http_text *text, const schema_message *message, b
 
 static void put_path(struct http_text *text, const schema_message *message) {
   const char *name = message->name;
-  put(text, ",'/v1/%s':{'get':{'operationId':'get_%s','summary':%t,'parameters':[", name, name,
-      message->about);
+  put_json(text, ",'/v1/%s':{'get':{'operationId':'get_%s','summary':%t,'parameters':[", name, name,
+           message->about);
   put_request(text, message, true);
-  put(text, "]" ANSWERS(REFERENCE("%s_reply")), name);
-  put(text,
-      ",'post':{'operationId':'%s','summary':%t,'requestBody':{'required':true,'content':"
-      "{'application/json':{'schema':" REFERENCE("%s_request") "}}}" ANSWERS(
-          REFERENCE("%s_reply")) "}",
-      name, message->about, name, name);
+  put_json(text, "]" ANSWERS(REFERENCE("%s_reply")), name);
+  put_json(text,
+           ",'post':{'operationId':'%s','summary':%t,'requestBody':{'required':true,'content':"
+           "{'application/json':{'schema':" REFERENCE("%s_request") "}}}" ANSWERS(
+               REFERENCE("%s_reply")) "}",
+           name, message->about, name, name);
 }
 
 static void put_list_path(struct http_text *text, const char *path, const char *id,
                           const char *summary) {
-  put(text, ",'%s':{'get':{'operationId':'%s','summary':%t" ANSWERS("{'type':'object'}") "}", path,
-      id, summary);
+  put_json(text, ",'%s':{'get':{'operationId':'%s','summary':%t" ANSWERS("{'type':'object'}") "}",
+           path, id, summary);
 }
 
 /* Adds arrays of numbers with the names of a list. */
@@ -246,16 +247,16 @@ static void put_reply_parts(struct http_text *text, const schema_payload *reply)
   } else if (fields == FIELDS(gather_reply)) {
     put_list(text, "channels", REFERENCE("Gathered"), "one for each medium");
   } else if (fields == FIELDS(fit_reply)) {
-    put(text, ",'g':" NUMBER ",'g_is_default':{'type':'boolean'},'eta':" NUMBER);
+    put_json(text, ",'g':" NUMBER ",'g_is_default':{'type':'boolean'},'eta':" NUMBER);
     put_list(text, "sets", REFERENCE("Fitted"), "one for each set of readings");
   } else if (fields == FIELDS(varying_reply)) {
     put_arrays(text, core_coefficients);
     put_arrays(text, core_quantities);
-    put(text, ",'statuses':{'type':'array','items':{");
+    put_json(text, ",'statuses':{'type':'array','items':{");
     put_choice(text, core_value_statuses, false);
-    put(text, "}}");
+    put_json(text, "}}");
   } else if (fields == FIELDS(table_reply)) {
-    put(text, ",'parameters':{'type':'object'}");
+    put_json(text, ",'parameters':{'type':'object'}");
     put_list(text, "words", "{'type':'integer'}", "32 bits each");
   } else {
     for (const schema_part *part = reply->parts; part->name != NULL; part++) {
@@ -268,54 +269,56 @@ static void put_reply_parts(struct http_text *text, const schema_payload *reply)
 static void put_message_schemas(struct http_text *text, const schema_message *message) {
   begin_object(text, message->name, "_request");
   put_request(text, message, false);
-  put(text, "},'additionalProperties':false}");
+  put_json(text, "},'additionalProperties':false}");
   begin_object(text, message->name, "_reply");
   put_properties(text, message->reply->structures[0]->fields);
   if (message->reply->parts[0].name != NULL) {
-    put(text, ",'units':{'type':'object','additionalProperties':" STRING "}");
+    put_json(text, ",'units':{'type':'object','additionalProperties':" STRING "}");
     put_reply_parts(text, message->reply);
   }
-  put(text, "}}");
+  put_json(text, "}}");
 }
 
 static void put_schemas(struct http_text *text) {
-  put(text, ",'Number':{'nullable':true,'description':'A number; infinities are texts. In answers, "
-            "null is a number that is not known.','oneOf':[{'type':'number'},"
-            "{'type':'string','enum':['inf','-inf']}]},'Medium':{'oneOf':[" STRING
-            "," REFERENCE("Coefficients") "]}");
+  put_json(text,
+           ",'Number':{'nullable':true,'description':'A number; infinities are texts. In answers, "
+           "null is a number that is not known.','oneOf':[{'type':'number'},"
+           "{'type':'string','enum':['inf','-inf']}]},'Medium':{'oneOf':[" STRING
+           "," REFERENCE("Coefficients") "]}");
   put_object(text, "Coefficients", FIELDS(medium));
   begin_object(text, "Error", "");
-  put(text, "'status':" STRING ",'text':" STRING);
+  put_json(text, "'status':" STRING ",'text':" STRING);
   put_properties(text, FIELDS(error) + 1);
-  put(text, "}}");
+  put_json(text, "}}");
   begin_object(text, "Fitted", "");
   put_properties(text, FIELDS(fitted));
   put_list(text, "residuals", NUMBER, "of the readings, if they are wanted");
-  put(text, "}}");
+  put_json(text, "}}");
   put_object(text, "Errors", FIELDS(quantity_error));
   begin_object(text, "Gathered", "");
   put_properties(text, FIELDS(medium));
   put_properties(text, FIELDS(quantity_error));
   put_list(text, "M", NUMBER, "W/mm^2; the sums, in the order of the positions");
-  put(text, "}}");
+  put_json(text, "}}");
   put_object(text, "Offer", FIELDS(offer));
   begin_object(text, "Channel", "");
   put_properties(text, FIELDS(medium));
-  put(text, ",'errors':{'type':'object','description':'of each wanted quantity',"
-            "'additionalProperties':" REFERENCE("Errors") "},'albedo':" NUMBER);
+  put_json(text, ",'errors':{'type':'object','description':'of each wanted quantity',"
+                 "'additionalProperties':" REFERENCE("Errors") "},'albedo':" NUMBER);
   for (const core_choice *one = core_quantities; one->name != NULL; one++) {
     if (one->id != CORE_QUANTITY_ALBEDO && one->id != CORE_QUANTITY_MODEL_ERROR) {
       put_list(text, one->name, NUMBER, one->about);
     }
   }
-  put(text, "}}");
+  put_json(text, "}}");
 }
 
 void http_openapi_write(struct http_text *text) {
-  put(text, "{'openapi':'3.0.3','info':{'title':'dipoled','version':'" DIPOLED_VERSION
-            "','description':'Evaluates subsurface-scattering profiles R(r). Fields, limits and "
-            "errors are those of the binary protocol (PROTOCOL.md).'},'servers':[{'url':'/'}],"
-            "'paths':{");
+  put_json(text,
+           "{'openapi':'3.0.3','info':{'title':'dipoled','version':'" DIPOLED_VERSION
+           "','description':'Evaluates subsurface-scattering profiles R(r). Fields, limits and "
+           "errors are those of the binary protocol (PROTOCOL.md).'},'servers':[{'url':'/'}],"
+           "'paths':{");
   for (const schema_message *one = schema_messages; one->type != 0; one++) {
     if (one->about != NULL) {
       put_path(text, one);
@@ -328,17 +331,17 @@ void http_openapi_write(struct http_text *text) {
   put_list_path(text, "/healthz", "health", "Whether the daemon serves; 503 if not");
   put_list_path(text, "/readyz", "readiness",
                 "Whether the daemon serves and has capacity for more clients; 503 if not");
-  put(text,
-      "},'components':{'responses':{'Error':{'description':'400: a field is wrong. 404: the "
-      "daemon does not have the set of points: send it to /v1/points. 413: the request or the "
-      "reply is too large for HTTP. 429: the daemon is at a limit; Retry-After says when to "
-      "try again. 503: the daemon stops, or the deadline has passed.','content':"
-      "{'application/json':{'schema':" REFERENCE("Error") "}}}},'schemas':{");
+  put_json(text,
+           "},'components':{'responses':{'Error':{'description':'400: a field is wrong. 404: the "
+           "daemon does not have the set of points: send it to /v1/points. 413: the request or the "
+           "reply is too large for HTTP. 429: the daemon is at a limit; Retry-After says when to "
+           "try again. 503: the daemon stops, or the deadline has passed.','content':"
+           "{'application/json':{'schema':" REFERENCE("Error") "}}}},'schemas':{");
   put_schemas(text);
   for (const schema_message *one = schema_messages; one->type != 0; one++) {
     if (one->about != NULL) {
       put_message_schemas(text, one);
     }
   }
-  put(text, "}}}");
+  put_json(text, "}}}");
 }

@@ -333,7 +333,7 @@ static void write_gather(struct http_text *text, const uint8_t *media, const uin
 }
 
 void http_reply_write(const schema_message *message, const uint8_t *request, bool g_is_default,
-                       const uint8_t *payload, size_t payload_bytes, struct http_text *text) {
+                      const uint8_t *payload, size_t payload_bytes, struct http_text *text) {
   http_text_begin(text, NULL, '{');
   switch (message->type) {
   case WIRE_TYPE_EVAL:

@@ -13,7 +13,7 @@
 /* As in all clients. */
 #define USUAL_ETA 1.3
 
-WIRE_COLD static wire_error bad(const char *field, const char *allowed) {
+WIRE_COLD static wire_error bad_value(const char *field, const char *allowed) {
   return wire_error_make(WIRE_STATUS_BAD_VALUE, field, allowed);
 }
 
@@ -63,7 +63,7 @@ struct translation {
   wire_error error; /* what is wrong, after a function has returned false */
 };
 
-WIRE_COLD static bool fail(struct translation *t, wire_error error) {
+WIRE_COLD static bool fail_with(struct translation *t, wire_error error) {
   t->error = error;
   return false;
 }
@@ -71,19 +71,19 @@ WIRE_COLD static bool fail(struct translation *t, wire_error error) {
 /* The fault is that of an element of a list. */
 WIRE_COLD static bool fail_at(struct translation *t, wire_error error, size_t index) {
   error.index = index;
-  return fail(t, error);
+  return fail_with(t, error);
 }
 
 /* Returns whether a value could be read. */
 static bool was_read(struct translation *t, wire_error error) {
-  return error.status == WIRE_STATUS_OK || fail(t, error);
+  return error.status == WIRE_STATUS_OK || fail_with(t, error);
 }
 
 static wire_error not_a_number(const char *field) {
-  return bad(field, "a number, with a point as in 0.05 (0,05 is two), or inf or -inf");
+  return bad_value(field, "a number, with a point as in 0.05 (0,05 is two), or inf or -inf");
 }
 
-static struct http_value get(const struct translation *t, const char *name) {
+static struct http_value value_of(const struct translation *t, const char *name) {
   return http_values_get(t->values, name);
 }
 
@@ -95,16 +95,16 @@ static void put_le(uint8_t *at, uint64_t number, size_t bytes) {
 }
 
 /* Adds bytes, which start as 0, to the payload. On failure returns NULL. */
-static uint8_t *add(struct translation *t, size_t bytes) {
+static uint8_t *add_bytes(struct translation *t, size_t bytes) {
   if (bytes > t->bytes_max - t->payload->count) {
-    fail(t, wire_error_make(WIRE_STATUS_TOO_LARGE, "body",
-                            "over HTTP as many values as a frame of max_part_bytes holds"));
+    fail_with(t, wire_error_make(WIRE_STATUS_TOO_LARGE, "body",
+                                 "over HTTP as many values as a frame of max_part_bytes holds"));
     return NULL;
   }
   char *at = http_text_room(t->payload, bytes);
   if (at == NULL) {
-    fail(t, wire_error_busy("max_total_bytes", "less data at a time: max_total_bytes are in use",
-                            1000));
+    fail_with(t, wire_error_busy("max_total_bytes",
+                                 "less data at a time: max_total_bytes are in use", 1000));
     return NULL;
   }
   memset(at, 0, bytes);
@@ -114,10 +114,11 @@ static uint8_t *add(struct translation *t, size_t bytes) {
 
 static bool add_medium(struct translation *t, const wire_medium *medium) {
   if (t->medium_count == http_request_media(t->message->request)) {
-    return fail(t, wire_error_make(WIRE_STATUS_BAD_COUNT, "medium",
-                                   "one medium: a measured one has three, so give coefficients"));
+    return fail_with(t,
+                     wire_error_make(WIRE_STATUS_BAD_COUNT, "medium",
+                                     "one medium: a measured one has three, so give coefficients"));
   }
-  uint8_t *at = add(t, WIRE_BYTES_medium);
+  uint8_t *at = add_bytes(t, WIRE_BYTES_medium);
   if (at == NULL) {
     return false;
   }
@@ -128,8 +129,8 @@ static bool add_medium(struct translation *t, const wire_medium *medium) {
 
 static bool add_measured(struct translation *t, const char *name, size_t index) {
   const core_measured_medium *measured = core_measured_medium_by_name(name);
-  bool good =
-      measured != NULL || fail_at(t, bad("medium", "a name of /v1/media, or coefficients"), index);
+  bool good = measured != NULL ||
+              fail_at(t, bad_value("medium", "a name of /v1/media, or coefficients"), index);
   for (int i = 0; good && i < 3; i++) {
     const core_medium *from = &measured->channel[i];
     const wire_medium medium = {from->sigma_a_per_mm, from->sigma_s_per_mm, from->g, from->eta};
@@ -145,7 +146,7 @@ static const schema_payload medium_alone = {
 #define medium_fields (schema_structures[SCHEMA_STRUCTURE_medium].fields)
 
 static wire_error eta_of_fit(void) {
-  return bad("eta", "a number: the index inside over outside, which has no default in a fit");
+  return bad_value("eta", "a number: the index inside over outside, which has no default in a fit");
 }
 
 /* Reads coefficients, the next element of each. */
@@ -157,7 +158,7 @@ static bool read_coefficients(struct translation *t, struct http_elements elemen
     if (!http_value_given(elements[i].list)) {
       if (to[i] == &medium->sigma_a || to[i] == &medium->sigma_s) {
         return fail_at(
-            t, bad(name, "a number: a medium needs sigma_a and sigma_s, or a name as medium"),
+            t, bad_value(name, "a number: a medium needs sigma_a and sigma_s, or a name as medium"),
             index);
       }
       if (to[i] == &medium->eta && isnan(medium->eta)) {
@@ -193,10 +194,11 @@ static bool read_medium(struct translation *t, const char *field, struct http_va
   struct http_values values;
   struct http_elements elements[COEFFICIENTS];
   if (!http_values_of_object(&values, value)) {
-    return fail_at(t, bad(field, "names of /v1/media, or objects of coefficients"), index);
+    return fail_at(t, bad_value(field, "names of /v1/media, or objects of coefficients"), index);
   }
   if (http_values_unknown(&values, is_coefficient, &values) != NULL) {
-    return fail_at(t, bad(field, "objects of sigma_a, sigma_s, g and eta, each one number"), index);
+    return fail_at(t, bad_value(field, "objects of sigma_a, sigma_s, g and eta, each one number"),
+                   index);
   }
   *medium = (wire_medium){.eta = usual_eta};
   find_coefficients(&values, elements);
@@ -205,7 +207,7 @@ static bool read_medium(struct translation *t, const char *field, struct http_va
 
 /* Writes the known medium of a fit, which has one with scale `reference` alone. */
 static bool add_reference(struct translation *t) {
-  const struct http_value object = get(t, "reference"), scale = get(t, "scale");
+  const struct http_value object = value_of(t, "reference"), scale = value_of(t, "scale");
   uint64_t id = 0;
   if (t->message->type != WIRE_TYPE_FIT) {
     return true;
@@ -215,8 +217,8 @@ static bool add_reference(struct translation *t) {
     return false;
   }
   if ((id == CORE_FIT_SCALE_REFERENCE) != json_is_object(object.json)) {
-    return fail(t,
-                bad("reference", "with scale reference an object of coefficients, else nothing"));
+    return fail_with(
+        t, bad_value("reference", "with scale reference an object of coefficients, else nothing"));
   }
   if (!http_value_given(object)) {
     return true;
@@ -225,7 +227,7 @@ static bool add_reference(struct translation *t) {
   if (!read_medium(t, "reference", object, 0, (double)NAN, &medium)) {
     return false;
   }
-  uint8_t *at = add(t, WIRE_BYTES_medium);
+  uint8_t *at = add_bytes(t, WIRE_BYTES_medium);
   if (at == NULL) {
     return false;
   }
@@ -242,8 +244,8 @@ static bool add_media_lists(struct translation *t) {
   for (int i = 0; i < COEFFICIENTS; i++) {
     const size_t length = http_value_count(elements[i].list);
     if (length == 0 || (count > 1 && length > 1 && length != count)) {
-      return fail(t, wire_error_make(WIRE_STATUS_BAD_COUNT, medium_fields[i].name,
-                                     "one value, or as many as the others"));
+      return fail_with(t, wire_error_make(WIRE_STATUS_BAD_COUNT, medium_fields[i].name,
+                                          "one value, or as many as the others"));
     }
     count = length > count ? length : count;
   }
@@ -270,7 +272,7 @@ static bool add_named_media(struct translation *t, struct http_value media) {
 }
 
 static bool add_media(struct translation *t) {
-  const struct http_value media = get(t, "medium");
+  const struct http_value media = value_of(t, "medium");
   if (http_request_media(t->message->request) == 0) {
     return true;
   }
@@ -278,8 +280,8 @@ static bool add_media(struct translation *t) {
     return add_media_lists(t);
   }
   for (int i = 0; i < COEFFICIENTS; i++) {
-    if (http_value_given(get(t, medium_fields[i].name))) {
-      return fail(t, bad(medium_fields[i].name, "nothing beside medium"));
+    if (http_value_given(value_of(t, medium_fields[i].name))) {
+      return fail_with(t, bad_value(medium_fields[i].name, "nothing beside medium"));
     }
   }
   return add_named_media(t, media);
@@ -307,7 +309,7 @@ static const schema_field *shown_field(const schema_message *message, const char
 
 static bool add_parameters(struct translation *t) {
   for (const core_choice *one = core_parameter_list; one->name != NULL; one++) {
-    const struct http_value value = get(t, one->name);
+    const struct http_value value = value_of(t, one->name);
     wire_parameter parameter = {.parameter = (uint16_t)one->id};
     const core_choice *list = choices_of_parameter(one->id);
     if (!http_value_given(value) || !http_request_has_parameters(t->message->request) ||
@@ -320,10 +322,10 @@ static bool add_parameters(struct translation *t) {
       return false;
     }
     if (!named && !http_value_number(value, &parameter.value)) {
-      return fail(t, not_a_number(one->name));
+      return fail_with(t, not_a_number(one->name));
     }
     parameter.value = list != NULL && id > 0 ? (double)id : parameter.value;
-    uint8_t *at = add(t, WIRE_BYTES_parameter);
+    uint8_t *at = add_bytes(t, WIRE_BYTES_parameter);
     if (at == NULL) {
       return false;
     }
@@ -352,14 +354,14 @@ static const schema_part *ruled_list(const schema_message *message, const char *
 
 /* Returns whether the media of a varying request are given by colours. */
 static bool is_coloured(const struct translation *t) {
-  return http_value_given(get(t, "colour"));
+  return http_value_given(value_of(t, "colour"));
 }
 
 /* Returns what the third array of a varying request holds. */
 static enum varying_numbers numbers_of(const struct translation *t) {
-  return http_value_given(get(t, "r"))   ? VARYING_RADII
-         : http_value_given(get(t, "u")) ? VARYING_DRAWN
-                                         : VARYING_NONE;
+  return http_value_given(value_of(t, "r"))   ? VARYING_RADII
+         : http_value_given(value_of(t, "u")) ? VARYING_DRAWN
+                                              : VARYING_NONE;
 }
 
 static bool is_gather(const struct translation *t) {
@@ -369,10 +371,10 @@ static bool is_gather(const struct translation *t) {
 /* Returns whether the usual evaluator is the table: for transport, named or not, where the table can
  * be as exact as the tolerance. */
 static bool is_tabled(const struct translation *t) {
-  const struct http_value model = get(t, "model");
+  const struct http_value model = value_of(t, "model");
   uint64_t id = CORE_MODEL_TRANSPORT;
   double tolerance;
-  http_value_number(get(t, "tolerance"), &tolerance); /* NaN if it is not given */
+  http_value_number(value_of(t, "tolerance"), &tolerance); /* NaN if it is not given */
   if (http_value_given(model)) {
     http_value_read_choice(model, "model", core_models, false, &id); /* one at fault is refused */
   }
@@ -382,7 +384,7 @@ static bool is_tabled(const struct translation *t) {
 /* Returns whether the request leaves the choice of the model to its tolerance. */
 static bool chooses_by_tolerance(const struct translation *t) {
   return t->message->type == WIRE_TYPE_OFFERS ||
-         (t->message->type == WIRE_TYPE_EVAL && http_value_given(get(t, "tolerance")));
+         (t->message->type == WIRE_TYPE_EVAL && http_value_given(value_of(t, "tolerance")));
 }
 
 /* What holds for the quantities and coefficients of a varying request that leaves them out. */
@@ -400,7 +402,7 @@ static unsigned usual_of_varying(const struct translation *t, const char *field)
 static unsigned usual_choice(const struct translation *t, const schema_field *field) {
   const bool varying = t->message->type == WIRE_TYPE_VARYING;
   const schema_part *list = ruled_list(t->message, field->name);
-  if (list != NULL && http_value_given(get(t, list->name))) {
+  if (list != NULL && http_value_given(value_of(t, list->name))) {
     return (unsigned)list->is;
   }
   if (varying && field->bits) {
@@ -419,24 +421,24 @@ static unsigned usual_choice(const struct translation *t, const schema_field *fi
 }
 
 static bool read_choice(struct translation *t, const schema_field *field, uint64_t *number) {
-  const struct http_value value = get(t, field->name);
+  const struct http_value value = value_of(t, field->name);
   const schema_part *list = ruled_list(t->message, field->name);
   if (http_value_given(value)) {
     return was_read(t,
                     http_value_read_choice(value, field->name, field->list, field->bits, number)) &&
-           (list == NULL || !http_value_given(get(t, list->name)) || *number == list->is ||
-            fail(t, bad(field->name, "list, beside a list of numbers")));
+           (list == NULL || !http_value_given(value_of(t, list->name)) || *number == list->is ||
+            fail_with(t, bad_value(field->name, "list, beside a list of numbers")));
   }
   *number = usual_choice(t, field);
   return *number != 0 || field->or_zero || field->bits ||
-         fail(t, wire_error_not_in_list(field->name, field->list, "one of"));
+         fail_with(t, wire_error_not_in_list(field->name, field->list, "one of"));
 }
 
 /* Reads a number that is no choice and no count of an array. */
 static bool read_plain(struct translation *t, const schema_field *field, uint64_t *number) {
   static const uint64_t most[] = {
       [SCHEMA_u16] = UINT16_MAX, [SCHEMA_u32] = UINT32_MAX, [SCHEMA_u64] = UINT64_MAX};
-  const struct http_value value = get(t, field->name);
+  const struct http_value value = value_of(t, field->name);
   double real = field->usual;
   bool good = true;
   if (field->kind != SCHEMA_f64) {
@@ -445,9 +447,9 @@ static bool read_plain(struct translation *t, const schema_field *field, uint64_
            was_read(t, http_value_read_count(value, field->name, most[field->kind], number));
   }
   if (http_value_given(value)) {
-    good = http_value_number(value, &real) || fail(t, not_a_number(field->name));
+    good = http_value_number(value, &real) || fail_with(t, not_a_number(field->name));
   } else if (field->required) {
-    return fail(t, eta_of_fit());
+    return fail_with(t, eta_of_fit());
   } else {
     t->g_is_default |= http_values_same(field->name, "g");
   }
@@ -472,7 +474,7 @@ static size_t longest(const struct translation *t) {
   size_t count = 0;
   for (unsigned i = 0; (part = http_request_list(t->message->request, i, &name)) != NULL; i++) {
     const bool counts = part->form == SCHEMA_EACH || part->form == SCHEMA_POSITIONS;
-    const struct http_value value = get(t, name);
+    const struct http_value value = value_of(t, name);
     const size_t length = counts && http_value_given(value) ? http_value_count(value) : 0;
     count = length > count ? length : count;
   }
@@ -487,7 +489,7 @@ static uint64_t counted(const struct translation *t, const schema_field *field) 
         (second == NULL || !http_values_same(second, field->name))) {
       continue;
     }
-    const struct http_value list = get(t, part->name);
+    const struct http_value list = value_of(t, part->name);
     return part->form == SCHEMA_EACH || part->form == SCHEMA_POSITIONS  ? longest(t)
            : part->form == SCHEMA_CHANNELS || part->form == SCHEMA_SETS ? sets_of(list)
            : part->kind != SCHEMA_LIST && http_value_given(list)        ? http_value_count(list)
@@ -515,11 +517,11 @@ static bool read_field(struct translation *t, const schema_field *field, uint64_
     return true;
   }
   const schema_part *list = ruled_list(t->message, field->name);
-  const struct http_value values = get(t, list != NULL ? list->name : "");
+  const struct http_value values = value_of(t, list != NULL ? list->name : "");
   if (http_value_given(values)) {
     *number = http_value_count(values);
-    return !http_value_given(get(t, field->name)) ||
-           fail(t, bad(field->name, "nothing beside the list that it counts"));
+    return !http_value_given(value_of(t, field->name)) ||
+           fail_with(t, bad_value(field->name, "nothing beside the list that it counts"));
   }
   return read_plain(t, field, number);
 }
@@ -528,14 +530,14 @@ enum { NAME_DIGITS = 32 };
 
 /* Reads the name of a set, which a request that sends the points may leave out. */
 static bool put_name(struct translation *t, const schema_field *field, uint8_t *at) {
-  const struct http_value value = get(t, field->name);
+  const struct http_value value = value_of(t, field->name);
   const char *digits = http_value_given(value) ? http_value_text(value) : "";
   const size_t count = digits != NULL ? strlen(digits) : 0;
   if (!http_value_given(value) && !is_gather(t)) {
     return true;
   }
   if (count != NAME_DIGITS || strspn(digits, "0123456789abcdef") != count) {
-    return fail(t, bad(field->name, "32 hexadecimal digits: the `set` of /v1/points"));
+    return fail_with(t, bad_value(field->name, "32 hexadecimal digits: the `set` of /v1/points"));
   }
   for (size_t i = 0; i < schema_field_bytes(field); i++) {
     const char pair[3] = {digits[2 * i], digits[2 * i + 1], '\0'};
@@ -594,27 +596,29 @@ static bool can_be_named(const char *key) {
 
 static bool check_keys(struct translation *t) {
   const char *key = http_values_unknown(t->values, is_known, t->message);
-  return key == NULL || fail(t, bad(can_be_named(key) ? key : "body",
-                                    "only fields that /v1/openapi.json lists for this request"));
+  return key == NULL ||
+         fail_with(t, bad_value(can_be_named(key) ? key : "body",
+                                "only fields that /v1/openapi.json lists for this request"));
 }
 
 /* Checks that a varying request has one pair of lists for its media, and at most one list of
  * numbers. */
 static bool check_pairs(struct translation *t) {
-  const bool coloured = is_coloured(t) || http_value_given(get(t, "length"));
+  const bool coloured = is_coloured(t) || http_value_given(value_of(t, "length"));
   const char *const wanted[] = {coloured ? "colour" : "sigma_a", coloured ? "length" : "sigma_s"};
   const char *const others[] = {coloured ? "sigma_a" : "given", coloured ? "sigma_s" : "light"};
   for (int i = 0; i < 2; i++) {
-    if (http_value_given(get(t, others[i]))) {
-      return fail(t, bad(others[i], coloured ? "nothing beside colour and length"
-                                             : "nothing beside sigma_a and sigma_s"));
+    if (http_value_given(value_of(t, others[i]))) {
+      return fail_with(t, bad_value(others[i], coloured ? "nothing beside colour and length"
+                                                        : "nothing beside sigma_a and sigma_s"));
     }
-    if (!http_value_given(get(t, wanted[i]))) {
-      return fail(t, bad(wanted[i], "numbers: give sigma_a and sigma_s, or colour and length"));
+    if (!http_value_given(value_of(t, wanted[i]))) {
+      return fail_with(
+          t, bad_value(wanted[i], "numbers: give sigma_a and sigma_s, or colour and length"));
     }
   }
-  return !http_value_given(get(t, "r")) || !http_value_given(get(t, "u")) ||
-         fail(t, bad("u", "nothing beside r"));
+  return !http_value_given(value_of(t, "r")) || !http_value_given(value_of(t, "u")) ||
+         fail_with(t, bad_value("u", "nothing beside r"));
 }
 
 /* Writes `count` numbers, each of them `step` bytes behind the last: those of a list, or, if `spreads`,
@@ -624,12 +628,12 @@ static bool put_numbers(struct translation *t, const char *name, struct http_val
   const size_t length = http_value_count(list);
   struct http_elements elements = http_elements_of(list);
   if (!http_value_given(list)) {
-    return fail(t, bad(name, "numbers: it has to be given"));
+    return fail_with(t, bad_value(name, "numbers: it has to be given"));
   }
   if (length != count && !(spreads && length == 1)) {
-    return fail(t, wire_error_make(WIRE_STATUS_BAD_COUNT, name,
-                                   spreads ? "one value, or as many as the others"
-                                           : "as many as in the other lists"));
+    return fail_with(t, wire_error_make(WIRE_STATUS_BAD_COUNT, name,
+                                        spreads ? "one value, or as many as the others"
+                                                : "as many as in the other lists"));
   }
   for (size_t i = 0; i < count; i++, at += step) {
     double number;
@@ -638,7 +642,7 @@ static bool put_numbers(struct translation *t, const char *name, struct http_val
     }
     const float rounded = (float)number;
     if (single && (isfinite(rounded) != isfinite(number) || (rounded == 0) != (number == 0))) {
-      return fail_at(t, bad(name, "1e-45 to 3.4e38, 0 or inf: single precision"), i);
+      return fail_at(t, bad_value(name, "1e-45 to 3.4e38, 0 or inf: single precision"), i);
     }
     memcpy(at, single ? (const void *)&rounded : (const void *)&number,
            single ? sizeof rounded : sizeof number);
@@ -650,7 +654,7 @@ static bool put_numbers(struct translation *t, const char *name, struct http_val
 static size_t first_count(const struct translation *t) {
   const char *name;
   http_request_list(t->message->request, 0, &name);
-  const struct http_value first = get(t, name);
+  const struct http_value first = value_of(t, name);
   return http_value_given(first) ? http_value_count(first) : 0;
 }
 
@@ -661,7 +665,7 @@ static bool add_lists(struct translation *t, const schema_part *part, bool singl
   const bool positions = part->form == SCHEMA_POSITIONS;
   const bool sides = positions || part->form == SCHEMA_CHANNELS;
   const bool spreads = sides || part->form == SCHEMA_EACH;
-  const struct http_value value = get(t, part->name);
+  const struct http_value value = value_of(t, part->name);
   const bool given = positions || http_value_given(value);
   if (!given && (part->form == SCHEMA_EACH || part->when.name != NULL)) {
     return true;
@@ -671,10 +675,10 @@ static bool add_lists(struct translation *t, const schema_part *part, bool singl
   const size_t count = spreads ? longest(t) : first_count(t);
   const bool short_ones = part->kind == SCHEMA_f32 || (single && part->kind == SCHEMA_REAL);
   const size_t bytes = short_ones ? sizeof(float) : sizeof(double);
-  uint8_t *at = add(t, (size_t)wire_padded(count * sets * bytes));
+  uint8_t *at = add_bytes(t, (size_t)wire_padded(count * sets * bytes));
   bool good = at != NULL;
   for (size_t i = 0; good && i < sets && (given || part->form != SCHEMA_ZEROS); i++) {
-    const struct http_value list = positions ? get(t, axes[i])
+    const struct http_value list = positions ? value_of(t, axes[i])
                                    : nests && is_nested(value)
                                        ? (struct http_value){.json = json_array_get(value.json, i)}
                                        : value;
@@ -690,7 +694,7 @@ static void name_points(struct translation *t) {
   wire_points_request fixed;
   uint8_t *at = (uint8_t *)t->payload->bytes;
   wire_get_points_request(at, &fixed);
-  if (!http_value_given(get(t, "set"))) {
+  if (!http_value_given(value_of(t, "set"))) {
     const uint8_t *xyz = at + WIRE_BYTES_points_request;
     const uint8_t *power = xyz + fixed.point_count * GATHER_AXES * sizeof(double);
     gather_name name;
@@ -703,7 +707,7 @@ static void name_points(struct translation *t) {
 }
 
 static bool read_deadline(struct translation *t, uint32_t *deadline_ms) {
-  const struct http_value value = get(t, "deadline_ms");
+  const struct http_value value = value_of(t, "deadline_ms");
   uint64_t limit_ms = 0;
   const bool good = !http_value_given(value) ||
                     was_read(t, http_value_read_count(value, "deadline_ms", UINT32_MAX, &limit_ms));
@@ -720,14 +724,14 @@ static bool put_all(struct translation *t, uint32_t *deadline_ms) {
   bool single = false;
   bool good = check_keys(t) && read_deadline(t, deadline_ms) &&
               (t->message->type != WIRE_TYPE_VARYING || check_pairs(t)) &&
-              add(t, request->fixed_bytes - medium_bytes) != NULL && add_media(t) &&
+              add_bytes(t, request->fixed_bytes - medium_bytes) != NULL && add_media(t) &&
               add_parameters(t) && add_reference(t);
   for (unsigned i = 0; good && (fields = http_request_fields(request, i)) != NULL; i++) {
     good = put_fixed(t, fields, &offset, &single);
   }
   _Static_assert(CORE_GATHER_CHANNELS_MAX == 8, "the error says so");
-  if (good && sets_of(get(t, "power")) > CORE_GATHER_CHANNELS_MAX) {
-    return fail(t, wire_error_make(WIRE_STATUS_BAD_COUNT, "channel_count", "1 to 8"));
+  if (good && sets_of(value_of(t, "power")) > CORE_GATHER_CHANNELS_MAX) {
+    return fail_with(t, wire_error_make(WIRE_STATUS_BAD_COUNT, "channel_count", "1 to 8"));
   }
   for (const schema_part *part = request->parts; good && part->name != NULL; part++) {
     good = part->about == NULL || part->kind == SCHEMA_LIST || add_lists(t, part, single);

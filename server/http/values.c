@@ -9,7 +9,7 @@
 
 #include "proto/decimal.h"
 
-static wire_error bad(const char *field, const char *allowed) {
+static wire_error bad_value(const char *field, const char *allowed) {
   return wire_error_make(WIRE_STATUS_BAD_VALUE, field, allowed);
 }
 
@@ -34,9 +34,9 @@ static wire_error check_brackets(const char *bytes, size_t count, size_t bracket
       depth--;
     }
     if (depth > DEPTH_MAX || brackets > brackets_max) {
-      return bad("body", depth > DEPTH_MAX
-                             ? "JSON that is nested 4 deep at most"
-                             : "fewer arrays and objects: a sixteenth of max_part_bytes");
+      return bad_value("body", depth > DEPTH_MAX
+                                   ? "JSON that is nested 4 deep at most"
+                                   : "fewer arrays and objects: a sixteenth of max_part_bytes");
     }
   }
   return wire_error_none();
@@ -72,13 +72,13 @@ wire_error http_values_parse(struct http_values *values, const char *bytes, size
   }
   if (object != NULL) {
     json_decref(object);
-    return bad("body", "a JSON object");
+    return bad_value("body", "a JSON object");
   }
   /* What jansson quotes of the text may end in the middle of a character. */
   const char *quoted = strstr(why.text, " near ");
   snprintf(allowed, sizeof allowed, "JSON (RFC 8259), which it is not at line %d: %.*s", why.line,
            (int)(quoted != NULL ? quoted - why.text : (ptrdiff_t)strlen(why.text)), why.text);
-  return bad("body", allowed);
+  return bad_value("body", allowed);
 }
 
 bool http_values_of_object(struct http_values *values, struct http_value value) {
@@ -119,19 +119,19 @@ static size_t unescape(char *text) {
 static wire_error add_pair(struct http_values *values, char *pair) {
   char *text = strchr(pair, '=');
   if (text == NULL) {
-    return bad("query", "NAME=VALUE, with & between them");
+    return bad_value("query", "NAME=VALUE, with & between them");
   }
   *text++ = '\0';
   const size_t name_count = unescape(pair), count = unescape(text);
   if (name_count == 0 || count == 0) {
-    return bad("query", "escapes %01 to %FF");
+    return bad_value("query", "escapes %01 to %FF");
   }
   if (name_count > 1) {
-    return bad("query", "names without commas");
+    return bad_value("query", "names without commas");
   }
   _Static_assert(HTTP_QUERY_NAMES == 64, "the error says so");
   if (values->name_count == HTTP_QUERY_NAMES || http_value_given(http_values_get(values, pair))) {
-    return bad("query", "at most 64 names, each once: a list has commas, as in r=0.5,1,2");
+    return bad_value("query", "at most 64 names, each once: a list has commas, as in r=0.5,1,2");
   }
   values->initials |= UINT64_C(1) << (pair[0] & 63);
   values->names[values->name_count].name = pair;
@@ -281,7 +281,7 @@ wire_error http_value_read_count(struct http_value value, const char *field, uin
     return wire_error_none();
   }
   snprintf(allowed, sizeof allowed, "an integer from 0 to %llu", (unsigned long long)most);
-  return bad(field, allowed);
+  return bad_value(field, allowed);
 }
 
 /* Reads one entry of a list by its name or id. */
@@ -307,7 +307,7 @@ wire_error http_value_read_choice(struct http_value value, const char *field,
   wire_error error = wire_error_none();
   *number = 0;
   if (!bits && (count != 1 || json_is_array(value.json))) {
-    return bad(field, "one entry of its list");
+    return bad_value(field, "one entry of its list");
   }
   for (size_t i = 0; error.status == WIRE_STATUS_OK && i < count; i++) {
     uint64_t id = 0;

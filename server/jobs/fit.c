@@ -39,11 +39,11 @@ struct fit_job {
   uint32_t notes;
 };
 
-JOB_STRUCTURE(struct fit_job, of)
+JOB_STRUCTURE(struct fit_job, fit_of)
 
 /* ---- starting -------------------------------------------------------------------------------- */
 
-static wire_error check(struct fit_job *fit, const struct job_request *from) {
+static wire_error check_fit(struct fit_job *fit, const struct job_request *from) {
   const wire_error error =
       fit_request_parse(from->payload, from->header->payload_bytes, &fit->request);
   if (error.status != WIRE_STATUS_OK) {
@@ -70,9 +70,9 @@ static double radii_of(const struct fit_job *fit) {
              : (double)sets * (double)fit->set_radii;
 }
 
-static enum job_outcome start(struct job *job, const struct job_request *request) {
-  struct fit_job *fit = of(job);
-  wire_error error = check(fit, request);
+static enum job_outcome start_fit(struct job *job, const struct job_request *request) {
+  struct fit_job *fit = fit_of(job);
+  wire_error error = check_fit(fit, request);
   if (error.status == WIRE_STATUS_OK) {
     error = job_admit(job, radii_of(fit), "set_count");
   }
@@ -92,14 +92,14 @@ static enum job_outcome start(struct job *job, const struct job_request *request
 
 /* ---- parts ----------------------------------------------------------------------------------- */
 
-static enum job_outcome begin_part(struct job *job, uint8_t *payload) {
-  struct fit_job *fit = of(job);
+static enum job_outcome begin_fit_part(struct job *job, uint8_t *payload) {
+  struct fit_job *fit = fit_of(job);
   job_part_begin(&fit->parts, payload);
   fit->fitted = 0;
   return JOB_GOES_ON;
 }
 
-static enum job_outcome end_part(struct fit_job *fit) {
+static enum job_outcome end_fit_part(struct fit_job *fit) {
   const wire_fit_reply start = {
       .fitted_count = fit->fitted,
       .reading_count = fit->residuals,
@@ -146,7 +146,7 @@ static struct set next_set(const struct fit_job *fit) {
   return set;
 }
 
-static void put(struct fit_job *fit, const core_fit_result *result) {
+static void put_result(struct fit_job *fit, const core_fit_result *result) {
   const wire_fitted fitted = fit_result_encode(result);
   wire_put_fitted(fit->parts.payload + WIRE_BYTES_fit_reply + fit->parts.index * WIRE_BYTES_fitted,
                   &fitted);
@@ -180,13 +180,13 @@ static enum job_outcome begin_refining(struct fit_job *fit, const core_fit_resul
 }
 
 /* Does one step of refining the next set. */
-static enum job_outcome refine(struct fit_job *fit) {
+static enum job_outcome refine_set(struct fit_job *fit) {
   struct refining *refining = fit->refining;
   const enum lookup_answer answer =
       profiles_get(&fit->job.context->profiles, &refining->lookup, &refining->medium);
   if (answer == LOOKUP_FAULT && !lookup_is_busy(refining->lookup.fault)) {
     refining->goes_on = false; /* the model takes the medium of the table, but not this one */
-    put(fit, &refining->result);
+    put_result(fit, &refining->result);
     return JOB_GOES_ON;
   }
   if (answer != LOOKUP_READY) {
@@ -199,7 +199,7 @@ static enum job_outcome refine(struct fit_job *fit) {
   profiles_return(&refining->lookup);
   refining->goes_on = more && ++refining->steps < CORE_FIT_REFINE_MOST;
   if (!refining->goes_on) {
-    put(fit, &refining->result);
+    put_result(fit, &refining->result);
   }
   return JOB_GOES_ON;
 }
@@ -209,7 +209,7 @@ static enum job_outcome refine(struct fit_job *fit) {
 static enum job_outcome fit_next(struct fit_job *fit, uint64_t *spent) {
   if (fit->refining != NULL && fit->refining->goes_on) {
     *spent += PROFILE_RADII;
-    return refine(fit);
+    return refine_set(fit);
   }
   const struct set set = next_set(fit);
   core_fit_result result;
@@ -224,12 +224,12 @@ static enum job_outcome fit_next(struct fit_job *fit, uint64_t *spent) {
   if (core_fit_wants_exact(fits_found(&fit->lookup), set.values, set.errors, &result, &medium)) {
     return begin_refining(fit, &result, &medium);
   }
-  put(fit, &result);
+  put_result(fit, &result);
   return JOB_GOES_ON;
 }
 
-static enum job_outcome step(struct job *job, uint64_t *budget) {
-  struct fit_job *fit = of(job);
+static enum job_outcome step_fit(struct job *job, uint64_t *budget) {
+  struct fit_job *fit = fit_of(job);
   enum job_outcome outcome = fit->lookup.entry != NULL ? JOB_GOES_ON : get_design(fit);
   if (outcome != JOB_GOES_ON) {
     return outcome;
@@ -243,12 +243,12 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
   job_pay(job, (fit->parts.index - begun) * fit->set_radii);
   *budget -= spent < *budget ? spent : *budget;
   return outcome != JOB_GOES_ON                 ? outcome
-         : fit->parts.index == fit->parts.count ? end_part(fit)
+         : fit->parts.index == fit->parts.count ? end_fit_part(fit)
                                                 : JOB_GOES_ON;
 }
 
-static void end(struct job *job) {
-  struct fit_job *fit = of(job);
+static void end_fit(struct job *job) {
+  struct fit_job *fit = fit_of(job);
   lookup_return(&fit->lookup);
   core_fit_search_free(fit->search);
   if (fit->refining != NULL) {
@@ -258,4 +258,4 @@ static void end(struct job *job) {
 }
 
 const struct job_kind job_kind_FIT = {
-    .start = start, .begin_part = begin_part, .step = step, .end = end};
+    .start = start_fit, .begin_part = begin_fit_part, .step = step_fit, .end = end_fit};

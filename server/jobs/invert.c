@@ -29,7 +29,7 @@ struct invert_job {
   uint64_t missing;              /* how many media of the part before index do not exist */
 };
 
-JOB_STRUCTURE(struct invert_job, of)
+JOB_STRUCTURE(struct invert_job, invert_of)
 
 /* ---- checking -------------------------------------------------------------------------------- */
 
@@ -54,7 +54,7 @@ static wire_error check_media(const invert_request *request) {
   return wire_error_none();
 }
 
-static wire_error check(struct invert_job *invert, const struct job_request *from) {
+static wire_error check_invert(struct invert_job *invert, const struct job_request *from) {
   const struct options *options = &invert->job.context->server->options;
   const wire_error error =
       invert_request_parse(from->payload, from->header->payload_bytes, &invert->request);
@@ -81,10 +81,10 @@ static uint64_t medium_radii(const struct invert_job *invert) {
   return PROBES * invert->probe_radii;
 }
 
-static enum job_outcome start(struct job *job, const struct job_request *request) {
-  struct invert_job *invert = of(job);
+static enum job_outcome start_invert(struct job *job, const struct job_request *request) {
+  struct invert_job *invert = invert_of(job);
   const wire_invert_request *fixed = &invert->request.fixed;
-  wire_error error = check(invert, request);
+  wire_error error = check_invert(invert, request);
   if (error.status == WIRE_STATUS_OK) {
     const core_medium medium = {1, 1 / (1 - fixed->g), fixed->g, fixed->eta};
     const core_parameters none = core_parameters_none();
@@ -113,14 +113,14 @@ static enum job_outcome start(struct job *job, const struct job_request *request
 
 /* ---- parts ----------------------------------------------------------------------------------- */
 
-static enum job_outcome begin_part(struct job *job, uint8_t *payload) {
-  struct invert_job *invert = of(job);
+static enum job_outcome begin_invert_part(struct job *job, uint8_t *payload) {
+  struct invert_job *invert = invert_of(job);
   job_part_begin(&invert->parts, payload);
   invert->missing = 0;
   return JOB_GOES_ON;
 }
 
-static enum job_outcome end_part(struct invert_job *invert) {
+static enum job_outcome end_invert_part(struct invert_job *invert) {
   const wire_invert_request *fixed = &invert->request.fixed;
   const wire_invert_reply start = {
       .model = fixed->model,
@@ -135,7 +135,7 @@ static enum job_outcome end_part(struct invert_job *invert) {
 
 /* ---- looking for media ----------------------------------------------------------------------- */
 
-static double *array(const struct invert_job *invert, enum invert_array which) {
+static double *result_array(const struct invert_job *invert, enum invert_array which) {
   return (double *)(void *)(invert->parts.payload +
                             invert_array_offset(which, invert->parts.count));
 }
@@ -144,11 +144,11 @@ static double *array(const struct invert_job *invert, enum invert_array which) {
 static void put_medium(struct invert_job *invert) {
   const core_inverter *inverter = &invert->inverter;
   const bool found = inverter->found;
-  array(invert, INVERT_SIGMA_A)[invert->parts.index] =
+  result_array(invert, INVERT_SIGMA_A)[invert->parts.index] =
       found ? inverter->medium.sigma_a_per_mm : (double)NAN;
-  array(invert, INVERT_SIGMA_S)[invert->parts.index] =
+  result_array(invert, INVERT_SIGMA_S)[invert->parts.index] =
       found ? inverter->medium.sigma_s_per_mm : (double)NAN;
-  array(invert, INVERT_ALBEDO)[invert->parts.index] =
+  result_array(invert, INVERT_ALBEDO)[invert->parts.index] =
       found ? core_inverter_seen(inverter, inverter->albedo) : (double)NAN;
   invert->missing += !found;
   invert->parts.index++;
@@ -156,7 +156,7 @@ static void put_medium(struct invert_job *invert) {
 }
 
 /* Sets *albedo to the albedo of the medium that the inverter tries next. */
-static enum job_outcome probe(struct invert_job *invert, double *albedo) {
+static enum job_outcome try_medium(struct invert_job *invert, double *albedo) {
   struct job_context *context = invert->job.context;
   const wire_invert_request *fixed = &invert->request.fixed;
   const uint64_t i = invert->parts.first + invert->parts.index;
@@ -176,7 +176,7 @@ static enum job_outcome probe(struct invert_job *invert, double *albedo) {
 
 /* Gives the albedo of a probe to the inverter. The first probes find out which albedos the model
  * can reach. */
-static enum job_outcome take(struct invert_job *invert, double albedo) {
+static enum job_outcome take_albedo(struct invert_job *invert, double albedo) {
   if (!core_inverter_take(&invert->inverter, albedo)) {
     return JOB_GOES_ON;
   }
@@ -191,7 +191,7 @@ static enum job_outcome take(struct invert_job *invert, double albedo) {
 
 /* Does one step of the search: begins with the next medium, or probes once more. An albedo that the
  * model cannot reach needs no probe. */
-static enum job_outcome seek(struct invert_job *invert) {
+static enum job_outcome seek_medium(struct invert_job *invert) {
   const uint64_t i = invert->parts.first + invert->parts.index;
   if (invert->reach_known && !invert->seeking) {
     invert->seeking = true;
@@ -202,35 +202,36 @@ static enum job_outcome seek(struct invert_job *invert) {
     }
   }
   double albedo;
-  const enum job_outcome outcome = probe(invert, &albedo);
+  const enum job_outcome outcome = try_medium(invert, &albedo);
   if (outcome != JOB_GOES_ON) {
     return outcome;
   }
   stats_add(&invert->job.context->server->stats, STATS_INVERSION_PROBES, 1);
-  return take(invert, albedo);
+  return take_albedo(invert, albedo);
 }
 
-static enum job_outcome step(struct job *job, uint64_t *budget) {
-  struct invert_job *invert = of(job);
+static enum job_outcome step_invert(struct job *job, uint64_t *budget) {
+  struct invert_job *invert = invert_of(job);
   uint64_t spent = JOB_STEP_RADII;
   enum job_outcome outcome = JOB_GOES_ON;
   const uint64_t begun = invert->parts.index;
   while (outcome == JOB_GOES_ON && invert->parts.index < invert->parts.count &&
          spent < JOB_SLICE_RADII) {
-    outcome = seek(invert);
+    outcome = seek_medium(invert);
     spent += invert->probe_radii;
   }
   const uint64_t done = invert->parts.index - begun;
   stats_add(&job->context->server->stats, STATS_MEDIA_INVERTED, done);
   job_pay(job, done * medium_radii(invert));
   *budget -= spent < *budget ? spent : *budget;
-  return outcome == JOB_GOES_ON && invert->parts.index == invert->parts.count ? end_part(invert)
-                                                                              : outcome;
+  return outcome == JOB_GOES_ON && invert->parts.index == invert->parts.count
+             ? end_invert_part(invert)
+             : outcome;
 }
 
-static void end(struct job *job) {
-  profiles_return(&of(job)->lookup);
+static void end_invert(struct job *job) {
+  profiles_return(&invert_of(job)->lookup);
 }
 
 const struct job_kind job_kind_INVERT = {
-    .start = start, .begin_part = begin_part, .step = step, .end = end};
+    .start = start_invert, .begin_part = begin_invert_part, .step = step_invert, .end = end_invert};

@@ -18,7 +18,7 @@ struct points_job {
   wire_points_reply reply;
 };
 
-JOB_STRUCTURE(struct points_job, of)
+JOB_STRUCTURE(struct points_job, points_of)
 
 /* What a number of a point costs, in radii of a dipole: to check, to hash and to copy it. */
 enum { NUMBER_RADII = 10 };
@@ -27,8 +27,8 @@ static uint64_t row_radii(const struct points_job *points) {
   return (GATHER_AXES + (uint64_t)points->request.fixed.channel_count) * NUMBER_RADII;
 }
 
-static enum job_outcome start(struct job *job, const struct job_request *from) {
-  struct points_job *points = of(job);
+static enum job_outcome start_points(struct job *job, const struct job_request *from) {
+  struct points_job *points = points_of(job);
   const wire_points_request *fixed = &points->request.fixed;
   const uint64_t most = job->context->server->options.max_points;
   assert(from->points != NULL);
@@ -55,7 +55,7 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
 
 /* ---- steps ----------------------------------------------------------------------------------- */
 
-static enum job_outcome answer(struct points_job *points, bool known) {
+static enum job_outcome reply_with(struct points_job *points, bool known) {
   points->reply.known = known;
   points->reply.point_next = known                    ? points->request.fixed.point_count
                              : points->points != NULL ? points->points->next
@@ -70,13 +70,13 @@ static void drop_sent(struct points_job *points) {
   *points->sent = NULL;
 }
 
-static enum job_outcome refuse(struct points_job *points, wire_error error) {
+static enum job_outcome refuse_set(struct points_job *points, wire_error error) {
   drop_sent(points);
   return job_refuse(&points->job, error);
 }
 
 /* Finds the set that the part belongs to, or begins it, and takes memory for the part. */
-static enum job_outcome begin(struct points_job *points) {
+static enum job_outcome begin_set(struct points_job *points) {
   const wire_points_request *fixed = &points->request.fixed;
   struct job_context *context = points->job.context;
   if (*points->sent != NULL && fixed->point_first == 0 && fixed->part_points > 0) {
@@ -90,7 +90,7 @@ static enum job_outcome begin(struct points_job *points) {
   }
   if (*points->sent == NULL || !points_is(*points->sent, fixed)) {
     return fixed->part_points == 0
-               ? answer(points, false)
+               ? reply_with(points, false)
                : job_refuse(&points->job,
                             wire_error_make(WIRE_STATUS_UNKNOWN_POINTS, "point_first",
                                             "0: the points before it have not been sent here"));
@@ -98,18 +98,19 @@ static enum job_outcome begin(struct points_job *points) {
   points->points = *points->sent;
   points_hold(points->points);
   if (fixed->part_points == 0) {
-    return answer(points, false);
+    return reply_with(points, false);
   }
   if (fixed->point_first != points->points->next) {
-    return refuse(points, wire_error_make(WIRE_STATUS_BAD_VALUE, "point_first",
-                                          "the position behind the points that have been sent"));
+    return refuse_set(points,
+                      wire_error_make(WIRE_STATUS_BAD_VALUE, "point_first",
+                                      "the position behind the points that have been sent"));
   }
   const wire_error error = points_reserve(points->points, fixed->part_points);
-  return error.status == WIRE_STATUS_OK ? JOB_GOES_ON : refuse(points, error);
+  return error.status == WIRE_STATUS_OK ? JOB_GOES_ON : refuse_set(points, error);
 }
 
 /* Asks the cache whether it has the set, or to build its tree. */
-static enum job_outcome ask(struct points_job *points) {
+static enum job_outcome look_set_up(struct points_job *points) {
   const uint64_t *set = points->request.fixed.set;
   switch (points_get(&points->job.context->profiles.lookups, &points->lookup, set,
                      points->complete ? points->points : NULL)) {
@@ -117,19 +118,19 @@ static enum job_outcome ask(struct points_job *points) {
     if (*points->sent != NULL && points_is(*points->sent, &points->request.fixed)) {
       drop_sent(points);
     }
-    return answer(points, true);
+    return reply_with(points, true);
   case LOOKUP_WAIT:
     return JOB_WAITS;
   case LOOKUP_FAULT:
     if (!lookup_is_unknown(points->lookup.fault)) {
-      return refuse(points, job_fault(points->lookup.fault, 0));
+      return refuse_set(points, job_fault(points->lookup.fault, 0));
     }
   }
   points->asked = true;
-  return begin(points);
+  return begin_set(points);
 }
 
-static enum job_outcome add(struct points_job *points, uint64_t *spent) {
+static enum job_outcome add_slice(struct points_job *points, uint64_t *spent) {
   const wire_points_request *fixed = &points->request.fixed;
   const uint64_t left = fixed->part_points - points->done;
   const uint64_t most = JOB_SLICE_RADII / row_radii(points);
@@ -141,41 +142,41 @@ static enum job_outcome add(struct points_job *points, uint64_t *spent) {
   job_pay(&points->job, n * row_radii(points));
   points->done += n;
   if (error.status != WIRE_STATUS_OK) {
-    return refuse(points, error);
+    return refuse_set(points, error);
   }
   if (points->done < fixed->part_points) {
     return JOB_GOES_ON;
   }
   if (points->points->next < points->points->count) {
-    return answer(points, false);
+    return reply_with(points, false);
   }
   if (!points_has_its_name(points->points)) {
-    return refuse(points, wire_error_make(WIRE_STATUS_BAD_VALUE, "set",
-                                          "the hash of the counts and points (G2)"));
+    return refuse_set(points, wire_error_make(WIRE_STATUS_BAD_VALUE, "set",
+                                              "the hash of the counts and points (G2)"));
   }
   points->complete = true;
   return JOB_GOES_ON;
 }
 
-static enum job_outcome step(struct job *job, uint64_t *budget) {
-  struct points_job *points = of(job);
+static enum job_outcome step_points(struct job *job, uint64_t *budget) {
+  struct points_job *points = points_of(job);
   uint64_t spent = JOB_STEP_RADII;
   const enum job_outcome outcome =
-      !points->asked || points->complete ? ask(points) : add(points, &spent);
+      !points->asked || points->complete ? look_set_up(points) : add_slice(points, &spent);
   *budget -= spent < *budget ? spent : *budget;
   return outcome;
 }
 
-static enum job_outcome put(struct job *job, uint8_t *at) {
-  wire_put_points_reply(at, &of(job)->reply);
+static enum job_outcome put_points_reply(struct job *job, uint8_t *at) {
+  wire_put_points_reply(at, &points_of(job)->reply);
   return JOB_DONE;
 }
 
-static void end(struct job *job) {
-  struct points_job *points = of(job);
+static void end_points(struct job *job) {
+  struct points_job *points = points_of(job);
   lookup_return(&points->lookup);
   points_release(points->points);
 }
 
 const struct job_kind job_kind_POINTS = {
-    .start = start, .begin_part = put, .step = step, .end = end};
+    .start = start_points, .begin_part = put_points_reply, .step = step_points, .end = end_points};

@@ -16,7 +16,7 @@ struct varying_job {
   varying_part part;
 };
 
-JOB_STRUCTURE(struct varying_job, of)
+JOB_STRUCTURE(struct varying_job, varying_of)
 
 _Static_assert(VARYING_SCRATCH_ARRAYS *(int)VARYING_SLICE_VALUES <= (int)JOB_SLICE_RADII,
                "the worker's scratch holds that of a slice");
@@ -42,8 +42,8 @@ static wire_error check_model(const varying_request *request) {
   return job_error(fault);
 }
 
-static enum job_outcome start(struct job *job, const struct job_request *from) {
-  struct varying_job *varying = of(job);
+static enum job_outcome start_varying(struct job *job, const struct job_request *from) {
+  struct varying_job *varying = varying_of(job);
   varying_request *request = &varying->request;
   const wire_varying_request *fixed = &request->fixed;
   wire_error error = varying_request_parse(from->payload, from->header->payload_bytes, request);
@@ -77,15 +77,15 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
 
 /* ---- parts ----------------------------------------------------------------------------------- */
 
-static enum job_outcome begin_part(struct job *job, uint8_t *payload) {
-  struct varying_job *varying = of(job);
+static enum job_outcome begin_varying_part(struct job *job, uint8_t *payload) {
+  struct varying_job *varying = varying_of(job);
   varying_part_start(&varying->part, &varying->request, payload, varying->parts.first,
                      varying->parts.count);
   job_part_begin(&varying->parts, payload);
   return JOB_GOES_ON;
 }
 
-static enum job_outcome end_part(struct varying_job *varying) {
+static enum job_outcome end_varying_part(struct varying_job *varying) {
   struct job_parts *parts = &varying->parts;
   varying_part_end(&varying->part, &varying->request, varyings_found(&varying->lookup),
                    varyings_found(&varying->ruler), parts->part, parts->part_count);
@@ -109,7 +109,7 @@ static enum job_outcome prepare_ruler(struct varying_job *varying) {
 }
 
 /* Prepares what all values share, and checks what the colours mean. */
-static enum job_outcome prepare(struct varying_job *varying) {
+static enum job_outcome prepare_media(struct varying_job *varying) {
   struct job *job = &varying->job;
   const varying_request *request = &varying->request;
   const wire_varying_request *fixed = &request->fixed;
@@ -139,11 +139,11 @@ static size_t slice_length(const struct varying_job *varying) {
   return (size_t)(left < most ? left : most);
 }
 
-static enum job_outcome step(struct job *job, uint64_t *budget) {
-  struct varying_job *varying = of(job);
+static enum job_outcome step_varying(struct job *job, uint64_t *budget) {
+  struct varying_job *varying = varying_of(job);
   uint64_t spent = JOB_STEP_RADII;
   enum job_outcome outcome =
-      varyings_found(&varying->lookup) != NULL ? JOB_GOES_ON : prepare(varying);
+      varyings_found(&varying->lookup) != NULL ? JOB_GOES_ON : prepare_media(varying);
   if (outcome == JOB_GOES_ON) {
     const size_t n = slice_length(varying);
     varying_part_evaluate(&varying->part, &varying->request, varyings_found(&varying->lookup),
@@ -155,16 +155,18 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
     struct stats *stats = &job->context->server->stats;
     stats_count_radii(stats, varying->request.fixed.model, n);
     stats_add(stats, STATS_SLICES_EVALUATED, 1);
-    outcome = varying->parts.index < varying->part.count ? JOB_GOES_ON : end_part(varying);
+    outcome = varying->parts.index < varying->part.count ? JOB_GOES_ON : end_varying_part(varying);
   }
   *budget -= spent < *budget ? spent : *budget;
   return outcome;
 }
 
-static void end(struct job *job) {
-  lookup_return(&of(job)->lookup);
-  lookup_return(&of(job)->ruler);
+static void end_varying(struct job *job) {
+  lookup_return(&varying_of(job)->lookup);
+  lookup_return(&varying_of(job)->ruler);
 }
 
-const struct job_kind job_kind_VARYING = {
-    .start = start, .begin_part = begin_part, .step = step, .end = end};
+const struct job_kind job_kind_VARYING = {.start = start_varying,
+                                          .begin_part = begin_varying_part,
+                                          .step = step_varying,
+                                          .end = end_varying};

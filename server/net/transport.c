@@ -25,7 +25,7 @@ void transport_close(struct transport *t) {
 
 /* ---- what the owner is told ------------------------------------------------------------------ */
 
-static bool fail(struct transport *t) {
+static bool fail_transport(struct transport *t) {
   if (!uv_is_closing(&t->uv.handle)) {
     t->calls->failed(t->owner);
   }
@@ -34,7 +34,7 @@ static bool fail(struct transport *t) {
 
 static void tell_received(struct transport *t, ssize_t bytes) {
   if (bytes < 0 && bytes != UV_ENOBUFS && (bytes != UV_EOF || t->lingering)) {
-    fail(t);
+    fail_transport(t);
   } else if (!t->lingering && !uv_is_closing(&t->uv.handle)) {
     t->calls->received(t->owner, bytes);
   }
@@ -70,7 +70,7 @@ static void on_written(uv_write_t *request, int status) {
   t->writing_bytes = 0;
   t->writing = false;
   if (status != 0) {
-    fail(t);
+    fail_transport(t);
   } else {
     t->calls->sent(t->owner, bytes);
   }
@@ -94,7 +94,7 @@ static bool write_plain(struct transport *t, const uv_buf_t *buffers, unsigned c
 static void on_shut_down(uv_shutdown_t *request, int status) {
   struct transport *t = request->handle->data;
   if (status != 0) {
-    fail(t);
+    fail_transport(t);
   }
 }
 
@@ -169,7 +169,7 @@ static void read_tls(struct transport *t) {
 static void on_poll(uv_poll_t *poll, int status, int events) {
   struct transport *t = poll->data;
   if (status < 0) {
-    fail(t);
+    fail_transport(t);
     return;
   }
   if ((events & UV_WRITABLE) != 0) {
@@ -232,7 +232,7 @@ void transport_set_reading(struct transport *t, bool wanted) {
   } else if (t->tls != NULL ? !set_events(t)
                             : uv_read_start(&t->uv.stream, on_room_wanted, on_read) != 0) {
     t->reading = false;
-    fail(t);
+    fail_transport(t);
   }
 }
 
@@ -240,13 +240,13 @@ uint64_t transport_write(struct transport *t, const uv_buf_t *buffers, unsigned 
   uint64_t written = 0;
   const bool good = t->tls != NULL ? write_tls(t, buffers, count, &written)
                                    : write_plain(t, buffers, count, &written);
-  return good || fail(t) ? written : 0;
+  return good || fail_transport(t) ? written : 0;
 }
 
 void transport_tell_empty(struct transport *t) {
   t->has_more = t->tells_empty = t->tls != NULL;
   if (t->tls != NULL && !set_events(t)) {
-    fail(t);
+    fail_transport(t);
   }
 }
 
@@ -262,6 +262,6 @@ void transport_linger(struct transport *t) {
   if (good) {
     transport_set_reading(t, true);
   } else {
-    fail(t);
+    fail_transport(t);
   }
 }

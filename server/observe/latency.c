@@ -29,14 +29,14 @@ static uint64_t middle_ns(size_t bucket) {
 }
 
 /* Adds to a value that only this thread writes. */
-static void add(_Atomic uint64_t *value, uint64_t amount) {
+static void add_to(_Atomic uint64_t *value, uint64_t amount) {
   atomic_store_explicit(value, atomic_load_explicit(value, memory_order_relaxed) + amount,
                         memory_order_relaxed);
 }
 
 void histogram_add(struct histogram *histogram, uint64_t ns, uint64_t count) {
-  add(&histogram->counts[bucket_of(ns)], count);
-  add(&histogram->sum_ns, ns * count);
+  add_to(&histogram->counts[bucket_of(ns)], count);
+  add_to(&histogram->sum_ns, ns * count);
   if (ns > atomic_load_explicit(&histogram->most_ns, memory_order_relaxed)) {
     atomic_store_explicit(&histogram->most_ns, ns, memory_order_relaxed);
   }

@@ -125,7 +125,7 @@ static struct bucket *bucket_of(const struct cache *cache, uint64_t hash) {
   return &cache->buckets[hash & (cache->bucket_count - 1)];
 }
 
-static struct cache_entry *find(const struct cache *cache, const struct cache_key *key) {
+static struct cache_entry *find_entry(const struct cache *cache, const struct cache_key *key) {
   struct cache_entry *entry;
   LIST_FOREACH(entry, bucket_of(cache, key->hash), in_bucket) {
     if (is_equal(&entry->key, key)) {
@@ -136,7 +136,7 @@ static struct cache_entry *find(const struct cache *cache, const struct cache_ke
 }
 
 /* Doubles the number of buckets. If there is no memory, keeps the old buckets. */
-static void grow(struct cache *cache) {
+static void grow_table(struct cache *cache) {
   const uint64_t old_count = cache->bucket_count;
   struct bucket *old = cache->buckets;
   struct bucket *buckets = calloc(2 * old_count, sizeof *buckets);
@@ -155,15 +155,15 @@ static void grow(struct cache *cache) {
   free(old);
 }
 
-static void add(struct cache *cache, struct cache_entry *entry) {
+static void add_entry(struct cache *cache, struct cache_entry *entry) {
   if (cache->entry_count == cache->bucket_count) {
-    grow(cache);
+    grow_table(cache);
   }
   LIST_INSERT_HEAD(bucket_of(cache, entry->key.hash), entry, in_bucket);
   cache->entry_count++;
 }
 
-static void take_out(struct cache *cache, struct cache_entry *entry) {
+static void remove_entry(struct cache *cache, struct cache_entry *entry) {
   LIST_REMOVE(entry, in_bucket);
   cache->entry_count--;
 }
@@ -182,7 +182,7 @@ static void move_to_head(struct list *list, struct cache_entry *entry) {
 
 /* Returns the entry of a non-empty list that is evicted next: the oldest one that was not used
  * since it was put at the head of the list. Older entries that were used move to the head again. */
-static struct cache_entry *choose(struct list *list) {
+static struct cache_entry *choose_evicted(struct list *list) {
   for (uint64_t left = list->count; left > 0; left--) {
     struct cache_entry *oldest = TAILQ_LAST(&list->entries, entries);
     if (!atomic_load_explicit(&oldest->used, memory_order_relaxed)) {
@@ -197,12 +197,12 @@ static uint64_t kept_bytes(const struct cache *cache) {
   return cache->lists[false].bytes + cache->lists[true].bytes;
 }
 
-static void evict(struct cache *cache, struct list *list, struct entries *evicted) {
-  struct cache_entry *entry = choose(list);
+static void evict_one(struct cache *cache, struct list *list, struct entries *evicted) {
+  struct cache_entry *entry = choose_evicted(list);
   TAILQ_REMOVE(&list->entries, entry, in_list);
   list->bytes -= entry->bytes;
   list->count--;
-  take_out(cache, entry);
+  remove_entry(cache, entry);
   atomic_store_explicit(&entry->kept, false, memory_order_relaxed);
   TAILQ_INSERT_HEAD(evicted, entry, in_list);
   const bool apart = entry->key.kind->apart;
@@ -228,23 +228,23 @@ static void make_room(struct cache *cache, const struct cache_entry *entry,
   struct list *apart = &cache->lists[APART];
   if (entry->key.kind->apart) {
     while (entry->bytes > cache->apart_bytes - apart->bytes) {
-      evict(cache, apart, evicted);
+      evict_one(cache, apart, evicted);
     }
     return;
   }
   while (!entry->slow && entry->bytes > limit_of(cache, entry) - fast->bytes) {
-    evict(cache, fast, evicted);
+    evict_one(cache, fast, evicted);
   }
   while (entry->bytes > cache->limit_bytes - kept_bytes(cache)) {
-    evict(cache, slow->count > 0 ? slow : fast, evicted);
+    evict_one(cache, slow->count > 0 ? slow : fast, evicted);
   }
 }
 
 /* Keeps an entry of the table that has just been prepared. If the entry has a fault, or is larger
  * than the limit, removes it and adds it to the evicted entries. */
-static void keep(struct cache *cache, struct cache_entry *entry, struct entries *evicted) {
+static void keep_entry(struct cache *cache, struct cache_entry *entry, struct entries *evicted) {
   if (entry->fault.field != NULL || entry->bytes > limit_of(cache, entry)) {
-    take_out(cache, entry);
+    remove_entry(cache, entry);
     TAILQ_INSERT_HEAD(evicted, entry, in_list);
     return;
   }
@@ -261,7 +261,8 @@ static void keep(struct cache *cache, struct cache_entry *entry, struct entries 
 
 /* ---- waiting --------------------------------------------------------------------------------- */
 
-static void enqueue(struct cache *cache, struct cache_owner *owner, struct cache_waiter *waiter) {
+static void join_queue(struct cache *cache, struct cache_owner *owner,
+                       struct cache_waiter *waiter) {
   if (owner->count++ == 0) {
     TAILQ_INIT(&owner->waiters);
     if (cache->latest != NULL) {
@@ -275,7 +276,7 @@ static void enqueue(struct cache *cache, struct cache_owner *owner, struct cache
 }
 
 /* Removes the waiter from its owner's queue, if it is there. */
-static void dequeue(struct cache *cache, struct cache_waiter *waiter) {
+static void leave_queue(struct cache *cache, struct cache_waiter *waiter) {
   struct cache_owner *owner = waiter->owner;
   if (owner != NULL) {
     TAILQ_REMOVE(&owner->waiters, waiter, in_owner);
@@ -297,12 +298,12 @@ static void wait_for(struct cache_entry *entry, struct cache_owner *owner,
   LIST_INSERT_HEAD(waiter->list, waiter, in_list);
   atomic_store(&entry->stop, false);
   if (!entry->begun) {
-    enqueue(entry->cache, owner, waiter);
+    join_queue(entry->cache, owner, waiter);
   }
 }
 
 /* Removes a waiter from the list of its entry or of its queue, if it is in one. */
-static void delist(struct cache_waiter *waiter) {
+static void leave_list(struct cache_waiter *waiter) {
   if (waiter->list != NULL) {
     LIST_REMOVE(waiter, in_list);
     waiter->list = NULL;
@@ -315,7 +316,7 @@ static void wake_all(struct cache_entry *entry) {
   struct cache_waiter *waiter;
   while ((waiter = LIST_FIRST(&entry->waiters)) != NULL) {
     struct cache_queue *queue = waiter->queue;
-    delist(waiter);
+    leave_list(waiter);
     waiter->list = &queue->woken;
     LIST_INSERT_HEAD(waiter->list, waiter, in_list);
     queue->wake(queue->context);
@@ -327,7 +328,7 @@ static bool give_up(struct cache_entry *entry) {
   if (!entry->slow || !LIST_EMPTY(&entry->waiters)) {
     return false;
   }
-  take_out(entry->cache, entry);
+  remove_entry(entry->cache, entry);
   entry->under_way = false;
   return true;
 }
@@ -343,7 +344,7 @@ static struct cache_entry *begin_turn(struct cache *cache) {
   struct cache_entry *entry = TAILQ_FIRST(&owner->waiters)->entry;
   struct cache_waiter *waiter;
   LIST_FOREACH(waiter, &entry->waiters, in_list) {
-    dequeue(cache, waiter);
+    leave_queue(cache, waiter);
   }
   entry->begun = true;
   cache->turn_count++;
@@ -371,15 +372,15 @@ static struct cache_entry *new_entry(struct cache *cache, const struct cache_key
     entry->under_way = true;
     entry->begun = !slow;
     atomic_init(&entry->references, 1);
-    add(cache, entry);
+    add_entry(cache, entry);
   }
   return entry;
 }
 
-static enum cache_answer look(struct cache *cache, const struct cache_key *key, bool slow,
-                              struct cache_owner *owner, struct cache_queue *queue,
-                              struct cache_waiter *waiter, struct cache_entry **found) {
-  struct cache_entry *entry = find(cache, key);
+static enum cache_answer look_up(struct cache *cache, const struct cache_key *key, bool slow,
+                                 struct cache_owner *owner, struct cache_queue *queue,
+                                 struct cache_waiter *waiter, struct cache_entry **found) {
+  struct cache_entry *entry = find_entry(cache, key);
   const bool new = entry == NULL;
   if (new && key->kind->hold != NULL && key->source == NULL) {
     return CACHE_UNKNOWN;
@@ -476,7 +477,7 @@ enum cache_answer cache_look(struct cache *cache, const struct cache_key *key, b
                              struct cache_owner *owner, struct cache_queue *queue,
                              struct cache_waiter *waiter, struct cache_entry **entry) {
   uv_mutex_lock(&cache->mutex);
-  const enum cache_answer answer = look(cache, key, slow, owner, queue, waiter, entry);
+  const enum cache_answer answer = look_up(cache, key, slow, owner, queue, waiter, entry);
   uv_mutex_unlock(&cache->mutex);
   return answer;
 }
@@ -509,8 +510,8 @@ void cache_move_waiters(struct cache *cache, struct cache_owner *from, struct ca
   uv_mutex_lock(&cache->mutex);
   while (from->count > 0) {
     struct cache_waiter *waiter = TAILQ_FIRST(&from->waiters);
-    dequeue(cache, waiter);
-    enqueue(cache, to, waiter);
+    leave_queue(cache, waiter);
+    join_queue(cache, to, waiter);
   }
   uv_mutex_unlock(&cache->mutex);
 }
@@ -548,13 +549,13 @@ void cache_prepare(struct cache_entry *entry) {
   }
   release_source(entry);
   entry->under_way = false;
-  keep(cache, entry, &evicted);
+  keep_entry(cache, entry, &evicted);
   wake_all(entry);
   uv_mutex_unlock(&cache->mutex);
   release_all(&evicted);
 }
 
-static void prepare(uv_work_t *work) {
+static void prepare_in_turn(uv_work_t *work) {
   cache_prepare(work->data);
 }
 
@@ -572,7 +573,7 @@ void cache_prepare_in_pool(struct cache *cache, uv_loop_t *loop) {
   struct cache_entry *entry;
   while ((entry = cache_begin_turn(cache)) != NULL) {
     entry->work.data = entry;
-    const int queued = uv_queue_work(loop, &entry->work, prepare, on_prepared);
+    const int queued = uv_queue_work(loop, &entry->work, prepare_in_turn, on_prepared);
     assert(queued == 0); /* uv_queue_work() fails only if no function is given. */
   }
 }
@@ -581,7 +582,7 @@ struct cache_waiter *cache_next_woken(struct cache *cache, struct cache_queue *q
   uv_mutex_lock(&cache->mutex);
   struct cache_waiter *waiter = LIST_FIRST(&queue->woken);
   if (waiter != NULL) {
-    delist(waiter);
+    leave_list(waiter);
   }
   uv_mutex_unlock(&cache->mutex);
   return waiter;
@@ -593,8 +594,8 @@ void cache_leave(struct cache_waiter *waiter) {
     return;
   }
   uv_mutex_lock(&entry->cache->mutex);
-  delist(waiter);
-  dequeue(entry->cache, waiter);
+  leave_list(waiter);
+  leave_queue(entry->cache, waiter);
   const bool given_up = !entry->begun && give_up(entry);
   if (entry->slow && LIST_EMPTY(&entry->waiters)) {
     atomic_store(&entry->stop, true);

@@ -41,7 +41,7 @@ bool points_is(const struct points *points, const wire_points_request *request) 
 
 /* ---- memory ---------------------------------------------------------------------------------- */
 
-static wire_error busy(void) {
+static wire_error busy_error(void) {
   return wire_error_busy("points_bytes", "fewer points that are being sent at a time",
                          RETRY_AFTER_MS);
 }
@@ -65,7 +65,7 @@ wire_error points_reserve(struct points *points, uint64_t n) {
   capacity = capacity > points->count ? points->count : capacity;
   const uint64_t more = (capacity - points->capacity) * row_bytes(points);
   if (!take_bytes(points->server, more)) {
-    return busy();
+    return busy_error();
   }
   double *xyz = realloc(points->xyz, (size_t)capacity * GATHER_AXES * sizeof *xyz);
   points->xyz = xyz != NULL ? xyz : points->xyz;
@@ -73,7 +73,7 @@ wire_error points_reserve(struct points *points, uint64_t n) {
   points->power = power != NULL ? power : points->power;
   if (xyz == NULL || power == NULL) {
     atomic_fetch_sub(&points->server->points_sent_bytes, more);
-    return busy();
+    return busy_error();
   }
   points->capacity = capacity;
   return wire_error_none();
@@ -114,7 +114,7 @@ static void free_aside(void (*destroy)(void *what), void *what, uint64_t bytes) 
   pthread_detach(thread);
 }
 
-static void destroy(void *what) {
+static void destroy_points(void *what) {
   struct points *points = what;
   free(points->xyz);
   free(points->power);
@@ -133,7 +133,7 @@ void points_release(struct points *points) {
   const uint64_t bytes = points->capacity * row_bytes(points);
   atomic_fetch_sub(&points->server->points_sent_bytes, bytes);
   stats_subtract(&points->server->stats, STATS_POINTS_SENT_SETS, 1);
-  free_aside(destroy, points, bytes);
+  free_aside(destroy_points, points, bytes);
 }
 
 /* ---- adding ---------------------------------------------------------------------------------- */

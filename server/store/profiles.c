@@ -44,8 +44,8 @@ struct cache_key profiles_cache_key(const struct profiles_key *key, const struct
 
 /* ---- the kind -------------------------------------------------------------------------------- */
 
-static core_fault prepare(core_profile *profile, const struct profiles_key *key,
-                          const core_isa *isa, const atomic_bool *stop) {
+static core_fault prepare_profile(core_profile *profile, const struct profiles_key *key,
+                                  const core_isa *isa, const atomic_bool *stop) {
   const core_medium medium = {key->medium[0], key->medium[1], key->medium[2], key->medium[3]};
   core_parameters parameters;
   memcpy(parameters.value, key->parameters, sizeof parameters.value);
@@ -55,7 +55,7 @@ static core_fault prepare(core_profile *profile, const struct profiles_key *key,
 
 static core_fault prepare_thing(void *thing, const struct cache_key *key, const core_isa *isa,
                                 const atomic_bool *stop) {
-  return prepare(thing, key->content, isa, stop);
+  return prepare_profile(thing, key->content, isa, stop);
 }
 
 static void free_profile(void *thing) {
@@ -77,7 +77,7 @@ static struct profiles_set *set_of(struct profiles *profiles, uint64_t hash) {
   return &profiles->sets[hash % PROFILES_SETS];
 }
 
-static void empty(struct profiles_slot *slot) {
+static void empty_slot(struct profiles_slot *slot) {
   if (slot->entry != NULL) {
     cache_release(slot->entry);
     slot->entry = NULL;
@@ -91,7 +91,7 @@ static bool is_evicted(const struct profiles_slot *slot) {
 }
 
 /* Finds the slot of a profile. Returns NULL if the table does not have it. */
-static struct profiles_slot *find(struct profiles *profiles, const struct profiles_key *key) {
+static struct profiles_slot *find_slot(struct profiles *profiles, const struct profiles_key *key) {
   struct profiles_set *set = set_of(profiles, key->hash);
   for (size_t way = 0; way < PROFILES_WAYS; way++) {
     struct profiles_slot *slot = &set->slots[way];
@@ -103,7 +103,7 @@ static struct profiles_slot *find(struct profiles *profiles, const struct profil
 }
 
 /* Returns the slot of a set that is replaced next. NULL if all slots are pinned. */
-static struct profiles_slot *choose(struct profiles_set *set, uint64_t hash) {
+static struct profiles_slot *choose_slot(struct profiles_set *set, uint64_t hash) {
   for (size_t tries = 0; tries < PROFILES_WAYS; tries++) {
     const unsigned way = set->next;
     set->next = (way + 1) % PROFILES_WAYS;
@@ -117,19 +117,19 @@ static struct profiles_slot *choose(struct profiles_set *set, uint64_t hash) {
 
 /* Puts a profile into the table. Returns its slot, or NULL if all slots of its set are pinned or
  * the table keeps nothing. */
-static struct profiles_slot *put(struct profiles *profiles, const struct profiles_key *key,
-                                 const core_profile *profile, struct cache_entry *entry) {
+static struct profiles_slot *put_profile(struct profiles *profiles, const struct profiles_key *key,
+                                         const core_profile *profile, struct cache_entry *entry) {
   const bool may_be_kept = entry != NULL ? cache_keeps(entry) : core_profile_bytes(profile) == 0;
   if (!profiles->keeps || !may_be_kept) {
     return NULL;
   }
-  struct profiles_slot *slot = find(profiles, key);
+  struct profiles_slot *slot = find_slot(profiles, key);
   if (slot != NULL) { /* Another job of this worker waited for the same profile. */
     return slot;
   }
-  slot = choose(set_of(profiles, key->hash), key->hash);
+  slot = choose_slot(set_of(profiles, key->hash), key->hash);
   if (slot != NULL) {
-    empty(slot);
+    empty_slot(slot);
     slot->key = *key;
     slot->profile = *profile;
     slot->entry = entry;
@@ -144,7 +144,7 @@ static void empty_slots(struct profiles *profiles, bool all) {
   for (size_t i = 0; i < PROFILES_SETS * PROFILES_WAYS; i++) {
     struct profiles_slot *slot = &profiles->sets[i / PROFILES_WAYS].slots[i % PROFILES_WAYS];
     if (slot->pins == 0 && (all || is_evicted(slot))) {
-      empty(slot);
+      empty_slot(slot);
     }
   }
 }
@@ -189,11 +189,11 @@ static enum lookup_answer prepare_here(struct profiles *profiles, struct profile
   struct server *server = profiles->lookups.server;
   lookup_count(&profiles->lookups, false);
   stats_add(&server->stats, STATS_CACHE_BUILDS, 1);
-  lookup->fault = prepare(&lookup->profile, &lookup->key, server->isa, NULL);
+  lookup->fault = prepare_profile(&lookup->profile, &lookup->key, server->isa, NULL);
   if (lookup->fault.field != NULL) {
     return LOOKUP_FAULT;
   }
-  set_place(lookup, put(profiles, &lookup->key, &lookup->profile, NULL));
+  set_place(lookup, put_profile(profiles, &lookup->key, &lookup->profile, NULL));
   return LOOKUP_READY;
 }
 
@@ -207,17 +207,17 @@ static enum lookup_answer get_from_cache(struct profiles *profiles, struct profi
   lookup->fault = lookup->cached.fault;
   if (answer == LOOKUP_READY) {
     lookup->profile = *(const core_profile *)lookup_thing(&lookup->cached);
-    set_place(lookup, put(profiles, &lookup->key, &lookup->profile, lookup->cached.entry));
+    set_place(lookup, put_profile(profiles, &lookup->key, &lookup->profile, lookup->cached.entry));
   }
   return answer;
 }
 
-static enum lookup_answer get(struct profiles *profiles, struct profiles_lookup *lookup,
-                              const core_medium *medium) {
+static enum lookup_answer get_profile(struct profiles *profiles, struct profiles_lookup *lookup,
+                                      const core_medium *medium) {
   if (lookup->cached.waiter.entry != NULL) {
     return get_from_cache(profiles, lookup, medium);
   }
-  struct profiles_slot *slot = find(profiles, &lookup->key);
+  struct profiles_slot *slot = find_slot(profiles, &lookup->key);
   if (slot != NULL) {
     return get_from_table(profiles, lookup, slot);
   }
@@ -238,7 +238,7 @@ enum lookup_answer profiles_get(struct profiles *profiles, struct profiles_looku
                                 const core_medium *medium) {
   assert(!lookup->ready);
   profiles_key_set_medium(&lookup->key, medium);
-  const enum lookup_answer answer = get(profiles, lookup, medium);
+  const enum lookup_answer answer = get_profile(profiles, lookup, medium);
   lookup->ready = answer == LOOKUP_READY;
   lookup->cached.waiter.admitted |= answer != LOOKUP_FAULT;
   if (lookup->ready) {
