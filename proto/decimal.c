@@ -159,24 +159,8 @@ struct text {
 
 /* decimal: of a positive integer below 10^17 */
 static struct text make_text(struct digits decimal) {
-  static const uint64_t tens[] = {1,
-                                  10,
-                                  100,
-                                  1000,
-                                  10000,
-                                  100000,
-                                  1000000,
-                                  10000000,
-                                  100000000,
-                                  1000000000,
-                                  10000000000,
-                                  100000000000,
-                                  1000000000000,
-                                  10000000000000,
-                                  100000000000000,
-                                  1000000000000000,
-                                  10000000000000000,
-                                  100000000000000000};
+  static const uint64_t tens[] = {1e0, 1e1,  1e2,  1e3,  1e4,  1e5,  1e6,  1e7,  1e8,
+                                  1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16, 1e17};
   const uint64_t zeros = UINT64_C(0x3030303030303030);
   int digits = (64 - __builtin_clzll(decimal.integer)) * 1233 >> 12; /* log10(2) = 1233 / 2^12 */
   digits += decimal.integer >= tens[digits];

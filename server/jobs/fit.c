@@ -6,7 +6,6 @@
 #include <stdlib.h>
 
 #include "server/jobs/job.h"
-#include "server/store/fits.h"
 
 /* The cost of a profile that is prepared on this thread, in radii of a dipole. */
 enum { PROFILE_RADII = JOB_SLICE_RADII };
@@ -40,6 +39,35 @@ struct fit_job {
 };
 
 JOB_STRUCTURE(struct fit_job, fit_of)
+
+/* ---- designs in the cache -------------------------------------------------------------------- */
+
+static core_fault prepare_design(void *thing, const struct cache_key *key, const core_isa *isa,
+                                 const atomic_bool *stop) {
+  fit_design read;
+  (void)stop;
+  fit_design_read(key->content, &read);
+  return core_fit_create(thing, isa, &read.design);
+}
+
+static void free_design(void *thing) {
+  core_fit_free(*(core_fit **)thing);
+}
+
+static uint64_t design_bytes_of(const void *thing) {
+  return core_fit_bytes(*(core_fit *const *)thing);
+}
+
+static const struct cache_kind design_kind = {.thing_bytes = sizeof(core_fit *),
+                                              .prepare = prepare_design,
+                                              .free = free_design,
+                                              .bytes = design_bytes_of};
+
+/* Returns the fit of a design that was looked up; NULL if there is none. */
+static const core_fit *found_fit(const struct fit_job *fit) {
+  core_fit *const *found = lookup_thing(&fit->lookup);
+  return found != NULL ? *found : NULL;
+}
 
 /* ---- starting -------------------------------------------------------------------------------- */
 
@@ -116,10 +144,13 @@ static wire_error out_of_memory(void) {
 }
 
 static enum job_outcome get_design(struct fit_job *fit) {
-  struct job_context *context = fit->job.context;
+  const size_t bytes = fit->request.design_bytes_count;
+  const struct cache_key key = {.kind = &design_kind,
+                                .content = fit->request.design_bytes,
+                                .content_bytes = bytes,
+                                .hash = cache_hash(0, fit->request.design_bytes, bytes)};
   const enum lookup_answer answer =
-      fits_get(&context->profiles.lookups, &fit->lookup, fit->request.design_bytes,
-               fit->request.design_bytes_count);
+      lookup_get(&fit->job.context->profiles.lookups, &fit->lookup, &key, true, true);
   if (answer != LOOKUP_READY) {
     return job_follow(&fit->job, answer, &fit->lookup.fault, fit->lookup.fault.index);
   }
@@ -194,7 +225,7 @@ static enum job_outcome refine_set(struct fit_job *fit) {
   }
   const struct set set = next_set(fit);
   const bool more =
-      core_fit_refine(fits_found(&fit->lookup), &refining->lookup.profile, set.values, set.errors,
+      core_fit_refine(found_fit(fit), &refining->lookup.profile, set.values, set.errors,
                       &refining->result, set.residuals, &refining->medium);
   profiles_return(&refining->lookup);
   refining->goes_on = more && ++refining->steps < CORE_FIT_REFINE_MOST;
@@ -216,12 +247,12 @@ static enum job_outcome fit_next(struct fit_job *fit, uint64_t *spent) {
   core_medium medium;
   *spent += fit->evaluation_radii;
   fit->searches = fit->searches ? core_fit_step(fit->search, &result, set.residuals)
-                                : core_fit_begin(fit->search, fits_found(&fit->lookup), set.values,
+                                : core_fit_begin(fit->search, found_fit(fit), set.values,
                                                  set.errors, &result, set.residuals);
   if (fit->searches) {
     return JOB_GOES_ON;
   }
-  if (core_fit_wants_exact(fits_found(&fit->lookup), set.values, set.errors, &result, &medium)) {
+  if (core_fit_wants_exact(found_fit(fit), set.values, set.errors, &result, &medium)) {
     return begin_refining(fit, &result, &medium);
   }
   put_result(fit, &result);

@@ -1,6 +1,6 @@
 /* cache: keeps things that take time to prepare, such as profiles, found by what they are prepared
  * from. All workers share it, and its bytes are bounded. It knows no contents: a kind of things is a
- * struct cache_kind, in its own file in this folder (profiles.c, varyings.c, fits.c, points.c).
+ * struct cache_kind, in its own file in this folder, or beside its only job.
  *
  * An entry is a thing that is being prepared or has been prepared. After its preparation nothing
  * in it changes. The cache's table, the workers' local stores and the jobs each hold a reference to
