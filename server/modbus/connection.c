@@ -261,7 +261,7 @@ static void read_on_or_end(struct modbus_connection *c) {
 static void finish_turn(struct client *client) {
   struct modbus_connection *c = connection_of(client);
   if (c->waits_for != NULL) {
-    if (c->waits_for->evaluating) {
+    if (c->waits_for->awaited != NULL) {
       return;
     }
     reply_late(c);

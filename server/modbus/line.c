@@ -408,7 +408,7 @@ static void close_all(struct modbus_line *line) {
 static void finish_turn(struct client *client) {
   struct modbus_line *line = line_of(client);
   if (line->waits_for != NULL) {
-    if (line->waits_for->evaluating) {
+    if (line->waits_for->awaited != NULL) {
       return;
     }
     reply_late(line);

@@ -176,7 +176,7 @@ static size_t handle_at_unit(struct modbus_unit *unit, struct client *client, co
   if (exception != 0) {
     return put_exception(pdu[0], exception, reply);
   }
-  return unit->evaluating ? 0 : put_result(unit, request, pdu, reply);
+  return unit->awaited != NULL ? 0 : put_result(unit, request, pdu, reply);
 }
 
 /* Returns whether the rights of a master's certificate allow a request. Functions 17 and 43 name no

@@ -3,6 +3,7 @@
 #include <assert.h>
 #include <modbus.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "server/net/worker.h"
 
@@ -90,6 +91,20 @@ static wire_error start_task(struct modbus_unit *unit, struct modbus_task *task,
   return modbus_task_commit(task, client);
 }
 
+/* Adds a unit to the active ones, or removes it, as its tasks are. */
+static void note_busy(struct modbus_unit *unit) {
+  bool busy = false;
+  for (unsigned kind = 0; kind < REGISTERS_JOBS; kind++) {
+    busy |= modbus_task_busy(&unit->tasks[kind]);
+  }
+  if (busy && !unit->active) {
+    TAILQ_INSERT_TAIL(&unit->units->active, unit, in_active);
+  } else if (!busy && unit->active) {
+    TAILQ_REMOVE(&unit->units->active, unit, in_active);
+  }
+  unit->active = busy;
+}
+
 /* Writes the registers and starts the job. If the job cannot be started, restores the registers. */
 static unsigned commit_task(struct modbus_unit *unit, struct modbus_task *task, unsigned address,
                             unsigned count, const uint8_t *values, struct client *client) {
@@ -107,16 +122,16 @@ static unsigned commit_task(struct modbus_unit *unit, struct modbus_task *task, 
     return refuse_write(unit, task, &error,
                         registers_of_field(&registers_jobs[task->kind], error.field, error.index));
   }
-  unit->fits = task->kind == REGISTERS_JOB_FIT && task->state == MODBUS_TASK_RUNS;
-  if (unit->fits) {
-    struct worker *worker = client->worker;
-    unit->reply_ms = uv_now(worker_loop(worker)) + MODBUS_FIT_MS;
-    worker_wake_at(worker, unit->reply_ms);
-    LIST_INSERT_HEAD(&unit->units->fitting, unit, in_fitting);
+  note_busy(unit);
+  const bool fits = task->kind == REGISTERS_JOB_FIT && modbus_task_runs(task);
+  if (fits || task->evaluated) {
+    unit->awaited = task;
+    unit->master = client;
+    unit->reply_ms = fits ? uv_now(worker_loop(client->worker)) + MODBUS_FIT_MS : 0;
   }
-  unit->evaluating = unit->fits || task->state == MODBUS_TASK_EVALUATED;
-  unit->awaited = unit->evaluating ? task : NULL;
-  unit->client = unit->evaluating ? client : NULL;
+  if (fits) {
+    worker_wake_at(client->worker, unit->reply_ms);
+  }
   return 0;
 }
 
@@ -133,7 +148,7 @@ static void cancel_tasks(struct modbus_unit *unit, unsigned address, unsigned co
 
 unsigned modbus_unit_write(struct modbus_unit *unit, unsigned address, unsigned count,
                            const uint8_t *values, struct client *client) {
-  assert(count <= WRITE_MAX && !unit->evaluating);
+  assert(count <= WRITE_MAX && unit->awaited == NULL);
   unsigned at = 0;
   wire_error error = registers_check(address, count, values, &at);
   struct modbus_task *task = committed_by(unit, address, count, values);
@@ -168,101 +183,134 @@ void modbus_unit_refresh(struct modbus_unit *unit, unsigned address, unsigned co
   }
 }
 
-/* ---- all units ------------------------------------------------------------------------------- */
+/* ---- the client of the worker ---------------------------------------------------------------- */
 
 static struct modbus_units *units_of(struct client *client) {
   return (struct modbus_units *)(void *)client;
 }
 
-static void start_client(struct client *client) {
-  (void)client; /* There is nothing to do: the first request to a unit sets up its registers. */
+static void do_nothing(struct client *client) {
+  (void)client;
 }
 
+/* One turn: tasks that run get slices, unit by unit. */
 static void run_turn(struct client *client) {
-  modbus_queue_run(&units_of(client)->queue);
+  struct modbus_active *active = &units_of(client)->active;
+  const struct modbus_unit *last = TAILQ_LAST(active, modbus_active);
+  uint64_t budget = JOB_SLICE_RADII;
+  for (struct modbus_unit *unit = NULL; unit != last && budget > 0;) {
+    unit = TAILQ_FIRST(active);
+    TAILQ_REMOVE(active, unit, in_active);
+    TAILQ_INSERT_TAIL(active, unit, in_active);
+    const unsigned first = unit->turns++;
+    for (unsigned i = 0; i < REGISTERS_JOBS && budget > 0; i++) {
+      struct modbus_task *task = &unit->tasks[(first + i) % REGISTERS_JOBS];
+      if (modbus_task_runs(task)) {
+        budget -= budget < JOB_STEP_RADII ? budget : JOB_STEP_RADII;
+        modbus_task_run(task, &budget);
+      }
+    }
+  }
+  if (budget == 0) {
+    worker_run_later(client); /* for the units that come next */
+  }
 }
 
-/* Notes that the reply to the unit's last commit waits no longer, and lets its client answer. */
-static void finish_unit(struct modbus_unit *unit) {
-  struct client *waits = unit->client;
-  if (unit->fits) {
-    LIST_REMOVE(unit, in_fitting);
-    unit->fits = false;
-  }
-  unit->evaluating = false;
+/* Notes that the reply to the unit's last commit waits no longer, and lets its master have it. */
+static void end_waiting(struct modbus_unit *unit) {
+  struct client *master = unit->master;
   unit->awaited = NULL;
-  unit->client = NULL;
-  if (waits != NULL) {
-    waits->kind->finish(waits);
+  unit->master = NULL;
+  if (master != NULL) {
+    master->kind->finish(master);
   }
 }
 
-/* Lets clients answer whose fit has ended without results, waits for a profile, or takes too long. */
-static void finish_late_fits(struct modbus_units *units) {
-  struct worker *worker = units->client.worker;
+/* Ends the waiting for a job that has ended, and for a fit that waits for a profile or takes too long. */
+static void check_awaited(struct modbus_unit *unit) {
+  const struct modbus_task *task = unit->awaited;
+  if (task == NULL || task->evaluated) {
+    return;
+  }
+  struct worker *worker = unit->units->client.worker;
+  if (!modbus_task_runs(task) || uv_now(worker_loop(worker)) >= unit->reply_ms) {
+    end_waiting(unit);
+  } else {
+    worker_wake_at(worker, unit->reply_ms);
+  }
+}
+
+static void finish_unit(struct modbus_unit *unit) {
+  for (unsigned kind = 0; kind < REGISTERS_JOBS; kind++) {
+    modbus_task_finish(&unit->tasks[kind]);
+  }
+  check_awaited(unit);
+  note_busy(unit);
+}
+
+static void expire_unit(struct modbus_unit *unit) {
+  for (unsigned kind = 0; kind < REGISTERS_JOBS; kind++) {
+    modbus_task_expire(&unit->tasks[kind], unit->named_ms);
+  }
+  check_awaited(unit);
+  note_busy(unit);
+}
+
+static void end_unit(struct modbus_unit *unit) {
+  for (unsigned kind = 0; kind < REGISTERS_JOBS; kind++) {
+    modbus_task_end(&unit->tasks[kind]);
+  }
+  note_busy(unit);
+}
+
+static void for_each_active(struct modbus_units *units, void (*act)(struct modbus_unit *unit)) {
   struct modbus_unit *next;
-  for (struct modbus_unit *unit = LIST_FIRST(&units->fitting); unit != NULL; unit = next) {
-    const enum modbus_task_state state = unit->awaited->state;
-    const bool late = uv_now(worker_loop(worker)) >= unit->reply_ms;
-    next = LIST_NEXT(unit, in_fitting);
-    if (state != MODBUS_TASK_EVALUATED && (state != MODBUS_TASK_RUNS || late)) {
-      finish_unit(unit);
-    } else {
-      worker_wake_at(worker, unit->reply_ms);
-    }
+  for (struct modbus_unit *unit = TAILQ_FIRST(&units->active); unit != NULL; unit = next) {
+    next = TAILQ_NEXT(unit, in_active);
+    act(unit);
   }
 }
 
-/* Called when the batch has been evaluated: writes the results of all tasks that were in it. */
+/* Called when the batch has been evaluated. */
 static void finish_turn(struct client *client) {
-  struct modbus_task *task;
-  while ((task = modbus_queue_finish(&units_of(client)->queue)) != NULL) {
-    struct modbus_unit *unit = task->owner;
-    if (unit->awaited == task) {
-      finish_unit(unit);
-    }
-  }
-  finish_late_fits(units_of(client));
+  for_each_active(units_of(client), finish_unit);
 }
 
 static void check_deadlines(struct client *client) {
-  modbus_queue_expire(&units_of(client)->queue);
-  finish_late_fits(units_of(client));
+  for_each_active(units_of(client), expire_unit);
+}
+
+void modbus_units_reset(struct modbus_units *units) {
+  for_each_active(units, end_unit);
+  for (unsigned number = 0; number <= MODBUS_UNITS; number++) {
+    units->units[number].units = NULL;
+  }
 }
 
 static void end_after_last_user(struct modbus_units *units) {
-  if (!units->stopping || units->users > 0) {
-    return;
+  if (units->stopping && units->users == 0) {
+    modbus_units_reset(units);
+    worker_forget(&units->client);
   }
-  modbus_queue_end(&units->queue);
-  worker_forget(&units->client);
 }
 
 static void stop_client(struct client *client) {
-  struct modbus_units *units = units_of(client);
-  units->stopping = true;
-  end_after_last_user(units);
-}
-
-static void abort_units(struct client *client) {
-  (void)client; /* There is nothing to do: the units end with the last connection or line. */
+  units_of(client)->stopping = true;
+  end_after_last_user(units_of(client));
 }
 
 struct modbus_units *modbus_units_new(struct server *server) {
-  static const struct client_kind kind = {
-      .start = start_client,
-      .run = run_turn,
-      .finish = finish_turn,
-      .deadline = check_deadlines,
-      .stop = stop_client,
-      .abort = abort_units,
-  };
+  static const struct client_kind kind = {.start = do_nothing,
+                                          .run = run_turn,
+                                          .finish = finish_turn,
+                                          .deadline = check_deadlines,
+                                          .stop = stop_client,
+                                          .abort = do_nothing};
   struct modbus_units *units = calloc(1, sizeof *units);
   if (units != NULL) {
     units->client.kind = &kind;
     units->server = server;
-    LIST_INIT(&units->fitting);
-    modbus_queue_init(&units->queue, server, &units->client);
+    TAILQ_INIT(&units->active);
   }
   return units;
 }
@@ -272,38 +320,49 @@ void modbus_units_join(struct modbus_units *units) {
 }
 
 void modbus_units_leave(struct modbus_units *units, struct client *client) {
-  modbus_queue_move(&units->queue, client, &units->client);
+  struct modbus_unit *unit;
+  cache_move_waiters(units->server->cache, &client->profiles, &units->client.profiles);
+  TAILQ_FOREACH(unit, &units->active, in_active) {
+    for (unsigned kind = 0; kind < REGISTERS_JOBS; kind++) {
+      modbus_task_move(&unit->tasks[kind], client, &units->client);
+    }
+  }
   units->users--;
   end_after_last_user(units);
+}
+
+/* ---- units ----------------------------------------------------------------------------------- */
+
+static void set_up_unit(struct modbus_units *units, struct modbus_unit *unit) {
+  memset(unit, 0, sizeof *unit);
+  unit->units = units;
+  registers_reset(unit->registers);
+  for (unsigned kind = 0; kind < REGISTERS_JOBS; kind++) {
+    struct modbus_task *task = &unit->tasks[kind];
+    task->kind = kind;
+    task->registers = unit->registers;
+    task->client = &units->client;
+    task->server = units->server;
+  }
 }
 
 struct modbus_unit *modbus_units_get(struct modbus_units *units, unsigned number) {
   struct modbus_unit *unit = &units->units[number];
   if (unit->units == NULL) {
-    unit->units = units;
-    registers_reset(unit->registers);
-    for (unsigned kind = 0; kind < REGISTERS_JOBS; kind++) {
-      struct modbus_task *task = &unit->tasks[kind];
-      task->queue = &units->queue;
-      task->kind = kind;
-      task->registers = unit->registers;
-      task->owner = unit;
-    }
-  } else if (unit->evaluating) {
+    set_up_unit(units, unit);
+  } else if (unit->awaited != NULL) {
     batch_finish(&worker_context(units->client.worker)->batch, &units->server->stats);
-    finish_turn(&units->client);
-    if (unit->evaluating) {
-      finish_unit(unit);
+    finish_unit(unit);
+    if (unit->awaited != NULL) {
+      end_waiting(unit);
     }
   }
-  for (unsigned kind = 0; kind < REGISTERS_JOBS; kind++) {
-    modbus_task_name(&unit->tasks[kind]);
-  }
+  unit->named_ms = uv_now(worker_loop(units->client.worker));
   return unit;
 }
 
 void modbus_unit_forget(struct modbus_unit *unit, const struct client *client) {
-  if (unit->client == client) {
-    unit->client = NULL;
+  if (unit->master == client) {
+    unit->master = NULL;
   }
 }

@@ -23,13 +23,14 @@ enum { MODBUS_FIT_MS = 100 };
 
 struct modbus_unit {
   struct modbus_units *units;  /* NULL: the unit has not been used yet */
-  bool evaluating;             /* whether the reply to the last commit waits for its task */
-  struct modbus_task *awaited; /* that task: its values are in the batch, or it fits */
-  struct client *client;       /* its finish() is called after that; NULL: there is none */
-  bool fits;                   /* evaluating: whether the unit is in units->fitting */
-  uint64_t reply_ms;           /* fits: when the reply waits no longer, on the loop's clock */
-  LIST_ENTRY(modbus_unit) in_fitting;
-  unsigned etas; /* bits: which eta was written since the registers had their defaults */
+  struct modbus_task *awaited; /* the task that the reply to the last commit waits for; or NULL */
+  struct client *master;       /* its finish() is called after that; NULL: there is none */
+  uint64_t reply_ms;           /* when the reply waits no longer for a fit, on the loop's clock */
+  uint64_t named_ms;           /* when a request last named the unit, on the loop's clock */
+  bool active;                 /* whether the unit is in units->active */
+  TAILQ_ENTRY(modbus_unit) in_active;
+  unsigned turns; /* so far: its tasks take turns, too */
+  unsigned etas;  /* bits: which eta was written since the registers had their defaults */
   struct modbus_task tasks[REGISTERS_JOBS];
   uint16_t registers[REGISTERS_END];
   uint8_t coils[REGISTERS_COILS]; /* each is 0 or 1 */
@@ -42,8 +43,8 @@ struct modbus_units {
   struct server *server;
   unsigned users; /* number of connections and lines */
   bool stopping;
-  struct modbus_queue queue;
-  LIST_HEAD(, modbus_unit) fitting; /* those whose reply waits for a fit that takes slices */
+  TAILQ_HEAD(modbus_active, modbus_unit)
+  active; /* those with busy tasks; the latest turn is last */
   struct modbus_unit units[MODBUS_UNITS + 1];
 };
 
@@ -54,10 +55,13 @@ struct modbus_units *modbus_units_new(struct server *server);
 /* Call the functions that follow on the worker's thread only. */
 
 /* Call these when a connection or line begins and ends to use the units. After the end, its jobs go
- * on, because masters may come back for the results. All jobs of masters that have left share the
- * turns of one client. */
+ * on, because masters may come back for the results. Their slow profiles are prepared in the turns of
+ * one client then. */
 void modbus_units_join(struct modbus_units *units);
 void modbus_units_leave(struct modbus_units *units, struct client *client);
+
+/* Ends all jobs, and gives the registers of all units their defaults when they are next used. */
+void modbus_units_reset(struct modbus_units *units);
 
 /* Returns the unit of a number from 1 to MODBUS_UNITS. If a job of this unit is in the batch, first
  * evaluates the batch, so that requests take effect in their order. If a reply waits for a fit, it
@@ -65,7 +69,7 @@ void modbus_units_leave(struct modbus_units *units, struct client *client);
 struct modbus_unit *modbus_units_get(struct modbus_units *units, unsigned number);
 
 /* Writes registers, and starts a job if a `commit` is among them, or ends one if a `cancel` is.
- * values: as in a PDU. Returns 0 on success; if unit->evaluating is then true, the worker calls the
+ * values: as in a PDU. Returns 0 on success; if unit->awaited is then set, the worker calls the
  * client's finish() when the results are in the registers. On failure, returns the Modbus exception
  * and changes only the error registers. */
 unsigned modbus_unit_write(struct modbus_unit *unit, unsigned address, unsigned count,

@@ -17,18 +17,6 @@ void fuzz_modbus_start(void) {
   fuzz_daemon_run(UV_RUN_NOWAIT);
 }
 
-/* Resets all registers, so that each input finds them as after a start. */
-static void reset_units(void) {
-  modbus_queue_end(&units->queue);
-  for (unsigned number = 1; number <= MODBUS_UNITS; number++) {
-    struct modbus_unit *unit = &units->units[number];
-    if (unit->units != NULL) {
-      CHECK(!unit->evaluating);
-      memset(unit, 0, sizeof *unit);
-    }
-  }
-}
-
 static void check_pdu(const uint8_t *request, size_t request_bytes, const uint8_t *reply,
                       size_t bytes) {
   static const uint8_t exact_bytes[] = {[1] = 5, 5, 5, 5, 5, 5, [17] = 1, [22] = 7};
@@ -80,7 +68,7 @@ void fuzz_modbus(const uint8_t *data, size_t size) {
   while (units->users > 0) {
     fuzz_daemon_run(UV_RUN_ONCE);
   }
-  reset_units();
+  modbus_units_reset(units); /* each input finds them as after a start */
   free(answers.bytes);
 }
 
@@ -130,11 +118,12 @@ static void answer_serial(struct serial *line, const struct modbus_burst *burst)
     free(pdu);
     return;
   }
-  size_t replied_bytes = modbus_carry_out(units, &line->client, &may, 1, pdu, bytes, frame + 1, &unit);
+  size_t replied_bytes =
+      modbus_carry_out(units, &line->client, &may, 1, pdu, bytes, frame + 1, &unit);
   if (unit != NULL && replied_bytes == 0) {
     batch_finish(&fuzz_worker.context.batch, &fuzz_server.stats);
     units->client.kind->finish(&units->client);
-    CHECK(!unit->evaluating);
+    CHECK(unit->awaited == NULL);
     replied_bytes = modbus_late_reply(unit, pdu, bytes, frame + 1);
   }
   CHECK(replied_bytes > 0);
@@ -178,5 +167,5 @@ void fuzz_rtu(const uint8_t *data, size_t size) {
     data += 2 + length;
     size -= 2 + length;
   }
-  reset_units();
+  modbus_units_reset(units); /* each input finds them as after a start */
 }
