@@ -129,7 +129,7 @@ static wire_error parse(struct eval_job *eval, const struct job_request *request
     const wire_eval_request *fixed = &eval->request.fixed;
     eval->draw_radii = NULL;
     eval->value_bytes = core_evaluator_bytes(fixed->evaluator);
-    eval->choice.tolerance = (double)NAN;
+    eval->choice = (struct choice_state){.tolerance = (double)NAN};
     eval->grid =
         (core_grid){fixed->spacing, fixed->radius_count, fixed->radius_start, fixed->radius_stop};
   }

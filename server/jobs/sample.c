@@ -64,7 +64,7 @@ static enum job_outcome start(struct job *job, const struct job_request *request
                                           &eval->draw, &eval->request);
   eval->draw_radii = draw_radii;
   eval->value_bytes = core_evaluator_bytes(eval->request.fixed.evaluator);
-  eval->choice.tolerance = (double)NAN;
+  eval->choice = (struct choice_state){.tolerance = (double)NAN};
   if (error.status == WIRE_STATUS_OK) {
     error = check(eval);
   }
