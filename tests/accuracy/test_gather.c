@@ -348,43 +348,6 @@ UNIT_TEST(points_have_the_same_bits_however_their_building_is_cut) {
   release(&made);
 }
 
-/* ---- what is refused ------------------------------------------------------------------------- */
-
-UNIT_TEST(bad_points_queries_and_tolerances_are_named) {
-  const double good[6] = {0, 1, -CORE_GATHER_MOST_MM, 2, 3, 4};
-  const double bad[] = {(double)NAN, (double)INFINITY, -1.0000001 * CORE_GATHER_MOST_MM, 1e30};
-  const float bad_power[] = {NAN, INFINITY, -1e-30f, 2e30f};
-  const float watts[4] = {0, 1, 1e30f, 0};
-  unit_assert_fault(core_gather_check_points(2, good, 2, watts), NULL, 0);
-  unit_assert_fault(core_gather_check_points(0, good, 2, watts), NULL, 0);
-  for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
-    for (size_t k = 0; k < 6; k++) {
-      double places[6];
-      memcpy(places, good, sizeof places);
-      places[k] = bad[i];
-      unit_assert_fault(core_gather_check_points(2, places, 2, watts), "points", k / 3);
-      unit_assert_fault(core_gather_check_queries(2, places), "queries", k / 3);
-    }
-    for (size_t k = 0; k < 4; k++) {
-      float powers[4];
-      memcpy(powers, watts, sizeof powers);
-      powers[k] = bad_power[i];
-      unit_assert_fault(core_gather_check_points(2, good, 2, powers), "power", k / 2);
-    }
-  }
-  profiles made;
-  prepare(&made, core_isa_select(NULL), CORE_MODEL_CLASSICAL, CORE_EVALUATOR_LUT);
-  core_gather_sum *sum;
-  const double tolerances[] = {-1e-3, 0.9e-9, 0.51, (double)NAN, (double)INFINITY};
-  for (size_t i = 0; i < sizeof tolerances / sizeof tolerances[0]; i++) {
-    unit_assert_fault(
-        core_gather_sum_prepare(&sum, core_isa_select(NULL), CHANNELS, made.list, tolerances[i]),
-        "tolerance", 0);
-    assert_null(sum);
-  }
-  release(&made);
-}
-
 /* ---- sheets of light ------------------------------------------------------------------------- */
 
 /* M at x over a sheet of 1 W/mm^2 at z = 0 that ends at x = 0 if it is a half plane, from points in

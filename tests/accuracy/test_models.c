@@ -47,20 +47,6 @@ static core_medium medium_of_ratio(double ratio, double eta) {
   return (core_medium){ratio / (1 + ratio), 1 / (1 + ratio), 0, eta};
 }
 
-/* ---- slabs ------------------------------------------------------------------------------------ */
-
-UNIT_TEST(a_slab_names_its_domain) {
-  const core_medium medium = {0.1, 0.9, 0, 1.3};
-  core_parameters parameters = core_parameters_none();
-  static const double bad[] = {(double)NAN, 1.0999, 1.0001e6, 0, -1, INFINITY};
-  for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
-    parameters.value[CORE_PARAMETER_THICKNESS] = bad[i];
-    unit_assert_fault(core_profile_check(CORE_MODEL_MULTIPOLE, CORE_MOMENTS_EXACT,
-                                         CORE_EVALUATOR_F64, &medium, &parameters, NULL),
-                      "thickness", 0);
-  }
-}
-
 /* ---- sums, fits, the BSSRDF, energy ----------------------------------------------------------- */
 
 /* Only a part that uses the similarity relation has its note, and the sum has it, too. */

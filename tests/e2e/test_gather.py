@@ -375,10 +375,11 @@ NAN, INF = float("nan"), float("inf")
         (0, (NAN, 0, 0), 1, "points"),
         (3, (0, INF, 0), 1, "points"),
         (9, (0, 0, 1e30), 1, "points"),
-        (2, (0, -1.1e9, 0), 1, "points"),
-        (4, (0, 0, 0), -1, "power"),
+        (2, (0, -1.0000001e9, 0), 1, "points"),
+        (4, (0, 0, 0), -1e-30, "power"),
         (5, (0, 0, 0), NAN, "power"),
         (9, (0, 0, 0), INF, "power"),
+        (9, (0, 0, 0), 2e30, "power"),
     ],
 )
 def test_wrong_points(shared, index, xyz, power, field):
@@ -399,6 +400,7 @@ def test_wrong_points(shared, index, xyz, power, field):
 
 def test_parts_that_do_not_follow(shared):
     points = scene(100, seed=21)
+    points.xyz[0], points.power[0] = (-1e9, 0, 1e9), 1e30  # the limits
     with shared.connect() as connection:
         assert_error(
             ask(connection, POINTS, points_payload(points, 50)), "unknown-points", "point_first", "0"

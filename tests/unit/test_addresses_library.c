@@ -10,8 +10,6 @@
 #include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
 
-enum { SOON_MS = 10000 };
-
 UNIT_SETUP(make_radii) {
   peer_make_radii();
 }
@@ -134,7 +132,7 @@ UNIT_TEST(test_one_that_does_not_say_hello) {
   dipole_client *none;
   dipole_error error;
   peer_script *const twice[] = {peer_accept_only, peer_accept_only, NULL};
-  options.connect_timeout_ms = 50;
+  options.connect_timeout_ms = 500;
   options.retry_ms = 0;
   peer_start_scripts(&mute, twice, NULL);
   peer_start(&peer, peer_serve, NULL);
@@ -142,12 +140,12 @@ UNIT_TEST(test_one_that_does_not_say_hello) {
   char *list = peer_list(addresses, 2);
   const int64_t start_ms = peer_now_ms();
   dipole_client *client = peer_open(list, &options);
-  assert_in_range(peer_now_ms() - start_ms, 50, SOON_MS);
+  assert_true(peer_now_ms() - start_ms >= 500);
   peer_check_eval(client, 5);
   dipole_close(client);
   assert_false(dipole_open_with(mute.address, &options, &none, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_CONNECT);
-  assert_non_null(strstr(error.text, "does not say hello within 50 ms"));
+  assert_non_null(strstr(error.text, "does not say hello within 500 ms"));
   peer_end(&mute);
   peer_end(&peer);
   free(list);
@@ -161,7 +159,7 @@ UNIT_TEST(test_opening_again_and_again) {
   peer_start_scripts(&peer, scripts, NULL);
   const int64_t start_ms = peer_now_ms();
   dipole_client *client = peer_open(peer.address, &options);
-  assert_in_range(peer_now_ms() - start_ms, 60, SOON_MS); /* twice retry_after_ms of 30 ms */
+  assert_true(peer_now_ms() - start_ms >= 60); /* twice retry_after_ms of 30 ms */
   peer_check_eval(client, 5);
   peer_finish(&peer, client);
 }
@@ -185,7 +183,7 @@ UNIT_TEST(test_opening_goes_on_until_the_time_is_over) {
         dipole_open_with(addresses[i] != NULL ? addresses[i] : dead, &options, &client, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_CONNECT);
     assert_non_null(strstr(error.text, "(tried for "));
-    assert_in_range(peer_now_ms() - start_ms, 190, SOON_MS); /* the shortest pause is 10 ms */
+    assert_true(peer_now_ms() - start_ms >= 190); /* the shortest pause is 10 ms */
   }
   close(fd);
 }
@@ -194,14 +192,14 @@ UNIT_TEST(test_opening_goes_on_until_the_time_is_over) {
 UNIT_TEST(test_opening_beside_one_that_hangs) {
   dipole_options options = peer_options();
   scripted_peer mute, peer;
-  options.retry_ms = 400;
+  options.retry_ms = 2000;
   peer_start(&mute, peer_accept_only, NULL);
   peer_start(&peer, peer_serve, NULL);
   const char *const addresses[] = {mute.address, peer.address};
   char *list = peer_list(addresses, 2);
   const int64_t start_ms = peer_now_ms();
   dipole_client *client = peer_open(list, &options);
-  assert_in_range(peer_now_ms() - start_ms, 190, SOON_MS);
+  assert_true(peer_now_ms() - start_ms >= 990);
   assert_string_equal(dipole_address(client), peer.address);
   peer_end(&mute);
   peer_finish(&peer, client);
@@ -280,7 +278,7 @@ UNIT_TEST(test_a_silent_one_is_left) {
   pair both;
   start_pair(&both, first, second);
   dipole_client *client = peer_open(both.list, NULL);
-  dipole_set_timeout_ms(client, 50);
+  dipole_set_timeout_ms(client, 1000); /* the other one has as long */
   peer_check_eval(client, 5);
   assert_string_equal(dipole_address(client), both.peers[1].address);
   dipole_close(client);
@@ -329,13 +327,11 @@ UNIT_TEST(test_all_are_gone) {
   options.retry_ms = 300;
   start_pair(&both, first, second);
   dipole_client *client = peer_open(both.list, &options);
-  const int64_t start_ms = peer_now_ms();
   for (unsigned i = 0; i < 2; i++) {
     assert_false(dipole_eval(client, &query, &result, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
     assert_non_null(strstr(error.text, "connecting again failed"));
   }
-  assert_true(peer_now_ms() - start_ms < SOON_MS);
   dipole_close(client);
   end_pair(&both);
 }

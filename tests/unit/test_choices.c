@@ -1,4 +1,4 @@
-/* The lists from which requests choose: lookups, and the ids that must never change. */
+/* The lists from which requests choose: what fits the wire, and the ids that must never change. */
 #include "tests/unit/unit.h"
 
 static const core_choice *const lists[] = {
@@ -9,30 +9,6 @@ static const core_choice *const lists[] = {
 #define MOST CORE_TEXT(CORE_LUT_TOLERANCE_MAX)
 #define OTHERWISE CORE_TEXT(CORE_LUT_TOLERANCE)
 enum { LISTS = sizeof lists / sizeof lists[0] };
-
-UNIT_TEST(entries_are_found_by_id_and_by_name) {
-  for (size_t i = 0; i < LISTS; i++) {
-    assert_non_null(lists[i]->name);
-    for (const core_choice *entry = lists[i]; entry->name != NULL; entry++) {
-      assert_true(entry - lists[i] < UNIT_ROWS_MAX);
-      assert_ptr_equal(core_choice_by_id(lists[i], entry->id), entry);
-      assert_ptr_equal(core_choice_by_name(lists[i], entry->name), entry);
-    }
-  }
-}
-
-UNIT_TEST(unknown_ones_are_not_found) {
-  for (size_t i = 0; i < LISTS; i++) {
-    assert_null(core_choice_by_id(lists[i], 0));
-    assert_null(core_choice_by_id(lists[i], 0x7fff));
-    assert_null(core_choice_by_id(lists[i], UINT32_MAX));
-    assert_null(core_choice_by_name(lists[i], ""));
-    assert_null(core_choice_by_name(lists[i], "no such thing"));
-  }
-  assert_null(core_choice_by_name(core_models, "Classical"));
-  assert_null(core_choice_by_name(core_models, "classica"));
-  assert_null(core_choice_by_name(core_models, "classical "));
-}
 
 /* On the wire, an id has 16 bits and is not 0, a name has 28 bytes, and its explanation 96. */
 UNIT_TEST(entries_fit_the_wire) {
@@ -55,7 +31,7 @@ UNIT_TEST(documents_agree_on_the_tolerances_of_tables) {
     const char *otherwise;
   } texts[] = {
       {"proto/PROTOCOL.md", "from " LEAST " to 1,", "above " MOST " counts as " MOST,
-       "default is " OTHERWISE},
+       "Default: " OTHERWISE},
       {"clients/packaging/man/dipole.1", "from " LEAST " to 1 (", "above " MOST " counts as " MOST,
        "default: " OTHERWISE},
       {"proto/REGISTERS.md", LEAST " to 1 (", "above " MOST " counts as " MOST,

@@ -171,32 +171,6 @@ UNIT_TEST(an_albedo_out_of_reach_is_a_fault_that_names_the_reach) {
   with_every_member(try_out_of_reach);
 }
 
-/* ---- other faults ------------------------------------------------------------------------- */
-
-static void assert_names(unsigned model, unsigned moments, double mean_free_path_mm, double eta,
-                         const char *field) {
-  unit_assert_fault(invert_albedo(model, moments, .5, mean_free_path_mm, eta).fault, field, 0);
-}
-
-UNIT_TEST(faults_name_the_field) {
-  const unsigned model = CORE_MODEL_BETTER, moments = CORE_MOMENTS_EXACT;
-  const double bad_paths[] = {0,        -1,       -INFINITY, INFINITY, (double)NAN,
-                              .999e-14, 1.001e14, 1e300,     5e-324};
-  for (size_t i = 0; i < sizeof bad_paths / sizeof bad_paths[0]; i++) {
-    assert_names(model, moments, bad_paths[i], 1.3, "length");
-  }
-  const double bad_etas[] = {0, -1.3, CORE_ETA_MIN / 2, CORE_ETA_MAX * 2, INFINITY, (double)NAN};
-  for (size_t i = 0; i < sizeof bad_etas / sizeof bad_etas[0]; i++) {
-    assert_names(model, moments, 1, bad_etas[i], "eta");
-  }
-  assert_names(model, CORE_MOMENTS_FIT, 1, 2.5, "eta");
-  assert_names(model, CORE_MOMENTS_JENSEN, 1, .4, "eta");
-  assert_names(0, moments, 1, 1.3, "model");
-  assert_names(~0u, moments, 1, 1.3, "model");
-  assert_names(model, 0, 1, 1.3, "moments");
-  assert_names(model, 99, 1, 1.3, "moments");
-}
-
 /* ---- every model, probe by probe ----------------------------------------------------------- */
 
 /* How many probes a search may take. The larger limit is for models whose albedo jumps as terms are
