@@ -104,7 +104,9 @@ typedef struct cli_settings {
   cli_numbers reference;
   bool specular, linear, srgb, typed;
   const char *source, *target, *unit; /* of conventions, and of scene units */
-  cli_numbers colour, length;
+  cli_numbers colour, length, range;
+  cli_count taps, size;
+  bool common;
   cli_texts coefficients;
   cli_number tolerance, least_distance;
   cli_number photons, error, total_error;

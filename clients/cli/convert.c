@@ -244,7 +244,7 @@ static bool read_numbers(material *of) {
     one_mm[i] = 1;
   }
   if (!find_media(of, CORE_MODEL_TRANSPORT, DIPOLE_EXTINCTION_PATH, one_mm) ||
-      !cli_edge_radii(settings, of->client, of->media, of->count, &r_mm)) {
+      !cli_edge_radii(settings, of->client, of->media, of->count, &r_mm, NULL)) {
     return false;
   }
   for (size_t i = 0; i < of->count; i++) {
@@ -276,7 +276,7 @@ static bool set_lengths(material *of) {
       const double absorbed = absorbed_of(&of->media[i]);
       of_one_mm[i] = (dipole_medium){absorbed, 1 - absorbed, of->media[i].g, of->media[i].eta};
     }
-    if (!cli_edge_radii(of->settings, of->client, of_one_mm, of->count, &r_mm)) {
+    if (!cli_edge_radii(of->settings, of->client, of_one_mm, of->count, &r_mm, NULL)) {
       return false;
     }
   }

@@ -6,13 +6,13 @@
 #include "core/core.h"
 
 bool cli_edge_radii(const cli_settings *settings, dipole_client *client, const dipole_medium *media,
-                    size_t count, double **r_mm) {
+                    size_t count, double **r_mm, double *colours) {
   dipole_result *result;
   dipole_error error;
   const dipole_sample_query query = {.model = CORE_MODEL_TRANSPORT,
                                      .evaluator = DIPOLE_F64,
                                      .moments = DIPOLE_EXACT,
-                                     .wanted = DIPOLE_RADIUS,
+                                     .wanted = DIPOLE_RADIUS | DIPOLE_ALBEDO,
                                      .media = media,
                                      .medium_count = (uint32_t)count,
                                      .draw = DIPOLE_DRAW_REGULAR,
@@ -25,6 +25,9 @@ bool cli_edge_radii(const cli_settings *settings, dipole_client *client, const d
   for (size_t i = 0; i < count; i++) {
     memcpy(*r_mm + i * CLI_EDGE_RADII, dipole_values_f64(result, (uint32_t)i, DIPOLE_RADIUS),
            CLI_EDGE_RADII * sizeof **r_mm);
+    if (colours != NULL) {
+      colours[i] = result->channels[i].albedo;
+    }
   }
   dipole_result_free(result);
   return true;

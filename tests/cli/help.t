@@ -18,6 +18,7 @@ Commands
   fit      Find sigma_a and sigma_s' of samples from readings of their reflectance
   texture  Map an image of colours to images of the media that have them
   convert  Convert colours and lengths between renderers, and to coefficients
+  bake     Bake kernels, lengths and tables of a medium for engines, with their errors
   gather   Sum the light that points leave at other positions
   table    Fetch tables of a medium, to be evaluated without a daemon
   mc       Walk photons through a medium (Monte Carlo): R(r) with standard errors
@@ -30,11 +31,11 @@ Commands
 `dipole COMMAND --help` describes a command; `dipole --version` prints the version.
 
 $ dipole help evaluate
-! dipole: there is no command 'evaluate'; the commands are eval, plot, points, sample, invert, fit, texture, convert, gather, table, mc, media, info, top, bench, help
+! dipole: there is no command 'evaluate'; the commands are eval, plot, points, sample, invert, fit, texture, convert, bake, gather, table, mc, media, info, top, bench, help
 ? 2
 
 $ dipole evaluate
-! dipole: there is no command 'evaluate'; the commands are eval, plot, points, sample, invert, fit, texture, convert, gather, table, mc, media, info, top, bench, help
+! dipole: there is no command 'evaluate'; the commands are eval, plot, points, sample, invert, fit, texture, convert, bake, gather, table, mc, media, info, top, bench, help
 ? 2
 
 $ dipole invert --help

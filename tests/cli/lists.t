@@ -211,6 +211,7 @@ invert	Find the medium that has a given albedo: sigma_a and sigma_s
 fit	Find sigma_a and sigma_s' of samples from readings of their reflectance
 texture	Map an image of colours to images of the media that have them
 convert	Convert colours and lengths between renderers, and to coefficients
+bake	Bake kernels, lengths and tables of a medium for engines, with their errors
 gather	Sum the light that points leave at other positions
 table	Fetch tables of a medium, to be evaluated without a daemon
 mc	Walk photons through a medium (Monte Carlo): R(r) with standard errors

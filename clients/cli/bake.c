@@ -1,0 +1,523 @@
+/* dipole bake: kernels, lengths and tables of a medium for engines, each with its error. */
+#include <math.h>
+#include <string.h>
+
+#include "clients/cli/edge.h"
+#include "clients/cli/options.h"
+#include "clients/cli/profile.h"
+#include "core/varying.h"
+
+enum { TAPS_MIN = 11, TAPS_MAX = 33, SIDE_MIN = 16, SIDE_MAX = 4096, COLUMNS_MAX = 6 };
+
+static const cli_option options[] = {
+    CLI_TITLE("What is baked"),
+    CLI_OPTION(COUNT, taps, "25", "of kernel: number of taps, odd, 11 to 33"),
+    CLI_OPTION(
+        NUMBERS, range, NULL,
+        "of kernel: distance of the last tap, mm, one for all or each channel (default: that "
+        "with the least error)"),
+    CLI_OPTION(SWITCH, common, NULL,
+               "of kernel: one range for all channels, the largest, so that a tap is a float4 of "
+               "three weights and an offset"),
+    CLI_OPTION(COUNT, size, "64", "of lut: numbers along each axis; of colour-map: colours"),
+    CLI_OPTION(TEXT, light, "beam", "of colour-map: the light of the colours, beam or diffuse"),
+    {0},
+};
+
+/* What a file says of each channel, or of all (channels 1). */
+typedef struct fact {
+  const char *name, *about;
+  double values[CLI_COLOURS];
+} fact;
+
+enum { FACTS_MAX = 16 };
+
+/* What is written: rows of numbers, and facts. */
+typedef struct sheet {
+  const char *kind;
+  size_t rows, columns, channels;
+  const char *names[COLUMNS_MAX];
+  double *values; /* [rows][columns] */
+  size_t fact_count;
+  fact facts[FACTS_MAX];
+} sheet;
+
+typedef struct bake {
+  const cli_settings *settings;
+  dipole_client *client;
+  cli_profile profile;
+  double *r_mm; /* [channels][CLI_EDGE_RADII] of cli_edge_radii() */
+  sheet sheet;
+} bake;
+
+static void add_fact(sheet *of, const char *name, const char *about, const double *values) {
+  fact *one = &of->facts[of->fact_count++];
+  *one = (fact){.name = name, .about = about};
+  memcpy(one->values, values, of->channels * sizeof *values);
+}
+
+static void set_rows(sheet *of, size_t rows, size_t columns, const char *const *names) {
+  of->rows = rows;
+  of->columns = columns;
+  of->values = cli_allocate(rows * columns, sizeof *of->values);
+  memcpy(of->names, names, columns * sizeof *names);
+}
+
+static const double *radii_of(const bake *of, size_t channel) {
+  return of->r_mm + channel * CLI_EDGE_RADII;
+}
+
+/* ---- kernel ---------------------------------------------------------------------------------- */
+
+/* Taps of a separable blur at offsets R o |o|, o from -1 to 1 in equal steps (Jimenez et al. 2015).
+ * A tap stands for the light up to half the way to its neighbours, the last one for all beyond: its
+ * weight is the difference of E between these places. */
+typedef struct taps {
+  size_t count;
+  double range_mm;
+  double offsets[TAPS_MAX];
+  double ends[TAPS_MAX + 1]; /* of the bins; the first and last mirror the half of their bin */
+  double edge[TAPS_MAX + 1]; /* E there, 0 and 1 at the first and last */
+} taps;
+
+static void lay_taps(const double *r_mm, size_t count, double range_mm, taps *of) {
+  of->count = count;
+  of->range_mm = range_mm;
+  for (size_t i = 0; i < count; i++) {
+    const double o = 2 * (double)i / (double)(count - 1) - 1;
+    of->offsets[i] = range_mm * o * fabs(o);
+  }
+  for (size_t i = 1; i < count; i++) {
+    of->ends[i] = 0.5 * (of->offsets[i - 1] + of->offsets[i]);
+    of->edge[i] = cli_edge_at(r_mm, of->ends[i]);
+  }
+  of->ends[0] = 2 * of->offsets[0] - of->ends[1];
+  of->ends[count] = -of->ends[0];
+  of->edge[0] = 0;
+  of->edge[count] = 1;
+}
+
+/* Returns the largest difference between E and the edge of the kernel, whose taps spread their light
+ * evenly over their bins. */
+static double edge_error(const double *r_mm, const taps *of) {
+  enum { PARTS = 8 };
+  double worst = 1 - cli_edge_at(r_mm, of->ends[of->count]);
+  for (size_t i = of->count / 2; i < of->count; i++) {
+    for (int k = 0; k < PARTS; k++) {
+      const double share = (double)k / PARTS;
+      const double x = of->ends[i] + share * (of->ends[i + 1] - of->ends[i]);
+      const double kernel = of->edge[i] + share * (of->edge[i + 1] - of->edge[i]);
+      worst = fmax(worst, fabs(kernel - cli_edge_at(r_mm, x)));
+    }
+  }
+  return worst;
+}
+
+/* Returns the range with the least error, of RANGES in equal ratios. */
+static double best_range(const double *r_mm, size_t count) {
+  enum { RANGES = 80 };
+  const double least = r_mm[CLI_EDGE_RADII / 2];
+  double best = least, best_error = 1;
+  taps tried;
+  for (int i = 0; i < RANGES; i++) {
+    lay_taps(r_mm, count, least * pow(40, (double)i / RANGES), &tried);
+    const double error = edge_error(r_mm, &tried);
+    best = error < best_error ? tried.range_mm : best;
+    best_error = fmin(error, best_error);
+  }
+  return best;
+}
+
+static int make_kernel(bake *of) {
+  static const char *const names[] = {"weight_red", "weight_green", "weight_blue",
+                                      "offset_red", "offset_green", "offset_blue"};
+  static const char *const common_names[] = {"weight_red", "weight_green", "weight_blue", "offset"};
+  const cli_settings *settings = of->settings;
+  sheet *const made = &of->sheet;
+  const size_t count = settings->taps.value;
+  const bool common = settings->common;
+  double ranges[CLI_COLOURS], most = 0, errors[CLI_COLOURS], steps[CLI_COLOURS],
+                              beyond[CLI_COLOURS];
+  if (count < TAPS_MIN || count > TAPS_MAX || count % 2 == 0) {
+    return cli_fail_usage("--taps: an odd number from %d to %d", TAPS_MIN, TAPS_MAX);
+  }
+  set_rows(made, count, common ? 4 : 6, common ? common_names : names);
+  for (size_t i = 0; i < CLI_COLOURS; i++) {
+    ranges[i] = settings->range.count > 0 ? cli_numbers_pick(&settings->range, i, 0)
+                                          : best_range(radii_of(of, i), count);
+    most = fmax(most, ranges[i]);
+  }
+  for (size_t i = 0; i < CLI_COLOURS; i++) {
+    const double *r_mm = radii_of(of, i);
+    taps laid;
+    lay_taps(r_mm, count, common ? most : ranges[i], &laid);
+    ranges[i] = laid.range_mm;
+    errors[i] = edge_error(r_mm, &laid);
+    beyond[i] = 2 * (1 - cli_edge_at(r_mm, laid.ends[count]));
+    steps[i] = 0;
+    for (size_t k = 0; k < count; k++) {
+      const double weight = laid.edge[k + 1] - laid.edge[k];
+      made->values[k * made->columns + i] = weight;
+      made->values[k * made->columns + (common ? 3 : 3 + i)] = laid.offsets[k];
+      steps[i] = fmax(steps[i], weight);
+    }
+  }
+  add_fact(made, "range_mm", "offset of the last tap", ranges);
+  add_fact(
+      made, "edge_error",
+      "largest error beside a straight shadow edge, of the light inside, if taps take the light "
+      "of their bins (half the way to each neighbour)",
+      errors);
+  add_fact(made, "step", "largest step if an edge is sharper than the taps lie apart", steps);
+  add_fact(made, "beyond", "share of the light beyond the taps' bins, which the last taps take",
+           beyond);
+  return CLI_OK;
+}
+
+/* ---- Burley's profile ------------------------------------------------------------------------ */
+
+static int make_burley(bake *of) {
+  static const char *const names[] = {"d_red", "d_green", "d_blue"};
+  double errors[CLI_COLOURS];
+  set_rows(&of->sheet, 1, CLI_COLOURS, names);
+  for (size_t i = 0; i < CLI_COLOURS; i++) {
+    of->sheet.values[i] = cli_edge_burley(radii_of(of, i), &errors[i]);
+  }
+  add_fact(&of->sheet, "edge_error",
+           "largest error beside a straight shadow edge, of the light inside", errors);
+  return CLI_OK;
+}
+
+/* ---- the sphere ------------------------------------------------------------------------------ */
+
+/* Returns what a sphere of radius `radius_mm` returns where the cosine of the light's angle is `mu`,
+ * over what it returns of the same light from everywhere. On a sphere the area within a chord is that
+ * within the same radius of a plane, so that each chord has its share. The mean of the light over a
+ * ring, A + B cos phi where that is positive, is known. */
+static double sphere_at(const double *r_mm, double radius_mm, double mu) {
+  const double pi = acos(-1), sine = sqrt(fmax(0, 1 - mu * mu));
+  double sum = 0;
+  size_t count = 0;
+  for (; count < CLI_EDGE_RADII && r_mm[count] < 2 * radius_mm; count++) {
+    const double half = r_mm[count] / (2 * radius_mm), turned = 1 - 2 * half * half;
+    const double A = mu * turned, B = sine * 2 * half * sqrt(1 - half * half);
+    const double phi = A >= B ? pi : A <= -B ? 0 : acos(-A / B);
+    sum += (A * phi + B * sin(phi)) / pi;
+  }
+  return count > 0 ? sum / (double)count : 0;
+}
+
+static int make_lut(bake *of) {
+  static const char *const names[] = {"n_dot_l", "curvature_per_mm", "red", "green", "blue"};
+  const size_t size = of->settings->size.value;
+  double errors[CLI_COLOURS] = {0};
+  set_rows(&of->sheet, size * size, 5, names);
+  for (size_t k = 0; k < size; k++) {
+    const double curvature = ((double)k + 0.5) / (double)size; /* 1/mm */
+    for (size_t i = 0; i < size; i++) {
+      double *row = of->sheet.values + (k * size + i) * 5;
+      row[0] = 2 * ((double)i + 0.5) / (double)size - 1;
+      row[1] = curvature;
+      for (size_t c = 0; c < CLI_COLOURS; c++) {
+        row[2 + c] = sphere_at(radii_of(of, c), 1 / curvature, row[0]);
+      }
+    }
+  }
+  /* Between texels, where a sampler interpolates. */
+  for (size_t k = 0; k + 1 < size; k += 1 + size / 32) {
+    for (size_t i = 0; i + 1 < size; i++) {
+      const double *row = of->sheet.values + (k * size + i) * 5, *next = row + size * 5;
+      for (size_t c = 0; c < CLI_COLOURS; c++) {
+        const double mean = 0.25 * (row[2 + c] + row[7 + c] + next[2 + c] + next[7 + c]);
+        const double at =
+            sphere_at(radii_of(of, c), 2 / (row[1] + next[1]), 0.5 * (row[0] + row[5]));
+        errors[c] = fmax(errors[c], fabs(mean - at));
+      }
+    }
+  }
+  add_fact(&of->sheet, "value_error", "largest error between texels, interpolated", errors);
+  return CLI_OK;
+}
+
+/* ---- colours --------------------------------------------------------------------------------- */
+
+/* Asks for the albedos of single scattering of `count` colours from 0 to 1, both included. */
+static bool ask_albedos(const bake *of, const dipole_choice *light, size_t count, double *albedos) {
+  const cli_settings *settings = of->settings;
+  double *colours = cli_allocate(2 * count, sizeof *colours), *lengths_mm = colours + count;
+  dipole_varying_result *result;
+  dipole_error error;
+  for (size_t i = 0; i < count; i++) {
+    colours[i] = (double)i / (double)(count - 1);
+    lengths_mm[i] = 1;
+  }
+  const dipole_parameter tolerance = {CORE_PARAMETER_TOLERANCE, 1e-4};
+  const dipole_varying_query query = {.model = CORE_MODEL_TRANSPORT,
+                                      .evaluator = DIPOLE_F64,
+                                      .moments = DIPOLE_EXACT,
+                                      .coefficients = DIPOLE_SCATTERED,
+                                      .given = DIPOLE_EXTINCTION_PATH,
+                                      .light = light->id,
+                                      .g = cli_numbers_pick(&settings->g, 0, 0),
+                                      .eta = cli_numbers_pick(&settings->eta, 0, 1.5),
+                                      .colours = colours,
+                                      .lengths_mm = lengths_mm,
+                                      .value_count = count,
+                                      .parameters = &tolerance,
+                                      .parameter_count = 1};
+  if (!CLI_RETRY(settings, &error, dipole_varying(of->client, &query, &result, &error))) {
+    cli_fail_error(&error);
+    return false;
+  }
+  memcpy(albedos, dipole_coefficients_f64(result, DIPOLE_SCATTERED), count * sizeof *albedos);
+  dipole_varying_result_free(result);
+  return true;
+}
+
+static int make_colour_map(bake *of) {
+  static const char *const names[] = {"scattered"};
+  const size_t size = of->settings->size.value, fine = 2 * size - 1;
+  double *albedos = cli_allocate(fine, sizeof *albedos), error = CORE_COLOUR_ERROR;
+  const dipole_choice *light =
+      cli_named(of->profile.info, DIPOLE_LIGHT, "light", of->settings->light);
+  if (light == NULL) {
+    return CLI_USAGE;
+  }
+  if (!ask_albedos(of, light, fine, albedos)) {
+    return CLI_FAILED;
+  }
+  set_rows(&of->sheet, size, 1, names);
+  for (size_t i = 0; i < size; i++) {
+    of->sheet.values[i] = isnan(albedos[2 * i]) ? 0 : albedos[2 * i]; /* darker than any medium */
+  }
+  /* In the middle between two colours, a difference of the albedo is one of the colour over the slope
+   * there. */
+  for (size_t i = 1; i + 1 < size; i++) {
+    const double middle = albedos[2 * i + 1], low = albedos[2 * i], high = albedos[2 * i + 2];
+    const double off = fabs(0.5 * (low + high) - middle) / ((high - low) * (double)(size - 1));
+    error = fmax(error, off + CORE_COLOUR_ERROR);
+  }
+  const double g = cli_numbers_pick(&of->settings->g, 0, 0);
+  const double eta = cli_numbers_pick(&of->settings->eta, 0, 1.5);
+  of->sheet.channels = 1;
+  add_fact(&of->sheet, "g", "mean cosine of the scattering angle", &g);
+  add_fact(&of->sheet, "eta", "refractive index", &eta);
+  add_fact(&of->sheet, "colour_error",
+           "largest error of the colour that a walk shows, from the second colour on", &error);
+  return CLI_OK;
+}
+
+/* ---- writing --------------------------------------------------------------------------------- */
+
+static void put_facts(const sheet *of, const char *before) {
+  printf("%s%s by transport, dipoled " DIPOLED_VERSION "\n", before, of->kind);
+  for (size_t i = 0; i < of->fact_count; i++) {
+    const fact *one = &of->facts[i];
+    printf("%s%s", before, one->name);
+    for (size_t c = 0; c < of->channels; c++) {
+      printf(" %.6g", one->values[c]);
+    }
+    printf(" (%s)\n", one->about);
+  }
+}
+
+/* Writes a row, with text before, between and behind its numbers. */
+static void put_values(const sheet *of, size_t row, const char *first, const char *between,
+                       const char *last) {
+  printf("%s", first);
+  for (size_t i = 0; i < of->columns; i++) {
+    printf("%s%.9g", i > 0 ? between : "", of->values[row * of->columns + i]);
+  }
+  printf("%s", last);
+}
+
+static void put_names(const sheet *of) {
+  for (size_t i = 0; i < of->columns; i++) {
+    printf("%s%s", i > 0 ? "," : "", of->names[i]);
+  }
+  printf("\n");
+}
+
+static void write_array(const sheet *of, bool shader) {
+  const bool vectors = shader && of->columns == 4;
+  put_facts(of, "// ");
+  printf("// columns: ");
+  put_names(of);
+  if (vectors) {
+    printf("static const float4 baked[%zu] = {\n", of->rows);
+  } else {
+    printf("static const float baked[%zu][%zu] = {\n", of->rows, of->columns);
+  }
+  for (size_t i = 0; i < of->rows; i++) {
+    put_values(of, i, vectors ? "  float4(" : "  {", ", ", vectors ? "),\n" : "},\n");
+  }
+  printf("};\n");
+}
+
+static void write_json(const sheet *of) {
+  printf("{\"kind\": \"%s\", \"software\": \"dipoled " DIPOLED_VERSION "\",\n", of->kind);
+  for (size_t i = 0; i < of->fact_count; i++) {
+    printf(" \"%s\": [", of->facts[i].name);
+    for (size_t c = 0; c < of->channels; c++) {
+      printf("%s%.9g", c > 0 ? ", " : "", of->facts[i].values[c]);
+    }
+    printf("],\n");
+  }
+  printf(" \"columns\": [");
+  for (size_t i = 0; i < of->columns; i++) {
+    printf("%s\"%s\"", i > 0 ? ", " : "", of->names[i]);
+  }
+  printf("],\n \"rows\": [\n");
+  for (size_t i = 0; i < of->rows; i++) {
+    put_values(of, i, "  [", ", ", i + 1 < of->rows ? "],\n" : "]\n");
+  }
+  printf(" ]}\n");
+}
+
+/* One-dimensional tables: .spi1d of OpenColorIO, which has no comments but above its head, and .cube
+ * of Adobe. */
+static int write_colours(const sheet *of, bool cube) {
+  if (of->columns != 1) {
+    return cli_fail_usage("--format %s: of colour-map alone", cube ? "cube" : "spi1d");
+  }
+  if (cube) {
+    put_facts(of, "# ");
+    printf("LUT_1D_SIZE %zu\n", of->rows);
+  } else {
+    printf("Version 1\nFrom 0 1\nLength %zu\nComponents 1\n{\n", of->rows);
+  }
+  for (size_t i = 0; i < of->rows; i++) {
+    const double v = of->values[i];
+    cube ? printf("%.9g %.9g %.9g\n", v, v, v) : printf("%.9g\n", v);
+  }
+  printf("%s", cube ? "" : "}\n");
+  if (!cube) {
+    put_facts(of, "# ");
+  }
+  return CLI_OK;
+}
+
+static int write_sheet(const sheet *of, const char *format) {
+  if (strcmp(format, "spi1d") == 0 || strcmp(format, "cube") == 0) {
+    return write_colours(of, format[0] == 'c');
+  }
+  if (strcmp(format, "json") == 0) {
+    write_json(of);
+  } else if (strcmp(format, "csv") == 0) {
+    put_facts(of, "# ");
+    put_names(of);
+    for (size_t i = 0; i < of->rows; i++) {
+      put_values(of, i, "", ",", "\n");
+    }
+  } else {
+    write_array(of, strcmp(format, "hlsl") == 0);
+  }
+  return CLI_OK;
+}
+
+/* ---- the command ----------------------------------------------------------------------------- */
+
+static const struct kind {
+  const char *name;
+  int (*make)(bake *of);
+  bool of_medium;
+} kinds[] = {{"kernel", make_kernel, true},
+             {"burley", make_burley, true},
+             {"lut", make_lut, true},
+             {"colour-map", make_colour_map, false}};
+
+static const struct kind *kind_of(const cli_settings *settings) {
+  for (size_t i = 0; settings->operand != NULL && i < sizeof kinds / sizeof kinds[0]; i++) {
+    if (strcmp(settings->operand, kinds[i].name) == 0) {
+      return &kinds[i];
+    }
+  }
+  return NULL;
+}
+
+static int check(cli_settings *settings) {
+  const struct kind *kind = kind_of(settings);
+  if (kind == NULL) {
+    return cli_fail_usage("give a KIND: kernel, burley, lut or colour-map");
+  }
+  if (settings->size.value < SIDE_MIN || settings->size.value > SIDE_MAX) {
+    return cli_fail_usage("--size: %d to %d", SIDE_MIN, SIDE_MAX);
+  }
+  for (size_t i = 0; i < settings->range.count; i++) {
+    if (!(settings->range.items[i] > 0)) {
+      return cli_fail_usage("--range: more than 0");
+    }
+  }
+  return kind->of_medium ? cli_medium_check(settings) : CLI_OK;
+}
+
+/* Sets the radii, and what all kinds say of the media. */
+static int take_media(bake *of) {
+  double numbers[5][CLI_COLOURS], *const colours = numbers[4];
+  const int status = cli_profile_take(of->settings, of->client, &of->profile);
+  if (status != CLI_OK) {
+    return status;
+  }
+  const size_t count = of->profile.channel_count;
+  if (count != 1 && count != CLI_COLOURS) {
+    return cli_fail_usage("give one channel or three: red, green and blue");
+  }
+  dipole_medium media[CLI_COLOURS];
+  for (size_t i = 0; i < CLI_COLOURS; i++) {
+    media[i] = of->profile.media[count == 1 ? 0 : i];
+    numbers[0][i] = media[i].sigma_a_per_mm;
+    numbers[1][i] = media[i].sigma_s_per_mm;
+    numbers[2][i] = media[i].g;
+    numbers[3][i] = media[i].eta;
+  }
+  if (!cli_edge_radii(of->settings, of->client, media, CLI_COLOURS, &of->r_mm, colours)) {
+    return CLI_FAILED;
+  }
+  add_fact(&of->sheet, "sigma_a", "absorption coefficient, 1/mm", numbers[0]);
+  add_fact(&of->sheet, "sigma_s", "scattering coefficient, 1/mm", numbers[1]);
+  add_fact(&of->sheet, "g", "mean cosine of the scattering angle", numbers[2]);
+  add_fact(&of->sheet, "eta", "refractive index", numbers[3]);
+  add_fact(&of->sheet, "colour", "share of the light that entered at normal incidence which leaves",
+           colours);
+  return CLI_OK;
+}
+
+static int run(const cli_settings *settings, dipole_client *client) {
+  const struct kind *kind = kind_of(settings);
+  bake of = {.settings = settings, .client = client};
+  of.profile.info = dipole_get_info(client);
+  of.sheet.kind = kind->name;
+  of.sheet.channels = CLI_COLOURS;
+  int status = kind->of_medium ? take_media(&of) : CLI_OK;
+  if (status == CLI_OK) {
+    status = kind->make(&of);
+  }
+  return status == CLI_OK
+             ? write_sheet(&of.sheet, settings->format != NULL ? settings->format : "c")
+             : status;
+}
+
+const cli_command cli_command_bake = {
+    .name = "bake",
+    .operand = "KIND",
+    .about = "Bake kernels, lengths and tables of a medium for engines, with their errors",
+    .more =
+        "KIND is one of:\n"
+        "kernel: taps of a separable blur, with the exact light of their bins\n"
+        "burley: the length d (mm) of Burley's profile whose shadow edge is the nearest\n"
+        "lut: light on a sphere by N.L, -1 to 1, and curvature, 0 to 1 per mm, at the middles of "
+        "texels, over that inside (pre-integrated, Penner 2011, but over the whole sphere)\n"
+        "colour-map: the single-scattering albedo of colours 0 to 1, for --g, --eta (default: 1.5) "
+        "and --light\n"
+        "Values are by transport, linear, and for weights of 1 in each channel: multiply by "
+        "`colour`. Each file says its errors. c is an array of C, hlsl one of float4 with "
+        "--common.",
+    .formats = "c,hlsl,csv,json,spi1d,cube",
+    .options = {options, cli_medium_options},
+    .check = check,
+    .run = run,
+    .examples = "  dipole bake kernel --medium skin1 --eta 1.4\n"
+                "  dipole bake kernel --medium skin1 --eta 1.4 --common --format hlsl\n"
+                "  dipole bake burley --medium marble --format json\n"
+                "  dipole bake colour-map --eta 1.5 --format spi1d\n",
+};

@@ -1,0 +1,104 @@
+## dipole bake: kernels and lengths of a medium for engines. The error stands in each file.
+$ dipole bake kernel --medium skin1 --eta 1.4 --common --format hlsl --taps 11
+// kernel by transport, dipoled 0.1.0
+// sigma_a 0.032 0.17 0.48 (absorption coefficient, 1/mm)
+// sigma_s 0.74 0.88 1.01 (scattering coefficient, 1/mm)
+// g 0 0 0 (mean cosine of the scattering angle)
+// eta 1.4 1.4 1.4 (refractive index)
+// colour 0.400296 0.186303 0.0988927 (share of the light that entered at normal incidence which leaves)
+// range_mm 7.3783 7.3783 7.3783 (offset of the last tap)
+// edge_error 0.0133974 0.0273923 0.0482006 (largest error beside a straight shadow edge, of the light inside, if taps take the light of their bins (half the way to each neighbour))
+// step 0.158057 0.30317 0.479536 (largest step if an edge is sharper than the taps lie apart)
+// beyond 0.0242815 0.000527959 0 (share of the light beyond the taps' bins, which the last taps take)
+// columns: weight_red,weight_green,weight_blue,offset
+static const float4 baked[11] = {
+  float4(0.032196861, 0.00207500759, 3.58007148e-05, -7.37830464),
+  float4(0.0481108493, 0.011315975, 0.000968839897, -4.72211497),
+  float4(0.0871605803, 0.0442849036, 0.0112607738, -2.65618967),
+  float4(0.123239642, 0.110864044, 0.063187561, -1.18052874),
+  float4(0.13026341, 0.179875251, 0.184779152, -0.295132185),
+  float4(0.158057314, 0.303169639, 0.479535745, 0),
+  float4(0.13026341, 0.179875251, 0.184779152, 0.295132185),
+  float4(0.123239642, 0.110864044, 0.063187561, 1.18052874),
+  float4(0.0871605803, 0.0442849036, 0.0112607738, 2.65618967),
+  float4(0.0481108493, 0.011315975, 0.000968839897, 4.72211497),
+  float4(0.032196861, 0.00207500759, 3.58007148e-05, 7.37830464),
+};
+
+$ dipole bake kernel --sigma-a .1 --sigma-s 1 --g 0 --taps 11 --range 4
+// kernel by transport, dipoled 0.1.0
+// sigma_a 0.1 0.1 0.1 (absorption coefficient, 1/mm)
+// sigma_s 1 1 1 (scattering coefficient, 1/mm)
+// g 0 0 0 (mean cosine of the scattering angle)
+// eta 1.3 1.3 1.3 (refractive index)
+// colour 0.306607 0.306607 0.306607 (share of the light that entered at normal incidence which leaves)
+// range_mm 4 4 4 (offset of the last tap)
+// edge_error 0.0154442 0.0154442 0.0154442 (largest error beside a straight shadow edge, of the light inside, if taps take the light of their bins (half the way to each neighbour))
+// step 0.172227 0.172227 0.172227 (largest step if an edge is sharper than the taps lie apart)
+// beyond 0.0203938 0.0203938 0.0203938 (share of the light beyond the taps' bins, which the last taps take)
+// columns: weight_red,weight_green,weight_blue,offset_red,offset_green,offset_blue
+static const float baked[11][6] = {
+  {0.028129308, 0.028129308, 0.028129308, -4, -4, -4},
+  {0.0438854129, 0.0438854129, 0.0438854129, -2.56, -2.56, -2.56},
+  {0.0811785422, 0.0811785422, 0.0811785422, -1.44, -1.44, -1.44},
+  {0.121400694, 0.121400694, 0.121400694, -0.64, -0.64, -0.64},
+  {0.13929262, 0.13929262, 0.13929262, -0.16, -0.16, -0.16},
+  {0.172226846, 0.172226846, 0.172226846, 0, 0, 0},
+  {0.13929262, 0.13929262, 0.13929262, 0.16, 0.16, 0.16},
+  {0.121400694, 0.121400694, 0.121400694, 0.64, 0.64, 0.64},
+  {0.0811785422, 0.0811785422, 0.0811785422, 1.44, 1.44, 1.44},
+  {0.0438854129, 0.0438854129, 0.0438854129, 2.56, 2.56, 2.56},
+  {0.028129308, 0.028129308, 0.028129308, 4, 4, 4},
+};
+
+$ dipole bake burley --medium skin1 --eta 1.4 --format json
+{"kind": "burley", "software": "dipoled 0.1.0",
+ "sigma_a": [0.032, 0.17, 0.48],
+ "sigma_s": [0.74, 0.88, 1.01],
+ "g": [0, 0, 0],
+ "eta": [1.4, 1.4, 1.4],
+ "colour": [0.400295964, 0.186303119, 0.0988926809],
+ "edge_error": [0.00641387828, 0.0102349699, 0.0124214135],
+ "columns": ["d_red", "d_green", "d_blue"],
+ "rows": [
+  [1.22272644, 0.466210495, 0.207102808]
+ ]}
+
+$ dipole bake burley --medium skin1 --eta 1.4 --format csv
+# burley by transport, dipoled 0.1.0
+# sigma_a 0.032 0.17 0.48 (absorption coefficient, 1/mm)
+# sigma_s 0.74 0.88 1.01 (scattering coefficient, 1/mm)
+# g 0 0 0 (mean cosine of the scattering angle)
+# eta 1.4 1.4 1.4 (refractive index)
+# colour 0.400296 0.186303 0.0988927 (share of the light that entered at normal incidence which leaves)
+# edge_error 0.00641388 0.010235 0.0124214 (largest error beside a straight shadow edge, of the light inside)
+d_red,d_green,d_blue
+1.22272644,0.466210495,0.207102808
+
+$ dipole bake colour-map --size 16 --format cube --eta 1.5
+# colour-map by transport, dipoled 0.1.0
+# g 0 (mean cosine of the scattering angle)
+# eta 1.5 (refractive index)
+# colour_error 0.0174603 (largest error of the colour that a walk shows, from the second colour on)
+LUT_1D_SIZE 16
+0 0 0
+0.607170902 0.607170902 0.607170902
+0.792875794 0.792875794 0.792875794
+0.877038021 0.877038021 0.877038021
+0.922512493 0.922512493 0.922512493
+0.949630559 0.949630559 0.949630559
+0.966817309 0.966817309 0.966817309
+0.978138679 0.978138679 0.978138679
+0.985772321 0.985772321 0.985772321
+0.990976657 0.990976657 0.990976657
+0.99452226 0.99452226 0.99452226
+0.996903004 0.996903004 0.996903004
+0.998447291 0.998447291 0.998447291
+0.999380194 0.999380194 0.999380194
+0.999859902 0.999859902 0.999859902
+1 1 1
+
+$ dipole bake colour-map --size 16 --format spi1d --eta 1.5 --light furnace
+! dipole bake: --light: 'furnace' is unknown; this daemon has beam, diffuse
+! `dipole bake --help` says more.
+? 2

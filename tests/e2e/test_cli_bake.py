@@ -1,0 +1,147 @@
+"""`dipole bake`: what a file says of its error is what a program finds that reads nothing but the file,
+with the profile R(r) of the medium that the file names."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from command_line import dipole
+
+rng = np.random.default_rng(43)
+MEDIA = [
+    {"scattered": float(rng.uniform(0.3, 0.999)), "path": float(rng.uniform(0.2, 3)), "g": g, "eta": eta}
+    for g in (0, 0.8)
+    for eta in (1, 1.33, 1.4, 1.5)
+    for _ in range(3)
+][:20]
+NAMES = [f"{one['scattered']:.3f} g {one['g']} eta {one['eta']}" for one in MEDIA]
+
+
+def bake(kind: str, medium: dict[str, float], *more: str) -> dict:
+    sigma_t = 1 / medium["path"]
+    coefficients = {
+        "--sigma-a": sigma_t * (1 - medium["scattered"]), "--sigma-s": sigma_t * medium["scattered"],
+        "--g": medium["g"], "--eta": medium["eta"],
+    }  # fmt: skip
+    arguments = [text for name, value in coefficients.items() for text in (name, repr(value))]
+    return json.loads(dipole("bake", kind, *arguments, "--format", "json", *more).stdout)
+
+
+def edge_of(client, file: dict, channel: int):
+    """The edge response, by the line spread: the integral of R over lines, then over distances."""
+    medium = [file[name][channel] for name in ("sigma_a", "sigma_s", "g", "eta")]
+    path = 1 / (medium[0] + medium[1] * (1 - medium[2]))
+    r = np.geomspace(1e-5, 200, 3000) * path
+    found = client.eval("transport", [medium], r, evaluator="f64", wanted=["R", "albedo"])
+    R = np.maximum(np.asarray(found.quantities["R"])[0], 1e-300)
+    x = np.concatenate([[0], np.geomspace(1e-4, 100, 1000) * path])
+    t = np.linspace(0, 14, 700)  # along the line y = x sinh t
+    far = x[1:, None] * np.cosh(t)
+    values = np.where(far < r[-1], np.exp(np.interp(np.log(far), np.log(r), np.log(R))), 0)
+    spread = 2 * np.trapz(values * far, t, axis=1)
+    steps = np.diff(x) * (spread + np.concatenate([spread[:1], spread[:-1]])) / 2
+    half = np.concatenate([[0], np.cumsum(steps)])
+    assert 2 * half[-1] == pytest.approx(file["colour"][channel], rel=2e-3)
+    half /= 2 * half[-1]
+    return lambda at: 0.5 + np.sign(at) * np.interp(np.abs(at), x, half)
+
+
+@pytest.mark.parametrize("medium", MEDIA, ids=NAMES)
+def test_a_kernel_blurs_an_edge_as_it_says(client, medium):
+    taps = int(rng.choice([11, 17, 25, 33]))
+    file = bake("kernel", medium, "--taps", str(taps))
+    rows = np.array(file["rows"])
+    weights, offsets = rows[:, 0], rows[:, 3]
+    assert len(rows) == taps and weights.sum() == pytest.approx(1, abs=1e-7)
+    # Light behind an edge, seen by taps that take what lies half the way to their neighbours.
+    middles = (offsets[1:] + offsets[:-1]) / 2
+    ends = np.concatenate([[2 * offsets[0] - middles[0]], middles, [2 * offsets[-1] - middles[-1]]])
+    x = np.linspace(-3, 3, 6001) * offsets[-1] / 2
+    lit = np.clip((x[:, None] - ends[:-1]) / np.diff(ends), 0, 1) @ weights
+    found = np.abs(lit - edge_of(client, file, 0)(x)).max()
+    assert found == pytest.approx(file["edge_error"][0], rel=0.1, abs=1e-4)
+    assert weights.max() == pytest.approx(file["step"][0], rel=1e-6)
+
+
+@pytest.mark.parametrize("medium", MEDIA, ids=NAMES)
+def test_burleys_profile_meets_an_edge_as_it_says(client, medium):
+    file = bake("burley", medium)
+    d = file["rows"][0][0]
+    # The edge of (e^-r/d + e^-r/3d) / (8 pi d r), from its line spread (K0(x/d) + K0(x/3d)) / 4 pi d.
+    x = np.concatenate([[0], np.geomspace(1e-4, 60, 1500) * d])
+    t = np.linspace(0, 14, 900)
+    along = np.cosh(t)
+    spread = np.array([np.trapz(np.exp(-at / d * along) + np.exp(-at / (3 * d) * along), t) for at in x[1:]])
+    spread /= 4 * np.pi * d
+    steps = np.diff(x) * (spread + np.concatenate([spread[:1], spread[:-1]])) / 2
+    half = np.concatenate([[0], np.cumsum(steps)])
+    assert half[-1] == pytest.approx(0.5, abs=1e-3)
+    found = np.abs(0.5 + half - edge_of(client, file, 0)(x)).max()
+    assert found == pytest.approx(file["edge_error"][0], rel=0.1, abs=5e-4)
+
+
+def test_a_kernel_of_skin_is_better_than_promised():
+    file = json.loads(dipole("bake", "kernel", "--medium", "skin1", "--eta", "1.4", "--format", "json").stdout)
+    assert max(file["edge_error"]) <= 0.0065 and file["range_mm"] == pytest.approx([10.7, 4.5, 2.25], rel=0.02)
+
+
+def test_a_common_range_has_its_error(client):
+    file = json.loads(dipole("bake", "kernel", "--medium", "skin1", "--common", "--format", "json").stdout)
+    assert file["columns"][3:] == ["offset"] and len(set(file["range_mm"])) == 1
+    assert file["edge_error"][2] > 3 * file["edge_error"][0]
+
+
+def sphere(R, r, radius: float, cosine: float) -> float:
+    """What a sphere returns at a place, by sums over its whole surface; r: chords of known R."""
+    polar = np.linspace(0, np.pi, 1201)[1:]
+    turn = np.linspace(0, np.pi, 241)
+    chord = 2 * radius * np.sin(polar / 2)
+    weight = np.exp(np.interp(np.log(chord), np.log(r), np.log(R))) * np.sin(polar)
+    sine = np.sqrt(1 - cosine**2)
+    light = cosine * np.cos(polar)[:, None] + sine * np.sin(polar)[:, None] * np.cos(turn)
+    ring = np.trapz(np.maximum(light, 0), turn, axis=1) / np.pi
+    return float(np.trapz(weight * ring, polar) / np.trapz(weight, polar))
+
+
+@pytest.mark.parametrize("medium", MEDIA[::5], ids=NAMES[::5])
+def test_a_sphere_is_lit_as_the_table_says(client, medium):
+    file = bake("lut", medium, "--size", "32")
+    rows = np.array(file["rows"])
+    coefficients = [file[name][0] for name in ("sigma_a", "sigma_s", "g", "eta")]
+    r = np.geomspace(1e-5, 1e3, 3000) * medium["path"]
+    found = client.eval("transport", [coefficients], r, evaluator="f64", wanted=["R"])
+    R = np.maximum(np.asarray(found.quantities["R"])[0], 1e-300)
+    for row in rows[rng.integers(0, len(rows), 12)]:
+        assert sphere(R, r, 1 / row[1], row[0]) == pytest.approx(row[2], abs=3e-3)
+    assert 0 < file["value_error"][0] < 0.05
+
+
+@pytest.mark.parametrize("light", ["beam", "diffuse"])
+def test_a_map_of_colours_shows_them(client, light):
+    asked = ["--g", "0.5", "--eta", "1.4", "--light", light, "--size", "128"]
+    text = dipole("bake", "colour-map", *asked, "--format", "spi1d").stdout
+    head, values, tail = text.replace("}", "{").split("{")
+    assert head.split() == "Version 1 From 0 1 Length 128 Components 1".split()
+    albedos = np.array(values.split(), float)
+    stated = float(tail.split("colour_error ")[1].split()[0])
+    cube = dipole("bake", "colour-map", *asked, "--format", "cube").stdout.splitlines()
+    assert [float(line.split()[0]) for line in cube if line[0].isdigit()] == list(albedos)
+    # What media of the interpolated albedos show, by the inverse of the daemon's own map.
+    colours = np.concatenate([np.linspace(0.02, 0.98, 2000), 1 - np.geomspace(0.0199, 1e-6, 2000)])
+    true = client.varying("transport", colour=colours, length=1.0, given="extinction-path", light=light, g=0.5,
+                          eta=1.4, coefficients="scattered", evaluator="f64", tolerance=1e-4)
+    wanted = np.linspace(0.02, 0.9999, 4000)
+    shown = np.interp(np.interp(wanted, np.linspace(0, 1, 128), albedos), true.coefficients["scattered"], colours)
+    found = np.abs(shown - wanted).max()
+    assert found == pytest.approx(stated, rel=0.1, abs=3e-5)
+
+
+@pytest.mark.parametrize("arguments, says", [
+    (["kernel"], "--medium"), (["halo", "--medium", "skin1"], "KIND"), (["kernel", "--medium", "skin1", "--taps", "12"], "odd"),
+    (["kernel", "--medium", "skin1", "--range", "0"], "more than 0"), (["colour-map", "--size", "2"], "16 to"),
+    (["kernel", "--medium", "skin1", "--format", "cube"], "colour-map"),
+])  # fmt: skip
+def test_wrong_command_lines(arguments, says):
+    assert says in dipole("bake", *arguments, status=2).stderr
