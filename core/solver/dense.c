@@ -69,12 +69,19 @@ void solver_dense_clear(const dense *of) {
   }
 }
 
+typedef double group __attribute__((vector_size(GROUP * sizeof(double)), aligned(16), may_alias));
+
+static void combine(double *to, double x, const double *a, double y, const double *b,
+                    size_t numbers) {
+  for (size_t i = 0; i < numbers; i += GROUP) {
+    *(group *)(to + i) = x * *(const group *)(a + i) + y * *(const group *)(b + i);
+  }
+}
+
 void solver_dense_combine(const dense *to, double x, const dense *a, double y, const dense *b) {
-  for (size_t i = 0; i < to->rows * to->stride; i++) {
-    to->re[i] = x * a->re[i] + y * b->re[i];
-    if (to->im != NULL) {
-      to->im[i] = x * a->im[i] + y * b->im[i];
-    }
+  combine(to->re, x, a->re, y, b->re, to->rows * to->stride);
+  if (to->im != NULL) {
+    combine(to->im, x, a->im, y, b->im, to->rows * to->stride);
   }
 }
 

@@ -181,10 +181,10 @@ size_t solver_exitance_end(const exitance_grid *of, size_t tier) {
   return panel * of->nodes;
 }
 
-bool solver_exitance_make(exitance_series *to, const exitance_grid *of, double far,
+bool solver_exitance_make(exitance_series *to, const exitance_grid *of, bool has_tail, double far,
                           const double complex *values) {
-  to->far = far;
-  if (!fit_tail(of, to, values)) {
+  *to = (exitance_series){.far = far};
+  if (has_tail && !fit_tail(of, to, values)) {
     return false;
   }
   for (size_t panel = 0; panel < of->panels; panel++) {
@@ -193,7 +193,6 @@ bool solver_exitance_make(exitance_series *to, const exitance_grid *of, double f
   }
   const double complex last = of->point[of->panels];
   const double complex before = last - NEARBY * (last - of->point[of->panels - 1]);
-  to->step = to->bend = 0;
   to->step = series_at(of, to, of->panels - 1, 1) - beyond(to, last, last);
   to->bend = series_at(of, to, of->panels - 1, 1 - NEARBY) - beyond(to, last, before);
   to->bend *= last * fn_inverse(before - last);

@@ -47,9 +47,9 @@ typedef struct exitance_series {
   double complex step, bend; /* of X less the tail at K: its value, and its change beside k^-5 */
 } exitance_series;
 
-/* Sets *to from X at all nodes, which it changes. far: the limit of k^2 X. Returns false if an
- * equation is singular. */
-bool solver_exitance_make(exitance_series *to, const exitance_grid *of, double far,
+/* Sets *to from X at all nodes. has_tail: whether X falls slowly beyond K; if not, what is left at K
+ * goes on as k^-5. far: the limit of k^2 X. Returns false if an equation is singular. */
+bool solver_exitance_make(exitance_series *to, const exitance_grid *of, bool has_tail, double far,
                           const double complex *values);
 
 /* Returns R at the radius r, above 0, per squared unit of length. */

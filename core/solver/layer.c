@@ -61,7 +61,9 @@ static double largest(const dense *of) {
   for (size_t row = 0; row < of->rows; row++) {
     for (size_t i = 0; i < of->columns; i++) {
       const double complex value = solver_dense_get(of, row, i);
-      most = fmax(most, fmax(fabs(creal(value)), fabs(cimag(value))));
+      const double re = fabs(creal(value)), im = fabs(cimag(value));
+      most = re > most ? re : most;
+      most = im > most ? im : most;
     }
   }
   return most;
@@ -282,11 +284,13 @@ static double sign_of_row(const expansion *of, size_t row) {
 }
 
 /* Sets *to to step times the matrix of -v' = Xm u or -u' = Xp v: the base for k = 0 with k C and the
- * closure, the beam's column -a (b+ + sign b-), and 1 in the corner. */
+ * closure, the beam's column -a (b+ + sign b-), and 1 in the corner; with a column and a row more,
+ * those are apart: -a b+, -a sign b-, and 1 in both corners. */
 static void fill_rates(const struct work *by, const dense *to, const double *base, double sign,
                        double step) {
   const expansion *of = by->of;
   const size_t n = of->n, last = of->first[of->orders];
+  const bool apart = to->columns == n + 2;
   solver_dense_clear(to);
   for (size_t i = 0; i < n; i++) {
     const double factor = step * sign_of_row(of, i);
@@ -297,9 +301,16 @@ static void fill_rates(const struct work *by, const dense *to, const double *bas
       }
       solver_dense_put(to, i, j, factor * value);
     }
-    solver_dense_put(to, i, n, -step * of->albedo * (of->source[0][i] + sign * of->source[1][i]));
+    const double on = -step * of->albedo * of->source[0][i];
+    const double back = -step * of->albedo * sign * of->source[1][i];
+    solver_dense_put(to, i, n, apart ? on : on + back);
+    if (apart) {
+      solver_dense_put(to, i, n + 1, back);
+    }
   }
-  solver_dense_put(to, n, n, step);
+  for (size_t i = n; i < to->columns; i++) {
+    solver_dense_put(to, i, i, step);
+  }
 }
 
 static void add_identity(const dense *to, double factor) {
@@ -308,7 +319,7 @@ static void add_identity(const dense *to, double factor) {
   }
 }
 
-/* Matrices [n + 1][n + 1] of a thin layer. */
+/* Matrices [n + 2][n + 2] of a thin layer. */
 enum { THIN = 6 };
 
 /* Sets *to to (1 - K) / (1 + K), where K = (15 + Z) a / (15 + 6 Z), Z = a b: the [3/3] Pade
@@ -366,6 +377,33 @@ static void exchange(const struct work *by, const dense *outer, const dense *inn
   }
 }
 
+static dense shaped(const dense *of, size_t rows) {
+  dense made = *of;
+  made.rows = made.columns = rows;
+  made.stride = solver_dense_size(1, rows);
+  return made;
+}
+
+/* Sets what a thin layer scatters at most once. Without more scattering Xm and Xp are alike but for the
+ * sign of b-, so that one approximant has what passes, with the columns of b+ and b-. */
+static bool find_once(const struct work *by, const layer_operators *to, const dense *thin,
+                      double step) {
+  const expansion *of = by->of;
+  const size_t n = of->n;
+  fill_rates(by, &thin[2], of->unit, 1, step);
+  fill_rates(by, &thin[3], of->unit, -1, step);
+  if (!pade(&thin[0], &thin[2], &thin[3], &thin[4], &thin[5])) {
+    return false;
+  }
+  for (size_t row = 0; row <= n; row++) {
+    for (size_t column = 0; column <= n; column++) {
+      solver_dense_put(&to->passed_once, row, column, solver_dense_get(&thin[0], row, column));
+    }
+    solver_dense_put(&to->reflected_once, row, 0, solver_dense_get(&thin[0], row, n + 1));
+  }
+  return true;
+}
+
 #define PASSED_LEAST 1e-20
 
 static bool find_layer(const struct work *by, layer *half, const layer_operators *to,
@@ -373,26 +411,22 @@ static bool find_layer(const struct work *by, layer *half, const layer_operators
   const expansion *of = by->of;
   const int halvings = halvings_of(of, by->k, depth);
   const double step = 0.5 * ldexp(depth, -halvings);
-  const dense *alike = &thin[0], *opposite = &thin[1], *xm = &thin[2], *xp = &thin[3];
   const size_t n = of->n;
-  /* once */
-  fill_rates(by, xm, of->unit, 1, step);
-  fill_rates(by, xp, of->unit, -1, step);
-  if (!pade(alike, xm, xp, &thin[4], &thin[5]) || !pade(opposite, xp, xm, &thin[4], &thin[5])) {
+  if (!find_once(by, to, thin, step)) {
     return false;
   }
-  solver_dense_combine(&to->passed_once, 0.5, alike, 0.5, opposite);
-  for (size_t row = 0; row <= n; row++) {
-    solver_dense_put(&to->reflected_once, row, 0,
-                     0.5 * (solver_dense_get(alike, row, n) - solver_dense_get(opposite, row, n)));
+  dense square[THIN];
+  for (size_t i = 0; i < THIN; i++) {
+    square[i] = shaped(&thin[i], n + 1);
   }
   for (int i = 0; i < halvings; i++) {
-    double_once(to, &thin[0]);
+    double_once(to, &square[0]);
   }
-  /* all */
+  const dense *alike = &square[0], *opposite = &square[1], *xm = &square[2], *xp = &square[3];
   fill_rates(by, xm, of->even, 1, step);
   fill_rates(by, xp, of->odd, -1, step);
-  if (!pade(alike, xm, xp, &thin[4], &thin[5]) || !pade(opposite, xp, xm, &thin[4], &thin[5])) {
+  if (!pade(alike, xm, xp, &square[4], &square[5]) ||
+      !pade(opposite, xp, xm, &square[4], &square[5])) {
     return false;
   }
   solver_dense_combine(&to->reflected, 0.5, alike, -0.5, opposite);
@@ -411,7 +445,7 @@ static bool find_layer(const struct work *by, layer *half, const layer_operators
 
 bool solver_layer_operators(const layer_operators *to, const expansion *of, double complex k,
                             double kappa, double depth) {
-  const size_t n = of->n, size = solver_dense_size(n + 1, n + 1);
+  const size_t n = of->n, size = solver_dense_size(n + 2, n + 2);
   struct memory memory;
   double *more = NULL;
   bool ok = reserve(&memory, of, k);
@@ -431,7 +465,7 @@ bool solver_layer_operators(const layer_operators *to, const expansion *of, doub
     dense thin[THIN];
     double *next = more;
     for (size_t i = 0; i < THIN && ok; i++) {
-      thin[i] = solver_dense_at(of->isa, &next, n + 1, n + 1, cimag(k) != 0);
+      thin[i] = solver_dense_at(of->isa, &next, n + 2, n + 2, cimag(k) != 0);
     }
     ok = ok && find_layer(&memory.work, &memory.half, to, thin, depth);
   }

@@ -18,11 +18,58 @@ enum { SIDES = SOLVER_SIDES, GRIDS = 2 };
 #define RADIUS_COUNTS 0.05
 #define RADIUS_MOST 1e3
 
+/* Grids for layers. Functions of an even number of degrees, order 0 that is, are the better ones: beyond
+ * k = 5 those of odd numbers are off by up to 10 times as much, and the other way. */
+enum { LEVELS = 6 };
+static const struct level levels[LEVELS] = {
+    {1e-3,
+     24,
+     {3e-3, 2e-3},
+     0.7,
+     6,
+     {{0.3, {3, 6, 3}}, {1, {3, 6, 3}}, {3, {4, 8, 3}}, {3.5, {4, 8, 3}}}},
+    {1e-4,
+     30,
+     {2e-3, 1e-3},
+     0.7,
+     7,
+     {{0.3, {3, 8, 3}}, {1, {4, 8, 3}}, {3, {6, 10, 3}}, {4.5, {6, 10, 4}}}},
+    {1e-4,
+     40,
+     {1.2e-3, 3e-4},
+     0.7,
+     7,
+     {{0.3, {4, 8, 3}}, {1, {6, 10, 3}}, {3, {6, 10, 4}}, {5, {8, 12, 4}}}},
+    {1e-4,
+     48,
+     {8e-4, 1.6e-4},
+     0.7,
+     8,
+     {{0.3, {4, 10, 3}}, {1, {6, 12, 4}}, {3, {8, 14, 4}}, {6.5, {8, 16, 5}}}},
+    {1e-5,
+     64,
+     {4e-4, 8e-5},
+     0.7,
+     9,
+     {{0.3, {5, 10, 4}}, {1, {7, 12, 4}}, {3, {8, 16, 5}}, {7.5, {10, 20, 6}}}},
+    {1e-5,
+     80,
+     {2e-4, 4e-5},
+     0.7,
+     10,
+     {{0.3, {6, 14, 5}}, {1, {8, 16, 5}}, {3, {11, 20, 6}}, {9, {12, 26, 8}}}},
+};
+
+/* At most so many grids are solved, and the next one only if those that are left promise to reach the
+ * tolerance of R or of T: each is up to so many times as good as the one before. */
+enum { GRIDS_MOST = 4 };
+#define GAIN 3.0
+
 /* Stated errors over the grids' difference. Grids share their errors more than those of a half space:
  * in a slab of 0.25 mean free paths T was off by 2.8 times the difference, in three layers R by 3.7. */
 #define MARGIN 4.0
 
-/* X on the path is known as well as this, relative: in R, which has decayed further than e^(-SHARE rate
+/* X on the path is known as well as this, relative: in R, which has decayed further than e^(-share rate
  * r), it grows. */
 #define PATH_ERROR 5e-6
 
@@ -32,9 +79,10 @@ struct grid {
   double moment[SOLVER_LAYERS_MAX][EXPANSION_MOMENTS_MAX];
   stack_layer layer[SOLVER_LAYERS_MAX];
   ways ways;
-  double unit_mm; /* scaled mean free path of the first layer */
-  double rate;    /* at which light decays far away along the layers, per unit */
-  exitance_grid wavenumbers;
+  double unit_mm;                   /* scaled mean free path of the first layer */
+  double rate;                      /* at which light decays far away along the layers, per unit */
+  double share;                     /* Im k over it where the path of wavenumbers starts */
+  exitance_grid wavenumbers[SIDES]; /* T has no panels where it is noise */
   exitance_series exitance[SIDES];
 };
 
@@ -154,7 +202,8 @@ static double rate_of(const struct grid *of, const struct solver_layers *all) {
 #define THIN 2.0
 #define RESOLVED 20
 #define RESOLVED_LAST 54
-#define SHARE 0.7
+#define NOISE_BELOW 0.35
+#define NOISE_RISES 2
 #define PATH_RATE_LEAST 1e-9
 
 /* Returns the thickness of the first layer with all that are like it. */
@@ -177,9 +226,10 @@ static void place_wavenumbers(struct grid *to, const struct solver_layers *of,
                               const struct level *by) {
   /* Where the first layer is thin, X reaches its limit later. */
   double last = (first_depth(to, of) < THIN ? 2 : 1) * by->tier[TIERS - 1].k_most;
-  double least = 1, depth = 0;
+  double least = 1, all_least = 1, depth = 0;
   for (size_t i = 0; i < of->count; i++) {
     const double s = to->layer[i].extinction;
+    all_least = fmin(all_least, s);
     const bool counts = i == 0 || (2 * depth < 7 && s * to->layer[i].thickness > 0.02);
     if (counts) {
       last = fmin(last, (i + 1 == of->count ? RESOLVED_LAST : RESOLVED) * s);
@@ -190,24 +240,52 @@ static void place_wavenumbers(struct grid *to, const struct solver_layers *of,
   last = fmax(last, 4);
   double end[TIERS];
   for (size_t tier = 0; tier < TIERS; tier++) {
-    end[tier] = tier + 1 == TIERS ? last : fmin(by->tier[tier].k_most * least, last);
+    end[tier] = tier + 1 == TIERS
+                    ? last
+                    : fmin(by->tier[tier].k_most * (of->sides > 1 ? all_least : least), last);
   }
   to->rate = rate_of(to, of);
   to->rate = to->rate < PATH_RATE_LEAST ? 0 : to->rate;
-  solver_exitance_place(&to->wavenumbers, NULL, to->rate, SHARE, least, by->nodes, end);
+  solver_exitance_place(to->wavenumbers, NULL, to->rate, by->share, all_least, by->nodes, end);
+}
+
+/* T falls, where it crosses thick layers as e^(-k depth), and from where on it is smaller than what the
+ * functions of angle do not resolve, k^2 T rises again. Sets *to to the panels up to there, and returns
+ * whether it is less than all. */
+static bool cut_noise(exitance_grid *to, const exitance_grid *all, const double complex *values) {
+  double most = 0, least = 0;
+  size_t at = 0;
+  bool rises = false;
+  for (size_t node = 0; node < all->panels * all->nodes && !rises; node++) {
+    const double size = fn_abs(values[node]) * fn_norm2(solver_exitance_wavenumber(all, node));
+    if (size > most) {
+      most = least = size;
+    }
+    at = size <= least ? node : at;
+    least = fmin(least, size);
+    rises = least < NOISE_BELOW * most && size > NOISE_RISES * least;
+  }
+  *to = *all;
+  if (rises) {
+    to->panels = (at + all->nodes / 2) / all->nodes;
+    to->tier_end[TIERS - 1] = creal(to->point[to->panels]);
+  }
+  return rises;
 }
 
 static bool solve_grid(struct grid *to, const struct solver_layers *of, const core_isa *isa,
                        const struct level *by, const atomic_bool *stop) {
+  to->share = by->share;
   truncate_layers(to, of, by->moment_least, by->moments_most);
   place_wavenumbers(to, of, by);
-  to->wavenumbers.isa = isa;
-  const size_t nodes = solver_exitance_end(&to->wavenumbers, TIERS - 1);
+  const exitance_grid *wavenumbers = to->wavenumbers;
+  to->wavenumbers[0].isa = isa;
+  const size_t nodes = solver_exitance_end(wavenumbers, TIERS - 1);
   double complex *values = calloc(SIDES * nodes, sizeof *values);
   bool ok = values != NULL;
   for (size_t tier = 0; tier < TIERS && ok; tier++) {
-    const size_t begin = tier == 0 ? 0 : solver_exitance_end(&to->wavenumbers, tier - 1);
-    const size_t end = solver_exitance_end(&to->wavenumbers, tier);
+    const size_t begin = tier == 0 ? 0 : solver_exitance_end(wavenumbers, tier - 1);
+    const size_t end = solver_exitance_end(wavenumbers, tier);
     if (begin >= end) {
       continue;
     }
@@ -217,7 +295,7 @@ static bool solve_grid(struct grid *to, const struct solver_layers *of, const co
     for (size_t node = begin; node < end && ok; node++) {
       stack_exitance at;
       ok = !solver_stops(stop) &&
-           solver_stack_at(expanded, solver_exitance_wavenumber(&to->wavenumbers, node), &at);
+           solver_stack_at(expanded, solver_exitance_wavenumber(wavenumbers, node), &at);
       for (size_t side = 0; side < SIDES && ok; side++) {
         values[side * nodes + node] = at.all[side] - at.once[side];
       }
@@ -228,7 +306,9 @@ static bool solve_grid(struct grid *to, const struct solver_layers *of, const co
   const double single = of->layer[0].sigma_s_per_mm * to->unit_mm;
   for (size_t side = 0; side < SIDES && ok; side++) {
     const double far = side == 0 ? solver_far(single, &phase, of->layer[0].eta, 1) : 0;
-    ok = solver_exitance_make(&to->exitance[side], &to->wavenumbers, far, values + side * nodes);
+    exitance_grid *grid = &to->wavenumbers[side];
+    const bool cut = side == 1 && cut_noise(grid, wavenumbers, values + nodes);
+    ok = solver_exitance_make(&to->exitance[side], grid, !cut, far, values + side * nodes);
   }
   free(values);
   return ok;
@@ -237,7 +317,7 @@ static bool solve_grid(struct grid *to, const struct solver_layers *of, const co
 static double value_at(const struct grid *of, size_t side, double r_mm) {
   const double r = r_mm / of->unit_mm;
   return (solver_ways_at(&of->ways, side, r) +
-          solver_exitance_at(&of->exitance[side], &of->wavenumbers, r)) /
+          solver_exitance_at(&of->exitance[side], &of->wavenumbers[side], r)) /
          (of->unit_mm * of->unit_mm);
 }
 
@@ -283,26 +363,36 @@ static core_fault check_layers(const solver_layer *layer, size_t count, double e
 
 /* Returns the relative error by which digits are lost far away. */
 static double path_error(const struct grid *of, double r_mm) {
-  const double decays = (1 - SHARE) * of->rate * r_mm / of->unit_mm;
+  const double decays = (1 - of->share) * of->rate * r_mm / of->unit_mm;
   return decays < 30 ? PATH_ERROR * fn_exp(decays) : (double)INFINITY;
 }
 
-/* Compares the two grids, and returns the largest relative error at radii that a tolerance is for. */
-static double find_errors(solver_layers *of) {
-  double worst = 0;
+/* Below this many times 1 / K, R and T are made of waves beyond K, which both grids guess. */
+#define GUESSED 4.0
+
+/* Compares the two grids, and sets the largest relative errors of R and T at radii that a tolerance is
+ * for. */
+static void find_errors(solver_layers *of, double worst[SIDES]) {
+  const struct grid *fine = of->grid[0];
   for (size_t side = 0; side < of->sides; side++) {
-    double r = SOLVER_ERROR_LEAST;
-    for (size_t i = 0; i < SOLVER_ERROR_RADII; i++, r *= SOLVER_ERROR_RATIO) {
-      const double fine = value_at(of->grid[0], side, r * of->radius_mm);
-      const double coarse = value_at(of->grid[1], side, r * of->radius_mm);
-      of->error[side][i] = solver_error_between(MARGIN, fine, coarse);
+    const exitance_grid *known = &fine->wavenumbers[side];
+    const double guessed = GUESSED / creal(known->point[known->panels]);
+    double above = 0, r = SOLVER_ERROR_LEAST;
+    for (size_t i = 1; i < SOLVER_ERROR_RADII; i++) {
+      r *= SOLVER_ERROR_RATIO;
+    }
+    worst[side] = of->floor[1];
+    for (size_t i = SOLVER_ERROR_RADII; i-- > 0; r /= SOLVER_ERROR_RATIO) {
+      const double r_mm = r * of->radius_mm, units = r_mm / fine->unit_mm;
+      const double error = solver_error_between(MARGIN, value_at(fine, side, r_mm),
+                                                value_at(of->grid[1], side, r_mm));
+      above = fmax(error, units < guessed ? above : 0);
+      of->error[side][i] = above;
       const bool counts =
-          r >= RADIUS_COUNTS && r <= SOLVER_RADIUS_MOST &&
-          r * of->radius_mm / of->grid[0]->unit_mm * of->grid[0]->rate < SOLVER_DECAYS_MOST;
-      worst = counts ? fmax(worst, of->error[side][i]) : worst;
+          r >= RADIUS_COUNTS && r <= SOLVER_RADIUS_MOST && units * fine->rate < SOLVER_DECAYS_MOST;
+      worst[side] = counts ? fmax(worst[side], above) : worst[side];
     }
   }
-  return worst;
 }
 
 core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
@@ -322,15 +412,23 @@ core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
     made->sides = isinf(layer[count - 1].thickness_mm) ? 1 : SOLVER_SIDES;
     made->radius_mm = 1 / (layer[0].sigma_a_per_mm + layer[0].sigma_s_per_mm * (1 - layer[0].g));
   }
-  const size_t first = solver_first_level(tolerance);
-  double worst = (double)INFINITY;
-  for (size_t level = first; ok && level < first + 3 && worst > tolerance; level++) {
+  const size_t first = tolerance < 3e-3 ? 2 : 0;
+  bool hopes = true;
+  for (size_t level = first; ok && hopes && level < LEVELS && level < first + GRIDS_MOST; level++) {
     free(made->grid[1]);
     made->grid[1] = made->grid[0];
     made->grid[0] = calloc(1, sizeof *made->grid[0]);
-    ok = made->grid[0] != NULL && solve_grid(made->grid[0], made, isa, &solver_levels[level], stop);
-    made->floor = solver_levels[level].floor;
-    worst = ok && level > first ? fmax(find_errors(made), made->floor[1]) : worst;
+    ok = made->grid[0] != NULL && solve_grid(made->grid[0], made, isa, &levels[level], stop);
+    made->floor = levels[level].floor;
+    if (ok && level > first) {
+      double worst[SIDES] = {0}, most = tolerance;
+      find_errors(made, worst);
+      for (size_t i = level + 1; i < LEVELS && i < first + GRIDS_MOST; i++) {
+        most *= GAIN;
+      }
+      hopes =
+          (worst[0] > tolerance && worst[0] < most) || (worst[1] > tolerance && worst[1] < most);
+    }
   }
   if (!ok) {
     solver_layers_free(made);

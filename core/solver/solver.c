@@ -144,7 +144,7 @@ static bool solve_grid(struct grid *to, const core_isa *isa, const struct level 
     const double far =
         solver_far(to->scaled.single, phase, boundaries->etas[part % boundaries->count],
                    sine_of(boundaries, part));
-    ok = solver_exitance_make(&to->exitance[part], &to->wavenumbers, far, values[part]);
+    ok = solver_exitance_make(&to->exitance[part], &to->wavenumbers, true, far, values[part]);
   }
   free(memory);
   return ok;

@@ -98,6 +98,40 @@ UNIT_TEST(layers_are_those_of_another_program) {
   compare(step, 2, of_step, sizeof of_step / sizeof *of_step, (double[]){0.432884772, 0.192617432});
 }
 
+/* Example of MCML's manual: layers that are ten times weaker below a strong one. Totals per launched
+ * power: MCML's with its standard errors; the others are as above. */
+UNIT_TEST(weak_layers_below_a_strong_one) {
+  static const solver_layer layer[] = {
+      {1, 100, 0.9, 1.37, 0.1}, {1, 10, 0, 1.37, 0.1}, {2, 10, 0.7, 1.37, 0.2}};
+  static const struct known known[] = {
+      {0.0048818182, 3.2240336e+01, 5.2e-03, 5.9188781e-01, 1.9e-03},
+      {0.013081818, 1.1804339e+01, 1.2e-03, 5.8778781e-01, 3.9e-04},
+      {0.0351, 4.5507291e+00, 1.3e-04, 5.6624000e-01, 4.2e-04},
+      {0.094172727, 1.6042227e+00, 3.2e-05, 4.4907405e-01, 7.7e-05},
+      {0.25263636, 2.2287667e-01, 4.5e-06, 1.4014039e-01, 3.7e-05},
+      {0.67774545, 4.3754943e-03, 1.9e-07, 4.8745362e-03, 1.7e-06},
+      {1.8181818, 2.9901931e-06, 6.0e-11, 3.7011359e-06, 5.6e-10},
+  };
+  solver_layers *solution = solved(layer, 3, 1);
+  for (size_t i = 0; i < sizeof known / sizeof *known; i++) {
+    const transport_number R = solver_layers_at(solution, 0, known[i].r_mm);
+    const transport_number T = solver_layers_at(solution, 1, known[i].r_mm);
+    expect_near(R, known[i].R, known[i].R_error, known[i].r_mm);
+    assert_true(fabs(T.value - known[i].T) <= T.error + known[i].T_error);
+    assert_true(R.error < 0.02 * R.value && T.error < 0.2 * T.value);
+  }
+  const solver_balance balance = balance_of(solution);
+  const double entered = 1 - 0.37 * 0.37 / (2.37 * 2.37);
+  double absorbed = 0;
+  for (size_t i = 0; i < 3; i++) {
+    absorbed += balance.absorbed[i].value;
+  }
+  assert_true(fabs(entered * balance.out[0].value - 0.237859) < 0.000312);
+  assert_true(fabs(entered * balance.out[1].value - 0.096220) < 0.000186);
+  assert_true(fabs(entered * absorbed - 0.641547) < 0.000293);
+  solver_layers_free(solution);
+}
+
 /* van de Hulst 1980: albedo 0.9, depth 2, g 0.75, equal indices. */
 UNIT_TEST(a_slab_is_that_of_van_de_hulst) {
   static const solver_layer slab = {0.2, 1.8, 0.75, 1, 1};
