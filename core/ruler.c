@@ -27,8 +27,8 @@ enum {
 };
 
 /* Evaluates a profile of any evaluator. Radii are exact in the evaluator's precision. */
-static void evaluate(const core_profile *profile, enum core_quantity quantity, size_t n,
-                     const double *r, double *out) {
+static void evaluate_profile(const core_profile *profile, enum core_quantity quantity, size_t n,
+                             const double *r, double *out) {
   float near[CORE_RULER_RADII], value[CORE_RULER_RADII];
   if (profile->evaluator == CORE_EVALUATOR_F64) {
     core_eval_f64(profile, quantity, n, r, out);
@@ -91,7 +91,7 @@ void core_model_errors_at(const core_profile *profile, const core_profile *trans
   }
   for (unsigned left = wanted & COMPARED; left != 0; left &= left - 1) {
     const enum core_quantity quantity = left & ~(left - 1);
-    evaluate(profile, quantity, n, r, value);
+    evaluate_profile(profile, quantity, n, r, value);
     core_eval_f64(transport, quantity, n, r, truth);
     for (size_t i = 0; i < n; i++) {
       if (r[i] > 0 || !isinf(truth[i])) {

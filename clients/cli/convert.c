@@ -477,7 +477,7 @@ static double unit_of(const char *unit) {
   return value > 0 && value < INFINITY ? value : NAN;
 }
 
-static int run(const cli_settings *settings, dipole_client *client) {
+static int run_convert(const cli_settings *settings, dipole_client *client) {
   material of = {.settings = settings, .client = client, .unit_mm = unit_of(settings->unit)};
   cli_profile profile = {0};
   find_convention("from", settings->source, &of.from);
@@ -531,7 +531,7 @@ const cli_command cli_command_convert = {
     .formats = "table,csv,json,native",
     .options = {options, cli_medium_options},
     .check = check,
-    .run = run,
+    .run = run_convert,
     .examples =
         "  dipole convert --from openpbr --colour .8,.5,.3 --length 1,.5,.25 --eta 1.5\n"
         "  dipole convert --from openpbr --colour .8,.5,.3 --length 1,.5,.25 --to openpbr --typed\n"

@@ -66,8 +66,8 @@ static int sign_of(const double slope[2][2]) {
 
 /* Evaluates the model at all media, with logarithms in place of cells. Returns false if it does not
  * take one of them. */
-static bool evaluate(struct mesh *mesh, const struct fit_model *model,
-                     const struct fit_places *places, const double *weight) {
+static bool evaluate_mesh(struct mesh *mesh, const struct fit_model *model,
+                          const struct fit_places *places, const double *weight) {
   for (size_t i = 0; i < MEDIA * MEDIA; i++) {
     struct node *node = &mesh->node[i / MEDIA][i % MEDIA];
     const struct fit_place place = {
@@ -261,7 +261,7 @@ bool fit_inverse_create(fit_inverse **made, const struct fit_model *model,
   mesh->least = least;
   mesh->step = (struct fit_place){(most.ln_ratio - least.ln_ratio) / (MEDIA - 1),
                                   (most.ln_scattering - least.ln_scattering) / (MEDIA - 1)};
-  if (evaluate(mesh, model, places, weight)) {
+  if (evaluate_mesh(mesh, model, places, weight)) {
     lay_raster(mesh, inverse);
     mark_bounds(mesh);
     for (size_t i = 0; i < (MEDIA - 1) * (MEDIA - 1); i++) {

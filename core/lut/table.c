@@ -18,7 +18,7 @@ bool core_table_has(enum core_quantity quantity) {
 }
 
 /* Evaluates R[n] in double precision by the profile's kernel. */
-static void evaluate(const core_profile *profile, size_t n, const double *r, double *R) {
+static void evaluate_R(const core_profile *profile, size_t n, const double *r, double *R) {
   if (profile->evaluator == CORE_EVALUATOR_F64) {
     core_eval_f64(profile, CORE_QUANTITY_R, n, r, R);
     return;
@@ -49,7 +49,7 @@ void core_lut_samples(const core_profile *profile, double *r, double *R) {
     memcpy(R, profile->lut + profile->lut_count - CORE_LUT_SAMPLE_WORDS,
            CORE_LUT_SAMPLES * sizeof *R);
   } else {
-    evaluate(profile, CORE_LUT_SAMPLES, r, R);
+    evaluate_R(profile, CORE_LUT_SAMPLES, r, R);
   }
 }
 

@@ -122,7 +122,8 @@ static inline struct vector isotropic(lane_uniform u, lane_direction azimuth) {
 /* Returns the direction u turned by the deflection, in the frame of T. Duff et al., "Building an
  * Orthonormal Basis, Revisited", 2017. A step of Newton's method brings its length back to 1, so
  * that rounding does not add up over the walk. */
-static inline struct vector turn(struct vector u, struct deflection by, lane_direction azimuth) {
+static inline struct vector turn_direction(struct vector u, struct deflection by,
+                                           lane_direction azimuth) {
   const float sign = lane_float((lane_bits(u.z) & UINT32_C(0x80000000)) | lane_bits(1.0f));
   const float a = -1.0f / (sign + u.z);
   const float b = u.x * u.y * a;
@@ -301,9 +302,9 @@ typedef struct random_words {
   uint32_t word[4][WALK_LANES];
 } random_words;
 
-static inline void draw(const walk_medium *m, size_t lanes, const uint32_t *restrict c0,
-                        const uint32_t *restrict c1, uint32_t c2, uint32_t c3,
-                        random_words *restrict random) {
+static inline void draw_numbers(const walk_medium *m, size_t lanes, const uint32_t *restrict c0,
+                                const uint32_t *restrict c1, uint32_t c2, uint32_t c3,
+                                random_words *restrict random) {
   const uint32_t key[2] = {m->key[0], m->key[1]};
   for (size_t i = 0; i < lanes; i++) {
     const uint32_t counter[4] = {c0[i], c1[i], c2, c3};
@@ -325,7 +326,7 @@ static inline struct vector scatter(const walk_medium *m, int32_t layer, struct 
                                : phase == WALK_TWO_TERM
                                    ? deflect_two_term(m, bits)
                                    : deflect(hg_of(m, layer), lane_uniform_from(bits));
-  return turn(u, by, azimuth);
+  return turn_direction(u, by, azimuth);
 }
 
 /* The weight of a photon in layers at the end of a flight. */
@@ -391,7 +392,8 @@ static __attribute__((flatten)) void step_any(const walk_medium *medium, uint32_
                                               size_t lanes, walk_lanes *walk) {
   random_words random;
   const size_t whole_groups = lanes & ~(size_t)(WALK_GROUP - 1);
-  draw(medium, whole_groups, walk->collisions, walk->photon, high, EVENT_SCATTERING, &random);
+  draw_numbers(medium, whole_groups, walk->collisions, walk->photon, high, EVENT_SCATTERING,
+               &random);
   if (medium->geometry == WALK_LAYERS) {
     step(medium, &random, lanes, walk, WALK_HENYEY_GREENSTEIN, WALK_LAYERS);
     return;
@@ -421,7 +423,7 @@ static void launch(const walk_medium *medium, uint64_t first, walk_launch *restr
     photon[i] = (uint32_t)first + i;
     collisions[i] = 0;
   }
-  draw(&m, WALK_LANES, collisions, photon, (uint32_t)(first >> 32), EVENT_LAUNCH, &random);
+  draw_numbers(&m, WALK_LANES, collisions, photon, (uint32_t)(first >> 32), EVENT_LAUNCH, &random);
   for (size_t i = 0; i < WALK_LANES; i++) {
     const lane_uniform depth = lane_uniform_from(random.word[0][i]);
     const lane_uniform side = lane_uniform_from(random.word[1][i]);
