@@ -355,7 +355,7 @@ static bool check(const dipole_gather_query *query, dipole_error *error) {
     return libdipole_fail_argument(error, "points or media is NULL");
   }
   if (query->queries_mm == NULL && query->query_count > 0) {
-    return libdipole_fail_argument(error, "queries_mm is NULL, query_count is not 0");
+    return libdipole_fail_argument(error, "queries_mm is NULL although query_count is not 0");
   }
   if (query->query_count > SIZE_MAX / (sizeof(double) * CORE_GATHER_CHANNELS_MAX)) {
     return libdipole_fail_argument(error, "query_count is more than memory holds");
@@ -440,7 +440,7 @@ static bool fail_fault(const core_fault *fault, dipole_error *error) {
 static bool check_home(const dipole_points *info, uint64_t query_count, const double *queries_mm,
                        dipole_error *error) {
   if (queries_mm == NULL && query_count > 0) {
-    return libdipole_fail_argument(error, "queries_mm is NULL, query_count is not 0");
+    return libdipole_fail_argument(error, "queries_mm is NULL although query_count is not 0");
   }
   if (query_count > UINT32_MAX) {
     return libdipole_fail_argument(error, "query_count is not below 2^32");

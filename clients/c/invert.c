@@ -40,7 +40,8 @@ static bool check(const dipole_invert_query *query, dipole_error *error) {
          (query->medium_count <= UINT32_MAX ||
           libdipole_fail_argument(error, "medium_count is above 4294967295")) &&
          ((query->albedos != NULL && query->lengths_mm != NULL) || query->medium_count == 0 ||
-          libdipole_fail_argument(error, "albedos or lengths_mm is NULL, medium_count is not 0"));
+          libdipole_fail_argument(error,
+                                  "albedos or lengths_mm is NULL although medium_count is not 0"));
 }
 
 static bool send_query(dipole_client *client, const dipole_invert_query *query,

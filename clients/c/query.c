@@ -20,10 +20,10 @@ bool libdipole_query_check(unsigned model, unsigned others, const dipole_paramet
                                    "that the daemon does not have");
   }
   if ((model | others) > UINT16_MAX) {
-    return libdipole_fail_argument(error, "model, moments and the like: no id is above 65535");
+    return libdipole_fail_argument(error, "model, moments and other ids are at most 65535");
   }
   if (parameters == NULL && count > 0) {
-    return libdipole_fail_argument(error, "parameters is NULL, parameter_count is not 0");
+    return libdipole_fail_argument(error, "parameters is NULL although parameter_count is not 0");
   }
   if (count > UINT16_MAX) {
     return libdipole_fail_argument(error, "parameter_count is at most 65535");
@@ -47,7 +47,7 @@ bool libdipole_query_check(unsigned model, unsigned others, const dipole_paramet
 static bool check_lists(const dipole_medium *media, uint32_t medium_count, unsigned evaluator,
                         const void *list, uint64_t count, dipole_error *error) {
   if (media == NULL && medium_count > 0) {
-    return libdipole_fail_argument(error, "media is NULL, medium_count is not 0");
+    return libdipole_fail_argument(error, "media is NULL although medium_count is not 0");
   }
   if (core_evaluator_bytes(evaluator) == 0) {
     return libdipole_fail(
@@ -55,7 +55,7 @@ static bool check_lists(const dipole_medium *media, uint32_t medium_count, unsig
         "evaluator is %u: this library knows DIPOLE_F64, DIPOLE_F32 and DIPOLE_LUT", evaluator);
   }
   return list != NULL || count == 0 ||
-         libdipole_fail_argument(error, "radii or numbers is NULL, their count is not 0");
+         libdipole_fail_argument(error, "radii or numbers is NULL although their count is not 0");
 }
 
 /* ---- payloads ------------------------------------------------------------------------------ */

@@ -89,7 +89,7 @@ static const char *fault(void) {
 }
 
 static bool fail_file(dipole_error *error, const char *what, const char *path) {
-  libdipole_fail(error, DIPOLE_ERROR_CONNECT, "the %s %.100s: %s", what, path, fault());
+  libdipole_fail(error, DIPOLE_ERROR_CONNECT, "cannot use the %s %.100s: %s", what, path, fault());
   return fail_for_good(error);
 }
 

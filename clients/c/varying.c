@@ -55,13 +55,13 @@ static bool check(const dipole_varying_query *query, dipole_error *error) {
   if ((first == NULL || second == NULL) && query->value_count > 0) {
     return libdipole_fail_argument(error,
                                    "sigma_a_per_mm and sigma_s_per_mm, or colours and lengths_mm, "
-                                   "are NULL, value_count is not 0");
+                                   "are NULL although value_count is not 0");
   }
   if (coloured && (query->sigma_a_per_mm != NULL || query->sigma_s_per_mm != NULL)) {
     return libdipole_fail_argument(error, "both coefficients and colours are given");
   }
   if (coloured != (query->given != 0)) {
-    return libdipole_fail_argument(error, "given is 0, although colours are given, or the reverse");
+    return libdipole_fail_argument(error, "given has to be set with colours, and 0 without them");
   }
   if (query->radii != NULL && query->numbers != NULL) {
     return libdipole_fail_argument(error, "both radii and numbers are given");

@@ -545,7 +545,7 @@ static unsigned check_body(struct http_connection *c, wire_error *error) {
     return wire_status_http(error->status);
   }
   if (c->query.count > 1) {
-    *error = wire_error_make(WIRE_STATUS_BAD_VALUE, "query", "nothing beside a body");
+    *error = wire_error_make(WIRE_STATUS_BAD_VALUE, "query", "none: the request has a body");
     return wire_status_http(error->status);
   }
   return 0;

@@ -78,7 +78,7 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
                                                       : table->lookup.profile.lut_count);
   return job->part_bytes > job->context->server->options.max_frame_bytes
              ? job_refuse(job, wire_error_make(WIRE_STATUS_TOO_LARGE, "tolerance",
-                                               "more: the table is larger than max_frame_bytes"))
+                                               "larger: this table exceeds max_frame_bytes"))
              : JOB_NEXT_PART;
 }
 
