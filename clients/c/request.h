@@ -55,7 +55,7 @@ struct dipole_client {
   size_t held_count;      /* number of requests begun since bytes were last sent */
   libdipole_frame *frame; /* the frame that is being received; NULL: a header comes next */
 
-  dipole_info *info; /* one block; NULL before the reply to hello */
+  dipole_info *info; /* one block of memory; NULL before the reply to hello */
 };
 
 /* ---- one request --------------------------------------------------------------------------- */

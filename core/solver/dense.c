@@ -37,14 +37,14 @@ static const dense_loops *const loops[LEVELS] = {CORE_ISA_LEVELS(LOOPS_OF, )};
 
 /* ---- products ------------------------------------------------------------------------------- */
 
-/* A rectangle of a matrix, real or complex. */
+/* Returns a view of a rectangle of a matrix. */
 static dense within(const dense *of, size_t row, size_t column, size_t rows, size_t columns) {
   const size_t skip = row * of->stride + column;
   return (dense){of->isa,    rows,          columns,
                  of->stride, of->re + skip, of->im == NULL ? NULL : of->im + skip};
 }
 
-/* Adds sign times a b to `to`. Each row of b and `to` is padded to a multiple of GROUP. */
+/* Adds sign * a b to `to`. Rows of b and `to` are padded to a multiple of GROUP. */
 static void add(const dense *to, const dense *a, const dense *b, double sign) {
   const dense_loops *of = loops[to->isa->index];
   const dense_part to_re = {to->re, to->stride}, to_im = {to->im, to->stride};
@@ -113,7 +113,7 @@ static number product(number a, number b) {
   return (number){a.re * b.re - a.im * b.im, a.re * b.im + a.im * b.re};
 }
 
-/* Subtracts factor times a row from another one, in the columns from `first` to before `end`. */
+/* Subtracts factor times row `from` from row `to`, in columns first to end - 1. */
 static void subtract_row(const dense *of, size_t to, size_t from, number factor, size_t first,
                          size_t end) {
   const dense_loops *by = loops[of->isa->index];
@@ -137,9 +137,9 @@ static void swap_rows(const dense *of, size_t one, size_t other) {
   }
 }
 
-/* Factors the columns first to before end: below the diagonal the factors of elimination are left,
- * and the reciprocals of the pivots stand on the diagonal. Rows of b are exchanged as those of a
- * are. Returns false if a is singular. */
+/* Factors columns first to end - 1 by elimination with row exchanges (partial pivoting), which it
+ * applies to b, too. Leaves the factors below the diagonal and the reciprocals of the pivots on it.
+ * Returns false if a is singular. */
 static bool factor_panel(const dense *a, const dense *b, size_t first, size_t end) {
   for (size_t column = first; column < end; column++) {
     size_t pivot = column;
@@ -169,8 +169,8 @@ static bool factor_panel(const dense *a, const dense *b, size_t first, size_t en
   return true;
 }
 
-/* Applies the factors of one panel, which stand in the rows and columns first to before end of a,
- * to the columns of `to` from `column` on: first to the panel's own rows, then to those below. */
+/* Applies the factors of one panel, rows and columns first to end - 1 of a, to columns `column` and
+ * beyond of `to`: to the panel's own rows, then to the rows below. */
 static void apply_panel(const dense *a, const dense *to, size_t first, size_t end, size_t column) {
   if (column >= to->columns) {
     return;
@@ -226,11 +226,11 @@ bool solver_dense_solve(const dense *a, const dense *b) {
 /* ---- symmetric matrices -----------------------------------------------------------------------
  */
 
-/* Rows of a triangle that are computed together, as rectangles that reach to the last column. A
+/* Number of rows of a triangle that are computed together, as a rectangle up to the last column. A
  * multiple of PANEL. */
 enum { STRIP = 64 };
 
-/* Adds sign times a b to the upper triangle of `to` from the row `first` on, which is symmetric. */
+/* Adds sign * a b to the upper triangle of the symmetric matrix `to`, from row `first` on. */
 static void add_triangle(const dense *to, size_t first, const dense *a, const dense *b,
                          double sign) {
   for (size_t row = first; row < to->rows; row += STRIP) {
@@ -242,9 +242,8 @@ static void add_triangle(const dense *to, size_t first, const dense *a, const de
   }
 }
 
-/* Factors the rows first to before end of a symmetric matrix, without exchanging any, and
- * subtracts them from the triangle below. The factors of elimination are left below the diagonal.
- * Returns false if a pivot is 0. */
+/* Factors rows first to end - 1 of a symmetric matrix without pivoting, and subtracts them from the
+ * triangle below. Leaves the factors below the diagonal. Returns false if a pivot is 0. */
 static bool factor_symmetric(const dense *a, size_t first, size_t end) {
   for (size_t row = first; row < end; row++) {
     const number at = get(a, row, row);

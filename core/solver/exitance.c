@@ -19,13 +19,13 @@
 #include "core/transport/functions.h"
 #include "core/transport/gauss.h"
 
-/* The tail is fitted to wavenumbers above this part of K. */
+/* The tail is fitted to wavenumbers above this share of K. */
 #define TAIL_FROM 0.4
 
-/* The part of the last panel over which a slope is taken. */
+/* The distance, as a share of the last panel, over which a slope is computed. */
 #define NEARBY 1e-3
 
-/* The integration path rises to this Im k, which damps large wavenumbers except near the source. */
+/* Im k to which the path rises: it damps large wavenumbers, except for r near the source. */
 #define RISE 0.5
 #define RISE_MOST 0.35
 
@@ -62,7 +62,7 @@ double complex solver_exitance_wavenumber(const exitance_grid *of, size_t node) 
   return 0.5 * (at[0] + at[1]) - 0.5 * (at[1] - at[0]) * cosine;
 }
 
-/* Replaces values at the nodes by the terms of a Chebyshev series. */
+/* Replaces values at Chebyshev nodes by the coefficients of the Chebyshev series. */
 static void find_terms(const exitance_grid *of, double complex *values) {
   const size_t n = of->nodes;
   double complex term[EXITANCE_NODES_MAX];
@@ -71,7 +71,7 @@ static void find_terms(const exitance_grid *of, double complex *values) {
     for (size_t i = 0; i < n; i++) {
       double sine, cosine;
       fn_sincos(FN_PI * (double)j * ((double)i + 0.5) / (double)n, &sine, &cosine);
-      /* the nodes are in ascending order: x_i = -cos */
+      /* nodes ascend: x_i = -cos */
       term[j] += values[i] * (j % 2 == 0 ? cosine : -cosine);
     }
     term[j] *= (j == 0 ? 1.0 : 2.0) / (double)n;
@@ -79,7 +79,7 @@ static void find_terms(const exitance_grid *of, double complex *values) {
   memcpy(values, term, n * sizeof *values);
 }
 
-/* Returns X at the part x of a panel, from 0 to 1. */
+/* Returns X at the position x in a panel, 0 to 1. */
 static double complex series_at(const exitance_grid *of, const exitance_series *at, size_t panel,
                                 double x) {
   double complex one = 0, two = 0;
@@ -91,7 +91,7 @@ static double complex series_at(const exitance_grid *of, const exitance_series *
   return at->term[panel][0] + (2 * x - 1) * one - two;
 }
 
-/* Sets terms to what the coefficients of the tail are multiplied by at k, and returns 1 / q^2. */
+/* Sets terms[] to the factors of the tail's coefficients at k, and returns 1 / q^2. */
 static double complex tail_terms(double complex k, double complex *terms) {
   const double complex q = fn_csqrt(1 + k * k), inverse = fn_inverse(q);
   terms[1] = inverse * inverse * inverse;
@@ -115,7 +115,7 @@ static void begin_equations(struct equations *to, const core_isa *isa, size_t un
   to->right = solver_dense_at(isa, &next, unknowns, RIGHT_SIDES, false);
 }
 
-/* Adds an equation whose unknowns are multiplied by terms[]. */
+/* Adds an equation: the sum of terms[i] times unknown i, for each right side. */
 static void add_equation(struct equations *to, double weight, const double *terms,
                          const double right[RIGHT_SIDES]) {
   for (size_t row = 0; row < to->normal.rows; row++) {
@@ -129,13 +129,13 @@ static void add_equation(struct equations *to, double weight, const double *term
   }
 }
 
-/* Returns unknown i for each right side, after the equations have been solved. */
+/* Returns unknown i for each right side. The equations have been solved. */
 static const double *unknown(const struct equations *of, size_t i) {
   return of->right.re + i * of->right.stride;
 }
 
-/* Fits the tail to X at the nodes with s above a part of K, by least squares. Returns false if the
- * normal equations are singular. */
+/* Fits the tail by least squares to X at nodes above TAIL_FROM K. Returns false if the normal
+ * equations are singular. */
 static bool fit_tail(const exitance_grid *of, exitance_series *at, const double complex *values) {
   struct equations equations;
   begin_equations(&equations, of->isa, TAIL_TERMS);
@@ -162,7 +162,7 @@ static bool fit_tail(const exitance_grid *of, exitance_series *at, const double 
   return ok;
 }
 
-/* Returns X beyond K. */
+/* Returns X at a wavenumber beyond K. */
 static double complex beyond(const exitance_series *at, double complex last, double complex k) {
   const double complex ratio = last * fn_inverse(k), ratio2 = ratio * ratio;
   double complex terms[TAIL_TERMS], sum = at->far * tail_terms(k, terms);
@@ -203,7 +203,7 @@ bool solver_exitance_make(exitance_series *to, const exitance_grid *of, bool has
 
 enum { RULE_NODES = 12 };
 
-/* What has decayed by more than e to this power is left out. */
+/* Contributions that have decayed by more than e to this power are neglected. */
 #define DECAYS_MOST 45
 
 /* Returns X H0(kr) k, with H0(kr) = -2 i / pi K0(-i k r). */
@@ -211,7 +211,8 @@ static double complex weighted(double complex exitance, double complex k, double
   return exitance * k * CMPLX(0, -2 / FN_PI) * transport_bessel_k(CMPLX(0, -r) * k).k0;
 }
 
-/* Returns the integral over one interval of a panel, whose ends are parts from 0 to 1. */
+/* Returns the integral over one interval of a panel. Its ends are positions in the panel, 0 to
+ * 1. */
 static double interval(const exitance_grid *of, const exitance_series *at, const gauss_rule *rule,
                        size_t panel, double begin, double end, double r) {
   const double complex first = of->point[panel], way = of->point[panel + 1] - first;
@@ -237,8 +238,7 @@ double solver_exitance_at(const exitance_series *at, const exitance_grid *of, do
     const size_t parts = periods < 1 ? 1 : (size_t)periods;
     for (size_t i = 0; i < parts; i++) {
       double begin = (double)i / (double)parts, end = (double)(i + 1) / (double)parts;
-      /* H0(kr) is not smooth at k = 0, so the interval that begins there is cut in halves, the
-       * lower one again and again. */
+      /* H0(kr) is not smooth at k = 0, so the first interval is halved repeatedly towards 0. */
       for (size_t halving = 0; panel + i == 0 && halving < HALVINGS; halving++) {
         sum += interval(of, at, &rule, panel, end / 2, end, r);
         end /= 2;
@@ -246,7 +246,7 @@ double solver_exitance_at(const exitance_series *at, const exitance_grid *of, do
       sum += interval(of, at, &rule, panel, begin, end, r);
     }
   }
-  /* From K the path runs upwards. */
+  /* Beyond K the path is parallel to the imaginary axis. */
   const double complex last = of->point[of->panels];
   double begin = 0, end = 0.5 * fmin(last_of(of), 1 / r);
   for (size_t i = 0; i < DOUBLINGS && begin * r < DECAYS_MOST; i++) {

@@ -23,9 +23,9 @@ typedef struct exitance_grid {
   const core_isa *isa;
   double tier_end
       [EXITANCE_TIERS]; /* largest |k| of each tier; the last is K, the path's largest Re k */
-  size_t nodes;         /* on each panel */
+  size_t nodes;         /* number of nodes on each panel */
   size_t panels;
-  double complex point[EXITANCE_PANELS_MAX + 1]; /* where the path begins, and each panel ends */
+  double complex point[EXITANCE_PANELS_MAX + 1]; /* start of the path, and end of each panel */
 } exitance_grid;
 
 /* Sets *to, with panels that double in width. kappa: the decay rate of R far away, 0 or at least
@@ -34,17 +34,18 @@ typedef struct exitance_grid {
 void solver_exitance_place(exitance_grid *to, const core_isa *isa, double kappa, double share,
                            double scale, size_t nodes, const double tier_end[EXITANCE_TIERS]);
 
-/* Returns k of a node. Nodes count through all panels, in ascending order. */
+/* Returns the wavenumber k of a node. Nodes are numbered in ascending order over all panels. */
 double complex solver_exitance_wavenumber(const exitance_grid *of, size_t node);
 
-/* Returns the number of nodes in this tier and all below it. */
+/* Returns the number of nodes in tiers 0 to `tier`. */
 size_t solver_exitance_end(const exitance_grid *of, size_t tier);
 
-/* What is known of X: a Chebyshev series on each panel, and the tail beyond K. */
+/* X as far as it is known: a Chebyshev series on each panel, and the tail beyond K. */
 typedef struct exitance_series {
   double complex term[EXITANCE_PANELS_MAX][EXITANCE_NODES_MAX];
   double far, tail[EXITANCE_TAIL_TERMS];
-  double complex step, bend; /* of X less the tail at K: its value, and its change beside k^-5 */
+  /* X minus the tail at K: its value, and its slope as a multiple of k^-5 */
+  double complex step, bend;
 } exitance_series;
 
 /* Sets *to from X at all nodes. has_tail: whether X falls slowly beyond K; if not, what is left at K

@@ -35,19 +35,19 @@ enum { DOUBLINGS_MAX = 60, ALIGNMENT_BYTES = 64, SPARE = 3 };
 #define TRANSMISSION_LEAST 1e-8
 
 typedef struct layer {
-  dense reflected, transmitted; /* R and r, T and t */
-  double passed;                /* e */
+  dense reflected, transmitted; /* reflected: R and the column r; transmitted: T and the column t */
+  double passed;                /* e: the share of the beam that passes */
 } layer;
 
-/* What one wavenumber needs. */
+/* The matrices and inputs for one wavenumber. */
 struct work {
   const expansion *of;
   double complex k;
   dense spare[SPARE], alike, opposite;
-  double complex *closing; /* what orders above M add to the block of order M */
+  double complex *closing; /* the contribution of orders above M to the block of order M */
 };
 
-/* Adds factor S. */
+/* Adds factor * S, the diagonal matrix of signs. */
 static void add_signs(const expansion *of, const dense *to, double factor) {
   for (size_t m = 0; m <= of->orders; m++) {
     for (size_t row = of->first[m]; row < of->first[m + 1]; row++) {
@@ -140,7 +140,7 @@ static bool mirror(const struct work *by, const dense *to, const layer *of, doub
   return solver_dense_congruence(to, a, b, &by->spare[2]);
 }
 
-/* Doubles a layer so many times, but only as long as more than `least` passes it. */
+/* Doubles a layer `times` times, or until no more than `least` passes it. */
 static bool double_up(const struct work *by, layer *of, int times, double least) {
   const dense *r = &of->reflected, *t = &of->transmitted, *a = &by->alike, *o = &by->opposite;
   const size_t n = by->of->n;
@@ -178,7 +178,7 @@ static bool find_halfspace(const struct work *by, layer *to, double kappa) {
   return double_up(by, to, DOUBLINGS_MAX, TRANSMISSION_LEAST) && largest(t) < TRANSMISSION_LEAST;
 }
 
-/* Sets the light on its way up that a beam makes in one scattering: (E + 1) I- = a b-. */
+/* Sets the upward light of a beam after one scattering: (E + 1) I- = a b-. */
 static bool scatter_once(const struct work *by, const dense *to) {
   const expansion *of = by->of;
   const dense *a = &by->spare[0];
@@ -190,7 +190,7 @@ static bool scatter_once(const struct work *by, const dense *to) {
   return solver_dense_solve(a, to);
 }
 
-/* Sets the light on its way up, of a beam and of diffuse light, within a boundary. */
+/* Sets the upward light of a beam, and of diffuse light, under a boundary. */
 static bool light_up(const struct work *by, const dense *to, const layer *half, size_t boundary) {
   const expansion *of = by->of;
   const dense *a = &by->spare[0], *f = &by->spare[1];
@@ -329,8 +329,8 @@ static bool pade(const dense *to, const dense *a, const dense *b, const dense *z
                  const dense *left) {
   solver_dense_multiply(z, a, b);
   solver_dense_multiply(to, z, a);
-  solver_dense_combine(to, 15, a, 1, to);  /* (15 + Z) a */
-  solver_dense_combine(left, 6, z, 1, to); /* 15 + 6 Z + (15 + Z) a, less 15 */
+  solver_dense_combine(to, 15, a, 1, to);  /* left: (15 + Z) a */
+  solver_dense_combine(left, 6, z, 1, to); /* left: 15 + 6 Z + (15 + Z) a */
   solver_dense_combine(to, 6, z, -1, to);
   add_identity(left, 15);
   add_identity(to, 15);
@@ -351,7 +351,8 @@ static int halvings_of(const expansion *of, double complex k, double depth) {
   return halvings;
 }
 
-/* Replaces Ts and s+ by those of two layers, and adds what a beam scatters back in the second one. */
+/* Replaces Ts and s+ of a layer by those of two such layers, and adds what the second one scatters
+ * back of a beam. */
 static void double_once(const layer_operators *to, const dense *spare) {
   const size_t n = to->passed_once.rows - 1;
   const double passed = creal(solver_dense_get(&to->passed_once, n, n));
@@ -365,7 +366,7 @@ static void double_once(const layer_operators *to, const dense *spare) {
   solver_dense_combine(&to->passed_once, 1, spare, 0, spare);
 }
 
-/* Takes R and T with the beam out of matrices with the signs of this file, or back. */
+/* Converts R and T with the beam from the signs of this file to the outer ones, or `inwards`. */
 static void exchange(const struct work *by, const dense *outer, const dense *inner, bool inwards) {
   const size_t n = by->of->n;
   for (size_t row = 0; row < n; row++) {

@@ -80,7 +80,7 @@ struct grid {
   stack_layer layer[SOLVER_LAYERS_MAX];
   ways ways;
   double unit_mm;                   /* scaled mean free path of the first layer */
-  double rate;                      /* at which light decays far away along the layers, per unit */
+  double rate;                      /* decay rate of light far away along the layers, per unit */
   double share;                     /* Im k over it where the path of wavenumbers starts */
   exitance_grid wavenumbers[SIDES]; /* T has no panels where it is noise */
   exitance_series exitance[SIDES];
@@ -91,8 +91,8 @@ struct solver_layers {
   solver_layer layer[SOLVER_LAYERS_MAX];
   double eta_below;
   double radius_mm;         /* reduced mean free path of the first layer */
-  struct grid *grid[GRIDS]; /* the finest, and the next coarser one */
-  const double *floor;      /* of relative errors: next to the source, far away */
+  struct grid *grid[GRIDS]; /* [0]: the finest grid; [1]: the next coarser one */
+  const double *floor;      /* least relative errors: next to the source, and far away */
   double error[SIDES][SOLVER_ERROR_RADII];
 };
 
@@ -206,7 +206,7 @@ static double rate_of(const struct grid *of, const struct solver_layers *all) {
 #define NOISE_RISES 2
 #define PATH_RATE_LEAST 1e-9
 
-/* Returns the thickness of the first layer with all that are like it. */
+/* Returns the thickness of the first layer, including adjacent layers with the same medium. */
 static double first_depth(const struct grid *of, const struct solver_layers *all) {
   const solver_layer *first = &all->layer[0];
   double depth = 0;
@@ -361,7 +361,7 @@ static core_fault check_layers(const solver_layer *layer, size_t count, double e
              : no_fault;
 }
 
-/* Returns the relative error by which digits are lost far away. */
+/* Returns the relative error by loss of digits at large radii. */
 static double path_error(const struct grid *of, double r_mm) {
   const double decays = (1 - of->share) * of->rate * r_mm / of->unit_mm;
   return decays < 30 ? PATH_ERROR * fn_exp(decays) : (double)INFINITY;
@@ -460,7 +460,7 @@ transport_number solver_layers_at(const solver_layers *solution, size_t side, do
   }
   const double value =
       value_at(solution->grid[0], side, fmin(r, RADIUS_MOST) * solution->radius_mm);
-  if (!(value > 0) || r > RADIUS_MOST) { /* it is not known but for its size */
+  if (!(value > 0) || r > RADIUS_MOST) { /* the value is not known: its size bounds it */
     return (transport_number){0, isnan(value) ? (double)INFINITY : fabs(value)};
   }
   const double unit = solution->grid[0]->unit_mm / solution->radius_mm;
@@ -476,7 +476,7 @@ transport_number solver_layers_at(const solver_layers *solution, size_t side, do
 #define BALANCE_FLOOR 1e-9
 #define BALANCE_FLOOR_WHITE 2e-6
 
-/* Sets what leaves of a beam that is not scattered, above and below. */
+/* Sets out[] to the unscattered part of the beam that leaves above and below. */
 static void pass_beam(const solver_layers *of, double out[SOLVER_SIDES]) {
   double rho[SOLVER_LAYERS_MAX + 1] = {0}, down[SOLVER_LAYERS_MAX + 1] = {0};
   for (size_t i = of->count; i-- > 0;) {

@@ -77,7 +77,7 @@ double solver_moment_at(const solver_phase *phase, size_t l) {
   return power;
 }
 
-/* Returns the phase function, normalized to 1 over the sphere, times 4 pi. */
+/* Returns 4 pi p(cos), where p is the phase function, normalized to 1 over the sphere. */
 double solver_phase_at(const solver_phase *phase, double cosine) {
   if (phase->moments == 0) {
     const double g = phase->g, base = 1 + g * g - 2 * g * cosine;
@@ -103,7 +103,7 @@ size_t solver_moments_kept(const solver_phase *phase, double least, size_t most)
 
 double solver_truncate(expansion_medium *to, double *moment, const solver_phase *phase,
                        size_t count, double albedo) {
-  /* An odd moment of a backward phase function is negative, and nothing is left out then. */
+  /* An odd moment of a backward phase function is negative: then nothing is truncated. */
   const double forward = fmax(0, solver_moment_at(phase, count));
   for (size_t l = 0; l < count; l++) {
     moment[l] = (solver_moment_at(phase, l) - forward) / (1 - forward);

@@ -16,7 +16,7 @@ enum { SOLVER_LEVELS = 6, SOLVER_MOMENTS_MAX = 4096, SOLVER_LAYERS_MAX = 8 };
  * P_l over directions, moment[0] is 1, and the moments from `moments` on are 0. */
 typedef struct solver_phase {
   double g;       /* -0.99 to 0.99; without meaning if moments is not 0 */
-  size_t moments; /* 0, or 2 to SOLVER_MOMENTS_MAX */
+  size_t moments; /* 0, or 2 to SOLVER_MOMENTS_MAX: number of moments */
   const double *moment;
 } solver_phase;
 
@@ -28,20 +28,21 @@ double solver_phase_at(const solver_phase *phase, double cosine);
 
 enum { TIERS = EXITANCE_TIERS };
 
-/* How wavenumbers up to k_most are solved. */
+/* How wavenumbers up to k_most are solved: the size of the expansion. */
 struct tier {
   double k_most;
   expansion_rules rules;
 };
 
-/* A basis resolves a phase function of at most some three moments for each degree. */
+/* Numbers of one grid. A basis resolves at most about three moments of the phase function for each
+ * degree. */
 struct level {
-  double moment_least; /* the series of the phase function ends at a moment as small as this */
+  double moment_least; /* the phase function is cut off from the first moment as small as this */
   size_t moments_most;
-  double floor[2];         /* least relative error that is stated: next to the source, far away */
-  double share;            /* Im k / kappa where the path of wavenumbers starts */
-  size_t nodes;            /* on each panel */
-  struct tier tier[TIERS]; /* the last one's k_most is K */
+  double floor[2]; /* least relative errors that are stated: next to the source, and far away */
+  double share;    /* Im k / kappa at the start of the path of wavenumbers */
+  size_t nodes;    /* number of nodes on each panel */
+  struct tier tier[TIERS]; /* in ascending order; k_most of the last is K */
 };
 
 /* The least relative errors that any solution states: somewhere below SOLVER_NEAR, and beyond. Those of
@@ -57,19 +58,19 @@ extern const struct level solver_levels[SOLVER_LEVELS];
 /* Returns the level that a solution for this tolerance starts from. */
 size_t solver_first_level(double tolerance);
 
-/* Returns whether somebody has set *stop, which may be NULL. */
+/* Returns whether *stop is true; stop may be NULL. */
 bool solver_stops(const atomic_bool *stop);
 
 /* Returns how many moments of a phase function are kept: up to `most`, those from the last one on that
  * is larger than `least`. */
 size_t solver_moments_kept(const solver_phase *phase, double least, size_t most);
 
-/* Truncates a phase function to `count` moments, which are set, and sets *to for a medium with this
- * albedo. Returns the scaled extinction over sigma_t. */
+/* Truncates a phase function to `count` moments (delta-M): sets moment[count], and *to for a medium
+ * with this albedo. Returns scaled extinction / sigma_t. */
 double solver_truncate(expansion_medium *to, double *moment, const solver_phase *phase,
                        size_t count, double albedo);
 
-/* Returns Fresnel's reflectance of light at right angles between two indices. */
+/* Returns Fresnel's reflectance at normal incidence between media of two indices. */
 double solver_beam_reflectance(double one, double other);
 
 /* The reduced mean free paths at which two grids are compared: the least one, and how many there are,
@@ -81,12 +82,12 @@ enum { SOLVER_ERROR_RADII = 36 };
 /* Where this much of the light has decayed, by e to this power, no tolerance is kept. */
 #define SOLVER_DECAYS_MOST 20
 
-/* Returns the relative error of a value, from that of the next coarser grid; margin: of errors over the
- * grids' difference. */
+/* Returns the relative error of a value from its difference to that of the next coarser grid.
+ * margin: error / difference. */
 double solver_error_between(double margin, double fine, double coarse);
 
-/* Returns the largest error at five neighbours of r: the grids' difference changes its sign here and
- * there as r grows. */
+/* Returns the largest of the errors at five radii around r, because the difference of two grids is
+ * 0 at some radii. */
 double solver_error_near(const double error[SOLVER_ERROR_RADII], double r);
 
 /* Returns the least relative error that is stated at the radius r, in reduced mean free paths. Grids

@@ -28,9 +28,9 @@
 struct scaled {
   expansion_medium medium;
   double moment[EXPANSION_MOMENTS_MAX];
-  double unit;   /* scaled mean free path in reduced mean free paths */
-  double kappa;  /* per scaled mean free path */
-  double single; /* albedo by which light scattered once is in proportion, per scaled path */
+  double unit;   /* one scaled mean free path, in reduced mean free paths */
+  double kappa;  /* decay rate, per scaled mean free path */
+  double single; /* the albedo to which light scattered once is proportional, per scaled path */
 };
 
 /* Light that decays more slowly, per scaled mean free path, does not decay. */
@@ -56,7 +56,7 @@ static void truncate_phase(struct scaled *to, double ratio, const solver_phase *
 struct grid {
   struct scaled scaled;
   exitance_grid wavenumbers;
-  exitance_series *exitance; /* one for each part */
+  exitance_series *exitance; /* [part], see parts_of() */
 };
 
 /* Returns how many X there are. X number i is of the boundary i % count, and of light of all angles
@@ -65,7 +65,7 @@ static size_t parts_of(const expansion_boundaries *of) {
   return of->count * (1 + of->cones);
 }
 
-/* Returns the sine of the largest angle outside. */
+/* Returns the sine of the largest angle outside of a part's light. */
 static double sine_of(const expansion_boundaries *of, size_t part) {
   return part < of->count ? 1
                           : of->sines[part / of->count - 1] * fmin(of->etas[part % of->count], 1);
@@ -79,20 +79,21 @@ struct solver_solution {
   size_t count;
   size_t parts;
   double eta[SOLVER_ETAS_MAX];
-  size_t level;        /* of the finest grid */
-  size_t grids;        /* 1, or 2 if the next coarser one is known */
-  single_rule *single; /* one for each part, with the phase function in its weights */
-  struct grid grid[2]; /* the finest, and the next coarser one */
-  const double *floor; /* of relative errors: next to the source, far away */
-  double margin;       /* relative errors over the grids' difference */
-  double (*error)[SOLVER_ERROR_RADII]; /* [boundary] relative, at each radius */
+  size_t level;                        /* level of the finest grid */
+  size_t grids;                        /* 1, or 2 if the next coarser grid is known */
+  single_rule *single;                 /* [part], with the phase function in its weights */
+  struct grid grid[2];                 /* [0]: the finest grid; [1]: the next coarser one */
+  const double *floor;                 /* least relative errors: next to the source, and far away */
+  double margin;                       /* relative error / difference of the grids */
+  double (*error)[SOLVER_ERROR_RADII]; /* [boundary] relative error at each radius */
 };
 
-/* How a caller solves. */
+/* What the caller of a solution provides. */
 struct way {
-  double complex *exitances; /* X at all nodes, [part][SOLVER_WAVENUMBERS_MAX]; NULL: not kept */
-  bool known;                /* whether they are given, else they are set */
-  const atomic_bool *stop;   /* NULL, or true as soon as the solution is not wanted any more */
+  /* [part][SOLVER_WAVENUMBERS_MAX]: X at all nodes; NULL: it is not kept */
+  double complex *exitances;
+  bool known;              /* whether exitances are an input; else they are an output */
+  const atomic_bool *stop; /* NULL, or true as soon as the solution is not wanted any more */
 };
 
 /* Solves the wavenumbers that belong to one tier. values: [part][node of all panels]. Returns
@@ -152,8 +153,8 @@ static bool solve_grid(struct grid *to, const core_isa *isa, const struct level 
 
 /* ---- solutions ------------------------------------------------------------------------------ */
 
-/* Puts the phase function into the weights of light that was scattered once, which leaves at the
- * cosine mu = (E^2 - 1) / (E^2 + 1). */
+/* Multiplies the weights of light scattered once, which leaves at the cosine mu = (E^2 - 1) / (E^2
+ * + 1), by the phase function. */
 static void weigh_single(single_rule *rule, const solver_phase *phase) {
   for (size_t i = 0; i < rule->n; i++) {
     const double e2 = rule->rate[i] * rule->rate[i];
@@ -215,8 +216,8 @@ static double shared_by_cuts(const solver_solution *of, const solver_phase *phas
   return fine > CUT_COUNTS && coarse > fine ? fmax(1, fine / (coarse - fine)) : 1;
 }
 
-/* Compares the two grids, and returns the largest relative error at radii that a tolerance is for.
- */
+/* Sets the errors from the difference of the two grids. Returns the largest at radii for which a
+ * tolerance holds. */
 static double find_errors(solver_solution *of, const solver_phase *phase) {
   of->margin = (solver_moment_at(phase, 1) < BACKWARD ? MARGIN_BACKWARD : MARGIN) *
                shared_by_cuts(of, phase);
@@ -404,7 +405,7 @@ transport_number solver_at(const solver_solution *solution, size_t eta, double r
   if (value > 0 && error < 1) {
     return (transport_number){value, error * value};
   }
-  /* Without a digit, all that is known is that R falls. */
+  /* If no digit of R is known, all that is known is that R decreases. */
   const transport_number nearer = solver_at(solution, eta, r / NEARER);
   return (transport_number){fmax(value, 0), nearer.value + nearer.error};
 }
@@ -423,18 +424,17 @@ transport_number solver_share_at(const solver_solution *solution, size_t eta, si
 
 /* ---- totals --------------------------------------------------------------------------------- */
 
-/* Moments of light that is scattered once are left out below this. */
+/* Moments below this are neglected for light scattered once. */
 #define MOMENT_LEAST 1e-13
 
-/* Enters a value of grid i: the first grid's is the value, and the next one's difference from it is
- * the error. */
+/* Records a value of grid i. That of grid 0 is the value; the difference of grid 1 is the error. */
 static void enter(transport_number *to, size_t i, double value) {
   *to = i == 0 ? (transport_number){value, 0}
                : (transport_number){to->value, fabs(to->value - value)};
 }
 
-/* Sets moment[] to the moments of the true phase function, except those that are negligible, and
- * returns their number. */
+/* Sets moment[] to the moments of the phase function that are not negligible, and returns their
+ * number. */
 static size_t find_moments(const solver_phase *phase, double moment[SOLVER_MOMENTS_MAX]) {
   size_t count = 0;
   double power = 1;
@@ -493,7 +493,7 @@ core_fault solver_totals(solver_total *totals, const core_isa *isa, double sigma
   for (size_t i = 0; i < 2; i++) {
     struct scaled scaled;
     truncate_phase(&scaled, sigma_a_ratio, phase, by[i].moment_least, by[i].moments_most);
-    if (scaled.kappa == 0) { /* the part that is absorbed is in proportion to kappa */
+    if (scaled.kappa == 0) { /* The absorbed share is proportional to kappa. */
       for (size_t eta = 0; eta < count; eta++) {
         totals[eta] = (solver_total){{1, 100 * KAPPA_LEAST}, {1, 100 * KAPPA_LEAST}};
       }

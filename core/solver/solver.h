@@ -27,7 +27,7 @@
 
 enum { SOLVER_ETAS_MAX = 32, SOLVER_CONES_MAX = 8, SOLVER_WAVENUMBERS_MAX = 640 };
 
-/* The radii, in reduced mean free paths, for which a tolerance is asked. */
+/* The radii, in reduced mean free paths, at which a tolerance holds. */
 #define SOLVER_RADIUS_LEAST 0.01
 #define SOLVER_RADIUS_MOST 20.0
 
@@ -86,15 +86,14 @@ transport_number solver_at(const solver_solution *solution, size_t eta, double r
 transport_number solver_share_at(const solver_solution *solution, size_t eta, size_t cone,
                                  double r);
 
-/* Returns the part of R that was scattered once. It has no error of the grids. */
+/* Returns the part of R that was scattered once. It does not depend on the grids. */
 double solver_single_at(const solver_solution *solution, size_t eta, double r);
 
 /* The energy that leaves per power that has entered, specular reflection excluded, with estimates
  * of the absolute errors. */
 typedef struct solver_total {
-  transport_number normal;  /* of a beam that enters at right angles */
-  transport_number diffuse; /* of light that strikes the surface with the same radiance from all
-                             * directions */
+  transport_number normal;  /* a beam at normal incidence */
+  transport_number diffuse; /* incident light with the same radiance from all directions */
 } solver_total;
 
 /* Sets totals[i] for the boundary etas[i]. Arguments and faults are those of solver_solve(). It
@@ -111,7 +110,7 @@ enum { SOLVER_SIDES = 2 };
 /* A layer, or the half space below all layers. */
 typedef struct solver_layer {
   double sigma_a_per_mm; /* not negative */
-  double sigma_s_per_mm; /* not negative; not both 0 */
+  double sigma_s_per_mm; /* at least 0; one of the two is positive */
   double g;              /* -0.99 to 0.99, Henyey and Greenstein's function */
   double eta;            /* index over that above the layers, TRANSPORT_ETA_MIN to _MAX */
   double thickness_mm;   /* above 0; infinite for the last layer if it is a half space */
@@ -119,9 +118,9 @@ typedef struct solver_layer {
 
 /* What becomes of the power that has entered. Side 0 is above the layers, side 1 is below. */
 typedef struct solver_balance {
-  transport_number out[SOLVER_SIDES]; /* light that was scattered and leaves */
-  double unscattered[SOLVER_SIDES];   /* light that leaves without having been scattered */
-  transport_number absorbed[SOLVER_LAYERS_MAX]; /* in each layer */
+  transport_number out[SOLVER_SIDES]; /* light that was scattered and leaves on each side */
+  double unscattered[SOLVER_SIDES];   /* light that leaves on each side without being scattered */
+  transport_number absorbed[SOLVER_LAYERS_MAX]; /* light that each layer absorbs */
 } solver_balance;
 
 typedef struct solver_layers solver_layers;

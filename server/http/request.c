@@ -10,7 +10,7 @@
 #include "proto/gather.h"
 #include "proto/varying.h"
 
-/* As in all clients. */
+/* The same default in all clients. */
 #define USUAL_ETA 1.3
 
 WIRE_COLD static wire_error bad_value(const char *field, const char *allowed) {
@@ -56,11 +56,11 @@ struct translation {
   const schema_message *message;
   const struct http_values *values;
   struct http_text *payload;
-  size_t bytes_max; /* of the payload */
+  size_t bytes_max; /* most bytes of the payload */
   uint32_t medium_count;
   uint32_t parameter_count;
   bool g_is_default;
-  wire_error error; /* what is wrong, after a function has returned false */
+  wire_error error; /* the error, set if a function returns false */
 };
 
 WIRE_COLD static bool fail_with(struct translation *t, wire_error error) {
@@ -374,9 +374,10 @@ static bool is_tabled(const struct translation *t) {
   const struct http_value model = value_of(t, "model");
   uint64_t id = CORE_MODEL_TRANSPORT;
   double tolerance;
-  http_value_number(value_of(t, "tolerance"), &tolerance); /* NaN if it is not given */
+  http_value_number(value_of(t, "tolerance"), &tolerance); /* NaN: not given */
   if (http_value_given(model)) {
-    http_value_read_choice(model, "model", core_models, false, &id); /* one at fault is refused */
+    /* a wrong name is refused later */
+    http_value_read_choice(model, "model", core_models, false, &id);
   }
   return id == CORE_MODEL_TRANSPORT && !(tolerance < CORE_LUT_TOLERANCE_MIN);
 }
@@ -508,7 +509,7 @@ static bool read_field(struct translation *t, const schema_field *field, uint64_
     const unsigned type = t->message->type;
     if (http_values_same(field->name, "wanted") && *number != 0 &&
         (type == WIRE_TYPE_EVAL || type == WIRE_TYPE_SAMPLE || type == WIRE_TYPE_VARYING)) {
-      *number |= CORE_QUANTITY_MODEL_ERROR; /* always, as in Python */
+      *number |= CORE_QUANTITY_MODEL_ERROR; /* model_error is always wanted, as in Python */
     }
     return read;
   }

@@ -13,7 +13,7 @@ enum {
   COSTLY_PROBE_RADII = JOB_SLICE_RADII,
   SOLVED_PROBE_RADII = 32 * JOB_SLICE_RADII,
   SLOW_PROBE_RADII = JOB_STEP_RADII,
-  PROBES = 8, /* probes for a medium, on average */
+  PROBES = 8, /* average number of probes for a medium */
 };
 
 struct invert_job {
@@ -23,9 +23,9 @@ struct invert_job {
   bool reach_known;              /* whether the range of albedos that the model reaches is known */
   bool seeking;                  /* whether the search for the medium at index has begun */
   bool slow;                     /* whether the profiles of probes are prepared on another thread */
-  struct profiles_lookup lookup; /* gets the profiles of slow probes */
-  uint64_t probe_radii;          /* the cost of a probe, in radii of a dipole */
-  struct job_parts parts;        /* of the media */
+  struct profiles_lookup lookup; /* profiles of probes that are slow to prepare */
+  uint64_t probe_radii;          /* cost of a probe, in radii of a dipole */
+  struct job_parts parts;        /* parts of the reply; entries are media */
   uint64_t missing;              /* how many media of the part before index do not exist */
 };
 

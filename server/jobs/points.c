@@ -10,11 +10,11 @@ struct points_job {
   struct job job;
   points_request request;
   struct lookup lookup;
-  struct points **sent;  /* the set that the connection is sending */
+  struct points **sent;  /* the set that this connection is sending */
   struct points *points; /* the set that this part is of; a reference; NULL: none, or it is known */
-  bool asked;            /* whether the set has been requested from the cache */
+  bool asked;            /* whether the cache was requested to find the set */
   bool complete;         /* whether this part is the last one, and its points have been added */
-  uint64_t done;         /* points of this part that have been added */
+  uint64_t done;         /* number of this part's points that have been added */
   wire_points_reply reply;
 };
 
@@ -64,7 +64,7 @@ static enum job_outcome reply_with(struct points_job *points, bool known) {
   return JOB_NEXT_PART;
 }
 
-/* Gives up the set that the connection is sending. */
+/* Drops the set that this connection is sending. */
 static void drop_sent(struct points_job *points) {
   points_release(*points->sent);
   *points->sent = NULL;
@@ -80,7 +80,7 @@ static enum job_outcome begin_set(struct points_job *points) {
   const wire_points_request *fixed = &points->request.fixed;
   struct job_context *context = points->job.context;
   if (*points->sent != NULL && fixed->point_first == 0 && fixed->part_points > 0) {
-    drop_sent(points); /* The client begins anew. */
+    drop_sent(points); /* part 0 begins the set again */
   }
   if (*points->sent == NULL && fixed->point_first == 0 && fixed->part_points > 0) {
     *points->sent = points_new(context->server, fixed, uv_now(context->loop));

@@ -9,8 +9,8 @@ struct varying_job {
   struct job job;
   varying_request request;
   struct lookup lookup;
-  struct lookup ruler;  /* transport, if the model error needs it */
-  bool compares;        /* whether it does */
+  struct lookup ruler;  /* surface of transport, if the model error needs it */
+  bool compares;        /* whether the model error needs it */
   uint64_t value_radii; /* the cost of a value, in radii of a dipole */
   struct job_parts parts;
   varying_part part;

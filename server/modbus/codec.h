@@ -20,9 +20,9 @@ struct modbus_request {
   unsigned address; /* of the registers that are read, or of the bits that are read or written */
   unsigned count;
   const uint8_t *bits;    /* the bits that are written, in the PDU, lowest bit first */
-  unsigned write_address; /* of the registers that are written */
+  unsigned write_address; /* first register to write */
   unsigned write_count;   /* number of registers that are written; may be 0 */
-  const uint8_t *values;  /* of the registers that are written, in the PDU */
+  const uint8_t *values;  /* values to write, in the PDU */
   unsigned and_mask;      /* function 22 */
   unsigned or_mask;
 };
@@ -54,7 +54,7 @@ bool modbus_rtu_is_frame(const uint8_t *bytes, size_t count);
 struct modbus_rtu_frames {
   unsigned count;
   size_t last;  /* start of the last frame */
-  size_t bytes; /* length of all frames together */
+  size_t bytes; /* total length of all frames */
 };
 
 /* Finds the frames at the start of the bytes. A frame of an unknown function, whose length is

@@ -10,7 +10,7 @@
 #include "server/observe/log.h"
 
 enum {
-  HEADER_BYTES = 7, /* transaction, protocol, length, unit */
+  HEADER_BYTES = 7, /* transaction, protocol, length and unit */
   LENGTH_MIN = 2,   /* least value of the field length: it counts the unit and the function */
   LENGTH_MAX = 254,
   /* The kernel's buffer in each direction. Without a limit, it grows to megabytes for a master that
@@ -40,7 +40,7 @@ static void log_closed(const struct modbus_connection *c, const char *reason) {
 
 static void log_refusal(const struct modbus_connection *c, const uint8_t *frame, size_t bytes) {
   const uint8_t *reply = c->unsent + HEADER_BYTES;
-  if (reply[0] >= 0x80) { /* tcp_peer() takes a system call */
+  if (reply[0] >= 0x80) { /* tcp_peer() needs a system call */
     char peer[TCP_TEXT_BYTES];
     tcp_peer(c->fd, peer);
     modbus_log_refusal(frame + HEADER_BYTES, bytes - HEADER_BYTES, reply, frame[6], "peer", peer);

@@ -27,7 +27,7 @@ struct modbus_connection {
   struct transport transport;
 
   struct modbus_unit *waits_for; /* the unit that evaluates the first frame; NULL: there is none */
-  bool stopping;                 /* whether the peer has closed or the daemon stops */
+  bool stopping;                 /* whether the peer has closed, or the daemon stops */
   unsigned unread; /* bytes that had arrived when the daemon began to stop: they are still read */
   bool ending;     /* whether to answer no more frames, and to close after the last reply */
   bool closing;    /* whether uv_close() has been called */

@@ -104,7 +104,7 @@ static void send_up_to(struct modbus_line *line, size_t end) {
     write_output(line, fd);
     return;
   }
-  line->sending_fd = dup(fd); /* The device may be lost meanwhile. */
+  line->sending_fd = dup(fd); /* a copy, because the device may be closed meanwhile */
   line->sending = true;
   line->open_handles++;
   line->work.data = line;
@@ -228,7 +228,7 @@ static void note_arrival(struct modbus_line *line, size_t bytes) {
   modbus_receiver_arrived(&line->receiver, bytes, uv_hrtime());
   line->retry_ms = RETRY_FIRST_MS;
   if (line->probing && line->sending) {
-    return; /* The end of sending ends the probe. */
+    return; /* When sending ends, the probe ends too. */
   }
   if (line->probing) {
     end_probe(line);
@@ -283,7 +283,7 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
   struct modbus_line *line = poll->data;
   if (status < 0) {
     lose_device(line, uv_strerror(status));
-  } else if (line->client.run_queue == NULL) { /* Otherwise the turn of that queue reads them. */
+  } else if (line->client.run_queue == NULL) { /* A turn of that queue reads them. */
     read_more(line);
   }
 }

@@ -26,11 +26,11 @@ struct modbus_line {
 
   uv_poll_t poll;
   uv_timer_t timer; /* for the silence, for the end of a probe, or for the next attempt to open */
-  unsigned open_handles; /* and work under way */
+  unsigned open_handles; /* and work of the thread pool under way */
   bool polling;          /* whether the poll is in use or is being closed */
   bool stopping;
   bool echo_is_logged;
-  bool was_open;  /* whether the device could be opened at some time */
+  bool was_open;  /* whether the device has ever been opened */
   int open_error; /* errno of the last attempt to open the device; 0: it succeeded */
   uint64_t
       retry_ms; /* pause between the next loss of the device and the first attempt to open it */
@@ -40,8 +40,8 @@ struct modbus_line {
 
   /* The reply that is being sent. If RTS is set by hand, a thread of the pool sends it. */
   uv_work_t work;
-  int sending_fd;   /* of the thread */
-  bool sending;     /* whether the thread has still to end */
+  int sending_fd;   /* descriptor for the sending thread */
+  bool sending;     /* whether the sending thread still runs */
   bool probing;     /* whether the line probes for echo: only the reply's first byte is sent */
   uint64_t sent_ns; /* when the last character of the reply, and the delay of RTS, will be over */
   size_t output_begin; /* start of the bytes of the output that have not been written */

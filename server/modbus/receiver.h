@@ -29,8 +29,8 @@ enum modbus_echo {
 };
 
 struct modbus_receiver {
-  unsigned number;     /* of the unit whose requests the receiver finds */
-  uint64_t silence_ns; /* time of 3.5 characters */
+  unsigned number;     /* number of the unit whose requests are received */
+  uint64_t silence_ns; /* 3.5 characters */
   enum modbus_echo echo;
   uint64_t arrived_ns; /* when bytes last arrived */
   size_t count;        /* number of bytes that are kept */
@@ -44,8 +44,8 @@ struct modbus_receiver {
 
 /* What the receiver has found in the bytes before a silence. */
 struct modbus_burst {
-  bool bad;     /* whether there was something other than frames */
-  bool echoed;  /* whether there was an echo */
+  bool bad;     /* whether bytes other than frames arrived */
+  bool echoed;  /* whether an echo arrived */
   size_t bytes; /* length of the request; 0: there is none */
   uint8_t request[MODBUS_RTU_MAX];
 };

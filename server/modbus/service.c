@@ -15,8 +15,8 @@
 
 struct modbus_service {
   struct server *server;
-  struct access connect; /* who may connect */
-  struct access write;   /* who of them may write */
+  struct access connect; /* masters that may connect */
+  struct access write;   /* masters that may also write */
   struct modbus_units *units;
   struct modbus_line lines[OPTIONS_LIST_MAX];
   size_t line_count;

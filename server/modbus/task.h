@@ -21,8 +21,8 @@ struct modbus_task {
   struct client *client; /* that of all units, in whose turns the task runs */
   struct server *server;
   bool evaluated;      /* whether the results are in the registers after the batch */
-  uint16_t token;      /* the value of `commit` that has started the job */
-  bool cancelled;      /* whether the job ends early with its results so far */
+  uint16_t token;      /* value of `commit` that started the job */
+  bool cancelled;      /* whether the job ends early, with its results so far */
   uint64_t owed_radii; /* owed_radii of the job when it started */
   struct run run;
   wire_error error; /* after the run: why the job was refused; OK: it was not */

@@ -22,7 +22,7 @@ enum { MODBUS_UNITS = 247 }; /* numbers of units go from 1 to this */
 enum { MODBUS_FIT_MS = 100 };
 
 struct modbus_unit {
-  struct modbus_units *units;  /* NULL: the unit has not been used yet */
+  struct modbus_units *units;  /* NULL: the unit is not in use yet */
   struct modbus_task *awaited; /* the task that the reply to the last commit waits for; or NULL */
   struct client *master;       /* its finish() is called after that; NULL: there is none */
   uint64_t reply_ms;           /* when the reply waits no longer for a fit, on the loop's clock */
@@ -41,7 +41,7 @@ struct modbus_unit {
 struct modbus_units {
   struct client client; /* first member: see client.h */
   struct server *server;
-  unsigned users; /* number of connections and lines */
+  unsigned users; /* number of connections and lines that use the units */
   bool stopping;
   TAILQ_HEAD(modbus_active, modbus_unit)
   active; /* those with busy tasks; the latest turn is last */

@@ -10,9 +10,9 @@
 #include "server/observe/log.h"
 
 enum {
-  TURN_RADII = JOB_SLICE_RADII, /* the work of one turn, in radii of a dipole */
+  TURN_RADII = JOB_SLICE_RADII, /* work of one turn, in radii of a dipole */
   WRITE_BUFFERS = 16,
-  WRITE_BYTES = 262144, /* at most in one turn: about 60 microseconds */
+  WRITE_BYTES = 262144, /* most bytes written in one turn: about 60 microseconds */
   REST_MS = 1000,       /* the silence after which the connection releases its buffers */
   HANG_UP_MS = 1000,    /* how long preparations go on for a peer that has ended its side */
   LINGER_MS = 1000,     /* how long the peer may take to close after the last answer */
@@ -32,7 +32,7 @@ struct connection {
   struct requests requests;
 
   bool more_to_do;    /* whether frames or their work were left at the end of the last turn */
-  bool detached_more; /* whether work of detached requests was left */
+  bool detached_more; /* whether detached requests have work left */
   bool stopping;      /* whether the daemon stops: the connection then ends after its last answer */
   bool peer_done;     /* whether the peer has shut down its side, so that nothing more arrives */
   bool closing;       /* whether uv_close() has been called */
@@ -134,7 +134,7 @@ static void abort_connection(struct connection *c) {
   if (!c->closing) {
     c->closing = true;
     transport_close(&c->transport);
-    requests_drop(&c->requests); /* so that no job calls the connection any more */
+    requests_drop(&c->requests); /* no job may call the connection from here on */
   }
 }
 
@@ -233,7 +233,7 @@ static void wrote(struct connection *c, uint64_t bytes) {
 static void on_sent(void *owner, uint64_t bytes) {
   struct connection *c = owner;
   wrote(c, bytes);
-  worker_run_later(&c->client); /* its turn writes more */
+  worker_run_later(&c->client); /* the next turn writes more */
 }
 
 /* Cuts the buffers off after this many bytes. Returns how many buffers are left. */
@@ -457,7 +457,7 @@ static void check_time(struct client *client, uint64_t now_ms) {
                  wire_error_make(WIRE_STATUS_TIMEOUT, "payload_bytes",
                                  "a whole frame within frame_timeout_ms"));
     worker_run_later(&c->client);
-  } else if (c->requests.detached_count > 0) { /* There may be room for a reply now. */
+  } else if (c->requests.detached_count > 0) { /* a reply may have room now */
     worker_run_later(&c->client);
   } else if (now_ms - c->active_ms > options->idle_timeout_ms) {
     requests_end(

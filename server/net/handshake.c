@@ -14,8 +14,8 @@
 
 enum {
   LOW_PRIORITY = 10,   /* nice value, as of threads that walk photons */
-  MOST_BYTES = 65536,  /* of a handshake, from the client */
-  MOST_WAITING = 1024, /* sockets that the worker has not taken up */
+  MOST_BYTES = 65536,  /* most bytes that a client may send in a handshake */
+  MOST_WAITING = 1024, /* most sockets that may wait for the worker */
 };
 
 TAILQ_HEAD(queue, handshake);
@@ -25,7 +25,7 @@ struct handshakes {
   struct tls *tls;
   struct worker *worker;
   handshakes_done *done;
-  _Atomic unsigned waiting; /* those that the worker has not taken up */
+  _Atomic unsigned waiting; /* number of sockets that wait for the worker */
   /* Clients that have sent nothing, and handshakes under way; the oldest one comes first. */
   struct queue queues[2];
   unsigned counts[2];
@@ -42,7 +42,7 @@ struct handshake {
   uv_poll_t poll;
   uint64_t began_ms;
   bool closing;
-  bool is_done; /* the socket and the session go on to the workers */
+  bool is_done; /* whether the socket and the session belong to a worker now */
 };
 
 static struct handshake *handshake_of(struct client *client) {
@@ -65,7 +65,7 @@ static void on_closed(uv_handle_t *handle) {
   if (h->is_done && !atomic_load(&server->draining)) {
     h->done(server, h->fd, h->session);
   } else {
-    tls_session_free(h->session); /* which may be NULL */
+    tls_session_free(h->session); /* session may be NULL */
     close(h->fd);
   }
   free(h);
@@ -99,7 +99,7 @@ static void fail_handshake(struct handshake *h, const char *reason) {
 static void on_poll(uv_poll_t *poll, int status, int events) {
   (void)events;
   struct handshake *h = poll->data;
-  if (status < 0) { /* libuv says EBADF for a reset. */
+  if (status < 0) { /* libuv reports a reset as EBADF. */
     fail_handshake(h, "the peer has closed the connection");
   } else {
     worker_run_later(&h->client);
@@ -194,7 +194,7 @@ static void start_client(struct client *client) {
   atomic_fetch_sub(&all->waiting, 1);
   if (!all->has_low_priority) {
     all->has_low_priority = true;
-    setpriority(PRIO_PROCESS, 0, LOW_PRIORITY); /* In Linux, 0 is this thread. */
+    setpriority(PRIO_PROCESS, 0, LOW_PRIORITY); /* On Linux, 0 means this thread. */
   }
   if (uv_poll_init(worker_loop(client->worker), &h->poll, h->fd) != 0) {
     worker_forget(client);

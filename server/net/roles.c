@@ -18,9 +18,9 @@ enum kind { EVERYBODY, SUBJECT, ROLE };
 struct entry {
   unsigned roles;
   enum kind kind;
-  char *name; /* NULL for everybody */
+  char *name; /* name that a certificate must have; NULL: everybody */
   size_t right_count;
-  struct roles_right rights[RIGHTS_MAX]; /* of Modbus masters */
+  struct roles_right rights[RIGHTS_MAX]; /* rights of Modbus masters */
 };
 
 struct roles {

@@ -14,7 +14,7 @@ static void close_and_tell(uv_handle_t *handle) {
   if (t->tls != NULL) {
     tls_session_free(t->tls);
     t->tls = NULL;
-    close(t->fd); /* libuv closes its own streams */
+    close(t->fd); /* libuv closes the sockets of its own streams */
   }
   t->calls->closed(t->owner);
 }
@@ -109,7 +109,7 @@ static int open_plain(struct transport *t, uv_loop_t *loop) {
   uv_tcp_init(loop, &t->uv.tcp);
   const int opened = uv_tcp_open(&t->uv.tcp, t->fd);
   if (opened == 0) {
-    uv_tcp_nodelay(&t->uv.tcp, 1); /* no delay: small answers are already sent together */
+    uv_tcp_nodelay(&t->uv.tcp, 1); /* no delay: small replies are already written together */
   }
   return opened;
 }
@@ -211,10 +211,10 @@ int transport_open(struct transport *t, uv_loop_t *loop, int fd, struct tls_sess
   t->owner = owner;
   t->fd = fd;
   t->tls = session;
-  t->has_more = session != NULL; /* The handshake may have read the first request. */
+  t->has_more = session != NULL; /* The handshake may have received the first request. */
   const int opened = session != NULL ? uv_poll_init(loop, &t->uv.poll, fd) : open_plain(t, loop);
   if (opened != 0 && session != NULL) {
-    uv_tcp_init(loop, &t->uv.tcp); /* so that there is a handle to close */
+    uv_tcp_init(loop, &t->uv.tcp); /* makes a handle that can be closed */
   } else if (opened != 0) {
     close(fd);
   }

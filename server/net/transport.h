@@ -25,7 +25,7 @@ struct transport_calls {
   /* The write that transport_write() has begun has ended: this many more bytes are written. */
   void (*sent)(void *owner, uint64_t bytes);
   void (*failed)(void *owner); /* nothing can be sent or received; calls transport_close() */
-  void (*closed)(void *owner); /* the last call, after transport_close() */
+  void (*closed)(void *owner); /* called last, after transport_close() */
 };
 
 struct transport {
@@ -42,14 +42,14 @@ struct transport {
   struct tls_session *tls; /* NULL: the bytes are plain */
   uv_write_t write;
   uv_shutdown_t shutdown;
-  uint64_t writing_bytes; /* number of bytes given to libuv and not yet written */
-  bool writing;           /* whether sent() is still to be called */
+  uint64_t writing_bytes; /* number of bytes that libuv has still to write */
+  bool writing;           /* whether the call of sent() is still to come */
   bool reading;
   bool lingering; /* see transport_linger() */
   bool has_more;  /* with TLS: whether OpenSSL may hold bytes for which there was no time or room */
-  bool tells_empty; /* with TLS: see transport_tell_empty() */
+  bool tells_empty; /* TLS only: see transport_tell_empty() */
   bool blocked;     /* with TLS: whether reading waits until the socket can be written to */
-  int events;       /* with TLS: the events that the poll waits for */
+  int events;       /* TLS only: events for which the poll waits */
 };
 
 /* Takes over a connected stream socket, and the session, which may be NULL. The result may be an

@@ -7,8 +7,8 @@
 
 enum {
   ROWS_MIN = 4096,       /* room for this many points is taken first, and then twice as much */
-  RETRY_AFTER_MS = 1000, /* of BUSY: sets take seconds to send */
-  BUILD_NS = 1000000000  /* how long one call builds the tree of a set */
+  RETRY_AFTER_MS = 1000, /* retry_after_ms of BUSY: sets take seconds to send */
+  BUILD_NS = 1000000000  /* ns for which one call builds a set's tree */
 };
 
 /* What is freed at once. Returning 8 MiB to the system takes less than a millisecond. */
