@@ -482,7 +482,7 @@ static int take_media(bake *of) {
   return CLI_OK;
 }
 
-static int run(const cli_settings *settings, dipole_client *client) {
+static int run_bake(const cli_settings *settings, dipole_client *client) {
   const struct kind *kind = kind_of(settings);
   bake of = {.settings = settings, .client = client};
   of.profile.info = dipole_get_info(client);
@@ -515,7 +515,7 @@ const cli_command cli_command_bake = {
     .formats = "c,hlsl,csv,json,spi1d,cube",
     .options = {options, cli_medium_options},
     .check = check,
-    .run = run,
+    .run = run_bake,
     .examples = "  dipole bake kernel --medium skin1 --eta 1.4\n"
                 "  dipole bake kernel --medium skin1 --eta 1.4 --common --format hlsl\n"
                 "  dipole bake burley --medium marble --format json\n"

@@ -45,7 +45,7 @@ static dense within(const dense *of, size_t row, size_t column, size_t rows, siz
 }
 
 /* Adds sign * a b to `to`. Rows of b and `to` are padded to a multiple of GROUP. */
-static void add(const dense *to, const dense *a, const dense *b, double sign) {
+static void add_dense(const dense *to, const dense *a, const dense *b, double sign) {
   const dense_loops *of = loops[to->isa->index];
   const dense_part to_re = {to->re, to->stride}, to_im = {to->im, to->stride};
   const dense_part a_re = {a->re, a->stride}, a_im = {a->im, a->stride};
@@ -87,7 +87,7 @@ void solver_dense_combine(const dense *to, double x, const dense *a, double y, c
 
 void solver_dense_multiply(const dense *to, const dense *a, const dense *b) {
   solver_dense_clear(to);
-  add(to, a, b, 1);
+  add_dense(to, a, b, 1);
 }
 
 /* ---- elimination ---------------------------------------------------------------------------- */
@@ -96,12 +96,12 @@ typedef struct number {
   double re, im;
 } number;
 
-static number get(const dense *of, size_t row, size_t column) {
+static number number_at(const dense *of, size_t row, size_t column) {
   const size_t at = row * of->stride + column;
   return (number){of->re[at], of->im == NULL ? 0 : of->im[at]};
 }
 
-static void set(const dense *of, size_t row, size_t column, number to) {
+static void set_number(const dense *of, size_t row, size_t column, number to) {
   const size_t at = row * of->stride + column;
   of->re[at] = to.re;
   if (of->im != NULL) {
@@ -131,9 +131,9 @@ static void swap_rows(const dense *of, size_t one, size_t other) {
     return;
   }
   for (size_t i = 0; i < of->columns; i++) {
-    const number kept = get(of, one, i);
-    set(of, one, i, get(of, other, i));
-    set(of, other, i, kept);
+    const number kept = number_at(of, one, i);
+    set_number(of, one, i, number_at(of, other, i));
+    set_number(of, other, i, kept);
   }
 }
 
@@ -145,7 +145,7 @@ static bool factor_panel(const dense *a, const dense *b, size_t first, size_t en
     size_t pivot = column;
     double largest = 0;
     for (size_t row = column; row < a->rows; row++) {
-      const number here = get(a, row, column);
+      const number here = number_at(a, row, column);
       const double size = here.re * here.re + here.im * here.im;
       if (size > largest) {
         largest = size;
@@ -157,12 +157,12 @@ static bool factor_panel(const dense *a, const dense *b, size_t first, size_t en
     }
     swap_rows(a, column, pivot);
     swap_rows(b, column, pivot);
-    const number at = get(a, column, column);
+    const number at = number_at(a, column, column);
     const number inverse = {at.re / largest, -at.im / largest};
-    set(a, column, column, inverse);
+    set_number(a, column, column, inverse);
     for (size_t row = column + 1; row < a->rows; row++) {
-      const number factor = product(get(a, row, column), inverse);
-      set(a, row, column, factor);
+      const number factor = product(number_at(a, row, column), inverse);
+      set_number(a, row, column, factor);
       subtract_row(a, row, column, factor, column + 1, end);
     }
   }
@@ -177,20 +177,20 @@ static void apply_panel(const dense *a, const dense *to, size_t first, size_t en
   }
   for (size_t row = first + 1; row < end; row++) {
     for (size_t from = first; from < row; from++) {
-      subtract_row(to, row, from, get(a, row, from), column, to->columns);
+      subtract_row(to, row, from, number_at(a, row, from), column, to->columns);
     }
   }
   if (end < a->rows) {
     const dense below = within(to, end, column, a->rows - end, to->columns - column);
     const dense factors = within(a, end, first, a->rows - end, end - first);
     const dense rows = within(to, first, column, end - first, to->columns - column);
-    add(&below, &factors, &rows, -1);
+    add_dense(&below, &factors, &rows, -1);
   }
 }
 
 static void scale_row(const dense *of, size_t row, number by) {
   for (size_t i = 0; i < of->columns; i++) {
-    set(of, row, i, product(get(of, row, i), by));
+    set_number(of, row, i, product(number_at(of, row, i), by));
   }
 }
 
@@ -208,15 +208,15 @@ bool solver_dense_solve(const dense *a, const dense *b) {
     const size_t first = (end - 1) / PANEL * PANEL;
     for (size_t row = end; row-- > first;) {
       for (size_t from = row + 1; from < end; from++) {
-        subtract_row(b, row, from, get(a, row, from), 0, b->columns);
+        subtract_row(b, row, from, number_at(a, row, from), 0, b->columns);
       }
-      scale_row(b, row, get(a, row, row));
+      scale_row(b, row, number_at(a, row, row));
     }
     if (first > 0) {
       const dense above = within(b, 0, 0, first, b->columns);
       const dense factors = within(a, 0, first, first, end - first);
       const dense rows = within(b, first, 0, end - first, b->columns);
-      add(&above, &factors, &rows, -1);
+      add_dense(&above, &factors, &rows, -1);
     }
     end = first;
   }
@@ -238,7 +238,7 @@ static void add_triangle(const dense *to, size_t first, const dense *a, const de
     const dense part = within(to, row, row, rows, to->columns - row);
     const dense left = within(a, row, 0, rows, a->columns);
     const dense right = within(b, 0, row, b->rows, b->columns - row);
-    add(&part, &left, &right, sign);
+    add_dense(&part, &left, &right, sign);
   }
 }
 
@@ -246,16 +246,16 @@ static void add_triangle(const dense *to, size_t first, const dense *a, const de
  * triangle below. Leaves the factors below the diagonal. Returns false if a pivot is 0. */
 static bool factor_symmetric(const dense *a, size_t first, size_t end) {
   for (size_t row = first; row < end; row++) {
-    const number at = get(a, row, row);
+    const number at = number_at(a, row, row);
     const double size = at.re * at.re + at.im * at.im;
     if (!(size > 0) || !isfinite(size)) {
       return false;
     }
     const number inverse = {at.re / size, -at.im / size};
-    set(a, row, row, inverse);
+    set_number(a, row, row, inverse);
     for (size_t below = row + 1; below < a->rows; below++) {
-      const number factor = product(get(a, row, below), inverse);
-      set(a, below, row, factor);
+      const number factor = product(number_at(a, row, below), inverse);
+      set_number(a, below, row, factor);
       if (below < end) {
         subtract_row(a, below, row, factor, below, a->columns);
       }
@@ -279,14 +279,14 @@ bool solver_dense_congruence(const dense *to, const dense *a, const dense *b, co
   const dense left = within(spare, 0, 0, n, n);
   for (size_t row = 0; row < n; row++) {
     for (size_t column = 0; column < n; column++) {
-      set(&left, column, row, product(get(b, row, column), get(a, row, row)));
+      set_number(&left, column, row, product(number_at(b, row, column), number_at(a, row, row)));
     }
   }
   solver_dense_clear(to);
   add_triangle(to, 0, &left, b, 1);
   for (size_t row = 0; row < n; row++) {
     for (size_t column = 0; column < row; column++) {
-      set(to, row, column, get(to, column, row));
+      set_number(to, row, column, number_at(to, column, row));
     }
   }
   return true;

@@ -89,7 +89,7 @@ static void close_orders(const struct work *by) {
 }
 
 /* Sets to = S + beta (base + k C + closure). */
-static void fill(const struct work *by, const dense *to, const double *base, double beta) {
+static void fill_matrix(const struct work *by, const dense *to, const double *base, double beta) {
   const expansion *of = by->of;
   const size_t n = of->n, last = of->first[of->orders];
   for (size_t i = 0; i < n; i++) {
@@ -110,7 +110,7 @@ static bool transform(const struct work *by, const dense *to, const double *base
                       double beta) {
   const expansion *of = by->of;
   const dense *a = &by->spare[0], *b = &by->spare[1];
-  fill(by, a, base, beta);
+  fill_matrix(by, a, base, beta);
   solver_dense_clear(b);
   add_signs(of, b, 1);
   for (size_t i = 0; i < of->n; i++) {
@@ -182,7 +182,7 @@ static bool find_halfspace(const struct work *by, layer *to, double kappa) {
 static bool scatter_once(const struct work *by, const dense *to) {
   const expansion *of = by->of;
   const dense *a = &by->spare[0];
-  fill(by, a, of->unit, 1);
+  fill_matrix(by, a, of->unit, 1);
   solver_dense_clear(to);
   for (size_t i = 0; i < of->n; i++) {
     solver_dense_put(to, i, 0, of->albedo * of->source[1][i]);

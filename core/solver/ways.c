@@ -24,7 +24,7 @@ static double index_of(const ways *of, ptrdiff_t layer) {
 
 /* Follows light upwards or downwards from a boundary of a layer, and records each way by which it
  * leaves. */
-static void follow(ways *to, ways_path at, size_t layer, bool upwards) {
+static void follow_light(ways *to, ways_path at, size_t layer, bool upwards) {
   const size_t boundary = layer + !upwards;
   if (isinf(to->layer[layer].thickness) && !upwards) {
     return; /* it meets no further boundary */
@@ -38,14 +38,14 @@ static void follow(ways *to, ways_path at, size_t layer, bool upwards) {
     to->way[to->count++] = passed;
   } else {
     passed.full[next]++;
-    follow(to, passed, (size_t)next, upwards);
+    follow_light(to, passed, (size_t)next, upwards);
   }
   if (at.reflections < to->reflections_most &&
       index_of(to, (ptrdiff_t)layer) != index_of(to, next)) {
     at.reflections++;
     at.back[boundary]++;
     at.full[layer]++;
-    follow(to, at, layer, !upwards);
+    follow_light(to, at, layer, !upwards);
   }
 }
 
@@ -96,8 +96,8 @@ void solver_ways_find(ways *to, const stack_layer *layer, size_t layers, double 
   to->reflections_most = reflections;
   find_beams(to);
   for (size_t i = 0; i < layers; i++) {
-    follow(to, (ways_path){.layer = i, .upwards = true}, i, true);
-    follow(to, (ways_path){.layer = i, .upwards = false}, i, false);
+    follow_light(to, (ways_path){.layer = i, .upwards = true}, i, true);
+    follow_light(to, (ways_path){.layer = i, .upwards = false}, i, false);
   }
 }
 
