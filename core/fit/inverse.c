@@ -8,27 +8,28 @@
 #include "core/kernel.h"
 
 enum {
-  CELLS = 224, /* of the raster, along each axis */
-  MEDIA = 176, /* of the mesh of media, along each axis */
-  CORNERS = 4, /* of a quad of the mesh */
-  MARGIN = 1,  /* cells by which the image of what is not simple is widened */
+  CELLS = 224, /* cells of the raster along each axis */
+  MEDIA = 176, /* media of the mesh along each axis */
+  CORNERS = 4, /* corners of a quad of the mesh */
+  MARGIN = 1,  /* number of cells by which the image of what is not simple is enlarged */
 };
 
-/* The raster reaches from the largest reading of a medium down to this logarithm less. */
+/* The raster covers this range of ln(reading) below the largest reading of any medium. */
 #define DEPTH 9.0
 
 /* A determinant is taken as 0 if it is less than this, relative to the product of the gradients'
  * lengths. */
 #define DETERMINANT_LEAST 1e-3
 
-/* The square root of CORE_FIT_AMBIGUOUS: so far from a reading, in errors, another medium may be. */
+/* sqrt(CORE_FIT_AMBIGUOUS): the largest distance, in standard errors, between the readings and
+ * those of a second medium. */
 #define ERRORS 3.0
 _Static_assert((int)ERRORS *(int)ERRORS >= (int)CORE_FIT_AMBIGUOUS,
                "the rectangle holds all second media");
 
 struct fit_inverse {
-  double first[2];              /* ln of the readings where the raster begins */
-  double per_cell[2];           /* cells by the logarithm */
+  double first[2];              /* ln of the readings at the beginning of the raster */
+  double per_cell[2];           /* number of cells per unit of ln(reading) */
   float start[CELLS][CELLS][2]; /* ln_ratio and ln_scattering of the medium of each cell's centre */
   /* The number of cells that are not simple among the first i and k cells of both axes, modulo
    * 2^16. */
@@ -41,15 +42,15 @@ _Static_assert(CELLS *CELLS < 1 << 16, "sums are known modulo 2^16");
 struct node {
   double at[2];
   double slope[2][2];
-  int sign; /* of the determinant; 0 if it is about 0 */
+  int sign; /* sign of the determinant; 0 if it is about 0 */
 };
 
-/* The state of the construction of the table. */
+/* What is needed while the table is made. */
 struct mesh {
   struct fit_place least;
   struct fit_place step;
-  struct node node[MEDIA][MEDIA]; /* by ln_ratio and ln_scattering */
-  uint16_t media[CELLS][CELLS];   /* found for each cell's centre */
+  struct node node[MEDIA][MEDIA]; /* [step of ln_ratio][step of ln_scattering] */
+  uint16_t media[CELLS][CELLS];   /* number of media found for each cell's centre */
   bool knot[CELLS][CELLS];
 };
 
@@ -88,7 +89,7 @@ static bool evaluate_mesh(struct mesh *mesh, const struct fit_model *model,
   return true;
 }
 
-/* Lays the raster, and expresses the mesh in its cells. */
+/* Places the raster, and converts the mesh to its cells. */
 static void lay_raster(struct mesh *mesh, fit_inverse *inverse) {
   for (int k = 0; k < 2; k++) {
     double least = 1e300, most = -1e300;
@@ -116,7 +117,7 @@ static size_t cell_from(double x) {
   return (size_t)real_min(real_max(x + 0.5, 0), CELLS);
 }
 
-/* The cells from `first` up to but not including `end`, along both axes. */
+/* A rectangle of cells: from `first` up to `end` - 1 along each axis. */
 struct cells {
   size_t first[2];
   size_t end[2];
@@ -148,8 +149,8 @@ static void mark(struct mesh *mesh, const struct node *const *nodes, size_t n) {
 
 /* ---- quads ----------------------------------------------------------------------------------- */
 
-/* Returns by how many cells, at most, the image of an edge along an axis of the mesh is off the
- * straight line between its ends. */
+/* Returns the largest deviation, in cells, of an edge of the mesh from the straight line between
+ * its ends. */
 static double bend(const struct node *from, const struct node *to, int axis) {
   double most = 0;
   for (int k = 0; k < 2; k++) {
@@ -167,7 +168,7 @@ static double area(const struct node *a, const struct node *b, const struct node
          (b->at[1] - a->at[1]) * (c->at[0] - a->at[0]);
 }
 
-/* A quad: its corners are along ln_ratio, then along ln_scattering. */
+/* A quad of the mesh: corners in the order along ln_ratio, then along ln_scattering. */
 struct quad {
   const struct node *corner[CORNERS];
 };
@@ -226,7 +227,7 @@ static void add_quad(struct mesh *mesh, fit_inverse *inverse, size_t i, size_t k
   find_centres(mesh, inverse, (const struct node *const[]){c[3], c[2], c[1]}, far);
 }
 
-/* Marks the cells that the media on the bounds of the search map to. */
+/* Marks the cells of media at the bounds of the search. */
 static void mark_bounds(struct mesh *mesh) {
   for (size_t i = 0; i + 1 < MEDIA; i++) {
     for (size_t end = 0; end < MEDIA; end += MEDIA - 1) {

@@ -6,17 +6,17 @@
 enum {
   RATIOS = FIT_TABLE_RATIOS,
   PLACES = FIT_TABLE_PLACES,
-  ACROSS = 6, /* points that are interpolated in ln_ratio */
-  ALONG = 4,  /* and in the logarithm */
-  BLOCK = 64, /* places that are looked up together */
+  ACROSS = 6, /* number of points for interpolation in ln_ratio */
+  ALONG = 4,  /* number of points for interpolation in ln x or ln q */
+  BLOCK = 64, /* number of places that are looked up together */
 };
 
 #define LN_2_PI 1.83787706640934548356
 
 /* ---- the table ------------------------------------------------------------------------------- */
 
-/* Where a number lies among nodes with equal steps: the first of the nodes to interpolate, and their
- * Lagrange polynomials and the derivatives of these, in steps. */
+/* The stencil of a number among equally spaced nodes: index of the first node to use, Lagrange
+ * polynomials and their derivatives by the step. */
 struct stencil {
   size_t first;
   double value[ACROSS];
@@ -42,7 +42,7 @@ static struct stencil stencil_across(double position) {
   return stencil;
 }
 
-/* What all readings of a medium share. */
+/* Numbers of a medium that all readings share. */
 struct medium {
   double sigma_t_prime;
   double ln_sigma_t_prime;
@@ -68,11 +68,11 @@ static struct medium medium_at(const fit_table *table, double ln_ratio, double l
   return m;
 }
 
-/* A few places: the first of the nodes to interpolate, their polynomials and derivatives as in a
- * stencil, and what is interpolated across at these nodes: L and its derivative by ln_ratio. */
+/* Stencils of BLOCK places. value: L and its derivative by ln_ratio at the nodes of each stencil,
+ * already interpolated in ln_ratio. */
 struct places {
   int32_t first[BLOCK];
-  double inside[BLOCK]; /* 1, or 0 where L is taken as constant */
+  double inside[BLOCK]; /* 1, or 0 where L is constant because the place is outside the table */
   double value[ALONG][BLOCK];
   double slope[ALONG][BLOCK];
   double L[BLOCK][ALONG];
@@ -118,7 +118,7 @@ static void interpolate_across(const fit_table *table, const struct stencil *acr
   }
 }
 
-/* L, and its derivatives by both logarithms, in steps. */
+/* L and its derivatives by ln_ratio and by ln x, per step of the table. */
 struct interpolated {
   double value[BLOCK];
   double by_ratio[BLOCK];
@@ -162,7 +162,7 @@ static void give_R(const fit_table *table, const struct medium *m, size_t n, con
   const double per_step = 1 / table->ln_step, per_ratio = 1 / table->ratio_step;
   for (size_t i = 0; i < n; i++) {
     const double x = at[i] * m->sigma_t_prime, kx = m->kappa * x;
-    const double bent = kx / (1 + kx); /* of ln(1 + kappa x), by ln x */
+    const double bent = kx / (1 + kx); /* derivative of ln(1 + kappa x) by ln x */
     const double R = m->scale * (1 + kx) * kept_exp(L->value[i] - kx) / x;
     const double by_x = L->by_ln[i] * per_step - 1 - kx + bent;
     value[i] = R;

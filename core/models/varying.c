@@ -5,7 +5,7 @@
 #include "core/cells/find.h"
 #include "core/models/lanes.h"
 
-/* What is checked of one value. */
+/* The result of checking one value. */
 struct checked {
   cells_integer status;
   int ok;
@@ -42,8 +42,8 @@ static inline struct checked check_value(const real *shared, real sigma_a, real 
 
 enum { BLOCK = 64 };
 
-/* Narrows statuses to bytes, in their own loop, since compilers vectorize no loop with both.
- * Returns how many of the whole block have an answer. */
+/* Converts statuses to bytes, in a loop of its own so that compilers vectorize both. Returns how
+ * many values of the block were computed. */
 static inline size_t narrow(size_t n, const cells_integer *restrict wide,
                             uint8_t *restrict status) {
   cells_integer computed = 0;
@@ -56,14 +56,14 @@ static inline size_t narrow(size_t n, const cells_integer *restrict wide,
   return (size_t)computed;
 }
 
-/* What the values have in common, in BLOCK places side by side, so that compilers vectorize. */
+/* Ranges over the values, in BLOCK lanes so that compilers vectorize. */
 struct extremes {
   real albedo_least[BLOCK], albedo_most[BLOCK];
   real mfp_least[BLOCK], mfp_most[BLOCK];
   size_t computed;
 };
 
-/* Adds the numbers that are not NaN to the least and the most of each place. */
+/* Extends each lane's range [least, most] to include x, unless x is NaN. */
 static inline void widen(const real *restrict x, real *restrict least, real *restrict most) {
   for (size_t i = 0; i < BLOCK; i++) {
     const real lower = least[i], upper = most[i];
@@ -88,7 +88,7 @@ check_block(const real *restrict shared, const real *restrict sigma_a, const rea
   widen(mfp, seen->mfp_least, seen->mfp_most);
 }
 
-/* Joins the places. */
+/* Combines the lanes to one range. */
 static void sum_up(struct extremes *seen, core_varying_range *range) {
   for (size_t half = BLOCK / 2; half > 0; half /= 2) {
     for (size_t i = 0; i < half; i++) {
@@ -103,7 +103,7 @@ static void sum_up(struct extremes *seen, core_varying_range *range) {
                                 (double)seen->mfp_most[0]};
 }
 
-/* The last values, in a block that NaN fills up: a radius that is NaN gets no answer. */
+/* The last values, padded with NaN to a block: padding is not counted. */
 struct last_block {
   real sigma_a[BLOCK], sigma_s[BLOCK], in[BLOCK];
 };
@@ -168,7 +168,7 @@ struct lengths {
   real free_path, diffuse, classical, extinction;
 };
 
-/* scatter: 1 - g */
+/* scatter: 1 - g of the media */
 static inline real free_paths(struct lengths of, real s, real scatter) {
   const real grosjean = s * real_sqrt(3 / (1 + s * s));
   const real classical = s * REAL(1.7320508075688772);

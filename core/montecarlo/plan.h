@@ -23,14 +23,14 @@ enum { MC_STAGES_MAX = 768, MC_STAGE_TABLE = 4096 };
  * each photon draws in advance how long it may live: to n or longer with the chance S(n). Light
  * that leaves after n collisions weighs albedo^n / S(n). */
 typedef struct mc_stage {
-  uint32_t first;    /* number of the collision that the stage begins with */
+  uint32_t first;    /* number of the stage's first collision */
   uint32_t survival; /* S, in units of 1 / MC_SURVIVAL_ONE */
   double gain;       /* 1 / S */
 } mc_stage;
 
 /* The balance of 1 unit of power at the end of a stage's first collision, for one albedo. */
 typedef struct mc_stage_energy {
-  double weight;   /* albedo^first, without 1 / S */
+  double weight;   /* albedo^first: the weight before it is divided by S */
   double absorbed; /* power absorbed up to and including the stage's first collision */
   double added;    /* power that roulette has added, including at the beginning of this stage */
 } mc_stage_energy;
@@ -43,7 +43,7 @@ enum mc_row {
   MC_ROW_TRANSMITTED,
   MC_ROW_ABSORBED,
   MC_ROW_UNFINISHED,
-  MC_ROW_ROULETTE, /* power that roulette added less power that it took */
+  MC_ROW_ROULETTE, /* power added by roulette minus power removed */
   MC_ROW_LAYERS,   /* power absorbed in each of the layers of a stack */
   MC_ROW_SLOTS = MC_ROW_LAYERS + CORE_MC_LAYERS_MAX
 };
@@ -52,9 +52,9 @@ _Static_assert((int)MC_ROW_REFLECTED == (int)CORE_MC_REFLECTED &&
                "a side is its row");
 
 struct core_mc_plan {
-  core_mc_request request; /* the request, with its defaults filled in */
+  core_mc_request request; /* the request, with defaults in place of 0 */
   walk_medium walk;
-  bool walks;                   /* false if no light is ever scattered */
+  bool walks; /* whether photons are walked: false if no light is ever scattered */
   double scattered_or_absorbed; /* share of the entered power that collides at least once */
   double unscattered[CORE_MC_SIDES];
   size_t albedos;

@@ -101,7 +101,8 @@ void core_mc_total_energy(const core_mc_total *total, size_t albedo, core_mc_ene
     energy->over[side] = value_of(total, mc_slot_row(plan, side, plan->slots - 1), albedo);
     sum += energy->left[side].value;
   }
-  energy->imbalance = total->batches > 0 ? sum - 1 : 0; /* No light has been lost yet. */
+  /* before the first batch nothing is unbalanced */
+  energy->imbalance = total->batches > 0 ? sum - 1 : 0;
 }
 
 static core_mc_ring ring_of(const core_mc_total *total, size_t albedo, size_t side, size_t slot) {

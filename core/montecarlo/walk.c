@@ -74,8 +74,8 @@ static inline struct deflection deflect_by_square(float t, lane_uniform u) {
  * and the place among these points is the uniform number that it inverts. */
 struct drawn {
   lane_mask first;
-  uint32_t count; /* number of points of the function that is drawn from */
-  uint32_t i;     /* the point among them */
+  uint32_t count; /* number of points of the chosen function */
+  uint32_t i;     /* index of the point among them */
   float inverse;  /* 1 / count */
 };
 
@@ -148,7 +148,7 @@ struct fresnel {
   float p_difference;
   float p_sum;
   float ct;
-  lane_mask total; /* all bits are set for total reflection */
+  lane_mask total; /* a mask: set for total reflection */
 };
 
 static inline walk_boundary boundary_of(const walk_medium *m, int32_t face) {
@@ -199,15 +199,15 @@ static inline float minus_log_reflectance(struct fresnel f) {
 struct landing {
   float z;
   struct vector u;
-  float flown; /* path from the last place to this one */
-  float way;   /* path to the boundary, if the photon leaves */
+  float flown; /* length of the flight */
+  float way;   /* distance to the boundary by which the photon leaves */
   lane_mask leaves;
   lane_mask collides;
   int32_t layer;
-  uint32_t fate; /* fate of the photon, if it leaves */
+  uint32_t fate; /* enum walk_fate, if the photon leaves */
 };
 
-#define REFLECTIONS_MAX 0x1p30f /* more reflections than any flight meets */
+#define REFLECTIONS_MAX 0x1p30f /* larger than the number of reflections in any flight */
 
 static inline struct landing land_in_half_space(const walk_medium *m, float z, struct vector u,
                                                 float path, lane_uniform chance) {
@@ -316,7 +316,8 @@ static inline void draw_numbers(const walk_medium *m, size_t lanes, const uint32
   }
 }
 
-/* Returns the direction u after a scattering. phase: the medium's, as a constant. */
+/* Returns the new direction after a scattering. phase: walk_phase of the medium, as a constant for
+ * the compiler. */
 static inline struct vector scatter(const walk_medium *m, int32_t layer, struct vector u,
                                     uint32_t bits, lane_direction azimuth, enum walk_phase phase) {
   if (phase == WALK_ISOTROPIC) {
@@ -427,7 +428,7 @@ static void launch(const walk_medium *medium, uint64_t first, walk_launch *restr
   for (size_t i = 0; i < WALK_LANES; i++) {
     const lane_uniform depth = lane_uniform_from(random.word[0][i]);
     const lane_uniform side = lane_uniform_from(random.word[1][i]);
-    uint32_t way = 0; /* up in layer 0, down in it, up in layer 1, ... */
+    uint32_t way = 0; /* in the order: up in layer 0, down in layer 0, up in layer 1, ... */
     for (uint32_t j = 0; j <= 2 * m.last; j++) {
       way += lane_mask_if(side.v >= m.first_sum[j]) & 1;
     }
@@ -446,6 +447,6 @@ static void launch(const walk_medium *medium, uint64_t first, walk_launch *restr
 #define WALK_PASTE_(a, b) a##b
 #define WALK_PASTE(a, b) WALK_PASTE_(a, b)
 
-/* The one symbol that this object exports. */
+/* The only symbol with external linkage. */
 extern const walk_functions WALK_PASTE(walk_functions_, CORE_ISA);
 const walk_functions WALK_PASTE(walk_functions_, CORE_ISA) = {launch, step_any};

@@ -43,11 +43,11 @@ typedef struct walk_medium {
   enum walk_phase phase;
   enum walk_geometry geometry;
   uint32_t key[2];
-  uint32_t last; /* number of the lowest layer */
+  uint32_t last; /* index of the lowest layer */
   /* Each layer's, in arrays of their own, as gathering loads need it. The one layer of a homogeneous
    * medium has a mean free path of 1. */
   float mfp[CORE_MC_LAYERS_MAX];
-  float thickness[CORE_MC_LAYERS_MAX]; /* INFINITY for a half space */
+  float thickness[CORE_MC_LAYERS_MAX]; /* thickness of each layer; INFINITY: a half space */
   float albedo[CORE_MC_LAYERS_MAX];    /* for WALK_LAYERS only */
   float g_sign[CORE_MC_LAYERS_MAX];    /* walk_hg */
   float g_size[CORE_MC_LAYERS_MAX];
@@ -61,7 +61,7 @@ typedef struct walk_medium {
   /* The optical depth of a first collision is -ln(first_rest + w first_share), w uniform. */
   float first_share[CORE_MC_LAYERS_MAX];
   float first_rest[CORE_MC_LAYERS_MAX];
-  walk_hg second; /* for WALK_TWO_TERM only */
+  walk_hg second; /* the second function of WALK_TWO_TERM */
   /* Of the 2^31 points of a uniform number, the first `share` draw from the first layer's function
    * and the others from the second function of a mixture. */
   uint32_t share;
@@ -91,7 +91,7 @@ enum walk_fate {
 typedef struct walk_lanes {
   float x[WALK_LANES];
   float y[WALK_LANES];
-  float z[WALK_LANES]; /* depth within the layer */
+  float z[WALK_LANES]; /* depth below the upper face of the layer */
   float ux[WALK_LANES];
   float uy[WALK_LANES];
   float uz[WALK_LANES];
@@ -104,7 +104,7 @@ typedef struct walk_lanes {
   /* For WALK_LAYERS only. The weight before the last flight's collision, after it, and after
    * roulette; all three are equal if the flight had none. */
   int32_t layer[WALK_LANES];
-  uint32_t collided[WALK_LANES]; /* mask: the last flight ended with a collision */
+  uint32_t collided[WALK_LANES]; /* a mask: set if the last flight ended with a collision */
   float before[WALK_LANES];
   float after[WALK_LANES];
   float weight[WALK_LANES];
@@ -114,7 +114,7 @@ typedef struct walk_lanes {
 typedef struct walk_launch {
   int32_t layer[WALK_LANES];
   float z[WALK_LANES];
-  float uz[WALK_LANES]; /* direction before the first collision: 1 is down, -1 up */
+  float uz[WALK_LANES]; /* direction before the first collision: 1 down, -1 up */
   /* uniform, below 2^31; decides how long roulette lets the photon live */
   uint32_t chance[WALK_LANES];
 } walk_launch;

@@ -59,8 +59,8 @@ class Panel(NamedTuple):
     eta: str
     r: np.ndarray  # [RINGS]
     edges: np.ndarray  # [RINGS + 1]
-    values: dict[str, np.ndarray]  # [RINGS] each, by the names in COLUMNS
-    albedos: dict[str, float]  # by the same names, but not of transport_ring
+    values: dict[str, np.ndarray]  # arrays [RINGS] by the names in COLUMNS
+    albedos: dict[str, float]  # by the same names, without transport_ring
 
 
 # ---- values --------------------------------------------------------------------------------------
@@ -232,7 +232,7 @@ def summary_rows(panels: Sequence[Panel]) -> Iterator[Sequence[Any]]:
 
 # With fewer photons the errors that Monte Carlo states are too uncertain for a check.
 CHECK_PHOTONS_LEAST = 120_000
-CHECK_ERROR_MOST = 0.05  # of R; rings that are known less well are left out
+CHECK_ERROR_MOST = 0.05  # relative standard error of R; rings with a larger one are omitted
 
 
 def check_rows(panels: Sequence[Panel], photons: int) -> Iterator[Sequence[Any]]:
@@ -250,7 +250,7 @@ def check_rows(panels: Sequence[Panel], photons: int) -> Iterator[Sequence[Any]]
 
 PAGE_COLUMNS, PAGE_ROWS = 4, 3
 DOT_COLOUR = "#555555"
-DOT_ERROR_MOST = 0.25  # of R; dots with a larger error are left out
+DOT_ERROR_MOST = 0.25  # relative standard error of R; dots with a larger one are omitted
 
 # The curves of Figures 1 to 16, and those of Figure 17: column, title, colour, dash, width.
 MODEL_LINES = [
@@ -275,7 +275,7 @@ class Page(NamedTuple):
     figure: int
     title: str
     lines: list[tuple[str, str, str, str, float]]
-    cells: dict[int, Panel]  # by the cell, row by row; the legend has the last cell
+    cells: dict[int, Panel]  # cells in row order; the last one holds the legend
 
 
 def pages_of(panels: dict[tuple[str, str], Panel]) -> Iterator[Page]:
@@ -312,7 +312,7 @@ def set_gamma(page: Page, axes: plt.Axes) -> None:
 
 
 def gamma(R: np.ndarray) -> np.ndarray:
-    """Roughly the brightness on a screen."""
+    """Returns the approximate brightness of a colour on a screen, 0 to 1."""
     return np.power(R, 1 / 2.2)
 
 

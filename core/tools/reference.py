@@ -59,7 +59,7 @@ def rows(client: dipole.Client, ratio: float, g: float, eta: float, seed: int) -
         i = int(np.searchsorted(walked.edges, r, side="right")) - 1
         by_walk = ","
         if walked.ring_photons[0][i] >= PHOTONS_LEAST:
-            value = walked.R[0][i] * by_solver[0] / means[i]  # from the mean over the ring to r
+            value = walked.R[0][i] * by_solver[0] / means[i]  # converts the mean over the ring to the value at r
             by_walk = f"{value:.5e},{walked.R_error[0][i] / walked.R[0][i]:.1e}"
         yield row("R", f"{r:g}", by_solver, by_walk)
 

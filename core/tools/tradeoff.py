@@ -42,7 +42,7 @@ class Subject(NamedTuple):
 
     model: str
     evaluator: str
-    ns: float  # for a radius; NaN if nothing was measured
+    ns: float  # ns for a radius; NaN: not measured
     prepare_ns: float
     worst: float
     median: float
