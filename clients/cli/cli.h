@@ -99,6 +99,7 @@ typedef struct cli_settings {
   bool log;
   cli_texts wanted, plot;
   const char *table, *output; /* files of tables */
+  const char *mci;            /* an input file of MCML */
   bool errors, deviation;
   const char *quantity, *axes, *draw, *scale, *light;
   cli_numbers reference;

@@ -17,6 +17,11 @@ static const cli_option radii_options[] = {
     CLI_OPTION(
         FILE, table, NULL,
         "evaluate the tables in a file of `dipole table`, without a daemon; -: standard input"),
+    CLI_OPTION(FILE, mci, NULL,
+               "read an input file of MCML, version 1.0, and write what MCML would estimate from "
+               "infinitely many photons, without a daemon: R and T by rings of its dr, totals, and "
+               "what each layer absorbs, per power that was launched, in cm. --tolerance holds "
+               "(default: 1e-3)"),
     CLI_TITLE("Radii"),
     CLI_OPTION(NUMBERS, r, NULL, "these radii, mm; one may be inf"),
     CLI_EVAL_F_OPTION,
@@ -604,6 +609,11 @@ int cli_eval_check(cli_settings *settings) {
     return cli_fail_usage("--f is for R_f, and --r for all else: leave one out");
   }
   const bool at_f = settings->f.count > 0;
+  if (settings->mci != NULL) {
+    return settings->table != NULL || cli_medium_given(settings) || settings->plot.count > 0
+               ? cli_fail_usage("--mci has its media and radii in its file: leave the others out")
+               : CLI_OK;
+  }
   const int status = settings->table != NULL ? check_table(settings) : cli_medium_check(settings);
   if (status != CLI_OK) {
     return status;
@@ -620,7 +630,7 @@ int cli_eval_check(cli_settings *settings) {
 }
 
 static bool is_local(const cli_settings *settings) {
-  return settings->table != NULL;
+  return settings->table != NULL || settings->mci != NULL;
 }
 
 static int write_and_draw(const cli_settings *settings, const cli_eval_report *report) {
@@ -634,6 +644,9 @@ static int write_and_draw(const cli_settings *settings, const cli_eval_report *r
 static int run_eval(const cli_settings *settings, dipole_client *client) {
   cli_eval_report report = {0};
   dipole_info *info = NULL;
+  if (settings->mci != NULL) {
+    return cli_mci(settings);
+  }
   int status = is_local(settings) ? cli_eval_table(settings, &report, &info)
                                   : cli_eval_request(settings, client, &report);
   if (status == CLI_OK) {
@@ -668,7 +681,8 @@ const cli_command cli_command_eval = {
                 "  dipole eval --medium skin1 --tolerance 0.01\n"
                 "  dipole eval --sigma-a 0.05 --sigma-s 9.5 --g 0.9 --eta 1.4 --tolerance 0.01\n"
                 "  dipole eval --medium skin1 --model better --evaluator f32 --wanted R,cdf\n"
-                "  dipole eval --medium skin1 --model all --plot all.svg\n",
+                "  dipole eval --medium skin1 --model all --plot all.svg\n"
+                "  dipole eval --mci sample.mci --tolerance 0.01\n",
     .check = cli_eval_check,
     .is_local = is_local,
     .run = run_eval,

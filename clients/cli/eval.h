@@ -85,4 +85,7 @@ bool cli_eval_take_quantities(const cli_settings *settings, cli_eval_report *rep
  * the ratios between radii are equal. Says what is wrong and returns an exit status. */
 int cli_plot_R(const cli_eval_report *report, const cli_texts *paths);
 
+/* Reads the file of --mci and writes what MCML would estimate from it. Returns an exit status. */
+int cli_mci(const cli_settings *settings);
+
 #endif

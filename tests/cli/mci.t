@@ -1,0 +1,51 @@
+## dipole eval --mci: MCML's input files.
+$ printf '# van de Hulst\n1.0 # version\n2\n\nslab.mco A\n1000 # photons\n.01 .1\n10 2 1\n1\n1\n1 2 18 .75 .1 # mm: .2 1.8 .75 1\n1\ndeep.mco A\n1000\n.01 .05\n10 1 1\n2\n1\n1.4 10 1 0 .01\n1.4 1 9 0 1e8\n1\n' > two.mci
+
+$ dipole eval --mci two.mci --tolerance 0.1
+run       quantity  layer  from    to        value      error
+                             cm    cm    1, 1/cm^2  1, 1/cm^2
+--------  --------  -----  ----  ----  -----------  ---------
+slab.mco  Rsp                          0.00000e+00    0.0e+00
+slab.mco  Rd                           9.73946e-02    8.9e-09
+slab.mco  Tt                           6.60958e-01    3.1e-09
+slab.mco  A             1              2.41648e-01    5.8e-09
+slab.mco  Rd_r                0   0.1  1.86538e+00    1.4e-02
+slab.mco  Rd_r              0.1   0.2  2.56830e-01    1.2e-03
+slab.mco  Tt_r                0   0.1  1.91431e+01    2.4e-01
+slab.mco  Tt_r              0.1   0.2  4.62564e-01    1.1e-02
+deep.mco  Rsp                          2.77778e-02    0.0e+00
+deep.mco  Rd                           1.75847e-01    6.0e-08
+deep.mco  Tt                           0.00000e+00    9.7e-10
+deep.mco  A             1              2.08883e-01    1.7e-07
+deep.mco  A             2              5.87493e-01    1.1e-07
+deep.mco  Rd_r                0  0.05  7.52427e+00    1.2e-01
+
+$ dipole eval --mci two.mci --tolerance 0.1 --format csv | sed -n '1p;7p;$p'
+run,quantity,layer,from,to,value,error
+slab.mco,Rd_r,,0.1,0.2,0.2568298229310326,0.001247601773565725
+deep.mco,Rd_r,,0,0.05,7.52427278645631,0.12180673913357692
+
+$ dipole eval --mci two.mci --medium skin1
+! dipole eval: --mci has its media and radii in its file: leave the others out
+! `dipole eval --help` says more.
+? 2
+
+$ dipole eval --mci none.mci
+! dipole eval: none.mci: cannot be opened
+? 1
+
+$ printf 'mcmli2.0\n' > new.mci; dipole eval --mci new.mci
+! dipole eval: new.mci:1: 'mcmli2.0': expected 1.0, the version of MCML's input files
+? 1
+
+$ sed 's/ .75 .1//' two.mci > short.mci; dipole eval --mci short.mci
+! dipole eval: short.mci:11: '1 2 18 ': expected n, mua, mus, g and d of a layer, in cm
+? 1
+
+$ sed 's/^10 2 1/10 2e9 1/' two.mci > long.mci; dipole eval --mci long.mci
+! dipole eval: long.mci:10: give a dr above 0, and 1 to 1e5 of them
+? 1
+
+$ sed 's/1.4 10 1/1.4 0 0/' two.mci > clear.mci; dipole eval --mci clear.mci --tolerance 0.1
+! dipole eval: clear.mci: run deep.mco: layer 1: sigma_s: allowed: not negative, finite; not 0 where sigma_a is 0
+? 1
