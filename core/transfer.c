@@ -35,8 +35,9 @@ enum {
   WAVES = CORE_FILTER_WAVES,
   /* the sum begins this many steps below k r = 1 and below the profile's scale */
   NEAR = 38 * STEPS,
-  NEARER = 8 * STEPS, /* number of steps by which it begins earlier while energy is left there, */
-  NEAREST = 10,       /* at most this many times */
+  /* number of steps by which it begins earlier, as long as energy is left there */
+  NEARER = 8 * STEPS,
+  NEAREST = 10, /* how often it may begin earlier */
   /* the largest number of steps from the first node to NEAR / k */
   ONES = 102 * STEPS + NEAREST * NEARER,
   POINTS = 16, /* points of the interpolation in ln k */

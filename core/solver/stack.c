@@ -94,7 +94,8 @@ static size_t add_ends(const expansion *of, double n, double rare, double *end) 
   return count;
 }
 
-/* Integrates over the cosine in the rarer medium. */
+/* Integrates the step's products over the cosine in the rarer medium, in which every direction
+ * exists. */
 static void integrate_step(struct step *to, const expansion *one, const expansion *two, double n1,
                            double n2) {
   const double rare = fmin(n1, n2), thick = fmax(n1, n2), eta = thick / rare;
