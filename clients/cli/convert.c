@@ -1,5 +1,5 @@
-/* dipole convert: from what one renderer means by a colour and a length to coefficients, or to what
- * another one means. */
+/* dipole convert: converts a colour and a length, as one renderer defines them, to coefficients or
+ * to the parameters of another renderer. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -12,8 +12,8 @@
 enum colour_kind { SMOOTH, CLASSICAL, HULST, HULST_G0 };
 enum length_kind { EXTINCTION, CLASSICAL_LENGTH, BURLEY, BLENDER, UNREAL };
 
-/* How a form writes the numbers of a material: what comes first, three numbers and one number of a
- * name, and what comes last. */
+/* How --format native writes a material: a text before it, formats of a parameter with three
+ * numbers and of one with a single number, and a text after it. */
 typedef struct native_form {
   const char *first, *three, *one, *last;
 } native_form;
@@ -93,17 +93,18 @@ static const cli_option options[] = {
     {0},
 };
 
-/* A material of up to three channels or more, while it is converted. */
+/* A material with one or more channels that is being converted. */
 typedef struct material {
   const cli_settings *settings;
   dipole_client *client;
   const convention *from, *to; /* NULL: coefficients */
-  double unit_mm;              /* of scene units */
+  double unit_mm;              /* scene unit in mm */
   size_t count;
-  dipole_medium *media;           /* [count] */
-  double *colours, *lengths;      /* [count] what is written; lengths in the target's unit */
-  double *typed;                  /* [count] the colours that were given; NAN: none */
-  double *shown, *shown_as_given; /* [count] colours of a beam under transport */
+  dipole_medium *media; /* [count] */
+  /* [count] the colours and lengths to write; lengths in the target's unit */
+  double *colours, *lengths;
+  double *typed;                  /* [count] the colours as given; NAN: none */
+  double *shown, *shown_as_given; /* [count] colours that a beam shows under transport */
 } material;
 
 /* ---- formulas -------------------------------------------------------------------------------- */
@@ -114,7 +115,7 @@ typedef struct material {
 #define HULST_A 0.139
 #define HULST_B 1.17
 
-/* Returns 1 - a of a colour. */
+/* Returns 1 - sigma_s / (sigma_a + sigma_s) of a colour by van de Hulst's formula. */
 static double hulst_absorbed(double colour, double g) {
   const double u = 1 + HULST_A + HULST_B * colour;
   const double s = (u - sqrt(u * u - 4 * HULST_A * (1 - colour))) / (2 * HULST_A);
@@ -126,7 +127,8 @@ static double hulst_colour(double absorbed, double g) {
   return (1 - s) * (1 - HULST_A * s) / (1 + HULST_B * s);
 }
 
-/* Returns the length of a convention over d of Burley's profile (Christensen, Burley 2015). */
+/* Returns the ratio of a convention's length to d of Burley's profile (Christensen, Burley
+ * 2015). */
 static double per_burley(enum length_kind kind, double colour) {
   const double off = fabs(colour - 0.8);
   return kind == BLENDER  ? 4 * acos(-1) * (1.9 - colour + 3.5 * off * off)
@@ -140,7 +142,7 @@ static double absorbed_of(const dipole_medium *medium) {
 
 /* ---- asking ---------------------------------------------------------------------------------- */
 
-/* Sets colours[count] to the albedos of a beam that media have. */
+/* Sets colours[count] to the albedos of these media for a beam under a model. */
 static bool find_colours(const material *of, unsigned model, const dipole_medium *media,
                          double *colours) {
   dipole_result *result;
@@ -163,8 +165,8 @@ static bool find_colours(const material *of, unsigned model, const dipole_medium
   return true;
 }
 
-/* Sets media from colours and lengths that a model and a kind of length define; g and eta are
- * there. */
+/* Sets the media of colours and lengths under a model; `given` is the kind of length. g and eta are
+ * set already. */
 static bool find_media(material *of, unsigned model, unsigned given, const double *lengths_mm) {
   for (size_t i = 0; i < of->count; i++) {
     dipole_inversion *found;
@@ -194,7 +196,7 @@ static bool find_media(material *of, unsigned model, unsigned given, const doubl
   return true;
 }
 
-/* Sets media of the extinction 1 / mm from colours by van de Hulst's formula. */
+/* Sets media with an extinction of 1 / mm from colours by van de Hulst's formula. */
 static void apply_hulst(const material *of, bool knows_g, const double *colours,
                         dipole_medium *media) {
   for (size_t i = 0; i < of->count; i++) {
@@ -203,7 +205,7 @@ static void apply_hulst(const material *of, bool knows_g, const double *colours,
   }
 }
 
-/* Multiplies all coefficients of a medium, which divides its lengths. */
+/* Multiplies the coefficients of a medium by a factor, which divides its lengths by it. */
 static void scale_medium(dipole_medium *medium, double by) {
   medium->sigma_a_per_mm *= by;
   medium->sigma_s_per_mm *= by;
@@ -238,7 +240,8 @@ static bool read_numbers(material *of) {
     }
     return true;
   }
-  /* A length of Burley's profile: that of the medium with the extinction 1 / mm says the scale. */
+  /* The scale is the ratio of the wanted length d to d of the medium with an extinction of 1 /
+   * mm. */
   double *one_mm = cli_allocate(of->count, sizeof *one_mm), *r_mm = NULL;
   for (size_t i = 0; i < of->count; i++) {
     one_mm[i] = 1;
@@ -294,8 +297,8 @@ static bool set_lengths(material *of) {
   return true;
 }
 
-/* Sets what light at normal incidence shows of the media, and of the media that the target makes of
- * the colours as they were given. */
+/* Sets the colours that light at normal incidence shows of the media, and those of the media that
+ * the target would make of the given colours. */
 static bool set_shown(material *of) {
   bool good = find_colours(of, CORE_MODEL_TRANSPORT, of->media, of->shown);
   const bool by_formula = of->to != NULL && (of->settings->typed || of->to->colour >= HULST);
@@ -344,7 +347,7 @@ static void write_three(const native_form *form, const char *name, const double 
   printf(form->three, name, values[0], values[1], values[2]);
 }
 
-/* The extensions of glTF: a transmitted colour at a distance says the extinction. */
+/* The extensions of glTF state the extinction by a transmitted colour at a distance. */
 static void write_gltf(const material *of, const char *scatter, double factor,
                        const double *lengths) {
   const bool draft = strcmp(scatter, "KHR_materials_volume_scatter") == 0;
@@ -359,7 +362,7 @@ static void write_gltf(const material *of, const char *scatter, double factor,
          of->media[0].eta);
 }
 
-/* Sets the names of the parameters of a convention; "" where it has none. */
+/* Sets the names of a convention's parameters; "" where it has none. */
 static void take_names(const convention *of, const char *names[NAMES]) {
   char *list = cli_copy(of->names, strlen(of->names));
   for (size_t i = 0; i < NAMES; i++) {
@@ -367,7 +370,7 @@ static void take_names(const convention *of, const char *names[NAMES]) {
   }
 }
 
-/* Writes the parameters as the target's users enter them. */
+/* Writes the parameters in the form in which the target's users enter them. */
 static int write_native(const material *of) {
   const native_form *form = of->to != NULL ? of->to->form : &form_NONE;
   if (form == &form_NONE || of->count != CLI_COLOURS) {
@@ -399,7 +402,7 @@ static int write_native(const material *of) {
   return CLI_OK;
 }
 
-/* Says what the source leaves open, and what the target cannot say. */
+/* Reports what the source does not state, and what the target cannot express. */
 static void tell_notes(const material *of) {
   const char *names[NAMES];
   if (of->from != NULL && of->from->note[0] != '\0') {
@@ -424,7 +427,8 @@ static void tell_notes(const material *of) {
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
-/* Sets *found; NULL for coefficients. Says what is wrong and returns false if there is none. */
+/* Finds a convention by name. *found is NULL for coefficients. Reports an error and returns false
+ * if the name is unknown. */
 static bool find_convention(const char *option, const char *name, const convention **found) {
   char known[512] = COEFFICIENTS;
   *found = NULL;

@@ -35,7 +35,8 @@ bool cli_edge_radii(const cli_settings *settings, dipole_client *client, const d
 
 double cli_edge_at(const double *r_mm, double x_mm) {
   const double x = fabs(x_mm), quarter = asin(1);
-  size_t low = 0, high = CLI_EDGE_RADII; /* all radii before `low` are at most x */
+  /* invariant: all radii with an index below `low` are at most x */
+  size_t low = 0, high = CLI_EDGE_RADII;
   while (low < high) {
     const size_t middle = (low + high) / 2;
     *(r_mm[middle] <= x ? &low : &high) = r_mm[middle] <= x ? middle + 1 : middle;
@@ -49,7 +50,8 @@ double cli_edge_at(const double *r_mm, double x_mm) {
 
 /* ---- Burley's profile ------------------------------------------------------------------------ */
 
-/* Positions at which edges are compared: quantiles of the radii, where E changes. */
+/* Numbers of places at which edges are compared, which are quantiles of the radii, and of steps of
+ * the search. */
 enum { PLACES = 96, STEPS = 40 };
 
 /* Returns the radius at which the cdf of Burley's profile with d = 1 is u: the inverse of 1 - e^-x /
@@ -69,8 +71,8 @@ double cli_edge_burley(const double *r_mm, double *error) {
     x[i] = r_mm[(2 * i + 1) * CLI_EDGE_RADII / (2 * PLACES)];
     wanted[i] = cli_edge_at(r_mm, x[i]);
   }
-  /* Each difference has one sign below some d and the other above it, so that the largest size of
-   * all has no minimum but one: golden sections find it. */
+  /* Each difference is negative below some d and positive above it. So the largest absolute value
+   * has a single minimum, which golden-section search finds. */
   double low = log(0.02 * x[PLACES / 2]), high = log(4 * x[PLACES / 2]), d = 0;
   const double ratio = (sqrt(5) - 1) / 2;
   double at[2] = {high - ratio * (high - low), low + ratio * (high - low)}, off[2];

@@ -14,7 +14,7 @@ enum { LINE_BYTES = 512, NAME_BYTES = 256 };
 #define RINGS_MAX 1e5
 #define TOLERANCE_DEFAULT 1e-3
 #define MM_PER_CM 10.0
-/* A last layer as thick as this is a half space: files write 1e8 for one. */
+/* A last layer of at least this thickness is a half space; files write 1e8 cm. */
 #define HALF_SPACE_CM 1e5
 
 typedef struct mci_file {
@@ -27,8 +27,8 @@ typedef struct mci_file {
 typedef struct mci_row {
   char run[NAME_BYTES]; /* name of the output file */
   const char *quantity;
-  size_t layer;    /* from 1; 0: none */
-  double from, to; /* cm; NAN: no ring */
+  size_t layer;    /* index of the layer, from 1; 0: no layer */
+  double from, to; /* edges of the ring in cm; NAN: no ring */
   transport_number value;
 } mci_row;
 
@@ -39,7 +39,7 @@ typedef struct mci_rows {
 
 /* ---- reading --------------------------------------------------------------------------------- */
 
-/* Reads the next line that is not empty without its comment. */
+/* Reads the next line that is not empty, without its comment. */
 static bool read_line(mci_file *in) {
   do {
     if (fgets(in->text, sizeof in->text, in->file) == NULL) {
@@ -52,7 +52,7 @@ static bool read_line(mci_file *in) {
   return true;
 }
 
-/* Reads a line of `count` numbers. Otherwise says what the line should be. */
+/* Reads a line of `count` numbers. Otherwise reports `expected` and returns false. */
 static bool read_numbers(mci_file *in, size_t count, double numbers[], const char *expected) {
   char *at = in->text;
   size_t read = 0;
@@ -68,7 +68,7 @@ static bool read_numbers(mci_file *in, size_t count, double numbers[], const cha
   return true;
 }
 
-/* A run of a file. */
+/* One run that a file describes. */
 typedef struct mci_run {
   char name[NAME_BYTES];
   double dr_cm, rings, above, below;
