@@ -402,6 +402,19 @@ def test_the_process(watched):
     assert metrics[f"dipoled_build_info{{{labels}}}"] == 1
 
 
+def test_scrapes_leave_nothing_behind(watched):
+    """Neither descriptors nor memory: one scrape's text has some 20 kB."""
+
+    def held(scrapes: int) -> tuple[int, int]:
+        for _ in range(scrapes):
+            fetch(watched, "/metrics")
+        return len(os.listdir(f"/proc/{watched.process.pid}/fd")), watched.resident_bytes()
+
+    descriptors, resident = held(100)
+    more_descriptors, more_resident = held(400)
+    assert more_descriptors < descriptors + 50 and more_resident < resident + 2_000_000
+
+
 def test_examples_of_alerts(watched):
     path = REPOSITORY / "clients/deploy/alerts.yml"
     assert "SUCCESS: 8 rules found" in promtool("check", "rules", str(path))

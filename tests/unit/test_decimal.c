@@ -114,3 +114,24 @@ UNIT_TEST(single_precision) {
     assert_true(digits < 2 || strtof(other, NULL) != value);
   }
 }
+
+/* Whatever strtod() takes as a whole and in decimal digits is that number; all else is refused. */
+UNIT_TEST(texts_are_read_as_by_strtod) {
+  static const char letters[] = "0123456789..eeE+-";
+  static const char *const refused[] = {"", " 1", "1 ", "0x10", "nan(1)", "1e999", "infi", "1,5"};
+  uint64_t random = unit_seed();
+  double value;
+  for (size_t i = 0; i < sizeof refused / sizeof refused[0]; i++) {
+    assert_false(decimal_read(refused[i], &value));
+  }
+  for (int i = 0; i < RANDOM_VALUES; i++) {
+    char text[8] = {0}, *end;
+    for (size_t k = 0, length = 1 + unit_random_below(&random, 7); k < length; k++) {
+      text[k] = letters[unit_random_below(&random, sizeof letters - 1)];
+    }
+    const double expected = strtod(text, &end);
+    const bool good = end > text && *end == '\0' && isfinite(expected);
+    assert_int_equal(decimal_read(text, &value), good);
+    assert_true(!good || memcmp(&value, &expected, sizeof value) == 0);
+  }
+}
