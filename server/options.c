@@ -258,7 +258,7 @@ static void print_help(void) {
       "  dipoled --http 127.0.0.1:8017             also JSON for curl and browsers\n"
       "  dipoled --modbus tcp:127.0.0.1:5020       also registers for instruments\n"
       "\n"
-      "SIGTERM, SIGINT and SIGHUP stop it: it answers all requests that it has read, and exits\n"
+      "SIGTERM, SIGINT and SIGHUP stop it: it replies to all requests that it has read, and exits\n"
       "with 0. With a tls: address, SIGHUP reads the certificates again instead. The command\n"
       "`dipole` is a client. The environment can set each option, as DIPOLED_ and its name in\n"
       "capitals with underscores (DIPOLED_MAX_MEDIA); the command line wins. Any other variable\n"
