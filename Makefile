@@ -16,7 +16,7 @@ SAY = $(if $(Q),@echo " " $(1) $(2))
 
 CC := $(if $(filter default,$(origin CC)),cc,$(CC))
 CFLAGS ?= -O2 -g
-WARNINGS := -Wall -Wextra -Werror -Wshadow -Wstrict-prototypes -Wmissing-prototypes -Wpointer-arith
+WARNINGS := -Wall -Wextra -Wno-missing-field-initializers -Werror -Wshadow -Wstrict-prototypes -Wmissing-prototypes -Wpointer-arith
 # -ffp-contract=off: the same bits from every compiler and machine. The two -fno options change no
 # value; without them loops with sqrt and selections are not vectorized. GCC 12.2 at -O2 drops the
 # rounding of `x[0] = (double)(float)x[0]; x[1] = (double)(float)x[1];` in its SLP vectorizer.

@@ -175,13 +175,20 @@ typedef struct core_fault {
 
 /* ---- media ----------------------------------------------------------------------------------- */
 
-/* A homogeneous, semi-infinite medium. */
+/* A layer of a medium. A medium is an array of them from the top down, as many as the layer_count of
+ * the parameters says that go with it. The last one is a half space, or light leaves below it, too. */
 typedef struct core_medium {
   double sigma_a_per_mm; /* absorption coefficient: 0 to CORE_SIGMA_MAX_PER_MM */
   double sigma_s_per_mm; /* scattering coefficient: 0 to CORE_SIGMA_MAX_PER_MM */
   double g;              /* mean cosine of the phase function: in (-1, 1) */
   double eta;            /* index inside over index outside: CORE_ETA_MIN to CORE_ETA_MAX */
+  double thickness_mm;   /* 0: a half space; else CORE_THICKNESS_MIN_MM to _MAX_MM */
 } core_medium;
+
+enum { CORE_LAYERS_MAX = 8 };
+
+#define CORE_THICKNESS_MIN_MM 1e-15
+#define CORE_THICKNESS_MAX_MM 1e30
 
 #define CORE_SIGMA_MAX_PER_MM 1e15
 #define CORE_SIGMA_T_PRIME_MIN_PER_MM 1e-15 /* least sigma_a + sigma_s (1 - g) */
@@ -191,8 +198,12 @@ typedef struct core_medium {
 #define CORE_ETA_MIN 1e-3
 #define CORE_ETA_MAX 1e3
 
-/* Returns the first fault of the medium, in the order of the structure's fields. */
+/* Returns the first fault of a layer, in the order of the structure's fields. */
 core_fault core_medium_check(const core_medium *medium);
+
+/* Returns the first fault of the layers of a medium, 1 to CORE_LAYERS_MAX, with the index of the layer:
+ * only the last one may be a half space. */
+core_fault core_layers_check(const core_medium *medium, size_t layer_count);
 
 /* A medium measured by Jensen et al. 2001 (Figure 5), for red, green and blue. The paper gives
  * sigma_s' only: sigma_s holds it, g is 0, and eta is 1.3. */
@@ -213,12 +224,14 @@ const core_measured_medium *core_measured_medium_by_name(const char *name);
  * R need, and refuses models that do not have them. */
 enum { CORE_PARAMETER_DERIVATIVES = 0 };
 
-/* Optional numbers of a request: value[CORE_PARAMETER_...], or NaN if it is not given. */
+/* Optional numbers of a request: value[CORE_PARAMETER_...], or NaN if it is not given; and of how many
+ * layers its media are. */
 typedef struct core_parameters {
   double value[CORE_PARAMETERS_END];
+  uint32_t layer_count; /* 1 to CORE_LAYERS_MAX */
 } core_parameters;
 
-/* Returns parameters of which none is given. */
+/* Returns parameters of which none is given, for media of one layer. */
 core_parameters core_parameters_none(void);
 
 /* Returns a fault if the value is outside the parameter's range, which holds for all models. */
@@ -287,7 +300,7 @@ typedef struct core_reach {
  * memory, which is freed once, through any of them. Callers read the fields down to `cost`; the
  * others belong to core. */
 typedef struct core_profile {
-  core_medium medium;
+  core_medium medium; /* the top layer */
   enum core_model model;
   enum core_moments moments;
   enum core_evaluator evaluator;

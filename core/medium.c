@@ -22,6 +22,10 @@ core_fault core_medium_check(const core_medium *medium) {
   if (!in_range(medium->eta, CORE_ETA_MIN, CORE_ETA_MAX)) {
     return (core_fault){"eta", "0.001 to 1000", 0};
   }
+  if (!(medium->thickness_mm == 0 ||
+        in_range(medium->thickness_mm, CORE_THICKNESS_MIN_MM, CORE_THICKNESS_MAX_MM))) {
+    return (core_fault){"thickness", "0 (a half space), or 1e-15 to 1e30 mm", 0};
+  }
   if (sigma_t_prime < CORE_SIGMA_T_PRIME_MIN_PER_MM) {
     return (core_fault){"sigma_s", "sigma_a + sigma_s (1 - g) of at least 1e-15 per mm", 0};
   }
@@ -30,6 +34,18 @@ core_fault core_medium_check(const core_medium *medium) {
     return (core_fault){"sigma_s", "0, or sigma_s (1 - g) of at least 1e-32 sigma_a", 0};
   }
   return (core_fault){0};
+}
+
+core_fault core_layers_check(const core_medium *medium, size_t layer_count) {
+  core_fault fault = {0};
+  for (size_t i = 0; i < layer_count && fault.field == NULL; i++) {
+    fault = core_medium_check(&medium[i]);
+    if (fault.field == NULL && i + 1 < layer_count && !(medium[i].thickness_mm > 0)) {
+      fault = (core_fault){"thickness", "above 0: only the last layer may be a half space", 0};
+    }
+    fault.index = i;
+  }
+  return fault;
 }
 
 #define CHANNEL(sigma_s_prime, sigma_a)                                                            \

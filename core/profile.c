@@ -24,11 +24,13 @@ struct model {
   unsigned parts[2];   /* ids of the two models of a sum */
 };
 
-/* preparing takes more than a millisecond; no parameter has the ids 0 and 29 to 31 */
+/* preparing takes more than a millisecond; no parameter has the ids 0 and 27 to 31 */
 #define SLOW 1u
 #define COSTLY (1u << 31)  /* preparing takes more than some ten microseconds */
 #define SOLVES (1u << 30)  /* preparing may solve transport */
 #define DERIVES (1u << 29) /* the model has derivatives of ln R */
+#define SLABS (1u << 28)   /* it takes a layer of finite thickness */
+#define LAYERS (1u << 27)  /* it takes several layers */
 #define BIT(IDENT) (1u << CORE_PARAMETER_##IDENT)
 #define TAKEN_BY_ALL (BIT(TOLERANCE) | BIT(COS_IN) | BIT(COS_OUT))
 
@@ -73,8 +75,9 @@ bool core_prepares_slowly(unsigned model, unsigned evaluator, const core_medium 
                      : (core_medium){0};
   return found != NULL &&
          (evaluator == CORE_EVALUATOR_LUT || (parameters_of(found) & SLOW) != 0 ||
-          (solves && (medium == NULL || !core_transport_is_looked_up(
-                                            &taken, parameters->value[CORE_PARAMETER_TOLERANCE]))));
+          (solves &&
+           (medium == NULL || medium->thickness_mm > 0 ||
+            !core_transport_is_looked_up(&taken, parameters->value[CORE_PARAMETER_TOLERANCE]))));
 }
 
 bool core_finds_albedo_slowly(unsigned model) {
@@ -120,12 +123,7 @@ static core_fault check_parameters(const struct model *model, const core_paramet
       continue;
     }
     if ((taken & 1u << parameter_ranges[i].id) == 0) {
-      return (core_fault){
-          parameter_ranges[i].name,
-          parameter_ranges[i].id == CORE_PARAMETER_THICKNESS
-              ? "nothing: this model is of a half space; mc and multipole models take it"
-              : "nothing: this model does not take it",
-          0};
+      return (core_fault){parameter_ranges[i].name, "nothing: this model does not take it", 0};
     }
     const core_fault fault = core_parameter_check(parameter_ranges[i].id, value);
     if (fault.field != NULL) {
@@ -133,6 +131,25 @@ static core_fault check_parameters(const struct model *model, const core_paramet
     }
   }
   return (core_fault){0};
+}
+
+/* Checks that the model takes the number of layers, and a last one of finite thickness. */
+static core_fault check_shape(const struct model *model, const core_inputs *inputs) {
+  const unsigned taken = parameters_of(model), count = inputs->parameters->layer_count;
+  const bool ends = inputs->medium[count - 1].thickness_mm > 0;
+  if (count > 1 && (taken & LAYERS) == 0) {
+    return (core_fault){"layer_count",
+                        (taken & SLABS) != 0 ? "1 layer: transport takes several"
+                                             : "1 layer, a half space: transport takes layers",
+                        0};
+  }
+  if (ends && (taken & SLABS) == 0) {
+    return (core_fault){"thickness",
+                        "0, a half space, with this model: transport and multipoles take slabs", 0};
+  }
+  return !ends && !isnan(inputs->parameters->value[CORE_PARAMETER_ETA_BELOW])
+             ? (core_fault){"eta_below", "nothing: the last layer is a half space", 0}
+             : (core_fault){0};
 }
 
 /* Checks the inputs against the model's domain; for a sum, against the domains of both parts. */
@@ -160,12 +177,15 @@ static core_fault check(const struct model *model, unsigned moments, unsigned ev
   if (core_choice_by_id(core_evaluators, evaluator) == NULL) {
     return (core_fault){"evaluator", "an evaluator of the list", 0};
   }
-  core_fault fault = core_medium_check(inputs->medium);
+  core_fault fault = core_layers_check(inputs->medium, inputs->parameters->layer_count);
   if (fault.field == NULL) {
     fault = core_fresnel_check(moments, inputs->medium->eta);
   }
   if (fault.field == NULL) {
     fault = check_parameters(model, inputs->parameters);
+  }
+  if (fault.field == NULL) {
+    fault = check_shape(model, inputs);
   }
   if (fault.field == NULL && evaluator == CORE_EVALUATOR_LUT &&
       inputs->parameters->value[CORE_PARAMETER_TOLERANCE] < CORE_LUT_TOLERANCE_MIN) {

@@ -12,7 +12,7 @@
 bool core_ruler_is_needed(unsigned model, const core_parameters *parameters,
                           const core_medium *medium, bool solves) {
   const double *value = parameters->value;
-  const bool plain = isnan(value[CORE_PARAMETER_GAMMA]) && isnan(value[CORE_PARAMETER_THICKNESS]) &&
+  const bool plain = isnan(value[CORE_PARAMETER_GAMMA]) && !(medium->thickness_mm > 0) &&
                      isnan(value[CORE_PARAMETER_SURFACE_ALBEDO]);
   return model != CORE_MODEL_TRANSPORT && plain &&
          core_profile_check(CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, medium,

@@ -33,9 +33,10 @@ static wire_error parse_parameter(const uint8_t *at, core_parameters *parameters
   return wire_error_none();
 }
 
-wire_error channels_parse_parameters(const uint8_t *at, uint32_t count,
+wire_error channels_parse_parameters(const uint8_t *at, uint32_t count, uint32_t layer_count,
                                      core_parameters *parameters) {
   *parameters = core_parameters_none();
+  parameters->layer_count = layer_count;
   for (uint32_t i = 0; i < count; i++) {
     wire_error error = parse_parameter(at + (size_t)i * WIRE_BYTES_parameter, parameters);
     if (error.status != WIRE_STATUS_OK) {

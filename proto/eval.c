@@ -16,11 +16,12 @@ wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval
     return error;
   }
   wire_get_eval_request(payload, &request->fixed);
-  request->media = payload + layout.parts[EVAL_MEDIA].at;
+  request->media = (const void *)(payload + layout.parts[EVAL_MEDIA].at);
   request->radii =
       request->fixed.spacing == CORE_SPACING_LIST ? payload + layout.parts[EVAL_RADII].at : NULL;
   return channels_parse_parameters(payload + layout.parts[EVAL_PARAMETERS].at,
-                                   request->fixed.parameter_count, &request->parameters);
+                                   request->fixed.parameter_count, request->fixed.layer_count,
+                                   &request->parameters);
 }
 
 static const schema_payload *payload_of(unsigned wanted) {

@@ -17,7 +17,7 @@ enum { EVAL_MEDIA, EVAL_PARAMETERS, EVAL_RADII };
 /* A parsed eval request. Its pointers point into the payload. */
 typedef struct eval_request {
   wire_eval_request fixed;
-  const uint8_t *media; /* [fixed.medium_count] as on the wire: see wire_get_medium() */
+  const core_medium *media; /* [fixed.medium_count][fixed.layer_count] */
   core_parameters parameters;
   const void *radii; /* [fixed.radius_count], double or float; NULL for a grid */
 } eval_request;

@@ -38,7 +38,7 @@ wire_error fit_request_parse(const uint8_t *payload, size_t payload_bytes, fit_r
   request->values = (const double *)(const void *)(payload + layout.parts[FIT_VALUES].at);
   request->errors = (const double *)(const void *)(payload + layout.parts[FIT_ERRORS].at);
   return channels_parse_parameters(payload + layout.parts[FIT_PARAMETERS].at,
-                                   request->design.parameter_count, &parameters);
+                                   request->design.parameter_count, 1, &parameters);
 }
 
 void fit_design_read(const uint8_t *bytes, fit_design *read) {
@@ -49,7 +49,7 @@ void fit_design_read(const uint8_t *bytes, fit_design *read) {
   schema_lay_out(&schema_fit_request, &start, UINT64_MAX, &layout, NULL);
   bytes -= WIRE_BYTES_fit_request; /* offsets of the layout count from the start of the request */
   const wire_error error = channels_parse_parameters(bytes + layout.parts[FIT_PARAMETERS].at,
-                                                     fixed.parameter_count, &read->parameters);
+                                                     fixed.parameter_count, 1, &read->parameters);
   (void)error; /* fit_request_parse() has checked the parameters */
   const double *places = (const double *)(const void *)(bytes + layout.parts[FIT_AT].at);
   read->design = (core_fit_design){
@@ -57,6 +57,7 @@ void fit_design_read(const uint8_t *bytes, fit_design *read) {
       .moments = fixed.moments,
       .g = fixed.g,
       .eta = fixed.eta,
+      .thickness_mm = fixed.thickness,
       .parameters = &read->parameters,
       .axis = fixed.axis,
       .count = fixed.reading_count,
@@ -74,7 +75,8 @@ void fit_design_read(const uint8_t *bytes, fit_design *read) {
   if (layout.parts[FIT_REFERENCE].count > 0) {
     wire_medium medium;
     wire_get_medium(bytes + layout.parts[FIT_REFERENCE].at, &medium);
-    read->design.reference = (core_medium){medium.sigma_a, medium.sigma_s, medium.g, medium.eta};
+    read->design.reference =
+        (core_medium){medium.sigma_a, medium.sigma_s, medium.g, medium.eta, medium.thickness};
   }
 }
 

@@ -2,8 +2,6 @@
 
 #include "proto/channels.h"
 
-_Static_assert(sizeof(core_medium) == WIRE_BYTES_medium, "one medium after the other");
-
 /* ---- names ----------------------------------------------------------------------------------- */
 
 void gather_name_start(gather_name *name, uint32_t channel_count, uint64_t point_count) {
@@ -73,7 +71,7 @@ wire_error gather_request_parse(const uint8_t *payload, size_t payload_bytes,
   request->media = (const core_medium *)(const void *)(payload + layout.parts[0].at);
   request->queries = (const double *)(const void *)(payload + layout.parts[2].at);
   return channels_parse_parameters(payload + layout.parts[1].at, request->fixed.parameter_count,
-                                   &request->parameters);
+                                   request->fixed.layer_count, &request->parameters);
 }
 
 size_t gather_sums_offset(uint32_t channel_count) {

@@ -58,7 +58,7 @@ bool points_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_point
 typedef struct gather_request {
   wire_gather_request fixed;
   core_parameters parameters;
-  const core_medium *media; /* [fixed.medium_count] */
+  const core_medium *media; /* [fixed.medium_count][fixed.layer_count] */
   const double *queries;    /* [fixed.query_count][GATHER_AXES], mm */
 } gather_request;
 

@@ -11,11 +11,12 @@ wire_error mc_request_parse(const uint8_t *payload, size_t payload_bytes, mc_req
     return error;
   }
   wire_get_mc_request(payload, &request->fixed);
-  wire_get_medium(payload + WIRE_BYTES_mc_request, &request->medium);
-  memcpy(request->albedo, payload + layout.parts[0].at,
+  memcpy(request->layers, payload + layout.parts[0].at,
+         request->fixed.layer_count * sizeof *request->layers);
+  memcpy(request->albedo, payload + layout.parts[1].at,
          request->fixed.albedo_count * sizeof *request->albedo);
-  return channels_parse_parameters(payload + layout.parts[1].at, (uint32_t)layout.parts[1].count,
-                                   &request->parameters);
+  return channels_parse_parameters(payload + layout.parts[2].at, (uint32_t)layout.parts[2].count,
+                                   request->fixed.layer_count, &request->parameters);
 }
 
 bool mc_reply_layout(uint32_t side_count, uint32_t albedo_count, uint32_t ring_count,

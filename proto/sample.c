@@ -20,10 +20,11 @@ wire_error sample_request_parse(const uint8_t *payload, size_t payload_bytes, co
       .spacing = CORE_SPACING_LIST,
       .parameter_count = fixed.parameter_count,
       .radius_count = fixed.sample_count,
+      .layer_count = fixed.layer_count,
   };
   *draw = (core_draw){fixed.draw, fixed.sample_count, fixed.sample_first, fixed.seed};
-  request->media = payload + layout.parts[EVAL_MEDIA].at;
+  request->media = (const void *)(payload + layout.parts[EVAL_MEDIA].at);
   request->radii = fixed.draw == CORE_DRAW_LIST ? payload + layout.parts[EVAL_RADII].at : NULL;
   return channels_parse_parameters(payload + layout.parts[EVAL_PARAMETERS].at,
-                                   fixed.parameter_count, &request->parameters);
+                                   fixed.parameter_count, fixed.layer_count, &request->parameters);
 }

@@ -20,8 +20,10 @@ uint32_t table_checksum(const uint8_t *bytes, size_t count) {
   return ~crc;
 }
 
-size_t table_reply_bytes(uint32_t parameter_count, size_t word_count) {
-  const wire_table_reply fixed = {.parameter_count = (uint16_t)parameter_count,
+size_t table_reply_bytes(const core_parameters *parameters, size_t word_count) {
+  const wire_table_reply fixed = {.parameter_count =
+                                      (uint16_t)channels_count_parameters(parameters),
+                                  .layer_count = parameters->layer_count,
                                   .word_count = (uint32_t)word_count};
   return (size_t)schema_bytes(&schema_table_reply, &fixed);
 }
@@ -34,15 +36,13 @@ wire_error table_request_parse(const uint8_t *payload, size_t payload_bytes,
     return error;
   }
   wire_get_table_request(payload, &request->fixed);
-  wire_medium medium;
-  wire_get_medium(payload + WIRE_BYTES_table_request, &medium);
-  request->medium = (core_medium){medium.sigma_a, medium.sigma_s, medium.g, medium.eta};
-  return channels_parse_parameters(payload + layout.parts[0].at, request->fixed.parameter_count,
-                                   &request->parameters);
+  request->layers = (const void *)(payload + layout.parts[0].at);
+  return channels_parse_parameters(payload + layout.parts[1].at, request->fixed.parameter_count,
+                                   request->fixed.layer_count, &request->parameters);
 }
 
-void table_reply_put(uint8_t *at, const core_profile *profile, const core_parameters *parameters,
-                     const core_model_errors *errors) {
+void table_reply_put(uint8_t *at, const core_profile *profile, const core_medium *layers,
+                     const core_parameters *parameters, const core_model_errors *errors) {
   const uint8_t *words = (const uint8_t *)profile->lut;
   const size_t word_bytes = profile->lut_count * sizeof *profile->lut;
   const core_radii_range pieces = core_table_pieces(profile);
@@ -54,10 +54,7 @@ void table_reply_put(uint8_t *at, const core_profile *profile, const core_parame
       .word_count = (uint32_t)profile->lut_count,
       .checksum = table_checksum(words, word_bytes),
       .notes = profile->notes,
-      .sigma_a = profile->medium.sigma_a_per_mm,
-      .sigma_s = profile->medium.sigma_s_per_mm,
-      .g = profile->medium.g,
-      .eta = profile->medium.eta,
+      .layer_count = parameters->layer_count,
       .albedo = profile->albedo,
       .numerical_error = profile->numerical_error,
       .numerical_error_per_mm = profile->numerical_error_per_mm,
@@ -74,6 +71,8 @@ void table_reply_put(uint8_t *at, const core_profile *profile, const core_parame
   memcpy(fixed.numerical_errors, profile->numerical_errors, sizeof fixed.numerical_errors);
   wire_put_table_reply(at, &fixed);
   at += WIRE_BYTES_table_reply;
+  memcpy(at, layers, parameters->layer_count * sizeof *layers);
+  at += parameters->layer_count * sizeof *layers;
   at += channels_put_parameters(at, parameters);
   memcpy(at, words, word_bytes);
 }
@@ -90,7 +89,8 @@ void table_reply_put_surface(uint8_t *at, const core_varying *surface,
                                   .albedo_most = surface->albedo_most,
                                   .mfp_most = (double)INFINITY};
   const unsigned wanted = CORE_QUANTITY_R | CORE_QUANTITY_CDF | CORE_QUANTITY_RADIUS;
-  uint8_t *words = at + table_reply_bytes(channels_count_parameters(parameters), 0);
+  const core_medium all_media = {.g = surface->g, .eta = surface->eta};
+  uint8_t *words = at + table_reply_bytes(parameters, 0);
   memset(words, 0, word_bytes);
   memcpy(words, surface->words, surface->words_count * sizeof(float));
   wire_table_reply fixed = {
@@ -101,8 +101,7 @@ void table_reply_put_surface(uint8_t *at, const core_varying *surface,
       .word_count = (uint32_t)table_surface_words(surface),
       .checksum = table_checksum(words, word_bytes),
       .notes = surface->notes,
-      .g = surface->g,
-      .eta = surface->eta,
+      .layer_count = 1,
       .albedo = (double)NAN,
       .numerical_error = core_varying_error(surface, wanted, &all),
       .model_error = (double)NAN,
@@ -114,24 +113,29 @@ void table_reply_put_surface(uint8_t *at, const core_varying *surface,
     fixed.numerical_errors[i] = fixed.numerical_error;
   }
   wire_put_table_reply(at, &fixed);
-  channels_put_parameters(at + WIRE_BYTES_table_reply, parameters);
+  memcpy(at + WIRE_BYTES_table_reply, &all_media, sizeof all_media);
+  channels_put_parameters(at + WIRE_BYTES_table_reply + sizeof all_media, parameters);
 }
 
 bool table_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_table_reply *fixed,
-                       core_parameters *parameters, const float **words) {
+                       const core_medium **layers, core_parameters *parameters,
+                       const float **words) {
   schema_layout layout;
   if (!schema_is_whole(&schema_table_reply, payload, payload_bytes, &layout)) {
     return false;
   }
   wire_get_table_reply(payload, fixed);
-  if (fixed->layout != TABLE_LAYOUT || fixed->word_count % 4 != 0) {
+  if (fixed->layout != TABLE_LAYOUT || fixed->word_count % 4 != 0 || fixed->layer_count < 1 ||
+      fixed->layer_count > CORE_LAYERS_MAX) {
     return false;
   }
-  const uint8_t *at = payload + layout.parts[0].at;
-  if (channels_parse_parameters(at, fixed->parameter_count, parameters).status != WIRE_STATUS_OK) {
+  *layers = (const void *)(payload + layout.parts[0].at);
+  const uint8_t *at = payload + layout.parts[1].at;
+  if (channels_parse_parameters(at, fixed->parameter_count, fixed->layer_count, parameters)
+          .status != WIRE_STATUS_OK) {
     return false;
   }
-  at = payload + layout.parts[1].at;
+  at = payload + layout.parts[2].at;
   *words = (const float *)(const void *)at;
   return table_checksum(at, fixed->word_count * sizeof(float)) == fixed->checksum;
 }

@@ -67,7 +67,7 @@ wire_error varying_request_parse(const uint8_t *payload, size_t payload_bytes,
   request->numbers = fixed->numbers != VARYING_NONE ? payload + layout.parts[R].at : NULL;
   return error.status == WIRE_STATUS_OK
              ? channels_parse_parameters(payload + layout.parts[PARAMETERS].at,
-                                         fixed->parameter_count, &request->parameters)
+                                         fixed->parameter_count, 1, &request->parameters)
              : error;
 }
 

@@ -286,11 +286,13 @@ enum dipole_quantity {
 };
 enum dipole_spacing { DIPOLE_LIST = 1, DIPOLE_LINEAR = 2, DIPOLE_LOGARITHMIC = 3 };
 
+/* A medium of one layer, or one layer of a medium, whose layers lie in an array from the top down. */
 typedef struct dipole_medium {
   double sigma_a_per_mm; /* absorption coefficient, 0 to 1e15 */
   double sigma_s_per_mm; /* scattering coefficient, 0 to 1e15 */
   double g;              /* mean cosine of the phase function, between -1 and 1 */
   double eta;            /* index of refraction inside over that outside, 0.001 to 1000 */
+  double thickness_mm;   /* 0: a half space, which only the last layer may be; or 1e-15 to 1e30 */
 } dipole_medium;
 
 /* An optional number of a query. The choices of kind DIPOLE_PARAMETER list all parameters, with
@@ -310,7 +312,8 @@ typedef struct dipole_query {
                          DIPOLE_ANY_MODEL it sets only the type: F32 and LUT then mean the same. */
   unsigned moments;   /* enum dipole_moments */
   unsigned wanted;    /* sum of enum dipole_quantity */
-  const dipole_medium *media; /* [medium_count], one for each channel */
+  const dipole_medium *media; /* [medium_count][layer_count], one medium for each channel */
+  uint32_t layer_count;       /* of each medium, 1 to 8; 0: 1 */
   uint32_t medium_count; /* At most the daemon's limit max_media, by default 64. For more media,
                             submit several queries: see dipole_submit(). */
   unsigned spacing;      /* enum dipole_spacing */
@@ -492,7 +495,8 @@ typedef struct dipole_sample_query {
   unsigned moments;   /* enum dipole_moments */
   unsigned wanted;    /* Sum of enum dipole_quantity. DIPOLE_RADIUS means the drawn radii; all other
                          quantities are evaluated at the drawn radii. */
-  const dipole_medium *media; /* [medium_count], one for each channel */
+  const dipole_medium *media; /* [medium_count][layer_count], as in dipole_query */
+  uint32_t layer_count;
   uint32_t medium_count;
   unsigned draw;       /* enum dipole_draw. All channels get the same numbers. */
   const void *numbers; /* for LIST: [sample_count] of double (F64) or float, 0 to 1 included */
@@ -597,9 +601,10 @@ enum dipole_fit_status {
 };
 
 typedef struct dipole_fit_query {
-  unsigned model;   /* the model of the readings */
-  unsigned moments; /* enum dipole_moments */
-  double g, eta;    /* of all media; an eta of 0 is refused, as there is no default */
+  unsigned model;      /* the model of the readings */
+  unsigned moments;    /* enum dipole_moments */
+  double g, eta;       /* of all media; an eta of 0 is refused, as there is no default */
+  double thickness_mm; /* of all media; 0: half spaces */
   /* [parameter_count], as of an eval, and detector_na: the sine of the largest angle to the normal,
    * outside, at which light is detected. Without it, that of all angles is. */
   const dipole_parameter *parameters;
@@ -680,6 +685,8 @@ typedef struct dipole_table_query {
   unsigned model;   /* dipole_id(client, DIPOLE_MODEL, name) */
   unsigned moments; /* enum dipole_moments */
   dipole_medium medium;
+  const dipole_medium *layers; /* [layer_count], in place of `medium`; NULL: none */
+  uint32_t layer_count;
   const dipole_parameter *parameters; /* [parameter_count], as in dipole_query: tolerance, ... */
   size_t parameter_count;
   unsigned deadline_ms; /* as of an eval */
@@ -689,8 +696,10 @@ typedef struct dipole_table_query {
 typedef struct dipole_table_info {
   unsigned layout; /* see proto/PROTOCOL.md, "table" */
   unsigned model, moments;
-  unsigned notes; /* sum of the ids of the notes (kind DIPOLE_NOTE) that hold for the table */
-  dipole_medium medium;
+  unsigned notes;       /* sum of the ids of the notes (kind DIPOLE_NOTE) that hold for the table */
+  dipole_medium medium; /* its top layer */
+  const dipole_medium *layers; /* [layer_count] */
+  uint32_t layer_count;
   const dipole_parameter *parameters; /* [parameter_count]: the parameters of the query */
   size_t parameter_count;
   double albedo; /* integral of 2 pi r R(r) over all radii */
@@ -884,8 +893,9 @@ typedef struct dipole_gather_query {
   unsigned evaluator; /* enum dipole_evaluator */
   unsigned moments;   /* enum dipole_moments */
   const dipole_points *points;
-  const dipole_medium *media; /* one for each channel of the points */
-  const double *queries_mm;   /* [query_count][3], from -1e9 to 1e9 */
+  const dipole_medium *media; /* [channels of the points][layer_count], as in dipole_query */
+  uint32_t layer_count;
+  const double *queries_mm; /* [query_count][3], from -1e9 to 1e9 */
   uint64_t query_count;
   /* The largest error that groups of points may cause, relative to M, at each query and in each
    * channel: 1e-9 to 0.5; or 0, so that each point is summed by itself. */
@@ -936,10 +946,11 @@ bool dipole_gather_at_home(const dipole_table *const *tables, const dipole_point
  * cut off. */
 typedef struct dipole_mc_query {
   dipole_medium medium;
+  const dipole_medium *layers; /* [layer_count], in place of `medium`; NULL: none */
+  uint32_t layer_count;
   const double *albedos;  /* [albedo_count] albedos of single scattering, 0 to 1, in place of the
                              medium's own. One walk gives the results for all of them. */
   unsigned albedo_count;  /* 0 to 16; 0 means the medium's own albedo */
-  double thickness_mm;    /* of a slab; INFINITY means a half space */
   unsigned spacing;       /* of the rings' edges: DIPOLE_LINEAR or DIPOLE_LOGARITHMIC */
   uint32_t ring_count;    /* 1 to 4096 */
   double radius_start_mm; /* inner edge of the first ring */

@@ -62,11 +62,14 @@ static bool is_listed_field(const char *field) {
 }
 
 /* Writes the place of the fault, counted from 1, if there are several: " of medium 2 of 3". */
-static void describe_place(const wire_error *from, uint32_t medium_count, uint64_t value_count,
-                           char *place, size_t bytes) {
+static void describe_place(const wire_error *from, uint32_t medium_count, uint32_t layer_count,
+                           uint64_t value_count, char *place, size_t bytes) {
   const unsigned long long number = from->index + 1;
   place[0] = '\0';
-  if (is_medium_field(from->field) && from->index < medium_count && medium_count > 1) {
+  if (is_medium_field(from->field) && layer_count > 1) {
+    snprintf(place, bytes, " of layer %llu of medium %llu", from->index % layer_count + 1ULL,
+             from->index / layer_count + 1ULL);
+  } else if (is_medium_field(from->field) && from->index < medium_count && medium_count > 1) {
     snprintf(place, bytes, " of medium %llu of %lu", number, (unsigned long)medium_count);
   } else if (is_listed_field(from->field) && from->index < value_count && value_count > 1) {
     snprintf(place, bytes, " number %llu of %llu", number, (unsigned long long)value_count);
@@ -81,7 +84,7 @@ static bool is_about_the_daemon(unsigned status) {
 }
 
 bool libdipole_fail_refused(dipole_error *error, const dipole_info *info, uint32_t medium_count,
-                            uint64_t value_count, const uint8_t *payload) {
+                            uint32_t layer_count, uint64_t value_count, const uint8_t *payload) {
   wire_error from;
   char place[64];
   wire_get_error(payload, &from);
@@ -90,7 +93,7 @@ bool libdipole_fail_refused(dipole_error *error, const dipole_info *info, uint32
   const char *name = status_name(info, from.status);
   char what[192] = "", later[32] = "";
   if (from.field[0] != '\0') {
-    describe_place(&from, medium_count, value_count, place, sizeof place);
+    describe_place(&from, medium_count, layer_count, value_count, place, sizeof place);
     snprintf(what, sizeof what, ": %s%s: allowed: %s", from.field, place, from.allowed);
   }
   if (from.retry_after_ms > 0) {

@@ -26,7 +26,7 @@ bool libdipole_fail_protocol(dipole_error *error, const char *what);
  * which are empty before the reply to hello. medium_count, value_count: how many media and listed
  * values the request has, so that the text can say which of them is at fault. */
 bool libdipole_fail_refused(dipole_error *error, const dipole_info *info, uint32_t medium_count,
-                            uint64_t value_count, const uint8_t *payload);
+                            uint32_t layer_count, uint64_t value_count, const uint8_t *payload);
 
 /* Returns how many bytes the UTF-8 character at text has; 0 if it is not well-formed. */
 size_t libdipole_character_bytes(const char *text);

@@ -60,7 +60,8 @@ static bool send_query(dipole_client *client, const dipole_fit_query *query,
                             .reading_count = (uint32_t)query->reading_count,
                             .parameter_count = (uint16_t)query->parameter_count,
                             .g = query->g,
-                            .eta = query->eta}};
+                            .eta = query->eta,
+                            .thickness = query->thickness_mm}};
   const void *const parts[] = {query->parameters, &query->reference,  query->at,
                                query->source_mm,  query->detector_mm, query->values,
                                query->errors};

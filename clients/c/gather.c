@@ -171,12 +171,14 @@ static bool request_sums(struct run *run, dipole_error *error) {
                                .reply_bytes_max = gather_reply_bytes(channels, n),
                                .model = query->model,
                                .medium_count = channels,
+                               .layer_count = libdipole_layers(query->layer_count),
                                .radius_count = n};
   const wire_gather_request fixed = {.model = (uint16_t)query->model,
                                      .evaluator = (uint16_t)query->evaluator,
                                      .moments = (uint16_t)query->moments,
                                      .parameter_count = (uint16_t)query->parameter_count,
                                      .medium_count = channels,
+                                     .layer_count = pending.layer_count,
                                      .set = {points->set[0], points->set[1]},
                                      .query_count = n,
                                      .tolerance = query->tolerance};

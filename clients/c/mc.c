@@ -35,7 +35,9 @@ static bool check_query(const dipole_mc_query *query, dipole_error *error) {
 
 /* These return the number of sides and of albedos in the reply. */
 static uint32_t sides_of(const dipole_mc_query *query) {
-  return isinf(query->thickness_mm) ? 1 : DIPOLE_MC_SIDES;
+  const uint32_t count = query->layers != NULL ? query->layer_count : 0;
+  const dipole_medium *last = count > 0 ? &query->layers[count - 1] : &query->medium;
+  return last->thickness_mm > 0 ? DIPOLE_MC_SIDES : 1;
 }
 
 static uint32_t albedos_of(const dipole_mc_query *query) {
@@ -70,24 +72,22 @@ static bool begin_job(dipole_client *client, const dipole_mc_query *query,
   if (mc_reply_layout(sides_of(query), albedos_of(query), query->ring_count, &layout)) {
     pending->reply_bytes_max = layout.payload_bytes;
   }
-  const struct {
-    wire_mc_request request;
-    dipole_medium medium;
-  } start = {{.spacing = (uint16_t)query->spacing,
-              .albedo_count = (uint16_t)query->albedo_count,
-              .ring_count = query->ring_count,
-              .radius_start = query->radius_start_mm,
-              .radius_stop = query->radius_stop_mm,
-              .thickness = query->thickness_mm,
-              .seed = query->seed,
-              .photons = query->photons,
-              .error_total = query->error_total,
-              .error_rings = query->error_rings},
-             query->medium};
-  const void *const parts[] = {query->albedos, query->parameters};
+  const wire_mc_request start = {
+      .spacing = (uint16_t)query->spacing,
+      .albedo_count = (uint16_t)query->albedo_count,
+      .ring_count = query->ring_count,
+      .radius_start = query->radius_start_mm,
+      .radius_stop = query->radius_stop_mm,
+      .layer_count = libdipole_layers(query->layers != NULL ? query->layer_count : 1),
+      .seed = query->seed,
+      .photons = query->photons,
+      .error_total = query->error_total,
+      .error_rings = query->error_rings};
+  const void *const parts[] = {query->layers != NULL ? query->layers : &query->medium,
+                               query->albedos, query->parameters};
   schema_layout request;
   schema_lay_out(&schema_mc_request, &start, UINT64_MAX, &request, NULL);
-  request.parts[1].count = query->parameter_count; /* The rest of the payload is theirs. */
+  request.parts[2].count = query->parameter_count; /* The rest of the payload is theirs. */
   request.payload_bytes += query->parameter_count * (uint64_t)WIRE_BYTES_parameter;
   if (!libdipole_request_begin(client, pending, request.payload_bytes, &payload, error)) {
     return false;

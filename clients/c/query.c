@@ -124,12 +124,14 @@ static bool send_query(dipole_client *client, const dipole_query *query, libdipo
   }
   pending->deadline_ms = query->deadline_ms;
   pending->medium_count = query->medium_count;
+  pending->layer_count = libdipole_layers(query->layer_count);
   pending->radius_count = query->radius_count;
   const wire_eval_request fixed = {.model = (uint16_t)model_on_wire(query->model),
                                    .evaluator = (uint16_t)query->evaluator,
                                    .moments = (uint16_t)query->moments,
                                    .wanted = (uint16_t)query->wanted,
                                    .medium_count = query->medium_count,
+                                   .layer_count = pending->layer_count,
                                    .spacing = (uint16_t)query->spacing,
                                    .parameter_count = (uint16_t)query->parameter_count,
                                    .radius_count = query->radius_count,
@@ -324,11 +326,13 @@ static bool send_sample(dipole_client *client, const dipole_sample_query *query,
   }
   libdipole_reply_expect(pending, query->model, query->evaluator, query->wanted,
                          query->medium_count, query->sample_count);
+  pending->layer_count = libdipole_layers(query->layer_count);
   const wire_sample_request fixed = {.model = (uint16_t)query->model,
                                      .evaluator = (uint16_t)query->evaluator,
                                      .moments = (uint16_t)query->moments,
                                      .wanted = (uint16_t)query->wanted,
                                      .medium_count = query->medium_count,
+                                     .layer_count = pending->layer_count,
                                      .draw = (uint16_t)query->draw,
                                      .parameter_count = (uint16_t)query->parameter_count,
                                      .sample_count = query->sample_count,

@@ -6,6 +6,11 @@
 #include "clients/c/request.h"
 #include "proto/schema.h"
 
+/* Returns how many layers each medium of a query has that says this. */
+static inline uint16_t libdipole_layers(uint32_t layer_count) {
+  return (uint16_t)(layer_count == 0 ? 1 : layer_count > UINT16_MAX ? UINT16_MAX : layer_count);
+}
+
 /* Checks the model, which dipole_id() may not have found, and that of parameters the count and the
  * ids. others: all other ids of a query, combined with |; they have to fit into 16 bits. */
 bool libdipole_query_check(unsigned model, unsigned others, const dipole_parameter *parameters,

@@ -184,6 +184,7 @@ static bool refused(const dipole_client *client, const libdipole_pending *pendin
   static const dipole_info empty;
   return libdipole_fail_refused(error, client->info != NULL ? client->info : &empty,
                                 pending != NULL ? pending->medium_count : 0,
+                                pending != NULL ? pending->layer_count : 0,
                                 pending != NULL ? pending->radius_count : 0, frame->payload);
 }
 

@@ -18,13 +18,14 @@ struct dipole_surface {
 /* The most words of a surface: a frame of the largest size holds no more. */
 #define WORDS_MAX ((UINT32_MAX - (size_t)WIRE_BYTES_table_reply) / sizeof(float) - 1024)
 
-static core_fault prepare_one(dipole_surface *surface, enum core_evaluator evaluator,
-                              const float *words, core_varying *varying) {
+static core_fault prepare_one(dipole_surface *surface, const core_medium *medium,
+                              enum core_evaluator evaluator, const float *words,
+                              core_varying *varying) {
   core_varying opened;
   const wire_table_reply *fixed = &surface->fixed;
   const core_fault fault =
       core_varying_open(&opened, core_isa_select(NULL), fixed->model, fixed->moments, evaluator,
-                        fixed->g, fixed->eta, &surface->parameters, words, fixed->word_count);
+                        medium->g, medium->eta, &surface->parameters, words, fixed->word_count);
   if (fault.field == NULL) {
     *varying = opened;
   }
@@ -32,24 +33,25 @@ static core_fault prepare_one(dipole_surface *surface, enum core_evaluator evalu
 }
 
 /* Prepares the model with the words, which it checks. */
-static core_fault prepare(dipole_surface *surface, const float *words) {
-  const core_fault fault = prepare_one(surface, CORE_EVALUATOR_F64, words, &surface->f64);
-  return fault.field != NULL ? fault
-                             : prepare_one(surface, CORE_EVALUATOR_F32, words, &surface->f32);
+static core_fault prepare(dipole_surface *surface, const core_medium *medium, const float *words) {
+  const core_fault fault = prepare_one(surface, medium, CORE_EVALUATOR_F64, words, &surface->f64);
+  return fault.field != NULL
+             ? fault
+             : prepare_one(surface, medium, CORE_EVALUATOR_F32, words, &surface->f32);
 }
 
 /* Gives the caller a surface whose frame is filled in. Frees it and fails if it is not intact. */
 static bool hand_out(dipole_surface *made, dipole_surface **surface, dipole_error *error) {
-  const wire_table_reply *fixed = &made->fixed;
+  const core_medium *layers;
   const char *wrong = NULL;
   const float *words;
   core_fault fault = {NULL, NULL, 0};
   if (!table_reply_parse(made->frame + WIRE_BYTES_header, made->frame_bytes - WIRE_BYTES_header,
-                         &made->fixed, &made->parameters, &words)) {
+                         &made->fixed, &layers, &made->parameters, &words)) {
     wrong = "its counts or its checksum are wrong";
-  } else if (fixed->sigma_a != 0 || fixed->sigma_s != 0) {
+  } else if (layers->sigma_a_per_mm != 0 || layers->sigma_s_per_mm != 0) {
     wrong = "it is the table of one medium";
-  } else if ((fault = prepare(made, words)).field != NULL) {
+  } else if ((fault = prepare(made, layers, words)).field != NULL) {
     wrong = "its words are not those of its model";
   }
   if (wrong == NULL) {
@@ -88,7 +90,8 @@ static bool is_same(double a, double b) {
 static bool is_of(const dipole_surface *surface, unsigned model, unsigned moments, double g,
                   double eta, const core_parameters *parameters) {
   const wire_table_reply *own = &surface->fixed;
-  bool same = own->model == model && own->moments == moments && own->g == g && own->eta == eta;
+  bool same = own->model == model && own->moments == moments && surface->f32.g == g &&
+              surface->f32.eta == eta;
   for (unsigned id = 0; id < CORE_PARAMETERS_END; id++) {
     same = same && is_same(surface->parameters.value[id], parameters->value[id]);
   }

@@ -54,8 +54,9 @@ bool libdipole_table_check(const uint8_t *bytes, size_t count, size_t *frame_byt
   return true;
 }
 
-static void set_info(dipole_table *table, const wire_table_reply *fixed, const float *words) {
-  const uint8_t *at = table->frame + WIRE_BYTES_header + WIRE_BYTES_table_reply;
+static void set_info(dipole_table *table, const wire_table_reply *fixed, const core_medium *layers,
+                     const float *words) {
+  const uint8_t *at = (const void *)(layers + fixed->layer_count);
   for (size_t i = 0; i < fixed->parameter_count;
        i++) { /* Each known parameter may occur at most once. */
     wire_parameter parameter;
@@ -67,7 +68,9 @@ static void set_info(dipole_table *table, const wire_table_reply *fixed, const f
       .model = fixed->model,
       .moments = fixed->moments,
       .notes = fixed->notes,
-      .medium = {fixed->sigma_a, fixed->sigma_s, fixed->g, fixed->eta},
+      .medium = *(const dipole_medium *)(const void *)layers,
+      .layers = (const void *)layers,
+      .layer_count = fixed->layer_count,
       .parameters = table->parameters,
       .parameter_count = fixed->parameter_count,
       .albedo = fixed->albedo,
@@ -103,12 +106,12 @@ static bool get_cosine(const core_parameters *parameters, enum core_parameter id
 
 /* Makes the table's profile, which owns a copy of the words. */
 static bool set_profile(dipole_table *table, const wire_table_reply *fixed,
-                        const core_parameters *parameters, const float *words,
-                        dipole_error *error) {
+                        const core_medium *layers, const core_parameters *parameters,
+                        const float *words, dipole_error *error) {
   core_profile *profile = &table->profile;
   double cos_in, cos_out;
   *profile = (core_profile){
-      .medium = {fixed->sigma_a, fixed->sigma_s, fixed->g, fixed->eta},
+      .medium = *layers,
       .model = (enum core_model)fixed->model,
       .moments = (enum core_moments)fixed->moments,
       .albedo = fixed->albedo,
@@ -130,7 +133,7 @@ static bool set_profile(dipole_table *table, const wire_table_reply *fixed,
   if (!(fixed->reach > 0 && fixed->reach_growth >= 0)) {
     return damaged(error, "it does not say up to which radius its error holds");
   }
-  if (core_medium_check(&profile->medium).field != NULL ||
+  if (core_layers_check(layers, fixed->layer_count).field != NULL ||
       !get_cosine(parameters, CORE_PARAMETER_COS_IN, &cos_in) ||
       !get_cosine(parameters, CORE_PARAMETER_COS_OUT, &cos_out)) {
     return damaged(error, "its medium or a parameter is not valid");
@@ -154,14 +157,15 @@ static bool set_profile(dipole_table *table, const wire_table_reply *fixed,
 static bool parse(dipole_table *table, dipole_error *error) {
   wire_table_reply fixed;
   core_parameters parameters;
+  const core_medium *layers;
   const float *words;
   if (!table_reply_parse(table->frame + WIRE_BYTES_header, table->frame_bytes - WIRE_BYTES_header,
-                         &fixed, &parameters, &words)) {
+                         &fixed, &layers, &parameters, &words)) {
     return damaged(error, "its counts or its checksum are wrong");
   }
-  set_info(table, &fixed, words);
+  set_info(table, &fixed, layers, words);
   set_range(table);
-  return set_profile(table, &fixed, &parameters, words, error);
+  return set_profile(table, &fixed, layers, &parameters, words, error);
 }
 
 bool dipole_table_load(const void *bytes, size_t count, dipole_table **table, dipole_error *error) {
@@ -187,36 +191,48 @@ bool dipole_table_load(const void *bytes, size_t count, dipole_table **table, di
 
 /* ---- from a daemon ------------------------------------------------------------------------- */
 
+/* Returns how many layers a query has, and sets *layers to them. */
+static uint16_t layers_of(const dipole_table_query *query, const dipole_medium **layers) {
+  *layers = query->layers != NULL ? query->layers : &query->medium;
+  return libdipole_layers(query->layers != NULL ? query->layer_count : 1);
+}
+
 static bool is_requested(const dipole_table *table, const dipole_table_query *query) {
+  const dipole_medium *layers;
   const dipole_table_info *info = &table->info;
-  return info->model == query->model && info->moments == query->moments &&
-         info->medium.sigma_a_per_mm == query->medium.sigma_a_per_mm &&
-         info->medium.sigma_s_per_mm == query->medium.sigma_s_per_mm &&
-         info->medium.g == query->medium.g && info->medium.eta == query->medium.eta &&
+  bool same = info->layer_count == layers_of(query, &layers);
+  for (uint32_t i = 0; same && i < info->layer_count; i++) {
+    same = info->layers[i].sigma_a_per_mm == layers[i].sigma_a_per_mm &&
+           info->layers[i].sigma_s_per_mm == layers[i].sigma_s_per_mm &&
+           info->layers[i].g == layers[i].g && info->layers[i].eta == layers[i].eta &&
+           info->layers[i].thickness_mm == layers[i].thickness_mm;
+  }
+  return same && info->model == query->model && info->moments == query->moments &&
          info->parameter_count == query->parameter_count;
 }
 
 libdipole_frame *libdipole_table_request(dipole_client *client, const dipole_table_query *query,
                                          size_t words_max, dipole_error *error) {
-  const uint32_t parameters = (uint32_t)query->parameter_count;
   if (!libdipole_query_check(query->model, query->moments, query->parameters,
                              query->parameter_count, error)) {
     return NULL;
   }
-  const struct {
-    wire_table_request request;
-    dipole_medium medium;
-  } start = {{.model = (uint16_t)query->model,
-              .moments = (uint16_t)query->moments,
-              .parameter_count = (uint16_t)parameters},
-             query->medium};
-  const void *const parts[] = {query->parameters};
+  const dipole_medium *layers;
+  const wire_table_request start = {.model = (uint16_t)query->model,
+                                    .moments = (uint16_t)query->moments,
+                                    .parameter_count = (uint16_t)query->parameter_count,
+                                    .layer_count = layers_of(query, &layers)};
+  const wire_table_reply most = {.parameter_count = start.parameter_count,
+                                 .layer_count = start.layer_count,
+                                 .word_count = (uint32_t)words_max};
+  const void *const parts[] = {layers, query->parameters};
   libdipole_pending pending = {.kind = &libdipole_plain,
                                .type = WIRE_TYPE_TABLE,
                                .deadline_ms = query->deadline_ms,
                                .medium_count = 1,
+                               .layer_count = start.layer_count,
                                .reply_bytes_min = WIRE_BYTES_table_reply,
-                               .reply_bytes_max = table_reply_bytes(parameters, words_max)};
+                               .reply_bytes_max = schema_bytes(&schema_table_reply, &most)};
   libdipole_frame *frame =
       libdipole_request_put(client, &pending, &schema_table_request, &start, parts, error)
           ? libdipole_reply(client, &pending, error)
@@ -241,7 +257,8 @@ bool dipole_table_fetch(dipole_client *client, const dipole_table_query *query,
                         dipole_table **table, dipole_error *error) {
   dipole_table *fetched = NULL;
   error = error != NULL ? error : &(dipole_error){0};
-  if (query->medium.sigma_a_per_mm == 0 && query->medium.sigma_s_per_mm == 0) {
+  if (query->layers == NULL && query->medium.sigma_a_per_mm == 0 &&
+      query->medium.sigma_s_per_mm == 0) {
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
                           "sigma_a and sigma_s are 0: dipole_surface_fetch() is for all media");
   }

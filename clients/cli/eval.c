@@ -319,7 +319,8 @@ static int report_left_out(const left_out *models, size_t count, bool all) {
 static int fail_model(const requests *run, const dipole_choice *model, const dipole_error *error) {
   char what[96] = "";
   if (model != NULL && error->kind == DIPOLE_ERROR_REFUSED && error->status == run->bad_value &&
-      cli_choice(run->report->profile.info, DIPOLE_PARAMETER, error->field) != NULL) {
+      (cli_choice(run->report->profile.info, DIPOLE_PARAMETER, error->field) != NULL ||
+       strcmp(error->field, "thickness") == 0)) {
     snprintf(what, sizeof what, "model %s: ", model->name);
   }
   return cli_fail_error_of(what, error);

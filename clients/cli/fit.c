@@ -21,6 +21,7 @@ static const cli_option options[] = {
                "default (tissue in air has about 1.4)"),
     CLI_OPTION(ONE, g, NULL,
                "mean cosine of the scattering angle, where the file does not say (default: 0)"),
+    CLI_OPTION(ONE, thickness, NULL, "of slabs, mm, for multipoles (default: half spaces)"),
     CLI_OPTION(TEXT, scale, NULL,
                "absolute: R is as the model has it; free: R of each sample is that times a factor, "
                "which is fitted, too (default: absolute)"),
@@ -292,6 +293,7 @@ static dipole_fit_query query_of(const report *of, const fit_sample *one,
       .moments = of->profile.moments->id,
       .g = one->g,
       .eta = one->eta,
+      .thickness_mm = cli_numbers_pick(&settings->thickness, 0, 0),
       .parameters = parameters->items,
       .parameter_count = parameters->count,
       .axis = of->axis->id,
@@ -304,7 +306,7 @@ static dipole_fit_query query_of(const report *of, const fit_sample *one,
       .deadline_ms = (unsigned)settings->deadline_ms.value,
   };
   if (settings->reference.count == REFERENCE_NUMBERS) {
-    query.reference = (dipole_medium){known[0], known[1], known[2], known[3]};
+    query.reference = (dipole_medium){known[0], known[1], known[2], known[3], query.thickness_mm};
   }
   return query;
 }

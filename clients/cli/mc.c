@@ -38,10 +38,10 @@ static const cli_option options[] = {
 
 typedef struct report {
   const dipole_info *info;
-  const char *medium;        /* the only measured one; NULL if there is none */
-  const char *channel;       /* the name of the channel */
-  const cli_numbers *r;      /* none: rings are written */
-  cli_parameters parameters; /* without the thickness */
+  const char *medium;   /* the only measured one; NULL if there is none */
+  const char *channel;  /* the name of the channel */
+  const cli_numbers *r; /* none: rings are written */
+  cli_parameters parameters;
   dipole_mc_query query;
   dipole_mc_result *result;
 } report;
@@ -113,17 +113,14 @@ static void set_rings(const cli_numbers *r, dipole_mc_query *query) {
 static void make_query(const cli_settings *settings, const cli_profile *profile, size_t channel,
                        report *of) {
   const bool measured = profile->medium != NULL;
-  const cli_given *thickness = &settings->parameters[CORE_PARAMETER_THICKNESS];
   of->info = profile->info;
   of->medium = measured && strchr(profile->medium, ',') == NULL ? profile->medium : NULL;
   of->channel = profile->names[channel];
   of->parameters = profile->parameters;
-  cli_parameters_remove(&of->parameters, CORE_PARAMETER_THICKNESS); /* its own field */
   of->query = (dipole_mc_query){
       .medium = profile->media[channel],
       .albedos = settings->albedo.items,
       .albedo_count = (unsigned)settings->albedo.count,
-      .thickness_mm = thickness->text != NULL ? thickness->value : (double)INFINITY,
       .parameters = of->parameters.items,
       .parameter_count = of->parameters.count,
       .spacing = settings->log ? DIPOLE_LOGARITHMIC : DIPOLE_LINEAR,
@@ -270,9 +267,6 @@ static void put_walk(cli_rows *rows, const void *context, size_t index) {
   }
   cli_put_text(rows, of->channel, "channel");
   cli_put_medium(rows, &of->query.medium);
-  if (isfinite(of->query.thickness_mm)) { /* `dipole fit` refuses this column */
-    cli_put_number(rows, of->query.thickness_mm, "thickness", .unit = "mm");
-  }
   cli_put_parameters(rows, of->info, &of->parameters);
   cli_put_count(rows, of->query.seed, "seed", .forms = CLI_IN_TABLE | CLI_IN_JSON);
   cli_put_count(rows, of->result->last.photons, "photons", .forms = CLI_IN_TABLE);
@@ -410,8 +404,7 @@ const cli_command cli_command_mc = {
     .formats = "table,csv,json",
     .options = {cli_medium_options, options},
     .parameters = CLI_PARAMETER_BIT(PHASE) | CLI_PARAMETER_BIT(PHASE_SHARE) |
-                  CLI_PARAMETER_BIT(PHASE_G) | CLI_PARAMETER_BIT(DETECTOR_NA) |
-                  CLI_PARAMETER_BIT(THICKNESS),
+                  CLI_PARAMETER_BIT(PHASE_G) | CLI_PARAMETER_BIT(DETECTOR_NA),
     .examples = "  dipole mc --medium skin1\n"
                 "  dipole mc --medium skin1 --channel blue --g 0.8 --error 0.02 --to 3\n"
                 "  dipole mc --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --thickness 2\n"

@@ -115,8 +115,9 @@ const cli_option *cli_options_of(const cli_command *command) {
     add_option(&list, (cli_option)CLI_TITLE("Parameters, for the models that take them"));
   }
   for (unsigned id = 1; id < CORE_PARAMETERS_END; id++) {
-    if ((command->parameters & 1U << id) != 0) {
-      add_option(&list, option_of(core_choice_by_id(core_parameter_list, id)));
+    const core_choice *parameter = core_choice_by_id(core_parameter_list, id);
+    if (parameter != NULL && (command->parameters & 1U << id) != 0) {
+      add_option(&list, option_of(parameter));
     }
   }
   add_list(&list, common_options);

@@ -92,7 +92,7 @@ static int check(cli_settings *settings) {
     return cli_fail_usage("--axes: '%s' is unknown; they are linear, semilog and logarithmic",
                           settings->axes);
   }
-  if (settings->deviation && settings->parameters[CORE_PARAMETER_THICKNESS].text != NULL) {
+  if (settings->deviation && settings->thickness.count > 0) {
     return cli_fail_usage("--error compares with " REFERENCE
                           ", which has no slabs: leave --thickness out");
   }
@@ -231,15 +231,12 @@ static bool show_photons(void *context, const dipole_mc_progress *now) {
 /* Walks photons through the medium of each channel: a half space, or a slab of --thickness. */
 static int walk(const cli_settings *settings, dipole_client *client, const cli_profile *profile,
                 rings *of) {
-  const cli_given *thickness = &settings->parameters[CORE_PARAMETER_THICKNESS];
   dipole_error error;
   bool good = true;
   of->R = cli_allocate(profile->channel_count * of->count, sizeof(double));
   of->R_error = cli_allocate(profile->channel_count * of->count, sizeof(double));
   for (size_t i = 0; good && i < profile->channel_count; i++) {
     const dipole_mc_query query = {.medium = profile->media[i],
-                                   .thickness_mm = thickness->text != NULL ? thickness->value
-                                                                           : (double)INFINITY,
                                    .spacing = settings->log ? DIPOLE_LOGARITHMIC : DIPOLE_LINEAR,
                                    .ring_count = (uint32_t)of->count,
                                    .radius_start_mm = of->edges_mm[0],

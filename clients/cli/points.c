@@ -33,6 +33,8 @@ static const cli_option options[] = {
         NAMES, wanted, NULL,
         "the quantities to write; `dipole info` lists all (default: R,albedo,cdf; if --tolerance "
         "replaces --model: R,albedo, for which more tolerances can be kept)"),
+    CLI_OPTION(ONE, thickness, NULL,
+               "of slabs, mm, for rows whose cell is empty or absent (default: a half space)"),
     CLI_OPTION(SWITCH, errors, NULL,
                "write numerical_error and model_error, too: how far the values may be from the "
                "model's formula, and the model from radiative transport (empty: not solved). Rows "
@@ -43,10 +45,19 @@ static const cli_option options[] = {
 /* ---- what is known --------------------------------------------------------------------------- */
 
 /* The input columns; those with names as cells come first. */
-enum { MODEL, MOMENTS, MEDIUM, CHANNEL, FIRST_NUMBER, RADIUS = FIRST_NUMBER + 4, INPUTS };
+enum {
+  MODEL,
+  MOMENTS,
+  MEDIUM,
+  CHANNEL,
+  FIRST_NUMBER,
+  THICKNESS = FIRST_NUMBER + 4,
+  RADIUS,
+  INPUTS
+};
 
-static const char *const inputs[INPUTS] = {"model",   "moments", "medium", "channel", "sigma_a",
-                                           "sigma_s", "g",       "eta",    "r"};
+static const char *const inputs[INPUTS] = {"model",   "moments", "medium", "channel",   "sigma_a",
+                                           "sigma_s", "g",       "eta",    "thickness", "r"};
 
 enum { NAMES_MAX = INPUTS + CLI_PARAMETERS_MAX + CLI_QUANTITIES_MAX + 3 };
 
@@ -92,6 +103,7 @@ static const size_t offsets[INPUTS] = {[FIRST_NUMBER] = offsetof(points_row, med
                                            offsetof(points_row, medium.sigma_s_per_mm),
                                        [FIRST_NUMBER + 2] = offsetof(points_row, medium.g),
                                        [FIRST_NUMBER + 3] = offsetof(points_row, medium.eta),
+                                       [THICKNESS] = offsetof(points_row, medium.thickness_mm),
                                        [RADIUS] = offsetof(points_row, r_mm)};
 
 /* Rows that are requested and written together; fewer if their texts reach this many bytes. */
@@ -208,7 +220,8 @@ static void list_columns(const points_run *points, columns *of) {
 
 static bool is_required(const points_run *points, size_t input) {
   return input == RADIUS ? !has_radii(points)
-                         : input >= FIRST_NUMBER && points->columns.at[MEDIUM] == CLI_CSV_ABSENT;
+                         : input >= FIRST_NUMBER && input != THICKNESS &&
+                               points->columns.at[MEDIUM] == CLI_CSV_ABSENT;
 }
 
 /* Finds the columns. Says what is wrong and returns false if one is missing, misspelt or stands
@@ -446,8 +459,9 @@ static bool read_medium(const points_run *points, points_row *row) {
   const bool measured = name != NULL && text_of(points, row, FIRST_NUMBER) == NULL &&
                         text_of(points, row, FIRST_NUMBER + 1) == NULL;
   bool good = !measured || take_measured(points, name, text_of(points, row, CHANNEL), row);
+  row->medium.thickness_mm = cli_numbers_pick(&points->settings->thickness, 0, 0);
   for (size_t i = FIRST_NUMBER; good && i < INPUTS; i++) {
-    const bool needed = i == RADIUS ? !has_radii(points) : !measured;
+    const bool needed = i == RADIUS ? !has_radii(points) : i != THICKNESS && !measured;
     good = (!needed && text_of(points, row, i) == NULL) || read_number(points, row, i);
   }
   return good;
@@ -647,6 +661,7 @@ static bool is_worth_a_surface(points_run *points, const points_row *row) {
  * values are those of a table. */
 static bool is_for_group(points_run *points, const points_row *row) {
   return (points->quantities.wanted & ~(unsigned)GROUP_QUANTITIES) == 0 && row->model < MODELS &&
+         !(row->medium.thickness_mm > 0) &&
          (row->model != points->transport ||
           (row->evaluator == DIPOLE_LUT && is_worth_a_surface(points, row)));
 }

@@ -27,6 +27,8 @@ const cli_option cli_medium_options[] = {
     CLI_OPTION(
         NUMBERS, eta, NULL,
         "refractive index inside over outside (default: that of the measured medium, else 1.3)"),
+    CLI_OPTION(NUMBERS, thickness, NULL,
+               "of a slab, mm (default: a half space); transport, multipoles and mc take slabs"),
     {0},
 };
 
@@ -145,7 +147,8 @@ const char *const cli_colours[CLI_COLOURS] = {"red", "green", "blue"};
 
 bool cli_medium_given(const cli_settings *settings) {
   return settings->medium.count > 0 || settings->channel.count > 0 || settings->sigma_a.count > 0 ||
-         settings->sigma_s.count > 0 || settings->g.count > 0 || settings->eta.count > 0;
+         settings->sigma_s.count > 0 || settings->g.count > 0 || settings->eta.count > 0 ||
+         settings->thickness.count > 0;
 }
 
 /* Lists the colours of measured media that are requested; all are if none is named. */
@@ -213,6 +216,7 @@ static void set_medium(const cli_settings *settings, size_t i, const dipole_medi
   medium->sigma_s_per_mm *= measured != NULL ? (1 - medium->g) / (1 - g) : 1;
   medium->g = g;
   medium->eta = cli_numbers_pick(&settings->eta, i, medium->eta);
+  medium->thickness_mm = cli_numbers_pick(&settings->thickness, i, 0);
 }
 
 /* Sets the media of all channels. The name of a channel is its number, or its colour, behind the
@@ -262,7 +266,8 @@ static bool count_channels(const cli_settings *settings, size_t *count) {
                  {"sigma-a", settings->sigma_a.count},
                  {"sigma-s", settings->sigma_s.count},
                  {"g", settings->g.count},
-                 {"eta", settings->eta.count}};
+                 {"eta", settings->eta.count},
+                 {"thickness", settings->thickness.count}};
   const char *first = settings->medium.count > 0 ? "medium" : NULL;
   *count = settings->medium.count > 0 ? options[0].count : 1;
   for (size_t i = 1; i < sizeof options / sizeof options[0]; i++) {

@@ -18,9 +18,10 @@
 #define CLI_OF_INVERTED                                                                            \
   (CLI_OF_MODELS &                                                                                 \
    ~(CLI_PARAMETER_BIT(COS_IN) | CLI_PARAMETER_BIT(COS_OUT) | CLI_PARAMETER_BIT(GAUSSIANS) |       \
-     CLI_PARAMETER_BIT(FIT_MODEL) | CLI_PARAMETER_BIT(FIT_FROM) | CLI_PARAMETER_BIT(FIT_TO)))
+     CLI_PARAMETER_BIT(FIT_MODEL) | CLI_PARAMETER_BIT(FIT_FROM) | CLI_PARAMETER_BIT(FIT_TO) |      \
+     CLI_PARAMETER_BIT(ETA_BELOW)))
 
-/* The options of the medium: the members from medium to eta. */
+/* The options of the medium: the members from medium to thickness. */
 extern const cli_option cli_medium_options[];
 
 #define CLI_MOMENTS_OPTION                                                                         \

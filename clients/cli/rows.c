@@ -248,6 +248,9 @@ void cli_put_medium(cli_rows *rows, const dipole_medium *medium) {
   cli_put_number(rows, medium->sigma_s_per_mm, "sigma_s", .unit = "1/mm");
   cli_put_number(rows, medium->g, "g");
   cli_put_number(rows, medium->eta, "eta");
+  if (medium->thickness_mm > 0) { /* `dipole fit` refuses this column */
+    cli_put_number(rows, medium->thickness_mm, "thickness", .unit = "mm");
+  }
 }
 
 /* ---- all rows -------------------------------------------------------------------------------- */

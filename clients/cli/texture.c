@@ -594,7 +594,7 @@ const cli_command cli_command_texture = {
         "and reads one: add `-vf vflip` if the image that went in was no EXR.",
     .formats = "none",
     .options = {options},
-    .parameters = CLI_OF_INVERTED & ~CLI_PARAMETER_BIT(THICKNESS),
+    .parameters = CLI_OF_INVERTED,
     .examples =
         "  dipole texture skin.png skin.pfm --mean-free-path 1,.5,.3\n"
         "  dipole texture skin.png albedo.png --mean-free-path 1 --coefficients scattered\n",

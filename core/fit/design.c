@@ -83,6 +83,9 @@ static core_fault check_stored(const core_fit_design *design) {
     return (core_fault){0};
   }
   const core_medium *reference = &design->reference;
+  if (design->thickness_mm > 0 || reference->thickness_mm > 0) {
+    return (core_fault){"thickness", "0, a half space: fits of transport have no slabs yet", 0};
+  }
   const core_fault fault = core_transport_stored_check(taken_g(design, design->g), design->eta);
   return fault.field == NULL && design->scale == CORE_FIT_SCALE_REFERENCE
              ? core_transport_stored_check(taken_g(design, reference->g), reference->eta)
@@ -109,7 +112,8 @@ core_fault core_fit_check(const core_fit_design *design) {
   if (!(design->g > -1 && design->g < 1)) {
     return (core_fault){"g", "above -1 and below 1", 0};
   }
-  const core_medium some = {0.01, 1 / (1 - design->g), design->g, design->eta};
+  const core_medium some = {0.01, 1 / (1 - design->g), design->g, design->eta,
+                            design->thickness_mm};
   core_fault fault = core_profile_check(design->model, design->moments, CORE_EVALUATOR_F64, &some,
                                         design->parameters, NULL);
   if (fault.field == NULL && !fits_model(design->model)) {
@@ -151,8 +155,7 @@ static size_t nodes_of(const core_fit_design *design) {
 enum { BY_INVERSE = 4, SPARSE = 160, PLENTY = 12 };
 
 core_fit_cost core_fit_cost_of(const core_fit_design *design) {
-  const bool slab =
-      design->parameters != NULL && !isnan(design->parameters->value[CORE_PARAMETER_THICKNESS]);
+  const bool slab = design->thickness_mm > 0;
   const bool free_factor = design->scale == CORE_FIT_SCALE_FREE;
   const size_t spare = design->count - (free_factor ? 3 : 2);
   const bool inverts = design->count == 2 && design->model == CORE_MODEL_TRANSPORT;
@@ -194,6 +197,7 @@ static struct fit_model model_of(const core_isa *isa, const core_fit_design *des
           design->axis == CORE_FIT_AXIS_FREQUENCY ? CORE_QUANTITY_TRANSFER : CORE_QUANTITY_R,
       .g = design->g,
       .eta = design->eta,
+      .thickness_mm = design->thickness_mm,
       .parameters = design->parameters != NULL ? *design->parameters : core_parameters_none(),
   };
   set_aperture(&model, design, design->g, design->eta);
@@ -231,6 +235,7 @@ static core_fault set_weights(core_fit *fit, const core_fit_design *design) {
   struct fit_model reference = fit->model;
   reference.g = design->reference.g;
   reference.eta = design->reference.eta;
+  reference.thickness_mm = design->reference.thickness_mm;
   set_aperture(&reference, design, reference.g, reference.eta);
   const core_fault fault = fit_values_of_medium(&reference, &design->reference, &fit->places,
                                                 fit->weight, &fit->reference_error);
@@ -354,7 +359,7 @@ static core_fault set_kernels(struct fit_model *model) {
                   core_varying_prepare(&model->varying, model->isa, model->model, model->moments,
                                        CORE_EVALUATOR_F64, model->g, model->eta, &model->parameters)
                           .field == NULL;
-  if (model->varies || !isnan(model->parameters.value[CORE_PARAMETER_THICKNESS])) {
+  if (model->varies || model->thickness_mm > 0) {
     return (core_fault){0};
   }
   const struct fit_table_source source = {.isa = model->isa,

@@ -59,6 +59,7 @@ typedef struct core_fit_design {
   unsigned moments;
   double g;
   double eta;
+  double thickness_mm;               /* of a slab; 0: half spaces */
   const core_parameters *parameters; /* of the model; NULL: none is given */
   unsigned axis;                     /* of enum core_fit_axis */
   size_t count;                      /* at least 2, or 3 with a free factor */

@@ -541,7 +541,7 @@ bool fit_search_step(core_fit_search *s) {
 static double model_error_of(const core_fit *fit, const core_fit_solution *best) {
   const struct fit_model *model = &fit->model;
   const core_medium medium = {best->sigma_a_per_mm, best->sigma_s_prime_per_mm / (1 - model->g),
-                              model->g, model->eta};
+                              model->g, model->eta, model->thickness_mm};
   const double error = fit_model_error(model, &medium, &fit->places);
   return fit->reference_error < 1 ? (error + fit->reference_error) / (1 - fit->reference_error)
                                   : (double)NAN;

@@ -19,6 +19,7 @@ core_medium fit_medium(const struct fit_model *model, struct fit_place place) {
       .sigma_s_per_mm = scattering / (1 - model->g),
       .g = model->g,
       .eta = model->eta,
+      .thickness_mm = model->thickness_mm,
   };
 }
 

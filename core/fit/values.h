@@ -16,6 +16,7 @@ struct fit_model {
   enum core_quantity quantity; /* the quantity of a reading: R or TRANSFER */
   double g;
   double eta;
+  double thickness_mm; /* 0: half spaces */
   core_parameters parameters;
   bool narrow;           /* whether only light within the aperture is detected */
   fit_aperture aperture; /* for `g` and `eta`, if `narrow` is true */

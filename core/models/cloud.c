@@ -75,13 +75,12 @@ core_prepare_function core_cloud_prepare;
 
 core_fault core_cloud_check(const core_inputs *inputs, core_radii_range *radii) {
   (void)radii;
-  const double mm = core_parameter_or(inputs, CORE_PARAMETER_THICKNESS, (double)NAN);
-  const double thickness = mm * core_sigma_t_prime(inputs->medium);
+  const double thickness = inputs->medium->thickness_mm * core_sigma_t_prime(inputs->medium);
   if ((inputs->variant & CORE_CLOUD_BEAM) != 0) {
     return (core_fault){0};
   }
-  if (isnan(mm)) {
-    return (core_fault){"thickness", "the thickness of the slab in mm: this model needs it", 0};
+  if (!(thickness > 0)) {
+    return (core_fault){"thickness", "above 0 mm: this model is of a slab", 0};
   }
   if (!(thickness >= THICKNESS_LEAST && thickness <= THICKNESS_MOST)) {
     return (core_fault){"thickness",
@@ -128,7 +127,7 @@ static struct cloud make_cloud(const core_inputs *inputs) {
   };
   cloud.rate = cloud.absorbed;
   if ((inputs->variant & CORE_CLOUD_BEAM) == 0) {
-    cloud.thickness = inputs->parameters->value[CORE_PARAMETER_THICKNESS] * cloud.sigma_t_prime;
+    cloud.thickness = inputs->medium->thickness_mm * cloud.sigma_t_prime;
     cloud.transmitted = (inputs->variant & CORE_SLAB_TRANSMITTED) != 0;
     cloud.y = cloud.transmitted > 0 ? cloud.thickness - 1 : 1;
     const double period = period_of(&cloud);

@@ -1,6 +1,6 @@
 /* Radiative transport itself: the model evaluates solutions of the equation of core/transport/.
  *
- * Preparation takes the solution of a medium from the table of solutions (core/transport/table.h)
+ * Preparation takes the solution of a half space from the table of solutions (core/transport/table.h)
  * wherever that covers the medium, and solves it elsewhere (core/solver/solver.h), which takes
  * seconds. It solves stored media, too, if the parameter `tolerance` is below what the table states,
  * unless a table for single precision is made of the profile. The kernels evaluate Legendre series of
@@ -259,6 +259,10 @@ enum { PANELS_MAX = 48 };
 core_check_function core_transport_check;
 core_prepare_function core_transport_prepare;
 
+static bool wants_derivatives(const core_inputs *inputs) {
+  return !isnan(inputs->parameters->value[CORE_PARAMETER_DERIVATIVES]);
+}
+
 /* Bevilacqua and Depeursinge 1999: R beyond half a mean free path depends on the phase function by
  * sigma_s' and gamma. */
 core_medium core_transport_medium(const core_medium *medium, double gamma) {
@@ -268,6 +272,11 @@ core_medium core_transport_medium(const core_medium *medium, double gamma) {
     other.sigma_s_per_mm = medium->sigma_s_per_mm * (1 - medium->g) / (2 - gamma);
   }
   return other;
+}
+
+/* Whether a medium has several layers, or one of finite thickness. */
+static bool is_layered(const core_inputs *inputs) {
+  return inputs->medium->thickness_mm > 0;
 }
 
 static core_medium medium_of(const core_inputs *inputs) {
@@ -284,6 +293,35 @@ static double absorbed_of(const core_medium *medium) {
   return medium->sigma_a_per_mm / core_sigma_t_prime(medium);
 }
 
+/* The least and largest thickness of a layer in its mean free paths. */
+#define LAYER_LEAST 1e-4
+#define LAYER_MOST 1e4
+
+static core_fault check_layers(const core_inputs *inputs) {
+  const uint32_t count = inputs->parameters->layer_count;
+  core_fault fault = {0};
+  for (uint32_t i = 0; i < count && fault.field == NULL; i++) {
+    const core_medium *layer = &inputs->medium[i];
+    const double mfps = layer->thickness_mm * core_sigma_t_prime(layer);
+    if (!(layer->g >= -G_MOST && layer->g <= G_MOST)) {
+      fault = (core_fault){"g", "-0.99 to 0.99 with transport of layers", 0};
+    } else if (!(layer->eta >= TRANSPORT_ETA_MIN && layer->eta <= TRANSPORT_ETA_MAX)) {
+      fault = (core_fault){"eta", "0.25 to 4 with transport", 0};
+    } else if (layer->thickness_mm > 0 && !(mfps >= LAYER_LEAST && mfps <= LAYER_MOST)) {
+      fault = (core_fault){
+          "thickness", "1e-4 to 1e4 mean free paths; one is 1 / (sigma_a + sigma_s (1 - g)) mm", 0};
+    }
+    fault.index = i;
+  }
+  if (fault.field == NULL && wants_derivatives(inputs)) {
+    fault = (core_fault){"wanted", "no derivatives of layers", 0};
+  }
+  if (fault.field == NULL && !isnan(inputs->parameters->value[CORE_PARAMETER_GAMMA])) {
+    fault = (core_fault){"gamma", "nothing with layers: it is of one half space", 0};
+  }
+  return fault;
+}
+
 core_fault core_transport_check(const core_inputs *inputs, core_radii_range *radii) {
   (void)radii;
   const core_medium medium = medium_of(inputs);
@@ -292,6 +330,9 @@ core_fault core_transport_check(const core_inputs *inputs, core_radii_range *rad
   }
   if (core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, 1) < CORE_TOLERANCE_FINEST) {
     return (core_fault){"tolerance", "1e-8 to 1 with transport", 0};
+  }
+  if (is_layered(inputs)) {
+    return check_layers(inputs);
   }
   if (!(medium.sigma_s_per_mm > 0)) {
     return (core_fault){0};
@@ -465,13 +506,25 @@ double core_transport_slope_error(double g) {
 
 /* ---- sources ---------------------------------------------------------------------------------- */
 
-/* What a profile is made of: a medium of the table, or a solution. */
+/* What a profile is made of: a medium of the table, a solution of one, or that of layers. */
 struct source {
   const core_medium *medium;
   const transport_series *series;  /* of the table, else NULL */
   const solver_solution *solution; /* else NULL */
+  const solver_layers *layers;     /* else NULL */
+  size_t side;                     /* of the layers */
   double kappa;
 };
+
+/* Returns R of a solution at x mean free paths. */
+static transport_number solved_at(const struct source *source, double x) {
+  if (source->layers == NULL) {
+    return solver_at(source->solution, 0, x);
+  }
+  const double mfp_mm = 1 / core_sigma_t_prime(source->medium), area = mfp_mm * mfp_mm;
+  const transport_number at = solver_layers_at(source->layers, source->side, x * mfp_mm);
+  return (transport_number){at.value * area, at.error * area};
+}
 
 /* Less absorption does not show in the albedo. */
 #define LEAST_ABSORBED 0x1p-40
@@ -496,7 +549,7 @@ static void look_at(const struct source *source, const double y[TERMS], double L
       L[i] += source->series->ln_albedo + real_log(fma(source->kappa, x, 1), 0);
       continue;
     }
-    const transport_number at = solver_at(source->solution, 0, x);
+    const transport_number at = solved_at(source, x);
     R[i] = at.value;
     error[i] = at.error / fmax(at.value, 1e-300);
     L[i] = real_log(fmax(x * at.value, 1e-300), 0) + source->kappa * x;
@@ -688,10 +741,6 @@ static core_fault fill_nothing(double sigma_t_prime, core_preparation *preparati
 #define LN_RATIO_STEP_SOLVED 0x1p-6
 enum { DIFFERENCE_LEVEL = 3 }; /* the solver's grid of both neighbours */
 
-static bool wants_derivatives(const core_inputs *inputs) {
-  return !isnan(inputs->parameters->value[CORE_PARAMETER_DERIVATIVES]);
-}
-
 /* Returns the medium with e^(step) times the ratio rho and the same sigma_s. */
 static core_medium neighbour_of(const core_medium *medium, double step) {
   core_medium other = *medium;
@@ -830,8 +879,7 @@ static void enter_error(double error, double x, core_added_errors *added) {
 static double end_of(const struct source *source, double least, double most) {
   for (int step = 0; step < 20; step++) {
     const double y = 0.5 * (least + most);
-    const bool fallen =
-        solver_at(source->solution, 0, real_exp_signed(y)).value < TRANSPORT_TABLE_R_LEAST;
+    const bool fallen = solved_at(source, real_exp_signed(y)).value < TRANSPORT_TABLE_R_LEAST;
     *(fallen ? &most : &least) = y;
   }
   return least;
@@ -849,20 +897,27 @@ static void add_panel(const struct source *source, double y, double width, struc
   }
 }
 
-/* Lays panels until R has fallen below TRANSPORT_TABLE_R_LEAST, or up to LAST_SOLVED, with their errors. */
-static void lay_panels_solved(const struct source *source, struct panels *panels,
-                              core_added_errors *added) {
+/* Returns the logarithm of the radius where R has fallen below TRANSPORT_TABLE_R_LEAST, or of
+ * LAST_SOLVED. */
+static double find_end(const struct source *source) {
   const double last = real_log(LAST_SOLVED, 0);
-  double y = real_log(FIRST, 0), end = last;
-  for (double next = y + PANEL_WIDTH; next < last && end == last; next += PANEL_WIDTH) {
-    if (solver_at(source->solution, 0, real_exp_signed(next)).value < TRANSPORT_TABLE_R_LEAST) {
-      end = end_of(source, next - PANEL_WIDTH, next);
-    } else {
-      add_panel(source, y, PANEL_WIDTH, panels, added);
-      y = next;
+  for (double next = real_log(FIRST, 0) + PANEL_WIDTH; next < last; next += PANEL_WIDTH) {
+    if (solved_at(source, real_exp_signed(next)).value < TRANSPORT_TABLE_R_LEAST) {
+      return end_of(source, next - PANEL_WIDTH, next);
     }
   }
-  panels->fades = end == last;
+  return last;
+}
+
+/* Lays panels up to e^end, with their errors. */
+static void lay_panels_solved(const struct source *source, double end, struct panels *panels,
+                              core_added_errors *added) {
+  double y = real_log(FIRST, 0);
+  for (double next = y + PANEL_WIDTH; next < end; next += PANEL_WIDTH) {
+    add_panel(source, y, PANEL_WIDTH, panels, added);
+    y = next;
+  }
+  panels->fades = end == real_log(LAST_SOLVED, 0);
   panels->segment[0] = (struct segment){real_log(FIRST, 0), PANEL_WIDTH, panels->count};
   if (end > y + LEAST_WIDTH) {
     panels->segment[1] = (struct segment){y, end - y, 1};
@@ -911,6 +966,20 @@ static core_fault find_albedo(const core_inputs *inputs, const core_medium *medi
   return fault;
 }
 
+/* Sets the errors of what was solved, where added.banded has been set. */
+static void set_errors(const struct source *source, const struct panels *panels,
+                       core_preparation *preparation) {
+  const double sigma_t_prime = core_sigma_t_prime(source->medium);
+  set_all(&preparation->added);
+  preparation->error = SERIES_ERROR;
+  const double error = SERIES_ERROR + preparation->added.all;
+  preparation->slope_error = DERIVATIVE * error;
+  preparation->derivative_error = DERIVATIVE * error + DIFFERENCE_ERROR;
+  preparation->derivative_error_per_mm = error * source->kappa * sigma_t_prime;
+  preparation->reach =
+      (core_reach){.most_mm = last_of(panels) / sigma_t_prime, .growth = growth_of(source->kappa)};
+}
+
 static core_fault prepare_solved(const core_inputs *inputs, const core_medium *medium,
                                  double tolerance, core_preparation *preparation) {
   core_fault fault = find_albedo(inputs, medium, preparation);
@@ -927,23 +996,95 @@ static core_fault prepare_solved(const core_inputs *inputs, const core_medium *m
                              tolerance, inputs->stop);
   if (fault.field == NULL) {
     source.solution = solution;
-    lay_panels_solved(&source, &panels, &preparation->added);
+    lay_panels_solved(&source, find_end(&source), &panels, &preparation->added);
     fault = derivatives ? differentiate_solved(inputs, medium, &panels, &by_ratio) : fault;
   }
   solver_free(solution);
   if (fault.field != NULL) {
     return fault;
   }
-  set_all(&preparation->added);
-  preparation->error = SERIES_ERROR;
-  const double error = SERIES_ERROR + preparation->added.all;
-  preparation->slope_error = DERIVATIVE * error;
-  preparation->derivative_error = DERIVATIVE * error + DIFFERENCE_ERROR;
-  preparation->derivative_error_per_mm = error * source.kappa * core_sigma_t_prime(medium);
-  preparation->reach = (core_reach){.most_mm = last_of(&panels) / core_sigma_t_prime(medium),
-                                    .growth = growth_of(source.kappa)};
+  set_errors(&source, &panels, preparation);
   return fill(inputs, medium, &panels, source.kappa, derivatives ? &by_ratio : NULL, false,
               preparation);
+}
+
+/* ---- layers ----------------------------------------------------------------------------------- */
+
+_Static_assert((int)CORE_LAYERS_MAX == (int)SOLVER_LAYERS_MAX, "the solver takes as many layers");
+
+/* Returns kappa with which a dipole's diffusion, (1 + kappa x) e^(-kappa x) / x^3, has the slope of R
+ * at the end of the panels: of layers, R decays at a rate that depends on their thickness. */
+static double kappa_at(const struct source *source, double end) {
+  const double step = 0.125;
+  const double near = solved_at(source, real_exp_signed(end - step)).value;
+  const double far = solved_at(source, real_exp_signed(end)).value;
+  const double steeper =
+      near > far && far > 0 ? (real_log(near, 0) - real_log(far, 0)) / step - 3 : 0;
+  return steeper > 0
+             ? 0.5 * (steeper + sqrt(steeper * (steeper + 4))) / real_exp_signed(end - 0.5 * step)
+             : 0;
+}
+
+/* Far away a solution of layers loses its digits: it is taken as far as they are known to this, if that
+ * is not much nearer. */
+#define DIGITS_LEFT 0.05
+#define MUCH_NEARER 6.0 /* in ln x */
+
+static double end_of_layers(const struct source *source) {
+  const double end = find_end(source);
+  for (double y = end; y > end - MUCH_NEARER; y -= 0.5 * PANEL_WIDTH) {
+    const transport_number at = solved_at(source, real_exp_signed(y));
+    if (at.error <= DIGITS_LEFT * at.value) {
+      return y;
+    }
+  }
+  return end;
+}
+
+static core_fault solve_layers(const core_inputs *inputs, double tolerance,
+                               solver_layers **solution) {
+  solver_layer layer[CORE_LAYERS_MAX];
+  const uint32_t count = inputs->parameters->layer_count;
+  for (uint32_t i = 0; i < count; i++) {
+    const core_medium *from = &inputs->medium[i];
+    layer[i] = (solver_layer){from->sigma_a_per_mm, from->sigma_s_per_mm, from->g, from->eta,
+                              from->thickness_mm > 0 ? from->thickness_mm : (double)INFINITY};
+  }
+  return solver_layers_solve(solution, inputs->isa, layer, count,
+                             core_parameter_or(inputs, CORE_PARAMETER_ETA_BELOW, 1), tolerance,
+                             inputs->stop);
+}
+
+static core_fault prepare_layers(const core_inputs *inputs, double tolerance,
+                                 core_preparation *preparation) {
+  solver_layers *solution;
+  solver_balance balance;
+  core_fault fault = solve_layers(inputs, tolerance, &solution);
+  if (fault.field == NULL) {
+    fault = solver_layers_balance(solution, inputs->isa, &balance);
+  }
+  if (fault.field == NULL) {
+    struct source source = {.medium = inputs->medium, .layers = solution};
+    struct panels panels = {.joined = false};
+    const transport_number *total = &balance.out[source.side];
+    const double end = end_of_layers(&source);
+    source.kappa = kappa_at(&source, end);
+    lay_panels_solved(&source, end, &panels, &preparation->added);
+    preparation->albedo = fmin(total->value, 1);
+    preparation->added.banded[CORE_MODEL_ERROR_BANDS] = total->error / fmax(total->value, 1e-300);
+    set_errors(&source, &panels, preparation);
+    fault = fill(inputs, inputs->medium, &panels, source.kappa, NULL, false, preparation);
+  }
+  solver_layers_free(solution);
+  return fault;
+}
+
+static bool scatters(const core_inputs *inputs) {
+  bool any = false;
+  for (uint32_t i = 0; i < inputs->parameters->layer_count; i++) {
+    any |= inputs->medium[i].sigma_s_per_mm > 0;
+  }
+  return any;
 }
 
 /* ---- preparing -------------------------------------------------------------------------------- */
@@ -954,12 +1095,15 @@ core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *p
   const core_medium medium = medium_of(inputs);
   preparation->cost = COST;
   preparation->error = SERIES_ERROR;
-  if (!(medium.sigma_s_per_mm > 0)) {
+  if (!scatters(inputs)) {
     return fill_nothing(core_sigma_t_prime(&medium), preparation);
   }
   const double tolerance = inputs->accepted > 0
                                ? fmax(inputs->accepted, TOLERANCE)
                                : inputs->parameters->value[CORE_PARAMETER_TOLERANCE];
+  if (is_layered(inputs)) {
+    return prepare_layers(inputs, isnan(tolerance) ? TOLERANCE : tolerance, preparation);
+  }
   const bool any = inputs->accepted > 0 || inputs->only_albedo; /* the albedo's error is small */
   return inputs->light == CORE_LIGHT_BEAM &&
                  core_transport_is_looked_up(&medium, any ? (double)NAN : tolerance)

@@ -189,7 +189,7 @@ static void put_request(struct http_text *text, const schema_message *message, b
   }
   if (http_request_media(request) > 0) {
     put_list_field(text, message, in_query, "medium", REFERENCE("Medium"),
-                   "names of /v1/media, of three channels each; else the coefficients");
+                   "names of /v1/media, of three channels each; else coefficients, or lists of layers");
     for (field = FIELDS(medium); field->name != NULL; field++) {
       put_list_field(text, message, in_query, field->name, NUMBER, field->meaning);
     }
@@ -238,6 +238,12 @@ static void put_arrays(struct http_text *text, const core_choice *list) {
   }
 }
 
+/* Adds the medium of a channel. */
+static void put_medium(struct http_text *text) {
+  put_properties(text, FIELDS(medium));
+  put_list(text, "layers", REFERENCE("Coefficients"), "of several layers, in place of these");
+}
+
 /* Adds what a reply has besides its fields. */
 static void put_reply_parts(struct http_text *text, const schema_payload *reply) {
   const schema_field *fields = reply->structures[0]->fields;
@@ -256,6 +262,7 @@ static void put_reply_parts(struct http_text *text, const schema_payload *reply)
     put_choice(text, core_value_statuses, false);
     put_json(text, "}}");
   } else if (fields == FIELDS(table_reply)) {
+    put_medium(text);
     put_json(text, ",'parameters':{'type':'object'}");
     put_list(text, "words", "{'type':'integer'}", "32 bits each");
   } else {
@@ -284,7 +291,7 @@ static void put_schemas(struct http_text *text) {
            ",'Number':{'nullable':true,'description':'A number; infinities are texts. In answers, "
            "null is a number that is not known.','oneOf':[{'type':'number'},"
            "{'type':'string','enum':['inf','-inf']}]},'Medium':{'oneOf':[" STRING
-           "," REFERENCE("Coefficients") "]}");
+           "," REFERENCE("Coefficients") ",{'type':'array','items':" REFERENCE("Coefficients") "}]}");
   put_object(text, "Coefficients", FIELDS(medium));
   begin_object(text, "Error", "");
   put_json(text, "'status':" STRING ",'text':" STRING);
@@ -296,13 +303,13 @@ static void put_schemas(struct http_text *text) {
   put_json(text, "}}");
   put_object(text, "Errors", FIELDS(quantity_error));
   begin_object(text, "Gathered", "");
-  put_properties(text, FIELDS(medium));
+  put_medium(text);
   put_properties(text, FIELDS(quantity_error));
   put_list(text, "M", NUMBER, "W/mm^2; the sums, in the order of the positions");
   put_json(text, "}}");
   put_object(text, "Offer", FIELDS(offer));
   begin_object(text, "Channel", "");
-  put_properties(text, FIELDS(medium));
+  put_medium(text);
   put_json(text, ",'errors':{'type':'object','description':'of each wanted quantity',"
                  "'additionalProperties':" REFERENCE("Errors") "},'albedo':" NUMBER);
   for (const core_choice *one = core_quantities; one->name != NULL; one++) {

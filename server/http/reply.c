@@ -132,12 +132,26 @@ static void write_quantity_units(struct http_text *text, unsigned wanted) {
   }
 }
 
-static void write_channel(struct http_text *text, const uint8_t *payload, const uint8_t *media,
-                          const wire_eval_reply *fixed, const eval_layout *layout, uint32_t channel,
-                          unsigned wanted) {
+/* Writes a medium: the fields of its only layer, or a list of layers. Returns where it ends. */
+static const uint8_t *write_medium(struct http_text *text, const uint8_t *at,
+                                   uint32_t layer_count) {
+  if (layer_count == 1) {
+    return write_fields(text, FIELDS(medium), at);
+  }
+  http_text_begin(text, "layers", '[');
+  for (uint32_t i = 0; i < layer_count; i++) {
+    at = write_object(text, NULL, FIELDS(medium), at);
+  }
+  http_text_end(text, ']');
+  return at;
+}
+
+static void write_channel(struct http_text *text, const uint8_t *payload, const uint8_t *medium,
+                          uint32_t layer_count, const wire_eval_reply *fixed,
+                          const eval_layout *layout, uint32_t channel, unsigned wanted) {
   const bool single = core_evaluator_bytes(fixed->evaluator) == sizeof(float);
   http_text_begin(text, NULL, '{');
-  write_fields(text, FIELDS(medium), media + (size_t)channel * WIRE_BYTES_medium);
+  write_medium(text, medium, layer_count);
   http_text_number(text, "albedo", get_f64(payload + eval_albedo_offset(channel)));
   http_text_begin(text, "errors", '{');
   for (const core_choice *one = core_quantities; one->name != NULL; one++) {
@@ -157,9 +171,9 @@ static void write_channel(struct http_text *text, const uint8_t *payload, const 
   http_text_end(text, '}');
 }
 
-/* media: the structures in the request. */
-static void write_eval(struct http_text *text, const uint8_t *media, const uint8_t *payload,
-                       size_t payload_bytes, bool drawn) {
+/* media: the layers in the request. */
+static void write_eval(struct http_text *text, const uint8_t *media, uint32_t layer_count,
+                       const uint8_t *payload, size_t payload_bytes, bool drawn) {
   wire_eval_reply fixed;
   eval_layout layout;
   const bool parsed = eval_reply_parse(payload, payload_bytes, drawn, &fixed, &layout);
@@ -178,7 +192,8 @@ static void write_eval(struct http_text *text, const uint8_t *media, const uint8
   }
   http_text_begin(text, "channels", '[');
   for (uint32_t i = 0; i < fixed.channel_count; i++) {
-    write_channel(text, payload, media, &fixed, &layout, i, wanted);
+    write_channel(text, payload, media + (size_t)i * layer_count * WIRE_BYTES_medium, layer_count,
+                  &fixed, &layout, i, wanted);
   }
   http_text_end(text, ']');
 }
@@ -220,7 +235,9 @@ static void write_table(struct http_text *text, const uint8_t *payload) {
   wire_table_reply fixed;
   wire_get_table_reply(payload, &fixed);
   const uint8_t *at = write_fields(text, FIELDS(table_reply), payload);
+  at = write_medium(text, at, fixed.layer_count);
   http_text_begin(text, "units", '{');
+  write_units(text, FIELDS(medium));
   write_units(text, FIELDS(table_reply));
   http_text_end(text, '}');
   http_text_begin(text, "parameters", '{');
@@ -305,8 +322,9 @@ static void write_varying(struct http_text *text, const uint8_t *payload, size_t
   http_text_end(text, ']');
 }
 
-/* media: the structures in the request. */
-static void write_gather(struct http_text *text, const uint8_t *media, const uint8_t *payload) {
+/* media: the layers in the request. */
+static void write_gather(struct http_text *text, const uint8_t *media, uint32_t layer_count,
+                         const uint8_t *payload) {
   wire_gather_reply fixed;
   wire_get_gather_reply(payload, &fixed);
   const uint8_t *sums = payload + gather_sums_offset(fixed.channel_count);
@@ -318,7 +336,7 @@ static void write_gather(struct http_text *text, const uint8_t *media, const uin
   http_text_begin(text, "channels", '[');
   for (uint32_t channel = 0; channel < fixed.channel_count; channel++) {
     http_text_begin(text, NULL, '{');
-    write_fields(text, FIELDS(medium), media + channel * (size_t)WIRE_BYTES_medium);
+    write_medium(text, media + (size_t)channel * layer_count * WIRE_BYTES_medium, layer_count);
     write_fields(text, FIELDS(quantity_error),
                  payload + WIRE_BYTES_gather_reply + channel * (size_t)WIRE_BYTES_quantity_error);
     http_text_begin(text, "M", '[');
@@ -332,15 +350,23 @@ static void write_gather(struct http_text *text, const uint8_t *media, const uin
   http_text_end(text, ']');
 }
 
+/* Returns how many layers each medium of a request has. */
+static uint32_t layers_of(const schema_message *message, const uint8_t *request) {
+  uint16_t count;
+  memcpy(&count, request + message->request->parts[0].count[0].offset, sizeof count);
+  return count;
+}
+
 void http_reply_write(const schema_message *message, const uint8_t *request, bool g_is_default,
                       const uint8_t *payload, size_t payload_bytes, struct http_text *text) {
+  const uint8_t *media = request + message->request->fixed_bytes;
   http_text_begin(text, NULL, '{');
   switch (message->type) {
   case WIRE_TYPE_EVAL:
-    write_eval(text, request + WIRE_BYTES_eval_request, payload, payload_bytes, false);
+    write_eval(text, media, layers_of(message, request), payload, payload_bytes, false);
     break;
   case WIRE_TYPE_SAMPLE:
-    write_eval(text, request + WIRE_BYTES_sample_request, payload, payload_bytes, true);
+    write_eval(text, media, layers_of(message, request), payload, payload_bytes, true);
     break;
   case WIRE_TYPE_FIT:
     write_fit(text, request + WIRE_BYTES_fit_request, g_is_default, payload);
@@ -352,7 +378,7 @@ void http_reply_write(const schema_message *message, const uint8_t *request, boo
     write_varying(text, payload, payload_bytes);
     break;
   case WIRE_TYPE_GATHER:
-    write_gather(text, request + WIRE_BYTES_gather_request, payload);
+    write_gather(text, media, layers_of(message, request), payload);
     break;
   default:
     write_fields(text, message->reply->structures[0]->fields, payload);

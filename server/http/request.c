@@ -35,17 +35,15 @@ const schema_part *http_request_list(const schema_payload *request, unsigned ind
 }
 
 unsigned http_request_media(const schema_payload *request) {
-  return request->structures[1] == &schema_structures[SCHEMA_STRUCTURE_medium] ? 1
-         : request->parts[0].name != NULL && strcmp(request->parts[0].name, "medium") == 0
-             ? UINT_MAX
-             : 0;
+  const schema_part *first = &request->parts[0];
+  return first->name == NULL || strcmp(first->name, "medium") != 0 ? 0
+         : first->count[1].name == NULL                            ? 1
+                                                                   : UINT_MAX;
 }
 
 const schema_field *http_request_fields(const schema_payload *request, unsigned index) {
-  const schema_structure *structure = index < 2 ? request->structures[index] : NULL;
-  return structure != NULL && structure != &schema_structures[SCHEMA_STRUCTURE_medium]
-             ? structure->fields
-             : NULL;
+  return index < 2 && request->structures[index] != NULL ? request->structures[index]->fields
+                                                         : NULL;
 }
 
 bool http_request_has_parameters(const schema_payload *request) {
@@ -58,6 +56,8 @@ struct translation {
   struct http_text *payload;
   size_t bytes_max; /* most bytes of the payload */
   uint32_t medium_count;
+  uint32_t layer_count; /* of each medium; 0: there is none yet */
+  double thickness_mm;  /* of media that say none themselves */
   uint32_t parameter_count;
   bool g_is_default;
   wire_error error; /* the error, set if a function returns false */
@@ -112,18 +112,29 @@ static uint8_t *add_bytes(struct translation *t, size_t bytes) {
   return (uint8_t *)at;
 }
 
-static bool add_medium(struct translation *t, const wire_medium *medium) {
+/* Begins a medium of so many layers, the next one of the list. */
+static bool begin_medium(struct translation *t, size_t layers, size_t index) {
   if (t->medium_count == http_request_media(t->message->request)) {
     return fail_with(t,
                      wire_error_make(WIRE_STATUS_BAD_COUNT, "medium",
                                      "one medium: a measured one has three, so give coefficients"));
   }
+  if (layers == 0 || layers > CORE_LAYERS_MAX || (t->layer_count > 0 && layers != t->layer_count)) {
+    return fail_at(
+        t, wire_error_make(WIRE_STATUS_BAD_COUNT, "layer_count", "1 to 8, the same in each medium"),
+        index);
+  }
+  t->layer_count = (uint32_t)layers;
+  t->medium_count++;
+  return true;
+}
+
+static bool add_layer(struct translation *t, const wire_medium *layer) {
   uint8_t *at = add_bytes(t, WIRE_BYTES_medium);
   if (at == NULL) {
     return false;
   }
-  wire_put_medium(at, medium);
-  t->medium_count++;
+  wire_put_medium(at, layer);
   return true;
 }
 
@@ -133,14 +144,15 @@ static bool add_measured(struct translation *t, const char *name, size_t index) 
               fail_at(t, bad_value("medium", "a name of /v1/media, or coefficients"), index);
   for (int i = 0; good && i < 3; i++) {
     const core_medium *from = &measured->channel[i];
-    const wire_medium medium = {from->sigma_a_per_mm, from->sigma_s_per_mm, from->g, from->eta};
-    good = add_medium(t, &medium);
+    const wire_medium medium = {from->sigma_a_per_mm, from->sigma_s_per_mm, from->g, from->eta,
+                                t->thickness_mm};
+    good = begin_medium(t, 1, index) && add_layer(t, &medium);
   }
   return good;
 }
 
 /* The coefficients of a medium, in the order of their fields. */
-enum { COEFFICIENTS = 4 };
+enum { COEFFICIENTS = 5 };
 static const schema_payload medium_alone = {
     .structures = {&schema_structures[SCHEMA_STRUCTURE_medium]}};
 #define medium_fields (schema_structures[SCHEMA_STRUCTURE_medium].fields)
@@ -152,7 +164,8 @@ static wire_error eta_of_fit(void) {
 /* Reads coefficients, the next element of each. */
 static bool read_coefficients(struct translation *t, struct http_elements elements[COEFFICIENTS],
                               size_t index, wire_medium *medium) {
-  double *const to[COEFFICIENTS] = {&medium->sigma_a, &medium->sigma_s, &medium->g, &medium->eta};
+  double *const to[COEFFICIENTS] = {&medium->sigma_a, &medium->sigma_s, &medium->g, &medium->eta,
+                                    &medium->thickness};
   for (int i = 0; i < COEFFICIENTS; i++) {
     const char *name = medium_fields[i].name;
     if (!http_value_given(elements[i].list)) {
@@ -197,10 +210,11 @@ static bool read_medium(struct translation *t, const char *field, struct http_va
     return fail_at(t, bad_value(field, "names of /v1/media, or objects of coefficients"), index);
   }
   if (http_values_unknown(&values, is_coefficient, &values) != NULL) {
-    return fail_at(t, bad_value(field, "objects of sigma_a, sigma_s, g and eta, each one number"),
-                   index);
+    return fail_at(
+        t, bad_value(field, "objects of sigma_a, sigma_s, g, eta, thickness, each one number"),
+        index);
   }
-  *medium = (wire_medium){.eta = usual_eta};
+  *medium = (wire_medium){.eta = usual_eta, .thickness = t->thickness_mm};
   find_coefficients(&values, elements);
   return read_coefficients(t, elements, index, medium);
 }
@@ -227,12 +241,7 @@ static bool add_reference(struct translation *t) {
   if (!read_medium(t, "reference", object, 0, (double)NAN, &medium)) {
     return false;
   }
-  uint8_t *at = add_bytes(t, WIRE_BYTES_medium);
-  if (at == NULL) {
-    return false;
-  }
-  wire_put_medium(at, &medium);
-  return true;
+  return add_layer(t, &medium);
 }
 
 /* Reads lists of coefficients. A list of one holds for all media. */
@@ -251,7 +260,23 @@ static bool add_media_lists(struct translation *t) {
   }
   for (size_t i = 0; good && i < count; i++) {
     wire_medium medium = {.eta = USUAL_ETA};
-    good = read_coefficients(t, elements, i, &medium) && add_medium(t, &medium);
+    good = read_coefficients(t, elements, i, &medium) && begin_medium(t, 1, i) &&
+           add_layer(t, &medium);
+  }
+  return good;
+}
+
+/* Reads a medium: an object, or a list of them, one for each layer. */
+static bool add_medium(struct translation *t, struct http_value item, size_t index) {
+  const bool list = json_is_array(item.json);
+  const size_t layers = list ? http_value_count(item) : 1;
+  struct http_elements elements = http_elements_of(item);
+  bool good = begin_medium(t, layers, index);
+  for (size_t i = 0; good && i < layers; i++) {
+    wire_medium layer;
+    good = read_medium(t, "medium", list ? http_elements_next(&elements) : item, index, USUAL_ETA,
+                       &layer) &&
+           add_layer(t, &layer);
   }
   return good;
 }
@@ -263,10 +288,7 @@ static bool add_named_media(struct translation *t, struct http_value media) {
   for (size_t i = 0; good && i < count; i++) {
     const struct http_value item = http_elements_next(&elements);
     const char *name = http_value_text(item);
-    wire_medium medium;
-    good = name != NULL
-               ? add_measured(t, name, i)
-               : read_medium(t, "medium", item, i, USUAL_ETA, &medium) && add_medium(t, &medium);
+    good = name != NULL ? add_measured(t, name, i) : add_medium(t, item, i);
   }
   return good;
 }
@@ -280,8 +302,14 @@ static bool add_media(struct translation *t) {
     return add_media_lists(t);
   }
   for (int i = 0; i < COEFFICIENTS; i++) {
-    if (http_value_given(value_of(t, medium_fields[i].name))) {
-      return fail_with(t, bad_value(medium_fields[i].name, "nothing beside medium"));
+    const char *name = medium_fields[i].name;
+    const struct http_value value = value_of(t, name);
+    if (http_values_same(name, "thickness") && http_value_given(value)) {
+      if (!http_value_number(value, &t->thickness_mm)) {
+        return fail_with(t, not_a_number(name));
+      }
+    } else if (http_value_given(value)) {
+      return fail_with(t, bad_value(name, "nothing beside medium"));
     }
   }
   return add_named_media(t, media);
@@ -484,6 +512,9 @@ static size_t longest(const struct translation *t) {
 
 /* Returns a number that JSON does not have: it counts elements that follow, or is 0. */
 static uint64_t counted(const struct translation *t, const schema_field *field) {
+  if (http_values_same(field->name, "layer_count")) {
+    return t->layer_count;
+  }
   for (const schema_part *part = t->message->request->parts; part->name != NULL; part++) {
     const char *first = part->count[0].name, *second = part->count[1].name;
     if ((first == NULL || !http_values_same(first, field->name)) &&
@@ -719,13 +750,12 @@ static bool read_deadline(struct translation *t, uint32_t *deadline_ms) {
 /* Writes the whole payload. */
 static bool put_all(struct translation *t, uint32_t *deadline_ms) {
   const schema_payload *request = t->message->request;
-  const size_t medium_bytes = http_request_media(request) == 1 ? WIRE_BYTES_medium : 0;
   const schema_field *fields;
   size_t offset = 0;
   bool single = false;
   bool good = check_keys(t) && read_deadline(t, deadline_ms) &&
               (t->message->type != WIRE_TYPE_VARYING || check_pairs(t)) &&
-              add_bytes(t, request->fixed_bytes - medium_bytes) != NULL && add_media(t) &&
+              add_bytes(t, request->fixed_bytes) != NULL && add_media(t) &&
               add_parameters(t) && add_reference(t);
   for (unsigned i = 0; good && (fields = http_request_fields(request, i)) != NULL; i++) {
     good = put_fixed(t, fields, &offset, &single);

@@ -84,9 +84,9 @@ void batch_finish(struct batch *batch, struct stats *stats) {
 
 /* ---- finding repeated requests --------------------------------------------------------------- */
 
-/* The size of an eval request of one medium up to its radii. */
+/* The size of an eval request of one medium up to its radii, if its layers are as many as it says. */
 static size_t bytes_before_radii(const wire_eval_request *fixed) {
-  return WIRE_BYTES_eval_request + WIRE_BYTES_medium +
+  return WIRE_BYTES_eval_request + fixed->layer_count * (size_t)WIRE_BYTES_medium +
          fixed->parameter_count * (size_t)WIRE_BYTES_parameter;
 }
 
@@ -233,7 +233,7 @@ void repeat_learn(struct repeat *repeat, const eval_request *request, const core
   if (!can_repeat(fixed, layout, place)) {
     return;
   }
-  const uint8_t *payload = request->media - WIRE_BYTES_eval_request;
+  const uint8_t *payload = (const uint8_t *)request->media - WIRE_BYTES_eval_request;
   const size_t bytes = bytes_before_radii(fixed);
   const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
   const size_t listed = request->radii != NULL ? (size_t)fixed->radius_count * value_bytes : 0;

@@ -8,17 +8,19 @@
 
 #include "server/store/profiles.h"
 
-/* A medium has the same layout on the wire and in core, so core reads the payload as an array. */
-_Static_assert(sizeof(core_medium) == WIRE_BYTES_medium, "one medium after the other");
-
 enum { ROUNDED_BYTES = 16, ALLOWED_BYTES = sizeof((wire_error *)0)->allowed };
 
-static wire_error check_media(const core_medium *media, size_t count) {
-  for (size_t i = 0; i < count; i++) {
-    const core_fault fault = core_medium_check(&media[i]);
+static wire_error check_media(const eval_request *request) {
+  const uint32_t layers = request->fixed.layer_count;
+  for (uint32_t i = 0; i < request->fixed.medium_count; i++) {
+    const core_medium *medium = &request->media[(size_t)i * layers];
+    core_fault fault = core_layers_check(medium, layers);
+    if (fault.field == NULL && medium->thickness_mm > 0) {
+      fault = (core_fault){"model", "a model of the list: media with layers or slabs need one", 0};
+    }
     if (fault.field != NULL) {
       wire_error error = wire_error_make(WIRE_STATUS_BAD_VALUE, fault.field, fault.allowed);
-      error.index = i;
+      error.index = (uint64_t)i * layers + fault.index;
       return error;
     }
   }
@@ -28,10 +30,6 @@ static wire_error check_media(const core_medium *media, size_t count) {
 /* Returns the quantities whose errors count. Without radii, only the albedo has a value. */
 static unsigned wanted_of(const wire_eval_request *fixed) {
   return fixed->radius_count > 0 ? fixed->wanted : fixed->wanted & CORE_QUANTITY_ALBEDO;
-}
-
-static const core_medium *media_of(const eval_request *request) {
-  return (const core_medium *)(const void *)request->media;
 }
 
 wire_error choice_check(const eval_request *request) {
@@ -49,14 +47,14 @@ wire_error choice_check(const eval_request *request) {
                            "nothing without a model: the error with gamma is not known");
   }
   const core_fault fault = core_parameter_check(CORE_PARAMETER_TOLERANCE, tolerance);
-  return fault.field == NULL ? check_media(media_of(request), request->fixed.medium_count)
+  return fault.field == NULL ? check_media(request)
                              : wire_error_make(WIRE_STATUS_BAD_VALUE, fault.field, fault.allowed);
 }
 
 core_choose_request choice_asked(const eval_request *request, core_radii_range radii) {
   const wire_eval_request *fixed = &request->fixed;
   return (core_choose_request){
-      .media = media_of(request),
+      .media = request->media,
       .media_count = fixed->medium_count,
       .wanted = wanted_of(fixed),
       .radii = radii,

@@ -19,12 +19,6 @@ static bool is_sample(const struct eval_job *eval) {
 
 /* ---- checking -------------------------------------------------------------------------------- */
 
-static core_medium medium_of(const struct eval_job *eval, uint32_t channel) {
-  wire_medium medium;
-  wire_get_medium(eval->request.media + (size_t)channel * WIRE_BYTES_medium, &medium);
-  return (core_medium){medium.sigma_a, medium.sigma_s, medium.g, medium.eta};
-}
-
 wire_error eval_job_check_media(struct eval_job *eval, core_radii_range *radii) {
   const wire_eval_request *fixed = &eval->request.fixed;
   const uint64_t most = eval->job.context->server->options.max_media;
@@ -36,12 +30,12 @@ wire_error eval_job_check_media(struct eval_job *eval, core_radii_range *radii) 
   }
   *radii = (core_radii_range){0, (double)INFINITY};
   for (uint32_t channel = 0; channel < fixed->medium_count; channel++) {
-    const core_medium medium = medium_of(eval, channel);
     core_radii_range range;
-    core_fault fault = core_profile_check(fixed->model, fixed->moments, fixed->evaluator, &medium,
-                                          &eval->request.parameters, &range);
+    core_fault fault =
+        core_profile_check(fixed->model, fixed->moments, fixed->evaluator,
+                           eval_job_medium(eval, channel), &eval->request.parameters, &range);
     if (fault.field != NULL) {
-      fault.index = channel;
+      fault.index += (size_t)channel * fixed->layer_count;
       return job_error(fault);
     }
     radii->least_mm = fmax(radii->least_mm, range.least_mm);
@@ -438,18 +432,18 @@ static bool start_again(struct eval_job *eval) {
 
 /* Gets the profile of the current channel. */
 static enum job_outcome get_profile(struct eval_job *eval) {
-  const core_medium medium = medium_of(eval, eval->channel);
-  enum lookup_answer answer = get_ruler(eval, &medium);
+  const core_medium *medium = eval_job_medium(eval, eval->channel);
+  enum lookup_answer answer = get_ruler(eval, medium);
   if (answer != LOOKUP_READY) {
     return job_follow(&eval->job, answer, &eval->ruler.fault, eval->channel);
   }
   if (choice_heeds_radii(&eval->choice, &eval->request)) {
     const wire_eval_request *fixed = &eval->request.fixed;
     const core_parameters parameters =
-        choice_parameters(&eval->choice, &eval->request, &medium, eval->radii);
+        choice_parameters(&eval->choice, &eval->request, medium, eval->radii);
     profiles_start(&eval->lookup, fixed->model, fixed->moments, fixed->evaluator, &parameters);
   }
-  answer = profiles_get(&eval->job.context->profiles, &eval->lookup, &medium);
+  answer = profiles_get(&eval->job.context->profiles, &eval->lookup, medium);
   if (answer == LOOKUP_FAULT && start_again(eval)) {
     return JOB_GOES_ON;
   }
@@ -457,7 +451,7 @@ static enum job_outcome get_profile(struct eval_job *eval) {
     return job_follow(&eval->job, answer, &eval->lookup.fault, eval->channel);
   }
   if (!isnan(eval->choice.tolerance) &&
-      !choice_keeps(&eval->choice, &eval->request, eval->radii, &eval->lookup.profile, &medium,
+      !choice_keeps(&eval->choice, &eval->request, eval->radii, &eval->lookup.profile, medium,
                     eval->channel)) {
     profiles_return(&eval->lookup);
     return JOB_GOES_ON;

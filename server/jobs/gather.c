@@ -80,9 +80,10 @@ static wire_error check_media(const struct gather_job *gather) {
   }
   for (uint32_t channel = 0; channel < fixed->medium_count; channel++) {
     core_fault fault = core_profile_check(fixed->model, fixed->moments, fixed->evaluator,
-                                          &request->media[channel], &request->parameters, NULL);
+                                          &request->media[(size_t)channel * fixed->layer_count],
+                                          &request->parameters, NULL);
     if (fault.field != NULL) {
-      fault.index = channel;
+      fault.index += (size_t)channel * fixed->layer_count;
       return job_error(fault);
     }
   }
@@ -149,7 +150,7 @@ static enum job_outcome find_set(struct gather_job *gather) {
 static enum job_outcome prepare_channel(struct gather_job *gather) {
   struct gather_work *work = gather->work;
   const wire_gather_request *fixed = &gather->request.fixed;
-  const core_medium *medium = &gather->request.media[work->ready];
+  const core_medium *medium = &gather->request.media[work->ready * fixed->layer_count];
   struct profiles_lookup *lookup = &work->channels[work->ready];
   struct profiles *profiles = &gather->job.context->profiles;
   enum lookup_answer answer = profiles_get_ruler(profiles, &work->ruler, fixed->model,

@@ -55,14 +55,15 @@ static wire_error check_targets(const wire_mc_request *fixed, uint64_t photons_m
 }
 
 /* Makes the request for core. The medium has been checked. */
-static void set_request(struct mc_task *task, const mc_request *wire, const core_medium *medium) {
+static void set_request(struct mc_task *task, const mc_request *wire) {
   core_mc_request *request = &task->request;
-  core_mc_request_medium(request, medium);
+  core_mc_request_medium(request, wire->layers);
   if (wire->fixed.albedo_count > 0) {
     request->albedo_count = wire->fixed.albedo_count;
     memcpy(request->albedo, wire->albedo, sizeof request->albedo);
   }
-  request->thickness_mm = wire->fixed.thickness;
+  request->thickness_mm =
+      wire->layers->thickness_mm > 0 ? wire->layers->thickness_mm : (double)INFINITY;
   request->edges = (core_grid){wire->fixed.spacing, (uint64_t)wire->fixed.ring_count + 1,
                                wire->fixed.radius_start, wire->fixed.radius_stop};
   request->seed = wire->fixed.seed;
@@ -84,13 +85,14 @@ wire_error mc_task_check(struct mc_task *task, const struct server *server, cons
   if (wire.fixed.ring_count < 1 || wire.fixed.ring_count > CORE_MC_RINGS_MAX) {
     return wire_error_make(WIRE_STATUS_BAD_COUNT, "ring_count", "1 to 4096");
   }
-  const core_medium medium = {wire.medium.sigma_a, wire.medium.sigma_s, wire.medium.g,
-                              wire.medium.eta};
-  core_fault fault = core_medium_check(&medium);
+  if (wire.fixed.layer_count > 1) {
+    return wire_error_make(WIRE_STATUS_BAD_COUNT, "layer_count", "1 layer");
+  }
+  core_fault fault = core_medium_check(wire.layers);
   if (fault.field != NULL) {
     return from_fault(fault);
   }
-  set_request(task, &wire, &medium);
+  set_request(task, &wire);
   fault = core_mc_request_parameters(&task->request, &wire.parameters);
   if (fault.field == NULL) {
     fault = core_mc_check(&task->request);

@@ -87,11 +87,9 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
     offers->model = 0;
     offers->medium++;
   } else {
-    wire_medium medium;
     core_fault fault;
-    wire_get_medium(eval->request.media + (size_t)offers->medium * WIRE_BYTES_medium, &medium);
-    const core_medium taken = {medium.sigma_a, medium.sigma_s, medium.g, medium.eta};
-    const enum lookup_answer answer = get(offers, model, &taken, &fault);
+    const enum lookup_answer answer =
+        get(offers, model, eval_job_medium(eval, offers->medium), &fault);
     if (answer == LOOKUP_WAIT) {
       return JOB_WAITS;
     }

@@ -2,7 +2,6 @@
  * so that the client can evaluate it itself. */
 #include "proto/table.h"
 #include "core/ruler.h"
-#include "proto/channels.h"
 #include "server/jobs/job.h"
 #include "server/store/varyings.h"
 
@@ -18,12 +17,11 @@ JOB_STRUCTURE(struct table, of)
 
 /* Checks a request for a surface with a medium that every model takes. */
 static core_fault check(const table_request *request, unsigned evaluator) {
-  core_medium medium = request->medium;
-  if (table_is_surface(&medium)) {
-    medium.sigma_a_per_mm = medium.sigma_s_per_mm = 1;
-  }
-  return core_profile_check(request->fixed.model, request->fixed.moments, evaluator, &medium,
-                            &request->parameters, NULL);
+  core_medium medium = *request->layers;
+  const bool surface = table_is_surface(request);
+  medium.sigma_a_per_mm = medium.sigma_s_per_mm = 1;
+  return core_profile_check(request->fixed.model, request->fixed.moments, evaluator,
+                            surface ? &medium : request->layers, &request->parameters, NULL);
 }
 
 static enum job_outcome start(struct job *job, const struct job_request *from) {
@@ -34,8 +32,7 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
     return job_refuse(job, error);
   }
   const wire_table_request *fixed = &request->fixed;
-  const unsigned evaluator =
-      table_is_surface(&request->medium) ? CORE_EVALUATOR_F32 : CORE_EVALUATOR_LUT;
+  const unsigned evaluator = table_is_surface(request) ? CORE_EVALUATOR_F32 : CORE_EVALUATOR_LUT;
   const core_fault fault = check(request, evaluator);
   if (fault.field != NULL) {
     return job_refuse(job, job_error(fault));
@@ -49,8 +46,8 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
 
 static enum lookup_answer get(struct table *table) {
   struct profiles *profiles = &table->job.context->profiles;
-  const core_medium *medium = &table->request.medium;
-  if (table_is_surface(medium)) {
+  const core_medium *medium = table->request.layers;
+  if (table_is_surface(&table->request)) {
     const wire_table_request *fixed = &table->request.fixed;
     const enum lookup_answer answer =
         varyings_get(&profiles->lookups, &table->surface, fixed->model, fixed->moments,
@@ -73,7 +70,7 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
     return outcome;
   }
   const core_varying *surface = varyings_found(&table->surface);
-  job->part_bytes = table_reply_bytes(channels_count_parameters(&table->request.parameters),
+  job->part_bytes = table_reply_bytes(&table->request.parameters,
                                       surface != NULL ? table_surface_words(surface)
                                                       : table->lookup.profile.lut_count);
   return job->part_bytes > job->context->server->options.max_frame_bytes
@@ -90,7 +87,8 @@ static enum job_outcome put(struct job *job, uint8_t *at) {
   } else {
     const core_model_errors errors = core_model_errors_measure(
         &table->lookup.profile, table->ruler.ready ? &table->ruler.profile : NULL);
-    table_reply_put(at, &table->lookup.profile, &table->request.parameters, &errors);
+    table_reply_put(at, &table->lookup.profile, table->request.layers, &table->request.parameters,
+                    &errors);
   }
   return JOB_DONE;
 }

@@ -76,13 +76,13 @@ static double number_of(const uint16_t image[REGISTERS_END], const registers_fie
                                                : registers_number(image, field->address);
 }
 
-/* Writes those fields of a structure that have registers. */
+/* Writes those fields of a structure that have registers; what is not given is 0. */
 static void put_fields(enum registers_job_kind kind, const schema_structure *structure,
                        const char *prefix, const uint16_t image[REGISTERS_END], uint8_t *to) {
   const struct links *links = links_of(kind, structure, prefix, false);
   for (unsigned i = 0; i < links->count; i++) {
     const struct link *link = &links->items[i];
-    const double number = number_of(image, link->registers);
+    const double given = number_of(image, link->registers), number = isnan(given) ? 0 : given;
     const uint64_t integer = link->field->kind == SCHEMA_f64 ? 0 : (uint64_t)number;
     memcpy(to + link->at,
            link->field->kind == SCHEMA_f64 ? (const void *)&number : (const void *)&integer,
@@ -113,7 +113,7 @@ static void complete(enum registers_job_kind kind, core_parameters *parameters, 
   fit_start *fit = request;
   switch (kind) {
   case REGISTERS_JOB_EVAL:
-    eval->medium_count = 1;
+    eval->medium_count = eval->layer_count = 1;
     eval->parameter_count = parameter_count;
     eval->wanted |= CORE_QUANTITY_MODEL_ERROR;
     if (eval->spacing == CORE_SPACING_LIST) {
@@ -121,7 +121,7 @@ static void complete(enum registers_job_kind kind, core_parameters *parameters, 
     }
     break;
   case REGISTERS_JOB_SAMPLE:
-    sample->medium_count = 1;
+    sample->medium_count = sample->layer_count = 1;
     sample->parameter_count = parameter_count;
     sample->wanted = SAMPLE_WANTED;
     if (sample->draw != CORE_DRAW_RANDOM) {
@@ -130,9 +130,7 @@ static void complete(enum registers_job_kind kind, core_parameters *parameters, 
     }
     break;
   case REGISTERS_JOB_MC:
-    mc->thickness = isnan(mc->thickness) ? (double)INFINITY : mc->thickness;
-    mc->error_total = isnan(mc->error_total) ? 0 : mc->error_total;
-    mc->error_rings = isnan(mc->error_rings) ? 0 : mc->error_rings;
+    mc->layer_count = 1;
     keep_walks(parameters);
     break;
   case REGISTERS_JOB_FIT:
@@ -197,8 +195,8 @@ size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image
     put_fields(kind, payload->structures[i], "", image, request + bytes);
     bytes += payload->structures[i]->bytes;
   }
-  for (unsigned id = 1; id < CORE_PARAMETERS_END; id++) {
-    parameters.value[id] = registers_optional(image, REGISTERS_PARAMETER_AT(id));
+  for (const core_choice *one = core_parameter_list; one->name != NULL; one++) {
+    parameters.value[one->id] = registers_optional(image, REGISTERS_PARAMETER_AT(one->id));
   }
   complete(kind, &parameters, request);
   schema_lay_out(payload, request, UINT64_MAX, &layout, NULL);
@@ -212,8 +210,10 @@ size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image
       const size_t put = channels_put_parameters(to, &parameters);
       bytes += part->rest ? put : 0;
     } else if (count > 0 && part->kind == SCHEMA_LIST) {
-      put_fields(kind, part->structure, strcmp(part->name, "medium") == 0 ? "" : "reference_",
-                 image, to);
+      put_fields(kind, part->structure, "", image, to);
+      if (strcmp(part->name, "reference") == 0) { /* whose thickness is that of the medium */
+        put_fields(kind, part->structure, "reference_", image, to);
+      }
     } else if (count > 0 && kind == REGISTERS_JOB_FIT && part->form == SCHEMA_SETS) {
       put_readings(image, count, i == FIT_ERRORS, to);
     } else if (count > 0) {

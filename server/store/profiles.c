@@ -8,9 +8,13 @@
 
 /* ---- keys ------------------------------------------------------------------------------------ */
 
-enum { CONTENT_BYTES = offsetof(struct profiles_key, hash_before_medium) };
+static_assert(offsetof(struct profiles_key, medium) == 32 + 8 * CORE_PARAMETERS_END &&
+                  sizeof(core_medium) == 40,
+              "no padding");
 
-static_assert(CONTENT_BYTES == 16 + 8 * CORE_PARAMETERS_END + 32, "no padding");
+static size_t key_bytes(const struct profiles_key *key) {
+  return offsetof(struct profiles_key, medium) + key->layer_count * sizeof key->medium[0];
+}
 
 /* Copies numbers so that equal ones have the same bytes: there is one NaN, and 0 has no sign. */
 static void normalize(double *to, const double *from, size_t count) {
@@ -21,36 +25,40 @@ static void normalize(double *to, const double *from, size_t count) {
 
 void profiles_key_start(struct profiles_key *key, unsigned model, unsigned moments,
                         unsigned evaluator, const core_parameters *parameters) {
-  *key = (struct profiles_key){.model = model, .moments = moments, .evaluator = evaluator};
+  key->model = model;
+  key->moments = moments;
+  key->evaluator = evaluator;
+  key->layer_count = parameters->layer_count;
   normalize(key->parameters, parameters->value, CORE_PARAMETERS_END);
   key->parameters[CORE_PARAMETER_COS_IN] = key->parameters[CORE_PARAMETER_COS_OUT] = (double)NAN;
-  key->hash_before_medium = cache_hash(0, key, offsetof(struct profiles_key, medium));
+  const size_t start = offsetof(struct profiles_key, model);
+  key->hash_before_medium =
+      cache_hash(0, &key->model, offsetof(struct profiles_key, medium) - start);
 }
 
 void profiles_key_set_medium(struct profiles_key *key, const core_medium *medium) {
-  const double from[] = {medium->sigma_a_per_mm, medium->sigma_s_per_mm, medium->g, medium->eta};
-  normalize(key->medium, from, 4);
-  key->hash = cache_hash(key->hash_before_medium, key->medium, sizeof key->medium);
+  const size_t bytes = key->layer_count * sizeof *medium;
+  normalize(&key->medium->sigma_a_per_mm, &medium->sigma_a_per_mm, bytes / sizeof(double));
+  key->hash = cache_hash(key->hash_before_medium, key->medium, bytes);
 }
 
 bool profiles_key_equal(const struct profiles_key *a, const struct profiles_key *b) {
-  return a->hash == b->hash && memcmp(a, b, CONTENT_BYTES) == 0;
+  return a->hash == b->hash && memcmp(a, b, key_bytes(b)) == 0;
 }
 
 struct cache_key profiles_cache_key(const struct profiles_key *key, const struct cache_kind *kind) {
   return (struct cache_key){
-      .kind = kind, .content = key, .content_bytes = CONTENT_BYTES, .hash = key->hash};
+      .kind = kind, .content = key, .content_bytes = key_bytes(key), .hash = key->hash};
 }
 
 /* ---- the kind -------------------------------------------------------------------------------- */
 
 static core_fault prepare_profile(core_profile *profile, const struct profiles_key *key,
                                   const core_isa *isa, const atomic_bool *stop) {
-  const core_medium medium = {key->medium[0], key->medium[1], key->medium[2], key->medium[3]};
-  core_parameters parameters;
+  core_parameters parameters = {.layer_count = key->layer_count};
   memcpy(parameters.value, key->parameters, sizeof parameters.value);
-  return core_profile_prepare_until(profile, isa, key->model, key->moments, key->evaluator, &medium,
-                                    &parameters, stop);
+  return core_profile_prepare_until(profile, isa, key->model, key->moments, key->evaluator,
+                                    key->medium, &parameters, stop);
 }
 
 static core_fault prepare_thing(void *thing, const struct cache_key *key, const core_isa *isa,
@@ -130,7 +138,7 @@ static struct profiles_slot *put_profile(struct profiles *profiles, const struct
   slot = choose_slot(set_of(profiles, key->hash), key->hash);
   if (slot != NULL) {
     empty_slot(slot);
-    slot->key = *key;
+    memcpy(&slot->key, key, key_bytes(key));
     slot->profile = *profile;
     slot->entry = entry;
     if (entry != NULL) {

@@ -22,25 +22,25 @@
 #include "server/store/lookup.h"
 
 /* The key of a profile: everything from which it is prepared. Two profiles are the same if their keys
- * have the same bytes: there is no padding, 0 has no sign, and all parameters that are not given are
- * the same NaN. The angles of S are not in the key, because a job sets them in its copy of the
+ * have the same bytes up to their last layer: there is no padding, 0 has no sign, and all parameters
+ * that are not given are the same NaN. The angles of S are not in the key, because a job sets them in its copy of the
  * profile. */
 struct profiles_key {
+  uint64_t hash_before_medium;
+  uint64_t hash;
   uint32_t model;
   uint32_t moments;
   uint32_t evaluator;
-  uint32_t zero;
+  uint32_t layer_count;
   double parameters[CORE_PARAMETERS_END];
-  double medium[4]; /* sigma_a, sigma_s (1/mm), g, eta */
-  uint64_t hash_before_medium;
-  uint64_t hash;
+  core_medium medium[CORE_LAYERS_MAX]; /* the first layer_count count */
 };
 
 /* Sets the members of the key that all channels of a request share. */
 void profiles_key_start(struct profiles_key *key, unsigned model, unsigned moments,
                         unsigned evaluator, const core_parameters *parameters);
 
-/* Sets the medium of one channel, and the hash. Call it after profiles_key_start(). */
+/* Sets the layers of one channel, and the hash. Call it after profiles_key_start(). */
 void profiles_key_set_medium(struct profiles_key *key, const core_medium *medium);
 
 bool profiles_key_equal(const struct profiles_key *a, const struct profiles_key *b);

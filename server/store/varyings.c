@@ -6,11 +6,11 @@
 static core_fault prepare(void *thing, const struct cache_key *key, const core_isa *isa,
                           const atomic_bool *stop) {
   const struct profiles_key *from = key->content;
-  core_parameters parameters;
+  core_parameters parameters = {.layer_count = 1};
   (void)stop;
   memcpy(parameters.value, from->parameters, sizeof parameters.value);
   return core_varying_prepare(thing, isa, from->model, from->moments, from->evaluator,
-                              from->medium[2], from->medium[3], &parameters);
+                              from->medium->g, from->medium->eta, &parameters);
 }
 
 static void free_varying(void *thing) {

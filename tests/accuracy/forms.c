@@ -369,7 +369,7 @@ static void prepare_part(form_part *p, const struct formula *formula, enum core_
     }
     break;
   case FORM_SLAB:
-    prepare_slab(p, parameters->value[CORE_PARAMETER_THICKNESS]);
+    prepare_slab(p, medium->thickness_mm);
     break;
   default:
     break;

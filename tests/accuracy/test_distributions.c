@@ -13,9 +13,9 @@ static core_profile profiles[UNIT_ROWS_MAX * MEDIA];
 static size_t profile_count;
 
 static void prepare(core_profile *profile, unsigned model, const core_medium *medium) {
-  const core_parameters parameters = unit_parameters(model, medium);
+  const core_medium needed = unit_medium(model, medium);
   unit_assert_fault(core_profile_prepare(profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
-                                         CORE_EVALUATOR_F64, medium, &parameters),
+                                         CORE_EVALUATOR_F64, &needed, NULL),
                     NULL, 0);
 }
 

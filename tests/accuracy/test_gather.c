@@ -146,9 +146,9 @@ typedef struct profiles {
 static void prepare(profiles *made, const core_isa *isa, unsigned model, unsigned evaluator) {
   for (size_t c = 0; c < CHANNELS; c++) {
     const core_medium *medium = &core_measured_medium_by_name("skin1")->channel[c];
-    const core_parameters parameters = unit_parameters(model, medium);
+    const core_medium needed = unit_medium(model, medium);
     unit_assert_fault(core_profile_prepare(&made->own[c], isa, model, CORE_MOMENTS_EXACT, evaluator,
-                                           medium, &parameters),
+                                           &needed, NULL),
                       NULL, 0);
     made->list[c] = &made->own[c];
   }

@@ -32,10 +32,11 @@ enum { SUBJECTS = sizeof subjects / sizeof subjects[0] };
 
 static core_fault table_prepare(core_profile *table, unsigned model, const core_medium *medium,
                                 double tolerance) {
-  core_parameters parameters = unit_parameters(model, medium);
+  const core_medium needed = unit_medium(model, medium);
+  core_parameters parameters = core_parameters_none();
   parameters.value[CORE_PARAMETER_TOLERANCE] = tolerance;
   return core_profile_prepare(table, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
-                              CORE_EVALUATOR_LUT, medium, &parameters);
+                              CORE_EVALUATOR_LUT, &needed, &parameters);
 }
 
 /* What is left of an error when what core.h allows for underflow is forgiven: of `value` in single

@@ -173,7 +173,9 @@ UNIT_TEST(it_is_known_where_transport_is) {
   const core_medium usual = medium_of(0.1, 0.5, 1.4);
   assert_true(needs(CORE_MODEL_BETTER, usual, CORE_PARAMETER_TOLERANCE, false));
   assert_false(needs(CORE_MODEL_TRANSPORT, usual, CORE_PARAMETER_TOLERANCE, false));
-  assert_false(needs(CORE_MODEL_MULTIPOLE, usual, CORE_PARAMETER_THICKNESS, true));
+  core_medium slab = usual;
+  slab.thickness_mm = 1;
+  assert_false(needs(CORE_MODEL_MULTIPOLE, slab, CORE_PARAMETER_TOLERANCE, true));
   assert_false(needs(CORE_MODEL_BURLEY, usual, CORE_PARAMETER_SURFACE_ALBEDO, true));
   assert_false(needs(CORE_MODEL_BETTER, medium_of(0.1, 0, 5), CORE_PARAMETER_TOLERANCE, true));
   assert_false(needs(CORE_MODEL_BETTER, medium_of(500, 0, 1.4), CORE_PARAMETER_TOLERANCE, false));

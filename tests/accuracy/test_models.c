@@ -142,12 +142,12 @@ UNIT_TEST(an_albedo_above_1_is_confessed) {
     bool told = false; /* whether each evaluator of this model has told it once */
     for (double ratio = 0; ratio<20; ratio = ratio> 0 ? ratio * 30 : 1e-6) {
       for (double eta = 0.5; eta < 2.5; eta += 0.25) {
-        const core_medium medium = medium_of_ratio(ratio, eta);
-        const core_parameters parameters = unit_parameters(model->id, &medium);
+        const core_medium some = medium_of_ratio(ratio, eta);
+        const core_medium medium = unit_medium(model->id, &some);
         core_profile profile;
         const core_fault fault =
             core_profile_prepare(&profile, core_isa_select(NULL), model->id, CORE_MOMENTS_EXACT,
-                                 CORE_EVALUATOR_F64, &medium, &parameters);
+                                 CORE_EVALUATOR_F64, &medium, NULL);
         if (fault.field != NULL) {
           assert_string_equal(fault.field, "sigma_a"); /* Burley's diffuse mean free path */
           continue;
@@ -158,7 +158,7 @@ UNIT_TEST(an_albedo_above_1_is_confessed) {
         for (const core_choice *one = core_evaluators; one->name != NULL && first; one++) {
           core_profile same;
           if (core_profile_prepare(&same, core_isa_select(NULL), model->id, CORE_MOMENTS_EXACT,
-                                   one->id, &medium, &parameters)
+                                   one->id, &medium, NULL)
                   .field == NULL) {
             assert_int_equal(same.notes, profile.notes);
             core_profile_free(&same);

@@ -10,9 +10,9 @@ static const double pi = 3.14159265358979323846;
 
 static core_profile prepared(unsigned model, unsigned evaluator, core_medium medium) {
   core_profile profile;
-  const core_parameters parameters = unit_parameters(model, &medium);
+  const core_medium needed = unit_medium(model, &medium);
   unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
-                                         evaluator, &medium, &parameters),
+                                         evaluator, &needed, NULL),
                     NULL, 0);
   return profile;
 }

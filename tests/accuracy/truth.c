@@ -477,10 +477,9 @@ static void prepare_known(struct subject *s, enum evaluator e, char *const colum
   }
   s->moments = id_of(core_moments_list, column[2]);
   s->medium = (core_medium){number(column[3], 0), number(column[4], 0), number(column[5], 0),
-                            number(column[6], 0)};
+                            number(column[6], 0), number(column[8], 0)};
   s->parameters = core_parameters_none();
   s->parameters.value[CORE_PARAMETER_TOLERANCE] = number(column[7], (double)NAN);
-  s->parameters.value[CORE_PARAMETER_THICKNESS] = number(column[8], (double)NAN);
   s->parameters.value[CORE_PARAMETER_COS_IN] = s->parameters.value[CORE_PARAMETER_COS_OUT] =
       number(column[9], 1);
   s->ready[e] = core_profile_prepare(profile, core_isa_select(NULL), id, s->moments,
@@ -630,7 +629,7 @@ static double shortened(double x) {
   return ldexp((double)(float)mantissa, exponent);
 }
 
-static core_parameters draw_parameters(const struct subject *s, uint64_t *random) {
+static core_parameters draw_parameters(struct subject *s, uint64_t *random) {
   core_parameters parameters = core_parameters_none();
   double *value = parameters.value;
   value[CORE_PARAMETER_COS_IN] = between(random, 0, 1);
@@ -638,8 +637,7 @@ static core_parameters draw_parameters(const struct subject *s, uint64_t *random
   if (s->family == FORM_SLAB) {
     const size_t kind = below(random, 3);
     const double least = kind == 0 ? 1.1001 : 1.11, most = kind == 0 ? 2 : kind == 1 ? 100 : 0.99e6;
-    value[CORE_PARAMETER_THICKNESS] =
-        log_between(random, least, most) / core_sigma_t_prime(&s->medium);
+    s->medium.thickness_mm = log_between(random, least, most) / core_sigma_t_prime(&s->medium);
   }
   if (s->family == FORM_BURLEY && below(random, 2)) {
     value[CORE_PARAMETER_SURFACE_ALBEDO] = between(random, 0, 1);

@@ -137,13 +137,12 @@ void bench_compare(bench_contender *contenders, size_t count) {
 /* ---- what is evaluated -------------------------------------------------------------------- */
 
 core_profile bench_profile(const core_isa *isa, unsigned model, unsigned evaluator) {
-  const core_medium *medium = &core_measured_medium_by_name("skin1")->channel[0];
-  core_parameters parameters = core_parameters_none();
-  if (core_profile_check(model, CORE_MOMENTS_EXACT, evaluator, medium, NULL, NULL).field != NULL) {
-    parameters.value[CORE_PARAMETER_THICKNESS] = 4;
+  core_medium medium = core_measured_medium_by_name("skin1")->channel[0];
+  if (core_profile_check(model, CORE_MOMENTS_EXACT, evaluator, &medium, NULL, NULL).field != NULL) {
+    medium.thickness_mm = 4;
   }
   core_profile profile;
-  if (core_profile_prepare(&profile, isa, model, CORE_MOMENTS_EXACT, evaluator, medium, &parameters)
+  if (core_profile_prepare(&profile, isa, model, CORE_MOMENTS_EXACT, evaluator, &medium, NULL)
           .field != NULL) {
     bench_fail("a measured medium was refused");
   }

@@ -113,14 +113,15 @@ static core_fault prepare(core_profile *profile, const core_isa *isa, const core
                           const core_choice *evaluator, const core_choice *moments,
                           const core_medium *medium, bool derivatives) {
   core_parameters parameters = core_parameters_none();
+  core_medium needed = *medium;
   const double sigma_t_prime = medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g);
   const core_fault needs =
       core_profile_check(model->id, moments->id, evaluator->id, medium, &parameters, NULL);
   if (needs.field != NULL && strcmp(needs.field, "thickness") == 0) {
-    parameters.value[CORE_PARAMETER_THICKNESS] = 3 / sigma_t_prime;
+    needed.thickness_mm = 3 / sigma_t_prime;
   }
   parameters.value[CORE_PARAMETER_DERIVATIVES] = derivatives ? 1 : (double)NAN;
-  return core_profile_prepare(profile, isa, model->id, moments->id, evaluator->id, medium,
+  return core_profile_prepare(profile, isa, model->id, moments->id, evaluator->id, &needed,
                               &parameters);
 }
 

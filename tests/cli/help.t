@@ -377,11 +377,11 @@ $ dipole eval --sigma-a 0.1 --sigma-s 1 --tolerance 1e-9
 ? 1
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --model better,multipole
-! dipole eval: model multipole: bad-value: thickness: allowed: the thickness of the slab in mm: this model needs it (--thickness)
+! dipole eval: model multipole: bad-value: thickness: allowed: above 0 mm: this model is of a slab (--thickness)
 ? 1
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --model multipole,better --thickness 9
-! dipole eval: model better: bad-value: thickness: allowed: nothing: this model is of a half space; mc and multipole models take it (--thickness)
+! dipole eval: model better: bad-value: thickness: allowed: 0, a half space, with this model: transport and multipoles take slabs (--thickness)
 ? 1
 
 $ dipole media --connect localhost
@@ -400,8 +400,8 @@ $ DIPOLED=unix:/nonexistent/d dipole media --retry-ms 0
 
 ## The help of a command lists what it takes.
 $ for command in eval fit texture; do echo "$command: $(dipole $command --help | grep -oE '^  --(cos-in|thickness|gaussians|fit-model|tolerance) ' | tr -d '\n')"; done
-eval:   --tolerance   --cos-in   --thickness   --gaussians   --fit-model 
-fit:   --tolerance   --thickness 
+eval:   --thickness   --tolerance   --cos-in   --gaussians   --fit-model 
+fit:   --thickness   --tolerance 
 texture:   --tolerance 
 
 $ dipole eval --help | grep -A 1 -e '--fit-model'

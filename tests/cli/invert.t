@@ -124,5 +124,5 @@ $ dipole invert --albedo 0.1 --mean-free-path 1 --model skin-red
 ? 1
 
 $ dipole invert --albedo 0.1 --mean-free-path 1 --model multipole
-! dipole invert: bad-value: thickness: allowed: the thickness of the slab in mm: this model needs it
+! dipole invert: bad-value: thickness: allowed: above 0 mm: this model is of a slab
 ? 1

@@ -57,7 +57,6 @@ models,better,"d'Eon 2012, Table 2"
 parameters,tolerance,"1: largest relative error: numerical with a model, total without one (1e-12 to 1)"
 parameters,cos_in,"1: cosine of the angle of incidence, for S; else 1 (0 to 1)"
 parameters,cos_out,"1: cosine of the angle of exit, for S; else 1 (0 to 1)"
-parameters,thickness,"mm: thickness of a slab; multipole models require it, mc takes it (1e-15 to 1e30)"
 parameters,surface_albedo,"1: Burley's A; else the better dipole's albedo (0 to 1)"
 parameters,gaussians,"1: number of Gaussians to fit, an integer; else 6 (1 to 12)"
 parameters,fit_model,"id: model to fit; else better (1 to 65535)"
@@ -68,6 +67,7 @@ parameters,phase_share,1: of mc with phase modified or two-term: share of the fi
 parameters,phase_g,1: of mc with phase two-term: mean cosine of the second HG (-0.9999 to 0.9999)
 parameters,gamma,"1: (1 - g_2) / (1 - g) of the phase function, with transport; else 1 + g (0.5 to 1.95)"
 parameters,detector_na,"1: of fit with transport, and of mc: sine of the largest detected exit angle; else 1 (0.01 to 1)"
+parameters,eta_below,"1: with transport: index below a last layer of finite thickness; else 1 (0.25 to 4)"
 limits,max_frame_bytes,67108864
 
 $ dipole info | head -9 | grep -v 'instruction_set\|protocol'
@@ -85,9 +85,9 @@ skin1, model transport, moments exact, tolerance 0.001
 channel  sigma_a  sigma_s  g  eta    albedo  pieces from   to  bytes    numerical error  holds up to   model error
             1/mm     1/mm                             mm   mm         relative, at most           mm  at all radii
 -------  -------  -------  -  ---  --------  -----------  ---  -----  -----------------  -----------  ------------
-red        0.032     0.74  0  1.3  0.439458    5.821e-11  512  19184            7.6e-04        111.1       0.0e+00
-green       0.17     0.88  0  1.3  0.213259     2.91e-11  256  19168            8.0e-04        43.72       0.0e+00
-blue        0.48     1.01  0  1.3  0.115435     2.91e-11  128  19104            7.4e-04        23.63       0.0e+00
+red        0.032     0.74  0  1.3  0.439458    5.821e-11  512  19192            7.6e-04        111.1       0.0e+00
+green       0.17     0.88  0  1.3  0.213259     2.91e-11  256  19176            8.0e-04        43.72       0.0e+00
+blue        0.48     1.01  0  1.3  0.115435     2.91e-11  128  19112            7.4e-04        23.63       0.0e+00
 numerical error: of R and cdf against the model's formula, as measured
 holds up to: the numerical error of R is larger at radii beyond this one
 model error: of the model against radiative transport
@@ -96,7 +96,7 @@ per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.98298
 
 $ dipole table --sigma-a 0.032 --sigma-s 0.74 --model better --g 0.97 --output a.table --format csv
 channel,sigma_a,sigma_s,g,eta,albedo,pieces_from,pieces_to,bytes,numerical_error,reach,model_error
-1,0.032,0.74,0.97,1.3,0.01747984589212022,9.313225746154785e-10,2048,21632,8.439217715535063e-5,inf,
+1,0.032,0.74,0.97,1.3,0.01747984589212022,9.313225746154785e-10,2048,21640,8.439217715535063e-5,inf,
 
 $ dipole eval --table a.table --r 0.1,1 --wanted R,cdf --format csv
 model,channel,sigma_a,sigma_s,g,eta,r,R,cdf,numerical_error,model_error,numerical_error_R,model_error_R,numerical_error_cdf,model_error_cdf,evaluator,notes
@@ -150,7 +150,7 @@ $ dipole table --sigma-a 0.032 --sigma-s 0.74 --g 0,1
 ? 1
 
 $ dipole table --sigma-a 0.032 --sigma-s 0.74 --thickness 1 --model better
-! dipole table: bad-value: thickness: allowed: nothing: this model is of a half space; mc and multipole models take it (--thickness)
+! dipole table: bad-value: thickness: allowed: 0, a half space, with this model: transport and multipoles take slabs (--thickness)
 ? 1
 
 $ dipole bench --seconds 0
@@ -184,7 +184,7 @@ $ dipole bench --in-flight 4096 --radii 65536
 ? 2
 
 $ dipole bench --seconds .01 --model multipole
-! dipole bench: bad-value: thickness: allowed: the thickness of the slab in mm: this model needs it (--thickness)
+! dipole bench: bad-value: thickness of medium 1 of 3: allowed: above 0 mm: this model is of a slab (--thickness)
 ? 1
 
 $ dipole top --interval 0

@@ -227,7 +227,7 @@ $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --g 1
 ? 1
 
 $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --thickness -1
-! dipole mc: bad-value: thickness: allowed: 0, at least 1e-6 mean free paths, or infinity (--thickness)
+! dipole mc: bad-value: thickness: allowed: 0 (a half space), or 1e-15 to 1e30 mm (--thickness)
 ? 1
 
 $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --albedo 0.5,2

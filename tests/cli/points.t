@@ -119,7 +119,7 @@ multipole,0.01,1,0,1.4,2,4,0.008069365771798391,ok
 
 $ dipole points slabs.csv --wanted R
 model,sigma_a,sigma_s,g,eta,r,thickness,R,status
-multipole,0.01,1,0,1.4,2,,,bad-value: thickness: allowed: the thickness of the slab in mm: this model needs it
+multipole,0.01,1,0,1.4,2,,,bad-value: thickness: allowed: above 0 mm: this model is of a slab
 multipole,0.01,1,0,1.4,2,4,0.008069365771798391,ok
 ! dipole points: slabs.csv: 1 of 2 rows were bad: see the column status
 ? 3

@@ -49,8 +49,9 @@ def frame(type: int, request_id: int, payload: bytes = b"", deadline_ms: int = 0
 
 
 def media_bytes(media) -> bytes:
-    """Makes medium structures."""
-    return np.asarray(media, "<f8").reshape(-1, 4).tobytes()
+    """Makes medium structures, of half spaces where there are four numbers."""
+    rows = [media] if len(media) and np.isscalar(media[0]) else media
+    return b"".join(np.asarray([*row, 0.0][:5], "<f8").tobytes() for row in rows)
 
 
 def radii_bytes(radii, evaluator: int = F64) -> bytes:
@@ -78,6 +79,7 @@ def eval_payload(media=(SKIN,), radii=(0.5, 1.0), parameters=(), **fixed: float)
         "moments": EXACT,
         "wanted": R | ALBEDO | CDF,
         "medium_count": len(media),
+        "layer_count": 1,
         "spacing": LIST if radii is not None else LINEAR,
         "parameter_count": parameter_count,
         "radius_count": len(radii) if radii is not None else 2,
@@ -99,6 +101,7 @@ def sample_payload(media=(SKIN,), u=(0.25, 0.5), parameters=(), **fixed: int) ->
         "moments": EXACT,
         "wanted": RADIUS | PDF,
         "medium_count": len(media),
+        "layer_count": 1,
         "draw": wire.DRAW_LIST if u is not None else wire.DRAW_RANDOM,
         "parameter_count": len(parameters),
         "sample_count": len(u) if u is not None else 2,
@@ -159,7 +162,8 @@ def varying_payload(media=((0.032, 0.74), (0.1, 1.0)), numbers=(0.5, 1.0), param
 
 def table_payload(medium=SKIN, parameters=(), **fixed: int) -> bytes:
     """Makes the payload of a table request. Its count fits unless `fixed` has another."""
-    fields = {"model": BETTER, "moments": EXACT, "parameter_count": len(parameters), **fixed}
+    fields = {"model": BETTER, "moments": EXACT, "parameter_count": len(parameters)}
+    fields |= {"layer_count": 1, **fixed}
     return wire.TABLE_REQUEST.pack(**fields) + media_bytes([medium]) + parameters_bytes(parameters)
 
 
@@ -172,7 +176,7 @@ def mc_payload(medium=(0.1, 0.9, 0.3, 1.3), albedos=(), parameters=(), **fixed: 
         "ring_count": 10,
         "radius_start": 0.0,
         "radius_stop": 5.0,
-        "thickness": np.inf,
+        "layer_count": 1,
         "seed": 1,
         "photons": 8192,
         "error_total": 0.0,
@@ -209,6 +213,7 @@ def gather_payload(points: Points, media=(SKIN,), queries=((0.0, 0.0, 1.0),), **
         "moments": EXACT,
         "parameter_count": 0,
         "medium_count": len(media),
+        "layer_count": 1,
         "set": words(points.name),
         "query_count": len(listed),
         "tolerance": 1e-3,
@@ -241,6 +246,7 @@ def fit_payload(
         "parameter_count": len(parameters),
         "g": 0.0,
         "eta": 1.4,
+        "thickness": 0.0,
     }
     head.update({name: value for name, value in fixed.items() if name in (*head, "zero")})
     design.update({name: value for name, value in fixed.items() if name in design})

@@ -7,6 +7,7 @@ import atexit
 import functools
 import math
 import re
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import dipole
@@ -104,16 +105,19 @@ def some_value(name: str) -> float:
 
 
 @functools.cache
-def needs(model: str) -> dict[str, float]:
-    """Returns the parameters that a model requires, with valid values."""
-    parameters: dict[str, float] = {}
-    while True:
-        try:
-            asked().eval(model, SKIN, wanted=["albedo"], parameters=parameters)
-            return parameters
-        except dipole.Refused as refusal:
-            assert refusal.field in PARAMETERS and refusal.field not in parameters, refusal
-            parameters[refusal.field] = some_value(refusal.field)
+def thickness(model: str) -> float:
+    """Returns the thickness of media that a model takes: 0, or that of slabs."""
+    try:
+        asked().eval(model, SKIN, wanted=["albedo"])
+    except dipole.Refused as refusal:
+        assert refusal.field == "thickness", refusal
+        return 2.0
+    return 0.0
+
+
+def medium_for(model: str, medium: Sequence[float] = SKIN) -> dipole.Medium:
+    """Returns the medium as a model takes it."""
+    return dipole.Medium(*medium[:4], thickness(model))
 
 
 @functools.cache
@@ -121,11 +125,10 @@ def takes(model: str) -> tuple[str, ...]:
     """Returns the names of the parameters that a model takes."""
     taken = []
     for name in PARAMETERS:
-        parameters = {**needs(model), name: some_value(name)}
         try:
-            asked().eval(model, SKIN, wanted=["albedo"], parameters=parameters)
+            asked().eval(model, medium_for(model), wanted=["albedo"], parameters={name: some_value(name)})
         except dipole.Refused as refusal:
-            if refusal.field == name and refusal.allowed.startswith("nothing"):
+            if refusal.field == name and refusal.allowed == "nothing: this model does not take it":
                 continue
         taken.append(name)
     return tuple(taken)
@@ -135,7 +138,7 @@ def takes(model: str) -> tuple[str, ...]:
 def covers(model: str, r: float) -> bool:
     """Returns whether a model can be evaluated at a radius, for the medium SKIN."""
     try:
-        asked().eval(model, SKIN, [r], parameters=needs(model))
+        asked().eval(model, medium_for(model), [r])
     except dipole.Refused as refusal:
         assert refusal.field == "r", refusal
         return False
@@ -144,5 +147,5 @@ def covers(model: str, r: float) -> bool:
 
 @functools.cache
 def everywhere() -> tuple[str, ...]:
-    """Returns the models that need no parameter and can be evaluated at every radius."""
-    return tuple(m for m in MODELS if not needs(m) and covers(m, 0.0) and covers(m, math.inf))
+    """Returns the models of half spaces that can be evaluated at every radius."""
+    return tuple(m for m in MODELS if not thickness(m) and covers(m, 0.0) and covers(m, math.inf))

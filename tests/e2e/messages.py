@@ -78,7 +78,7 @@ LONG = {
     "gather": gather_payload(POINTS_SENT, FOUR, PLACES, tolerance=0.0, model=MODELS["extended"]),
     "mc": pack_request(
         medium=Medium(1e-4, 10.0, 0.9, 1.4), edges=Grid(0.0, 5.0, 11), spacing=2, photons=10**10, seed=1,
-        error_total=0.0, error_rings=0.0, thickness=np.inf, albedos=(),
+        error_total=0.0, error_rings=0.0, albedos=(),
     ),
 }  # fmt: skip
 

@@ -6,9 +6,9 @@ from __future__ import annotations
 import pytest
 from command_line import USAGE, Proxy, dipole, eval_rows
 from command_line import read_csv
-from dipole import Medium, wire
+from dipole import wire
 from frames import changed_choices
-from lists import MODELS, PARAMETERS, covers, needs, some_value, takes
+from lists import MODELS, PARAMETERS, covers, medium_for, some_value, takes, thickness
 
 MEDIUM = ["--sigma-a", "0.032", "--sigma-s", "0.74"]  # SKIN
 
@@ -24,7 +24,8 @@ def some_parameters(model: str) -> dict[str, float]:
     not among them, nor a tolerance that a fit with so many Gaussians does not meet."""
     apart = ("fit_", "tolerance") if "gaussians" in takes(model) else ()
     given = {name: some_value(name) for name in takes(model) if not name.startswith(apart)}
-    return given | {"cos_in": 0.75} | needs(model)
+    given.pop("eta_below", None)  # of slabs alone
+    return given | {"cos_in": 0.75}
 
 
 # ---- eval ----------------------------------------------------------------------------------------
@@ -42,11 +43,11 @@ def test_parameters_reach_the_model(client, model):
     given = some_parameters(model)
     rows = eval_rows(
         *[*MEDIUM, "--model", model, "--r", "0.5,2", "--wanted", "R,S,2_pi_r_R,albedo"],
-        *[*options(given), "--evaluator", "f64"],
+        *[*options(given), "--evaluator", "f64", "--thickness", str(thickness(model))],
     )
     answer = client.eval(
         model,
-        Medium(0.032, 0.74),
+        medium_for(model),
         [0.5, 2.0],
         wanted=["R", "S", "2_pi_r_R", "albedo"],
         parameters=given,
@@ -88,7 +89,7 @@ def test_models_that_refuse_are_left_out():
         assert line.startswith(f"dipole eval: {model} is left out: bad-value: ")
         assert ": allowed: " in line and line.endswith(")") and " (--" in line
     for model in MODELS:
-        assert (model in answered) == (not needs(model) and covers(model, 0.0))
-        field = next(iter(needs(model)), "r")
+        assert (model in answered) == (not thickness(model) and covers(model, 0.0))
+        field = "thickness" if thickness(model) else "r"
         if model in refusing:
             assert f" {field}" in lines[refusing.index(model)]

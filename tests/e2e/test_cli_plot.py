@@ -73,8 +73,8 @@ def test_monte_carlo_beside_means_of_models(tmp_path, client, scale):
             np.testing.assert_allclose(data[:, 4], 100 * walked.R_error[0] / reference.R[0], 1e-6)
     slab = ["plot", "--sigma-a", "0.1", "--sigma-s", "2", "--eta", "1.4", "--thickness", "1.5"]
     _, curves = script(tmp_path, *slab, "--model", "better-multipole", *RINGS, "--mc", "50000")
-    walked = client.mc((0.1, 2.0, 0.0, 1.4), dipole_module.Grid(0.05, 8.0, 13, "logarithmic"),
-                       photons=50_000, thickness=1.5)  # fmt: skip
+    rings = dipole_module.Grid(0.05, 8.0, 13, "logarithmic")
+    walked = client.mc((0.1, 2.0, 0.0, 1.4, 1.5), rings, photons=50_000)
     assert (curves["mc"][:, 1] == walked.R[0]).all()
 
 

@@ -54,7 +54,7 @@ def test_permanent_ids(client):
         "evaluator": {"f64": 1, "f32": 2, "lut": 3},
         "moments": {"exact": 1, "fit": 2, "jensen": 3},
         "quantity": {"R": 1, "albedo": 2, "cdf": 4, "r": 8, "2_pi_r_R": 128, "S": 256},
-        "parameter": {"tolerance": 1, "cos_in": 2, "cos_out": 3, "thickness": 4},
+        "parameter": {"tolerance": 1, "cos_in": 2, "cos_out": 3, "surface_albedo": 5},
         "note": {"similarity": 1, "albedo-above-1": 2},
         "spacing": {"list": 1, "linear": 2, "logarithmic": 3},
         "draw": {"list": 1, "regular": 2, "stratified": 3, "random": 4},

@@ -26,7 +26,7 @@ ENDLESS = {"medium": Medium(1e-4, 10.0, 0.9, 1.4), "photons": 10**10}
 def mc_payload(**changes) -> bytes:
     """Makes the payload of an mc request."""
     fields = {"medium": TISSUE, "edges": EDGES, "spacing": LINEAR, "photons": 2 * BATCH}
-    fields |= {"error_total": 0.0, "error_rings": 0.0, "thickness": math.inf, "albedos": ()}
+    fields |= {"error_total": 0.0, "error_rings": 0.0, "albedos": ()}
     return pack_request(**{**fields, "seed": 1, **changes})
 
 

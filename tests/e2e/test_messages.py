@@ -249,6 +249,9 @@ def m(**changes: float) -> tuple[float, ...]:
     return tuple({**dict(zip(("sigma_a", "sigma_s", "g", "eta"), SKIN)), **changes}.values())
 
 
+SLAB = m(thickness=1.0)
+
+
 def padded(**changes: int) -> bytes:
     """Makes two parameter structures, the second with these paddings."""
     cos_in = {"parameter": PARAMETERS["cos_in"].id, "value": 0.5, **changes}

@@ -173,7 +173,7 @@ def example(request):
 
 ODD = {
     "only the albedo is wanted": [("WANTED", words(2))],
-    "a slab": [("PARAMETER_THICKNESS", floats(3.0)), ("MODEL", words(25))],
+    "a slab": [("THICKNESS", floats(3.0)), ("MODEL", words(25))],
     "a tolerance in place of a model": [
         ("PARAMETER_TOLERANCE", floats(1e-12)), ("MODEL", words(0))
     ],
@@ -222,7 +222,7 @@ def test_an_example_says_why_it_fails(daemon, example):
     assert result.returncode != 0 and result.stdout == ""
     with Tcp(one) as master:
         text = master.read(AT["ERROR_TEXT"], 40).rstrip(b"\0").decode()
-        assert text and f"error 6 at register {AT['PARAMETER_THICKNESS']}: {text}" in result.stderr
+        assert text and f"error 6 at register {AT['THICKNESS']}: {text}" in result.stderr
 
 
 # ---- the longer jobs -----------------------------------------------------------------------------
@@ -271,7 +271,7 @@ def test_the_jobs_of_an_odd_unit(daemon):
     skin = np.array([0.032, 0.74, 0, 1.3], np.float32).astype(float)
     with Tcp(one) as master, one.client() as client:
         master.write(AT["MODEL"], words(29, 3, 2))
-        master.write(AT["PARAMETER_THICKNESS"], floats(5.0))
+        master.write(AT["THICKNESS"], floats(5.0))
         master.write(AT["RADIUS_START"], floats(3.0, 4.0))
         master.write(AT["SAMPLE_DRAW"], words(4, 50, 1, 2, 3, 4))
         master.write(AT["INVERT_GIVEN"], words(3, 50))

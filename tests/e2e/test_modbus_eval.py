@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from daemons import eventually
 from dipole import Refused
-from lists import EVALUATORS, MODELS, MOMENTS, needs
+from lists import EVALUATORS, MODELS, MOMENTS, medium_for, thickness
 from modbus_master import (
     AT, BAD_ADDRESS, BAD_VALUE, BAD_VALUE_STATUS, BUSY, BUSY_STATUS, DONE, ERROR, IS_BUSY, MIRROR,
     SKIN, SLOW, TCP, WRITE_REGISTER, Tcp, as_doubles, as_floats, as_words, exception, floats,
@@ -73,14 +73,12 @@ def assert_equal_answers(master: Tcp, unit: int, expected, count: int) -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_every_model_has_the_wires_bits(master, client, model):
-    unit, parameters = 1 + MODELS[model], single(needs(model).values())
-    names = dict(zip(needs(model), parameters))
-    for name, value in names.items():
-        master.write(AT[f"PARAMETER_{name.upper()}"], floats(value), unit)
+    unit = 1 + MODELS[model]
+    master.write(AT["THICKNESS"], floats(thickness(model)), unit)
     radii = single([0.3, 0.5, 1.0, 2.5, 4.0])
     for medium in map(single, MEDIA):
         try:
-            expected = client.eval(model, medium, radii, evaluator="f32", parameters=names)
+            expected = client.eval(model, medium_for(model, medium), radii, evaluator="f32")
         except Refused as refusal:
             with exception(BAD_VALUE):
                 run_job(master, unit, input_block(1, medium, radii, model=MODELS[model]))
@@ -215,7 +213,7 @@ WRONG = {
     "ratios from 0": (input_block(4, SKIN, grid=(3, 3, 0.0, 1.0)), "RADIUS_START"),
     "nothing there": (input_block(4, (0.0, 0.0, 0.0, 1.3), [1.0]), "SIGMA_S"),
     "a fit that does not hold": (input_block(4, (0.1, 1, 0, 3.0), [1.0], moments=2), "ETA"),
-    "a slab without thickness": (input_block(4, SKIN, [1.0], model=25), "PARAMETER_THICKNESS"),
+    "a slab without thickness": (input_block(4, SKIN, [1.0], model=25), "THICKNESS"),
 }
 
 

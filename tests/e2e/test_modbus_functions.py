@@ -207,7 +207,7 @@ FLOATS = {
     "RADIUS_STOP": [-1.0, INF, NAN],
     "RADII": [-1e-38, NAN, -INF],
     "PARAMETER_TOLERANCE": [1.5, -0.5, NAN],
-    "PARAMETER_THICKNESS": [-2.0, NAN, INF],
+    "THICKNESS": [-2.0, NAN, INF],
 }
 
 
@@ -227,7 +227,7 @@ GOOD = {
     "RADII": [INF, -0.0],
     "PARAMETER_TOLERANCE": [0.0, -1.0],
     "PARAMETER_SURFACE_ALBEDO": [0.0],
-    "PARAMETER_THICKNESS": [1e-15, 1e30],
+    "THICKNESS": [1e-15, 1e30],
     "PARAMETER_FIT_TO": [1e-30],
 }
 
@@ -266,7 +266,7 @@ def test_one_wrong_value_among_many(master):
 def test_addresses_are_checked_before_values(master):
     """Addresses are checked first, as in the state diagrams of the specification. The request
     begins with a value out of range and ends with registers that cannot be written."""
-    bad = AT["PARAMETER_DETECTOR_NA"]
+    bad = AT["PARAMETER_ETA_BELOW"]
     assert refused(master, bad, floats(-5.0, 1.0), 48) == (2, BAD_ADDRESS_STATUS, bad + 2)
     bad = AT["MODEL"]
     half = words(9999) + bytes(8) + floats(1)[:2]

@@ -144,11 +144,11 @@ def test_an_mc_has_the_wires_values(master, client, spacing, thickness):
     setting(master, unit, RADIUS_START=floats(start, stop), MC_RING_COUNT=7)
     setting(master, unit, MC_PHOTONS=floats(20000), MC_SEED=words(1, 2), MC_ERROR_TOTAL=floats(-1))
     if thickness is not None:
-        setting(master, unit, PARAMETER_THICKNESS=floats(thickness))
+        setting(master, unit, THICKNESS=floats(thickness))
     setting(master, unit, MC_COMMIT=3)
     assert ended(master, "MC", unit)[:3] == (DONE, 3, 0)
     expected = client.mc(
-        medium, Grid(start, stop, 8, spacing), photons=20000, seed=0x10002, thickness=thickness
+        (*medium, thickness or 0.0), Grid(start, stop, 8, spacing), photons=20000, seed=0x10002
     )
     sides = [("MC_R", "MC_R_ERROR"), ("MC_T", "MC_T_ERROR")]
     for side, fields in enumerate(sides):
@@ -305,7 +305,7 @@ def test_a_deadline_counts_while_a_job_waits(daemon, kind):
 FAULTS = {
     "a model that is fitted": ("SAMPLE", {"MODEL": MODELS["gaussians"]}, "MODEL"),
     "no model": ("SAMPLE", {"MODEL": 0}, "MODEL"),
-    "a slab without thickness": ("SAMPLE", {"MODEL": 25}, "PARAMETER_THICKNESS"),
+    "a slab without thickness": ("SAMPLE", {"MODEL": 25}, "THICKNESS"),
     "a profile for every medium": ("INVERT", {"MODEL": MODELS["skin-red"]}, "MODEL"),
     "a list in place of rings": ("MC", {"MC_SPACING": 1}, "MC_SPACING"),
     "rings that run backwards": ("MC", {"RADIUS_START": floats(5.0, 1.0)}, "RADIUS_STOP"),
@@ -544,10 +544,10 @@ def test_an_answer_that_waits_for_a_fit_ends_with_another_request(slave, client)
     """A slab's fit takes so long that a second master asks meanwhile. The masters before it get
     their answers, whether they have the results or not, and one may leave without its own."""
     unit, at = 93, np.float32([0.5, 1.0, 2.0, 4.0]).tolist()
-    R = client.eval("multipole", single((0.03, 1.2, 0.0, 1.3)), at, parameters={"thickness": 5.0}).R[0]
+    R = client.eval("multipole", single((0.03, 1.2, 0.0, 1.3, 5.0)), at).R[0]
     readings = floats(0.0) + pairs(R, 0.02 * R)
     with Tcp(slave) as first, Tcp(slave) as second, Tcp(slave) as leaves:
-        setting(first, unit, MODEL=25, ETA=floats(1.3), PARAMETER_THICKNESS=floats(5.0))
+        setting(first, unit, MODEL=25, ETA=floats(1.3), THICKNESS=floats(5.0))
         first.write(AT["FIT_READING_COUNT"], words(4) + floats(*at), unit)
         for token in range(1, 7):
             master = leaves if token == 6 else first

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from dipole import Medium
 from frames import SKIN
-from lists import MODELS, NOTES, needs
+from lists import MODELS, NOTES, medium_for
 
 RADII = [0.5, 1.0, 2.0]
 
 
 def answers(client, model: str, medium: Medium):
-    return client.eval(model, medium, RADII, wanted=["R", "albedo"], parameters=needs(model))
+    return client.eval(model, medium_for(model, medium), RADII, wanted=["R", "albedo"])
 
 
 @pytest.mark.parametrize("model", MODELS)

@@ -7,7 +7,7 @@ import math
 import pytest
 from dipole import Refused, wire
 from frames import BETTER, EVAL, SKIN, ask, eval_payload
-from lists import MODELS, PARAMETERS, needs, some_value, takes
+from lists import MODELS, PARAMETERS, medium_for, some_value, takes, thickness
 
 INF, NAN = math.inf, math.nan
 COS_IN, COS_OUT = PARAMETERS["cos_in"].id, PARAMETERS["cos_out"].id
@@ -34,7 +34,7 @@ def test_range(client, name):
         math.nextafter(parameter.least, -INF), math.nextafter(parameter.most, INF), -INF, INF
     ):
         with pytest.raises(Refused) as caught:
-            client.eval(model, SKIN, [1.0], parameters={**needs(model), name: value})
+            client.eval(model, medium_for(model), [1.0], parameters={name: value})
         refusal = caught.value
         assert (refusal.status, refusal.field) == ("bad-value", name)
         words = refusal.allowed.split()
@@ -47,21 +47,18 @@ def test_parameters_that_a_model_does_not_take(client, model):
     can recognize."""
     for name in set(PARAMETERS) - set(takes(model)):
         with pytest.raises(Refused) as caught:
-            client.eval(model, SKIN, [1.0], parameters={**needs(model), name: some_value(name)})
+            client.eval(model, medium_for(model), [1.0], parameters={name: some_value(name)})
         assert (caught.value.status, caught.value.field) == ("bad-value", name)
         assert caught.value.allowed.startswith("nothing")
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_parameters_that_a_model_needs(client, model):
-    assert set(needs(model)) <= set(takes(model))
-    for name in needs(model):
-        others = {key: value for key, value in needs(model).items() if key != name}
+def test_a_model_takes_half_spaces_or_slabs(client, model):
+    for wrong in (0.0,) if thickness(model) else (2.0,) if model not in ("transport", "gaussians") else ():
         with pytest.raises(Refused) as caught:
-            client.eval(model, SKIN, [1.0], parameters=others)
-        assert (caught.value.status, caught.value.field) == ("bad-value", name)
-        assert not caught.value.allowed.startswith("nothing")
-    assert client.eval(model, SKIN, wanted=["albedo"], parameters=needs(model)).albedo.shape == (1,)
+            client.eval(model, (*SKIN, wrong), [1.0])
+        assert (caught.value.status, caught.value.field) == ("bad-value", "thickness")
+    assert client.eval(model, medium_for(model), wanted=["albedo"]).albedo.shape == (1,)
 
 
 def test_their_order_counts_for_nothing(connection):

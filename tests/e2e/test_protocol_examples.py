@@ -45,7 +45,7 @@ def test_example_is_one_whole_frame(name):
 def test_requests_are_what_the_text_says():
     request = wire.EVAL_REQUEST.unpack(payload_of("eval-request"))
     assert (request.evaluator, request.spacing, request.medium_count) == (1, wire.SPACING_LIST, 1)
-    assert wire.MEDIUM.unpack(payload_of("eval-request"), wire.EVAL_REQUEST.bytes) == SKIN
+    assert wire.MEDIUM.unpack(payload_of("eval-request"), wire.EVAL_REQUEST.bytes) == (*SKIN, 0.0)
     assert request.wanted == QUANTITIES["R"] | QUANTITIES["albedo"] | QUANTITIES["cdf"]
     assert wire.EVAL_REQUEST.unpack(payload_of("offers-request")).model == wire.ANY_MODEL
 
@@ -100,7 +100,7 @@ def check_list(entry: wire.Structure):
 
 def check_table(payload: bytes) -> None:
     table = Table(frame(TYPES["table"] | wire.REPLY, 0, payload))
-    assert table.medium == SKIN and table.numerical_error_constant <= 1e-3
+    assert table.medium == (*SKIN, 0.0) and table.numerical_error_constant <= 1e-3
 
 
 def check_offers(payload: bytes) -> None:

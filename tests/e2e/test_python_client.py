@@ -170,7 +170,7 @@ def test_what_is_printed_fits_three_lines(client):
         client.offers(THREE, r, tolerance=0.01), client.offers(SKIN, r, tolerance=1e-12),
         client.values("better", "skin1", r),
         client.invert("better", np.full((40, 50), 0.3), 1.0),
-        client.mc(SKIN, Grid(0.0, 5.0, 51), photons=4096, albedos=[0.5, 0.9], thickness=3),
+        client.mc((*SKIN[:4], 3.0), Grid(0.0, 5.0, 51), photons=4096, albedos=[0.5, 0.9]),
     ])  # fmt: skip
     for text in shown:
         assert text.count("\n") < 3 and max(map(len, text.splitlines())) <= 102, text

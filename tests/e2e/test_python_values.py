@@ -124,7 +124,7 @@ def test_what_does_not_fit_is_not_sent(client, media, r, text):
 
 def test_arguments_of_other_kinds_are_told_what_belongs_there(client):
     points = dipole.Points(np.zeros((1, 3)), np.ones((1, 1)))
-    with pytest.raises(dipole.ArgumentError, match=r"dipole.Medium\(sigma_a, sigma_s, g, eta\)"):
+    with pytest.raises(dipole.ArgumentError, match=r"dipole.Medium\(sigma_a, sigma_s, g, eta, thickness\)"):
         client.eval(None, {"sigma_a": 0.1, "sigma_s": 1.0}, [1.0], tolerance=0.01)
     with pytest.raises(dipole.ArgumentError, match="model: a name, such as .*, or an id; not None"):
         client.gather(None, SKIN1[0], points, np.zeros((1, 3)))

@@ -105,5 +105,5 @@ def test_model_errors_are_those_of_each_radius(client):
     assert (client.eval("transport", "skin1", [1.0], wanted="model_errors").model_errors == 0).all()
     at_0 = client.eval("better", SKIN, [0.0, 1.0], wanted=["R", "model_errors"]).model_errors[0]
     assert np.isnan(at_0[0]) and at_0[1] > 0
-    slab = {"model": "multipole", "media": SKIN, "r": [1.0], "parameters": {"thickness": 5}}
+    slab = {"model": "multipole", "media": (*SKIN, 5.0), "r": [1.0]}
     assert np.isnan(client.eval(**slab, wanted="model_errors").model_errors).all()

@@ -132,7 +132,7 @@ def test_shapes(client):
 def test_facts(client):
     medium = Medium(0.1, 2.0, 0.5, 1.4)
     table = client.table("better", medium, moments="fit", parameters={"cos_in": 0.5})
-    assert (table.layout, table.model, table.moments) == (4, "better", "fit")
+    assert (table.layout, table.model, table.moments) == (5, "better", "fit")
     assert (table.model_id, table.moments_id) == (MODELS["better"], 2)
     assert table.medium == medium and table.parameters == {"cos_in": 0.5}
     assert table.notes == ("similarity",) and NOTES["similarity"] == 1
@@ -181,7 +181,7 @@ def test_refusals_in_python(client):
     with pytest.raises(dipole.Refused) as caught:
         client.table("better", SKIN, tolerance=1e-9)
     assert caught.value.field == "tolerance"
-    for wrong in ([SKIN, SKIN], [1.0]):
+    for wrong in ((SKIN, SKIN), [1.0]):
         with pytest.raises(dipole.ArgumentError):
             client.table("better", wrong)
     with pytest.raises(dipole.ArgumentError):

@@ -13,21 +13,25 @@
 
 /* ---- tables from elsewhere ----------------------------------------------------------------------- */
 
+/* The bytes of a table reply up to its words: its medium has one layer, and it has a parameter. */
+static size_t bytes_before_words(void) {
+  core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_TOLERANCE] = 1;
+  return table_reply_bytes(&parameters, 0);
+}
+
 static uint8_t *whole_table; /* a valid table: the frame of a table reply */
 static size_t whole_table_bytes;
 
 void fuzz_table_start(void) {
   const core_medium medium = {0.032, 0.74, 0, 1.3};
-  core_parameters parameters;
+  core_parameters parameters = core_parameters_none();
   core_profile profile;
-  for (int i = 0; i < CORE_PARAMETERS_END; i++) {
-    parameters.value[i] = (double)NAN;
-  }
   parameters.value[CORE_PARAMETER_TOLERANCE] = CORE_LUT_TOLERANCE_MAX;
   CHECK(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_BETTER, CORE_MOMENTS_EXACT,
                              CORE_EVALUATOR_LUT, &medium, &parameters)
             .field == NULL);
-  const size_t payload_bytes = table_reply_bytes(1, profile.lut_count);
+  const size_t payload_bytes = table_reply_bytes(&parameters, profile.lut_count);
   const wire_header header = {.magic = WIRE_MAGIC,
                               .version = WIRE_VERSION,
                               .type = WIRE_TYPE_TABLE | WIRE_REPLY,
@@ -36,7 +40,7 @@ void fuzz_table_start(void) {
   whole_table = malloc(whole_table_bytes);
   wire_put_header(whole_table, &header);
   const core_model_errors unknown = core_model_errors_unknown();
-  table_reply_put(whole_table + WIRE_BYTES_header, &profile, &parameters, &unknown);
+  table_reply_put(whole_table + WIRE_BYTES_header, &profile, &medium, &parameters, &unknown);
   core_profile_free(&profile);
 }
 
@@ -55,6 +59,7 @@ static void check_same(const float *a, const float *b) {
 static void check_table(const dipole_table *table, const uint8_t *payload, size_t payload_bytes) {
   float r[RADII], u[RADII], best[RADII], portable[RADII];
   wire_table_reply fixed;
+  const core_medium *layers;
   core_parameters parameters;
   const float *words;
   for (int octave = OCTAVE_FIRST, i = 0; octave < OCTAVE_END; octave++, i += 2) {
@@ -66,8 +71,8 @@ static void check_table(const dipole_table *table, const uint8_t *payload, size_
   r[RADII - 2] = u[RADII - 2] = 0;
   r[RADII - 1] = (float)INFINITY;
   u[RADII - 1] = 1;
-  CHECK(table_reply_parse(payload, payload_bytes, &fixed, &parameters, &words));
-  core_profile profile = {.medium = {fixed.sigma_a, fixed.sigma_s, fixed.g, fixed.eta},
+  CHECK(table_reply_parse(payload, payload_bytes, &fixed, &layers, &parameters, &words));
+  core_profile profile = {.medium = *layers,
                           .model = (enum core_model)fixed.model,
                           .albedo = fixed.albedo,
                           .radii = {fixed.radius_least, fixed.radius_most}};
@@ -109,15 +114,16 @@ void fuzz_table(const uint8_t *data, size_t size) {
       bytes -= data[2] * (size_t)16;
     }
   }
-  if (put_right && bytes >= WIRE_BYTES_header + table_reply_bytes(1, CORE_LUT_PIECES)) {
+  if (put_right &&
+      bytes >= WIRE_BYTES_header + bytes_before_words() + CORE_LUT_PIECES * sizeof(float)) {
     wire_table_reply fixed;
     float first, last;
     uint8_t *payload = frame + WIRE_BYTES_header;
     wire_get_table_reply(payload, &fixed);
-    const size_t words_at = table_reply_bytes(1, 0);
+    const size_t words_at = bytes_before_words();
     const uint32_t payload_bytes = (uint32_t)(bytes - WIRE_BYTES_header);
     memcpy(frame + 16, &payload_bytes, sizeof payload_bytes);
-    fixed.parameter_count = 1;
+    fixed.parameter_count = fixed.layer_count = 1;
     fixed.word_count = (uint32_t)((payload_bytes - words_at) / sizeof(float));
     fixed.checksum = table_checksum(payload + words_at, fixed.word_count * sizeof(float));
     memcpy(&first, payload + words_at + CORE_LUT_FIRST_MM * sizeof first, sizeof first);
@@ -155,7 +161,7 @@ void fuzz_surface_start(void) {
     CHECK(core_varying_prepare(&varying, core_isa_select(NULL), models[i], CORE_MOMENTS_EXACT,
                                CORE_EVALUATOR_F32, 0.3, 1.4, &parameters)
               .field == NULL);
-    const size_t payload_bytes = table_reply_bytes(1, table_surface_words(&varying));
+    const size_t payload_bytes = table_reply_bytes(&parameters, table_surface_words(&varying));
     const wire_header header = {.magic = WIRE_MAGIC,
                                 .version = WIRE_VERSION,
                                 .type = WIRE_TYPE_TABLE | WIRE_REPLY,
@@ -241,11 +247,12 @@ static void check_surface(const dipole_surface *surface, const uint8_t *payload,
   core_parameters parameters;
   wire_table_reply fixed;
   core_varying portable;
+  const core_medium *layers;
   const float *words;
   fill_values(&values);
-  CHECK(table_reply_parse(payload, payload_bytes, &fixed, &parameters, &words));
+  CHECK(table_reply_parse(payload, payload_bytes, &fixed, &layers, &parameters, &words));
   CHECK(core_varying_open(&portable, core_isa_select("portable"), fixed.model, fixed.moments,
-                          CORE_EVALUATOR_F32, fixed.g, fixed.eta, &parameters, words,
+                          CORE_EVALUATOR_F32, layers->g, layers->eta, &parameters, words,
                           fixed.word_count)
             .field == NULL);
   dipole_parameter only = {0, 0};
@@ -256,8 +263,8 @@ static void check_surface(const dipole_surface *surface, const uint8_t *payload,
   dipole_varying_query query = {.model = fixed.model,
                                 .evaluator = DIPOLE_F32,
                                 .moments = fixed.moments,
-                                .g = fixed.g,
-                                .eta = fixed.eta,
+                                .g = layers->g,
+                                .eta = layers->eta,
                                 .parameters = &only,
                                 .parameter_count = only.id > 0,
                                 .value_count = RADII,
@@ -295,13 +302,13 @@ void fuzz_surface(const uint8_t *data, size_t size) {
       bytes -= data[3] * (size_t)16;
     }
   }
-  const size_t words_at = WIRE_BYTES_header + table_reply_bytes(1, 0);
+  const size_t words_at = WIRE_BYTES_header + bytes_before_words();
   if (put_right && bytes >= words_at) {
     wire_table_reply fixed;
     const uint32_t payload_bytes = (uint32_t)(bytes - WIRE_BYTES_header);
     wire_get_table_reply(frame + WIRE_BYTES_header, &fixed);
     memcpy(frame + 16, &payload_bytes, sizeof payload_bytes);
-    fixed.parameter_count = 1;
+    fixed.parameter_count = fixed.layer_count = 1;
     fixed.word_count = (uint32_t)((bytes - words_at) / sizeof(float));
     fixed.checksum = table_checksum(frame + words_at, fixed.word_count * sizeof(float));
     wire_put_table_reply(frame + WIRE_BYTES_header, &fixed);
@@ -450,7 +457,8 @@ static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error
     const dipole_mc_query mc = {.medium = media[0],
                                 .albedos = albedos,
                                 .albedo_count = how >> 1 & 3,
-                                .thickness_mm = how & 8 ? 1 : (double)INFINITY,
+                                .layers = how & 8 ? media : NULL,
+                                .layer_count = 2,
                                 .spacing = DIPOLE_LINEAR,
                                 .ring_count = 2 + (how >> 4),
                                 .radius_stop_mm = 1,

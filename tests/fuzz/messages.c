@@ -81,7 +81,7 @@ static void check_parameters(const core_parameters *parameters, uint32_t count) 
   core_parameters again;
   CHECK(channels_count_parameters(parameters) == count);
   CHECK(channels_put_parameters(bytes, parameters) == count * (size_t)WIRE_BYTES_parameter);
-  CHECK(channels_parse_parameters(bytes, count, &again).status == WIRE_STATUS_OK);
+  CHECK(channels_parse_parameters(bytes, count, 1, &again).status == WIRE_STATUS_OK);
   CHECK(memcmp(again.value, parameters->value, sizeof again.value) == 0);
 }
 
@@ -235,6 +235,7 @@ static bool parse_reply(unsigned type, const uint8_t *payload, size_t size) {
   mc_layout walked;
   schema_layout layout;
   core_parameters parameters;
+  const core_medium *layers;
   const float *words;
   switch (type & ~(unsigned)WIRE_REPLY) {
   case WIRE_TYPE_EVAL:
@@ -254,7 +255,7 @@ static bool parse_reply(unsigned type, const uint8_t *payload, size_t size) {
   case WIRE_TYPE_MC:
     return mc_reply_parse(payload, size, &fixed.mc, &walked);
   case WIRE_TYPE_TABLE:
-    if (!table_reply_parse(payload, size, &fixed.table, &parameters, &words)) {
+    if (!table_reply_parse(payload, size, &fixed.table, &layers, &parameters, &words)) {
       return false;
     }
     check_parameters(&parameters, fixed.table.parameter_count);

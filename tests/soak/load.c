@@ -330,7 +330,6 @@ static void fetch_table(worker *of) {
 static void walk(worker *of) {
   static double known[8];
   const dipole_mc_query query = {.medium = medium_number(0),
-                                 .thickness_mm = INFINITY,
                                  .spacing = DIPOLE_LINEAR,
                                  .ring_count = 8,
                                  .radius_stop_mm = 8,

@@ -149,11 +149,10 @@ static const struct {
 
 static void put_channel(uint8_t *payload, const eval_layout *layout, const eval_request *request,
                         const wire_eval_reply *reply, uint32_t index) {
-  wire_medium medium;
-  wire_get_medium(request->media + (size_t)index * WIRE_BYTES_medium, &medium);
   const wire_quantity_error error = {
       .numerical_error = 1e-15, .model_error = request->parameters.value[CORE_PARAMETER_COS_IN]};
-  memcpy(payload + eval_albedo_offset(index), &medium.sigma_a, sizeof medium.sigma_a);
+  memcpy(payload + eval_albedo_offset(index), &request->media[index].sigma_a_per_mm,
+         sizeof(double));
   for (unsigned left = reply->wanted; left != 0; left &= left - 1) {
     wire_put_quantity_error(
         payload + eval_error_offset(layout, reply->wanted, index, left & ~(left - 1)), &error);

@@ -96,7 +96,7 @@ static struct cache_entry *ask(struct fixture *f, const struct profiles_key *key
     cache_leave(&waiter);
   }
   assert_null(cache_fault(entry).field);
-  assert_true(profile_of(entry)->medium.sigma_a_per_mm == key->medium[0]);
+  assert_true(profile_of(entry)->medium.sigma_a_per_mm == key->medium->sigma_a_per_mm);
   return entry;
 }
 
@@ -127,10 +127,11 @@ static uint64_t entry_bytes(void) {
 
 static struct profiles_key key_of(unsigned model, unsigned moments, unsigned evaluator,
                                   core_medium medium, core_parameters parameters) {
+  const core_medium layers[] = {medium, {1, 2, 0.5, 1.4}};
   struct profiles_key key;
   memset(&key, 0xa5, sizeof key);
   profiles_key_start(&key, model, moments, evaluator, &parameters);
-  profiles_key_set_medium(&key, &medium);
+  profiles_key_set_medium(&key, layers);
   return key;
 }
 
@@ -151,7 +152,8 @@ UNIT_TEST(keys_that_mean_the_same_are_equal) {
 
 UNIT_TEST(keys_that_differ_anywhere_are_not) {
   const core_parameters none = core_parameters_none();
-  enum { KEYS = 8 + CORE_PARAMETERS_END };
+  core_parameters two_layers = none;
+  enum { KEYS = 10 + CORE_PARAMETERS_END };
   struct profiles_key keys[KEYS];
   size_t n = 0;
   keys[n++] = key_of(1, 1, 1, SKIN, none);
@@ -162,6 +164,9 @@ UNIT_TEST(keys_that_differ_anywhere_are_not) {
   keys[n++] = key_of(1, 1, 1, (core_medium){0.032, nextafter(0.74, 1), 0, 1.3}, none);
   keys[n++] = key_of(1, 1, 1, (core_medium){0.032, 0.74, 5e-324, 1.3}, none);
   keys[n++] = key_of(1, 1, 1, (core_medium){0.032, 0.74, 0, nextafter(1.3, 1)}, none);
+  keys[n++] = key_of(1, 1, 1, (core_medium){0.032, 0.74, 0, 1.3, 5e-324}, none);
+  two_layers.layer_count = 2;
+  keys[n++] = key_of(1, 1, 1, SKIN, two_layers);
   for (size_t i = 1; i < CORE_PARAMETERS_END; i++) {
     if (i != CORE_PARAMETER_COS_IN && i != CORE_PARAMETER_COS_OUT) {
       core_parameters given = none;
@@ -387,7 +392,7 @@ static void on_woken(void *context) {
 
 static void judge(struct thread *thread, const struct cache_entry *entry,
                   const struct profiles_key *key) {
-  thread->wrong += profile_of(entry)->medium.sigma_a_per_mm != key->medium[0];
+  thread->wrong += profile_of(entry)->medium.sigma_a_per_mm != key->medium->sigma_a_per_mm;
 }
 
 /* Asks for a random profile. If it is new, prepares it on this thread, as workers and libuv's pool

@@ -17,9 +17,10 @@ static eval_request request_of(const core_medium *media, uint32_t count, double 
                                     .moments = CORE_MOMENTS_EXACT,
                                     .wanted = CORE_QUANTITY_R,
                                     .medium_count = count,
+                                    .layer_count = 1,
                                     .radius_count = 2},
                           .parameters = core_parameters_none(),
-                          .media = (const uint8_t *)media};
+                          .media = media};
   request.parameters.value[CORE_PARAMETER_TOLERANCE] = tolerance;
   return request;
 }

@@ -112,15 +112,16 @@ static pair_test compare_edges, compare_preparation;
 /* Prepares a profile. Returns false if the medium lies outside the domain of the model. */
 static bool prepare(core_profile *profile, const char *isa, unsigned model, unsigned evaluator,
                     const core_medium *medium) {
-  core_parameters parameters = unit_parameters(model, medium);
+  const core_medium needed = unit_medium(model, medium);
+  core_parameters parameters = core_parameters_none();
   if (core_has_derivatives(model)) {
     parameters.value[CORE_PARAMETER_DERIVATIVES] = 1;
   }
   if (evaluator == CORE_EVALUATOR_LUT) { /* A coarse table tests the kernels as well. */
     parameters.value[CORE_PARAMETER_TOLERANCE] = 0.01;
   }
-  const core_fault fault = core_profile_prepare(profile, core_isa_select(isa), model,
-                                                CORE_MOMENTS_EXACT, evaluator, medium, &parameters);
+  const core_fault fault = core_profile_prepare(
+      profile, core_isa_select(isa), model, CORE_MOMENTS_EXACT, evaluator, &needed, &parameters);
   if (fault.field == NULL) {
     return true;
   }

@@ -9,7 +9,6 @@
 enum { RINGS = 2, TABLE_BYTES = WIRE_BYTES_mc_reply + 24 + WIRE_BYTES_mc_energy + 6 * 8 };
 
 static const dipole_mc_query query = {.medium = {0.1, 1, 0, 1.3},
-                                      .thickness_mm = (double)INFINITY,
                                       .spacing = DIPOLE_LINEAR,
                                       .ring_count = RINGS,
                                       .radius_stop_mm = 2,

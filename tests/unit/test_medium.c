@@ -34,10 +34,10 @@ UNIT_TEST(without_scattering_everything_is_zero) {
   for (const core_choice *model = core_models; model->name != NULL; model++) {
     core_profile profile;
     double R[5], cdf[5];
-    const core_parameters parameters = unit_parameters(model->id, &absorbing);
+    const core_medium medium = unit_medium(model->id, &absorbing);
     const core_fault fault =
         core_profile_prepare(&profile, core_isa_select(NULL), model->id, CORE_MOMENTS_EXACT,
-                             CORE_EVALUATOR_F64, &absorbing, &parameters);
+                             CORE_EVALUATOR_F64, &medium, NULL);
     if (model->id == CORE_MODEL_GAUSSIANS) { /* R is 0, so there is nothing to fit. */
       unit_assert_fault(fault, "fit_from", 0);
       continue;

@@ -156,11 +156,10 @@ UNIT_TEST(the_list_knows_what_is_worth_keeping) {
       assert_true(core_worth_keeping(model->id, CORE_EVALUATOR_F64));
       continue;
     }
-    const core_parameters parameters = unit_parameters(model->id, &SKIN);
+    const core_medium medium = unit_medium(model->id, &SKIN);
     core_profile profile;
     unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model->id,
-                                           CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &SKIN,
-                                           &parameters),
+                                           CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium, NULL),
                       NULL, 0);
     assert_true(core_worth_keeping(model->id, CORE_EVALUATOR_F64) ==
                 (core_profile_bytes(&profile) > 1024));

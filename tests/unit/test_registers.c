@@ -68,8 +68,8 @@ UNIT_TEST(optional_values) {
   for (unsigned id = 1; id < CORE_PARAMETERS_END; id++) {
     assert_true(isnan(registers_optional(image, REGISTERS_PARAMETER_AT(id))));
   }
-  registers_set_f32(image, REGISTERS_AT_PARAMETER_THICKNESS, 2.5F);
-  assert_true(registers_optional(image, REGISTERS_AT_PARAMETER_THICKNESS) == 2.5);
+  registers_set_f32(image, REGISTERS_AT_THICKNESS, 2.5F);
+  assert_true(registers_optional(image, REGISTERS_AT_THICKNESS) == 2.5);
 }
 
 UNIT_TEST(doubles_and_text) {
@@ -91,7 +91,7 @@ UNIT_TEST(fields_of_requests_have_registers) {
   assert_int_equal(registers_of_field(&registers_jobs[REGISTERS_JOB_EVAL], "r", 3),
                    REGISTERS_AT_RADII + 6);
   assert_int_equal(registers_of_field(&registers_jobs[REGISTERS_JOB_EVAL], "thickness", 0),
-                   REGISTERS_AT_PARAMETER_THICKNESS);
+                   REGISTERS_AT_THICKNESS);
   assert_int_equal(registers_of_field(&registers_jobs[REGISTERS_JOB_EVAL], "memory", 0),
                    REGISTERS_AT_COMMIT);
 }

@@ -116,7 +116,6 @@ UNIT_TEST(test_each_submitted_query_has_one_answer) {
 /* ---- jobs ---------------------------------------------------------------------------------- */
 
 static const dipole_mc_query job = {.medium = {.1, 1, 0, 1.3},
-                                    .thickness_mm = (double)INFINITY,
                                     .spacing = DIPOLE_LINEAR,
                                     .ring_count = 4,
                                     .radius_stop_mm = 4,

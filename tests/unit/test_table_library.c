@@ -43,7 +43,7 @@ static made_table make(const char *model, core_medium medium) {
       core_profile_prepare(&made.profile, core_isa_select(NULL), id, CORE_MOMENTS_EXACT,
                            CORE_EVALUATOR_LUT, &medium, &none);
   unit_assert_fault(fault, NULL, 0);
-  const size_t payload_bytes = table_reply_bytes(0, made.profile.lut_count);
+  const size_t payload_bytes = table_reply_bytes(&none, made.profile.lut_count);
   const wire_header header = {.magic = WIRE_MAGIC,
                               .version = WIRE_VERSION,
                               .type = WIRE_TYPE_TABLE | WIRE_REPLY,
@@ -54,7 +54,7 @@ static made_table make(const char *model, core_medium medium) {
   assert_non_null(made.bytes);
   wire_put_header(made.bytes, &header);
   made.errors = measured(&made.profile);
-  table_reply_put(made.bytes + WIRE_BYTES_header, &made.profile, &none, &made.errors);
+  table_reply_put(made.bytes + WIRE_BYTES_header, &made.profile, &medium, &none, &made.errors);
   return made;
 }
 
@@ -201,14 +201,23 @@ UNIT_TEST(impossible_facts_are_found) {
   WITH(parameter_count, 1);
   WITH(parameter_count, 65535);
   WITH(checksum, right.checksum + 1);
-  WITH(eta, (double)NAN);
-  WITH(eta, 0);
-  WITH(g, 1);
-  WITH(sigma_s, -1);
+  WITH(layer_count, 0);
+  WITH(layer_count, 2);
+  WITH(layer_count, UINT32_MAX);
   WITH(pieces_from, 2 * right.pieces_from);
   WITH(pieces_to, (double)NAN);
 #undef WITH
   wire_put_table_reply(made.bytes + WIRE_BYTES_header, &right);
+  static const core_medium media[] = {{0.032, 0.74, 0, (double)NAN},
+                                      {0.032, 0.74, 1, 1.3},
+                                      {0.032, -1, 0, 1.3},
+                                      {1, 1, 0, 1.3, -1}};
+  uint8_t *layer = made.bytes + WIRE_BYTES_header + WIRE_BYTES_table_reply;
+  for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
+    memcpy(layer, &media[i], sizeof media[i]);
+    assert_damaged(&made, made.count);
+  }
+  memcpy(layer, &skin, sizeof skin);
   wire_get_header(made.bytes, &header);
   for (int i = 0; i < 4; i++) {
     wire_header other = header;

@@ -22,8 +22,8 @@ typedef struct made_surface {
 static made_surface made;
 
 static void put_frame(made_surface *surface) {
-  const size_t payload_bytes = table_reply_bytes(channels_count_parameters(&surface->parameters),
-                                                 table_surface_words(&surface->varying));
+  const size_t payload_bytes =
+      table_reply_bytes(&surface->parameters, table_surface_words(&surface->varying));
   const wire_header header = {.magic = WIRE_MAGIC,
                               .version = WIRE_VERSION,
                               .type = WIRE_TYPE_TABLE | WIRE_REPLY,
@@ -202,13 +202,19 @@ UNIT_TEST(impossible_facts_are_found) {
   WITH(word_count, UINT32_MAX);
   WITH(parameter_count, 65535);
   WITH(checksum, right.checksum + 1);
-  WITH(sigma_a, 1);
-  WITH(sigma_s, (double)NAN);
-  WITH(g, 1);
-  WITH(g, (double)NAN);
-  WITH(eta, 0);
-  WITH(eta, (double)NAN);
+  WITH(layer_count, 0);
 #undef WITH
   wire_put_table_reply(of->bytes + WIRE_BYTES_header, &right);
+  static const core_medium media[] = {{1, 0, 0.8, 1.4}, {0, (double)NAN, 0.8, 1.4},
+                                      {0, 0, 1, 1.4},   {0, 0, (double)NAN, 1.4},
+                                      {0, 0, 0.8, 0},   {0, 0, 0.8, (double)NAN}};
+  uint8_t *medium = of->bytes + WIRE_BYTES_header + WIRE_BYTES_table_reply;
+  core_medium kept;
+  memcpy(&kept, medium, sizeof kept);
+  for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
+    memcpy(medium, &media[i], sizeof media[i]);
+    assert_damaged(of->bytes, of->count);
+  }
+  memcpy(medium, &kept, sizeof kept);
   dipole_surface_free(load());
 }

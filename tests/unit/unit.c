@@ -124,15 +124,15 @@ void unit_assert_fault(core_fault fault, const char *field, size_t index) {
   assert_int_equal(fault.index, index);
 }
 
-core_parameters unit_parameters(unsigned model, const core_medium *medium) {
-  core_parameters parameters = core_parameters_none();
+core_medium unit_medium(unsigned model, const core_medium *medium) {
+  core_medium needed = *medium;
   const core_fault fault =
       core_profile_check(model, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, medium, NULL, NULL);
   if (fault.field != NULL && strcmp(fault.field, "thickness") == 0) {
     const double sigma_s_prime = medium->sigma_s_per_mm * (1 - medium->g);
-    parameters.value[CORE_PARAMETER_THICKNESS] = 3 / (medium->sigma_a_per_mm + sigma_s_prime);
+    needed.thickness_mm = 3 / (medium->sigma_a_per_mm + sigma_s_prime);
   }
-  return parameters;
+  return needed;
 }
 
 double unit_value_at(const core_profile *profile, enum core_quantity quantity, double r_mm) {

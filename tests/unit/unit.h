@@ -62,9 +62,8 @@ void unit_random_bytes(uint64_t *state, void *to, size_t bytes);
  * there must be no fault. */
 void unit_assert_fault(core_fault fault, const char *field, size_t index);
 
-/* Returns only the parameters that a model needs for this medium. A slab gets a thickness of 3 mean
- * free paths. */
-core_parameters unit_parameters(unsigned model, const core_medium *medium);
+/* Returns the medium as a model needs it: a slab gets a thickness of 3 mean free paths. */
+core_medium unit_medium(unsigned model, const core_medium *medium);
 
 /* Returns an elementwise quantity of a profile at r mm, in the precision of its evaluator. */
 double unit_value_at(const core_profile *profile, enum core_quantity quantity, double r_mm);

@@ -48,37 +48,54 @@ def notes_of(info: Info, notes: int) -> tuple[str, ...]:
     return tuple(note.name for note in listed if note.id and notes & note.id)
 
 
+def _full(media: Any) -> Any:
+    """Returns media or layers with a thickness, which is 0 for those that have none."""
+    if isinstance(media, np.ndarray):
+        return media
+    listed = list(media)
+    nested = any(isinstance(one, (tuple, list, np.ndarray)) for one in listed)
+    return [_full(one) for one in listed] if nested else [*listed, *([0.0] if len(listed) == 4 else [])]
+
+
 def media_array(media: Media) -> Array:
-    """Makes an array [C, 4] of one medium or of several."""
+    """Makes an array [C, L, 5] of one medium or of several, each of L layers."""
     if isinstance(media, Medium) and any(map(np.ndim, media)):
         raise ArgumentError(
             "media: the fields of this Medium are arrays: give a list of Medium, or call values(), "
             "which broadcasts them"
         )
-    requested = "media: dipole.Medium(sigma_a, sigma_s, g, eta), or several, or an array [C, 4]"
+    requested = (
+        "media: dipole.Medium(sigma_a, sigma_s, g, eta, thickness), or several, or lists of as many "
+        "layers each, or an array [C, 4] or [C, 5]"
+    )
     try:
-        listed = media if isinstance(media, (tuple, np.ndarray)) else list(media)
-        array: Array = np.asarray(listed, "<f8")
+        array: Array = np.asarray(_full(media), "<f8")
     except (TypeError, ValueError) as error:
         raise ArgumentError(f"{requested}: {error}") from error
     if array.ndim == 1:
         array = array[np.newaxis]
-    if array.ndim != 2 or array.shape[1] != 4:
+    if array.ndim == 2:
+        array = array[:, np.newaxis]
+    if array.ndim != 3 or array.shape[2] not in (4, 5):
         raise ArgumentError(requested)
-    return array
+    return np.pad(array, ((0, 0), (0, 0), (0, 5 - array.shape[2])))
 
 
-def one_medium(media: Media) -> Medium:
-    """Makes a Medium of an argument that may be only one."""
-    if isinstance(media, (tuple, list)) and 2 <= len(media) <= 4 and np.isscalar(media[0]):
-        return Medium(*media)
+def layers_of(media: Media) -> Array:
+    """Makes an array [L, 5] of an argument that may be only one medium: a Medium, or a list of its
+    layers."""
+    if isinstance(media, (tuple, list)) and 2 <= len(media) <= 5 and np.isscalar(media[0]):
+        media = Medium(*media)
     array = media_array(media)
+    if array.shape[1] == 1 and isinstance(media, (list, np.ndarray)):
+        array = array.reshape(1, -1, 5)
     if len(array) != 1:
         raise ArgumentError(
             f"medium: one Medium, not {len(array)}. Of a measured medium, take one channel: "
             'client.media()["skin1"][0] is red'
         )
-    return Medium(*array[0])
+    layers: Array = array[0]
+    return layers
 
 
 def names_of(wanted: str | Iterable[str] | None, default: tuple[str, ...]) -> tuple[str, ...]:

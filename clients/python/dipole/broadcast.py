@@ -40,7 +40,7 @@ class Values(NamedTuple):
 class _Media(NamedTuple):
     """The distinct media of a call, and which of them each medium of the call is."""
 
-    distinct: Array  # [C, 4]
+    distinct: Array  # [C, 5]
     # [...] index in `distinct` of each medium of the call
     index: Array  # type: ignore[assignment]
 
@@ -56,7 +56,7 @@ async def values(
     """Evaluates one quantity for media and radii of any shapes, which are broadcast against each
     other as numpy's functions do.
 
-    media: a Medium whose fields may be arrays, or an array [..., 4], or the name of a measured
+    media: a Medium whose fields may be arrays, or an array [..., 4] or [..., 5], or the name of a measured
     medium, whose three channels become the first axis. r: radii in mm, of any shape. For
     example, sigma_a of shape [H, W, 1] and r of shape [N] give values [H, W, N]; for an image
     of media, r of shape [H, W] gives each pixel its own radius. quantity: the name of a
@@ -120,9 +120,9 @@ def _plan(info: Info, media: Media, r: Any) -> tuple[tuple[int, ...], Iterator[P
 
 
 def _first_axis(media: Media, r: Any) -> Array:
-    """Gives media [C, 4] as many axes that each of them meets each of the radii."""
+    """Gives media [C, 5] as many axes that each of them meets each of the radii."""
     array = media_array(media)
-    return array.reshape(len(array), *(1,) * np.ndim(r), 4)
+    return array.reshape(len(array), *(1,) * np.ndim(r), 5)
 
 
 # ---- what is requested ---------------------------------------------------------------------------
@@ -131,14 +131,14 @@ def _first_axis(media: Media, r: Any) -> Array:
 class Places(NamedTuple):
     """One query, and where its values go in the flattened result."""
 
-    media: Array  # [C, 4]
+    media: Array  # [C, 5]
     radii: Array  # [N]
     # (channel, positions [N] in the flattened result); channels may repeat
     places: tuple[tuple[int, Array], ...]
 
 
 def _media(media: Media) -> _Media:
-    form = "media: a Medium, whose fields may be arrays, or an array [..., 4]"
+    form = "media: a Medium, whose fields may be arrays, or an array [..., 4] or [..., 5]"
     try:
         if isinstance(media, tuple) and not isinstance(media[0], tuple):
             fields = [np.asarray(field, np.float64) for field in media]
@@ -147,8 +147,9 @@ def _media(media: Media) -> _Media:
             fields = list(np.moveaxis(array, -1, 0)) if array.ndim else []
     except (TypeError, ValueError) as error:
         raise ArgumentError(f"{form}: {error}") from error
-    if len(fields) != 4:
+    if len(fields) not in (4, 5):
         raise ArgumentError(form)
+    fields += [np.zeros(())] * (5 - len(fields))
     try:
         fields = np.broadcast_arrays(*fields)
     except ValueError as error:

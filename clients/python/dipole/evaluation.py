@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeVar, Unpack
 import numpy as np
 
 from . import wire
-from .arguments import id_of, in_precision, media_array, name_of, names_of, notes_of, one_medium
+from .arguments import id_of, in_precision, layers_of, media_array, name_of, names_of, notes_of
 from .arguments import parameters_list
 from .session import Session
 from .connection import frame_pieces
@@ -40,6 +40,7 @@ def _payload(
         "moments": id_of(info, "moments", query.moments),
         "wanted": shape.wanted,
         "medium_count": shape.medium_count,
+        "layer_count": media.shape[1],
         "parameter_count": len(parameters),
         **fields,
     }
@@ -185,7 +186,7 @@ async def table(
     process, with the daemon's bits. options: moments, parameters, deadline_ms and tolerance
     (relative, at least 1e-6, by default 1e-4), as of a Query."""
     medium = await session.media_of(medium)
-    query = Query(model, one_medium(medium), **options)
+    query = Query(model, layers_of(medium), **options)
     return await _table(session, query, lambda data: Table(data, session.info))
 
 
@@ -208,11 +209,13 @@ async def surface(
 
 async def _table(session: Session, query: Query, make: Callable[[bytes], T]) -> T:
     info = session.info
+    layers = layers_of(query.media)
     parameters = parameters_list(info, query.parameters, query.tolerance)
     fixed = {
         "model": _model_id(info, query),
         "moments": id_of(info, "moments", query.moments),
         "parameter_count": len(parameters),
+        "layer_count": len(layers),
     }
 
     def read(reply: bytes) -> T:
@@ -221,8 +224,9 @@ async def _table(session: Session, query: Query, make: Callable[[bytes], T]) -> 
         except TableError as error:
             raise ProtocolError(f"a table reply that is not a table: {error}") from error
 
-    medium = one_medium(query.media)._asdict()
-    payload = wire.PAYLOADS["table_request"].pack(fixed, medium, parameter=b"".join(parameters))
+    payload = wire.PAYLOADS["table_request"].pack(
+        fixed, medium=layers.tobytes(), parameter=b"".join(parameters)
+    )
     made = Request("table", payload, lambda: Once(read), query.deadline_ms)
     return await session.call(made)
 

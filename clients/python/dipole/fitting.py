@@ -50,6 +50,7 @@ async def fit(
     detector: Any = 0.0,
     g: float | None = None,
     eta: float | None = None,
+    thickness: float = 0.0,
     moments: str | int = "exact",
     parameters: Mapping[str, float | str] | None = None,
     residuals: bool = False,
@@ -67,7 +68,8 @@ async def fit(
     divided by. source, detector: diameters of the discs that emit and detect the light, mm, one
     for all readings or [N]; the detector sees light of all angles, unless parameters has
     {"detector_na": NA / the index outside}. residuals: whether they are wanted. eta, which has
-    to be given, and g=0.0 hold for all sets. Beyond two mean free paths readings hardly depend on
+    to be given, g=0.0 and thickness=0.0 (mm, of slabs) hold for all sets. Beyond two mean free
+    paths readings hardly depend on
     g: a wrong one is "fitted", too. Repeat the call with g -+ 0.05 to see how much sigma_a
     and sigma_s_prime change; for 0.1 it is about twice that. moments, parameters, deadline_ms:
     as of a Query; large images are sent in several requests, and the deadline holds for each.
@@ -88,13 +90,14 @@ async def fit(
         "parameter_count": len(listed),
         "g": float(g or 0.0),
         "eta": float(eta),
+        "thickness": float(thickness),
     }
     medium = b""
     if scale_id == wire.SCALE_REFERENCE:
         if reference is None:
             raise ArgumentError("reference: the medium whose readings the values were divided by")
         known = media_array(reference)
-        if len(known) != 1:
+        if known.size != 5:
             raise ArgumentError("reference: one Medium")
         medium = known.tobytes()
     given = {"at": at, "source": source, "detector": detector}

@@ -156,6 +156,7 @@ async def gather(
         "moments": id_of(info, "moments", moments),
         "parameter_count": len(structures),
         "medium_count": len(array),
+        "layer_count": array.shape[1],
         "set": _words(points.name),
         "tolerance": float(tolerance),
     }

@@ -12,7 +12,7 @@ from typing import Any
 from . import wire
 from .connection import built
 from .errors import ArgumentError, LibraryError, TableError
-from .values import Array, Info
+from .values import Array, Info, Medium
 
 _NAME = "libdipole.so.0"
 _ERROR_TABLE = 8
@@ -111,6 +111,7 @@ class Fetched:
         self._fixed: Any
         self._fixed, parts = wire.PAYLOADS["table_reply"].unpack(data[wire.HEADER.bytes :])
         self._listed = parts["parameter"]
+        self.layers = tuple(Medium(*one) for one in parts["medium"].tolist())
         self.model_id: int = self._fixed.model
         self.moments_id: int = self._fixed.moments
         self.model: str | int = self._name("model", self.model_id)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from . import wire
-from .arguments import id_of, one_medium, parameters_list
+from .arguments import id_of, layers_of, parameters_list
 from .session import Session
 from .errors import ArgumentError, DipoleError, ProtocolError
 from .exchange import Replies, Request
@@ -41,7 +41,6 @@ async def mc(
     photons: float | None = None,
     error_total: float = 0.0,
     error_rings: float = 0.0,
-    thickness: float | None = None,
     albedos: Iterable[float] = (),
     seed: int = 1,
     parameters: Mapping[str, float | str] | None = None,
@@ -54,7 +53,7 @@ async def mc(
     options: photons: how many to walk. The default is a million, or the daemon's limit if an
     error is given. error_total, error_rings: the job ends as soon as the relative standard
     error of the total R, or of every ring with light, is at most this; if both are given, both
-    must hold. thickness: of a slab, mm; None means a half space. albedos: up to 16, in place of
+    must hold. albedos: up to 16, in place of
     the medium's own; one walk gives the results for all of them. seed: 1 by default.
     parameters: a phase function in place of Henyey and Greenstein's, by name, for example
     {"phase": "two-term", "phase_share": 0.95, "phase_g": -0.3}; info.choices["phase"]
@@ -68,7 +67,7 @@ async def mc(
     if not isinstance(edges, Grid):
         raise ArgumentError("edges: a Grid, such as Grid(0, 10, 21) for 20 rings up to 10 mm")
     spacing = id_of(info, "spacing", edges.spacing)
-    numbers = (photons, error_total, error_rings, thickness, albedos, seed)
+    numbers = (photons, error_total, error_rings, albedos, seed)
     payload = pack_request(medium, edges, spacing, *numbers)
     payload += b"".join(parameters_list(info, parameters))
     job = await session.send(Request("mc", payload, _McReplies))
@@ -103,26 +102,26 @@ def pack_request(
     photons: float,
     error_total: float,
     error_rings: float,
-    thickness: float | None,
     albedos: Iterable[float],
     seed: int,
 ) -> bytes:
     """Packs an mc request. The daemon checks the numbers."""
-    listed = np.asarray(list(albedos), "<f8")
+    layers, listed = layers_of(medium), np.asarray(list(albedos), "<f8")
     fixed = {
         "spacing": spacing,
         "albedo_count": len(listed),
         "ring_count": whole(edges.count) - 1,
         "radius_start": edges.start_mm,
         "radius_stop": edges.stop_mm,
-        "thickness": math.inf if thickness is None else thickness,
+        "layer_count": len(layers),
         "seed": whole(seed),
         "photons": whole(photons),
         "error_total": error_total,
         "error_rings": error_rings,
     }
-    known = one_medium(medium)._asdict()
-    return wire.PAYLOADS["mc_request"].pack(fixed, known, albedo=listed.tobytes())
+    return wire.PAYLOADS["mc_request"].pack(
+        fixed, medium=layers.tobytes(), albedo=listed.tobytes()
+    )
 
 
 def unpack_fixed(payload: bytes) -> Any:

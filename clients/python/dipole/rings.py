@@ -88,7 +88,7 @@ async def ring_means(
         again = np.repeat(~good, 2)
         low, high, whole = low[again], high[again], halves[:, again]
         ring, small = ring[~good].repeat(2), small[~good].repeat(2)
-    dark = (media[:, 1] == 0)[:, None]  # R is 0. Elsewhere a power of 0 has underflowed.
+    dark = (media[:, :, 1] == 0).all(axis=1)[:, None]  # R is 0. Elsewhere a power of 0 has underflowed.
     with np.errstate(divide="ignore", invalid="ignore"):
         relative: Array = np.where(power > 0, error / power, np.where(dark, 0, np.inf))
     areas = np.pi * np.diff(edges) * (edges[1:] + edges[:-1])

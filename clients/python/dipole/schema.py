@@ -82,9 +82,10 @@ STRUCTURES = {
     "eval_request": (
         "u16 model, u16 evaluator, u16 moments, u16 wanted, u32 medium_count, u16 spacing, "
         "u16 parameter_count, u64 radius_count, f64 radius_start, f64 radius_stop, "
+        "u32 layer_count, u32 zero, "
     ),
     "medium": (
-        "f64 sigma_a, f64 sigma_s, f64 g, f64 eta, "
+        "f64 sigma_a, f64 sigma_s, f64 g, f64 eta, f64 thickness, "
     ),
     "parameter": (
         "u16 parameter, u16 zero, u32 zero_too, f64 value, "
@@ -107,7 +108,7 @@ STRUCTURES = {
     ),
     "mc_request": (
         "u16 spacing, u16 albedo_count, u32 ring_count, f64 radius_start, f64 radius_stop, "
-        "f64 thickness, u64 seed, u64 photons, f64 error_total, f64 error_rings, "
+        "u32 layer_count, u32 zero, u64 seed, u64 photons, f64 error_total, f64 error_rings, "
     ),
     "mc_reply": (
         "u16 state, u16 side_count, u16 albedo_count, u16 worst_side, u32 ring_count, "
@@ -127,14 +128,13 @@ STRUCTURES = {
         "u32 found, u32 zero, "
     ),
     "table_request": (
-        "u16 model, u16 moments, u16 parameter_count, u16 zero, "
+        "u16 model, u16 moments, u16 parameter_count, u16 layer_count, "
     ),
     "table_reply": (
         "u16 layout, u16 model, u16 moments, u16 parameter_count, u32 word_count, u32 checksum, "
-        "u32 notes, u32 zero, f64 sigma_a, f64 sigma_s, f64 g, f64 eta, f64 albedo, "
-        "f64 numerical_error, f64 numerical_error_per_mm, f64 model_error, f64 pieces_from, "
-        "f64 pieces_to, f64 radius_least, f64 radius_most, f64 reach, f64 reach_growth, "
-        "f64 model_errors[11], f64 numerical_errors[11], "
+        "u32 notes, u32 layer_count, f64 albedo, f64 numerical_error, f64 numerical_error_per_mm, "
+        "f64 model_error, f64 pieces_from, f64 pieces_to, f64 radius_least, f64 radius_most, "
+        "f64 reach, f64 reach_growth, f64 model_errors[11], f64 numerical_errors[11], "
     ),
     "offers_reply": (
         "u32 count, u32 taken, "
@@ -145,7 +145,8 @@ STRUCTURES = {
     ),
     "sample_request": (
         "u16 model, u16 evaluator, u16 moments, u16 wanted, u32 medium_count, u16 draw, "
-        "u16 parameter_count, u64 sample_count, u64 sample_first, u64 seed, "
+        "u16 parameter_count, u64 sample_count, u64 sample_first, u64 seed, u32 layer_count, "
+        "u32 zero, "
     ),
     "invert_request": (
         "u16 model, u16 moments, u16 given, u16 light, u32 medium_count, u16 specular, u16 zero, "
@@ -160,7 +161,7 @@ STRUCTURES = {
     ),
     "fit_design": (
         "u16 model, u16 moments, u16 axis, u16 scale, u32 reading_count, u16 parameter_count, "
-        "u16 zero, f64 g, f64 eta, "
+        "u16 zero, f64 g, f64 eta, f64 thickness, "
     ),
     "fit_reply": (
         "u32 part, u32 part_count, u64 first, u64 count, u64 fitted_count, u32 reading_count, "
@@ -191,8 +192,8 @@ STRUCTURES = {
         "u64 set[2], u32 known, u32 zero, u64 point_next, "
     ),
     "gather_request": (
-        "u16 model, u16 evaluator, u16 moments, u16 parameter_count, u32 medium_count, u32 zero, "
-        "u64 set[2], u64 query_count, f64 tolerance, "
+        "u16 model, u16 evaluator, u16 moments, u16 parameter_count, u32 medium_count, "
+        "u16 layer_count, u16 zero, u64 set[2], u64 query_count, f64 tolerance, "
     ),
     "gather_reply": (
         "u32 part, u32 part_count, u64 first, u64 count, u16 model, u16 evaluator, u16 moments, "
@@ -216,7 +217,7 @@ PAYLOADS = {
     ),
     "eval_request": (
         "eval_request",
-        "medium medium[medium_count]",
+        "medium medium[layer_count*medium_count]",
         "parameter parameter[parameter_count]",
         "real r[radius_count] if spacing is 1",
     ),
@@ -243,7 +244,7 @@ PAYLOADS = {
     ),
     "mc_request": (
         "mc_request",
-        "medium",
+        "medium medium[layer_count]",
         "f64 albedo[albedo_count]",
         "parameter parameter[]",
     ),
@@ -262,11 +263,12 @@ PAYLOADS = {
     ),
     "table_request": (
         "table_request",
-        "medium",
+        "medium medium[layer_count]",
         "parameter parameter[parameter_count]",
     ),
     "table_reply": (
         "table_reply",
+        "medium medium[layer_count]",
         "parameter parameter[parameter_count]",
         "u32 words[word_count]",
     ),
@@ -276,7 +278,7 @@ PAYLOADS = {
     ),
     "sample_request": (
         "sample_request",
-        "medium medium[medium_count]",
+        "medium medium[layer_count*medium_count]",
         "parameter parameter[parameter_count]",
         "real u[sample_count] if draw is 1",
     ),
@@ -333,7 +335,7 @@ PAYLOADS = {
     ),
     "gather_request": (
         "gather_request",
-        "medium medium[medium_count]",
+        "medium medium[layer_count*medium_count]",
         "parameter parameter[parameter_count]",
         "f64 xyz[query_count*3]",
     ),

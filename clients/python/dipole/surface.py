@@ -84,8 +84,8 @@ class Surface(Fetched):
             raise ArgumentError("evaluator: f32 or f64")
         super().__init__(data, info, "surface")
         self.evaluator = evaluator
-        self.g: float = self._fixed.g
-        self.eta: float = self._fixed.eta
+        self.g: float = self.layers[0].g
+        self.eta: float = self.layers[0].eta
         # Relative, the largest of all values.
         self.numerical_error: float = self._fixed.numerical_error
         self._type: Any = np.float32 if evaluator == "f32" else np.float64

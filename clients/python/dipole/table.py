@@ -56,7 +56,7 @@ class Table(Fetched):
         self.layout: int = fixed.layout  # proto/PROTOCOL.md, "table"
         bits = [1 << i for i in range(32) if fixed.notes >> i & 1]
         self.notes: tuple[str | int, ...] = tuple(self._name("note", bit) for bit in bits)
-        self.medium = Medium(fixed.sigma_a, fixed.sigma_s, fixed.g, fixed.eta)
+        self.medium = self.layers[0]
         self.albedo: float = fixed.albedo  # integral of 2 pi r R(r) over all radii
         # numerical_error() and errors() have the errors at given radii.
         self.numerical_error_constant: float = fixed.numerical_error

@@ -48,16 +48,18 @@ def whole(number: Any) -> Any:
 
 
 class Medium(NamedTuple):
-    """A homogeneous, semi-infinite medium. Its fields are numbers; for Client.values(), they may be
-    arrays that broadcast against each other."""
+    """A half space, a slab or a layer. Its fields are numbers; for Client.values(), they may be arrays
+    that broadcast against each other."""
 
     sigma_a: Any  # 1/mm: absorption coefficient, 0 to 1e15
     sigma_s: Any  # 1/mm: scattering coefficient, 0 to 1e15
     g: Any = 0.0  # mean cosine of the phase function, between -1 and 1
     eta: Any = 1.3  # index of refraction inside over that outside, 0.001 to 1000
+    thickness: Any = 0.0  # mm: 0 is a half space
 
 
-Media = Union[Medium, str, Iterable[Sequence[float]], Array]
+# A medium of several layers is a list of Medium from the top down.
+Media = Union[Medium, str, Iterable[Union[Sequence[float], Sequence[Sequence[float]]]], Array]
 # media by name, each with the channels red, green and blue
 MeasuredMedia = dict[str, tuple[Medium, ...]]
 
@@ -82,8 +84,9 @@ class Query:
         largest radius. The time to prepare a medium counts, so that few radii may get another
         evaluator than many. The result names both. The daemon refuses the query if no evaluator
         is accurate enough.
-    media: one Medium, several of them, an array [C, 4] of sigma_a, sigma_s, g and eta, or the name
-        of a measured medium, which stands for its red, green and blue channel.
+    media: one Medium; several of them; an array [C, 4] of sigma_a, sigma_s, g and eta, or [C, 5] with
+        thickness; a list of media that are lists of as many layers each; or the name of a measured
+        medium, which stands for its red, green and blue channel.
     r: N radii in mm, from 0 to infinity. Only wanted=["albedo"] needs no radii.
     grid: the radii by a rule, in place of r. The request then lists no radii.
     evaluator: "f64" computes in double precision and "f32" in single precision. "lut" looks values

@@ -99,6 +99,7 @@ static void put_request(const struct target *target, size_t variant, size_t n, c
       .moments = CORE_MOMENTS_EXACT,
       .wanted = CORE_QUANTITY_R,
       .medium_count = 1,
+      .layer_count = 1,
       .spacing = CORE_SPACING_LIST,
       .radius_count = n,
   };
