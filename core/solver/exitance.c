@@ -211,24 +211,31 @@ static double complex weighted(double complex exitance, double complex k, double
   return exitance * k * CMPLX(0, -2 / FN_PI) * transport_bessel_k(CMPLX(0, -r) * k).k0;
 }
 
-/* Returns the integral over one interval of a panel. Its ends are positions in the panel, 0 to
- * 1. */
-static double interval(const exitance_grid *of, const exitance_series *at, const gauss_rule *rule,
-                       size_t panel, double begin, double end, double r) {
+/* Adds the integral over one interval of a panel, whose ends are positions in it, 0 to 1, and that of the
+ * integrand's modulus. */
+static void add_interval(double *sum, double *size, const exitance_grid *of,
+                         const exitance_series *at, const gauss_rule *rule, size_t panel,
+                         double begin, double end, double r) {
   const double complex first = of->point[panel], way = of->point[panel + 1] - first;
-  double complex sum = 0;
+  double complex part = 0;
+  double modulus = 0;
   for (size_t i = 0; i < rule->n; i++) {
     const double x = begin + (end - begin) * rule->x[i];
-    sum += rule->weight[i] * weighted(series_at(of, at, panel, x), first + x * way, r);
+    const double complex here = weighted(series_at(of, at, panel, x), first + x * way, r);
+    part += rule->weight[i] * here;
+    modulus += rule->weight[i] * fn_abs(here);
   }
-  return creal(sum * way) * (end - begin);
+  *sum += creal(part * way) * (end - begin);
+  *size += modulus * fn_abs(way) * (end - begin) / (2 * FN_PI);
 }
 
-double solver_exitance_at(const exitance_series *at, const exitance_grid *of, double r) {
+double solver_exitance_at(const exitance_series *at, const exitance_grid *of, double r,
+                          double *size) {
   enum { HALVINGS = 12, DOUBLINGS = 200 };
   gauss_rule rule;
   transport_gauss(&rule, RULE_NODES);
   double sum = 0;
+  *size = 0;
   for (size_t panel = 0; panel < of->panels; panel++) {
     const double complex from = of->point[panel], way = of->point[panel + 1] - from;
     if (r * cimag(from - of->point[0]) > DECAYS_MOST) {
@@ -240,10 +247,10 @@ double solver_exitance_at(const exitance_series *at, const exitance_grid *of, do
       double begin = (double)i / (double)parts, end = (double)(i + 1) / (double)parts;
       /* H0(kr) is not smooth at k = 0, so the first interval is halved repeatedly towards 0. */
       for (size_t halving = 0; panel + i == 0 && halving < HALVINGS; halving++) {
-        sum += interval(of, at, &rule, panel, end / 2, end, r);
+        add_interval(&sum, size, of, at, &rule, panel, end / 2, end, r);
         end /= 2;
       }
-      sum += interval(of, at, &rule, panel, begin, end, r);
+      add_interval(&sum, size, of, at, &rule, panel, begin, end, r);
     }
   }
   /* Beyond K the path is parallel to the imaginary axis. */

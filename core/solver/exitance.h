@@ -53,7 +53,9 @@ typedef struct exitance_series {
 bool solver_exitance_make(exitance_series *to, const exitance_grid *of, bool has_tail, double far,
                           const double complex *values);
 
-/* Returns R at the radius r, above 0, per squared unit of length. */
-double solver_exitance_at(const exitance_series *at, const exitance_grid *of, double r);
+/* Returns R at the radius r, above 0, per squared unit of length. *size is set to the same integral over
+ * the modulus of the integrand: an error of X counts in proportion to it. */
+double solver_exitance_at(const exitance_series *at, const exitance_grid *of, double r,
+                          double *size);
 
 #endif

@@ -63,15 +63,17 @@ static const struct level levels[LEVELS] = {
 /* At most so many grids are solved, and the next one only if those that are left promise to reach the
  * tolerance of R or of T: each is up to so many times as good as the one before. */
 enum { GRIDS_MOST = 4 };
-#define GAIN 3.0
+#define GAIN 2.0
 
 /* Stated errors over the grids' difference. Grids share their errors more than those of a half space:
  * in a slab of 0.25 mean free paths T was off by 2.8 times the difference, in three layers R by 3.7. */
 #define MARGIN 4.0
 
-/* X on the path is known as well as this, relative: in R, which has decayed further than e^(-share rate
- * r), it grows. */
-#define PATH_ERROR 5e-6
+/* X on the path is known as well as this part of the floor far away, relative. Where its contributions
+ * cancel, far from the beam and in T of slabs that let nearly nothing through, it counts more. What is
+ * smaller by DIGITS than 1 per squared reduced mean free path is not known. */
+#define PATH_ERROR 0.03
+#define DIGITS 2e-19
 
 /* One grid. */
 struct grid {
@@ -197,9 +199,11 @@ static double rate_of(const struct grid *of, const struct solver_layers *all) {
 
 /* ---- one grid ------------------------------------------------------------------------------------------- */
 
-/* Scaled mean free paths below which a first layer is thin; largest k over the scaled extinction that the
- * functions of angle resolve in a layer that light crosses, and in the last one. */
+/* Scaled mean free paths below which a first layer is thin, and all layers of finite depth; largest k
+ * over the scaled extinction that the functions of angle resolve in a layer that light crosses, and in
+ * the last one. */
 #define THIN 2.0
+#define THIN_ALL 5.0
 #define RESOLVED 20
 #define RESOLVED_LAST 54
 #define NOISE_BELOW 0.35
@@ -224,20 +228,19 @@ static double first_depth(const struct grid *of, const struct solver_layers *all
 
 static void place_wavenumbers(struct grid *to, const struct solver_layers *of,
                               const struct level *by) {
-  /* Where the first layer is thin, X reaches its limit later. */
-  double last = (first_depth(to, of) < THIN ? 2 : 1) * by->tier[TIERS - 1].k_most;
-  double least = 1, all_least = 1, depth = 0;
+  double least = 1, all_least = 1, depth = 0, resolved = (double)INFINITY;
   for (size_t i = 0; i < of->count; i++) {
     const double s = to->layer[i].extinction;
     all_least = fmin(all_least, s);
-    const bool counts = i == 0 || (2 * depth < 7 && s * to->layer[i].thickness > 0.02);
-    if (counts) {
-      last = fmin(last, (i + 1 == of->count ? RESOLVED_LAST : RESOLVED) * s);
+    if (i == 0 || (2 * depth < 7 && s * to->layer[i].thickness > 0.02)) {
+      resolved = fmin(resolved, (i + 1 == of->count ? RESOLVED_LAST : RESOLVED) * s);
       least = fmin(least, s);
     }
     depth += s * to->layer[i].thickness;
   }
-  last = fmax(last, 4);
+  /* Where the first layer is thin, or all together are, X reaches its limit later. */
+  const bool thin = first_depth(to, of) < THIN || depth < THIN_ALL;
+  const double last = fmax(4, fmin(resolved, (thin ? 2 : 1) * by->tier[TIERS - 1].k_most));
   double end[TIERS];
   for (size_t tier = 0; tier < TIERS; tier++) {
     end[tier] = tier + 1 == TIERS
@@ -273,9 +276,15 @@ static bool cut_noise(exitance_grid *to, const exitance_grid *all, const double 
   return rises;
 }
 
+/* Returns the beam at the foot of the last layer; 0 for a half space. */
+static double arriving_beam(const ways *of) {
+  const stack_layer *last = &of->layer[of->layers - 1];
+  return of->down[of->layers - 1][of->reflections_most] *
+         fn_exp(-last->extinction * last->thickness);
+}
+
 static bool solve_grid(struct grid *to, const struct solver_layers *of, const core_isa *isa,
                        const struct level *by, const atomic_bool *stop) {
-  to->share = by->share;
   truncate_layers(to, of, by->moment_least, by->moments_most);
   place_wavenumbers(to, of, by);
   const exitance_grid *wavenumbers = to->wavenumbers;
@@ -302,23 +311,29 @@ static bool solve_grid(struct grid *to, const struct solver_layers *of, const co
     }
     solver_stack_free(expanded);
   }
-  const solver_phase phase = {.g = of->layer[0].g};
-  const double single = of->layer[0].sigma_s_per_mm * to->unit_mm;
   for (size_t side = 0; side < SIDES && ok; side++) {
-    const double far = side == 0 ? solver_far(single, &phase, of->layer[0].eta, 1) : 0;
+    const solver_layer *layer = &of->layer[side == 0 ? 0 : of->count - 1];
+    const solver_phase phase = {.g = layer->g};
+    const double arrives = side == 0 ? 1 : arriving_beam(&to->ways);
+    const double far =
+        arrives * solver_far(layer->sigma_s_per_mm * to->unit_mm, &phase,
+                             layer->eta / (side == 0 ? 1 : of->eta_below), 1, side == 1);
     exitance_grid *grid = &to->wavenumbers[side];
     const bool cut = side == 1 && cut_noise(grid, wavenumbers, values + nodes);
-    ok = solver_exitance_make(&to->exitance[side], grid, !cut, far, values + side * nodes);
+    ok =
+        solver_exitance_make(&to->exitance[side], grid, !cut, cut ? 0 : far, values + side * nodes);
   }
   free(values);
   return ok;
 }
 
-static double value_at(const struct grid *of, size_t side, double r_mm) {
-  const double r = r_mm / of->unit_mm;
-  return (solver_ways_at(&of->ways, side, r) +
-          solver_exitance_at(&of->exitance[side], &of->wavenumbers[side], r)) /
-         (of->unit_mm * of->unit_mm);
+/* Returns R or T. *size is set to how much of it would be there if nothing cancelled. */
+static double value_at(const struct grid *of, size_t side, double r_mm, double *size) {
+  const double r = r_mm / of->unit_mm, area = of->unit_mm * of->unit_mm;
+  const double value = solver_ways_at(&of->ways, side, r) +
+                       solver_exitance_at(&of->exitance[side], &of->wavenumbers[side], r, size);
+  *size /= area;
+  return value / area;
 }
 
 /* ---- solutions -------------------------------------------------------------------------------------------- */
@@ -361,12 +376,6 @@ static core_fault check_layers(const solver_layer *layer, size_t count, double e
              : no_fault;
 }
 
-/* Returns the relative error by loss of digits at large radii. */
-static double path_error(const struct grid *of, double r_mm) {
-  const double decays = (1 - of->share) * of->rate * r_mm / of->unit_mm;
-  return decays < 30 ? PATH_ERROR * fn_exp(decays) : (double)INFINITY;
-}
-
 /* Below this many times 1 / K, R and T are made of waves beyond K, which both grids guess. */
 #define GUESSED 4.0
 
@@ -377,15 +386,16 @@ static void find_errors(solver_layers *of, double worst[SIDES]) {
   for (size_t side = 0; side < of->sides; side++) {
     const exitance_grid *known = &fine->wavenumbers[side];
     const double guessed = GUESSED / creal(known->point[known->panels]);
-    double above = 0, r = SOLVER_ERROR_LEAST;
+    double size, above = 0, r = SOLVER_ERROR_LEAST;
     for (size_t i = 1; i < SOLVER_ERROR_RADII; i++) {
       r *= SOLVER_ERROR_RATIO;
     }
     worst[side] = of->floor[1];
     for (size_t i = SOLVER_ERROR_RADII; i-- > 0; r /= SOLVER_ERROR_RATIO) {
       const double r_mm = r * of->radius_mm, units = r_mm / fine->unit_mm;
-      const double error = solver_error_between(MARGIN, value_at(fine, side, r_mm),
-                                                value_at(of->grid[1], side, r_mm));
+      const double value = value_at(fine, side, r_mm, &size);
+      const double error =
+          solver_error_between(MARGIN, value, value_at(of->grid[1], side, r_mm, &size));
       above = fmax(error, units < guessed ? above : 0);
       of->error[side][i] = above;
       const bool counts =
@@ -458,15 +468,18 @@ transport_number solver_layers_at(const solver_layers *solution, size_t side, do
   if (r == 0) {
     return (transport_number){INFINITY, INFINITY};
   }
+  double size;
   const double value =
-      value_at(solution->grid[0], side, fmin(r, RADIUS_MOST) * solution->radius_mm);
-  if (!(value > 0) || r > RADIUS_MOST) { /* the value is not known: its size bounds it */
-    return (transport_number){0, isnan(value) ? (double)INFINITY : fabs(value)};
+      value_at(solution->grid[0], side, fmin(r, RADIUS_MOST) * solution->radius_mm, &size);
+  const double unknown =
+      PATH_ERROR * solution->floor[1] * size + DIGITS / (solution->radius_mm * solution->radius_mm);
+  if (!(value > 0) || r > RADIUS_MOST) { /* it is not known but for its size */
+    return (transport_number){0, isnan(value) ? (double)INFINITY : fabs(value) + unknown};
   }
   const double unit = solution->grid[0]->unit_mm / solution->radius_mm;
   const double error = fmax(solver_floor_at(solution->floor, unit, solution->layer[0].eta, r),
                             solver_error_near(solution->error[side], r));
-  return (transport_number){value, (error + path_error(solution->grid[0], r_mm)) * value};
+  return (transport_number){value, error * value + unknown};
 }
 
 /* ---- balance ---------------------------------------------------------------------------------------------- */

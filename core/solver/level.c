@@ -5,7 +5,8 @@
  *   far = (2 pi a)^2 int_0^pi/2 T(mu) mu dtheta int_theta^pi p(cos t) p(-cos(t - theta)) dt,
  *
  * mu = cos(theta), theta the angle at which the light leaves, t the angle by which it is deflected
- * first. The light that leaves within a cone of angles has its own X, whose integral over
+ * first. Light that leaves on the far side, where the beam arrives, has p(-cos t) in place of p(cos t).
+ * The light that leaves within a cone of angles has its own X, whose integral over
  * theta ends at the cone's edge. */
 #include "core/solver/level.h"
 
@@ -153,9 +154,10 @@ static double arcsine(double x) {
   return cimag(fn_clog(CMPLX(sqrt((1 - x) * (1 + x)), x)));
 }
 
-/* Returns the integral over t from theta to pi of p(cos t) p(-cos(t - theta)) (4 pi)^2. The panels
- * halve towards both ends, where p may be narrow. */
-static double second_deflections(const solver_phase *phase, const gauss_rule *rule, double theta) {
+/* Returns the integral over t from theta to pi of p(cos t) p(-cos(t - theta)) (4 pi)^2, with `onwards`
+ * of p(-cos t) p(-cos(t - theta)). The panels halve towards both ends, where p may be narrow. */
+static double second_deflections(const solver_phase *phase, const gauss_rule *rule, double theta,
+                                 bool onwards) {
   enum { HALVINGS = 9 };
   const double length = FN_PI - theta;
   double sum = 0, end = 0.5;
@@ -168,7 +170,8 @@ static double second_deflections(const solver_phase *phase, const gauss_rule *ru
         double sine, first, second;
         fn_sincos(side == 0 ? theta + x : FN_PI - x, &sine, &first);
         fn_sincos(side == 0 ? x : length - x, &sine, &second);
-        sum += weight * solver_phase_at(phase, first) * solver_phase_at(phase, -second);
+        sum += weight * solver_phase_at(phase, onwards ? -first : first) *
+               solver_phase_at(phase, -second);
       }
     }
     end = begin;
@@ -176,7 +179,7 @@ static double second_deflections(const solver_phase *phase, const gauss_rule *ru
   return sum;
 }
 
-double solver_far(double single, const solver_phase *phase, double eta, double edge) {
+double solver_far(double single, const solver_phase *phase, double eta, double edge, bool onwards) {
   enum { ANGLES = 40, DEFLECTIONS = 12 };
   gauss_rule angles, deflections;
   transport_gauss(&angles, ANGLES);
@@ -190,7 +193,7 @@ double solver_far(double single, const solver_phase *phase, double eta, double e
     const double mu_outside = sqrt(fmax(0, 1 - eta * eta * (1 - mu) * (1 + mu)));
     const double t = eta == 1 ? 1 : transport_transmittance(eta, mu, mu_outside);
     sum += 2 * v * most * angles.weight[i] * t * mu *
-           second_deflections(phase, &deflections, most * (1 - v * v));
+           second_deflections(phase, &deflections, most * (1 - v * v), onwards);
   }
   return 0.25 * single * single * sum;
 }

@@ -98,7 +98,8 @@ double solver_error_near(const double error[SOLVER_ERROR_RADII], double r);
 double solver_floor_at(const double floor[2], double unit, double eta, double r);
 
 /* Returns the limit of k^2 X for large k, see solver.c. single: the albedo by which light scattered once
- * is in proportion. edge: the sine of the cone's edge outside, 1 for light of all angles. */
-double solver_far(double single, const solver_phase *phase, double eta, double edge);
+ * is in proportion. edge: the sine of the cone's edge outside, 1 for light of all angles. onwards: for light that leaves
+ * where the beam arrives, not where it enters. */
+double solver_far(double single, const solver_phase *phase, double eta, double edge, bool onwards);
 
 #endif

@@ -144,7 +144,7 @@ static bool solve_grid(struct grid *to, const core_isa *isa, const struct level 
   for (size_t part = 0; part < parts && ok; part++) {
     const double far =
         solver_far(to->scaled.single, phase, boundaries->etas[part % boundaries->count],
-                   sine_of(boundaries, part));
+                   sine_of(boundaries, part), false);
     ok = solver_exitance_make(&to->exitance[part], &to->wavenumbers, true, far, values[part]);
   }
   free(memory);
@@ -194,8 +194,10 @@ static double reduced_single(const solver_solution *of, const struct grid *grid,
 
 static double value_at(const solver_solution *of, const struct grid *grid, size_t part, double r) {
   const double unit = grid->scaled.unit;
+  double size;
   return reduced_single(of, grid, part, r) +
-         solver_exitance_at(&grid->exitance[part], &grid->wavenumbers, r / unit) / (unit * unit);
+         solver_exitance_at(&grid->exitance[part], &grid->wavenumbers, r / unit, &size) /
+             (unit * unit);
 }
 
 /* Stated errors over the grids' difference. Where light is scattered back, grids share more of

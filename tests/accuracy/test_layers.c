@@ -96,6 +96,16 @@ UNIT_TEST(layers_are_those_of_another_program) {
       {9.5238095, 5.0950441e-07, 1.0e-11, 4.9789949e-07, 1.0e-11},
   };
   compare(step, 2, of_step, sizeof of_step / sizeof *of_step, (double[]){0.432884772, 0.192617432});
+  static const solver_layer backward[] = {{0.1, 2, -0.3, 1.4, 1}};
+  static const struct known of_backward[] = {
+      {0.0074074074, 2.8826844e+01, 2.9e-03, 1.1441159e+00, 3.9e-04},
+      {0.019888889, 9.1183320e+00, 9.1e-04, 5.3451263e-01, 2.2e-04},
+      {0.053296296, 2.4938054e+00, 2.5e-04, 2.7509464e-01, 1.5e-04},
+      {0.143, 5.4788613e-01, 3.6e-05, 1.4485079e-01, 1.8e-05},
+      {0.38366667, 1.0177212e-01, 2.1e-06, 6.2799810e-02, 4.8e-05},
+  };
+  compare(backward, 1, of_backward, sizeof of_backward / sizeof *of_backward,
+          (double[]){0.387594053, 0.213319071});
 }
 
 /* Example of MCML's manual: layers that are ten times weaker below a strong one. Totals per launched
