@@ -998,6 +998,7 @@ typedef struct dipole_mc_energy {
   double unscattered[DIPOLE_MC_SIDES];    /* leaves at r = 0 and counts in no ring; exact */
   dipole_mc_value under[DIPOLE_MC_SIDES]; /* leaves within the inner edge of the first ring */
   dipole_mc_value over[DIPOLE_MC_SIDES];  /* leaves beyond the outer edge of the last ring */
+  dipole_mc_value in_layer[8]; /* absorbed in each layer, from the top down; else 0 */
   double imbalance; /* R + T + absorbed + unfinished - roulette - 1, which is 0 up to rounding */
 } dipole_mc_energy;
 

@@ -83,6 +83,8 @@ static bool begin_job(dipole_client *client, const dipole_mc_query *query,
       .photons = query->photons,
       .error_total = query->error_total,
       .error_rings = query->error_rings};
+  pending->medium_count = 1;
+  pending->layer_count = start.layer_count;
   const void *const parts[] = {query->layers != NULL ? query->layers : &query->medium,
                                query->albedos, query->parameters};
   schema_layout request;
@@ -123,6 +125,9 @@ static dipole_mc_energy get_energy(const uint8_t *at) {
     to.unscattered[side] = from.unscattered[side];
     to.under[side] = (dipole_mc_value){from.under[side], from.under_error[side]};
     to.over[side] = (dipole_mc_value){from.over[side], from.over_error[side]};
+  }
+  for (size_t i = 0; i < sizeof to.in_layer / sizeof to.in_layer[0]; i++) {
+    to.in_layer[i] = (dipole_mc_value){from.in_layer[i], from.in_layer_error[i]};
   }
   return to;
 }

@@ -319,6 +319,7 @@ static void make_query(report *of) {
                              .moments = DIPOLE_EXACT,
                              .wanted = DIPOLE_R,
                              .media = of->profile.media,
+                             .layer_count = of->profile.layer_count,
                              .medium_count = (uint32_t)of->profile.channel_count,
                              .spacing = DIPOLE_LIST,
                              .radii = of->radii,
@@ -433,7 +434,7 @@ const cli_command cli_command_bench = {
         "every channel; bytes are those of radii sent and values received. If others use the "
         "daemon at the same time, each of you gets a share of it.",
     .formats = "table,csv,json",
-    .options = {cli_medium_options, options},
+    .options = {cli_medium_options, cli_layer_options, options},
     .parameters = CLI_OF_MODELS,
     .examples = "  dipole bench\n"
                 "  dipole bench --connect tcp:farm7:4817 --connections 8 --in-flight 128\n"

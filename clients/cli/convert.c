@@ -337,7 +337,7 @@ static void put_channel(cli_rows *rows, const void *context, size_t i) {
     cli_put_number(rows, of->colours[i], "colour");
     cli_put_number(rows, of->lengths[i], "length");
   }
-  cli_put_medium(rows, medium);
+  cli_put_medium(rows, medium, 1);
   cli_put_number(rows, 1 - absorbed_of(medium), "scattered");
   cli_put_number(rows, of->shown[i], "shown", "shows");
   cli_put_number(rows, of->shown_as_given[i], "shown_as_given", "as given", .missing = "-");

@@ -97,7 +97,8 @@ bool cli_try_again(const cli_settings *settings, int64_t start_ms, const dipole_
 }
 
 int cli_fail_error_of(const char *what, const dipole_error *error) {
-  const cli_option *option = cli_options_find(error->field);
+  const bool of_layer = strstr(error->text, " of layer ") != NULL;
+  const cli_option *option = cli_options_find(of_layer ? "layer" : error->field);
   return option != NULL ? cli_fail("%s%s (--%s)", what, error->text, option->name)
                         : cli_fail("%s%s", what, error->text);
 }

@@ -269,6 +269,7 @@ static bool request_model(requests *run, dipole_error *error) {
                        .moments = report->profile.moments->id,
                        .wanted = report->quantities.wanted | DIPOLE_RADIUS | DIPOLE_MODEL_ERROR,
                        .media = report->profile.media,
+                       .layer_count = report->profile.layer_count,
                        .medium_count = (uint32_t)report->profile.channel_count,
                        .parameters = parameters.items,
                        .parameter_count = parameters.count,
@@ -487,7 +488,7 @@ static void put_value(cli_rows *rows, const void *context, size_t index) {
   const size_t channel = profile % report->profile.channel_count;
   cli_put_text(rows, model->choice->name, "model");
   cli_put_text(rows, report->profile.names[channel], "channel");
-  cli_put_medium(rows, &report->profile.media[channel]);
+  cli_put_medium(rows, cli_profile_layers(&report->profile, channel), report->profile.layer_count);
   if (each && report->place_count > 0) {
     cli_put_number(rows, report->places[at], report->place, .unit = unit_of_places(report));
   }
@@ -672,7 +673,8 @@ const cli_command cli_command_eval = {
         "--tolerance is a bound on the numerical error; where transport is solved, the error may "
         "exceed it, and says so." CLI_DEFAULT_TEXT,
     .formats = "table,csv,json",
-    .options = {cli_medium_options, radii_options, cli_eval_options, output_options},
+    .options = {cli_medium_options, cli_layer_options, radii_options, cli_eval_options,
+                output_options},
     .parameters = CLI_OF_MODELS,
     .examples = "  dipole eval --medium skin1 --model classical,better --plot skin1.svg\n"
                 "  dipole eval --sigma-a 0.01,0.1 --sigma-s 10 --g 0.9 --eta 1.4 --r 0,0.5,1,2\n"
@@ -756,6 +758,7 @@ static dipole_sample_query make_sample_query(const cli_settings *settings,
       .moments = profile->moments->id,
       .wanted = report->quantities.wanted | DIPOLE_MODEL_ERROR,
       .media = profile->media,
+      .layer_count = profile->layer_count,
       .medium_count = (uint32_t)profile->channel_count,
       .draw = draw,
       .sample_count = settings->u.count > 0 ? settings->u.count : settings->count.value,
@@ -848,7 +851,7 @@ const cli_command cli_command_sample = {
             "uniform numbers give radii in proportion to r R(r). All channels get the same "
             "numbers." CLI_DEFAULT_TEXT,
     .formats = "table,csv,json",
-    .options = {cli_medium_options, sample_options},
+    .options = {cli_medium_options, cli_layer_options, sample_options},
     .parameters = CLI_OF_MODELS,
     .check = sample_check,
     .run = sample_run,

@@ -209,6 +209,7 @@ static int request_sums(work *of) {
       .evaluator = of->profile.evaluator->id,
       .moments = of->profile.moments->id,
       .media = of->profile.media,
+      .layer_count = of->profile.layer_count,
       .points = set,
       .queries_mm = of->queries.xyz_mm,
       .query_count = of->queries.count,
@@ -302,7 +303,7 @@ const cli_command cli_command_gather = {
             "written has the columns M_1, M_2 and so on. At a point's own position R is infinite "
             "for most models, and so is the sum: see --least-distance." CLI_CSV_TEXT,
     .formats = "csv,table,json",
-    .options = {cli_medium_options, options},
+    .options = {cli_medium_options, cli_layer_options, options},
     .examples = "  dipole gather points.csv queries.csv --medium skin1 --tolerance 1e-3 > M.csv\n"
                 "  dipole gather points.csv queries.csv --medium marble --model better\n",
     .check = check,

@@ -119,7 +119,7 @@ static void put_channel(cli_rows *rows, const void *context, size_t index) {
   const bool again = rows->form == CLI_TABLE && channel > 0;
   cli_put_text(rows, again ? "" : media[index / CLI_COLOURS].name, "medium");
   cli_put_text(rows, cli_colours[channel], "channel");
-  cli_put_medium(rows, &media[index / CLI_COLOURS].channel[channel]);
+  cli_put_medium(rows, &media[index / CLI_COLOURS].channel[channel], 1);
 }
 
 static int run_media(const cli_settings *settings, dipole_client *client) {

@@ -118,7 +118,8 @@ static void make_query(const cli_settings *settings, const cli_profile *profile,
   of->channel = profile->names[channel];
   of->parameters = profile->parameters;
   of->query = (dipole_mc_query){
-      .medium = profile->media[channel],
+      .layers = cli_profile_layers(profile, channel),
+      .layer_count = profile->layer_count,
       .albedos = settings->albedo.items,
       .albedo_count = (unsigned)settings->albedo.count,
       .parameters = of->parameters.items,
@@ -193,14 +194,15 @@ static dipole_mc_value value_at(const dipole_mc_result *result, uint32_t albedo,
                            hypot((1 - share) * errors[low], share * errors[high])};
 }
 
-enum { PARTS_OF_SIDE = 4, PARTS_OF_ALL = 3 };
+enum { PARTS_OF_SIDE = 4, PARTS_OF_ALL = 3, PARTS = 2 * PARTS_OF_SIDE + PARTS_OF_ALL };
 
 /* Returns how many rows an albedo has: the radii of --r, or the rings and then where the power
  * went. */
 static size_t rows_of(const report *of) {
   return of->r->count > 0
              ? of->r->count
-             : of->result->side_count * (of->result->ring_count + PARTS_OF_SIDE) + PARTS_OF_ALL;
+             : of->result->side_count * (of->result->ring_count + PARTS_OF_SIDE) + PARTS_OF_ALL +
+                   (of->query.layer_count > 1 ? of->query.layer_count : 0);
 }
 
 /* Writes a value and its error. A table has the error relative to it, too: "-" for no light. */
@@ -230,15 +232,22 @@ static void put_quantity(cli_rows *rows, const report *of, uint32_t albedo, size
   static const char *const sides[] = {"R", "T"};
   const dipole_mc_result *result = of->result;
   const dipole_mc_energy *energy = &result->energies[albedo];
-  const struct {
+  struct {
     const char *name;
     dipole_mc_value value;
-  } parts[] = {{"R_total", energy->R},         {"R_unscattered", {energy->unscattered[0], 0}},
-               {"R_under", energy->under[0]},  {"R_over", energy->over[0]},
-               {"T_total", energy->T},         {"T_unscattered", {energy->unscattered[1], 0}},
-               {"T_under", energy->under[1]},  {"T_over", energy->over[1]},
-               {"absorbed", energy->absorbed}, {"unfinished", energy->unfinished},
-               {"roulette", energy->roulette}};
+  } parts[PARTS + CORE_LAYERS_MAX] = {
+      {"R_total", energy->R},         {"R_unscattered", {energy->unscattered[0], 0}},
+      {"R_under", energy->under[0]},  {"R_over", energy->over[0]},
+      {"T_total", energy->T},         {"T_unscattered", {energy->unscattered[1], 0}},
+      {"T_under", energy->under[1]},  {"T_over", energy->over[1]},
+      {"absorbed", energy->absorbed}, {"unfinished", energy->unfinished},
+      {"roulette", energy->roulette}};
+  char absorbed[CORE_LAYERS_MAX][16];
+  for (size_t i = 0; i < CORE_LAYERS_MAX; i++) {
+    snprintf(absorbed[i], sizeof absorbed[i], "absorbed_%zu", i + 1);
+    parts[PARTS + i].name = absorbed[i];
+    parts[PARTS + i].value = energy->in_layer[i];
+  }
   const size_t rings = (size_t)result->side_count * result->ring_count;
   const size_t part = index - rings, skipped = PARTS_OF_SIDE * (2 - (size_t)result->side_count);
   const bool is_ring = index < rings;
@@ -266,7 +275,7 @@ static void put_walk(cli_rows *rows, const void *context, size_t index) {
     cli_put_text(rows, of->medium, "medium", "");
   }
   cli_put_text(rows, of->channel, "channel");
-  cli_put_medium(rows, &of->query.medium);
+  cli_put_medium(rows, of->query.layers, of->query.layer_count);
   cli_put_parameters(rows, of->info, &of->parameters);
   cli_put_count(rows, of->query.seed, "seed", .forms = CLI_IN_TABLE | CLI_IN_JSON);
   cli_put_count(rows, of->result->last.photons, "photons", .forms = CLI_IN_TABLE);
@@ -307,7 +316,7 @@ static void write_table(const void *context) {
              : "\n");
     cli_rows_print(stdout, 2, of->result->albedo_count * rows_of(of), put_row,
                    &(const reports){1, of});
-    cli_write_launched(&of->query.medium, 1);
+    cli_write_launched(of->query.layers, 1);
   }
   if (all->items[0].r->count == 0) {
     puts("under, over: within the first ring's inner edge, and beyond the last ring; unscattered: "
@@ -402,12 +411,14 @@ const cli_command cli_command_mc = {
             "power: the light beside the rings, the totals of R and T and what was absorbed. The "
             "exit status is 1 if the job was cancelled or missed the requested error.",
     .formats = "table,csv,json",
-    .options = {cli_medium_options, options},
+    .options = {cli_medium_options, cli_layer_options, options},
     .parameters = CLI_PARAMETER_BIT(PHASE) | CLI_PARAMETER_BIT(PHASE_SHARE) |
-                  CLI_PARAMETER_BIT(PHASE_G) | CLI_PARAMETER_BIT(DETECTOR_NA),
+                  CLI_PARAMETER_BIT(PHASE_G) | CLI_PARAMETER_BIT(DETECTOR_NA) |
+                  CLI_PARAMETER_BIT(ETA_BELOW),
     .examples = "  dipole mc --medium skin1\n"
                 "  dipole mc --medium skin1 --channel blue --g 0.8 --error 0.02 --to 3\n"
                 "  dipole mc --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --thickness 2\n"
+                "  dipole mc --layer 0.3,27,0.8,1.4,0.06 --layer 0.04,17,0.8,1.4 --to 3\n"
                 "  dipole mc --sigma-a 0.1 --sigma-s 50 --g 0.8 --eta 1.4 --phase modified \\\n"
                 "    --phase-share 0.889\n"
                 "  dipole mc --sigma-a 0.1 --sigma-s 1 --albedo 0.5,0.9,0.99 --from 0.01 --log\n"

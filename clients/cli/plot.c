@@ -130,6 +130,8 @@ static void write_title(const cli_profile *profile, char *text, size_t bytes) {
   const dipole_medium *medium = &profile->media[0];
   if (profile->medium != NULL) {
     snprintf(text, bytes, "%s", profile->medium);
+  } else if (profile->layer_count > 1) {
+    snprintf(text, bytes, "%u layers", profile->layer_count);
   } else {
     snprintf(text, bytes, "sigma_a %.6g/mm, sigma_s %.6g/mm, g %.6g, eta %.6g%s",
              medium->sigma_a_per_mm, medium->sigma_s_per_mm, medium->g, medium->eta,
@@ -236,7 +238,8 @@ static int walk(const cli_settings *settings, dipole_client *client, const cli_p
   of->R = cli_allocate(profile->channel_count * of->count, sizeof(double));
   of->R_error = cli_allocate(profile->channel_count * of->count, sizeof(double));
   for (size_t i = 0; good && i < profile->channel_count; i++) {
-    const dipole_mc_query query = {.medium = profile->media[i],
+    const dipole_mc_query query = {.layers = cli_profile_layers(profile, i),
+                                   .layer_count = profile->layer_count,
                                    .spacing = settings->log ? DIPOLE_LOGARITHMIC : DIPOLE_LINEAR,
                                    .ring_count = (uint32_t)of->count,
                                    .radius_start_mm = of->edges_mm[0],
@@ -381,7 +384,7 @@ const cli_command cli_command_plot = {
             "gnuplot draws all pictures. Text has colours only on a terminal, unless NO_COLOR is "
             "set.",
     .formats = "none",
-    .options = {cli_medium_options, cli_eval_options, options},
+    .options = {cli_medium_options, cli_layer_options, cli_eval_options, options},
     .parameters = CLI_OF_MODELS,
     .examples =
         "  dipole plot --medium skin1 --model classical,better,transport\n"

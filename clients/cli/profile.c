@@ -32,6 +32,14 @@ const cli_option cli_medium_options[] = {
     {0},
 };
 
+const cli_option cli_layer_options[] = {
+    {"layer",
+     "in place of all this: a layer of a stack, from the top down; repeat it for each. A last one "
+     "without thickness (mm) is a half space. transport and mc take stacks",
+     CLI_FILES, offsetof(cli_settings, layer), NULL, "SIGMA_A,SIGMA_S,G,ETA[,THICKNESS]"},
+    {0},
+};
+
 const char *cli_usual_evaluator(const cli_settings *settings, const char *model) {
   const cli_given *tolerance = &settings->parameters[CORE_PARAMETER_TOLERANCE];
   const bool tabled = tolerance->text == NULL || tolerance->value >= CORE_LUT_TOLERANCE_MIN;
@@ -148,7 +156,49 @@ const char *const cli_colours[CLI_COLOURS] = {"red", "green", "blue"};
 bool cli_medium_given(const cli_settings *settings) {
   return settings->medium.count > 0 || settings->channel.count > 0 || settings->sigma_a.count > 0 ||
          settings->sigma_s.count > 0 || settings->g.count > 0 || settings->eta.count > 0 ||
-         settings->thickness.count > 0;
+         settings->thickness.count > 0 || settings->layer.count > 0;
+}
+
+/* Reads the text of --layer. */
+static bool read_layer(const char *text, dipole_medium *layer) {
+  double numbers[5] = {0};
+  size_t count = 0;
+  for (char *rest = cli_copy(text, strlen(text)), *one; (one = strsep(&rest, ",")) != NULL;) {
+    if (count == 5 || !decimal_read(one, &numbers[count++])) {
+      return false;
+    }
+  }
+  *layer = (dipole_medium){numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]};
+  return count >= 4;
+}
+
+static int check_layers(const cli_settings *settings) {
+  const cli_texts *layers = &settings->layer;
+  if (settings->medium.count + settings->channel.count + settings->sigma_a.count +
+          settings->sigma_s.count + settings->g.count + settings->eta.count +
+          settings->thickness.count >
+      0) {
+    return cli_fail_usage("--layer gives a layer whole: leave --medium, --channel, --sigma-a, "
+                          "--sigma-s, --g, --eta and --thickness out");
+  }
+  if (layers->count > CORE_LAYERS_MAX) {
+    return cli_fail_usage("--layer: %zu layers: give at most %d", layers->count, CORE_LAYERS_MAX);
+  }
+  for (size_t i = 0; i < layers->count; i++) {
+    dipole_medium layer;
+    if (!read_layer(layers->items[i], &layer)) {
+      return cli_fail_usage("--layer %s: give SIGMA_A,SIGMA_S,G,ETA, and the thickness in mm of a "
+                            "layer that is no half space",
+                            layers->items[i]);
+    }
+    if (i + 1 < layers->count && layer.thickness_mm == 0) {
+      return cli_fail_usage(
+          "--layer %s: only the last layer may be a half space: add its thickness "
+          "in mm",
+          layers->items[i]);
+    }
+  }
+  return CLI_OK;
 }
 
 /* Lists the colours of measured media that are requested; all are if none is named. */
@@ -171,9 +221,12 @@ size_t cli_colour(const char *name) {
 }
 
 int cli_medium_check(const cli_settings *settings) {
+  if (settings->layer.count > 0) {
+    return check_layers(settings);
+  }
   if (settings->medium.count == 0 &&
       (settings->sigma_a.count == 0 || settings->sigma_s.count == 0)) {
-    return cli_fail_usage("give --medium NAME, or --sigma-a and --sigma-s");
+    return cli_fail_usage("give --medium NAME, or --sigma-a and --sigma-s, or --layer");
   }
   if (settings->medium.count > 0 && (settings->sigma_a.count > 0 || settings->sigma_s.count > 0)) {
     return cli_fail_usage("--medium NAME stands for --sigma-a and --sigma-s: leave these out; --g "
@@ -232,7 +285,12 @@ static int take_media(const cli_settings *settings, dipole_client *client, cli_p
     return cli_fail_error(&error);
   }
   profile->medium = names->whole;
-  for (size_t i = 0; status == CLI_OK && i < profile->channel_count; i++) {
+  for (size_t i = 0; i < settings->layer.count; i++) {
+    snprintf(profile->names[0], CLI_CHANNEL_BYTES, "1");
+    read_layer(settings->layer.items[i], &profile->media[i]);
+  }
+  for (size_t i = 0; settings->layer.count == 0 && status == CLI_OK && i < profile->channel_count;
+       i++) {
     char *to = profile->names[i];
     const dipole_medium *measured = NULL;
     snprintf(to, CLI_CHANNEL_BYTES, "%zu", i + 1);
@@ -312,10 +370,11 @@ bool cli_profile_take_names(const cli_settings *settings, dipole_client *client,
   return take_parameters(profile->info, settings, &profile->parameters);
 }
 
-void cli_profile_set_channels(cli_profile *profile, size_t count) {
+void cli_profile_set_channels(cli_profile *profile, size_t count, uint32_t layer_count) {
   profile->channel_count = count;
+  profile->layer_count = layer_count;
   profile->names = cli_allocate(count, sizeof *profile->names);
-  profile->media = cli_allocate(count, sizeof *profile->media);
+  profile->media = cli_allocate(count * layer_count, sizeof *profile->media);
 }
 
 int cli_profile_take(const cli_settings *settings, dipole_client *client, cli_profile *profile) {
@@ -323,7 +382,8 @@ int cli_profile_take(const cli_settings *settings, dipole_client *client, cli_pr
   if (!cli_profile_take_names(settings, client, profile) || !count_channels(settings, &count)) {
     return CLI_USAGE;
   }
-  cli_profile_set_channels(profile, count);
+  cli_profile_set_channels(profile, count,
+                           settings->layer.count > 0 ? (uint32_t)settings->layer.count : 1);
   return take_media(settings, client, profile);
 }
 

@@ -24,6 +24,9 @@
 /* The options of the medium: the members from medium to thickness. */
 extern const cli_option cli_medium_options[];
 
+/* For commands that take stacks, behind them: --layer. */
+extern const cli_option cli_layer_options[];
+
 #define CLI_MOMENTS_OPTION                                                                         \
   CLI_OPTION(TEXT, moments, NULL, "Fresnel moments; `dipole info` lists them (default: exact)")
 #define CLI_DEADLINE_OPTION                                                                        \
@@ -121,8 +124,14 @@ typedef struct cli_profile {
   const char *medium; /* names of measured media, as given; NULL if there are none */
   size_t channel_count;
   char (*names)[CLI_CHANNEL_BYTES]; /* [channel_count] of the channels */
-  dipole_medium *media;             /* [channel_count] */
+  uint32_t layer_count;             /* of each medium */
+  dipole_medium *media;             /* [channel_count][layer_count] */
 } cli_profile;
+
+/* Returns the layers of a channel's medium. */
+static inline const dipole_medium *cli_profile_layers(const cli_profile *profile, size_t channel) {
+  return &profile->media[channel * profile->layer_count];
+}
 
 /* Looks up the names in the settings, except those of a list of models, and reads the parameters.
  * Says what is wrong and returns false if the daemon does not know one of them. */
@@ -133,8 +142,8 @@ bool cli_profile_take_names(const cli_settings *settings, dipole_client *client,
  * status. */
 int cli_profile_take(const cli_settings *settings, dipole_client *client, cli_profile *profile);
 
-/* Sets the number of channels and allocates their arrays. */
-void cli_profile_set_channels(cli_profile *profile, size_t count);
+/* Sets the numbers of channels and of layers and allocates the channels' arrays. */
+void cli_profile_set_channels(cli_profile *profile, size_t count, uint32_t layer_count);
 
 /* The quantities that --wanted requests. */
 enum { CLI_QUANTITIES_MAX = 32 };

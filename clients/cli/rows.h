@@ -70,8 +70,8 @@ double cli_value(const dipole_result *result, uint32_t channel, unsigned quantit
 /* Returns the numerical error of the values at a radius. */
 double cli_numerical_error(const dipole_errors *errors, double r_mm);
 
-/* Writes the four coefficients of a medium. */
-void cli_put_medium(cli_rows *rows, const dipole_medium *medium);
+/* Writes the coefficients of a medium, or its layers as one text. */
+void cli_put_medium(cli_rows *rows, const dipole_medium *layers, size_t count);
 
 /* Writes `count` rows as an aligned table, whose first `left` columns are aligned left. */
 void cli_rows_print(FILE *file, size_t left, size_t count, cli_put_row *put, const void *context);

@@ -135,7 +135,7 @@ static int describe(const char *path, const tables *of, cli_eval_report *report)
     cli_parameters_set(&report->profile.parameters, first->parameters[i].id,
                        first->parameters[i].value);
   }
-  cli_profile_set_channels(&report->profile, of->count);
+  cli_profile_set_channels(&report->profile, of->count, 1);
   for (size_t i = 0; i < of->count; i++) {
     const dipole_table_info *info = dipole_table_get_info(of->items[i]);
     if (!is_same_profile(first, info)) {
@@ -281,7 +281,8 @@ static int fetch(const cli_settings *settings, dipole_client *client, report *of
   for (size_t i = 0; i < profile->channel_count; i++) {
     const dipole_table_query query = {.model = profile->model->id,
                                       .moments = profile->moments->id,
-                                      .medium = profile->media[i],
+                                      .layers = cli_profile_layers(profile, i),
+                                      .layer_count = profile->layer_count,
                                       .parameters = profile->parameters.items,
                                       .parameter_count = profile->parameters.count};
     dipole_table *table;
@@ -306,7 +307,7 @@ static void put_table(cli_rows *rows, const void *context, size_t index) {
   size_t bytes;
   dipole_table_bytes(of->tables.items[index], &bytes);
   cli_put_text(rows, of->profile.names[index], "channel");
-  cli_put_medium(rows, &info->medium);
+  cli_put_medium(rows, info->layers, info->layer_count);
   cli_put_number(rows, info->albedo, "albedo");
   cli_put_number(rows, info->pieces_from_mm, "pieces_from", "pieces from", "mm", "%.4g");
   cli_put_number(rows, info->pieces_to_mm, "pieces_to", "to", "mm", "%.4g");
@@ -376,7 +377,7 @@ const cli_command cli_command_table = {
             "--table`, libdipole and the Python module evaluate a file of --output to the same "
             "bits and errors as the daemon.",
     .formats = "table,csv,json",
-    .options = {cli_medium_options, options},
+    .options = {cli_medium_options, cli_layer_options, options},
     .parameters = CLI_OF_MODELS,
     .examples = "  dipole table --medium skin1 --output skin1.table\n"
                 "  dipole eval --table skin1.table --r 0.1,1,10 --wanted R,cdf\n"

@@ -293,7 +293,7 @@ bool core_mc_batch_walk(core_mc_batch *batch, const core_isa *isa, uint64_t scat
   if (batch->active == 0 && mc_is_layered(batch->plan)) {
     double *absorbed = &batch->tally[MC_ROW_ABSORBED];
     *absorbed = 0;
-    for (size_t i = 0; i < CORE_MC_LAYERS_MAX; i++) {
+    for (size_t i = 0; i < CORE_LAYERS_MAX; i++) {
       *absorbed += batch->tally[MC_ROW_LAYERS + i];
     }
   }

@@ -42,17 +42,7 @@ enum {
   CORE_MC_ALBEDOS_MAX = 16,
   CORE_MC_RINGS_MAX = 4096,
   CORE_MC_BATCH_PHOTONS = 4096, /* number of photons in each batch */
-  CORE_MC_LAYERS_MAX = 8,
 };
-
-/* A layer, or the half space below all layers. */
-typedef struct core_mc_layer {
-  double sigma_a_per_mm; /* not negative */
-  double sigma_s_per_mm; /* not negative */
-  double g;              /* -CORE_MC_G_MAX to CORE_MC_G_MAX, Henyey and Greenstein's function */
-  double eta;            /* index over that above all layers, CORE_ETA_MIN to CORE_ETA_MAX */
-  double thickness_mm;   /* above 0; INFINITY for the last layer if it is a half space */
-} core_mc_layer;
 
 /* limit of |g|, because directions are in single precision */
 #define CORE_MC_G_MAX 0.9999
@@ -78,10 +68,10 @@ typedef struct core_mc_request {
   /* thickness of a slab or of the first layer: 0 (a slab), or at least CORE_MC_THICKNESS_MIN_MFP mean free paths; INFINITY means a
    * half space */
   double thickness_mm;
-  size_t albedo_count;                         /* number of albedos: 1 to CORE_MC_ALBEDOS_MAX */
-  double albedo[CORE_MC_ALBEDOS_MAX];          /* sigma_s / sigma_t: 0 to 1 */
-  size_t below_count;                          /* number of layers below the first */
-  core_mc_layer below[CORE_MC_LAYERS_MAX - 1]; /* from the top down */
+  size_t albedo_count;                    /* number of albedos: 1 to CORE_MC_ALBEDOS_MAX */
+  double albedo[CORE_MC_ALBEDOS_MAX];     /* sigma_s / sigma_t: 0 to 1 */
+  size_t below_count;                     /* number of layers below the first */
+  core_medium below[CORE_LAYERS_MAX - 1]; /* from the top down; INFINITY for a half space */
   /* index below a slab or a last layer of finite thickness over that above: CORE_ETA_MIN to
    * CORE_ETA_MAX, or 0 for 1 */
   double eta_below;
@@ -115,16 +105,12 @@ typedef struct core_mc_request {
   double aperture;
 } core_mc_request;
 
-/* Sets sigma_t, g, eta and one albedo of the request from a medium that core_medium_check() accepts
- * (asserted). The other fields of the request do not change. */
-void core_mc_request_medium(core_mc_request *request, const core_medium *medium);
+/* Sets sigma_t, g, eta, one albedo, the thickness and `below` of the request from layers that
+ * core_layers_check() accepts (asserted). The other fields of the request do not change. */
+void core_mc_request_medium(core_mc_request *request, const core_medium *layer, size_t count);
 
-/* Sets sigma_t, g, eta, one albedo, the thickness and `below` of the request from layers from the top
- * down, 1 to CORE_MC_LAYERS_MAX (asserted). */
-void core_mc_request_layers(core_mc_request *request, const core_mc_layer *layer, size_t count);
-
-/* Sets the phase function from the parameters phase, phase_share and phase_g, and the aperture from
- * detector_na. Returns a fault, whose field is a parameter's name, if one is out of its range, is not
+/* Sets the phase function from the parameters phase, phase_share and phase_g, the aperture from
+ * detector_na, and eta_below. Returns a fault, whose field is a parameter's name, if one is out of its range, is not
  * taken by the phase function or is missing, or if any other parameter is given. */
 core_fault core_mc_request_parameters(core_mc_request *request, const core_parameters *parameters);
 
@@ -190,8 +176,8 @@ typedef struct core_mc_energy {
   /* all light that left through each side, unscattered light included */
   core_mc_value left[CORE_MC_SIDES];
   core_mc_value absorbed;
-  core_mc_value in_layer[CORE_MC_LAYERS_MAX]; /* the part of `absorbed` in each layer */
-  core_mc_value unfinished; /* light still inside after scatterings_max collisions */
+  core_mc_value in_layer[CORE_LAYERS_MAX]; /* the part of `absorbed` in each layer */
+  core_mc_value unfinished;                /* light still inside after scatterings_max collisions */
   /* weight that roulette has added less weight that it has taken; its expectation is 0 */
   core_mc_value roulette;
   /* The part of `left` that leaves at r = 0 without having been scattered. It is exact, and no ring

@@ -37,7 +37,7 @@ static double reflectance(double inside, double outside) {
  * These are exact; the walk begins at the first collision. In a half space all light collides. */
 static void prepare_first_flight(core_mc_plan *plan, struct passage *in, size_t count,
                                  double eta_below) {
-  double collides[2 * CORE_MC_LAYERS_MAX];
+  double collides[2 * CORE_LAYERS_MAX];
   double again = 0; /* share of light down at the head of the layer below that comes back there */
   for (size_t i = count; i-- > 0;) {
     const double F = reflectance(in[i].eta, i + 1 < count ? in[i + 1].eta : eta_below);
@@ -118,13 +118,13 @@ static void prepare_walk(core_mc_plan *plan) {
   const size_t count = request->below_count + 1;
   const double eta_below = request->eta_below;
   double above = 1; /* index */
-  struct passage in[CORE_MC_LAYERS_MAX];
+  struct passage in[CORE_LAYERS_MAX];
   *walk = (walk_medium){
       .key = {(uint32_t)request->seed, (uint32_t)(request->seed >> 32)},
       .last = (uint32_t)request->below_count,
   };
   for (size_t i = 0; i < count; i++) {
-    const core_mc_layer *below = &request->below[i > 0 ? i - 1 : 0];
+    const core_medium *below = &request->below[i > 0 ? i - 1 : 0];
     const double sigma_t =
         i > 0 ? below->sigma_a_per_mm + below->sigma_s_per_mm : request->sigma_t_per_mm;
     const double tau = sigma_t * (i > 0 ? below->thickness_mm : request->thickness_mm);

@@ -45,7 +45,7 @@ enum mc_row {
   MC_ROW_UNFINISHED,
   MC_ROW_ROULETTE, /* power added by roulette minus power removed */
   MC_ROW_LAYERS,   /* power absorbed in each of the layers of a stack */
-  MC_ROW_SLOTS = MC_ROW_LAYERS + CORE_MC_LAYERS_MAX
+  MC_ROW_SLOTS = MC_ROW_LAYERS + CORE_LAYERS_MAX
 };
 _Static_assert((int)MC_ROW_REFLECTED == (int)CORE_MC_REFLECTED &&
                    (int)MC_ROW_TRANSMITTED == (int)CORE_MC_TRANSMITTED,

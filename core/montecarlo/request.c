@@ -1,7 +1,6 @@
 /* Monte Carlo requests: their phase functions and their checks. */
 #include <assert.h>
 #include <math.h>
-#include <string.h>
 
 #include "core/montecarlo/montecarlo.h"
 
@@ -13,25 +12,21 @@ static bool in_range(double value, double low, double high) {
 static const char phase_ids[] = "1 henyey-greenstein, 2 modified or 3 two-term";
 static const char untaken[] = "nothing: this phase function does not take it";
 
-void core_mc_request_medium(core_mc_request *request, const core_medium *medium) {
-  assert(core_medium_check(medium).field == NULL);
-  request->sigma_t_per_mm = medium->sigma_a_per_mm + medium->sigma_s_per_mm;
-  request->g = medium->g;
-  request->eta = medium->eta;
-  request->albedo_count = 1;
-  request->albedo[0] = medium->sigma_s_per_mm / request->sigma_t_per_mm;
-}
-
-void core_mc_request_layers(core_mc_request *request, const core_mc_layer *layer, size_t count) {
-  assert(count >= 1 && count <= CORE_MC_LAYERS_MAX);
+void core_mc_request_medium(core_mc_request *request, const core_medium *layer, size_t count) {
+  assert(core_layers_check(layer, count).field == NULL);
   request->sigma_t_per_mm = layer->sigma_a_per_mm + layer->sigma_s_per_mm;
   request->g = layer->g;
   request->eta = layer->eta;
-  request->thickness_mm = layer->thickness_mm;
+  request->thickness_mm = layer->thickness_mm > 0 ? layer->thickness_mm : (double)INFINITY;
   request->albedo_count = 1;
   request->albedo[0] = layer->sigma_s_per_mm / request->sigma_t_per_mm;
   request->below_count = count - 1;
-  memcpy(request->below, layer + 1, (count - 1) * sizeof *layer);
+  for (size_t i = 1; i < count; i++) {
+    request->below[i - 1] = layer[i];
+    if (layer[i].thickness_mm == 0) {
+      request->below[i - 1].thickness_mm = (double)INFINITY;
+    }
+  }
 }
 
 /* ---- the phase function ----------------------------------------------------------------------- */
@@ -51,7 +46,8 @@ core_fault core_mc_request_parameters(core_mc_request *request, const core_param
   for (unsigned id = 1; id < CORE_PARAMETERS_END; id++) {
     const double value = parameters->value[id];
     const bool taken = id == CORE_PARAMETER_PHASE || id == CORE_PARAMETER_PHASE_SHARE ||
-                       id == CORE_PARAMETER_PHASE_G || id == CORE_PARAMETER_DETECTOR_NA;
+                       id == CORE_PARAMETER_PHASE_G || id == CORE_PARAMETER_DETECTOR_NA ||
+                       id == CORE_PARAMETER_ETA_BELOW;
     if (!isnan(value) && !taken) {
       return (core_fault){core_choice_by_id(core_parameter_list, id)->name,
                           "nothing: Monte Carlo does not take it", 0};
@@ -82,7 +78,9 @@ core_fault core_mc_request_parameters(core_mc_request *request, const core_param
   request->phase_share = isnan(share) ? 0 : share;
   request->phase_g = isnan(g) ? 0 : g;
   const double aperture = parameters->value[CORE_PARAMETER_DETECTOR_NA];
+  const double eta_below = parameters->value[CORE_PARAMETER_ETA_BELOW];
   request->aperture = isnan(aperture) ? 0 : aperture;
+  request->eta_below = isnan(eta_below) ? 0 : eta_below;
   return (core_fault){0};
 }
 
@@ -132,7 +130,7 @@ static core_fault check_stack(const core_mc_request *request) {
   const double eta_below = request->eta_below;
   const bool layered = request->below_count > 0 || (eta_below != 0 && eta_below != 1);
   double thickness_mm = request->thickness_mm;
-  if (request->below_count >= CORE_MC_LAYERS_MAX) {
+  if (request->below_count >= CORE_LAYERS_MAX) {
     return (core_fault){"layer_count", "1 to 8", 0};
   }
   if (eta_below != 0 && !in_range(eta_below, CORE_ETA_MIN, CORE_ETA_MAX)) {
@@ -145,7 +143,7 @@ static core_fault check_stack(const core_mc_request *request) {
     return (core_fault){"phase", "1 henyey-greenstein: layers have no other", 0};
   }
   for (size_t i = 0; i < request->below_count; i++) {
-    const core_mc_layer *below = &request->below[i];
+    const core_medium *below = &request->below[i];
     if (!(thickness_mm > 0 && isfinite(thickness_mm))) {
       return (core_fault){"thickness", "above 0, and finite above another layer", i};
     }

@@ -89,7 +89,7 @@ void core_mc_total_energy(const core_mc_total *total, size_t albedo, core_mc_ene
       .roulette = value_of(total, MC_ROW_ROULETTE, albedo),
   };
   energy->in_layer[0] = energy->absorbed;
-  for (size_t i = 0; i < CORE_MC_LAYERS_MAX && mc_is_layered(plan); i++) {
+  for (size_t i = 0; i < CORE_LAYERS_MAX && mc_is_layered(plan); i++) {
     energy->in_layer[i] = value_of(total, MC_ROW_LAYERS + i, 0);
   }
   double sum = energy->absorbed.value + energy->unfinished.value - energy->roulette.value;

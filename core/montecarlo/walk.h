@@ -46,21 +46,21 @@ typedef struct walk_medium {
   uint32_t last; /* index of the lowest layer */
   /* Each layer's, in arrays of their own, as gathering loads need it. The one layer of a homogeneous
    * medium has a mean free path of 1. */
-  float mfp[CORE_MC_LAYERS_MAX];
-  float thickness[CORE_MC_LAYERS_MAX]; /* thickness of each layer; INFINITY: a half space */
-  float albedo[CORE_MC_LAYERS_MAX];    /* for WALK_LAYERS only */
-  float g_sign[CORE_MC_LAYERS_MAX];    /* walk_hg */
-  float g_size[CORE_MC_LAYERS_MAX];
-  float g_one_minus[CORE_MC_LAYERS_MAX];
-  float g_one_plus[CORE_MC_LAYERS_MAX];
+  float mfp[CORE_LAYERS_MAX];
+  float thickness[CORE_LAYERS_MAX]; /* thickness of each layer; INFINITY: a half space */
+  float albedo[CORE_LAYERS_MAX];    /* for WALK_LAYERS only */
+  float g_sign[CORE_LAYERS_MAX];    /* walk_hg */
+  float g_size[CORE_LAYERS_MAX];
+  float g_one_minus[CORE_LAYERS_MAX];
+  float g_one_plus[CORE_LAYERS_MAX];
   /* walk_boundary; the head of layer i for light in it has the index 2 i, its foot 2 i + 1 */
-  float eta[2 * CORE_MC_LAYERS_MAX];
-  uint32_t by_sine[2 * CORE_MC_LAYERS_MAX];
-  float cosine_constant[2 * CORE_MC_LAYERS_MAX];
-  float cosine_factor[2 * CORE_MC_LAYERS_MAX];
+  float eta[2 * CORE_LAYERS_MAX];
+  uint32_t by_sine[2 * CORE_LAYERS_MAX];
+  float cosine_constant[2 * CORE_LAYERS_MAX];
+  float cosine_factor[2 * CORE_LAYERS_MAX];
   /* The optical depth of a first collision is -ln(first_rest + w first_share), w uniform. */
-  float first_share[CORE_MC_LAYERS_MAX];
-  float first_rest[CORE_MC_LAYERS_MAX];
+  float first_share[CORE_LAYERS_MAX];
+  float first_rest[CORE_LAYERS_MAX];
   walk_hg second; /* the second function of WALK_TWO_TERM */
   /* Of the 2^31 points of a uniform number, the first `share` draw from the first layer's function
    * and the others from the second function of a mixture. */
@@ -70,7 +70,7 @@ typedef struct walk_medium {
   /* The first collision is on the way up in layer 0, down in it, up in layer 1, ... with the
    * probabilities whose sums these are; the last sum is left out. On the way up its depth counts from
    * the foot of the layer. */
-  float first_sum[2 * CORE_MC_LAYERS_MAX - 1];
+  float first_sum[2 * CORE_LAYERS_MAX - 1];
   /* Roulette in WALK_LAYERS: the least weight is roulette_weight max(1, sqrt(n long_path_inverse))
    * after n flights. */
   float roulette_weight;

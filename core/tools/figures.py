@@ -8,6 +8,7 @@ A daemon of its own computes all values. Written into the folder:
     summary.csv             which model is nearer to transport
     monte_carlo_check.csv   whether Monte Carlo agrees with transport
     tissue.svg, tissue.csv  R of tissue by transport, by its similarity approximation, by dipoles
+    layers.svg, layers.csv, slab.csv  R of skin's two layers and of one medium; a slab's R and T, multipoles
     parts/                  tables of Monte Carlo, which a second run reads
 
 Figure NN from 1 to 16 has ratio number NN of sigma_a / sigma_s', and a panel for each eta. Figure
@@ -407,6 +408,64 @@ def draw_tissue(path: Path, columns: dict[str, np.ndarray]) -> None:
     save(figure, path)
 
 
+# ---- layers --------------------------------------------------------------------------------------
+
+# Jacques 2013, for skin of type III: 0.9 % of melanosomes in an epidermis of 0.06 mm; haemoglobin of
+# 4.7 uM, 39 % of it with oxygen, in the dermis; sigma_s' of both, bloodless skin. g: van Gemert 1989.
+SKIN = {
+    "610 nm": [dipole.Medium(0.290, 26.85, 0.797, 1.4, 0.06), dipole.Medium(0.0400, 17.25, 0.797, 1.4)],
+    "550 nm": [dipole.Medium(0.397, 27.89, 0.780, 1.4, 0.06), dipole.Medium(0.0994, 18.16, 0.780, 1.4)],
+    "460 nm": [dipole.Medium(0.707, 30.69, 0.753, 1.4, 0.06), dipole.Medium(0.1425, 20.46, 0.753, 1.4)],
+}
+SKIN_COLOURS = "#d55e00", "#009e73", "#0072b2"
+SKIN_R = np.geomspace(0.02, 10, 60)  # mm
+SLAB = dipole.Medium(0.05, 10.0, 0.8, 1.4, 2.0)
+SLAB_EDGES = dipole.Grid(0.05, 10.0, 33, "logarithmic")  # mm
+
+
+def layers_columns(
+    client: dipole.Client, photons: int, kept: Path
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """R of skin's layers, and of the one medium with the dermis's mean free path that has the same
+    albedo; and light on both sides of a slab by Monte Carlo and multipoles."""
+    skin, wanted = {"r": SKIN_R}, ["R", "albedo"]
+    for name, layers in SKIN.items():
+        stack = client.eval("transport", [layers], SKIN_R, tolerance=1e-2, wanted=wanted)
+        _, s, g, eta, *_ = layers[1]
+        length = 1 / (layers[1].sigma_a + s * (1 - g))
+        one = client.invert("transport", float(stack.albedo[0]), length, g=g, eta=eta)
+        medium = dipole.Medium(float(one.sigma_a), float(one.sigma_s), g, eta)
+        skin[name] = stack.R[0]
+        skin[f"{name}, one medium"] = client.eval("transport", medium, SKIN_R, wanted=["R"]).R[0]
+    walked = walk(client, SLAB, SLAB_EDGES, "slab", photons, kept, seed=SEED)
+    edges = walked.edges
+    slab = {"r": np.sqrt(edges[1:] * edges[:-1]), "ring_from": edges[:-1], "ring_to": edges[1:]}
+    for name, side, model in (("R", 0, "multipole"), ("T", 1, "multipole-transmitted")):
+        slab |= {f"{name}": walked.values[0, side], f"{name}_error": walked.errors[0, side]}
+        slab[f"{name} {model}"] = client.ring_means(model, SLAB, edges).R[0]
+    return skin, slab
+
+
+def draw_layers(path: Path, skin: dict[str, np.ndarray], slab: dict[str, np.ndarray]) -> None:
+    figure, both = plt.subplots(1, 2, figsize=(11, 5), layout="constrained")
+    for name, colour in zip(SKIN, SKIN_COLOURS):
+        both[0].plot(SKIN_R, skin[name], color=colour, label=f"{name}: epidermis and dermis")
+        one = skin[f"{name}, one medium"]
+        both[0].plot(SKIN_R, one, "--", color=colour, label=f"{name}: one medium, same albedo")
+    for model, colour in zip(list(slab)[5::3], SKIN_COLOURS):
+        both[1].plot(slab["r"], slab[model], color=colour, label=model)
+    walked = [np.concatenate([slab[f"{name}{of}"] for name in "RT"]) for of in ("", "_error")]
+    draw_dots(both[1], np.tile(slab["r"], 2), *walked, np.asarray)
+    a, s, g, eta, thickness = SLAB
+    both[0].set(title="skin of type III", ylabel="R (1/mm² per power that entered)")
+    both[1].set(title=f"slab of {thickness:g} mm: σa {a:g}/mm, σs {s:g}/mm, g {g:g}, η {eta:g}")
+    for axes in both:
+        axes.set(xscale="log", yscale="log", xlabel="r (mm)")
+        axes.legend(loc="lower left")
+    both[0].set(ylim=(1e-6, 30))
+    save(figure, path)
+
+
 # ---- the index -----------------------------------------------------------------------------------
 
 
@@ -428,6 +487,8 @@ def write_index(path: Path, pages: Sequence[Page], tissue: bool) -> None:
         body += section(name, page.title, f"{name}_log.svg", links)
     if tissue:
         body += section("tissue", "Tissue, which scatters forward", "tissue.svg", {"values": "tissue.csv"})
+        links = {"skin": "layers.csv", "slab": "slab.csv"}
+        body += section("layers", "Skin of two layers, and a slab", "layers.svg", links)
     path.write_text(
         '<!DOCTYPE html>\n<html lang="en">\n<meta charset="utf-8">\n'
         "<title>A Better Dipole: figures</title>\n"
@@ -493,6 +554,11 @@ def main() -> None:
             columns = tissue_columns(client, options.tissue_photons, kept)
             write_csv(options.output / "tissue.csv", list(columns), zip(*columns.values()))
             draw_tissue(options.output / "tissue.svg", columns)
+            kept = parts / f"walk_slab_photons_{options.tissue_photons}"
+            skin, slab = layers_columns(client, options.tissue_photons, kept)
+            for name, table in (("layers", skin), ("slab", slab)):
+                write_csv(options.output / f"{name}.csv", list(table), zip(*table.values()))
+            draw_layers(options.output / "layers.svg", skin, slab)
     drawn = [page for page in pages_of(panels) if page.cells]
     for page in drawn:
         name, shown = f"figure_{page.figure:02}", list(page.cells.values())

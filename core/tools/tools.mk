@@ -40,7 +40,7 @@ figures: ## Figures 1 to 17 of d'Eon 2012 and one of tissue, in build/figures (t
 	@sh .ci/install-packages demo figures
 	@$(MAKE) --no-print-directory -j2 $(BUILD)/dipoled $(BUILD)/dipole
 	DIPOLED=private:$(BUILD)/dipoled $(PYTHON) core/tools/figures.py --output $(BUILD)/figures $(FIGURES_OPTIONS)
-	cp $(BUILD)/figures/tissue.svg core/tools/
+	cp $(BUILD)/figures/tissue.svg $(BUILD)/figures/layers.svg core/tools/
 	$(BUILD)/dipole plot --medium skin1 --model classical,better,transport --error --plot clients/cli/skin1.svg
 
 picture: ## a rabbit in marble, milk and skin by three models, clients/c/examples/picture.png

@@ -57,20 +57,18 @@ static wire_error check_targets(const wire_mc_request *fixed, uint64_t photons_m
 /* Makes the request for core. The medium has been checked. */
 static void set_request(struct mc_task *task, const mc_request *wire) {
   core_mc_request *request = &task->request;
-  core_mc_request_medium(request, wire->layers);
+  core_mc_request_medium(request, wire->layers, wire->fixed.layer_count);
   if (wire->fixed.albedo_count > 0) {
     request->albedo_count = wire->fixed.albedo_count;
     memcpy(request->albedo, wire->albedo, sizeof request->albedo);
   }
-  request->thickness_mm =
-      wire->layers->thickness_mm > 0 ? wire->layers->thickness_mm : (double)INFINITY;
   request->edges = (core_grid){wire->fixed.spacing, (uint64_t)wire->fixed.ring_count + 1,
                                wire->fixed.radius_start, wire->fixed.radius_stop};
   request->seed = wire->fixed.seed;
   task->error_total = wire->fixed.error_total;
   task->error_rings = wire->fixed.error_rings;
   task->batches_max = (wire->fixed.photons - 1) / CORE_MC_BATCH_PHOTONS + 1;
-  task->side_count = isinf(request->thickness_mm) ? 1 : CORE_MC_SIDES;
+  task->side_count = wire->layers[wire->fixed.layer_count - 1].thickness_mm > 0 ? CORE_MC_SIDES : 1;
   task->ring_count = wire->fixed.ring_count;
 }
 
@@ -85,10 +83,7 @@ wire_error mc_task_check(struct mc_task *task, const struct server *server, cons
   if (wire.fixed.ring_count < 1 || wire.fixed.ring_count > CORE_MC_RINGS_MAX) {
     return wire_error_make(WIRE_STATUS_BAD_COUNT, "ring_count", "1 to 4096");
   }
-  if (wire.fixed.layer_count > 1) {
-    return wire_error_make(WIRE_STATUS_BAD_COUNT, "layer_count", "1 layer");
-  }
-  core_fault fault = core_medium_check(wire.layers);
+  core_fault fault = core_layers_check(wire.layers, wire.fixed.layer_count);
   if (fault.field != NULL) {
     return from_fault(fault);
   }
@@ -299,6 +294,10 @@ static wire_mc_energy energy_of(const struct mc_task *task, size_t albedo) {
     to.under_error[side] = from.under[side].error;
     to.over[side] = from.over[side].value;
     to.over_error[side] = from.over[side].error;
+  }
+  for (size_t i = 0; i < CORE_LAYERS_MAX; i++) {
+    to.in_layer[i] = from.in_layer[i].value;
+    to.in_layer_error[i] = from.in_layer[i].error;
   }
   return to;
 }

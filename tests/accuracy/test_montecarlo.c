@@ -102,10 +102,10 @@ static void assert_near(const char *what, core_mc_value ours, double theirs, dou
   }
 }
 
-static montecarlo_run walk_layers(const core_mc_layer *layers, size_t count, double eta_below,
+static montecarlo_run walk_layers(const core_medium *layers, size_t count, double eta_below,
                                   uint64_t batches, uint64_t seed) {
   core_mc_request request = {.eta_below = eta_below, .seed = seed};
-  core_mc_request_layers(&request, layers, count);
+  core_mc_request_medium(&request, layers, count);
   montecarlo_rings(&request, PLAIN_RINGS, 0.003, 10);
   return montecarlo_run_batches(&request, batches);
 }
@@ -113,7 +113,7 @@ static montecarlo_run walk_layers(const core_mc_layer *layers, size_t count, dou
 /* The three layers that MCML's authors publish (Wang, Jacques, Zheng 1995, sample.mco), per launched
  * power. */
 UNIT_TEST(mcml_is_met) {
-  const core_mc_layer layers[] = {
+  const core_medium layers[] = {
       {1, 100, 0.9, 1.37, 0.1}, {1, 10, 0, 1.37, 0.1}, {2, 10, 0.7, 1.37, 0.2}};
   montecarlo_run run = walk_layers(layers, 3, 0, 200, MONTECARLO_SEED);
   const core_mc_energy energy = montecarlo_energy(&run, 0);
@@ -127,11 +127,11 @@ UNIT_TEST(mcml_is_met) {
 /* A slab is the same slab when it is cut, and a film of nothing on top of it changes nothing. The two
  * are walked by different loops. */
 UNIT_TEST(cut_slabs_are_walked_as_one) {
-  static const core_mc_layer whole = {0.2, 8, 0.7, 1.4, 1.2};
-  const core_mc_layer cut[] = {{0.2, 8, 0.7, 1.4, 0.05},
-                               {0.2, 8, 0.7, 1.4, 0.35},
-                               {0.2, 8, 0.7, 1.4, 0.8},
-                               {1e-9, 0, 0, 1, 1e4}};
+  static const core_medium whole = {0.2, 8, 0.7, 1.4, 1.2};
+  const core_medium cut[] = {{0.2, 8, 0.7, 1.4, 0.05},
+                             {0.2, 8, 0.7, 1.4, 0.35},
+                             {0.2, 8, 0.7, 1.4, 0.8},
+                             {1e-9, 0, 0, 1, 1e4}};
   montecarlo_run one = walk_layers(&whole, 1, 0, 150, 1);
   montecarlo_run other = walk_layers(cut, 4, 1, 150, 2);
   const core_mc_energy a = montecarlo_energy(&one, 0), b = montecarlo_energy(&other, 0);
@@ -180,9 +180,9 @@ UNIT_TEST(layers_are_walked_as_they_are_solved) {
   static const struct {
     size_t count;
     double eta_below;
-    core_mc_layer layer[2];
+    core_medium layer[2];
   } stacks[] = {
-      {2, 1, {{2, 40, 0.9, 1.4, 0.06}, {0.05, 20, 0.85, 1.4, (double)INFINITY}}},
+      {2, 1, {{2, 40, 0.9, 1.4, 0.06}, {0.05, 20, 0.85, 1.4, 0}}},
       {2, 1.5, {{5, 5, 0.5, 1.5, 0.05}, {0.1, 15, -0.4, 1.33, 0.6}}},
       {1, 0.75, {{0.1, 3, 0.8, 1.3, 1}}},
   };
@@ -194,9 +194,9 @@ UNIT_TEST(layers_are_walked_as_they_are_solved) {
   for (size_t i = 0; i < sizeof stacks / sizeof stacks[0]; i++) {
     solver_layer layers[2];
     for (size_t k = 0; k < stacks[i].count; k++) {
-      const core_mc_layer *of = &stacks[i].layer[k];
-      layers[k] =
-          (solver_layer){of->sigma_a_per_mm, of->sigma_s_per_mm, of->g, of->eta, of->thickness_mm};
+      const core_medium *of = &stacks[i].layer[k];
+      layers[k] = (solver_layer){of->sigma_a_per_mm, of->sigma_s_per_mm, of->g, of->eta,
+                                 of->thickness_mm > 0 ? of->thickness_mm : (double)INFINITY};
     }
     solver_layers *solution;
     solver_balance balance;

@@ -22,7 +22,7 @@ static core_mc_request request_of(const walks_medium *of, size_t rings, uint64_t
                              .phase = of->phase,
                              .phase_share = of->phase_share,
                              .phase_g = of->phase_g};
-  core_mc_request_medium(&request, &medium);
+  core_mc_request_medium(&request, &medium, 1);
   return request;
 }
 

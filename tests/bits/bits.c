@@ -343,7 +343,7 @@ static void print_walks(const core_isa *isa) {
                                .phase_share = phases[i].share,
                                .phase_g = phases[i].g};
     uint64_t sum = CHECKSUM_START;
-    core_mc_request_medium(&request, &medium);
+    core_mc_request_medium(&request, &medium, 1);
     core_mc_plan *plan = core_mc_plan_create(&request);
     core_mc_total *total = core_mc_total_create(plan);
     core_mc_batch *batch = core_mc_batch_create(plan);

@@ -99,12 +99,12 @@ Examples
   dipole invert --albedo 0.8 --mean-free-path 1 --model quantized --format json
 
 $ dipole eval
-! dipole eval: give --medium NAME, or --sigma-a and --sigma-s
+! dipole eval: give --medium NAME, or --sigma-a and --sigma-s, or --layer
 ! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 1
-! dipole eval: give --medium NAME, or --sigma-a and --sigma-s
+! dipole eval: give --medium NAME, or --sigma-a and --sigma-s, or --layer
 ! `dipole eval --help` says more.
 ? 2
 

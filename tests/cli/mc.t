@@ -169,7 +169,7 @@ $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --phase modified --phase-share 0.9 --r 1
 ? 1
 
 $ dipole mc
-! dipole mc: give --medium NAME, or --sigma-a and --sigma-s
+! dipole mc: give --medium NAME, or --sigma-a and --sigma-s, or --layer
 ! `dipole mc --help` says more.
 ? 2
 
@@ -260,4 +260,55 @@ $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --photons 1e12
 
 $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --detector-na 1.1
 ! dipole mc: bad-value: detector_na: allowed: 0.01 to 1 (--detector-na)
+? 1
+
+$ dipole mc --layer 2,5,0.8,1.4,0.05 --layer 0.1,10,0.8,1.33,0.5 --eta-below 1.33 --photons 2e4 --to 2 --rings 1
+Monte Carlo, ended by photons, photons 20480, error of the total R 0.015, largest error of a ring 0.015
+
+channel 1, layers 2,5,0.8,1.4,0.05 0.1,10,0.8,1.33,0.5, eta_below 1.33, seed 1, photons 20480
+
+albedo    quantity       from  to         value    error  relative  photons
+                           mm  mm        1/mm^2   1/mm^2
+--------  -------------  ----  --  ------------  -------  --------  -------
+0.714286  R                 0   2   1.00472e-02  1.5e-04     1.5 %     4014
+0.714286  T                 0   2   4.68019e-02  1.5e-04    0.33 %    15202
+0.714286  R_total                   1.28844e-01  1.9e-03     1.5 %
+0.714286  R_unscattered             3.17420e-04  0.0e+00       0 %
+0.714286  R_under                   0.00000e+00  0.0e+00         -
+0.714286  R_over                    2.26984e-03  1.5e-04     6.6 %
+0.714286  T_total                   5.99398e-01  2.3e-03    0.39 %
+0.714286  T_unscattered             4.51365e-03  0.0e+00       0 %
+0.714286  T_under                   0.00000e+00  0.0e+00         -
+0.714286  T_over                    6.75440e-03  5.4e-04       8 %
+0.714286  absorbed                  2.71555e-01  9.6e-04    0.35 %
+0.714286  unfinished                0.00000e+00  0.0e+00         -
+0.714286  roulette                 -2.03172e-04  2.4e-04         -
+0.714286  absorbed_1                1.84646e-01  8.7e-04    0.47 %
+0.714286  absorbed_2                8.69089e-02  4.2e-04    0.49 %
+per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.972222 (eta 1.4)
+under, over: within the first ring's inner edge, and beyond the last ring; unscattered: at
+r = 0; unfinished: walks that were cut off; roulette: added by it, about 0. These and the
+totals are shares of the power that entered.
+
+$ dipole mc --layer 1,2
+! dipole mc: --layer 1,2: give SIGMA_A,SIGMA_S,G,ETA, and the thickness in mm of a layer that is no half space
+! `dipole mc --help` says more.
+? 2
+
+$ dipole mc --layer 1,2,0,1.4 --layer 1,2,0,1.4
+! dipole mc: --layer 1,2,0,1.4: only the last layer may be a half space: add its thickness in mm
+! `dipole mc --help` says more.
+? 2
+
+$ dipole mc --layer 1,2,0,1.4 --g 0.5
+! dipole mc: --layer gives a layer whole: leave --medium, --channel, --sigma-a, --sigma-s, --g, --eta and --thickness out
+! `dipole mc --help` says more.
+? 2
+
+$ dipole mc --layer 1,2,0,1.4,1 --layer 1,2,0,-1 --photons 1
+! dipole mc: bad-value: eta of layer 2 of medium 1: allowed: 0.001 to 1000 (--layer)
+? 1
+
+$ dipole mc --layer 1,2,0,1.4,1 --layer 1,2,0,1.4 --albedo 0.5,0.6 --photons 1
+! dipole mc: bad-value: albedo_count: allowed: 1: layers have an albedo each (--albedo)
 ? 1

@@ -288,10 +288,10 @@ def test_max_mc_photons(daemon):
 
 def test_tables_larger_than_a_frame(daemon):
     with daemon("--max-frame-bytes", "4096").connect() as connection:
-        # 72 + 8 (n + 1) + 176 + 24 n bytes
-        connection.send_bytes(frame(MC, 77, mc_payload(edges=Grid(0.0, 5.0, 121))))
+        # 72 + 8 (n + 1) + 304 + 24 n bytes
+        connection.send_bytes(frame(MC, 77, mc_payload(edges=Grid(0.0, 5.0, 117))))
         assert len(receive_table(connection).payload) == 4096
-        reply = ask(connection, MC, mc_payload(edges=Grid(0.0, 5.0, 122)))
+        reply = ask(connection, MC, mc_payload(edges=Grid(0.0, 5.0, 118)))
         assert_error(reply, "too-large", "ring_count", "at most 4096 bytes")
 
 
@@ -379,3 +379,14 @@ def test_whole_numbers_may_be_floats(client):
     for wrong in ({"photons": 2.5}, {"photons": np.nan}, {"photons": "2e5"}, {"seed": 0.1}):
         with pytest.raises(dipole.ArgumentError, match=next(iter(wrong))):
             client.mc(SKIN, Grid(0.0, 4.0, 5), **wrong)
+
+
+def test_layers(client):
+    """What each layer absorbs adds up, and light leaves below the last one."""
+    stack = [Medium(2, 5, 0.8, 1.4, 0.05), Medium(0.1, 10, 0.8, 1.33, 0.5)]
+    found = client.mc(stack, EDGES, photons=16 * BATCH, parameters={"eta_below": 1.33})
+    energy = found.energies[0]
+    absorbed = [one.value for one in energy.in_layer]
+    assert sum(absorbed) == pytest.approx(energy.absorbed.value) and min(absorbed[:2]) > 0
+    assert absorbed[2:] == [0.0] * 6 and abs(energy.imbalance) < 1e-12
+    assert found.values.shape == (1, 2, 10) and energy.T.value > energy.R.value > 0

@@ -198,7 +198,8 @@ def test_values_are_those_of_dipole_eval(page, served, link, tmp_path):
     shown = page.values()
     commands = re.sub("^dipole eval", "dipole eval --format csv", page.code("shell"), flags=re.M)
     printed = dipole_shell(served, re.sub("(?m)^dipole invert.*", "", commands), tmp_path)
-    rows = [row for row in csv.DictReader(io.StringIO(printed)) if row["model"] != "model"]
+    parts = re.split("(?m)^(?=model,)", printed)[1:]  # a slab has a column more
+    rows = [row for part in parts for row in csv.DictReader(io.StringIO(part))]
     assert len(shown) >= 2 and {row["model"] for row in rows} == set(shown)
     table = page.rows("values")
     evaluators = dict(zip(table[0], table[-1]))
@@ -206,6 +207,20 @@ def test_values_are_those_of_dipole_eval(page, served, link, tmp_path):
         expected = [row["R"] for row in rows if row["model"] == model]
         single = evaluators[model] != "f64"
         assert bits(texts, single) == bits(expected, single), model
+
+
+def test_layers_above_the_medium(page, served, tmp_path):
+    """Each language has the same numbers."""
+    page.open("films=2,5,0.8,1.4,0.05&models=transport&evaluator=f64&r=1,2")
+    shown = page.values()
+    assert set(shown) == {"transport"}
+    printed = dipole_shell(served, page.code("shell").replace(" eval", " eval --format csv"), tmp_path)
+    assert bits(shown["transport"], False) == bits(
+        [row["R"] for row in csv.DictReader(io.StringIO(printed))], False)
+    assert "--layer 2,5,0.8,1.4,0.05 --layer " in page.code("shell")
+    assert '"medium":[[{"sigma_a":2,' in page.code("http")
+    assert "layers = [dipole.Medium(2, 5, 0.8, 1.4, 0.05), medium" in page.code("python")
+    assert "query.layer_count = 2" in page.code("c")
 
 
 def test_the_cursor_shows_values(page, served):

@@ -53,8 +53,8 @@ UNIT_TEST(layers_are_taken_up_to_their_limits) {
     core_mc_request changed = montecarlo_request(0.9, 0, 1.4);                                     \
     changed.thickness_mm = 1;                                                                      \
     changed.below_count = 2;                                                                       \
-    changed.below[0] = (core_mc_layer){1, 2, 0.5, 1.3, 2};                                         \
-    changed.below[1] = (core_mc_layer){1, 2, 0.5, 1.3, (double)INFINITY};                          \
+    changed.below[0] = (core_medium){1, 2, 0.5, 1.3, 2};                                           \
+    changed.below[1] = (core_medium){1, 2, 0.5, 1.3, (double)INFINITY};                            \
     changed.member = (value);                                                                      \
     unit_assert_fault(core_mc_check(&changed), (field), (index));                                  \
   } while (0)
@@ -73,7 +73,7 @@ UNIT_TEST(layers_are_taken_up_to_their_limits) {
   CHECK(below[0].eta, 0, "eta", 1);
   CHECK(albedo_count, 2, "albedo_count", 0);
   CHECK(phase, CORE_PHASE_MODIFIED, "phase", 0);
-  CHECK(below_count, CORE_MC_LAYERS_MAX, "layer_count", 0);
+  CHECK(below_count, CORE_LAYERS_MAX, "layer_count", 0);
 #undef CHECK
 }
 
@@ -81,7 +81,7 @@ UNIT_TEST(media_become_requests) {
   const core_medium medium = {0.5, 1.5, 0.25, 1.3};
   core_mc_request request = montecarlo_request(0.9, 0, 1);
   request.albedo_count = 7;
-  core_mc_request_medium(&request, &medium);
+  core_mc_request_medium(&request, &medium, 1);
   assert_true(request.sigma_t_per_mm == 2 && request.g == 0.25 && request.eta == 1.3);
   assert_true(request.albedo_count == 1 && request.albedo[0] == 0.75);
 }
@@ -275,12 +275,12 @@ static void assert_same(const core_mc_request *request, const core_mc_total *a,
 
 /* An absorbing film, a guide that scatters backwards, and a foot of either kind. */
 static core_mc_request layered_request(size_t i) {
-  const core_mc_layer layers[] = {{30, 0.1, 0.5, 1.5, 0.002},
-                                  {0.01, 15, -0.4, 1.33, 0.6},
-                                  {0, 8, 0, 1.33, 0.1},
-                                  {0.2, 9, 0.9, 1.6, i % 2 == 0 ? 0.3 : (double)INFINITY}};
+  const core_medium layers[] = {{30, 0.1, 0.5, 1.5, 0.002},
+                                {0.01, 15, -0.4, 1.33, 0.6},
+                                {0, 8, 0, 1.33, 0.1},
+                                {0.2, 9, 0.9, 1.6, i % 2 == 0 ? 0.3 : 0}};
   core_mc_request request = {.edges = {CORE_SPACING_LOGARITHMIC, 31, 0.01, 30}, .seed = i};
-  core_mc_request_layers(&request, layers + i % 4, 4 - i % 4);
+  core_mc_request_medium(&request, layers + i % 4, 4 - i % 4);
   request.eta_below = 0.75;
   request.aperture = i % 3 == 0 ? 0.5 : 0;
   request.scatterings_max = i == 1 ? 50 : 0;

@@ -158,6 +158,7 @@ def _energy(one: Any) -> McEnergy:
         unscattered=one.unscattered,
         under=_sides(one.under, one.under_error),
         over=_sides(one.over, one.over_error),
+        in_layer=tuple(map(McValue, one.in_layer, one.in_layer_error)),
         imbalance=one.imbalance,
     )
 

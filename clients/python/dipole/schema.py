@@ -119,7 +119,7 @@ STRUCTURES = {
         "f64 albedo, f64 reflected, f64 reflected_error, f64 transmitted, f64 transmitted_error, "
         "f64 absorbed, f64 absorbed_error, f64 unfinished, f64 unfinished_error, f64 roulette, "
         "f64 roulette_error, f64 unscattered[2], f64 under[2], f64 under_error[2], f64 over[2], "
-        "f64 over_error[2], f64 imbalance, "
+        "f64 over_error[2], f64 in_layer[8], f64 in_layer_error[8], f64 imbalance, "
     ),
     "cancel_request": (
         "u64 job_id, "

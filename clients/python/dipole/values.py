@@ -607,6 +607,7 @@ class McEnergy(NamedTuple):
     unscattered: tuple[float, float]  # leaves at r = 0 and counts in no ring; exact
     under: tuple[McValue, McValue]  # leaves within the inner edge of the first ring
     over: tuple[McValue, McValue]  # leaves beyond the outer edge of the last ring
+    in_layer: tuple[McValue, ...]  # absorbed in each layer, from the top down; else 0
     imbalance: float  # R + T + absorbed + unfinished - roulette - 1, which is 0 up to rounding
 
 
