@@ -21,7 +21,7 @@ static bool read_number(const char *text, int least, int most, int *value) {
          *value >= least && *value <= most;
 }
 
-/* Each read_ function reads a part of the option. It returns NULL, or the text of what is wrong. */
+/* Each of these reads a part of the option. It returns NULL, or the text of what is wrong. */
 
 static const char *read_path(struct modbus_device *device, const char *text) {
   if (*text == '\0' || strlen(text) >= sizeof device->path) {
@@ -54,43 +54,36 @@ static const char *read_parity(struct modbus_device *device, const char *text) {
              : "PARITY is N, E or O, maybe with the number of stop bits: N1 or E2";
 }
 
-static const char *read_unit(struct modbus_device *device, const char *text) {
-  int number;
-  const bool right = read_number(text, 1, UNIT_MOST, &number);
-  device->number = (unsigned)number;
-  return right ? NULL : "UNIT is 1 to 247";
-}
-
-static const char *read_rts(struct modbus_device *device, const char *text) {
-  device->rts = strcmp(text, "high") == 0  ? MODBUS_RTS_HIGH
-                : strcmp(text, "low") == 0 ? MODBUS_RTS_LOW
-                                           : MODBUS_RTS_UNUSED;
-  return device->rts != MODBUS_RTS_UNUSED ? NULL : "rts is high or low: RTS while the daemon sends";
-}
-
-static const char *read_rts_delay(struct modbus_device *device, const char *text) {
-  int delay_ms;
-  const bool right = read_number(text, 0, RTS_DELAY_MOST_MS, &delay_ms);
-  device->rts_delay_ms = (unsigned)delay_ms;
-  return right ? NULL : "rts-delay-ms is 0 to 1000";
-}
-
-/* Reads a part of the option. Parts without a name come in a fixed order. */
+/* Reads a part of the option. Parts without a name come in a fixed order; *place counts them. */
 static const char *read_part(struct modbus_device *device, const char *text, unsigned *place) {
-  static const char *(*const in_order[])(struct modbus_device *, const char *) = {
-      read_path, read_baud, read_parity, read_unit};
-  static const struct {
-    const char *name;
-    const char *(*read)(struct modbus_device *, const char *);
-  } named[] = {{"rts=", read_rts}, {"rts-delay-ms=", read_rts_delay}};
-  for (size_t i = 0; i < sizeof named / sizeof named[0]; i++) {
-    const size_t length = strlen(named[i].name);
-    if (*place > 0 && strncmp(text, named[i].name, length) == 0) {
-      return named[i].read(device, text + length);
-    }
+  int number;
+  if (*place > 0 && strncmp(text, "rts=", 4) == 0) {
+    device->rts = strcmp(text + 4, "high") == 0  ? MODBUS_RTS_HIGH
+                  : strcmp(text + 4, "low") == 0 ? MODBUS_RTS_LOW
+                                                 : MODBUS_RTS_UNUSED;
+    return device->rts != MODBUS_RTS_UNUSED ? NULL
+                                            : "rts is high or low: RTS while the daemon sends";
   }
-  return *place < sizeof in_order / sizeof in_order[0] ? in_order[(*place)++](device, text)
-                                                       : read_path(device, "");
+  if (*place > 0 && strncmp(text, "rts-delay-ms=", 13) == 0) {
+    const bool right = read_number(text + 13, 0, RTS_DELAY_MOST_MS, &number);
+    device->rts_delay_ms = (unsigned)number;
+    return right ? NULL : "rts-delay-ms is 0 to 1000";
+  }
+  switch ((*place)++) {
+  case 0:
+    return read_path(device, text);
+  case 1:
+    return read_baud(device, text);
+  case 2:
+    return read_parity(device, text);
+  case 3: {
+    const bool right = read_number(text, 1, UNIT_MOST, &number);
+    device->number = (unsigned)number;
+    return right ? NULL : "UNIT is 1 to 247";
+  }
+  default:
+    return read_path(device, "");
+  }
 }
 
 bool modbus_device_read_url(struct modbus_device *device, const char *url) {

@@ -82,35 +82,18 @@ uint64_t histogram_below(const struct histogram_sum *sum, unsigned octave) {
 /* ---- latencies ------------------------------------------------------------------------------- */
 
 void latency_finish(struct latency *latency) {
-  if (latency->group_count == 0) {
-    return;
+  const uint64_t now_ns = latency->count > 0 ? uv_hrtime() : 0;
+  for (unsigned i = 0; i < latency->count; i++) {
+    const struct latency_reply *reply = &latency->replies[i];
+    histogram_add(&latency->histograms[reply->kind], now_ns - reply->arrived_ns, 1);
   }
-  const uint64_t now_ns = uv_hrtime();
-  for (unsigned i = 0; i < latency->group_count; i++) {
-    const struct latency_group *group = &latency->groups[i];
-    for (unsigned kind = 0; kind < LATENCY_CLASSES; kind++) {
-      if (group->counts[kind] > 0) {
-        histogram_add(&latency->histograms[kind], now_ns - group->arrived_ns, group->counts[kind]);
-      }
-    }
-  }
-  latency->group_count = 0;
+  latency->count = 0;
 }
 
 void latency_note(struct latency *latency, enum latency_class kind, uint64_t arrived_ns) {
-  if (kind == LATENCY_NONE) {
-    return;
-  }
-  for (unsigned i = 0; i < latency->group_count; i++) {
-    if (latency->groups[i].arrived_ns == arrived_ns) {
-      latency->groups[i].counts[kind]++;
-      return;
-    }
-  }
-  if (latency->group_count == LATENCY_GROUPS) {
+  if (latency->count == LATENCY_REPLIES) {
     latency_finish(latency);
   }
-  struct latency_group *group = &latency->groups[latency->group_count++];
-  *group = (struct latency_group){.arrived_ns = arrived_ns};
-  group->counts[kind] = 1;
+  latency->replies[latency->count] = (struct latency_reply){kind, arrived_ns};
+  latency->count += kind != LATENCY_NONE;
 }

@@ -3,9 +3,7 @@
  * or, for a slow reader, are ready to be written.
  *
  * The worker reads the clock once when a round of its loop first reads, and once at the end of the
- * round, however many requests there are. Requests that arrived and were answered in the same
- * rounds are counted together. Measured: a request that arrives together with many others costs 5
- * ns, and one that arrives alone 100 ns of the 6,300 ns that the daemon needs for it.
+ * round, or for every 64 requests.
  *
  * Histograms like HdrHistogram (G. Tene) hold the latencies: each octave of durations has 32
  * buckets of equal width. So every duration from 1 us to 100 s is known to within 1.6 %, in
@@ -65,18 +63,18 @@ enum latency_class {
   LATENCY_NONE = LATENCY_CLASSES
 };
 
-enum { LATENCY_GROUPS = 8 };
+enum { LATENCY_REPLIES = 64 };
 
-/* Requests that arrived at the same time and are answered in the current round. */
-struct latency_group {
+/* A request that is answered in the current round. */
+struct latency_reply {
+  enum latency_class kind;
   uint64_t arrived_ns;
-  uint64_t counts[LATENCY_CLASSES];
 };
 
 /* The latencies of one worker. All members start as 0. Other threads may read the histograms. */
 struct latency {
-  unsigned group_count;
-  struct latency_group groups[LATENCY_GROUPS];
+  unsigned count;
+  struct latency_reply replies[LATENCY_REPLIES];
   struct histogram histograms[LATENCY_CLASSES];
 };
 
