@@ -50,8 +50,8 @@ void job_init_other(struct job *job, struct lookup *lookup, const struct job_req
   lookup->context = request->owner;
   lookup->owner = request->profiles;
   lookup->entry = NULL;
-  lookup->waiter.entry = NULL;
-  lookup->waiter.admitted = false;
+  lookup->awaited = NULL;
+  lookup->admitted = false;
   lookup->woken = false;
 }
 

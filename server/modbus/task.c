@@ -45,7 +45,7 @@ void modbus_task_refresh(struct modbus_task *task) {
   if (task->run.state == RUN_IDLE) {
     return;
   }
-  const uint64_t place = job->lookup != NULL ? cache_place(&job->lookup->waiter) : 0;
+  const uint64_t place = job->lookup != NULL ? lookup_place(job->lookup) : 0;
   registers_set_u16(task->registers, fields_of(task)->place,
                     place < UINT16_MAX ? (unsigned)place : UINT16_MAX);
   if (task->owed_radii > 0) {

@@ -3,7 +3,7 @@
 #include <string.h>
 
 #include "server/net/worker.h"
-#include "server/store/lookup.h"
+#include "server/store/cache.h"
 
 static uint64_t now_ms(void) {
   return uv_hrtime() / 1000000;

@@ -95,14 +95,6 @@ static void release_all(struct entries *evicted) {
   }
 }
 
-const void *cache_thing(const struct cache_entry *entry) {
-  return entry->memory;
-}
-
-core_fault cache_fault(const struct cache_entry *entry) {
-  return entry->fault;
-}
-
 bool cache_keeps(const struct cache_entry *entry) {
   return atomic_load_explicit(&entry->kept, memory_order_relaxed);
 }
@@ -261,8 +253,7 @@ static void keep_entry(struct cache *cache, struct cache_entry *entry, struct en
 
 /* ---- waiting --------------------------------------------------------------------------------- */
 
-static void join_queue(struct cache *cache, struct cache_owner *owner,
-                       struct cache_waiter *waiter) {
+static void join_queue(struct cache *cache, struct cache_owner *owner, struct lookup *waiter) {
   if (owner->count++ == 0) {
     TAILQ_INIT(&owner->waiters);
     if (cache->latest != NULL) {
@@ -271,16 +262,16 @@ static void join_queue(struct cache *cache, struct cache_owner *owner,
       TAILQ_INSERT_TAIL(&cache->turns, owner, in_turns);
     }
   }
-  waiter->owner = owner;
+  waiter->queued_for = owner;
   TAILQ_INSERT_TAIL(&owner->waiters, waiter, in_owner);
 }
 
 /* Removes the waiter from its owner's queue, if it is there. */
-static void leave_queue(struct cache *cache, struct cache_waiter *waiter) {
-  struct cache_owner *owner = waiter->owner;
+static void leave_queue(struct cache *cache, struct lookup *waiter) {
+  struct cache_owner *owner = waiter->queued_for;
   if (owner != NULL) {
     TAILQ_REMOVE(&owner->waiters, waiter, in_owner);
-    waiter->owner = NULL;
+    waiter->queued_for = NULL;
     if (--owner->count == 0) {
       TAILQ_REMOVE(&cache->turns, owner, in_turns);
       cache->latest = cache->latest == owner ? NULL : cache->latest;
@@ -288,22 +279,21 @@ static void leave_queue(struct cache *cache, struct cache_waiter *waiter) {
   }
 }
 
-static void wait_for(struct cache_entry *entry, struct cache_owner *owner,
-                     struct cache_queue *queue, struct cache_waiter *waiter) {
+static void wait_for(struct cache_entry *entry, struct lookups *at, struct lookup *waiter) {
   cache_hold(entry);
-  waiter->entry = entry;
-  waiter->queue = queue;
-  waiter->owner = NULL;
+  waiter->awaited = entry;
+  waiter->waits_at = at;
+  waiter->queued_for = NULL;
   waiter->list = &entry->waiters;
   LIST_INSERT_HEAD(waiter->list, waiter, in_list);
   atomic_store(&entry->stop, false);
   if (!entry->begun) {
-    join_queue(entry->cache, owner, waiter);
+    join_queue(entry->cache, waiter->owner, waiter);
   }
 }
 
 /* Removes a waiter from the list of its entry or of its queue, if it is in one. */
-static void leave_list(struct cache_waiter *waiter) {
+static void leave_list(struct lookup *waiter) {
   if (waiter->list != NULL) {
     LIST_REMOVE(waiter, in_list);
     waiter->list = NULL;
@@ -313,9 +303,9 @@ static void leave_list(struct cache_waiter *waiter) {
 /* Wakes the queues of all waiters of an entry. These queues are valid: the thread of a queue takes
  * its waiters out of this list before it ends. */
 static void wake_all(struct cache_entry *entry) {
-  struct cache_waiter *waiter;
+  struct lookup *waiter;
   while ((waiter = LIST_FIRST(&entry->waiters)) != NULL) {
-    struct cache_queue *queue = waiter->queue;
+    struct lookups *queue = waiter->waits_at;
     leave_list(waiter);
     waiter->list = &queue->woken;
     LIST_INSERT_HEAD(waiter->list, waiter, in_list);
@@ -341,8 +331,8 @@ static struct cache_entry *begin_turn(struct cache *cache) {
   TAILQ_REMOVE(&cache->turns, owner, in_turns);
   TAILQ_INSERT_TAIL(&cache->turns, owner, in_turns);
   cache->latest = owner;
-  struct cache_entry *entry = TAILQ_FIRST(&owner->waiters)->entry;
-  struct cache_waiter *waiter;
+  struct cache_entry *entry = TAILQ_FIRST(&owner->waiters)->awaited;
+  struct lookup *waiter;
   LIST_FOREACH(waiter, &entry->waiters, in_list) {
     leave_queue(cache, waiter);
   }
@@ -377,40 +367,51 @@ static struct cache_entry *new_entry(struct cache *cache, const struct cache_key
   return entry;
 }
 
-static enum cache_answer look_up(struct cache *cache, const struct cache_key *key, bool slow,
-                                 struct cache_owner *owner, struct cache_queue *queue,
-                                 struct cache_waiter *waiter, struct cache_entry **found) {
+static enum lookup_answer refuse_lookup(struct lookup *lookup, const char *field,
+                                        const char *allowed) {
+  lookup->fault = (core_fault){field, allowed, 0};
+  return LOOKUP_FAULT;
+}
+
+/* Sets lookup->entry to a reference if the thing is there. *is_new: whether the entry is new and fast,
+ * so that the caller has to prepare it. */
+static enum lookup_answer look_up(struct cache *cache, struct lookups *at, struct lookup *lookup,
+                                  const struct cache_key *key, bool slow, bool *is_new) {
   struct cache_entry *entry = find_entry(cache, key);
   const bool new = entry == NULL;
   if (new && key->kind->hold != NULL && key->source == NULL) {
-    return CACHE_UNKNOWN;
+    return refuse_lookup(lookup, LOOKUP_FIELD_UNKNOWN,
+                         "sets of points that were sent to this daemon and are kept");
   }
-  if ((new ? slow : !entry->begun) && !waiter->admitted && owner->count >= cache->max_waiting) {
-    return CACHE_BUSY;
+  if ((new ? slow : !entry->begun) && !lookup->admitted &&
+      lookup->owner->count >= cache->max_waiting) {
+    return refuse_lookup(lookup, LOOKUP_FIELD_BUSY, "fewer profiles that wait at a time");
   }
   if (new) {
     entry = new_entry(cache, key, slow);
     if (entry == NULL) {
-      return CACHE_NO_MEMORY;
+      return refuse_lookup(lookup, CORE_FIELD_MEMORY,
+                           "less than the memory that is free: try again");
     }
   }
-  if (entry->under_way && !(new && !slow)) {
-    wait_for(entry, owner, queue, waiter);
-    return CACHE_AWAITED;
+  *is_new = new && !slow;
+  if (entry->under_way && !*is_new) {
+    wait_for(entry, at, lookup);
+    return LOOKUP_WAIT;
   }
   if (!new) {
     move_to_head(list_of(cache, entry), entry);
   }
   cache_hold(entry);
-  *found = entry;
-  return new ? CACHE_NEW : CACHE_KEPT;
+  lookup->entry = entry;
+  return LOOKUP_READY;
 }
 
 /* Returns how many turns come before that of a waiter. Its owner has `turns` turns before. An owner
  * that comes earlier in a round has one turn more than that, if it has enough waiters. */
-static uint64_t place_of(const struct cache *cache, const struct cache_waiter *waiter) {
+static uint64_t place_of(const struct cache *cache, const struct lookup *waiter) {
   uint64_t turns = 0;
-  for (const struct cache_waiter *before = waiter;
+  for (const struct lookup *before = waiter;
        (before = TAILQ_PREV(before, cache_waiting, in_owner)) != NULL;) {
     turns++;
   }
@@ -418,7 +419,7 @@ static uint64_t place_of(const struct cache *cache, const struct cache_waiter *w
   bool earlier = true;
   const struct cache_owner *owner;
   TAILQ_FOREACH(owner, &cache->turns, in_turns) {
-    if (owner == waiter->owner) {
+    if (owner == waiter->queued_for) {
       earlier = false;
     } else {
       const uint64_t most = turns + earlier;
@@ -473,15 +474,6 @@ void cache_free(struct cache *cache) {
   free(cache);
 }
 
-enum cache_answer cache_look(struct cache *cache, const struct cache_key *key, bool slow,
-                             struct cache_owner *owner, struct cache_queue *queue,
-                             struct cache_waiter *waiter, struct cache_entry **entry) {
-  uv_mutex_lock(&cache->mutex);
-  const enum cache_answer answer = look_up(cache, key, slow, owner, queue, waiter, entry);
-  uv_mutex_unlock(&cache->mutex);
-  return answer;
-}
-
 struct cache_entry *cache_begin_turn(struct cache *cache) {
   uv_mutex_lock(&cache->mutex);
   struct cache_entry *entry = begin_turn(cache);
@@ -495,13 +487,13 @@ void cache_end_turn(struct cache *cache) {
   uv_mutex_unlock(&cache->mutex);
 }
 
-uint64_t cache_place(const struct cache_waiter *waiter) {
-  if (waiter->entry == NULL) {
+uint64_t lookup_place(const struct lookup *lookup) {
+  if (lookup->awaited == NULL) {
     return 0;
   }
-  struct cache *cache = waiter->entry->cache;
+  struct cache *cache = lookup->awaited->cache;
   uv_mutex_lock(&cache->mutex);
-  const uint64_t place = waiter->owner != NULL ? place_of(cache, waiter) : 0;
+  const uint64_t place = lookup->queued_for != NULL ? place_of(cache, lookup) : 0;
   uv_mutex_unlock(&cache->mutex);
   return place;
 }
@@ -509,7 +501,7 @@ uint64_t cache_place(const struct cache_waiter *waiter) {
 void cache_move_waiters(struct cache *cache, struct cache_owner *from, struct cache_owner *to) {
   uv_mutex_lock(&cache->mutex);
   while (from->count > 0) {
-    struct cache_waiter *waiter = TAILQ_FIRST(&from->waiters);
+    struct lookup *waiter = TAILQ_FIRST(&from->waiters);
     leave_queue(cache, waiter);
     join_queue(cache, to, waiter);
   }
@@ -559,6 +551,8 @@ static void prepare_in_turn(uv_work_t *work) {
   cache_prepare(work->data);
 }
 
+static void prepare_in_pool(struct cache *cache, uv_loop_t *loop);
+
 static void on_prepared(uv_work_t *work, int status) {
   (void)status; /* The work is never cancelled: cache_prepare() checks whether it is wanted. */
   struct cache_entry *entry = work->data;
@@ -566,10 +560,12 @@ static void on_prepared(uv_work_t *work, int status) {
   uv_loop_t *loop = work->loop;
   cache_release(entry);
   cache_end_turn(cache);
-  cache_prepare_in_pool(cache, loop);
+  prepare_in_pool(cache, loop);
 }
 
-void cache_prepare_in_pool(struct cache *cache, uv_loop_t *loop) {
+/* Prepares slow entries, turn by turn, on threads of libuv's pool. The loop does not end before the
+ * preparations that have begun. */
+static void prepare_in_pool(struct cache *cache, uv_loop_t *loop) {
   struct cache_entry *entry;
   while ((entry = cache_begin_turn(cache)) != NULL) {
     entry->work.data = entry;
@@ -578,32 +574,109 @@ void cache_prepare_in_pool(struct cache *cache, uv_loop_t *loop) {
   }
 }
 
-struct cache_waiter *cache_next_woken(struct cache *cache, struct cache_queue *queue) {
-  uv_mutex_lock(&cache->mutex);
-  struct cache_waiter *waiter = LIST_FIRST(&queue->woken);
-  if (waiter != NULL) {
-    leave_list(waiter);
-  }
-  uv_mutex_unlock(&cache->mutex);
-  return waiter;
+/* ---- lookups --------------------------------------------------------------------------------- */
+
+void lookup_count(const struct lookups *lookups, bool hit) {
+  stats_add(&lookups->server->stats, hit ? STATS_CACHE_HITS : STATS_CACHE_MISSES, 1);
 }
 
-void cache_leave(struct cache_waiter *waiter) {
-  struct cache_entry *entry = waiter->entry;
-  if (entry == NULL) {
-    return;
-  }
-  uv_mutex_lock(&entry->cache->mutex);
-  leave_list(waiter);
-  leave_queue(entry->cache, waiter);
+/* Ends the waiting for an entry, woken or not. */
+static void leave_entry(struct lookup *lookup) {
+  struct cache_entry *entry = lookup->awaited;
+  struct cache *cache = entry->cache;
+  uv_mutex_lock(&cache->mutex);
+  leave_list(lookup);
+  leave_queue(cache, lookup);
   const bool given_up = !entry->begun && give_up(entry);
   if (entry->slow && LIST_EMPTY(&entry->waiters)) {
     atomic_store(&entry->stop, true);
   }
-  uv_mutex_unlock(&entry->cache->mutex);
-  waiter->entry = NULL;
+  uv_mutex_unlock(&cache->mutex);
+  lookup->awaited = NULL;
+  lookup->woken = false;
   if (given_up) {
     cache_release(entry); /* the table's */
   }
   cache_release(entry);
+}
+
+static enum lookup_answer look_up_first(struct lookups *lookups, struct lookup *lookup,
+                                        const struct cache_key *key, bool slow, bool counted) {
+  struct cache *cache = lookups->server->cache;
+  bool is_new = false;
+  uv_mutex_lock(&cache->mutex);
+  const enum lookup_answer answer = look_up(cache, lookups, lookup, key, slow, &is_new);
+  uv_mutex_unlock(&cache->mutex);
+  if (counted) {
+    lookup_count(lookups, answer == LOOKUP_READY && !is_new);
+  }
+  if (is_new) {
+    cache_prepare(lookup->entry);
+  } else if (answer == LOOKUP_WAIT && lookups->loop != NULL) {
+    prepare_in_pool(cache, lookups->loop);
+  }
+  return answer;
+}
+
+enum lookup_answer lookup_get(struct lookups *lookups, struct lookup *lookup,
+                              const struct cache_key *key, bool slow, bool counted) {
+  enum lookup_answer answer = LOOKUP_READY;
+  assert(lookup->entry == NULL);
+  if (lookup->awaited != NULL) { /* The entry is valid even if it has been evicted since. */
+    assert(lookup->woken);
+    cache_hold(lookup->awaited);
+    lookup->entry = lookup->awaited;
+    leave_entry(lookup);
+  } else {
+    answer = look_up_first(lookups, lookup, key, slow, counted);
+  }
+  if (answer == LOOKUP_READY && lookup->entry->fault.field != NULL) {
+    lookup->fault = lookup->entry->fault;
+    lookup_end(lookup);
+    answer = LOOKUP_FAULT;
+  }
+  lookup->admitted |= answer != LOOKUP_FAULT;
+  return answer;
+}
+
+void lookup_end(struct lookup *lookup) {
+  if (lookup->entry != NULL) {
+    cache_release(lookup->entry);
+    lookup->entry = NULL;
+  }
+  if (lookup->awaited != NULL) {
+    leave_entry(lookup);
+  }
+}
+
+const void *lookup_thing(const struct lookup *lookup) {
+  return lookup->entry != NULL ? lookup->entry->memory : NULL;
+}
+
+bool lookup_is_busy(core_fault fault) {
+  return strcmp(fault.field, CORE_FIELD_MEMORY) == 0 || strcmp(fault.field, LOOKUP_FIELD_BUSY) == 0;
+}
+
+bool lookup_is_unknown(core_fault fault) {
+  return strcmp(fault.field, LOOKUP_FIELD_UNKNOWN) == 0;
+}
+
+/* Returns a lookup whose entry has been prepared or has a fault, or NULL. */
+static struct lookup *next_woken(struct lookups *lookups) {
+  struct cache *cache = lookups->server->cache;
+  uv_mutex_lock(&cache->mutex);
+  struct lookup *lookup = LIST_FIRST(&lookups->woken);
+  if (lookup != NULL) {
+    leave_list(lookup);
+  }
+  uv_mutex_unlock(&cache->mutex);
+  return lookup;
+}
+
+void lookups_wake(struct lookups *lookups) {
+  struct lookup *lookup;
+  while ((lookup = next_woken(lookups)) != NULL) {
+    lookup->woken = true;
+    lookup->on_ready(lookup->context);
+  }
 }

@@ -35,8 +35,7 @@
 #include <sys/queue.h>
 #include <uv.h>
 
-#include "core/core.h"
-#include "server/observe/stats.h"
+#include "server/server.h"
 
 struct cache_key;
 
@@ -65,7 +64,7 @@ struct cache_key {
   const void *content;
   size_t content_bytes;
   uint64_t hash; /* of the content, see cache_hash() */
-  void *source;  /* what is needed besides to prepare it; NULL: cache_look() makes no new entry */
+  void *source;  /* what is needed besides to prepare it; NULL: no new entry is made */
 };
 
 /* Adds words of 8 bytes to a hash: multiplies by 2^64 over the golden ratio (Knuth 1998, section 6.4),
@@ -83,59 +82,91 @@ static inline uint64_t cache_hash(uint64_t hash, const void *words, size_t bytes
 struct cache;
 struct cache_entry;
 
-LIST_HEAD(cache_waiters, cache_waiter);
+LIST_HEAD(cache_waiters, lookup);
 
 /* The owner of waiters for slow things, for example a connection. Owners take turns. Before the
  * first use, set all members to 0. The cache's mutex guards them. */
 struct cache_owner {
-  TAILQ_HEAD(cache_waiting, cache_waiter) waiters; /* for entries whose preparation has not begun */
-  uint64_t count;                                  /* number of these waiters */
-  TAILQ_ENTRY(cache_owner) in_turns;               /* while count is above 0 */
+  TAILQ_HEAD(cache_waiting, lookup) waiters; /* for entries whose preparation has not begun */
+  uint64_t count;                            /* number of these waiters */
+  TAILQ_ENTRY(cache_owner) in_turns;         /* while count is above 0 */
 };
 
-/* The woken waiters of one thread. The cache calls `wake`, on any thread, whenever
- * cache_next_woken() has another waiter to return. `wake` must not call the cache. */
-struct cache_queue {
-  void (*wake)(void *context);
+/* What all lookups of one worker share; only its thread uses it. */
+struct lookups {
+  struct server *server;
+  uv_loop_t *loop; /* on whose pool slow things are prepared; NULL: the caller takes the turns */
+  void (*wake)(void *context); /* called on any thread: lookups_wake() has something to do */
   void *context;
   struct cache_waiters woken;
 };
 
-/* A waiter: waits for one entry on behalf of a job. `entry` is NULL while there is none, and the
- * other members except `admitted` then have no meaning. */
-struct cache_waiter {
+/* A job's lookup of one thing after the other. Before the first, set on_ready, context and owner, and
+ * all other members to 0. */
+struct lookup {
+  void (*on_ready)(void *context); /* called after LOOKUP_WAIT: look the same thing up again */
+  void *context;
+  struct cache_owner *owner; /* the owner whose turns are used to prepare slow things */
+  struct cache_entry *entry; /* after LOOKUP_READY: a reference, until lookup_return() */
+  core_fault fault;          /* after LOOKUP_FAULT: why there is nothing */
   bool admitted; /* the job has had a thing before: max_waiting does not stop it halfway */
-  struct cache_entry *entry;
-  struct cache_queue *queue;
-  struct cache_owner *owner; /* the owner whose queue it is in; NULL: the preparation has begun */
-  TAILQ_ENTRY(cache_waiter) in_owner;
-  struct cache_waiters *list; /* the list of the entry or of the queue that it is in; or NULL */
-  LIST_ENTRY(cache_waiter) in_list;
+  bool woken;
+
+  struct cache_entry *awaited;    /* NULL: it does not wait, and these have no meaning: */
+  struct lookups *waits_at;       /* whose thread it is of */
+  struct cache_owner *queued_for; /* whose queue it is in; NULL: the preparation has begun */
+  TAILQ_ENTRY(lookup) in_owner;
+  struct cache_waiters *list; /* the list of the entry, or of the woken, that it is in; or NULL */
+  LIST_ENTRY(lookup) in_list;
 };
 
-/* Makes a cache that keeps at most limit_bytes, and apart_bytes of kinds that stand apart. A waiter that is not admitted yet is refused if its owner has max_waiting waiters for
- * preparations that have not begun. Returns NULL if there is no memory. */
+/* Makes a cache that keeps at most limit_bytes, and apart_bytes of kinds that stand apart. A lookup
+ * that is not admitted yet is refused if its owner has max_waiting lookups that wait for preparations
+ * that have not begun. Returns NULL if there is no memory. */
 struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t apart_bytes,
                         uint64_t max_waiting, struct stats *stats);
 
 /* Frees the cache. Asserts that nothing is being prepared and all references are released. */
 void cache_free(struct cache *cache);
 
-enum cache_answer {
-  CACHE_KEPT,    /* *entry is prepared */
-  CACHE_NEW,     /* the thing is fast to prepare: the caller calls cache_prepare(*entry) at once */
-  CACHE_AWAITED, /* the waiter waits; the caller calls cache_prepare_in_pool() */
-  CACHE_NO_MEMORY,
-  CACHE_UNKNOWN, /* there is no such thing, and the key has no source */
-  CACHE_BUSY,    /* the owner has max_waiting waiters already, and this one is not admitted */
-};
+enum lookup_answer { LOOKUP_READY, LOOKUP_FAULT, LOOKUP_WAIT };
 
-/* Looks a thing up. After KEPT and NEW, *entry is a reference that the caller releases. After
- * AWAITED, the waiter belongs to `queue` and `owner` until cache_leave(). Before the call,
- * waiter->entry must be NULL. */
-enum cache_answer cache_look(struct cache *cache, const struct cache_key *key, bool slow,
-                             struct cache_owner *owner, struct cache_queue *queue,
-                             struct cache_waiter *waiter, struct cache_entry **entry);
+/* Looks a thing up, which is prepared if it has to be: here, unless it is slow. counted: whether the
+ * statistics of the cache count that. */
+enum lookup_answer lookup_get(struct lookups *lookups, struct lookup *lookup,
+                              const struct cache_key *key, bool slow, bool counted);
+
+/* Returns what LOOKUP_READY has found; NULL if there is nothing. */
+const void *lookup_thing(const struct lookup *lookup);
+
+/* Releases the thing, or gives up waiting for it. Does nothing if there is neither. */
+void lookup_end(struct lookup *lookup);
+static inline void lookup_return(struct lookup *lookup) {
+  if (lookup->entry != NULL || lookup->awaited != NULL) {
+    lookup_end(lookup);
+  }
+}
+
+/* Counts in the statistics of the cache. */
+void lookup_count(const struct lookups *lookups, bool hit);
+
+/* Returns how many preparations come before the one that a lookup waits for; 0 if that has begun, or it
+ * does not wait. Lookups that come or give up change the number. */
+uint64_t lookup_place(const struct lookup *lookup);
+
+/* The fields of faults: the owner has max_waiting_profiles waiters already; the thing is not there
+ * and cannot be prepared here. */
+#define LOOKUP_FIELD_BUSY "max_waiting_profiles"
+#define LOOKUP_FIELD_UNKNOWN "set"
+
+/* Returns whether a fault is temporary: memory is lacking, or too much waits. */
+bool lookup_is_busy(core_fault fault);
+
+/* Returns whether a fault is LOOKUP_FIELD_UNKNOWN. */
+bool lookup_is_unknown(core_fault fault);
+
+/* Calls on_ready() for the jobs whose things have been prepared. */
+void lookups_wake(struct lookups *lookups);
 
 /* Begins the turn of the next owner: returns a reference to the slow entry for which its first
  * waiter waits. The caller calls cache_prepare(), releases the entry, and calls cache_end_turn().
@@ -148,28 +179,8 @@ void cache_end_turn(struct cache *cache);
  * solved, that stops. */
 void cache_prepare(struct cache_entry *entry);
 
-/* Prepares slow entries, turn by turn, on threads of libuv's pool. Call this on the loop's thread.
- * It returns at once; the loop does not end before the preparations that have begun. */
-void cache_prepare_in_pool(struct cache *cache, uv_loop_t *loop);
-
 /* Makes all waiters of `from` waiters of `to`; `from` may then be freed. */
 void cache_move_waiters(struct cache *cache, struct cache_owner *from, struct cache_owner *to);
-
-/* Returns a waiter of this queue whose entry has been prepared or has a fault, or NULL. */
-struct cache_waiter *cache_next_woken(struct cache *cache, struct cache_queue *queue);
-
-/* Returns how many preparations come before that of the waiter's entry; 0 if it has begun, or the
- * waiter does not wait. Waiters that come or give up change the number. */
-uint64_t cache_place(const struct cache_waiter *waiter);
-
-/* Ends the waiting of a waiter, woken or not. Does nothing if it does not wait. */
-void cache_leave(struct cache_waiter *waiter);
-
-/* These return the thing and the fault of a prepared entry: one that was KEPT, that the caller has
- * prepared, or whose waiter was woken. The thing is valid if the fault's field is NULL, and as long as
- * the caller holds a reference. */
-const void *cache_thing(const struct cache_entry *entry);
-core_fault cache_fault(const struct cache_entry *entry);
 
 /* Returns whether the entry is in the cache. A local store releases entries that are not. */
 bool cache_keeps(const struct cache_entry *entry);

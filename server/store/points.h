@@ -10,7 +10,7 @@
 
 #include "core/gather/gather.h"
 #include "proto/gather.h"
-#include "server/store/lookup.h"
+#include "server/store/cache.h"
 
 /* For each part of a set that is this large, its client has frame_timeout_ms. */
 #define POINTS_TIMED_BYTES ((uint64_t)16 << 20)

@@ -222,7 +222,7 @@ static enum lookup_answer get_from_cache(struct profiles *profiles, struct profi
 
 static enum lookup_answer get_profile(struct profiles *profiles, struct profiles_lookup *lookup,
                                       const core_medium *medium) {
-  if (lookup->cached.waiter.entry != NULL) {
+  if (lookup->cached.awaited != NULL) {
     return get_from_cache(profiles, lookup, medium);
   }
   struct profiles_slot *slot = find_slot(profiles, &lookup->key);
@@ -248,7 +248,7 @@ enum lookup_answer profiles_get(struct profiles *profiles, struct profiles_looku
   profiles_key_set_medium(&lookup->key, medium);
   const enum lookup_answer answer = get_profile(profiles, lookup, medium);
   lookup->ready = answer == LOOKUP_READY;
-  lookup->cached.waiter.admitted |= answer != LOOKUP_FAULT;
+  lookup->cached.admitted |= answer != LOOKUP_FAULT;
   if (lookup->ready) {
     core_profile_set_angles(&lookup->profile, &lookup->parameters);
   }
@@ -277,12 +277,12 @@ void profiles_return(struct profiles_lookup *lookup) {
 void profiles_init(struct profiles *profiles, struct server *server, uv_loop_t *loop,
                    void (*wake)(void *context), void *context) {
   *profiles = (struct profiles){
-      .lookups = {.server = server, .loop = loop, .queue = {.wake = wake, .context = context}},
+      .lookups = {.server = server, .loop = loop, .wake = wake, .context = context},
       .keeps = server->options.cache_bytes > 0,
   };
 }
 
 void profiles_end(struct profiles *profiles) {
-  assert(LIST_EMPTY(&profiles->lookups.queue.woken));
+  assert(LIST_EMPTY(&profiles->lookups.woken));
   empty_slots(profiles, true);
 }

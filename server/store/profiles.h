@@ -19,7 +19,7 @@
 #ifndef DIPOLED_PROFILES_H
 #define DIPOLED_PROFILES_H
 
-#include "server/store/lookup.h"
+#include "server/store/cache.h"
 
 /* The key of a profile: everything from which it is prepared. Two profiles are the same if their keys
  * have the same bytes up to their last layer: there is no padding, 0 has no sign, and all parameters

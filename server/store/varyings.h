@@ -3,7 +3,7 @@
 #define DIPOLED_VARYINGS_H
 
 #include "core/varying.h"
-#include "server/store/lookup.h"
+#include "server/store/cache.h"
 
 /* Looks up what all media of one g and eta share. core_profile_check() must have accepted the
  * arguments. */

@@ -131,14 +131,13 @@ UNIT_TEST(what_has_been_evicted_is_not_held) {
   double cos_in;
   get_albedo(&f, CORE_MODEL_SINGLE, other, &none, &cos_in);
   struct cache_owner owner = {0};
-  struct cache_queue queue = {.wake = not_woken};
-  struct cache_waiter waiter = {0};
-  struct cache_entry *entry = NULL;
-  assert_true(cache_look(f.server.cache, &plain, false, &owner, &queue, &waiter, &entry) ==
-              CACHE_KEPT);
+  struct lookup lookup = {.owner = &owner};
+  const uint64_t builds = stats_get(&f.server.stats, STATS_CACHE_BUILDS);
+  assert_true(lookup_get(&f.profiles.lookups, &lookup, &plain, false, false) == LOOKUP_READY);
+  assert_true(stats_get(&f.server.stats, STATS_CACHE_BUILDS) == builds);
   get_albedo(&f, CORE_MODEL_SINGLE, SKIN, &none, &cos_in);
-  assert_false(cache_keeps(entry));
-  cache_release(entry);
+  assert_false(cache_keeps(lookup.entry));
+  lookup_return(&lookup);
   profiles_sweep(&f.profiles);
   size_t held = 0;
   for (size_t i = 0; i < PROFILES_SETS * PROFILES_WAYS; i++) {
