@@ -339,7 +339,7 @@ def test_a_job_that_cannot_be(master, name):
 VALUES = [
     ("SAMPLE_DRAW", words(0)), ("SAMPLE_DRAW", words(5)), ("SAMPLE_SAMPLE_COUNT", words(51)),
     ("SAMPLE_SAMPLE_COUNT", words(0)), ("SAMPLE_U", floats(1.5)), ("SAMPLE_CANCEL", words(2)),
-    ("SAMPLE_DEADLINE_MS", floats(-1)), ("INVERT_GIVEN", words(4)),
+    ("SAMPLE_DEADLINE_MS", floats(-1)), ("INVERT_GIVEN", words(5)),
     ("INVERT_MEDIUM_COUNT", words(51)), ("INVERT_ALBEDO", floats(0.5, 1.5)),
     ("INVERT_LENGTH", floats(0)), ("INVERT_LENGTH", floats(2e14)), ("MC_RING_COUNT", words(0)),
     ("MC_RING_COUNT", words(51)), ("MC_PHOTONS", floats(0)), ("MC_ERROR_TOTAL", floats(1e-10)),
