@@ -32,7 +32,7 @@ static bool fail_transport(struct transport *t) {
   return false;
 }
 
-static void tell_received(struct transport *t, ssize_t bytes) {
+static inline void tell_received(struct transport *t, ssize_t bytes) {
   if (bytes < 0 && bytes != UV_ENOBUFS && (bytes != UV_EOF || t->lingering)) {
     fail_transport(t);
   } else if (!t->lingering && !uv_is_closing(&t->uv.handle)) {
