@@ -73,21 +73,17 @@ bool access_read_option(const char *name, const struct options_list *list,
   return false;
 }
 
-/* Returns whether a network is of IPv4: its first 96 bits are those of ::ffff:0:0. So ::/0 is all
- * of IPv6 and contains no address of IPv4. */
-static bool is_ipv4(const struct access_network *network) {
-  return IN6_IS_ADDR_V4MAPPED(&network->address) && network->bits >= IPV6_BITS - IPV4_BITS;
-}
-
+/* The first 96 bits of a network of IPv4 are those of ::ffff:0:0. So ::/0 is all of IPv6 and contains
+ * no address of IPv4. */
 static bool is_in(const struct in6_addr *address, const struct access_network *network) {
-  if (is_ipv4(network) != !!IN6_IS_ADDR_V4MAPPED(address)) {
-    return false;
+  const bool ipv4 =
+      IN6_IS_ADDR_V4MAPPED(&network->address) && network->bits >= IPV6_BITS - IPV4_BITS;
+  bool same = ipv4 == !!IN6_IS_ADDR_V4MAPPED(address);
+  for (unsigned bit = 0; same && bit < network->bits; bit++) {
+    const unsigned differs = address->s6_addr[bit / 8] ^ network->address.s6_addr[bit / 8];
+    same = (differs & (0x80U >> bit % 8)) == 0;
   }
-  const unsigned whole = network->bits / 8;
-  const unsigned mask = 0xff00U >> network->bits % 8 & 0xff;
-  const unsigned differs =
-      whole < 16 ? (address->s6_addr[whole] ^ network->address.s6_addr[whole]) & mask : 0;
-  return memcmp(address, &network->address, whole) == 0 && differs == 0;
+  return same;
 }
 
 bool access_allows(const struct access *access, const struct sockaddr *address) {

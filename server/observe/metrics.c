@@ -1,6 +1,7 @@
 #include "server/observe/metrics.h"
 
 #include <dirent.h>
+#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -130,9 +131,10 @@ static void write_process(FILE *file, const struct server *server, double start_
 }
 
 /* Makes the text of all metrics, which the caller frees. Returns NULL if there is no memory. */
-static char *make_text(const struct server *server, double start_s, size_t *bytes) {
+static char *make_text(const struct server *server, double start_s) {
   char *memory = NULL;
-  struct text text = {open_memstream(&memory, bytes), NULL};
+  size_t bytes;
+  struct text text = {open_memstream(&memory, &bytes), NULL};
   if (text.file == NULL) {
     return NULL;
   }
@@ -168,13 +170,67 @@ struct metrics {
   struct port ports[TCP_ADDRESSES_MAX];
 };
 
-/* Sends a response and frees it. If it is NULL, for lack of memory, closes the connection. */
-static enum MHD_Result send_response(struct MHD_Connection *connection, unsigned status,
-                                     const char *type, struct MHD_Response *response) {
+/* Prints a text, which the caller frees. Returns NULL if there is no memory. */
+__attribute__((format(printf, 1, 2))) static char *print_text(const char *format, ...) {
+  char *text = NULL;
+  va_list arguments;
+  va_start(arguments, format);
+  const int length = vasprintf(&text, format, arguments);
+  va_end(arguments);
+  return length >= 0 ? text : NULL;
+}
+
+static char *health_text(enum health health, unsigned *status) {
+  const char *reason = health_reason(health);
+  *status = health == HEALTH_OK ? MHD_HTTP_OK : MHD_HTTP_SERVICE_UNAVAILABLE;
+  return print_text("%s%s%s\n", health_name(health), reason[0] != '\0' ? ": " : "", reason);
+}
+
+/* Returns the text of the reply to a request, which the caller frees, and its status. Returns NULL if
+ * there is no memory. */
+static char *reply_to(struct MHD_Connection *connection, const struct metrics *metrics,
+                      const char *url, const char *method, const char *version, unsigned *status) {
+  const struct server *server = metrics->server;
+  const bool is_metrics = strcmp(url, "/metrics") == 0, is_ready = strcmp(url, "/readyz") == 0;
+  wire_error error;
+  *status = http_header_check(connection, &server->options, url, version, NULL, &error);
+  if (*status != 0) {
+    return print_text("%s: %s\n", error.field, error.allowed);
+  }
+  if (!is_metrics && !is_ready && strcmp(url, "/healthz") != 0) {
+    *status = MHD_HTTP_NOT_FOUND;
+    return print_text("There are /metrics, /healthz and /readyz.\n");
+  }
+  if (strcmp(method, MHD_HTTP_METHOD_GET) != 0 && strcmp(method, MHD_HTTP_METHOD_HEAD) != 0) {
+    *status = MHD_HTTP_METHOD_NOT_ALLOWED;
+    return print_text("It is only for reading: GET or HEAD.\n");
+  }
+  if (is_metrics) {
+    *status = MHD_HTTP_OK;
+    return make_text(server, metrics->start_s);
+  }
+  return health_text(is_ready ? health_readiness(server) : health_of(server), status);
+}
+
+/* The library calls this after it has read a request's header. The reply does not depend on the
+ * body. Without memory for a reply, closes the connection. */
+static enum MHD_Result on_request(void *context, struct MHD_Connection *connection, const char *url,
+                                  const char *method, const char *version, const char *body,
+                                  size_t *body_bytes, void **state) {
+  unsigned status;
+  (void)body, (void)body_bytes, (void)state;
+  char *text =
+      reply_to(connection, ((const struct port *)context)->metrics, url, method, version, &status);
+  struct MHD_Response *response =
+      text != NULL ? MHD_create_response_from_buffer(strlen(text), text, MHD_RESPMEM_MUST_FREE)
+                   : NULL;
   if (response == NULL) {
+    free(text);
     return MHD_NO;
   }
-  MHD_add_response_header(response, MHD_HTTP_HEADER_CONTENT_TYPE, type);
+  MHD_add_response_header(response, MHD_HTTP_HEADER_CONTENT_TYPE,
+                          status == MHD_HTTP_OK && strcmp(url, "/metrics") == 0 ? EXPOSITION
+                                                                                : PLAIN);
   if (status == MHD_HTTP_BAD_REQUEST) {
     MHD_add_response_header(response, MHD_HTTP_HEADER_CONNECTION, "close");
   }
@@ -184,70 +240,6 @@ static enum MHD_Result send_response(struct MHD_Connection *connection, unsigned
   const enum MHD_Result sent = MHD_queue_response(connection, status, response);
   MHD_destroy_response(response);
   return sent;
-}
-
-static enum MHD_Result send_text(struct MHD_Connection *connection, unsigned status,
-                                 const char *text) {
-  return send_response(connection, status, PLAIN,
-                       MHD_create_response_from_buffer(strlen(text), (void *)(uintptr_t)text,
-                                                       MHD_RESPMEM_MUST_COPY));
-}
-
-static enum MHD_Result send_metrics(struct MHD_Connection *connection,
-                                    const struct metrics *metrics) {
-  size_t bytes;
-  char *text = make_text(metrics->server, metrics->start_s, &bytes);
-  if (text == NULL) {
-    return MHD_NO;
-  }
-  struct MHD_Response *response =
-      MHD_create_response_from_buffer(bytes, text, MHD_RESPMEM_MUST_FREE);
-  if (response == NULL) {
-    free(text);
-  }
-  return send_response(connection, MHD_HTTP_OK, EXPOSITION, response);
-}
-
-static enum MHD_Result send_health(struct MHD_Connection *connection, enum health health) {
-  const char *reason = health_reason(health);
-  char text[128];
-  snprintf(text, sizeof text, "%s%s%s\n", health_name(health), reason[0] != '\0' ? ": " : "",
-           reason);
-  return send_text(connection, health == HEALTH_OK ? MHD_HTTP_OK : MHD_HTTP_SERVICE_UNAVAILABLE,
-                   text);
-}
-
-static bool is_read(const char *method) {
-  return strcmp(method, MHD_HTTP_METHOD_GET) == 0 || strcmp(method, MHD_HTTP_METHOD_HEAD) == 0;
-}
-
-/* The library calls this after it has read a request's header. The answer does not depend on the
- * body. */
-static enum MHD_Result on_request(void *context, struct MHD_Connection *connection, const char *url,
-                                  const char *method, const char *version, const char *body,
-                                  size_t *body_bytes, void **state) {
-  static const char not_found[] = "There are /metrics, /healthz and /readyz.\n";
-  static const char not_allowed[] = "It is only for reading: GET or HEAD.\n";
-  const struct metrics *metrics = ((const struct port *)context)->metrics;
-  wire_error error;
-  (void)body, (void)body_bytes, (void)state;
-  const unsigned refused =
-      http_header_check(connection, &metrics->server->options, url, version, NULL, &error);
-  if (refused != 0) {
-    char text[160];
-    snprintf(text, sizeof text, "%s: %s\n", error.field, error.allowed);
-    return send_text(connection, refused, text);
-  }
-  const bool is_metrics = strcmp(url, "/metrics") == 0, is_ready = strcmp(url, "/readyz") == 0;
-  if (!is_metrics && !is_ready && strcmp(url, "/healthz") != 0) {
-    return send_text(connection, MHD_HTTP_NOT_FOUND, not_found);
-  }
-  if (!is_read(method)) {
-    return send_text(connection, MHD_HTTP_METHOD_NOT_ALLOWED, not_allowed);
-  }
-  return is_metrics ? send_metrics(connection, metrics)
-                    : send_health(connection, is_ready ? health_readiness(metrics->server)
-                                                       : health_of(metrics->server));
 }
 
 /* The library accepts nothing while it has its most connections, or no descriptor is left. So the
