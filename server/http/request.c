@@ -131,11 +131,10 @@ static bool begin_medium(struct translation *t, size_t layers, size_t index) {
 
 static bool add_layer(struct translation *t, const wire_medium *layer) {
   uint8_t *at = add_bytes(t, WIRE_BYTES_medium);
-  if (at == NULL) {
-    return false;
+  if (at != NULL) {
+    wire_put_medium(at, layer);
   }
-  wire_put_medium(at, layer);
-  return true;
+  return at != NULL;
 }
 
 static bool add_measured(struct translation *t, const char *name, size_t index) {
@@ -161,27 +160,27 @@ static wire_error eta_of_fit(void) {
   return bad_value("eta", "a number: the index inside over outside, which has no default in a fit");
 }
 
-/* Reads coefficients, the next element of each. */
-static bool read_coefficients(struct translation *t, struct http_elements elements[COEFFICIENTS],
-                              size_t index, wire_medium *medium) {
-  double *const to[COEFFICIENTS] = {&medium->sigma_a, &medium->sigma_s, &medium->g, &medium->eta,
-                                    &medium->thickness};
+/* Adds a layer of coefficients, the next element of each. layer: what holds without them; an eta of NAN
+ * has to be given. */
+static bool add_coefficients(struct translation *t, struct http_elements elements[COEFFICIENTS],
+                             size_t index, wire_medium layer) {
+  double *const to[COEFFICIENTS] = {&layer.sigma_a, &layer.sigma_s, &layer.g, &layer.eta,
+                                    &layer.thickness};
   for (int i = 0; i < COEFFICIENTS; i++) {
     const char *name = medium_fields[i].name;
-    if (!http_value_given(elements[i].list)) {
-      if (to[i] == &medium->sigma_a || to[i] == &medium->sigma_s) {
-        return fail_at(
-            t, bad_value(name, "a number: a medium needs sigma_a and sigma_s, or a name as medium"),
-            index);
+    if (http_value_given(elements[i].list)) {
+      if (!http_elements_number(&elements[i], to[i])) {
+        return fail_at(t, not_a_number(name), index);
       }
-      if (to[i] == &medium->eta && isnan(medium->eta)) {
-        return fail_at(t, eta_of_fit(), index);
-      }
-    } else if (!http_elements_number(&elements[i], to[i])) {
-      return fail_at(t, not_a_number(name), index);
+    } else if (i < 2) {
+      return fail_at(
+          t, bad_value(name, "a number: a medium needs sigma_a and sigma_s, or a name as medium"),
+          index);
+    } else if (isnan(*to[i])) {
+      return fail_at(t, eta_of_fit(), index);
     }
   }
-  return true;
+  return add_layer(t, &layer);
 }
 
 static void find_coefficients(const struct http_values *values,
@@ -201,9 +200,9 @@ static bool is_coefficient(const void *context, const char *name) {
   return false;
 }
 
-/* Reads a medium from an object with its coefficients. usual_eta: NAN if there is none. */
-static bool read_medium(struct translation *t, const char *field, struct http_value value,
-                        size_t index, double usual_eta, wire_medium *medium) {
+/* Adds a layer from an object with its coefficients. usual_eta: NAN if there is none. */
+static bool add_object(struct translation *t, const char *field, struct http_value value,
+                       size_t index, double usual_eta) {
   struct http_values values;
   struct http_elements elements[COEFFICIENTS];
   if (!http_values_of_object(&values, value)) {
@@ -214,9 +213,9 @@ static bool read_medium(struct translation *t, const char *field, struct http_va
         t, bad_value(field, "objects of sigma_a, sigma_s, g, eta, thickness, each one number"),
         index);
   }
-  *medium = (wire_medium){.eta = usual_eta, .thickness = t->thickness_mm};
   find_coefficients(&values, elements);
-  return read_coefficients(t, elements, index, medium);
+  return add_coefficients(t, elements, index,
+                          (wire_medium){.eta = usual_eta, .thickness = t->thickness_mm});
 }
 
 /* Writes the known medium of a fit, which has one with scale `reference` alone. */
@@ -234,14 +233,7 @@ static bool add_reference(struct translation *t) {
     return fail_with(
         t, bad_value("reference", "with scale reference an object of coefficients, else nothing"));
   }
-  if (!http_value_given(object)) {
-    return true;
-  }
-  wire_medium medium;
-  if (!read_medium(t, "reference", object, 0, (double)NAN, &medium)) {
-    return false;
-  }
-  return add_layer(t, &medium);
+  return !http_value_given(object) || add_object(t, "reference", object, 0, (double)NAN);
 }
 
 /* Reads lists of coefficients. A list of one holds for all media. */
@@ -259,29 +251,40 @@ static bool add_media_lists(struct translation *t) {
     count = length > count ? length : count;
   }
   for (size_t i = 0; good && i < count; i++) {
-    wire_medium medium = {.eta = USUAL_ETA};
-    good = read_coefficients(t, elements, i, &medium) && begin_medium(t, 1, i) &&
-           add_layer(t, &medium);
+    good =
+        begin_medium(t, 1, i) && add_coefficients(t, elements, i, (wire_medium){.eta = USUAL_ETA});
   }
   return good;
 }
 
-/* Reads a medium: an object, or a list of them, one for each layer. */
+/* Adds a medium: an object, or a list of them, one for each layer. */
 static bool add_medium(struct translation *t, struct http_value item, size_t index) {
-  const bool list = json_is_array(item.json);
-  const size_t layers = list ? http_value_count(item) : 1;
+  const size_t layers = http_value_count(item);
   struct http_elements elements = http_elements_of(item);
   bool good = begin_medium(t, layers, index);
   for (size_t i = 0; good && i < layers; i++) {
-    wire_medium layer;
-    good = read_medium(t, "medium", list ? http_elements_next(&elements) : item, index, USUAL_ETA,
-                       &layer) &&
-           add_layer(t, &layer);
+    good = add_object(t, "medium", http_elements_next(&elements), index, USUAL_ETA);
   }
   return good;
 }
 
-static bool add_named_media(struct translation *t, struct http_value media) {
+/* Adds the media: by names, or by coefficients. A thickness of its own is that of media without one. */
+static bool add_media(struct translation *t) {
+  const struct http_value media = value_of(t, "medium"), thickness = value_of(t, "thickness");
+  if (http_request_media(t->message->request) == 0) {
+    return true;
+  }
+  if (!http_value_given(media)) {
+    return add_media_lists(t);
+  }
+  for (int i = 0; i + 1 < COEFFICIENTS; i++) {
+    if (http_value_given(value_of(t, medium_fields[i].name))) {
+      return fail_with(t, bad_value(medium_fields[i].name, "nothing beside medium"));
+    }
+  }
+  if (http_value_given(thickness) && !http_value_number(thickness, &t->thickness_mm)) {
+    return fail_with(t, not_a_number("thickness"));
+  }
   struct http_elements elements = http_elements_of(media);
   const size_t count = http_value_count(media);
   bool good = true;
@@ -291,28 +294,6 @@ static bool add_named_media(struct translation *t, struct http_value media) {
     good = name != NULL ? add_measured(t, name, i) : add_medium(t, item, i);
   }
   return good;
-}
-
-static bool add_media(struct translation *t) {
-  const struct http_value media = value_of(t, "medium");
-  if (http_request_media(t->message->request) == 0) {
-    return true;
-  }
-  if (!http_value_given(media)) {
-    return add_media_lists(t);
-  }
-  for (int i = 0; i < COEFFICIENTS; i++) {
-    const char *name = medium_fields[i].name;
-    const struct http_value value = value_of(t, name);
-    if (http_values_same(name, "thickness") && http_value_given(value)) {
-      if (!http_value_number(value, &t->thickness_mm)) {
-        return fail_with(t, not_a_number(name));
-      }
-    } else if (http_value_given(value)) {
-      return fail_with(t, bad_value(name, "nothing beside medium"));
-    }
-  }
-  return add_named_media(t, media);
 }
 
 /* The models whose names a parameter takes, besides their ids. */
@@ -755,8 +736,8 @@ static bool put_all(struct translation *t, uint32_t *deadline_ms) {
   bool single = false;
   bool good = check_keys(t) && read_deadline(t, deadline_ms) &&
               (t->message->type != WIRE_TYPE_VARYING || check_pairs(t)) &&
-              add_bytes(t, request->fixed_bytes) != NULL && add_media(t) &&
-              add_parameters(t) && add_reference(t);
+              add_bytes(t, request->fixed_bytes) != NULL && add_media(t) && add_parameters(t) &&
+              add_reference(t);
   for (unsigned i = 0; good && (fields = http_request_fields(request, i)) != NULL; i++) {
     good = put_fixed(t, fields, &offset, &single);
   }
