@@ -2,7 +2,7 @@
 
 #include <math.h>
 
-#include "proto/channels.h"
+#include "proto/schema.h"
 
 bool eval_is_array(unsigned wanted, unsigned quantity) {
   const bool drawn = quantity == CORE_QUANTITY_RADIUS && (wanted & EVAL_DRAWN) != 0;
@@ -19,9 +19,9 @@ wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval
   request->media = (const void *)(payload + layout.parts[EVAL_MEDIA].at);
   request->radii =
       request->fixed.spacing == CORE_SPACING_LIST ? payload + layout.parts[EVAL_RADII].at : NULL;
-  return channels_parse_parameters(payload + layout.parts[EVAL_PARAMETERS].at,
-                                   request->fixed.parameter_count, request->fixed.layer_count,
-                                   &request->parameters);
+  return schema_parse_parameters(payload + layout.parts[EVAL_PARAMETERS].at,
+                                 request->fixed.parameter_count, request->fixed.layer_count,
+                                 &request->parameters);
 }
 
 static const schema_payload *payload_of(unsigned wanted) {
@@ -106,8 +106,8 @@ bool eval_reply_parse(const uint8_t *payload, size_t payload_bytes, bool drawn,
     return false;
   }
   wire_get_eval_reply(payload, fixed);
-  return !channels_has_others(fixed->wanted) && core_evaluator_bytes(fixed->evaluator) != 0 &&
-         fixed->part < fixed->part_count &&
+  return (fixed->wanted & ~schema_all_bits(core_quantities)) == 0 &&
+         core_evaluator_bytes(fixed->evaluator) != 0 && fixed->part < fixed->part_count &&
          eval_reply_layout(fixed->evaluator, fixed->wanted | (drawn ? EVAL_DRAWN : 0),
                            fixed->channel_count, fixed->count, payload_bytes, layout) &&
          layout->payload_bytes == payload_bytes;

@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "proto/channels.h"
+#include "proto/schema.h"
 
 /* Checks the counts that the scale and the readings need. */
 static wire_error check_readings(const wire_fit_design *design) {
@@ -37,8 +37,8 @@ wire_error fit_request_parse(const uint8_t *payload, size_t payload_bytes, fit_r
   request->design_bytes_count = (size_t)layout.parts[FIT_VALUES].at - WIRE_BYTES_fit_request;
   request->values = (const double *)(const void *)(payload + layout.parts[FIT_VALUES].at);
   request->errors = (const double *)(const void *)(payload + layout.parts[FIT_ERRORS].at);
-  return channels_parse_parameters(payload + layout.parts[FIT_PARAMETERS].at,
-                                   request->design.parameter_count, 1, &parameters);
+  return schema_parse_parameters(payload + layout.parts[FIT_PARAMETERS].at,
+                                 request->design.parameter_count, 1, &parameters);
 }
 
 void fit_design_read(const uint8_t *bytes, fit_design *read) {
@@ -48,8 +48,8 @@ void fit_design_read(const uint8_t *bytes, fit_design *read) {
   const fit_start start = {{.set_count = 0}, fixed};
   schema_lay_out(&schema_fit_request, &start, UINT64_MAX, &layout, NULL);
   bytes -= WIRE_BYTES_fit_request; /* offsets of the layout count from the start of the request */
-  const wire_error error = channels_parse_parameters(bytes + layout.parts[FIT_PARAMETERS].at,
-                                                     fixed.parameter_count, 1, &read->parameters);
+  const wire_error error = schema_parse_parameters(bytes + layout.parts[FIT_PARAMETERS].at,
+                                                   fixed.parameter_count, 1, &read->parameters);
   (void)error; /* fit_request_parse() has checked the parameters */
   const double *places = (const double *)(const void *)(bytes + layout.parts[FIT_AT].at);
   read->design = (core_fit_design){

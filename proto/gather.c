@@ -1,6 +1,6 @@
 #include "proto/gather.h"
 
-#include "proto/channels.h"
+#include "proto/schema.h"
 
 /* ---- names ----------------------------------------------------------------------------------- */
 
@@ -70,8 +70,8 @@ wire_error gather_request_parse(const uint8_t *payload, size_t payload_bytes,
   wire_get_gather_request(payload, &request->fixed);
   request->media = (const core_medium *)(const void *)(payload + layout.parts[0].at);
   request->queries = (const double *)(const void *)(payload + layout.parts[2].at);
-  return channels_parse_parameters(payload + layout.parts[1].at, request->fixed.parameter_count,
-                                   request->fixed.layer_count, &request->parameters);
+  return schema_parse_parameters(payload + layout.parts[1].at, request->fixed.parameter_count,
+                                 request->fixed.layer_count, &request->parameters);
 }
 
 size_t gather_sums_offset(uint32_t channel_count) {

@@ -2,7 +2,7 @@
 
 #include <string.h>
 
-#include "proto/channels.h"
+#include "proto/schema.h"
 
 wire_error mc_request_parse(const uint8_t *payload, size_t payload_bytes, mc_request *request) {
   schema_layout layout;
@@ -15,8 +15,8 @@ wire_error mc_request_parse(const uint8_t *payload, size_t payload_bytes, mc_req
          request->fixed.layer_count * sizeof *request->layers);
   memcpy(request->albedo, payload + layout.parts[1].at,
          request->fixed.albedo_count * sizeof *request->albedo);
-  return channels_parse_parameters(payload + layout.parts[2].at, (uint32_t)layout.parts[2].count,
-                                   request->fixed.layer_count, &request->parameters);
+  return schema_parse_parameters(payload + layout.parts[2].at, (uint32_t)layout.parts[2].count,
+                                 request->fixed.layer_count, &request->parameters);
 }
 
 bool mc_reply_layout(uint32_t side_count, uint32_t albedo_count, uint32_t ring_count,

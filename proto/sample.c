@@ -1,6 +1,6 @@
 #include "proto/sample.h"
 
-#include "proto/channels.h"
+#include "proto/schema.h"
 
 wire_error sample_request_parse(const uint8_t *payload, size_t payload_bytes, core_draw *draw,
                                 eval_request *request) {
@@ -25,6 +25,6 @@ wire_error sample_request_parse(const uint8_t *payload, size_t payload_bytes, co
   *draw = (core_draw){fixed.draw, fixed.sample_count, fixed.sample_first, fixed.seed};
   request->media = (const void *)(payload + layout.parts[EVAL_MEDIA].at);
   request->radii = fixed.draw == CORE_DRAW_LIST ? payload + layout.parts[EVAL_RADII].at : NULL;
-  return channels_parse_parameters(payload + layout.parts[EVAL_PARAMETERS].at,
-                                   fixed.parameter_count, fixed.layer_count, &request->parameters);
+  return schema_parse_parameters(payload + layout.parts[EVAL_PARAMETERS].at, fixed.parameter_count,
+                                 fixed.layer_count, &request->parameters);
 }

@@ -168,7 +168,7 @@ static double value_of(const schema_field *field, uint64_t bits) {
   return field->kind == SCHEMA_f64 ? value : (double)bits;
 }
 
-static unsigned all_bits(const core_choice *list) {
+unsigned schema_all_bits(const core_choice *list) {
   unsigned all = 0;
   for (; list->name != NULL; list++) {
     all |= list->id;
@@ -182,7 +182,7 @@ static bool is_allowed(const schema_field *field, uint64_t bits) {
     return true;
   }
   if (field->list != NULL &&
-      (field->bits ? (bits & ~(uint64_t)all_bits(field->list)) != 0
+      (field->bits ? (bits & ~(uint64_t)schema_all_bits(field->list)) != 0
                    : core_choice_by_id(field->list, (unsigned)bits) == NULL)) {
     return false;
   }
@@ -445,4 +445,61 @@ uint8_t *schema_put_part(uint8_t *payload, const schema_layout *layout, unsigned
   }
   memset(at + kept, 0, (size_t)layout->parts[part].array_bytes - kept);
   return at + layout->parts[part].array_bytes;
+}
+
+/* ---- parameters ------------------------------------------------------------------------------ */
+
+static wire_error parse_parameter(const uint8_t *at, core_parameters *parameters) {
+  wire_parameter parameter;
+  wire_get_parameter(at, &parameter);
+  if (core_choice_by_id(core_parameter_list, parameter.parameter) == NULL) {
+    return wire_error_not_in_list("parameter", core_parameter_list, "one of");
+  }
+  if (parameter.zero != 0 || parameter.zero_too != 0) {
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, parameter.zero != 0 ? "zero" : "zero_too", "0");
+  }
+  if (!isnan(parameters->value[parameter.parameter])) {
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, "parameter", "each at most once");
+  }
+  if (isnan(parameter.value)) {
+    return wire_error_make(WIRE_STATUS_BAD_VALUE,
+                           core_choice_by_id(core_parameter_list, parameter.parameter)->name,
+                           "a number; a parameter that is not wanted is left out");
+  }
+  parameters->value[parameter.parameter] = parameter.value;
+  return wire_error_none();
+}
+
+wire_error schema_parse_parameters(const uint8_t *at, uint32_t count, uint32_t layer_count,
+                                   core_parameters *parameters) {
+  *parameters = core_parameters_none();
+  parameters->layer_count = layer_count;
+  for (uint32_t i = 0; i < count; i++) {
+    wire_error error = parse_parameter(at + (size_t)i * WIRE_BYTES_parameter, parameters);
+    if (error.status != WIRE_STATUS_OK) {
+      error.index = i;
+      return error;
+    }
+  }
+  return wire_error_none();
+}
+
+uint32_t schema_count_parameters(const core_parameters *parameters) {
+  uint32_t count = 0;
+  for (unsigned id = 0; id < CORE_PARAMETERS_END; id++) {
+    count += !isnan(parameters->value[id]);
+  }
+  return count;
+}
+
+size_t schema_put_parameters(uint8_t *at, const core_parameters *parameters) {
+  size_t bytes = 0;
+  for (unsigned id = 0; id < CORE_PARAMETERS_END; id++) {
+    if (!isnan(parameters->value[id])) {
+      const wire_parameter parameter = {.parameter = (uint16_t)id, .value = parameters->value[id]};
+      wire_put_parameter(at + bytes, &parameter);
+      bytes += WIRE_BYTES_parameter;
+    }
+  }
+  return bytes;
 }

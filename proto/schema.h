@@ -9,6 +9,9 @@
 #include "core/core.h"
 #include "proto/wire.h"
 
+/* A layer of a medium has the same layout on the wire and in core, so core reads payloads in place. */
+_Static_assert(sizeof(core_medium) == WIRE_BYTES_medium, "one layer after the other");
+
 /* ---- fields ---------------------------------------------------------------------------------- */
 
 enum schema_kind {
@@ -50,6 +53,9 @@ typedef struct schema_field {
 
 /* Returns the name of a kind, as messages.def has it. */
 const char *schema_kind_name(enum schema_kind kind);
+
+/* Returns the sum of all entries of a list. */
+unsigned schema_all_bits(const core_choice *list);
 
 /* Returns the bytes of all values of a field. */
 size_t schema_field_bytes(const schema_field *field);
@@ -186,5 +192,21 @@ bool schema_is_whole(const schema_payload *payload, const uint8_t *bytes, uint64
  * it ends. */
 uint8_t *schema_put_part(uint8_t *payload, const schema_layout *layout, unsigned part,
                          const void *elements);
+
+/* ---- parameters ------------------------------------------------------------------------------- */
+
+/* Parses `count` parameter structures, which the caller knows to be in the payload. Checks their
+ * ids and padding, that each parameter comes at most once, and that no value is NaN. The error's
+ * index is the position of the structure. Core checks the ranges. layer_count: of the request's
+ * media. */
+wire_error schema_parse_parameters(const uint8_t *at, uint32_t count, uint32_t layer_count,
+                                   core_parameters *parameters);
+
+/* Returns how many parameters are given, that is, not NaN. */
+uint32_t schema_count_parameters(const core_parameters *parameters);
+
+/* Writes those parameters that are not NaN, in the order of their ids, WIRE_BYTES_parameter each.
+ * Returns the number of bytes written. */
+size_t schema_put_parameters(uint8_t *at, const core_parameters *parameters);
 
 #endif

@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "proto/channels.h"
+#include "proto/schema.h"
 
 uint32_t table_checksum(const uint8_t *bytes, size_t count) {
   /* The CRC of each value of four bits. */
@@ -21,8 +21,7 @@ uint32_t table_checksum(const uint8_t *bytes, size_t count) {
 }
 
 size_t table_reply_bytes(const core_parameters *parameters, size_t word_count) {
-  const wire_table_reply fixed = {.parameter_count =
-                                      (uint16_t)channels_count_parameters(parameters),
+  const wire_table_reply fixed = {.parameter_count = (uint16_t)schema_count_parameters(parameters),
                                   .layer_count = parameters->layer_count,
                                   .word_count = (uint32_t)word_count};
   return (size_t)schema_bytes(&schema_table_reply, &fixed);
@@ -37,8 +36,8 @@ wire_error table_request_parse(const uint8_t *payload, size_t payload_bytes,
   }
   wire_get_table_request(payload, &request->fixed);
   request->layers = (const void *)(payload + layout.parts[0].at);
-  return channels_parse_parameters(payload + layout.parts[1].at, request->fixed.parameter_count,
-                                   request->fixed.layer_count, &request->parameters);
+  return schema_parse_parameters(payload + layout.parts[1].at, request->fixed.parameter_count,
+                                 request->fixed.layer_count, &request->parameters);
 }
 
 void table_reply_put(uint8_t *at, const core_profile *profile, const core_medium *layers,
@@ -50,7 +49,7 @@ void table_reply_put(uint8_t *at, const core_profile *profile, const core_medium
       .layout = TABLE_LAYOUT,
       .model = (uint16_t)profile->model,
       .moments = (uint16_t)profile->moments,
-      .parameter_count = (uint16_t)channels_count_parameters(parameters),
+      .parameter_count = (uint16_t)schema_count_parameters(parameters),
       .word_count = (uint32_t)profile->lut_count,
       .checksum = table_checksum(words, word_bytes),
       .notes = profile->notes,
@@ -73,7 +72,7 @@ void table_reply_put(uint8_t *at, const core_profile *profile, const core_medium
   at += WIRE_BYTES_table_reply;
   memcpy(at, layers, parameters->layer_count * sizeof *layers);
   at += parameters->layer_count * sizeof *layers;
-  at += channels_put_parameters(at, parameters);
+  at += schema_put_parameters(at, parameters);
   memcpy(at, words, word_bytes);
 }
 
@@ -97,7 +96,7 @@ void table_reply_put_surface(uint8_t *at, const core_varying *surface,
       .layout = TABLE_LAYOUT,
       .model = (uint16_t)surface->model,
       .moments = (uint16_t)surface->moments,
-      .parameter_count = (uint16_t)channels_count_parameters(parameters),
+      .parameter_count = (uint16_t)schema_count_parameters(parameters),
       .word_count = (uint32_t)table_surface_words(surface),
       .checksum = table_checksum(words, word_bytes),
       .notes = surface->notes,
@@ -114,7 +113,7 @@ void table_reply_put_surface(uint8_t *at, const core_varying *surface,
   }
   wire_put_table_reply(at, &fixed);
   memcpy(at + WIRE_BYTES_table_reply, &all_media, sizeof all_media);
-  channels_put_parameters(at + WIRE_BYTES_table_reply + sizeof all_media, parameters);
+  schema_put_parameters(at + WIRE_BYTES_table_reply + sizeof all_media, parameters);
 }
 
 bool table_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_table_reply *fixed,
@@ -131,8 +130,8 @@ bool table_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_table_
   }
   *layers = (const void *)(payload + layout.parts[0].at);
   const uint8_t *at = payload + layout.parts[1].at;
-  if (channels_parse_parameters(at, fixed->parameter_count, fixed->layer_count, parameters)
-          .status != WIRE_STATUS_OK) {
+  if (schema_parse_parameters(at, fixed->parameter_count, fixed->layer_count, parameters).status !=
+      WIRE_STATUS_OK) {
     return false;
   }
   at = payload + layout.parts[2].at;

@@ -5,7 +5,7 @@
 #include <string.h>
 
 #include "core/model_error.h"
-#include "proto/channels.h"
+#include "proto/schema.h"
 
 /* The quantities of a value that has its own medium. */
 #define QUANTITIES                                                                                 \
@@ -66,8 +66,8 @@ wire_error varying_request_parse(const uint8_t *payload, size_t payload_bytes,
   request->media[1] = payload + layout.parts[SIGMA_S].at;
   request->numbers = fixed->numbers != VARYING_NONE ? payload + layout.parts[R].at : NULL;
   return error.status == WIRE_STATUS_OK
-             ? channels_parse_parameters(payload + layout.parts[PARAMETERS].at,
-                                         fixed->parameter_count, 1, &request->parameters)
+             ? schema_parse_parameters(payload + layout.parts[PARAMETERS].at,
+                                       fixed->parameter_count, 1, &request->parameters)
              : error;
 }
 

@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "proto/channels.h"
+#include "proto/schema.h"
 #include "proto/gather.h"
 #include "proto/varying.h"
 

@@ -4,7 +4,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "proto/channels.h"
+#include "proto/schema.h"
 
 enum {
   LINKS_MAX = 24,      /* fields of a structure that have registers */
@@ -106,7 +106,7 @@ static void keep_walks(core_parameters *parameters) {
 
 /* Sets the fields of a request that have no registers, or that do not count. */
 static void complete(enum registers_job_kind kind, core_parameters *parameters, void *request) {
-  const uint16_t parameter_count = (uint16_t)channels_count_parameters(parameters);
+  const uint16_t parameter_count = (uint16_t)schema_count_parameters(parameters);
   wire_eval_request *eval = request;
   wire_sample_request *sample = request;
   wire_mc_request *mc = request;
@@ -207,7 +207,7 @@ size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image
     const unsigned count = (unsigned)layout.parts[i].count;
     uint8_t *to = request + layout.parts[i].at;
     if (strcmp(part->name, "parameter") == 0) {
-      const size_t put = channels_put_parameters(to, &parameters);
+      const size_t put = schema_put_parameters(to, &parameters);
       bytes += part->rest ? put : 0;
     } else if (count > 0 && part->kind == SCHEMA_LIST) {
       put_fields(kind, part->structure, "", image, to);

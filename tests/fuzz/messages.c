@@ -4,7 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "proto/channels.h"
+#include "proto/schema.h"
 #include "proto/fit.h"
 #include "proto/gather.h"
 #include "proto/invert.h"
@@ -79,9 +79,9 @@ static bool is_good(const wire_error *error) {
 static void check_parameters(const core_parameters *parameters, uint32_t count) {
   uint8_t bytes[CORE_PARAMETERS_END * WIRE_BYTES_parameter];
   core_parameters again;
-  CHECK(channels_count_parameters(parameters) == count);
-  CHECK(channels_put_parameters(bytes, parameters) == count * (size_t)WIRE_BYTES_parameter);
-  CHECK(channels_parse_parameters(bytes, count, 1, &again).status == WIRE_STATUS_OK);
+  CHECK(schema_count_parameters(parameters) == count);
+  CHECK(schema_put_parameters(bytes, parameters) == count * (size_t)WIRE_BYTES_parameter);
+  CHECK(schema_parse_parameters(bytes, count, 1, &again).status == WIRE_STATUS_OK);
   CHECK(memcmp(again.value, parameters->value, sizeof again.value) == 0);
 }
 
@@ -97,7 +97,7 @@ static void check_design(const fit_request *request, const uint8_t *payload, siz
   uint8_t *again = malloc(size);
   CHECK(again != NULL && schema_is_whole(&schema_fit_request, payload, size, &layout));
   memcpy(again, payload, WIRE_BYTES_fit_request + WIRE_BYTES_fit_design);
-  channels_put_parameters(again + layout.parts[FIT_PARAMETERS].at, &read.parameters);
+  schema_put_parameters(again + layout.parts[FIT_PARAMETERS].at, &read.parameters);
   schema_put_part(again, &layout, FIT_REFERENCE, &read.design.reference);
   schema_put_part(again, &layout, FIT_AT, read.design.at);
   schema_put_part(again, &layout, FIT_SOURCE, read.design.source_mm);

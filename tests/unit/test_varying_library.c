@@ -2,7 +2,7 @@
  * test_varying.py compares what they evaluate at home with the daemon, bit by bit. */
 #include <math.h>
 
-#include "proto/channels.h"
+#include "proto/schema.h"
 #include "proto/table.h"
 #include "proto/varying.h"
 #include "tests/unit/peer_scripts.h"
