@@ -7,7 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-JOB_STRUCTURE(struct eval_job, of)
+JOB_STRUCTURE(struct eval_job, eval_of)
 
 static struct stats *stats_of(const struct eval_job *eval) {
   return &eval->job.context->server->stats;
@@ -116,7 +116,7 @@ static const char *count_field(const struct eval_job *eval) {
 }
 
 /* Reads the payload and checks the fields on which its layout depends. */
-static wire_error parse(struct eval_job *eval, const struct job_request *request) {
+static wire_error parse_request(struct eval_job *eval, const struct job_request *request) {
   const wire_error error =
       eval_request_parse(request->payload, request->header->payload_bytes, &eval->request);
   if (error.status == WIRE_STATUS_OK) {
@@ -141,7 +141,7 @@ static wire_error check_tolerance(struct eval_job *eval) {
 }
 
 wire_error eval_job_offers(struct eval_job *eval, const struct job_request *request) {
-  const wire_error error = parse(eval, request);
+  const wire_error error = parse_request(eval, request);
   if (error.status != WIRE_STATUS_OK) {
     return error;
   }
@@ -174,7 +174,7 @@ static wire_error no_room_in_part(const struct eval_job *eval, uint64_t most_byt
 
 /* Cuts the reply into parts and computes the layout of the first. A reply that fits into a frame is
  * one part. A larger reply has parts of up to max_part_bytes, which bounds its memory. */
-static wire_error cut(struct eval_job *eval, const struct options *options) {
+static wire_error cut_reply(struct eval_job *eval, const struct options *options) {
   const wire_eval_request *fixed = &eval->request.fixed;
   if (fixed->radius_count > options->max_radii) {
     return job_too_large(count_field(eval), options->max_radii, "radii");
@@ -198,8 +198,8 @@ static wire_error cut(struct eval_job *eval, const struct options *options) {
   return wire_error_none();
 }
 
-static wire_error check(struct eval_job *eval, const struct job_request *request) {
-  wire_error error = parse(eval, request);
+static wire_error check_request(struct eval_job *eval, const struct job_request *request) {
+  wire_error error = parse_request(eval, request);
   if (error.status == WIRE_STATUS_OK && eval->request.fixed.model == EVAL_ANY_MODEL) {
     error = check_tolerance(eval);
     if (error.status == WIRE_STATUS_OK) {
@@ -223,7 +223,7 @@ static wire_error check(struct eval_job *eval, const struct job_request *request
 /* ---- evaluating a slice ---------------------------------------------------------------------- */
 
 /* Fills the end of an array, behind all its values, with zero bytes. */
-static void pad(const struct eval_job *eval, uint64_t array_offset) {
+static void pad_array(const struct eval_job *eval, uint64_t array_offset) {
   const size_t used = (size_t)eval->parts.count * eval_job_value_bytes(eval);
   memset(eval->reply + array_offset + used, 0, (size_t)eval->layout.array_bytes - used);
 }
@@ -491,7 +491,7 @@ static void compare_models(const struct eval_job *eval, size_t n, const void *r,
 }
 
 /* Evaluates every wanted array at the n radii of a slice, or adds a short request to the batch. */
-static void evaluate(struct eval_job *eval, size_t n) {
+static void evaluate_slice(struct eval_job *eval, size_t n) {
   const bool is_short = eval->parts.count == n && n <= BATCH_SHORT_RADII && n > 0;
   const void *r = is_sample(eval) ? eval->draw_radii(eval, n) : slice_radii(eval, n);
   for (unsigned left = eval->request.fixed.wanted; left != 0; left &= left - 1) {
@@ -519,13 +519,13 @@ static void pad_channel(const struct eval_job *eval) {
   const uint64_t channel_bytes = eval->layout.arrays_per_channel * eval->layout.array_bytes;
   uint64_t offset = eval->layout.arrays_offset + eval->channel * channel_bytes;
   for (unsigned array = 0; array < eval->layout.arrays_per_channel; array++) {
-    pad(eval, offset);
+    pad_array(eval, offset);
     offset += eval->layout.array_bytes;
   }
 }
 
 /* Advances by a slice of n radii. Returns true if this was the last slice of its arrays. */
-static bool advance(struct eval_job *eval, size_t n) {
+static bool advance_by(struct eval_job *eval, size_t n) {
   eval->index += n;
   if (eval->index < eval->parts.count) {
     return false;
@@ -536,9 +536,9 @@ static bool advance(struct eval_job *eval, size_t n) {
 
 static void radii_step(struct eval_job *eval, size_t n) {
   copy_radii(eval, n);
-  eval->radii_done = advance(eval, n);
+  eval->radii_done = advance_by(eval, n);
   if (eval->radii_done) {
-    pad(eval, eval->layout.radius_offset);
+    pad_array(eval, eval->layout.radius_offset);
   }
 }
 
@@ -552,7 +552,7 @@ static void put_notes(const struct eval_job *eval) {
 
 /* Remembers the request, so that later requests can repeat it with other radii. A request whose
  * check depends on the radii cannot be repeated. */
-static void learn(const struct eval_job *eval) {
+static void learn_request(const struct eval_job *eval) {
   if (!is_sample(eval) && eval->parts.part_count == 1 && eval->covers_all &&
       !choice_heeds_radii(&eval->choice, &eval->request)) {
     repeat_learn(&eval->job.context->repeat, &eval->request, &eval->grid, &eval->layout,
@@ -562,18 +562,18 @@ static void learn(const struct eval_job *eval) {
 
 static void channel_step(struct eval_job *eval, size_t n) {
   if (eval->layout.arrays_per_channel > 0) {
-    evaluate(eval, n);
+    evaluate_slice(eval, n);
     job_pay(&eval->job, n * least_cost(eval));
     stats_count_radii(stats_of(eval), eval->request.fixed.model, n);
     stats_add(stats_of(eval), STATS_RADII_DRAWN, is_sample(eval) ? n : 0);
     stats_add(stats_of(eval), STATS_SLICES_EVALUATED, 1);
   }
-  if (eval->layout.arrays_per_channel == 0 || advance(eval, n)) {
+  if (eval->layout.arrays_per_channel == 0 || advance_by(eval, n)) {
     pad_channel(eval);
     eval->channel++;
     if (eval->channel == eval->request.fixed.medium_count) {
       put_notes(eval);
-      learn(eval);
+      learn_request(eval);
     }
     profiles_return(&eval->lookup);
     profiles_return(&eval->ruler);
@@ -621,7 +621,7 @@ enum job_outcome eval_job_start(struct eval_job *eval, wire_error error,
                                 const struct job_request *request) {
   const wire_eval_request *fixed = &eval->request.fixed;
   if (error.status == WIRE_STATUS_OK) {
-    error = cut(eval, &eval->job.context->server->options);
+    error = cut_reply(eval, &eval->job.context->server->options);
   }
   if (error.status == WIRE_STATUS_OK) {
     /* The product is exact: at most 2^40 radii (max_radii), 2^25 media and ten arrays. */
@@ -641,7 +641,7 @@ enum job_outcome eval_job_start(struct eval_job *eval, wire_error error,
 }
 
 static enum job_outcome start_eval(struct job *job, const struct job_request *request) {
-  struct eval_job *eval = of(job);
+  struct eval_job *eval = eval_of(job);
   eval->repeated = repeat_find(&job->context->repeat, request->payload,
                                request->header->payload_bytes, &eval->radii);
   if (eval->repeated != NULL) {
@@ -650,7 +650,7 @@ static enum job_outcome start_eval(struct job *job, const struct job_request *re
     job->part_bytes = eval->repeated->reply_bytes;
     return JOB_NEXT_PART;
   }
-  const wire_error error = check(eval, request);
+  const wire_error error = check_request(eval, request);
   if (error.status == WIRE_STATUS_OK) {
     job->latency = eval->request.fixed.radius_count <= BATCH_SHORT_RADII ? LATENCY_EVAL_SHORT
                                                                          : LATENCY_EVAL_LONG;
@@ -659,7 +659,7 @@ static enum job_outcome start_eval(struct job *job, const struct job_request *re
 }
 
 enum job_outcome eval_job_begin_part(struct job *job, uint8_t *payload) {
-  struct eval_job *eval = of(job);
+  struct eval_job *eval = eval_of(job);
   if (eval->repeated != NULL) {
     struct job_context *context = job->context;
     repeat_answer(eval->repeated, &context->batch, stats_of(eval), eval->payload, eval->radii,
@@ -691,7 +691,7 @@ static enum job_outcome end_part(struct eval_job *eval) {
 enum { PREPARED_RADII = JOB_SLICE_RADII / 4 };
 
 enum job_outcome eval_job_step(struct job *job, uint64_t *budget) {
-  struct eval_job *eval = of(job);
+  struct eval_job *eval = eval_of(job);
   size_t n;
   double cost = 1, fixed = 0;
   uint64_t prepared = 0;
@@ -727,7 +727,7 @@ enum job_outcome eval_job_step(struct job *job, uint64_t *budget) {
 }
 
 void eval_job_end(struct job *job) {
-  struct eval_job *eval = of(job);
+  struct eval_job *eval = eval_of(job);
   if (eval->repeated == NULL) {
     free(eval->head);
     profiles_return(&eval->lookup);

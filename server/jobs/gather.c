@@ -43,7 +43,7 @@ struct gather_job {
   uint64_t index;       /* position in the part's order of the next query */
 };
 
-JOB_STRUCTURE(struct gather_job, of)
+JOB_STRUCTURE(struct gather_job, gather_of)
 
 /* What a part takes at most: a quarter of a second, as far as the cost of a query is known before. */
 #define PART_RADII (UINT64_C(1) << 27)
@@ -90,8 +90,8 @@ static wire_error check_media(const struct gather_job *gather) {
   return wire_error_none();
 }
 
-static enum job_outcome start(struct job *job, const struct job_request *from) {
-  struct gather_job *gather = of(job);
+static enum job_outcome start_gather(struct job *job, const struct job_request *from) {
+  struct gather_job *gather = gather_of(job);
   wire_error error =
       gather_request_parse(from->payload, from->header->payload_bytes, &gather->request);
   if (error.status == WIRE_STATUS_OK) {
@@ -183,7 +183,7 @@ static wire_error open_scratch(struct gather_job *gather) {
   return work->scratch != NULL ? wire_error_none() : job_busy();
 }
 
-static wire_error admit(struct gather_job *gather) {
+static wire_error admit_queries(struct gather_job *gather) {
   const struct gather_work *work = gather->work;
   const double counted = (double)gather->counted;
   const double cost = counted > 0 ? work->cost / counted : 1;
@@ -194,7 +194,7 @@ static wire_error admit(struct gather_job *gather) {
 /* Cuts the reply into parts, which also tell the client how far the sums have come: none takes much
  * longer than a second of a core, so that no client thinks that the daemon hangs. A query that takes
  * longer by itself has parts without a sum before its own. */
-static wire_error cut(struct gather_job *gather) {
+static wire_error cut_reply(struct gather_job *gather) {
   const wire_gather_request *fixed = &gather->request.fixed;
   const uint64_t head_bytes = gather_sums_offset(fixed->medium_count);
   const uint64_t part_bytes = gather->job.context->server->options.max_part_bytes;
@@ -273,9 +273,9 @@ static void begin_sums(struct gather_job *gather) {
 
 /* Begins the first part, when the cost is known. */
 static enum job_outcome begin_first(struct gather_job *gather) {
-  wire_error error = admit(gather);
+  wire_error error = admit_queries(gather);
   if (error.status == WIRE_STATUS_OK) {
-    error = cut(gather);
+    error = cut_reply(gather);
   }
   if (error.status != WIRE_STATUS_OK) {
     return job_refuse(&gather->job, error);
@@ -295,7 +295,7 @@ static enum job_outcome count_or_begin(struct gather_job *gather) {
 }
 
 /* Does the next thing that the sums need. */
-static enum job_outcome prepare(struct gather_job *gather) {
+static enum job_outcome prepare_next(struct gather_job *gather) {
   const struct gather_work *work = gather->work;
   const wire_gather_request *fixed = &gather->request.fixed;
   return gather->checked < fixed->query_count ? check_queries(gather)
@@ -336,8 +336,8 @@ static void put_head(const struct gather_job *gather, uint8_t *payload) {
 }
 
 /* Writes a part whose sums are known, and begins the next one. */
-static enum job_outcome put(struct job *job, uint8_t *payload) {
-  struct gather_job *gather = of(job);
+static enum job_outcome put_gather(struct job *job, uint8_t *payload) {
+  struct gather_job *gather = gather_of(job);
   const uint32_t channels = gather->request.fixed.medium_count;
   put_head(gather, payload);
   memcpy(payload + gather_sums_offset(channels), gather->work->sums,
@@ -397,18 +397,18 @@ static enum job_outcome gather_slice(struct gather_job *gather, uint64_t *budget
   return JOB_NEXT_PART;
 }
 
-static enum job_outcome step(struct job *job, uint64_t *budget) {
-  struct gather_job *gather = of(job);
+static enum job_outcome step_gather(struct job *job, uint64_t *budget) {
+  struct gather_job *gather = gather_of(job);
   if (gather->query_radii > 0) {
     return gather_slice(gather, budget);
   }
   const uint64_t spent = gather->work->sum == NULL ? JOB_STEP_RADII : JOB_SLICE_RADII;
   *budget -= spent < *budget ? spent : *budget;
-  return prepare(gather);
+  return prepare_next(gather);
 }
 
-static void end(struct job *job) {
-  struct gather_job *gather = of(job);
+static void end_gather(struct job *job) {
+  struct gather_job *gather = gather_of(job);
   struct gather_work *work = gather->work;
   core_gather_sum_free(work->sum);
   core_gather_scratch_free(work->scratch);
@@ -421,5 +421,8 @@ static void end(struct job *job) {
   budget_return(job->context->buffers, gather->bytes);
 }
 
-const struct job_kind job_kind_GATHER = {
-    .detached = true, .start = start, .begin_part = put, .step = step, .end = end};
+const struct job_kind job_kind_GATHER = {.detached = true,
+                                         .start = start_gather,
+                                         .begin_part = put_gather,
+                                         .step = step_gather,
+                                         .end = end_gather};

@@ -15,7 +15,7 @@ struct offers_job {
   } errors[CORE_CANDIDATES_MAX / 2];
 };
 
-JOB_STRUCTURE(struct offers_job, of)
+JOB_STRUCTURE(struct offers_job, offers_of)
 
 static core_choose_request asked_of(const struct offers_job *offers) {
   return choice_asked(&offers->eval.request, offers->eval.radii);
@@ -30,8 +30,8 @@ static enum core_evaluator evaluator_of(const struct offers_job *offers) {
 
 /* Gets the profiles of the next model and of transport, for the next medium. *fault: why there is
  * none. */
-static enum lookup_answer get(struct offers_job *offers, unsigned model, const core_medium *medium,
-                              core_fault *fault) {
+static enum lookup_answer get_profiles(struct offers_job *offers, unsigned model,
+                                       const core_medium *medium, core_fault *fault) {
   struct eval_job *eval = &offers->eval;
   struct profiles *profiles = &eval->job.context->profiles;
   const core_parameters none = core_parameters_none();
@@ -56,7 +56,7 @@ static enum lookup_answer get(struct offers_job *offers, unsigned model, const c
 }
 
 /* Raises the errors of the model to those for this medium. */
-static void compare(struct offers_job *offers, bool known) {
+static void compare_model(struct offers_job *offers, bool known) {
   const struct eval_job *eval = &offers->eval;
   core_requested_radii asked = {eval->grid, eval->request.radii, eval->radii, {0, 0}};
   core_requested_ends(&asked, eval_job_value_bytes(eval) == sizeof(float));
@@ -77,8 +77,8 @@ static void compare(struct offers_job *offers, bool known) {
 }
 
 /* Compares the next model for the next medium. */
-static enum job_outcome step(struct job *job, uint64_t *budget) {
-  struct offers_job *offers = of(job);
+static enum job_outcome step_offers(struct job *job, uint64_t *budget) {
+  struct offers_job *offers = offers_of(job);
   struct eval_job *eval = &offers->eval;
   const unsigned model = core_costed_models[offers->model];
   *budget -= *budget < JOB_SLICE_RADII ? *budget : JOB_SLICE_RADII;
@@ -89,14 +89,14 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
   } else {
     core_fault fault;
     const enum lookup_answer answer =
-        get(offers, model, eval_job_medium(eval, offers->medium), &fault);
+        get_profiles(offers, model, eval_job_medium(eval, offers->medium), &fault);
     if (answer == LOOKUP_WAIT) {
       return JOB_WAITS;
     }
     if (answer == LOOKUP_FAULT && fault.field != NULL && lookup_is_busy(fault)) {
       return job_refuse(job, job_fault(fault, offers->medium));
     }
-    compare(offers, answer == LOOKUP_READY);
+    compare_model(offers, answer == LOOKUP_READY);
     profiles_return(&eval->lookup);
     offers->model++;
   }
@@ -109,8 +109,8 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
   return JOB_NEXT_PART;
 }
 
-static enum job_outcome start(struct job *job, const struct job_request *request) {
-  struct offers_job *offers = of(job);
+static enum job_outcome start_offers(struct job *job, const struct job_request *request) {
+  struct offers_job *offers = offers_of(job);
   const wire_error error = eval_job_offers(&offers->eval, request);
   if (error.status != WIRE_STATUS_OK) {
     return job_refuse(job, error);
@@ -139,7 +139,8 @@ static int by_cost(const void *a, const void *b) {
 
 /* Lists all candidates by cost. Returns their number and sets *taken to the position of the one that
  * an eval would get, or to their number if it would get none. */
-static size_t list(const struct offers_job *offers, core_candidate *candidates, size_t *taken) {
+static size_t list_candidates(const struct offers_job *offers, core_candidate *candidates,
+                              size_t *taken) {
   const core_choose_request asked = asked_of(offers);
   size_t count = core_choose(&asked, candidates);
   const core_candidate first = candidates[0];
@@ -163,10 +164,10 @@ static size_t list(const struct offers_job *offers, core_candidate *candidates, 
   return count;
 }
 
-static enum job_outcome put(struct job *job, uint8_t *at) {
+static enum job_outcome put_offers(struct job *job, uint8_t *at) {
   core_candidate candidates[CORE_CANDIDATES_MAX];
   size_t taken;
-  const size_t count = list(of(job), candidates, &taken);
+  const size_t count = list_candidates(offers_of(job), candidates, &taken);
   const wire_offers_reply reply = {.count = (uint32_t)count, .taken = (uint32_t)taken};
   wire_put_offers_reply(at, &reply);
   at += WIRE_BYTES_offers_reply;
@@ -188,4 +189,4 @@ static enum job_outcome put(struct job *job, uint8_t *at) {
 }
 
 const struct job_kind job_kind_OFFERS = {
-    .start = start, .begin_part = put, .step = step, .end = eval_job_end};
+    .start = start_offers, .begin_part = put_offers, .step = step_offers, .end = eval_job_end};

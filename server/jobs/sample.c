@@ -22,7 +22,7 @@ static wire_error check_numbers(const struct eval_job *eval) {
 }
 
 /* Checks a sample request. Any radius may be drawn, so the model must cover all radii. */
-static wire_error check(struct eval_job *eval) {
+static wire_error check_sample(struct eval_job *eval) {
   core_radii_range range;
   /* Any radius may be drawn, 0 included, and the model error at 0 is known only for transport. */
   eval->radii = (core_radii_range){0, 0};
@@ -58,7 +58,7 @@ static const void *draw_radii(const struct eval_job *eval, size_t n) {
   return r;
 }
 
-static enum job_outcome start(struct job *job, const struct job_request *request) {
+static enum job_outcome start_sample(struct job *job, const struct job_request *request) {
   struct eval_job *eval = (struct eval_job *)(void *)job;
   wire_error error = sample_request_parse(request->payload, request->header->payload_bytes,
                                           &eval->draw, &eval->request);
@@ -66,10 +66,12 @@ static enum job_outcome start(struct job *job, const struct job_request *request
   eval->value_bytes = core_evaluator_bytes(eval->request.fixed.evaluator);
   eval->choice = (struct choice_state){.tolerance = (double)NAN};
   if (error.status == WIRE_STATUS_OK) {
-    error = check(eval);
+    error = check_sample(eval);
   }
   return eval_job_start(eval, error, request);
 }
 
-const struct job_kind job_kind_SAMPLE = {
-    .start = start, .begin_part = eval_job_begin_part, .step = eval_job_step, .end = eval_job_end};
+const struct job_kind job_kind_SAMPLE = {.start = start_sample,
+                                         .begin_part = eval_job_begin_part,
+                                         .step = eval_job_step,
+                                         .end = eval_job_end};

@@ -13,10 +13,10 @@ struct table {
   struct profiles_lookup ruler; /* transport, if the model errors need it */
 };
 
-JOB_STRUCTURE(struct table, of)
+JOB_STRUCTURE(struct table, table_of)
 
 /* Checks a request for a surface with a medium that every model takes. */
-static core_fault check(const table_request *request, unsigned evaluator) {
+static core_fault check_table(const table_request *request, unsigned evaluator) {
   core_medium medium = *request->layers;
   const bool surface = table_is_surface(request);
   medium.sigma_a_per_mm = medium.sigma_s_per_mm = 1;
@@ -24,8 +24,8 @@ static core_fault check(const table_request *request, unsigned evaluator) {
                             surface ? &medium : request->layers, &request->parameters, NULL);
 }
 
-static enum job_outcome start(struct job *job, const struct job_request *from) {
-  struct table *table = of(job);
+static enum job_outcome start_table(struct job *job, const struct job_request *from) {
+  struct table *table = table_of(job);
   table_request *request = &table->request;
   const wire_error error = table_request_parse(from->payload, from->header->payload_bytes, request);
   if (error.status != WIRE_STATUS_OK) {
@@ -33,7 +33,7 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
   }
   const wire_table_request *fixed = &request->fixed;
   const unsigned evaluator = table_is_surface(request) ? CORE_EVALUATOR_F32 : CORE_EVALUATOR_LUT;
-  const core_fault fault = check(request, evaluator);
+  const core_fault fault = check_table(request, evaluator);
   if (fault.field != NULL) {
     return job_refuse(job, job_error(fault));
   }
@@ -44,7 +44,7 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
   return JOB_GOES_ON;
 }
 
-static enum lookup_answer get(struct table *table) {
+static enum lookup_answer get_thing(struct table *table) {
   struct profiles *profiles = &table->job.context->profiles;
   const core_medium *medium = table->request.layers;
   if (table_is_surface(&table->request)) {
@@ -62,10 +62,10 @@ static enum lookup_answer get(struct table *table) {
   return answer == LOOKUP_READY ? profiles_get(profiles, &table->lookup, medium) : answer;
 }
 
-static enum job_outcome step(struct job *job, uint64_t *budget) {
-  struct table *table = of(job);
+static enum job_outcome step_table(struct job *job, uint64_t *budget) {
+  struct table *table = table_of(job);
   *budget -= *budget < JOB_STEP_RADII ? *budget : JOB_STEP_RADII;
-  const enum job_outcome outcome = job_follow(job, get(table), &table->lookup.fault, 0);
+  const enum job_outcome outcome = job_follow(job, get_thing(table), &table->lookup.fault, 0);
   if (outcome != JOB_GOES_ON) {
     return outcome;
   }
@@ -79,8 +79,8 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
              : JOB_NEXT_PART;
 }
 
-static enum job_outcome put(struct job *job, uint8_t *at) {
-  struct table *table = of(job);
+static enum job_outcome put_table(struct job *job, uint8_t *at) {
+  struct table *table = table_of(job);
   const core_varying *surface = varyings_found(&table->surface);
   if (surface != NULL) {
     table_reply_put_surface(at, surface, &table->request.parameters);
@@ -93,11 +93,11 @@ static enum job_outcome put(struct job *job, uint8_t *at) {
   return JOB_DONE;
 }
 
-static void end(struct job *job) {
-  lookup_return(&of(job)->surface);
-  profiles_return(&of(job)->lookup);
-  profiles_return(&of(job)->ruler);
+static void end_table(struct job *job) {
+  lookup_return(&table_of(job)->surface);
+  profiles_return(&table_of(job)->lookup);
+  profiles_return(&table_of(job)->ruler);
 }
 
 const struct job_kind job_kind_TABLE = {
-    .start = start, .begin_part = put, .step = step, .end = end};
+    .start = start_table, .begin_part = put_table, .step = step_table, .end = end_table};
