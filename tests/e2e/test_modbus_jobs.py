@@ -391,11 +391,11 @@ def test_a_job_goes_on_when_its_master_leaves(daemon, kind):
 def test_an_mc_ends_when_no_request_names_its_unit(daemon):
     """It keeps its place while a master asks for its progress, and ends with its results so far when
     none has for the idle timeout."""
-    one = daemon(*TCP, "--max-mc-jobs", "1", "--modbus-idle-timeout-ms", "1000")
+    one = daemon(*TCP, "--max-mc-jobs", "1", "--modbus-idle-timeout-ms", "2000")
     with Tcp(one) as master:
         commit_slow(master, "MC")
         begun = time.monotonic()
-        while time.monotonic() < begun + 2.5:
+        while time.monotonic() < begun + 3:
             assert head(master, "MC").status == IS_BUSY
         assert eventually(lambda: numbers(master, "MC_PROGRESS", 1)[0] > 0)
         commit_slow(master, "INVERT")  # jobs that keep no place from others go on
