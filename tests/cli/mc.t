@@ -23,44 +23,44 @@ under, over: within the first ring's inner edge, and beyond the last ring; unsca
 r = 0; unfinished: walks that were cut off; roulette: added by it, about 0. These and the
 totals are shares of the power that entered.
 
-$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --photons 2e4 --to 4 --rings 2 --thickness 2 --albedo 0.5,0.9
-Monte Carlo, ended by photons, photons 20480, error of the total R 0.0091, largest error of a ring 0.04
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --photons 2e4 --from 0.5 --to 4 --rings 2 --thickness 2 --albedo 0.5,0.9
+Monte Carlo, ended by photons, photons 20480, error of the total R 0.0091, largest error of a ring 0.078
 
 channel 1, sigma_a 0.1, sigma_s 0.9, g 0, eta 1.3, thickness 2, seed 1, photons 20480
 
-albedo       quantity  from  to         value    error  relative  photons
-                         mm  mm        1/mm^2   1/mm^2
-------  -------------  ----  --  ------------  -------  --------  -------
-0.5                 R     0   2   4.66371e-03  4.4e-05    0.95 %     6808
-0.5                 R     2   4   8.46565e-05  2.3e-06     2.7 %     2500
-0.5                 T     0   2   2.54056e-03  4.2e-05     1.6 %     4769
-0.5                 T     2   4   8.46636e-05  3.4e-06       4 %     2500
-0.5           R_total             6.27550e-02  5.7e-04    0.91 %
-0.5     R_unscattered             3.06308e-04  0.0e+00       0 %
-0.5           R_under             0.00000e+00  0.0e+00         -
-0.5            R_over             6.51332e-04  9.0e-05      14 %
-0.5           T_total             1.68779e-01  4.8e-04    0.28 %
-0.5     T_unscattered             1.33033e-01  0.0e+00       0 %
-0.5           T_under             0.00000e+00  0.0e+00         -
-0.5            T_over             6.27877e-04  3.8e-05     6.1 %
-0.5          absorbed             7.68466e-01  7.1e-04   0.092 %
-0.5        unfinished             0.00000e+00  0.0e+00         -
-0.5          roulette            -7.70434e-10  5.1e-09         -
-0.9                 R     0   2   1.57927e-02  1.1e-04    0.68 %     6808
-0.9                 R     2   4   1.25531e-03  2.3e-05     1.9 %     2500
-0.9                 T     0   2   1.03096e-02  1.0e-04    0.98 %     4769
-0.9                 T     2   4   1.23494e-03  2.9e-05     2.3 %     2500
-0.9           R_total             2.65350e-01  1.3e-03    0.47 %
-0.9     R_unscattered             3.06308e-04  0.0e+00       0 %
-0.9           R_under             0.00000e+00  0.0e+00         -
-0.9            R_over             1.92629e-02  3.1e-04     1.6 %
-0.9           T_total             3.29450e-01  1.0e-03    0.31 %
-0.9     T_unscattered             1.33033e-01  0.0e+00       0 %
-0.9           T_under             0.00000e+00  0.0e+00         -
-0.9            T_over             2.03050e-02  3.4e-04     1.7 %
-0.9          absorbed             4.05027e-01  1.0e-03    0.26 %
-0.9        unfinished             0.00000e+00  0.0e+00         -
-0.9          roulette            -1.73285e-04  3.5e-04         -
+albedo  quantity       from    to         value    error  relative  photons
+                         mm    mm        1/mm^2   1/mm^2
+------  -------------  ----  ----  ------------  -------  --------  -------
+0.5     R               0.5  2.25   1.30426e-03  2.3e-05     1.8 %     4568
+0.5     R              2.25     4   7.18199e-05  3.4e-06     4.7 %     2066
+0.5     T               0.5  2.25   1.29194e-03  1.8e-05     1.4 %     4091
+0.5     T              2.25     4   7.02700e-05  5.5e-06     7.8 %     2068
+0.5     R_total                     6.27550e-02  5.7e-04    0.91 %
+0.5     R_unscattered               3.06308e-04  0.0e+00       0 %
+0.5     R_under                     3.96105e-02  3.6e-04    0.91 %
+0.5     R_over                      6.51332e-04  9.0e-05      14 %
+0.5     T_total                     1.68779e-01  4.8e-04    0.28 %
+0.5     T_unscattered               1.33033e-01  0.0e+00       0 %
+0.5     T_under                     1.31702e-02  4.0e-04       3 %
+0.5     T_over                      6.27877e-04  3.8e-05     6.1 %
+0.5     absorbed                    7.68466e-01  7.1e-04   0.092 %
+0.5     unfinished                  0.00000e+00  0.0e+00         -
+0.5     roulette                   -7.70434e-10  5.1e-09         -
+0.9     R               0.5  2.25   7.58699e-03  9.4e-05     1.2 %     4568
+0.9     R              2.25     4   1.12109e-03  2.2e-05       2 %     2066
+0.9     T               0.5  2.25   6.79020e-03  9.4e-05     1.4 %     4091
+0.9     T              2.25     4   1.09995e-03  4.2e-05     3.8 %     2068
+0.9     R_total                     2.65350e-01  1.3e-03    0.47 %
+0.9     R_unscattered               3.06308e-04  0.0e+00       0 %
+0.9     R_under                     9.25520e-02  5.5e-04    0.59 %
+0.9     R_over                      1.92629e-02  3.1e-04     1.6 %
+0.9     T_total                     3.29450e-01  1.0e-03    0.31 %
+0.9     T_unscattered               1.33033e-01  0.0e+00       0 %
+0.9     T_under                     3.56551e-02  9.2e-04     2.6 %
+0.9     T_over                      2.03050e-02  3.4e-04     1.7 %
+0.9     absorbed                    4.05027e-01  1.0e-03    0.26 %
+0.9     unfinished                  0.00000e+00  0.0e+00         -
+0.9     roulette                   -1.73285e-04  3.5e-04         -
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 under, over: within the first ring's inner edge, and beyond the last ring; unscattered: at
 r = 0; unfinished: walks that were cut off; roulette: added by it, about 0. These and the

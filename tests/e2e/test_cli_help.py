@@ -28,7 +28,9 @@ def test_help_of_a_command(command):
 
 
 @pytest.mark.parametrize("command", ["eval", "sample", "invert"])
-def test_examples_work(command):
+def test_examples_work(command, tmp_path):
+    layer = "1 2 18 .75 .1"
+    (tmp_path / "sample.mci").write_text(f"1.0\n1\nslab.mco A\n9\n.01 .1\n9 2 1\n1\n1\n{layer}\n1\n")
     text = dipole(command, "--help").stdout.split("\nExamples\n")[1]
     examples = [line.split() for line in text.splitlines()]
     assert len(examples) >= 3
@@ -38,7 +40,7 @@ def test_examples_work(command):
             at = words.index("--plot")
             del words[at : at + 2]
         # With all models, the command names those that it leaves out.
-        assert dipole(*words[1:], quiet="all" not in words).stdout != ""
+        assert dipole(*words[1:], quiet="all" not in words, cwd=tmp_path).stdout != ""
 
 
 EVAL = ["eval", "--sigma-a", "0.1", "--sigma-s", "1"]
