@@ -327,6 +327,36 @@ UNIT_TEST(test_lies_are_noticed) {
   }
 }
 
+/* The radii that the only part of an answer has. */
+typedef struct other_radii {
+  uint64_t first, count;
+} other_radii;
+
+static void answer_others(int fd, void *context) {
+  const other_radii *others = context;
+  uint8_t *payload;
+  peer_frame request;
+  peer_say_hello_or_abort(fd);
+  peer_receive_or_abort(fd, &request);
+  const size_t bytes = peer_evaluate_part(&request, others->first, others->count, 0, 1, &payload);
+  peer_send(fd, WIRE_TYPE_EVAL | WIRE_REPLY, request.header.request_id, payload, bytes);
+  free(payload);
+  free(request.payload);
+}
+
+UNIT_TEST(test_an_only_part_has_all_radii) {
+  other_radii others[] = {{0, 2}, {1, 2}, {0, 0}};
+  for (size_t i = 0; i < sizeof others / sizeof others[0]; i++) {
+    scripted_peer peer;
+    dipole_error error;
+    dipole_result *result;
+    dipole_client *client = peer_begin(&peer, answer_others, &others[i]);
+    assert_false(dipole_eval(client, &simple_query, &result, &error));
+    assert_int_equal(error.kind, DIPOLE_ERROR_PROTOCOL);
+    peer_finish(&peer, client);
+  }
+}
+
 /* ---- connections --------------------------------------------------------------------------- */
 
 UNIT_TEST(test_lost_connection) {

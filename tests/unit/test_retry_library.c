@@ -363,13 +363,18 @@ UNIT_TEST(test_deadlines_end) {
   dipole_result *result;
   dipole_error error;
   query.deadline_ms = 20;
-  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
-  assert_false(dipole_eval(client, &query, &result, &error));
-  assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
-  assert_int_equal(error.status, WIRE_STATUS_DEADLINE);
-  assert_string_equal(error.field, "deadline_ms");
-  peer_check_eval(client, 5);
-  peer_finish(&peer, client);
+  for (int collects = 0; collects < 2; collects++) {
+    uint64_t id;
+    dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
+    assert_false(collects ? dipole_submit(client, &query, &id, &error) &&
+                                dipole_collect(client, &id, &result, &error)
+                          : dipole_eval(client, &query, &result, &error));
+    assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
+    assert_int_equal(error.status, WIRE_STATUS_DEADLINE);
+    assert_string_equal(error.field, "deadline_ms");
+    peer_check_eval(client, 5);
+    peer_finish(&peer, client);
+  }
 }
 
 /* ---- parts --------------------------------------------------------------------------------- */
