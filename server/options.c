@@ -184,18 +184,14 @@ static bool check_variables(void) {
   return good;
 }
 
-/* Returns whether an option makes the daemon serve whoever reaches an address. */
-static bool serves_others(const struct description *option) {
-  return option->offset == AT(listen) || option->offset == AT(modbus) ||
-         option->offset == AT(http) || option->offset == AT(metrics);
-}
-
 /* is_private: the daemon is for one program alone, whose user may have set these variables for
  * another daemon. */
 static bool read_environment(struct options *options, bool is_private) {
   for (int i = 0; i < OPTIONS; i++) {
     const struct description *option = &descriptions[i];
-    if (is_private && serves_others(option)) {
+    const bool serves_others = option->offset == AT(listen) || option->offset == AT(modbus) ||
+                               option->offset == AT(http) || option->offset == AT(metrics);
+    if (is_private && serves_others) {
       continue;
     }
     char name[VARIABLE_BYTES];

@@ -6,8 +6,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "proto/schema.h"
 #include "proto/gather.h"
+#include "proto/schema.h"
 #include "proto/varying.h"
 
 /* The same default in all clients. */
@@ -373,10 +373,6 @@ static enum varying_numbers numbers_of(const struct translation *t) {
                                               : VARYING_NONE;
 }
 
-static bool is_gather(const struct translation *t) {
-  return t->message->type == WIRE_TYPE_GATHER;
-}
-
 /* Returns whether the usual evaluator is the table: for transport, named or not, where the table can
  * be as exact as the tolerance. */
 static bool is_tabled(const struct translation *t) {
@@ -546,7 +542,7 @@ static bool put_name(struct translation *t, const schema_field *field, uint8_t *
   const struct http_value value = value_of(t, field->name);
   const char *digits = http_value_given(value) ? http_value_text(value) : "";
   const size_t count = digits != NULL ? strlen(digits) : 0;
-  if (!http_value_given(value) && !is_gather(t)) {
+  if (!http_value_given(value) && t->message->type != WIRE_TYPE_GATHER) {
     return true;
   }
   if (count != NAME_DIGITS || strspn(digits, "0123456789abcdef") != count) {

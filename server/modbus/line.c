@@ -399,11 +399,6 @@ static void start_client(struct client *client) {
   }
 }
 
-static void close_all(struct modbus_line *line) {
-  uv_close((uv_handle_t *)&line->timer, on_handle_closed);
-  close_poll(line);
-}
-
 /* Called after a turn, and when the unit for which the line waits has its results. */
 static void finish_turn(struct client *client) {
   struct modbus_line *line = line_of(client);
@@ -420,7 +415,8 @@ static void finish_turn(struct client *client) {
   if (left_ns > 0) { /* Closing now would cut the reply off. */
     uv_timer_start(&line->timer, on_silence, to_ms_up(left_ns), 0);
   } else if (!line->sending) {
-    close_all(line);
+    uv_close((uv_handle_t *)&line->timer, on_handle_closed);
+    close_poll(line);
   }
 }
 

@@ -24,14 +24,9 @@ void modbus_receiver_reset(struct modbus_receiver *receiver) {
 
 /* ---- echo ------------------------------------------------------------------------------------ */
 
-/* Returns whether a reply has bytes that could also be a request. */
-static bool could_be_request(const uint8_t *frame, size_t bytes) {
-  return modbus_pdu_bytes(frame + 1, bytes - 3) == bytes - 3;
-}
-
 bool modbus_receiver_sent(struct modbus_receiver *receiver, const uint8_t *frame, size_t bytes) {
   assert(bytes >= MODBUS_RTU_MIN && bytes <= MODBUS_RTU_MAX);
-  const bool ambiguous = could_be_request(frame, bytes);
+  const bool ambiguous = modbus_pdu_bytes(frame + 1, bytes - 3) == bytes - 3; /* or a request */
   receiver->repeats = memcmp(receiver->sent, frame, bytes) == 0 ? receiver->repeats + 1 : 0;
   if (receiver->repeats == REPEATS_MOST) {
     receiver->repeats = 0;

@@ -61,16 +61,11 @@ static uint64_t computed_BATCHES_EVALUATED(const struct reporter *to) {
   return counted_in(to, STATS_BATCHES, STATS_COUNT);
 }
 
-static void report_plain(const struct reporter *to, const struct report_family *family,
-                         uint64_t value) {
-  report(to, family->name, family, family->type == REPORT_COUNTER ? "_total" : "", "", value);
-}
-
 static void report_list(const struct reporter *to) {
 #define REPORT(name, type, help, value)                                                            \
   {                                                                                                \
     static const struct report_family family = {name, REPORT_##type, help};                        \
-    report_plain(to, &family, value);                                                              \
+    report(to, name, &family, REPORT_##type == REPORT_COUNTER ? "_total" : "", "", value);         \
   }
 #define SERVER_STATISTIC(IDENT, name, type, help)                                                  \
   REPORT(name, type, help, counted(to, STATS_##IDENT))

@@ -185,10 +185,6 @@ static struct cache_entry *choose_evicted(struct list *list) {
   return TAILQ_LAST(&list->entries, entries);
 }
 
-static uint64_t kept_bytes(const struct cache *cache) {
-  return cache->lists[false].bytes + cache->lists[true].bytes;
-}
-
 static void evict_one(struct cache *cache, struct list *list, struct entries *evicted) {
   struct cache_entry *entry = choose_evicted(list);
   TAILQ_REMOVE(&list->entries, entry, in_list);
@@ -227,7 +223,7 @@ static void make_room(struct cache *cache, const struct cache_entry *entry,
   while (!entry->slow && entry->bytes > limit_of(cache, entry) - fast->bytes) {
     evict_one(cache, fast, evicted);
   }
-  while (entry->bytes > cache->limit_bytes - kept_bytes(cache)) {
+  while (entry->bytes > cache->limit_bytes - fast->bytes - slow->bytes) {
     evict_one(cache, slow->count > 0 ? slow : fast, evicted);
   }
 }
