@@ -36,32 +36,8 @@ static void report(const struct reporter *to, const char *name, const struct rep
 
 /* ---- single values: server/observe/stats.def ------------------------------------------------- */
 
-static uint64_t computed_UPTIME_MS(const struct reporter *to) {
-  return (uv_hrtime() - to->server->started_ns) / 1000000;
-}
-
-static uint64_t computed_LOG_LINES_DROPPED(const struct reporter *to) {
-  (void)to;
-  return log_dropped_lines();
-}
-
-static uint64_t computed_POINTS_SENT_BYTES(const struct reporter *to) {
-  return atomic_load(&to->server->points_sent_bytes);
-}
-
-static uint64_t computed_BUFFER_BYTES(const struct reporter *to) {
-  return atomic_load(&to->server->buffers.bytes);
-}
-
-static uint64_t computed_RADII_EVALUATED(const struct reporter *to) {
-  return counted_in(to, STATS_RADII, STATS_BATCHES);
-}
-
-static uint64_t computed_BATCHES_EVALUATED(const struct reporter *to) {
-  return counted_in(to, STATS_BATCHES, STATS_COUNT);
-}
-
 static void report_list(const struct reporter *to) {
+  const struct server *server = to->server;
 #define REPORT(name, type, help, value)                                                            \
   {                                                                                                \
     static const struct report_family family = {name, REPORT_##type, help};                        \
@@ -69,8 +45,8 @@ static void report_list(const struct reporter *to) {
   }
 #define SERVER_STATISTIC(IDENT, name, type, help)                                                  \
   REPORT(name, type, help, counted(to, STATS_##IDENT))
-#define SERVER_COMPUTED(IDENT, name, type, help)                                                   \
-  REPORT(name, type, help, to->server != NULL ? computed_##IDENT(to) : 0)
+#define SERVER_COMPUTED(name, type, value, help)                                                   \
+  REPORT(name, type, help, server != NULL ? (value) : 0)
 #include "server/observe/stats.def"
 }
 
