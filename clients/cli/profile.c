@@ -226,7 +226,8 @@ int cli_medium_check(const cli_settings *settings) {
   }
   if (settings->medium.count == 0 &&
       (settings->sigma_a.count == 0 || settings->sigma_s.count == 0)) {
-    return cli_fail_usage("give --medium NAME, or --sigma-a and --sigma-s, or --layer");
+    return cli_fail_usage("give --medium NAME, or --sigma-a and --sigma-s%s",
+                          cli_options_find("layer") != NULL ? ", or --layer" : "");
   }
   if (settings->medium.count > 0 && (settings->sigma_a.count > 0 || settings->sigma_s.count > 0)) {
     return cli_fail_usage("--medium NAME stands for --sigma-a and --sigma-s: leave these out; --g "

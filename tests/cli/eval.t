@@ -421,5 +421,5 @@ $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --r 1 --model all,better --thicknes
 
 $ dipole eval --layer 2,5,0.8,1.4,0.05 --layer 0.1,10,0.8,1.33 --model transport --evaluator f64 --tolerance 0.1 --r 1,2 --format csv
 model,channel,layers,r,R,albedo,numerical_error,model_error,evaluator,notes
-transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",1,0.0180815241775514,0.2689181246780668,1.75425241704001e-4,0,f64,
-transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",2,0.0032220873799637863,0.2689181246780668,1.75425241704001e-4,0,f64,
+transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",1,0.0180815...,0.268918...,0,f64,
+transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",2,0.003222...,0.268918...,0,f64,

@@ -61,7 +61,7 @@ $ dipole gather points.csv
 ? 2
 
 $ dipole gather points.csv queries.csv
-! dipole gather: give --medium NAME, or --sigma-a and --sigma-s
+! dipole gather: give --medium NAME, or --sigma-a and --sigma-s, or --layer
 ! `dipole gather --help` says more.
 ? 2
 

@@ -72,7 +72,7 @@ per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.98298
            +..*..+better, red   +..o..+better, green +..+..+better, blue
 
 $ dipole plot
-! dipole plot: give --medium NAME, or --sigma-a and --sigma-s
+! dipole plot: give --medium NAME, or --sigma-a and --sigma-s, or --layer
 ! `dipole plot --help` says more.
 ? 2
 

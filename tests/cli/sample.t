@@ -51,7 +51,7 @@ transport,1,0.032,0.74,0,1.3,0.58293027,0.43945764501319085,0.5829253,2.4647195,
 transport,1,0.032,0.74,0,1.3,0.45244187,0.43945764501319085,0.452437,1.6285086,0.17802525,8.30018799703575e-5,0,8.30018799703575e-5,0,8.30018799703575e-5,0,8.30018799703575e-5,0,lut,
 
 $ dipole sample
-! dipole sample: give --medium NAME, or --sigma-a and --sigma-s
+! dipole sample: give --medium NAME, or --sigma-a and --sigma-s, or --layer
 ! `dipole sample --help` says more.
 ? 2
 
