@@ -16,8 +16,8 @@ bool libdipole_table_check(const uint8_t *bytes, size_t count, size_t *frame_byt
 libdipole_frame *libdipole_table_request(dipole_client *client, const dipole_table_query *query,
                                          size_t words_max, dipole_error *error);
 
-/* Sets the error of a reply that is no intact table (kind TABLE), or else of one that was not
- * requested. Returns false. */
+/* Fails with kind PROTOCOL if the reply to a table request was no intact table (then *error is of
+ * kind TABLE), or the table of something else (intact). Keeps any other error. Returns false. */
 bool libdipole_table_refuse(dipole_client *client, bool intact, dipole_error *error);
 
 /* Returns the profile that a table evaluates, of evaluator lut. The table owns it. */
