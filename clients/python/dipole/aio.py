@@ -28,7 +28,7 @@ T = TypeVar("T")
 def _method(
     call: Callable[Concatenate[Session, P], Coroutine[Any, Any, T]]
 ) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
-    """Makes a method of a call."""
+    """Returns a method of AsyncClient that awaits a call."""
     signature = calls.signature_of(call)
 
     async def method(self: AsyncClient, *arguments: Any, **options: Any) -> T:

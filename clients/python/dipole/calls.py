@@ -25,7 +25,7 @@ T_co = TypeVar("T_co", covariant=True)
 
 
 class QueryCall(Protocol[P, T_co]):
-    """A method that takes a Query or its arguments."""
+    """The type of a method that takes a Query or the arguments of a Query."""
 
     @overload
     def __call__(self, query: Query, /) -> T_co: ...
@@ -36,8 +36,8 @@ class QueryCall(Protocol[P, T_co]):
 def takes_query(
     like: Callable[P, Query], call: Callable[..., object]
 ) -> Callable[[Callable[..., T]], QueryCall[P, T]]:
-    """Gives a method the signature of Query, whose arguments or object it gets, and the description
-    of a call."""
+    """Returns a decorator. The method that it makes has the signature of Query and the description of
+    a call; it takes a Query, or the arguments of one."""
 
     def describe(method: Callable[..., T]) -> Callable[..., T]:
         own = inspect.signature(method)

@@ -25,7 +25,7 @@ T = TypeVar("T")
 def _method(
     call: Callable[Concatenate[Session, P], Coroutine[Any, Any, T]]
 ) -> Callable[Concatenate[Any, P], T]:
-    """Makes a method of a call."""
+    """Returns a method of Client that makes a call and waits for its result."""
     signature = calls.signature_of(call)
 
     def method(self: Client, *arguments: Any, **options: Any) -> T:
